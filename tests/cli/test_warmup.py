@@ -8,7 +8,7 @@ import sys
 
 from tests.cli.calls import ROOT
 from wtg_gym.cli import main
-from wtg_gym.physics.compiled import cache_folder
+from wtg_gym.systems.compiled import cache_folder
 
 _COMMANDS = """
 from wtg_gym.cli import main

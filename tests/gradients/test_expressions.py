@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from wtg_gym.gradients import expressions as ex
-from wtg_gym.physics.elementary import exponential, fma, select, sine_cosine
+from wtg_gym.systems import expressions as ex
+from wtg_gym.systems.elementary import exponential, fma, select, sine_cosine
 
 #: Of two numbers, by what traces and by what computes.
 FUNCTIONS: dict[str, Any] = {

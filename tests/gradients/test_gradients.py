@@ -14,7 +14,7 @@ import pytest
 from wtg_gym.envs.settings import EnvSettings
 from wtg_gym.envs.task_records import COST_TERMS
 from wtg_gym.gradients import check_by_differences
-from wtg_gym.gradients import expressions as ex
+from wtg_gym.systems import expressions as ex
 from wtg_gym.gradients.adjoint import replay
 from wtg_gym.gradients.generated import build_rules
 from wtg_gym.gradients.tape import Gradient, Tape

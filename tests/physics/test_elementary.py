@@ -9,7 +9,7 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from wtg_gym.physics.elementary import exponential, fma, sine_cosine
+from wtg_gym.systems.elementary import exponential, fma, sine_cosine
 
 ORDINARY = st.floats(-1e100, 1e100, allow_subnormal=False)
 

@@ -18,7 +18,7 @@ import sys
 from pathlib import Path
 from typing import Any
 import numba
-from wtg_gym.physics.compiled import Compilation, DiskCache
+from wtg_gym.systems.compiled import Compilation, DiskCache
 from numba.core import event
 
 folder = Path(sys.argv[1])
@@ -48,7 +48,7 @@ import sys
 from pathlib import Path
 import numba
 import numpy as np
-from wtg_gym.physics.compiled import DiskCache
+from wtg_gym.systems.compiled import DiskCache
 
 def compiled(function):
     result = numba.njit(function)
@@ -70,7 +70,7 @@ for size in SIZES:
 COPIED = """
 import sys
 sys.path.insert(0, sys.argv[1])
-from wtg_gym.physics.compiled import cache_folder, source_hash
+from wtg_gym.systems.compiled import cache_folder, source_hash
 from wtg_gym.physics.aerodynamics import power_coefficient
 assert source_hash().startswith(cache_folder().name)
 print(cache_folder().name, float(power_coefficient(7.0)))

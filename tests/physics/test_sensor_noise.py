@@ -10,7 +10,7 @@ import numpy.typing as npt
 import pytest
 
 from wtg_gym.physics import sensors as module
-from wtg_gym.physics.compiled import compiled
+from wtg_gym.systems.compiled import compiled
 from wtg_gym.physics.sensors import (
     N_CHANNELS,
     Measurement,

@@ -7,7 +7,7 @@ from wtg_gym.envs import GFMWTGEnv, GFMWTGVectorEnv
 from wtg_gym.envs.compile_ahead import compile_ahead
 from wtg_gym.envs.settings import VERSIONS, EnvSettings
 from wtg_gym.evaluation import evaluate
-from wtg_gym.physics.compiled import cache_folder, compilation
+from wtg_gym.systems.compiled import cache_folder, compilation
 from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY
 from wtg_gym.physics.trajectory import simulate
 from wtg_gym.scenarios import get_suite

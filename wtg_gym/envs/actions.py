@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 
 from wtg_gym.envs.task_records import GROUP, N_GROUP_ROWS, Task, parts_of
-from wtg_gym.physics.compiled import compiled, inlined
-from wtg_gym.physics.elementary import clip
+from wtg_gym.systems.compiled import compiled, inlined
+from wtg_gym.systems.elementary import clip
 from wtg_gym.physics.layout import WTG_INV_TAU, WTG_K_OFFSET, Floats, Lanes, wtg_row
 
 #: Full action multiplies or divides the damping time constant by this.

@@ -35,8 +35,8 @@ from wtg_gym.envs.task_records import (
     store_sensed,
     store_terms,
 )
-from wtg_gym.physics.compiled import inlined
-from wtg_gym.physics.elementary import select
+from wtg_gym.systems.compiled import inlined
+from wtg_gym.systems.elementary import select
 from wtg_gym.physics.layout import (
     LANE,
     WTG,
@@ -48,7 +48,7 @@ from wtg_gym.physics.layout import (
     rows_of,
     wtg_row,
 )
-from wtg_gym.physics.records import elementwise
+from wtg_gym.systems.records import elementwise
 
 
 @inlined

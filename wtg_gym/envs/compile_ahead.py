@@ -10,7 +10,7 @@ import numpy as np
 
 from wtg_gym.envs.settings import EnvSettings
 from wtg_gym.envs.task import build_task, new_outputs, start_tasks, step_blocks
-from wtg_gym.physics.compiled import cache_folder, is_compiled
+from wtg_gym.systems.compiled import cache_folder, is_compiled
 from wtg_gym.physics.kernel_data import EVENT_DTYPE, LaneData
 from wtg_gym.physics.plant import build_plant
 from wtg_gym.physics.simulator import BLOCK_WIDTH, Simulator

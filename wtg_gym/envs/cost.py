@@ -9,9 +9,9 @@ from __future__ import annotations
 from typing import NamedTuple
 
 from wtg_gym.envs.task_records import CostTerms, GroupRows, Task
-from wtg_gym.physics.compiled import inlined
+from wtg_gym.systems.compiled import inlined
 from wtg_gym.physics.converter import tracking_coefficient
-from wtg_gym.physics.elementary import select
+from wtg_gym.systems.elementary import select
 from wtg_gym.physics.wind_turbine import Turbine, WtgOutput, WtgState, tip_speed_ratio
 
 #: Frequency deviation beyond which the constraint cost counts [Hz]: ENTSO-E's steady-state limit is 0.2, its

@@ -27,7 +27,7 @@ from wtg_gym.envs.task_records import N_MEASURED, CostTerms, Info, TaskRows, n_e
 from wtg_gym.physics.kernel_data import LaneData
 from wtg_gym.physics.linearisation import STEP_MARGIN, largest_stable_steps
 from wtg_gym.physics.protection import Status
-from wtg_gym.physics.records import flatten, leaves
+from wtg_gym.systems.records import flatten, leaves
 from wtg_gym.physics.scenario import Event, GroupTrip, Scenario
 from wtg_gym.physics.sensors import delay_intervals, sensor_input
 from wtg_gym.physics.simulator import PreparedLanes, Simulator

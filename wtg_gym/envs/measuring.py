@@ -25,7 +25,7 @@ from wtg_gym.envs.task_records import (
     parts_of,
     store_sensed,
 )
-from wtg_gym.physics.compiled import inlined
+from wtg_gym.systems.compiled import inlined
 from wtg_gym.physics.layout import WTG, Floats, Lanes, load_wtg_output, load_wtg_state, read_turbine, wtg_row
 from wtg_gym.physics.sensors import (
     N_CHANNELS,

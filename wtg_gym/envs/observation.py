@@ -7,10 +7,10 @@ from typing import Annotated, NamedTuple, get_type_hints
 from wtg_gym.envs.settings import ACTION_MODES
 from wtg_gym.envs.task_records import N_MEASURED as N_MEASURED
 from wtg_gym.envs.task_records import GroupRows, MeasuredObservation, Task
-from wtg_gym.physics.compiled import inlined
-from wtg_gym.physics.elementary import clip
+from wtg_gym.systems.compiled import inlined
+from wtg_gym.systems.elementary import clip
 from wtg_gym.physics.machine import Machine, MachineOutput, MachineState
-from wtg_gym.physics.records import elementwise, size, storer
+from wtg_gym.systems.records import elementwise, size, storer
 from wtg_gym.physics.sensors import Measurement
 from wtg_gym.physics.wind_turbine import Rotor, Turbine, WtgOutput, WtgState, tip_speed_ratio
 

@@ -33,8 +33,8 @@ from wtg_gym.envs.task_records import (
     load_group,
     parts_of,
 )
-from wtg_gym.physics.compiled import inlined
-from wtg_gym.physics.elementary import clip
+from wtg_gym.systems.compiled import inlined
+from wtg_gym.systems.elementary import clip
 from wtg_gym.physics.layout import (
     LANE,
     MACHINE,

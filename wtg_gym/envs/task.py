@@ -35,11 +35,11 @@ from wtg_gym.envs.task_records import (
     store_group,
     store_info,
 )
-from wtg_gym.physics.compiled import compiled, inlined
+from wtg_gym.systems.compiled import compiled, inlined
 from wtg_gym.physics.integration import advance_interval
 from wtg_gym.physics.kernel_data import LaneData, Plant
 from wtg_gym.physics.layout import LANE, WTG, Floats, Lanes, load_wtg_input, load_wtg_state, rows_of, wtg_row
-from wtg_gym.physics.records import dtype, flatten
+from wtg_gym.systems.records import dtype, flatten
 from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY, get_law
 
 Observations = npt.NDArray[np.float32]

@@ -7,9 +7,9 @@ from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 
-from wtg_gym.physics.compiled import inlined
+from wtg_gym.systems.compiled import inlined
 from wtg_gym.physics.layout import rows_of
-from wtg_gym.physics.records import loader, offsets, reader, size, storer
+from wtg_gym.systems.records import loader, offsets, reader, size, storer
 from wtg_gym.physics.sensors import DELAY_MAX_S, SensorInput, SensorState
 
 

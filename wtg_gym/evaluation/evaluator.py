@@ -23,7 +23,7 @@ from wtg_gym.evaluation.metrics import Recorder, measure
 from wtg_gym.evaluation.partial import PartialStore
 from wtg_gym.evaluation.results import Results
 from wtg_gym.evaluation.workers import Played, Workers
-from wtg_gym.physics.compiled import source_hash
+from wtg_gym.systems.compiled import source_hash
 from wtg_gym.policies import Entry, OnnxPolicy, PolicyError
 from wtg_gym.policies.entry import check_entries, check_version
 from wtg_gym.policies.load import load_entries

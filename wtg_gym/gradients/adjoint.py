@@ -10,10 +10,10 @@ from wtg_gym.envs.actions import apply_actions
 from wtg_gym.envs.measuring import arrived_row, newest_row
 from wtg_gym.envs.task_records import TASK, load_sensor_input, parts_of, read_task
 from wtg_gym.gradients.generated import Rules, Steps, compiled_with
-from wtg_gym.physics.compiled import compiled, inlined
+from wtg_gym.systems.compiled import compiled, inlined
 from wtg_gym.physics.currents import unit_currents
 from wtg_gym.physics.dynamics import derivatives, keep_energy, unit_voltages
-from wtg_gym.physics.elementary import fma
+from wtg_gym.systems.elementary import fma
 from wtg_gym.physics.integration import apply_network_changes, end_step, enter_interval, protections_sample
 from wtg_gym.physics.kernel_data import LaneData, Plant
 from wtg_gym.physics.layout import LANE, Floats, Lanes, read_turbine, rows_of

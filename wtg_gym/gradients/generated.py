@@ -21,12 +21,12 @@ from numba import types
 from numba.extending import intrinsic
 
 from wtg_gym.envs.task_records import GROUP, N_GROUP_ROWS, TASK, CostTerms, parts_of, read_task
-from wtg_gym.gradients import expressions as ex
+from wtg_gym.systems import expressions as ex
 from wtg_gym.gradients.kernel_programs import ROW_OF_LEAF, Further, Indices, Programs, is_of_lane, programs_of
 from wtg_gym.gradients.plant_parameters import Leaf
-from wtg_gym.gradients.tracing import Rows, retargeted
-from wtg_gym.physics.compiled import compiled, source_hash
-from wtg_gym.physics.elementary import exponential, fma, sine_cosine
+from wtg_gym.systems.tracing import Rows, retargeted
+from wtg_gym.systems.compiled import compiled, source_hash
+from wtg_gym.systems.elementary import exponential, fma, sine_cosine
 from wtg_gym.physics.kernel_data import Plant
 from wtg_gym.physics.layout import (
     EXTENSION,
@@ -48,7 +48,7 @@ from wtg_gym.physics.layout import (
     wtg_row,
 )
 from wtg_gym.physics.machine import machine_limited
-from wtg_gym.physics.records import size
+from wtg_gym.systems.records import size
 from wtg_gym.physics.wind_turbine import extension_limited, wtg_limited
 
 Floats = npt.NDArray[np.float64]

@@ -16,9 +16,9 @@ from wtg_gym.envs.measuring import measure
 from wtg_gym.envs.observation import N_MEASURED
 from wtg_gym.envs.observing import observe
 from wtg_gym.envs.task_records import Task, read_task
-from wtg_gym.gradients import expressions as ex
+from wtg_gym.systems import expressions as ex
 from wtg_gym.gradients.plant_parameters import Leaf
-from wtg_gym.gradients.tracing import ARITHMETIC, Actions, Rows, retargeted, traced
+from wtg_gym.systems.tracing import ARITHMETIC, Actions, Rows, retargeted, traced
 from wtg_gym.physics.currents import limit_group_current, unit_currents
 from wtg_gym.physics.dynamics import derivatives, keep_energy, unit_rates, unit_voltages
 from wtg_gym.physics.kernel_data import Plant

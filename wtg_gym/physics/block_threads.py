@@ -26,9 +26,9 @@ class BlockThreads:
         self._pool_process = 0
 
     def run(
-        self, work: Callable[[int, int], Any], meanwhile: Callable[[], Any] | None = None, meanwhile_blocks: int = 0
+        self, work: Callable[[int, int, int], Any], meanwhile: Callable[[], Any] | None = None, meanwhile_blocks: int = 0
     ) -> None:
-        """Call `work(first, last)` for ranges that cover all blocks.
+        """Call `work(first, last, worker)` for ranges that cover all blocks, each with a worker's number of its own.
 
         Args:
             work: compiled with nogil, so that it releases the interpreter's lock.
@@ -45,14 +45,14 @@ class BlockThreads:
             own = max(0, (n_blocks + meanwhile_blocks) // n_threads - meanwhile_blocks)
             edges = [own + (n_blocks - own) * i // (n_threads - 1) for i in range(n_threads)]
             pool = self._workers(n_threads)
-            futures = [pool.submit(work, edges[i], edges[i + 1]) for i in range(n_threads - 1)]
+            futures = [pool.submit(work, edges[i], edges[i + 1], i + 1) for i in range(n_threads - 1)]
         # Whatever happens meanwhile, no block may be left a step behind the others.
         try:
             if meanwhile is not None:
                 meanwhile()
         finally:
             try:
-                work(0, own)
+                work(0, own, 0)
             finally:
                 wait(futures)
         for done in futures:

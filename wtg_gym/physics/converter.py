@@ -12,8 +12,8 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from wtg_gym.physics.compiled import compiled, inlined
-from wtg_gym.physics.elementary import fma, select
+from wtg_gym.systems.compiled import compiled, inlined
+from wtg_gym.systems.elementary import fma, select
 from wtg_gym.physics.parameters import GridFormingParameters
 
 

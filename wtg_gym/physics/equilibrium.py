@@ -8,55 +8,83 @@ from enum import IntEnum
 import numpy as np
 import numpy.typing as npt
 
-from wtg_gym.physics.compiled import compiled
 from wtg_gym.physics.converter import ConverterState
-from wtg_gym.physics.dynamics import derivatives
 from wtg_gym.physics.extended_converter import LimitState, VoltageInput
-from wtg_gym.physics.governor import hydro_start
+from wtg_gym.physics.extension_unit import EXTENSIONS
+from wtg_gym.physics.governor import HydroGovernor, HydroState, hydro_start
+from wtg_gym.physics.integration import start_run
 from wtg_gym.physics.kernel_data import NO_EVENT, LaneData, Plant
 from wtg_gym.physics.layout import (
     EXTENSION,
-    LANE,
     MACHINE,
-    MACHINE_ANGLE,
-    N_EXTREMES,
+    N_EXTENSION_ROWS,
     N_HYDRO_ROWS,
     N_MACHINE_ROWS,
-    OVERLOAD_TIME,
+    N_WTG_ROWS,
+    OF_LANE,
     WTG,
-    WTG_ANGLE,
-    WTG_EMF,
     Floats,
     Lanes,
-    extension_at,
-    load_extension_state,
-    load_hydro_state,
-    load_machine_input,
-    load_machine_state,
-    load_wtg_input,
-    load_wtg_output,
-    load_wtg_state,
-    read_extension,
-    read_hydro,
-    read_machine,
-    read_turbine,
-    rows_of,
-    store_extension_input,
-    store_extension_state,
-    store_extremes,
-    store_hydro_state,
-    store_machine_input,
-    store_machine_state,
-    store_wtg_input,
-    store_wtg_state,
-    wtg_row,
+    place_of,
 )
-from wtg_gym.physics.machine import MachineInput, machine_start
+from wtg_gym.physics.machine import Machine, MachineInput, MachineState, machine_start
 from wtg_gym.physics.network import assemble_admittance, solve_power_flow
 from wtg_gym.physics.pitch import PitchState
-from wtg_gym.physics.protection import track_extremes
-from wtg_gym.physics.reduction import combine_load_noise, refresh_network
-from wtg_gym.physics.wind_turbine import ExtensionState, WtgExtremes, WtgInput, WtgState, turbine_equilibrium
+from wtg_gym.physics.reduction import refresh_network
+from wtg_gym.physics.wind_turbine import (
+    Extension,
+    ExtensionState,
+    Turbine,
+    WtgExtremes,
+    WtgInput,
+    WtgOutput,
+    WtgState,
+    turbine_equilibrium,
+)
+from wtg_gym.physics.wtg_unit import GROUPS
+from wtg_gym.systems.compiled import compiled, inlined
+from wtg_gym.systems.records import loader, reader, storer
+
+_load_machine_state, _store_machine_state = loader(MachineState), storer(MachineState)
+_load_machine_input, _store_machine_input = loader(MachineInput), storer(MachineInput)
+_load_wtg_state, _store_wtg_state = loader(WtgState), storer(WtgState)
+_load_wtg_input, _store_wtg_input = loader(WtgInput), storer(WtgInput)
+_load_wtg_output, _store_extremes = loader(WtgOutput), storer(WtgExtremes)
+_load_hydro_state, _store_hydro_state = loader(HydroState), storer(HydroState)
+_load_extension_state, _store_extension_state = loader(ExtensionState), storer(ExtensionState)
+_store_extension_input = storer(VoltageInput)
+_read_machine, _read_turbine = reader(Machine), reader(Turbine)
+_read_hydro, _read_extension = reader(HydroGovernor), reader(Extension)
+_WTG_ANGLE, _WTG_EMF = place_of(GROUPS, "angle"), place_of(GROUPS, "emf")
+_OVERLOAD_TIME, _REACTANCE = place_of(GROUPS, "overload_time"), place_of(EXTENSIONS, "limiting_reactance")
+
+
+@inlined
+def _machine_at(plant: Plant, i: int) -> int:
+    """Return the first row of machine i."""
+    row: int = plant.facts[0]["machines"] + i * N_MACHINE_ROWS
+    return row
+
+
+@inlined
+def _group_at(plant: Plant, j: int) -> int:
+    """Return the first row of WTG group j."""
+    row: int = plant.facts[0]["groups"] + j * N_WTG_ROWS
+    return row
+
+
+@inlined
+def _hydro_at(plant: Plant, h: int) -> int:
+    """Return the first row of hydro governor h."""
+    row: int = plant.facts[0]["hydro"] + h * N_HYDRO_ROWS
+    return row
+
+
+@inlined
+def _extension_at(plant: Plant, j: int) -> int:
+    """Return the first row of what WTG group j has as an extended one."""
+    row: int = plant.facts[0]["extensions"] + j * N_EXTENSION_ROWS
+    return row
 
 
 class StartFailure(IntEnum):
@@ -73,11 +101,31 @@ class StartFailure(IntEnum):
 
 @compiled
 def prepare_lanes(
-    rows: Floats, plant: Plant, data: LaneData, load_levels: Floats, failures: npt.NDArray[np.int64], lanes: Lanes
+    rows: Floats,
+    scratch: Floats,
+    plant: Plant,
+    data: LaneData,
+    load_levels: Floats,
+    failures: npt.NDArray[np.int64],
+    lanes: Lanes,
 ) -> None:
-    """Call :func:`_prepare_lane` for every lane of rows (n, n_rows), and write what it returns into failures (n, 2)."""
+    """Put lanes of rows (n, n_rows) into equilibrium.
+
+    Args:
+        rows, plant, data: as for :func:`_prepare_lane`.
+        scratch: (n_scratch,).
+        load_levels: shares of the nominal load (n,).
+        failures: takes why a lane cannot start, and the index of the unit that cannot, machines first (n, 2).
+        lanes: of length one.
+    """
     for lane in range(rows.shape[0]):
-        failure, unit = _prepare_lane(rows[lane], lane, plant, data, load_levels[lane], lanes)
+        failure, unit = _prepare_lane(rows[lane], lane, plant, data, load_levels[lane])
+        if failure == StartFailure.NONE:
+            start_run(rows[lane], scratch, plant, lanes)
+            for j in range(plant.share.shape[0]):
+                # Overload counts from the first step on.
+                rows[lane, _group_at(plant, j) + _OVERLOAD_TIME] = 0.0
+            failure, unit = _limit_failure(rows[lane], plant)
         failures[lane, 0], failures[lane, 1] = failure, unit
 
 
@@ -115,51 +163,51 @@ def start_lanes(
 
 @compiled
 def _prepare_lane(
-    block: Floats, lane: int, plant: Plant, data: LaneData, load_level: float, lanes: Lanes
+    block: Floats, lane: int, plant: Plant, data: LaneData, load_level: float
 ) -> tuple[StartFailure, int]:
     """Put a one-lane block into the equilibrium of its wind, law and load, at nominal frequency.
 
     The laws and the machines' inv_two_h and inv_droop must be set; `data.events` holds load events as P + jQ [p.u.],
-    which are turned into admittances here; `data.load_y` is filled. `lanes` has length one.
+    which are turned into admittances here; `data.load_y` is filled.
 
     Returns:
         why it cannot start, and the index of the unit that cannot, machines first.
     """
-    c, buses = plant.constants[0], plant.buses
-    n_sync = c["machines"].shape[0]
+    buses = plant.buses
+    n_sync = plant.machines.shape[0]
     n_bus = buses.shape[0]
     power = np.empty(n_bus, dtype=np.complex128)
     shunt = np.empty(n_bus, dtype=np.complex128)
     for k in range(n_bus):
         power[k], shunt[k] = -load_level * buses[k]["load"], buses[k]["shunt"]
     for i in range(n_sync):
-        power[c["unit_bus"][i]] += c["dispatch"][i]
-    for j in range(c["share"].shape[0]):
+        power[plant.unit_bus[i]] += plant.dispatch[i]
+    for j in range(plant.share.shape[0]):
         if not _start_turbine(block, j, plant, data.wind[lane, j, 0]):
             return StartFailure.NO_TURBINE_EQUILIBRIUM, n_sync + j
-        power[c["unit_bus"][n_sync + j]] += _start_power(block, plant, j)
+        power[plant.unit_bus[n_sync + j]] += _start_power(block, plant, j)
     open_branch = np.zeros(plant.branches.shape[0], dtype=np.bool_)
     y = assemble_admittance(plant.branches, open_branch, shunt)
     magnitude, angle = np.empty(n_bus), np.zeros(n_bus)
     holds_voltage = np.empty(n_bus, dtype=np.bool_)
     for k in range(n_bus):
         magnitude[k], holds_voltage[k] = buses[k]["voltage"], buses[k]["holds_voltage"]
-    if solve_power_flow(y, c["slack"], holds_voltage, power, magnitude, angle) < 0:
+    if solve_power_flow(y, plant.facts[0]["slack"], holds_voltage, power, magnitude, angle) < 0:
         return StartFailure.POWER_FLOW_DIVERGED, 0
-    if c["extension"].shape[0] > 0:
+    if plant.extension.shape[0] > 0:
         # At most every bus lets go of its voltage.
         for _ in range(n_bus):
             if not _release_voltages(plant, y, load_level, holds_voltage, power, magnitude, angle):
                 break
-            if solve_power_flow(y, c["slack"], holds_voltage, power, magnitude, angle) < 0:
+            if solve_power_flow(y, plant.facts[0]["slack"], holds_voltage, power, magnitude, angle) < 0:
                 return StartFailure.POWER_FLOW_DIVERGED, 0
     voltage = np.empty(n_bus, dtype=np.complex128)
     for k in range(n_bus):
         voltage[k] = magnitude[k] * complex(math.cos(angle[k]), math.sin(angle[k]))
     _start_loads(lane, plant, data, load_level, magnitude)
     _start_units(block, plant, load_level, y, voltage, power)
-    _start_clock(block, lane, plant, data, magnitude, lanes)
-    return _limit_failure(block, plant)
+    _start_clock(block, lane, plant, data, magnitude)
+    return StartFailure.NONE, 0
 
 
 @compiled
@@ -176,13 +224,13 @@ def _release_voltages(
 
     A bus with a machine too keeps its voltage: the machine gives what is missing.
     """
-    c, n_bus = plant.constants[0], magnitude.shape[0]
-    control = read_extension(c["extension"][0]).voltage
+    n_bus = magnitude.shape[0]
+    control = _read_extension(plant.extension[0]).voltage
     limit = control.reactive_max
     found = False
     for k in range(n_bus):
         machines, _, share = _sizes_at(plant, k)
-        if holds_voltage[k] and machines == 0.0 and share > 0.0 and control.gain > 0.0 and k != c["slack"]:
+        if holds_voltage[k] and machines == 0.0 and share > 0.0 and control.gain > 0.0 and k != plant.facts[0]["slack"]:
             injected = 0j
             for m in range(n_bus):
                 injected += y[k, m] * magnitude[m] * complex(math.cos(angle[m]), math.sin(angle[m]))
@@ -199,41 +247,38 @@ def _release_voltages(
 @compiled
 def _sizes_at(plant: Plant, bus: int) -> tuple[float, float, float]:
     """Return the sums over a bus's units: the machines' ratings, their reactive weights, the groups' shares."""
-    c = plant.constants[0]
-    n_sync = c["machines"].shape[0]
+    n_sync = plant.machines.shape[0]
     ratings, weights, shares = 0.0, 0.0, 0.0
     for i in range(n_sync):
-        if c["unit_bus"][i] == bus:
-            machine = read_machine(c["machines"][i])
+        if plant.unit_bus[i] == bus:
+            machine = _read_machine(plant.machines[i])
             ratings += machine.rating
             weights += machine.reactive_weight
-    for j in range(c["share"].shape[0]):
-        if c["unit_bus"][n_sync + j] == bus:
-            shares += c["share"][j]
+    for j in range(plant.share.shape[0]):
+        if plant.unit_bus[n_sync + j] == bus:
+            shares += plant.share[j]
     return ratings, weights, shares
 
 
 @compiled
 def _start_turbine(block: Floats, j: int, plant: Plant, wind: float) -> bool:
     """Set the states of WTG group j, all but its angle and voltage; return whether it has an equilibrium."""
-    c = plant.constants[0]
-    o = wtg_row(c, j)
-    law = load_wtg_input(block, o + WTG.input, 1).law
-    rotor_speed, pitch, found = turbine_equilibrium(wind, law.k_nominal, read_turbine(c["turbine"]), c["cells"])
+    o = _group_at(plant, j)
+    law = _load_wtg_input(block, o + WTG.given, 1).law
+    rotor_speed, pitch, found = turbine_equilibrium(wind, law.k_nominal, _read_turbine(plant.turbine[0]), plant.cells)
     state = WtgState(ConverterState(0.0, 1.0, 0.0), rotor_speed, PitchState(pitch, pitch), 0.0, 0.0)
-    store_wtg_state(state, block, o, 1)
-    store_wtg_input(WtgInput(0.0, law, 1.0, wind, wind), block, o + WTG.input, 1)
-    store_extremes(WtgExtremes(-math.inf, math.inf, -math.inf, 0.0), block, rows_of(c).extremes + j * N_EXTREMES, 1)
+    _store_wtg_state(state, block, o, 1)
+    _store_wtg_input(WtgInput(0.0, law, 1.0, wind, wind), block, o + WTG.given, 1)
+    _store_extremes(WtgExtremes(-math.inf, math.inf, -math.inf, 0.0), block, o + WTG.extremes, 1)
     return found
 
 
 @compiled
 def _start_power(block: Floats, plant: Plant, j: int) -> float:
     """Return what WTG group j feeds in before any policy has acted [p.u. of the system base]."""
-    c = plant.constants[0]
-    o = wtg_row(c, j)
-    k, rotor_speed = load_wtg_input(block, o + WTG.input, 1).law.k_nominal, load_wtg_state(block, o, 1).rotor_speed
-    power: float = c["share"][j] * k * rotor_speed**3
+    o = _group_at(plant, j)
+    k, rotor_speed = _load_wtg_input(block, o + WTG.given, 1).law.k_nominal, _load_wtg_state(block, o, 1).rotor_speed
+    power: float = plant.share[j] * k * rotor_speed**3
     return power
 
 
@@ -260,21 +305,20 @@ def _start_units(
     power: npt.NDArray[np.complex128],
 ) -> None:
     """Share each bus's power among its units and set their internal states; angles count from the first unit."""
-    c = plant.constants[0]
-    n_sync, n_wtg = c["machines"].shape[0], c["share"].shape[0]
+    n_sync, n_wtg = plant.machines.shape[0], plant.share.shape[0]
     reference = 0.0
     for i in range(n_sync + n_wtg):
-        bus = c["unit_bus"][i]
+        bus = plant.unit_bus[i]
         injected = 0j
         for k in range(voltage.shape[0]):
             injected += y[bus, k] * voltage[k]
         flow = voltage[bus] * injected.conjugate()
         reactive = _reactive_share(plant, i, (flow + load_level * plant.buses[bus]["load"]).imag)
         if i < n_sync:
-            active = c["dispatch"][i]
-            if bus == c["slack"]:
+            active = plant.dispatch[i]
+            if bus == plant.facts[0]["slack"]:
                 # The machines there share the active power that is missing, by rating.
-                rating = read_machine(c["machines"][i]).rating
+                rating = _read_machine(plant.machines[i]).rating
                 active += (flow.real - power[bus].real) * rating / _sizes_at(plant, bus)[0]
             delta = _start_machine(block, i, plant, complex(active, reactive), voltage[bus])
         else:
@@ -282,10 +326,10 @@ def _start_units(
         if i == 0:
             reference = delta
     for i in range(n_sync):
-        block[i * N_MACHINE_ROWS + MACHINE_ANGLE] -= reference
+        block[_machine_at(plant, i) + MACHINE.state] -= reference
     for j in range(n_wtg):
-        block[wtg_row(c, j) + WTG_ANGLE] -= reference
-    block[rows_of(c).lane + LANE.angle] = reference
+        block[_group_at(plant, j) + _WTG_ANGLE] -= reference
+    block[plant.facts[0]["lane"] + OF_LANE.angle] = reference
 
 
 @compiled
@@ -294,13 +338,12 @@ def _reactive_share(plant: Plant, unit: int, total: float) -> float:
 
     Beside machines, WTG groups with voltage control give no more than their limit.
     """
-    c = plant.constants[0]
-    bus, n_sync = c["unit_bus"][unit], c["machines"].shape[0]
+    bus, n_sync = plant.unit_bus[unit], plant.machines.shape[0]
     _, machines, groups = _sizes_at(plant, bus)
-    weight = read_machine(c["machines"][unit]).reactive_weight if unit < n_sync else c["share"][unit - n_sync]
+    weight = _read_machine(plant.machines[unit]).reactive_weight if unit < n_sync else plant.share[unit - n_sync]
     reactive = total * weight / (machines + groups) if plant.buses[bus]["holds_voltage"] else 0.0
-    if c["extension"].shape[0] > 0:
-        control = read_extension(c["extension"][0]).voltage
+    if plant.extension.shape[0] > 0:
+        control = _read_extension(plant.extension[0]).voltage
         limit = control.reactive_max * groups
         if control.gain > 0.0 and groups > 0.0 and machines > 0.0 and reactive != 0.0:
             given = min(max(total * groups / (machines + groups), -limit), limit)
@@ -311,60 +354,59 @@ def _reactive_share(plant: Plant, unit: int, total: float) -> float:
 @compiled
 def _start_machine(block: Floats, i: int, plant: Plant, power: complex, voltage: complex) -> float:
     """Set the states and references of machine i, and return its angle [rad]."""
-    c, o = plant.constants[0], i * N_MACHINE_ROWS
-    state, v_ref, gate_ref = machine_start(power, voltage, read_machine(c["machines"][i]))
-    known = load_machine_input(block, o + MACHINE.input, 1)
-    store_machine_state(state, block, o, 1)
-    for h in range(c["hydro"].shape[0]):
-        if c["hydro"][h]["machine"] == i:
-            water = hydro_start(gate_ref, read_hydro(c["hydro"][h]))
-            store_hydro_state(water, block, rows_of(c).hydro + h * N_HYDRO_ROWS, 1)
+    o = _machine_at(plant, i)
+    state, v_ref, gate_ref = machine_start(power, voltage, _read_machine(plant.machines[i]))
+    known = _load_machine_input(block, o + MACHINE.given, 1)
+    _store_machine_state(state, block, o, 1)
+    for h in range(plant.hydro.shape[0]):
+        if plant.hydro[h]["machine"] == i:
+            water = hydro_start(gate_ref, _read_hydro(plant.hydro[h]))
+            _store_hydro_state(water, block, _hydro_at(plant, h), 1)
             gate_ref = water.hydro_gate
     references = MachineInput(v_ref, gate_ref, known.inv_two_h, known.inv_droop, 1.0)
-    store_machine_input(references, block, o + MACHINE.input, 1)
+    _store_machine_input(references, block, o + MACHINE.given, 1)
     return state.angle
 
 
 @compiled
 def _start_voltage(block: Floats, j: int, plant: Plant, reactive: float, voltage: complex) -> float:
     """Set the internal voltage of WTG group j and what holds it, and return its angle [rad]."""
-    c, o = plant.constants[0], wtg_row(plant.constants[0], j)
+    o = _group_at(plant, j)
     current = (complex(_start_power(block, plant, j), reactive) / voltage).conjugate()
-    emf = voltage + current / c["unit_y"][c["machines"].shape[0] + j]
+    emf = voltage + current / plant.unit_y[plant.machines.shape[0] + j]
     delta = math.atan2(emf.imag, emf.real)
-    block[o + WTG_ANGLE] = delta
-    block[o + WTG_EMF] = abs(emf)
-    if c["extension"].shape[0] > 0:
-        at = extension_at(c, j, 1)
-        store_extension_state(ExtensionState(LimitState(0.0, 0.0, 0.0), abs(emf)), block, at, 1)
-        references = VoltageInput(abs(voltage), reactive / c["share"][j])
-        store_extension_input(references, block, at + EXTENSION.input, 1)
+    block[o + _WTG_ANGLE] = delta
+    block[o + _WTG_EMF] = abs(emf)
+    if plant.extension.shape[0] > 0:
+        at = _extension_at(plant, j)
+        _store_extension_state(ExtensionState(LimitState(0.0, 0.0, 0.0), abs(emf)), block, at, 1)
+        references = VoltageInput(abs(voltage), reactive / plant.share[j])
+        _store_extension_input(references, block, at + EXTENSION.references, 1)
     return delta
 
 
 @compiled
 def _limit_failure(block: Floats, plant: Plant) -> tuple[StartFailure, int]:
     """Return why a machine or converter would start beyond its limits, and the index of that unit."""
-    c = plant.constants[0]
-    machines = c["machines"]
+    machines = plant.machines
     for i in range(machines.shape[0]):
-        state, machine = load_machine_state(block, i * N_MACHINE_ROWS, 1), read_machine(machines[i])
+        state, machine = _load_machine_state(block, _machine_at(plant, i), 1), _read_machine(machines[i])
         if not machine.governor.gate_min <= state.governor.gate <= machine.governor.gate_max:
             return StartFailure.GOVERNOR_LIMIT, i
         if not machine.exciter.field_min <= state.exciter.field_voltage <= machine.exciter.field_max:
             return StartFailure.EXCITER_LIMIT, i
-    for h in range(c["hydro"].shape[0]):
-        governor = read_hydro(c["hydro"][h])
-        gate = load_hydro_state(block, rows_of(c).hydro + h * N_HYDRO_ROWS, 1).hydro_gate
+    for h in range(plant.hydro.shape[0]):
+        governor = _read_hydro(plant.hydro[h])
+        gate = _load_hydro_state(block, _hydro_at(plant, h), 1).hydro_gate
         if not governor.gate_min <= gate <= governor.gate_max:
             return StartFailure.GOVERNOR_LIMIT, governor.machine
-    if c["extension"].shape[0] > 0:
-        limits, control = read_extension(c["extension"][0]).limits, read_extension(c["extension"][0]).voltage
-        for j in range(c["share"].shape[0]):
-            at = extension_at(c, j, 1)
-            power = load_wtg_output(block, wtg_row(c, j) + WTG.output, 1).power
-            emf = load_extension_state(block, at, 1).internal_voltage
-            if block[at + EXTENSION.output] > 0.0 or not limits.power_min <= power <= limits.power_max:
+    if plant.extension.shape[0] > 0:
+        limits, control = _read_extension(plant.extension[0]).limits, _read_extension(plant.extension[0]).voltage
+        for j in range(plant.share.shape[0]):
+            at = _extension_at(plant, j)
+            power = _load_wtg_output(block, _group_at(plant, j) + WTG.output, 1).power
+            emf = _load_extension_state(block, at, 1).internal_voltage
+            if block[at + _REACTANCE] > 0.0 or not limits.power_min <= power <= limits.power_max:
                 return StartFailure.CONVERTER_LIMIT, machines.shape[0] + j
             if not control.emf_min <= emf <= control.emf_max:
                 return StartFailure.INTERNAL_VOLTAGE_LIMIT, machines.shape[0] + j
@@ -372,24 +414,18 @@ def _limit_failure(block: Floats, plant: Plant) -> tuple[StartFailure, int]:
 
 
 @compiled
-def _start_clock(block: Floats, lane: int, plant: Plant, data: LaneData, magnitude: Floats, lanes: Lanes) -> None:
-    """Set clock, network and statistics of a lane, and evaluate its first rates and powers."""
-    c = plant.constants[0]
-    own = rows_of(c).lane
-    block[own + LANE.active] = 1.0
-    block[own + LANE.status] = 0.0
+def _start_clock(block: Floats, lane: int, plant: Plant, data: LaneData, magnitude: Floats) -> None:
+    """Set clock, network and statistics of a lane."""
+    own = plant.facts[0]["lane"]
+    block[own + OF_LANE.active] = 1.0
+    block[own + OF_LANE.status] = 0.0
     noise_voltage = magnitude[data.noise_bus[lane]]
-    block[own + LANE.noise_per_mw] = 1.0 / (c["base_mva"] * noise_voltage * noise_voltage)
+    block[own + OF_LANE.noise_per_mw] = 1.0 / (plant.facts[0]["base_mva"] * noise_voltage * noise_voltage)
+    block[own + OF_LANE.noise_y] = 0.0
     # An event at t = 0 strikes in the first step, not before the equilibrium.
-    block[own + LANE.step] = -1.0
-    refresh_network(block, 0, lane, plant, data, len(lanes))
-    combine_load_noise(block, c, np.zeros(1), lanes)
-    derivatives(block, c, 0.0, lanes)
-    block[own + LANE.coi_min] = math.inf
-    block[own + LANE.coi_max] = -math.inf
-    track_extremes(block, c, lanes)
-    block[own + LANE.step] = 0.0
-    block[own + LANE.healthy_step] = 0.0
-    for j in range(c["share"].shape[0]):
-        # Overload counts from the first step on.
-        block[rows_of(c).extremes + j * N_EXTREMES + OVERLOAD_TIME] = 0.0
+    block[own + OF_LANE.step] = -1.0
+    refresh_network(block, 0, lane, plant, data, 1)
+    block[own + OF_LANE.step] = 0.0
+    block[own + OF_LANE.healthy_step] = 0.0
+    block[own + OF_LANE.coi_min] = math.inf
+    block[own + OF_LANE.coi_max] = -math.inf

@@ -9,8 +9,8 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from wtg_gym.physics.compiled import inlined
-from wtg_gym.physics.elementary import clip, limited_rate
+from wtg_gym.systems.compiled import inlined
+from wtg_gym.systems.elementary import clip, limited_rate
 from wtg_gym.physics.machine_parameters import ExciterParameters
 
 

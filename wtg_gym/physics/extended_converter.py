@@ -29,8 +29,8 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from wtg_gym.physics.compiled import inlined
-from wtg_gym.physics.elementary import clip, fma, limited_rate, select
+from wtg_gym.systems.compiled import inlined
+from wtg_gym.systems.elementary import clip, fma, limited_rate, select
 from wtg_gym.physics.parameters import ConverterLimitParameters, VoltageControlParameters
 
 #: Stands for no limit where infinity would make 0 · ∞ [p.u.].

@@ -19,8 +19,8 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from wtg_gym.physics.compiled import inlined
-from wtg_gym.physics.elementary import clip, limited_rate, select
+from wtg_gym.systems.compiled import inlined
+from wtg_gym.systems.elementary import clip, limited_rate, select
 from wtg_gym.physics.machine_parameters import GovernorParameters, HydroGovernorParameters
 
 #: The gate is kept this far open in h = (q/g)² [p.u.].

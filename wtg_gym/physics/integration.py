@@ -2,120 +2,140 @@
 
 from __future__ import annotations
 
-from typing import Any
-
-import numpy as np
-
-from wtg_gym.physics.compiled import compiled, inlined
-from wtg_gym.physics.dynamics import advance_step, derivatives
-from wtg_gym.physics.elementary import select
+from wtg_gym.physics import step as systems
 from wtg_gym.physics.kernel_data import LaneData, Plant
-from wtg_gym.physics.layout import LANE, WTG, Floats, Lanes, load_wtg_input, rows_of, store_wtg_input, wtg_row
-from wtg_gym.physics.protection import PROTECTION_INTERVAL_S, sample_grid, shed_load, track_extremes, update_status
-from wtg_gym.physics.reduction import combine_load_noise, refresh_network
-from wtg_gym.physics.wind_turbine import WtgInput
+from wtg_gym.physics.layout import N_WTG_ROWS, OF_LANE, Floats, Lanes, place_of
+from wtg_gym.physics.protection import PROTECTION_INTERVAL_S
+from wtg_gym.physics.reduction import refresh_network
+from wtg_gym.physics.wtg_unit import GROUPS
+from wtg_gym.systems.compiled import compiled, inlined
+from wtg_gym.systems.programs import in_one_table
+
+PROGRAMS = in_one_table(
+    ADMITTANCES=systems.ADMITTANCES,
+    STAGE=systems.STAGE,
+    EVALUATE=systems.EVALUATE,
+    FINISH=systems.FINISH,
+    PROTECT=systems.PROTECT,
+    START=systems.START,
+)
+_admittances, _stage, _evaluate, _finish, _protect, _start = (program.function() for program in PROGRAMS)
+_WIND_START, _WIND_END = place_of(GROUPS, "wind_start"), place_of(GROUPS, "wind_end")
 
 
 @inlined
-def enter_interval(block: Floats, first_lane: int, c: Any, data: LaneData, noise_y: Floats, lanes: Lanes) -> None:
+def enter_interval(block: Floats, first_lane: int, plant: Plant, data: LaneData, lanes: Lanes) -> None:
     """Read wind and load noise of the control interval that begins, for every lane of a block.
 
-    `first_lane` is the row of the block's first lane in `data`; `noise_y` (width) takes the noise's admittance [p.u.].
+    `first_lane` is the row of the block's first lane in `data`.
     """
-    width, rows = len(lanes), rows_of(c)
-    last = data.wind.shape[2] - 1
+    width, facts = len(lanes), plant.facts[0]
+    last, last_noise = data.wind.shape[2] - 1, data.noise.shape[1] - 1
     for x in range(width):
-        lane = rows.lane * width + x
-        index = int(block[lane + LANE.step * width]) // c["n_substeps"]
-        for j in range(c["share"].shape[0]):
-            at = (wtg_row(c, j) + WTG.input) * width + x
-            given = load_wtg_input(block, at, width)
-            start = data.wind[first_lane + x, j, min(index, last)]
-            end = data.wind[first_lane + x, j, min(index + 1, last)]
-            store_wtg_input(WtgInput(given.emf, given.law, given.connected, start, end), block, at, width)
-        noise = data.noise[first_lane + x, min(index, data.noise.shape[1] - 1)]
-        noise_y[x] = noise * block[lane + LANE.noise_per_mw * width]
-    combine_load_noise(block, c, noise_y, lanes)
+        lane = facts["lane"] * width + x
+        index = int(block[lane + OF_LANE.step * width]) // facts["n_substeps"]
+        for j in range(data.wind.shape[1]):
+            group, wind = (facts["groups"] + j * N_WTG_ROWS) * width + x, data.wind[first_lane + x, j]
+            block[group + _WIND_START * width] = wind[min(index, last)]
+            block[group + _WIND_END * width] = wind[min(index + 1, last)]
+        noise = data.noise[first_lane + x, min(index, last_noise)]
+        block[lane + OF_LANE.noise_y * width] = noise * block[lane + OF_LANE.noise_per_mw * width]
 
 
 @inlined
-def changes_due(block: Floats, c: Any, lanes: Lanes) -> np.bool_:
-    """Return whether events that are due at the present step change the network of any of a block's lanes."""
-    width, lane = len(lanes), rows_of(c).lane * len(lanes)
-    due = np.int64(0)
+def apply_events(block: Floats, first_lane: int, plant: Plant, data: LaneData, lanes: Lanes) -> bool:
+    """Let the events that are due at the present step change the networks of a block's lanes; return whether any is."""
+    width, changed = len(lanes), False
     for x in range(width):
-        due += np.int64(block[lane + LANE.step * width + x] >= block[lane + LANE.next_change * width + x])
-    return due > 0
-
-
-@inlined
-def apply_network_changes(
-    block: Floats, first_lane: int, plant: Plant, data: LaneData, noise_y: Floats, lanes: Lanes
-) -> None:
-    """Let the events that are due at the present step change the networks of a block's lanes."""
-    c = plant.constants[0]
-    width, rows = len(lanes), rows_of(c)
-    changed = False
-    for x in range(width):
-        lane = rows.lane * width + x
-        if block[lane + LANE.step * width] >= block[lane + LANE.next_change * width]:
+        lane = plant.facts[0]["lane"] * width + x
+        if block[lane + OF_LANE.step * width] >= block[lane + OF_LANE.next_change * width]:
             refresh_network(block, x, first_lane + x, plant, data, width)
             changed = True
-    if changed:
-        # For the whole block: a lane without a change gets the same bits again.
-        combine_load_noise(block, c, noise_y, lanes)
+    return changed
 
 
 @inlined
-def _count_step(block: Floats, c: Any, lanes: Lanes) -> None:
-    """Count a simulation step of every running lane."""
-    width = len(lanes)
-    lane = rows_of(c).lane * width
-    for x in range(width):
-        block[lane + LANE.step * width + x] += select(block[lane + LANE.active * width + x] > 0.5, 1.0, 0.0)
+def combine_load_noise(block: Floats, scratch: Floats, plant: Plant, lanes: Lanes) -> None:
+    """Put the load noise into the reduced admittance of every lane of a block."""
+    _admittances(block, scratch, plant.table, plant.numbers, 0.0, 0.0, 0.0, 0.0, lanes)
 
 
 @inlined
-def protections_sample(c: Any, step: int) -> bool:
+def advance_step(block: Floats, scratch: Floats, plant: Plant, step: int, lanes: Lanes) -> None:
+    """Advance every running lane of a block by one simulation step with the classical Runge-Kutta method.
+
+    Args:
+        block, scratch: rows of the block and of the thread, flat (see :mod:`wtg_gym.physics.layout`).
+        plant: constants.
+        step: number of the step within the control interval, for the wind's interpolation.
+        lanes: a tuple as long as the block is wide.
+    """
+    table, numbers = plant.table, plant.numbers
+    h, part = plant.facts[0]["simulation_dt"], 1.0 / plant.facts[0]["n_substeps"]
+    # A loop, so that the stage is compiled once.
+    for stage in range(4):
+        first, last = 1.0 if stage == 0 else 0.0, 1.0 if stage == 3 else 0.0
+        passed = step + 0.5 * (1.0 - first + last)
+        ahead = h / 6.0 if stage == 3 else h if stage == 2 else 0.5 * h
+        _stage(block, scratch, table, numbers, passed * part, ahead, first, last, lanes)
+    _finish(block, scratch, table, numbers, 0.0, 0.0, 0.0, 0.0, lanes)
+
+
+@inlined
+def protections_sample(plant: Plant, step: int) -> bool:
     """Return whether protections sample the grid after a simulation step of the control interval (0 is the first)."""
-    between = max(1, int(PROTECTION_INTERVAL_S / c["simulation_dt"] + 1e-6))
-    return (step + 1) % between == 0 or step + 1 == c["n_substeps"]
+    between = max(1, int(PROTECTION_INTERVAL_S / plant.facts[0]["simulation_dt"] + 1e-6))
+    return (step + 1) % between == 0 or step + 1 == plant.facts[0]["n_substeps"]
 
 
 @inlined
-def end_step(block: Floats, c: Any, samples: bool, lanes: Lanes) -> None:
-    """Do what follows the integration of a simulation step; `samples`: whether protections sample the grid."""
-    _count_step(block, c, lanes)
-    track_extremes(block, c, lanes)
-    shed_load(block, c, lanes)
-    if samples:
-        sample_grid(block, c, lanes)
-        update_status(block, c, len(lanes))
+def evaluate(block: Floats, scratch: Floats, plant: Plant, fraction: float, lanes: Lanes) -> None:
+    """Evaluate rates and outputs of every lane of a block at its present state."""
+    _evaluate(block, scratch, plant.table, plant.numbers, fraction, 0.0, 0.0, 0.0, lanes)
+
+
+@inlined
+def start_run(block: Floats, scratch: Floats, plant: Plant, lanes: Lanes) -> None:
+    """Evaluate the first outputs and extremes of every lane of a block."""
+    _start(block, scratch, plant.table, plant.numbers, 0.0, 0.0, 0.0, 0.0, lanes)
 
 
 @inlined
 def advance_interval(
-    block: Floats, first_lane: int, plant: Plant, data: LaneData, noise_y: Floats, lanes: Lanes
+    block: Floats, scratch: Floats, first_lane: int, plant: Plant, data: LaneData, lanes: Lanes
 ) -> None:
     """Advance every running lane of a block by one control interval.
 
     The control inputs (k_offset, inv_tau) are rows of the block and hold over the interval. On return the rows hold
-    powers, coefficients and rates at the interval's end; `noise_y` (width) is scratch.
+    powers and coefficients at the interval's end, and the scratch the rates.
     """
-    c = plant.constants[0]
-    enter_interval(block, first_lane, c, data, noise_y, lanes)
-    for step in range(c["n_substeps"]):
-        # Asked first: the call counts references to all arrays, which takes longer than the question.
-        if changes_due(block, c, lanes):
-            apply_network_changes(block, first_lane, plant, data, noise_y, lanes)
-        advance_step(block, c, step, lanes)
-        end_step(block, c, protections_sample(c, step), lanes)
-    derivatives(block, c, 1.0, lanes)
+    enter_interval(block, first_lane, plant, data, lanes)
+    combine_load_noise(block, scratch, plant, lanes)
+    for step in range(plant.facts[0]["n_substeps"]):
+        if apply_events(block, first_lane, plant, data, lanes):
+            # For the whole block: a lane without a change gets the same bits again.
+            combine_load_noise(block, scratch, plant, lanes)
+        advance_step(block, scratch, plant, step, lanes)
+        if protections_sample(plant, step):
+            _protect(block, scratch, plant.table, plant.numbers, 0.0, 0.0, 0.0, 0.0, lanes)
+    evaluate(block, scratch, plant, 1.0, lanes)
 
 
 @compiled
-def advance_blocks(blocks: Floats, first: int, last: int, plant: Plant, data: LaneData, lanes: Lanes) -> None:
-    """Advance the blocks first … last - 1 of `blocks` (n_blocks, n_rows · width) by one control interval."""
-    noise_y = np.empty(len(lanes))
+def advance_blocks(
+    blocks: Floats, scratch: Floats, first: int, last: int, plant: Plant, data: LaneData, lanes: Lanes
+) -> None:
+    """Advance the blocks first … last - 1 of `blocks` (n_blocks, n_rows · width) by one control interval.
+
+    `scratch` (n_scratch · width) is the caller's thread's own.
+    """
     for b in range(first, last):
-        advance_interval(blocks[b], b * len(lanes), plant, data, noise_y, lanes)
+        advance_interval(blocks[b], scratch, b * len(lanes), plant, data, lanes)
+
+
+@compiled
+def evaluate_blocks(blocks: Floats, scratches: Floats, plant: Plant, lanes: Lanes) -> None:
+    """Evaluate the time derivatives of all blocks at the start of their wind interval, each in a scratch of its own."""
+    for b in range(blocks.shape[0]):
+        combine_load_noise(blocks[b], scratches[b], plant, lanes)
+        evaluate(blocks[b], scratches[b], plant, 0.0, lanes)

@@ -7,10 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from wtg_gym.physics.governor import HydroGovernor
-from wtg_gym.physics.machine import Machine
-from wtg_gym.physics.records import dtype
-from wtg_gym.physics.wind_turbine import Extension, Turbine
+from wtg_gym.systems.records import dtype, flatten
 
 
 class BranchConstants(NamedTuple):
@@ -33,66 +30,56 @@ class BusConstants(NamedTuple):
     holds_voltage: bool
 
 
-class SheddingConstants(NamedTuple):
-    """A stage of load shedding."""
+class Facts(NamedTuple):
+    """Numbers of a plant, and the first rows of its kinds of unit in a block."""
 
-    speed: float  # frequency of the centre of inertia at which it acts [p.u.]
-    share: float  # of the load
-    delay: float  # [s]
+    slack: int  # bus index
+    omega_n: float  # ω_n [rad/s]
+    base_mva: float
+    simulation_dt: float  # [s]
+    n_substeps: int  # simulation steps per control interval
+    trips_groups: bool  # the failure of a rotor disconnects its group instead of ending the run
+    machines: int
+    groups: int
+    hydro: int
+    extensions: int
+    lane: int
+    units: int
+    pairs: int
+    stages: int
 
 
 class Plant(NamedTuple):
-    """Arrays that the kernels read: constants of the units and time steps, buses, branches."""
+    """A plant as arrays, whose types are the same for every plant.
 
-    constants: npt.NDArray[np.void]  # (1,), of constants_dtype
+    The table says where the systems of a step find rows and constants: see :mod:`wtg_gym.systems.programs`.
+    """
+
+    facts: npt.NDArray[np.void]  # (1,), of Facts
+    machines: npt.NDArray[np.void]  # (n_sync,), of Machine
+    turbine: npt.NDArray[np.void]  # (1,), of Turbine
+    hydro: npt.NDArray[np.void]  # (n_hydro,), of HydroGovernor
+    extension: npt.NDArray[np.void]  # (1,), of Extension; (0,) where the groups are not extended
+    shedding: npt.NDArray[np.void]  # (n_stages,), of SheddingConstants
+    cells: npt.NDArray[np.float64]  # of the rotor's C_p table (n, m, 16)
+    share: npt.NDArray[np.float64]  # rating of each WTG group on the system base (n_wtg,)
+    unit_bus: npt.NDArray[np.int64]  # bus index of each unit, machines first (n_unit,)
+    unit_y: npt.NDArray[np.complex128]  # internal admittance of each unit (n_unit,)
+    dispatch: npt.NDArray[np.float64]  # power of each machine before the slack's share (n_sync,) [p.u.]
     buses: npt.NDArray[np.void]  # (n_bus,), of BusConstants
     branches: npt.NDArray[np.void]  # (n_branch,), of BranchConstants
-
-    @property
-    def share(self) -> npt.NDArray[np.float64]:
-        """Rating of each WTG group on the system base (n_wtg,)."""
-        return np.asarray(self.constants["share"][0])
+    table: npt.NDArray[np.int64]
+    numbers: npt.NDArray[np.float64]
 
     @property
     def n_substeps(self) -> int:
         """Simulation steps per control interval."""
-        return int(self.constants["n_substeps"][0])
+        return int(self.facts["n_substeps"][0])
 
     @property
     def simulation_dt(self) -> float:
         """Step of the integration [s]."""
-        return float(self.constants["simulation_dt"][0])
-
-
-def constants_dtype(
-    n_sync: int, n_wtg: int, n_hydro: int, n_stages: int, *, extended: bool, cells: tuple[int, ...]
-) -> np.dtype[Any]:
-    """Return the data type of a plant's constants: sizes that the compiler knows.
-
-    Parts that a plant lacks take no space, and the compiler drops their code.
-    """
-    n_unit = n_sync + n_wtg
-    return np.dtype(
-        [
-            ("machines", dtype(Machine), (n_sync,)),
-            ("turbine", dtype(Turbine)),
-            ("hydro", dtype(HydroGovernor), (n_hydro,)),
-            ("extension", dtype(Extension), (1 if extended else 0,)),
-            ("shedding", dtype(SheddingConstants), (n_stages,)),
-            ("cells", np.float64, cells),  # of the rotor's C_p table
-            ("share", np.float64, (n_wtg,)),  # rating of each WTG group on the system base
-            ("unit_bus", np.int64, (n_unit,)),  # bus index of each unit, machines first
-            ("unit_y", np.complex128, (n_unit,)),  # internal admittance of each unit
-            ("dispatch", np.float64, (n_sync,)),  # power of each machine before the slack's share [p.u.]
-            ("slack", np.int64),
-            ("omega_n", np.float64),  # ω_n [rad/s]
-            ("base_mva", np.float64),
-            ("simulation_dt", np.float64),  # [s]
-            ("n_substeps", np.int64),  # simulation steps per control interval
-            ("trips_groups", np.bool_),  # the failure of a rotor disconnects its group instead of ending the run
-        ],
-        align=True,
-    )
+        return float(self.facts["simulation_dt"][0])
 
 
 class NetworkEvent(NamedTuple):
@@ -119,3 +106,8 @@ class LaneData(NamedTuple):
     noise_bus: npt.NDArray[np.int64]  # (n_lanes,)
     load_y: npt.NDArray[np.complex128]  # load admittance per bus (n_lanes, n_bus)
     events: npt.NDArray[np.void]  # (n_lanes, n_events), of NetworkEvent
+
+
+def structured(record: type, entries: Any) -> npt.NDArray[Any]:
+    """Return entries of a record as a structured array."""
+    return np.array([flatten(entry) for entry in entries], dtype=dtype(record))

@@ -10,9 +10,10 @@ import numpy as np
 import numpy.typing as npt
 
 from wtg_gym.physics.converter import Corners
-from wtg_gym.physics.dynamics import evaluate_rates
+from wtg_gym.physics.integration import PROGRAMS, evaluate_blocks
 from wtg_gym.physics.kernel_data import Plant
 from wtg_gym.physics.layout import Floats, Layout
+from wtg_gym.physics.plant import arranged
 
 #: Step of the finite differences [p.u., rad]; truncation and rounding are both near 1e-9 of a rate.
 _DIFFERENCE = 2e-6
@@ -40,8 +41,9 @@ def state_matrix(rows: Floats, plant: Plant, layout: Layout, side: npt.ArrayLike
     blocks = np.repeat(rows[np.newaxis, :], 2 * n + 1, axis=0)
     blocks[np.arange(n), states] += _DIFFERENCE * first
     blocks[n + np.arange(n), states] += _DIFFERENCE * second
-    evaluate_rates(blocks, plant, (0,))
-    rates = blocks[:, layout.rate_rows]
+    scratches = np.zeros((len(blocks), layout.n_scratch))
+    evaluate_blocks(blocks, scratches, plant, (0,))
+    rates = scratches[:, layout.rate_rows]
     change = rates[:n] - rates[n : 2 * n]
     change[speeds] = sides[:, np.newaxis] * (-3.0 * rates[2 * n] + 4.0 * rates[speeds] - rates[n + speeds])
     matrix: Floats = change.T / (2.0 * _DIFFERENCE)
@@ -98,7 +100,7 @@ def check_step(rows: Floats, plant: Plant, layout: Layout) -> None:
     Raises:
         ValueError: the message names the eigenvalue, the state it mainly belongs to, the step and the largest allowed.
     """
-    t = plant.constants["turbine"][0]
+    t = plant.turbine[0]
     low, setpoint, high = (t[f"converter.corners.{name}"] for name in Corners._fields)
     k_min, k_nominal, k_max = (rows[layout.wtg(name)] for name in ("k_min", "k_nominal", "k_max"))
     below, above = (k_min - k_nominal) / (setpoint - low), (k_nominal - k_max) / (high - setpoint)
@@ -110,12 +112,12 @@ def check_step(rows: Floats, plant: Plant, layout: Layout) -> None:
 
 def _beyond_limits(rows: Floats, plant: Plant, layout: Layout) -> tuple[Floats, Plant]:
     """Return rows and plant with limits so narrow that the power limiters and the takeovers of reactive power act."""
-    constants = plant.constants.copy()
-    constants["extension"]["limits.power_max"] = 0.0
-    constants["extension"]["voltage.reactive_max"] = -10.0
+    extension = plant.extension.copy()
+    extension["limits.power_max"], extension["voltage.reactive_max"] = 0.0, -10.0
     beyond = rows.copy()
     beyond[layout.wtg("over_power")] = -0.01
-    return beyond, plant._replace(constants=constants)
+    # Programs of a caller, which stand behind those of the physics in the table, are not run here.
+    return beyond, arranged(plant._replace(extension=extension), layout, PROGRAMS)
 
 
 def _check_modes(rows: Floats, plant: Plant, layout: Layout, side: Floats) -> None:

@@ -20,8 +20,8 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from wtg_gym.physics.compiled import inlined
-from wtg_gym.physics.elementary import sine_cosine
+from wtg_gym.systems.compiled import inlined
+from wtg_gym.systems.elementary import sine_cosine
 from wtg_gym.physics.exciter import (
     Exciter,
     ExciterState,

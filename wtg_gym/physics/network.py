@@ -16,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from wtg_gym.physics.checked import Checked, parameter, required
-from wtg_gym.physics.compiled import compiled, inlined
+from wtg_gym.systems.compiled import compiled, inlined
 from wtg_gym.physics.machine_parameters import GovernorParameters, HydroGovernorParameters, SynchronousMachineParameters
 
 #: Largest power mismatch accepted as a power-flow solution [p.u.].

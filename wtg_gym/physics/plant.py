@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -11,11 +12,15 @@ import numpy as np
 
 from wtg_gym.physics.aerodynamics import surface_of
 from wtg_gym.physics.checked import Checked
-from wtg_gym.physics.governor import hydro_constants
+from wtg_gym.physics.extension_unit import EXTENSIONS
+from wtg_gym.physics.governor import HydroGovernor, hydro_constants
+from wtg_gym.physics.hydro_unit import HYDRO
 from wtg_gym.physics.ieee14 import modified_ieee14
-from wtg_gym.physics.kernel_data import BranchConstants, BusConstants, Plant, constants_dtype
-from wtg_gym.physics.machine import machine_constants
+from wtg_gym.physics.kernel_data import BranchConstants, BusConstants, Facts, Plant, structured
+from wtg_gym.physics.layout import Layout
+from wtg_gym.physics.machine import Machine, machine_constants
 from wtg_gym.physics.machine_parameters import HydroGovernorParameters
+from wtg_gym.physics.machine_unit import MACHINES
 from wtg_gym.physics.network import NetworkCase, branch_admittances
 from wtg_gym.physics.parameters import (
     ConverterLimitParameters,
@@ -30,8 +35,12 @@ from wtg_gym.physics.parameters import (
     european_shedding,
     nrel_5mw,
 )
-from wtg_gym.physics.records import dtype, flatten
-from wtg_gym.physics.wind_turbine import extension_constants, turbine_constants
+from wtg_gym.systems.programs import Program, build_table
+from wtg_gym.systems.systems import Kind
+from wtg_gym.physics.protection import STAGES, SheddingConstants
+from wtg_gym.physics.units import LANE, PAIRS, UNITS
+from wtg_gym.physics.wind_turbine import Extension, Turbine, extension_constants, turbine_constants
+from wtg_gym.physics.wtg_unit import GROUPS
 from wtg_gym.ranges import require_range, whole_steps
 
 #: Integration steps that are accepted [s].
@@ -145,7 +154,7 @@ def plant_settings(physics: str = "paper", **settings: Any) -> PlantSettings:
 
 
 def build_plant(settings: PlantSettings) -> Plant:
-    """Return the constants of a plant for the kernels."""
+    """Return the constants of a plant for the kernels; :func:`arranged` adds where its rows lie."""
     case, base = settings.case, settings.case.base_mva
     machines = [machine_constants(m, base) for m in case.machines]
     turbine = turbine_constants(settings.turbine, settings.pitch, settings.control, settings.protection)
@@ -153,33 +162,21 @@ def build_plant(settings: PlantSettings) -> Plant:
     unit_bus = [case.bus_index(bus) for bus in (*(m.bus for m in case.machines), *(g.bus for g in settings.groups))]
     impedances = [complex(m.resistance, m.internal_reactance) for m in machines]
     impedances += [1j * turbine.converter.reactance / s for s in share]
-    cells = surface_of(settings.turbine.power_coefficient)[1]
     hydro = [
-        flatten(hydro_constants(index, machine.governor))
+        hydro_constants(index, machine.governor)
         for index, machine in enumerate(case.machines)
         if isinstance(machine.governor, HydroGovernorParameters)
     ]
-    kind = constants_dtype(
-        len(machines), len(share), len(hydro), len(settings.shedding), extended=settings.extended, cells=cells.shape
+    extension = extension_constants(settings.turbine, settings.limits, settings.voltage_control)
+    facts = Facts(
+        slack=case.bus_index(case.slack_bus),
+        omega_n=2.0 * math.pi * case.frequency_hz,
+        base_mva=base,
+        simulation_dt=settings.simulation_dt,
+        n_substeps=whole_steps("control_dt", settings.control_dt, settings.simulation_dt, "simulation step"),
+        trips_groups=settings.trips_groups,
+        **dict.fromkeys(("machines", "groups", "hydro", "extensions", "lane", "units", "pairs", "stages"), 0),
     )
-    constants = np.zeros(1, dtype=kind)
-    constants["cells"] = cells
-    if hydro:
-        constants["hydro"] = hydro
-    if settings.extended:
-        extension = extension_constants(settings.turbine, settings.limits, settings.voltage_control)
-        constants["extension"] = [flatten(extension)]
-    if settings.shedding:
-        constants["shedding"] = [(stage.frequency_pu, stage.share, stage.delay_s) for stage in settings.shedding]
-    constants["machines"] = [flatten(m) for m in machines]
-    constants["turbine"] = flatten(turbine)
-    constants["share"], constants["unit_bus"] = share, unit_bus
-    constants["unit_y"] = 1.0 / np.array(impedances, dtype=np.complex128)
-    constants["dispatch"] = [m.dispatch_mw / base for m in case.machines]
-    constants["slack"], constants["omega_n"] = case.bus_index(case.slack_bus), 2.0 * math.pi * case.frequency_hz
-    constants["base_mva"], constants["simulation_dt"] = base, settings.simulation_dt
-    constants["n_substeps"] = whole_steps("control_dt", settings.control_dt, settings.simulation_dt, "simulation step")
-    constants["trips_groups"] = settings.trips_groups
     buses = [
         BusConstants(
             shunt=complex(bus.shunt_mw, bus.shunt_mvar) / base,
@@ -190,9 +187,101 @@ def build_plant(settings: PlantSettings) -> Plant:
         for index, bus in enumerate(case.buses)
     ]
     branches = [
-        (case.bus_index(branch.from_bus), case.bus_index(branch.to_bus), *y)
+        BranchConstants(case.bus_index(branch.from_bus), case.bus_index(branch.to_bus), *y)
         for branch, y in zip(case.branches, branch_admittances(case.branches), strict=True)
     ]
+    stages = [SheddingConstants(stage.frequency_pu, stage.share, stage.delay_s) for stage in settings.shedding]
     return Plant(
-        constants, np.array(buses, dtype=dtype(BusConstants)), np.array(branches, dtype=dtype(BranchConstants))
+        facts=structured(Facts, [facts]),
+        machines=structured(Machine, machines),
+        turbine=structured(Turbine, [turbine]),
+        hydro=structured(HydroGovernor, hydro),
+        extension=structured(Extension, [extension] * settings.extended),
+        shedding=structured(SheddingConstants, stages),
+        cells=surface_of(settings.turbine.power_coefficient)[1],
+        share=np.array(share, dtype=np.float64),
+        unit_bus=np.array(unit_bus, dtype=np.int64),
+        unit_y=1.0 / np.array(impedances, dtype=np.complex128),
+        dispatch=np.array([m.dispatch_mw / base for m in case.machines], dtype=np.float64),
+        buses=structured(BusConstants, buses),
+        branches=structured(BranchConstants, branches),
+        table=np.zeros(0, dtype=np.int64),
+        numbers=np.zeros(0),
     )
+
+
+def layout_of(plant: Plant, further: Mapping[Kind, int] | None = None) -> Layout:
+    """Return where the numbers of a plant's lanes lie, with those of further kinds of unit behind them."""
+    n_sync, n_wtg = plant.machines.size, plant.share.size
+    n_unit = n_sync + n_wtg
+    n_units = {
+        MACHINES: n_sync,
+        GROUPS: n_wtg,
+        HYDRO: plant.hydro.size,
+        EXTENSIONS: n_wtg * plant.extension.size,
+        LANE: 1,
+        UNITS: n_unit,
+        PAIRS: n_unit * n_unit,
+        STAGES: plant.shedding.size,
+    }
+    return Layout({**n_units, **(further or {})}, plant.hydro["machine"])
+
+
+class _Arranged:
+    """A plant with its layout, as the table of programs asks for it."""
+
+    def __init__(self, plant: Plant, layout: Layout, further: Mapping[tuple[Kind, str], Any], has: Collection[str]):
+        self.n_units, self.first_rows, self.seen = layout.n_units, layout.first_rows, layout.seen
+        n_wtg, facts = plant.share.size, plant.facts
+        self._has = {"table" if plant.cells.size else "curve", *has}
+        if not plant.extension.size:
+            self._has.add("constant voltage")
+        limits = [leaf for leaf in plant.turbine.dtype.names or () if leaf.startswith("limits.")]
+        self._constants: dict[tuple[Kind, str], Any] = {
+            (MACHINES, "machine"): plant.machines,
+            (GROUPS, "turbine"): np.repeat(plant.turbine, n_wtg),
+            (GROUPS, "cells"): plant.cells,
+            (GROUPS, "share"): plant.share,
+            (GROUPS, "inv_share"): 1.0 / plant.share,
+            (HYDRO, "hydro"): plant.hydro,
+            (EXTENSIONS, "extension"): np.repeat(plant.extension, n_wtg),
+            (STAGES, "stage"): plant.shedding,
+            (LANE, "limits"): [tuple(plant.turbine[leaf][0] for leaf in limits)],
+            **{(LANE, name): facts[name] for name in ("omega_n", "simulation_dt", "trips_groups")},
+            **further,
+        }
+
+    def constants(self, kind: Kind, name: str) -> Any:
+        return self._constants[kind, name]
+
+    def has(self, what: str) -> bool:
+        return what in self._has
+
+
+def arranged(
+    plant: Plant,
+    layout: Layout,
+    programs: Sequence[Program],
+    constants: Mapping[tuple[Kind, str], Any] | None = None,
+    has: Collection[str] = (),
+) -> Plant:
+    """Return a plant that knows where its rows lie.
+
+    Args:
+        plant, layout: of the plant.
+        programs: that are to run.
+        constants: of further kinds of unit, by kind and name.
+        has: what systems of the programs are for, besides what the plant shows itself.
+    """
+    firsts = dict(
+        zip(
+            ("machines", "groups", "hydro", "extensions", "lane", "units", "pairs", "stages"),
+            layout.first.values(),
+            strict=False,
+        )
+    )
+    facts = plant.facts.copy()
+    for name, row in firsts.items():
+        facts[name] = row
+    table, numbers = build_table(programs, _Arranged(plant, layout, constants or {}, has))
+    return plant._replace(facts=facts, table=table, numbers=numbers)

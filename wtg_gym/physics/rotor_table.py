@@ -21,8 +21,8 @@ import numpy.typing as npt
 from scipy.interpolate import RectBivariateSpline
 
 from wtg_gym.files import read_text
-from wtg_gym.physics.compiled import inlined
-from wtg_gym.physics.elementary import clip, fma
+from wtg_gym.systems.compiled import inlined
+from wtg_gym.systems.elementary import clip, fma
 
 #: Coefficients of each cell's polynomial (n_λ - 1, n_β - 1, 16); without cells where a turbine has no table.
 Cells = npt.NDArray[np.float64]

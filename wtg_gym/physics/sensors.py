@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 from wtg_gym.physics.checked import Checked, design, required
-from wtg_gym.physics.compiled import inlined
+from wtg_gym.systems.compiled import inlined
 from wtg_gym.ranges import require_range, whole_steps
 
 #: Longest delay [s].

@@ -4,21 +4,20 @@ from __future__ import annotations
 
 import functools
 import math
-from collections.abc import Sequence
+from collections.abc import Collection, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from wtg_gym.physics.block_threads import BlockThreads
-from wtg_gym.physics.dynamics import evaluate_rates
 from wtg_gym.physics.equilibrium import StartFailure, prepare_lanes, start_lanes
-from wtg_gym.physics.integration import advance_blocks
+from wtg_gym.physics.integration import PROGRAMS, advance_blocks, evaluate_blocks
 from wtg_gym.physics.kernel_data import EVENT_DTYPE, NO_EVENT, LaneData
-from wtg_gym.physics.layout import Floats, Layout
+from wtg_gym.physics.layout import Floats
 from wtg_gym.physics.linearisation import check_step
 from wtg_gym.physics.network_events import network_events
-from wtg_gym.physics.plant import PlantSettings, build_plant
+from wtg_gym.physics.plant import PlantSettings, arranged, build_plant, layout_of
 from wtg_gym.physics.reduction import bus_voltages
 from wtg_gym.physics.scenario import LONGEST_RUN_S, SERIES_DT, Scenario
 from wtg_gym.physics.start_errors import (
@@ -29,7 +28,10 @@ from wtg_gym.physics.start_errors import (
     start_failure,
 )
 from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY, TrackingLaw, get_law
+from wtg_gym.physics.units import UNITS
 from wtg_gym.ranges import require_range, require_whole, whole_steps
+from wtg_gym.systems.programs import Program
+from wtg_gym.systems.systems import Kind
 
 #: Lanes per block of a batched simulator; a single run uses a block of one.
 BLOCK_WIDTH = 16
@@ -46,6 +48,15 @@ def _copy(data: LaneData) -> LaneData:
 def _checked_inertias(settings: PlantSettings) -> dict[tuple[TrackingLaw, ...], float]:
     """Return, for the laws of a plant, the smallest inertia scale at which its integration step was checked."""
     return {}
+
+
+class Further(NamedTuple):
+    """What a caller adds to the physics: kinds of unit of its own, and programs over them."""
+
+    n_units: Mapping[Kind, int]
+    programs: tuple[Program, ...] = ()
+    constants: Mapping[tuple[Kind, str], Any] | None = None
+    has: Collection[str] = ()
 
 
 class PreparedLanes(NamedTuple):
@@ -75,7 +86,7 @@ class Simulator:
         settings: the plant and its time steps.
         n_lanes: number of runs side by side.
         duration_s: longest run it must hold [s].
-        n_extra: rows of the caller's own per lane, copied with everything else.
+        further: the caller's own kinds of unit and programs.
         n_threads: threads that advance blocks; None for one per processor. Results do not depend on it.
 
     Raises:
@@ -89,21 +100,24 @@ class Simulator:
         *,
         n_lanes: int = 1,
         duration_s: float = 60.0,
-        n_extra: int = 0,
+        further: Further | None = None,
         n_threads: int | None = None,
     ) -> None:
         self.n_lanes = require_whole("the number of lanes", n_lanes, 1, 1_000_000)
         if n_threads is not None:
             n_threads = require_whole("the number of threads", n_threads, 1)
         self.settings = settings
-        self.plant = build_plant(settings)
+        plant, further = build_plant(settings), further or Further({})
         duration_s = require_range("duration_s", duration_s, 0.0, LONGEST_RUN_S, "s")
         self.n_intervals = whole_steps("duration_s", duration_s, settings.control_dt, "control step")
         self._shifts_phases = any(branch.phase_rad != 0.0 for branch in settings.case.branches)
         # Sample of the load noise in each control interval.
         samples = np.arange(self.n_intervals) * settings.control_dt / SERIES_DT + 1e-9
         self._noise_samples = samples.astype(np.int64)
-        self.layout = Layout.of(self.plant, n_extra)
+        self.layout = layout_of(plant, further.n_units)
+        self.plant = arranged(
+            plant, self.layout, (*PROGRAMS, *further.programs), further.constants, further.has
+        )
         self.width = 1 if n_lanes == 1 else BLOCK_WIDTH
         self.lanes = (0,) * self.width
         n_blocks = -(-self.n_lanes // self.width)
@@ -112,6 +126,9 @@ class Simulator:
         self._view = self.blocks.reshape(n_blocks, self.layout.n_rows, self.width)
         self.data = self._allocate_data(n_blocks * self.width, 4)
         self.threads = BlockThreads(n_blocks, n_threads)
+        #: Scratch of each worker.
+        self._scratches: list[Floats] = [self.new_scratch()]
+        self._rates = np.zeros((0, 0))
         self._pad()
         self._checked = _checked_inertias(settings)
         reference = (get_law(REFERENCE_STRATEGY, settings.turbine, settings.control),) * self.layout.n_wtg
@@ -165,6 +182,16 @@ class Simulator:
             for name in ("wind", "wind_start"):
                 rows[self.layout.wtg(name)] = 8.0
             rows[self.layout.lane("next_change")] = math.inf
+
+    def new_scratch(self, width: int | None = None) -> Floats:
+        """Return rows for a thread, of the simulator's width or another."""
+        return _aligned_zeros(1, self.layout.n_scratch * (width or self.width))[0]
+
+    def scratch(self, worker: int) -> Floats:
+        """Return the scratch of a worker."""
+        while len(self._scratches) <= worker:
+            self._scratches.append(self.new_scratch())
+        return self._scratches[worker]
 
     def _lane_view(self, lane: int) -> Floats:
         view: Floats = self._view[lane // self.width, :, lane % self.width]
@@ -242,7 +269,7 @@ class Simulator:
         failures = np.zeros((n, 2), dtype=np.int64)
         levels = np.array([scenario.load_level for scenario in scenarios])
         # A literal (0,) within compiled code would be a type of its own, and compile the right-hand side again.
-        prepare_lanes(rows, self.plant, data, levels, failures, (0,))
+        prepare_lanes(rows, self.new_scratch(1), self.plant, data, levels, failures, (0,))
         for scenario, (failure, unit), row in zip(scenarios, failures.tolist(), rows, strict=True):
             if failure:
                 reason = start_failure(StartFailure(failure), unit, row, scenario, self.settings, self.layout)
@@ -308,7 +335,7 @@ class Simulator:
             noise.take(given, out=data.noise[lane, : given.size], mode="clip")
 
     def _write_machine_inputs(self, rows: Floats, scenarios: Sequence[Scenario]) -> None:
-        machines = self.plant.constants["machines"][0]
+        machines = self.plant.machines
         scale = np.array([[scenario.inertia_scale] for scenario in scenarios])
         rows[:, self.layout.machine("connected")] = 1.0
         rows[:, self.layout.machine("inv_two_h")] = 1.0 / (machines["two_h"] * scale)
@@ -323,22 +350,32 @@ class Simulator:
 
     def advance(self) -> None:
         """Advance every running lane by one control interval."""
-        self.threads.run(lambda a, b: advance_blocks(self.blocks, a, b, self.plant, self.data, self.lanes))
+        self.threads.run(
+            lambda first, last, worker: advance_blocks(
+                self.blocks, self.scratch(worker), first, last, self.plant, self.data, self.lanes
+            )
+        )
 
     def evaluate(self) -> None:
         """Evaluate rates, powers and coefficients of all lanes at their present states, in place."""
-        evaluate_rates(self.blocks, self.plant, self.lanes)
+        self._rates = self._evaluated(self.blocks)
+
+    def _evaluated(self, blocks: Floats) -> Floats:
+        """Evaluate blocks, and return the scratch of each."""
+        scratches = _aligned_zeros(blocks.shape[0], self.layout.n_scratch * self.width)
+        evaluate_blocks(blocks, scratches, self.plant, self.lanes)
+        return scratches
 
     def bus_voltages(self, lane: int = 0) -> npt.NDArray[np.complex128]:
         """Return the bus voltages at the present state of a lane, shape (n_bus,) [p.u.].
 
-        Angles count from the rotor of the first machine, which goes on at its last speed after an outage; evaluated
-        with the state as of the last step or :meth:`evaluate`.
+        Angles count from the rotor of the first machine, which goes on at its last speed after an outage.
         """
-        interval = max(0, math.ceil(self._lane_view(lane)[self.layout.lane("step")] / self.plant.n_substeps) - 1)
-        noise_mw = self.data.noise[lane, min(interval, self.n_intervals - 1)]
         block, x = self.blocks[lane // self.width], lane % self.width
-        return bus_voltages(block, x, lane, self.plant, self.data, noise_mw, self.width)
+        scratch = self._evaluated(block[np.newaxis, :].copy())[0].reshape(-1, self.width)[:, x]
+        first = self.layout.first_rows(UNITS, "voltage")
+        internal = scratch[first] + 1j * scratch[first + 1]
+        return bus_voltages(block, x, lane, self.plant, self.data, internal, self.width)
 
     def state(self, lane: int = 0) -> Floats:
         """Return a copy of a lane's state vector; `layout.state_names` names its entries."""
@@ -350,7 +387,10 @@ class Simulator:
 
     def rates(self, lane: int = 0) -> Floats:
         """Return a copy of a lane's time derivatives, as last evaluated."""
-        return self._lane_view(lane)[self.layout.rate_rows]
+        rates: Floats = self._rates.reshape(-1, self.layout.n_scratch, self.width)[
+            lane // self.width, self.layout.rate_rows, lane % self.width
+        ]
+        return rates
 
     def snapshot(self) -> tuple[Floats, LaneData]:
         """Return a copy of everything that changes; :meth:`restore` goes back to it."""

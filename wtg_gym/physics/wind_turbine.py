@@ -19,9 +19,9 @@ from wtg_gym.physics.aerodynamics import (
     surface_of,
     tracking_point,
 )
-from wtg_gym.physics.compiled import compiled, inlined
+from wtg_gym.systems.compiled import compiled, inlined
 from wtg_gym.physics.converter import Converter, ConverterState, Law, converter_constants, converter_rates
-from wtg_gym.physics.elementary import fma, select, sine_cosine
+from wtg_gym.systems.elementary import fma, select, sine_cosine
 from wtg_gym.physics.extended_converter import (
     ConverterLimits,
     LimitState,
@@ -158,13 +158,25 @@ def wtg_voltage(s: WtgState, emf: float) -> tuple[float, float]:
 
 
 @inlined
-def captured_power(rotor_speed: float, wind: float, pitch: float, c: Rotor, cells: Cells) -> float:
-    """Return p_w [p.u.] at a rotor speed [p.u.], a wind speed [m/s] and a pitch angle [deg]; by the table if any."""
+def captured_by_curve(rotor_speed: float, wind: float, pitch: float, c: Rotor) -> float:
+    """Return p_w [p.u.] at a rotor speed [p.u.], a wind speed [m/s] and a pitch angle [deg], by the curve of C_p."""
     tip = c.tip_speed * max(rotor_speed, 1e-3)
-    if cells.shape[0] > 0:
-        ratio = tip / wind
-        return c.wind_power * wind * wind * wind * tabulated_power_coefficient(ratio, pitch, cells, c.grid)
     return c.wind_power * wind * wind * wind * power_coefficient_at(tip, wind, pitch, c.curve)
+
+
+@inlined
+def captured_by_table(rotor_speed: float, wind: float, pitch: float, c: Rotor, cells: Cells) -> float:
+    """Return what :func:`captured_by_curve` does, by the table of C_p."""
+    ratio = c.tip_speed * max(rotor_speed, 1e-3) / wind
+    return c.wind_power * wind * wind * wind * tabulated_power_coefficient(ratio, pitch, cells, c.grid)
+
+
+@inlined
+def captured_power(rotor_speed: float, wind: float, pitch: float, c: Rotor, cells: Cells) -> float:
+    """Return the captured power by the table, if a turbine has one."""
+    if cells.shape[0] > 0:
+        return captured_by_table(rotor_speed, wind, pitch, c, cells)
+    return captured_by_curve(rotor_speed, wind, pitch, c)
 
 
 @inlined

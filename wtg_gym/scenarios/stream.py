@@ -19,7 +19,7 @@ import numpy as np
 import numpy.typing as npt
 from numba import int64, uint32, uint64
 
-from wtg_gym.physics.compiled import compiled
+from wtg_gym.systems.compiled import compiled
 
 Words = npt.NDArray[np.uint64]
 FloatArray = npt.NDArray[np.float64]

@@ -74,7 +74,7 @@ def _digest(*parts: bytes) -> bytes:
 def source_hash() -> str:
     """Return the sha256 hex digest of every source file that compiled code lives in."""
     parts = []
-    for folder in ("physics", "scenarios", "envs"):
+    for folder in ("systems", "physics", "scenarios", "envs"):
         for path in sorted([*(_PACKAGE / folder).glob("*.py"), *(_PACKAGE / folder).glob("*.npy")]):
             parts += [path.name.encode(), path.read_bytes()]
     return _digest(*parts).hex()

@@ -47,7 +47,7 @@ def _add_operator(name: str, operation: str, *, swapped: bool = False) -> None:
 for _name, _operation in (("add", "add"), ("sub", "sub"), ("mul", "mul"), ("truediv", "div")):
     _add_operator(_name, _operation)
     _add_operator(f"r{_name}", _operation, swapped=True)
-for _name in ("neg", "abs", "lt", "le", "eq", "ne", "and", "or"):
+for _name in ("neg", "abs", "lt", "le", "eq", "ne", "and", "or", "invert"):
     _add_operator(_name, _name)
 for _name in ("and", "or"):
     _add_operator(f"r{_name}", _name)
@@ -63,24 +63,60 @@ def _plain(value: Any) -> Any:
 
 def number(operation: str, *arguments: Any) -> Any:
     """Return an operation's result: a plain number where all arguments are, or where it follows from them."""
-    given = tuple(_plain(argument) for argument in arguments)
-    if operation != "row" and not any(isinstance(argument, Number) for argument in given):
+    given = arguments if operation == "symbol" else tuple(_plain(argument) for argument in arguments)
+    if operation not in ("row", "symbol") and not any(isinstance(argument, Number) for argument in given):
         return _CONSTANT[operation](*given)
-    known = _simplified(operation, given)
+    known = None if operation == "symbol" else _simplified(operation, given)
     if known is not None:
         return known
-    key = (operation, *((id(a),) if isinstance(a, Number) else (a, math.copysign(1.0, a)) for a in given))
+    key = (operation, *(_key(a) for a in given))
     if key not in Number._made:
         Number._made[key] = Number(operation, given, len(Number._made))
     return Number._made[key]
 
 
+def _key(value: Any) -> tuple[Any, ...]:
+    if isinstance(value, Number):
+        return (id(value),)
+    return (value,) if isinstance(value, str) else (value, math.copysign(1.0, value))
+
+
+#: Whether a product with 0 is 0 and a sum with 0 the other term, whatever that is: so cotangents are simplified. The
+#: bits of zeros and of numbers that are not finite may differ then.
+_simplifies_zeros = False
+
+
 @contextmanager
-def making() -> Iterator[None]:
-    """Make programs in one thread at a time, from no numbers: those of programs before would change their order."""
+def making(*, zeros: bool = True) -> Iterator[None]:
+    """Make programs in one thread at a time, from no numbers: those of programs before would change their order.
+
+    Args:
+        zeros: simplify products and sums with zeros, in whatever is made.
+    """
+    global _simplifies_zeros
     with _LOCK:
         Number._made.clear()
+        before, _simplifies_zeros = _simplifies_zeros, zeros
+        try:
+            yield
+        finally:
+            _simplifies_zeros = before
+
+
+@contextmanager
+def simplifying_zeros() -> Iterator[None]:
+    """Simplify products and sums with zeros within a program that is being made."""
+    global _simplifies_zeros
+    before, _simplifies_zeros = _simplifies_zeros, True
+    try:
         yield
+    finally:
+        _simplifies_zeros = before
+
+
+def symbol(name: str) -> Any:
+    """Return a number that is known when the program runs."""
+    return number("symbol", name)
 
 
 def row_of_block(row: int) -> Any:
@@ -100,15 +136,16 @@ def _is(value: Any, constant: float) -> bool:
 def _simplified(operation: str, given: tuple[Any, ...]) -> Any:
     """Return what an operation comes to without being worked out; None where it must be."""
     first, second = given[0], given[1] if len(given) > 1 else None
-    if operation == "mul" and (_is(first, 0.0) or _is(second, 0.0)):
+    zeros = _simplifies_zeros
+    if operation == "mul" and zeros and (_is(first, 0.0) or _is(second, 0.0)):
         return 0.0
     if operation == "mul" and (_is(first, 1.0) or _is(second, 1.0)):
         return second if _is(first, 1.0) else first
-    if operation == "add" and (_is(first, 0.0) or _is(second, 0.0)):
+    if operation == "add" and zeros and (_is(first, 0.0) or _is(second, 0.0)):
         return second if _is(first, 0.0) else first
     if operation == "sub" and _is(second, 0.0):
         return first
-    if operation == "div" and (_is(first, 0.0) or _is(second, 1.0)):
+    if operation == "div" and ((zeros and _is(first, 0.0)) or _is(second, 1.0)):
         return first
     if operation == "select" and not isinstance(first, Number):
         return second if first else given[2]
@@ -128,7 +165,8 @@ def select(condition: Any, value: Any, other: Any) -> Any:
 def multiply_add(a: Any, b: Any, c: Any) -> Any:
     """Return a·b + c."""
     if isinstance(a, Number) or isinstance(b, Number):
-        return number("fma", a, b, c) if not (_is(_plain(a), 0.0) or _is(_plain(b), 0.0)) else c
+        nothing = _simplifies_zeros and (_is(_plain(a), 0.0) or _is(_plain(b), 0.0))
+        return c if nothing else number("fma", a, b, c)
     return a * b + c
 
 
@@ -144,14 +182,28 @@ smallest, largest, absolute = _two("min"), _two("max"), _one("abs")
 square_root, exponential, floor, ceil = _one("sqrt"), _one("exponential"), _one("floor"), _one("ceil")
 
 
-class Cells:
-    """A table (n, m, k), named `cells` where the program runs; which cell it is has no slope."""
+def is_finite(a: Any) -> Any:
+    """Return whether a number is finite."""
+    return absolute(a) < math.inf
 
-    def __init__(self, shape: tuple[int, ...]) -> None:
-        self.shape = shape
+
+class Cells:
+    """A table (n, m, 16) among the numbers that a program reads; which cell it is has no slope.
+
+    Args:
+        first: place of its first number among them.
+        shape: (n, m, 16).
+    """
+
+    #: Its numbers, in their order.
+    LEAVES = ("first", "n", "m")
+
+    def __init__(self, first: Any, n: Any, m: Any) -> None:
+        self.first, self.shape = first, (n, m, 16)
 
     def __getitem__(self, place: tuple[Any, Any, int]) -> Any:
-        return number("cell", *place)
+        i, j, k = place
+        return number("cell", self.first + ((i * self.shape[1] + j) * 16.0 + k))
 
 
 def sine_cosine(angle: Any) -> tuple[Any, Any]:
@@ -175,6 +227,7 @@ _CONSTANT: dict[str, Callable[..., Any]] = {
     "ne": operator.ne,
     "and": operator.and_,
     "or": operator.or_,
+    "invert": operator.not_,
     "min": min,
     "max": max,
     "sqrt": math.sqrt,

@@ -17,13 +17,13 @@ from typing import Any, TypeVar, get_type_hints
 import numpy as np
 import numpy.typing as npt
 
-from wtg_gym.physics.compiled import inlined
+from wtg_gym.systems.compiled import inlined
 
 R = TypeVar("R", bound=tuple[Any, ...])
 _DTYPES = {float: np.float64, int: np.int64, bool: np.bool_, complex: np.complex128}
 
 
-def _is_record(kind: Any) -> bool:
+def is_record(kind: Any) -> bool:
     return isinstance(kind, type) and hasattr(kind, "_fields")
 
 
@@ -32,7 +32,7 @@ def leaves(record: Any) -> tuple[str, ...]:
     """Return the dotted names of a record's numbers, in their order: ("angle", …, "exciter.lead_lag", …)."""
     names: list[str] = []
     for name, kind in get_type_hints(record).items():
-        names += [f"{name}.{leaf}" for leaf in leaves(kind)] if _is_record(kind) else [name]
+        names += [f"{name}.{leaf}" for leaf in leaves(kind)] if is_record(kind) else [name]
     return tuple(names)
 
 
@@ -52,7 +52,7 @@ def offsets(record: type) -> Any:
     rows, row = {}, 0
     for name, kind in get_type_hints(record).items():
         rows[name] = row
-        row += size(kind) if _is_record(kind) else 1
+        row += size(kind) if is_record(kind) else 1
     return namedtuple(f"{record.__name__}Rows", rows)(**rows)
 
 
@@ -66,7 +66,7 @@ def dtype(record: type) -> np.dtype[Any]:
 
 def _kinds(record: type) -> Iterator[Any]:
     for kind in get_type_hints(record).values():
-        if _is_record(kind):
+        if is_record(kind):
             yield from _kinds(kind)
         else:
             yield kind
@@ -76,7 +76,7 @@ def flatten(values: Any) -> tuple[Any, ...]:
     """Return the numbers of a record's values, in the order of :func:`leaves`."""
     flat: list[Any] = []
     for value in values:
-        flat += flatten(value) if _is_record(type(value)) else [value]
+        flat += flatten(value) if is_record(type(value)) else [value]
     return tuple(flat)
 
 
@@ -98,27 +98,15 @@ def reader(record: type[R]) -> Callable[[Any], R]:
     return _function("read", record, "entry", f"return {body}")
 
 
-def elementwise(
-    record: type[R], function: Callable[..., float], name: str, given: str, shared: str
-) -> Callable[..., R]:
-    """Return a function that applies another one to every number of records, and returns the record of the results.
-
-    Args:
-        record: of arguments and result.
-        function: compiled, of numbers: first one of each record, then the shared ones.
-        name: of the result, for error messages.
-        given: names of the arguments that are records, with commas between.
-        shared: names of the numbers that are the same for all, with commas between.
-    """
-    records = [argument.strip() for argument in given.split(",")]
-    calls = (
-        f"function({', '.join(f'{argument}.{leaf}' for argument in records)}, {shared})" for leaf in leaves(record)
-    )
-    return _function(name, record, f"{given}, {shared}", f"return {_construct(record, calls)}", function=function)
+def each(function: Callable[..., Any], *records: Any) -> Any:
+    """Apply a function of numbers to every number of records of one class; return the record of the results."""
+    if not is_record(type(records[0])):
+        return function(*records)
+    return type(records[0])(*(each(function, *values) for values in zip(*records, strict=True)))
 
 
 def _construct(record: type, values: Iterator[str]) -> str:
-    parts = [_construct(kind, values) if _is_record(kind) else next(values) for kind in get_type_hints(record).values()]
+    parts = [_construct(kind, values) if is_record(kind) else next(values) for kind in get_type_hints(record).values()]
     return f"{record.__name__}({', '.join(parts)})"
 
 
@@ -137,5 +125,5 @@ def _function(name: str, record: type, arguments: str, body: str, **names: Any) 
 def _records(record: type) -> Iterator[type]:
     yield record
     for kind in get_type_hints(record).values():
-        if _is_record(kind):
+        if is_record(kind):
             yield from _records(kind)

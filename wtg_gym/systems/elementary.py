@@ -14,7 +14,7 @@ from typing import Any
 from numba import types
 from numba.extending import intrinsic, overload
 
-from wtg_gym.physics.compiled import compiled, inlined
+from wtg_gym.systems.compiled import compiled, inlined
 
 
 def fma(a: float, b: float, c: float) -> float:

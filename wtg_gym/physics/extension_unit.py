@@ -1,0 +1,224 @@
+"""Extended WTG groups: what they have besides :mod:`wtg_gym.physics.wtg_unit`, and the limits of their currents."""
+
+from __future__ import annotations
+
+from wtg_gym.physics.extended_converter import VoltageInput, limiting_reactance
+from wtg_gym.physics.runge_kutta import kept, moved_by_stage
+from wtg_gym.physics.units import LANE, PAIRS, UNITS, Phasor
+from wtg_gym.physics.wind_turbine import (
+    Extension,
+    ExtensionOutput,
+    ExtensionState,
+    Turbine,
+    WtgInput,
+    WtgOutput,
+    WtgState,
+    at_terminal,
+    extended_rates,
+    extension_limited,
+    rotor_of_energy,
+    wtg_limited,
+    wtg_voltage,
+)
+from wtg_gym.physics.wtg_unit import GROUPS, group_motion
+from wtg_gym.systems.elementary import fma, select
+from wtg_gym.systems.systems import Kind, system
+
+#: A voltage that moves by less than this in a sweep has settled [p.u.]; the squares are compared.
+_SETTLED = 1e-12 * 1e-12
+
+EXTENSIONS = Kind(
+    name="extensions",
+    rows={"own": ExtensionState, "references": VoltageInput, "terminal": ExtensionOutput},
+    scratch={
+        "own_base": ExtensionState,
+        "own_sum": ExtensionState,
+        "own_rates": ExtensionState,
+        "reactance": float,  # X_v that limits the current [p.u. of the system]
+        "source": Phasor,  # voltage behind X_g before its current is limited [p.u.]
+        "change": Phasor,  # of the voltage behind X_g in the latest sweep [p.u.]
+    },
+    constants={"extension": Extension},
+    sees={"group": GROUPS, "unit": UNITS, "own_entry_": PAIRS, "lane": LANE},
+    states={"own": "own_rates"},
+)
+#: The column of each extended group in the admittance matrix: one entry for every unit.
+COLUMNS = Kind(name="columns", sees={"entry": PAIRS, "unit": UNITS, "group": EXTENSIONS})
+
+
+@system(EXTENSIONS, "voltage")
+def voltage_of_extended(state: WtgState, own: ExtensionState) -> Phasor:
+    """Return the voltage behind the reactance."""
+    return Phasor(*wtg_voltage(state, own.internal_voltage))
+
+
+@system(LANE, "exceeded")
+def none_exceeded() -> float:
+    """Begin to count groups whose current is too large."""
+    return 0.0
+
+
+@system(EXTENSIONS, "reactance", "source", "exceeded")
+def begin_limits(
+    voltage: Phasor, current: Phasor, extension: Extension, share: float, exceeded: float
+) -> tuple[float, Phasor, float]:
+    """Keep the voltage without a limit, and count groups whose current is too large."""
+    largest = (extension.limits.current_max * share) * (extension.limits.current_max * share)
+    too_large = fma(current.re, current.re, current.im * current.im) > largest
+    return 0.0, voltage, exceeded + select(too_large, 1.0, 0.0)
+
+
+@system(LANE, "unsettled")
+def all_settled() -> float:
+    """Begin a sweep."""
+    return 0.0
+
+
+@system(EXTENSIONS, "reactance", "voltage", "change", "unsettled")
+def limit_current(
+    own_entry_admittance: Phasor,
+    source: Phasor,
+    voltage: Phasor,
+    current: Phasor,
+    extension: Extension,
+    share: float,
+    unsettled: float,
+) -> tuple[float, Phasor, Phasor, float]:
+    """Find the limiting reactance with all other voltages fixed, and the voltage behind it.
+
+    A lane without such a group, or one that has settled, keeps its bits, whatever its neighbours do.
+    """
+    y, e = own_entry_admittance, voltage
+    free = _plus(current, y, Phasor(source.re - e.re, source.im - e.im))
+    reactance = limiting_reactance(free.re, free.im, y.re, y.im, extension.limits.current_max * share)
+    # E' = E - jX_v I, and I = I_0 / (1 + jX_v Y).
+    d_re, d_im = 1.0 - reactance * y.im, reactance * y.re
+    size = reactance / fma(d_re, d_re, d_im * d_im)
+    drop_re = size * fma(free.re, d_re, free.im * d_im)
+    drop_im = size * fma(free.im, d_re, -(free.re * d_im))
+    change = Phasor(source.re + drop_im - e.re, source.im - drop_re - e.im)
+    moves = fma(change.re, change.re, change.im * change.im) > _SETTLED
+    change = Phasor(select(moves, change.re, 0.0), select(moves, change.im, 0.0))
+    moved = Phasor(e.re + change.re, e.im + change.im)
+    return reactance, moved, change, unsettled + select(moves, 1.0, 0.0)
+
+
+@system(COLUMNS, "current")
+def follow_change(current: Phasor, admittance: Phasor, change: Phasor) -> Phasor:
+    """Return the current of a unit after the voltage of a group has changed."""
+    return _plus(current, admittance, change)
+
+
+def _plus(total: Phasor, y: Phasor, e: Phasor) -> Phasor:
+    return Phasor(total.re + fma(y.re, e.re, -(y.im * e.im)), total.im + fma(y.re, e.im, y.im * e.re))
+
+
+def _motion(
+    state: WtgState,
+    own: ExtensionState,
+    voltage: Phasor,
+    current: Phasor,
+    reactance: float,
+    given: WtgInput,
+    references: VoltageInput,
+    captured: float,
+    turbine: Turbine,
+    extension: Extension,
+    inv_share: float,
+    reference_speed: float,
+    omega_n: float,
+    fraction: float,
+) -> tuple[WtgState, ExtensionState, WtgOutput, ExtensionOutput]:
+    rates, output = group_motion(
+        state, voltage, current, given, captured, turbine, inv_share, reference_speed, omega_n, fraction
+    )
+    terminal = at_terminal(
+        voltage.re, voltage.im, inv_share * current.re, inv_share * current.im, reactance, turbine.converter
+    )
+    rates, own_rates = extended_rates(
+        rates, state, own, output.power, terminal, given, references, turbine, extension, omega_n
+    )
+    return rates, own_rates, output, terminal
+
+
+rates_of_extended = system(EXTENSIONS, "rates", "own_rates", "output", "terminal")(_motion)
+
+
+@system(EXTENSIONS, "state", "base", "sum", "own", "own_base", "own_sum", "output", "terminal")
+def stage_of_extended(
+    state: WtgState,
+    base: WtgState,
+    sum: WtgState,
+    own: ExtensionState,
+    own_base: ExtensionState,
+    own_sum: ExtensionState,
+    voltage: Phasor,
+    current: Phasor,
+    reactance: float,
+    given: WtgInput,
+    references: VoltageInput,
+    captured: float,
+    turbine: Turbine,
+    extension: Extension,
+    inv_share: float,
+    reference_speed: float,
+    omega_n: float,
+    fraction: float,
+    active: float,
+    ahead: float,
+    first: float,
+    last: float,
+) -> tuple[
+    WtgState,
+    WtgState,
+    WtgState,
+    ExtensionState,
+    ExtensionState,
+    ExtensionState,
+    WtgOutput,
+    ExtensionOutput,
+]:
+    """Move the states by a stage."""
+    rates, own_rates, output, terminal = _motion(
+        state,
+        own,
+        voltage,
+        current,
+        reactance,
+        given,
+        references,
+        captured,
+        turbine,
+        extension,
+        inv_share,
+        reference_speed,
+        omega_n,
+        fraction,
+    )
+    moved = moved_by_stage(state, base, sum, rates, ahead=ahead, first=first, last=last)
+    found = kept(moved, wtg_limited(moved.state, turbine), last=last, active=active)
+    own_moved = moved_by_stage(own, own_base, own_sum, own_rates, ahead=ahead, first=first, last=last)
+    own_found = kept(own_moved, extension_limited(own_moved.state, extension), last=last, active=active)
+    return (*found, *own_found, output, terminal)
+
+
+@system(EXTENSIONS, "state")
+def keep_energy(
+    state: WtgState,
+    base: WtgState,
+    own: ExtensionState,
+    own_base: ExtensionState,
+    turbine: Turbine,
+    extension: Extension,
+    active: float,
+) -> WtgState:
+    """Set the rotor speed of a running lane from the energies of a whole step."""
+    chopped = own.limits.energy_chopped - own_base.limits.energy_chopped
+    speed = rotor_of_energy(base, state, chopped, turbine, extension)
+    return WtgState(
+        state.converter,
+        select(active > 0.5, speed, state.rotor_speed),
+        state.pitch,
+        state.energy_captured,
+        state.energy_delivered,
+    )

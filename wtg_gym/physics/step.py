@@ -1,0 +1,95 @@
+"""The step of the simulation: what happens, in its order.
+
+    enter → events → 4 × (voltages, currents, capture, stage) → finish → protect → evaluate
+
+Each name is a list of systems over all units of a kind; what is no map over units stands in the same lists.
+"""
+
+from __future__ import annotations
+
+from wtg_gym.physics import extension_unit as extension
+from wtg_gym.physics import hydro_unit as hydro
+from wtg_gym.physics import machine_unit as machine
+from wtg_gym.physics import protection, units
+from wtg_gym.physics import wtg_unit as wtg
+from wtg_gym.physics.units import LANE, PAIRS, UNITS
+from wtg_gym.systems.programs import Each, Product, Repeat, When
+
+#: Gauss-Seidel sweeps over the groups whose current is limited, at most: a few, but some thirty for large groups at a
+#: weak bus. They end once no voltage moves.
+_SWEEPS = 100
+
+#: Kinds of unit, in the order of their states.
+KINDS = (machine.MACHINES, wtg.GROUPS, hydro.HYDRO, extension.EXTENSIONS, LANE, UNITS, PAIRS, protection.STAGES)
+
+ADMITTANCES = (units.load_noise, units.admittance_with_noise)
+
+VOLTAGES = (machine.reference, machine.voltage_of_machine, wtg.voltage_of_group, extension.voltage_of_extended)
+
+CURRENTS = (
+    Product(PAIRS, "admittance", UNITS, "voltage", "current"),
+    extension.none_exceeded,
+    extension.begin_limits,
+    When(
+        LANE,
+        "exceeded",
+        (
+            Repeat(
+                LANE,
+                "unsettled",
+                (extension.all_settled, Each(extension.limit_current, extension.follow_change)),
+                most=_SWEEPS,
+            ),
+        ),
+    ),
+)
+
+CAPTURE = (wtg.capture_by_curve, wtg.capture_by_table)
+
+#: A stage of the Runge-Kutta method.
+STAGE = (
+    *VOLTAGES,
+    *CURRENTS,
+    *CAPTURE,
+    hydro.stage_of_hydro,
+    machine.stage_of_machine,
+    wtg.stage_of_group,
+    extension.stage_of_extended,
+    units.reference_stage,
+)
+
+#: Rates and outputs at the present state, which stays.
+EVALUATE = (
+    *VOLTAGES,
+    *CURRENTS,
+    *CAPTURE,
+    hydro.rates_of_hydro,
+    machine.rates_of_machine,
+    wtg.rates_of_group,
+    extension.rates_of_extended,
+    units.reference_rate,
+)
+
+WATCH = (
+    protection.begin_coi,
+    protection.add_machine,
+    protection.add_group,
+    protection.centre_of_inertia,
+    protection.track_extremes,
+)
+
+#: After a simulation step.
+FINISH = (extension.keep_energy, units.count_step, *WATCH, protection.shed_load)
+
+PROTECT = (
+    protection.begin_sample,
+    protection.sample_machine,
+    protection.sample_group,
+    protection.judge_grid,
+    protection.judge_rotor,
+    protection.end_run,
+    protection.still_wind,
+)
+
+#: The first outputs of a run.
+START = (*ADMITTANCES, *EVALUATE, *WATCH)

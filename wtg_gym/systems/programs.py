@@ -1,0 +1,433 @@
+"""Programs: lists of systems, compiled once for all plants, and the table that says where a plant has its rows.
+
+An entry of a program is a :class:`~wtg_gym.systems.systems.System`, which goes over all units of its kind, or one of
+the few things that are no map over units: :class:`Product`, :class:`When`, :class:`Repeat`, :class:`Each`.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from typing import Any, NamedTuple, Protocol
+
+import numpy as np
+import numpy.typing as npt
+from llvmlite import ir
+from numba import types
+from numba.extending import intrinsic
+
+from wtg_gym.systems import expressions as ex
+from wtg_gym.systems.records import flatten, is_record
+from wtg_gym.systems.systems import SCALARS, Kind, Place, System, constants_of
+from wtg_gym.systems.vectors import Lanes, repeated
+
+Floats = npt.NDArray[np.float64]
+Whole = npt.NDArray[np.int64]
+_WHOLE = ir.IntType(64)
+#: Numbers in a table's head for each entry: how many units, and the places of its first row and its first constant.
+_HEAD = 3
+
+
+class Product(NamedTuple):
+    """`result` = `matrix` · `vector`, complex: a row of the matrix for each unit, all in scratch."""
+
+    pairs: Kind  # whose units are the matrix' entries, row by row
+    matrix: str
+    units: Kind
+    vector: str
+    result: str
+
+
+class When(NamedTuple):
+    """Entries that run where a number of the lane is above zero in any lane of the block."""
+
+    lane: Kind
+    flag: str
+    entries: tuple[Any, ...]
+
+
+class Repeat(NamedTuple):
+    """Entries that run, and again while a number of the lane is above zero in any lane, `most` times in all."""
+
+    lane: Kind
+    flag: str
+    entries: tuple[Any, ...]
+    most: int
+
+
+class Each(NamedTuple):
+    """For each unit of `outer` in turn: that system, then `inner` over that unit's share of its own units."""
+
+    outer: System
+    inner: System
+
+
+class Arrangement(Protocol):
+    """Where a plant has its rows, and what is constant."""
+
+    def n_units(self, kind: Kind) -> int:
+        """Return how many units of a kind there are."""
+
+    def first_rows(self, kind: Kind, part: str) -> Whole:
+        """Return the first row of a part of each unit, (n_units,), in the block or in scratch."""
+
+    def seen(self, kind: Kind, label: str) -> Whole:
+        """Return which unit of a kind that it sees each unit means, (n_units,)."""
+
+    def constants(self, kind: Kind, name: str) -> Sequence[Any]:
+        """Return a constant of each unit: records, or numbers (n_units,)."""
+
+    def has(self, what: str) -> bool:
+        """Return whether the plant has what a system is for."""
+
+
+def systems_of(entries: Sequence[Any]) -> Iterator[System]:
+    """Yield the systems among entries and within them, in their order."""
+    for entry in entries:
+        if isinstance(entry, System):
+            yield entry
+        elif isinstance(entry, Each):
+            yield from entry
+        elif isinstance(entry, (When, Repeat)):
+            yield from systems_of(entry.entries)
+
+
+def _flat(entries: Sequence[Any]) -> Iterator[Any]:
+    """Yield everything that has a place in the head of a table."""
+    for entry in entries:
+        if isinstance(entry, Each):
+            yield from entry
+        else:
+            yield entry
+            if isinstance(entry, (When, Repeat)):
+                yield from _flat(entry.entries)
+
+
+class Program:
+    """A list of entries, and where they stand in the table of all programs.
+
+    Args:
+        name: of the program.
+        entries: systems and what is none.
+        first: place of its first entry in the head of the table.
+    """
+
+    def __init__(self, name: str, entries: Sequence[Any], first: int) -> None:
+        self.name, self.entries = name, tuple(entries)
+        self.places = {id(entry): first + i for i, entry in enumerate(_flat(self.entries))}
+        if len(self.places) < len(list(_flat(self.entries))):
+            raise ValueError(f"a system stands in program {name!r} twice")
+
+    @property
+    def n_entries(self) -> int:
+        """How many places it takes in the head of the table."""
+        return len(self.places)
+
+    def digest(self) -> str:
+        """Return a hash of everything that its machine code depends on."""
+        found = hashlib.sha256(repr(list(self.places.values())).encode())
+        for one in systems_of(self.entries):
+            found.update(repr((one.name, _slots(one), one.when)).encode())
+            order = {number: i for i, number in enumerate(ex.needed(value for *_, value in one.trace.stores))}
+            for number, _ in order.items():
+                told = (order[a] if isinstance(a, ex.Number) else a for a in number.arguments)
+                found.update(repr((number.operation, *told)).encode())
+            stores = [(name, k, order.get(value, value)) for name, k, value in one.trace.stores]
+            found.update(repr(stores).encode())
+        return found.hexdigest()
+
+    def function(self) -> Callable[..., None]:
+        """Return the compiled function of (block, scratch, table, numbers, *SCALARS, lanes)."""
+        written = self
+
+        @intrinsic
+        def run(
+            typing_context: Any,
+            block: Any,
+            scratch: Any,
+            table: Any,
+            numbers: Any,
+            fraction: Any,
+            ahead: Any,
+            first: Any,
+            last: Any,
+            lanes: Any,
+        ) -> Any:
+            given = (block, scratch, table, numbers, *(types.float64,) * len(SCALARS), lanes)
+
+            def code(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+                data = (
+                    context.make_array(kind)(context, builder, argument).data
+                    for kind, argument in zip(signature.args[:4], arguments[:4], strict=True)
+                )
+                scalars = dict(zip(SCALARS, arguments[4:8], strict=True))
+                _Writer(builder, len(signature.args[8]), *data, scalars, written).write(written.entries)
+                return context.get_dummy_value()
+
+            return types.void(*given), code
+
+        return run
+
+
+def _slots(one: System) -> list[str]:
+    """Return the parts whose rows a system is given, in the order of the table."""
+    return list(dict.fromkeys((*one.reads, *one.writes)))
+
+
+def _constants_used(one: System) -> list[str]:
+    names = one.trace.constants
+    return [names[number] for number in ex.needed(value for *_, value in one.trace.stores) if number in names]
+
+
+class _Writer:
+    """What writes the instructions of a program."""
+
+    def __init__(
+        self,
+        builder: Any,
+        width: int,
+        block: Any,
+        scratch: Any,
+        table: Any,
+        numbers: Any,
+        scalars: Mapping[str, Any],
+        program: Program,
+    ) -> None:
+        self.builder, self.lanes = builder, Lanes(builder, width, numbers)
+        self.block, self.scratch, self.table, self.numbers = block, scratch, table, numbers
+        self.scalars, self.program = scalars, program
+
+    def write(self, entries: Sequence[Any]) -> None:
+        for entry in entries:
+            if isinstance(entry, System):
+                with repeated(self.builder, self._head(entry, 0)) as unit:
+                    self._system(entry, unit)
+            elif isinstance(entry, Product):
+                self._product(entry)
+            elif isinstance(entry, When):
+                with self.builder.if_then(self._is_up(entry)):
+                    self.write(entry.entries)
+            elif isinstance(entry, Repeat):
+                self._repeat(entry)
+            else:
+                self._each(entry)
+
+    def _head(self, entry: Any, which: int) -> Any:
+        return self._whole(_WHOLE(_HEAD * self.program.places[id(entry)] + which))
+
+    def _whole(self, place: Any) -> Any:
+        return self.builder.load(self.builder.gep(self.table, [place]))
+
+    def _system(self, one: System, unit: Any) -> None:
+        """Write the instructions on one unit."""
+        builder, lanes, trace = self.builder, self.lanes, one.trace
+        slots, constants = _slots(one), _constants_used(one)
+        base = builder.add(self._head(one, 1), builder.mul(unit, _WHOLE(len(slots))))
+        parts = {**one.reads, **one.targets}
+        rows = {
+            name: self._row(parts[name], self._whole(builder.add(base, _WHOLE(i)))) for i, name in enumerate(slots)
+        }
+        numbers = builder.add(self._head(one, 2), builder.mul(unit, _WHOLE(len(constants))))
+
+        def read(name: str, k: int) -> Any:
+            return lanes.load(self._at(rows[name], k))
+
+        def constant(name: str) -> Any:
+            place = builder.add(numbers, _WHOLE(constants.index(name)))
+            return lanes.spread(builder.load(builder.gep(self.numbers, [place])))
+
+        given: dict[ex.Number, Callable[[], Any]] = {
+            **{symbol: lambda at=at: read(*at) for symbol, at in trace.inputs.items()},  # type: ignore[misc]
+            **{symbol: lambda name=name: constant(name) for symbol, name in trace.constants.items()},  # type: ignore[misc]
+            **{
+                symbol: lambda name=name: lanes.spread(self.scalars[name])  # type: ignore[misc]
+                for symbol, name in trace.scalars.items()
+            },
+        }
+        value_of = lanes.program([value for *_, value in trace.stores], given)
+        for name, k, value in trace.stores:
+            lanes.store(value_of(value), self._at(rows[name], k))
+
+    def _row(self, place: Place, row: Any) -> Any:
+        """Return a pointer to a row."""
+        first = self.scratch if place.in_scratch else self.block
+        return self.builder.gep(first, [self.builder.mul(row, _WHOLE(self.lanes.width))])
+
+    def _at(self, first: Any, k: int) -> Any:
+        """Return a pointer to the row k after that of a pointer."""
+        return self.builder.gep(first, [_WHOLE(k * self.lanes.width)])
+
+    def _is_up(self, entry: When | Repeat) -> Any:
+        place = entry.lane.find(entry.flag)
+        assert place is not None
+        return self.lanes.any_positive(self.lanes.load(self._row(place, self._whole(self._head(entry, 1)))))
+
+    def _repeat(self, entry: Repeat) -> None:
+        builder = self.builder
+        before = builder.block
+        body, done = builder.append_basic_block("again"), builder.append_basic_block("settled")
+        builder.branch(body)
+        builder.position_at_end(body)
+        count = builder.phi(_WHOLE)
+        count.add_incoming(_WHOLE(1), before)
+        self.write(entry.entries)
+        again = builder.and_(self._is_up(entry), builder.icmp_signed("<", count, _WHOLE(entry.most)))
+        count.add_incoming(builder.add(count, _WHOLE(1)), builder.block)
+        builder.cbranch(again, body, done)
+        builder.position_at_end(done)
+
+    def _each(self, entry: Each) -> None:
+        builder = self.builder
+        n_outer = self._head(entry.outer, 0)
+        with repeated(builder, n_outer) as unit:
+            self._system(entry.outer, unit)
+            share = builder.sdiv(self._head(entry.inner, 0), n_outer)
+            first = builder.mul(unit, share)
+            with repeated(builder, share) as own:
+                self._system(entry.inner, builder.add(first, own))
+
+    def _product(self, entry: Product) -> None:
+        builder, lanes = self.builder, self.lanes
+        n, places = self._head(entry, 0), self._head(entry, 1)
+        matrix, stride, vector, vector_stride, result, result_stride = (
+            self._whole(builder.add(places, _WHOLE(i))) for i in range(6)
+        )
+
+        def load(row: Any) -> tuple[Any, Any]:
+            first = builder.gep(self.scratch, [builder.mul(row, _WHOLE(lanes.width))])
+            return lanes.load(first), lanes.load(self._at(first, 1))
+
+        def rows(first_row: Any, n_rows: int) -> None:
+            """Write the results of some rows of the matrix: several sums at once need not wait for each other."""
+            entry_block = builder.block
+            check, body, done = (builder.append_basic_block(name) for name in ("columns", "column", "summed"))
+            builder.branch(check)
+            builder.position_at_end(check)
+            column = builder.phi(_WHOLE)
+            column.add_incoming(_WHOLE(0), entry_block)
+            sums = [[builder.phi(lanes.kind) for _ in range(2)] for _ in range(n_rows)]
+            for pair in sums:
+                for each in pair:
+                    each.add_incoming(lanes.constant(0.0), entry_block)
+            builder.cbranch(builder.icmp_signed("<", column, n), body, done)
+            builder.position_at_end(body)
+            e_re, e_im = load(builder.add(vector, builder.mul(column, vector_stride)))
+            for i, (re, im) in enumerate(sums):
+                place = builder.add(builder.mul(builder.add(first_row, _WHOLE(i)), n), column)
+                y_re, y_im = load(builder.add(matrix, builder.mul(place, stride)))
+                d_re = lanes.call("fma", y_re, e_re, builder.fneg(builder.fmul(y_im, e_im)))
+                d_im = lanes.call("fma", y_re, e_im, builder.fmul(y_im, e_re))
+                re.add_incoming(builder.fadd(re, d_re), builder.block)
+                im.add_incoming(builder.fadd(im, d_im), builder.block)
+            column.add_incoming(builder.add(column, _WHOLE(1)), builder.block)
+            builder.branch(check)
+            builder.position_at_end(done)
+            for i, (re, im) in enumerate(sums):
+                row = builder.add(result, builder.mul(builder.add(first_row, _WHOLE(i)), result_stride))
+                first = builder.gep(self.scratch, [builder.mul(row, _WHOLE(lanes.width))])
+                lanes.store(re, first)
+                lanes.store(im, self._at(first, 1))
+
+        pairs = builder.sdiv(n, _WHOLE(_ROWS_AT_ONCE))
+        with repeated(builder, pairs) as pair:
+            rows(builder.mul(pair, _WHOLE(_ROWS_AT_ONCE)), _ROWS_AT_ONCE)
+        whole = builder.mul(pairs, _WHOLE(_ROWS_AT_ONCE))
+        with repeated(builder, builder.sub(n, whole)) as rest:
+            rows(builder.add(whole, rest), 1)
+
+
+#: Rows of a matrix that are multiplied side by side.
+_ROWS_AT_ONCE = 2
+
+
+def build_table(programs: Sequence[Program], plant: Arrangement) -> tuple[Whole, Floats]:
+    """Return the table of programs and the constants, for a plant: whole numbers and numbers."""
+    head = np.zeros((sum(program.n_entries for program in programs), _HEAD), dtype=np.int64)
+    rows, numbers, cells = list[int](), list[float](), dict[Any, int]()
+    for program in programs:
+        for entry in _flat(program.entries):
+            own = head[program.places[id(entry)]]
+            own[1] = head.size + len(rows)
+            if isinstance(entry, System):
+                n = plant.n_units(entry.kind) if entry.when is None or plant.has(entry.when) else 0
+                values = _constants_of(entry, plant, n, numbers, cells)
+                own[0], own[2] = n, len(numbers)
+                rows += _system_rows(entry, plant, n)
+                numbers += values
+            elif isinstance(entry, Product):
+                own[0] = plant.n_units(entry.units)
+                rows += _product_rows(entry, plant)
+            else:
+                at = entry.lane.find(entry.flag)
+                assert at is not None
+                own[:2] = 1, plant.first_rows(at.kind, at.part)[0]
+    return np.concatenate([head.ravel(), np.array(rows, dtype=np.int64)]), np.array(numbers, dtype=np.float64)
+
+
+def _product_rows(entry: Product, plant: Arrangement) -> list[int]:
+    rows: list[int] = []
+    for kind, part in ((entry.pairs, entry.matrix), (entry.units, entry.vector), (entry.units, entry.result)):
+        found = plant.first_rows(kind, part)
+        rows += [int(found[0]) if found.size else 0, int(found[1] - found[0]) if found.size > 1 else 0]
+    return rows
+
+
+def _system_rows(one: System, plant: Arrangement, n: int) -> list[int]:
+    """Return the first rows of a system's parts for each of n units."""
+    if n == 0:
+        return []
+    parts = {**one.reads, **one.targets}
+    found = [_rows_of(one.kind, parts[name], plant) for name in _slots(one)]
+    rows: list[int] = np.stack(found, axis=1).ravel().tolist()
+    return rows
+
+
+def _rows_of(kind: Kind, place: Place, plant: Arrangement) -> Whole:
+    found = plant.first_rows(place.kind, place.part)
+    return found if not place.seen else found[plant.seen(kind, place.seen)]
+
+
+def _constants_of(one: System, plant: Arrangement, n: int, numbers: list[float], cells: dict[Any, int]) -> list[float]:
+    """Return the constants of a system for each of n units; what tables hold is added to `numbers`."""
+    used = _constants_used(one)
+    if n == 0 or not used:
+        return []
+    values: dict[str, Floats] = {}
+    for argument in dict.fromkeys(name.partition(".")[0] for name in used):
+        place = one.kind.find_constant(argument)
+        assert place is not None
+        given = plant.constants(place.kind, place.part)
+        if place.record is ex.Cells:
+            key = place.kind, place.part
+            if key not in cells:
+                cells[key] = len(numbers)
+                numbers += np.asarray(given).ravel().tolist()
+            each: list[Any] = [(cells[key], *np.shape(given)[:2])] * n
+        else:
+            chosen = given if not place.seen else [given[i] for i in plant.seen(one.kind, place.seen)]
+            each = [_numbers(value) for value in chosen]
+        names = [name for name, _ in constants_of(argument, place.record)]
+        table = np.array(each, dtype=np.float64).reshape(n, len(names))
+        values |= dict(zip(names, table.T, strict=True))
+    found: list[float] = np.stack([values[name] for name in used], axis=1).ravel().tolist()
+    return found
+
+
+def _numbers(value: Any) -> tuple[Any, ...]:
+    """Return the numbers of a constant: a record, an entry of a structured array, or a number."""
+    if is_record(type(value)):
+        return flatten(value)
+    if isinstance(value, np.void):
+        found: tuple[Any, ...] = value.item()
+        return found
+    return tuple(value) if isinstance(value, tuple) else (value,)
+
+
+def in_one_table(*before: Program, **entries: Sequence[Any]) -> tuple[Program, ...]:
+    """Return programs by their names that share a table, behind that of programs before them."""
+    found: list[Program] = []
+    first = sum(program.n_entries for program in before)
+    for name, own in entries.items():
+        found.append(Program(name, own, first))
+        first += found[-1].n_entries
+    return tuple(found)

@@ -1,0 +1,218 @@
+"""Kinds of unit, and systems: pure functions of one unit in one lane.
+
+A *kind* says what its units keep. Each part is a record, or a single number, and takes rows: of the lane, where it lasts
+from step to step, or of a scratch that a thread shares between its lanes. A *system* names by its arguments the parts
+that it reads, and by `writes` those that its result replaces. It sees the parts of its own unit, and those of the units
+that its kind sees: the lane, the host of an attached unit, the two ends of a pair.
+
+A system says nothing of loops, of how many units or lanes there are, nor where rows lie.
+"""
+
+from __future__ import annotations
+
+import functools
+import inspect
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple, get_type_hints
+
+from wtg_gym.systems import expressions as ex
+from wtg_gym.systems.records import flatten, is_record, leaves, size
+from wtg_gym.systems.tracing import ARITHMETIC, retargeted
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Kind:
+    """A kind of unit.
+
+    Args:
+        name: of the kind, in the plural.
+        rows: parts that every lane keeps, by name: record classes, or float.
+        scratch: parts that last for a control step only.
+        constants: what is known of a unit before a run.
+        sees: other kinds whose parts its systems may name, by a label; one that ends with "_" stands before the names.
+        states: parts that the integration moves, each with the part that takes its rates.
+    """
+
+    name: str
+    rows: Mapping[str, Any] = field(default_factory=dict)
+    scratch: Mapping[str, Any] = field(default_factory=dict)
+    constants: Mapping[str, Any] = field(default_factory=dict)
+    sees: Mapping[str, Kind] = field(default_factory=dict)
+    states: Mapping[str, str] = field(default_factory=dict)
+
+    def __hash__(self) -> int:
+        return id(self)
+
+    def find(self, argument: str) -> Place | None:
+        """Return where an argument of a system lies; None for one that is no part."""
+        for label, kind, name in self._meanings(argument):
+            if name in kind.rows:
+                return Place(kind, label, name, kind.rows[name], in_scratch=False)
+            if name in kind.scratch:
+                return Place(kind, label, name, kind.scratch[name], in_scratch=True)
+        return None
+
+    def find_constant(self, argument: str) -> Place | None:
+        """Return whose constant an argument is; None for none."""
+        for label, kind, name in self._meanings(argument):
+            if name in kind.constants:
+                return Place(kind, label, name, kind.constants[name], in_scratch=False)
+        return None
+
+    def _meanings(self, argument: str) -> Iterator[tuple[str, Kind, str]]:
+        """Yield the kinds that may have something of this name, with their labels and what they call it."""
+        yield "", self, argument
+        for label, kind in self.sees.items():
+            prefix = label if label.endswith("_") else ""
+            if argument.startswith(prefix):
+                yield label, kind, argument.removeprefix(prefix)
+
+
+class Place(NamedTuple):
+    """What an argument is."""
+
+    kind: Kind  # whose units have it
+    seen: str  # label under which that kind is seen; "" for the kind itself
+    part: str
+    record: Any
+    in_scratch: bool
+
+
+#: Numbers that a caller hands to a program with every call.
+SCALARS = ("fraction", "ahead", "first", "last")
+
+
+class Trace(NamedTuple):
+    """A system as a program."""
+
+    inputs: dict[ex.Number, tuple[str, int]]  # argument and place within it, of what is read in rows
+    constants: dict[ex.Number, str]  # "argument" or "argument.leaf"
+    scalars: dict[ex.Number, str]
+    stores: list[tuple[str, int, Any]]  # part, place within it, value
+
+
+@dataclass(frozen=True, eq=False)
+class System:
+    """A pure function over the units of a kind; :func:`system` makes it.
+
+    Args:
+        kind: whose units it is applied to.
+        equation: the function.
+        writes: the parts that its result, or the entries of that tuple, replace.
+        when: what a plant must have for the system to act; None for any.
+    """
+
+    kind: Kind
+    equation: Callable[..., Any]
+    writes: tuple[str, ...]
+    when: str | None = None
+
+    @property
+    def name(self) -> str:
+        """Name of the function."""
+        name: str = getattr(self.equation, "py_func", self.equation).__name__
+        return name
+
+    def __call__(self, *arguments: Any, **named: Any) -> Any:
+        """Evaluate the equation."""
+        return self.equation(*arguments, **named)
+
+    @functools.cached_property
+    def reads(self) -> dict[str, Place]:
+        """Parts that the arguments name."""
+        return {a: place for a in self._arguments if (place := self.kind.find(a)) is not None}
+
+    @functools.cached_property
+    def targets(self) -> dict[str, Place]:
+        """Parts that the result replaces."""
+        found = {name: self.kind.find(name) for name in self.writes}
+        if unknown := [name for name, place in found.items() if place is None]:
+            raise TypeError(f"system {self.name!r} writes {unknown[0]!r}, which no unit of {self.kind.name} has")
+        return {name: place for name, place in found.items() if place is not None}
+
+    @property
+    def _arguments(self) -> Iterable[str]:
+        return inspect.signature(getattr(self.equation, "py_func", self.equation)).parameters
+
+    @functools.cached_property
+    def trace(self) -> Trace:
+        """The program of the equation, to the last bit."""
+        with ex.making(zeros=False):
+            return self.traced()
+
+    def traced(self) -> Trace:
+        """Run the equation on numbers that remember."""
+        found = Trace({}, {}, {}, [])
+        given = {name: self._given(name, found) for name in self._arguments}
+        result = retargeted(self.equation, ARITHMETIC, {})(**given)
+        results = (result,) if not isinstance(result, tuple) or is_record(type(result)) else result
+        for name, value in zip(self.writes, results, strict=True):
+            values = flatten(value) if is_record(type(value)) else (value,)
+            if len(values) != count(self.targets[name].record):
+                raise TypeError(f"system {self.name!r} writes {len(values)} numbers to {name!r}")
+            found.stores.extend((name, place, each) for place, each in enumerate(values))
+        return found
+
+    def _given(self, name: str, found: Trace) -> Any:
+        if name in self.reads:
+            return built(self.reads[name].record, self._symbols(name, found))
+        if name in SCALARS:
+            symbol = ex.symbol(name)
+            found.scalars[symbol] = name
+            return symbol
+        constant = self.kind.find_constant(name)
+        if constant is None:
+            raise TypeError(
+                f"argument {name!r} of system {self.name!r} is no part or constant of {self.kind.name}, nor of what "
+                f"they see: {', '.join(kind.name for kind in self.kind.sees.values())}"
+            )
+        values = self._constants(name, constant.record, found)
+        return ex.Cells(*values) if constant.record is ex.Cells else built(constant.record, values)
+
+    def _symbols(self, name: str, found: Trace) -> Iterator[Any]:
+        for place in range(count(self.reads[name].record)):
+            symbol = ex.symbol(f"{name}[{place}]")
+            found.inputs[symbol] = (name, place)
+            yield symbol
+
+    @staticmethod
+    def _constants(name: str, record: Any, found: Trace) -> Iterator[Any]:
+        for leaf, kind in constants_of(name, record):
+            symbol = ex.symbol(leaf)
+            found.constants[symbol] = leaf
+            yield symbol != 0.0 if kind is bool else symbol
+
+
+def system(kind: Kind, *writes: str, when: str | None = None) -> Callable[[Callable[..., Any]], System]:
+    """Return a decorator that makes a :class:`System` of a function."""
+    return lambda equation: System(kind, equation, writes, when)
+
+
+def count(record: Any) -> int:
+    """Return how many numbers a part has: a record, or a single number."""
+    return size(record) if is_record(record) else 1
+
+
+def built(record: Any, values: Iterator[Any]) -> Any:
+    """Return a record, or a single number, of values in the order of its numbers."""
+    if not is_record(record):
+        return next(values)
+    return record(*(built(kind, values) for kind in get_type_hints(record).values()))
+
+
+def constants_of(name: str, record: Any) -> list[tuple[str, Any]]:
+    """Return the numbers of a constant with their types: "name", or "name.leaf" for those of a record or a table."""
+    if record is ex.Cells:
+        return [(f"{name}.{leaf}", float) for leaf in ex.Cells.LEAVES]
+    if not is_record(record):
+        return [(name, record)]
+    return [(f"{name}.{leaf}", kind) for leaf, kind in zip(leaves(record), kinds_of(record), strict=True)]
+
+
+def kinds_of(record: Any) -> list[Any]:
+    """Return the types of a record's numbers."""
+    found: list[Any] = []
+    for kind in get_type_hints(record).values():
+        found += kinds_of(kind) if is_record(kind) else [kind]
+    return found

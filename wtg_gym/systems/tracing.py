@@ -1,0 +1,68 @@
+"""A function's own source, run with other arithmetic: numbers that remember, instead of floats.
+
+Nothing of a model is written twice. An equation is a pure function without branches; with `select`, `min`, `max` and a
+few more exchanged it runs on :class:`~wtg_gym.systems.expressions.Number`, and leaves the program of its result.
+"""
+
+from __future__ import annotations
+
+import math
+import types
+from collections.abc import Callable, Iterator, Mapping
+from types import SimpleNamespace
+from typing import Any
+
+from wtg_gym.systems import expressions as ex
+
+#: Meanings of names in equations while they are traced.
+ARITHMETIC: dict[str, Any] = {
+    "min": ex.smallest,
+    "max": ex.largest,
+    "abs": ex.absolute,
+    "select": ex.select,
+    "fma": ex.multiply_add,
+    "sine_cosine": ex.sine_cosine,
+    "exponential": ex.exponential,
+    "math": SimpleNamespace(
+        sqrt=ex.square_root, floor=ex.floor, ceil=ex.ceil, isfinite=ex.is_finite, inf=math.inf, pi=math.pi
+    ),
+    # Whole numbers are floats in rows: they stay what they are.
+    "np": SimpleNamespace(int64=lambda value: value),
+}
+
+
+def retargeted(
+    function: Any, arithmetic: Mapping[str, Any] = ARITHMETIC, done: dict[Any, Any] | None = None
+) -> Callable[..., Any]:
+    """Return a function's source as a function whose names, and its callees', mean `arithmetic`; compiled or plain."""
+    done = {} if done is None else done
+    source = getattr(function, "py_func", function)
+    if source in done:
+        found: Callable[..., Any] = done[source]
+        return found
+    names = dict(source.__globals__)
+    cells = tuple(types.CellType(cell.cell_contents) for cell in source.__closure__ or ())
+    copy = types.FunctionType(source.__code__, names, source.__name__, source.__defaults__, cells)
+    copy.__kwdefaults__ = source.__kwdefaults__
+    done[source] = copy
+    for cell in cells:
+        if _is_equation(cell.cell_contents):
+            cell.cell_contents = retargeted(cell.cell_contents, arithmetic, done)
+    for name in _names_in(source.__code__):
+        if name in arithmetic:
+            names[name] = arithmetic[name]
+        elif _is_equation(names.get(name)):
+            names[name] = retargeted(names[name], arithmetic, done)
+    return copy
+
+
+def _names_in(code: types.CodeType) -> Iterator[str]:
+    """Yield the global names that a function's code, and functions within it, mention."""
+    yield from code.co_names
+    for constant in code.co_consts:
+        if isinstance(constant, types.CodeType):
+            yield from _names_in(constant)
+
+
+def _is_equation(value: Any) -> bool:
+    return isinstance(getattr(value, "py_func", value), types.FunctionType)

@@ -1,0 +1,175 @@
+"""Traces as machine code: the operations of a system on all lanes of a block at once.
+
+Rows may lie anywhere, and numbers of units are known when the code runs: both are read from a table. No loop over lanes
+is left for the compiler to find, and none over rows, so that one compilation serves every plant.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from typing import Any
+
+from llvmlite import ir
+from numba.core import cgutils
+
+from wtg_gym.systems import elementary
+from wtg_gym.systems import expressions as ex
+from wtg_gym.systems.tracing import ARITHMETIC, retargeted
+
+_DOUBLE, _WHOLE, _BIT = ir.DoubleType(), ir.IntType(64), ir.IntType(1)
+#: Operations that are polynomials of others, and what they are applied to.
+_POLYNOMIALS = {"sine": elementary.sine_cosine, "cosine": elementary.sine_cosine, "exponential": elementary.exponential}
+_COMPARED = {"lt": "<", "le": "<=", "eq": "=="}
+_DIRECT = {"add": "fadd", "sub": "fsub", "mul": "fmul", "div": "fdiv", "neg": "fneg", "and": "and_", "or": "or_"}
+_INTRINSIC = {"fma": "fma", "sqrt": "sqrt", "abs": "fabs", "floor": "floor", "ceil": "ceil"}
+
+
+class Lanes:
+    """Instructions on numbers that have one value per lane: vectors, or plain numbers for a block of one.
+
+    Args:
+        builder: where instructions go.
+        width: lanes of a block.
+        numbers: pointer to the numbers that tables lie among.
+    """
+
+    def __init__(self, builder: Any, width: int, numbers: Any) -> None:
+        self.builder, self.width, self.numbers = builder, width, numbers
+        self.kind = _DOUBLE if width == 1 else ir.VectorType(_DOUBLE, width)
+        self.bits = _BIT if width == 1 else ir.VectorType(_BIT, width)
+
+    def constant(self, value: Any) -> Any:
+        """Return a constant."""
+        kind = self.bits if isinstance(value, bool) else self.kind
+        given = bool(value) if isinstance(value, bool) else float(value)
+        return ir.Constant(kind, given if self.width == 1 else [given] * self.width)
+
+    def spread(self, value: Any) -> Any:
+        """Return a number, the same in all lanes."""
+        if self.width == 1:
+            return value
+        undefined = ir.Constant(self.kind, ir.Undefined)
+        first = self.builder.insert_element(undefined, value, _WHOLE(0))
+        zeros = ir.Constant(ir.VectorType(ir.IntType(32), self.width), [0] * self.width)
+        return self.builder.shuffle_vector(first, undefined, zeros)
+
+    def load(self, pointer: Any) -> Any:
+        """Return what lies at a pointer to the first lane's number."""
+        return self.builder.load(self._of_lanes(pointer), align=8)
+
+    def store(self, value: Any, pointer: Any) -> None:
+        """Write where a pointer to the first lane's number points."""
+        self.builder.store(value, self._of_lanes(pointer), align=8)
+
+    def _of_lanes(self, pointer: Any) -> Any:
+        return pointer if self.width == 1 else self.builder.bitcast(pointer, self.kind.as_pointer())
+
+    def call(self, name: str, *arguments: Any) -> Any:
+        """Return what an intrinsic function of LLVM gives."""
+        suffix = "f64" if self.width == 1 else f"v{self.width}f64"
+        return self._called(f"llvm.{name}.{suffix}", self.kind, arguments)
+
+    def _called(self, name: str, result: Any, arguments: Sequence[Any]) -> Any:
+        kind = ir.FunctionType(result, [argument.type for argument in arguments])
+        return self.builder.call(cgutils.get_or_insert_function(self.builder.module, kind, name), arguments)
+
+    def each(self, operate: Callable[..., Any], *arguments: Any) -> Any:
+        """Return what a function of plain numbers gives in every lane."""
+        if self.width == 1:
+            return operate(*arguments)
+        found = ir.Constant(self.kind, ir.Undefined)
+        for x in range(self.width):
+            value = operate(*(self.builder.extract_element(argument, _WHOLE(x)) for argument in arguments))
+            found = self.builder.insert_element(found, value, _WHOLE(x))
+        return found
+
+    def any_positive(self, value: Any) -> Any:
+        """Return whether a number is above zero in any lane."""
+        above = self.builder.fcmp_ordered(">", value, self.constant(0.0))
+        if self.width == 1:
+            return above
+        return self._called(f"llvm.vector.reduce.or.v{self.width}i1", _BIT, (above,))
+
+    # --- operations of a trace ----------------------------------------------------------------------------------------
+
+    def program(self, values: Iterable[Any], given: Mapping[ex.Number, Callable[[], Any]]) -> Callable[[Any], Any]:
+        """Work out values; return a function that gives each of them as instructions.
+
+        Args:
+            values: what is wanted.
+            given: what gives the symbols among the numbers that they depend on.
+        """
+        known: dict[Any, Any] = {}
+
+        def value_of(number: Any) -> Any:
+            return known[number] if isinstance(number, ex.Number) else self.constant(number)
+
+        for one in ex.needed(values):
+            if one in given:
+                known[one] = given[one]()
+            elif one.operation in _POLYNOMIALS:
+                self._work_out_polynomial(one, value_of, known)
+            else:
+                known[one] = self._operation(one.operation, *(value_of(a) for a in one.arguments))
+        return value_of
+
+    def _work_out_polynomial(self, one: ex.Number, value_of: Callable[[Any], Any], known: dict[Any, Any]) -> None:
+        function = _POLYNOMIALS[one.operation]
+        key = function, one.arguments[0]
+        if key not in known:
+            argument = value_of(one.arguments[0])
+            with ex.making(zeros=False):
+                symbol = ex.symbol("x")
+                results = retargeted(function, ARITHMETIC, {})(symbol)
+                results = results if isinstance(results, tuple) else (results,)
+                inner = self.program(results, {symbol: lambda: argument})
+            known[key] = [inner(result) for result in results]
+        known[one] = known[key][1 if one.operation == "cosine" else 0]
+
+    def _operation(self, operation: str, *a: Any) -> Any:
+        builder = self.builder
+        if operation in _DIRECT:
+            return getattr(builder, _DIRECT[operation])(*a)
+        if operation in _INTRINSIC:
+            return self.call(_INTRINSIC[operation], *a)
+        if operation in _COMPARED:
+            return builder.fcmp_ordered(_COMPARED[operation], *a)
+        if operation == "ne":
+            return builder.fcmp_unordered("!=", *a)
+        if operation == "invert":
+            return builder.not_(*a)
+        if operation == "select":
+            return builder.select(*a)
+        if operation == "max":
+            return builder.select(builder.fcmp_ordered(">", a[1], a[0]), a[1], a[0])
+        if operation == "min":
+            return builder.select(builder.fcmp_ordered("<", a[1], a[0]), a[1], a[0])
+        if operation == "power":
+            kind = ir.FunctionType(_DOUBLE, [_DOUBLE, _DOUBLE])
+            power = cgutils.get_or_insert_function(builder.module, kind, "llvm.pow.f64")
+            return self.each(lambda base, exponent: builder.call(power, (base, exponent)), *a)
+        if operation == "cell":
+            return self.each(self._number_at, *a)
+        raise NotImplementedError(operation)
+
+    def _number_at(self, place: Any) -> Any:
+        whole = self.builder.fptosi(place, _WHOLE)
+        return self.builder.load(self.builder.gep(self.numbers, [whole]))
+
+
+@contextmanager
+def repeated(builder: Any, n: Any) -> Iterator[Any]:
+    """Build a loop whose body runs n times; the context's value is the count from 0 on."""
+    entry = builder.block
+    check, body, done = (builder.append_basic_block(name) for name in ("check", "body", "done"))
+    builder.branch(check)
+    builder.position_at_end(check)
+    count = builder.phi(_WHOLE)
+    count.add_incoming(_WHOLE(0), entry)
+    builder.cbranch(builder.icmp_signed("<", count, n), body, done)
+    builder.position_at_end(body)
+    yield count
+    count.add_incoming(builder.add(count, _WHOLE(1)), builder.block)
+    builder.branch(check)
+    builder.position_at_end(done)
