@@ -244,9 +244,16 @@ class _Writer:
                 for symbol, name in trace.scalars.items()
             },
         }
-        value_of = lanes.program([value for *_, value in trace.stores], given)
-        for name, k, value in trace.stores:
-            lanes.store(value_of(value), self._at(rows[name], k))
+        instruction = lanes.program(given)
+        symbols = {at: symbol for symbol, at in trace.inputs.items()}
+        used = set(ex.needed(value for *_, value in trace.stores))
+        # What belongs to one number of a record is worked out and stored together: few numbers are held at a time.
+        for name, k, value in sorted(trace.stores, key=lambda store: store[1]):
+            found = instruction(value)
+            if symbols.get((name, k)) in used:
+                # What is read later, too, is what was there before.
+                instruction(symbols[name, k])
+            lanes.store(found, self._at(rows[name], k))
 
     def _row(self, place: Place, row: Any) -> Any:
         """Return a pointer to a row."""
@@ -260,7 +267,7 @@ class _Writer:
     def _is_up(self, entry: When | Repeat) -> Any:
         place = entry.lane.find(entry.flag)
         assert place is not None
-        return self.lanes.any_positive(self.lanes.load(self._row(place, self._whole(self._head(entry, 1)))))
+        return self.lanes.any_positive(self.lanes.load(self._row(place, self._head(entry, 1))))
 
     def _repeat(self, entry: Repeat) -> None:
         builder = self.builder

@@ -6,7 +6,7 @@ is left for the compiler to find, and none over rows, so that one compilation se
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import Any
 
@@ -93,37 +93,40 @@ class Lanes:
 
     # --- operations of a trace ----------------------------------------------------------------------------------------
 
-    def program(self, values: Iterable[Any], given: Mapping[ex.Number, Callable[[], Any]]) -> Callable[[Any], Any]:
-        """Work out values; return a function that gives each of them as instructions.
+    def program(self, given: Mapping[ex.Number, Callable[[], Any]]) -> Callable[[Any], Any]:
+        """Return a function that gives numbers of a trace as instructions, with those that they depend on.
 
         Args:
-            values: what is wanted.
-            given: what gives the symbols among the numbers that they depend on.
+            given: what gives the symbols among them.
         """
         known: dict[Any, Any] = {}
 
-        def value_of(number: Any) -> Any:
-            return known[number] if isinstance(number, ex.Number) else self.constant(number)
+        def instruction(number: Any) -> Any:
+            if not isinstance(number, ex.Number):
+                return self.constant(number)
+            for one in ex.needed([number]) if number not in known else ():
+                if one in known:
+                    continue
+                if one in given:
+                    known[one] = given[one]()
+                elif one.operation in _POLYNOMIALS:
+                    self._work_out_polynomial(one, instruction, known)
+                else:
+                    known[one] = self._operation(one.operation, *(instruction(a) for a in one.arguments))
+            return known[number]
 
-        for one in ex.needed(values):
-            if one in given:
-                known[one] = given[one]()
-            elif one.operation in _POLYNOMIALS:
-                self._work_out_polynomial(one, value_of, known)
-            else:
-                known[one] = self._operation(one.operation, *(value_of(a) for a in one.arguments))
-        return value_of
+        return instruction
 
-    def _work_out_polynomial(self, one: ex.Number, value_of: Callable[[Any], Any], known: dict[Any, Any]) -> None:
+    def _work_out_polynomial(self, one: ex.Number, instruction: Callable[[Any], Any], known: dict[Any, Any]) -> None:
         function = _POLYNOMIALS[one.operation]
         key = function, one.arguments[0]
         if key not in known:
-            argument = value_of(one.arguments[0])
+            argument = instruction(one.arguments[0])
             with ex.making(zeros=False):
                 symbol = ex.symbol("x")
                 results = retargeted(function, ARITHMETIC, {})(symbol)
                 results = results if isinstance(results, tuple) else (results,)
-                inner = self.program(results, {symbol: lambda: argument})
+                inner = self.program({symbol: lambda: argument})
             known[key] = [inner(result) for result in results]
         known[one] = known[key][1 if one.operation == "cosine" else 0]
 
