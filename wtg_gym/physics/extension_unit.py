@@ -202,7 +202,7 @@ def stage_of_extended(
     return (*found, *own_found, output, terminal)
 
 
-@system(EXTENSIONS, "state")
+@system(EXTENSIONS, "rotor_speed")
 def keep_energy(
     state: WtgState,
     base: WtgState,
@@ -211,14 +211,7 @@ def keep_energy(
     turbine: Turbine,
     extension: Extension,
     active: float,
-) -> WtgState:
-    """Set the rotor speed of a running lane from the energies of a whole step."""
+) -> float:
+    """Return the rotor speed of a running lane that follows from the energies of a whole step."""
     chopped = own.limits.energy_chopped - own_base.limits.energy_chopped
-    speed = rotor_of_energy(base, state, chopped, turbine, extension)
-    return WtgState(
-        state.converter,
-        select(active > 0.5, speed, state.rotor_speed),
-        state.pitch,
-        state.energy_captured,
-        state.energy_delivered,
-    )
+    return select(active > 0.5, rotor_of_energy(base, state, chopped, turbine, extension), state.rotor_speed)

@@ -15,11 +15,10 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from wtg_gym.physics.extension_unit import COLUMNS, EXTENSIONS
+from wtg_gym.physics.extension_unit import EXTENSIONS
 from wtg_gym.physics.hydro_unit import HYDRO
-from wtg_gym.physics.machine_unit import FIRST_MACHINE, MACHINES
-from wtg_gym.physics.protection import STAGES
-from wtg_gym.physics.units import LANE, PAIRS, UNITS
+from wtg_gym.physics.machine_unit import MACHINES
+from wtg_gym.physics.units import LANE, UNITS
 from wtg_gym.physics.wtg_unit import GROUPS
 from wtg_gym.systems.records import is_record, short_names
 from wtg_gym.systems.systems import Kind, count
@@ -28,8 +27,6 @@ Floats = npt.NDArray[np.float64]
 Whole = npt.NDArray[np.int64]
 #: A tuple of zeros as long as a block is wide; its length is known to the compiler.
 Lanes = tuple[int, ...]
-#: Kinds of unit, in the order of their rows.
-KINDS = (MACHINES, GROUPS, HYDRO, EXTENSIONS, LANE, UNITS, PAIRS, STAGES)
 
 
 def offsets_of(kind: Kind) -> Any:
@@ -63,12 +60,12 @@ class Layout:
 
     Args:
         n_units: how many units of each kind there are, in the order of their rows.
-        hosts: the machine of each hydro governor (n_hydro,).
+        links: which unit of a kind that it sees each unit of a kind means, (n_units,), by kind and label; where it is
+            left out, the lane, or the unit with the same number.
     """
 
-    def __init__(self, n_units: Mapping[Kind, int], hosts: npt.ArrayLike = ()) -> None:
-        self.counts = dict(n_units)
-        self._hosts = np.asarray(hosts, dtype=np.int64)
+    def __init__(self, n_units: Mapping[Kind, int], links: Mapping[tuple[Kind, str], Whole]) -> None:
+        self.counts, self._links = dict(n_units), dict(links)
         self.first, self.n_rows = self._firsts([n_rows_of(kind.rows) for kind in n_units])
         self.first_scratch, self.n_scratch = self._firsts([n_rows_of(kind.scratch) for kind in n_units])
         self._found: dict[tuple[str, str], Whole] = {}
@@ -99,9 +96,7 @@ class Layout:
 
     def n_units(self, kind: Kind) -> int:
         """Return how many units of a kind there are."""
-        if kind is COLUMNS:
-            return self.n_extended * self.n_unit
-        return 1 if kind is FIRST_MACHINE else self.counts.get(kind, 0)
+        return self.counts.get(kind, 0)
 
     def first_rows(self, kind: Kind, part: str) -> Whole:
         """Return the first row of a part of each unit, (n_units,), in the block or in scratch."""
@@ -111,26 +106,10 @@ class Layout:
 
     def seen(self, kind: Kind, label: str) -> Whole:
         """Return which unit of a kind that it sees each unit means, (n_units,)."""
-        n, n_unit = self.n_units(kind), self.n_unit
-        units = np.arange(n)
-        groups = self.n_sync + np.arange(self.n_wtg)
-        row, column = np.divmod(units, max(n_unit, 1))
-        known = {
-            (MACHINES, "unit"): units,
-            (GROUPS, "unit"): groups,
-            (EXTENSIONS, "unit"): groups,
-            (EXTENSIONS, "own_entry_"): groups * (n_unit + 1),
-            (PAIRS, "row_"): row,
-            (PAIRS, "column_"): column,
-            # A column after the other: its entries, the units of its rows, its group.
-            (COLUMNS, "entry"): column * n_unit + self.n_sync + row,
-            (COLUMNS, "unit"): column,
-            (COLUMNS, "group"): row,
-            (HYDRO, "machine"): self._hosts,
-        }
-        if (kind, label) in known:
-            return known[kind, label][:n]
-        return units if self.n_units(kind.sees[label]) == n and n > 1 else np.zeros(n, dtype=np.int64)
+        n = self.n_units(kind)
+        # Of a lane there is one, and what is attached to a unit stands in its place.
+        usual = np.zeros(n, dtype=np.int64) if self.n_units(kind.sees[label]) == 1 else np.arange(n)
+        return self._links.get((kind, label), usual)
 
     # --- by name --------------------------------------------------------------------------------------------------------
 

@@ -37,9 +37,9 @@ FIRST_MACHINE = Kind(name="first machine", sees={"machine": MACHINES, "lane": LA
 
 
 @system(FIRST_MACHINE, "reference_speed")
-def reference(state: MachineState) -> float:
+def reference(speed: float) -> float:
     """Return the speed of the frame of all angles."""
-    return state.speed
+    return speed
 
 
 @system(MACHINES, "emf", "voltage")

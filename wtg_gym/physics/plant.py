@@ -6,13 +6,15 @@ import dataclasses
 import math
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from types import MappingProxyType
+from typing import Any, NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 
 from wtg_gym.physics.aerodynamics import surface_of
 from wtg_gym.physics.checked import Checked
-from wtg_gym.physics.extension_unit import EXTENSIONS
+from wtg_gym.physics.extension_unit import COLUMNS, EXTENSIONS
 from wtg_gym.physics.governor import HydroGovernor, hydro_constants
 from wtg_gym.physics.hydro_unit import HYDRO
 from wtg_gym.physics.ieee14 import modified_ieee14
@@ -20,7 +22,7 @@ from wtg_gym.physics.kernel_data import BranchConstants, BusConstants, Facts, Pl
 from wtg_gym.physics.layout import Layout
 from wtg_gym.physics.machine import Machine, machine_constants
 from wtg_gym.physics.machine_parameters import HydroGovernorParameters
-from wtg_gym.physics.machine_unit import MACHINES
+from wtg_gym.physics.machine_unit import FIRST_MACHINE, MACHINES
 from wtg_gym.physics.network import NetworkCase, branch_admittances
 from wtg_gym.physics.parameters import (
     ConverterLimitParameters,
@@ -210,30 +212,61 @@ def build_plant(settings: PlantSettings) -> Plant:
     )
 
 
-def layout_of(plant: Plant, further: Mapping[Kind, int] | None = None) -> Layout:
+class Further(NamedTuple):
+    """What a caller adds to the physics: kinds of unit of its own, and programs over them."""
+
+    n_units: Mapping[Kind, int]
+    links: Mapping[tuple[Kind, str], npt.NDArray[np.int64]] = MappingProxyType({})
+    programs: tuple[Program, ...] = ()
+    constants: Mapping[tuple[Kind, str], Any] = MappingProxyType({})
+    has: Collection[str] = ()  # what systems of the programs are for
+
+
+def layout_of(plant: Plant, further: Further | None = None) -> Layout:
     """Return where the numbers of a plant's lanes lie, with those of further kinds of unit behind them."""
     n_sync, n_wtg = plant.machines.size, plant.share.size
-    n_unit = n_sync + n_wtg
+    n_unit, n_extended = n_sync + n_wtg, n_wtg * plant.extension.size
+    groups = n_sync + np.arange(n_wtg)
+    row, column = np.divmod(np.arange(n_unit * n_unit), max(n_unit, 1))
+    extended, unit = np.divmod(np.arange(n_extended * n_unit), max(n_unit, 1))
     n_units = {
         MACHINES: n_sync,
         GROUPS: n_wtg,
         HYDRO: plant.hydro.size,
-        EXTENSIONS: n_wtg * plant.extension.size,
+        EXTENSIONS: n_extended,
         LANE: 1,
         UNITS: n_unit,
         PAIRS: n_unit * n_unit,
         STAGES: plant.shedding.size,
+        FIRST_MACHINE: 1,
+        COLUMNS: n_extended * n_unit,
     }
-    return Layout({**n_units, **(further or {})}, plant.hydro["machine"])
+    links = {
+        (MACHINES, "unit"): np.arange(n_sync),
+        (GROUPS, "unit"): groups,
+        (EXTENSIONS, "unit"): groups[:n_extended],
+        (EXTENSIONS, "own_entry_"): (groups * (n_unit + 1))[:n_extended],
+        (EXTENSIONS, "group"): np.arange(n_extended),
+        (PAIRS, "row_"): row,
+        (PAIRS, "column_"): column,
+        # One column after the other: its entries, the units of its rows, its group.
+        (COLUMNS, "entry"): unit * n_unit + n_sync + extended,
+        (COLUMNS, "unit"): unit,
+        (COLUMNS, "group"): extended,
+        (HYDRO, "machine"): plant.hydro["machine"],
+        (FIRST_MACHINE, "machine"): np.zeros(1, dtype=np.int64),
+    }
+    further = further or Further({})
+    return Layout({**n_units, **further.n_units}, {**links, **further.links})
 
 
 class _Arranged:
     """A plant with its layout, as the table of programs asks for it."""
 
-    def __init__(self, plant: Plant, layout: Layout, further: Mapping[tuple[Kind, str], Any], has: Collection[str]):
+    def __init__(self, plant: Plant, layout: Layout, further: Further) -> None:
         self.n_units, self.first_rows, self.seen = layout.n_units, layout.first_rows, layout.seen
         n_wtg, facts = plant.share.size, plant.facts
-        self._has = {"table" if plant.cells.size else "curve", *has}
+        self._has = {"table" if plant.cells.size else "curve", *further.has}
         if not plant.extension.size:
             self._has.add("constant voltage")
         limits = [leaf for leaf in plant.turbine.dtype.names or () if leaf.startswith("limits.")]
@@ -248,7 +281,7 @@ class _Arranged:
             (STAGES, "stage"): plant.shedding,
             (LANE, "limits"): [tuple(plant.turbine[leaf][0] for leaf in limits)],
             **{(LANE, name): facts[name] for name in ("omega_n", "simulation_dt", "trips_groups")},
-            **further,
+            **further.constants,
         }
 
     def constants(self, kind: Kind, name: str) -> Any:
@@ -258,30 +291,11 @@ class _Arranged:
         return what in self._has
 
 
-def arranged(
-    plant: Plant,
-    layout: Layout,
-    programs: Sequence[Program],
-    constants: Mapping[tuple[Kind, str], Any] | None = None,
-    has: Collection[str] = (),
-) -> Plant:
-    """Return a plant that knows where its rows lie.
-
-    Args:
-        plant, layout: of the plant.
-        programs: that are to run.
-        constants: of further kinds of unit, by kind and name.
-        has: what systems of the programs are for, besides what the plant shows itself.
-    """
-    firsts = dict(
-        zip(
-            ("machines", "groups", "hydro", "extensions", "lane", "units", "pairs", "stages"),
-            layout.first.values(),
-            strict=False,
-        )
-    )
+def arranged(plant: Plant, layout: Layout, programs: Sequence[Program], further: Further | None = None) -> Plant:
+    """Return a plant that knows where its rows lie, for programs that are to run."""
+    names = ("machines", "groups", "hydro", "extensions", "lane", "units", "pairs", "stages")
     facts = plant.facts.copy()
-    for name, row in firsts.items():
+    for name, row in zip(names, layout.first.values(), strict=False):
         facts[name] = row
-    table, numbers = build_table(programs, _Arranged(plant, layout, constants or {}, has))
+    table, numbers = build_table(programs, _Arranged(plant, layout, further or Further({})))
     return plant._replace(facts=facts, table=table, numbers=numbers)

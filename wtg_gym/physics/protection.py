@@ -204,7 +204,7 @@ def judge_grid(
     return finding, select(math.isfinite(coi), 1.0, 0.0), healthy_step
 
 
-@system(GROUPS, "given", "finding", "finite", "next_change")
+@system(GROUPS, "connected", "finding", "finite", "next_change")
 def judge_rotor(
     state: WtgState,
     given: WtgInput,
@@ -216,7 +216,7 @@ def judge_rotor(
     step: float,
     active: float,
     trips_groups: bool,
-) -> tuple[WtgInput, float, float, float]:
+) -> tuple[float, float, float, float]:
     """Say whether a rotor has failed; its group trips, or the run has failed with it."""
     limits = turbine.limits
     ratio = tip_speed_ratio(state.rotor_speed, output.wind, turbine.rotor)
@@ -226,10 +226,9 @@ def judge_rotor(
     failure = select(state.rotor_speed < limits.rotor_speed_min, float(Status.UNDER_SPEED), failure)
     failed = (failure > 0.0) & (given.connected > 0.5) & (active > 0.5)
     trips = failed & trips_groups
-    connected = select(trips, 0.0, given.connected)
     is_finite = math.isfinite(state.rotor_speed) & math.isfinite(state.converter.speed)
     return (
-        WtgInput(given.emf, given.law, connected, given.wind_start, given.wind_end),
+        select(trips, 0.0, given.connected),
         select(failed, select(trips_groups, finding, failure), finding),
         select(is_finite, finite, 0.0),
         select(trips, step, next_change),
@@ -244,9 +243,8 @@ def end_run(status: float, active: float, finding: float, finite: float) -> tupl
     return select(stops, finding, status), select(stops, 0.0, active), select(stops, 1.0, 0.0)
 
 
-@system(GROUPS, "given")
-def still_wind(given: WtgInput, output: WtgOutput, stops: float) -> WtgInput:
+@system(GROUPS, "wind_start", "wind_end")
+def still_wind(wind_start: float, wind_end: float, output: WtgOutput, stops: float) -> tuple[float, float]:
     """Let nothing be added in what is left of a control interval once a run has ended, no wind either."""
     still = stops > 0.5
-    start, end = select(still, output.wind, given.wind_start), select(still, output.wind, given.wind_end)
-    return WtgInput(given.emf, given.law, given.connected, start, end)
+    return select(still, output.wind, wind_start), select(still, output.wind, wind_end)

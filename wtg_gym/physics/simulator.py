@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import functools
 import math
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -17,7 +17,7 @@ from wtg_gym.physics.kernel_data import EVENT_DTYPE, NO_EVENT, LaneData
 from wtg_gym.physics.layout import Floats
 from wtg_gym.physics.linearisation import check_step
 from wtg_gym.physics.network_events import network_events
-from wtg_gym.physics.plant import PlantSettings, arranged, build_plant, layout_of
+from wtg_gym.physics.plant import Further, PlantSettings, arranged, build_plant, layout_of
 from wtg_gym.physics.reduction import bus_voltages
 from wtg_gym.physics.scenario import LONGEST_RUN_S, SERIES_DT, Scenario
 from wtg_gym.physics.start_errors import (
@@ -30,8 +30,6 @@ from wtg_gym.physics.start_errors import (
 from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY, TrackingLaw, get_law
 from wtg_gym.physics.units import UNITS
 from wtg_gym.ranges import require_range, require_whole, whole_steps
-from wtg_gym.systems.programs import Program
-from wtg_gym.systems.systems import Kind
 
 #: Lanes per block of a batched simulator; a single run uses a block of one.
 BLOCK_WIDTH = 16
@@ -48,15 +46,6 @@ def _copy(data: LaneData) -> LaneData:
 def _checked_inertias(settings: PlantSettings) -> dict[tuple[TrackingLaw, ...], float]:
     """Return, for the laws of a plant, the smallest inertia scale at which its integration step was checked."""
     return {}
-
-
-class Further(NamedTuple):
-    """What a caller adds to the physics: kinds of unit of its own, and programs over them."""
-
-    n_units: Mapping[Kind, int]
-    programs: tuple[Program, ...] = ()
-    constants: Mapping[tuple[Kind, str], Any] | None = None
-    has: Collection[str] = ()
 
 
 class PreparedLanes(NamedTuple):
@@ -114,10 +103,8 @@ class Simulator:
         # Sample of the load noise in each control interval.
         samples = np.arange(self.n_intervals) * settings.control_dt / SERIES_DT + 1e-9
         self._noise_samples = samples.astype(np.int64)
-        self.layout = layout_of(plant, further.n_units)
-        self.plant = arranged(
-            plant, self.layout, (*PROGRAMS, *further.programs), further.constants, further.has
-        )
+        self.layout = layout_of(plant, further)
+        self.plant = arranged(plant, self.layout, (*PROGRAMS, *further.programs), further)
         self.width = 1 if n_lanes == 1 else BLOCK_WIDTH
         self.lanes = (0,) * self.width
         n_blocks = -(-self.n_lanes // self.width)

@@ -390,7 +390,7 @@ def _system_rows(one: System, plant: Arrangement, n: int) -> list[int]:
 
 
 def _rows_of(kind: Kind, place: Place, plant: Arrangement) -> Whole:
-    found = plant.first_rows(place.kind, place.part)
+    found = plant.first_rows(place.kind, place.part) + place.offset
     return found if not place.seen else found[plant.seen(kind, place.seen)]
 
 

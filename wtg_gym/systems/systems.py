@@ -17,7 +17,7 @@ from dataclasses import dataclass, field
 from typing import Any, NamedTuple, get_type_hints
 
 from wtg_gym.systems import expressions as ex
-from wtg_gym.systems.records import flatten, is_record, leaves, size
+from wtg_gym.systems.records import flatten, is_record, leaves, short_names, size
 from wtg_gym.systems.tracing import ARITHMETIC, retargeted
 
 
@@ -45,12 +45,17 @@ class Kind:
         return id(self)
 
     def find(self, argument: str) -> Place | None:
-        """Return where an argument of a system lies; None for one that is no part."""
+        """Return where an argument of a system lies, a part or a number of a part by its short name; None for neither."""
         for label, kind, name in self._meanings(argument):
-            if name in kind.rows:
-                return Place(kind, label, name, kind.rows[name], in_scratch=False)
-            if name in kind.scratch:
-                return Place(kind, label, name, kind.scratch[name], in_scratch=True)
+            for in_scratch, parts in enumerate((kind.rows, kind.scratch)):
+                if name in parts:
+                    return Place(kind, label, name, parts[name], in_scratch=bool(in_scratch))
+        for label, kind, name in self._meanings(argument):
+            for in_scratch, parts in enumerate((kind.rows, kind.scratch)):
+                for part, record in parts.items():
+                    if is_record(record) and name in short_names(record):
+                        offset = short_names(record).index(name)
+                        return Place(kind, label, part, float, in_scratch=bool(in_scratch), offset=offset)
         return None
 
     def find_constant(self, argument: str) -> Place | None:
@@ -77,6 +82,7 @@ class Place(NamedTuple):
     part: str
     record: Any
     in_scratch: bool
+    offset: int = 0  # of a number within its part
 
 
 #: Numbers that a caller hands to a program with every call.
