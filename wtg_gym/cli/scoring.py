@@ -11,7 +11,6 @@ from typing import Any
 
 from wtg_gym.cli.options import SeedOptions, WorkerOptions
 from wtg_gym.cli.output import note, print_json, print_table, say
-from wtg_gym.envs.compile_ahead import compile_ahead
 from wtg_gym.envs.settings import EnvSettings
 from wtg_gym.evaluation import Entry, Results, evaluate, load_entries, table_cells
 from wtg_gym.evaluation.evaluator import chosen_seeds, shared_settings
@@ -127,7 +126,6 @@ def kept_parts(folder: Path | None) -> Iterator[Path | None]:
 
 def run_evaluation(entries: Sequence[Entry], *, partial: Path | None = None, **options: Any) -> Results:
     """Evaluate with progress on stderr; a policy that fails is left out; `options` are arguments of `evaluate`."""
-    compile_ahead(EnvSettings(suite=options["suite"]))
     with Progress("episodes") as progress:
         return evaluate(entries, on_progress=progress.update, partial=partial, keep_going=True, **options)
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from wtg_gym.cli.output import say
 from wtg_gym.envs import GFMWTGEnv, GFMWTGVectorEnv
-from wtg_gym.envs.compile_ahead import compile_ahead
 from wtg_gym.envs.settings import VERSIONS, EnvSettings
 from wtg_gym.evaluation import evaluate
 from wtg_gym.systems.compiled import cache_folder, compilation
@@ -38,7 +37,6 @@ def warmup() -> int:
 def _compile(version: str) -> None:
     """Use everything of a version of the benchmark once."""
     settings = EnvSettings(version=version)
-    compile_ahead(settings)
     environment: GFMWTGEnv | GFMWTGVectorEnv
     for environment in (GFMWTGEnv(version=version), GFMWTGVectorEnv(2, version=version)):
         environment.reset(seed=0)

@@ -8,10 +8,12 @@ from typing import Any
 
 import numpy as np
 
-from wtg_gym.envs.task_records import GROUP, N_GROUP_ROWS, Task, parts_of
-from wtg_gym.systems.compiled import compiled, inlined
+from wtg_gym.envs.task_records import Task
+from wtg_gym.envs.task_units import ACTING, TASK
+from wtg_gym.systems.compiled import compiled
 from wtg_gym.systems.elementary import clip
-from wtg_gym.physics.layout import WTG_INV_TAU, WTG_K_OFFSET, Floats, Lanes, wtg_row
+from wtg_gym.systems.systems import system
+from wtg_gym.physics.layout import Floats
 
 #: Full action multiplies or divides the damping time constant by this.
 TIME_CONSTANT_RATIO = 4.0
@@ -27,24 +29,27 @@ def first_invalid_action(actions: Floats) -> int:
     return -1
 
 
-@inlined
-def apply_actions(block: Floats, c: Any, task: Task, actions: Floats, lanes: Lanes) -> None:
-    """Turn actions (count, n_action) into offsets on k and scales on τ; zero leaves the law to the last bit."""
-    width, parts = len(lanes), parts_of(c, task)
-    n_action = int(task.modulates_k) + int(task.modulates_tau)
-    for x in range(actions.shape[0]):
-        for j in range(c["share"].shape[0]):
-            o = wtg_row(c, j) * width + x
-            g = (parts.groups + j * N_GROUP_ROWS) * width + x
-            if task.modulates_k:
-                action = clip(actions[x, j * n_action], -1.0, 1.0)
-                block[g + GROUP.action_k * width] = action
-                block[o + WTG_K_OFFSET * width] = task.k_authority * action
-            if task.modulates_tau:
-                action = clip(actions[x, j * n_action + n_action - 1], -1.0, 1.0)
-                block[g + GROUP.action_tau * width] = action
-                scale = TIME_CONSTANT_RATIO**-action
-                block[o + WTG_INV_TAU * width] = block[g + GROUP.base_inv_tau * width] * scale
+@system(ACTING, "action_k", "k_offset", when="modulates k")
+def act_on_k(on_k: float, task: Task) -> tuple[float, float]:
+    """Turn an action into an offset on k; zero leaves the law to the last bit."""
+    action = clip(on_k, -1.0, 1.0)
+    return action, task.k_authority * action
+
+
+@system(ACTING, "action_tau", "inv_tau", when="modulates tau")
+def act_on_tau(on_tau: float, base_inv_tau: float) -> tuple[float, float]:
+    """Turn an action into a scale on τ; zero leaves the law to the last bit."""
+    action = clip(on_tau, -1.0, 1.0)
+    return action, base_inv_tau * TIME_CONSTANT_RATIO**-action
+
+
+@system(TASK, "was_active")
+def note_active(active: float) -> float:
+    """Remember whether a lane runs."""
+    return active
+
+
+ACT = (act_on_k, act_on_tau, note_active)
 
 
 def as_actions(given: Any, shape: tuple[int, ...]) -> Floats:

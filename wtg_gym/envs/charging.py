@@ -1,4 +1,4 @@
-"""The loops of the cost, and the history of frequency and actions that cost, sensors and observation share.
+"""Systems of the cost, and of the history of frequency and actions that cost, sensors and observation share.
 
 The equations are in :mod:`wtg_gym.envs.cost`.
 """
@@ -6,7 +6,6 @@ The equations are in :mod:`wtg_gym.envs.cost`.
 from __future__ import annotations
 
 import math
-from typing import Any
 
 from wtg_gym.envs.cost import (
     CONSTRAINT_FREQUENCY_HZ,
@@ -19,181 +18,199 @@ from wtg_gym.envs.cost import (
     rocof_cost,
     total_cost,
 )
-from wtg_gym.envs.task_records import (
-    N_GROUP_ROWS,
-    N_SENSED_ROWS,
-    TASK,
-    CostTerms,
-    GroupRows,
-    SensedRows,
-    Task,
-    load_group,
-    load_sensed,
-    load_terms,
-    parts_of,
-    store_group,
-    store_sensed,
-    store_terms,
-)
-from wtg_gym.systems.compiled import inlined
+from wtg_gym.envs.task_records import CostTerms, GroupRows, Task
+from wtg_gym.envs.task_units import ACTING, SENSED, SHIFTS, TASK, WINDOW
+from wtg_gym.physics.wind_turbine import Turbine, WtgOutput, WtgState
 from wtg_gym.systems.elementary import select
-from wtg_gym.physics.layout import (
-    LANE,
-    WTG,
-    Floats,
-    Lanes,
-    load_wtg_output,
-    load_wtg_state,
-    read_turbine,
-    rows_of,
-    wtg_row,
-)
-from wtg_gym.systems.records import elementwise
+from wtg_gym.systems.records import each
+from wtg_gym.systems.systems import system
 
 
-@inlined
-def charge(block: Floats, c: Any, task: Task, sensed: bool, lanes: Lanes) -> None:
-    """Charge the lanes that ran for the last control interval."""
-    _update_rocof(block, c, task, lanes)
-    _charge_frequency(block, c, task, lanes)
-    _charge_groups(block, c, task, sensed, lanes)
-    width, parts = len(lanes), parts_of(c, task)
-    own, of_task = rows_of(c).lane * width, parts.lane * width
-    for x in range(width):
-        ran = block[of_task + TASK.was_active * width + x] > 0.5
-        failed = block[own + LANE.status * width + x] != 0.0
-        left = block[of_task + TASK.end_step * width + x] - block[own + LANE.step * width + x]
-        elapsed = block[of_task + TASK.elapsed * width + x]
-        rates = load_terms(block, of_task + TASK.rates * width + x, width)
-        new = interval_cost(rates, elapsed, left * c["simulation_dt"], failed, task)
-        sums = load_terms(block, of_task + TASK.sums * width + x, width)
-        terms = load_terms(block, of_task + TASK.terms * width + x, width)
-        violated = select(failed, 1.0, block[of_task + TASK.violated * width + x])
-        store_terms(_chosen(new, terms, ran), block, of_task + TASK.terms * width + x, width)
-        store_terms(_added(new, sums, ran), block, of_task + TASK.sums * width + x, width)
-        block[of_task + TASK.cost * width + x] = total_cost(new)
-        block[of_task + TASK.constraint * width + x] = select(
-            ran, violated, block[of_task + TASK.constraint * width + x]
-        )
-        block[of_task + TASK.constraint_sum * width + x] += select(ran, violated, 0.0)
-        block[of_task + TASK.duty_error * width + x] += select(
-            ran, block[of_task + TASK.error * width + x] * elapsed, 0.0
-        )
+@system(TASK, "interval", "begins")
+def count_interval(was_active: float, interval: float, step: float, task: Task) -> tuple[float, float]:
+    """Count control intervals; a run that ends early in one has not begun another."""
+    newest = select(was_active > 0.5, _rounded(step / task.n_substeps), interval)
+    return newest, select(newest > interval, 1.0, 0.0)
 
 
-@inlined
-def _choose(new: float, old: float, ran: bool) -> float:
-    return select(ran, new, old)
-
-
-@inlined
-def _add(new: float, total: float, ran: bool) -> float:
-    return total + select(ran, new, 0.0)
-
-
-_chosen = elementwise(CostTerms, _choose, "chosen", "new, old", "ran")
-_added = elementwise(CostTerms, _add, "added", "new, total", "ran")
-
-
-@inlined
-def _charge_frequency(block: Floats, c: Any, task: Task, lanes: Lanes) -> None:
-    """Begin the rates of the cost with those of the frequency, and find how long the interval lasted."""
-    width, parts = len(lanes), parts_of(c, task)
-    own, of_task = rows_of(c).lane * width, parts.lane * width
-    n_substeps, dt = float(c["n_substeps"]), c["simulation_dt"]
-    for x in range(width):
-        step = block[own + LANE.step * width + x]
-        deviation = abs(block[own + LANE.coi * width + x] - 1.0) * task.nominal_hz
-        frequency = task.weights.frequency * frequency_cost(deviation)
-        rocof = task.weights.rocof * rocof_cost(block[of_task + TASK.rocof * width + x])
-        rates = CostTerms(frequency, rocof, 0.0, 0.0, 0.0, 0.0, 0.0)
-        store_terms(rates, block, of_task + TASK.rates * width + x, width)
-        # A run can end within the interval: the time after that is the failure's.
-        unspent = math.ceil(step / n_substeps) * n_substeps - step
-        block[of_task + TASK.elapsed * width + x] = task.control_dt - unspent * dt
-        block[of_task + TASK.violated * width + x] = select(deviation > CONSTRAINT_FREQUENCY_HZ, 1.0, 0.0)
-        block[of_task + TASK.error * width + x] = 0.0
-
-
-@inlined
-def _charge_groups(block: Floats, c: Any, task: Task, sensed: bool, lanes: Lanes) -> None:
-    """Add the rates of every WTG group, and remember its frequency and its actions."""
-    width, parts = len(lanes), parts_of(c, task)
-    of_task = parts.lane * width
-    turbine = read_turbine(c["turbine"])
-    n_wtg = c["share"].shape[0]
-    for j in range(n_wtg):
-        o, g = wtg_row(c, j) * width, (parts.groups + j * N_GROUP_ROWS) * width
-        for x in range(width):
-            ran = block[of_task + TASK.was_active * width + x] > 0.5
-            state, group = load_wtg_state(block, o + x, width), load_group(block, g + x, width)
-            costs = group_deviations(state, load_wtg_output(block, o + WTG.output * width + x, width), turbine, task)
-            duty, there = costs.duty, 1.0
-            if sensed:
-                own = load_sensed(block, (parts.sensed + j * N_SENSED_ROWS) * width + x, width)
-                # A group that an event (GroupTrip) has disconnected is charged nothing.
-                there = select(block[rows_of(c).lane * width + LANE.step * width + x] <= own.leaves_at, 1.0, 0.0)
-                costs = GroupDeviations(
-                    there * costs.duty, there * costs.rotor, there * costs.overload, there * costs.available
-                )
-                duty = there * filtered_duty(own.mean_duty, costs.duty, ran, task)
-                own = SensedRows(own.sensors, own.wind_bias, own.leaves_at, duty)
-                store_sensed(own, block, (parts.sensed + j * N_SENSED_ROWS) * width + x, width)
-            rates = load_terms(block, of_task + TASK.rates * width + x, width)
-            rates = add_group_costs(rates, costs, duty, there, group, task, n_wtg)
-            store_terms(rates, block, of_task + TASK.rates * width + x, width)
-            violated = select(
-                (costs.rotor > 0.0) | (costs.overload > 0.0), 1.0, block[of_task + TASK.violated * width + x]
-            )
-            block[of_task + TASK.violated * width + x] = violated
-            block[of_task + TASK.error * width + x] += 0.05 * abs(costs.duty) / n_wtg
-            energy = c["share"][j] * costs.available * block[of_task + TASK.elapsed * width + x]
-            block[of_task + TASK.available_energy * width + x] += select(ran, energy, 0.0)
-            speed = state.converter.speed
-            change = (speed - group.last_speed) / task.control_dt
-            seen = GroupRows(
-                base_inv_tau=group.base_inv_tau,
-                last_speed=select(ran, speed, group.last_speed),
-                rocof=select(ran, change * task.nominal_hz, group.rocof),
-                last_action_k=select(ran, group.action_k, group.last_action_k),
-                last_action_tau=select(ran, group.action_tau, group.last_action_tau),
-                action_k=group.action_k,
-                action_tau=group.action_tau,
-            )
-            store_group(seen, block, g + x, width)
-
-
-@inlined
-def _update_rocof(block: Floats, c: Any, task: Task, lanes: Lanes) -> None:
-    """Put the new frequency into the history of lanes that ran, and find its rate of change over the window [Hz/s]."""
-    width, parts = len(lanes), parts_of(c, task)
-    own, of_task, newest = rows_of(c).lane * width, parts.lane * width, (parts.groups - 1) * width
-    n_substeps = float(c["n_substeps"])
-    for x in range(width):
-        ran = block[of_task + TASK.was_active * width + x] > 0.5
-        before = block[of_task + TASK.interval * width + x]
-        interval = select(ran, _rounded(block[own + LANE.step * width + x] / n_substeps), before)
-        # A run that ends early in an interval replaces the newest frequency instead.
-        block[of_task + TASK.begins * width + x] = select(interval > before, 1.0, 0.0)
-        block[of_task + TASK.interval * width + x] = interval
-    for row in range(parts.history, parts.groups - 1):
-        for x in range(width):
-            begins = block[of_task + TASK.begins * width + x] > 0.5
-            block[row * width + x] = select(begins, block[(row + 1) * width + x], block[row * width + x])
-    for x in range(width):
-        ran = block[of_task + TASK.was_active * width + x] > 0.5
-        coi = block[own + LANE.coi * width + x]
-        change = (coi - block[parts.history * width + x]) * task.nominal_hz
-        rocof = select(ran, change / (task.n_window * task.control_dt), block[of_task + TASK.rocof * width + x])
-        block[newest + x] = select(ran, coi, block[newest + x])
-        block[of_task + TASK.rocof * width + x] = rocof
-        largest = block[of_task + TASK.largest_rocof * width + x]
-        block[of_task + TASK.largest_rocof * width + x] = max(largest, abs(rocof))
-
-
-@inlined
 def _rounded(value: float) -> float:
     """Return the nearest whole number, the even one of two."""
     up = math.floor(value + 0.5)
     odd = up - 2.0 * math.floor(0.5 * up)
     return select((up - value == 0.5) & (odd == 1.0), up - 1.0, up)
+
+
+@system(SHIFTS, "frequency")
+def shift_history(frequency: float, next_frequency: float, begins: float) -> float:
+    """Move the history on where an interval begins; else the newest frequency is replaced."""
+    return select(begins > 0.5, next_frequency, frequency)
+
+
+@system(WINDOW, "newest_frequency", "rocof", "largest_rocof")
+def rate_of_change(
+    oldest_frequency: float,
+    newest_frequency: float,
+    coi: float,
+    was_active: float,
+    rocof: float,
+    largest_rocof: float,
+    task: Task,
+) -> tuple[float, float, float]:
+    """Put the new frequency into the history, and find its rate of change over the window [Hz/s]."""
+    ran = was_active > 0.5
+    change = (coi - oldest_frequency) * task.nominal_hz
+    new = select(ran, change / (task.n_window * task.control_dt), rocof)
+    return select(ran, coi, newest_frequency), new, max(largest_rocof, abs(new))
+
+
+@system(TASK, "term_rates", "elapsed", "violated", "error")
+def charge_frequency(
+    step: float, coi: float, rocof: float, task: Task, simulation_dt: float
+) -> tuple[CostTerms, float, float, float]:
+    """Begin the rates of the cost with those of the frequency, and find how long the interval lasted."""
+    deviation = abs(coi - 1.0) * task.nominal_hz
+    frequency, on_rocof = task.weights.frequency * frequency_cost(deviation), task.weights.rocof * rocof_cost(rocof)
+    # A run can end within the interval: the time after that is the failure's.
+    unspent = math.ceil(step / task.n_substeps) * task.n_substeps - step
+    return (
+        CostTerms(frequency, on_rocof, 0.0, 0.0, 0.0, 0.0, 0.0),
+        task.control_dt - unspent * simulation_dt,
+        select(deviation > CONSTRAINT_FREQUENCY_HZ, 1.0, 0.0),
+        0.0,
+    )
+
+
+def _charged(
+    term_rates: CostTerms,
+    violated: float,
+    error: float,
+    available_energy: float,
+    costs: GroupDeviations,
+    duty: float,
+    there: float,
+    group: GroupRows,
+    share: float,
+    elapsed: float,
+    was_active: float,
+    task: Task,
+) -> tuple[CostTerms, float, float, float]:
+    """Return the lane's sums with a WTG group added; see :func:`~wtg_gym.envs.cost.add_group_costs`."""
+    beyond = (costs.rotor > 0.0) | (costs.overload > 0.0)
+    energy = share * costs.available * elapsed
+    return (
+        add_group_costs(term_rates, costs, duty, there, group, task),
+        select(beyond, 1.0, violated),
+        error + 0.05 * abs(costs.duty) / task.n_groups,
+        available_energy + select(was_active > 0.5, energy, 0.0),
+    )
+
+
+@system(ACTING, "term_rates", "violated", "error", "available_energy", when="exact")
+def charge_group(
+    term_rates: CostTerms,
+    violated: float,
+    error: float,
+    available_energy: float,
+    state: WtgState,
+    output: WtgOutput,
+    group: GroupRows,
+    turbine: Turbine,
+    share: float,
+    elapsed: float,
+    was_active: float,
+    task: Task,
+) -> tuple[CostTerms, float, float, float]:
+    """Add the rates of a WTG group to those of the lane."""
+    costs = group_deviations(state, output, turbine, task)
+    return _charged(
+        term_rates, violated, error, available_energy, costs, costs.duty, 1.0, group, share, elapsed, was_active, task
+    )
+
+
+@system(SENSED, "term_rates", "violated", "error", "available_energy", "mean_duty")
+def charge_sensed_group(
+    term_rates: CostTerms,
+    violated: float,
+    error: float,
+    available_energy: float,
+    mean_duty: float,
+    leaves_at: float,
+    state: WtgState,
+    output: WtgOutput,
+    group: GroupRows,
+    turbine: Turbine,
+    share: float,
+    step: float,
+    elapsed: float,
+    was_active: float,
+    task: Task,
+) -> tuple[CostTerms, float, float, float, float]:
+    """Add the rates of a WTG group whose duty is filtered; one that an event has disconnected is charged nothing."""
+    costs = group_deviations(state, output, turbine, task)
+    there = select(step <= leaves_at, 1.0, 0.0)
+    costs = GroupDeviations(there * costs.duty, there * costs.rotor, there * costs.overload, there * costs.available)
+    duty = there * filtered_duty(mean_duty, costs.duty, was_active > 0.5, task)
+    charged = _charged(
+        term_rates, violated, error, available_energy, costs, duty, there, group, share, elapsed, was_active, task
+    )
+    return (*charged, duty)
+
+
+@system(ACTING, "group")
+def remember_group(group: GroupRows, state: WtgState, was_active: float, task: Task) -> GroupRows:
+    """Remember a group's frequency and actions."""
+    ran, speed = was_active > 0.5, state.converter.speed
+    change = (speed - group.last_speed) / task.control_dt
+    return GroupRows(
+        base_inv_tau=group.base_inv_tau,
+        last_speed=select(ran, speed, group.last_speed),
+        rocof=select(ran, change * task.nominal_hz, group.rocof),
+        last_action_k=select(ran, group.action_k, group.last_action_k),
+        last_action_tau=select(ran, group.action_tau, group.last_action_tau),
+        action_k=group.action_k,
+        action_tau=group.action_tau,
+    )
+
+
+@system(TASK, "terms", "sums", "cost", "constraint", "constraint_sum", "duty_error")
+def charge_lane(
+    term_rates: CostTerms,
+    terms: CostTerms,
+    sums: CostTerms,
+    constraint: float,
+    constraint_sum: float,
+    duty_error: float,
+    violated: float,
+    error: float,
+    elapsed: float,
+    end_step: float,
+    step: float,
+    status: float,
+    was_active: float,
+    task: Task,
+    simulation_dt: float,
+) -> tuple[CostTerms, CostTerms, float, float, float, float]:
+    """Charge a lane that ran for the last control interval."""
+    ran, failed = was_active > 0.5, status != 0.0
+    new = interval_cost(term_rates, elapsed, (end_step - step) * simulation_dt, failed, task)
+    now = select(failed, 1.0, violated)
+    return (
+        each(lambda charged, before: select(ran, charged, before), new, terms),
+        each(lambda charged, total: total + select(ran, charged, 0.0), new, sums),
+        total_cost(new),
+        select(ran, now, constraint),
+        constraint_sum + select(ran, now, 0.0),
+        duty_error + select(ran, error * elapsed, 0.0),
+    )
+
+
+CHARGE = (
+    count_interval,
+    shift_history,
+    rate_of_change,
+    charge_frequency,
+    charge_group,
+    charge_sensed_group,
+    remember_group,
+    charge_lane,
+)

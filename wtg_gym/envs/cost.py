@@ -9,7 +9,6 @@ from __future__ import annotations
 from typing import NamedTuple
 
 from wtg_gym.envs.task_records import CostTerms, GroupRows, Task
-from wtg_gym.systems.compiled import inlined
 from wtg_gym.physics.converter import tracking_coefficient
 from wtg_gym.systems.elementary import select
 from wtg_gym.physics.wind_turbine import Turbine, WtgOutput, WtgState, tip_speed_ratio
@@ -28,28 +27,24 @@ class GroupDeviations(NamedTuple):
     available: float
 
 
-@inlined
 def frequency_cost(deviation_hz: float) -> float:
     """Return the cost of a frequency deviation [Hz]: quadratic within 0.2 Hz, linear and steeper outside."""
     ratio = deviation_hz / 0.2
     return select(ratio < 1.0, ratio * ratio, 1.0 + 8.0 * (ratio - 1.0))
 
 
-@inlined
 def rocof_cost(rocof_hz_s: float) -> float:
     """Return the cost of a rate of change of frequency [Hz/s]."""
     ratio = rocof_hz_s / 0.2
     return ratio * ratio
 
 
-@inlined
 def duty_cost(duty: float) -> float:
     """Return the cost of a duty error: quadratic within one unit, linear outside (Huber)."""
     size = abs(duty)
     return select(size < 1.0, size * size, 2.0 * size - 1.0)
 
 
-@inlined
 def filtered_duty(mean: float, duty: float, ran: bool, task: Task) -> float:
     """Return the duty error behind its filter, one control interval later; an early end counts as a whole interval.
 
@@ -62,7 +57,6 @@ def filtered_duty(mean: float, duty: float, ran: bool, task: Task) -> float:
     return mean + select(ran, task.duty_gain, 0.0) * (duty - mean)
 
 
-@inlined
 def group_deviations(s: WtgState, output: WtgOutput, t: Turbine, task: Task) -> GroupDeviations:
     """Return the deviations of one WTG group.
 
@@ -89,16 +83,14 @@ def group_deviations(s: WtgState, output: WtgOutput, t: Turbine, task: Task) -> 
     )
 
 
-@inlined
 def effort(action: float, last: float) -> float:
     """Return the cost of an action and of its change."""
     change = action - last
     return action * action + 4.0 * change * change
 
 
-@inlined
 def add_group_costs(
-    terms: CostTerms, costs: GroupDeviations, duty: float, there: float, group: GroupRows, task: Task, n_wtg: int
+    terms: CostTerms, costs: GroupDeviations, duty: float, there: float, group: GroupRows, task: Task
 ) -> CostTerms:
     """Return the terms with the costs of one WTG group added.
 
@@ -109,12 +101,10 @@ def add_group_costs(
         there: 0 for a group that an event has disconnected: its actions move nothing and cost nothing. Else 1.
         group: its actions.
         task: constants.
-        n_wtg: number of groups.
     """
-    w = task.weights
-    n_actions = n_wtg * (int(task.modulates_k) + int(task.modulates_tau))
-    on_k = there * w.effort * effort(group.action_k, group.last_action_k) / n_actions
-    on_tau = there * w.effort * effort(group.action_tau, group.last_action_tau) / n_actions
+    w, n_wtg = task.weights, task.n_groups
+    on_k = there * w.effort * effort(group.action_k, group.last_action_k) / task.n_actions
+    on_tau = there * w.effort * effort(group.action_tau, group.last_action_tau) / task.n_actions
     acted = terms.effort + select(task.modulates_k, on_k, 0.0)
     return CostTerms(
         frequency=terms.frequency,
@@ -127,7 +117,6 @@ def add_group_costs(
     )
 
 
-@inlined
 def interval_cost(terms: CostTerms, elapsed: float, unserved: float, failed: bool, task: Task) -> CostTerms:
     """Return the terms of the cost of an interval.
 
@@ -151,7 +140,6 @@ def interval_cost(terms: CostTerms, elapsed: float, unserved: float, failed: boo
     )
 
 
-@inlined
 def total_cost(terms: CostTerms) -> float:
     """Return the sum of all terms."""
     rates = terms.frequency + terms.rocof + terms.duty + terms.rotor + terms.overload + terms.effort

@@ -11,25 +11,27 @@ import numpy as np
 import numpy.typing as npt
 
 from wtg_gym.envs.actions import TIME_CONSTANT_RATIO, first_invalid_action
-from wtg_gym.envs.observation import N_LOCAL, observation_names
+from wtg_gym.envs.observation import N_LOCAL, N_MEASURED, observation_names
 from wtg_gym.envs.settings import ACTION_MODES, EnvSettings
 from wtg_gym.envs.task import (
     Outputs,
     bind,
-    build_task,
     can_bind,
     new_outputs,
     start_tasks,
     step_blocks,
     step_bound,
+    task_data,
+    task_of,
 )
-from wtg_gym.envs.task_records import N_MEASURED, CostTerms, Info, TaskRows, n_extra_rows
+from wtg_gym.envs.task_records import CostTerms, Info
+from wtg_gym.envs.task_units import ACTING, HISTORY, SENSED, SENSORS, TASK
 from wtg_gym.physics.kernel_data import LaneData
 from wtg_gym.physics.linearisation import STEP_MARGIN, largest_stable_steps
 from wtg_gym.physics.protection import Status
-from wtg_gym.systems.records import flatten, leaves
+from wtg_gym.systems.records import flatten, size
 from wtg_gym.physics.scenario import Event, GroupTrip, Scenario
-from wtg_gym.physics.sensors import delay_intervals, sensor_input
+from wtg_gym.physics.sensors import SensorInput, delay_intervals, sensor_input
 from wtg_gym.physics.simulator import PreparedLanes, Simulator
 from wtg_gym.ranges import whole_steps
 from wtg_gym.scenarios import get_suite
@@ -68,7 +70,8 @@ class PreparedEpisodes(NamedTuple):
     n_intervals: npt.NDArray[np.int64]
     scenario_seeds: npt.NDArray[np.int64]
     events: tuple[tuple[Event, ...], ...]
-    sensors: Floats  # (n, any number), see start_tasks
+    observations: npt.NDArray[np.float32]  # (n, n_observation)
+    infos: Floats  # (n, n_info)
 
 
 class TaskLanes:
@@ -105,14 +108,12 @@ class TaskLanes:
             plant,
             n_lanes=n_lanes,
             duration_s=self.duration_s,
-            n_extra=n_extra_rows(
-                self.n_wtg, settings.control_dt, self.n_observation, sensed=self.suite.benchmark.sensed
-            ),
+            further=task_of(settings),
             n_threads=n_threads,
         )
         self.n_lanes = self.simulator.n_lanes
         self.nominal_hz = plant.case.frequency_hz
-        self.task = build_task(settings)
+        self.task = task_data(settings, self.simulator.layout)
         self._check_time_constants()
         self._check_draws()
         self.n_action = self.n_wtg * sum(ACTION_MODES[settings.action_mode])
@@ -199,16 +200,45 @@ class TaskLanes:
         durations = [min(scenario.duration_s, self.duration_s) for scenario in scenarios]
         intervals = [whole_steps("scenario duration_s", length, dt, "control step") for length in durations]
         seeds = [-1 if scenario.seed is None else scenario.seed for scenario in scenarios]
+        n_intervals = np.array(intervals, dtype=np.int64)
+        outputs = self._start_tasks(lanes.rows, scenarios, n_intervals)
         return PreparedEpisodes(
             lanes,
-            np.array(intervals, dtype=np.int64),
+            n_intervals,
             np.array(seeds, dtype=np.int64),
             tuple(tuple(sorted(scenario.events, key=lambda event: event.time_s)) for scenario in scenarios),
-            np.array([self._sensor_numbers(scenario) for scenario in scenarios]),
+            outputs.observations,
+            outputs.infos,
         )
 
+    def _start_tasks(
+        self, rows: Floats, scenarios: Sequence[Scenario], n_intervals: npt.NDArray[np.int64]
+    ) -> Outputs:
+        """Write the task's rows of prepared lanes (n, n_rows); return what their episodes begin with."""
+        simulator, layout = self.simulator, self.simulator.layout
+        rows[:, layout.first_rows(TASK, "end_step")[0]] = n_intervals * simulator.plant.n_substeps
+        rows[:, layout.first_rows(HISTORY, "frequency")] = 1.0
+        group = layout.first_rows(ACTING, "group")
+        rows[:, group], rows[:, group + 1] = rows[:, layout.wtg("inv_tau")], rows[:, layout.wtg("speed")]
+        if self.suite.benchmark.sensed:
+            first = layout.first_rows(SENSORS, "sensor_input")[0]
+            places = [
+                *range(first, first + size(SensorInput)),
+                *layout.first_rows(SENSED, "wind_bias"),
+                *layout.first_rows(SENSED, "leaves_at"),
+            ]
+            rows[:, places] = [self._sensor_numbers(scenario) for scenario in scenarios]
+        else:
+            for scenario in scenarios:
+                self._sensor_numbers(scenario)
+        outputs = new_outputs(len(rows), self.n_observation)
+        start_tasks(
+            rows, simulator.new_scratch(1), simulator.plant, self.task, outputs.observations, outputs.infos, (0,)
+        )
+        return outputs
+
     def _sensor_numbers(self, scenario: Scenario) -> list[float]:
-        """Return what :func:`start_tasks` is to know of a scenario's sensors; nothing without sensors."""
+        """Return the constants of a scenario's sensors, and of each group the bias of its wind and when it leaves."""
         sensors = scenario.sensors
         if not self.suite.benchmark.sensed:
             if sensors is not None:
@@ -245,16 +275,9 @@ class TaskLanes:
         index = np.array(lanes, dtype=np.int64)
         taken = np.arange(index.size) if places is None else np.array(places, dtype=np.int64)
         simulator.start(index, episodes.lanes, places=taken)
-        start_tasks(
-            simulator.blocks,
-            index,
-            simulator.plant,
-            self.task,
-            (episodes.n_intervals[taken] * simulator.plant.n_substeps).astype(np.float64),
-            episodes.sensors[taken],
-            self.outputs,
-            simulator.lanes,
-        )
+        outputs = self.outputs
+        outputs.observations[index], outputs.infos[index] = episodes.observations[taken], episodes.infos[taken]
+        outputs.rewards[index], outputs.terminated[index], outputs.truncated[index] = 0.0, False, False
         self.scenario_seeds[index] = episodes.scenario_seeds[taken]
         for lane, place in zip(index.tolist(), taken.tolist(), strict=True):
             self.events[lane] = episodes.events[place]
@@ -278,7 +301,9 @@ class TaskLanes:
         """
         simulator = self.simulator
         if self._bound is None and self.n_lanes == 1 and can_bind():
-            self._bound = bind(simulator.blocks, simulator.plant, simulator.data, self.task, self.outputs)
+            self._bound = bind(
+                simulator.blocks, simulator.scratch(0), simulator.plant, simulator.data, self.task, self.outputs
+            )
         if self._bound is None:
             invalid = first_invalid_action(actions)
         else:
@@ -290,8 +315,9 @@ class TaskLanes:
                 meanwhile()
             return
         simulator.threads.run(
-            lambda first, last: step_blocks(
+            lambda first, last, worker: step_blocks(
                 simulator.blocks,
+                simulator.scratch(worker),
                 first,
                 last,
                 simulator.plant,
@@ -314,12 +340,13 @@ class TaskLanes:
         return self.outputs.terminated.copy(), self.outputs.truncated.copy()
 
     def task_values(self, name: str) -> Floats:
-        """Return a number of the task of every lane by its name in :class:`TaskRows`, (n_lanes,)."""
-        return self.simulator.values(self.simulator.layout.rows.extra + leaves(TaskRows).index(name))
+        """Return a number of the task of every lane by its name in :data:`~wtg_gym.envs.task_units.TASK`, (n_lanes,)."""
+        return self.simulator.values(self.simulator.layout.first_rows(TASK, name)[0])
 
     def cost_sums(self) -> Floats:
         """Return each lane's costs of the episode so far, (n_lanes, n_terms), in the order of `COST_TERMS`."""
-        return np.stack([self.task_values(f"sums.{term}") for term in CostTerms._fields], axis=1)
+        first = self.simulator.layout.first_rows(TASK, "sums")[0]
+        return np.stack([self.simulator.values(first + i) for i in range(size(CostTerms))], axis=1)
 
     def info_arrays(self) -> dict[str, npt.NDArray[Any]]:
         """Return every key of `info` as an array over lanes: copies, except the reasons while no lane has failed."""

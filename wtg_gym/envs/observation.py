@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Annotated, NamedTuple, get_type_hints
+from typing import Annotated, Any, NamedTuple, get_type_hints
 
 from wtg_gym.envs.settings import ACTION_MODES
-from wtg_gym.envs.task_records import N_MEASURED as N_MEASURED
 from wtg_gym.envs.task_records import GroupRows, MeasuredObservation, Task
-from wtg_gym.systems.compiled import inlined
 from wtg_gym.systems.elementary import clip
 from wtg_gym.physics.machine import Machine, MachineOutput, MachineState
-from wtg_gym.systems.records import elementwise, size, storer
+from wtg_gym.systems.records import each, size
 from wtg_gym.physics.sensors import Measurement
 from wtg_gym.physics.wind_turbine import Rotor, Turbine, WtgOutput, WtgState, tip_speed_ratio
 
@@ -49,40 +47,27 @@ class GridObservation(NamedTuple):
     torque: Annotated[float, "100 MVA", "mechanical torque of all machines"]
 
 
-N_LOCAL, N_MACHINE = size(WtgObservation), size(MachineObservation)
-
-store_wtg_observation, store_machine_observation = storer(WtgObservation), storer(MachineObservation)
-store_grid_observation, store_measured = storer(GridObservation), storer(MeasuredObservation)
+N_LOCAL, N_MEASURED = size(WtgObservation), size(MeasuredObservation)
 
 
-@inlined
-def _bounded(value: float, bound: float) -> float:
-    return clip(value, -bound, bound)
+def bounded(observation: Any) -> Any:
+    """Return an observation, each entry clipped."""
+    return each(lambda value: clip(value, -OBSERVATION_BOUND, OBSERVATION_BOUND), observation)
 
 
-bounded_wtg = elementwise(WtgObservation, _bounded, "bounded", "observation", "bound")
-bounded_machine = elementwise(MachineObservation, _bounded, "bounded", "observation", "bound")
-bounded_grid = elementwise(GridObservation, _bounded, "bounded", "observation", "bound")
-bounded_measured = elementwise(MeasuredObservation, _bounded, "bounded", "observation", "bound")
-
-
-@inlined
 def _scaled_ratio(rotor_speed: float, wind: float, c: Rotor) -> float:
     ratio = tip_speed_ratio(rotor_speed, wind, c)
     return (ratio - c.tip_speed_ratio_opt) / (c.tip_speed_ratio_limit - c.tip_speed_ratio_opt)
 
 
-@inlined
 def _scaled_rotor_speed(rotor_speed: float) -> float:
     return (rotor_speed - 1.0) / 0.25
 
 
-@inlined
 def _scaled_wind(wind: float) -> float:
     return (wind - 10.0) / 5.0
 
 
-@inlined
 def observe_wtg(s: WtgState, output: WtgOutput, group: GroupRows, t: Turbine, task: Task) -> WtgObservation:
     """Return the measurements of a WTG group."""
     return WtgObservation(
@@ -97,7 +82,6 @@ def observe_wtg(s: WtgState, output: WtgOutput, group: GroupRows, t: Turbine, ta
     )
 
 
-@inlined
 def observe_measured(m: Measurement, wind_sensor: float, t: Turbine, task: Task) -> MeasuredObservation:
     """Return the observation of what a WTG group measures; without a wind sensor, wind and ratio are 0."""
     return MeasuredObservation(
@@ -110,7 +94,6 @@ def observe_measured(m: Measurement, wind_sensor: float, t: Turbine, task: Task)
     )
 
 
-@inlined
 def observe_machine(s: MachineState, output: MachineOutput, c: Machine, task: Task) -> MachineObservation:
     """Return the measurements at a synchronous machine."""
     return MachineObservation(
@@ -120,7 +103,6 @@ def observe_machine(s: MachineState, output: MachineOutput, c: Machine, task: Ta
     )
 
 
-@inlined
 def observe_grid(coi: float, rocof: float, torque: float, task: Task) -> GridObservation:
     """Return the grid's measurements: frequency of the centre of inertia [p.u.], RoCoF [Hz/s], torque [p.u.]."""
     return GridObservation((coi - 1.0) * task.nominal_hz / FREQUENCY_UNIT_HZ, rocof, torque)

@@ -1,128 +1,107 @@
-"""The loops of the observation, over the lanes of a block.
-
-The equations are in :mod:`wtg_gym.envs.observation`.
-"""
+"""Systems of the observation and of `info`; the equations are in :mod:`wtg_gym.envs.observation`."""
 
 from __future__ import annotations
 
-from typing import Any
-
-from wtg_gym.envs.measuring import show_delayed
 from wtg_gym.envs.observation import (
-    N_LOCAL,
-    N_MACHINE,
     OBSERVATION_BOUND,
-    bounded_grid,
-    bounded_machine,
-    bounded_wtg,
+    GridObservation,
+    MachineObservation,
+    WtgObservation,
+    bounded,
     observe_grid,
     observe_machine,
     observe_wtg,
-    store_grid_observation,
-    store_machine_observation,
-    store_wtg_observation,
 )
-from wtg_gym.envs.task_records import (
-    GROUP,
-    N_GROUP_ROWS,
-    N_MEASURED,
-    N_SENSED_ROWS,
-    SENSED,
-    TASK,
-    Task,
-    load_group,
-    parts_of,
+from wtg_gym.envs.task_records import Acted, CostTerms, GroupRows, Info, Task
+from wtg_gym.envs.task_units import ACTING, SENSED, TASK, WATCHED
+from wtg_gym.physics.machine import Machine, MachineOutput, MachineState
+from wtg_gym.physics.wind_turbine import Turbine, WtgOutput, WtgState
+from wtg_gym.systems.elementary import clip, select
+from wtg_gym.systems.systems import system
+
+
+@system(ACTING, "observed", when="exact observation")
+def observe_group(
+    state: WtgState, output: WtgOutput, group: GroupRows, turbine: Turbine, task: Task
+) -> WtgObservation:
+    """Return the exact observation of a WTG group."""
+    observed: WtgObservation = bounded(observe_wtg(state, output, group, turbine, task))
+    return observed
+
+
+@system(ACTING, "shown_actions")
+def show_actions(last_action_k: float, last_action_tau: float) -> Acted:
+    """Return the last actions of a WTG group."""
+    return Acted(last_action_k, last_action_tau)
+
+
+@system(SENSED, "shown_duty")
+def show_duty(mean_duty: float) -> float:
+    """Return the duty error that is charged."""
+    return clip(mean_duty, -OBSERVATION_BOUND, OBSERVATION_BOUND)
+
+
+@system(WATCHED, "machine_observed", when="privileged")
+def observe_each_machine(
+    state: MachineState, output: MachineOutput, machine: Machine, task: Task
+) -> MachineObservation:
+    """Return the observation of a synchronous machine."""
+    observed: MachineObservation = bounded(observe_machine(state, output, machine, task))
+    return observed
+
+
+@system(TASK, "total_torque")
+def begin_torque() -> float:
+    """Begin to add the torques of all machines."""
+    return 0.0
+
+
+@system(WATCHED, "total_torque")
+def add_torque(total_torque: float, torque: float) -> float:
+    """Add the torque of a machine."""
+    return total_torque + torque
+
+
+@system(TASK, "grid_observed", when="privileged")
+def observe_whole_grid(coi: float, rocof: float, total_torque: float, task: Task) -> GridObservation:
+    """Return the observation of the grid."""
+    observed: GridObservation = bounded(observe_grid(coi, rocof, total_torque, task))
+    return observed
+
+
+@system(TASK, "info")
+def inform(
+    step: float, coi: float, rocof: float, constraint: float, terms: CostTerms, task: Task, simulation_dt: float
+) -> Info:
+    """Return the numbers of `info`."""
+    return Info(
+        time_s=step * simulation_dt,
+        frequency_hz=task.nominal_hz * coi,
+        rocof_hz_s=rocof,
+        cost=constraint,
+        cost_frequency=terms.frequency,
+        cost_rocof=terms.rocof,
+        cost_duty=terms.duty,
+        cost_rotor=terms.rotor,
+        cost_overload=terms.overload,
+        cost_effort=terms.effort,
+        cost_failure=terms.failure,
+    )
+
+
+@system(TASK, "active")
+def end_episode(active: float, was_active: float, step: float, end_step: float) -> float:
+    """Let a lane at its end stand still until it is started again."""
+    return select((was_active > 0.5) & (step >= end_step - 0.5), 0.0, active)
+
+
+OBSERVE = (
+    observe_group,
+    show_actions,
+    show_duty,
+    observe_each_machine,
+    begin_torque,
+    add_torque,
+    observe_whole_grid,
+    inform,
 )
-from wtg_gym.systems.compiled import inlined
-from wtg_gym.systems.elementary import clip
-from wtg_gym.physics.layout import (
-    LANE,
-    MACHINE,
-    N_MACHINE_ROWS,
-    WTG,
-    Floats,
-    Lanes,
-    load_machine_output,
-    load_machine_state,
-    load_wtg_output,
-    load_wtg_state,
-    read_machine,
-    read_turbine,
-    rows_of,
-    wtg_row,
-)
-
-
-@inlined
-def observe(block: Floats, c: Any, task: Task, sensed: bool, lanes: Lanes) -> None:
-    """Write the observations of a block's lanes into its rows.
-
-    :func:`~wtg_gym.envs.observation.observation_names` lists their entries.
-    """
-    width, parts = len(lanes), parts_of(c, task)
-    row = parts.observation
-    for j in range(c["share"].shape[0]):
-        if sensed:
-            show_delayed(block, j, c, task, row, lanes)
-            row += N_MEASURED
-        else:
-            _observe_group(block, j, c, task, row, lanes)
-            row += N_LOCAL
-        g = (parts.groups + j * N_GROUP_ROWS) * width
-        if task.modulates_k:
-            _copy_row(block, g + GROUP.last_action_k * width, row * width, width)
-            row += 1
-        if task.modulates_tau:
-            _copy_row(block, g + GROUP.last_action_tau * width, row * width, width)
-            row += 1
-    if task.privileged:
-        if sensed:
-            for j in range(c["share"].shape[0]):
-                _observe_group(block, j, c, task, row, lanes)
-                row += N_LOCAL
-                for x in range(width):
-                    duty = block[(parts.sensed + j * N_SENSED_ROWS + SENSED.mean_duty) * width + x]
-                    block[row * width + x] = clip(duty, -OBSERVATION_BOUND, OBSERVATION_BOUND)
-                row += 1
-        _observe_grid(block, c, task, row, lanes)
-
-
-@inlined
-def _observe_group(block: Floats, j: int, c: Any, task: Task, row: int, lanes: Lanes) -> None:
-    """Write the exact observation of WTG group j, which begins at a row."""
-    width, parts = len(lanes), parts_of(c, task)
-    turbine = read_turbine(c["turbine"])
-    o, g = wtg_row(c, j) * width, (parts.groups + j * N_GROUP_ROWS) * width
-    for x in range(width):
-        output, group = load_wtg_output(block, o + WTG.output * width + x, width), load_group(block, g + x, width)
-        seen = observe_wtg(load_wtg_state(block, o + x, width), output, group, turbine, task)
-        store_wtg_observation(bounded_wtg(seen, OBSERVATION_BOUND), block, row * width + x, width)
-
-
-@inlined
-def _observe_grid(block: Floats, c: Any, task: Task, row: int, lanes: Lanes) -> None:
-    """Write the privileged part of the observations, which begins at a row."""
-    width, rows, parts = len(lanes), rows_of(c), parts_of(c, task)
-    n_sync = c["machines"].shape[0]
-    for i in range(n_sync):
-        o, machine = i * N_MACHINE_ROWS * width, read_machine(c["machines"][i])
-        for x in range(width):
-            state = load_machine_state(block, o + x, width)
-            output = load_machine_output(block, o + MACHINE.output * width + x, width)
-            seen = observe_machine(state, output, machine, task)
-            store_machine_observation(bounded_machine(seen, OBSERVATION_BOUND), block, row * width + x, width)
-        row += N_MACHINE
-    for x in range(width):
-        torque = 0.0
-        for i in range(n_sync):
-            at = (i * N_MACHINE_ROWS + MACHINE.output) * width + x
-            torque += load_machine_output(block, at, width).torque
-        coi, rocof = block[(rows.lane + LANE.coi) * width + x], block[(parts.lane + TASK.rocof) * width + x]
-        grid = observe_grid(coi, rocof, torque, task)
-        store_grid_observation(bounded_grid(grid, OBSERVATION_BOUND), block, row * width + x, width)
-
-
-@inlined
-def _copy_row(block: Floats, source: int, target: int, width: int) -> None:
-    for x in range(width):
-        block[target + x] = block[source + x]

@@ -1,8 +1,8 @@
 """One step of the task over the lanes of a block: actions, physics, cost, observation, information.
 
-One compiled call does it all. The loops around the equations are in :mod:`wtg_gym.envs.actions`,
-:mod:`wtg_gym.envs.charging`, :mod:`wtg_gym.envs.measuring` and :mod:`wtg_gym.envs.observing`; the records are in
-:mod:`wtg_gym.envs.task_records`.
+One compiled call does it all: act → the physics' step → charge → measure → observe → end. The systems are in
+:mod:`wtg_gym.envs.actions`, :mod:`wtg_gym.envs.charging`, :mod:`wtg_gym.envs.measuring` and
+:mod:`wtg_gym.envs.observing`; the kinds of unit in :mod:`wtg_gym.envs.task_units`.
 """
 
 from __future__ import annotations
@@ -15,37 +15,37 @@ import numpy as np
 import numpy.typing as npt
 from numba.experimental import structref
 
-from wtg_gym.envs.actions import apply_actions, first_invalid_action
-from wtg_gym.envs.charging import charge
-from wtg_gym.envs.measuring import measure, start_sensors
-from wtg_gym.envs.observing import observe
+from wtg_gym.envs.actions import ACT, first_invalid_action
+from wtg_gym.envs.charging import CHARGE
+from wtg_gym.envs.measuring import MEASURE, START_SENSORS
+from wtg_gym.envs.observation import N_MEASURED
+from wtg_gym.envs.observing import OBSERVE, end_episode
 from wtg_gym.envs.settings import ACTION_MODES, EnvSettings
-from wtg_gym.envs.task_records import (
-    N_GROUP_ROWS,
-    TASK,
-    GroupRows,
-    Info,
-    Task,
-    Weights,
-    load_terms,
-    n_delayed,
-    parts_of,
-    read_task,
-    rocof_window,
-    store_group,
-    store_info,
-)
-from wtg_gym.systems.compiled import compiled, inlined
+from wtg_gym.envs.task_records import Info, Task, Weights, n_delayed, rocof_window
+from wtg_gym.envs.task_units import ACTING, HISTORY, RING, SENSED, SENSORS, SHIFTS, TASK, WATCHED, WINDOW
+from wtg_gym.physics import integration
 from wtg_gym.physics.integration import advance_interval
-from wtg_gym.physics.kernel_data import LaneData, Plant
-from wtg_gym.physics.layout import LANE, WTG, Floats, Lanes, load_wtg_input, load_wtg_state, rows_of, wtg_row
-from wtg_gym.systems.records import dtype, flatten
+from wtg_gym.physics.kernel_data import LaneData, Plant, structured
+from wtg_gym.physics.layout import Floats, Lanes, Layout, Whole
+from wtg_gym.physics.plant import Further
+from wtg_gym.physics.sensors import N_CHANNELS, noise_key, normal
 from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY, get_law
+from wtg_gym.systems.compiled import compiled, inlined
+from wtg_gym.systems.programs import in_one_table
+from wtg_gym.systems.systems import count
 
 Observations = npt.NDArray[np.float32]
-
-
 N_INFO = len(Info._fields)
+PROGRAMS = in_one_table(
+    *integration.PROGRAMS,
+    ACT=ACT,
+    CHARGE=CHARGE,
+    START_SENSORS=START_SENSORS,
+    MEASURE=MEASURE,
+    OBSERVE=OBSERVE,
+    END=(end_episode,),
+)
+_act, _charge, _start_sensors, _measure, _observe, _end = (program.function() for program in PROGRAMS)
 
 
 class Outputs(NamedTuple):
@@ -65,21 +65,17 @@ def new_outputs(n_lanes: int, n_observation: int) -> Outputs:
     return Outputs(observations, np.zeros(n_lanes), np.zeros((n_lanes, N_INFO)), *flags)
 
 
-def build_task(settings: EnvSettings) -> npt.NDArray[np.void]:
-    """Return the task's constants (1,): the numbers of :class:`~wtg_gym.envs.task_records.Task`, and "sensed".
-
-    That part takes no space in a task without sensors, whose code then falls away where it is compiled.
-    """
+def build_task(settings: EnvSettings) -> Task:
+    """Return the constants of the task."""
     plant = settings.plant()
     benchmark = settings.benchmark()
-    sensed = benchmark.sensed
     reference = get_law(REFERENCE_STRATEGY, plant.turbine, plant.control)
     weights = settings.cost_weights()
     modulates_k, modulates_tau = ACTION_MODES[settings.action_mode]
-    task = Task(
+    n_wtg = len(plant.groups)
+    return Task(
         modulates_k=modulates_k,
         modulates_tau=modulates_tau,
-        privileged=settings.observation_mode == "privileged",
         k_authority=benchmark.k_authority * (reference.k_min - reference.k_max),
         k_low=reference.k_max,
         k_span=reference.k_min - reference.k_max,
@@ -90,69 +86,232 @@ def build_task(settings: EnvSettings) -> npt.NDArray[np.void]:
         control_dt=settings.control_dt,
         nominal_hz=plant.case.frequency_hz,
         n_window=rocof_window(settings.control_dt),
-        n_delayed=n_delayed(settings.control_dt) if sensed else 0,
+        n_groups=n_wtg,
+        n_actions=n_wtg * (modulates_k + modulates_tau),
+        n_substeps=round(settings.control_dt / settings.simulation_dt),
         duty_gain=-math.expm1(-settings.control_dt / benchmark.duty_time_s) if benchmark.duty_time_s > 0.0 else 1.0,
     )
-    own = dtype(Task)
-    parts = [(name, own[name]) for name in own.names or ()]
-    constants = np.zeros(1, dtype=np.dtype([*parts, ("sensed", np.int64, (int(sensed),))], align=True))
-    for name, value in zip(own.names or (), flatten(task), strict=True):
-        constants[name] = value
-    return constants
+
+
+def task_of(settings: EnvSettings) -> Further:
+    """Return the task's kinds of unit and programs, as a simulator takes them."""
+    plant, sensed = settings.plant(), settings.benchmark().sensed
+    n_wtg, n_window = len(plant.groups), rocof_window(settings.control_dt)
+    privileged = settings.observation_mode == "privileged"
+    modulates_k, modulates_tau = ACTION_MODES[settings.action_mode]
+    has = {
+        "modulates k": modulates_k,
+        "modulates tau": modulates_tau,
+        "exact": not sensed,
+        "exact observation": not sensed or privileged,
+        "privileged": privileged,
+    }
+    return Further(
+        n_units={
+            TASK: 1,
+            HISTORY: n_window + 1,
+            SHIFTS: n_window,
+            WINDOW: 1,
+            ACTING: n_wtg,
+            WATCHED: len(plant.case.machines),
+            SENSORS: int(sensed),
+            SENSED: n_wtg * sensed,
+            RING: n_wtg * n_delayed(settings.control_dt) * sensed,
+        },
+        links={
+            (SHIFTS, "own"): np.arange(n_window),
+            (SHIFTS, "next_"): 1 + np.arange(n_window),
+            (WINDOW, "oldest_"): np.array([0]),
+            (WINDOW, "newest_"): np.array([n_window]),
+        },
+        programs=PROGRAMS,
+        constants={(TASK, "task"): [build_task(settings)]},
+        has=[name for name, given in has.items() if given],
+    )
+
+
+class Places(NamedTuple):
+    """Where the loops of the task find rows: first ones, and distances from unit to unit; `_s` for those in scratch."""
+
+    modulates_k: bool
+    modulates_tau: bool
+    n_delayed: int  # measurements that a lane keeps of each group, 0 without sensors
+    interval: int
+    cost: int
+    active: int
+    status: int
+    was_active_s: int
+    info_s: int
+    wanted_s: int
+    wanted_step: int
+    seed: int
+    delay: int
+    ring: int
+    noise_s: int
+    noise_step: int
+    seen_s: int
+    seen_step: int
+    shown_s: int
+    shown_step: int
+
+
+class TaskData(NamedTuple):
+    """What the loops of the task read."""
+
+    places: npt.NDArray[np.void]  # (1,), of Places
+    observed: Whole  # rows of the observation's entries in scratch (n_observation,)
+
+
+def task_data(settings: EnvSettings, layout: Layout) -> TaskData:
+    """Return where the loops of the task find rows."""
+
+    def first(kind: Any, part: str) -> int:
+        rows = layout.first_rows(kind, part)
+        return int(rows[0]) if rows.size else 0
+
+    def step(kind: Any, part: str) -> int:
+        rows = layout.first_rows(kind, part)
+        return int(rows[1] - rows[0]) if rows.size > 1 else 0
+
+    sensed = settings.benchmark().sensed
+    modulates_k, modulates_tau = ACTION_MODES[settings.action_mode]
+    places = Places(
+        modulates_k=modulates_k,
+        modulates_tau=modulates_tau,
+        n_delayed=n_delayed(settings.control_dt) if sensed else 0,
+        interval=first(TASK, "interval"),
+        cost=first(TASK, "cost"),
+        active=layout.lane("active"),
+        status=layout.lane("status"),
+        was_active_s=first(TASK, "was_active"),
+        info_s=first(TASK, "info"),
+        wanted_s=first(ACTING, "wanted"),
+        wanted_step=step(ACTING, "wanted"),
+        seed=first(SENSORS, "sensor_input"),
+        delay=first(SENSORS, "sensor_input") + 1,
+        ring=first(RING, "measurement"),
+        noise_s=first(SENSED, "noise"),
+        noise_step=step(SENSED, "noise"),
+        seen_s=first(SENSED, "seen"),
+        seen_step=step(SENSED, "seen"),
+        shown_s=first(SENSED, "shown"),
+        shown_step=step(SENSED, "shown"),
+    )
+    return TaskData(structured(Places, [places]), observed_rows(settings, layout))
+
+
+def observed_rows(settings: EnvSettings, layout: Layout) -> Whole:
+    """Return the rows of the observation's entries in scratch, in the order of their names."""
+    sensed, privileged = settings.benchmark().sensed, settings.observation_mode == "privileged"
+    rows: list[int] = []
+
+    def add(kind: Any, part: str, unit: int) -> None:
+        first = int(layout.first_rows(kind, part)[unit])
+        rows.extend(range(first, first + count(kind.scratch[part])))
+
+    for j in range(layout.n_wtg):
+        add(SENSED, "shown", j) if sensed else add(ACTING, "observed", j)
+        actions = int(layout.first_rows(ACTING, "shown_actions")[j])
+        rows += [actions + i for i, used in enumerate(ACTION_MODES[settings.action_mode]) if used]
+    if privileged:
+        for j in range(layout.n_wtg if sensed else 0):
+            add(ACTING, "observed", j)
+            add(SENSED, "shown_duty", j)
+        for i in range(layout.n_sync):
+            add(WATCHED, "machine_observed", i)
+        add(TASK, "grid_observed", 0)
+    return np.array(rows, dtype=np.int64)
+
+
+@inlined
+def _read_actions(scratch: Floats, actions: Floats, first: int, task: TaskData, lanes: Lanes) -> None:
+    """Copy the actions of a block's lanes, from row `first` of (n_lanes, n_action) on; padding lanes have none."""
+    places, width = task.places[0], len(lanes)
+    n_action = int(places["modulates_k"]) + int(places["modulates_tau"])
+    for j in range(actions.shape[1] // max(n_action, 1)):
+        row = places["wanted_s"] + j * places["wanted_step"]
+        for x in range(width):
+            known = first + x < actions.shape[0]
+            if places["modulates_k"]:
+                scratch[row * width + x] = actions[first + x, j * n_action] if known else 0.0
+            if places["modulates_tau"]:
+                scratch[(row + 1) * width + x] = actions[first + x, (j + 1) * n_action - 1] if known else 0.0
+
+
+@inlined
+def _draw_noise(block: Floats, scratch: Floats, task: TaskData, n_wtg: int, lanes: Lanes) -> None:
+    """Draw the random numbers of the present interval's measurements."""
+    places, width = task.places[0], len(lanes)
+    for x in range(width):
+        key = noise_key(int(block[places["seed"] * width + x]), int(block[places["interval"] * width + x]))
+        for j in range(n_wtg):
+            for channel in range(N_CHANNELS):
+                row = places["noise_s"] + j * places["noise_step"] + channel
+                scratch[row * width + x] = normal(key, j * N_CHANNELS + channel)
+
+
+@inlined
+def _pass_ring(block: Floats, scratch: Floats, task: TaskData, n_wtg: int, lanes: Lanes) -> None:
+    """Keep what is measured now, and show the newest measurement that has arrived.
+
+    The ring turns by a place per interval; lanes stand at different intervals.
+    """
+    places, width, n_delayed = task.places[0], len(lanes), task.places[0]["n_delayed"]
+    for x in range(width):
+        interval = block[places["interval"] * width + x]
+        newest = int(interval) % n_delayed * n_wtg
+        arrived = int(max(interval - block[places["delay"] * width + x], 0.0)) % n_delayed * n_wtg
+        for j in range(n_wtg):
+            for k in range(N_MEASURED):
+                seen, shown = places["seen_s"] + j * places["seen_step"], places["shown_s"] + j * places["shown_step"]
+                kept = (places["ring"] + (newest + j) * N_MEASURED + k) * width + x
+                block[kept] = scratch[(seen + k) * width + x]
+                old = (places["ring"] + (arrived + j) * N_MEASURED + k) * width + x
+                scratch[(shown + k) * width + x] = block[old]
 
 
 @compiled
 def start_tasks(
-    blocks: Floats,
-    starting: npt.NDArray[np.int64],
+    rows: Floats,
+    scratch: Floats,
     plant: Plant,
-    task: npt.NDArray[np.void],
-    end_steps: Floats,
-    sensors: Floats,
-    outputs: Outputs,
+    task: TaskData,
+    observations: Observations,
+    infos: Floats,
     lanes: Lanes,
 ) -> None:
-    """Reset the task's rows of freshly started lanes and write their first observation and information.
+    """Take the first measurements, observations and information of prepared episodes.
 
     Args:
-        blocks, plant, task, outputs, lanes: as for :func:`step_blocks`.
-        starting: the lanes (n,).
-        end_steps: simulation step at which each episode is over (n,).
-        sensors: numbers of :class:`~wtg_gym.physics.sensors.SensorInput` of each episode, then the bias of the wind of
-            each WTG group, then the step at which an event disconnects it (n, any number); unused without sensors.
+        rows: of the episodes, one lane each (n, n_rows).
+        scratch: (n_scratch,).
+        plant, task: constants.
+        observations, infos: take what each episode begins with (n, n_observation), (n, N_INFO).
+        lanes: of length one.
     """
-    c, t = plant.constants[0], read_task(task[0])
-    sensed = task[0]["sensed"].shape[0] > 0
-    width, parts = len(lanes), parts_of(c, t)
-    for start in range(starting.shape[0]):
-        lane = starting[start]
-        block, x = blocks[lane // width], lane % width
-        for row in range(parts.lane, block.shape[0] // width):
-            block[row * width + x] = 0.0
-        block[(parts.lane + TASK.end_step) * width + x] = end_steps[start]
-        for row in range(parts.history, parts.groups):
-            block[row * width + x] = 1.0
-        for j in range(c["share"].shape[0]):
-            o = wtg_row(c, j) * width + x
-            inv_tau = load_wtg_input(block, o + WTG.input * width, width).law.inv_tau
-            speed = load_wtg_state(block, o, width).converter.speed
-            group = GroupRows(inv_tau, speed, 0.0, 0.0, 0.0, 0.0, 0.0)
-            store_group(group, block, (parts.groups + j * N_GROUP_ROWS) * width + x, width)
-        if sensed:
-            start_sensors(block, x, c, t, sensors[start], lanes)
-        outputs.rewards[lane] = 0.0
-        observe(block, c, t, sensed, lanes)
-        report(block, x, lane, c, t, outputs, width)
+    n_wtg = plant.share.shape[0]
+    for start in range(rows.shape[0]):
+        block = rows[start]
+        if task.places[0]["n_delayed"] > 0:
+            _draw_noise(block, scratch, task, n_wtg, lanes)
+            _start_sensors(block, scratch, plant.table, plant.numbers, 0.0, 0.0, 0.0, 0.0, lanes)
+            _pass_ring(block, scratch, task, n_wtg, lanes)
+        _observe(block, scratch, plant.table, plant.numbers, 0.0, 0.0, 0.0, 0.0, lanes)
+        for k in range(task.observed.shape[0]):
+            observations[start, k] = scratch[task.observed[k]]
+        for k in range(N_INFO):
+            infos[start, k] = scratch[task.places[0]["info_s"] + k]
 
 
 @compiled
 def step_blocks(
     blocks: Floats,
+    scratch: Floats,
     first: int,
     last: int,
     plant: Plant,
     data: LaneData,
-    task: npt.NDArray[np.void],
+    task: TaskData,
     actions: Floats,
     outputs: Outputs,
     lanes: Lanes,
@@ -161,65 +320,45 @@ def step_blocks(
 
     Args:
         blocks: (n_blocks, n_rows · width).
+        scratch: (n_scratch · width), of the caller's thread.
         plant, data: as for :func:`~wtg_gym.physics.integration.advance_interval`.
-        task: constants (1,), see :func:`build_task`.
+        task: see :func:`task_data`.
         actions: (n_lanes, n_action), finite; clipped to [-1, 1] here.
         outputs: written for running lanes; the reward is 0 for those that had ended.
         lanes: a tuple as long as a block is wide.
     """
-    c, t = plant.constants[0], read_task(task[0])
-    sensed = task[0]["sensed"].shape[0] > 0
-    width = len(lanes)
-    noise_y, keys = np.empty(width), np.empty(width, dtype=np.int64)
-    parts, own = parts_of(c, t), rows_of(c).lane
-    n_lanes = actions.shape[0]
+    width, n_wtg, table, numbers = len(lanes), plant.share.shape[0], plant.table, plant.numbers
     for b in range(first, last):
         block = blocks[b]
-        count = min(width, n_lanes - b * width)
-        apply_actions(block, c, t, actions[b * width : b * width + count], lanes)
-        for x in range(width):
-            block[(parts.lane + TASK.was_active) * width + x] = block[(own + LANE.active) * width + x]
-        advance_interval(block, b * width, plant, data, noise_y, lanes)
-        charge(block, c, t, sensed, lanes)
-        if sensed:
-            measure(block, c, t, keys, lanes)
-        observe(block, c, t, sensed, lanes)
-        for x in range(count):
-            lane = b * width + x
-            outputs.rewards[lane] = 0.0
-            if block[(parts.lane + TASK.was_active) * width + x] > 0.5:
-                outputs.rewards[lane] = -block[(parts.lane + TASK.cost) * width + x]
-                # A lane at its end stands still until it is started again.
-                if block[(own + LANE.step) * width + x] >= block[(parts.lane + TASK.end_step) * width + x] - 0.5:
-                    block[(own + LANE.active) * width + x] = 0.0
-                report(block, x, lane, c, t, outputs, width)
+        _read_actions(scratch, actions, b * width, task, lanes)
+        _act(block, scratch, table, numbers, 0.0, 0.0, 0.0, 0.0, lanes)
+        advance_interval(block, scratch, b * width, plant, data, lanes)
+        _charge(block, scratch, table, numbers, 0.0, 0.0, 0.0, 0.0, lanes)
+        if task.places[0]["n_delayed"] > 0:
+            _draw_noise(block, scratch, task, n_wtg, lanes)
+            _measure(block, scratch, table, numbers, 0.0, 0.0, 0.0, 0.0, lanes)
+            _pass_ring(block, scratch, task, n_wtg, lanes)
+        _observe(block, scratch, table, numbers, 0.0, 0.0, 0.0, 0.0, lanes)
+        _end(block, scratch, table, numbers, 0.0, 0.0, 0.0, 0.0, lanes)
+        _report(block, scratch, b * width, task, outputs, lanes)
 
 
 @inlined
-def report(block: Floats, x: int, lane: int, c: Any, task: Task, outputs: Outputs, width: int) -> None:
-    """Copy a lane's observation and the numbers of its `info`, and say whether its episode is over."""
-    parts = parts_of(c, task)
-    own, of_task = rows_of(c).lane * width + x, parts.lane * width + x
-    for k in range(outputs.observations.shape[1]):
-        outputs.observations[lane, k] = block[(parts.observation + k) * width + x]
-    terms = load_terms(block, of_task + TASK.terms * width, width)
-    info = Info(
-        time_s=block[own + LANE.step * width] * c["simulation_dt"],
-        frequency_hz=task.nominal_hz * block[own + LANE.coi * width],
-        rocof_hz_s=block[of_task + TASK.rocof * width],
-        cost=block[of_task + TASK.constraint * width],
-        cost_frequency=terms.frequency,
-        cost_rocof=terms.rocof,
-        cost_duty=terms.duty,
-        cost_rotor=terms.rotor,
-        cost_overload=terms.overload,
-        cost_effort=terms.effort,
-        cost_failure=terms.failure,
-    )
-    store_info(info, outputs.infos[lane], 0, 1)
-    failed = block[own + LANE.status * width] != 0.0
-    outputs.terminated[lane] = failed
-    outputs.truncated[lane] = not failed and block[own + LANE.active * width] < 0.5
+def _report(block: Floats, scratch: Floats, first: int, task: TaskData, outputs: Outputs, lanes: Lanes) -> None:
+    """Copy what the lanes of a block, from `first` on, have observed, and say whether their episodes are over."""
+    places, width = task.places[0], len(lanes)
+    for x in range(min(width, outputs.rewards.shape[0] - first)):
+        lane = first + x
+        outputs.rewards[lane] = 0.0
+        if scratch[places["was_active_s"] * width + x] > 0.5:
+            outputs.rewards[lane] = -block[places["cost"] * width + x]
+            for k in range(task.observed.shape[0]):
+                outputs.observations[lane, k] = scratch[task.observed[k] * width + x]
+            for k in range(N_INFO):
+                outputs.infos[lane, k] = scratch[(places["info_s"] + k) * width + x]
+            failed = block[places["status"] * width + x] != 0.0
+            outputs.terminated[lane] = failed
+            outputs.truncated[lane] = not failed and block[places["active"] * width + x] < 0.5
 
 
 # A call into compiled code unpacks every array that it is given, which takes a third as long as the step of one
@@ -238,14 +377,16 @@ class Bound(structref.StructRefProxy):  # type: ignore[misc]
     """The arguments of :func:`step_blocks` for one lane, in one object; :func:`bind` makes it."""
 
 
-structref.define_proxy(Bound, _BoundType, ["blocks", "plant", "data", "task", "outputs"])
+structref.define_proxy(Bound, _BoundType, ["blocks", "scratch", "plant", "data", "task", "outputs"])
 
 
 # The constructor that numba makes for `Bound` is not kept on disk: each process would compile it anew.
 @compiled
-def bind(blocks: Floats, plant: Plant, data: LaneData, task: Any, outputs: Outputs) -> Any:
+def bind(
+    blocks: Floats, scratch: Floats, plant: Plant, data: LaneData, task: TaskData, outputs: Outputs
+) -> Any:
     """Return the arguments of :func:`step_blocks` for one lane in one object."""
-    return Bound(blocks, plant, data, task, outputs)
+    return Bound(blocks, scratch, plant, data, task, outputs)
 
 
 def can_bind() -> bool:
@@ -258,5 +399,7 @@ def step_bound(bound: Any, actions: Floats, lanes: Lanes) -> int:
     """Step with actions (1, n_action); return -1, or the lane of an action that is not finite and does nothing."""
     invalid = first_invalid_action(actions)
     if invalid < 0:
-        step_blocks(bound.blocks, 0, 1, bound.plant, bound.data, bound.task, actions, bound.outputs, lanes)
+        step_blocks(
+            bound.blocks, bound.scratch, 0, 1, bound.plant, bound.data, bound.task, actions, bound.outputs, lanes
+        )
     return invalid

@@ -160,7 +160,7 @@ def measure(lanes: TaskLanes, recorder: Recorder, lane: int, scenario: Scenario)
     """Return "metrics" of a lane that is over, by the names in :data:`METRICS`, and its "failure" (empty: none)."""
     simulator = lanes.simulator
     status = Status(int(lanes.statuses()[lane]))
-    terms = {f"cost_{t}": float(lanes.task_values(f"sums.{t}")[lane]) for t in COST_TERMS}
+    terms = {f"cost_{t}": float(value) for t, value in zip(COST_TERMS, lanes.cost_sums()[lane], strict=True)}
     n_steps, dt = int(recorder.n_steps[lane]), lanes.settings.control_dt
     steady: tuple[float | None, float | None] = (None, None)
     if status == Status.RUNNING:

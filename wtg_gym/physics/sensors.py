@@ -19,8 +19,6 @@ from wtg_gym.ranges import require_range, whole_steps
 
 #: Longest delay [s].
 DELAY_MAX_S = 1.0
-#: Random numbers of a WTG group per step: frequency, RoCoF, rotor speed, power, wind.
-N_CHANNELS = 5
 _WORD = 0xFFFFFFFF
 #: Numbers that differ by a whole number of golden sections of the words lie as far apart as they can.
 _GOLDEN = 0x1E3779B1
@@ -73,6 +71,20 @@ class SensorInput(NamedTuple):
     wind_noise: float  # [-]
     wind_persistence: float  # φ
     wind_sensor: float  # 1, or 0 without
+
+
+class Noise(NamedTuple):
+    """Random numbers of a WTG group in one step: mean 0, variance 1, nearly normal."""
+
+    frequency: float
+    rocof: float
+    rotor_speed: float
+    power: float
+    wind: float
+
+
+#: Random numbers of a WTG group per step.
+N_CHANNELS = len(Noise._fields)
 
 
 class SensorState(NamedTuple):
@@ -152,32 +164,27 @@ def normal(key: int, channel: int) -> float:
     return (total - _SUM_MEAN) * (1.0 / _SUM_DEVIATION)
 
 
-@inlined
-def sensors_started(exact: Measurement, key: int, first_channel: int) -> SensorState:
+def sensors_started(exact: Measurement, noise: Noise) -> SensorState:
     """Return the states at the start of a run: filters at rest, the wind's error drawn."""
-    return SensorState(exact.frequency, exact.rocof, normal(key, first_channel + N_CHANNELS - 1))
+    return SensorState(exact.frequency, exact.rocof, noise.wind)
 
 
-@inlined
-def sensors_advanced(s: SensorState, exact: Measurement, key: int, first_channel: int, u: SensorInput) -> SensorState:
+def sensors_advanced(s: SensorState, exact: Measurement, noise: Noise, u: SensorInput) -> SensorState:
     """Return the states one control step later."""
     innovation = math.sqrt(1.0 - u.wind_persistence * u.wind_persistence)
     return SensorState(
         frequency=s.frequency + u.frequency_gain * (exact.frequency - s.frequency),
         rocof=s.rocof + u.rocof_gain * (exact.rocof - s.rocof),
-        wind_error=u.wind_persistence * s.wind_error + innovation * normal(key, first_channel + N_CHANNELS - 1),
+        wind_error=u.wind_persistence * s.wind_error + innovation * noise.wind,
     )
 
 
-@inlined
-def measured(
-    s: SensorState, exact: Measurement, wind_bias: float, key: int, first_channel: int, u: SensorInput
-) -> Measurement:
+def measured(s: SensorState, exact: Measurement, wind_bias: float, noise: Noise, u: SensorInput) -> Measurement:
     """Return a WTG group's present measurement of the `exact` values."""
     return Measurement(
-        frequency=s.frequency + u.frequency_noise * normal(key, first_channel),
-        rocof=s.rocof + u.rocof_noise * normal(key, first_channel + 1),
-        rotor_speed=exact.rotor_speed + u.rotor_speed_noise * normal(key, first_channel + 2),
-        power=exact.power + u.power_noise * normal(key, first_channel + 3),
+        frequency=s.frequency + u.frequency_noise * noise.frequency,
+        rocof=s.rocof + u.rocof_noise * noise.rocof,
+        rotor_speed=exact.rotor_speed + u.rotor_speed_noise * noise.rotor_speed,
+        power=exact.power + u.power_noise * noise.power,
         wind=exact.wind * max(1.0 + wind_bias + u.wind_noise * s.wind_error, 0.1),
     )
