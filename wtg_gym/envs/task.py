@@ -224,7 +224,7 @@ def observed_rows(settings: EnvSettings, layout: Layout) -> Whole:
 
 
 @inlined
-def _read_actions(scratch: Floats, actions: Floats, first: int, task: TaskData, lanes: Lanes) -> None:
+def read_actions(scratch: Floats, actions: Floats, first: int, task: TaskData, lanes: Lanes) -> None:
     """Copy the actions of a block's lanes, from row `first` of (n_lanes, n_action) on; padding lanes have none."""
     places, width = task.places[0], len(lanes)
     n_action = int(places["modulates_k"]) + int(places["modulates_tau"])
@@ -239,7 +239,7 @@ def _read_actions(scratch: Floats, actions: Floats, first: int, task: TaskData, 
 
 
 @inlined
-def _draw_noise(block: Floats, scratch: Floats, task: TaskData, n_wtg: int, lanes: Lanes) -> None:
+def draw_noise(block: Floats, scratch: Floats, task: TaskData, n_wtg: int, lanes: Lanes) -> None:
     """Draw the random numbers of the present interval's measurements."""
     places, width = task.places[0], len(lanes)
     for x in range(width):
@@ -251,7 +251,7 @@ def _draw_noise(block: Floats, scratch: Floats, task: TaskData, n_wtg: int, lane
 
 
 @inlined
-def _pass_ring(block: Floats, scratch: Floats, task: TaskData, n_wtg: int, lanes: Lanes) -> None:
+def pass_ring(block: Floats, scratch: Floats, task: TaskData, n_wtg: int, lanes: Lanes) -> None:
     """Keep what is measured now, and show the newest measurement that has arrived.
 
     The ring turns by a place per interval; lanes stand at different intervals.
@@ -293,9 +293,9 @@ def start_tasks(
     for start in range(rows.shape[0]):
         block = rows[start]
         if task.places[0]["n_delayed"] > 0:
-            _draw_noise(block, scratch, task, n_wtg, lanes)
+            draw_noise(block, scratch, task, n_wtg, lanes)
             _start_sensors(block, scratch, plant.table, plant.numbers, 0.0, 0.0, 0.0, 0.0, lanes)
-            _pass_ring(block, scratch, task, n_wtg, lanes)
+            pass_ring(block, scratch, task, n_wtg, lanes)
         _observe(block, scratch, plant.table, plant.numbers, 0.0, 0.0, 0.0, 0.0, lanes)
         for k in range(task.observed.shape[0]):
             observations[start, k] = scratch[task.observed[k]]
@@ -330,14 +330,14 @@ def step_blocks(
     width, n_wtg, table, numbers = len(lanes), plant.share.shape[0], plant.table, plant.numbers
     for b in range(first, last):
         block = blocks[b]
-        _read_actions(scratch, actions, b * width, task, lanes)
+        read_actions(scratch, actions, b * width, task, lanes)
         _act(block, scratch, table, numbers, 0.0, 0.0, 0.0, 0.0, lanes)
         advance_interval(block, scratch, b * width, plant, data, lanes)
         _charge(block, scratch, table, numbers, 0.0, 0.0, 0.0, 0.0, lanes)
         if task.places[0]["n_delayed"] > 0:
-            _draw_noise(block, scratch, task, n_wtg, lanes)
+            draw_noise(block, scratch, task, n_wtg, lanes)
             _measure(block, scratch, table, numbers, 0.0, 0.0, 0.0, 0.0, lanes)
-            _pass_ring(block, scratch, task, n_wtg, lanes)
+            pass_ring(block, scratch, task, n_wtg, lanes)
         _observe(block, scratch, table, numbers, 0.0, 0.0, 0.0, 0.0, lanes)
         _end(block, scratch, table, numbers, 0.0, 0.0, 0.0, 0.0, lanes)
         _report(block, scratch, b * width, task, outputs, lanes)

@@ -1,9 +1,9 @@
 """Gradients of what episodes cost, with respect to actions, the parameters of the tracking laws and those of the plant.
 
-    expressions       numbers that remember how they came about, their derivatives, their source
-    tracing           the kernels' own source over such numbers
-    kernel_programs   the kernels of a control step as such numbers
-    generated         the vector-Jacobian products of the kernels, compiled
+
+
+
+
     plant_parameters  which parameters a plant has, and what constants they move
     adjoint           back through one control step
     tape              episodes that can be differentiated: the interface for NumPy
@@ -14,9 +14,8 @@ Only `torch` needs more than the core.
 """
 
 from wtg_gym.gradients.differences import Difference, Differences, check_by_differences
-from wtg_gym.gradients.generated import LAW_PARAMETERS
 from wtg_gym.gradients.plant_parameters import known_parameters
-from wtg_gym.gradients.tape import Gradient, Played, Pulled, Tape
+from wtg_gym.gradients.tape import LAW_PARAMETERS, Gradient, Played, Pulled, Tape
 
 __all__ = [
     "LAW_PARAMETERS",

@@ -1,366 +1,444 @@
-"""Back through one control step: replay it from its start, then pull cotangents back through its kernels in turn."""
+"""Back through one control step: play it again on a tape, then pull cotangents back through its programs in turn.
+
+The programs are those of the step (:mod:`wtg_gym.physics.step`, :mod:`wtg_gym.envs.task`), the right-hand side in three
+parts: flows, the sweeps that hold currents, motion. What is no system has its rule here: the fixed point of the sweeps,
+a governor that an event takes away, the ring of measurements. Discrete events and the ends of runs do not move.
+"""
 
 from __future__ import annotations
 
-from typing import Any
+import functools
+from typing import Any, NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 
-from wtg_gym.envs.actions import apply_actions
-from wtg_gym.envs.measuring import arrived_row, newest_row
-from wtg_gym.envs.task_records import TASK, load_sensor_input, parts_of, read_task
-from wtg_gym.gradients.generated import Rules, Steps, compiled_with
+from wtg_gym.envs import task as of_task
+from wtg_gym.envs.actions import ACT
+from wtg_gym.envs.charging import CHARGE
+from wtg_gym.envs.measuring import MEASURE
+from wtg_gym.envs.observation import N_MEASURED
+from wtg_gym.envs.observing import OBSERVE
+from wtg_gym.envs.task import TaskData, draw_noise, pass_ring, read_actions
+from wtg_gym.physics import integration, protection, step
+from wtg_gym.physics.extension_unit import EXTENSIONS
+from wtg_gym.physics.integration import (
+    apply_events,
+    combine_load_noise,
+    enter_interval,
+    protect,
+    protections_sample,
+    stage_scalars,
+)
+from wtg_gym.physics.kernel_data import LaneData, Plant, structured
+from wtg_gym.physics.layout import Floats, Lanes, Layout, Whole
+from wtg_gym.physics.units import PAIRS, UNITS
 from wtg_gym.systems.compiled import compiled, inlined
-from wtg_gym.physics.currents import unit_currents
-from wtg_gym.physics.dynamics import derivatives, keep_energy, unit_voltages
-from wtg_gym.systems.elementary import fma
-from wtg_gym.physics.integration import apply_network_changes, end_step, enter_interval, protections_sample
-from wtg_gym.physics.kernel_data import LaneData, Plant
-from wtg_gym.physics.layout import LANE, Floats, Lanes, read_turbine, rows_of
-from wtg_gym.physics.sensors import noise_key, normal
+from wtg_gym.systems.programs import Arrangement, in_one_table
 
 #: The way back through the sweeps that hold currents ends where no cotangent changes by more than this share of the
 #: lane's largest. They come some thirty times at most; if ever this many were too few, not a number comes back.
 _SWEEPS = 1000
 _SETTLED = 1e-13
 
+PROGRAMS = in_one_table(
+    *integration.PROGRAMS,
+    *of_task.PROGRAMS,
+    ACTED=ACT,
+    FLOWS=step.FLOWS,
+    SWEEP=step.SWEEP,
+    MOTION=step.MOTION,
+    RATES=step.RATES,
+    FINISHED=step.FINISH[:-2],
+    CHARGED=CHARGE,
+    MEASURED=MEASURE,
+    OBSERVED=OBSERVE,
+    LIMITS=step.LIMITS,
+    REST=(protection.track_extremes, protection.shed_load),
+)
+_acted, _flows, _sweep, _motion, _rates, _finished, _charged, _measured, _observed, _limits, _rest = PROGRAMS
+_act, _flow, _move, _rate, _finish, _charge, _measure, _observe = (
+    program.taped() for program in (_acted, _flows, _motion, _rates, _finished, _charged, _measured, _observed)
+)
+_note_sweep, _hold, _end_step = _sweep.taped(runs=False), _limits.function(), _rest.function()
 
-@compiled
-def _evaluate(work: Floats, plant: Plant, fraction: float, lanes: Lanes) -> None:
-    derivatives(work, plant.constants[0], fraction, lanes)
+
+class TapePlaces(NamedTuple):
+    """Rows that each program notes on the tape in one run, and what the rules look for in block and scratch."""
+
+    acted: int
+    flows: int
+    sweep: int
+    motion: int
+    rates: int
+    finished: int
+    charged: int
+    measured: int
+    observed: int
+    admittance_s: int  # first row in scratch, and how many
+    n_admittance: int
+    flows_s: int  # of the units' voltages and currents
+    n_flows: int
+    extensions_s: int
+    n_extensions: int
+    end: int
 
 
-@compiled
-def _find_currents(work: Floats, plant: Plant, lanes: Lanes) -> None:
-    unit_voltages(work, plant.constants[0], lanes)
-    unit_currents(work, plant.constants[0], lanes)
+class Rules(NamedTuple):
+    """What the rules read besides a plant."""
+
+    places: npt.NDArray[np.void]  # (1,), of TapePlaces
+    reactances: Whole  # rows in scratch of each group whose current can be limited
+    references: Whole  # rows of the machines' gates, which a lost governor holds where they are
+    droops: Whole
+    gates: Whole
+
+
+def rules_of(layout: Layout, plant: Arrangement) -> Rules:
+    """Return what the rules read, for a plant."""
+    noted = {
+        name: program.tape_rows(plant)
+        for name, program in zip(TapePlaces._fields[:9], PROGRAMS[:9], strict=True)
+    }
+    places = TapePlaces(
+        **noted,
+        admittance_s=layout.first_scratch[PAIRS],
+        n_admittance=2 * layout.n_units(PAIRS),
+        flows_s=layout.first_scratch[UNITS],
+        n_flows=4 * layout.n_unit,
+        extensions_s=layout.first_scratch[EXTENSIONS],
+        n_extensions=layout.n_extended * sum(layout.sizes(EXTENSIONS)),
+        end=0,
+    )
+    return Rules(
+        structured(TapePlaces, [places]),
+        layout.first_rows(EXTENSIONS, "reactance"),
+        layout.machine("gate_reference"),
+        layout.machine("inv_droop"),
+        layout.machine("gate"),
+    )
+
+
+def tape_size(rules: Rules, n_substeps: int) -> int:
+    """Return how many rows a control step notes."""
+    p = {name: int(rules.places[name][0]) for name in TapePlaces._fields}
+    rhs = p["flows"] + p["sweep"]
+    of_step = 4 * (rhs + p["motion"]) + p["finished"]
+    return p["acted"] + n_substeps * of_step + rhs + p["rates"] + p["charged"] + p["measured"] + p["observed"]
+
+
+class Work(NamedTuple):
+    """What a thread needs to go back through a control step of a block."""
+
+    scratch: Floats  # (n_scratch · width)
+    scratch_bars: Floats
+    tape: Floats  # (tape_size · width)
+    admittances: Floats  # of every simulation step (n_substeps, n_admittance · width)
+    limited: npt.NDArray[np.bool_]  # lanes with a limited current, at every evaluation (4 n_substeps + 1, width)
+    lost: npt.NDArray[np.bool_]  # governors lost at the start of every simulation step (n_substeps, n_machines, width)
+
+
+def work_of(rules: Rules, layout: Layout, n_substeps: int, width: int) -> Work:
+    """Return room for a thread."""
+    n_scratch = layout.n_scratch * width
+    return Work(
+        np.zeros(n_scratch),
+        np.zeros(n_scratch),
+        np.zeros(tape_size(rules, n_substeps) * width),
+        np.zeros((n_substeps, int(rules.places["n_admittance"][0]) * width)),
+        np.zeros((4 * n_substeps + 1, width), dtype=np.bool_),
+        np.zeros((n_substeps, layout.n_sync, width), dtype=np.bool_),
+    )
 
 
 @inlined
-def _copy(source: Floats, row: int, target: Floats, target_row: int, width: int) -> None:
-    for x in range(width):
-        target[target_row * width + x] = source[row * width + x]
-
-
-@inlined
-def _ahead(stage: int, h: float) -> float:
-    """Return how far a stage's rates move the states for the next one [s]."""
-    return h if stage == 2 else 0.5 * h
-
-
-@inlined
-def _enter_bases(work: Floats, steps: Steps, start: Floats, width: int) -> None:
-    """Write the states at a step's start to where the end of the step looks for them."""
-    for k in range(steps.ends.size):
-        _copy(start, steps.ends[k], work, steps.bases[k], width)
-
-
-@inlined
-def _keep_energies(work: Floats, plant: Plant, steps: Steps, path: Floats, lanes: Lanes) -> None:
-    c, width = plant.constants[0], len(lanes)
-    turbine = read_turbine(c["turbine"])
-    _enter_bases(work, steps, path[0], width)
-    for j in range(c["share"].shape[0]):
-        for x in range(width):
-            keep_energy(work, c, j, x, turbine, width)
-
-
-@inlined
-def _note_measurement(work: Floats, c: Any, task: Any, steps: Steps, n_rows: int, lanes: Lanes) -> None:
-    """Go back through the ring of measurements, and draw the random numbers of the one that is taken.
-
-    The cotangent of what is shown goes to the place in the ring that it was copied from; then that of the newest place
-    goes to what was measured.
-    """
-    width, parts = len(lanes), parts_of(c, task)
-    interval = (parts.lane + TASK.interval) * width
-    for x in range(width):
-        before = work[interval + x]
-        work[interval + x] = work[steps.interval[0] * width + x]
-        seed = load_sensor_input(work, parts.sensor_input * width + x, width).seed
-        key = noise_key(int(seed), int(work[interval + x]))
-        for j in range(steps.measured.size):
-            arrived = arrived_row(work, x, j, c, task, width)
-            newest = newest_row(work, x, j, c, task, width)
-            for k in range(steps.seen.shape[1]):
-                shown = work[(n_rows + steps.measured[j] + k) * width + x]
-                work[(n_rows + arrived + k) * width + x] += shown
-                work[(n_rows + steps.seen[j, k]) * width + x] = work[(n_rows + newest + k) * width + x]
-                work[(n_rows + newest + k) * width + x] = 0.0
-            for k in range(steps.noise.shape[1]):
-                work[steps.noise[j, k] * width + x] = normal(key, j * steps.noise.shape[1] + k)
-        work[interval + x] = before
-
-
-@compiled
-def replay(
-    work: Floats,
-    first_lane: int,
-    plant: Plant,
-    data: LaneData,
-    steps: Steps,
-    path: Floats,
-    inputs: Floats,
-    held: Floats,
-    ran: Floats,
-    lanes: Lanes,
+def _flow_and_hold(
+    block: Floats, scratch: Floats, plant: Plant, rules: Rules, tape: Floats, limited: npt.NDArray[np.bool_], lanes: Lanes
 ) -> None:
-    """Advance a block by a control interval like :func:`~wtg_gym.physics.integration.advance_interval`.
-
-    Args:
-        work, first_lane, plant, data, lanes: as there.
-        steps: which rows move.
-        path: takes the states of each step's stages, and at its end (n_substeps, 5, n_states · width).
-        inputs: takes the other rows that each step reads (n_substeps, n_inputs · width).
-        held: takes 1 where a machine's governor is lost at the step's start (n_substeps, n_machines · width).
-        ran: takes 1 for lanes that the step moves (n_substeps, width).
-    """
-    c = plant.constants[0]
-    width, h, n = len(lanes), c["simulation_dt"], steps.states.size
-    part = 1.0 / c["n_substeps"]
-    noise_y, total = np.empty(width), np.empty(n * width)
-    active = (rows_of(c).lane + LANE.active) * width
-    enter_interval(work, first_lane, c, data, noise_y, lanes)
-    for step in range(c["n_substeps"]):
-        for i in range(steps.droops.size):
-            _copy(work, steps.droops[i], held[step], i, width)
-        apply_network_changes(work, first_lane, plant, data, noise_y, lanes)
-        for i in range(steps.droops.size):
-            for x in range(width):
-                lost = held[step, i * width + x] > 0.0 and work[steps.droops[i] * width + x] == 0.0
-                held[step, i * width + x] = 1.0 if lost else 0.0
-        for i in range(steps.inputs.size):
-            _copy(work, steps.inputs[i], inputs[step], i, width)
+    """Find voltages and currents, and hold the currents within their limits; note the fixed point that the sweeps find."""
+    table, numbers, width = plant.table, plant.numbers, len(lanes)
+    _flow(block, scratch, table, numbers, tape, 0.0, 0.0, 0.0, 0.0, lanes)
+    _hold(block, scratch, table, numbers, 0.0, 0.0, 0.0, 0.0, lanes)
+    limited[:] = False
+    for row in rules.reactances:
         for x in range(width):
-            ran[step, x] = work[active + x]
-        for i in range(n):
-            _copy(work, steps.states[i], path[step, 0], i, width)
-        for stage in range(4):
-            offset = 0.0 if stage == 0 else 1.0 if stage == 3 else 0.5
-            _evaluate(work, plant, (step + offset) * part, lanes)
-            for i in range(n):
-                for x in range(width):
-                    at = i * width + x
-                    base, rate = path[step, 0, at], work[steps.rates[i] * width + x]
-                    if stage == 3:
-                        end = fma(h / 6.0, total[at] + rate, base)
-                        end = min(max(end, steps.low[i]), steps.high[i])
-                    else:
-                        total[at] = rate if stage == 0 else fma(2.0, rate, total[at])
-                        end = fma(_ahead(stage, h), rate, base)
-                    end = end if ran[step, x] > 0.5 else base
-                    path[step, stage + 1, at] = end
-                    work[steps.states[i] * width + x] = end
-        if c["extension"].shape[0] > 0:
-            _keep_energies(work, plant, steps, path[step], lanes)
-        end_step(work, c, protections_sample(c, step), lanes)
-    _evaluate(work, plant, 1.0, lanes)
+            limited[x] |= scratch[row * width + x] > 0.0
+    noted = tape[rules.places[0]["flows"] * width :]
+    _note_sweep(block, scratch, table, numbers, noted, 0.0, 0.0, 0.0, 0.0, lanes)
 
 
 @inlined
-def _pull_lost_governors(work: Floats, steps: Steps, lost: Floats, n_rows: int, width: int) -> None:
-    """The reference of a governor that is lost here is where its gate was; no droop acts from here on."""
-    for i in range(steps.references.size):
+def _replay_events(
+    block: Floats, first_lane: int, plant: Plant, data: LaneData, rules: Rules, lost: npt.NDArray[np.bool_], lanes: Lanes
+) -> bool:
+    """Let events strike like :func:`~wtg_gym.physics.integration.apply_events`; note which governors they take away."""
+    width = len(lanes)
+    for i in range(rules.droops.shape[0]):
         for x in range(width):
-            if lost[i * width + x] > 0.5:
-                work[(n_rows + steps.droops[i]) * width + x] = 0.0
-                at = (n_rows + steps.references[i]) * width + x
-                work[(n_rows + steps.gates[i]) * width + x] += work[at]
-                work[at] = 0.0
+            lost[i, x] = block[rules.droops[i] * width + x] > 0.0
+    changed = apply_events(block, first_lane, plant, data, lanes)
+    for i in range(rules.droops.shape[0]):
+        for x in range(width):
+            lost[i, x] &= block[rules.droops[i] * width + x] == 0.0
+    return changed
 
 
-def build_pull_limits(rules: Rules) -> Any:
-    """Return the compiled function that goes back through the limits of currents."""
-    n_rows, pull_sweep = rules.n_rows, rules.pull_sweep
+@inlined
+def _replay(
+    block: Floats, first_lane: int, plant: Plant, data: LaneData, rules: Rules, work: Work, at: int, lanes: Lanes
+) -> int:
+    """Advance a block by a control interval like :func:`~wtg_gym.physics.integration.advance_interval`, on tape.
 
-    def pull_limits(work: Floats, steps: Steps, lanes: Lanes) -> None:
+    `at` is the row of the tape where its notes begin; returned is the row where they end.
+    """
+    table, numbers, scratch, width = plant.table, plant.numbers, work.scratch, len(lanes)
+    p = rules.places[0]
+    admittance = scratch[p["admittance_s"] * width : (p["admittance_s"] + p["n_admittance"]) * width]
+    enter_interval(block, first_lane, plant, data, lanes)
+    combine_load_noise(block, scratch, plant, lanes)
+    n_substeps = plant.facts[0]["n_substeps"]
+    for step in range(n_substeps):
+        if _replay_events(block, first_lane, plant, data, rules, work.lost[step], lanes):
+            combine_load_noise(block, scratch, plant, lanes)
+        work.admittances[step, :] = admittance
+        for stage in range(4):
+            _flow_and_hold(block, scratch, plant, rules, work.tape[at * width :], work.limited[4 * step + stage], lanes)
+            at += p["flows"] + p["sweep"]
+            passed, ahead, first, last = stage_scalars(plant, step, stage)
+            _move(block, scratch, table, numbers, work.tape[at * width :], passed, ahead, first, last, lanes)
+            at += p["motion"]
+        _finish(block, scratch, table, numbers, work.tape[at * width :], 0.0, 0.0, 0.0, 0.0, lanes)
+        at += p["finished"]
+        _end_step(block, scratch, table, numbers, 0.0, 0.0, 0.0, 0.0, lanes)
+        if protections_sample(plant, step):
+            protect(block, scratch, plant, lanes)
+    _flow_and_hold(block, scratch, plant, rules, work.tape[at * width :], work.limited[4 * n_substeps], lanes)
+    at += p["flows"] + p["sweep"]
+    _rate(block, scratch, table, numbers, work.tape[at * width :], 1.0, 0.0, 0.0, 0.0, lanes)
+    return at + p["rates"]
+
+
+@inlined
+def _pull_ring(block: Floats, bars: Floats, scratch_bars: Floats, task: TaskData, n_wtg: int, lanes: Lanes) -> None:
+    """Go back through the ring of measurements: from what is shown to where it was copied from, then to what is seen."""
+    places, width, n_delayed = task.places[0], len(lanes), task.places[0]["n_delayed"]
+    for x in range(width):
+        interval = block[places["interval"] * width + x]
+        newest = int(interval) % n_delayed * n_wtg
+        arrived = int(max(interval - block[places["delay"] * width + x], 0.0)) % n_delayed * n_wtg
+        for j in range(n_wtg):
+            for k in range(N_MEASURED):
+                seen, shown = places["seen_s"] + j * places["seen_step"], places["shown_s"] + j * places["shown_step"]
+                old = (places["ring"] + (arrived + j) * N_MEASURED + k) * width + x
+                bars[old] += scratch_bars[(shown + k) * width + x]
+                scratch_bars[(shown + k) * width + x] = 0.0
+                kept = (places["ring"] + (newest + j) * N_MEASURED + k) * width + x
+                scratch_bars[(seen + k) * width + x] += bars[kept]
+                bars[kept] = 0.0
+
+
+@inlined
+def _pull_lost_governors(bars: Floats, rules: Rules, lost: npt.NDArray[np.bool_], lanes: Lanes) -> None:
+    """The reference of a governor that is lost here is where its gate was; no droop acts from here on."""
+    width = len(lanes)
+    for i in range(rules.droops.shape[0]):
+        for x in range(width):
+            if lost[i, x]:
+                bars[rules.droops[i] * width + x] = 0.0
+                bars[rules.gates[i] * width + x] += bars[rules.references[i] * width + x]
+                bars[rules.references[i] * width + x] = 0.0
+
+
+@functools.cache
+def build_pull(*, constants: bool) -> Any:
+    """Return the compiled function that goes back through one control step; with cotangents of constants or without."""
+    acted, flows, sweep, motion, rates, finished, charged, measured, observed = (
+        program.back(constants=constants) for program in PROGRAMS[:9]
+    )
+
+    def named(function: Any) -> Any:
+        # Machine code is kept by names.
+        function.__qualname__ += "_constants" if constants else "_rows"
+        return function
+
+    @inlined
+    @named
+    def pull_limits(
+        bars: Floats,
+        constant_bars: Floats,
+        plant: Plant,
+        rules: Rules,
+        work: Work,
+        at: int,
+        limited: npt.NDArray[np.bool_],
+        lanes: Lanes,
+    ) -> None:
         """Go back through the sweeps that held the currents of some lanes.
 
         As the sweeps end at a fixed point, each has the derivatives of the last: this is the adjoint of that point,
         approached as the sweeps approached it. Lanes without a limited current keep their bits.
         """
-        width, n, m = len(lanes), steps.limited.size, steps.sources.size
-        settled, last = np.ones(width, dtype=np.bool_), np.empty((n + m) * width)
-        for j in range(steps.reactances.size):
-            for x in range(width):
-                settled[x] &= not work[steps.reactances[j] * width + x] > 0.0
-        if settled.all():
+        if not limited.any():
             return
-        for i in range(m):
-            for x in range(width):
-                work[(n_rows + steps.sources[i]) * width + x] = 0.0
+        p, width, found = rules.places[0], len(lanes), work.scratch_bars
+        edges = ((p["flows_s"], p["n_flows"]), (p["extensions_s"], p["n_extensions"]))
+        settled, before = ~limited, np.empty_like(found)
         for _ in range(_SWEEPS):
-            for i in range(n):
-                _copy(work, n_rows + steps.limited[i], last, i, width)
-            for i in range(m):
-                _copy(work, n_rows + steps.sources[i], last, n + i, width)
-            pull_sweep(work, lanes)
+            before[:] = found
+            sweep(
+                bars,
+                found,
+                plant.table,
+                plant.numbers,
+                work.tape[at * width :],
+                work.scratch,
+                constant_bars,
+                0.0,
+                0.0,
+                0.0,
+                0.0,
+                lanes,
+            )
             for x in range(width):
                 largest, change = 0.0, 0.0
-                for i in range(n + m):
-                    row = steps.limited[i] if i < n else steps.sources[i - n]
-                    at = (n_rows + row) * width + x
-                    if settled[x]:
-                        work[at] = last[i * width + x]
-                    largest, change = max(largest, abs(work[at])), max(change, abs(work[at] - last[i * width + x]))
+                for first, n in edges:
+                    for row in range(first, first + n):
+                        i = row * width + x
+                        if settled[x]:
+                            found[i] = before[i]
+                        largest, change = max(largest, abs(found[i])), max(change, abs(found[i] - before[i]))
                 settled[x] |= not change > _SETTLED * largest
             if settled.all():
-                break
-        for i in range(m):
-            for x in range(width):
-                # The sweeps began with the voltages that they reduce: those are the first of the rows, group by group.
-                from_source = work[(n_rows + steps.sources[i]) * width + x] if settled[x] else np.nan
-                work[(n_rows + steps.limited[i]) * width + x] += from_source
+                return
+        for x in range(width):
+            if not settled[x]:
+                for row in range(p["flows_s"], p["flows_s"] + p["n_flows"]):
+                    found[row * width + x] = np.nan
 
-    return compiled_with(pull_limits, rules.digest)
-
-
-def _build_pull_rates(rules: Rules) -> Any:
-    pull_network, pull_units, pull_limits = rules.pull_network, rules.pull_rates, build_pull_limits(rules)
-
-    def pull_rates(work: Floats, plant: Plant, fraction: float, steps: Steps, lanes: Lanes) -> None:
-        """Go back through the right-hand side."""
-        c = plant.constants[0]
-        if c["extension"].shape[0] == 0:
-            pull_units(work, fraction, c["cells"], lanes)
-        else:
-            _find_currents(work, plant, lanes)
-            pull_units(work, fraction, c["cells"], lanes)
-            pull_limits(work, steps, lanes)
-            pull_network(work, lanes)
-
-    return compiled_with(pull_rates, rules.digest)
-
-
-def _build_pull_steps(rules: Rules, pull_rates: Any) -> Any:
-    n_rows, pull_finish, pull_coi = rules.n_rows, rules.pull_finish, rules.pull_coi
-
-    def pull_steps(
-        work: Floats, plant: Plant, steps: Steps, path: Floats, inputs: Floats, held: Floats, ran: Floats, lanes: Lanes
+    @inlined
+    @named
+    def pull_flows(
+        bars: Floats,
+        constant_bars: Floats,
+        plant: Plant,
+        rules: Rules,
+        work: Work,
+        at: int,
+        limited: npt.NDArray[np.bool_],
+        lanes: Lanes,
     ) -> None:
-        """Go back through the simulation steps of a control interval: the adjoint of the Runge-Kutta method."""
-        c = plant.constants[0]
-        width, h, n = len(lanes), c["simulation_dt"], steps.states.size
-        active = (rows_of(c).lane + LANE.active) * width
-        part = 1.0 / c["n_substeps"]
-        end, through = np.empty(n * width), np.empty(n * width)
-        for step in range(c["n_substeps"] - 1, -1, -1):
-            for i in range(steps.inputs.size):
-                _copy(inputs[step], i, work, steps.inputs[i], width)
-            if step == c["n_substeps"] - 1:
-                # With the units that were connected in this step: protections act after it.
-                pull_coi(work, lanes)
-            if c["extension"].shape[0] > 0:
-                for i in range(n):
-                    _copy(path[step, 4], i, work, steps.states[i], width)
-                _enter_bases(work, steps, path[step, 0], width)
-                for x in range(width):
-                    work[active + x] = ran[step, x]
-                pull_finish(work, lanes)
-            for i in range(n):
-                for x in range(width):
-                    # A state at its limit does not follow.
-                    reached = path[step, 4, i * width + x]
-                    free = (reached > steps.low[i] and reached < steps.high[i]) or ran[step, x] < 0.5
-                    given = work[(n_rows + steps.states[i]) * width + x] if free else 0.0
-                    end[i * width + x] = given
-                    through[i * width + x] = given
-            for k in range(steps.ends.size):
-                for x in range(width):
-                    through[steps.ends[k] * width + x] += work[(n_rows + steps.bases[k]) * width + x]
-            for stage in range(3, -1, -1):
-                offset = 0.0 if stage == 0 else 1.0 if stage == 3 else 0.5
-                weight = h / 6.0 if stage == 0 or stage == 3 else h / 3.0
-                for i in range(n):
-                    _copy(path[step, stage], i, work, steps.states[i], width)
-                    for x in range(width):
-                        # The rates of a stage move the end, and the next stage, whose cotangent was pulled last.
-                        seed = weight * end[i * width + x]
-                        if stage < 3:
-                            seed += _ahead(stage, h) * work[(n_rows + steps.states[i]) * width + x]
-                        work[(n_rows + steps.rates[i]) * width + x] = seed if ran[step, x] > 0.5 else 0.0
-                pull_rates(work, plant, (step + offset) * part, steps, lanes)
-                for i in range(n):
-                    for x in range(width):
-                        through[i * width + x] += work[(n_rows + steps.states[i]) * width + x]
-            for i in range(n):
-                _copy(through, i, work, n_rows + steps.states[i], width)
-            _pull_lost_governors(work, steps, held[step], n_rows, width)
+        """Go back through the voltages and currents that a right-hand side begins with; `at` is their row on the tape."""
+        width = len(lanes)
+        pull_limits(bars, constant_bars, plant, rules, work, at + rules.places[0]["flows"], limited, lanes)
+        flows(
+            bars,
+            work.scratch_bars,
+            plant.table,
+            plant.numbers,
+            work.tape[at * width :],
+            work.scratch,
+            constant_bars,
+            0.0,
+            0.0,
+            0.0,
+            0.0,
+            lanes,
+        )
 
-    return compiled_with(pull_steps, rules.digest)
-
-
-def _build_pull_outputs(rules: Rules, pull_rates: Any) -> Any:
-    n_rows = rules.n_rows
-
-    def pull_outputs(work: Floats, plant: Plant, steps: Steps, lanes: Lanes) -> None:
-        """Go back through the evaluation at the end of a control interval, whose outputs are charged and observed."""
-        width, n = len(lanes), steps.states.size
-        end = np.empty(n * width)
-        for i in range(n):
-            _copy(work, n_rows + steps.states[i], end, i, width)
-            for x in range(width):
-                work[(n_rows + steps.rates[i]) * width + x] = 0.0
-        pull_rates(work, plant, 1.0, steps, lanes)
-        for i in range(n):
-            for x in range(width):
-                work[(n_rows + steps.states[i]) * width + x] += end[i * width + x]
-        for i in range(steps.outputs.size):
-            for x in range(width):
-                work[(n_rows + steps.outputs[i]) * width + x] = 0.0
-
-    return compiled_with(pull_outputs, rules.digest)
-
-
-def build_pull(rules: Rules) -> Any:
-    """Return the compiled function that goes back through one control step."""
-    n_rows, find_interval = rules.n_rows, rules.find_interval
-    # A plant without WTG groups has none.
-    first_action = int(rules.actions[0]) if rules.actions.size else n_rows
-    pull_act, pull_charge, pull_rates = rules.pull_act, rules.pull_charge, _build_pull_rates(rules)
-    pull_steps, pull_outputs = _build_pull_steps(rules, pull_rates), _build_pull_outputs(rules, pull_rates)
-
+    @named
     def pull(
-        works: Floats,
+        blocks: Floats,
+        bars: Floats,
+        observation_bars: Floats,
+        action_bars: Floats,
+        constant_bars: Floats,
         first: int,
         last: int,
         plant: Plant,
         data: LaneData,
-        task: Any,
+        task: TaskData,
         actions: Floats,
-        steps: Steps,
+        rules: Rules,
+        work: Work,
         lanes: Lanes,
     ) -> None:
         """Go back through one control step of the blocks first … last - 1.
 
         Args:
-            works: blocks as they stood before the step, and behind them the cotangents after it; on return those
-                before it, and those of the actions (n_blocks, 2 · n_rows · width).
+            blocks: as they stood before the step; as they stand after it on return (n_blocks, n_rows · width).
+            bars: cotangents after the step; on return those before it.
+            observation_bars: of the observations (n_lanes, n_observation).
+            action_bars: takes those of the actions (n_lanes, n_action).
+            constant_bars: those of the constants are added to (n_blocks, n_numbers · width).
             plant, data, task, lanes: as for :func:`~wtg_gym.envs.task.step_blocks`.
             actions: of the step (n_lanes, n_action).
-            steps: which rows move.
+            rules, work: see :func:`rules_of` and :func:`work_of`.
         """
-        c, t, width = plant.constants[0], read_task(task[0]), len(lanes)
-        own, of_task = rows_of(c).lane, rows_of(c).extra
-        n, n_sub = steps.states.size, c["n_substeps"]
-        path, ran = np.empty((n_sub, 5, n * width)), np.empty((n_sub, width))
-        inputs, held = np.empty((n_sub, steps.inputs.size * width)), np.empty((n_sub, steps.droops.size * width))
+        table, numbers, scratch, given = plant.table, plant.numbers, work.scratch, work.scratch_bars
+        p, places, width, n_wtg = rules.places[0], task.places[0], len(lanes), plant.share.shape[0]
+        n_substeps, sensed = plant.facts[0]["n_substeps"], task.places[0]["n_delayed"] > 0
+        n_action = actions.shape[1] // max(n_wtg, 1)
         for b in range(first, last):
-            work = works[b]
-            count = min(width, actions.shape[0] - b * width)
-            given = actions[b * width : b * width + count]
-            apply_actions(work, c, t, given, lanes)
-            for x in range(width):
-                for a in range(actions.shape[1]):
-                    work[(first_action + a) * width + x] = given[x, a] if x < count else 0.0
-                work[(of_task + TASK.was_active) * width + x] = work[(own + LANE.active) * width + x]
-            replay(work, b * width, plant, data, steps, path, inputs, held, ran, lanes)
-            if task[0]["sensed"].shape[0] > 0:
-                find_interval(work, lanes)
-                _note_measurement(work, c, t, steps, n_rows, lanes)
-            pull_charge(work, lanes)
-            pull_outputs(work, plant, steps, lanes)
-            pull_steps(work, plant, steps, path, inputs, held, ran, lanes)
-            pull_act(work, lanes)
+            block, own, to = blocks[b], bars[b], constant_bars[b]
+            read_actions(scratch, actions, b * width, task, lanes)
+            _act(block, scratch, table, numbers, work.tape, 0.0, 0.0, 0.0, 0.0, lanes)
+            at = _replay(block, b * width, plant, data, rules, work, p["acted"], lanes)
+            _charge(block, scratch, table, numbers, work.tape[at * width :], 0.0, 0.0, 0.0, 0.0, lanes)
+            at += p["charged"]
+            if sensed:
+                draw_noise(block, scratch, task, n_wtg, lanes)
+                _measure(block, scratch, table, numbers, work.tape[at * width :], 0.0, 0.0, 0.0, 0.0, lanes)
+                pass_ring(block, scratch, task, n_wtg, lanes)
+            at += p["measured"]
+            _observe(block, scratch, table, numbers, work.tape[at * width :], 0.0, 0.0, 0.0, 0.0, lanes)
 
-    return compiled_with(pull, rules.digest)
+            given[:] = 0.0
+            for x in range(min(width, actions.shape[0] - b * width)):
+                for k in range(task.observed.shape[0]):
+                    given[task.observed[k] * width + x] += observation_bars[b * width + x, k]
+            observed(own, given, table, numbers, work.tape[at * width :], scratch, to, 0.0, 0.0, 0.0, 0.0, lanes)
+            at -= p["measured"]
+            if sensed:
+                _pull_ring(block, own, given, task, n_wtg, lanes)
+                measured(own, given, table, numbers, work.tape[at * width :], scratch, to, 0.0, 0.0, 0.0, 0.0, lanes)
+            at -= p["charged"]
+            charged(own, given, table, numbers, work.tape[at * width :], scratch, to, 0.0, 0.0, 0.0, 0.0, lanes)
+            at -= p["rates"]
+            rates(own, given, table, numbers, work.tape[at * width :], scratch, to, 1.0, 0.0, 0.0, 0.0, lanes)
+            at -= p["flows"] + p["sweep"]
+            pull_flows(own, to, plant, rules, work, at, work.limited[4 * n_substeps], lanes)
+            for step in range(n_substeps - 1, -1, -1):
+                start, end = p["admittance_s"] * width, (p["admittance_s"] + p["n_admittance"]) * width
+                scratch[start:end] = work.admittances[step]
+                at -= p["finished"]
+                finished(own, given, table, numbers, work.tape[at * width :], scratch, to, 0.0, 0.0, 0.0, 0.0, lanes)
+                for stage in range(3, -1, -1):
+                    at -= p["motion"]
+                    passed, ahead, is_first, is_last = stage_scalars(plant, step, stage)
+                    motion(
+                        own,
+                        given,
+                        table,
+                        numbers,
+                        work.tape[at * width :],
+                        scratch,
+                        to,
+                        passed,
+                        ahead,
+                        is_first,
+                        is_last,
+                        lanes,
+                    )
+                    at -= p["flows"] + p["sweep"]
+                    pull_flows(own, to, plant, rules, work, at, work.limited[4 * step + stage], lanes)
+                _pull_lost_governors(own, rules, work.lost[step], lanes)
+            acted(own, given, table, numbers, work.tape, scratch, to, 0.0, 0.0, 0.0, 0.0, lanes)
+            for x in range(min(width, actions.shape[0] - b * width)):
+                for j in range(n_wtg):
+                    row = places["wanted_s"] + j * places["wanted_step"]
+                    if places["modulates_k"]:
+                        action_bars[b * width + x, j * n_action] = given[row * width + x]
+                    if places["modulates_tau"]:
+                        action_bars[b * width + x, (j + 1) * n_action - 1] = given[(row + 1) * width + x]
+
+    return compiled(pull)

@@ -10,8 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from wtg_gym.files import markdown_table
-from wtg_gym.gradients.generated import LAW_PARAMETERS
-from wtg_gym.gradients.tape import Tape, term_weights
+from wtg_gym.gradients.tape import LAW_PARAMETERS, Tape, term_weights
 from wtg_gym.physics.scenario import Scenario
 
 Floats = npt.NDArray[np.float64]

@@ -154,13 +154,13 @@ def moved_by(plant: PlantSettings, names: Sequence[str]) -> Moved:
 
 def _leaves_of(plant: PlantSettings) -> dict[Leaf, float]:
     """Return the numbers of a plant's machines and of its turbine."""
-    constants = build_plant(plant).constants[0]
+    built = build_plant(plant)
     found = {
         Leaf("machines", i, leaf): float(machine[leaf])
-        for i, machine in enumerate(constants["machines"])
+        for i, machine in enumerate(built.machines)
         for leaf in machine.dtype.names
     }
-    turbine = constants["turbine"]
+    turbine = built.turbine[0]
     return found | {Leaf("turbine", 0, leaf): float(turbine[leaf]) for leaf in turbine.dtype.names}
 
 

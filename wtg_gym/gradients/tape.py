@@ -11,12 +11,14 @@ import numpy.typing as npt
 from wtg_gym.envs.actions import as_actions
 from wtg_gym.envs.lanes import TaskLanes
 from wtg_gym.envs.settings import EnvSettings
-from wtg_gym.envs.task import Outputs, step_blocks
+from wtg_gym.envs import task as of_task
+from wtg_gym.envs.settings import ACTION_MODES
+from wtg_gym.envs.task import Outputs, step_blocks, task_of
 from wtg_gym.envs.task_records import COST_TERMS
-from wtg_gym.gradients.adjoint import build_pull
-from wtg_gym.gradients.generated import Rules, build_rules
-from wtg_gym.gradients.kernel_programs import ROW_OF_LEAF, require_known
+from wtg_gym.envs.task_units import ACTING, TASK
+from wtg_gym.gradients.adjoint import PROGRAMS, Work, build_pull, rules_of, work_of
 from wtg_gym.gradients.plant_parameters import (
+    Leaf,
     Moved,
     PlantEnvSettings,
     known_parameters,
@@ -24,13 +26,19 @@ from wtg_gym.gradients.plant_parameters import (
     require_known_parameters,
     with_parameters,
 )
-from wtg_gym.physics.plant import build_plant
+from wtg_gym.physics import integration
+from wtg_gym.physics.layout import Whole
+from wtg_gym.physics.plant import Arranged, arranged, build_plant
 from wtg_gym.physics.scenario import Scenario
+from wtg_gym.systems.programs import constant_places
 
 Floats = npt.NDArray[np.float64]
-#: A copy of all blocks takes 5 kB a lane, 10 in v1: kept at every step of a long run it would fill the memory.
+#: Parameters of a tracking law that gradients are taken with respect to.
+LAW_PARAMETERS = ("k_min", "k_nominal", "k_max", "inverse_time_constant")
+#: Constants of a machine that every lane has in a row of its own, since a scenario may replace them.
+_ROW_OF_LEAF = {"two_h": "inv_two_h", "governor.inv_droop": "inv_droop"}
+#: A copy of all blocks takes 3 kB a lane, 5 in v1: kept at every step of a long run it would fill the memory.
 _STEPS_PER_CHECKPOINT = 25
-_RULES: dict[bytes, tuple[Rules, Any]] = {}
 
 
 class Pulled(NamedTuple):
@@ -75,6 +83,18 @@ def term_weights(weights: Mapping[str, float] | None) -> Floats:
     return np.array([weights.get(term, 0.0) for term in COST_TERMS])
 
 
+class _Rows(NamedTuple):
+    """Rows of a block that a tape is asked for."""
+
+    terms: Whole  # of the cost of a step
+    outputs: Whole  # that Tape.output_names names
+
+
+def _meant(leaf: Leaf) -> tuple[str, str, int | None]:
+    """Return what systems call a constant, an argument and its number there, and whose it is."""
+    return ("machine", leaf.name, leaf.place) if leaf.part == "machines" else ("turbine", leaf.name, None)
+
+
 class Tape:
     """Episodes side by side that can be differentiated, step by step in reverse.
 
@@ -102,34 +122,10 @@ class Tape:
         parameters: Sequence[str] = (),
     ) -> None:
         parameters = (parameters,) if isinstance(parameters, str) else tuple(parameters)
-        plant = settings.plant()
-        built = build_plant(plant)
-        require_known(built)
-        require_known_parameters(plant, parameters)
+        require_known_parameters(settings.plant(), parameters)
         #: Names of the plant's parameters that gradients are taken with respect to.
         self.parameters = parameters
-        self.lanes = TaskLanes(settings, n_lanes, n_threads)
-        #: Constants that the parameters move; None once these have other values, until it is found anew.
-        self._moved: Moved | None = moved_by(plant, parameters)
-        leaves = self._moved.leaves
-        simulator = self.lanes.simulator
-        # Constants that are differentiated with respect to are read from rows: the code is the same whatever they are.
-        for leaf in leaves:
-            part = built.constants[leaf.part][0]
-            (part[leaf.place] if leaf.part == "machines" else part)[leaf.name] = 0.0
-        key = b"".join(
-            (
-                built.constants.tobytes(),
-                repr((simulator.plant.constants.dtype, simulator.layout, leaves)).encode(),
-                self.lanes.task.tobytes(),
-            )
-        )
-        if key not in _RULES:
-            rules = build_rules(simulator.plant, self.lanes.task, simulator.layout, self.lanes.n_action, leaves)
-            _RULES[key] = rules, build_pull(rules)
-        self._rules, self._pull = _RULES[key]
-        n_blocks = simulator.blocks.shape[0]
-        self._works = np.zeros((n_blocks, 2 * self._rules.n_rows * simulator.width))
+        self._open(TaskLanes(settings, n_lanes, n_threads))
         #: Counts what makes the tape forget its steps: starts, and other values of parameters.
         self.n_starts = 0
         #: Blocks as they stood before every so many steps, and before each step from the latest of these asked for.
@@ -137,7 +133,36 @@ class Tape:
         self._replayed: tuple[int, list[Floats]]
         self._actions: list[Floats]
         self._begin(started=False)
-        self._scratch = Outputs._make(np.zeros_like(array) for array in self.lanes.outputs)
+
+    def _open(self, lanes: TaskLanes) -> None:
+        """Take lanes whose steps are to be differentiated."""
+        self.lanes = lanes
+        simulator, settings, layout = lanes.simulator, lanes.settings, lanes.simulator.layout
+        further, programs = task_of(settings), (*integration.PROGRAMS, *of_task.PROGRAMS, *PROGRAMS)
+        built = build_plant(simulator.settings)
+        #: The plant, with the table of the programs that go back.
+        self._plant = arranged(built, layout, programs, further, taped=True)
+        arrangement = Arranged(built, layout, further)
+        self._rules = rules_of(layout, arrangement)
+        self._works: dict[int, Work] = {}
+        self._pull = build_pull(constants=bool(self.parameters))
+        moved = moved_by(simulator.settings, self.parameters)
+        self._moved = moved
+        #: Places of each moved constant among those of the table; none where every lane has it in a row of its own.
+        self._places = [
+            [] if leaf.name in _ROW_OF_LEAF else constant_places(programs, arrangement, self._plant.table, *_meant(leaf))
+            for leaf in moved.leaves
+        ]
+        inv_tau = layout.wtg("inv_tau")
+        if ACTION_MODES[settings.action_mode][1]:
+            # Where actions scale 1/τ, the law's own is kept beside them.
+            inv_tau = layout.first_rows(ACTING, "group")
+        self._law_rows = np.stack([*(layout.wtg(name) for name in LAW_PARAMETERS[:3]), inv_tau], axis=1)
+        terms = layout.first_rows(TASK, "terms")[0] + np.arange(len(COST_TERMS))
+        outputs = [layout.lane("coi"), layout.first_rows(TASK, "rocof")[0]]
+        outputs += [*layout.wtg("rotor_speed"), *layout.machine("speed")]
+        self._rows = _Rows(terms, np.array(outputs, dtype=np.int64))
+        self._scratch_outputs = Outputs._make(np.zeros_like(array) for array in lanes.outputs)
 
     @property
     def output_names(self) -> tuple[str, ...]:
@@ -156,8 +181,7 @@ class Tape:
             raise ValueError(f"the tape has no parameters {unknown}; it has: {', '.join(self.parameters) or 'none'}")
         plant = with_parameters(self.lanes.simulator.settings, values)
         settings = PlantEnvSettings.of(self.lanes.settings, plant)
-        self.lanes = TaskLanes(settings, self.lanes.n_lanes, self.lanes.simulator.threads.n_threads)
-        self._moved = None
+        self._open(TaskLanes(settings, self.lanes.n_lanes, self.lanes.simulator.threads.n_threads))
         self._begin(started=False)
 
     def parameter_values(self) -> dict[str, float]:
@@ -173,7 +197,7 @@ class Tape:
     @property
     def n_carried(self) -> int:
         """How many numbers a lane carries from one step to the next, as far as cost and observations depend on them."""
-        return self._rules.carried.size
+        return self.lanes.simulator.layout.n_rows
 
     def start(self, scenarios: Sequence[Scenario]) -> npt.NDArray[np.float32]:
         """Start an episode in every lane, of one scenario each, and return the first observations."""
@@ -201,15 +225,15 @@ class Tape:
         self.require_started()
         if self._actions:
             raise ValueError("the law can be replaced before the first step only")
-        law = _shaped("law", law, (self.lanes.n_lanes, *self._rules.law.shape))
+        law = _shaped("law", law, (self.lanes.n_lanes, *self._law_rows.shape))
         if not np.isfinite(law).all():
             raise ValueError("the parameters of laws must be finite numbers")
-        self._put(self._values(), self._rules.law, law)
+        self._put(self._values(), self._law_rows, law)
 
     def law(self) -> Floats:
         """Return the parameters of each group's law (n_lanes, n_wtg, 4), in the order of LAW_PARAMETERS."""
         self.require_started()
-        return self._take(self._values(), self._rules.law)
+        return self._take(self._values(), self._law_rows)
 
     def _values(self) -> Floats:
         blocks = self.lanes.simulator.blocks
@@ -244,7 +268,7 @@ class Tape:
             self._checkpoints.append(before)
         self._actions.append(actions.copy())
         self._replayed = (-1, [])
-        terms = self._take(self._values(), self._rules.terms)
+        terms = self._take(self._values(), self._rows.terms)
         return self.lanes.observations.copy(), np.where(running[:, np.newaxis], terms, 0.0)
 
     def before(self, step: int) -> Floats:
@@ -265,13 +289,24 @@ class Tape:
         simulator, task = self.lanes.simulator, self.lanes.task
         plant, data, lanes = simulator.plant, simulator.data, simulator.lanes
         simulator.threads.run(
-            lambda first, last: step_blocks(blocks, first, last, plant, data, task, actions, self._scratch, lanes)
+            lambda first, last, worker: step_blocks(
+                blocks,
+                simulator.scratch(worker),
+                first,
+                last,
+                plant,
+                data,
+                task,
+                actions,
+                self._scratch_outputs,
+                lanes,
+            )
         )
 
     def outputs(self) -> Floats:
         """Return the outputs at the end of the latest step (n_lanes, n_outputs), in the order of `output_names`."""
         self.require_started()
-        return self._take(self._values(), self._rules.outputs)
+        return self._take(self._values(), self._rows.outputs)
 
     def pull(
         self,
@@ -294,34 +329,77 @@ class Tape:
         Raises:
             ValueError: the step does not exist, or derivatives have another shape.
         """
-        self._moved = self._moved or moved_by(self.lanes.simulator.settings, self.parameters)
-        simulator, rules, n_lanes = self.lanes.simulator, self._rules, self.lanes.n_lanes
-        works = self._works.reshape(self._works.shape[0], 2, rules.n_rows, simulator.width)
-        before = self.before(step).reshape(works.shape[0], -1, simulator.width)
-        works[:, 0, : before.shape[1]] = before
-        of_plant = rules.leaves >= before.shape[1]
-        works[:, 0, rules.leaves[of_plant]] = self._moved.values[of_plant, np.newaxis]
-        cotangents = works[:, 1]
-        cotangents[:] = 0.0
-        running = self._take(before, np.array([simulator.layout.lane("active")])) > 0.5
-        given = {"carried": carried, "terms": terms, "observations": observations, "outputs": outputs}
-        for (name, values), rows in zip(
-            given.items(), (rules.carried, rules.terms, rules.observation, rules.outputs), strict=True
-        ):
+        simulator, n_lanes = self.lanes.simulator, self.lanes.n_lanes
+        blocks = self.before(step).copy()
+        view = blocks.reshape(blocks.shape[0], -1, simulator.width)
+        running = self._take(view, np.array([simulator.layout.lane("active")])) > 0.5
+        in_force = self._in_force(view, self._moved)
+        bars = np.zeros_like(view)
+        given = {"carried": carried, "terms": terms, "outputs": outputs}
+        all_rows = np.arange(self.n_carried)
+        for (name, values), rows in zip(given.items(), (all_rows, *self._rows), strict=True):
             if values is not None:
                 values = _shaped(name, values, (n_lanes, rows.size))
                 # Some rows are carried and shown too.
-                self._put(cotangents, rows, self._take(cotangents, rows) + values * running)
-        of_step = (self.lanes.task, self._actions[step], rules.steps, simulator.lanes)
+                self._put(bars, rows, self._take(bars, rows) + values * running)
+        n_observation = self.lanes.n_observation
+        seen = np.zeros((n_lanes, n_observation))
+        if observations is not None:
+            seen = _shaped("observations", observations, (n_lanes, n_observation)) * running
+        of_actions = np.zeros((n_lanes, self.lanes.n_action))
+        n_constants = self._plant.numbers.size if self.parameters else 0
+        constants = np.zeros((len(blocks), n_constants * simulator.width))
+        flat = bars.reshape(blocks.shape)
         simulator.threads.run(
-            lambda first, last: self._pull(self._works, first, last, simulator.plant, simulator.data, *of_step)
+            lambda first, last, worker: self._pull(
+                blocks,
+                flat,
+                seen,
+                of_actions,
+                constants,
+                first,
+                last,
+                self._plant,
+                simulator.data,
+                self.lanes.task,
+                self._actions[step],
+                self._rules,
+                self._work(worker),
+                simulator.lanes,
+            )
         )
+        leaves = self._leaves(bars, constants.reshape(len(blocks), n_constants, simulator.width))
+        law = self._take(bars, self._law_rows)
+        # The law's own are what each step adds, and are not carried.
+        bars[:, self._law_rows.ravel()] = 0.0
         # Of a lane that had ended nothing depends on anything, whatever its numbers.
-        found = (self._take(cotangents, rows) for rows in (rules.carried, rules.actions, rules.law, rules.leaves))
         carried, of_actions, law, leaves = (
-            np.where(running.reshape(-1, *(1,) * (own.ndim - 1)), own, 0.0) for own in found
+            np.where(running.reshape(-1, *(1,) * (own.ndim - 1)), own, 0.0)
+            for own in (self._take(bars, all_rows), of_actions, law, leaves)
         )
-        return Pulled(carried, of_actions, law, leaves * self._in_force(before, self._moved) @ self._moved.slopes)
+        return Pulled(carried, of_actions, law, leaves * in_force @ self._moved.slopes)
+
+    def _work(self, worker: int) -> Work:
+        if worker not in self._works:
+            simulator = self.lanes.simulator
+            self._works[worker] = work_of(self._rules, simulator.layout, self._plant.n_substeps, simulator.width)
+        return self._works[worker]
+
+    def _leaves(self, bars: Floats, constants: Floats) -> Floats:
+        """Return cotangents of the moved constants (n_lanes, n_leaves); those of rows are taken out of `bars`."""
+        found = np.zeros((self.lanes.n_lanes, len(self._places)))
+        for i, (leaf, places) in enumerate(zip(self._moved.leaves, self._places, strict=True)):
+            if leaf.name in _ROW_OF_LEAF:
+                row = self._row_of(leaf)
+                found[:, i] = self._take(bars, row)[:, 0]
+                bars[:, row] = 0.0
+            else:
+                found[:, i] = self._take(constants, np.array(places, dtype=np.int64)).sum(axis=1)
+        return found
+
+    def _row_of(self, leaf: Leaf) -> Whole:
+        """Return the row (1,) in which every lane has a constant of a machine."""
+        return self.lanes.simulator.layout.machine(_ROW_OF_LEAF[leaf.name])[leaf.place : leaf.place + 1]
 
     def _in_force(self, blocks: Floats, moved: Moved) -> Floats:
         """Return how far a lane's own row follows each constant of the plant (n_lanes, n_leaves); 1 for the others.
@@ -331,9 +409,9 @@ class Tape:
         """
         found = np.ones((self.lanes.n_lanes, len(moved.leaves)))
         for i, leaf in enumerate(moved.leaves):
-            if self._rules.leaves[i] < blocks.shape[1]:
-                row = self._take(blocks, self._rules.leaves[i : i + 1])[:, 0]
-                square = ROW_OF_LEAF[leaf.name] == "inv_droop"
+            if leaf.name in _ROW_OF_LEAF:
+                row = self._take(blocks, self._row_of(leaf))[:, 0]
+                square = _ROW_OF_LEAF[leaf.name] == "inv_droop"
                 found[:, i] = (row / moved.values[i]) ** 2 if square else -row / moved.values[i]
         return found
 
@@ -364,7 +442,7 @@ class Tape:
         seeds = np.zeros(shape) if terms is None else np.broadcast_to(_shaped("terms", terms, shape, shape[2:]), shape)
         if outputs is not None:
             outputs = _shaped("outputs", outputs, (n_steps, n_lanes, len(self.output_names)))
-        actions, law = np.empty((n_steps, n_lanes, self.lanes.n_action)), np.zeros((n_lanes, *self._rules.law.shape))
+        actions, law = np.empty((n_steps, n_lanes, self.lanes.n_action)), np.zeros((n_lanes, *self._law_rows.shape))
         parameters, carried = np.zeros((n_lanes, len(self.parameters))), np.zeros((n_lanes, self.n_carried))
         for step in range(n_steps - 1, -1, -1):
             shown = None if outputs is None else outputs[step]

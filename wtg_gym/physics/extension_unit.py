@@ -74,7 +74,45 @@ def all_settled() -> float:
     return 0.0
 
 
-@system(EXTENSIONS, "reactance", "voltage", "change", "unsettled")
+def _limit(
+    own_entry_admittance: Phasor,
+    source: Phasor,
+    voltage: Phasor,
+    current: Phasor,
+    extension: Extension,
+    share: float,
+    unsettled: float,
+    settled: float,
+) -> tuple[float, Phasor, Phasor, float]:
+    y, e = own_entry_admittance, voltage
+    free = _plus(current, y, Phasor(source.re - e.re, source.im - e.im))
+    reactance = limiting_reactance(free.re, free.im, y.re, y.im, extension.limits.current_max * share)
+    # E' = E - jX_v I, and I = I_0 / (1 + jX_v Y).
+    d_re, d_im = 1.0 - reactance * y.im, reactance * y.re
+    size = reactance / fma(d_re, d_re, d_im * d_im)
+    drop_re = size * fma(free.re, d_re, free.im * d_im)
+    drop_im = size * fma(free.im, d_re, -(free.re * d_im))
+    change = Phasor(source.re + drop_im - e.re, source.im - drop_re - e.im)
+    moves = fma(change.re, change.re, change.im * change.im) > settled
+    change = Phasor(select(moves, change.re, 0.0), select(moves, change.im, 0.0))
+    moved = Phasor(e.re + change.re, e.im + change.im)
+    return reactance, moved, change, unsettled + select(moves, 1.0, 0.0)
+
+
+def _limit_that_moves(
+    own_entry_admittance: Phasor,
+    source: Phasor,
+    voltage: Phasor,
+    current: Phasor,
+    extension: Extension,
+    share: float,
+    unsettled: float,
+) -> tuple[float, Phasor, Phasor, float]:
+    # However little a voltage moves: where it stands is where the limit holds.
+    return _limit(own_entry_admittance, source, voltage, current, extension, share, unsettled, -1.0)
+
+
+@system(EXTENSIONS, "reactance", "voltage", "change", "unsettled", backward=_limit_that_moves)
 def limit_current(
     own_entry_admittance: Phasor,
     source: Phasor,
@@ -88,19 +126,7 @@ def limit_current(
 
     A lane without such a group, or one that has settled, keeps its bits, whatever its neighbours do.
     """
-    y, e = own_entry_admittance, voltage
-    free = _plus(current, y, Phasor(source.re - e.re, source.im - e.im))
-    reactance = limiting_reactance(free.re, free.im, y.re, y.im, extension.limits.current_max * share)
-    # E' = E - jX_v I, and I = I_0 / (1 + jX_v Y).
-    d_re, d_im = 1.0 - reactance * y.im, reactance * y.re
-    size = reactance / fma(d_re, d_re, d_im * d_im)
-    drop_re = size * fma(free.re, d_re, free.im * d_im)
-    drop_im = size * fma(free.im, d_re, -(free.re * d_im))
-    change = Phasor(source.re + drop_im - e.re, source.im - drop_re - e.im)
-    moves = fma(change.re, change.re, change.im * change.im) > _SETTLED
-    change = Phasor(select(moves, change.re, 0.0), select(moves, change.im, 0.0))
-    moved = Phasor(e.re + change.re, e.im + change.im)
-    return reactance, moved, change, unsettled + select(moves, 1.0, 0.0)
+    return _limit(own_entry_admittance, source, voltage, current, extension, share, unsettled, _SETTLED)
 
 
 @system(COLUMNS, "current")

@@ -71,14 +71,26 @@ def advance_step(block: Floats, scratch: Floats, plant: Plant, step: int, lanes:
         lanes: a tuple as long as the block is wide.
     """
     table, numbers = plant.table, plant.numbers
-    h, part = plant.facts[0]["simulation_dt"], 1.0 / plant.facts[0]["n_substeps"]
     # A loop, so that the stage is compiled once.
     for stage in range(4):
-        first, last = 1.0 if stage == 0 else 0.0, 1.0 if stage == 3 else 0.0
-        passed = step + 0.5 * (1.0 - first + last)
-        ahead = h / 6.0 if stage == 3 else h if stage == 2 else 0.5 * h
-        _stage(block, scratch, table, numbers, passed * part, ahead, first, last, lanes)
+        passed, ahead, first, last = stage_scalars(plant, step, stage)
+        _stage(block, scratch, table, numbers, passed, ahead, first, last, lanes)
     _finish(block, scratch, table, numbers, 0.0, 0.0, 0.0, 0.0, lanes)
+
+
+@inlined
+def stage_scalars(plant: Plant, step: int, stage: int) -> tuple[float, float, float, float]:
+    """Return what a stage 0 … 3 is told: the fraction of the interval, how far it goes [s], whether it is first or last."""
+    h, part = plant.facts[0]["simulation_dt"], 1.0 / plant.facts[0]["n_substeps"]
+    first, last = 1.0 if stage == 0 else 0.0, 1.0 if stage == 3 else 0.0
+    passed = step + 0.5 * (1.0 - first + last)
+    return passed * part, h / 6.0 if stage == 3 else h if stage == 2 else 0.5 * h, first, last
+
+
+@inlined
+def protect(block: Floats, scratch: Floats, plant: Plant, lanes: Lanes) -> None:
+    """Let the protections sample the grid."""
+    _protect(block, scratch, plant.table, plant.numbers, 0.0, 0.0, 0.0, 0.0, lanes)
 
 
 @inlined
@@ -117,7 +129,7 @@ def advance_interval(
             combine_load_noise(block, scratch, plant, lanes)
         advance_step(block, scratch, plant, step, lanes)
         if protections_sample(plant, step):
-            _protect(block, scratch, plant.table, plant.numbers, 0.0, 0.0, 0.0, 0.0, lanes)
+            protect(block, scratch, plant, lanes)
     evaluate(block, scratch, plant, 1.0, lanes)
 
 

@@ -260,7 +260,7 @@ def layout_of(plant: Plant, further: Further | None = None) -> Layout:
     return Layout({**n_units, **further.n_units}, {**links, **further.links})
 
 
-class _Arranged:
+class Arranged:
     """A plant with its layout, as the table of programs asks for it."""
 
     def __init__(self, plant: Plant, layout: Layout, further: Further) -> None:
@@ -291,11 +291,18 @@ class _Arranged:
         return what in self._has
 
 
-def arranged(plant: Plant, layout: Layout, programs: Sequence[Program], further: Further | None = None) -> Plant:
-    """Return a plant that knows where its rows lie, for programs that are to run."""
+def arranged(
+    plant: Plant,
+    layout: Layout,
+    programs: Sequence[Program],
+    further: Further | None = None,
+    *,
+    taped: bool = False,
+) -> Plant:
+    """Return a plant that knows where its rows lie, for programs that are to run; `taped` with their way back."""
     names = ("machines", "groups", "hydro", "extensions", "lane", "units", "pairs", "stages")
     facts = plant.facts.copy()
     for name, row in zip(names, layout.first.values(), strict=False):
         facts[name] = row
-    table, numbers = build_table(programs, _Arranged(plant, layout, further or Further({})))
+    table, numbers = build_table(programs, Arranged(plant, layout, further or Further({})), taped=taped)
     return plant._replace(facts=facts, table=table, numbers=numbers)

@@ -19,37 +19,27 @@ from wtg_gym.systems.programs import Each, Product, Repeat, When
 #: weak bus. They end once no voltage moves.
 _SWEEPS = 100
 
-#: Kinds of unit, in the order of their states.
-KINDS = (machine.MACHINES, wtg.GROUPS, hydro.HYDRO, extension.EXTENSIONS, LANE, UNITS, PAIRS, protection.STAGES)
-
 ADMITTANCES = (units.load_noise, units.admittance_with_noise)
 
 VOLTAGES = (machine.reference, machine.voltage_of_machine, wtg.voltage_of_group, extension.voltage_of_extended)
 
-CURRENTS = (
+#: Currents without a limit, and which of them are too large.
+FREE_CURRENTS = (
     Product(PAIRS, "admittance", UNITS, "voltage", "current"),
     extension.none_exceeded,
     extension.begin_limits,
-    When(
-        LANE,
-        "exceeded",
-        (
-            Repeat(
-                LANE,
-                "unsettled",
-                (extension.all_settled, Each(extension.limit_current, extension.follow_change)),
-                most=_SWEEPS,
-            ),
-        ),
-    ),
 )
+
+#: A sweep over the groups: each finds its voltage with all others fixed, and all currents follow.
+SWEEP = (extension.all_settled, Each(extension.limit_current, extension.follow_change))
+
+LIMITS = (When(LANE, "exceeded", (Repeat(LANE, "unsettled", SWEEP, most=_SWEEPS),)),)
+
+FLOWS = (*VOLTAGES, *FREE_CURRENTS)
 
 CAPTURE = (wtg.capture_by_curve, wtg.capture_by_table)
 
-#: A stage of the Runge-Kutta method.
-STAGE = (
-    *VOLTAGES,
-    *CURRENTS,
+MOTION = (
     *CAPTURE,
     hydro.stage_of_hydro,
     machine.stage_of_machine,
@@ -58,10 +48,10 @@ STAGE = (
     units.reference_stage,
 )
 
-#: Rates and outputs at the present state, which stays.
-EVALUATE = (
-    *VOLTAGES,
-    *CURRENTS,
+#: A stage of the Runge-Kutta method.
+STAGE = (*FLOWS, *LIMITS, *MOTION)
+
+RATES = (
     *CAPTURE,
     hydro.rates_of_hydro,
     machine.rates_of_machine,
@@ -70,16 +60,13 @@ EVALUATE = (
     units.reference_rate,
 )
 
-WATCH = (
-    protection.begin_coi,
-    protection.add_machine,
-    protection.add_group,
-    protection.centre_of_inertia,
-    protection.track_extremes,
-)
+#: Rates and outputs at the present state, which stays.
+EVALUATE = (*FLOWS, *LIMITS, *RATES)
+
+COI = (protection.begin_coi, protection.add_machine, protection.add_group, protection.centre_of_inertia)
 
 #: After a simulation step.
-FINISH = (extension.keep_energy, units.count_step, *WATCH, protection.shed_load)
+FINISH = (extension.keep_energy, units.count_step, *COI, protection.track_extremes, protection.shed_load)
 
 PROTECT = (
     protection.begin_sample,
@@ -92,4 +79,4 @@ PROTECT = (
 )
 
 #: The first outputs of a run.
-START = (*ADMITTANCES, *EVALUATE, *WATCH)
+START = (*ADMITTANCES, *EVALUATE, *COI, protection.track_extremes)

@@ -64,7 +64,7 @@ def _plain(value: Any) -> Any:
 def number(operation: str, *arguments: Any) -> Any:
     """Return an operation's result: a plain number where all arguments are, or where it follows from them."""
     given = arguments if operation == "symbol" else tuple(_plain(argument) for argument in arguments)
-    if operation not in ("row", "symbol") and not any(isinstance(argument, Number) for argument in given):
+    if operation != "symbol" and not any(isinstance(argument, Number) for argument in given):
         return _CONSTANT[operation](*given)
     known = None if operation == "symbol" else _simplified(operation, given)
     if known is not None:
@@ -117,16 +117,6 @@ def simplifying_zeros() -> Iterator[None]:
 def symbol(name: str) -> Any:
     """Return a number that is known when the program runs."""
     return number("symbol", name)
-
-
-def row_of_block(row: int) -> Any:
-    """Return what a row of a block holds."""
-    return number("row", row)
-
-
-def argument(place: int) -> Any:
-    """Return an argument of the function that the program becomes, by its place: a row with a negative number."""
-    return number("row", -1 - place)
 
 
 def _is(value: Any, constant: float) -> bool:
@@ -211,7 +201,7 @@ def sine_cosine(angle: Any) -> tuple[Any, Any]:
     return number("sine", angle), number("cosine", angle)
 
 
-# --- the operations: on constants, as source, in reverse --------------------------------------------------------------
+# --- the operations: on constants, in reverse --------------------------------------------------------------
 
 _CONSTANT: dict[str, Callable[..., Any]] = {
     "add": operator.add,
@@ -239,34 +229,6 @@ _CONSTANT: dict[str, Callable[..., Any]] = {
     "select": lambda condition, value, other: value if condition else other,
     "fma": lambda a, b, c: a * b + c,
 }
-_SOURCE = {
-    "add": "{} + {}",
-    "sub": "{} - {}",
-    "mul": "{} * {}",
-    "div": "{} / {}",
-    "power": "{} ** {}",
-    "neg": "-{}",
-    "abs": "abs({})",
-    "lt": "{} < {}",
-    "le": "{} <= {}",
-    "eq": "{} == {}",
-    "ne": "{} != {}",
-    "and": "{} & {}",
-    "or": "{} | {}",
-    "min": "min({}, {})",
-    "max": "max({}, {})",
-    "sqrt": "math.sqrt({})",
-    "floor": "math.floor({})",
-    "ceil": "math.ceil({})",
-    "exponential": "exponential({})",
-    "sine": "sine_cosine({})[0]",
-    "cosine": "sine_cosine({})[1]",
-    "select": "chosen({}, {}, {})",
-    "fma": "fma({}, {}, {})",
-    "cell": "cells[int({}), int({}), int({})]",
-}
-
-
 def _of_select(g: Any, _: Any, condition: Any, *__: Any) -> tuple[Any, ...]:
     return None, select(condition, g, 0.0), select(condition, 0.0, g)
 
@@ -310,21 +272,15 @@ def needed(values: Iterable[Any]) -> list[Number]:
     return sorted(found, key=lambda one: one.order)
 
 
-def rows_read(values: Iterable[Any]) -> set[int]:
-    """Return the rows that some values depend on."""
-    return {int(one.arguments[0]) for one in needed(values) if one.operation == "row" and one.arguments[0] >= 0}
-
-
-def pulled_back(outputs: Sequence[tuple[Any, Any]], rows: Iterable[int]) -> dict[int, Any]:
-    """Return the cotangents of rows, given pairs of an output and its cotangent; rows without one are left out."""
-    wanted = set(rows)
+def pulled_back(outputs: Sequence[tuple[Any, Any]], wanted: Iterable[Any]) -> dict[Number, Any]:
+    """Return the cotangents of wanted symbols, given pairs of an output and its cotangent; those without are left out."""
+    symbols = set(wanted)
     values = needed(value for value, _ in outputs)
     depends: set[Number] = set()
     for one in values:
-        if one.operation == "row":
-            if one.arguments[0] in wanted:
-                depends.add(one)
-        elif one.operation in _REVERSE and any(a in depends for a in one.arguments if isinstance(a, Number)):
+        if one in symbols or (
+            one.operation in _REVERSE and any(a in depends for a in one.arguments if isinstance(a, Number))
+        ):
             depends.add(one)
     cotangents: dict[Number, Any] = {}
 
@@ -332,39 +288,12 @@ def pulled_back(outputs: Sequence[tuple[Any, Any]], rows: Iterable[int]) -> dict
         if isinstance(value, Number) and cotangent is not None and value in depends:
             cotangents[value] = cotangent + cotangents[value] if value in cotangents else cotangent
 
-    for value, cotangent in outputs:
-        add(value, cotangent)
-    for one in reversed(values):
-        if one in cotangents and one.operation != "row":
-            parts = _REVERSE[one.operation](cotangents[one], one, *one.arguments)
-            for given, part in zip(one.arguments, parts, strict=True):
-                add(given, part)
-    return {int(one.arguments[0]): value for one, value in cotangents.items() if one.operation == "row"}
-
-
-def function_source(name: str, arguments: Sequence[str], stores: Mapping[int, Any]) -> str:
-    """Return the source of a function of a block that stores values in rows, for every lane.
-
-    Args:
-        name: of the function.
-        arguments: names of its arguments between `block` and `lanes`; see :func:`argument`.
-        stores: the value of each row; rows are read before any is stored.
-    """
-    names: dict[Number, str] = {}
-
-    def said(value: Any) -> str:
-        return names[value] if isinstance(value, Number) else repr(value)
-
-    lines = []
-    for one in needed(stores.values()):
-        if one.operation == "row" and one.arguments[0] < 0:
-            names[one] = arguments[-1 - int(one.arguments[0])]
-            continue
-        names[one] = f"v{len(names)}"
-        if one.operation == "row":
-            lines.append(f"{names[one]} = block[{int(one.arguments[0])} * width + x]")
-        else:
-            lines.append(f"{names[one]} = " + _SOURCE[one.operation].format(*(said(a) for a in one.arguments)))
-    lines += [f"block[{row} * width + x] = {said(value)}" for row, value in stores.items()] or ["pass"]
-    head = f"def {name}({', '.join(['block', *arguments, 'lanes'])}):\n    width = len(lanes)\n"
-    return f"{head}    for x in range(width):\n" + "".join(f"        {line}\n" for line in lines)
+    with simplifying_zeros():
+        for value, cotangent in outputs:
+            add(value, cotangent)
+        for one in reversed(values):
+            if one in cotangents and one.operation != "symbol":
+                parts = _REVERSE[one.operation](cotangents[one], one, *one.arguments)
+                for given, part in zip(one.arguments, parts, strict=True):
+                    add(given, part)
+    return {symbol: cotangents[symbol] for symbol in symbols if symbol in cotangents}

@@ -6,6 +6,7 @@ the few things that are no map over units: :class:`Product`, :class:`When`, :cla
 
 from __future__ import annotations
 
+import functools
 import hashlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any, NamedTuple, Protocol
@@ -18,14 +19,15 @@ from numba.extending import intrinsic
 
 from wtg_gym.systems import expressions as ex
 from wtg_gym.systems.records import flatten, is_record
-from wtg_gym.systems.systems import SCALARS, Kind, Place, System, constants_of
+from wtg_gym.systems.systems import SCALARS, Kind, Place, System, Trace, constants_of
 from wtg_gym.systems.vectors import Lanes, repeated
 
 Floats = npt.NDArray[np.float64]
 Whole = npt.NDArray[np.int64]
 _WHOLE = ir.IntType(64)
-#: Numbers in a table's head for each entry: how many units, and the places of its first row and its first constant.
-_HEAD = 3
+#: Numbers in a table's head for each entry: how many units, the places of its first row and its first constant, and of
+#: its first row on the program's tape.
+_HEAD = 4
 
 
 class Product(NamedTuple):
@@ -137,36 +139,97 @@ class Program:
         return found.hexdigest()
 
     def function(self) -> Callable[..., None]:
-        """Return the compiled function of (block, scratch, table, numbers, *SCALARS, lanes)."""
-        written = self
+        """Return the program for numba: of (block, scratch, table, numbers, *SCALARS, lanes)."""
+        program = self
 
         @intrinsic
-        def run(
-            typing_context: Any,
-            block: Any,
-            scratch: Any,
-            table: Any,
-            numbers: Any,
-            fraction: Any,
-            ahead: Any,
-            first: Any,
-            last: Any,
-            lanes: Any,
+        def run(  # type: ignore[no-untyped-def]
+            typing_context, block, scratch, table, numbers, fraction, ahead, first, last, lanes
         ) -> Any:
-            given = (block, scratch, table, numbers, *(types.float64,) * len(SCALARS), lanes)
-
-            def code(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-                data = (
-                    context.make_array(kind)(context, builder, argument).data
-                    for kind, argument in zip(signature.args[:4], arguments[:4], strict=True)
-                )
-                scalars = dict(zip(SCALARS, arguments[4:8], strict=True))
-                _Writer(builder, len(signature.args[8]), *data, scalars, written).write(written.entries)
-                return context.get_dummy_value()
-
-            return types.void(*given), code
+            return _written(program, _Writer, (block, scratch, table, numbers), lanes)
 
         return run
+
+    def taped(self, *, runs: bool = True) -> Callable[..., None]:
+        """Return the program that notes what the way back needs, (block, scratch, table, numbers, tape, *SCALARS, lanes).
+
+        Args:
+            runs: change rows as the program does; else only note what they hold.
+        """
+        program, writer = self, _TapedWriter if runs else _NotingWriter
+
+        @intrinsic
+        def run(  # type: ignore[no-untyped-def]
+            typing_context, block, scratch, table, numbers, tape, fraction, ahead, first, last, lanes
+        ) -> Any:
+            return _written(program, writer, (block, scratch, table, numbers, tape), lanes)
+
+        return run
+
+    def back(self, *, constants: bool = False) -> Callable[..., None]:
+        """Return the way back through the program.
+
+        It is of (bars, scratch_bars, table, numbers, tape, scratch, constant_bars, *SCALARS, lanes): cotangents (bars)
+        of the rows in block and scratch after the program become those before it, and those of the constants, in their
+        order in `numbers`, are added to.
+
+        Args:
+            constants: whether cotangents of the constants are wanted.
+        """
+        program, writer = self, _BackWriter if constants else _BackWithoutConstants
+
+        @intrinsic
+        def run(  # type: ignore[no-untyped-def]
+            typing_context,
+            bars,
+            scratch_bars,
+            table,
+            numbers,
+            tape,
+            scratch,
+            constant_bars,
+            fraction,
+            ahead,
+            first,
+            last,
+            lanes,
+        ) -> Any:
+            arrays = (bars, scratch_bars, table, numbers, tape, scratch, constant_bars)
+            return _written(program, writer, arrays, lanes)
+
+        return run
+
+    def tape_rows(self, plant: Arrangement) -> int:
+        """Return how many rows a run of the program notes."""
+        return sum(len(_noted(one)) * _n_units(one, plant) for one in systems_of(self.entries))
+
+
+def _written(program: Program, writer: Any, arrays: Sequence[Any], lanes: Any) -> Any:
+    """Return the signature of a program and what writes its instructions, as numba asks for them."""
+    signature = types.void(*arrays, *(types.float64,) * len(SCALARS), lanes)
+    n = len(arrays)
+
+    def code(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        data = [
+            context.make_array(kind)(context, builder, argument).data
+            for kind, argument in zip(signature.args[:n], arguments[:n], strict=True)
+        ]
+        scalars = dict(zip(SCALARS, arguments[n : n + len(SCALARS)], strict=True))
+        writer(builder, len(signature.args[-1]), data, scalars, program).write(program.entries)
+        return context.get_dummy_value()
+
+    return signature, code
+
+
+def _n_units(one: System, plant: Arrangement) -> int:
+    return plant.n_units(one.kind) if one.when is None or plant.has(one.when) else 0
+
+
+def _noted(one: System) -> list[tuple[str, int]]:
+    """Return the inputs of a system that its derivatives depend on, by argument and place within it."""
+    adjoint = one.adjoint
+    used = ex.needed((*adjoint.inputs.values(), *adjoint.constants.values()))
+    return [adjoint.trace.inputs[number] for number in used if number in adjoint.trace.inputs]
 
 
 def _slots(one: System) -> list[str]:
@@ -183,18 +246,10 @@ class _Writer:
     """What writes the instructions of a program."""
 
     def __init__(
-        self,
-        builder: Any,
-        width: int,
-        block: Any,
-        scratch: Any,
-        table: Any,
-        numbers: Any,
-        scalars: Mapping[str, Any],
-        program: Program,
+        self, builder: Any, width: int, data: Sequence[Any], scalars: Mapping[str, Any], program: Program
     ) -> None:
-        self.builder, self.lanes = builder, Lanes(builder, width, numbers)
-        self.block, self.scratch, self.table, self.numbers = block, scratch, table, numbers
+        self.block, self.scratch, self.table, self.numbers, *self.others = data
+        self.builder, self.lanes = builder, Lanes(builder, width, self.numbers)
         self.scalars, self.program = scalars, program
 
     def write(self, entries: Sequence[Any]) -> None:
@@ -221,30 +276,9 @@ class _Writer:
     def _system(self, one: System, unit: Any) -> None:
         """Write the instructions on one unit."""
         builder, lanes, trace = self.builder, self.lanes, one.trace
-        slots, constants = _slots(one), _constants_used(one)
-        base = builder.add(self._head(one, 1), builder.mul(unit, _WHOLE(len(slots))))
-        parts = {**one.reads, **one.targets}
-        rows = {
-            name: self._row(parts[name], self._whole(builder.add(base, _WHOLE(i)))) for i, name in enumerate(slots)
-        }
-        numbers = builder.add(self._head(one, 2), builder.mul(unit, _WHOLE(len(constants))))
-
-        def read(name: str, k: int) -> Any:
-            return lanes.load(self._at(rows[name], k))
-
-        def constant(name: str) -> Any:
-            place = builder.add(numbers, _WHOLE(constants.index(name)))
-            return lanes.spread(builder.load(builder.gep(self.numbers, [place])))
-
-        given: dict[ex.Number, Callable[[], Any]] = {
-            **{symbol: lambda at=at: read(*at) for symbol, at in trace.inputs.items()},  # type: ignore[misc]
-            **{symbol: lambda name=name: constant(name) for symbol, name in trace.constants.items()},  # type: ignore[misc]
-            **{
-                symbol: lambda name=name: lanes.spread(self.scalars[name])  # type: ignore[misc]
-                for symbol, name in trace.scalars.items()
-            },
-        }
-        instruction = lanes.program(given)
+        rows = self._rows(one, unit)
+        instruction = lanes.program(self._given(one, trace, unit, lambda name, k: lanes.load(self._at(rows[name], k))))
+        self._note(one, unit, {at: instruction(symbol) for symbol, at in trace.inputs.items() if self._notes(one, at)})
         symbols = {at: symbol for symbol, at in trace.inputs.items()}
         used = set(ex.needed(value for *_, value in trace.stores))
         # What belongs to one number of a record is worked out and stored together: few numbers are held at a time.
@@ -254,6 +288,41 @@ class _Writer:
                 # What is read later, too, is what was there before.
                 instruction(symbols[name, k])
             lanes.store(found, self._at(rows[name], k))
+
+    def _rows(self, one: System, unit: Any) -> dict[str, Any]:
+        """Return pointers to the first row of each part that a system names."""
+        slots, parts = _slots(one), {**one.reads, **one.targets}
+        base = self.builder.add(self._head(one, 1), self.builder.mul(unit, _WHOLE(len(slots))))
+        return {
+            name: self._row(parts[name], self._whole(self.builder.add(base, _WHOLE(i)))) for i, name in enumerate(slots)
+        }
+
+    def _given(
+        self, one: System, trace: Trace, unit: Any, read: Callable[[str, int], Any]
+    ) -> dict[ex.Number, Callable[[], Any]]:
+        """Return what gives the symbols of a trace."""
+        builder, lanes = self.builder, self.lanes
+
+        def constant(name: str) -> Any:
+            return lanes.spread(builder.load(builder.gep(self.numbers, [self._constant_place(one, name, unit)])))
+
+        return {
+            **{symbol: functools.partial(read, *at) for symbol, at in trace.inputs.items()},
+            **{symbol: functools.partial(constant, name) for symbol, name in trace.constants.items()},
+            **{s: functools.partial(lanes.spread, self.scalars[name]) for s, name in trace.scalars.items()},
+        }
+
+    def _constant_place(self, one: System, name: str, unit: Any) -> Any:
+        used = _constants_used(one)
+        first = self.builder.add(self._head(one, 2), self.builder.mul(unit, _WHOLE(len(used))))
+        return self.builder.add(first, _WHOLE(used.index(name)))
+
+    def _notes(self, one: System, at: tuple[str, int]) -> bool:
+        """Return whether an input goes onto a tape."""
+        return False
+
+    def _note(self, one: System, unit: Any, values: Mapping[tuple[str, int], Any]) -> None:
+        """Write inputs onto the tape."""
 
     def _row(self, place: Place, row: Any) -> Any:
         """Return a pointer to a row."""
@@ -343,22 +412,140 @@ class _Writer:
             rows(builder.add(whole, rest), 1)
 
 
+class _TapedWriter(_Writer):
+    """Writes a program that notes on a tape what the way back needs."""
+
+    def _notes(self, one: System, at: tuple[str, int]) -> bool:
+        return at in _noted(one)
+
+    def _note(self, one: System, unit: Any, values: Mapping[tuple[str, int], Any]) -> None:
+        for k, at in enumerate(_noted(one)):
+            self.lanes.store(values[at], self._on_tape(one, unit, k))
+
+    def _on_tape(self, one: System, unit: Any, k: int) -> Any:
+        """Return a pointer to what a system has noted of a unit."""
+        tape, n = self.others[0], len(_noted(one))
+        row = self.builder.add(self._head(one, 3), self.builder.add(self.builder.mul(unit, _WHOLE(n)), _WHOLE(k)))
+        return self.builder.gep(tape, [self.builder.mul(row, _WHOLE(self.lanes.width))])
+
+
+class _NotingWriter(_TapedWriter):
+    """Writes a program that changes nothing, and only notes."""
+
+    def _system(self, one: System, unit: Any) -> None:
+        rows = self._rows(one, unit)
+        self._note(one, unit, {at: self.lanes.load(self._at(rows[at[0]], at[1])) for at in _noted(one)})
+
+
+class _BackWriter(_TapedWriter):
+    """Writes the way back: what are rows of block and scratch elsewhere are their cotangents here."""
+
+    with_constants = True
+
+    def write(self, entries: Sequence[Any]) -> None:
+        builder = self.builder
+        for entry in reversed(entries):
+            if isinstance(entry, System):
+                n = self._head(entry, 0)
+                with repeated(builder, n) as done:
+                    self._system(entry, builder.sub(builder.sub(n, done), _WHOLE(1)))
+            elif isinstance(entry, Product):
+                self._product(entry)
+            elif isinstance(entry, Each):
+                self._each_back(entry)
+            else:
+                raise NotImplementedError(f"{type(entry).__name__} has no way back of its own")
+
+    def _each_back(self, entry: Each) -> None:
+        builder = self.builder
+        n_outer = self._head(entry.outer, 0)
+        with repeated(builder, n_outer) as done:
+            unit = builder.sub(builder.sub(n_outer, done), _WHOLE(1))
+            share = builder.sdiv(self._head(entry.inner, 0), n_outer)
+            first = builder.mul(unit, share)
+            with repeated(builder, share) as own:
+                self._system(entry.inner, builder.add(first, own))
+            self._system(entry.outer, unit)
+
+    def _system(self, one: System, unit: Any) -> None:
+        lanes, adjoint, rows, noted = self.lanes, one.adjoint, self._rows(one, unit), _noted(one)
+        given = self._given(
+            one, adjoint.trace, unit, lambda name, k: lanes.load(self._on_tape(one, unit, noted.index((name, k))))
+        )
+        bars = {at: lanes.load(self._at(rows[at[0]], at[1])) for at in adjoint.seeds.values()}
+        given |= {symbol: functools.partial(bars.__getitem__, at) for symbol, at in adjoint.seeds.items()}
+        instruction = lanes.program(given)
+        written = set(adjoint.seeds.values())
+        for at in sorted({*adjoint.inputs, *written}, key=lambda at: at[1]):
+            pointer, found = self._at(rows[at[0]], at[1]), instruction(adjoint.inputs.get(at, 0.0))
+            lanes.store(found if at in written else self.builder.fadd(lanes.load(pointer), found), pointer)
+        for name, value in adjoint.constants.items() if self.with_constants else ():
+            self._add_to_constant(one, name, unit, instruction(value))
+
+    def _add_to_constant(self, one: System, name: str, unit: Any, value: Any) -> None:
+        place = self.builder.mul(self._constant_place(one, name, unit), _WHOLE(self.lanes.width))
+        pointer = self.builder.gep(self.others[2], [place])
+        self.lanes.store(self.builder.fadd(self.lanes.load(pointer), value), pointer)
+
+    def _product(self, entry: Product) -> None:
+        """Pull the cotangents of the result back to the vector; the matrix lies in scratch, and has none."""
+        builder, lanes = self.builder, self.lanes
+        n, places = self._head(entry, 0), self._head(entry, 1)
+        matrix, stride, vector, vector_stride, result, result_stride = (
+            self._whole(builder.add(places, _WHOLE(i))) for i in range(6)
+        )
+
+        def at(data: Any, row: Any) -> Any:
+            return builder.gep(data, [builder.mul(row, _WHOLE(lanes.width))])
+
+        with repeated(builder, n) as i:
+            bar = at(self.scratch, builder.add(result, builder.mul(i, result_stride)))
+            re, im = lanes.load(bar), lanes.load(self._at(bar, 1))
+            lanes.store(lanes.constant(0.0), bar)
+            lanes.store(lanes.constant(0.0), self._at(bar, 1))
+            with repeated(builder, n) as j:
+                place = builder.add(builder.mul(i, n), j)
+                y = at(self.others[1], builder.add(matrix, builder.mul(place, stride)))
+                y_re, y_im = lanes.load(y), lanes.load(self._at(y, 1))
+                e = at(self.scratch, builder.add(vector, builder.mul(j, vector_stride)))
+                to_re = lanes.call("fma", y_re, re, lanes.call("fma", y_im, im, lanes.load(e)))
+                to_im = lanes.call("fma", y_re, im, lanes.load(self._at(e, 1)))
+                to_im = builder.fsub(to_im, builder.fmul(y_im, re))
+                lanes.store(to_re, e)
+                lanes.store(to_im, self._at(e, 1))
+
+
+class _BackWithoutConstants(_BackWriter):
+    """Writes the way back without cotangents of constants."""
+
+    with_constants = False
+
+
 #: Rows of a matrix that are multiplied side by side.
 _ROWS_AT_ONCE = 2
 
 
-def build_table(programs: Sequence[Program], plant: Arrangement) -> tuple[Whole, Floats]:
-    """Return the table of programs and the constants, for a plant: whole numbers and numbers."""
+def build_table(
+    programs: Sequence[Program], plant: Arrangement, *, taped: bool = False
+) -> tuple[Whole, Floats]:
+    """Return the table of programs for a plant, and its constants: whole numbers, and numbers.
+
+    Args:
+        programs, plant: what the table is for.
+        taped: whether programs are run that note what the way back needs.
+    """
     head = np.zeros((sum(program.n_entries for program in programs), _HEAD), dtype=np.int64)
     rows, numbers, cells = list[int](), list[float](), dict[Any, int]()
     for program in programs:
+        n_taped = 0
         for entry in _flat(program.entries):
             own = head[program.places[id(entry)]]
             own[1] = head.size + len(rows)
             if isinstance(entry, System):
-                n = plant.n_units(entry.kind) if entry.when is None or plant.has(entry.when) else 0
+                n = _n_units(entry, plant)
                 values = _constants_of(entry, plant, n, numbers, cells)
-                own[0], own[2] = n, len(numbers)
+                own[0], own[2], own[3] = n, len(numbers), n_taped
+                n_taped += len(_noted(entry)) * n if taped else 0
                 rows += _system_rows(entry, plant, n)
                 numbers += values
             elif isinstance(entry, Product):
@@ -369,6 +556,30 @@ def build_table(programs: Sequence[Program], plant: Arrangement) -> tuple[Whole,
                 assert at is not None
                 own[:2] = 1, plant.first_rows(at.kind, at.part)[0]
     return np.concatenate([head.ravel(), np.array(rows, dtype=np.int64)]), np.array(numbers, dtype=np.float64)
+
+
+def constant_places(
+    programs: Sequence[Program], plant: Arrangement, table: Whole, argument: str, leaf: str, unit: int | None
+) -> list[int]:
+    """Return where among its numbers a table has a constant.
+
+    Args:
+        programs, plant, table: as :func:`build_table` was given and returned.
+        argument, leaf: of the constant, as in "machine" and "governor.droop".
+        unit: whose constant, among those of its kind; None for all of them.
+    """
+    found = []
+    for program in programs:
+        for one in systems_of(program.entries):
+            used = _constants_used(one)
+            place = one.kind.find_constant(argument)
+            if place is None or f"{argument}.{leaf}" not in used:
+                continue
+            n = _n_units(one, plant)
+            units = plant.seen(one.kind, place.seen)[:n] if place.seen else np.arange(n)
+            first = int(table[_HEAD * program.places[id(one)] + 2])
+            found += [first + int(k) * len(used) + used.index(f"{argument}.{leaf}") for k in np.flatnonzero((units == unit) | (unit is None))]
+    return found
 
 
 def _product_rows(entry: Product, plant: Arrangement) -> list[int]:

@@ -98,6 +98,15 @@ class Trace(NamedTuple):
     stores: list[tuple[str, int, Any]]  # part, place within it, value
 
 
+class Adjoint(NamedTuple):
+    """A system pulled back: cotangents of what it reads, from those of what it writes."""
+
+    trace: Trace
+    seeds: dict[ex.Number, tuple[str, int]]  # part and place within it, of what is written
+    inputs: dict[tuple[str, int], Any]  # by argument and place within it
+    constants: dict[str, Any]
+
+
 @dataclass(frozen=True, eq=False)
 class System:
     """A pure function over the units of a kind; :func:`system` makes it.
@@ -107,12 +116,14 @@ class System:
         equation: the function.
         writes: the parts that its result, or the entries of that tuple, replace.
         when: what a plant must have for the system to act; None for any.
+        backward: another function of the same arguments that has the derivatives to follow; None for the equation.
     """
 
     kind: Kind
     equation: Callable[..., Any]
     writes: tuple[str, ...]
     when: str | None = None
+    backward: Callable[..., Any] | None = None
 
     @property
     def name(self) -> str:
@@ -147,11 +158,11 @@ class System:
         with ex.making(zeros=False):
             return self.traced()
 
-    def traced(self) -> Trace:
+    def traced(self, equation: Callable[..., Any] | None = None) -> Trace:
         """Run the equation on numbers that remember."""
         found = Trace({}, {}, {}, [])
         given = {name: self._given(name, found) for name in self._arguments}
-        result = retargeted(self.equation, ARITHMETIC, {})(**given)
+        result = retargeted(equation or self.equation, ARITHMETIC, {})(**given)
         results = (result,) if not isinstance(result, tuple) or is_record(type(result)) else result
         for name, value in zip(self.writes, results, strict=True):
             values = flatten(value) if is_record(type(value)) else (value,)
@@ -159,6 +170,29 @@ class System:
                 raise TypeError(f"system {self.name!r} writes {len(values)} numbers to {name!r}")
             found.stores.extend((name, place, each) for place, each in enumerate(values))
         return found
+
+    @functools.cached_property
+    def adjoint(self) -> Adjoint:
+        """The derivatives of the equation, pulled back."""
+        with ex.making(zeros=False):
+            trace = self.traced(self.backward)
+            seeds = {ex.symbol(f"bar of {name}[{k}]"): (name, k) for name, k, _ in trace.stores}
+            pairs = [(value, seed) for (*_, value), seed in zip(trace.stores, seeds, strict=True)]
+            found = ex.pulled_back(pairs, (*trace.inputs, *trace.constants))
+            # A row has one cotangent, by whatever names a system reads and writes it.
+            places = {self.row(*at): at for at in (*trace.inputs.values(), *seeds.values())}
+            inputs: dict[tuple[str, int], Any] = {}
+            for symbol, at in trace.inputs.items():
+                if symbol in found:
+                    own = places[self.row(*at)]
+                    inputs[own] = inputs[own] + found[symbol] if own in inputs else found[symbol]
+        constants = {name: found[symbol] for symbol, name in trace.constants.items() if symbol in found}
+        return Adjoint(trace, seeds, inputs, constants)
+
+    def row(self, name: str, k: int) -> tuple[str, str, int]:
+        """Return which row an argument's number is: by label, part and place in it, whatever it is called here."""
+        place = self.reads.get(name) or self.targets[name]
+        return place.seen, place.part, place.offset + k
 
     def _given(self, name: str, found: Trace) -> Any:
         if name in self.reads:
@@ -190,9 +224,11 @@ class System:
             yield symbol != 0.0 if kind is bool else symbol
 
 
-def system(kind: Kind, *writes: str, when: str | None = None) -> Callable[[Callable[..., Any]], System]:
+def system(
+    kind: Kind, *writes: str, when: str | None = None, backward: Callable[..., Any] | None = None
+) -> Callable[[Callable[..., Any]], System]:
     """Return a decorator that makes a :class:`System` of a function."""
-    return lambda equation: System(kind, equation, writes, when)
+    return lambda equation: System(kind, equation, writes, when, backward)
 
 
 def count(record: Any) -> int:
