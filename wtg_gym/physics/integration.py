@@ -19,7 +19,10 @@ PROGRAMS = in_one_table(
     PROTECT=systems.PROTECT,
     START=systems.START,
 )
-_admittances, _stage, _evaluate, _finish, _protect, _start = (program.function() for program in PROGRAMS)
+_admittances, _, _evaluate, _finish, _protect, _start = (program.function() for program in PROGRAMS)
+_first_stage, _middle_stage, _last_stage = (
+    PROGRAMS[1].function(first=first, last=last) for first, last in ((1.0, 0.0), (0.0, 0.0), (0.0, 1.0))
+)
 _WIND_START, _WIND_END = place_of(GROUPS, "wind_start"), place_of(GROUPS, "wind_end")
 
 
@@ -71,10 +74,14 @@ def advance_step(block: Floats, scratch: Floats, plant: Plant, step: int, lanes:
         lanes: a tuple as long as the block is wide.
     """
     table, numbers = plant.table, plant.numbers
+    passed, ahead, _, _ = stage_scalars(plant, step, 0)
+    _first_stage(block, scratch, table, numbers, passed, ahead, 0.0, 0.0, lanes)
     # A loop, so that the stage is compiled once.
-    for stage in range(4):
-        passed, ahead, first, last = stage_scalars(plant, step, stage)
-        _stage(block, scratch, table, numbers, passed, ahead, first, last, lanes)
+    for stage in range(1, 3):
+        passed, ahead, _, _ = stage_scalars(plant, step, stage)
+        _middle_stage(block, scratch, table, numbers, passed, ahead, 0.0, 0.0, lanes)
+    passed, ahead, _, _ = stage_scalars(plant, step, 3)
+    _last_stage(block, scratch, table, numbers, passed, ahead, 0.0, 0.0, lanes)
     _finish(block, scratch, table, numbers, 0.0, 0.0, 0.0, 0.0, lanes)
 
 

@@ -31,7 +31,9 @@ def moved_by_stage(
     # The last stage goes along the sum of all rates, k1 + 2 k2 + 2 k3 + k4.
     along = each(lambda rate, so_far: select(last > 0.5, so_far + rate, rate), rates, total)
     moved = each(lambda way, from_: fma(ahead, way, from_), along, base)
-    total = each(lambda rate, so_far: select(first > 0.5, rate, fma(2.0, rate, so_far)), rates, total)
+    # After the last stage nobody reads the sum.
+    more = each(lambda rate, so_far: select(first > 0.5, rate, fma(2.0, rate, so_far)), rates, total)
+    total = each(lambda new, so_far: select(last > 0.5, so_far, new), more, total)
     return Moved(moved, base, total)
 
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 import functools
 import hashlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from types import MappingProxyType
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
@@ -138,15 +139,19 @@ class Program:
             found.update(repr(stores).encode())
         return found.hexdigest()
 
-    def function(self) -> Callable[..., None]:
-        """Return the program for numba: of (block, scratch, table, numbers, *SCALARS, lanes)."""
-        program = self
+    def function(self, **known: float) -> Callable[..., None]:
+        """Return the program for numba: of (block, scratch, table, numbers, *SCALARS, lanes).
+
+        Args:
+            known: values of scalars; what follows from them is left out, and the scalars handed over do not count.
+        """
+        program, writer = self, functools.partial(_Writer, known=known)
 
         @intrinsic
         def run(  # type: ignore[no-untyped-def]
             typing_context, block, scratch, table, numbers, fraction, ahead, first, last, lanes
         ) -> Any:
-            return _written(program, _Writer, (block, scratch, table, numbers), lanes)
+            return _written(program, writer, (block, scratch, table, numbers), lanes)
 
         return run
 
@@ -246,11 +251,17 @@ class _Writer:
     """What writes the instructions of a program."""
 
     def __init__(
-        self, builder: Any, width: int, data: Sequence[Any], scalars: Mapping[str, Any], program: Program
+        self,
+        builder: Any,
+        width: int,
+        data: Sequence[Any],
+        scalars: Mapping[str, Any],
+        program: Program,
+        known: Mapping[str, float] = MappingProxyType({}),
     ) -> None:
         self.block, self.scratch, self.table, self.numbers, *self.others = data
         self.builder, self.lanes = builder, Lanes(builder, width, self.numbers)
-        self.scalars, self.program = scalars, program
+        self.scalars, self.program, self.known = scalars, program, known
 
     def write(self, entries: Sequence[Any]) -> None:
         for entry in entries:
@@ -275,7 +286,7 @@ class _Writer:
 
     def _system(self, one: System, unit: Any) -> None:
         """Write the instructions on one unit."""
-        builder, lanes, trace = self.builder, self.lanes, one.trace
+        lanes, trace = self.lanes, one.trace_with(**self.known)
         rows = self._rows(one, unit)
         instruction = lanes.program(self._given(one, trace, unit, lambda name, k: lanes.load(self._at(rows[name], k))))
         self._note(one, unit, {at: instruction(symbol) for symbol, at in trace.inputs.items() if self._notes(one, at)})
@@ -283,6 +294,9 @@ class _Writer:
         used = set(ex.needed(value for *_, value in trace.stores))
         # What belongs to one number of a record is worked out and stored together: few numbers are held at a time.
         for name, k, value in sorted(trace.stores, key=lambda store: store[1]):
+            if symbols.get((name, k)) is value:
+                # It stays what it is.
+                continue
             found = instruction(value)
             if symbols.get((name, k)) in used:
                 # What is read later, too, is what was there before.

@@ -152,16 +152,27 @@ class System:
     def _arguments(self) -> Iterable[str]:
         return inspect.signature(getattr(self.equation, "py_func", self.equation)).parameters
 
-    @functools.cached_property
+    @property
     def trace(self) -> Trace:
         """The program of the equation, to the last bit."""
-        with ex.making(zeros=False):
-            return self.traced()
+        return self.trace_with()
 
-    def traced(self, equation: Callable[..., Any] | None = None) -> Trace:
-        """Run the equation on numbers that remember."""
+    def trace_with(self, **known: float) -> Trace:
+        """Return the program of the equation where some scalars are known."""
+        key = tuple(sorted((name, value) for name, value in known.items() if name in self._arguments))
+        if key not in self._traces:
+            with ex.making(zeros=False):
+                self._traces[key] = self.traced(known)
+        return self._traces[key]
+
+    @functools.cached_property
+    def _traces(self) -> dict[Any, Trace]:
+        return {}
+
+    def traced(self, known: Mapping[str, float], equation: Callable[..., Any] | None = None) -> Trace:
+        """Run the equation on numbers that remember; `known` has the values of some scalars."""
         found = Trace({}, {}, {}, [])
-        given = {name: self._given(name, found) for name in self._arguments}
+        given = {name: known[name] if name in known else self._given(name, found) for name in self._arguments}
         result = retargeted(equation or self.equation, ARITHMETIC, {})(**given)
         results = (result,) if not isinstance(result, tuple) or is_record(type(result)) else result
         for name, value in zip(self.writes, results, strict=True):
@@ -175,7 +186,7 @@ class System:
     def adjoint(self) -> Adjoint:
         """The derivatives of the equation, pulled back."""
         with ex.making(zeros=False):
-            trace = self.traced(self.backward)
+            trace = self.traced({}, self.backward)
             seeds = {ex.symbol(f"bar of {name}[{k}]"): (name, k) for name, k, _ in trace.stores}
             pairs = [(value, seed) for (*_, value), seed in zip(trace.stores, seeds, strict=True)]
             found = ex.pulled_back(pairs, (*trace.inputs, *trace.constants))
