@@ -225,14 +225,14 @@ def compilation() -> Compilation:
     return listener
 
 
-def compiled(function: F, *, digest: str | None = None, forceinline: bool = False) -> F:
+def compiled(function: F, *, digest: str | None = None) -> F:
     """Compile a function with numba, releasing the GIL, cached on disk per source version.
 
     No fast-math: reassociation or contraction would let a batched lane differ from the single environment.
     `digest` names the source version where it is not :func:`source_hash`.
     """
     compilation()
-    result: F = numba.njit(nogil=True, error_model="numpy", forceinline=forceinline)(function)
+    result: F = numba.njit(nogil=True, error_model="numpy")(function)
     # With NUMBA_DISABLE_JIT it is the function itself.
     if result is not function:
         result._cache = DiskCache(function, cache_folder(), digest or source_hash())  # type: ignore[attr-defined]
@@ -240,15 +240,10 @@ def compiled(function: F, *, digest: str | None = None, forceinline: bool = Fals
 
 
 def inlined(function: F) -> F:
-    """Compile like :func:`compiled`, and build the function into whatever calls it.
+    """Build a function into whatever compiled function calls it, before that is compiled: by itself it never is.
 
-    A call hands over the tables of a :class:`~wtg_gym.physics.kernel_data.Plant` one by one, some eighty numbers: where
-    a function runs for less than a microsecond, that took longer than its work.
+    A call would hand over the arrays of a :class:`~wtg_gym.physics.kernel_data.Plant` one by one, and machine code that
+    several functions share would be made and optimised once for each.
     """
-    return compiled(function, forceinline=True)
-
-
-def is_compiled(function: Callable[..., Any], *arguments: Any) -> bool:
-    """Return whether the machine code of a compiled function for such arguments is kept; True where none is made."""
-    cache = getattr(function, "_cache", None)
-    return cache is None or cache.holds(tuple(map(numba.typeof, arguments)), function.targetctx)  # type: ignore[attr-defined]
+    result: F = numba.njit(nogil=True, error_model="numpy", inline="always")(function)
+    return result
