@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from wtg_gym.systems.compiled import compiled, inlined
+from wtg_gym.systems.compiled import compiled
 from wtg_gym.systems.elementary import fma, select
 from wtg_gym.physics.parameters import GridFormingParameters
 
@@ -82,7 +82,6 @@ def tracking_coefficient(speed: float, k_min: float, k_nominal: float, k_max: fl
     return fma(share, select(is_below, k_min, k_max) - k_nominal, k_nominal)
 
 
-@inlined
 def converter_rates(
     s: ConverterState, rotor_speed: float, power: float, law: Law, c: Converter, reference_speed: float, omega_n: float
 ) -> tuple[ConverterState, float]:

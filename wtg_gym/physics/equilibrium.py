@@ -8,15 +8,12 @@ from enum import IntEnum
 import numpy as np
 import numpy.typing as npt
 
-from wtg_gym.physics.converter import ConverterState
-from wtg_gym.physics.extended_converter import LimitState, VoltageInput
 from wtg_gym.physics.extension_unit import EXTENSIONS
-from wtg_gym.physics.governor import HydroGovernor, HydroState, hydro_start
-from wtg_gym.physics.integration import start_run
+from wtg_gym.physics.hydro_unit import HYDRO
+from wtg_gym.physics.integration import start_machines, start_run
 from wtg_gym.physics.kernel_data import NO_EVENT, LaneData, Plant
 from wtg_gym.physics.layout import (
     EXTENSION,
-    MACHINE,
     N_EXTENSION_ROWS,
     N_HYDRO_ROWS,
     N_MACHINE_ROWS,
@@ -25,38 +22,33 @@ from wtg_gym.physics.layout import (
     WTG,
     Floats,
     Lanes,
+    n_rows_of,
     place_of,
 )
-from wtg_gym.physics.machine import Machine, MachineInput, MachineState, machine_start
+from wtg_gym.physics.machine_unit import MACHINES
 from wtg_gym.physics.network import assemble_admittance, solve_power_flow
-from wtg_gym.physics.pitch import PitchState
 from wtg_gym.physics.reduction import refresh_network
-from wtg_gym.physics.wind_turbine import (
-    Extension,
-    ExtensionState,
-    Turbine,
-    WtgExtremes,
-    WtgInput,
-    WtgOutput,
-    WtgState,
-    turbine_equilibrium,
-)
+from wtg_gym.physics.units import UNITS
+from wtg_gym.physics.wind_turbine import Turbine, turbine_equilibrium
 from wtg_gym.physics.wtg_unit import GROUPS
 from wtg_gym.systems.compiled import compiled, inlined
-from wtg_gym.systems.records import loader, reader, storer
+from wtg_gym.systems.records import reader
 
-_load_machine_state, _store_machine_state = loader(MachineState), storer(MachineState)
-_load_machine_input, _store_machine_input = loader(MachineInput), storer(MachineInput)
-_load_wtg_state, _store_wtg_state = loader(WtgState), storer(WtgState)
-_load_wtg_input, _store_wtg_input = loader(WtgInput), storer(WtgInput)
-_load_wtg_output, _store_extremes = loader(WtgOutput), storer(WtgExtremes)
-_load_hydro_state, _store_hydro_state = loader(HydroState), storer(HydroState)
-_load_extension_state, _store_extension_state = loader(ExtensionState), storer(ExtensionState)
-_store_extension_input = storer(VoltageInput)
-_read_machine, _read_turbine = reader(Machine), reader(Turbine)
-_read_hydro, _read_extension = reader(HydroGovernor), reader(Extension)
-_WTG_ANGLE, _WTG_EMF = place_of(GROUPS, "angle"), place_of(GROUPS, "emf")
-_OVERLOAD_TIME, _REACTANCE = place_of(GROUPS, "overload_time"), place_of(EXTENSIONS, "limiting_reactance")
+_read_turbine = reader(Turbine)
+_MACHINE_CONNECTED, _GATE, _FIELD_VOLTAGE = (place_of(MACHINES, name) for name in ("connected", "gate", "field_voltage"))
+_WTG_SPEED, _ROTOR_SPEED, _PITCH_INTEGRAL, _PITCH = (
+    place_of(GROUPS, name) for name in ("speed", "rotor_speed", "pitch_integral", "pitch")
+)
+_WTG_EMF, _WTG_CONNECTED, _K_NOMINAL, _WIND_START, _WIND_END = (
+    place_of(GROUPS, name) for name in ("emf", "connected", "k_nominal", "wind_start", "wind_end")
+)
+_POWER, _PEAK_POWER, _LEAST_TSR, _LARGEST_TSR, _OVERLOAD_TIME = (
+    place_of(GROUPS, name) for name in ("power", "peak_power", "least_tsr", "largest_tsr", "overload_time")
+)
+_HYDRO_GATE = place_of(HYDRO, "hydro_gate")
+_INTERNAL_VOLTAGE, _REACTANCE = (place_of(EXTENSIONS, name) for name in ("internal_voltage", "limiting_reactance"))
+#: Rows of a group's states, and of a unit in scratch.
+_N_WTG_STATES, _UNIT_STRIDE = WTG.given, n_rows_of(UNITS.scratch)
 
 
 @inlined
@@ -119,8 +111,8 @@ def prepare_lanes(
         lanes: of length one.
     """
     for lane in range(rows.shape[0]):
-        failure, unit = _prepare_lane(rows[lane], lane, plant, data, load_levels[lane])
-        if failure == StartFailure.NONE:
+        failure, unit = _prepare_lane(rows[lane], scratch, lane, plant, data, load_levels[lane], lanes)
+        if failure == 0:
             start_run(rows[lane], scratch, plant, lanes)
             for j in range(plant.share.shape[0]):
                 # Overload counts from the first step on.
@@ -151,20 +143,22 @@ def start_lanes(
         block, x = blocks[lane // width], lane % width
         for row in range(rows.shape[1]):
             block[row * width + x] = rows[place, row]
-        data.wind[lane] = prepared.wind[place]
-        data.noise[lane] = prepared.noise[place]
         data.noise_bus[lane] = prepared.noise_bus[place]
-        data.load_y[lane] = prepared.load_y[place]
-        for e in range(n_events):
-            data.events[lane, e] = prepared.events[place, e]
-        for e in range(n_events, data.events.shape[1]):
-            data.events[lane, e] = NO_EVENT[0]
+        for j in range(data.wind.shape[1]):
+            for k in range(data.wind.shape[2]):
+                data.wind[lane, j, k] = prepared.wind[place, j, k]
+        for k in range(data.noise.shape[1]):
+            data.noise[lane, k] = prepared.noise[place, k]
+        for k in range(data.load_y.shape[1]):
+            data.load_y[lane, k] = prepared.load_y[place, k]
+        for e in range(data.events.shape[1]):
+            data.events[lane, e] = prepared.events[place, e] if e < n_events else NO_EVENT[0]
 
 
-@compiled
+@inlined
 def _prepare_lane(
-    block: Floats, lane: int, plant: Plant, data: LaneData, load_level: float
-) -> tuple[StartFailure, int]:
+    block: Floats, scratch: Floats, lane: int, plant: Plant, data: LaneData, load_level: float, lanes: Lanes
+) -> tuple[int, int]:
     """Put a one-lane block into the equilibrium of its wind, law and load, at nominal frequency.
 
     The laws and the machines' inv_two_h and inv_droop must be set; `data.events` holds load events as P + jQ [p.u.],
@@ -184,7 +178,7 @@ def _prepare_lane(
         power[plant.unit_bus[i]] += plant.dispatch[i]
     for j in range(plant.share.shape[0]):
         if not _start_turbine(block, j, plant, data.wind[lane, j, 0]):
-            return StartFailure.NO_TURBINE_EQUILIBRIUM, n_sync + j
+            return StartFailure.NO_TURBINE_EQUILIBRIUM.value, n_sync + j
         power[plant.unit_bus[n_sync + j]] += _start_power(block, plant, j)
     open_branch = np.zeros(plant.branches.shape[0], dtype=np.bool_)
     y = assemble_admittance(plant.branches, open_branch, shunt)
@@ -193,24 +187,24 @@ def _prepare_lane(
     for k in range(n_bus):
         magnitude[k], holds_voltage[k] = buses[k]["voltage"], buses[k]["holds_voltage"]
     if solve_power_flow(y, plant.facts[0]["slack"], holds_voltage, power, magnitude, angle) < 0:
-        return StartFailure.POWER_FLOW_DIVERGED, 0
+        return StartFailure.POWER_FLOW_DIVERGED.value, 0
     if plant.extension.shape[0] > 0:
         # At most every bus lets go of its voltage.
         for _ in range(n_bus):
             if not _release_voltages(plant, y, load_level, holds_voltage, power, magnitude, angle):
                 break
             if solve_power_flow(y, plant.facts[0]["slack"], holds_voltage, power, magnitude, angle) < 0:
-                return StartFailure.POWER_FLOW_DIVERGED, 0
+                return StartFailure.POWER_FLOW_DIVERGED.value, 0
     voltage = np.empty(n_bus, dtype=np.complex128)
     for k in range(n_bus):
         voltage[k] = magnitude[k] * complex(math.cos(angle[k]), math.sin(angle[k]))
     _start_loads(lane, plant, data, load_level, magnitude)
-    _start_units(block, plant, load_level, y, voltage, power)
+    _start_units(block, scratch, plant, load_level, y, voltage, power, lanes)
     _start_clock(block, lane, plant, data, magnitude)
-    return StartFailure.NONE, 0
+    return StartFailure.NONE.value, 0
 
 
-@compiled
+@inlined
 def _release_voltages(
     plant: Plant,
     y: npt.NDArray[np.complex128],
@@ -225,12 +219,11 @@ def _release_voltages(
     A bus with a machine too keeps its voltage: the machine gives what is missing.
     """
     n_bus = magnitude.shape[0]
-    control = _read_extension(plant.extension[0]).voltage
-    limit = control.reactive_max
+    limit, gain = plant.extension[0]["voltage.reactive_max"], plant.extension[0]["voltage.gain"]
     found = False
     for k in range(n_bus):
         machines, _, share = _sizes_at(plant, k)
-        if holds_voltage[k] and machines == 0.0 and share > 0.0 and control.gain > 0.0 and k != plant.facts[0]["slack"]:
+        if holds_voltage[k] and machines == 0.0 and share > 0.0 and gain > 0.0 and k != plant.facts[0]["slack"]:
             injected = 0j
             for m in range(n_bus):
                 injected += y[k, m] * magnitude[m] * complex(math.cos(angle[m]), math.sin(angle[m]))
@@ -244,45 +237,46 @@ def _release_voltages(
     return found
 
 
-@compiled
+@inlined
 def _sizes_at(plant: Plant, bus: int) -> tuple[float, float, float]:
     """Return the sums over a bus's units: the machines' ratings, their reactive weights, the groups' shares."""
     n_sync = plant.machines.shape[0]
     ratings, weights, shares = 0.0, 0.0, 0.0
     for i in range(n_sync):
         if plant.unit_bus[i] == bus:
-            machine = _read_machine(plant.machines[i])
-            ratings += machine.rating
-            weights += machine.reactive_weight
+            ratings += plant.machines[i]["rating"]
+            weights += plant.machines[i]["reactive_weight"]
     for j in range(plant.share.shape[0]):
         if plant.unit_bus[n_sync + j] == bus:
             shares += plant.share[j]
     return ratings, weights, shares
 
 
-@compiled
+@inlined
 def _start_turbine(block: Floats, j: int, plant: Plant, wind: float) -> bool:
     """Set the states of WTG group j, all but its angle and voltage; return whether it has an equilibrium."""
     o = _group_at(plant, j)
-    law = _load_wtg_input(block, o + WTG.given, 1).law
-    rotor_speed, pitch, found = turbine_equilibrium(wind, law.k_nominal, _read_turbine(plant.turbine[0]), plant.cells)
-    state = WtgState(ConverterState(0.0, 1.0, 0.0), rotor_speed, PitchState(pitch, pitch), 0.0, 0.0)
-    _store_wtg_state(state, block, o, 1)
-    _store_wtg_input(WtgInput(0.0, law, 1.0, wind, wind), block, o + WTG.given, 1)
-    _store_extremes(WtgExtremes(-math.inf, math.inf, -math.inf, 0.0), block, o + WTG.extremes, 1)
+    rotor_speed, pitch, found = turbine_equilibrium(
+        wind, block[o + _K_NOMINAL], _read_turbine(plant.turbine[0]), plant.cells
+    )
+    for row in range(o, o + _N_WTG_STATES):
+        block[row] = 0.0
+    block[o + _WTG_SPEED], block[o + _ROTOR_SPEED] = 1.0, rotor_speed
+    block[o + _PITCH_INTEGRAL], block[o + _PITCH] = pitch, pitch
+    block[o + _WTG_CONNECTED], block[o + _WIND_START], block[o + _WIND_END] = 1.0, wind, wind
+    block[o + _PEAK_POWER], block[o + _LEAST_TSR], block[o + _LARGEST_TSR] = -math.inf, math.inf, -math.inf
     return found
 
 
-@compiled
+@inlined
 def _start_power(block: Floats, plant: Plant, j: int) -> float:
     """Return what WTG group j feeds in before any policy has acted [p.u. of the system base]."""
     o = _group_at(plant, j)
-    k, rotor_speed = _load_wtg_input(block, o + WTG.given, 1).law.k_nominal, _load_wtg_state(block, o, 1).rotor_speed
-    power: float = plant.share[j] * k * rotor_speed**3
+    power: float = plant.share[j] * block[o + _K_NOMINAL] * block[o + _ROTOR_SPEED] ** 3
     return power
 
 
-@compiled
+@inlined
 def _start_loads(lane: int, plant: Plant, data: LaneData, load_level: float, magnitude: Floats) -> None:
     """Turn loads and load events from power at the initial voltage into admittances."""
     for k in range(magnitude.shape[0]):
@@ -295,18 +289,19 @@ def _start_loads(lane: int, plant: Plant, data: LaneData, load_level: float, mag
             events[e]["admittance"] = complex(power.real / square, power.imag / -square)
 
 
-@compiled
+@inlined
 def _start_units(
     block: Floats,
+    scratch: Floats,
     plant: Plant,
     load_level: float,
     y: npt.NDArray[np.complex128],
     voltage: npt.NDArray[np.complex128],
     power: npt.NDArray[np.complex128],
+    lanes: Lanes,
 ) -> None:
     """Share each bus's power among its units and set their internal states; angles count from the first unit."""
     n_sync, n_wtg = plant.machines.shape[0], plant.share.shape[0]
-    reference = 0.0
     for i in range(n_sync + n_wtg):
         bus = plant.unit_bus[i]
         injected = 0j
@@ -318,21 +313,29 @@ def _start_units(
             active = plant.dispatch[i]
             if bus == plant.facts[0]["slack"]:
                 # The machines there share the active power that is missing, by rating.
-                rating = _read_machine(plant.machines[i]).rating
-                active += (flow.real - power[bus].real) * rating / _sizes_at(plant, bus)[0]
-            delta = _start_machine(block, i, plant, complex(active, reactive), voltage[bus])
+                active += (flow.real - power[bus].real) * plant.machines[i]["rating"] / _sizes_at(plant, bus)[0]
         else:
-            delta = _start_voltage(block, i - n_sync, plant, reactive, voltage[bus])
-        if i == 0:
-            reference = delta
+            active = _start_power(block, plant, i - n_sync)
+        current = (complex(active, reactive) / voltage[bus]).conjugate()
+        if i < n_sync:
+            at = plant.facts[0]["starts"] + i * _UNIT_STRIDE
+            scratch[at] = active
+            scratch[at + 1], scratch[at + 2], scratch[at + 3] = voltage[bus].real, voltage[bus].imag, abs(voltage[bus])
+            scratch[at + 4], scratch[at + 5] = current.real, current.imag
+            block[_machine_at(plant, i) + _MACHINE_CONNECTED] = 1.0
+        else:
+            emf = voltage[bus] + current / plant.unit_y[i]
+            _start_voltage(block, i - n_sync, plant, emf, reactive, voltage[bus])
+    start_machines(block, scratch, plant, lanes)
+    reference = block[_machine_at(plant, 0)] if n_sync > 0 else block[_group_at(plant, 0)]
     for i in range(n_sync):
-        block[_machine_at(plant, i) + MACHINE.state] -= reference
+        block[_machine_at(plant, i)] -= reference
     for j in range(n_wtg):
-        block[_group_at(plant, j) + _WTG_ANGLE] -= reference
+        block[_group_at(plant, j)] -= reference
     block[plant.facts[0]["lane"] + OF_LANE.angle] = reference
 
 
-@compiled
+@inlined
 def _reactive_share(plant: Plant, unit: int, total: float) -> float:
     """Return the reactive power of a unit, of the total at its bus, in proportion to the units' weights.
 
@@ -340,80 +343,57 @@ def _reactive_share(plant: Plant, unit: int, total: float) -> float:
     """
     bus, n_sync = plant.unit_bus[unit], plant.machines.shape[0]
     _, machines, groups = _sizes_at(plant, bus)
-    weight = _read_machine(plant.machines[unit]).reactive_weight if unit < n_sync else plant.share[unit - n_sync]
+    weight = plant.machines[unit]["reactive_weight"] if unit < n_sync else plant.share[unit - n_sync]
     reactive = total * weight / (machines + groups) if plant.buses[bus]["holds_voltage"] else 0.0
     if plant.extension.shape[0] > 0:
-        control = _read_extension(plant.extension[0]).voltage
-        limit = control.reactive_max * groups
-        if control.gain > 0.0 and groups > 0.0 and machines > 0.0 and reactive != 0.0:
+        limit = plant.extension[0]["voltage.reactive_max"] * groups
+        controls = plant.extension[0]["voltage.gain"] > 0.0
+        if controls and groups > 0.0 and machines > 0.0 and reactive != 0.0:
             given = min(max(total * groups / (machines + groups), -limit), limit)
             reactive = (total - given) * weight / machines if unit < n_sync else given * weight / groups
     return reactive
 
 
-@compiled
-def _start_machine(block: Floats, i: int, plant: Plant, power: complex, voltage: complex) -> float:
-    """Set the states and references of machine i, and return its angle [rad]."""
-    o = _machine_at(plant, i)
-    state, v_ref, gate_ref = machine_start(power, voltage, _read_machine(plant.machines[i]))
-    known = _load_machine_input(block, o + MACHINE.given, 1)
-    _store_machine_state(state, block, o, 1)
-    for h in range(plant.hydro.shape[0]):
-        if plant.hydro[h]["machine"] == i:
-            water = hydro_start(gate_ref, _read_hydro(plant.hydro[h]))
-            _store_hydro_state(water, block, _hydro_at(plant, h), 1)
-            gate_ref = water.hydro_gate
-    references = MachineInput(v_ref, gate_ref, known.inv_two_h, known.inv_droop, 1.0)
-    _store_machine_input(references, block, o + MACHINE.given, 1)
-    return state.angle
-
-
-@compiled
-def _start_voltage(block: Floats, j: int, plant: Plant, reactive: float, voltage: complex) -> float:
-    """Set the internal voltage of WTG group j and what holds it, and return its angle [rad]."""
+@inlined
+def _start_voltage(block: Floats, j: int, plant: Plant, emf: complex, reactive: float, voltage: complex) -> None:
+    """Set the internal voltage of WTG group j, and what holds it."""
     o = _group_at(plant, j)
-    current = (complex(_start_power(block, plant, j), reactive) / voltage).conjugate()
-    emf = voltage + current / plant.unit_y[plant.machines.shape[0] + j]
-    delta = math.atan2(emf.imag, emf.real)
-    block[o + _WTG_ANGLE] = delta
-    block[o + _WTG_EMF] = abs(emf)
+    block[o], block[o + _WTG_EMF] = math.atan2(emf.imag, emf.real), abs(emf)
     if plant.extension.shape[0] > 0:
         at = _extension_at(plant, j)
-        _store_extension_state(ExtensionState(LimitState(0.0, 0.0, 0.0), abs(emf)), block, at, 1)
-        references = VoltageInput(abs(voltage), reactive / plant.share[j])
-        _store_extension_input(references, block, at + EXTENSION.references, 1)
-    return delta
+        for row in range(at, at + EXTENSION.references):
+            block[row] = 0.0
+        block[at + _INTERNAL_VOLTAGE] = abs(emf)
+        block[at + EXTENSION.references] = abs(voltage)
+        block[at + EXTENSION.references + 1] = reactive / plant.share[j]
 
 
-@compiled
-def _limit_failure(block: Floats, plant: Plant) -> tuple[StartFailure, int]:
+@inlined
+def _limit_failure(block: Floats, plant: Plant) -> tuple[int, int]:
     """Return why a machine or converter would start beyond its limits, and the index of that unit."""
     machines = plant.machines
     for i in range(machines.shape[0]):
-        state, machine = _load_machine_state(block, _machine_at(plant, i), 1), _read_machine(machines[i])
-        if not machine.governor.gate_min <= state.governor.gate <= machine.governor.gate_max:
-            return StartFailure.GOVERNOR_LIMIT, i
-        if not machine.exciter.field_min <= state.exciter.field_voltage <= machine.exciter.field_max:
-            return StartFailure.EXCITER_LIMIT, i
+        o, machine = _machine_at(plant, i), machines[i]
+        if not machine["governor.gate_min"] <= block[o + _GATE] <= machine["governor.gate_max"]:
+            return StartFailure.GOVERNOR_LIMIT.value, i
+        if not machine["exciter.field_min"] <= block[o + _FIELD_VOLTAGE] <= machine["exciter.field_max"]:
+            return StartFailure.EXCITER_LIMIT.value, i
     for h in range(plant.hydro.shape[0]):
-        governor = _read_hydro(plant.hydro[h])
-        gate = _load_hydro_state(block, _hydro_at(plant, h), 1).hydro_gate
-        if not governor.gate_min <= gate <= governor.gate_max:
-            return StartFailure.GOVERNOR_LIMIT, governor.machine
+        governor, gate = plant.hydro[h], block[_hydro_at(plant, h) + _HYDRO_GATE]
+        if not governor["gate_min"] <= gate <= governor["gate_max"]:
+            return StartFailure.GOVERNOR_LIMIT.value, governor["machine"]
     if plant.extension.shape[0] > 0:
-        limits, control = _read_extension(plant.extension[0]).limits, _read_extension(plant.extension[0]).voltage
+        limits = plant.extension[0]
         for j in range(plant.share.shape[0]):
-            at = _extension_at(plant, j)
-            power = _load_wtg_output(block, _group_at(plant, j) + WTG.output, 1).power
-            emf = _load_extension_state(block, at, 1).internal_voltage
-            if block[at + _REACTANCE] > 0.0 or not limits.power_min <= power <= limits.power_max:
-                return StartFailure.CONVERTER_LIMIT, machines.shape[0] + j
-            if not control.emf_min <= emf <= control.emf_max:
-                return StartFailure.INTERNAL_VOLTAGE_LIMIT, machines.shape[0] + j
-    return StartFailure.NONE, 0
+            at, power = _extension_at(plant, j), block[_group_at(plant, j) + _POWER]
+            if block[at + _REACTANCE] > 0.0 or not limits["limits.power_min"] <= power <= limits["limits.power_max"]:
+                return StartFailure.CONVERTER_LIMIT.value, machines.shape[0] + j
+            if not limits["voltage.emf_min"] <= block[at + _INTERNAL_VOLTAGE] <= limits["voltage.emf_max"]:
+                return StartFailure.INTERNAL_VOLTAGE_LIMIT.value, machines.shape[0] + j
+    return StartFailure.NONE.value, 0
 
 
-@compiled
+@inlined
 def _start_clock(block: Floats, lane: int, plant: Plant, data: LaneData, magnitude: Floats) -> None:
     """Set clock, network and statistics of a lane."""
     own = plant.facts[0]["lane"]
@@ -424,7 +404,7 @@ def _start_clock(block: Floats, lane: int, plant: Plant, data: LaneData, magnitu
     block[own + OF_LANE.noise_y] = 0.0
     # An event at t = 0 strikes in the first step, not before the equilibrium.
     block[own + OF_LANE.step] = -1.0
-    refresh_network(block, 0, lane, plant, data, 1)
+    refresh_network(block, np.int64(0), lane, plant, data, np.int64(1))
     block[own + OF_LANE.step] = 0.0
     block[own + OF_LANE.healthy_step] = 0.0
     block[own + OF_LANE.coi_min] = math.inf

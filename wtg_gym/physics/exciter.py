@@ -9,8 +9,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from wtg_gym.systems.compiled import inlined
-from wtg_gym.systems.elementary import clip, limited_rate
+from wtg_gym.systems.elementary import clip, limited_rate, select
 from wtg_gym.physics.machine_parameters import ExciterParameters
 
 
@@ -46,7 +45,6 @@ def exciter_constants(parameters: ExciterParameters | None) -> Exciter:
     )
 
 
-@inlined
 def exciter_rates(s: ExciterState, voltage_error: float, c: Exciter) -> ExciterState:
     """Return the rates [p.u./s] at a voltage error V_ref - V [p.u.]."""
     error = voltage_error - s.lead_lag
@@ -58,14 +56,12 @@ def exciter_rates(s: ExciterState, voltage_error: float, c: Exciter) -> ExciterS
     )
 
 
-@inlined
 def exciter_limited(s: ExciterState, c: Exciter) -> ExciterState:
     """Return the states, held within their limits."""
     return ExciterState(s.lead_lag, clip(s.field_voltage, c.field_min, c.field_max))
 
 
-@inlined
 def exciter_start(field_voltage: float, c: Exciter) -> tuple[ExciterState, float]:
     """Return the equilibrium that gives a field voltage [p.u.], and the voltage error that it needs [p.u.]."""
-    error = field_voltage / c.gain if c.gain > 0.0 else 0.0
+    error = select(c.gain > 0.0, field_voltage / c.gain, 0.0)
     return ExciterState(error, field_voltage), error

@@ -29,7 +29,6 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from wtg_gym.systems.compiled import inlined
 from wtg_gym.systems.elementary import clip, fma, limited_rate, select
 from wtg_gym.physics.parameters import ConverterLimitParameters, VoltageControlParameters
 
@@ -62,7 +61,6 @@ def converter_limits(p: ConverterLimitParameters | None) -> ConverterLimits:
     return ConverterLimits(p.current_max_pu, p.power_max_pu, p.power_min_pu, p.power_gain, p.power_integral_gain)
 
 
-@inlined
 def limiting_reactance(current_re: float, current_im: float, y_re: float, y_im: float, current_max: float) -> float:
     """Return X_v [p.u.], 0 where nothing is to be limited.
 
@@ -79,7 +77,6 @@ def limiting_reactance(current_re: float, current_im: float, y_re: float, y_im: 
     return select(current > largest, max(wanted, 0.0), 0.0)
 
 
-@inlined
 def power_limiter(s: LimitState, power: float, c: ConverterLimits) -> tuple[LimitState, float, float]:
     """Return the rates, the frequency Δω added to the angle's equation [p.u.], and the power that the rotor gives."""
     over, under = c.power_max - power, c.power_min - power
@@ -93,7 +90,6 @@ def power_limiter(s: LimitState, power: float, c: ConverterLimits) -> tuple[Limi
     return rates, shift, drawn
 
 
-@inlined
 def limit_state_limited(s: LimitState) -> LimitState:
     """Return the states, held within their limits."""
     return LimitState(min(s.over_power, 0.0), max(s.under_power, 0.0), s.energy_chopped)
@@ -131,7 +127,6 @@ def voltage_control(p: VoltageControlParameters | None) -> VoltageControl:
     )
 
 
-@inlined
 def emf_rate(emf: float, voltage: float, reactive: float, limited: bool, u: VoltageInput, c: VoltageControl) -> float:
     """Return Ė [p.u./s].
 
@@ -148,7 +143,6 @@ def emf_rate(emf: float, voltage: float, reactive: float, limited: bool, u: Volt
     return select(limited, min(rate, 0.0), rate)
 
 
-@inlined
 def emf_limited(emf: float, c: VoltageControl) -> float:
     """Return E, held within its limits."""
     return clip(emf, c.emf_min, c.emf_max)

@@ -19,7 +19,6 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from wtg_gym.systems.compiled import inlined
 from wtg_gym.systems.elementary import clip, limited_rate, select
 from wtg_gym.physics.machine_parameters import GovernorParameters, HydroGovernorParameters
 
@@ -66,7 +65,6 @@ def governor_constants(parameters: GovernorParameters | HydroGovernorParameters 
     )
 
 
-@inlined
 def beyond_dead_band(deviation: float, dead_band: float) -> float:
     """Return how far a deviation lies beyond a dead band, without a step at its edge."""
     # Its slope without a dead band is 1 everywhere, at a deviation of exactly zero too.
@@ -74,7 +72,6 @@ def beyond_dead_band(deviation: float, dead_band: float) -> float:
     return select(abs(deviation) < dead_band, 0.0, deviation - edge)
 
 
-@inlined
 def governor_rates(
     s: GovernorState, speed: float, reference: float, inv_droop: float, c: Governor
 ) -> tuple[GovernorState, float]:
@@ -88,7 +85,6 @@ def governor_rates(
     return rates, s.reheat + c.lead_reheat_ratio * (held - s.reheat) - c.turbine_damping * (speed - 1.0)
 
 
-@inlined
 def governor_limited(s: GovernorState, c: Governor) -> GovernorState:
     """Return the states, held within their limits."""
     return GovernorState(clip(s.gate, c.gate_min, c.gate_max), s.reheat)
@@ -140,7 +136,6 @@ def hydro_constants(machine: int, p: HydroGovernorParameters) -> HydroGovernor:
     )
 
 
-@inlined
 def hydro_rates(
     s: HydroState, speed: float, reference: float, inv_droop: float, c: HydroGovernor
 ) -> tuple[HydroState, float]:
@@ -166,13 +161,11 @@ def hydro_rates(
     return rates, torque
 
 
-@inlined
 def hydro_limited(s: HydroState, c: HydroGovernor) -> HydroState:
     """Return the states, held within their limits."""
     return HydroState(s.speed_error, clip(s.gate_order, c.gate_min, c.gate_max), s.hydro_gate, s.flow)
 
 
-@inlined
 def hydro_start(torque: float, c: HydroGovernor) -> HydroState:
     """Return the equilibrium at a torque [p.u.]; its gate is g_ref."""
     gate = torque / c.turbine_gain + c.no_load_flow

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from wtg_gym.physics.governor import HydroGovernor, HydroState, hydro_limited, hydro_rates
+from wtg_gym.physics.governor import HydroGovernor, HydroState, hydro_limited, hydro_rates, hydro_start
 from wtg_gym.physics.machine import Machine, MachineInput, MachineState
 from wtg_gym.physics.machine_unit import MACHINES
 from wtg_gym.physics.runge_kutta import kept, moved_by_stage
@@ -18,6 +18,13 @@ HYDRO = Kind(
     sees={"machine": MACHINES, "lane": LANE},
     states={"water": "water_rates"},
 )
+
+
+@system(HYDRO, "water", "gate_reference")
+def start_hydro(gate_reference: float, hydro: HydroGovernor) -> tuple[HydroState, float]:
+    """Return the equilibrium at the torque that its machine needs."""
+    water = hydro_start(gate_reference, hydro)
+    return water, water.hydro_gate
 
 
 @system(HYDRO, "water_rates", "hydro_torque")

@@ -17,9 +17,10 @@ PROGRAMS = in_one_table(
     EVALUATE=systems.EVALUATE,
     FINISH=systems.FINISH,
     PROTECT=systems.PROTECT,
+    START_MACHINES=systems.START_MACHINES,
     START=systems.START,
 )
-_admittances, _, _evaluate, _finish, _protect, _start = (program.function() for program in PROGRAMS)
+_admittances, _, _evaluate, _finish, _protect, _start_machines, _start = (program.function() for program in PROGRAMS)
 _first_stage, _middle_stage, _last_stage = (
     PROGRAMS[1].function(first=first, last=last) for first, last in ((1.0, 0.0), (0.0, 0.0), (0.0, 1.0))
 )
@@ -111,6 +112,12 @@ def protections_sample(plant: Plant, step: int) -> bool:
 def evaluate(block: Floats, scratch: Floats, plant: Plant, fraction: float, lanes: Lanes) -> None:
     """Evaluate rates and outputs of every lane of a block at its present state."""
     _evaluate(block, scratch, plant.table, plant.numbers, fraction, 0.0, 0.0, 0.0, lanes)
+
+
+@inlined
+def start_machines(block: Floats, scratch: Floats, plant: Plant, lanes: Lanes) -> None:
+    """Put machines into the equilibrium of what scratch says of their terminals."""
+    _start_machines(block, scratch, plant.table, plant.numbers, 0.0, 0.0, 0.0, 0.0, lanes)
 
 
 @inlined

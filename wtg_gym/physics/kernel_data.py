@@ -47,6 +47,7 @@ class Facts(NamedTuple):
     units: int
     pairs: int
     stages: int
+    starts: int  # of what units start from, in scratch
 
 
 class Plant(NamedTuple):

@@ -20,7 +20,6 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from wtg_gym.systems.compiled import inlined
 from wtg_gym.systems.elementary import sine_cosine
 from wtg_gym.physics.exciter import (
     Exciter,
@@ -99,7 +98,6 @@ class MachineOutput(NamedTuple):
     torque: float  # mechanical [p.u.]
 
 
-@inlined
 def machine_voltage(s: MachineState, c: Machine) -> tuple[MachineVoltage, float, float]:
     """Return the voltage behind x'', and its real and imaginary part in the network's frame [p.u.]."""
     sine, cosine = sine_cosine(s.angle)
@@ -108,7 +106,6 @@ def machine_voltage(s: MachineState, c: Machine) -> tuple[MachineVoltage, float,
     return MachineVoltage(sine, cosine, e_d, e_q), e_d * sine + e_q * cosine, e_q * sine - e_d * cosine
 
 
-@inlined
 def machine_rates(
     s: MachineState,
     e: MachineVoltage,
@@ -151,7 +148,6 @@ def machine_rates(
     return rates, MachineOutput(power, voltage, torque)
 
 
-@inlined
 def driven_by(torque: float, rates: MachineState, output: MachineOutput, u: MachineInput) -> MachineState:
     """Return the rates with another mechanical torque [p.u.] than the governor's."""
     speed = rates.speed + u.inv_two_h * (torque - output.torque)
@@ -167,7 +163,6 @@ def driven_by(torque: float, rates: MachineState, output: MachineOutput, u: Mach
     )
 
 
-@inlined
 def machine_limited(s: MachineState, c: Machine) -> MachineState:
     """Return the states, held within their limits."""
     return MachineState(
@@ -182,25 +177,31 @@ def machine_limited(s: MachineState, c: Machine) -> MachineState:
     )
 
 
-@inlined
-def machine_start(power: complex, voltage: complex, c: Machine) -> tuple[MachineState, float, float]:
-    """Return the equilibrium at a terminal power and voltage [p.u.], its V_ref and its gate reference.
+def machine_start(
+    power: float, v_re: float, v_im: float, magnitude: float, i_re: float, i_im: float, c: Machine
+) -> tuple[MachineState, float, float]:
+    """Return the equilibrium at a terminal, its V_ref and its gate reference.
 
     The rotor's angle counts from the network's frame. Source: Kundur, section 3.6.
+
+    Args:
+        power: [p.u.].
+        v_re, v_im, magnitude: of the voltage [p.u.].
+        i_re, i_im: of the current into the network [p.u.].
+        c: constants.
     """
     # x'_d - x'' = (x'_d - x_l)(1 - γ_d), and likewise on the q axis.
     x_d_transient = c.internal_reactance + c.x_d_leak * (1.0 - c.gamma_d)
     x_q = c.internal_reactance + c.x_q_leak * (1.0 - c.gamma_q) + c.x_q_field
-    current = (power / voltage).conjugate()
-    axis = voltage + complex(c.resistance, x_q) * current
-    delta = math.atan2(axis.imag, axis.real)
+    axis_re, axis_im = v_re + (c.resistance * i_re - x_q * i_im), v_im + (c.resistance * i_im + x_q * i_re)
+    delta = math.atan2(axis_im, axis_re)
     sine, cosine = math.sin(delta), math.cos(delta)
-    i_d, i_q = current.real * sine - current.imag * cosine, current.real * cosine + current.imag * sine
-    v_q = voltage.real * cosine + voltage.imag * sine
+    i_d, i_q = i_re * sine - i_im * cosine, i_re * cosine + i_im * sine
+    v_q = v_re * cosine + v_im * sine
     e_q_transient = v_q + c.resistance * i_q + x_d_transient * i_d
     e_d_transient = c.x_q_field * i_q
     exciter, error = exciter_start(e_q_transient + c.x_d_field * i_d, c.exciter)
-    torque = power.real + c.resistance * (i_d * i_d + i_q * i_q)
+    torque = power + c.resistance * (i_d * i_d + i_q * i_q)
     gate = torque / c.rating
     state = MachineState(
         angle=delta,
@@ -212,7 +213,7 @@ def machine_start(power: complex, voltage: complex, c: Machine) -> tuple[Machine
         exciter=exciter,
         governor=GovernorState(gate, gate),
     )
-    return state, abs(voltage) + error, gate
+    return state, magnitude + error, gate
 
 
 def machine_constants(m: SynchronousMachineParameters, base_mva: float) -> Machine:

@@ -11,10 +11,11 @@ from wtg_gym.physics.machine import (
     driven_by,
     machine_limited,
     machine_rates,
+    machine_start,
     machine_voltage,
 )
 from wtg_gym.physics.runge_kutta import kept, moved_by_stage
-from wtg_gym.physics.units import LANE, UNITS, Phasor
+from wtg_gym.physics.units import LANE, UNITS, Phasor, Terminal
 from wtg_gym.systems.elementary import select
 from wtg_gym.systems.records import each
 from wtg_gym.systems.systems import Kind, system
@@ -40,6 +41,13 @@ FIRST_MACHINE = Kind(name="first machine", sees={"machine": MACHINES, "lane": LA
 def reference(speed: float) -> float:
     """Return the speed of the frame of all angles."""
     return speed
+
+
+@system(MACHINES, "state", "voltage_reference", "gate_reference")
+def start_machine(start: Terminal, machine: Machine) -> tuple[MachineState, float, float]:
+    """Return the equilibrium that a run starts from; angles count from the network's frame."""
+    v, i = start.voltage, start.current
+    return machine_start(start.power, v.re, v.im, start.magnitude, i.re, i.im, machine)
 
 
 @system(MACHINES, "emf", "voltage")

@@ -11,7 +11,6 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from wtg_gym.systems.compiled import inlined
 from wtg_gym.systems.elementary import clip, limited_rate
 from wtg_gym.physics.parameters import PitchParameters
 
@@ -52,7 +51,6 @@ def pitch_constants(p: PitchParameters) -> Pitch:
     )
 
 
-@inlined
 def pitch_rates(s: PitchState, captured: float, rotor_speed: float, c: Pitch) -> PitchState:
     """Return the rates [deg/s] at a captured power and a rotor speed [p.u.].
 
@@ -67,7 +65,6 @@ def pitch_rates(s: PitchState, captured: float, rotor_speed: float, c: Pitch) ->
     )
 
 
-@inlined
 def pitch_limited(s: PitchState, c: Pitch) -> PitchState:
     """Return the states, held within their limits."""
     return PitchState(clip(s.pitch_integral, 0.0, c.angle_max), clip(s.pitch, 0.0, c.angle_max))

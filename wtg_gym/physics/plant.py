@@ -177,7 +177,7 @@ def build_plant(settings: PlantSettings) -> Plant:
         simulation_dt=settings.simulation_dt,
         n_substeps=whole_steps("control_dt", settings.control_dt, settings.simulation_dt, "simulation step"),
         trips_groups=settings.trips_groups,
-        **dict.fromkeys(("machines", "groups", "hydro", "extensions", "lane", "units", "pairs", "stages"), 0),
+        **dict.fromkeys(("machines", "groups", "hydro", "extensions", "lane", "units", "pairs", "stages", "starts"), 0),
     )
     buses = [
         BusConstants(
@@ -304,5 +304,6 @@ def arranged(
     facts = plant.facts.copy()
     for name, row in zip(names, layout.first.values(), strict=False):
         facts[name] = row
+    facts["starts"] = layout.first_rows(UNITS, "start")[:1].sum()
     table, numbers = build_table(programs, Arranged(plant, layout, further or Further({})), taped=taped)
     return plant._replace(facts=facts, table=table, numbers=numbers)

@@ -78,5 +78,8 @@ PROTECT = (
     protection.still_wind,
 )
 
+#: The machines' equilibria, from what they deliver.
+START_MACHINES = (machine.start_machine, hydro.start_hydro)
+
 #: The first outputs of a run.
 START = (*ADMITTANCES, *EVALUATE, *COI, protection.track_extremes)

@@ -17,6 +17,15 @@ class Phasor(NamedTuple):
     im: float
 
 
+class Terminal(NamedTuple):
+    """What a unit starts from at its terminal [p.u.]."""
+
+    power: float
+    voltage: Phasor
+    magnitude: float  # of the voltage
+    current: Phasor  # into the network
+
+
 #: A lane: a run. What is of one unit here is of the lane.
 LANE = Kind(
     name="lanes",
@@ -60,7 +69,11 @@ LANE = Kind(
 UNITS = Kind(
     name="units",
     rows={"transfer": Phasor},  # y_i Z_in to the bus of the load noise
-    scratch={"voltage": Phasor, "current": Phasor},  # behind the internal impedance, and into the network
+    scratch={
+        "voltage": Phasor,  # behind the internal impedance
+        "current": Phasor,  # into the network
+        "start": Terminal,
+    },
     sees={"lane": LANE},
 )
 

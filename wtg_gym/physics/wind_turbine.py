@@ -59,7 +59,6 @@ class Rotor(NamedTuple):
     available_per_cubic_wind: float  # available power / v³ at β = 0 [p.u. s³/m³]
 
 
-@inlined
 def tip_speed_ratio(rotor_speed: float, wind: float, c: Rotor) -> float:
     """Return λ = ω_m ω_tn R / v of a rotor speed ω_m [p.u.] in a wind v [m/s]."""
     return c.tip_speed * rotor_speed / wind
@@ -150,7 +149,6 @@ class ExtensionOutput(NamedTuple):
     current: float  # |I| [p.u.]
 
 
-@inlined
 def wtg_voltage(s: WtgState, emf: float) -> tuple[float, float]:
     """Return the real and imaginary part of the voltage behind the reactance, in the network's frame [p.u.]."""
     sine, cosine = sine_cosine(s.converter.angle)
@@ -171,7 +169,7 @@ def captured_by_table(rotor_speed: float, wind: float, pitch: float, c: Rotor, c
     return c.wind_power * wind * wind * wind * tabulated_power_coefficient(ratio, pitch, cells, c.grid)
 
 
-@inlined
+@compiled
 def captured_power(rotor_speed: float, wind: float, pitch: float, c: Rotor, cells: Cells) -> float:
     """Return the captured power by the table, if a turbine has one."""
     if cells.shape[0] > 0:
@@ -179,13 +177,11 @@ def captured_power(rotor_speed: float, wind: float, pitch: float, c: Rotor, cell
     return captured_by_curve(rotor_speed, wind, pitch, c)
 
 
-@inlined
 def wind_at(u: WtgInput, fraction: float) -> float:
     """Return the wind [m/s] when a fraction 0 … 1 of the control interval has passed: linear between its ends."""
     return u.wind_start + fraction * (u.wind_end - u.wind_start)
 
 
-@inlined
 def wtg_rates(
     s: WtgState,
     power: float,
@@ -220,7 +216,6 @@ def wtg_rates(
     return rates, WtgOutput(wind, power, u.connected * captured, k)
 
 
-@inlined
 def at_terminal(
     e_re: float, e_im: float, i_re: float, i_im: float, limiting_reactance: float, c: Converter
 ) -> ExtensionOutput:
@@ -234,7 +229,6 @@ def at_terminal(
     )
 
 
-@inlined
 def extended_rates(
     rates: WtgState,
     s: WtgState,
@@ -281,7 +275,6 @@ def extended_rates(
     return extended, further
 
 
-@inlined
 def rotor_of_energy(before: WtgState, after: WtgState, chopped: float, c: Turbine, e: Extension) -> float:
     """Return the rotor speed after a step [p.u.]; where the rotor keeps its energy, that which follows from H_m ω_m².
 
@@ -299,13 +292,11 @@ def rotor_of_energy(before: WtgState, after: WtgState, chopped: float, c: Turbin
     return select(e.conserves_energy > 0.5, math.sqrt(max(square, 1e-4)), after.rotor_speed)
 
 
-@inlined
 def extension_limited(x: ExtensionState, e: Extension) -> ExtensionState:
     """Return the further states of an extended group, held within their limits."""
     return ExtensionState(limit_state_limited(x.limits), emf_limited(x.internal_voltage, e.voltage))
 
 
-@inlined
 def wtg_limited(s: WtgState, c: Turbine) -> WtgState:
     """Return the states, held within their limits."""
     pitch = pitch_limited(s.pitch, c.pitch)

@@ -172,6 +172,15 @@ smallest, largest, absolute = _two("min"), _two("max"), _one("abs")
 square_root, exponential, floor, ceil = _one("sqrt"), _one("exponential"), _one("floor"), _one("ceil")
 
 
+def arc_tangent(y: Any, x: Any) -> Any:
+    """Return the angle of (x, y) as libm has it; no derivative is known."""
+    return number("atan2", y, x)
+
+
+#: As libm has them; :func:`sine_cosine` is what equations of motion use.
+sine_of_libm, cosine_of_libm = _one("sin"), _one("cos")
+
+
 def is_finite(a: Any) -> Any:
     """Return whether a number is finite."""
     return absolute(a) < math.inf
@@ -221,6 +230,9 @@ _CONSTANT: dict[str, Callable[..., Any]] = {
     "min": min,
     "max": max,
     "sqrt": math.sqrt,
+    "atan2": math.atan2,
+    "sin": math.sin,
+    "cos": math.cos,
     "floor": math.floor,
     "ceil": math.ceil,
     "exponential": math.exp,

@@ -24,7 +24,15 @@ ARITHMETIC: dict[str, Any] = {
     "sine_cosine": ex.sine_cosine,
     "exponential": ex.exponential,
     "math": SimpleNamespace(
-        sqrt=ex.square_root, floor=ex.floor, ceil=ex.ceil, isfinite=ex.is_finite, inf=math.inf, pi=math.pi
+        sqrt=ex.square_root,
+        floor=ex.floor,
+        ceil=ex.ceil,
+        isfinite=ex.is_finite,
+        sin=ex.sine_of_libm,
+        cos=ex.cosine_of_libm,
+        atan2=ex.arc_tangent,
+        inf=math.inf,
+        pi=math.pi,
     ),
     # Whole numbers are floats in rows: they stay what they are.
     "np": SimpleNamespace(int64=lambda value: value),

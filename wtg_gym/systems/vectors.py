@@ -23,6 +23,8 @@ _POLYNOMIALS = {"sine": elementary.sine_cosine, "cosine": elementary.sine_cosine
 _COMPARED = {"lt": "<", "le": "<=", "eq": "=="}
 _DIRECT = {"add": "fadd", "sub": "fsub", "mul": "fmul", "div": "fdiv", "neg": "fneg", "and": "and_", "or": "or_"}
 _INTRINSIC = {"fma": "fma", "sqrt": "sqrt", "abs": "fabs", "floor": "floor", "ceil": "ceil"}
+#: Functions of libm, called for one lane after the other.
+_OF_LIBM = {"power": "llvm.pow.f64", "sin": "llvm.sin.f64", "cos": "llvm.cos.f64", "atan2": "atan2"}
 
 
 class Lanes:
@@ -148,10 +150,10 @@ class Lanes:
             return builder.select(builder.fcmp_ordered(">", a[1], a[0]), a[1], a[0])
         if operation == "min":
             return builder.select(builder.fcmp_ordered("<", a[1], a[0]), a[1], a[0])
-        if operation == "power":
-            kind = ir.FunctionType(_DOUBLE, [_DOUBLE, _DOUBLE])
-            power = cgutils.get_or_insert_function(builder.module, kind, "llvm.pow.f64")
-            return self.each(lambda base, exponent: builder.call(power, (base, exponent)), *a)
+        if operation in _OF_LIBM:
+            kind = ir.FunctionType(_DOUBLE, [_DOUBLE] * len(a))
+            function = cgutils.get_or_insert_function(builder.module, kind, _OF_LIBM[operation])
+            return self.each(lambda *given: builder.call(function, given), *a)
         if operation == "cell":
             return self.each(self._number_at, *a)
         raise NotImplementedError(operation)
