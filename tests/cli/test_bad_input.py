@@ -98,8 +98,6 @@ BAD = [
     # Pages and results.
     ("leaderboard --suite paper --readme nowhere.md", "cannot read the file with the markers"),
     ("leaderboard --suite paper --readme file.txt", "must have the markers <!-- leaderboard:paper:start -->"),
-    ("reproduce --page nowhere.md", "--page: cannot read the file with the markers nowhere.md"),
-    ("reproduce --page claims.md", "must have the markers <!-- figures:start -->"),
     ("reproduce --output file.txt", '"file.txt" is a file'),
     ("results recompute nowhere.json", "nowhere.json"),
     ("results recompute paper-test.json --entries no-such-thing", "unknown entry"),
@@ -139,7 +137,6 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     (root / "secret.txt").write_text("a secret for these tests\n")
     (root / "short.txt").write_text("12345")
     (root / "large.bin").write_bytes(bytes(5000))
-    (root / "claims.md").write_text("<!-- claims:start -->\n<!-- claims:end -->\n")
     for name, times in {"wind": range(8), "gap": (0, 1, 2, 5, 6)}.items():
         rows = "".join(f"{time},9.5,8.0\n" for time in times)
         (root / f"{name}.csv").write_text(f"time_s,wind_1_m_s,wind_2_m_s\n{rows}")
