@@ -20,7 +20,6 @@ from wtg_gym.physics.scenario import Scenario
 from wtg_gym.physics.sensors import Sensors
 from wtg_gym.physics.tracking_law import TrackingLaw
 from wtg_gym.scenarios import get_suite
-from wtg_gym.wrappers import VectorReward
 
 NAN = math.nan
 ACTIONS = actions_of(40, 60, 3)
@@ -259,11 +258,3 @@ def test_snapshot_of_other_settings_is_refused_and_changes_nothing(settings: dic
         with pytest.raises(ValueError, match=r"snapshot\(\) of a GFMWTGEnv returned, got "):
             other.restore(wrong)
     assert pickle.dumps(other.snapshot()) == pickle.dumps(before)
-
-
-def test_what_cannot_be_rewarded_is_refused():
-    for terms in ((), ("frequency", "speed"), "duty", ("duty", "duty"), 5):
-        with pytest.raises(ValueError, match=r"terms must be a list of some of frequency, rocof, .*, each once, got "):
-            VectorReward(gym.make(ENV_IDS[0]), terms)
-    with pytest.raises(ValueError, match=r"env must be a GFMWTGEnv.*CartPole"):
-        VectorReward(gym.make("CartPole-v1"))
