@@ -17,7 +17,7 @@ from wtg_gym.files import LARGEST_TOML_BYTES, write_together
 from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY
 from wtg_gym.policies.entry_toml import parse_entry
 from wtg_gym.policies.load import ENTRY_FILE, POLICY_FILE
-from wtg_gym.policies.names import check_no_module, check_not_built_in
+from wtg_gym.policies.names import check_not_built_in
 from wtg_gym.policies.submission_texts import check_author, check_link, check_name, check_text
 from wtg_gym.scenarios.benchmark import BENCHMARKS
 
@@ -89,7 +89,6 @@ def _check_folder_name(folder: Path) -> None:
             f"a dot or .toml, and be no device of Windows; got {ascii(name)[:90]}"
         )
     check_not_built_in("the folder's name", name)
-    check_no_module("the folder's name", name)
 
 
 def _read(path: Path, largest: int) -> bytes:
@@ -128,7 +127,6 @@ def parse_submission(content: bytes) -> EntryFile:
         data[key] = tuple(map(check, given))
     name = check_name(data["name"])
     check_not_built_in("name", name)
-    check_no_module("name", name)
     return EntryFile(**data)
 
 
