@@ -330,7 +330,7 @@ def _play(entry: Entry, settings: EnvSettings, seeds: Sequence[int], n_threads: 
                     seed=int(lanes.scenario_seeds[lane]),
                     scenario=scenario.name,
                     duration_s=min(scenario.duration_s, lanes.duration_s),
-                    **measure(lanes, recorder, lane, scenario),
+                    **measure(lanes, recorder, lane),
                 )
                 for lane, scenario in enumerate(scenarios)
             ]
