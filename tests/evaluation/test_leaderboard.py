@@ -50,7 +50,7 @@ def test_table_says_who_sees_the_grid() -> None:
     names = [name for (name,) in table_cells(leaderboard_rows(results), ("entry",))]
     assert sorted(names) == ["coordinated-piecewise", "mppt", "sees all (privileged)"]
     said = "rivileged: sees the state of the whole grid, which no turbine measures"
-    for text in (markdown_section(results), results._repr_html_()):
+    for text in (markdown_section(results), results._repr_markdown_()):
         assert "sees all (privileged)" in text and text.count(said) == 1
     seeds = [dataclasses.replace(entry, training_seed=seed) for seed in (0, 1)]
     both = evaluate(seeds, "standard", "test", seeds=(20_002, 20_000), duration_s=10.0)
@@ -108,7 +108,7 @@ def test_without_a_score_the_mean_pinned_cost_ranks(tmp_path: Path) -> None:
     cells = [dict(zip(columns, each, strict=True)) for each in table_cells(rows, columns)]
     assert [each["rank"] for each in cells] == ["1", "2", "3"] and {each["score"] for each in cells} == {"none"}
     assert [each["mean pinned cost"] for each in cells] == [f"{costs[row.name]:.1f}" for row in rows]
-    for text in (markdown_section(results), results._repr_html_()):
+    for text in (markdown_section(results), results._repr_markdown_()):
         assert "anked by mean pinned cost, as there is no score: on these 2 scenarios coordinated-piecewise" in text
         assert "[points]" not in text and f"{costs[rows[0].name]:.1f}" in text
     assert results.to_dict()["summary"]["fast-droop"]["mean_pinned_cost"] == pytest.approx(costs["fast-droop"])
