@@ -114,8 +114,8 @@ def load_entry_folder(folder: Path) -> Entry:
 
     Its entry.toml has the keys name and action_mode, and may have description, observation_mode, environment (without
     it: that of version v1), strategy (the name of a built-in one; without it: the reference strategy), training_seed,
-    authors (a list of names), trained_on (text) and links (a list of addresses). An :class:`OnnxPolicy` plays its
-    policy.onnx in a process of its own; nothing of that file is looked at before.
+    authors (a list of names) and trained_on (text). An :class:`OnnxPolicy` plays its policy.onnx in a process of its
+    own; nothing of that file is looked at before.
 
     Raises:
         ValueError: a file is missing or damaged, or a key is unknown or of the wrong type.
@@ -143,7 +143,7 @@ def _entry_data(path: Path) -> dict[str, Any]:
 def entry_arguments(data: Mapping[str, Any]) -> dict[str, Any]:
     """Return the arguments of :class:`Entry` in the keys of an entry.toml: authors are its source."""
     source = ", ".join(data.get("authors", ()))
-    return {**{key: data[key] for key in data if key not in ("authors", "links", "trained_on")}, "source": source}
+    return {**{key: data[key] for key in data if key not in ("authors", "trained_on")}, "source": source}
 
 
 # --- modules ---------------------------------------------------------------------------------------------------------
