@@ -23,13 +23,14 @@ from wtg_gym.physics.scenario import GovernorLoss, LineTrip, LoadStep, MachineOu
 
 Floats = npt.NDArray[np.float64]
 N_LANES = 3
-#: Version v1 with all that can be observed in it.
-V1 = {"version": "v1", "observation_mode": "privileged"}
+#: As the programs of docs/gradients.md have it, whose machine code is shared.
+V1 = {"version": "v1"}
 
 
 @functools.cache
-def tape_of(cap: float = 50.0, **settings: Any) -> Tape:
-    return Tape(EnvSettings(**{"version": "v0", "weights": {"cap": cap}, **settings}), N_LANES, 1)
+def tape_of(cap: float | None = None, **settings: Any) -> Tape:
+    weights = None if cap is None else {"cap": cap}
+    return Tape(EnvSettings(**{"version": "v0", "weights": weights, **settings}), N_LANES, 1)
 
 
 def drawn(tape: Tape, first: int = 1_000_000) -> list[Scenario]:

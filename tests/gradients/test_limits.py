@@ -1,4 +1,4 @@
-"""What is traced of the kernels, and gradients through the limits of the converters and a table of coefficients."""
+"""What is traced of the kernels, and gradients through the limits of the converters."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from tests.gradients.test_gradients import N_LANES, V1, actions_of, agrees, drawn, given, tape_of
+from tests.gradients.test_gradients import N_LANES, V1, actions_of, agrees, given, tape_of
 from wtg_gym.gradients.kernel_programs import require_known
 from wtg_gym.gradients.tape import Tape
 from wtg_gym.physics.ieee14 import modified_ieee14
@@ -38,11 +38,6 @@ def test_the_gradient_goes_through_the_limits_of_currents_and_powers() -> None:
         limited += (reactances(tape) > 0.0).any(axis=1)
         over_power = np.minimum(over_power, tape.lanes.simulator.wtg_values("over_power").min(axis=1))
     assert (limited[[0, 2]] > 2).all() and over_power[1] < -1e-4
-
-
-def test_the_gradient_goes_through_a_table_of_power_coefficients() -> None:
-    tape = tape_of(**V1, suite="gusty", physics="nrel-5mw")
-    agrees(tape, drawn(tape), actions_of(tape, 200, 0.2))
 
 
 def test_hydro_governors_are_refused() -> None:
