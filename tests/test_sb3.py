@@ -63,20 +63,6 @@ def test_every_step_equals_that_of_single_environments_with_the_same_seeds():
     assert len(ends) == 7
 
 
-def test_what_a_step_returns_is_new_and_of_the_expected_types():
-    env = native()
-    first = env.reset()
-    kept = first.copy()
-    *one, infos = env.step(zeros(env))
-    held = [value.copy() for value in one]
-    infos[0]["mine"] = 1
-    assert infos[1:] == [{"TimeLimit.truncated": False}] * (N - 1)
-    assert env.step(zeros(env) + 1.0)[3] == [{"TimeLimit.truncated": False}] * N
-    assert same(first, kept) and all(same(a, b) for a, b in zip(one, held, strict=True))
-    assert [value.dtype for value in one] == [np.float32, np.float32, np.bool_]
-    assert first.shape == one[0].shape == (N, 20) and one[1].shape == one[2].shape == (N,)
-
-
 def test_seeds_and_options_are_used_once():
     env = native()
     assert len({observation.tobytes() for observation in env.reset()}) == N
@@ -95,17 +81,6 @@ def test_seeds_and_options_are_used_once():
 def test_unknown_options_are_refused_when_they_are_set(options: Any):
     with pytest.raises(ValueError, match=r"unknown reset options .*; known options: scenario|a list of 3"):
         native().set_options(options)
-
-
-def test_a_scenario_that_does_not_fit_is_refused_before_any_lane_changes():
-    env, other = native(), native()
-    for venv in (env, other):
-        venv.seed(2)
-        venv.reset()
-    env.set_options([{}, {"scenario": calm(9.0, 5.0)}, {"scenario": 9.0}])
-    with pytest.raises(ValueError, match="must be a Scenario"):
-        env.reset()
-    assert all(same(a, b) for a, b in zip(env.step(zeros(env))[:3], other.step(zeros(other))[:3], strict=True))
 
 
 def test_what_cannot_be_done_is_refused():

@@ -26,11 +26,3 @@ def test_suite_of_v1_is_shown_with_its_grid_sensors_and_task(capsys: pytest.Capt
     assert "generator_mva              250.0" in text and "delay_s                    0.1; 0.3" in text
     (data,) = json_of(capsys, "suites", "no-wind-sensor-v1", "--json")
     assert data["sensors"]["wind_sensor"] is False and data["plant"]["physics"] == "extended"
-
-
-def test_scenario_is_shown_with_wind_grid_and_events(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["suites", "paper", "--seed", "1"]) == 0
-    text = capsys.readouterr().out
-    assert "mean wind    11.4, 8 m/s" in text
-    assert "5 s: load of bus 4 lost" in text
-    assert "inertia 100 %" in text

@@ -91,8 +91,6 @@ def test_attribute_may_be_entry_policy_or_callable(package: str, attribute: str,
     [
         ("no-such-thing", "coordinated-piecewise"),
         ("no_such_package", "no module 'no_such_package'"),
-        ("no_such_package.inner:ENTRY", "no module"),
-        ("", "unknown entry"),
         ("no-such-file.toml", "cannot read the law file"),
         ("my_entries:nothing", "has no 'nothing'"),
         ("my_entries.early:number", "an Entry, an object with predict"),
@@ -118,8 +116,6 @@ def test_learner_whose_normalisation_would_be_left_out_is_refused() -> None:
     ("arguments", "text"),
     [
         ({"name": ""}, "printable"),
-        ({"name": "a\nb"}, "printable"),
-        ({"name": 3}, "printable"),
         ({"name": "a", "policy": object()}, "predict"),
         ({"name": "a", "strategy": "mpp"}, "known strategies: mppt"),
         ({"name": "a", "action_mode": "both"}, "k, tau, k\\+tau"),

@@ -291,14 +291,6 @@ def test_generated_code_is_the_same_whatever_was_traced_before_and_by_threads_at
     assert digests == [tape_of()._rules.digest] * 3
 
 
-def test_an_episode_alone_has_the_bits_of_one_in_a_batch() -> None:
-    batch, alone = tape_of(), Tape(tape_of().lanes.settings, 1, 1)
-    scenarios, actions = drawn(batch), actions_of(batch, 40)
-    found, single = batch.gradient(scenarios, actions), alone.gradient(scenarios[1:2], actions[:, 1:2])
-    assert np.array_equal(single.actions, found.actions[:, 1:2])
-    assert np.array_equal(single.law, found.law[1:2])
-
-
 UNUSED = Tape(tape_of().lanes.settings, N_LANES, 1)
 
 
