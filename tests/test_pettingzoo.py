@@ -91,13 +91,6 @@ def test_agents_leave_one_by_one_as_events_take_their_groups_away_and_come_back_
             ["wtg1", "wtg3"],
         ]
         assert len(there) == 40
-    both = tuple(GroupTrip(time_s=0.5, group=group) for group in range(4))
-    env.reset(options={"scenario": calm(n_wtg=4, events=both)})
-    while env.agents:
-        _, _, terminations, truncations, infos = env.step({agent: np.zeros(2) for agent in env.agents})
-    assert all(terminations.values()) and not any(truncations.values()) and infos["wtg0"]["time_s"] < 1.0
-    with pytest.raises(RuntimeError, match=r"call reset\(\)"):
-        env.step({})
 
 
 @pytest.mark.parametrize("version", VERSIONS)

@@ -45,17 +45,6 @@ def test_files_that_are_read_and_written_again_are_the_same(
     assert str(Path.home()) not in text and not re.search(r"20\d\d-\d\d-\d\dT", text)
 
 
-def test_results_say_what_their_version_adds_to_the_settings(
-    results: Results, results_v1: Results, tmp_path: Path
-) -> None:
-    assert Results.read(results_v1.write(tmp_path)[0]) == results_v1
-    own = results_v1.settings
-    assert own.keys() - results.settings.keys() == {"version", "plant", "sensors", "duty_time_s", "physics"}
-    assert (own["version"], own["duty_time_s"], own["sensors"]["delay_s"]) == ("v1", 15.0, [0.1, 0.3])
-    assert [group["bus"] for group in own["plant"]["groups"]] == [2, 3, 6, 8]
-    assert results_v1.environment["id"] == "GFMWTG-14bus-v1"
-
-
 def test_anchors_score_exactly_0_and_100(results: Results, results_v1: Results) -> None:
     for each, anchors in (
         (results, ("mppt", "coordinated-piecewise")),

@@ -187,8 +187,12 @@ def test_the_gradient_goes_through_shed_load_and_groups_that_their_rotor_trips()
 
 def test_parameters_of_v1_act_through_limits_and_sensors() -> None:
     # The tape of docs/gradients.md, of one lane. A scenario of v1 has a governor droop of its own.
-    tape = Tape(EnvSettings(), 1, 1, ("machines.1.two_h_s", "control.droop_gain_pu"))
+    names = ("machines.1.two_h_s", "control.droop_gain_pu")
+    tape = Tape(EnvSettings(), 1, 1, names)
+    values = tape.parameter_values()
     checked = check_by_differences(tape, tape.lanes.scenarios([1_000_001]), np.zeros((120, 1, tape.lanes.n_action)))
+    assert [each.name for each in checked] == ["actions", *LAW_PARAMETERS, *names]
+    assert tape.parameter_values() == values
     for each in checked[-2:]:
         assert np.abs(each.gradient).min() > 1e-4
         assert each.gradient == pytest.approx(each.central, rel=1e-5), each.name

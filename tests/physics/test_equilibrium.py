@@ -10,12 +10,10 @@ import pytest
 from tests.physics.extended import (
     CURRENT_MAX,
     LAW,
-    NO_SHEDDING,
     OPTIONS,
     classical,
     largest_rate,
     plant,
-    recorded,
     rough,
     scenario,
     started,
@@ -134,21 +132,6 @@ def test_rotor_and_converter_keep_their_balances_in_rough_runs(table: bool, ener
         else:
             assert kept == pytest.approx(2.0 * inertia * (after - before), abs=1e-12)
     assert chopped > 0.001
-
-
-def test_keeping_the_energy_leaves_the_method_its_order() -> None:
-    wind = 8.0 + 3.0 * np.sin(np.arange(301) * 0.2 * 0.5)
-    gusty = scenario(wind=np.stack([wind, wind]), wind_dt_s=0.2)
-    found = []
-    for dt in (0.04, 0.02, 0.01, 0.0025):
-        settings = plant(limits=False, voltage=False, simulation_dt=dt, control_dt=0.2, shedding=NO_SHEDDING)
-        simulator = started(settings, gusty, law="coordinated-linear")
-        recorded(simulator, 40.0)
-        found.append(simulator.wtg_values("rotor_speed")[0])
-    errors = [np.abs(rotor - found[-1]).max() for rotor in found[:-1]]
-    assert errors[0] > 1e-11
-    assert errors[1] < errors[0] / 8.0
-    assert errors[2] < max(errors[1] / 8.0, 3e-13)
 
 
 # --- Small deviations

@@ -1,4 +1,4 @@
-"""Records as data: ranges and sources of parameters, and scenarios through JSON."""
+"""Records as data: ranges and sources of parameters."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import pytest
 from wtg_gym.physics import machine_parameters, parameters
 from wtg_gym.physics.checked import Checked
 from wtg_gym.physics.ieee14 import modified_ieee14
-from wtg_gym.physics.parameters import SOURCES, default_groups
+from wtg_gym.physics.parameters import SOURCES
 
 MACHINE = modified_ieee14().machines[0]
 RECORDS = [
@@ -38,10 +38,3 @@ def test_every_number_of_every_record_has_a_range() -> None:
                 assert math.isfinite(low) and math.isfinite(high) and low < high, (record, field.name)
                 with pytest.raises(ValueError, match=rf"{type(record).__name__}.{field.name} = inf"):
                     dataclasses.replace(record, **{field.name: math.inf})
-
-
-def test_default_groups_share_the_papers_hundred_megawatt() -> None:
-    for n_groups in (1, 2, 20):
-        groups = default_groups(n_groups)
-        assert len(groups) == n_groups
-        assert sum(group.n_turbines for group in groups) * 5.0 == pytest.approx(100.0)
