@@ -108,19 +108,6 @@ def test_official_tests_of_pettingzoo_pass(version: str) -> None:
         api_test(parallel_to_aec(make()), num_cycles=500)
 
 
-def test_spaces_and_names_are_of_each_agent() -> None:
-    env = parallel_env(version="v1")
-    assert (
-        env.possible_agents == ["wtg0", "wtg1", "wtg2", "wtg3"] and env.agents == [] and str(env) == "GFMWTG-14bus-v1"
-    )
-    for agent in env.possible_agents:
-        assert env.observation_space(agent).shape == (8,) and env.action_space(agent).shape == (2,)
-        assert all(name.startswith(f"{agent}.") for name in env.observation_names[agent])
-        assert len(env.observation_names[agent]) == 8
-    assert len({id(space) for space in (*env.observation_spaces.values(), *env.action_spaces.values())}) == 8
-    assert env.state_space == GFMWTGEnv(version="v1", observation_mode="privileged").observation_space
-
-
 @pytest.mark.parametrize(("argument", "text"), [("observation_mode", "cannot be chosen"), ("wind", "known settings")])
 def test_arguments_that_it_does_not_take_are_named(argument: str, text: str) -> None:
     arguments: Any = {argument: "local"}

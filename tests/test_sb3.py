@@ -63,20 +63,6 @@ def test_every_step_equals_that_of_single_environments_with_the_same_seeds():
     assert len(ends) == 7
 
 
-def test_seeds_and_options_are_used_once():
-    env = native()
-    assert len({observation.tobytes() for observation in env.reset()}) == N
-    assert env.seed(9) == [9, 10, 11]
-    first, second = env.reset(), env.reset()
-    env.seed(9)
-    assert same(env.reset(), first) and not same(second, first) and same(env.reset(), second)
-    env.set_options({"scenario": calm(9.0, 5.0)})
-    observations = env.reset()
-    assert same(observations[0], observations[1]) and [info["scenario_seed"] for info in env.reset_infos] == [-1] * N
-    env.reset()
-    assert all(info["scenario_seed"] >= 0 for info in env.reset_infos)
-
-
 @pytest.mark.parametrize("options", [{"wind": 9.0}, {"scenarios": []}, [{}], [{}, {}, None]])
 def test_unknown_options_are_refused_when_they_are_set(options: Any):
     with pytest.raises(ValueError, match=r"unknown reset options .*; known options: scenario|a list of 3"):

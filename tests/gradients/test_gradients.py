@@ -341,9 +341,7 @@ ZEROS = np.zeros((5, N_LANES, 4))
     ("call", "reason"),
     [
         (lambda tape, scenarios: tape.gradient(scenarios, np.zeros((5, N_LANES, 9))), "shape"),
-        (lambda tape, scenarios: tape.gradient(scenarios, ZEROS, {"noise": 1.0}), "noise"),
         (lambda tape, scenarios: tape.gradient(scenarios, ZEROS, {"duty": np.nan}), "finite"),
-        (lambda tape, scenarios: tape.gradient(scenarios, ZEROS, np.ones(7)), "names of terms"),
         # One would have been played in all lanes.
         (lambda tape, scenarios: tape.start(scenarios[:1]), "3 scenarios, one per lane"),
         *((lambda _, __, name=name: getattr(UNUSED, name)(), "start") for name in ("law", "outputs", "back")),

@@ -1,4 +1,4 @@
-"""Facts about figures: files that repeat, and marks that say what happened."""
+"""Facts about figures: files that repeat."""
 
 from __future__ import annotations
 
@@ -7,15 +7,10 @@ import subprocess
 import sys
 from pathlib import Path
 
-import numpy as np
 import pytest
 
-from wtg_gym.physics.protection import Status
-from wtg_gym.physics.tracking_law import STRATEGIES
-from wtg_gym.physics.trajectory import simulate
-from wtg_gym.plotting import figure_bytes, plot_trajectories, save_figure
+from wtg_gym.plotting import figure_bytes, save_figure
 from wtg_gym.reproduce.figures import plot_power_coefficient
-from wtg_gym.scenarios import get_suite
 
 matplotlib = pytest.importorskip("matplotlib")
 
@@ -48,14 +43,3 @@ def test_figures_are_saved_next_to_each_other_in_the_formats_that_are_named(tmp_
     with pytest.raises(ValueError, match="written as png, svg, pdf, got 'bmp'"):
         save_figure(figure, tmp_path / "other", ["png", "bmp"])
     assert not list(tmp_path.glob("other*"))
-
-
-def test_a_run_that_ended_early_is_marked_where_it_ended_and_events_are_numbered() -> None:
-    scenario = get_suite("paper").scenario(0)
-    runs = {name: simulate(scenario, STRATEGIES[name]) for name in ("mppt", "coordinated-piecewise")}
-    assert runs["mppt"].status == Status.STALL
-    figure = plot_trajectories(runs, scenario)
-    crosses = [line for axes in figure.axes for line in axes.get_lines() if line.get_marker() == "x"]
-    assert {float(np.asarray(line.get_xdata())[0]) for line in crosses} == {float(runs["mppt"].time_s[-1])}
-    texts = "\n".join(text.get_text() for text in figure.texts)
-    assert "(1) 5 s: +75 MW at bus 2" in texts and "(2) 30 s: +75 MW at bus 3" in texts
