@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import functools
+import inspect
 import math
 import threading
 from typing import Any
@@ -13,7 +14,8 @@ import numpy.typing as npt
 import pytest
 
 from wtg_gym.envs.settings import EnvSettings
-from wtg_gym.envs.task_records import COST_TERMS
+from wtg_gym.envs.task import build_task
+from wtg_gym.envs.task_records import COST_TERMS, n_extra_rows
 from wtg_gym.gradients import check_by_differences
 from wtg_gym.gradients import expressions as ex
 from wtg_gym.gradients.adjoint import replay
@@ -21,6 +23,7 @@ from wtg_gym.gradients.generated import build_rules
 from wtg_gym.gradients.kernel_programs import require_known
 from wtg_gym.gradients.tape import Gradient, Tape
 from wtg_gym.physics.ieee14 import modified_ieee14
+from wtg_gym.physics.layout import Layout
 from wtg_gym.physics.machine_parameters import HydroGovernorParameters
 from wtg_gym.physics.plant import PlantSettings, build_plant
 from wtg_gym.physics.protection import Status
@@ -324,6 +327,15 @@ def test_hydro_governors_are_refused() -> None:
     case = dataclasses.replace(modified_ieee14(), machines=tuple(hydro))
     with pytest.raises(ValueError, match="hydro"):
         require_known(build_plant(PlantSettings(case=case)))
+
+
+def test_a_rotors_table_is_looked_up_while_cotangents_are_pulled_back() -> None:
+    """Its slopes are tested in test_expressions.py; to compile them takes minutes."""
+    settings = EnvSettings(version="v0", physics="nrel-5mw")
+    plant = build_plant(settings.plant())
+    n_extra = n_extra_rows(2, settings.control_dt, 20, sensed=False)
+    rules = build_rules(plant, build_task(settings), Layout.of(plant, n_extra), 4)
+    assert "cells[" in inspect.getsource(rules.pull_rates.py_func)  # type: ignore[attr-defined]
 
 
 UNUSED = Tape(tape_of().lanes.settings, N_LANES, 1)
