@@ -335,7 +335,7 @@ def test_a_rotors_table_is_looked_up_while_cotangents_are_pulled_back() -> None:
     plant = build_plant(settings.plant())
     n_extra = n_extra_rows(2, settings.control_dt, 20, sensed=False)
     rules = build_rules(plant, build_task(settings), Layout.of(plant, n_extra), 4)
-    assert "cells[" in inspect.getsource(rules.pull_rates.py_func)  # type: ignore[attr-defined]
+    assert "cells[" in inspect.getsource(rules.pull_rates.py_func)
 
 
 UNUSED = Tape(tape_of().lanes.settings, N_LANES, 1)
