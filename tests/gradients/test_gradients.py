@@ -338,7 +338,9 @@ def test_a_rotors_table_is_looked_up_while_cotangents_are_pulled_back() -> None:
     assert "cells[" in inspect.getsource(rules.pull_rates.py_func)
 
 
-UNUSED = Tape(tape_of().lanes.settings, N_LANES, 1)
+@functools.cache
+def unused() -> Tape:
+    return Tape(tape_of().lanes.settings, N_LANES, 1)
 
 
 def pulled(tape: Tape, step: int, **other: Any) -> Any:
@@ -356,8 +358,8 @@ ZEROS = np.zeros((5, N_LANES, 4))
         (lambda tape, scenarios: tape.gradient(scenarios, ZEROS, {"duty": np.nan}), "finite"),
         # One would have been played in all lanes.
         (lambda tape, scenarios: tape.start(scenarios[:1]), "3 scenarios, one per lane"),
-        *((lambda _, __, name=name: getattr(UNUSED, name)(), "start") for name in ("law", "outputs", "back")),
-        (lambda tape, scenarios: UNUSED.step(np.zeros((N_LANES, 4))), "start"),
+        *((lambda _, __, name=name: getattr(unused(), name)(), "start") for name in ("law", "outputs", "back")),
+        (lambda tape, scenarios: unused().step(np.zeros((N_LANES, 4))), "start"),
         (lambda tape, scenarios: tape.set_law(tape.law()), "first step"),
         (lambda tape, scenarios: tape.start(scenarios) is not tape.set_law(tape.law() * np.nan), "finite"),
         (lambda tape, scenarios: pulled(tape, 1), "no step 1: since start.. 1 have"),
