@@ -67,29 +67,6 @@ def test_every_step_equals_that_of_single_environments_with_the_same_seeds():
     assert len(ends) == 7
 
 
-def test_what_a_step_returns_is_new_and_of_the_expected_types():
-    env = native()
-    first = env.reset()
-    kept = first.copy()
-    *one, infos = env.step(zeros(env))
-    held = [value.copy() for value in one]
-    infos[0]["mine"] = 1
-    assert infos[1:] == [{"TimeLimit.truncated": False}] * (N - 1)
-    assert env.step(zeros(env) + 1.0)[3] == [{"TimeLimit.truncated": False}] * N
-    assert same(first, kept) and all(same(a, b) for a, b in zip(one, held, strict=True))
-    assert [value.dtype for value in one] == [np.float32, np.float32, np.bool_]
-    assert first.shape == one[0].shape == (N, 20) and one[1].shape == one[2].shape == (N,)
-
-
-def test_seeds_are_used_once():
-    env = native()
-    assert len({observation.tobytes() for observation in env.reset()}) == N
-    assert env.seed(9) == [9, 10, 11]
-    first, second = env.reset(), env.reset()
-    env.seed(9)
-    assert same(env.reset(), first) and not same(second, first) and same(env.reset(), second)
-
-
 def test_what_cannot_be_done_is_refused():
     env = native()
     for call, kind, text in (
