@@ -105,7 +105,6 @@ pictures: $(LEADERBOARD_READY) studies ## Draw every picture of the README and o
 	$(LEADERBOARD_VENV)/bin/wtg-gym simulate --strategy mppt deloaded-5 deloaded-10 coordinated-piecewise --plot $(DOCS)/images/load-increase.png
 	$(LEADERBOARD_VENV)/bin/python docs/images/rooms.py $(DOCS)/images/rooms.svg
 	$(LEADERBOARD_VENV)/bin/python docs/images/render.py $(DOCS)/images/render.png $(DOCS)/images/render-v1.png
-	$(LEADERBOARD_VENV)/bin/wtg-gym reproduce --output $(DOCS)/validation --formats svg --page $(DOCS)/validation.md
 	$(LEADERBOARD_VENV)/bin/wtg-gym evaluate --suite standard-v1 --entries baselines policies --results results
 	$(LEADERBOARD_VENV)/bin/python docs/studies/front.py --output $(DOCS)
 

@@ -43,12 +43,6 @@ def test_package_is_typed() -> None:
     assert (Path(wtg_gym.__file__).parent / "py.typed").exists()
 
 
-def test_environment_is_found_by_module_and_id() -> None:
-    program = "import gymnasium; gymnasium.make('wtg_gym:GFMWTG-14bus-v0'); print('made')"
-    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
-    assert done.stdout.strip() == "made"
-
-
 @pytest.mark.skipif(shutil.which("git") is None or not (ROOT / ".git").exists(), reason="needs a checkout and git")
 def test_nothing_that_is_made_anew_is_in_the_repository() -> None:
     """Results, environments and machine code that somebody had added would be used instead of one's own."""

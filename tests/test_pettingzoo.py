@@ -91,13 +91,6 @@ def test_agents_leave_one_by_one_as_events_take_their_groups_away_and_come_back_
             ["wtg1", "wtg3"],
         ]
         assert len(there) == 40
-    both = tuple(GroupTrip(time_s=0.5, group=group) for group in range(4))
-    env.reset(options={"scenario": calm(n_wtg=4, events=both)})
-    while env.agents:
-        _, _, terminations, truncations, infos = env.step({agent: np.zeros(2) for agent in env.agents})
-    assert all(terminations.values()) and not any(truncations.values()) and infos["wtg0"]["time_s"] < 1.0
-    with pytest.raises(RuntimeError, match=r"call reset\(\)"):
-        env.step({})
 
 
 @pytest.mark.parametrize("version", VERSIONS)
@@ -113,19 +106,6 @@ def test_official_tests_of_pettingzoo_pass(version: str) -> None:
         parallel_api_test(make(), num_cycles=1000)
         parallel_seed_test(make, num_cycles=500)
         api_test(parallel_to_aec(make()), num_cycles=500)
-
-
-def test_spaces_and_names_are_of_each_agent() -> None:
-    env = parallel_env(version="v1")
-    assert (
-        env.possible_agents == ["wtg0", "wtg1", "wtg2", "wtg3"] and env.agents == [] and str(env) == "GFMWTG-14bus-v1"
-    )
-    for agent in env.possible_agents:
-        assert env.observation_space(agent).shape == (8,) and env.action_space(agent).shape == (2,)
-        assert all(name.startswith(f"{agent}.") for name in env.observation_names[agent])
-        assert len(env.observation_names[agent]) == 8
-    assert len({id(space) for space in (*env.observation_spaces.values(), *env.action_spaces.values())}) == 8
-    assert env.state_space == GFMWTGEnv(version="v1", observation_mode="privileged").observation_space
 
 
 @pytest.mark.parametrize(("argument", "text"), [("observation_mode", "cannot be chosen"), ("wind", "known settings")])

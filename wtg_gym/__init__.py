@@ -53,32 +53,18 @@ for _id in ENV_IDS:
 # are set after this import, as pytest's are, go first.
 warnings.filterwarnings("ignore", rf".*The environment {ENV_IDS[0]} is out of date", DeprecationWarning)
 
-#: Public names and their modules, which are imported when a name is first used.
+#: Public names by their modules, which are imported when a name is first used.
 _PLACES = {
-    "Entry": "evaluation",
-    "GFMWTGEnv": "envs",
-    "GFMWTGVectorEnv": "envs",
-    "GovernorLoss": "physics.scenario",
-    "GroupTrip": "physics.scenario",
-    "LineTrip": "physics.scenario",
-    "LoadRamp": "physics.scenario",
-    "LoadStep": "physics.scenario",
-    "LoadTrip": "physics.scenario",
-    "MachineOutage": "physics.scenario",
-    "PlantSettings": "physics.plant",
-    "Results": "evaluation",
-    "Scenario": "physics.scenario",
-    "TrackingLaw": "physics.tracking_law",
-    "Trajectory": "physics.trajectory",
-    "evaluate": "evaluation",
-    "export_onnx": "policies.torch_export",
-    "get_law": "physics.tracking_law",
-    "get_suite": "scenarios",
-    "leaderboard_rows": "evaluation",
-    "load_entries": "evaluation",
-    "markdown_table": "evaluation",
-    "simulate": "physics.trajectory",
+    "envs": "GFMWTGEnv GFMWTGVectorEnv",
+    "evaluation": "Entry Results evaluate leaderboard_rows load_entries markdown_table",
+    "physics.plant": "PlantSettings",
+    "physics.scenario": "GovernorLoss GroupTrip LineTrip LoadRamp LoadStep LoadTrip MachineOutage Scenario",
+    "physics.tracking_law": "TrackingLaw get_law",
+    "physics.trajectory": "Trajectory simulate",
+    "policies.torch_export": "export_onnx",
+    "scenarios": "get_suite",
 }
+_MODULES = {name: module for module, names in _PLACES.items() for name in names.split()}
 
 __all__ = [
     "ENV_ID",
@@ -111,9 +97,9 @@ __all__ = [
 
 
 def __getattr__(name: str) -> Any:
-    if name not in _PLACES:
+    if name not in _MODULES:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return getattr(import_module(f"wtg_gym.{_PLACES[name]}"), name)
+    return getattr(import_module(f"wtg_gym.{_MODULES[name]}"), name)
 
 
 def __dir__() -> list[str]:

@@ -6,6 +6,3 @@ from __future__ import annotations
 def install_advice(extra: str) -> str:
     """Return how to install an extra of the package. No index has the package, so it takes a checkout."""
     return f"in a checkout: pip install '.[{extra}]'"
-
-
-__all__ = ["install_advice"]

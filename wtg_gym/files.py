@@ -211,20 +211,3 @@ def _require_plain(data: Any, where: str, *, infinite: bool) -> None:
             return
         level = inner
     raise ValueError(f"{where} is nested deeper than {_DEEPEST} levels")
-
-
-__all__ = [
-    "markdown_table",
-    "parse_json",
-    "parse_toml",
-    "printable",
-    "read_json",
-    "read_text",
-    "read_toml",
-    "require_markers",
-    "sha256",
-    "to_json",
-    "update_between_markers",
-    "write_atomically",
-    "write_together",
-]

@@ -87,6 +87,3 @@ def whole_steps(name: str, interval: float, step: float, step_name: str) -> int:
     if abs(count * step - interval) > 1e-6 * step:
         raise ValueError(f"{name} = {interval:g} s is not a whole number of {step_name}s of {step:g} s")
     return count
-
-
-__all__ = ["ByName", "is_whole", "require_bus", "require_known", "require_range", "require_whole", "whole_steps"]

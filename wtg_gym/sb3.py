@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from typing import Any
 
 import gymnasium as gym
@@ -59,50 +59,22 @@ class SB3VecEnv(VecEnv):
         self.metadata["render_fps"] = self.vector_env.metadata["render_fps"]
 
     def reset(self) -> Observations:
-        """Start an episode in every lane, with the seeds and options set before, which are used once.
+        """Start an episode in every lane, with the seeds set before, which are used once.
 
         Returns:
             The observations (num_envs, n_observation).
 
         Raises:
-            ValueError: a seed is negative, or a scenario does not fit; seeds and options are kept then.
+            ValueError: a seed is negative, or options were set, of which there are none.
         """
+        if any(self._options):
+            raise ValueError(f"SB3VecEnv has no reset options, got {self._options!r:.80}; its vector_env has some")
         self._actions = None
-        scenarios = [options.get("scenario") for options in self._options]
-        played = np.array([scenario is not None for scenario in scenarios])
         seeds: Any = self._seeds
-        if played.any():
-            # The vector environment wants a scenario for every lane, also for those that the mask leaves alone.
-            # Scenarios can be refused and go first, so that nothing has changed where one is.
-            filler = scenarios[int(np.argmax(played))]
-            given = [filler if scenario is None else scenario for scenario in scenarios]
-            observations, infos = self.vector_env.reset(seed=seeds, options={"reset_mask": played, "scenarios": given})
-        if not played.all():
-            options = {"reset_mask": ~played} if played.any() else None
-            observations, infos = self.vector_env.reset(seed=seeds, options=options)
+        observations, infos = self.vector_env.reset(seed=seeds)
         self.reset_infos = [_lane_info(infos, lane) for lane in range(self.num_envs)]
         self._reset_seeds()
-        self._reset_options()
         return observations
-
-    def set_options(self, options: Sequence[Info] | Info | None = None) -> None:
-        """Set the scenarios that the next reset starts; the resets at the ends of episodes draw scenarios again.
-
-        Args:
-            options: {"scenario": Scenario or its to_dict()} for all lanes, or a list with one such dictionary, which
-                may be empty, per lane.
-
-        Raises:
-            ValueError: unknown options, or not one per lane.
-        """
-        single = options is None or isinstance(options, dict)
-        per_lane: list[Any] = [options or {}] * self.num_envs if single else list(options or ())
-        if len(per_lane) != self.num_envs or not all(isinstance(given, dict) for given in per_lane):
-            raise ValueError(f"options must be a dictionary, or a list of {self.num_envs}, got {options!r:.80}")
-        unknown = sorted({str(key) for given in per_lane for key in given if key != "scenario"})
-        if unknown:
-            raise ValueError(f"unknown reset options {unknown}; known options: scenario")
-        super().set_options(per_lane)
 
     def step_async(self, actions: npt.NDArray[Any]) -> None:
         """Take the actions (num_envs, n_action) of the step that :meth:`step_wait` does."""

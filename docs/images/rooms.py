@@ -21,7 +21,7 @@ ROOT = Path(__file__).parents[2]
 ROOMS = (
     *("agents", "baselines"),
     *(f"wtg_gym/{name}" for name in ("plotting", "cli", "evaluation", "reproduce", "policies")),
-    *(f"wtg_gym/{name}" for name in ("gradients", "pettingzoo.py", "sb3.py", "wrappers.py", "envs", "scenarios")),
+    *(f"wtg_gym/{name}" for name in ("gradients", "pettingzoo.py", "sb3.py", "envs", "scenarios")),
     "wtg_gym/physics",
 )
 # File, what it does there; docs/architecture.md says more.

@@ -26,8 +26,8 @@ from wtg_gym.policies.torch_export import TorchPolicy
 OPTIONS = ["--suite", "standard", "--timesteps", "2400", "--interval", "1200"]
 OPTIONS += ["--n-envs", "2", "--validation-episodes", "2"]
 
-#: Version v1 as `tests/gradients` has it, whose machine code is shared.
-V1: dict[str, Any] = {"version": "v1", "observation_mode": "privileged", "weights": {"cap": 50.0}}
+#: As `tests/gradients` has it, whose machine code is shared.
+V1: dict[str, Any] = {"version": "v1"}
 
 
 @pytest.mark.parametrize(("hidden", "lstm", "settings"), [((8,), 0, V1), ((), 8, {})])
@@ -45,11 +45,11 @@ def test_loss_falls_on_the_scenarios_that_it_is_of(
 
 
 def test_a_failure_comes_gradually_and_its_approach_has_a_gradient() -> None:
-    settings = EnvSettings(suite="standard-v1", **V1)
+    settings = EnvSettings(**V1)
     episodes = TorchEpisodes(settings, 4, 1)
     failures, n_watched = Failures(episodes), 1 + episodes.tape.lanes.n_wtg
     limits = torch.tensor([0.97] + [0.5] * (n_watched - 1), dtype=torch.float64)
-    alive, worst = torch.tensor([[40.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0]], dtype=torch.float64), 50.0 * 61.0
+    alive, worst = torch.tensor([[40.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0]], dtype=torch.float64), 15.0 * 61.0
     assert failures.costs(alive, limits[None] + 0.5).item() == pytest.approx(40.0)
     # A failure of another kind keeps its charge; in the one that comes gradually it is counted once.
     charged = alive + torch.tensor([0.0] * 6 + [1000.0], dtype=torch.float64)

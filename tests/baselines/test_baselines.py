@@ -28,13 +28,6 @@ def test_entries_are_the_built_in_strategies_and_every_module_is_named() -> None
     assert named == {path.stem for path in FOLDER.glob("[a-z]*.py")}
 
 
-def test_example_law_lies_between_the_reserves_of_the_paper() -> None:
-    (entry,) = load_entries(FOLDER / "example_law.toml")
-    assert entry.name == "reserve-7" and entry.law.damping_time_constant_s == 0.8
-    nominal = {name: STRATEGIES[name].k_nominal for name in ("deloaded-5", "deloaded-10")}
-    assert nominal["deloaded-10"] < entry.law.k_nominal < nominal["deloaded-5"]
-
-
 def test_feedback_rests_where_the_turbine_captures_what_is_asked() -> None:
     policy = TipSpeedFeedback(gain=1.0)
     best, limit = tracking_point(0.0).tip_speed_ratio, tracking_point(0.1).tip_speed_ratio

@@ -22,17 +22,10 @@ BAD = [
     ("fly", "fly"),
     # Wrong usage of options.
     ("simulate --wnd 8", "--wnd"),
-    ("simulate more", "more"),
     ("simulate --wind strong", "strong"),
-    ("evaluate --threads 2.5", "2.5"),
-    ("simulate --seed", "--seed"),
-    ("evaluate --backend slurm", "slurm"),
     ("reproduce --formats jpg", "jpg"),
-    ("suites standard other", "other"),
     ("play --speed 0", "Must be >= 0.1"),
-    ("play --port 70000", "Must be <= 65535"),
     ("results page --output page.html", "RESULTS"),
-    ("results page results.json", "--output"),
     ("submission check", "FOLDERS"),
     ("evaluate --entries", "--entries requires at least 1 element"),
     # One scenario.
@@ -44,25 +37,18 @@ BAD = [
     ("simulate --wind -1", "-1 m/s, outside the allowed range 3 … 25 m/s"),
     ("simulate --suite paper-v1 --wind 9 8", "wind for 2 WTG groups, paper-v1 has 4"),
     ("simulate --duration nan", "duration_s = nan s is outside the allowed range 0.1 … 86400 s"),
-    ("simulate --duration 10.05", "10.05 s is not a whole number of"),
-    ("simulate --simulation-dt 0.03", "control_dt = 0.1 s is not a whole number of"),
-    ("simulate --simulation-dt 0.2", "simulation_dt = 0.2 s is outside the allowed range"),
     ("simulate --plot run.jpg", 'supported extensions {"png", "svg", "pdf"}'),
     ("simulate --csv run.txt", 'must have extension "csv"'),
     ("simulate --csv folder.csv", '"folder.csv" is a directory'),
     ("simulate --csv file.txt/run.csv", "file.txt is not a folder"),
     ("simulate --scenario nowhere.json", "cannot read the scenario file nowhere.json"),
     ("simulate --scenario broken.json", "broken.json is not JSON"),
-    ("simulate --scenario bus.json", "unknown bus 99"),
-    ("simulate --scenario kind.json", "an event needs a kind out of load_step"),
     ("simulate --scenario wind.json", "-2 m/s, outside the allowed range 3 … 25 m/s"),
-    ("simulate --scenario inertia.json", "inertia_scale = 0 is outside the allowed range 0.05 … 5"),
     ("simulate --scenario key.json", "unknown scenario keys ['colour']"),
     ("simulate --scenario sensors.json", "say with --suite whose grid it is"),
     ("simulate --wind-csv nowhere.csv", "nowhere.csv: No such file"),
     ("simulate --wind-csv wind.csv", "the series ends after 7 s, at least 120 s"),
     ("simulate --wind-csv wind.csv --suite paper-v1 --duration 6", "wind for 2 WTG groups, paper-v1 has 4"),
-    ("simulate --wind-csv gap.csv --duration 6", "line 5: gap or change of step in time"),
     # Scores.
     ("evaluate --entries turbo", "'turbo'"),
     ("evaluate --entries mppt mppt", "given more than once: ['mppt']"),
@@ -73,17 +59,13 @@ BAD = [
     ("evaluate --suite paper --entries fast-droop", "is for GFMWTG-14bus-v1, these scenarios are of GFMWTG-14bus-v0"),
     ("evaluate --seeds 10003 10003", "every seed may be given once; given more often: 10003"),
     ("evaluate --seeds 3", "the validation seeds of suite 'standard-v1' are 10000 … 10199"),
-    ("evaluate --split test --seeds 3", "the test seeds of suite 'standard-v1' are 20000 … 20999"),
     ("evaluate --scenarios 201", "--scenarios = 201 is outside the allowed range 1 … 200"),
-    ("evaluate --scenarios 3 --seeds 10003", "give one of the two"),
     ("evaluate --seeds 20000-20010", '"20000-20010"'),
     ("evaluate --duration 0.2", "duration_s = 0.2 s is outside the allowed range 1 … 3600 s"),
     ("evaluate --threads 0", "the number of threads must be a whole number of 1 or more, got 0"),
     ("evaluate --results file.txt", '"file.txt" is a file'),
     ("evaluate --address tcp://head:8786", "--address is for workers: say which with --backend loky, dask, ray"),
-    ("evaluate --jobs 2", "--jobs is for workers: say which with --backend loky, dask, ray"),
     ("evaluate --backend loky --address tcp://head:8786", "loky has workers on this machine only"),
-    ("evaluate --backend loky --jobs 1", "jobs must be a whole number in 2 … 10000, got 1"),
     ("evaluate --backend loky --threads 2", "--threads 2: a worker steps with one thread"),
     # Scenarios that are drawn.
     ("evaluate --split fresh", "missing: --commit, --secret-file"),
@@ -91,26 +73,18 @@ BAD = [
     (f"{_DRAW} secret.txt --seeds 5", "without --seeds"),
     (f"evaluate --commit {COMMIT}", "--commit: for --split fresh only, the split is validation"),
     (f"{_DRAW} nowhere.txt", "cannot read the secret nowhere.txt: No such file"),
-    (f"{_DRAW} secret.txt --suite paper", "suite 'paper' has fixed cases"),
-    (f"{_DRAW} secret.txt --scenarios 0", "must be a whole number in 1 … 100000, got 0"),
-    (f"{_DRAW} short.txt", "must have 16 bytes or more, got 5"),
     (f"{_DRAW} large.bin", "larger than 4096 bytes"),
     # Pages and results.
     ("leaderboard --suite paper --readme nowhere.md", "cannot read the file with the markers"),
     ("leaderboard --suite paper --readme file.txt", "must have the markers <!-- leaderboard:paper:start -->"),
-    ("reproduce --page nowhere.md", "--page: cannot read the file with the markers nowhere.md"),
-    ("reproduce --page claims.md", "must have the markers <!-- figures:start -->"),
-    ("reproduce --output file.txt", '"file.txt" is a file'),
     ("results recompute nowhere.json", "nowhere.json"),
     ("results recompute paper-test.json --entries no-such-thing", "unknown entry"),
     ("results recompute paper-test.json", "hold entries that were not given: deloaded-7"),
     ("results recompute paper-test.json --entries seven.toml --secret-file secret.txt", "were not drawn"),
     ("results recompute old/paper-test.json --entries seven.toml", "got 2; evaluate again"),
     ("results page old/paper-test.json --output page.html", "got 2; evaluate again"),
-    ("results gap old/paper-test.json paper-test.json", "got 2; evaluate again"),
     ("results gap paper-test.json paper-test.json", "in this order; got 'test' and 'test'"),
     ("suites standard --seed 5", "seed 5 is in no split"),
-    ("suites --seed 5", "--seed 5 needs a suite"),
     (
         "submission check best/1000 nowhere",
         'error: Invalid value "nowhere" for FOLDERS. "nowhere" does not exist.',
@@ -137,20 +111,14 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
         (root / name / "entry.toml").write_text('name = "mine"\naction_mode = "k"\n')
     (root / "best/empty").mkdir()
     (root / "secret.txt").write_text("a secret for these tests\n")
-    (root / "short.txt").write_text("12345")
     (root / "large.bin").write_bytes(bytes(5000))
-    (root / "claims.md").write_text("<!-- claims:start -->\n<!-- claims:end -->\n")
-    for name, times in {"wind": range(8), "gap": (0, 1, 2, 5, 6)}.items():
-        rows = "".join(f"{time},9.5,8.0\n" for time in times)
-        (root / f"{name}.csv").write_text(f"time_s,wind_1_m_s,wind_2_m_s\n{rows}")
+    rows = "".join(f"{time},9.5,8.0\n" for time in range(8))
+    (root / "wind.csv").write_text(f"time_s,wind_1_m_s,wind_2_m_s\n{rows}")
     (root / "broken.json").write_text('{"name": ')
     scenario = get_suite("standard").scenario(20_003).to_dict()
     for name, changes in {
         "good": {},
-        "bus": {"events": [{"kind": "load_step", "time_s": 2.0, "bus": 99, "power_mw": 30.0}]},
-        "kind": {"events": [{"kind": "storm"}]},
         "wind": {"wind_speed": [[9.0], [-2.0]]},
-        "inertia": {"inertia_scale": 0.0},
         "key": {"colour": "red"},
     }.items():
         (root / f"{name}.json").write_text(json.dumps({**scenario, **changes}))

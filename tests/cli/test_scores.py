@@ -40,17 +40,6 @@ def test_evaluate_ranks_a_suite_of_v1_in_its_own_grid(capsys: pytest.CaptureFixt
     assert "identical" in capsys.readouterr().out
 
 
-def test_suite_without_a_score_is_ranked_by_cost(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
-    page = tmp_path / "page.md"
-    page.write_text("<!-- leaderboard:paper-v1:start -->\n<!-- leaderboard:paper-v1:end -->\n")
-    arguments = ["--suite", "paper-v1", "--entries", "fast-droop", "--results", str(tmp_path / "r")]
-    assert main(["leaderboard", *arguments, "--readme", str(page)]) == 0
-    said = capsys.readouterr()
-    first = Results.read(tmp_path / "r" / "paper-v1-test.json").ranking[0].name
-    assert re.search(rf"^ *1  {first} +none ", said.out, re.MULTILINE) and f"| 1 | {first} | none |" in page.read_text()
-    assert "ranked by mean pinned cost, as there is no score: on these 2 scenarios coordinated-piecewise" in said.err
-
-
 def test_workers_of_the_options_play(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("joblib")
     asked: list[Any] = []

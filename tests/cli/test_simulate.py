@@ -33,18 +33,6 @@ def test_strategy_all_is_every_built_in_one_once(capsys: pytest.CaptureFixture[s
     assert names[0] == "mppt" and len(names) == len(set(names)) == 6
 
 
-def test_deloaded_strategy_is_reported_to_stall_in_the_papers_load_increase(
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    data = json_of(capsys, "simulate", "--strategy", "deloaded-5", "--json")
-    (run,) = data["runs"]
-    assert (run["status"], run["failed_group"]) == ("stall", 2)
-    assert 30.0 < run["end_time_s"] < 120.0
-    assert 49.5 < run["nadir_hz"] < 49.9 < run["zenith_hz"]
-    assert -1.0 < run["largest_rocof_hz_s"] < 0.0
-    assert run["rocof_window_s"] == 0.5
-
-
 def test_on_failure_trip_names_the_group_that_tripped(capsys: pytest.CaptureFixture[str]) -> None:
     arguments = ("simulate", "--strategy", "mppt", "--on-failure", "trip")
     (run,) = json_of(capsys, *arguments, "--json")["runs"]

@@ -88,24 +88,6 @@ def test_score_plays_each_folder_on_the_standard_suite_of_its_version(
         assert [entry["name"] for entry in entries if entry["training_seed"] is not None] == [name]
 
 
-def test_policy_that_fails_in_a_scored_scenario_stops_nobody_else(
-    capsys: pytest.CaptureFixture[str], tmp_path: Path
-) -> None:
-    """It knows the first scenario by what it sees there, and passes the gate."""
-    trap = models.trap(models.first_observation("standard", 20_000), 1e-3)
-    good, bad = folder(tmp_path / "good", models.other(0.03)), folder(tmp_path / "bad", trap, OTHER)
-    mate = folder(tmp_path / "mate", models.other(), OTHER.replace("seed = 0", "seed = 1"))
-    results = tmp_path / "results"
-    assert main(["submission", "score", str(bad), str(mate), str(good), *_FEW, "--results", str(results)]) == 1
-    said = capsys.readouterr()
-    assert "Mine" in said.out and "Other" not in said.out
-    reason = "entry 'Other (training seed 0)', step 0: actions of shape (2, 4) must be finite"
-    for number in (0, 1):
-        assert f"failed, and left out: Other (training seed {number}): {reason}" in said.err
-    assert "the scenario of seed 20000" in said.err
-    assert {entry["name"] for entry in Results.read(results / "standard-test.json").entries} == {"Mine", *V0.anchors}
-
-
 def test_check_compares_with_the_entries_beside(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     old, mine = folder(tmp_path / "old"), folder(tmp_path / "new", models.disguised(), OTHER)
     data = json_of(capsys, "submission", "check", str(mine), "--beside", str(old), str(mine), "--json", code=1)

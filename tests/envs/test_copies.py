@@ -50,17 +50,6 @@ def test_copies_of_a_running_environment_go_on_alike_through_later_resets(
         assert mode is None or twin.lanes.simulator.blocks.ctypes.data % 64 == 0, "blocks begin at a cache line"
 
 
-def test_copies_before_the_first_reset_and_after_the_end_behave_as_their_original():
-    env = GFMWTGEnv(duration_s=1.0, version="v0")
-    for twin in copies(env):
-        with pytest.raises(RuntimeError):
-            twin.step(np.zeros(4))
-    steps_of(env, BEFORE[:10], AutoresetMode.DISABLED, seed=1)
-    twins = copies(env)
-    after = steps_of(env, AFTER, AutoresetMode.DISABLED)
-    assert all(after == steps_of(twin, AFTER, AutoresetMode.DISABLED) for twin in twins)
-
-
 MANY_EVENTS = calm(events=tuple(LoadStep(time_s=0.1 * n, bus=3, power_mw=2.0) for n in range(1, 31))).to_dict()
 
 

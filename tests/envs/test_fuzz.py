@@ -11,9 +11,18 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from tests.physics.test_events import event_lists
 from wtg_gym.envs import GFMWTGEnv
-from wtg_gym.physics.scenario import Scenario
+from wtg_gym.physics.scenario import (
+    Event,
+    GovernorLoss,
+    GroupTrip,
+    LineTrip,
+    LoadRamp,
+    LoadStep,
+    LoadTrip,
+    MachineOutage,
+    Scenario,
+)
 from wtg_gym.physics.sensors import Sensors
 from wtg_gym.physics.tracking_law import STRATEGIES
 from wtg_gym.scenarios import SUITES
@@ -83,6 +92,27 @@ def test_any_settings_and_actions_play_to_the_end(given_arguments: dict, actions
     play(GFMWTGEnv(**given_arguments), actions, seed=seed)
 
 
+POWERS_MW = st.sampled_from([-1e4, -300.0, 0.0, 75.0, 1e4])
+TIMES = st.integers(0, 80).map(lambda n: n * 0.025)
+LINES = st.sampled_from([(1, 2), (2, 4), (4, 5), (6, 12), (9, 14), (13, 14)])
+
+
+@st.composite
+def event_lists(draw: st.DrawFn) -> tuple[Event, ...]:
+    """Any events that a plant takes, in any order."""
+    buses = st.integers(1, 14)
+    found: list[Event] = [LoadStep(time_s=draw(TIMES), bus=draw(buses), power_mw=draw(POWERS_MW))]
+    found.append(LoadRamp(time_s=draw(TIMES), bus=draw(buses), power_mw=draw(POWERS_MW), duration_s=0.5))
+    found += [LoadTrip(time_s=draw(TIMES), bus=bus) for bus in draw(st.sets(st.sampled_from([5, 9, 14])))]
+    found += [MachineOutage(time_s=draw(TIMES), bus=bus) for bus in draw(st.sets(st.sampled_from([3, 6, 8])))]
+    found += [GroupTrip(time_s=draw(TIMES), group=group) for group in draw(st.sets(st.integers(0, 1)))]
+    found += [GovernorLoss(time_s=draw(TIMES), bus=1)] if draw(st.booleans()) else []
+    after_s = draw(st.none() | st.integers(1, 60).map(lambda n: n * 0.025))
+    from_bus, to_bus = draw(LINES)
+    found.append(LineTrip(time_s=draw(TIMES), from_bus=from_bus, to_bus=to_bus, recloses_after_s=after_s))
+    return tuple(draw(st.permutations(found)))
+
+
 SENSOR_NUMBERS = {f.name: f.metadata for f in dataclasses.fields(Sensors) if f.type == "float"}
 
 
@@ -112,7 +142,7 @@ def scenarios(draw: Any) -> Scenario:
         wind_speed=np.array([draw(winds) for _ in range(n_wtg)]),
         wind_dt_s=draw(st.sampled_from([0.05, 0.1, 0.7, 5.0])),
         duration_s=3.0,
-        events=draw(event_lists(st.sampled_from([-1e4, -300.0, 0.0, 75.0, 1e4]))),
+        events=draw(event_lists()),
         load_noise_mw=np.array([0.0, *draw(st.lists(st.sampled_from([-100.0, 0.0, 3.0, 100.0]), max_size=30))]),
         load_noise_bus=draw(st.integers(1, 14)),
         load_level=draw(st.sampled_from([0.3, 0.8, 1.0, 1.5])),

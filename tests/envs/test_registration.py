@@ -14,11 +14,10 @@ import numpy as np
 import pytest
 from gymnasium.envs.registration import EnvSpec
 from gymnasium.utils.env_checker import check_env
-from gymnasium.vector import AutoresetMode
 from stable_baselines3.common.env_checker import check_env as check_sb3
 
 import wtg_gym
-from tests.envs.rollouts import actions_of, eventful
+from tests.envs.rollouts import eventful
 from wtg_gym.envs import EnvSettings, GFMWTGEnv, GFMWTGVectorEnv
 from wtg_gym.pettingzoo import parallel_env
 from wtg_gym.sb3 import SB3VecEnv
@@ -103,34 +102,6 @@ def test_spec_survives_json_with_its_arguments(arguments: dict[str, Any]):
     action = np.full(env.action_space.shape, 0.3, dtype=np.float32)
     (a, x, *_), (b, y, *_) = env.step(action), copied.step(action)
     assert a.tobytes() == b.tobytes() and x == y
-
-
-@BOTH_IDS
-@pytest.mark.parametrize("mode", [AutoresetMode.NEXT_STEP, AutoresetMode.SAME_STEP])
-def test_native_batch_equals_gymnasiums_own_of_single_environments(mode: AutoresetMode, env_id: str):
-    actions = actions_of(2, 45, 3, {"v0": 4, "v1": 8}[env_id[-2:]]).astype(np.float32)
-    kinds = [
-        gym.make_vec(env_id, 3, duration_s=2.0, autoreset_mode=mode),
-        gym.make_vec(env_id, 3, "sync", vector_kwargs={"autoreset_mode": mode}, duration_s=2.0),
-    ]
-    n_final = 0
-    for env in kinds:
-        env.reset(seed=7)
-    for action in actions:
-        (a, x, *ends, info), (b, y, *other_ends, other_info) = (env.step(np.clip(action, -1, 1)) for env in kinds)
-        assert a.tobytes() == b.tobytes() and x.tobytes() == y.tobytes()
-        assert [end.tolist() for end in ends] == [end.tolist() for end in other_ends]
-        assert set(info) == set(other_info)
-        for key in set(info) - {"final_obs", "final_info"}:
-            assert info[key].tolist() == other_info[key].tolist(), key
-        if "final_obs" in info:
-            n_final += 1
-            assert [x.tobytes() for x in info["final_obs"]] == [x.tobytes() for x in other_info["final_obs"]]
-            final, other_final = info["final_info"], other_info["final_info"]
-            assert {key: final[key].tolist() for key in final} == {
-                key: other_final[key].tolist() for key in other_final
-            }
-    assert n_final == (2 if mode == AutoresetMode.SAME_STEP else 0)
 
 
 def test_max_episode_steps_cuts_a_batch_as_it_cuts_a_single_environment():

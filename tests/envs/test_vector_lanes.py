@@ -122,17 +122,6 @@ def test_another_process_finds_the_same_bits():
     assert run.stdout.split() == [digest(17), digest(1), digest(17, version="v1")]
 
 
-def test_reset_mask_restarts_only_its_lanes():
-    env, twin = (GFMWTGVectorEnv(5, duration_s=3.0, autoreset_mode="Disabled", version="v0") for _ in range(2))
-    actions = actions_of(11, 20, 5)
-    vector_steps(env, actions, seed=1), vector_steps(twin, actions, seed=1)
-    mask = [False, True, False, False, True]
-    _, infos = env.reset(options={"reset_mask": np.array(mask)})
-    assert infos["_time_s"].tolist() == mask and infos["time_s"].tolist() == [2.0, 0.0, 2.0, 2.0, 0.0]
-    after, other = vector_steps(env, actions[:9]), vector_steps(twin, actions[:9])
-    assert [own != theirs for own, theirs in zip(after, other, strict=True)] == mask
-
-
 def test_returned_arrays_are_not_overwritten_by_later_steps():
     env = GFMWTGVectorEnv(3, duration_s=2.0, autoreset_mode="SameStep", version="v0")
     first = env.reset(seed=0)

@@ -12,7 +12,6 @@ import numpy as np
 import pytest
 
 from wtg_gym.evaluation import (
-    Entry,
     EntrySummary,
     NoScaleError,
     Results,
@@ -42,19 +41,6 @@ def test_table_has_the_best_first_and_equal_scores_share_a_rank(results: Results
         difference = row.difference_to_above
         assert difference is not None and difference.low <= difference.value <= difference.high
         assert difference.value == pytest.approx(row.score.value - above.score.value, abs=1e-9)
-
-
-def test_table_says_who_sees_the_grid() -> None:
-    entry = Entry(name="sees all", strategy="deloaded-10", observation_mode="privileged")
-    results = evaluate([entry], "standard", "test", seeds=(20_002, 20_000), duration_s=10.0)
-    names = [name for (name,) in table_cells(leaderboard_rows(results), ("entry",))]
-    assert sorted(names) == ["coordinated-piecewise", "mppt", "sees all (privileged)"]
-    said = "rivileged: sees the state of the whole grid, which no turbine measures"
-    for text in (markdown_section(results), results._repr_html_()):
-        assert "sees all (privileged)" in text and text.count(said) == 1
-    seeds = [dataclasses.replace(entry, training_seed=seed) for seed in (0, 1)]
-    both = evaluate(seeds, "standard", "test", seeds=(20_002, 20_000), duration_s=10.0)
-    assert "sees all (2 seeds, privileged)" in markdown_section(both)
 
 
 def changed(results: Results, changes: Mapping[int, Mapping[str, Any]]) -> tuple[Results, EntrySummary]:
@@ -108,7 +94,7 @@ def test_without_a_score_the_mean_pinned_cost_ranks(tmp_path: Path) -> None:
     cells = [dict(zip(columns, each, strict=True)) for each in table_cells(rows, columns)]
     assert [each["rank"] for each in cells] == ["1", "2", "3"] and {each["score"] for each in cells} == {"none"}
     assert [each["mean pinned cost"] for each in cells] == [f"{costs[row.name]:.1f}" for row in rows]
-    for text in (markdown_section(results), results._repr_html_()):
+    for text in (markdown_section(results), results._repr_markdown_()):
         assert "anked by mean pinned cost, as there is no score: on these 2 scenarios coordinated-piecewise" in text
         assert "[points]" not in text and f"{costs[rows[0].name]:.1f}" in text
     assert results.to_dict()["summary"]["fast-droop"]["mean_pinned_cost"] == pytest.approx(costs["fast-droop"])

@@ -2,16 +2,12 @@
 
 from __future__ import annotations
 
-import dataclasses
-import math
-
 import numpy as np
 import pytest
 
 from wtg_gym.evaluation import evaluate
-from wtg_gym.evaluation.metrics import largest_power_change, last_event_s, steady_metrics
+from wtg_gym.evaluation.metrics import largest_power_change, quasi_steady_deviation
 from wtg_gym.physics.plant import PlantSettings
-from wtg_gym.physics.scenario import Event, GroupTrip, LineTrip, LoadRamp, LoadTrip, Scenario
 from wtg_gym.physics.tracking_law import get_law
 from wtg_gym.physics.trajectory import simulate
 from wtg_gym.scenarios import get_suite
@@ -61,41 +57,11 @@ def test_power_change_is_that_of_the_group_that_changes_most_within_a_second() -
     assert largest_power_change(ramp[:1], DT) == 0.0
 
 
-def test_step_that_settles_is_timed_from_the_event() -> None:
-    time = np.arange(601) * DT
-    frequency = np.where(time < 10.0, 50.0, 49.8 + 0.2 * np.exp(-(time - 10.0) / 2.0))
-    deviation, settling = steady_metrics(frequency, DT, 50.0, 10.0)
-    assert deviation == pytest.approx(-0.2, abs=1e-6)
-    assert settling == pytest.approx(2.0 * math.log(4.0), abs=DT)
-    assert steady_metrics(np.full(601, 50.01), DT, 50.0, 10.0) == (pytest.approx(0.01), 0.0)
-    # It is not settled, there is no event, and the mean is over less than the window.
-    assert steady_metrics(np.append(np.full(581, 50.0), np.full(20, 50.2)), DT, 50.0, 10.0)[1] is None
-    assert steady_metrics(np.full(601, 50.0), DT, 50.0, None) == (0.0, None)
-    assert steady_metrics(np.array([50.0, 50.1, 50.2]), DT, 50.0, 0.0)[0] == pytest.approx(0.15)
-
-
-RAMP = LoadRamp(time_s=10.0, bus=3, power_mw=5.0, duration_s=9.0)
-LINE = LineTrip(time_s=10.0, from_bus=1, to_bus=2)
-
-
-@pytest.mark.parametrize(
-    ("event", "duration_s", "complete_s"),
-    [
-        (RAMP, 60.0, 19.0),
-        # Nothing has happened yet.
-        (RAMP, 5.0, None),
-        (LINE, 60.0, 12.0),
-        (dataclasses.replace(LINE, recloses_after_s=30.0), 60.0, 40.0),
-        # The line is still open at the end.
-        (dataclasses.replace(LINE, recloses_after_s=50.0), 60.0, 12.0),
-    ],
-)
-def test_last_event_is_complete_when_its_ramp_is_or_its_line_is_closed_again(
-    event: Event, duration_s: float, complete_s: float | None
-) -> None:
-    events = (event, GroupTrip(time_s=12.0, group=0), LoadTrip(time_s=70.0, bus=4))
-    scenario = Scenario(name="three", wind_speed=np.full((2, 1), 8.0), events=events)
-    assert last_event_s(scenario, duration_s) == complete_s
+def test_quasi_steady_deviation_is_the_mean_of_the_last_five_seconds() -> None:
+    frequency = np.concatenate([np.full(551, 49.0), np.full(50, 49.8)])
+    assert quasi_steady_deviation(frequency, DT, 50.0) == pytest.approx(-0.2)
+    # The mean is over less than the window.
+    assert quasi_steady_deviation(np.array([50.0, 50.1, 50.2]), DT, 50.0) == pytest.approx(0.15)
 
 
 def test_tripped_groups_are_counted_where_the_run_goes_on() -> None:

@@ -141,19 +141,6 @@ def test_policy_that_cannot_travel_is_named() -> None:
         evaluate([Entry(name="tied", policy=tied)], "standard", "test", workers=Workers("loky", jobs=2), **SHORT)
 
 
-@pytest.mark.parametrize(
-    ("arguments", "text"),
-    [
-        (("threads",), "unknown backend 'threads'; allowed are loky, dask, ray"),
-        (("loky", None, 2.0), "jobs must be a whole number in 2 … 10000"),
-        (("dask", "tcp://head:8786", 2), "leave out jobs"),
-    ],
-)
-def test_wrong_workers_are_refused(arguments: Any, text: str) -> None:
-    with pytest.raises(ValueError, match=text):
-        Workers(*arguments)
-
-
 def test_workers_have_one_thread_each_and_their_package(monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(ValueError, match="one thread"):
         evaluate([], "standard", "test", workers=Workers("loky"), n_threads=2, **SHORT)

@@ -10,7 +10,10 @@ import numpy as np
 import pytest
 
 from wtg_gym.systems import expressions as ex
+from wtg_gym.systems.tracing import ARITHMETIC, retargeted
 from wtg_gym.systems.elementary import exponential, fma, select, sine_cosine
+from wtg_gym.physics.parameters import ROTOR_TABLE
+from wtg_gym.physics.rotor_table import read_rotor_table, tabulated_power_coefficient
 
 #: Of two numbers, by what traces and by what computes.
 FUNCTIONS: dict[str, Any] = {
@@ -52,10 +55,10 @@ COMPUTED: dict[str, Any] = {
 POINTS = [(0.3, 0.8), (1.7, 0.4), (0.9, -1.3), (-0.6, 2.5)]
 
 
-def worked_out(stores: dict[int, Any], *rows: float) -> list[float]:
+def worked_out(stores: dict[int, Any], *rows: float, **tables: Any) -> list[float]:
     # Compiled code divides by zero without a word, as numpy's numbers do here.
     names = {"chosen": select, "fma": fma, "sine_cosine": sine_cosine, "exponential": exponential, "inf": math.inf}
-    space: dict[str, Any] = {"math": SimpleNamespace(sqrt=np.sqrt, floor=math.floor, ceil=math.ceil), **names}
+    space: dict[str, Any] = {"math": SimpleNamespace(sqrt=np.sqrt, floor=math.floor, ceil=math.ceil), **names, **tables}
     exec(ex.function_source("traced", (), stores), space)
     block = np.array([*rows, *np.zeros(4)])
     with np.errstate(all="ignore"):
@@ -77,6 +80,25 @@ def test_an_operation_and_its_derivatives(name: str, point: tuple[float, float])
     first = (function(COMPUTED, a + h, b) - function(COMPUTED, a - h, b)) / h
     second = (function(COMPUTED, a, b + h) - function(COMPUTED, a, b - h)) / h
     assert (by_first, by_second) == pytest.approx((first, second), rel=1e-8, abs=1e-8)
+
+
+#: Tip-speed ratio and pitch angle [deg] within the table, below its first ratio, and beyond its last one.
+@pytest.mark.parametrize(("ratio", "pitch_deg"), [(7.3, 0.2), (5.1, 11.7), (1.2, 3.0), (40.0, 4.4)])
+@ex.making()
+def test_a_table_of_power_coefficients_is_looked_up_and_has_the_slopes_of_its_surface(
+    ratio: float, pitch_deg: float
+) -> None:
+    grid, cells = read_rotor_table(ROTOR_TABLE).surface()
+    whole = {**ARITHMETIC, "np": SimpleNamespace(int64=lambda value: value)}
+    traced = retargeted(tabulated_power_coefficient, whole)(
+        ex.row_of_block(0), ex.row_of_block(1), ex.Cells(cells.shape), grid
+    )
+    slopes = ex.pulled_back([(traced, 1.0)], (0, 1))
+    found = worked_out({2: traced, 3: slopes[0], 4: slopes[1]}, ratio, pitch_deg, cells=cells)
+    h, function = 1e-6, tabulated_power_coefficient.py_func
+    ends = [function(ratio + h * a, pitch_deg + h * b, cells, grid) for a, b in ((1, 0), (-1, 0), (0, 1), (0, -1))]
+    expected = [function(ratio, pitch_deg, cells, grid), (ends[0] - ends[1]) / (2 * h), (ends[2] - ends[3]) / (2 * h)]
+    assert found[:3] == pytest.approx(expected, rel=1e-7, abs=1e-9)
 
 
 @ex.making()

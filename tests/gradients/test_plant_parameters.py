@@ -13,7 +13,6 @@ import pytest
 from wtg_gym.envs.lanes import TaskLanes
 from wtg_gym.envs.settings import EnvSettings
 from wtg_gym.envs.task_records import COST_TERMS
-from wtg_gym.gradients import LAW_PARAMETERS, check_by_differences
 from wtg_gym.gradients.plant_parameters import PlantEnvSettings, known_parameters, with_parameters
 from wtg_gym.gradients.tape import Tape
 from wtg_gym.physics.plant import PlantSettings
@@ -168,27 +167,3 @@ def test_other_values_need_no_other_code_and_are_those_of_a_rebuilt_plant() -> N
 def test_bad_input_is_refused(call: Any, reason: str) -> None:
     with pytest.raises(ValueError, match=reason):
         call()
-
-
-def test_classical_machines_have_no_fluxes_and_no_exciter() -> None:
-    known = known_parameters(EnvSettings(machine_model="classical", version="v0").plant())
-    assert "machines.3.two_h_s" in known and "machines.1.governor.droop_pu" in known
-    assert not any("exciter" in name or "t_d0" in name for name in known)
-
-
-def test_the_check_moves_actions_laws_and_parameters_and_finds_the_gradient() -> None:
-    one_sided = "machines.1.governor.turbine_damping_pu"
-    scenarios, actions, _ = given()
-    checked = {
-        each.name: each
-        for each in check_by_differences(tape(), scenarios, actions[:60], {"frequency": 1.0, "duty": 0.5})
-    }
-    assert list(checked) == ["actions", *LAW_PARAMETERS, *KNOWN]
-    for name in ("actions", *LAW_PARAMETERS, "control.droop_gain_pu", one_sided):
-        each = checked[name]
-        assert each.gradient.shape == each.central.shape == each.above.shape == each.error.shape == (N_LANES,)
-        # Below 0 there is no turbine damping: its slope is that of one side, with an error of the first order.
-        assert each.gradient.any()
-        assert each.gradient == pytest.approx(each.central, rel=1e-3 if name == one_sided else 1e-5)
-        assert np.isnan(each.below).all() == (name == one_sided)
-    assert tape().parameter_values() == KNOWN

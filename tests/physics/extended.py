@@ -126,36 +126,6 @@ def pulse(bus: int, power_mw: float = 0.0, reactive_mvar: float = 0.0, until_s: 
     )
 
 
-def network_balance(simulator: Simulator) -> tuple[float, float]:
-    """Power of the units, and what loads and branches take, from the bus voltages [p.u.]."""
-    settings, blocks, rows = simulator.settings, simulator.blocks[0], simulator.layout.rows
-    last, following = simulator.lane_values("last_change")[0], simulator.lane_values("next_change")[0]
-    acted = -1.0 - blocks[rows.shedding : rows.shedding + simulator.layout.n_stages]
-    share = np.array([stage.share for stage in settings.shedding])
-    served = 1.0 - share[(acted >= 0.0) & (acted <= last)].sum()
-    load = served * simulator.data.load_y[0]
-    opened = set()
-    for event in simulator.data.events[0]:
-        if last >= event["start"]:
-            span = event["end"] - event["start"]
-            level = 1.0 if last >= event["end"] else (0.5 * (last + following) - event["start"]) / span
-            if event["branch"] >= 0:
-                opened.add(int(event["branch"]))
-            else:
-                load[event["bus"]] += served * level * event["admittance"]
-    interval = round(simulator.lane_values("step")[0] / simulator.plant.n_substeps) - 1
-    load[simulator.data.noise_bus[0]] += simulator.data.noise[0, interval] * simulator.lane_values("noise_per_mw")[0]
-    voltage = simulator.bus_voltages()
-    taken = (np.abs(voltage) ** 2 * np.conj(load + simulator.plant.buses["shunt"])).sum()
-    for index, branch in enumerate(simulator.plant.branches):
-        if index not in opened:
-            start, end = voltage[branch["start"]], voltage[branch["end"]]
-            taken += start * np.conj(branch["y_ff"] * start + branch["y_ft"] * end)
-            taken += end * np.conj(branch["y_tf"] * start + branch["y_tt"] * end)
-    given = simulator.machine_values("power")[0].sum() + simulator.wtg_values("power")[0] @ simulator.plant.share
-    return float(given), float(taken.real)
-
-
 def rough(seed: int) -> Scenario:
     """A scenario of a suite with a large load step more, and every third time a fault."""
     rng = np.random.default_rng(seed)

@@ -1,4 +1,4 @@
-"""Balances, agreement with other integrators, and what protections and grid strength do."""
+"""Balances, agreement with other integrators, and what protections do."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def test_load_noise_by_rank_one_update_equals_a_full_reduction(simulator: Simula
     ):
         simulator.start(0, what, (LAW, LAW))
         recorded(simulator, 3.0)
-        results.append(simulator.state())
+        results.append(np.concatenate([simulator.state(), np.abs(simulator.bus_voltages())]))
     assert results[0] == pytest.approx(results[1], abs=1e-12)
 
 
@@ -112,16 +112,6 @@ def test_a_stalled_group_ends_the_run_which_then_stands_still_or_is_tripped(trip
         before, peak = simulator.state(), simulator.wtg_values("peak_power")
         simulator.advance()
         assert (simulator.state() == before).all() and (simulator.wtg_values("peak_power") == peak).all()
-
-
-def test_grid_strength_changes_frequency_as_it_must(simulator: Simulator) -> None:
-    def nadir(**strength: float) -> float:
-        simulator.start(0, scenario(LoadStep(time_s=1.0, bus=3, power_mw=60.0), **strength), (LAW, LAW))
-        recorded(simulator, 15.0)
-        return float(simulator.lane_values("coi_min")[0])
-
-    assert nadir(governor_droop=0.05) < nadir(governor_droop=0.03) < nadir(governor_droop=0.018)
-    assert nadir(inertia_scale=0.5) < nadir()
 
 
 FAR = ConverterLimitParameters(

@@ -6,16 +6,12 @@ import dataclasses
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from tests.physics.extended import recorded, scenario
 from wtg_gym.physics.ieee14 import modified_ieee14
 from wtg_gym.physics.network import assemble_admittance
-from wtg_gym.physics.plant import PlantSettings
 from wtg_gym.physics.protection import Status
 from wtg_gym.physics.scenario import (
-    Event,
     GovernorLoss,
     GroupTrip,
     LineTrip,
@@ -165,42 +161,3 @@ def test_a_condenser_after_its_outage_feeds_in_nothing_and_counts_nowhere(simula
         assert simulator.lane_values("least_angle")[0] == angles.min()
         assert simulator.lane_values("largest_angle")[0] == angles.max()
     assert np.ptp(speeds) > 1e-6
-
-
-TIMES = st.integers(0, 80).map(lambda n: n * 0.025)
-LINES = st.sampled_from([(1, 2), (2, 4), (4, 5), (6, 12), (9, 14), (13, 14)])
-
-
-@st.composite
-def event_lists(draw: st.DrawFn, powers_mw: st.SearchStrategy[float]) -> tuple[Event, ...]:
-    """Any events that a plant takes, in any order."""
-    buses = st.integers(1, 14)
-    found: list[Event] = [LoadStep(time_s=draw(TIMES), bus=draw(buses), power_mw=draw(powers_mw))]
-    found.append(LoadRamp(time_s=draw(TIMES), bus=draw(buses), power_mw=draw(powers_mw), duration_s=0.5))
-    found += [LoadTrip(time_s=draw(TIMES), bus=bus) for bus in draw(st.sets(st.sampled_from([5, 9, 14])))]
-    found += [MachineOutage(time_s=draw(TIMES), bus=bus) for bus in draw(st.sets(st.sampled_from([3, 6, 8])))]
-    found += [GroupTrip(time_s=draw(TIMES), group=group) for group in draw(st.sets(st.integers(0, 1)))]
-    found += [GovernorLoss(time_s=draw(TIMES), bus=1)] if draw(st.booleans()) else []
-    after_s = draw(st.none() | st.integers(1, 60).map(lambda n: n * 0.025))
-    from_bus, to_bus = draw(LINES)
-    found.append(LineTrip(time_s=draw(TIMES), from_bus=from_bus, to_bus=to_bus, recloses_after_s=after_s))
-    return tuple(draw(st.permutations(found)))
-
-
-@given(events=event_lists(st.floats(-40, 40)))
-@settings(max_examples=40, deadline=None, derandomize=True)
-def test_any_list_of_events_keeps_states_finite_and_the_network_right(events: tuple[Event, ...]) -> None:
-    what = scenario(*events)
-    assert Scenario.from_json(what.to_json()).events == events
-    simulator = Simulator(PlantSettings())
-    simulator.start(0, what, LAWS)
-    for interval in range(1, 31):
-        simulator.advance()
-        # A sum with NaN or infinity is not below the bound.
-        assert np.abs(simulator.state()).sum() < 1e4
-        assert np.abs(simulator.machine_values("voltage")).sum() + np.abs(simulator.wtg_values("power")).sum() < 1e2
-        if simulator.lane_values("active")[0] < 0.5:
-            assert simulator.lane_values("status")[0] != Status.NUMERICAL_FAILURE
-            break
-        if interval % 5 == 0:
-            check_network(simulator, what, 0.1 * interval)

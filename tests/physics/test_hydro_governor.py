@@ -35,35 +35,6 @@ def orders(speed: Callable[[float], float], torque: float, seconds: float) -> Fl
     return np.asarray(solve_ivp(rates, (0.0, seconds), tuple(start), method="Radau", **how).y[1])
 
 
-def test_small_deviations_follow_the_transfer_functions() -> None:
-    """From the speed to the gate's order, and on to the torque, over the frequencies that count."""
-    torque, h = 0.5, 1e-6
-    start = np.array(hydro_start(torque, C))
-    reference = start[2]
-
-    def both(x: Floats, speed: float) -> Floats:
-        rates, out = hydro_rates(HydroState(*x), speed, reference, INV_DROOP, C)
-        return np.array([*rates, out])
-
-    columns = [(both(start + h * e, 1.0) - both(start - h * e, 1.0)) / (2.0 * h) for e in np.eye(4)]
-    a, c = np.array(columns).T[:4], np.array(columns).T[4]
-    speed_column = (both(start, 1.0 + h) - both(start, 1.0 - h)) / (2.0 * h)
-    b, d = speed_column[:4], speed_column[4]
-    g0 = start[2]
-    for omega in np.geomspace(1e-3, 10.0, 30):
-        s = 1j * omega
-        state = np.linalg.solve(s * np.eye(4) - a, b)
-        compensator = (1.0 + s * P.reset_time_s) / (P.temporary_droop_pu * P.reset_time_s * s)
-        forward = compensator / (1.0 + s * P.filter_time_s)
-        order = -forward / (1.0 + P.droop_pu * forward)
-        assert state[1] == pytest.approx(order, rel=1e-6)
-        gate = order / (1.0 + s * P.gate_time_s)
-        flow = gate / (1.0 + s * 0.5 * P.water_time_s * g0)
-        head = 2.0 * (flow - gate) / g0
-        output = P.turbine_gain * (head * (g0 - P.no_load_flow_pu) + flow) - P.turbine_damping_pu * g0
-        assert c @ state + d == pytest.approx(output, rel=1e-6)
-
-
 def test_the_order_keeps_within_its_rate_and_its_limits() -> None:
     order = orders(lambda _t: 0.95, 0.5, 60.0)
     slope = np.diff(order) / 0.01

@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 import dataclasses
-import itertools
 import math
 
 import numpy as np
 import pytest
 from scipy.linalg import expm
 
-from docs.studies.small_signal import compare, infinite_bus, linearise, sides, synchronising_coefficients
-from tests.physics.extended import plant, scenario, started, with_machine
+from docs.studies.small_signal import linearise
+from tests.physics.extended import plant, scenario, with_machine
 from wtg_gym.physics.ieee14 import modified_ieee14
 from wtg_gym.physics.linearisation import largest_stable_steps
 from wtg_gym.physics.parameters import ConverterLimitParameters, GridFormingParameters, VoltageControlParameters
@@ -93,14 +92,6 @@ PAPER = get_suite("paper").scenario(0)
 REFERENCE = STRATEGIES["coordinated-piecewise"]
 
 
-def test_eigenvalues_on_an_infinite_bus_are_the_poles_of_the_transfer_functions() -> None:
-    settings = infinite_bus()
-    for law, wind in itertools.product(STRATEGIES.values(), (8.0, 11.4)):
-        for side in sides(law):
-            _, difference = compare(law, wind, side, settings)
-            assert difference < 1e-6, (law.name, wind, side)
-
-
 @pytest.mark.parametrize(("side", "classical"), [("under", False), ("over", True)])
 def test_small_motion_of_the_simulator_is_that_of_the_linear_model(side: str, classical: bool) -> None:
     """A push of 1e-6, let go for 0.1 s, before the WTGs' frequencies come back to the corner of g(ω)."""
@@ -124,16 +115,3 @@ def test_small_motion_of_the_simulator_is_that_of_the_linear_model(side: str, cl
     other = linearise(PAPER, REFERENCE, settings, side="over" if side == "under" else "under")
     wrong = expm(0.1 * other.matrix) @ push[index]
     assert np.abs(moved - wrong).max() > 2e-3 * np.abs(expected).max()
-
-
-def test_synchronising_coefficients_are_the_power_angle_slope() -> None:
-    """One group on an infinite bus: K_p = V E cos δ/X, with the power E V sin δ/X = p."""
-    settings = infinite_bus(0.2)
-    what = scenario(wind=[[11.4]], load_noise_bus=1)
-    k_p = synchronising_coefficients(what, REFERENCE, settings)
-    simulator = started(settings, what)
-    power = 0.9663590
-    # Reactances on the group's 50 MVA: 0.55 behind the voltage and half of 0.2.
-    delta = simulator.state()[list(simulator.layout.state_names).index("wtg0.angle")]
-    assert k_p.shape == (1, 1)
-    assert k_p[0, 0] == pytest.approx(power / np.tan(delta), rel=1e-5)

@@ -57,8 +57,8 @@ def compiled(function):
 
 @compiled
 def measured(records):
-    values = np.sort(records[0].values) + np.cumsum(records[0].values) * np.median(records[0].values)
-    return 0.0 * np.linalg.norm(values) + 0.0 * np.sort(values * values[::-1]).sum() + values.size
+    values = np.sort(records[0].values)
+    return 0.0 * np.sort(values * values[::-1]).sum() + values.size
 
 @compiled
 def twice(records):

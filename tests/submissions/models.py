@@ -213,10 +213,3 @@ def external(location: str, **more: str) -> ModelProto:
     for key, value in {"location": location, **more}.items():
         tensor.external_data.add(key=key, value=value)
     return content
-
-
-def many_states() -> ModelProto:
-    """Seventeen large states."""
-    nodes = [LINEAR, *nodes_of("; ".join(f"next_state_{i} = Identity(state_{i})" for i in range(17)))]
-    inputs, outputs = ([info(f"{name}_{i}", "batch", 60_000) for i in range(17)] for name in ("state", "next_state"))
-    return model(nodes, [OBSERVATION, *inputs], [ACTION, *outputs])

@@ -12,10 +12,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-from onnx import ModelProto, TensorProto
+from onnx import ModelProto
 
 from tests.submissions import models
-from tests.submissions.models import M, N, after, folder, info
+from tests.submissions.models import M, after, folder, info
 from tests.submissions.models import model as make
 from wtg_gym.evaluation import Entry, OnnxPolicy, evaluate
 from wtg_gym.evaluation.episodes import Episode
@@ -61,7 +61,6 @@ def _knows(text: str, **values: Any) -> Build:
 
 
 _ADDRESS = {"location": "*/_ORT_MEM_ADDR_/*", "offset": "4096", "length": "320"}
-_BATCH_OF_TWO = {"inputs": [info("observation", 2, N)], "outputs": [info("action", 2, M)]}
 #: By their verdicts; a check of the gate is its name.
 ATTACKS: dict[str, dict[str, Build]] = {
     "loading": {
@@ -78,14 +77,7 @@ ATTACKS: dict[str, dict[str, Build]] = {
         "an operator that reads files": lambda: make(
             models.nodes_of("action = ai.onnx.contrib.ReadFile(observation)"), domains=[("ai.onnx.contrib", 1)]
         ),
-        "an operator that gives no numbers": _after("action = Not(linear)"),
         "actions of 10⁹ values": lambda: make(outputs=[info("action", "batch", 10**9)]),
-        "17 states of 60,000 values": models.many_states,
-        "actions in double precision": lambda: make(
-            models.nodes_of("a = MatMul(observation, weights); action = Cast<to = 11>(a)"),
-            outputs=[info("action", "batch", M, kind=TensorProto.DOUBLE)],
-        ),
-        "a batch of two and no other": lambda: make(**_BATCH_OF_TWO),
         "more observations than there are": lambda: models.linear(35, M),
         "another version's observations and actions": models.of_v1,
     },
@@ -126,12 +118,6 @@ ATTACKS: dict[str, dict[str, Build]] = {
             by=np.int32(-1),
             one=np.int32(1),
             nought=0.0,
-        ),
-        "actions for two scenarios": _knows(
-            "repeats = Where(fire, two, one); repeated = Reshape(repeats, as_two); action = Tile(linear, repeated)",
-            two=[[2, 1]],
-            one=[[1, 1]],
-            as_two=[2],
         ),
         "an index outside the weights": _knows(
             "places = Where(fire, far, first); place = Reshape(places, as_one); "

@@ -3,24 +3,18 @@
 from __future__ import annotations
 
 import dataclasses
-import itertools
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 from onnx import ModelProto
-from onnxruntime import InferenceSession
 
-from agents import shipped
 from tests.submissions import models
 from tests.submissions.models import TOML, M, N, constant, folder, seed
 from tests.submissions.models import model as make
-from wtg_gym.evaluation import load_entries
 from wtg_gym.policies import gate
 from wtg_gym.policies.conflicts import conflicts
-from wtg_gym.policies.gate import COPY_TOLERANCE, Report, action_difference, check_submission, rollout
-from wtg_gym.policies.submission_folder import parse_submission
+from wtg_gym.policies.gate import Report, check_submission
 
 
 @pytest.fixture(autouse=True)
@@ -115,34 +109,3 @@ def test_what_is_there_is_compared_as_far_as_it_can_be_read(tmp_path: Path) -> N
     assert not broken.accepted
     (conflict,) = conflicts([report(tmp_path / "b", models.other(), seed(1))], [broken])
     assert "is taken by Mine" in conflict.reason
-
-
-class AtOnce:
-    """Answers all scenarios in one call, in this process: its actions equal the other process's up to the last bits."""
-
-    def __init__(self, file: Path) -> None:
-        self._session = InferenceSession(file, providers=["CPUExecutionProvider"])
-
-    def predict(
-        self, observation: Any, state: Any = None, episode_start: Any = None, deterministic: bool = True
-    ) -> tuple[Any, Any]:
-        widths = {given.name: given.shape[1] for given in self._session.get_inputs() if given.name != "observation"}
-        states = {name: np.zeros((len(observation), n), np.float32) for name, n in widths.items()} | (state or {})
-        answers = ["action", *(f"next_{name}" for name in states)]
-        action, *following = self._session.run(answers, {"observation": observation.astype(np.float32), **states})
-        return action, dict(zip(states, following, strict=True))
-
-
-def test_shipped_policies_are_far_from_being_copies() -> None:
-    compared: dict[tuple[str | None, str], list[Any]] = {}
-    # Not those that others have submitted: they only have to differ.
-    for name in [*shipped.commands(), "linear-feedback", "linear-feedback-v1", "history-feedback-v1"]:
-        folder = Path(shipped.__file__).parent / "policies" / name
-        (entry,) = load_entries(folder)
-        actions = rollout(AtOnce(folder / "policy.onnx"), entry)
-        gate._check_no_baseline(actions, parse_submission((folder / "entry.toml").read_bytes()))
-        compared.setdefault((entry.environment, entry.action_mode), []).append(actions)
-    assert [len(actions) for actions in compared.values()] == [16, 5, 5, 16]
-    for (_, mode), actions in compared.items():
-        for one, other in itertools.combinations(actions, 2):
-            assert action_difference(one, other, mode, mode) > 3.0 * COPY_TOLERANCE

@@ -59,7 +59,7 @@ Entries = Annotated[
     Parameter(
         help="'baselines'; 'policies', the trained ones that come with the package; one of either by its name in the "
         "leaderboard, such as linear-feedback or 'PPO (k)'; a .toml file with a law; a folder with entry.toml and "
-        "policy.onnx; a package with entries, or module:ATTRIBUTE, whose code is run. Several are allowed; default: "
+        "policy.onnx; or module:ATTRIBUTE, whose code is run. Several are allowed; default: "
         f"{BASELINES}"
     ),
 ]

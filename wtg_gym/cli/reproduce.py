@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import os
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -13,8 +12,7 @@ from wtg_gym.cli import output as out
 from wtg_gym.cli.options import Json, OutputFolder
 from wtg_gym.files import to_json, write_atomically
 from wtg_gym.progress import Progress
-from wtg_gym.reproduce.case_studies import paper_claims, run_case
-from wtg_gym.reproduce.claims import claims_table
+from wtg_gym.reproduce.claims import paper_claims, run_case
 
 
 def reproduce(
@@ -24,7 +22,6 @@ def reproduce(
         "svg",
         "png",
     ),
-    page: Path | None = None,
     json: Json = False,
 ) -> int:
     """Run the paper's analysis and case studies on the simulator, and write within two minutes
@@ -32,42 +29,28 @@ def reproduce(
       claims.json   every claim of the paper with its tolerance, measurement and verdict
       figures/*     the paper's figures
 
-    With --page the sections `claims` and `figures` of a Markdown file are renewed, each between <!-- NAME:start --> and
-    <!-- NAME:end -->, with links to the pictures in the output folder.
-
     examples:
       wtg-gym reproduce
       wtg-gym reproduce --output figures-for-print --formats svg pdf
-      wtg-gym reproduce --output docs/validation --formats svg --page docs/validation.md
 
     Args:
         output: folder to write to
         formats: of the figures
-        page: Markdown file whose sections are renewed
     """
     out.require_extra("matplotlib", "wtg-gym reproduce")
     from wtg_gym.plotting import save_figure
     from wtg_gym.reproduce.figures import paper_figures
 
-    if page is not None:
-        out.check_page("--page", page, "claims", "figures")
     with Progress("steps") as progress:
         cases = tuple(run_case(seed, progress.update) for seed in range(2))
         progress.update("claims", 0, 1)
-        claims = paper_claims(*cases)
+        claims = list(paper_claims(*cases))
         progress.update("figures", 0, 1)
-        captions: dict[str, str] = {}
-        for name, caption, figure in paper_figures(*cases):
-            captions[name] = caption
+        for name, figure in paper_figures(*cases):
             save_figure(figure, output / "figures" / name, formats)
     data = out.plain_json({"claims": [dataclasses.asdict(claim) for claim in claims]})
     write_atomically(output / "claims.json", to_json(data))
-    out.note(f"wrote {output / 'claims.json'} and {len(captions)} figures in {output / 'figures'}")
-    if page is not None:
-        suffix = "png" if "png" in formats else formats[0]
-        where = Path(os.path.relpath((output / "figures").resolve(), page.resolve().parent)).as_posix()
-        gallery = [f"![{name}]({where}/{name}.{suffix})\n\n{caption}" for name, caption in captions.items()]
-        out.update_page(page, {"claims": claims_table(claims), "figures": "\n\n".join(gallery)})
+    out.note(f"wrote {output / 'claims.json'} and the figures in {output / 'figures'}")
     if json:
         out.print_json(data)
     else:

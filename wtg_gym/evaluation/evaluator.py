@@ -29,7 +29,6 @@ from wtg_gym.policies.entry import check_entries, check_version
 from wtg_gym.policies.load import load_entries
 from wtg_gym.policies.play import play, started_lanes
 from wtg_gym.policies.policy_process import NotIsolatedError
-from wtg_gym.progress import Progress as ProgressBar
 from wtg_gym.ranges import is_whole, require_whole
 from wtg_gym.scenarios import DEFAULT_SUITE, FRESH, FreshDraw, get_suite
 from wtg_gym.scenarios.benchmark import V0, Benchmark
@@ -55,7 +54,6 @@ def evaluate(
     draw: FreshDraw | None = None,
     batch: int = 256,
     n_threads: int | None = None,
-    progress: bool = False,
     on_progress: Progress | None = None,
     partial: str | Path | None = None,
     workers: Workers | None = None,
@@ -80,7 +78,6 @@ def evaluate(
         batch: scenarios that run side by side, of an ONNX policy 64 at most.
         n_threads: threads to step with, and ONNX policies that play side by side; None for one per processor. Workers
             have one each.
-        progress: show progress on stderr: a bar in a terminal, else a line every few seconds.
         on_progress: called with (name of the entry, episodes done, episodes in all) after every batch.
         partial: folder for finished batches, from which a run that was killed goes on; :meth:`Results.write` removes
             them.
@@ -110,14 +107,8 @@ def evaluate(
     store = PartialStore(partial, [settings.suite, suite_hash, split, shared])
     parts = [part for entry in competitors for part in _parts(entry, chosen, batch)]
     needed = settings.benchmark().anchors if keep_going else [entry.name for entry in competitors]
-    with contextlib.ExitStack() as stack:
-        told = [] if on_progress is None else [on_progress]
-        if progress:
-            told.append(stack.enter_context(ProgressBar("episodes")).update)
-        batches = stack.enter_context(
-            contextlib.closing(_stored_and_played(store, parts, settings, n_threads, workers))
-        )
-        episodes, failures = _collected(batches, parts, told, needed)
+    with contextlib.closing(_stored_and_played(store, parts, settings, n_threads, workers)) as batches:
+        episodes, failures = _collected(batches, parts, on_progress, needed)
     return Results(
         suite=settings.suite,
         split=split,
@@ -231,7 +222,7 @@ def _parts(entry: Entry, seeds: Sequence[int], batch: int) -> Iterator[_Part]:
 
 
 def _collected(
-    batches: Iterable[tuple[int, Played]], parts: Sequence[_Part], told: Sequence[Progress], needed: Collection[str]
+    batches: Iterable[tuple[int, Played]], parts: Sequence[_Part], on_progress: Progress | None, needed: Collection[str]
 ) -> tuple[list[Episode], dict[tuple[str, int | None], str]]:
     """Return the episodes in the order of the parts, and how entries failed, by name and training seed.
 
@@ -249,8 +240,8 @@ def _collected(
         else:
             played[index] = rows
         n_done += len(seeds)
-        for tell in told:
-            tell(entry.name, n_done, n_all)
+        if on_progress is not None:
+            on_progress(entry.name, n_done, n_all)
     return [episode for index in sorted(played) for episode in played[index]], failures
 
 
@@ -330,7 +321,7 @@ def _play(entry: Entry, settings: EnvSettings, seeds: Sequence[int], n_threads: 
                     seed=int(lanes.scenario_seeds[lane]),
                     scenario=scenario.name,
                     duration_s=min(scenario.duration_s, lanes.duration_s),
-                    **measure(lanes, recorder, lane, scenario),
+                    **measure(lanes, recorder, lane),
                 )
                 for lane, scenario in enumerate(scenarios)
             ]

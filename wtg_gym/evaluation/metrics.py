@@ -17,14 +17,11 @@ import numpy.typing as npt
 from wtg_gym.envs.lanes import TERMINATION_REASONS, TaskLanes
 from wtg_gym.envs.task_records import COST_TERMS
 from wtg_gym.physics.protection import Status
-from wtg_gym.physics.scenario import LineTrip, Scenario
 
 Floats = npt.NDArray[np.float64]
 
 #: Window at the end of an episode over which the quasi-steady frequency is averaged [s].
 STEADY_WINDOW_S = 5.0
-#: Half-width of the band a settled frequency stays in [Hz].
-SETTLING_BAND_HZ = 0.05
 #: Time over which a change of power is taken [s].
 POWER_CHANGE_WINDOW_S = 1.0
 
@@ -51,12 +48,6 @@ METRICS: Mapping[str, Metric] = MappingProxyType(
         ),
         "quasi_steady_deviation_hz": Metric(
             "Hz", "mean frequency of the last 5 s minus the nominal one; none after a failure", optional=True
-        ),
-        "settling_time_s": Metric(
-            "s",
-            "from the end of the last event until the frequency stays within 0.05 Hz of its mean over "
-            "the last 5 s; none without event, after a failure, or where it leaves that band in the last 5 s",
-            optional=True,
         ),
         "energy_mwh": Metric("MWh", "energy all groups captured until the end or the failure"),
         "energy_share_percent": Metric("%", "captured of the available energy, at the best power coefficient"),
@@ -110,37 +101,16 @@ class Recorder:
         self.largest_rotor = np.maximum(self.largest_rotor, rotor)
 
 
-def last_event_s(scenario: Scenario, duration_s: float) -> float | None:
-    """Return when the last event that begins within `duration_s` [s] is complete [s]; None without one.
-
-    A line that would close after the end stays open.
-    """
-    begun = [event for event in scenario.events if event.time_s < duration_s]
-    return max(
-        (e.time_s if isinstance(e, LineTrip) and e.end_s >= duration_s else e.end_s for e in begun), default=None
-    )
-
-
-def steady_metrics(
-    frequency_hz: Floats, control_dt: float, nominal_hz: float, event_s: float | None
-) -> tuple[float, float | None]:
-    """Return the quasi-steady deviation [Hz] and the settling time [s] of an episode that reached its end.
+def quasi_steady_deviation(frequency_hz: Floats, control_dt: float, nominal_hz: float) -> float:
+    """Return the quasi-steady deviation of an episode that reached its end [Hz].
 
     Args:
         frequency_hz: one value per control step, the start first, shape (n_steps + 1,) [Hz].
         control_dt: control interval [s].
         nominal_hz: nominal frequency [Hz].
-        event_s: when the last event was complete [s]; None without one, which gives no settling time.
     """
     n_window = max(1, min(round(STEADY_WINDOW_S / control_dt), frequency_hz.size - 1))
-    final = math.fsum(frequency_hz[-n_window:].tolist()) / n_window
-    if event_s is None:
-        return final - nominal_hz, None
-    outside = np.flatnonzero(np.abs(frequency_hz - final) > SETTLING_BAND_HZ)
-    settled_at = 0 if outside.size == 0 else int(outside[-1]) + 1
-    if settled_at > frequency_hz.size - n_window:
-        return final - nominal_hz, None
-    return final - nominal_hz, max(0.0, settled_at * control_dt - event_s)
+    return math.fsum(frequency_hz[-n_window:].tolist()) / n_window - nominal_hz
 
 
 def largest_power_change(power_pu: Floats, control_dt: float) -> float:
@@ -156,16 +126,14 @@ def largest_power_change(power_pu: Floats, control_dt: float) -> float:
     return float(np.abs(power_pu - before).max())
 
 
-def measure(lanes: TaskLanes, recorder: Recorder, lane: int, scenario: Scenario) -> dict[str, Any]:
+def measure(lanes: TaskLanes, recorder: Recorder, lane: int) -> dict[str, Any]:
     """Return "metrics" of a lane that is over, by the names in :data:`METRICS`, and its "failure" (empty: none)."""
     simulator = lanes.simulator
     status = Status(int(lanes.statuses()[lane]))
     terms = {f"cost_{t}": float(value) for t, value in zip(COST_TERMS, lanes.cost_sums()[lane], strict=True)}
     n_steps, dt = int(recorder.n_steps[lane]), lanes.settings.control_dt
-    steady: tuple[float | None, float | None] = (None, None)
-    if status == Status.RUNNING:
-        event = last_event_s(scenario, n_steps * dt)
-        steady = steady_metrics(recorder.frequency_hz[lane, : n_steps + 1], dt, lanes.nominal_hz, event)
+    frequency_hz = recorder.frequency_hz[lane, : n_steps + 1]
+    steady = quasi_steady_deviation(frequency_hz, dt, lanes.nominal_hz) if status == Status.RUNNING else None
 
     def groups(name: str) -> list[float]:
         values: list[float] = simulator.wtg_values(name)[lane].tolist()
@@ -180,8 +148,7 @@ def measure(lanes: TaskLanes, recorder: Recorder, lane: int, scenario: Scenario)
         "nadir_hz": lanes.nominal_hz * float(simulator.lane_values("coi_min")[lane]),
         "zenith_hz": lanes.nominal_hz * float(simulator.lane_values("coi_max")[lane]),
         "largest_rocof_hz_s": float(lanes.task_values("largest_rocof")[lane]),
-        "quasi_steady_deviation_hz": steady[0],
-        "settling_time_s": steady[1],
+        "quasi_steady_deviation_hz": steady,
         "energy_mwh": captured * simulator.settings.case.base_mva / 3600.0,
         "energy_share_percent": 100.0 * captured / float(lanes.task_values("available_energy")[lane]),
         "duty_error_percent": 100.0 * float(lanes.task_values("duty_error")[lane]) / (n_steps * dt),

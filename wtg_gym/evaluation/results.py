@@ -24,7 +24,7 @@ from wtg_gym.evaluation.summary import (
     runs_by_name,
     summarise,
 )
-from wtg_gym.evaluation.table import html_table, privileged_note
+from wtg_gym.evaluation.table import markdown_table, privileged_note
 from wtg_gym.extras import install_advice
 from wtg_gym.ranges import ByName
 from wtg_gym.scenarios import get_suite
@@ -79,11 +79,11 @@ class Results:
         )
         return f"<Results of {self.suite}, {self.split}, {len(self.seeds)} scenarios: {entries}>"
 
-    def _repr_html_(self) -> str:
+    def _repr_markdown_(self) -> str:
         """Return the ranking as a table, which notebooks show."""
         scenarios = f"{self.suite}, {self.split}: {len(self.seeds)} scenarios"
         notes = (scenarios, self.no_score, privileged_note(self.ranking))
-        return html_table(self.ranking, "; ".join(filter(None, notes)))
+        return f"{'; '.join(filter(None, notes))}\n\n{markdown_table(self.ranking)}"
 
     @property
     def benchmark(self) -> Benchmark:

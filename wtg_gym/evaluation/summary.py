@@ -11,7 +11,6 @@ from typing import Any
 
 import numpy as np
 
-from wtg_gym.envs.task_records import COST_TERMS
 from wtg_gym.evaluation import statistics
 from wtg_gym.evaluation.episodes import Episode
 from wtg_gym.evaluation.score import log_gains, pinned, points_by_term, score_scale
@@ -54,7 +53,6 @@ class EntryMeasures:
     lost_or_beyond_percent: float
     mean_pinned_cost: float  # [-]
     worst_decile_cost: float  # mean pinned cost of the worst tenth of the scenarios of each training seed [-]
-    mean_cost_terms: Mapping[str, float]  # mean of every term of the cost as it was paid [-]
     #: Median and 95th percentile of the largest deviations of the frequency of the centre of inertia from the nominal
     #: one, up or down [mHz].
     median_deviation_mhz: float
@@ -73,8 +71,8 @@ class EntrySummary(EntryMeasures):
 
     score: Interval  # mean of the scenarios' scores: 0 and 100 are those of the version's anchors
     interquartile_mean: Interval  # of the scenarios' scores
-    difference: Interval  # mean of the scenarios' scores minus the hundred's on the same scenario
-    difference_to_above: Interval | None  # the same, minus that of the entry above in the ranking; None for the first
+    #: The score minus that of the entry above in the ranking, on the same scenarios; None for the first.
+    difference_to_above: Interval | None
     #: Points above 100 by the cost terms they come from, by the names in :data:`POINTS` and :data:`REST`; they add up
     #: to the score minus 100, see :func:`points_by_term`.
     points_by_term: Mapping[str, float]
@@ -111,14 +109,13 @@ def summarise(
     hundred_terms = parts_of_costs(runs[benchmark.hundred], costs[benchmark.hundred])[:, 0]
 
     def summary(row: EntryMeasures) -> EntrySummary:
-        own, score = costs[row.name], statistics.score_interval(gains[row.name], zero)
+        own = costs[row.name]
         terms = parts_of_costs(runs[row.name], own)
         points = points_by_term(own, hundred, terms, hundred_terms, -statistics.mean(zero))
         return EntrySummary(
             **{each.name: getattr(row, each.name) for each in fields(EntryMeasures)},
-            score=score,
+            score=statistics.score_interval(gains[row.name], zero),
             interquartile_mean=statistics.interquartile_interval(gains[row.name], zero),
-            difference=Interval(score.value - 100.0, score.low - 100.0, score.high - 100.0),
             difference_to_above=None,
             points_by_term=dict(zip((*POINTS, REST), points.tolist(), strict=True)),
         )
@@ -183,7 +180,6 @@ def _measures(
         lost_or_beyond_percent=100.0 * float(np.mean(lost | (deviations > DESIGN_DEVIATION_MHZ))),
         mean_pinned_cost=statistics.mean(costs),
         worst_decile_cost=_worst_decile(costs),
-        mean_cost_terms={term: statistics.mean(_values(runs, f"cost_{term}")) for term in COST_TERMS},
         median_deviation_mhz=float(np.median(deviations)),
         p95_deviation_mhz=float(np.percentile(deviations, 95.0)),
         median_nadir_hz=float(np.median(_values(runs, "nadir_hz"))),

@@ -1,9 +1,8 @@
-"""The table of results: every column once, for a terminal, for Markdown and HTML, and for the page with charts."""
+"""The table of results: every column once, for a terminal, for Markdown, and for the page with charts."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from html import escape
 from typing import Any, NamedTuple
 
 from wtg_gym import files
@@ -69,7 +68,7 @@ def _points(term: str) -> Callable[[EntryMeasures], str]:
 class _Column(NamedTuple):
     heading: str
     text: Callable[[Any], str]  # of a row
-    tables: str  # which show it: "terminal"; "v0" and "v1", Markdown and HTML of that version; "whole", all there is
+    tables: str  # which show it: "terminal"; "v0" and "v1", Markdown of that version; "whole", all there is
 
 
 #: In the order of every table. The whole one leaves out what another of its columns says.
@@ -150,15 +149,6 @@ def markdown_table(rows: Sequence[EntryMeasures], columns: Sequence[str] | None 
     columns = columns or _short_columns(rows)
     numbers = sorted(set(range(len(columns))) - set(text_columns(columns)))
     return files.markdown_table(columns, table_cells(rows, columns), right=numbers)
-
-
-def html_table(rows: Sequence[EntryMeasures], caption: str) -> str:
-    """Return the ranking as an HTML table of the columns that a page shows."""
-    columns = _short_columns(rows)
-    head = "".join(f"<th>{escape(column)}</th>" for column in columns)
-    cells = ("".join(f"<td>{escape(cell)}</td>" for cell in row) for row in table_cells(rows, columns))
-    body = "".join(f"<tr>{row}</tr>" for row in cells)
-    return f"<table><caption>{escape(caption)}</caption><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>"
 
 
 def privileged_note(rows: Sequence[EntryMeasures]) -> str:

@@ -9,12 +9,11 @@ import numpy as np
 import numpy.typing as npt
 
 from wtg_gym.physics.parameters import GridFormingParameters
-from wtg_gym.physics.protection import Status
 from wtg_gym.physics.scenario import Scenario
 from wtg_gym.physics.tracking_law import coordinated_piecewise
 from wtg_gym.physics.trajectory import Trajectory
 from wtg_gym.plotting import style
-from wtg_gym.plotting.event_marks import endings, explain_events, mark_end, mark_instants
+from wtg_gym.plotting.event_marks import draw_run, endings, explain_events, mark_instants
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -24,7 +23,7 @@ if TYPE_CHECKING:
 _REACH = 0.25
 
 
-class _Panel(NamedTuple):
+class Panel(NamedTuple):
     """One quantity."""
 
     label: str
@@ -57,11 +56,10 @@ def plot_trajectories(
         if panel.label.startswith("wind"):
             # Every run has the same wind: the longest one shows all of it.
             longest = max(trajectories.values(), key=lambda run: run.time_s.size)
-            _draw_run(axes, longest.time_s, panel.values(longest), "0.25")
+            _draw_groups(axes, longest, panel.values(longest), "0.25")
         else:
             for label, run in trajectories.items():
-                ends_early = run.status != Status.RUNNING
-                _draw_run(axes, run.time_s, panel.values(run), colours[label], ends_early=ends_early)
+                _draw_groups(axes, run, panel.values(run), colours[label])
         _draw_references(axes, panel)
         mark_instants(axes, scenario, numbered=axes in grid[0])
         axes.set_ylabel(panel.label)
@@ -74,7 +72,7 @@ def plot_trajectories(
     return figure
 
 
-def _panels(nominal_hz: float, overload_pu: float) -> tuple[_Panel, ...]:
+def _panels(nominal_hz: float, overload_pu: float) -> tuple[Panel, ...]:
     """Return the panels, down the left column and then down the right one."""
     control, law = GridFormingParameters(), coordinated_piecewise()
     bounds = {
@@ -86,35 +84,26 @@ def _panels(nominal_hz: float, overload_pu: float) -> tuple[_Panel, ...]:
     }
     coefficients = {"$K_{opt}$": law.k_min, "$K_n$": law.k_nominal, "$K_{pr}$": law.k_max}
     return (
-        _Panel("frequency [Hz]", lambda run: run.frequency_hz, bounds),
-        _Panel("RoCoF, 500 ms [Hz/s]", lambda run: run.rocof_hz_s()),
-        _Panel("wind speed [m/s]", lambda run: run.wind_m_s),
-        _Panel("rotor speed [p.u.]", lambda run: run.rotor_speed_pu),
-        _Panel("power [p.u.]", lambda run: run.power_pu, {"overload": overload_pu}),
-        _Panel("coefficient k [p.u.]", lambda run: run.coefficient_pu, coefficients, shows_all_references=True),
+        Panel("frequency [Hz]", lambda run: run.frequency_hz, bounds),
+        Panel("RoCoF, 500 ms [Hz/s]", lambda run: run.rocof_hz_s()),
+        Panel("wind speed [m/s]", lambda run: run.wind_m_s),
+        Panel("rotor speed [p.u.]", lambda run: run.rotor_speed_pu),
+        Panel("power [p.u.]", lambda run: run.power_pu, {"overload": overload_pu}),
+        Panel("coefficient k [p.u.]", lambda run: run.coefficient_pu, coefficients, shows_all_references=True),
     )
 
 
-def _draw_run(
-    axes: Axes,
-    time_s: npt.NDArray[np.float64],
-    values: npt.NDArray[np.float64],
-    colour: str,
-    *,
-    ends_early: bool = False,
-) -> None:
-    columns = values.reshape(time_s.size, -1).T
+def _draw_groups(axes: Axes, run: Trajectory, values: npt.NDArray[np.float64], colour: str) -> None:
+    columns = values.reshape(run.time_s.size, -1).T
     for group, own in enumerate(columns):
         # More groups than dash patterns get thin plain lines.
         many = len(columns) > len(style.GROUP_STYLES)
         dashes, width = ("-", 0.5) if many else (style.GROUP_STYLES[group], 1.1)
-        axes.plot(time_s, own, color=colour, linestyle=dashes, linewidth=width)
-        if ends_early:
-            mark_end(axes, float(time_s[-1]), float(own[-1]), colour)
+        draw_run(axes, run, own, colour, linestyle=dashes, linewidth=width)
     axes.margins(y=0.08)
 
 
-def _draw_references(axes: Axes, panel: _Panel) -> None:
+def _draw_references(axes: Axes, panel: Panel) -> None:
     """Draw and name those reference lines that are near the data."""
     low, high = axes.get_ylim()
     reach = np.inf if panel.shows_all_references else _REACH * (high - low)

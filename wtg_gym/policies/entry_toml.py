@@ -23,7 +23,6 @@ _KEYS = (
     "training_seed",
     "authors",
     "trained_on",
-    "links",
 )
 _CHOICES = {
     "action_mode": tuple(ACTION_MODES),
@@ -62,10 +61,9 @@ def parse_entry(text: str, needed: Sequence[str] = NEEDED) -> dict[str, Any]:
     for key in ("name", "description", "trained_on"):
         if not isinstance(data.get(key, ""), str):
             raise ValueError(f"{key} must be text, got {short(data[key])}")
-    for key in ("authors", "links"):
-        each = data.get(key, [])
-        if not isinstance(each, list) or not all(isinstance(one, str) and one for one in each):
-            raise ValueError(f"{key} must be a list of texts, none of them empty, got {short(each)}")
+    authors = data.get("authors", [])
+    if not isinstance(authors, list) or not all(isinstance(each, str) and each for each in authors):
+        raise ValueError(f"authors must be a list of texts, none of them empty, got {short(authors)}")
     seed = data.get("training_seed", 0)
     if isinstance(seed, bool) or not isinstance(seed, int) or not 0 <= seed <= _LARGEST_SEED:
         raise ValueError(f"training_seed must be a whole number 0 … {_LARGEST_SEED}, got {short(seed)}")

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import importlib
 import itertools
-import pkgutil
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from types import ModuleType
@@ -33,9 +32,8 @@ def load_entries(spec: str | Path, benchmark: Benchmark = V1) -> list[Entry]:
         spec: what is found first, in this order: the name of a built-in strategy; "baselines" for all baselines,
             "policies" for all trained policies that come with the package; the name of a baseline; a .toml file with a
             law; a folder with an entry.toml and a policy.onnx, see :func:`load_entry_folder`; the name of one of those
-            policies ("PPO (k)" stands for all of its seeds, "ppo-k-0" for one of them); a package, of which every
-            module with an `ENTRY` counts, by name, or what its `ORDER` has for the version; or
-            "module:ATTRIBUTE", an entry, a policy, or a callable that returns one. Importing runs the module's code.
+            policies ("PPO (k)" stands for all of its seeds, "ppo-k-0" for one of them); or "module:ATTRIBUTE", an
+            entry, a policy, or a callable that returns one. Importing runs the module's code.
         benchmark: the version whose baselines are meant, and whose trained policies, where some of a name are for it.
 
     Raises:
@@ -45,10 +43,10 @@ def load_entries(spec: str | Path, benchmark: Benchmark = V1) -> list[Entry]:
         raise ValueError(f"load_entries() takes one name or path, got {spec!r}")
     text = str(spec)
     if text == BASELINES:
-        return _entries_of(_import(BASELINES, text), text, benchmark.version)
+        return _baselines(benchmark.version)
     if text == POLICIES:
         return _for_version(policy_folders(), benchmark)
-    baselines = _entries_of(_import(BASELINES, text), text) if is_built_in(text) else []
+    baselines = _baselines() if is_built_in(text) else []
     if named := [entry for entry in baselines if entry.name == text]:
         return named
     if text.endswith(".toml"):
@@ -72,8 +70,11 @@ def load_entries(spec: str | Path, benchmark: Benchmark = V1) -> list[Entry]:
     if shipped := [folder for folder in policy_folders() if text in (folder.name, policy_name(folder))]:
         return _for_version(shipped, benchmark)
     module_name, colon, attribute = text.partition(":")
-    module = _import(module_name, text)
-    return [_entry_of(module, attribute, text)] if colon else _entries_of(module, text, benchmark.version)
+    if not colon and Path(text or "no folder").is_dir():
+        raise ValueError(f"the folder {text} holds no {ENTRY_FILE}")
+    if not colon or not all(part.isidentifier() for part in module_name.split(".")):
+        raise ValueError(f"unknown entry {text!r}; {_allowed()}")
+    return [_entry_of(_import(module_name, text), attribute, text)]
 
 
 def example_law() -> str:
@@ -113,8 +114,8 @@ def load_entry_folder(folder: Path) -> Entry:
 
     Its entry.toml has the keys name and action_mode, and may have description, observation_mode, environment (without
     it: that of version v1), strategy (the name of a built-in one; without it: the reference strategy), training_seed,
-    authors (a list of names), trained_on (text) and links (a list of addresses). An :class:`OnnxPolicy` plays its
-    policy.onnx in a process of its own; nothing of that file is looked at before.
+    authors (a list of names) and trained_on (text). An :class:`OnnxPolicy` plays its policy.onnx in a process of its
+    own; nothing of that file is looked at before.
 
     Raises:
         ValueError: a file is missing or damaged, or a key is unknown or of the wrong type.
@@ -142,7 +143,7 @@ def _entry_data(path: Path) -> dict[str, Any]:
 def entry_arguments(data: Mapping[str, Any]) -> dict[str, Any]:
     """Return the arguments of :class:`Entry` in the keys of an entry.toml: authors are its source."""
     source = ", ".join(data.get("authors", ()))
-    return {**{key: data[key] for key in data if key not in ("authors", "links", "trained_on")}, "source": source}
+    return {**{key: data[key] for key in data if key not in ("authors", "trained_on")}, "source": source}
 
 
 # --- modules ---------------------------------------------------------------------------------------------------------
@@ -151,10 +152,6 @@ def entry_arguments(data: Mapping[str, Any]) -> dict[str, Any]:
 def _import(name: str, spec: str) -> ModuleType:
     if name.partition(".")[0] == BASELINES and INSTALLED:
         name = f"wtg_gym.shipped.{name}"
-    if not name or not all(part.isidentifier() for part in name.split(".")):
-        if name and Path(spec).is_dir():
-            raise ValueError(f"the folder {spec} holds no {ENTRY_FILE}")
-        raise ValueError(f"unknown entry {spec!r}; {_allowed()}")
     try:
         return importlib.import_module(name)
     except ImportError as error:
@@ -167,10 +164,15 @@ def _import(name: str, spec: str) -> ModuleType:
 def _allowed() -> str:
     names = [name for folder in policy_folders() if (name := policy_name(folder))]
     shipped = ", ".join(repr(known) for known in dict.fromkeys((*STRATEGY_NAMES, BASELINES, *names, POLICIES)))
-    return (
-        f"allowed are {shipped}, a .toml file with a law, "
-        f'a folder with {ENTRY_FILE}, an importable package or module with entries, or "module:ATTRIBUTE"'
-    )
+    return f'allowed are {shipped}, a .toml file with a law, a folder with {ENTRY_FILE}, or "module:ATTRIBUTE"'
+
+
+def _baselines(version: str | None = None) -> list[Entry]:
+    """Return the baselines of a version in the order of its table; None: those of all versions."""
+    order: Mapping[str, Sequence[Entry | str]] = _import(BASELINES, BASELINES).ORDER
+    named = order[version] if version else dict.fromkeys(itertools.chain(*order.values()))
+    # A feedback is named by its module.
+    return [_import(f"{BASELINES}.{each}", BASELINES).ENTRY if isinstance(each, str) else each for each in named]
 
 
 def _entry_of(module: ModuleType, attribute: str, spec: str) -> Entry:
@@ -188,29 +190,3 @@ def _entry_of(module: ModuleType, attribute: str, spec: str) -> Entry:
         f"entry {spec!r} must be an Entry, an object with predict(), or a callable that returns one, "
         f"got {type(found).__name__}"
     )
-
-
-def _entries_of(module: ModuleType, spec: str, version: str | None = None) -> list[Entry]:
-    """Return the entries of a module or package; None: those for all versions.
-
-    A package may have an ORDER: for each version, entries and names of modules with one.
-    """
-    members: list[Any] = [module]
-    path = getattr(module, "__path__", None)
-    if path is not None:
-        order = getattr(module, "ORDER", None)
-        orders = order if isinstance(order, Mapping) else {}
-        named = orders.get(version) if version else dict.fromkeys(itertools.chain(*orders.values()))
-        members = list(named or sorted(info.name for info in pkgutil.iter_modules(path)))
-    entries = list[Any]()
-    for member in members:
-        found = _import(f"{module.__name__}.{member}", spec) if isinstance(member, str) else member
-        if isinstance(found, Entry):
-            entries.append(found)
-        elif "ENTRY" in vars(found):
-            entries.append(vars(found)["ENTRY"])
-    if not entries or not all(isinstance(entry, Entry) for entry in entries):
-        raise ValueError(
-            f"{spec!r} has no entry: a folder needs an {ENTRY_FILE}, a package or module an ENTRY, which is an Entry"
-        )
-    return entries

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import functools
-import importlib.util
 import unicodedata
 from pathlib import Path
 
@@ -47,20 +46,6 @@ def check_not_built_in(what: str, name: str) -> None:
             f"{what} must not be, or look like, that of a strategy or a baseline or one of {', '.join(RESERVED)}; "
             f"got {ascii(name)[:80]}"
         )
-
-
-def check_no_module(what: str, name: str) -> None:
-    """Raise a ValueError if a name is that of a Python module, or of something in one, which it would hide."""
-    first = name.partition(".")[0]
-    if not all(part.isidentifier() for part in name.split(".")):
-        return
-    try:
-        found = importlib.util.find_spec(first)
-    except (ImportError, ValueError):
-        return
-    # A mere folder, such as the submission's own, is a package without an origin.
-    if found is not None and found.origin is not None:
-        raise ValueError(f"{what} must not be that of the Python module {first}, got {ascii(name)[:80]}")
 
 
 @functools.cache

@@ -17,8 +17,8 @@ from wtg_gym.files import LARGEST_TOML_BYTES, write_together
 from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY
 from wtg_gym.policies.entry_toml import parse_entry
 from wtg_gym.policies.load import ENTRY_FILE, POLICY_FILE
-from wtg_gym.policies.names import check_no_module, check_not_built_in
-from wtg_gym.policies.submission_texts import check_author, check_link, check_name, check_text
+from wtg_gym.policies.names import check_not_built_in
+from wtg_gym.policies.submission_texts import check_author, check_name, check_text
 from wtg_gym.scenarios.benchmark import BENCHMARKS
 
 #: The files of a folder and their largest sizes [bytes]; every limit is far above what a policy here needs.
@@ -26,6 +26,7 @@ FILES = {ENTRY_FILE: LARGEST_TOML_BYTES, POLICY_FILE: 5_000_000, "README.md": 65
 _FOLDER = re.compile(r"(?!.*(\.|\.toml)$)[A-Za-z0-9][A-Za-z0-9+._-]{0,79}", re.IGNORECASE | re.ASCII)
 #: Names, with any ending, that Windows keeps for devices: a repository with one cannot be checked out there.
 _DEVICE = re.compile(r"(con|prn|aux|nul|com\d|lpt\d)(\..*)?", re.IGNORECASE)
+_MOST_AUTHORS = 40
 _REQUIRED = ("name", "authors", "training_seed", "action_mode")
 _TEMPLATE = Path(__file__).with_name("entry_template.toml")
 
@@ -43,7 +44,6 @@ class EntryFile:
     strategy: str = REFERENCE_STRATEGY
     description: str = ""
     trained_on: str = ""
-    links: tuple[str, ...] = ()
 
     def widths(self) -> tuple[int, int]:
         """Return how many observations and actions there are in its modes and environment."""
@@ -89,7 +89,6 @@ def _check_folder_name(folder: Path) -> None:
             f"a dot or .toml, and be no device of Windows; got {ascii(name)[:90]}"
         )
     check_not_built_in("the folder's name", name)
-    check_no_module("the folder's name", name)
 
 
 def _read(path: Path, largest: int) -> bytes:
@@ -121,14 +120,11 @@ def parse_submission(content: bytes) -> EntryFile:
         raise ValueError(f"it is not TOML in UTF-8: {error}") from error
     for key in ("description", "trained_on"):
         data[key] = check_text(key, data.get(key, ""))
-    for key, fewest, most, check in (("authors", 1, 40, check_author), ("links", 0, 5, check_link)):
-        given = data.get(key, [])
-        if not fewest <= len(given) <= most:
-            raise ValueError(f"{key} must be a list of {fewest} … {most} texts, got {len(given)}")
-        data[key] = tuple(map(check, given))
+    if not 1 <= len(data["authors"]) <= _MOST_AUTHORS:
+        raise ValueError(f"authors must be a list of 1 … {_MOST_AUTHORS} texts, got {len(data['authors'])}")
+    data["authors"] = tuple(map(check_author, data["authors"]))
     name = check_name(data["name"])
     check_not_built_in("name", name)
-    check_no_module("name", name)
     return EntryFile(**data)
 
 

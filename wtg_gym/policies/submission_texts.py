@@ -1,4 +1,4 @@
-"""Names, texts and links of a submission. They stand in Markdown and HTML: nothing may be markup, a link, or unseen."""
+"""Names and texts of a submission. They stand in Markdown and HTML: nothing may be markup, a link, or unseen."""
 
 from __future__ import annotations
 
@@ -28,8 +28,7 @@ _FORMS, _FURTHER_CHINESE = 0xFB00, 0x20000
 _UNSEEN = "\u17b4\u17b5"
 #: Vowel signs and tones that may follow a letter: there are no more in a word of these scripts.
 _MOST_MARKS = 4
-_LONGEST_NAME, _LONGEST_TEXT, _LONGEST_LINK = 60, 400, 200
-_LINK = re.compile(r"https://[A-Za-z0-9][A-Za-z0-9.-]*\.[A-Za-z]{2,24}(/[A-Za-z0-9._~/%#?=&+-]*)?")
+_LONGEST_NAME, _LONGEST_TEXT = 60, 400
 #: `_so_` would be set in italics, `a_b` is not; `:so:` is a picture, `so:so` may be an address; `1. ` begins a list.
 _MARKUP = re.compile(r"(?<![^\W_])_|_(?![^\W_])|[:&](?! )|www\.|^\d+[.)](?= |$)", re.IGNORECASE)
 
@@ -61,7 +60,7 @@ def check_text(key: str, value: str) -> str:
         raise ValueError(
             f"{key} must be up to {_LONGEST_TEXT} visible characters on one line: letters of living scripts (in the "
             f"form NFC), digits, blanks and the signs {_TEXT_SIGNS.strip()}{_FURTHER_SIGNS}, with : and & before a "
-            f"blank and _ within a word; no markup and no addresses (those are for links); got {short(value)}"
+            f"blank and _ within a word; no markup and no addresses; got {short(value)}"
         )
     return value
 
@@ -93,13 +92,6 @@ def _script(sign: str) -> str:
     ordinary = ord(sign) < _FORMS or (first == "CJK" and ord(sign) >= _FURTHER_CHINESE)
     own = _SCRIPTS.fullmatch(first) and second.startswith(_SECOND_WORDS.get(first, ""))
     return first if ordinary and own and sign not in _UNSEEN else ""
-
-
-def check_link(value: str) -> str:
-    """Return a plain https address; a ValueError says what is allowed."""
-    if len(value) > _LONGEST_LINK or _LINK.fullmatch(value) is None:
-        raise ValueError(f"a link must be a plain https:// address of up to {_LONGEST_LINK}, got {short(value)}")
-    return value
 
 
 def short(value: Any) -> str:

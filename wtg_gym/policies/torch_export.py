@@ -53,7 +53,7 @@ def export_onnx(
         name: of the entry.
         tolerance: largest difference between the actions of the file and the module, [-1, 1].
         entry: further keys of entry.toml: environment (default "GFMWTG-14bus-v1"), action_mode ("k+tau"),
-            observation_mode, strategy, training_seed (0), authors (["unnamed"]), description, trained_on, links.
+            observation_mode, strategy, training_seed (0), authors (["unnamed"]), description, trained_on.
 
     Returns:
         the folder.

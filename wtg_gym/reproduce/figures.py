@@ -2,22 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from wtg_gym.physics.aerodynamics import available_power_pu, power_coefficient, tracking_point
-from wtg_gym.physics.layout import Floats
 from wtg_gym.physics.parameters import GridFormingParameters, TurbineParameters
 from wtg_gym.physics.scenario import Scenario
 from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY, STRATEGIES, TrackingLaw
 from wtg_gym.physics.trajectory import Trajectory
 from wtg_gym.plotting import style
 from wtg_gym.plotting.event_marks import draw_run, endings, explain_events, mark_instants
+from wtg_gym.plotting.trajectories import Panel
+from wtg_gym.reproduce.claims import WINDS
 from wtg_gym.reproduce.loops import LINEAR_UNDAMPED, SIDES, SingleMachine, ideal_source_loop, single_machine
 from wtg_gym.reproduce.steady_states import OperatingPoint, critical_frequency_pu, equilibria, named_points
-from wtg_gym.reproduce.theory import WINDS
 from wtg_gym.scenarios import get_suite
 
 if TYPE_CHECKING:
@@ -39,37 +39,21 @@ _LABELS = {
 
 def paper_figures(
     increase: Mapping[str, Trajectory], decrease: Mapping[str, Trajectory]
-) -> Iterator[tuple[str, str, Figure]]:
-    """Draw the paper's figures one by one: name of the file, caption, figure. The runs are the case studies'."""
+) -> Iterator[tuple[str, Figure]]:
+    """Draw the paper's figures one by one: name of the file, figure. The runs are the case studies'."""
     wind, reference, suite = WINDS[0], STRATEGIES[REFERENCE_STRATEGY], get_suite("paper")
-    fixed = {
-        "mppt": "maximum power point tracking",
-        "deloaded-5": "5 % of deloading",
-        "deloaded-10": "10 % of deloading",
-    }
-    text = "Power coefficient with the deloading points: λ_opt, λ_n (5 %) and λ_pr (10 %)."
-    yield "power-coefficient", text, plot_power_coefficient()
-    for name, strategy in {**fixed, reference.name: "the coordinated strategy"}.items():
-        text = f"Power-frequency characteristic: {strategy}."
-        yield f"characteristic-{name}", text, plot_characteristic(STRATEGIES[name])
+    fixed = ("mppt", "deloaded-5", "deloaded-10")
+    yield "power-coefficient", plot_power_coefficient()
+    for name in (*fixed, reference.name):
+        yield f"characteristic-{name}", plot_characteristic(STRATEGIES[name])
     loops = {name: single_machine(STRATEGIES[name], wind) for name in fixed}
     linear = {"coordinated-linear": single_machine(STRATEGIES["coordinated-linear"], wind)}
     undamped = {LINEAR_UNDAMPED.name: single_machine(LINEAR_UNDAMPED, wind)}
     slopes = {f"{reference.name}, {side}-frequency": single_machine(reference, wind, side=side) for side in SIDES}
-    text = (
-        "Open loops at 11.4 m/s, K_p = 1.45: an ideal DC source, the fixed strategies, and the linear law without "
-        "transient damping."
-    )
-    yield "bode-comparison", text, plot_bode({"ideal-source": ideal_source_loop(), **loops, **undamped})
-    text = (
-        "Open loops of the coordinated strategy: the linear law with transient damping (τ = 0.8 s) and without, "
-        "and both slopes of the piecewise law with it."
-    )
-    yield "bode-proposed", text, plot_bode({**linear, **undamped, **slopes})
-    text = "Load increase: +75 MW at bus 2 at 5 s and at bus 3 at 30 s; a cross marks a stall."
-    yield "load-increase", text, plot_case_study(suite.scenario(0), increase)
-    text = "Load decrease: the loads of bus 4 (47.8 MW) at 5 s and bus 9 (29.5 MW) at 30 s are lost."
-    yield "load-decrease", text, plot_case_study(suite.scenario(1), decrease)
+    yield "bode-comparison", plot_bode({"ideal-source": ideal_source_loop(), **loops, **undamped})
+    yield "bode-proposed", plot_bode({**linear, **undamped, **slopes})
+    yield "load-increase", plot_case_study(suite.scenario(0), increase)
+    yield "load-decrease", plot_case_study(suite.scenario(1), decrease)
 
 
 @style.printed
@@ -219,15 +203,6 @@ def plot_bode(loops: Mapping[str, SingleMachine]) -> Figure:
     return figure
 
 
-#: What a case study shows, by label.
-_QUANTITIES: dict[str, Callable[[Trajectory], Floats]] = {
-    r"frequency $\omega$ [p.u.]": lambda run: run.wtg_frequency_hz / run.nominal_frequency_hz,
-    "power p [p.u.]": lambda run: run.power_pu,
-    r"rotor speed $\omega_m$ [p.u.]": lambda run: run.rotor_speed_pu,
-    "coefficient k [p.u.]": lambda run: run.coefficient_pu,
-}
-
-
 @style.printed
 def plot_case_study(scenario: Scenario, runs: Mapping[str, Trajectory]) -> Figure:
     """Draw frequency, power, rotor speed and tracking coefficient of both WTG groups, one column per group.
@@ -245,17 +220,17 @@ def plot_case_study(scenario: Scenario, runs: Mapping[str, Trajectory]) -> Figur
     looks = style.strategy_looks(runs)
     for group, wind in enumerate(WINDS):
         style.letter_panel(grid[0, group], "ab"[group], f"GFM-WTG {group + 1} ({wind:g} m/s)")
-        for axes, quantity, references in zip(grid[:, group], _QUANTITIES.values(), _references(wind), strict=True):
+        for axes, panel in zip(grid[:, group], _panels(wind), strict=True):
             for name, run in runs.items():
                 width, order = (1.7, 3.5) if name == REFERENCE_STRATEGY else (1.0, 3.0)
                 line = {"label": name, "linewidth": width, "zorder": order, "linestyle": looks[name].dashes}
-                draw_run(axes, run, quantity(run)[:, group], looks[name].colour, **line)
-            for text, value in references.items():
+                draw_run(axes, run, panel.values(run)[:, group], looks[name].colour, **line)
+            for text, value in panel.references.items():
                 style.draw_reference(axes, value, text)
             mark_instants(axes, scenario, numbered=axes is grid[0, group])
+            if group == 0:
+                axes.set_ylabel(panel.label)
         grid[3, group].set_xlabel("time [s]")
-    for axes, label in zip(grid[:, 0], _QUANTITIES, strict=True):
-        axes.set_ylabel(label)
     grid[0, 0].set_xlim(0.0, scenario.duration_s)
     for row in (grid[0], grid[3]):
         style.share_limits(row)
@@ -267,13 +242,15 @@ def plot_case_study(scenario: Scenario, runs: Mapping[str, Trajectory]) -> Figur
     return figure
 
 
-def _references(wind_m_s: float) -> tuple[dict[str, float], ...]:
-    """Return the grey lines of each panel of a case study by their names."""
+def _panels(wind_m_s: float) -> tuple[Panel, ...]:
+    """Return the panels of a group in a case study, from above; all reference lines are drawn."""
     law, available = STRATEGIES[REFERENCE_STRATEGY], float(available_power_pu(wind_m_s))
     best_speed = tracking_point().tip_speed_ratio * wind_m_s / TurbineParameters().tip_speed_ratio_per_speed_m_s
+    powers = {r"$p_{avail}$": available, r"0.9 $p_{avail}$": 0.9 * available}
+    coefficients = {r"$K_{opt}$": law.k_min, "$K_n$": law.k_nominal, r"$K_{pr}$": law.k_max}
     return (
-        {},
-        {r"$p_{avail}$": available, r"0.9 $p_{avail}$": 0.9 * available},
-        {r"$\lambda_{opt}$": best_speed},
-        {r"$K_{opt}$": law.k_min, "$K_n$": law.k_nominal, r"$K_{pr}$": law.k_max},
+        Panel(_LABELS["frequency_pu"], lambda run: run.wtg_frequency_hz / run.nominal_frequency_hz),
+        Panel(_LABELS["power_pu"], lambda run: run.power_pu, powers),
+        Panel(_LABELS["rotor_speed_pu"], lambda run: run.rotor_speed_pu, {r"$\lambda_{opt}$": best_speed}),
+        Panel("coefficient k [p.u.]", lambda run: run.coefficient_pu, coefficients),
     )

@@ -1,0 +1,70 @@
+"""`wtg-gym suites`, `warmup` and `reproduce` as a user calls them."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from tests.cli.calls import ROOT, json_of
+from wtg_gym.cli import main
+from wtg_gym.systems.compiled import cache_folder
+from wtg_gym.scenarios import FROZEN_HASHES, SUITES
+
+
+def test_suites_lists_every_suite(capsys: pytest.CaptureFixture[str]) -> None:
+    listed = json_of(capsys, "suites", "--json")
+    hashes = {suite["name"]: suite["hash"] for suite in listed}
+    assert list(hashes) == list(SUITES) and FROZEN_HASHES.items() <= hashes.items()
+    assert main(["suites"]) == 0
+    text = capsys.readouterr().out
+    assert all(name in text and own[:12] in text for name, own in hashes.items())
+
+
+def test_suite_of_v1_is_shown_with_its_grid_sensors_and_task(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["suites", "standard-v1"]) == 0
+    text = capsys.readouterr().out
+    assert "GFMWTG-14bus-v1" in text and SUITES["standard-v1"].hash in text
+    assert "bus 2, n_turbines 20.0; bus 3, n_turbines 14.0; bus 6, n_turbines 10.0; bus 8, n_turbines 8.0" in text
+    assert "generator_mva              250.0" in text and "delay_s                    0.1; 0.3" in text
+    (data,) = json_of(capsys, "suites", "no-wind-sensor-v1", "--json")
+    assert data["sensors"]["wind_sensor"] is False and data["plant"]["physics"] == "extended"
+
+
+#: What is called after a warmup.
+_COMMANDS = """
+from wtg_gym.cli import main
+
+for arguments in (
+    "warmup",
+    "simulate --duration 3",
+    "evaluate --suite paper --entries mppt",
+    "simulate --suite standard-v1 --duration 3",
+    "evaluate --suite standard-v1 --scenarios 2 --duration 3 --entries mppt",
+):
+    assert main(arguments.split()) == 0
+"""
+
+
+def test_after_a_warmup_nothing_is_compiled_and_nothing_said() -> None:
+    assert main(["warmup"]) == 0
+    environment = {**os.environ, "PYTHONIOENCODING": "utf-8"}
+    command = [sys.executable, "-c", _COMMANDS]
+    done = subprocess.run(command, cwd=ROOT, env=environment, capture_output=True, encoding="utf-8", timeout=300)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.startswith(f"nothing to compile: all machine code is in {cache_folder()}\n")
+    assert "compile" not in done.stderr
+
+
+def test_reproduce_writes_claims_and_every_figure(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    assert main(["reproduce", "--output", str(tmp_path), "--formats", "svg"]) == 0
+    said = capsys.readouterr().out
+    claims = json.loads((tmp_path / "claims.json").read_text(encoding="utf-8"))["claims"]
+    assert len(claims) == said.count(" holds\n") + said.count("DOES NOT HOLD\n") == 30
+    assert all(claim["measured"] in said for claim in claims)
+    figures = {path.stem for path in (tmp_path / "figures").iterdir()}
+    assert len(figures) == 9 and {"bode-proposed", "load-increase", "power-coefficient"} <= figures
