@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-import dataclasses
 import functools
-import inspect
 import math
-import threading
 from typing import Any
 
 import numpy as np
@@ -14,18 +11,9 @@ import numpy.typing as npt
 import pytest
 
 from wtg_gym.envs.settings import EnvSettings
-from wtg_gym.envs.task import build_task
-from wtg_gym.envs.task_records import COST_TERMS, n_extra_rows
+from wtg_gym.envs.task_records import COST_TERMS
 from wtg_gym.gradients import check_by_differences
-from wtg_gym.systems import expressions as ex
-from wtg_gym.gradients.adjoint import replay
-from wtg_gym.gradients.generated import build_rules
-from wtg_gym.gradients.kernel_programs import require_known
 from wtg_gym.gradients.tape import Gradient, Tape
-from wtg_gym.physics.ieee14 import modified_ieee14
-from wtg_gym.physics.layout import Layout
-from wtg_gym.physics.machine_parameters import HydroGovernorParameters
-from wtg_gym.physics.plant import PlantSettings, build_plant
 from wtg_gym.physics.protection import Status
 from wtg_gym.physics.scenario import GovernorLoss, GroupTrip, LineTrip, LoadStep, MachineOutage, Scenario
 
@@ -83,28 +71,29 @@ def agrees(tape: Tape, scenarios: list[Scenario], actions: Floats, tolerance: fl
 
 
 @pytest.mark.parametrize("settings", [{}, {**V1, "suite": "faults"}])
-def test_a_step_is_replayed_to_the_last_bit(settings: dict[str, Any]) -> None:
+def test_a_step_is_replayed_to_the_last_bit(settings: dict[str, Any], monkeypatch: pytest.MonkeyPatch) -> None:
     tape = tape_of(**settings)
     scenarios = drawn(tape)
     tape.start(scenarios)
     for own in actions_of(tape, 60):
         tape.step(own)
-    simulator, steps = tape.lanes.simulator, tape._rules.steps
-    width, n = simulator.width, steps.states.size
-    lane = [int(simulator.layout.lane(name)) for name in ("step", "active", "status", "coi", "least_squared_voltage")]
-    blocks = [tape.before(step) for step in range(60)]
-    for block, after in zip(blocks, [*blocks[1:], simulator.blocks], strict=True):
-        # Actions and events have long been tested; the next step's rows hold those of this one.
-        work = block[0].copy()
-        for rows in (simulator.layout.wtg("k_offset"), simulator.layout.wtg("inv_tau")):
-            for row in rows:
-                work[row * width : (row + 1) * width] = after[0][row * width : (row + 1) * width]
-        path, ran = np.empty((4, 5, n * width)), np.empty((4, width))
-        inputs, held = np.empty((4, steps.inputs.size * width)), np.empty((4, steps.droops.size * width))
-        replay(work, 0, simulator.plant, simulator.data, steps, path, inputs, held, ran, simulator.lanes)
-        for row in (*steps.states.tolist(), *lane, *steps.outputs.tolist()):
-            ours = work.reshape(-1, width)[row, :N_LANES]
-            assert np.array_equal(ours, after[0].reshape(-1, width)[row, :N_LANES]), row
+    simulator, after, pull = tape.lanes.simulator, list[Floats](), tape._pull
+
+    def kept(blocks: Floats, *others: Any) -> None:
+        pull(blocks, *others)
+        after.append(blocks.copy())
+
+    monkeypatch.setattr(tape, "_pull", kept)
+    carried, terms = np.zeros((N_LANES, tape.n_carried)), np.ones((N_LANES, len(COST_TERMS)))
+    for step in range(60):
+        tape.pull(step, carried, terms)
+    # An episode that is over stands still in the next step's blocks, and runs at the end of its own.
+    active = int(simulator.layout.lane("active"))
+    expected = [*(tape.before(step) for step in range(1, 60)), simulator.blocks]
+    for ours, theirs in zip(after, expected, strict=True):
+        values = (blocks.reshape(len(blocks), -1, simulator.width)[:, :, :N_LANES] for blocks in (ours, theirs))
+        found, given = (np.delete(own, active, axis=1) for own in values)
+        assert np.array_equal(found, given)
 
 
 @pytest.mark.parametrize(
@@ -235,7 +224,8 @@ def test_observations_have_gradients(settings: dict[str, Any]) -> None:
         found = []
         for own in given:
             tape.step(own)
-            found.append(tape._take(tape._values(), tape._rules.observation))
+            scratch = tape.lanes.simulator.scratch(0).reshape(-1, 16)
+            found.append(scratch[tape.lanes.task.observed, :N_LANES].T)
         return np.einsum("klo,klo->l", weights, np.array(found))
 
     h = 1e-6
@@ -303,39 +293,6 @@ def test_the_check_shows_a_wrong_gradient(monkeypatch: pytest.MonkeyPatch) -> No
     checked = check_by_differences(tape, drawn(tape), actions_of(tape, 20))
     assert checked[0].error == pytest.approx(np.full(N_LANES, 0.01 / 1.01), rel=1e-2)
     assert (checked[1].error < 1e-5).all()
-
-
-def test_generated_code_is_the_same_whatever_was_traced_before_and_by_threads_at_once() -> None:
-    """Its machine code would not be found on disk again."""
-    lanes, digests = tape_of().lanes, list[str]()
-    simulator = lanes.simulator
-    ex.exponential(ex.row_of_block(400) * ex.row_of_block(0) + 1.0)
-
-    def build() -> None:
-        digests.append(build_rules(simulator.plant, lanes.task, simulator.layout, lanes.n_action).digest)
-
-    threads = [threading.Thread(target=build) for _ in range(3)]
-    for thread in threads:
-        thread.start()
-    for thread in threads:
-        thread.join()
-    assert digests == [tape_of()._rules.digest] * 3
-
-
-def test_hydro_governors_are_refused() -> None:
-    hydro = [dataclasses.replace(m, governor=HydroGovernorParameters()) for m in modified_ieee14().machines]
-    case = dataclasses.replace(modified_ieee14(), machines=tuple(hydro))
-    with pytest.raises(ValueError, match="hydro"):
-        require_known(build_plant(PlantSettings(case=case)))
-
-
-def test_a_rotors_table_is_looked_up_while_cotangents_are_pulled_back() -> None:
-    """Its slopes are tested in test_expressions.py; to compile them takes minutes."""
-    settings = EnvSettings(version="v0", physics="nrel-5mw")
-    plant = build_plant(settings.plant())
-    n_extra = n_extra_rows(2, settings.control_dt, 20, sensed=False)
-    rules = build_rules(plant, build_task(settings), Layout.of(plant, n_extra), 4)
-    assert "cells[" in inspect.getsource(rules.pull_rates.py_func)
 
 
 @functools.cache

@@ -211,9 +211,7 @@ class TaskLanes:
             outputs.infos,
         )
 
-    def _start_tasks(
-        self, rows: Floats, scenarios: Sequence[Scenario], n_intervals: npt.NDArray[np.int64]
-    ) -> Outputs:
+    def _start_tasks(self, rows: Floats, scenarios: Sequence[Scenario], n_intervals: npt.NDArray[np.int64]) -> Outputs:
         """Write the task's rows of prepared lanes (n, n_rows); return what their episodes begin with."""
         simulator, layout = self.simulator, self.simulator.layout
         rows[:, layout.first_rows(TASK, "end_step")[0]] = n_intervals * simulator.plant.n_substeps

@@ -21,9 +21,7 @@ from wtg_gym.systems.systems import system
 
 
 @system(ACTING, "observed", when="exact observation")
-def observe_group(
-    state: WtgState, output: WtgOutput, group: GroupRows, turbine: Turbine, task: Task
-) -> WtgObservation:
+def observe_group(state: WtgState, output: WtgOutput, group: GroupRows, turbine: Turbine, task: Task) -> WtgObservation:
     """Return the exact observation of a WTG group."""
     observed: WtgObservation = bounded(observe_wtg(state, output, group, turbine, task))
     return observed

@@ -303,6 +303,36 @@ def start_tasks(
             infos[start, k] = scratch[task.places[0]["info_s"] + k]
 
 
+@inlined
+def _step(
+    blocks: Floats,
+    scratch: Floats,
+    first: int,
+    last: int,
+    plant: Plant,
+    data: LaneData,
+    task: TaskData,
+    actions: Floats,
+    outputs: Outputs,
+    lanes: Lanes,
+) -> None:
+    """Step blocks: see :func:`step_blocks`."""
+    width, n_wtg, table, numbers = len(lanes), plant.share.shape[0], plant.table, plant.numbers
+    for b in range(first, last):
+        block = blocks[b]
+        read_actions(scratch, actions, b * width, task, lanes)
+        _act(block, scratch, table, numbers, 0.0, 0.0, 0.0, 0.0, lanes)
+        advance_interval(block, scratch, b * width, plant, data, lanes)
+        _charge(block, scratch, table, numbers, 0.0, 0.0, 0.0, 0.0, lanes)
+        if task.places[0]["n_delayed"] > 0:
+            draw_noise(block, scratch, task, n_wtg, lanes)
+            _measure(block, scratch, table, numbers, 0.0, 0.0, 0.0, 0.0, lanes)
+            pass_ring(block, scratch, task, n_wtg, lanes)
+        _observe(block, scratch, table, numbers, 0.0, 0.0, 0.0, 0.0, lanes)
+        _end(block, scratch, table, numbers, 0.0, 0.0, 0.0, 0.0, lanes)
+        _report(block, scratch, b * width, task, outputs, lanes)
+
+
 @compiled
 def step_blocks(
     blocks: Floats,
@@ -327,20 +357,7 @@ def step_blocks(
         outputs: written for running lanes; the reward is 0 for those that had ended.
         lanes: a tuple as long as a block is wide.
     """
-    width, n_wtg, table, numbers = len(lanes), plant.share.shape[0], plant.table, plant.numbers
-    for b in range(first, last):
-        block = blocks[b]
-        read_actions(scratch, actions, b * width, task, lanes)
-        _act(block, scratch, table, numbers, 0.0, 0.0, 0.0, 0.0, lanes)
-        advance_interval(block, scratch, b * width, plant, data, lanes)
-        _charge(block, scratch, table, numbers, 0.0, 0.0, 0.0, 0.0, lanes)
-        if task.places[0]["n_delayed"] > 0:
-            draw_noise(block, scratch, task, n_wtg, lanes)
-            _measure(block, scratch, table, numbers, 0.0, 0.0, 0.0, 0.0, lanes)
-            pass_ring(block, scratch, task, n_wtg, lanes)
-        _observe(block, scratch, table, numbers, 0.0, 0.0, 0.0, 0.0, lanes)
-        _end(block, scratch, table, numbers, 0.0, 0.0, 0.0, 0.0, lanes)
-        _report(block, scratch, b * width, task, outputs, lanes)
+    _step(blocks, scratch, first, last, plant, data, task, actions, outputs, lanes)
 
 
 @inlined
@@ -382,9 +399,7 @@ structref.define_proxy(Bound, _BoundType, ["blocks", "scratch", "plant", "data",
 
 # The constructor that numba makes for `Bound` is not kept on disk: each process would compile it anew.
 @compiled
-def bind(
-    blocks: Floats, scratch: Floats, plant: Plant, data: LaneData, task: TaskData, outputs: Outputs
-) -> Any:
+def bind(blocks: Floats, scratch: Floats, plant: Plant, data: LaneData, task: TaskData, outputs: Outputs) -> Any:
     """Return the arguments of :func:`step_blocks` for one lane in one object."""
     return Bound(blocks, scratch, plant, data, task, outputs)
 
@@ -399,7 +414,5 @@ def step_bound(bound: Any, actions: Floats, lanes: Lanes) -> int:
     """Step with actions (1, n_action); return -1, or the lane of an action that is not finite and does nothing."""
     invalid = first_invalid_action(actions)
     if invalid < 0:
-        step_blocks(
-            bound.blocks, bound.scratch, 0, 1, bound.plant, bound.data, bound.task, actions, bound.outputs, lanes
-        )
+        _step(bound.blocks, bound.scratch, 0, 1, bound.plant, bound.data, bound.task, actions, bound.outputs, lanes)
     return invalid

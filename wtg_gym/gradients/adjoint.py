@@ -81,7 +81,6 @@ class TapePlaces(NamedTuple):
     n_flows: int
     extensions_s: int
     n_extensions: int
-    end: int
 
 
 class Rules(NamedTuple):
@@ -96,19 +95,15 @@ class Rules(NamedTuple):
 
 def rules_of(layout: Layout, plant: Arrangement) -> Rules:
     """Return what the rules read, for a plant."""
-    noted = {
-        name: program.tape_rows(plant)
-        for name, program in zip(TapePlaces._fields[:9], PROGRAMS[:9], strict=True)
-    }
+    noted = {name: program.tape_rows(plant) for name, program in zip(TapePlaces._fields[:9], PROGRAMS[:9], strict=True)}
     places = TapePlaces(
         **noted,
         admittance_s=layout.first_scratch[PAIRS],
-        n_admittance=2 * layout.n_units(PAIRS),
+        n_admittance=layout.n_units(PAIRS) * sum(layout.sizes(PAIRS)),
         flows_s=layout.first_scratch[UNITS],
-        n_flows=4 * layout.n_unit,
+        n_flows=layout.n_unit * sum(layout.sizes(UNITS)),
         extensions_s=layout.first_scratch[EXTENSIONS],
         n_extensions=layout.n_extended * sum(layout.sizes(EXTENSIONS)),
-        end=0,
     )
     return Rules(
         structured(TapePlaces, [places]),
@@ -153,7 +148,13 @@ def work_of(rules: Rules, layout: Layout, n_substeps: int, width: int) -> Work:
 
 @inlined
 def _flow_and_hold(
-    block: Floats, scratch: Floats, plant: Plant, rules: Rules, tape: Floats, limited: npt.NDArray[np.bool_], lanes: Lanes
+    block: Floats,
+    scratch: Floats,
+    plant: Plant,
+    rules: Rules,
+    tape: Floats,
+    limited: npt.NDArray[np.bool_],
+    lanes: Lanes,
 ) -> None:
     """Find voltages and currents, and hold the currents within their limits; note the fixed point that the sweeps find."""
     table, numbers, width = plant.table, plant.numbers, len(lanes)
@@ -169,7 +170,13 @@ def _flow_and_hold(
 
 @inlined
 def _replay_events(
-    block: Floats, first_lane: int, plant: Plant, data: LaneData, rules: Rules, lost: npt.NDArray[np.bool_], lanes: Lanes
+    block: Floats,
+    first_lane: int,
+    plant: Plant,
+    data: LaneData,
+    rules: Rules,
+    lost: npt.NDArray[np.bool_],
+    lanes: Lanes,
 ) -> bool:
     """Let events strike like :func:`~wtg_gym.physics.integration.apply_events`; note which governors they take away."""
     width = len(lanes)

@@ -150,7 +150,9 @@ class Tape:
         self._moved = moved
         #: Places of each moved constant among those of the table; none where every lane has it in a row of its own.
         self._places = [
-            [] if leaf.name in _ROW_OF_LEAF else constant_places(programs, arrangement, self._plant.table, *_meant(leaf))
+            []
+            if leaf.name in _ROW_OF_LEAF
+            else constant_places(programs, arrangement, self._plant.table, *_meant(leaf))
             for leaf in moved.leaves
         ]
         inv_tau = layout.wtg("inv_tau")

@@ -26,7 +26,10 @@ class BlockThreads:
         self._pool_process = 0
 
     def run(
-        self, work: Callable[[int, int, int], Any], meanwhile: Callable[[], Any] | None = None, meanwhile_blocks: int = 0
+        self,
+        work: Callable[[int, int, int], Any],
+        meanwhile: Callable[[], Any] | None = None,
+        meanwhile_blocks: int = 0,
     ) -> None:
         """Call `work(first, last, worker)` for ranges that cover all blocks, each with a worker's number of its own.
 

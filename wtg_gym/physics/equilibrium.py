@@ -35,7 +35,9 @@ from wtg_gym.systems.compiled import compiled, inlined
 from wtg_gym.systems.records import reader
 
 _read_turbine = reader(Turbine)
-_MACHINE_CONNECTED, _GATE, _FIELD_VOLTAGE = (place_of(MACHINES, name) for name in ("connected", "gate", "field_voltage"))
+_MACHINE_CONNECTED, _GATE, _FIELD_VOLTAGE = (
+    place_of(MACHINES, name) for name in ("connected", "gate", "field_voltage")
+)
 _WTG_SPEED, _ROTOR_SPEED, _PITCH_INTEGRAL, _PITCH = (
     place_of(GROUPS, name) for name in ("speed", "rotor_speed", "pitch_integral", "pitch")
 )

@@ -49,9 +49,7 @@ class SheddingConstants(NamedTuple):
 
 #: Stages of load shedding. `shed` is the last step without a low frequency; once the stage has acted, -1 - the step of
 #: that.
-STAGES = Kind(
-    name="shedding stages", rows={"shed": float}, constants={"stage": SheddingConstants}, sees={"lane": LANE}
-)
+STAGES = Kind(name="shedding stages", rows={"shed": float}, constants={"stage": SheddingConstants}, sees={"lane": LANE})
 
 
 # --- after every simulation step --------------------------------------------------------------------------------------

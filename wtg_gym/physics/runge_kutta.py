@@ -16,9 +16,7 @@ class Moved(NamedTuple):
     sum: Any  # of the rates so far: k1, k1 + 2 k2, k1 + 2 k2 + 2 k3
 
 
-def moved_by_stage(
-    state: Any, base: Any, total: Any, rates: Any, *, ahead: float, first: float, last: float
-) -> Moved:
+def moved_by_stage(state: Any, base: Any, total: Any, rates: Any, *, ahead: float, first: float, last: float) -> Moved:
     """Return states that a stage has moved; what limits them comes after (:func:`kept`).
 
     Args:

@@ -241,6 +241,8 @@ _CONSTANT: dict[str, Callable[..., Any]] = {
     "select": lambda condition, value, other: value if condition else other,
     "fma": lambda a, b, c: a * b + c,
 }
+
+
 def _of_select(g: Any, _: Any, condition: Any, *__: Any) -> tuple[Any, ...]:
     return None, select(condition, g, 0.0), select(condition, 0.0, g)
 

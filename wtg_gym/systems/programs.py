@@ -539,9 +539,7 @@ class _BackWithoutConstants(_BackWriter):
 _ROWS_AT_ONCE = 2
 
 
-def build_table(
-    programs: Sequence[Program], plant: Arrangement, *, taped: bool = False
-) -> tuple[Whole, Floats]:
+def build_table(programs: Sequence[Program], plant: Arrangement, *, taped: bool = False) -> tuple[Whole, Floats]:
     """Return the table of programs for a plant, and its constants: whole numbers, and numbers.
 
     Args:
@@ -592,7 +590,10 @@ def constant_places(
             n = _n_units(one, plant)
             units = plant.seen(one.kind, place.seen)[:n] if place.seen else np.arange(n)
             first = int(table[_HEAD * program.places[id(one)] + 2])
-            found += [first + int(k) * len(used) + used.index(f"{argument}.{leaf}") for k in np.flatnonzero((units == unit) | (unit is None))]
+            found += [
+                first + int(k) * len(used) + used.index(f"{argument}.{leaf}")
+                for k in np.flatnonzero((units == unit) | (unit is None))
+            ]
     return found
 
 

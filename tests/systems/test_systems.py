@@ -1,0 +1,186 @@
+"""Systems: what their machine code works out, in one lane and in sixteen, and what comes back through it."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+from numba import njit
+
+from wtg_gym.physics.layout import Layout
+from wtg_gym.physics.parameters import ROTOR_TABLE
+from wtg_gym.physics.rotor_table import Grid, read_rotor_table, tabulated_power_coefficient
+from wtg_gym.systems import expressions as ex
+from wtg_gym.systems.elementary import exponential, fma, select, sine_cosine
+from wtg_gym.systems.programs import Program, build_table, in_one_table
+from wtg_gym.systems.systems import Kind, System, system
+
+Floats = npt.NDArray[np.float64]
+N_UNITS = 3
+
+
+def choice(a: float, b: float) -> float:
+    return select((a > b) | (b >= 2.0), a * a, b) + select((a < b) & (a <= 9.0), b, 0.0)
+
+
+#: Of two numbers.
+FUNCTIONS: dict[str, Any] = {
+    "sum": lambda a, b: a + 2.0 * b - 3.0 + (1.0 - a),
+    "product": lambda a, b: a * b * 0.5,
+    "quotient": lambda a, b: a / b + 2.0 / a,
+    "power": lambda a, b: 4.0**-a + 1.0 * b,
+    "size": lambda a, b: abs(a) - abs(-b),
+    "bounds": lambda a, b: min(a, b) * 3.0 + max(a, 0.5) + max(-1.0, b),
+    "root": lambda a, b: math.sqrt(a * a + b * b),
+    "waves": lambda a, b: sine_cosine(a)[0] * sine_cosine(b)[1],
+    "exponential": lambda a, b: exponential(-a * b) + exponential(b - 50.0),
+    "choice": choice,
+    "multiply_add": lambda a, b: fma(a, b, a) + fma(0.0, b, a),
+    "steps": lambda a, b: math.floor(a) * b + math.ceil(b) * a,
+    # Of the branch not taken nothing may come back, not even 0/0 or the slope of a root at zero.
+    "guarded": lambda a, b: select(b > -9.0, a * b, b / (a - a)) + select(a > b, 1.0, math.sqrt(a - a)),
+}
+UNITS = Kind(name="units", rows={"a": float, "b": float}, scratch={name: float for name in FUNCTIONS})
+SYSTEMS = tuple(system(UNITS, name)(function) for name, function in FUNCTIONS.items())
+FORWARD, BOTH_WAYS = in_one_table(FORWARD=SYSTEMS, BOTH_WAYS=SYSTEMS)
+POINTS = [(0.3, 0.8), (1.7, 0.4), (0.9, -1.3), (-0.6, 2.5)]
+
+
+class Arranged(Layout):
+    """Units without constants, or with a table."""
+
+    def constants(self, kind: Kind, name: str) -> Any:
+        grid, cells = read_rotor_table(ROTOR_TABLE).surface()
+        return cells if name == "cells" else [grid] * self.n_units(kind)
+
+    def has(self, what: str) -> bool:
+        return False
+
+
+def runs(program: Program) -> tuple[Any, Any, Any]:
+    """Return a program, what notes and what goes back, as Python can call them."""
+    forward, taped, back = program.function(), program.taped(), program.back()
+
+    @njit
+    def run(block: Floats, scratch: Floats, table: Any, numbers: Floats, lanes: Any) -> None:
+        forward(block, scratch, table, numbers, 0.0, 0.0, 0.0, 0.0, lanes)
+
+    @njit
+    def note(block: Floats, scratch: Floats, table: Any, numbers: Floats, tape: Floats, lanes: Any) -> None:
+        taped(block, scratch, table, numbers, tape, 0.0, 0.0, 0.0, 0.0, lanes)
+
+    @njit
+    def pull(
+        bars: Floats, given: Floats, table: Any, numbers: Floats, tape: Floats, scratch: Floats, lanes: Any
+    ) -> None:
+        back(bars, given, table, numbers, tape, scratch, numbers, 0.0, 0.0, 0.0, 0.0, lanes)
+
+    return run, note, pull
+
+
+RUN, NOTE, PULL = runs(FORWARD)[0], *runs(BOTH_WAYS)[1:]
+
+
+@pytest.mark.parametrize("width", [1, 16])
+def test_every_unit_of_every_lane_has_what_the_function_says(width: int) -> None:
+    layout, lanes = Arranged({UNITS: N_UNITS}, {}), (0,) * width
+    table, numbers = build_table((FORWARD, BOTH_WAYS), layout)
+    rng = np.random.default_rng(0)
+    block, scratch = rng.uniform(-2.0, 3.0, (layout.n_rows, width)), np.zeros((layout.n_scratch, width))
+    RUN(block.ravel(), scratch.reshape(-1), table, numbers, lanes)
+    for name, function in FUNCTIONS.items():
+        rows = scratch[layout.first_rows(UNITS, name)]
+        with np.errstate(all="ignore"):
+            for (j, x), value in np.ndenumerate(rows):
+                a, b = (np.float64(block[layout.first_rows(UNITS, part)[j], x]) for part in "ab")
+                assert value == (np.nan_to_num(a * b) + (a > b) if name == "guarded" else function(a, b)), name
+
+
+@pytest.mark.parametrize("point", POINTS)
+def test_what_comes_back_are_the_slopes(point: tuple[float, float]) -> None:
+    layout, lanes, h = Arranged({UNITS: 1}, {}), (0,) * 16, 1e-6
+    table, numbers = build_table((FORWARD, BOTH_WAYS), layout, taped=True)
+    tape = np.zeros(16 * BOTH_WAYS.tape_rows(layout))
+    block, scratch = np.repeat(np.array(point), 16), np.zeros(16 * layout.n_scratch)
+    NOTE(block, scratch, table, numbers, tape, lanes)
+    for name, function in FUNCTIONS.items():
+        bars, given = np.zeros(32), np.zeros((layout.n_scratch, 16))
+        given[layout.first_rows(UNITS, name)] = 2.0
+        PULL(bars, given.reshape(-1), table, numbers, tape, scratch, lanes)
+        # What was written is gone with what it replaced.
+        assert not given.any()
+        (a, b) = point
+        if name == "guarded":
+            function = FUNCTIONS["product"]
+            expected = [4.0 * (function(a + h, b) - function(a - h, b)) / (2.0 * h), 2.0 * a]
+        else:
+            expected = [
+                (function(a + h, b) - function(a - h, b)) / h,
+                (function(a, b + h) - function(a, b - h)) / h,
+            ]
+        assert bars[::16].tolist() == pytest.approx(expected, rel=1e-8, abs=1e-8), name
+
+
+ROTORS = Kind(
+    name="rotors",
+    rows={"ratio": float, "pitch_deg": float},
+    scratch={"coefficient": float},
+    constants={"cells": ex.Cells, "grid": Grid},
+)
+
+
+@system(ROTORS, "coefficient")
+def coefficient_of(ratio: float, pitch_deg: float, cells: Any, grid: Grid) -> float:
+    value: float = tabulated_power_coefficient(ratio, pitch_deg, cells, grid)
+    return value
+
+
+#: Tip-speed ratio and pitch angle [deg] within the table, below its first ratio, and beyond its last one.
+@pytest.mark.parametrize(("ratio", "pitch_deg"), [(7.3, 0.2), (5.1, 11.7), (1.2, 3.0), (40.0, 4.4)])
+def test_a_table_is_looked_up_and_has_the_slopes_of_its_surface(ratio: float, pitch_deg: float) -> None:
+    (program,) = in_one_table(TABLE=(coefficient_of,))
+    _, note, pull = runs(program)
+    layout, lanes = Arranged({ROTORS: 1}, {}), (0,)
+    table, numbers = build_table((program,), layout, taped=True)
+    block, scratch, tape = np.array([ratio, pitch_deg]), np.zeros(1), np.zeros(program.tape_rows(layout))
+    note(block, scratch, table, numbers, tape, lanes)
+    bars = np.zeros(2)
+    value = scratch[0]
+    pull(bars, np.ones(1), table, numbers, tape, scratch, lanes)
+    grid, cells = read_rotor_table(ROTOR_TABLE).surface()
+    h, function = 1e-6, tabulated_power_coefficient.py_func
+    ends = [function(ratio + h * a, pitch_deg + h * b, cells, grid) for a, b in ((1, 0), (-1, 0), (0, 1), (0, -1))]
+    assert value == function(ratio, pitch_deg, cells, grid)
+    expected = [(ends[0] - ends[1]) / (2 * h), (ends[2] - ends[3]) / (2 * h)]
+    assert bars == pytest.approx(expected, rel=1e-7, abs=1e-9)
+
+
+def test_nothing_is_worked_out_twice() -> None:
+    with ex.making():
+        a, b = ex.symbol("a"), ex.symbol("b")
+        assert a * b + 1.0 is a * b + 1.0
+        assert 0.0 * a == 0.0 and a + 0.0 is a and 1.0 * a is a and ex.select(a > b, a, a) is a
+    with ex.making(zeros=False):
+        # To the last bit a product with zero is not zero: of what is not finite it is none.
+        a = ex.symbol("a")
+        assert isinstance(0.0 * a, ex.Number) and isinstance(a + 0.0, ex.Number)
+
+
+def test_a_branch_on_a_traced_number_is_refused() -> None:
+    with pytest.raises(TypeError, match="select"):
+        bool(ex.symbol("a") > 1.0)
+
+
+@pytest.mark.parametrize(
+    ("made", "reason"),
+    [
+        (System(UNITS, lambda a, speed: a, ("sum",)), "'speed' .* no part or constant of units"),
+        (System(UNITS, lambda a: a, ("total",)), "writes 'total', which no unit of units has"),
+    ],
+)
+def test_a_system_that_names_what_nobody_has_is_refused(made: System, reason: str) -> None:
+    with pytest.raises(TypeError, match=reason):
+        _ = made.targets, made.trace
