@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from wtg_gym.physics.extended_converter import VoltageInput, limiting_reactance
-from wtg_gym.physics.runge_kutta import kept, moved_by_stage
+from wtg_gym.physics.runge_kutta import moving
 from wtg_gym.physics.units import LANE, PAIRS, UNITS, Phasor
 from wtg_gym.physics.wind_turbine import (
     Extension,
@@ -31,16 +31,13 @@ EXTENSIONS = Kind(
     name="extensions",
     rows={"own": ExtensionState, "references": VoltageInput, "terminal": ExtensionOutput},
     scratch={
-        "own_base": ExtensionState,
-        "own_sum": ExtensionState,
-        "own_rates": ExtensionState,
         "reactance": float,  # X_v that limits the current [p.u. of the system]
         "source": Phasor,  # voltage behind X_g before its current is limited [p.u.]
         "change": Phasor,  # of the voltage behind X_g in the latest sweep [p.u.]
     },
     constants={"extension": Extension},
     sees={"group": GROUPS, "unit": UNITS, "own_entry_": PAIRS, "lane": LANE},
-    states={"own": "own_rates"},
+    states=("own",),
 )
 #: The column of each extended group in the admittance matrix: one entry for every unit.
 COLUMNS = Kind(name="columns", sees={"entry": PAIRS, "unit": UNITS, "group": EXTENSIONS})
@@ -139,7 +136,8 @@ def _plus(total: Phasor, y: Phasor, e: Phasor) -> Phasor:
     return Phasor(total.re + fma(y.re, e.re, -(y.im * e.im)), total.im + fma(y.re, e.im, y.im * e.re))
 
 
-def _motion(
+@system(EXTENSIONS, "state_rates", "own_rates", "output", "terminal")
+def rates_of_extended(
     state: WtgState,
     own: ExtensionState,
     voltage: Phasor,
@@ -155,6 +153,7 @@ def _motion(
     omega_n: float,
     fraction: float,
 ) -> tuple[WtgState, ExtensionState, WtgOutput, ExtensionOutput]:
+    """Return the rates of both kinds of state, and the outputs."""
     rates, output = group_motion(
         state, voltage, current, given, captured, turbine, inv_share, reference_speed, omega_n, fraction
     )
@@ -167,71 +166,13 @@ def _motion(
     return rates, own_rates, output, terminal
 
 
-rates_of_extended = system(EXTENSIONS, "rates", "own_rates", "output", "terminal")(_motion)
-
-
-@system(EXTENSIONS, "state", "base", "sum", "own", "own_base", "own_sum", "output", "terminal")
-def stage_of_extended(
-    state: WtgState,
-    base: WtgState,
-    sum: WtgState,
-    own: ExtensionState,
-    own_base: ExtensionState,
-    own_sum: ExtensionState,
-    voltage: Phasor,
-    current: Phasor,
-    reactance: float,
-    given: WtgInput,
-    references: VoltageInput,
-    captured: float,
-    turbine: Turbine,
-    extension: Extension,
-    inv_share: float,
-    reference_speed: float,
-    omega_n: float,
-    fraction: float,
-    active: float,
-    ahead: float,
-    first: float,
-    last: float,
-) -> tuple[
-    WtgState,
-    WtgState,
-    WtgState,
-    ExtensionState,
-    ExtensionState,
-    ExtensionState,
-    WtgOutput,
-    ExtensionOutput,
-]:
-    """Move the states by a stage."""
-    rates, own_rates, output, terminal = _motion(
-        state,
-        own,
-        voltage,
-        current,
-        reactance,
-        given,
-        references,
-        captured,
-        turbine,
-        extension,
-        inv_share,
-        reference_speed,
-        omega_n,
-        fraction,
-    )
-    moved = moved_by_stage(state, base, sum, rates, ahead=ahead, first=first, last=last)
-    found = kept(moved, wtg_limited(moved.state, turbine), last=last, active=active)
-    own_moved = moved_by_stage(own, own_base, own_sum, own_rates, ahead=ahead, first=first, last=last)
-    own_found = kept(own_moved, extension_limited(own_moved.state, extension), last=last, active=active)
-    return (*found, *own_found, output, terminal)
+stage_of_extended = moving(rates_of_extended, wtg_limited, extension_limited, constants=["turbine", "extension"])
 
 
 @system(EXTENSIONS, "rotor_speed")
 def keep_energy(
     state: WtgState,
-    base: WtgState,
+    state_base: WtgState,
     own: ExtensionState,
     own_base: ExtensionState,
     turbine: Turbine,
@@ -240,4 +181,4 @@ def keep_energy(
 ) -> float:
     """Return the rotor speed of a running lane that follows from the energies of a whole step."""
     chopped = own.limits.energy_chopped - own_base.limits.energy_chopped
-    return select(active > 0.5, rotor_of_energy(base, state, chopped, turbine, extension), state.rotor_speed)
+    return select(active > 0.5, rotor_of_energy(state_base, state, chopped, turbine, extension), state.rotor_speed)

@@ -156,8 +156,8 @@ class Layout:
     def _states(self, *, rates: bool) -> Whole:
         rows = [np.zeros(0, dtype=np.int64)]
         for kind in self.counts:
-            for state, rate in kind.states.items():
-                first = self.first_rows(kind, rate if rates else state)
+            for state in kind.states:
+                first = self.first_rows(kind, f"{state}_rates" if rates else state)
                 rows.append((first[:, np.newaxis] + np.arange(count(kind.rows[state]))).ravel())
         return np.concatenate(rows)
 

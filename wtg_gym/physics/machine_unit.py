@@ -14,24 +14,18 @@ from wtg_gym.physics.machine import (
     machine_start,
     machine_voltage,
 )
-from wtg_gym.physics.runge_kutta import kept, moved_by_stage
+from wtg_gym.physics.runge_kutta import moving
 from wtg_gym.physics.units import LANE, UNITS, Phasor, Terminal
 from wtg_gym.systems.elementary import select
-from wtg_gym.systems.records import each
 from wtg_gym.systems.systems import Kind, system
 
 MACHINES = Kind(
     name="machines",
     rows={"state": MachineState, "given": MachineInput, "emf": MachineVoltage, "output": MachineOutput},
-    scratch={
-        "base": MachineState,
-        "sum": MachineState,
-        "rates": MachineState,
-        "hydro_torque": float,  # of its hydro governor, if it has one [p.u.]
-    },
+    scratch={"hydro_torque": float},  # of its hydro governor, if it has one [p.u.]
     constants={"machine": Machine},
     sees={"unit": UNITS, "lane": LANE},
-    states={"state": "rates"},
+    states=("state",),
 )
 #: The first machine: its speed turns the frame of all angles, after an outage too.
 FIRST_MACHINE = Kind(name="first machine", sees={"machine": MACHINES, "lane": LANE})
@@ -57,23 +51,7 @@ def voltage_of_machine(state: MachineState, machine: Machine) -> tuple[MachineVo
     return emf, Phasor(re, im)
 
 
-def _motion(
-    state: MachineState,
-    emf: MachineVoltage,
-    current: Phasor,
-    given: MachineInput,
-    hydro_torque: float,
-    machine: Machine,
-    reference_speed: float,
-    omega_n: float,
-) -> tuple[MachineState, MachineOutput]:
-    rates, output = machine_rates(state, emf, current.re, current.im, given, machine, reference_speed, omega_n)
-    torque = select(machine.governor.is_hydro > 0.5, hydro_torque, output.torque)
-    rates = driven_by(torque, rates, output, given)
-    return rates, MachineOutput(output.power, output.voltage, given.connected * torque)
-
-
-@system(MACHINES, "rates", "output")
+@system(MACHINES, "state_rates", "output")
 def rates_of_machine(
     state: MachineState,
     emf: MachineVoltage,
@@ -84,30 +62,12 @@ def rates_of_machine(
     reference_speed: float,
     omega_n: float,
 ) -> tuple[MachineState, MachineOutput]:
-    """Return rates and outputs; after an outage a machine keeps its states."""
-    rates, output = _motion(state, emf, current, given, hydro_torque, machine, reference_speed, omega_n)
-    return each(lambda rate: given.connected * rate, rates), output
+    """Return rates and outputs; the torque is that of its hydro governor, if it has one."""
+    rates, output = machine_rates(state, emf, current.re, current.im, given, machine, reference_speed, omega_n)
+    torque = select(machine.governor.is_hydro > 0.5, hydro_torque, output.torque)
+    rates = driven_by(torque, rates, output, given)
+    return rates, MachineOutput(output.power, output.voltage, given.connected * torque)
 
 
-@system(MACHINES, "state", "base", "sum", "output")
-def stage_of_machine(
-    state: MachineState,
-    base: MachineState,
-    sum: MachineState,
-    emf: MachineVoltage,
-    current: Phasor,
-    given: MachineInput,
-    hydro_torque: float,
-    machine: Machine,
-    reference_speed: float,
-    omega_n: float,
-    active: float,
-    ahead: float,
-    first: float,
-    last: float,
-) -> tuple[MachineState, MachineState, MachineState, MachineOutput]:
-    """Move the states by a stage."""
-    rates, output = _motion(state, emf, current, given, hydro_torque, machine, reference_speed, omega_n)
-    moved = moved_by_stage(state, base, sum, rates, ahead=ahead, first=first, last=last)
-    found = kept(moved, machine_limited(moved.state, machine), last=last, active=active * given.connected)
-    return found.state, found.base, found.sum, output
+#: After an outage a machine keeps its states.
+stage_of_machine = moving(rates_of_machine, machine_limited, constants=["machine"], gate="connected")

@@ -2,44 +2,69 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from collections.abc import Callable, Sequence
+from typing import Any
 
 from wtg_gym.systems.elementary import fma, select
 from wtg_gym.systems.records import each
+from wtg_gym.systems.systems import System
+
+_OF_STAGE = ("active", "ahead", "first", "last")
 
 
-class Moved(NamedTuple):
-    """The states of a unit after a stage."""
+def moving(
+    rates: System, *limits: Callable[..., Any] | None, constants: Sequence[str] = (), gate: str | None = None
+) -> System:
+    """Return the system that moves the states whose rates another system finds, by a stage of the method.
 
-    state: Any
-    base: Any  # state at the step's start
-    sum: Any  # of the rates so far: k1, k1 + 2 k2, k1 + 2 k2 + 2 k3
-
-
-def moved_by_stage(state: Any, base: Any, total: Any, rates: Any, *, ahead: float, first: float, last: float) -> Moved:
-    """Return states that a stage has moved; what limits them comes after (:func:`kept`).
+    It is told how far the stage goes (`ahead` [s], a sixth of the step for the last) and whether it is the first or the
+    last one.
 
     Args:
-        state, base, total: records of the states now, at the step's start, and the sum of the rates so far.
-        rates: of this stage.
-        ahead: how far the stage moves the states from their base [s]; a sixth of the step for the last.
-        first, last: 1 in that stage, else 0.
+        rates: writes "x_rates" of states "x" first, then other parts.
+        limits: for each of these states the function of it and of some constants that holds it within its limits, which
+            it does at the end of a step; None where there are none.
+        constants: names of those that each limit depends on.
+        gate: name of a number; where it is 0, the states stay.
     """
+    states = tuple(name.removesuffix("_rates") for name in rates.writes if name.endswith("_rates"))
+    own = tuple(f"{state}_{what}" for state in states for what in ("base", "sum"))
+    gates, given_to_rates, equation = () if gate is None else (gate,), rates.arguments_named, rates.equation
+    arguments = tuple(dict.fromkeys((*given_to_rates, *states, *own, *constants, *gates, *_OF_STAGE)))
+
+    def stage(*values: Any) -> tuple[Any, ...]:
+        given = dict(zip(arguments, values, strict=True))
+        found = equation(*(given[name] for name in given_to_rates))
+        found = found if type(found) is tuple else (found,)
+        active, ahead, first, last = (given[name] for name in _OF_STAGE)
+        for name in gates:
+            active = active * given[name]
+        moved: list[Any] = []
+        for i, state in enumerate(states):
+            base, total = given[f"{state}_base"], given[f"{state}_sum"]
+            free, base, total = _moved(given[state], base, total, found[i], ahead, first, last)
+            limit = limits[i] if limits else None
+            within = free if limit is None else limit(free, given[constants[i]])
+            moved += (_kept(free, within, base, last, active), base, total)
+        return (*moved, *found[len(states) :])
+
+    writes = [name for state in states for name in (state, f"{state}_base", f"{state}_sum")]
+    return System(rates.kind, stage, (*writes, *rates.writes[len(states) :]), rates.when, arguments=arguments)
+
+
+def _moved(
+    state: Any, base: Any, total: Any, rates: Any, ahead: float, first: float, last: float
+) -> tuple[Any, Any, Any]:
+    """Return states that a stage has moved, their base and the sum of their rates."""
     base = each(lambda now, before: select(first > 0.5, now, before), state, base)
-    # The last stage goes along the sum of all rates, k1 + 2 k2 + 2 k3 + k4.
+    # The last stage goes along the sum of all rates, k1 + 2 k2 + 2 k3 + k4; after it nobody reads that sum.
     along = each(lambda rate, so_far: select(last > 0.5, so_far + rate, rate), rates, total)
-    moved = each(lambda way, from_: fma(ahead, way, from_), along, base)
-    # After the last stage nobody reads the sum.
+    moved = each(lambda way, start: fma(ahead, way, start), along, base)
     more = each(lambda rate, so_far: select(first > 0.5, rate, fma(2.0, rate, so_far)), rates, total)
-    total = each(lambda new, so_far: select(last > 0.5, so_far, new), more, total)
-    return Moved(moved, base, total)
+    return moved, base, each(lambda new, so_far: select(last > 0.5, so_far, new), more, total)
 
 
-def kept(moved: Moved, limited: Any, *, last: float, active: float) -> Moved:
-    """Return the states of a unit after a stage: the last stage holds them within their limits.
-
-    A lane that has ended, and a unit that is disconnected, keep their base exactly: not even a rounding is added.
-    """
-    held = each(lambda free, within: select(last > 0.5, within, free), moved.state, limited)
-    state = each(lambda new, base: select(active > 0.5, new, base), held, moved.base)
-    return Moved(state, moved.base, moved.sum)
+def _kept(moved: Any, within: Any, base: Any, last: float, active: float) -> Any:
+    """Return states after a stage; an ended lane keeps its base exactly, to which not even a rounding is added."""
+    held = each(lambda free, limited: select(last > 0.5, limited, free), moved, within)
+    return each(lambda new, old: select(active > 0.5, new, old), held, base)

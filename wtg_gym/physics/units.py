@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from wtg_gym.physics.runge_kutta import kept, moved_by_stage
+from wtg_gym.physics.runge_kutta import moving
 from wtg_gym.physics.wind_turbine import Limits
 from wtg_gym.systems.elementary import select
 from wtg_gym.systems.systems import Kind, system
@@ -45,9 +45,6 @@ LANE = Kind(
         "healthy_step": float,  # last simulation step at which the protections found no low voltage
     },
     scratch={
-        "angle_base": float,
-        "angle_sum": float,
-        "angle_rate": float,  # [rad/s]
         "reference_speed": float,  # of the first unit, or where it stands still after an outage [p.u.]
         "noise_factor": Phasor,  # of the load noise's part in the reduced admittance: Δy/(1 + Δy z) [p.u.]
         "exceeded": float,  # groups whose current is too large
@@ -62,7 +59,7 @@ LANE = Kind(
         "stops": float,  # 1 where a protection ends the run now
     },
     constants={"omega_n": float, "simulation_dt": float, "limits": Limits, "trips_groups": bool},
-    states={"angle": "angle_rate"},
+    states=("angle",),
 )
 
 #: All units as the network sees them, machines first.
@@ -109,29 +106,13 @@ def admittance_with_noise(
     return Phasor(y0.re + f.re * v_re - f.im * v_im, y0.im + f.re * v_im + f.im * v_re)
 
 
-@system(LANE, "angle_rate")
+@system(LANE, "angle_rates")
 def reference_rate(reference_speed: float, omega_n: float) -> float:
     """Return the rate of the first unit's angle against a frame at nominal frequency."""
     return omega_n * (reference_speed - 1.0)
 
 
-@system(LANE, "angle", "angle_base", "angle_sum")
-def reference_stage(
-    angle: float,
-    angle_base: float,
-    angle_sum: float,
-    reference_speed: float,
-    omega_n: float,
-    active: float,
-    ahead: float,
-    first: float,
-    last: float,
-) -> tuple[float, float, float]:
-    """Move that angle by a stage."""
-    rate = reference_rate(reference_speed, omega_n)
-    moved = moved_by_stage(angle, angle_base, angle_sum, rate, ahead=ahead, first=first, last=last)
-    found = kept(moved, moved.state, last=last, active=active)
-    return found.state, found.base, found.sum
+reference_stage = moving(reference_rate)
 
 
 @system(LANE, "step")

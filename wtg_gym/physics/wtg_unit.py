@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from wtg_gym.physics.runge_kutta import kept, moved_by_stage
+from wtg_gym.physics.runge_kutta import moving
 from wtg_gym.physics.units import LANE, UNITS, Phasor
 from wtg_gym.physics.wind_turbine import (
     Turbine,
@@ -23,16 +23,11 @@ from wtg_gym.systems.systems import Kind, system
 GROUPS = Kind(
     name="WTG groups",
     rows={"state": WtgState, "given": WtgInput, "output": WtgOutput, "extremes": WtgExtremes},
-    scratch={
-        "base": WtgState,
-        "sum": WtgState,
-        "rates": WtgState,
-        "captured": float,  # power from the wind, connected or not [p.u.]
-    },
+    scratch={"captured": float},  # power from the wind, connected or not [p.u.]
     # The share is the rating on the base of the system.
     constants={"turbine": Turbine, "cells": ex.Cells, "share": float, "inv_share": float},
     sees={"unit": UNITS, "lane": LANE},
-    states={"state": "rates"},
+    states=("state",),
 )
 
 
@@ -71,32 +66,5 @@ def group_motion(
     return wtg_rates(state, power, captured, wind_at(given, fraction), given, turbine, reference_speed, omega_n)
 
 
-rates_of_group = system(GROUPS, "rates", "output", when="constant voltage")(group_motion)
-
-
-@system(GROUPS, "state", "base", "sum", "output", when="constant voltage")
-def stage_of_group(
-    state: WtgState,
-    base: WtgState,
-    sum: WtgState,
-    voltage: Phasor,
-    current: Phasor,
-    given: WtgInput,
-    captured: float,
-    turbine: Turbine,
-    inv_share: float,
-    reference_speed: float,
-    omega_n: float,
-    fraction: float,
-    active: float,
-    ahead: float,
-    first: float,
-    last: float,
-) -> tuple[WtgState, WtgState, WtgState, WtgOutput]:
-    """Move the states by a stage."""
-    rates, output = group_motion(
-        state, voltage, current, given, captured, turbine, inv_share, reference_speed, omega_n, fraction
-    )
-    moved = moved_by_stage(state, base, sum, rates, ahead=ahead, first=first, last=last)
-    found = kept(moved, wtg_limited(moved.state, turbine), last=last, active=active)
-    return found.state, found.base, found.sum, output
+rates_of_group = system(GROUPS, "state_rates", "output", when="constant voltage")(group_motion)
+stage_of_group = moving(rates_of_group, wtg_limited, constants=["turbine"])

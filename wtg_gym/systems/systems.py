@@ -31,7 +31,8 @@ class Kind:
         scratch: parts that last for a control step only.
         constants: what is known of a unit before a run.
         sees: other kinds whose parts its systems may name, by a label; one that ends with "_" stands before the names.
-        states: parts that the integration moves, each with the part that takes its rates.
+        states: parts that the integration moves. Each has three more in scratch: "x_rates", and the integration's own
+            "x_base" and "x_sum".
     """
 
     name: str
@@ -39,7 +40,11 @@ class Kind:
     scratch: Mapping[str, Any] = field(default_factory=dict)
     constants: Mapping[str, Any] = field(default_factory=dict)
     sees: Mapping[str, Kind] = field(default_factory=dict)
-    states: Mapping[str, str] = field(default_factory=dict)
+    states: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        own = {f"{state}_{what}": self.rows[state] for state in self.states for what in ("rates", "base", "sum")}
+        object.__setattr__(self, "scratch", {**own, **self.scratch})
 
     def __hash__(self) -> int:
         return id(self)
@@ -117,6 +122,7 @@ class System:
         writes: the parts that its result, or the entries of that tuple, replace.
         when: what a plant must have for the system to act; None for any.
         backward: another function of the same arguments that has the derivatives to follow; None for the equation.
+        arguments: their names, where the function takes any.
     """
 
     kind: Kind
@@ -124,6 +130,7 @@ class System:
     writes: tuple[str, ...]
     when: str | None = None
     backward: Callable[..., Any] | None = None
+    arguments: tuple[str, ...] = ()
 
     @property
     def name(self) -> str:
@@ -138,7 +145,7 @@ class System:
     @functools.cached_property
     def reads(self) -> dict[str, Place]:
         """Parts that the arguments name."""
-        return {a: place for a in self._arguments if (place := self.kind.find(a)) is not None}
+        return {a: place for a in self.arguments_named if (place := self.kind.find(a)) is not None}
 
     @functools.cached_property
     def targets(self) -> dict[str, Place]:
@@ -149,8 +156,9 @@ class System:
         return {name: place for name, place in found.items() if place is not None}
 
     @property
-    def _arguments(self) -> Iterable[str]:
-        return inspect.signature(getattr(self.equation, "py_func", self.equation)).parameters
+    def arguments_named(self) -> tuple[str, ...]:
+        """Names of the arguments."""
+        return self.arguments or tuple(inspect.signature(getattr(self.equation, "py_func", self.equation)).parameters)
 
     @property
     def trace(self) -> Trace:
@@ -159,7 +167,7 @@ class System:
 
     def trace_with(self, **known: float) -> Trace:
         """Return the program of the equation where some scalars are known."""
-        key = tuple(sorted((name, value) for name, value in known.items() if name in self._arguments))
+        key = tuple(sorted((name, value) for name, value in known.items() if name in self.arguments_named))
         if key not in self._traces:
             with ex.making(zeros=False):
                 self._traces[key] = self.traced(known)
@@ -172,8 +180,8 @@ class System:
     def traced(self, known: Mapping[str, float], equation: Callable[..., Any] | None = None) -> Trace:
         """Run the equation on numbers that remember; `known` has the values of some scalars."""
         found = Trace({}, {}, {}, [])
-        given = {name: known[name] if name in known else self._given(name, found) for name in self._arguments}
-        result = retargeted(equation or self.equation, ARITHMETIC, {})(**given)
+        given = {name: known[name] if name in known else self._given(name, found) for name in self.arguments_named}
+        result = retargeted(equation or self.equation, ARITHMETIC, {})(*given.values())
         results = (result,) if not isinstance(result, tuple) or is_record(type(result)) else result
         for name, value in zip(self.writes, results, strict=True):
             values = flatten(value) if is_record(type(value)) else (value,)

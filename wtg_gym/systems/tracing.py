@@ -53,14 +53,17 @@ def retargeted(
     copy = types.FunctionType(source.__code__, names, source.__name__, source.__defaults__, cells)
     copy.__kwdefaults__ = source.__kwdefaults__
     done[source] = copy
+
+    def converted(value: Any) -> Any:
+        if isinstance(getattr(value, "py_func", value), types.FunctionType):
+            return retargeted(value, arithmetic, done)
+        return tuple(map(converted, value)) if type(value) is tuple else value
+
     for cell in cells:
-        if _is_equation(cell.cell_contents):
-            cell.cell_contents = retargeted(cell.cell_contents, arithmetic, done)
+        cell.cell_contents = converted(cell.cell_contents)
     for name in _names_in(source.__code__):
-        if name in arithmetic:
-            names[name] = arithmetic[name]
-        elif _is_equation(names.get(name)):
-            names[name] = retargeted(names[name], arithmetic, done)
+        if name in arithmetic or name in names:
+            names[name] = arithmetic[name] if name in arithmetic else converted(names[name])
     return copy
 
 
@@ -70,7 +73,3 @@ def _names_in(code: types.CodeType) -> Iterator[str]:
     for constant in code.co_consts:
         if isinstance(constant, types.CodeType):
             yield from _names_in(constant)
-
-
-def _is_equation(value: Any) -> bool:
-    return isinstance(getattr(value, "py_func", value), types.FunctionType)
