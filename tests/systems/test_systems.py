@@ -15,7 +15,7 @@ from wtg_gym.physics.parameters import ROTOR_TABLE
 from wtg_gym.physics.rotor_table import Grid, read_rotor_table, tabulated_power_coefficient
 from wtg_gym.systems import expressions as ex
 from wtg_gym.systems.elementary import exponential, fma, select, sine_cosine
-from wtg_gym.systems.programs import Program, build_table, in_one_table
+from wtg_gym.systems.programs import NONE, Program, Tables, build_table, in_one_table
 from wtg_gym.systems.systems import Kind, System, system
 
 Floats = npt.NDArray[np.float64]
@@ -65,18 +65,16 @@ def runs(program: Program) -> tuple[Any, Any, Any]:
     forward, taped, back = program.function(), program.taped(), program.back()
 
     @njit
-    def run(block: Floats, scratch: Floats, table: Any, numbers: Floats, lanes: Any) -> None:
-        forward(block, scratch, table, numbers, 0.0, 0.0, 0.0, 0.0, lanes)
+    def run(block: Floats, scratch: Floats, tables: Tables, lanes: Any) -> None:
+        forward(block, scratch, tables, NONE, lanes)
 
     @njit
-    def note(block: Floats, scratch: Floats, table: Any, numbers: Floats, tape: Floats, lanes: Any) -> None:
-        taped(block, scratch, table, numbers, tape, 0.0, 0.0, 0.0, 0.0, lanes)
+    def note(block: Floats, scratch: Floats, tables: Tables, tape: Floats, lanes: Any) -> None:
+        taped(block, scratch, tables, tape, NONE, lanes)
 
     @njit
-    def pull(
-        bars: Floats, given: Floats, table: Any, numbers: Floats, tape: Floats, scratch: Floats, lanes: Any
-    ) -> None:
-        back(bars, given, table, numbers, tape, scratch, numbers, 0.0, 0.0, 0.0, 0.0, lanes)
+    def pull(bars: Floats, given: Floats, tables: Tables, tape: Floats, scratch: Floats, lanes: Any) -> None:
+        back(bars, given, tables, tape, scratch, tables.numbers, NONE, lanes)
 
     return run, note, pull
 
@@ -87,10 +85,10 @@ RUN, NOTE, PULL = runs(FORWARD)[0], *runs(BOTH_WAYS)[1:]
 @pytest.mark.parametrize("width", [1, 16])
 def test_every_unit_of_every_lane_has_what_the_function_says(width: int) -> None:
     layout, lanes = Arranged({UNITS: N_UNITS}, {}), (0,) * width
-    table, numbers = build_table((FORWARD, BOTH_WAYS), layout)
+    tables = build_table((FORWARD, BOTH_WAYS), layout)
     rng = np.random.default_rng(0)
     block, scratch = rng.uniform(-2.0, 3.0, (layout.n_rows, width)), np.zeros((layout.n_scratch, width))
-    RUN(block.ravel(), scratch.reshape(-1), table, numbers, lanes)
+    RUN(block.ravel(), scratch.reshape(-1), tables, lanes)
     for name, function in FUNCTIONS.items():
         rows = scratch[layout.first_rows(UNITS, name)]
         with np.errstate(all="ignore"):
@@ -102,14 +100,14 @@ def test_every_unit_of_every_lane_has_what_the_function_says(width: int) -> None
 @pytest.mark.parametrize("point", POINTS)
 def test_what_comes_back_are_the_slopes(point: tuple[float, float]) -> None:
     layout, lanes, h = Arranged({UNITS: 1}, {}), (0,) * 16, 1e-6
-    table, numbers = build_table((FORWARD, BOTH_WAYS), layout, taped=True)
+    tables = build_table((FORWARD, BOTH_WAYS), layout, taped=True)
     tape = np.zeros(16 * BOTH_WAYS.tape_rows(layout))
     block, scratch = np.repeat(np.array(point), 16), np.zeros(16 * layout.n_scratch)
-    NOTE(block, scratch, table, numbers, tape, lanes)
+    NOTE(block, scratch, tables, tape, lanes)
     for name, function in FUNCTIONS.items():
         bars, given = np.zeros(32), np.zeros((layout.n_scratch, 16))
         given[layout.first_rows(UNITS, name)] = 2.0
-        PULL(bars, given.reshape(-1), table, numbers, tape, scratch, lanes)
+        PULL(bars, given.reshape(-1), tables, tape, scratch, lanes)
         # What was written is gone with what it replaced.
         assert not given.any()
         (a, b) = point
@@ -144,12 +142,12 @@ def test_a_table_is_looked_up_and_has_the_slopes_of_its_surface(ratio: float, pi
     (program,) = in_one_table(TABLE=(coefficient_of,))
     _, note, pull = runs(program)
     layout, lanes = Arranged({ROTORS: 1}, {}), (0,)
-    table, numbers = build_table((program,), layout, taped=True)
+    tables = build_table((program,), layout, taped=True)
     block, scratch, tape = np.array([ratio, pitch_deg]), np.zeros(1), np.zeros(program.tape_rows(layout))
-    note(block, scratch, table, numbers, tape, lanes)
+    note(block, scratch, tables, tape, lanes)
     bars = np.zeros(2)
     value = scratch[0]
-    pull(bars, np.ones(1), table, numbers, tape, scratch, lanes)
+    pull(bars, np.ones(1), tables, tape, scratch, lanes)
     grid, cells = read_rotor_table(ROTOR_TABLE).surface()
     h, function = 1e-6, tabulated_power_coefficient.py_func
     ends = [function(ratio + h * a, pitch_deg + h * b, cells, grid) for a, b in ((1, 0), (-1, 0), (0, 1), (0, -1))]

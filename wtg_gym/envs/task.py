@@ -31,7 +31,7 @@ from wtg_gym.physics.plant import Further
 from wtg_gym.physics.sensors import N_CHANNELS, noise_key, normal
 from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY, get_law
 from wtg_gym.systems.compiled import compiled, inlined
-from wtg_gym.systems.programs import in_one_table
+from wtg_gym.systems.programs import NONE, in_one_table
 from wtg_gym.systems.systems import count
 
 Observations = npt.NDArray[np.float32]
@@ -294,9 +294,9 @@ def start_tasks(
         block = rows[start]
         if task.places[0]["n_delayed"] > 0:
             draw_noise(block, scratch, task, n_wtg, lanes)
-            _start_sensors(block, scratch, plant.table, plant.numbers, 0.0, 0.0, 0.0, 0.0, lanes)
+            _start_sensors(block, scratch, plant.tables, NONE, lanes)
             pass_ring(block, scratch, task, n_wtg, lanes)
-        _observe(block, scratch, plant.table, plant.numbers, 0.0, 0.0, 0.0, 0.0, lanes)
+        _observe(block, scratch, plant.tables, NONE, lanes)
         for k in range(task.observed.shape[0]):
             observations[start, k] = scratch[task.observed[k]]
         for k in range(N_INFO):
@@ -317,20 +317,20 @@ def _step(
     lanes: Lanes,
 ) -> None:
     """Step blocks: see :func:`step_blocks`."""
-    width, n_wtg, table, numbers = len(lanes), plant.share.shape[0], plant.table, plant.numbers
+    n_wtg, tables = plant.share.shape[0], plant.tables
     for b in range(first, last):
         block = blocks[b]
-        read_actions(scratch, actions, b * width, task, lanes)
-        _act(block, scratch, table, numbers, 0.0, 0.0, 0.0, 0.0, lanes)
-        advance_interval(block, scratch, b * width, plant, data, lanes)
-        _charge(block, scratch, table, numbers, 0.0, 0.0, 0.0, 0.0, lanes)
+        read_actions(scratch, actions, b * len(lanes), task, lanes)
+        _act(block, scratch, tables, NONE, lanes)
+        advance_interval(block, scratch, b * len(lanes), plant, data, lanes)
+        _charge(block, scratch, tables, NONE, lanes)
         if task.places[0]["n_delayed"] > 0:
             draw_noise(block, scratch, task, n_wtg, lanes)
-            _measure(block, scratch, table, numbers, 0.0, 0.0, 0.0, 0.0, lanes)
+            _measure(block, scratch, tables, NONE, lanes)
             pass_ring(block, scratch, task, n_wtg, lanes)
-        _observe(block, scratch, table, numbers, 0.0, 0.0, 0.0, 0.0, lanes)
-        _end(block, scratch, table, numbers, 0.0, 0.0, 0.0, 0.0, lanes)
-        _report(block, scratch, b * width, task, outputs, lanes)
+        _observe(block, scratch, tables, NONE, lanes)
+        _end(block, scratch, tables, NONE, lanes)
+        _report(block, scratch, b * len(lanes), task, outputs, lanes)
 
 
 @compiled

@@ -34,12 +34,14 @@ from wtg_gym.physics.kernel_data import LaneData, Plant, structured
 from wtg_gym.physics.layout import Floats, Lanes, Layout, Whole
 from wtg_gym.physics.units import PAIRS, UNITS
 from wtg_gym.systems.compiled import compiled, inlined
-from wtg_gym.systems.programs import Arrangement, in_one_table
+from wtg_gym.systems.programs import NONE, Arrangement, in_one_table
 
 #: The way back through the sweeps that hold currents ends where no cotangent changes by more than this share of the
 #: lane's largest. They come some thirty times at most; if ever this many were too few, not a number comes back.
 _SWEEPS = 1000
 _SETTLED = 1e-13
+#: Scalars of the evaluation at an interval's end.
+AT_END = (1.0, 0.0, 0.0, 0.0)
 
 PROGRAMS = in_one_table(
     *integration.PROGRAMS,
@@ -157,15 +159,15 @@ def _flow_and_hold(
     lanes: Lanes,
 ) -> None:
     """Find voltages and currents, and hold the currents within their limits; note the fixed point that the sweeps find."""
-    table, numbers, width = plant.table, plant.numbers, len(lanes)
-    _flow(block, scratch, table, numbers, tape, 0.0, 0.0, 0.0, 0.0, lanes)
-    _hold(block, scratch, table, numbers, 0.0, 0.0, 0.0, 0.0, lanes)
+    tables, width = plant.tables, len(lanes)
+    _flow(block, scratch, tables, tape, NONE, lanes)
+    _hold(block, scratch, tables, NONE, lanes)
     limited[:] = False
     for row in rules.reactances:
         for x in range(width):
             limited[x] |= scratch[row * width + x] > 0.0
     noted = tape[rules.places[0]["flows"] * width :]
-    _note_sweep(block, scratch, table, numbers, noted, 0.0, 0.0, 0.0, 0.0, lanes)
+    _note_sweep(block, scratch, tables, noted, NONE, lanes)
 
 
 @inlined
@@ -198,7 +200,7 @@ def _replay(
 
     `at` is the row of the tape where its notes begin; returned is the row where they end.
     """
-    table, numbers, scratch, width = plant.table, plant.numbers, work.scratch, len(lanes)
+    tables, scratch, width = plant.tables, work.scratch, len(lanes)
     p = rules.places[0]
     admittance = scratch[p["admittance_s"] * width : (p["admittance_s"] + p["n_admittance"]) * width]
     enter_interval(block, first_lane, plant, data, lanes)
@@ -211,17 +213,16 @@ def _replay(
         for stage in range(4):
             _flow_and_hold(block, scratch, plant, rules, work.tape[at * width :], work.limited[4 * step + stage], lanes)
             at += p["flows"] + p["sweep"]
-            passed, ahead, first, last = stage_scalars(plant, step, stage)
-            _move(block, scratch, table, numbers, work.tape[at * width :], passed, ahead, first, last, lanes)
+            _move(block, scratch, tables, work.tape[at * width :], stage_scalars(plant, step, stage), lanes)
             at += p["motion"]
-        _finish(block, scratch, table, numbers, work.tape[at * width :], 0.0, 0.0, 0.0, 0.0, lanes)
+        _finish(block, scratch, tables, work.tape[at * width :], NONE, lanes)
         at += p["finished"]
-        _end_step(block, scratch, table, numbers, 0.0, 0.0, 0.0, 0.0, lanes)
+        _end_step(block, scratch, tables, NONE, lanes)
         if protections_sample(plant, step):
             protect(block, scratch, plant, lanes)
     _flow_and_hold(block, scratch, plant, rules, work.tape[at * width :], work.limited[4 * n_substeps], lanes)
     at += p["flows"] + p["sweep"]
-    _rate(block, scratch, table, numbers, work.tape[at * width :], 1.0, 0.0, 0.0, 0.0, lanes)
+    _rate(block, scratch, tables, work.tape[at * width :], AT_END, lanes)
     return at + p["rates"]
 
 
@@ -292,20 +293,7 @@ def build_pull(*, constants: bool) -> Any:
         settled, before = ~limited, np.empty_like(found)
         for _ in range(_SWEEPS):
             before[:] = found
-            sweep(
-                bars,
-                found,
-                plant.table,
-                plant.numbers,
-                work.tape[at * width :],
-                work.scratch,
-                constant_bars,
-                0.0,
-                0.0,
-                0.0,
-                0.0,
-                lanes,
-            )
+            sweep(bars, found, plant.tables, work.tape[at * width :], work.scratch, constant_bars, NONE, lanes)
             for x in range(width):
                 largest, change = 0.0, 0.0
                 for first, n in edges:
@@ -337,20 +325,8 @@ def build_pull(*, constants: bool) -> Any:
         """Go back through the voltages and currents that a right-hand side begins with; `at` is their row on the tape."""
         width = len(lanes)
         pull_limits(bars, constant_bars, plant, rules, work, at + rules.places[0]["flows"], limited, lanes)
-        flows(
-            bars,
-            work.scratch_bars,
-            plant.table,
-            plant.numbers,
-            work.tape[at * width :],
-            work.scratch,
-            constant_bars,
-            0.0,
-            0.0,
-            0.0,
-            0.0,
-            lanes,
-        )
+        tape, given = work.tape[at * width :], work.scratch_bars
+        flows(bars, given, plant.tables, tape, work.scratch, constant_bars, NONE, lanes)
 
     @named
     def pull(
@@ -381,65 +357,52 @@ def build_pull(*, constants: bool) -> Any:
             actions: of the step (n_lanes, n_action).
             rules, work: see :func:`rules_of` and :func:`work_of`.
         """
-        table, numbers, scratch, given = plant.table, plant.numbers, work.scratch, work.scratch_bars
+        tables, scratch, given = plant.tables, work.scratch, work.scratch_bars
         p, places, width, n_wtg = rules.places[0], task.places[0], len(lanes), plant.share.shape[0]
         n_substeps, sensed = plant.facts[0]["n_substeps"], task.places[0]["n_delayed"] > 0
         n_action = actions.shape[1] // max(n_wtg, 1)
         for b in range(first, last):
             block, own, to = blocks[b], bars[b], constant_bars[b]
             read_actions(scratch, actions, b * width, task, lanes)
-            _act(block, scratch, table, numbers, work.tape, 0.0, 0.0, 0.0, 0.0, lanes)
+            _act(block, scratch, tables, work.tape, NONE, lanes)
             at = _replay(block, b * width, plant, data, rules, work, p["acted"], lanes)
-            _charge(block, scratch, table, numbers, work.tape[at * width :], 0.0, 0.0, 0.0, 0.0, lanes)
+            _charge(block, scratch, tables, work.tape[at * width :], NONE, lanes)
             at += p["charged"]
             if sensed:
                 draw_noise(block, scratch, task, n_wtg, lanes)
-                _measure(block, scratch, table, numbers, work.tape[at * width :], 0.0, 0.0, 0.0, 0.0, lanes)
+                _measure(block, scratch, tables, work.tape[at * width :], NONE, lanes)
                 pass_ring(block, scratch, task, n_wtg, lanes)
             at += p["measured"]
-            _observe(block, scratch, table, numbers, work.tape[at * width :], 0.0, 0.0, 0.0, 0.0, lanes)
+            _observe(block, scratch, tables, work.tape[at * width :], NONE, lanes)
 
             given[:] = 0.0
             for x in range(min(width, actions.shape[0] - b * width)):
                 for k in range(task.observed.shape[0]):
                     given[task.observed[k] * width + x] += observation_bars[b * width + x, k]
-            observed(own, given, table, numbers, work.tape[at * width :], scratch, to, 0.0, 0.0, 0.0, 0.0, lanes)
+            observed(own, given, tables, work.tape[at * width :], scratch, to, NONE, lanes)
             at -= p["measured"]
             if sensed:
                 _pull_ring(block, own, given, task, n_wtg, lanes)
-                measured(own, given, table, numbers, work.tape[at * width :], scratch, to, 0.0, 0.0, 0.0, 0.0, lanes)
+                measured(own, given, tables, work.tape[at * width :], scratch, to, NONE, lanes)
             at -= p["charged"]
-            charged(own, given, table, numbers, work.tape[at * width :], scratch, to, 0.0, 0.0, 0.0, 0.0, lanes)
+            charged(own, given, tables, work.tape[at * width :], scratch, to, NONE, lanes)
             at -= p["rates"]
-            rates(own, given, table, numbers, work.tape[at * width :], scratch, to, 1.0, 0.0, 0.0, 0.0, lanes)
+            rates(own, given, tables, work.tape[at * width :], scratch, to, AT_END, lanes)
             at -= p["flows"] + p["sweep"]
             pull_flows(own, to, plant, rules, work, at, work.limited[4 * n_substeps], lanes)
             for step in range(n_substeps - 1, -1, -1):
                 start, end = p["admittance_s"] * width, (p["admittance_s"] + p["n_admittance"]) * width
                 scratch[start:end] = work.admittances[step]
                 at -= p["finished"]
-                finished(own, given, table, numbers, work.tape[at * width :], scratch, to, 0.0, 0.0, 0.0, 0.0, lanes)
+                finished(own, given, tables, work.tape[at * width :], scratch, to, NONE, lanes)
                 for stage in range(3, -1, -1):
                     at -= p["motion"]
-                    passed, ahead, is_first, is_last = stage_scalars(plant, step, stage)
-                    motion(
-                        own,
-                        given,
-                        table,
-                        numbers,
-                        work.tape[at * width :],
-                        scratch,
-                        to,
-                        passed,
-                        ahead,
-                        is_first,
-                        is_last,
-                        lanes,
-                    )
+                    scalars = stage_scalars(plant, step, stage)
+                    motion(own, given, tables, work.tape[at * width :], scratch, to, scalars, lanes)
                     at -= p["flows"] + p["sweep"]
                     pull_flows(own, to, plant, rules, work, at, work.limited[4 * step + stage], lanes)
                 _pull_lost_governors(own, rules, work.lost[step], lanes)
-            acted(own, given, table, numbers, work.tape, scratch, to, 0.0, 0.0, 0.0, 0.0, lanes)
+            acted(own, given, tables, work.tape, scratch, to, NONE, lanes)
             for x in range(min(width, actions.shape[0] - b * width)):
                 for j in range(n_wtg):
                     row = places["wanted_s"] + j * places["wanted_step"]

@@ -152,7 +152,7 @@ class Tape:
         self._places = [
             []
             if leaf.name in _ROW_OF_LEAF
-            else constant_places(programs, arrangement, self._plant.table, *_meant(leaf))
+            else constant_places(programs, arrangement, self._plant.tables, *_meant(leaf))
             for leaf in moved.leaves
         ]
         inv_tau = layout.wtg("inv_tau")
@@ -349,7 +349,7 @@ class Tape:
         if observations is not None:
             seen = _shaped("observations", observations, (n_lanes, n_observation)) * running
         of_actions = np.zeros((n_lanes, self.lanes.n_action))
-        n_constants = self._plant.numbers.size if self.parameters else 0
+        n_constants = self._plant.tables.numbers.size if self.parameters else 0
         constants = np.zeros((len(blocks), n_constants * simulator.width))
         flat = bars.reshape(blocks.shape)
         simulator.threads.run(

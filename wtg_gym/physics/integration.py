@@ -9,7 +9,7 @@ from wtg_gym.physics.protection import PROTECTION_INTERVAL_S
 from wtg_gym.physics.reduction import refresh_network
 from wtg_gym.physics.wtg_unit import GROUPS
 from wtg_gym.systems.compiled import compiled, inlined
-from wtg_gym.systems.programs import in_one_table
+from wtg_gym.systems.programs import NONE, in_one_table
 
 PROGRAMS = in_one_table(
     ADMITTANCES=systems.ADMITTANCES,
@@ -61,7 +61,7 @@ def apply_events(block: Floats, first_lane: int, plant: Plant, data: LaneData, l
 @inlined
 def combine_load_noise(block: Floats, scratch: Floats, plant: Plant, lanes: Lanes) -> None:
     """Put the load noise into the reduced admittance of every lane of a block."""
-    _admittances(block, scratch, plant.table, plant.numbers, 0.0, 0.0, 0.0, 0.0, lanes)
+    _admittances(block, scratch, plant.tables, NONE, lanes)
 
 
 @inlined
@@ -74,16 +74,12 @@ def advance_step(block: Floats, scratch: Floats, plant: Plant, step: int, lanes:
         step: number of the step within the control interval, for the wind's interpolation.
         lanes: a tuple as long as the block is wide.
     """
-    table, numbers = plant.table, plant.numbers
-    passed, ahead, _, _ = stage_scalars(plant, step, 0)
-    _first_stage(block, scratch, table, numbers, passed, ahead, 0.0, 0.0, lanes)
+    _first_stage(block, scratch, plant.tables, stage_scalars(plant, step, 0), lanes)
     # A loop, so that the stage is compiled once.
     for stage in range(1, 3):
-        passed, ahead, _, _ = stage_scalars(plant, step, stage)
-        _middle_stage(block, scratch, table, numbers, passed, ahead, 0.0, 0.0, lanes)
-    passed, ahead, _, _ = stage_scalars(plant, step, 3)
-    _last_stage(block, scratch, table, numbers, passed, ahead, 0.0, 0.0, lanes)
-    _finish(block, scratch, table, numbers, 0.0, 0.0, 0.0, 0.0, lanes)
+        _middle_stage(block, scratch, plant.tables, stage_scalars(plant, step, stage), lanes)
+    _last_stage(block, scratch, plant.tables, stage_scalars(plant, step, 3), lanes)
+    _finish(block, scratch, plant.tables, NONE, lanes)
 
 
 @inlined
@@ -98,7 +94,7 @@ def stage_scalars(plant: Plant, step: int, stage: int) -> tuple[float, float, fl
 @inlined
 def protect(block: Floats, scratch: Floats, plant: Plant, lanes: Lanes) -> None:
     """Let the protections sample the grid."""
-    _protect(block, scratch, plant.table, plant.numbers, 0.0, 0.0, 0.0, 0.0, lanes)
+    _protect(block, scratch, plant.tables, NONE, lanes)
 
 
 @inlined
@@ -111,19 +107,19 @@ def protections_sample(plant: Plant, step: int) -> bool:
 @inlined
 def evaluate(block: Floats, scratch: Floats, plant: Plant, fraction: float, lanes: Lanes) -> None:
     """Evaluate rates and outputs of every lane of a block at its present state."""
-    _evaluate(block, scratch, plant.table, plant.numbers, fraction, 0.0, 0.0, 0.0, lanes)
+    _evaluate(block, scratch, plant.tables, (fraction, 0.0, 0.0, 0.0), lanes)
 
 
 @inlined
 def start_machines(block: Floats, scratch: Floats, plant: Plant, lanes: Lanes) -> None:
     """Put machines into the equilibrium of what scratch says of their terminals."""
-    _start_machines(block, scratch, plant.table, plant.numbers, 0.0, 0.0, 0.0, 0.0, lanes)
+    _start_machines(block, scratch, plant.tables, NONE, lanes)
 
 
 @inlined
 def start_run(block: Floats, scratch: Floats, plant: Plant, lanes: Lanes) -> None:
     """Evaluate the first outputs and extremes of every lane of a block."""
-    _start(block, scratch, plant.table, plant.numbers, 0.0, 0.0, 0.0, 0.0, lanes)
+    _start(block, scratch, plant.tables, NONE, lanes)
 
 
 @inlined

@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from wtg_gym.systems.programs import Tables
 from wtg_gym.systems.records import dtype, flatten
 
 
@@ -53,7 +54,7 @@ class Facts(NamedTuple):
 class Plant(NamedTuple):
     """A plant as arrays, whose types are the same for every plant.
 
-    The table says where the systems of a step find rows and constants: see :mod:`wtg_gym.systems.programs`.
+    The tables say where the systems of a step find rows and constants: see :mod:`wtg_gym.systems.programs`.
     """
 
     facts: npt.NDArray[np.void]  # (1,), of Facts
@@ -69,8 +70,7 @@ class Plant(NamedTuple):
     dispatch: npt.NDArray[np.float64]  # power of each machine before the slack's share (n_sync,) [p.u.]
     buses: npt.NDArray[np.void]  # (n_bus,), of BusConstants
     branches: npt.NDArray[np.void]  # (n_branch,), of BranchConstants
-    table: npt.NDArray[np.int64]
-    numbers: npt.NDArray[np.float64]
+    tables: Tables
 
     @property
     def n_substeps(self) -> int:

@@ -37,7 +37,7 @@ from wtg_gym.physics.parameters import (
     european_shedding,
     nrel_5mw,
 )
-from wtg_gym.systems.programs import Program, build_table
+from wtg_gym.systems.programs import Program, Tables, build_table
 from wtg_gym.systems.systems import Kind
 from wtg_gym.physics.protection import STAGES, SheddingConstants
 from wtg_gym.physics.units import LANE, PAIRS, UNITS
@@ -207,8 +207,7 @@ def build_plant(settings: PlantSettings) -> Plant:
         dispatch=np.array([m.dispatch_mw / base for m in case.machines], dtype=np.float64),
         buses=structured(BusConstants, buses),
         branches=structured(BranchConstants, branches),
-        table=np.zeros(0, dtype=np.int64),
-        numbers=np.zeros(0),
+        tables=Tables(np.zeros(0, dtype=np.int64), np.zeros(0)),
     )
 
 
@@ -305,5 +304,6 @@ def arranged(
     for name, row in zip(names, layout.first.values(), strict=False):
         facts[name] = row
     facts["starts"] = layout.first_rows(UNITS, "start")[:1].sum()
-    table, numbers = build_table(programs, Arranged(plant, layout, further or Further({})), taped=taped)
-    return plant._replace(facts=facts, table=table, numbers=numbers)
+    return plant._replace(
+        facts=facts, tables=build_table(programs, Arranged(plant, layout, further or Further({})), taped=taped)
+    )

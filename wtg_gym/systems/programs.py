@@ -65,6 +65,17 @@ class Each(NamedTuple):
     inner: System
 
 
+class Tables(NamedTuple):
+    """Where the systems of programs find the rows of a plant, and its constants."""
+
+    table: Whole
+    numbers: Floats
+
+
+#: Scalars of a program that asks for none.
+NONE = (0.0, 0.0, 0.0, 0.0)
+
+
 class Arrangement(Protocol):
     """Where a plant has its rows, and what is constant."""
 
@@ -140,23 +151,21 @@ class Program:
         return found.hexdigest()
 
     def function(self, **known: float) -> Callable[..., None]:
-        """Return the program for numba: of (block, scratch, table, numbers, *SCALARS, lanes).
+        """Return the program for numba: of (block, scratch, tables, scalars, lanes).
 
         Args:
-            known: values of scalars; what follows from them is left out, and the scalars handed over do not count.
+            known: values of scalars; what follows from them is left out, and those handed over do not count.
         """
         program, writer = self, functools.partial(_Writer, known=known)
 
         @intrinsic
-        def run(  # type: ignore[no-untyped-def]
-            typing_context, block, scratch, table, numbers, fraction, ahead, first, last, lanes
-        ) -> Any:
-            return _written(program, writer, (block, scratch, table, numbers), lanes)
+        def run(typing_context, block, scratch, tables, scalars, lanes) -> Any:  # type: ignore[no-untyped-def]
+            return _written(program, writer, (block, scratch, tables, scalars, lanes))
 
         return run
 
     def taped(self, *, runs: bool = True) -> Callable[..., None]:
-        """Return the program that notes what the way back needs, (block, scratch, table, numbers, tape, *SCALARS, lanes).
+        """Return the program that notes what the way back needs: of (block, scratch, tables, tape, scalars, lanes).
 
         Args:
             runs: change rows as the program does; else only note what they hold.
@@ -164,19 +173,17 @@ class Program:
         program, writer = self, _TapedWriter if runs else _NotingWriter
 
         @intrinsic
-        def run(  # type: ignore[no-untyped-def]
-            typing_context, block, scratch, table, numbers, tape, fraction, ahead, first, last, lanes
-        ) -> Any:
-            return _written(program, writer, (block, scratch, table, numbers, tape), lanes)
+        def run(typing_context, block, scratch, tables, tape, scalars, lanes) -> Any:  # type: ignore[no-untyped-def]
+            return _written(program, writer, (block, scratch, tables, tape, scalars, lanes))
 
         return run
 
     def back(self, *, constants: bool = False) -> Callable[..., None]:
         """Return the way back through the program.
 
-        It is of (bars, scratch_bars, table, numbers, tape, scratch, constant_bars, *SCALARS, lanes): cotangents (bars)
-        of the rows in block and scratch after the program become those before it, and those of the constants, in their
-        order in `numbers`, are added to.
+        It is of (bars, scratch_bars, tables, tape, scratch, constant_bars, scalars, lanes): cotangents (bars) of the
+        rows in block and scratch after the program become those before it, and those of the constants, in their order
+        in the tables, are added to.
 
         Args:
             constants: whether cotangents of the constants are wanted.
@@ -185,22 +192,10 @@ class Program:
 
         @intrinsic
         def run(  # type: ignore[no-untyped-def]
-            typing_context,
-            bars,
-            scratch_bars,
-            table,
-            numbers,
-            tape,
-            scratch,
-            constant_bars,
-            fraction,
-            ahead,
-            first,
-            last,
-            lanes,
+            typing_context, bars, scratch_bars, tables, tape, scratch, constant_bars, scalars, lanes
         ) -> Any:
-            arrays = (bars, scratch_bars, table, numbers, tape, scratch, constant_bars)
-            return _written(program, writer, arrays, lanes)
+            arrays = (bars, scratch_bars, tables, tape, scratch, constant_bars, scalars, lanes)
+            return _written(program, writer, arrays)
 
         return run
 
@@ -209,21 +204,23 @@ class Program:
         return sum(len(_noted(one)) * _n_units(one, plant) for one in systems_of(self.entries))
 
 
-def _written(program: Program, writer: Any, arrays: Sequence[Any], lanes: Any) -> Any:
+def _written(program: Program, writer: Any, kinds: Sequence[Any]) -> Any:
     """Return the signature of a program and what writes its instructions, as numba asks for them."""
-    signature = types.void(*arrays, *(types.float64,) * len(SCALARS), lanes)
-    n = len(arrays)
 
     def code(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        data = [
-            context.make_array(kind)(context, builder, argument).data
-            for kind, argument in zip(signature.args[:n], arguments[:n], strict=True)
-        ]
-        scalars = dict(zip(SCALARS, arguments[n : n + len(SCALARS)], strict=True))
-        writer(builder, len(signature.args[-1]), data, scalars, program).write(program.entries)
+        def data_of(kind: Any, argument: Any) -> list[Any]:
+            if isinstance(kind, types.Array):
+                return [context.make_array(kind)(context, builder, argument).data]
+            parts = (builder.extract_value(argument, i) for i in range(len(kind)))
+            return [each for own, part in zip(kind.types, parts, strict=True) for each in data_of(own, part)]
+
+        *arrays, scalars, lanes = signature.args
+        data = [each for pair in zip(arrays, arguments, strict=False) for each in data_of(*pair)]
+        given = {name: builder.extract_value(arguments[-2], i) for i, name in enumerate(SCALARS)}
+        writer(builder, len(lanes), data, given, program).write(program.entries)
         return context.get_dummy_value()
 
-    return signature, code
+    return types.void(*kinds), code
 
 
 def _n_units(one: System, plant: Arrangement) -> int:
@@ -539,8 +536,8 @@ class _BackWithoutConstants(_BackWriter):
 _ROWS_AT_ONCE = 2
 
 
-def build_table(programs: Sequence[Program], plant: Arrangement, *, taped: bool = False) -> tuple[Whole, Floats]:
-    """Return the table of programs for a plant, and its constants: whole numbers, and numbers.
+def build_table(programs: Sequence[Program], plant: Arrangement, *, taped: bool = False) -> Tables:
+    """Return the tables of programs for a plant.
 
     Args:
         programs, plant: what the table is for.
@@ -567,16 +564,17 @@ def build_table(programs: Sequence[Program], plant: Arrangement, *, taped: bool 
                 at = entry.lane.find(entry.flag)
                 assert at is not None
                 own[:2] = 1, plant.first_rows(at.kind, at.part)[0]
-    return np.concatenate([head.ravel(), np.array(rows, dtype=np.int64)]), np.array(numbers, dtype=np.float64)
+    table = np.concatenate([head.ravel(), np.array(rows, dtype=np.int64)])
+    return Tables(table, np.array(numbers, dtype=np.float64))
 
 
 def constant_places(
-    programs: Sequence[Program], plant: Arrangement, table: Whole, argument: str, leaf: str, unit: int | None
+    programs: Sequence[Program], plant: Arrangement, tables: Tables, argument: str, leaf: str, unit: int | None
 ) -> list[int]:
     """Return where among its numbers a table has a constant.
 
     Args:
-        programs, plant, table: as :func:`build_table` was given and returned.
+        programs, plant, tables: as :func:`build_table` was given and returned.
         argument, leaf: of the constant, as in "machine" and "governor.droop".
         unit: whose constant, among those of its kind; None for all of them.
     """
@@ -589,7 +587,7 @@ def constant_places(
                 continue
             n = _n_units(one, plant)
             units = plant.seen(one.kind, place.seen)[:n] if place.seen else np.arange(n)
-            first = int(table[_HEAD * program.places[id(one)] + 2])
+            first = int(tables.table[_HEAD * program.places[id(one)] + 2])
             found += [
                 first + int(k) * len(used) + used.index(f"{argument}.{leaf}")
                 for k in np.flatnonzero((units == unit) | (unit is None))
