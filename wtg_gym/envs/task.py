@@ -25,14 +25,14 @@ from wtg_gym.envs.task_records import Info, Task, Weights, n_delayed, rocof_wind
 from wtg_gym.envs.task_units import ACTING, HISTORY, RING, SENSED, SENSORS, SHIFTS, TASK, WATCHED, WINDOW
 from wtg_gym.physics import integration
 from wtg_gym.physics.integration import advance_interval
-from wtg_gym.physics.kernel_data import LaneData, Plant, structured
+from wtg_gym.physics.kernel_data import LaneData, Plant
 from wtg_gym.physics.layout import Floats, Lanes, Layout, Whole
 from wtg_gym.physics.plant import Further
 from wtg_gym.physics.sensors import N_CHANNELS, noise_key, normal
 from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY, get_law
 from wtg_gym.systems.compiled import compiled, inlined
 from wtg_gym.systems.programs import NONE, in_one_table
-from wtg_gym.systems.systems import count
+from wtg_gym.systems.systems import Kind, count
 
 Observations = npt.NDArray[np.float32]
 N_INFO = len(Info._fields)
@@ -130,144 +130,106 @@ def task_of(settings: EnvSettings) -> Further:
     )
 
 
-class Places(NamedTuple):
-    """Where the loops of the task find rows: first ones, and distances from unit to unit; `_s` for those in scratch."""
+class LaneRows(NamedTuple):
+    """Rows of a lane that the loops of the task read; that of `was_active` in scratch, the others in the block."""
 
-    modulates_k: bool
-    modulates_tau: bool
-    n_delayed: int  # measurements that a lane keeps of each group, 0 without sensors
     interval: int
     cost: int
     active: int
     status: int
-    was_active_s: int
-    info_s: int
-    wanted_s: int
-    wanted_step: int
-    seed: int
-    delay: int
-    ring: int
-    noise_s: int
-    noise_step: int
-    seen_s: int
-    seen_step: int
-    shown_s: int
-    shown_step: int
+    was_active: int
+    seed: int  # of the sensors' noise
+    delay: int  # of the measurements [control intervals]
 
 
 class TaskData(NamedTuple):
-    """What the loops of the task read."""
+    """Where the loops of the task find rows: in scratch, but for those of the lane and of the ring."""
 
-    places: npt.NDArray[np.void]  # (1,), of Places
-    observed: Whole  # rows of the observation's entries in scratch (n_observation,)
+    lane: LaneRows
+    wanted: Whole  # actions (n_action,)
+    observed: Whole  # entries of the observation (n_observation,)
+    info: Whole  # (N_INFO,)
+    noise: Whole  # random numbers of the sensors of each group (n_wtg, N_CHANNELS)
+    seen: Whole  # what each group measures now (n_wtg, N_MEASURED)
+    shown: Whole  # the newest measurement that has arrived (n_wtg, N_MEASURED)
+    ring: Whole  # the latest measurements (n_delayed, n_wtg, N_MEASURED); (0, …) without sensors
 
 
 def task_data(settings: EnvSettings, layout: Layout) -> TaskData:
     """Return where the loops of the task find rows."""
 
-    def first(kind: Any, part: str) -> int:
-        rows = layout.first_rows(kind, part)
-        return int(rows[0]) if rows.size else 0
-
-    def step(kind: Any, part: str) -> int:
-        rows = layout.first_rows(kind, part)
-        return int(rows[1] - rows[0]) if rows.size > 1 else 0
+    def rows(kind: Kind, part: str) -> Whole:
+        """Return all rows of a part of every unit (n_units, n)."""
+        return layout.first_rows(kind, part)[:, np.newaxis] + np.arange(count({**kind.rows, **kind.scratch}[part]))
 
     sensed = settings.benchmark().sensed
-    modulates_k, modulates_tau = ACTION_MODES[settings.action_mode]
-    places = Places(
-        modulates_k=modulates_k,
-        modulates_tau=modulates_tau,
-        n_delayed=n_delayed(settings.control_dt) if sensed else 0,
-        interval=first(TASK, "interval"),
-        cost=first(TASK, "cost"),
+    sensors = rows(SENSORS, "sensor_input")[0] if sensed else np.zeros(2, dtype=np.int64)
+    modulated = np.array(ACTION_MODES[settings.action_mode])
+    lane = LaneRows(
+        interval=int(rows(TASK, "interval")[0, 0]),
+        cost=int(rows(TASK, "cost")[0, 0]),
         active=layout.lane("active"),
         status=layout.lane("status"),
-        was_active_s=first(TASK, "was_active"),
-        info_s=first(TASK, "info"),
-        wanted_s=first(ACTING, "wanted"),
-        wanted_step=step(ACTING, "wanted"),
-        seed=first(SENSORS, "sensor_input"),
-        delay=first(SENSORS, "sensor_input") + 1,
-        ring=first(RING, "measurement"),
-        noise_s=first(SENSED, "noise"),
-        noise_step=step(SENSED, "noise"),
-        seen_s=first(SENSED, "seen"),
-        seen_step=step(SENSED, "seen"),
-        shown_s=first(SENSED, "shown"),
-        shown_step=step(SENSED, "shown"),
+        was_active=int(rows(TASK, "was_active")[0, 0]),
+        seed=int(sensors[0]),
+        delay=int(sensors[1]),
     )
-    return TaskData(structured(Places, [places]), observed_rows(settings, layout))
-
-
-def observed_rows(settings: EnvSettings, layout: Layout) -> Whole:
-    """Return the rows of the observation's entries in scratch, in the order of their names."""
-    sensed, privileged = settings.benchmark().sensed, settings.observation_mode == "privileged"
-    rows: list[int] = []
-
-    def add(kind: Any, part: str, unit: int) -> None:
-        first = int(layout.first_rows(kind, part)[unit])
-        rows.extend(range(first, first + count(kind.scratch[part])))
-
-    for j in range(layout.n_wtg):
-        add(SENSED, "shown", j) if sensed else add(ACTING, "observed", j)
-        actions = int(layout.first_rows(ACTING, "shown_actions")[j])
-        rows += [actions + i for i, used in enumerate(ACTION_MODES[settings.action_mode]) if used]
-    if privileged:
-        for j in range(layout.n_wtg if sensed else 0):
-            add(ACTING, "observed", j)
-            add(SENSED, "shown_duty", j)
-        for i in range(layout.n_sync):
-            add(WATCHED, "machine_observed", i)
-        add(TASK, "grid_observed", 0)
-    return np.array(rows, dtype=np.int64)
+    exact, shown, actions = rows(ACTING, "observed"), rows(SENSED, "shown"), rows(ACTING, "shown_actions")[:, modulated]
+    # In the order of their names: see observation_names.
+    parts = [own for j in range(layout.n_wtg) for own in ((shown if sensed else exact)[j], actions[j])]
+    if settings.observation_mode == "privileged":
+        if sensed:
+            parts += [own for j in range(layout.n_wtg) for own in (exact[j], rows(SENSED, "shown_duty")[j])]
+        parts += [rows(WATCHED, "machine_observed").ravel(), rows(TASK, "grid_observed")[0]]
+    return TaskData(
+        lane,
+        wanted=rows(ACTING, "wanted")[:, modulated].ravel(),
+        observed=np.concatenate([np.zeros(0, dtype=np.int64), *parts]),
+        info=rows(TASK, "info")[0],
+        noise=rows(SENSED, "noise"),
+        seen=rows(SENSED, "seen"),
+        shown=shown,
+        ring=rows(RING, "measurement").reshape(-1, max(layout.n_wtg, 1), N_MEASURED),
+    )
 
 
 @inlined
 def read_actions(scratch: Floats, actions: Floats, first: int, task: TaskData, lanes: Lanes) -> None:
     """Copy the actions of a block's lanes, from row `first` of (n_lanes, n_action) on; padding lanes have none."""
-    places, width = task.places[0], len(lanes)
-    n_action = int(places["modulates_k"]) + int(places["modulates_tau"])
-    for j in range(actions.shape[1] // max(n_action, 1)):
-        row = places["wanted_s"] + j * places["wanted_step"]
-        for x in range(width):
-            known = first + x < actions.shape[0]
-            if places["modulates_k"]:
-                scratch[row * width + x] = actions[first + x, j * n_action] if known else 0.0
-            if places["modulates_tau"]:
-                scratch[(row + 1) * width + x] = actions[first + x, (j + 1) * n_action - 1] if known else 0.0
+    for a in range(task.wanted.shape[0]):
+        for x in range(len(lanes)):
+            scratch[task.wanted[a], x] = actions[first + x, a] if first + x < actions.shape[0] else 0.0
 
 
 @inlined
-def draw_noise(block: Floats, scratch: Floats, task: TaskData, n_wtg: int, lanes: Lanes) -> None:
+def draw_noise(block: Floats, scratch: Floats, task: TaskData, lanes: Lanes) -> None:
     """Draw the random numbers of the present interval's measurements."""
-    places, width = task.places[0], len(lanes)
-    for x in range(width):
-        key = noise_key(int(block[places["seed"] * width + x]), int(block[places["interval"] * width + x]))
-        for j in range(n_wtg):
+    for x in range(len(lanes)):
+        key = noise_key(int(block[task.lane.seed, x]), int(block[task.lane.interval, x]))
+        for j in range(task.noise.shape[0]):
             for channel in range(N_CHANNELS):
-                row = places["noise_s"] + j * places["noise_step"] + channel
-                scratch[row * width + x] = normal(key, j * N_CHANNELS + channel)
+                scratch[task.noise[j, channel], x] = normal(key, j * N_CHANNELS + channel)
 
 
 @inlined
-def pass_ring(block: Floats, scratch: Floats, task: TaskData, n_wtg: int, lanes: Lanes) -> None:
-    """Keep what is measured now, and show the newest measurement that has arrived.
+def places_in_ring(block: Floats, x: int, task: TaskData) -> tuple[int, int]:
+    """Return where in the ring a lane's newest measurement lies, and the newest of those that have arrived.
 
     The ring turns by a place per interval; lanes stand at different intervals.
     """
-    places, width, n_delayed = task.places[0], len(lanes), task.places[0]["n_delayed"]
-    for x in range(width):
-        interval = block[places["interval"] * width + x]
-        newest = int(interval) % n_delayed * n_wtg
-        arrived = int(max(interval - block[places["delay"] * width + x], 0.0)) % n_delayed * n_wtg
-        for j in range(n_wtg):
+    interval, n = block[task.lane.interval, x], task.ring.shape[0]
+    return int(interval) % n, int(max(interval - block[task.lane.delay, x], 0.0)) % n
+
+
+@inlined
+def pass_ring(block: Floats, scratch: Floats, task: TaskData, lanes: Lanes) -> None:
+    """Keep what is measured now, and show the newest measurement that has arrived."""
+    for x in range(len(lanes)):
+        newest, arrived = places_in_ring(block, x, task)
+        for j in range(task.seen.shape[0]):
             for k in range(N_MEASURED):
-                seen, shown = places["seen_s"] + j * places["seen_step"], places["shown_s"] + j * places["shown_step"]
-                kept = (places["ring"] + (newest + j) * N_MEASURED + k) * width + x
-                block[kept] = scratch[(seen + k) * width + x]
-                old = (places["ring"] + (arrived + j) * N_MEASURED + k) * width + x
-                scratch[(shown + k) * width + x] = block[old]
+                block[task.ring[newest, j, k], x] = scratch[task.seen[j, k], x]
+                scratch[task.shown[j, k], x] = block[task.ring[arrived, j, k], x]
 
 
 @compiled
@@ -283,24 +245,23 @@ def start_tasks(
     """Take the first measurements, observations and information of prepared episodes.
 
     Args:
-        rows: of the episodes, one lane each (n, n_rows).
-        scratch: (n_scratch,).
+        rows: of the episodes, one lane each (n, n_rows, 1).
+        scratch: (n_scratch, 1).
         plant, task: constants.
         observations, infos: take what each episode begins with (n, n_observation), (n, N_INFO).
         lanes: of length one.
     """
-    n_wtg = plant.share.shape[0]
     for start in range(rows.shape[0]):
         block = rows[start]
-        if task.places[0]["n_delayed"] > 0:
-            draw_noise(block, scratch, task, n_wtg, lanes)
+        if task.ring.shape[0] > 0:
+            draw_noise(block, scratch, task, lanes)
             _start_sensors(block, scratch, plant.tables, NONE, lanes)
-            pass_ring(block, scratch, task, n_wtg, lanes)
+            pass_ring(block, scratch, task, lanes)
         _observe(block, scratch, plant.tables, NONE, lanes)
         for k in range(task.observed.shape[0]):
-            observations[start, k] = scratch[task.observed[k]]
+            observations[start, k] = scratch[task.observed[k], 0]
         for k in range(N_INFO):
-            infos[start, k] = scratch[task.places[0]["info_s"] + k]
+            infos[start, k] = scratch[task.info[k], 0]
 
 
 @inlined
@@ -317,17 +278,17 @@ def _step(
     lanes: Lanes,
 ) -> None:
     """Step blocks: see :func:`step_blocks`."""
-    n_wtg, tables = plant.share.shape[0], plant.tables
+    tables = plant.tables
     for b in range(first, last):
         block = blocks[b]
         read_actions(scratch, actions, b * len(lanes), task, lanes)
         _act(block, scratch, tables, NONE, lanes)
         advance_interval(block, scratch, b * len(lanes), plant, data, lanes)
         _charge(block, scratch, tables, NONE, lanes)
-        if task.places[0]["n_delayed"] > 0:
-            draw_noise(block, scratch, task, n_wtg, lanes)
+        if task.ring.shape[0] > 0:
+            draw_noise(block, scratch, task, lanes)
             _measure(block, scratch, tables, NONE, lanes)
-            pass_ring(block, scratch, task, n_wtg, lanes)
+            pass_ring(block, scratch, task, lanes)
         _observe(block, scratch, tables, NONE, lanes)
         _end(block, scratch, tables, NONE, lanes)
         _report(block, scratch, b * len(lanes), task, outputs, lanes)
@@ -349,8 +310,8 @@ def step_blocks(
     """Apply actions, advance one control interval, observe and charge, for the lanes of blocks first … last - 1.
 
     Args:
-        blocks: (n_blocks, n_rows · width).
-        scratch: (n_scratch · width), of the caller's thread.
+        blocks: (n_blocks, n_rows, width).
+        scratch: (n_scratch, width), of the caller's thread.
         plant, data: as for :func:`~wtg_gym.physics.integration.advance_interval`.
         task: see :func:`task_data`.
         actions: (n_lanes, n_action), finite; clipped to [-1, 1] here.
@@ -363,19 +324,19 @@ def step_blocks(
 @inlined
 def _report(block: Floats, scratch: Floats, first: int, task: TaskData, outputs: Outputs, lanes: Lanes) -> None:
     """Copy what the lanes of a block, from `first` on, have observed, and say whether their episodes are over."""
-    places, width = task.places[0], len(lanes)
-    for x in range(min(width, outputs.rewards.shape[0] - first)):
+    own = task.lane
+    for x in range(min(len(lanes), outputs.rewards.shape[0] - first)):
         lane = first + x
         outputs.rewards[lane] = 0.0
-        if scratch[places["was_active_s"] * width + x] > 0.5:
-            outputs.rewards[lane] = -block[places["cost"] * width + x]
+        if scratch[own.was_active, x] > 0.5:
+            outputs.rewards[lane] = -block[own.cost, x]
             for k in range(task.observed.shape[0]):
-                outputs.observations[lane, k] = scratch[task.observed[k] * width + x]
+                outputs.observations[lane, k] = scratch[task.observed[k], x]
             for k in range(N_INFO):
-                outputs.infos[lane, k] = scratch[(places["info_s"] + k) * width + x]
-            failed = block[places["status"] * width + x] != 0.0
+                outputs.infos[lane, k] = scratch[task.info[k], x]
+            failed = block[own.status, x] != 0.0
             outputs.terminated[lane] = failed
-            outputs.truncated[lane] = not failed and block[places["active"] * width + x] < 0.5
+            outputs.truncated[lane] = not failed and block[own.active, x] < 0.5
 
 
 # A call into compiled code unpacks every array that it is given, which takes a third as long as the step of one

@@ -103,11 +103,11 @@ def prepare_lanes(
     failures: npt.NDArray[np.int64],
     lanes: Lanes,
 ) -> None:
-    """Put lanes of rows (n, n_rows) into equilibrium.
+    """Put lanes of rows (n, n_rows, 1) into equilibrium.
 
     Args:
         rows, plant, data: as for :func:`_prepare_lane`.
-        scratch: (n_scratch,).
+        scratch: (n_scratch, 1).
         load_levels: shares of the nominal load (n,).
         failures: takes why a lane cannot start, and the index of the unit that cannot, machines first (n, 2).
         lanes: of length one.
@@ -118,7 +118,7 @@ def prepare_lanes(
             start_run(rows[lane], scratch, plant, lanes)
             for j in range(plant.share.shape[0]):
                 # Overload counts from the first step on.
-                rows[lane, _group_at(plant, j) + _OVERLOAD_TIME] = 0.0
+                rows[lane, _group_at(plant, j) + _OVERLOAD_TIME, 0] = 0.0
             failure, unit = _limit_failure(rows[lane], plant)
         failures[lane, 0], failures[lane, 1] = failure, unit
 
@@ -133,7 +133,7 @@ def start_lanes(
     places: npt.NDArray[np.int64],
     lanes: Lanes,
 ) -> None:
-    """Copy prepared lanes, those at `places` (n,) of rows (n_prepared, n_rows) and their data, into blocks.
+    """Copy prepared lanes, those at `places` (n,) of rows (n_prepared, n_rows, 1) and their data, into blocks.
 
     `starting` (n,) are the lanes of the blocks and of `data` that take them.
     """
@@ -144,7 +144,7 @@ def start_lanes(
             raise IndexError("no such lane, or no such prepared run")
         block, x = blocks[lane // width], lane % width
         for row in range(rows.shape[1]):
-            block[row * width + x] = rows[place, row]
+            block[row, x] = rows[place, row, 0]
         data.noise_bus[lane] = prepared.noise_bus[place]
         for j in range(data.wind.shape[1]):
             for k in range(data.wind.shape[2]):
@@ -259,14 +259,14 @@ def _start_turbine(block: Floats, j: int, plant: Plant, wind: float) -> bool:
     """Set the states of WTG group j, all but its angle and voltage; return whether it has an equilibrium."""
     o = _group_at(plant, j)
     rotor_speed, pitch, found = turbine_equilibrium(
-        wind, block[o + _K_NOMINAL], _read_turbine(plant.turbine[0]), plant.cells
+        wind, block[o + _K_NOMINAL, 0], _read_turbine(plant.turbine[0]), plant.cells
     )
     for row in range(o, o + _N_WTG_STATES):
-        block[row] = 0.0
-    block[o + _WTG_SPEED], block[o + _ROTOR_SPEED] = 1.0, rotor_speed
-    block[o + _PITCH_INTEGRAL], block[o + _PITCH] = pitch, pitch
-    block[o + _WTG_CONNECTED], block[o + _WIND_START], block[o + _WIND_END] = 1.0, wind, wind
-    block[o + _PEAK_POWER], block[o + _LEAST_TSR], block[o + _LARGEST_TSR] = -math.inf, math.inf, -math.inf
+        block[row, 0] = 0.0
+    block[o + _WTG_SPEED, 0], block[o + _ROTOR_SPEED, 0] = 1.0, rotor_speed
+    block[o + _PITCH_INTEGRAL, 0], block[o + _PITCH, 0] = pitch, pitch
+    block[o + _WTG_CONNECTED, 0], block[o + _WIND_START, 0], block[o + _WIND_END, 0] = 1.0, wind, wind
+    block[o + _PEAK_POWER, 0], block[o + _LEAST_TSR, 0], block[o + _LARGEST_TSR, 0] = -math.inf, math.inf, -math.inf
     return found
 
 
@@ -274,7 +274,7 @@ def _start_turbine(block: Floats, j: int, plant: Plant, wind: float) -> bool:
 def _start_power(block: Floats, plant: Plant, j: int) -> float:
     """Return what WTG group j feeds in before any policy has acted [p.u. of the system base]."""
     o = _group_at(plant, j)
-    power: float = plant.share[j] * block[o + _K_NOMINAL] * block[o + _ROTOR_SPEED] ** 3
+    power: float = plant.share[j] * block[o + _K_NOMINAL, 0] * block[o + _ROTOR_SPEED, 0] ** 3
     return power
 
 
@@ -321,20 +321,20 @@ def _start_units(
         current = (complex(active, reactive) / voltage[bus]).conjugate()
         if i < n_sync:
             at = plant.facts[0]["starts"] + i * _UNIT_STRIDE
-            scratch[at] = active
-            scratch[at + 1], scratch[at + 2], scratch[at + 3] = voltage[bus].real, voltage[bus].imag, abs(voltage[bus])
-            scratch[at + 4], scratch[at + 5] = current.real, current.imag
-            block[_machine_at(plant, i) + _MACHINE_CONNECTED] = 1.0
+            scratch[at, 0] = active
+            scratch[at + 1, 0], scratch[at + 2, 0], scratch[at + 3, 0] = voltage[bus].real, voltage[bus].imag, abs(voltage[bus])
+            scratch[at + 4, 0], scratch[at + 5, 0] = current.real, current.imag
+            block[_machine_at(plant, i) + _MACHINE_CONNECTED, 0] = 1.0
         else:
             emf = voltage[bus] + current / plant.unit_y[i]
             _start_voltage(block, i - n_sync, plant, emf, reactive, voltage[bus])
     start_machines(block, scratch, plant, lanes)
-    reference = block[_machine_at(plant, 0)] if n_sync > 0 else block[_group_at(plant, 0)]
+    reference = block[_machine_at(plant, 0), 0] if n_sync > 0 else block[_group_at(plant, 0), 0]
     for i in range(n_sync):
-        block[_machine_at(plant, i)] -= reference
+        block[_machine_at(plant, i), 0] -= reference
     for j in range(n_wtg):
-        block[_group_at(plant, j)] -= reference
-    block[plant.facts[0]["lane"] + OF_LANE.angle] = reference
+        block[_group_at(plant, j), 0] -= reference
+    block[plant.facts[0]["lane"] + OF_LANE.angle, 0] = reference
 
 
 @inlined
@@ -360,14 +360,14 @@ def _reactive_share(plant: Plant, unit: int, total: float) -> float:
 def _start_voltage(block: Floats, j: int, plant: Plant, emf: complex, reactive: float, voltage: complex) -> None:
     """Set the internal voltage of WTG group j, and what holds it."""
     o = _group_at(plant, j)
-    block[o], block[o + _WTG_EMF] = math.atan2(emf.imag, emf.real), abs(emf)
+    block[o, 0], block[o + _WTG_EMF, 0] = math.atan2(emf.imag, emf.real), abs(emf)
     if plant.extension.shape[0] > 0:
         at = _extension_at(plant, j)
         for row in range(at, at + EXTENSION.references):
-            block[row] = 0.0
-        block[at + _INTERNAL_VOLTAGE] = abs(emf)
-        block[at + EXTENSION.references] = abs(voltage)
-        block[at + EXTENSION.references + 1] = reactive / plant.share[j]
+            block[row, 0] = 0.0
+        block[at + _INTERNAL_VOLTAGE, 0] = abs(emf)
+        block[at + EXTENSION.references, 0] = abs(voltage)
+        block[at + EXTENSION.references + 1, 0] = reactive / plant.share[j]
 
 
 @inlined
@@ -376,21 +376,21 @@ def _limit_failure(block: Floats, plant: Plant) -> tuple[int, int]:
     machines = plant.machines
     for i in range(machines.shape[0]):
         o, machine = _machine_at(plant, i), machines[i]
-        if not machine["governor.gate_min"] <= block[o + _GATE] <= machine["governor.gate_max"]:
+        if not machine["governor.gate_min"] <= block[o + _GATE, 0] <= machine["governor.gate_max"]:
             return StartFailure.GOVERNOR_LIMIT.value, i
-        if not machine["exciter.field_min"] <= block[o + _FIELD_VOLTAGE] <= machine["exciter.field_max"]:
+        if not machine["exciter.field_min"] <= block[o + _FIELD_VOLTAGE, 0] <= machine["exciter.field_max"]:
             return StartFailure.EXCITER_LIMIT.value, i
     for h in range(plant.hydro.shape[0]):
-        governor, gate = plant.hydro[h], block[_hydro_at(plant, h) + _HYDRO_GATE]
+        governor, gate = plant.hydro[h], block[_hydro_at(plant, h) + _HYDRO_GATE, 0]
         if not governor["gate_min"] <= gate <= governor["gate_max"]:
             return StartFailure.GOVERNOR_LIMIT.value, governor["machine"]
     if plant.extension.shape[0] > 0:
         limits = plant.extension[0]
         for j in range(plant.share.shape[0]):
-            at, power = _extension_at(plant, j), block[_group_at(plant, j) + _POWER]
-            if block[at + _REACTANCE] > 0.0 or not limits["limits.power_min"] <= power <= limits["limits.power_max"]:
+            at, power = _extension_at(plant, j), block[_group_at(plant, j) + _POWER, 0]
+            if block[at + _REACTANCE, 0] > 0.0 or not limits["limits.power_min"] <= power <= limits["limits.power_max"]:
                 return StartFailure.CONVERTER_LIMIT.value, machines.shape[0] + j
-            if not limits["voltage.emf_min"] <= block[at + _INTERNAL_VOLTAGE] <= limits["voltage.emf_max"]:
+            if not limits["voltage.emf_min"] <= block[at + _INTERNAL_VOLTAGE, 0] <= limits["voltage.emf_max"]:
                 return StartFailure.INTERNAL_VOLTAGE_LIMIT.value, machines.shape[0] + j
     return StartFailure.NONE.value, 0
 
@@ -399,15 +399,15 @@ def _limit_failure(block: Floats, plant: Plant) -> tuple[int, int]:
 def _start_clock(block: Floats, lane: int, plant: Plant, data: LaneData, magnitude: Floats) -> None:
     """Set clock, network and statistics of a lane."""
     own = plant.facts[0]["lane"]
-    block[own + OF_LANE.active] = 1.0
-    block[own + OF_LANE.status] = 0.0
+    block[own + OF_LANE.active, 0] = 1.0
+    block[own + OF_LANE.status, 0] = 0.0
     noise_voltage = magnitude[data.noise_bus[lane]]
-    block[own + OF_LANE.noise_per_mw] = 1.0 / (plant.facts[0]["base_mva"] * noise_voltage * noise_voltage)
-    block[own + OF_LANE.noise_y] = 0.0
+    block[own + OF_LANE.noise_per_mw, 0] = 1.0 / (plant.facts[0]["base_mva"] * noise_voltage * noise_voltage)
+    block[own + OF_LANE.noise_y, 0] = 0.0
     # An event at t = 0 strikes in the first step, not before the equilibrium.
-    block[own + OF_LANE.step] = -1.0
-    refresh_network(block, np.int64(0), lane, plant, data, np.int64(1))
-    block[own + OF_LANE.step] = 0.0
-    block[own + OF_LANE.healthy_step] = 0.0
-    block[own + OF_LANE.coi_min] = math.inf
-    block[own + OF_LANE.coi_max] = -math.inf
+    block[own + OF_LANE.step, 0] = -1.0
+    refresh_network(block, np.int64(0), lane, plant, data)
+    block[own + OF_LANE.step, 0] = 0.0
+    block[own + OF_LANE.healthy_step, 0] = 0.0
+    block[own + OF_LANE.coi_min, 0] = math.inf
+    block[own + OF_LANE.coi_max, 0] = -math.inf

@@ -33,27 +33,24 @@ def enter_interval(block: Floats, first_lane: int, plant: Plant, data: LaneData,
 
     `first_lane` is the row of the block's first lane in `data`.
     """
-    width, facts = len(lanes), plant.facts[0]
+    facts, lane = plant.facts[0], plant.facts[0]["lane"]
     last, last_noise = data.wind.shape[2] - 1, data.noise.shape[1] - 1
-    for x in range(width):
-        lane = facts["lane"] * width + x
-        index = int(block[lane + OF_LANE.step * width]) // facts["n_substeps"]
+    for x in range(len(lanes)):
+        index = int(block[lane + OF_LANE.step, x]) // facts["n_substeps"]
         for j in range(data.wind.shape[1]):
-            group, wind = (facts["groups"] + j * N_WTG_ROWS) * width + x, data.wind[first_lane + x, j]
-            block[group + _WIND_START * width] = wind[min(index, last)]
-            block[group + _WIND_END * width] = wind[min(index + 1, last)]
+            group, wind = facts["groups"] + j * N_WTG_ROWS, data.wind[first_lane + x, j]
+            block[group + _WIND_START, x], block[group + _WIND_END, x] = wind[min(index, last)], wind[min(index + 1, last)]
         noise = data.noise[first_lane + x, min(index, last_noise)]
-        block[lane + OF_LANE.noise_y * width] = noise * block[lane + OF_LANE.noise_per_mw * width]
+        block[lane + OF_LANE.noise_y, x] = noise * block[lane + OF_LANE.noise_per_mw, x]
 
 
 @inlined
 def apply_events(block: Floats, first_lane: int, plant: Plant, data: LaneData, lanes: Lanes) -> bool:
     """Let the events that are due at the present step change the networks of a block's lanes; return whether any is."""
-    width, changed = len(lanes), False
-    for x in range(width):
-        lane = plant.facts[0]["lane"] * width + x
-        if block[lane + OF_LANE.step * width] >= block[lane + OF_LANE.next_change * width]:
-            refresh_network(block, x, first_lane + x, plant, data, width)
+    lane, changed = plant.facts[0]["lane"], False
+    for x in range(len(lanes)):
+        if block[lane + OF_LANE.step, x] >= block[lane + OF_LANE.next_change, x]:
+            refresh_network(block, x, first_lane + x, plant, data)
             changed = True
     return changed
 
@@ -69,7 +66,7 @@ def advance_step(block: Floats, scratch: Floats, plant: Plant, step: int, lanes:
     """Advance every running lane of a block by one simulation step with the classical Runge-Kutta method.
 
     Args:
-        block, scratch: rows of the block and of the thread, flat (see :mod:`wtg_gym.physics.layout`).
+        block, scratch: rows of the block and of the thread (see :mod:`wtg_gym.physics.layout`).
         plant: constants.
         step: number of the step within the control interval, for the wind's interpolation.
         lanes: a tuple as long as the block is wide.
@@ -147,9 +144,9 @@ def advance_interval(
 def advance_blocks(
     blocks: Floats, scratch: Floats, first: int, last: int, plant: Plant, data: LaneData, lanes: Lanes
 ) -> None:
-    """Advance the blocks first … last - 1 of `blocks` (n_blocks, n_rows · width) by one control interval.
+    """Advance the blocks first … last - 1 of `blocks` (n_blocks, n_rows, width) by one control interval.
 
-    `scratch` (n_scratch · width) is the caller's thread's own.
+    `scratch` (n_scratch, width) is the caller's thread's own.
     """
     for b in range(first, last):
         advance_interval(blocks[b], scratch, b * len(lanes), plant, data, lanes)

@@ -1,6 +1,6 @@
 """Where every number of a simulation lies.
 
-A block holds what `width` lanes (runs side by side) keep, as one flat array of rows; each row has one number per lane.
+A block holds what `width` lanes (runs side by side) keep, as rows (n_rows, width): each row has one number per lane.
 The rows of a unit are neighbours, and so are the units of a kind, kind after kind. What lasts for a control step only
 has rows of the same form in a scratch that a thread shares between its blocks.
 """

@@ -19,15 +19,15 @@ _GATE, _REFERENCE, _DROOP = (place_of(MACHINES, name) for name in ("gate", "gate
 
 
 @compiled
-def refresh_network(block: Floats, x: int, lane: int, plant: Plant, data: LaneData, width: int) -> None:
+def refresh_network(block: Floats, x: int, lane: int, plant: Plant, data: LaneData) -> None:
     """Kron-reduce the network of one lane as it is from its present step on, and note when it changes next.
 
     Units and governors that events take away are switched off. Load ramps are staircases: constant over a control
     interval at the value of its middle.
     """
     facts = plant.facts[0]
-    own = facts["lane"] * width + x
-    step = block[own + OF_LANE.step * width]
+    own = facts["lane"]
+    step = block[own + OF_LANE.step, x]
     following = math.inf
     for event in data.events[lane]:
         if step < event["start"]:
@@ -38,53 +38,54 @@ def refresh_network(block: Floats, x: int, lane: int, plant: Plant, data: LaneDa
             following = min(following, min(boundary, event["end"]))
         # A second time it changes nothing.
         if step >= event["start"] and event["unit"] >= 0:
-            block[_connected(plant, event["unit"], width) + x] = 0.0
+            block[_connected(plant, event["unit"]), x] = 0.0
         if step >= event["start"] and event["governor"] >= 0:
-            lose_governor(block, (facts["machines"] + event["governor"] * N_MACHINE_ROWS) * width + x, width)
-    block[own + OF_LANE.last_change * width] = step
-    block[own + OF_LANE.next_change * width] = following
-    unit_y = _connected_units(block, x, plant, width)
-    served = _served_load(block, x, plant, step, width)
+            lose_governor(block, facts["machines"] + event["governor"] * N_MACHINE_ROWS, x)
+    block[own + OF_LANE.last_change, x] = step
+    block[own + OF_LANE.next_change, x] = following
+    unit_y = _connected_units(block, x, plant)
+    served = _served_load(block, x, plant, step)
     y = _full_admittance(step, 0.5 * (step + following), lane, plant, data, unit_y, served)
     noise_bus = data.noise_bus[lane]
     z = transfer_impedances(y, plant.unit_bus, noise_bus)
-    _store_reduction(block, x, plant, unit_y, z, noise_bus, width)
+    _store_reduction(block, x, plant, unit_y, z, noise_bus)
 
 
 @inlined
-def _connected(plant: Plant, unit: int, width: int) -> int:
-    """Return where a block says whether a unit is connected, in its first lane."""
+def _connected(plant: Plant, unit: int) -> int:
+    """Return the row that says whether a unit is connected."""
     facts, n_sync = plant.facts[0], plant.machines.shape[0]
     if unit < n_sync:
         at = facts["machines"] + unit * N_MACHINE_ROWS + _OF_MACHINE
     else:
         at = facts["groups"] + (unit - n_sync) * N_WTG_ROWS + _OF_GROUP
-    return at * width
+    row: int = at
+    return row
 
 
 @inlined
-def lose_governor(block: Floats, machine: int, width: int) -> None:
+def lose_governor(block: Floats, machine: int, x: int) -> None:
     """Let the gate of the machine whose rows begin at `machine` stay where it is, whatever its speed."""
-    if block[machine + _DROOP * width] > 0.0:
-        block[machine + _REFERENCE * width] = block[machine + _GATE * width]
-        block[machine + _DROOP * width] = 0.0
+    if block[machine + _DROOP, x] > 0.0:
+        block[machine + _REFERENCE, x] = block[machine + _GATE, x]
+        block[machine + _DROOP, x] = 0.0
 
 
 @inlined
-def _connected_units(block: Floats, x: int, plant: Plant, width: int) -> npt.NDArray[np.complex128]:
+def _connected_units(block: Floats, x: int, plant: Plant) -> npt.NDArray[np.complex128]:
     """Return the internal admittance of every unit, zero for one that is disconnected [p.u.]."""
     unit_y: npt.NDArray[np.complex128] = plant.unit_y.copy()
     for unit in range(unit_y.shape[0]):
-        unit_y[unit] *= block[_connected(plant, unit, width) + x]
+        unit_y[unit] *= block[_connected(plant, unit), x]
     return unit_y
 
 
 @inlined
-def _served_load(block: Floats, x: int, plant: Plant, step: float, width: int) -> float:
+def _served_load(block: Floats, x: int, plant: Plant, step: float) -> float:
     """Return the share of every load that shedding has left in a network that was reduced at a step."""
     served = 1.0
     for k in range(plant.shedding.shape[0]):
-        acted = -1.0 - block[(plant.facts[0]["stages"] + k) * width + x]
+        acted = -1.0 - block[plant.facts[0]["stages"] + k, x]
         if 0.0 <= acted <= step:
             served -= plant.shedding[k]["share"]
     return served
@@ -130,26 +131,24 @@ def bus_voltages(
     plant: Plant,
     data: LaneData,
     internal: npt.NDArray[np.complex128],
-    width: int,
 ) -> npt.NDArray[np.complex128]:
     """Return the bus voltages of a lane, in the frame of its first unit's rotor, (n_bus,) [p.u.].
 
     Args:
-        block: one block's rows, flat.
+        block: one block's rows (n_rows, width).
         x: the lane's column in the block.
         lane: its row in `data`.
         plant, data: constants and what the lane was given.
         internal: voltages behind the units' internal impedances (n_unit,) [p.u.].
-        width: lanes of the block.
     """
-    own = plant.facts[0]["lane"] * width + x
-    last, following = block[own + OF_LANE.last_change * width], block[own + OF_LANE.next_change * width]
-    unit_y = _connected_units(block, x, plant, width)
+    own = plant.facts[0]["lane"]
+    last, following = block[own + OF_LANE.last_change, x], block[own + OF_LANE.next_change, x]
+    unit_y = _connected_units(block, x, plant)
     # The network as it was last reduced: an event that strikes just now is seen by the next step.
-    served = _served_load(block, x, plant, last, width)
+    served = _served_load(block, x, plant, last)
     y = _full_admittance(last, 0.5 * (last + following), lane, plant, data, unit_y, served)
     noise_bus = data.noise_bus[lane]
-    y[noise_bus, noise_bus] += block[own + OF_LANE.noise_y * width]
+    y[noise_bus, noise_bus] += block[own + OF_LANE.noise_y, x]
     injected = np.zeros((y.shape[0], 1), dtype=np.complex128)
     for i in range(unit_y.shape[0]):
         injected[plant.unit_bus[i], 0] += unit_y[i] * internal[i]
@@ -158,9 +157,8 @@ def bus_voltages(
 
 
 @inlined
-def _store(value: complex, block: Floats, at: int, width: int) -> None:
-    block[at] = value.real
-    block[at + width] = value.imag
+def _store(value: complex, block: Floats, row: int, x: int) -> None:
+    block[row, x], block[row + 1, x] = value.real, value.imag
 
 
 @inlined
@@ -171,7 +169,6 @@ def _store_reduction(
     unit_y: npt.NDArray[np.complex128],
     z: npt.NDArray[np.complex128],
     noise_bus: int,
-    width: int,
 ) -> None:
     """Write Y_red = diag(y) - diag(y) Z diag(y), the noise bus's transfer u = diag(y) Z e and its impedance."""
     facts, n = plant.facts[0], unit_y.shape[0]
@@ -181,6 +178,6 @@ def _store_reduction(
             value = -unit_y[i] * z[bus, j] * unit_y[j]
             if i == j:
                 value += unit_y[i]
-            _store(value, block, (facts["pairs"] + 2 * (i * n + j)) * width + x, width)
-        _store(unit_y[i] * z[bus, n], block, (facts["units"] + 2 * i) * width + x, width)
-    _store(z[noise_bus, n], block, (facts["lane"] + OF_LANE.noise_z) * width + x, width)
+            _store(value, block, facts["pairs"] + 2 * (i * n + j), x)
+        _store(unit_y[i] * z[bus, n], block, facts["units"] + 2 * i, x)
+    _store(z[noise_bus, n], block, facts["lane"] + OF_LANE.noise_z, x)

@@ -55,12 +55,12 @@ class PreparedLanes(NamedTuple):
     data: LaneData
 
 
-def _aligned_zeros(n_rows: int, n_columns: int) -> Floats:
+def _aligned_zeros(*shape: int) -> Floats:
     """Return zeros that start at a cache line: a vector that straddles two of them costs two accesses."""
-    line = 64 // 8
-    buffer = np.zeros(n_rows * n_columns + line)
+    line, size = 64 // 8, math.prod(shape)
+    buffer = np.zeros(size + line)
     start = -(buffer.ctypes.data // 8) % line
-    return buffer[start : start + n_rows * n_columns].reshape(n_rows, n_columns)
+    return buffer[start : start + size].reshape(shape)
 
 
 class Simulator:
@@ -108,14 +108,14 @@ class Simulator:
         self.width = 1 if n_lanes == 1 else BLOCK_WIDTH
         self.lanes = (0,) * self.width
         n_blocks = -(-self.n_lanes // self.width)
-        self.blocks = _aligned_zeros(n_blocks, self.layout.n_rows * self.width)
+        #: Rows of all lanes (n_blocks, n_rows, width).
+        self.blocks = _aligned_zeros(n_blocks, self.layout.n_rows, self.width)
         # A padded or not yet started lane must hold finite values: it is computed along with its neighbours.
-        self._view = self.blocks.reshape(n_blocks, self.layout.n_rows, self.width)
         self.data = self._allocate_data(n_blocks * self.width, 4)
         self.threads = BlockThreads(n_blocks, n_threads)
         #: Scratch of each worker.
         self._scratches: list[Floats] = [self.new_scratch()]
-        self._rates = np.zeros((0, 0))
+        self._rates = np.zeros((0, 0, 0))
         self._pad()
         self._checked = _checked_inertias(settings)
         reference = (get_law(REFERENCE_STRATEGY, settings.turbine, settings.control),) * self.layout.n_wtg
@@ -161,7 +161,7 @@ class Simulator:
         )
 
     def _pad(self) -> None:
-        for lane in range(self.n_lanes, self._view.shape[0] * self.width):
+        for lane in range(self.n_lanes, self.blocks.shape[0] * self.width):
             rows = self._lane_view(lane)
             rows[:] = 0.0
             padding = Scenario(name="padding", wind_speed=np.full((self.layout.n_wtg, 1), 8.0))
@@ -172,7 +172,7 @@ class Simulator:
 
     def new_scratch(self, width: int | None = None) -> Floats:
         """Return rows for a thread, of the simulator's width or another."""
-        return _aligned_zeros(1, self.layout.n_scratch * (width or self.width))[0]
+        return _aligned_zeros(self.layout.n_scratch, width or self.width)
 
     def scratch(self, worker: int) -> Floats:
         """Return the scratch of a worker."""
@@ -181,12 +181,12 @@ class Simulator:
         return self._scratches[worker]
 
     def _lane_view(self, lane: int) -> Floats:
-        view: Floats = self._view[lane // self.width, :, lane % self.width]
+        view: Floats = self.blocks[lane // self.width, :, lane % self.width]
         return view
 
     def values(self, row: int | np.int64) -> Floats:
         """Return one row for every lane, shape (n_lanes,): a copy."""
-        return self._view[:, row, :].ravel()[: self.n_lanes].copy()
+        return self.blocks[:, row, :].ravel()[: self.n_lanes].copy()
 
     def machine_values(self, name: str) -> Floats:
         """Return a number of every lane and synchronous machine by its name, shape (n_lanes, n_sync)."""
@@ -197,7 +197,7 @@ class Simulator:
         return self._of_units(self.layout.wtg(name))
 
     def _of_units(self, rows: npt.NDArray[np.int64]) -> Floats:
-        blocks = self._view[:, rows, :].transpose(0, 2, 1)
+        blocks = self.blocks[:, rows, :].transpose(0, 2, 1)
         return np.ascontiguousarray(blocks.reshape(blocks.shape[0] * self.width, rows.size)[: self.n_lanes])
 
     def lane_values(self, name: str) -> Floats:
@@ -256,7 +256,7 @@ class Simulator:
         failures = np.zeros((n, 2), dtype=np.int64)
         levels = np.array([scenario.load_level for scenario in scenarios])
         # A literal (0,) within compiled code would be a type of its own, and compile the right-hand side again.
-        prepare_lanes(rows, self.new_scratch(1), self.plant, data, levels, failures, (0,))
+        prepare_lanes(rows[:, :, np.newaxis], self.new_scratch(1), self.plant, data, levels, failures, (0,))
         for scenario, (failure, unit), row in zip(scenarios, failures.tolist(), rows, strict=True):
             if failure:
                 reason = start_failure(StartFailure(failure), unit, row, scenario, self.settings, self.layout)
@@ -289,7 +289,7 @@ class Simulator:
             places = np.arange(len(prepared.rows))
         if index.size != places.size:
             raise ValueError(f"a prepared run is needed for each of {index.size} lanes, got {places.size}")
-        start_lanes(self.blocks, self.data, index, prepared.rows, prepared.data, places, self.lanes)
+        start_lanes(self.blocks, self.data, index, prepared.rows[:, :, np.newaxis], prepared.data, places, self.lanes)
 
     def _write_series(self, data: LaneData, lane: int, scenario: Scenario) -> None:
         dt, n = self.settings.control_dt, self.n_intervals
@@ -349,7 +349,7 @@ class Simulator:
 
     def _evaluated(self, blocks: Floats) -> Floats:
         """Evaluate blocks, and return the scratch of each."""
-        scratches = _aligned_zeros(blocks.shape[0], self.layout.n_scratch * self.width)
+        scratches = _aligned_zeros(blocks.shape[0], self.layout.n_scratch, self.width)
         evaluate_blocks(blocks, scratches, self.plant, self.lanes)
         return scratches
 
@@ -359,10 +359,10 @@ class Simulator:
         Angles count from the rotor of the first machine, which goes on at its last speed after an outage.
         """
         block, x = self.blocks[lane // self.width], lane % self.width
-        scratch = self._evaluated(block[np.newaxis, :].copy())[0].reshape(-1, self.width)[:, x]
+        scratch = self._evaluated(block[np.newaxis].copy())[0, :, x]
         first = self.layout.first_rows(UNITS, "voltage")
         internal = scratch[first] + 1j * scratch[first + 1]
-        return bus_voltages(block, x, lane, self.plant, self.data, internal, self.width)
+        return bus_voltages(block, x, lane, self.plant, self.data, internal)
 
     def state(self, lane: int = 0) -> Floats:
         """Return a copy of a lane's state vector; `layout.state_names` names its entries."""
@@ -374,9 +374,7 @@ class Simulator:
 
     def rates(self, lane: int = 0) -> Floats:
         """Return a copy of a lane's time derivatives, as last evaluated."""
-        rates: Floats = self._rates.reshape(-1, self.layout.n_scratch, self.width)[
-            lane // self.width, self.layout.rate_rows, lane % self.width
-        ]
+        rates: Floats = self._rates[lane // self.width, self.layout.rate_rows, lane % self.width]
         return rates
 
     def snapshot(self) -> tuple[Floats, LaneData]:
@@ -402,12 +400,8 @@ class Simulator:
         """Stop the worker threads."""
         self.threads.close()
 
-    def __getstate__(self) -> dict[str, Any]:
-        # A view would come back as an array of its own.
-        return {key: value for key, value in self.__dict__.items() if key != "_view"}
-
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__.update(state)
+        # A copy comes back where it likes.
         self.blocks = _aligned_zeros(*state["blocks"].shape)
         self.blocks[:] = state["blocks"]
-        self._view = self.blocks.reshape(self.blocks.shape[0], self.layout.n_rows, self.width)
