@@ -91,7 +91,7 @@ def test_a_step_is_replayed_to_the_last_bit(settings: dict[str, Any], monkeypatc
     active = int(simulator.layout.lane("active"))
     expected = [*(tape.before(step) for step in range(1, 60)), simulator.blocks]
     for ours, theirs in zip(after, expected, strict=True):
-        values = (blocks.reshape(len(blocks), -1, simulator.width)[:, :, :N_LANES] for blocks in (ours, theirs))
+        values = (blocks[:, :, :N_LANES] for blocks in (ours, theirs))
         found, given = (np.delete(own, active, axis=1) for own in values)
         assert np.array_equal(found, given)
 
@@ -162,9 +162,7 @@ def test_the_gradient_goes_through_the_limits_of_the_pitch() -> None:
     way = np.random.default_rng(3).normal(size=actions.shape)
     found, expected = tape.gradient(scenarios, actions), slopes(tape, scenarios, actions, way, 1e-6).sum(axis=1)
     row = tape.lanes.simulator.layout.wtg("pitch_integral")
-    turned = np.array([tape._take(block.reshape(1, -1, 16), row) > 0.0 for block in map(tape.before, range(300))]).any(
-        axis=(1, 2)
-    )
+    turned = np.array([tape._take(block, row) > 0.0 for block in map(tape.before, range(300))]).any(axis=(1, 2))
     # The controller acts, comes to rest at its limit, and acts again.
     assert np.count_nonzero(np.diff(turned.astype(int))) >= 3
     assert along(found, way) == pytest.approx(expected, rel=1e-5, abs=1e-5 * np.abs(expected).max())
@@ -224,7 +222,7 @@ def test_observations_have_gradients(settings: dict[str, Any]) -> None:
         found = []
         for own in given:
             tape.step(own)
-            scratch = tape.lanes.simulator.scratch(0).reshape(-1, 16)
+            scratch = tape.lanes.simulator.scratch(0)
             found.append(scratch[tape.lanes.task.observed, :N_LANES].T)
         return np.einsum("klo,klo->l", weights, np.array(found))
 

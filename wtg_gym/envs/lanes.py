@@ -231,7 +231,13 @@ class TaskLanes:
                 self._sensor_numbers(scenario)
         outputs = new_outputs(len(rows), self.n_observation)
         start_tasks(
-            rows[:, :, np.newaxis], simulator.new_scratch(1), simulator.plant, self.task, outputs.observations, outputs.infos, (0,)
+            rows[:, :, np.newaxis],
+            simulator.new_scratch(1),
+            simulator.plant,
+            self.task,
+            outputs.observations,
+            outputs.infos,
+            (0,),
         )
         return outputs
 

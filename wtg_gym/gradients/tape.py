@@ -238,8 +238,7 @@ class Tape:
         return self._take(self._values(), self._law_rows)
 
     def _values(self) -> Floats:
-        blocks = self.lanes.simulator.blocks
-        return blocks.reshape(blocks.shape[0], -1, self.lanes.simulator.width)
+        return self.lanes.simulator.blocks
 
     def _take(self, view: Floats, rows: npt.NDArray[np.int64]) -> Floats:
         """Return rows of every lane (n_lanes, …) of a view (n_blocks, n_rows, width)."""
@@ -333,10 +332,9 @@ class Tape:
         """
         simulator, n_lanes = self.lanes.simulator, self.lanes.n_lanes
         blocks = self.before(step).copy()
-        view = blocks.reshape(blocks.shape[0], -1, simulator.width)
-        running = self._take(view, np.array([simulator.layout.lane("active")])) > 0.5
-        in_force = self._in_force(view, self._moved)
-        bars = np.zeros_like(view)
+        running = self._take(blocks, np.array([simulator.layout.lane("active")])) > 0.5
+        in_force = self._in_force(blocks, self._moved)
+        bars = np.zeros_like(blocks)
         given = {"carried": carried, "terms": terms, "outputs": outputs}
         all_rows = np.arange(self.n_carried)
         for (name, values), rows in zip(given.items(), (all_rows, *self._rows), strict=True):
@@ -350,12 +348,11 @@ class Tape:
             seen = _shaped("observations", observations, (n_lanes, n_observation)) * running
         of_actions = np.zeros((n_lanes, self.lanes.n_action))
         n_constants = self._plant.tables.numbers.size if self.parameters else 0
-        constants = np.zeros((len(blocks), n_constants * simulator.width))
-        flat = bars.reshape(blocks.shape)
+        constants = np.zeros((len(blocks), n_constants, simulator.width))
         simulator.threads.run(
             lambda first, last, worker: self._pull(
                 blocks,
-                flat,
+                bars,
                 seen,
                 of_actions,
                 constants,
@@ -370,7 +367,7 @@ class Tape:
                 simulator.lanes,
             )
         )
-        leaves = self._leaves(bars, constants.reshape(len(blocks), n_constants, simulator.width))
+        leaves = self._leaves(bars, constants)
         law = self._take(bars, self._law_rows)
         # The law's own are what each step adds, and are not carried.
         bars[:, self._law_rows.ravel()] = 0.0

@@ -322,7 +322,11 @@ def _start_units(
         if i < n_sync:
             at = plant.facts[0]["starts"] + i * _UNIT_STRIDE
             scratch[at, 0] = active
-            scratch[at + 1, 0], scratch[at + 2, 0], scratch[at + 3, 0] = voltage[bus].real, voltage[bus].imag, abs(voltage[bus])
+            scratch[at + 1, 0], scratch[at + 2, 0], scratch[at + 3, 0] = (
+                voltage[bus].real,
+                voltage[bus].imag,
+                abs(voltage[bus]),
+            )
             scratch[at + 4, 0], scratch[at + 5, 0] = current.real, current.imag
             block[_machine_at(plant, i) + _MACHINE_CONNECTED, 0] = 1.0
         else:

@@ -39,7 +39,10 @@ def enter_interval(block: Floats, first_lane: int, plant: Plant, data: LaneData,
         index = int(block[lane + OF_LANE.step, x]) // facts["n_substeps"]
         for j in range(data.wind.shape[1]):
             group, wind = facts["groups"] + j * N_WTG_ROWS, data.wind[first_lane + x, j]
-            block[group + _WIND_START, x], block[group + _WIND_END, x] = wind[min(index, last)], wind[min(index + 1, last)]
+            block[group + _WIND_START, x], block[group + _WIND_END, x] = (
+                wind[min(index, last)],
+                wind[min(index + 1, last)],
+            )
         noise = data.noise[first_lane + x, min(index, last_noise)]
         block[lane + OF_LANE.noise_y, x] = noise * block[lane + OF_LANE.noise_per_mw, x]
 
