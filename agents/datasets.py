@@ -18,10 +18,10 @@ import numpy as np
 
 from agents.command import make_parser, note, run_command
 from wtg_gym.extras import install_advice
-from wtg_gym.systems.compiled import source_hash
 from wtg_gym.policies import load_entries
 from wtg_gym.progress import Progress
 from wtg_gym.scenarios import get_suite
+from wtg_gym.systems.compiled import source_hash
 
 try:
     import minari

@@ -19,9 +19,9 @@ from wtg_gym import __version__
 from wtg_gym.envs import EnvSettings
 from wtg_gym.evaluation import Entry, Policy, evaluate
 from wtg_gym.files import read_json, to_json, write_atomically
-from wtg_gym.systems.compiled import source_hash
 from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY
 from wtg_gym.scenarios import DEFAULT_SUITE, get_suite
+from wtg_gym.systems.compiled import source_hash
 
 RUN_FILE = "run.json"
 #: What decides the weights besides the packages.

@@ -12,8 +12,8 @@ import pytest
 
 from tests.cli.calls import ROOT, json_of
 from wtg_gym.cli import main
-from wtg_gym.systems.compiled import cache_folder
 from wtg_gym.scenarios import FROZEN_HASHES, SUITES
+from wtg_gym.systems.compiled import cache_folder
 
 
 def test_suites_lists_every_suite(capsys: pytest.CaptureFixture[str]) -> None:

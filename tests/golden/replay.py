@@ -7,6 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 import numpy as np
 
 from tests.golden.case import ROW_S, Case
+from tests.physics.extended import phasors
 from wtg_gym.physics.layout import Floats
 from wtg_gym.physics.parameters import ProtectionParameters
 from wtg_gym.physics.plant import PlantSettings
@@ -83,11 +84,9 @@ def _require_power_flow(case: Case, simulator: Simulator) -> None:
 
 def _columns(simulator: Simulator) -> Floats:
     """Return all columns of a trace as they are now."""
-    layout, block = simulator.layout, simulator.blocks[0]
-    n, first = layout.n_sync, layout.rows.voltage
-    machines = simulator.plant.constants["machines"][0]
+    machines, n = simulator.plant.machines, simulator.layout.n_sync
     reference = simulator.lane_values("angle")
-    emf, current = block[first : first + 4 * n].reshape(2, n, 2) @ [1.0, 1j]
+    emf, current = (phasors(simulator, UNITS, part)[:n] for part in ("voltage", "current"))
     power = (emf - (machines["resistance"] + 1j * machines["internal_reactance"]) * current) * current.conj()
     voltage = simulator.bus_voltages()
     return np.concatenate(

@@ -15,6 +15,7 @@ from wtg_gym.envs.settings import EnvSettings
 from wtg_gym.envs.task_records import COST_TERMS
 from wtg_gym.gradients import LAW_PARAMETERS, check_by_differences
 from wtg_gym.gradients.tape import Tape
+from wtg_gym.physics.protection import STAGES
 from wtg_gym.physics.scenario import GovernorLoss, GroupTrip, LoadStep, Scenario
 
 Floats = npt.NDArray[np.float64]
@@ -181,7 +182,7 @@ def test_the_gradient_goes_through_shed_load_and_groups_that_their_rotor_trips()
     agrees(tape, scenarios, actions)
     played(tape, scenarios, actions)
     simulator = tape.lanes.simulator
-    shed = tape._take(tape._values(), simulator.layout.rows.shedding + np.arange(simulator.layout.n_stages)) < 0.0
+    shed = tape._take(tape._values(), simulator.layout.first_rows(STAGES, "shed")) < 0.0
     assert shed.any(axis=1)[[0, 2]].all() and (simulator.wtg_values("connected") == 0.0).any()
 
 

@@ -12,6 +12,7 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 from scipy.integrate import solve_ivp
 
 from wtg_gym.physics.ieee14 import modified_ieee14
@@ -26,11 +27,12 @@ from wtg_gym.physics.parameters import (
     nrel_5mw,
 )
 from wtg_gym.physics.plant import PlantSettings
-from wtg_gym.physics.reduction import combine_load_noise, refresh_network
+from wtg_gym.physics.reduction import refresh_network
 from wtg_gym.physics.scenario import Event, LoadStep, Scenario
 from wtg_gym.physics.simulator import Simulator
 from wtg_gym.physics.tracking_law import get_law
 from wtg_gym.scenarios import get_suite
+from wtg_gym.systems.systems import Kind
 
 #: Limits, voltage control, rotor that keeps its energy: all but none of them.
 OPTIONS = [options for options in itertools.product((False, True), repeat=3) if any(options)]
@@ -97,9 +99,18 @@ def recorded(
     return {name: np.array(values) for name, values in found.items()}
 
 
+def phasors(simulator: Simulator, kind: Kind, part: str) -> npt.NDArray[np.complex128]:
+    """Voltages, currents or admittances of every unit of a kind in a single run at its present state [p.u.]."""
+    # Of a copy: the run's outputs stay as they are.
+    scratch, first = simulator._evaluated(simulator.blocks.copy())[0], simulator.layout.first_rows(kind, part)
+    found: npt.NDArray[np.complex128] = scratch[first] + 1j * scratch[first + 1]
+    return found
+
+
 def largest_rate(simulator: Simulator) -> float:
     """Largest |dx/dt|; the energies, which grow in every equilibrium, do not count."""
     keep = [i for i, name in enumerate(simulator.layout.state_names) if "energy" not in name]
+    simulator.evaluate()
     return float(np.abs(simulator.rates()[keep]).max())
 
 
@@ -166,5 +177,4 @@ def reference_run(
                 numbers.append(simulator.wtg_values(shown)[0])
         block[layout.lane("step")] = step
         refresh_network(block, 0, 0, simulator.plant, simulator.data, 1)
-        combine_load_noise(block, simulator.plant.constants[0], np.zeros(1), simulator.lanes)
     return np.array(states), np.array(numbers)

@@ -7,7 +7,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from tests.physics.extended import recorded, scenario
+from tests.physics.extended import phasors, recorded, scenario
 from wtg_gym.physics.ieee14 import modified_ieee14
 from wtg_gym.physics.network import assemble_admittance
 from wtg_gym.physics.protection import Status
@@ -23,6 +23,7 @@ from wtg_gym.physics.scenario import (
 )
 from wtg_gym.physics.simulator import Simulator
 from wtg_gym.physics.tracking_law import STRATEGIES
+from wtg_gym.physics.units import LANE, PAIRS, UNITS
 
 LAWS = (STRATEGIES["coordinated-piecewise"],) * 2
 CASE = modified_ieee14()
@@ -37,11 +38,6 @@ ALL = (
     LineTrip(time_s=3.0, from_bus=2, to_bus=4, recloses_after_s=0.025),
     LoadTrip(time_s=3.5, bus=14),
 )
-
-
-def phasors(simulator: Simulator, first: int, *shape: int) -> np.ndarray:
-    """Voltages, currents, or the reduced admittance that acts, from their first row on [p.u.]."""
-    return simulator.blocks[0, first : first + 2 * np.prod(shape)].view(complex).reshape(shape)
 
 
 def whole_network(simulator: Simulator, what: Scenario, now_s: float) -> tuple[np.ndarray, list[int]]:
@@ -86,10 +82,10 @@ def whole_network(simulator: Simulator, what: Scenario, now_s: float) -> tuple[n
 
 def reduced(simulator: Simulator, passive: np.ndarray, connected: list[int]) -> np.ndarray:
     """Y - Y B Z Bᵀ Y with the connected units alone; zero for the others."""
-    c = simulator.plant.constants[0]
-    at, y = c["unit_bus"][connected], np.diag(c["unit_y"][connected])
+    plant = simulator.plant
+    at, y = plant.unit_bus[connected], np.diag(plant.unit_y[connected])
     full = passive.copy()
-    np.add.at(full, (at, at), c["unit_y"][connected])
+    np.add.at(full, (at, at), plant.unit_y[connected])
     found = np.zeros((simulator.layout.n_unit,) * 2, dtype=complex)
     found[np.ix_(connected, connected)] = y - y @ np.linalg.inv(full)[np.ix_(at, at)] @ y
     return found
@@ -98,17 +94,16 @@ def reduced(simulator: Simulator, passive: np.ndarray, connected: list[int]) -> 
 def check_network(simulator: Simulator, what: Scenario, now_s: float) -> None:
     """Reduced admittance, currents, bus voltages and power balance are those of the whole network."""
     passive, connected = whole_network(simulator, what, now_s)
-    expected, n, rows = reduced(simulator, passive, connected), simulator.layout.n_unit, simulator.layout.rows
-    assert np.abs(phasors(simulator, rows.admittance, n, n) - expected).max() <= 1e-11
-    emf, current = phasors(simulator, rows.voltage, n), phasors(simulator, rows.current, n)
+    expected, n, plant = reduced(simulator, passive, connected), simulator.layout.n_unit, simulator.plant
+    assert np.abs(phasors(simulator, PAIRS, "admittance").reshape(n, n) - expected).max() <= 1e-11
+    emf, current = phasors(simulator, UNITS, "voltage"), phasors(simulator, UNITS, "current")
     gone = [unit for unit in range(n) if unit not in connected]
     assert (current[gone] == 0.0).all()
     assert np.abs(current - expected @ emf).max() <= 1e-10
     voltage = simulator.bus_voltages()
-    c = simulator.plant.constants[0]
-    own = c["unit_y"][connected] * (emf - voltage[c["unit_bus"]])[connected]
+    own = plant.unit_y[connected] * (emf - voltage[plant.unit_bus])[connected]
     assert np.abs(own - current[connected]).max() <= 1e-10
-    given = simulator.machine_values("power")[0].sum() + simulator.wtg_values("power")[0] @ simulator.plant.share
+    given = simulator.machine_values("power")[0].sum() + simulator.wtg_values("power")[0] @ plant.share
     assert abs(given - (voltage @ np.conj(passive @ voltage)).real) <= 1e-9
 
 
@@ -146,11 +141,11 @@ def test_a_condenser_after_its_outage_feeds_in_nothing_and_counts_nowhere(simula
     for _ in range(100):
         simulator.advance()
         assert (simulator.state()[own] == before).all()
-        assert (simulator.rates()[own] == 0.0).all()
+        assert (simulator.scratch(0)[layout.rate_rows][own] == 0.0).all()
         for name in ("power", "torque"):
             assert simulator.machine_values(name)[0, out] == 0.0
         inertia = np.array([CASE.machines[i].two_h_s * CASE.machines[i].rating_mva for i in stays]) / CASE.base_mva
-        groups = simulator.plant.share * simulator.plant.constants["turbine"][0]["converter.two_h"]
+        groups = simulator.plant.share * simulator.plant.turbine[0]["converter.two_h"]
         weights = np.concatenate([inertia, groups])
         speed = np.concatenate([simulator.machine_values("speed")[0, stays], simulator.wtg_values("speed")[0]])
         speeds.append(speed)
@@ -158,6 +153,6 @@ def test_a_condenser_after_its_outage_feeds_in_nothing_and_counts_nowhere(simula
             weights @ (speed - 1.0) / weights.sum(), abs=1e-14
         )
         angles = np.concatenate([simulator.machine_values("angle")[0, stays], simulator.wtg_values("angle")[0]])
-        assert simulator.lane_values("least_angle")[0] == angles.min()
-        assert simulator.lane_values("largest_angle")[0] == angles.max()
+        for name, angle in (("least_angle", angles.min()), ("largest_angle", angles.max())):
+            assert simulator.scratch(0)[layout.first_rows(LANE, name)] == [angle]
     assert np.ptp(speeds) > 1e-6

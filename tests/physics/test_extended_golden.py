@@ -13,8 +13,11 @@ from tests.golden.case import GOLDEN, ROW_S, read_case, read_trace
 from tests.golden.replay import differences, sampled
 from tests.physics.extended import NO_SHEDDING, plant, scenario
 from wtg_gym.physics.aerodynamics import tracking_point
+from wtg_gym.physics.integration import PROGRAMS
 from wtg_gym.physics.layout import Floats
 from wtg_gym.physics.parameters import GridFormingParameters, SheddingStage
+from wtg_gym.physics.plant import arranged
+from wtg_gym.physics.protection import STAGES
 from wtg_gym.physics.scenario import LoadStep
 from wtg_gym.physics.simulator import Simulator
 from wtg_gym.physics.tracking_law import mppt
@@ -49,7 +52,9 @@ def against_golden_trace(name: str, events: Sequence[LoadStep], **more: Any) -> 
     wind /= settings.turbine.wind_power_pu_per_cubic_wind ** (1.0 / 3.0)
     run = scenario(*events, wind=[[wind], [wind]], duration_s=60.0, load_noise_bus=1)
     simulator = Simulator(settings, duration_s=60.0)
-    simulator.plant.constants["turbine"]["rotor.inv_two_h"] = 0.0
+    turbine = simulator.plant.turbine.copy()
+    turbine["rotor.inv_two_h"] = 0.0
+    simulator.plant = arranged(simulator.plant._replace(turbine=turbine), simulator.layout, PROGRAMS)
     simulator.start(0, run, (law, law))
 
     def look(now: Simulator) -> Floats:
@@ -82,7 +87,6 @@ def test_shedding_does_what_it_does_in_another_simulator_at_the_same_instants() 
     )
     shedding = (*stages, *NO_SHEDDING[3:])
     simulator, largest = against_golden_trace("shedding", step_up(150.0), shedding=shedding)
-    first = simulator.layout.rows.shedding
-    acted = -1.0 - simulator.blocks[0, first : first + 3]
+    acted = -1.0 - simulator.blocks[0, simulator.layout.first_rows(STAGES, "shed")[:3]]
     assert (acted / 320.0).tolist() == pytest.approx(instants, abs=1e-12)
     assert largest["w"] <= 3e-7 and largest["Pe"] <= 2e-5 and largest["V"] <= 1e-6, largest

@@ -18,18 +18,22 @@ from tests.physics.extended import (
     scenario,
     started,
 )
-from wtg_gym.physics.currents import unit_currents
-from wtg_gym.physics.layout import Floats, Layout
+from wtg_gym.physics.extension_unit import EXTENSIONS
+from wtg_gym.physics.layout import Floats, Whole
 from wtg_gym.physics.network import assemble_admittance
 from wtg_gym.physics.parameters import (
     ConverterLimitParameters,
     WtgGroup,
     european_shedding,
 )
-from wtg_gym.physics.plant import PlantSettings, build_plant
-from wtg_gym.physics.protection import Status
+from wtg_gym.physics.plant import PlantSettings, arranged, build_plant, layout_of
+from wtg_gym.physics.protection import STAGES, Status
 from wtg_gym.physics.scenario import GovernorLoss, LoadStep, Scenario
+from wtg_gym.physics.step import FREE_CURRENTS, LIMITS
 from wtg_gym.physics.tracking_law import get_law
+from wtg_gym.physics.units import PAIRS, UNITS
+from wtg_gym.systems.compiled import compiled
+from wtg_gym.systems.programs import in_one_table
 
 # --- Limits
 
@@ -93,7 +97,7 @@ def test_shedding_stages_act_in_their_order_at_their_time_with_their_share() -> 
     stages = european_shedding()
     step = LoadStep(time_s=1.0, bus=3, power_mw=150.0)
     simulator = started(plant(control_dt=0.025), scenario(step, governor_droop=0.2))
-    rows = simulator.layout.rows
+    shed = simulator.layout.first_rows(STAGES, "shed")
     below, acted = {}, {}
     for instant in range(1, 1200):
         simulator.advance()
@@ -102,7 +106,7 @@ def test_shedding_stages_act_in_their_order_at_their_time_with_their_share() -> 
             if coi >= stage.frequency_pu:
                 below.pop(k, None)
             below.setdefault(k, instant) if coi < stage.frequency_pu else None
-            if simulator.blocks[0, rows.shedding + k] < 0.0:
+            if simulator.blocks[0, shed[k]] < 0.0:
                 acted.setdefault(k, (instant, instant - below.get(k, instant)))
     assert list(acted) == [0, 1, 2]
     assert [instant for instant, _ in acted.values()] == sorted(instant for instant, _ in acted.values())
@@ -113,6 +117,15 @@ def test_shedding_stages_act_in_their_order_at_their_time_with_their_share() -> 
 
 
 # --- The algebraic equations of the current limit
+
+CURRENTS = in_one_table(CURRENTS=(*FREE_CURRENTS, *LIMITS))
+_currents = CURRENTS[0].function()
+
+
+@compiled
+def find_currents(block: Floats, scratch: Floats, table: Whole, numbers: Floats) -> None:
+    """Let the currents of a lane follow from its voltages and its admittance."""
+    _currents(block, scratch, table, numbers, 0.0, 0.0, 0.0, 0.0, (0,))
 
 
 @pytest.mark.parametrize(
@@ -125,24 +138,29 @@ def test_shedding_stages_act_in_their_order_at_their_time_with_their_share() -> 
 )
 def test_limited_currents_solve_their_equations(groups: tuple[WtgGroup, ...]) -> None:
     built = build_plant(PlantSettings(groups=groups, limits=ConverterLimitParameters()))
-    c, layout, rng = built.constants[0], Layout.of(built), np.random.default_rng(0)
-    unit_y, at, m = np.diag(c["unit_y"]), c["unit_bus"], len(groups)
-    n, first, largest = len(at), layout.rows, CURRENT_MAX * c["share"]
+    layout, rng = layout_of(built), np.random.default_rng(0)
+    built = arranged(built, layout, CURRENTS)
+    unit_y, at, m = np.diag(built.unit_y), built.unit_bus, len(groups)
+    n, largest = len(at), CURRENT_MAX * built.share
     n_limited = []
     for _ in range(40):
         bus_y = (built.buses["shunt"] + np.conj(built.buses["load"])).astype(complex)
         bus_y[rng.integers(14)] += rng.uniform(0.0, 5.0) - 1j * rng.uniform(0.0, 20.0)
-        np.add.at(bus_y, at, c["unit_y"])
+        np.add.at(bus_y, at, built.unit_y)
         full = assemble_admittance(built.branches, np.zeros(len(built.branches), dtype=bool), bus_y)
         admittance = unit_y - unit_y @ np.linalg.inv(full)[np.ix_(at, at)] @ unit_y
         angles = np.concatenate([rng.uniform(-0.5, 0.5, n - m), rng.uniform(0.0, 2.8) * rng.uniform(-1.0, 1.0, m)])
         voltage = rng.uniform(0.8, 1.3, n) * np.exp(1j * angles)
-        block = np.zeros(layout.n_rows)
-        block[first.voltage : first.voltage + 2 * n] = voltage.view(float)
-        block[first.admittance : first.admittance + 2 * n * n] = np.ascontiguousarray(admittance).view(float).ravel()
-        unit_currents(block, c, (0,))
-        current = block[first.current : first.current + 2 * n].view(complex)
-        reactance = block[layout.wtg("limiting_reactance")]
+        scratch = np.zeros(layout.n_scratch)
+        for kind, part, values in ((UNITS, "voltage", voltage), (PAIRS, "admittance", admittance.ravel())):
+            first = layout.first_rows(kind, part)
+            scratch[first], scratch[first + 1] = values.real, values.imag
+        find_currents(np.zeros(layout.n_rows), scratch, built.table, built.numbers)
+        first = layout.first_rows(UNITS, "current")
+        current, reactance = (
+            scratch[first] + 1j * scratch[first + 1],
+            scratch[layout.first_rows(EXTENSIONS, "reactance")],
+        )
         # I = Y (V - j X I), with X above zero where the current is at its limit, and zero where it is below.
         behind = np.append(np.zeros(n - m), reactance)
         assert current == pytest.approx(admittance @ (voltage - 1j * behind * current), abs=1e-9)

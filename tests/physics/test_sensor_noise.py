@@ -10,12 +10,11 @@ import numpy.typing as npt
 import pytest
 
 from wtg_gym.physics import sensors as module
-from wtg_gym.systems.compiled import compiled
 from wtg_gym.physics.sensors import (
     N_CHANNELS,
     Measurement,
+    Noise,
     Sensors,
-    SensorState,
     measured,
     noise_key,
     normal,
@@ -24,6 +23,7 @@ from wtg_gym.physics.sensors import (
     sensors_advanced,
     sensors_started,
 )
+from wtg_gym.systems.compiled import compiled
 
 Floats = npt.NDArray[np.float64]
 #: Channels of four WTG groups.
@@ -90,14 +90,12 @@ def test_channels_groups_seeds_and_steps_are_not_correlated_and_nor_are_their_sq
 def advance(sensors: Sensors, exact: list[Measurement], control_dt: float = 0.1) -> tuple[list[Measurement], Floats]:
     """Return what group 1 of a run measures, and the states of its sensors."""
     given = sensor_input(sensors, control_dt, 50.0)
-    state = sensors_started(exact[0], noise_key(sensors.seed, 0), 0)
     seen, states = [], []
-    for step, now in enumerate(exact):
-        key = noise_key(sensors.seed, step)
-        if step:
-            state = SensorState(*sensors_advanced(state, now, key, 0, given))
+    for numbers, now in zip(drawn(1, len(exact), N_CHANNELS, sensors.seed)[0].tolist(), exact, strict=True):
+        noise = Noise(*numbers)
+        state = sensors_advanced(state, now, noise, given) if states else sensors_started(now, noise)
         states.append(tuple(state))
-        seen.append(Measurement(*measured(state, now, sensors.wind_bias[0], key, 0, given)))
+        seen.append(measured(state, now, sensors.wind_bias[0], noise, given))
     return seen, np.array(states)
 
 

@@ -6,10 +6,10 @@ from wtg_gym.cli.output import say
 from wtg_gym.envs import GFMWTGEnv, GFMWTGVectorEnv
 from wtg_gym.envs.settings import VERSIONS, EnvSettings
 from wtg_gym.evaluation import evaluate
-from wtg_gym.systems.compiled import cache_folder, compilation
 from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY
 from wtg_gym.physics.trajectory import simulate
 from wtg_gym.scenarios import get_suite
+from wtg_gym.systems.compiled import cache_folder, compilation
 
 
 def warmup() -> int:

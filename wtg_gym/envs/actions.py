@@ -10,10 +10,10 @@ import numpy as np
 
 from wtg_gym.envs.task_records import Task
 from wtg_gym.envs.task_units import ACTING, TASK
+from wtg_gym.physics.layout import Floats
 from wtg_gym.systems.compiled import compiled
 from wtg_gym.systems.elementary import clip
 from wtg_gym.systems.systems import system
-from wtg_gym.physics.layout import Floats
 
 #: Full action multiplies or divides the damping time constant by this.
 TIME_CONSTANT_RATIO = 4.0

@@ -10,8 +10,8 @@ from typing import NamedTuple
 
 from wtg_gym.envs.task_records import CostTerms, GroupRows, Task
 from wtg_gym.physics.converter import tracking_coefficient
-from wtg_gym.systems.elementary import select
 from wtg_gym.physics.wind_turbine import Turbine, WtgOutput, WtgState, tip_speed_ratio
+from wtg_gym.systems.elementary import select
 
 #: Frequency deviation beyond which the constraint cost counts [Hz]: ENTSO-E's steady-state limit is 0.2, its
 #: instantaneous limit 0.8 Hz.

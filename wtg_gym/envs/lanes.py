@@ -29,12 +29,12 @@ from wtg_gym.envs.task_units import ACTING, HISTORY, SENSED, SENSORS, TASK
 from wtg_gym.physics.kernel_data import LaneData
 from wtg_gym.physics.linearisation import STEP_MARGIN, largest_stable_steps
 from wtg_gym.physics.protection import Status
-from wtg_gym.systems.records import flatten, size
 from wtg_gym.physics.scenario import Event, GroupTrip, Scenario
 from wtg_gym.physics.sensors import SensorInput, delay_intervals, sensor_input
 from wtg_gym.physics.simulator import PreparedLanes, Simulator
 from wtg_gym.ranges import whole_steps
 from wtg_gym.scenarios import get_suite
+from wtg_gym.systems.records import flatten, size
 
 Floats = npt.NDArray[np.float64]
 

@@ -6,11 +6,11 @@ from typing import Annotated, Any, NamedTuple, get_type_hints
 
 from wtg_gym.envs.settings import ACTION_MODES
 from wtg_gym.envs.task_records import GroupRows, MeasuredObservation, Task
-from wtg_gym.systems.elementary import clip
 from wtg_gym.physics.machine import Machine, MachineOutput, MachineState
-from wtg_gym.systems.records import each, size
 from wtg_gym.physics.sensors import Measurement
 from wtg_gym.physics.wind_turbine import Rotor, Turbine, WtgOutput, WtgState, tip_speed_ratio
+from wtg_gym.systems.elementary import clip
+from wtg_gym.systems.records import each, size
 
 #: Every entry of the observation is clipped to ± this.
 OBSERVATION_BOUND = 5.0

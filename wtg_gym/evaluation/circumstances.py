@@ -18,9 +18,9 @@ from wtg_gym import __version__
 from wtg_gym.envs.lanes import TaskLanes
 from wtg_gym.envs.settings import EnvSettings
 from wtg_gym.files import sha256
-from wtg_gym.systems.compiled import source_hash
 from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY
 from wtg_gym.scenarios import get_suite
+from wtg_gym.systems.compiled import source_hash
 
 _PACKAGES = ("numpy", "scipy", "numba", "onnxruntime")
 _N_SCENARIOS, _N_STEPS = 4, 150

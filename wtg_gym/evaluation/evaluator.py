@@ -23,7 +23,6 @@ from wtg_gym.evaluation.metrics import Recorder, measure
 from wtg_gym.evaluation.partial import PartialStore
 from wtg_gym.evaluation.results import Results
 from wtg_gym.evaluation.workers import Played, Workers
-from wtg_gym.systems.compiled import source_hash
 from wtg_gym.policies import Entry, OnnxPolicy, PolicyError
 from wtg_gym.policies.entry import check_entries, check_version
 from wtg_gym.policies.load import load_entries
@@ -32,6 +31,7 @@ from wtg_gym.policies.policy_process import NotIsolatedError
 from wtg_gym.ranges import is_whole, require_whole
 from wtg_gym.scenarios import DEFAULT_SUITE, FRESH, FreshDraw, get_suite
 from wtg_gym.scenarios.benchmark import V0, Benchmark
+from wtg_gym.systems.compiled import source_hash
 
 Progress = Callable[[str, int, int], None]
 #: A batch: an entry, and the seeds of the scenarios that it plays at once.

@@ -10,8 +10,8 @@ from typing import Any
 from wtg_gym.evaluation.circumstances import measurement_hash, versions
 from wtg_gym.evaluation.episodes import Episode, episode_from_cells
 from wtg_gym.files import read_json, sha256, to_json, write_atomically
-from wtg_gym.systems.compiled import source_hash
 from wtg_gym.policies import Entry
+from wtg_gym.systems.compiled import source_hash
 
 
 class PartialStore:

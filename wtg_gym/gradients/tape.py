@@ -8,11 +8,10 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from wtg_gym.envs import task as of_task
 from wtg_gym.envs.actions import as_actions
 from wtg_gym.envs.lanes import TaskLanes
-from wtg_gym.envs.settings import EnvSettings
-from wtg_gym.envs import task as of_task
-from wtg_gym.envs.settings import ACTION_MODES
+from wtg_gym.envs.settings import ACTION_MODES, EnvSettings
 from wtg_gym.envs.task import Outputs, step_blocks, task_of
 from wtg_gym.envs.task_records import COST_TERMS
 from wtg_gym.envs.task_units import ACTING, TASK

@@ -10,10 +10,10 @@ import numpy as np
 import numpy.typing as npt
 from scipy.optimize import brentq, minimize_scalar
 
-from wtg_gym.systems.compiled import compiled
-from wtg_gym.systems.elementary import exponential, fma
 from wtg_gym.physics.parameters import PowerCoefficientParameters, TurbineParameters
 from wtg_gym.physics.rotor_table import Cells, Grid, RotorTable, tabulated_power_coefficient
+from wtg_gym.systems.compiled import compiled
+from wtg_gym.systems.elementary import exponential, fma
 
 
 class CurveConstants(NamedTuple):

@@ -12,9 +12,9 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+from wtg_gym.physics.parameters import GridFormingParameters
 from wtg_gym.systems.compiled import compiled
 from wtg_gym.systems.elementary import fma, select
-from wtg_gym.physics.parameters import GridFormingParameters
 
 
 class Corners(NamedTuple):

@@ -9,8 +9,8 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from wtg_gym.systems.elementary import clip, limited_rate, select
 from wtg_gym.physics.machine_parameters import ExciterParameters
+from wtg_gym.systems.elementary import clip, limited_rate, select
 
 
 class Exciter(NamedTuple):

@@ -29,8 +29,8 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from wtg_gym.systems.elementary import clip, fma, limited_rate, select
 from wtg_gym.physics.parameters import ConverterLimitParameters, VoltageControlParameters
+from wtg_gym.systems.elementary import clip, fma, limited_rate, select
 
 #: Stands for no limit where infinity would make 0 · ∞ [p.u.].
 _UNLIMITED = 1e9

@@ -19,8 +19,8 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from wtg_gym.systems.elementary import clip, limited_rate, select
 from wtg_gym.physics.machine_parameters import GovernorParameters, HydroGovernorParameters
+from wtg_gym.systems.elementary import clip, limited_rate, select
 
 #: The gate is kept this far open in h = (q/g)² [p.u.].
 _LEAST_GATE = 0.01

@@ -20,7 +20,6 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from wtg_gym.systems.elementary import sine_cosine
 from wtg_gym.physics.exciter import (
     Exciter,
     ExciterState,
@@ -31,6 +30,7 @@ from wtg_gym.physics.exciter import (
 )
 from wtg_gym.physics.governor import Governor, GovernorState, governor_constants, governor_limited, governor_rates
 from wtg_gym.physics.machine_parameters import SynchronousMachineParameters
+from wtg_gym.systems.elementary import sine_cosine
 
 
 class Machine(NamedTuple):

@@ -16,8 +16,8 @@ import numpy as np
 import numpy.typing as npt
 
 from wtg_gym.physics.checked import Checked, parameter, required
-from wtg_gym.systems.compiled import compiled, inlined
 from wtg_gym.physics.machine_parameters import GovernorParameters, HydroGovernorParameters, SynchronousMachineParameters
+from wtg_gym.systems.compiled import compiled, inlined
 
 #: Largest power mismatch accepted as a power-flow solution [p.u.].
 POWER_FLOW_TOLERANCE = 1e-12

@@ -11,8 +11,8 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from wtg_gym.systems.elementary import clip, limited_rate
 from wtg_gym.physics.parameters import PitchParameters
+from wtg_gym.systems.elementary import clip, limited_rate
 
 
 class Pitch(NamedTuple):

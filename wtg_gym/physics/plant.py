@@ -37,13 +37,13 @@ from wtg_gym.physics.parameters import (
     european_shedding,
     nrel_5mw,
 )
-from wtg_gym.systems.programs import Program, Tables, build_table
-from wtg_gym.systems.systems import Kind
 from wtg_gym.physics.protection import STAGES, SheddingConstants
 from wtg_gym.physics.units import LANE, PAIRS, UNITS
 from wtg_gym.physics.wind_turbine import Extension, Turbine, extension_constants, turbine_constants
 from wtg_gym.physics.wtg_unit import GROUPS
 from wtg_gym.ranges import require_range, whole_steps
+from wtg_gym.systems.programs import Program, Tables, build_table
+from wtg_gym.systems.systems import Kind
 
 #: Integration steps that are accepted [s].
 SIMULATION_DT_RANGE = (5e-5, 0.04)

@@ -14,8 +14,8 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 from wtg_gym.physics.checked import Checked, design, required
-from wtg_gym.systems.compiled import inlined
 from wtg_gym.ranges import require_range, whole_steps
+from wtg_gym.systems.compiled import inlined
 
 #: Longest delay [s].
 DELAY_MAX_S = 1.0

@@ -19,9 +19,7 @@ from wtg_gym.physics.aerodynamics import (
     surface_of,
     tracking_point,
 )
-from wtg_gym.systems.compiled import compiled, inlined
 from wtg_gym.physics.converter import Converter, ConverterState, Law, converter_constants, converter_rates
-from wtg_gym.systems.elementary import fma, select, sine_cosine
 from wtg_gym.physics.extended_converter import (
     ConverterLimits,
     LimitState,
@@ -44,6 +42,8 @@ from wtg_gym.physics.parameters import (
 )
 from wtg_gym.physics.pitch import Pitch, PitchState, pitch_constants, pitch_limited, pitch_rates
 from wtg_gym.physics.rotor_table import Cells, Grid, tabulated_power_coefficient
+from wtg_gym.systems.compiled import compiled, inlined
+from wtg_gym.systems.elementary import fma, select, sine_cosine
 
 
 class Rotor(NamedTuple):
