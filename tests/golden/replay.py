@@ -13,6 +13,7 @@ from wtg_gym.physics.parameters import ProtectionParameters
 from wtg_gym.physics.plant import PlantSettings
 from wtg_gym.physics.scenario import Event, Scenario
 from wtg_gym.physics.simulator import Simulator
+from wtg_gym.physics.units import UNITS
 
 
 def replay(case: Case, events: Sequence[Event], time_s: Floats, step_s: float) -> dict[str, Floats]:

@@ -19,7 +19,7 @@ from tests.physics.extended import (
     started,
 )
 from wtg_gym.physics.extension_unit import EXTENSIONS
-from wtg_gym.physics.layout import Floats, Whole
+from wtg_gym.physics.layout import Floats
 from wtg_gym.physics.network import assemble_admittance
 from wtg_gym.physics.parameters import (
     ConverterLimitParameters,
@@ -33,7 +33,7 @@ from wtg_gym.physics.step import FREE_CURRENTS, LIMITS
 from wtg_gym.physics.tracking_law import get_law
 from wtg_gym.physics.units import PAIRS, UNITS
 from wtg_gym.systems.compiled import compiled
-from wtg_gym.systems.programs import in_one_table
+from wtg_gym.systems.programs import NONE, Tables, in_one_table
 
 # --- Limits
 
@@ -106,7 +106,7 @@ def test_shedding_stages_act_in_their_order_at_their_time_with_their_share() -> 
             if coi >= stage.frequency_pu:
                 below.pop(k, None)
             below.setdefault(k, instant) if coi < stage.frequency_pu else None
-            if simulator.blocks[0, shed[k]] < 0.0:
+            if simulator.blocks[0, shed[k], 0] < 0.0:
                 acted.setdefault(k, (instant, instant - below.get(k, instant)))
     assert list(acted) == [0, 1, 2]
     assert [instant for instant, _ in acted.values()] == sorted(instant for instant, _ in acted.values())
@@ -123,9 +123,9 @@ _currents = CURRENTS[0].function()
 
 
 @compiled
-def find_currents(block: Floats, scratch: Floats, table: Whole, numbers: Floats) -> None:
+def find_currents(block: Floats, scratch: Floats, tables: Tables) -> None:
     """Let the currents of a lane follow from its voltages and its admittance."""
-    _currents(block, scratch, table, numbers, 0.0, 0.0, 0.0, 0.0, (0,))
+    _currents(block, scratch, tables, NONE, (0,))
 
 
 @pytest.mark.parametrize(
@@ -155,7 +155,7 @@ def test_limited_currents_solve_their_equations(groups: tuple[WtgGroup, ...]) ->
         for kind, part, values in ((UNITS, "voltage", voltage), (PAIRS, "admittance", admittance.ravel())):
             first = layout.first_rows(kind, part)
             scratch[first], scratch[first + 1] = values.real, values.imag
-        find_currents(np.zeros(layout.n_rows), scratch, built.table, built.numbers)
+        find_currents(np.zeros(layout.n_rows), scratch, built.tables)
         first = layout.first_rows(UNITS, "current")
         current, reactance = (
             scratch[first] + 1j * scratch[first + 1],

@@ -90,7 +90,7 @@ def test_channels_groups_seeds_and_steps_are_not_correlated_and_nor_are_their_sq
 def advance(sensors: Sensors, exact: list[Measurement], control_dt: float = 0.1) -> tuple[list[Measurement], Floats]:
     """Return what group 1 of a run measures, and the states of its sensors."""
     given = sensor_input(sensors, control_dt, 50.0)
-    seen, states = [], []
+    seen, states, state = [], [], sensors_started(exact[0], Noise(0.0, 0.0, 0.0, 0.0, 0.0))
     for numbers, now in zip(drawn(1, len(exact), N_CHANNELS, sensors.seed)[0].tolist(), exact, strict=True):
         noise = Noise(*numbers)
         state = sensors_advanced(state, now, noise, given) if states else sensors_started(now, noise)

@@ -344,7 +344,7 @@ class TaskLanes:
         return self.outputs.terminated.copy(), self.outputs.truncated.copy()
 
     def task_values(self, name: str) -> Floats:
-        """Return a number of the task of every lane by its name in :data:`~wtg_gym.envs.task_units.TASK`, (n_lanes,)."""
+        """Return a number of the task of every lane by its name in `envs.task_units.TASK`, (n_lanes,)."""
         return self.simulator.values(self.simulator.layout.first_rows(TASK, name)[0])
 
     def cost_sums(self) -> Floats:

@@ -20,7 +20,8 @@ from wtg_gym.envs.measuring import MEASURE
 from wtg_gym.envs.observation import N_MEASURED
 from wtg_gym.envs.observing import OBSERVE
 from wtg_gym.envs.task import TaskData, draw_noise, pass_ring, places_in_ring, read_actions
-from wtg_gym.physics import integration, protection, step
+from wtg_gym.physics import integration, protection
+from wtg_gym.physics import step as of_step
 from wtg_gym.physics.extension_unit import EXTENSIONS
 from wtg_gym.physics.integration import (
     apply_events,
@@ -48,15 +49,15 @@ PROGRAMS = in_one_table(
     *integration.PROGRAMS,
     *of_task.PROGRAMS,
     ACTED=ACT,
-    FLOWS=step.FLOWS,
-    SWEEP=step.SWEEP,
-    MOTION=step.MOTION,
-    RATES=step.RATES,
-    FINISHED=step.FINISH[:-2],
+    FLOWS=of_step.FLOWS,
+    SWEEP=of_step.SWEEP,
+    MOTION=of_step.MOTION,
+    RATES=of_step.RATES,
+    FINISHED=of_step.FINISH[:-2],
     CHARGED=CHARGE,
     MEASURED=MEASURE,
     OBSERVED=OBSERVE,
-    LIMITS=step.LIMITS,
+    LIMITS=of_step.LIMITS,
     REST=(protection.track_extremes, protection.shed_load),
 )
 _acted, _flows, _sweep, _motion, _rates, _finished, _charged, _measured, _observed, _limits, _rest = PROGRAMS
@@ -142,7 +143,7 @@ def work_of(rules: Rules, layout: Layout, n_substeps: int, width: int) -> Work:
 def _flow_and_hold(
     block: Floats, plant: Plant, rules: Rules, work: Work, at: int, limited: npt.NDArray[np.bool_], lanes: Lanes
 ) -> None:
-    """Find voltages and currents, and hold the currents within their limits; note the fixed point that the sweeps find."""
+    """Find voltages and currents, hold these within their limits, and note the fixed point that the sweeps find."""
     scratch, tables = work.scratch, plant.tables
     _flow(block, scratch, tables, work.tape[at:], NONE, lanes)
     _hold(block, scratch, tables, NONE, lanes)
@@ -202,7 +203,7 @@ def _replay(
 
 @inlined
 def _pull_ring(block: Floats, bars: Floats, scratch_bars: Floats, task: TaskData, lanes: Lanes) -> None:
-    """Go back through the ring of measurements: from what is shown to where it was copied from, then to what is seen."""
+    """Go back through the ring of measurements: from what is shown to where it was copied from, then what is seen."""
     for x in range(len(lanes)):
         newest, arrived = places_in_ring(block, x, task)
         for j in range(task.seen.shape[0]):
@@ -283,7 +284,7 @@ def build_pull(*, constants: bool) -> Any:
         limited: npt.NDArray[np.bool_],
         lanes: Lanes,
     ) -> None:
-        """Go back through the voltages and currents that a right-hand side begins with; `at` is their row on the tape."""
+        """Go back through the voltages and currents of a right-hand side; `at` is their row on the tape."""
         pull_limits(bars, to, plant, rules, work, at + rules.noted.flows, limited, lanes)
         flows(bars, work.bars, plant.tables, work.tape[at:], work.scratch, to, NONE, lanes)
 

@@ -84,7 +84,7 @@ def advance_step(block: Floats, scratch: Floats, plant: Plant, step: int, lanes:
 
 @inlined
 def stage_scalars(plant: Plant, step: int, stage: int) -> tuple[float, float, float, float]:
-    """Return what a stage 0 … 3 is told: the fraction of the interval, how far it goes [s], whether it is first or last."""
+    """Return what a stage 0 … 3 is told: when in the interval, how far it goes [s], whether it is first or last."""
     h, part = plant.facts[0]["simulation_dt"], 1.0 / plant.facts[0]["n_substeps"]
     first, last = 1.0 if stage == 0 else 0.0, 1.0 if stage == 3 else 0.0
     passed = step + 0.5 * (1.0 - first + last)

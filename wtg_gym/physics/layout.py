@@ -115,7 +115,7 @@ class Layout:
         usual = np.zeros(n, dtype=np.int64) if self.n_units(kind.sees[label]) == 1 else np.arange(n)
         return self._links.get((kind, label), usual)
 
-    # --- by name --------------------------------------------------------------------------------------------------------
+    # --- by name ------------------------------------------------------------------------------------------------------
 
     def machine(self, name: str) -> Whole:
         """Return the row of each machine's number of this name (n_sync,), or of each hydro governor's (n_hydro,)."""

@@ -287,7 +287,7 @@ def needed(values: Iterable[Any]) -> list[Number]:
 
 
 def pulled_back(outputs: Sequence[tuple[Any, Any]], wanted: Iterable[Any]) -> dict[Number, Any]:
-    """Return the cotangents of wanted symbols, given pairs of an output and its cotangent; those without are left out."""
+    """Return the cotangents of wanted symbols that have one, given pairs of an output and its cotangent."""
     symbols = set(wanted)
     values = needed(value for value, _ in outputs)
     depends: set[Number] = set()

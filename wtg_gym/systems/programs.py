@@ -214,7 +214,7 @@ def _written(program: Program, writer: Any, kinds: Sequence[Any]) -> Any:
             parts = (builder.extract_value(argument, i) for i in range(len(kind)))
             return [each for own, part in zip(kind.types, parts, strict=True) for each in data_of(own, part)]
 
-        *arrays, scalars, lanes = signature.args
+        *arrays, _, lanes = signature.args
         data = [each for pair in zip(arrays, arguments, strict=False) for each in data_of(*pair)]
         given = {name: builder.extract_value(arguments[-2], i) for i, name in enumerate(SCALARS)}
         writer(builder, len(lanes), data, given, program).write(program.entries)

@@ -1,6 +1,6 @@
 """Kinds of unit, and systems: pure functions of one unit in one lane.
 
-A *kind* says what its units keep. Each part is a record, or a single number, and takes rows: of the lane, where it lasts
+A *kind* says what its units keep. Each part is a record, or a single number, and takes rows: of the lane where it lasts
 from step to step, or of a scratch that a thread shares between its lanes. A *system* names by its arguments the parts
 that it reads, and by `writes` those that its result replaces. It sees the parts of its own unit, and those of the units
 that its kind sees: the lane, the host of an attached unit, the two ends of a pair.
@@ -50,7 +50,7 @@ class Kind:
         return id(self)
 
     def find(self, argument: str) -> Place | None:
-        """Return where an argument of a system lies, a part or a number of a part by its short name; None for neither."""
+        """Return where an argument of a system lies: a part, or a number of a part by its short name; None for none."""
         for label, kind, name in self._meanings(argument):
             for in_scratch, parts in enumerate((kind.rows, kind.scratch)):
                 if name in parts:
