@@ -26,7 +26,7 @@ class Kind:
     """A kind of unit.
 
     Args:
-        name: of the kind, in the plural.
+        name: of the kind, in the plural; no other kind has it, and a copy is the same kind.
         rows: parts that every lane keeps, by name: record classes, or float.
         scratch: parts that last for a control step only.
         constants: what is known of a unit before a run.
@@ -46,8 +46,11 @@ class Kind:
         own = {f"{state}_{what}": self.rows[state] for state in self.states for what in ("rates", "base", "sum")}
         object.__setattr__(self, "scratch", {**own, **self.scratch})
 
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Kind) and self.name == other.name
+
     def __hash__(self) -> int:
-        return id(self)
+        return hash(self.name)
 
     def find(self, argument: str) -> Place | None:
         """Return where an argument of a system lies: a part, or a number of a part by its short name; None for none."""
