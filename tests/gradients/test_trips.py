@@ -114,7 +114,9 @@ def measured(case: Case, what: str, way: Floats, h: float) -> Floats:
     found = np.empty((len(QUANTITIES), N_LANES))
     for step, own in enumerate(actions):
         _, terms = tape.step(own + (h * way[step] if what == "actions" else 0.0))
-        outputs, shown = tape.outputs(), tape._take(tape._values(), tape._rules.observation) @ weights
+        outputs, simulator = tape.outputs(), tape.lanes.simulator
+        # As the kernels know them, before they are rounded to 32 bits.
+        shown = weights @ simulator.scratch(0).reshape(-1, simulator.width)[tape.lanes.task.observed, :N_LANES]
         values = [*(terms[:, COST_TERMS.index(term)] for term in TERMS)]
         values += [*(outputs[:, tape.output_names.index(name)] for name in OUTPUTS), shown]
         for lane in np.flatnonzero(np.array(case.at) == step):
