@@ -38,8 +38,6 @@ THIN_DASHES: Dashes = (0.0, (5.0, 2.0))
 DOTS: Dashes = (0.0, (1.0, 1.5))
 #: Resolution of pixel files [dots per inch].
 PRINT_DPI = 300
-#: File formats that :func:`figure_bytes` writes.
-SUFFIXES = ("png", "svg", "pdf")
 #: Grey of reference lines and their names.
 REFERENCE_GREY = "0.4"
 #: Colour and dashes of most of them.
@@ -75,7 +73,7 @@ _FREE_DASHES: tuple[Dashes, ...] = ("-", (0.0, (4.0, 1.5)), (0.0, (1.2, 1.2)), (
 
 #: Widths, sizes and fonts of print, for matplotlib.
 _STYLE = Path(__file__).with_name("print.mplstyle")
-# A date would make every file a new one.
+# Of every file format that is written; a date would make every file a new one.
 _METADATA: dict[str, dict[str, Any]] = {"png": {}, "svg": {"Date": None}, "pdf": {"CreationDate": None}}
 
 
@@ -131,8 +129,8 @@ def figure_bytes(figure: Figure, suffix: str) -> bytes:
         ValueError: the suffix is another one.
     """
     kind = suffix.lower().removeprefix(".")
-    if kind not in SUFFIXES:
-        raise ValueError(f"a figure is written as {', '.join(SUFFIXES)}, got {suffix!r}")
+    if kind not in _METADATA:
+        raise ValueError(f"a figure is written as {', '.join(_METADATA)}, got {suffix!r}")
     picture = io.BytesIO()
     with print_style():
         figure.savefig(picture, format=kind, dpi=PRINT_DPI, metadata=_METADATA[kind])
