@@ -213,6 +213,3 @@ class DeterministicPolicy(torch.nn.Module):
         output, (hidden, cell) = self._lstm(features[None], (hidden, cell))
         mean = policy.action_net(policy.mlp_extractor.forward_actor(output[0]))
         return mean, *(each for layer in zip(hidden, cell, strict=True) for each in layer)
-
-
-__all__ = ["DeterministicPolicy", "SB3VecEnv", "make_sb3_vec_env"]
