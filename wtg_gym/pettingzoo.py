@@ -198,6 +198,3 @@ class GFMWTGParallelEnv(ParallelEnv[str, Observation, Action]):  # type: ignore[
 def parallel_env(*, render_mode: str | None = None, **arguments: Unpack[EnvArguments]) -> GFMWTGParallelEnv:
     """Return the environment for many agents; arguments and errors are those of :class:`GFMWTGParallelEnv`."""
     return GFMWTGParallelEnv(render_mode=render_mode, **arguments)
-
-
-__all__ = ["GFMWTGParallelEnv", "parallel_env"]

@@ -175,7 +175,8 @@ def _compatibility() -> Iterator[Claim]:
         n_completed += run.status == Status.RUNNING
     n_loops, n_runs = len(_CONTROLS) * len(winds) * len(SIDES), len(_CONTROLS)
     holds = worst < 1e-4 and len(differences) == n_loops and n_completed == n_runs
-    values = {"margin_difference_deg": differences, "largest_deviation": worst, "completed_runs": float(n_completed)}
+    values: dict[str, float | list[float]] = {"margin_difference_deg": differences, "largest_deviation": worst}
+    values["completed_runs"] = float(n_completed)
     counts = {"n_stable": len(differences), "n_loops": n_loops, "n_runs": n_runs}
     margins_deg = {"least_deg": min(differences), "most_deg": max(differences)}
     yield measured("compatible", holds, values, percent=100.0 * worst, **counts, **margins_deg)
