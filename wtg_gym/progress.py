@@ -57,7 +57,3 @@ class Progress:
         if now - self._last_line >= _PROGRESS_INTERVAL_S:
             self._last_line = now
             print(printable(f"{name}: {count}"), file=sys.stderr)
-
-    def update_part(self, name: str, done: int, total: int, steps_done: int, n_steps: int) -> None:
-        """Say the same where `done` are complete and the next one has done some of its steps."""
-        self.update(name, done + steps_done / n_steps, total)
