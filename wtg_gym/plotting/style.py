@@ -102,13 +102,16 @@ def printed(draw: Callable[Parameters, Figure]) -> Callable[Parameters, Figure]:
     def drawn(*args: Parameters.args, **kwargs: Parameters.kwargs) -> Figure:
         with print_style():
             figure = draw(*args, **kwargs)
-            # The second pass starts from the tick labels of the first. After it places are fixed: each format and
-            # each repetition gets the same ones, without being laid out once more.
+            # The second pass starts from the tick labels of the first. After it places are fixed, without the last
+            # digits, which differ from run to run: each format and each repetition gets the same ones.
             layout = figure.get_layout_engine()
             if layout is not None:
                 for _ in range(2):
                     layout.execute(figure)
             figure.set_layout_engine(None)
+            for axes in figure.axes:
+                box = axes.get_position(original=True)
+                axes.set_position(box.from_extents(*box.get_points().ravel().round(12)))
         return figure
 
     return drawn
