@@ -124,4 +124,4 @@ def interquartile_score(gains: Floats, zero: Floats) -> float:
         zero: log gains of the zero (n_scenarios,).
     """
     cut = gains.size // 4
-    return 100.0 * (1.0 + mean(np.sort(gains, axis=None)[cut : gains.size - cut]) / -mean(zero))
+    return 100.0 * (1.0 + float(np.sort(gains, axis=None)[cut : gains.size - cut].mean()) / -mean(zero))
