@@ -168,6 +168,7 @@ def train(run: Run, folder: Path) -> None:
     if run.finished:
         return
     settings, h = run.settings, Hyperparameters(**run.settings.hyperparameters)
+    # Sums over several threads depend on which of them ends first.
     torch.set_num_threads(1)
     torch.manual_seed(settings.seed)
     episodes = TorchEpisodes(EnvSettings(**settings.env_arguments), settings.n_envs)

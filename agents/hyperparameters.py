@@ -15,11 +15,10 @@ from stable_baselines3.common.utils import LinearSchedule
 
 from wtg_gym.files import read_text
 
-#: The algorithms by name; RL Zoo calls the last one ppo_lstm.
-ALGORITHMS: dict[str, type[BaseAlgorithm]] = {"ppo": PPO, "sac": SAC, "recurrent_ppo": RecurrentPPO}
-#: Those, and PPO of which one network acts for every WTG group.
+#: PPO of which one network acts for every WTG group.
 IPPO = "ippo"
-TRAINED: dict[str, type[BaseAlgorithm]] = {**ALGORITHMS, IPPO: PPO}
+#: The algorithms by name; RL Zoo calls recurrent_ppo ppo_lstm.
+TRAINED: dict[str, type[BaseAlgorithm]] = {"ppo": PPO, "sac": SAC, "recurrent_ppo": RecurrentPPO, IPPO: PPO}
 CONFIG_FOLDER = Path(__file__).parent / "configs"
 #: A text that begins so is a schedule that falls linearly to zero.
 _LINEAR = "lin_"

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import contextlib
 import dataclasses
-import importlib.metadata
 import platform
 import shlex
 import subprocess
@@ -15,9 +13,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from wtg_gym import __version__
 from wtg_gym.envs import EnvSettings
 from wtg_gym.evaluation import Entry, Policy, evaluate
+from wtg_gym.evaluation.circumstances import installed
 from wtg_gym.files import read_json, to_json, write_atomically
 from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY
 from wtg_gym.scenarios import DEFAULT_SUITE, get_suite
@@ -158,10 +156,6 @@ class Run:
 
 
 def _provenance(settings: RunSettings) -> dict[str, Any]:
-    versions = {"python": platform.python_version(), "wtg_gym": __version__}
-    for package in _PACKAGES:
-        with contextlib.suppress(importlib.metadata.PackageNotFoundError):
-            versions[package] = importlib.metadata.version(package)
     return {
         "command": shlex.join([Path(sys.executable).name, *sys.orig_argv[1:]]),
         "started": time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime()),
@@ -169,7 +163,7 @@ def _provenance(settings: RunSettings) -> dict[str, Any]:
         "git_commit": _git_commit(),
         "source_hash": source_hash(),
         "suite_hash": get_suite(settings.suite).hash,
-        "versions": versions,
+        "versions": installed(_PACKAGES),
     }
 
 

@@ -6,7 +6,6 @@ import time
 from pathlib import Path
 from typing import Any, Protocol
 
-import torch
 from torch import nn
 
 from agents.folders import BEST, CHECKPOINTS, folders, save_folder
@@ -59,8 +58,6 @@ class Training:
     """
 
     def __init__(self, run: Run, folder: Path, learner: Learner) -> None:
-        # Sums over several threads depend on which of them ends first; networks this small gain nothing from them.
-        torch.set_num_threads(1)
         self._run, self._folder, self._learner = run, folder, learner
         if not run.curve:
             # Refused now rather than after the training.

@@ -9,11 +9,14 @@ from __future__ import annotations
 import json
 import os
 import re
+import shlex
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
+
+from wtg_gym.cli import build_app
 
 ROOT = Path(__file__).resolve().parent.parent
 #: Packages that extras bring and `pip install .` does not.
@@ -79,6 +82,18 @@ def test_notebook_was_run_from_top_to_bottom_without_an_error(path: Path) -> Non
     assert code and [cell["execution_count"] for cell in code] == list(range(1, len(code) + 1))
     outputs = [output for cell in code for output in cell["outputs"]]
     assert outputs and not [output for output in outputs if output["output_type"] == "error"]
+
+
+@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
+def test_commands_of_a_notebook_are_known(path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Running the notebooks takes minutes: a command that has lost an option is found here."""
+    (tmp_path / "my-policy").mkdir()
+    monkeypatch.chdir(tmp_path)
+    cells = json.loads(path.read_text(encoding="utf-8"))["cells"]
+    for line in "\n".join("".join(cell["source"]) for cell in cells).splitlines():
+        if line.startswith("!wtg-gym "):
+            words = shlex.split(line.partition(" 2>")[0])[1:]
+            build_app(words).parse_args(words, exit_on_error=False, print_error=False)
 
 
 def anchors(page: Path) -> set[str]:

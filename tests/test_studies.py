@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import importlib
 from pathlib import Path
 
 import numpy as np
@@ -16,8 +17,15 @@ from rollouts import Rollouts, history_feedback, linear_feedback
 
 from wtg_gym.evaluation import evaluate, load_entries
 
+#: But for the one that needs ANDES, which has an environment of its own.
+STUDIES = {path.stem for path in (Path(__file__).parent.parent / "docs/studies").glob("*.py")} - {"make_andes_cases"}
 SUITE, SEEDS = "standard-v1", [10_000, 10_001, 10_002]
 LINEAR, LINEAR_V1, HISTORY_V1 = FEEDBACKS
+
+
+@pytest.mark.parametrize("name", sorted(STUDIES))
+def test_every_study_finds_what_it_imports(name: str) -> None:
+    importlib.import_module(name)
 
 
 @pytest.mark.parametrize("how", [LINEAR, HISTORY_V1], ids=lambda how: how.folder)

@@ -12,23 +12,29 @@ from typing import TYPE_CHECKING, Any
 from gymnasium.envs.registration import register, registry
 
 if TYPE_CHECKING:
-    from wtg_gym.envs import GFMWTGEnv, GFMWTGVectorEnv
-    from wtg_gym.evaluation import Entry, Results, evaluate, leaderboard_rows, load_entries, markdown_table
-    from wtg_gym.physics.plant import PlantSettings
-    from wtg_gym.physics.scenario import (
-        GovernorLoss,
-        GroupTrip,
-        LineTrip,
-        LoadRamp,
-        LoadStep,
-        LoadTrip,
-        MachineOutage,
-        Scenario,
-    )
-    from wtg_gym.physics.tracking_law import TrackingLaw, get_law
-    from wtg_gym.physics.trajectory import Trajectory, simulate
-    from wtg_gym.policies.torch_export import export_onnx
-    from wtg_gym.scenarios import get_suite
+    from wtg_gym.envs import GFMWTGEnv as GFMWTGEnv
+    from wtg_gym.envs import GFMWTGVectorEnv as GFMWTGVectorEnv
+    from wtg_gym.evaluation import Entry as Entry
+    from wtg_gym.evaluation import Results as Results
+    from wtg_gym.evaluation import evaluate as evaluate
+    from wtg_gym.evaluation import leaderboard_rows as leaderboard_rows
+    from wtg_gym.evaluation import load_entries as load_entries
+    from wtg_gym.evaluation import markdown_table as markdown_table
+    from wtg_gym.physics.plant import PlantSettings as PlantSettings
+    from wtg_gym.physics.scenario import GovernorLoss as GovernorLoss
+    from wtg_gym.physics.scenario import GroupTrip as GroupTrip
+    from wtg_gym.physics.scenario import LineTrip as LineTrip
+    from wtg_gym.physics.scenario import LoadRamp as LoadRamp
+    from wtg_gym.physics.scenario import LoadStep as LoadStep
+    from wtg_gym.physics.scenario import LoadTrip as LoadTrip
+    from wtg_gym.physics.scenario import MachineOutage as MachineOutage
+    from wtg_gym.physics.scenario import Scenario as Scenario
+    from wtg_gym.physics.tracking_law import TrackingLaw as TrackingLaw
+    from wtg_gym.physics.tracking_law import get_law as get_law
+    from wtg_gym.physics.trajectory import Trajectory as Trajectory
+    from wtg_gym.physics.trajectory import simulate as simulate
+    from wtg_gym.policies.torch_export import export_onnx as export_onnx
+    from wtg_gym.scenarios import get_suite as get_suite
 
 try:
     __version__ = version("wtg-gym")
@@ -65,35 +71,7 @@ _PLACES = {
     "scenarios": "get_suite",
 }
 _MODULES = {name: module for module, names in _PLACES.items() for name in names.split()}
-
-__all__ = [
-    "ENV_ID",
-    "ENV_IDS",
-    "Entry",
-    "GFMWTGEnv",
-    "GFMWTGVectorEnv",
-    "GovernorLoss",
-    "GroupTrip",
-    "LineTrip",
-    "LoadRamp",
-    "LoadStep",
-    "LoadTrip",
-    "MachineOutage",
-    "PlantSettings",
-    "Results",
-    "Scenario",
-    "TrackingLaw",
-    "Trajectory",
-    "__version__",
-    "evaluate",
-    "export_onnx",
-    "get_law",
-    "get_suite",
-    "leaderboard_rows",
-    "load_entries",
-    "markdown_table",
-    "simulate",
-]
+__all__ = ["ENV_ID", "ENV_IDS", "__version__", *_MODULES]
 
 
 def __getattr__(name: str) -> Any:

@@ -103,7 +103,7 @@ def update_between_markers(path: str | Path, content: str, name: str) -> bool:
         ValueError: the file cannot be read, or does not have each marker once, the start before the end.
     """
     path = Path(path)
-    text, start, end = _with_markers(path, name)
+    text, start, end = find_markers(path, name)
     newline = "\r\n" if "\r\n" in text else "\n"
     before, after = text[: text.index(start) + len(start)], text[text.index(end) :]
     changed = before + newline + content.strip().replace("\n", newline) + newline + after
@@ -112,13 +112,8 @@ def update_between_markers(path: str | Path, content: str, name: str) -> bool:
     return changed != text
 
 
-def require_markers(path: str | Path, *names: str) -> None:
-    """Raise the ValueError that :func:`update_between_markers` would, before the work."""
-    for name in names:
-        _with_markers(Path(path), name)
-
-
-def _with_markers(path: Path, name: str) -> tuple[str, str, str]:
+def find_markers(path: Path, name: str) -> tuple[str, str, str]:
+    """Return the text of a file and its markers; raises the ValueError of :func:`update_between_markers`."""
     text = read_text(path, "file with the markers")
     start, end = (f"<!-- {name}:{edge} -->" for edge in ("start", "end"))
     if text.count(start) != 1 or text.count(end) != 1 or text.index(start) > text.index(end):

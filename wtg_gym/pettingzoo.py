@@ -13,7 +13,7 @@ from wtg_gym.envs import GFMWTGEnv
 from wtg_gym.envs.actions import as_actions
 from wtg_gym.envs.observation import OBSERVATION_BOUND
 from wtg_gym.envs.rendering import Frame
-from wtg_gym.envs.settings import ACTION_MODES, EnvArguments, EnvSettings
+from wtg_gym.envs.settings import ACTION_MODES, EnvArguments
 from wtg_gym.extras import install_advice
 from wtg_gym.ranges import ByName
 
@@ -81,11 +81,6 @@ class GFMWTGParallelEnv(ParallelEnv[str, Observation, Action]):  # type: ignore[
         self._done_by = {agent: slice(j * n_modes, (j + 1) * n_modes) for j, agent in enumerate(self.possible_agents)}
         #: Names and units of each agent's observation.
         self.observation_names = {agent: lanes.observation_names[own] for agent, own in self._seen.items()}
-
-    @property
-    def settings(self) -> EnvSettings:
-        """Settings of the single environment."""
-        return self.single_env.settings
 
     def observation_space(self, agent: str) -> gym.spaces.Box:
         """Return what an agent observes: Box(-5, 5, (n,))."""
@@ -198,6 +193,3 @@ class GFMWTGParallelEnv(ParallelEnv[str, Observation, Action]):  # type: ignore[
 def parallel_env(*, render_mode: str | None = None, **arguments: Unpack[EnvArguments]) -> GFMWTGParallelEnv:
     """Return the environment for many agents; arguments and errors are those of :class:`GFMWTGParallelEnv`."""
     return GFMWTGParallelEnv(render_mode=render_mode, **arguments)
-
-
-__all__ = ["GFMWTGParallelEnv", "parallel_env"]

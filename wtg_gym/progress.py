@@ -25,7 +25,6 @@ class Progress:
         self._bar: Any = None
         self._task: Any = None
         self._last_line = time.monotonic()
-        self._first: tuple[float, float] | None = None
 
     def __enter__(self) -> Progress:
         if sys.stderr.isatty():
@@ -55,17 +54,6 @@ class Progress:
             self._bar.update(self._task, description=escape(printable(name)), completed=done, total=total, count=count)
             return
         now = time.monotonic()
-        # Compiling and reading stored results come before it, and say nothing about the pace after it.
-        self._first = self._first or (now, done)
         if now - self._last_line >= _PROGRESS_INTERVAL_S:
             self._last_line = now
-            began, before = self._first
-            new = done - before
-            # Training ends with a whole rollout, beyond its total.
-            paced = new > 0.02 * total and done < total
-            left = f", about {(now - began) / new * (total - done):.0f} s left" if paced else ""
-            print(printable(f"{name}: {count}{left}"), file=sys.stderr)
-
-    def update_part(self, name: str, done: int, total: int, steps_done: int, n_steps: int) -> None:
-        """Say the same where `done` are complete and the next one has done some of its steps."""
-        self.update(name, done + steps_done / n_steps, total)
+            print(printable(f"{name}: {count}"), file=sys.stderr)

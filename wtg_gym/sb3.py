@@ -163,11 +163,7 @@ def make_sb3_vec_env(num_envs: int = 1, *, seed: int | None = None, **arguments:
     Args:
         num_envs: number of episodes side by side.
         seed: s seeds lane i with s + i at the first reset; a learner's own `seed` replaces it.
-        arguments: as for :class:`wtg_gym.envs.GFMWTGVectorEnv`, but `autoreset_mode`.
-
-    Raises:
-        TypeError: an argument is unknown.
-        ValueError: an argument is out of range.
+        arguments: as for :class:`SB3VecEnv`, with the same errors.
     """
     env = VecMonitor(SB3VecEnv(num_envs, **arguments))
     if seed is not None:
@@ -213,6 +209,3 @@ class DeterministicPolicy(torch.nn.Module):
         output, (hidden, cell) = self._lstm(features[None], (hidden, cell))
         mean = policy.action_net(policy.mlp_extractor.forward_actor(output[0]))
         return mean, *(each for layer in zip(hidden, cell, strict=True) for each in layer)
-
-
-__all__ = ["DeterministicPolicy", "SB3VecEnv", "make_sb3_vec_env"]

@@ -20,8 +20,8 @@ from wtg_gym.plotting.style import PALETTE, figure_bytes, printed
 ROOT = Path(__file__).parents[2]
 ROOMS = (
     *("agents", "baselines"),
-    *(f"wtg_gym/{name}" for name in ("plotting", "cli", "evaluation", "reproduce", "policies")),
-    *(f"wtg_gym/{name}" for name in ("gradients", "pettingzoo.py", "sb3.py", "envs", "scenarios")),
+    *(f"wtg_gym/{name}" for name in ("plotting", "cli", "evaluation", "reproduce")),
+    *(f"wtg_gym/{name}" for name in ("sb3.py", "gradients", "pettingzoo.py", "policies", "envs", "scenarios")),
     "wtg_gym/physics",
 )
 # File, what it does there; docs/architecture.md says more.

@@ -52,7 +52,7 @@ BAD = [
     # Scores.
     ("evaluate --entries turbo", "'turbo'"),
     ("evaluate --entries mppt mppt", "given more than once: ['mppt']"),
-    ("evaluate --entries best", "the folder best holds no entry.toml, but 2 folders with one: write best/* for all"),
+    ("evaluate --entries best", "the folder best holds no entry.toml; several folders are best/*"),
     ("evaluate --entries best/empty", "the folder best/empty holds no entry.toml"),
     ("evaluate --entries model.zip", "model.zip: an archive of Stable-Baselines3 is not opened"),
     ("evaluate --suite paper-v1 --entries 'PPO (k)'", "is for GFMWTG-14bus-v0, these scenarios are of"),

@@ -26,11 +26,12 @@ def test_suites_lists_every_suite(capsys: pytest.CaptureFixture[str]) -> None:
 
 
 def test_suite_of_v1_is_shown_with_its_grid_sensors_and_task(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["suites", "standard-v1"]) == 0
-    text = capsys.readouterr().out
-    assert "GFMWTG-14bus-v1" in text and SUITES["standard-v1"].hash in text
-    assert "bus 2, n_turbines 20.0; bus 3, n_turbines 14.0; bus 6, n_turbines 10.0; bus 8, n_turbines 8.0" in text
-    assert "generator_mva              250.0" in text and "delay_s                    0.1; 0.3" in text
+    (data,) = json_of(capsys, "suites", "standard-v1")
+    assert (data["environment"], data["hash"]) == ("GFMWTG-14bus-v1", SUITES["standard-v1"].hash)
+    assert [(group["bus"], group["n_turbines"]) for group in data["plant"]["groups"]] == [
+        *((2, 20.0), (3, 14.0), (6, 10.0), (8, 8.0))
+    ]
+    assert data["sensors"]["delay_s"] == [0.1, 0.3]
     (data,) = json_of(capsys, "suites", "no-wind-sensor-v1", "--json")
     assert data["sensors"]["wind_sensor"] is False and data["plant"]["physics"] == "extended"
 

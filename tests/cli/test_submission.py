@@ -25,14 +25,13 @@ def few_scenarios(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(gate, "_TIMED_LANES", 16)
 
 
-def test_template_with_a_policy_is_accepted_once_it_is_filled_in(
+def test_template_beside_a_policy_is_accepted_once_it_is_filled_in(
     capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
-    (tmp_path / "some.onnx").write_bytes(models.of_v1().SerializeToString())
     target = tmp_path / "new"
-    assert main(["submission", "new", str(target), "--policy", str(tmp_path / "some.onnx")]) == 0
-    assert sorted(path.name for path in target.iterdir()) == ["entry.toml", "policy.onnx"]
+    assert main(["submission", "new", str(target)]) == 0
     capsys.readouterr()
+    (target / "policy.onnx").write_bytes(models.of_v1().SerializeToString())
     entry = target / "entry.toml"
     empty = entry.read_text(encoding="utf-8")
     assert main(["submission", "check", str(target)]) == 1

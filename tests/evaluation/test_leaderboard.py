@@ -20,7 +20,7 @@ from wtg_gym.evaluation import (
     markdown_table,
     table_cells,
 )
-from wtg_gym.evaluation.leaderboard import markdown_section
+from wtg_gym.evaluation.results import markdown_section
 from wtg_gym.evaluation.score import pinned
 from wtg_gym.evaluation.table import columns_of
 

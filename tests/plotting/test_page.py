@@ -22,13 +22,12 @@ OWN: dict[str, Any] = {"split": "validation", "seeds": range(10_000, 10_006), "d
 
 @functools.cache
 def all_results() -> tuple[Results, ...]:
-    """Results of both versions; of v1 on two suites, and without a scale too."""
+    """Results of both versions; of v1 without a scale too."""
     laws, droop = ["mppt", "deloaded-10"], load_entries("fast-droop", benchmark=V1)
     return (
         evaluate(laws, "standard", **OWN, version="v0"),
         evaluate([*laws, *droop], "standard-v1", **OWN),
         evaluate(droop, "paper-v1", "validation"),
-        evaluate(laws, "gusty-v1", **OWN),
     )
 
 
@@ -59,17 +58,11 @@ def test_the_numbers_are_those_of_the_results() -> None:
             assert own.get(head, [""] * len(rows)) == list(cells), head
         assert own["failures"] == [row.failures_percent for row in rows]
         assert own["deviation"] == [row.median_deviation_mhz for row in rows]
-    assert len([data for data in shown if "score_value" in data]) == len(ranked) == 3
-    _, own, _, other = results
-    (every,) = [data for data in shown if list(data) == ["entry", own.name, other.name]]
-    assert every["entry"] == [row.name for row in leaderboard_rows(own)]
-    assert every[own.name] == [text for (text,) in table_cells(leaderboard_rows(own), ("score",))]
-    # The other suite was played without it.
-    assert every[other.name][every["entry"].index("fast-droop")] == ""
+    assert len([data for data in shown if "score_value" in data]) == len(ranked) == 2
 
 
 def test_what_cannot_be_ranked_and_what_is_given_twice_is_refused() -> None:
-    _, own, without_scale, _ = all_results()
+    _, own, without_scale = all_results()
     for results in ([], [without_scale]):
         with pytest.raises(ValueError, match="results with a score"):
             leaderboard_page(results)

@@ -95,6 +95,3 @@ def main(argv: Sequence[str] | None = None) -> int:
     except MemoryError:
         note("wtg-gym: error: there is not enough memory for this")
         return 2
-
-
-__all__ = ["build_app", "main"]

@@ -8,8 +8,9 @@ from typing import Literal
 
 from wtg_gym.cli import scoring
 from wtg_gym.cli.options import Entries, Json, OutputFolder, PlantOptions, SeedOptions, Suite, Threads, WorkerOptions
-from wtg_gym.cli.output import check_page, update_page
-from wtg_gym.evaluation.leaderboard import markdown_section
+from wtg_gym.cli.output import check_page, note
+from wtg_gym.evaluation.results import markdown_section
+from wtg_gym.files import update_between_markers
 from wtg_gym.policies.entry import check_version
 from wtg_gym.policies.names import BASELINES
 from wtg_gym.scenarios import DEFAULT_SUITE, get_suite
@@ -108,5 +109,6 @@ def leaderboard(
     # Without its parts, which would be removed once the results are written.
     code = scoring.finish(dataclasses.replace(found, parts=None), results, as_json=json)
     if readme is not None:
-        update_page(readme, {section: markdown_section(found)})
+        changed = update_between_markers(readme, markdown_section(found), section)
+        note(f"{readme}: {'updated' if changed else 'already up to date'}")
     return code

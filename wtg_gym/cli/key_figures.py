@@ -19,13 +19,9 @@ def key_figures(name: str, run: Trajectory) -> dict[str, Any]:
     """Return the key figures of a run as JSON-ready data with units in the keys; groups count from 1."""
     step = float(run.time_s[1] - run.time_s[0]) if run.time_s.size > 1 else ROCOF_WINDOW_S
     rocof = run.rocof_hz_s(ROCOF_WINDOW_S)
-    failed = None
-    if run.status == Status.STALL:
-        failed = 1 + int(np.argmin(run.tip_speed_ratio[-1]))
-    elif run.status == Status.OVER_SPEED:
-        failed = 1 + int(np.argmax(run.rotor_speed_pu[-1]))
-    elif run.status == Status.UNDER_SPEED:
-        failed = 1 + int(np.argmin(run.rotor_speed_pu[-1]))
+    ratios, rotors = run.tip_speed_ratio[-1], run.rotor_speed_pu[-1]
+    extremes = {Status.STALL: -ratios, Status.OVER_SPEED: rotors, Status.UNDER_SPEED: -rotors}
+    failed = 1 + int(np.argmax(extremes[run.status])) if run.status in extremes else None
     # A disconnected group delivers exactly nothing.
     off = run.power_pu == 0.0
     tripped = [

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from wtg_gym.extras import install_advice
-from wtg_gym.files import printable, require_markers, update_between_markers, write_atomically
+from wtg_gym.files import find_markers, printable, write_atomically
 
 #: Most characters of an error's message.
 _LONGEST_ERROR = 1500
@@ -53,20 +53,14 @@ def write_and_say(path: Path, content: str | bytes) -> None:
     note(f"wrote {path}")
 
 
-def check_page(option: str, path: Path, *sections: str) -> None:
-    """Raise a ValueError if a file has no markers of the sections that are to be renewed, or cannot be written."""
+def check_page(option: str, path: Path, section: str) -> None:
+    """Raise a ValueError if a file has no markers of the section that is to be renewed, or cannot be written."""
     try:
-        require_markers(path, *sections)
+        find_markers(path, section)
     except ValueError as error:
         raise ValueError(f"{option}: {error}") from error
     if not os.access(path, os.W_OK) or not os.access(path.resolve().parent, os.W_OK):
         raise ValueError(f"{option} {path} is not writable")
-
-
-def update_page(path: Path, sections: Mapping[str, str]) -> None:
-    """Renew sections of a file and say whether anything has changed."""
-    changed = [update_between_markers(path, content, name) for name, content in sections.items()]
-    note(f"{path}: {'updated' if any(changed) else 'already up to date'}")
 
 
 def plain_json(value: Any) -> Any:

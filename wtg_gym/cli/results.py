@@ -27,8 +27,8 @@ def page(results: tuple[Path, ...], /, *, output: HtmlFile) -> int:
     """Show stored results as one HTML file with charts.
 
     It needs nothing but a browser, offline too: each suite's ranking with its intervals, to sort and to filter, the
-    scores as a chart, and the deviation of the frequency against the failures. The scores on several suites stand side
-    by side in a table, too. Suites of the latest version of the benchmark come first.
+    scores as a chart, and the deviation of the frequency against the failures. Suites of the latest version of the
+    benchmark come first.
 
     examples:
       wtg-gym results page results/standard-test.json --output leaderboard.html

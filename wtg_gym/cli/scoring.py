@@ -17,7 +17,7 @@ from wtg_gym.evaluation.evaluator import chosen_seeds, shared_settings
 from wtg_gym.evaluation.table import columns_of, privileged_note, text_columns
 from wtg_gym.evaluation.workers import BACKENDS, Workers
 from wtg_gym.files import read_text
-from wtg_gym.policies.entry import check_entries
+from wtg_gym.policies.entry import check_entries, run_label
 from wtg_gym.progress import Progress
 from wtg_gym.ranges import require_range
 from wtg_gym.scenarios import FRESH, draw_seeds, get_suite
@@ -133,8 +133,7 @@ def run_evaluation(entries: Sequence[Entry], *, partial: Path | None = None, **o
 def finish(results: Results, folder: Path | None, *, as_json: bool) -> int:
     """Write the results, print the ranking or the description as JSON; return 1 if an entry failed, else 0."""
     for entry in results.failed:
-        seed = "" if entry["training_seed"] is None else f" (training seed {entry['training_seed']})"
-        note(f"failed, and left out: {entry['name']}{seed}: {entry['reason']}")
+        note(f"failed, and left out: {run_label(entry['name'], entry['training_seed'])}: {entry['reason']}")
     code = int(bool(results.failed))
     if folder is not None:
         for path in results.write(folder):

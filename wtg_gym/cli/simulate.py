@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -109,9 +108,8 @@ def simulate_scenario(
     with Progress("runs") as progress:
         runs = {}
         for done, (name, law) in enumerate(laws.items()):
-            runs[name] = simulate(
-                scenario, law, settings, on_progress=partial(progress.update_part, name, done, len(laws))
-            )
+            progress.update(name, done, len(laws))
+            runs[name] = simulate(scenario, law, settings)
     if plot is not None:
         _write_plot(plot, runs, scenario, settings)
     if csv is not None:

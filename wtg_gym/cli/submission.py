@@ -48,22 +48,18 @@ class GateOptions:
 
 
 @app.command
-def new(folder: OutputFolder, /, *, policy: Path | None = None) -> int:
-    """Write a template.
+def new(folder: OutputFolder, /) -> int:
+    """Write an entry.toml with comments to fill in; policy.onnx belongs beside it.
 
-    Writes an entry.toml with comments to fill in, and copies a policy beside it. `python -m agents.export` writes both
-    files for a run of `python -m agents.train`.
+    `python -m agents.export` writes both files for a run of `python -m agents.train`.
 
     examples:
       wtg-gym submission new my-policy
-      wtg-gym submission new my-policy --policy trained/policy.onnx
 
     Args:
         folder: where to write; made if missing
-        policy: an .onnx file to copy
     """
-    for path in write_template(folder, policy):
-        note(f"wrote {path}")
+    note(f"wrote {write_template(folder)}")
     return 0
 
 

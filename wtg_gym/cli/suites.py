@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import asdict
 from typing import Any
 
@@ -20,7 +19,7 @@ def suites(name: SuiteName | None = None, /, *, seed: Whole | None = None, json:
 
     examples:
       wtg-gym suites                                       all suites
-      wtg-gym suites standard                              one suite and what its scenarios are drawn from
+      wtg-gym suites standard                              what its scenarios are drawn from, as JSON
       wtg-gym suites standard --seed 20003                 one scenario in words
       wtg-gym suites standard --seed 20003 --json > s.json the same as a file for `wtg-gym simulate --scenario s.json`
 
@@ -37,12 +36,10 @@ def suites(name: SuiteName | None = None, /, *, seed: Whole | None = None, json:
             print_json(scenario.to_dict())
         else:
             say(*describe_scenario(scenario))
-    elif json:
+    elif json or name is not None:
         print_json([_summary(suite) for suite in chosen])
-    elif name is None:
-        _print_suites(chosen)
     else:
-        _print_suite(chosen[0])
+        _print_suites(chosen)
     return 0
 
 
@@ -72,17 +69,3 @@ def _print_suites(suites: list[Suite]) -> None:
     say("")
     width = max(len(suite.name) for suite in suites)
     say(*(f"{suite.name:<{width}} {suite.description}" for suite in suites))
-
-
-def _print_suite(suite: Suite) -> None:
-    for key, value in _summary(suite).items():
-        if isinstance(value, Mapping):
-            say(f"{key}:", *(f"  {name:<26} {_text(own)}" for name, own in value.items()))
-        else:
-            say(f"{key:<28} {_text(value)}")
-
-
-def _text(value: Any) -> str:
-    if isinstance(value, Mapping):
-        return ", ".join(f"{name} {_text(own)}" for name, own in value.items())
-    return "; ".join(map(_text, value)) if isinstance(value, (list, tuple)) else str(value)

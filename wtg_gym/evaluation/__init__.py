@@ -1,9 +1,8 @@
 """Evaluation: entries are played on the suites, measured, scored and ranked."""
 
 from wtg_gym.evaluation.evaluator import evaluate
-from wtg_gym.evaluation.leaderboard import leaderboard_rows
 from wtg_gym.evaluation.metrics import METRICS, Metric
-from wtg_gym.evaluation.results import Results
+from wtg_gym.evaluation.results import Results, leaderboard_rows
 from wtg_gym.evaluation.score import NoScaleError
 from wtg_gym.evaluation.statistics import Interval
 from wtg_gym.evaluation.summary import EntrySummary

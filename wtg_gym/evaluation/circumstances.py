@@ -8,6 +8,7 @@ import functools
 import hashlib
 import importlib.metadata
 import platform
+from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
@@ -29,11 +30,16 @@ _N_SCENARIOS, _N_STEPS = 4, 150
 @functools.cache
 def versions() -> dict[str, str]:
     """Return the versions of wtg_gym, Python and the installed packages that compute, and the kind of processor."""
+    return {**installed(_PACKAGES), "processor": f"{platform.machine()} {get_host_cpu_name()}"}
+
+
+def installed(packages: Iterable[str]) -> dict[str, str]:
+    """Return the versions of wtg_gym, Python, and those of the packages that are installed."""
     found = {"wtg_gym": __version__, "python": platform.python_version()}
-    for package in _PACKAGES:
+    for package in packages:
         with contextlib.suppress(importlib.metadata.PackageNotFoundError):
             found[package] = importlib.metadata.version(package)
-    return {**found, "processor": f"{platform.machine()} {get_host_cpu_name()}"}
+    return found
 
 
 @functools.cache

@@ -9,8 +9,7 @@ from typing import Any
 import numpy as np
 
 from wtg_gym.evaluation import statistics
-from wtg_gym.evaluation.leaderboard import leaderboard_rows
-from wtg_gym.evaluation.results import Results
+from wtg_gym.evaluation.results import Results, leaderboard_rows
 from wtg_gym.evaluation.statistics import Floats, Interval
 from wtg_gym.evaluation.table import signed_interval
 from wtg_gym.scenarios import FRESH

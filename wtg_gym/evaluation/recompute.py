@@ -11,6 +11,7 @@ from wtg_gym.evaluation.evaluator import evaluate, shared_settings
 from wtg_gym.evaluation.results import Results
 from wtg_gym.evaluation.workers import Workers
 from wtg_gym.policies import Entry
+from wtg_gym.policies.entry import run_label
 from wtg_gym.scenarios import FreshDraw, get_suite
 
 #: The settings of results that are arguments of the environment, as they are called there.
@@ -121,7 +122,7 @@ def _deciding(results: Results) -> dict[str, Any]:
 def _cells(results: Results) -> dict[str, str]:
     """Return every value of every episode, by where it stands."""
     return {
-        f"{_label(*episode.run)}, seed {episode.seed}: {column}": cell
+        f"{run_label(*episode.run)}, seed {episode.seed}: {column}": cell
         for episode in results.episodes
         for column, cell in zip(COLUMNS, episode.cells(), strict=True)
     }
@@ -143,8 +144,4 @@ def _compared(stored: Mapping[str, Any], now: Mapping[str, Any]) -> list[Differe
 
 
 def _by_label(results: Results) -> dict[str, Mapping[str, Any]]:
-    return {_label(each["name"], each["training_seed"]): each for each in (*results.entries, *results.failed)}
-
-
-def _label(name: str, training_seed: int | None) -> str:
-    return name if training_seed is None else f"{name} (training seed {training_seed})"
+    return {run_label(each["name"], each["training_seed"]): each for each in (*results.entries, *results.failed)}

@@ -1,4 +1,4 @@
-"""The results of an evaluation: every episode, the scores, and what is needed to repeat it."""
+"""The results of an evaluation: every episode, the scores, what is needed to repeat it, and the ranking for a page."""
 
 from __future__ import annotations
 
@@ -8,22 +8,13 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
-from wtg_gym.evaluation import results_file
+from wtg_gym.evaluation import results_file, summary
 from wtg_gym.evaluation.episodes import Episode, to_csv
 from wtg_gym.evaluation.metrics import METRICS
 from wtg_gym.evaluation.partial import PartialStore
 from wtg_gym.evaluation.score import NoScaleError, log_gains, pinned, score_scale
 from wtg_gym.evaluation.statistics import Floats, Interval
-from wtg_gym.evaluation.summary import (
-    EntryMeasures,
-    EntrySummary,
-    Runs,
-    entry_measures,
-    pinned_costs,
-    ranked,
-    runs_by_name,
-    summarise,
-)
+from wtg_gym.evaluation.summary import EntryMeasures, EntrySummary, Runs, ranked
 from wtg_gym.evaluation.table import markdown_table, privileged_note
 from wtg_gym.extras import install_advice
 from wtg_gym.ranges import ByName
@@ -102,12 +93,12 @@ class Results:
         Raises:
             NoScaleError: on these scenarios the zero is not worse than the hundred, so that there is no score.
         """
-        return summarise(self.measures, self._runs, self.pinned_costs, self.benchmark)
+        return summary.summarise(self.measures, self._runs, self.pinned_costs, self.benchmark)
 
     @cached_property
     def measures(self) -> list[EntryMeasures]:
         """What is measured of every entry, in the order of the entries; without a score there is this alone."""
-        return entry_measures(self.entries, self._runs, self.pinned_costs, self.benchmark)
+        return summary.entry_measures(self.entries, self._runs, self.pinned_costs, self.benchmark)
 
     @property
     def ranking(self) -> list[EntryMeasures]:
@@ -134,11 +125,11 @@ class Results:
     @cached_property
     def pinned_costs(self) -> dict[str, Floats]:
         """Pinned costs by the entry's name, (n_runs, n_scenarios), in the order of training seeds and scenarios."""
-        return self._by_entry({name: pinned_costs(runs, self._cap) for name, runs in self._runs.items()})
+        return self._by_entry({name: summary.pinned_costs(runs, self._cap) for name, runs in self._runs.items()})
 
     @cached_property
     def _runs(self) -> dict[str, Runs]:
-        return runs_by_name(self.episodes)
+        return summary.runs_by_name(self.episodes)
 
     @property
     def log_gains(self) -> dict[str, Floats]:
@@ -261,3 +252,36 @@ class Results:
         )
         results_file.check_summary(data["summary"], results.to_dict()["summary"], f"{path}: summary")
         return results
+
+
+def leaderboard_rows(results: Results) -> list[EntrySummary]:
+    """Return the entries' summaries, the best score first, equal ones by name.
+
+    Raises:
+        NoScaleError: the results have no score, see :attr:`Results.summaries`.
+    """
+    return ranked(results.summaries)
+
+
+def markdown_section(results: Results) -> str:
+    """Return the ranking for a Markdown page: since v1 with a sentence on the frequency before the table."""
+    rows = results.ranking
+    notes = (f"{note[0].upper()}{note[1:]}." for note in (results.no_score, privileged_note(rows)) if note)
+    return "\n\n".join(part for part in (_frequency_sentence(results), markdown_table(rows), *notes) if part)
+
+
+def _frequency_sentence(results: Results) -> str:
+    """Return what the anchors and the best learned entry do for the frequency [mHz], "" in v0."""
+    benchmark, rows = results.benchmark, results.ranking
+    if benchmark.version == "v0":
+        return ""
+    learned = next((row for row in rows if row.kind == "learned"), None)
+    who = {benchmark.zero: "the published law", benchmark.hundred: "that law tuned to this grid"}
+    if learned is not None:
+        who[learned.name] = f"`{learned.name}`, the best learned entry"
+    deviations = {row.name: row.median_deviation_mhz for row in rows}
+    said = [f"{deviations[name]:.0f} mHz with {words}" for name, words in who.items()]
+    return (
+        f"Median over {len(results.seeds)} {results.split} scenarios of the largest deviation of the frequency: "
+        f"{', '.join(said)}."
+    )

@@ -36,17 +36,6 @@ def mean(values: Floats) -> float:
     return math.fsum(values.ravel().tolist()) / values.size
 
 
-def interquartile_mean(values: Floats) -> Floats:
-    """Return the mean along the last axis without the lowest and the highest quarter (numbers rounded down).
-
-    Source: R. Agarwal et al., "Deep reinforcement learning at the edge of the statistical precipice", NeurIPS 2021.
-    """
-    n = values.shape[-1]
-    cut = n // 4
-    means: Floats = np.sort(values, axis=-1)[..., cut : n - cut].mean(axis=-1)
-    return means
-
-
 def improvement(costs: Floats, hundred: Floats) -> Floats:
     """Return 1 where a cost is below the hundred's on the same scenario, ½ where equal, else 0; the mean is P."""
     better: Floats = (costs < hundred) + 0.5 * (costs == hundred)
@@ -125,16 +114,14 @@ def score_difference(gains: Floats, other: Floats, zero: Floats) -> Interval:
     return percentile_interval(value, resampled_scores(gains, zero) - resampled_scores(other, zero, side=1))
 
 
-def interquartile_interval(gains: Floats, zero: Floats) -> Interval:
-    """Return the interquartile mean of the scenarios' scores with its bootstrap interval, Λ resampled too.
+def interquartile_score(gains: Floats, zero: Floats) -> float:
+    """Return the mean of the scenarios' scores without the lowest and the highest quarter (numbers rounded down).
+
+    Source: R. Agarwal et al., "Deep reinforcement learning at the edge of the statistical precipice", NeurIPS 2021.
 
     Args:
         gains: log gains of the entry (n_runs, n_scenarios).
         zero: log gains of the zero (n_scenarios,).
     """
-    runs, scenarios = _drawn_runs(gains.shape[0], 0), _drawn_scenarios(zero.size)
-    means = interquartile_mean(gains[runs[:, :, np.newaxis], scenarios[:, np.newaxis]].reshape(N_RESAMPLES, gains.size))
-    scale = -_resampled_means(zero[np.newaxis])
-    scored = scale > 0.0
-    value = 100.0 * (1.0 + float(interquartile_mean(gains.ravel())) / -mean(zero))
-    return percentile_interval(value, 100.0 * (1.0 + means[scored] / scale[scored]))
+    cut = gains.size // 4
+    return 100.0 * (1.0 + float(np.sort(gains, axis=None)[cut : gains.size - cut].mean()) / -mean(zero))

@@ -70,7 +70,7 @@ class EntrySummary(EntryMeasures):
     """One row of a ranking by the score, over all scenarios and training seeds of an entry."""
 
     score: Interval  # mean of the scenarios' scores: 0 and 100 are those of the version's anchors
-    interquartile_mean: Interval  # of the scenarios' scores
+    interquartile_mean: float  # of the scenarios' scores
     #: The score minus that of the entry above in the ranking, on the same scenarios; None for the first.
     difference_to_above: Interval | None
     #: Points above 100 by the cost terms they come from, by the names in :data:`POINTS` and :data:`REST`; they add up
@@ -115,7 +115,7 @@ def summarise(
         return EntrySummary(
             **{each.name: getattr(row, each.name) for each in fields(EntryMeasures)},
             score=statistics.score_interval(gains[row.name], zero),
-            interquartile_mean=statistics.interquartile_interval(gains[row.name], zero),
+            interquartile_mean=statistics.interquartile_score(gains[row.name], zero),
             difference_to_above=None,
             points_by_term=dict(zip((*POINTS, REST), points.tolist(), strict=True)),
         )

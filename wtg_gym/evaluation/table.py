@@ -86,7 +86,7 @@ _COLUMNS = (
     _Column("overload [points]", _points("overload"), "v0 whole"),
     _Column("rest [points]", _points(REST), "v0 whole"),
     _Column("kind", lambda row: row.kind, "whole"),
-    _Column("IQM", _of_score(lambda row: _plain(row.interquartile_mean.value)), "whole"),
+    _Column("IQM", _of_score(lambda row: _plain(row.interquartile_mean)), "whole"),
     _Column("P(improvement)", lambda row: f"{row.probability_of_improvement.value:.2f}", "whole"),
     _Column("failures [%]", lambda row: f"{row.failures_percent:.1f}", "v0"),
     _Column("failures by kind [%]", _failures, "whole"),

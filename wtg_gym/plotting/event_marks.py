@@ -86,7 +86,12 @@ def draw_run(axes: Axes, run: Trajectory, values: Floats, colour: str, **line: A
     """Draw a quantity (n,) of a run over time, with a cross at its end where that came before its time."""
     axes.plot(run.time_s, values, color=colour, **line)
     if run.status != Status.RUNNING:
-        axes.plot(run.time_s[-1], values[-1], "x", color=colour, markersize=5.5, markeredgewidth=1.4, zorder=4)
+        mark_end(axes, float(run.time_s[-1]), float(values[-1]), colour)
+
+
+def mark_end(axes: Axes, time_s: float, value: float, colour: str) -> None:
+    """Draw a cross where a run ended before its time."""
+    axes.plot(time_s, value, "x", color=colour, markersize=5.5, markeredgewidth=1.4, zorder=4)
 
 
 def endings(runs: Iterable[Trajectory]) -> str:

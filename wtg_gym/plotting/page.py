@@ -32,7 +32,7 @@ _CHARACTER_WIDTH, _ROW_HEIGHT, _CHART_HEIGHT = 6, 26, 420
 
 
 def leaderboard_page(results: Sequence[Results]) -> str:
-    """Return the leaderboard as one HTML file: a tab per ranking, and one with the scores on every suite.
+    """Return the leaderboard as one HTML file: a tab per ranking.
 
     The suites of the latest version come first. Results of scenarios without a scale are left out.
 
@@ -55,10 +55,6 @@ def leaderboard_page(results: Sequence[Results]) -> str:
     if twice := sorted({name for name in names if names.count(name) > 1}):
         raise ValueError(f"results of the same scenarios were given twice: {', '.join(twice)}")
     panels = [TabPanel(title=each.name, child=_ranking(each)) for each in ranked]
-    for benchmark in dict.fromkeys(each.benchmark for each in ranked):
-        own = [each for each in ranked if each.benchmark == benchmark]
-        if len(own) > 1:
-            panels.append(TabPanel(title=f"every suite of {benchmark.version}", child=_every_suite(own)))
     text: str = file_html(Tabs(tabs=panels), INLINE, title="wtg_gym: leaderboard")
     return text
 
@@ -159,19 +155,3 @@ def _failure_chart(source: Any, view: Any) -> Any:
     made = _chart("Deviation of the frequency against failures", "failures [%]", y, height=_CHART_HEIGHT)
     made.scatter("failures", "deviation", source=source, view=view, color="colour", size=9, legend_group="kind")
     return made
-
-
-def _every_suite(results: Sequence[Results]) -> Any:
-    """Return the table of the scores on every suite, an empty cell where an entry has none."""
-    from bokeh.layouts import column
-    from bokeh.models import CDSView, ColumnDataSource, Div
-
-    rankings = {each.name: leaderboard_rows(each) for each in results}
-    scores = {
-        head: {row.name: text for row, (text,) in zip(rows, table_cells(rows, ("score",)), strict=True)}
-        for head, rows in rankings.items()
-    }
-    names = list(dict.fromkeys(name for own in scores.values() for name in own))
-    cells = {"entry": names, **{head: [own.get(name, "") for name in names] for head, own in scores.items()}}
-    words = Div(text=f"<b>{escape(results[0].benchmark.env_id)}</b>, scores with 95 % intervals")
-    return column(words, _table(ColumnDataSource(cells), list(cells), CDSView()))

@@ -38,8 +38,6 @@ THIN_DASHES: Dashes = (0.0, (5.0, 2.0))
 DOTS: Dashes = (0.0, (1.0, 1.5))
 #: Resolution of pixel files [dots per inch].
 PRINT_DPI = 300
-#: File formats that :func:`figure_bytes` writes.
-SUFFIXES = ("png", "svg", "pdf")
 #: Grey of reference lines and their names.
 REFERENCE_GREY = "0.4"
 #: Colour and dashes of most of them.
@@ -75,7 +73,7 @@ _FREE_DASHES: tuple[Dashes, ...] = ("-", (0.0, (4.0, 1.5)), (0.0, (1.2, 1.2)), (
 
 #: Widths, sizes and fonts of print, for matplotlib.
 _STYLE = Path(__file__).with_name("print.mplstyle")
-# A date would make every file a new one.
+# Of every file format that is written; a date would make every file a new one.
 _METADATA: dict[str, dict[str, Any]] = {"png": {}, "svg": {"Date": None}, "pdf": {"CreationDate": None}}
 
 
@@ -104,13 +102,16 @@ def printed(draw: Callable[Parameters, Figure]) -> Callable[Parameters, Figure]:
     def drawn(*args: Parameters.args, **kwargs: Parameters.kwargs) -> Figure:
         with print_style():
             figure = draw(*args, **kwargs)
-            # The second pass starts from the tick labels of the first. After it places are fixed: each format and
-            # each repetition gets the same ones, without being laid out once more.
+            # The second pass starts from the tick labels of the first. After it places are fixed, without the last
+            # digits, which differ from run to run: each format and each repetition gets the same ones.
             layout = figure.get_layout_engine()
             if layout is not None:
                 for _ in range(2):
                     layout.execute(figure)
             figure.set_layout_engine(None)
+            for axes in figure.axes:
+                box = axes.get_position(original=True)
+                axes.set_position(box.from_extents(*box.get_points().ravel().round(12)))
         return figure
 
     return drawn
@@ -131,8 +132,8 @@ def figure_bytes(figure: Figure, suffix: str) -> bytes:
         ValueError: the suffix is another one.
     """
     kind = suffix.lower().removeprefix(".")
-    if kind not in SUFFIXES:
-        raise ValueError(f"a figure is written as {', '.join(SUFFIXES)}, got {suffix!r}")
+    if kind not in _METADATA:
+        raise ValueError(f"a figure is written as {', '.join(_METADATA)}, got {suffix!r}")
     picture = io.BytesIO()
     with print_style():
         figure.savefig(picture, format=kind, dpi=PRINT_DPI, metadata=_METADATA[kind])

@@ -106,7 +106,7 @@ class Entry:
     @property
     def label(self) -> str:
         """Return the name with the training seed, for messages."""
-        return self.name if self.training_seed is None else f"{self.name} (training seed {self.training_seed})"
+        return run_label(self.name, self.training_seed)
 
     @property
     def identity(self) -> str | None:
@@ -131,6 +131,11 @@ class Entry:
             "sha256": self.identity,
             "policy_sha256": own if isinstance(own, str) else None,
         }
+
+
+def run_label(name: str, training_seed: int | None) -> str:
+    """Return the name of an entry with the training seed, for messages."""
+    return name if training_seed is None else f"{name} (training seed {training_seed})"
 
 
 def is_name(value: Any) -> bool:

@@ -61,17 +61,11 @@ def load_entries(spec: str | Path, benchmark: Benchmark = V1) -> list[Entry]:
             "in Python, play its model with Entry(policy=model), or export it with "
             "wtg_gym.export_onnx(wtg_gym.sb3.DeterministicPolicy(model), folder, name=...)"
         )
-    folders = sorted(path.parent.name for path in Path(text).glob(f"*/{ENTRY_FILE}")) if text else []
-    if folders:
-        raise ValueError(
-            f"the folder {text} holds no {ENTRY_FILE}, but {len(folders)} folders with one: "
-            f"write {text.rstrip('/')}/* for all of them, or name one, such as {text.rstrip('/')}/{folders[0]}"
-        )
     if shipped := [folder for folder in policy_folders() if text in (folder.name, policy_name(folder))]:
         return _for_version(shipped, benchmark)
     module_name, colon, attribute = text.partition(":")
     if not colon and Path(text or "no folder").is_dir():
-        raise ValueError(f"the folder {text} holds no {ENTRY_FILE}")
+        raise ValueError(f"the folder {text} holds no {ENTRY_FILE}; several folders are {text.rstrip('/')}/*")
     if not colon or not all(part.isidentifier() for part in module_name.split(".")):
         raise ValueError(f"unknown entry {text!r}; {_allowed()}")
     return [_entry_of(_import(module_name, text), attribute, text)]

@@ -13,7 +13,7 @@ from typing import Any
 
 from wtg_gym.envs.lanes import TaskLanes
 from wtg_gym.envs.settings import EnvSettings
-from wtg_gym.files import LARGEST_TOML_BYTES, write_together
+from wtg_gym.files import LARGEST_TOML_BYTES, write_atomically
 from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY
 from wtg_gym.policies.entry_toml import parse_entry
 from wtg_gym.policies.load import ENTRY_FILE, POLICY_FILE
@@ -128,27 +128,15 @@ def parse_submission(content: bytes) -> EntryFile:
     return EntryFile(**data)
 
 
-def write_template(folder: Path, policy: Path | None = None) -> list[Path]:
-    """Write an entry.toml to fill in, and a copy of a policy beside it.
-
-    Args:
-        folder: where to; made if missing.
-        policy: an .onnx file to copy; None for none.
-
-    Returns:
-        the files written.
+def write_template(folder: Path) -> Path:
+    """Write an entry.toml to fill in into a folder, which is made if missing, and return its path.
 
     Raises:
-        ValueError: a submission's folder cannot have this name, one of the files exists, or the policy is not a plain
-            file or too large.
+        ValueError: a submission's folder cannot have this name, or it has an entry.toml already.
     """
     _check_folder_name(folder)
-    wanted = {ENTRY_FILE: _TEMPLATE.read_bytes()}
-    if policy is not None:
-        wanted[POLICY_FILE] = _read(policy, FILES[POLICY_FILE])
-    there = [name for name in wanted if (folder / name).exists()]
-    if there:
-        raise ValueError(f"{folder} has {' and '.join(there)} already; choose another folder")
-    files = {folder / name: data for name, data in wanted.items()}
-    write_together(files)
-    return list(files)
+    path = folder / ENTRY_FILE
+    if path.exists():
+        raise ValueError(f"{folder} has {ENTRY_FILE} already; choose another folder")
+    write_atomically(path, _TEMPLATE.read_bytes())
+    return path

@@ -65,7 +65,13 @@ def measured(key: str, holds: bool, values: Mapping[str, float | list[float]], *
     """Return a claim as it was measured; its texts name `values`, and `further` numbers that are not kept."""
     words, numbers = TEXTS[key], {**values, **further}
     texts = {name: words[name].format(**numbers) for name in ("measured", "remark") if name in words}
-    return Claim(key, **words | texts, values=values, holds=holds)
+    kept = {name: _six_digits(value) for name, value in values.items()}
+    return Claim(key, **words | texts, values=kept, holds=holds)
+
+
+def _six_digits(value: float | list[float]) -> float | list[float]:
+    """Return a value, or several, without the last digits, which depend on the machine."""
+    return [float(f"{each:.6g}") for each in value] if isinstance(value, list) else float(f"{value:.6g}")
 
 
 def near(key: str, name: str, value: float) -> Claim:
