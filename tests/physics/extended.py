@@ -89,7 +89,7 @@ def recorded(
     found: dict[str, list[Any]] = {name: [] for name in ("coi", *names)}
     for interval in range(round(seconds / simulator.settings.control_dt)):
         if act is not None:
-            simulator.blocks[0, simulator.layout.wtg("k_offset")] = act(interval)
+            simulator.blocks[0, simulator.layout.wtg("k_offset"), 0] = act(interval)
         simulator.advance()
         found["coi"].append(simulator.lane_values("coi")[0])
         for name in names:
@@ -102,7 +102,7 @@ def recorded(
 def phasors(simulator: Simulator, kind: Kind, part: str) -> npt.NDArray[np.complex128]:
     """Voltages, currents or admittances of every unit of a kind in a single run at its present state [p.u.]."""
     # Of a copy: the run's outputs stay as they are.
-    scratch, first = simulator._evaluated(simulator.blocks.copy())[0], simulator.layout.first_rows(kind, part)
+    scratch, first = simulator._evaluated(simulator.blocks.copy())[0, :, 0], simulator.layout.first_rows(kind, part)
     found: npt.NDArray[np.complex128] = scratch[first] + 1j * scratch[first + 1]
     return found
 
@@ -165,7 +165,7 @@ def reference_run(
         return simulator.rates()
 
     while step < last:
-        following = int(min(block[layout.lane("next_change")], last))
+        following = int(min(block[layout.lane("next_change"), 0], last))
         if following > step:
             times = dt * np.arange(step + 4, following + 1, 4)
             span = (step * dt, following * dt)
@@ -176,5 +176,5 @@ def reference_run(
                 states.append(values)
                 numbers.append(simulator.wtg_values(shown)[0])
         block[layout.lane("step")] = step
-        refresh_network(block, 0, 0, simulator.plant, simulator.data, 1)
+        refresh_network(block, 0, 0, simulator.plant, simulator.data)
     return np.array(states), np.array(numbers)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from wtg_gym.physics.rotor_table import Cells
 from wtg_gym.physics.runge_kutta import moving
 from wtg_gym.physics.units import LANE, UNITS, Phasor
 from wtg_gym.physics.wind_turbine import (
@@ -44,7 +45,7 @@ def capture_by_curve(state: WtgState, given: WtgInput, turbine: Turbine, fractio
 
 
 @system(GROUPS, "captured", when="table")
-def capture_by_table(state: WtgState, given: WtgInput, turbine: Turbine, cells: ex.Cells, fraction: float) -> float:
+def capture_by_table(state: WtgState, given: WtgInput, turbine: Turbine, cells: Cells, fraction: float) -> float:
     """Return the power from the wind."""
     return captured_by_table(state.rotor_speed, wind_at(given, fraction), state.pitch.pitch, turbine.rotor, cells)
 

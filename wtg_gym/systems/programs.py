@@ -10,7 +10,7 @@ import functools
 import hashlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from types import MappingProxyType
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol, cast
 
 import numpy as np
 import numpy.typing as npt
@@ -19,7 +19,7 @@ from numba import types
 from numba.extending import intrinsic
 
 from wtg_gym.systems import expressions as ex
-from wtg_gym.systems.records import flatten, is_record
+from wtg_gym.systems.records import flatten
 from wtg_gym.systems.systems import SCALARS, Kind, Place, System, Trace, constants_of
 from wtg_gym.systems.vectors import Lanes, repeated
 
@@ -162,7 +162,7 @@ class Program:
         def run(typing_context, block, scratch, tables, scalars, lanes) -> Any:  # type: ignore[no-untyped-def]
             return _written(program, writer, (block, scratch, tables, scalars, lanes))
 
-        return run
+        return cast("Callable[..., None]", run)
 
     def taped(self, *, runs: bool = True) -> Callable[..., None]:
         """Return the program that notes what the way back needs: of (block, scratch, tables, tape, scalars, lanes).
@@ -176,7 +176,7 @@ class Program:
         def run(typing_context, block, scratch, tables, tape, scalars, lanes) -> Any:  # type: ignore[no-untyped-def]
             return _written(program, writer, (block, scratch, tables, tape, scalars, lanes))
 
-        return run
+        return cast("Callable[..., None]", run)
 
     def back(self, *, constants: bool = False) -> Callable[..., None]:
         """Return the way back through the program.
@@ -197,7 +197,7 @@ class Program:
             arrays = (bars, scratch_bars, tables, tape, scratch, constant_bars, scalars, lanes)
             return _written(program, writer, arrays)
 
-        return run
+        return cast("Callable[..., None]", run)
 
     def tape_rows(self, plant: Arrangement) -> int:
         """Return how many rows a run of the program notes."""
@@ -646,12 +646,8 @@ def _constants_of(one: System, plant: Arrangement, n: int, numbers: list[float],
 
 def _numbers(value: Any) -> tuple[Any, ...]:
     """Return the numbers of a constant: a record, an entry of a structured array, or a number."""
-    if is_record(type(value)):
-        return flatten(value)
-    if isinstance(value, np.void):
-        found: tuple[Any, ...] = value.item()
-        return found
-    return tuple(value) if isinstance(value, tuple) else (value,)
+    plain = value.item() if isinstance(value, np.void) else value
+    return flatten(plain) if isinstance(plain, tuple) else (plain,)
 
 
 def in_one_table(*before: Program, **entries: Sequence[Any]) -> tuple[Program, ...]:
