@@ -412,7 +412,7 @@ def play_with_loads(exponent, strategy):
     simulator = Simulator(plant, duration_s=INCREASE.duration_s)
     simulator.start(0, INCREASE, group_laws(strategy, len(plant.groups)))
     simulator.evaluate()
-    rows, layout, data = simulator.blocks[0], simulator.layout, simulator.data
+    rows, layout, data = simulator.blocks[0, :, 0], simulator.layout, simulator.data
     # A copy: both are written below.
     load_y, event_y = data.load_y[0].copy(), data.events["admittance"][0].copy()
     start, lowest, hertz = np.abs(simulator.bus_voltages()), [], []

@@ -67,7 +67,7 @@ def linearise(scenario, laws, settings=None, *, side="under"):
     since it only acts upwards.
     """
     simulator = at_rest(scenario, laws, settings)
-    rows, layout = simulator.blocks[0], simulator.layout
+    rows, layout = simulator.blocks[0, :, 0], simulator.layout
     matrix = state_matrix(rows, simulator.plant, layout, {"under": -1.0, "over": 1.0}[side])
     keep = moving_states(matrix, rows, layout)
     return LinearModel(matrix[np.ix_(keep, keep)], np.array(layout.state_names)[keep].tolist())

@@ -143,7 +143,7 @@ def test_extended_plants_are_stable_at_their_equilibria(table: bool) -> None:
         settings = plant(table=table, limits=limits, voltage=voltage, energy=energy)
         for wind in (8.0, 11.0, 16.0):
             simulator = started(settings, scenario(wind=[[wind], [8.0]]))
-            rows, layout = simulator.blocks[0], simulator.layout
+            rows, layout = simulator.blocks[0, :, 0], simulator.layout
             for side in (-1.0, 1.0):
                 matrix = state_matrix(rows, simulator.plant, layout, side)
                 keep = moving_states(matrix, rows, layout)

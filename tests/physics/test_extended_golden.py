@@ -87,6 +87,6 @@ def test_shedding_does_what_it_does_in_another_simulator_at_the_same_instants() 
     )
     shedding = (*stages, *NO_SHEDDING[3:])
     simulator, largest = against_golden_trace("shedding", step_up(150.0), shedding=shedding)
-    acted = -1.0 - simulator.blocks[0, simulator.layout.first_rows(STAGES, "shed")[:3]]
+    acted = -1.0 - simulator.blocks[0, simulator.layout.first_rows(STAGES, "shed")[:3], 0]
     assert (acted / 320.0).tolist() == pytest.approx(instants, abs=1e-12)
     assert largest["w"] <= 3e-7 and largest["Pe"] <= 2e-5 and largest["V"] <= 1e-6, largest

@@ -410,7 +410,7 @@ def _start_clock(block: Floats, lane: int, plant: Plant, data: LaneData, magnitu
     block[own + OF_LANE.noise_y, 0] = 0.0
     # An event at t = 0 strikes in the first step, not before the equilibrium.
     block[own + OF_LANE.step, 0] = -1.0
-    refresh_network(block, 0, lane, plant, data)
+    refresh_network(block, np.int64(0), lane, plant, data)
     block[own + OF_LANE.step, 0] = 0.0
     block[own + OF_LANE.healthy_step, 0] = 0.0
     block[own + OF_LANE.coi_min, 0] = math.inf

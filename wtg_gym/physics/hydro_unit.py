@@ -7,6 +7,7 @@ from wtg_gym.physics.machine import Machine, MachineInput, MachineState
 from wtg_gym.physics.machine_unit import MACHINES
 from wtg_gym.physics.runge_kutta import moving
 from wtg_gym.physics.units import LANE
+from wtg_gym.systems.records import each
 from wtg_gym.systems.systems import Kind, system
 
 HYDRO = Kind(
@@ -31,7 +32,7 @@ def rates_of_hydro(
 ) -> tuple[HydroState, float]:
     """Return the rates, and the torque of the machine, which comes after and finds it."""
     rates, torque = hydro_rates(water, state.speed, given.gate_reference, given.inv_droop, hydro)
-    return rates, machine.rating * torque
+    return each(lambda rate: given.connected * rate, rates), machine.rating * torque
 
 
-stage_of_hydro = moving(rates_of_hydro, hydro_limited, constants=["hydro"], gate="connected")
+stage_of_hydro = moving(rates_of_hydro, hydro_limited, constants=["hydro"])

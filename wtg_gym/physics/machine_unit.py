@@ -17,6 +17,7 @@ from wtg_gym.physics.machine import (
 from wtg_gym.physics.runge_kutta import moving
 from wtg_gym.physics.units import LANE, UNITS, Phasor, Terminal
 from wtg_gym.systems.elementary import select
+from wtg_gym.systems.records import each
 from wtg_gym.systems.systems import Kind, system
 
 MACHINES = Kind(
@@ -62,12 +63,14 @@ def rates_of_machine(
     reference_speed: float,
     omega_n: float,
 ) -> tuple[MachineState, MachineOutput]:
-    """Return rates and outputs; the torque is that of its hydro governor, if it has one."""
+    """Return rates and outputs; the torque is that of its hydro governor, if it has one.
+
+    After an outage a machine keeps its states.
+    """
     rates, output = machine_rates(state, emf, current.re, current.im, given, machine, reference_speed, omega_n)
     torque = select(machine.governor.is_hydro > 0.5, hydro_torque, output.torque)
-    rates = driven_by(torque, rates, output, given)
+    rates = each(lambda rate: given.connected * rate, driven_by(torque, rates, output, given))
     return rates, MachineOutput(output.power, output.voltage, given.connected * torque)
 
 
-#: After an outage a machine keeps its states.
-stage_of_machine = moving(rates_of_machine, machine_limited, constants=["machine"], gate="connected")
+stage_of_machine = moving(rates_of_machine, machine_limited, constants=["machine"])

@@ -12,9 +12,7 @@ from wtg_gym.systems.systems import System
 _OF_STAGE = ("active", "ahead", "first", "last")
 
 
-def moving(
-    rates: System, *limits: Callable[..., Any] | None, constants: Sequence[str] = (), gate: str | None = None
-) -> System:
+def moving(rates: System, *limits: Callable[..., Any] | None, constants: Sequence[str] = ()) -> System:
     """Return the system that moves the states whose rates another system finds, by a stage of the method.
 
     It is told how far the stage goes (`ahead` [s], a sixth of the step for the last) and whether it is the first or the
@@ -25,20 +23,17 @@ def moving(
         limits: for each of these states the function of it and of some constants that holds it within its limits, which
             it does at the end of a step; None where there are none.
         constants: names of those that each limit depends on.
-        gate: name of a number; where it is 0, the states stay.
     """
     states = tuple(name.removesuffix("_rates") for name in rates.writes if name.endswith("_rates"))
     own = tuple(f"{state}_{what}" for state in states for what in ("base", "sum"))
-    gates, given_to_rates, equation = () if gate is None else (gate,), rates.arguments_named, rates.equation
-    arguments = tuple(dict.fromkeys((*given_to_rates, *states, *own, *constants, *gates, *_OF_STAGE)))
+    given_to_rates, equation = rates.arguments_named, rates.equation
+    arguments = tuple(dict.fromkeys((*given_to_rates, *states, *own, *constants, *_OF_STAGE)))
 
     def stage(*values: Any) -> tuple[Any, ...]:
         given = dict(zip(arguments, values, strict=True))
         found = equation(*(given[name] for name in given_to_rates))
         found = found if type(found) is tuple else (found,)
         active, ahead, first, last = (given[name] for name in _OF_STAGE)
-        for name in gates:
-            active = active * given[name]
         moved: list[Any] = []
         for i, state in enumerate(states):
             base, total = given[f"{state}_base"], given[f"{state}_sum"]
