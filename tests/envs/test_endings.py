@@ -77,7 +77,7 @@ def test_each_failure_ends_the_episode_under_its_own_name_and_a_tripped_group_do
 def test_low_voltage_may_last_three_seconds():
     _, (*_, info), env = play(SAGGED)
     simulator = env.lanes.simulator
-    assert simulator.scratch(0)[simulator.layout.first_rows(LANE, "least_squared_voltage")] < 0.85**2
+    assert simulator.scratches[0][simulator.layout.first_rows(LANE, "least_squared_voltage")] < 0.85**2
     assert info["time_s"] == pytest.approx(1.0 + 3.0 + 0.1)
     longer = PlantSettings(protection=ProtectionParameters(low_voltage_time_s=10.0))
     assert simulate(SAGGED, "coordinated-piecewise", longer).time_s[-1] == pytest.approx(1.0 + 10.0 + 0.1)

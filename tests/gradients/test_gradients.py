@@ -222,7 +222,7 @@ def test_observations_have_gradients(settings: dict[str, Any]) -> None:
         found = []
         for own in given:
             tape.step(own)
-            scratch = tape.lanes.simulator.scratch(0)
+            scratch = tape.lanes.simulator.scratches[0]
             found.append(scratch[tape.lanes.task.observed, :N_LANES].T)
         return np.einsum("klo,klo->l", weights, np.array(found))
 

@@ -141,7 +141,7 @@ def test_a_condenser_after_its_outage_feeds_in_nothing_and_counts_nowhere(simula
     for _ in range(100):
         simulator.advance()
         assert (simulator.state()[own] == before).all()
-        assert (simulator.scratch(0)[layout.rate_rows[own]] == 0.0).all()
+        assert (simulator.scratches[0][layout.rate_rows[own]] == 0.0).all()
         for name in ("power", "torque"):
             assert simulator.machine_values(name)[0, out] == 0.0
         inertia = np.array([CASE.machines[i].two_h_s * CASE.machines[i].rating_mva for i in stays]) / CASE.base_mva
@@ -154,5 +154,5 @@ def test_a_condenser_after_its_outage_feeds_in_nothing_and_counts_nowhere(simula
         )
         angles = np.concatenate([simulator.machine_values("angle")[0, stays], simulator.wtg_values("angle")[0]])
         for name, angle in (("least_angle", angles.min()), ("largest_angle", angles.max())):
-            assert simulator.scratch(0)[layout.first_rows(LANE, name)] == [angle]
+            assert simulator.scratches[0][layout.first_rows(LANE, name)] == [angle]
     assert np.ptp(speeds) > 1e-6

@@ -16,11 +16,9 @@ from wtg_gym.envs.settings import ACTION_MODES, EnvSettings
 from wtg_gym.envs.task import (
     Outputs,
     bind,
-    can_bind,
     new_outputs,
     start_tasks,
     step_blocks,
-    step_bound,
     task_data,
     task_of,
 )
@@ -232,12 +230,11 @@ class TaskLanes:
         outputs = new_outputs(len(rows), self.n_observation)
         start_tasks(
             rows[:, :, np.newaxis],
-            simulator.new_scratch(1),
+            simulator.new_scratches(1, 1)[0],
             simulator.plant,
             self.task,
             outputs.observations,
             outputs.infos,
-            (0,),
         )
         return outputs
 
@@ -304,36 +301,22 @@ class TaskLanes:
             ValueError: an action is not finite; nothing has been stepped then.
         """
         simulator = self.simulator
-        if self._bound is None and self.n_lanes == 1 and can_bind():
-            self._bound = bind(
-                simulator.blocks, simulator.scratch(0), simulator.plant, simulator.data, self.task, self.outputs
-            )
         if self._bound is None:
-            invalid = first_invalid_action(actions)
-        else:
-            invalid = step_bound(self._bound, actions, simulator.lanes)
+            self._bound = bind(
+                simulator.blocks, simulator.scratches, simulator.plant, simulator.data, self.task, self.outputs
+            )
+        bound, alone = self._bound, simulator.threads.n_blocks == 1
+        invalid = step_blocks(bound, actions, 0, 1, 0) if alone else first_invalid_action(actions)
         if invalid >= 0:
             raise ValueError(f"action {actions[invalid].tolist()} of lane {invalid} is not finite; allowed: -1 … 1")
-        if self._bound is not None:
-            if meanwhile is not None:
-                meanwhile()
-            return
-        simulator.threads.run(
-            lambda first, last, worker: step_blocks(
-                simulator.blocks,
-                simulator.scratch(worker),
-                first,
-                last,
-                simulator.plant,
-                simulator.data,
-                self.task,
-                actions,
-                self.outputs,
-                simulator.lanes,
-            ),
-            meanwhile,
-            _BLOCKS_PER_EPISODE * n_prepared,
-        )
+        if not alone:
+            simulator.threads.run(
+                lambda first, last, worker: step_blocks(bound, actions, first, last, worker),
+                meanwhile,
+                _BLOCKS_PER_EPISODE * n_prepared,
+            )
+        elif meanwhile is not None:
+            meanwhile()
 
     def statuses(self) -> npt.NDArray[np.int64]:
         """Return why each lane ended (:class:`Status`), RUNNING (0) where it did not or its time was over."""

@@ -26,12 +26,13 @@ from wtg_gym.envs.task_units import ACTING, HISTORY, RING, SENSED, SENSORS, SHIF
 from wtg_gym.physics import integration
 from wtg_gym.physics.integration import advance_interval
 from wtg_gym.physics.kernel_data import LaneData, Plant
-from wtg_gym.physics.layout import Floats, Lanes, Layout, Whole
+from wtg_gym.physics.layout import Floats, Layout, Whole
 from wtg_gym.physics.plant import Further
 from wtg_gym.physics.sensors import N_CHANNELS, noise_key, normal
 from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY, get_law
-from wtg_gym.systems.compiled import compiled, inlined
+from wtg_gym.systems.compiled import compiled, internal
 from wtg_gym.systems.programs import NONE, in_one_table
+from wtg_gym.systems.routines import Routine
 from wtg_gym.systems.systems import Kind, count
 
 Observations = npt.NDArray[np.float32]
@@ -45,7 +46,10 @@ PROGRAMS = in_one_table(
     OBSERVE=OBSERVE,
     END=(end_episode,),
 )
-_act, _charge, _start_sensors, _measure, _observe, _end = (program.function() for program in PROGRAMS)
+_ACT, _CHARGE, _START_SENSORS, _MEASURE, _OBSERVE, _END = map(Routine, PROGRAMS)
+_act, _charge, _measure, _observe, _end, _start_sensors = (
+    routine.call for routine in (_ACT, _CHARGE, _MEASURE, _OBSERVE, _END, _START_SENSORS)
+)
 
 
 class Outputs(NamedTuple):
@@ -125,6 +129,8 @@ def task_of(settings: EnvSettings) -> Further:
             (WINDOW, "newest_"): np.array([n_window]),
         },
         programs=PROGRAMS,
+        stepping=(_ACT, _CHARGE, *[_MEASURE] * sensed, _OBSERVE, _END),
+        starting=(*[_START_SENSORS] * sensed, _OBSERVE),
         constants={(TASK, "task"): [build_task(settings)]},
         has=[name for name, given in has.items() if given],
     )
@@ -193,25 +199,25 @@ def task_data(settings: EnvSettings, layout: Layout) -> TaskData:
     )
 
 
-@inlined
-def read_actions(scratch: Floats, actions: Floats, first: int, task: TaskData, lanes: Lanes) -> None:
+@internal
+def read_actions(scratch: Floats, actions: Floats, first: int, task: TaskData) -> None:
     """Copy the actions of a block's lanes, from row `first` of (n_lanes, n_action) on; padding lanes have none."""
     for a in range(task.wanted.shape[0]):
-        for x in range(len(lanes)):
+        for x in range(scratch.shape[1]):
             scratch[task.wanted[a], x] = actions[first + x, a] if first + x < actions.shape[0] else 0.0
 
 
-@inlined
-def draw_noise(block: Floats, scratch: Floats, task: TaskData, lanes: Lanes) -> None:
+@internal
+def draw_noise(block: Floats, scratch: Floats, task: TaskData) -> None:
     """Draw the random numbers of the present interval's measurements."""
-    for x in range(len(lanes)):
+    for x in range(block.shape[1]):
         key = noise_key(int(block[task.lane.seed, x]), int(block[task.lane.interval, x]))
         for j in range(task.noise.shape[0]):
             for channel in range(N_CHANNELS):
                 scratch[task.noise[j, channel], x] = normal(key, j * N_CHANNELS + channel)
 
 
-@inlined
+@internal
 def places_in_ring(block: Floats, x: int, task: TaskData) -> tuple[int, int]:
     """Return where in the ring a lane's newest measurement lies, and the newest of those that have arrived.
 
@@ -221,10 +227,10 @@ def places_in_ring(block: Floats, x: int, task: TaskData) -> tuple[int, int]:
     return int(interval) % n, int(max(interval - block[task.lane.delay, x], 0.0)) % n
 
 
-@inlined
-def pass_ring(block: Floats, scratch: Floats, task: TaskData, lanes: Lanes) -> None:
+@internal
+def pass_ring(block: Floats, scratch: Floats, task: TaskData) -> None:
     """Keep what is measured now, and show the newest measurement that has arrived."""
-    for x in range(len(lanes)):
+    for x in range(block.shape[1]):
         newest, arrived = places_in_ring(block, x, task)
         for j in range(task.seen.shape[0]):
             for k in range(N_MEASURED):
@@ -234,13 +240,7 @@ def pass_ring(block: Floats, scratch: Floats, task: TaskData, lanes: Lanes) -> N
 
 @compiled
 def start_tasks(
-    rows: Floats,
-    scratch: Floats,
-    plant: Plant,
-    task: TaskData,
-    observations: Observations,
-    infos: Floats,
-    lanes: Lanes,
+    rows: Floats, scratch: Floats, plant: Plant, task: TaskData, observations: Observations, infos: Floats
 ) -> None:
     """Take the first measurements, observations and information of prepared episodes.
 
@@ -249,83 +249,25 @@ def start_tasks(
         scratch: (n_scratch, 1).
         plant, task: constants.
         observations, infos: take what each episode begins with (n, n_observation), (n, N_INFO).
-        lanes: of length one.
     """
     for start in range(rows.shape[0]):
-        block = rows[start]
+        arrays = rows[start], scratch
         if task.ring.shape[0] > 0:
-            draw_noise(block, scratch, task, lanes)
-            _start_sensors(block, scratch, plant.tables, NONE, lanes)
-            pass_ring(block, scratch, task, lanes)
-        _observe(block, scratch, plant.tables, NONE, lanes)
+            draw_noise(rows[start], scratch, task)
+            _start_sensors(arrays, plant.tables, NONE)
+            pass_ring(rows[start], scratch, task)
+        _observe(arrays, plant.tables, NONE)
         for k in range(task.observed.shape[0]):
             observations[start, k] = scratch[task.observed[k], 0]
         for k in range(N_INFO):
             infos[start, k] = scratch[task.info[k], 0]
 
 
-@inlined
-def _step(
-    blocks: Floats,
-    scratch: Floats,
-    first: int,
-    last: int,
-    plant: Plant,
-    data: LaneData,
-    task: TaskData,
-    actions: Floats,
-    outputs: Outputs,
-    lanes: Lanes,
-) -> None:
-    """Step blocks: see :func:`step_blocks`."""
-    tables = plant.tables
-    for b in range(first, last):
-        block = blocks[b]
-        read_actions(scratch, actions, b * len(lanes), task, lanes)
-        _act(block, scratch, tables, NONE, lanes)
-        advance_interval(block, scratch, b * len(lanes), plant, data, lanes)
-        _charge(block, scratch, tables, NONE, lanes)
-        if task.ring.shape[0] > 0:
-            draw_noise(block, scratch, task, lanes)
-            _measure(block, scratch, tables, NONE, lanes)
-            pass_ring(block, scratch, task, lanes)
-        _observe(block, scratch, tables, NONE, lanes)
-        _end(block, scratch, tables, NONE, lanes)
-        _report(block, scratch, b * len(lanes), task, outputs, lanes)
-
-
-@compiled
-def step_blocks(
-    blocks: Floats,
-    scratch: Floats,
-    first: int,
-    last: int,
-    plant: Plant,
-    data: LaneData,
-    task: TaskData,
-    actions: Floats,
-    outputs: Outputs,
-    lanes: Lanes,
-) -> None:
-    """Apply actions, advance one control interval, observe and charge, for the lanes of blocks first … last - 1.
-
-    Args:
-        blocks: (n_blocks, n_rows, width).
-        scratch: (n_scratch, width), of the caller's thread.
-        plant, data: as for :func:`~wtg_gym.physics.integration.advance_interval`.
-        task: see :func:`task_data`.
-        actions: (n_lanes, n_action), finite; clipped to [-1, 1] here.
-        outputs: written for running lanes; the reward is 0 for those that had ended.
-        lanes: a tuple as long as a block is wide.
-    """
-    _step(blocks, scratch, first, last, plant, data, task, actions, outputs, lanes)
-
-
-@inlined
-def _report(block: Floats, scratch: Floats, first: int, task: TaskData, outputs: Outputs, lanes: Lanes) -> None:
+@internal
+def _report(block: Floats, scratch: Floats, first: int, task: TaskData, outputs: Outputs) -> None:
     """Copy what the lanes of a block, from `first` on, have observed, and say whether their episodes are over."""
     own = task.lane
-    for x in range(min(len(lanes), outputs.rewards.shape[0] - first)):
+    for x in range(min(block.shape[1], outputs.rewards.shape[0] - first)):
         lane = first + x
         outputs.rewards[lane] = 0.0
         if scratch[own.was_active, x] > 0.5:
@@ -352,28 +294,57 @@ class _BoundType(numba.types.StructRef):  # type: ignore[misc]
 
 
 class Bound(structref.StructRefProxy):  # type: ignore[misc]
-    """The arguments of :func:`step_blocks` for one lane, in one object; :func:`bind` makes it."""
+    """The arguments of :func:`step_blocks` that last, in one object; :func:`bind` makes it."""
 
 
-structref.define_proxy(Bound, _BoundType, ["blocks", "scratch", "plant", "data", "task", "outputs"])
+structref.define_proxy(Bound, _BoundType, ["blocks", "scratches", "plant", "data", "task", "outputs"])
 
 
 # The constructor that numba makes for `Bound` is not kept on disk: each process would compile it anew.
 @compiled
-def bind(blocks: Floats, scratch: Floats, plant: Plant, data: LaneData, task: TaskData, outputs: Outputs) -> Any:
-    """Return the arguments of :func:`step_blocks` for one lane in one object."""
-    return Bound(blocks, scratch, plant, data, task, outputs)
+def bind(blocks: Floats, scratches: Floats, plant: Plant, data: LaneData, task: TaskData, outputs: Outputs) -> Any:
+    """Return the arguments of :func:`step_blocks` that last.
 
-
-def can_bind() -> bool:
-    """Return whether arguments can be bound: not where numba is switched off."""
-    return not numba.config.DISABLE_JIT
+    Args:
+        blocks: (n_blocks, n_rows, width).
+        scratches: of each worker (n_workers, n_scratch, width).
+        plant, data: as for :func:`~wtg_gym.physics.integration.advance_interval`.
+        task: see :func:`task_data`.
+        outputs: written for running lanes; the reward is 0 for those that had ended.
+    """
+    return Bound(blocks, scratches, plant, data, task, outputs)
 
 
 @compiled
-def step_bound(bound: Any, actions: Floats, lanes: Lanes) -> int:
-    """Step with actions (1, n_action); return -1, or the lane of an action that is not finite and does nothing."""
-    invalid = first_invalid_action(actions)
-    if invalid < 0:
-        _step(bound.blocks, bound.scratch, 0, 1, bound.plant, bound.data, bound.task, actions, bound.outputs, lanes)
-    return invalid
+def step_blocks(bound: Any, actions: Floats, first: int, last: int, worker: int) -> int:
+    """Apply actions, advance one control interval, observe and charge, for the lanes of blocks first … last - 1.
+
+    Args:
+        bound: see :func:`bind`.
+        actions: (n_lanes, n_action), clipped to [-1, 1] here.
+        first, last: range of blocks.
+        worker: whose scratch is used.
+
+    Returns:
+        -1, or, if there is one block, the lane of an action that is not finite; nothing has been stepped then.
+    """
+    blocks, scratch, plant, task = bound.blocks, bound.scratches[worker], bound.plant, bound.task
+    width, tables, sensed = blocks.shape[2], plant.tables, task.ring.shape[0] > 0
+    if blocks.shape[0] == 1:
+        invalid = first_invalid_action(actions)
+        if invalid >= 0:
+            return invalid
+    for b in range(first, last):
+        block, arrays = blocks[b], (blocks[b], scratch)
+        read_actions(scratch, actions, b * width, task)
+        _act(arrays, tables, NONE)
+        advance_interval(block, scratch, b * width, plant, bound.data)
+        _charge(arrays, tables, NONE)
+        if sensed:
+            draw_noise(block, scratch, task)
+            _measure(arrays, tables, NONE)
+            pass_ring(block, scratch, task)
+        _observe(arrays, tables, NONE)
+        _end(arrays, tables, NONE)
+        _report(block, scratch, b * width, task, bound.outputs)
+    return -1

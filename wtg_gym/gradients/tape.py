@@ -12,7 +12,7 @@ from wtg_gym.envs import task as of_task
 from wtg_gym.envs.actions import as_actions
 from wtg_gym.envs.lanes import TaskLanes
 from wtg_gym.envs.settings import ACTION_MODES, EnvSettings
-from wtg_gym.envs.task import Outputs, step_blocks, task_of
+from wtg_gym.envs.task import Outputs, bind, step_blocks, task_of
 from wtg_gym.envs.task_records import COST_TERMS
 from wtg_gym.envs.task_units import ACTING, TASK
 from wtg_gym.gradients.adjoint import PROGRAMS, Work, build_pull, rules_of, work_of
@@ -286,22 +286,9 @@ class Tape:
         return self._replayed[1][offset]
 
     def _again(self, blocks: Floats, actions: Floats) -> None:
-        simulator, task = self.lanes.simulator, self.lanes.task
-        plant, data, lanes = simulator.plant, simulator.data, simulator.lanes
-        simulator.threads.run(
-            lambda first, last, worker: step_blocks(
-                blocks,
-                simulator.scratch(worker),
-                first,
-                last,
-                plant,
-                data,
-                task,
-                actions,
-                self._scratch_outputs,
-                lanes,
-            )
-        )
+        own = self.lanes.simulator
+        bound = bind(blocks, own.scratches, own.plant, own.data, self.lanes.task, self._scratch_outputs)
+        own.threads.run(lambda first, last, worker: step_blocks(bound, actions, first, last, worker))
 
     def outputs(self) -> Floats:
         """Return the outputs at the end of the latest step (n_lanes, n_outputs), in the order of `output_names`."""

@@ -25,6 +25,11 @@ class BlockThreads:
         self._pool: ThreadPoolExecutor | None = None
         self._pool_process = 0
 
+    @property
+    def n_workers(self) -> int:
+        """Threads that work on blocks at once on this machine, at most."""
+        return max(1, min(self.n_blocks // _BLOCKS_PER_THREAD, self.n_threads or os.cpu_count() or 1))
+
     def run(
         self,
         work: Callable[[int, int, int], Any],
@@ -39,10 +44,8 @@ class BlockThreads:
             meanwhile_blocks: how many blocks take as long as that call.
         """
         n_blocks = self.n_blocks
-        n_threads = n_blocks // _BLOCKS_PER_THREAD
-        if n_threads > 1:
-            # Asked for anew: a copy may live on another machine. It costs as much as a step, but not as a thousand.
-            n_threads = min(n_threads, self.n_threads or os.cpu_count() or 1)
+        # Asked for anew: a copy may live on another machine. It costs as much as a step, but not as a thousand.
+        n_threads = self.n_workers if n_blocks >= 2 * _BLOCKS_PER_THREAD else 1
         futures, own = [], n_blocks
         if n_threads > 1:
             own = max(0, (n_blocks + meanwhile_blocks) // n_threads - meanwhile_blocks)

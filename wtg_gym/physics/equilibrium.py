@@ -10,8 +10,8 @@ import numpy.typing as npt
 
 from wtg_gym.physics.extension_unit import EXTENSIONS
 from wtg_gym.physics.hydro_unit import HYDRO
-from wtg_gym.physics.integration import start_machines, start_run
-from wtg_gym.physics.kernel_data import NO_EVENT, LaneData, Plant
+from wtg_gym.physics.integration import combine_load_noise, evaluate, start, start_machines
+from wtg_gym.physics.kernel_data import LaneData, Plant
 from wtg_gym.physics.layout import (
     EXTENSION,
     N_EXTENSION_ROWS,
@@ -21,7 +21,6 @@ from wtg_gym.physics.layout import (
     OF_LANE,
     WTG,
     Floats,
-    Lanes,
     n_rows_of,
     place_of,
 )
@@ -31,7 +30,8 @@ from wtg_gym.physics.reduction import refresh_network
 from wtg_gym.physics.units import UNITS
 from wtg_gym.physics.wind_turbine import Turbine, turbine_equilibrium
 from wtg_gym.physics.wtg_unit import GROUPS
-from wtg_gym.systems.compiled import compiled, inlined
+from wtg_gym.systems.compiled import compiled, inlined, internal
+from wtg_gym.systems.programs import NONE
 from wtg_gym.systems.records import reader
 
 _read_turbine = reader(Turbine)
@@ -101,7 +101,6 @@ def prepare_lanes(
     data: LaneData,
     load_levels: Floats,
     failures: npt.NDArray[np.int64],
-    lanes: Lanes,
 ) -> None:
     """Put lanes of rows (n, n_rows, 1) into equilibrium.
 
@@ -110,12 +109,14 @@ def prepare_lanes(
         scratch: (n_scratch, 1).
         load_levels: shares of the nominal load (n,).
         failures: takes why a lane cannot start, and the index of the unit that cannot, machines first (n, 2).
-        lanes: of length one.
     """
     for lane in range(rows.shape[0]):
-        failure, unit = _prepare_lane(rows[lane], scratch, lane, plant, data, load_levels[lane], lanes)
+        failure, unit = _prepare_lane(rows[lane], scratch, lane, plant, data, load_levels[lane])
         if failure == 0:
-            start_run(rows[lane], scratch, plant, lanes)
+            arrays = rows[lane], scratch
+            combine_load_noise(arrays, plant.tables, NONE)
+            evaluate(arrays, plant.tables, NONE)
+            start(arrays, plant.tables, NONE)
             for j in range(plant.share.shape[0]):
                 # Overload counts from the first step on.
                 rows[lane, _group_at(plant, j) + _OVERLOAD_TIME, 0] = 0.0
@@ -123,43 +124,9 @@ def prepare_lanes(
         failures[lane, 0], failures[lane, 1] = failure, unit
 
 
-@compiled
-def start_lanes(
-    blocks: Floats,
-    data: LaneData,
-    starting: npt.NDArray[np.int64],
-    rows: Floats,
-    prepared: LaneData,
-    places: npt.NDArray[np.int64],
-    lanes: Lanes,
-) -> None:
-    """Copy prepared lanes, those at `places` (n,) of rows (n_prepared, n_rows, 1) and their data, into blocks.
-
-    `starting` (n,) are the lanes of the blocks and of `data` that take them.
-    """
-    width, n_events = len(lanes), prepared.events.shape[1]
-    for start in range(starting.shape[0]):
-        lane, place = starting[start], places[start]
-        if not (0 <= lane < data.wind.shape[0] and 0 <= place < rows.shape[0]):
-            raise IndexError("no such lane, or no such prepared run")
-        block, x = blocks[lane // width], lane % width
-        for row in range(rows.shape[1]):
-            block[row, x] = rows[place, row, 0]
-        data.noise_bus[lane] = prepared.noise_bus[place]
-        for j in range(data.wind.shape[1]):
-            for k in range(data.wind.shape[2]):
-                data.wind[lane, j, k] = prepared.wind[place, j, k]
-        for k in range(data.noise.shape[1]):
-            data.noise[lane, k] = prepared.noise[place, k]
-        for k in range(data.load_y.shape[1]):
-            data.load_y[lane, k] = prepared.load_y[place, k]
-        for e in range(data.events.shape[1]):
-            data.events[lane, e] = prepared.events[place, e] if e < n_events else NO_EVENT[0]
-
-
-@inlined
+@internal
 def _prepare_lane(
-    block: Floats, scratch: Floats, lane: int, plant: Plant, data: LaneData, load_level: float, lanes: Lanes
+    block: Floats, scratch: Floats, lane: int, plant: Plant, data: LaneData, load_level: float
 ) -> tuple[int, int]:
     """Put a one-lane block into the equilibrium of its wind, law and load, at nominal frequency.
 
@@ -201,12 +168,12 @@ def _prepare_lane(
     for k in range(n_bus):
         voltage[k] = magnitude[k] * complex(math.cos(angle[k]), math.sin(angle[k]))
     _start_loads(lane, plant, data, load_level, magnitude)
-    _start_units(block, scratch, plant, load_level, y, voltage, power, lanes)
+    _start_units(block, scratch, plant, load_level, y, voltage, power)
     _start_clock(block, lane, plant, data, magnitude)
     return StartFailure.NONE.value, 0
 
 
-@inlined
+@internal
 def _release_voltages(
     plant: Plant,
     y: npt.NDArray[np.complex128],
@@ -239,7 +206,7 @@ def _release_voltages(
     return found
 
 
-@inlined
+@internal
 def _sizes_at(plant: Plant, bus: int) -> tuple[float, float, float]:
     """Return the sums over a bus's units: the machines' ratings, their reactive weights, the groups' shares."""
     n_sync = plant.machines.shape[0]
@@ -254,7 +221,7 @@ def _sizes_at(plant: Plant, bus: int) -> tuple[float, float, float]:
     return ratings, weights, shares
 
 
-@inlined
+@internal
 def _start_turbine(block: Floats, j: int, plant: Plant, wind: float) -> bool:
     """Set the states of WTG group j, all but its angle and voltage; return whether it has an equilibrium."""
     o = _group_at(plant, j)
@@ -270,7 +237,7 @@ def _start_turbine(block: Floats, j: int, plant: Plant, wind: float) -> bool:
     return found
 
 
-@inlined
+@internal
 def _start_power(block: Floats, plant: Plant, j: int) -> float:
     """Return what WTG group j feeds in before any policy has acted [p.u. of the system base]."""
     o = _group_at(plant, j)
@@ -278,7 +245,7 @@ def _start_power(block: Floats, plant: Plant, j: int) -> float:
     return power
 
 
-@inlined
+@internal
 def _start_loads(lane: int, plant: Plant, data: LaneData, load_level: float, magnitude: Floats) -> None:
     """Turn loads and load events from power at the initial voltage into admittances."""
     for k in range(magnitude.shape[0]):
@@ -291,7 +258,7 @@ def _start_loads(lane: int, plant: Plant, data: LaneData, load_level: float, mag
             events[e]["admittance"] = complex(power.real / square, power.imag / -square)
 
 
-@inlined
+@internal
 def _start_units(
     block: Floats,
     scratch: Floats,
@@ -300,7 +267,6 @@ def _start_units(
     y: npt.NDArray[np.complex128],
     voltage: npt.NDArray[np.complex128],
     power: npt.NDArray[np.complex128],
-    lanes: Lanes,
 ) -> None:
     """Share each bus's power among its units and set their internal states; angles count from the first unit."""
     n_sync, n_wtg = plant.machines.shape[0], plant.share.shape[0]
@@ -332,7 +298,7 @@ def _start_units(
         else:
             emf = voltage[bus] + current / plant.unit_y[i]
             _start_voltage(block, i - n_sync, plant, emf, reactive, voltage[bus])
-    start_machines(block, scratch, plant, lanes)
+    start_machines((block, scratch), plant.tables, NONE)
     reference = block[_machine_at(plant, 0), 0] if n_sync > 0 else block[_group_at(plant, 0), 0]
     for i in range(n_sync):
         block[_machine_at(plant, i), 0] -= reference
@@ -341,7 +307,7 @@ def _start_units(
     block[plant.facts[0]["lane"] + OF_LANE.angle, 0] = reference
 
 
-@inlined
+@internal
 def _reactive_share(plant: Plant, unit: int, total: float) -> float:
     """Return the reactive power of a unit, of the total at its bus, in proportion to the units' weights.
 
@@ -360,7 +326,7 @@ def _reactive_share(plant: Plant, unit: int, total: float) -> float:
     return reactive
 
 
-@inlined
+@internal
 def _start_voltage(block: Floats, j: int, plant: Plant, emf: complex, reactive: float, voltage: complex) -> None:
     """Set the internal voltage of WTG group j, and what holds it."""
     o = _group_at(plant, j)
@@ -374,7 +340,7 @@ def _start_voltage(block: Floats, j: int, plant: Plant, emf: complex, reactive: 
         block[at + EXTENSION.references + 1, 0] = reactive / plant.share[j]
 
 
-@inlined
+@internal
 def _limit_failure(block: Floats, plant: Plant) -> tuple[int, int]:
     """Return why a machine or converter would start beyond its limits, and the index of that unit."""
     machines = plant.machines
@@ -399,7 +365,7 @@ def _limit_failure(block: Floats, plant: Plant) -> tuple[int, int]:
     return StartFailure.NONE.value, 0
 
 
-@inlined
+@internal
 def _start_clock(block: Floats, lane: int, plant: Plant, data: LaneData, magnitude: Floats) -> None:
     """Set clock, network and statistics of a lane."""
     own = plant.facts[0]["lane"]
@@ -410,7 +376,7 @@ def _start_clock(block: Floats, lane: int, plant: Plant, data: LaneData, magnitu
     block[own + OF_LANE.noise_y, 0] = 0.0
     # An event at t = 0 strikes in the first step, not before the equilibrium.
     block[own + OF_LANE.step, 0] = -1.0
-    refresh_network(block, np.int64(0), lane, plant, data)
+    refresh_network(block, 0, lane, plant, data)
     block[own + OF_LANE.step, 0] = 0.0
     block[own + OF_LANE.healthy_step, 0] = 0.0
     block[own + OF_LANE.coi_min, 0] = math.inf

@@ -25,8 +25,6 @@ from wtg_gym.systems.systems import Kind, count
 
 Floats = npt.NDArray[np.float64]
 Whole = npt.NDArray[np.int64]
-#: A tuple of zeros as long as a block is wide; its length is known to the compiler.
-Lanes = tuple[int, ...]
 
 
 def offsets_of(kind: Kind) -> Any:

@@ -42,7 +42,7 @@ def state_matrix(rows: Floats, plant: Plant, layout: Layout, side: npt.ArrayLike
     blocks[np.arange(n), states] += _DIFFERENCE * first
     blocks[n + np.arange(n), states] += _DIFFERENCE * second
     scratches = np.zeros((len(blocks), layout.n_scratch, 1))
-    evaluate_blocks(blocks[:, :, np.newaxis], scratches, plant, (0,))
+    evaluate_blocks(blocks[:, :, np.newaxis], scratches, plant)
     rates = scratches[:, layout.rate_rows, 0]
     change = rates[:n] - rates[n : 2 * n]
     change[speeds] = sides[:, np.newaxis] * (-3.0 * rates[2 * n] + 4.0 * rates[speeds] - rates[n + speeds])

@@ -17,7 +17,7 @@ import numpy.typing as npt
 
 from wtg_gym.physics.checked import Checked, parameter, required
 from wtg_gym.physics.machine_parameters import GovernorParameters, HydroGovernorParameters, SynchronousMachineParameters
-from wtg_gym.systems.compiled import compiled, inlined
+from wtg_gym.systems.compiled import compiled, inlined, internal
 
 #: Largest power mismatch accepted as a power-flow solution [p.u.].
 POWER_FLOW_TOLERANCE = 1e-12
@@ -228,7 +228,7 @@ def assemble_admittance(
     return y
 
 
-@inlined
+@internal
 def _number_unknowns(slack: int, holds_voltage: npt.NDArray[np.bool_]) -> tuple[npt.NDArray[np.int64], int]:
     """Return the places of each bus's angle and magnitude among the unknowns, (2, n_bus) or -1, and their number."""
     n = holds_voltage.shape[0]
@@ -312,7 +312,7 @@ def solve_power_flow(
     return -1
 
 
-@compiled
+@internal
 def _add_jacobian(
     jacobian: npt.NDArray[np.float64],
     unknown: npt.NDArray[np.int64],
@@ -337,7 +337,7 @@ def _add_jacobian(
         jacobian[q_row, m_col] += dq_dm / magnitude
 
 
-@compiled
+@internal
 def transfer_impedances(
     y: npt.NDArray[np.complex128], unit_bus: npt.NDArray[np.int64], extra_bus: int
 ) -> npt.NDArray[np.complex128]:

@@ -43,6 +43,7 @@ from wtg_gym.physics.wind_turbine import Extension, Turbine, extension_constants
 from wtg_gym.physics.wtg_unit import GROUPS
 from wtg_gym.ranges import require_range, whole_steps
 from wtg_gym.systems.programs import Program, Tables, build_table
+from wtg_gym.systems.routines import Routine
 from wtg_gym.systems.systems import Kind
 
 #: Integration steps that are accepted [s].
@@ -207,7 +208,7 @@ def build_plant(settings: PlantSettings) -> Plant:
         dispatch=np.array([m.dispatch_mw / base for m in case.machines], dtype=np.float64),
         buses=structured(BusConstants, buses),
         branches=structured(BranchConstants, branches),
-        tables=Tables(np.zeros(0, dtype=np.int64), np.zeros(0)),
+        tables=Tables(np.zeros(0, dtype=np.int64), np.zeros(0), np.zeros(0, dtype=np.int64)),
     )
 
 
@@ -217,6 +218,8 @@ class Further(NamedTuple):
     n_units: Mapping[Kind, int]
     links: Mapping[tuple[Kind, str], npt.NDArray[np.int64]] = MappingProxyType({})
     programs: tuple[Program, ...] = ()
+    stepping: tuple[Routine, ...] = ()  # that are called with blocks of the simulator's width
+    starting: tuple[Routine, ...] = ()  # and with blocks of one lane, to start runs
     constants: Mapping[tuple[Kind, str], Any] = MappingProxyType({})
     has: Collection[str] = ()  # what systems of the programs are for
 
@@ -304,6 +307,5 @@ def arranged(
     for name, row in zip(names, layout.first.values(), strict=False):
         facts[name] = row
     facts["starts"] = layout.first_rows(UNITS, "start")[:1].sum()
-    return plant._replace(
-        facts=facts, tables=build_table(programs, Arranged(plant, layout, further or Further({})), taped=taped)
-    )
+    tables = build_table(programs, Arranged(plant, layout, further or Further({})), taped=taped)
+    return plant._replace(facts=facts, tables=tables._replace(code=plant.tables.code))

@@ -12,7 +12,7 @@ from wtg_gym.physics.layout import N_MACHINE_ROWS, N_WTG_ROWS, OF_LANE, Floats, 
 from wtg_gym.physics.machine_unit import MACHINES
 from wtg_gym.physics.network import assemble_admittance, solve_in_place, transfer_impedances
 from wtg_gym.physics.wtg_unit import GROUPS
-from wtg_gym.systems.compiled import compiled, inlined
+from wtg_gym.systems.compiled import compiled, inlined, internal
 
 _OF_MACHINE, _OF_GROUP = place_of(MACHINES, "connected"), place_of(GROUPS, "connected")
 _GATE, _REFERENCE, _DROOP = (place_of(MACHINES, name) for name in ("gate", "gate_reference", "inv_droop"))
@@ -71,7 +71,7 @@ def lose_governor(block: Floats, machine: int, x: int) -> None:
         block[machine + _DROOP, x] = 0.0
 
 
-@inlined
+@internal
 def _connected_units(block: Floats, x: int, plant: Plant) -> npt.NDArray[np.complex128]:
     """Return the internal admittance of every unit, zero for one that is disconnected [p.u.]."""
     unit_y: npt.NDArray[np.complex128] = plant.unit_y.copy()
@@ -80,7 +80,7 @@ def _connected_units(block: Floats, x: int, plant: Plant) -> npt.NDArray[np.comp
     return unit_y
 
 
-@inlined
+@internal
 def _served_load(block: Floats, x: int, plant: Plant, step: float) -> float:
     """Return the share of every load that shedding has left in a network that was reduced at a step."""
     served = 1.0
@@ -91,7 +91,7 @@ def _served_load(block: Floats, x: int, plant: Plant, step: float) -> float:
     return served
 
 
-@inlined
+@internal
 def _full_admittance(
     step: float,
     ramp_step: float,
@@ -161,7 +161,7 @@ def _store(value: complex, block: Floats, row: int, x: int) -> None:
     block[row, x], block[row + 1, x] = value.real, value.imag
 
 
-@inlined
+@internal
 def _store_reduction(
     block: Floats,
     x: int,

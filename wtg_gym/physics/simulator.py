@@ -11,8 +11,8 @@ import numpy as np
 import numpy.typing as npt
 
 from wtg_gym.physics.block_threads import BlockThreads
-from wtg_gym.physics.equilibrium import StartFailure, prepare_lanes, start_lanes
-from wtg_gym.physics.integration import PROGRAMS, advance_blocks, evaluate_blocks
+from wtg_gym.physics.equilibrium import StartFailure, prepare_lanes
+from wtg_gym.physics.integration import PROGRAMS, STARTING, STEPPING, advance_blocks, evaluate_blocks
 from wtg_gym.physics.kernel_data import EVENT_DTYPE, NO_EVENT, LaneData
 from wtg_gym.physics.layout import Floats
 from wtg_gym.physics.linearisation import check_step
@@ -30,6 +30,7 @@ from wtg_gym.physics.start_errors import (
 from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY, TrackingLaw, get_law
 from wtg_gym.physics.units import UNITS
 from wtg_gym.ranges import require_range, require_whole, whole_steps
+from wtg_gym.systems.routines import code_of
 
 #: Lanes per block of a batched simulator; a single run uses a block of one.
 BLOCK_WIDTH = 16
@@ -105,22 +106,30 @@ class Simulator:
         self._noise_samples = samples.astype(np.int64)
         self.layout = layout_of(plant, further)
         self.plant = arranged(plant, self.layout, (*PROGRAMS, *further.programs), further)
+        self._further = further
         self.width = 1 if n_lanes == 1 else BLOCK_WIDTH
-        self.lanes = (0,) * self.width
+        self._find_code()
         n_blocks = -(-self.n_lanes // self.width)
         #: Rows of all lanes (n_blocks, n_rows, width).
         self.blocks = _aligned_zeros(n_blocks, self.layout.n_rows, self.width)
         # A padded or not yet started lane must hold finite values: it is computed along with its neighbours.
         self.data = self._allocate_data(n_blocks * self.width, 4)
         self.threads = BlockThreads(n_blocks, n_threads)
-        #: Scratch of each worker.
-        self._scratches: list[Floats] = [self.new_scratch()]
+        #: Scratch of each worker (n_workers, n_scratch, width).
+        self.scratches = self.new_scratches(self.threads.n_workers, self.width)
         self._rates = np.zeros((0, 0, 0))
         self._pad()
         self._checked = _checked_inertias(settings)
         reference = (get_law(REFERENCE_STRATEGY, settings.turbine, settings.control),) * self.layout.n_wtg
         if reference not in self._checked and self._check_nominal(reference, 1.0):
             self._checked[reference] = 1.0
+
+    def _find_code(self) -> None:
+        """Let the plant know where the routines that this simulator calls are in this process."""
+        further, starting = self._further, {1: (*STARTING, *self._further.starting)}
+        stepping = {self.width: (*STEPPING, *further.stepping, *starting.get(self.width, ()))}
+        code = code_of(len(PROGRAMS) + len(further.programs), {**starting, **stepping})
+        self.plant = self.plant._replace(tables=self.plant.tables._replace(code=code))
 
     def _check_nominal(self, laws: tuple[TrackingLaw, ...], inertia_scale: float) -> bool:
         """Check laws at nominal operating points; return whether the plant has an equilibrium at any of them."""
@@ -170,15 +179,9 @@ class Simulator:
                 rows[self.layout.wtg(name)] = 8.0
             rows[self.layout.lane("next_change")] = math.inf
 
-    def new_scratch(self, width: int | None = None) -> Floats:
-        """Return rows for a thread, of the simulator's width or another."""
-        return _aligned_zeros(self.layout.n_scratch, width or self.width)
-
-    def scratch(self, worker: int) -> Floats:
-        """Return the scratch of a worker."""
-        while len(self._scratches) <= worker:
-            self._scratches.append(self.new_scratch())
-        return self._scratches[worker]
+    def new_scratches(self, n: int, width: int) -> Floats:
+        """Return scratches for blocks of a width (n, n_scratch, width)."""
+        return _aligned_zeros(n, self.layout.n_scratch, width)
 
     def _lane_view(self, lane: int) -> Floats:
         view: Floats = self.blocks[lane // self.width, :, lane % self.width]
@@ -255,8 +258,7 @@ class Simulator:
         rows[:, self.layout.wtg("inv_tau")] = [law.inverse_time_constant for law in laws]
         failures = np.zeros((n, 2), dtype=np.int64)
         levels = np.array([scenario.load_level for scenario in scenarios])
-        # A literal (0,) within compiled code would be a type of its own, and compile the right-hand side again.
-        prepare_lanes(rows[:, :, np.newaxis], self.new_scratch(1), self.plant, data, levels, failures, (0,))
+        prepare_lanes(rows[:, :, np.newaxis], self.new_scratches(1, 1)[0], self.plant, data, levels, failures)
         for scenario, (failure, unit), row in zip(scenarios, failures.tolist(), rows, strict=True):
             if failure:
                 reason = start_failure(StartFailure(failure), unit, row, scenario, self.settings, self.layout)
@@ -289,7 +291,12 @@ class Simulator:
             places = np.arange(len(prepared.rows))
         if index.size != places.size:
             raise ValueError(f"a prepared run is needed for each of {index.size} lanes, got {places.size}")
-        start_lanes(self.blocks, self.data, index, prepared.rows[:, :, np.newaxis], prepared.data, places, self.lanes)
+        self.blocks[index // self.width, :, index % self.width] = prepared.rows[places]
+        *arrays, events = self.data
+        events[index] = NO_EVENT
+        events[index, :n_events] = prepared.data.events[places]
+        for array, given in zip(arrays, prepared.data[:-1], strict=True):
+            array[index] = given[places]
 
     def _write_series(self, data: LaneData, lane: int, scenario: Scenario) -> None:
         dt, n = self.settings.control_dt, self.n_intervals
@@ -339,7 +346,7 @@ class Simulator:
         """Advance every running lane by one control interval."""
         self.threads.run(
             lambda first, last, worker: advance_blocks(
-                self.blocks, self.scratch(worker), first, last, self.plant, self.data, self.lanes
+                self.blocks, self.scratches[worker], first, last, self.plant, self.data
             )
         )
 
@@ -349,8 +356,8 @@ class Simulator:
 
     def _evaluated(self, blocks: Floats) -> Floats:
         """Evaluate blocks, and return the scratch of each."""
-        scratches = _aligned_zeros(blocks.shape[0], self.layout.n_scratch, self.width)
-        evaluate_blocks(blocks, scratches, self.plant, self.lanes)
+        scratches = self.new_scratches(blocks.shape[0], self.width)
+        evaluate_blocks(blocks, scratches, self.plant)
         return scratches
 
     def bus_voltages(self, lane: int = 0) -> npt.NDArray[np.complex128]:
@@ -405,3 +412,6 @@ class Simulator:
         # A copy comes back where it likes.
         self.blocks = _aligned_zeros(*state["blocks"].shape)
         self.blocks[:] = state["blocks"]
+        self.scratches = self.new_scratches(self.threads.n_workers, self.width)
+        # Perhaps in another process.
+        self._find_code()

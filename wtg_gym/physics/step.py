@@ -81,5 +81,5 @@ PROTECT = (
 #: The machines' equilibria, from what they deliver.
 START_MACHINES = (machine.start_machine, hydro.start_hydro)
 
-#: The first outputs of a run.
-START = (*ADMITTANCES, *EVALUATE, *COI, protection.track_extremes)
+#: After the first evaluation of a run.
+START = (*COI, protection.track_extremes)

@@ -42,7 +42,7 @@ from wtg_gym.physics.parameters import (
 )
 from wtg_gym.physics.pitch import Pitch, PitchState, pitch_constants, pitch_limited, pitch_rates
 from wtg_gym.physics.rotor_table import Cells, Grid, tabulated_power_coefficient
-from wtg_gym.systems.compiled import compiled, inlined
+from wtg_gym.systems.compiled import inlined, internal
 from wtg_gym.systems.elementary import fma, select, sine_cosine
 
 
@@ -169,7 +169,7 @@ def captured_by_table(rotor_speed: float, wind: float, pitch: float, c: Rotor, c
     return c.wind_power * wind * wind * wind * tabulated_power_coefficient(ratio, pitch, cells, c.grid)
 
 
-@compiled
+@internal
 def captured_power(rotor_speed: float, wind: float, pitch: float, c: Rotor, cells: Cells) -> float:
     """Return the captured power by the table, if a turbine has one."""
     if cells.shape[0] > 0:
@@ -303,7 +303,7 @@ def wtg_limited(s: WtgState, c: Turbine) -> WtgState:
     return WtgState(s.converter, s.rotor_speed, pitch, s.energy_captured, s.energy_delivered)
 
 
-@compiled
+@internal
 def turbine_equilibrium(wind: float, k: float, c: Turbine, cells: Cells) -> tuple[float, float, bool]:
     """Return (rotor speed [p.u.], pitch [deg], found) at which the captured power equals k ω_m³ and falls faster.
 
@@ -343,7 +343,7 @@ def turbine_equilibrium(wind: float, k: float, c: Turbine, cells: Cells) -> tupl
     return 0.0, 0.0, False
 
 
-@compiled
+@internal
 def _pitch_that_captures(
     target: float, low: float, high: float, rotor: float, wind: float, c: Turbine, cells: Cells
 ) -> float:

@@ -19,7 +19,7 @@ import numpy as np
 import numpy.typing as npt
 from numba import int64, uint32, uint64
 
-from wtg_gym.systems.compiled import compiled
+from wtg_gym.systems.compiled import compiled, internal
 
 Words = npt.NDArray[np.uint64]
 FloatArray = npt.NDArray[np.float64]
@@ -44,7 +44,7 @@ _MULTIPLIER_LOW = np.uint64(0x4385DF649FCCF645)
 _LOW_HALF = np.uint64(0xFFFFFFFF)
 
 
-@compiled
+@internal
 def _high_product(a: Word, b: Word) -> Word:
     """Return the upper 64 bits of a 64 x 64 bit product."""
     half = uint64(32)
@@ -54,7 +54,7 @@ def _high_product(a: Word, b: Word) -> Word:
     return a_high * b_high + (cross >> half) + (other >> half) + carry
 
 
-@compiled
+@internal
 def _advance(high: Word, low: Word, add_high: Word, add_low: Word) -> tuple[Word, Word]:
     """Return the 128-bit state, in two words, that follows."""
     product = low * _MULTIPLIER_LOW
@@ -63,20 +63,20 @@ def _advance(high: Word, low: Word, add_high: Word, add_low: Word) -> tuple[Word
     return upper + add_high + uint64(total < product), total
 
 
-@compiled
+@internal
 def _output(high: Word, low: Word) -> Word:
     """Return the 64 random bits of a state: both halves, exclusive-or, rotated."""
     mixed, turn = high ^ low, high >> uint64(58)
     return (mixed >> turn) | (mixed << ((uint64(64) - turn) & uint64(63)))
 
 
-@compiled
+@internal
 def _unit(bits: Word) -> float:
     """Return a number in [0, 1) from 64 random bits."""
     return float(int64(bits >> uint64(11))) * (1.0 / 9007199254740992.0)
 
 
-@compiled
+@internal
 def _hashed(value: Word, factor: Word, multiplier: Word) -> tuple[Word, Word]:
     """Return the hash of a 32-bit word, and the factor that the next word is hashed with."""
     value = uint32(value ^ factor)
@@ -85,7 +85,7 @@ def _hashed(value: Word, factor: Word, multiplier: Word) -> tuple[Word, Word]:
     return uint32(value ^ (value >> uint32(16))), factor
 
 
-@compiled
+@internal
 def _seed_words(seed: Word, key: Word, words: Words) -> None:
     """Fill words (4,) with what `SeedSequence([seed, key])` gives; the key has 32 bits."""
     pool = np.zeros(4, dtype=np.uint32)
@@ -141,7 +141,7 @@ def draw_uniforms(states: Words, uniforms: FloatArray) -> None:
         states[i, 0], states[i, 1] = high, low
 
 
-@compiled
+@internal
 def _tail(high: Word, low: Word, add_high: Word, add_low: Word) -> tuple[float, Word, Word]:
     """Return a normal number beyond the ziggurat's last layer, and the state after it."""
     while True:
@@ -153,7 +153,7 @@ def _tail(high: Word, low: Word, add_high: Word, add_low: Word) -> tuple[float, 
             return _TAIL + beyond, high, low
 
 
-@compiled
+@internal
 def _candidate(bits: Word) -> tuple[float, bool]:
     """Return the number that random bits name, and whether it lies inside its layer, as 99 of 100 do."""
     layer = bits & uint64(0x1FF)
@@ -161,7 +161,7 @@ def _candidate(bits: Word) -> tuple[float, bool]:
     return size * _WIDTH[layer], size < _INSIDE[layer]
 
 
-@compiled
+@internal
 def _edge(high: Word, low: Word, add_high: Word, add_low: Word, bits: Word, x: float) -> tuple[float, Word, Word]:
     """Return a normal number where the first candidate x lies at the edge of its layer, and the state after it."""
     inside = False
@@ -180,7 +180,7 @@ def _edge(high: Word, low: Word, add_high: Word, add_low: Word, bits: Word, x: f
     return x, high, low
 
 
-@compiled
+@internal
 def _normal(high: Word, low: Word, add_high: Word, add_low: Word) -> tuple[float, Word, Word]:
     """Return a normal number and the state after it."""
     high, low = _advance(high, low, add_high, add_low)

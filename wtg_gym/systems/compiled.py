@@ -7,9 +7,8 @@ compiled code, so that an edit anywhere starts a new folder. It has one file for
 which begins with a checksum over its key and its content. A file that is missing, damaged or of something else counts
 as missing: numba compiles again, and the file is replaced.
 
-Compiling everything takes a minute or two, so it is reported: the logger "wtg_gym" warns once when it begins, with the
-folder, and once for each long part, with its time. Python writes warnings to stderr unless the program has set up
-logging. `logging.getLogger("wtg_gym").setLevel(logging.ERROR)` silences them.
+Compiling takes some ten seconds, so it is reported: in a terminal by a line that moves and goes away; elsewhere the
+logger "wtg_gym" warns once, with the folder. `logging.getLogger("wtg_gym").setLevel(logging.ERROR)` silences both.
 """
 
 from __future__ import annotations
@@ -26,7 +25,7 @@ import sys
 import tempfile
 import time
 import uuid
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -42,12 +41,10 @@ F = TypeVar("F", bound=Callable[..., Any])
 
 _PACKAGE = Path(__file__).resolve().parent.parent
 _log = logging.getLogger("wtg_gym")
-#: What numba's machine code depends on besides the sources and the processor.
-_VERSIONS = (numba.__version__, llvmlite.__version__, sys.implementation.cache_tag)
+#: What machine code depends on besides the sources and the processor.
+VERSIONS = (numba.__version__, llvmlite.__version__, sys.implementation.cache_tag)
 #: Numba compiles this many functions before anything is reported: so few take a second.
 _SILENT_FUNCTIONS = 20
-#: Parts that take less are not reported [s].
-_SHORT_S = 1.0
 
 
 def _number_from_elsewhere() -> None:
@@ -66,7 +63,7 @@ if hasattr(os, "register_at_fork"):
     os.register_at_fork(after_in_child=_number_from_elsewhere)
 
 
-def _digest(*parts: bytes) -> bytes:
+def digest_of(*parts: bytes) -> bytes:
     return hashlib.sha256(b"".join(parts)).digest()
 
 
@@ -77,13 +74,13 @@ def source_hash() -> str:
     for folder in ("systems", "physics", "scenarios", "envs"):
         for path in sorted([*(_PACKAGE / folder).glob("*.py"), *(_PACKAGE / folder).glob("*.npy")]):
             parts += [path.name.encode(), path.read_bytes()]
-    return _digest(*parts).hex()
+    return digest_of(*parts).hex()
 
 
 @functools.cache
 def _file_hash(path: str) -> bytes:
     # Generated functions have no file; their lines are registered with linecache.
-    return _digest("".join(linecache.getlines(path)).encode())
+    return digest_of("".join(linecache.getlines(path)).encode())
 
 
 def _users_folder() -> Path:
@@ -117,6 +114,32 @@ def cache_folder() -> Path | None:
     return None
 
 
+def kept(path: Path | None, key: bytes) -> bytes | None:
+    """Return what was kept in a file; None if it is missing, damaged or kept under another key."""
+    if path is not None:
+        with contextlib.suppress(OSError):
+            content = path.read_bytes()
+            checksum, code = content[: len(key)], content[len(key) :]
+            if checksum == digest_of(key, code):
+                return code
+    return None
+
+
+def keep(path: Path | None, key: bytes, code: bytes) -> None:
+    """Write a file whole, or not at all."""
+    if path is None:
+        return
+    temporary = path.with_name(f"{path.name}.{uuid.uuid4().hex[:8]}.tmp")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        temporary.write_bytes(digest_of(key, code) + code)
+        os.replace(temporary, path)
+    except OSError as error:
+        with contextlib.suppress(OSError):
+            temporary.unlink()
+        _warn_that_nothing_is_kept(path.parent, error.strerror)
+
+
 class DiskCache(NullCache):  # type: ignore[misc]
     """The cache of one numba dispatcher.
 
@@ -129,7 +152,7 @@ class DiskCache(NullCache):  # type: ignore[misc]
     def __init__(self, function: Callable[..., Any], folder: Path | None, source_hash: str) -> None:
         self._name = f"{function.__module__}.{function.__qualname__}"
         self._folder = folder
-        self._source = (self._name, source_hash, _file_hash(function.__code__.co_filename), _VERSIONS)
+        self._source = (self._name, source_hash, _file_hash(function.__code__.co_filename), VERSIONS)
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
         """Return the machine code for a signature; None makes numba compile."""
@@ -137,12 +160,10 @@ class DiskCache(NullCache):  # type: ignore[misc]
             return None
         target_context.refresh()
         key = self._key(sig, target_context.codegen())
-        # A damaged file may raise anything.
+        code = kept(self._path(self._folder, key), key)
+        # What another version of numba has pickled may raise anything.
         with contextlib.suppress(Exception):
-            content = self._path(self._folder, key).read_bytes()
-            checksum, code = content[: len(key)], content[len(key) :]
-            if checksum == _digest(key, code):
-                return CompileResult._rebuild(target_context, *pickle.loads(code))
+            return None if code is None else CompileResult._rebuild(target_context, *pickle.loads(code))
         return None
 
     def save_overload(self, sig: Any, data: Any) -> None:
@@ -150,24 +171,10 @@ class DiskCache(NullCache):  # type: ignore[misc]
         if self._folder is None or data.library.has_dynamic_globals:
             return
         key = self._key(sig, data.codegen)
-        code = dumps(data._reduce())
-        path = self._path(self._folder, key)
-        temporary = path.with_name(f"{path.name}.{uuid.uuid4().hex[:8]}.tmp")
-        try:
-            self._folder.mkdir(parents=True, exist_ok=True)
-            temporary.write_bytes(_digest(key, code) + code)
-            os.replace(temporary, path)
-        except OSError as error:
-            with contextlib.suppress(OSError):
-                temporary.unlink()
-            _warn_that_nothing_is_kept(self._folder, error.strerror)
-
-    def holds(self, sig: Any, target_context: Any) -> bool:
-        """Return whether there is machine code for a signature, intact or not."""
-        return self._folder is not None and self._path(self._folder, self._key(sig, target_context.codegen())).exists()
+        keep(self._path(self._folder, key), key, dumps(data._reduce()))
 
     def _key(self, sig: Any, codegen: Any) -> bytes:
-        return _digest(repr((self._source, sig, codegen.magic_tuple())).encode())
+        return digest_of(repr((self._source, sig, codegen.magic_tuple())).encode())
 
     def _path(self, folder: Path, key: bytes) -> Path:
         return folder / f"{self._name.removeprefix('wtg_gym.')}-{key.hex()[:16]}.nbc"
@@ -179,7 +186,7 @@ def _warn_that_nothing_is_kept(folder: Path, reason: str) -> None:
 
 
 class Compilation(event.Listener):  # type: ignore[misc]
-    """Functions with a :class:`DiskCache` that this process has compiled; numba's lock guards it.
+    """What this process has compiled: functions with a :class:`DiskCache`, and routines; numba's lock guards it.
 
     Args:
         folder: folder of the machine code, for the report; None keeps nothing.
@@ -189,32 +196,46 @@ class Compilation(event.Listener):  # type: ignore[misc]
         self._folder = folder
         #: When the functions that are being compiled were begun [s]; one may be within another.
         self._began: list[float] = []
-        #: Functions compiled, and the time it took [s].
+        #: Functions and routines compiled, and the time it took [s].
         self.n_functions, self.seconds = 0, 0.0
 
     def on_start(self, event: Any) -> None:
         """Numba begins to compile a function."""
-        if not self._is_ours(event):
-            return
-        self._began.append(time.perf_counter())
-        self.n_functions += 1
-        if self.n_functions == _SILENT_FUNCTIONS:
-            kept = "not kept: no folder can be written to" if self._folder is None else f"kept in {self._folder}"
-            _log.warning("wtg_gym compiles its simulator to machine code: about a minute, %s", kept)
+        if self._is_ours(event):
+            self.begin(event.data["dispatcher"].py_func.__name__)
 
     def on_end(self, event: Any) -> None:
         """Numba has compiled a function, or failed to."""
-        if not self._is_ours(event):
-            return
-        took = time.perf_counter() - self._began.pop()
-        if not self._began:
-            self.seconds += took
-            if self.n_functions >= _SILENT_FUNCTIONS and took >= _SHORT_S:
-                _log.warning("wtg_gym compiled %s in %.1f s", event.data["dispatcher"].py_func.__name__, took)
+        if self._is_ours(event):
+            self.end()
 
     @staticmethod
     def _is_ours(event: Any) -> bool:
         return isinstance(getattr((event.data or {}).get("dispatcher"), "_cache", None), DiskCache)
+
+    def begin(self, name: str) -> None:
+        """Begin to compile something of a name."""
+        self._began.append(time.perf_counter())
+        self.n_functions += 1
+        if self.n_functions == _SILENT_FUNCTIONS and not _shows_a_line():
+            kept = "not kept: no folder can be written to" if self._folder is None else f"kept in {self._folder}"
+            _log.warning("wtg_gym compiles its simulator to machine code: some ten seconds, %s", kept)
+        if self.n_functions >= _SILENT_FUNCTIONS and _shows_a_line():
+            told = f"wtg_gym compiles its simulator, once: {self.seconds:.0f} s, {self.n_functions} functions, now {name}"
+            print(f"\r{told[:78]}\x1b[K", end="", file=sys.stderr, flush=True)
+
+    def end(self) -> None:
+        """End what was begun last."""
+        took = time.perf_counter() - self._began.pop()
+        if not self._began:
+            self.seconds += took
+            if self.n_functions >= _SILENT_FUNCTIONS and _shows_a_line():
+                print("\r\x1b[K", end="", file=sys.stderr, flush=True)
+
+
+def _shows_a_line() -> bool:
+    """Return whether somebody watches who may see a line that moves."""
+    return sys.stderr is not None and sys.stderr.isatty() and _log.isEnabledFor(logging.WARNING)
 
 
 @functools.cache
@@ -225,6 +246,16 @@ def compilation() -> Compilation:
     return listener
 
 
+@contextlib.contextmanager
+def reporting(name: str) -> Iterator[None]:
+    """Report that something of a name is compiled meanwhile."""
+    compilation().begin(name)
+    try:
+        yield
+    finally:
+        compilation().end()
+
+
 def compiled(function: F, *, digest: str | None = None) -> F:
     """Compile a function with numba, releasing the GIL, cached on disk per source version.
 
@@ -232,18 +263,26 @@ def compiled(function: F, *, digest: str | None = None) -> F:
     `digest` names the source version where it is not :func:`source_hash`.
     """
     compilation()
-    result: F = numba.njit(nogil=True, error_model="numpy")(function)
+    result: F = numba.njit(nogil=True, error_model="numpy", no_cfunc_wrapper=True)(function)
     # With NUMBA_DISABLE_JIT it is the function itself.
     if result is not function:
         result._cache = DiskCache(function, cache_folder(), digest or source_hash())  # type: ignore[attr-defined]
     return result
 
 
-def inlined(function: F) -> F:
-    """Build a function into whatever compiled function calls it, before that is compiled: by itself it never is.
+def internal(function: F) -> F:
+    """Compile a function that compiled functions call, and Python never: what Python needs for a call is left out.
 
-    A call would hand over the arrays of a :class:`~wtg_gym.physics.kernel_data.Plant` one by one, and machine code that
-    several functions share would be made and optimised once for each.
+    It is part of the machine code of its callers, and not kept by itself.
+    """
+    result: F = numba.njit(nogil=True, error_model="numpy", no_cfunc_wrapper=True, no_cpython_wrapper=True)(function)
+    return result
+
+
+def inlined(function: F) -> F:
+    """Build a few operations into whatever compiled function calls them, before that is compiled.
+
+    Numba copies the whole caller for it: a function with loops or many lines is better :func:`internal`.
     """
     result: F = numba.njit(nogil=True, error_model="numpy", inline="always")(function)
     return result

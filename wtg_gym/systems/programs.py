@@ -6,29 +6,22 @@ the few things that are no map over units: :class:`Product`, :class:`When`, :cla
 
 from __future__ import annotations
 
-import functools
 import hashlib
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from types import MappingProxyType
-from typing import Any, NamedTuple, Protocol, cast
+from collections.abc import Iterator, Sequence
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 import numpy.typing as npt
-from llvmlite import ir
-from numba import types
-from numba.extending import intrinsic
 
 from wtg_gym.systems import expressions as ex
 from wtg_gym.systems.records import flatten
-from wtg_gym.systems.systems import SCALARS, Kind, Place, System, Trace, constants_of
-from wtg_gym.systems.vectors import Lanes, repeated
+from wtg_gym.systems.systems import Kind, Place, System, constants_of
 
 Floats = npt.NDArray[np.float64]
 Whole = npt.NDArray[np.int64]
-_WHOLE = ir.IntType(64)
 #: Numbers in a table's head for each entry: how many units, the places of its first row and its first constant, and of
 #: its first row on the program's tape.
-_HEAD = 4
+HEAD = 4
 
 
 class Product(NamedTuple):
@@ -66,10 +59,11 @@ class Each(NamedTuple):
 
 
 class Tables(NamedTuple):
-    """Where the systems of programs find the rows of a plant, and its constants."""
+    """Where the systems of programs find the rows of a plant, and its constants; and where their machine code is."""
 
     table: Whole
     numbers: Floats
+    code: Whole  # addresses in this process, see :func:`~wtg_gym.systems.routines.code_of`
 
 
 #: Scalars of a program that asks for none.
@@ -123,11 +117,12 @@ class Program:
     Args:
         name: of the program.
         entries: systems and what is none.
+        number: of the program among those that share a table.
         first: place of its first entry in the head of the table.
     """
 
-    def __init__(self, name: str, entries: Sequence[Any], first: int) -> None:
-        self.name, self.entries = name, tuple(entries)
+    def __init__(self, name: str, entries: Sequence[Any], number: int, first: int) -> None:
+        self.name, self.entries, self.number = name, tuple(entries), number
         self.places = {id(entry): first + i for i, entry in enumerate(_flat(self.entries))}
         if len(self.places) < len(list(_flat(self.entries))):
             raise ValueError(f"a system stands in program {name!r} twice")
@@ -137,403 +132,28 @@ class Program:
         """How many places it takes in the head of the table."""
         return len(self.places)
 
-    def digest(self) -> str:
-        """Return a hash of everything that its machine code depends on."""
-        found = hashlib.sha256(repr(list(self.places.values())).encode())
+    def digest(self, *, back: bool = False) -> str:
+        """Return a hash of everything that its machine code depends on, or that of the way back through it."""
+        found = hashlib.sha256(repr((self.name, list(self.places.values()))).encode())
         for one in systems_of(self.entries):
-            found.update(repr((one.name, _slots(one), one.when)).encode())
-            order = {number: i for i, number in enumerate(ex.needed(value for *_, value in one.trace.stores))}
-            for number, _ in order.items():
+            found.update(repr((one.name, one.slots, one.constants_used, one.when)).encode())
+            stores: list[tuple[Any, Any]] = [((name, k), value) for name, k, value in one.trace.stores]
+            if back:
+                stores += [*one.adjoint.inputs.items(), *one.adjoint.constants.items(), ("noted", one.noted)]
+            order = {number: i for i, number in enumerate(ex.needed(value for _, value in stores))}
+            for number in order:
                 told = (order[a] if isinstance(a, ex.Number) else a for a in number.arguments)
                 found.update(repr((number.operation, *told)).encode())
-            stores = [(name, k, order.get(value, value)) for name, k, value in one.trace.stores]
-            found.update(repr(stores).encode())
+            found.update(repr([(at, order.get(value, value)) for at, value in stores]).encode())
         return found.hexdigest()
-
-    def function(self, **known: float) -> Callable[..., None]:
-        """Return the program for numba: of (block, scratch, tables, scalars, lanes).
-
-        Args:
-            known: values of scalars; what follows from them is left out, and those handed over do not count.
-        """
-        program, writer = self, functools.partial(_Writer, known=known)
-
-        @intrinsic
-        def run(typing_context, block, scratch, tables, scalars, lanes) -> Any:  # type: ignore[no-untyped-def]
-            return _written(program, writer, (block, scratch, tables, scalars, lanes))
-
-        return cast("Callable[..., None]", run)
-
-    def taped(self, *, runs: bool = True) -> Callable[..., None]:
-        """Return the program that notes what the way back needs: of (block, scratch, tables, tape, scalars, lanes).
-
-        Args:
-            runs: change rows as the program does; else only note what they hold.
-        """
-        program, writer = self, _TapedWriter if runs else _NotingWriter
-
-        @intrinsic
-        def run(typing_context, block, scratch, tables, tape, scalars, lanes) -> Any:  # type: ignore[no-untyped-def]
-            return _written(program, writer, (block, scratch, tables, tape, scalars, lanes))
-
-        return cast("Callable[..., None]", run)
-
-    def back(self, *, constants: bool = False) -> Callable[..., None]:
-        """Return the way back through the program.
-
-        It is of (bars, scratch_bars, tables, tape, scratch, constant_bars, scalars, lanes): cotangents (bars) of the
-        rows in block and scratch after the program become those before it, and those of the constants, in their order
-        in the tables, are added to.
-
-        Args:
-            constants: whether cotangents of the constants are wanted.
-        """
-        program, writer = self, _BackWriter if constants else _BackWithoutConstants
-
-        @intrinsic
-        def run(  # type: ignore[no-untyped-def]
-            typing_context, bars, scratch_bars, tables, tape, scratch, constant_bars, scalars, lanes
-        ) -> Any:
-            arrays = (bars, scratch_bars, tables, tape, scratch, constant_bars, scalars, lanes)
-            return _written(program, writer, arrays)
-
-        return cast("Callable[..., None]", run)
 
     def tape_rows(self, plant: Arrangement) -> int:
         """Return how many rows a run of the program notes."""
-        return sum(len(_noted(one)) * _n_units(one, plant) for one in systems_of(self.entries))
-
-
-def _written(program: Program, writer: Any, kinds: Sequence[Any]) -> Any:
-    """Return the signature of a program and what writes its instructions, as numba asks for them."""
-
-    def code(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        def data_of(kind: Any, argument: Any) -> list[Any]:
-            if isinstance(kind, types.Array):
-                return [context.make_array(kind)(context, builder, argument).data]
-            parts = (builder.extract_value(argument, i) for i in range(len(kind)))
-            return [each for own, part in zip(kind.types, parts, strict=True) for each in data_of(own, part)]
-
-        *arrays, _, lanes = signature.args
-        data = [each for pair in zip(arrays, arguments, strict=False) for each in data_of(*pair)]
-        given = {name: builder.extract_value(arguments[-2], i) for i, name in enumerate(SCALARS)}
-        writer(builder, len(lanes), data, given, program).write(program.entries)
-        return context.get_dummy_value()
-
-    return types.void(*kinds), code
+        return sum(len(one.noted) * _n_units(one, plant) for one in systems_of(self.entries))
 
 
 def _n_units(one: System, plant: Arrangement) -> int:
     return plant.n_units(one.kind) if one.when is None or plant.has(one.when) else 0
-
-
-def _noted(one: System) -> list[tuple[str, int]]:
-    """Return the inputs of a system that its derivatives depend on, by argument and place within it."""
-    adjoint = one.adjoint
-    used = ex.needed((*adjoint.inputs.values(), *adjoint.constants.values()))
-    return [adjoint.trace.inputs[number] for number in used if number in adjoint.trace.inputs]
-
-
-def _slots(one: System) -> list[str]:
-    """Return the parts whose rows a system is given, in the order of the table."""
-    return list(dict.fromkeys((*one.reads, *one.writes)))
-
-
-def _constants_used(one: System) -> list[str]:
-    names = one.trace.constants
-    return [names[number] for number in ex.needed(value for *_, value in one.trace.stores) if number in names]
-
-
-class _Writer:
-    """What writes the instructions of a program."""
-
-    def __init__(
-        self,
-        builder: Any,
-        width: int,
-        data: Sequence[Any],
-        scalars: Mapping[str, Any],
-        program: Program,
-        known: Mapping[str, float] = MappingProxyType({}),
-    ) -> None:
-        self.block, self.scratch, self.table, self.numbers, *self.others = data
-        self.builder, self.lanes = builder, Lanes(builder, width, self.numbers)
-        self.scalars, self.program, self.known = scalars, program, known
-
-    def write(self, entries: Sequence[Any]) -> None:
-        for entry in entries:
-            if isinstance(entry, System):
-                with repeated(self.builder, self._head(entry, 0)) as unit:
-                    self._system(entry, unit)
-            elif isinstance(entry, Product):
-                self._product(entry)
-            elif isinstance(entry, When):
-                with self.builder.if_then(self._is_up(entry)):
-                    self.write(entry.entries)
-            elif isinstance(entry, Repeat):
-                self._repeat(entry)
-            else:
-                self._each(entry)
-
-    def _head(self, entry: Any, which: int) -> Any:
-        return self._whole(_WHOLE(_HEAD * self.program.places[id(entry)] + which))
-
-    def _whole(self, place: Any) -> Any:
-        return self.builder.load(self.builder.gep(self.table, [place]))
-
-    def _system(self, one: System, unit: Any) -> None:
-        """Write the instructions on one unit."""
-        lanes, trace = self.lanes, one.trace_with(**self.known)
-        rows = self._rows(one, unit)
-        instruction = lanes.program(self._given(one, trace, unit, lambda name, k: lanes.load(self._at(rows[name], k))))
-        self._note(one, unit, {at: instruction(symbol) for symbol, at in trace.inputs.items() if self._notes(one, at)})
-        symbols = {at: symbol for symbol, at in trace.inputs.items()}
-        used = set(ex.needed(value for *_, value in trace.stores))
-        # What belongs to one number of a record is worked out and stored together: few numbers are held at a time.
-        for name, k, value in sorted(trace.stores, key=lambda store: store[1]):
-            if symbols.get((name, k)) is value:
-                # It stays what it is.
-                continue
-            found = instruction(value)
-            if symbols.get((name, k)) in used:
-                # What is read later, too, is what was there before.
-                instruction(symbols[name, k])
-            lanes.store(found, self._at(rows[name], k))
-
-    def _rows(self, one: System, unit: Any) -> dict[str, Any]:
-        """Return pointers to the first row of each part that a system names."""
-        slots, parts = _slots(one), {**one.reads, **one.targets}
-        base = self.builder.add(self._head(one, 1), self.builder.mul(unit, _WHOLE(len(slots))))
-        return {
-            name: self._row(parts[name], self._whole(self.builder.add(base, _WHOLE(i)))) for i, name in enumerate(slots)
-        }
-
-    def _given(
-        self, one: System, trace: Trace, unit: Any, read: Callable[[str, int], Any]
-    ) -> dict[ex.Number, Callable[[], Any]]:
-        """Return what gives the symbols of a trace."""
-        builder, lanes = self.builder, self.lanes
-
-        def constant(name: str) -> Any:
-            return lanes.spread(builder.load(builder.gep(self.numbers, [self._constant_place(one, name, unit)])))
-
-        return {
-            **{symbol: functools.partial(read, *at) for symbol, at in trace.inputs.items()},
-            **{symbol: functools.partial(constant, name) for symbol, name in trace.constants.items()},
-            **{s: functools.partial(lanes.spread, self.scalars[name]) for s, name in trace.scalars.items()},
-        }
-
-    def _constant_place(self, one: System, name: str, unit: Any) -> Any:
-        used = _constants_used(one)
-        first = self.builder.add(self._head(one, 2), self.builder.mul(unit, _WHOLE(len(used))))
-        return self.builder.add(first, _WHOLE(used.index(name)))
-
-    def _notes(self, one: System, at: tuple[str, int]) -> bool:
-        """Return whether an input goes onto a tape."""
-        return False
-
-    def _note(self, one: System, unit: Any, values: Mapping[tuple[str, int], Any]) -> None:
-        """Write inputs onto the tape."""
-
-    def _row(self, place: Place, row: Any) -> Any:
-        """Return a pointer to a row."""
-        first = self.scratch if place.in_scratch else self.block
-        return self.builder.gep(first, [self.builder.mul(row, _WHOLE(self.lanes.width))])
-
-    def _at(self, first: Any, k: int) -> Any:
-        """Return a pointer to the row k after that of a pointer."""
-        return self.builder.gep(first, [_WHOLE(k * self.lanes.width)])
-
-    def _is_up(self, entry: When | Repeat) -> Any:
-        place = entry.lane.find(entry.flag)
-        assert place is not None
-        return self.lanes.any_positive(self.lanes.load(self._row(place, self._head(entry, 1))))
-
-    def _repeat(self, entry: Repeat) -> None:
-        builder = self.builder
-        before = builder.block
-        body, done = builder.append_basic_block("again"), builder.append_basic_block("settled")
-        builder.branch(body)
-        builder.position_at_end(body)
-        count = builder.phi(_WHOLE)
-        count.add_incoming(_WHOLE(1), before)
-        self.write(entry.entries)
-        again = builder.and_(self._is_up(entry), builder.icmp_signed("<", count, _WHOLE(entry.most)))
-        count.add_incoming(builder.add(count, _WHOLE(1)), builder.block)
-        builder.cbranch(again, body, done)
-        builder.position_at_end(done)
-
-    def _each(self, entry: Each) -> None:
-        builder = self.builder
-        n_outer = self._head(entry.outer, 0)
-        with repeated(builder, n_outer) as unit:
-            self._system(entry.outer, unit)
-            share = builder.sdiv(self._head(entry.inner, 0), n_outer)
-            first = builder.mul(unit, share)
-            with repeated(builder, share) as own:
-                self._system(entry.inner, builder.add(first, own))
-
-    def _product(self, entry: Product) -> None:
-        builder, lanes = self.builder, self.lanes
-        n, places = self._head(entry, 0), self._head(entry, 1)
-        matrix, stride, vector, vector_stride, result, result_stride = (
-            self._whole(builder.add(places, _WHOLE(i))) for i in range(6)
-        )
-
-        def load(row: Any) -> tuple[Any, Any]:
-            first = builder.gep(self.scratch, [builder.mul(row, _WHOLE(lanes.width))])
-            return lanes.load(first), lanes.load(self._at(first, 1))
-
-        def rows(first_row: Any, n_rows: int) -> None:
-            """Write the results of some rows of the matrix: several sums at once need not wait for each other."""
-            entry_block = builder.block
-            check, body, done = (builder.append_basic_block(name) for name in ("columns", "column", "summed"))
-            builder.branch(check)
-            builder.position_at_end(check)
-            column = builder.phi(_WHOLE)
-            column.add_incoming(_WHOLE(0), entry_block)
-            sums = [[builder.phi(lanes.kind) for _ in range(2)] for _ in range(n_rows)]
-            for pair in sums:
-                for each in pair:
-                    each.add_incoming(lanes.constant(0.0), entry_block)
-            builder.cbranch(builder.icmp_signed("<", column, n), body, done)
-            builder.position_at_end(body)
-            e_re, e_im = load(builder.add(vector, builder.mul(column, vector_stride)))
-            for i, (re, im) in enumerate(sums):
-                place = builder.add(builder.mul(builder.add(first_row, _WHOLE(i)), n), column)
-                y_re, y_im = load(builder.add(matrix, builder.mul(place, stride)))
-                d_re = lanes.call("fma", y_re, e_re, builder.fneg(builder.fmul(y_im, e_im)))
-                d_im = lanes.call("fma", y_re, e_im, builder.fmul(y_im, e_re))
-                re.add_incoming(builder.fadd(re, d_re), builder.block)
-                im.add_incoming(builder.fadd(im, d_im), builder.block)
-            column.add_incoming(builder.add(column, _WHOLE(1)), builder.block)
-            builder.branch(check)
-            builder.position_at_end(done)
-            for i, (re, im) in enumerate(sums):
-                row = builder.add(result, builder.mul(builder.add(first_row, _WHOLE(i)), result_stride))
-                first = builder.gep(self.scratch, [builder.mul(row, _WHOLE(lanes.width))])
-                lanes.store(re, first)
-                lanes.store(im, self._at(first, 1))
-
-        pairs = builder.sdiv(n, _WHOLE(_ROWS_AT_ONCE))
-        with repeated(builder, pairs) as pair:
-            rows(builder.mul(pair, _WHOLE(_ROWS_AT_ONCE)), _ROWS_AT_ONCE)
-        whole = builder.mul(pairs, _WHOLE(_ROWS_AT_ONCE))
-        with repeated(builder, builder.sub(n, whole)) as rest:
-            rows(builder.add(whole, rest), 1)
-
-
-class _TapedWriter(_Writer):
-    """Writes a program that notes on a tape what the way back needs."""
-
-    def _notes(self, one: System, at: tuple[str, int]) -> bool:
-        return at in _noted(one)
-
-    def _note(self, one: System, unit: Any, values: Mapping[tuple[str, int], Any]) -> None:
-        for k, at in enumerate(_noted(one)):
-            self.lanes.store(values[at], self._on_tape(one, unit, k))
-
-    def _on_tape(self, one: System, unit: Any, k: int) -> Any:
-        """Return a pointer to what a system has noted of a unit."""
-        tape, n = self.others[0], len(_noted(one))
-        row = self.builder.add(self._head(one, 3), self.builder.add(self.builder.mul(unit, _WHOLE(n)), _WHOLE(k)))
-        return self.builder.gep(tape, [self.builder.mul(row, _WHOLE(self.lanes.width))])
-
-
-class _NotingWriter(_TapedWriter):
-    """Writes a program that changes nothing, and only notes."""
-
-    def _system(self, one: System, unit: Any) -> None:
-        rows = self._rows(one, unit)
-        self._note(one, unit, {at: self.lanes.load(self._at(rows[at[0]], at[1])) for at in _noted(one)})
-
-
-class _BackWriter(_TapedWriter):
-    """Writes the way back: what are rows of block and scratch elsewhere are their cotangents here."""
-
-    with_constants = True
-
-    def write(self, entries: Sequence[Any]) -> None:
-        builder = self.builder
-        for entry in reversed(entries):
-            if isinstance(entry, System):
-                n = self._head(entry, 0)
-                with repeated(builder, n) as done:
-                    self._system(entry, builder.sub(builder.sub(n, done), _WHOLE(1)))
-            elif isinstance(entry, Product):
-                self._product(entry)
-            elif isinstance(entry, Each):
-                self._each_back(entry)
-            else:
-                raise NotImplementedError(f"{type(entry).__name__} has no way back of its own")
-
-    def _each_back(self, entry: Each) -> None:
-        builder = self.builder
-        n_outer = self._head(entry.outer, 0)
-        with repeated(builder, n_outer) as done:
-            unit = builder.sub(builder.sub(n_outer, done), _WHOLE(1))
-            share = builder.sdiv(self._head(entry.inner, 0), n_outer)
-            first = builder.mul(unit, share)
-            with repeated(builder, share) as own:
-                self._system(entry.inner, builder.add(first, own))
-            self._system(entry.outer, unit)
-
-    def _system(self, one: System, unit: Any) -> None:
-        lanes, adjoint, rows, noted = self.lanes, one.adjoint, self._rows(one, unit), _noted(one)
-        given = self._given(
-            one, adjoint.trace, unit, lambda name, k: lanes.load(self._on_tape(one, unit, noted.index((name, k))))
-        )
-        bars = {at: lanes.load(self._at(rows[at[0]], at[1])) for at in adjoint.seeds.values()}
-        given |= {symbol: functools.partial(bars.__getitem__, at) for symbol, at in adjoint.seeds.items()}
-        instruction = lanes.program(given)
-        written = set(adjoint.seeds.values())
-        for at in sorted({*adjoint.inputs, *written}, key=lambda at: at[1]):
-            pointer, found = self._at(rows[at[0]], at[1]), instruction(adjoint.inputs.get(at, 0.0))
-            lanes.store(found if at in written else self.builder.fadd(lanes.load(pointer), found), pointer)
-        for name, value in adjoint.constants.items() if self.with_constants else ():
-            self._add_to_constant(one, name, unit, instruction(value))
-
-    def _add_to_constant(self, one: System, name: str, unit: Any, value: Any) -> None:
-        place = self.builder.mul(self._constant_place(one, name, unit), _WHOLE(self.lanes.width))
-        pointer = self.builder.gep(self.others[2], [place])
-        self.lanes.store(self.builder.fadd(self.lanes.load(pointer), value), pointer)
-
-    def _product(self, entry: Product) -> None:
-        """Pull the cotangents of the result back to the vector; the matrix lies in scratch, and has none."""
-        builder, lanes = self.builder, self.lanes
-        n, places = self._head(entry, 0), self._head(entry, 1)
-        matrix, stride, vector, vector_stride, result, result_stride = (
-            self._whole(builder.add(places, _WHOLE(i))) for i in range(6)
-        )
-
-        def at(data: Any, row: Any) -> Any:
-            return builder.gep(data, [builder.mul(row, _WHOLE(lanes.width))])
-
-        with repeated(builder, n) as i:
-            bar = at(self.scratch, builder.add(result, builder.mul(i, result_stride)))
-            re, im = lanes.load(bar), lanes.load(self._at(bar, 1))
-            lanes.store(lanes.constant(0.0), bar)
-            lanes.store(lanes.constant(0.0), self._at(bar, 1))
-            with repeated(builder, n) as j:
-                place = builder.add(builder.mul(i, n), j)
-                y = at(self.others[1], builder.add(matrix, builder.mul(place, stride)))
-                y_re, y_im = lanes.load(y), lanes.load(self._at(y, 1))
-                e = at(self.scratch, builder.add(vector, builder.mul(j, vector_stride)))
-                to_re = lanes.call("fma", y_re, re, lanes.call("fma", y_im, im, lanes.load(e)))
-                to_im = lanes.call("fma", y_re, im, lanes.load(self._at(e, 1)))
-                to_im = builder.fsub(to_im, builder.fmul(y_im, re))
-                lanes.store(to_re, e)
-                lanes.store(to_im, self._at(e, 1))
-
-
-class _BackWithoutConstants(_BackWriter):
-    """Writes the way back without cotangents of constants."""
-
-    with_constants = False
-
-
-#: Rows of a matrix that are multiplied side by side.
-_ROWS_AT_ONCE = 2
 
 
 def build_table(programs: Sequence[Program], plant: Arrangement, *, taped: bool = False) -> Tables:
@@ -543,7 +163,7 @@ def build_table(programs: Sequence[Program], plant: Arrangement, *, taped: bool 
         programs, plant: what the table is for.
         taped: whether programs are run that note what the way back needs.
     """
-    head = np.zeros((sum(program.n_entries for program in programs), _HEAD), dtype=np.int64)
+    head = np.zeros((sum(program.n_entries for program in programs), HEAD), dtype=np.int64)
     rows, numbers, cells = list[int](), list[float](), dict[Any, int]()
     for program in programs:
         n_taped = 0
@@ -554,7 +174,7 @@ def build_table(programs: Sequence[Program], plant: Arrangement, *, taped: bool 
                 n = _n_units(entry, plant)
                 values = _constants_of(entry, plant, n, numbers, cells)
                 own[0], own[2], own[3] = n, len(numbers), n_taped
-                n_taped += len(_noted(entry)) * n if taped else 0
+                n_taped += len(entry.noted) * n if taped else 0
                 rows += _system_rows(entry, plant, n)
                 numbers += values
             elif isinstance(entry, Product):
@@ -565,7 +185,7 @@ def build_table(programs: Sequence[Program], plant: Arrangement, *, taped: bool 
                 assert at is not None
                 own[:2] = 1, plant.first_rows(at.kind, at.part)[0]
     table = np.concatenate([head.ravel(), np.array(rows, dtype=np.int64)])
-    return Tables(table, np.array(numbers, dtype=np.float64))
+    return Tables(table, np.array(numbers, dtype=np.float64), np.zeros(0, dtype=np.int64))
 
 
 def constant_places(
@@ -581,13 +201,13 @@ def constant_places(
     found = []
     for program in programs:
         for one in systems_of(program.entries):
-            used = _constants_used(one)
+            used = one.constants_used
             place = one.kind.find_constant(argument)
             if place is None or f"{argument}.{leaf}" not in used:
                 continue
             n = _n_units(one, plant)
             units = plant.seen(one.kind, place.seen)[:n] if place.seen else np.arange(n)
-            first = int(tables.table[_HEAD * program.places[id(one)] + 2])
+            first = int(tables.table[HEAD * program.places[id(one)] + 2])
             found += [
                 first + int(k) * len(used) + used.index(f"{argument}.{leaf}")
                 for k in np.flatnonzero((units == unit) | (unit is None))
@@ -608,7 +228,7 @@ def _system_rows(one: System, plant: Arrangement, n: int) -> list[int]:
     if n == 0:
         return []
     parts = {**one.reads, **one.targets}
-    found = [_rows_of(one.kind, parts[name], plant) for name in _slots(one)]
+    found = [_rows_of(one.kind, parts[name], plant) for name in one.slots]
     rows: list[int] = np.stack(found, axis=1).ravel().tolist()
     return rows
 
@@ -620,7 +240,7 @@ def _rows_of(kind: Kind, place: Place, plant: Arrangement) -> Whole:
 
 def _constants_of(one: System, plant: Arrangement, n: int, numbers: list[float], cells: dict[Any, int]) -> list[float]:
     """Return the constants of a system for each of n units; what tables hold is added to `numbers`."""
-    used = _constants_used(one)
+    used = one.constants_used
     if n == 0 or not used:
         return []
     values: dict[str, Floats] = {}
@@ -654,7 +274,7 @@ def in_one_table(*before: Program, **entries: Sequence[Any]) -> tuple[Program, .
     """Return programs by their names that share a table, behind that of programs before them."""
     found: list[Program] = []
     first = sum(program.n_entries for program in before)
-    for name, own in entries.items():
-        found.append(Program(name, own, first))
+    for number, (name, own) in enumerate(entries.items(), start=len(before)):
+        found.append(Program(name, own, number, first))
         first += found[-1].n_entries
     return tuple(found)

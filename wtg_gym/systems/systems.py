@@ -211,6 +211,24 @@ class System:
         constants = {name: found[symbol] for symbol, name in trace.constants.items() if symbol in found}
         return Adjoint(trace, seeds, inputs, constants)
 
+    @functools.cached_property
+    def slots(self) -> list[str]:
+        """Parts whose rows the system is given, in the order of a table."""
+        return list(dict.fromkeys((*self.reads, *self.writes)))
+
+    @functools.cached_property
+    def constants_used(self) -> list[str]:
+        """Constants that the result depends on."""
+        names = self.trace.constants
+        return [names[number] for number in ex.needed(value for *_, value in self.trace.stores) if number in names]
+
+    @functools.cached_property
+    def noted(self) -> list[tuple[str, int]]:
+        """Inputs that the derivatives depend on, by argument and place within it."""
+        adjoint = self.adjoint
+        used = ex.needed((*adjoint.inputs.values(), *adjoint.constants.values()))
+        return [adjoint.trace.inputs[number] for number in used if number in adjoint.trace.inputs]
+
     def row(self, name: str, k: int) -> tuple[str, str, int]:
         """Return which row an argument's number is: by label, part and place in it, whatever it is called here."""
         place = self.reads.get(name) or self.targets[name]

@@ -1,0 +1,161 @@
+"""Routines: the machine code of programs, kept on disk, and calls of it from compiled functions.
+
+A compiled function calls a routine at an address that it finds in the tables. So a program is compiled once for each
+width of blocks, by whatever functions it is called, and again only if its own equations change.
+"""
+
+from __future__ import annotations
+
+import functools
+import pickle
+from collections.abc import Callable, Iterable, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from llvmlite import ir
+from numba import types
+from numba.core.compiler_lock import global_compiler_lock
+from numba.core.registry import cpu_target
+from numba.extending import intrinsic
+
+from wtg_gym.systems.compiled import VERSIONS, cache_folder, digest_of, keep, kept, reporting
+from wtg_gym.systems.programs import Program, Whole
+from wtg_gym.systems.systems import SCALARS
+from wtg_gym.systems.writers import BackWithoutConstants, BackWriter, NotingWriter, TapedWriter, Writer
+
+#: Routines that one program has, at most.
+_PLACES = 4
+_NUMBERS, _WHOLES, _DOUBLE, _WHOLE = (
+    ir.DoubleType().as_pointer(),
+    ir.IntType(64).as_pointer(),
+    ir.DoubleType(),
+    ir.IntType(64),
+)
+#: Arrays that the routines of a writer are given, and what they do.
+_OF_WRITER = {
+    Writer: (2, "run"),
+    TapedWriter: (3, "taped"),
+    NotingWriter: (3, "noted"),
+    BackWriter: (5, "back with constants"),
+    BackWithoutConstants: (5, "back"),
+}
+
+
+class Routine:
+    """What a program is compiled to.
+
+    `call` is a function for compiled code, of (arrays, tables, scalars): arrays (n_rows, width) are those of the block
+    and of scratch; then the tape; for the way back cotangents (bars) of block and scratch, the tape, the scratch and the
+    cotangents of constants, in their order in the tables. The bars after the program become those before it, and those
+    of the constants are added to.
+
+    Args:
+        program: what is run.
+        writer: of its instructions.
+        place: which of the program's routines it is, 0 … 3; one of two that stand at the same place can be in tables.
+        known: values of scalars; what follows from them is left out, and those handed over do not count.
+    """
+
+    def __init__(self, program: Program, writer: type[Writer] = Writer, place: int = 0, **known: float) -> None:
+        self.program, self.place, self._writer, self._known = program, place, writer, known
+        self.call = _call(program.number * _PLACES + place, _OF_WRITER[writer][0])
+
+    @functools.cache  # noqa: B019: routines are made once, with their modules
+    def address(self, width: int) -> int:
+        """Return where the machine code for blocks of a width is in this process; it is compiled at first."""
+        n_arrays, what = _OF_WRITER[self._writer]
+        told = (self.program.digest(back=n_arrays > 2), what, width, sorted(self._known.items()), _writers_hash())
+        codegen = cpu_target.target_context.codegen()
+        key = digest_of(repr((told, codegen.magic_tuple(), VERSIONS)).encode())
+        name = f"{self.program.name.lower()}-{key.hex()[:16]}"
+        folder = cache_folder()
+        path = None if folder is None else folder.parent / "programs" / f"{name}.o"
+        found = kept(path, key)
+        if found is not None:
+            library = codegen.unserialize_library(pickle.loads(found))
+        else:
+            with reporting(f"{self.program.name.lower()} ({what})"):
+                library = self._compiled(codegen.create_library(name), name, width)
+            keep(path, key, pickle.dumps(library.serialize_using_object_code()))
+        _LIBRARIES.append(library)
+        address: int = library.get_pointer_to_function(name)
+        return address
+
+    @global_compiler_lock  # type: ignore[untyped-decorator]
+    def _compiled(self, library: Any, name: str, width: int) -> Any:
+        n_arrays, _ = _OF_WRITER[self._writer]
+        module = library.create_ir_module(name)
+        function = ir.Function(module, _signature(n_arrays), name)
+        for argument in function.args[: n_arrays + 2]:
+            argument.add_attribute("noalias")
+        arrays, table, numbers = function.args[:n_arrays], *function.args[n_arrays : n_arrays + 2]
+        scalars = dict(zip(SCALARS, function.args[n_arrays + 2 :], strict=True))
+        builder = ir.IRBuilder(function.append_basic_block())
+        data = (*arrays[:2], table, numbers, *arrays[2:])
+        self._writer(builder, width, data, scalars, self.program, self._known).write(self.program.entries)
+        builder.ret_void()
+        library.enable_object_caching()
+        library.add_ir_module(module)
+        library.finalize()
+        return library
+
+
+#: Machine code lives as long as what owns it.
+_LIBRARIES: list[Any] = []
+
+
+@functools.cache
+def _writers_hash() -> bytes:
+    """Return a hash of the sources that write instructions."""
+    return digest_of(*(path.read_bytes() for path in sorted(Path(__file__).parent.glob("*.py"))))
+
+
+def _signature(n_arrays: int) -> Any:
+    return ir.FunctionType(ir.VoidType(), [*[_NUMBERS] * n_arrays, _WHOLES, _NUMBERS, *[_DOUBLE] * len(SCALARS)])
+
+
+def _call(place: int, n_arrays: int) -> Callable[..., None]:
+    """Return a function for compiled code that calls what the tables have at a place."""
+
+    @intrinsic  # type: ignore[untyped-decorator]
+    def call(typing_context: Any, arrays: Any, tables: Any, scalars: Any) -> Any:
+        if len(arrays) != n_arrays or any(array.layout != "C" for array in arrays):
+            raise TypeError(f"a routine takes {n_arrays} arrays in C order, got {arrays}")
+
+        def code(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+            def data_of(kinds: Any, values: Any) -> list[Any]:
+                own = (context.make_array(kind) for kind in kinds)
+                return [
+                    make(context, builder, builder.extract_value(values, i)).data for i, make in enumerate(own)
+                ]
+
+            given, of_tables, numbers = arguments
+            first = context.make_array(arrays[0])(context, builder, builder.extract_value(given, 0))
+            width = builder.extract_value(first.shape, 1)
+            wide = builder.zext(builder.icmp_signed(">", width, _WHOLE(1)), _WHOLE)
+            table, constants, addresses = data_of(tables, of_tables)
+            address = builder.load(builder.gep(addresses, [builder.add(_WHOLE(2 * place), wide)]))
+            function = builder.inttoptr(address, _signature(n_arrays).as_pointer())
+            told = [builder.extract_value(numbers, i) for i in range(len(SCALARS))]
+            builder.call(function, [*data_of(arrays, given), table, constants, *told])
+            return context.get_dummy_value()
+
+        return types.void(arrays, tables, scalars), code
+
+    found: Callable[..., None] = call
+    return found
+
+
+def code_of(n_programs: int, routines: Mapping[int, Iterable[Routine]]) -> Whole:
+    """Return the addresses of routines in this process, as :class:`~wtg_gym.systems.programs.Tables` have them.
+
+    Args:
+        n_programs: that share the tables.
+        routines: those that will be called, by the width of the blocks.
+    """
+    found = np.zeros((n_programs, _PLACES, 2), dtype=np.int64)
+    for width, own in routines.items():
+        for routine in own:
+            found[routine.program.number, routine.place, int(width > 1)] = routine.address(width)
+    return found.ravel()

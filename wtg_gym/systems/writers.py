@@ -1,0 +1,307 @@
+"""The instructions of programs on the lanes of a block: forward, on a tape, and the way back."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable, Mapping, Sequence
+from types import MappingProxyType
+from typing import Any
+
+from llvmlite import ir
+
+from wtg_gym.systems import expressions as ex
+from wtg_gym.systems.programs import HEAD, Each, Product, Program, Repeat, When
+from wtg_gym.systems.systems import Place, System, Trace
+from wtg_gym.systems.vectors import Lanes, repeated
+
+_WHOLE = ir.IntType(64)
+#: Rows of a matrix that are multiplied side by side.
+_ROWS_AT_ONCE = 2
+
+
+class Writer:
+    """What writes the instructions of a program."""
+
+    def __init__(
+        self,
+        builder: Any,
+        width: int,
+        data: Sequence[Any],
+        scalars: Mapping[str, Any],
+        program: Program,
+        known: Mapping[str, float] = MappingProxyType({}),
+    ) -> None:
+        self.block, self.scratch, self.table, self.numbers, *self.others = data
+        self.builder, self.lanes = builder, Lanes(builder, width, self.numbers)
+        self.scalars, self.program, self.known = scalars, program, known
+
+    def write(self, entries: Sequence[Any]) -> None:
+        for entry in entries:
+            if isinstance(entry, System):
+                with repeated(self.builder, self._head(entry, 0)) as unit:
+                    self._system(entry, unit)
+            elif isinstance(entry, Product):
+                self._product(entry)
+            elif isinstance(entry, When):
+                with self.builder.if_then(self._is_up(entry)):
+                    self.write(entry.entries)
+            elif isinstance(entry, Repeat):
+                self._repeat(entry)
+            else:
+                self._each(entry)
+
+    def _head(self, entry: Any, which: int) -> Any:
+        return self._whole(_WHOLE(HEAD * self.program.places[id(entry)] + which))
+
+    def _whole(self, place: Any) -> Any:
+        return self.builder.load(self.builder.gep(self.table, [place]))
+
+    def _system(self, one: System, unit: Any) -> None:
+        """Write the instructions on one unit."""
+        lanes, trace = self.lanes, one.trace_with(**self.known)
+        rows = self._rows(one, unit)
+        instruction = lanes.program(self._given(one, trace, unit, lambda name, k: lanes.load(self._at(rows[name], k))))
+        self._note(one, unit, {at: instruction(symbol) for symbol, at in trace.inputs.items() if self._notes(one, at)})
+        symbols = {at: symbol for symbol, at in trace.inputs.items()}
+        used = set(ex.needed(value for *_, value in trace.stores))
+        # What belongs to one number of a record is worked out and stored together: few numbers are held at a time.
+        for name, k, value in sorted(trace.stores, key=lambda store: store[1]):
+            if symbols.get((name, k)) is value:
+                # It stays what it is.
+                continue
+            found = instruction(value)
+            if symbols.get((name, k)) in used:
+                # What is read later, too, is what was there before.
+                instruction(symbols[name, k])
+            lanes.store(found, self._at(rows[name], k))
+
+    def _rows(self, one: System, unit: Any) -> dict[str, Any]:
+        """Return pointers to the first row of each part that a system names."""
+        slots, parts = one.slots, {**one.reads, **one.targets}
+        base = self.builder.add(self._head(one, 1), self.builder.mul(unit, _WHOLE(len(slots))))
+        return {
+            name: self._row(parts[name], self._whole(self.builder.add(base, _WHOLE(i)))) for i, name in enumerate(slots)
+        }
+
+    def _given(
+        self, one: System, trace: Trace, unit: Any, read: Callable[[str, int], Any]
+    ) -> dict[ex.Number, Callable[[], Any]]:
+        """Return what gives the symbols of a trace."""
+        builder, lanes = self.builder, self.lanes
+
+        def constant(name: str) -> Any:
+            return lanes.spread(builder.load(builder.gep(self.numbers, [self._constant_place(one, name, unit)])))
+
+        return {
+            **{symbol: functools.partial(read, *at) for symbol, at in trace.inputs.items()},
+            **{symbol: functools.partial(constant, name) for symbol, name in trace.constants.items()},
+            **{s: functools.partial(lanes.spread, self.scalars[name]) for s, name in trace.scalars.items()},
+        }
+
+    def _constant_place(self, one: System, name: str, unit: Any) -> Any:
+        used = one.constants_used
+        first = self.builder.add(self._head(one, 2), self.builder.mul(unit, _WHOLE(len(used))))
+        return self.builder.add(first, _WHOLE(used.index(name)))
+
+    def _notes(self, one: System, at: tuple[str, int]) -> bool:
+        """Return whether an input goes onto a tape."""
+        return False
+
+    def _note(self, one: System, unit: Any, values: Mapping[tuple[str, int], Any]) -> None:
+        """Write inputs onto the tape."""
+
+    def _row(self, place: Place, row: Any) -> Any:
+        """Return a pointer to a row."""
+        first = self.scratch if place.in_scratch else self.block
+        return self.builder.gep(first, [self.builder.mul(row, _WHOLE(self.lanes.width))])
+
+    def _at(self, first: Any, k: int) -> Any:
+        """Return a pointer to the row k after that of a pointer."""
+        return self.builder.gep(first, [_WHOLE(k * self.lanes.width)])
+
+    def _is_up(self, entry: When | Repeat) -> Any:
+        place = entry.lane.find(entry.flag)
+        assert place is not None
+        return self.lanes.any_positive(self.lanes.load(self._row(place, self._head(entry, 1))))
+
+    def _repeat(self, entry: Repeat) -> None:
+        builder = self.builder
+        before = builder.block
+        body, done = builder.append_basic_block("again"), builder.append_basic_block("settled")
+        builder.branch(body)
+        builder.position_at_end(body)
+        count = builder.phi(_WHOLE)
+        count.add_incoming(_WHOLE(1), before)
+        self.write(entry.entries)
+        again = builder.and_(self._is_up(entry), builder.icmp_signed("<", count, _WHOLE(entry.most)))
+        count.add_incoming(builder.add(count, _WHOLE(1)), builder.block)
+        builder.cbranch(again, body, done)
+        builder.position_at_end(done)
+
+    def _each(self, entry: Each) -> None:
+        builder = self.builder
+        n_outer = self._head(entry.outer, 0)
+        with repeated(builder, n_outer) as unit:
+            self._system(entry.outer, unit)
+            share = builder.sdiv(self._head(entry.inner, 0), n_outer)
+            first = builder.mul(unit, share)
+            with repeated(builder, share) as own:
+                self._system(entry.inner, builder.add(first, own))
+
+    def _product(self, entry: Product) -> None:
+        builder, lanes = self.builder, self.lanes
+        n, places = self._head(entry, 0), self._head(entry, 1)
+        matrix, stride, vector, vector_stride, result, result_stride = (
+            self._whole(builder.add(places, _WHOLE(i))) for i in range(6)
+        )
+
+        def load(row: Any) -> tuple[Any, Any]:
+            first = builder.gep(self.scratch, [builder.mul(row, _WHOLE(lanes.width))])
+            return lanes.load(first), lanes.load(self._at(first, 1))
+
+        def rows(first_row: Any, n_rows: int) -> None:
+            """Write the results of some rows of the matrix: several sums at once need not wait for each other."""
+            entry_block = builder.block
+            check, body, done = (builder.append_basic_block(name) for name in ("columns", "column", "summed"))
+            builder.branch(check)
+            builder.position_at_end(check)
+            column = builder.phi(_WHOLE)
+            column.add_incoming(_WHOLE(0), entry_block)
+            sums = [[builder.phi(lanes.kind) for _ in range(2)] for _ in range(n_rows)]
+            for pair in sums:
+                for each in pair:
+                    each.add_incoming(lanes.constant(0.0), entry_block)
+            builder.cbranch(builder.icmp_signed("<", column, n), body, done)
+            builder.position_at_end(body)
+            e_re, e_im = load(builder.add(vector, builder.mul(column, vector_stride)))
+            for i, (re, im) in enumerate(sums):
+                place = builder.add(builder.mul(builder.add(first_row, _WHOLE(i)), n), column)
+                y_re, y_im = load(builder.add(matrix, builder.mul(place, stride)))
+                d_re = lanes.call("fma", y_re, e_re, builder.fneg(builder.fmul(y_im, e_im)))
+                d_im = lanes.call("fma", y_re, e_im, builder.fmul(y_im, e_re))
+                re.add_incoming(builder.fadd(re, d_re), builder.block)
+                im.add_incoming(builder.fadd(im, d_im), builder.block)
+            column.add_incoming(builder.add(column, _WHOLE(1)), builder.block)
+            builder.branch(check)
+            builder.position_at_end(done)
+            for i, (re, im) in enumerate(sums):
+                row = builder.add(result, builder.mul(builder.add(first_row, _WHOLE(i)), result_stride))
+                first = builder.gep(self.scratch, [builder.mul(row, _WHOLE(lanes.width))])
+                lanes.store(re, first)
+                lanes.store(im, self._at(first, 1))
+
+        pairs = builder.sdiv(n, _WHOLE(_ROWS_AT_ONCE))
+        with repeated(builder, pairs) as pair:
+            rows(builder.mul(pair, _WHOLE(_ROWS_AT_ONCE)), _ROWS_AT_ONCE)
+        whole = builder.mul(pairs, _WHOLE(_ROWS_AT_ONCE))
+        with repeated(builder, builder.sub(n, whole)) as rest:
+            rows(builder.add(whole, rest), 1)
+
+
+class TapedWriter(Writer):
+    """Writes a program that notes on a tape what the way back needs."""
+
+    def _notes(self, one: System, at: tuple[str, int]) -> bool:
+        return at in one.noted
+
+    def _note(self, one: System, unit: Any, values: Mapping[tuple[str, int], Any]) -> None:
+        for k, at in enumerate(one.noted):
+            self.lanes.store(values[at], self._on_tape(one, unit, k))
+
+    def _on_tape(self, one: System, unit: Any, k: int) -> Any:
+        """Return a pointer to what a system has noted of a unit."""
+        tape, n = self.others[0], len(one.noted)
+        row = self.builder.add(self._head(one, 3), self.builder.add(self.builder.mul(unit, _WHOLE(n)), _WHOLE(k)))
+        return self.builder.gep(tape, [self.builder.mul(row, _WHOLE(self.lanes.width))])
+
+
+class NotingWriter(TapedWriter):
+    """Writes a program that changes nothing, and only notes."""
+
+    def _system(self, one: System, unit: Any) -> None:
+        rows = self._rows(one, unit)
+        self._note(one, unit, {at: self.lanes.load(self._at(rows[at[0]], at[1])) for at in one.noted})
+
+
+class BackWriter(TapedWriter):
+    """Writes the way back: what are rows of block and scratch elsewhere are their cotangents here."""
+
+    with_constants = True
+
+    def write(self, entries: Sequence[Any]) -> None:
+        builder = self.builder
+        for entry in reversed(entries):
+            if isinstance(entry, System):
+                n = self._head(entry, 0)
+                with repeated(builder, n) as done:
+                    self._system(entry, builder.sub(builder.sub(n, done), _WHOLE(1)))
+            elif isinstance(entry, Product):
+                self._product(entry)
+            elif isinstance(entry, Each):
+                self._each_back(entry)
+            else:
+                raise NotImplementedError(f"{type(entry).__name__} has no way back of its own")
+
+    def _each_back(self, entry: Each) -> None:
+        builder = self.builder
+        n_outer = self._head(entry.outer, 0)
+        with repeated(builder, n_outer) as done:
+            unit = builder.sub(builder.sub(n_outer, done), _WHOLE(1))
+            share = builder.sdiv(self._head(entry.inner, 0), n_outer)
+            first = builder.mul(unit, share)
+            with repeated(builder, share) as own:
+                self._system(entry.inner, builder.add(first, own))
+            self._system(entry.outer, unit)
+
+    def _system(self, one: System, unit: Any) -> None:
+        lanes, adjoint, rows, noted = self.lanes, one.adjoint, self._rows(one, unit), one.noted
+        given = self._given(
+            one, adjoint.trace, unit, lambda name, k: lanes.load(self._on_tape(one, unit, noted.index((name, k))))
+        )
+        bars = {at: lanes.load(self._at(rows[at[0]], at[1])) for at in adjoint.seeds.values()}
+        given |= {symbol: functools.partial(bars.__getitem__, at) for symbol, at in adjoint.seeds.items()}
+        instruction = lanes.program(given)
+        written = set(adjoint.seeds.values())
+        for at in sorted({*adjoint.inputs, *written}, key=lambda at: at[1]):
+            pointer, found = self._at(rows[at[0]], at[1]), instruction(adjoint.inputs.get(at, 0.0))
+            lanes.store(found if at in written else self.builder.fadd(lanes.load(pointer), found), pointer)
+        for name, value in adjoint.constants.items() if self.with_constants else ():
+            self._add_to_constant(one, name, unit, instruction(value))
+
+    def _add_to_constant(self, one: System, name: str, unit: Any, value: Any) -> None:
+        place = self.builder.mul(self._constant_place(one, name, unit), _WHOLE(self.lanes.width))
+        pointer = self.builder.gep(self.others[2], [place])
+        self.lanes.store(self.builder.fadd(self.lanes.load(pointer), value), pointer)
+
+    def _product(self, entry: Product) -> None:
+        """Pull the cotangents of the result back to the vector; the matrix lies in scratch, and has none."""
+        builder, lanes = self.builder, self.lanes
+        n, places = self._head(entry, 0), self._head(entry, 1)
+        matrix, stride, vector, vector_stride, result, result_stride = (
+            self._whole(builder.add(places, _WHOLE(i))) for i in range(6)
+        )
+
+        def at(data: Any, row: Any) -> Any:
+            return builder.gep(data, [builder.mul(row, _WHOLE(lanes.width))])
+
+        with repeated(builder, n) as i:
+            bar = at(self.scratch, builder.add(result, builder.mul(i, result_stride)))
+            re, im = lanes.load(bar), lanes.load(self._at(bar, 1))
+            lanes.store(lanes.constant(0.0), bar)
+            lanes.store(lanes.constant(0.0), self._at(bar, 1))
+            with repeated(builder, n) as j:
+                place = builder.add(builder.mul(i, n), j)
+                y = at(self.others[1], builder.add(matrix, builder.mul(place, stride)))
+                y_re, y_im = lanes.load(y), lanes.load(self._at(y, 1))
+                e = at(self.scratch, builder.add(vector, builder.mul(j, vector_stride)))
+                to_re = lanes.call("fma", y_re, re, lanes.call("fma", y_im, im, lanes.load(e)))
+                to_im = lanes.call("fma", y_re, im, lanes.load(self._at(e, 1)))
+                to_im = builder.fsub(to_im, builder.fmul(y_im, re))
+                lanes.store(to_re, e)
+                lanes.store(to_im, self._at(e, 1))
+
+
+class BackWithoutConstants(BackWriter):
+    """Writes the way back without cotangents of constants."""
+
+    with_constants = False
