@@ -231,7 +231,7 @@ class TaskLanes:
         start_tasks(
             rows[:, :, np.newaxis],
             simulator.new_scratches(1, 1)[0],
-            simulator.plant,
+            simulator.plant.network,
             self.task,
             outputs.observations,
             outputs.infos,
@@ -303,7 +303,7 @@ class TaskLanes:
         simulator = self.simulator
         if self._bound is None:
             self._bound = bind(
-                simulator.blocks, simulator.scratches, simulator.plant, simulator.data, self.task, self.outputs
+                simulator.blocks, simulator.scratches, simulator.plant.network, simulator.data, self.task, self.outputs
             )
         bound, alone = self._bound, simulator.threads.n_blocks == 1
         invalid = step_blocks(bound, actions, 0, 1, 0) if alone else first_invalid_action(actions)

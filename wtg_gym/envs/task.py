@@ -25,10 +25,10 @@ from wtg_gym.envs.task_records import Info, Task, Weights, n_delayed, rocof_wind
 from wtg_gym.envs.task_units import ACTING, HISTORY, RING, SENSED, SENSORS, SHIFTS, TASK, WATCHED, WINDOW
 from wtg_gym.physics import integration
 from wtg_gym.physics.integration import advance_interval
-from wtg_gym.physics.kernel_data import LaneData, Plant
-from wtg_gym.physics.layout import Floats, Layout, Whole
+from wtg_gym.physics.kernel_data import LaneData, Network
+from wtg_gym.physics.layout import Floats, Layout, Whole, n_rows_of
 from wtg_gym.physics.plant import Further
-from wtg_gym.physics.sensors import N_CHANNELS, noise_key, normal
+from wtg_gym.physics.sensors import N_CHANNELS, SensorInput, noise_key, normal
 from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY, get_law
 from wtg_gym.systems.compiled import compiled, internal
 from wtg_gym.systems.programs import NONE, in_one_table
@@ -136,29 +136,26 @@ def task_of(settings: EnvSettings) -> Further:
     )
 
 
-class LaneRows(NamedTuple):
-    """Rows of a lane that the loops of the task read; that of `was_active` in scratch, the others in the block."""
+class TaskData(NamedTuple):
+    """Where the loops of the task find rows: in scratch, but for those of the lane and of the ring."""
 
+    wanted: Whole  # actions (n_action,)
+    observed: Whole  # entries of the observation (n_observation,)
+    info: int  # the first of N_INFO
+    was_active: int
     interval: int
     cost: int
     active: int
     status: int
-    was_active: int
     seed: int  # of the sensors' noise
     delay: int  # of the measurements [control intervals]
-
-
-class TaskData(NamedTuple):
-    """Where the loops of the task find rows: in scratch, but for those of the lane and of the ring."""
-
-    lane: LaneRows
-    wanted: Whole  # actions (n_action,)
-    observed: Whole  # entries of the observation (n_observation,)
-    info: Whole  # (N_INFO,)
-    noise: Whole  # random numbers of the sensors of each group (n_wtg, N_CHANNELS)
-    seen: Whole  # what each group measures now (n_wtg, N_MEASURED)
-    shown: Whole  # the newest measurement that has arrived (n_wtg, N_MEASURED)
-    ring: Whole  # the latest measurements (n_delayed, n_wtg, N_MEASURED); (0, …) without sensors
+    n_sensed: int  # groups that measure; 0 without sensors
+    sensed: int  # rows from one of these to the next
+    noise: int  # random numbers of the first one's sensors (N_CHANNELS,)
+    seen: int  # what it measures now (N_MEASURED,)
+    shown: int  # its newest measurement that has arrived (N_MEASURED,)
+    ring: int  # the latest measurements (n_ring, n_sensed, N_MEASURED)
+    n_ring: int
 
 
 def task_data(settings: EnvSettings, layout: Layout) -> TaskData:
@@ -168,18 +165,12 @@ def task_data(settings: EnvSettings, layout: Layout) -> TaskData:
         """Return all rows of a part of every unit (n_units, n)."""
         return layout.first_rows(kind, part)[:, np.newaxis] + np.arange(count({**kind.rows, **kind.scratch}[part]))
 
+    def first(kind: Kind, part: str) -> int:
+        """Return the first row of a part of the first unit; 0 where there is none."""
+        return int(layout.first_rows(kind, part)[:1].sum())
+
     sensed = settings.benchmark().sensed
-    sensors = rows(SENSORS, "sensor_input")[0] if sensed else np.zeros(2, dtype=np.int64)
     modulated = np.array(ACTION_MODES[settings.action_mode])
-    lane = LaneRows(
-        interval=int(rows(TASK, "interval")[0, 0]),
-        cost=int(rows(TASK, "cost")[0, 0]),
-        active=layout.lane("active"),
-        status=layout.lane("status"),
-        was_active=int(rows(TASK, "was_active")[0, 0]),
-        seed=int(sensors[0]),
-        delay=int(sensors[1]),
-    )
     exact, shown, actions = rows(ACTING, "observed"), rows(SENSED, "shown"), rows(ACTING, "shown_actions")[:, modulated]
     # In the order of their names: see observation_names.
     parts = [own for j in range(layout.n_wtg) for own in ((shown if sensed else exact)[j], actions[j])]
@@ -187,15 +178,25 @@ def task_data(settings: EnvSettings, layout: Layout) -> TaskData:
         if sensed:
             parts += [own for j in range(layout.n_wtg) for own in (exact[j], rows(SENSED, "shown_duty")[j])]
         parts += [rows(WATCHED, "machine_observed").ravel(), rows(TASK, "grid_observed")[0]]
+    sensors = first(SENSORS, "sensor_input")
     return TaskData(
-        lane,
         wanted=rows(ACTING, "wanted")[:, modulated].ravel(),
         observed=np.concatenate([np.zeros(0, dtype=np.int64), *parts]),
-        info=rows(TASK, "info")[0],
-        noise=rows(SENSED, "noise"),
-        seen=rows(SENSED, "seen"),
-        shown=shown,
-        ring=rows(RING, "measurement").reshape(-1, max(layout.n_wtg, 1), N_MEASURED),
+        info=first(TASK, "info"),
+        was_active=first(TASK, "was_active"),
+        interval=first(TASK, "interval"),
+        cost=first(TASK, "cost"),
+        active=layout.lane("active"),
+        status=layout.lane("status"),
+        seed=sensors + SensorInput._fields.index("seed"),
+        delay=sensors + SensorInput._fields.index("delay"),
+        n_sensed=layout.n_units(SENSED),
+        sensed=n_rows_of(SENSED.scratch),
+        noise=first(SENSED, "noise"),
+        seen=first(SENSED, "seen"),
+        shown=first(SENSED, "shown"),
+        ring=first(RING, "measurement"),
+        n_ring=layout.n_units(RING) // max(layout.n_units(SENSED), 1),
     )
 
 
@@ -211,20 +212,21 @@ def read_actions(scratch: Floats, actions: Floats, first: int, task: TaskData) -
 def draw_noise(block: Floats, scratch: Floats, task: TaskData) -> None:
     """Draw the random numbers of the present interval's measurements."""
     for x in range(block.shape[1]):
-        key = noise_key(int(block[task.lane.seed, x]), int(block[task.lane.interval, x]))
-        for j in range(task.noise.shape[0]):
+        key = noise_key(int(block[task.seed, x]), int(block[task.interval, x]))
+        for j in range(task.n_sensed):
             for channel in range(N_CHANNELS):
-                scratch[task.noise[j, channel], x] = normal(key, j * N_CHANNELS + channel)
+                scratch[task.noise + j * task.sensed + channel, x] = normal(key, j * N_CHANNELS + channel)
 
 
 @internal
 def places_in_ring(block: Floats, x: int, task: TaskData) -> tuple[int, int]:
-    """Return where in the ring a lane's newest measurement lies, and the newest of those that have arrived.
+    """Return the rows of a lane's newest measurement in the ring, and of the newest of those that have arrived.
 
     The ring turns by a place per interval; lanes stand at different intervals.
     """
-    interval, n = block[task.lane.interval, x], task.ring.shape[0]
-    return int(interval) % n, int(max(interval - block[task.lane.delay, x], 0.0)) % n
+    interval, rows = block[task.interval, x], task.n_sensed * N_MEASURED
+    newest, arrived = int(interval), int(max(interval - block[task.delay, x], 0.0))
+    return task.ring + newest % task.n_ring * rows, task.ring + arrived % task.n_ring * rows
 
 
 @internal
@@ -232,53 +234,53 @@ def pass_ring(block: Floats, scratch: Floats, task: TaskData) -> None:
     """Keep what is measured now, and show the newest measurement that has arrived."""
     for x in range(block.shape[1]):
         newest, arrived = places_in_ring(block, x, task)
-        for j in range(task.seen.shape[0]):
+        for j in range(task.n_sensed):
             for k in range(N_MEASURED):
-                block[task.ring[newest, j, k], x] = scratch[task.seen[j, k], x]
-                scratch[task.shown[j, k], x] = block[task.ring[arrived, j, k], x]
+                place = j * N_MEASURED + k
+                block[newest + place, x] = scratch[task.seen + j * task.sensed + k, x]
+                scratch[task.shown + j * task.sensed + k, x] = block[arrived + place, x]
 
 
 @compiled
 def start_tasks(
-    rows: Floats, scratch: Floats, plant: Plant, task: TaskData, observations: Observations, infos: Floats
+    rows: Floats, scratch: Floats, network: Network, task: TaskData, observations: Observations, infos: Floats
 ) -> None:
     """Take the first measurements, observations and information of prepared episodes.
 
     Args:
         rows: of the episodes, one lane each (n, n_rows, 1).
         scratch: (n_scratch, 1).
-        plant, task: constants.
+        network, task: constants.
         observations, infos: take what each episode begins with (n, n_observation), (n, N_INFO).
     """
     for start in range(rows.shape[0]):
         arrays = rows[start], scratch
-        if task.ring.shape[0] > 0:
+        if task.n_sensed > 0:
             draw_noise(rows[start], scratch, task)
-            _start_sensors(arrays, plant.tables, NONE)
+            _start_sensors(arrays, network.tables, NONE)
             pass_ring(rows[start], scratch, task)
-        _observe(arrays, plant.tables, NONE)
+        _observe(arrays, network.tables, NONE)
         for k in range(task.observed.shape[0]):
             observations[start, k] = scratch[task.observed[k], 0]
         for k in range(N_INFO):
-            infos[start, k] = scratch[task.info[k], 0]
+            infos[start, k] = scratch[task.info + k, 0]
 
 
 @internal
 def _report(block: Floats, scratch: Floats, first: int, task: TaskData, outputs: Outputs) -> None:
     """Copy what the lanes of a block, from `first` on, have observed, and say whether their episodes are over."""
-    own = task.lane
     for x in range(min(block.shape[1], outputs.rewards.shape[0] - first)):
         lane = first + x
         outputs.rewards[lane] = 0.0
-        if scratch[own.was_active, x] > 0.5:
-            outputs.rewards[lane] = -block[own.cost, x]
+        if scratch[task.was_active, x] > 0.5:
+            outputs.rewards[lane] = -block[task.cost, x]
             for k in range(task.observed.shape[0]):
                 outputs.observations[lane, k] = scratch[task.observed[k], x]
             for k in range(N_INFO):
-                outputs.infos[lane, k] = scratch[task.info[k], x]
-            failed = block[own.status, x] != 0.0
+                outputs.infos[lane, k] = scratch[task.info + k, x]
+            failed = block[task.status, x] != 0.0
             outputs.terminated[lane] = failed
-            outputs.truncated[lane] = not failed and block[own.active, x] < 0.5
+            outputs.truncated[lane] = not failed and block[task.active, x] < 0.5
 
 
 # A call into compiled code unpacks every array that it is given, which takes a third as long as the step of one
@@ -297,22 +299,22 @@ class Bound(structref.StructRefProxy):  # type: ignore[misc]
     """The arguments of :func:`step_blocks` that last, in one object; :func:`bind` makes it."""
 
 
-structref.define_proxy(Bound, _BoundType, ["blocks", "scratches", "plant", "data", "task", "outputs"])
+structref.define_proxy(Bound, _BoundType, ["blocks", "scratches", "network", "data", "task", "outputs"])
 
 
 # The constructor that numba makes for `Bound` is not kept on disk: each process would compile it anew.
 @compiled
-def bind(blocks: Floats, scratches: Floats, plant: Plant, data: LaneData, task: TaskData, outputs: Outputs) -> Any:
+def bind(blocks: Floats, scratches: Floats, network: Network, data: LaneData, task: TaskData, outputs: Outputs) -> Any:
     """Return the arguments of :func:`step_blocks` that last.
 
     Args:
         blocks: (n_blocks, n_rows, width).
         scratches: of each worker (n_workers, n_scratch, width).
-        plant, data: as for :func:`~wtg_gym.physics.integration.advance_interval`.
+        network, data: as for :func:`~wtg_gym.physics.integration.advance_interval`.
         task: see :func:`task_data`.
         outputs: written for running lanes; the reward is 0 for those that had ended.
     """
-    return Bound(blocks, scratches, plant, data, task, outputs)
+    return Bound(blocks, scratches, network, data, task, outputs)
 
 
 @compiled
@@ -328,8 +330,8 @@ def step_blocks(bound: Any, actions: Floats, first: int, last: int, worker: int)
     Returns:
         -1, or, if there is one block, the lane of an action that is not finite; nothing has been stepped then.
     """
-    blocks, scratch, plant, task = bound.blocks, bound.scratches[worker], bound.plant, bound.task
-    width, tables, sensed = blocks.shape[2], plant.tables, task.ring.shape[0] > 0
+    blocks, scratch, network, task = bound.blocks, bound.scratches[worker], bound.network, bound.task
+    width, tables, sensed = blocks.shape[2], network.tables, task.n_sensed > 0
     if blocks.shape[0] == 1:
         invalid = first_invalid_action(actions)
         if invalid >= 0:
@@ -338,7 +340,7 @@ def step_blocks(bound: Any, actions: Floats, first: int, last: int, worker: int)
         block, arrays = blocks[b], (blocks[b], scratch)
         read_actions(scratch, actions, b * width, task)
         _act(arrays, tables, NONE)
-        advance_interval(block, scratch, b * width, plant, bound.data)
+        advance_interval(block, scratch, b * width, network, bound.data)
         _charge(arrays, tables, NONE)
         if sensed:
             draw_noise(block, scratch, task)

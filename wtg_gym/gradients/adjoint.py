@@ -31,7 +31,7 @@ from wtg_gym.physics.integration import (
     protections_sample,
     stage_scalars,
 )
-from wtg_gym.physics.kernel_data import LaneData, Plant
+from wtg_gym.physics.kernel_data import LaneData, Network
 from wtg_gym.physics.layout import Floats, Lanes, Layout, Whole
 from wtg_gym.physics.units import PAIRS, UNITS
 from wtg_gym.systems.compiled import compiled, inlined
@@ -141,10 +141,10 @@ def work_of(rules: Rules, layout: Layout, n_substeps: int, width: int) -> Work:
 
 @inlined
 def _flow_and_hold(
-    block: Floats, plant: Plant, rules: Rules, work: Work, at: int, limited: npt.NDArray[np.bool_], lanes: Lanes
+    block: Floats, network: Network, rules: Rules, work: Work, at: int, limited: npt.NDArray[np.bool_], lanes: Lanes
 ) -> None:
     """Find voltages and currents, hold these within their limits, and note the fixed point that the sweeps find."""
-    scratch, tables = work.scratch, plant.tables
+    scratch, tables = work.scratch, network.tables
     _flow(block, scratch, tables, work.tape[at:], NONE, lanes)
     _hold(block, scratch, tables, NONE, lanes)
     limited[:] = False
@@ -156,7 +156,7 @@ def _flow_and_hold(
 
 @inlined
 def _replay_events(
-    block: Floats, first: int, plant: Plant, data: LaneData, rules: Rules, lost: npt.NDArray[np.bool_], lanes: Lanes
+    block: Floats, first: int, network: Network, data: LaneData, rules: Rules, lost: npt.NDArray[np.bool_], lanes: Lanes
 ) -> bool:
     """Let events strike like :func:`~wtg_gym.physics.integration.apply_events`; note which governors they take away."""
     for i in range(rules.droops.shape[0]):
@@ -171,13 +171,13 @@ def _replay_events(
 
 @inlined
 def _replay(
-    block: Floats, first: int, plant: Plant, data: LaneData, rules: Rules, work: Work, at: int, lanes: Lanes
+    block: Floats, first: int, network: Network, data: LaneData, rules: Rules, work: Work, at: int, lanes: Lanes
 ) -> int:
     """Advance a block by a control interval like :func:`~wtg_gym.physics.integration.advance_interval`, on tape.
 
     `at` is the row of the tape where its notes begin; returned is the row where they end.
     """
-    tables, scratch, p, n_substeps = plant.tables, work.scratch, rules.noted, plant.facts[0]["n_substeps"]
+    tables, scratch, p, n_substeps = network.tables, work.scratch, rules.noted, network.facts[0]["n_substeps"]
     enter_interval(block, first, plant, data, lanes)
     combine_load_noise(block, scratch, plant, lanes)
     for step in range(n_substeps):
@@ -248,7 +248,7 @@ def build_pull(*, constants: bool) -> Any:
     def pull_limits(
         bars: Floats,
         to: Floats,
-        plant: Plant,
+        network: Network,
         rules: Rules,
         work: Work,
         at: int,
@@ -265,7 +265,7 @@ def build_pull(*, constants: bool) -> Any:
         settled, before = ~limited, np.empty_like(work.bars)
         for _ in range(_SWEEPS):
             before[:] = work.bars
-            sweep(bars, work.bars, plant.tables, work.tape[at:], work.scratch, to, NONE, lanes)
+            sweep(bars, work.bars, network.tables, work.tape[at:], work.scratch, to, NONE, lanes)
             _settle(work.bars, before, rules, settled)
             if settled.all():
                 return
@@ -277,7 +277,7 @@ def build_pull(*, constants: bool) -> Any:
     def pull_flows(
         bars: Floats,
         to: Floats,
-        plant: Plant,
+        network: Network,
         rules: Rules,
         work: Work,
         at: int,
@@ -286,13 +286,13 @@ def build_pull(*, constants: bool) -> Any:
     ) -> None:
         """Go back through the voltages and currents of a right-hand side; `at` is their row on the tape."""
         pull_limits(bars, to, plant, rules, work, at + rules.noted.flows, limited, lanes)
-        flows(bars, work.bars, plant.tables, work.tape[at:], work.scratch, to, NONE, lanes)
+        flows(bars, work.bars, network.tables, work.tape[at:], work.scratch, to, NONE, lanes)
 
     @inlined
-    def pull_interval(bars: Floats, to: Floats, plant: Plant, rules: Rules, work: Work, at: int, lanes: Lanes) -> None:
+    def pull_interval(bars: Floats, to: Floats, network: Network, rules: Rules, work: Work, at: int, lanes: Lanes) -> None:
         """Go back through a control interval; `at` is the row where its notes end on the tape."""
-        tables, scratch, given, p = plant.tables, work.scratch, work.bars, rules.noted
-        n_substeps = plant.facts[0]["n_substeps"]
+        tables, scratch, given, p = network.tables, work.scratch, work.bars, rules.noted
+        n_substeps = network.facts[0]["n_substeps"]
         at -= p.rates
         rates(bars, given, tables, work.tape[at:], scratch, to, AT_END, lanes)
         at -= p.flows + p.sweep
@@ -317,7 +317,7 @@ def build_pull(*, constants: bool) -> Any:
         constant_bars: Floats,
         first: int,
         last: int,
-        plant: Plant,
+        network: Network,
         data: LaneData,
         task: TaskData,
         actions: Floats,
@@ -337,7 +337,7 @@ def build_pull(*, constants: bool) -> Any:
             actions: of the step (n_lanes, n_action).
             rules, work: see :func:`rules_of` and :func:`work_of`.
         """
-        tables, scratch, given, p = plant.tables, work.scratch, work.bars, rules.noted
+        tables, scratch, given, p = network.tables, work.scratch, work.bars, rules.noted
         width, sensed = len(lanes), task.ring.shape[0] > 0
         for b in range(first, last):
             block, own, to, lane = blocks[b], bars[b], constant_bars[b], b * width

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from wtg_gym.physics.extended_converter import VoltageInput, limiting_reactance
+from wtg_gym.physics.extended_converter import LimitState, VoltageInput, limiting_reactance
 from wtg_gym.physics.runge_kutta import moving
-from wtg_gym.physics.units import LANE, PAIRS, UNITS, Phasor
+from wtg_gym.physics.units import LANE, PAIRS, UNITS, Connection, Phasor, StartFailure, Terminal, noted
 from wtg_gym.physics.wind_turbine import (
     Extension,
     ExtensionOutput,
@@ -41,6 +41,31 @@ EXTENSIONS = Kind(
 )
 #: The column of each extended group in the admittance matrix: one entry for every unit.
 COLUMNS = Kind(name="columns", sees={"entry": PAIRS, "unit": UNITS, "group": EXTENSIONS})
+
+
+@system(EXTENSIONS, "own", "references")
+def start_extension(start: Terminal, emf: float, share: float) -> tuple[ExtensionState, VoltageInput]:
+    """Return the equilibrium of the internal voltage, and the references that keep it."""
+    own = ExtensionState(LimitState(0.0, 0.0, 0.0), emf)
+    return own, VoltageInput(start.magnitude, start.reactive / share)
+
+
+@system(EXTENSIONS, "start_failure", "failing_unit")
+def check_extension(
+    own: ExtensionState,
+    terminal: ExtensionOutput,
+    output: WtgOutput,
+    extension: Extension,
+    connection: Connection,
+    start_failure: float,
+    failing_unit: float,
+) -> tuple[float, float]:
+    """Note a group that would start beyond the limits of its converter or of its internal voltage."""
+    limits, control, power = extension.limits, extension.voltage, output.power
+    lost = (terminal.limiting_reactance > 0.0) | ~((limits.power_min <= power) & (power <= limits.power_max))
+    start_failure, failing_unit = noted(lost, StartFailure.CONVERTER_LIMIT, connection.number, start_failure, failing_unit)
+    lost = ~((control.emf_min <= own.internal_voltage) & (own.internal_voltage <= control.emf_max))
+    return noted(lost, StartFailure.INTERNAL_VOLTAGE_LIMIT, connection.number, start_failure, failing_unit)
 
 
 @system(EXTENSIONS, "voltage")

@@ -6,7 +6,7 @@ from wtg_gym.physics.governor import HydroGovernor, HydroState, hydro_limited, h
 from wtg_gym.physics.machine import Machine, MachineInput, MachineState
 from wtg_gym.physics.machine_unit import MACHINES
 from wtg_gym.physics.runge_kutta import moving
-from wtg_gym.physics.units import LANE
+from wtg_gym.physics.units import LANE, StartFailure, noted
 from wtg_gym.systems.records import each
 from wtg_gym.systems.systems import Kind, system
 
@@ -24,6 +24,13 @@ def start_hydro(gate_reference: float, hydro: HydroGovernor) -> tuple[HydroState
     """Return the equilibrium at the torque that its machine needs."""
     water = hydro_start(gate_reference, hydro)
     return water, water.hydro_gate
+
+
+@system(HYDRO, "start_failure", "failing_unit")
+def check_hydro(water: HydroState, hydro: HydroGovernor, start_failure: float, failing_unit: float) -> tuple[float, float]:
+    """Note a governor whose gate would start beyond its limits; machines have the first numbers of all units."""
+    lost = ~((hydro.gate_min <= water.hydro_gate) & (water.hydro_gate <= hydro.gate_max))
+    return noted(lost, StartFailure.GOVERNOR_LIMIT, hydro.machine, start_failure, failing_unit)
 
 
 @system(HYDRO, "water_rates", "hydro_torque")

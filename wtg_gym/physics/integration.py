@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from wtg_gym.physics import step as systems
-from wtg_gym.physics.kernel_data import LaneData, Plant
+from wtg_gym.physics.kernel_data import LaneData, Network
 from wtg_gym.physics.layout import N_WTG_ROWS, OF_LANE, Floats, place_of
 from wtg_gym.physics.protection import PROTECTION_INTERVAL_S
 from wtg_gym.physics.reduction import refresh_network
@@ -18,30 +18,32 @@ PROGRAMS = in_one_table(
     EVALUATE=systems.EVALUATE,
     FINISH=systems.FINISH,
     PROTECT=systems.PROTECT,
-    START_MACHINES=systems.START_MACHINES,
+    PLAN=systems.PLAN,
+    RELEASE=systems.RELEASE,
+    SETTLE=systems.SETTLE,
     START=systems.START,
 )
-_ADMITTANCES, _STAGE, _EVALUATE, _FINISH, _PROTECT, _START_MACHINES, _START = PROGRAMS
+_ADMITTANCES, _STAGE, _EVALUATE, _FINISH, _PROTECT, *_STARTING = PROGRAMS
 _FIRST, _MIDDLE, _LAST = (
     Routine(_STAGE, place=place, first=first, last=last)
     for place, (first, last) in enumerate(((1.0, 0.0), (0.0, 0.0), (0.0, 1.0)))
 )
 #: Routines of a step, and of the start of a run.
 STEPPING = (*map(Routine, (_ADMITTANCES, _EVALUATE, _FINISH, _PROTECT)), _FIRST, _MIDDLE, _LAST)
-STARTING = (*STEPPING[:2], *map(Routine, (_START_MACHINES, _START)))
+STARTING = (*STEPPING[:2], *map(Routine, _STARTING))
 combine_load_noise, evaluate, _finish, protect = (routine.call for routine in STEPPING[:4])
-start_machines, start = (routine.call for routine in STARTING[2:])
+plan, release, settle, start = (routine.call for routine in STARTING[2:])
 _first_stage, _middle_stage, _last_stage = _FIRST.call, _MIDDLE.call, _LAST.call
 _WIND_START, _WIND_END = place_of(GROUPS, "wind_start"), place_of(GROUPS, "wind_end")
 
 
 @internal
-def enter_interval(block: Floats, first_lane: int, plant: Plant, data: LaneData) -> None:
+def enter_interval(block: Floats, first_lane: int, network: Network, data: LaneData) -> None:
     """Read wind and load noise of the control interval that begins, for every lane of a block.
 
     `first_lane` is the row of the block's first lane in `data`.
     """
-    facts = plant.facts[0]
+    facts = network.facts[0]
     lane, groups = facts["lane"], facts["groups"]
     last, last_noise = data.wind.shape[2] - 1, data.noise.shape[1] - 1
     for x in range(block.shape[1]):
@@ -55,34 +57,34 @@ def enter_interval(block: Floats, first_lane: int, plant: Plant, data: LaneData)
 
 
 @internal
-def apply_events(block: Floats, first_lane: int, plant: Plant, data: LaneData) -> bool:
+def apply_events(block: Floats, first_lane: int, network: Network, data: LaneData) -> bool:
     """Let the events that are due at the present step change the networks of a block's lanes; return whether any is."""
-    lane, changed = plant.facts[0]["lane"], False
+    lane, changed = network.facts[0]["lane"], False
     for x in range(block.shape[1]):
         if block[lane + OF_LANE.step, x] >= block[lane + OF_LANE.next_change, x]:
-            refresh_network(block, x, first_lane + x, plant, data)
+            refresh_network(block, x, first_lane + x, network, data)
             changed = True
     return changed
 
 
 @internal
-def stage_scalars(plant: Plant, step: int, stage: int) -> tuple[float, float, float, float]:
+def stage_scalars(network: Network, step: int, stage: int) -> tuple[float, float, float, float]:
     """Return what a stage 0 … 3 is told: when in the interval, how far it goes [s], whether it is first or last."""
-    h, part = plant.facts[0]["simulation_dt"], 1.0 / plant.facts[0]["n_substeps"]
+    h, part = network.facts[0]["simulation_dt"], 1.0 / network.facts[0]["n_substeps"]
     first, last = 1.0 if stage == 0 else 0.0, 1.0 if stage == 3 else 0.0
     passed = step + 0.5 * (1.0 - first + last)
     return passed * part, h / 6.0 if stage == 3 else h if stage == 2 else 0.5 * h, first, last
 
 
 @internal
-def protections_sample(plant: Plant, step: int) -> bool:
+def protections_sample(network: Network, step: int) -> bool:
     """Return whether protections sample the grid after a simulation step of the control interval (0 is the first)."""
-    between = max(1, int(PROTECTION_INTERVAL_S / plant.facts[0]["simulation_dt"] + 1e-6))
-    return (step + 1) % between == 0 or step + 1 == plant.facts[0]["n_substeps"]
+    between = max(1, int(PROTECTION_INTERVAL_S / network.facts[0]["simulation_dt"] + 1e-6))
+    return (step + 1) % between == 0 or step + 1 == network.facts[0]["n_substeps"]
 
 
 @internal
-def advance_interval(block: Floats, scratch: Floats, first_lane: int, plant: Plant, data: LaneData) -> None:
+def advance_interval(block: Floats, scratch: Floats, first_lane: int, network: Network, data: LaneData) -> None:
     """Advance every running lane of a block by one control interval, with the classical Runge-Kutta method.
 
     The control inputs (k_offset, inv_tau) are rows of the block and hold over the interval. On return the rows hold
@@ -91,39 +93,39 @@ def advance_interval(block: Floats, scratch: Floats, first_lane: int, plant: Pla
     Args:
         block, scratch: rows of the block and of the thread (see :mod:`wtg_gym.physics.layout`).
         first_lane: the row of the block's first lane in `data`.
-        plant, data: constants, and what the lanes were given.
+        network, data: constants, and what the lanes were given.
     """
-    arrays, tables = (block, scratch), plant.tables
-    enter_interval(block, first_lane, plant, data)
+    arrays, tables = (block, scratch), network.tables
+    enter_interval(block, first_lane, network, data)
     combine_load_noise(arrays, tables, NONE)
-    for step in range(plant.facts[0]["n_substeps"]):
-        if apply_events(block, first_lane, plant, data):
+    for step in range(network.facts[0]["n_substeps"]):
+        if apply_events(block, first_lane, network, data):
             # For the whole block: a lane without a change gets the same bits again.
             combine_load_noise(arrays, tables, NONE)
-        _first_stage(arrays, tables, stage_scalars(plant, step, 0))
-        _middle_stage(arrays, tables, stage_scalars(plant, step, 1))
-        _middle_stage(arrays, tables, stage_scalars(plant, step, 2))
-        _last_stage(arrays, tables, stage_scalars(plant, step, 3))
+        _first_stage(arrays, tables, stage_scalars(network, step, 0))
+        _middle_stage(arrays, tables, stage_scalars(network, step, 1))
+        _middle_stage(arrays, tables, stage_scalars(network, step, 2))
+        _last_stage(arrays, tables, stage_scalars(network, step, 3))
         _finish(arrays, tables, NONE)
-        if protections_sample(plant, step):
+        if protections_sample(network, step):
             protect(arrays, tables, NONE)
     evaluate(arrays, tables, (1.0, 0.0, 0.0, 0.0))
 
 
 @compiled
-def advance_blocks(blocks: Floats, scratch: Floats, first: int, last: int, plant: Plant, data: LaneData) -> None:
+def advance_blocks(blocks: Floats, scratch: Floats, first: int, last: int, network: Network, data: LaneData) -> None:
     """Advance the blocks first … last - 1 of `blocks` (n_blocks, n_rows, width) by one control interval.
 
     `scratch` (n_scratch, width) is the caller's thread's own.
     """
     for b in range(first, last):
-        advance_interval(blocks[b], scratch, b * blocks.shape[2], plant, data)
+        advance_interval(blocks[b], scratch, b * blocks.shape[2], network, data)
 
 
 @compiled
-def evaluate_blocks(blocks: Floats, scratches: Floats, plant: Plant) -> None:
+def evaluate_blocks(blocks: Floats, scratches: Floats, network: Network) -> None:
     """Evaluate the time derivatives of all blocks at the start of their wind interval, each in a scratch of its own."""
     for b in range(blocks.shape[0]):
-        combine_load_noise((blocks[b], scratches[b]), plant.tables, NONE)
-        evaluate((blocks[b], scratches[b]), plant.tables, NONE)
+        combine_load_noise((blocks[b], scratches[b]), network.tables, NONE)
+        evaluate((blocks[b], scratches[b]), network.tables, NONE)
 

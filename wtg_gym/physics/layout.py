@@ -18,7 +18,7 @@ import numpy.typing as npt
 from wtg_gym.physics.extension_unit import EXTENSIONS
 from wtg_gym.physics.hydro_unit import HYDRO
 from wtg_gym.physics.machine_unit import MACHINES
-from wtg_gym.physics.units import LANE, UNITS
+from wtg_gym.physics.units import BUSES, LANE, UNITS
 from wtg_gym.physics.wtg_unit import GROUPS
 from wtg_gym.systems.records import is_record, short_names
 from wtg_gym.systems.systems import Kind, count
@@ -27,9 +27,13 @@ Floats = npt.NDArray[np.float64]
 Whole = npt.NDArray[np.int64]
 
 
-def offsets_of(kind: Kind) -> Any:
-    """Return at which of a unit's rows each part begins, as a NamedTuple of whole numbers with the parts' names."""
-    return namedtuple(f"{kind.name.title().replace(' ', '')}Rows", kind.rows)(**_offsets(kind.rows))
+def offsets_of(kind: Kind, *, scratch: bool = False) -> Any:
+    """Return at which of a unit's rows each part begins, as a NamedTuple of whole numbers with the parts' names.
+
+    `scratch` asks for those in scratch.
+    """
+    parts = kind.scratch if scratch else kind.rows
+    return namedtuple(f"{kind.name.title().replace(' ', '')}Rows", parts)(**_offsets(parts))
 
 
 def _offsets(parts: Mapping[str, Any]) -> dict[str, int]:
@@ -176,10 +180,9 @@ def _every(first: int, stride: int, n: int) -> Whole:
     return first + np.arange(n, dtype=np.int64) * stride
 
 
-MACHINE, WTG, HYDRO_GOVERNOR, EXTENSION, OF_LANE = map(offsets_of, (MACHINES, GROUPS, HYDRO, EXTENSIONS, LANE))
-N_MACHINE_ROWS, N_WTG_ROWS, N_HYDRO_ROWS, N_EXTENSION_ROWS = (
-    n_rows_of(kind.rows) for kind in (MACHINES, GROUPS, HYDRO, EXTENSIONS)
-)
+OF_LANE = offsets_of(LANE)
+OF_STARTING_LANE, OF_STARTING_BUS = offsets_of(LANE, scratch=True), offsets_of(BUSES, scratch=True)
+N_MACHINE_ROWS, N_WTG_ROWS = n_rows_of(MACHINES.rows), n_rows_of(GROUPS.rows)
 
 
 def place_of(kind: Kind, name: str) -> int:

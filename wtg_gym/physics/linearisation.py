@@ -11,9 +11,8 @@ import numpy.typing as npt
 
 from wtg_gym.physics.converter import Corners
 from wtg_gym.physics.integration import PROGRAMS, evaluate_blocks
-from wtg_gym.physics.kernel_data import Plant
 from wtg_gym.physics.layout import Floats, Layout
-from wtg_gym.physics.plant import arranged
+from wtg_gym.physics.plant import Plant, arranged
 
 #: Step of the finite differences [p.u., rad]; truncation and rounding are both near 1e-9 of a rate.
 _DIFFERENCE = 2e-6
@@ -42,7 +41,7 @@ def state_matrix(rows: Floats, plant: Plant, layout: Layout, side: npt.ArrayLike
     blocks[np.arange(n), states] += _DIFFERENCE * first
     blocks[n + np.arange(n), states] += _DIFFERENCE * second
     scratches = np.zeros((len(blocks), layout.n_scratch, 1))
-    evaluate_blocks(blocks[:, :, np.newaxis], scratches, plant)
+    evaluate_blocks(blocks[:, :, np.newaxis], scratches, plant.network)
     rates = scratches[:, layout.rate_rows, 0]
     change = rates[:n] - rates[n : 2 * n]
     change[speeds] = sides[:, np.newaxis] * (-3.0 * rates[2 * n] + 4.0 * rates[speeds] - rates[n + speeds])

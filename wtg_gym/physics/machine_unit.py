@@ -15,7 +15,7 @@ from wtg_gym.physics.machine import (
     machine_voltage,
 )
 from wtg_gym.physics.runge_kutta import moving
-from wtg_gym.physics.units import LANE, UNITS, Phasor, Terminal
+from wtg_gym.physics.units import LANE, UNITS, Connection, Phasor, StartFailure, Terminal, noted
 from wtg_gym.systems.elementary import select
 from wtg_gym.systems.records import each
 from wtg_gym.systems.systems import Kind, system
@@ -24,7 +24,7 @@ MACHINES = Kind(
     name="machines",
     rows={"state": MachineState, "given": MachineInput, "emf": MachineVoltage, "output": MachineOutput},
     scratch={"hydro_torque": float},  # of its hydro governor, if it has one [p.u.]
-    constants={"machine": Machine},
+    constants={"machine": Machine, "dispatch": float},
     sees={"unit": UNITS, "lane": LANE},
     states=("state",),
 )
@@ -38,11 +38,41 @@ def reference(speed: float) -> float:
     return speed
 
 
+@system(MACHINES, "planned_power")
+def plan_machine(dispatch: float) -> float:
+    """Return the dispatched power."""
+    return dispatch
+
+
 @system(MACHINES, "state", "voltage_reference", "gate_reference")
 def start_machine(start: Terminal, machine: Machine) -> tuple[MachineState, float, float]:
     """Return the equilibrium that a run starts from; angles count from the network's frame."""
     v, i = start.voltage, start.current
     return machine_start(start.power, v.re, v.im, start.magnitude, i.re, i.im, machine)
+
+
+@system(FIRST_MACHINE, "frame")
+def take_frame(state: MachineState) -> float:
+    """Let all angles count from the first machine."""
+    return state.angle
+
+
+@system(MACHINES, "state")
+def turn_machine(state: MachineState, frame: float) -> MachineState:
+    """Count a machine's angle from the frame."""
+    return state._replace(angle=state.angle - frame)
+
+
+@system(MACHINES, "start_failure", "failing_unit")
+def check_machine(
+    state: MachineState, machine: Machine, connection: Connection, start_failure: float, failing_unit: float
+) -> tuple[float, float]:
+    """Note a machine that would start beyond the limits of its governor or its exciter."""
+    gate, field, c = state.governor.gate, state.exciter.field_voltage, machine
+    lost = ~((c.governor.gate_min <= gate) & (gate <= c.governor.gate_max))
+    start_failure, failing_unit = noted(lost, StartFailure.GOVERNOR_LIMIT, connection.number, start_failure, failing_unit)
+    lost = ~((c.exciter.field_min <= field) & (field <= c.exciter.field_max))
+    return noted(lost, StartFailure.EXCITER_LIMIT, connection.number, start_failure, failing_unit)
 
 
 @system(MACHINES, "emf", "voltage")

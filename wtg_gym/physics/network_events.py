@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-from wtg_gym.physics.kernel_data import NetworkEvent, Plant
+from wtg_gym.physics.kernel_data import NetworkEvent
 from wtg_gym.physics.network import NetworkCase
-from wtg_gym.physics.plant import PlantSettings
+from wtg_gym.physics.plant import Plant, PlantSettings
 from wtg_gym.physics.scenario import (
     Event,
     GovernorLoss,
@@ -80,7 +80,7 @@ def _changes(event: Event, load_level: float, settings: PlantSettings, plant: Pl
         machines = _machines_at(case, event.bus, "machine with a governor", governed)
         return [NetworkEvent(start, end, governor=machine) for machine in machines]
     if isinstance(event, LoadTrip):
-        power = -load_level * complex(plant.buses["load"][bus])
+        power = -load_level * complex(plant.buses["load.re"][bus], plant.buses["load.im"][bus])
     else:
         power = complex(event.power_mw, event.reactive_mvar) / case.base_mva
     if isinstance(event, LoadRamp):

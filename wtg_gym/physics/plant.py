@@ -18,12 +18,12 @@ from wtg_gym.physics.extension_unit import COLUMNS, EXTENSIONS
 from wtg_gym.physics.governor import HydroGovernor, hydro_constants
 from wtg_gym.physics.hydro_unit import HYDRO
 from wtg_gym.physics.ieee14 import modified_ieee14
-from wtg_gym.physics.kernel_data import BranchConstants, BusConstants, Facts, Plant, structured
+from wtg_gym.physics.kernel_data import BranchConstants, Facts, Network, structured
 from wtg_gym.physics.layout import Layout
 from wtg_gym.physics.machine import Machine, machine_constants
 from wtg_gym.physics.machine_parameters import HydroGovernorParameters
 from wtg_gym.physics.machine_unit import FIRST_MACHINE, MACHINES
-from wtg_gym.physics.network import NetworkCase, branch_admittances
+from wtg_gym.physics.network import NetworkCase, assemble_admittance, branch_admittances
 from wtg_gym.physics.parameters import (
     ConverterLimitParameters,
     GridFormingParameters,
@@ -38,7 +38,7 @@ from wtg_gym.physics.parameters import (
     nrel_5mw,
 )
 from wtg_gym.physics.protection import STAGES, SheddingConstants
-from wtg_gym.physics.units import LANE, PAIRS, UNITS
+from wtg_gym.physics.units import BUSES, LANE, PAIRS, UNITS, Bus, Connection, Phasor
 from wtg_gym.physics.wind_turbine import Extension, Turbine, extension_constants, turbine_constants
 from wtg_gym.physics.wtg_unit import GROUPS
 from wtg_gym.ranges import require_range, whole_steps
@@ -156,8 +156,39 @@ def plant_settings(physics: str = "paper", **settings: Any) -> PlantSettings:
     return PlantSettings(**{**extended, **settings, "case": case})
 
 
+class Plant(NamedTuple):
+    """Constants of a plant."""
+
+    network: Network  # what compiled functions read
+    bus_y: npt.NDArray[np.complex128]  # bus admittance matrix without loads and units (n_bus, n_bus) [p.u.]
+    machines: npt.NDArray[np.void]  # (n_sync,), of Machine
+    dispatch: npt.NDArray[np.float64]  # power of each machine before the slack's share (n_sync,) [p.u.]
+    turbine: npt.NDArray[np.void]  # (1,), of Turbine
+    share: npt.NDArray[np.float64]  # rating of each WTG group on the system base (n_wtg,)
+    cells: npt.NDArray[np.float64]  # of the rotor's C_p table (n, m, 16)
+    hydro: npt.NDArray[np.void]  # (n_hydro,), of HydroGovernor
+    extension: npt.NDArray[np.void]  # (1,), of Extension; (0,) where the groups are not extended
+    shedding: npt.NDArray[np.void]  # (n_stages,), of SheddingConstants
+    buses: npt.NDArray[np.void]  # (n_bus,), of Bus
+    of_lane: Mapping[str, Any]  # constants of every lane
+
+    @property
+    def n_substeps(self) -> int:
+        """Simulation steps per control interval."""
+        return int(self.network.facts["n_substeps"][0])
+
+    @property
+    def simulation_dt(self) -> float:
+        """Step of the integration [s]."""
+        return float(self.network.facts["simulation_dt"][0])
+
+    def with_tables(self, tables: Tables) -> Plant:
+        """Return the plant with other tables."""
+        return self._replace(network=self.network._replace(tables=tables))
+
+
 def build_plant(settings: PlantSettings) -> Plant:
-    """Return the constants of a plant for the kernels; :func:`arranged` adds where its rows lie."""
+    """Return the constants of a plant; :func:`arranged` adds where its rows lie."""
     case, base = settings.case, settings.case.base_mva
     machines = [machine_constants(m, base) for m in case.machines]
     turbine = turbine_constants(settings.turbine, settings.pitch, settings.control, settings.protection)
@@ -171,44 +202,61 @@ def build_plant(settings: PlantSettings) -> Plant:
         if isinstance(machine.governor, HydroGovernorParameters)
     ]
     extension = extension_constants(settings.turbine, settings.limits, settings.voltage_control)
-    facts = Facts(
-        slack=case.bus_index(case.slack_bus),
-        omega_n=2.0 * math.pi * case.frequency_hz,
-        base_mva=base,
-        simulation_dt=settings.simulation_dt,
-        n_substeps=whole_steps("control_dt", settings.control_dt, settings.simulation_dt, "simulation step"),
-        trips_groups=settings.trips_groups,
-        **dict.fromkeys(("machines", "groups", "hydro", "extensions", "lane", "units", "pairs", "stages", "starts"), 0),
-    )
+    stages = [SheddingConstants(stage.frequency_pu, stage.share, stage.delay_s) for stage in settings.shedding]
+    slack = case.bus_index(case.slack_bus)
     buses = [
-        BusConstants(
-            shunt=complex(bus.shunt_mw, bus.shunt_mvar) / base,
-            load=complex(bus.load_mw, bus.load_mvar) / base,
+        Bus(
+            load=Phasor(bus.load_mw / base, bus.load_mvar / base),
             voltage=1.0 if bus.voltage_pu is None else bus.voltage_pu,
             holds_voltage=bus.voltage_pu is not None and index in unit_bus,
+            is_slack=index == slack,
         )
         for index, bus in enumerate(case.buses)
     ]
-    branches = [
-        BranchConstants(case.bus_index(branch.from_bus), case.bus_index(branch.to_bus), *y)
-        for branch, y in zip(case.branches, branch_admittances(case.branches), strict=True)
-    ]
-    stages = [SheddingConstants(stage.frequency_pu, stage.share, stage.delay_s) for stage in settings.shedding]
+    branches = structured(
+        BranchConstants,
+        [
+            BranchConstants(case.bus_index(branch.from_bus), case.bus_index(branch.to_bus), *y)
+            for branch, y in zip(case.branches, branch_admittances(case.branches), strict=True)
+        ],
+    )
+    shunts = np.array([complex(bus.shunt_mw, bus.shunt_mvar) / base for bus in case.buses], dtype=np.complex128)
+    facts = dict.fromkeys(Facts._fields, 0) | {
+        "slack": slack,
+        "base_mva": base,
+        "simulation_dt": settings.simulation_dt,
+        "n_substeps": whole_steps("control_dt", settings.control_dt, settings.simulation_dt, "simulation step"),
+        "n_sync": len(machines),
+    }
+    network = Network(
+        facts=structured(Facts, [Facts(**facts)]),
+        branches=branches,
+        shunts=shunts,
+        unit_bus=np.array(unit_bus, dtype=np.int64),
+        unit_y=1.0 / np.array(impedances, dtype=np.complex128),
+        shed_shares=np.array([stage.share for stage in stages], dtype=np.float64),
+        tables=Tables(np.zeros(0, dtype=np.int64), np.zeros(0), np.zeros(0, dtype=np.int64)),
+    )
     return Plant(
-        facts=structured(Facts, [facts]),
+        network=network,
+        bus_y=assemble_admittance(branches, np.zeros(len(branches), dtype=np.bool_), shunts),
         machines=structured(Machine, machines),
+        dispatch=np.array([m.dispatch_mw / base for m in case.machines], dtype=np.float64),
         turbine=structured(Turbine, [turbine]),
+        share=np.array(share, dtype=np.float64),
+        cells=surface_of(settings.turbine.power_coefficient)[1],
         hydro=structured(HydroGovernor, hydro),
         extension=structured(Extension, [extension] * settings.extended),
         shedding=structured(SheddingConstants, stages),
-        cells=surface_of(settings.turbine.power_coefficient)[1],
-        share=np.array(share, dtype=np.float64),
-        unit_bus=np.array(unit_bus, dtype=np.int64),
-        unit_y=1.0 / np.array(impedances, dtype=np.complex128),
-        dispatch=np.array([m.dispatch_mw / base for m in case.machines], dtype=np.float64),
-        buses=structured(BusConstants, buses),
-        branches=structured(BranchConstants, branches),
-        tables=Tables(np.zeros(0, dtype=np.int64), np.zeros(0), np.zeros(0, dtype=np.int64)),
+        buses=structured(Bus, buses),
+        of_lane={
+            "omega_n": 2.0 * math.pi * case.frequency_hz,
+            "simulation_dt": settings.simulation_dt,
+            "limits": turbine.limits,
+            "trips_groups": settings.trips_groups,
+            "reactive_max": extension.voltage.reactive_max,
+            "voltage_gain": extension.voltage.gain,
+        },
     )
 
 
@@ -237,6 +285,7 @@ def layout_of(plant: Plant, further: Further | None = None) -> Layout:
         HYDRO: plant.hydro.size,
         EXTENSIONS: n_extended,
         LANE: 1,
+        BUSES: plant.buses.size,
         UNITS: n_unit,
         PAIRS: n_unit * n_unit,
         STAGES: plant.shedding.size,
@@ -245,6 +294,7 @@ def layout_of(plant: Plant, further: Further | None = None) -> Layout:
     }
     links = {
         (MACHINES, "unit"): np.arange(n_sync),
+        (UNITS, "bus"): plant.network.unit_bus,
         (GROUPS, "unit"): groups,
         (EXTENSIONS, "unit"): groups[:n_extended],
         (EXTENSIONS, "own_entry_"): (groups * (n_unit + 1))[:n_extended],
@@ -267,13 +317,20 @@ class Arranged:
 
     def __init__(self, plant: Plant, layout: Layout, further: Further) -> None:
         self.n_units, self.first_rows, self.seen = layout.n_units, layout.first_rows, layout.seen
-        n_wtg, facts = plant.share.size, plant.facts
+        n_sync, n_wtg, network = plant.machines.size, plant.share.size, plant.network
         self._has = {"table" if plant.cells.size else "curve", *further.has}
         if not plant.extension.size:
             self._has.add("constant voltage")
-        limits = [leaf for leaf in plant.turbine.dtype.names or () if leaf.startswith("limits.")]
+        sizes = np.zeros((n_sync + n_wtg, 3))
+        sizes[:n_sync, 0], sizes[:n_sync, 1] = plant.machines["rating"], plant.machines["reactive_weight"]
+        sizes[n_sync:, 2] = plant.share
+        connections = [
+            Connection(float(number), *own, Phasor(y.real, y.imag))
+            for number, (own, y) in enumerate(zip(sizes.tolist(), network.unit_y, strict=True))
+        ]
         self._constants: dict[tuple[Kind, str], Any] = {
             (MACHINES, "machine"): plant.machines,
+            (MACHINES, "dispatch"): plant.dispatch,
             (GROUPS, "turbine"): np.repeat(plant.turbine, n_wtg),
             (GROUPS, "cells"): plant.cells,
             (GROUPS, "share"): plant.share,
@@ -281,8 +338,9 @@ class Arranged:
             (HYDRO, "hydro"): plant.hydro,
             (EXTENSIONS, "extension"): np.repeat(plant.extension, n_wtg),
             (STAGES, "stage"): plant.shedding,
-            (LANE, "limits"): [tuple(plant.turbine[leaf][0] for leaf in limits)],
-            **{(LANE, name): facts[name] for name in ("omega_n", "simulation_dt", "trips_groups")},
+            (BUSES, "bus"): plant.buses,
+            (UNITS, "connection"): connections,
+            **{(LANE, name): [value] for name, value in plant.of_lane.items()},
             **further.constants,
         }
 
@@ -302,10 +360,11 @@ def arranged(
     taped: bool = False,
 ) -> Plant:
     """Return a plant that knows where its rows lie, for programs that are to run; `taped` with their way back."""
-    names = ("machines", "groups", "hydro", "extensions", "lane", "units", "pairs", "stages")
-    facts = plant.facts.copy()
-    for name, row in zip(names, layout.first.values(), strict=False):
-        facts[name] = row
-    facts["starts"] = layout.first_rows(UNITS, "start")[:1].sum()
+    facts = plant.network.facts.copy()
+    first = dict(lane=LANE, machines=MACHINES, groups=GROUPS, units=UNITS, pairs=PAIRS, stages=STAGES, buses=BUSES)
+    for name, kind in first.items():
+        facts[name] = layout.first[kind]
+    facts["starts"], facts["starts_of_buses"] = layout.first_scratch[LANE], layout.first_scratch[BUSES]
     tables = build_table(programs, Arranged(plant, layout, further or Further({})), taped=taped)
-    return plant._replace(facts=facts, tables=tables._replace(code=plant.tables.code))
+    tables = tables._replace(code=plant.network.tables.code)
+    return plant._replace(network=plant.network._replace(facts=facts, tables=tables))

@@ -11,14 +11,14 @@ import numpy as np
 import numpy.typing as npt
 
 from wtg_gym.physics.block_threads import BlockThreads
-from wtg_gym.physics.equilibrium import StartFailure, prepare_lanes
+from wtg_gym.physics.equilibrium import prepare_lanes
 from wtg_gym.physics.integration import PROGRAMS, STARTING, STEPPING, advance_blocks, evaluate_blocks
 from wtg_gym.physics.kernel_data import EVENT_DTYPE, NO_EVENT, LaneData
 from wtg_gym.physics.layout import Floats
 from wtg_gym.physics.linearisation import check_step
 from wtg_gym.physics.network_events import network_events
 from wtg_gym.physics.plant import Further, PlantSettings, arranged, build_plant, layout_of
-from wtg_gym.physics.reduction import bus_voltages
+from wtg_gym.physics.reduction import admittances
 from wtg_gym.physics.scenario import LONGEST_RUN_S, SERIES_DT, Scenario
 from wtg_gym.physics.start_errors import (
     NOMINAL,
@@ -28,7 +28,7 @@ from wtg_gym.physics.start_errors import (
     start_failure,
 )
 from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY, TrackingLaw, get_law
-from wtg_gym.physics.units import UNITS
+from wtg_gym.physics.units import UNITS, StartFailure
 from wtg_gym.ranges import require_range, require_whole, whole_steps
 from wtg_gym.systems.routines import code_of
 
@@ -129,7 +129,7 @@ class Simulator:
         further, starting = self._further, {1: (*STARTING, *self._further.starting)}
         stepping = {self.width: (*STEPPING, *further.stepping, *starting.get(self.width, ()))}
         code = code_of(len(PROGRAMS) + len(further.programs), {**starting, **stepping})
-        self.plant = self.plant._replace(tables=self.plant.tables._replace(code=code))
+        self.plant = self.plant.with_tables(self.plant.network.tables._replace(code=code))
 
     def _check_nominal(self, laws: tuple[TrackingLaw, ...], inertia_scale: float) -> bool:
         """Check laws at nominal operating points; return whether the plant has an equilibrium at any of them."""
@@ -160,12 +160,9 @@ class Simulator:
             ) from None
 
     def _allocate_data(self, n: int, n_events: int) -> LaneData:
-        n_bus, n_wtg = self.plant.buses.size, self.layout.n_wtg
         return LaneData(
-            wind=np.full((n, n_wtg, self.n_intervals + 1), 8.0),
+            wind=np.full((n, self.layout.n_wtg, self.n_intervals + 1), 8.0),
             noise=np.zeros((n, self.n_intervals)),
-            noise_bus=np.zeros(n, dtype=np.int64),
-            load_y=np.zeros((n, n_bus), dtype=np.complex128),
             events=np.full((n, n_events), NO_EVENT, dtype=EVENT_DTYPE),
         )
 
@@ -256,9 +253,13 @@ class Simulator:
         for name in ("k_min", "k_nominal", "k_max", "droop_cancelled"):
             rows[:, self.layout.wtg(name)] = [getattr(law, name) for law in laws]
         rows[:, self.layout.wtg("inv_tau")] = [law.inverse_time_constant for law in laws]
+        for name in ("wind_start", "wind_end"):
+            rows[:, self.layout.wtg(name)] = data.wind[:, :, 0]
+        rows[:, self.layout.lane("noise_bus")] = [self.settings.case.bus_index(s.load_noise_bus) for s in scenarios]
         failures = np.zeros((n, 2), dtype=np.int64)
         levels = np.array([scenario.load_level for scenario in scenarios])
-        prepare_lanes(rows[:, :, np.newaxis], self.new_scratches(1, 1)[0], self.plant, data, levels, failures)
+        plant, blocks = self.plant, rows[:, :, np.newaxis]
+        prepare_lanes(blocks, self.new_scratches(1, 1)[0], plant.bus_y, plant.network, data, levels, failures)
         for scenario, (failure, unit), row in zip(scenarios, failures.tolist(), rows, strict=True):
             if failure:
                 reason = start_failure(StartFailure(failure), unit, row, scenario, self.settings, self.layout)
@@ -304,7 +305,6 @@ class Simulator:
             raise ValueError(
                 f"scenario {scenario.name!r} lasts {scenario.duration_s:g} s, longer than the {n * dt:g} s held here"
             )
-        data.noise_bus[lane] = self.settings.case.bus_index(scenario.load_noise_bus)
         wind, target = scenario.wind_speed, data.wind[lane]
         if abs(scenario.wind_dt_s - dt) < 1e-12:
             m = min(wind.shape[1], n + 1)
@@ -346,7 +346,7 @@ class Simulator:
         """Advance every running lane by one control interval."""
         self.threads.run(
             lambda first, last, worker: advance_blocks(
-                self.blocks, self.scratches[worker], first, last, self.plant, self.data
+                self.blocks, self.scratches[worker], first, last, self.plant.network, self.data
             )
         )
 
@@ -357,7 +357,7 @@ class Simulator:
     def _evaluated(self, blocks: Floats) -> Floats:
         """Evaluate blocks, and return the scratch of each."""
         scratches = self.new_scratches(blocks.shape[0], self.width)
-        evaluate_blocks(blocks, scratches, self.plant)
+        evaluate_blocks(blocks, scratches, self.plant.network)
         return scratches
 
     def bus_voltages(self, lane: int = 0) -> npt.NDArray[np.complex128]:
@@ -369,7 +369,12 @@ class Simulator:
         scratch = self._evaluated(block[np.newaxis].copy())[0, :, x]
         first = self.layout.first_rows(UNITS, "voltage")
         internal = scratch[first] + 1j * scratch[first + 1]
-        return bus_voltages(block, x, lane, self.plant, self.data, internal)
+        network, noise_bus = self.plant.network, int(self.lane_values("noise_bus")[lane])
+        unit_y, y = admittances(block, x, lane, network, self.data)
+        y[noise_bus, noise_bus] += self.lane_values("noise_y")[lane]
+        injected = np.zeros(len(y), dtype=np.complex128)
+        np.add.at(injected, network.unit_bus, unit_y * internal)
+        return np.linalg.solve(y, injected)
 
     def state(self, lane: int = 0) -> Floats:
         """Return a copy of a lane's state vector; `layout.state_names` names its entries."""

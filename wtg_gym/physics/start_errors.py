@@ -6,12 +6,12 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from wtg_gym.physics.equilibrium import StartFailure
 from wtg_gym.physics.layout import Floats, Layout
 from wtg_gym.physics.machine_parameters import ExciterParameters, HydroGovernorParameters
 from wtg_gym.physics.parameters import ConverterLimitParameters, VoltageControlParameters
 from wtg_gym.physics.plant import PlantSettings
 from wtg_gym.physics.scenario import Scenario
+from wtg_gym.physics.units import StartFailure
 
 #: Beginning of the names of scenarios that a simulator makes for itself.
 NOMINAL = "the plant at "

@@ -2,6 +2,8 @@
 
     enter → events → 4 × (voltages, currents, capture, stage) → finish → protect → evaluate
 
+A run starts with plan → power flow → release → settle → start.
+
 Each name is a list of systems over all units of a kind; what is no map over units stands in the same lists.
 """
 
@@ -10,7 +12,7 @@ from __future__ import annotations
 from wtg_gym.physics import extension_unit as extension
 from wtg_gym.physics import hydro_unit as hydro
 from wtg_gym.physics import machine_unit as machine
-from wtg_gym.physics import protection, units
+from wtg_gym.physics import protection, starting, units
 from wtg_gym.physics import wtg_unit as wtg
 from wtg_gym.physics.units import LANE, PAIRS, UNITS
 from wtg_gym.systems.programs import Each, Product, Repeat, When
@@ -78,8 +80,45 @@ PROTECT = (
     protection.still_wind,
 )
 
-#: The machines' equilibria, from what they deliver.
-START_MACHINES = (machine.start_machine, hydro.start_hydro)
+#: Trials of the search for a turbine's equilibrium, at most: pitch steps of 0.02°, and bisections.
+_TRIALS = 10_000
 
-#: After the first evaluation of a run.
-START = (*COI, protection.track_extremes)
+#: What buses and units bring to the power flow.
+PLAN = (
+    starting.begin_start,
+    starting.plan_bus,
+    wtg.begin_search,
+    Repeat(LANE, "searching", (*CAPTURE, wtg.nobody_searches, wtg.search_on), most=_TRIALS),
+    machine.plan_machine,
+    wtg.plan_group,
+    starting.plan_unit,
+)
+
+#: After a power flow: buses whose groups cannot hold the voltage let go of it.
+RELEASE = (starting.none_released, starting.release_voltage)
+
+#: After the last one: every unit finds its equilibrium, from what it delivers.
+SETTLE = (
+    starting.load_at_bus,
+    starting.share_flow,
+    machine.start_machine,
+    hydro.start_hydro,
+    machine.take_frame,
+    machine.turn_machine,
+    wtg.start_group,
+    extension.start_extension,
+    starting.start_clock,
+)
+
+#: The first outputs of a run, and what is beyond its limits then.
+START = (
+    starting.let_run,
+    *ADMITTANCES,
+    *EVALUATE,
+    *COI,
+    protection.track_extremes,
+    wtg.no_overload,
+    machine.check_machine,
+    hydro.check_hydro,
+    extension.check_extension,
+)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from enum import IntEnum
 from typing import NamedTuple
 
 from wtg_gym.physics.runge_kutta import moving
@@ -21,9 +22,56 @@ class Terminal(NamedTuple):
     """What a unit starts from at its terminal [p.u.]."""
 
     power: float
+    reactive: float
     voltage: Phasor
     magnitude: float  # of the voltage
     current: Phasor  # into the network
+
+
+class Polar(NamedTuple):
+    """A voltage by magnitude [p.u.] and angle [rad]."""
+
+    size: float
+    turn: float
+
+
+class Sizes(NamedTuple):
+    """Sums over the units at a bus."""
+
+    ratings: float  # by which machines share what the slack gives
+    machine_weights: float  # by which units share reactive power
+    group_weights: float
+
+
+class Bus(NamedTuple):
+    """Constants of a bus."""
+
+    load: Phasor  # P + jQ of the case [p.u.]
+    voltage: float  # held, or where the power flow starts [p.u.]
+    holds_voltage: bool
+    is_slack: bool
+
+
+class Connection(NamedTuple):
+    """Constants of a unit in the network."""
+
+    number: float  # among all units
+    rating: float  # of a machine; 0 for a group
+    machine_weight: float  # share of reactive power; 0 for a group
+    group_weight: float  # 0 for a machine
+    y: Phasor  # internal admittance [p.u.]
+
+
+class StartFailure(IntEnum):
+    """Why a lane cannot start; 0 means it can."""
+
+    NONE = 0
+    NO_TURBINE_EQUILIBRIUM = 1
+    POWER_FLOW_DIVERGED = 2
+    GOVERNOR_LIMIT = 3
+    EXCITER_LIMIT = 4
+    CONVERTER_LIMIT = 5
+    INTERNAL_VOLTAGE_LIMIT = 6
 
 
 #: A lane: a run. What is of one unit here is of the lane.
@@ -39,6 +87,7 @@ LANE = Kind(
         "coi": float,  # frequency of the centre of inertia [p.u.]
         "coi_min": float,  # least since the start [p.u.]
         "coi_max": float,
+        "noise_bus": float,  # index of the bus of the load noise
         "noise_z": Phasor,  # Thévenin impedance at the bus of the load noise [p.u.]
         "noise_per_mw": float,  # admittance per MW of load noise [p.u.]
         "noise_y": float,  # conductance of the load noise in the present control interval [p.u.]
@@ -57,9 +106,38 @@ LANE = Kind(
         "finding": float,  # status that the protections find now
         "finite": float,  # 1 where all speeds are finite numbers
         "stops": float,  # 1 where a protection ends the run now
+        "load_level": float,  # share of the nominal load that a run starts with
+        "searching": float,  # groups whose equilibrium is not found yet
+        "released": float,  # buses that let go of their voltage
+        "frame": float,  # angle of the first unit against the network's frame [rad]
+        "start_failure": float,  # why the run cannot start, of StartFailure
+        "failing_unit": float,  # number of the unit that cannot
     },
-    constants={"omega_n": float, "simulation_dt": float, "limits": Limits, "trips_groups": bool},
+    constants={
+        "omega_n": float,
+        "simulation_dt": float,
+        "limits": Limits,
+        "trips_groups": bool,
+        "reactive_max": float,  # of the groups' voltage control [p.u.]
+        "voltage_gain": float,  # of that; 0 without one
+    },
     states=("angle",),
+)
+
+#: Buses of the network; what is in scratch is for the start of a run.
+BUSES = Kind(
+    name="buses",
+    rows={"load": Phasor},  # admittance [p.u.]
+    scratch={
+        "planned": Phasor,  # P + jQ into the network before the slack's share [p.u.]
+        "polar": Polar,
+        "holds": float,  # 1 where a unit holds the voltage
+        "flow": Phasor,  # P + jQ from the units and loads into the branches [p.u.]
+        "at_bus": Phasor,  # voltage [p.u.]
+        "sizes": Sizes,
+    },
+    constants={"bus": Bus},
+    sees={"lane": LANE},
 )
 
 #: All units as the network sees them, machines first.
@@ -69,9 +147,11 @@ UNITS = Kind(
     scratch={
         "voltage": Phasor,  # behind the internal impedance
         "current": Phasor,  # into the network
+        "planned_power": float,  # before the slack's share [p.u.]
         "start": Terminal,
     },
-    sees={"lane": LANE},
+    constants={"connection": Connection},
+    sees={"lane": LANE, "bus": BUSES},
 )
 
 #: Pairs of units, row by row of the reduced admittance matrix.
@@ -81,6 +161,23 @@ PAIRS = Kind(
     scratch={"admittance": Phasor},
     sees={"row_": UNITS, "column_": UNITS, "lane": LANE},
 )
+
+
+def noted(lost: bool, why: int, number: float, failure: float, failing: float) -> tuple[float, float]:
+    """Return why a run cannot start and the number of the unit that cannot, unless another was found before."""
+    first = lost & (failure == 0.0)
+    return select(first, float(why), failure), select(first, number, failing)
+
+
+def quotient(a: Phasor, b: Phasor) -> Phasor:
+    """Return a/b, by the larger part of b (Smith's algorithm)."""
+    by_real = abs(b.re) >= abs(b.im)
+    ratio = select(by_real, b.im / b.re, b.re / b.im)
+    below = select(by_real, b.re + b.im * ratio, b.re * ratio + b.im)
+    return Phasor(
+        select(by_real, a.re + a.im * ratio, a.re * ratio + a.im) / below,
+        select(by_real, a.im - a.re * ratio, a.im * ratio - a.re) / below,
+    )
 
 
 @system(LANE, "noise_factor")

@@ -42,7 +42,7 @@ from wtg_gym.physics.parameters import (
 )
 from wtg_gym.physics.pitch import Pitch, PitchState, pitch_constants, pitch_limited, pitch_rates
 from wtg_gym.physics.rotor_table import Cells, Grid, tabulated_power_coefficient
-from wtg_gym.systems.compiled import inlined, internal
+from wtg_gym.systems.compiled import inlined
 from wtg_gym.systems.elementary import fma, select, sine_cosine
 
 
@@ -167,14 +167,6 @@ def captured_by_table(rotor_speed: float, wind: float, pitch: float, c: Rotor, c
     """Return what :func:`captured_by_curve` does, by the table of C_p."""
     ratio = c.tip_speed * max(rotor_speed, 1e-3) / wind
     return c.wind_power * wind * wind * wind * tabulated_power_coefficient(ratio, pitch, cells, c.grid)
-
-
-@internal
-def captured_power(rotor_speed: float, wind: float, pitch: float, c: Rotor, cells: Cells) -> float:
-    """Return the captured power by the table, if a turbine has one."""
-    if cells.shape[0] > 0:
-        return captured_by_table(rotor_speed, wind, pitch, c, cells)
-    return captured_by_curve(rotor_speed, wind, pitch, c)
 
 
 def wind_at(u: WtgInput, fraction: float) -> float:
@@ -303,59 +295,62 @@ def wtg_limited(s: WtgState, c: Turbine) -> WtgState:
     return WtgState(s.converter, s.rotor_speed, pitch, s.energy_captured, s.energy_delivered)
 
 
-@internal
-def turbine_equilibrium(wind: float, k: float, c: Turbine, cells: Cells) -> tuple[float, float, bool]:
-    """Return (rotor speed [p.u.], pitch [deg], found) at which the captured power equals k ω_m³ and falls faster.
+#: Phases of a search: both ends, the rotor speed between them, pitch steps at the limit, the pitch angle between two.
+_LOW, _HIGH, _ROTOR, _NO_PITCH, _PITCH_STEPS, _PITCH, FOUND, _NONE = map(float, range(8))
+_PITCH_STEP = 0.02  # [deg]
 
-    The root of p_w(ω_m) = k ω_m³ at β = 0 and a tip-speed ratio of 3.5 … 20 outside the stall, unless captured power or
-    rotor speed would exceed the pitch protection's limits: then the limit, and the smallest pitch angle that holds it
-    on a falling branch of C_p.
-    """
+
+class Search(NamedTuple):
+    """A search for the state at which a turbine's captured power equals k ω_m³, and falls faster."""
+
+    phase: float
+    low: float  # rotor speed [p.u.], then pitch angle [deg]
+    high: float
+    before: float  # power captured at `low`, in pitch steps [p.u.]
+
+
+def search_begun(wind: float, k: float, c: Turbine) -> tuple[Search, float, float]:
+    """Return a search at a tip-speed ratio of 3.5 … 20 outside the stall; rotor speed [p.u.] and pitch [deg] to try."""
     scale = wind / c.rotor.tip_speed
     low, high = max(3.5, c.limits.stall_tip_speed_ratio) * scale, 20.0 * scale
-    surplus_low = captured_power(low, wind, 0.0, c.rotor, cells) - k * low**3
-    surplus_high = captured_power(high, wind, 0.0, c.rotor, cells) - k * high**3
-    if not (surplus_low > 0.0 and surplus_high < 0.0):
-        return 0.0, 0.0, False
-    for _ in range(80):
-        middle = 0.5 * (low + high)
-        if middle in (low, high):
-            break
-        if captured_power(middle, wind, 0.0, c.rotor, cells) > k * middle**3:
-            low = middle
-        else:
-            high = middle
-    rotor = 0.5 * (low + high)
+    return Search(_LOW, low, high, 0.0), low, 0.0
+
+
+def searched(
+    s: Search, rotor_speed: float, pitch: float, captured: float, k: float, c: Turbine
+) -> tuple[Search, float, float]:
+    """Return a search that has seen what a trial captures [p.u.], and what it tries next.
+
+    It ends at the root of p_w(ω_m) = k ω_m³ at β = 0, unless captured power or rotor speed would exceed the pitch
+    protection's limits: then at the limit, and at the smallest pitch angle that holds it on a falling branch of C_p.
+    """
+    target = k * (rotor_speed * (rotor_speed * rotor_speed))
+    above = captured > target
     limit = min((c.pitch.power_limit / k) ** (1.0 / 3.0), c.pitch.rotor_limit)
-    if rotor <= limit:
-        return rotor, 0.0, True
-    target = k * limit**3
-    before = 0.0
-    while before < c.pitch.angle_max:
-        after = before + 0.02
-        if (
-            captured_power(limit, wind, before, c.rotor, cells)
-            > target
-            >= captured_power(limit, wind, after, c.rotor, cells)
-        ):
-            return limit, _pitch_that_captures(target, before, after, limit, wind, c, cells), True
-        before = after
-    return 0.0, 0.0, False
-
-
-@internal
-def _pitch_that_captures(
-    target: float, low: float, high: float, rotor: float, wind: float, c: Turbine, cells: Cells
-) -> float:
-    for _ in range(80):
-        middle = 0.5 * (low + high)
-        if middle in (low, high):
-            break
-        if captured_power(rotor, wind, middle, c.rotor, cells) > target:
-            low = middle
-        else:
-            high = middle
-    return 0.5 * (low + high)
+    tries_rotor, steps, tries_pitch = s.phase == _ROTOR, s.phase == _PITCH_STEPS, s.phase == _PITCH
+    # The power falls through the target between the last pitch angle and this one.
+    crossed = steps & (s.before > target) & ~above
+    trial = select(tries_rotor, rotor_speed, pitch)
+    rises = (tries_rotor | tries_pitch) & above
+    low = select(rises | (steps & ~crossed), trial, s.low)
+    high = select(((tries_rotor | tries_pitch) & ~above) | crossed, trial, s.high)
+    middle = 0.5 * (low + high)
+    settled = (middle == low) | (middle == high)
+    # Each phase in its turn; a phase that goes on keeps its number.
+    phase = select(s.phase == _LOW, select(above, _HIGH, _NONE), s.phase)
+    enters_rotor = (s.phase == _HIGH) & (captured < target)
+    phase = select(s.phase == _HIGH, select(enters_rotor, _ROTOR, _NONE), phase)
+    ends_rotor = (tries_rotor | enters_rotor) & settled
+    phase = select(ends_rotor, select(middle <= limit, FOUND, _NO_PITCH), phase)
+    phase = select(s.phase == _NO_PITCH, _PITCH_STEPS, phase)
+    phase = select(crossed, _PITCH, select(steps & ~(low < c.pitch.angle_max), _NONE, phase))
+    phase = select((phase == _PITCH) & settled, FOUND, phase)
+    low = select(phase == _NO_PITCH, 0.0, low)
+    rotor = select((phase == _ROTOR) | ((phase == FOUND) & ends_rotor), middle, rotor_speed)
+    rotor = select(phase == _HIGH, high, select(phase == _NO_PITCH, limit, rotor))
+    angle = select((phase == _PITCH) | ((phase == FOUND) & (s.phase == _PITCH)), middle, pitch)
+    angle = select(phase == _PITCH_STEPS, low + _PITCH_STEP, angle)
+    return Search(phase, low, high, captured), rotor, angle
 
 
 def turbine_constants(

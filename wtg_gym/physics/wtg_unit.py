@@ -2,10 +2,16 @@
 
 from __future__ import annotations
 
+import math
+
+from wtg_gym.physics.converter import ConverterState
+from wtg_gym.physics.pitch import PitchState
 from wtg_gym.physics.rotor_table import Cells
 from wtg_gym.physics.runge_kutta import moving
-from wtg_gym.physics.units import LANE, UNITS, Phasor
+from wtg_gym.physics.units import LANE, UNITS, Connection, Phasor, StartFailure, Terminal, noted, quotient
 from wtg_gym.physics.wind_turbine import (
+    FOUND,
+    Search,
     Turbine,
     WtgExtremes,
     WtgInput,
@@ -13,23 +19,84 @@ from wtg_gym.physics.wind_turbine import (
     WtgState,
     captured_by_curve,
     captured_by_table,
+    search_begun,
+    searched,
     wind_at,
     wtg_limited,
     wtg_rates,
     wtg_voltage,
 )
 from wtg_gym.systems import expressions as ex
+from wtg_gym.systems.elementary import select
 from wtg_gym.systems.systems import Kind, system
 
 GROUPS = Kind(
     name="WTG groups",
     rows={"state": WtgState, "given": WtgInput, "output": WtgOutput, "extremes": WtgExtremes},
-    scratch={"captured": float},  # power from the wind, connected or not [p.u.]
+    scratch={
+        "captured": float,  # power from the wind, connected or not [p.u.]
+        "search": Search,  # for the equilibrium
+    },
     # The share is the rating on the base of the system.
     constants={"turbine": Turbine, "cells": ex.Cells, "share": float, "inv_share": float},
     sees={"unit": UNITS, "lane": LANE},
     states=("state",),
 )
+
+
+@system(GROUPS, "search", "rotor_speed", "pitch")
+def begin_search(given: WtgInput, turbine: Turbine) -> tuple[Search, float, float]:
+    """Begin to look for the equilibrium of the turbine, which tries one state after the other."""
+    return search_begun(given.wind_start, given.law.k_nominal, turbine)
+
+
+@system(LANE, "searching")
+def nobody_searches() -> float:
+    """Begin to count groups whose equilibrium is not found yet."""
+    return 0.0
+
+
+@system(GROUPS, "search", "rotor_speed", "pitch", "searching")
+def search_on(
+    search: Search, rotor_speed: float, pitch: float, captured: float, k_nominal: float, turbine: Turbine, searching: float
+) -> tuple[Search, float, float, float]:
+    """Judge the state that was tried by the power that it captures, and choose the next."""
+    search, rotor_speed, pitch = searched(search, rotor_speed, pitch, captured, k_nominal, turbine)
+    return search, rotor_speed, pitch, searching + select(search.phase < FOUND, 1.0, 0.0)
+
+
+@system(GROUPS, "planned_power", "start_failure", "failing_unit")
+def plan_group(
+    search: Search,
+    rotor_speed: float,
+    k_nominal: float,
+    share: float,
+    connection: Connection,
+    start_failure: float,
+    failing_unit: float,
+) -> tuple[float, float, float]:
+    """Return what a group feeds in before any policy has acted, and note one without an equilibrium."""
+    power = share * k_nominal * (rotor_speed * (rotor_speed * rotor_speed))
+    lost = search.phase > FOUND
+    return power, *noted(lost, StartFailure.NO_TURBINE_EQUILIBRIUM, connection.number, start_failure, failing_unit)
+
+
+@system(GROUPS, "state", "emf", "connected", "extremes")
+def start_group(
+    start: Terminal, connection: Connection, rotor_speed: float, pitch: float, frame: float
+) -> tuple[WtgState, float, float, WtgExtremes]:
+    """Return the state of a group in the equilibrium that the search has found, and its internal voltage."""
+    drop = quotient(start.current, connection.y)
+    emf = Phasor(start.voltage.re + drop.re, start.voltage.im + drop.im)
+    converter = ConverterState(angle=math.atan2(emf.im, emf.re) - frame, speed=1.0, filter=0.0)
+    state = WtgState(converter, rotor_speed, PitchState(pitch, pitch), energy_captured=0.0, energy_delivered=0.0)
+    return state, math.hypot(emf.re, emf.im), 1.0, WtgExtremes(-math.inf, math.inf, -math.inf, 0.0)
+
+
+@system(GROUPS, "overload_time")
+def no_overload() -> float:
+    """Let overload count from the first step on."""
+    return 0.0
 
 
 @system(GROUPS, "voltage", when="constant voltage")

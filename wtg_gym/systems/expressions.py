@@ -53,6 +53,7 @@ for _name in ("and", "or"):
     _add_operator(f"r{_name}", _name)
 for _name, _operation in (("rpow", "power"), ("gt", "lt"), ("ge", "le")):
     _add_operator(_name, _operation, swapped=True)
+_add_operator("pow", "power")
 
 
 def _plain(value: Any) -> Any:
@@ -177,6 +178,11 @@ def arc_tangent(y: Any, x: Any) -> Any:
     return number("atan2", y, x)
 
 
+def hypotenuse(x: Any, y: Any) -> Any:
+    """Return the length of (x, y) as libm has it; no derivative is known."""
+    return number("hypot", x, y)
+
+
 #: As libm has them; :func:`sine_cosine` is what equations of motion use.
 sine_of_libm, cosine_of_libm = _one("sin"), _one("cos")
 
@@ -231,6 +237,7 @@ _CONSTANT: dict[str, Callable[..., Any]] = {
     "max": max,
     "sqrt": math.sqrt,
     "atan2": math.atan2,
+    "hypot": math.hypot,
     "sin": math.sin,
     "cos": math.cos,
     "floor": math.floor,

@@ -31,6 +31,7 @@ ARITHMETIC: dict[str, Any] = {
         sin=ex.sine_of_libm,
         cos=ex.cosine_of_libm,
         atan2=ex.arc_tangent,
+        hypot=ex.hypotenuse,
         inf=math.inf,
         pi=math.pi,
     ),

@@ -24,7 +24,7 @@ _COMPARED = {"lt": "<", "le": "<=", "eq": "=="}
 _DIRECT = {"add": "fadd", "sub": "fsub", "mul": "fmul", "div": "fdiv", "neg": "fneg", "and": "and_", "or": "or_"}
 _INTRINSIC = {"fma": "fma", "sqrt": "sqrt", "abs": "fabs", "floor": "floor", "ceil": "ceil"}
 #: Functions of libm, called for one lane after the other.
-_OF_LIBM = {"power": "llvm.pow.f64", "sin": "llvm.sin.f64", "cos": "llvm.cos.f64", "atan2": "atan2"}
+_OF_LIBM = {"power": "llvm.pow.f64", "sin": "llvm.sin.f64", "cos": "llvm.cos.f64", "atan2": "atan2", "hypot": "hypot"}
 
 
 class Lanes:

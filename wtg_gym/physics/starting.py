@@ -1,0 +1,120 @@
+"""Systems of the start: what buses and units plan, the reactive limits of groups, and what each unit starts from.
+
+Between them the power flow is solved (:mod:`wtg_gym.physics.equilibrium`).
+"""
+
+from __future__ import annotations
+
+import math
+
+from wtg_gym.physics.units import BUSES, LANE, UNITS, Bus, Connection, Phasor, Polar, Sizes, Terminal, quotient
+from wtg_gym.systems.elementary import select
+from wtg_gym.systems.systems import system
+
+
+@system(LANE, "start_failure", "failing_unit")
+def begin_start() -> tuple[float, float]:
+    """Begin to look for what cannot start."""
+    return 0.0, 0.0
+
+
+@system(BUSES, "planned", "polar", "holds", "sizes")
+def plan_bus(load_level: float, bus: Bus) -> tuple[Phasor, Polar, float, Sizes]:
+    """Return what a bus takes without units, and where its power flow starts."""
+    planned = Phasor(-load_level * bus.load.re, -load_level * bus.load.im)
+    return planned, Polar(bus.voltage, 0.0), select(bus.holds_voltage, 1.0, 0.0), Sizes(0.0, 0.0, 0.0)
+
+
+@system(UNITS, "planned", "sizes")
+def plan_unit(planned: Phasor, planned_power: float, sizes: Sizes, connection: Connection) -> tuple[Phasor, Sizes]:
+    """Add a unit to its bus."""
+    return Phasor(planned.re + planned_power, planned.im), Sizes(
+        sizes.ratings + connection.rating,
+        sizes.machine_weights + connection.machine_weight,
+        sizes.group_weights + connection.group_weight,
+    )
+
+
+@system(LANE, "released")
+def none_released() -> float:
+    """Begin to count buses that let go of their voltage."""
+    return 0.0
+
+
+@system(BUSES, "holds", "planned", "released")
+def release_voltage(
+    holds: float,
+    planned: Phasor,
+    released: float,
+    flow: Phasor,
+    sizes: Sizes,
+    bus: Bus,
+    load_level: float,
+    reactive_max: float,
+    voltage_gain: float,
+) -> tuple[float, Phasor, float]:
+    """Turn a bus whose WTG groups lack the reactive power to hold the voltage into a PQ bus.
+
+    A bus with a machine too keeps its voltage: the machine gives what is missing.
+    """
+    asked, limit = flow.im + load_level * bus.load.im, reactive_max * sizes.group_weights
+    alone = (sizes.ratings == 0.0) & (sizes.group_weights > 0.0) & (voltage_gain > 0.0)
+    lacks = alone & (holds > 0.5) & ~bus.is_slack & (abs(asked) > limit * (1.0 + 1e-9))
+    given = select(asked < 0.0, -limit, limit) - load_level * bus.load.im
+    return (
+        select(lacks, 0.0, holds),
+        Phasor(planned.re, select(lacks, given, planned.im)),
+        released + select(lacks, 1.0, 0.0),
+    )
+
+
+@system(BUSES, "load")
+def load_at_bus(load_level: float, polar: Polar, bus: Bus) -> Phasor:
+    """Turn a load from power at the initial voltage into an admittance."""
+    square = polar.size * polar.size
+    return Phasor(load_level * bus.load.re / square, load_level * -bus.load.im / square)
+
+
+@system(UNITS, "start")
+def share_flow(
+    planned_power: float,
+    planned: Phasor,
+    flow: Phasor,
+    at_bus: Phasor,
+    sizes: Sizes,
+    bus: Bus,
+    connection: Connection,
+    load_level: float,
+    reactive_max: float,
+    voltage_gain: float,
+) -> Terminal:
+    """Share a bus's power among its units.
+
+    Reactive power goes by the units' weights; beside machines, WTG groups with voltage control give no more than their
+    limit. Machines at the slack bus share the active power that is missing by rating.
+    """
+    total, own = flow.im + load_level * bus.load.im, connection
+    machines, groups = sizes.machine_weights, sizes.group_weights
+    weight = own.machine_weight + own.group_weight
+    reactive = select(bus.holds_voltage, total * weight / (machines + groups), 0.0)
+    limit = reactive_max * groups
+    given = min(max(total * groups / (machines + groups), -limit), limit)
+    limited = select(own.group_weight > 0.0, given * weight / groups, (total - given) * weight / machines)
+    mixed = (voltage_gain > 0.0) & (groups > 0.0) & (machines > 0.0) & (reactive != 0.0)
+    reactive = select(mixed, limited, reactive)
+    gives_slack = bus.is_slack & (own.rating > 0.0)
+    power = planned_power + select(gives_slack, (flow.re - planned.re) * own.rating / sizes.ratings, 0.0)
+    current = quotient(Phasor(power, reactive), at_bus)
+    return Terminal(power, reactive, at_bus, math.hypot(at_bus.re, at_bus.im), Phasor(current.re, -current.im))
+
+
+@system(LANE, "active", "status", "noise_y", "step", "healthy_step", "coi_min", "coi_max", "angle")
+def start_clock(frame: float) -> tuple[float, float, float, float, float, float, float, float]:
+    """Return clock, statistics and frame of a run; an event at t = 0 strikes in its first step, not before."""
+    return 1.0, 0.0, 0.0, -1.0, 0.0, math.inf, -math.inf, frame
+
+
+@system(LANE, "step")
+def let_run() -> float:
+    """Let the first step begin."""
+    return 0.0
