@@ -7,17 +7,19 @@ import math
 import numpy as np
 import numpy.typing as npt
 
-from wtg_gym.physics.integration import plan, release, settle, start
+from wtg_gym.physics.integration import plan, refresh, release, settle, start
 from wtg_gym.physics.kernel_data import LaneData, Network
 from wtg_gym.physics.layout import OF_LANE, OF_STARTING_BUS, OF_STARTING_LANE, Floats, n_rows_of
 from wtg_gym.physics.network import solve_power_flow
-from wtg_gym.physics.reduction import refresh_network
 from wtg_gym.physics.units import BUSES, StartFailure
 from wtg_gym.systems.compiled import compiled, internal
 from wtg_gym.systems.programs import NONE
+from wtg_gym.systems.routines import Function
 
 #: Rows of a bus in scratch.
 _STRIDE = n_rows_of(BUSES.scratch)
+POWER_FLOW = Function(solve_power_flow, 1)
+_flow = POWER_FLOW.call
 _DIVERGED = float(StartFailure.POWER_FLOW_DIVERGED)
 
 
@@ -32,7 +34,8 @@ def _solve(scratch: Floats, y: npt.NDArray[np.complex128], network: Network) -> 
         power[k] = complex(scratch[row + OF_STARTING_BUS.planned, 0], scratch[row + OF_STARTING_BUS.planned + 1, 0])
         magnitude[k], angle[k] = scratch[row + OF_STARTING_BUS.polar, 0], scratch[row + OF_STARTING_BUS.polar + 1, 0]
         holds_voltage[k] = scratch[row + OF_STARTING_BUS.holds, 0] > 0.5
-    if solve_power_flow(y, network.facts[0]["slack"], holds_voltage, power, magnitude, angle) < 0:
+    slack = network.facts[0]["slack"]
+    if _flow(network.tables, (y, slack, holds_voltage, power, magnitude, angle)) < 0:
         return False
     # From here on it is the voltage.
     for k in range(n):
@@ -97,7 +100,7 @@ def prepare_lanes(
                     voltage = scratch[buses + events[e]["bus"] * _STRIDE + OF_STARTING_BUS.polar, 0]
                     power, square = events[e]["admittance"], voltage * voltage
                     events[e]["admittance"] = complex(power.real / square, power.imag / -square)
-            refresh_network(block, 0, lane, network, data)
+            refresh(tables, (block, 0, lane, network, data))
             start(arrays, tables, NONE)
         failures[lane, 0] = int(scratch[own + OF_STARTING_LANE.start_failure, 0])
         failures[lane, 1] = int(scratch[own + OF_STARTING_LANE.failing_unit, 0])

@@ -10,7 +10,7 @@ from wtg_gym.physics.reduction import refresh_network
 from wtg_gym.physics.wtg_unit import GROUPS
 from wtg_gym.systems.compiled import compiled, internal
 from wtg_gym.systems.programs import NONE, in_one_table
-from wtg_gym.systems.routines import Routine
+from wtg_gym.systems.routines import Function, Routine
 
 PROGRAMS = in_one_table(
     ADMITTANCES=systems.ADMITTANCES,
@@ -34,6 +34,8 @@ STARTING = (*STEPPING[:2], *map(Routine, _STARTING))
 combine_load_noise, evaluate, _finish, protect = (routine.call for routine in STEPPING[:4])
 plan, release, settle, start = (routine.call for routine in STARTING[2:])
 _first_stage, _middle_stage, _last_stage = _FIRST.call, _MIDDLE.call, _LAST.call
+REFRESH = Function(refresh_network, 0)
+refresh = REFRESH.call
 _WIND_START, _WIND_END = place_of(GROUPS, "wind_start"), place_of(GROUPS, "wind_end")
 
 
@@ -62,7 +64,7 @@ def apply_events(block: Floats, first_lane: int, network: Network, data: LaneDat
     lane, changed = network.facts[0]["lane"], False
     for x in range(block.shape[1]):
         if block[lane + OF_LANE.step, x] >= block[lane + OF_LANE.next_change, x]:
-            refresh_network(block, x, first_lane + x, network, data)
+            refresh(network.tables, (block, x, first_lane + x, network, data))
             changed = True
     return changed
 

@@ -11,8 +11,8 @@ import numpy as np
 import numpy.typing as npt
 
 from wtg_gym.physics.block_threads import BlockThreads
-from wtg_gym.physics.equilibrium import prepare_lanes
-from wtg_gym.physics.integration import PROGRAMS, STARTING, STEPPING, advance_blocks, evaluate_blocks
+from wtg_gym.physics.equilibrium import POWER_FLOW, prepare_lanes
+from wtg_gym.physics.integration import PROGRAMS, REFRESH, STARTING, STEPPING, advance_blocks, evaluate_blocks
 from wtg_gym.physics.kernel_data import EVENT_DTYPE, NO_EVENT, LaneData
 from wtg_gym.physics.layout import Floats
 from wtg_gym.physics.linearisation import check_step
@@ -128,8 +128,14 @@ class Simulator:
         """Let the plant know where the routines that this simulator calls are in this process."""
         further, starting = self._further, {1: (*STARTING, *self._further.starting)}
         stepping = {self.width: (*STEPPING, *further.stepping, *starting.get(self.width, ()))}
-        code = code_of(len(PROGRAMS) + len(further.programs), {**starting, **stepping})
-        self.plant = self.plant.with_tables(self.plant.network.tables._replace(code=code))
+        plant, number = self.plant, np.zeros(1)
+        data = self._allocate_data(1, 1)
+        functions = {
+            REFRESH: (np.zeros((1, 1)), 0, 0, plant.network, data),
+            POWER_FLOW: (plant.bus_y, 0, np.zeros(1, dtype=np.bool_), plant.network.unit_y, number, number),
+        }
+        code = code_of(len(PROGRAMS) + len(further.programs), {**starting, **stepping}, functions)
+        self.plant = plant.with_tables(self.plant.network.tables._replace(code=code))
 
     def _check_nominal(self, laws: tuple[TrackingLaw, ...], inertia_scale: float) -> bool:
         """Check laws at nominal operating points; return whether the plant has an equilibrium at any of them."""

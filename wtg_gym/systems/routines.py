@@ -1,7 +1,8 @@
-"""Routines: the machine code of programs, kept on disk, and calls of it from compiled functions.
+"""Machine code that is called at an address: routines, which programs are compiled to, and some functions.
 
-A compiled function calls a routine at an address that it finds in the tables. So a program is compiled once for each
-width of blocks, by whatever functions it is called, and again only if its own equations change.
+A compiled function finds the address in the tables. So a program is compiled once for each width of blocks, by whatever
+functions it is called, and again only if its own equations change. Numba would build a function into each of its
+callers, and into each of theirs, and compile it there again.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ from typing import Any
 
 import numpy as np
 from llvmlite import ir
-from numba import types
+from numba import types, typeof
 from numba.core.compiler_lock import global_compiler_lock
 from numba.core.registry import cpu_target
 from numba.extending import intrinsic
@@ -24,8 +25,8 @@ from wtg_gym.systems.programs import Program, Whole
 from wtg_gym.systems.systems import SCALARS
 from wtg_gym.systems.writers import BackWithoutConstants, BackWriter, NotingWriter, TapedWriter, Writer
 
-#: Routines that one program has, at most.
-_PLACES = 4
+#: Routines that one program has, at most, and functions that are called at an address.
+_PLACES, _FUNCTIONS = 4, 2
 _NUMBERS, _WHOLES, _DOUBLE, _WHOLE = (
     ir.DoubleType().as_pointer(),
     ir.IntType(64).as_pointer(),
@@ -59,7 +60,7 @@ class Routine:
 
     def __init__(self, program: Program, writer: type[Writer] = Writer, place: int = 0, **known: float) -> None:
         self.program, self.place, self._writer, self._known = program, place, writer, known
-        self.call = _call(program.number * _PLACES + place, _OF_WRITER[writer][0])
+        self.call = _call(_FUNCTIONS + 2 * (program.number * _PLACES + place), _OF_WRITER[writer][0])
 
     @functools.cache  # noqa: B019: routines are made once, with their modules
     def address(self, width: int) -> int:
@@ -135,7 +136,7 @@ def _call(place: int, n_arrays: int) -> Callable[..., None]:
             width = builder.extract_value(first.shape, 1)
             wide = builder.zext(builder.icmp_signed(">", width, _WHOLE(1)), _WHOLE)
             table, constants, addresses = data_of(tables, of_tables)
-            address = builder.load(builder.gep(addresses, [builder.add(_WHOLE(2 * place), wide)]))
+            address = builder.load(builder.gep(addresses, [builder.add(_WHOLE(place), wide)]))
             function = builder.inttoptr(address, _signature(n_arrays).as_pointer())
             told = [builder.extract_value(numbers, i) for i in range(len(SCALARS))]
             builder.call(function, [*data_of(arrays, given), table, constants, *told])
@@ -147,15 +148,63 @@ def _call(place: int, n_arrays: int) -> Callable[..., None]:
     return found
 
 
-def code_of(n_programs: int, routines: Mapping[int, Iterable[Routine]]) -> Whole:
-    """Return the addresses of routines in this process, as :class:`~wtg_gym.systems.programs.Tables` have them.
+class Function:
+    """A compiled function that others call at an address.
+
+    `call` is a function for compiled code, of (tables, arguments), which are a tuple.
+
+    Args:
+        function: the compiled function.
+        place: its own among all such functions.
+    """
+
+    def __init__(self, function: Any, place: int) -> None:
+        self.function, self.place = function, place
+
+        @intrinsic  # type: ignore[untyped-decorator]
+        def call(typing_context: Any, tables: Any, arguments: Any) -> Any:
+            given = tuple(types.unliteral(kind) for kind in arguments)
+            result = self._compiled(given).signature.return_type
+
+            def code(context: Any, builder: Any, signature: Any, values: Any) -> Any:
+                addresses = context.make_array(tables[2])(context, builder, builder.extract_value(values[0], 2)).data
+                address = builder.load(builder.gep(addresses, [_WHOLE(place)]))
+                kind = context.call_conv.get_function_type(result, given)
+                called = builder.inttoptr(address, kind.as_pointer())
+                own = [
+                    context.cast(builder, builder.extract_value(values[1], i), arguments[i], kind)
+                    for i, kind in enumerate(given)
+                ]
+                return context.call_conv.call_function(builder, called, result, given, own)[1]
+
+            return result(tables, arguments), code
+
+        self.call: Callable[..., Any] = call
+
+    def _compiled(self, arguments: tuple[Any, ...]) -> Any:
+        self.function.compile(arguments)
+        return self.function.overloads[arguments]
+
+    def address(self, *arguments: Any) -> int:
+        """Return where the machine code for arguments like these is in this process."""
+        found = self._compiled(tuple(map(typeof, arguments)))
+        address: int = found.library.get_pointer_to_function(found.fndesc.llvm_func_name)
+        return address
+
+
+def code_of(n_programs: int, routines: Mapping[int, Iterable[Routine]], functions: Mapping[Function, Any]) -> Whole:
+    """Return addresses in this process, as :class:`~wtg_gym.systems.programs.Tables` have them.
 
     Args:
         n_programs: that share the tables.
         routines: those that will be called, by the width of the blocks.
+        functions: those that will be called, with arguments like those that they will be given.
     """
-    found = np.zeros((n_programs, _PLACES, 2), dtype=np.int64)
+    found = np.zeros(_FUNCTIONS + 2 * _PLACES * n_programs, dtype=np.int64)
+    for function, arguments in functions.items():
+        found[function.place] = function.address(*arguments)
+    of_programs = found[_FUNCTIONS:].reshape(n_programs, _PLACES, 2)
     for width, own in routines.items():
         for routine in own:
-            found[routine.program.number, routine.place, int(width > 1)] = routine.address(width)
-    return found.ravel()
+            of_programs[routine.program.number, routine.place, int(width > 1)] = routine.address(width)
+    return found
