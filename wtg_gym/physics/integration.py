@@ -8,7 +8,7 @@ from wtg_gym.physics.layout import N_WTG_ROWS, OF_LANE, Floats, place_of
 from wtg_gym.physics.protection import PROTECTION_INTERVAL_S
 from wtg_gym.physics.reduction import refresh_network
 from wtg_gym.physics.wtg_unit import GROUPS
-from wtg_gym.systems.compiled import compiled, internal
+from wtg_gym.systems.compiled import compiled, inlined, internal
 from wtg_gym.systems.programs import NONE, in_one_table
 from wtg_gym.systems.routines import Function, Routine
 
@@ -46,10 +46,10 @@ def enter_interval(block: Floats, first_lane: int, network: Network, data: LaneD
     `first_lane` is the row of the block's first lane in `data`.
     """
     facts = network.facts[0]
-    lane, groups = facts["lane"], facts["groups"]
+    lane, groups, n_substeps = facts["lane"], facts["groups"], facts["n_substeps"]
     last, last_noise = data.wind.shape[2] - 1, data.noise.shape[1] - 1
     for x in range(block.shape[1]):
-        index = int(block[lane + OF_LANE.step, x]) // facts["n_substeps"]
+        index = int(block[lane + OF_LANE.step, x]) // n_substeps
         for j in range(data.wind.shape[1]):
             group = groups + j * N_WTG_ROWS
             block[group + _WIND_START, x] = data.wind[first_lane + x, j, min(index, last)]
@@ -69,20 +69,19 @@ def apply_events(block: Floats, first_lane: int, network: Network, data: LaneDat
     return changed
 
 
-@internal
-def stage_scalars(network: Network, step: int, stage: int) -> tuple[float, float, float, float]:
-    """Return what a stage 0 … 3 is told: when in the interval, how far it goes [s], whether it is first or last."""
-    h, part = network.facts[0]["simulation_dt"], 1.0 / network.facts[0]["n_substeps"]
+@inlined
+def stage_scalars(h: float, part: float, step: int, stage: int) -> tuple[float, float, float, float]:
+    """Return what a stage 0 … 3 is told: when in the interval, how far it goes [s], whether it is first or last.
+
+    Args:
+        h: simulation step [s].
+        part: of the control interval that it takes.
+        step: its number within the interval.
+        stage: of the Runge-Kutta method.
+    """
     first, last = 1.0 if stage == 0 else 0.0, 1.0 if stage == 3 else 0.0
     passed = step + 0.5 * (1.0 - first + last)
     return passed * part, h / 6.0 if stage == 3 else h if stage == 2 else 0.5 * h, first, last
-
-
-@internal
-def protections_sample(network: Network, step: int) -> bool:
-    """Return whether protections sample the grid after a simulation step of the control interval (0 is the first)."""
-    between = max(1, int(PROTECTION_INTERVAL_S / network.facts[0]["simulation_dt"] + 1e-6))
-    return (step + 1) % between == 0 or step + 1 == network.facts[0]["n_substeps"]
 
 
 @internal
@@ -97,21 +96,33 @@ def advance_interval(block: Floats, scratch: Floats, first_lane: int, network: N
         first_lane: the row of the block's first lane in `data`.
         network, data: constants, and what the lanes were given.
     """
-    arrays, tables = (block, scratch), network.tables
+    arrays, tables, facts = (block, scratch), network.tables, network.facts[0]
+    n_substeps, h = facts["n_substeps"], facts["simulation_dt"]
+    part, between = 1.0 / n_substeps, steps_between_samples(h)
     enter_interval(block, first_lane, network, data)
     combine_load_noise(arrays, tables, NONE)
-    for step in range(network.facts[0]["n_substeps"]):
+    for step in range(n_substeps):
         if apply_events(block, first_lane, network, data):
             # For the whole block: a lane without a change gets the same bits again.
             combine_load_noise(arrays, tables, NONE)
-        _first_stage(arrays, tables, stage_scalars(network, step, 0))
-        _middle_stage(arrays, tables, stage_scalars(network, step, 1))
-        _middle_stage(arrays, tables, stage_scalars(network, step, 2))
-        _last_stage(arrays, tables, stage_scalars(network, step, 3))
+        for stage in range(4):
+            scalars = stage_scalars(h, part, step, stage)
+            if stage == 0:
+                _first_stage(arrays, tables, scalars)
+            elif stage == 3:
+                _last_stage(arrays, tables, scalars)
+            else:
+                _middle_stage(arrays, tables, scalars)
         _finish(arrays, tables, NONE)
-        if protections_sample(network, step):
+        if (step + 1) % between == 0 or step + 1 == n_substeps:
             protect(arrays, tables, NONE)
     evaluate(arrays, tables, (1.0, 0.0, 0.0, 0.0))
+
+
+@inlined
+def steps_between_samples(h: float) -> int:
+    """Return after how many simulation steps of h [s] protections sample the grid, and at an interval's end."""
+    return max(1, int(PROTECTION_INTERVAL_S / h + 1e-6))
 
 
 @compiled

@@ -38,7 +38,6 @@ class Facts(NamedTuple):
     stages: int
     buses: int
     starts: int  # of the lane, in scratch
-    starts_of_buses: int  # in scratch
 
 
 class Network(NamedTuple):

@@ -11,13 +11,14 @@ import functools
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from wtg_gym.physics.checked import Checked, parameter, required
 from wtg_gym.physics.machine_parameters import GovernorParameters, HydroGovernorParameters, SynchronousMachineParameters
-from wtg_gym.systems.compiled import compiled, inlined, internal
+from wtg_gym.systems.compiled import compiled, inlined
 
 #: Largest power mismatch accepted as a power-flow solution [p.u.].
 POWER_FLOW_TOLERANCE = 1e-12
@@ -168,13 +169,13 @@ def _size(value: complex) -> float:
 
 
 @compiled
-def solve_in_place(a: npt.NDArray, b: npt.NDArray) -> bool:  # type: ignore[type-arg]
-    """Solve a x = b for several right-hand sides by Gaussian elimination with partial pivoting, x in b.
+def eliminate(a: npt.NDArray) -> bool:  # type: ignore[type-arg]
+    """Solve A x = b for several right-hand sides by Gaussian elimination with partial pivoting.
 
-    `a` (n, n) is destroyed, `b` (n, m) overwritten. Returns False where a is singular. Ours rather than LAPACK's: the
+    `a` (n, n + m) is [A | b], and [… | x] on return. Returns False where A is singular. Ours rather than LAPACK's: the
     same bits whatever library, thread count or processor numpy was built for.
     """
-    n, m = b.shape
+    n, n_columns = a.shape
     for k in range(n):
         pivot = k
         for i in range(k + 1, n):
@@ -183,29 +184,24 @@ def solve_in_place(a: npt.NDArray, b: npt.NDArray) -> bool:  # type: ignore[type
         if not _size(a[pivot, k]) > 1e-14:
             return False
         if pivot != k:
-            for j in range(k, n):
+            for j in range(k, n_columns):
                 a[k, j], a[pivot, j] = a[pivot, j], a[k, j]
-            for j in range(m):
-                b[k, j], b[pivot, j] = b[pivot, j], b[k, j]
         a[k, k] = 1.0 / a[k, k]
         for i in range(k + 1, n):
             if a[i, k] != 0.0:
                 factor = a[i, k] * a[k, k]
-                for j in range(k + 1, n):
+                for j in range(k + 1, n_columns):
                     a[i, j] -= factor * a[k, j]
-                for j in range(m):
-                    b[i, j] -= factor * b[k, j]
     for k in range(n - 1, -1, -1):
         for i in range(k + 1, n):
             if a[k, i] != 0.0:
-                for j in range(m):
-                    b[k, j] -= a[k, i] * b[i, j]
-        for j in range(m):
-            b[k, j] *= a[k, k]
+                for j in range(n, n_columns):
+                    a[k, j] -= a[k, i] * a[i, j]
+        for j in range(n, n_columns):
+            a[k, j] *= a[k, k]
     return True
 
 
-@compiled
 def assemble_admittance(
     branches: npt.NDArray[np.void], open_branch: npt.NDArray[np.bool_], bus_y: npt.NDArray[np.complex128]
 ) -> npt.NDArray[np.complex128]:
@@ -213,139 +209,124 @@ def assemble_admittance(
 
     `branches` (n_branch,) are of :class:`~wtg_gym.physics.kernel_data.BranchConstants`.
     """
-    n = bus_y.shape[0]
-    y = np.zeros((n, n), dtype=np.complex128)
-    for k in range(n):
-        y[k, k] = bus_y[k]
-    for b in range(branches.shape[0]):
-        if not open_branch[b]:
-            branch = branches[b]
-            i, j = branch["start"], branch["end"]
-            y[i, i] += branch["y_ff"]
-            y[i, j] += branch["y_ft"]
-            y[j, i] += branch["y_tf"]
-            y[j, j] += branch["y_tt"]
+    y = np.diag(bus_y)
+    for branch in branches[~open_branch]:
+        start, end = branch["start"], branch["end"]
+        y[start, start] += branch["y_ff"]
+        y[start, end] += branch["y_ft"]
+        y[end, start] += branch["y_tf"]
+        y[end, end] += branch["y_tt"]
     return y
 
 
-@internal
-def _number_unknowns(slack: int, holds_voltage: npt.NDArray[np.bool_]) -> tuple[npt.NDArray[np.int64], int]:
-    """Return the places of each bus's angle and magnitude among the unknowns, (2, n_bus) or -1, and their number."""
-    n = holds_voltage.shape[0]
-    unknown = np.full((2, n), -1, dtype=np.int64)
-    n_unknown = 0
-    for k in range(n):
-        if k != slack:
-            unknown[0, k] = n_unknown
-            n_unknown += 1
-    for k in range(n):
-        if not holds_voltage[k]:
-            unknown[1, k] = n_unknown
-            n_unknown += 1
-    return unknown, n_unknown
+class PowerFlow(NamedTuple):
+    """Columns of a bus in a power flow."""
+
+    power: int  # P + jQ into the network; Q counts only where no voltage is held [p.u.]
+    polar: int  # magnitude [p.u.] and angle [rad]: start and result
+    holds_voltage: int  # above 0.5 where it does; at the slack bus
+    flow: int  # result: P + jQ from the bus into the branches [p.u.]
+    voltage: int  # result [p.u.]
 
 
 @compiled
 def solve_power_flow(
-    y: npt.NDArray[np.complex128],
-    slack: int,
-    holds_voltage: npt.NDArray[np.bool_],
-    power: npt.NDArray[np.complex128],
-    magnitude: npt.NDArray[np.float64],
-    angle: npt.NDArray[np.float64],
+    y: npt.NDArray[np.complex128], slack: int, buses: npt.NDArray[np.float64], at: PowerFlow
 ) -> int:
     """Solve the power flow by Newton's method in polar form.
 
     Args:
         y: bus admittance matrix without loads (n_bus, n_bus) [p.u.].
         slack: index of the slack bus.
-        holds_voltage: whether a bus holds its voltage (n_bus); true for the slack bus.
-        power: net injection P + jQ per bus (n_bus) [p.u.]; Q counts only where no voltage is held.
-        magnitude, angle: start and result (n_bus) [p.u., rad].
+        buses: numbers of each bus (n_bus, n); a complex number takes two columns.
+        at: the columns.
 
     Returns:
         iterations used, or -1 if the mismatch stays above POWER_FLOW_TOLERANCE.
     """
     n = y.shape[0]
-    unknown, n_unknown = _number_unknowns(slack, holds_voltage)
-    jacobian = np.empty((n_unknown, n_unknown))
-    mismatch = np.empty((n_unknown, 1))
-    flow = np.empty(n, dtype=np.complex128)
-    turn = np.ones((n, n), dtype=np.complex128)
+    n_unknown = n - 1
+    for k in range(n):
+        if not buses[k, at.holds_voltage] > 0.5:
+            n_unknown += 1
+    # Sensitivities of the mismatches to the unknowns, and the mismatches: angles first, then magnitudes.
+    a = np.empty((n_unknown, n_unknown + 1))
+    turn = np.empty((n, n), dtype=np.complex128)
     for iteration in range(30):
-        worst = 0.0
-        jacobian[:, :] = 0.0
+        worst, q_row = 0.0, n - 1
+        for i in range(n_unknown):
+            for j in range(n_unknown + 1):
+                a[i, j] = 0.0
         for i in range(n):
-            flow[i] = 0.0
+            p_row = i - 1 if i > slack else i
+            sum_re, sum_im, own, size = 0.0, 0.0, 0j, buses[i, at.polar]
+            holds, m_col = buses[i, at.holds_voltage] > 0.5, n - 1
+            own_m = -1
             for j in range(n):
                 # Sine and cosine of a pair of buses serve both ways round.
                 if j > i and (y[i, j] != 0.0 or y[j, i] != 0.0):
-                    d = angle[i] - angle[j]
+                    d = buses[i, at.polar + 1] - buses[j, at.polar + 1]
                     turn[i, j] = complex(math.cos(d), math.sin(d))
                     turn[j, i] = turn[i, j].conjugate()
+                turned = turn[i, j] if j != i else 1.0 + 0j
+                varies = not buses[j, at.holds_voltage] > 0.5
                 if y[i, j] != 0.0:
-                    s = magnitude[i] * magnitude[j] * y[i, j].conjugate() * turn[i, j]
-                    flow[i] += s
+                    other = buses[j, at.polar]
+                    s = size * other * y[i, j].conjugate() * turned
+                    sum_re, sum_im = sum_re + s.real, sum_im + s.imag
                     if j != i:
-                        _add_jacobian(jacobian, unknown, i, j, s.imag, -s.real, s.real, s.imag, magnitude[j])
-        for i in range(n):
-            own = magnitude[i] ** 2 * y[i, i].conjugate()
-            p, q = flow[i].real, flow[i].imag
-            _add_jacobian(
-                jacobian, unknown, i, i, -q + own.imag, p - own.real, p + own.real, q + own.imag, magnitude[i]
-            )
-            if unknown[0, i] >= 0:
-                mismatch[unknown[0, i], 0] = power[i].real - p
-                worst = max(worst, abs(power[i].real - p))
-            if unknown[1, i] >= 0:
-                mismatch[unknown[1, i], 0] = power[i].imag - q
-                worst = max(worst, abs(power[i].imag - q))
+                        a_col = j - 1 if j > slack else j
+                        if i != slack and j != slack:
+                            a[p_row, a_col] += s.imag
+                        if not holds and j != slack:
+                            a[q_row, a_col] -= s.real
+                        if i != slack and varies:
+                            a[p_row, m_col] += s.real / other
+                        if not holds and varies:
+                            a[q_row, m_col] += s.imag / other
+                if j == i:
+                    own, own_m = size**2 * y[i, i].conjugate(), m_col
+                if varies:
+                    m_col += 1
+            if i != slack:
+                a[p_row, p_row] += own.imag - sum_im
+                if not holds:
+                    a[p_row, own_m] += (sum_re + own.real) / size
+                a[p_row, n_unknown] = buses[i, at.power] - sum_re
+                worst = max(worst, abs(buses[i, at.power] - sum_re))
+            if not holds:
+                if i != slack:
+                    a[q_row, p_row] += sum_re - own.real
+                a[q_row, own_m] += (sum_im + own.imag) / size
+                a[q_row, n_unknown] = buses[i, at.power + 1] - sum_im
+                worst = max(worst, abs(buses[i, at.power + 1] - sum_im))
+                q_row += 1
         if worst < POWER_FLOW_TOLERANCE:
+            _note_flow(y, buses, at)
             return iteration
-        if not math.isfinite(worst) or not solve_in_place(jacobian, mismatch):
+        if not math.isfinite(worst) or not eliminate(a):
             return -1
+        row = n - 1
         for k in range(n):
-            if unknown[0, k] >= 0:
-                angle[k] += mismatch[unknown[0, k], 0]
-            if unknown[1, k] >= 0:
-                magnitude[k] += mismatch[unknown[1, k], 0]
+            if k != slack:
+                buses[k, at.polar + 1] += a[k - 1 if k > slack else k, n_unknown]
+            if not buses[k, at.holds_voltage] > 0.5:
+                buses[k, at.polar] += a[row, n_unknown]
+                row += 1
     return -1
 
 
-@internal
-def _add_jacobian(
-    jacobian: npt.NDArray[np.float64],
-    unknown: npt.NDArray[np.int64],
-    i: int,
-    j: int,
-    dp_da: float,
-    dq_da: float,
-    dp_dm: float,
-    dq_dm: float,
-    magnitude: float,
-) -> None:
-    """Put the sensitivities of bus i to angle [rad] and magnitude (times itself) of bus j into the Jacobian."""
-    p_row, q_row = unknown[0, i], unknown[1, i]
-    a_col, m_col = unknown[0, j], unknown[1, j]
-    if p_row >= 0 and a_col >= 0:
-        jacobian[p_row, a_col] += dp_da
-    if q_row >= 0 and a_col >= 0:
-        jacobian[q_row, a_col] += dq_da
-    if p_row >= 0 and m_col >= 0:
-        jacobian[p_row, m_col] += dp_dm / magnitude
-    if q_row >= 0 and m_col >= 0:
-        jacobian[q_row, m_col] += dq_dm / magnitude
-
-
-@internal
-def transfer_impedances(
-    y: npt.NDArray[np.complex128], unit_bus: npt.NDArray[np.int64], extra_bus: int
-) -> npt.NDArray[np.complex128]:
-    """Return columns of the bus impedance matrix [p.u.]: of the units' buses, then `extra_bus`; (n_bus, n_unit + 1)."""
-    n, n_unit = y.shape[0], unit_bus.shape[0]
-    z = np.zeros((n, n_unit + 1), dtype=np.complex128)
-    for i in range(n_unit):
-        z[unit_bus[i], i] = 1.0
-    z[extra_bus, n_unit] = 1.0
-    solve_in_place(y, z)
-    return z
+@inlined
+def _note_flow(y: npt.NDArray[np.complex128], buses: npt.NDArray[np.float64], at: PowerFlow) -> None:
+    """Write voltages and flows of a solved power flow."""
+    n = y.shape[0]
+    for k in range(n):
+        angle, size = buses[k, at.polar + 1], buses[k, at.polar]
+        voltage = size * complex(math.cos(angle), math.sin(angle))
+        buses[k, at.voltage], buses[k, at.voltage + 1] = voltage.real, voltage.imag
+    for k in range(n):
+        injected = 0j
+        for m in range(n):
+            injected += y[k, m] * complex(buses[m, at.voltage], buses[m, at.voltage + 1])
+        flow = complex(buses[k, at.voltage], buses[k, at.voltage + 1]) * injected.conjugate()
+        buses[k, at.flow], buses[k, at.flow + 1] = flow.real, flow.imag

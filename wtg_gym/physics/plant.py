@@ -364,7 +364,7 @@ def arranged(
     first = dict(lane=LANE, machines=MACHINES, groups=GROUPS, units=UNITS, pairs=PAIRS, stages=STAGES, buses=BUSES)
     for name, kind in first.items():
         facts[name] = layout.first[kind]
-    facts["starts"], facts["starts_of_buses"] = layout.first_scratch[LANE], layout.first_scratch[BUSES]
+    facts["starts"] = layout.first_scratch[LANE]
     tables = build_table(programs, Arranged(plant, layout, further or Further({})), taped=taped)
     tables = tables._replace(code=plant.network.tables.code)
     return plant._replace(network=plant.network._replace(facts=facts, tables=tables))

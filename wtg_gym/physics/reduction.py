@@ -10,7 +10,7 @@ import numpy.typing as npt
 from wtg_gym.physics.kernel_data import LaneData, Network
 from wtg_gym.physics.layout import N_MACHINE_ROWS, N_WTG_ROWS, OF_LANE, Floats, place_of
 from wtg_gym.physics.machine_unit import MACHINES
-from wtg_gym.physics.network import assemble_admittance, transfer_impedances
+from wtg_gym.physics.network import eliminate
 from wtg_gym.physics.wtg_unit import GROUPS
 from wtg_gym.systems.compiled import compiled, inlined
 
@@ -43,23 +43,29 @@ def refresh_network(block: Floats, x: int, lane: int, network: Network, data: La
             # The gate stays where it is, whatever the speed.
             block[machine + _REFERENCE, x], block[machine + _DROOP, x] = block[machine + _GATE, x], 0.0
     block[own + OF_LANE.last_change, x], block[own + OF_LANE.next_change, x] = step, following
-    unit_y, y = admittances(block, x, lane, network, data)
-    noise_bus, n = int(block[own + OF_LANE.noise_bus, x]), unit_y.shape[0]
-    z = transfer_impedances(y, network.unit_bus, noise_bus)
+    noise_bus, n, n_bus = int(block[own + OF_LANE.noise_bus, x]), network.unit_y.shape[0], network.shunts.shape[0]
+    # Columns of the bus impedance matrix: of the units' buses, then of the load noise's.
+    z, unit_y = np.empty((n_bus, n_bus + n + 1), dtype=np.complex128), np.empty(n, dtype=np.complex128)
+    assemble(z, unit_y, block, x, lane, network, data)
+    for k in range(n_bus):
+        for i in range(n):
+            z[k, n_bus + i] = 1.0 if network.unit_bus[i] == k else 0.0
+        z[k, n_bus + n] = 1.0 if k == noise_bus else 0.0
+    eliminate(z)
     # Y_red = diag(y) - diag(y) Z diag(y), the noise bus's transfer u = diag(y) Z e and its impedance.
     row = facts["pairs"]
     for i in range(n):
         bus = network.unit_bus[i]
         for j in range(n):
-            value = -unit_y[i] * z[bus, j] * unit_y[j]
+            value = -unit_y[i] * z[bus, n_bus + j] * unit_y[j]
             if i == j:
                 value += unit_y[i]
             block[row, x], block[row + 1, x] = value.real, value.imag
             row += 2
-        value = unit_y[i] * z[bus, n]
+        value = unit_y[i] * z[bus, n_bus + n]
         block[facts["units"] + 2 * i, x], block[facts["units"] + 2 * i + 1, x] = value.real, value.imag
     at = own + OF_LANE.noise_z
-    block[at, x], block[at + 1, x] = z[noise_bus, n].real, z[noise_bus, n].imag
+    block[at, x], block[at + 1, x] = z[noise_bus, n_bus + n].real, z[noise_bus, n_bus + n].imag
 
 
 @inlined
@@ -75,21 +81,30 @@ def _connected(network: Network, unit: int) -> int:
 
 
 @compiled
-def admittances(
-    block: Floats, x: int, lane: int, network: Network, data: LaneData
-) -> tuple[npt.NDArray[np.complex128], npt.NDArray[np.complex128]]:
-    """Return the internal admittance of every unit, zero for one that is disconnected, and the bus admittance matrix.
+def assemble(
+    y: npt.NDArray[np.complex128],
+    unit_y: npt.NDArray[np.complex128],
+    block: Floats,
+    x: int,
+    lane: int,
+    network: Network,
+    data: LaneData,
+) -> None:
+    """Write the internal admittance of every unit of a lane and its bus admittance matrix, without load noise [p.u.].
 
-    The matrix is that of the lane's network as it was last reduced, with its loads, events and units, without load
-    noise [p.u.]. The step of that decides which events have struck; ramps have come half the way to the next change.
+    A unit that is disconnected has none. The matrix is that of the network as it was last reduced, with its loads,
+    events and units. The step of that decides which events have struck; ramps have come half the way to the next
+    change.
 
     Args:
+        y: its first n_bus columns are written (n_bus, n).
+        unit_y: is written (n_unit,).
         block: one block's rows (n_rows, width).
         x: the lane's column in the block.
         lane: its row in `data`.
         network, data: constants and what the lane was given.
     """
-    facts = network.facts[0]
+    facts, events, n = network.facts[0], data.events[lane], network.shunts.shape[0]
     step = block[facts["lane"] + OF_LANE.last_change, x]
     ramp_step = 0.5 * (step + block[facts["lane"] + OF_LANE.next_change, x])
     # The share of every load that shedding has left, of those switched on by events too.
@@ -98,22 +113,28 @@ def admittances(
         acted = -1.0 - block[facts["stages"] + k, x]
         if 0.0 <= acted <= step:
             served -= network.shed_shares[k]
-    bus_y, open_branch = network.shunts.copy(), np.zeros(network.branches.shape[0], dtype=np.bool_)
-    for k in range(bus_y.shape[0]):
+    for k in range(n):
+        for m in range(n):
+            y[k, m] = 0.0
         row = facts["buses"] + 2 * k
-        bus_y[k] += served * complex(block[row, x], block[row + 1, x])
-    events = data.events[lane]
+        y[k, k] = network.shunts[k] + served * complex(block[row, x], block[row + 1, x])
     for e in range(events.shape[0]):
         event = events[e]
-        if step >= event["start"]:
+        if step >= event["start"] and event["bus"] >= 0 and event["branch"] < 0:
             over = step >= event["end"]
             level = 1.0 if over else (ramp_step - event["start"]) / (event["end"] - event["start"])
-            if event["branch"] >= 0 and not (over and event["end"] > event["start"]):
-                open_branch[event["branch"]] = True
-            elif event["bus"] >= 0:
-                bus_y[event["bus"]] += served * level * event["admittance"]
-    unit_y = network.unit_y.copy()
+            y[event["bus"], event["bus"]] += served * level * event["admittance"]
     for i in range(unit_y.shape[0]):
-        unit_y[i] *= block[_connected(network, i), x]
-        bus_y[network.unit_bus[i]] += unit_y[i]
-    return unit_y, assemble_admittance(network.branches, open_branch, bus_y)
+        unit_y[i] = network.unit_y[i] * block[_connected(network, i), x]
+        y[network.unit_bus[i], network.unit_bus[i]] += unit_y[i]
+    for b in range(network.branches.shape[0]):
+        is_open, branch = False, network.branches[b]
+        for e in range(events.shape[0]):
+            event = events[e]
+            closed_again = event["end"] > event["start"] and step >= event["end"]
+            is_open |= event["branch"] == b and step >= event["start"] and not closed_again
+        if not is_open:
+            y[branch["start"], branch["start"]] += branch["y_ff"]
+            y[branch["start"], branch["end"]] += branch["y_ft"]
+            y[branch["end"], branch["start"]] += branch["y_tf"]
+            y[branch["end"], branch["end"]] += branch["y_tt"]

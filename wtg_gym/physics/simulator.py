@@ -11,14 +11,14 @@ import numpy as np
 import numpy.typing as npt
 
 from wtg_gym.physics.block_threads import BlockThreads
-from wtg_gym.physics.equilibrium import POWER_FLOW, prepare_lanes
+from wtg_gym.physics.equilibrium import COLUMNS, POWER_FLOW, prepare_lanes, rows_of_buses
 from wtg_gym.physics.integration import PROGRAMS, REFRESH, STARTING, STEPPING, advance_blocks, evaluate_blocks
 from wtg_gym.physics.kernel_data import EVENT_DTYPE, NO_EVENT, LaneData
 from wtg_gym.physics.layout import Floats
 from wtg_gym.physics.linearisation import check_step
 from wtg_gym.physics.network_events import network_events
 from wtg_gym.physics.plant import Further, PlantSettings, arranged, build_plant, layout_of
-from wtg_gym.physics.reduction import admittances
+from wtg_gym.physics.reduction import assemble
 from wtg_gym.physics.scenario import LONGEST_RUN_S, SERIES_DT, Scenario
 from wtg_gym.physics.start_errors import (
     NOMINAL,
@@ -128,11 +128,10 @@ class Simulator:
         """Let the plant know where the routines that this simulator calls are in this process."""
         further, starting = self._further, {1: (*STARTING, *self._further.starting)}
         stepping = {self.width: (*STEPPING, *further.stepping, *starting.get(self.width, ()))}
-        plant, number = self.plant, np.zeros(1)
-        data = self._allocate_data(1, 1)
+        plant, some = self.plant, np.zeros((1, 1))
         functions = {
-            REFRESH: (np.zeros((1, 1)), 0, 0, plant.network, data),
-            POWER_FLOW: (plant.bus_y, 0, np.zeros(1, dtype=np.bool_), plant.network.unit_y, number, number),
+            REFRESH: (some, 0, 0, plant.network, self._allocate_data(1, 1)),
+            POWER_FLOW: (plant.bus_y, 0, some, COLUMNS),
         }
         code = code_of(len(PROGRAMS) + len(further.programs), {**starting, **stepping}, functions)
         self.plant = plant.with_tables(self.plant.network.tables._replace(code=code))
@@ -264,8 +263,9 @@ class Simulator:
         rows[:, self.layout.lane("noise_bus")] = [self.settings.case.bus_index(s.load_noise_bus) for s in scenarios]
         failures = np.zeros((n, 2), dtype=np.int64)
         levels = np.array([scenario.load_level for scenario in scenarios])
-        plant, blocks = self.plant, rows[:, :, np.newaxis]
-        prepare_lanes(blocks, self.new_scratches(1, 1)[0], plant.bus_y, plant.network, data, levels, failures)
+        plant, blocks, scratch = self.plant, rows[:, :, np.newaxis], self.new_scratches(1, 1)[0]
+        buses = rows_of_buses(scratch, self.layout)
+        prepare_lanes(blocks, scratch, buses, plant.bus_y, plant.network, data, levels, failures)
         for scenario, (failure, unit), row in zip(scenarios, failures.tolist(), rows, strict=True):
             if failure:
                 reason = start_failure(StartFailure(failure), unit, row, scenario, self.settings, self.layout)
@@ -376,7 +376,8 @@ class Simulator:
         first = self.layout.first_rows(UNITS, "voltage")
         internal = scratch[first] + 1j * scratch[first + 1]
         network, noise_bus = self.plant.network, int(self.lane_values("noise_bus")[lane])
-        unit_y, y = admittances(block, x, lane, network, self.data)
+        y, unit_y = np.zeros((network.shunts.size,) * 2, dtype=np.complex128), np.zeros_like(network.unit_y)
+        assemble(y, unit_y, block, x, lane, network, self.data)
         y[noise_bus, noise_bus] += self.lane_values("noise_y")[lane]
         injected = np.zeros(len(y), dtype=np.complex128)
         np.add.at(injected, network.unit_bus, unit_y * internal)

@@ -8,15 +8,13 @@ callers, and into each of theirs, and compile it there again.
 from __future__ import annotations
 
 import functools
-import pickle
 from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from llvmlite import ir
+from llvmlite import binding, ir
 from numba import types, typeof
-from numba.core.compiler_lock import global_compiler_lock
 from numba.core.registry import cpu_target
 from numba.extending import intrinsic
 
@@ -67,26 +65,26 @@ class Routine:
         """Return where the machine code for blocks of a width is in this process; it is compiled at first."""
         n_arrays, what = _OF_WRITER[self._writer]
         told = (self.program.digest(back=n_arrays > 2), what, width, sorted(self._known.items()), _writers_hash())
-        codegen = cpu_target.target_context.codegen()
-        key = digest_of(repr((told, codegen.magic_tuple(), VERSIONS)).encode())
+        key = digest_of(repr((told, _processor(), VERSIONS)).encode())
         name = f"{self.program.name.lower()}-{key.hex()[:16]}"
         folder = cache_folder()
         path = None if folder is None else folder.parent / "programs" / f"{name}.o"
         found = kept(path, key)
-        if found is not None:
-            library = codegen.unserialize_library(pickle.loads(found))
-        else:
+        if found is None:
             with reporting(f"{self.program.name.lower()} ({what})"):
-                library = self._compiled(codegen.create_library(name), name, width)
-            keep(path, key, pickle.dumps(library.serialize_using_object_code()))
-        _LIBRARIES.append(library)
-        address: int = library.get_pointer_to_function(name)
+                found = self._compiled(name, width)
+            keep(path, key, found)
+        engine = _engine()
+        engine.add_object_file(binding.ObjectFileRef.from_data(found))
+        engine.finalize_object()
+        address: int = engine.get_function_address(name)
         return address
 
-    @global_compiler_lock  # type: ignore[untyped-decorator]
-    def _compiled(self, library: Any, name: str, width: int) -> Any:
+    def _compiled(self, name: str, width: int) -> bytes:
+        """Return an object file with the machine code."""
         n_arrays, _ = _OF_WRITER[self._writer]
-        module = library.create_ir_module(name)
+        module = ir.Module(name)
+        module.triple, module.data_layout = _processor()[0], str(_machine().target_data)
         function = ir.Function(module, _signature(n_arrays), name)
         for argument in function.args[: n_arrays + 2]:
             argument.add_attribute("noalias")
@@ -96,14 +94,34 @@ class Routine:
         data = (*arrays[:2], table, numbers, *arrays[2:])
         self._writer(builder, width, data, scalars, self.program, self._known).write(self.program.entries)
         builder.ret_void()
-        library.enable_object_caching()
-        library.add_ir_module(module)
-        library.finalize()
-        return library
+        parsed = binding.parse_assembly(str(module))
+        passes = binding.create_pass_builder(_machine(), binding.create_pipeline_tuning_options(_LEVEL))
+        passes.getModulePassManager().run(parsed, passes)
+        code: bytes = _machine().emit_object(parsed)
+        return code
 
 
-#: Machine code lives as long as what owns it.
-_LIBRARIES: list[Any] = []
+#: How much LLVM optimises. What matters is written as vectors already.
+_LEVEL = 2
+
+
+def _processor() -> tuple[str, str, str]:
+    """Return triple, name and features of this processor, as numba knows them."""
+    found: tuple[str, str, str] = cpu_target.target_context.codegen().magic_tuple()
+    return found
+
+
+@functools.cache
+def _machine() -> Any:
+    triple, cpu, features = _processor()
+    target = binding.Target.from_triple(triple)
+    return target.create_target_machine(cpu=cpu, features=features, opt=_LEVEL, codemodel="jitdefault", jit=True)
+
+
+@functools.cache
+def _engine() -> Any:
+    """Return what owns the machine code of this process."""
+    return binding.create_mcjit_compiler(binding.parse_assembly(""), _machine())
 
 
 @functools.cache
