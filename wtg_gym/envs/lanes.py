@@ -17,7 +17,6 @@ from wtg_gym.envs.task import (
     Outputs,
     bind,
     new_outputs,
-    start_tasks,
     step_blocks,
     task_data,
     task_of,
@@ -199,7 +198,7 @@ class TaskLanes:
         intervals = [whole_steps("scenario duration_s", length, dt, "control step") for length in durations]
         seeds = [-1 if scenario.seed is None else scenario.seed for scenario in scenarios]
         n_intervals = np.array(intervals, dtype=np.int64)
-        outputs = self._start_tasks(lanes.rows, scenarios, n_intervals)
+        outputs = self._start_tasks(lanes, scenarios, n_intervals)
         return PreparedEpisodes(
             lanes,
             n_intervals,
@@ -209,9 +208,11 @@ class TaskLanes:
             outputs.infos,
         )
 
-    def _start_tasks(self, rows: Floats, scenarios: Sequence[Scenario], n_intervals: npt.NDArray[np.int64]) -> Outputs:
-        """Write the task's rows of prepared lanes (n, n_rows); return what their episodes begin with."""
-        simulator, layout = self.simulator, self.simulator.layout
+    def _start_tasks(
+        self, lanes: PreparedLanes, scenarios: Sequence[Scenario], n_intervals: npt.NDArray[np.int64]
+    ) -> Outputs:
+        """Write the task's rows of prepared lanes; return what their episodes begin with."""
+        simulator, layout, rows = self.simulator, self.simulator.layout, lanes.rows
         rows[:, layout.first_rows(TASK, "end_step")[0]] = n_intervals * simulator.plant.n_substeps
         rows[:, layout.first_rows(HISTORY, "frequency")] = 1.0
         group = layout.first_rows(ACTING, "group")
@@ -228,14 +229,9 @@ class TaskLanes:
             for scenario in scenarios:
                 self._sensor_numbers(scenario)
         outputs = new_outputs(len(rows), self.n_observation)
-        start_tasks(
-            rows[:, :, np.newaxis],
-            simulator.new_scratches(1, 1)[0],
-            simulator.plant.network,
-            self.task,
-            outputs.observations,
-            outputs.infos,
-        )
+        blocks, scratches = rows[:, :, np.newaxis], simulator.new_scratches(1, 1)
+        bound = bind(blocks, scratches, simulator.plant.network, lanes.data, self.task, outputs)
+        step_blocks(bound, np.zeros((0, self.n_action)), 0, len(rows), 0, True)
         return outputs
 
     def _sensor_numbers(self, scenario: Scenario) -> list[float]:
@@ -306,12 +302,12 @@ class TaskLanes:
                 simulator.blocks, simulator.scratches, simulator.plant.network, simulator.data, self.task, self.outputs
             )
         bound, alone = self._bound, simulator.threads.n_blocks == 1
-        invalid = step_blocks(bound, actions, 0, 1, 0) if alone else first_invalid_action(actions)
+        invalid = step_blocks(bound, actions, 0, 1, 0, False) if alone else first_invalid_action(actions)
         if invalid >= 0:
             raise ValueError(f"action {actions[invalid].tolist()} of lane {invalid} is not finite; allowed: -1 … 1")
         if not alone:
             simulator.threads.run(
-                lambda first, last, worker: step_blocks(bound, actions, first, last, worker),
+                lambda first, last, worker: step_blocks(bound, actions, first, last, worker, False),
                 meanwhile,
                 _BLOCKS_PER_EPISODE * n_prepared,
             )

@@ -241,31 +241,6 @@ def pass_ring(block: Floats, scratch: Floats, task: TaskData) -> None:
                 scratch[task.shown + j * task.sensed + k, x] = block[arrived + place, x]
 
 
-@compiled
-def start_tasks(
-    rows: Floats, scratch: Floats, network: Network, task: TaskData, observations: Observations, infos: Floats
-) -> None:
-    """Take the first measurements, observations and information of prepared episodes.
-
-    Args:
-        rows: of the episodes, one lane each (n, n_rows, 1).
-        scratch: (n_scratch, 1).
-        network, task: constants.
-        observations, infos: take what each episode begins with (n, n_observation), (n, N_INFO).
-    """
-    for start in range(rows.shape[0]):
-        arrays = rows[start], scratch
-        if task.n_sensed > 0:
-            draw_noise(rows[start], scratch, task)
-            _start_sensors(arrays, network.tables, NONE)
-            pass_ring(rows[start], scratch, task)
-        _observe(arrays, network.tables, NONE)
-        for k in range(task.observed.shape[0]):
-            observations[start, k] = scratch[task.observed[k], 0]
-        for k in range(N_INFO):
-            infos[start, k] = scratch[task.info + k, 0]
-
-
 @internal
 def _report(block: Floats, scratch: Floats, first: int, task: TaskData, outputs: Outputs) -> None:
     """Copy what the lanes of a block, from `first` on, have observed, and say whether their episodes are over."""
@@ -318,7 +293,7 @@ def bind(blocks: Floats, scratches: Floats, network: Network, data: LaneData, ta
 
 
 @compiled
-def step_blocks(bound: Any, actions: Floats, first: int, last: int, worker: int) -> int:
+def step_blocks(bound: Any, actions: Floats, first: int, last: int, worker: int, starts: bool) -> int:
     """Apply actions, advance one control interval, observe and charge, for the lanes of blocks first … last - 1.
 
     Args:
@@ -326,27 +301,36 @@ def step_blocks(bound: Any, actions: Floats, first: int, last: int, worker: int)
         actions: (n_lanes, n_action), clipped to [-1, 1] here.
         first, last: range of blocks.
         worker: whose scratch is used.
+        starts: take the first measurements and observations of prepared episodes instead.
 
     Returns:
         -1, or, if there is one block, the lane of an action that is not finite; nothing has been stepped then.
     """
     blocks, scratch, network, task = bound.blocks, bound.scratches[worker], bound.network, bound.task
-    width, tables, sensed = blocks.shape[2], network.tables, task.n_sensed > 0
+    width, tables = blocks.shape[2], network.tables
     if blocks.shape[0] == 1:
         invalid = first_invalid_action(actions)
         if invalid >= 0:
             return invalid
     for b in range(first, last):
         block, arrays = blocks[b], (blocks[b], scratch)
-        read_actions(scratch, actions, b * width, task)
-        _act(arrays, tables, NONE)
-        advance_interval(block, scratch, b * width, network, bound.data)
-        _charge(arrays, tables, NONE)
-        if sensed:
+        if starts:
+            for x in range(width):
+                scratch[task.was_active, x] = 1.0
+        else:
+            read_actions(scratch, actions, b * width, task)
+            _act(arrays, tables, NONE)
+            advance_interval(block, scratch, b * width, network, bound.data)
+            _charge(arrays, tables, NONE)
+        if task.n_sensed > 0:
             draw_noise(block, scratch, task)
-            _measure(arrays, tables, NONE)
+            if starts:
+                _start_sensors(arrays, tables, NONE)
+            else:
+                _measure(arrays, tables, NONE)
             pass_ring(block, scratch, task)
         _observe(arrays, tables, NONE)
-        _end(arrays, tables, NONE)
+        if not starts:
+            _end(arrays, tables, NONE)
         _report(block, scratch, b * width, task, bound.outputs)
     return -1

@@ -288,7 +288,7 @@ class Tape:
     def _again(self, blocks: Floats, actions: Floats) -> None:
         own = self.lanes.simulator
         bound = bind(blocks, own.scratches, own.plant, own.data, self.lanes.task, self._scratch_outputs)
-        own.threads.run(lambda first, last, worker: step_blocks(bound, actions, first, last, worker))
+        own.threads.run(lambda first, last, worker: step_blocks(bound, actions, first, last, worker, False))
 
     def outputs(self) -> Floats:
         """Return the outputs at the end of the latest step (n_lanes, n_outputs), in the order of `output_names`."""

@@ -19,7 +19,7 @@ import numpy as np
 import numpy.typing as npt
 from numba import int64, uint32, uint64
 
-from wtg_gym.systems.compiled import compiled, internal
+from wtg_gym.systems.compiled import compiled, inlined, internal
 
 Words = npt.NDArray[np.uint64]
 FloatArray = npt.NDArray[np.float64]
@@ -44,7 +44,7 @@ _MULTIPLIER_LOW = np.uint64(0x4385DF649FCCF645)
 _LOW_HALF = np.uint64(0xFFFFFFFF)
 
 
-@internal
+@inlined
 def _high_product(a: Word, b: Word) -> Word:
     """Return the upper 64 bits of a 64 x 64 bit product."""
     half = uint64(32)
@@ -63,20 +63,20 @@ def _advance(high: Word, low: Word, add_high: Word, add_low: Word) -> tuple[Word
     return upper + add_high + uint64(total < product), total
 
 
-@internal
+@inlined
 def _output(high: Word, low: Word) -> Word:
     """Return the 64 random bits of a state: both halves, exclusive-or, rotated."""
     mixed, turn = high ^ low, high >> uint64(58)
     return (mixed >> turn) | (mixed << ((uint64(64) - turn) & uint64(63)))
 
 
-@internal
+@inlined
 def _unit(bits: Word) -> float:
     """Return a number in [0, 1) from 64 random bits."""
     return float(int64(bits >> uint64(11))) * (1.0 / 9007199254740992.0)
 
 
-@internal
+@inlined
 def _hashed(value: Word, factor: Word, multiplier: Word) -> tuple[Word, Word]:
     """Return the hash of a 32-bit word, and the factor that the next word is hashed with."""
     value = uint32(value ^ factor)
@@ -153,7 +153,7 @@ def _tail(high: Word, low: Word, add_high: Word, add_low: Word) -> tuple[float, 
             return _TAIL + beyond, high, low
 
 
-@internal
+@inlined
 def _candidate(bits: Word) -> tuple[float, bool]:
     """Return the number that random bits name, and whether it lies inside its layer, as 99 of 100 do."""
     layer = bits & uint64(0x1FF)
