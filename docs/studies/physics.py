@@ -414,14 +414,15 @@ def play_with_loads(exponent, strategy):
     simulator.evaluate()
     rows, layout, data = simulator.blocks[0, :, 0], simulator.layout, simulator.data
     # A copy: both are written below.
-    load_y, event_y = data.load_y[0].copy(), data.events["admittance"][0].copy()
+    first = layout.first_rows(BUSES, "load")
+    loads, event_y = rows[[first, first + 1]], data.events["admittance"][0].copy()
     start, lowest, hertz = np.abs(simulator.bus_voltages()), [], []
     while len(hertz) < simulator.n_intervals and simulator.lane_values("status")[0] == Status.RUNNING:
         simulator.advance()
         voltage = np.abs(simulator.bus_voltages())
         for _ in range(20):
             before, factor = voltage, np.maximum(voltage / start, 0.7) ** -exponent
-            data.load_y[0] = load_y * factor
+            rows[first], rows[first + 1] = loads * factor
             data.events["admittance"][0] = event_y * factor[data.events["bus"][0]]
             voltage = np.abs(simulator.bus_voltages())
             if np.abs(voltage - before).max() < 1e-10:

@@ -176,5 +176,5 @@ def reference_run(
                 states.append(values)
                 numbers.append(simulator.wtg_values(shown)[0])
         block[layout.lane("step")] = step
-        refresh_network(block, 0, 0, simulator.plant, simulator.data)
+        refresh_network(block, 0, 0, simulator.plant.network, simulator.data)
     return np.array(states), np.array(numbers)

@@ -23,7 +23,7 @@ from wtg_gym.physics.scenario import (
 )
 from wtg_gym.physics.simulator import Simulator
 from wtg_gym.physics.tracking_law import STRATEGIES
-from wtg_gym.physics.units import LANE, PAIRS, UNITS
+from wtg_gym.physics.units import BUSES, LANE, PAIRS, UNITS
 
 LAWS = (STRATEGIES["coordinated-piecewise"],) * 2
 CASE = modified_ieee14()
@@ -45,13 +45,15 @@ def whole_network(simulator: Simulator, what: Scenario, now_s: float) -> tuple[n
 
     From the scenario itself, without the simulator's own table of events.
     """
-    plant, case = simulator.plant, simulator.settings.case
-    step_s, control_s = plant.simulation_dt, simulator.settings.control_dt
+    plant, case = simulator.plant.network, simulator.settings.case
+    step_s, control_s = simulator.plant.simulation_dt, simulator.settings.control_dt
     at = now_s - 0.5 * step_s
     start = Simulator(simulator.settings)
     start.start(0, dataclasses.replace(what, events=()), LAWS)
     held = np.abs(start.bus_voltages())
-    loads = start.data.load_y[0].copy()
+    first = start.layout.first_rows(BUSES, "load")
+    held_load = start.blocks[0, first, 0] + 1j * start.blocks[0, first + 1, 0]
+    loads = held_load.copy()
     opened = np.zeros(len(plant.branches), dtype=bool)
     connected = list(range(simulator.layout.n_unit))
     for event in what.events:
@@ -66,7 +68,7 @@ def whole_network(simulator: Simulator, what: Scenario, now_s: float) -> tuple[n
             connected = [u for u in connected if u >= len(case.machines) or case.machines[u].bus != event.bus]
         elif isinstance(event, LoadTrip):
             bus = case.bus_index(event.bus)
-            loads[bus] -= start.data.load_y[0, bus]
+            loads[bus] -= held_load[bus]
         elif isinstance(event, LoadStep):
             share = 1.0
             if isinstance(event, LoadRamp):
@@ -77,12 +79,12 @@ def whole_network(simulator: Simulator, what: Scenario, now_s: float) -> tuple[n
                 share = min(1.0, (0.5 * (begin + end) - event.time_s) / event.duration_s)
             bus = case.bus_index(event.bus)
             loads[bus] += share * complex(event.power_mw, -event.reactive_mvar) / case.base_mva / held[bus] ** 2
-    return assemble_admittance(plant.branches, opened, plant.buses["shunt"] + loads), connected
+    return assemble_admittance(plant.branches, opened, plant.shunts + loads), connected
 
 
 def reduced(simulator: Simulator, passive: np.ndarray, connected: list[int]) -> np.ndarray:
     """Y - Y B Z Bᵀ Y with the connected units alone; zero for the others."""
-    plant = simulator.plant
+    plant = simulator.plant.network
     at, y = plant.unit_bus[connected], np.diag(plant.unit_y[connected])
     full = passive.copy()
     np.add.at(full, (at, at), plant.unit_y[connected])
@@ -101,7 +103,7 @@ def check_network(simulator: Simulator, what: Scenario, now_s: float) -> None:
     assert (current[gone] == 0.0).all()
     assert np.abs(current - expected @ emf).max() <= 1e-10
     voltage = simulator.bus_voltages()
-    own = plant.unit_y[connected] * (emf - voltage[plant.unit_bus])[connected]
+    own = plant.network.unit_y[connected] * (emf - voltage[plant.network.unit_bus])[connected]
     assert np.abs(own - current[connected]).max() <= 1e-10
     given = simulator.machine_values("power")[0].sum() + simulator.wtg_values("power")[0] @ plant.share
     assert abs(given - (voltage @ np.conj(passive @ voltage)).real) <= 1e-9

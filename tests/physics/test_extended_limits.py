@@ -32,8 +32,8 @@ from wtg_gym.physics.scenario import GovernorLoss, LoadStep, Scenario
 from wtg_gym.physics.step import FREE_CURRENTS, LIMITS
 from wtg_gym.physics.tracking_law import get_law
 from wtg_gym.physics.units import PAIRS, UNITS
-from wtg_gym.systems.compiled import compiled
-from wtg_gym.systems.programs import NONE, Tables, in_one_table
+from wtg_gym.systems.programs import in_one_table
+from wtg_gym.systems.routines import Routine
 
 # --- Limits
 
@@ -119,13 +119,7 @@ def test_shedding_stages_act_in_their_order_at_their_time_with_their_share() -> 
 # --- The algebraic equations of the current limit
 
 CURRENTS = in_one_table(CURRENTS=(*FREE_CURRENTS, *LIMITS))
-_currents = CURRENTS[0].function()
-
-
-@compiled
-def find_currents(block: Floats, scratch: Floats, tables: Tables) -> None:
-    """Let the currents of a lane follow from its voltages and its admittance."""
-    _currents(block, scratch, tables, NONE, (0,))
+_FIND_CURRENTS = Routine(CURRENTS[0])
 
 
 @pytest.mark.parametrize(
@@ -140,26 +134,27 @@ def test_limited_currents_solve_their_equations(groups: tuple[WtgGroup, ...]) ->
     built = build_plant(PlantSettings(groups=groups, limits=ConverterLimitParameters()))
     layout, rng = layout_of(built), np.random.default_rng(0)
     built = arranged(built, layout, CURRENTS)
-    unit_y, at, m = np.diag(built.unit_y), built.unit_bus, len(groups)
+    network = built.network
+    unit_y, at, m = np.diag(network.unit_y), network.unit_bus, len(groups)
     n, largest = len(at), CURRENT_MAX * built.share
     n_limited = []
     for _ in range(40):
-        bus_y = (built.buses["shunt"] + np.conj(built.buses["load"])).astype(complex)
+        bus_y = network.shunts + built.buses["load.re"] - 1j * built.buses["load.im"]
         bus_y[rng.integers(14)] += rng.uniform(0.0, 5.0) - 1j * rng.uniform(0.0, 20.0)
-        np.add.at(bus_y, at, built.unit_y)
-        full = assemble_admittance(built.branches, np.zeros(len(built.branches), dtype=bool), bus_y)
+        np.add.at(bus_y, at, network.unit_y)
+        full = assemble_admittance(network.branches, np.zeros(len(network.branches), dtype=bool), bus_y)
         admittance = unit_y - unit_y @ np.linalg.inv(full)[np.ix_(at, at)] @ unit_y
         angles = np.concatenate([rng.uniform(-0.5, 0.5, n - m), rng.uniform(0.0, 2.8) * rng.uniform(-1.0, 1.0, m)])
         voltage = rng.uniform(0.8, 1.3, n) * np.exp(1j * angles)
-        scratch = np.zeros(layout.n_scratch)
+        scratch = np.zeros((layout.n_scratch, 1))
         for kind, part, values in ((UNITS, "voltage", voltage), (PAIRS, "admittance", admittance.ravel())):
             first = layout.first_rows(kind, part)
-            scratch[first], scratch[first + 1] = values.real, values.imag
-        find_currents(np.zeros(layout.n_rows), scratch, built.tables)
+            scratch[first, 0], scratch[first + 1, 0] = values.real, values.imag
+        _FIND_CURRENTS((np.zeros((layout.n_rows, 1)), scratch), network.tables)
         first = layout.first_rows(UNITS, "current")
         current, reactance = (
-            scratch[first] + 1j * scratch[first + 1],
-            scratch[layout.first_rows(EXTENSIONS, "reactance")],
+            scratch[first, 0] + 1j * scratch[first + 1, 0],
+            scratch[layout.first_rows(EXTENSIONS, "reactance"), 0],
         )
         # I = Y (V - j X I), with X above zero where the current is at its limit, and zero where it is below.
         behind = np.append(np.zeros(n - m), reactance)

@@ -8,15 +8,16 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 import pytest
-from numba import njit
 
 from wtg_gym.physics.layout import Layout
 from wtg_gym.physics.parameters import ROTOR_TABLE
 from wtg_gym.physics.rotor_table import Grid, read_rotor_table, tabulated_power_coefficient
 from wtg_gym.systems import expressions as ex
 from wtg_gym.systems.elementary import exponential, fma, select, sine_cosine
-from wtg_gym.systems.programs import NONE, Program, Tables, build_table, in_one_table
+from wtg_gym.systems.programs import build_table, in_one_table
+from wtg_gym.systems.routines import Routine
 from wtg_gym.systems.systems import Kind, System, system
+from wtg_gym.systems.writers import BackWithoutConstants, TapedWriter
 
 Floats = npt.NDArray[np.float64]
 N_UNITS = 3
@@ -60,35 +61,13 @@ class Arranged(Layout):
         return False
 
 
-def runs(program: Program) -> tuple[Any, Any, Any]:
-    """Return a program, what notes and what goes back, as Python can call them."""
-    forward, taped, back = program.function(), program.taped(), program.back()
-
-    @njit
-    def run(block: Floats, scratch: Floats, tables: Tables, lanes: Any) -> None:
-        forward(block, scratch, tables, NONE, lanes)
-
-    @njit
-    def note(block: Floats, scratch: Floats, tables: Tables, tape: Floats, lanes: Any) -> None:
-        taped(block, scratch, tables, tape, NONE, lanes)
-
-    @njit
-    def pull(bars: Floats, given: Floats, tables: Tables, tape: Floats, scratch: Floats, lanes: Any) -> None:
-        back(bars, given, tables, tape, scratch, tables.numbers, NONE, lanes)
-
-    return run, note, pull
-
-
-RUN, NOTE, PULL = runs(FORWARD)[0], *runs(BOTH_WAYS)[1:]
-
-
 @pytest.mark.parametrize("width", [1, 16])
 def test_every_unit_of_every_lane_has_what_the_function_says(width: int) -> None:
-    layout, lanes = Arranged({UNITS: N_UNITS}, {}), (0,) * width
+    layout = Arranged({UNITS: N_UNITS}, {})
     tables = build_table((FORWARD, BOTH_WAYS), layout)
     rng = np.random.default_rng(0)
     block, scratch = rng.uniform(-2.0, 3.0, (layout.n_rows, width)), np.zeros((layout.n_scratch, width))
-    RUN(block.ravel(), scratch.reshape(-1), tables, lanes)
+    Routine(FORWARD)((block, scratch), tables)
     for name, function in FUNCTIONS.items():
         rows = scratch[layout.first_rows(UNITS, name)]
         with np.errstate(all="ignore"):
@@ -99,15 +78,14 @@ def test_every_unit_of_every_lane_has_what_the_function_says(width: int) -> None
 
 @pytest.mark.parametrize("point", POINTS)
 def test_what_comes_back_are_the_slopes(point: tuple[float, float]) -> None:
-    layout, lanes, h = Arranged({UNITS: 1}, {}), (0,) * 16, 1e-6
+    layout, h = Arranged({UNITS: 1}, {}), 1e-6
     tables = build_table((FORWARD, BOTH_WAYS), layout, taped=True)
-    tape = np.zeros(16 * BOTH_WAYS.tape_rows(layout))
-    block, scratch = np.repeat(np.array(point), 16), np.zeros(16 * layout.n_scratch)
-    NOTE(block, scratch, tables, tape, lanes)
+    tape, scratch = np.zeros((BOTH_WAYS.tape_rows(layout), 16)), np.zeros((layout.n_scratch, 16))
+    Routine(BOTH_WAYS, TapedWriter)((np.repeat([point], 16, axis=0).T.copy(), scratch, tape), tables)
     for name, function in FUNCTIONS.items():
-        bars, given = np.zeros(32), np.zeros((layout.n_scratch, 16))
+        bars, given = np.zeros((2, 16)), np.zeros((layout.n_scratch, 16))
         given[layout.first_rows(UNITS, name)] = 2.0
-        PULL(bars, given.reshape(-1), tables, tape, scratch, lanes)
+        Routine(BOTH_WAYS, BackWithoutConstants)((bars, given, tape, scratch, bars), tables)
         # What was written is gone with what it replaced.
         assert not given.any()
         (a, b) = point
@@ -119,7 +97,7 @@ def test_what_comes_back_are_the_slopes(point: tuple[float, float]) -> None:
                 (function(a + h, b) - function(a - h, b)) / h,
                 (function(a, b + h) - function(a, b - h)) / h,
             ]
-        assert bars[::16].tolist() == pytest.approx(expected, rel=1e-8, abs=1e-8), name
+        assert bars[:, 0].tolist() == pytest.approx(expected, rel=1e-8, abs=1e-8), name
 
 
 ROTORS = Kind(
@@ -140,20 +118,18 @@ def coefficient_of(ratio: float, pitch_deg: float, cells: Any, grid: Grid) -> fl
 @pytest.mark.parametrize(("ratio", "pitch_deg"), [(7.3, 0.2), (5.1, 11.7), (1.2, 3.0), (40.0, 4.4)])
 def test_a_table_is_looked_up_and_has_the_slopes_of_its_surface(ratio: float, pitch_deg: float) -> None:
     (program,) = in_one_table(TABLE=(coefficient_of,))
-    _, note, pull = runs(program)
-    layout, lanes = Arranged({ROTORS: 1}, {}), (0,)
+    layout = Arranged({ROTORS: 1}, {})
     tables = build_table((program,), layout, taped=True)
-    block, scratch, tape = np.array([ratio, pitch_deg]), np.zeros(1), np.zeros(program.tape_rows(layout))
-    note(block, scratch, tables, tape, lanes)
-    bars = np.zeros(2)
-    value = scratch[0]
-    pull(bars, np.ones(1), tables, tape, scratch, lanes)
+    block, scratch, tape = np.array([[ratio], [pitch_deg]]), np.zeros((1, 1)), np.zeros((program.tape_rows(layout), 1))
+    Routine(program, TapedWriter)((block, scratch, tape), tables)
+    bars, value = np.zeros((2, 1)), scratch[0, 0]
+    Routine(program, BackWithoutConstants)((bars, np.ones((1, 1)), tape, scratch, bars), tables)
     grid, cells = read_rotor_table(ROTOR_TABLE).surface()
     h, function = 1e-6, tabulated_power_coefficient.py_func
     ends = [function(ratio + h * a, pitch_deg + h * b, cells, grid) for a, b in ((1, 0), (-1, 0), (0, 1), (0, -1))]
     assert value == function(ratio, pitch_deg, cells, grid)
     expected = [(ends[0] - ends[1]) / (2 * h), (ends[2] - ends[3]) / (2 * h)]
-    assert bars == pytest.approx(expected, rel=1e-7, abs=1e-9)
+    assert bars[:, 0] == pytest.approx(expected, rel=1e-7, abs=1e-9)
 
 
 def test_nothing_is_worked_out_twice() -> None:

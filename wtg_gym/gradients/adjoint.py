@@ -7,8 +7,7 @@ a governor that an event takes away, the ring of measurements. Discrete events a
 
 from __future__ import annotations
 
-import functools
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -28,15 +27,17 @@ from wtg_gym.physics.integration import (
     combine_load_noise,
     enter_interval,
     protect,
-    protections_sample,
     stage_scalars,
+    steps_between_samples,
 )
 from wtg_gym.physics.kernel_data import LaneData, Network
-from wtg_gym.physics.layout import Floats, Lanes, Layout, Whole
+from wtg_gym.physics.layout import Floats, Layout, Whole
 from wtg_gym.physics.units import PAIRS, UNITS
-from wtg_gym.systems.compiled import compiled, inlined
+from wtg_gym.systems.compiled import compiled, internal
 from wtg_gym.systems.programs import NONE, Arrangement, in_one_table
+from wtg_gym.systems.routines import Routine
 from wtg_gym.systems.systems import Kind, count
+from wtg_gym.systems.writers import BackWithoutConstants, BackWriter, NotingWriter, TapedWriter, Writer
 
 #: The way back through the sweeps that hold currents ends where no cotangent changes by more than this share of the
 #: lane's largest. They come some thirty times at most; if ever this many were too few, not a number comes back.
@@ -60,11 +61,29 @@ PROGRAMS = in_one_table(
     LIMITS=of_step.LIMITS,
     REST=(protection.track_extremes, protection.shed_load),
 )
+#: Programs that have a way back, in the order of :class:`Noted`.
+_BACK = PROGRAMS[:9]
 _acted, _flows, _sweep, _motion, _rates, _finished, _charged, _measured, _observed, _limits, _rest = PROGRAMS
-_act, _flow, _move, _rate, _finish, _charge, _measure, _observe = (
-    program.taped() for program in (_acted, _flows, _motion, _rates, _finished, _charged, _measured, _observed)
+_FORWARD = {
+    program.name: Routine(program, writer)
+    for programs, writer in ((_BACK, TapedWriter), ((_sweep,), NotingWriter), ((_limits, _rest), Writer))
+    for program in programs
+}
+_act, _flow, _note_sweep, _move, _rate, _finish, _charge, _measure, _observe, _hold, _end_step = (
+    _FORWARD[program.name].call for program in PROGRAMS
 )
-_note_sweep, _hold, _end_step = _sweep.taped(runs=False), _limits.function(), _rest.function()
+#: The ways back stand at one place, with cotangents of constants or without.
+_WITHOUT, _WITH = (
+    tuple(Routine(program, writer, place=1) for program in _BACK) for writer in (BackWithoutConstants, BackWriter)
+)
+_act_back, _flow_back, _sweep_back, _move_back, _rate_back, _finish_back, _charge_back, _measure_back, _observe_back = (
+    routine.call for routine in _WITH
+)
+
+
+def routines_of(*, constants: bool) -> tuple[Routine, ...]:
+    """Return the routines of :func:`pull`; with cotangents of constants or without."""
+    return (*_FORWARD.values(), *(_WITH if constants else _WITHOUT))
 
 
 class Noted(NamedTuple):
@@ -139,93 +158,97 @@ def work_of(rules: Rules, layout: Layout, n_substeps: int, width: int) -> Work:
     )
 
 
-@inlined
+@internal
 def _flow_and_hold(
-    block: Floats, network: Network, rules: Rules, work: Work, at: int, limited: npt.NDArray[np.bool_], lanes: Lanes
+    block: Floats, network: Network, rules: Rules, work: Work, at: int, limited: npt.NDArray[np.bool_]
 ) -> None:
     """Find voltages and currents, hold these within their limits, and note the fixed point that the sweeps find."""
     scratch, tables = work.scratch, network.tables
-    _flow(block, scratch, tables, work.tape[at:], NONE, lanes)
-    _hold(block, scratch, tables, NONE, lanes)
+    _flow((block, scratch, work.tape[at:]), tables, NONE)
+    _hold((block, scratch), tables, NONE)
     limited[:] = False
     for row in rules.reactances:
-        for x in range(len(lanes)):
+        for x in range(limited.shape[0]):
             limited[x] |= scratch[row, x] > 0.0
-    _note_sweep(block, scratch, tables, work.tape[at + rules.noted.flows :], NONE, lanes)
+    _note_sweep((block, scratch, work.tape[at + rules.noted.flows :]), tables, NONE)
 
 
-@inlined
+@internal
 def _replay_events(
-    block: Floats, first: int, network: Network, data: LaneData, rules: Rules, lost: npt.NDArray[np.bool_], lanes: Lanes
+    block: Floats, first: int, network: Network, data: LaneData, rules: Rules, lost: npt.NDArray[np.bool_]
 ) -> bool:
     """Let events strike like :func:`~wtg_gym.physics.integration.apply_events`; note which governors they take away."""
     for i in range(rules.droops.shape[0]):
-        for x in range(len(lanes)):
+        for x in range(block.shape[1]):
             lost[i, x] = block[rules.droops[i], x] > 0.0
-    changed = apply_events(block, first, plant, data, lanes)
+    changed = apply_events(block, first, network, data)
     for i in range(rules.droops.shape[0]):
-        for x in range(len(lanes)):
+        for x in range(block.shape[1]):
             lost[i, x] &= block[rules.droops[i], x] == 0.0
     return changed
 
 
-@inlined
-def _replay(
-    block: Floats, first: int, network: Network, data: LaneData, rules: Rules, work: Work, at: int, lanes: Lanes
-) -> int:
+@internal
+def _replay(block: Floats, first: int, network: Network, data: LaneData, rules: Rules, work: Work, at: int) -> int:
     """Advance a block by a control interval like :func:`~wtg_gym.physics.integration.advance_interval`, on tape.
 
     `at` is the row of the tape where its notes begin; returned is the row where they end.
     """
-    tables, scratch, p, n_substeps = network.tables, work.scratch, rules.noted, network.facts[0]["n_substeps"]
-    enter_interval(block, first, plant, data, lanes)
-    combine_load_noise(block, scratch, plant, lanes)
+    tables, scratch, p, facts = network.tables, work.scratch, rules.noted, network.facts[0]
+    n_substeps, h = facts["n_substeps"], facts["simulation_dt"]
+    enter_interval(block, first, network, data)
+    combine_load_noise((block, scratch), tables, NONE)
     for step in range(n_substeps):
-        if _replay_events(block, first, plant, data, rules, work.lost[step], lanes):
-            combine_load_noise(block, scratch, plant, lanes)
+        if _replay_events(block, first, network, data, rules, work.lost[step]):
+            combine_load_noise((block, scratch), tables, NONE)
         for i in range(rules.admittances.shape[0]):
             work.admittances[step, i, :] = scratch[rules.admittances[i]]
         for stage in range(4):
-            _flow_and_hold(block, plant, rules, work, at, work.limited[4 * step + stage], lanes)
+            _flow_and_hold(block, network, rules, work, at, work.limited[4 * step + stage])
             at += p.flows + p.sweep
-            _move(block, scratch, tables, work.tape[at:], stage_scalars(plant, step, stage), lanes)
+            _move((block, scratch, work.tape[at:]), tables, stage_scalars(h, 1.0 / n_substeps, step, stage))
             at += p.motion
-        _finish(block, scratch, tables, work.tape[at:], NONE, lanes)
+        _finish((block, scratch, work.tape[at:]), tables, NONE)
         at += p.finished
-        _end_step(block, scratch, tables, NONE, lanes)
-        if protections_sample(plant, step):
-            protect(block, scratch, plant, lanes)
-    _flow_and_hold(block, plant, rules, work, at, work.limited[4 * n_substeps], lanes)
+        _end_step((block, scratch), tables, NONE)
+        if (step + 1) % steps_between_samples(h) == 0 or step + 1 == n_substeps:
+            protect((block, scratch), tables, NONE)
+    _flow_and_hold(block, network, rules, work, at, work.limited[4 * n_substeps])
     at += p.flows + p.sweep
-    _rate(block, scratch, tables, work.tape[at:], AT_END, lanes)
+    _rate((block, scratch, work.tape[at:]), tables, AT_END)
     return at + p.rates
 
 
-@inlined
-def _pull_ring(block: Floats, bars: Floats, scratch_bars: Floats, task: TaskData, lanes: Lanes) -> None:
+@internal
+def _pull_ring(block: Floats, bars: Floats, scratch_bars: Floats, task: TaskData) -> None:
     """Go back through the ring of measurements: from what is shown to where it was copied from, then what is seen."""
-    for x in range(len(lanes)):
+    for x in range(block.shape[1]):
         newest, arrived = places_in_ring(block, x, task)
-        for j in range(task.seen.shape[0]):
+        for j in range(task.n_sensed):
             for k in range(N_MEASURED):
-                bars[task.ring[arrived, j, k], x] += scratch_bars[task.shown[j, k], x]
-                scratch_bars[task.shown[j, k], x] = 0.0
-                scratch_bars[task.seen[j, k], x] += bars[task.ring[newest, j, k], x]
-                bars[task.ring[newest, j, k], x] = 0.0
+                place, shown, seen = (
+                    j * N_MEASURED + k,
+                    task.shown + j * task.sensed + k,
+                    task.seen + j * task.sensed + k,
+                )
+                bars[arrived + place, x] += scratch_bars[shown, x]
+                scratch_bars[shown, x] = 0.0
+                scratch_bars[seen, x] += bars[newest + place, x]
+                bars[newest + place, x] = 0.0
 
 
-@inlined
-def _pull_lost_governors(bars: Floats, rules: Rules, lost: npt.NDArray[np.bool_], lanes: Lanes) -> None:
+@internal
+def _pull_lost_governors(bars: Floats, rules: Rules, lost: npt.NDArray[np.bool_]) -> None:
     """The reference of a governor that is lost here is where its gate was; no droop acts from here on."""
     for i in range(rules.droops.shape[0]):
-        for x in range(len(lanes)):
+        for x in range(bars.shape[1]):
             if lost[i, x]:
                 bars[rules.droops[i], x] = 0.0
                 bars[rules.gates[i], x] += bars[rules.references[i], x]
                 bars[rules.references[i], x] = 0.0
 
 
-@inlined
+@internal
 def _settle(found: Floats, before: Floats, rules: Rules, settled: npt.NDArray[np.bool_]) -> None:
     """Give lanes that had settled the cotangents from before a sweep, and say which have settled now."""
     for x in range(settled.shape[0]):
@@ -237,136 +260,129 @@ def _settle(found: Floats, before: Floats, rules: Rules, settled: npt.NDArray[np
         settled[x] |= not change > _SETTLED * largest
 
 
-@functools.cache
-def build_pull(*, constants: bool) -> Any:
-    """Return the compiled function that goes back through one control step; with cotangents of constants or without."""
-    acted, flows, sweep, motion, rates, finished, charged, measured, observed = (
-        program.back(constants=constants) for program in PROGRAMS[:9]
-    )
+@internal
+def _pull_limits(
+    bars: Floats,
+    to: Floats,
+    network: Network,
+    rules: Rules,
+    work: Work,
+    at: int,
+    limited: npt.NDArray[np.bool_],
+) -> None:
+    """Go back through the sweeps that held the currents of some lanes.
 
-    @inlined
-    def pull_limits(
-        bars: Floats,
-        to: Floats,
-        network: Network,
-        rules: Rules,
-        work: Work,
-        at: int,
-        limited: npt.NDArray[np.bool_],
-        lanes: Lanes,
-    ) -> None:
-        """Go back through the sweeps that held the currents of some lanes.
-
-        As the sweeps end at a fixed point, each has the derivatives of the last: this is the adjoint of that point,
-        approached as the sweeps approached it. Lanes without a limited current keep their bits.
-        """
-        if not limited.any():
+    As the sweeps end at a fixed point, each has the derivatives of the last: this is the adjoint of that point,
+    approached as the sweeps approached it. Lanes without a limited current keep their bits.
+    """
+    if not limited.any():
+        return
+    settled, before = ~limited, np.empty_like(work.bars)
+    for _ in range(_SWEEPS):
+        before[:] = work.bars
+        _sweep_back((bars, work.bars, work.tape[at:], work.scratch, to), network.tables, NONE)
+        _settle(work.bars, before, rules, settled)
+        if settled.all():
             return
-        settled, before = ~limited, np.empty_like(work.bars)
-        for _ in range(_SWEEPS):
-            before[:] = work.bars
-            sweep(bars, work.bars, network.tables, work.tape[at:], work.scratch, to, NONE, lanes)
-            _settle(work.bars, before, rules, settled)
-            if settled.all():
-                return
-        for x in range(len(lanes)):
-            if not settled[x]:
-                work.bars[:, x] = np.nan
+    for x in range(settled.shape[0]):
+        if not settled[x]:
+            work.bars[:, x] = np.nan
 
-    @inlined
-    def pull_flows(
-        bars: Floats,
-        to: Floats,
-        network: Network,
-        rules: Rules,
-        work: Work,
-        at: int,
-        limited: npt.NDArray[np.bool_],
-        lanes: Lanes,
-    ) -> None:
-        """Go back through the voltages and currents of a right-hand side; `at` is their row on the tape."""
-        pull_limits(bars, to, plant, rules, work, at + rules.noted.flows, limited, lanes)
-        flows(bars, work.bars, network.tables, work.tape[at:], work.scratch, to, NONE, lanes)
 
-    @inlined
-    def pull_interval(bars: Floats, to: Floats, network: Network, rules: Rules, work: Work, at: int, lanes: Lanes) -> None:
-        """Go back through a control interval; `at` is the row where its notes end on the tape."""
-        tables, scratch, given, p = network.tables, work.scratch, work.bars, rules.noted
-        n_substeps = network.facts[0]["n_substeps"]
-        at -= p.rates
-        rates(bars, given, tables, work.tape[at:], scratch, to, AT_END, lanes)
-        at -= p.flows + p.sweep
-        pull_flows(bars, to, plant, rules, work, at, work.limited[4 * n_substeps], lanes)
-        for step in range(n_substeps - 1, -1, -1):
-            for i in range(rules.admittances.shape[0]):
-                scratch[rules.admittances[i], :] = work.admittances[step, i]
-            at -= p.finished
-            finished(bars, given, tables, work.tape[at:], scratch, to, NONE, lanes)
-            for stage in range(3, -1, -1):
-                at -= p.motion
-                motion(bars, given, tables, work.tape[at:], scratch, to, stage_scalars(plant, step, stage), lanes)
-                at -= p.flows + p.sweep
-                pull_flows(bars, to, plant, rules, work, at, work.limited[4 * step + stage], lanes)
-            _pull_lost_governors(bars, rules, work.lost[step], lanes)
+@internal
+def _pull_flows(
+    bars: Floats,
+    to: Floats,
+    network: Network,
+    rules: Rules,
+    work: Work,
+    at: int,
+    limited: npt.NDArray[np.bool_],
+) -> None:
+    """Go back through the voltages and currents of a right-hand side; `at` is their row on the tape."""
+    _pull_limits(bars, to, network, rules, work, at + rules.noted.flows, limited)
+    _flow_back((bars, work.bars, work.tape[at:], work.scratch, to), network.tables, NONE)
 
-    def pull(
-        blocks: Floats,
-        bars: Floats,
-        observation_bars: Floats,
-        action_bars: Floats,
-        constant_bars: Floats,
-        first: int,
-        last: int,
-        network: Network,
-        data: LaneData,
-        task: TaskData,
-        actions: Floats,
-        rules: Rules,
-        work: Work,
-        lanes: Lanes,
-    ) -> None:
-        """Go back through one control step of the blocks first … last - 1.
 
-        Args:
-            blocks: as they stood before the step; as they stand after it on return (n_blocks, n_rows, width).
-            bars: cotangents after the step; on return those before it.
-            observation_bars: of the observations (n_lanes, n_observation).
-            action_bars: takes those of the actions (n_lanes, n_action).
-            constant_bars: those of the constants are added to (n_blocks, n_numbers, width).
-            plant, data, task, lanes: as for :func:`~wtg_gym.envs.task.step_blocks`.
-            actions: of the step (n_lanes, n_action).
-            rules, work: see :func:`rules_of` and :func:`work_of`.
-        """
-        tables, scratch, given, p = network.tables, work.scratch, work.bars, rules.noted
-        width, sensed = len(lanes), task.ring.shape[0] > 0
-        for b in range(first, last):
-            block, own, to, lane = blocks[b], bars[b], constant_bars[b], b * width
-            read_actions(scratch, actions, lane, task, lanes)
-            _act(block, scratch, tables, work.tape, NONE, lanes)
-            at = _replay(block, lane, plant, data, rules, work, p.acted, lanes)
-            _charge(block, scratch, tables, work.tape[at:], NONE, lanes)
-            if sensed:
-                draw_noise(block, scratch, task, lanes)
-                _measure(block, scratch, tables, work.tape[at + p.charged :], NONE, lanes)
-                pass_ring(block, scratch, task, lanes)
-            _observe(block, scratch, tables, work.tape[at + p.charged + p.measured :], NONE, lanes)
+@internal
+def _pull_interval(bars: Floats, to: Floats, network: Network, rules: Rules, work: Work, at: int) -> None:
+    """Go back through a control interval; `at` is the row where its notes end on the tape."""
+    tables, scratch, given, p, facts = network.tables, work.scratch, work.bars, rules.noted, network.facts[0]
+    n_substeps, h = facts["n_substeps"], facts["simulation_dt"]
+    at -= p.rates
+    _rate_back((bars, given, work.tape[at:], scratch, to), tables, AT_END)
+    at -= p.flows + p.sweep
+    _pull_flows(bars, to, network, rules, work, at, work.limited[4 * n_substeps])
+    for step in range(n_substeps - 1, -1, -1):
+        for i in range(rules.admittances.shape[0]):
+            scratch[rules.admittances[i], :] = work.admittances[step, i]
+        at -= p.finished
+        _finish_back((bars, given, work.tape[at:], scratch, to), tables, NONE)
+        for stage in range(3, -1, -1):
+            at -= p.motion
+            scalars = stage_scalars(h, 1.0 / n_substeps, step, stage)
+            _move_back((bars, given, work.tape[at:], scratch, to), tables, scalars)
+            at -= p.flows + p.sweep
+            _pull_flows(bars, to, network, rules, work, at, work.limited[4 * step + stage])
+        _pull_lost_governors(bars, rules, work.lost[step])
 
-            given[:] = 0.0
-            n_own = min(width, actions.shape[0] - lane)
-            for k in range(task.observed.shape[0]):
-                for x in range(n_own):
-                    given[task.observed[k], x] += observation_bars[lane + x, k]
-            observed(own, given, tables, work.tape[at + p.charged + p.measured :], scratch, to, NONE, lanes)
-            if sensed:
-                _pull_ring(block, own, given, task, lanes)
-                measured(own, given, tables, work.tape[at + p.charged :], scratch, to, NONE, lanes)
-            charged(own, given, tables, work.tape[at:], scratch, to, NONE, lanes)
-            pull_interval(own, to, plant, rules, work, at, lanes)
-            acted(own, given, tables, work.tape, scratch, to, NONE, lanes)
-            for a in range(task.wanted.shape[0]):
-                for x in range(n_own):
-                    action_bars[lane + x, a] = given[task.wanted[a], x]
 
-    # Machine code is kept by names.
-    pull.__qualname__ += "_constants" if constants else "_rows"
-    return compiled(pull)
+@compiled
+def pull(
+    blocks: Floats,
+    bars: Floats,
+    observation_bars: Floats,
+    action_bars: Floats,
+    constant_bars: Floats,
+    first: int,
+    last: int,
+    network: Network,
+    data: LaneData,
+    task: TaskData,
+    actions: Floats,
+    rules: Rules,
+    work: Work,
+) -> None:
+    """Go back through one control step of the blocks first … last - 1.
+
+    Args:
+        blocks: as they stood before the step; as they stand after it on return (n_blocks, n_rows, width).
+        bars: cotangents after the step; on return those before it.
+        observation_bars: of the observations (n_lanes, n_observation).
+        action_bars: takes those of the actions (n_lanes, n_action).
+        constant_bars: those of the constants are added to (n_blocks, n_numbers, width).
+        network, data, task: as for :func:`~wtg_gym.envs.task.step_blocks`.
+        actions: of the step (n_lanes, n_action).
+        rules, work: see :func:`rules_of` and :func:`work_of`.
+    """
+    tables, scratch, given, p = network.tables, work.scratch, work.bars, rules.noted
+    width = blocks.shape[2]
+    for b in range(first, last):
+        block, own, to, lane = blocks[b], bars[b], constant_bars[b], b * width
+        read_actions(scratch, actions, lane, task)
+        _act((block, scratch, work.tape), tables, NONE)
+        at = _replay(block, lane, network, data, rules, work, p.acted)
+        of_charge, of_measuring = work.tape[at:], work.tape[at + p.charged :]
+        of_observing = work.tape[at + p.charged + p.measured :]
+        _charge((block, scratch, of_charge), tables, NONE)
+        if task.n_sensed > 0:
+            draw_noise(block, scratch, task)
+            _measure((block, scratch, of_measuring), tables, NONE)
+            pass_ring(block, scratch, task)
+        _observe((block, scratch, of_observing), tables, NONE)
+
+        given[:] = 0.0
+        n_own = min(width, actions.shape[0] - lane)
+        for k in range(task.observed.shape[0]):
+            for x in range(n_own):
+                given[task.observed[k], x] += observation_bars[lane + x, k]
+        _observe_back((own, given, of_observing, scratch, to), tables, NONE)
+        if task.n_sensed > 0:
+            _pull_ring(block, own, given, task)
+            _measure_back((own, given, of_measuring, scratch, to), tables, NONE)
+        _charge_back((own, given, of_charge, scratch, to), tables, NONE)
+        _pull_interval(own, to, network, rules, work, at)
+        _act_back((own, given, work.tape, scratch, to), tables, NONE)
+        for a in range(task.wanted.shape[0]):
+            for x in range(n_own):
+                action_bars[lane + x, a] = given[task.wanted[a], x]

@@ -15,7 +15,7 @@ from wtg_gym.envs.settings import ACTION_MODES, EnvSettings
 from wtg_gym.envs.task import Outputs, bind, step_blocks, task_of
 from wtg_gym.envs.task_records import COST_TERMS
 from wtg_gym.envs.task_units import ACTING, TASK
-from wtg_gym.gradients.adjoint import PROGRAMS, Work, build_pull, rules_of, work_of
+from wtg_gym.gradients.adjoint import PROGRAMS, Work, pull, routines_of, rules_of, work_of
 from wtg_gym.gradients.plant_parameters import (
     Leaf,
     Moved,
@@ -30,6 +30,7 @@ from wtg_gym.physics.layout import Whole
 from wtg_gym.physics.plant import Arranged, arranged, build_plant
 from wtg_gym.physics.scenario import Scenario
 from wtg_gym.systems.programs import constant_places
+from wtg_gym.systems.routines import code_of
 
 Floats = npt.NDArray[np.float64]
 #: Parameters of a tracking law that gradients are taken with respect to.
@@ -139,19 +140,21 @@ class Tape:
         simulator, settings, layout = lanes.simulator, lanes.settings, lanes.simulator.layout
         further, programs = task_of(settings), (*integration.PROGRAMS, *of_task.PROGRAMS, *PROGRAMS)
         built = build_plant(simulator.settings)
+        plant = arranged(built, layout, programs, further, taped=True)
+        routines = (*routines_of(constants=bool(self.parameters)), *integration.STEPPING)
+        code = code_of(len(programs), {simulator.width: routines}, simulator.functions())
         #: The plant, with the table of the programs that go back.
-        self._plant = arranged(built, layout, programs, further, taped=True)
+        self._plant = plant.with_tables(plant.network.tables._replace(code=code))
         arrangement = Arranged(built, layout, further)
         self._rules = rules_of(layout, arrangement)
         self._works: dict[int, Work] = {}
-        self._pull = build_pull(constants=bool(self.parameters))
         moved = moved_by(simulator.settings, self.parameters)
         self._moved = moved
         #: Places of each moved constant among those of the table; none where every lane has it in a row of its own.
         self._places = [
             []
             if leaf.name in _ROW_OF_LEAF
-            else constant_places(programs, arrangement, self._plant.tables, *_meant(leaf))
+            else constant_places(programs, arrangement, self._plant.network.tables, *_meant(leaf))
             for leaf in moved.leaves
         ]
         inv_tau = layout.wtg("inv_tau")
@@ -287,7 +290,7 @@ class Tape:
 
     def _again(self, blocks: Floats, actions: Floats) -> None:
         own = self.lanes.simulator
-        bound = bind(blocks, own.scratches, own.plant, own.data, self.lanes.task, self._scratch_outputs)
+        bound = bind(blocks, own.scratches, own.plant.network, own.data, self.lanes.task, self._scratch_outputs)
         own.threads.run(lambda first, last, worker: step_blocks(bound, actions, first, last, worker, False))
 
     def outputs(self) -> Floats:
@@ -333,10 +336,10 @@ class Tape:
         if observations is not None:
             seen = _shaped("observations", observations, (n_lanes, n_observation)) * running
         of_actions = np.zeros((n_lanes, self.lanes.n_action))
-        n_constants = self._plant.tables.numbers.size if self.parameters else 0
+        n_constants = self._plant.network.tables.numbers.size if self.parameters else 0
         constants = np.zeros((len(blocks), n_constants, simulator.width))
         simulator.threads.run(
-            lambda first, last, worker: self._pull(
+            lambda first, last, worker: pull(
                 blocks,
                 bars,
                 seen,
@@ -344,13 +347,12 @@ class Tape:
                 constants,
                 first,
                 last,
-                self._plant,
+                self._plant.network,
                 simulator.data,
                 self.lanes.task,
                 self._actions[step],
                 self._rules,
                 self._work(worker),
-                simulator.lanes,
             )
         )
         leaves = self._leaves(bars, constants)

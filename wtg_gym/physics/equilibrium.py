@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from wtg_gym.physics.integration import plan, refresh, release, settle, start
+from wtg_gym.physics.integration import combine_load_noise, evaluate, plan, refresh, release, settle, start
 from wtg_gym.physics.kernel_data import LaneData, Network
 from wtg_gym.physics.layout import OF_LANE, OF_STARTING_BUS, OF_STARTING_LANE, Floats, Layout, n_rows_of
 from wtg_gym.physics.network import PowerFlow, solve_power_flow
@@ -83,6 +83,8 @@ def prepare_lanes(
                     power, square = events[e]["admittance"], voltage * voltage
                     events[e]["admittance"] = complex(power.real / square, power.imag / -square)
             refresh(tables, (block, 0, lane, network, data))
+            combine_load_noise(arrays, tables, NONE)
+            evaluate(arrays, tables, NONE)
             start(arrays, tables, NONE)
         failures[lane, 0] = int(scratch[own + OF_STARTING_LANE.start_failure, 0])
         failures[lane, 1] = int(scratch[own + OF_STARTING_LANE.failing_unit, 0])

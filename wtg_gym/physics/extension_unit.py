@@ -62,10 +62,12 @@ def check_extension(
 ) -> tuple[float, float]:
     """Note a group that would start beyond the limits of its converter or of its internal voltage."""
     limits, control, power = extension.limits, extension.voltage, output.power
-    lost = (terminal.limiting_reactance > 0.0) | ~((limits.power_min <= power) & (power <= limits.power_max))
-    start_failure, failing_unit = noted(lost, StartFailure.CONVERTER_LIMIT, connection.number, start_failure, failing_unit)
-    lost = ~((control.emf_min <= own.internal_voltage) & (own.internal_voltage <= control.emf_max))
-    return noted(lost, StartFailure.INTERNAL_VOLTAGE_LIMIT, connection.number, start_failure, failing_unit)
+    fits = (terminal.limiting_reactance <= 0.0) & (limits.power_min <= power) & (power <= limits.power_max)
+    start_failure, failing_unit = noted(
+        fits, StartFailure.CONVERTER_LIMIT, connection.number, start_failure, failing_unit
+    )
+    fits = (control.emf_min <= own.internal_voltage) & (own.internal_voltage <= control.emf_max)
+    return noted(fits, StartFailure.INTERNAL_VOLTAGE_LIMIT, connection.number, start_failure, failing_unit)
 
 
 @system(EXTENSIONS, "voltage")

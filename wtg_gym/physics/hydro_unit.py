@@ -27,10 +27,12 @@ def start_hydro(gate_reference: float, hydro: HydroGovernor) -> tuple[HydroState
 
 
 @system(HYDRO, "start_failure", "failing_unit")
-def check_hydro(water: HydroState, hydro: HydroGovernor, start_failure: float, failing_unit: float) -> tuple[float, float]:
+def check_hydro(
+    water: HydroState, hydro: HydroGovernor, start_failure: float, failing_unit: float
+) -> tuple[float, float]:
     """Note a governor whose gate would start beyond its limits; machines have the first numbers of all units."""
-    lost = ~((hydro.gate_min <= water.hydro_gate) & (water.hydro_gate <= hydro.gate_max))
-    return noted(lost, StartFailure.GOVERNOR_LIMIT, hydro.machine, start_failure, failing_unit)
+    fits = (hydro.gate_min <= water.hydro_gate) & (water.hydro_gate <= hydro.gate_max)
+    return noted(fits, StartFailure.GOVERNOR_LIMIT, hydro.machine, start_failure, failing_unit)
 
 
 @system(HYDRO, "water_rates", "hydro_torque")

@@ -141,4 +141,3 @@ def evaluate_blocks(blocks: Floats, scratches: Floats, network: Network) -> None
     for b in range(blocks.shape[0]):
         combine_load_noise((blocks[b], scratches[b]), network.tables, NONE)
         evaluate((blocks[b], scratches[b]), network.tables, NONE)
-

@@ -69,10 +69,12 @@ def check_machine(
 ) -> tuple[float, float]:
     """Note a machine that would start beyond the limits of its governor or its exciter."""
     gate, field, c = state.governor.gate, state.exciter.field_voltage, machine
-    lost = ~((c.governor.gate_min <= gate) & (gate <= c.governor.gate_max))
-    start_failure, failing_unit = noted(lost, StartFailure.GOVERNOR_LIMIT, connection.number, start_failure, failing_unit)
-    lost = ~((c.exciter.field_min <= field) & (field <= c.exciter.field_max))
-    return noted(lost, StartFailure.EXCITER_LIMIT, connection.number, start_failure, failing_unit)
+    fits = (c.governor.gate_min <= gate) & (gate <= c.governor.gate_max)
+    start_failure, failing_unit = noted(
+        fits, StartFailure.GOVERNOR_LIMIT, connection.number, start_failure, failing_unit
+    )
+    fits = (c.exciter.field_min <= field) & (field <= c.exciter.field_max)
+    return noted(fits, StartFailure.EXCITER_LIMIT, connection.number, start_failure, failing_unit)
 
 
 @system(MACHINES, "emf", "voltage")

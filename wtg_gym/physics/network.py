@@ -230,9 +230,7 @@ class PowerFlow(NamedTuple):
 
 
 @compiled
-def solve_power_flow(
-    y: npt.NDArray[np.complex128], slack: int, buses: npt.NDArray[np.float64], at: PowerFlow
-) -> int:
+def solve_power_flow(y: npt.NDArray[np.complex128], slack: int, buses: npt.NDArray[np.float64], at: PowerFlow) -> int:
     """Solve the power flow by Newton's method in polar form.
 
     Args:

@@ -221,7 +221,7 @@ def build_plant(settings: PlantSettings) -> Plant:
         ],
     )
     shunts = np.array([complex(bus.shunt_mw, bus.shunt_mvar) / base for bus in case.buses], dtype=np.complex128)
-    facts = dict.fromkeys(Facts._fields, 0) | {
+    facts: dict[str, Any] = dict.fromkeys(Facts._fields, 0) | {
         "slack": slack,
         "base_mva": base,
         "simulation_dt": settings.simulation_dt,
@@ -317,16 +317,16 @@ class Arranged:
 
     def __init__(self, plant: Plant, layout: Layout, further: Further) -> None:
         self.n_units, self.first_rows, self.seen = layout.n_units, layout.first_rows, layout.seen
-        n_sync, n_wtg, network = plant.machines.size, plant.share.size, plant.network
+        n_wtg, network = plant.share.size, plant.network
         self._has = {"table" if plant.cells.size else "curve", *further.has}
         if not plant.extension.size:
             self._has.add("constant voltage")
-        sizes = np.zeros((n_sync + n_wtg, 3))
-        sizes[:n_sync, 0], sizes[:n_sync, 1] = plant.machines["rating"], plant.machines["reactive_weight"]
-        sizes[n_sync:, 2] = plant.share
+        ratings, weights = plant.machines["rating"].tolist(), plant.machines["reactive_weight"].tolist()
+        sizes = [(rating, weight, 0.0) for rating, weight in zip(ratings, weights, strict=True)]
+        sizes += [(0.0, 0.0, share) for share in plant.share.tolist()]
         connections = [
-            Connection(float(number), *own, Phasor(y.real, y.imag))
-            for number, (own, y) in enumerate(zip(sizes.tolist(), network.unit_y, strict=True))
+            Connection(float(number), rating, of_machine, of_group, Phasor(y.real, y.imag))
+            for number, ((rating, of_machine, of_group), y) in enumerate(zip(sizes, network.unit_y, strict=True))
         ]
         self._constants: dict[tuple[Kind, str], Any] = {
             (MACHINES, "machine"): plant.machines,

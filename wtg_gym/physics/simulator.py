@@ -30,7 +30,7 @@ from wtg_gym.physics.start_errors import (
 from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY, TrackingLaw, get_law
 from wtg_gym.physics.units import UNITS, StartFailure
 from wtg_gym.ranges import require_range, require_whole, whole_steps
-from wtg_gym.systems.routines import code_of
+from wtg_gym.systems.routines import Function, Routine, code_of
 
 #: Lanes per block of a batched simulator; a single run uses a block of one.
 BLOCK_WIDTH = 16
@@ -124,17 +124,21 @@ class Simulator:
         if reference not in self._checked and self._check_nominal(reference, 1.0):
             self._checked[reference] = 1.0
 
-    def _find_code(self) -> None:
-        """Let the plant know where the routines that this simulator calls are in this process."""
-        further, starting = self._further, {1: (*STARTING, *self._further.starting)}
-        stepping = {self.width: (*STEPPING, *further.stepping, *starting.get(self.width, ()))}
-        plant, some = self.plant, np.zeros((1, 1))
-        functions = {
-            REFRESH: (some, 0, 0, plant.network, self._allocate_data(1, 1)),
-            POWER_FLOW: (plant.bus_y, 0, some, COLUMNS),
+    def functions(self) -> dict[Function, tuple[Any, ...]]:
+        """Return the functions that are called at an address, with arguments like those they are given."""
+        network, some = self.plant.network, np.zeros((1, 1))
+        return {
+            REFRESH: (some, 0, 0, network, self._allocate_data(1, 1)),
+            POWER_FLOW: (self.plant.bus_y, 0, some, COLUMNS),
         }
-        code = code_of(len(PROGRAMS) + len(further.programs), {**starting, **stepping}, functions)
-        self.plant = plant.with_tables(self.plant.network.tables._replace(code=code))
+
+    def _find_code(self) -> None:
+        """Let the plant know where the machine code that this simulator calls is in this process."""
+        further = self._further
+        routines: dict[int, tuple[Routine, ...]] = {1: (*STARTING, *further.starting)}
+        routines[self.width] = (*STEPPING, *further.stepping, *routines.get(self.width, ()))
+        code = code_of(len(PROGRAMS) + len(further.programs), routines, self.functions())
+        self.plant = self.plant.with_tables(self.plant.network.tables._replace(code=code))
 
     def _check_nominal(self, laws: tuple[TrackingLaw, ...], inertia_scale: float) -> bool:
         """Check laws at nominal operating points; return whether the plant has an equilibrium at any of them."""
@@ -381,7 +385,8 @@ class Simulator:
         y[noise_bus, noise_bus] += self.lane_values("noise_y")[lane]
         injected = np.zeros(len(y), dtype=np.complex128)
         np.add.at(injected, network.unit_bus, unit_y * internal)
-        return np.linalg.solve(y, injected)
+        found: npt.NDArray[np.complex128] = np.linalg.solve(y, injected).astype(np.complex128)
+        return found
 
     def state(self, lane: int = 0) -> Floats:
         """Return a copy of a lane's state vector; `layout.state_names` names its entries."""

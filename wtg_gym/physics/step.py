@@ -110,11 +110,9 @@ SETTLE = (
     starting.start_clock,
 )
 
-#: The first outputs of a run, and what is beyond its limits then.
+#: After the first evaluation of a run: its first outputs, and what is beyond its limits then.
 START = (
     starting.let_run,
-    *ADMITTANCES,
-    *EVALUATE,
     *COI,
     protection.track_extremes,
     wtg.no_overload,

@@ -163,10 +163,10 @@ PAIRS = Kind(
 )
 
 
-def noted(lost: bool, why: int, number: float, failure: float, failing: float) -> tuple[float, float]:
+def noted(fits: bool, why: int, number: float, start_failure: float, failing_unit: float) -> tuple[float, float]:
     """Return why a run cannot start and the number of the unit that cannot, unless another was found before."""
-    first = lost & (failure == 0.0)
-    return select(first, float(why), failure), select(first, number, failing)
+    known = fits | (start_failure != 0.0)
+    return select(known, start_failure, float(why)), select(known, failing_unit, number)
 
 
 def quotient(a: Phasor, b: Phasor) -> Phasor:

@@ -325,15 +325,15 @@ def searched(
     protection's limits: then at the limit, and at the smallest pitch angle that holds it on a falling branch of C_p.
     """
     target = k * (rotor_speed * (rotor_speed * rotor_speed))
-    above = captured > target
+    above, falls = captured > target, captured <= target
     limit = min((c.pitch.power_limit / k) ** (1.0 / 3.0), c.pitch.rotor_limit)
     tries_rotor, steps, tries_pitch = s.phase == _ROTOR, s.phase == _PITCH_STEPS, s.phase == _PITCH
     # The power falls through the target between the last pitch angle and this one.
-    crossed = steps & (s.before > target) & ~above
+    crossed = steps & (s.before > target) & falls
     trial = select(tries_rotor, rotor_speed, pitch)
-    rises = (tries_rotor | tries_pitch) & above
-    low = select(rises | (steps & ~crossed), trial, s.low)
-    high = select(((tries_rotor | tries_pitch) & ~above) | crossed, trial, s.high)
+    halves = tries_rotor | tries_pitch
+    low = select(crossed, s.low, select((halves & above) | steps, trial, s.low))
+    high = select((halves & falls) | crossed, trial, s.high)
     middle = 0.5 * (low + high)
     settled = (middle == low) | (middle == high)
     # Each phase in its turn; a phase that goes on keeps its number.
@@ -343,7 +343,7 @@ def searched(
     ends_rotor = (tries_rotor | enters_rotor) & settled
     phase = select(ends_rotor, select(middle <= limit, FOUND, _NO_PITCH), phase)
     phase = select(s.phase == _NO_PITCH, _PITCH_STEPS, phase)
-    phase = select(crossed, _PITCH, select(steps & ~(low < c.pitch.angle_max), _NONE, phase))
+    phase = select(crossed, _PITCH, select(steps & (low >= c.pitch.angle_max), _NONE, phase))
     phase = select((phase == _PITCH) & settled, FOUND, phase)
     low = select(phase == _NO_PITCH, 0.0, low)
     rotor = select((phase == _ROTOR) | ((phase == FOUND) & ends_rotor), middle, rotor_speed)

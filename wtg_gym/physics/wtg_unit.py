@@ -58,7 +58,13 @@ def nobody_searches() -> float:
 
 @system(GROUPS, "search", "rotor_speed", "pitch", "searching")
 def search_on(
-    search: Search, rotor_speed: float, pitch: float, captured: float, k_nominal: float, turbine: Turbine, searching: float
+    search: Search,
+    rotor_speed: float,
+    pitch: float,
+    captured: float,
+    k_nominal: float,
+    turbine: Turbine,
+    searching: float,
 ) -> tuple[Search, float, float, float]:
     """Judge the state that was tried by the power that it captures, and choose the next."""
     search, rotor_speed, pitch = searched(search, rotor_speed, pitch, captured, k_nominal, turbine)
@@ -77,8 +83,8 @@ def plan_group(
 ) -> tuple[float, float, float]:
     """Return what a group feeds in before any policy has acted, and note one without an equilibrium."""
     power = share * k_nominal * (rotor_speed * (rotor_speed * rotor_speed))
-    lost = search.phase > FOUND
-    return power, *noted(lost, StartFailure.NO_TURBINE_EQUILIBRIUM, connection.number, start_failure, failing_unit)
+    fits = search.phase == FOUND
+    return power, *noted(fits, StartFailure.NO_TURBINE_EQUILIBRIUM, connection.number, start_failure, failing_unit)
 
 
 @system(GROUPS, "state", "emf", "connected", "extremes")

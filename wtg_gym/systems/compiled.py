@@ -227,7 +227,9 @@ class Compilation(event.Listener):  # type: ignore[misc]
             kept = "not kept: no folder can be written to" if self._folder is None else f"kept in {self._folder}"
             _log.warning("wtg_gym compiles its simulator to machine code: some ten seconds, %s", kept)
         if self.n_functions >= _SILENT_FUNCTIONS and _shows_a_line():
-            told = f"wtg_gym compiles its simulator, once: {self.seconds:.0f} s, {self.n_functions} functions, now {name}"
+            told = (
+                f"wtg_gym compiles its simulator, once: {self.seconds:.0f} s, {self.n_functions} functions, now {name}"
+            )
             print(f"\r{told[:78]}\x1b[K", end="", file=sys.stderr, flush=True)
 
     def end(self) -> None:

@@ -7,19 +7,20 @@ callers, and into each of theirs, and compile it there again.
 
 from __future__ import annotations
 
+import ctypes
 import functools
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from llvmlite import binding, ir
-from numba import types, typeof
+from numba import typeof, types
 from numba.core.registry import cpu_target
 from numba.extending import intrinsic
 
 from wtg_gym.systems.compiled import VERSIONS, cache_folder, digest_of, keep, kept, reporting
-from wtg_gym.systems.programs import Program, Whole
+from wtg_gym.systems.programs import NONE, Floats, Program, Tables, Whole
 from wtg_gym.systems.systems import SCALARS
 from wtg_gym.systems.writers import BackWithoutConstants, BackWriter, NotingWriter, TapedWriter, Writer
 
@@ -45,9 +46,9 @@ class Routine:
     """What a program is compiled to.
 
     `call` is a function for compiled code, of (arrays, tables, scalars): arrays (n_rows, width) are those of the block
-    and of scratch; then the tape; for the way back cotangents (bars) of block and scratch, the tape, the scratch and the
-    cotangents of constants, in their order in the tables. The bars after the program become those before it, and those
-    of the constants are added to.
+    and of scratch; then the tape; for the way back cotangents (bars) of block and scratch, the tape, the scratch, and
+    cotangents of the constants in their order in the tables. The bars after the program become those before it, and
+    those of the constants are added to.
 
     Args:
         program: what is run.
@@ -60,7 +61,7 @@ class Routine:
         self.program, self.place, self._writer, self._known = program, place, writer, known
         self.call = _call(_FUNCTIONS + 2 * (program.number * _PLACES + place), _OF_WRITER[writer][0])
 
-    @functools.cache  # noqa: B019: routines are made once, with their modules
+    @functools.cache  # noqa: B019 (routines are made once, with their modules)
     def address(self, width: int) -> int:
         """Return where the machine code for blocks of a width is in this process; it is compiled at first."""
         n_arrays, what = _OF_WRITER[self._writer]
@@ -80,6 +81,12 @@ class Routine:
         address: int = engine.get_function_address(name)
         return address
 
+    def __call__(self, arrays: Sequence[Floats], tables: Tables, scalars: Sequence[float] = NONE) -> None:
+        """Run it from Python, on arrays (n_rows, width) in C order."""
+        kinds = [ctypes.c_void_p] * (len(arrays) + 2) + [ctypes.c_double] * len(SCALARS)
+        function = ctypes.CFUNCTYPE(None, *kinds)(self.address(arrays[0].shape[1]))
+        function(*(array.ctypes.data for array in (*arrays, tables.table, tables.numbers)), *scalars)
+
     def _compiled(self, name: str, width: int) -> bytes:
         """Return an object file with the machine code."""
         n_arrays, _ = _OF_WRITER[self._writer]
@@ -88,10 +95,10 @@ class Routine:
         function = ir.Function(module, _signature(n_arrays), name)
         for argument in function.args[: n_arrays + 2]:
             argument.add_attribute("noalias")
-        arrays, table, numbers = function.args[:n_arrays], *function.args[n_arrays : n_arrays + 2]
-        scalars = dict(zip(SCALARS, function.args[n_arrays + 2 :], strict=True))
+        arrays, rest = function.args[:n_arrays], function.args[n_arrays:]
+        scalars = dict(zip(SCALARS, rest[2:], strict=True))
         builder = ir.IRBuilder(function.append_basic_block())
-        data = (*arrays[:2], table, numbers, *arrays[2:])
+        data = (*arrays[:2], *rest[:2], *arrays[2:])
         self._writer(builder, width, data, scalars, self.program, self._known).write(self.program.entries)
         builder.ret_void()
         parsed = binding.parse_assembly(str(module))
@@ -102,7 +109,7 @@ class Routine:
 
 
 #: How much LLVM optimises. What matters is written as vectors already.
-_LEVEL = 2
+_LEVEL = 1
 
 
 def _processor() -> tuple[str, str, str]:
@@ -137,7 +144,7 @@ def _signature(n_arrays: int) -> Any:
 def _call(place: int, n_arrays: int) -> Callable[..., None]:
     """Return a function for compiled code that calls what the tables have at a place."""
 
-    @intrinsic  # type: ignore[untyped-decorator]
+    @intrinsic
     def call(typing_context: Any, arrays: Any, tables: Any, scalars: Any) -> Any:
         if len(arrays) != n_arrays or any(array.layout != "C" for array in arrays):
             raise TypeError(f"a routine takes {n_arrays} arrays in C order, got {arrays}")
@@ -145,9 +152,7 @@ def _call(place: int, n_arrays: int) -> Callable[..., None]:
         def code(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
             def data_of(kinds: Any, values: Any) -> list[Any]:
                 own = (context.make_array(kind) for kind in kinds)
-                return [
-                    make(context, builder, builder.extract_value(values, i)).data for i, make in enumerate(own)
-                ]
+                return [make(context, builder, builder.extract_value(values, i)).data for i, make in enumerate(own)]
 
             given, of_tables, numbers = arguments
             first = context.make_array(arrays[0])(context, builder, builder.extract_value(given, 0))
@@ -179,7 +184,7 @@ class Function:
     def __init__(self, function: Any, place: int) -> None:
         self.function, self.place = function, place
 
-        @intrinsic  # type: ignore[untyped-decorator]
+        @intrinsic
         def call(typing_context: Any, tables: Any, arguments: Any) -> Any:
             given = tuple(types.unliteral(kind) for kind in arguments)
             result = self._compiled(given).signature.return_type
