@@ -26,6 +26,7 @@ from wtg_gym.physics.plant import PlantSettings, plant_settings
 from wtg_gym.physics.protection import Status
 from wtg_gym.physics.simulator import Simulator
 from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY, get_law, group_laws
+from wtg_gym.physics.units import BUSES
 from wtg_gym.plotting import style
 from wtg_gym.plotting.event_marks import mark_end, mark_instants
 from wtg_gym.reproduce.loops import PAPER_SYNCHRONISING_COEFFICIENT, single_machine

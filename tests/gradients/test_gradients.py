@@ -13,6 +13,7 @@ import pytest
 from wtg_gym.envs.settings import EnvSettings
 from wtg_gym.envs.task_records import COST_TERMS
 from wtg_gym.gradients import check_by_differences
+from wtg_gym.gradients.adjoint import pull
 from wtg_gym.gradients.tape import Gradient, Tape
 from wtg_gym.physics.protection import Status
 from wtg_gym.physics.scenario import GovernorLoss, GroupTrip, LineTrip, LoadStep, MachineOutage, Scenario
@@ -77,13 +78,13 @@ def test_a_step_is_replayed_to_the_last_bit(settings: dict[str, Any], monkeypatc
     tape.start(scenarios)
     for own in actions_of(tape, 60):
         tape.step(own)
-    simulator, after, pull = tape.lanes.simulator, list[Floats](), tape._pull
+    simulator, after = tape.lanes.simulator, list[Floats]()
 
     def kept(blocks: Floats, *others: Any) -> None:
         pull(blocks, *others)
         after.append(blocks.copy())
 
-    monkeypatch.setattr(tape, "_pull", kept)
+    monkeypatch.setattr("wtg_gym.gradients.tape.pull", kept)
     carried, terms = np.zeros((N_LANES, tape.n_carried)), np.ones((N_LANES, len(COST_TERMS)))
     for step in range(60):
         tape.pull(step, carried, terms)

@@ -79,7 +79,7 @@ def test_every_unit_of_every_lane_has_what_the_function_says(width: int) -> None
 @pytest.mark.parametrize("point", POINTS)
 def test_what_comes_back_are_the_slopes(point: tuple[float, float]) -> None:
     layout, h = Arranged({UNITS: 1}, {}), 1e-6
-    tables = build_table((FORWARD, BOTH_WAYS), layout, taped=True)
+    tables = build_table((FORWARD, BOTH_WAYS), layout, (BOTH_WAYS,))
     tape, scratch = np.zeros((BOTH_WAYS.tape_rows(layout), 16)), np.zeros((layout.n_scratch, 16))
     Routine(BOTH_WAYS, TapedWriter)((np.repeat([point], 16, axis=0).T.copy(), scratch, tape), tables)
     for name, function in FUNCTIONS.items():
@@ -119,7 +119,7 @@ def coefficient_of(ratio: float, pitch_deg: float, cells: Any, grid: Grid) -> fl
 def test_a_table_is_looked_up_and_has_the_slopes_of_its_surface(ratio: float, pitch_deg: float) -> None:
     (program,) = in_one_table(TABLE=(coefficient_of,))
     layout = Arranged({ROTORS: 1}, {})
-    tables = build_table((program,), layout, taped=True)
+    tables = build_table((program,), layout, (program,))
     block, scratch, tape = np.array([[ratio], [pitch_deg]]), np.zeros((1, 1)), np.zeros((program.tape_rows(layout), 1))
     Routine(program, TapedWriter)((block, scratch, tape), tables)
     bars, value = np.zeros((2, 1)), scratch[0, 0]

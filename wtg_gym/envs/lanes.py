@@ -354,6 +354,10 @@ class TaskLanes:
         # Addresses are those of this object's arrays.
         return {**self.__dict__, "_bound": None}
 
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state)
+        self.simulator.link(task_of(self.settings))
+
     def snapshot(self) -> LanesSnapshot:
         """Return a copy of everything that changes."""
         return LanesSnapshot(

@@ -62,11 +62,11 @@ PROGRAMS = in_one_table(
     REST=(protection.track_extremes, protection.shed_load),
 )
 #: Programs that have a way back, in the order of :class:`Noted`.
-_BACK = PROGRAMS[:9]
+TAPED = PROGRAMS[:9]
 _acted, _flows, _sweep, _motion, _rates, _finished, _charged, _measured, _observed, _limits, _rest = PROGRAMS
 _FORWARD = {
     program.name: Routine(program, writer)
-    for programs, writer in ((_BACK, TapedWriter), ((_sweep,), NotingWriter), ((_limits, _rest), Writer))
+    for programs, writer in ((TAPED, TapedWriter), ((_sweep,), NotingWriter), ((_limits, _rest), Writer))
     for program in programs
 }
 _act, _flow, _note_sweep, _move, _rate, _finish, _charge, _measure, _observe, _hold, _end_step = (
@@ -74,7 +74,7 @@ _act, _flow, _note_sweep, _move, _rate, _finish, _charge, _measure, _observe, _h
 )
 #: The ways back stand at one place, with cotangents of constants or without.
 _WITHOUT, _WITH = (
-    tuple(Routine(program, writer, place=1) for program in _BACK) for writer in (BackWithoutConstants, BackWriter)
+    tuple(Routine(program, writer, place=1) for program in TAPED) for writer in (BackWithoutConstants, BackWriter)
 )
 _act_back, _flow_back, _sweep_back, _move_back, _rate_back, _finish_back, _charge_back, _measure_back, _observe_back = (
     routine.call for routine in _WITH
@@ -121,7 +121,7 @@ def rules_of(layout: Layout, plant: Arrangement) -> Rules:
 
     limits = rows(EXTENSIONS, "reactance", "source", "change")
     return Rules(
-        Noted(*(program.tape_rows(plant) for program in PROGRAMS[:9])),
+        Noted(*(program.tape_rows(plant) for program in TAPED)),
         admittances=rows(PAIRS, "admittance"),
         flows=np.concatenate([rows(UNITS, "voltage", "current"), limits]),
         reactances=layout.first_rows(EXTENSIONS, "reactance"),

@@ -15,7 +15,7 @@ from wtg_gym.envs.settings import ACTION_MODES, EnvSettings
 from wtg_gym.envs.task import Outputs, bind, step_blocks, task_of
 from wtg_gym.envs.task_records import COST_TERMS
 from wtg_gym.envs.task_units import ACTING, TASK
-from wtg_gym.gradients.adjoint import PROGRAMS, Work, pull, routines_of, rules_of, work_of
+from wtg_gym.gradients.adjoint import PROGRAMS, TAPED, Work, pull, routines_of, rules_of, work_of
 from wtg_gym.gradients.plant_parameters import (
     Leaf,
     Moved,
@@ -140,7 +140,7 @@ class Tape:
         simulator, settings, layout = lanes.simulator, lanes.settings, lanes.simulator.layout
         further, programs = task_of(settings), (*integration.PROGRAMS, *of_task.PROGRAMS, *PROGRAMS)
         built = build_plant(simulator.settings)
-        plant = arranged(built, layout, programs, further, taped=True)
+        plant = arranged(built, layout, programs, further, TAPED)
         routines = (*routines_of(constants=bool(self.parameters)), *integration.STEPPING)
         code = code_of(len(programs), {simulator.width: routines}, simulator.functions())
         #: The plant, with the table of the programs that go back.

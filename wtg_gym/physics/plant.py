@@ -356,15 +356,14 @@ def arranged(
     layout: Layout,
     programs: Sequence[Program],
     further: Further | None = None,
-    *,
-    taped: bool = False,
+    taped: Sequence[Program] = (),
 ) -> Plant:
-    """Return a plant that knows where its rows lie, for programs that are to run; `taped` with their way back."""
+    """Return a plant that knows where its rows lie, for programs that are to run; those `taped` have a way back."""
     facts = plant.network.facts.copy()
     first = dict(lane=LANE, machines=MACHINES, groups=GROUPS, units=UNITS, pairs=PAIRS, stages=STAGES, buses=BUSES)
     for name, kind in first.items():
         facts[name] = layout.first[kind]
     facts["starts"] = layout.first_scratch[LANE]
-    tables = build_table(programs, Arranged(plant, layout, further or Further({})), taped=taped)
+    tables = build_table(programs, Arranged(plant, layout, further or Further({})), taped)
     tables = tables._replace(code=plant.network.tables.code)
     return plant._replace(network=plant.network._replace(facts=facts, tables=tables))

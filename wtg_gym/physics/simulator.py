@@ -106,9 +106,8 @@ class Simulator:
         self._noise_samples = samples.astype(np.int64)
         self.layout = layout_of(plant, further)
         self.plant = arranged(plant, self.layout, (*PROGRAMS, *further.programs), further)
-        self._further = further
         self.width = 1 if n_lanes == 1 else BLOCK_WIDTH
-        self._find_code()
+        self.link(further)
         n_blocks = -(-self.n_lanes // self.width)
         #: Rows of all lanes (n_blocks, n_rows, width).
         self.blocks = _aligned_zeros(n_blocks, self.layout.n_rows, self.width)
@@ -132,9 +131,11 @@ class Simulator:
             POWER_FLOW: (self.plant.bus_y, 0, some, COLUMNS),
         }
 
-    def _find_code(self) -> None:
-        """Let the plant know where the machine code that this simulator calls is in this process."""
-        further = self._further
+    def link(self, further: Further) -> None:
+        """Let the plant know where the machine code is in this process; a copy in another one needs it.
+
+        `further` is what the simulator was made with.
+        """
         routines: dict[int, tuple[Routine, ...]] = {1: (*STARTING, *further.starting)}
         routines[self.width] = (*STEPPING, *further.stepping, *routines.get(self.width, ()))
         code = code_of(len(PROGRAMS) + len(further.programs), routines, self.functions())
@@ -431,4 +432,4 @@ class Simulator:
         self.blocks[:] = state["blocks"]
         self.scratches = self.new_scratches(self.threads.n_workers, self.width)
         # Perhaps in another process.
-        self._find_code()
+        self.link(Further({}))

@@ -139,7 +139,8 @@ class Program:
             found.update(repr((one.name, one.slots, one.constants_used, one.when)).encode())
             stores: list[tuple[Any, Any]] = [((name, k), value) for name, k, value in one.trace.stores]
             if back:
-                stores += [*one.adjoint.inputs.items(), *one.adjoint.constants.items(), ("noted", one.noted)]
+                stores += [*one.adjoint.inputs.items(), *one.adjoint.constants.items()]
+                found.update(repr((one.noted, list(one.adjoint.seeds.values()))).encode())
             order = {number: i for i, number in enumerate(ex.needed(value for _, value in stores))}
             for number in order:
                 told = (order[a] if isinstance(a, ex.Number) else a for a in number.arguments)
@@ -156,12 +157,12 @@ def _n_units(one: System, plant: Arrangement) -> int:
     return plant.n_units(one.kind) if one.when is None or plant.has(one.when) else 0
 
 
-def build_table(programs: Sequence[Program], plant: Arrangement, *, taped: bool = False) -> Tables:
+def build_table(programs: Sequence[Program], plant: Arrangement, taped: Sequence[Program] = ()) -> Tables:
     """Return the tables of programs for a plant.
 
     Args:
         programs, plant: what the table is for.
-        taped: whether programs are run that note what the way back needs.
+        taped: those of them that have a way back.
     """
     head = np.zeros((sum(program.n_entries for program in programs), HEAD), dtype=np.int64)
     rows, numbers, cells = list[int](), list[float](), dict[Any, int]()
@@ -174,7 +175,7 @@ def build_table(programs: Sequence[Program], plant: Arrangement, *, taped: bool 
                 n = _n_units(entry, plant)
                 values = _constants_of(entry, plant, n, numbers, cells)
                 own[0], own[2], own[3] = n, len(numbers), n_taped
-                n_taped += len(entry.noted) * n if taped else 0
+                n_taped += len(entry.noted) * n if program in taped else 0
                 rows += _system_rows(entry, plant, n)
                 numbers += values
             elif isinstance(entry, Product):
