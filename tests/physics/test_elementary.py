@@ -3,20 +3,31 @@
 from __future__ import annotations
 
 import math
+from typing import Any, cast
 
-import numba
+import numpy as np
 import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
+from wtg_gym.physics.layout import Layout
 from wtg_gym.systems.elementary import exponential, fma, sine_cosine
+from wtg_gym.systems.programs import build_table, in_one_table
+from wtg_gym.systems.routines import Routine
+from wtg_gym.systems.systems import Kind, system
 
 ORDINARY = st.floats(-1e100, 1e100, allow_subnormal=False)
 
 
-@numba.njit
-def compiled_fma(a: float, b: float, c: float) -> float:
-    return fma(a, b, c)
+SUMS = Kind(name="sums", rows={"a": float, "b": float, "c": float, "sum": float})
+(PROGRAM,) = in_one_table(SUM=(system(SUMS, "sum")(lambda a, b, c: fma(a, b, c)),))
+ROUTINE, TABLES = Routine(PROGRAM), build_table((PROGRAM,), cast("Any", Layout({SUMS: 1}, {})))
+
+
+def compiled_fma(*given: float) -> float:
+    block = np.array([*given, 0.0])[:, np.newaxis]
+    ROUTINE((block, np.zeros((0, 1))), TABLES)
+    return float(block[3, 0])
 
 
 @given(ORDINARY, ORDINARY, ORDINARY)
@@ -26,7 +37,7 @@ def compiled_fma(a: float, b: float, c: float) -> float:
 @example(1e300, 1e300, 0.0)
 @example(-1e300, 1e300, 1.0)
 def test_compiled_multiply_add_has_the_bits_of_the_exact_one(a: float, b: float, c: float) -> None:
-    assert repr(float(compiled_fma(a, b, c))) == repr(float(fma(a, b, c)))
+    assert repr(compiled_fma(a, b, c)) == repr(float(fma(a, b, c)))
 
 
 def test_multiply_add_is_rounded_once() -> None:

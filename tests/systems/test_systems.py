@@ -125,7 +125,7 @@ def test_a_table_is_looked_up_and_has_the_slopes_of_its_surface(ratio: float, pi
     bars, value = np.zeros((2, 1)), scratch[0, 0]
     Routine(program, BackWithoutConstants)((bars, np.ones((1, 1)), tape, scratch, bars), tables)
     grid, cells = read_rotor_table(ROTOR_TABLE).surface()
-    h, function = 1e-6, tabulated_power_coefficient.py_func
+    h, function = 1e-6, tabulated_power_coefficient
     ends = [function(ratio + h * a, pitch_deg + h * b, cells, grid) for a, b in ((1, 0), (-1, 0), (0, 1), (0, -1))]
     assert value == function(ratio, pitch_deg, cells, grid)
     expected = [(ends[0] - ends[1]) / (2 * h), (ends[2] - ends[3]) / (2 * h)]

@@ -12,7 +12,6 @@ from scipy.optimize import brentq, minimize_scalar
 
 from wtg_gym.physics.parameters import PowerCoefficientParameters, TurbineParameters
 from wtg_gym.physics.rotor_table import Cells, Grid, RotorTable, tabulated_power_coefficient
-from wtg_gym.systems.compiled import compiled
 from wtg_gym.systems.elementary import exponential, fma
 
 
@@ -35,7 +34,6 @@ def curve_constants(parameters: PowerCoefficientParameters | RotorTable) -> Curv
     return CurveConstants(*(getattr(parameters, name) for name in CurveConstants._fields))
 
 
-@compiled
 def power_coefficient_at(tip_speed: float, wind: float, pitch_deg: float, c: CurveConstants) -> float:
     """Return C_p, given the speed of the blade tip and the wind [m/s] and the pitch angle β [deg]; λ is at least 0.2.
 
@@ -53,14 +51,6 @@ def surface_of(parameters: PowerCoefficientParameters | RotorTable) -> tuple[Gri
     if isinstance(parameters, RotorTable):
         return parameters.surface()
     return Grid(0.0, 0.0, 0.0, 0.0), np.zeros((0, 0, 16))
-
-
-@compiled
-def _over_ratios(ratios: npt.NDArray[np.float64], pitch_deg: float, cells: Cells, grid: Grid) -> Cells:
-    values = np.empty(ratios.size)
-    for i in range(ratios.size):
-        values[i] = tabulated_power_coefficient(ratios[i], pitch_deg, cells, grid)
-    return values
 
 
 def power_coefficient(
@@ -88,9 +78,10 @@ def power_coefficient(
         raise ValueError(f"pitch angle must be 0 deg or more, got {pitch_deg:g} deg")
     if isinstance(parameters, RotorTable):
         grid, cells = parameters.surface()
-        return _over_ratios(ratio.ravel(), float(pitch_deg), cells, grid).reshape(ratio.shape)
-    curve = curve_constants(parameters)
-    flat = [power_coefficient_at(x, 1.0, float(pitch_deg), curve) for x in ratio.ravel()]
+        flat = [tabulated_power_coefficient(x, float(pitch_deg), cells, grid) for x in ratio.ravel().tolist()]
+    else:
+        curve = curve_constants(parameters)
+        flat = [power_coefficient_at(x, 1.0, float(pitch_deg), curve) for x in ratio.ravel().tolist()]
     return np.array(flat).reshape(ratio.shape)
 
 

@@ -13,7 +13,6 @@ from __future__ import annotations
 from typing import NamedTuple
 
 from wtg_gym.physics.parameters import GridFormingParameters
-from wtg_gym.systems.compiled import compiled
 from wtg_gym.systems.elementary import fma, select
 
 
@@ -67,7 +66,6 @@ def converter_constants(p: GridFormingParameters) -> Converter:
     )
 
 
-@compiled
 def tracking_coefficient(speed: float, k_min: float, k_nominal: float, k_max: float, c: Corners) -> float:
     """Return g(ω) [p.u.]: coefficients at the three corner frequencies, frequency in p.u.
 

@@ -21,7 +21,6 @@ import numpy.typing as npt
 from scipy.interpolate import RectBivariateSpline
 
 from wtg_gym.files import read_text
-from wtg_gym.systems.compiled import inlined
 from wtg_gym.systems.elementary import clip, fma
 
 #: Coefficients of each cell's polynomial (n_λ - 1, n_β - 1, 16); without cells where a turbine has no table.
@@ -123,7 +122,6 @@ def _n_steps(length: float, step: float) -> int:
     return min(max(1, round(length / step)), _MOST_POINTS)
 
 
-@inlined
 def tabulated_power_coefficient(ratio: float, pitch_deg: float, cells: Cells, g: Grid) -> float:
     """Return C_p at a tip-speed ratio λ and a pitch angle β [deg]."""
     n_ratio, n_pitch = cells.shape[0], cells.shape[1]
@@ -139,7 +137,6 @@ def tabulated_power_coefficient(ratio: float, pitch_deg: float, cells: Cells, g:
     return _cubic(value, first_order, second_order, third_order, v) * min(ratio * g.inv_ratio_min, 1.0)
 
 
-@inlined
 def _cubic(c0: float, c1: float, c2: float, c3: float, x: float) -> float:
     return fma(fma(fma(c3, x, c2), x, c1), x, c0)
 

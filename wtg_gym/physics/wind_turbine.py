@@ -42,7 +42,6 @@ from wtg_gym.physics.parameters import (
 )
 from wtg_gym.physics.pitch import Pitch, PitchState, pitch_constants, pitch_limited, pitch_rates
 from wtg_gym.physics.rotor_table import Cells, Grid, tabulated_power_coefficient
-from wtg_gym.systems.compiled import inlined
 from wtg_gym.systems.elementary import fma, select, sine_cosine
 
 
@@ -155,14 +154,12 @@ def wtg_voltage(s: WtgState, emf: float) -> tuple[float, float]:
     return emf * cosine, emf * sine
 
 
-@inlined
 def captured_by_curve(rotor_speed: float, wind: float, pitch: float, c: Rotor) -> float:
     """Return p_w [p.u.] at a rotor speed [p.u.], a wind speed [m/s] and a pitch angle [deg], by the curve of C_p."""
     tip = c.tip_speed * max(rotor_speed, 1e-3)
     return c.wind_power * wind * wind * wind * power_coefficient_at(tip, wind, pitch, c.curve)
 
 
-@inlined
 def captured_by_table(rotor_speed: float, wind: float, pitch: float, c: Rotor, cells: Cells) -> float:
     """Return what :func:`captured_by_curve` does, by the table of C_p."""
     ratio = c.tip_speed * max(rotor_speed, 1e-3) / wind

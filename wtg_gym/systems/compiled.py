@@ -18,7 +18,6 @@ import functools
 import gc
 import hashlib
 import itertools
-import linecache
 import logging
 import os
 import pickle
@@ -76,12 +75,6 @@ def source_hash() -> str:
         for path in sorted([*(_PACKAGE / folder).glob("*.py"), *(_PACKAGE / folder).glob("*.npy")]):
             parts += [path.name.encode(), path.read_bytes()]
     return digest_of(*parts).hex()
-
-
-@functools.cache
-def _file_hash(path: str) -> bytes:
-    # Generated functions have no file; their lines are registered with linecache.
-    return digest_of("".join(linecache.getlines(path)).encode())
 
 
 def _users_folder() -> Path:
@@ -153,7 +146,7 @@ class DiskCache(NullCache):  # type: ignore[misc]
     def __init__(self, function: Callable[..., Any], folder: Path | None, source_hash: str) -> None:
         self._name = f"{function.__module__}.{function.__qualname__}"
         self._folder = folder
-        self._source = (self._name, source_hash, _file_hash(function.__code__.co_filename), VERSIONS)
+        self._source = (self._name, source_hash, VERSIONS)
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
         """Return the machine code for a signature; None makes numba compile."""
@@ -266,17 +259,16 @@ def reporting(name: str) -> Iterator[None]:
         compilation().end()
 
 
-def compiled(function: F, *, digest: str | None = None) -> F:
+def compiled(function: F) -> F:
     """Compile a function with numba, releasing the GIL, cached on disk per source version.
 
     No fast-math: reassociation or contraction would let a batched lane differ from the single environment.
-    `digest` names the source version where it is not :func:`source_hash`.
     """
     compilation()
     result: F = numba.njit(nogil=True, error_model="numpy", no_cfunc_wrapper=True)(function)
     # With NUMBA_DISABLE_JIT it is the function itself.
     if result is not function:
-        result._cache = DiskCache(function, cache_folder(), digest or source_hash())  # type: ignore[attr-defined]
+        result._cache = DiskCache(function, cache_folder(), source_hash())  # type: ignore[attr-defined]
     return result
 
 

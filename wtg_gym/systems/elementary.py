@@ -7,14 +7,7 @@ are polynomials on a reduced argument: branch-free, the same bits in every lane,
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from fractions import Fraction
-from typing import Any
-
-from numba import types
-from numba.extending import intrinsic, overload
-
-from wtg_gym.systems.compiled import compiled, inlined
 
 
 def fma(a: float, b: float, c: float) -> float:
@@ -35,20 +28,6 @@ def fma(a: float, b: float, c: float) -> float:
         return a * b + c
 
 
-@intrinsic
-def _fused(typing_context: Any, a: Any, b: Any, c: Any) -> Any:
-    def code(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        return builder.fma(*arguments)
-
-    return types.float64(types.float64, types.float64, types.float64), code
-
-
-@overload(fma, strict=False)
-def _compiled_fma(a: Any, b: Any, c: Any) -> Callable[[float, float, float], float]:
-    return lambda a, b, c: _fused(a, b, c)
-
-
-@inlined
 def select(condition: bool, value: float, other: float) -> float:
     """Return one of two numbers.
 
@@ -63,7 +42,6 @@ _HALF_PI_HIGH = 1.5707963267948966
 _HALF_PI_LOW = 6.123233995736766e-17
 
 
-@compiled
 def sine_cosine(angle: float) -> tuple[float, float]:
     """Return (sin, cos) of an angle [rad], |angle| up to about 1e4 rad, wrong by 4e-15 at most.
 
@@ -92,7 +70,6 @@ def sine_cosine(angle: float) -> tuple[float, float]:
     return select(quadrant >= 2.0, -sine, sine), select(negative, -cosine, cosine)
 
 
-@compiled
 def exponential(x: float) -> float:
     """Return e^x for -40 ≤ x ≤ 1; below -40 the result stays at e^-40 ≈ 4e-18. C_p needs x ≤ c6 c8 = 0.61.
 
@@ -118,14 +95,12 @@ def exponential(x: float) -> float:
     return p * p
 
 
-@compiled
 def limited_rate(rate: float, value: float, low: float, high: float) -> float:
     """Return the rate of a state with non-windup limits: zero where it would leave [low, high]."""
     upward = select(value < high, rate, min(rate, 0.0))
     return select(value > low, upward, max(upward, 0.0))
 
 
-@inlined
 def clip(value: float, low: float, high: float) -> float:
     """Return the value, held within [low, high]."""
     return min(max(value, low), high)
