@@ -54,7 +54,7 @@ def whole_network(simulator: Simulator, what: Scenario, now_s: float) -> tuple[n
     first = start.layout.first_rows(BUSES, "load")
     held_load = start.blocks[0, first, 0] + 1j * start.blocks[0, first + 1, 0]
     loads = held_load.copy()
-    opened = np.zeros(len(plant.branches), dtype=bool)
+    opened = np.zeros(len(plant.branch_y), dtype=bool)
     connected = list(range(simulator.layout.n_unit))
     for event in what.events:
         if event.time_s > at:
@@ -79,7 +79,7 @@ def whole_network(simulator: Simulator, what: Scenario, now_s: float) -> tuple[n
                 share = min(1.0, (0.5 * (begin + end) - event.time_s) / event.duration_s)
             bus = case.bus_index(event.bus)
             loads[bus] += share * complex(event.power_mw, -event.reactive_mvar) / case.base_mva / held[bus] ** 2
-    return assemble_admittance(plant.branches, opened, plant.shunts + loads), connected
+    return assemble_admittance(plant.branch_ends[~opened], plant.branch_y[~opened], plant.shunts + loads), connected
 
 
 def reduced(simulator: Simulator, passive: np.ndarray, connected: list[int]) -> np.ndarray:

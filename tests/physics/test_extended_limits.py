@@ -142,7 +142,7 @@ def test_limited_currents_solve_their_equations(groups: tuple[WtgGroup, ...]) ->
         bus_y = network.shunts + built.buses["load.re"] - 1j * built.buses["load.im"]
         bus_y[rng.integers(14)] += rng.uniform(0.0, 5.0) - 1j * rng.uniform(0.0, 20.0)
         np.add.at(bus_y, at, network.unit_y)
-        full = assemble_admittance(network.branches, np.zeros(len(network.branches), dtype=bool), bus_y)
+        full = assemble_admittance(network.branch_ends, network.branch_y, bus_y)
         admittance = unit_y - unit_y @ np.linalg.inv(full)[np.ix_(at, at)] @ unit_y
         angles = np.concatenate([rng.uniform(-0.5, 0.5, n - m), rng.uniform(0.0, 2.8) * rng.uniform(-1.0, 1.0, m)])
         voltage = rng.uniform(0.8, 1.3, n) * np.exp(1j * angles)

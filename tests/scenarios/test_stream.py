@@ -10,8 +10,7 @@ SEEDS = [0, 1, 7, 2**32 - 1, 2**32, 2**40 + 3, 2**63 - 1, *range(1_000_000, 1_00
 
 @pytest.mark.parametrize("key", [0, 1, 0x2360ED05, 2**32 - 1])
 def test_streams_are_those_of_numpy_bit_for_bit(key: int):
-    states = np.empty((len(SEEDS), 4), dtype=np.uint64)
-    seed_streams(np.array(SEEDS, dtype=np.uint64), key, states)
+    states = seed_streams(SEEDS, key)
     uniforms, more, normals = (np.empty((len(SEEDS), n)) for n in (64, 3, 3606))
     draw_uniforms(states, uniforms)
     draw_normals(states, np.ones((len(SEEDS), 1803)), normals.reshape(-1, 1803, 2))
@@ -24,8 +23,7 @@ def test_streams_are_those_of_numpy_bit_for_bit(key: int):
 
 
 def test_streams_reach_every_layer_of_the_ziggurat_and_its_tail():
-    states = np.empty((1, 4), dtype=np.uint64)
-    seed_streams(np.array([3], dtype=np.uint64), 5, states)
+    states = seed_streams([3], 5)
     normals = np.empty((1, 2_000_000))
     draw_normals(states, np.full((1, 1_000_000), 2.0), normals.reshape(1, -1, 2))
     assert (normals[0] == 2.0 * np.random.default_rng([3, 5]).standard_normal(2_000_000)).all()

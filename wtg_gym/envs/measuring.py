@@ -7,17 +7,19 @@ from __future__ import annotations
 
 from wtg_gym.envs.observation import bounded, observe_measured
 from wtg_gym.envs.task_records import GroupRows, MeasuredObservation, Task
-from wtg_gym.envs.task_units import SENSED
+from wtg_gym.envs.task_units import RING, SENSED
 from wtg_gym.physics.sensors import (
     Measurement,
     Noise,
     SensorInput,
     SensorState,
+    drawn,
     measured,
     sensors_advanced,
     sensors_started,
 )
 from wtg_gym.physics.wind_turbine import Turbine, WtgOutput, WtgState
+from wtg_gym.systems.programs import Delay
 from wtg_gym.systems.systems import system
 
 
@@ -38,6 +40,12 @@ def _seen(
     value = measured(sensors, exact, wind_bias, noise, sensor_input)
     observed: MeasuredObservation = bounded(observe_measured(value, sensor_input.wind_sensor, turbine, task))
     return observed
+
+
+@system(SENSED, "noise")
+def draw_noise(sensor_input: SensorInput, interval: float, group_number: float) -> Noise:
+    """Draw the random numbers of the present interval's measurements."""
+    return drawn(sensor_input.seed, interval, group_number)
 
 
 @system(SENSED, "sensors", "seen")
@@ -75,5 +83,8 @@ def measure_group(
     return sensors, _seen(sensors, exact, wind_bias, noise, sensor_input, turbine, task)
 
 
-START_SENSORS = (start_sensors,)
-MEASURE = (measure_group,)
+#: Measurements are shown late.
+SHOW = Delay(SENSED, "seen", "shown", RING, "measurement", turn="interval", delay="delay")
+
+START_SENSORS = (draw_noise, start_sensors, SHOW)
+MEASURE = (draw_noise, measure_group, SHOW)

@@ -18,7 +18,6 @@ from numba.experimental import structref
 from wtg_gym.envs.actions import ACT, first_invalid_action
 from wtg_gym.envs.charging import CHARGE
 from wtg_gym.envs.measuring import MEASURE, START_SENSORS
-from wtg_gym.envs.observation import N_MEASURED
 from wtg_gym.envs.observing import OBSERVE, end_episode
 from wtg_gym.envs.settings import ACTION_MODES, EnvSettings
 from wtg_gym.envs.task_records import Info, Task, Weights, n_delayed, rocof_window
@@ -26,9 +25,8 @@ from wtg_gym.envs.task_units import ACTING, HISTORY, RING, SENSED, SENSORS, SHIF
 from wtg_gym.physics import integration
 from wtg_gym.physics.integration import advance_interval
 from wtg_gym.physics.kernel_data import LaneData, Network
-from wtg_gym.physics.layout import Floats, Layout, Whole, n_rows_of
+from wtg_gym.physics.layout import Floats, Layout, Whole
 from wtg_gym.physics.plant import Further
-from wtg_gym.physics.sensors import N_CHANNELS, SensorInput, noise_key, normal
 from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY, get_law
 from wtg_gym.systems.compiled import compiled, internal
 from wtg_gym.systems.programs import NONE, in_one_table
@@ -129,33 +127,23 @@ def task_of(settings: EnvSettings) -> Further:
             (WINDOW, "newest_"): np.array([n_window]),
         },
         programs=PROGRAMS,
-        stepping=(_ACT, _CHARGE, *[_MEASURE] * sensed, _OBSERVE, _END),
-        starting=(*[_START_SENSORS] * sensed, _OBSERVE),
-        constants={(TASK, "task"): [build_task(settings)]},
+        stepping=(_ACT, _CHARGE, _MEASURE, _OBSERVE, _END),
+        starting=(_START_SENSORS, _OBSERVE),
+        constants={(TASK, "task"): [build_task(settings)], (SENSED, "group_number"): range(n_wtg)},
         has=[name for name, given in has.items() if given],
     )
 
 
 class TaskData(NamedTuple):
-    """Where the loops of the task find rows: in scratch, but for those of the lane and of the ring."""
+    """Where the loops of the task find rows: in scratch, but for the last three."""
 
     wanted: Whole  # actions (n_action,)
     observed: Whole  # entries of the observation (n_observation,)
     info: int  # the first of N_INFO
     was_active: int
-    interval: int
     cost: int
     active: int
     status: int
-    seed: int  # of the sensors' noise
-    delay: int  # of the measurements [control intervals]
-    n_sensed: int  # groups that measure; 0 without sensors
-    sensed: int  # rows from one of these to the next
-    noise: int  # random numbers of the first one's sensors (N_CHANNELS,)
-    seen: int  # what it measures now (N_MEASURED,)
-    shown: int  # its newest measurement that has arrived (N_MEASURED,)
-    ring: int  # the latest measurements (n_ring, n_sensed, N_MEASURED)
-    n_ring: int
 
 
 def task_data(settings: EnvSettings, layout: Layout) -> TaskData:
@@ -178,25 +166,14 @@ def task_data(settings: EnvSettings, layout: Layout) -> TaskData:
         if sensed:
             parts += [own for j in range(layout.n_wtg) for own in (exact[j], rows(SENSED, "shown_duty")[j])]
         parts += [rows(WATCHED, "machine_observed").ravel(), rows(TASK, "grid_observed")[0]]
-    sensors = first(SENSORS, "sensor_input")
     return TaskData(
         wanted=rows(ACTING, "wanted")[:, modulated].ravel(),
         observed=np.concatenate([np.zeros(0, dtype=np.int64), *parts]),
         info=first(TASK, "info"),
         was_active=first(TASK, "was_active"),
-        interval=first(TASK, "interval"),
         cost=first(TASK, "cost"),
         active=layout.lane("active"),
         status=layout.lane("status"),
-        seed=sensors + SensorInput._fields.index("seed"),
-        delay=sensors + SensorInput._fields.index("delay"),
-        n_sensed=layout.n_units(SENSED),
-        sensed=n_rows_of(SENSED.scratch),
-        noise=first(SENSED, "noise"),
-        seen=first(SENSED, "seen"),
-        shown=first(SENSED, "shown"),
-        ring=first(RING, "measurement"),
-        n_ring=layout.n_units(RING) // max(layout.n_units(SENSED), 1),
     )
 
 
@@ -206,39 +183,6 @@ def read_actions(scratch: Floats, actions: Floats, first: int, task: TaskData) -
     for a in range(task.wanted.shape[0]):
         for x in range(scratch.shape[1]):
             scratch[task.wanted[a], x] = actions[first + x, a] if first + x < actions.shape[0] else 0.0
-
-
-@internal
-def draw_noise(block: Floats, scratch: Floats, task: TaskData) -> None:
-    """Draw the random numbers of the present interval's measurements."""
-    for x in range(block.shape[1]):
-        key = noise_key(int(block[task.seed, x]), int(block[task.interval, x]))
-        for j in range(task.n_sensed):
-            for channel in range(N_CHANNELS):
-                scratch[task.noise + j * task.sensed + channel, x] = normal(key, j * N_CHANNELS + channel)
-
-
-@internal
-def places_in_ring(block: Floats, x: int, task: TaskData) -> tuple[int, int]:
-    """Return the rows of a lane's newest measurement in the ring, and of the newest of those that have arrived.
-
-    The ring turns by a place per interval; lanes stand at different intervals.
-    """
-    interval, rows = block[task.interval, x], task.n_sensed * N_MEASURED
-    newest, arrived = int(interval), int(max(interval - block[task.delay, x], 0.0))
-    return task.ring + newest % task.n_ring * rows, task.ring + arrived % task.n_ring * rows
-
-
-@internal
-def pass_ring(block: Floats, scratch: Floats, task: TaskData) -> None:
-    """Keep what is measured now, and show the newest measurement that has arrived."""
-    for x in range(block.shape[1]):
-        newest, arrived = places_in_ring(block, x, task)
-        for j in range(task.n_sensed):
-            for k in range(N_MEASURED):
-                place = j * N_MEASURED + k
-                block[newest + place, x] = scratch[task.seen + j * task.sensed + k, x]
-                scratch[task.shown + j * task.sensed + k, x] = block[arrived + place, x]
 
 
 @internal
@@ -322,13 +266,10 @@ def step_blocks(bound: Any, actions: Floats, first: int, last: int, worker: int,
             _act(arrays, tables, NONE)
             advance_interval(block, scratch, b * width, network, bound.data)
             _charge(arrays, tables, NONE)
-        if task.n_sensed > 0:
-            draw_noise(block, scratch, task)
-            if starts:
-                _start_sensors(arrays, tables, NONE)
-            else:
-                _measure(arrays, tables, NONE)
-            pass_ring(block, scratch, task)
+        if starts:
+            _start_sensors(arrays, tables, NONE)
+        else:
+            _measure(arrays, tables, NONE)
         _observe(arrays, tables, NONE)
         if not starts:
             _end(arrays, tables, NONE)

@@ -80,6 +80,7 @@ SENSED = Kind(
         "shown": MeasuredObservation,  # the newest measurement that has arrived
         "shown_duty": float,
     },
+    constants={"group_number": float},
     sees={"acting": ACTING, "group": GROUPS, "sensors": SENSORS, "task": TASK, "lane": LANE},
 )
 #: The latest measurements of all groups, one after the other in a ring.

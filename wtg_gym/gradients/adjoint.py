@@ -16,9 +16,8 @@ from wtg_gym.envs import task as of_task
 from wtg_gym.envs.actions import ACT
 from wtg_gym.envs.charging import CHARGE
 from wtg_gym.envs.measuring import MEASURE
-from wtg_gym.envs.observation import N_MEASURED
 from wtg_gym.envs.observing import OBSERVE
-from wtg_gym.envs.task import TaskData, draw_noise, pass_ring, places_in_ring, read_actions
+from wtg_gym.envs.task import TaskData, read_actions
 from wtg_gym.physics import integration, protection
 from wtg_gym.physics import step as of_step
 from wtg_gym.physics.extension_unit import EXTENSIONS
@@ -194,8 +193,8 @@ def _replay(block: Floats, first: int, network: Network, data: LaneData, rules: 
 
     `at` is the row of the tape where its notes begin; returned is the row where they end.
     """
-    tables, scratch, p, facts = network.tables, work.scratch, rules.noted, network.facts[0]
-    n_substeps, h = facts["n_substeps"], facts["simulation_dt"]
+    tables, scratch, p, facts = network.tables, work.scratch, rules.noted, network.facts
+    n_substeps, h = facts.n_substeps, facts.simulation_dt
     enter_interval(block, first, network, data)
     combine_load_noise((block, scratch), tables, NONE)
     for step in range(n_substeps):
@@ -217,24 +216,6 @@ def _replay(block: Floats, first: int, network: Network, data: LaneData, rules: 
     at += p.flows + p.sweep
     _rate((block, scratch, work.tape[at:]), tables, AT_END)
     return at + p.rates
-
-
-@internal
-def _pull_ring(block: Floats, bars: Floats, scratch_bars: Floats, task: TaskData) -> None:
-    """Go back through the ring of measurements: from what is shown to where it was copied from, then what is seen."""
-    for x in range(block.shape[1]):
-        newest, arrived = places_in_ring(block, x, task)
-        for j in range(task.n_sensed):
-            for k in range(N_MEASURED):
-                place, shown, seen = (
-                    j * N_MEASURED + k,
-                    task.shown + j * task.sensed + k,
-                    task.seen + j * task.sensed + k,
-                )
-                bars[arrived + place, x] += scratch_bars[shown, x]
-                scratch_bars[shown, x] = 0.0
-                scratch_bars[seen, x] += bars[newest + place, x]
-                bars[newest + place, x] = 0.0
 
 
 @internal
@@ -307,8 +288,8 @@ def _pull_flows(
 @internal
 def _pull_interval(bars: Floats, to: Floats, network: Network, rules: Rules, work: Work, at: int) -> None:
     """Go back through a control interval; `at` is the row where its notes end on the tape."""
-    tables, scratch, given, p, facts = network.tables, work.scratch, work.bars, rules.noted, network.facts[0]
-    n_substeps, h = facts["n_substeps"], facts["simulation_dt"]
+    tables, scratch, given, p, facts = network.tables, work.scratch, work.bars, rules.noted, network.facts
+    n_substeps, h = facts.n_substeps, facts.simulation_dt
     at -= p.rates
     _rate_back((bars, given, work.tape[at:], scratch, to), tables, AT_END)
     at -= p.flows + p.sweep
@@ -365,10 +346,7 @@ def pull(
         of_charge, of_measuring = work.tape[at:], work.tape[at + p.charged :]
         of_observing = work.tape[at + p.charged + p.measured :]
         _charge((block, scratch, of_charge), tables, NONE)
-        if task.n_sensed > 0:
-            draw_noise(block, scratch, task)
-            _measure((block, scratch, of_measuring), tables, NONE)
-            pass_ring(block, scratch, task)
+        _measure((block, scratch, of_measuring), tables, NONE)
         _observe((block, scratch, of_observing), tables, NONE)
 
         given[:] = 0.0
@@ -377,9 +355,7 @@ def pull(
             for x in range(n_own):
                 given[task.observed[k], x] += observation_bars[lane + x, k]
         _observe_back((own, given, of_observing, scratch, to), tables, NONE)
-        if task.n_sensed > 0:
-            _pull_ring(block, own, given, task)
-            _measure_back((own, given, of_measuring, scratch, to), tables, NONE)
+        _measure_back((own, given, of_measuring, scratch, to), tables, NONE)
         _charge_back((own, given, of_charge, scratch, to), tables, NONE)
         _pull_interval(own, to, network, rules, work, at)
         _act_back((own, given, work.tape, scratch, to), tables, NONE)

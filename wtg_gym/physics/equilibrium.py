@@ -6,7 +6,7 @@ import numpy as np
 import numpy.typing as npt
 
 from wtg_gym.physics.integration import combine_load_noise, evaluate, plan, refresh, release, settle, start
-from wtg_gym.physics.kernel_data import LaneData, Network
+from wtg_gym.physics.kernel_data import EVENT, LaneData, Network
 from wtg_gym.physics.layout import OF_LANE, OF_STARTING_BUS, OF_STARTING_LANE, Floats, Layout, n_rows_of
 from wtg_gym.physics.network import PowerFlow, solve_power_flow
 from wtg_gym.physics.units import BUSES, StartFailure
@@ -57,15 +57,15 @@ def prepare_lanes(
         load_levels: shares of the nominal load (n,).
         failures: takes why a lane cannot start, and the number of the unit that cannot, machines first (n, 2).
     """
-    facts, tables = network.facts[0], network.tables
-    own = facts["starts"]
+    facts, tables = network.facts, network.tables
+    own = facts.starts
     for lane in range(rows.shape[0]):
         block, arrays = rows[lane], (rows[lane], scratch)
         scratch[own + OF_STARTING_LANE.load_level, 0] = load_levels[lane]
         plan(arrays, tables, NONE)
         released = scratch[own + OF_STARTING_LANE.start_failure, 0] == 0.0
         while released:
-            if _flow(tables, (y, facts["slack"], buses, COLUMNS)) < 0:
+            if _flow(tables, (y, facts.slack, buses, COLUMNS)) < 0:
                 scratch[own + OF_STARTING_LANE.start_failure, 0] = _DIVERGED
                 break
             # Each time at least one bus lets go, and no bus does twice.
@@ -73,15 +73,16 @@ def prepare_lanes(
             released = scratch[own + OF_STARTING_LANE.released, 0] > 0.0
         if scratch[own + OF_STARTING_LANE.start_failure, 0] == 0.0:
             settle(arrays, tables, NONE)
-            noise_bus = int(block[facts["lane"] + OF_LANE.noise_bus, 0])
+            noise_bus = int(block[facts.lane + OF_LANE.noise_bus, 0])
             voltage = buses[noise_bus, OF_STARTING_BUS.polar]
-            block[facts["lane"] + OF_LANE.noise_per_mw, 0] = 1.0 / (facts["base_mva"] * voltage * voltage)
+            block[facts.lane + OF_LANE.noise_per_mw, 0] = 1.0 / (facts.base_mva * voltage * voltage)
             events = data.events[lane]
             for e in range(events.shape[0]):
-                if events[e]["bus"] >= 0:
-                    voltage = buses[events[e]["bus"], OF_STARTING_BUS.polar]
-                    power, square = events[e]["admittance"], voltage * voltage
-                    events[e]["admittance"] = complex(power.real / square, power.imag / -square)
+                bus = int(events[e, EVENT.bus])
+                if bus >= 0:
+                    square = buses[bus, OF_STARTING_BUS.polar] * buses[bus, OF_STARTING_BUS.polar]
+                    events[e, EVENT.active] /= square
+                    events[e, EVENT.reactive] /= -square
             refresh(tables, (block, 0, lane, network, data))
             combine_load_noise(arrays, tables, NONE)
             evaluate(arrays, tables, NONE)

@@ -45,8 +45,8 @@ def enter_interval(block: Floats, first_lane: int, network: Network, data: LaneD
 
     `first_lane` is the row of the block's first lane in `data`.
     """
-    facts = network.facts[0]
-    lane, groups, n_substeps = facts["lane"], facts["groups"], facts["n_substeps"]
+    facts = network.facts
+    lane, groups, n_substeps = facts.lane, facts.groups, facts.n_substeps
     last, last_noise = data.wind.shape[2] - 1, data.noise.shape[1] - 1
     for x in range(block.shape[1]):
         index = int(block[lane + OF_LANE.step, x]) // n_substeps
@@ -61,7 +61,7 @@ def enter_interval(block: Floats, first_lane: int, network: Network, data: LaneD
 @internal
 def apply_events(block: Floats, first_lane: int, network: Network, data: LaneData) -> bool:
     """Let the events that are due at the present step change the networks of a block's lanes; return whether any is."""
-    lane, changed = network.facts[0]["lane"], False
+    lane, changed = network.facts.lane, False
     for x in range(block.shape[1]):
         if block[lane + OF_LANE.step, x] >= block[lane + OF_LANE.next_change, x]:
             refresh(network.tables, (block, x, first_lane + x, network, data))
@@ -96,8 +96,8 @@ def advance_interval(block: Floats, scratch: Floats, first_lane: int, network: N
         first_lane: the row of the block's first lane in `data`.
         network, data: constants, and what the lanes were given.
     """
-    arrays, tables, facts = (block, scratch), network.tables, network.facts[0]
-    n_substeps, h = facts["n_substeps"], facts["simulation_dt"]
+    arrays, tables, facts = (block, scratch), network.tables, network.facts
+    n_substeps, h = facts.n_substeps, facts.simulation_dt
     part, between = 1.0 / n_substeps, steps_between_samples(h)
     enter_interval(block, first_lane, network, data)
     combine_load_noise(arrays, tables, NONE)

@@ -11,17 +11,6 @@ from wtg_gym.systems.programs import Tables
 from wtg_gym.systems.records import dtype, flatten
 
 
-class BranchConstants(NamedTuple):
-    """A branch of the network: buses at its ends, and its admittances [p.u.]."""
-
-    start: int
-    end: int
-    y_ff: complex
-    y_ft: complex
-    y_tf: complex
-    y_tt: complex
-
-
 class Facts(NamedTuple):
     """Numbers of a plant, and the first rows of its kinds of unit in a block, of buses in scratch too."""
 
@@ -46,8 +35,9 @@ class Network(NamedTuple):
     The tables say where the systems of a step find rows and constants: see :mod:`wtg_gym.systems.programs`.
     """
 
-    facts: npt.NDArray[np.void]  # (1,), of Facts
-    branches: npt.NDArray[np.void]  # (n_branch,), of BranchConstants
+    facts: Facts
+    branch_ends: npt.NDArray[np.int64]  # bus indices of each branch (n_branch, 2)
+    branch_y: npt.NDArray[np.complex128]  # its admittances ff, ft, tf, tt (n_branch, 4) [p.u.]
     shunts: npt.NDArray[np.complex128]  # admittance at each bus (n_bus,) [p.u.]
     unit_bus: npt.NDArray[np.int64]  # bus index of each unit, machines first (n_unit,)
     unit_y: npt.NDArray[np.complex128]  # internal admittance of each unit (n_unit,) [p.u.]
@@ -61,14 +51,16 @@ class NetworkEvent(NamedTuple):
     start: float
     end: float  # later than start for a ramp, and for a branch that closes again
     bus: int = -1  # of a load
-    admittance: complex = 0j  # [p.u.]; power P + jQ until the lane's start turns it into an admittance
+    active: float = 0.0  # the load's P and Q until the lane's start, then its admittance [p.u.]
+    reactive: float = 0.0
     branch: int = -1  # that opens
     unit: int = -1  # that is disconnected; machines first
     governor: int = -1  # that stops acting: its machine
 
 
-EVENT_DTYPE = dtype(NetworkEvent)
-NO_EVENT = np.array([NetworkEvent(np.inf, np.inf)], dtype=EVENT_DTYPE)
+NO_EVENT = NetworkEvent(np.inf, np.inf)
+#: Columns of an event.
+EVENT = NetworkEvent(*range(len(NO_EVENT)))
 
 
 class LaneData(NamedTuple):
@@ -76,7 +68,7 @@ class LaneData(NamedTuple):
 
     wind: npt.NDArray[np.float64]  # at the ends of control intervals (n_lanes, n_wtg, n_intervals + 1) [m/s]
     noise: npt.NDArray[np.float64]  # load noise per control interval (n_lanes, n_intervals) [MW]
-    events: npt.NDArray[np.void]  # (n_lanes, n_events), of NetworkEvent
+    events: npt.NDArray[np.float64]  # (n_lanes, n_events, 8), of NetworkEvent
 
 
 def structured(record: type, entries: Any) -> npt.NDArray[Any]:

@@ -203,19 +203,18 @@ def eliminate(a: npt.NDArray) -> bool:  # type: ignore[type-arg]
 
 
 def assemble_admittance(
-    branches: npt.NDArray[np.void], open_branch: npt.NDArray[np.bool_], bus_y: npt.NDArray[np.complex128]
+    ends: npt.NDArray[np.int64], branch_y: npt.NDArray[np.complex128], bus_y: npt.NDArray[np.complex128]
 ) -> npt.NDArray[np.complex128]:
-    """Return the bus admittance matrix (n_bus, n_bus) [p.u.] of the closed branches plus `bus_y` on the diagonal.
+    """Return the bus admittance matrix (n_bus, n_bus) [p.u.] of closed branches plus `bus_y` on the diagonal.
 
-    `branches` (n_branch,) are of :class:`~wtg_gym.physics.kernel_data.BranchConstants`.
+    Args:
+        ends: bus indices of each branch (n_branch, 2).
+        branch_y: its admittances ff, ft, tf, tt (n_branch, 4) [p.u.].
+        bus_y: (n_bus,) [p.u.].
     """
     y = np.diag(bus_y)
-    for branch in branches[~open_branch]:
-        start, end = branch["start"], branch["end"]
-        y[start, start] += branch["y_ff"]
-        y[start, end] += branch["y_ft"]
-        y[end, start] += branch["y_tf"]
-        y[end, end] += branch["y_tt"]
+    for (start, end), own in zip(ends, branch_y, strict=True):
+        y[[start, start, end, end], [start, end, start, end]] += own
     return y
 
 

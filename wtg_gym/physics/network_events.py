@@ -85,7 +85,7 @@ def _changes(event: Event, load_level: float, settings: PlantSettings, plant: Pl
         power = complex(event.power_mw, event.reactive_mvar) / case.base_mva
     if isinstance(event, LoadRamp):
         end = start + whole_steps("ramp duration", event.duration_s, dt, "simulation step")
-    return [NetworkEvent(start, end, bus, power)]
+    return [NetworkEvent(start, end, bus, power.real, power.imag)]
 
 
 def _machines_at(case: NetworkCase, bus: int, what: str, machines: Iterable[int]) -> list[int]:

@@ -18,7 +18,7 @@ from wtg_gym.physics.extension_unit import COLUMNS, EXTENSIONS
 from wtg_gym.physics.governor import HydroGovernor, hydro_constants
 from wtg_gym.physics.hydro_unit import HYDRO
 from wtg_gym.physics.ieee14 import modified_ieee14
-from wtg_gym.physics.kernel_data import BranchConstants, Facts, Network, structured
+from wtg_gym.physics.kernel_data import Facts, Network, structured
 from wtg_gym.physics.layout import Layout
 from wtg_gym.physics.machine import Machine, machine_constants
 from wtg_gym.physics.machine_parameters import HydroGovernorParameters
@@ -175,12 +175,12 @@ class Plant(NamedTuple):
     @property
     def n_substeps(self) -> int:
         """Simulation steps per control interval."""
-        return int(self.network.facts["n_substeps"][0])
+        return self.network.facts.n_substeps
 
     @property
     def simulation_dt(self) -> float:
         """Step of the integration [s]."""
-        return float(self.network.facts["simulation_dt"][0])
+        return self.network.facts.simulation_dt
 
     def with_tables(self, tables: Tables) -> Plant:
         """Return the plant with other tables."""
@@ -213,13 +213,9 @@ def build_plant(settings: PlantSettings) -> Plant:
         )
         for index, bus in enumerate(case.buses)
     ]
-    branches = structured(
-        BranchConstants,
-        [
-            BranchConstants(case.bus_index(branch.from_bus), case.bus_index(branch.to_bus), *y)
-            for branch, y in zip(case.branches, branch_admittances(case.branches), strict=True)
-        ],
-    )
+    ends = [(case.bus_index(branch.from_bus), case.bus_index(branch.to_bus)) for branch in case.branches]
+    branch_ends = np.array(ends, dtype=np.int64).reshape(-1, 2)
+    branch_y = np.ascontiguousarray(branch_admittances(case.branches))
     shunts = np.array([complex(bus.shunt_mw, bus.shunt_mvar) / base for bus in case.buses], dtype=np.complex128)
     facts: dict[str, Any] = dict.fromkeys(Facts._fields, 0) | {
         "slack": slack,
@@ -229,8 +225,9 @@ def build_plant(settings: PlantSettings) -> Plant:
         "n_sync": len(machines),
     }
     network = Network(
-        facts=structured(Facts, [Facts(**facts)]),
-        branches=branches,
+        facts=Facts(**facts),
+        branch_ends=branch_ends,
+        branch_y=branch_y,
         shunts=shunts,
         unit_bus=np.array(unit_bus, dtype=np.int64),
         unit_y=1.0 / np.array(impedances, dtype=np.complex128),
@@ -239,7 +236,7 @@ def build_plant(settings: PlantSettings) -> Plant:
     )
     return Plant(
         network=network,
-        bus_y=assemble_admittance(branches, np.zeros(len(branches), dtype=np.bool_), shunts),
+        bus_y=assemble_admittance(branch_ends, branch_y, shunts),
         machines=structured(Machine, machines),
         dispatch=np.array([m.dispatch_mw / base for m in case.machines], dtype=np.float64),
         turbine=structured(Turbine, [turbine]),
@@ -359,11 +356,9 @@ def arranged(
     taped: Sequence[Program] = (),
 ) -> Plant:
     """Return a plant that knows where its rows lie, for programs that are to run; those `taped` have a way back."""
-    facts = plant.network.facts.copy()
-    first = dict(lane=LANE, machines=MACHINES, groups=GROUPS, units=UNITS, pairs=PAIRS, stages=STAGES, buses=BUSES)
-    for name, kind in first.items():
-        facts[name] = layout.first[kind]
-    facts["starts"] = layout.first_scratch[LANE]
+    kinds = dict(lane=LANE, machines=MACHINES, groups=GROUPS, units=UNITS, pairs=PAIRS, stages=STAGES, buses=BUSES)
+    first = {name: int(layout.first[kind]) for name, kind in kinds.items()}
+    facts = plant.network.facts._replace(**first, starts=int(layout.first_scratch[LANE]))
     tables = build_table(programs, Arranged(plant, layout, further or Further({})), taped)
     tables = tables._replace(code=plant.network.tables.code)
     return plant._replace(network=plant.network._replace(facts=facts, tables=tables))

@@ -7,7 +7,7 @@ import math
 import numpy as np
 import numpy.typing as npt
 
-from wtg_gym.physics.kernel_data import LaneData, Network
+from wtg_gym.physics.kernel_data import EVENT, LaneData, Network
 from wtg_gym.physics.layout import N_MACHINE_ROWS, N_WTG_ROWS, OF_LANE, Floats, place_of
 from wtg_gym.physics.machine_unit import MACHINES
 from wtg_gym.physics.network import eliminate
@@ -25,21 +25,22 @@ def refresh_network(block: Floats, x: int, lane: int, network: Network, data: La
     Units and governors that events take away are switched off. Load ramps are staircases: constant over a control
     interval at the value of its middle.
     """
-    facts = network.facts[0]
-    own, step, following = facts["lane"], block[facts["lane"] + OF_LANE.step, x], math.inf
+    facts = network.facts
+    own, step, following = facts.lane, block[facts.lane + OF_LANE.step, x], math.inf
     events = data.events[lane]
     for e in range(events.shape[0]):
-        event = events[e]
-        if step < event["start"]:
-            following = min(following, event["start"])
-        elif step < event["end"]:
-            boundary = (math.floor(step / facts["n_substeps"]) + 1.0) * facts["n_substeps"]
-            following = min(following, min(boundary, event["end"]) if event["bus"] >= 0 else event["end"])
+        start, end = events[e, EVENT.start], events[e, EVENT.end]
+        unit, governor = int(events[e, EVENT.unit]), int(events[e, EVENT.governor])
+        if step < start:
+            following = min(following, start)
+        elif step < end:
+            boundary = (math.floor(step / facts.n_substeps) + 1.0) * facts.n_substeps
+            following = min(following, min(boundary, end) if events[e, EVENT.bus] >= 0.0 else end)
         # A second time it changes nothing.
-        if step >= event["start"] and event["unit"] >= 0:
-            block[_connected(network, event["unit"]), x] = 0.0
-        machine = facts["machines"] + event["governor"] * N_MACHINE_ROWS
-        if step >= event["start"] and event["governor"] >= 0 and block[machine + _DROOP, x] > 0.0:
+        if step >= start and unit >= 0:
+            block[_connected(network, unit), x] = 0.0
+        machine = facts.machines + governor * N_MACHINE_ROWS
+        if step >= start and governor >= 0 and block[machine + _DROOP, x] > 0.0:
             # The gate stays where it is, whatever the speed.
             block[machine + _REFERENCE, x], block[machine + _DROOP, x] = block[machine + _GATE, x], 0.0
     block[own + OF_LANE.last_change, x], block[own + OF_LANE.next_change, x] = step, following
@@ -53,7 +54,7 @@ def refresh_network(block: Floats, x: int, lane: int, network: Network, data: La
         z[k, n_bus + n] = 1.0 if k == noise_bus else 0.0
     eliminate(z)
     # Y_red = diag(y) - diag(y) Z diag(y), the noise bus's transfer u = diag(y) Z e and its impedance.
-    row = facts["pairs"]
+    row = facts.pairs
     for i in range(n):
         bus = network.unit_bus[i]
         for j in range(n):
@@ -63,7 +64,7 @@ def refresh_network(block: Floats, x: int, lane: int, network: Network, data: La
             block[row, x], block[row + 1, x] = value.real, value.imag
             row += 2
         value = unit_y[i] * z[bus, n_bus + n]
-        block[facts["units"] + 2 * i, x], block[facts["units"] + 2 * i + 1, x] = value.real, value.imag
+        block[facts.units + 2 * i, x], block[facts.units + 2 * i + 1, x] = value.real, value.imag
     at = own + OF_LANE.noise_z
     block[at, x], block[at + 1, x] = z[noise_bus, n_bus + n].real, z[noise_bus, n_bus + n].imag
 
@@ -71,11 +72,11 @@ def refresh_network(block: Floats, x: int, lane: int, network: Network, data: La
 @inlined
 def _connected(network: Network, unit: int) -> int:
     """Return the row that says whether a unit is connected."""
-    facts = network.facts[0]
-    if unit < facts["n_sync"]:
-        at = facts["machines"] + unit * N_MACHINE_ROWS + _OF_MACHINE
+    facts = network.facts
+    if unit < facts.n_sync:
+        at = facts.machines + unit * N_MACHINE_ROWS + _OF_MACHINE
     else:
-        at = facts["groups"] + (unit - facts["n_sync"]) * N_WTG_ROWS + _OF_GROUP
+        at = facts.groups + (unit - facts.n_sync) * N_WTG_ROWS + _OF_GROUP
     row: int = at
     return row
 
@@ -104,37 +105,36 @@ def assemble(
         lane: its row in `data`.
         network, data: constants and what the lane was given.
     """
-    facts, events, n = network.facts[0], data.events[lane], network.shunts.shape[0]
-    step = block[facts["lane"] + OF_LANE.last_change, x]
-    ramp_step = 0.5 * (step + block[facts["lane"] + OF_LANE.next_change, x])
+    facts, events, n = network.facts, data.events[lane], network.shunts.shape[0]
+    step = block[facts.lane + OF_LANE.last_change, x]
+    ramp_step = 0.5 * (step + block[facts.lane + OF_LANE.next_change, x])
     # The share of every load that shedding has left, of those switched on by events too.
     served = 1.0
     for k in range(network.shed_shares.shape[0]):
-        acted = -1.0 - block[facts["stages"] + k, x]
+        acted = -1.0 - block[facts.stages + k, x]
         if 0.0 <= acted <= step:
             served -= network.shed_shares[k]
     for k in range(n):
         for m in range(n):
             y[k, m] = 0.0
-        row = facts["buses"] + 2 * k
+        row = facts.buses + 2 * k
         y[k, k] = network.shunts[k] + served * complex(block[row, x], block[row + 1, x])
     for e in range(events.shape[0]):
-        event = events[e]
-        if step >= event["start"] and event["bus"] >= 0 and event["branch"] < 0:
-            over = step >= event["end"]
-            level = 1.0 if over else (ramp_step - event["start"]) / (event["end"] - event["start"])
-            y[event["bus"], event["bus"]] += served * level * event["admittance"]
+        start, end, bus = events[e, EVENT.start], events[e, EVENT.end], int(events[e, EVENT.bus])
+        if step >= start and bus >= 0:
+            level = 1.0 if step >= end else (ramp_step - start) / (end - start)
+            y[bus, bus] += served * level * complex(events[e, EVENT.active], events[e, EVENT.reactive])
     for i in range(unit_y.shape[0]):
         unit_y[i] = network.unit_y[i] * block[_connected(network, i), x]
         y[network.unit_bus[i], network.unit_bus[i]] += unit_y[i]
-    for b in range(network.branches.shape[0]):
-        is_open, branch = False, network.branches[b]
+    for b in range(network.branch_ends.shape[0]):
+        is_open = False
         for e in range(events.shape[0]):
-            event = events[e]
-            closed_again = event["end"] > event["start"] and step >= event["end"]
-            is_open |= event["branch"] == b and step >= event["start"] and not closed_again
+            start, end = events[e, EVENT.start], events[e, EVENT.end]
+            is_open |= events[e, EVENT.branch] == b and step >= start and not (end > start and step >= end)
         if not is_open:
-            y[branch["start"], branch["start"]] += branch["y_ff"]
-            y[branch["start"], branch["end"]] += branch["y_ft"]
-            y[branch["end"], branch["start"]] += branch["y_tf"]
-            y[branch["end"], branch["end"]] += branch["y_tt"]
+            start_bus, end_bus = network.branch_ends[b, 0], network.branch_ends[b, 1]
+            y[start_bus, start_bus] += network.branch_y[b, 0]
+            y[start_bus, end_bus] += network.branch_y[b, 1]
+            y[end_bus, start_bus] += network.branch_y[b, 2]
+            y[end_bus, end_bus] += network.branch_y[b, 3]

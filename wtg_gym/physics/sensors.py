@@ -15,15 +15,10 @@ from typing import NamedTuple
 
 from wtg_gym.physics.checked import Checked, design, required
 from wtg_gym.ranges import require_range, whole_steps
-from wtg_gym.systems.compiled import inlined
+from wtg_gym.systems.elementary import noise
 
 #: Longest delay [s].
 DELAY_MAX_S = 1.0
-_WORD = 0xFFFFFFFF
-#: Numbers that differ by a whole number of golden sections of the words lie as far apart as they can.
-_GOLDEN = 0x1E3779B1
-#: Mean and standard deviation of the sum of four uniform whole numbers 0 … 65535.
-_SUM_MEAN, _SUM_DEVIATION = 131070.0, math.sqrt((65536.0**2 - 1.0) / 3.0)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -84,7 +79,7 @@ class Noise(NamedTuple):
 
 
 #: Random numbers of a WTG group per step.
-N_CHANNELS = len(Noise._fields)
+_N_CHANNELS = len(Noise._fields)
 
 
 class SensorState(NamedTuple):
@@ -137,31 +132,9 @@ def sensor_input(sensors: Sensors | None, control_dt: float, nominal_hz: float) 
     )
 
 
-@inlined
-def scrambled(word: int) -> int:
-    """Return a word of 32 bits that looks unrelated to the given one, a one-to-one function of it.
-
-    Source of the multipliers: C. Wellons and T. Ellis, hash-prospector. Both have 31 bits, so that a product of two
-    numbers fits a signed word of 64 bits.
-    """
-    word = ((word ^ (word >> 16)) * 0x21F0AAAD) & _WORD
-    word = ((word ^ (word >> 15)) * 0x735A2D97) & _WORD
-    return word ^ (word >> 15)
-
-
-@inlined
-def noise_key(seed: int, step: int) -> int:
-    """Return the word from which a step's random numbers are drawn."""
-    return scrambled(seed ^ scrambled(step + 1))
-
-
-@inlined
-def normal(key: int, channel: int) -> float:
-    """Return the random number of a channel: mean 0, variance 1, nearly normal."""
-    first = scrambled((key + 2 * channel * _GOLDEN) & _WORD)
-    second = scrambled((key + (2 * channel + 1) * _GOLDEN) & _WORD)
-    total = (first & 0xFFFF) + (first >> 16) + (second & 0xFFFF) + (second >> 16)
-    return (total - _SUM_MEAN) * (1.0 / _SUM_DEVIATION)
+def drawn(seed: float, interval: float, group: float) -> Noise:
+    """Return the random numbers of a group, counted from 0, in a control interval of a run."""
+    return Noise(*(noise(seed, interval, _N_CHANNELS * group + channel) for channel in range(_N_CHANNELS)))
 
 
 def sensors_started(exact: Measurement, noise: Noise) -> SensorState:

@@ -13,7 +13,7 @@ import numpy.typing as npt
 from wtg_gym.physics.block_threads import BlockThreads
 from wtg_gym.physics.equilibrium import COLUMNS, POWER_FLOW, prepare_lanes, rows_of_buses
 from wtg_gym.physics.integration import PROGRAMS, REFRESH, STARTING, STEPPING, advance_blocks, evaluate_blocks
-from wtg_gym.physics.kernel_data import EVENT_DTYPE, NO_EVENT, LaneData
+from wtg_gym.physics.kernel_data import NO_EVENT, LaneData
 from wtg_gym.physics.layout import Floats
 from wtg_gym.physics.linearisation import check_step
 from wtg_gym.physics.network_events import network_events
@@ -173,7 +173,7 @@ class Simulator:
         return LaneData(
             wind=np.full((n, self.layout.n_wtg, self.n_intervals + 1), 8.0),
             noise=np.zeros((n, self.n_intervals)),
-            events=np.full((n, n_events), NO_EVENT, dtype=EVENT_DTYPE),
+            events=np.tile(np.array(NO_EVENT), (n, n_events, 1)),
         )
 
     def _pad(self) -> None:
@@ -255,9 +255,7 @@ class Simulator:
             self._write_series(data, lane, scenario)
         places = [(lane, place) for lane, own in enumerate(events) for place in range(len(own))]
         if places:
-            data.events[tuple(np.transpose(places))] = np.array(
-                [event for own in events for event in own], dtype=EVENT_DTYPE
-            )
+            data.events[tuple(np.transpose(places))] = [event for own in events for event in own]
         rows = np.zeros((n, self.layout.n_rows))
         self._write_machine_inputs(rows, scenarios)
         for name in ("k_min", "k_nominal", "k_max", "droop_cancelled"):

@@ -199,8 +199,7 @@ class ScenarioDistribution(Checked):
         window = (min(self.first_event_s, latest), latest)
         n_samples = math.ceil(round(duration_s / SERIES_DT, 6)) + 1
         # The name is part of the seed, so that two suites share no scenario.
-        states = np.empty((len(seeds), 4), dtype=np.uint64)
-        seed_streams(np.array(seeds, dtype=np.uint64), zlib.crc32(self.name.encode()), states)
+        states = seed_streams(seeds, zlib.crc32(self.name.encode()))
         plans = [self._plan(pick, turbines, n_samples, window) for pick in pickers(states)]
         speeds, noises = self._series(states, plans, turbines, n_samples)
         return [

@@ -64,8 +64,7 @@ class SensorDistribution(Checked):
 
         What is drawn scales with the distribution: with twice the `wind_bias`, every bias is twice as large.
         """
-        states = np.empty((len(seeds), 4), dtype=np.uint64)
-        seed_streams(np.array(seeds, dtype=np.uint64), zlib.crc32(f"{name}/sensors".encode()), states)
+        states = seed_streams(seeds, zlib.crc32(f"{name}/sensors".encode()))
         uniform = np.empty((len(seeds), 2 + 12 * n_wtg))
         draw_uniforms(states, uniform)
         delays = self.delays_s()

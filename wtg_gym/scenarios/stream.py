@@ -17,7 +17,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 import numpy.typing as npt
-from numba import int64, uint32, uint64
+from numba import int64, uint64
 
 from wtg_gym.systems.compiled import compiled, inlined, internal
 
@@ -42,6 +42,7 @@ _INVERSE_TAIL = 0.27366123732975828
 _MULTIPLIER_HIGH = np.uint64(0x2360ED051FC65DA4)
 _MULTIPLIER_LOW = np.uint64(0x4385DF649FCCF645)
 _LOW_HALF = np.uint64(0xFFFFFFFF)
+_WORD = 2**64 - 1
 
 
 @inlined
@@ -76,58 +77,15 @@ def _unit(bits: Word) -> float:
     return float(int64(bits >> uint64(11))) * (1.0 / 9007199254740992.0)
 
 
-@inlined
-def _hashed(value: Word, factor: Word, multiplier: Word) -> tuple[Word, Word]:
-    """Return the hash of a 32-bit word, and the factor that the next word is hashed with."""
-    value = uint32(value ^ factor)
-    factor = uint32(factor * multiplier)
-    value = uint32(value * factor)
-    return uint32(value ^ (value >> uint32(16))), factor
+def seed_streams(seeds: Sequence[int], key: int) -> Words:
+    """Return the states of one stream per seed, that of `np.random.default_rng([seed, key])`.
 
-
-@internal
-def _seed_words(seed: Word, key: Word, words: Words) -> None:
-    """Fill words (4,) with what `SeedSequence([seed, key])` gives; the key has 32 bits."""
-    pool = np.zeros(4, dtype=np.uint32)
-    pool[0] = uint32(seed & _LOW_HALF)
-    upper = uint32(seed >> uint64(32))
-    if upper:
-        pool[1] = upper
-    pool[2 if upper else 1] = key
-    factor = uint32(0x43B0D7E5)
-    for i in range(4):
-        pool[i], factor = _hashed(pool[i], factor, uint32(0x931E8875))
-    for source in range(4):
-        for target in range(4):
-            if source != target:
-                value, factor = _hashed(pool[source], factor, uint32(0x931E8875))
-                mixed = uint32(uint32(0xCA01F9DD) * pool[target] - uint32(0x4973F715) * value)
-                pool[target] = mixed ^ (mixed >> uint32(16))
-    factor = uint32(0x8B51F9DD)
-    for i in range(4):
-        low, factor = _hashed(pool[2 * i % 4], factor, uint32(0x58F38DED))
-        high, factor = _hashed(pool[(2 * i + 1) % 4], factor, uint32(0x58F38DED))
-        words[i] = uint64(low) | (uint64(high) << uint64(32))
-
-
-@compiled
-def seed_streams(seeds: Words, key: Word, states: Words) -> None:
-    """Start one stream per seed, that of `np.random.default_rng([seed, key])`.
-
-    Args:
-        seeds: (n,).
-        key: 0 … 2^32 - 1.
-        states: written, (n, 4): state and increment, the upper word first.
+    Returns:
+        (n_seeds, 4): state and increment, the upper word first.
     """
-    words = np.empty(4, dtype=np.uint64)
-    for i in range(seeds.shape[0]):
-        _seed_words(seeds[i], uint32(key), words)
-        add_high = (words[2] << uint64(1)) | (words[3] >> uint64(63))
-        add_low = (words[3] << uint64(1)) | uint64(1)
-        low = words[1] + add_low
-        high = words[0] + add_high + uint64(low < add_low)
-        states[i, 0], states[i, 1] = _advance(high, low, add_high, add_low)
-        states[i, 2], states[i, 3] = add_high, add_low
+    found = [np.random.PCG64([seed, key]).state["state"] for seed in seeds]
+    words = [(own["state"] >> 64, own["state"] & _WORD, own["inc"] >> 64, own["inc"] & _WORD) for own in found]
+    return np.array(words, dtype=np.uint64).reshape(-1, 4)
 
 
 @compiled

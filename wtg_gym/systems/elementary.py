@@ -104,3 +104,28 @@ def limited_rate(rate: float, value: float, low: float, high: float) -> float:
 def clip(value: float, low: float, high: float) -> float:
     """Return the value, held within [low, high]."""
     return min(max(value, low), high)
+
+
+_WORD = 0xFFFFFFFF
+#: Numbers that differ by a whole number of golden sections of the words lie as far apart as they can.
+GOLDEN = 0x1E3779B1
+#: Mean and standard deviation of the sum of four uniform whole numbers 0 … 65535.
+SUM_MEAN, SUM_DEVIATION = 131070.0, math.sqrt((65536.0**2 - 1.0) / 3.0)
+#: Shifts and factors that scramble a word. Source of the factors: C. Wellons and T. Ellis, hash-prospector. Both have
+#: 31 bits, so that a product of two numbers fits a signed word of 64 bits.
+SCRAMBLING = ((16, 0x21F0AAAD), (15, 0x735A2D97), (15, 1))
+
+
+def _scrambled(word: int) -> int:
+    """Return a word of 32 bits that looks unrelated to the given one, a one-to-one function of it."""
+    for shift, factor in SCRAMBLING:
+        word = ((word ^ (word >> shift)) * factor) & _WORD
+    return word
+
+
+def noise(seed: float, step: float, channel: float) -> float:
+    """Return a random number: mean 0, variance 1, nearly normal; whole numbers 0 … 2³¹ - 1 say which."""
+    key = _scrambled(int(seed) ^ _scrambled(int(step) + 1))
+    first, second = (_scrambled((key + (2 * int(channel) + i) * GOLDEN) & _WORD) for i in range(2))
+    total = (first & 0xFFFF) + (first >> 16) + (second & 0xFFFF) + (second >> 16)
+    return (total - SUM_MEAN) * (1.0 / SUM_DEVIATION)

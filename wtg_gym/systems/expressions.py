@@ -13,6 +13,8 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any
 
+from wtg_gym.systems import elementary
+
 #: Numbers are known to all threads.
 _LOCK = threading.RLock()
 
@@ -178,6 +180,11 @@ def arc_tangent(y: Any, x: Any) -> Any:
     return number("atan2", y, x)
 
 
+def noise(seed: Any, step: Any, channel: Any) -> Any:
+    """Return a random number, which follows nothing."""
+    return number("noise", seed, step, channel)
+
+
 def hypotenuse(x: Any, y: Any) -> Any:
     """Return the length of (x, y) as libm has it; no derivative is known."""
     return number("hypot", x, y)
@@ -238,6 +245,7 @@ _CONSTANT: dict[str, Callable[..., Any]] = {
     "sqrt": math.sqrt,
     "atan2": math.atan2,
     "hypot": math.hypot,
+    "noise": elementary.noise,
     "sin": math.sin,
     "cos": math.cos,
     "floor": math.floor,

@@ -51,6 +51,18 @@ class Repeat(NamedTuple):
     most: int
 
 
+class Delay(NamedTuple):
+    """A part of every unit, kept in a ring that turns by a place a time, and handed out some turns later."""
+
+    units: Kind
+    part: str  # in scratch
+    delayed: str  # takes what was kept, in scratch
+    ring: Kind  # one unit after the other for each turn
+    kept: str
+    turn: str  # how often the ring has turned, a number that units see
+    delay: str  # turns, likewise
+
+
 class Each(NamedTuple):
     """For each unit of `outer` in turn: that system, then `inner` over that unit's share of its own units."""
 
@@ -135,26 +147,39 @@ class Program:
     def digest(self, *, back: bool = False) -> str:
         """Return a hash of everything that its machine code depends on, or that of the way back through it."""
         found = hashlib.sha256(repr((self.name, list(self.places.values()))).encode())
-        for one in systems_of(self.entries):
-            found.update(repr((one.name, one.slots, one.constants_used, one.when)).encode())
-            stores: list[tuple[Any, Any]] = [((name, k), value) for name, k, value in one.trace.stores]
+        for entry in _flat(self.entries):
+            if not isinstance(entry, System):
+                within = len(list(_flat(getattr(entry, "entries", ()))))
+                told = [value for value in entry if isinstance(value, (str, int))]
+                found.update(repr((type(entry).__name__, told, within, _n_noted(entry))).encode())
+                continue
+            found.update(repr((entry.name, entry.slots, entry.constants_used, entry.when)).encode())
+            stores: list[tuple[Any, Any]] = [((name, k), value) for name, k, value in entry.trace.stores]
             if back:
-                stores += [*one.adjoint.inputs.items(), *one.adjoint.constants.items()]
-                found.update(repr((one.noted, list(one.adjoint.seeds.values()))).encode())
+                stores += [*entry.adjoint.inputs.items(), *entry.adjoint.constants.items()]
+                found.update(repr((entry.noted, list(entry.adjoint.seeds.values()))).encode())
             order = {number: i for i, number in enumerate(ex.needed(value for _, value in stores))}
             for number in order:
-                told = (order[a] if isinstance(a, ex.Number) else a for a in number.arguments)
-                found.update(repr((number.operation, *told)).encode())
+                arguments = (order[a] if isinstance(a, ex.Number) else a for a in number.arguments)
+                found.update(repr((number.operation, *arguments)).encode())
             found.update(repr([(at, order.get(value, value)) for at, value in stores]).encode())
         return found.hexdigest()
 
     def tape_rows(self, plant: Arrangement) -> int:
         """Return how many rows a run of the program notes."""
-        return sum(len(one.noted) * _n_units(one, plant) for one in systems_of(self.entries))
+        return sum(_n_noted(entry) * _n_units(entry, plant) for entry in _flat(self.entries))
 
 
-def _n_units(one: System, plant: Arrangement) -> int:
-    return plant.n_units(one.kind) if one.when is None or plant.has(one.when) else 0
+def _n_units(entry: Any, plant: Arrangement) -> int:
+    """Return how many units an entry is for."""
+    if isinstance(entry, System):
+        return plant.n_units(entry.kind) if entry.when is None or plant.has(entry.when) else 0
+    return plant.n_units(entry.units) if isinstance(entry, (Product, Delay)) else 1
+
+
+def _n_noted(entry: Any) -> int:
+    """Return how many rows an entry notes on a tape for each unit."""
+    return len(entry.noted) if isinstance(entry, System) else 2 * isinstance(entry, Delay)
 
 
 def build_table(programs: Sequence[Program], plant: Arrangement, taped: Sequence[Program] = ()) -> Tables:
@@ -169,22 +194,23 @@ def build_table(programs: Sequence[Program], plant: Arrangement, taped: Sequence
     for program in programs:
         n_taped = 0
         for entry in _flat(program.entries):
-            own = head[program.places[id(entry)]]
-            own[1] = head.size + len(rows)
+            own, n = head[program.places[id(entry)]], _n_units(entry, plant)
+            own[:] = n, head.size + len(rows), len(numbers), n_taped
+            n_taped += _n_noted(entry) * n if program in taped else 0
             if isinstance(entry, System):
-                n = _n_units(entry, plant)
+                # Tables of cells come before the constants of the system.
                 values = _constants_of(entry, plant, n, numbers, cells)
-                own[0], own[2], own[3] = n, len(numbers), n_taped
-                n_taped += len(entry.noted) * n if program in taped else 0
+                own[2] = len(numbers)
                 rows += _system_rows(entry, plant, n)
                 numbers += values
             elif isinstance(entry, Product):
-                own[0] = plant.n_units(entry.units)
                 rows += _product_rows(entry, plant)
+            elif isinstance(entry, Delay):
+                rows += _delay_rows(entry, plant)
             else:
                 at = entry.lane.find(entry.flag)
                 assert at is not None
-                own[:2] = 1, plant.first_rows(at.kind, at.part)[0]
+                own[1] = plant.first_rows(at.kind, at.part)[0]
     table = np.concatenate([head.ravel(), np.array(rows, dtype=np.int64)])
     return Tables(table, np.array(numbers, dtype=np.float64), np.zeros(0, dtype=np.int64))
 
@@ -217,11 +243,28 @@ def constant_places(
 
 
 def _product_rows(entry: Product, plant: Arrangement) -> list[int]:
-    rows: list[int] = []
-    for kind, part in ((entry.pairs, entry.matrix), (entry.units, entry.vector), (entry.units, entry.result)):
-        found = plant.first_rows(kind, part)
-        rows += [int(found[0]) if found.size else 0, int(found[1] - found[0]) if found.size > 1 else 0]
-    return rows
+    parts = (entry.pairs, entry.matrix), (entry.units, entry.vector), (entry.units, entry.result)
+    return [row for kind, part in parts for row in _stride(kind, part, plant)]
+
+
+def _delay_rows(entry: Delay, plant: Arrangement) -> list[int]:
+    """Return first rows and strides of both parts, the ring's first row, its turns, and the rows of turn and delay."""
+    n = plant.n_units(entry.units)
+    if n == 0:
+        return [0] * 8
+    numbers = []
+    for name in (entry.turn, entry.delay):
+        place = entry.units.find(name)
+        assert place is not None
+        numbers.append(int(_rows_of(entry.units, place, plant)[0]))
+    ring = [_stride(entry.ring, entry.kept, plant)[0], plant.n_units(entry.ring) // n]
+    return [*_stride(entry.units, entry.part, plant), *_stride(entry.units, entry.delayed, plant), *ring, *numbers]
+
+
+def _stride(kind: Kind, part: str, plant: Arrangement) -> list[int]:
+    """Return the first row of a part of the first unit, and how many rows later that of the next is."""
+    found = plant.first_rows(kind, part)
+    return [int(found[0]) if found.size else 0, int(found[1] - found[0]) if found.size > 1 else 0]
 
 
 def _system_rows(one: System, plant: Arrangement, n: int) -> list[int]:

@@ -23,6 +23,7 @@ ARITHMETIC: dict[str, Any] = {
     "fma": ex.multiply_add,
     "sine_cosine": ex.sine_cosine,
     "exponential": ex.exponential,
+    "noise": ex.noise,
     "math": SimpleNamespace(
         sqrt=ex.square_root,
         floor=ex.floor,

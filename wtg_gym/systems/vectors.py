@@ -154,9 +154,38 @@ class Lanes:
             kind = ir.FunctionType(_DOUBLE, [_DOUBLE] * len(a))
             function = cgutils.get_or_insert_function(builder.module, kind, _OF_LIBM[operation])
             return self.each(lambda *given: builder.call(function, given), *a)
+        if operation == "noise":
+            return self._noise(*a)
         if operation == "cell":
             return self.each(self._number_at, *a)
         raise NotImplementedError(operation)
+
+    def _noise(self, seed: Any, step: Any, channel: Any) -> Any:
+        """Return :func:`~wtg_gym.systems.elementary.noise`, in whole numbers of 64 bits."""
+        builder = self.builder
+        kind = _WHOLE if self.width == 1 else ir.VectorType(_WHOLE, self.width)
+
+        def whole(value: int) -> Any:
+            return ir.Constant(kind, value if self.width == 1 else [value] * self.width)
+
+        def cut(word: Any) -> Any:
+            return builder.and_(word, whole(0xFFFFFFFF))
+
+        def scrambled(word: Any) -> Any:
+            for shift, factor in elementary.SCRAMBLING:
+                word = builder.xor(word, builder.lshr(word, whole(shift)))
+                word = cut(builder.mul(word, whole(factor))) if factor > 1 else word
+            return word
+
+        seeds, steps, channels = (builder.fptosi(value, kind) for value in (seed, step, channel))
+        key = scrambled(builder.xor(seeds, scrambled(builder.add(steps, whole(1)))))
+        total = whole(0)
+        for i in range(2):
+            place = builder.add(builder.mul(channels, whole(2)), whole(i))
+            word = scrambled(cut(builder.add(key, builder.mul(place, whole(elementary.GOLDEN)))))
+            total = builder.add(total, builder.add(builder.and_(word, whole(0xFFFF)), builder.lshr(word, whole(16))))
+        deviation = builder.fsub(builder.sitofp(total, self.kind), self.constant(elementary.SUM_MEAN))
+        return builder.fmul(deviation, self.constant(1.0 / elementary.SUM_DEVIATION))
 
     def _number_at(self, place: Any) -> Any:
         whole = self.builder.fptosi(place, _WHOLE)
