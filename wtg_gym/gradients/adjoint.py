@@ -22,6 +22,7 @@ from wtg_gym.physics import integration, protection
 from wtg_gym.physics import step as of_step
 from wtg_gym.physics.extension_unit import EXTENSIONS
 from wtg_gym.physics.integration import (
+    AT_END,
     apply_events,
     combine_load_noise,
     enter_interval,
@@ -42,8 +43,6 @@ from wtg_gym.systems.writers import BackWithoutConstants, BackWriter, NotingWrit
 #: lane's largest. They come some thirty times at most; if ever this many were too few, not a number comes back.
 _SWEEPS = 1000
 _SETTLED = 1e-13
-#: Scalars of the evaluation at an interval's end.
-AT_END = (1.0, 0.0, 0.0, 0.0)
 
 PROGRAMS = in_one_table(
     *integration.PROGRAMS,
@@ -51,8 +50,8 @@ PROGRAMS = in_one_table(
     ACTED=ACT,
     FLOWS=of_step.FLOWS,
     SWEEP=of_step.SWEEP,
-    MOTION=of_step.MOTION,
-    RATES=of_step.RATES,
+    MOTION=(*of_step.CAPTURE, *of_step.MOVE),
+    RATES=(*of_step.CAPTURE, *of_step.RATES),
     FINISHED=of_step.FINISH[:-2],
     CHARGED=CHARGE,
     MEASURED=MEASURE,

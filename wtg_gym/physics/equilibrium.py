@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from wtg_gym.physics.integration import combine_load_noise, evaluate, plan, refresh, release, settle, start
+from wtg_gym.physics.integration import combine_load_noise, find, find_rates, plan, refresh, release, settle, start
 from wtg_gym.physics.kernel_data import EVENT, LaneData, Network
 from wtg_gym.physics.layout import OF_LANE, OF_STARTING_BUS, OF_STARTING_LANE, Floats, Layout, n_rows_of
 from wtg_gym.physics.network import PowerFlow, solve_power_flow
@@ -85,7 +85,8 @@ def prepare_lanes(
                     events[e, EVENT.reactive] /= -square
             refresh(tables, (block, 0, lane, network, data))
             combine_load_noise(arrays, tables, NONE)
-            evaluate(arrays, tables, NONE)
+            find(arrays, tables, NONE)
+            find_rates(arrays, tables, NONE)
             start(arrays, tables, NONE)
         failures[lane, 0] = int(scratch[own + OF_STARTING_LANE.start_failure, 0])
         failures[lane, 1] = int(scratch[own + OF_STARTING_LANE.failing_unit, 0])

@@ -14,8 +14,9 @@ from wtg_gym.systems.routines import Function, Routine
 
 PROGRAMS = in_one_table(
     ADMITTANCES=systems.ADMITTANCES,
-    STAGE=systems.STAGE,
-    EVALUATE=systems.EVALUATE,
+    FIND=systems.FIND,
+    RATES=systems.RATES,
+    MOVE=systems.MOVE,
     FINISH=systems.FINISH,
     PROTECT=systems.PROTECT,
     PLAN=systems.PLAN,
@@ -23,17 +24,19 @@ PROGRAMS = in_one_table(
     SETTLE=systems.SETTLE,
     START=systems.START,
 )
-_ADMITTANCES, _STAGE, _EVALUATE, _FINISH, _PROTECT, *_STARTING = PROGRAMS
+_ADMITTANCES, _FIND, _RATES, _MOVE, _FINISH, _PROTECT, *_STARTING = PROGRAMS
 _FIRST, _MIDDLE, _LAST = (
-    Routine(_STAGE, place=place, first=first, last=last)
+    Routine(_MOVE, place=place, first=first, last=last)
     for place, (first, last) in enumerate(((1.0, 0.0), (0.0, 0.0), (0.0, 1.0)))
 )
-#: Routines of a step, and of the start of a run.
-STEPPING = (*map(Routine, (_ADMITTANCES, _EVALUATE, _FINISH, _PROTECT)), _FIRST, _MIDDLE, _LAST)
-STARTING = (*STEPPING[:2], *map(Routine, _STARTING))
-combine_load_noise, evaluate, _finish, protect = (routine.call for routine in STEPPING[:4])
-plan, release, settle, start = (routine.call for routine in STARTING[2:])
-_first_stage, _middle_stage, _last_stage = _FIRST.call, _MIDDLE.call, _LAST.call
+#: Routines of an evaluation, of a step, and of the start of a run.
+EVALUATING = tuple(map(Routine, (_ADMITTANCES, _FIND, _RATES)))
+STEPPING = (*EVALUATING, *map(Routine, (_FINISH, _PROTECT)), _FIRST, _MIDDLE, _LAST)
+STARTING = (*EVALUATING, *map(Routine, _STARTING))
+combine_load_noise, find, find_rates, _finish, protect, _move_first, _move, _move_last = (r.call for r in STEPPING)
+plan, release, settle, start = (routine.call for routine in STARTING[3:])
+#: Scalars of an evaluation at an interval's end.
+AT_END = (1.0, 0.0, 0.0, 0.0)
 REFRESH = Function(refresh_network, 0)
 refresh = REFRESH.call
 _WIND_START, _WIND_END = place_of(GROUPS, "wind_start"), place_of(GROUPS, "wind_end")
@@ -107,16 +110,18 @@ def advance_interval(block: Floats, scratch: Floats, first_lane: int, network: N
             combine_load_noise(arrays, tables, NONE)
         for stage in range(4):
             scalars = stage_scalars(h, part, step, stage)
+            find(arrays, tables, scalars)
             if stage == 0:
-                _first_stage(arrays, tables, scalars)
+                _move_first(arrays, tables, scalars)
             elif stage == 3:
-                _last_stage(arrays, tables, scalars)
+                _move_last(arrays, tables, scalars)
             else:
-                _middle_stage(arrays, tables, scalars)
+                _move(arrays, tables, scalars)
         _finish(arrays, tables, NONE)
         if (step + 1) % between == 0 or step + 1 == n_substeps:
             protect(arrays, tables, NONE)
-    evaluate(arrays, tables, (1.0, 0.0, 0.0, 0.0))
+    find(arrays, tables, AT_END)
+    find_rates(arrays, tables, AT_END)
 
 
 @inlined
@@ -135,9 +140,8 @@ def advance_blocks(blocks: Floats, scratch: Floats, first: int, last: int, netwo
         advance_interval(blocks[b], scratch, b * blocks.shape[2], network, data)
 
 
-@compiled
 def evaluate_blocks(blocks: Floats, scratches: Floats, network: Network) -> None:
     """Evaluate the time derivatives of all blocks at the start of their wind interval, each in a scratch of its own."""
-    for b in range(blocks.shape[0]):
-        combine_load_noise((blocks[b], scratches[b]), network.tables, NONE)
-        evaluate((blocks[b], scratches[b]), network.tables, NONE)
+    for arrays in zip(blocks, scratches, strict=True):
+        for routine in EVALUATING:
+            routine(arrays, network.tables)

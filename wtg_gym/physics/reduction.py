@@ -133,8 +133,5 @@ def assemble(
             start, end = events[e, EVENT.start], events[e, EVENT.end]
             is_open |= events[e, EVENT.branch] == b and step >= start and not (end > start and step >= end)
         if not is_open:
-            start_bus, end_bus = network.branch_ends[b, 0], network.branch_ends[b, 1]
-            y[start_bus, start_bus] += network.branch_y[b, 0]
-            y[start_bus, end_bus] += network.branch_y[b, 1]
-            y[end_bus, start_bus] += network.branch_y[b, 2]
-            y[end_bus, end_bus] += network.branch_y[b, 3]
+            for i in range(4):
+                y[network.branch_ends[b, i // 2], network.branch_ends[b, i % 2]] += network.branch_y[b, i]

@@ -1,8 +1,8 @@
 """The step of the simulation: what happens, in its order.
 
-    enter → events → 4 × (voltages, currents, capture, stage) → finish → protect → evaluate
+    enter → events → 4 × (find → move) → finish → protect → find → rates
 
-A run starts with plan → power flow → release → settle → start.
+A run starts with plan → power flow → release → settle → find → rates → start.
 
 Each name is a list of systems over all units of a kind; what is no map over units stands in the same lists.
 """
@@ -41,8 +41,11 @@ FLOWS = (*VOLTAGES, *FREE_CURRENTS)
 
 CAPTURE = (wtg.capture_by_curve, wtg.capture_by_table)
 
-MOTION = (
-    *CAPTURE,
+#: What every evaluation begins with: voltages and currents, then the power from the wind.
+FIND = (*FLOWS, *LIMITS, *CAPTURE)
+
+#: A stage of the Runge-Kutta method, after that.
+MOVE = (
     hydro.stage_of_hydro,
     machine.stage_of_machine,
     wtg.stage_of_group,
@@ -50,20 +53,14 @@ MOTION = (
     units.reference_stage,
 )
 
-#: A stage of the Runge-Kutta method.
-STAGE = (*FLOWS, *LIMITS, *MOTION)
-
+#: Rates and outputs at the present state, which stays; after that.
 RATES = (
-    *CAPTURE,
     hydro.rates_of_hydro,
     machine.rates_of_machine,
     wtg.rates_of_group,
     extension.rates_of_extended,
     units.reference_rate,
 )
-
-#: Rates and outputs at the present state, which stays.
-EVALUATE = (*FLOWS, *LIMITS, *RATES)
 
 COI = (protection.begin_coi, protection.add_machine, protection.add_group, protection.centre_of_inertia)
 
