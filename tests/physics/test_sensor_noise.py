@@ -3,62 +3,69 @@
 from __future__ import annotations
 
 import math
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import numpy.typing as npt
 import pytest
 
-from wtg_gym.physics import sensors as module
+from wtg_gym.physics.layout import Layout
 from wtg_gym.physics.sensors import (
-    N_CHANNELS,
     Measurement,
     Noise,
     Sensors,
     measured,
-    noise_key,
-    normal,
-    scrambled,
     sensor_input,
     sensors_advanced,
     sensors_started,
 )
-from wtg_gym.systems.compiled import compiled
+from wtg_gym.systems.elementary import noise
+from wtg_gym.systems.programs import build_table, in_one_table
+from wtg_gym.systems.routines import Routine
+from wtg_gym.systems.systems import Kind, system
 
+N_CHANNELS = len(Noise._fields)
 Floats = npt.NDArray[np.float64]
 #: Channels of four WTG groups.
 N = 4 * N_CHANNELS
 EXACT = Measurement(frequency=1.0, rocof=0.0, rotor_speed=1.1, power=0.7, wind=9.0)
 
 
-@compiled
-def fill(first_seed: int, numbers: Any) -> None:
-    """Fill numbers (n_seeds, n_steps, n_channels) with the noise of neighbouring seeds."""
-    for s in range(numbers.shape[0]):
-        for step in range(numbers.shape[1]):
-            key = noise_key(first_seed + s, step)
-            for channel in range(numbers.shape[2]):
-                numbers[s, step, channel] = normal(key, channel)
+DRAWS = Kind(name="draws", rows={"seed": float, "step": float, "channel": float}, scratch={"number": float})
+(PROGRAM,) = in_one_table(DRAW=(system(DRAWS, "number")(lambda seed, step, channel: noise(seed, step, channel)),))
+ROUTINE = Routine(PROGRAM)
+
+
+def numbers_of(seeds: Floats, steps: Floats, channels: Floats) -> Floats:
+    """The machine code's numbers of pairs of seed and step (n,), for each channel (n, n_channels)."""
+    layout = Layout({DRAWS: channels.size}, {})
+    tables = build_table((PROGRAM,), cast("Any", layout))
+    block, scratch = np.zeros((layout.n_rows, 16)), np.zeros((layout.n_scratch, 16))
+    block[layout.first_rows(DRAWS, "channel")] = channels[:, np.newaxis]
+    found = []
+    for first in range(0, seeds.size, 16):
+        n = min(16, seeds.size - first)
+        block[layout.first_rows(DRAWS, "seed"), :n] = seeds[first : first + n]
+        block[layout.first_rows(DRAWS, "step"), :n] = steps[first : first + n]
+        ROUTINE((block, scratch), tables)
+        found.append(scratch[layout.first_rows(DRAWS, "number"), :n].T.copy())
+    return np.concatenate(found)
 
 
 def drawn(n_seeds: int, n_steps: int, n_channels: int = N, first_seed: int = 0) -> Floats:
-    numbers = np.empty((n_seeds, n_steps, n_channels))
-    fill(first_seed, numbers)
-    return numbers
+    """The noise of neighbouring seeds (n_seeds, n_steps, n_channels)."""
+    seeds, steps = np.meshgrid(first_seed + np.arange(n_seeds), np.arange(n_steps), indexing="ij")
+    found = numbers_of(seeds.ravel(), steps.ravel(), np.arange(n_channels))
+    return found.reshape(n_seeds, n_steps, n_channels)
 
 
-def test_noise_is_the_same_in_plain_python_and_compiled(monkeypatch: pytest.MonkeyPatch) -> None:
-    seeds, steps, channels = (0, 1, 12345, 2**31 - 1), (0, 1, 599, 86_399), (0, 1, N - 1, 5119)
-    cases = [(seed, step, channel) for seed in seeds for step in steps for channel in channels]
-    fast = [(noise_key(seed, step), normal(noise_key(seed, step), channel)) for seed, step, channel in cases]
-    for function in (scrambled, noise_key, normal):
-        monkeypatch.setattr(module, function.py_func.__name__, function.py_func)
-    slow = [
-        (module.noise_key(seed, step), module.normal(module.noise_key(seed, step), channel))
-        for seed, step, channel in cases
-    ]
-    assert fast == slow
-    assert all(0 <= key < 2**32 for key, _ in slow) and len({key for key, _ in slow}) == len(seeds) * len(steps)
+def test_noise_is_the_same_in_plain_python_and_compiled() -> None:
+    pairs = [(seed, step) for seed in (0, 1, 12345, 2**31 - 1) for step in (0, 1, 599, 86_399)]
+    channels = (0, 1, N - 1, 5119)
+    fast = numbers_of(*np.array(pairs, dtype=float).T, np.array(channels))
+    slow = [[noise(seed, step, channel) for channel in channels] for seed, step in pairs]
+    assert fast.tolist() == slow
+    assert len(set(fast.ravel().tolist())) == fast.size
 
 
 def test_noise_has_mean_0_variance_1_the_shape_of_four_uniform_numbers_and_their_bound() -> None:
@@ -92,10 +99,10 @@ def advance(sensors: Sensors, exact: list[Measurement], control_dt: float = 0.1)
     given = sensor_input(sensors, control_dt, 50.0)
     seen, states, state = [], [], sensors_started(exact[0], Noise(0.0, 0.0, 0.0, 0.0, 0.0))
     for numbers, now in zip(drawn(1, len(exact), N_CHANNELS, sensors.seed)[0].tolist(), exact, strict=True):
-        noise = Noise(*numbers)
-        state = sensors_advanced(state, now, noise, given) if states else sensors_started(now, noise)
+        errors = Noise(*numbers)
+        state = sensors_advanced(state, now, errors, given) if states else sensors_started(now, errors)
         states.append(tuple(state))
-        seen.append(measured(state, now, sensors.wind_bias[0], noise, given))
+        seen.append(measured(state, now, sensors.wind_bias[0], errors, given))
     return seen, np.array(states)
 
 

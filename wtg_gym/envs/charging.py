@@ -22,6 +22,7 @@ from wtg_gym.envs.task_records import CostTerms, GroupRows, Task
 from wtg_gym.envs.task_units import ACTING, SENSED, SHIFTS, TASK, WINDOW
 from wtg_gym.physics.wind_turbine import Turbine, WtgOutput, WtgState
 from wtg_gym.systems.elementary import select
+from wtg_gym.systems.programs import Here
 from wtg_gym.systems.records import each
 from wtg_gym.systems.systems import system
 
@@ -212,5 +213,6 @@ CHARGE = (
     charge_group,
     charge_sensed_group,
     remember_group,
+    Here("charge"),
     charge_lane,
 )

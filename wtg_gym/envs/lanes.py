@@ -98,6 +98,7 @@ class TaskLanes:
             privileged=settings.observation_mode == "privileged",
             sensed=self.suite.benchmark.sensed,
         )
+        self.observation_names += [name for own in plant.further for name in own.names()]
         self.n_observation = len(self.observation_names)
         #: Numbers that each group has of its own in an observation, before its last actions; groups come first.
         self.n_local = N_MEASURED if self.suite.benchmark.sensed else N_LOCAL

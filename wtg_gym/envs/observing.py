@@ -17,6 +17,7 @@ from wtg_gym.envs.task_units import ACTING, SENSED, TASK, WATCHED
 from wtg_gym.physics.machine import Machine, MachineOutput, MachineState
 from wtg_gym.physics.wind_turbine import Turbine, WtgOutput, WtgState
 from wtg_gym.systems.elementary import clip, select
+from wtg_gym.systems.programs import Here
 from wtg_gym.systems.systems import system
 
 
@@ -101,5 +102,6 @@ OBSERVE = (
     begin_torque,
     add_torque,
     observe_whole_grid,
+    Here("observe"),
     inform,
 )

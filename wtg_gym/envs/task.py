@@ -166,6 +166,8 @@ def task_data(settings: EnvSettings, layout: Layout) -> TaskData:
         if sensed:
             parts += [own for j in range(layout.n_wtg) for own in (exact[j], rows(SENSED, "shown_duty")[j])]
         parts += [rows(WATCHED, "machine_observed").ravel(), rows(TASK, "grid_observed")[0]]
+    for own in settings.plant().further:
+        parts += [] if own.shown is None else [rows(own.kind, own.shown).ravel()]
     return TaskData(
         wanted=rows(ACTING, "wanted")[:, modulated].ravel(),
         observed=np.concatenate([np.zeros(0, dtype=np.int64), *parts]),

@@ -7,6 +7,7 @@ a governor that an event takes away, the ring of measurements. Discrete events a
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -34,7 +35,7 @@ from wtg_gym.physics.kernel_data import LaneData, Network
 from wtg_gym.physics.layout import Floats, Layout, Whole
 from wtg_gym.physics.units import PAIRS, UNITS
 from wtg_gym.systems.compiled import compiled, internal
-from wtg_gym.systems.programs import NONE, Arrangement, in_one_table
+from wtg_gym.systems.programs import NONE, Arrangement, Program, in_one_table
 from wtg_gym.systems.routines import Routine
 from wtg_gym.systems.systems import Kind, count
 from wtg_gym.systems.writers import BackWithoutConstants, BackWriter, NotingWriter, TapedWriter, Writer
@@ -110,8 +111,8 @@ class Rules(NamedTuple):
     gates: Whole
 
 
-def rules_of(layout: Layout, plant: Arrangement) -> Rules:
-    """Return what the rules read, for a plant."""
+def rules_of(layout: Layout, plant: Arrangement, taped: Sequence[Program]) -> Rules:
+    """Return what the rules read, for a plant and its programs that are taped."""
 
     def rows(kind: Kind, *parts: str) -> Whole:
         firsts = (layout.first_rows(kind, part)[:, np.newaxis] + np.arange(count(kind.scratch[part])) for part in parts)
@@ -119,7 +120,7 @@ def rules_of(layout: Layout, plant: Arrangement) -> Rules:
 
     limits = rows(EXTENSIONS, "reactance", "source", "change")
     return Rules(
-        Noted(*(program.tape_rows(plant) for program in TAPED)),
+        Noted(*(program.tape_rows(plant) for program in taped)),
         admittances=rows(PAIRS, "admittance"),
         flows=np.concatenate([rows(UNITS, "voltage", "current"), limits]),
         reactances=layout.first_rows(EXTENSIONS, "reactance"),

@@ -27,7 +27,7 @@ from wtg_gym.gradients.plant_parameters import (
 )
 from wtg_gym.physics import integration
 from wtg_gym.physics.layout import Whole
-from wtg_gym.physics.plant import Arranged, arranged, build_plant
+from wtg_gym.physics.plant import Arranged, arranged, build_plant, programs_of
 from wtg_gym.physics.scenario import Scenario
 from wtg_gym.systems.programs import constant_places
 from wtg_gym.systems.routines import code_of
@@ -138,15 +138,16 @@ class Tape:
         """Take lanes whose steps are to be differentiated."""
         self.lanes = lanes
         simulator, settings, layout = lanes.simulator, lanes.settings, lanes.simulator.layout
-        further, programs = task_of(settings), (*integration.PROGRAMS, *of_task.PROGRAMS, *PROGRAMS)
-        built = build_plant(simulator.settings)
-        plant = arranged(built, layout, programs, further, TAPED)
+        further, built = task_of(settings), build_plant(simulator.settings)
+        programs = programs_of(built, *integration.PROGRAMS, *of_task.PROGRAMS, *PROGRAMS)
+        taped = programs[-len(PROGRAMS) :][: len(TAPED)]
+        plant = arranged(built, layout, programs, further, taped)
         routines = (*routines_of(constants=bool(self.parameters)), *integration.STEPPING)
-        code = code_of(len(programs), {simulator.width: routines}, simulator.functions())
+        code = code_of(programs, {simulator.width: routines}, simulator.functions())
         #: The plant, with the table of the programs that go back.
         self._plant = plant.with_tables(plant.network.tables._replace(code=code))
         arrangement = Arranged(built, layout, further)
-        self._rules = rules_of(layout, arrangement)
+        self._rules = rules_of(layout, arrangement, taped)
         self._works: dict[int, Work] = {}
         moved = moved_by(simulator.settings, self.parameters)
         self._moved = moved

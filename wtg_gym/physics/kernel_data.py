@@ -18,7 +18,6 @@ class Facts(NamedTuple):
     base_mva: float
     simulation_dt: float  # [s]
     n_substeps: int  # simulation steps per control interval
-    n_sync: int  # synchronous machines
     lane: int
     machines: int
     groups: int
@@ -41,6 +40,7 @@ class Network(NamedTuple):
     shunts: npt.NDArray[np.complex128]  # admittance at each bus (n_bus,) [p.u.]
     unit_bus: npt.NDArray[np.int64]  # bus index of each unit, machines first (n_unit,)
     unit_y: npt.NDArray[np.complex128]  # internal admittance of each unit (n_unit,) [p.u.]
+    connected: npt.NDArray[np.int64]  # the row that says whether each unit is connected (n_unit,)
     shed_shares: npt.NDArray[np.float64]  # of the load, by each stage of shedding (n_stages,)
     tables: Tables
 

@@ -127,6 +127,10 @@ class Layout:
         """Return the row of each WTG group's number of this name (n_wtg,)."""
         return self._named(name, "WTG group", (GROUPS, EXTENSIONS))
 
+    def rows_of(self, kind: Kind, name: str) -> Whole:
+        """Return the row of a number of each unit of a kind (n_units,)."""
+        return _every(self.first[kind] + place_of(kind, name), n_rows_of(kind.rows), self.counts[kind])
+
     def lane(self, name: str) -> int:
         """Return the row of the lane's number of this name."""
         return int(self._named(name, "lane", (LANE,))[0])

@@ -12,7 +12,7 @@ import numpy.typing as npt
 from wtg_gym.physics.converter import Corners
 from wtg_gym.physics.integration import PROGRAMS, evaluate_blocks
 from wtg_gym.physics.layout import Floats, Layout
-from wtg_gym.physics.plant import Plant, arranged
+from wtg_gym.physics.plant import Plant, arranged, programs_of
 
 #: Step of the finite differences [p.u., rad]; truncation and rounding are both near 1e-9 of a rate.
 _DIFFERENCE = 2e-6
@@ -116,7 +116,7 @@ def _beyond_limits(rows: Floats, plant: Plant, layout: Layout) -> tuple[Floats, 
     beyond = rows.copy()
     beyond[layout.wtg("over_power")] = -0.01
     # Programs of a caller, which stand behind those of the physics in the table, are not run here.
-    return beyond, arranged(plant._replace(extension=extension), layout, PROGRAMS)
+    return beyond, arranged(plant._replace(extension=extension), layout, programs_of(plant, *PROGRAMS))
 
 
 def _check_modes(rows: Floats, plant: Plant, layout: Layout, side: Floats) -> None:

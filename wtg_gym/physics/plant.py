@@ -15,6 +15,7 @@ import numpy.typing as npt
 from wtg_gym.physics.aerodynamics import surface_of
 from wtg_gym.physics.checked import Checked
 from wtg_gym.physics.extension_unit import COLUMNS, EXTENSIONS
+from wtg_gym.physics.further_units import FurtherUnits, joining
 from wtg_gym.physics.governor import HydroGovernor, hydro_constants
 from wtg_gym.physics.hydro_unit import HYDRO
 from wtg_gym.physics.ieee14 import modified_ieee14
@@ -83,6 +84,7 @@ class PlantSettings(Checked):
     control_dt: float = 0.1
     simulation_dt: float = 0.025
     trips_groups: bool = False
+    further: tuple[FurtherUnits, ...] = ()
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -171,6 +173,7 @@ class Plant(NamedTuple):
     shedding: npt.NDArray[np.void]  # (n_stages,), of SheddingConstants
     buses: npt.NDArray[np.void]  # (n_bus,), of Bus
     of_lane: Mapping[str, Any]  # constants of every lane
+    further: tuple[FurtherUnits, ...]
 
     @property
     def n_substeps(self) -> int:
@@ -193,9 +196,12 @@ def build_plant(settings: PlantSettings) -> Plant:
     machines = [machine_constants(m, base) for m in case.machines]
     turbine = turbine_constants(settings.turbine, settings.pitch, settings.control, settings.protection)
     share = [g.n_turbines * settings.turbine.rated_power_mw / base for g in settings.groups]
-    unit_bus = [case.bus_index(bus) for bus in (*(m.bus for m in case.machines), *(g.bus for g in settings.groups))]
+    further = [bus for own in settings.further for bus in own.buses]
+    buses_of_units = (*(m.bus for m in case.machines), *(g.bus for g in settings.groups), *further)
+    unit_bus = [case.bus_index(bus) for bus in buses_of_units]
     impedances = [complex(m.resistance, m.internal_reactance) for m in machines]
     impedances += [1j * turbine.converter.reactance / s for s in share]
+    impedances += [impedance for own in settings.further for impedance in own.impedances]
     hydro = [
         hydro_constants(index, machine.governor)
         for index, machine in enumerate(case.machines)
@@ -222,7 +228,6 @@ def build_plant(settings: PlantSettings) -> Plant:
         "base_mva": base,
         "simulation_dt": settings.simulation_dt,
         "n_substeps": whole_steps("control_dt", settings.control_dt, settings.simulation_dt, "simulation step"),
-        "n_sync": len(machines),
     }
     network = Network(
         facts=Facts(**facts),
@@ -231,6 +236,7 @@ def build_plant(settings: PlantSettings) -> Plant:
         shunts=shunts,
         unit_bus=np.array(unit_bus, dtype=np.int64),
         unit_y=1.0 / np.array(impedances, dtype=np.complex128),
+        connected=np.zeros(len(unit_bus), dtype=np.int64),
         shed_shares=np.array([stage.share for stage in stages], dtype=np.float64),
         tables=Tables(np.zeros(0, dtype=np.int64), np.zeros(0), np.zeros(0, dtype=np.int64)),
     )
@@ -254,6 +260,7 @@ def build_plant(settings: PlantSettings) -> Plant:
             "reactive_max": extension.voltage.reactive_max,
             "voltage_gain": extension.voltage.gain,
         },
+        further=settings.further,
     )
 
 
@@ -272,7 +279,7 @@ class Further(NamedTuple):
 def layout_of(plant: Plant, further: Further | None = None) -> Layout:
     """Return where the numbers of a plant's lanes lie, with those of further kinds of unit behind them."""
     n_sync, n_wtg = plant.machines.size, plant.share.size
-    n_unit, n_extended = n_sync + n_wtg, n_wtg * plant.extension.size
+    n_unit, n_extended = plant.network.unit_bus.size, n_wtg * plant.extension.size
     groups = n_sync + np.arange(n_wtg)
     row, column = np.divmod(np.arange(n_unit * n_unit), max(n_unit, 1))
     extended, unit = np.divmod(np.arange(n_extended * n_unit), max(n_unit, 1))
@@ -305,8 +312,22 @@ def layout_of(plant: Plant, further: Further | None = None) -> Layout:
         (HYDRO, "machine"): plant.hydro["machine"],
         (FIRST_MACHINE, "machine"): np.zeros(1, dtype=np.int64),
     }
+    first = n_sync + n_wtg
+    for own in plant.further:
+        n_units[own.kind] = len(own.buses)
+        links |= {
+            (own.kind, label): first + np.arange(len(own.buses))
+            for label, kind in own.kind.sees.items()
+            if kind == UNITS
+        }
+        first += len(own.buses)
     further = further or Further({})
     return Layout({**n_units, **further.n_units}, {**links, **further.links})
+
+
+def programs_of(plant: Plant, *programs: Program) -> tuple[Program, ...]:
+    """Return programs with the systems of a plant's further units."""
+    return tuple(program.joined(joining(plant.further)) for program in programs)
 
 
 class Arranged:
@@ -320,7 +341,8 @@ class Arranged:
             self._has.add("constant voltage")
         ratings, weights = plant.machines["rating"].tolist(), plant.machines["reactive_weight"].tolist()
         sizes = [(rating, weight, 0.0) for rating, weight in zip(ratings, weights, strict=True)]
-        sizes += [(0.0, 0.0, share) for share in plant.share.tolist()]
+        others = [weight for own in plant.further for weight in own.reactive_weights]
+        sizes += [(0.0, 0.0, weight) for weight in (*plant.share.tolist(), *others)]
         connections = [
             Connection(float(number), rating, of_machine, of_group, Phasor(y.real, y.imag))
             for number, ((rating, of_machine, of_group), y) in enumerate(zip(sizes, network.unit_y, strict=True))
@@ -338,6 +360,7 @@ class Arranged:
             (BUSES, "bus"): plant.buses,
             (UNITS, "connection"): connections,
             **{(LANE, name): [value] for name, value in plant.of_lane.items()},
+            **{(own.kind, name): values for own in plant.further for name, values in own.constants.items()},
             **further.constants,
         }
 
@@ -358,7 +381,11 @@ def arranged(
     """Return a plant that knows where its rows lie, for programs that are to run; those `taped` have a way back."""
     kinds = dict(lane=LANE, machines=MACHINES, groups=GROUPS, units=UNITS, pairs=PAIRS, stages=STAGES, buses=BUSES)
     first = {name: int(layout.first[kind]) for name, kind in kinds.items()}
+    connected = [layout.machine("connected"), layout.wtg("connected")]
+    connected += [layout.rows_of(own.kind, "connected") for own in plant.further]
     facts = plant.network.facts._replace(**first, starts=int(layout.first_scratch[LANE]))
     tables = build_table(programs, Arranged(plant, layout, further or Further({})), taped)
     tables = tables._replace(code=plant.network.tables.code)
-    return plant._replace(network=plant.network._replace(facts=facts, tables=tables))
+    return plant._replace(
+        network=plant.network._replace(facts=facts, connected=np.concatenate(connected), tables=tables)
+    )

@@ -8,13 +8,11 @@ import numpy as np
 import numpy.typing as npt
 
 from wtg_gym.physics.kernel_data import EVENT, LaneData, Network
-from wtg_gym.physics.layout import N_MACHINE_ROWS, N_WTG_ROWS, OF_LANE, Floats, place_of
+from wtg_gym.physics.layout import N_MACHINE_ROWS, OF_LANE, Floats, place_of
 from wtg_gym.physics.machine_unit import MACHINES
 from wtg_gym.physics.network import eliminate
-from wtg_gym.physics.wtg_unit import GROUPS
-from wtg_gym.systems.compiled import compiled, inlined
+from wtg_gym.systems.compiled import compiled
 
-_OF_MACHINE, _OF_GROUP = place_of(MACHINES, "connected"), place_of(GROUPS, "connected")
 _GATE, _REFERENCE, _DROOP = (place_of(MACHINES, name) for name in ("gate", "gate_reference", "inv_droop"))
 
 
@@ -38,7 +36,7 @@ def refresh_network(block: Floats, x: int, lane: int, network: Network, data: La
             following = min(following, min(boundary, end) if events[e, EVENT.bus] >= 0.0 else end)
         # A second time it changes nothing.
         if step >= start and unit >= 0:
-            block[_connected(network, unit), x] = 0.0
+            block[network.connected[unit], x] = 0.0
         machine = facts.machines + governor * N_MACHINE_ROWS
         if step >= start and governor >= 0 and block[machine + _DROOP, x] > 0.0:
             # The gate stays where it is, whatever the speed.
@@ -67,18 +65,6 @@ def refresh_network(block: Floats, x: int, lane: int, network: Network, data: La
         block[facts.units + 2 * i, x], block[facts.units + 2 * i + 1, x] = value.real, value.imag
     at = own + OF_LANE.noise_z
     block[at, x], block[at + 1, x] = z[noise_bus, n_bus + n].real, z[noise_bus, n_bus + n].imag
-
-
-@inlined
-def _connected(network: Network, unit: int) -> int:
-    """Return the row that says whether a unit is connected."""
-    facts = network.facts
-    if unit < facts.n_sync:
-        at = facts.machines + unit * N_MACHINE_ROWS + _OF_MACHINE
-    else:
-        at = facts.groups + (unit - facts.n_sync) * N_WTG_ROWS + _OF_GROUP
-    row: int = at
-    return row
 
 
 @compiled
@@ -125,7 +111,7 @@ def assemble(
             level = 1.0 if step >= end else (ramp_step - start) / (end - start)
             y[bus, bus] += served * level * complex(events[e, EVENT.active], events[e, EVENT.reactive])
     for i in range(unit_y.shape[0]):
-        unit_y[i] = network.unit_y[i] * block[_connected(network, i), x]
+        unit_y[i] = network.unit_y[i] * block[network.connected[i], x]
         y[network.unit_bus[i], network.unit_bus[i]] += unit_y[i]
     for b in range(network.branch_ends.shape[0]):
         is_open = False

@@ -17,7 +17,7 @@ from wtg_gym.physics.kernel_data import NO_EVENT, LaneData
 from wtg_gym.physics.layout import Floats
 from wtg_gym.physics.linearisation import check_step
 from wtg_gym.physics.network_events import network_events
-from wtg_gym.physics.plant import Further, PlantSettings, arranged, build_plant, layout_of
+from wtg_gym.physics.plant import Further, PlantSettings, arranged, build_plant, layout_of, programs_of
 from wtg_gym.physics.reduction import assemble
 from wtg_gym.physics.scenario import LONGEST_RUN_S, SERIES_DT, Scenario
 from wtg_gym.physics.start_errors import (
@@ -105,7 +105,7 @@ class Simulator:
         samples = np.arange(self.n_intervals) * settings.control_dt / SERIES_DT + 1e-9
         self._noise_samples = samples.astype(np.int64)
         self.layout = layout_of(plant, further)
-        self.plant = arranged(plant, self.layout, (*PROGRAMS, *further.programs), further)
+        self.plant = arranged(plant, self.layout, programs_of(plant, *PROGRAMS, *further.programs), further)
         self.width = 1 if n_lanes == 1 else BLOCK_WIDTH
         self.link(further)
         n_blocks = -(-self.n_lanes // self.width)
@@ -138,7 +138,8 @@ class Simulator:
         """
         routines: dict[int, tuple[Routine, ...]] = {1: (*STARTING, *further.starting)}
         routines[self.width] = (*STEPPING, *further.stepping, *routines.get(self.width, ()))
-        code = code_of(len(PROGRAMS) + len(further.programs), routines, self.functions())
+        programs = programs_of(self.plant, *PROGRAMS, *further.programs)
+        code = code_of(programs, routines, self.functions())
         self.plant = self.plant.with_tables(self.plant.network.tables._replace(code=code))
 
     def _check_nominal(self, laws: tuple[TrackingLaw, ...], inertia_scale: float) -> bool:

@@ -4,7 +4,8 @@
 
 A run starts with plan → power flow → release → settle → find → rates → start.
 
-Each name is a list of systems over all units of a kind; what is no map over units stands in the same lists.
+Each name is a list of systems over all units of a kind; what is no map over units stands in the same lists. Kinds of
+unit that a plant has besides (:mod:`wtg_gym.physics.further_units`) join where it says `Here`.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ from wtg_gym.physics import machine_unit as machine
 from wtg_gym.physics import protection, starting, units
 from wtg_gym.physics import wtg_unit as wtg
 from wtg_gym.physics.units import LANE, PAIRS, UNITS
-from wtg_gym.systems.programs import Each, Product, Repeat, When
+from wtg_gym.systems.programs import Each, Here, Product, Repeat, When
 
 #: Gauss-Seidel sweeps over the groups whose current is limited, at most: a few, but some thirty for large groups at a
 #: weak bus. They end once no voltage moves.
@@ -23,7 +24,13 @@ _SWEEPS = 100
 
 ADMITTANCES = (units.load_noise, units.admittance_with_noise)
 
-VOLTAGES = (machine.reference, machine.voltage_of_machine, wtg.voltage_of_group, extension.voltage_of_extended)
+VOLTAGES = (
+    machine.reference,
+    machine.voltage_of_machine,
+    wtg.voltage_of_group,
+    extension.voltage_of_extended,
+    Here("voltages"),
+)
 
 #: Currents without a limit, and which of them are too large.
 FREE_CURRENTS = (
@@ -50,6 +57,7 @@ MOVE = (
     machine.stage_of_machine,
     wtg.stage_of_group,
     extension.stage_of_extended,
+    Here("move"),
     units.reference_stage,
 )
 
@@ -59,6 +67,7 @@ RATES = (
     machine.rates_of_machine,
     wtg.rates_of_group,
     extension.rates_of_extended,
+    Here("rates"),
     units.reference_rate,
 )
 
@@ -88,6 +97,7 @@ PLAN = (
     Repeat(LANE, "searching", (*CAPTURE, wtg.nobody_searches, wtg.search_on), most=_TRIALS),
     machine.plan_machine,
     wtg.plan_group,
+    Here("plan"),
     starting.plan_unit,
 )
 
@@ -104,6 +114,7 @@ SETTLE = (
     machine.turn_machine,
     wtg.start_group,
     extension.start_extension,
+    Here("settle"),
     starting.start_clock,
 )
 
@@ -116,4 +127,5 @@ START = (
     machine.check_machine,
     hydro.check_hydro,
     extension.check_extension,
+    Here("start"),
 )

@@ -7,7 +7,8 @@ the few things that are no map over units: :class:`Product`, :class:`When`, :cla
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from types import MappingProxyType
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
@@ -22,6 +23,9 @@ Whole = npt.NDArray[np.int64]
 #: Numbers in a table's head for each entry: how many units, the places of its first row and its first constant, and of
 #: its first row on the program's tape.
 HEAD = 4
+#: Entries of a program, at most.
+_MOST = 40
+_NOBODY: Mapping[str, Sequence[System]] = MappingProxyType({})
 
 
 class Product(NamedTuple):
@@ -49,6 +53,12 @@ class Repeat(NamedTuple):
     flag: str
     entries: tuple[Any, ...]
     most: int
+
+
+class Here(NamedTuple):
+    """Where the systems of further kinds of unit join a list, by the name that they call the place."""
+
+    name: str
 
 
 class Delay(NamedTuple):
@@ -130,19 +140,24 @@ class Program:
         name: of the program.
         entries: systems and what is none.
         number: of the program among those that share a table.
-        first: place of its first entry in the head of the table.
+        joining: systems of further kinds of unit, by the places where they join.
     """
 
-    def __init__(self, name: str, entries: Sequence[Any], number: int, first: int) -> None:
-        self.name, self.entries, self.number = name, tuple(entries), number
-        self.places = {id(entry): first + i for i, entry in enumerate(_flat(self.entries))}
+    def __init__(
+        self, name: str, entries: Sequence[Any], number: int, joining: Mapping[str, Sequence[System]] = _NOBODY
+    ) -> None:
+        self.name, self.number, self._given = name, number, tuple(entries)
+        joined = (joining.get(entry.name, ()) if isinstance(entry, Here) else (entry,) for entry in entries)
+        self.entries: tuple[Any, ...] = tuple(one for own in joined for one in own)
+        self.places = {id(entry): _MOST * number + i for i, entry in enumerate(_flat(self.entries))}
+        if len(self.places) > _MOST:
+            raise ValueError(f"program {name!r} has {len(self.places)} entries; allowed: at most {_MOST}")
         if len(self.places) < len(list(_flat(self.entries))):
             raise ValueError(f"a system stands in program {name!r} twice")
 
-    @property
-    def n_entries(self) -> int:
-        """How many places it takes in the head of the table."""
-        return len(self.places)
+    def joined(self, joining: Mapping[str, Sequence[System]]) -> Program:
+        """Return the program with systems of further kinds of unit."""
+        return Program(self.name, self._given, self.number, joining) if joining else self
 
     def digest(self, *, back: bool = False) -> str:
         """Return a hash of everything that its machine code depends on, or that of the way back through it."""
@@ -189,7 +204,7 @@ def build_table(programs: Sequence[Program], plant: Arrangement, taped: Sequence
         programs, plant: what the table is for.
         taped: those of them that have a way back.
     """
-    head = np.zeros((sum(program.n_entries for program in programs), HEAD), dtype=np.int64)
+    head = np.zeros((_MOST * len(programs), HEAD), dtype=np.int64)
     rows, numbers, cells = list[int](), list[float](), dict[Any, int]()
     for program in programs:
         n_taped = 0
@@ -316,9 +331,4 @@ def _numbers(value: Any) -> tuple[Any, ...]:
 
 def in_one_table(*before: Program, **entries: Sequence[Any]) -> tuple[Program, ...]:
     """Return programs by their names that share a table, behind that of programs before them."""
-    found: list[Program] = []
-    first = sum(program.n_entries for program in before)
-    for number, (name, own) in enumerate(entries.items(), start=len(before)):
-        found.append(Program(name, own, number, first))
-        first += found[-1].n_entries
-    return tuple(found)
+    return tuple(Program(name, own, number) for number, (name, own) in enumerate(entries.items(), start=len(before)))

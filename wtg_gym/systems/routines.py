@@ -59,21 +59,25 @@ class Routine:
 
     def __init__(self, program: Program, writer: type[Writer] = Writer, place: int = 0, **known: float) -> None:
         self.program, self.place, self._writer, self._known = program, place, writer, known
-        self.call = _call(_FUNCTIONS + 2 * (program.number * _PLACES + place), _OF_WRITER[writer][0])
+        self._at = _FUNCTIONS + 2 * (program.number * _PLACES + place)
+        self.call = _call(self._at, _OF_WRITER[writer][0])
 
     @functools.cache  # noqa: B019 (routines are made once, with their modules)
-    def address(self, width: int) -> int:
-        """Return where the machine code for blocks of a width is in this process; it is compiled at first."""
+    def address(self, program: Program, width: int) -> int:
+        """Return where the machine code of a program for blocks of a width is in this process.
+
+        It is compiled at first. `program` is the routine's own, or that with systems of further kinds of unit.
+        """
         n_arrays, what = _OF_WRITER[self._writer]
-        told = (self.program.digest(back=n_arrays > 2), what, width, sorted(self._known.items()), _writers_hash())
+        told = (program.digest(back=n_arrays > 2), what, width, sorted(self._known.items()), _writers_hash())
         key = digest_of(repr((told, _processor(), VERSIONS)).encode())
-        name = f"{self.program.name.lower()}-{key.hex()[:16]}"
+        name = f"{program.name.lower()}-{key.hex()[:16]}"
         folder = cache_folder()
         path = None if folder is None else folder.parent / "programs" / f"{name}.o"
         found = kept(path, key)
         if found is None:
-            with reporting(f"{self.program.name.lower()} ({what})"):
-                found = self._compiled(name, width)
+            with reporting(f"{program.name.lower()} ({what})"):
+                found = self._compiled(program, name, width)
             keep(path, key, found)
         engine = _engine()
         engine.add_object_file(binding.ObjectFileRef.from_data(found))
@@ -82,12 +86,14 @@ class Routine:
         return address
 
     def __call__(self, arrays: Sequence[Floats], tables: Tables, scalars: Sequence[float] = NONE) -> None:
-        """Run it from Python, on arrays (n_rows, width) in C order."""
+        """Run it from Python, on arrays (n_rows, width) in C order; tables without code are for its own program."""
+        width = arrays[0].shape[1]
+        address = int(tables.code[self._at + (width > 1)]) if tables.code.size else self.address(self.program, width)
         kinds = [ctypes.c_void_p] * (len(arrays) + 2) + [ctypes.c_double] * len(SCALARS)
-        function = ctypes.CFUNCTYPE(None, *kinds)(self.address(arrays[0].shape[1]))
+        function = ctypes.CFUNCTYPE(None, *kinds)(address)
         function(*(array.ctypes.data for array in (*arrays, tables.table, tables.numbers)), *scalars)
 
-    def _compiled(self, name: str, width: int) -> bytes:
+    def _compiled(self, program: Program, name: str, width: int) -> bytes:
         """Return an object file with the machine code."""
         n_arrays, _ = _OF_WRITER[self._writer]
         module = ir.Module(name)
@@ -99,7 +105,7 @@ class Routine:
         scalars = dict(zip(SCALARS, rest[2:], strict=True))
         builder = ir.IRBuilder(function.append_basic_block())
         data = (*arrays[:2], *rest[:2], *arrays[2:])
-        self._writer(builder, width, data, scalars, self.program, self._known).write(self.program.entries)
+        self._writer(builder, width, data, scalars, program, self._known).write(program.entries)
         builder.ret_void()
         parsed = binding.parse_assembly(str(module))
         passes = binding.create_pass_builder(_machine(), binding.create_pipeline_tuning_options(_LEVEL))
@@ -215,19 +221,22 @@ class Function:
         return address
 
 
-def code_of(n_programs: int, routines: Mapping[int, Iterable[Routine]], functions: Mapping[Function, Any]) -> Whole:
+def code_of(
+    programs: Sequence[Program], routines: Mapping[int, Iterable[Routine]], functions: Mapping[Function, Any]
+) -> Whole:
     """Return addresses in this process, as :class:`~wtg_gym.systems.programs.Tables` have them.
 
     Args:
-        n_programs: that share the tables.
+        programs: that share the tables.
         routines: those that will be called, by the width of the blocks.
         functions: those that will be called, with arguments like those that they will be given.
     """
-    found = np.zeros(_FUNCTIONS + 2 * _PLACES * n_programs, dtype=np.int64)
+    found = np.zeros(_FUNCTIONS + 2 * _PLACES * len(programs), dtype=np.int64)
     for function, arguments in functions.items():
         found[function.place] = function.address(*arguments)
-    of_programs = found[_FUNCTIONS:].reshape(n_programs, _PLACES, 2)
+    of_programs = found[_FUNCTIONS:].reshape(len(programs), _PLACES, 2)
     for width, own in routines.items():
         for routine in own:
-            of_programs[routine.program.number, routine.place, int(width > 1)] = routine.address(width)
+            number = routine.program.number
+            of_programs[number, routine.place, int(width > 1)] = routine.address(programs[number], width)
     return found

@@ -1,0 +1,55 @@
+"""Kinds of unit besides machines and WTG groups: a file of one's own says what they are."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from wtg_gym.systems.systems import Kind, System
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class FurtherUnits:
+    """Units of a kind of one's own, each a voltage behind an impedance at a bus.
+
+    Args:
+        kind: what they keep. It sees its :data:`~wtg_gym.physics.units.UNITS` by a label, and has a number `connected`.
+        buses: bus number of each.
+        impedances: behind which each one's voltage stands [p.u. of the system].
+        reactive_weights: by which each shares the reactive power of its bus, a rating on the base of the system.
+        constants: of the kind, one entry for each unit.
+        systems: by where they join the lists of :mod:`wtg_gym.physics.step` and :mod:`wtg_gym.envs.charging`: "plan"
+            writes `planned_power`, "settle" finds the equilibrium from `start`, "voltages" writes `voltage`, "move" has
+            the stages of the integration and "rates" what they are made of; "start", "charge" and "observe" if wanted.
+        shown: a part in scratch that observations end with; None for none.
+    """
+
+    kind: Kind
+    buses: tuple[int, ...]
+    impedances: tuple[complex, ...]
+    reactive_weights: tuple[float, ...]
+    constants: Mapping[str, Sequence[Any]]
+    systems: Mapping[str, tuple[System, ...]]
+    shown: str | None = None
+
+    def __post_init__(self) -> None:
+        n = len(self.buses)
+        for name in ("impedances", "reactive_weights"):
+            if len(getattr(self, name)) != n:
+                raise ValueError(f"{n} {self.kind.name} need {n} {name}, got {len(getattr(self, name))}")
+        if self.kind.find("connected") is None:
+            raise ValueError(f"the {self.kind.name} have no number `connected`, which says whether a unit is")
+
+    def names(self) -> list[str]:
+        """Return the names of what observations show, one unit after the other."""
+        if self.shown is None:
+            return []
+        parts: tuple[str, ...] = {**self.kind.rows, **self.kind.scratch}[self.shown]._fields
+        return [f"{self.kind.name}{j}.{part}" for j in range(len(self.buses)) for part in parts]
+
+
+def joining(units: Sequence[FurtherUnits]) -> dict[str, tuple[System, ...]]:
+    """Return the systems of further units by the places where they join lists."""
+    places = dict.fromkeys(place for own in units for place in own.systems)
+    return {place: tuple(each for own in units for each in own.systems.get(place, ())) for place in places}
