@@ -22,7 +22,7 @@ ROOMS = (
     *("agents", "baselines"),
     *(f"wtg_gym/{name}" for name in ("plotting", "cli", "evaluation", "reproduce")),
     *(f"wtg_gym/{name}" for name in ("sb3.py", "gradients", "pettingzoo.py", "policies", "envs", "scenarios")),
-    "wtg_gym/physics",
+    *("wtg_gym/physics", "wtg_gym/systems"),
 )
 # File, what it does there; docs/architecture.md says more.
 ACTION = (
@@ -30,8 +30,8 @@ ACTION = (
     ("envs/lanes.py", "check the action"),
     ("envs/task.py", "k and τ of all lanes, cost"),
     ("physics/integration.py", "one interval, events"),
-    ("physics/dynamics.py", "one Runge-Kutta step"),
-    ("physics/machine.py", "rates of a machine"),
+    ("physics/step.py", "the list of systems"),
+    ("physics/machine_unit.py", "a machine's systems"),
 )
 SCENARIO = (
     ("envs/lanes.py", "prepare, then start"),

@@ -41,32 +41,6 @@ def one_more(x):
 print(one_more(3.0), one_more(3), square(2.0), compilation.n_functions)
 """
 RESULT = ["10.0", "10", "4.0"]
-#: Twice the size of records, which are what plants are to the compiler, by a function that is too long to be built into
-#: the one that calls it, so that its name counts.
-RECORDS = """
-import sys
-from pathlib import Path
-import numba
-import numpy as np
-from wtg_gym.systems.compiled import DiskCache
-
-def compiled(function):
-    result = numba.njit(function)
-    result._cache = DiskCache(function, Path(sys.argv[1]), "0" * 64)
-    return result
-
-@compiled
-def measured(records):
-    values = np.sort(records[0].values)
-    return 0.0 * np.sort(values * values[::-1]).sum() + values.size
-
-@compiled
-def twice(records):
-    return measured(records) + measured(records)
-
-for size in SIZES:
-    print(twice(np.ones(1, np.dtype([("values", float, size)], align=True))))
-"""
 COPIED = """
 import sys
 sys.path.insert(0, sys.argv[1])
@@ -109,11 +83,6 @@ def test_damaged_files_are_compiled_again_and_replaced_by_processes_that_start_a
         assert outcome(process)[:3] == RESULT
     assert {path: path.stat().st_size for path in folder.iterdir()} == {path: len(own) for path, own in intact.items()}
     assert outcome(run(PROGRAM, folder)) == [*RESULT, "0"]
-
-
-def test_machine_code_that_processes_made_for_two_plants_is_kept_apart(tmp_path: Path) -> None:
-    for sizes, sums in (("[3]", ["6.0"]), ("[5]", ["10.0"]), ("[3, 5]", ["6.0", "10.0"])):
-        assert outcome(run(RECORDS.replace("SIZES", sizes), tmp_path)) == sums
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs a device that is full")

@@ -16,8 +16,8 @@ def warmup() -> int:
     """Compile the simulator to machine code, which the first use of a version does otherwise.
 
     That is the single environment, the vector environment, simulate and evaluate, for the plants of `standard` and
-    `standard-v1`. It takes a few minutes. The machine code is kept, so that every later start is quick; running the
-    command again compiles nothing. Another number of groups or machines is compiled at its own first use.
+    `standard-v1`. It takes half a minute. The machine code is kept, so that every later start is quick, of other
+    plants too; running the command again compiles nothing.
 
     examples:
       wtg-gym warmup

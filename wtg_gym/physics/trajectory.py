@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -63,8 +63,6 @@ def simulate(
     scenario: Scenario,
     laws: str | TrackingLaw | Sequence[str | TrackingLaw],
     settings: PlantSettings | None = None,
-    *,
-    on_progress: Callable[[int, int], None] | None = None,
 ) -> Trajectory:
     """Run a scenario under fixed laws and record it.
 
@@ -72,7 +70,6 @@ def simulate(
         scenario: what happens.
         laws: one law or strategy name for all WTG groups, or one per group; a name is the law of the plant's turbine.
         settings: plant and time steps; the paper's by default.
-        on_progress: called with (intervals done, intervals in all).
 
     Returns:
         the recorded run. If a protection ends it, the last sample is of that instant.
@@ -96,8 +93,6 @@ def simulate(
         if step == simulator.n_intervals or simulator.lane_values("active")[0] < 0.5:
             break
         simulator.advance()
-        if on_progress is not None:
-            on_progress(step + 1, simulator.n_intervals)
     table = np.array(samples)
     time = np.arange(len(frequency), dtype=np.float64) * settings.control_dt
     status = Status(int(simulator.lane_values("status")[0]))

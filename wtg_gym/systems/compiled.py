@@ -17,7 +17,6 @@ import contextlib
 import functools
 import gc
 import hashlib
-import itertools
 import logging
 import os
 import pickle
@@ -32,7 +31,6 @@ from typing import Any, TypeVar
 import llvmlite
 import numba
 from numba.core import event
-from numba.core.bytecode import FunctionIdentity
 from numba.core.caching import NullCache
 from numba.core.compiler import CompileResult
 from numba.core.serialize import dumps
@@ -45,22 +43,6 @@ _log = logging.getLogger("wtg_gym")
 VERSIONS = (numba.__version__, llvmlite.__version__, sys.implementation.cache_tag)
 #: Numba compiles this many functions before anything is reported: so few take a second.
 _SILENT_FUNCTIONS = 20
-
-
-def _number_from_elsewhere() -> None:
-    """Let the functions that this process compiles have numbers that no other process gives.
-
-    Numba tells machine code of one function for several types apart by numbers that count from 1 in every process. Two
-    processes that compile for two grids would give both the same names, and a third one that reads both from disk would
-    run the code of one grid for the other.
-    """
-    # All with 19 digits, so that the same code gives files of the same size.
-    FunctionIdentity._unique_ids = itertools.count(2**61 + uuid.uuid4().int % 2**61)
-
-
-_number_from_elsewhere()
-if hasattr(os, "register_at_fork"):
-    os.register_at_fork(after_in_child=_number_from_elsewhere)
 
 
 def digest_of(*parts: bytes) -> bytes:
