@@ -7,6 +7,7 @@ a governor that an event takes away, the ring of measurements. Discrete events a
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -135,6 +136,8 @@ class Work(NamedTuple):
 
     scratch: Floats  # (n_scratch, width)
     bars: Floats  # cotangents of the scratch (n_scratch, width)
+    before: Floats  # those before a sweep (n_scratch, width)
+    settled: npt.NDArray[np.bool_]  # lanes whose cotangents no sweep changes any more (width,)
     tape: Floats  # (any number, width)
     admittances: Floats  # of every simulation step (n_substeps, n_admittances, width)
     limited: npt.NDArray[np.bool_]  # lanes with a limited current, at every evaluation (4 n_substeps + 1, width)
@@ -147,9 +150,12 @@ def work_of(rules: Rules, layout: Layout, n_substeps: int, width: int) -> Work:
     rhs = p.flows + p.sweep
     of_steps = n_substeps * (4 * (rhs + p.motion) + p.finished)
     n_taped = p.acted + of_steps + rhs + p.rates + p.charged + p.measured + p.observed
+    scratch, bars, before = np.zeros((3, layout.n_scratch, width))
     return Work(
-        np.zeros((layout.n_scratch, width)),
-        np.zeros((layout.n_scratch, width)),
+        scratch,
+        bars,
+        before,
+        np.zeros(width, dtype=np.bool_),
         np.zeros((n_taped, width)),
         np.zeros((n_substeps, rules.admittances.size, width)),
         np.zeros((4 * n_substeps + 1, width), dtype=np.bool_),
@@ -158,32 +164,30 @@ def work_of(rules: Rules, layout: Layout, n_substeps: int, width: int) -> Work:
 
 
 @internal
-def _flow_and_hold(
-    block: Floats, network: Network, rules: Rules, work: Work, at: int, limited: npt.NDArray[np.bool_]
-) -> None:
+def _flow_and_hold(block: Floats, network: Network, rules: Rules, work: Work, at: int, evaluation: int) -> None:
     """Find voltages and currents, hold these within their limits, and note the fixed point that the sweeps find."""
     scratch, tables = work.scratch, network.tables
-    _flow((block, scratch, work.tape[at:]), tables, NONE)
+    _flow((block, scratch, work.tape), tables, NONE, at)
     _hold((block, scratch), tables, NONE)
-    limited[:] = False
-    for row in rules.reactances:
-        for x in range(limited.shape[0]):
-            limited[x] |= scratch[row, x] > 0.0
-    _note_sweep((block, scratch, work.tape[at + rules.noted.flows :]), tables, NONE)
+    for x in range(scratch.shape[1]):
+        work.limited[evaluation, x] = False
+        for i in range(rules.reactances.shape[0]):
+            work.limited[evaluation, x] |= scratch[rules.reactances[i], x] > 0.0
+    _note_sweep((block, scratch, work.tape), tables, NONE, at + rules.noted.flows)
 
 
 @internal
 def _replay_events(
-    block: Floats, first: int, network: Network, data: LaneData, rules: Rules, lost: npt.NDArray[np.bool_]
+    block: Floats, first: int, network: Network, data: LaneData, rules: Rules, work: Work, step: int
 ) -> bool:
     """Let events strike like :func:`~wtg_gym.physics.integration.apply_events`; note which governors they take away."""
     for i in range(rules.droops.shape[0]):
         for x in range(block.shape[1]):
-            lost[i, x] = block[rules.droops[i], x] > 0.0
+            work.lost[step, i, x] = block[rules.droops[i], x] > 0.0
     changed = apply_events(block, first, network, data)
     for i in range(rules.droops.shape[0]):
         for x in range(block.shape[1]):
-            lost[i, x] &= block[rules.droops[i], x] == 0.0
+            work.lost[step, i, x] &= block[rules.droops[i], x] == 0.0
     return changed
 
 
@@ -198,91 +202,81 @@ def _replay(block: Floats, first: int, network: Network, data: LaneData, rules: 
     enter_interval(block, first, network, data)
     combine_load_noise((block, scratch), tables, NONE)
     for step in range(n_substeps):
-        if _replay_events(block, first, network, data, rules, work.lost[step]):
+        if _replay_events(block, first, network, data, rules, work, step):
             combine_load_noise((block, scratch), tables, NONE)
         for i in range(rules.admittances.shape[0]):
-            work.admittances[step, i, :] = scratch[rules.admittances[i]]
+            for x in range(block.shape[1]):
+                work.admittances[step, i, x] = scratch[rules.admittances[i], x]
         for stage in range(4):
-            _flow_and_hold(block, network, rules, work, at, work.limited[4 * step + stage])
+            _flow_and_hold(block, network, rules, work, at, 4 * step + stage)
             at += p.flows + p.sweep
-            _move((block, scratch, work.tape[at:]), tables, stage_scalars(h, 1.0 / n_substeps, step, stage))
+            _move((block, scratch, work.tape), tables, stage_scalars(h, 1.0 / n_substeps, step, stage), at)
             at += p.motion
-        _finish((block, scratch, work.tape[at:]), tables, NONE)
+        _finish((block, scratch, work.tape), tables, NONE, at)
         at += p.finished
         _end_step((block, scratch), tables, NONE)
         if (step + 1) % steps_between_samples(h) == 0 or step + 1 == n_substeps:
             protect((block, scratch), tables, NONE)
-    _flow_and_hold(block, network, rules, work, at, work.limited[4 * n_substeps])
+    _flow_and_hold(block, network, rules, work, at, 4 * n_substeps)
     at += p.flows + p.sweep
-    _rate((block, scratch, work.tape[at:]), tables, AT_END)
+    _rate((block, scratch, work.tape), tables, AT_END, at)
     return at + p.rates
 
 
 @internal
-def _pull_lost_governors(bars: Floats, rules: Rules, lost: npt.NDArray[np.bool_]) -> None:
+def _pull_lost_governors(bars: Floats, rules: Rules, work: Work, step: int) -> None:
     """The reference of a governor that is lost here is where its gate was; no droop acts from here on."""
     for i in range(rules.droops.shape[0]):
         for x in range(bars.shape[1]):
-            if lost[i, x]:
+            if work.lost[step, i, x]:
                 bars[rules.droops[i], x] = 0.0
                 bars[rules.gates[i], x] += bars[rules.references[i], x]
                 bars[rules.references[i], x] = 0.0
 
 
 @internal
-def _settle(found: Floats, before: Floats, rules: Rules, settled: npt.NDArray[np.bool_]) -> None:
-    """Give lanes that had settled the cotangents from before a sweep, and say which have settled now."""
-    for x in range(settled.shape[0]):
+def _settle(rules: Rules, work: Work) -> bool:
+    """Give lanes that had settled the cotangents from before a sweep; return whether all have settled now."""
+    found, before, all_settled = work.bars, work.before, True
+    for x in range(found.shape[1]):
         largest, change = 0.0, 0.0
-        for row in rules.flows:
-            if settled[x]:
+        for i in range(rules.flows.shape[0]):
+            row = rules.flows[i]
+            if work.settled[x]:
                 found[row, x] = before[row, x]
             largest, change = max(largest, abs(found[row, x])), max(change, abs(found[row, x] - before[row, x]))
-        settled[x] |= not change > _SETTLED * largest
+        work.settled[x] |= not change > _SETTLED * largest
+        all_settled &= work.settled[x]
+    return all_settled
 
 
 @internal
-def _pull_limits(
-    bars: Floats,
-    to: Floats,
-    network: Network,
-    rules: Rules,
-    work: Work,
-    at: int,
-    limited: npt.NDArray[np.bool_],
-) -> None:
-    """Go back through the sweeps that held the currents of some lanes.
+def _pull_flows(bars: Floats, to: Floats, network: Network, rules: Rules, work: Work, at: int, evaluation: int) -> None:
+    """Go back through the voltages and currents of a right-hand side; `at` is their row on the tape.
 
-    As the sweeps end at a fixed point, each has the derivatives of the last: this is the adjoint of that point,
-    approached as the sweeps approached it. Lanes without a limited current keep their bits.
+    First through the sweeps that held the currents of some lanes. As they end at a fixed point, each has the
+    derivatives of the last: this is the adjoint of that point, approached as the sweeps approached it. Lanes without a
+    limited current keep their bits.
     """
-    if not limited.any():
-        return
-    settled, before = ~limited, np.empty_like(work.bars)
-    for _ in range(_SWEEPS):
-        before[:] = work.bars
-        _sweep_back((bars, work.bars, work.tape[at:], work.scratch, to), network.tables, NONE)
-        _settle(work.bars, before, rules, settled)
-        if settled.all():
-            return
-    for x in range(settled.shape[0]):
-        if not settled[x]:
-            work.bars[:, x] = np.nan
-
-
-@internal
-def _pull_flows(
-    bars: Floats,
-    to: Floats,
-    network: Network,
-    rules: Rules,
-    work: Work,
-    at: int,
-    limited: npt.NDArray[np.bool_],
-) -> None:
-    """Go back through the voltages and currents of a right-hand side; `at` is their row on the tape."""
-    _pull_limits(bars, to, network, rules, work, at + rules.noted.flows, limited)
-    _flow_back((bars, work.bars, work.tape[at:], work.scratch, to), network.tables, NONE)
+    n_rows, width = work.bars.shape
+    all_settled = True
+    for x in range(width):
+        work.settled[x] = not work.limited[evaluation, x]
+        all_settled &= work.settled[x]
+    sweeps = 0
+    while not all_settled and sweeps < _SWEEPS:
+        for row in range(n_rows):
+            for x in range(width):
+                work.before[row, x] = work.bars[row, x]
+        arrays = bars, work.bars, work.tape, work.scratch, to
+        _sweep_back(arrays, network.tables, NONE, at + rules.noted.flows)
+        all_settled = _settle(rules, work)
+        sweeps += 1
+    for x in range(width):
+        if not work.settled[x]:
+            for row in range(n_rows):
+                work.bars[row, x] = math.nan
+    _flow_back((bars, work.bars, work.tape, work.scratch, to), network.tables, NONE, at)
 
 
 @internal
@@ -291,21 +285,22 @@ def _pull_interval(bars: Floats, to: Floats, network: Network, rules: Rules, wor
     tables, scratch, given, p, facts = network.tables, work.scratch, work.bars, rules.noted, network.facts
     n_substeps, h = facts.n_substeps, facts.simulation_dt
     at -= p.rates
-    _rate_back((bars, given, work.tape[at:], scratch, to), tables, AT_END)
+    _rate_back((bars, given, work.tape, scratch, to), tables, AT_END, at)
     at -= p.flows + p.sweep
-    _pull_flows(bars, to, network, rules, work, at, work.limited[4 * n_substeps])
+    _pull_flows(bars, to, network, rules, work, at, 4 * n_substeps)
     for step in range(n_substeps - 1, -1, -1):
         for i in range(rules.admittances.shape[0]):
-            scratch[rules.admittances[i], :] = work.admittances[step, i]
+            for x in range(bars.shape[1]):
+                scratch[rules.admittances[i], x] = work.admittances[step, i, x]
         at -= p.finished
-        _finish_back((bars, given, work.tape[at:], scratch, to), tables, NONE)
+        _finish_back((bars, given, work.tape, scratch, to), tables, NONE, at)
         for stage in range(3, -1, -1):
             at -= p.motion
             scalars = stage_scalars(h, 1.0 / n_substeps, step, stage)
-            _move_back((bars, given, work.tape[at:], scratch, to), tables, scalars)
+            _move_back((bars, given, work.tape, scratch, to), tables, scalars, at)
             at -= p.flows + p.sweep
-            _pull_flows(bars, to, network, rules, work, at, work.limited[4 * step + stage])
-        _pull_lost_governors(bars, rules, work.lost[step])
+            _pull_flows(bars, to, network, rules, work, at, 4 * step + stage)
+        _pull_lost_governors(bars, rules, work, step)
 
 
 @compiled
@@ -341,24 +336,25 @@ def pull(
     for b in range(first, last):
         block, own, to, lane = blocks[b], bars[b], constant_bars[b], b * width
         read_actions(scratch, actions, lane, task)
-        _act((block, scratch, work.tape), tables, NONE)
+        _act((block, scratch, work.tape), tables, NONE, 0)
         at = _replay(block, lane, network, data, rules, work, p.acted)
-        of_charge, of_measuring = work.tape[at:], work.tape[at + p.charged :]
-        of_observing = work.tape[at + p.charged + p.measured :]
-        _charge((block, scratch, of_charge), tables, NONE)
-        _measure((block, scratch, of_measuring), tables, NONE)
-        _observe((block, scratch, of_observing), tables, NONE)
+        of_measuring, of_observing = at + p.charged, at + p.charged + p.measured
+        _charge((block, scratch, work.tape), tables, NONE, at)
+        _measure((block, scratch, work.tape), tables, NONE, of_measuring)
+        _observe((block, scratch, work.tape), tables, NONE, of_observing)
 
-        given[:] = 0.0
+        for row in range(given.shape[0]):
+            for x in range(width):
+                given[row, x] = 0.0
         n_own = min(width, actions.shape[0] - lane)
         for k in range(task.observed.shape[0]):
             for x in range(n_own):
                 given[task.observed[k], x] += observation_bars[lane + x, k]
-        _observe_back((own, given, of_observing, scratch, to), tables, NONE)
-        _measure_back((own, given, of_measuring, scratch, to), tables, NONE)
-        _charge_back((own, given, of_charge, scratch, to), tables, NONE)
+        _observe_back((own, given, work.tape, scratch, to), tables, NONE, of_observing)
+        _measure_back((own, given, work.tape, scratch, to), tables, NONE, of_measuring)
+        _charge_back((own, given, work.tape, scratch, to), tables, NONE, at)
         _pull_interval(own, to, network, rules, work, at)
-        _act_back((own, given, work.tape, scratch, to), tables, NONE)
+        _act_back((own, given, work.tape, scratch, to), tables, NONE, 0)
         for a in range(task.wanted.shape[0]):
             for x in range(n_own):
                 action_bars[lane + x, a] = given[task.wanted[a], x]

@@ -45,10 +45,10 @@ _OF_WRITER = {
 class Routine:
     """What a program is compiled to.
 
-    `call` is a function for compiled code, of (arrays, tables, scalars): arrays (n_rows, width) are those of the block
-    and of scratch; then the tape; for the way back cotangents (bars) of block and scratch, the tape, the scratch, and
-    cotangents of the constants in their order in the tables. The bars after the program become those before it, and
-    those of the constants are added to.
+    `call` is a function for compiled code, of (arrays, tables, scalars) and, with a tape, the row where the program's
+    notes begin. Arrays (n_rows, width) are those of the block and of scratch; then the tape. For the way back they are
+    cotangents (bars) of block and scratch, the tape, the scratch, and cotangents of the constants in their order in the
+    tables: the bars after the program become those before it, and those of the constants are added to.
 
     Args:
         program: what is run.
@@ -150,8 +150,7 @@ def _signature(n_arrays: int) -> Any:
 def _call(place: int, n_arrays: int) -> Callable[..., None]:
     """Return a function for compiled code that calls what the tables have at a place."""
 
-    @intrinsic
-    def call(typing_context: Any, arrays: Any, tables: Any, scalars: Any) -> Any:
+    def written(arrays: Any, tables: Any, scalars: Any, at: Any) -> Any:
         if len(arrays) != n_arrays or any(array.layout != "C" for array in arrays):
             raise TypeError(f"a routine takes {n_arrays} arrays in C order, got {arrays}")
 
@@ -160,20 +159,30 @@ def _call(place: int, n_arrays: int) -> Callable[..., None]:
                 own = (context.make_array(kind) for kind in kinds)
                 return [make(context, builder, builder.extract_value(values, i)).data for i, make in enumerate(own)]
 
-            given, of_tables, numbers = arguments
+            given, of_tables, numbers = arguments[:3]
             first = context.make_array(arrays[0])(context, builder, builder.extract_value(given, 0))
             width = builder.extract_value(first.shape, 1)
             wide = builder.zext(builder.icmp_signed(">", width, _WHOLE(1)), _WHOLE)
-            table, constants, addresses = data_of(tables, of_tables)
+            data, (table, constants, addresses) = data_of(arrays, given), data_of(tables, of_tables)
+            if n_arrays > 2:
+                data[2] = builder.gep(data[2], [builder.mul(arguments[3], width)])
             address = builder.load(builder.gep(addresses, [builder.add(_WHOLE(place), wide)]))
             function = builder.inttoptr(address, _signature(n_arrays).as_pointer())
             told = [builder.extract_value(numbers, i) for i in range(len(SCALARS))]
-            builder.call(function, [*data_of(arrays, given), table, constants, *told])
+            builder.call(function, [*data, table, constants, *told])
             return context.get_dummy_value()
 
-        return types.void(arrays, tables, scalars), code
+        return types.void(arrays, tables, scalars, *at), code
 
-    found: Callable[..., None] = call
+    @intrinsic
+    def call(typing_context: Any, arrays: Any, tables: Any, scalars: Any) -> Any:
+        return written(arrays, tables, scalars, ())
+
+    @intrinsic
+    def call_at(typing_context: Any, arrays: Any, tables: Any, scalars: Any, at: Any) -> Any:
+        return written(arrays, tables, scalars, (types.int64,))
+
+    found: Callable[..., None] = call if n_arrays == 2 else call_at
     return found
 
 
