@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import numbers
 from typing import Any
 
@@ -11,22 +10,11 @@ import numpy as np
 from wtg_gym.envs.task_records import Task
 from wtg_gym.envs.task_units import ACTING, TASK
 from wtg_gym.physics.layout import Floats
-from wtg_gym.systems.compiled import compiled
 from wtg_gym.systems.elementary import clip
 from wtg_gym.systems.systems import system
 
 #: Full action multiplies or divides the damping time constant by this.
 TIME_CONSTANT_RATIO = 4.0
-
-
-@compiled
-def first_invalid_action(actions: Floats) -> int:
-    """Return the index of the first row (lane) with an action that is not finite, or -1."""
-    for lane in range(actions.shape[0]):
-        for a in range(actions.shape[1]):
-            if not math.isfinite(actions[lane, a]):
-                return lane
-    return -1
 
 
 @system(ACTING, "action_k", "k_offset", when="modulates k")

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from wtg_gym.envs.actions import TIME_CONSTANT_RATIO, first_invalid_action
+from wtg_gym.envs.actions import TIME_CONSTANT_RATIO
 from wtg_gym.envs.observation import N_LOCAL, N_MEASURED, observation_names
 from wtg_gym.envs.settings import ACTION_MODES, EnvSettings
 from wtg_gym.envs.task import (
@@ -303,7 +303,11 @@ class TaskLanes:
                 simulator.blocks, simulator.scratches, simulator.plant.network, simulator.data, self.task, self.outputs
             )
         bound, alone = self._bound, simulator.threads.n_blocks == 1
-        invalid = step_blocks(bound, actions, 0, 1, 0, False) if alone else first_invalid_action(actions)
+        if alone:
+            invalid = step_blocks(bound, actions, 0, 1, 0, False)
+        else:
+            # Before any lane has been stepped.
+            invalid = -1 if np.isfinite(actions).all() else int(np.argwhere(~np.isfinite(actions))[0, 0])
         if invalid >= 0:
             raise ValueError(f"action {actions[invalid].tolist()} of lane {invalid} is not finite; allowed: -1 … 1")
         if not alone:

@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 from numba.experimental import structref
 
-from wtg_gym.envs.actions import ACT, first_invalid_action
+from wtg_gym.envs.actions import ACT
 from wtg_gym.envs.charging import CHARGE
 from wtg_gym.envs.measuring import MEASURE, START_SENSORS
 from wtg_gym.envs.observing import OBSERVE, end_episode
@@ -180,11 +180,20 @@ def task_data(settings: EnvSettings, layout: Layout) -> TaskData:
 
 
 @internal
-def read_actions(scratch: Floats, actions: Floats, first: int, task: TaskData) -> None:
-    """Copy the actions of a block's lanes, from row `first` of (n_lanes, n_action) on; padding lanes have none."""
+def read_actions(scratch: Floats, actions: Floats, first: int, task: TaskData) -> int:
+    """Copy the actions of a block's lanes, from row `first` of (n_lanes, n_action) on; padding lanes have none.
+
+    Returns:
+        the first lane with an action that is not finite, or -1.
+    """
+    invalid = -1
     for a in range(task.wanted.shape[0]):
         for x in range(scratch.shape[1]):
-            scratch[task.wanted[a], x] = actions[first + x, a] if first + x < actions.shape[0] else 0.0
+            action = actions[first + x, a] if first + x < actions.shape[0] else 0.0
+            if not math.isfinite(action) and (invalid < 0 or first + x < invalid):
+                invalid = first + x
+            scratch[task.wanted[a], x] = action
+    return invalid
 
 
 @internal
@@ -250,21 +259,19 @@ def step_blocks(bound: Any, actions: Floats, first: int, last: int, worker: int,
         starts: take the first measurements and observations of prepared episodes instead.
 
     Returns:
-        -1, or, if there is one block, the lane of an action that is not finite; nothing has been stepped then.
+        -1, or the first lane with an action that is not finite: its block and those after it have not been stepped.
     """
     blocks, scratch, network, task = bound.blocks, bound.scratches[worker], bound.network, bound.task
     width, tables = blocks.shape[2], network.tables
-    if blocks.shape[0] == 1:
-        invalid = first_invalid_action(actions)
-        if invalid >= 0:
-            return invalid
     for b in range(first, last):
         block, arrays = blocks[b], (blocks[b], scratch)
         if starts:
             for x in range(width):
                 scratch[task.was_active, x] = 1.0
         else:
-            read_actions(scratch, actions, b * width, task)
+            invalid = read_actions(scratch, actions, b * width, task)
+            if invalid >= 0:
+                return invalid
             _act(arrays, tables, NONE)
             advance_interval(block, scratch, b * width, network, bound.data)
             _charge(arrays, tables, NONE)

@@ -53,11 +53,12 @@ def enter_interval(block: Floats, first_lane: int, network: Network, data: LaneD
     last, last_noise = data.wind.shape[2] - 1, data.noise.shape[1] - 1
     for x in range(block.shape[1]):
         index = int(block[lane + OF_LANE.step, x]) // n_substeps
+        begin, end = index if index < last else last, index + 1 if index < last else last
         for j in range(data.wind.shape[1]):
             group = groups + j * N_WTG_ROWS
-            block[group + _WIND_START, x] = data.wind[first_lane + x, j, min(index, last)]
-            block[group + _WIND_END, x] = data.wind[first_lane + x, j, min(index + 1, last)]
-        noise = data.noise[first_lane + x, min(index, last_noise)]
+            block[group + _WIND_START, x] = data.wind[first_lane + x, j, begin]
+            block[group + _WIND_END, x] = data.wind[first_lane + x, j, end]
+        noise = data.noise[first_lane + x, index if index < last_noise else last_noise]
         block[lane + OF_LANE.noise_y, x] = noise * block[lane + OF_LANE.noise_per_mw, x]
 
 

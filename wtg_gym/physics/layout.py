@@ -106,9 +106,14 @@ class Layout:
 
     def first_rows(self, kind: Kind, part: str) -> Whole:
         """Return the first row of a part of each unit, (n_units,), in the block or in scratch."""
-        in_block = part in kind.rows
-        parts, first = (kind.rows, self.first) if in_block else (kind.scratch, self.first_scratch)
-        return _every(first[kind] + _offsets(parts)[part], n_rows_of(parts), self.counts[kind])
+        if (kind.name, part) not in self._found:
+            in_block = part in kind.rows
+            parts, first = (kind.rows, self.first) if in_block else (kind.scratch, self.first_scratch)
+            found = _every(first[kind] + _offsets(parts)[part], n_rows_of(parts), self.counts[kind])
+            # Everybody who asks gets the same array.
+            found.setflags(write=False)
+            self._found[kind.name, part] = found
+        return self._found[kind.name, part]
 
     def seen(self, kind: Kind, label: str) -> Whole:
         """Return which unit of a kind that it sees each unit means, (n_units,)."""
