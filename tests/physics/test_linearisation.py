@@ -36,12 +36,12 @@ def test_a_mode_grows_just_beyond_its_largest_step_and_not_just_below(value: com
     ("settings", "message"),
     [
         (
-            PlantSettings(case=with_machine(t_d0_subtransient_s=0.01)),
-            r"eigenvalue -105.* 1/s \(mainly sync0.psi_1d\) .* at most 0.024 s",
+            PlantSettings(case=with_machine(t_d0_subtransient_s=0.009)),
+            r"eigenvalue -11\d.* 1/s \(mainly sync0.psi_1d\) .* at most 0.022\d s",
         ),
         (
             plant(voltage=VoltageControlParameters(integral_gain=1000.0)),
-            r"eigenvalue -98\d.* 1/s \(mainly wtg[01].internal_voltage\) .* at most 0.0025\d s",
+            r"eigenvalue -98\d.* 1/s \(mainly wtg[01].internal_voltage\) .* at most 0.0027 s",
         ),
         # It switches at 0.5 p.u. a step once the power exceeds its limit.
         (plant(limits=ConverterLimitParameters(power_gain=1.0)), r"mainly wtg[01].angle\)"),
@@ -82,8 +82,9 @@ def test_a_law_that_is_too_steep_for_the_step_is_refused(
     Simulator(dataclasses.replace(light, simulation_dt=0.01)).prepare([what], (law,) * 2)
 
 
-def test_every_step_and_inertia_that_is_allowed_suits_the_default_plant() -> None:
+def test_steps_and_inertias_that_are_allowed_suit_the_default_plant() -> None:
     Simulator(PlantSettings(simulation_dt=0.04, control_dt=0.2)).prepare([scenario(inertia_scale=0.05)], LAWS)
+    Simulator(PlantSettings(simulation_dt=0.05)).prepare([scenario()], LAWS)
 
 
 # --- Modes

@@ -106,7 +106,7 @@ class PlantOptions:
     control_dt: float = 0.1
     """control interval [s]"""
     simulation_dt: float = 0.025
-    """integration step, at most 0.04 s"""
+    """integration step, at most 0.05 s"""
     machine_model: Literal["genrou", "classical"] = "genrou"
     """synchronous machines: genrou with exciters, or classical"""
     on_failure: Literal["terminate", "trip"] = "terminate"

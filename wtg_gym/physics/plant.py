@@ -48,7 +48,7 @@ from wtg_gym.systems.routines import Routine
 from wtg_gym.systems.systems import Kind
 
 #: Integration steps that are accepted [s].
-SIMULATION_DT_RANGE = (5e-5, 0.04)
+SIMULATION_DT_RANGE = (5e-5, 0.05)
 
 
 @dataclass(frozen=True, kw_only=True)
