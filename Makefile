@@ -139,6 +139,7 @@ docs-check: $(LEADERBOARD_READY) ## Draw the pictures into a copy of docs/ and n
 
 .PHONY: performance
 performance: $(TEST_READY) ## Measure speed again; on a machine that does nothing else (ten minutes)
+	$(TEST_VENV)/bin/python docs/studies/first_step.py --output $(DOCS)
 	$(TEST_VENV)/bin/python docs/studies/performance.py --output $(DOCS)
 
 .PHONY: golden
