@@ -27,8 +27,8 @@ ROOMS = (
 # File, what it does there; docs/architecture.md says more.
 ACTION = (
     ("envs/gfm_wtg.py", "step"),
-    ("envs/lanes.py", "check the action"),
-    ("envs/task.py", "k and τ of all lanes, cost"),
+    ("envs/lanes.py", "all lanes, threads"),
+    ("envs/task.py", "the lists of the task"),
     ("physics/integration.py", "one interval, events"),
     ("physics/step.py", "the list of systems"),
     ("physics/machine_unit.py", "a machine's systems"),

@@ -10,10 +10,12 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
+from tests.physics.extended import plant
 from wtg_gym.envs.settings import EnvSettings
 from wtg_gym.envs.task_records import COST_TERMS
 from wtg_gym.gradients import check_by_differences
 from wtg_gym.gradients.adjoint import pull
+from wtg_gym.gradients.plant_parameters import PlantEnvSettings
 from wtg_gym.gradients.tape import Gradient, Tape
 from wtg_gym.physics.protection import Status
 from wtg_gym.physics.scenario import GovernorLoss, GroupTrip, LineTrip, LoadStep, MachineOutage, Scenario
@@ -340,3 +342,12 @@ def test_bad_input_is_refused(call: Any, reason: str) -> None:
     tape.gradient(scenarios, np.zeros((1, N_LANES, 4)))
     with pytest.raises(ValueError, match=reason):
         call(tape, scenarios)
+
+
+def test_a_plant_with_a_hydro_governor_and_a_rotor_table_has_gradients_too() -> None:
+    given = PlantEnvSettings.of(EnvSettings(version="v0", duration_s=10.0), plant(table=True))
+    tape = Tape(given, 2, 1)
+    scenarios = [tape.lanes.suite.scenario(seed, duration_s=10.0) for seed in (10_000, 10_001)]
+    actions = np.random.default_rng(0).uniform(-0.3, 0.3, (50, 2, tape.lanes.n_action))
+    for found in check_by_differences(tape, scenarios, actions):
+        assert found.error.max() <= 1e-5, found.name

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from tests.physics.extended import classical
-from wtg_gym.physics.equilibrium import COLUMNS
+from wtg_gym.physics.equilibrium import FLOW_COLUMNS
 from wtg_gym.physics.ieee14 import modified_ieee14
 from wtg_gym.physics.layout import n_rows_of
 from wtg_gym.physics.network import (
@@ -43,7 +43,7 @@ PUBLISHED = (
 
 def solve(case: NetworkCase, power: np.ndarray[Any, np.dtype[np.complex128]]) -> tuple[Any, Any, int]:
     plant = build_plant(PlantSettings(case=case, groups=()))
-    buses, at = np.zeros((len(case.buses), n_rows_of(BUSES.scratch))), COLUMNS
+    buses, at = np.zeros((len(case.buses), n_rows_of(BUSES.scratch))), FLOW_COLUMNS
     buses[:, at.power] = power.real - plant.buses["load.re"]
     buses[:, at.power + 1] = power.imag - plant.buses["load.im"]
     buses[:, at.polar], buses[:, at.holds_voltage] = plant.buses["voltage"], plant.buses["holds_voltage"]

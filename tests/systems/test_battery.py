@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from typing import Any, NamedTuple
 
@@ -51,6 +52,7 @@ class BatteryOutput(NamedTuple):
 
 BATTERIES = Kind(
     name="batteries",
+    # Where `connected` is 0, the network leaves out its admittance.
     rows={"charge": BatteryState, "emf": float, "connected": float, "output": BatteryOutput},
     scratch={"seen": BatteryOutput},
     constants={"battery": Battery},
@@ -110,14 +112,15 @@ def observe(output: BatteryOutput) -> BatteryOutput:
 
 
 def batteries(*buses: int, energy_time_s: float = 600.0) -> FurtherUnits:
-    """Batteries of 20 MVA."""
-    battery = Battery(inv_rating=5.0, inv_energy_time=1.0 / energy_time_s, efficiency=0.95, droop=0.02, beyond=4.0)
+    """Batteries of 20 MVA, with a reactance of 0.2 p.u."""
+    n, rating = len(buses), 0.2  # on the system's 100 MVA
+    battery = Battery(1.0 / rating, 1.0 / energy_time_s, efficiency=0.95, droop=0.02, beyond=4.0)
     return FurtherUnits(
         kind=BATTERIES,
         buses=buses,
-        impedances=(1j * 0.2 / 0.2,) * len(buses),
-        reactive_weights=(0.2,) * len(buses),
-        constants={"battery": [battery] * len(buses)},
+        impedances=(0.2j / rating,) * n,
+        reactive_weights=(rating,) * n,
+        constants={"battery": [battery] * n},
         systems={
             "plan": (plan,),
             "settle": (settle,),
@@ -184,3 +187,8 @@ def test_its_gradient_is_that_of_differences() -> None:
     actions = np.random.default_rng(0).uniform(-0.5, 0.5, (40, 2, tape.lanes.n_action))
     (of_actions, *_) = check_by_differences(tape, [STEP, STEP], actions)
     assert of_actions.gradient == pytest.approx(of_actions.central, rel=1e-5, abs=1e-6)
+
+
+def test_a_place_that_no_list_has_is_refused() -> None:
+    with pytest.raises(ValueError, match="no list has a place 'setle' for batteries; places: plan, settle"):
+        dataclasses.replace(batteries(9), systems={"setle": (settle,)})

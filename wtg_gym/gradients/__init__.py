@@ -1,9 +1,5 @@
 """Gradients of what episodes cost, with respect to actions, the parameters of the tracking laws and those of the plant.
 
-
-
-
-
     plant_parameters  which parameters a plant has, and what constants they move
     adjoint           back through one control step
     tape              episodes that can be differentiated: the interface for NumPy

@@ -2,7 +2,7 @@
 
 The programs are those of the step (:mod:`wtg_gym.physics.step`, :mod:`wtg_gym.envs.task`), the right-hand side in three
 parts: flows, the sweeps that hold currents, motion. What is no system has its rule here: the fixed point of the sweeps,
-a governor that an event takes away, the ring of measurements. Discrete events and the ends of runs do not move.
+and a governor that an event takes away. Discrete events and the ends of runs do not move.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from wtg_gym.envs.charging import CHARGE
 from wtg_gym.envs.measuring import MEASURE
 from wtg_gym.envs.observing import OBSERVE
 from wtg_gym.envs.task import TaskData, read_actions
-from wtg_gym.physics import integration, protection
+from wtg_gym.physics import integration
 from wtg_gym.physics import step as of_step
 from wtg_gym.physics.extension_unit import EXTENSIONS
 from wtg_gym.physics.integration import (
@@ -54,16 +54,16 @@ PROGRAMS = in_one_table(
     SWEEP=of_step.SWEEP,
     MOTION=(*of_step.CAPTURE, *of_step.MOVE),
     RATES=(*of_step.CAPTURE, *of_step.RATES),
-    FINISHED=of_step.FINISH[:-2],
+    FINISHED=of_step.MOVED,
     CHARGED=CHARGE,
     MEASURED=MEASURE,
     OBSERVED=OBSERVE,
     LIMITS=of_step.LIMITS,
-    REST=(protection.track_extremes, protection.shed_load),
+    REST=of_step.WATCH,
 )
 #: Programs that have a way back, in the order of :class:`Noted`.
 TAPED = PROGRAMS[:9]
-_acted, _flows, _sweep, _motion, _rates, _finished, _charged, _measured, _observed, _limits, _rest = PROGRAMS
+_sweep, _limits, _rest = PROGRAMS[2], *PROGRAMS[9:]
 _FORWARD = {
     program.name: Routine(program, writer)
     for programs, writer in ((TAPED, TapedWriter), ((_sweep,), NotingWriter), ((_limits, _rest), Writer))

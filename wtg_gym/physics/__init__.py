@@ -1,32 +1,40 @@
 """The simulator: aerodynamics, tracking law, machines, network, and their integration.
 
+The list
+    step                what happens in a step and at the start of a run, in its order
+
+Kinds of unit and their systems
+    units, starting     the lane, buses, units of the network; what a run starts from
+    machine_unit, hydro_unit, wtg_unit, extension_unit    machines and WTG groups
+    protection          what ends a run, trips a group or sheds a load
+    further_units       kinds of one's own
+    runge_kutta         a stage of the integration, made of rates
+
 Equations
     aerodynamics, rotor_table    C_p as a curve or a table, operating points K_opt, K_d, available power
-    wind_turbine        rotor, captured power p_w, a group as a whole, its equilibrium
+    wind_turbine        rotor, captured power p_w, a group as a whole, the search for its equilibrium
     pitch, converter, extended_converter    controls of a wind turbine
     machine, exciter, governor              synchronous machines
-    network             admittances, power flow
-    reduction           Kron reduction, what events change in it, load noise
-    dynamics            right-hand side: loops over units and lanes
-    currents, runge_kutta        I = Y E and its limit; how a stage moves the states
-    network_events      the table of what events change in the network and its units
-    protection          what ends a run, trips a group or sheds a load
     sensors             measurements with filter, noise, bias and delay
-    equilibrium, start_errors    what a run starts from; why it cannot
-    linearisation       the state matrix, and the step that its modes allow
+
+Network
+    network             admittances, power flow
+    reduction           Kron reduction, what events change in it
+    network_events      the table of what events change in the network and its units
 
 Data
     parameters, machine_parameters, checked    every number with unit, source and range
     ieee14, tables/     the network; the C_p of another turbine
-    plant               a network, its WTG groups and the time steps
+    plant, kernel_data  a network, its WTG groups and the time steps; constants, series and events as arrays
     scenario            what happens in a run
     tracking_law        the strategies
     trajectory          a recorded run
 
 Machinery
     simulator, block_threads, integration    runs side by side; their threads; one control interval
-    layout, records, kernel_data    rows of a block, made from records; constants, series and events
-    compiled, elementary            compilation and its cache, functions for all processors
+    layout              rows of a block
+    equilibrium, start_errors    the lists of the start around the power flow; why a run cannot start
+    linearisation       the state matrix, and the step that its modes allow
 
 A run is *prepared*, its equilibrium found while no running lane is touched, and then *started* in a lane: every floor
 above, up to the environments, says it with these two words.

@@ -16,7 +16,7 @@ from wtg_gym.systems.routines import Function
 
 #: Rows of a bus in scratch, which are columns of the power flow.
 _STRIDE = n_rows_of(BUSES.scratch)
-COLUMNS = PowerFlow(
+FLOW_COLUMNS = PowerFlow(
     power=OF_STARTING_BUS.planned,
     polar=OF_STARTING_BUS.polar,
     holds_voltage=OF_STARTING_BUS.holds,
@@ -65,7 +65,7 @@ def prepare_lanes(
         plan(arrays, tables, NONE)
         released = scratch[own + OF_STARTING_LANE.start_failure, 0] == 0.0
         while released:
-            if _flow(tables, (y, facts.slack, buses, COLUMNS)) < 0:
+            if _flow(tables, (y, facts.slack, buses, FLOW_COLUMNS)) < 0:
                 scratch[own + OF_STARTING_LANE.start_failure, 0] = _DIVERGED
                 break
             # Each time at least one bus lets go, and no bus does twice.

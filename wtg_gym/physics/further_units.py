@@ -8,6 +8,9 @@ from typing import Any
 
 from wtg_gym.systems.systems import Kind, System
 
+#: Where systems may join the lists of :mod:`wtg_gym.physics.step`; the last two, of the task.
+PLACES = ("plan", "settle", "voltages", "move", "rates", "start", "charge", "observe")
+
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class FurtherUnits:
@@ -19,9 +22,10 @@ class FurtherUnits:
         impedances: behind which each one's voltage stands [p.u. of the system].
         reactive_weights: by which each shares the reactive power of its bus, a rating on the base of the system.
         constants: of the kind, one entry for each unit.
-        systems: by where they join the lists of :mod:`wtg_gym.physics.step` and :mod:`wtg_gym.envs.charging`: "plan"
-            writes `planned_power`, "settle" finds the equilibrium from `start`, "voltages" writes `voltage`, "move" has
-            the stages of the integration and "rates" what they are made of; "start", "charge" and "observe" if wanted.
+        systems: by the places of :data:`PLACES` where they join: "plan" writes `planned_power`, "settle" finds the
+            equilibrium from `start`, "voltages" writes `voltage`, "move" has the stages of the integration and "rates"
+            what they are made of; "start", "charge" and "observe" if wanted. Protections and the centre of inertia do
+            not see further units.
         shown: a part in scratch that observations end with; None for none.
     """
 
@@ -38,6 +42,8 @@ class FurtherUnits:
         for name in ("impedances", "reactive_weights"):
             if len(getattr(self, name)) != n:
                 raise ValueError(f"{n} {self.kind.name} need {n} {name}, got {len(getattr(self, name))}")
+        if unknown := sorted(set(self.systems) - set(PLACES)):
+            raise ValueError(f"no list has a place {unknown[0]!r} for {self.kind.name}; places: {', '.join(PLACES)}")
         if self.kind.find("connected") is None:
             raise ValueError(f"the {self.kind.name} have no number `connected`, which says whether a unit is")
 

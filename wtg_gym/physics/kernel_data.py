@@ -12,7 +12,7 @@ from wtg_gym.systems.records import dtype, flatten
 
 
 class Facts(NamedTuple):
-    """Numbers of a plant, and the first rows of its kinds of unit in a block, of buses in scratch too."""
+    """Numbers of a plant, and the first rows of its kinds of unit in a block."""
 
     slack: int  # bus index
     base_mva: float

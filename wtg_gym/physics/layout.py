@@ -100,10 +100,6 @@ class Layout:
         """Return how many units of a kind there are."""
         return self.counts.get(kind, 0)
 
-    def sizes(self, kind: Kind) -> tuple[int, ...]:
-        """Return how many rows each part in scratch takes."""
-        return tuple(count(record) for record in kind.scratch.values())
-
     def first_rows(self, kind: Kind, part: str) -> Whole:
         """Return the first row of a part of each unit, (n_units,), in the block or in scratch."""
         if (kind.name, part) not in self._found:

@@ -65,6 +65,7 @@ class PlantSettings(Checked):
         control_dt: control interval [s], a whole number of simulation steps.
         simulation_dt: step of the integration, 0.05 … 40 ms [s]; a simulator refuses one that is too long for the
             plant's fastest mode.
+        further: units of kinds of one's own.
         trips_groups: the failure of a rotor (:class:`~wtg_gym.physics.protection.Status`) disconnects its group instead
             of ending the run.
 

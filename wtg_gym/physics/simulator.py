@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from wtg_gym.physics.block_threads import BlockThreads
-from wtg_gym.physics.equilibrium import COLUMNS, POWER_FLOW, prepare_lanes, rows_of_buses
+from wtg_gym.physics.equilibrium import FLOW_COLUMNS, POWER_FLOW, prepare_lanes, rows_of_buses
 from wtg_gym.physics.integration import PROGRAMS, REFRESH, STARTING, STEPPING, advance_blocks, evaluate_blocks
 from wtg_gym.physics.kernel_data import NO_EVENT, LaneData
 from wtg_gym.physics.layout import Floats
@@ -128,7 +128,7 @@ class Simulator:
         network, some = self.plant.network, np.zeros((1, 1))
         return {
             REFRESH: (some, 0, 0, network, self._allocate_data(1, 1)),
-            POWER_FLOW: (self.plant.bus_y, 0, some, COLUMNS),
+            POWER_FLOW: (self.plant.bus_y, 0, some, FLOW_COLUMNS),
         }
 
     def link(self, further: Further) -> None:

@@ -1,8 +1,12 @@
 """The step of the simulation: what happens, in its order.
 
-    enter → events → 4 × (find → move) → finish → protect → find → rates
+A control interval (:mod:`wtg_gym.physics.integration`):
 
-A run starts with plan → power flow → release → settle → find → rates → start.
+    enter → admittances → n × (events → 4 × (find → move) → finish, and protect every 0.1 s) → find → rates
+
+The start of a run (:mod:`wtg_gym.physics.equilibrium`):
+
+    plan → power flow, release until none → settle → reduction → admittances → find → rates → start
 
 Each name is a list of systems over all units of a kind; what is no map over units stands in the same lists. Kinds of
 unit that a plant has besides (:mod:`wtg_gym.physics.further_units`) join where it says `Here`.
@@ -51,7 +55,7 @@ CAPTURE = (wtg.capture_by_curve, wtg.capture_by_table)
 #: What every evaluation begins with: voltages and currents, then the power from the wind.
 FIND = (*FLOWS, *LIMITS, *CAPTURE)
 
-#: A stage of the Runge-Kutta method, after that.
+#: One stage of the Runge-Kutta method, after `FIND`: it finds the rates of every unit and moves its states.
 MOVE = (
     hydro.stage_of_hydro,
     machine.stage_of_machine,
@@ -61,7 +65,7 @@ MOVE = (
     units.reference_stage,
 )
 
-#: Rates and outputs at the present state, which stays; after that.
+#: Rates and outputs, without moving any state, after `FIND`.
 RATES = (
     hydro.rates_of_hydro,
     machine.rates_of_machine,
@@ -74,7 +78,10 @@ RATES = (
 COI = (protection.begin_coi, protection.add_machine, protection.add_group, protection.centre_of_inertia)
 
 #: After a simulation step.
-FINISH = (extension.keep_energy, units.count_step, *COI, protection.track_extremes, protection.shed_load)
+#: The part with a way back comes first.
+MOVED = (extension.keep_energy, units.count_step, *COI)
+WATCH = (protection.track_extremes, protection.shed_load)
+FINISH = (*MOVED, *WATCH)
 
 PROTECT = (
     protection.begin_sample,

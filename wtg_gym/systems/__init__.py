@@ -1,0 +1,14 @@
+"""Equations over units and lanes as machine code, forward and back.
+
+In the order in which they are best read:
+
+    records         named numbers that belong together
+    elementary      functions without branches that equations use
+    systems         kinds of unit, and systems: pure functions of one unit
+    programs        lists of systems and what is none, and the table that says where a plant has its rows
+    tracing, expressions    an equation becomes operations, and these pulled back
+    vectors         operations become instructions on the lanes of a block
+    writers         loops over units, the tape, the way back
+    routines        programs become machine code, kept on disk and called at an address
+    compiled        functions with loops, compiled by numba; the cache
+"""

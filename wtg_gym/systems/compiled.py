@@ -41,7 +41,7 @@ _PACKAGE = Path(__file__).resolve().parent.parent
 _log = logging.getLogger("wtg_gym")
 #: What machine code depends on besides the sources and the processor.
 VERSIONS = (numba.__version__, llvmlite.__version__, sys.implementation.cache_tag)
-#: Numba compiles this many functions before anything is reported: so few take a second.
+#: This many functions and routines are compiled before anything is reported: so few take a second.
 _SILENT_FUNCTIONS = 20
 
 
@@ -53,7 +53,7 @@ def digest_of(*parts: bytes) -> bytes:
 def source_hash() -> str:
     """Return the sha256 hex digest of every source file that compiled code lives in."""
     parts = []
-    for folder in ("systems", "physics", "scenarios", "envs"):
+    for folder in ("systems", "physics", "scenarios", "envs", "gradients"):
         for path in sorted([*(_PACKAGE / folder).glob("*.py"), *(_PACKAGE / folder).glob("*.npy")]):
             parts += [path.name.encode(), path.read_bytes()]
     return digest_of(*parts).hex()

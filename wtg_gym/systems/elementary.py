@@ -1,7 +1,7 @@
 """Elementary functions without branches: multiply-add, select, sine, cosine, exponential, limits.
 
-Numba's wheels carry no vector mathematics library, so a call into libm keeps a loop over lanes scalar. These
-are polynomials on a reduced argument: branch-free, the same bits in every lane, and as close to libm as the tests say.
+Libm would be called for one lane after the other. These are polynomials on a reduced argument: branch-free, the same
+bits in every lane, and as close to libm as the tests say.
 """
 
 from __future__ import annotations

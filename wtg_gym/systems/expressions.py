@@ -1,4 +1,4 @@
-"""Numbers that remember how they came about, their derivatives in reverse, and the code that works them out.
+"""Numbers that remember how they came about, and their derivatives in reverse.
 
 A :class:`Number` is an operation on other numbers. Equal operations on equal numbers are the same number, and what only
 depends on constants is worked out at once, so that a program of numbers holds nothing twice.
@@ -90,20 +90,11 @@ _simplifies_zeros = False
 
 
 @contextmanager
-def making(*, zeros: bool = True) -> Iterator[None]:
-    """Make programs in one thread at a time, from no numbers: those of programs before would change their order.
-
-    Args:
-        zeros: simplify products and sums with zeros, in whatever is made.
-    """
-    global _simplifies_zeros
+def making() -> Iterator[None]:
+    """Make programs in one thread at a time, from no numbers: those of programs before would change their order."""
     with _LOCK:
         Number._made.clear()
-        before, _simplifies_zeros = _simplifies_zeros, zeros
-        try:
-            yield
-        finally:
-            _simplifies_zeros = before
+        yield
 
 
 @contextmanager
@@ -147,7 +138,7 @@ def _simplified(operation: str, given: tuple[Any, ...]) -> Any:
     return None
 
 
-# --- what kernels call ----------------------------------------------------------------------------------------------
+# --- what equations call ---------------------------------------------------------------------------------------------
 
 
 def select(condition: Any, value: Any, other: Any) -> Any:
@@ -157,10 +148,8 @@ def select(condition: Any, value: Any, other: Any) -> Any:
 
 def multiply_add(a: Any, b: Any, c: Any) -> Any:
     """Return a·b + c."""
-    if isinstance(a, Number) or isinstance(b, Number):
-        nothing = _simplifies_zeros and (_is(_plain(a), 0.0) or _is(_plain(b), 0.0))
-        return c if nothing else number("fma", a, b, c)
-    return a * b + c
+    nothing = _simplifies_zeros and (_is(_plain(a), 0.0) or _is(_plain(b), 0.0))
+    return c if nothing else number("fma", a, b, c)
 
 
 def _two(operation: str) -> Callable[..., Any]:
@@ -204,7 +193,7 @@ class Cells:
 
     Args:
         first: place of its first number among them.
-        shape: (n, m, 16).
+        n, m: its cells, with 16 numbers each.
     """
 
     #: Its numbers, in their order.
@@ -250,11 +239,11 @@ _CONSTANT: dict[str, Callable[..., Any]] = {
     "cos": math.cos,
     "floor": math.floor,
     "ceil": math.ceil,
-    "exponential": math.exp,
-    "sine": math.sin,
-    "cosine": math.cos,
+    "exponential": elementary.exponential,
+    "sine": lambda a: elementary.sine_cosine(a)[0],
+    "cosine": lambda a: elementary.sine_cosine(a)[1],
     "select": lambda condition, value, other: value if condition else other,
-    "fma": lambda a, b, c: a * b + c,
+    "fma": elementary.fma,
 }
 
 

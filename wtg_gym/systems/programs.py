@@ -111,17 +111,6 @@ class Arrangement(Protocol):
         """Return whether the plant has what a system is for."""
 
 
-def systems_of(entries: Sequence[Any]) -> Iterator[System]:
-    """Yield the systems among entries and within them, in their order."""
-    for entry in entries:
-        if isinstance(entry, System):
-            yield entry
-        elif isinstance(entry, Each):
-            yield from entry
-        elif isinstance(entry, (When, Repeat)):
-            yield from systems_of(entry.entries)
-
-
 def _flat(entries: Sequence[Any]) -> Iterator[Any]:
     """Yield everything that has a place in the head of a table."""
     for entry in entries:
@@ -242,7 +231,7 @@ def constant_places(
     """
     found = []
     for program in programs:
-        for one in systems_of(program.entries):
+        for one in (entry for entry in _flat(program.entries) if isinstance(entry, System)):
             used = one.constants_used
             place = one.kind.find_constant(argument)
             if place is None or f"{argument}.{leaf}" not in used:

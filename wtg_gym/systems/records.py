@@ -9,11 +9,10 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable, Iterator
-from typing import Any, TypeVar, get_type_hints
+from typing import Any, get_type_hints
 
 import numpy as np
 
-R = TypeVar("R", bound=tuple[Any, ...])
 _DTYPES = {float: np.float64, int: np.int64, bool: np.bool_, complex: np.complex128}
 
 
@@ -45,14 +44,15 @@ def short_names(record: Any) -> tuple[str, ...]:
 def dtype(record: type) -> np.dtype[Any]:
     """Return the data type of a record of constants, with :func:`leaves` as names; floats, whole numbers and flags."""
     return np.dtype(
-        [(leaf, _DTYPES[kind]) for leaf, kind in zip(leaves(record), _kinds(record), strict=True)], align=True
+        [(leaf, _DTYPES[kind]) for leaf, kind in zip(leaves(record), kinds_of(record), strict=True)], align=True
     )
 
 
-def _kinds(record: type) -> Iterator[Any]:
+def kinds_of(record: type) -> Iterator[Any]:
+    """Yield the types of a record's numbers, in the order of :func:`leaves`."""
     for kind in get_type_hints(record).values():
         if is_record(kind):
-            yield from _kinds(kind)
+            yield from kinds_of(kind)
         else:
             yield kind
 

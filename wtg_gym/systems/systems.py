@@ -17,8 +17,8 @@ from dataclasses import dataclass, field
 from typing import Any, NamedTuple, get_type_hints
 
 from wtg_gym.systems import expressions as ex
-from wtg_gym.systems.records import flatten, is_record, leaves, short_names, size
-from wtg_gym.systems.tracing import ARITHMETIC, retargeted
+from wtg_gym.systems.records import flatten, is_record, kinds_of, leaves, short_names, size
+from wtg_gym.systems.tracing import retargeted
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -172,7 +172,7 @@ class System:
         """Return the program of the equation where some scalars are known."""
         key = tuple(sorted((name, value) for name, value in known.items() if name in self.arguments_named))
         if key not in self._traces:
-            with ex.making(zeros=False):
+            with ex.making():
                 self._traces[key] = self.traced(known)
         return self._traces[key]
 
@@ -184,7 +184,7 @@ class System:
         """Run the equation on numbers that remember; `known` has the values of some scalars."""
         found = Trace({}, {}, {}, [])
         given = {name: known[name] if name in known else self._given(name, found) for name in self.arguments_named}
-        result = retargeted(equation or self.equation, ARITHMETIC, {})(*given.values())
+        result = retargeted(equation or self.equation)(*given.values())
         results = (result,) if not isinstance(result, tuple) or is_record(type(result)) else result
         for name, value in zip(self.writes, results, strict=True):
             values = flatten(value) if is_record(type(value)) else (value,)
@@ -196,7 +196,7 @@ class System:
     @functools.cached_property
     def adjoint(self) -> Adjoint:
         """The derivatives of the equation, pulled back."""
-        with ex.making(zeros=False):
+        with ex.making():
             trace = self.traced({}, self.backward)
             seeds = {ex.symbol(f"bar of {name}[{k}]"): (name, k) for name, k, _ in trace.stores}
             pairs = [(value, seed) for (*_, value), seed in zip(trace.stores, seeds, strict=True)]
@@ -290,11 +290,3 @@ def constants_of(name: str, record: Any) -> list[tuple[str, Any]]:
     if not is_record(record):
         return [(name, record)]
     return [(f"{name}.{leaf}", kind) for leaf, kind in zip(leaves(record), kinds_of(record), strict=True)]
-
-
-def kinds_of(record: Any) -> list[Any]:
-    """Return the types of a record's numbers."""
-    found: list[Any] = []
-    for kind in get_type_hints(record).values():
-        found += kinds_of(kind) if is_record(kind) else [kind]
-    return found

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 import types
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from types import SimpleNamespace
 from typing import Any
 
@@ -41,10 +41,11 @@ ARITHMETIC: dict[str, Any] = {
 }
 
 
-def retargeted(
-    function: Any, arithmetic: Mapping[str, Any] = ARITHMETIC, done: dict[Any, Any] | None = None
-) -> Callable[..., Any]:
-    """Return a function's source as a function whose names, and its callees', mean `arithmetic`; compiled or plain."""
+def retargeted(function: Any, done: dict[Any, Any] | None = None) -> Callable[..., Any]:
+    """Return a function's source as a function whose names, and its callees', have the meanings of `ARITHMETIC`.
+
+    `done` has the functions that were found before.
+    """
     done = {} if done is None else done
     source = getattr(function, "py_func", function)
     if source in done:
@@ -58,14 +59,14 @@ def retargeted(
 
     def converted(value: Any) -> Any:
         if isinstance(getattr(value, "py_func", value), types.FunctionType):
-            return retargeted(value, arithmetic, done)
+            return retargeted(value, done)
         return tuple(map(converted, value)) if type(value) is tuple else value
 
     for cell in cells:
         cell.cell_contents = converted(cell.cell_contents)
     for name in _names_in(source.__code__):
-        if name in arithmetic or name in names:
-            names[name] = arithmetic[name] if name in arithmetic else converted(names[name])
+        if name in ARITHMETIC or name in names:
+            names[name] = ARITHMETIC[name] if name in ARITHMETIC else converted(names[name])
     return copy
 
 

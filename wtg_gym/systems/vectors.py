@@ -15,7 +15,7 @@ from numba.core import cgutils
 
 from wtg_gym.systems import elementary
 from wtg_gym.systems import expressions as ex
-from wtg_gym.systems.tracing import ARITHMETIC, retargeted
+from wtg_gym.systems.tracing import retargeted
 
 _DOUBLE, _WHOLE, _BIT = ir.DoubleType(), ir.IntType(64), ir.IntType(1)
 #: Operations that are polynomials of others, and what they are applied to.
@@ -124,9 +124,9 @@ class Lanes:
         key = function, one.arguments[0]
         if key not in known:
             argument = instruction(one.arguments[0])
-            with ex.making(zeros=False):
+            with ex.making():
                 symbol = ex.symbol("x")
-                results = retargeted(function, ARITHMETIC, {})(symbol)
+                results = retargeted(function)(symbol)
                 results = results if isinstance(results, tuple) else (results,)
                 inner = self.program({symbol: lambda: argument})
             known[key] = [inner(result) for result in results]
