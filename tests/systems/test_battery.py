@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import copy
 import dataclasses
 import math
+import pickle
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -189,6 +191,31 @@ def test_its_gradient_is_that_of_differences() -> None:
     assert of_actions.gradient == pytest.approx(of_actions.central, rel=1e-5, abs=1e-6)
 
 
-def test_a_place_that_no_list_has_is_refused() -> None:
-    with pytest.raises(ValueError, match="no list has a place 'setle' for batteries; places: plan, settle"):
-        dataclasses.replace(batteries(9), systems={"setle": (settle,)})
+@pytest.mark.parametrize(
+    ("changes", "reason"),
+    [
+        ({"systems": {"setle": (settle,)}}, "no list has a place 'setle' for batteries; places: plan, settle"),
+        ({"systems": {"plan": (plan,)}}, "batteries have no systems for settle, voltages, move, rates"),
+        ({"impedances": (0j,)}, "impedances of batteries must be finite and not 0 p.u."),
+        ({"reactive_weights": (0.1, 0.2)}, "1 batteries need 1 reactive_weights, got 2"),
+        ({"constants": {}}, r"batteries have the constants \['battery'\], got \[\]"),
+        ({"shown": "emf"}, "'emf' is no record in scratch of batteries"),
+    ],
+)
+def test_bad_units_are_refused(changes: dict[str, Any], reason: str) -> None:
+    with pytest.raises(ValueError, match=reason):
+        dataclasses.replace(batteries(9), **changes)
+
+
+def test_a_kind_that_is_there_already_is_refused() -> None:
+    with pytest.raises(ValueError, match="units of a kind 'batteries' already"):
+        TaskLanes(PlantEnvSettings.of(EnvSettings(version="v0"), PlantSettings(further=(batteries(9), batteries(14)))))
+
+
+def test_a_copy_from_another_process_goes_on_with_the_same_bits() -> None:
+    lanes = played(2, 20)
+    copies = pickle.loads(pickle.dumps(lanes)), copy.deepcopy(lanes)
+    for _ in range(10):
+        for own in (lanes, *copies):
+            own.step(np.zeros((2, own.n_action)))
+    assert all((own.observations == lanes.observations).all() for own in copies)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import pickle
 from typing import Any
 
 import numpy as np
@@ -14,8 +15,8 @@ from wtg_gym.physics.parameters import ROTOR_TABLE
 from wtg_gym.physics.rotor_table import Grid, read_rotor_table, tabulated_power_coefficient
 from wtg_gym.systems import expressions as ex
 from wtg_gym.systems.elementary import exponential, fma, select, sine_cosine
-from wtg_gym.systems.programs import build_table, in_one_table
-from wtg_gym.systems.routines import Routine
+from wtg_gym.systems.programs import Each, Program, Repeat, When, build_table, in_one_table
+from wtg_gym.systems.routines import Routine, code_of
 from wtg_gym.systems.systems import Kind, System, system
 from wtg_gym.systems.writers import BackWithoutConstants, TapedWriter
 
@@ -157,3 +158,32 @@ def test_a_branch_on_a_traced_number_is_refused() -> None:
 def test_a_system_that_names_what_nobody_has_is_refused(made: System, reason: str) -> None:
     with pytest.raises(TypeError, match=reason):
         _ = made.targets, made.trace
+
+
+def test_programs_that_differ_in_one_thing_have_machine_code_of_their_own() -> None:
+    in_rows = Kind(name="places", rows={"x": float, "y": float, "flag": float})
+    in_scratch = Kind(name="places", rows={"x": float}, scratch={"y": float, "flag": float})
+    digests = []
+    for kind in (in_rows, in_scratch):
+        first, second = system(kind, "y")(lambda x: x + 1.0), system(kind, "x")(lambda y: 2.0 * y)
+        lists: list[tuple[Any, ...]] = [
+            (first, second),
+            (Each(first, second),),
+            (When(kind, "flag", (first,)), second),
+            (When(kind, "flag", (first, second)),),
+            *((Repeat(kind, "flag", (first, second), most=most),) for most in (2, 3)),
+        ]
+        digests += [Program("same", entries, 0).digest() for entries in lists]
+    assert len(set(digests)) == len(digests) == 12
+
+
+def test_arrays_of_another_width_and_tables_without_the_code_are_refused() -> None:
+    layout = Arranged({UNITS: 1}, {})
+    tables, routine = build_table((FORWARD, BOTH_WAYS), layout), Routine(FORWARD)
+    with pytest.raises(ValueError, match="1 or 16 columns"):
+        routine((np.zeros((2, 4)), np.zeros((layout.n_scratch, 4))), tables)
+    linked = tables._replace(code=code_of((FORWARD, BOTH_WAYS), {16: (routine,)}, {}))
+    with pytest.raises(ValueError, match="no code of 'FORWARD' for blocks of 1"):
+        routine((np.zeros((2, 1)), np.zeros((layout.n_scratch, 1))), linked)
+    # Addresses mean nothing in another process.
+    assert pickle.loads(pickle.dumps(linked)).code.size == 0

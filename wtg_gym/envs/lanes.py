@@ -144,6 +144,7 @@ class TaskLanes:
             "duration_s": self.duration_s,
             "weights": self.settings.cost_weights(),
             "plant": self.suite.plant,
+            "further": self.simulator.settings.further,
             **{name: getattr(self.settings, name) for name in shared},
         }
 

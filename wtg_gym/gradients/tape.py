@@ -29,7 +29,7 @@ from wtg_gym.physics import integration
 from wtg_gym.physics.layout import Whole
 from wtg_gym.physics.plant import Arranged, arranged, build_plant, programs_of
 from wtg_gym.physics.scenario import Scenario
-from wtg_gym.systems.programs import constant_places
+from wtg_gym.systems.programs import Program, constant_places
 from wtg_gym.systems.routines import code_of
 
 Floats = npt.NDArray[np.float64]
@@ -141,11 +141,9 @@ class Tape:
         further, built = task_of(settings), build_plant(simulator.settings)
         programs = programs_of(built, *integration.PROGRAMS, *of_task.PROGRAMS, *PROGRAMS)
         taped = programs[-len(PROGRAMS) :][: len(TAPED)]
-        plant = arranged(built, layout, programs, further, taped)
-        routines = (*routines_of(constants=bool(self.parameters)), *integration.STEPPING)
-        code = code_of(programs, {simulator.width: routines}, simulator.functions())
         #: The plant, with the table of the programs that go back.
-        self._plant = plant.with_tables(plant.network.tables._replace(code=code))
+        self._plant = arranged(built, layout, programs, further, taped)
+        self._link(programs)
         arrangement = Arranged(built, layout, further)
         self._rules = rules_of(layout, arrangement, taped)
         self._works: dict[int, Work] = {}
@@ -168,6 +166,17 @@ class Tape:
         outputs += [*layout.wtg("rotor_speed"), *layout.machine("speed")]
         self._rows = _Rows(terms, np.array(outputs, dtype=np.int64))
         self._scratch_outputs = Outputs._make(np.zeros_like(array) for array in lanes.outputs)
+
+    def _link(self, programs: Sequence[Program]) -> None:
+        """Let the plant know where the machine code is in this process."""
+        simulator = self.lanes.simulator
+        routines = (*routines_of(constants=bool(self.parameters)), *integration.STEPPING)
+        code = code_of(programs, {simulator.width: routines}, simulator.functions())
+        self._plant = self._plant.with_tables(self._plant.network.tables._replace(code=code))
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state)
+        self._link(programs_of(self._plant, *integration.PROGRAMS, *of_task.PROGRAMS, *PROGRAMS))
 
     @property
     def output_names(self) -> tuple[str, ...]:

@@ -22,12 +22,17 @@ class BlockThreads:
     def __init__(self, n_blocks: int, n_threads: int | None = None) -> None:
         self.n_blocks = n_blocks
         self.n_threads = n_threads
+        #: Never more than when this was made, or copied to this machine: what each worker needs was made then.
+        self._most = self._wanted()
         self._pool: ThreadPoolExecutor | None = None
         self._pool_process = 0
 
     @property
     def n_workers(self) -> int:
-        """Threads that work on blocks at once on this machine, at most."""
+        """Threads that work on blocks at once."""
+        return min(self._most, self._wanted())
+
+    def _wanted(self) -> int:
         return max(1, min(self.n_blocks // _BLOCKS_PER_THREAD, self.n_threads or os.cpu_count() or 1))
 
     def run(
@@ -44,8 +49,7 @@ class BlockThreads:
             meanwhile_blocks: how many blocks take as long as that call.
         """
         n_blocks = self.n_blocks
-        # Asked for anew: a copy may live on another machine. It costs as much as a step, but not as a thousand.
-        n_threads = self.n_workers if n_blocks >= 2 * _BLOCKS_PER_THREAD else 1
+        n_threads = self.n_workers
         futures, own = [], n_blocks
         if n_threads > 1:
             own = max(0, (n_blocks + meanwhile_blocks) // n_threads - meanwhile_blocks)
@@ -80,3 +84,7 @@ class BlockThreads:
     def __getstate__(self) -> dict[str, Any]:
         # A thread pool cannot be copied.
         return {**self.__dict__, "_pool": None}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state)
+        self._most = self._wanted()

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import cmath
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from wtg_gym.physics.layout import place_in
+from wtg_gym.ranges import require_range
+from wtg_gym.systems.records import is_record, short_names
 from wtg_gym.systems.systems import Kind, System
 
 #: Where systems may join the lists of :mod:`wtg_gym.physics.step`; the last two, of the task.
@@ -38,20 +42,33 @@ class FurtherUnits:
     shown: str | None = None
 
     def __post_init__(self) -> None:
-        n = len(self.buses)
-        for name in ("impedances", "reactive_weights"):
-            if len(getattr(self, name)) != n:
-                raise ValueError(f"{n} {self.kind.name} need {n} {name}, got {len(getattr(self, name))}")
+        n, kind, name = len(self.buses), self.kind, self.kind.name
+        numbers = {"impedances": self.impedances, "reactive_weights": self.reactive_weights, **self.constants}
+        for what, values in numbers.items():
+            if len(values) != n:
+                raise ValueError(f"{n} {name} need {n} {what}, got {len(values)}")
+        if not all(cmath.isfinite(value) and value != 0.0 for value in self.impedances):
+            raise ValueError(f"impedances of {name} must be finite and not 0 p.u., got {self.impedances}")
+        for weight in self.reactive_weights:
+            require_range(f"a reactive weight of {name}", weight, 1e-9, 1e6, "p.u.")
         if unknown := sorted(set(self.systems) - set(PLACES)):
-            raise ValueError(f"no list has a place {unknown[0]!r} for {self.kind.name}; places: {', '.join(PLACES)}")
-        if self.kind.find("connected") is None:
-            raise ValueError(f"the {self.kind.name} have no number `connected`, which says whether a unit is")
+            raise ValueError(f"no list has a place {unknown[0]!r} for {name}; places: {', '.join(PLACES)}")
+        if missing := [place for place in PLACES[:5] if place not in self.systems]:
+            raise ValueError(f"{name} have no systems for {', '.join(missing)}")
+        if others := {one.kind.name for own in self.systems.values() for one in own} - {name}:
+            raise ValueError(f"systems of {', '.join(sorted(others))} cannot join for {name}")
+        if set(self.constants) != set(kind.constants):
+            raise ValueError(f"{name} have the constants {sorted(kind.constants)}, got {sorted(self.constants)}")
+        if place_in(kind.rows, "connected") is None:
+            raise ValueError(f"the rows of {name} have no number `connected`, which says whether a unit is")
+        if self.shown is not None and not is_record(kind.scratch.get(self.shown)):
+            raise ValueError(f"{self.shown!r} is no record in scratch of {name}")
 
     def names(self) -> list[str]:
         """Return the names of what observations show, one unit after the other."""
         if self.shown is None:
             return []
-        parts: tuple[str, ...] = {**self.kind.rows, **self.kind.scratch}[self.shown]._fields
+        parts = short_names(self.kind.scratch[self.shown])
         return [f"{self.kind.name}{j}.{part}" for j in range(len(self.buses)) for part in parts]
 
 

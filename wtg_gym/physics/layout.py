@@ -46,7 +46,7 @@ def n_rows_of(parts: Mapping[str, Any]) -> int:
     return sum(count(record) for record in parts.values())
 
 
-def _place_in(parts: Mapping[str, Any], name: str) -> int | None:
+def place_in(parts: Mapping[str, Any], name: str) -> int | None:
     """Return the row of a number by its short name; where several have it, of the first."""
     row = 0
     for part, record in parts.items():
@@ -139,7 +139,7 @@ class Layout:
     def _named(self, name: str, what: str, kinds: Sequence[Kind]) -> Whole:
         if (name, what) not in self._found:
             for kind in kinds:
-                place = _place_in(kind.rows, name)
+                place = place_in(kind.rows, name)
                 if place is not None and (self.counts[kind] or kind is kinds[0]):
                     found = _every(self.first[kind] + place, n_rows_of(kind.rows), self.counts[kind])
                     # Everybody who asks gets the same array.
@@ -192,7 +192,7 @@ N_MACHINE_ROWS, N_WTG_ROWS = n_rows_of(MACHINES.rows), n_rows_of(GROUPS.rows)
 
 def place_of(kind: Kind, name: str) -> int:
     """Return which of a unit's rows has a number of a short name; where several have it, the first."""
-    place = _place_in(kind.rows, name)
+    place = place_in(kind.rows, name)
     if place is None:
         raise KeyError(f"{name!r} is no number of {kind.name}")
     return place

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 import math
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
@@ -313,22 +314,30 @@ def layout_of(plant: Plant, further: Further | None = None) -> Layout:
         (HYDRO, "machine"): plant.hydro["machine"],
         (FIRST_MACHINE, "machine"): np.zeros(1, dtype=np.int64),
     }
-    first = n_sync + n_wtg
+    first, added = n_sync + n_wtg, further or Further({})
     for own in plant.further:
+        if own.kind in n_units or own.kind in added.n_units:
+            raise ValueError(f"there are units of a kind {own.kind.name!r} already")
         n_units[own.kind] = len(own.buses)
-        links |= {
-            (own.kind, label): first + np.arange(len(own.buses))
-            for label, kind in own.kind.sees.items()
-            if kind == UNITS
-        }
+        units = first + np.arange(len(own.buses))
+        known = {UNITS: units, BUSES: plant.network.unit_bus[units]}
+        for label, kind in own.kind.sees.items():
+            if kind in known:
+                links[own.kind, label] = known[kind]
+            elif {**n_units, **added.n_units}.get(kind) != 1:
+                raise ValueError(f"{own.kind.name} cannot see {kind.name}: nothing says which of them each one means")
         first += len(own.buses)
-    further = further or Further({})
-    return Layout({**n_units, **further.n_units}, {**links, **further.links})
+    return Layout({**n_units, **added.n_units}, {**links, **added.links})
 
 
 def programs_of(plant: Plant, *programs: Program) -> tuple[Program, ...]:
     """Return programs with the systems of a plant's further units."""
-    return tuple(program.joined(joining(plant.further)) for program in programs)
+    return _joined(plant.further, programs)
+
+
+@functools.lru_cache(maxsize=64)
+def _joined(further: tuple[FurtherUnits, ...], programs: tuple[Program, ...]) -> tuple[Program, ...]:
+    return tuple(program.joined(joining(further)) for program in programs)
 
 
 class Arranged:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -44,7 +45,9 @@ def moving(rates: System, *limits: Callable[..., Any] | None, constants: Sequenc
         return (*moved, *found[len(states) :])
 
     writes = [name for state in states for name in (state, f"{state}_base", f"{state}_sum")]
-    return System(rates.kind, stage, (*writes, *rates.writes[len(states) :]), rates.when, arguments=arguments)
+    origin = functools.partial(moving, constants=constants), (rates, *limits)
+    written = (*writes, *rates.writes[len(states) :])
+    return System(rates.kind, stage, written, rates.when, arguments=arguments, origin=origin)
 
 
 def _moved(

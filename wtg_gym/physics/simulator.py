@@ -30,10 +30,8 @@ from wtg_gym.physics.start_errors import (
 from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY, TrackingLaw, get_law
 from wtg_gym.physics.units import UNITS, StartFailure
 from wtg_gym.ranges import require_range, require_whole, whole_steps
-from wtg_gym.systems.routines import Function, Routine, code_of
+from wtg_gym.systems.routines import WIDE, Function, Routine, code_of
 
-#: Lanes per block of a batched simulator; a single run uses a block of one.
-BLOCK_WIDTH = 16
 #: Winds at which the integration step is checked when a simulator is built: blades at rest, and turned by the pitch
 #: protection [m/s].
 _CHECKED_WINDS = (8.0, 16.0)
@@ -106,7 +104,7 @@ class Simulator:
         self._noise_samples = samples.astype(np.int64)
         self.layout = layout_of(plant, further)
         self.plant = arranged(plant, self.layout, programs_of(plant, *PROGRAMS, *further.programs), further)
-        self.width = 1 if n_lanes == 1 else BLOCK_WIDTH
+        self.width = 1 if n_lanes == 1 else WIDE
         self.link(further)
         n_blocks = -(-self.n_lanes // self.width)
         #: Rows of all lanes (n_blocks, n_rows, width).

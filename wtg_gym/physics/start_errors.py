@@ -23,15 +23,19 @@ def scenario_name(scenario: Scenario) -> str:
 
 
 def bus_of_unit(settings: PlantSettings, unit: int) -> int:
-    """Return the bus number of a unit, machines first."""
-    machines = settings.case.machines
-    return machines[unit].bus if unit < len(machines) else settings.groups[unit - len(machines)].bus
+    """Return the bus number of a unit: machines, groups, further units."""
+    further = [bus for own in settings.further for bus in own.buses]
+    return [*(m.bus for m in settings.case.machines), *(group.bus for group in settings.groups), *further][unit]
 
 
 def unit_name(settings: PlantSettings, unit: int) -> str:
     """Return what an error calls a unit."""
     group = unit - len(settings.case.machines)
     kind = "the synchronous machine" if group < 0 else f"WTG group {group}"
+    if group >= len(settings.groups):
+        kind = [f"a unit of {own.kind.name}" for own in settings.further for _ in own.buses][
+            group - len(settings.groups)
+        ]
     return f"{kind} at bus {bus_of_unit(settings, unit)}"
 
 
@@ -85,6 +89,8 @@ def start_failure(
             f"limits {low:g} … {high:g} p.u.; change wind or load level"
         )
     j = unit - layout.n_sync
+    if j >= layout.n_wtg:
+        return f"{name} finds no equilibrium within its limits"
     if failure == StartFailure.NO_TURBINE_EQUILIBRIUM:
         k = rows[layout.wtg("k_nominal")[j]]
         return f"{name} has no equilibrium at a wind of {scenario.wind_speed[j, 0]:g} m/s with k = {k:g} p.u."

@@ -16,7 +16,7 @@ import numpy.typing as npt
 
 from wtg_gym.systems import expressions as ex
 from wtg_gym.systems.records import flatten
-from wtg_gym.systems.systems import Kind, Place, System, constants_of
+from wtg_gym.systems.systems import Kind, Place, System, constants_of, count
 
 Floats = npt.NDArray[np.float64]
 Whole = npt.NDArray[np.int64]
@@ -87,6 +87,10 @@ class Tables(NamedTuple):
     numbers: Floats
     code: Whole  # addresses in this process, see :func:`~wtg_gym.systems.routines.code_of`
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        # A copy may live in another process.
+        return Tables, (self.table, self.numbers, np.zeros(0, dtype=np.int64))
+
 
 #: Scalars of a program that asks for none.
 NONE = (0.0, 0.0, 0.0, 0.0)
@@ -139,6 +143,7 @@ class Program:
         joined = (joining.get(entry.name, ()) if isinstance(entry, Here) else (entry,) for entry in entries)
         self.entries: tuple[Any, ...] = tuple(one for own in joined for one in own)
         self.places = {id(entry): _MOST * number + i for i, entry in enumerate(_flat(self.entries))}
+        self._digests: dict[bool, str] = {}
         if len(self.places) > _MOST:
             raise ValueError(f"program {name!r} has {len(self.places)} entries; allowed: at most {_MOST}")
         if len(self.places) < len(list(_flat(self.entries))):
@@ -150,28 +155,48 @@ class Program:
 
     def digest(self, *, back: bool = False) -> str:
         """Return a hash of everything that its machine code depends on, or that of the way back through it."""
-        found = hashlib.sha256(repr((self.name, list(self.places.values()))).encode())
-        for entry in _flat(self.entries):
-            if not isinstance(entry, System):
-                within = len(list(_flat(getattr(entry, "entries", ()))))
-                told = [value for value in entry if isinstance(value, (str, int))]
-                found.update(repr((type(entry).__name__, told, within, _n_noted(entry))).encode())
-                continue
-            found.update(repr((entry.name, entry.slots, entry.constants_used, entry.when)).encode())
-            stores: list[tuple[Any, Any]] = [((name, k), value) for name, k, value in entry.trace.stores]
-            if back:
-                stores += [*entry.adjoint.inputs.items(), *entry.adjoint.constants.items()]
-                found.update(repr((entry.noted, list(entry.adjoint.seeds.values()))).encode())
-            order = {number: i for i, number in enumerate(ex.needed(value for _, value in stores))}
-            for number in order:
-                arguments = (order[a] if isinstance(a, ex.Number) else a for a in number.arguments)
-                found.update(repr((number.operation, *arguments)).encode())
-            found.update(repr([(at, order.get(value, value)) for at, value in stores]).encode())
-        return found.hexdigest()
+        if back not in self._digests:
+            told = self.name, list(self.places.values()), [_told(entry) for entry in self.entries]
+            found = hashlib.sha256(repr(told).encode())
+            for entry in _flat(self.entries):
+                for line in _operations(entry, back=back) if isinstance(entry, System) else ():
+                    found.update(repr(line).encode())
+            self._digests[back] = found.hexdigest()
+        return self._digests[back]
 
     def tape_rows(self, plant: Arrangement) -> int:
         """Return how many rows a run of the program notes."""
         return sum(_n_noted(entry) * _n_units(entry, plant) for entry in _flat(self.entries))
+
+
+def _told(entry: Any) -> tuple[Any, ...]:
+    """Return what an entry is, but for the operations of systems, and what lies within it."""
+    if isinstance(entry, System):
+        places = {**entry.reads, **entry.targets}
+        slots = [(slot, places[slot].in_scratch) for slot in entry.slots]
+        return entry.name, slots, entry.constants_used, entry.when
+    if isinstance(entry, Each):
+        return "each", _told(entry.outer), _told(entry.inner)
+    if isinstance(entry, (When, Repeat)):
+        flag = entry.lane.find(entry.flag)
+        most = entry.most if isinstance(entry, Repeat) else 1
+        return type(entry).__name__, flag is not None and flag.in_scratch, most, [_told(each) for each in entry.entries]
+    if isinstance(entry, Delay):
+        record = {**entry.units.rows, **entry.units.scratch}[entry.part]
+        return "delay", count(record), entry.part in entry.units.scratch, entry.delayed in entry.units.scratch
+    return (type(entry).__name__,)
+
+
+def _operations(one: System, *, back: bool) -> Iterator[Any]:
+    """Yield what the machine code of a system works out, or that of the way back through it."""
+    stores: list[tuple[Any, Any]] = [((name, k), value) for name, k, value in one.trace.stores]
+    if back:
+        stores += [*one.adjoint.inputs.items(), *one.adjoint.constants.items()]
+        yield one.noted, list(one.adjoint.seeds.values())
+    order = {number: i for i, number in enumerate(ex.needed(value for _, value in stores))}
+    for number in order:
+        yield number.operation, *(order[a] if isinstance(a, ex.Number) else a for a in number.arguments)
+    yield [(at, order.get(value, value)) for at, value in stores]
 
 
 def _n_units(entry: Any, plant: Arrangement) -> int:

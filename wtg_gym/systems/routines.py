@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 from llvmlite import binding, ir
 from numba import typeof, types
+from numba.core.compiler_lock import global_compiler_lock
 from numba.core.registry import cpu_target
 from numba.extending import intrinsic
 
@@ -24,6 +25,10 @@ from wtg_gym.systems.programs import NONE, Floats, Program, Tables, Whole
 from wtg_gym.systems.systems import SCALARS
 from wtg_gym.systems.writers import BackWithoutConstants, BackWriter, NotingWriter, TapedWriter, Writer
 
+#: Lanes of a wide block: two vectors of the widest processors.
+WIDE = 16
+#: Where machine code is in this process, by the key that it is kept under.
+_ADDRESSES: dict[bytes, int] = {}
 #: Routines that one program has, at most, and functions that are called at an address.
 _PLACES, _FUNCTIONS = 4, 2
 _NUMBERS, _WHOLES, _DOUBLE, _WHOLE = (
@@ -62,7 +67,6 @@ class Routine:
         self._at = _FUNCTIONS + 2 * (program.number * _PLACES + place)
         self.call = _call(self._at, _OF_WRITER[writer][0])
 
-    @functools.cache  # noqa: B019 (routines are made once, with their modules)
     def address(self, program: Program, width: int) -> int:
         """Return where the machine code of a program for blocks of a width is in this process.
 
@@ -71,24 +75,35 @@ class Routine:
         n_arrays, what = _OF_WRITER[self._writer]
         told = (program.digest(back=n_arrays > 2), what, width, sorted(self._known.items()), _writers_hash())
         key = digest_of(repr((told, _processor(), VERSIONS)).encode())
-        name = f"{program.name.lower()}-{key.hex()[:16]}"
-        folder = cache_folder()
-        path = None if folder is None else folder.parent / "programs" / f"{name}.o"
-        found = kept(path, key)
-        if found is None:
-            with reporting(f"{program.name.lower()} ({what})"):
-                found = self._compiled(program, name, width)
-            keep(path, key, found)
-        engine = _engine()
-        engine.add_object_file(binding.ObjectFileRef.from_data(found))
-        engine.finalize_object()
-        address: int = engine.get_function_address(name)
-        return address
+        # Threads may ask at once.
+        with global_compiler_lock:
+            if key not in _ADDRESSES:
+                name = f"{program.name.lower()}-{key.hex()[:16]}"
+                folder = cache_folder()
+                path = None if folder is None else folder.parent / "programs" / f"{name}.o"
+                code = kept(path, key)
+                if code is None:
+                    with reporting(f"{program.name.lower()} ({what})"):
+                        code = self._compiled(program, name, width)
+                    keep(path, key, code)
+                engine = _engine()
+                engine.add_object_file(binding.ObjectFileRef.from_data(code))
+                engine.finalize_object()
+                _ADDRESSES[key] = engine.get_function_address(name)
+            return _ADDRESSES[key]
 
     def __call__(self, arrays: Sequence[Floats], tables: Tables, scalars: Sequence[float] = NONE) -> None:
         """Run it from Python, on arrays (n_rows, width) in C order; tables without code are for its own program."""
         width = arrays[0].shape[1]
-        address = int(tables.code[self._at + (width > 1)]) if tables.code.size else self.address(self.program, width)
+        if width not in (1, WIDE) or any(array.shape[1] != width for array in arrays):
+            raise ValueError(f"arrays must have 1 or {WIDE} columns each, got {[array.shape for array in arrays]}")
+        if tables.code.size:
+            found = tables.code[self._at :][:2]
+            if not found.any() or not found[int(width > 1)]:
+                raise ValueError(f"the tables have no code of {self.program.name!r} for blocks of {width}")
+            address = int(found[int(width > 1)])
+        else:
+            address = self.address(self.program, width)
         kinds = [ctypes.c_void_p] * (len(arrays) + 2) + [ctypes.c_double] * len(SCALARS)
         function = ctypes.CFUNCTYPE(None, *kinds)(address)
         function(*(array.ctypes.data for array in (*arrays, tables.table, tables.numbers)), *scalars)

@@ -11,7 +11,10 @@ A system says nothing of loops, of how many units or lanes there are, nor where 
 from __future__ import annotations
 
 import functools
+import importlib
 import inspect
+import pickle
+import sys
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple, get_type_hints
@@ -126,6 +129,7 @@ class System:
         when: what a plant must have for the system to act; None for any.
         backward: another function of the same arguments that has the derivatives to follow; None for the equation.
         arguments: their names, where the function takes any.
+        origin: function and arguments that make it again; None for a function of a module.
     """
 
     kind: Kind
@@ -134,6 +138,18 @@ class System:
     when: str | None = None
     backward: Callable[..., Any] | None = None
     arguments: tuple[str, ...] = ()
+    origin: tuple[Any, ...] | None = None
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        if self.origin is not None:
+            return self.origin
+        module, name = self.equation.__module__, self.equation.__qualname__
+        if getattr(sys.modules.get(module), name, None) is not self:
+            raise pickle.PicklingError(f"system {name!r} cannot be pickled: module {module} has none of this name")
+        return _of_module, (module, name)
+
+    def __deepcopy__(self, memo: Any) -> System:
+        return self
 
     @property
     def name(self) -> str:
@@ -262,6 +278,10 @@ class System:
             symbol = ex.symbol(leaf)
             found.constants[symbol] = leaf
             yield symbol != 0.0 if kind is bool else symbol
+
+
+def _of_module(module: str, name: str) -> Any:
+    return getattr(importlib.import_module(module), name)
 
 
 def system(
