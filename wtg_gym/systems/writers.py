@@ -91,8 +91,10 @@ class Writer:
         """Return what gives the symbols of a trace."""
         builder, lanes = self.builder, self.lanes
 
+        first = builder.gep(self.numbers, [self._first_constant(one, unit)])
+
         def constant(name: str) -> Any:
-            return lanes.spread(builder.load(builder.gep(self.numbers, [self._constant_place(one, name, unit)])))
+            return lanes.spread(builder.load(builder.gep(first, [_WHOLE(one.constants_used.index(name))])))
 
         return {
             **{symbol: functools.partial(read, *at) for symbol, at in trace.inputs.items()},
@@ -100,10 +102,9 @@ class Writer:
             **{s: functools.partial(lanes.spread, self.scalars[name]) for s, name in trace.scalars.items()},
         }
 
-    def _constant_place(self, one: System, name: str, unit: Any) -> Any:
-        used = one.constants_used
-        first = self.builder.add(self._head(one, 2), self.builder.mul(unit, _WHOLE(len(used))))
-        return self.builder.add(first, _WHOLE(used.index(name)))
+    def _first_constant(self, one: System, unit: Any) -> Any:
+        """Return the place of a unit's first constant."""
+        return self.builder.add(self._head(one, 2), self.builder.mul(unit, _WHOLE(len(one.constants_used))))
 
     def _notes(self, one: System, at: tuple[str, int]) -> bool:
         """Return whether an input goes onto a tape."""
@@ -264,8 +265,9 @@ class TapedWriter(Writer):
         return at in one.noted
 
     def _note(self, one: System, unit: Any, values: Mapping[tuple[str, int], Any]) -> None:
+        first = self._on_tape(one, unit)
         for k, at in enumerate(one.noted):
-            self.lanes.store(values[at], self._on_tape(one, unit, k))
+            self.lanes.store(values[at], self._at(first, k))
 
     def _turn(self, entry: Delay) -> tuple[Any, Any]:
         found = super()._turn(entry)
@@ -276,11 +278,10 @@ class TapedWriter(Writer):
     def _turn_on_tape(self, entry: Delay, k: int) -> Any:
         return self._pointer(self.others[0], self.builder.add(self._head(entry, 3), _WHOLE(k)))
 
-    def _on_tape(self, one: System, unit: Any, k: int) -> Any:
-        """Return a pointer to what a system has noted of a unit."""
-        tape, n = self.others[0], len(one.noted)
-        row = self.builder.add(self._head(one, 3), self.builder.add(self.builder.mul(unit, _WHOLE(n)), _WHOLE(k)))
-        return self._pointer(tape, row)
+    def _on_tape(self, one: System, unit: Any) -> Any:
+        """Return a pointer to the first that a system has noted of a unit."""
+        row = self.builder.add(self._head(one, 3), self.builder.mul(unit, _WHOLE(len(one.noted))))
+        return self._pointer(self.others[0], row)
 
 
 class NotingWriter(TapedWriter):
@@ -342,8 +343,9 @@ class BackWriter(TapedWriter):
 
     def _system(self, one: System, unit: Any) -> None:
         lanes, adjoint, rows, noted = self.lanes, one.adjoint, self._rows(one, unit), one.noted
+        first = self._on_tape(one, unit)
         given = self._given(
-            one, adjoint.trace, unit, lambda name, k: lanes.load(self._on_tape(one, unit, noted.index((name, k))))
+            one, adjoint.trace, unit, lambda name, k: lanes.load(self._at(first, noted.index((name, k))))
         )
         bars = {at: lanes.load(self._at(rows[at[0]], at[1])) for at in adjoint.seeds.values()}
         given |= {symbol: functools.partial(bars.__getitem__, at) for symbol, at in adjoint.seeds.items()}
@@ -356,8 +358,8 @@ class BackWriter(TapedWriter):
             self._add_to_constant(one, name, unit, instruction(value))
 
     def _add_to_constant(self, one: System, name: str, unit: Any, value: Any) -> None:
-        place = self.builder.mul(self._constant_place(one, name, unit), _WHOLE(self.lanes.width))
-        pointer = self.builder.gep(self.others[2], [place])
+        first = self._pointer(self.others[2], self._first_constant(one, unit))
+        pointer = self._at(first, one.constants_used.index(name))
         self.lanes.store(self.builder.fadd(self.lanes.load(pointer), value), pointer)
 
     def _product(self, entry: Product) -> None:
