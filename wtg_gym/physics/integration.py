@@ -143,6 +143,5 @@ def advance_blocks(blocks: Floats, scratch: Floats, first: int, last: int, netwo
 
 def evaluate_blocks(blocks: Floats, scratches: Floats, network: Network) -> None:
     """Evaluate the time derivatives of all blocks at the start of their wind interval, each in a scratch of its own."""
-    for arrays in zip(blocks, scratches, strict=True):
-        for routine in EVALUATING:
-            routine(arrays, network.tables)
+    for routine in EVALUATING:
+        routine((blocks, scratches), network.tables)

@@ -47,6 +47,17 @@ def _checked_inertias(settings: PlantSettings) -> dict[tuple[TrackingLaw, ...], 
     return {}
 
 
+#: Numbers of a group that are those of its law.
+_OF_LAW = {name: name for name in ("k_min", "k_nominal", "k_max", "droop_cancelled")}
+_OF_LAW["inv_tau"] = "inverse_time_constant"
+
+
+@functools.lru_cache(maxsize=64)
+def _law_numbers(laws: tuple[TrackingLaw, ...]) -> Floats:
+    """Return the numbers of laws, (n_numbers, n_wtg) in the order of :data:`_OF_LAW`."""
+    return np.array([[getattr(law, name) for law in laws] for name in _OF_LAW.values()], dtype=np.float64)
+
+
 class PreparedLanes(NamedTuple):
     """Runs that are ready to start: the rows of each, (n, n_rows), and the data they read."""
 
@@ -103,6 +114,8 @@ class Simulator:
         samples = np.arange(self.n_intervals) * settings.control_dt / SERIES_DT + 1e-9
         self._noise_samples = samples.astype(np.int64)
         self.layout = layout_of(plant, further)
+        self._law_rows = np.stack([self.layout.wtg(name) for name in _OF_LAW])
+        self._wind_rows = np.stack([self.layout.wtg(name) for name in ("wind_start", "wind_end")])
         self.plant = arranged(plant, self.layout, programs_of(plant, *PROGRAMS, *further.programs), further)
         self.width = 1 if n_lanes == 1 else WIDE
         self.link(further)
@@ -172,7 +185,7 @@ class Simulator:
         return LaneData(
             wind=np.full((n, self.layout.n_wtg, self.n_intervals + 1), 8.0),
             noise=np.zeros((n, self.n_intervals)),
-            events=np.tile(np.array(NO_EVENT), (n, n_events, 1)),
+            events=np.full((n, n_events, len(NO_EVENT)), NO_EVENT),
         )
 
     def _pad(self) -> None:
@@ -257,11 +270,8 @@ class Simulator:
             data.events[tuple(np.transpose(places))] = [event for own in events for event in own]
         rows = np.zeros((n, self.layout.n_rows))
         self._write_machine_inputs(rows, scenarios)
-        for name in ("k_min", "k_nominal", "k_max", "droop_cancelled"):
-            rows[:, self.layout.wtg(name)] = [getattr(law, name) for law in laws]
-        rows[:, self.layout.wtg("inv_tau")] = [law.inverse_time_constant for law in laws]
-        for name in ("wind_start", "wind_end"):
-            rows[:, self.layout.wtg(name)] = data.wind[:, :, 0]
+        rows[:, self._law_rows] = _law_numbers(tuple(laws))
+        rows[:, self._wind_rows] = data.wind[:, np.newaxis, :, 0]
         rows[:, self.layout.lane("noise_bus")] = [self.settings.case.bus_index(s.load_noise_bus) for s in scenarios]
         failures = np.zeros((n, 2), dtype=np.int64)
         levels = np.array([scenario.load_level for scenario in scenarios])

@@ -93,20 +93,32 @@ class Routine:
             return _ADDRESSES[key]
 
     def __call__(self, arrays: Sequence[Floats], tables: Tables, scalars: Sequence[float] = NONE) -> None:
-        """Run it from Python, on arrays (n_rows, width) in C order; tables without code are for its own program."""
-        width = arrays[0].shape[1]
-        if width not in (1, WIDE) or any(array.shape[1] != width for array in arrays):
+        """Run it from Python.
+
+        Args:
+            arrays: (n_rows, width), or (n_blocks, n_rows, width) to run it for one block after the other; in C order.
+            tables: those without code are for the routine's own program.
+            scalars: what the program is told.
+
+        Raises:
+            ValueError: the arrays have another width, or the tables no code for them.
+        """
+        stacks = [array if array.ndim == 3 else array[np.newaxis] for array in arrays]
+        width = stacks[0].shape[2]
+        if width not in (1, WIDE) or any(stack.shape[2] != width for stack in stacks):
             raise ValueError(f"arrays must have 1 or {WIDE} columns each, got {[array.shape for array in arrays]}")
         if tables.code.size:
-            found = tables.code[self._at :][:2]
-            if not found.any() or not found[int(width > 1)]:
-                raise ValueError(f"the tables have no code of {self.program.name!r} for blocks of {width}")
-            address = int(found[int(width > 1)])
+            address = int(tables.code[self._at :][:2].sum() and tables.code[self._at + (width > 1)])
         else:
             address = self.address(self.program, width)
+        if not address:
+            raise ValueError(f"the tables have no code of {self.program.name!r} for blocks of {width}")
         kinds = [ctypes.c_void_p] * (len(arrays) + 2) + [ctypes.c_double] * len(SCALARS)
         function = ctypes.CFUNCTYPE(None, *kinds)(address)
-        function(*(array.ctypes.data for array in (*arrays, tables.table, tables.numbers)), *scalars)
+        constant = tables.table.ctypes.data, tables.numbers.ctypes.data, *scalars
+        places = [(stack.ctypes.data, stack.strides[0]) for stack in stacks]
+        for block in range(len(stacks[0])):
+            function(*(data + block * stride for data, stride in places), *constant)
 
     def _compiled(self, program: Program, name: str, width: int) -> bytes:
         """Return an object file with the machine code."""
