@@ -14,6 +14,7 @@ from small_signal import slope, synchronising_coefficients
 from wtg_gym.envs.lanes import TERMINATION_REASONS
 from wtg_gym.files import markdown_table, update_between_markers
 from wtg_gym.physics.ieee14 import modified_ieee14
+from wtg_gym.physics.kernel_data import EVENT
 from wtg_gym.physics.machine_parameters import HydroGovernorParameters
 from wtg_gym.physics.parameters import (
     ConverterLimitParameters,
@@ -416,7 +417,7 @@ def play_with_loads(exponent, strategy):
     rows, layout, data = simulator.blocks[0, :, 0], simulator.layout, simulator.data
     # A copy: both are written below.
     first = layout.first_rows(BUSES, "load")
-    loads, event_y = rows[[first, first + 1]], data.events["admittance"][0].copy()
+    loads, events = rows[[first, first + 1]], data.events[0].copy()
     start, lowest, hertz = np.abs(simulator.bus_voltages()), [], []
     while len(hertz) < simulator.n_intervals and simulator.lane_values("status")[0] == Status.RUNNING:
         simulator.advance()
@@ -424,7 +425,8 @@ def play_with_loads(exponent, strategy):
         for _ in range(20):
             before, factor = voltage, np.maximum(voltage / start, 0.7) ** -exponent
             rows[first], rows[first + 1] = loads * factor
-            data.events["admittance"][0] = event_y * factor[data.events["bus"][0]]
+            powers = slice(EVENT.active, EVENT.reactive + 1)
+            data.events[0, :, powers] = events[:, powers] * factor[events[:, EVENT.bus].astype(int), np.newaxis]
             voltage = np.abs(simulator.bus_voltages())
             if np.abs(voltage - before).max() < 1e-10:
                 break
