@@ -105,10 +105,9 @@ class Layout:
         if (kind.name, part) not in self._found:
             in_block = part in kind.rows
             parts, first = (kind.rows, self.first) if in_block else (kind.scratch, self.first_scratch)
-            found = _every(first[kind] + _offsets(parts)[part], n_rows_of(parts), self.counts[kind])
-            # Everybody who asks gets the same array.
-            found.setflags(write=False)
-            self._found[kind.name, part] = found
+            self._found[kind.name, part] = _every(
+                first[kind] + _offsets(parts)[part], n_rows_of(parts), self.counts[kind]
+            )
         return self._found[kind.name, part]
 
     def seen(self, kind: Kind, label: str) -> Whole:
@@ -139,12 +138,8 @@ class Layout:
     def _named(self, name: str, what: str, kinds: Sequence[Kind]) -> Whole:
         if (name, what) not in self._found:
             for kind in kinds:
-                place = place_in(kind.rows, name)
-                if place is not None and (self.counts[kind] or kind is kinds[0]):
-                    found = _every(self.first[kind] + place, n_rows_of(kind.rows), self.counts[kind])
-                    # Everybody who asks gets the same array.
-                    found.setflags(write=False)
-                    self._found[name, what] = found
+                if place_in(kind.rows, name) is not None and (self.counts[kind] or kind is kinds[0]):
+                    self._found[name, what] = self.rows_of(kind, name)
                     break
             else:
                 raise KeyError(f"{name!r} is no number of a {what} of this plant")
@@ -182,7 +177,10 @@ class Layout:
 
 
 def _every(first: int, stride: int, n: int) -> Whole:
-    return first + np.arange(n, dtype=np.int64) * stride
+    found: Whole = first + np.arange(n, dtype=np.int64) * stride
+    # Everybody who asks gets the same array.
+    found.setflags(write=False)
+    return found
 
 
 OF_LANE = offsets_of(LANE)

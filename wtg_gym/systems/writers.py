@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from types import MappingProxyType
 from typing import Any
 
@@ -146,10 +146,15 @@ class Writer:
         n_outer = self._head(entry.outer, 0)
         with repeated(builder, n_outer) as unit:
             self._system(entry.outer, unit)
-            share = builder.sdiv(self._head(entry.inner, 0), n_outer)
-            first = builder.mul(unit, share)
-            with repeated(builder, share) as own:
-                self._system(entry.inner, builder.add(first, own))
+            self._share(entry, unit, n_outer)
+
+    def _share(self, entry: Each, unit: Any, n_outer: Any) -> None:
+        """Write the instructions on a unit's share of the inner units."""
+        builder = self.builder
+        share = builder.sdiv(self._head(entry.inner, 0), n_outer)
+        first = builder.mul(unit, share)
+        with repeated(builder, share) as own:
+            self._system(entry.inner, builder.add(first, own))
 
     def _delay(self, entry: Delay) -> None:
         builder = self.builder
@@ -164,8 +169,7 @@ class Writer:
 
     def _turn(self, entry: Delay) -> tuple[Any, Any]:
         """Return how often a ring has turned, and its delay."""
-        rows = (self._whole(self.builder.add(self._head(entry, 1), _WHOLE(i))) for i in (6, 7))
-        turn, delay = (self.lanes.load(self._pointer(self.block, row)) for row in rows)
+        turn, delay = (self.lanes.load(self._pointer(self.block, row)) for row in self._places(entry, (6, 7)))
         return turn, delay
 
     def _turned(self, entry: Delay) -> Iterator[tuple[Any, Any, list[Any], list[Any]]]:
@@ -174,10 +178,8 @@ class Writer:
         Those in the ring are where the newest number goes, and where the newest of those lies that have arrived.
         """
         builder, lanes, record = self.builder, self.lanes, {**entry.units.rows, **entry.units.scratch}[entry.part]
-        n, places, size = self._head(entry, 0), self._head(entry, 1), count(record)
-        part, stride, shown, shown_stride, ring, n_turns = (
-            self._whole(builder.add(places, _WHOLE(i))) for i in range(6)
-        )
+        n, size = self._head(entry, 0), count(record)
+        part, stride, shown, shown_stride, ring, n_turns = self._places(entry, range(6))
 
         def rows(turns: Any) -> list[Any]:
             found = []
@@ -201,19 +203,22 @@ class Writer:
                         [builder.add(row, place) for row in arrived],
                     )
 
+    def _places(self, entry: Any, which: Iterable[int]) -> list[Any]:
+        """Return what the table says of an entry that is no system."""
+        first = self._head(entry, 1)
+        return [self._whole(self.builder.add(first, _WHOLE(i))) for i in which]
+
     def _pointer(self, data: Any, row: Any) -> Any:
         return self.builder.gep(data, [self.builder.mul(row, _WHOLE(self.lanes.width))])
 
     def _lane_of(self, data: Any, row: Any, x: int) -> Any:
         """Return a pointer to one lane's number in a row."""
-        return self.builder.gep(data, [self.builder.add(self.builder.mul(row, _WHOLE(self.lanes.width)), _WHOLE(x))])
+        return self.builder.gep(self._pointer(data, row), [_WHOLE(x)])
 
     def _product(self, entry: Product) -> None:
         builder, lanes = self.builder, self.lanes
-        n, places = self._head(entry, 0), self._head(entry, 1)
-        matrix, stride, vector, vector_stride, result, result_stride = (
-            self._whole(builder.add(places, _WHOLE(i))) for i in range(6)
-        )
+        n = self._head(entry, 0)
+        matrix, stride, vector, vector_stride, result, result_stride = self._places(entry, range(6))
 
         def load(row: Any) -> tuple[Any, Any]:
             first = self._pointer(self.scratch, row)
@@ -335,10 +340,7 @@ class BackWriter(TapedWriter):
         n_outer = self._head(entry.outer, 0)
         with repeated(builder, n_outer) as done:
             unit = builder.sub(builder.sub(n_outer, done), _WHOLE(1))
-            share = builder.sdiv(self._head(entry.inner, 0), n_outer)
-            first = builder.mul(unit, share)
-            with repeated(builder, share) as own:
-                self._system(entry.inner, builder.add(first, own))
+            self._share(entry, unit, n_outer)
             self._system(entry.outer, unit)
 
     def _system(self, one: System, unit: Any) -> None:
@@ -365,22 +367,19 @@ class BackWriter(TapedWriter):
     def _product(self, entry: Product) -> None:
         """Pull the cotangents of the result back to the vector; the matrix lies in scratch, and has none."""
         builder, lanes = self.builder, self.lanes
-        n, places = self._head(entry, 0), self._head(entry, 1)
-        matrix, stride, vector, vector_stride, result, result_stride = (
-            self._whole(builder.add(places, _WHOLE(i))) for i in range(6)
-        )
+        n = self._head(entry, 0)
+        matrix, stride, vector, vector_stride, result, result_stride = self._places(entry, range(6))
 
-        at = self._pointer
         with repeated(builder, n) as i:
-            bar = at(self.scratch, builder.add(result, builder.mul(i, result_stride)))
+            bar = self._pointer(self.scratch, builder.add(result, builder.mul(i, result_stride)))
             re, im = lanes.load(bar), lanes.load(self._at(bar, 1))
             lanes.store(lanes.constant(0.0), bar)
             lanes.store(lanes.constant(0.0), self._at(bar, 1))
             with repeated(builder, n) as j:
                 place = builder.add(builder.mul(i, n), j)
-                y = at(self.others[1], builder.add(matrix, builder.mul(place, stride)))
+                y = self._pointer(self.others[1], builder.add(matrix, builder.mul(place, stride)))
                 y_re, y_im = lanes.load(y), lanes.load(self._at(y, 1))
-                e = at(self.scratch, builder.add(vector, builder.mul(j, vector_stride)))
+                e = self._pointer(self.scratch, builder.add(vector, builder.mul(j, vector_stride)))
                 to_re = lanes.call("fma", y_re, re, lanes.call("fma", y_im, im, lanes.load(e)))
                 to_im = lanes.call("fma", y_re, im, lanes.load(self._at(e, 1)))
                 to_im = builder.fsub(to_im, builder.fmul(y_im, re))
