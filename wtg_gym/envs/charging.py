@@ -20,7 +20,7 @@ from wtg_gym.envs.cost import (
 )
 from wtg_gym.envs.task_records import CostTerms, GroupRows, Task
 from wtg_gym.envs.task_units import ACTING, SENSED, SHIFTS, TASK, WINDOW
-from wtg_gym.physics.wind_turbine import Turbine, WtgOutput, WtgState
+from wtg_gym.physics.wind_turbine import Turbine, WtgOutput, WtgState, frequency_of
 from wtg_gym.systems.elementary import select
 from wtg_gym.systems.programs import Here
 from wtg_gym.systems.records import each
@@ -158,9 +158,9 @@ def charge_sensed_group(
 
 
 @system(ACTING, "group")
-def remember_group(group: GroupRows, state: WtgState, was_active: float, task: Task) -> GroupRows:
+def remember_group(group: GroupRows, state: WtgState, output: WtgOutput, was_active: float, task: Task) -> GroupRows:
     """Remember a group's frequency and actions."""
-    ran, speed = was_active > 0.5, state.converter.speed
+    ran, speed = was_active > 0.5, frequency_of(state, output)
     change = (speed - group.last_speed) / task.control_dt
     return GroupRows(
         base_inv_tau=group.base_inv_tau,

@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 from wtg_gym.envs.task_records import CostTerms, GroupRows, Task
 from wtg_gym.physics.converter import tracking_coefficient
-from wtg_gym.physics.wind_turbine import Turbine, WtgOutput, WtgState, tip_speed_ratio
+from wtg_gym.physics.wind_turbine import Turbine, WtgOutput, WtgState, frequency_of, tip_speed_ratio
 from wtg_gym.systems.elementary import select
 
 #: Frequency deviation beyond which the constraint cost counts [Hz]: ENTSO-E's steady-state limit is 0.2, its
@@ -68,7 +68,7 @@ def group_deviations(s: WtgState, output: WtgOutput, t: Turbine, task: Task) -> 
     available = t.rotor.available_per_cubic_wind * wind * wind * wind
     usable = min(available, t.pitch.power_limit / task.share_nominal)
     prescribed = usable * tracking_coefficient(
-        s.converter.speed, task.share_min, task.share_nominal, task.share_max, t.converter.corners
+        frequency_of(s, output), task.share_min, task.share_nominal, task.share_max, t.converter.corners
     )
     ratio = tip_speed_ratio(s.rotor_speed, wind, t.rotor)
     best = t.rotor.tip_speed_ratio_opt

@@ -18,14 +18,14 @@ from wtg_gym.physics.sensors import (
     sensors_advanced,
     sensors_started,
 )
-from wtg_gym.physics.wind_turbine import Turbine, WtgOutput, WtgState
+from wtg_gym.physics.wind_turbine import Turbine, WtgOutput, WtgState, frequency_of
 from wtg_gym.systems.programs import Delay
 from wtg_gym.systems.systems import system
 
 
 def _exact(state: WtgState, output: WtgOutput, group: GroupRows) -> Measurement:
     """Return what a WTG group would measure without errors."""
-    return Measurement(state.converter.speed, group.rocof, state.rotor_speed, output.power, output.wind)
+    return Measurement(frequency_of(state, output), group.rocof, state.rotor_speed, output.power, output.wind)
 
 
 def _seen(

@@ -8,7 +8,7 @@ from wtg_gym.envs.settings import ACTION_MODES
 from wtg_gym.envs.task_records import GroupRows, MeasuredObservation, Task
 from wtg_gym.physics.machine import Machine, MachineOutput, MachineState
 from wtg_gym.physics.sensors import Measurement
-from wtg_gym.physics.wind_turbine import Rotor, Turbine, WtgOutput, WtgState, tip_speed_ratio
+from wtg_gym.physics.wind_turbine import Rotor, Turbine, WtgOutput, WtgState, frequency_of, tip_speed_ratio
 from wtg_gym.systems.elementary import clip
 from wtg_gym.systems.records import each, size
 
@@ -71,7 +71,7 @@ def _scaled_wind(wind: float) -> float:
 def observe_wtg(s: WtgState, output: WtgOutput, group: GroupRows, t: Turbine, task: Task) -> WtgObservation:
     """Return the measurements of a WTG group."""
     return WtgObservation(
-        frequency_deviation=(s.converter.speed - 1.0) * task.nominal_hz / FREQUENCY_UNIT_HZ,
+        frequency_deviation=(frequency_of(s, output) - 1.0) * task.nominal_hz / FREQUENCY_UNIT_HZ,
         rocof=group.rocof,
         tip_speed_ratio=_scaled_ratio(s.rotor_speed, output.wind, t.rotor),
         rotor_speed=_scaled_rotor_speed(s.rotor_speed),

@@ -4,6 +4,7 @@
     P_st = max(g(ω) + Δk, 0) ω_m³ + D_p x
 
 g is piecewise linear through (ω_min, k_min), (ω_st, k_nominal), (ω_max, k_max) and constant outside; a policy adds Δk.
+In an extended converter g sees ω + Δω, and P_st has a limit (:mod:`~wtg_gym.physics.extended_converter`).
 1/τ = 0 leaves the plain droop (x ≡ 0); τ = 0 puts ω - ω_st in the place of x (the state stays 0) and cancels the droop.
 Source: paper, equations (6), (7), (35)-(37).
 """
@@ -81,7 +82,14 @@ def tracking_coefficient(speed: float, k_min: float, k_nominal: float, k_max: fl
 
 
 def converter_rates(
-    s: ConverterState, rotor_speed: float, power: float, law: Law, c: Converter, reference_speed: float, omega_n: float
+    s: ConverterState,
+    rotor_speed: float,
+    power: float,
+    law: Law,
+    c: Converter,
+    reference_speed: float,
+    omega_n: float,
+    limiter: tuple[float, float] | None = None,
 ) -> tuple[ConverterState, float]:
     """Return the rates, and the tracking coefficient k in use [p.u.].
 
@@ -91,13 +99,17 @@ def converter_rates(
         power: p into the grid [p.u.].
         reference_speed: of the first unit [p.u.].
         omega_n: nominal angular frequency ω_n [rad/s].
+        limiter: of an extended converter: Δω [p.u.], and the most that P_st can be [p.u.].
     """
     deviation = s.speed - c.corners.frequency_setpoint
-    k = max(tracking_coefficient(s.speed, law.k_min, law.k_nominal, law.k_max, c.corners) + law.k_offset, 0.0)
+    frequency = s.speed if limiter is None else s.speed + limiter[0]
+    k = max(tracking_coefficient(frequency, law.k_min, law.k_nominal, law.k_max, c.corners) + law.k_offset, 0.0)
     damping = s.filter + law.droop_cancelled * (deviation - s.filter)
     tracked = k * rotor_speed * rotor_speed * rotor_speed
+    if limiter is not None:
+        tracked = min(tracked, limiter[1])
     rates = ConverterState(
-        angle=omega_n * (s.speed - reference_speed),
+        angle=omega_n * (frequency - reference_speed),
         speed=c.inv_two_h * (tracked - power + c.droop_gain * (damping - deviation)),
         filter=law.inv_tau * (deviation - s.filter),
     )

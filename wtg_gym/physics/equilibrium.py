@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import numpy.typing as npt
 
 from wtg_gym.physics.integration import combine_load_noise, find, find_rates, plan, refresh, release, settle, start
 from wtg_gym.physics.kernel_data import EVENT, LaneData, Network
 from wtg_gym.physics.layout import OF_LANE, OF_STARTING_BUS, OF_STARTING_LANE, Floats, Layout, n_rows_of
-from wtg_gym.physics.network import PowerFlow, solve_power_flow
+from wtg_gym.physics.network import POWER_FLOW_TOLERANCE, PowerFlow, solve_power_flow
 from wtg_gym.physics.units import BUSES, StartFailure
-from wtg_gym.systems.compiled import compiled
+from wtg_gym.systems.compiled import compiled, internal
 from wtg_gym.systems.programs import NONE
 from wtg_gym.systems.routines import Function
 
@@ -25,6 +27,9 @@ FLOW_COLUMNS = PowerFlow(
 )
 POWER_FLOW = Function(solve_power_flow, 1)
 _flow = POWER_FLOW.call
+_SHORTAGE = float(StartFailure.WIND_SHORTAGE)
+#: Least common factor on k with which WTG groups alone balance the power, by design.
+_LEAST_CURTAILMENT = 0.02
 _DIVERGED = float(StartFailure.POWER_FLOW_DIVERGED)
 
 
@@ -32,6 +37,48 @@ def rows_of_buses(scratch: Floats, layout: Layout) -> Floats:
     """Return a view of the rows of each bus (n_bus, n) in a scratch (n_scratch, 1)."""
     first, n = layout.first_scratch[BUSES], layout.n_units(BUSES)
     return scratch[first : first + n * _STRIDE].reshape(n, _STRIDE)
+
+
+@internal
+def _plan_flow(arrays: tuple[Floats, Floats], buses: Floats, y: npt.NDArray[np.complex128], network: Network) -> float:
+    """Solve the power flow of what all units plan; return what the slack bus lacks [p.u.], NaN where nothing starts."""
+    facts, tables, scratch = network.facts, network.tables, arrays[1]
+    own = facts.starts
+    plan(arrays, tables, NONE)
+    planned = buses[facts.slack, OF_STARTING_BUS.planned]
+    released = scratch[own + OF_STARTING_LANE.start_failure, 0] == 0.0
+    while released:
+        if _flow(tables, (y, facts.slack, buses, FLOW_COLUMNS)) < 0:
+            scratch[own + OF_STARTING_LANE.start_failure, 0] = _DIVERGED
+            break
+        # Each time at least one bus lets go, and no bus does twice.
+        release(arrays, tables, NONE)
+        released = scratch[own + OF_STARTING_LANE.released, 0] > 0.0
+    if scratch[own + OF_STARTING_LANE.start_failure, 0] != 0.0:
+        return math.nan
+    return buses[facts.slack, OF_STARTING_BUS.flow] - planned
+
+
+@internal
+def _curtail(arrays: tuple[Floats, Floats], buses: Floats, y: npt.NDArray[np.complex128], network: Network) -> None:
+    """Find the common factor on k with which the WTG groups alone meet the load, by halving its range."""
+    at, scratch = network.facts.starts + OF_STARTING_LANE.curtailment, arrays[1]
+    failure = network.facts.starts + OF_STARTING_LANE.start_failure
+    low, high = _LEAST_CURTAILMENT, 1.0
+    scratch[at, 0] = high
+    lacking = _plan_flow(arrays, buses, y, network)
+    if scratch[failure, 0] == 0.0 and lacking > POWER_FLOW_TOLERANCE:
+        scratch[failure, 0] = _SHORTAGE
+    while scratch[failure, 0] == 0.0 and abs(lacking) > POWER_FLOW_TOLERANCE:
+        middle = 0.5 * (low + high)
+        if middle in (low, high):
+            break
+        scratch[at, 0] = middle
+        lacking = _plan_flow(arrays, buses, y, network)
+        if lacking > 0.0:
+            low = middle
+        else:
+            high = middle
 
 
 @compiled
@@ -62,15 +109,10 @@ def prepare_lanes(
     for lane in range(rows.shape[0]):
         block, arrays = rows[lane], (rows[lane], scratch)
         scratch[own + OF_STARTING_LANE.load_level, 0] = load_levels[lane]
-        plan(arrays, tables, NONE)
-        released = scratch[own + OF_STARTING_LANE.start_failure, 0] == 0.0
-        while released:
-            if _flow(tables, (y, facts.slack, buses, FLOW_COLUMNS)) < 0:
-                scratch[own + OF_STARTING_LANE.start_failure, 0] = _DIVERGED
-                break
-            # Each time at least one bus lets go, and no bus does twice.
-            release(arrays, tables, NONE)
-            released = scratch[own + OF_STARTING_LANE.released, 0] > 0.0
+        scratch[own + OF_STARTING_LANE.curtailment, 0] = 1.0
+        _plan_flow(arrays, buses, y, network)
+        if facts.curtails:
+            _curtail(arrays, buses, y, network)
         if scratch[own + OF_STARTING_LANE.start_failure, 0] == 0.0:
             settle(arrays, tables, NONE)
             noise_bus = int(block[facts.lane + OF_LANE.noise_bus, 0])

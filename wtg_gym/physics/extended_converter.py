@@ -8,16 +8,19 @@ of the network is a voltage behind an impedance Z that includes X_g, so
 
 with I_0 the current without the limit. Power. A frequency is added to the angle's equation,
 
-    δ̇ = ω_n (ω + Δω - ω_ref),    Δω = min(k_p (p_max - p) + x_o, 0) + max(k_p (p_min - p) + x_u, 0)
-    ẋ_o = k_i (p_max - p), x_o ≤ 0,    ẋ_u = k_i (p_min - p), x_u ≥ 0
+    δ̇ = ω_n (ω + Δω - ω_ref),    Δω = min(k_p (p_top - p) + x_o, 0) + max(k_p (p_min - p) + x_u, 0)
+    ẋ_o = k_i (p_top - p), x_o ≤ 0,    ẋ_u = k_i (p_min - p), x_u ≥ 0,    p_top = min(p_max, T_max ω_m)
 
-Rotor. It gives max(p, p_min): a chopper burns what the grid presses into the converter. Voltage. Droop, reactive limits
-and one integrator,
+p_top is also the most that P_st can be. ω + Δω is the frequency of the voltage, and what everything that measures one
+sees; ω is that of the swing equation, whose droop keeps it near the set-point while the limiter acts. Rotor. It gives
+max(p, p_min): a chopper burns what the grid presses into the converter. Its heat cools with a time constant; once it
+exceeds what the chopper stands, the group disconnects. Voltage. Droop, reactive limits and one integrator,
 
     Ė = K_iv e,    e = max(min(V_ref - V - m_q (q - q_ref), K_q (q_max - q)), K_q (-q_max - q)),    E_min ≤ E ≤ E_max
 
 E is the voltage behind X_g, V and q are those of the terminal. Where a reactive limit is exceeded its own error takes
-over, so that one integrator serves both and nothing winds up; while the current is limited E does not rise.
+over, so that one integrator serves both and nothing winds up. While the current is limited E rises less, and not at all
+where the limiter takes CUT_FULL or more from the voltage: Ė ≤ (1 - X_v |I| / CUT_FULL) K_iv e for e > 0.
 
 Source: REGFM_A1 (W. Du et al., PNNL-32278), its current limiter and its active power limiters; there the terminal
 voltage is the last iterate's, here the limit holds with the network's solution. Its voltage control, with the takeover
@@ -34,6 +37,8 @@ from wtg_gym.systems.elementary import clip, fma, limited_rate, select
 
 #: Stands for no limit where infinity would make 0 · ∞ [p.u.].
 _UNLIMITED = 1e9
+#: Voltage that the current limiter takes from E, from which on E does not rise [p.u.]; a design value.
+CUT_FULL = 0.02
 
 
 class ConverterLimits(NamedTuple):
@@ -42,8 +47,11 @@ class ConverterLimits(NamedTuple):
     current_max: float  # I_max [p.u.]
     power_max: float  # p_max [p.u.]
     power_min: float  # p_min ≤ 0 [p.u.]
+    torque_max: float  # T_max [p.u.]
     gain_p: float  # k_p [p.u. of frequency per p.u. of power]
     gain_i: float  # k_i [1/s]
+    chopper_energy: float  # that the chopper stands [p.u. s]
+    heat_kept: float  # share of its heat that is left after a simulation step
 
 
 class LimitState(NamedTuple):
@@ -54,11 +62,25 @@ class LimitState(NamedTuple):
     energy_chopped: float  # ∫ (max(p, p_min) - p) dt [p.u. s]
 
 
-def converter_limits(p: ConverterLimitParameters | None) -> ConverterLimits:
-    """Return the constants; None for a converter without limits."""
+def converter_limits(p: ConverterLimitParameters | None, simulation_dt: float) -> ConverterLimits:
+    """Return the constants for a simulation step [s]; None for a converter without limits."""
     if p is None:
-        return ConverterLimits(_UNLIMITED, _UNLIMITED, -_UNLIMITED, 0.0, 0.0)
-    return ConverterLimits(p.current_max_pu, p.power_max_pu, p.power_min_pu, p.power_gain, p.power_integral_gain)
+        return ConverterLimits(_UNLIMITED, _UNLIMITED, -_UNLIMITED, _UNLIMITED, 0.0, 0.0, _UNLIMITED, 0.0)
+    return ConverterLimits(
+        current_max=p.current_max_pu,
+        power_max=p.power_max_pu,
+        power_min=p.power_min_pu,
+        torque_max=p.torque_max_pu,
+        gain_p=p.power_gain,
+        gain_i=p.power_integral_gain,
+        chopper_energy=p.chopper_energy_pu_s,
+        heat_kept=math.exp(-simulation_dt / p.chopper_cooling_s),
+    )
+
+
+def most_power(rotor_speed: float, c: ConverterLimits) -> float:
+    """Return p_top, the most that a turbine gives for long at a rotor speed [p.u.]."""
+    return min(c.power_max, c.torque_max * rotor_speed)
 
 
 def limiting_reactance(current_re: float, current_im: float, y_re: float, y_im: float, current_max: float) -> float:
@@ -77,9 +99,9 @@ def limiting_reactance(current_re: float, current_im: float, y_re: float, y_im: 
     return select(current > largest, max(wanted, 0.0), 0.0)
 
 
-def power_limiter(s: LimitState, power: float, c: ConverterLimits) -> tuple[LimitState, float, float]:
-    """Return the rates, the frequency Δω added to the angle's equation [p.u.], and the power that the rotor gives."""
-    over, under = c.power_max - power, c.power_min - power
+def power_limiter(s: LimitState, power: float, most: float, c: ConverterLimits) -> tuple[LimitState, float, float]:
+    """Return the rates, Δω and the power that the rotor gives [p.u.], at a power into the grid and with its limit."""
+    over, under = most - power, c.power_min - power
     shift = min(fma(c.gain_p, over, s.over_power), 0.0) + max(fma(c.gain_p, under, s.under_power), 0.0)
     drawn = max(power, c.power_min)
     rates = LimitState(
@@ -127,20 +149,20 @@ def voltage_control(p: VoltageControlParameters | None) -> VoltageControl:
     )
 
 
-def emf_rate(emf: float, voltage: float, reactive: float, limited: bool, u: VoltageInput, c: VoltageControl) -> float:
+def emf_rate(emf: float, voltage: float, reactive: float, cut: float, u: VoltageInput, c: VoltageControl) -> float:
     """Return Ė [p.u./s].
 
     Args:
         emf: E [p.u.].
         voltage, reactive: V and q at the terminal [p.u.].
-        limited: the current is being limited.
+        cut: X_v |I|, what the current limiter takes from E [p.u.].
         u, c: references, constants.
     """
     error = u.voltage_reference - voltage - c.droop * (reactive - u.reactive_reference)
     error = min(error, c.takeover_gain * (c.reactive_max - reactive))
     error = max(error, c.takeover_gain * (-c.reactive_max - reactive))
     rate = limited_rate(c.gain * error, emf, c.emf_min, c.emf_max)
-    return select(limited, min(rate, 0.0), rate)
+    return select(rate > 0.0, rate * max(1.0 - cut * (1.0 / CUT_FULL), 0.0), rate)
 
 
 def emf_limited(emf: float, c: VoltageControl) -> float:

@@ -2,9 +2,17 @@
 
 from __future__ import annotations
 
-from wtg_gym.physics.extended_converter import LimitState, VoltageInput, limiting_reactance
+import math
+
+from wtg_gym.physics.extended_converter import (
+    LimitState,
+    VoltageInput,
+    limiting_reactance,
+    most_power,
+    power_limiter,
+)
 from wtg_gym.physics.runge_kutta import moving
-from wtg_gym.physics.units import LANE, PAIRS, UNITS, Connection, Phasor, StartFailure, Terminal, noted
+from wtg_gym.physics.units import BUSES, LANE, PAIRS, UNITS, Connection, Phasor, StartFailure, Terminal, noted
 from wtg_gym.physics.wind_turbine import (
     Extension,
     ExtensionOutput,
@@ -17,11 +25,14 @@ from wtg_gym.physics.wind_turbine import (
     extended_rates,
     extension_limited,
     rotor_of_energy,
+    wind_at,
     wtg_limited,
+    wtg_rates,
     wtg_voltage,
 )
-from wtg_gym.physics.wtg_unit import GROUPS, group_motion
+from wtg_gym.physics.wtg_unit import GROUPS, power_of
 from wtg_gym.systems.elementary import fma, select
+from wtg_gym.systems.records import each
 from wtg_gym.systems.systems import Kind, system
 
 #: A voltage that moves by less than this in a sweep has settled [p.u.]; the squares are compared.
@@ -29,25 +40,40 @@ _SETTLED = 1e-12 * 1e-12
 
 EXTENSIONS = Kind(
     name="extensions",
-    rows={"own": ExtensionState, "references": VoltageInput, "terminal": ExtensionOutput},
+    rows={
+        "own": ExtensionState,
+        "references": VoltageInput,
+        "terminal": ExtensionOutput,
+        "heat": float,  # of the chopper [p.u. s]
+    },
     scratch={
         "reactance": float,  # X_v that limits the current [p.u. of the system]
         "source": Phasor,  # voltage behind X_g before its current is limited [p.u.]
         "change": Phasor,  # of the voltage behind X_g in the latest sweep [p.u.]
     },
     constants={"extension": Extension},
-    sees={"group": GROUPS, "unit": UNITS, "own_entry_": PAIRS, "lane": LANE},
+    sees={"group": GROUPS, "unit": UNITS, "bus_": BUSES, "own_entry_": PAIRS, "lane": LANE},
     states=("own",),
 )
 #: The column of each extended group in the admittance matrix: one entry for every unit.
 COLUMNS = Kind(name="columns", sees={"entry": PAIRS, "unit": UNITS, "group": EXTENSIONS})
 
 
-@system(EXTENSIONS, "own", "references")
-def start_extension(start: Terminal, emf: float, share: float) -> tuple[ExtensionState, VoltageInput]:
-    """Return the equilibrium of the internal voltage, and the references that keep it."""
+@system(EXTENSIONS, "own", "references", "heat")
+def start_extension(start: Terminal, emf: float, share: float) -> tuple[ExtensionState, VoltageInput, float]:
+    """Return the equilibrium of the internal voltage, the references that keep it, and a cold chopper."""
     own = ExtensionState(LimitState(0.0, 0.0, 0.0), emf)
-    return own, VoltageInput(start.magnitude, start.reactive / share)
+    return own, VoltageInput(start.magnitude, start.reactive / share), 0.0
+
+
+@system(EXTENSIONS, "own", "heat")
+def return_extension(
+    own: ExtensionState, heat: float, returns: float, bus_phasor: Phasor
+) -> tuple[ExtensionState, float]:
+    """Return the voltage of its bus and a limiter at rest for a group that comes back, with a cold chopper."""
+    back, limits = returns > 0.5, own.limits
+    found = ExtensionState(LimitState(0.0, 0.0, limits.energy_chopped), math.hypot(bus_phasor.re, bus_phasor.im))
+    return each(lambda new, old: select(back, new, old), found, own), select(back, 0.0, heat)
 
 
 @system(EXTENSIONS, "start_failure", "failing_unit")
@@ -55,6 +81,7 @@ def check_extension(
     own: ExtensionState,
     terminal: ExtensionOutput,
     output: WtgOutput,
+    rotor_speed: float,
     extension: Extension,
     connection: Connection,
     start_failure: float,
@@ -62,7 +89,9 @@ def check_extension(
 ) -> tuple[float, float]:
     """Note a group that would start beyond the limits of its converter or of its internal voltage."""
     limits, control, power = extension.limits, extension.voltage, output.power
-    fits = (terminal.limiting_reactance <= 0.0) & (limits.power_min <= power) & (power <= limits.power_max)
+    fits = (
+        (terminal.limiting_reactance <= 0.0) & (limits.power_min <= power) & (power <= most_power(rotor_speed, limits))
+    )
     start_failure, failing_unit = noted(
         fits, StartFailure.CONVERTER_LIMIT, connection.number, start_failure, failing_unit
     )
@@ -170,25 +199,41 @@ def rates_of_extended(
     voltage: Phasor,
     current: Phasor,
     reactance: float,
+    bus_phasor: Phasor,
     given: WtgInput,
     references: VoltageInput,
     captured: float,
     turbine: Turbine,
     extension: Extension,
+    share: float,
     inv_share: float,
     reference_speed: float,
     omega_n: float,
     fraction: float,
 ) -> tuple[WtgState, ExtensionState, WtgOutput, ExtensionOutput]:
     """Return the rates of both kinds of state, and the outputs."""
-    rates, output = group_motion(
-        state, voltage, current, given, captured, turbine, inv_share, reference_speed, omega_n, fraction
+    power, most = power_of(voltage, current, inv_share), most_power(state.rotor_speed, extension.limits)
+    limit_rates, shift, drawn = power_limiter(own.limits, power, most, extension.limits)
+    rates, output = wtg_rates(
+        state,
+        power,
+        captured,
+        wind_at(given, fraction),
+        given,
+        turbine,
+        reference_speed,
+        omega_n,
+        limiter=(shift, most),
     )
     terminal = at_terminal(
-        voltage.re, voltage.im, inv_share * current.re, inv_share * current.im, reactance, turbine.converter
+        voltage.re, voltage.im, inv_share * current.re, inv_share * current.im, reactance, share, turbine.converter
     )
+    # A group that is disconnected measures its bus.
+    apart = math.sqrt(fma(bus_phasor.re, bus_phasor.re, bus_phasor.im * bus_phasor.im))
+    seen = select(given.connected > 0.5, terminal.terminal_voltage, apart)
+    terminal = terminal._replace(terminal_voltage=seen)
     rates, own_rates = extended_rates(
-        rates, state, own, output.power, terminal, given, references, turbine, extension, omega_n
+        rates, state, own, (limit_rates, drawn), terminal, given, references, turbine, extension
     )
     return rates, own_rates, output, terminal
 
@@ -196,16 +241,29 @@ def rates_of_extended(
 stage_of_extended = moving(rates_of_extended, wtg_limited, extension_limited, constants=["turbine", "extension"])
 
 
-@system(EXTENSIONS, "rotor_speed")
+@system(EXTENSIONS, "rotor_speed", "heat")
 def keep_energy(
     state: WtgState,
     state_base: WtgState,
     own: ExtensionState,
     own_base: ExtensionState,
+    heat: float,
     turbine: Turbine,
     extension: Extension,
     active: float,
-) -> float:
-    """Return the rotor speed of a running lane that follows from the energies of a whole step."""
-    chopped = own.limits.energy_chopped - own_base.limits.energy_chopped
-    return select(active > 0.5, rotor_of_energy(state_base, state, chopped, turbine, extension), state.rotor_speed)
+) -> tuple[float, float]:
+    """Return the rotor speed that follows from the energies of a step of a running lane, and the chopper's heat."""
+    chopped, runs = own.limits.energy_chopped - own_base.limits.energy_chopped, active > 0.5
+    return (
+        select(runs, rotor_of_energy(state_base, state, chopped, turbine, extension), state.rotor_speed),
+        select(runs, fma(extension.limits.heat_kept, heat, chopped), heat),
+    )
+
+
+@system(EXTENSIONS, "connected", "next_change")
+def judge_chopper(
+    heat: float, given: WtgInput, extension: Extension, next_change: float, step: float, active: float
+) -> tuple[float, float]:
+    """Disconnect a group whose chopper is full: its DC voltage would rise without an end."""
+    full = (heat > extension.limits.chopper_energy) & (given.connected > 0.5) & (active > 0.5)
+    return select(full, 0.0, given.connected), select(full, step, next_change)

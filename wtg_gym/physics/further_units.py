@@ -31,6 +31,7 @@ class FurtherUnits:
             what they are made of; "start", "charge" and "observe" if wanted. Protections and the centre of inertia do
             not see further units.
         shown: a part in scratch that observations end with; None for none.
+        balances: whether they balance the power at their buses and hold the voltage without a limit, as machines do.
     """
 
     kind: Kind
@@ -40,6 +41,7 @@ class FurtherUnits:
     constants: Mapping[str, Sequence[Any]]
     systems: Mapping[str, tuple[System, ...]]
     shown: str | None = None
+    balances: bool = False
 
     def __post_init__(self) -> None:
         n, kind, name = len(self.buses), self.kind, self.kind.name

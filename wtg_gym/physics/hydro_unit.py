@@ -6,7 +6,8 @@ from wtg_gym.physics.governor import HydroGovernor, HydroState, hydro_limited, h
 from wtg_gym.physics.machine import Machine, MachineInput, MachineState
 from wtg_gym.physics.machine_unit import MACHINES
 from wtg_gym.physics.runge_kutta import moving
-from wtg_gym.physics.units import LANE, StartFailure, noted
+from wtg_gym.physics.units import LANE, UNITS, StartFailure, noted
+from wtg_gym.systems.elementary import select
 from wtg_gym.systems.records import each
 from wtg_gym.systems.systems import Kind, system
 
@@ -14,7 +15,7 @@ HYDRO = Kind(
     name="hydro governors",
     rows={"water": HydroState},
     constants={"hydro": HydroGovernor},
-    sees={"machine": MACHINES, "lane": LANE},
+    sees={"machine": MACHINES, "unit": UNITS, "lane": LANE},
     states=("water",),
 )
 
@@ -42,6 +43,13 @@ def rates_of_hydro(
     """Return the rates, and the torque of the machine, which comes after and finds it."""
     rates, torque = hydro_rates(water, state.speed, given.gate_reference, given.inv_droop, hydro)
     return each(lambda rate: given.connected * rate, rates), machine.rating * torque
+
+
+@system(HYDRO, "water", when="extended")
+def return_hydro(water: HydroState, returns: float, hydro: HydroGovernor) -> HydroState:
+    """Close the gate of a machine that comes back to the flow without load."""
+    found = hydro_start(0.0, hydro)
+    return each(lambda new, old: select(returns > 0.5, new, old), found, water)
 
 
 stage_of_hydro = moving(rates_of_hydro, hydro_limited, constants=["hydro"])

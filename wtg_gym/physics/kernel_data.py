@@ -25,7 +25,13 @@ class Facts(NamedTuple):
     pairs: int
     stages: int
     buses: int
+    islands: int
+    transfers: int  # -1 for none
+    sources: int
+    n_islands: int
     starts: int  # of the lane, in scratch
+    curtails: bool  # whether WTG groups alone balance the power
+    shares_frequency: float  # change of a load's conductance with the frequency [p.u./p.u.]
 
 
 class Network(NamedTuple):
@@ -37,6 +43,7 @@ class Network(NamedTuple):
     facts: Facts
     branch_ends: npt.NDArray[np.int64]  # bus indices of each branch (n_branch, 2)
     branch_y: npt.NDArray[np.complex128]  # its admittances ff, ft, tf, tt (n_branch, 4) [p.u.]
+    branch_series: npt.NDArray[np.complex128]  # the part of its series impedance in them (n_branch, 4) [p.u.]
     shunts: npt.NDArray[np.complex128]  # admittance at each bus (n_bus,) [p.u.]
     unit_bus: npt.NDArray[np.int64]  # bus index of each unit, machines first (n_unit,)
     unit_y: npt.NDArray[np.complex128]  # internal admittance of each unit (n_unit,) [p.u.]
@@ -49,13 +56,18 @@ class NetworkEvent(NamedTuple):
     """A change of the network; times in simulation steps, indices -1 for none."""
 
     start: float
-    end: float  # later than start for a ramp, and for a branch that closes again
+    end: float  # later than start for a ramp, a fault, and for what comes back
     bus: int = -1  # of a load
-    active: float = 0.0  # the load's P and Q until the lane's start, then its admittance [p.u.]
+    active: float = 0.0  # the load's P and Q until the lane's start, then its admittance; a fault's admittance [p.u.]
     reactive: float = 0.0
-    branch: int = -1  # that opens
+    branch: int = -1  # that opens, or whose impedance changes
     unit: int = -1  # that is disconnected; machines first
     governor: int = -1  # that stops acting: its machine
+    fault: int = -1  # bus of a fault
+    factor: float = 0.0  # on the branch's series impedance; 0: it opens
+    source: int = -1  # that an event moves
+    jump: float = 0.0  # of its angle [rad]
+    ramp: float = 0.0  # of its frequency [p.u./s]
 
 
 NO_EVENT = NetworkEvent(np.inf, np.inf)
@@ -68,7 +80,7 @@ class LaneData(NamedTuple):
 
     wind: npt.NDArray[np.float64]  # at the ends of control intervals (n_lanes, n_wtg, n_intervals + 1) [m/s]
     noise: npt.NDArray[np.float64]  # load noise per control interval (n_lanes, n_intervals) [MW]
-    events: npt.NDArray[np.float64]  # (n_lanes, n_events, 8), of NetworkEvent
+    events: npt.NDArray[np.float64]  # (n_lanes, n_events, 13), of NetworkEvent
 
 
 def structured(record: type, entries: Any) -> npt.NDArray[Any]:

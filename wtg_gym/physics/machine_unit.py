@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import math
+
+from wtg_gym.physics.exciter import exciter_start
+from wtg_gym.physics.governor import GovernorState
 from wtg_gym.physics.machine import (
     Machine,
     MachineInput,
@@ -15,7 +19,7 @@ from wtg_gym.physics.machine import (
     machine_voltage,
 )
 from wtg_gym.physics.runge_kutta import moving
-from wtg_gym.physics.units import LANE, UNITS, Connection, Phasor, StartFailure, Terminal, noted
+from wtg_gym.physics.units import BUSES, LANE, UNITS, Connection, Phasor, StartFailure, Terminal, noted
 from wtg_gym.systems.elementary import select
 from wtg_gym.systems.records import each
 from wtg_gym.systems.systems import Kind, system
@@ -25,7 +29,7 @@ MACHINES = Kind(
     rows={"state": MachineState, "given": MachineInput, "emf": MachineVoltage, "output": MachineOutput},
     scratch={"hydro_torque": float},  # of its hydro governor, if it has one [p.u.]
     constants={"machine": Machine, "dispatch": float},
-    sees={"unit": UNITS, "lane": LANE},
+    sees={"unit": UNITS, "bus_": BUSES, "lane": LANE},
     states=("state",),
 )
 #: The first machine: its speed turns the frame of all angles, after an outage too.
@@ -38,6 +42,12 @@ def reference(speed: float) -> float:
     return speed
 
 
+@system(LANE, "reference_speed", when="no machine")
+def still_reference() -> float:
+    """Return the speed of the frame where no machine turns it: nominal."""
+    return 1.0
+
+
 @system(MACHINES, "planned_power")
 def plan_machine(dispatch: float) -> float:
     """Return the dispatched power."""
@@ -45,10 +55,16 @@ def plan_machine(dispatch: float) -> float:
 
 
 @system(MACHINES, "state", "voltage_reference", "gate_reference")
-def start_machine(start: Terminal, machine: Machine) -> tuple[MachineState, float, float]:
+def start_machine(start: Terminal, inv_committed: float, machine: Machine) -> tuple[MachineState, float, float]:
     """Return the equilibrium that a run starts from; angles count from the network's frame."""
-    v, i = start.voltage, start.current
-    return machine_start(start.power, v.re, v.im, start.magnitude, i.re, i.im, machine)
+    v, i_re, i_im = start.voltage, inv_committed * start.current.re, inv_committed * start.current.im
+    return machine_start(inv_committed * start.power, v.re, v.im, start.magnitude, i_re, i_im, machine)
+
+
+@system(LANE, "frame", when="no machine")
+def still_frame() -> float:
+    """Let all angles count from the network's frame where there is no machine."""
+    return 0.0
 
 
 @system(FIRST_MACHINE, "frame")
@@ -91,18 +107,35 @@ def rates_of_machine(
     current: Phasor,
     given: MachineInput,
     hydro_torque: float,
+    committed: float,
+    inv_committed: float,
     machine: Machine,
     reference_speed: float,
     omega_n: float,
 ) -> tuple[MachineState, MachineOutput]:
     """Return rates and outputs; the torque is that of its hydro governor, if it has one.
 
-    After an outage a machine keeps its states.
+    Of its equal parts a share is committed: the equations are those of all parts, of which each gives as much. After an
+    outage a machine keeps its states.
     """
-    rates, output = machine_rates(state, emf, current.re, current.im, given, machine, reference_speed, omega_n)
+    i_re, i_im = inv_committed * current.re, inv_committed * current.im
+    rates, output = machine_rates(state, emf, i_re, i_im, given, machine, reference_speed, omega_n)
     torque = select(machine.governor.is_hydro > 0.5, hydro_torque, output.torque)
     rates = each(lambda rate: given.connected * rate, driven_by(torque, rates, output, given))
-    return rates, MachineOutput(output.power, output.voltage, given.connected * torque)
+    return rates, MachineOutput(committed * output.power, output.voltage, committed * (given.connected * torque))
+
+
+@system(MACHINES, "state", when="extended")
+def return_machine(
+    state: MachineState, returns: float, bus_phasor: Phasor, bus_frequency: float, machine: Machine
+) -> MachineState:
+    """Synchronise a machine that comes back: at its bus's voltage and frequency, without load, its gate closed."""
+    v, back = math.hypot(bus_phasor.re, bus_phasor.im), returns > 0.5
+    exciter, _ = exciter_start(v, machine.exciter)
+    found = MachineState(
+        math.atan2(bus_phasor.im, bus_phasor.re), bus_frequency, v, 0.0, v, 0.0, exciter, GovernorState(0.0, 0.0)
+    )
+    return each(lambda new, old: select(back, new, old), found, state)
 
 
 stage_of_machine = moving(rates_of_machine, machine_limited, constants=["machine"])

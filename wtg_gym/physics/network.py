@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from wtg_gym.physics.checked import Checked, parameter, required
+from wtg_gym.physics.checked import Checked, design, parameter, required
 from wtg_gym.physics.machine_parameters import GovernorParameters, HydroGovernorParameters, SynchronousMachineParameters
 from wtg_gym.systems.compiled import compiled, inlined
 
@@ -52,10 +52,19 @@ class Branch(Checked):
 
 
 @dataclass(frozen=True, kw_only=True)
+class Source(Checked):
+    """An imposed source: a voltage behind an impedance, whose frequency and angle events prescribe."""
+
+    bus: int = required("-", "design", "bus number")
+    resistance: float = design(0.0, "p.u.", "resistance behind which it stands, on the system base", 0.0, 1e3)
+    reactance: float = design(1e-3, "p.u.", "reactance behind which it stands, on the system base", 1e-6, 1e3)
+
+
+@dataclass(frozen=True, kw_only=True)
 class NetworkCase(Checked):
     """A network with its synchronous machines, as data.
 
-    The voltage angle at `slack_bus` is zero, and its machines balance the power; there must be one at least.
+    The voltage angle at `slack_bus` is zero. Its machines or sources balance the power; without any, all WTG groups do.
 
     Raises:
         ValueError: a bus is missing, doubled or not connected, nothing balances the power, or a value is out of range.
@@ -68,6 +77,7 @@ class NetworkCase(Checked):
     buses: tuple[Bus, ...]
     branches: tuple[Branch, ...]
     machines: tuple[SynchronousMachineParameters, ...]
+    sources: tuple[Source, ...] = ()
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -81,13 +91,13 @@ class NetworkCase(Checked):
                 raise ValueError(f"{self.name}: a branch goes from bus {branch.from_bus} to itself")
             if branch.resistance == 0.0 and branch.reactance == 0.0:
                 raise ValueError(f"{self.name}: branch {branch.from_bus}-{branch.to_bus} has no impedance")
-        for machine in self.machines:
-            self.bus_index(machine.bus)
-        if not any(machine.bus == self.slack_bus for machine in self.machines):
+        for unit in (*self.machines, *self.sources):
+            self.bus_index(unit.bus)
+        if self.machines and not self.balanced:
             raise ValueError(
-                f"{self.name}: no synchronous machine at the slack bus {self.slack_bus} balances the power"
+                f"{self.name}: no synchronous machine or source at the slack bus {self.slack_bus} balances the power"
             )
-        if not self.connected_without(()):
+        if len(self.parts_without(())) > 1:
             raise ValueError(f"{self.name}: the network is not connected")
         if self.buses[self.bus_index(self.slack_bus)].voltage_pu is None:
             raise ValueError(f"{self.name}: the slack bus {self.slack_bus} must hold a voltage; its voltage_pu is None")
@@ -96,6 +106,11 @@ class NetworkCase(Checked):
     def bus_numbers(self) -> tuple[int, ...]:
         """Return the bus numbers in order of the index."""
         return tuple(bus.number for bus in self.buses)
+
+    @property
+    def balanced(self) -> bool:
+        """Whether a machine or a source balances the power at the slack bus."""
+        return any(unit.bus == self.slack_bus for unit in (*self.machines, *self.sources))
 
     @functools.cached_property
     def load_mw(self) -> float:
@@ -123,21 +138,20 @@ class NetworkCase(Checked):
         # Of parallel branches the first one counts: it comes last here.
         return {frozenset((b.from_bus, b.to_bus)): i for i, b in reversed(list(enumerate(self.branches)))}
 
-    def connected_without(self, branches: tuple[int, ...]) -> bool:
-        """Return whether every bus stays connected when the branches of these indices are open."""
-        links = [{b.from_bus, b.to_bus} for i, b in enumerate(self.branches) if i not in branches]
-        reached, n_before = {self.buses[0].number}, 0
-        while len(reached) > n_before:
-            n_before = len(reached)
-            for link in links:
-                if not reached.isdisjoint(link):
-                    reached |= link
-        return len(reached) == len(self.buses)
+    def parts_without(self, branches: tuple[int, ...]) -> list[set[int]]:
+        """Return the buses of each part that hangs together when the branches of these indices are open."""
+        parts = [{bus.number} for bus in self.buses]
+        for index, branch in enumerate(self.branches):
+            if index not in branches:
+                ends = {branch.from_bus, branch.to_bus}
+                joined = [part for part in parts if not part.isdisjoint(ends)]
+                parts = [part for part in parts if part.isdisjoint(ends)] + [set().union(*joined)]
+        return parts
 
     @functools.cached_property
     def bridges(self) -> frozenset[int]:
         """Return the indices of the branches any one of which splits the network when it opens."""
-        return frozenset(index for index in range(len(self.branches)) if not self.connected_without((index,)))
+        return frozenset(index for index in range(len(self.branches)) if len(self.parts_without((index,))) > 1)
 
     def with_governors(
         self,

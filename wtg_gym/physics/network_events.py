@@ -2,19 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+import math
+from collections.abc import Iterable, Sequence
+from typing import Any
 
 from wtg_gym.physics.kernel_data import NetworkEvent
-from wtg_gym.physics.network import NetworkCase
-from wtg_gym.physics.plant import Plant, PlantSettings
+from wtg_gym.physics.plant import ISLANDS_AT_MOST, Plant, PlantSettings
 from wtg_gym.physics.scenario import (
     Event,
+    Fault,
+    FrequencyRamp,
     GovernorLoss,
     GroupTrip,
     LineTrip,
     LoadRamp,
     LoadTrip,
     MachineOutage,
+    PhaseJump,
+    ReactanceStep,
     Scenario,
 )
 from wtg_gym.physics.start_errors import unit_name
@@ -32,21 +37,30 @@ def network_events(scenario: Scenario, settings: PlantSettings, plant: Plant) ->
     if len(set(lost)) < len(lost):
         raise ValueError(f"{name} disconnects a load twice; load trips at buses {lost}")
     found = [each for event in scenario.events for each in _changes(event, scenario.load_level, settings, plant)]
-    _check_lines(name, [event for event in found if event.branch >= 0], settings.case)
-    units = [event.unit for event in found if event.unit >= 0]
-    governed = [event.governor for event in found if event.governor >= 0]
-    for verb, given in (("disconnects", units), ("loses the governor of", governed)):
-        for unit in given:
-            if given.count(unit) > 1:
+    _check_lines(name, [event for event in found if event.branch >= 0 and event.factor == 0.0], settings)
+    returns = [event.unit for event in found if event.unit >= 0 and event.end > event.start]
+    if returns and not settings.extended:
+        raise ValueError(f"{name} brings back {unit_name(settings, returns[0])}, which needs extended physics")
+    for verb, given in (
+        ("disconnects", [(event.unit, event.start, event.end) for event in found if event.unit >= 0]),
+        (
+            "loses the governor of",
+            [(event.governor, event.start, event.start) for event in found if event.governor >= 0],
+        ),
+    ):
+        away: dict[int, float] = {}
+        for unit, start, end in sorted(given, key=lambda one: one[1]):
+            if start < away.get(unit, -math.inf):
                 raise ValueError(f"{name} {verb} {unit_name(settings, unit)} twice")
-    n_sync = len(settings.case.machines)
-    if sum(unit < n_sync for unit in units) == n_sync:
-        raise ValueError(f"{name} disconnects every synchronous machine; one must stay connected")
+            away[unit] = end if end > start else math.inf
     return found
 
 
-def _check_lines(name: str, trips: list[NetworkEvent], case: NetworkCase) -> None:
-    """Refuse a line that opens while it is open, and lines whose opening splits the network."""
+def _check_lines(name: str, trips: list[NetworkEvent], settings: PlantSettings) -> None:
+    """Refuse a line that opens while it is open, and lines whose opening leaves islands that the plant cannot have."""
+    case = settings.case
+    most = ISLANDS_AT_MOST if settings.extended else 1
+    with_unit = {unit.bus for unit in (*case.machines, *case.sources, *settings.groups)}
     trips = sorted(trips, key=lambda trip: trip.start)
     for place, trip in enumerate(trips):
         opened = [before.branch for before in trips[:place] if before.end == before.start or trip.start < before.end]
@@ -54,8 +68,14 @@ def _check_lines(name: str, trips: list[NetworkEvent], case: NetworkCase) -> Non
             ends = case.branches[trip.branch]
             raise ValueError(f"{name} opens the line {ends.from_bus}-{ends.to_bus} twice")
         opened.append(trip.branch)
-        if trip.branch in case.bridges or (len(opened) > 1 and not case.connected_without(tuple(opened))):
-            raise ValueError(f"{name}: its line trips would split the network")
+        if len(opened) == 1 and trip.branch not in case.bridges:
+            continue
+        parts = case.parts_without(tuple(opened))
+        if len(parts) > 1 and most == 1:
+            raise ValueError(f"{name}: its line trips would split the network, which needs extended physics")
+        live = sum(not part.isdisjoint(with_unit) for part in parts)
+        if live > most:
+            raise ValueError(f"{name}: its line trips leave {live} islands with a unit; allowed: at most {most}")
 
 
 def _changes(event: Event, load_level: float, settings: PlantSettings, plant: Plant) -> list[NetworkEvent]:
@@ -63,21 +83,42 @@ def _changes(event: Event, load_level: float, settings: PlantSettings, plant: Pl
     case, dt = settings.case, settings.simulation_dt
     n_sync, n_wtg = len(case.machines), len(settings.groups)
     start = end = float(whole_steps("event time", event.time_s, dt, "simulation step"))
+
+    def later(name: str, after_s: float | None) -> float:
+        return start if after_s is None else start + whole_steps(name, after_s, dt, "simulation step")
+
     if isinstance(event, GroupTrip):
         if event.group >= n_wtg:
             raise ValueError(f"unknown WTG group {event.group}; the plant has {n_wtg}, counted from 0")
+        end = later("returns_after_s", event.returns_after_s)
         return [NetworkEvent(start, end, unit=n_sync + event.group)]
     if isinstance(event, LineTrip):
-        if event.recloses_after_s is not None:
-            end += whole_steps("recloses_after_s", event.recloses_after_s, dt, "simulation step")
+        end = later("recloses_after_s", event.recloses_after_s)
         return [NetworkEvent(start, end, branch=case.branch_index(event.from_bus, event.to_bus))]
+    if isinstance(event, ReactanceStep):
+        branch = case.branch_index(event.from_bus, event.to_bus)
+        return [NetworkEvent(start, start, branch=branch, factor=event.factor)]
     bus = case.bus_index(event.bus)
+    if isinstance(event, Fault):
+        end = later("clears_after_s", event.clears_after_s)
+        y = 1.0 / complex(event.resistance_pu, event.reactance_pu)
+        cleared = [] if event.opens is None else [NetworkEvent(end, end, branch=case.branch_index(*event.opens))]
+        return [NetworkEvent(start, end, active=y.real, reactive=y.imag, fault=bus), *cleared]
+    if isinstance(event, (PhaseJump, FrequencyRamp)):
+        (source,) = _units_at(case.sources, event.bus, "imposed source", range(len(case.sources)))[:1]
+        if isinstance(event, PhaseJump):
+            return [NetworkEvent(start, start, source=source, jump=math.radians(event.angle_deg))]
+        end = later("duration_s", event.duration_s)
+        return [NetworkEvent(start, end, source=source, ramp=event.rocof_hz_s / case.frequency_hz)]
     if isinstance(event, MachineOutage):
-        machines = _machines_at(case, event.bus, "synchronous machine", range(n_sync))
-        return [NetworkEvent(start, end, unit=machine) for machine in machines]
+        end = later("returns_after_s", event.returns_after_s)
+        units = (*case.machines, *case.sources)
+        found = _units_at(units, event.bus, "synchronous machine", range(len(units)))
+        # Sources come after the groups.
+        return [NetworkEvent(start, end, unit=unit + (n_wtg if unit >= n_sync else 0)) for unit in found]
     if isinstance(event, GovernorLoss):
         governed = [index for index, machine in enumerate(case.machines) if machine.governor is not None]
-        machines = _machines_at(case, event.bus, "machine with a governor", governed)
+        machines = _units_at(case.machines, event.bus, "machine with a governor", governed)
         return [NetworkEvent(start, end, governor=machine) for machine in machines]
     if isinstance(event, LoadTrip):
         power = -load_level * complex(plant.buses["load.re"][bus], plant.buses["load.im"][bus])
@@ -88,10 +129,10 @@ def _changes(event: Event, load_level: float, settings: PlantSettings, plant: Pl
     return [NetworkEvent(start, end, bus, power.real, power.imag)]
 
 
-def _machines_at(case: NetworkCase, bus: int, what: str, machines: Iterable[int]) -> list[int]:
-    """Return those of some machines that are at a bus, by their indices."""
-    buses = {machine: case.machines[machine].bus for machine in machines}
-    found = [machine for machine, at in buses.items() if at == bus]
+def _units_at(units: Sequence[Any], bus: int, what: str, numbers: Iterable[int]) -> list[int]:
+    """Return those of some units that are at a bus, by their indices."""
+    buses = {number: units[number].bus for number in numbers}
+    found = [number for number, at in buses.items() if at == bus]
     if not found:
         raise ValueError(f"no {what} at bus {bus}; buses with one: {sorted(set(buses.values()))}")
     return found

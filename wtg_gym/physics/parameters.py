@@ -171,6 +171,14 @@ class ConverterLimitParameters(Checked):
         1.2, "p.u.", "REGFM_A1", "largest current; its size is cut, its angle kept", 0.05, 10.0
     )
     power_max_pu: float = design(1.1, "p.u.", "power that the converter stands for long", 0.05, 10.0)
+    torque_max_pu: float = parameter(
+        1.1,
+        "p.u.",
+        "NREL 5 MW",
+        "torque of the generator that is held for long: 47 402.91 of 43 093.55 N m",
+        0.05,
+        10.0,
+    )
     power_min_pu: float = design(
         0.0, "p.u.", "least power; what the grid presses in beyond it the chopper burns, not the rotor", -10.0, 0.0
     )
@@ -180,6 +188,10 @@ class ConverterLimitParameters(Checked):
     power_integral_gain: float = parameter(
         0.1, "p.u./(p.u. s)", "REGFM_A1", "integral gain k_ipmax of the power limiter", 0.0, 100.0
     )
+    chopper_energy_pu_s: float = design(
+        2.0, "p.u. s", "heat that the chopper stands, 2 s of rated power; beyond it the group disconnects", 1e-3, 1e6
+    )
+    chopper_cooling_s: float = design(60.0, "s", "time constant with which it cools", 1e-2, 1e6)
 
     def __post_init__(self) -> None:
         super().__post_init__()

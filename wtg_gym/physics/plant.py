@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from wtg_gym.physics.aerodynamics import surface_of
-from wtg_gym.physics.checked import Checked
+from wtg_gym.physics.checked import Checked, design
 from wtg_gym.physics.extension_unit import COLUMNS, EXTENSIONS
 from wtg_gym.physics.further_units import FurtherUnits, joining
 from wtg_gym.physics.governor import HydroGovernor, hydro_constants
@@ -22,6 +22,7 @@ from wtg_gym.physics.hydro_unit import HYDRO
 from wtg_gym.physics.ieee14 import modified_ieee14
 from wtg_gym.physics.kernel_data import Facts, Network, structured
 from wtg_gym.physics.layout import Layout
+from wtg_gym.physics.local_frequency import FILTER_S
 from wtg_gym.physics.machine import Machine, machine_constants
 from wtg_gym.physics.machine_parameters import HydroGovernorParameters
 from wtg_gym.physics.machine_unit import FIRST_MACHINE, MACHINES
@@ -40,7 +41,20 @@ from wtg_gym.physics.parameters import (
     nrel_5mw,
 )
 from wtg_gym.physics.protection import STAGES, SheddingConstants
-from wtg_gym.physics.units import BUSES, LANE, PAIRS, UNITS, Bus, Connection, Phasor
+from wtg_gym.physics.source_unit import SOURCES, source_units
+from wtg_gym.physics.units import (
+    BUSES,
+    ISLANDS,
+    LANE,
+    MAIN,
+    MEMBERS,
+    PAIRS,
+    TRANSFERS,
+    UNITS,
+    Bus,
+    Connection,
+    Phasor,
+)
 from wtg_gym.physics.wind_turbine import Extension, Turbine, extension_constants, turbine_constants
 from wtg_gym.physics.wtg_unit import GROUPS
 from wtg_gym.ranges import require_range, whole_steps
@@ -48,6 +62,8 @@ from wtg_gym.systems.programs import Program, Tables, build_table
 from wtg_gym.systems.routines import Routine
 from wtg_gym.systems.systems import Kind
 
+#: Islands that a network may fall into, of those with a unit.
+ISLANDS_AT_MOST = 4
 #: Integration steps that are accepted [s].
 SIMULATION_DT_RANGE = (5e-5, 0.05)
 
@@ -62,7 +78,7 @@ class PlantSettings(Checked):
         turbine, pitch, control, protection: parameters of every WTG, and what ends a run.
         limits: current and power limits of every converter, and its chopper; None for the paper's, which has none.
         voltage_control: of every WTG; None for the paper's constant voltage behind X_g.
-        shedding: stages of under-frequency load shedding.
+        shedding: stages of under-frequency load shedding, which every island has.
         control_dt: control interval [s], a whole number of simulation steps.
         simulation_dt: step of the integration, 0.05 … 40 ms [s]; a simulator refuses one that is too long for the
             plant's fastest mode.
@@ -86,6 +102,9 @@ class PlantSettings(Checked):
     control_dt: float = 0.1
     simulation_dt: float = 0.025
     trips_groups: bool = False
+    load_frequency_dependence: float = design(
+        0.0, "p.u./p.u.", "change of every load's conductance with the frequency of its island", 0.0, 10.0
+    )
     further: tuple[FurtherUnits, ...] = ()
 
     def __post_init__(self) -> None:
@@ -95,6 +114,12 @@ class PlantSettings(Checked):
         whole_steps("control_dt", self.control_dt, self.simulation_dt, "simulation step")
         for group in self.groups:
             self.case.bus_index(group.bus)
+        at_slack = any(group.bus == self.case.slack_bus for group in self.groups)
+        if not self.case.balanced and not at_slack:
+            raise ValueError(
+                f"{self.case.name}: no synchronous machine, source or WTG group is at the slack bus "
+                f"{self.case.slack_bus} to balance the power"
+            )
         with_group = {group.bus for group in self.groups}
         for bus in self.case.buses:
             weights = [machine.reactive_weight for machine in self.case.machines if machine.bus == bus.number]
@@ -109,6 +134,11 @@ class PlantSettings(Checked):
         total = sum(stage.share for stage in self.shedding)
         if total > 1.0 + 1e-12:
             raise ValueError(f"the shedding stages disconnect {100.0 * total:g} % of the load; allowed: at most 100 %")
+
+    @property
+    def all_further(self) -> tuple[FurtherUnits, ...]:
+        """All units that are neither machines nor WTG groups: imposed sources of the network, then `further`."""
+        return (*source_units(self.case.sources), *self.further)
 
     @property
     def extended(self) -> bool:
@@ -198,18 +228,19 @@ def build_plant(settings: PlantSettings) -> Plant:
     machines = [machine_constants(m, base) for m in case.machines]
     turbine = turbine_constants(settings.turbine, settings.pitch, settings.control, settings.protection)
     share = [g.n_turbines * settings.turbine.rated_power_mw / base for g in settings.groups]
-    further = [bus for own in settings.further for bus in own.buses]
+    joined = settings.all_further
+    further = [bus for own in joined for bus in own.buses]
     buses_of_units = (*(m.bus for m in case.machines), *(g.bus for g in settings.groups), *further)
     unit_bus = [case.bus_index(bus) for bus in buses_of_units]
     impedances = [complex(m.resistance, m.internal_reactance) for m in machines]
     impedances += [1j * turbine.converter.reactance / s for s in share]
-    impedances += [impedance for own in settings.further for impedance in own.impedances]
+    impedances += [impedance for own in joined for impedance in own.impedances]
     hydro = [
         hydro_constants(index, machine.governor)
         for index, machine in enumerate(case.machines)
         if isinstance(machine.governor, HydroGovernorParameters)
     ]
-    extension = extension_constants(settings.turbine, settings.limits, settings.voltage_control)
+    extension = extension_constants(settings.turbine, settings.limits, settings.voltage_control, settings.simulation_dt)
     stages = [SheddingConstants(stage.frequency_pu, stage.share, stage.delay_s) for stage in settings.shedding]
     slack = case.bus_index(case.slack_bus)
     buses = [
@@ -224,17 +255,21 @@ def build_plant(settings: PlantSettings) -> Plant:
     ends = [(case.bus_index(branch.from_bus), case.bus_index(branch.to_bus)) for branch in case.branches]
     branch_ends = np.array(ends, dtype=np.int64).reshape(-1, 2)
     branch_y = np.ascontiguousarray(branch_admittances(case.branches))
+    series = tuple(dataclasses.replace(branch, charging=0.0) for branch in case.branches)
     shunts = np.array([complex(bus.shunt_mw, bus.shunt_mvar) / base for bus in case.buses], dtype=np.complex128)
     facts: dict[str, Any] = dict.fromkeys(Facts._fields, 0) | {
         "slack": slack,
         "base_mva": base,
         "simulation_dt": settings.simulation_dt,
         "n_substeps": whole_steps("control_dt", settings.control_dt, settings.simulation_dt, "simulation step"),
+        "curtails": bool(settings.groups) and not case.balanced,
+        "shares_frequency": settings.load_frequency_dependence,
     }
     network = Network(
         facts=Facts(**facts),
         branch_ends=branch_ends,
         branch_y=branch_y,
+        branch_series=np.ascontiguousarray(branch_admittances(series)),
         shunts=shunts,
         unit_bus=np.array(unit_bus, dtype=np.int64),
         unit_y=1.0 / np.array(impedances, dtype=np.complex128),
@@ -252,7 +287,7 @@ def build_plant(settings: PlantSettings) -> Plant:
         cells=surface_of(settings.turbine.power_coefficient)[1],
         hydro=structured(HydroGovernor, hydro),
         extension=structured(Extension, [extension] * settings.extended),
-        shedding=structured(SheddingConstants, stages),
+        shedding=structured(SheddingConstants, stages * (ISLANDS_AT_MOST if settings.extended else 1)),
         buses=structured(Bus, buses),
         of_lane={
             "omega_n": 2.0 * math.pi * case.frequency_hz,
@@ -261,8 +296,9 @@ def build_plant(settings: PlantSettings) -> Plant:
             "trips_groups": settings.trips_groups,
             "reactive_max": extension.voltage.reactive_max,
             "voltage_gain": extension.voltage.gain,
+            "frequency_gain": -math.expm1(-settings.simulation_dt / FILTER_S),
         },
-        further=settings.further,
+        further=joined,
     )
 
 
@@ -285,21 +321,38 @@ def layout_of(plant: Plant, further: Further | None = None) -> Layout:
     groups = n_sync + np.arange(n_wtg)
     row, column = np.divmod(np.arange(n_unit * n_unit), max(n_unit, 1))
     extended, unit = np.divmod(np.arange(n_extended * n_unit), max(n_unit, 1))
+    n_bus, n_islands = plant.buses.size, ISLANDS_AT_MOST if plant.extension.size else 1
+    n_transfers = n_bus * n_unit if plant.extension.size else 0
+    n_stages = plant.shedding.size // n_islands
     n_units = {
         MACHINES: n_sync,
         GROUPS: n_wtg,
         HYDRO: plant.hydro.size,
         EXTENSIONS: n_extended,
         LANE: 1,
-        BUSES: plant.buses.size,
+        BUSES: n_bus,
         UNITS: n_unit,
+        ISLANDS: n_islands,
+        MEMBERS: n_islands * n_unit,
+        MAIN: 1,
+        TRANSFERS: n_transfers,
         PAIRS: n_unit * n_unit,
         STAGES: plant.shedding.size,
-        FIRST_MACHINE: 1,
+        FIRST_MACHINE: min(n_sync, 1),
         COLUMNS: n_extended * n_unit,
     }
     links = {
         (MACHINES, "unit"): np.arange(n_sync),
+        (MACHINES, "bus_"): plant.network.unit_bus[:n_sync],
+        (GROUPS, "bus_"): plant.network.unit_bus[groups],
+        (EXTENSIONS, "bus_"): plant.network.unit_bus[groups[:n_extended]],
+        (HYDRO, "unit"): plant.hydro["machine"],
+        (MEMBERS, "unit_"): np.tile(np.arange(n_unit), n_islands),
+        (MEMBERS, "island_"): np.repeat(np.arange(n_islands), n_unit),
+        (MAIN, "island"): np.zeros(1, dtype=np.int64),
+        (STAGES, "island"): np.repeat(np.arange(n_islands), n_stages),
+        (TRANSFERS, "unit_"): np.tile(np.arange(n_unit), n_bus)[:n_transfers],
+        (TRANSFERS, "bus_"): np.repeat(np.arange(n_bus), n_unit)[:n_transfers],
         (UNITS, "bus"): plant.network.unit_bus,
         (GROUPS, "unit"): groups,
         (EXTENSIONS, "unit"): groups[:n_extended],
@@ -312,7 +365,7 @@ def layout_of(plant: Plant, further: Further | None = None) -> Layout:
         (COLUMNS, "unit"): unit,
         (COLUMNS, "group"): extended,
         (HYDRO, "machine"): plant.hydro["machine"],
-        (FIRST_MACHINE, "machine"): np.zeros(1, dtype=np.int64),
+        (FIRST_MACHINE, "machine"): np.zeros(min(n_sync, 1), dtype=np.int64),
     }
     first, added = n_sync + n_wtg, further or Further({})
     for own in plant.further:
@@ -347,12 +400,17 @@ class Arranged:
         self.n_units, self.first_rows, self.seen = layout.n_units, layout.first_rows, layout.seen
         n_wtg, network = plant.share.size, plant.network
         self._has = {"table" if plant.cells.size else "curve", *further.has}
-        if not plant.extension.size:
-            self._has.add("constant voltage")
+        self._has.add("extended" if plant.extension.size else "constant voltage")
+        if not plant.machines.size:
+            self._has.add("no machine")
         ratings, weights = plant.machines["rating"].tolist(), plant.machines["reactive_weight"].tolist()
         sizes = [(rating, weight, 0.0) for rating, weight in zip(ratings, weights, strict=True)]
-        others = [weight for own in plant.further for weight in own.reactive_weights]
-        sizes += [(0.0, 0.0, weight) for weight in (*plant.share.tolist(), *others)]
+        sizes += [(0.0, 0.0, weight) for weight in plant.share.tolist()]
+        sizes += [
+            (weight, weight, 0.0) if own.balances else (0.0, 0.0, weight)
+            for own in plant.further
+            for weight in own.reactive_weights
+        ]
         connections = [
             Connection(float(number), rating, of_machine, of_group, Phasor(y.real, y.imag))
             for number, ((rating, of_machine, of_group), y) in enumerate(zip(sizes, network.unit_y, strict=True))
@@ -369,6 +427,7 @@ class Arranged:
             (STAGES, "stage"): plant.shedding,
             (BUSES, "bus"): plant.buses,
             (UNITS, "connection"): connections,
+            (ISLANDS, "number"): np.arange(float(layout.n_units(ISLANDS))),
             **{(LANE, name): [value] for name, value in plant.of_lane.items()},
             **{(own.kind, name): values for own in plant.further for name, values in own.constants.items()},
             **further.constants,
@@ -390,7 +449,9 @@ def arranged(
 ) -> Plant:
     """Return a plant that knows where its rows lie, for programs that are to run; those `taped` have a way back."""
     kinds = dict(lane=LANE, machines=MACHINES, groups=GROUPS, units=UNITS, pairs=PAIRS, stages=STAGES, buses=BUSES)
-    first = {name: int(layout.first[kind]) for name, kind in kinds.items()}
+    kinds |= dict(islands=ISLANDS, transfers=TRANSFERS, sources=SOURCES)
+    first = {name: int(layout.first[kind]) if layout.n_units(kind) else -1 for name, kind in kinds.items()}
+    first["n_islands"] = layout.n_units(ISLANDS)
     connected = [layout.machine("connected"), layout.wtg("connected")]
     connected += [layout.rows_of(own.kind, "connected") for own in plant.further]
     facts = plant.network.facts._replace(**first, starts=int(layout.first_scratch[LANE]))

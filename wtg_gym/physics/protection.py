@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 from wtg_gym.physics.machine import MachineInput, MachineOutput, MachineState
 from wtg_gym.physics.machine_unit import MACHINES
-from wtg_gym.physics.units import LANE, Phasor
+from wtg_gym.physics.units import ISLANDS, LANE, MAIN, MEMBERS, Phasor
 from wtg_gym.physics.wind_turbine import (
     Limits,
     Turbine,
@@ -16,6 +16,7 @@ from wtg_gym.physics.wind_turbine import (
     WtgInput,
     WtgOutput,
     WtgState,
+    frequency_of,
     tip_speed_ratio,
 )
 from wtg_gym.physics.wtg_unit import GROUPS
@@ -47,41 +48,63 @@ class SheddingConstants(NamedTuple):
     delay: float  # [s]
 
 
-#: Stages of load shedding. `shed` is the last step without a low frequency; once the stage has acted, -1 - the step of
-#: that.
-STAGES = Kind(name="shedding stages", rows={"shed": float}, constants={"stage": SheddingConstants}, sees={"lane": LANE})
+#: Stages of load shedding in every island. `shed` is the last step without a low frequency; once the stage has acted,
+#: -1 - the step of that.
+STAGES = Kind(
+    name="shedding stages",
+    rows={"shed": float},
+    constants={"stage": SheddingConstants},
+    sees={"island": ISLANDS, "lane": LANE},
+)
 
 
 # --- after every simulation step --------------------------------------------------------------------------------------
 
 
-@system(LANE, "momentum", "inertia")
+@system(MACHINES, "weight", "frequency")
+def weigh_machine(state: MachineState, given: MachineInput, committed: float) -> tuple[float, float]:
+    """Return inertia and frequency of a machine."""
+    return committed * (given.connected / given.inv_two_h), state.speed
+
+
+@system(GROUPS, "weight", "frequency")
+def weigh_group(
+    state: WtgState, given: WtgInput, output: WtgOutput, turbine: Turbine, share: float
+) -> tuple[float, float]:
+    """Return inertia and frequency of a WTG group."""
+    return turbine.converter.two_h * share * given.connected, frequency_of(state, output)
+
+
+@system(ISLANDS, "momentum", "inertia")
 def begin_coi() -> tuple[float, float]:
     """Begin the sums over all units."""
     return 0.0, 0.0
 
 
-@system(MACHINES, "momentum", "inertia")
-def add_machine(state: MachineState, given: MachineInput, momentum: float, inertia: float) -> tuple[float, float]:
-    """Add a machine to the sums."""
-    two_h = given.connected / given.inv_two_h
-    return momentum + two_h * (state.speed - 1.0), inertia + two_h
-
-
-@system(GROUPS, "momentum", "inertia")
-def add_group(
-    state: WtgState, given: WtgInput, turbine: Turbine, share: float, momentum: float, inertia: float
+@system(MEMBERS, "island_momentum", "island_inertia")
+def add_member(
+    unit_weight: float,
+    unit_frequency: float,
+    unit_island: float,
+    island_number: float,
+    island_momentum: float,
+    island_inertia: float,
 ) -> tuple[float, float]:
-    """Add a WTG group to the sums."""
-    two_h = turbine.converter.two_h * share * given.connected
-    return momentum + two_h * (state.converter.speed - 1.0), inertia + two_h
+    """Add a unit to the sums of its island."""
+    two_h = select(unit_island == island_number, unit_weight, 0.0)
+    return island_momentum + two_h * (unit_frequency - 1.0), island_inertia + two_h
 
 
-@system(LANE, "coi", "coi_min", "coi_max")
-def centre_of_inertia(momentum: float, inertia: float, coi_min: float, coi_max: float) -> tuple[float, float, float]:
-    """Return the frequency of the centre of inertia, and its extremes."""
-    coi = 1.0 + momentum / inertia
-    return coi, min(coi_min, coi), max(coi_max, coi)
+@system(ISLANDS, "centre")
+def centre_of_inertia(momentum: float, inertia: float, centre: float) -> float:
+    """Return the frequency of the centre of inertia; an island that has lost its last unit keeps it."""
+    return select(inertia > 0.0, 1.0 + momentum / inertia, centre)
+
+
+@system(MAIN, "coi", "coi_min", "coi_max")
+def centre_of_grid(centre: float, coi_min: float, coi_max: float) -> tuple[float, float, float]:
+    """Return the frequency of the grid's centre of inertia, and its extremes."""
+    return centre, min(coi_min, centre), max(coi_max, centre)
 
 
 @system(GROUPS, "extremes")
@@ -111,74 +134,77 @@ def shed_load(
     shed: float,
     stage: SheddingConstants,
     next_change: float,
-    coi: float,
+    centre: float,
     step: float,
     active: float,
     simulation_dt: float,
 ) -> tuple[float, float]:
     """Let a stage act whose time has come; the network changes before the next step."""
     waits = (shed >= 0.0) & (active > 0.5)
-    healthy = coi >= stage.speed
+    healthy = centre >= stage.speed
     late = (step - shed) * simulation_dt >= stage.delay - 1e-9
     kept = select(waits, select(healthy, step, select(late, -1.0 - step, shed)), shed)
     change = select(waits, select(healthy, next_change, select(late, step, next_change)), next_change)
     return kept, change
 
 
+@system(LANE, "shed_energy", when="extended")
+def count_shed_energy(shed_energy: float, unserved: float, active: float, simulation_dt: float) -> float:
+    """Count the load that is not served."""
+    return shed_energy + select(active > 0.5, unserved * simulation_dt, 0.0)
+
+
 # --- when the protections sample the grid -----------------------------------------------------------------------------
 
 
-@system(LANE, "least_angle", "largest_angle", "least_squared_voltage")
+@system(MACHINES, "turn", "squared_voltage", "there", "falls")
+def sample_machine(
+    state: MachineState, given: MachineInput, output: MachineOutput
+) -> tuple[float, float, float, float]:
+    """Return what is compared of a machine; its terminal is a bus of the network."""
+    return state.angle, output.voltage * output.voltage, given.connected, 0.0
+
+
+@system(GROUPS, "turn", "squared_voltage", "there", "falls")
+def sample_group(
+    state: WtgState, given: WtgInput, voltage: Phasor, current: Phasor, turbine: Turbine, share: float
+) -> tuple[float, float, float, float]:
+    """Return what is compared of a WTG group; buses without a unit do not count."""
+    reactance = turbine.converter.reactance / share
+    v_re, v_im = voltage.re + reactance * current.im, voltage.im - reactance * current.re
+    return state.converter.angle, v_re * v_re + v_im * v_im, given.connected, 0.0
+
+
+@system(ISLANDS, "least_angle", "largest_angle", "least_squared_voltage")
 def begin_sample() -> tuple[float, float, float]:
     """Begin to compare all connected units."""
     return math.inf, -math.inf, math.inf
 
 
-@system(MACHINES, "least_angle", "largest_angle", "least_squared_voltage")
-def sample_machine(
-    state: MachineState,
-    given: MachineInput,
-    output: MachineOutput,
-    least_angle: float,
-    largest_angle: float,
-    least_squared_voltage: float,
+@system(MEMBERS, "island_least_angle", "island_largest_angle", "island_least_squared_voltage")
+def sample_member(
+    unit_turn: float,
+    unit_squared_voltage: float,
+    unit_there: float,
+    unit_island: float,
+    island_number: float,
+    island_least_angle: float,
+    island_largest_angle: float,
+    island_least_squared_voltage: float,
 ) -> tuple[float, float, float]:
-    """Compare a machine; its terminal is a bus of the network."""
-    connected = given.connected > 0.5
+    """Compare a unit with the others of its island."""
+    counts = (unit_there > 0.5) & (unit_island == island_number)
     return (
-        min(least_angle, select(connected, state.angle, math.inf)),
-        max(largest_angle, select(connected, state.angle, -math.inf)),
-        min(least_squared_voltage, select(connected, output.voltage * output.voltage, math.inf)),
+        min(island_least_angle, select(counts, unit_turn, math.inf)),
+        max(island_largest_angle, select(counts, unit_turn, -math.inf)),
+        min(island_least_squared_voltage, select(counts, unit_squared_voltage, math.inf)),
     )
 
 
-@system(GROUPS, "least_angle", "largest_angle", "least_squared_voltage")
-def sample_group(
-    state: WtgState,
-    given: WtgInput,
-    voltage: Phasor,
-    current: Phasor,
-    turbine: Turbine,
-    share: float,
-    least_angle: float,
-    largest_angle: float,
-    least_squared_voltage: float,
-) -> tuple[float, float, float]:
-    """Compare a WTG group; buses without a unit do not count."""
-    connected = given.connected > 0.5
-    reactance = turbine.converter.reactance / share
-    v_re, v_im = voltage.re + reactance * current.im, voltage.im - reactance * current.re
-    return (
-        min(least_angle, select(connected, state.converter.angle, math.inf)),
-        max(largest_angle, select(connected, state.converter.angle, -math.inf)),
-        min(least_squared_voltage, select(connected, v_re * v_re + v_im * v_im, math.inf)),
-    )
-
-
-@system(LANE, "finding", "finite", "healthy_step")
-def judge_grid(
+@system(ISLANDS, "found", "healthy_step")
+def judge_island(
     active: float,
-    coi: float,
+    centre: float,
     step: float,
     least_angle: float,
     largest_angle: float,
@@ -186,20 +212,43 @@ def judge_grid(
     healthy_step: float,
     simulation_dt: float,
     limits: Limits,
-) -> tuple[float, float, float]:
-    """Say whether the grid has failed.
+) -> tuple[float, float]:
+    """Say whether an island has failed.
 
     If several findings apply, the first in this order counts: not finite; under-speed, stall or over-speed of the last
-    such group; loss of synchronism; voltage collapse; frequency limit. The others follow from it.
+    such group; loss of synchronism; voltage collapse; frequency limit. The others follow from it. An island without a
+    unit has no voltage.
     """
-    finding = select((coi < limits.coi_min) | (coi > limits.coi_max), float(Status.FREQUENCY_LIMIT), 0.0)
+    found = select((centre < limits.coi_min) | (centre > limits.coi_max), float(Status.FREQUENCY_LIMIT), 0.0)
+    empty = least_angle > largest_angle
     healthy = least_squared_voltage >= limits.low_voltage * limits.low_voltage
     healthy_step = select(active > 0.5, select(healthy, step, healthy_step), healthy_step)
-    low = (step - healthy_step) * simulation_dt > limits.low_voltage_time
-    finding = select(low, float(Status.VOLTAGE_COLLAPSE), finding)
+    low = ((step - healthy_step) * simulation_dt > limits.low_voltage_time) | empty
+    found = select(low, float(Status.VOLTAGE_COLLAPSE), found)
     apart = largest_angle - least_angle > limits.angle_spread
-    finding = select(apart, float(Status.LOSS_OF_SYNCHRONISM), finding)
-    return finding, select(math.isfinite(coi), 1.0, 0.0), healthy_step
+    return select(apart, float(Status.LOSS_OF_SYNCHRONISM), found), healthy_step
+
+
+@system(MAIN, "finding", "finite")
+def judge_grid(found: float, centre: float) -> tuple[float, float]:
+    """Say whether the grid has failed."""
+    return found, select(math.isfinite(centre), 1.0, 0.0)
+
+
+@system(MEMBERS, "unit_falls", when="extended")
+def fall_member(unit_falls: float, unit_island: float, island_number: float, island_found: float) -> float:
+    """Let the units of an island that is not the grid fall with it."""
+    falls = (unit_island == island_number) & (island_number > 0.0) & (island_found > 0.0)
+    return select(falls, 1.0, unit_falls)
+
+
+@system(MACHINES, "connected", "next_change", when="extended")
+def trip_machine(
+    given: MachineInput, falls: float, next_change: float, step: float, active: float
+) -> tuple[float, float]:
+    """Disconnect a machine whose island has failed."""
+    trips = (falls > 0.5) & (given.connected > 0.5) & (active > 0.5)
+    return select(trips, 0.0, given.connected), select(trips, step, next_change)
 
 
 @system(GROUPS, "connected", "finding", "finite", "next_change")
@@ -211,11 +260,12 @@ def judge_rotor(
     finding: float,
     finite: float,
     next_change: float,
+    falls: float,
     step: float,
     active: float,
     trips_groups: bool,
 ) -> tuple[float, float, float, float]:
-    """Say whether a rotor has failed; its group trips, or the run has failed with it."""
+    """Say whether a rotor has failed; its group trips, or the run has failed with it. A group falls with its island."""
     limits = turbine.limits
     ratio = tip_speed_ratio(state.rotor_speed, output.wind, turbine.rotor)
     stalls = select(state.pitch.pitch < limits.stall_pitch, float(Status.STALL), 0.0)
@@ -223,7 +273,7 @@ def judge_rotor(
     failure = select(ratio < limits.stall_tip_speed_ratio, stalls, races)
     failure = select(state.rotor_speed < limits.rotor_speed_min, float(Status.UNDER_SPEED), failure)
     failed = (failure > 0.0) & (given.connected > 0.5) & (active > 0.5)
-    trips = failed & trips_groups
+    trips = (failed & trips_groups) | ((falls > 0.5) & (given.connected > 0.5) & (active > 0.5))
     is_finite = math.isfinite(state.rotor_speed) & math.isfinite(state.converter.speed)
     return (
         select(trips, 0.0, given.connected),

@@ -146,13 +146,68 @@ class LineTrip(_At):
 
 
 @dataclass(frozen=True, kw_only=True)
+class Fault(_AtBus):
+    """A three-phase fault at a bus from `time_s` [s] on; a line that clears it opens then and stays open."""
+
+    clears_after_s: float = required("s", "design", "time until it is cleared", 1e-3, 10.0)
+    resistance_pu: float = design(0.0, "p.u.", "resistance to ground, on the system base", 0.0, 1e3)
+    reactance_pu: float = design(1e-4, "p.u.", "reactance to ground, on the system base", 1e-5, 1e3)
+    opens: tuple[int, int] | None = None  # both ends of the line that clears it
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.opens is not None:
+            if not isinstance(self.opens, (tuple, list)) or len(self.opens) != 2:
+                raise ValueError(f"opens must be the two buses of a line, got {self.opens!r}")
+            object.__setattr__(self, "opens", tuple(self.opens))
+
+    @property
+    def end_s(self) -> float:
+        """When it is cleared [s]."""
+        return self.time_s + self.clears_after_s
+
+
+@dataclass(frozen=True, kw_only=True)
+class ReactanceStep(_At):
+    """The impedance of the branch between two buses becomes `factor` times that of the case at `time_s` [s]."""
+
+    from_bus: int
+    to_bus: int
+    factor: float = required("-", "design", "on resistance and reactance of the case", 1e-2, 1e3)
+
+
+@dataclass(frozen=True, kw_only=True)
+class PhaseJump(_AtBus):
+    """The angle of the imposed source at a bus jumps at `time_s` [s]."""
+
+    angle_deg: float = required("deg", "design", "size, positive ahead", -180.0, 180.0)
+
+
+@dataclass(frozen=True, kw_only=True)
+class FrequencyRamp(_AtBus):
+    """The frequency of the imposed source at a bus moves for `duration_s` [s] from `time_s` on, and stays there."""
+
+    rocof_hz_s: float = required("Hz/s", "design", "rate of change", -100.0, 100.0)
+    duration_s: float = required("s", "design", "length of the ramp", 1e-3, 3600.0)
+
+    @property
+    def end_s(self) -> float:
+        """When the ramp is complete [s]."""
+        return self.time_s + self.duration_s
+
+
+@dataclass(frozen=True, kw_only=True)
 class GovernorLoss(_AtBus):
     """The governors at a bus stop acting at `time_s` [s]: gates stay where they are, and droop no longer acts."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class MachineOutage(_AtBus):
-    """All synchronous machines at a bus are disconnected at `time_s` [s]; their infeed is lost."""
+    """All synchronous machines, or else the imposed source, at a bus are disconnected at `time_s` [s]."""
+
+    returns_after_s: float | None = design(
+        None, "s", "time after which they are synchronised again, without load; None: never", 1e-3, LONGEST_RUN_S
+    )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -160,9 +215,24 @@ class GroupTrip(_At):
     """A WTG group is disconnected at `time_s` [s]; the run goes on."""
 
     group: int = required("-", "design", "its index, the row of the scenario's wind", 0)
+    returns_after_s: float | None = design(
+        None, "s", "time after which it is synchronised again; None: never", 1e-3, LONGEST_RUN_S
+    )
 
 
-Event = LoadStep | LoadRamp | LoadTrip | LineTrip | GovernorLoss | MachineOutage | GroupTrip
+Event = (
+    LoadStep
+    | LoadRamp
+    | LoadTrip
+    | LineTrip
+    | ReactanceStep
+    | Fault
+    | GovernorLoss
+    | MachineOutage
+    | GroupTrip
+    | PhaseJump
+    | FrequencyRamp
+)
 EVENT_KINDS: dict[str, type[Any]] = {
     "load_step": LoadStep,
     "load_ramp": LoadRamp,
@@ -171,6 +241,10 @@ EVENT_KINDS: dict[str, type[Any]] = {
     "governor_loss": GovernorLoss,
     "machine_outage": MachineOutage,
     "group_trip": GroupTrip,
+    "fault": Fault,
+    "reactance_step": ReactanceStep,
+    "phase_jump": PhaseJump,
+    "frequency_ramp": FrequencyRamp,
 }
 _KIND_OF = {cls: kind for kind, cls in EVENT_KINDS.items()}
 
@@ -192,6 +266,7 @@ class Scenario(Checked):
         load_level: factor on every load of the case in the initial power flow.
         governor_droop: droop R of every governor on its machine's base [p.u.]; None keeps the case's.
         inertia_scale: factor on the inertia of every synchronous machine.
+        committed: share of the units of every machine with a governor that are on line: rating, inertia, admittance.
         sensors: errors of what the WTG groups measure; None: exact and at once.
         seed: the seed it was drawn from, if any.
 
@@ -209,6 +284,7 @@ class Scenario(Checked):
     load_level: float = design(1.0, "-", "factor on every load", 0.3, 1.5)
     governor_droop: float | None = design(None, "p.u.", "droop of every governor", 0.005, 1.0)
     inertia_scale: float = design(1.0, "-", "factor on every inertia", 0.05, 5.0)
+    committed: float = design(1.0, "-", "share of a machine's units on line", 0.05, 1.0)
     sensors: Sensors | None = None
     seed: int | None = design(None, "-", "seed it was drawn from", 0, 2**63 - 1)
 
@@ -242,8 +318,10 @@ class Scenario(Checked):
             {"kind": _KIND_OF[type(e)], **{key: value for key, value in vars(e).items() if value is not None}}
             for e in self.events
         ]
+        # Older scenarios know neither sensors nor commitment: their form, and its hash, stay.
+        if self.committed == 1.0:
+            del data["committed"]
         if self.sensors is None:
-            # Older scenarios know no sensors: their form, and its hash, stay.
             del data["sensors"]
         else:
             data["sensors"] = {**vars(self.sensors), "wind_bias": list(self.sensors.wind_bias)}

@@ -131,7 +131,7 @@ class Simulator:
         self._pad()
         self._checked = _checked_inertias(settings)
         reference = (get_law(REFERENCE_STRATEGY, settings.turbine, settings.control),) * self.layout.n_wtg
-        if reference not in self._checked and self._check_nominal(reference, 1.0):
+        if reference not in self._checked and self._check_nominal(reference):
             self._checked[reference] = 1.0
 
     def functions(self) -> dict[Function, tuple[Any, ...]]:
@@ -153,7 +153,7 @@ class Simulator:
         code = code_of(programs, routines, self.functions())
         self.plant = self.plant.with_tables(self.plant.network.tables._replace(code=code))
 
-    def _check_nominal(self, laws: tuple[TrackingLaw, ...], inertia_scale: float) -> bool:
+    def _check_nominal(self, laws: tuple[TrackingLaw, ...], inertia_scale: float = 1.0, committed: float = 1.0) -> bool:
         """Check laws at nominal operating points; return whether the plant has an equilibrium at any of them."""
         found = False
         for wind in _CHECKED_WINDS:
@@ -163,6 +163,7 @@ class Simulator:
                 duration_s=self.n_intervals * self.settings.control_dt,
                 load_noise_bus=self.settings.case.slack_bus,
                 inertia_scale=inertia_scale,
+                committed=committed,
             )
             try:
                 rows = self._equilibria([nominal], laws).rows
@@ -242,12 +243,12 @@ class Simulator:
         """
         prepared = self._equilibria(scenarios, laws)
         check_internal_voltages(prepared.rows, scenarios, self.settings, self.layout)
-        scales = ((scenario.inertia_scale, lane) for lane, scenario in enumerate(scenarios))
+        scales = ((scenario.inertia_scale * scenario.committed, lane) for lane, scenario in enumerate(scenarios))
         (scale, lightest), of_laws = min(scales, default=(math.inf, 0)), tuple(laws)
         if scale < self._checked.get(of_laws, math.inf):
             self._check_step(prepared.rows[lightest], scenarios[lightest])
             # The wind may rise: under a steep law the step suits a slow rotor and not a fast one.
-            self._check_nominal(of_laws, scale)
+            self._check_nominal(of_laws, scenarios[lightest].inertia_scale, scenarios[lightest].committed)
             self._checked[of_laws] = scale
         if turning:
             check_rotor_speeds(prepared.rows, scenarios, self.settings, self.layout)
@@ -349,6 +350,13 @@ class Simulator:
     def _write_machine_inputs(self, rows: Floats, scenarios: Sequence[Scenario]) -> None:
         machines = self.plant.machines
         scale = np.array([[scenario.inertia_scale] for scenario in scenarios])
+        # Units of a machine that are not committed are not there; a condenser has no units to commit.
+        committed = np.array([[scenario.committed] for scenario in scenarios])
+        committed = np.where(machines["governor.inv_droop"] > 0.0, committed, 1.0)
+        rows[:, self.layout.rows_of(UNITS, "committed")] = 1.0
+        rows[:, self.layout.rows_of(UNITS, "inv_committed")] = 1.0
+        rows[:, self.layout.rows_of(UNITS, "committed")[: self.layout.n_sync]] = committed
+        rows[:, self.layout.rows_of(UNITS, "inv_committed")[: self.layout.n_sync]] = 1.0 / committed
         rows[:, self.layout.machine("connected")] = 1.0
         rows[:, self.layout.machine("inv_two_h")] = 1.0 / (machines["two_h"] * scale)
         given = np.array([[np.nan if s.governor_droop is None else 1.0 / s.governor_droop] for s in scenarios])

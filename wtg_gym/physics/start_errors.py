@@ -24,7 +24,7 @@ def scenario_name(scenario: Scenario) -> str:
 
 def bus_of_unit(settings: PlantSettings, unit: int) -> int:
     """Return the bus number of a unit: machines, groups, further units."""
-    further = [bus for own in settings.further for bus in own.buses]
+    further = [bus for own in settings.all_further for bus in own.buses]
     return [*(m.bus for m in settings.case.machines), *(group.bus for group in settings.groups), *further][unit]
 
 
@@ -33,7 +33,7 @@ def unit_name(settings: PlantSettings, unit: int) -> str:
     group = unit - len(settings.case.machines)
     kind = "the synchronous machine" if group < 0 else f"WTG group {group}"
     if group >= len(settings.groups):
-        kind = [f"a unit of {own.kind.name}" for own in settings.further for _ in own.buses][
+        kind = [f"a unit of {own.kind.name}" for own in settings.all_further for _ in own.buses][
             group - len(settings.groups)
         ]
     return f"{kind} at bus {bus_of_unit(settings, unit)}"
@@ -75,6 +75,11 @@ def start_failure(
     """Say why a unit cannot start, with the numbers that its rows (n_rows,) hold."""
     if failure == StartFailure.POWER_FLOW_DIVERGED:
         return f"the power flow has no solution at a load level of {scenario.load_level:g} and this wind"
+    if failure == StartFailure.WIND_SHORTAGE:
+        return (
+            f"in this wind the WTG groups alone cannot meet the load at a level of {scenario.load_level:g}; "
+            "more wind or turbines, or less load, are needed"
+        )
     name = unit_name(settings, unit)
     if unit < layout.n_sync:
         machine = settings.case.machines[unit]

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 
-from wtg_gym.physics.units import BUSES, LANE, UNITS, Bus, Connection, Phasor, Polar, Sizes, Terminal, quotient
+from wtg_gym.physics.units import BUSES, ISLANDS, LANE, UNITS, Bus, Connection, Phasor, Polar, Sizes, Terminal, quotient
 from wtg_gym.systems.elementary import select
 from wtg_gym.systems.systems import system
 
@@ -68,11 +68,11 @@ def release_voltage(
     )
 
 
-@system(BUSES, "load")
-def load_at_bus(load_level: float, polar: Polar, bus: Bus) -> Phasor:
-    """Turn a load from power at the initial voltage into an admittance."""
+@system(BUSES, "load", "served", "island")
+def load_at_bus(load_level: float, polar: Polar, bus: Bus) -> tuple[Phasor, float, float]:
+    """Turn a load from power at the initial voltage into an admittance; all of it is served, in one island."""
     square = polar.size * polar.size
-    return Phasor(load_level * bus.load.re / square, load_level * -bus.load.im / square)
+    return Phasor(load_level * bus.load.re / square, load_level * -bus.load.im / square), 1.0, 0.0
 
 
 @system(UNITS, "start")
@@ -108,10 +108,40 @@ def share_flow(
     return Terminal(power, reactive, at_bus, math.hypot(at_bus.re, at_bus.im), Phasor(current.re, -current.im))
 
 
-@system(LANE, "active", "status", "noise_y", "step", "healthy_step", "coi_min", "coi_max", "angle")
-def start_clock(frame: float) -> tuple[float, float, float, float, float, float, float, float]:
+@system(LANE, "active", "status", "noise_y", "step", "coi_min", "coi_max", "angle", "shed_energy", "returning")
+def start_clock(frame: float) -> tuple[float, float, float, float, float, float, float, float, float]:
     """Return clock, statistics and frame of a run; an event at t = 0 strikes in its first step, not before."""
-    return 1.0, 0.0, 0.0, -1.0, 0.0, math.inf, -math.inf, frame
+    return 1.0, 0.0, 0.0, -1.0, math.inf, -math.inf, frame, 0.0, 0.0
+
+
+@system(LANE, "worst", "worst_min", "worst_max")
+def start_worst() -> tuple[float, float, float]:
+    """Let the extremes of all frequencies begin at nominal."""
+    return 1.0, 1.0, 1.0
+
+
+@system(ISLANDS, "healthy_step", "centre")
+def start_island() -> tuple[float, float]:
+    """Let an island begin healthy, at nominal frequency."""
+    return 0.0, 1.0
+
+
+@system(UNITS, "island", "returns")
+def start_unit() -> tuple[float, float]:
+    """Let every unit begin in one island."""
+    return 0.0, 0.0
+
+
+@system(UNITS, "returns")
+def end_return() -> float:
+    """Let a unit come back once."""
+    return 0.0
+
+
+@system(LANE, "returning")
+def all_returned() -> float:
+    """Wait for the next one."""
+    return 0.0
 
 
 @system(LANE, "step")

@@ -16,6 +16,7 @@ from __future__ import annotations
 
 from wtg_gym.physics import extension_unit as extension
 from wtg_gym.physics import hydro_unit as hydro
+from wtg_gym.physics import local_frequency as local
 from wtg_gym.physics import machine_unit as machine
 from wtg_gym.physics import protection, starting, units
 from wtg_gym.physics import wtg_unit as wtg
@@ -26,9 +27,20 @@ from wtg_gym.systems.programs import Each, Here, Product, Repeat, When
 #: weak bus. They end once no voltage moves.
 _SWEEPS = 100
 
-ADMITTANCES = (units.load_noise, units.admittance_with_noise)
+#: Units that an event brings back are synchronised.
+RETURN = (
+    machine.return_machine,
+    hydro.return_hydro,
+    wtg.return_group,
+    extension.return_extension,
+    starting.end_return,
+    starting.all_returned,
+)
+
+ADMITTANCES = (When(LANE, "returning", RETURN), units.load_noise, units.admittance_with_noise)
 
 VOLTAGES = (
+    machine.still_reference,
     machine.reference,
     machine.voltage_of_machine,
     wtg.voltage_of_group,
@@ -75,20 +87,38 @@ RATES = (
     units.reference_rate,
 )
 
-COI = (protection.begin_coi, protection.add_machine, protection.add_group, protection.centre_of_inertia)
+COI = (
+    protection.weigh_machine,
+    protection.weigh_group,
+    protection.begin_coi,
+    protection.add_member,
+    protection.centre_of_inertia,
+    protection.centre_of_grid,
+)
+
+#: Voltages of all buses.
+BUS_VOLTAGES = (local.begin_noise_voltage, local.add_noise_voltage, local.begin_voltage, local.add_voltage)
+
+#: Local frequencies, and the worst of them.
+LOCAL = (*BUS_VOLTAGES, local.turn_bus, local.begin_worst, local.compare_bus, local.compare_unit, local.note_worst)
 
 #: After a simulation step.
 #: The part with a way back comes first.
 MOVED = (extension.keep_energy, units.count_step, *COI)
-WATCH = (protection.track_extremes, protection.shed_load)
+WATCH = (protection.track_extremes, *LOCAL, protection.count_shed_energy, protection.shed_load)
 FINISH = (*MOVED, *WATCH)
 
 PROTECT = (
-    protection.begin_sample,
     protection.sample_machine,
     protection.sample_group,
+    protection.begin_sample,
+    protection.sample_member,
+    protection.judge_island,
     protection.judge_grid,
+    protection.fall_member,
+    protection.trip_machine,
     protection.judge_rotor,
+    extension.judge_chopper,
     protection.end_run,
     protection.still_wind,
 )
@@ -117,17 +147,24 @@ SETTLE = (
     starting.share_flow,
     machine.start_machine,
     hydro.start_hydro,
+    machine.still_frame,
     machine.take_frame,
     machine.turn_machine,
     wtg.start_group,
+    wtg.curtail_law,
     extension.start_extension,
     Here("settle"),
     starting.start_clock,
+    starting.start_worst,
+    starting.start_island,
+    starting.start_unit,
 )
 
 #: After the first evaluation of a run: its first outputs, and what is beyond its limits then.
 START = (
     starting.let_run,
+    *BUS_VOLTAGES,
+    local.start_bus,
     *COI,
     protection.track_extremes,
     wtg.no_overload,

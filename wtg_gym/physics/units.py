@@ -72,6 +72,7 @@ class StartFailure(IntEnum):
     EXCITER_LIMIT = 4
     CONVERTER_LIMIT = 5
     INTERNAL_VOLTAGE_LIMIT = 6
+    WIND_SHORTAGE = 7
 
 
 #: A lane: a run. What is of one unit here is of the lane.
@@ -91,24 +92,28 @@ LANE = Kind(
         "noise_z": Phasor,  # Thévenin impedance at the bus of the load noise [p.u.]
         "noise_per_mw": float,  # admittance per MW of load noise [p.u.]
         "noise_y": float,  # conductance of the load noise in the present control interval [p.u.]
-        "healthy_step": float,  # last simulation step at which the protections found no low voltage
+        "unserved": float,  # load that is shed or without voltage, at 1 p.u. of voltage [p.u.]
+        "shed_energy": float,  # its integral [p.u. s]
+        "worst": float,  # frequency of the bus or unit that is farthest from nominal [p.u.]
+        "worst_min": float,  # least frequency of any bus or unit since the start [p.u.]
+        "worst_max": float,
+        "returning": float,  # units that come back now
     },
     scratch={
         "reference_speed": float,  # of the first unit, or where it stands still after an outage [p.u.]
         "noise_factor": Phasor,  # of the load noise's part in the reduced admittance: Δy/(1 + Δy z) [p.u.]
         "exceeded": float,  # groups whose current is too large
         "unsettled": float,  # groups whose voltage the latest sweep has moved
-        "momentum": float,  # Σ 2H (ω - 1) of connected units [s]
-        "inertia": float,  # Σ 2H [s]
-        "least_angle": float,  # of all connected units [rad]
-        "largest_angle": float,
-        "least_squared_voltage": float,  # at the terminals of all connected units, squared [p.u.²]
+        "lowest": float,  # frequency of any bus or unit now [p.u.]
+        "highest": float,
+        "noise_voltage": Phasor,  # at the bus of the load noise, if there were none [p.u.]
         "finding": float,  # status that the protections find now
         "finite": float,  # 1 where all speeds are finite numbers
         "stops": float,  # 1 where a protection ends the run now
         "load_level": float,  # share of the nominal load that a run starts with
         "searching": float,  # groups whose equilibrium is not found yet
         "released": float,  # buses that let go of their voltage
+        "curtailment": float,  # common factor on k by which groups share the balance
         "frame": float,  # angle of the first unit against the network's frame [rad]
         "start_failure": float,  # why the run cannot start, of StartFailure
         "failing_unit": float,  # number of the unit that cannot
@@ -120,6 +125,7 @@ LANE = Kind(
         "trips_groups": bool,
         "reactive_max": float,  # of the groups' voltage control [p.u.]
         "voltage_gain": float,  # of that; 0 without one
+        "frequency_gain": float,  # of the filter of local frequencies, in a simulation step
     },
     states=("angle",),
 )
@@ -127,8 +133,16 @@ LANE = Kind(
 #: Buses of the network; what is in scratch is for the start of a run.
 BUSES = Kind(
     name="buses",
-    rows={"load": Phasor},  # admittance [p.u.]
+    rows={
+        "load": Phasor,  # admittance [p.u.]
+        "served": float,  # share of its load that shedding has left
+        "island": float,  # number of the island that it is in, -1 without voltage
+        "noise_transfer": Phasor,  # impedance to the bus of the load noise [p.u.]
+        "phasor": Phasor,  # voltage after the latest simulation step [p.u.]
+        "frequency": float,  # local, filtered [p.u.]
+    },
     scratch={
+        "now": Phasor,  # voltage now [p.u.]
         "planned": Phasor,  # P + jQ into the network before the slack's share [p.u.]
         "polar": Polar,
         "holds": float,  # 1 where a unit holds the voltage
@@ -143,16 +157,54 @@ BUSES = Kind(
 #: All units as the network sees them, machines first.
 UNITS = Kind(
     name="units",
-    rows={"transfer": Phasor},  # y_i Z_in to the bus of the load noise
+    rows={
+        "transfer": Phasor,  # y_i Z_in to the bus of the load noise
+        "island": float,  # number of the island that it is in
+        "committed": float,  # share of a machine's rating that is on line; 1 for others
+        "inv_committed": float,
+        "returns": float,  # 1 where it comes back now
+    },
     scratch={
         "voltage": Phasor,  # behind the internal impedance
         "current": Phasor,  # into the network
         "planned_power": float,  # before the slack's share [p.u.]
         "start": Terminal,
+        "weight": float,  # 2H, 0 where it is disconnected [s]
+        "frequency": float,  # [p.u.]
+        "turn": float,  # angle [rad]
+        "squared_voltage": float,  # at the terminal [p.u.²]
+        "there": float,  # 1 where it is connected
+        "falls": float,  # 1 where its island has failed
     },
     constants={"connection": Connection},
     sees={"lane": LANE, "bus": BUSES},
 )
+
+#: Parts of the network that hang together; the first has the most load and is the grid, whose end is the run's.
+ISLANDS = Kind(
+    name="islands",
+    rows={
+        "centre": float,  # frequency of its centre of inertia [p.u.]
+        "healthy_step": float,  # last simulation step at which the protections found no low voltage
+    },
+    scratch={
+        "momentum": float,  # Σ 2H (ω - 1) of connected units [s]
+        "inertia": float,  # Σ 2H [s]
+        "least_angle": float,  # of all connected units [rad]
+        "largest_angle": float,
+        "least_squared_voltage": float,  # at the terminals of all connected units, squared [p.u.²]
+        "found": float,  # status that the protections find now
+    },
+    constants={"number": float},
+    sees={"lane": LANE},
+)
+#: Every unit with every island, island after island.
+MEMBERS = Kind(name="members", sees={"unit_": UNITS, "island_": ISLANDS, "lane": LANE})
+#: The first island.
+MAIN = Kind(name="main island", sees={"island": ISLANDS, "lane": LANE})
+
+#: Every unit's effect on every bus, bus after bus.
+TRANSFERS = Kind(name="transfers", rows={"share": Phasor}, sees={"bus_": BUSES, "unit_": UNITS})
 
 #: Pairs of units, row by row of the reduced admittance matrix.
 PAIRS = Kind(

@@ -29,7 +29,6 @@ from wtg_gym.physics.extended_converter import (
     emf_limited,
     emf_rate,
     limit_state_limited,
-    power_limiter,
     voltage_control,
 )
 from wtg_gym.physics.parameters import (
@@ -43,6 +42,7 @@ from wtg_gym.physics.parameters import (
 from wtg_gym.physics.pitch import Pitch, PitchState, pitch_constants, pitch_limited, pitch_rates
 from wtg_gym.physics.rotor_table import Cells, Grid, tabulated_power_coefficient
 from wtg_gym.systems.elementary import fma, select, sine_cosine
+from wtg_gym.systems.records import each
 
 
 class Rotor(NamedTuple):
@@ -121,6 +121,7 @@ class WtgOutput(NamedTuple):
     power: float  # p into the grid [p.u.]
     captured: float  # p_w [p.u.]
     coefficient: float  # k in use [p.u.]
+    shift: float  # Δω that the power limiter adds to the frequency; 0 without one [p.u.]
 
 
 class WtgExtremes(NamedTuple):
@@ -146,6 +147,7 @@ class ExtensionOutput(NamedTuple):
     terminal_voltage: float  # V [p.u.]
     reactive: float  # q at the terminal [p.u.]
     current: float  # |I| [p.u.]
+    cut: float  # X_v |I|, what the current limiter takes from E [p.u.]
 
 
 def wtg_voltage(s: WtgState, emf: float) -> tuple[float, float]:
@@ -180,6 +182,7 @@ def wtg_rates(
     c: Turbine,
     reference_speed: float,
     omega_n: float,
+    limiter: tuple[float, float] | None = None,
 ) -> tuple[WtgState, WtgOutput]:
     """Return rates and outputs.
 
@@ -190,8 +193,11 @@ def wtg_rates(
         wind: v [m/s].
         reference_speed: of the first unit [p.u.].
         omega_n: nominal angular frequency ω_n [rad/s].
+        limiter: of an extended group: Δω [p.u.], and the most that P_st can be [p.u.].
     """
-    converter, k = converter_rates(s.converter, s.rotor_speed, power, u.law, c.converter, reference_speed, omega_n)
+    converter, k = converter_rates(
+        s.converter, s.rotor_speed, power, u.law, c.converter, reference_speed, omega_n, limiter
+    )
     pitch = pitch_rates(s.pitch, captured, s.rotor_speed, c.pitch)
     rates = WtgState(
         converter=ConverterState(
@@ -202,19 +208,27 @@ def wtg_rates(
         energy_captured=u.connected * captured,
         energy_delivered=u.connected * power,
     )
-    return rates, WtgOutput(wind, power, u.connected * captured, k)
+    shift = 0.0 if limiter is None else u.connected * limiter[0]
+    return rates, WtgOutput(wind, power, u.connected * captured, k, shift)
+
+
+def frequency_of(s: WtgState, output: WtgOutput) -> float:
+    """Return the frequency of a group's voltage, ω + Δω [p.u.]."""
+    return s.converter.speed + output.shift
 
 
 def at_terminal(
-    e_re: float, e_im: float, i_re: float, i_im: float, limiting_reactance: float, c: Converter
+    e_re: float, e_im: float, i_re: float, i_im: float, limiting_reactance: float, share: float, c: Converter
 ) -> ExtensionOutput:
     """Return what a group measures at its terminal, given the voltage behind X_g and the current on its base."""
     v_re, v_im = e_re + c.reactance * i_im, e_im - c.reactance * i_re
+    current = math.sqrt(i_re * i_re + i_im * i_im)
     return ExtensionOutput(
         limiting_reactance,
         math.sqrt(v_re * v_re + v_im * v_im),
         v_im * i_re - v_re * i_im,
-        math.sqrt(i_re * i_re + i_im * i_im),
+        current,
+        limiting_reactance * (current * share),
     )
 
 
@@ -222,46 +236,33 @@ def extended_rates(
     rates: WtgState,
     s: WtgState,
     x: ExtensionState,
-    power: float,
+    limits: tuple[LimitState, float],
     terminal: ExtensionOutput,
     u: WtgInput,
     given: VoltageInput,
     c: Turbine,
     e: Extension,
-    omega_n: float,
 ) -> tuple[WtgState, ExtensionState]:
     """Return the rates of an extended group, and those of its further states.
 
     Args:
         rates: of :func:`wtg_rates`.
         s, x, u, given, c, e: states, further states, inputs, references, constants, further constants.
-        power: p into the grid [p.u.].
-        terminal: voltage, reactive power and limiting reactance.
-        omega_n: nominal angular frequency ω_n [rad/s].
+        limits: rates of the power limiter, and the power that the rotor gives [p.u.].
+        terminal: voltage, reactive power, and what the current limiter takes.
     """
-    limit_rates, shift, drawn = power_limiter(x.limits, power, e.limits)
-    limited = terminal.limiting_reactance > 0.0
-    emf = emf_rate(x.internal_voltage, terminal.terminal_voltage, terminal.reactive, limited, given, e.voltage)
+    of_limits, drawn = limits
+    emf = emf_rate(x.internal_voltage, terminal.terminal_voltage, terminal.reactive, terminal.cut, given, e.voltage)
     speed = select(e.conserves_energy > 0.5, max(s.rotor_speed, 0.01), 1.0)
     captured = rates.energy_captured
     extended = WtgState(
-        ConverterState(
-            rates.converter.angle + u.connected * omega_n * shift, rates.converter.speed, rates.converter.filter
-        ),
+        rates.converter,
         c.rotor.inv_two_h * (captured - u.connected * drawn) / speed,
         rates.pitch,
         captured,
         rates.energy_delivered,
     )
-    further = ExtensionState(
-        LimitState(
-            u.connected * limit_rates.over_power,
-            u.connected * limit_rates.under_power,
-            u.connected * limit_rates.energy_chopped,
-        ),
-        u.connected * emf,
-    )
-    return extended, further
+    return extended, ExtensionState(each(lambda rate: u.connected * rate, of_limits), u.connected * emf)
 
 
 def rotor_of_energy(before: WtgState, after: WtgState, chopped: float, c: Turbine, e: Extension) -> float:
@@ -380,7 +381,10 @@ def turbine_constants(
 
 
 def extension_constants(
-    turbine: TurbineParameters, limits: ConverterLimitParameters | None, control: VoltageControlParameters | None
+    turbine: TurbineParameters,
+    limits: ConverterLimitParameters | None,
+    control: VoltageControlParameters | None,
+    simulation_dt: float,
 ) -> Extension:
-    """Return the constants of an extended group."""
-    return Extension(converter_limits(limits), voltage_control(control), float(turbine.conserves_energy))
+    """Return the constants of an extended group, for a simulation step [s]."""
+    return Extension(converter_limits(limits, simulation_dt), voltage_control(control), float(turbine.conserves_energy))

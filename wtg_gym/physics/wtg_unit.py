@@ -8,7 +8,7 @@ from wtg_gym.physics.converter import ConverterState
 from wtg_gym.physics.pitch import PitchState
 from wtg_gym.physics.rotor_table import Cells
 from wtg_gym.physics.runge_kutta import moving
-from wtg_gym.physics.units import LANE, UNITS, Connection, Phasor, StartFailure, Terminal, noted, quotient
+from wtg_gym.physics.units import BUSES, LANE, UNITS, Connection, Phasor, StartFailure, Terminal, noted, quotient
 from wtg_gym.physics.wind_turbine import (
     FOUND,
     Search,
@@ -28,6 +28,7 @@ from wtg_gym.physics.wind_turbine import (
 )
 from wtg_gym.systems import expressions as ex
 from wtg_gym.systems.elementary import select
+from wtg_gym.systems.records import each
 from wtg_gym.systems.systems import Kind, system
 
 GROUPS = Kind(
@@ -39,15 +40,15 @@ GROUPS = Kind(
     },
     # The share is the rating on the base of the system.
     constants={"turbine": Turbine, "cells": ex.Cells, "share": float, "inv_share": float},
-    sees={"unit": UNITS, "lane": LANE},
+    sees={"unit": UNITS, "bus_": BUSES, "lane": LANE},
     states=("state",),
 )
 
 
 @system(GROUPS, "search", "rotor_speed", "pitch")
-def begin_search(given: WtgInput, turbine: Turbine) -> tuple[Search, float, float]:
+def begin_search(given: WtgInput, curtailment: float, turbine: Turbine) -> tuple[Search, float, float]:
     """Begin to look for the equilibrium of the turbine, which tries one state after the other."""
-    return search_begun(given.wind_start, given.law.k_nominal, turbine)
+    return search_begun(given.wind_start, curtailment * given.law.k_nominal, turbine)
 
 
 @system(LANE, "searching")
@@ -63,11 +64,12 @@ def search_on(
     pitch: float,
     captured: float,
     k_nominal: float,
+    curtailment: float,
     turbine: Turbine,
     searching: float,
 ) -> tuple[Search, float, float, float]:
     """Judge the state that was tried by the power that it captures, and choose the next."""
-    search, rotor_speed, pitch = searched(search, rotor_speed, pitch, captured, k_nominal, turbine)
+    search, rotor_speed, pitch = searched(search, rotor_speed, pitch, captured, curtailment * k_nominal, turbine)
     return search, rotor_speed, pitch, searching + select(search.phase < FOUND, 1.0, 0.0)
 
 
@@ -76,13 +78,14 @@ def plan_group(
     search: Search,
     rotor_speed: float,
     k_nominal: float,
+    curtailment: float,
     share: float,
     connection: Connection,
     start_failure: float,
     failing_unit: float,
 ) -> tuple[float, float, float]:
     """Return what a group feeds in before any policy has acted, and note one without an equilibrium."""
-    power = share * k_nominal * (rotor_speed * (rotor_speed * rotor_speed))
+    power = share * (curtailment * k_nominal) * (rotor_speed * (rotor_speed * rotor_speed))
     fits = search.phase == FOUND
     return power, *noted(fits, StartFailure.NO_TURBINE_EQUILIBRIUM, connection.number, start_failure, failing_unit)
 
@@ -97,6 +100,32 @@ def start_group(
     converter = ConverterState(angle=math.atan2(emf.im, emf.re) - frame, speed=1.0, filter=0.0)
     state = WtgState(converter, rotor_speed, PitchState(pitch, pitch), energy_captured=0.0, energy_delivered=0.0)
     return state, math.hypot(emf.re, emf.im), 1.0, WtgExtremes(-math.inf, math.inf, -math.inf, 0.0)
+
+
+@system(GROUPS, "k_min", "k_nominal", "k_max", when="no machine")
+def curtail_law(k_min: float, k_nominal: float, k_max: float, curtailment: float) -> tuple[float, float, float]:
+    """Return the law with which a group takes its part of the balance."""
+    return curtailment * k_min, curtailment * k_nominal, curtailment * k_max
+
+
+@system(GROUPS, "state", "emf", "shift", when="extended")
+def return_group(
+    state: WtgState,
+    emf: float,
+    shift: float,
+    inv_tau: float,
+    returns: float,
+    bus_phasor: Phasor,
+    bus_frequency: float,
+    turbine: Turbine,
+) -> tuple[WtgState, float, float]:
+    """Synchronise a group that comes back: at its bus's voltage and frequency; rotor and blades are as they stood."""
+    back = returns > 0.5
+    deviation = select(inv_tau > 0.0, bus_frequency - turbine.converter.corners.frequency_setpoint, 0.0)
+    found = ConverterState(math.atan2(bus_phasor.im, bus_phasor.re), bus_frequency, deviation)
+    converter = each(lambda new, old: select(back, new, old), found, state.converter)
+    own = math.hypot(bus_phasor.re, bus_phasor.im)
+    return state._replace(converter=converter), select(back, own, emf), select(back, 0.0, shift)
 
 
 @system(GROUPS, "overload_time")
@@ -123,7 +152,13 @@ def capture_by_table(state: WtgState, given: WtgInput, turbine: Turbine, cells: 
     return captured_by_table(state.rotor_speed, wind_at(given, fraction), state.pitch.pitch, turbine.rotor, cells)
 
 
-def group_motion(
+def power_of(voltage: Phasor, current: Phasor, inv_share: float) -> float:
+    """Return the power that a group feeds in [p.u. of the group]."""
+    return inv_share * (voltage.re * current.re + voltage.im * current.im)
+
+
+@system(GROUPS, "state_rates", "output", when="constant voltage")
+def rates_of_group(
     state: WtgState,
     voltage: Phasor,
     current: Phasor,
@@ -136,9 +171,8 @@ def group_motion(
     fraction: float,
 ) -> tuple[WtgState, WtgOutput]:
     """Return rates and outputs of a group that is not extended."""
-    power = inv_share * (voltage.re * current.re + voltage.im * current.im)
+    power = power_of(voltage, current, inv_share)
     return wtg_rates(state, power, captured, wind_at(given, fraction), given, turbine, reference_speed, omega_n)
 
 
-rates_of_group = system(GROUPS, "state_rates", "output", when="constant voltage")(group_motion)
 stage_of_group = moving(rates_of_group, wtg_limited, constants=["turbine"])
