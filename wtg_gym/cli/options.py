@@ -109,7 +109,8 @@ class PlantOptions:
     """integration step, at most 0.05 s"""
     machine_model: Literal["genrou", "classical"] = "genrou"
     """synchronous machines: genrou with exciters, or classical"""
-    on_failure: Literal["terminate", "trip"] = "terminate"
-    """the failure of a rotor (stall, over-speed, under-speed) ends the run, or disconnects its group"""
+    on_failure: Literal["terminate", "trip"] | None = None
+    """the failure of a rotor (stall, over-speed, under-speed) ends the run, or disconnects its group; default: in
+    version v0 the end, in v1 the group"""
     physics: Literal["paper", "extended", "nrel-5mw"] | None = None
     """the paper's model; extended by what it leaves out; or that with the NREL 5 MW turbine; default: the suite's"""

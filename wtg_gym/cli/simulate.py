@@ -67,8 +67,8 @@ def simulate_scenario(
 
     These are the frequency's nadir and zenith, the largest rate of change of frequency over 500 ms, and where
     frequency, rotor speeds and powers end. The scenario is a seed of a suite or a file; its wind can be replaced. A run
-    ends early at a stall, an over-speed, an under-speed (extended physics), a frequency outside 47.5 … 51.5 Hz (in
-    suites of version v1: 48.5 … 51.5), lost synchronism or a voltage collapse. In the paper's grid, wind for another
+    ends early at a frequency outside 47.5 … 51.5 Hz, lost synchronism or a voltage collapse, in version v0 at a stall,
+    an over-speed or, in extended physics, an under-speed too. In the paper's grid, wind for another
     number of WTG groups than two puts as many at bus 2.
 
     examples:
@@ -101,7 +101,7 @@ def simulate_scenario(
         classical=plant.machine_model == "classical",
         control_dt=plant.control_dt,
         simulation_dt=plant.simulation_dt,
-        trips_groups=plant.on_failure == "trip",
+        trips_groups=(plant.on_failure or suite.benchmark.on_failure) == "trip",
     )
     every = STRATEGIES if suite.benchmark is V0 else STRATEGY_NAMES
     laws = _laws(strategy, settings.turbine, every)
@@ -178,7 +178,7 @@ def _plant_summary(plant: PlantOptions, suite: Suite, groups: tuple[WtgGroup, ..
         "control_dt_s": plant.control_dt,
         "simulation_dt_s": plant.simulation_dt,
         "machine_model": plant.machine_model,
-        "on_failure": plant.on_failure,
+        "on_failure": plant.on_failure or suite.benchmark.on_failure,
         "physics": plant.physics or suite.plant.physics,
     }
 

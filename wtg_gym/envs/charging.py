@@ -136,6 +136,7 @@ def charge_sensed_group(
     available_energy: float,
     mean_duty: float,
     leaves_at: float,
+    returns_at: float,
     state: WtgState,
     output: WtgOutput,
     group: GroupRows,
@@ -148,7 +149,7 @@ def charge_sensed_group(
 ) -> tuple[CostTerms, float, float, float, float]:
     """Add the rates of a WTG group whose duty is filtered; one that an event has disconnected is charged nothing."""
     costs = group_deviations(state, output, turbine, task)
-    there = select(step <= leaves_at, 1.0, 0.0)
+    there = select((step <= leaves_at) | (step > returns_at), 1.0, 0.0)
     costs = GroupDeviations(there * costs.duty, there * costs.rotor, there * costs.overload, there * costs.available)
     duty = there * filtered_duty(mean_duty, costs.duty, was_active > 0.5, task)
     charged = _charged(

@@ -21,7 +21,7 @@ from wtg_gym.envs.task import (
     task_data,
     task_of,
 )
-from wtg_gym.envs.task_records import CostTerms, Info
+from wtg_gym.envs.task_records import CostTerms, Info, LocalInfo
 from wtg_gym.envs.task_units import ACTING, HISTORY, SENSED, SENSORS, TASK
 from wtg_gym.physics.kernel_data import LaneData
 from wtg_gym.physics.linearisation import STEP_MARGIN, largest_stable_steps
@@ -99,6 +99,7 @@ class TaskLanes:
             sensed=self.suite.benchmark.sensed,
         )
         self.observation_names += [name for own in plant.further for name in own.names()]
+        self.info_names = (*Info._fields, *(LocalInfo._fields if plant.extended else ()))
         self.n_observation = len(self.observation_names)
         #: Numbers that each group has of its own in an observation, before its last actions; groups come first.
         self.n_local = N_MEASURED if self.suite.benchmark.sensed else N_LOCAL
@@ -225,6 +226,7 @@ class TaskLanes:
                 *range(first, first + size(SensorInput)),
                 *layout.first_rows(SENSED, "wind_bias"),
                 *layout.first_rows(SENSED, "leaves_at"),
+                *layout.first_rows(SENSED, "returns_at"),
             ]
             rows[:, places] = [self._sensor_numbers(scenario) for scenario in scenarios]
         else:
@@ -246,12 +248,14 @@ class TaskLanes:
             return []
         given = sensor_input(sensors, self.settings.control_dt, self.nominal_hz)
         biases = (0.0,) * self.n_wtg if sensors is None else sensors.wind_bias
-        leaves_at = [math.inf] * self.n_wtg
+        # A group that leaves twice is charged from its first return on.
+        leaves_at, returns_at, dt = [math.inf] * self.n_wtg, [math.inf] * self.n_wtg, self.settings.simulation_dt
         for event in scenario.events:
-            if isinstance(event, GroupTrip):
-                step = round(event.time_s / self.settings.simulation_dt)
-                leaves_at[event.group] = min(leaves_at[event.group], float(step))
-        return [*flatten(given), *biases, *leaves_at]
+            if isinstance(event, GroupTrip) and event.time_s < leaves_at[event.group] * dt:
+                leaves_at[event.group] = float(round(event.time_s / dt))
+                after = math.inf if event.returns_after_s is None else event.returns_after_s
+                returns_at[event.group] = leaves_at[event.group] + after / dt
+        return [*flatten(given), *biases, *leaves_at, *returns_at]
 
     def start(
         self,
@@ -339,7 +343,7 @@ class TaskLanes:
 
     def info_arrays(self) -> dict[str, npt.NDArray[Any]]:
         """Return every key of `info` as an array over lanes: copies, except the reasons while no lane has failed."""
-        arrays: dict[str, npt.NDArray[Any]] = dict(zip(Info._fields, self.outputs.infos.T.copy(), strict=True))
+        arrays: dict[str, npt.NDArray[Any]] = dict(zip(self.info_names, self.outputs.infos.T.copy(), strict=False))
         arrays["scenario_seed"] = self.scenario_seeds.copy()
         arrays["termination_reason"] = self._no_reasons
         if self.outputs.terminated.any():
@@ -350,8 +354,8 @@ class TaskLanes:
     def info(self) -> dict[str, Any]:
         """Return `info` of the first lane as numpy's floats, a whole number and text."""
         # numpy.float64 is a subclass of float, and has the dtype that TorchRL asks for.
-        # They are as many; to have that checked takes a tenth of the shortest step.
-        info: dict[str, Any] = dict(zip(Info._fields, self.outputs.infos[0], strict=False))
+        # To have it checked that there are values enough takes a tenth of the shortest step.
+        info: dict[str, Any] = dict(zip(self.info_names, self.outputs.infos[0], strict=False))
         info["scenario_seed"] = int(self.scenario_seeds[0])
         failed = self.outputs.terminated[0]
         info["termination_reason"] = TERMINATION_REASONS[Status(int(self.statuses()[0]))] if failed else ""

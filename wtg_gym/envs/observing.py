@@ -12,7 +12,7 @@ from wtg_gym.envs.observation import (
     observe_machine,
     observe_wtg,
 )
-from wtg_gym.envs.task_records import Acted, CostTerms, GroupRows, Info, Task
+from wtg_gym.envs.task_records import Acted, CostTerms, GroupRows, Info, LocalInfo, Task
 from wtg_gym.envs.task_units import ACTING, SENSED, TASK, WATCHED
 from wtg_gym.physics.machine import Machine, MachineOutput, MachineState
 from wtg_gym.physics.wind_turbine import Turbine, WtgOutput, WtgState
@@ -88,6 +88,12 @@ def inform(
     )
 
 
+@system(TASK, "local_info", when="extended")
+def inform_of_places(worst: float, shed_energy: float, base_mva: float, task: Task) -> LocalInfo:
+    """Return what `info` has besides in extended physics."""
+    return LocalInfo(task.nominal_hz * worst, base_mva * shed_energy)
+
+
 @system(TASK, "active")
 def end_episode(active: float, was_active: float, step: float, end_step: float) -> float:
     """Let a lane at its end stand still until it is started again."""
@@ -104,4 +110,5 @@ OBSERVE = (
     observe_whole_grid,
     Here("observe"),
     inform,
+    inform_of_places,
 )

@@ -97,7 +97,7 @@ class EnvArguments(TypedDict, total=False):
     simulation_dt: float
     weights: Mapping[str, float] | None
     machine_model: str
-    on_failure: str
+    on_failure: str | None
     physics: str | None
     sensors: str | Mapping[str, Any] | None
     version: str | None
@@ -122,10 +122,10 @@ class EnvSettings:
         weights: replaces single weights of the cost, see :class:`CostWeights`.
         machine_model: synchronous machines: `"genrou"`, with exciters, or `"classical"`.
         on_failure: consequence of a rotor's failure (stall, over-speed, under-speed): `"terminate"` the episode, or
-            `"trip"` its group and go on.
-        physics: `"paper"`: the paper's model, v0's; `"extended"`, v1's, adds rotor energy, current, power and reactive
-            limits, voltage control, a rotor under-speed trip, a governor dead band and load shedding, which no suite
-            has; `"nrel-5mw"` has the NREL 5 MW turbine besides. None: the suite's own.
+            `"trip"` its group and go on; None: the version's own, in v0 the end.
+        physics: `"paper"`: the paper's model, v0's; `"extended"`, v1's, adds rotor energy, limits of current, power,
+            torque and reactive power, voltage control, a rotor under-speed trip, a governor dead band and load
+            shedding; `"nrel-5mw"` has the NREL 5 MW turbine besides. None: the suite's own.
         sensors: of v1: `"exact"`, or values that replace those of the distribution of their errors
             (:class:`~wtg_gym.scenarios.sensor_distribution.SensorDistribution`), such as
             `{"delay_s": (0.2, 0.4), "wind_bias": 0.1}`. A delay is drawn between the two, in whole steps of 0.1 s up
@@ -148,7 +148,7 @@ class EnvSettings:
     simulation_dt: float = 0.025
     weights: Mapping[str, float] | None = None
     machine_model: str = "genrou"
-    on_failure: str = "terminate"
+    on_failure: str = None  # type: ignore[assignment]  # replaced below
     physics: str | None = None
     sensors: str | Mapping[str, Any] | None = None
     version: str | None = None
@@ -178,6 +178,8 @@ class EnvSettings:
         _require_choice("suite", suite, known)
         object.__setattr__(self, "suite", suite)
         object.__setattr__(self, "version", SUITES[suite].benchmark.version)
+        if self.on_failure is None:
+            object.__setattr__(self, "on_failure", SUITES[suite].benchmark.on_failure)
         if self.physics is None:
             object.__setattr__(self, "physics", SUITES[suite].plant.physics)
 

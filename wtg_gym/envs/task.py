@@ -20,7 +20,7 @@ from wtg_gym.envs.charging import CHARGE
 from wtg_gym.envs.measuring import MEASURE, START_SENSORS
 from wtg_gym.envs.observing import OBSERVE, end_episode
 from wtg_gym.envs.settings import ACTION_MODES, EnvSettings
-from wtg_gym.envs.task_records import Info, Task, Weights, n_delayed, rocof_window
+from wtg_gym.envs.task_records import Info, LocalInfo, Task, Weights, n_delayed, rocof_window
 from wtg_gym.envs.task_units import ACTING, HISTORY, RING, SENSED, SENSORS, SHIFTS, TASK, WATCHED, WINDOW
 from wtg_gym.physics import integration
 from wtg_gym.physics.integration import advance_interval
@@ -34,7 +34,7 @@ from wtg_gym.systems.routines import Routine
 from wtg_gym.systems.systems import Kind, count
 
 Observations = npt.NDArray[np.float32]
-N_INFO = len(Info._fields)
+N_INFO = len(Info._fields) + len(LocalInfo._fields)
 PROGRAMS = in_one_table(
     *integration.PROGRAMS,
     ACT=ACT,

@@ -104,6 +104,13 @@ class Info(NamedTuple):
     cost_failure: Annotated[float, "-", "what a failure costs at the end"]
 
 
+class LocalInfo(NamedTuple):
+    """What `info` has besides in extended physics."""
+
+    worst_frequency_hz: Annotated[float, "Hz", "frequency of the bus or unit that is farthest from nominal"]
+    shed_energy_mws: Annotated[float, "MW s", "load not served since the start, at 1 p.u. of voltage"]
+
+
 #: Window of the rate of change of frequency [s].
 ROCOF_WINDOW_S = 0.5
 COST_TERMS = CostTerms._fields

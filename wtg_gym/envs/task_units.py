@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from wtg_gym.envs.observation import GridObservation, MachineObservation, WtgObservation
-from wtg_gym.envs.task_records import Acted, CostTerms, GroupRows, Info, MeasuredObservation, Task
+from wtg_gym.envs.task_records import Acted, CostTerms, GroupRows, Info, LocalInfo, MeasuredObservation, Task
 from wtg_gym.physics.machine_unit import MACHINES
 from wtg_gym.physics.sensors import Noise, SensorInput, SensorState
 from wtg_gym.physics.units import LANE
@@ -36,6 +36,7 @@ TASK = Kind(
         "total_torque": float,  # of all machines [p.u.]
         "grid_observed": GridObservation,
         "info": Info,
+        "local_info": LocalInfo,  # follows it
     },
     constants={"task": Task},
     sees={"lane": LANE},
@@ -72,6 +73,7 @@ SENSED = Kind(
         "sensors": SensorState,
         "wind_bias": float,
         "leaves_at": float,  # simulation step at which an event disconnects it
+        "returns_at": float,  # and at which it comes back
         "mean_duty": float,  # signed duty error behind its filter, 0.05 of the available power
     },
     scratch={

@@ -148,9 +148,10 @@ class PlantSettings(Checked):
 
 #: Physics by name: the paper's, what :func:`plant_settings` adds to it, and the same with the NREL 5 MW turbine.
 PHYSICS = ("paper", "extended", "nrel-5mw")
-#: Dead band of the governors in extended physics [p.u.]: 36 mHz of 60 Hz. Source: North American Electric Reliability
-#: Corporation: Reliability Guideline: Primary Frequency Control.
-DEAD_BAND_PU = 0.0006
+#: Dead band of the governors in extended physics [p.u.]: 10 mHz of 50 Hz, the combined effect of insensitivity and dead
+#: band that frequency containment reserve of continental Europe may have. Source: Commission Regulation (EU) 2017/1485,
+#: annex V.
+DEAD_BAND_PU = 0.0002
 #: Rotor speed that trips a group in extended physics [p.u.]. A trip lies below the speeds of operation, which begin at
 #: 6.9 rpm, 0.57 p.u., for the NREL 5 MW turbine (NREL/TP-500-38060, table 1-1); the paper's has its size and speed. By
 #: design it is 12 % below, much as the over-speed trip is 10 % above the speed that the pitch defends.
@@ -160,9 +161,10 @@ ROTOR_SPEED_MIN_PU = 0.5
 def plant_settings(physics: str = "paper", **settings: Any) -> PlantSettings:
     """Return a plant with a kind of physics.
 
-    "extended" adds to the paper's model: a rotor that keeps its energy, current and power limits with a chopper,
-    terminal voltage control with reactive limits, a rotor under-speed trip, a governor dead band, and load shedding as
-    continental Europe asks for. "nrel-5mw" has the NREL 5 MW turbine and its C_p table besides.
+    "extended" adds to the paper's model: a rotor that keeps its energy, limits of current, power and torque with a
+    chopper, terminal voltage control with reactive limits, a rotor under-speed trip, a governor dead band, and load
+    shedding as continental Europe asks for; and it takes from machines without a governor their damping D, which would
+    be power without a source. "nrel-5mw" has the NREL 5 MW turbine and its C_p table besides.
 
     Args:
         physics: one of :data:`PHYSICS`.
@@ -180,6 +182,8 @@ def plant_settings(physics: str = "paper", **settings: Any) -> PlantSettings:
     if not isinstance(case, NetworkCase):
         raise ValueError(f"case must be a NetworkCase, got {case!r}")
     case = case.with_governors(lambda g: g if g.dead_band_pu else dataclasses.replace(g, dead_band_pu=DEAD_BAND_PU))
+    machines = (m if m.governor is not None else dataclasses.replace(m, damping_pu=0.0) for m in case.machines)
+    case = dataclasses.replace(case, machines=tuple(machines))
     extended: dict[str, Any] = {
         "turbine": nrel_5mw() if physics == "nrel-5mw" else TurbineParameters(conserves_energy=True),
         "limits": ConverterLimitParameters(),
@@ -291,6 +295,7 @@ def build_plant(settings: PlantSettings) -> Plant:
         buses=structured(Bus, buses),
         of_lane={
             "omega_n": 2.0 * math.pi * case.frequency_hz,
+            "base_mva": base,
             "simulation_dt": settings.simulation_dt,
             "limits": turbine.limits,
             "trips_groups": settings.trips_groups,

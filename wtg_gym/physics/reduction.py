@@ -196,7 +196,7 @@ def _shed(block: Floats, x: int, network: Network, events: Floats) -> None:
             if events[e, EVENT.bus] == k and step >= start:
                 load += events[e, EVENT.active] * (1.0 if step >= end else (step - start) / (end - start))
         for s in range(n_stages if island >= 0 else 0):
-            if -1.0 - block[facts.stages + n_stages * island + s, x] == step:
+            if step >= 0.0 and -1.0 - block[facts.stages + n_stages * island + s, x] == step:
                 block[row + _OF_BUS.served, x] = max(block[row + _OF_BUS.served, x] - network.shed_shares[s], 0.0)
         unserved += load * (1.0 - (block[row + _OF_BUS.served, x] if island >= 0 else 0.0))
     block[facts.lane + OF_LANE.unserved, x] = unserved

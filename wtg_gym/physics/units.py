@@ -120,6 +120,7 @@ LANE = Kind(
     },
     constants={
         "omega_n": float,
+        "base_mva": float,
         "simulation_dt": float,
         "limits": Limits,
         "trips_groups": bool,

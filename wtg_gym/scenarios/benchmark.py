@@ -22,6 +22,7 @@ class Benchmark:
     k_authority: float  # offset on k at full action, as a share of K_opt - K_pr [-]
     sensed: bool  # whether policies see what sensors measure, not what there is
     duty_time_s: float  # time constant of the filter behind which the duty is charged; 0 for none [s]
+    on_failure: str = "terminate"  # what the failure of a rotor does, unless an environment is asked for the other
     #: Name and value of the cost's weights that are not those of :class:`~wtg_gym.envs.settings.CostWeights`.
     weights: tuple[tuple[str, float], ...] = ()
     anchors: tuple[str, str]  # names of the entries that score 0 and 100
@@ -59,7 +60,6 @@ class SuitePlant:
     physics: str = "paper"  # see plant_settings
     generator_mva: float | None = None  # rating of the generator at bus 1, None for the paper's [MVA]
     governor: GovernorParameters | None = None  # of that generator, None for the paper's
-    frequency_limits_hz: tuple[float, float] | None = None  # beyond which a run has failed, None for the paper's [Hz]
     overload_from_pu: float | None = None  # power above which a converter counts as overloaded [p.u.]
 
     def settings(
@@ -78,11 +78,6 @@ class SuitePlant:
             machines = [dataclasses.replace(m, **changes) if m.bus == case.slack_bus else m for m in case.machines]
             case = dataclasses.replace(case, machines=tuple(machines))
         plant = plant_settings(physics or self.physics, case=case, groups=groups or self.groups, **steps)
-        if self.frequency_limits_hz is not None:
-            low, high = (limit / case.frequency_hz for limit in self.frequency_limits_hz)
-            protection = dataclasses.replace(plant.protection, frequency_min_pu=low, frequency_max_pu=high)
-            # No load is shed, although stages begin above such a limit.
-            plant = dataclasses.replace(plant, protection=protection, shedding=())
         if self.overload_from_pu is not None:
             control = dataclasses.replace(plant.control, overload_limit_pu=self.overload_from_pu)
             plant = dataclasses.replace(plant, control=control)
@@ -101,6 +96,7 @@ V1 = Benchmark(
     k_authority=1.0,
     sensed=True,
     duty_time_s=15.0,
+    on_failure="trip",
     # Duty weighs as much as frequency, since the wind is most of the power; RoCoF five times as much as in v0, since
     # the synchronous machines have less than a third of v0's inertia: 0.82 instead of 2.86 GWs on average.
     weights=(("rocof", 20.0), ("duty", 1.0), ("rotor", 20.0), ("cap", 15.0)),

@@ -40,6 +40,10 @@ TRIPPABLE_LINES = (
 #: The same without 1-2, which carries most of the output of bus 1: with a load event on top, no wind
 #: controller could save the run.
 _SURVIVABLE_LINES = TRIPPABLE_LINES[1:]
+#: Least share of the generator's units that is on line, by design: one of five.
+LEAST_COMMITTED = 0.2
+#: Share of the load that the network loses, at most.
+LOSSES = 0.05
 #: Mean winds that are drawn for a share of the load before it counts as impossible.
 _MOST_DRAWS = 1000
 #: Bus, largest load increase and largest decrease there [MW]: less at the buses behind weak lines; the
@@ -120,6 +124,20 @@ class ScenarioDistribution(Checked):
     machine_outage_buses: tuple[int, ...] = design((3, 6, 8), "-", "buses whose machine may disconnect")
     line_reclosing_s: Span | None = design(
         None, "s", "time after which a tripped line comes back; None: it does not", 0.1, 3600.0
+    )
+    generator_mva: float | None = design(
+        None,
+        "MVA",
+        "rating of all units of the generator, where as many are committed as machine_loading asks",
+        1.0,
+        1e5,
+    )
+    machine_loading: Span | None = design(
+        None,
+        "-",
+        "load that the wind leaves, over the rating of the generator's units on line; None: all are",
+        0.05,
+        1.0,
     )
 
     def __post_init__(self) -> None:
@@ -215,6 +233,7 @@ class ScenarioDistribution(Checked):
                 load_level=plan.load_level,
                 governor_droop=plan.governor_droop,
                 inertia_scale=plan.inertia_scale,
+                committed=self._committed(plan, turbines, speed[:, 0]),
                 sensors=None,
                 seed=int(seed),
             )
@@ -233,7 +252,22 @@ class ScenarioDistribution(Checked):
             wind_event=self._wind_event(pick, len(turbines), n_samples, window),
         )
         # Last in the stream, so that suites without them draw what they always drew.
-        return plan._replace(events=(*plan.events, *self._outages(pick, turbines, window)))
+        plan = plan._replace(events=(*plan.events, *self._outages(pick, turbines, window)))
+        if self.machine_loading is None:
+            return plan
+        return plan._replace(machine_loading=pick.between(self.machine_loading))
+
+    def _committed(self, plan: _Plan, turbines: list[float], first_winds: FloatArray) -> float:
+        """Return the share of the generator's units on line: enough for what the wind leaves, on average and at first.
+
+        Where all of them do not suffice at the loading that was drawn, they carry more.
+        """
+        if plan.machine_loading is None or self.generator_mva is None:
+            return 1.0
+        load_mw = plan.load_level * modified_ieee14().load_mw
+        given = min(wind.share_of_load(winds, turbines, load_mw) for winds in (plan.mean_winds, first_winds.tolist()))
+        needed = (1.0 + LOSSES - given) * load_mw / (plan.machine_loading * self.generator_mva)
+        return min(max(needed, LEAST_COMMITTED), 1.0)
 
     @cached_property
     def _load_rooms(self) -> tuple[dict[int, float], dict[int, float]]:
@@ -396,3 +430,4 @@ class _Plan(NamedTuple):
     intensity: float
     mean_winds: list[float]
     wind_event: tuple[int | slice, FloatArray] | None
+    machine_loading: float | None = None

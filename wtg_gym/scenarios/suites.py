@@ -47,8 +47,7 @@ def _wind_plant(generator_mva: float, *turbines: float) -> SuitePlant:
         groups=tuple(WtgGroup(bus=bus, n_turbines=n) for bus, n in zip((2, 3, 6, 8), turbines, strict=True)),
         physics="extended",
         generator_mva=generator_mva,
-        governor=GovernorParameters(lead_time_s=1.0, reheat_time_s=10.0),
-        frequency_limits_hz=(48.5, 51.5),
+        governor=GovernorParameters(gate_max_pu=1.0),
         overload_from_pu=1.05,
     )
 
@@ -69,7 +68,8 @@ _WIND_SCENARIOS: Mapping[str, Any] = MappingProxyType(
         "load_trip_buses": (9, 14),
         "line_trip_probability": 0.1,
         "governor_droop": (0.03, 0.08),
-        "inertia_scale": (0.25, 0.6),
+        "inertia_scale": (1.0, 1.0),
+        "machine_loading": (0.5, 0.85),
         "governor_loss_probability": 0.05,
         "group_trip_probability": 0.05,
     }
@@ -85,6 +85,7 @@ def _drawn_v1(
     **settings: Any,
 ) -> Suite:
     """Return a suite of version v1; `scenarios_of` names another suite that it shares all but the sensors with."""
+    given = {**_WIND_SCENARIOS, "generator_mva": plant.generator_mva, **settings}
     return Suite(
         name=f"{name}-v1",
         description=description,
@@ -92,7 +93,7 @@ def _drawn_v1(
         benchmark=V1,
         plant=plant,
         sensors=sensors or SensorDistribution(),
-        distribution=ScenarioDistribution(name=f"{scenarios_of or name}-v1", **{**_WIND_SCENARIOS, **settings}),
+        distribution=ScenarioDistribution(name=f"{scenarios_of or name}-v1", **given),
         validation=range(10_000, 10_200),
         test=range(20_000, 21_000),
     )
@@ -158,7 +159,6 @@ SUITES: Mapping[str, Suite] = MappingProxyType(
                 wind_share=(0.6, 0.83),
                 load_event_mw=(6.0, 24.0),
                 net_load_change_mw=27.0,
-                inertia_scale=(0.35, 0.7),
             ),
             _drawn_v1(
                 "gusty",
