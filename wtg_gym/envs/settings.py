@@ -97,7 +97,7 @@ class EnvArguments(TypedDict, total=False):
     simulation_dt: float
     weights: Mapping[str, float] | None
     machine_model: str
-    on_failure: str | None
+    on_failure: str
     physics: str | None
     sensors: str | Mapping[str, Any] | None
     version: str | None
