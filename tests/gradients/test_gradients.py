@@ -49,7 +49,7 @@ def played(tape: Tape, scenarios: list[Scenario], actions: Floats, law: Floats |
     return np.sum([tape.step(own)[1] for own in actions], axis=0)
 
 
-def slopes(tape: Tape, scenarios: list[Scenario], actions: Floats, way: Floats, h: float = 1e-5) -> Floats:
+def slopes(tape: Tape, scenarios: list[Scenario], actions: Floats, way: Floats, h: float = 1e-6) -> Floats:
     """Central differences of the terms along a way through the actions (n_lanes, n_terms)."""
     up, down = (played(tape, scenarios, actions + sign * h * way) for sign in (1.0, -1.0))
     return (up - down) / (2.0 * h)
@@ -126,7 +126,7 @@ def test_the_gradient_of_each_term_is_that_of_central_differences(
 @pytest.mark.parametrize("settings", [{}, V1])
 def test_the_gradient_with_respect_to_the_law_is_that_of_central_differences(settings: dict[str, Any]) -> None:
     tape = tape_of(**settings)
-    scenarios, actions, h = drawn(tape), actions_of(tape, 100), 1e-5
+    scenarios, actions, h = drawn(tape), actions_of(tape, 100), 1e-6
     found = tape.gradient(scenarios, actions)
     tape.start(scenarios)
     law = tape.law()

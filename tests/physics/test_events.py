@@ -23,7 +23,7 @@ from wtg_gym.physics.scenario import (
 )
 from wtg_gym.physics.simulator import Simulator
 from wtg_gym.physics.tracking_law import STRATEGIES
-from wtg_gym.physics.units import BUSES, LANE, PAIRS, UNITS
+from wtg_gym.physics.units import BUSES, ISLANDS, PAIRS, UNITS
 
 LAWS = (STRATEGIES["coordinated-piecewise"],) * 2
 CASE = modified_ieee14()
@@ -156,5 +156,5 @@ def test_a_condenser_after_its_outage_feeds_in_nothing_and_counts_nowhere(simula
         )
         angles = np.concatenate([simulator.machine_values("angle")[0, stays], simulator.wtg_values("angle")[0]])
         for name, angle in (("least_angle", angles.min()), ("largest_angle", angles.max())):
-            assert simulator.scratches[0][layout.first_rows(LANE, name)] == [angle]
+            assert simulator.scratches[0][layout.first_rows(ISLANDS, name)[0]] == [angle]
     assert np.ptp(speeds) > 1e-6

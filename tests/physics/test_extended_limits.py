@@ -42,7 +42,7 @@ from wtg_gym.systems.routines import Routine
 @pytest.mark.parametrize("disturbance", ["fault", "load"])
 def test_limits_are_held_and_left_without_wind_up(table: bool, disturbance: str) -> None:
     # The hydro governor is slow: under more load the groups lose synchronism.
-    load = pulse(2, 160.0, until_s=5.0) if table else pulse(2, 250.0, until_s=11.0)
+    load = pulse(2, 160.0, until_s=5.0) if table else pulse(2, 200.0, until_s=11.0)
     events = fault() if disturbance == "fault" else load
     settings = plant(table=table, control_dt=0.025, shedding=NO_SHEDDING)
     simulator = started(settings, scenario(*events, duration_s=180.0), duration_s=180.0)
@@ -184,7 +184,7 @@ def deviations(settings: PlantSettings, what: Scenario, expected: tuple[Floats, 
     return float(speed), float(angle), current
 
 
-@pytest.mark.parametrize("events", [fault(duration_s=0.2), pulse(2, 250.0, until_s=11.0)], ids=["fault", "load"])
+@pytest.mark.parametrize("events", [fault(duration_s=0.2), pulse(2, 200.0, until_s=11.0)], ids=["fault", "load"])
 def test_the_default_step_follows_tight_integration_while_limits_bind(events: tuple[LoadStep, ...]) -> None:
     what = scenario(*events)
     expected = reference_run(plant(shedding=NO_SHEDDING), what, 20.0, "DOP853")

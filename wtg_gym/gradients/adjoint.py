@@ -36,7 +36,7 @@ from wtg_gym.physics.kernel_data import LaneData, Network
 from wtg_gym.physics.layout import Floats, Layout, Whole
 from wtg_gym.physics.units import PAIRS, UNITS
 from wtg_gym.systems.compiled import compiled, internal
-from wtg_gym.systems.programs import NONE, Arrangement, Program, in_one_table
+from wtg_gym.systems.programs import NONE, Arrangement, Program, in_one_table, unconditional
 from wtg_gym.systems.routines import Routine
 from wtg_gym.systems.systems import Kind, count
 from wtg_gym.systems.writers import BackWithoutConstants, BackWriter, NotingWriter, TapedWriter, Writer
@@ -54,7 +54,7 @@ PROGRAMS = in_one_table(
     SWEEP=of_step.SWEEP,
     MOTION=(*of_step.CAPTURE, *of_step.MOVE),
     RATES=(*of_step.CAPTURE, *of_step.RATES),
-    FINISHED=of_step.MOVED,
+    FINISHED=unconditional(of_step.MOVED),
     CHARGED=CHARGE,
     MEASURED=MEASURE,
     OBSERVED=OBSERVE,

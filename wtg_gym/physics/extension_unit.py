@@ -12,7 +12,7 @@ from wtg_gym.physics.extended_converter import (
     power_limiter,
 )
 from wtg_gym.physics.runge_kutta import moving
-from wtg_gym.physics.units import BUSES, LANE, PAIRS, UNITS, Connection, Phasor, StartFailure, Terminal, noted
+from wtg_gym.physics.units import BUSES, LANE, PAIRS, UNITS, Connection, Phasor, StartFailure, Terminal, noted, plus
 from wtg_gym.physics.wind_turbine import (
     Extension,
     ExtensionOutput,
@@ -67,12 +67,10 @@ def start_extension(start: Terminal, emf: float, share: float) -> tuple[Extensio
 
 
 @system(EXTENSIONS, "own", "heat")
-def return_extension(
-    own: ExtensionState, heat: float, returns: float, bus_phasor: Phasor
-) -> tuple[ExtensionState, float]:
+def return_extension(own: ExtensionState, heat: float, returns: float, bus_now: Phasor) -> tuple[ExtensionState, float]:
     """Return the voltage of its bus and a limiter at rest for a group that comes back, with a cold chopper."""
     back, limits = returns > 0.5, own.limits
-    found = ExtensionState(LimitState(0.0, 0.0, limits.energy_chopped), math.hypot(bus_phasor.re, bus_phasor.im))
+    found = ExtensionState(LimitState(0.0, 0.0, limits.energy_chopped), math.hypot(bus_now.re, bus_now.im))
     return each(lambda new, old: select(back, new, old), found, own), select(back, 0.0, heat)
 
 
@@ -138,7 +136,7 @@ def _limit(
     settled: float,
 ) -> tuple[float, Phasor, Phasor, float]:
     y, e = own_entry_admittance, voltage
-    free = _plus(current, y, Phasor(source.re - e.re, source.im - e.im))
+    free = plus(current, y, Phasor(source.re - e.re, source.im - e.im))
     reactance = limiting_reactance(free.re, free.im, y.re, y.im, extension.limits.current_max * share)
     # E' = E - jX_v I, and I = I_0 / (1 + jX_v Y).
     d_re, d_im = 1.0 - reactance * y.im, reactance * y.re
@@ -185,11 +183,7 @@ def limit_current(
 @system(COLUMNS, "current")
 def follow_change(current: Phasor, admittance: Phasor, change: Phasor) -> Phasor:
     """Return the current of a unit after the voltage of a group has changed."""
-    return _plus(current, admittance, change)
-
-
-def _plus(total: Phasor, y: Phasor, e: Phasor) -> Phasor:
-    return Phasor(total.re + fma(y.re, e.re, -(y.im * e.im)), total.im + fma(y.re, e.im, y.im * e.re))
+    return plus(current, admittance, change)
 
 
 @system(EXTENSIONS, "state_rates", "own_rates", "output", "terminal")
@@ -199,7 +193,7 @@ def rates_of_extended(
     voltage: Phasor,
     current: Phasor,
     reactance: float,
-    bus_phasor: Phasor,
+    bus_magnitude: float,
     given: WtgInput,
     references: VoltageInput,
     captured: float,
@@ -229,8 +223,7 @@ def rates_of_extended(
         voltage.re, voltage.im, inv_share * current.re, inv_share * current.im, reactance, share, turbine.converter
     )
     # A group that is disconnected measures its bus.
-    apart = math.sqrt(fma(bus_phasor.re, bus_phasor.re, bus_phasor.im * bus_phasor.im))
-    seen = select(given.connected > 0.5, terminal.terminal_voltage, apart)
+    seen = select(given.connected > 0.5, terminal.terminal_voltage, bus_magnitude)
     terminal = terminal._replace(terminal_voltage=seen)
     rates, own_rates = extended_rates(
         rates, state, own, (limit_rates, drawn), terminal, given, references, turbine, extension

@@ -106,7 +106,8 @@ def advance_interval(block: Floats, scratch: Floats, first_lane: int, network: N
     enter_interval(block, first_lane, network, data)
     combine_load_noise(arrays, tables, NONE)
     for step in range(n_substeps):
-        if apply_events(block, first_lane, network, data):
+        # Again where units come back: they are synchronised first, then the network has them.
+        while apply_events(block, first_lane, network, data):
             # For the whole block: a lane without a change gets the same bits again.
             combine_load_noise(arrays, tables, NONE)
         for stage in range(4):

@@ -1,17 +1,19 @@
 """Local frequency: at every bus, from the angle of its voltage, and the farthest from nominal of all buses and units.
 
-    f += (1 - exp(-h / T)) (Δθ / (ω_n h) - f)        after every step h, Δθ the turn of the voltage in it
+    f += (1 - exp(-Δ / T)) (Δθ / (ω_n Δ) - f)        whenever protections sample, Δ after the last time
 
-is the derivative of the angle behind a low-pass filter T, exact for an angle that moves evenly within a step. It starts
-at nominal frequency, and waits while the voltage is below :data:`LOW_VOLTAGE`, as a relay does.
+is the derivative of the angle behind a low-pass filter T, exact for an angle that turns evenly in between; Δθ is taken
+between -π and π in the frame of the angles. It starts at nominal frequency, and waits while the voltage is below
+:data:`LOW_VOLTAGE`, as a relay does.
 """
 
 from __future__ import annotations
 
 import math
 
-from wtg_gym.physics.units import BUSES, LANE, TRANSFERS, UNITS, Phasor
-from wtg_gym.systems.elementary import fma, select
+from wtg_gym.physics.units import BUSES, LANE, TRANSFERS, UNITS, Phasor, Sampled, plus
+from wtg_gym.systems.elementary import exponential, fma, select
+from wtg_gym.systems.programs import Product
 from wtg_gym.systems.systems import system
 
 #: Time constant T of the filter [s]: a design value, the length of the shortest window of loss-of-mains relays.
@@ -38,15 +40,16 @@ _ARCTAN = (
 
 
 def turn_between(before: Phasor, now: Phasor) -> float:
-    """Return the angle from one voltage to another [rad], within ±π/2: twice the arctangent of the half."""
+    """Return the angle from one voltage to another [rad]: twice the arctangent of the tangent of its half."""
     re = fma(now.re, before.re, now.im * before.im)
     im = fma(now.im, before.re, -(now.re * before.im))
-    t = im / max(math.sqrt(re * re + im * im) + re, 1e-12)
-    t = min(max(t, -1.0), 1.0)
+    opposite, adjacent = abs(im), math.sqrt(fma(re, re, im * im)) + re
+    t = min(opposite, adjacent) / max(max(opposite, adjacent), 1e-300)
     square, total = t * t, _ARCTAN[-1]
     for coefficient in _ARCTAN[-2::-1]:
         total = fma(total, square, coefficient)
-    return 2.0 * t * total
+    size = select(opposite > adjacent, math.pi - 2.0 * (t * total), 2.0 * (t * total))
+    return select(im < 0.0, -size, size)
 
 
 @system(LANE, "noise_voltage", when="extended")
@@ -58,82 +61,97 @@ def begin_noise_voltage() -> Phasor:
 @system(UNITS, "noise_voltage", when="extended")
 def add_noise_voltage(transfer: Phasor, voltage: Phasor, noise_voltage: Phasor) -> Phasor:
     """Add what a unit brings to it."""
-    return _plus(noise_voltage, transfer, voltage)
+    return plus(noise_voltage, transfer, voltage)
+
+
+@system(LANE, "noise_voltage", when="extended")
+def noise_current(noise_voltage: Phasor, noise_factor: Phasor) -> Phasor:
+    """Turn it into the current of the load noise [p.u.]."""
+    return plus(Phasor(0.0, 0.0), noise_voltage, noise_factor)
 
 
 @system(BUSES, "now", when="extended")
-def begin_voltage(noise_voltage: Phasor, noise_factor: Phasor, noise_transfer: Phasor) -> Phasor:
-    """Begin the voltage of a bus with what the load noise takes away."""
-    drawn = _plus(Phasor(0.0, 0.0), noise_factor, noise_voltage)
-    taken = _plus(Phasor(0.0, 0.0), drawn, noise_transfer)
-    return Phasor(-taken.re, -taken.im)
+def with_noise(now: Phasor, noise_voltage: Phasor, noise_transfer: Phasor) -> Phasor:
+    """Take from the voltage of a bus what the load noise draws."""
+    return plus(now, Phasor(-noise_voltage.re, -noise_voltage.im), noise_transfer)
 
 
-@system(TRANSFERS, "bus_now", when="extended")
-def add_voltage(bus_now: Phasor, share: Phasor, unit_voltage: Phasor) -> Phasor:
-    """Add what a unit brings to the voltage of a bus."""
-    return _plus(bus_now, share, unit_voltage)
+#: Voltages of all buses, from those of all units.
+BUS_VOLTAGES = (
+    begin_noise_voltage,
+    add_noise_voltage,
+    noise_current,
+    Product(TRANSFERS, "share", UNITS, "voltage", "now", of=BUSES),
+    with_noise,
+)
 
 
-def _plus(total: Phasor, a: Phasor, b: Phasor) -> Phasor:
-    return Phasor(total.re + fma(a.re, b.re, -(a.im * b.im)), total.im + fma(a.re, b.im, a.im * b.re))
+@system(LANE, "lowest", "highest", "sampled", when="extended")
+def begin_sample(
+    angle: float, sampled_angle: float, step: float, sampled_step: float, omega_n: float, simulation_dt: float
+) -> tuple[float, float, Sampled]:
+    """Begin to look for the frequency that is farthest from nominal, and find how far the frame has turned."""
+    passed = max(step - sampled_step, 1.0) * simulation_dt
+    gain = 1.0 - exponential(passed * (-1.0 / FILTER_S))
+    return math.inf, -math.inf, Sampled(1.0 / (omega_n * passed), angle - sampled_angle, gain)
 
 
-@system(BUSES, "phasor", "frequency", when="extended")
-def turn_bus(
+@system(BUSES, "phasor", "magnitude", "frequency", "lowest", "highest", when="extended")
+def sample_bus(
     phasor: Phasor,
     now: Phasor,
+    magnitude: float,
     frequency: float,
-    angle: float,
-    angle_base: float,
+    island: float,
+    sampled: Sampled,
+    lowest: float,
+    highest: float,
     active: float,
-    omega_n: float,
-    simulation_dt: float,
-    frequency_gain: float,
-) -> tuple[Phasor, float]:
-    """Return the new voltage, and the frequency that its turn shows."""
-    measured = 1.0 + (angle - angle_base + turn_between(phasor, now)) / (omega_n * simulation_dt)
-    seen = fma(now.re, now.re, now.im * now.im) > LOW_VOLTAGE * LOW_VOLTAGE
-    runs = active > 0.5
-    moved = frequency + frequency_gain * (measured - frequency)
+) -> tuple[Phasor, float, float, float, float]:
+    """Return the new voltage, the frequency that its turn shows, and the extremes with it."""
+    measured = 1.0 + (sampled.turn + turn_between(phasor, now)) * sampled.per_turn
+    live, runs = island >= 0.0, active > 0.5
+    size = math.sqrt(fma(now.re, now.re, now.im * now.im))
+    seen = runs & live & (size > LOW_VOLTAGE)
+    found = select(seen, frequency + sampled.gain * (measured - frequency), frequency)
     held = Phasor(select(runs, now.re, phasor.re), select(runs, now.im, phasor.im))
-    return held, select(runs & seen, moved, frequency)
-
-
-@system(BUSES, "phasor", "frequency", when="extended")
-def start_bus(now: Phasor) -> tuple[Phasor, float]:
-    """Return the voltage that a run starts with, at nominal frequency."""
-    return now, 1.0
-
-
-@system(LANE, "lowest", "highest", when="extended")
-def begin_worst() -> tuple[float, float]:
-    """Begin to look for the frequency that is farthest from nominal."""
-    return math.inf, -math.inf
-
-
-@system(BUSES, "lowest", "highest", when="extended")
-def compare_bus(frequency: float, island: float, lowest: float, highest: float) -> tuple[float, float]:
-    """Compare a bus that has a voltage."""
-    counts = island >= 0.0
-    return min(lowest, select(counts, frequency, lowest)), max(highest, select(counts, frequency, highest))
+    size = select(runs, size, magnitude)
+    return held, size, found, min(lowest, select(live, found, lowest)), max(highest, select(live, found, highest))
 
 
 @system(UNITS, "lowest", "highest", when="extended")
-def compare_unit(frequency: float, weight: float, lowest: float, highest: float) -> tuple[float, float]:
+def sample_unit(frequency: float, weight: float, lowest: float, highest: float) -> tuple[float, float]:
     """Compare a connected unit."""
     counts = weight > 0.0
     return min(lowest, select(counts, frequency, lowest)), max(highest, select(counts, frequency, highest))
 
 
-@system(LANE, "worst", "worst_min", "worst_max", when="extended")
+@system(LANE, "worst", "worst_min", "worst_max", "sampled_angle", "sampled_step", when="extended")
 def note_worst(
-    lowest: float, highest: float, worst: float, worst_min: float, worst_max: float, active: float
-) -> tuple[float, float, float]:
-    """Note the worst frequency now, and the extremes since the start."""
+    lowest: float,
+    highest: float,
+    worst: float,
+    worst_min: float,
+    worst_max: float,
+    angle: float,
+    step: float,
+    active: float,
+) -> tuple[float, float, float, float, float]:
+    """Note the worst frequency now, the extremes since the start, and when this was."""
     runs, farther = active > 0.5, select(1.0 - lowest > highest - 1.0, lowest, highest)
     return (
         select(runs, farther, worst),
         select(runs, min(worst_min, lowest), worst_min),
         select(runs, max(worst_max, highest), worst_max),
+        angle,
+        step,
     )
+
+
+LOCAL = (*BUS_VOLTAGES, begin_sample, sample_bus, sample_unit, note_worst)
+
+
+@system(BUSES, "phasor", "magnitude", "frequency", when="extended")
+def start_bus(now: Phasor) -> tuple[Phasor, float, float]:
+    """Return the voltage that a run starts with, at nominal frequency."""
+    return now, math.hypot(now.re, now.im), 1.0

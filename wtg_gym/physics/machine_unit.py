@@ -19,7 +19,7 @@ from wtg_gym.physics.machine import (
     machine_voltage,
 )
 from wtg_gym.physics.runge_kutta import moving
-from wtg_gym.physics.units import BUSES, LANE, UNITS, Connection, Phasor, StartFailure, Terminal, noted
+from wtg_gym.physics.units import BUSES, ISLANDS, LANE, UNITS, Connection, Phasor, StartFailure, Terminal, noted
 from wtg_gym.systems.elementary import select
 from wtg_gym.systems.records import each
 from wtg_gym.systems.systems import Kind, system
@@ -29,7 +29,7 @@ MACHINES = Kind(
     rows={"state": MachineState, "given": MachineInput, "emf": MachineVoltage, "output": MachineOutput},
     scratch={"hydro_torque": float},  # of its hydro governor, if it has one [p.u.]
     constants={"machine": Machine, "dispatch": float},
-    sees={"unit": UNITS, "bus_": BUSES, "lane": LANE},
+    sees={"unit": UNITS, "bus_": BUSES, "island": ISLANDS, "lane": LANE},
     states=("state",),
 )
 #: The first machine: its speed turns the frame of all angles, after an outage too.
@@ -125,17 +125,17 @@ def rates_of_machine(
     return rates, MachineOutput(committed * output.power, output.voltage, committed * (given.connected * torque))
 
 
-@system(MACHINES, "state", when="extended")
+@system(MACHINES, "state", "connected", when="extended")
 def return_machine(
-    state: MachineState, returns: float, bus_phasor: Phasor, bus_frequency: float, machine: Machine
-) -> MachineState:
+    state: MachineState, connected: float, returns: float, bus_now: Phasor, bus_frequency: float, machine: Machine
+) -> tuple[MachineState, float]:
     """Synchronise a machine that comes back: at its bus's voltage and frequency, without load, its gate closed."""
-    v, back = math.hypot(bus_phasor.re, bus_phasor.im), returns > 0.5
+    v, back = math.hypot(bus_now.re, bus_now.im), returns > 0.5
     exciter, _ = exciter_start(v, machine.exciter)
     found = MachineState(
-        math.atan2(bus_phasor.im, bus_phasor.re), bus_frequency, v, 0.0, v, 0.0, exciter, GovernorState(0.0, 0.0)
+        math.atan2(bus_now.im, bus_now.re), bus_frequency, v, 0.0, v, 0.0, exciter, GovernorState(0.0, 0.0)
     )
-    return each(lambda new, old: select(back, new, old), found, state)
+    return each(lambda new, old: select(back, new, old), found, state), select(back, 1.0, connected)
 
 
 stage_of_machine = moving(rates_of_machine, machine_limited, constants=["machine"])

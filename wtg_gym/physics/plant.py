@@ -22,7 +22,6 @@ from wtg_gym.physics.hydro_unit import HYDRO
 from wtg_gym.physics.ieee14 import modified_ieee14
 from wtg_gym.physics.kernel_data import Facts, Network, structured
 from wtg_gym.physics.layout import Layout
-from wtg_gym.physics.local_frequency import FILTER_S
 from wtg_gym.physics.machine import Machine, machine_constants
 from wtg_gym.physics.machine_parameters import HydroGovernorParameters
 from wtg_gym.physics.machine_unit import FIRST_MACHINE, MACHINES
@@ -296,12 +295,12 @@ def build_plant(settings: PlantSettings) -> Plant:
         of_lane={
             "omega_n": 2.0 * math.pi * case.frequency_hz,
             "base_mva": base,
+            "shedding_speed": max([stage.speed for stage in stages], default=0.0),
             "simulation_dt": settings.simulation_dt,
             "limits": turbine.limits,
             "trips_groups": settings.trips_groups,
             "reactive_max": extension.voltage.reactive_max,
             "voltage_gain": extension.voltage.gain,
-            "frequency_gain": -math.expm1(-settings.simulation_dt / FILTER_S),
         },
         further=joined,
     )
@@ -338,7 +337,7 @@ def layout_of(plant: Plant, further: Further | None = None) -> Layout:
         BUSES: n_bus,
         UNITS: n_unit,
         ISLANDS: n_islands,
-        MEMBERS: n_islands * n_unit,
+        MEMBERS: (n_islands - 1) * n_unit,
         MAIN: 1,
         TRANSFERS: n_transfers,
         PAIRS: n_unit * n_unit,
@@ -352,9 +351,11 @@ def layout_of(plant: Plant, further: Further | None = None) -> Layout:
         (GROUPS, "bus_"): plant.network.unit_bus[groups],
         (EXTENSIONS, "bus_"): plant.network.unit_bus[groups[:n_extended]],
         (HYDRO, "unit"): plant.hydro["machine"],
-        (MEMBERS, "unit_"): np.tile(np.arange(n_unit), n_islands),
-        (MEMBERS, "island_"): np.repeat(np.arange(n_islands), n_unit),
+        (MEMBERS, "unit_"): np.tile(np.arange(n_unit), n_islands - 1),
+        (MEMBERS, "island_"): np.repeat(np.arange(1, n_islands), n_unit),
         (MAIN, "island"): np.zeros(1, dtype=np.int64),
+        (MACHINES, "island"): np.zeros(n_sync, dtype=np.int64),
+        (GROUPS, "island"): np.zeros(n_wtg, dtype=np.int64),
         (STAGES, "island"): np.repeat(np.arange(n_islands), n_stages),
         (TRANSFERS, "unit_"): np.tile(np.arange(n_unit), n_bus)[:n_transfers],
         (TRANSFERS, "bus_"): np.repeat(np.arange(n_bus), n_unit)[:n_transfers],
@@ -408,6 +409,8 @@ class Arranged:
         self._has.add("extended" if plant.extension.size else "constant voltage")
         if not plant.machines.size:
             self._has.add("no machine")
+        if plant.shedding.size:
+            self._has.add("sheds")
         ratings, weights = plant.machines["rating"].tolist(), plant.machines["reactive_weight"].tolist()
         sizes = [(rating, weight, 0.0) for rating, weight in zip(ratings, weights, strict=True)]
         sizes += [(0.0, 0.0, weight) for weight in plant.share.tolist()]

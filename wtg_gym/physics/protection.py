@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 from wtg_gym.physics.machine import MachineInput, MachineOutput, MachineState
 from wtg_gym.physics.machine_unit import MACHINES
-from wtg_gym.physics.units import ISLANDS, LANE, MAIN, MEMBERS, Phasor
+from wtg_gym.physics.units import ISLANDS, LANE, MAIN, MEMBERS, Phasor, Sample
 from wtg_gym.physics.wind_turbine import (
     Limits,
     Turbine,
@@ -48,7 +48,7 @@ class SheddingConstants(NamedTuple):
     delay: float  # [s]
 
 
-#: Stages of load shedding in every island. `shed` is the last step without a low frequency; once the stage has acted,
+#: Stages of load shedding in every island. `shed` counts steps with a low frequency; once the stage has acted, it is
 #: -1 - the step of that.
 STAGES = Kind(
     name="shedding stages",
@@ -61,24 +61,42 @@ STAGES = Kind(
 # --- after every simulation step --------------------------------------------------------------------------------------
 
 
-@system(MACHINES, "weight", "frequency")
-def weigh_machine(state: MachineState, given: MachineInput, committed: float) -> tuple[float, float]:
-    """Return inertia and frequency of a machine."""
-    return committed * (given.connected / given.inv_two_h), state.speed
-
-
-@system(GROUPS, "weight", "frequency")
-def weigh_group(
-    state: WtgState, given: WtgInput, output: WtgOutput, turbine: Turbine, share: float
-) -> tuple[float, float]:
-    """Return inertia and frequency of a WTG group."""
-    return turbine.converter.two_h * share * given.connected, frequency_of(state, output)
-
-
 @system(ISLANDS, "momentum", "inertia")
 def begin_coi() -> tuple[float, float]:
     """Begin the sums over all units."""
     return 0.0, 0.0
+
+
+def _added(
+    two_h: float, frequency: float, island: float, momentum: float, inertia: float
+) -> tuple[float, float, float, float]:
+    """Return the sums of the grid with a unit of it, and the unit's inertia and frequency, for other islands."""
+    own = select(island == 0.0, two_h, 0.0)
+    return momentum + own * (frequency - 1.0), inertia + own, two_h, frequency
+
+
+@system(MACHINES, "momentum", "inertia", "weight", "frequency")
+def add_machine(
+    state: MachineState, given: MachineInput, committed: float, island: float, momentum: float, inertia: float
+) -> tuple[float, float, float, float]:
+    """Add a machine to the sums of the grid."""
+    return _added(committed * (given.connected / given.inv_two_h), state.speed, island, momentum, inertia)
+
+
+@system(GROUPS, "momentum", "inertia", "weight", "frequency")
+def add_group(
+    state: WtgState,
+    given: WtgInput,
+    output: WtgOutput,
+    turbine: Turbine,
+    share: float,
+    island: float,
+    momentum: float,
+    inertia: float,
+) -> tuple[float, float, float, float]:
+    """Add a WTG group to the sums of the grid."""
+    two_h = turbine.converter.two_h * share * given.connected
+    return _added(two_h, frequency_of(state, output), island, momentum, inertia)
 
 
 @system(MEMBERS, "island_momentum", "island_inertia")
@@ -90,7 +108,7 @@ def add_member(
     island_momentum: float,
     island_inertia: float,
 ) -> tuple[float, float]:
-    """Add a unit to the sums of its island."""
+    """Add a unit to the sums of its island, if that is not the grid."""
     two_h = select(unit_island == island_number, unit_weight, 0.0)
     return island_momentum + two_h * (unit_frequency - 1.0), island_inertia + two_h
 
@@ -129,6 +147,19 @@ def track_extremes(
     )
 
 
+@system(LANE, "alarm", "was_low")
+def no_alarm(was_low: float) -> tuple[float, float]:
+    """Look at the stages once more after a low frequency."""
+    return was_low, 0.0
+
+
+@system(ISLANDS, "alarm", "was_low", when="sheds")
+def alarm_island(centre: float, alarm: float, was_low: float, shedding_speed: float) -> tuple[float, float]:
+    """Look at the stages while the frequency of an island is below that of the first."""
+    low = centre < shedding_speed
+    return select(low, 1.0, alarm), select(low, 1.0, was_low)
+
+
 @system(STAGES, "shed", "next_change")
 def shed_load(
     shed: float,
@@ -141,11 +172,10 @@ def shed_load(
 ) -> tuple[float, float]:
     """Let a stage act whose time has come; the network changes before the next step."""
     waits = (shed >= 0.0) & (active > 0.5)
-    healthy = centre >= stage.speed
-    late = (step - shed) * simulation_dt >= stage.delay - 1e-9
-    kept = select(waits, select(healthy, step, select(late, -1.0 - step, shed)), shed)
-    change = select(waits, select(healthy, next_change, select(late, step, next_change)), next_change)
-    return kept, change
+    count = select(centre >= stage.speed, 0.0, shed + 1.0)
+    late = count * simulation_dt >= stage.delay - 1e-9
+    acts = waits & late & (count > 0.0)
+    return select(waits, select(acts, -1.0 - step, count), shed), select(acts, step, next_change)
 
 
 @system(LANE, "shed_energy", when="extended")
@@ -157,48 +187,71 @@ def count_shed_energy(shed_energy: float, unserved: float, active: float, simula
 # --- when the protections sample the grid -----------------------------------------------------------------------------
 
 
-@system(MACHINES, "turn", "squared_voltage", "there", "falls")
-def sample_machine(
-    state: MachineState, given: MachineInput, output: MachineOutput
-) -> tuple[float, float, float, float]:
-    """Return what is compared of a machine; its terminal is a bus of the network."""
-    return state.angle, output.voltage * output.voltage, given.connected, 0.0
-
-
-@system(GROUPS, "turn", "squared_voltage", "there", "falls")
-def sample_group(
-    state: WtgState, given: WtgInput, voltage: Phasor, current: Phasor, turbine: Turbine, share: float
-) -> tuple[float, float, float, float]:
-    """Return what is compared of a WTG group; buses without a unit do not count."""
-    reactance = turbine.converter.reactance / share
-    v_re, v_im = voltage.re + reactance * current.im, voltage.im - reactance * current.re
-    return state.converter.angle, v_re * v_re + v_im * v_im, given.connected, 0.0
-
-
 @system(ISLANDS, "least_angle", "largest_angle", "least_squared_voltage")
 def begin_sample() -> tuple[float, float, float]:
     """Begin to compare all connected units."""
     return math.inf, -math.inf, math.inf
 
 
+def _compared(
+    sample: Sample, counts: bool, least_angle: float, largest_angle: float, least_squared_voltage: float
+) -> tuple[float, float, float]:
+    """Return the extremes of an island with a unit that counts there."""
+    counts = counts & (sample.there > 0.5)
+    return (
+        min(least_angle, select(counts, sample.turn, math.inf)),
+        max(largest_angle, select(counts, sample.turn, -math.inf)),
+        min(least_squared_voltage, select(counts, sample.squared_voltage, math.inf)),
+    )
+
+
+@system(MACHINES, "least_angle", "largest_angle", "least_squared_voltage", "sample")
+def sample_machine(
+    state: MachineState,
+    given: MachineInput,
+    output: MachineOutput,
+    island: float,
+    least_angle: float,
+    largest_angle: float,
+    least_squared_voltage: float,
+) -> tuple[float, float, float, Sample]:
+    """Compare a machine of the grid; its terminal is a bus of the network."""
+    own = Sample(state.angle, output.voltage * output.voltage, given.connected, 0.0)
+    return *_compared(own, island == 0.0, least_angle, largest_angle, least_squared_voltage), own
+
+
+@system(GROUPS, "least_angle", "largest_angle", "least_squared_voltage", "sample")
+def sample_group(
+    state: WtgState,
+    given: WtgInput,
+    voltage: Phasor,
+    current: Phasor,
+    turbine: Turbine,
+    share: float,
+    island: float,
+    least_angle: float,
+    largest_angle: float,
+    least_squared_voltage: float,
+) -> tuple[float, float, float, Sample]:
+    """Compare a WTG group of the grid; buses without a unit do not count."""
+    reactance = turbine.converter.reactance / share
+    v_re, v_im = voltage.re + reactance * current.im, voltage.im - reactance * current.re
+    own = Sample(state.converter.angle, v_re * v_re + v_im * v_im, given.connected, 0.0)
+    return *_compared(own, island == 0.0, least_angle, largest_angle, least_squared_voltage), own
+
+
 @system(MEMBERS, "island_least_angle", "island_largest_angle", "island_least_squared_voltage")
 def sample_member(
-    unit_turn: float,
-    unit_squared_voltage: float,
-    unit_there: float,
+    unit_sample: Sample,
     unit_island: float,
     island_number: float,
     island_least_angle: float,
     island_largest_angle: float,
     island_least_squared_voltage: float,
 ) -> tuple[float, float, float]:
-    """Compare a unit with the others of its island."""
-    counts = (unit_there > 0.5) & (unit_island == island_number)
-    return (
-        min(island_least_angle, select(counts, unit_turn, math.inf)),
-        max(island_largest_angle, select(counts, unit_turn, -math.inf)),
-        min(island_least_squared_voltage, select(counts, unit_squared_voltage, math.inf)),
-    )
+    """Compare a unit with the others of its island, if that is not the grid."""
+    counts = unit_island == island_number
+    return _compared(unit_sample, counts, island_least_angle, island_largest_angle, island_least_squared_voltage)
 
 
 @system(ISLANDS, "found", "healthy_step")
@@ -235,11 +288,10 @@ def judge_grid(found: float, centre: float) -> tuple[float, float]:
     return found, select(math.isfinite(centre), 1.0, 0.0)
 
 
-@system(MEMBERS, "unit_falls", when="extended")
+@system(MEMBERS, "unit_falls")
 def fall_member(unit_falls: float, unit_island: float, island_number: float, island_found: float) -> float:
     """Let the units of an island that is not the grid fall with it."""
-    falls = (unit_island == island_number) & (island_number > 0.0) & (island_found > 0.0)
-    return select(falls, 1.0, unit_falls)
+    return select((unit_island == island_number) & (island_found > 0.0), 1.0, unit_falls)
 
 
 @system(MACHINES, "connected", "next_change", when="extended")

@@ -31,13 +31,16 @@ def refresh_network(block: Floats, x: int, lane: int, network: Network, data: La
     """
     facts = network.facts
     step = block[facts.lane + OF_LANE.step, x]
-    following = _strike(block, x, lane, network, data)
+    # A second time at the same step only the units that have come back are new.
+    again = block[facts.lane + OF_LANE.last_change, x] == step
+    following = _strike(block, x, lane, network, data, again)
     if facts.shares_frequency > 0.0:
         following = min(following, (math.floor(step / facts.n_substeps) + 1.0) * facts.n_substeps)
     own = facts.lane
     block[own + OF_LANE.last_change, x], block[own + OF_LANE.next_change, x] = step, following
     _find_islands(block, x, lane, network, data)
-    _shed(block, x, network, data.events[lane])
+    if not again:
+        _shed(block, x, network, data.events[lane])
     noise_bus, n, n_bus = int(block[own + OF_LANE.noise_bus, x]), network.unit_y.shape[0], network.shunts.shape[0]
     # Columns of the bus impedance matrix: of the units' buses, then of the load noise's.
     z, unit_y = np.empty((n_bus, n_bus + n + 1), dtype=np.complex128), np.empty(n, dtype=np.complex128)
@@ -73,7 +76,7 @@ def refresh_network(block: Floats, x: int, lane: int, network: Network, data: La
 
 
 @internal
-def _strike(block: Floats, x: int, lane: int, network: Network, data: LaneData) -> float:
+def _strike(block: Floats, x: int, lane: int, network: Network, data: LaneData, again: bool) -> float:
     """Let events act on units, governors and sources; return the step at which any event changes something next."""
     facts, events, following = network.facts, data.events[lane], math.inf
     step = block[facts.lane + OF_LANE.step, x]
@@ -91,17 +94,16 @@ def _strike(block: Floats, x: int, lane: int, network: Network, data: LaneData) 
             following = min(following, min(boundary, end) if events[e, EVENT.bus] >= 0.0 else end)
         if unit >= 0:
             # Once is enough: a protection may disconnect a unit that has come back.
-            if step == start:
+            if step == start and not again:
                 block[network.connected[unit], x] = 0.0
             if end > start and step == end and block[network.connected[unit], x] < 0.5:
-                block[network.connected[unit], x] = 1.0
                 block[facts.units + _N_UNIT * unit + _OF_UNIT.returns, x] = 1.0
                 block[facts.lane + OF_LANE.returning, x] = 1.0
         machine = facts.machines + governor * N_MACHINE_ROWS
         if step >= start and governor >= 0 and block[machine + _DROOP, x] > 0.0:
             # The gate stays where it is, whatever the speed.
             block[machine + _REFERENCE, x], block[machine + _DROOP, x] = block[machine + _GATE, x], 0.0
-        if source >= 0:
+        if source >= 0 and not again:
             row = facts.sources + source * _N_SOURCE
             if step == start:
                 block[row + _SOURCE_ANGLE, x] += events[e, EVENT.jump]
@@ -152,6 +154,7 @@ def _find_islands(block: Floats, x: int, lane: int, network: Network, data: Lane
         if best < 0:
             break
         number[best] = k
+        block[facts.lane + OF_LANE.split, x] = 1.0 if k > 0 else 0.0
         old = max(int(block[facts.buses + _N_BUS * best + _OF_BUS.island, x]), 0)
         for r in range(_N_ISLAND):
             block[facts.islands + _N_ISLAND * k + r, x] = remembered[old, r]

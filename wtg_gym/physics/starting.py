@@ -108,16 +108,20 @@ def share_flow(
     return Terminal(power, reactive, at_bus, math.hypot(at_bus.re, at_bus.im), Phasor(current.re, -current.im))
 
 
-@system(LANE, "active", "status", "noise_y", "step", "coi_min", "coi_max", "angle", "shed_energy", "returning")
-def start_clock(frame: float) -> tuple[float, float, float, float, float, float, float, float, float]:
+@system(
+    LANE,
+    *("active", "status", "noise_y", "step", "last_change", "coi_min", "coi_max", "angle"),
+    *("shed_energy", "was_low", "split", "returning"),
+)
+def start_clock(frame: float) -> tuple[float, ...]:
     """Return clock, statistics and frame of a run; an event at t = 0 strikes in its first step, not before."""
-    return 1.0, 0.0, 0.0, -1.0, math.inf, -math.inf, frame, 0.0, 0.0
+    return 1.0, 0.0, 0.0, -1.0, -2.0, math.inf, -math.inf, frame, 0.0, 0.0, 0.0, 0.0
 
 
-@system(LANE, "worst", "worst_min", "worst_max")
-def start_worst() -> tuple[float, float, float]:
+@system(LANE, "worst", "worst_min", "worst_max", "sampled_angle", "sampled_step")
+def start_worst(frame: float) -> tuple[float, float, float, float, float]:
     """Let the extremes of all frequencies begin at nominal."""
-    return 1.0, 1.0, 1.0
+    return 1.0, 1.0, 1.0, frame, 0.0
 
 
 @system(ISLANDS, "healthy_step", "centre")
@@ -132,15 +136,15 @@ def start_unit() -> tuple[float, float]:
     return 0.0, 0.0
 
 
+@system(LANE, "next_change", "returning")
+def all_returned(next_change: float, step: float, returning: float) -> tuple[float, float]:
+    """Let the network change again, with the units that have come back."""
+    return select(returning > 0.5, step, next_change), 0.0
+
+
 @system(UNITS, "returns")
 def end_return() -> float:
     """Let a unit come back once."""
-    return 0.0
-
-
-@system(LANE, "returning")
-def all_returned() -> float:
-    """Wait for the next one."""
     return 0.0
 
 

@@ -27,18 +27,6 @@ from wtg_gym.systems.programs import Each, Here, Product, Repeat, When
 #: weak bus. They end once no voltage moves.
 _SWEEPS = 100
 
-#: Units that an event brings back are synchronised.
-RETURN = (
-    machine.return_machine,
-    hydro.return_hydro,
-    wtg.return_group,
-    extension.return_extension,
-    starting.end_return,
-    starting.all_returned,
-)
-
-ADMITTANCES = (When(LANE, "returning", RETURN), units.load_noise, units.admittance_with_noise)
-
 VOLTAGES = (
     machine.still_reference,
     machine.reference,
@@ -47,6 +35,20 @@ VOLTAGES = (
     extension.voltage_of_extended,
     Here("voltages"),
 )
+
+#: Units that an event brings back are synchronised, with the network as it is without them.
+RETURN = (
+    *VOLTAGES,
+    *local.BUS_VOLTAGES,
+    machine.return_machine,
+    hydro.return_hydro,
+    wtg.return_group,
+    extension.return_extension,
+    starting.all_returned,
+    starting.end_return,
+)
+
+ADMITTANCES = (units.load_noise, units.admittance_with_noise, When(LANE, "returning", RETURN))
 
 #: Currents without a limit, and which of them are too large.
 FREE_CURRENTS = (
@@ -88,35 +90,36 @@ RATES = (
 )
 
 COI = (
-    protection.weigh_machine,
-    protection.weigh_group,
     protection.begin_coi,
-    protection.add_member,
+    protection.add_machine,
+    protection.add_group,
+    When(LANE, "split", (protection.add_member,)),
     protection.centre_of_inertia,
     protection.centre_of_grid,
 )
 
-#: Voltages of all buses.
-BUS_VOLTAGES = (local.begin_noise_voltage, local.add_noise_voltage, local.begin_voltage, local.add_voltage)
-
-#: Local frequencies, and the worst of them.
-LOCAL = (*BUS_VOLTAGES, local.turn_bus, local.begin_worst, local.compare_bus, local.compare_unit, local.note_worst)
 
 #: After a simulation step.
 #: The part with a way back comes first.
 MOVED = (extension.keep_energy, units.count_step, *COI)
-WATCH = (protection.track_extremes, *LOCAL, protection.count_shed_energy, protection.shed_load)
+WATCH = (
+    protection.track_extremes,
+    protection.count_shed_energy,
+    protection.no_alarm,
+    protection.alarm_island,
+    When(LANE, "alarm", (protection.shed_load,)),
+)
 FINISH = (*MOVED, *WATCH)
 
 PROTECT = (
+    *local.LOCAL,
+    protection.begin_sample,
     protection.sample_machine,
     protection.sample_group,
-    protection.begin_sample,
-    protection.sample_member,
+    When(LANE, "split", (protection.sample_member,)),
     protection.judge_island,
     protection.judge_grid,
-    protection.fall_member,
-    protection.trip_machine,
+    When(LANE, "split", (protection.fall_member, protection.trip_machine)),
     protection.judge_rotor,
     extension.judge_chopper,
     protection.end_run,
@@ -163,7 +166,7 @@ SETTLE = (
 #: After the first evaluation of a run: its first outputs, and what is beyond its limits then.
 START = (
     starting.let_run,
-    *BUS_VOLTAGES,
+    *local.BUS_VOLTAGES,
     local.start_bus,
     *COI,
     protection.track_extremes,

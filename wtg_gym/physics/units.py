@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 from wtg_gym.physics.runge_kutta import moving
 from wtg_gym.physics.wind_turbine import Limits
-from wtg_gym.systems.elementary import select
+from wtg_gym.systems.elementary import fma, select
 from wtg_gym.systems.systems import Kind, system
 
 
@@ -62,6 +62,23 @@ class Connection(NamedTuple):
     y: Phasor  # internal admittance [p.u.]
 
 
+class Sampled(NamedTuple):
+    """What happened between two samples of the local frequencies."""
+
+    per_turn: float  # 1/(ω_n Δ) [p.u./rad]
+    turn: float  # of the frame [rad]
+    gain: float  # of the filter
+
+
+class Sample(NamedTuple):
+    """What is compared of a unit."""
+
+    turn: float  # angle [rad]
+    squared_voltage: float  # at the terminal [p.u.²]
+    there: float  # 1 where it is connected
+    falls: float  # 1 where its island has failed
+
+
 class StartFailure(IntEnum):
     """Why a lane cannot start; 0 means it can."""
 
@@ -97,7 +114,11 @@ LANE = Kind(
         "worst": float,  # frequency of the bus or unit that is farthest from nominal [p.u.]
         "worst_min": float,  # least frequency of any bus or unit since the start [p.u.]
         "worst_max": float,
-        "returning": float,  # units that come back now
+        "sampled_angle": float,  # of the frame when the protections last sampled [rad]
+        "sampled_step": float,  # and the simulation step
+        "was_low": float,  # 1 while an island's frequency is below that of the first stage of shedding
+        "split": float,  # 1 while there is another island than the grid
+        "returning": float,  # 1 where a unit comes back now
     },
     scratch={
         "reference_speed": float,  # of the first unit, or where it stands still after an outage [p.u.]
@@ -106,9 +127,11 @@ LANE = Kind(
         "unsettled": float,  # groups whose voltage the latest sweep has moved
         "lowest": float,  # frequency of any bus or unit now [p.u.]
         "highest": float,
-        "noise_voltage": Phasor,  # at the bus of the load noise, if there were none [p.u.]
+        "sampled": Sampled,
+        "noise_voltage": Phasor,  # at the bus of the load noise, if there were none; then its current [p.u.]
         "finding": float,  # status that the protections find now
         "finite": float,  # 1 where all speeds are finite numbers
+        "alarm": float,  # 1 where the stages of shedding have to be looked at
         "stops": float,  # 1 where a protection ends the run now
         "load_level": float,  # share of the nominal load that a run starts with
         "searching": float,  # groups whose equilibrium is not found yet
@@ -121,12 +144,12 @@ LANE = Kind(
     constants={
         "omega_n": float,
         "base_mva": float,
+        "shedding_speed": float,  # frequency at which the first stage of load shedding acts [p.u.]
         "simulation_dt": float,
         "limits": Limits,
         "trips_groups": bool,
         "reactive_max": float,  # of the groups' voltage control [p.u.]
         "voltage_gain": float,  # of that; 0 without one
-        "frequency_gain": float,  # of the filter of local frequencies, in a simulation step
     },
     states=("angle",),
 )
@@ -139,7 +162,8 @@ BUSES = Kind(
         "served": float,  # share of its load that shedding has left
         "island": float,  # number of the island that it is in, -1 without voltage
         "noise_transfer": Phasor,  # impedance to the bus of the load noise [p.u.]
-        "phasor": Phasor,  # voltage after the latest simulation step [p.u.]
+        "phasor": Phasor,  # voltage when the protections last sampled [p.u.]
+        "magnitude": float,  # of that voltage [p.u.]
         "frequency": float,  # local, filtered [p.u.]
     },
     scratch={
@@ -172,10 +196,7 @@ UNITS = Kind(
         "start": Terminal,
         "weight": float,  # 2H, 0 where it is disconnected [s]
         "frequency": float,  # [p.u.]
-        "turn": float,  # angle [rad]
-        "squared_voltage": float,  # at the terminal [p.u.²]
-        "there": float,  # 1 where it is connected
-        "falls": float,  # 1 where its island has failed
+        "sample": Sample,
     },
     constants={"connection": Connection},
     sees={"lane": LANE, "bus": BUSES},
@@ -199,7 +220,7 @@ ISLANDS = Kind(
     constants={"number": float},
     sees={"lane": LANE},
 )
-#: Every unit with every island, island after island.
+#: Every unit with every island but the grid, island after island.
 MEMBERS = Kind(name="members", sees={"unit_": UNITS, "island_": ISLANDS, "lane": LANE})
 #: The first island.
 MAIN = Kind(name="main island", sees={"island": ISLANDS, "lane": LANE})
@@ -214,6 +235,11 @@ PAIRS = Kind(
     scratch={"admittance": Phasor},
     sees={"row_": UNITS, "column_": UNITS, "lane": LANE},
 )
+
+
+def plus(total: Phasor, a: Phasor, b: Phasor) -> Phasor:
+    """Return total + a b."""
+    return Phasor(total.re + fma(a.re, b.re, -(a.im * b.im)), total.im + fma(a.re, b.im, a.im * b.re))
 
 
 def noted(fits: bool, why: int, number: float, start_failure: float, failing_unit: float) -> tuple[float, float]:

@@ -8,7 +8,18 @@ from wtg_gym.physics.converter import ConverterState
 from wtg_gym.physics.pitch import PitchState
 from wtg_gym.physics.rotor_table import Cells
 from wtg_gym.physics.runge_kutta import moving
-from wtg_gym.physics.units import BUSES, LANE, UNITS, Connection, Phasor, StartFailure, Terminal, noted, quotient
+from wtg_gym.physics.units import (
+    BUSES,
+    ISLANDS,
+    LANE,
+    UNITS,
+    Connection,
+    Phasor,
+    StartFailure,
+    Terminal,
+    noted,
+    quotient,
+)
 from wtg_gym.physics.wind_turbine import (
     FOUND,
     Search,
@@ -40,7 +51,7 @@ GROUPS = Kind(
     },
     # The share is the rating on the base of the system.
     constants={"turbine": Turbine, "cells": ex.Cells, "share": float, "inv_share": float},
-    sees={"unit": UNITS, "bus_": BUSES, "lane": LANE},
+    sees={"unit": UNITS, "bus_": BUSES, "island": ISLANDS, "lane": LANE},
     states=("state",),
 )
 
@@ -108,24 +119,30 @@ def curtail_law(k_min: float, k_nominal: float, k_max: float, curtailment: float
     return curtailment * k_min, curtailment * k_nominal, curtailment * k_max
 
 
-@system(GROUPS, "state", "emf", "shift", when="extended")
+@system(GROUPS, "state", "emf", "shift", "connected", when="extended")
 def return_group(
     state: WtgState,
     emf: float,
     shift: float,
     inv_tau: float,
+    connected: float,
     returns: float,
-    bus_phasor: Phasor,
+    bus_now: Phasor,
     bus_frequency: float,
     turbine: Turbine,
-) -> tuple[WtgState, float, float]:
+) -> tuple[WtgState, float, float, float]:
     """Synchronise a group that comes back: at its bus's voltage and frequency; rotor and blades are as they stood."""
     back = returns > 0.5
     deviation = select(inv_tau > 0.0, bus_frequency - turbine.converter.corners.frequency_setpoint, 0.0)
-    found = ConverterState(math.atan2(bus_phasor.im, bus_phasor.re), bus_frequency, deviation)
+    found = ConverterState(math.atan2(bus_now.im, bus_now.re), bus_frequency, deviation)
     converter = each(lambda new, old: select(back, new, old), found, state.converter)
-    own = math.hypot(bus_phasor.re, bus_phasor.im)
-    return state._replace(converter=converter), select(back, own, emf), select(back, 0.0, shift)
+    own = math.hypot(bus_now.re, bus_now.im)
+    return (
+        state._replace(converter=converter),
+        select(back, own, emf),
+        select(back, 0.0, shift),
+        select(back, 1.0, connected),
+    )
 
 
 @system(GROUPS, "overload_time")

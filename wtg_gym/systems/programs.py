@@ -29,13 +29,14 @@ _NOBODY: Mapping[str, Sequence[System]] = MappingProxyType({})
 
 
 class Product(NamedTuple):
-    """`result` = `matrix` · `vector`, complex: a row of the matrix for each unit, all in scratch."""
+    """`result` = `matrix` · `vector`, complex: a row of the matrix for each unit of the result, vectors in scratch."""
 
     pairs: Kind  # whose units are the matrix' entries, row by row
     matrix: str
     units: Kind
     vector: str
     result: str
+    of: Kind | None = None  # whose result it is; None: of the same units
 
 
 class When(NamedTuple):
@@ -126,6 +127,17 @@ def _flat(entries: Sequence[Any]) -> Iterator[Any]:
                 yield from _flat(entry.entries)
 
 
+def _with(entries: Sequence[Any], joining: Mapping[str, Sequence[System]]) -> Iterator[Any]:
+    """Yield entries, with the systems of further kinds of unit where they join."""
+    for entry in entries:
+        if isinstance(entry, Here):
+            yield from joining.get(entry.name, ())
+        elif isinstance(entry, (When, Repeat)):
+            yield entry._replace(entries=tuple(_with(entry.entries, joining)))
+        else:
+            yield entry
+
+
 class Program:
     """A list of entries, and where they stand in the table of all programs.
 
@@ -140,8 +152,7 @@ class Program:
         self, name: str, entries: Sequence[Any], number: int, joining: Mapping[str, Sequence[System]] = _NOBODY
     ) -> None:
         self.name, self.number, self._given = name, number, tuple(entries)
-        joined = (joining.get(entry.name, ()) if isinstance(entry, Here) else (entry,) for entry in entries)
-        self.entries: tuple[Any, ...] = tuple(one for own in joined for one in own)
+        self.entries: tuple[Any, ...] = tuple(_with(entries, joining))
         self.places = {id(entry): _MOST * number + i for i, entry in enumerate(_flat(self.entries))}
         self._digests: dict[bool, str] = {}
         if len(self.places) > _MOST:
@@ -184,6 +195,8 @@ def _told(entry: Any) -> tuple[Any, ...]:
     if isinstance(entry, Delay):
         record = {**entry.units.rows, **entry.units.scratch}[entry.part]
         return "delay", count(record), entry.part in entry.units.scratch, entry.delayed in entry.units.scratch
+    if isinstance(entry, Product):
+        return "product", entry.matrix in entry.pairs.rows
     return (type(entry).__name__,)
 
 
@@ -272,8 +285,10 @@ def constant_places(
 
 
 def _product_rows(entry: Product, plant: Arrangement) -> list[int]:
-    parts = (entry.pairs, entry.matrix), (entry.units, entry.vector), (entry.units, entry.result)
-    return [row for kind, part in parts for row in _stride(kind, part, plant)]
+    of = entry.of or entry.units
+    parts = (entry.pairs, entry.matrix), (entry.units, entry.vector), (of, entry.result)
+    places = [row for kind, part in parts for row in _stride(kind, part, plant)]
+    return [*places, plant.n_units(of) if plant.n_units(entry.pairs) else 0]
 
 
 def _delay_rows(entry: Delay, plant: Arrangement) -> list[int]:
@@ -341,6 +356,11 @@ def _numbers(value: Any) -> tuple[Any, ...]:
     """Return the numbers of a constant: a record, an entry of a structured array, or a number."""
     plain = value.item() if isinstance(value, np.void) else value
     return flatten(plain) if isinstance(plain, tuple) else (plain,)
+
+
+def unconditional(entries: Sequence[Any]) -> tuple[Any, ...]:
+    """Return entries where what runs under a condition runs always; for systems that change nothing without it."""
+    return tuple(one for entry in entries for one in (entry.entries if isinstance(entry, When) else (entry,)))
 
 
 def in_one_table(*before: Program, **entries: Sequence[Any]) -> tuple[Program, ...]:

@@ -218,10 +218,11 @@ class Writer:
     def _product(self, entry: Product) -> None:
         builder, lanes = self.builder, self.lanes
         n = self._head(entry, 0)
-        matrix, stride, vector, vector_stride, result, result_stride = self._places(entry, range(6))
+        matrix, stride, vector, vector_stride, result, result_stride, n_results = self._places(entry, range(7))
+        of_matrix = self.block if entry.matrix in entry.pairs.rows else self.scratch
 
-        def load(row: Any) -> tuple[Any, Any]:
-            first = self._pointer(self.scratch, row)
+        def load(data: Any, row: Any) -> tuple[Any, Any]:
+            first = self._pointer(data, row)
             return lanes.load(first), lanes.load(self._at(first, 1))
 
         def rows(first_row: Any, n_rows: int) -> None:
@@ -238,10 +239,10 @@ class Writer:
                     each.add_incoming(lanes.constant(0.0), entry_block)
             builder.cbranch(builder.icmp_signed("<", column, n), body, done)
             builder.position_at_end(body)
-            e_re, e_im = load(builder.add(vector, builder.mul(column, vector_stride)))
+            e_re, e_im = load(self.scratch, builder.add(vector, builder.mul(column, vector_stride)))
             for i, (re, im) in enumerate(sums):
                 place = builder.add(builder.mul(builder.add(first_row, _WHOLE(i)), n), column)
-                y_re, y_im = load(builder.add(matrix, builder.mul(place, stride)))
+                y_re, y_im = load(of_matrix, builder.add(matrix, builder.mul(place, stride)))
                 d_re = lanes.call("fma", y_re, e_re, builder.fneg(builder.fmul(y_im, e_im)))
                 d_im = lanes.call("fma", y_re, e_im, builder.fmul(y_im, e_re))
                 re.add_incoming(builder.fadd(re, d_re), builder.block)
@@ -255,11 +256,11 @@ class Writer:
                 lanes.store(re, first)
                 lanes.store(im, self._at(first, 1))
 
-        pairs = builder.sdiv(n, _WHOLE(_ROWS_AT_ONCE))
+        pairs = builder.sdiv(n_results, _WHOLE(_ROWS_AT_ONCE))
         with repeated(builder, pairs) as pair:
             rows(builder.mul(pair, _WHOLE(_ROWS_AT_ONCE)), _ROWS_AT_ONCE)
         whole = builder.mul(pairs, _WHOLE(_ROWS_AT_ONCE))
-        with repeated(builder, builder.sub(n, whole)) as rest:
+        with repeated(builder, builder.sub(n_results, whole)) as rest:
             rows(builder.add(whole, rest), 1)
 
 
