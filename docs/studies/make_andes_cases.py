@@ -56,7 +56,15 @@ from case import EXCITER, GENROU, GOVERNOR, HYDRO_GOVERNOR, MACHINE
 from wtg_gym.physics.ieee14 import modified_ieee14
 from wtg_gym.physics.machine_parameters import HydroGovernorParameters, SynchronousMachineParameters
 from wtg_gym.physics.network import NetworkCase
-from wtg_gym.physics.scenario import EVENT_KINDS, Fault, FrequencyRamp, LineTrip, MachineOutage, PhaseJump, ReactanceStep
+from wtg_gym.physics.scenario import (
+    EVENT_KINDS,
+    Fault,
+    FrequencyRamp,
+    LineTrip,
+    MachineOutage,
+    PhaseJump,
+    ReactanceStep,
+)
 
 Floats = npt.NDArray[np.float64]
 
@@ -449,9 +457,9 @@ def simulate(
     system = build_system(case, network, events, voltage)
     system.store_switch_times = functools.partial(system.store_switch_times, eps=EVENT_STEP_S)
     # Residuals are not scaled by the step: beside 1 ns of the torque that moves a source ANDES takes its step for lost.
-    fixed = {"fixt": 1, "shrinkt": 0, "method": "fixed_trapezoid", "chatter_iter": 1000, "linesearch": 0}
-    quiet = {"g_scale": 0, "reset_tiny": 0, "criteria": 0, "no_tqdm": 1}
-    system.TDS.config.update(tf=case.duration_s, tstep=1.0 / steps_per_second, tol=1e-11, max_iter=100, **fixed, **quiet)
+    fixed = {"fixt": 1, "shrinkt": 0, "method": "fixed_trapezoid", "chatter_iter": 1000, "linesearch": 0, "g_scale": 0}
+    quiet = {"max_iter": 100, "reset_tiny": 0, "criteria": 0, "no_tqdm": 1}
+    system.TDS.config.update(tf=case.duration_s, tstep=1.0 / steps_per_second, tol=1e-11, **fixed, **quiet)
     if not (system.TDS.run(no_summary=True) and system.TDS.test_ok and system.exit_code == 0):
         raise RuntimeError("ANDES' time-domain simulation failed")
     series = system.dae.ts
@@ -475,14 +483,14 @@ def simulate(
     if np.abs(t[at] - wanted).max() > 10.0 * EVENT_STEP_S:
         raise RuntimeError("a row does not lie on the grid of time steps")
 
-    # Times spent at an upper limit, for the summary only.
+    # Times that machines that stay spend at an upper limit, for the summary only.
     step = np.diff(t, append=t[-1])
     at_limit = {}
     for model, state, limit in (("TGOV1", "LAG_y", "VMAX"), ("SEXS", "LAW_y", "EMAX")):
         m = getattr(system, model)
         for i, name in enumerate(m.idx.v):
             held = x[:, getattr(m, state).a[i]] > getattr(m, limit).v[i] - 1e-9
-            at_limit[name] = float(step[held].sum())
+            at_limit[name] = float(step[held].sum()) if m.syn.v[i] in keys else 0.0
     columns = (np.column_stack([found[key][at] for key in keys]) for found in (speed, power))
     return Trace(wanted, *columns, y[np.ix_(at, system.Bus.v.a)], at_limit)
 
@@ -523,8 +531,8 @@ def parameter_file(case: Case, network: NetworkCase, system: Any, tolerance: dic
     gens: dict[str, dict[str, Any]] = {
         str(m.bus): {"model": "GENROU", "bus": m.bus, **genrou_data(m)} for m in network.machines
     }
-    kind = "source" if case.units is SOURCE else "GENCLS"
-    gens |= {key: {"model": kind, "bus": UNIT_BUS, **unit_data(case, *swing)} for key, (_, *swing) in case.units.items()}
+    common = {"model": "source" if case.units is SOURCE else "GENCLS", "bus": UNIT_BUS}
+    gens |= {key: {**common, **unit_data(case, *swing)} for key, (_, *swing) in case.units.items()}
     note = NOTE.format(version=andes.__version__, base=network.base_mva, frequency=network.frequency_hz)
     forming = [f"{key} is a {model}" for key, (model, *_) in case.units.items() if model != "GENCLS"]
     units = f" In ANDES {' and '.join(forming)}; M, D and xd1 are those of its equivalent." if forming else ""

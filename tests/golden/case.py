@@ -128,7 +128,7 @@ def case_of(name: str, data: Mapping[str, Any]) -> Case:
         for key, gen in data["gens"].items()
         if key not in power
     )
-    held = {unit.bus for unit in (*machines, *sources)}
+    held = {machine.bus for machine in machines} | {source.bus for source in sources}
     network = NetworkCase(
         name=name,
         base_mva=base,

@@ -29,6 +29,6 @@ def test_fine_step_follows_the_golden_trace_and_the_default_step_is_close_to_it(
     )
     for quantity, tolerance in case.tolerance.items():
         assert fine[quantity] <= tolerance, (quantity, fine[quantity])
-    # Where the voltage has fallen to half, its error is larger.
+    # Faults take more than half the voltage away.
     voltage = 5e-5 if path.stem == "faults" else 2e-5
     assert default["w"] < 5e-6 and default["Pe"] < 5e-4 and default["V"] < voltage
