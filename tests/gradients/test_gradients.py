@@ -11,11 +11,10 @@ import numpy.typing as npt
 import pytest
 
 from tests.physics.extended import plant
-from wtg_gym.envs.settings import EnvSettings
+from wtg_gym.envs.settings import EnvSettings, PlantEnvSettings
 from wtg_gym.envs.task_records import COST_TERMS
 from wtg_gym.gradients import check_by_differences
 from wtg_gym.gradients.adjoint import pull
-from wtg_gym.gradients.plant_parameters import PlantEnvSettings
 from wtg_gym.gradients.tape import Gradient, Tape
 from wtg_gym.physics.protection import Status
 from wtg_gym.physics.scenario import GovernorLoss, GroupTrip, LineTrip, LoadStep, MachineOutage, Scenario

@@ -11,6 +11,7 @@ from typing import Annotated, Any
 import numpy as np
 from cyclopts import Group, Parameter
 
+from wtg_gym.cli.cases import play_cases
 from wtg_gym.cli.key_figures import key_figures, print_key_figures, traces_csv
 from wtg_gym.cli.options import CsvFile, FigureFile, Flag, Json, PlantOptions, SuiteName, Whole, Words
 from wtg_gym.cli.output import print_json, require_extra, say, write_and_say
@@ -58,6 +59,8 @@ def simulate_scenario(
     given: ScenarioOptions = ScenarioOptions(),
     plant: PlantOptions = PlantOptions(),
     strategy: Words = (REFERENCE_STRATEGY,),
+    case: Words = (),
+    entry: Words = (),
     example_law: Flag = False,
     plot: FigureFile | None = None,
     csv: CsvFile | None = None,
@@ -71,7 +74,11 @@ def simulate_scenario(
     an over-speed or, in extended physics, an under-speed too. In the paper's grid, wind for another
     number of WTG groups than two puts as many at bus 2.
 
+    With --case, laws and policies play tests that operators ask of grid-forming plants instead, each in its own grid;
+    what is printed is passed or failed, with the figure. The exit code is 1 where one has failed.
+
     examples:
+      wtg-gym simulate --case dip last-machine --entry coordinated-piecewise mppt
       wtg-gym simulate --strategy mppt deloaded-5 coordinated-piecewise --plot run.png
       wtg-gym simulate --suite standard --seed 20003 --strategy all --csv traces.csv
       wtg-gym simulate --suite standard-v1 --seed 10003 --strategy coordinated-piecewise coordinated-tuned
@@ -82,6 +89,9 @@ def simulate_scenario(
 
     Args:
         strategy: strategies by name, 'all', or .toml files with a law; default: the paper's coordinated-piecewise
+        case: tests by name, or 'all': last-machine, rocof-up, rocof-down, rocof-up-2, rocof-down-2, angle-step,
+            angle-step-30, dip, ratio-steps, island-surplus, island-deficit, current-limit
+        entry: what plays them, as for `wtg-gym evaluate`; default: coordinated-piecewise
         example_law: print a law file to start from, and do nothing else: --example-law > my_law.toml
         plot: write a figure of the runs: .png, .svg or .pdf
         csv: write every sample of every run, units in the header: .csv
@@ -89,6 +99,12 @@ def simulate_scenario(
     if example_law:
         say(*law_file().splitlines())
         return 0
+    if entry and not case:
+        raise ValueError("--entry belongs to --case; a scenario is played by laws: --strategy")
+    if case:
+        if plot is not None or csv is not None:
+            raise ValueError("--case prints passed or failed; --plot and --csv are for scenarios")
+        return play_cases(case, entry or (REFERENCE_STRATEGY,), json=json)
     if plot is not None:
         require_extra("matplotlib", "--plot")
     suite = get_suite(given.suite)

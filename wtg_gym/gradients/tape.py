@@ -11,7 +11,7 @@ import numpy.typing as npt
 from wtg_gym.envs import task as of_task
 from wtg_gym.envs.actions import as_actions
 from wtg_gym.envs.lanes import TaskLanes
-from wtg_gym.envs.settings import ACTION_MODES, EnvSettings
+from wtg_gym.envs.settings import ACTION_MODES, EnvSettings, PlantEnvSettings
 from wtg_gym.envs.task import Outputs, bind, step_blocks, task_of
 from wtg_gym.envs.task_records import COST_TERMS
 from wtg_gym.envs.task_units import ACTING, TASK
@@ -19,7 +19,6 @@ from wtg_gym.gradients.adjoint import PROGRAMS, TAPED, Work, pull, routines_of, 
 from wtg_gym.gradients.plant_parameters import (
     Leaf,
     Moved,
-    PlantEnvSettings,
     known_parameters,
     moved_by,
     require_known_parameters,

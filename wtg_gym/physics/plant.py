@@ -360,6 +360,7 @@ def layout_of(plant: Plant, further: Further | None = None) -> Layout:
         (TRANSFERS, "unit_"): np.tile(np.arange(n_unit), n_bus)[:n_transfers],
         (TRANSFERS, "bus_"): np.repeat(np.arange(n_bus), n_unit)[:n_transfers],
         (UNITS, "bus"): plant.network.unit_bus,
+        (UNITS, "grid_"): np.zeros(n_unit, dtype=np.int64),
         (GROUPS, "unit"): groups,
         (EXTENSIONS, "unit"): groups[:n_extended],
         (EXTENSIONS, "own_entry_"): (groups * (n_unit + 1))[:n_extended],
