@@ -49,7 +49,7 @@ def picture(runs):
         column, row = k % 3, 2 * (k // 3)
         of_frequency, of_power = axes[row][column], axes[row + 1][column]
         for label, own in runs.items():
-            found, (passed, _) = own[name]
+            found, _ = own[name]
             look = {"color": looks[label].colour, "linestyle": looks[label].dashes}
             of_frequency.plot(found.time_s, found.frequency_hz, **look)
             of_power.plot(found.time_s, found.total(), **look)

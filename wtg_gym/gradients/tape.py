@@ -121,7 +121,10 @@ class Tape:
         parameters: Sequence[str] = (),
     ) -> None:
         parameters = (parameters,) if isinstance(parameters, str) else tuple(parameters)
-        require_known_parameters(settings.plant(), parameters)
+        plant = settings.plant()
+        require_known_parameters(plant, parameters)
+        if plant.load_frequency_dependence:
+            raise ValueError("gradients do not know loads that depend on the frequency: load_frequency_dependence")
         #: Names of the plant's parameters that gradients are taken with respect to.
         self.parameters = parameters
         self._open(TaskLanes(settings, n_lanes, n_threads))
@@ -217,6 +220,9 @@ class Tape:
         n_lanes = self.lanes.n_lanes
         if len(scenarios) != n_lanes or not all(isinstance(scenario, Scenario) for scenario in scenarios):
             raise ValueError(f"episodes need {n_lanes} scenarios, one per lane, got {scenarios!r:.60}")
+        for event in (event for scenario in scenarios for event in scenario.events):
+            if getattr(event, "returns_after_s", None) is not None:
+                raise ValueError(f"gradients do not go through the return of a unit: {event}")
         self.lanes.start(list(range(n_lanes)), scenarios)
         self._begin(started=True)
         return self.lanes.observations.copy()
