@@ -139,8 +139,7 @@ def _find_islands(block: Floats, x: int, lane: int, network: Network, data: Lane
     for i in range(n):
         if block[network.connected[i], x] > 0.5:
             lives[part[network.unit_bus[i]]] = 1.0
-    number, before = np.full(n_bus, -1.0), np.zeros((n_islands, _N_ISLAND + n_stages))
-    remembered = np.empty_like(before)
+    number, remembered = np.full(n_bus, -1.0), np.zeros((n_islands, _N_ISLAND + n_stages))
     for k in range(n_islands):
         for r in range(_N_ISLAND):
             remembered[k, r] = block[facts.islands + _N_ISLAND * k + r, x]
@@ -149,7 +148,8 @@ def _find_islands(block: Floats, x: int, lane: int, network: Network, data: Lane
     for k in range(n_islands):
         best = -1
         for p in range(n_bus):
-            if lives[p] > 0.5 and number[p] < 0.0 and (best < 0 or loads[p] > loads[best]):
+            # The grid is that with the most load, dead or alive.
+            if (lives[p] > 0.5 or k == 0) and number[p] < 0.0 and (best < 0 or loads[p] > loads[best]):
                 best = p
         if best < 0:
             break
