@@ -116,7 +116,7 @@ class Run:
         results = evaluate([entry], s.suite, "validation", seeds=seeds)
         (summary,) = (summary for summary in results.summaries if summary.name == entry.name)
         metrics = {
-            "score": summary.score.value,
+            "score": results.scores[entry.name].value,
             "cost": summary.mean_pinned_cost,
             "failures_percent": summary.failures_percent,
             "nadir_hz": summary.median_nadir_hz,

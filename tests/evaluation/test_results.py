@@ -52,8 +52,6 @@ def test_anchors_score_exactly_0_and_100(results: Results, results_v1: Results) 
     ):
         assert each.benchmark.anchors == anchors
         assert [each.scores[name] for name in anchors] == [Interval(0.0, 0.0, 0.0), Interval(100.0, 100.0, 100.0)]
-        hundred = next(row for row in each.summaries if row.name == anchors[1])
-        assert hundred.probability_of_improvement.value == 0.5
 
 
 @settings(max_examples=150, suppress_health_check=[HealthCheck.function_scoped_fixture])
@@ -90,7 +88,7 @@ EDITS: dict[str, tuple[Callable[[dict[str, Any]], Any], str]] = {
     "cap as text": (lambda d: d["settings"]["weights"].update(cap="much"), "could not convert string to float"),
     "unknown key": (lambda d: d.update(winner="me"), r"unknown keys \['winner'\]"),
     "unknown suite": (lambda d: d.update(suite="easy"), "unknown suite 'easy'"),
-    "other format": (lambda d: d.update(format=2), "format must be 5, that of this version, got 2; "),
+    "other format": (lambda d: d.update(format=2), "format must be 6, that of this version, got 2; "),
     "seeds of no draw": (lambda d: d.update(split="fresh"), "draw must be given for the split 'fresh' alone"),
     "seeds that cannot be drawn": (
         lambda d: d.update(split="fresh", draw={"commit": "a" * 40, "secret_sha256": "0" * 64}),

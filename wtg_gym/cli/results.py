@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from pathlib import Path
 
 from cyclopts import App
@@ -26,8 +27,8 @@ app = App(name="results", help="Work with the stored results of 'wtg-gym evaluat
 def page(results: tuple[Path, ...], /, *, output: HtmlFile) -> int:
     """Show stored results as one HTML file with charts.
 
-    It needs nothing but a browser, offline too: each suite's ranking with its intervals, to sort and to filter, the
-    scores as a chart, and the deviation of the frequency against the failures. Suites of the latest version of the
+    It needs nothing but a browser, offline too: each suite's ranking with its intervals, to sort, the scores as a
+    chart, and the deviation of the frequency against the failures. Suites of the latest version of the
     benchmark come first.
 
     examples:
@@ -107,12 +108,9 @@ def gap(public: Path, fresh: Path, /, *, json: Json = False) -> int:
     """Compare scores on public and on fresh scenarios.
 
     Fresh scenarios were drawn after the entries were submitted. An entry that was fitted to the public scenarios, by
-    mistake or on purpose, is better there. All entries are a little better or worse by the luck of the draw: a set of
-    scenarios that suits one good controller suits the others. The gap is the public score minus the fresh one. A
-    learned entry has an excess too: the part of its gap that the controllers made by hand in the same results do not
-    share (by a regression on their gains). Both have a bootstrap 95 % interval over scenarios; that of the gap is over
-    training seeds too. An excess whose interval lies above zero is marked, which happens to one honest entry in forty
-    by chance.
+    mistake or on purpose, is better there. The gap is the public score minus the fresh one, with its bootstrap 95 %
+    interval over scenarios and training seeds. All entries share the luck of the draw: a set of scenarios that suits
+    one good controller suits the others, so compare an entry's gap with those of the controllers made by hand.
 
     Fresh scenarios are played by 'wtg-gym evaluate' or 'wtg-gym submission score' with --split fresh, --commit, the
     full hash of the commit with the entries, and --secret-file. Publish the sha256 of the secret before anybody submits
@@ -129,10 +127,10 @@ def gap(public: Path, fresh: Path, /, *, json: Json = False) -> int:
     gaps = generalisation.generalisation_gaps(first, second)
     missing = generalisation.left_out(first, second)
     if json:
-        out.print_json({"draw": second.draw, "gaps": [gap.to_dict() for gap in gaps], "left_out": missing})
+        out.print_json({"draw": second.draw, "gaps": [dataclasses.asdict(gap) for gap in gaps], "left_out": missing})
     else:
         out.say(generalisation.describe(first, second), "")
-        out.print_table(generalisation.COLUMNS, generalisation.gap_cells(gaps), left=(0, 5))
+        out.print_table(generalisation.COLUMNS, generalisation.gap_cells(gaps))
     if missing:
         out.note(f"left out, not the same policy in both results: {', '.join(missing)}")
     return 0

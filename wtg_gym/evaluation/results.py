@@ -14,7 +14,7 @@ from wtg_gym.evaluation.metrics import METRICS
 from wtg_gym.evaluation.partial import PartialStore
 from wtg_gym.evaluation.score import NoScaleError, log_gains, pinned, score_scale
 from wtg_gym.evaluation.statistics import Floats, Interval
-from wtg_gym.evaluation.summary import EntryMeasures, EntrySummary, Runs, ranked
+from wtg_gym.evaluation.summary import EntrySummary, Runs, ranked
 from wtg_gym.evaluation.table import markdown_table, privileged_note
 from wtg_gym.extras import install_advice
 from wtg_gym.ranges import ByName
@@ -65,8 +65,7 @@ class Results:
     def __repr__(self) -> str:
         """Return suite, split, number of scenarios and the ranking's scores in a line."""
         entries = ", ".join(
-            f"{row.name} {row.score.value:.1f}" if isinstance(row, EntrySummary) else f"{row.name} without a score"
-            for row in self.ranking
+            f"{row.name} {row.score.value:.1f}" if row.score else f"{row.name} without a score" for row in self.ranking
         )
         return f"<Results of {self.suite}, {self.split}, {len(self.seeds)} scenarios: {entries}>"
 
@@ -84,7 +83,7 @@ class Results:
     @property
     def scores(self) -> dict[str, Interval]:
         """Mean score of every entry with its 95 % interval, by its name; errors as of :attr:`summaries`."""
-        return self._by_entry({row.name: row.score for row in self.summaries})
+        return self._by_entry({row.name: row.score for row in self.summaries if row.score})
 
     @cached_property
     def summaries(self) -> list[EntrySummary]:
@@ -93,19 +92,16 @@ class Results:
         Raises:
             NoScaleError: on these scenarios the zero is not worse than the hundred, so that there is no score.
         """
-        return summary.summarise(self.measures, self._runs, self.pinned_costs, self.benchmark)
-
-    @cached_property
-    def measures(self) -> list[EntryMeasures]:
-        """What is measured of every entry, in the order of the entries; without a score there is this alone."""
-        return summary.entry_measures(self.entries, self._runs, self.pinned_costs, self.benchmark)
+        return summary.scored(self._measured, self._runs, self.pinned_costs, self.benchmark)
 
     @property
-    def ranking(self) -> list[EntryMeasures]:
-        """The :attr:`summaries`, the best first; without a score the :attr:`measures`, the least mean cost first."""
-        if self.has_scale:
-            return [*ranked(self.summaries)]
-        return sorted(self.measures, key=lambda row: (row.mean_pinned_cost, row.name))
+    def _measured(self) -> list[EntrySummary]:
+        return summary.measured(self.entries, self._runs, self.pinned_costs, self.benchmark)
+
+    @property
+    def ranking(self) -> list[EntrySummary]:
+        """The :attr:`summaries`, the best first; where there is no score, the least mean cost first."""
+        return ranked(self.summaries if self.has_scale else self._measured)
 
     @cached_property
     def no_score(self) -> str:
