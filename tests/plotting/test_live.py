@@ -20,9 +20,8 @@ def scale(request: pytest.FixtureRequest) -> Scale:
 
 def _played(scale: Scale, on_k: float, on_tau: float = 0.0, seed: int = _SEED) -> Match:
     match = Match(scale, seed)
-    n = match.n_groups
     while not match.over:
-        match.step(np.full(n, on_k), np.full(n, on_tau))
+        match.step(on_k, on_tau)
     return match
 
 
@@ -34,17 +33,6 @@ def test_without_an_action_you_are_the_reference(scale: Scale) -> None:
     assert [each.name for each in anchors] == list(scale.suite.benchmark.anchors)
     for values in match.sample().values():
         assert np.array_equal(values[OWN], values[REFERENCE])
-
-
-def test_actions_reach_the_group_and_the_quantity_they_are_meant_for(scale: Scale) -> None:
-    match = Match(scale, _SEED)
-    on_k, on_tau = np.linspace(-0.5, 0.7, match.n_groups), np.linspace(0.9, -0.3, match.n_groups)
-    match.step(on_k, on_tau)
-    names, observations = match._lanes.observation_names, match._lanes.observations
-    for kind, actions in (("k", on_k), ("tau", on_tau)):
-        own = [i for i, name in enumerate(names) if f"last_action_{kind}" in name]
-        assert observations[OWN, own] == pytest.approx(actions, abs=1e-6)
-        assert not observations[REFERENCE, own].any()
 
 
 def test_the_score_is_the_evaluators(scale: Scale) -> None:

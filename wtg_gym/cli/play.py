@@ -25,7 +25,7 @@ def play(
 ) -> int:
     """Open a page in the browser on which you hold the frequency by hand, in real time.
 
-    Sliders and keys set k and τ of each WTG group, as an agent's actions do. The reference, which never acts, plays the
+    Two sliders set k and τ of all WTG groups, as an agent's actions do. The reference, which never acts, plays the
     same scenario beside you. Events are shown as they happen. At the end your run is scored as an agent's is. The page
     is served on this machine only.
 

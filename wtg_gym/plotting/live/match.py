@@ -85,12 +85,12 @@ class Match:
         """Time since your start [s]; of a failure its instant."""
         return float(self._lanes.simulator.lane_values("step")[OWN]) * self._lanes.settings.simulation_dt
 
-    def step(self, on_k: npt.ArrayLike, on_tau: npt.ArrayLike) -> list[tuple[float, str]]:
-        """Hold your action, (n_groups,) each, for a control interval; return instants [s] and words of its events."""
+    def step(self, k: float, tau: float) -> list[tuple[float, str]]:
+        """Hold your action on k and τ of all groups for a control interval; return times [s] and words of events."""
         # An event at the very start is one too.
         before_s = self.time_s if self._actions else -1.0
         # Group after group, as the environment takes them.
-        self._actions.append(np.stack([np.asarray(on_k), np.asarray(on_tau)], axis=1, dtype=np.float64).ravel())
+        self._actions.append(np.tile([k, tau], self.n_groups))
         self._lanes.step(np.stack([self._actions[-1], np.zeros(self._lanes.n_action)]))
         events = sorted(self._lanes.events[OWN], key=lambda event: event.time_s)
         return [(e.time_s, describe_event(e)) for e in events if before_s < e.time_s <= self.time_s]
