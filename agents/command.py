@@ -9,7 +9,6 @@ from collections.abc import Callable, Container, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-from agents.folders import held
 from agents.runs import RUN_FILE, Run, RunSettings
 from wtg_gym.envs.settings import ACTION_MODES, OBSERVATION_MODES
 from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY
@@ -80,15 +79,12 @@ def settings_of(
 def opened_run(
     given: Mapping[str, Any], algos: Container[str], settings: Callable[[], RunSettings]
 ) -> Iterator[tuple[Run, Path]]:
-    """Hold the folder of the run that the options name; after the training, say how it ended.
+    """Yield the run that the options name and its folder; after the training, say how it ended.
 
     Args:
         given: options on the command line, those of :func:`training_parser` among them.
         algos: the algorithms that the command trains.
         settings: returns the settings of a new run.
-
-    Yields:
-        the run and its folder.
 
     Raises:
         ValueError: options do not go together, or the folder cannot be used.
@@ -98,9 +94,9 @@ def opened_run(
             named = ", ".join(f"--{key.replace('_', '-')}" for key in others)
             raise ValueError(f"--resume goes on with the run's own settings; leave out {named}")
         folder = Path(given["resume"])
-        algo = Run.read(folder).settings.algo
-        if algo not in algos:
-            raise ValueError(f"{folder} is a run of {algo}: go on with it by the command that began it")
+        run = Run.read(folder)
+        if run.settings.algo not in algos:
+            raise ValueError(f"{folder} is a run of {run.settings.algo}: go on with it by the command that began it")
     elif "output" in given:
         folder, run = Path(given["output"]), Run.new(settings())
         if (folder / RUN_FILE).exists():
@@ -108,11 +104,5 @@ def opened_run(
         folder.mkdir(parents=True, exist_ok=True)
     else:
         raise ValueError("--output FOLDER is needed, or --resume FOLDER")
-    with held(folder):
-        if "resume" in given:
-            # Anew, now that no other process can change it.
-            run = Run.read(folder)
-            for difference in run.go_on():
-                note(f"{difference}: the weights may end otherwise than they would have")
-        yield run, folder
+    yield run, folder
     note(f"best validation score {run.best['score']:.1f} at step {run.best['timesteps']}; wrote {folder}")

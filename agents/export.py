@@ -62,15 +62,13 @@ def _model_card(run: Run, best: Mapping[str, float], name: str, authors: Sequenc
     """Return the README.md of an exported policy; `best` is its row of the run's curve, `content` its policy.onnx."""
     settings, provenance = run.settings, run.provenance
     benchmark = get_suite(settings.suite).benchmark
-    changes = [change for process in run.resumptions for change in process["differences"]]
     facts = {
         "environment": f"`{benchmark.env_id}`, suite `{settings.suite}`",
         "actions": f"`{settings.action_mode}` of `{settings.strategy}`, deterministic",
         "observations": f"`{settings.observation_mode}`",
         "algorithm": f"`{settings.algo}`, training seed {settings.seed}, {settings.n_envs} lanes",
         "steps": f"{best['timesteps']:,} of {settings.timesteps:,}",
-        "wall time": f"{run.curve[-1]['wall_time_s']:,.0f} s, {len(run.resumptions)} interruptions",
-        "changed by a resumption": "; ".join(changes) or "nothing",
+        "wall time": f"{run.curve[-1]['wall_time_s']:,.0f} s",
         "validation score": f"{best['score']:.1f} on {settings.validation_episodes} scenarios "
         f"({benchmark.zero} 0, {benchmark.hundred} 100), chosen as the best of the curve: a little optimistic",
         "authors": ", ".join(authors) or "not given",
