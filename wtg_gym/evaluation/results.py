@@ -238,15 +238,20 @@ class Results:
             ValueError: a file is missing, cut short, of another version, or was edited; the message names file, key
                 and what is expected.
         """
-        data, episodes = results_file.read(Path(path))
-        results = cls(
-            **{key: data[key] for key in (*results_file.TEXTS, "draw", "environment", "settings", "versions")},
-            seeds=tuple(data["seeds"]),
-            entries=tuple(data["entries"]),
-            episodes=tuple(episodes),
-            failed=tuple(data["failed"]),
-        )
-        results_file.check_summary(data["summary"], results.to_dict()["summary"], f"{path}: summary")
+        try:
+            data, episodes = results_file.read(Path(path))
+            results = cls(
+                **{key: data[key] for key in (*results_file.TEXTS, "draw", "environment", "settings", "versions")},
+                seeds=tuple(data["seeds"]),
+                entries=tuple(data["entries"]),
+                episodes=tuple(episodes),
+                failed=tuple(data["failed"]),
+            )
+            results_file.check_summary(data["summary"], results.to_dict()["summary"], "summary")
+        except ValueError as error:
+            raise ValueError(f"{path}: {error}") from error
+        except (AttributeError, KeyError, TypeError) as error:
+            raise ValueError(f"{path} describes no results: {type(error).__name__}: {error}") from error
         return results
 
 
