@@ -63,42 +63,25 @@ def _model_card(run: Run, best: Mapping[str, float], name: str, authors: Sequenc
     settings, provenance = run.settings, run.provenance
     benchmark = get_suite(settings.suite).benchmark
     facts = {
-        "environment": f"`{benchmark.env_id}`, suite `{settings.suite}`",
         "actions": f"`{settings.action_mode}` of `{settings.strategy}`, deterministic",
-        "observations": f"`{settings.observation_mode}`",
-        "algorithm": f"`{settings.algo}`, training seed {settings.seed}, {settings.n_envs} lanes",
+        "observations": f"`{settings.observation_mode}` of `{benchmark.env_id}`, suite `{settings.suite}`",
         "steps": f"{best['timesteps']:,} of {settings.timesteps:,}",
-        "wall time": f"{run.curve[-1]['wall_time_s']:,.0f} s",
         "validation score": f"{best['score']:.1f} on {settings.validation_episodes} scenarios "
         f"({benchmark.zero} 0, {benchmark.hundred} 100), chosen as the best of the curve: a little optimistic",
         "authors": ", ".join(authors) or "not given",
         "sha256 of policy.onnx": f"`{sha256(content)}`",
         **{key: f"`{value}`" for key, value in sorted(settings.hyperparameters.items())},
         "source hash": f"`{provenance['source_hash']}`",
-        "suite hash": f"`{provenance['suite_hash']}`",
-        "machine": provenance["machine"],
         **provenance["versions"],
     }
-    columns = ["timesteps", *sorted(best.keys() - {"timesteps"})]
-    curve = [[f"{round(row[key], 3):,}" for key in columns] for row in run.curve]
     return f"""\
 # {name}
 
-A policy that modulates the grid-forming control of wind turbines on the IEEE 14-bus system. Any checkout plays it:
-
-```
-wtg-gym evaluate --entries FOLDER --suite {settings.suite}
-```
+A policy that modulates the grid-forming control of wind turbines on the IEEE 14-bus system.
 
 {markdown_table(["", ""], [[key, str(value)] for key, value in facts.items()])}
 
-## Training curve
-
-{markdown_table(columns, curve, right=range(len(columns)))}
-
-## How to reproduce
-
-In a checkout of commit `{provenance["git_commit"]}`, with these versions on the same kind of machine:
+In a checkout of commit `{provenance["git_commit"]}`, with these versions on a machine like {provenance["machine"]}:
 
 ```
 {provenance["command"]}

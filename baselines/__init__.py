@@ -17,14 +17,13 @@ COORDINATED_SOURCE = (
 #: The source of deloaded operation with grid-forming control.
 DELOADED_SOURCE = "X. Lyu, D. Groß, IEEE Trans. Sustain. Energy 15(1), 2024"
 
-#: The score's zero in version v0: 2H ω̇ = P_st - p - D_p (ω - ω_st). At K_opt the rotor sits on the top of the power
-#: curve. When the frequency falls, the droop takes energy from the rotor, the slower rotor captures less, and in the
-#: end the turbine gives less than before, or stalls.
+#: The score's zero in version v0: P_st = K_opt ω_m³ in 2H ω̇ = P_st - p - D_p (ω - ω_st). At K_opt the rotor sits on
+#: the top of the power curve. When the frequency falls, the droop takes energy from the rotor, the slower rotor captures
+#: less, and in the end the turbine gives less than before, or stalls.
 MPPT = Entry(
     name="mppt",
     strategy=tracking_law.mppt(),
     description="Maximum power point tracking with plain droop; no reserve.",
-    equation="P_st = K_opt ω_m³",
     source=f"{COORDINATED_SOURCE}, frequency dynamics with maximum power point tracking",
 )
 #: λ_d > λ_opt is the tip-speed ratio of an over-speeding rotor that captures the share 1 - d of the available power.
@@ -34,7 +33,6 @@ DELOADED_5 = Entry(
     name="deloaded-5",
     strategy=tracking_law.deloaded(0.05),
     description="5 % below the available power at nominal frequency, with plain droop.",
-    equation="P_st = K_d ω_m³, K_d = K_opt (λ_opt/λ_d)³ (1 - 0.05)",
     source=f"{DELOADED_SOURCE}; {COORDINATED_SOURCE}, frequency dynamics with deloading",
 )
 #: The reserve lasts longer than with 5 %, at the price of energy: in calm operation twice as much is given up, and a
@@ -43,7 +41,6 @@ DELOADED_10 = Entry(
     name="deloaded-10",
     strategy=tracking_law.deloaded(0.10),
     description="10 % below the available power at nominal frequency, with plain droop.",
-    equation="P_st = K_d ω_m³, K_d = K_opt (λ_opt/λ_d)³ (1 - 0.10)",
     source=f"{DELOADED_SOURCE}; {COORDINATED_SOURCE}, frequency dynamics with deloading",
 )
 #: The droop of this law and the next acts on fast changes only (transient damping): τ ẋ = (ω - ω_st) - x, τ = 0.8 s.
@@ -53,7 +50,6 @@ COORDINATED_LINEAR = Entry(
     name="coordinated-linear",
     strategy=tracking_law.coordinated_linear(),
     description="k falls on a straight line from K_opt at ω_min to K_pr at ω_max; transient damping.",
-    equation="P_st = g(ω) ω_m³ + D_p x, g linear in ω",
     source=f"{COORDINATED_SOURCE}, equation of the linear g(ω)",
 )
 #: The paper's law: g through (ω_min, K_opt), (ω_st, K_n), (ω_max, K_pr), constant outside. K_n is the coefficient of
@@ -63,7 +59,6 @@ COORDINATED_PIECEWISE = Entry(
     name="coordinated-piecewise",
     strategy=tracking_law.coordinated_piecewise(),
     description="The reference: k passes through K_opt, K_n and K_pr; transient damping.",
-    equation="P_st = g(ω) ω_m³ + D_p x, g piecewise linear in ω",
     source=f"{COORDINATED_SOURCE}, equation of the augmented g(ω)",
 )
 #: The droop cancels altogether, 2H ω̇ = g(ω) ω_m³ - p, so that only g(ω) regulates. That leaves little damping of fast
@@ -72,7 +67,6 @@ COORDINATED_UNDAMPED = Entry(
     name="coordinated-undamped",
     strategy=tracking_law.coordinated_undamped(),
     description="The reference's g(ω) without any droop: fast swings are hardly damped.",
-    equation="P_st = g(ω) ω_m³ + D_p (ω - ω_st), g piecewise linear in ω",
     source=f"{COORDINATED_SOURCE}, open loop of the proposed law",
 )
 #: The score's hundred in version v1. g, through (ω_min, K_opt + 1.52 S), (ω_st, K_n + 0.017 S), (ω_max, K_pr - 1.05 S)
@@ -83,7 +77,6 @@ COORDINATED_TUNED = Entry(
     name="coordinated-tuned",
     strategy=tracking_law.coordinated_tuned(),
     description="The piecewise law with steeper slopes and a faster filter, tuned to a grid that needs the wind.",
-    equation="P_st = g(ω) ω_m³ + D_p x, g piecewise linear in ω",
     source=f"{COORDINATED_SOURCE}, equation of the augmented g(ω), with other numbers",
 )
 

@@ -23,7 +23,6 @@ BAD = [
     # Wrong usage of options.
     ("simulate --wnd 8", "--wnd"),
     ("simulate --wind strong", "strong"),
-    ("reproduce --formats jpg", "jpg"),
     ("play --speed 0", "Must be >= 0.1"),
     ("results page --output page.html", "RESULTS"),
     ("submission check", "FOLDERS"),

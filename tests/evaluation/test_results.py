@@ -4,18 +4,15 @@ from __future__ import annotations
 
 import json
 import re
-import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from wtg_gym.evaluation import Interval, Results
-from wtg_gym.evaluation.episodes import COLUMNS
 from wtg_gym.files import sha256, to_json
 
 
@@ -135,17 +132,3 @@ def test_forged_table_names_line_and_column(copies: tuple[Path, Path], column: s
     _sign(copies, json.loads(copies[0].read_text(encoding="utf-8")))
     with pytest.raises(ValueError, match=r"expected one row per entry and seed.*9 rows.*got 8"):
         Results.read(copies[0])
-
-
-def test_table_of_pandas_has_every_episode_and_metric(results: Results, monkeypatch: pytest.MonkeyPatch) -> None:
-    pytest.importorskip("pandas")
-    table = results.to_pandas()
-    assert tuple(table.columns) == (*COLUMNS, "pinned_cost") and len(table) == len(results.episodes)
-    for row, episode in zip(table.itertuples(), results.episodes, strict=True):
-        assert (row.entry, row.seed, row.failure) == (episode.entry, episode.seed, episode.failure)
-        for name, expected in episode.metrics.items():
-            assert np.isnan(getattr(row, name)) if expected is None else getattr(row, name) == expected
-    assert table["training_seed"].isna().all() and table["training_seed"].dtype == "Int64"
-    monkeypatch.setitem(sys.modules, "pandas", None)
-    with pytest.raises(ImportError, match=r"needs pandas; in a checkout: pip install '\.\[data\]'"):
-        results.to_pandas()

@@ -55,8 +55,8 @@ def test_interval_of_several_seeds_covers_the_truth_as_often_as_it_says() -> Non
     for _ in range(200):
         # As trained policies are: hard and easy scenarios for all of them, better and worse seeds, and the rest.
         values = 20.0 * rng.normal(size=(1, 100)) + 3.0 * rng.normal(size=(5, 1)) + 2.0 * rng.normal(size=(5, 100))
-        interval = statistics.mean_interval(values)
-        covered.append(interval.low <= 0.0 <= interval.high)
+        interval = statistics.score_interval(values, np.full(100, -1.0))
+        covered.append(interval.low <= 100.0 <= interval.high)
     assert 0.89 <= np.mean(covered) <= 0.99
 
 

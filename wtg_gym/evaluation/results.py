@@ -6,23 +6,19 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import Any, TypeVar
 
 from wtg_gym.evaluation import results_file, summary
 from wtg_gym.evaluation.episodes import Episode, to_csv
 from wtg_gym.evaluation.metrics import METRICS
 from wtg_gym.evaluation.partial import PartialStore
-from wtg_gym.evaluation.score import NoScaleError, log_gains, pinned, score_scale
+from wtg_gym.evaluation.score import NoScaleError, log_gains, score_scale
 from wtg_gym.evaluation.statistics import Floats, Interval
 from wtg_gym.evaluation.summary import EntrySummary, Runs, ranked
 from wtg_gym.evaluation.table import markdown_table, privileged_note
-from wtg_gym.extras import install_advice
 from wtg_gym.ranges import ByName
 from wtg_gym.scenarios import get_suite
 from wtg_gym.scenarios.benchmark import Benchmark
-
-if TYPE_CHECKING:
-    from pandas import DataFrame
 
 Value = TypeVar("Value")
 
@@ -173,25 +169,6 @@ class Results:
             episodes=tuple(episode for episode in self.episodes if episode.entry not in first),
             failed=(*self.failed, *left_out),
         )
-
-    def to_pandas(self) -> DataFrame:
-        """Return the episodes as a table of pandas, a row per entry and scenario.
-
-        Columns are those of the CSV: entry, training_seed, seed, scenario, duration_s, failure, and every metric; and
-        pinned_cost, whose mean the tables show: it differs from cost where the episode failed.
-
-        Raises:
-            ImportError: pandas, of the extra `data`, is not installed.
-        """
-        try:
-            import pandas
-        except ImportError as error:
-            raise ImportError(f"to_pandas() needs pandas; {install_advice('data')} ({error})") from error
-        rows = [{**vars(each), **each.metrics, "pinned_cost": pinned(each, self._cap)} for each in self.episodes]
-        # Most entries have no training seed, and some episodes not every metric.
-        kinds = {"training_seed": "Int64", **dict.fromkeys(METRICS, "float64")}
-        table: DataFrame = pandas.DataFrame(rows).drop(columns="metrics").astype(kinds)
-        return table
 
     def to_dict(self) -> dict[str, Any]:
         """Return the description and the :attr:`ranking` as JSON-ready data."""

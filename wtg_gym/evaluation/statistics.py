@@ -69,11 +69,6 @@ def percentile_interval(value: float, samples: Floats) -> Interval:
     return Interval(value, float(low), float(high))
 
 
-def mean_interval(values: Floats) -> Interval:
-    """Return the mean of (n_runs, n_scenarios) with its bootstrap interval."""
-    return percentile_interval(mean(values), _resampled_means(values))
-
-
 def resampled_scores(gains: Floats, zero: Floats, side: int = 0) -> Floats:
     """Return the mean score in every resample of the bootstrap.
 
