@@ -18,8 +18,8 @@ COORDINATED_SOURCE = (
 DELOADED_SOURCE = "X. Lyu, D. Groß, IEEE Trans. Sustain. Energy 15(1), 2024"
 
 #: The score's zero in version v0: P_st = K_opt ω_m³ in 2H ω̇ = P_st - p - D_p (ω - ω_st). At K_opt the rotor sits on
-#: the top of the power curve. When the frequency falls, the droop takes energy from the rotor, the slower rotor captures
-#: less, and in the end the turbine gives less than before, or stalls.
+#: the top of the power curve. When the frequency falls, the droop takes energy from the rotor, the slower rotor
+#: captures less, and in the end the turbine gives less than before, or stalls.
 MPPT = Entry(
     name="mppt",
     strategy=tracking_law.mppt(),
