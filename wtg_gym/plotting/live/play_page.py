@@ -12,7 +12,7 @@ from bokeh.models import Button, ColumnDataSource, Div, Range1d, Slider
 from bokeh.plotting import figure
 
 from wtg_gym.envs.rendering.colours import EVENT, INK, SOFT, group_colour
-from wtg_gym.plotting.live.match import OWN, REFERENCE, Match, Scale, Verdict
+from wtg_gym.plotting.live.match import OWN, REFERENCE, Match, Verdict
 
 #: How often the page is brought up to date [ms]; a slow machine plays more slowly.
 _TICK_MS = 50
@@ -26,9 +26,8 @@ damping. Events are not announced. The arrow keys move the slider that was click
 class PlayPage:
     """One visitor's page."""
 
-    def __init__(self, document: Document, scale: Scale, seed: int, speed: float) -> None:
-        self._scale, self._speed = scale, speed
-        self._match = Match(scale, seed)
+    def __init__(self, document: Document, match: Match, speed: float) -> None:
+        self._match, self._speed = match, speed
         self._running = False
         #: Control steps that are still to be made, a fraction of one between two ticks.
         self._due = 0.0
@@ -38,7 +37,7 @@ class PlayPage:
         self._sliders = [
             Slider(name=name, title=name, start=-1.0, end=1.0, step=0.05, value=0.0, width=300) for name in ("k", "τ")
         ]
-        self._play(seed)
+        self._play(match.seed)
         buttons = (
             self._start,
             _button("again", "Again", lambda: self._play(self._match.seed)),
@@ -56,7 +55,7 @@ class PlayPage:
         document.add_periodic_callback(self._tick, _TICK_MS)
 
     def _chart(self, name: str) -> Any:
-        span = Range1d(0.0, self._scale.duration_s)
+        span = Range1d(0.0, self._match.duration_s)
         made = figure(name=name, title=_CHARTS[name], height=190, x_range=span, tools="")
         made.update(toolbar_location=None, sizing_mode="stretch_width", lod_threshold=None)
         made.update(min_border_left=60, min_border_right=20)
@@ -89,7 +88,7 @@ class PlayPage:
 
     def _play(self, seed: int) -> None:
         """Put a scenario at its start, paused."""
-        self._match = Match(self._scale, seed)
+        self._match = Match(self._match.suite, seed, self._match.duration_s)
         self._running, self._due, self._seen = False, 0.0, list[tuple[float, str]]()
         self._zero()
         self._traces.data = {name: [value] for name, value in self._now().items()}
@@ -124,7 +123,7 @@ class PlayPage:
             self._strikes.stream({"x": [time_s for time_s, _ in struck]})
         if self._match.over:
             self._running = False
-            self._verdict.text = verdict_text(self._match.verdicts(), self._match, self._scale)
+            self._verdict.text = verdict_text(self._match.verdicts(), self._match)
         self._say()
 
     def _say(self) -> None:
@@ -134,8 +133,8 @@ class PlayPage:
         frequency = match.sample()["frequency"][OWN]
         lost = "" if match.over or not match.has_ended(REFERENCE) else " The reference has failed."
         self._status.text = (
-            f"<b>{match.time_s:.1f} s</b> of {self._scale.duration_s:g} s, <b>{frequency:.2f} Hz</b>, {state}. "
-            f"{self._scale.suite.name}, scenario {match.seed}.{lost}"
+            f"<b>{match.time_s:.1f} s</b> of {self._match.duration_s:g} s, <b>{frequency:.2f} Hz</b>, {state}. "
+            f"{match.suite.name}, scenario {match.seed}.{lost}"
         )
         lines = (f"<b>{time_s:.1f} s</b> {html.escape(words)}" for time_s, words in reversed(self._seen))
         self._events.text = "<br>".join(lines) or "Nothing has happened yet."
@@ -151,15 +150,15 @@ def _button(name: str, label: str, act: Any) -> Button:
     return button
 
 
-def verdict_text(verdicts: list[Verdict], match: Match, scale: Scale) -> str:
-    """Return the end of a run as HTML: score, failure, and a table of everybody's."""
-    you, (zero, hundred) = verdicts[0], scale.suite.benchmark.anchors
-    head = f"<h2>Score {you.score:.1f}</h2>{zero} has 0 on average over the suite, {hundred} 100 everywhere."
+def verdict_text(verdicts: list[Verdict], match: Match) -> str:
+    """Return the end of a run as HTML: your cost, failure, and a table of everybody's."""
+    you = verdicts[0]
+    head = f"<h2>Your cost: {you.cost:.1f}</h2>"
     if you.failure:
         head = f"<h2>Your run failed after {match.time_s:.1f} s: {you.failure}</h2>{head}"
-    cells = [("", "score", "cost", "largest deviation", "failure")]
-    for each in verdicts:
-        numbers = f"{each.score:.1f}", f"{each.cost:.1f}", f"{1000.0 * each.deviation_hz:.0f} mHz"
-        cells.append((each.name, *numbers, each.failure))
+    cells = [("", "cost", "largest deviation", "failure")]
+    cells += [
+        (each.name, f"{each.cost:.1f}", f"{1000.0 * each.deviation_hz:.0f} mHz", each.failure) for each in verdicts
+    ]
     rows = "".join("<tr><td>" + "<td style='padding-left:2em'>".join(line) for line in cells)
     return f"{head}<table>{rows}</table>"
