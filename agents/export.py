@@ -24,17 +24,10 @@ entry.toml that makes the folder an entry of the leaderboard. The file is the on
 def export(
     run_folder: Path, output: Path, *, name: str = "", description: str = "", authors: Sequence[str] = ()
 ) -> None:
-    """Write the best policy of a run into a folder.
+    """Write the best policy of a run into a new folder: policy.onnx, README.md and entry.toml.
 
-    Args:
-        run_folder: of the run.
-        output: new folder, which gets policy.onnx, README.md and entry.toml.
-        name: of the entry; empty for one made of algorithm and action mode.
-        description: one sentence on what it is; empty for a general one.
-        authors: names.
-
-    Raises:
-        ValueError: the folder is there already, there is no policy, or the leaderboard would refuse the name.
+    Without a name it is one made of algorithm and action mode. A ValueError says that the folder is there already, that
+    there is no policy, or that the leaderboard would refuse the name.
     """
     if output.exists():
         raise ValueError(f"{output} is there already; give a new folder")

@@ -49,11 +49,7 @@ def group_sizes(settings: EnvSettings) -> Array:
 
 
 def agent_env(settings: RunSettings) -> AgentVecEnv:
-    """Return the lanes that a run learns in.
-
-    Raises:
-        ValueError: the number of lanes is no multiple of the groups, or the observations are not local.
-    """
+    """Return the lanes that a run learns in; a ValueError if they are no multiple of the groups or not local."""
     if settings.observation_mode != "local":
         raise ValueError(f"agents of {settings.algo} see what their own groups measure: leave out --observation-mode")
     n_wtg = group_sizes(EnvSettings(**settings.env_arguments)).size

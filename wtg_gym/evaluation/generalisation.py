@@ -31,12 +31,8 @@ class GeneralisationGap:
 def generalisation_gaps(public: Results, fresh: Results) -> list[GeneralisationGap]:
     """Return the gaps of all entries that both results hold with the same policies, the best on public ones first.
 
-    Args:
-        public: results on the split "test".
-        fresh: results on the split "fresh" of the same suite, with the same settings.
-
     Raises:
-        ValueError: the results are not of these splits, or of different suites, settings or source code.
+        ValueError: the results are not on "test" and "fresh", or of different suites, settings or source code.
         NoScaleError: the results have no score, see :attr:`Results.summaries`.
     """
     if (public.split, fresh.split) != ("test", FRESH):

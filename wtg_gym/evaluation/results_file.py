@@ -33,10 +33,7 @@ def write(stem: Path, description: Mapping[str, Any], table: str) -> tuple[Path,
 
 
 def read(json_path: Path) -> tuple[dict[str, Any], list[Episode]]:
-    """Return the checked description and the episodes of results.
-
-    Args:
-        json_path: the JSON; the CSV lies beside it.
+    """Return the checked description and the episodes of results; the CSV lies beside the JSON.
 
     Raises:
         ValueError: a file is missing, cut short, of another version or was edited.

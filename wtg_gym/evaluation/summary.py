@@ -67,11 +67,7 @@ def measured(
 ) -> list[EntrySummary]:
     """Return the row of every name without its score, in the order of the entries.
 
-    Args:
-        entries: the entries' data, both anchors among them.
-        runs: the episodes of every name, all on the same scenarios in the same order.
-        costs: their pinned costs, (n_runs, n_scenarios).
-        benchmark: the version, which names the anchors.
+    All runs are on the same scenarios in the same order; costs are pinned, (n_runs, n_scenarios).
     """
     described = {entry["name"]: entry for entry in entries}
     return [_measured(each, runs[name], costs[name], benchmark) for name, each in described.items()]
@@ -80,11 +76,7 @@ def measured(
 def scored(
     rows: Sequence[EntrySummary], runs: Mapping[str, Runs], costs: Mapping[str, Floats], benchmark: Benchmark
 ) -> list[EntrySummary]:
-    """Return the :func:`measured` rows with their scores; arguments as there.
-
-    Raises:
-        NoScaleError: the zero is not worse than the hundred, so that there is no scale.
-    """
+    """Return the :func:`measured` rows with their scores; a NoScaleError if the zero is not worse than the hundred."""
     hundred = costs[benchmark.hundred][0]
     score_scale(costs[benchmark.zero][0], hundred, benchmark.anchors)
     gains = {name: log_gains(own, hundred) for name, own in costs.items()}

@@ -25,16 +25,10 @@ _CHARACTER_WIDTH, _ROW_HEIGHT, _CHART_HEIGHT = 6, 26, 420
 
 
 def leaderboard_page(results: Sequence[Results]) -> str:
-    """Return the leaderboard as one HTML file: a tab per ranking.
+    """Return the leaderboard as one HTML file: a tab per ranking, the suites of the latest version first.
 
-    The suites of the latest version come first. Results of scenarios without a scale are left out.
-
-    Args:
-        results: at most one of each suite and split.
-
-    Raises:
-        ImportError: Bokeh is missing.
-        ValueError: there is no ranking in the results, or they hold the same scenarios twice.
+    Results of scenarios without a scale are left out. A ValueError says that none is left, or that scenarios are given
+    twice.
     """
     from bokeh.embed import file_html
     from bokeh.models import TabPanel, Tabs
