@@ -11,7 +11,7 @@ import pytest
 from baselines import tip_speed_feedback
 from wtg_gym.envs.settings import EnvSettings
 from wtg_gym.evaluation import Entry, Results, evaluate, load_entries
-from wtg_gym.evaluation.generalisation import generalisation_gaps, left_out, score_gap
+from wtg_gym.evaluation.generalisation import excess_gap, generalisation_gaps, left_out, score_gap
 from wtg_gym.policies.play import started_lanes
 from wtg_gym.scenarios import draw_seeds
 from wtg_gym.scenarios.benchmark import V0
@@ -50,16 +50,23 @@ def both() -> tuple[Results, Results]:
     return public, evaluate(entries, "standard", "fresh", draw=DRAW, **SHORT)
 
 
-def test_memoriser_has_a_gap_that_the_same_policy_without_memory_has_not(both: tuple[Results, Results]) -> None:
+def test_memoriser_is_marked_and_the_same_policy_without_memory_is_not(both: tuple[Results, Results]) -> None:
     gaps = {gap.name: gap for gap in generalisation_gaps(*both)}
     memoriser, honest = gaps["memoriser"], gaps["honest"]
     assert memoriser.public.value == honest.public.value > 105.0
     assert memoriser.fresh.value == 100.0
-    assert memoriser.gap.low > 5.0 and honest.gap.low < 0.0 < honest.gap.high
+    assert memoriser.excess is not None and honest.excess is not None
+    assert memoriser.is_suspect and memoriser.excess.low > 5.0
+    # A control does exactly what it does.
+    assert not honest.is_suspect and abs(honest.excess.value) < 1e-9
+    assert [gap.name for gap in gaps.values() if gap.is_suspect] == ["memoriser"]
 
 
-def test_other_policies_of_a_name_are_left_out(both: tuple[Results, Results]) -> None:
+def test_other_policies_of_a_name_are_left_out_and_few_scenarios_give_no_excess(both: tuple[Results, Results]) -> None:
     public, fresh = both
+    few = dataclasses.replace(fresh, episodes=tuple(each for each in fresh.episodes if each.seed in fresh.seeds[:10]))
+    gaps = generalisation_gaps(public, few)
+    assert len(gaps) == len(generalisation_gaps(*both)) and all(gap.excess is None for gap in gaps)
     changed = tuple({**entry, "sha256": "0" * 64} if entry["name"] == "honest" else entry for entry in fresh.entries)
     other = dataclasses.replace(fresh, entries=changed)
     assert left_out(public, fresh) == []
@@ -97,3 +104,25 @@ def test_gap_interval_agrees_with_a_bootstrap_written_out() -> None:
     assert interval.value == pytest.approx(100.0 * (a.mean() / -m.mean() - b.mean() / -k.mean()))
     assert interval.low == pytest.approx(low, abs=0.06 * (high - low))
     assert interval.high == pytest.approx(high, abs=0.06 * (high - low))
+
+
+def _two_sets(rng: np.random.Generator, fitted: float) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
+    """Gains of two seeds and of two controls on lucky public scenarios and on fresh ones; `fitted` on the public."""
+    sides = []
+    mppt = np.full(100, -1.0)
+    for luck, extra in ((0.5, fitted), (0.0, 0.0)):
+        shared = rng.normal(size=100) + luck
+        controls = np.stack([shared + 0.1 * rng.normal(size=100), rng.normal(size=100)])
+        sides.append((0.8 * shared + 0.1 * rng.normal(size=(2, 100)) + extra, controls, mppt))
+    return sides
+
+
+def test_excess_is_what_the_controls_do_not_share() -> None:
+    rng = np.random.default_rng(9)
+    honest = [excess_gap(*_two_sets(rng, 0.0)) for _ in range(200)]
+    assert 0.89 <= np.mean([interval.low <= 0.0 <= interval.high for interval in honest]) <= 0.99
+    # The luck of half a standard deviation, 40 points here, is none of theirs.
+    assert abs(np.mean([interval.value for interval in honest])) < 1.0
+    fitted = [excess_gap(*_two_sets(rng, 0.1)) for _ in range(50)]
+    assert np.mean([interval.value for interval in fitted]) == pytest.approx(10.0, abs=1.0)
+    assert all(interval.low > 0.0 for interval in fitted)

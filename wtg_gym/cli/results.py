@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 from pathlib import Path
 
 from cyclopts import App
@@ -108,9 +107,12 @@ def gap(public: Path, fresh: Path, /, *, json: Json = False) -> int:
     """Compare scores on public and on fresh scenarios.
 
     Fresh scenarios were drawn after the entries were submitted. An entry that was fitted to the public scenarios, by
-    mistake or on purpose, is better there. The gap is the public score minus the fresh one, with its bootstrap 95 %
-    interval over scenarios and training seeds. All entries share the luck of the draw: a set of scenarios that suits
-    one good controller suits the others, so compare an entry's gap with those of the controllers made by hand.
+    mistake or on purpose, is better there. All entries are a little better or worse by the luck of the draw: a set of
+    scenarios that suits one good controller suits the others. The gap is the public score minus the fresh one. A
+    learned entry has an excess too: the part of its gap that the controllers made by hand in the same results do not
+    share (by a regression on their gains). Both have a bootstrap 95 % interval over scenarios; that of the gap is over
+    training seeds too. An excess whose interval lies above zero is marked, which happens to one honest entry in forty
+    by chance.
 
     Fresh scenarios are played by 'wtg-gym evaluate' or 'wtg-gym submission score' with --split fresh, --commit, the
     full hash of the commit with the entries, and --secret-file. Publish the sha256 of the secret before anybody submits
@@ -127,10 +129,10 @@ def gap(public: Path, fresh: Path, /, *, json: Json = False) -> int:
     gaps = generalisation.generalisation_gaps(first, second)
     missing = generalisation.left_out(first, second)
     if json:
-        out.print_json({"draw": second.draw, "gaps": [dataclasses.asdict(gap) for gap in gaps], "left_out": missing})
+        out.print_json({"draw": second.draw, "gaps": [gap.to_dict() for gap in gaps], "left_out": missing})
     else:
         out.say(generalisation.describe(first, second), "")
-        out.print_table(generalisation.COLUMNS, generalisation.gap_cells(gaps))
+        out.print_table(generalisation.COLUMNS, generalisation.gap_cells(gaps), left=(0, 5))
     if missing:
         out.note(f"left out, not the same policy in both results: {', '.join(missing)}")
     return 0

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
+from typing import Any
 
 import numpy as np
 
@@ -13,8 +14,10 @@ from wtg_gym.evaluation.statistics import Floats, Interval
 from wtg_gym.evaluation.table import signed_interval
 from wtg_gym.scenarios import FRESH
 
-#: Headings of the table; the first column holds text.
-COLUMNS = ("entry", "public", "fresh", "gap")
+#: With fewer the regression on the controls fits noise.
+_FEWEST_FRESH = 30
+#: Headings of the table; the first and the last column hold text.
+COLUMNS = ("entry", "public", "fresh", "gap", "excess", "")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -26,13 +29,29 @@ class GeneralisationGap:
     public: Interval
     fresh: Interval
     gap: Interval  # public minus fresh
+    #: The part of the gap that the controllers made by hand do not share, see :func:`excess_gap`; None for these, and
+    #: with fewer than 30 fresh scenarios.
+    excess: Interval | None
+
+    @property
+    def is_suspect(self) -> bool:
+        """Return whether the interval of the excess is above zero; of forty honest entries one is, by chance."""
+        return self.excess is not None and self.excess.low > 0.0
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the gap as JSON-ready data."""
+        return {**asdict(self), "is_suspect": self.is_suspect}
 
 
 def generalisation_gaps(public: Results, fresh: Results) -> list[GeneralisationGap]:
     """Return the gaps of all entries that both results hold with the same policies, the best on public ones first.
 
+    Args:
+        public: results on the split "test".
+        fresh: results on the split "fresh" of the same suite, with the same settings.
+
     Raises:
-        ValueError: the results are not on "test" and "fresh", or of different suites, settings or source code.
+        ValueError: the results are not of these splits, or of different suites, settings or source code.
         NoScaleError: the results have no score, see :attr:`Results.summaries`.
     """
     if (public.split, fresh.split) != ("test", FRESH):
@@ -43,19 +62,27 @@ def generalisation_gaps(public: Results, fresh: Results) -> list[GeneralisationG
     for key in ("suite", "suite_hash", "source_hash", "settings"):
         if getattr(public, key) != getattr(fresh, key):
             raise ValueError(f"the two results are of another {key.replace('_', ' ')}: evaluate both again")
-    left = left_out(public, fresh)
-    gains, scores = (public.log_gains, fresh.log_gains), fresh.scores
-    zeros = [own[public.benchmark.zero][0] for own in gains]
-    return [
-        GeneralisationGap(
-            name=row.name,
-            public=public.scores[row.name],
-            fresh=scores[row.name],
-            gap=score_gap(*((own[row.name], zero) for own, zero in zip(gains, zeros, strict=True))),
-        )
-        for row in leaderboard_rows(public)
-        if row.name not in (*public.benchmark.anchors, *left)
-    ]
+    zero, hundred = public.benchmark.anchors
+    others = {hundred, *left_out(public, fresh)}
+    rows = [row for row in leaderboard_rows(public) if row.name not in others]
+    controls = [row.name for row in rows if row.kind != "learned"]
+    scores, gains = fresh.scores, (public.log_gains, fresh.log_gains)
+    of_zero = [own[zero][0] for own in gains]
+    gaps = []
+    for row in rows:
+        if row.name != zero:
+            own = [each[row.name] for each in gains]
+            excess = None
+            if row.kind == "learned" and of_zero[1].size >= _FEWEST_FRESH:
+                of_controls = [np.concatenate([each[name] for name in controls]) for each in gains]
+                excess = excess_gap(*zip(own, of_controls, of_zero, strict=True))
+            gap = score_gap(*zip(own, of_zero, strict=True))
+            gaps.append(
+                GeneralisationGap(
+                    name=row.name, public=public.scores[row.name], fresh=scores[row.name], gap=gap, excess=excess
+                )
+            )
+    return gaps
 
 
 def score_gap(public: tuple[Floats, Floats], fresh: tuple[Floats, Floats]) -> Interval:
@@ -83,6 +110,28 @@ def score_gap(public: tuple[Floats, Floats], fresh: tuple[Floats, Floats]) -> In
     return statistics.percentile_interval(100.0 * value, resampled[scored])
 
 
+def excess_gap(public: tuple[Floats, Floats, Floats], fresh: tuple[Floats, Floats, Floats]) -> Interval:
+    """Return the part of the gap that controls do not share, in points of the score, with its bootstrap interval.
+
+    A set of scenarios that suits one good controller suits the others too. So the mean gain over the training seeds is
+    regressed on the gains of controls, over the fresh scenarios, and the prediction is subtracted from the gains on
+    both sides. The excess is the gap of the remainder: the entry's gap minus the weighted gaps of the controls. The
+    coefficients and the training seeds are taken as known: the question is about these policies, not about others
+    trained alike. A row of which only some seeds know the public scenarios is seen as sharply as any other.
+
+    Source: control variates, e.g. P. Glasserman, "Monte Carlo Methods in Financial Engineering", 2003, section 4.1.
+
+    Args:
+        public, fresh: log gains of the entry (n_runs, n_scenarios), of the controls (n_controls, n_scenarios) and of
+            the zero (n_scenarios,).
+    """
+    gains, controls, _ = fresh
+    centred = controls - controls.mean(axis=1, keepdims=True)
+    weights = np.linalg.lstsq(centred.T, gains.mean(axis=0), rcond=None)[0]
+    one, other = (((own.mean(axis=0) - weights @ those)[np.newaxis], zero) for own, those, zero in (public, fresh))
+    return score_gap(one, other)
+
+
 def left_out(public: Results, fresh: Results) -> list[str]:
     """Return the entries that only one of the results holds, or whose policies, known by their sha256, differ."""
     one, other = (
@@ -95,7 +144,17 @@ def left_out(public: Results, fresh: Results) -> list[str]:
 
 def gap_cells(gaps: Sequence[GeneralisationGap]) -> list[list[str]]:
     """Return the texts of the table, one list per row, in the order of :data:`COLUMNS`."""
-    return [[g.name, f"{g.public.value:.1f}", f"{g.fresh.value:.1f}", signed_interval(g.gap)] for g in gaps]
+    return [
+        [
+            gap.name,
+            f"{gap.public.value:.1f}",
+            f"{gap.fresh.value:.1f}",
+            signed_interval(gap.gap),
+            "" if gap.excess is None else signed_interval(gap.excess),
+            "better on public scenarios" if gap.is_suspect else "",
+        ]
+        for gap in gaps
+    ]
 
 
 def describe(public: Results, fresh: Results) -> str:
