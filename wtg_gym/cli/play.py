@@ -31,8 +31,7 @@ def play(
     examples:
       wtg-gym play
       wtg-gym play --suite faults-v1 --seed 20003
-      wtg-gym play --suite standard --speed 0.5
-      wtg-gym play --port 5006 --no-browser
+      wtg-gym play --suite standard --speed 0.5 --port 5006 --no-browser
 
     Args:
         suite: one of those that `wtg-gym suites` lists

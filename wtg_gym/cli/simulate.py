@@ -72,7 +72,6 @@ def simulate_scenario(
 
     examples:
       wtg-gym simulate --strategy mppt deloaded-5 coordinated-piecewise --plot run.png
-      wtg-gym simulate --suite standard --seed 20003 --strategy all --csv traces.csv
       wtg-gym simulate --suite standard-v1 --seed 10003 --strategy coordinated-piecewise coordinated-tuned
       wtg-gym simulate --suite paper --seed 1 --wind 9 7.5 --duration 60
       wtg-gym simulate --wind-csv measured.csv --strategy my_law.toml

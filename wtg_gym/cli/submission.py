@@ -65,15 +65,13 @@ def new(folder: OutputFolder, /) -> int:
 
 @app.command
 def check(folders: Folders, /, *, gate: GateOptions = GateOptions(), json: Json = False) -> int:
-    """Say whether folders are accepted, and why not.
+    """Say of every check whether folders pass it, and why not; exits with 1 if one is refused.
 
-    Says of every check whether a submission passes it, and why not; exits with 1 if one is refused. Several folders are
-    checked together, and with --beside against existing entries: a name belongs to one entry, whose training seeds are
-    submitted together, and the same policy counts once, even if its files differ.
+    Several folders are checked together, and with --beside against existing entries: a name belongs to one entry, whose
+    training seeds are submitted together, and the same policy counts once, even if its files differ.
 
     examples:
-      wtg-gym submission check my-policy --beside agents/policies/*
-      wtg-gym submission check my-policy-* --json
+      wtg-gym submission check my-policy-* --beside agents/policies/*
 
     Args:
         folders: folders with entry.toml, policy.onnx and, if there is one, README.md

@@ -185,12 +185,9 @@ class Results:
         }
 
     def write(self, folder: str | Path) -> tuple[Path, Path]:
-        """Write `<suite>-<split>.json` and `.csv`, both or none, and remove the finished batches of an evaluation.
+        """Write `<suite>-<split>.json` and `.csv` into a folder, both or none, and remove the finished batches.
 
         The same results give the same bytes.
-
-        Args:
-            folder: where to; made if it is not there.
 
         Returns:
             the paths of the JSON and the CSV.
