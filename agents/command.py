@@ -9,6 +9,7 @@ from collections.abc import Callable, Container, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
+from agents.folders import held
 from agents.runs import RUN_FILE, Run, RunSettings
 from wtg_gym.envs.settings import ACTION_MODES, OBSERVATION_MODES
 from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY
@@ -74,7 +75,7 @@ def settings_of(
 def opened_run(
     given: Mapping[str, Any], algos: Container[str], settings: Callable[[], RunSettings]
 ) -> Iterator[tuple[Run, Path]]:
-    """Yield the run that the options name and its folder; after the training, say how it ended.
+    """Hold the folder of the run that the options name; after the training, say how it ended.
 
     `settings` returns those of a new run, `algos` are what the command trains. Options that do not go together, or a
     folder that cannot be used, are a ValueError.
@@ -84,9 +85,9 @@ def opened_run(
             named = ", ".join(f"--{key.replace('_', '-')}" for key in others)
             raise ValueError(f"--resume goes on with the run's own settings; leave out {named}")
         folder = Path(given["resume"])
-        run = Run.read(folder)
-        if run.settings.algo not in algos:
-            raise ValueError(f"{folder} is a run of {run.settings.algo}: go on with it by the command that began it")
+        algo = Run.read(folder).settings.algo
+        if algo not in algos:
+            raise ValueError(f"{folder} is a run of {algo}: go on with it by the command that began it")
     elif "output" in given:
         folder, run = Path(given["output"]), Run.new(settings())
         if (folder / RUN_FILE).exists():
@@ -94,5 +95,11 @@ def opened_run(
         folder.mkdir(parents=True, exist_ok=True)
     else:
         raise ValueError("--output FOLDER is needed, or --resume FOLDER")
-    yield run, folder
+    with held(folder):
+        if "resume" in given:
+            # Anew, now that no other process can change it.
+            run = Run.read(folder)
+            for difference in run.go_on():
+                note(f"{difference}: the weights may end otherwise than they would have")
+        yield run, folder
     note(f"best validation score {run.best['score']:.1f} at step {run.best['timesteps']}; wrote {folder}")

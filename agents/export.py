@@ -55,10 +55,12 @@ def _model_card(run: Run, best: Mapping[str, float], name: str, authors: Sequenc
     """Return the README.md of an exported policy; `best` is its row of the run's curve, `content` its policy.onnx."""
     settings, provenance = run.settings, run.provenance
     benchmark = get_suite(settings.suite).benchmark
+    changes = [change for process in run.resumptions for change in process["differences"]]
     facts = {
         "actions": f"`{settings.action_mode}` of `{settings.strategy}`, deterministic",
         "observations": f"`{settings.observation_mode}` of `{benchmark.env_id}`, suite `{settings.suite}`",
         "steps": f"{best['timesteps']:,} of {settings.timesteps:,}",
+        "changed by a resumption": "; ".join(changes) or "nothing",
         "validation score": f"{best['score']:.1f} on {settings.validation_episodes} scenarios "
         f"({benchmark.zero} 0, {benchmark.hundred} 100), chosen as the best of the curve: a little optimistic",
         "authors": ", ".join(authors) or "not given",

@@ -1,4 +1,4 @@
-"""The folder of a training run: checkpoints that are complete or not there."""
+"""The folder of a training run: one process at a time, and checkpoints that are complete or not there."""
 
 from __future__ import annotations
 
@@ -7,8 +7,21 @@ import shutil
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
+from filelock import FileLock, Timeout
+
 #: In the folder of a run: its last checkpoint and its best policy.
 CHECKPOINTS, BEST = "checkpoints", "best"
+
+
+@contextlib.contextmanager
+def held(folder: Path) -> Iterator[None]:
+    """Keep other processes from training in a folder; a ValueError if one does."""
+    try:
+        lock = FileLock(folder / ".lock").acquire(timeout=0)
+    except Timeout as error:
+        raise ValueError(f"another process trains in {folder}; wait for it to end, or end it") from error
+    with lock:
+        yield
 
 
 def save_folder(parent: Path, timesteps: int, write: Callable[[Path], object]) -> None:

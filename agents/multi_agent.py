@@ -99,6 +99,13 @@ class AgentVecEnv(VecEnvWrapper):
             return [info] * self.n_wtg
         return [{**info, "terminal_observation": last} for last in self._split(info["terminal_observation"][None])]
 
+    def __getstate__(self) -> dict[str, Any]:
+        # It cannot be pickled; its class has it.
+        return {key: value for key, value in self.__dict__.items() if key != "class_attributes"}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state, class_attributes={name: getattr(type(self), name) for name in dir(type(self))})
+
 
 class SharedPolicy(nn.Module):
     """The joint policy of agents with shared parameters, for any number of them.

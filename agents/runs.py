@@ -22,6 +22,8 @@ from wtg_gym.scenarios import DEFAULT_SUITE, get_suite
 from wtg_gym.systems.compiled import source_hash
 
 RUN_FILE = "run.json"
+#: What decides the weights besides the packages.
+_HASHES = ("source_hash", "suite_hash")
 _PACKAGES = ("gymnasium", "numba", "numpy", "ray", "stable-baselines3", "sb3-contrib", "torch")
 
 
@@ -72,6 +74,8 @@ class Run:
     settings: RunSettings  # of the run
     provenance: Mapping[str, Any]  # command, versions, commit and start time of the process that began it
     curve: list[dict[str, float]] = field(default_factory=list)  # one row per validation, see :meth:`validate`
+    #: Provenance of the processes that went on, the latest last, each with the differences it found.
+    resumptions: list[Mapping[str, Any]] = field(default_factory=list)
     finished: bool = False  # whether all timesteps are done
 
     @classmethod
@@ -118,6 +122,19 @@ class Run:
         self.curve.append({"timesteps": timesteps, "wall_time_s": round(wall_time_s, 2), **metrics})
         return metrics
 
+    def go_on(self) -> list[str]:
+        """Note that this process goes on with the run; a finished run stays as it is.
+
+        Returns:
+            in words what decides the weights and is not as it was before: sources, suite or packages.
+        """
+        if self.finished:
+            return []
+        now = _provenance(self.settings)
+        differences = _differences(self.resumptions[-1] if self.resumptions else self.provenance, now)
+        self.resumptions.append({**now, "differences": differences})
+        return differences
+
     def write(self, folder: Path) -> None:
         """Write run.json in one go."""
         write_atomically(folder / RUN_FILE, to_json(dataclasses.asdict(self)))
@@ -143,6 +160,13 @@ def _provenance(settings: RunSettings) -> dict[str, Any]:
         "suite_hash": get_suite(settings.suite).hash,
         "versions": installed(_PACKAGES),
     }
+
+
+def _differences(before: Mapping[str, Any], now: Mapping[str, Any]) -> list[str]:
+    """Return in words what decides the weights and differs; packages that only one side has do not count."""
+    old, new = ({**{key: each[key][:12] for key in _HASHES}, **each["versions"]} for each in (before, now))
+    common = [name for name in new if name in old]
+    return [f"{name} was {old[name]} and is {new[name]}" for name in common if old[name] != new[name]]
 
 
 def _git_commit() -> str | None:

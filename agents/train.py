@@ -44,10 +44,12 @@ def train(run: Run, folder: Path) -> None:
         training = Training(run, folder, SB3Learner(model))
         model.set_logger(configure(str(folder / "tensorboard"), ["tensorboard"]))
         with Progress("thousand steps") as progress:
-            supervision = _Supervision(training, progress, settings.timesteps, model.num_timesteps)
+            restored_at = model.num_timesteps if saved else None
+            supervision = _Supervision(training, progress, settings.timesteps, restored_at)
             supervision.init_callback(model)
             left = settings.timesteps - model.num_timesteps
             if left > 0:
+                # A new learner starts its environments all the same; one from a checkpoint, be it of step 0, goes on.
                 model.learn(left, callback=supervision, reset_num_timesteps=False)
             supervision.take_stock(finished=True)
             model.logger.dump(model.num_timesteps)
@@ -59,12 +61,13 @@ class _Supervision(BaseCallback):
     """Measures, validates and saves while a learner learns.
 
     Args:
-        first: timesteps that were done before this process began.
+        restored_at: timesteps of the checkpoint that the learner is from; None for a new one.
     """
 
-    def __init__(self, training: Training, progress: Progress, timesteps: int, first: int) -> None:
+    def __init__(self, training: Training, progress: Progress, timesteps: int, restored_at: int | None) -> None:
         super().__init__()
-        self._training, self._progress, self._timesteps, self._first = training, progress, timesteps, first
+        self._training, self._progress, self._timesteps = training, progress, timesteps
+        self._restored_at, self._first = restored_at, restored_at or 0
 
     def _on_step(self) -> bool:
         for info in itertools.compress(self.locals["infos"], self.locals["dones"]):
@@ -80,9 +83,16 @@ class _Supervision(BaseCallback):
 
     def take_stock(self, *, finished: bool = False) -> None:
         """Validate, keep the best policy, and write a checkpoint, where it is time for it."""
-        metrics = self._training.take_stock(self.model.num_timesteps, finished=finished) or {}
+        model = self.model
+        metrics = self._training.take_stock(model.num_timesteps, finished=finished)
+        if metrics is None:
+            return
         for key, value in metrics.items():
             self.logger.record(f"validation/{key}", value)
+        if model.num_timesteps != self._restored_at and getattr(model, "use_sde", False):
+            # A learner draws the noise of its next rollout before it calls us, and once more after a resumption.
+            actor: Any = model.policy
+            actor.reset_noise(model.n_envs)
 
 
 def sb3_settings(given: Mapping[str, Any]) -> RunSettings:

@@ -110,12 +110,16 @@ def module_spec(settings: RunSettings, scales: Scales) -> RLModuleSpec:
     )
 
 
-def ppo_config(settings: RunSettings, scales: Scales, spec: RLModuleSpec, first: int = 0) -> PPOConfig:
-    """Return RLlib's configuration of a run; scenarios and exploration depend on the step at which it goes on."""
+def ppo_config(settings: RunSettings, scales: Scales, spec: RLModuleSpec, resumed: int = 0) -> PPOConfig:
+    """Return RLlib's configuration of a run.
+
+    Args:
+        resumed: how many times it has gone on; the scenarios and the exploration are others each time.
+    """
     processes = settings.hyperparameters
     per_learner = _N_STEPS * settings.n_envs // max(1, processes["num_learners"])
     register_env(_LANES, lambda config: RunnerEnvs(**config))
-    seed = int(np.random.SeedSequence((settings.seed, first)).generate_state(1)[0] >> 2)
+    seed = int(np.random.SeedSequence((settings.seed, resumed)).generate_state(1)[0] >> 2)
     return (
         PPOConfig()
         .framework("torch")
@@ -177,11 +181,11 @@ def train(run: Run, folder: Path, address: str | None = None) -> None:
         noise = float(np.exp(_LOG_STD))
         scales = measure_scales(settings.env_arguments, noise=noise, gamma=_GAMMA, seed=settings.seed)
         spec = module_spec(settings, scales)
-        saved = last_checkpoint(run, folder)
-        steps = first = int(saved.name) if saved else 0
-        algorithm = ppo_config(settings, scales, spec, first).build_algo()
+        algorithm = ppo_config(settings, scales, spec, len(run.resumptions)).build_algo()
         try:
-            if saved:
+            steps = first = 0
+            if saved := last_checkpoint(run, folder):
+                steps = first = int(saved.name)
                 with loading(saved):
                     algorithm.restore_from_path(str(saved.resolve()))
             training = Training(run, folder, RLlibLearner(algorithm, spec, scales))

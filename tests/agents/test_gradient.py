@@ -84,7 +84,7 @@ def test_run_repeats_also_after_an_interruption_and_is_exported(
     assert all(torch.equal(states[0][key], states[1][key]) for key in states[0])
     curves = [[{**row, "wall_time_s": 0.0} for row in run.curve] for run in runs]
     assert curves[0] == curves[1] and len(curves[0]) == 3
-    assert all(run.finished for run in runs)
+    assert [(run.finished, len(run.resumptions)) for run in runs] == [(True, 0), (True, 1)]
 
     export(one, tmp_path / "entry", name="mine")
     (entry,), h = load_entries(tmp_path / "entry"), Hyperparameters(**runs[0].settings.hyperparameters)

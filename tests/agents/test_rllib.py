@@ -105,7 +105,7 @@ def test_killed_run_goes_on_from_its_checkpoint_and_its_export_plays_without_ray
 
     run = Run.read(folder)
     steps = [row["timesteps"] for row in run.curve]
-    assert run.finished
+    assert run.finished and len(run.resumptions) == 1
     assert steps[0] == 0 and 0 < reached < steps[-1] and steps[-1] >= 6000
     assert steps == sorted(set(steps)) and len(steps) >= 5
     # Validated again where the kill came between checkpoint and row; otherwise kept.

@@ -1,4 +1,4 @@
-"""Facts about training: it survives a kill, and its export plays as the learner does."""
+"""Facts about training: it is reproducible, survives a kill, and its export plays as the learner does."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from tensorboard.backend.event_processing.event_accumulator import EventAccumula
 
 from agents.export import export
 from agents.export import main as export_command
-from agents.folders import folders, save_folder
+from agents.folders import folders, held, save_folder
 from agents.hyperparameters import TRAINED
 from agents.learners import CUSTOM_OBJECTS, load_model, new_model
 from agents.runs import Run
@@ -45,6 +45,14 @@ def copied(run_of: Callable[[str], Path], tmp_path: Path) -> Path:
     return Path(shutil.copytree(run_of("ppo"), tmp_path / "run"))
 
 
+def weights(folder: Path) -> Any:
+    """Networks and optimisers of a finished run's last checkpoint."""
+    (path,) = folders(folder / "checkpoints")
+    assert int(path.name) == 768
+    algorithm = TRAINED[Run.read(folder).settings.algo]
+    return algorithm.load(path / "model.zip", custom_objects=CUSTOM_OBJECTS).get_parameters()
+
+
 def same(a: Any, b: Any) -> bool:
     if isinstance(a, dict):
         return a.keys() == b.keys() and all(same(a[key], b[key]) for key in a)
@@ -55,20 +63,19 @@ def same(a: Any, b: Any) -> bool:
 
 # Of "ppo" a process is killed, below.
 @pytest.mark.parametrize("algo", sorted(TRAINED.keys() - {"ppo"}))
-def test_interrupted_run_goes_on_from_its_checkpoint(algo: str, run_of: Callable[[str], Path], tmp_path: Path) -> None:
-    stopped = stopped_after(256, run_of(algo), tmp_path / "stopped")
-    (checkpoint,) = folders(stopped / "checkpoints")
-    loaded = load_model(checkpoint, Run.read(stopped).settings)
-    learner = TRAINED[algo].load(checkpoint / "model.zip", custom_objects=CUSTOM_OBJECTS)
-    assert same(loaded.get_parameters(), learner.get_parameters()) and loaded.num_timesteps == 256
-    loaded.get_env().close()
-    before = Run.read(stopped).curve
+def test_interrupted_run_goes_on_to_the_weights_of_an_undisturbed_one(
+    algo: str, run_of: Callable[[str], Path], tmp_path: Path
+) -> None:
+    undisturbed = run_of(algo)
+    stopped = stopped_after(256, undisturbed, tmp_path / "stopped")
     assert main(["--resume", str(stopped)]) == 0
-    run = Run.read(stopped)
-    assert run.finished and run.curve[: len(before)] == before
-    assert [row["timesteps"] for row in run.curve] == [0, 256, 512, 768]
+    assert same(weights(stopped), weights(undisturbed))
+    runs = [Run.read(folder) for folder in (stopped, undisturbed)]
+    curves = [[{**row, "wall_time_s": 0.0} for row in run.curve] for run in runs]
+    assert curves[0] == curves[1] and [row["timesteps"] for row in curves[0]] == [0, 256, 512, 768]
+    assert [(run.finished, len(run.resumptions)) for run in runs] == [(True, 1), (True, 0)]
     # A finished run stays as it is.
-    assert main(["--resume", str(stopped)]) == 0 and Run.read(stopped) == run
+    assert main(["--resume", str(stopped)]) == 0 and len(Run.read(stopped).resumptions) == 1
 
 
 @pytest.mark.parametrize("algo", TRAINED)
@@ -90,14 +97,16 @@ def test_export_plays_as_the_learner_and_passes_the_gate(
         model.get_env().close()
 
 
-def test_killed_process_leaves_a_run_that_goes_on(tmp_path: Path) -> None:
+def test_killed_process_leaves_a_run_that_goes_on_to_the_same_weights(
+    run_of: Callable[[str], Path], tmp_path: Path
+) -> None:
     killed = tmp_path / "killed"
     command = [sys.executable, "-m", "agents.train", *options(tmp_path, "ppo"), "--output", str(killed)]
     process = subprocess.Popen(command, cwd=ROOT)
     end(process, signal.SIGKILL, (killed / "checkpoints" / f"{0:012d}").exists)
     assert process.returncode == -signal.SIGKILL
     assert main(["--resume", str(killed)]) == 0
-    assert Run.read(killed).finished
+    assert same(weights(killed), weights(run_of("ppo")))
 
 
 @pytest.mark.parametrize("missing", ["row", "checkpoint"])
@@ -146,6 +155,17 @@ def test_export_describes_the_policy_that_it_writes_and_replaces_nothing(
     assert export_command([str(copied), *other]) == 2 and not (tmp_path / "other").exists()
 
 
+def test_other_versions_are_said_on_resumption_and_noted(copied: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    run = Run.read(copied)
+    versions = {**run.provenance["versions"], "torch": "0.1"}
+    run.provenance, run.finished = {**run.provenance, "source_hash": "0" * 64, "versions": versions}, False
+    run.write(copied)
+    assert main(["--resume", str(copied)]) == 0
+    error = capsys.readouterr().err
+    assert "source_hash was 000000000000" in error and "torch was 0.1" in error
+    assert len(Run.read(copied).resumptions[0]["differences"]) == 2
+
+
 def test_run_describes_itself_and_tensorboard_shows_its_scores(run_of: Callable[[str], Path]) -> None:
     data = json.loads((run_of("ppo") / "run.json").read_text())
     assert data["settings"]["action_mode"] == "k+tau" and data["settings"]["hyperparameters"]["n_steps"] == 8
@@ -175,6 +195,8 @@ def test_what_cannot_go_on_is_named(copied: Path, capsys: pytest.CaptureFixture[
         assert main(["--resume", str(copied)]) == 2
         return capsys.readouterr().err
 
+    with held(copied):
+        assert f"another process trains in {copied}" in error_of_resume()
     (checkpoint,) = folders(copied / "checkpoints")
     for path in (*checkpoint.iterdir(), copied / "run.json"):
         intact = path.read_bytes()

@@ -18,10 +18,17 @@ The wtg_gym authors
 José Ñúñez Ångström
 Đặng Thị Ngọc
 O'Brien, Seán (ETH)
-Юрий Жёлтый"""
+Юрий Жёлтый
+李明
+山田 太郎・々ー
+محمد بن علي
+राजेश कुमार
+מֹשֶׁה כהן
+مُحَمَّد بن علي
+𠮷野 家"""
 
 
-def test_authors_of_three_scripts_and_ordinary_texts_are_legal() -> None:
+def test_authors_of_many_scripts_and_ordinary_texts_are_legal() -> None:
     for author in unicodedata.normalize("NFC", AUTHORS).splitlines():
         assert check_author(author) == author
     for text in ("", "k and τ, 2·10⁶ steps", "standard, split train: 64 scenarios", "PPO (k+τ) at 50 %"):
