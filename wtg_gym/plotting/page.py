@@ -20,6 +20,13 @@ _BY_NUMBER = """
 const number = (text) => { const value = parseFloat(text); return Number.isNaN(value) ? Infinity : value; };
 return Math.sign(number(x) - number(y)) || 0;
 """
+#: Which rows the filters leave, of the table and of the charts.
+_IS_SHOWN = """
+const kinds = kind.active.map((place) => kind.labels[place]);
+const wanted = name.value_input.toLowerCase();
+const {name: names, kind: own} = source.data;
+return names.map((text, row) => text.toLowerCase().includes(wanted) && kinds.includes(own[row]));
+"""
 #: Sizes [pixels].
 _CHARACTER_WIDTH, _ROW_HEIGHT, _CHART_HEIGHT = 6, 26, 420
 
@@ -47,9 +54,9 @@ def leaderboard_page(results: Sequence[Results]) -> str:
 
 
 def _ranking(results: Results) -> Any:
-    """Return table and charts of one ranking."""
+    """Return filters, table and charts of one ranking."""
     from bokeh.layouts import column, row
-    from bokeh.models import ColumnDataSource, Div
+    from bokeh.models import CDSView, CheckboxButtonGroup, ColumnDataSource, CustomJS, CustomJSFilter, Div, TextInput
 
     rows = leaderboard_rows(results)
     heads, scores = columns_of("whole"), [results.scores[each.name] for each in rows]
@@ -58,6 +65,7 @@ def _ranking(results: Results) -> Any:
         {
             **{head: list(own) for head, own in cells.items()},
             "name": [each.name for each in rows],
+            "kind": [each.kind for each in rows],
             "colour": [_COLOURS[each.kind] for each in rows],
             "score_value": [each.value for each in scores],
             "score_low": [each.low for each in scores],
@@ -67,6 +75,13 @@ def _ranking(results: Results) -> Any:
         },
         name=results.name,
     )
+    kinds = [kind for kind in _COLOURS if kind in source.data["kind"]]
+    kind = CheckboxButtonGroup(labels=kinds, active=list(range(len(kinds))))
+    name = TextInput(placeholder="part of a name")
+    view = CDSView(filter=CustomJSFilter(args={"kind": kind, "name": name}, code=_IS_SHOWN))
+    filtered = CustomJS(args={"source": source}, code="source.change.emit()")
+    kind.js_on_change("active", filtered)
+    name.js_on_change("value_input", filtered)
     zero, hundred = results.benchmark.anchors
     words = Div(
         text=f"<b>{escape(results.benchmark.env_id)}</b>, suite {escape(results.suite)}: {len(results.seeds)} "
@@ -75,10 +90,11 @@ def _ranking(results: Results) -> Any:
         "that are chosen stand out in the charts.",
         width=1200,
     )
-    return column(words, _table(source, heads), row(_score_chart(source), _failure_chart(source)))
+    charts = row(_score_chart(source, view), _failure_chart(source, view))
+    return column(words, row(kind, name), _table(source, heads, view), charts)
 
 
-def _table(source: Any, heads: Sequence[str]) -> Any:
+def _table(source: Any, heads: Sequence[str], view: Any) -> Any:
     from bokeh.models import CustomJSCompare, DataTable, HTMLTemplateFormatter, TableColumn
 
     # Texts of entries are shown, never taken as HTML.
@@ -90,6 +106,7 @@ def _table(source: Any, heads: Sequence[str]) -> Any:
         columns.append(TableColumn(field=head, title=escape(head), width=width, formatter=plain, **sorter))
     return DataTable(
         source=source,
+        view=view,
         columns=columns,
         index_position=None,
         autosize_mode="none",
@@ -111,20 +128,20 @@ def _chart(title: str, x: str, y: str, **settings: Any) -> Any:
     return made
 
 
-def _score_chart(source: Any) -> Any:
+def _score_chart(source: Any, view: Any) -> Any:
     from bokeh.models import FactorRange
 
     names = list(source.data["name"])
     height = max(_CHART_HEIGHT, 60 + 16 * len(names))
     made = _chart("Scores with 95 % intervals", "score", "", y_range=FactorRange(*reversed(names)), height=height)
     made.vspan([0.0, 100.0], line_color=LINE)
-    made.segment("score_low", "name", "score_high", "name", source=source, color="colour", line_width=2)
-    made.scatter("score_value", "name", source=source, color="colour", size=8)
+    made.segment("score_low", "name", "score_high", "name", source=source, view=view, color="colour", line_width=2)
+    made.scatter("score_value", "name", source=source, view=view, color="colour", size=8)
     return made
 
 
-def _failure_chart(source: Any) -> Any:
+def _failure_chart(source: Any, view: Any) -> Any:
     y = "median of the largest deviations [mHz]"
     made = _chart("Deviation of the frequency against failures", "failures [%]", y, height=_CHART_HEIGHT)
-    made.scatter("failures", "deviation", source=source, color="colour", size=9, legend_group="kind")
+    made.scatter("failures", "deviation", source=source, view=view, color="colour", size=9, legend_group="kind")
     return made
