@@ -53,9 +53,8 @@ def event_lines(scenario: Scenario) -> list[str]:
         text = f"({number}) {events[0].time_s:g} s: " + " and ".join(describe_event(event) for event in events)
         if lines and len(lines[-1]) + len(text) < _LINE_LENGTH:
             # SVG shows several blanks in a row as one.
-            lines[-1] += ";  " + text
-        else:
-            lines.append(text)
+            text = f"{lines.pop()};  {text}"
+        lines.append(text)
     return lines
 
 
