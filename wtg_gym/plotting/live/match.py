@@ -8,7 +8,6 @@ import numpy as np
 import numpy.typing as npt
 
 from wtg_gym.envs.lanes import TaskLanes
-from wtg_gym.envs.rendering.diagram import describe_event
 from wtg_gym.envs.settings import EnvSettings
 from wtg_gym.evaluation import Entry, evaluate
 from wtg_gym.scenarios import SPLITS, Suite
@@ -66,7 +65,7 @@ class Match:
         self._actions.append(np.tile([k, tau], self.n_groups))
         self._lanes.step(np.stack([self._actions[-1], np.zeros(self._lanes.n_action)]))
         events = sorted(self._lanes.events[OWN], key=lambda event: event.time_s)
-        return [(e.time_s, describe_event(e)) for e in events if before_s < e.time_s <= self.time_s]
+        return [(e.time_s, e.words) for e in events if before_s < e.time_s <= self.time_s]
 
     def sample(self) -> dict[str, npt.NDArray[np.float64]]:
         """Return where both stand: frequency (2,) [Hz]; rotor speed and power (2, n_groups) [p.u.]."""
