@@ -30,7 +30,7 @@ from wtg_gym.physics.scenario import (
 )
 from wtg_gym.ranges import is_whole, require_bus, require_range
 from wtg_gym.scenarios import wind
-from wtg_gym.scenarios.stream import FloatArray, Picker, Span, Words, draw_normals, pickers, seed_streams
+from wtg_gym.scenarios.stream import FloatArray, Picker, Span, seed_streams
 
 #: Branches of the IEEE 14-bus system whose opening leaves the network in one piece.
 TRIPPABLE_LINES = (
@@ -217,9 +217,9 @@ class ScenarioDistribution(Checked):
         window = (min(self.first_event_s, latest), latest)
         n_samples = math.ceil(round(duration_s / SERIES_DT, 6)) + 1
         # The name is part of the seed, so that two suites share no scenario.
-        states = seed_streams(seeds, zlib.crc32(self.name.encode()))
-        plans = [self._plan(pick, turbines, n_samples, window) for pick in pickers(states)]
-        speeds, noises = self._series(states, plans, turbines, n_samples)
+        streams = seed_streams(seeds, zlib.crc32(self.name.encode()))
+        plans = [self._plan(Picker(stream), turbines, n_samples, window) for stream in streams]
+        speeds, noises = self._series(streams, plans, turbines, n_samples)
         return [
             trusted(
                 Scenario,
@@ -344,7 +344,7 @@ class ScenarioDistribution(Checked):
         return events
 
     def _series(
-        self, states: Words, plans: Sequence[_Plan], turbines: list[float], n_samples: int
+        self, streams: Sequence[np.random.Generator], plans: Sequence[_Plan], turbines: list[float], n_samples: int
     ) -> tuple[FloatArray, FloatArray]:
         """Wind per scenario and group, (n, n_wtg, n_samples) [m/s], and load noise, (n, n_samples or 0) [MW]."""
         n, n_wtg, n_period = len(plans), len(turbines), wind.period_length(n_samples)
@@ -359,7 +359,10 @@ class ScenarioDistribution(Checked):
         amplitudes = np.concatenate(units).reshape(n, n_wtg + 1, -1)
         amplitudes *= np.array(sigmas).reshape(n, -1, 1)
         coefficients = np.empty(amplitudes.shape, dtype=np.complex128)
-        draw_normals(states, amplitudes.reshape(n, -1), coefficients.view(np.float64).reshape(n, -1, 2))
+        normals = coefficients.view(np.float64).reshape(n, -1)
+        for own, stream in zip(normals, streams, strict=True):
+            stream.standard_normal(out=own)
+        normals.reshape(*amplitudes.shape, 2)[:] *= amplitudes[..., np.newaxis]
         series: FloatArray = np.fft.irfft(coefficients, n_period)[..., :n_samples]
         speed, noise = series[:, :n_wtg], series[:, n_wtg]
         speed += np.array([plan.mean_winds for plan in plans])[:, :, None]

@@ -14,7 +14,7 @@ from wtg_gym.physics.checked import Checked, design
 from wtg_gym.physics.scenario import trusted
 from wtg_gym.physics.sensors import DELAY_MAX_S, Sensors
 from wtg_gym.ranges import require_known
-from wtg_gym.scenarios.stream import draw_uniforms, seed_streams
+from wtg_gym.scenarios.stream import seed_streams
 
 #: The delay is drawn from whole numbers of these [s].
 DELAY_STEP_S = 0.1
@@ -64,9 +64,8 @@ class SensorDistribution(Checked):
 
         What is drawn scales with the distribution: with twice the `wind_bias`, every bias is twice as large.
         """
-        states = seed_streams(seeds, zlib.crc32(f"{name}/sensors".encode()))
-        uniform = np.empty((len(seeds), 2 + 12 * n_wtg))
-        draw_uniforms(states, uniform)
+        streams = seed_streams(seeds, zlib.crc32(f"{name}/sensors".encode()))
+        uniform = np.array([stream.random(2 + 12 * n_wtg) for stream in streams]).reshape(len(seeds), 2 + 12 * n_wtg)
         delays = self.delays_s()
         # The sum of twelve uniform numbers is nearly normal; platforms agree on its last bit.
         deviations = uniform[:, 2:].reshape(len(seeds), n_wtg, 12).sum(axis=2) - 6.0
