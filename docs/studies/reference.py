@@ -9,8 +9,14 @@ from typing import get_type_hints
 from output import folder
 
 from wtg_gym.envs import CostWeights, EnvSettings, GFMWTGEnv
-from wtg_gym.envs.observation import GridObservation, MachineObservation, MeasuredObservation, WtgObservation
-from wtg_gym.envs.task_records import Info, LocalInfo
+from wtg_gym.envs.task_records import (
+    GridObservation,
+    Info,
+    LocalInfo,
+    MachineObservation,
+    MeasuredObservation,
+    WtgObservation,
+)
 from wtg_gym.files import markdown_table, update_between_markers
 from wtg_gym.physics import machine_parameters, parameters
 from wtg_gym.physics.ieee14 import modified_ieee14

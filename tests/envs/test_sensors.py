@@ -11,7 +11,7 @@ import pytest
 
 from tests.envs.rollouts import actions_of, calm
 from wtg_gym.envs import GFMWTGEnv
-from wtg_gym.envs.observation import MeasuredObservation, WtgObservation
+from wtg_gym.envs.task_records import MeasuredObservation, WtgObservation
 from wtg_gym.physics.parameters import GridFormingParameters
 from wtg_gym.physics.scenario import Event, GroupTrip, LoadStep, Scenario
 from wtg_gym.physics.sensors import Sensors

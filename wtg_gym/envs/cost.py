@@ -1,17 +1,22 @@
-"""The cost of one control interval, term by term.
+"""The cost of one control interval, term by term, and the history of frequency and actions that it follows.
 
 The cost is a rate [1/s] times the time that passed; the terms' weights and the cap are those of
-:class:`~wtg_gym.envs.settings.CostWeights`.
+:class:`~wtg_gym.envs.settings.CostWeights`. Sensors and observation share the history.
 """
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 from wtg_gym.envs.task_records import CostTerms, GroupRows, Task
+from wtg_gym.envs.task_units import ACTING, SENSED, SHIFTS, TASK, WINDOW
 from wtg_gym.physics.converter import tracking_coefficient
 from wtg_gym.physics.wind_turbine import Turbine, WtgOutput, WtgState, frequency_of, tip_speed_ratio
 from wtg_gym.systems.elementary import select
+from wtg_gym.systems.programs import Here
+from wtg_gym.systems.records import each
+from wtg_gym.systems.systems import system
 
 #: Frequency deviation beyond which the constraint cost counts [Hz]: ENTSO-E's steady-state limit is 0.2, its
 #: instantaneous limit 0.8 Hz.
@@ -62,7 +67,7 @@ def group_deviations(s: WtgState, output: WtgOutput, t: Turbine, task: Task) -> 
 
     The prescribed power is a share of the usable power. Usable is the available power, up to that of which a rotor with
     its nominal reserve captures as much as the pitch protection allows. A group that a protection has tripped captures
-    nothing and is charged for it; one that an event has disconnected is exempt, see :mod:`wtg_gym.envs.charging`.
+    nothing and is charged for it; one that an event has disconnected is exempt.
     """
     wind = output.wind
     available = t.rotor.available_per_cubic_wind * wind * wind * wind
@@ -106,14 +111,11 @@ def add_group_costs(
     on_k = there * w.effort * effort(group.action_k, group.last_action_k) / task.n_actions
     on_tau = there * w.effort * effort(group.action_tau, group.last_action_tau) / task.n_actions
     acted = terms.effort + select(task.modulates_k, on_k, 0.0)
-    return CostTerms(
-        frequency=terms.frequency,
-        rocof=terms.rocof,
+    return terms._replace(
         duty=terms.duty + w.duty * duty_cost(duty) / n_wtg,
         rotor=terms.rotor + w.rotor * costs.rotor * costs.rotor / n_wtg,
         overload=terms.overload + w.overload * costs.overload * costs.overload / n_wtg,
         effort=acted + select(task.modulates_tau, on_tau, 0.0),
-        failure=terms.failure,
     )
 
 
@@ -127,20 +129,204 @@ def interval_cost(terms: CostTerms, elapsed: float, unserved: float, failed: boo
         failed: whether the episode has failed.
         task: constants. The cap scales all terms alike, so that they still add up to the cost.
     """
-    total = terms.frequency + terms.rocof + terms.duty + terms.rotor + terms.overload + terms.effort
+    total = _total_of_rates(terms)
     factor = elapsed * select(total > 0.0, min(total, task.weights.cap) / total, 1.0)
-    return CostTerms(
-        frequency=terms.frequency * factor,
-        rocof=terms.rocof * factor,
-        duty=terms.duty * factor,
-        rotor=terms.rotor * factor,
-        overload=terms.overload * factor,
-        effort=terms.effort * factor,
-        failure=select(failed, task.weights.cap * (unserved + 1.0), 0.0),
+    charged: CostTerms = each(lambda rate: rate * factor, terms)
+    return charged._replace(failure=select(failed, task.weights.cap * (unserved + 1.0), 0.0))
+
+
+def _total_of_rates(terms: CostTerms) -> float:
+    """Return the sum of all terms but failure."""
+    return terms.frequency + terms.rocof + terms.duty + terms.rotor + terms.overload + terms.effort
+
+
+# --- the systems: over lanes and WTG groups ---------------------------------------------------------------------------
+
+
+@system(TASK, "interval", "begins")
+def count_interval(was_active: float, interval: float, step: float, task: Task) -> tuple[float, float]:
+    """Count control intervals; a run that ends early in one has not begun another."""
+    newest = select(was_active > 0.5, _rounded(step / task.n_substeps), interval)
+    return newest, select(newest > interval, 1.0, 0.0)
+
+
+def _rounded(value: float) -> float:
+    """Return the nearest whole number, the even one of two."""
+    up = math.floor(value + 0.5)
+    odd = up - 2.0 * math.floor(0.5 * up)
+    return select((up - value == 0.5) & (odd == 1.0), up - 1.0, up)
+
+
+@system(SHIFTS, "frequency")
+def shift_history(frequency: float, next_frequency: float, begins: float) -> float:
+    """Move the history on where an interval begins; else the newest frequency is replaced."""
+    return select(begins > 0.5, next_frequency, frequency)
+
+
+@system(WINDOW, "newest_frequency", "rocof", "largest_rocof")
+def rate_of_change(
+    oldest_frequency: float,
+    newest_frequency: float,
+    coi: float,
+    was_active: float,
+    rocof: float,
+    largest_rocof: float,
+    task: Task,
+) -> tuple[float, float, float]:
+    """Put the new frequency into the history, and find its rate of change over the window [Hz/s]."""
+    ran = was_active > 0.5
+    change = (coi - oldest_frequency) * task.nominal_hz
+    new = select(ran, change / (task.n_window * task.control_dt), rocof)
+    return select(ran, coi, newest_frequency), new, max(largest_rocof, abs(new))
+
+
+@system(TASK, "term_rates", "elapsed", "violated", "error")
+def charge_frequency(
+    step: float, coi: float, rocof: float, task: Task, simulation_dt: float
+) -> tuple[CostTerms, float, float, float]:
+    """Begin the rates of the cost with those of the frequency, and find how long the interval lasted."""
+    deviation = abs(coi - 1.0) * task.nominal_hz
+    frequency, on_rocof = task.weights.frequency * frequency_cost(deviation), task.weights.rocof * rocof_cost(rocof)
+    # A run can end within the interval: the time after that is the failure's.
+    unspent = math.ceil(step / task.n_substeps) * task.n_substeps - step
+    return (
+        CostTerms(frequency, on_rocof, 0.0, 0.0, 0.0, 0.0, 0.0),
+        task.control_dt - unspent * simulation_dt,
+        select(deviation > CONSTRAINT_FREQUENCY_HZ, 1.0, 0.0),
+        0.0,
     )
 
 
-def total_cost(terms: CostTerms) -> float:
-    """Return the sum of all terms."""
-    rates = terms.frequency + terms.rocof + terms.duty + terms.rotor + terms.overload + terms.effort
-    return rates + terms.failure
+def _charged(
+    term_rates: CostTerms,
+    violated: float,
+    error: float,
+    available_energy: float,
+    costs: GroupDeviations,
+    duty: float,
+    there: float,
+    group: GroupRows,
+    share: float,
+    elapsed: float,
+    was_active: float,
+    task: Task,
+) -> tuple[CostTerms, float, float, float]:
+    """Return the lane's sums with a WTG group added; see :func:`add_group_costs`."""
+    beyond = (costs.rotor > 0.0) | (costs.overload > 0.0)
+    energy = share * costs.available * elapsed
+    return (
+        add_group_costs(term_rates, costs, duty, there, group, task),
+        select(beyond, 1.0, violated),
+        error + 0.05 * abs(costs.duty) / task.n_groups,
+        available_energy + select(was_active > 0.5, energy, 0.0),
+    )
+
+
+@system(ACTING, "term_rates", "violated", "error", "available_energy", when="exact")
+def charge_group(
+    term_rates: CostTerms,
+    violated: float,
+    error: float,
+    available_energy: float,
+    state: WtgState,
+    output: WtgOutput,
+    group: GroupRows,
+    turbine: Turbine,
+    share: float,
+    elapsed: float,
+    was_active: float,
+    task: Task,
+) -> tuple[CostTerms, float, float, float]:
+    """Add the rates of a WTG group to those of the lane."""
+    costs = group_deviations(state, output, turbine, task)
+    return _charged(
+        term_rates, violated, error, available_energy, costs, costs.duty, 1.0, group, share, elapsed, was_active, task
+    )
+
+
+@system(SENSED, "term_rates", "violated", "error", "available_energy", "mean_duty")
+def charge_sensed_group(
+    term_rates: CostTerms,
+    violated: float,
+    error: float,
+    available_energy: float,
+    mean_duty: float,
+    leaves_at: float,
+    returns_at: float,
+    state: WtgState,
+    output: WtgOutput,
+    group: GroupRows,
+    turbine: Turbine,
+    share: float,
+    step: float,
+    elapsed: float,
+    was_active: float,
+    task: Task,
+) -> tuple[CostTerms, float, float, float, float]:
+    """Add the rates of a WTG group whose duty is filtered; one that an event has disconnected is charged nothing."""
+    costs = group_deviations(state, output, turbine, task)
+    there = select((step <= leaves_at) | (step > returns_at), 1.0, 0.0)
+    costs = GroupDeviations(there * costs.duty, there * costs.rotor, there * costs.overload, there * costs.available)
+    duty = there * filtered_duty(mean_duty, costs.duty, was_active > 0.5, task)
+    charged = _charged(
+        term_rates, violated, error, available_energy, costs, duty, there, group, share, elapsed, was_active, task
+    )
+    return (*charged, duty)
+
+
+@system(ACTING, "group")
+def remember_group(group: GroupRows, state: WtgState, output: WtgOutput, was_active: float, task: Task) -> GroupRows:
+    """Remember a group's frequency and actions."""
+    ran, speed = was_active > 0.5, frequency_of(state, output)
+    change = (speed - group.last_speed) / task.control_dt
+    return group._replace(
+        last_speed=select(ran, speed, group.last_speed),
+        rocof=select(ran, change * task.nominal_hz, group.rocof),
+        last_action_k=select(ran, group.action_k, group.last_action_k),
+        last_action_tau=select(ran, group.action_tau, group.last_action_tau),
+    )
+
+
+@system(TASK, "terms", "sums", "cost", "constraint", "constraint_sum", "duty_error")
+def charge_lane(
+    term_rates: CostTerms,
+    terms: CostTerms,
+    sums: CostTerms,
+    constraint: float,
+    constraint_sum: float,
+    duty_error: float,
+    violated: float,
+    error: float,
+    elapsed: float,
+    end_step: float,
+    step: float,
+    status: float,
+    was_active: float,
+    task: Task,
+    simulation_dt: float,
+) -> tuple[CostTerms, CostTerms, float, float, float, float]:
+    """Charge a lane that ran for the last control interval."""
+    ran, failed = was_active > 0.5, status != 0.0
+    new = interval_cost(term_rates, elapsed, (end_step - step) * simulation_dt, failed, task)
+    now = select(failed, 1.0, violated)
+    return (
+        each(lambda charged, before: select(ran, charged, before), new, terms),
+        each(lambda charged, total: total + select(ran, charged, 0.0), new, sums),
+        _total_of_rates(new) + new.failure,
+        select(ran, now, constraint),
+        constraint_sum + select(ran, now, 0.0),
+        duty_error + select(ran, error * elapsed, 0.0),
+    )
+
+
+CHARGE = (
+    count_interval,
+    shift_history,
+    rate_of_change,
+    charge_frequency,
+    charge_group,
+    charge_sensed_group,
+    remember_group,
+    Here("charge"),
+    charge_lane,
+)

@@ -5,7 +5,7 @@ The equations stand in :mod:`wtg_gym.physics.sensors` and :mod:`wtg_gym.envs.obs
 
 from __future__ import annotations
 
-from wtg_gym.envs.observation import bounded, observe_measured
+from wtg_gym.envs.observation import observe_measured
 from wtg_gym.envs.task_records import GroupRows, MeasuredObservation, Task
 from wtg_gym.envs.task_units import RING, SENSED
 from wtg_gym.physics.sensors import (
@@ -38,8 +38,7 @@ def _seen(
     task: Task,
 ) -> MeasuredObservation:
     value = measured(sensors, exact, wind_bias, noise, sensor_input)
-    observed: MeasuredObservation = bounded(observe_measured(value, sensor_input.wind_sensor, turbine, task))
-    return observed
+    return observe_measured(value, sensor_input.wind_sensor, turbine, task)
 
 
 @system(SENSED, "noise")

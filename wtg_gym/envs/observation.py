@@ -1,58 +1,43 @@
-"""Observations: records with names and units, and their equations."""
+"""Observations and `info`: their equations over units, and the names of an observation's entries."""
 
 from __future__ import annotations
 
-from typing import Annotated, Any, NamedTuple, get_type_hints
+from typing import TypeVar, get_type_hints
 
 from wtg_gym.envs.settings import ACTION_MODES
-from wtg_gym.envs.task_records import GroupRows, MeasuredObservation, Task
+from wtg_gym.envs.task_records import (
+    Acted,
+    CostTerms,
+    GridObservation,
+    GroupRows,
+    Info,
+    LocalInfo,
+    MachineObservation,
+    MeasuredObservation,
+    Task,
+    WtgObservation,
+)
+from wtg_gym.envs.task_units import ACTING, SENSED, TASK, WATCHED
 from wtg_gym.physics.machine import Machine, MachineOutput, MachineState
 from wtg_gym.physics.sensors import Measurement
 from wtg_gym.physics.wind_turbine import Rotor, Turbine, WtgOutput, WtgState, frequency_of, tip_speed_ratio
-from wtg_gym.systems.elementary import clip
+from wtg_gym.systems.elementary import clip, select
+from wtg_gym.systems.programs import Here
 from wtg_gym.systems.records import each, size
+from wtg_gym.systems.systems import system
 
+T = TypeVar("T")
 #: Every entry of the observation is clipped to ± this.
 OBSERVATION_BOUND = 5.0
 #: Unit of frequency deviations [Hz].
 FREQUENCY_UNIT_HZ = 0.5
-
-
-class WtgObservation(NamedTuple):
-    """Local measurements of a WTG group, each with its unit and meaning."""
-
-    frequency_deviation: Annotated[float, "0.5 Hz", "frequency of the converter minus the nominal one"]
-    rocof: Annotated[float, "Hz/s", "rate of change of that frequency over the last control interval"]
-    tip_speed_ratio: Annotated[float, "0 at λ_opt, 1 at λ_pr", "speed of the blade tips over wind speed"]
-    rotor_speed: Annotated[float, "0.25 p.u. from 1 p.u.", "rotor speed; the nominal one is 1 p.u."]
-    power: Annotated[float, "p.u.", "power into the grid, of the group's rating"]
-    wind: Annotated[float, "5 m/s from 10 m/s", "wind, averaged over the rotor"]
-    coefficient: Annotated[float, "0 at K_pr, 1 at K_opt", "k in use"]
-    filter_state: Annotated[float, "0.5 Hz", "state of the damping filter"]
-
-
-class MachineObservation(NamedTuple):
-    """A synchronous machine, in the privileged observation."""
-
-    speed: Annotated[float, "0.5 Hz", "speed as a frequency, minus the nominal one"]
-    power: Annotated[float, "rating", "power into the grid"]
-    voltage: Annotated[float, "0.1 p.u. from 1 p.u.", "voltage at the terminal"]
-
-
-class GridObservation(NamedTuple):
-    """The grid, in the privileged observation."""
-
-    frequency_deviation: Annotated[float, "0.5 Hz", "frequency of the centre of inertia minus the nominal one"]
-    rocof: Annotated[float, "Hz/s", "rate of change of the frequency of the centre of inertia over 0.5 s"]
-    torque: Annotated[float, "100 MVA", "mechanical torque of all machines"]
-
-
 N_LOCAL, N_MEASURED = size(WtgObservation), size(MeasuredObservation)
 
 
-def bounded(observation: Any) -> Any:
+def bounded(observation: T) -> T:
     """Return an observation, each entry clipped."""
-    return each(lambda value: clip(value, -OBSERVATION_BOUND, OBSERVATION_BOUND), observation)
+    clipped: T = each(lambda value: clip(value, -OBSERVATION_BOUND, OBSERVATION_BOUND), observation)
+    return clipped
 
 
 def _scaled_ratio(rotor_speed: float, wind: float, c: Rotor) -> float:
@@ -68,44 +53,111 @@ def _scaled_wind(wind: float) -> float:
     return (wind - 10.0) / 5.0
 
 
-def observe_wtg(s: WtgState, output: WtgOutput, group: GroupRows, t: Turbine, task: Task) -> WtgObservation:
-    """Return the measurements of a WTG group."""
-    return WtgObservation(
-        frequency_deviation=(frequency_of(s, output) - 1.0) * task.nominal_hz / FREQUENCY_UNIT_HZ,
-        rocof=group.rocof,
-        tip_speed_ratio=_scaled_ratio(s.rotor_speed, output.wind, t.rotor),
-        rotor_speed=_scaled_rotor_speed(s.rotor_speed),
-        power=output.power,
-        wind=_scaled_wind(output.wind),
-        coefficient=(output.coefficient - task.k_low) / task.k_span,
-        filter_state=s.converter.filter * task.nominal_hz / FREQUENCY_UNIT_HZ,
-    )
-
-
 def observe_measured(m: Measurement, wind_sensor: float, t: Turbine, task: Task) -> MeasuredObservation:
     """Return the observation of what a WTG group measures; without a wind sensor, wind and ratio are 0."""
-    return MeasuredObservation(
-        frequency_deviation=(m.frequency - 1.0) * task.nominal_hz / FREQUENCY_UNIT_HZ,
-        rocof=m.rocof,
-        tip_speed_ratio=wind_sensor * _scaled_ratio(m.rotor_speed, m.wind, t.rotor),
-        rotor_speed=_scaled_rotor_speed(m.rotor_speed),
-        power=m.power,
-        wind=wind_sensor * _scaled_wind(m.wind),
+    return bounded(
+        MeasuredObservation(
+            frequency_deviation=(m.frequency - 1.0) * task.nominal_hz / FREQUENCY_UNIT_HZ,
+            rocof=m.rocof,
+            tip_speed_ratio=wind_sensor * _scaled_ratio(m.rotor_speed, m.wind, t.rotor),
+            rotor_speed=_scaled_rotor_speed(m.rotor_speed),
+            power=m.power,
+            wind=wind_sensor * _scaled_wind(m.wind),
+        )
     )
 
 
-def observe_machine(s: MachineState, output: MachineOutput, c: Machine, task: Task) -> MachineObservation:
-    """Return the measurements at a synchronous machine."""
-    return MachineObservation(
-        speed=(s.speed - 1.0) * task.nominal_hz / FREQUENCY_UNIT_HZ,
-        power=output.power / c.rating,
-        voltage=(output.voltage - 1.0) / 0.1,
+@system(ACTING, "observed", when="exact observation")
+def observe_group(state: WtgState, output: WtgOutput, group: GroupRows, turbine: Turbine, task: Task) -> WtgObservation:
+    """Return the exact observation of a WTG group."""
+    return bounded(
+        WtgObservation(
+            frequency_deviation=(frequency_of(state, output) - 1.0) * task.nominal_hz / FREQUENCY_UNIT_HZ,
+            rocof=group.rocof,
+            tip_speed_ratio=_scaled_ratio(state.rotor_speed, output.wind, turbine.rotor),
+            rotor_speed=_scaled_rotor_speed(state.rotor_speed),
+            power=output.power,
+            wind=_scaled_wind(output.wind),
+            coefficient=(output.coefficient - task.k_low) / task.k_span,
+            filter_state=state.converter.filter * task.nominal_hz / FREQUENCY_UNIT_HZ,
+        )
     )
 
 
-def observe_grid(coi: float, rocof: float, torque: float, task: Task) -> GridObservation:
-    """Return the grid's measurements: frequency of the centre of inertia [p.u.], RoCoF [Hz/s], torque [p.u.]."""
-    return GridObservation((coi - 1.0) * task.nominal_hz / FREQUENCY_UNIT_HZ, rocof, torque)
+@system(ACTING, "shown_actions")
+def show_actions(last_action_k: float, last_action_tau: float) -> Acted:
+    """Return the last actions of a WTG group."""
+    return Acted(last_action_k, last_action_tau)
+
+
+@system(SENSED, "shown_duty")
+def show_duty(mean_duty: float) -> float:
+    """Return the duty error that is charged."""
+    return clip(mean_duty, -OBSERVATION_BOUND, OBSERVATION_BOUND)
+
+
+@system(WATCHED, "machine_observed", when="privileged")
+def observe_machine(state: MachineState, output: MachineOutput, machine: Machine, task: Task) -> MachineObservation:
+    """Return the observation of a synchronous machine."""
+    return bounded(
+        MachineObservation(
+            speed=(state.speed - 1.0) * task.nominal_hz / FREQUENCY_UNIT_HZ,
+            power=output.power / machine.rating,
+            voltage=(output.voltage - 1.0) / 0.1,
+        )
+    )
+
+
+@system(TASK, "total_torque")
+def begin_torque() -> float:
+    """Begin to add the torques of all machines."""
+    return 0.0
+
+
+@system(WATCHED, "total_torque")
+def add_torque(total_torque: float, torque: float) -> float:
+    """Add the torque of a machine."""
+    return total_torque + torque
+
+
+@system(TASK, "grid_observed", when="privileged")
+def observe_grid(coi: float, rocof: float, total_torque: float, task: Task) -> GridObservation:
+    """Return the observation of the grid."""
+    return bounded(GridObservation((coi - 1.0) * task.nominal_hz / FREQUENCY_UNIT_HZ, rocof, total_torque))
+
+
+@system(TASK, "info")
+def inform(
+    step: float, coi: float, rocof: float, constraint: float, terms: CostTerms, task: Task, simulation_dt: float
+) -> Info:
+    """Return the numbers of `info`; its last are the terms of the cost, in their order."""
+    return Info(step * simulation_dt, task.nominal_hz * coi, rocof, constraint, *terms)
+
+
+@system(TASK, "local_info", when="extended")
+def inform_of_places(worst: float, shed_energy: float, base_mva: float, task: Task) -> LocalInfo:
+    """Return what `info` has besides in extended physics."""
+    return LocalInfo(task.nominal_hz * worst, base_mva * shed_energy)
+
+
+@system(TASK, "active")
+def end_episode(active: float, was_active: float, step: float, end_step: float) -> float:
+    """Let a lane at its end stand still until it is started again."""
+    return select((was_active > 0.5) & (step >= end_step - 0.5), 0.0, active)
+
+
+OBSERVE = (
+    observe_group,
+    show_actions,
+    show_duty,
+    observe_machine,
+    begin_torque,
+    add_torque,
+    observe_grid,
+    Here("observe"),
+    inform,
+    inform_of_places,
+)
 
 
 def observation_names(n_wtg: int, n_sync: int, action_mode: str, *, privileged: bool, sensed: bool) -> list[str]:

@@ -1,8 +1,8 @@
 """One step of the task over the lanes of a block: actions, physics, cost, observation, information.
 
 One compiled call does it all: act → the physics' step → charge → measure → observe → end. The systems are in
-:mod:`wtg_gym.envs.actions`, :mod:`wtg_gym.envs.charging`, :mod:`wtg_gym.envs.measuring` and
-:mod:`wtg_gym.envs.observing`; the kinds of unit in :mod:`wtg_gym.envs.task_units`.
+:mod:`wtg_gym.envs.actions`, :mod:`wtg_gym.envs.cost`, :mod:`wtg_gym.envs.measuring` and
+:mod:`wtg_gym.envs.observation`; the kinds of unit in :mod:`wtg_gym.envs.task_units`.
 """
 
 from __future__ import annotations
@@ -16,9 +16,9 @@ import numpy.typing as npt
 from numba.experimental import structref
 
 from wtg_gym.envs.actions import ACT
-from wtg_gym.envs.charging import CHARGE
+from wtg_gym.envs.cost import CHARGE
 from wtg_gym.envs.measuring import MEASURE, START_SENSORS
-from wtg_gym.envs.observing import OBSERVE, end_episode
+from wtg_gym.envs.observation import OBSERVE, end_episode
 from wtg_gym.envs.settings import ACTION_MODES, EnvSettings
 from wtg_gym.envs.task_records import Info, LocalInfo, Task, Weights, n_delayed, rocof_window
 from wtg_gym.envs.task_units import ACTING, HISTORY, RING, SENSED, SENSORS, SHIFTS, TASK, WATCHED, WINDOW

@@ -72,6 +72,35 @@ class Acted(NamedTuple):
     on_tau: float
 
 
+class WtgObservation(NamedTuple):
+    """Local measurements of a WTG group, each with its unit and meaning."""
+
+    frequency_deviation: Annotated[float, "0.5 Hz", "frequency of the converter minus the nominal one"]
+    rocof: Annotated[float, "Hz/s", "rate of change of that frequency over the last control interval"]
+    tip_speed_ratio: Annotated[float, "0 at λ_opt, 1 at λ_pr", "speed of the blade tips over wind speed"]
+    rotor_speed: Annotated[float, "0.25 p.u. from 1 p.u.", "rotor speed; the nominal one is 1 p.u."]
+    power: Annotated[float, "p.u.", "power into the grid, of the group's rating"]
+    wind: Annotated[float, "5 m/s from 10 m/s", "wind, averaged over the rotor"]
+    coefficient: Annotated[float, "0 at K_pr, 1 at K_opt", "k in use"]
+    filter_state: Annotated[float, "0.5 Hz", "state of the damping filter"]
+
+
+class MachineObservation(NamedTuple):
+    """A synchronous machine, in the privileged observation."""
+
+    speed: Annotated[float, "0.5 Hz", "speed as a frequency, minus the nominal one"]
+    power: Annotated[float, "rating", "power into the grid"]
+    voltage: Annotated[float, "0.1 p.u. from 1 p.u.", "voltage at the terminal"]
+
+
+class GridObservation(NamedTuple):
+    """The grid, in the privileged observation."""
+
+    frequency_deviation: Annotated[float, "0.5 Hz", "frequency of the centre of inertia minus the nominal one"]
+    rocof: Annotated[float, "Hz/s", "rate of change of the frequency of the centre of inertia over 0.5 s"]
+    torque: Annotated[float, "100 MVA", "mechanical torque of all machines"]
+
+
 class MeasuredObservation(NamedTuple):
     """Measurements of the sensors of a WTG group."""
 

@@ -2,8 +2,18 @@
 
 from __future__ import annotations
 
-from wtg_gym.envs.observation import GridObservation, MachineObservation, WtgObservation
-from wtg_gym.envs.task_records import Acted, CostTerms, GroupRows, Info, LocalInfo, MeasuredObservation, Task
+from wtg_gym.envs.task_records import (
+    Acted,
+    CostTerms,
+    GridObservation,
+    GroupRows,
+    Info,
+    LocalInfo,
+    MachineObservation,
+    MeasuredObservation,
+    Task,
+    WtgObservation,
+)
 from wtg_gym.physics.machine_unit import MACHINES
 from wtg_gym.physics.sensors import Noise, SensorInput, SensorState
 from wtg_gym.physics.units import LANE

@@ -16,9 +16,9 @@ import numpy.typing as npt
 
 from wtg_gym.envs import task as of_task
 from wtg_gym.envs.actions import ACT
-from wtg_gym.envs.charging import CHARGE
+from wtg_gym.envs.cost import CHARGE
 from wtg_gym.envs.measuring import MEASURE
-from wtg_gym.envs.observing import OBSERVE
+from wtg_gym.envs.observation import OBSERVE
 from wtg_gym.envs.task import TaskData, read_actions
 from wtg_gym.physics import integration
 from wtg_gym.physics import step as of_step
