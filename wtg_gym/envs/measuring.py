@@ -28,43 +28,27 @@ def _exact(state: WtgState, output: WtgOutput, group: GroupRows) -> Measurement:
     return Measurement(frequency_of(state, output), group.rocof, state.rotor_speed, output.power, output.wind)
 
 
-def _seen(
-    sensors: SensorState,
-    exact: Measurement,
-    wind_bias: float,
-    noise: Noise,
-    sensor_input: SensorInput,
-    turbine: Turbine,
-    task: Task,
-) -> MeasuredObservation:
-    value = measured(sensors, exact, wind_bias, noise, sensor_input)
-    return observe_measured(value, sensor_input.wind_sensor, turbine, task)
-
-
 @system(SENSED, "noise")
 def draw_noise(sensor_input: SensorInput, interval: float, group_number: float) -> Noise:
     """Draw the random numbers of the present interval's measurements."""
     return drawn(sensor_input.seed, interval, group_number)
 
 
-@system(SENSED, "sensors", "seen")
-def start_sensors(
-    state: WtgState,
-    output: WtgOutput,
-    group: GroupRows,
-    wind_bias: float,
-    noise: Noise,
-    sensor_input: SensorInput,
-    turbine: Turbine,
-    task: Task,
-) -> tuple[SensorState, MeasuredObservation]:
-    """Take the first measurement of a run."""
-    exact = _exact(state, output, group)
-    sensors = sensors_started(exact, noise)
-    return sensors, _seen(sensors, exact, wind_bias, noise, sensor_input, turbine, task)
+@system(SENSED, "sensors")
+def start_sensors(state: WtgState, output: WtgOutput, group: GroupRows, noise: Noise) -> SensorState:
+    """Begin a run with what is measured first."""
+    return sensors_started(_exact(state, output, group), noise)
 
 
-@system(SENSED, "sensors", "seen")
+@system(SENSED, "sensors")
+def advance_sensors(
+    sensors: SensorState, state: WtgState, output: WtgOutput, group: GroupRows, noise: Noise, sensor_input: SensorInput
+) -> SensorState:
+    """Move filters and slow errors on to the end of a control interval."""
+    return sensors_advanced(sensors, _exact(state, output, group), noise, sensor_input)
+
+
+@system(SENSED, "seen")
 def measure_group(
     sensors: SensorState,
     state: WtgState,
@@ -75,15 +59,14 @@ def measure_group(
     sensor_input: SensorInput,
     turbine: Turbine,
     task: Task,
-) -> tuple[SensorState, MeasuredObservation]:
-    """Take the measurement at the end of a control interval."""
-    exact = _exact(state, output, group)
-    sensors = sensors_advanced(sensors, exact, noise, sensor_input)
-    return sensors, _seen(sensors, exact, wind_bias, noise, sensor_input, turbine, task)
+) -> MeasuredObservation:
+    """Take the measurement of a WTG group."""
+    value = measured(sensors, _exact(state, output, group), wind_bias, noise, sensor_input)
+    return observe_measured(value, sensor_input.wind_sensor, turbine, task)
 
 
 #: Measurements are shown late.
 SHOW = Delay(SENSED, "seen", "shown", RING, "measurement", turn="interval", delay="delay")
 
-START_SENSORS = (draw_noise, start_sensors, SHOW)
-MEASURE = (draw_noise, measure_group, SHOW)
+START_SENSORS = (draw_noise, start_sensors, measure_group, SHOW)
+MEASURE = (draw_noise, advance_sensors, measure_group, SHOW)

@@ -28,7 +28,7 @@ from wtg_gym.physics.scenario import (
     Scenario,
     trusted,
 )
-from wtg_gym.ranges import is_whole, require_bus, require_range
+from wtg_gym.ranges import require_bus, require_range, require_whole
 from wtg_gym.scenarios import wind
 from wtg_gym.scenarios.stream import FloatArray, Picker, Span, seed_streams
 
@@ -203,11 +203,9 @@ class ScenarioDistribution(Checked):
             ValueError: an argument is out of range; the message names it.
         """
         for seed in seeds:
-            if not is_whole(seed) or not 0 <= seed < 2**63:
-                raise ValueError(f"a seed must be a non-negative integer, got {seed!r}; the largest is 2^63 - 1")
-        if not is_whole(n_wtg) or n_wtg < 1:
-            raise ValueError(f"n_wtg must be a positive integer, got {n_wtg!r}")
-        turbines = [self.n_turbines] * int(n_wtg) if n_turbines is None else [float(n) for n in n_turbines]
+            require_whole("a seed", seed, 0, 2**63 - 1)
+        n_wtg = require_whole("n_wtg", n_wtg, 1)
+        turbines = [self.n_turbines] * n_wtg if n_turbines is None else [float(n) for n in n_turbines]
         if len(turbines) != n_wtg:
             raise ValueError(f"n_turbines must have one value per WTG group ({n_wtg}), got {len(turbines)}")
         for number in turbines:
@@ -324,23 +322,11 @@ class ScenarioDistribution(Checked):
                 time_s = 0.0 if pick.chance(0.5) else pick.instant(window)
                 events.append(trusted(GovernorLoss, time_s=time_s, bus=1))
             elif kind < self.governor_loss_probability + self.group_trip_probability:
-                events.append(
-                    trusted(
-                        GroupTrip,
-                        time_s=pick.instant(window),
-                        group=turbines.index(min(turbines)),
-                        returns_after_s=None,
-                    )
-                )
+                group = turbines.index(min(turbines))
+                events.append(trusted(GroupTrip, time_s=pick.instant(window), group=group, returns_after_s=None))
         if self.machine_outage_probability > 0.0 and pick.chance(self.machine_outage_probability):
-            events.append(
-                trusted(
-                    MachineOutage,
-                    time_s=pick.instant(window),
-                    bus=pick.choice(self.machine_outage_buses),
-                    returns_after_s=None,
-                )
-            )
+            time_s, bus = pick.instant(window), pick.choice(self.machine_outage_buses)
+            events.append(trusted(MachineOutage, time_s=time_s, bus=bus, returns_after_s=None))
         return events
 
     def _series(

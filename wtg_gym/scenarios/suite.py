@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from wtg_gym.physics.scenario import Event, Scenario, trusted
-from wtg_gym.ranges import is_whole
+from wtg_gym.ranges import is_whole, require_whole
 from wtg_gym.scenarios.benchmark import V0, Benchmark, SuitePlant
 from wtg_gym.scenarios.distribution import ScenarioDistribution
 from wtg_gym.scenarios.sensor_distribution import SensorDistribution
@@ -164,8 +164,7 @@ class Suite:
     def _fixed_scenarios(
         self, seeds: Sequence[int], n_wtg: int, n_turbines: Sequence[float] | None, duration_s: float
     ) -> list[Scenario]:
-        if not is_whole(n_wtg) or n_wtg < 1:
-            raise ValueError(f"n_wtg must be a positive integer, got {n_wtg!r}")
+        n_wtg = require_whole("n_wtg", n_wtg, 1)
         if n_turbines is not None and len(n_turbines) != n_wtg:
             raise ValueError(f"n_turbines must have one value per WTG group ({n_wtg}), got {len(n_turbines)}")
         cases = [self.cases[int(seed)] for seed in seeds]

@@ -141,46 +141,22 @@ def _simplified(operation: str, given: tuple[Any, ...]) -> Any:
 # --- what equations call ---------------------------------------------------------------------------------------------
 
 
-def select(condition: Any, value: Any, other: Any) -> Any:
-    """Return one of two numbers."""
-    return number("select", condition, value, other)
+def _operation(name: str) -> Callable[..., Any]:
+    return lambda *arguments: number(name, *arguments)
+
+
+select, smallest, largest, absolute = map(_operation, ("select", "min", "max", "abs"))
+square_root, exponential, floor, ceil = map(_operation, ("sqrt", "exponential", "floor", "ceil"))
+#: A random number, which follows nothing.
+noise = _operation("noise")
+#: As libm has them; no derivative is known. :func:`sine_cosine` is what equations of motion use.
+sine_of_libm, cosine_of_libm, arc_tangent, hypotenuse = map(_operation, ("sin", "cos", "atan2", "hypot"))
 
 
 def multiply_add(a: Any, b: Any, c: Any) -> Any:
     """Return a·b + c."""
     nothing = _simplifies_zeros and (_is(_plain(a), 0.0) or _is(_plain(b), 0.0))
     return c if nothing else number("fma", a, b, c)
-
-
-def _two(operation: str) -> Callable[..., Any]:
-    return lambda a, b: number(operation, a, b)
-
-
-def _one(operation: str) -> Callable[..., Any]:
-    return lambda a: number(operation, a)
-
-
-smallest, largest, absolute = _two("min"), _two("max"), _one("abs")
-square_root, exponential, floor, ceil = _one("sqrt"), _one("exponential"), _one("floor"), _one("ceil")
-
-
-def arc_tangent(y: Any, x: Any) -> Any:
-    """Return the angle of (x, y) as libm has it; no derivative is known."""
-    return number("atan2", y, x)
-
-
-def noise(seed: Any, step: Any, channel: Any) -> Any:
-    """Return a random number, which follows nothing."""
-    return number("noise", seed, step, channel)
-
-
-def hypotenuse(x: Any, y: Any) -> Any:
-    """Return the length of (x, y) as libm has it; no derivative is known."""
-    return number("hypot", x, y)
-
-
-#: As libm has them; :func:`sine_cosine` is what equations of motion use.
-sine_of_libm, cosine_of_libm = _one("sin"), _one("cos")
 
 
 def is_finite(a: Any) -> Any:
