@@ -7,9 +7,8 @@ The cost is a rate [1/s] times the time that passed; the terms' weights and the 
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
 
-from wtg_gym.envs.task_records import CostTerms, GroupRows, Task
+from wtg_gym.envs.task_records import CostTerms, GroupDeviations, GroupRows, Task
 from wtg_gym.envs.task_units import ACTING, SENSED, SHIFTS, TASK, WINDOW
 from wtg_gym.physics.converter import tracking_coefficient
 from wtg_gym.physics.wind_turbine import Turbine, WtgOutput, WtgState, frequency_of, tip_speed_ratio
@@ -21,15 +20,6 @@ from wtg_gym.systems.systems import system
 #: Frequency deviation beyond which the constraint cost counts [Hz]: ENTSO-E's steady-state limit is 0.2, its
 #: instantaneous limit 0.8 Hz.
 CONSTRAINT_FREQUENCY_HZ = 0.8
-
-
-class GroupDeviations(NamedTuple):
-    """Deviations of one WTG group, in the units of its costs, and its available power [p.u.]."""
-
-    duty: float  # captured less prescribed power, 0.05 of the available power
-    rotor: float  # tip-speed ratio outside its band, 0.1 λ_opt
-    overload: float  # power beyond the converter's limit, 0.1 p.u.
-    available: float
 
 
 def frequency_cost(deviation_hz: float) -> float:
@@ -62,61 +52,10 @@ def filtered_duty(mean: float, duty: float, ran: bool, task: Task) -> float:
     return mean + select(ran, task.duty_gain, 0.0) * (duty - mean)
 
 
-def group_deviations(s: WtgState, output: WtgOutput, t: Turbine, task: Task) -> GroupDeviations:
-    """Return the deviations of one WTG group.
-
-    The prescribed power is a share of the usable power. Usable is the available power, up to that of which a rotor with
-    its nominal reserve captures as much as the pitch protection allows. A group that a protection has tripped captures
-    nothing and is charged for it; one that an event has disconnected is exempt.
-    """
-    wind = output.wind
-    available = t.rotor.available_per_cubic_wind * wind * wind * wind
-    usable = min(available, t.pitch.power_limit / task.share_nominal)
-    prescribed = usable * tracking_coefficient(
-        frequency_of(s, output), task.share_min, task.share_nominal, task.share_max, t.converter.corners
-    )
-    ratio = tip_speed_ratio(s.rotor_speed, wind, t.rotor)
-    best = t.rotor.tip_speed_ratio_opt
-    low, high = 0.9 * best - ratio, ratio - 1.1 * t.rotor.tip_speed_ratio_limit
-    # Above rated the pitch, not the rotor, keeps the tip-speed ratio low.
-    low = select(s.pitch.pitch > t.limits.stall_pitch, 0.0, low)
-    return GroupDeviations(
-        duty=(output.captured - prescribed) / (0.05 * available),
-        rotor=max(0.0, max(low, high)) / (0.1 * best),
-        overload=max(0.0, output.power - t.converter.overload) / 0.1,
-        available=available,
-    )
-
-
 def effort(action: float, last: float) -> float:
     """Return the cost of an action and of its change."""
     change = action - last
     return action * action + 4.0 * change * change
-
-
-def add_group_costs(
-    terms: CostTerms, costs: GroupDeviations, duty: float, there: float, group: GroupRows, task: Task
-) -> CostTerms:
-    """Return the terms with the costs of one WTG group added.
-
-    Args:
-        terms: rates of the terms so far [1/s].
-        costs: the group's deviations.
-        duty: the group's duty error, in v1 filtered.
-        there: 0 for a group that an event has disconnected: its actions move nothing and cost nothing. Else 1.
-        group: its actions.
-        task: constants.
-    """
-    w, n_wtg = task.weights, task.n_groups
-    on_k = there * w.effort * effort(group.action_k, group.last_action_k) / task.n_actions
-    on_tau = there * w.effort * effort(group.action_tau, group.last_action_tau) / task.n_actions
-    acted = terms.effort + select(task.modulates_k, on_k, 0.0)
-    return terms._replace(
-        duty=terms.duty + w.duty * duty_cost(duty) / n_wtg,
-        rotor=terms.rotor + w.rotor * costs.rotor * costs.rotor / n_wtg,
-        overload=terms.overload + w.overload * costs.overload * costs.overload / n_wtg,
-        effort=acted + select(task.modulates_tau, on_tau, 0.0),
-    )
 
 
 def interval_cost(terms: CostTerms, elapsed: float, unserved: float, failed: bool, task: Task) -> CostTerms:
@@ -197,13 +136,61 @@ def charge_frequency(
     )
 
 
-def _charged(
+@system(ACTING, "deviations", "charged_duty", "there")
+def find_deviations(
+    state: WtgState, output: WtgOutput, turbine: Turbine, task: Task
+) -> tuple[GroupDeviations, float, float]:
+    """Find the deviations of a WTG group.
+
+    The prescribed power is a share of the usable power. Usable is the available power, up to that of which a rotor with
+    its nominal reserve captures as much as the pitch protection allows. A group that a protection has tripped captures
+    nothing and is charged for it.
+    """
+    wind = output.wind
+    available = turbine.rotor.available_per_cubic_wind * wind * wind * wind
+    usable = min(available, turbine.pitch.power_limit / task.share_nominal)
+    prescribed = usable * tracking_coefficient(
+        frequency_of(state, output), task.share_min, task.share_nominal, task.share_max, turbine.converter.corners
+    )
+    ratio = tip_speed_ratio(state.rotor_speed, wind, turbine.rotor)
+    best = turbine.rotor.tip_speed_ratio_opt
+    low, high = 0.9 * best - ratio, ratio - 1.1 * turbine.rotor.tip_speed_ratio_limit
+    # Above rated the pitch, not the rotor, keeps the tip-speed ratio low.
+    low = select(state.pitch.pitch > turbine.limits.stall_pitch, 0.0, low)
+    deviations = GroupDeviations(
+        duty=(output.captured - prescribed) / (0.05 * available),
+        rotor=max(0.0, max(low, high)) / (0.1 * best),
+        overload=max(0.0, output.power - turbine.converter.overload) / 0.1,
+        available=available,
+    )
+    return deviations, deviations.duty, 1.0
+
+
+@system(SENSED, "deviations", "charged_duty", "there", "mean_duty")
+def filter_duty(
+    deviations: GroupDeviations,
+    mean_duty: float,
+    leaves_at: float,
+    returns_at: float,
+    step: float,
+    was_active: float,
+    task: Task,
+) -> tuple[GroupDeviations, float, float, float]:
+    """Charge the duty behind its filter, and a group that an event has disconnected nothing."""
+    there = select((step <= leaves_at) | (step > returns_at), 1.0, 0.0)
+    exempt: GroupDeviations = each(lambda deviation: there * deviation, deviations)
+    duty = there * filtered_duty(mean_duty, exempt.duty, was_active > 0.5, task)
+    return exempt, duty, there, duty
+
+
+@system(ACTING, "term_rates", "violated", "error", "available_energy")
+def charge_group(
     term_rates: CostTerms,
     violated: float,
     error: float,
     available_energy: float,
-    costs: GroupDeviations,
-    duty: float,
+    deviations: GroupDeviations,
+    charged_duty: float,
     there: float,
     group: GroupRows,
     share: float,
@@ -211,67 +198,23 @@ def _charged(
     was_active: float,
     task: Task,
 ) -> tuple[CostTerms, float, float, float]:
-    """Return the lane's sums with a WTG group added; see :func:`add_group_costs`."""
-    beyond = (costs.rotor > 0.0) | (costs.overload > 0.0)
-    energy = share * costs.available * elapsed
+    """Add the rates of a WTG group to those of the lane; actions of one that is not there cost nothing."""
+    w, n_wtg = task.weights, task.n_groups
+    on_k = there * w.effort * effort(group.action_k, group.last_action_k) / task.n_actions
+    on_tau = there * w.effort * effort(group.action_tau, group.last_action_tau) / task.n_actions
+    acted = term_rates.effort + select(task.modulates_k, on_k, 0.0)
+    rates = term_rates._replace(
+        duty=term_rates.duty + w.duty * duty_cost(charged_duty) / n_wtg,
+        rotor=term_rates.rotor + w.rotor * deviations.rotor * deviations.rotor / n_wtg,
+        overload=term_rates.overload + w.overload * deviations.overload * deviations.overload / n_wtg,
+        effort=acted + select(task.modulates_tau, on_tau, 0.0),
+    )
     return (
-        add_group_costs(term_rates, costs, duty, there, group, task),
-        select(beyond, 1.0, violated),
-        error + 0.05 * abs(costs.duty) / task.n_groups,
-        available_energy + select(was_active > 0.5, energy, 0.0),
+        rates,
+        select((deviations.rotor > 0.0) | (deviations.overload > 0.0), 1.0, violated),
+        error + 0.05 * abs(deviations.duty) / n_wtg,
+        available_energy + select(was_active > 0.5, share * deviations.available * elapsed, 0.0),
     )
-
-
-@system(ACTING, "term_rates", "violated", "error", "available_energy", when="exact")
-def charge_group(
-    term_rates: CostTerms,
-    violated: float,
-    error: float,
-    available_energy: float,
-    state: WtgState,
-    output: WtgOutput,
-    group: GroupRows,
-    turbine: Turbine,
-    share: float,
-    elapsed: float,
-    was_active: float,
-    task: Task,
-) -> tuple[CostTerms, float, float, float]:
-    """Add the rates of a WTG group to those of the lane."""
-    costs = group_deviations(state, output, turbine, task)
-    return _charged(
-        term_rates, violated, error, available_energy, costs, costs.duty, 1.0, group, share, elapsed, was_active, task
-    )
-
-
-@system(SENSED, "term_rates", "violated", "error", "available_energy", "mean_duty")
-def charge_sensed_group(
-    term_rates: CostTerms,
-    violated: float,
-    error: float,
-    available_energy: float,
-    mean_duty: float,
-    leaves_at: float,
-    returns_at: float,
-    state: WtgState,
-    output: WtgOutput,
-    group: GroupRows,
-    turbine: Turbine,
-    share: float,
-    step: float,
-    elapsed: float,
-    was_active: float,
-    task: Task,
-) -> tuple[CostTerms, float, float, float, float]:
-    """Add the rates of a WTG group whose duty is filtered; one that an event has disconnected is charged nothing."""
-    costs = group_deviations(state, output, turbine, task)
-    there = select((step <= leaves_at) | (step > returns_at), 1.0, 0.0)
-    costs = GroupDeviations(there * costs.duty, there * costs.rotor, there * costs.overload, there * costs.available)
-    duty = there * filtered_duty(mean_duty, costs.duty, was_active > 0.5, task)
-    charged = _charged(
-        term_rates, violated, error, available_energy, costs, duty, there, group, share, elapsed, was_active, task
-    )
-    return (*charged, duty)
 
 
 @system(ACTING, "group")
@@ -324,8 +267,9 @@ CHARGE = (
     shift_history,
     rate_of_change,
     charge_frequency,
+    find_deviations,
+    filter_duty,
     charge_group,
-    charge_sensed_group,
     remember_group,
     Here("charge"),
     charge_lane,

@@ -104,7 +104,6 @@ def task_of(settings: EnvSettings) -> Further:
     has = {
         "modulates k": modulates_k,
         "modulates tau": modulates_tau,
-        "exact": not sensed,
         "exact observation": not sensed or privileged,
         "privileged": privileged,
     }

@@ -65,6 +65,15 @@ class GroupRows(NamedTuple):
     action_tau: float
 
 
+class GroupDeviations(NamedTuple):
+    """Deviations of one WTG group, in the units of its costs, and its available power [p.u.]."""
+
+    duty: float  # captured less prescribed power, 0.05 of the available power
+    rotor: float  # tip-speed ratio outside its band, 0.1 λ_opt
+    overload: float  # power beyond the converter's limit, 0.1 p.u.
+    available: float
+
+
 class Acted(NamedTuple):
     """Actions of a WTG group."""
 

@@ -6,6 +6,7 @@ from wtg_gym.envs.task_records import (
     Acted,
     CostTerms,
     GridObservation,
+    GroupDeviations,
     GroupRows,
     Info,
     LocalInfo,
@@ -63,7 +64,14 @@ WINDOW = Kind(name="window", sees={"oldest_": HISTORY, "newest_": HISTORY, "task
 ACTING = Kind(
     name="acting groups",
     rows={"group": GroupRows},
-    scratch={"wanted": Acted, "shown_actions": Acted, "observed": WtgObservation},
+    scratch={
+        "wanted": Acted,
+        "shown_actions": Acted,
+        "observed": WtgObservation,
+        "deviations": GroupDeviations,
+        "charged_duty": float,  # in v1 filtered
+        "there": float,  # 0 for a group that an event has disconnected, else 1
+    },
     sees={"group": GROUPS, "task": TASK, "lane": LANE},
 )
 
