@@ -187,6 +187,5 @@ class GFMWTGParallelEnv(ParallelEnv[str, Observation, Action]):  # type: ignore[
         self.single_env.close()
 
 
-def parallel_env(*, render_mode: str | None = None, **arguments: Unpack[EnvArguments]) -> GFMWTGParallelEnv:
-    """Return the environment for many agents; arguments and errors are those of :class:`GFMWTGParallelEnv`."""
-    return GFMWTGParallelEnv(render_mode=render_mode, **arguments)
+#: The name under which PettingZoo's environments are made.
+parallel_env = GFMWTGParallelEnv

@@ -82,13 +82,6 @@ def term_weights(weights: Mapping[str, float] | None) -> Floats:
     return np.array([weights.get(term, 0.0) for term in COST_TERMS])
 
 
-class _Rows(NamedTuple):
-    """Rows of a block that a tape is asked for."""
-
-    terms: Whole  # of the cost of a step
-    outputs: Whole  # that Tape.output_names names
-
-
 def _meant(leaf: Leaf) -> tuple[str, str, int | None]:
     """Return what systems call a constant, an argument and its number there, and whose it is."""
     return ("machine", leaf.name, leaf.place) if leaf.part == "machines" else ("turbine", leaf.name, None)
@@ -166,7 +159,8 @@ class Tape:
         terms = layout.first_rows(TASK, "terms")[0] + np.arange(len(COST_TERMS))
         outputs = [layout.lane("coi"), layout.first_rows(TASK, "rocof")[0]]
         outputs += [*layout.wtg("rotor_speed"), *layout.machine("speed")]
-        self._rows = _Rows(terms, np.array(outputs, dtype=np.int64))
+        #: Rows of a block: of the terms of a step's cost, and of what `output_names` names.
+        self._term_rows, self._output_rows = terms, np.array(outputs, dtype=np.int64)
         self._scratch_outputs = Outputs._make(np.zeros_like(array) for array in lanes.outputs)
 
     def _link(self, programs: Sequence[Program]) -> None:
@@ -247,15 +241,12 @@ class Tape:
         law = _shaped("law", law, (self.lanes.n_lanes, *self._law_rows.shape))
         if not np.isfinite(law).all():
             raise ValueError("the parameters of laws must be finite numbers")
-        self._put(self._values(), self._law_rows, law)
+        self._put(self.lanes.simulator.blocks, self._law_rows, law)
 
     def law(self) -> Floats:
         """Return the parameters of each group's law (n_lanes, n_wtg, 4), in the order of LAW_PARAMETERS."""
         self.require_started()
-        return self._take(self._values(), self._law_rows)
-
-    def _values(self) -> Floats:
-        return self.lanes.simulator.blocks
+        return self._take(self.lanes.simulator.blocks, self._law_rows)
 
     def _take(self, view: Floats, rows: npt.NDArray[np.int64]) -> Floats:
         """Return rows of every lane (n_lanes, …) of a view (n_blocks, n_rows, width)."""
@@ -286,7 +277,7 @@ class Tape:
             self._checkpoints.append(before)
         self._actions.append(actions.copy())
         self._replayed = (-1, [])
-        terms = self._take(self._values(), self._rows.terms)
+        terms = self._take(self.lanes.simulator.blocks, self._term_rows)
         return self.lanes.observations.copy(), np.where(running[:, np.newaxis], terms, 0.0)
 
     def before(self, step: int) -> Floats:
@@ -311,7 +302,7 @@ class Tape:
     def outputs(self) -> Floats:
         """Return the outputs at the end of the latest step (n_lanes, n_outputs), in the order of `output_names`."""
         self.require_started()
-        return self._take(self._values(), self._rows.outputs)
+        return self._take(self.lanes.simulator.blocks, self._output_rows)
 
     def pull(
         self,
@@ -341,7 +332,7 @@ class Tape:
         bars = np.zeros_like(blocks)
         given = {"carried": carried, "terms": terms, "outputs": outputs}
         all_rows = np.arange(self.n_carried)
-        for (name, values), rows in zip(given.items(), (all_rows, *self._rows), strict=True):
+        for (name, values), rows in zip(given.items(), (all_rows, self._term_rows, self._output_rows), strict=True):
             if values is not None:
                 values = _shaped(name, values, (n_lanes, rows.size))
                 # Some rows are carried and shown too.

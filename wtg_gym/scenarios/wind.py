@@ -161,13 +161,8 @@ def _tabulated_amplitude(mean_tenth_m_s: int, n_turbines: float, n_period: int) 
 def turbulence_amplitude(mean_wind_m_s: float, n_turbines: float, n_period: int) -> FloatArray:
     """Return the scale of the coefficients of rotor-effective, group-averaged turbulence of zero mean.
 
-    It is for a standard deviation of 1 m/s at a point. The shape of the spectrum is that of the mean wind rounded to
-    0.1 m/s, so that it is worked out only once.
-
-    Args:
-        mean_wind_m_s: mean wind speed U [m/s].
-        n_turbines: turbines the group averages over [-].
-        n_period: samples of the period, even, `SERIES_DT` apart.
+    It is for a standard deviation of 1 m/s at a point, and a period of `n_period` samples, even, `SERIES_DT` apart. The
+    shape of the spectrum is that of the mean wind rounded to 0.1 m/s, so that it is worked out only once.
     """
     return _tabulated_amplitude(round(10.0 * mean_wind_m_s), n_turbines, n_period)
 
@@ -175,10 +170,7 @@ def turbulence_amplitude(mean_wind_m_s: float, n_turbines: float, n_period: int)
 def extreme_operating_gust(time_s: FloatArray, start_s: float, size_m_s: float) -> FloatArray:
     """Return the change of wind in an extreme operating gust: a dip, a peak and a dip in 10.5 s [m/s].
 
-    Args:
-        time_s: instants, any shape [s].
-        start_s: beginning of the gust [s].
-        size_m_s: gust size V_gust, about the rise from the dip to the peak [m/s].
+    The instants are of any shape; the size is V_gust, about the rise from the dip to the peak.
 
     Source: IEC 61400-1 ed. 3, eq. 18.
     """
@@ -187,25 +179,12 @@ def extreme_operating_gust(time_s: FloatArray, start_s: float, size_m_s: float) 
 
 
 def coherent_ramp(time_s: FloatArray, start_s: float, change_m_s: float, ramp_s: float) -> FloatArray:
-    """Return a change of wind that grows linearly and then stays [m/s].
-
-    Args:
-        time_s: instants, any shape [s].
-        start_s: beginning of the ramp [s].
-        change_m_s: change at its end [m/s].
-        ramp_s: length of the ramp [s].
-    """
+    """Return a change of wind that grows linearly to `change_m_s` and then stays [m/s], at instants of any shape."""
     return change_m_s * np.clip((time_s - start_s) / ramp_s, 0.0, 1.0)
 
 
 def share_of_load(mean_winds: Sequence[float], turbines: Sequence[float], load_mw: float) -> float:
-    """Return the share of a load that turbines at nominal reserve cover.
-
-    Args:
-        mean_winds: of each WTG group [m/s].
-        turbines: number in each group.
-        load_mw: the load [MW].
-    """
+    """Return the share of a load that turbines at nominal reserve cover; mean wind and turbines of each WTG group."""
     turbine_mw, per_cubic_wind = _turbine_power()
     given_mw = (
         n * turbine_mw * min(per_cubic_wind * wind**3, 1.0) for n, wind in zip(turbines, mean_winds, strict=True)
