@@ -141,16 +141,16 @@ def _simplified(operation: str, given: tuple[Any, ...]) -> Any:
 # --- what equations call ---------------------------------------------------------------------------------------------
 
 
-def _operation(name: str) -> Callable[..., Any]:
+def _function_of(name: str) -> Callable[..., Any]:
     return lambda *arguments: number(name, *arguments)
 
 
-select, smallest, largest, absolute = map(_operation, ("select", "min", "max", "abs"))
-square_root, exponential, floor, ceil = map(_operation, ("sqrt", "exponential", "floor", "ceil"))
+select, smallest, largest, absolute = map(_function_of, ("select", "min", "max", "abs"))
+square_root, exponential, floor, ceil = map(_function_of, ("sqrt", "exponential", "floor", "ceil"))
 #: A random number, which follows nothing.
-noise = _operation("noise")
+noise = _function_of("noise")
 #: As libm has them; no derivative is known. :func:`sine_cosine` is what equations of motion use.
-sine_of_libm, cosine_of_libm, arc_tangent, hypotenuse = map(_operation, ("sin", "cos", "atan2", "hypot"))
+sine_of_libm, cosine_of_libm, arc_tangent, hypotenuse = map(_function_of, ("sin", "cos", "atan2", "hypot"))
 
 
 def multiply_add(a: Any, b: Any, c: Any) -> Any:
