@@ -23,7 +23,7 @@ from wtg_gym.physics.parameters import (
     VoltageControlParameters,
     nrel_5mw,
 )
-from wtg_gym.physics.plant import PlantSettings, plant_settings
+from wtg_gym.physics.plant import DEAD_BAND_PU, PlantSettings, plant_settings
 from wtg_gym.physics.protection import Status
 from wtg_gym.physics.simulator import Simulator
 from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY, get_law, group_laws
@@ -56,11 +56,18 @@ def plants():
     The paper's has limits out of reach: it does what the paper's plant does, and tells its currents too.
     """
     far = ConverterLimitParameters(
-        current_max_pu=10.0, power_max_pu=10.0, power_min_pu=-10.0, power_gain=0.0, power_integral_gain=0.0
+        current_max_pu=10.0,
+        power_max_pu=10.0,
+        torque_max_pu=10.0,
+        power_min_pu=-10.0,
+        power_gain=0.0,
+        power_integral_gain=0.0,
     )
     paper, extended = PlantSettings(limits=far), plant_settings("extended")
     limits = dataclasses.replace(ConverterLimitParameters(), power_min_pu=far.power_min_pu)
     hydro = modified_ieee14().with_governors(lambda steam: HydroGovernorParameters(droop_pu=steam.droop_pu))
+    banded = modified_ieee14().with_governors(lambda steam: dataclasses.replace(steam, dead_band_pu=DEAD_BAND_PU))
+    undamped = extended.case.with_governors(lambda steam: dataclasses.replace(steam, dead_band_pu=0.0))
     # The stages are there, and shed nothing: a plant without them would be compiled for itself.
     idle = tuple(dataclasses.replace(stage, share=0.0) for stage in extended.shedding)
     untripped = ProtectionParameters()
@@ -70,7 +77,8 @@ def plants():
         "current and power limits": dataclasses.replace(paper, limits=limits),
         "chopper": dataclasses.replace(paper, limits=dataclasses.replace(far, power_min_pu=0.0)),
         "voltage control": dataclasses.replace(paper, voltage_control=extended.voltage_control),
-        "dead band": dataclasses.replace(paper, case=extended.case),
+        "dead band": dataclasses.replace(paper, case=banded),
+        "condensers without D": dataclasses.replace(paper, case=undamped),
         TOGETHER: plant_settings("extended", protection=untripped, shedding=()),
         "under-speed trip": dataclasses.replace(paper, protection=extended.protection),
         "NREL 5 MW rotor": dataclasses.replace(paper, turbine=nrel_5mw(conserves_energy=False)),

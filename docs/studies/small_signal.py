@@ -1,6 +1,6 @@
-"""Small signal, for docs/validation.md: the paper's loop against the simulator, its margins, and the system's modes.
+"""Small signal, for docs/validation.md and docs/model.md: the paper's loop against the simulator, margins, modes.
 
-    python docs/studies/small_signal.py [--output FOLDER]        FOLDER holds validation.md; docs by default
+    python docs/studies/small_signal.py [--output FOLDER]        FOLDER holds both pages; docs by default
 
 The paper's transfer functions describe one WTG on an infinite bus. The simulator, linearised numerically from the
 right-hand side that it integrates, must have the same poles there. Source for participation factors: P. Kundur: Power
@@ -13,7 +13,7 @@ import numpy as np
 from output import folder as output_folder
 
 from wtg_gym.files import markdown_table, update_between_markers
-from wtg_gym.physics.linearisation import moving_states, state_matrix
+from wtg_gym.physics.linearisation import largest_stable_steps, moving_states, state_matrix
 from wtg_gym.physics.machine_parameters import classical_machine
 from wtg_gym.physics.network import Branch, Bus, NetworkCase
 from wtg_gym.physics.parameters import WtgGroup
@@ -182,14 +182,7 @@ def modes_table():
     """Return the oscillating modes with the states that take part most, and the slowest of the other modes."""
     scenario, plant = get_suite("paper").scenario(0), PlantSettings()
     by_law = {name: modes(linearise(scenario, name)) for name in (REFERENCE_STRATEGY, "coordinated-undamped")}
-    # Names for people: machines by their bus, WTG groups counted from 1.
-    units = {f"sync{i}": f"bus{machine.bus}" for i, machine in enumerate(plant.case.machines)}
-    units.update({f"wtg{j}": f"wtg{j + 1}" for j in range(len(plant.groups))})
-
-    def named(state):
-        unit, _, rest = state.partition(".")
-        return f"{units.get(unit, unit)}.{rest}"
-
+    named = names_of(plant)
     found = by_law[REFERENCE_STRATEGY]
     rows = []
     # The others are as good as not oscillating.
@@ -212,12 +205,54 @@ def modes_table():
     )
 
 
+def names_of(plant):
+    """Return a function that names states for people: machines by their bus, WTG groups counted from 1."""
+    units = {f"sync{i}": f"bus{machine.bus}" for i, machine in enumerate(plant.case.machines)}
+    units.update({f"wtg{j}": f"wtg{j + 1}" for j in range(len(plant.groups))})
+
+    def named(state):
+        unit, _, rest = state.partition(".")
+        return f"{units.get(unit, unit)}.{rest}"
+
+    return named
+
+
+def extreme_modes():
+    """Return the extremes of v1's modes, on both slopes of g(ω), in words."""
+    found, steps = [], []
+    for suite in map(get_suite, ("standard-v1", "low-share-v1", "high-share-v1")):
+        plant = suite.plant.settings(classical=False)
+        for scenario in suite.scenarios(suite.validation[:20]):
+            for side in ("under", "over"):
+                model = linearise(scenario, REFERENCE_STRATEGY, plant, side=side)
+                found += modes(model)
+                steps.append(largest_stable_steps(np.linalg.eigvals(model.matrix)).min())
+    named = names_of(plant)
+    oscillating = [mode for mode in found if mode.frequency_hz > 0.0]
+    chosen = {
+        "least damped": min(oscillating, key=lambda mode: mode.damping_ratio),
+        "fastest oscillation": max(oscillating, key=lambda mode: mode.frequency_hz),
+        "fastest": max(found, key=lambda mode: abs(mode.eigenvalue)),
+        "slowest": min(found, key=lambda mode: abs(mode.eigenvalue)),
+    }
+    lines = []
+    for what, mode in chosen.items():
+        value = f"{mode.eigenvalue.real:.3f}"
+        if mode.frequency_hz > 0.0:
+            value += f" ± j{mode.eigenvalue.imag:.3f}/s, {mode.frequency_hz:.2f} Hz, ζ = {mode.damping_ratio:.2f}"
+        else:
+            value += "/s"
+        lines.append(f"- {what}: {minus(value)} ({', '.join(map(named, list(mode.participation)[:2]))})")
+    return "\n".join((*lines, f"- largest stable step: {1e3 * min(steps):.0f} ms"))
+
+
 def minus(text):
     """Return a number as text with the sign of print."""
     return text.replace("-", "−")
 
 
 if __name__ == "__main__":
-    page = output_folder(__doc__) / "validation.md"
+    folder = output_folder(__doc__)
     for section, text in (("small-signal", margins_table()), ("modes", modes_table())):
-        update_between_markers(page, text, section)
+        update_between_markers(folder / "validation.md", text, section)
+    update_between_markers(folder / "model.md", extreme_modes(), "modes-v1")
