@@ -178,7 +178,7 @@ def draw(found):
 
 def main(docs):
     """Renew the page and its pictures."""
-    wtg_gym(["reproduce", "--output", str(docs / "validation"), "--formats", "svg"])
+    wtg_gym(["reproduce", "--output", str(docs / "validation")])
     claims = read_json(docs / "validation" / "claims.json", "claims")["claims"]
     gallery = "\n\n".join(f"![{name}](validation/figures/{name}.svg)\n\n{text}" for name, text in CAPTIONS.items())
     update_between_markers(docs / "validation.md", claims_table(claims), "claims")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 from wtg_gym.cli.output import print_json, print_table
 from wtg_gym.evaluation.grid_tests import GRID_TESTS, get_grid_test, run_grid_test
@@ -15,7 +16,7 @@ def play_cases(names: Sequence[str], specs: Sequence[str], *, json: bool) -> int
     expanded = [each for name in names for each in (GRID_TESTS if name == "all" else (name,))]
     tests = [get_grid_test(name) for name in dict.fromkeys(expanded)]
     entries = [entry for spec in specs for entry in load_entries(spec)]
-    rows = []
+    rows: list[dict[str, Any]] = []
     with Progress("cases") as progress:
         for done, (test, entry) in enumerate((test, entry) for test in tests for entry in entries):
             progress.update(f"{test.name} {entry.label}", done, len(tests) * len(entries))

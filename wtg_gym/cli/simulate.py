@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
@@ -18,11 +18,10 @@ from wtg_gym.cli.output import print_json, require_extra, say, write_and_say
 from wtg_gym.cli.scenario_text import describe_scenario, scenario_summary
 from wtg_gym.files import read_json
 from wtg_gym.physics.parameters import TurbineParameters, WtgGroup, default_groups
-from wtg_gym.physics.plant import PlantSettings
 from wtg_gym.physics.protection import Status
 from wtg_gym.physics.scenario import Scenario
 from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY, STRATEGIES, STRATEGY_NAMES, TrackingLaw, get_law
-from wtg_gym.physics.trajectory import Trajectory, simulate
+from wtg_gym.physics.trajectory import simulate
 from wtg_gym.policies.load import example_law as law_file
 from wtg_gym.progress import Progress
 from wtg_gym.scenarios import Suite, get_suite, read_wind_csv
@@ -80,7 +79,6 @@ def simulate_scenario(
     examples:
       wtg-gym simulate --case dip last-machine --entry coordinated-piecewise mppt
       wtg-gym simulate --strategy mppt deloaded-5 coordinated-piecewise --plot run.png
-      wtg-gym simulate --suite standard --seed 20003 --strategy all --csv traces.csv
       wtg-gym simulate --suite standard-v1 --seed 10003 --strategy coordinated-piecewise coordinated-tuned
       wtg-gym simulate --suite paper --seed 1 --wind 9 7.5 --duration 60
       wtg-gym simulate --wind-csv measured.csv --strategy my_law.toml
@@ -127,7 +125,9 @@ def simulate_scenario(
             progress.update(name, done, len(laws))
             runs[name] = simulate(scenario, law, settings)
     if plot is not None:
-        _write_plot(plot, runs, scenario, settings)
+        from wtg_gym.plotting import figure_bytes, plot_trajectories
+
+        write_and_say(plot, figure_bytes(plot_trajectories(runs, scenario), plot.suffix))
     if csv is not None:
         write_and_say(csv, traces_csv(runs))
     figures = [key_figures(name, trajectory) for name, trajectory in runs.items()]
@@ -197,10 +197,3 @@ def _plant_summary(plant: PlantOptions, suite: Suite, groups: tuple[WtgGroup, ..
         "on_failure": plant.on_failure or suite.benchmark.on_failure,
         "physics": plant.physics or suite.plant.physics,
     }
-
-
-def _write_plot(path: Path, runs: Mapping[str, Trajectory], scenario: Scenario, settings: PlantSettings) -> None:
-    from wtg_gym.plotting import figure_bytes, plot_trajectories
-
-    figure = plot_trajectories(runs, scenario, settings.control.overload_limit_pu)
-    write_and_say(path, figure_bytes(figure, path.suffix))

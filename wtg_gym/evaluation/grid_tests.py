@@ -246,7 +246,7 @@ def _leaves_limit(reached_s: float, left_s: float) -> Callable[[Recording], Verd
     def judge(found: Recording) -> Verdict:
         if lost := _survives(found):
             return False, lost
-        largest, limited = float(found.current_pu.max()), found.limited.any(axis=1)
+        largest, limited = float(found.current_pu.max()), found.limited.max(axis=1)
         reached = limited[found.at(reached_s) : found.at(left_s) + 1].any()
         last = float(found.time_s[limited].max()) if limited.any() else 0.0
         after = max(last - left_s, 0.0)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -167,16 +168,16 @@ def _find_islands(block: Floats, x: int, lane: int, network: Network, data: Lane
 
 
 @internal
-def _may_split(events: Floats) -> bool:
+def _may_split(events: Any) -> bool:
     """Return whether events open a line: else all is one island."""
     found = False
     for e in range(events.shape[0]):
-        found |= events[e, EVENT.branch] >= 0.0
+        found |= bool(events[e, EVENT.branch] >= 0.0)
     return found
 
 
 @internal
-def _is_open(branch: int, step: float, events: Floats) -> bool:
+def _is_open(branch: int, step: float, events: Any) -> bool:
     """Return whether an event holds a branch open at a step."""
     found = False
     for e in range(events.shape[0]):
@@ -187,7 +188,7 @@ def _is_open(branch: int, step: float, events: Floats) -> bool:
 
 
 @internal
-def _shed(block: Floats, x: int, network: Network, events: Floats) -> None:
+def _shed(block: Floats, x: int, network: Network, events: Any) -> None:
     """Take from every bus what the stages of its island shed at this step, and sum what is not served."""
     facts, n_stages, unserved = network.facts, network.shed_shares.shape[0], 0.0
     step = block[facts.lane + OF_LANE.step, x]

@@ -105,7 +105,7 @@ def simulate(
     simulator.start(0, simulator.prepare([scenario], groups_laws, turning=True))
     nominal = settings.case.frequency_hz
     names = ("speed", "rotor_speed", "power", "captured", "coefficient", "filter", "pitch", "wind", "shift")
-    buses = simulator.layout.rows_of(BUSES, "frequency") if settings.extended else []
+    buses = simulator.layout.rows_of(BUSES, "frequency")[: len(settings.case.buses) * settings.extended]
     frequency, samples, others = list[float](), list[list[Floats]](), list[Floats]()
     for step in range(simulator.n_intervals + 1):
         frequency.append(nominal * simulator.lane_values("coi")[0])

@@ -10,6 +10,9 @@ from wtg_gym.physics.wind_turbine import Limits
 from wtg_gym.systems.elementary import fma, select
 from wtg_gym.systems.systems import Kind, system
 
+#: Voltage below which nothing measures a frequency or comes back [p.u.], by design.
+LOW_VOLTAGE = 0.2
+
 
 class Phasor(NamedTuple):
     """A voltage, a current or an admittance [p.u.]."""
