@@ -179,28 +179,15 @@ def margins_table():
 
 
 def modes_table():
-    """Return the oscillating modes with the states that take part most, and the slowest of the other modes."""
+    """Return the extremes of the modes of the paper's system, in words."""
     scenario, plant = get_suite("paper").scenario(0), PlantSettings()
-    by_law = {name: modes(linearise(scenario, name)) for name in (REFERENCE_STRATEGY, "coordinated-undamped")}
-    named = names_of(plant)
-    found = by_law[REFERENCE_STRATEGY]
-    rows = []
-    # The others are as good as not oscillating.
-    for mode in (mode for mode in found if mode.frequency_hz > 0.0 and mode.damping_ratio < 0.8):
-        shares = [f"{named(state)} {100 * share:.0f} %" for state, share in mode.participation.items() if share >= 0.05]
-        value = minus(f"{mode.eigenvalue.real:.3f} ± j{mode.eigenvalue.imag:.3f}")
-        rows.append((value, f"{mode.frequency_hz:.3f}", f"{mode.damping_ratio:.3f}", ", ".join(shares[:2])))
-    header = ("eigenvalue [1/s]", "frequency [Hz]", "damping ratio", "takes part")
-    real = [mode for mode in found if mode.frequency_hz == 0.0]
-    slowest = max(real, key=lambda mode: mode.eigenvalue.real)
+    models = {name: linearise(scenario, name) for name in (REFERENCE_STRATEGY, "coordinated-undamped")}
     undamped = min(
-        (mode for mode in by_law["coordinated-undamped"] if mode.frequency_hz > 0.0),
+        (mode for mode in modes(models["coordinated-undamped"]) if mode.frequency_hz > 0.0),
         key=lambda mode: mode.damping_ratio,
     )
     return (
-        f"{markdown_table(header, rows, right=(1, 2))}\n\n"
-        f"The slowest of {len(real)} real eigenvalues is {minus(f'{slowest.eigenvalue.real:.3f}')}/s "
-        f"({named(next(iter(slowest.participation)))}). Without transient damping the least damped oscillation has "
+        f"{extremes([models[REFERENCE_STRATEGY]], plant)}\n\nWithout transient damping the least damped oscillation has "
         f"ζ = {undamped.damping_ratio:.2f} at {undamped.frequency_hz:.2f} Hz."
     )
 
@@ -217,17 +204,19 @@ def names_of(plant):
     return named
 
 
-def extreme_modes():
-    """Return the extremes of v1's modes, on both slopes of g(ω), in words."""
-    found, steps = [], []
+def modes_of_v1():
+    """Return the extremes of the modes of v1's grids, on both slopes of g(ω), in words."""
+    models = []
     for suite in map(get_suite, ("standard-v1", "low-share-v1", "high-share-v1")):
         plant = suite.plant.settings(classical=False)
         for scenario in suite.scenarios(suite.validation[:20]):
-            for side in ("under", "over"):
-                model = linearise(scenario, REFERENCE_STRATEGY, plant, side=side)
-                found += modes(model)
-                steps.append(largest_stable_steps(np.linalg.eigvals(model.matrix)).min())
-    named = names_of(plant)
+            models += [linearise(scenario, REFERENCE_STRATEGY, plant, side=side) for side in ("under", "over")]
+    return extremes(models, plant)
+
+
+def extremes(models, plant):
+    """Return the extremes of the modes of some models, and the largest step at which all of them decay."""
+    named, found = names_of(plant), [mode for model in models for mode in modes(model)]
     oscillating = [mode for mode in found if mode.frequency_hz > 0.0]
     chosen = {
         "least damped": min(oscillating, key=lambda mode: mode.damping_ratio),
@@ -243,7 +232,8 @@ def extreme_modes():
         else:
             value += "/s"
         lines.append(f"- {what}: {minus(value)} ({', '.join(map(named, list(mode.participation)[:2]))})")
-    return "\n".join((*lines, f"- largest stable step: {1e3 * min(steps):.0f} ms"))
+    step_s = min(largest_stable_steps([mode.eigenvalue for mode in found]))
+    return "\n".join((*lines, f"- largest stable step: {1e3 * step_s:.0f} ms"))
 
 
 def minus(text):
@@ -255,4 +245,4 @@ if __name__ == "__main__":
     folder = output_folder(__doc__)
     for section, text in (("small-signal", margins_table()), ("modes", modes_table())):
         update_between_markers(folder / "validation.md", text, section)
-    update_between_markers(folder / "model.md", extreme_modes(), "modes-v1")
+    update_between_markers(folder / "model.md", modes_of_v1(), "modes-v1")

@@ -56,10 +56,10 @@ class GFMWTGEnv(OverLanes, gym.Env[Observation, Action]):
     The exact equilibrium of the drawn scenario's wind, load and grid at nominal frequency.
 
     ## Episode End
-    Terminated (`info["termination_reason"]`) at a "stall", "over-speed" or, in extended physics, "under-speed" of a
-    rotor, at a "frequency limit" (outside 47.5 … 51.5 Hz, in v1 48.5 … 51.5 Hz), a "loss of synchronism" (two units
-    more than 180° apart), a "voltage collapse" (a unit's terminal below 0.85 p.u. for more than 3 s), or a "numerical
-    failure". Protections sample the grid every 0.1 s, and at the end of shorter control intervals. Truncated when the
+    Terminated (`info["termination_reason"]`) at a "frequency limit" (outside 47.5 … 51.5 Hz), a "loss of synchronism"
+    (two units more than 180° apart), a "voltage collapse" (a unit's terminal below 0.85 p.u. for more than 3 s), or a
+    "numerical failure"; in v0 also at a "stall" or "over-speed" of a rotor, which in v1, as an under-speed, disconnects
+    its group. Protections sample the grid every 0.1 s, and at the end of shorter control intervals. Truncated when the
     time is over.
 
     ## Arguments
