@@ -316,7 +316,7 @@ def draw_parts(increase, failures):
 
 
 def start_at(bus_voltage_pu, turbine=None, voltage_control=None):
-    """Return the load increase's start with bus 2 held at a voltage: E, q, K_p, slow K_p and margin of each group.
+    """Return the load increase's start with bus 2 held at a voltage: E, K_p, slow K_p and margin of each group.
 
     With voltage control E is a state, and the angle moves power with K_p(s) = K_p + K_1/(s + a): a constant E at high
     frequencies, a held terminal voltage at low ones.
@@ -328,10 +328,7 @@ def start_at(bus_voltage_pu, turbine=None, voltage_control=None):
     simulator = Simulator(plant, duration_s=INCREASE.duration_s)
     simulator.start(0, INCREASE, (law,) * len(plant.groups))
     simulator.evaluate()
-    emf, power = simulator.wtg_values("emf")[0], simulator.wtg_values("power")[0]
-    reactance = plant.control.reactance_pu
-    voltage = np.abs(simulator.bus_voltages())[[case.bus_index(group.bus) for group in plant.groups]]
-    reactive = voltage * (np.sqrt(emf**2 - (reactance * power / voltage) ** 2) - voltage) / reactance
+    emf = simulator.wtg_values("emf")[0]
     k_p = np.diag(synchronising_coefficients(INCREASE, law, plant))
     slow, margins = [], []
     for group, wind in enumerate(INCREASE.wind_speed[:, 0]):
@@ -344,7 +341,7 @@ def start_at(bus_voltage_pu, turbine=None, voltage_control=None):
             margins.append(np.nan)
         else:
             margins.append(with_moving_voltage(loop, effect, decay).margins().phase_margin_deg)
-    return emf, reactive, k_p, slow, margins
+    return emf, k_p, slow, margins
 
 
 def with_moving_voltage(loop, effect, decay):
@@ -382,20 +379,19 @@ def margins_table():
         single_machine(law, float(wind), PAPER_SYNCHRONISING_COEFFICIENT).margins().phase_margin_deg
         for wind in INCREASE.wind_speed[:, 0]
     ]
-    rows = [("the paper's", "–", "–", "–", f"{PAPER_SYNCHRONISING_COEFFICIENT:g}", "–", slashed(margins, 0))]
+    rows = [("the paper's", "–", f"{PAPER_SYNCHRONISING_COEFFICIENT:g}", "–", slashed(margins, 0))]
     for name, form in forms.items():
-        emf, reactive, k_p, slow, margins = start_at(**form)
+        emf, k_p, slow, margins = start_at(**form)
         rows.append(
             (
                 name,
-                f"{form['bus_voltage_pu']:.3f}",
-                *(slashed(values, 2) for values in (emf, reactive, k_p)),
+                *(slashed(values, 2) for values in (emf, k_p)),
                 slashed(slow, 2) if "voltage_control" in form else "–",
                 slashed(margins, 0),
             )
         )
-    header = ("groups", "V at bus 2", "E", "q", "K_p", "slow K_p", "margin [°]")
-    return markdown_table(header, rows, right=range(1, 7))
+    header = ("groups", "E", "K_p", "slow K_p", "margin [°]")
+    return markdown_table(header, rows, right=range(1, 5))
 
 
 # --- loads ------------------------------------------------------------------------------------------------------------

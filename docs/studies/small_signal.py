@@ -227,7 +227,7 @@ def extremes(models, plant):
             value += f" ± j{mode.eigenvalue.imag:.3f}/s, {mode.frequency_hz:.2f} Hz, ζ = {mode.damping_ratio:.2f}"
         else:
             value += "/s"
-        lines.append(f"- {what}: {minus(value)} ({', '.join(map(named, list(mode.participation)[:2]))})")
+        lines.append(f"- {what}: {minus(value)} ({named(next(iter(mode.participation)))})")
     step_s = min(largest_stable_steps([mode.eigenvalue for mode in found]))
     return "\n".join((*lines, f"- largest stable step: {1e3 * step_s:.0f} ms"))
 
