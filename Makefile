@@ -94,7 +94,7 @@ live-picture: $(TEST_READY) ## Take the picture of the page of play that docs/ho
 # Which folder `make pictures` and `make studies` renew; `make docs-check` lets them renew a copy.
 DOCS := docs
 # Those that take minutes; other targets run most of the others.
-STUDIES := physics validation small_signal reference one_event
+STUDIES := grid_forming physics validation small_signal reference one_event
 
 .PHONY: studies
 studies: $(TEST_READY) ## Run the studies of docs/studies and renew their tables and pictures (half an hour)

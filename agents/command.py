@@ -33,12 +33,7 @@ def note(text: str) -> None:
 
 
 def run_command(work: Callable[[], None], after_interrupt: str) -> int:
-    """Do the work of a command and return its exit code: 0 fine, 2 bad input, 130 interrupted.
-
-    Args:
-        work: raises ValueError or OSError for bad input; the message is shown on one line.
-        after_interrupt: how to go on after an interruption.
-    """
+    """Do the work of a command and return its exit code: 0 fine, 2 bad input, 130 interrupted."""
     try:
         work()
     except (ValueError, OSError) as error:
@@ -82,16 +77,8 @@ def opened_run(
 ) -> Iterator[tuple[Run, Path]]:
     """Hold the folder of the run that the options name; after the training, say how it ended.
 
-    Args:
-        given: options on the command line, those of :func:`training_parser` among them.
-        algos: the algorithms that the command trains.
-        settings: returns the settings of a new run.
-
-    Yields:
-        the run and its folder.
-
-    Raises:
-        ValueError: options do not go together, or the folder cannot be used.
+    `settings` returns those of a new run, `algos` are what the command trains. Options that do not go together, or a
+    folder that cannot be used, are a ValueError.
     """
     if "resume" in given:
         if others := sorted(given.keys() - {"resume"}):

@@ -24,17 +24,10 @@ entry.toml that makes the folder an entry of the leaderboard. The file is the on
 def export(
     run_folder: Path, output: Path, *, name: str = "", description: str = "", authors: Sequence[str] = ()
 ) -> None:
-    """Write the best policy of a run into a folder.
+    """Write the best policy of a run into a new folder: policy.onnx, README.md and entry.toml.
 
-    Args:
-        run_folder: of the run.
-        output: new folder, which gets policy.onnx, README.md and entry.toml.
-        name: of the entry; empty for one made of algorithm and action mode.
-        description: one sentence on what it is; empty for a general one.
-        authors: names.
-
-    Raises:
-        ValueError: the folder is there already, there is no policy, or the leaderboard would refuse the name.
+    Without a name it is one made of algorithm and action mode. A ValueError says that the folder is there already, that
+    there is no policy, or that the leaderboard would refuse the name.
     """
     if output.exists():
         raise ValueError(f"{output} is there already; give a new folder")
@@ -64,12 +57,9 @@ def _model_card(run: Run, best: Mapping[str, float], name: str, authors: Sequenc
     benchmark = get_suite(settings.suite).benchmark
     changes = [change for process in run.resumptions for change in process["differences"]]
     facts = {
-        "environment": f"`{benchmark.env_id}`, suite `{settings.suite}`",
         "actions": f"`{settings.action_mode}` of `{settings.strategy}`, deterministic",
-        "observations": f"`{settings.observation_mode}`",
-        "algorithm": f"`{settings.algo}`, training seed {settings.seed}, {settings.n_envs} lanes",
+        "observations": f"`{settings.observation_mode}` of `{benchmark.env_id}`, suite `{settings.suite}`",
         "steps": f"{best['timesteps']:,} of {settings.timesteps:,}",
-        "wall time": f"{run.curve[-1]['wall_time_s']:,.0f} s, {len(run.resumptions)} interruptions",
         "changed by a resumption": "; ".join(changes) or "nothing",
         "validation score": f"{best['score']:.1f} on {settings.validation_episodes} scenarios "
         f"({benchmark.zero} 0, {benchmark.hundred} 100), chosen as the best of the curve: a little optimistic",
@@ -77,30 +67,16 @@ def _model_card(run: Run, best: Mapping[str, float], name: str, authors: Sequenc
         "sha256 of policy.onnx": f"`{sha256(content)}`",
         **{key: f"`{value}`" for key, value in sorted(settings.hyperparameters.items())},
         "source hash": f"`{provenance['source_hash']}`",
-        "suite hash": f"`{provenance['suite_hash']}`",
-        "machine": provenance["machine"],
         **provenance["versions"],
     }
-    columns = ["timesteps", *sorted(best.keys() - {"timesteps"})]
-    curve = [[f"{round(row[key], 3):,}" for key in columns] for row in run.curve]
     return f"""\
 # {name}
 
-A policy that modulates the grid-forming control of wind turbines on the IEEE 14-bus system. Any checkout plays it:
-
-```
-wtg-gym evaluate --entries FOLDER --suite {settings.suite}
-```
+A policy that modulates the grid-forming control of wind turbines on the IEEE 14-bus system.
 
 {markdown_table(["", ""], [[key, str(value)] for key, value in facts.items()])}
 
-## Training curve
-
-{markdown_table(columns, curve, right=range(len(columns)))}
-
-## How to reproduce
-
-In a checkout of commit `{provenance["git_commit"]}`, with these versions on the same kind of machine:
+In a checkout of commit `{provenance["git_commit"]}`, with these versions on a machine like {provenance["machine"]}:
 
 ```
 {provenance["command"]}

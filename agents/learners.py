@@ -20,9 +20,8 @@ from torch import nn
 
 from agents.folders import loading
 from agents.hyperparameters import IPPO, TRAINED, algorithm_arguments, normalization_arguments
-from agents.multi_agent import SharedPolicy, agent_env
+from agents.multi_agent import GainVecEnv, SharedPolicy, agent_env
 from agents.runs import RunSettings
-from agents.vec_env import GainVecEnv
 from wtg_gym.envs import EnvSettings
 from wtg_gym.sb3 import DeterministicPolicy
 

@@ -18,14 +18,27 @@ from gymnasium.spaces import Box
 from stable_baselines3.common.vec_env import VecEnvWrapper
 from torch import Tensor, nn
 
+from agents.gains import GainEnvs
 from agents.runs import RunSettings
-from agents.vec_env import GainVecEnv
 from wtg_gym.envs import EnvSettings
 from wtg_gym.envs.observation import OBSERVATION_BOUND
 from wtg_gym.envs.settings import ACTION_MODES
+from wtg_gym.sb3 import SB3VecEnv
 
 Array = npt.NDArray[Any]
 Infos = list[dict[str, Any]]
+
+
+class GainVecEnv(SB3VecEnv):
+    """:class:`SB3VecEnv` on :class:`agents.gains.GainEnvs`.
+
+    The first episode that a lane reports is what spreading has left of it, and its `reset_infos` is empty until then.
+    """
+
+    def __init__(self, num_envs: int = 1, **arguments: Any) -> None:
+        super().__init__(num_envs, **arguments)
+        self.lanes = self.vector_env.lanes
+        self.vector_env = GainEnvs(self.vector_env)  # type: ignore[assignment]
 
 
 def group_sizes(settings: EnvSettings) -> Array:
@@ -36,11 +49,7 @@ def group_sizes(settings: EnvSettings) -> Array:
 
 
 def agent_env(settings: RunSettings) -> AgentVecEnv:
-    """Return the lanes that a run learns in.
-
-    Raises:
-        ValueError: the number of lanes is no multiple of the groups, or the observations are not local.
-    """
+    """Return the lanes that a run learns in; a ValueError if they are no multiple of the groups or not local."""
     if settings.observation_mode != "local":
         raise ValueError(f"agents of {settings.algo} see what their own groups measure: leave out --observation-mode")
     n_wtg = group_sizes(EnvSettings(**settings.env_arguments)).size

@@ -96,13 +96,8 @@ class Run:
     def validate(self, policy: Policy, timesteps: int, wall_time_s: float) -> dict[str, float]:
         """Play the validation scenarios, add a row with score and metrics to the curve, and return the metrics.
 
-        Args:
-            policy: takes raw observations; its actions are deterministic.
-            timesteps: environment steps that it was trained for.
-            wall_time_s: time that it was trained for [s].
-
-        Raises:
-            NoScaleError: the anchor that scores 0 is not worse than the one that scores 100 on these scenarios.
+        The policy takes raw observations; it was trained for that many environment steps and seconds. On scenarios
+        without a scale there is a NoScaleError.
         """
         s = self.settings
         entry = Entry(
@@ -116,7 +111,7 @@ class Run:
         results = evaluate([entry], s.suite, "validation", seeds=seeds)
         (summary,) = (summary for summary in results.summaries if summary.name == entry.name)
         metrics = {
-            "score": summary.score.value,
+            "score": results.scores[entry.name].value,
             "cost": summary.mean_pinned_cost,
             "failures_percent": summary.failures_percent,
             "nadir_hz": summary.median_nadir_hz,

@@ -31,12 +31,8 @@ measures itself. A lane is then one group of one episode: one step of an episode
 def train(run: Run, folder: Path) -> None:
     """Train until the run's timesteps are done, from its last checkpoint on if there is one.
 
-    Args:
-        run: its curve grows here.
-        folder: for checkpoints, the best policy, TensorBoard's files and run.json.
-
-    Raises:
-        ValueError: a hyperparameter is wrong, or the run's checkpoint is gone or damaged.
+    The curve, checkpoints, the best policy and TensorBoard's files go to `folder`. A wrong hyperparameter, or a
+    checkpoint that is gone or damaged, is a ValueError.
     """
     # Sums over several threads depend on which of them ends first, those that draw the first weights among them.
     torch.set_num_threads(1)
@@ -100,11 +96,7 @@ class _Supervision(BaseCallback):
 
 
 def sb3_settings(given: Mapping[str, Any]) -> RunSettings:
-    """Return the settings that the options and the hyperparameter file ask for.
-
-    Raises:
-        ValueError: a value is missing, unknown or out of range.
-    """
+    """Return the settings that the options and the hyperparameter file ask for; a ValueError if one is wrong."""
     if "algo" not in given:
         raise ValueError(f"--algo is needed: {', '.join(TRAINED)}")
     path = Path(given.get("config", CONFIG_FOLDER / f"{given['algo']}.yml"))

@@ -109,11 +109,7 @@ def _exported(learner: Learner, settings: RunSettings) -> bytes:
 def entry_values(settings: RunSettings, timesteps: int, name: str = "", description: str = "") -> dict[str, Any]:
     """Return the keys and values of entry.toml for a run's policy; a ValueError if its name would be refused.
 
-    Args:
-        settings: of the run.
-        timesteps: steps that the policy was trained for.
-        name: of the entry; empty for one made of algorithm and action mode.
-        description: one sentence on what it is; empty for a general one.
+    Without name or description they are made of algorithm, action mode and steps.
     """
     values: dict[str, Any] = {
         "name": name or f"{settings.algo} {settings.action_mode}",

@@ -17,74 +17,65 @@ COORDINATED_SOURCE = (
 #: The source of deloaded operation with grid-forming control.
 DELOADED_SOURCE = "X. Lyu, D. Groß, IEEE Trans. Sustain. Energy 15(1), 2024"
 
-#: The score's zero in version v0: 2H ω̇ = P_st - p - D_p (ω - ω_st). At K_opt the rotor sits on the top of the power
-#: curve. When the frequency falls, the droop takes energy from the rotor, the slower rotor captures less, and in the
-#: end the turbine gives less than before, or stalls.
-MPPT = Entry(
-    name="mppt",
-    strategy=tracking_law.mppt(),
-    description="Maximum power point tracking with plain droop; no reserve.",
-    equation="P_st = K_opt ω_m³",
-    source=f"{COORDINATED_SOURCE}, frequency dynamics with maximum power point tracking",
+
+def _baseline(law: tracking_law.TrackingLaw, description: str, source: str) -> Entry:
+    return Entry(name=law.name, strategy=law, description=description, source=source)
+
+
+#: The score's zero in version v0: P_st = K_opt ω_m³ in 2H ω̇ = P_st - p - D_p (ω - ω_st). At K_opt the rotor sits on
+#: the top of the power curve. When the frequency falls, the droop takes energy from the rotor, the slower rotor
+#: captures less, and in the end the turbine gives less than before, or stalls.
+MPPT = _baseline(
+    tracking_law.mppt(),
+    "Maximum power point tracking with plain droop; no reserve.",
+    f"{COORDINATED_SOURCE}, frequency dynamics with maximum power point tracking",
 )
 #: λ_d > λ_opt is the tip-speed ratio of an over-speeding rotor that captures the share 1 - d of the available power.
 #: With 5 % little power is given up, and little is in reserve: a large fall of the frequency takes the rotor past the
 #: top of the power curve, where it behaves as with maximum power point tracking.
-DELOADED_5 = Entry(
-    name="deloaded-5",
-    strategy=tracking_law.deloaded(0.05),
-    description="5 % below the available power at nominal frequency, with plain droop.",
-    equation="P_st = K_d ω_m³, K_d = K_opt (λ_opt/λ_d)³ (1 - 0.05)",
-    source=f"{DELOADED_SOURCE}; {COORDINATED_SOURCE}, frequency dynamics with deloading",
+DELOADED_5 = _baseline(
+    tracking_law.deloaded(0.05),
+    "5 % below the available power at nominal frequency, with plain droop.",
+    f"{DELOADED_SOURCE}; {COORDINATED_SOURCE}, frequency dynamics with deloading",
 )
 #: The reserve lasts longer than with 5 %, at the price of energy: in calm operation twice as much is given up, and a
 #: rise of the frequency drives the rotor faster than need be.
-DELOADED_10 = Entry(
-    name="deloaded-10",
-    strategy=tracking_law.deloaded(0.10),
-    description="10 % below the available power at nominal frequency, with plain droop.",
-    equation="P_st = K_d ω_m³, K_d = K_opt (λ_opt/λ_d)³ (1 - 0.10)",
-    source=f"{DELOADED_SOURCE}; {COORDINATED_SOURCE}, frequency dynamics with deloading",
+DELOADED_10 = _baseline(
+    tracking_law.deloaded(0.10),
+    "10 % below the available power at nominal frequency, with plain droop.",
+    f"{DELOADED_SOURCE}; {COORDINATED_SOURCE}, frequency dynamics with deloading",
 )
 #: The droop of this law and the next acts on fast changes only (transient damping): τ ẋ = (ω - ω_st) - x, τ = 0.8 s.
 #: At ω_min the turbine reaches its best point, at ω_max the deloading limit of 10 %, whatever the wind. How much
 #: reserve it holds at ω_st follows from the line and is not prescribed.
-COORDINATED_LINEAR = Entry(
-    name="coordinated-linear",
-    strategy=tracking_law.coordinated_linear(),
-    description="k falls on a straight line from K_opt at ω_min to K_pr at ω_max; transient damping.",
-    equation="P_st = g(ω) ω_m³ + D_p x, g linear in ω",
-    source=f"{COORDINATED_SOURCE}, equation of the linear g(ω)",
+COORDINATED_LINEAR = _baseline(
+    tracking_law.coordinated_linear(),
+    "k falls on a straight line from K_opt at ω_min to K_pr at ω_max; transient damping.",
+    f"{COORDINATED_SOURCE}, equation of the linear g(ω)",
 )
 #: The paper's law: g through (ω_min, K_opt), (ω_st, K_n), (ω_max, K_pr), constant outside. K_n is the coefficient of
 #: 5 % deloading, K_pr that of 10 %: 5 % of the available power are ready upwards and downwards. Zero action of the
 #: environment, with its default strategy, is exactly this law. It is the score's hundred in v0 and its zero in v1.
-COORDINATED_PIECEWISE = Entry(
-    name="coordinated-piecewise",
-    strategy=tracking_law.coordinated_piecewise(),
-    description="The reference: k passes through K_opt, K_n and K_pr; transient damping.",
-    equation="P_st = g(ω) ω_m³ + D_p x, g piecewise linear in ω",
-    source=f"{COORDINATED_SOURCE}, equation of the augmented g(ω)",
+COORDINATED_PIECEWISE = _baseline(
+    tracking_law.coordinated_piecewise(),
+    "The reference: k passes through K_opt, K_n and K_pr; transient damping.",
+    f"{COORDINATED_SOURCE}, equation of the augmented g(ω)",
 )
 #: The droop cancels altogether, 2H ω̇ = g(ω) ω_m³ - p, so that only g(ω) regulates. That leaves little damping of fast
 #: swings: the reason for the filter in the reference.
-COORDINATED_UNDAMPED = Entry(
-    name="coordinated-undamped",
-    strategy=tracking_law.coordinated_undamped(),
-    description="The reference's g(ω) without any droop: fast swings are hardly damped.",
-    equation="P_st = g(ω) ω_m³ + D_p (ω - ω_st), g piecewise linear in ω",
-    source=f"{COORDINATED_SOURCE}, open loop of the proposed law",
+COORDINATED_UNDAMPED = _baseline(
+    tracking_law.coordinated_undamped(),
+    "The reference's g(ω) without any droop: fast swings are hardly damped.",
+    f"{COORDINATED_SOURCE}, open loop of the proposed law",
 )
 #: The score's hundred in version v1. g, through (ω_min, K_opt + 1.52 S), (ω_st, K_n + 0.017 S), (ω_max, K_pr - 1.05 S)
 #: with S = K_opt - K_pr, is steeper: below ω_min it asks for more than the turbine captures for long, and takes the
 #: rest from the rotor. The filter is faster, τ = 0.6 s, so that the droop leaves the steady state to g sooner. The
 #: numbers are the benchmark's own, tuned on training scenarios.
-COORDINATED_TUNED = Entry(
-    name="coordinated-tuned",
-    strategy=tracking_law.coordinated_tuned(),
-    description="The piecewise law with steeper slopes and a faster filter, tuned to a grid that needs the wind.",
-    equation="P_st = g(ω) ω_m³ + D_p x, g piecewise linear in ω",
-    source=f"{COORDINATED_SOURCE}, equation of the augmented g(ω), with other numbers",
+COORDINATED_TUNED = _baseline(
+    tracking_law.coordinated_tuned(),
+    "The piecewise law with steeper slopes and a faster filter, tuned to a grid that needs the wind.",
+    f"{COORDINATED_SOURCE}, equation of the augmented g(ω), with other numbers",
 )
 
 _LAWS = (MPPT, DELOADED_5, DELOADED_10, COORDINATED_LINEAR, COORDINATED_PIECEWISE)

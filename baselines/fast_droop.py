@@ -52,7 +52,6 @@ ENTRY = Entry(
     environment=V1.env_id,
     learned=False,
     description="The coordinated law with a fast droop on k, one gain of the measured frequency.",
-    equation="P_st = (g(ω) + A (K_opt - K_pr) u) ω_m³ + D_p x, u = -Δf / 0.5 Hz",
     source=f"{COORDINATED_SOURCE}, with a droop added",
     fingerprint=sha256(Path(__file__).read_bytes()),
 )

@@ -66,7 +66,6 @@ ENTRY = Entry(
     environment=V0.env_id,
     learned=False,
     description="The coordinated law with a proportional feedback of the tip-speed ratio, by hand.",
-    equation="P_st = (g(ω) + κ (λ - λ*(ω))) ω_m³",
     source=f"{COORDINATED_SOURCE}, with a feedback added",
     fingerprint=sha256(Path(__file__).read_bytes()),
 )

@@ -118,7 +118,7 @@ def test_arguments_that_it_does_not_take_are_named(argument: str, text: str) -> 
 ZERO = np.zeros(2)
 BAD_ACTIONS: list[tuple[Any, str]] = [
     ({"wtg0": ZERO}, "actions are missing of wtg1; needed: wtg0, wtg1"),
-    ({"wtg0": ZERO, "wtg1": ZERO, "wtg2": ZERO}, r"unknown agents \['wtg2'\]; the agents are wtg0"),
+    ({"wtg0": ZERO, "wtg1": ZERO, "wtg2": ZERO}, r"unknown agents \['wtg2'\]; known agents: wtg0"),
     ({"wtg0": ZERO, "wtg1": np.zeros(4)}, r"wtg1: the action must be .* shape \(2,\), got shape \(4,\)"),
     ({"wtg0": ZERO, "wtg1": "up"}, "wtg1: the action must be real numbers"),
     ({"wtg0": ZERO, "wtg1": [0.0, np.nan]}, r"wtg1: the action \[0.0, nan\] is not finite"),

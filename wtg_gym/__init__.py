@@ -21,6 +21,8 @@ if TYPE_CHECKING:
     from wtg_gym.evaluation import load_entries as load_entries
     from wtg_gym.evaluation import markdown_table as markdown_table
     from wtg_gym.physics.plant import PlantSettings as PlantSettings
+    from wtg_gym.physics.scenario import Fault as Fault
+    from wtg_gym.physics.scenario import FrequencyRamp as FrequencyRamp
     from wtg_gym.physics.scenario import GovernorLoss as GovernorLoss
     from wtg_gym.physics.scenario import GroupTrip as GroupTrip
     from wtg_gym.physics.scenario import LineTrip as LineTrip
@@ -28,6 +30,8 @@ if TYPE_CHECKING:
     from wtg_gym.physics.scenario import LoadStep as LoadStep
     from wtg_gym.physics.scenario import LoadTrip as LoadTrip
     from wtg_gym.physics.scenario import MachineOutage as MachineOutage
+    from wtg_gym.physics.scenario import PhaseJump as PhaseJump
+    from wtg_gym.physics.scenario import ReactanceStep as ReactanceStep
     from wtg_gym.physics.scenario import Scenario as Scenario
     from wtg_gym.physics.tracking_law import TrackingLaw as TrackingLaw
     from wtg_gym.physics.tracking_law import get_law as get_law
@@ -64,7 +68,8 @@ _PLACES = {
     "envs": "GFMWTGEnv GFMWTGVectorEnv",
     "evaluation": "Entry Results evaluate leaderboard_rows load_entries markdown_table",
     "physics.plant": "PlantSettings",
-    "physics.scenario": "GovernorLoss GroupTrip LineTrip LoadRamp LoadStep LoadTrip MachineOutage Scenario",
+    "physics.scenario": "Fault FrequencyRamp GovernorLoss GroupTrip LineTrip LoadRamp LoadStep LoadTrip MachineOutage "
+    "PhaseJump ReactanceStep Scenario",
     "physics.tracking_law": "TrackingLaw get_law",
     "physics.trajectory": "Trajectory simulate",
     "policies.torch_export": "export_onnx",

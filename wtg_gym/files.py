@@ -171,11 +171,7 @@ def read_toml(path: Path, what: str) -> dict[str, Any]:
 
 
 def parse_toml(text: str, where: str) -> dict[str, Any]:
-    """Return the data of a TOML text.
-
-    Args:
-        text: up to 16 KiB, as the time for dotted keys grows with the square of their length: a minute for 100 KiB.
-        where: where it is from, for the message.
+    """Return the data of a TOML text of up to 16 KiB: the time for dotted keys grows with the square of their length.
 
     Raises:
         ValueError: it is not TOML, is nested deeper than 20 levels, or holds a whole number of 2^64 or more.

@@ -15,7 +15,7 @@ from wtg_gym.envs.observation import OBSERVATION_BOUND
 from wtg_gym.envs.rendering import Frame
 from wtg_gym.envs.settings import ACTION_MODES, EnvArguments
 from wtg_gym.extras import install_advice
-from wtg_gym.ranges import ByName
+from wtg_gym.ranges import ByName, require_known
 
 try:
     from pettingzoo import ParallelEnv
@@ -140,8 +140,7 @@ class GFMWTGParallelEnv(ParallelEnv[str, Observation, Action]):  # type: ignore[
         lanes = self.single_env.lanes
         observation, reward, terminated, truncated, info = self.single_env.step(joint)
         acted = self.agents
-        observations = self._parts(observation)
-        rewards = dict.fromkeys(acted, reward)
+        observations, rewards = self._parts(observation), dict.fromkeys(acted, reward)
         connected = lanes.simulator.wtg_values("connected")[0] > 0.5
         there = dict(zip(self.possible_agents, connected.tolist(), strict=True))
         terminations = {agent: terminated or not there[agent] for agent in acted}
@@ -153,9 +152,7 @@ class GFMWTGParallelEnv(ParallelEnv[str, Observation, Action]):  # type: ignore[
         """Return the action of the single environment, zero for groups whose agents have left."""
         if not isinstance(actions, Mapping):
             raise ValueError(f"actions must be a dictionary by agent, got {type(actions).__name__}")
-        unknown = [str(agent) for agent in actions if agent not in self._done_by]
-        if unknown:
-            raise ValueError(f"unknown agents {unknown}; the agents are {', '.join(self.possible_agents)}")
+        require_known("agents", actions, self.possible_agents)
         missing = [agent for agent in self.agents if agent not in actions]
         if missing:
             raise ValueError(f"actions are missing of {', '.join(missing)}; needed: {', '.join(self.agents)}")

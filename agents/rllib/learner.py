@@ -172,13 +172,7 @@ def _connect(address: str | None, n_processes: int) -> None:
 
 
 def train(run: Run, folder: Path, address: str | None = None) -> None:
-    """Train until the run's timesteps are done, from its last checkpoint on if it has one.
-
-    Args:
-        run: its curve grows here.
-        folder: where run.json, checkpoints and the best policy go.
-        address: of a Ray cluster; None to start one of this machine alone.
-    """
+    """Train until the run's timesteps are done, from its last checkpoint on if it has one."""
     settings, processes = run.settings, run.settings.hyperparameters
     torch.set_num_threads(1)
     _connect(address, processes["num_env_runners"] + processes["num_learners"])

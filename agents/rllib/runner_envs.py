@@ -41,13 +41,8 @@ class Scales:
 def measure_scales(arguments: Mapping[str, Any], *, noise: float, gamma: float, seed: int) -> Scales:
     """Measure the scales over 128 lanes that the untrained policy plays: zero action and its exploration.
 
-    Measured once and kept, they are the same in every runner and every learner without exchanging anything.
-
-    Args:
-        arguments: of the environment.
-        noise: standard deviation of the exploration [full action].
-        gamma: discount per step.
-        seed: seed of scenarios and noise.
+    Measured once and kept, they are the same in every runner and every learner without exchanging anything. `noise` is
+    the standard deviation of the exploration [full action], `gamma` the discount per step.
     """
     envs = RunnerEnvs(_MEASURED_LANES, **arguments)
     rng = np.random.default_rng(seed)

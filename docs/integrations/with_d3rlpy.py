@@ -11,7 +11,7 @@ from torch import nn
 
 import wtg_gym
 
-# python -m agents.datasets makes larger ones.
+# docs/studies/minari_datasets.py makes larger ones.
 env = gym.make("GFMWTG-14bus-v1", strategy="coordinated-tuned", duration_s=10.0)
 episodes = []
 for seed in range(4):

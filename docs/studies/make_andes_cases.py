@@ -10,7 +10,10 @@ With all gains of their voltage, current and limit controllers at zero these con
 reactance. The droop of REGF1 on filtered power, ω = 1 + m_p (P_0 - P_f), T_r dP_f/dt = P - P_f, is a swing equation
 with M = T_r/m_p and D = 1/m_p; that of REGF2 is one as it stands, without its power filter and its damping by a PLL.
 
-ANDES has no relay that sheds load. In the case `shedding` negative admittances are switched on at given instants.
+ANDES has no relay that sheds load. In the case `shedding` negative admittances are switched on at given instants. Nor
+can the impedance of a line change: where it grows, two lines stand side by side, and the second is opened. An imposed
+source is a classical machine of such inertia that only changes of its torque, which ramp its frequency, move it; its
+angle jumps because the state is set.
 
 ANDES integrates with the implicit trapezoidal rule, whose error falls with the square of the step. Every trace is made
 with several fixed steps, the finest is kept, and what error remains in it is estimated from the two finest ones. Each
@@ -53,6 +56,15 @@ from case import EXCITER, GENROU, GOVERNOR, HYDRO_GOVERNOR, MACHINE
 from wtg_gym.physics.ieee14 import modified_ieee14
 from wtg_gym.physics.machine_parameters import HydroGovernorParameters, SynchronousMachineParameters
 from wtg_gym.physics.network import NetworkCase
+from wtg_gym.physics.scenario import (
+    EVENT_KINDS,
+    Fault,
+    FrequencyRamp,
+    LineTrip,
+    MachineOutage,
+    PhaseJump,
+    ReactanceStep,
+)
 
 Floats = npt.NDArray[np.float64]
 
@@ -71,6 +83,9 @@ UNIT_BUS, UNIT_POWER_PU, UNIT_MVA, UNIT_REACTANCE_PU = 2, 0.65, 50.0, 0.55
 #: Model and swing equation of each unit, M [s] and D on its own base, and those of the grid-forming converters.
 UNITS = {"2a": ("GENCLS", 10.0, 62.5), "2b": ("GENCLS", 10.0, 62.5)}
 FORMING_UNITS = {"2a": ("REGF1", 8.0, 50.0), "2b": ("REGF2", 8.0, 50.0)}
+#: An imposed source in their place: nothing but a change of its torque moves such a mass.
+SOURCE_M_S = 1e11
+SOURCE = {"2": ("GENCLS", SOURCE_M_S, 0.0)}
 QUANTITIES = ("w", "Pe", "V")
 
 NOTE = (
@@ -116,7 +131,8 @@ class Shed(NamedTuple):
     share: float
 
 
-Event = Step | Trip | Shed
+GridEvent = Fault | FrequencyRamp | LineTrip | MachineOutage | PhaseJump | ReactanceStep
+Event = Step | Trip | Shed | GridEvent
 
 
 class FixedTrapezoid(Trapezoid):
@@ -143,10 +159,29 @@ class Case:
     resistance_pu: dict[int, float] = field(default_factory=dict)  # by bus of the machine, on its base
     hydro: bool = False
     units: dict[str, tuple[str, float, float]] = field(default_factory=lambda: UNITS)
+    duration_s: float = DURATION_S
 
 
 STEPS_UP = (Step(5.0, 2, 75.0), Step(30.0, 3, 75.0))
 SHEDDING = (Step(5.0, 2, 150.0), Shed(5.5, 0.05), Shed(5.625, 0.08), Shed(5.8125, 0.08), Step(30.0, 3, 75.0))
+FAULTS = (
+    Fault(time_s=1.0, bus=9, clears_after_s=0.125, resistance_pu=0.05, reactance_pu=0.1),
+    Fault(time_s=7.0, bus=4, clears_after_s=0.125, resistance_pu=0.01, reactance_pu=0.05, opens=(2, 4)),
+    ReactanceStep(time_s=13.0, from_bus=1, to_bus=5, factor=2.0),
+)
+#: Without 142 MW of load the units at bus 2 carry the rest.
+OUTAGE = (Trip(1.0, 3), Trip(1.0, 4), MachineOutage(time_s=1.0, bus=1))
+#: Lines around buses 2, 3 and 4: 65 MW of generation, 164 MW of load. The other island has 95 MW too much.
+CUT = ((1, 2), (2, 5), (4, 5), (4, 7), (4, 9))
+ISLANDS = (
+    LineTrip(time_s=1.0, from_bus=2, to_bus=4, recloses_after_s=0.5),
+    *(LineTrip(time_s=4.0, from_bus=a, to_bus=b) for a, b in CUT),
+    MachineOutage(time_s=12.0, bus=8),
+)
+SOURCE_EVENTS = (
+    PhaseJump(time_s=1.0, bus=UNIT_BUS, angle_deg=10.0),
+    FrequencyRamp(time_s=7.0, bus=UNIT_BUS, rocof_hz_s=-0.05, duration_s=2.0),
+)
 CASES = (
     Case("genrou", {"a": STEPS_UP, "b": (Trip(5.0, 4), Trip(30.0, 9))}),
     Case(
@@ -160,6 +195,8 @@ CASES = (
     Case("hydro", {"a": STEPS_UP}, hydro=True),
     Case("grid-forming", {"a": STEPS_UP}, units=FORMING_UNITS),
     Case("shedding", {"a": SHEDDING}),
+    Case("grid-events", {"faults": FAULTS, "islands": ISLANDS, "outage": OUTAGE}, duration_s=20.0),
+    Case("imposed-source", {"a": SOURCE_EVENTS}, units=SOURCE, duration_s=20.0),
 )
 
 
@@ -214,10 +251,10 @@ def governor_data(m: SynchronousMachineParameters) -> tuple[str, dict[str, float
     return ("", {}) if m.governor is None else ("tgov1", named(GOVERNOR, m.governor))
 
 
-def unit_data(two_h_s: float, damping_pu: float) -> dict[str, float]:
+def unit_data(case: Case, two_h_s: float, damping_pu: float) -> dict[str, float]:
     """Return one of the units at bus 2 as a classical machine."""
     own = {"Sn": UNIT_MVA, "M": two_h_s, "D": damping_pu, "ra": 0.0, "xd1": UNIT_REACTANCE_PU}
-    return {**own, **dict.fromkeys(("gammap", "gammaq"), 1.0 / len(UNITS))}
+    return {**own, **dict.fromkeys(("gammap", "gammaq"), 1.0 / len(case.units))}
 
 
 def forming_data(model: str, unit: dict[str, float], base_mva: float) -> dict[str, float]:
@@ -278,10 +315,10 @@ def build_system(
     common = {"Vn": NOMINAL_KV}
     for b in network.buses:
         system.add("Bus", idx=b.number, name=f"bus {b.number}", v0=b.voltage_pu or 1.0, a0=0.0, **common)
-    for i, line in enumerate(line_data(network)):
+    for name, line in named_lines(network, events):
         ends = {"bus1": line.pop("f"), "bus2": line.pop("t"), "Vn1": NOMINAL_KV, "Vn2": NOMINAL_KV}
         line |= {"r": line["r"] - LINE_OFFSET_PU, "x": line["x"] - LINE_OFFSET_PU, "trans": int(line["tap"] != 1.0)}
-        system.add("Line", idx=f"line {i}", Sn=base, fn=frequency, **ends, **line)
+        system.add("Line", idx=name, Sn=base, fn=frequency, **ends, **line)
     loads, shunts = ({entry["bus"]: entry for entry in of(network)} for of in (load_data, shunt_data))
     for bus in network.bus_numbers:
         if bus in loads:
@@ -311,18 +348,25 @@ def build_system(
         if model:
             system.add(model.upper(), idx=f"governor {key}", syn=key, **data)
     for key, (model, *swing) in case.units.items():
-        data = unit_data(*swing)
+        data = unit_data(case, *swing)
         own = {**data, **common} if model == "GENCLS" else forming_data(model, data, base)
         system.add(model, idx=key, bus=UNIT_BUS, gen=f"static {UNIT_BUS}", fn=frequency, **own)
     for i, event in enumerate(events):
-        if isinstance(event, Trip):
-            system.add("Toggle", idx=f"event {i}", model="PQ", dev=f"load {event.bus}", t=event.time_s)
+        for k, (model, device, time_s) in enumerate(toggles(event, network)):
+            system.add("Toggle", idx=f"event {i} {k}", model=model, dev=device, t=time_s)
+        if isinstance(event, Fault):
+            impedance = {"rf": event.resistance_pu, "xf": event.reactance_pu}
+            system.add("Fault", idx=f"fault {i}", bus=event.bus, tf=event.time_s, tc=event.end_s, **impedance)
+        for k, (constant, amount, time_s) in enumerate(alterations(event, network)):
+            source = {"model": "GENCLS", "dev": str(UNIT_BUS), "src": constant, "method": "+", "amount": amount}
+            system.add("Alter", idx=f"alteration {i} {k}", t=time_s, **source)
+        if not isinstance(event, (Step, Shed)):
             continue
         assert voltage is not None
         for k, (bus, admittance) in enumerate(changes(event, events, network, voltage)):
-            device = {"idx": f"change {i} {k}", "bus": bus, "u": 0, **common}
-            system.add("Shunt", g=admittance.real, b=admittance.imag, Sn=base, **device)
-            system.add("Toggle", idx=f"event {i} {k}", model="Shunt", dev=device["idx"], t=event.time_s)
+            added = {"idx": f"change {i} {k}", "bus": bus, "u": 0, **common}
+            system.add("Shunt", g=admittance.real, b=admittance.imag, Sn=base, **added)
+            system.add("Toggle", idx=f"event {i} {k}", model="Shunt", dev=added["idx"], t=event.time_s)
     # Constant impedances: no share of constant power or current.
     system.PQ.config.update(p2p=0.0, p2i=0.0, p2z=1.0, q2q=0.0, q2i=0.0, q2z=1.0)
     system.setup()
@@ -330,6 +374,49 @@ def build_system(
     if not system.PFlow.run():
         raise RuntimeError("ANDES' power flow did not converge")
     return system
+
+
+def line_name(network: NetworkCase, from_bus: int, to_bus: int) -> str:
+    """Return ANDES' name of a branch."""
+    return f"line {network.branch_index(from_bus, to_bus)}"
+
+
+def named_lines(network: NetworkCase, events: Sequence[Event]) -> list[tuple[str, dict[str, Any]]]:
+    """Return ANDES' names and data of all lines; two stand for one whose impedance will grow by a factor."""
+    lines = [(f"line {i}", line) for i, line in enumerate(line_data(network))]
+    for e in events:
+        if isinstance(e, ReactanceStep):
+            stays = dict(lines)[line_name(network, e.from_bus, e.to_bus)]
+            lost = {key: stays[key] * e.factor / (e.factor - 1.0) for key in ("r", "x")}
+            lines.append((line_name(network, e.from_bus, e.to_bus) + " lost", {**stays, **lost, "b": 0.0}))
+            stays |= {key: stays[key] * e.factor for key in ("r", "x")}
+    return lines
+
+
+def toggles(event: Event, network: NetworkCase) -> list[tuple[str, str, float]]:
+    """Return model, name and instant [s] of every device that an event switches."""
+    if isinstance(event, Trip):
+        return [("PQ", f"load {event.bus}", event.time_s)]
+    if isinstance(event, MachineOutage):
+        return [("GENROU", str(event.bus), event.time_s)]
+    if isinstance(event, Fault) and event.opens is not None:
+        return [("Line", line_name(network, *event.opens), event.end_s)]
+    if isinstance(event, ReactanceStep):
+        return [("Line", line_name(network, event.from_bus, event.to_bus) + " lost", event.time_s)]
+    if isinstance(event, LineTrip):
+        name = line_name(network, event.from_bus, event.to_bus)
+        return [("Line", name, time_s) for time_s in sorted({event.time_s, event.end_s})]
+    return []
+
+
+def alterations(event: Event, network: NetworkCase) -> list[tuple[str, float, float]]:
+    """Return what an event adds to the source: to its angle [rad] or its torque [p.u. of the system base], and when."""
+    if isinstance(event, PhaseJump):
+        return [("delta", math.radians(event.angle_deg), event.time_s)]
+    if isinstance(event, FrequencyRamp):
+        torque = SOURCE_M_S * UNIT_MVA / network.base_mva * event.rocof_hz_s / network.frequency_hz
+        return [("tm0", torque, event.time_s), ("tm0", -torque, event.end_s)]
+    return []
 
 
 def changes(
@@ -348,16 +435,19 @@ def changes(
     return [(bus, power.conjugate() / network.base_mva / voltage[bus] ** 2) for bus, power in powers]
 
 
-def machine_keys(network: NetworkCase) -> tuple[str, ...]:
-    """Return the names of the machines in the order of their buses."""
-    return tuple(sorted([*(str(m.bus) for m in network.machines), *UNITS]))
+def machine_keys(case: Case, network: NetworkCase, events: Sequence[Event]) -> tuple[str, ...]:
+    """Return the names of the machines that stay, in the order of their buses; an imposed source is none."""
+    lost = [event.bus for event in events if isinstance(event, MachineOutage)]
+    units = () if case.units is SOURCE else case.units
+    return tuple(sorted([*(str(m.bus) for m in network.machines if m.bus not in lost), *units]))
 
 
-def row_times(events: Sequence[Event]) -> Floats:
+def row_times(events: Sequence[Event], duration_s: float) -> Floats:
     """Return the times of a trace's rows [s]."""
-    coarse = np.arange(round(DURATION_S / ROW_S) + 1) * ROW_S
-    fine = [e.time_s + np.arange(1, round(FINE_SPAN_S / FINE_ROW_S) + 1) * FINE_ROW_S for e in events]
-    return np.setdiff1d(np.concatenate([coarse, *fine]), [e.time_s for e in events])
+    coarse = np.arange(round(duration_s / ROW_S) + 1) * ROW_S
+    instants = [e.time_s for e in events] + [e.end_s for e in events if isinstance(e, GridEvent)]
+    fine = [instant + np.arange(1, round(FINE_SPAN_S / FINE_ROW_S) + 1) * FINE_ROW_S for instant in instants]
+    return np.setdiff1d(np.concatenate([coarse, *fine]), instants)
 
 
 def simulate(
@@ -366,9 +456,10 @@ def simulate(
     """Integrate one event list with a fixed step and return the rows to keep."""
     system = build_system(case, network, events, voltage)
     system.store_switch_times = functools.partial(system.store_switch_times, eps=EVENT_STEP_S)
-    fixed = {"fixt": 1, "shrinkt": 0, "method": "fixed_trapezoid", "chatter_iter": 1000, "linesearch": 0}
-    quiet = {"reset_tiny": 0, "criteria": 0, "no_tqdm": 1}
-    system.TDS.config.update(tf=DURATION_S, tstep=1.0 / steps_per_second, tol=1e-11, max_iter=100, **fixed, **quiet)
+    # Residuals are not scaled by the step: beside 1 ns of the torque that moves a source ANDES takes its step for lost.
+    fixed = {"fixt": 1, "shrinkt": 0, "method": "fixed_trapezoid", "chatter_iter": 1000, "linesearch": 0, "g_scale": 0}
+    quiet = {"max_iter": 100, "reset_tiny": 0, "criteria": 0, "no_tqdm": 1}
+    system.TDS.config.update(tf=case.duration_s, tstep=1.0 / steps_per_second, tol=1e-11, **fixed, **quiet)
     if not (system.TDS.run(no_summary=True) and system.TDS.test_ok and system.exit_code == 0):
         raise RuntimeError("ANDES' time-domain simulation failed")
     series = system.dae.ts
@@ -381,25 +472,25 @@ def simulate(
             power[key] = y[:, m.Pe.a[i]]
             # A converter's speed is in the rate of its angle [rad/s], here before limits that are out of reach.
             speed[key] = x[:, m.omega.a[i]] if model[:3] == "GEN" else 1.0 + y[:, m.dw_x.a[i]] / m.w0.v[i]
-    keys = machine_keys(network)
+    keys = machine_keys(case, network, events)
     before = t < min(e.time_s for e in events) - 0.5 * EVENT_STEP_S
     drift = np.abs(x[before] - x[0]).max()
     if drift > 1e-9:
         raise RuntimeError(f"ANDES does not start in equilibrium: a state drifts by {drift:.1e} before the first event")
 
-    wanted = row_times(events)
+    wanted = row_times(events, case.duration_s)
     at = np.array([np.argmin(np.abs(t - row)) for row in wanted])
     if np.abs(t[at] - wanted).max() > 10.0 * EVENT_STEP_S:
         raise RuntimeError("a row does not lie on the grid of time steps")
 
-    # Times spent at an upper limit, for the summary only.
+    # Times that machines that stay spend at an upper limit, for the summary only.
     step = np.diff(t, append=t[-1])
     at_limit = {}
     for model, state, limit in (("TGOV1", "LAG_y", "VMAX"), ("SEXS", "LAW_y", "EMAX")):
         m = getattr(system, model)
         for i, name in enumerate(m.idx.v):
             held = x[:, getattr(m, state).a[i]] > getattr(m, limit).v[i] - 1e-9
-            at_limit[name] = float(step[held].sum())
+            at_limit[name] = float(step[held].sum()) if m.syn.v[i] in keys else 0.0
     columns = (np.column_stack([found[key][at] for key in keys]) for found in (speed, power))
     return Trace(wanted, *columns, y[np.ix_(at, system.Bus.v.a)], at_limit)
 
@@ -411,8 +502,11 @@ def difference(trace: Trace, other: Trace) -> dict[str, float]:
 
 def event_data(
     event: Event, events: Sequence[Event], network: NetworkCase, voltage: dict[int, float]
-) -> list[dict[str, float]]:
+) -> list[dict[str, Any]]:
     """Return an event in the form of the parameter file."""
+    if isinstance(event, GridEvent):
+        kind = next(kind for kind, record in EVENT_KINDS.items() if record is type(event))
+        return [{"kind": kind, **{key: value for key, value in vars(event).items() if value is not None}}]
     if isinstance(event, Trip):
         load = network.buses[network.bus_index(event.bus)].load_mw
         return [{"t": event.time_s, "bus": event.bus, "trip_load_MW": load}]
@@ -437,7 +531,8 @@ def parameter_file(case: Case, network: NetworkCase, system: Any, tolerance: dic
     gens: dict[str, dict[str, Any]] = {
         str(m.bus): {"model": "GENROU", "bus": m.bus, **genrou_data(m)} for m in network.machines
     }
-    gens |= {key: {"model": "GENCLS", "bus": UNIT_BUS, **unit_data(*swing)} for key, (_, *swing) in case.units.items()}
+    common = {"model": "source" if case.units is SOURCE else "GENCLS", "bus": UNIT_BUS}
+    gens |= {key: {**common, **unit_data(case, *swing)} for key, (_, *swing) in case.units.items()}
     note = NOTE.format(version=andes.__version__, base=network.base_mva, frequency=network.frequency_hz)
     forming = [f"{key} is a {model}" for key, (model, *_) in case.units.items() if model != "GENCLS"]
     units = f" In ANDES {' and '.join(forming)}; M, D and xd1 are those of its equivalent." if forming else ""
@@ -469,10 +564,10 @@ def parameter_file(case: Case, network: NetworkCase, system: Any, tolerance: dic
     }
 
 
-def write_trace(path: Path, trace: Trace, network: NetworkCase) -> None:
+def write_trace(path: Path, trace: Trace, keys: Sequence[str], network: NetworkCase) -> None:
     """Write a trace as CSV with ten significant digits."""
     pairs = [pair for i in range(trace.w.shape[1]) for pair in (trace.w[:, i], trace.Pe[:, i])]
-    names = [name for key in machine_keys(network) for name in (f"w{key}", f"Pe{key}")]
+    names = [name for key in keys for name in (f"w{key}", f"Pe{key}")]
     names += [f"V{b.number}" for b in network.buses]
     rows = np.column_stack([trace.t, *pairs, trace.V])
     # Adding zero turns a negative zero into a positive one.
@@ -511,7 +606,7 @@ def make_case(case: Case, folder: Path, steps: Sequence[int]) -> dict[str, Any]:
         remaining = {q: value / 3.0 for q, value in to_finest[f"1/{steps[-2]}"].items()}
         worst = {q: max(worst[q], remaining[q]) for q in QUANTITIES}
         name = f"{case.name}/{key}.csv"
-        write_trace(folder / name, finest, network)
+        write_trace(folder / name, finest, machine_keys(case, network, events), network)
         convergence[name] = {
             "step_s": f"1/{steps[-1]}",
             "largest_difference_to_it_pu": {step: short(d) for step, d in to_finest.items()},

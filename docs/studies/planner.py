@@ -19,7 +19,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from contextlib import closing
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -293,7 +293,6 @@ def results_with_planners(
             learned=False,
             description=f"Plans every {planning.interval_s:g} s over {planning.horizon_s:g} s without foresight; "
             f"knows the state exactly, the wind: {planning.knowledge}.",
-            equation=", ".join(f"{key} = {value}" for key, value in asdict(planning).items()),
         )
         episodes = played_by_planner(suite, split, seeds, planning)
         results = replace(results, entries=(*results.entries, entry.to_dict()), episodes=(*results.episodes, *episodes))

@@ -10,7 +10,7 @@ from output import folder
 
 from wtg_gym.envs import CostWeights, EnvSettings, GFMWTGEnv
 from wtg_gym.envs.observation import GridObservation, MachineObservation, MeasuredObservation, WtgObservation
-from wtg_gym.envs.task_records import Info
+from wtg_gym.envs.task_records import Info, LocalInfo
 from wtg_gym.files import markdown_table, update_between_markers
 from wtg_gym.physics import machine_parameters, parameters
 from wtg_gym.physics.ieee14 import modified_ieee14
@@ -90,7 +90,7 @@ def weights():
 
 def info():
     """Return the keys of `info`."""
-    rows = [(f"`{key}`", *rest) for key, *rest in declared(Info)]
+    rows = [(f"`{key}`", *rest) for key, *rest in (*declared(Info), *declared(LocalInfo))]
     rows.append(("`scenario_seed`", "-", "−1 for a scenario without a seed"))
     rows.append(("`termination_reason`", "text", "why the episode ended before its time, else empty"))
     return "### `info`\n\n" + markdown_table(("key of `info`", "unit", "meaning"), rows)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from agents.gains import Gains, stagger
-from agents.vec_env import GainVecEnv
+from agents.multi_agent import GainVecEnv
 from wtg_gym.envs import GFMWTGVectorEnv
 from wtg_gym.sb3 import SB3VecEnv
 from wtg_gym.scenarios import get_suite

@@ -10,8 +10,7 @@ import pytest
 import torch
 from torch import nn
 
-from agents.multi_agent import AgentVecEnv, SharedPolicy
-from agents.vec_env import GainVecEnv
+from agents.multi_agent import AgentVecEnv, GainVecEnv, SharedPolicy
 from wtg_gym.envs import EnvSettings
 
 SHORT: dict[str, Any] = {"version": "v0", "duration_s": 5.0, "strategy": "mppt"}

@@ -23,7 +23,6 @@ BAD = [
     # Wrong usage of options.
     ("simulate --wnd 8", "--wnd"),
     ("simulate --wind strong", "strong"),
-    ("reproduce --formats jpg", "jpg"),
     ("play --speed 0", "Must be >= 0.1"),
     ("results page --output page.html", "RESULTS"),
     ("submission check", "FOLDERS"),
@@ -128,7 +127,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = results.write(root)[0]
     (root / "old").mkdir()
     old = json.loads(path.read_text())
-    del old["metrics"]["largest_power_change_pu"]
+    del old["metrics"]["peak_power_pu"]
     (root / "old" / path.name).write_text(json.dumps({**old, "format": 2}))
     return root
 

@@ -238,7 +238,7 @@ def test_step_of_a_batch_whose_lanes_were_not_all_reset_is_a_runtime_error(mode:
     [
         ({"weights": {"duty": 0.0}, "on_failure": "trip"}, "weights, on_failure"),
         ({"strategy": "mppt"}, "strategy"),
-        (V1, "strategy, groups, weights, plant, physics, version"),
+        (V1, "strategy, groups, weights, plant, on_failure, physics, version"),
     ],
     ids=str,
 )

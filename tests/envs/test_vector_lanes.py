@@ -78,7 +78,7 @@ def failing(version: str) -> dict[str, Any]:
     events = (GroupTrip(time_s=1.025, group=2), LoadStep(time_s=2.0, bus=3, power_mw=60.0))
     sensors = SensorDistribution().draw_many("x", [1], 4)[0]
     course = calm(8.0, 30.0, 4, events=events, sensors=sensors, inertia_scale=0.3, governor_droop=0.08)
-    return {"version": "v1", "strategy": "mppt", "scenario": course.to_dict()}
+    return {"version": "v1", "strategy": "mppt", "on_failure": "terminate", "scenario": course.to_dict()}
 
 
 @pytest.mark.parametrize(("version", "n_steps", "reason"), [("v0", 420, "stall"), ("v1", 200, "under-speed")])

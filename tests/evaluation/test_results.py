@@ -4,18 +4,15 @@ from __future__ import annotations
 
 import json
 import re
-import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from wtg_gym.evaluation import Interval, Results
-from wtg_gym.evaluation.episodes import COLUMNS
 from wtg_gym.files import sha256, to_json
 
 
@@ -52,8 +49,6 @@ def test_anchors_score_exactly_0_and_100(results: Results, results_v1: Results) 
     ):
         assert each.benchmark.anchors == anchors
         assert [each.scores[name] for name in anchors] == [Interval(0.0, 0.0, 0.0), Interval(100.0, 100.0, 100.0)]
-        hundred = next(row for row in each.summaries if row.name == anchors[1])
-        assert hundred.probability_of_improvement.value == 0.5
 
 
 @settings(max_examples=150, suppress_health_check=[HealthCheck.function_scoped_fixture])
@@ -88,9 +83,9 @@ def _sign(paths: tuple[Path, Path], data: dict[str, Any]) -> None:
 
 EDITS: dict[str, tuple[Callable[[dict[str, Any]], Any], str]] = {
     "cap as text": (lambda d: d["settings"]["weights"].update(cap="much"), "could not convert string to float"),
-    "unknown key": (lambda d: d.update(winner="me"), r"unknown keys \['winner'\]"),
+    "missing key": (lambda d: d.pop("seeds"), "describes no results: KeyError: 'seeds'"),
     "unknown suite": (lambda d: d.update(suite="easy"), "unknown suite 'easy'"),
-    "other format": (lambda d: d.update(format=2), "format must be 5, that of this version, got 2; "),
+    "other format": (lambda d: d.update(format=2), "format must be 6, that of this version, got 2; "),
     "seeds of no draw": (lambda d: d.update(split="fresh"), "draw must be given for the split 'fresh' alone"),
     "seeds that cannot be drawn": (
         lambda d: d.update(split="fresh", draw={"commit": "a" * 40, "secret_sha256": "0" * 64}),
@@ -98,9 +93,9 @@ EDITS: dict[str, tuple[Callable[[dict[str, Any]], Any], str]] = {
     ),
     "name that is markup": (
         lambda d: d["entries"][0].update(name="[me](https://example.org)\n"),
-        r"entries\[0\]: name must be 1 … 60 printable",
+        "name of an entry must be 1 … 60 printable",
     ),
-    "no anchors": (lambda d: d.update(entries=[]), "anchors .* are missing"),
+    "no anchors": (lambda d: d.update(entries=[]), "expected one row per entry and seed"),
     "better score": (lambda d: d["summary"]["mppt"]["score"].update(value=200.0), "is 200.0, the table sums up to 0.0"),
 }
 
@@ -137,17 +132,3 @@ def test_forged_table_names_line_and_column(copies: tuple[Path, Path], column: s
     _sign(copies, json.loads(copies[0].read_text(encoding="utf-8")))
     with pytest.raises(ValueError, match=r"expected one row per entry and seed.*9 rows.*got 8"):
         Results.read(copies[0])
-
-
-def test_table_of_pandas_has_every_episode_and_metric(results: Results, monkeypatch: pytest.MonkeyPatch) -> None:
-    pytest.importorskip("pandas")
-    table = results.to_pandas()
-    assert tuple(table.columns) == (*COLUMNS, "pinned_cost") and len(table) == len(results.episodes)
-    for row, episode in zip(table.itertuples(), results.episodes, strict=True):
-        assert (row.entry, row.seed, row.failure) == (episode.entry, episode.seed, episode.failure)
-        for name, expected in episode.metrics.items():
-            assert np.isnan(getattr(row, name)) if expected is None else getattr(row, name) == expected
-    assert table["training_seed"].isna().all() and table["training_seed"].dtype == "Int64"
-    monkeypatch.setitem(sys.modules, "pandas", None)
-    with pytest.raises(ImportError, match=r"needs pandas; in a checkout: pip install '\.\[data\]'"):
-        results.to_pandas()

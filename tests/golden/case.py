@@ -21,8 +21,8 @@ from wtg_gym.physics.machine_parameters import (
     SynchronousMachineParameters,
     classical_machine,
 )
-from wtg_gym.physics.network import Branch, Bus, NetworkCase
-from wtg_gym.physics.scenario import LoadStep
+from wtg_gym.physics.network import Branch, Bus, NetworkCase, Source
+from wtg_gym.physics.scenario import EVENT_KINDS, Event, LoadStep
 
 GOLDEN = Path(__file__).parent
 #: Rows of the traces are whole multiples of this [s].
@@ -89,7 +89,7 @@ class Case:
     keys: tuple[str, ...]  # the file's names of the machines
     voltage: Mapping[int, complex]  # of each bus in the file's power flow, by bus number [p.u.]
     power: Mapping[str, complex]  # P + jQ of each machine in the file's power flow [p.u.]
-    events: Mapping[str, tuple[LoadStep, ...]]  # by the name of their trace
+    events: Mapping[str, tuple[Event, ...]]  # by the name of their trace
     tolerance: Mapping[str, float]  # allowed largest difference by quantity: "w", "Pe", "V" [p.u.]
 
     @property
@@ -119,16 +119,23 @@ def case_of(name: str, data: Mapping[str, Any]) -> Case:
     power = {
         key: complex(static["P"] * gen["gammap"], static["Q"] * gen["gammaq"])
         for key, gen in data["gens"].items()
+        if gen.get("model") != "source"
         for static in [data["gen_static"][str(gen["bus"])]]
     }
-    machines = tuple(_machine(gen, base, power[key], data, key) for key, gen in data["gens"].items())
-    held = {machine.bus for machine in machines}
+    machines = tuple(_machine(data["gens"][key], base, power[key], data, key) for key in power)
+    sources = tuple(
+        Source(bus=gen["bus"], resistance=gen["ra"] * base / gen["Sn"], reactance=gen["xd1"] * base / gen["Sn"])
+        for key, gen in data["gens"].items()
+        if key not in power
+    )
+    held = {machine.bus for machine in machines} | {source.bus for source in sources}
     network = NetworkCase(
         name=name,
         base_mva=base,
         frequency_hz=data["fn"],
         # Every machine's power is given, so that any of their buses can take the slack; the angle's zero is a choice.
-        slack_bus=min(held, key=lambda number: abs(np.angle(voltage[number]))),
+        # A source's power is not.
+        slack_bus=min({source.bus for source in sources} or held, key=lambda number: abs(np.angle(voltage[number]))),
         buses=tuple(
             Bus(
                 number=number,
@@ -142,6 +149,7 @@ def case_of(name: str, data: Mapping[str, Any]) -> Case:
         ),
         branches=tuple(Branch(from_bus=line["f"], to_bus=line["t"], **_named(BRANCH, line)) for line in data["line"]),
         machines=machines,
+        sources=sources,
     )
     return Case(
         network=network,
@@ -189,8 +197,11 @@ def _machine(
 
 def _event(
     entry: Mapping[str, Any], base: float, voltage: Mapping[int, complex], loads: Mapping[int, complex]
-) -> LoadStep:
-    """Return an event as the power that its admittance takes at the bus's initial voltage."""
+) -> Event:
+    """Return an event: of its kind, or as the power that its admittance takes at the bus's initial voltage."""
+    if "kind" in entry:
+        event: Event = EVENT_KINDS[entry["kind"]](**{key: value for key, value in entry.items() if key != "kind"})
+        return event
     bus = entry["bus"]
     power = complex(entry.get("dG_pu", 0.0), -entry.get("dB_pu", 0.0)) * abs(voltage[bus]) ** 2
     if "trip_load_MW" in entry:

@@ -9,9 +9,9 @@ import numpy as np
 from tests.golden.case import ROW_S, Case
 from tests.physics.extended import phasors
 from wtg_gym.physics.layout import Floats
-from wtg_gym.physics.parameters import ProtectionParameters
+from wtg_gym.physics.parameters import ConverterLimitParameters, ProtectionParameters
 from wtg_gym.physics.plant import PlantSettings
-from wtg_gym.physics.scenario import Event, Scenario
+from wtg_gym.physics.scenario import Event, LineTrip, Scenario
 from wtg_gym.physics.simulator import Simulator
 from wtg_gym.physics.units import UNITS
 
@@ -24,13 +24,16 @@ def replay(case: Case, events: Sequence[Event], time_s: Floats, step_s: float) -
         time_s: instants of the rows, multiples of ROW_S, increasing (n,) [s].
         step_s: integration step, ROW_S divided by a whole number [s].
     """
-    # The other simulators have no protection.
+    opened = {case.network.branch_index(e.from_bus, e.to_bus) for e in events if isinstance(e, LineTrip)}
+    splits = len(case.network.parts_without(tuple(opened))) > 1
+    # The other simulators have no protection. Islands need extended physics, which changes no machine.
     settings = PlantSettings(
         case=case.network,
         groups=(),
         control_dt=ROW_S,
         simulation_dt=step_s,
         protection=ProtectionParameters(frequency_min_pu=0.5),
+        limits=ConverterLimitParameters() if splits else None,
     )
     duration_s = float(time_s[-1])
     simulator = Simulator(settings, duration_s=duration_s)

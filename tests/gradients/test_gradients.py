@@ -11,14 +11,22 @@ import numpy.typing as npt
 import pytest
 
 from tests.physics.extended import plant
-from wtg_gym.envs.settings import EnvSettings
+from wtg_gym.envs.settings import EnvSettings, PlantEnvSettings
 from wtg_gym.envs.task_records import COST_TERMS
 from wtg_gym.gradients import check_by_differences
 from wtg_gym.gradients.adjoint import pull
-from wtg_gym.gradients.plant_parameters import PlantEnvSettings
 from wtg_gym.gradients.tape import Gradient, Tape
 from wtg_gym.physics.protection import Status
-from wtg_gym.physics.scenario import GovernorLoss, GroupTrip, LineTrip, LoadStep, MachineOutage, Scenario
+from wtg_gym.physics.scenario import (
+    Fault,
+    GovernorLoss,
+    GroupTrip,
+    LineTrip,
+    LoadStep,
+    MachineOutage,
+    ReactanceStep,
+    Scenario,
+)
 
 Floats = npt.NDArray[np.float64]
 N_LANES = 3
@@ -332,6 +340,10 @@ ZEROS = np.zeros((5, N_LANES, 4))
             "direction must be",
         ),
         (lambda tape, scenarios: check_by_differences(tape, scenarios, ZEROS, {"power": 1.0}), "unknown terms"),
+        (
+            lambda tape, scenarios: tape.start([given(2, GroupTrip(time_s=1.0, group=0, returns_after_s=1.0))] * 3),
+            "do not go through the return of a unit: GroupTrip",
+        ),
         # More steps than were taken, the last of which would have counted nothing.
         (lambda tape, scenarios: tape.back(outputs=np.zeros((2, N_LANES, 8))), r"\(1, 3, 8\), got \(2, 3, 8\)"),
     ],
@@ -342,6 +354,24 @@ def test_bad_input_is_refused(call: Any, reason: str) -> None:
     tape.gradient(scenarios, np.zeros((1, N_LANES, 4)))
     with pytest.raises(ValueError, match=reason):
         call(tape, scenarios)
+
+
+CUT = [LineTrip(time_s=1.0, from_bus=a, to_bus=b) for a, b in ((5, 6), (4, 7), (4, 9))]
+
+
+@pytest.mark.parametrize(
+    "events",
+    [
+        [Fault(time_s=1.0, bus=4, clears_after_s=0.15, opens=(4, 5))],
+        CUT,
+        [MachineOutage(time_s=1.0, bus=1)],
+        [ReactanceStep(time_s=1.0, from_bus=4, to_bus=5, factor=3.0)],
+    ],
+    ids=["fault", "islands", "last generator", "reactance"],
+)
+def test_the_gradient_goes_through_events_of_the_network(events: list[Any]) -> None:
+    tape = tape_of(**V1)
+    agrees(tape, [given(4, *events)] * N_LANES, actions_of(tape, 60))
 
 
 def test_a_plant_with_a_hydro_governor_and_a_rotor_table_has_gradients_too() -> None:

@@ -11,9 +11,9 @@ import numpy.typing as npt
 import pytest
 
 from wtg_gym.envs.lanes import TaskLanes
-from wtg_gym.envs.settings import EnvSettings
+from wtg_gym.envs.settings import EnvSettings, PlantEnvSettings
 from wtg_gym.envs.task_records import COST_TERMS
-from wtg_gym.gradients.plant_parameters import PlantEnvSettings, known_parameters, with_parameters
+from wtg_gym.gradients.plant_parameters import known_parameters, with_parameters
 from wtg_gym.gradients.tape import Tape
 from wtg_gym.physics.plant import PlantSettings
 from wtg_gym.physics.scenario import GovernorLoss, LoadStep, MachineOutage, Scenario

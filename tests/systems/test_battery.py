@@ -13,11 +13,10 @@ import pytest
 
 from tests.physics.extended import largest_rate, scenario
 from wtg_gym.envs.lanes import TaskLanes
-from wtg_gym.envs.settings import EnvSettings
+from wtg_gym.envs.settings import EnvSettings, PlantEnvSettings
 from wtg_gym.envs.task_records import CostTerms
 from wtg_gym.envs.task_units import TASK
 from wtg_gym.gradients import check_by_differences
-from wtg_gym.gradients.plant_parameters import PlantEnvSettings
 from wtg_gym.gradients.tape import Tape
 from wtg_gym.physics.further_units import FurtherUnits
 from wtg_gym.physics.plant import PlantSettings

@@ -48,9 +48,7 @@ def evaluate(
     answer.
 
     examples:
-      wtg-gym evaluate --entries deloaded-5 coordinated-linear --suite low-wind
       wtg-gym evaluate --entries coordinated-piecewise fast-droop --suite standard-v1 --scenarios 20
-      wtg-gym evaluate --entries my_law.toml --suite standard --scenarios 10 --results my_results
       wtg-gym evaluate --entries my_package.controller:make_policy --split test --json
       wtg-gym evaluate --entries policies --backend dask --address tcp://head:8786 --results my_results
 
@@ -81,16 +79,14 @@ def leaderboard(
 ) -> int:
     """Rank entries on all test scenarios of a suite.
 
-    The table is printed and the results are written as JSON and CSV. What an entry did is kept in the folder partial
-    beside them, so that the next call plays new entries alone; other source code, packages or another processor, or
-    another policy, is played again. Delete that folder to play everything. An entry that fails is named with its reason
-    and left out with all training seeds of its name; the exit code is 1 then. Where the entry at 100 is no better than
-    that at 0, as on paper-v1, there is no score: the mean pinned cost ranks.
+    What an entry did is kept in the folder partial beside the results, so that the next call plays new entries alone;
+    with other source code, packages or another processor, or another policy, it is played again. An entry that fails is
+    named with its reason and left out with all training seeds of its name; the exit code is 1 then. Where the entry at
+    100 is no better than that at 0, as on paper-v1, the mean pinned cost ranks.
 
     examples:
       wtg-gym leaderboard --suite standard --results results --readme README.md
-      wtg-gym leaderboard --suite weak-grid --entries baselines my_law.toml
-      wtg-gym leaderboard --suite paper --entries mppt deloaded-10 coordinated-piecewise --json
+      wtg-gym leaderboard --suite paper --entries mppt my_law.toml coordinated-piecewise --json
 
     Args:
         results: folder of the results; made if missing

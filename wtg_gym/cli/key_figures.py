@@ -11,14 +11,18 @@ import numpy as np
 
 from wtg_gym.cli.output import print_table
 from wtg_gym.envs.task_records import ROCOF_WINDOW_S
+from wtg_gym.physics.layout import Floats
 from wtg_gym.physics.protection import Status
 from wtg_gym.physics.trajectory import Trajectory
 
 
 def key_figures(name: str, run: Trajectory) -> dict[str, Any]:
-    """Return the key figures of a run as JSON-ready data with units in the keys; groups count from 1."""
+    """Return the key figures of a run as JSON-ready data with units in the keys; groups count from 1.
+
+    Those that are called local are the extremes over all groups, machines and, in extended physics, buses.
+    """
     step = float(run.time_s[1] - run.time_s[0]) if run.time_s.size > 1 else ROCOF_WINDOW_S
-    rocof = run.rocof_hz_s(ROCOF_WINDOW_S)
+    local = run.local_frequency_hz
     ratios, rotors = run.tip_speed_ratio[-1], run.rotor_speed_pu[-1]
     extremes = {Status.STALL: -ratios, Status.OVER_SPEED: rotors, Status.UNDER_SPEED: -rotors}
     failed = 1 + int(np.argmax(extremes[run.status])) if run.status in extremes else None
@@ -36,12 +40,22 @@ def key_figures(name: str, run: Trajectory) -> dict[str, Any]:
         "end_time_s": _plain(run.time_s[-1]),
         "nadir_hz": _plain(run.frequency_hz.min()),
         "zenith_hz": _plain(run.frequency_hz.max()),
-        "largest_rocof_hz_s": _plain(rocof[np.argmax(np.abs(rocof))]),
+        "largest_rocof_hz_s": _farthest(run.rocof_hz_s(ROCOF_WINDOW_S)),
+        "local_nadir_hz": _plain(local.min()),
+        "local_zenith_hz": _plain(local.max()),
+        "local_rocof_hz_s": _farthest(run.rocof_hz_s(ROCOF_WINDOW_S, local)),
+        "local_rocof_100_ms_hz_s": _farthest(run.rocof_hz_s(0.1, local)),
+        "shed_energy_mws": _plain(run.shed_energy_mws[-1]),
         "rocof_window_s": _plain(max(1, round(ROCOF_WINDOW_S / step)) * step),
         "final_frequency_hz": _plain(run.frequency_hz[-1]),
         "final_rotor_speed_pu": [_plain(value) for value in run.rotor_speed_pu[-1]],
         "final_power_pu": [_plain(value) for value in run.power_pu[-1]],
     }
+
+
+def _farthest(values: Floats) -> float | None:
+    """The number that is farthest from zero."""
+    return _plain(values.ravel()[np.argmax(np.abs(values))])
 
 
 def _plain(value: float) -> float | None:
@@ -99,16 +113,22 @@ def _per_group(values: list[float | None]) -> str:
 
 
 def traces_csv(runs: Mapping[str, Trajectory]) -> str:
-    """Return every sample of every run as CSV: one row per run and instant, units in the header, groups from 1."""
-    per_group = [name for name, values in vars(next(iter(runs.values()))).items() if getattr(values, "ndim", 0) == 2]
-    n_groups = next(iter(runs.values())).power_pu.shape[1]
+    """Return every sample of every run as CSV: one row per run and instant, units in the header, all from 1."""
+    first = next(iter(runs.values()))
+    others = ("machine_frequency_hz", "bus_frequency_hz")
+    per_group = [name for name, values in vars(first).items() if getattr(values, "ndim", 0) == 2 and name not in others]
+    n_groups = first.power_pu.shape[1]
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     names = [f"group_{group}_{name}" for group in range(1, n_groups + 1) for name in per_group]
-    writer.writerow(["strategy", "time_s", "frequency_hz", "rocof_hz_s", *names])
+    names += [
+        f"{name.split('_')[0]}_{i + 1}_frequency_hz" for name in others for i in range(getattr(first, name).shape[1])
+    ]
+    writer.writerow(["strategy", "time_s", "frequency_hz", "rocof_hz_s", "shed_energy_mws", *names])
     for label, run in runs.items():
-        series = [run.time_s, run.frequency_hz, run.rocof_hz_s()]
+        series = [run.time_s, run.frequency_hz, run.rocof_hz_s(), run.shed_energy_mws]
         series += [getattr(run, name)[:, group] for group in range(n_groups) for name in per_group]
+        series += [column for name in others for column in getattr(run, name).T]
         for row in zip(*series, strict=True):
             writer.writerow([label, *(f"{value:.9g}" for value in row)])
     return text.getvalue()

@@ -9,8 +9,7 @@ from cyclopts import Parameter, validators
 
 from wtg_gym.cli.options import Flag, SuiteName, Whole
 from wtg_gym.cli.output import note, require_extra
-from wtg_gym.envs.settings import EnvSettings
-from wtg_gym.plotting.live.match import Scale, split_of
+from wtg_gym.plotting.live.match import Match
 from wtg_gym.scenarios import DEFAULT_SUITE, get_suite
 
 
@@ -25,15 +24,14 @@ def play(
 ) -> int:
     """Open a page in the browser on which you hold the frequency by hand, in real time.
 
-    Sliders and keys set k and τ of each WTG group, as an agent's actions do. The reference, which never acts, plays the
-    same scenario beside you. Events are shown as they happen. At the end your run is scored as an agent's is. The page
-    is served on this machine only.
+    Two sliders set k and τ of all WTG groups, as an agent's actions do. The reference, which never acts, plays the
+    same scenario beside you. Events are shown as they happen. At the end your cost stands beside those of the anchors.
+    The page is served on this machine only.
 
     examples:
       wtg-gym play
       wtg-gym play --suite faults-v1 --seed 20003
-      wtg-gym play --suite standard --speed 0.5
-      wtg-gym play --port 5006 --no-browser
+      wtg-gym play --suite standard --speed 0.5 --port 5006 --no-browser
 
     Args:
         suite: one of those that `wtg-gym suites` lists
@@ -43,23 +41,18 @@ def play(
         port: port at localhost; 0: any that is free
         no_browser: do not open a browser, only say the address
     """
-    # Refuses a duration that is out of range.
-    EnvSettings(suite=suite, duration_s=duration)
     chosen = get_suite(suite)
-    first = chosen.test[0] if seed is None else seed
-    split_of(chosen, first)
+    # Refuses a duration or a seed that is out of range.
+    match = Match(chosen, chosen.test[0] if seed is None else seed, duration)
     require_extra("bokeh", "wtg-gym play")
     from bokeh.server.server import Server
 
     from wtg_gym.plotting.live.play_page import PlayPage
 
     def fill(document: Any) -> None:
-        PlayPage(document, scale, first, speed)
+        PlayPage(document, match, speed)
 
-    # First, since a port that is in use need not wait for the anchors.
     server = Server({"/": fill}, port=port, address="localhost")
-    note(f"playing the anchors of {suite}, which make the scale of the score")
-    scale = Scale.of(chosen, duration)
     url = f"http://localhost:{server.port}/"
     server.start()
     note(f"the page is at {url}; Ctrl-C ends it")

@@ -4,9 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 from pathlib import Path
-from typing import Annotated, Literal
-
-from cyclopts import Parameter
 
 from wtg_gym.cli import output as out
 from wtg_gym.cli.options import Json, OutputFolder
@@ -18,24 +15,19 @@ from wtg_gym.reproduce.claims import paper_claims, run_case
 def reproduce(
     *,
     output: OutputFolder = Path("reproduction"),
-    formats: Annotated[tuple[Literal["svg", "png", "pdf"], ...], Parameter(consume_multiple=1, negative="")] = (
-        "svg",
-        "png",
-    ),
     json: Json = False,
 ) -> int:
     """Run the paper's analysis and case studies on the simulator, and write within two minutes
 
       claims.json   every claim of the paper with its tolerance, measurement and verdict
-      figures/*     the paper's figures
+      figures/*     the paper's figures as SVG
 
     examples:
       wtg-gym reproduce
-      wtg-gym reproduce --output figures-for-print --formats svg pdf
+      wtg-gym reproduce --output elsewhere
 
     Args:
         output: folder to write to
-        formats: of the figures
     """
     out.require_extra("matplotlib", "wtg-gym reproduce")
     from wtg_gym.plotting import save_figure
@@ -47,7 +39,7 @@ def reproduce(
         claims = list(paper_claims(*cases))
         progress.update("figures", 0, 1)
         for name, figure in paper_figures(*cases):
-            save_figure(figure, output / "figures" / name, formats)
+            save_figure(figure, output / "figures" / name, ("svg",))
     data = out.plain_json({"claims": [dataclasses.asdict(claim) for claim in claims]})
     write_atomically(output / "claims.json", to_json(data))
     out.note(f"wrote {output / 'claims.json'} and the figures in {output / 'figures'}")

@@ -26,8 +26,8 @@ app = App(name="results", help="Work with the stored results of 'wtg-gym evaluat
 def page(results: tuple[Path, ...], /, *, output: HtmlFile) -> int:
     """Show stored results as one HTML file with charts.
 
-    It needs nothing but a browser, offline too: each suite's ranking with its intervals, to sort and to filter, the
-    scores as a chart, and the deviation of the frequency against the failures. Suites of the latest version of the
+    It needs nothing but a browser, offline too: each suite's ranking with its intervals, to sort, the scores as a
+    chart, and the deviation of the frequency against the failures. Suites of the latest version of the
     benchmark come first.
 
     examples:
@@ -63,17 +63,14 @@ def recompute(
 ) -> int:
     """Compute results again, and say whether they are identical.
 
-    Evaluates the entries of a results file again, on the same scenarios with the same settings, and compares every
-    number of every episode to the last bit, the policies' sha256, kinds and laws, and the suite's hash. Says that the
-    results are identical, or what differs; the exit code is then 1. Other versions of source code or packages, and
-    other texts about an entry, are named, but are no difference by themselves: laws give the same bits on one kind of
-    processor, a policy's last digits may depend on onnxruntime. The environment's fingerprint says whether this machine
-    computes the same as the one before. Fewer scenarios, shorter episodes or other weights than those of the benchmark
-    are named too.
+    Plays the same scenarios with the same settings, and compares every number of every episode to the last bit, the
+    policies' sha256, kinds and laws, and the suite's hash. Says what differs; the exit code is then 1. Other versions
+    of source code or packages, and other texts about an entry, are named, but are no difference by themselves: laws
+    give the same bits on one kind of processor, a policy's last digits may depend on onnxruntime. What departs from the
+    benchmark's own scenarios, lengths and weights is named too.
 
     examples:
       wtg-gym results recompute results/standard-test.json --entries baselines policies
-      wtg-gym results recompute results/paper-test.json
 
     Args:
         results: JSON file of results, the CSV beside it

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from typing import Any
 
-from wtg_gym.envs.rendering.diagram import describe_event
 from wtg_gym.physics.scenario import Scenario
 
 
@@ -38,5 +37,5 @@ def describe_scenario(scenario: Scenario) -> list[str]:
     events = sorted(scenario.events, key=lambda event: event.time_s)
     for head, event in zip(["events", *[""] * len(events)], events, strict=False):
         late = " (after the end of the run)" if event.time_s >= scenario.duration_s else ""
-        lines.append(f"  {head:<12} {event.time_s:g} s: {describe_event(event)}{late}")
+        lines.append(f"  {head:<12} {event.time_s:g} s: {event.words}{late}")
     return lines if events else [*lines, "  events       none"]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
@@ -11,17 +11,17 @@ from typing import Annotated, Any
 import numpy as np
 from cyclopts import Group, Parameter
 
+from wtg_gym.cli.cases import play_cases
 from wtg_gym.cli.key_figures import key_figures, print_key_figures, traces_csv
 from wtg_gym.cli.options import CsvFile, FigureFile, Flag, Json, PlantOptions, SuiteName, Whole, Words
 from wtg_gym.cli.output import print_json, require_extra, say, write_and_say
 from wtg_gym.cli.scenario_text import describe_scenario, scenario_summary
 from wtg_gym.files import read_json
 from wtg_gym.physics.parameters import TurbineParameters, WtgGroup, default_groups
-from wtg_gym.physics.plant import PlantSettings
 from wtg_gym.physics.protection import Status
 from wtg_gym.physics.scenario import Scenario
 from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY, STRATEGIES, STRATEGY_NAMES, TrackingLaw, get_law
-from wtg_gym.physics.trajectory import Trajectory, simulate
+from wtg_gym.physics.trajectory import simulate
 from wtg_gym.policies.load import example_law as law_file
 from wtg_gym.progress import Progress
 from wtg_gym.scenarios import Suite, get_suite, read_wind_csv
@@ -58,6 +58,8 @@ def simulate_scenario(
     given: ScenarioOptions = ScenarioOptions(),
     plant: PlantOptions = PlantOptions(),
     strategy: Words = (REFERENCE_STRATEGY,),
+    case: Words = (),
+    entry: Words = (),
     example_law: Flag = False,
     plot: FigureFile | None = None,
     csv: CsvFile | None = None,
@@ -71,9 +73,12 @@ def simulate_scenario(
     an over-speed or, in extended physics, an under-speed too. In the paper's grid, wind for another
     number of WTG groups than two puts as many at bus 2.
 
+    With --case, laws and policies play tests that operators ask of grid-forming plants instead, each in its own grid;
+    what is printed is passed or failed, with the figure. The exit code is 1 where one has failed.
+
     examples:
+      wtg-gym simulate --case dip last-machine --entry coordinated-piecewise mppt
       wtg-gym simulate --strategy mppt deloaded-5 coordinated-piecewise --plot run.png
-      wtg-gym simulate --suite standard --seed 20003 --strategy all --csv traces.csv
       wtg-gym simulate --suite standard-v1 --seed 10003 --strategy coordinated-piecewise coordinated-tuned
       wtg-gym simulate --suite paper --seed 1 --wind 9 7.5 --duration 60
       wtg-gym simulate --wind-csv measured.csv --strategy my_law.toml
@@ -82,6 +87,9 @@ def simulate_scenario(
 
     Args:
         strategy: strategies by name, 'all', or .toml files with a law; default: the paper's coordinated-piecewise
+        case: tests by name, or 'all': last-machine, rocof-up, rocof-down, rocof-up-2, rocof-down-2, angle-step,
+            angle-step-30, dip, ratio-steps, island-surplus, island-deficit, current-limit
+        entry: what plays them, as for `wtg-gym evaluate`; default: coordinated-piecewise
         example_law: print a law file to start from, and do nothing else: --example-law > my_law.toml
         plot: write a figure of the runs: .png, .svg or .pdf
         csv: write every sample of every run, units in the header: .csv
@@ -89,6 +97,12 @@ def simulate_scenario(
     if example_law:
         say(*law_file().splitlines())
         return 0
+    if entry and not case:
+        raise ValueError("--entry belongs to --case; a scenario is played by laws: --strategy")
+    if case:
+        if plot is not None or csv is not None:
+            raise ValueError("--case prints passed or failed; --plot and --csv are for scenarios")
+        return play_cases(case, entry or (REFERENCE_STRATEGY,), json=json)
     if plot is not None:
         require_extra("matplotlib", "--plot")
     suite = get_suite(given.suite)
@@ -111,7 +125,9 @@ def simulate_scenario(
             progress.update(name, done, len(laws))
             runs[name] = simulate(scenario, law, settings)
     if plot is not None:
-        _write_plot(plot, runs, scenario, settings)
+        from wtg_gym.plotting import figure_bytes, plot_trajectories
+
+        write_and_say(plot, figure_bytes(plot_trajectories(runs, scenario), plot.suffix))
     if csv is not None:
         write_and_say(csv, traces_csv(runs))
     figures = [key_figures(name, trajectory) for name, trajectory in runs.items()]
@@ -181,10 +197,3 @@ def _plant_summary(plant: PlantOptions, suite: Suite, groups: tuple[WtgGroup, ..
         "on_failure": plant.on_failure or suite.benchmark.on_failure,
         "physics": plant.physics or suite.plant.physics,
     }
-
-
-def _write_plot(path: Path, runs: Mapping[str, Trajectory], scenario: Scenario, settings: PlantSettings) -> None:
-    from wtg_gym.plotting import figure_bytes, plot_trajectories
-
-    figure = plot_trajectories(runs, scenario, settings.control.overload_limit_pu)
-    write_and_say(path, figure_bytes(figure, path.suffix))

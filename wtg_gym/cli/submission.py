@@ -65,15 +65,13 @@ def new(folder: OutputFolder, /) -> int:
 
 @app.command
 def check(folders: Folders, /, *, gate: GateOptions = GateOptions(), json: Json = False) -> int:
-    """Say whether folders are accepted, and why not.
+    """Say of every check whether folders pass it, and why not; exits with 1 if one is refused.
 
-    Says of every check whether a submission passes it, and why not; exits with 1 if one is refused. Several folders are
-    checked together, and with --beside against existing entries: a name belongs to one entry, whose training seeds are
-    submitted together, and the same policy counts once, even if its files differ.
+    Several folders are checked together, and with --beside against existing entries: a name belongs to one entry, whose
+    training seeds are submitted together, and the same policy counts once, even if its files differ.
 
     examples:
-      wtg-gym submission check my-policy --beside agents/policies/*
-      wtg-gym submission check my-policy-* --json
+      wtg-gym submission check my-policy-* --beside agents/policies/*
 
     Args:
         folders: folders with entry.toml, policy.onnx and, if there is one, README.md
@@ -131,11 +129,11 @@ def score(
         for scenarios in planned.values():
             scoring.run_evaluation([], partial=partial, n_threads=threads, **scenarios)
         reports = _reports(folders, gate)
-        wrong = _together(reports, gate) + _refused(reports)
-        ranked = _ranked(reports, wrong)
-        _name_left_out(ranked, reports, wrong)
-        entries = [report.played(weak=gate.weak_isolation) for report in ranked]
-        codes = [int(bool(wrong))]
+        why = _why_left_out(reports, _together(reports, gate))
+        for reason in dict.fromkeys(why.values()):
+            note(f"left out: {reason}")
+        entries = [report.played(weak=gate.weak_isolation) for report in reports if report.folder not in why]
+        codes = [int(bool(why))]
         for name, scenarios in planned.items():
             own = [entry for entry in entries if entry.environment == get_suite(name).benchmark.env_id]
             found = scoring.run_evaluation(own, partial=partial, n_threads=threads, **scenarios)
@@ -153,31 +151,17 @@ def _suites(folders: Sequence[Path]) -> list[str]:
     return [EnvSettings(version=each.version).suite for each in BENCHMARKS.values() if each.env_id in said]
 
 
-def _refused(reports: Sequence[Report]) -> list[Conflict]:
-    return [
-        Conflict((report.folder,), f"{_shown(report.folder)}: {report.refusal.name}: {report.refusal.reason}")
-        for report in reports
-        if report.refusal is not None
-    ]
-
-
-def _name_left_out(ranked: Sequence[Report], reports: Sequence[Report], wrong: Sequence[Conflict]) -> None:
-    for conflict in wrong:
-        note(f"refused: {conflict.reason}")
+def _why_left_out(reports: Sequence[Report], wrong: Sequence[Conflict]) -> dict[Path, str]:
+    """Return why folders are not ranked: authors cannot choose the seeds of a row, so all of a name go together."""
+    why = {folder: conflict.reason for conflict in wrong for folder in conflict.folders}
     for report in reports:
-        if report not in ranked and not any(report.folder in conflict.folders for conflict in wrong):
-            note(f"left out: {_shown(report.folder)}, as another folder of its name is refused")
-
-
-def _ranked(reports: Sequence[Report], wrong: Sequence[Conflict]) -> list[Report]:
-    """Return the submissions of names without any refused folder: authors cannot choose the seeds of a row."""
-    folders = {folder for conflict in wrong for folder in conflict.folders}
-    names = {report.entry.name for report in reports if report.folder in folders and report.entry is not None}
-    return [
-        report
-        for report in reports
-        if report.folder not in folders and report.entry is not None and report.entry.name not in names
-    ]
+        if report.refusal is not None:
+            why[report.folder] = f"{_shown(report.folder)}: {report.refusal.name}: {report.refusal.reason}"
+    names = {report.entry.name for report in reports if report.folder in why and report.entry is not None}
+    for report in reports:
+        if report.entry is not None and report.entry.name in names:
+            why.setdefault(report.folder, f"{_shown(report.folder)}, as another folder of its name is refused")
+    return why
 
 
 def _reports(folders: Sequence[Path], gate: GateOptions) -> list[Report]:

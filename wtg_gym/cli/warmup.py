@@ -15,9 +15,7 @@ from wtg_gym.systems.compiled import cache_folder, compilation
 def warmup() -> int:
     """Compile the simulator to machine code, which the first use of a version does otherwise.
 
-    That is the single environment, the vector environment, simulate and evaluate, for the plants of `standard` and
-    `standard-v1`. It takes half a minute. The machine code is kept, so that every later start is quick, of other
-    plants too; running the command again compiles nothing.
+    It takes half a minute. The machine code is kept, so that every later start is quick, of other plants too.
 
     examples:
       wtg-gym warmup

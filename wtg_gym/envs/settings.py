@@ -97,7 +97,7 @@ class EnvArguments(TypedDict, total=False):
     simulation_dt: float
     weights: Mapping[str, float] | None
     machine_model: str
-    on_failure: str | None
+    on_failure: str
     physics: str | None
     sensors: str | Mapping[str, Any] | None
     version: str | None
@@ -251,6 +251,27 @@ class EnvSettings:
             return float(self.duration_s)
         fixed = self.fixed_scenario()
         return float(fixed.duration_s if fixed is not None else get_suite(self.suite).duration_s)
+
+
+@dataclass(frozen=True, kw_only=True)
+class PlantEnvSettings(EnvSettings):
+    """Settings of an environment on a plant of one's own, for studies; the benchmark has none.
+
+    Args:
+        given: the plant. Physics, groups, time steps and machine model are its own.
+    """
+
+    given: PlantSettings
+
+    def plant(self) -> PlantSettings:
+        """Return the plant and its time steps."""
+        return self.given
+
+    @classmethod
+    def of(cls, settings: EnvSettings, given: PlantSettings) -> PlantEnvSettings:
+        """Return settings with another plant."""
+        fields = {field.name: getattr(settings, field.name) for field in dataclasses.fields(EnvSettings)}
+        return cls(**fields | {"control_dt": given.control_dt, "simulation_dt": given.simulation_dt}, given=given)
 
 
 def as_scenario(name: str, value: Any) -> Scenario:

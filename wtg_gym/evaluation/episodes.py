@@ -57,15 +57,7 @@ def to_csv(episodes: Sequence[Episode]) -> str:
 
 
 def from_csv(text: str, path: Path) -> list[Episode]:
-    """Return the episodes of a table that :func:`to_csv` wrote.
-
-    Args:
-        text: the table.
-        path: where it was read, for messages.
-
-    Raises:
-        ValueError: a column, row or value is wrong; the message names file, line and column.
-    """
+    """Return the episodes of a table that :func:`to_csv` wrote; a ValueError names file, line and column."""
     try:
         rows = list(csv.reader(io.StringIO(text), strict=True))
     except csv.Error as error:

@@ -78,7 +78,9 @@ def generalisation_gaps(public: Results, fresh: Results) -> list[GeneralisationG
                 excess = excess_gap(*zip(own, of_controls, of_zero, strict=True))
             gap = score_gap(*zip(own, of_zero, strict=True))
             gaps.append(
-                GeneralisationGap(name=row.name, public=row.score, fresh=scores[row.name], gap=gap, excess=excess)
+                GeneralisationGap(
+                    name=row.name, public=public.scores[row.name], fresh=scores[row.name], gap=gap, excess=excess
+                )
             )
     return gaps
 

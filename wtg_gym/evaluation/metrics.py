@@ -22,8 +22,6 @@ Floats = npt.NDArray[np.float64]
 
 #: Window at the end of an episode over which the quasi-steady frequency is averaged [s].
 STEADY_WINDOW_S = 5.0
-#: Time over which a change of power is taken [s].
-POWER_CHANGE_WINDOW_S = 1.0
 
 
 @dataclass(frozen=True)
@@ -35,8 +33,7 @@ class Metric:
     optional: bool = False
 
 
-#: Every metric of an episode. Extremes are taken at every simulation step, rotor speeds and changes of power at every
-#: control step.
+#: Every metric of an episode. Extremes are taken at every simulation step.
 METRICS: Mapping[str, Metric] = MappingProxyType(
     {
         "cost": Metric("-", "total cost, minus the return"),
@@ -56,13 +53,8 @@ METRICS: Mapping[str, Metric] = MappingProxyType(
         ),
         "least_tip_speed_ratio": Metric("-", "smallest tip-speed ratio of any group"),
         "largest_tip_speed_ratio": Metric("-", "largest tip-speed ratio of any group"),
-        "least_rotor_speed_pu": Metric("p.u.", "lowest rotor speed of any group"),
-        "largest_rotor_speed_pu": Metric("p.u.", "highest rotor speed of any group"),
         "overload_time_s": Metric("s", "time above the converter's overload limit, of the group with most of it"),
         "peak_power_pu": Metric("p.u.", "largest delivered power of any group, on its own base"),
-        "largest_power_change_pu": Metric(
-            "p.u.", "largest absolute change of the delivered power of any group over 1 s, on its own base"
-        ),
         "constraint_time_s": Metric("s", "control steps with a constraint violated"),
         "tripped_groups": Metric(
             "-", "groups disconnected by an event, or by their protection where a failure trips instead of ends"
@@ -73,7 +65,7 @@ METRICS: Mapping[str, Metric] = MappingProxyType(
 
 
 class Recorder:
-    """Records the courses that the simulator does not keep, from started episodes."""
+    """Records the course of the frequency, which the simulator does not keep, from started episodes."""
 
     def __init__(self, lanes: TaskLanes) -> None:
         self._lanes = lanes
@@ -83,22 +75,12 @@ class Recorder:
         #: Control steps each lane has made, shape (n_lanes,).
         self.n_steps = np.zeros(lanes.n_lanes, dtype=np.int64)
         self.frequency_hz[:, 0] = lanes.nominal_hz * lanes.simulator.lane_values("coi")
-        #: Delivered power of every group on its own base [p.u.], shape (n_lanes, n_steps + 1, n_wtg).
-        self.power_pu = np.zeros((lanes.n_lanes, n_steps + 1, lanes.n_wtg))
-        self.power_pu[:, 0] = lanes.simulator.wtg_values("power")
-        self.least_rotor = self.largest_rotor = lanes.simulator.wtg_values("rotor_speed")
 
     def record(self, stepped: npt.NDArray[np.bool_]) -> None:
         """Take a sample of the lanes that made the last step, shape (n_lanes,)."""
         self.n_steps[stepped] += 1
         frequency = self._lanes.nominal_hz * self._lanes.simulator.lane_values("coi")
         self.frequency_hz[stepped, self.n_steps[stepped]] = frequency[stepped]
-        power = self._lanes.simulator.wtg_values("power")
-        self.power_pu[stepped, self.n_steps[stepped]] = power[stepped]
-        # The rotors of a lane that is over stand still and add nothing.
-        rotor = self._lanes.simulator.wtg_values("rotor_speed")
-        self.least_rotor = np.minimum(self.least_rotor, rotor)
-        self.largest_rotor = np.maximum(self.largest_rotor, rotor)
 
 
 def quasi_steady_deviation(frequency_hz: Floats, control_dt: float, nominal_hz: float) -> float:
@@ -111,19 +93,6 @@ def quasi_steady_deviation(frequency_hz: Floats, control_dt: float, nominal_hz: 
     """
     n_window = max(1, min(round(STEADY_WINDOW_S / control_dt), frequency_hz.size - 1))
     return math.fsum(frequency_hz[-n_window:].tolist()) / n_window - nominal_hz
-
-
-def largest_power_change(power_pu: Floats, control_dt: float) -> float:
-    """Return the largest absolute change of any group's power over :data:`POWER_CHANGE_WINDOW_S` [p.u.].
-
-    Args:
-        power_pu: one row per control step, the start first, shape (n_steps + 1, n_wtg) [p.u.]. Before the start the
-            groups are taken to have delivered what they deliver there.
-        control_dt: control interval [s].
-    """
-    n_window = max(1, round(POWER_CHANGE_WINDOW_S / control_dt))
-    before = np.concatenate([np.repeat(power_pu[:1], n_window, axis=0), power_pu])[: len(power_pu)]
-    return float(np.abs(power_pu - before).max())
 
 
 def measure(lanes: TaskLanes, recorder: Recorder, lane: int) -> dict[str, Any]:
@@ -154,11 +123,8 @@ def measure(lanes: TaskLanes, recorder: Recorder, lane: int) -> dict[str, Any]:
         "duty_error_percent": 100.0 * float(lanes.task_values("duty_error")[lane]) / (n_steps * dt),
         "least_tip_speed_ratio": min(groups("least_tsr")),
         "largest_tip_speed_ratio": max(groups("largest_tsr")),
-        "least_rotor_speed_pu": float(recorder.least_rotor[lane].min()),
-        "largest_rotor_speed_pu": float(recorder.largest_rotor[lane].max()),
         "overload_time_s": max(groups("overload_time")),
         "peak_power_pu": max(groups("peak_power")),
-        "largest_power_change_pu": largest_power_change(recorder.power_pu[lane, : n_steps + 1], dt),
         "constraint_time_s": float(lanes.task_values("constraint_sum")[lane]) * dt,
         "tripped_groups": float(sum(connected < 0.5 for connected in groups("connected"))),
         "survived_s": float(simulator.lane_values("step")[lane]) * simulator.plant.simulation_dt,

@@ -6,23 +6,19 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import Any, TypeVar
 
 from wtg_gym.evaluation import results_file, summary
 from wtg_gym.evaluation.episodes import Episode, to_csv
 from wtg_gym.evaluation.metrics import METRICS
 from wtg_gym.evaluation.partial import PartialStore
-from wtg_gym.evaluation.score import NoScaleError, log_gains, pinned, score_scale
+from wtg_gym.evaluation.score import NoScaleError, log_gains, score_scale
 from wtg_gym.evaluation.statistics import Floats, Interval
-from wtg_gym.evaluation.summary import EntryMeasures, EntrySummary, Runs, ranked
+from wtg_gym.evaluation.summary import EntrySummary, Runs, ranked
 from wtg_gym.evaluation.table import markdown_table, privileged_note
-from wtg_gym.extras import install_advice
 from wtg_gym.ranges import ByName
 from wtg_gym.scenarios import get_suite
 from wtg_gym.scenarios.benchmark import Benchmark
-
-if TYPE_CHECKING:
-    from pandas import DataFrame
 
 Value = TypeVar("Value")
 
@@ -65,8 +61,7 @@ class Results:
     def __repr__(self) -> str:
         """Return suite, split, number of scenarios and the ranking's scores in a line."""
         entries = ", ".join(
-            f"{row.name} {row.score.value:.1f}" if isinstance(row, EntrySummary) else f"{row.name} without a score"
-            for row in self.ranking
+            f"{row.name} {row.score.value:.1f}" if row.score else f"{row.name} without a score" for row in self.ranking
         )
         return f"<Results of {self.suite}, {self.split}, {len(self.seeds)} scenarios: {entries}>"
 
@@ -84,7 +79,7 @@ class Results:
     @property
     def scores(self) -> dict[str, Interval]:
         """Mean score of every entry with its 95 % interval, by its name; errors as of :attr:`summaries`."""
-        return self._by_entry({row.name: row.score for row in self.summaries})
+        return self._by_entry({row.name: row.score for row in self.summaries if row.score})
 
     @cached_property
     def summaries(self) -> list[EntrySummary]:
@@ -93,19 +88,16 @@ class Results:
         Raises:
             NoScaleError: on these scenarios the zero is not worse than the hundred, so that there is no score.
         """
-        return summary.summarise(self.measures, self._runs, self.pinned_costs, self.benchmark)
-
-    @cached_property
-    def measures(self) -> list[EntryMeasures]:
-        """What is measured of every entry, in the order of the entries; without a score there is this alone."""
-        return summary.entry_measures(self.entries, self._runs, self.pinned_costs, self.benchmark)
+        return summary.scored(self._measured, self._runs, self.pinned_costs, self.benchmark)
 
     @property
-    def ranking(self) -> list[EntryMeasures]:
-        """The :attr:`summaries`, the best first; without a score the :attr:`measures`, the least mean cost first."""
-        if self.has_scale:
-            return [*ranked(self.summaries)]
-        return sorted(self.measures, key=lambda row: (row.mean_pinned_cost, row.name))
+    def _measured(self) -> list[EntrySummary]:
+        return summary.measured(self.entries, self._runs, self.pinned_costs, self.benchmark)
+
+    @property
+    def ranking(self) -> list[EntrySummary]:
+        """The :attr:`summaries`, the best first; where there is no score, the least mean cost first."""
+        return ranked(self.summaries if self.has_scale else self._measured)
 
     @cached_property
     def no_score(self) -> str:
@@ -178,25 +170,6 @@ class Results:
             failed=(*self.failed, *left_out),
         )
 
-    def to_pandas(self) -> DataFrame:
-        """Return the episodes as a table of pandas, a row per entry and scenario.
-
-        Columns are those of the CSV: entry, training_seed, seed, scenario, duration_s, failure, and every metric; and
-        pinned_cost, whose mean the tables show: it differs from cost where the episode failed.
-
-        Raises:
-            ImportError: pandas, of the extra `data`, is not installed.
-        """
-        try:
-            import pandas
-        except ImportError as error:
-            raise ImportError(f"to_pandas() needs pandas; {install_advice('data')} ({error})") from error
-        rows = [{**vars(each), **each.metrics, "pinned_cost": pinned(each, self._cap)} for each in self.episodes]
-        # Most entries have no training seed, and some episodes not every metric.
-        kinds = {"training_seed": "Int64", **dict.fromkeys(METRICS, "float64")}
-        table: DataFrame = pandas.DataFrame(rows).drop(columns="metrics").astype(kinds)
-        return table
-
     def to_dict(self) -> dict[str, Any]:
         """Return the description and the :attr:`ranking` as JSON-ready data."""
         return {
@@ -212,12 +185,9 @@ class Results:
         }
 
     def write(self, folder: str | Path) -> tuple[Path, Path]:
-        """Write `<suite>-<split>.json` and `.csv`, both or none, and remove the finished batches of an evaluation.
+        """Write `<suite>-<split>.json` and `.csv` into a folder, both or none, and remove the finished batches.
 
         The same results give the same bytes.
-
-        Args:
-            folder: where to; made if it is not there.
 
         Returns:
             the paths of the JSON and the CSV.
@@ -242,15 +212,20 @@ class Results:
             ValueError: a file is missing, cut short, of another version, or was edited; the message names file, key
                 and what is expected.
         """
-        data, episodes = results_file.read(Path(path))
-        results = cls(
-            **{key: data[key] for key in (*results_file.TEXTS, "draw", "environment", "settings", "versions")},
-            seeds=tuple(data["seeds"]),
-            entries=tuple(data["entries"]),
-            episodes=tuple(episodes),
-            failed=tuple(data["failed"]),
-        )
-        results_file.check_summary(data["summary"], results.to_dict()["summary"], f"{path}: summary")
+        try:
+            data, episodes = results_file.read(Path(path))
+            results = cls(
+                **{key: data[key] for key in (*results_file.TEXTS, "draw", "environment", "settings", "versions")},
+                seeds=tuple(data["seeds"]),
+                entries=tuple(data["entries"]),
+                episodes=tuple(episodes),
+                failed=tuple(data["failed"]),
+            )
+            results_file.check_summary(data["summary"], results.to_dict()["summary"], "summary")
+        except ValueError as error:
+            raise ValueError(f"{path}: {error}") from error
+        except (AttributeError, KeyError, TypeError) as error:
+            raise ValueError(f"{path} describes no results: {type(error).__name__}: {error}") from error
         return results
 
 

@@ -36,12 +36,6 @@ def mean(values: Floats) -> float:
     return math.fsum(values.ravel().tolist()) / values.size
 
 
-def improvement(costs: Floats, hundred: Floats) -> Floats:
-    """Return 1 where a cost is below the hundred's on the same scenario, ½ where equal, else 0; the mean is P."""
-    better: Floats = (costs < hundred) + 0.5 * (costs == hundred)
-    return better
-
-
 @functools.lru_cache(maxsize=1)
 def _drawn_scenarios(n: int) -> Indices:
     """Return the scenarios of every resample, (N_RESAMPLES, n)."""
@@ -73,11 +67,6 @@ def percentile_interval(value: float, samples: Floats) -> Interval:
     tail = 50.0 * (1.0 - CONFIDENCE)
     low, high = np.percentile(samples, [tail, 100.0 - tail])
     return Interval(value, float(low), float(high))
-
-
-def mean_interval(values: Floats) -> Interval:
-    """Return the mean of (n_runs, n_scenarios) with its bootstrap interval."""
-    return percentile_interval(mean(values), _resampled_means(values))
 
 
 def resampled_scores(gains: Floats, zero: Floats, side: int = 0) -> Floats:
@@ -112,16 +101,3 @@ def score_difference(gains: Floats, other: Floats, zero: Floats) -> Interval:
     """
     value = 100.0 * (mean(gains) - mean(other)) / -mean(zero)
     return percentile_interval(value, resampled_scores(gains, zero) - resampled_scores(other, zero, side=1))
-
-
-def interquartile_score(gains: Floats, zero: Floats) -> float:
-    """Return the mean of the scenarios' scores without the lowest and the highest quarter (numbers rounded down).
-
-    Source: R. Agarwal et al., "Deep reinforcement learning at the edge of the statistical precipice", NeurIPS 2021.
-
-    Args:
-        gains: log gains of the entry (n_runs, n_scenarios).
-        zero: log gains of the zero (n_scenarios,).
-    """
-    cut = gains.size // 4
-    return 100.0 * (1.0 + float(np.sort(gains, axis=None)[cut : gains.size - cut].mean()) / -mean(zero))

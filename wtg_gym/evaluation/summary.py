@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, field, replace
 from types import MappingProxyType
 from typing import Any
 
@@ -24,11 +24,6 @@ POINTS: Mapping[str, tuple[str, ...]] = MappingProxyType(
     {"frequency_rocof": ("frequency", "rocof"), "duty": ("duty",), "overload": ("overload",)}
 )
 REST = "rest"
-#: Kinds of failure of frequency and rotors; all others are "other".
-FAILURE_KINDS: Mapping[str, tuple[str, ...]] = MappingProxyType(
-    {"frequency": ("frequency limit",), "rotor": ("stall", "over-speed", "under-speed")}
-)
-_OTHER = "other"
 #: Share of the scenarios that count as the worst.
 _WORST = 0.1
 #: Largest deviation that the grid of Continental Europe is designed for, 0.8 Hz; a run beyond it counts with the lost.
@@ -36,8 +31,8 @@ DESIGN_DEVIATION_MHZ = 800.0
 
 
 @dataclass(frozen=True, kw_only=True)
-class EntryMeasures:
-    """One row of a table, over all scenarios and training seeds of an entry: what needs no score."""
+class EntrySummary:
+    """One row of a ranking, over all scenarios and training seeds of an entry; without a scale there is no score."""
 
     name: str  # of the entry
     kind: str  # "law", "feedback" or "learned"
@@ -46,9 +41,7 @@ class EntryMeasures:
     n_runs: int  # number of training seeds, 1 for a law
     n_episodes: int
     n_lost: int  # number of episodes that failed
-    probability_of_improvement: Interval  # P(J < J_100) + ½ P(J = J_100) of the pinned costs [-]
     failures_percent: float  # episodes that failed [%]
-    failures_percent_by_kind: Mapping[str, float]  # by the kinds in :data:`FAILURE_KINDS` and "other" [%]
     #: Episodes that failed, or whose largest deviation was beyond :data:`DESIGN_DEVIATION_MHZ` [%].
     lost_or_beyond_percent: float
     mean_pinned_cost: float  # [-]
@@ -59,68 +52,47 @@ class EntryMeasures:
     p95_deviation_mhz: float
     median_nadir_hz: float  # [Hz]
     p95_rocof_hz_s: float  # 95th percentile of the largest rates of change of frequency [Hz/s]
-    p95_peak_power_pu: float  # 95th percentile of the largest powers of any group [p.u.]
-    p95_power_change_pu: float  # 95th percentile of the largest changes of any group's power over 1 s [p.u.]
     mean_duty_error_percent: float  # [%]
     mean_energy_share_percent: float  # of the available energy [%]
-
-
-@dataclass(frozen=True, kw_only=True)
-class EntrySummary(EntryMeasures):
-    """One row of a ranking by the score, over all scenarios and training seeds of an entry."""
-
-    score: Interval  # mean of the scenarios' scores: 0 and 100 are those of the version's anchors
-    interquartile_mean: float  # of the scenarios' scores
+    score: Interval | None = None  # mean of the scenarios' scores: 0 and 100 are those of the version's anchors
     #: The score minus that of the entry above in the ranking, on the same scenarios; None for the first.
-    difference_to_above: Interval | None
+    difference_to_above: Interval | None = None
     #: Points above 100 by the cost terms they come from, by the names in :data:`POINTS` and :data:`REST`; they add up
     #: to the score minus 100, see :func:`points_by_term`.
-    points_by_term: Mapping[str, float]
+    points_by_term: Mapping[str, float] = field(default_factory=dict)
 
 
-def entry_measures(
+def measured(
     entries: Sequence[Mapping[str, Any]], runs: Mapping[str, Runs], costs: Mapping[str, Floats], benchmark: Benchmark
-) -> list[EntryMeasures]:
-    """Return what is measured of every name, in the order of the entries.
-
-    Args:
-        entries: the entries' data, both anchors among them.
-        runs: the episodes of every name, all on the same scenarios in the same order.
-        costs: their pinned costs, (n_runs, n_scenarios).
-        benchmark: the version, which names the anchors.
-    """
-    hundred = costs[benchmark.hundred][0]
-    described = {entry["name"]: entry for entry in entries}
-    return [_measures(each, runs[name], costs[name], hundred, benchmark) for name, each in described.items()]
-
-
-def summarise(
-    measured: Sequence[EntryMeasures], runs: Mapping[str, Runs], costs: Mapping[str, Floats], benchmark: Benchmark
 ) -> list[EntrySummary]:
-    """Return the :func:`entry_measures` with scores; arguments as there.
+    """Return the row of every name without its score, in the order of the entries.
 
-    Raises:
-        NoScaleError: the zero is not worse than the hundred, so that there is no scale.
+    All runs are on the same scenarios in the same order; costs are pinned, (n_runs, n_scenarios).
     """
+    described = {entry["name"]: entry for entry in entries}
+    return [_measured(each, runs[name], costs[name], benchmark) for name, each in described.items()]
+
+
+def scored(
+    rows: Sequence[EntrySummary], runs: Mapping[str, Runs], costs: Mapping[str, Floats], benchmark: Benchmark
+) -> list[EntrySummary]:
+    """Return the :func:`measured` rows with their scores; a NoScaleError if the zero is not worse than the hundred."""
     hundred = costs[benchmark.hundred][0]
     score_scale(costs[benchmark.zero][0], hundred, benchmark.anchors)
     gains = {name: log_gains(own, hundred) for name, own in costs.items()}
     zero = gains[benchmark.zero][0]
-    hundred_terms = parts_of_costs(runs[benchmark.hundred], costs[benchmark.hundred])[:, 0]
+    terms = {row.name: parts_of_costs(runs[row.name], costs[row.name]) for row in rows}
+    hundred_terms = terms[benchmark.hundred][:, 0]
 
-    def summary(row: EntryMeasures) -> EntrySummary:
-        own = costs[row.name]
-        terms = parts_of_costs(runs[row.name], own)
-        points = points_by_term(own, hundred, terms, hundred_terms, -statistics.mean(zero))
-        return EntrySummary(
-            **{each.name: getattr(row, each.name) for each in fields(EntryMeasures)},
+    def with_score(row: EntrySummary) -> EntrySummary:
+        points = points_by_term(costs[row.name], hundred, terms[row.name], hundred_terms, -statistics.mean(zero))
+        return replace(
+            row,
             score=statistics.score_interval(gains[row.name], zero),
-            interquartile_mean=statistics.interquartile_score(gains[row.name], zero),
-            difference_to_above=None,
             points_by_term=dict(zip((*POINTS, REST), points.tolist(), strict=True)),
         )
 
-    rows = [summary(row) for row in measured]
+    rows = [with_score(row) for row in rows]
     above = {
         row.name: statistics.score_difference(gains[row.name], gains[better.name], zero)
         for better, row in itertools.pairwise(ranked(rows))
@@ -128,9 +100,14 @@ def summarise(
     return [replace(row, difference_to_above=above.get(row.name)) for row in rows]
 
 
+def place(row: EntrySummary) -> float:
+    """Return what a row is ranked by, the least first: the score, or without one the mean pinned cost."""
+    return row.mean_pinned_cost if row.score is None else -row.score.value
+
+
 def ranked(rows: Iterable[EntrySummary]) -> list[EntrySummary]:
-    """Return the rows in the order of the ranking: the best score first, equal ones by name."""
-    return sorted(rows, key=lambda row: (-row.score.value, row.name))
+    """Return the rows in the order of the ranking, equal ones by name."""
+    return sorted(rows, key=lambda row: (place(row), row.name))
 
 
 def runs_by_name(episodes: Sequence[Episode]) -> dict[str, Runs]:
@@ -160,13 +137,11 @@ def parts_of_costs(runs: Runs, costs: Floats) -> Floats:
     return np.concatenate([terms, (costs - terms.sum(axis=0))[np.newaxis]])
 
 
-def _measures(
-    entry: Mapping[str, Any], runs: Runs, costs: Floats, hundred: Floats, benchmark: Benchmark
-) -> EntryMeasures:
-    """Return the row of an entry without its score; `hundred` are the pinned costs of that anchor (n_scenarios,)."""
+def _measured(entry: Mapping[str, Any], runs: Runs, costs: Floats, benchmark: Benchmark) -> EntrySummary:
     lost = np.array([episode.failed for run in runs for episode in run])
-    deviations = _deviations_mhz(runs, benchmark.nominal_hz)
-    return EntryMeasures(
+    nadirs, zeniths = _values(runs, "nadir_hz"), _values(runs, "zenith_hz")
+    deviations = 1000.0 * np.maximum(benchmark.nominal_hz - nadirs, zeniths - benchmark.nominal_hz)
+    return EntrySummary(
         name=entry["name"],
         kind=str(entry["kind"]),
         privileged=entry["observation_mode"] == "privileged",
@@ -174,35 +149,14 @@ def _measures(
         n_runs=costs.shape[0],
         n_episodes=costs.size,
         n_lost=int(lost.sum()),
-        probability_of_improvement=statistics.mean_interval(statistics.improvement(costs, hundred)),
         failures_percent=100.0 * float(np.mean(lost)),
-        failures_percent_by_kind=_failures_by_kind(runs),
         lost_or_beyond_percent=100.0 * float(np.mean(lost | (deviations > DESIGN_DEVIATION_MHZ))),
         mean_pinned_cost=statistics.mean(costs),
-        worst_decile_cost=_worst_decile(costs),
+        worst_decile_cost=statistics.mean(np.sort(costs, axis=1)[:, -math.ceil(_WORST * costs.shape[1]) :]),
         median_deviation_mhz=float(np.median(deviations)),
         p95_deviation_mhz=float(np.percentile(deviations, 95.0)),
-        median_nadir_hz=float(np.median(_values(runs, "nadir_hz"))),
+        median_nadir_hz=float(np.median(nadirs)),
         p95_rocof_hz_s=float(np.percentile(_values(runs, "largest_rocof_hz_s"), 95.0)),
-        p95_peak_power_pu=float(np.percentile(_values(runs, "peak_power_pu"), 95.0)),
-        p95_power_change_pu=float(np.percentile(_values(runs, "largest_power_change_pu"), 95.0)),
         mean_duty_error_percent=statistics.mean(_values(runs, "duty_error_percent")),
         mean_energy_share_percent=statistics.mean(_values(runs, "energy_share_percent")),
     )
-
-
-def _worst_decile(costs: Floats) -> float:
-    """Return the mean of the worst tenth of the scenarios of each training seed, from (n_runs, n_scenarios)."""
-    return statistics.mean(np.sort(costs, axis=1)[:, -math.ceil(_WORST * costs.shape[1]) :])
-
-
-def _deviations_mhz(runs: Runs, nominal_hz: float) -> Floats:
-    below, above = nominal_hz - _values(runs, "nadir_hz"), _values(runs, "zenith_hz") - nominal_hz
-    return 1000.0 * np.maximum(below, above)
-
-
-def _failures_by_kind(runs: Runs) -> dict[str, float]:
-    kinds = {reason: kind for kind, reasons in FAILURE_KINDS.items() for reason in reasons}
-    failed = [kinds.get(episode.failure, _OTHER) for run in runs for episode in run if episode.failed]
-    n_episodes = sum(map(len, runs))
-    return {kind: 100.0 * failed.count(kind) / n_episodes for kind in (*FAILURE_KINDS, _OTHER)}

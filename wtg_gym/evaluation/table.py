@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 from wtg_gym import files
 from wtg_gym.evaluation.statistics import Interval
-from wtg_gym.evaluation.summary import REST, EntryMeasures, EntrySummary
+from wtg_gym.evaluation.summary import REST, EntrySummary, place
 
 #: What an entry is marked with that sees the state of the grid, and what a page says about it.
 _PRIVILEGED = "privileged"
@@ -40,26 +40,18 @@ def _interval(interval: Interval) -> str:
     return f"{_plain(interval.value)} ({_plain(interval.low)} … {_plain(interval.high)})"
 
 
-def _entry(row: EntryMeasures) -> str:
+def _entry(row: EntrySummary) -> str:
     """Return the name, with the number of training seeds and whether it is privileged in brackets."""
     marks = [f"{row.n_runs} seeds"] * (row.n_runs > 1) + [_PRIVILEGED] * row.privileged
     return row.name + (f" ({', '.join(marks)})" if marks else "")
 
 
-def _failures(row: EntryMeasures) -> str:
-    """Return the failures with those of frequency (f) and rotors (ω) in brackets, in percent."""
-    by_kind = row.failures_percent_by_kind
-    kinds = [f"{sign} {by_kind[kind]:.1f}" for sign, kind in (("f", "frequency"), ("ω", "rotor"))]
-    return f"{row.failures_percent:.1f}" + (f" ({', '.join(kinds)})" if row.failures_percent else "")
+def _score(row: EntrySummary) -> str:
+    return "none" if row.score is None else _interval(row.score)
 
 
-def _of_score(text: Callable[[EntrySummary], str]) -> Callable[[EntryMeasures], str]:
-    """Return the text of what only rows with a score have."""
-    return lambda row: text(row) if isinstance(row, EntrySummary) else "none"
-
-
-def _points(term: str) -> Callable[[EntryMeasures], str]:
-    return _of_score(lambda row: _signed(row.points_by_term[term]))
+def _points(term: str) -> Callable[[EntrySummary], str]:
+    return lambda row: _signed(row.points_by_term[term]) if row.points_by_term else "none"
 
 
 # --- columns ---------------------------------------------------------------------------------------------------------
@@ -75,10 +67,10 @@ class _Column(NamedTuple):
 _COLUMNS = (
     _Column("rank", lambda row: "", "terminal v0 v1 whole"),
     _Column("entry", _entry, "terminal v0 v1 whole"),
-    _Column("score", _of_score(lambda row: _interval(row.score)), "terminal v0 v1 whole"),
+    _Column("score", _score, "terminal v0 v1 whole"),
     _Column(
         "to the entry above",
-        _of_score(lambda row: signed_interval(row.difference_to_above) if row.difference_to_above else ""),
+        lambda row: signed_interval(row.difference_to_above) if row.difference_to_above else "",
         "whole",
     ),
     _Column("frequency, RoCoF [points]", _points("frequency_rocof"), "v0 whole"),
@@ -86,10 +78,7 @@ _COLUMNS = (
     _Column("overload [points]", _points("overload"), "v0 whole"),
     _Column("rest [points]", _points(REST), "v0 whole"),
     _Column("kind", lambda row: row.kind, "whole"),
-    _Column("IQM", _of_score(lambda row: _plain(row.interquartile_mean)), "whole"),
-    _Column("P(improvement)", lambda row: f"{row.probability_of_improvement.value:.2f}", "whole"),
-    _Column("failures [%]", lambda row: f"{row.failures_percent:.1f}", "v0"),
-    _Column("failures by kind [%]", _failures, "whole"),
+    _Column("failures [%]", lambda row: f"{row.failures_percent:.1f}", "v0 whole"),
     _Column("median deviation [mHz]", lambda row: f"{row.median_deviation_mhz:.0f}", "terminal v1 whole"),
     _Column("p95 deviation [mHz]", lambda row: f"{row.p95_deviation_mhz:.0f}", "whole"),
     _Column("lost runs", lambda row: f"{row.n_lost} of {row.n_episodes}", "terminal"),
@@ -98,8 +87,6 @@ _COLUMNS = (
     _Column("mean pinned cost", lambda row: f"{row.mean_pinned_cost:.1f}", "terminal whole"),
     _Column("nadir [Hz]", lambda row: f"{row.median_nadir_hz:.3f}", "v0 whole"),
     _Column("p95 RoCoF [Hz/s]", lambda row: f"{row.p95_rocof_hz_s:.3f}", "whole"),
-    _Column("p95 peak power [p.u.]", lambda row: f"{row.p95_peak_power_pu:.2f}", "whole"),
-    _Column("p95 power change in 1 s [p.u.]", lambda row: f"{row.p95_power_change_pu:.2f}", "whole"),
     _Column("duty error [%]", lambda row: f"{row.mean_duty_error_percent:.2f}", "whole"),
     _Column("energy share [%]", lambda row: f"{row.mean_energy_share_percent:.1f}", "whole"),
 )
@@ -115,15 +102,15 @@ def text_columns(columns: Sequence[str]) -> list[int]:
     return [index for index, column in enumerate(columns) if column in _TEXTS]
 
 
-def _short_columns(rows: Sequence[EntryMeasures]) -> list[str]:
+def _short_columns(rows: Sequence[EntrySummary]) -> list[str]:
     """Return the columns of a page: without a score they are those of a terminal, with the cost that ranks."""
-    return columns_of(rows[0].version if isinstance(rows[0], EntrySummary) else "terminal")
+    return columns_of("terminal" if rows[0].score is None else rows[0].version)
 
 
 # --- tables ----------------------------------------------------------------------------------------------------------
 
 
-def table_cells(rows: Sequence[EntryMeasures], columns: Sequence[str] | None = None) -> list[list[str]]:
+def table_cells(rows: Sequence[EntrySummary], columns: Sequence[str] | None = None) -> list[list[str]]:
     """Return the texts of the table, one list per row, in the order of the columns; equal entries share a rank.
 
     Args:
@@ -131,15 +118,15 @@ def table_cells(rows: Sequence[EntryMeasures], columns: Sequence[str] | None = N
         columns: headings; None for those of the whole table.
     """
     texts = {column.heading: column.text for column in _COLUMNS}
-    places = [-row.score.value if isinstance(row, EntrySummary) else row.mean_pinned_cost for row in rows]
-    ranks = [str(1 + sum(other < place for other in places)) for place in places]
+    places = [place(row) for row in rows]
+    ranks = [str(1 + sum(other < own for other in places)) for own in places]
     return [
         [rank if column == "rank" else texts[column](row) for column in columns or columns_of("whole")]
         for rank, row in zip(ranks, rows, strict=True)
     ]
 
 
-def markdown_table(rows: Sequence[EntryMeasures], columns: Sequence[str] | None = None) -> str:
+def markdown_table(rows: Sequence[EntrySummary], columns: Sequence[str] | None = None) -> str:
     """Return the ranking as a Markdown table without a line feed at the end.
 
     Args:
@@ -151,6 +138,6 @@ def markdown_table(rows: Sequence[EntryMeasures], columns: Sequence[str] | None 
     return files.markdown_table(columns, table_cells(rows, columns), right=numbers)
 
 
-def privileged_note(rows: Sequence[EntryMeasures]) -> str:
+def privileged_note(rows: Sequence[EntrySummary]) -> str:
     """Return what the mark of privileged entries means, "" where no row has it."""
     return _PRIVILEGED_NOTE if any(row.privileged for row in rows) else ""

@@ -10,11 +10,9 @@ import contextlib
 import importlib.util
 import os
 import socket
-import sys
 from collections.abc import Callable, Generator, Iterator, Sequence
 from concurrent.futures import Future, as_completed
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import cloudpickle
@@ -44,8 +42,8 @@ _Submit = Callable[..., Future[Any]]
 class Workers:
     """Processes that play the batches of an evaluation, one batch on one thread at a time.
 
-    Numbers do not depend on who plays a batch. A policy travels pickled, and code of the working folder with it, so it
-    must keep what it remembers in the state that `predict` returns.
+    Numbers do not depend on who plays a batch. A policy travels pickled, so it must keep what it remembers in the state
+    that `predict` returns, and its module must be there on every machine.
 
     Args:
         backend: "loky" for processes of this machine; "dask" or "ray" for a cluster, or for one of their own here.
@@ -121,26 +119,12 @@ def _packed(entry: Entry, settings: EnvSettings) -> bytes:
     Raises:
         ValueError: the entry cannot be pickled.
     """
-    package = type(entry.policy).__module__.partition(".")[0]
-    path = Path(getattr(sys.modules.get(package), "__file__", None) or "/").resolve()
-    # A worker elsewhere could not import a package of the working folder. It has wtg_gym of its own, and a virtual
-    # environment may lie in the working folder.
-    by_value = (
-        path.is_relative_to(Path.cwd().resolve())
-        and "site-packages" not in path.parts
-        and package not in ("__main__", "wtg_gym", *cloudpickle.list_registry_pickle_by_value())
-    )
-    if by_value:
-        cloudpickle.register_pickle_by_value(sys.modules[package])
     try:
         packed: bytes = cloudpickle.dumps((entry, settings))
         return packed
     # Pickling runs code of the policy.
     except Exception as error:
         raise ValueError(f"entry {entry.label!r} cannot be sent to other processes: {error}") from error
-    finally:
-        if by_value:
-            cloudpickle.unregister_pickle_by_value(sys.modules[package])
 
 
 def _work(play: Play, parcel: bytes, seeds: list[int], wanted: dict[str, str]) -> Played | str:

@@ -4,12 +4,10 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from wtg_gym.envs.settings import EnvSettings
 from wtg_gym.physics.layout import Floats
 from wtg_gym.physics.machine_parameters import GovernorParameters
 from wtg_gym.physics.plant import PlantSettings, build_plant
@@ -49,27 +47,6 @@ class Leaf(NamedTuple):
     part: str  # "machines" or "turbine"
     place: int
     name: str
-
-
-@dataclass(frozen=True, kw_only=True)
-class PlantEnvSettings(EnvSettings):
-    """Settings of an environment on a plant of one's own, for studies; the benchmark has none.
-
-    Args:
-        given: the plant. Physics, groups, time steps and machine model are its own.
-    """
-
-    given: PlantSettings
-
-    def plant(self) -> PlantSettings:
-        """Return the plant and its time steps."""
-        return self.given
-
-    @classmethod
-    def of(cls, settings: EnvSettings, given: PlantSettings) -> PlantEnvSettings:
-        """Return settings with another plant."""
-        fields = {field.name: getattr(settings, field.name) for field in dataclasses.fields(EnvSettings)}
-        return cls(**fields | {"control_dt": given.control_dt, "simulation_dt": given.simulation_dt}, given=given)
 
 
 def known_parameters(plant: PlantSettings) -> dict[str, float]:

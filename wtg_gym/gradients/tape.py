@@ -11,7 +11,7 @@ import numpy.typing as npt
 from wtg_gym.envs import task as of_task
 from wtg_gym.envs.actions import as_actions
 from wtg_gym.envs.lanes import TaskLanes
-from wtg_gym.envs.settings import ACTION_MODES, EnvSettings
+from wtg_gym.envs.settings import ACTION_MODES, EnvSettings, PlantEnvSettings
 from wtg_gym.envs.task import Outputs, bind, step_blocks, task_of
 from wtg_gym.envs.task_records import COST_TERMS
 from wtg_gym.envs.task_units import ACTING, TASK
@@ -19,7 +19,6 @@ from wtg_gym.gradients.adjoint import PROGRAMS, TAPED, Work, pull, routines_of, 
 from wtg_gym.gradients.plant_parameters import (
     Leaf,
     Moved,
-    PlantEnvSettings,
     known_parameters,
     moved_by,
     require_known_parameters,
@@ -122,7 +121,10 @@ class Tape:
         parameters: Sequence[str] = (),
     ) -> None:
         parameters = (parameters,) if isinstance(parameters, str) else tuple(parameters)
-        require_known_parameters(settings.plant(), parameters)
+        plant = settings.plant()
+        require_known_parameters(plant, parameters)
+        if plant.load_frequency_dependence:
+            raise ValueError("gradients do not know loads that depend on the frequency: load_frequency_dependence")
         #: Names of the plant's parameters that gradients are taken with respect to.
         self.parameters = parameters
         self._open(TaskLanes(settings, n_lanes, n_threads))
@@ -218,6 +220,9 @@ class Tape:
         n_lanes = self.lanes.n_lanes
         if len(scenarios) != n_lanes or not all(isinstance(scenario, Scenario) for scenario in scenarios):
             raise ValueError(f"episodes need {n_lanes} scenarios, one per lane, got {scenarios!r:.60}")
+        for event in (event for scenario in scenarios for event in scenario.events):
+            if getattr(event, "returns_after_s", None) is not None:
+                raise ValueError(f"gradients do not go through the return of a unit: {event}")
         self.lanes.start(list(range(n_lanes)), scenarios)
         self._begin(started=True)
         return self.lanes.observations.copy()

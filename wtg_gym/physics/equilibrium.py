@@ -56,7 +56,7 @@ def _plan_flow(arrays: tuple[Floats, Floats], buses: Floats, y: npt.NDArray[np.c
         released = scratch[own + OF_STARTING_LANE.released, 0] > 0.0
     if scratch[own + OF_STARTING_LANE.start_failure, 0] != 0.0:
         return math.nan
-    return buses[facts.slack, OF_STARTING_BUS.flow] - planned
+    return float(buses[facts.slack, OF_STARTING_BUS.flow] - planned)
 
 
 @internal

@@ -13,7 +13,7 @@ from wtg_gym.systems.records import is_record, short_names
 from wtg_gym.systems.systems import Kind, System
 
 #: Where systems may join the lists of :mod:`wtg_gym.physics.step`; the last two, of the task.
-PLACES = ("plan", "settle", "voltages", "move", "rates", "start", "charge", "observe")
+PLACES = ("plan", "settle", "voltages", "move", "rates", "sample", "start", "charge", "observe")
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -28,8 +28,8 @@ class FurtherUnits:
         constants: of the kind, one entry for each unit.
         systems: by the places of :data:`PLACES` where they join: "plan" writes `planned_power`, "settle" finds the
             equilibrium from `start`, "voltages" writes `voltage`, "move" has the stages of the integration and "rates"
-            what they are made of; "start", "charge" and "observe" if wanted. Protections and the centre of inertia do
-            not see further units.
+            what they are made of; if wanted "start", "charge", "observe", and "sample", which writes what protections
+            compare. The centre of inertia does not see further units.
         shown: a part in scratch that observations end with; None for none.
         balances: whether they balance the power at their buses and hold the voltage without a limit, as machines do.
     """

@@ -49,7 +49,8 @@ def rates_of_hydro(
 def return_hydro(water: HydroState, returns: float, hydro: HydroGovernor) -> HydroState:
     """Close the gate of a machine that comes back to the flow without load."""
     found = hydro_start(0.0, hydro)
-    return each(lambda new, old: select(returns > 0.5, new, old), found, water)
+    back: HydroState = each(lambda new, old: select(returns > 0.5, new, old), found, water)
+    return back
 
 
 stage_of_hydro = moving(rates_of_hydro, hydro_limited, constants=["hydro"])

@@ -4,22 +4,20 @@
 
 is the derivative of the angle behind a low-pass filter T, exact for an angle that turns evenly in between; Δθ is taken
 between -π and π in the frame of the angles. It starts at nominal frequency, and waits while the voltage is below
-:data:`LOW_VOLTAGE`, as a relay does.
+0.2 p.u., as a relay does.
 """
 
 from __future__ import annotations
 
 import math
 
-from wtg_gym.physics.units import BUSES, LANE, TRANSFERS, UNITS, Phasor, Sampled, plus
+from wtg_gym.physics.units import BUSES, LANE, LOW_VOLTAGE, TRANSFERS, UNITS, Phasor, Sampled, plus
 from wtg_gym.systems.elementary import exponential, fma, select
 from wtg_gym.systems.programs import Product
 from wtg_gym.systems.systems import system
 
 #: Time constant T of the filter [s]: a design value, the length of the shortest window of loss-of-mains relays.
 FILTER_S = 0.1
-#: Voltage below which a bus's frequency is not measured [p.u.], by design.
-LOW_VOLTAGE = 0.2
 #: arctan t = t P(t²) for |t| ≤ 1, interpolated at the Chebyshev nodes of t² in 0 … 1.
 _ARCTAN = (
     0.999999999998197,

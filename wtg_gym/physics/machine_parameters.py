@@ -33,8 +33,8 @@ class GovernorParameters(Checked):
         0.018, "p.u.", "calibrated", "droop R on the machine base (Milano: 0.02); settles the paper's 0.996", 1e-4, 1e3
     )
     gate_time_s: float = parameter(0.1, "s", "Milano", "T_1", 1e-4, 1e4)
-    lead_time_s: float = design(2.1, "s", "T_2", 0.0, 1e4)
-    reheat_time_s: float = design(7.0, "s", "T_3", 1e-4, 1e4)
+    lead_time_s: float = parameter(2.1, "s", "Kundur", "T_2; T_2/T_3 is the share of the high-pressure part", 0.0, 1e4)
+    reheat_time_s: float = parameter(7.0, "s", "Kundur", "T_3", 1e-4, 1e4)
     gate_min_pu: float = design(0.0, "p.u.", "lower gate limit", -1e6, 1e6)
     gate_max_pu: float = parameter(1.2, "p.u.", "Milano", "upper gate limit", -1e6, 1e6)
     turbine_damping_pu: float = design(0.0, "p.u./p.u.", "D_t", 0.0, 1e4)

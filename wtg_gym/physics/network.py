@@ -91,8 +91,8 @@ class NetworkCase(Checked):
                 raise ValueError(f"{self.name}: a branch goes from bus {branch.from_bus} to itself")
             if branch.resistance == 0.0 and branch.reactance == 0.0:
                 raise ValueError(f"{self.name}: branch {branch.from_bus}-{branch.to_bus} has no impedance")
-        for unit in (*self.machines, *self.sources):
-            self.bus_index(unit.bus)
+        for bus in self.unit_buses:
+            self.bus_index(bus)
         if self.machines and not self.balanced:
             raise ValueError(
                 f"{self.name}: no synchronous machine or source at the slack bus {self.slack_bus} balances the power"
@@ -108,9 +108,14 @@ class NetworkCase(Checked):
         return tuple(bus.number for bus in self.buses)
 
     @property
+    def unit_buses(self) -> tuple[int, ...]:
+        """Bus of each machine, then of each source."""
+        return (*(machine.bus for machine in self.machines), *(source.bus for source in self.sources))
+
+    @property
     def balanced(self) -> bool:
         """Whether a machine or a source balances the power at the slack bus."""
-        return any(unit.bus == self.slack_bus for unit in (*self.machines, *self.sources))
+        return self.slack_bus in self.unit_buses
 
     @functools.cached_property
     def load_mw(self) -> float:

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
-from typing import Any
+from collections.abc import Mapping
 
 from wtg_gym.physics.kernel_data import NetworkEvent
 from wtg_gym.physics.plant import ISLANDS_AT_MOST, Plant, PlantSettings
@@ -60,7 +59,7 @@ def _check_lines(name: str, trips: list[NetworkEvent], settings: PlantSettings) 
     """Refuse a line that opens while it is open, and lines whose opening leaves islands that the plant cannot have."""
     case = settings.case
     most = ISLANDS_AT_MOST if settings.extended else 1
-    with_unit = {unit.bus for unit in (*case.machines, *case.sources, *settings.groups)}
+    with_unit = {*case.unit_buses, *(group.bus for group in settings.groups)}
     trips = sorted(trips, key=lambda trip: trip.start)
     for place, trip in enumerate(trips):
         opened = [before.branch for before in trips[:place] if before.end == before.start or trip.start < before.end]
@@ -105,20 +104,20 @@ def _changes(event: Event, load_level: float, settings: PlantSettings, plant: Pl
         cleared = [] if event.opens is None else [NetworkEvent(end, end, branch=case.branch_index(*event.opens))]
         return [NetworkEvent(start, end, active=y.real, reactive=y.imag, fault=bus), *cleared]
     if isinstance(event, (PhaseJump, FrequencyRamp)):
-        (source,) = _units_at(case.sources, event.bus, "imposed source", range(len(case.sources)))[:1]
+        sources = {number: source.bus for number, source in enumerate(case.sources)}
+        source = _units_at(event.bus, "imposed source", sources)[0]
         if isinstance(event, PhaseJump):
             return [NetworkEvent(start, start, source=source, jump=math.radians(event.angle_deg))]
         end = later("duration_s", event.duration_s)
         return [NetworkEvent(start, end, source=source, ramp=event.rocof_hz_s / case.frequency_hz)]
     if isinstance(event, MachineOutage):
         end = later("returns_after_s", event.returns_after_s)
-        units = (*case.machines, *case.sources)
-        found = _units_at(units, event.bus, "synchronous machine", range(len(units)))
+        found = _units_at(event.bus, "synchronous machine", dict(enumerate(case.unit_buses)))
         # Sources come after the groups.
         return [NetworkEvent(start, end, unit=unit + (n_wtg if unit >= n_sync else 0)) for unit in found]
     if isinstance(event, GovernorLoss):
-        governed = [index for index, machine in enumerate(case.machines) if machine.governor is not None]
-        machines = _units_at(case.machines, event.bus, "machine with a governor", governed)
+        governed = {number: m.bus for number, m in enumerate(case.machines) if m.governor is not None}
+        machines = _units_at(event.bus, "machine with a governor", governed)
         return [NetworkEvent(start, end, governor=machine) for machine in machines]
     if isinstance(event, LoadTrip):
         power = -load_level * complex(plant.buses["load.re"][bus], plant.buses["load.im"][bus])
@@ -129,9 +128,8 @@ def _changes(event: Event, load_level: float, settings: PlantSettings, plant: Pl
     return [NetworkEvent(start, end, bus, power.real, power.imag)]
 
 
-def _units_at(units: Sequence[Any], bus: int, what: str, numbers: Iterable[int]) -> list[int]:
-    """Return those of some units that are at a bus, by their indices."""
-    buses = {number: units[number].bus for number in numbers}
+def _units_at(bus: int, what: str, buses: Mapping[int, int]) -> list[int]:
+    """Return the numbers of the units at a bus, of those whose buses are given by their numbers."""
     found = [number for number, at in buses.items() if at == bus]
     if not found:
         raise ValueError(f"no {what} at bus {bus}; buses with one: {sorted(set(buses.values()))}")

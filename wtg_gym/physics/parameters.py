@@ -37,6 +37,8 @@ SOURCES = {
     "frequency demand disconnection, continental Europe",
     "FERC 827": "Federal Energy Regulatory Commission, Order 827 (2016): reactive power requirements for "
     "non-synchronous generation",
+    "Kundur": "P. Kundur: Power System Stability and Control: F_HP = 0.3, T_RH = 7 s of a steam turbine with reheat; "
+    "as TGOV1 in the data of his two-area system that ANDES distributes",
     "HYGOV": "typical data of the hydro governor HYGOV of PSS/E; P. Kundur: Power System Stability and Control, 9.1",
     "design": "a design value of this benchmark",
 }

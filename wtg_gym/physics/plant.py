@@ -360,6 +360,7 @@ def layout_of(plant: Plant, further: Further | None = None) -> Layout:
         (TRANSFERS, "unit_"): np.tile(np.arange(n_unit), n_bus)[:n_transfers],
         (TRANSFERS, "bus_"): np.repeat(np.arange(n_bus), n_unit)[:n_transfers],
         (UNITS, "bus"): plant.network.unit_bus,
+        (UNITS, "grid_"): np.zeros(n_unit, dtype=np.int64),
         (GROUPS, "unit"): groups,
         (EXTENSIONS, "unit"): groups[:n_extended],
         (EXTENSIONS, "own_entry_"): (groups * (n_unit + 1))[:n_extended],
@@ -460,9 +461,10 @@ def arranged(
     kinds |= dict(islands=ISLANDS, transfers=TRANSFERS, sources=SOURCES)
     first = {name: int(layout.first[kind]) if layout.n_units(kind) else -1 for name, kind in kinds.items()}
     first["n_islands"] = layout.n_units(ISLANDS)
+    first["starts"] = int(layout.first_scratch[LANE])
     connected = [layout.machine("connected"), layout.wtg("connected")]
     connected += [layout.rows_of(own.kind, "connected") for own in plant.further]
-    facts = plant.network.facts._replace(**first, starts=int(layout.first_scratch[LANE]))
+    facts = plant.network.facts._replace(**first)  # type: ignore[arg-type]
     tables = build_table(programs, Arranged(plant, layout, further or Further({})), taped)
     tables = tables._replace(code=plant.network.tables.code)
     return plant._replace(

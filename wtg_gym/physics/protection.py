@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 from wtg_gym.physics.machine import MachineInput, MachineOutput, MachineState
 from wtg_gym.physics.machine_unit import MACHINES
-from wtg_gym.physics.units import ISLANDS, LANE, MAIN, MEMBERS, Phasor, Sample
+from wtg_gym.physics.units import ISLANDS, LANE, MAIN, MEMBERS, UNITS, Phasor, Sample
 from wtg_gym.physics.wind_turbine import (
     Limits,
     Turbine,
@@ -193,6 +193,22 @@ def begin_sample() -> tuple[float, float, float]:
     return math.inf, -math.inf, math.inf
 
 
+@system(MACHINES, "sample")
+def sample_machine(state: MachineState, given: MachineInput, output: MachineOutput) -> Sample:
+    """Return what is compared of a machine; its terminal is a bus of the network."""
+    return Sample(state.angle, output.voltage * output.voltage, given.connected, 0.0)
+
+
+@system(GROUPS, "sample")
+def sample_group(
+    state: WtgState, given: WtgInput, voltage: Phasor, current: Phasor, turbine: Turbine, share: float
+) -> Sample:
+    """Return what is compared of a WTG group; buses without a unit do not count."""
+    reactance = turbine.converter.reactance / share
+    v_re, v_im = voltage.re + reactance * current.im, voltage.im - reactance * current.re
+    return Sample(state.converter.angle, v_re * v_re + v_im * v_im, given.connected, 0.0)
+
+
 def _compared(
     sample: Sample, counts: bool, least_angle: float, largest_angle: float, least_squared_voltage: float
 ) -> tuple[float, float, float]:
@@ -205,43 +221,20 @@ def _compared(
     )
 
 
-@system(MACHINES, "least_angle", "largest_angle", "least_squared_voltage", "sample")
-def sample_machine(
-    state: MachineState,
-    given: MachineInput,
-    output: MachineOutput,
+@system(UNITS, "grid_least_angle", "grid_largest_angle", "grid_least_squared_voltage")
+def compare_unit(
+    sample: Sample,
     island: float,
-    least_angle: float,
-    largest_angle: float,
-    least_squared_voltage: float,
-) -> tuple[float, float, float, Sample]:
-    """Compare a machine of the grid; its terminal is a bus of the network."""
-    own = Sample(state.angle, output.voltage * output.voltage, given.connected, 0.0)
-    return *_compared(own, island == 0.0, least_angle, largest_angle, least_squared_voltage), own
-
-
-@system(GROUPS, "least_angle", "largest_angle", "least_squared_voltage", "sample")
-def sample_group(
-    state: WtgState,
-    given: WtgInput,
-    voltage: Phasor,
-    current: Phasor,
-    turbine: Turbine,
-    share: float,
-    island: float,
-    least_angle: float,
-    largest_angle: float,
-    least_squared_voltage: float,
-) -> tuple[float, float, float, Sample]:
-    """Compare a WTG group of the grid; buses without a unit do not count."""
-    reactance = turbine.converter.reactance / share
-    v_re, v_im = voltage.re + reactance * current.im, voltage.im - reactance * current.re
-    own = Sample(state.converter.angle, v_re * v_re + v_im * v_im, given.connected, 0.0)
-    return *_compared(own, island == 0.0, least_angle, largest_angle, least_squared_voltage), own
+    grid_least_angle: float,
+    grid_largest_angle: float,
+    grid_least_squared_voltage: float,
+) -> tuple[float, float, float]:
+    """Compare a unit with the others of the grid."""
+    return _compared(sample, island == 0.0, grid_least_angle, grid_largest_angle, grid_least_squared_voltage)
 
 
 @system(MEMBERS, "island_least_angle", "island_largest_angle", "island_least_squared_voltage")
-def sample_member(
+def compare_member(
     unit_sample: Sample,
     unit_island: float,
     island_number: float,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -139,8 +140,7 @@ def _find_islands(block: Floats, x: int, lane: int, network: Network, data: Lane
     for i in range(n):
         if block[network.connected[i], x] > 0.5:
             lives[part[network.unit_bus[i]]] = 1.0
-    number, before = np.full(n_bus, -1.0), np.zeros((n_islands, _N_ISLAND + n_stages))
-    remembered = np.empty_like(before)
+    number, remembered = np.full(n_bus, -1.0), np.zeros((n_islands, _N_ISLAND + n_stages))
     for k in range(n_islands):
         for r in range(_N_ISLAND):
             remembered[k, r] = block[facts.islands + _N_ISLAND * k + r, x]
@@ -149,7 +149,8 @@ def _find_islands(block: Floats, x: int, lane: int, network: Network, data: Lane
     for k in range(n_islands):
         best = -1
         for p in range(n_bus):
-            if lives[p] > 0.5 and number[p] < 0.0 and (best < 0 or loads[p] > loads[best]):
+            # The grid is that with the most load, dead or alive.
+            if (lives[p] > 0.5 or k == 0) and number[p] < 0.0 and (best < 0 or loads[p] > loads[best]):
                 best = p
         if best < 0:
             break
@@ -167,16 +168,16 @@ def _find_islands(block: Floats, x: int, lane: int, network: Network, data: Lane
 
 
 @internal
-def _may_split(events: Floats) -> bool:
+def _may_split(events: Any) -> bool:
     """Return whether events open a line: else all is one island."""
     found = False
     for e in range(events.shape[0]):
-        found |= events[e, EVENT.branch] >= 0.0
+        found |= bool(events[e, EVENT.branch] >= 0.0)
     return found
 
 
 @internal
-def _is_open(branch: int, step: float, events: Floats) -> bool:
+def _is_open(branch: int, step: float, events: Any) -> bool:
     """Return whether an event holds a branch open at a step."""
     found = False
     for e in range(events.shape[0]):
@@ -187,7 +188,7 @@ def _is_open(branch: int, step: float, events: Floats) -> bool:
 
 
 @internal
-def _shed(block: Floats, x: int, network: Network, events: Floats) -> None:
+def _shed(block: Floats, x: int, network: Network, events: Any) -> None:
     """Take from every bus what the stages of its island shed at this step, and sum what is not served."""
     facts, n_stages, unserved = network.facts, network.shed_shares.shape[0], 0.0
     step = block[facts.lane + OF_LANE.step, x]

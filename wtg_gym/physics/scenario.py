@@ -82,6 +82,10 @@ def trusted(record: type[R], **values: Any) -> R:
     return made
 
 
+def _for(time_s: float | None) -> str:
+    return "" if time_s is None else f" for {time_s:g} s"
+
+
 @dataclass(frozen=True, kw_only=True)
 class _At(Checked):
     """Something that happens at `time_s` [s]."""
@@ -92,6 +96,11 @@ class _At(Checked):
     def end_s(self) -> float:
         """When the event is complete [s]."""
         return self.time_s
+
+    @property
+    def words(self) -> str:
+        """The event in words, with its units, without its instant; WTG groups count from 1."""
+        raise NotImplementedError
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -111,6 +120,12 @@ class LoadStep(_AtBus):
     power_mw: float = required("MW", "design", "active power at V0", *LOAD_CHANGE_RANGE)
     reactive_mvar: float = design(0.0, "Mvar", "reactive power at V0", *LOAD_CHANGE_RANGE)
 
+    @property
+    def words(self) -> str:
+        """The event in words."""
+        reactive = f", {self.reactive_mvar:+g} Mvar" if self.reactive_mvar else ""
+        return f"{self.power_mw:+g} MW{reactive}".replace("-", "−") + f" at bus {self.bus}"
+
 
 @dataclass(frozen=True, kw_only=True)
 class LoadRamp(LoadStep):
@@ -123,10 +138,20 @@ class LoadRamp(LoadStep):
         """When the ramp is complete [s]."""
         return self.time_s + self.duration_s
 
+    @property
+    def words(self) -> str:
+        """The event in words."""
+        return f"{super().words} over {self.duration_s:g} s"
+
 
 @dataclass(frozen=True, kw_only=True)
 class LoadTrip(_AtBus):
     """The whole initial load of a bus is disconnected at `time_s` [s]."""
+
+    @property
+    def words(self) -> str:
+        """The event in words."""
+        return f"load of bus {self.bus} lost"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -143,6 +168,11 @@ class LineTrip(_At):
     def end_s(self) -> float:
         """When the line closes again, or opens for good [s]."""
         return self.time_s + (self.recloses_after_s or 0.0)
+
+    @property
+    def words(self) -> str:
+        """The event in words."""
+        return f"line {self.from_bus}–{self.to_bus} opens{_for(self.recloses_after_s)}"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -166,6 +196,12 @@ class Fault(_AtBus):
         """When it is cleared [s]."""
         return self.time_s + self.clears_after_s
 
+    @property
+    def words(self) -> str:
+        """The event in words."""
+        opens = "" if self.opens is None else f", then line {self.opens[0]}–{self.opens[1]} opens"
+        return f"fault at bus {self.bus}{_for(self.clears_after_s)}{opens}"
+
 
 @dataclass(frozen=True, kw_only=True)
 class ReactanceStep(_At):
@@ -175,12 +211,22 @@ class ReactanceStep(_At):
     to_bus: int
     factor: float = required("-", "design", "on resistance and reactance of the case", 1e-2, 1e3)
 
+    @property
+    def words(self) -> str:
+        """The event in words."""
+        return f"impedance {self.from_bus}–{self.to_bus} × {self.factor:g}"
+
 
 @dataclass(frozen=True, kw_only=True)
 class PhaseJump(_AtBus):
     """The angle of the imposed source at a bus jumps at `time_s` [s]."""
 
     angle_deg: float = required("deg", "design", "size, positive ahead", -180.0, 180.0)
+
+    @property
+    def words(self) -> str:
+        """The event in words."""
+        return f"source at bus {self.bus} jumps by {self.angle_deg:+g}°".replace("-", "−")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -195,10 +241,20 @@ class FrequencyRamp(_AtBus):
         """When the ramp is complete [s]."""
         return self.time_s + self.duration_s
 
+    @property
+    def words(self) -> str:
+        """The event in words."""
+        return f"source at bus {self.bus} moves at {self.rocof_hz_s:+g} Hz/s".replace("-", "−") + _for(self.duration_s)
+
 
 @dataclass(frozen=True, kw_only=True)
 class GovernorLoss(_AtBus):
     """The governors at a bus stop acting at `time_s` [s]: gates stay where they are, and droop no longer acts."""
+
+    @property
+    def words(self) -> str:
+        """The event in words."""
+        return f"governor at bus {self.bus} lost"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -209,6 +265,16 @@ class MachineOutage(_AtBus):
         None, "s", "time after which they are synchronised again, without load; None: never", 1e-3, LONGEST_RUN_S
     )
 
+    @property
+    def end_s(self) -> float:
+        """When they come back, or leave for good [s]."""
+        return self.time_s + (self.returns_after_s or 0.0)
+
+    @property
+    def words(self) -> str:
+        """The event in words."""
+        return f"machine at bus {self.bus} disconnected{_for(self.returns_after_s)}"
+
 
 @dataclass(frozen=True, kw_only=True)
 class GroupTrip(_At):
@@ -218,6 +284,16 @@ class GroupTrip(_At):
     returns_after_s: float | None = design(
         None, "s", "time after which it is synchronised again; None: never", 1e-3, LONGEST_RUN_S
     )
+
+    @property
+    def end_s(self) -> float:
+        """When it comes back, or leaves for good [s]."""
+        return self.time_s + (self.returns_after_s or 0.0)
+
+    @property
+    def words(self) -> str:
+        """The event in words."""
+        return f"WTG group {self.group + 1} disconnected{_for(self.returns_after_s)}"
 
 
 Event = (

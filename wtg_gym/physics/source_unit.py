@@ -15,7 +15,7 @@ from typing import NamedTuple
 from wtg_gym.physics.further_units import FurtherUnits
 from wtg_gym.physics.network import Source
 from wtg_gym.physics.runge_kutta import moving
-from wtg_gym.physics.units import LANE, UNITS, Connection, Phasor, Terminal, quotient
+from wtg_gym.physics.units import LANE, UNITS, Connection, Phasor, Sample, Terminal, quotient
 from wtg_gym.systems.elementary import sine_cosine
 from wtg_gym.systems.systems import Kind, system
 
@@ -70,6 +70,12 @@ def rates_of_source(state: SourceState, given: SourceInput, reference_speed: flo
     return SourceState(omega_n * (state.speed - reference_speed), given.ramp)
 
 
+@system(SOURCES, "sample")
+def sample_source(state: SourceState, given: SourceInput) -> Sample:
+    """Return the angle, which others can slip against; its voltage is beyond doubt."""
+    return Sample(state.angle, 1.0, given.connected, 0.0)
+
+
 stage_of_source = moving(rates_of_source)
 
 
@@ -92,6 +98,7 @@ def source_units(sources: tuple[Source, ...]) -> tuple[FurtherUnits, ...]:
                 "voltages": (voltage_of_source,),
                 "move": (stage_of_source,),
                 "rates": (rates_of_source,),
+                "sample": (sample_source,),
             },
         ),
     )

@@ -7,7 +7,20 @@ from __future__ import annotations
 
 import math
 
-from wtg_gym.physics.units import BUSES, ISLANDS, LANE, UNITS, Bus, Connection, Phasor, Polar, Sizes, Terminal, quotient
+from wtg_gym.physics.units import (
+    BUSES,
+    ISLANDS,
+    LANE,
+    LOW_VOLTAGE,
+    UNITS,
+    Bus,
+    Connection,
+    Phasor,
+    Polar,
+    Sizes,
+    Terminal,
+    quotient,
+)
 from wtg_gym.systems.elementary import select
 from wtg_gym.systems.systems import system
 
@@ -140,6 +153,13 @@ def start_unit() -> tuple[float, float]:
 def all_returned(next_change: float, step: float, returning: float) -> tuple[float, float]:
     """Let the network change again, with the units that have come back."""
     return select(returning > 0.5, step, next_change), 0.0
+
+
+@system(UNITS, "returns")
+def only_with_voltage(returns: float, now: Phasor) -> float:
+    """Let no unit come back to a bus without voltage."""
+    size = math.sqrt(now.re * now.re + now.im * now.im)
+    return select(size > LOW_VOLTAGE, returns, 0.0)
 
 
 @system(UNITS, "returns")

@@ -40,6 +40,7 @@ VOLTAGES = (
 RETURN = (
     *VOLTAGES,
     *local.BUS_VOLTAGES,
+    starting.only_with_voltage,
     machine.return_machine,
     hydro.return_hydro,
     wtg.return_group,
@@ -116,7 +117,9 @@ PROTECT = (
     protection.begin_sample,
     protection.sample_machine,
     protection.sample_group,
-    When(LANE, "split", (protection.sample_member,)),
+    Here("sample"),
+    protection.compare_unit,
+    When(LANE, "split", (protection.compare_member,)),
     protection.judge_island,
     protection.judge_grid,
     When(LANE, "split", (protection.fall_member, protection.trip_machine)),

@@ -13,6 +13,7 @@ from wtg_gym.physics.protection import Status
 from wtg_gym.physics.scenario import Scenario
 from wtg_gym.physics.simulator import Simulator
 from wtg_gym.physics.tracking_law import TrackingLaw, group_laws
+from wtg_gym.physics.units import BUSES
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -22,7 +23,10 @@ class Trajectory:
     Args:
         time_s: (n,) [s].
         frequency_hz: centre of inertia (n,) [Hz].
-        wtg_frequency_hz: of each group's own control (n, n_wtg) [Hz].
+        wtg_frequency_hz: of each group's voltage (n, n_wtg) [Hz].
+        machine_frequency_hz: of each synchronous machine (n, n_sync) [Hz].
+        bus_frequency_hz: local (n, n_bus), see :mod:`~wtg_gym.physics.local_frequency`; (n, 0) where the physics is the
+            paper's [Hz].
         rotor_speed_pu: (n, n_wtg) [p.u.].
         tip_speed_ratio: (n, n_wtg) [-].
         power_pu: delivered, on each group's base (n, n_wtg) [p.u.].
@@ -31,6 +35,7 @@ class Trajectory:
         filter_pu: state x of the transient damping, 0 where τ is 0 or infinite (n, n_wtg) [p.u.].
         pitch_deg: (n, n_wtg) [deg].
         wind_m_s: (n, n_wtg) [m/s].
+        shed_energy_mws: load not served since the start, at 1 p.u. of voltage (n,) [MW s].
         status: why the run ended before its time, or RUNNING.
         nominal_frequency_hz: [Hz].
     """
@@ -38,6 +43,8 @@ class Trajectory:
     time_s: Floats
     frequency_hz: Floats
     wtg_frequency_hz: Floats
+    machine_frequency_hz: Floats
+    bus_frequency_hz: Floats
     rotor_speed_pu: Floats
     tip_speed_ratio: Floats
     power_pu: Floats
@@ -46,16 +53,28 @@ class Trajectory:
     filter_pu: Floats
     pitch_deg: Floats
     wind_m_s: Floats
+    shed_energy_mws: Floats
     status: Status
     nominal_frequency_hz: float
 
-    def rocof_hz_s(self, window_s: float = 0.5) -> Floats:
-        """Return the rate of change of frequency over a sliding window [Hz/s], shape (n,); zero before the first."""
+    @property
+    def local_frequency_hz(self) -> Floats:
+        """Frequencies of all groups, machines and buses (n, any) [Hz]; after its loss a unit's stands still."""
+        return np.concatenate([self.wtg_frequency_hz, self.machine_frequency_hz, self.bus_frequency_hz], axis=1)
+
+    def rocof_hz_s(self, window_s: float = 0.5, frequency_hz: Floats | None = None) -> Floats:
+        """Return the rate of change of a frequency over a sliding window [Hz/s]; zero before the first.
+
+        Args:
+            window_s: [s].
+            frequency_hz: (n,) or (n, any) [Hz]; None for that of the centre of inertia.
+        """
+        of = self.frequency_hz if frequency_hz is None else frequency_hz
         steps = max(1, round(window_s / (self.time_s[1] - self.time_s[0]))) if self.time_s.size > 1 else 1
-        change = np.zeros_like(self.frequency_hz)
+        change = np.zeros_like(of)
         if self.time_s.size > steps:
-            change[steps:] = self.frequency_hz[steps:] - self.frequency_hz[:-steps]
-            change[steps:] /= self.time_s[steps:] - self.time_s[:-steps]
+            passed = self.time_s[steps:] - self.time_s[:-steps]
+            change[steps:] = ((of[steps:] - of[:-steps]).T / passed).T
         return change
 
 
@@ -85,15 +104,19 @@ def simulate(
     groups_laws = group_laws(laws, len(settings.groups), settings.turbine, settings.control)
     simulator.start(0, simulator.prepare([scenario], groups_laws, turning=True))
     nominal = settings.case.frequency_hz
-    names = ("speed", "rotor_speed", "power", "captured", "coefficient", "filter", "pitch", "wind")
-    frequency, samples = [], []
+    names = ("speed", "rotor_speed", "power", "captured", "coefficient", "filter", "pitch", "wind", "shift")
+    buses = simulator.layout.rows_of(BUSES, "frequency")[: len(settings.case.buses) * settings.extended]
+    frequency, samples, others = list[float](), list[list[Floats]](), list[Floats]()
     for step in range(simulator.n_intervals + 1):
         frequency.append(nominal * simulator.lane_values("coi")[0])
         samples.append([simulator.wtg_values(name)[0] for name in names])
+        local = [simulator.values(row)[0] for row in buses]
+        shed = simulator.lane_values("shed_energy")
+        others.append(np.concatenate([shed, simulator.machine_values("speed")[0], local]))
         if step == simulator.n_intervals or simulator.lane_values("active")[0] < 0.5:
             break
         simulator.advance()
-    table = np.array(samples)
+    table, rest, n_sync = np.array(samples), np.array(others), 1 + simulator.layout.n_sync
     time = np.arange(len(frequency), dtype=np.float64) * settings.control_dt
     status = Status(int(simulator.lane_values("status")[0]))
     if status != Status.RUNNING:
@@ -103,7 +126,9 @@ def simulate(
     return Trajectory(
         time_s=time,
         frequency_hz=np.array(frequency),
-        wtg_frequency_hz=nominal * table[:, 0],
+        wtg_frequency_hz=nominal * (table[:, 0] + table[:, 8]),
+        machine_frequency_hz=nominal * rest[:, 1:n_sync],
+        bus_frequency_hz=nominal * rest[:, n_sync:],
         rotor_speed_pu=table[:, 1],
         tip_speed_ratio=tip_speed * table[:, 1] / table[:, 7],
         power_pu=table[:, 2],
@@ -112,6 +137,7 @@ def simulate(
         filter_pu=table[:, 5],
         pitch_deg=table[:, 6],
         wind_m_s=table[:, 7],
+        shed_energy_mws=settings.case.base_mva * rest[:, 0],
         status=status,
         nominal_frequency_hz=nominal,
     )

@@ -10,6 +10,9 @@ from wtg_gym.physics.wind_turbine import Limits
 from wtg_gym.systems.elementary import fma, select
 from wtg_gym.systems.systems import Kind, system
 
+#: Voltage below which nothing measures a frequency or comes back [p.u.], by design.
+LOW_VOLTAGE = 0.2
+
 
 class Phasor(NamedTuple):
     """A voltage, a current or an admittance [p.u.]."""
@@ -154,6 +157,24 @@ LANE = Kind(
     states=("angle",),
 )
 
+#: Parts of the network that hang together; the first has the most load and is the grid, whose end is the run's.
+ISLANDS = Kind(
+    name="islands",
+    rows={
+        "centre": float,  # frequency of its centre of inertia [p.u.]
+        "healthy_step": float,  # last simulation step at which the protections found no low voltage
+    },
+    scratch={
+        "momentum": float,  # Σ 2H (ω - 1) of connected units [s]
+        "inertia": float,  # Σ 2H [s]
+        "least_angle": float,  # of all connected units [rad]
+        "largest_angle": float,
+        "least_squared_voltage": float,  # at the terminals of all connected units, squared [p.u.²]
+        "found": float,  # status that the protections find now
+    },
+    constants={"number": float},
+    sees={"lane": LANE},
+)
 #: Buses of the network; what is in scratch is for the start of a run.
 BUSES = Kind(
     name="buses",
@@ -199,27 +220,9 @@ UNITS = Kind(
         "sample": Sample,
     },
     constants={"connection": Connection},
-    sees={"lane": LANE, "bus": BUSES},
+    sees={"lane": LANE, "bus": BUSES, "grid_": ISLANDS},
 )
 
-#: Parts of the network that hang together; the first has the most load and is the grid, whose end is the run's.
-ISLANDS = Kind(
-    name="islands",
-    rows={
-        "centre": float,  # frequency of its centre of inertia [p.u.]
-        "healthy_step": float,  # last simulation step at which the protections found no low voltage
-    },
-    scratch={
-        "momentum": float,  # Σ 2H (ω - 1) of connected units [s]
-        "inertia": float,  # Σ 2H [s]
-        "least_angle": float,  # of all connected units [rad]
-        "largest_angle": float,
-        "least_squared_voltage": float,  # at the terminals of all connected units, squared [p.u.²]
-        "found": float,  # status that the protections find now
-    },
-    constants={"number": float},
-    sees={"lane": LANE},
-)
 #: Every unit with every island but the grid, island after island.
 MEMBERS = Kind(name="members", sees={"unit_": UNITS, "island_": ISLANDS, "lane": LANE})
 #: The first island.

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from typing import TYPE_CHECKING, Any
 
-from wtg_gym.envs.rendering.diagram import describe_event, reclosed
+from wtg_gym.envs.rendering.diagram import undone
 from wtg_gym.physics.layout import Floats
 from wtg_gym.physics.protection import Status
 from wtg_gym.physics.scenario import Event, Scenario
@@ -50,12 +50,11 @@ def event_lines(scenario: Scenario) -> list[str]:
     """Return the numbered events in words, as many per line as fit beside the name of a scenario."""
     lines: list[str] = []
     for number, events in numbered_events(scenario):
-        text = f"({number}) {events[0].time_s:g} s: " + " and ".join(describe_event(event) for event in events)
+        text = f"({number}) {events[0].time_s:g} s: " + " and ".join(event.words for event in events)
         if lines and len(lines[-1]) + len(text) < _LINE_LENGTH:
             # SVG shows several blanks in a row as one.
-            lines[-1] += ";  " + text
-        else:
-            lines.append(text)
+            text = f"{lines.pop()};  {text}"
+        lines.append(text)
     return lines
 
 
@@ -65,7 +64,7 @@ def mark_instants(axes: Axes, scenario: Scenario, *, numbered: bool) -> None:
     One without a number is where a line closes again.
     """
     instants = [events[0].time_s for _, events in numbered_events(scenario)]
-    instants += [event.end_s for event in reclosed(scenario.events, scenario.duration_s)]
+    instants += [event.end_s for event in undone(scenario.events, scenario.duration_s)]
     for instant in instants:
         axes.axvline(instant, color=REFERENCE_GREY, linewidth=0.7, linestyle=DOTS, zorder=1)
     if numbered:

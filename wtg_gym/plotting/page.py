@@ -32,16 +32,10 @@ _CHARACTER_WIDTH, _ROW_HEIGHT, _CHART_HEIGHT = 6, 26, 420
 
 
 def leaderboard_page(results: Sequence[Results]) -> str:
-    """Return the leaderboard as one HTML file: a tab per ranking.
+    """Return the leaderboard as one HTML file: a tab per ranking, the suites of the latest version first.
 
-    The suites of the latest version come first. Results of scenarios without a scale are left out.
-
-    Args:
-        results: at most one of each suite and split.
-
-    Raises:
-        ImportError: Bokeh is missing.
-        ValueError: there is no ranking in the results, or they hold the same scenarios twice.
+    Results of scenarios without a scale are left out. A ValueError says that none is left, or that scenarios are given
+    twice.
     """
     from bokeh.embed import file_html
     from bokeh.models import TabPanel, Tabs
@@ -65,18 +59,17 @@ def _ranking(results: Results) -> Any:
     from bokeh.models import CDSView, CheckboxButtonGroup, ColumnDataSource, CustomJS, CustomJSFilter, Div, TextInput
 
     rows = leaderboard_rows(results)
-    heads = columns_of("whole")
+    heads, scores = columns_of("whole"), [results.scores[each.name] for each in rows]
     cells = dict(zip(heads, zip(*table_cells(rows), strict=True), strict=True))
-    filled = [head for head in heads if any(cells[head])]
     source = ColumnDataSource(
         {
-            **{head: list(cells[head]) for head in filled},
+            **{head: list(own) for head, own in cells.items()},
             "name": [each.name for each in rows],
             "kind": [each.kind for each in rows],
             "colour": [_COLOURS[each.kind] for each in rows],
-            "score_value": [each.score.value for each in rows],
-            "score_low": [each.score.low for each in rows],
-            "score_high": [each.score.high for each in rows],
+            "score_value": [each.value for each in scores],
+            "score_low": [each.low for each in scores],
+            "score_high": [each.high for each in scores],
             "deviation": [each.median_deviation_mhz for each in rows],
             "failures": [each.failures_percent for each in rows],
         },
@@ -98,10 +91,7 @@ def _ranking(results: Results) -> Any:
         width=1200,
     )
     charts = row(_score_chart(source, view), _failure_chart(source, view))
-    # What the score is made of, and what happened.
-    cut = next(place for place, head in enumerate(filled) if head.startswith("failures"))
-    tables = _table(source, filled[:cut], view), _table(source, ["entry", *filled[cut:]], view)
-    return column(words, row(kind, name), *tables, charts)
+    return column(words, row(kind, name), _table(source, heads, view), charts)
 
 
 def _table(source: Any, heads: Sequence[str], view: Any) -> Any:

@@ -27,8 +27,6 @@ Dashes = tuple[float, tuple[float, ...]] | Literal["-"]
 
 #: The palette of Okabe and Ito, which colour-blind readers can tell apart; yellow, weak on white, comes last.
 PALETTE = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000", "#F0E442")
-#: One dash pattern per WTG group; a plant with more groups gets thin plain lines.
-GROUP_STYLES: tuple[Literal["-", "--", ":", "-."], ...] = ("-", "--", ":", "-.")
 #: One marker per series; eight differ at a glance.
 MARKERS = ("o", "s", "^", "D", "v", "P", "X", "*")
 #: Widths of one and of two columns of an IEEE journal [mm].

@@ -26,12 +26,7 @@ class Conflict:
 def conflicts(reports: Sequence[Report], beside: Sequence[Report] = ()) -> list[Conflict]:
     """Return the conflicts of accepted submissions with each other and with entries that are there already.
 
-    Args:
-        reports: of the submissions.
-        beside: of the entries that are there already; conflicts among them are not looked for.
-
-    Returns:
-        the conflicts, each with the folders of `reports` it concerns.
+    Each names the folders of `reports` it concerns; conflicts among those `beside` are not looked for.
     """
     found = []
     for one, other in itertools.combinations(reports, 2):

@@ -43,7 +43,6 @@ class Entry:
         observation_mode: "local" or "privileged".
         environment: id of the environment whose observations the policy takes; None: those of any that it is played in.
         description: one sentence on what it is.
-        equation: the control law in short.
         source: citation.
         fingerprint: text that identifies the policy's content, such as its file's sha256; None: unknown, so that an
             interrupted evaluation starts this entry again. A law needs none: its numbers identify it.
@@ -61,7 +60,6 @@ class Entry:
     observation_mode: str = "local"
     environment: str | None = None
     description: str = ""
-    equation: str = ""
     source: str = ""
     fingerprint: str | None = None
     training_seed: int | None = None
@@ -92,7 +90,7 @@ class Entry:
                 "predict() leaves out; export both with "
                 "wtg_gym.export_onnx(wtg_gym.sb3.DeterministicPolicy(model), folder, name=...)"
             )
-        for key in ("description", "equation", "source"):
+        for key in ("description", "source"):
             if not isinstance(getattr(self, key), str):
                 raise ValueError(f"{key} of entry {name!r} must be text, got {getattr(self, key)!r}")
         if seed is not None and (isinstance(seed, bool) or not isinstance(seed, int) or seed < 0):
@@ -123,7 +121,7 @@ class Entry:
         "sha256" is the :attr:`identity`; "policy_sha256" that of the policy's file, as sha256sum gives it, or None.
         """
         own = getattr(self.policy, "sha256", None)
-        texts = ("name", "action_mode", "observation_mode", "description", "equation", "source", "training_seed")
+        texts = ("name", "action_mode", "observation_mode", "description", "source", "training_seed")
         return {
             **{key: getattr(self, key) for key in texts},
             "kind": self.kind,

@@ -185,13 +185,9 @@ def _rollout_of(baseline: Entry, n_lanes: int) -> Floats:
 
 
 def action_difference(one: Floats, other: Floats, mode: str, other_mode: str) -> float:
-    """Return the root mean square of the difference of two rollouts' actions.
+    """Return the root mean square of the difference of two rollouts' actions, (steps, lanes, n_action).
 
     It is over the steps that both have and what either of them modulates; an action that one has not is zero.
-
-    Args:
-        one, other: actions (steps, lanes, n_action), [-1, 1].
-        mode, other_mode: their action modes.
     """
     steps = min(len(one), len(other))
     used = np.logical_or(ACTION_MODES[mode], ACTION_MODES[other_mode])
@@ -239,15 +235,9 @@ def check_speed(policy: OnnxPolicy) -> str:
 def rollout(policy: Policy, described: Entry | EntryFile, *, backwards: bool = False) -> Floats:
     """Return a policy's actions in validation scenarios of the standard suite, within ±1, (steps, lanes, n_action).
 
-    An :class:`OnnxPolicy` plays in a new process. A lane's actions are zero once its episode is over.
-
-    Args:
-        policy: the policy.
-        described: has its modes, environment and strategy.
-        backwards: play the last scenario first; the actions come in the usual order all the same.
-
-    Raises:
-        ValueError: an action is not finite, or the policy cannot answer.
+    An :class:`OnnxPolicy` plays in a new process. A lane's actions are zero once its episode is over. `backwards` plays
+    the last scenario first; the actions come in the usual order all the same. An action that is not finite, or a policy
+    that cannot answer, is a ValueError.
     """
     keys = ("action_mode", "observation_mode", "environment", "strategy")
     entry = Entry(name="the policy", policy=policy, **{key: getattr(described, key) for key in keys})

@@ -25,16 +25,9 @@ from wtg_gym.policies.policy_process import NotIsolatedError, PolicyError
 def started_lanes(
     entry: Entry, settings: EnvSettings, given: Sequence[Scenario] | Sequence[int], n_threads: int | None = None
 ) -> Iterator[tuple[TaskLanes, Sequence[Scenario]]]:
-    """Start one lane per scenario with an entry's own law and modes; yield the lanes and their scenarios.
+    """Start one lane per scenario, or seed of the settings' suite, with an entry's own law and modes.
 
-    Args:
-        entry: gives law and modes.
-        settings: everything else.
-        given: scenarios, or seeds of scenarios in the settings' suite.
-        n_threads: threads to step with; None for one per processor.
-
-    Raises:
-        PolicyError: a scenario has no equilibrium under the entry's law.
+    Yields the lanes and their scenarios. A scenario without an equilibrium under the law is a PolicyError.
     """
     own = dataclasses.replace(
         settings, strategy=entry.law, action_mode=entry.action_mode, observation_mode=entry.observation_mode
@@ -56,15 +49,9 @@ def play(
 ) -> Iterator[npt.NDArray[np.bool_]]:
     """Play the started episodes of all lanes to their ends; after every step, yield which lanes made it, (n_lanes,).
 
-    The process of an :class:`OnnxPolicy` is a new one, and ends with the episodes.
-
-    Args:
-        entry: the entry.
-        lanes: started with its law and modes, see :func:`started_lanes`.
-        taken: gets the actions of every step, (n_lanes, n_action), zero once an episode is over; None: not wanted.
-
-    Raises:
-        PolicyError: the policy raises, ends, takes too long or returns no action.
+    The process of an :class:`OnnxPolicy` is a new one, and ends with the episodes. `taken` gets the actions of every
+    step, (n_lanes, n_action), zero once an episode is over. A policy that raises, ends, takes too long or returns no
+    action is a PolicyError.
     """
     running = np.ones(lanes.n_lanes, dtype=np.bool_)
     state: Any = None

@@ -60,11 +60,7 @@ def entry_text(values: Mapping[str, Any]) -> str:
 
 
 def read_files(folder: Path) -> dict[str, bytes]:
-    """Return the contents of a submission's files.
-
-    Raises:
-        ValueError: the folder holds another file, or a file is missing, too large or not a plain file.
-    """
+    """Return the contents of a submission's files; a ValueError names one that is missing, too large or not allowed."""
     _check_folder_name(folder)
     if folder.is_symlink() or not folder.is_dir():
         raise ValueError("it is not a folder, or a link to one")
@@ -109,11 +105,7 @@ def _read(path: Path, largest: int) -> bytes:
 
 
 def parse_submission(content: bytes) -> EntryFile:
-    """Return the content of a submission's entry.toml.
-
-    Raises:
-        ValueError: it is not TOML, or a key is missing, unknown or out of range; the message names what is allowed.
-    """
+    """Return the content of a submission's entry.toml; a ValueError says what is wrong and what is allowed."""
     try:
         data = parse_entry(content.decode("utf-8"), _REQUIRED)
     except UnicodeDecodeError as error:
@@ -129,11 +121,7 @@ def parse_submission(content: bytes) -> EntryFile:
 
 
 def write_template(folder: Path) -> Path:
-    """Write an entry.toml to fill in into a folder, which is made if missing, and return its path.
-
-    Raises:
-        ValueError: a submission's folder cannot have this name, or it has an entry.toml already.
-    """
+    """Write an entry.toml to fill in into a folder, which is made if missing; a ValueError if it has one already."""
     _check_folder_name(folder)
     path = folder / ENTRY_FILE
     if path.exists():

@@ -13,8 +13,7 @@ from wtg_gym.physics.scenario import Scenario
 from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY, STRATEGIES, TrackingLaw
 from wtg_gym.physics.trajectory import Trajectory
 from wtg_gym.plotting import style
-from wtg_gym.plotting.event_marks import draw_run, endings, explain_events, mark_instants
-from wtg_gym.plotting.trajectories import Panel
+from wtg_gym.plotting.trajectories import PANELS, Panel, plot_trajectories
 from wtg_gym.reproduce.claims import WINDS
 from wtg_gym.reproduce.loops import LINEAR_UNDAMPED, SIDES, SingleMachine, ideal_source_loop, single_machine
 from wtg_gym.reproduce.steady_states import OperatingPoint, critical_frequency_pu, equilibria, named_points
@@ -203,43 +202,14 @@ def plot_bode(loops: Mapping[str, SingleMachine]) -> Figure:
     return figure
 
 
-@style.printed
 def plot_case_study(scenario: Scenario, runs: Mapping[str, Trajectory]) -> Figure:
-    """Draw frequency, power, rotor speed and tracking coefficient of both WTG groups, one column per group.
+    """Draw frequency, power, rotor speed and tracking coefficient of both WTG groups in the paper's winds.
 
-    The paper's figures `SimulationLoadIncrease` and `SimulationLoadShed`. The reference strategy is drawn on top and
-    thick; a cross marks where a run ended before its time; events are numbered and explained above. Grey lines:
-    available power and 90 % of it, rotor speed of maximum power, K_opt, K_n and K_pr.
-
-    Args:
-        scenario: of the runs, in the paper's winds.
-        runs: recorded by strategy.
+    The paper's figures `SimulationLoadIncrease` and `SimulationLoadShed`. Grey lines: available power and 90 % of it,
+    rotor speed of maximum power, K_opt, K_n and K_pr.
     """
-    figure = style.new_figure(style.DOUBLE_COLUMN_MM, 178.0)
-    grid = figure.subplots(4, 2, sharex=True, height_ratios=(1.0, 1.15, 1.15, 0.85))
-    looks = style.strategy_looks(runs)
-    for group, wind in enumerate(WINDS):
-        style.letter_panel(grid[0, group], "ab"[group], f"GFM-WTG {group + 1} ({wind:g} m/s)")
-        for axes, panel in zip(grid[:, group], _panels(wind), strict=True):
-            for name, run in runs.items():
-                width, order = (1.7, 3.5) if name == REFERENCE_STRATEGY else (1.0, 3.0)
-                line = {"label": name, "linewidth": width, "zorder": order, "linestyle": looks[name].dashes}
-                draw_run(axes, run, panel.values(run)[:, group], looks[name].colour, **line)
-            for text, value in panel.references.items():
-                style.draw_reference(axes, value, text)
-            mark_instants(axes, scenario, numbered=axes is grid[0, group])
-            if group == 0:
-                axes.set_ylabel(panel.label)
-        grid[3, group].set_xlabel("time [s]")
-    grid[0, 0].set_xlim(0.0, scenario.duration_s)
-    for row in (grid[0], grid[3]):
-        style.share_limits(row)
-    if reasons := endings(runs.values()):
-        grid[0, 0].plot([], [], "x", color="0.25", markeredgewidth=1.4, label=reasons)
-    handles, labels = grid[0, 0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=min(4, len(labels)), handlelength=3.6)
-    explain_events(figure, scenario)
-    return figure
+    columns = {f"GFM-WTG {group} ({wind:g} m/s)": _panels(wind) for group, wind in enumerate(WINDS, start=1)}
+    return plot_trajectories(runs, scenario, columns)
 
 
 def _panels(wind_m_s: float) -> tuple[Panel, ...]:
@@ -248,9 +218,10 @@ def _panels(wind_m_s: float) -> tuple[Panel, ...]:
     best_speed = tracking_point().tip_speed_ratio * wind_m_s / TurbineParameters().tip_speed_ratio_per_speed_m_s
     powers = {r"$p_{avail}$": available, r"0.9 $p_{avail}$": 0.9 * available}
     coefficients = {r"$K_{opt}$": law.k_min, "$K_n$": law.k_nominal, r"$K_{pr}$": law.k_max}
+    _, power, rotor, coefficient = PANELS
     return (
         Panel(_LABELS["frequency_pu"], lambda run: run.wtg_frequency_hz / run.nominal_frequency_hz),
-        Panel(_LABELS["power_pu"], lambda run: run.power_pu, powers),
-        Panel(_LABELS["rotor_speed_pu"], lambda run: run.rotor_speed_pu, {r"$\lambda_{opt}$": best_speed}),
-        Panel("coefficient k [p.u.]", lambda run: run.coefficient_pu, coefficients),
+        power._replace(label=_LABELS["power_pu"], references=powers),
+        rotor._replace(label=_LABELS["rotor_speed_pu"], references={r"$\lambda_{opt}$": best_speed}),
+        coefficient._replace(references=coefficients),
     )

@@ -116,10 +116,7 @@ def critical_frequency_pu(law: TrackingLaw, wind_m_s: float, *, lowest_pu: float
     """Return the frequency below which a strategy has no equilibrium at a wind speed [p.u.] (paper, section on MPPT).
 
     From the set-point downwards it is the first one at which the equilibrium is lost; None where none is down to
-    `lowest_pu`, 0.5 p.u. … the set-point [p.u.].
-
-    Raises:
-        ValueError: a value is out of range, or there is no equilibrium at the set-point either.
+    `lowest_pu` [p.u.]. Without an equilibrium at the set-point there is a ValueError.
     """
     setpoint = GridFormingParameters().frequency_setpoint_pu
     require_range("lowest frequency", lowest_pu, _FREQUENCY_RANGE[0], setpoint, "p.u.")

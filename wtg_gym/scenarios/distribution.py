@@ -324,10 +324,22 @@ class ScenarioDistribution(Checked):
                 time_s = 0.0 if pick.chance(0.5) else pick.instant(window)
                 events.append(trusted(GovernorLoss, time_s=time_s, bus=1))
             elif kind < self.governor_loss_probability + self.group_trip_probability:
-                events.append(trusted(GroupTrip, time_s=pick.instant(window), group=turbines.index(min(turbines))))
+                events.append(
+                    trusted(
+                        GroupTrip,
+                        time_s=pick.instant(window),
+                        group=turbines.index(min(turbines)),
+                        returns_after_s=None,
+                    )
+                )
         if self.machine_outage_probability > 0.0 and pick.chance(self.machine_outage_probability):
             events.append(
-                trusted(MachineOutage, time_s=pick.instant(window), bus=pick.choice(self.machine_outage_buses))
+                trusted(
+                    MachineOutage,
+                    time_s=pick.instant(window),
+                    bus=pick.choice(self.machine_outage_buses),
+                    returns_after_s=None,
+                )
             )
         return events
 

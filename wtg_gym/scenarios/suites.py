@@ -202,13 +202,13 @@ FROZEN_HASHES: Mapping[str, str] = MappingProxyType(
         "low-wind": "3c6454dd11d019be25e8282164a9b8c8a00bf377ca149c67b1af51261ce2f54f",
         "gust": "a6a50118d0a21891c75f9eea0470f8c06c45c4b9cec95a635fb9b51815b708c5",
         "weak-grid": "54861ae09060eb4e63541f6e14187da30e9bd11d3cce7b366e3fab39b4350ad9",
-        "standard-v1": "fafbb7c797d135f6d65027d6e2dfa7af00cacb88abe3d9e05236ca710b1ad973",
-        "low-share-v1": "131a04a7c92ee1eb58030f67dbb8bc9a84b5b505aa0459f33e8985be33c157c9",
-        "high-share-v1": "a76891367ec8edf29942adac484b45ff2f48412d8745546db05789bf37acd7fb",
-        "gusty-v1": "acef93dc422a964093855ee9a35aadffc8e1065ea75c77386bbfd2127cdc7a4d",
-        "no-wind-sensor-v1": "d2a3c6a450b4841dcc76de1b4473f61f524bcfe33813b584de05021645728e42",
-        "faults-v1": "4d93ccc01be624696157f96aa62f066ac965806d6fd90cafd3b511b270748c24",
-        "paper-v1": "a566d1e110a6a7b4b5697635c086000549b4da1089a0ca395d3e2f5518a6098a",
+        "standard-v1": "30e9d36e7d5c0d941e62e691f3094c10e312bcf4d598bcf8855d9b760c0e4d34",
+        "low-share-v1": "6d262fb7f3a7370b8a001ef3d1d4fe60e5328bf82bdce47ed9d75a954642aa58",
+        "high-share-v1": "efb493413aae93d02071c97ba7ff8e1d12be8bc02d1527ff1af973c210f6c103",
+        "gusty-v1": "18968ade87f034a378481af7af8de0373c0918e1a759ee5c26c3b0c4bb308aa6",
+        "no-wind-sensor-v1": "11cd79b762feffd021ab3cf83d3d33dc8930b11aa785da1f1154e133c6946a69",
+        "faults-v1": "399dd2044ed96e83eb36ba11d69335f89013f053c8f3bd3217196f03371fb8d0",
+        "paper-v1": "2e03a60c86c3ca4f1e97f3d6b181a0d4c664ba67c4a0acb92c7a171411f2a29e",
     }
 )
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from wtg_gym.envs.rendering.colours import EVENT, INK, PAGE, SOFT, group_colour
 from wtg_gym.physics.plant import PlantSettings
-from wtg_gym.physics.scenario import Event, GovernorLoss, GroupTrip, LineTrip, LoadRamp, LoadTrip, MachineOutage
+from wtg_gym.physics.scenario import Event, Fault, GovernorLoss, GroupTrip, LineTrip, MachineOutage, ReactanceStep
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -25,21 +25,25 @@ BUS_PLACES: Mapping[int, tuple[float, float]] = {
 _UNITS_WIDTH = 4.4
 _OPENED: Mapping[str, Any] = {"color": EVENT, "linewidth": 2.5, "linestyle": (0, (1.6, 1.2))}
 #: Behind numbers, for a line may run there.
+#: Events that may be undone.
+_LOSSES = (LineTrip, MachineOutage, GroupTrip)
 _PLATE: Mapping[str, Any] = {"facecolor": PAGE, "edgecolor": "none", "pad": 0.8}
 
 
-def draw_diagram(axes: Axes, plant: PlantSettings, events: Sequence[Event], closed: Collection[LineTrip] = ()) -> None:
-    """Draw the diagram into empty axes, with the events that have struck, numbered, of which `closed` are over."""
+def draw_diagram(axes: Axes, plant: PlantSettings, events: Sequence[Event], over: Collection[Event] = ()) -> None:
+    """Draw the diagram into empty axes, with the events that have struck, numbered, of which some are undone."""
     group_buses = [group.bus for group in plant.groups]
     axes.set_axis_off()
     axes.set(xlim=(-0.6, 9.8), ylim=(-0.9, 6.1))
-    opened = [{e.from_bus, e.to_bus} for e in events if isinstance(e, LineTrip) and e not in closed]
+    lasting = [e for e in events if e not in over]
+    opened = [{e.from_bus, e.to_bus} for e in lasting if isinstance(e, LineTrip)]
+    opened += [set(e.opens) for e in lasting if isinstance(e, Fault) and e.opens is not None]
     for branch in plant.case.branches:
         ends = np.array([BUS_PLACES[branch.from_bus], BUS_PLACES[branch.to_bus]])
         is_open = {branch.from_bus, branch.to_bus} in opened
         axes.plot(*ends.T, **(_OPENED if is_open else {"color": SOFT, "linewidth": 1.0}))
     for bus, (x, y) in BUS_PLACES.items():
-        units = _units(bus, plant, events)
+        units = _units(bus, plant, lasting)
         gap = min(0.8, _UNITS_WIDTH / max(1, len(units) - 1))
         first = -0.5 * gap * (len(units) - 1) - (0.35 if [name for name, *_ in units] in (["G"], ["C"]) else 0.0)
         for place, (name, colour, is_out) in enumerate(units):
@@ -48,7 +52,7 @@ def draw_diagram(axes: Axes, plant: PlantSettings, events: Sequence[Event], clos
         axes.plot([x - half, x + half], [y, y], color=INK, linewidth=3.0, solid_capstyle="butt")
         axes.text(x + half - 0.03, y + 0.08, str(bus), fontsize=10, color=INK, va="bottom", bbox=_PLATE)
     for bus, (x, y) in BUS_PLACES.items():
-        numbers = [str(n) for n, event in enumerate(events, start=1) if bus in struck_buses(event, group_buses)]
+        numbers = [str(n) for n, event in enumerate(events, start=1) if bus in _struck_buses(event, group_buses)]
         if numbers:
             axes.plot(x, y, "o", markersize=20, markerfacecolor="none", markeredgecolor=EVENT, markeredgewidth=2.0)
             words = axes.text(x - 0.35, y + 0.25, ", ".join(numbers), color=EVENT, ha="right", bbox=_PLATE, zorder=5)
@@ -78,31 +82,13 @@ def _draw_unit(axes: Axes, place: tuple[float, float], name: str, colour: str, *
     axes.text(x, y - 0.87, name, fontsize=9, color=colour, ha="center", va="center")
 
 
-def reclosed(events: Sequence[Event], now_s: float) -> tuple[LineTrip, ...]:
-    """Return the events whose line is closed again at an instant [s]."""
-    return tuple(e for e in events if isinstance(e, LineTrip) and e.recloses_after_s is not None and e.end_s <= now_s)
+def undone(events: Sequence[Event], now_s: float) -> tuple[Event, ...]:
+    """Return the events whose line is closed again, or whose unit is back, at an instant [s]."""
+    return tuple(e for e in events if isinstance(e, _LOSSES) and e.time_s < e.end_s <= now_s)
 
 
-def struck_buses(event: Event, group_buses: Sequence[int]) -> list[int]:
+def _struck_buses(event: Event, group_buses: Sequence[int]) -> list[int]:
     """Return the buses that an event strikes, both ends of a line; given the bus of each WTG group."""
-    if isinstance(event, LineTrip):
+    if isinstance(event, (LineTrip, ReactanceStep)):
         return [event.from_bus, event.to_bus]
     return [group_buses[event.group] if isinstance(event, GroupTrip) else event.bus]
-
-
-def describe_event(event: Event) -> str:
-    """Return an event in words, with its units, without its instant; WTG groups count from 1."""
-    if isinstance(event, LineTrip):
-        again = "" if event.recloses_after_s is None else f" for {event.recloses_after_s:g} s"
-        return f"line {event.from_bus}–{event.to_bus} opens{again}"
-    if isinstance(event, LoadTrip):
-        return f"load of bus {event.bus} lost"
-    if isinstance(event, GovernorLoss):
-        return f"governor at bus {event.bus} lost"
-    if isinstance(event, MachineOutage):
-        return f"machine at bus {event.bus} disconnected"
-    if isinstance(event, GroupTrip):
-        return f"WTG group {event.group + 1} disconnected"
-    reactive = f", {event.reactive_mvar:+g} Mvar" if event.reactive_mvar else ""
-    duration = f" over {event.duration_s:g} s" if isinstance(event, LoadRamp) else ""
-    return f"{event.power_mw:+g} MW{reactive}".replace("-", "−") + f" at bus {event.bus}{duration}"

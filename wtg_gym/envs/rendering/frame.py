@@ -10,11 +10,11 @@ import numpy.typing as npt
 from gymnasium.error import DependencyNotInstalled
 
 from wtg_gym.envs.rendering.colours import BAND, EVENT, GRID, INK, LIMIT, LINE, PAGE, SOFT, group_colour
-from wtg_gym.envs.rendering.diagram import describe_event, draw_diagram
+from wtg_gym.envs.rendering.diagram import draw_diagram
 from wtg_gym.envs.rendering.panels import Panel, Range
 from wtg_gym.extras import install_advice
 from wtg_gym.physics.plant import PlantSettings
-from wtg_gym.physics.scenario import Event, LineTrip
+from wtg_gym.physics.scenario import Event
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -46,7 +46,7 @@ class Scene(NamedTuple):
     plant: PlantSettings
     panels: tuple[Panel, ...]
     events: tuple[Event, ...]  # those that have struck
-    closed: tuple[LineTrip, ...]  # those of them whose line is closed again
+    undone: tuple[Event, ...]  # those of them whose line is closed again, or whose unit is back
 
 
 class FramePainter:
@@ -132,7 +132,7 @@ def _draw_axes(axes: Axes, panel: Panel, limits: Range, scene: Scene) -> None:
         axes.axhline(value, color=LIMIT, linewidth=0.8, zorder=1)
     for event in scene.events:
         axes.axvline(event.time_s, color=EVENT, linewidth=1, linestyle=(0, (3, 3)), zorder=1)
-    for event in scene.closed:
+    for event in scene.undone:
         axes.axvline(event.end_s, color=EVENT, linewidth=1, linestyle=(0, (1, 2)), zorder=1)
 
 
@@ -140,8 +140,8 @@ def _draw_scene(figure: Figure, scene: Scene) -> None:
     """Draw the left part: the environment, heading, diagram, and the latest six events in words."""
     figure.text(0.017, 0.974, scene.env_id, fontsize=16, fontweight="bold", color=INK, va="top")
     figure.text(0.017, 0.933, scene.heading, fontsize=12, color=SOFT, va="top")
-    draw_diagram(figure.add_axes((0.008, 0.307, 0.333, 0.444)), scene.plant, scene.events, scene.closed)
+    draw_diagram(figure.add_axes((0.008, 0.307, 0.333, 0.444)), scene.plant, scene.events, scene.undone)
     for line, (number, event) in enumerate(list(enumerate(scene.events, start=1))[-6:]):
-        y, words = 0.27 - 0.0315 * line, f"{event.time_s:g} s: {describe_event(event)}"
+        y, words = 0.27 - 0.0315 * line, f"{event.time_s:g} s: {event.words}"
         figure.text(0.017, y, str(number), fontsize=12, fontweight="bold", color=EVENT, va="top")
         figure.text(0.035, y, words, fontsize=12, color=INK, va="top")

@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from wtg_gym.envs.lanes import TERMINATION_REASONS, TaskLanes
-from wtg_gym.envs.rendering.diagram import reclosed
+from wtg_gym.envs.rendering.diagram import undone
 from wtg_gym.envs.rendering.frame import Frame, FramePainter, Scene
 from wtg_gym.envs.rendering.panels import panels_of
 from wtg_gym.envs.rendering.window import Window
@@ -78,7 +78,7 @@ class LaneFrames:
             plant=self._plant,
             panels=self._panels,
             events=struck,
-            closed=reclosed(struck, now_s + 1e-6),
+            undone=undone(struck, now_s + 1e-6),
         )
         # Without -0.00.
         total = round(-float(sum(lanes.cost_sums()[lane].tolist())), 2) + 0.0

@@ -1,56 +1,27 @@
-"""A match: actions by hand against the reference in the same scenario, and the score of both at the end."""
+"""A match: actions by hand against the reference in the same scenario, and the cost of both at the end."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from wtg_gym.envs.lanes import TaskLanes
-from wtg_gym.envs.rendering.diagram import describe_event
 from wtg_gym.envs.settings import EnvSettings
 from wtg_gym.evaluation import Entry, evaluate
-from wtg_gym.evaluation.score import mean_score, score_scale
 from wtg_gym.scenarios import SPLITS, Suite
 
-#: Scenarios of the suite on which its anchors make the scale of the scores.
-N_SCALE = 50
 #: Name of the one who plays.
 YOU = "you"
 #: Lanes of the two.
 OWN, REFERENCE = 0, 1
 
 
-@dataclass(frozen=True, kw_only=True)
-class Scale:
-    """What the scores of a suite's scenarios of one length are computed with."""
-
-    suite: Suite
-    duration_s: float
-    value: float  # Λ
-
-    @classmethod
-    def of(cls, suite: Suite, duration_s: float | None = None) -> Scale:
-        """Play the suite's anchors on its first validation scenarios; `duration_s` is None for the suite's own.
-
-        Raises:
-            NoScaleError: the suite has no scores, as paper-v1; a ValueError.
-        """
-        seeds = list(suite.validation[:N_SCALE])
-        results = evaluate([], suite.name, "validation", seeds=seeds, duration_s=duration_s)
-        anchors = results.benchmark.anchors
-        length = suite.duration_s if duration_s is None else duration_s
-        value = score_scale(results.pinned_costs[anchors[0]][0], results.pinned_costs[anchors[1]][0], anchors)
-        return cls(suite=suite, duration_s=length, value=value)
-
-
 class Verdict(NamedTuple):
     """What you or an anchor made of the scenario."""
 
     name: str  # of who played
-    score: float
     cost: float  # as it was paid
     deviation_hz: float  # largest deviation of the frequency, up or down [Hz]
     failure: str  # why it ended before its time; empty where it did not
@@ -62,9 +33,10 @@ class Match:
     Both run the reference's law; your actions come on top of it, as an agent's do.
     """
 
-    def __init__(self, scale: Scale, seed: int) -> None:
-        self.scale, self.seed, self._split = scale, seed, split_of(scale.suite, seed)
-        settings = EnvSettings(suite=scale.suite.name, duration_s=scale.duration_s)
+    def __init__(self, suite: Suite, seed: int, duration_s: float | None = None) -> None:
+        self.suite, self.seed, self._split = suite, seed, split_of(suite, seed)
+        settings = EnvSettings(suite=suite.name, duration_s=duration_s)
+        self.duration_s = settings.episode_duration_s()
         self._lanes = TaskLanes(settings, 2, 1)
         self._lanes.start([OWN, REFERENCE], self._lanes.scenarios([seed, seed]))
         self.n_groups, self.control_dt = self._lanes.n_wtg, settings.control_dt
@@ -85,15 +57,15 @@ class Match:
         """Time since your start [s]; of a failure its instant."""
         return float(self._lanes.simulator.lane_values("step")[OWN]) * self._lanes.settings.simulation_dt
 
-    def step(self, on_k: npt.ArrayLike, on_tau: npt.ArrayLike) -> list[tuple[float, str]]:
-        """Hold your action, (n_groups,) each, for a control interval; return instants [s] and words of its events."""
+    def step(self, k: float, tau: float) -> list[tuple[float, str]]:
+        """Hold your action on k and τ of all groups for a control interval; return times [s] and words of events."""
         # An event at the very start is one too.
         before_s = self.time_s if self._actions else -1.0
         # Group after group, as the environment takes them.
-        self._actions.append(np.stack([np.asarray(on_k), np.asarray(on_tau)], axis=1, dtype=np.float64).ravel())
+        self._actions.append(np.tile([k, tau], self.n_groups))
         self._lanes.step(np.stack([self._actions[-1], np.zeros(self._lanes.n_action)]))
         events = sorted(self._lanes.events[OWN], key=lambda event: event.time_s)
-        return [(e.time_s, describe_event(e)) for e in events if before_s < e.time_s <= self.time_s]
+        return [(e.time_s, e.words) for e in events if before_s < e.time_s <= self.time_s]
 
     def sample(self) -> dict[str, npt.NDArray[np.float64]]:
         """Return where both stand: frequency (2,) [Hz]; rotor speed and power (2, n_groups) [p.u.]."""
@@ -108,10 +80,10 @@ class Match:
         """Play your actions and the suite's anchors again, and return what the evaluator says, yours first."""
         results = evaluate(
             [Entry(name=YOU, policy=_Played(self._actions))],
-            self.scale.suite.name,
+            self.suite.name,
             self._split,
             seeds=[self.seed],
-            duration_s=self.scale.duration_s,
+            duration_s=self.duration_s,
             n_threads=1,
         )
         verdicts = []
@@ -119,13 +91,12 @@ class Match:
             (episode,) = results.episodes_of(name)
             metrics = {key: float(value) for key, value in episode.metrics.items() if value is not None}
             deviation = max(self.nominal_hz - metrics["nadir_hz"], metrics["zenith_hz"] - self.nominal_hz)
-            score = mean_score(results.log_gains[name], self.scale.value)
-            verdicts.append(Verdict(name, score, metrics["cost"], deviation, episode.failure))
+            verdicts.append(Verdict(name, metrics["cost"], deviation, episode.failure))
         return verdicts
 
     def next_seed(self) -> int:
         """Return the seed after this one in its split; after the last one the first."""
-        seeds = self.scale.suite.seeds(self._split)
+        seeds = self.suite.seeds(self._split)
         return seeds[(seeds.index(self.seed) + 1) % len(seeds)]
 
 

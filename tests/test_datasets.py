@@ -7,20 +7,18 @@ from pathlib import Path
 import minari
 import numpy as np
 import pytest
+from minari_datasets import make_dataset
 
-from agents import datasets
 from wtg_gym.scenarios import get_suite
 
 
 def test_episodes_are_those_of_their_players_and_play_again_to_the_bit(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path))
-    command = ["--versions", "v1", "--policies", "mixed", "--episodes", "3"]
-    assert datasets.main(command) == 0
-    assert datasets.main(command) == 2
-    assert "is there already" in capsys.readouterr().err
-    assert datasets.main(["--episodes", "0"]) == 2
+    make_dataset("v1", "mixed", 3)
+    with pytest.raises(ValueError, match="is there already"):
+        make_dataset("v1", "mixed", 3)
     dataset = minari.load_dataset("gfmwtg/v1/mixed-v0")
     episodes, env = list(dataset.iterate_episodes()), dataset.recover_environment()
     assert [bool(np.abs(each.actions).max()) for each in episodes] == [False, True, True]

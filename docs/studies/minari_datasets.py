@@ -1,33 +1,27 @@
-"""`python -m agents.datasets`: episodes of several players as datasets of Minari, for offline learning.
+"""`python docs/studies/minari_datasets.py`: episodes of several players as datasets of Minari, for offline learning.
 
 Stores gfmwtg/VERSION/POLICY-v0 in the folder MINARI_DATASETS_PATH, or in Minari's own: episodes of the training split.
-Episode i is what `reset(seed=i)` draws. The same command gives the same data.
+Episode i is what `reset(seed=i)` draws. The same command gives the same data. Needs the extra `data`.
 """
 
 from __future__ import annotations
 
+import argparse
 import contextlib
 import itertools
-import sys
 import warnings
 from collections.abc import Sequence
 from typing import Any
 
 import gymnasium as gym
+import minari
 import numpy as np
+from minari.data_collector import EpisodeBuffer
 
-from agents.command import make_parser, note, run_command
-from wtg_gym.extras import install_advice
 from wtg_gym.policies import load_entries
 from wtg_gym.progress import Progress
 from wtg_gym.scenarios import get_suite
 from wtg_gym.systems.compiled import source_hash
-
-try:
-    import minari
-    from minari.data_collector import EpisodeBuffer
-except ImportError as error:
-    raise SystemExit(f"error: datasets need Minari; {install_advice('data')}") from error
 
 #: Standard deviation of the noise on the actions [full action], and for how many steps a value is held: rotors answer
 #: in seconds, and noise that is drawn anew at every step averages out before it shows.
@@ -45,6 +39,8 @@ POLICIES: dict[str, Sequence[tuple[bool, bool]]] = {
 
 def make_dataset(version: str, policy: str, episodes: int) -> Any:
     """Play episodes and return the dataset of Minari; a ValueError if there is one of this name already."""
+    if episodes < 1:
+        raise ValueError(f"there must be 1 episode or more, got {episodes}")
     name, (suite, player) = f"gfmwtg/{version}/{policy}-v0", VERSIONS[version]
     if name in minari.list_local_datasets():
         raise ValueError(f"the dataset {name} is there already; delete it first: minari delete {name}")
@@ -90,23 +86,12 @@ def _played(env: gym.Env[Any, Any], trained: Any, acts: bool, noisy: bool, seed:
     return EpisodeBuffer(seed=seed, observations=np.array(seen), infos=numbers, **columns)
 
 
-def main(argv: Sequence[str] | None = None) -> int:
-    """Run the command and return its exit code."""
-    parser = make_parser("agents.datasets", __doc__ or "")
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--versions", nargs="+", choices=tuple(VERSIONS), default=list(VERSIONS), help="default: both")
     parser.add_argument("--policies", nargs="+", choices=tuple(POLICIES), default=list(POLICIES), help="default: all")
     parser.add_argument("--episodes", type=int, default=200, metavar="N", help="in each (default: 200)")
-
-    def work() -> None:
-        given = parser.parse_args(argv)
-        if given.episodes < 1:
-            raise ValueError(f"--episodes must be 1 or more, got {given.episodes}")
-        for version, policy in itertools.product(given.versions, given.policies):
-            made = make_dataset(version, policy, given.episodes)
-            note(f"{made.spec.dataset_id}: {made.total_episodes} episodes, {made.total_steps} steps")
-
-    return run_command(work, "datasets that are complete stay")
-
-
-if __name__ == "__main__":
-    sys.exit(main())
+    given = parser.parse_args()
+    for version, policy in itertools.product(given.versions, given.policies):
+        made = make_dataset(version, policy, given.episodes)
+        print(f"{made.spec.dataset_id}: {made.total_episodes} episodes, {made.total_steps} steps", flush=True)

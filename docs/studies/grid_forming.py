@@ -1,0 +1,89 @@
+"""docs/grid-forming.md: the tests that operators ask of grid-forming plants, entries × tests, and a picture.
+
+    python docs/studies/grid_forming.py [--output DOCS]
+
+renews the tables between the markers of DOCS/grid-forming.md and draws DOCS/physics/grid-forming.svg.
+"""
+
+import numpy as np
+from matplotlib.lines import Line2D
+from output import folder
+
+from wtg_gym.evaluation.grid_tests import GRID_TESTS, SOURCES, run_grid_test
+from wtg_gym.files import markdown_table, update_between_markers
+from wtg_gym.plotting import save_figure, style
+from wtg_gym.policies.load import load_entries
+
+LAWS = ("mppt", "deloaded-5", "deloaded-10", "coordinated-linear", "coordinated-undamped", "coordinated-piecewise")
+TUNED = ("coordinated-tuned", "fast-droop", "linear-feedback-v1", "ppo-v1-0", "recurrent-ppo-v1-0", "gradient-v1-0")
+DRAWN = ("deloaded-10", "coordinated-piecewise", "coordinated-tuned")
+
+
+def described():
+    """Return the table of tests, and the sources."""
+    rows = [(f"`{test.name}`", test.criterion, test.source) for test in GRID_TESTS.values()]
+    keys = "\n".join(f"- **{key}**: {text}" for key, text in SOURCES.items())
+    return f"{markdown_table(('test', 'passed if', 'after'), rows)}\n\n{keys}"
+
+
+def verdicts(runs):
+    """Return the table of verdicts, a row for each entry, and that of the figures of two of them."""
+    header = ("entry", *(f"`{name}`" for name in GRID_TESTS), "passed")
+    rows = []
+    for label, own in runs.items():
+        passed = [verdict[0] for _, verdict in own.values()]
+        rows.append((label, *("yes" if each else "**no**" for each in passed), f"{sum(passed)}/{len(passed)}"))
+    shown = [label for label in runs if label in DRAWN[1:]]
+    figures = [(f"`{name}`", *(runs[label][name][1][1] for label in shown)) for name in GRID_TESTS]
+    return f"{markdown_table(header, rows)}\n\n{markdown_table(('test', *shown), figures)}"
+
+
+@style.printed
+def picture(runs):
+    """Draw the mean power of all groups and the frequency in every test."""
+    figure = style.new_figure(style.DOUBLE_COLUMN_MM, 230.0)
+    looks = style.strategy_looks(runs)
+    rows = 2 * (len(GRID_TESTS) // 3)
+    axes = figure.subplots(rows, 3)
+    for k, name in enumerate(GRID_TESTS):
+        column, row = k % 3, 2 * (k // 3)
+        of_frequency, of_power = axes[row][column], axes[row + 1][column]
+        for label, own in runs.items():
+            found, _ = own[name]
+            look = {"color": looks[label].colour, "linestyle": looks[label].dashes}
+            of_frequency.plot(found.time_s, found.frequency_hz, **look)
+            of_power.plot(found.time_s, found.total(), **look)
+            if not found.lives:
+                of_frequency.plot(found.time_s[-1], found.frequency_hz[-1], "x", color=look["color"])
+        of_frequency.set_title(name, fontsize="small")
+        for own_axes, limits in ((of_frequency, (47.3, 51.7)), (of_power, (-0.7, 1.3))):
+            low, high = own_axes.get_ylim()
+            own_axes.set_ylim(max(low, limits[0]), min(high, limits[1]))
+        of_frequency.set_xticklabels([])
+        if column == 0:
+            of_frequency.set_ylabel("f [Hz]")
+            of_power.set_ylabel("p [p.u.]")
+        if row + 2 == rows:
+            of_power.set_xlabel("time [s]")
+    handles = [Line2D([], [], color=looks[n].colour, linestyle=looks[n].dashes, label=n) for n in runs]
+    handles.append(Line2D([], [], color="0.4", marker="x", linestyle="", label="lost, or a group tripped"))
+    figure.legend(handles=handles, loc="outside upper center", ncols=4)
+    return figure
+
+
+def main(docs):
+    """Play all entries, and renew tables and picture."""
+    runs = {}
+    for spec in (*LAWS, *TUNED):
+        entry = load_entries(spec)[0]
+        runs[entry.name] = {test.name: run_grid_test(test, entry) for test in GRID_TESTS.values()}
+        print(entry.name, *(verdict for _, verdict in runs[entry.name].values()), sep="\n  ", flush=True)
+    page = docs / "grid-forming.md"
+    update_between_markers(page, described(), "tests")
+    update_between_markers(page, verdicts(runs), "verdicts")
+    save_figure(picture({name: runs[name] for name in DRAWN}), docs / "physics" / "grid-forming", ("svg",))
+    assert np.isfinite([found.time_s[-1] for own in runs.values() for found, _ in own.values()]).all()
+
+
+if __name__ == "__main__":
+    main(folder(__doc__))

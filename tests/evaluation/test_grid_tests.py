@@ -1,0 +1,47 @@
+"""The tests that operators ask of grid-forming plants: their grids, events and criteria."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from wtg_gym.evaluation.grid_tests import GRID_TESTS, SOURCES, Recording, _longest_beyond, run_grid_test
+from wtg_gym.physics.protection import Status
+from wtg_gym.policies.load import load_entries
+
+
+def played(name: str, law: str) -> tuple[Recording, bool]:
+    found, (passed, _) = run_grid_test(GRID_TESTS[name], load_entries(law)[0])
+    return found, passed
+
+
+def test_every_test_says_where_it_comes_from() -> None:
+    for test in GRID_TESTS.values():
+        assert set(test.source.split(", ")) <= set(SOURCES)
+
+
+def test_a_law_that_sheds_power_survives_a_surplus_and_one_that_cannot_does_not() -> None:
+    found, passed = played("island-surplus", "mppt")
+    assert passed and found.status is Status.RUNNING and found.shed_mws == 0.0
+    found, passed = played("island-surplus", "coordinated-piecewise")
+    assert not passed and found.status is Status.FREQUENCY_LIMIT and found.frequency_hz[-1] > 51.4
+
+
+def test_a_source_drags_the_groups_to_its_frequency_and_back() -> None:
+    found, passed = played("rocof-up", "coordinated-tuned")
+    assert passed
+    # The ramp ends at 2.25 s, its way back begins at 7.25 s.
+    assert found.frequency_hz[found.at(7.2)] == pytest.approx(51.0, abs=0.01)
+    assert found.frequency_hz[-1] == pytest.approx(50.0, abs=0.01)
+
+
+def test_the_current_limit_is_reached_held_and_left() -> None:
+    found, passed = played("current-limit", "coordinated-tuned")
+    assert passed
+    assert found.current_pu.max() == pytest.approx(1.2, abs=1e-6)
+    assert found.limited.any() and not found.limited[found.at(3.0) :].any()
+
+
+def test_the_time_beyond_a_limit_is_that_of_the_longest_stretch() -> None:
+    beyond = np.array([[0, 1, 1, 1, 0, 1, 1, 0], [0, 0, 0, 0, 0, 0, 0, 1]], dtype=bool).T
+    assert _longest_beyond(0.1 * np.arange(8.0), beyond) == pytest.approx(0.2)

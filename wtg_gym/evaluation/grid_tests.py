@@ -1,0 +1,470 @@
+"""Tests that operators ask of grid-forming plants, as named cases: each has a grid, events, a criterion and a figure.
+
+They follow the frameworks in :data:`SOURCES`, which are written for batteries and inverters. Here power is what the
+wind leaves, a phasor model knows nothing faster than 25 ms, and faults are three-phase. The bench is the grid of v1
+without machines: an imposed source at bus 1, behind the reactance of a short-circuit ratio on the rating of all groups.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from wtg_gym.envs.settings import EnvSettings, PlantEnvSettings
+from wtg_gym.physics.layout import Floats
+from wtg_gym.physics.network import Branch, Bus, NetworkCase, Source
+from wtg_gym.physics.plant import PlantSettings
+from wtg_gym.physics.protection import Status
+from wtg_gym.physics.scenario import (
+    Event,
+    Fault,
+    FrequencyRamp,
+    LineTrip,
+    MachineOutage,
+    PhaseJump,
+    ReactanceStep,
+    Scenario,
+)
+from wtg_gym.physics.units import BUSES
+from wtg_gym.policies.entry import Entry, check_version
+from wtg_gym.policies.play import play, started_lanes
+from wtg_gym.scenarios.benchmark import V1
+from wtg_gym.scenarios.suites import DEFAULT_SUITE, get_suite
+
+#: What the short keys in each test's `source` stand for.
+SOURCES = {
+    "AEMO": "Australian Energy Market Operator: Voluntary Specification for Grid-forming Inverters: Core Requirements "
+    "Test Framework (January 2024)",
+    "MISO": "Midcontinent Independent System Operator: Business Practices Manual 015 r32, appendix H (2025), tests of "
+    "the same family with pass criteria",
+    "GC0137": "National Grid ESO: Grid Code modification GC0137, minimum specification required for GB grid-forming "
+    "capability (2022)",
+    "FNN": "VDE FNN: Guideline on grid-forming behaviour of HVDC systems and DC-connected power park modules (2020)",
+    "SJV2024": "Fingrid: Specific study requirements for grid energy storage systems SJV2024, recovery after faults",
+    "EU 2016/631": "Commission Regulation (EU) 2016/631: 47.5 … 51.5 Hz in continental Europe",
+}
+#: The bus of the imposed source, behind bus 1.
+_SOURCE_BUS = 15
+#: X/R of the source's impedance. Source: MISO, tests H-2 … H-4.
+_X_TO_R = 6.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Recording:
+    """A test's run, one sample per control interval and one at the start; shapes (n,) and (n, n_group)."""
+
+    time_s: Floats
+    frequency_hz: Floats  # of the centre of inertia
+    voltage_pu: Floats  # at every bus (n, n_bus)
+    power_pu: Floats
+    current_pu: Floats
+    limited: npt.NDArray[np.bool_]  # whether the current limiter takes voltage away
+    connected: npt.NDArray[np.bool_]
+    status: Status
+    shed_mws: float  # load not served [MW s]
+
+    def at(self, time_s: float) -> int:
+        """Return the sample at an instant, or the last one before it."""
+        return int(np.searchsorted(self.time_s, time_s + 1e-9) - 1)
+
+    def total(self) -> Floats:
+        """Return the mean power of the groups, on their base, (n,)."""
+        mean: Floats = self.power_pu.mean(axis=1)
+        return mean
+
+    @property
+    def lives(self) -> bool:
+        """Whether the run went to its end with all groups connected."""
+        return self.status is Status.RUNNING and bool(self.connected[-1].all())
+
+
+#: Passed or failed, and the figure.
+Verdict = tuple[bool, str]
+
+
+@dataclass(frozen=True, kw_only=True)
+class GridTest:
+    """A named case."""
+
+    name: str
+    source: str  # keys of SOURCES
+    criterion: str
+    plant: Callable[[], PlantSettings]
+    wind_m_s: float
+    load_level: float = 1.0
+    duration_s: float = 30.0
+    events: tuple[Event, ...]
+    judge: Callable[[Recording], Verdict]
+
+    def scenario(self, settings: PlantSettings) -> Scenario:
+        """Return what happens."""
+        return Scenario(
+            name=self.name,
+            wind_speed=np.full((len(settings.groups), 1), self.wind_m_s),
+            duration_s=self.duration_s,
+            events=self.events,
+            load_level=self.load_level,
+            load_noise_bus=1,
+        )
+
+
+def _grid(**changes: Any) -> PlantSettings:
+    """Return the plant of version v1; `changes` are of its network."""
+    settings = get_suite(DEFAULT_SUITE).plant.settings(classical=False, trips_groups=True)
+    return dataclasses.replace(settings, case=dataclasses.replace(settings.case, **changes))
+
+
+def _one_machine() -> PlantSettings:
+    """Return v1's grid with its generator only."""
+    case = _grid().case
+    return _grid(machines=tuple(machine for machine in case.machines if machine.bus == case.slack_bus))
+
+
+def _bench(ratio: float) -> PlantSettings:
+    """Return the bench at a short-circuit ratio; relays of load shedding would see the source's frequency: none."""
+    settings = _grid()
+    case, mva = settings.case, sum(g.n_turbines for g in settings.groups) * settings.turbine.rated_power_mw
+    reactance = case.base_mva / (ratio * mva)
+    line = Branch(from_bus=_SOURCE_BUS, to_bus=1, resistance=reactance / _X_TO_R, reactance=reactance)
+    bench = NetworkCase(
+        name="bench",
+        base_mva=case.base_mva,
+        frequency_hz=case.frequency_hz,
+        slack_bus=_SOURCE_BUS,
+        buses=(*case.buses, Bus(number=_SOURCE_BUS, voltage_pu=1.06)),
+        branches=(*case.branches, line),
+        machines=(),
+        sources=(Source(bus=_SOURCE_BUS),),
+    )
+    return dataclasses.replace(settings, case=bench)
+
+
+def _without_relays(ratio: float) -> PlantSettings:
+    return dataclasses.replace(_bench(ratio), shedding=())
+
+
+# --- criteria ---------------------------------------------------------------------------------------------------------
+
+
+def _longest_beyond(time_s: Floats, beyond: npt.NDArray[np.bool_]) -> float:
+    """Return the longest time that samples (n, any) lie beyond a limit without a break [s]."""
+    longest = 0.0
+    for column in beyond.T:
+        changes = np.flatnonzero(np.diff(np.concatenate([[0], column.astype(int), [0]])))
+        for first, last in zip(changes[::2], changes[1::2], strict=True):
+            longest = max(longest, float(time_s[last - 1] - time_s[first]))
+    return longest
+
+
+def _survives(found: Recording) -> str:
+    """Return why a run did not go on with all groups, or nothing."""
+    if found.status is not Status.RUNNING:
+        return f"grid lost after {found.time_s[-1]:.1f} s: {found.status.name.lower().replace('_', ' ')}"
+    if not found.connected[-1].all():
+        groups = ", ".join(str(group) for group in np.flatnonzero(~found.connected[-1]))
+        return f"group {groups} tripped"
+    return ""
+
+
+def _settles(found: Recording) -> float:
+    """Return by how much the frequency moves in the last 5 s [Hz]."""
+    return float(np.ptp(found.frequency_hz[found.at(found.time_s[-1] - 5.0) :]))
+
+
+def _takes_over(found: Recording) -> Verdict:
+    """After losing the grid: voltages 0.8 … 1.1 p.u. but for 0.1 s, the frequency within 47.5 … 51.5 Hz and at rest."""
+    if lost := _survives(found):
+        return False, lost
+    beyond = _longest_beyond(found.time_s, (found.voltage_pu < 0.8) | (found.voltage_pu > 1.1))
+    moves = _settles(found)
+    extreme = found.frequency_hz[np.abs(found.frequency_hz - 50.0).argmax()]
+    figure = f"{extreme:.2f} Hz, then {found.frequency_hz[-1]:.2f} Hz, {found.shed_mws:.0f} MW s shed"
+    if beyond > 0.1 + 1e-9:
+        return False, f"{figure}; voltage beyond its range for {beyond:.1f} s"
+    if moves > 0.1:
+        return False, f"{figure}; still moves, {moves:.2f} Hz in the last 5 s"
+    return True, figure
+
+
+def _follows(start_s: float, end_s: float) -> Callable[[Recording], Verdict]:
+    """While the source's frequency moves, power moves against it; once it is back, power is back within 5 %."""
+
+    def judge(found: Recording) -> Verdict:
+        if lost := _survives(found):
+            return False, lost
+        power, before = found.total(), found.at(start_s)
+        moved = power[before : found.at(start_s + 1.0) + 1] - power[before]
+        peak = moved[np.abs(moved).argmax()]
+        rest = abs(power[-1] - power[before])
+        sign = -np.sign(found.frequency_hz[found.at(end_s)] - 50.0)
+        return bool(peak * sign > 0.0 and rest <= 0.05), f"ΔP {peak:+.2f} p.u., back within {rest:.3f} p.u."
+
+    return judge
+
+
+def _opposes(start_s: float, least: float) -> Callable[[Recording], Verdict]:
+    """The angle's jump is opposed by at least some power, which is back within 5 % after 5 s."""
+
+    def judge(found: Recording) -> Verdict:
+        if lost := _survives(found):
+            return False, lost
+        power, before = found.total(), found.at(start_s)
+        moved = power[before : found.at(start_s + 0.5) + 1] - power[before]
+        peak = float(np.abs(moved).max())
+        rest = abs(power[found.at(start_s + 5.0)] - power[before])
+        return bool(peak >= least and rest <= 0.05), f"ΔP {peak:.2f} p.u., back within {rest:.3f} p.u."
+
+    return judge
+
+
+def _recovers(cleared_s: Sequence[float]) -> Callable[[Recording], Verdict]:
+    """After each clearing voltages reach 0.9 p.u. within 1.5 s, and power its value before within 5 % in 3 s."""
+
+    def judge(found: Recording) -> Verdict:
+        if lost := _survives(found):
+            return False, lost
+        power, slowest, farthest = found.total(), 0.0, 0.0
+        for at in cleared_s:
+            after = slice(found.at(at), found.at(at + 3.0) + 1)
+            low = found.time_s[after][(found.voltage_pu[after] < 0.9).any(axis=1)]
+            slowest = max(slowest, float(low.max() - at) if low.size else 0.0)
+            farthest = max(farthest, abs(power[found.at(at + 3.0)] - power[0]))
+        figure = f"0.9 p.u. after {slowest:.1f} s, power within {farthest:.3f} p.u."
+        return bool(slowest <= 1.5 and farthest <= 0.05), figure
+
+    return judge
+
+
+def _leaves_limit(reached_s: float, left_s: float) -> Callable[[Recording], Verdict]:
+    """The current limit is reached and held, and no group is limited any more 0.5 s after its cause is gone."""
+
+    def judge(found: Recording) -> Verdict:
+        if lost := _survives(found):
+            return False, lost
+        largest, limited = float(found.current_pu.max()), found.limited.max(axis=1)
+        reached = limited[found.at(reached_s) : found.at(left_s) + 1].any()
+        last = float(found.time_s[limited].max()) if limited.any() else 0.0
+        after = max(last - left_s, 0.0)
+        figure = f"{largest:.3f} p.u., {'left' if reached else 'never reached, left'} after {after:.1f} s"
+        return bool(reached and largest <= 1.2 + 1e-6 and after <= 0.5), figure
+
+    return judge
+
+
+# --- the tests --------------------------------------------------------------------------------------------------------
+
+
+def _ramp_and_back(rocof_hz_s: float, size_hz: float) -> tuple[Event, ...]:
+    """Return a ramp of the source's frequency, and 5 s later the way back."""
+    length = size_hz / abs(rocof_hz_s)
+    there = FrequencyRamp(time_s=2.0, bus=_SOURCE_BUS, rocof_hz_s=rocof_hz_s, duration_s=length)
+    back = FrequencyRamp(time_s=7.0 + length, bus=_SOURCE_BUS, rocof_hz_s=-rocof_hz_s, duration_s=length)
+    return there, back
+
+
+def _jump(angle_deg: float) -> tuple[Event, ...]:
+    return (PhaseJump(time_s=2.0, bus=_SOURCE_BUS, angle_deg=angle_deg),)
+
+
+_RATIOS = (10.0, 3.0, 2.0, 1.5, 1.25)
+#: A fault of 120 ms, six cycles, before each step of the ratio, which happens at its clearing.
+_STEPS = tuple(
+    event
+    for k, ratio in enumerate(_RATIOS)
+    for event in (
+        Fault(time_s=2.0 + 8.0 * k, bus=1, clears_after_s=0.125, resistance_pu=0.0, reactance_pu=0.05),
+        ReactanceStep(time_s=2.125 + 8.0 * k, from_bus=_SOURCE_BUS, to_bus=1, factor=20.0 / ratio),
+    )
+)
+_ISLAND = (LineTrip(time_s=2.0, from_bus=_SOURCE_BUS, to_bus=1),)
+_LAST_MACHINE = (MachineOutage(time_s=2.0, bus=1),)
+
+_TAKES_OVER = (
+    "0.8 … 1.1 p.u. at every bus but for 0.1 s; 47.5 … 51.5 Hz; in the last 5 s within 0.1 Hz; all groups stay"
+)
+_FOLLOWS = "power moves against the frequency at once; 5 s after the way back within 0.05 p.u.; all groups stay"
+
+GRID_TESTS: dict[str, GridTest] = {
+    test.name: test
+    for test in (
+        GridTest(
+            name="last-machine",
+            source="AEMO, MISO, EU 2016/631",
+            criterion=_TAKES_OVER,
+            plant=_one_machine,
+            wind_m_s=11.0,
+            load_level=0.92,
+            duration_s=60.0,
+            events=_LAST_MACHINE,
+            judge=_takes_over,
+        ),
+        GridTest(
+            name="rocof-up",
+            source="AEMO, MISO",
+            criterion=_FOLLOWS,
+            plant=lambda: _without_relays(10.0),
+            wind_m_s=9.2,
+            events=_ramp_and_back(4.0, 1.0),
+            judge=_follows(2.0, 6.0),
+        ),
+        GridTest(
+            name="rocof-down",
+            source="AEMO, MISO",
+            criterion=_FOLLOWS,
+            plant=lambda: _without_relays(10.0),
+            wind_m_s=9.2,
+            events=_ramp_and_back(-4.0, 1.0),
+            judge=_follows(2.0, 6.0),
+        ),
+        GridTest(
+            name="rocof-up-2",
+            source="FNN, SJV2024",
+            criterion=_FOLLOWS,
+            plant=lambda: _without_relays(10.0),
+            wind_m_s=9.2,
+            events=_ramp_and_back(2.0, 1.0),
+            judge=_follows(2.0, 6.0),
+        ),
+        GridTest(
+            name="rocof-down-2",
+            source="FNN, SJV2024",
+            criterion=_FOLLOWS,
+            plant=lambda: _without_relays(10.0),
+            wind_m_s=9.2,
+            events=_ramp_and_back(-2.0, 1.0),
+            judge=_follows(2.0, 6.0),
+        ),
+        GridTest(
+            name="angle-step",
+            source="AEMO, MISO, GC0137",
+            criterion="10°: at least 0.2 p.u. against it, within 0.05 p.u. after 5 s; all groups stay",
+            plant=lambda: _without_relays(3.0),
+            wind_m_s=9.2,
+            duration_s=15.0,
+            events=_jump(-10.0),
+            judge=_opposes(2.0, 0.2),
+        ),
+        GridTest(
+            name="angle-step-30",
+            source="AEMO, FNN",
+            criterion="30°: at least 0.2 p.u. against it, within 0.05 p.u. after 5 s; all groups stay",
+            plant=lambda: _without_relays(3.0),
+            wind_m_s=9.2,
+            duration_s=15.0,
+            events=_jump(-30.0),
+            judge=_opposes(2.0, 0.2),
+        ),
+        GridTest(
+            name="dip",
+            source="FNN, SJV2024",
+            criterion="150 ms near bus 1; 0.9 p.u. within 1.5 s, power within 0.05 p.u. in 3 s; all groups stay",
+            plant=lambda: _without_relays(3.0),
+            wind_m_s=9.2,
+            duration_s=15.0,
+            events=(Fault(time_s=2.0, bus=1, clears_after_s=0.15, reactance_pu=0.02),),
+            judge=_recovers((2.15,)),
+        ),
+        GridTest(
+            name="ratio-steps",
+            source="AEMO, MISO",
+            criterion="ratio 20 → 10, 3, 2, 1.5, 1.25 at the clearing of faults; each time as for the dip",
+            plant=lambda: _without_relays(20.0),
+            wind_m_s=11.4,
+            duration_s=45.0,
+            events=_STEPS,
+            judge=_recovers(tuple(2.125 + 8.0 * k for k in range(len(_RATIOS)))),
+        ),
+        GridTest(
+            name="island-surplus",
+            source="AEMO, FNN, EU 2016/631",
+            criterion=_TAKES_OVER,
+            plant=lambda: _bench(10.0),
+            wind_m_s=11.4,
+            load_level=0.9,
+            duration_s=60.0,
+            events=_ISLAND,
+            judge=_takes_over,
+        ),
+        GridTest(
+            name="island-deficit",
+            source="AEMO, FNN, EU 2016/631",
+            criterion=_TAKES_OVER,
+            plant=lambda: _bench(10.0),
+            wind_m_s=11.0,
+            duration_s=60.0,
+            events=_ISLAND,
+            judge=_takes_over,
+        ),
+        GridTest(
+            name="current-limit",
+            source="AEMO, GC0137",
+            criterion="1.2 p.u. reached and held; left 0.5 s after its cause; all groups stay",
+            plant=_grid,
+            wind_m_s=11.0,
+            events=(Fault(time_s=2.0, bus=2, clears_after_s=0.5, reactance_pu=0.05),),
+            judge=_leaves_limit(2.0, 2.5),
+        ),
+    )
+}
+
+
+def get_grid_test(name: str) -> GridTest:
+    """Return a test by its name.
+
+    Raises:
+        ValueError: the test is unknown; the message lists the known ones.
+    """
+    if name not in GRID_TESTS:
+        raise ValueError(f"unknown case {name!r}; known cases: {', '.join(GRID_TESTS)}")
+    return GRID_TESTS[name]
+
+
+def run_grid_test(test: GridTest, entry: Entry) -> tuple[Recording, Verdict]:
+    """Play an entry of version v1 through a test; its sensors are exact.
+
+    Returns:
+        what was recorded, whether it has passed, and the figure.
+
+    Raises:
+        PolicyError: the entry's law has no equilibrium there, or its policy fails.
+        ValueError: the entry is of another version.
+    """
+    check_version([entry], V1)
+    plant = test.plant()
+    own = EnvSettings(version=V1.version, sensors="exact", duration_s=test.duration_s)
+    settings = PlantEnvSettings.of(own, plant)
+    samples: list[tuple[Any, ...]] = []
+    with started_lanes(entry, settings, [test.scenario(plant)], 1) as (lanes, _):
+        simulator = lanes.simulator
+        magnitudes = simulator.layout.rows_of(BUSES, "magnitude")
+        names = ("power", "current", "cut", "connected")
+
+        def sample() -> None:
+            time_s = simulator.lane_values("step")[0] * plant.simulation_dt
+            groups = [simulator.wtg_values(name)[0] for name in names]
+            voltages = np.array([simulator.values(row)[0] for row in magnitudes])
+            samples.append((time_s, simulator.lane_values("coi")[0], voltages, *groups))
+
+        sample()
+        for _ in play(entry, lanes):
+            sample()
+        status = Status(int(simulator.lane_values("status")[0]))
+        shed = simulator.lane_values("shed_energy")[0] * plant.case.base_mva
+    time_s, coi, voltages, power, current, cut, connected = (np.array(column) for column in zip(*samples, strict=True))
+    found = Recording(
+        time_s=time_s,
+        frequency_hz=plant.case.frequency_hz * coi,
+        voltage_pu=voltages,
+        power_pu=power,
+        current_pu=current,
+        limited=cut > 1e-9,
+        connected=connected > 0.5,
+        status=status,
+        shed_mws=float(shed),
+    )
+    return found, test.judge(found)
