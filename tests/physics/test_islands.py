@@ -25,7 +25,7 @@ from wtg_gym.physics.network import NetworkCase
 from wtg_gym.physics.parameters import WtgGroup
 from wtg_gym.physics.plant import PlantSettings, plant_settings
 from wtg_gym.physics.protection import STAGES, Status
-from wtg_gym.physics.scenario import Event, LineTrip, LoadStep, MachineOutage
+from wtg_gym.physics.scenario import LineTrip, LoadStep, MachineOutage
 from wtg_gym.physics.simulator import Simulator
 from wtg_gym.physics.tracking_law import get_law
 from wtg_gym.physics.units import BUSES, ISLANDS, PAIRS, UNITS
@@ -77,7 +77,9 @@ def test_an_island_runs_as_a_network_that_consists_of_it_alone(buses: tuple[int,
     groups = [j for j, group in enumerate(settings.groups) if group.bus in buses]
     machines = [i for i, machine in enumerate(settings.case.machines) if machine.bus in buses]
     events = [LoadStep(time_s=0.0, bus=13, power_mw=5.0)] if 13 in buses else []
-    part = started(alone(settings, buses, slack), scenario(*events, wind=np.array(PARTED_WIND)[groups], load_noise_bus=slack))
+    part = started(
+        alone(settings, buses, slack), scenario(*events, wind=np.array(PARTED_WIND)[groups], load_noise_bus=slack)
+    )
     at = [settings.case.bus_index(bus) for bus in buses]
     for kind, own in ((MACHINES, machines), (GROUPS, groups), (EXTENSIONS, groups), (BUSES, at)):
         into = rows_of(part, kind, list(range(len(own))))
@@ -93,7 +95,9 @@ def test_an_island_runs_as_a_network_that_consists_of_it_alone(buses: tuple[int,
         whole.advance()
         part.advance()
         for name in ("speed", "power", "voltage"):
-            assert whole.machine_values(name)[0, machines] == pytest.approx(part.machine_values(name)[0], abs=1e-11), name
+            assert whole.machine_values(name)[0, machines] == pytest.approx(part.machine_values(name)[0], abs=1e-11), (
+                name
+            )
         for name in ("speed", "power", "rotor_speed", "terminal_voltage"):
             assert whole.wtg_values(name)[0, groups] == pytest.approx(part.wtg_values(name)[0], abs=1e-11), name
         centre = whole.blocks[0, whole.layout.first_rows(ISLANDS, "centre")[island], 0]
@@ -216,7 +220,9 @@ def test_without_its_last_machine_a_grid_of_converters_runs_on() -> None:
     assert np.ptp(found["speed"][-1]) < 1e-6
     angles = simulator.lane_values("angle")[0]
     simulator.advance()
-    assert simulator.lane_values("angle")[0] - angles == pytest.approx(0.1 * 100.0 * np.pi * (held - 1.0), rel=1e-9, abs=1e-12)
+    assert simulator.lane_values("angle")[0] - angles == pytest.approx(
+        0.1 * 100.0 * np.pi * (held - 1.0), rel=1e-9, abs=1e-12
+    )
 
 
 def all_wind() -> NetworkCase:
