@@ -1,7 +1,8 @@
 """Classical machines with TGOV1, written a second time from the equations, with numpy and scipy only.
 
 Shares nothing with the package: loads and events by bus, the whole network solved at each evaluation, limits of the
-gate as a hybrid system whose mode changes are located by the integrator. Slow, and good to about 1e-10.
+gate as a hybrid system whose mode changes are located by the integrator. Local frequencies are the turns of the bus
+voltages between samples behind a filter; machines come back with them. Slow, and good to about 1e-10.
 """
 
 from __future__ import annotations
@@ -10,6 +11,9 @@ from typing import Any
 
 import numpy as np
 from scipy.integrate import solve_ivp
+
+#: Distance of the samples of the local frequencies, and time constant of their filter [s].
+SAMPLE_S, FILTER_S = 1.0 / 16.0, 0.1
 
 
 class Independent:
@@ -46,6 +50,7 @@ class Independent:
         self.reference = self.torque[self.governed] / scale[self.governed]
         self.lines = {(line["f"], line["t"]): line for line in data["line"]}
         self.connected = np.ones(len(gens))
+        self.local, self.seen = np.ones(len(self.buses)), start
 
     def _network(self, data: dict[str, Any]) -> np.ndarray:
         n = len(self.buses)
@@ -104,7 +109,24 @@ class Independent:
             found |= {f"w{key}": state[len(self.keys) + i], f"Pe{key}": power[i]}
         return found
 
-    def _strike(self, event: dict[str, Any], y: np.ndarray, held: np.ndarray) -> None:
+    def _sample(self, y: np.ndarray, state: np.ndarray) -> None:
+        """Find the local frequency of every bus."""
+        voltage, _, _ = self.solve(y, state)
+        measured = 1.0 + np.angle(voltage / self.seen) / (self.omega_n * SAMPLE_S)
+        self.local = self.local + (1.0 - np.exp(-SAMPLE_S / FILTER_S)) * (measured - self.local)
+        self.seen = voltage
+
+    def _bring_back(self, k: int, y: np.ndarray, held: np.ndarray, state: np.ndarray) -> None:
+        """Synchronise a machine: in phase with its bus, at the frequency there, its gate closed."""
+        m, i = len(self.keys), self.at[k]
+        voltage = self.solve(y, state)[0][i]
+        self.emf[k], state[k], state[m + k] = abs(voltage), np.angle(voltage), self.local[i]
+        for j in np.flatnonzero(self.governed == k):
+            held[j], state[2 * m + j], state[2 * m + len(self.governed) + j] = 0.0, 0.0, 0.0
+        y[i, i] += 1.0 / self.impedance[k]
+        self.connected[k] = 1.0
+
+    def _strike(self, event: dict[str, Any], y: np.ndarray, held: np.ndarray, state: np.ndarray) -> None:
         """Change network, machines and gates; a gate that is held with NaN is so for good."""
         if "opens" in event or "closes" in event:
             sign, ends = (-1.0, event["opens"]) if "opens" in event else (1.0, event["closes"])
@@ -115,6 +137,9 @@ class Independent:
             for k in np.flatnonzero(self.at == i):
                 y[i, i] -= 1.0 / self.impedance[k]
                 self.connected[k] = 0.0
+        elif event.get("returns"):
+            for k in np.flatnonzero(self.at == i):
+                self._bring_back(k, y, held, state)
         elif event.get("governor_loss"):
             held[self.at[self.governed] == i] = np.nan
         else:
@@ -124,7 +149,7 @@ class Independent:
         """Return the columns at the times [s], and how often a gate has met or left a limit as `switches`."""
         m, g = len(self.keys), len(self.governed)
         state = np.concatenate([self.delta, np.ones(m), self.reference, self.reference])
-        y, held, clock, rows, switches = self.y.copy(), np.zeros(g), 0.0, [], 0
+        y, held, clock, rows, switches, samples = self.y.copy(), np.zeros(g), 0.0, [], 0, 0
         for stop in sorted({event["t"] for event in events} | {times[-1]}):
             while clock < stop:
                 watched = [
@@ -145,6 +170,9 @@ class Independent:
                 )
                 while len(rows) < len(times) and times[len(rows)] <= done.t[-1]:
                     rows.append(self.columns(y, done.sol(times[len(rows)])))
+                while (samples + 1) * SAMPLE_S <= done.t[-1]:
+                    samples += 1
+                    self._sample(y, done.sol(samples * SAMPLE_S))
                 clock, state = float(done.t[-1]), done.y[:, -1].copy()
                 for (j, mode, _), hits in zip(watched, done.t_events, strict=True):
                     if len(hits):
@@ -152,7 +180,7 @@ class Independent:
                         switches += 1
             for event in events:
                 if event["t"] == stop:
-                    self._strike(event, y, held)
+                    self._strike(event, y, held, state)
         found = {name: np.array([row[name] for row in rows]) for name in rows[0]}
         return found | {"switches": np.array([switches])}
 

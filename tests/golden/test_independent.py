@@ -84,3 +84,18 @@ def test_outages_and_a_line_that_closes_again_agree_with_a_second_implementation
     # After its outage a rotor affects nothing: one simulator lets it run on, the other stops it.
     expected = compare(data, [{"t": 4.0, "bus": 9, "dG_pu": 0.1}], others, 6.0, left_out=f"w{out}")
     assert (expected[f"Pe{out}"][-30:] == 0.0).all()
+
+
+def test_a_machine_that_comes_back_agrees_with_a_second_implementation() -> None:
+    data = read_data("classical-machines")
+    _two_governors(data)
+    data["tgov1"][1]["VMIN"] = 0.0
+    others: dict[Event, list[dict[str, Any]]] = {
+        MachineOutage(time_s=1.0, bus=2, returns_after_s=1.5): [
+            {"t": 1.0, "bus": 2, "outage": True},
+            {"t": 2.5, "bus": 2, "returns": True},
+        ],
+    }
+    # With the speed, angle and voltage that it finds at its bus: the frequency is not nominal.
+    expected = compare(data, [{"t": 0.5, "bus": 9, "dG_pu": 0.4}], others, 8.0, left_out="w2")
+    assert abs(expected["w1"][39] - 1.0) > 1e-3 and expected["Pe2"][-1] > 0.05
