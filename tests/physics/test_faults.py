@@ -165,6 +165,16 @@ def test_a_unit_that_returns_is_in_step_with_its_bus_and_picks_up_again(who: str
     assert abs(power[unit]) < 1e-3 if who == "condenser" else power[unit] > 0.4
 
 
+def test_a_unit_whose_bus_is_dark_when_it_would_return_stays_away() -> None:
+    # The part of bus 9 dies without its group.
+    events = (GroupTrip(time_s=1.5, group=1, returns_after_s=10.0), *cut(1.0))
+    simulator = started(parted(), scenario(*events, wind=PARTED_WIND))
+    recorded(simulator, 15.0)
+    assert simulator.lane_values("status")[0] == Status.RUNNING
+    assert simulator.wtg_values("connected")[0].tolist() == [1.0, 0.0]
+    assert np.abs(simulator.bus_voltages()[5:]).max() == 0.0
+
+
 # --- What converters stand
 
 
