@@ -35,7 +35,7 @@ from wtg_gym.evaluation.metrics import Recorder, measure
 from wtg_gym.evaluation.table import privileged_note
 from wtg_gym.files import update_between_markers
 from wtg_gym.physics.aerodynamics import power_coefficient
-from wtg_gym.physics.kernel_data import NO_EVENT, LaneData
+from wtg_gym.physics.kernel_data import EVENT, NO_EVENT, LaneData
 from wtg_gym.physics.layout import Floats
 from wtg_gym.physics.simulator import PreparedLanes
 from wtg_gym.progress import Progress
@@ -170,7 +170,7 @@ def imagine(imagined: TaskLanes, lanes: TaskLanes, source: npt.NDArray[np.int64]
     # The network is reduced anew at once: what was due may have been forgotten.
     rows[:, own.layout.lane("next_change")] = step
     data = LaneData._make(array[source] for array in own.data)
-    data.events[data.events["start"] >= step[:, np.newaxis]] = NO_EVENT
+    data.events[data.events[..., EVENT.start] >= step[:, np.newaxis]] = NO_EVENT
     for lane, first in enumerate((step / own.plant.n_substeps).astype(np.int64).tolist()):
         ahead = min(wind.shape[2], own.n_intervals + 1 - first)
         data.wind[lane, :, first : first + ahead] = wind[lane, :, :ahead]

@@ -1,6 +1,6 @@
-"""Small signal, for docs/validation.md: the paper's loop against the simulator, its margins, and the system's modes.
+"""Small signal, for docs/validation.md and docs/model.md: the paper's loop against the simulator, margins, modes.
 
-    python docs/studies/small_signal.py [--output FOLDER]        FOLDER holds validation.md; docs by default
+    python docs/studies/small_signal.py [--output FOLDER]        FOLDER holds both pages; docs by default
 
 The paper's transfer functions describe one WTG on an infinite bus. The simulator, linearised numerically from the
 right-hand side that it integrates, must have the same poles there. Source for participation factors: P. Kundur: Power
@@ -13,7 +13,7 @@ import numpy as np
 from output import folder as output_folder
 
 from wtg_gym.files import markdown_table, update_between_markers
-from wtg_gym.physics.linearisation import moving_states, state_matrix
+from wtg_gym.physics.linearisation import largest_stable_steps, moving_states, state_matrix
 from wtg_gym.physics.machine_parameters import classical_machine
 from wtg_gym.physics.network import Branch, Bus, NetworkCase
 from wtg_gym.physics.parameters import WtgGroup
@@ -178,11 +178,18 @@ def margins_table():
     )
 
 
-def modes_table():
-    """Return the oscillating modes with the states that take part most, and the slowest of the other modes."""
-    scenario, plant = get_suite("paper").scenario(0), PlantSettings()
-    by_law = {name: modes(linearise(scenario, name)) for name in (REFERENCE_STRATEGY, "coordinated-undamped")}
-    # Names for people: machines by their bus, WTG groups counted from 1.
+def modes_of_v0():
+    """Return the least damped oscillation of the paper's system, with and without transient damping, as a sentence."""
+    scenario, found = get_suite("paper").scenario(0), []
+    for law in (REFERENCE_STRATEGY, "coordinated-undamped"):
+        oscillating = [mode for mode in modes(linearise(scenario, law)) if mode.frequency_hz > 0.0]
+        mode = min(oscillating, key=lambda mode: mode.damping_ratio)
+        found.append(f"ζ = {mode.damping_ratio:.2f} at {mode.frequency_hz:.2f} Hz")
+    return f"The least damped oscillation of the 14-bus system has {found[0]}, without transient damping {found[1]}."
+
+
+def names_of(plant):
+    """Return a function that names states for people: machines by their bus, WTG groups counted from 1."""
     units = {f"sync{i}": f"bus{machine.bus}" for i, machine in enumerate(plant.case.machines)}
     units.update({f"wtg{j}": f"wtg{j + 1}" for j in range(len(plant.groups))})
 
@@ -190,26 +197,39 @@ def modes_table():
         unit, _, rest = state.partition(".")
         return f"{units.get(unit, unit)}.{rest}"
 
-    found = by_law[REFERENCE_STRATEGY]
-    rows = []
-    # The others are as good as not oscillating.
-    for mode in (mode for mode in found if mode.frequency_hz > 0.0 and mode.damping_ratio < 0.8):
-        shares = [f"{named(state)} {100 * share:.0f} %" for state, share in mode.participation.items() if share >= 0.05]
-        value = minus(f"{mode.eigenvalue.real:.3f} ± j{mode.eigenvalue.imag:.3f}")
-        rows.append((value, f"{mode.frequency_hz:.3f}", f"{mode.damping_ratio:.3f}", ", ".join(shares[:2])))
-    header = ("eigenvalue [1/s]", "frequency [Hz]", "damping ratio", "takes part")
-    real = [mode for mode in found if mode.frequency_hz == 0.0]
-    slowest = max(real, key=lambda mode: mode.eigenvalue.real)
-    undamped = min(
-        (mode for mode in by_law["coordinated-undamped"] if mode.frequency_hz > 0.0),
-        key=lambda mode: mode.damping_ratio,
-    )
-    return (
-        f"{markdown_table(header, rows, right=(1, 2))}\n\n"
-        f"The slowest of {len(real)} real eigenvalues is {minus(f'{slowest.eigenvalue.real:.3f}')}/s "
-        f"({named(next(iter(slowest.participation)))}). Without transient damping the least damped oscillation has "
-        f"ζ = {undamped.damping_ratio:.2f} at {undamped.frequency_hz:.2f} Hz."
-    )
+    return named
+
+
+def modes_of_v1():
+    """Return the extremes of the modes of v1's grids, on both slopes of g(ω), in words."""
+    models = []
+    for suite in map(get_suite, ("standard-v1", "low-share-v1", "high-share-v1")):
+        plant = suite.plant.settings(classical=False)
+        for scenario in suite.scenarios(suite.validation[:20]):
+            models += [linearise(scenario, REFERENCE_STRATEGY, plant, side=side) for side in ("under", "over")]
+    return extremes(models, plant)
+
+
+def extremes(models, plant):
+    """Return the extremes of the modes of some models, and the largest step at which all of them decay."""
+    named, found = names_of(plant), [mode for model in models for mode in modes(model)]
+    oscillating = [mode for mode in found if mode.frequency_hz > 0.0]
+    chosen = {
+        "least damped": min(oscillating, key=lambda mode: mode.damping_ratio),
+        "fastest oscillation": max(oscillating, key=lambda mode: mode.frequency_hz),
+        "fastest": max(found, key=lambda mode: abs(mode.eigenvalue)),
+        "slowest": min(found, key=lambda mode: abs(mode.eigenvalue)),
+    }
+    lines = []
+    for what, mode in chosen.items():
+        value = f"{mode.eigenvalue.real:.3f}"
+        if mode.frequency_hz > 0.0:
+            value += f" ± j{mode.eigenvalue.imag:.3f}/s, {mode.frequency_hz:.2f} Hz, ζ = {mode.damping_ratio:.2f}"
+        else:
+            value += "/s"
+        lines.append(f"- {what}: {minus(value)} ({named(next(iter(mode.participation)))})")
+    step_s = min(largest_stable_steps([mode.eigenvalue for mode in found]))
+    return "\n".join((*lines, f"- largest stable step: {1e3 * step_s:.0f} ms"))
 
 
 def minus(text):
@@ -218,6 +238,7 @@ def minus(text):
 
 
 if __name__ == "__main__":
-    page = output_folder(__doc__) / "validation.md"
-    for section, text in (("small-signal", margins_table()), ("modes", modes_table())):
-        update_between_markers(page, text, section)
+    folder = output_folder(__doc__)
+    for section, text in (("small-signal", margins_table()), ("modes", modes_of_v0())):
+        update_between_markers(folder / "validation.md", text, section)
+    update_between_markers(folder / "model.md", modes_of_v1(), "modes-v1")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from typing import Any
 
@@ -9,9 +10,15 @@ import numpy as np
 import pytest
 
 from tests.golden.case import ROW_S, case_of, read_data
-from tests.golden.independent import Independent
+from tests.golden.independent import Independent, IndependentConverter
 from tests.golden.replay import replay
-from wtg_gym.physics.scenario import Event, GovernorLoss, LineTrip, MachineOutage
+from tests.physics.extended import recorded
+from wtg_gym.physics.network import Branch, Bus, NetworkCase, Source
+from wtg_gym.physics.parameters import ConverterLimitParameters, ProtectionParameters, TurbineParameters, WtgGroup
+from wtg_gym.physics.plant import PlantSettings
+from wtg_gym.physics.scenario import Event, FrequencyRamp, GovernorLoss, LineTrip, MachineOutage, PhaseJump, Scenario
+from wtg_gym.physics.simulator import Simulator
+from wtg_gym.physics.tracking_law import TrackingLaw
 
 TOLERANCES = {"w": 1e-8, "V": 2e-8, "P": 2e-6}
 LOADS = [
@@ -84,3 +91,68 @@ def test_outages_and_a_line_that_closes_again_agree_with_a_second_implementation
     # After its outage a rotor affects nothing: one simulator lets it run on, the other stops it.
     expected = compare(data, [{"t": 4.0, "bus": 9, "dG_pu": 0.1}], others, 6.0, left_out=f"w{out}")
     assert (expected[f"Pe{out}"][-30:] == 0.0).all()
+
+
+def test_a_machine_that_comes_back_agrees_with_a_second_implementation() -> None:
+    data = read_data("classical-machines")
+    _two_governors(data)
+    data["tgov1"][1]["VMIN"] = 0.0
+    others: dict[Event, list[dict[str, Any]]] = {
+        MachineOutage(time_s=1.0, bus=2, returns_after_s=1.5): [
+            {"t": 1.0, "bus": 2, "outage": True},
+            {"t": 2.5, "bus": 2, "returns": True},
+        ],
+    }
+    # With the speed, angle and voltage that it finds at its bus: the frequency is not nominal.
+    expected = compare(data, [{"t": 0.5, "bus": 9, "dG_pu": 0.4}], others, 8.0, left_out="w2")
+    assert abs(expected["w1"][39] - 1.0) > 1e-3 and expected["Pe2"][-1] > 0.05
+
+
+def test_limits_of_power_and_torque_and_the_chopper_agree_with_a_second_implementation() -> None:
+    network = NetworkCase(
+        name="a group at an imposed source",
+        base_mva=100.0,
+        frequency_hz=50.0,
+        slack_bus=1,
+        buses=(Bus(number=1, voltage_pu=1.0), Bus(number=2, voltage_pu=1.0)),
+        branches=(Branch(from_bus=1, to_bus=2, resistance=0.0, reactance=0.1),),
+        machines=(),
+        sources=(Source(bus=1, reactance=0.05),),
+    )
+    settings = PlantSettings(
+        case=network,
+        groups=(WtgGroup(bus=2, n_turbines=20.0),),
+        turbine=TurbineParameters(conserves_energy=True),
+        limits=ConverterLimitParameters(current_max_pu=10.0),
+        protection=ProtectionParameters(frequency_min_pu=0.5, frequency_max_pu=1.5),
+        simulation_dt=0.0025,
+    )
+    events = (
+        FrequencyRamp(time_s=1.0, bus=1, rocof_hz_s=-0.5, duration_s=0.8),
+        PhaseJump(time_s=6.0, bus=1, angle_deg=-40.0),
+        FrequencyRamp(time_s=10.0, bus=1, rocof_hz_s=1.0, duration_s=1.0),
+        PhaseJump(time_s=15.0, bus=1, angle_deg=70.0),
+    )
+    changes = [
+        (1.0, 0.0, -0.01),
+        (1.8, 0.0, 0.0),
+        (6.0, math.radians(-40.0), 0.0),
+        (10.0, 0.0, 0.02),
+        (11.0, 0.0, 0.0),
+        (15.0, math.radians(70.0), 0.0),
+    ]
+    k = (1.3, 0.65, 0.55)
+    law = TrackingLaw(name="steep", k_min=k[0], k_nominal=k[1], k_max=k[2], damping_time_constant_s=0.8)
+    what = Scenario(name="x", wind_speed=np.array([[11.0]]), events=events, duration_s=20.0, load_noise_bus=1)
+    simulator = Simulator(settings, duration_s=20.0)
+    simulator.start(0, what, (law,))
+    times = 0.1 * np.arange(1, 201)
+    expected = IndependentConverter(k, 11.0, (0.55, 0.1, 0.05)).run(changes, times)
+    found = recorded(simulator, 20.0, *expected)
+    assert len(found["coi"]) == 200
+    for name, values in expected.items():
+        tolerance = {"power": 1e-5, "heat": 1e-5, "energy_delivered": 2e-6, "energy_chopped": 2e-6}.get(name, 2e-7)
+        assert np.abs(found[name][:, 0] - values).max() < tolerance, name
+    # All of it acts.
+    assert expected["shift"].min() < -0.01 and expected["shift"].max() > 0.01 and expected["heat"].max() > 0.1
+    assert simulator.wtg_values("pitch")[0] == 0.0

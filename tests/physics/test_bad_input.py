@@ -29,12 +29,16 @@ from wtg_gym.physics.parameters import (
 from wtg_gym.physics.plant import PlantSettings
 from wtg_gym.physics.rotor_table import RotorTable, read_rotor_table
 from wtg_gym.physics.scenario import (
+    Fault,
+    FrequencyRamp,
     GovernorLoss,
     GroupTrip,
     LineTrip,
     LoadStep,
     LoadTrip,
     MachineOutage,
+    PhaseJump,
+    ReactanceStep,
     Scenario,
 )
 from wtg_gym.physics.sensors import Sensors
@@ -115,6 +119,15 @@ RECORDS: list[tuple[Call, str]] = [
         lambda: Scenario.from_dict({"name": "x", "wind_speed": [[9.0]], "windd": 1}),
         r"unknown scenario keys \['windd'\]",
     ),
+    (of(Fault, time_s=1.0, bus=4, clears_after_s=0.1, reactance_pu=0.0), "reactance_pu = 0 p.u. is outside"),
+    (of(Fault, time_s=1.0, bus=4, clears_after_s=0.0), "clears_after_s = 0 s is outside"),
+    *(
+        (of(Fault, time_s=1.0, bus=4, clears_after_s=0.1, opens=opens), "opens must be the two buses of a line, got")
+        for opens in ((1,), (1, 2, 3), 5, "24", (2.5, 4), (True, 2))
+    ),
+    (of(ReactanceStep, time_s=1.0, from_bus=1, to_bus=2, factor=0.0), "factor = 0 is outside"),
+    (of(PhaseJump, time_s=1.0, bus=1, angle_deg=181.0), "angle_deg = 181 deg is outside"),
+    (given(committed=0.0), "committed = 0 is outside"),
     (event(kind="quake"), "needs a kind out of load_step"),
     (event(time_s=-1.0), "time_s = -1 s is outside"),
     (event(kind="machine_outage"), "unexpected keyword argument 'power_mw'"),
@@ -158,6 +171,17 @@ def line(time_s: float, from_bus: int, to_bus: int, recloses_after_s: float | No
     return LineTrip(time_s=time_s, from_bus=from_bus, to_bus=to_bus, recloses_after_s=recloses_after_s)
 
 
+def extended(*events: Any) -> Call:
+    return lambda: started(plant(), scenario(*events))
+
+
+#: Lines that part the buses 1, 2, 3, 6 and 8, each of which has a unit, from one another.
+FIVE = tuple(
+    line(1.0, *ends)
+    for ends in ((1, 2), (1, 5), (2, 3), (2, 4), (2, 5), (3, 4), (5, 6), (6, 11), (6, 12), (6, 13), (7, 8))
+)
+
+
 UNFIT: list[tuple[Call, str]] = [
     (fit(LoadStep(time_s=1.003, bus=2, power_mw=1.0)), "event time = 1.003 s is not a whole number"),
     (fit(line(1.0, 7, 8, 0.5)), "would split the network"),
@@ -169,7 +193,26 @@ UNFIT: list[tuple[Call, str]] = [
     (fit(*(GroupTrip(time_s=t, group=1) for t in (1.0, 2.0))), "disconnects WTG group 1 at bus 2 twice"),
     (fit(GovernorLoss(time_s=1.0, bus=3)), r"no machine with a governor at bus 3; buses with one: \[1\]"),
     (fit(MachineOutage(time_s=1.0, bus=2)), r"no synchronous machine at bus 2; buses with one: \[1, 3, 6, 8\]"),
-    (fit(*(MachineOutage(time_s=1.0, bus=bus) for bus in (8, 1, 6, 3))), "disconnects every synchronous machine"),
+    (
+        fit(MachineOutage(time_s=1.0, bus=3, returns_after_s=1.0)),
+        "brings back .* at bus 3, which needs extended",
+    ),
+    (fit(GroupTrip(time_s=1.0, group=0, returns_after_s=1.0)), "brings back WTG group 0 .* needs extended physics"),
+    (fit(Fault(time_s=1.0, bus=99, clears_after_s=0.1)), r"unknown bus 99; .* has buses \[1, 2"),
+    (fit(Fault(time_s=1.0, bus=4, clears_after_s=0.1, opens=(1, 9))), "no branch 1-9 in .*; branches: 1-2"),
+    (fit(Fault(time_s=1.0, bus=4, clears_after_s=0.101)), "clears_after_s = 0.101 s is not a whole number"),
+    (fit(ReactanceStep(time_s=1.0, from_bus=1, to_bus=4, factor=2.0)), "no branch 1-4 in .*; branches: 1-2"),
+    (fit(PhaseJump(time_s=1.0, bus=1, angle_deg=5.0)), r"no imposed source at bus 1; buses with one: \[\]"),
+    (fit(FrequencyRamp(time_s=1.0, bus=1, rocof_hz_s=1.0, duration_s=1.0)), "no imposed source at bus 1;"),
+    (extended(*FIVE), "its line trips leave 5 islands with a unit; allowed: at most 4"),
+    (
+        extended(*(GroupTrip(time_s=t, group=1, returns_after_s=2.0) for t in (1.0, 2.975))),
+        "disconnects WTG group 1 at bus 2 twice",
+    ),
+    (
+        extended(*(MachineOutage(time_s=t, bus=3, returns_after_s=2.0) for t in (1.0, 2.975))),
+        "disconnects the synchronous machine at bus 3 twice",
+    ),
     (fit(duration_s=300.0), "lasts 300 s, longer than the 120 s held here"),
     (fit(wind=np.full((3, 1), 9.0)), "has wind for 3 WTG groups .* the plant has 2 groups"),
     (fit(wind=np.full((2, 1), 25.0), load_level=0.3), "scenario 'x' cannot start"),

@@ -56,11 +56,11 @@ class GFMWTGEnv(OverLanes, gym.Env[Observation, Action]):
     The exact equilibrium of the drawn scenario's wind, load and grid at nominal frequency.
 
     ## Episode End
-    Terminated (`info["termination_reason"]`) at a "stall", "over-speed" or, in extended physics, "under-speed" of a
-    rotor, at a "frequency limit" (outside 47.5 … 51.5 Hz, in v1 48.5 … 51.5 Hz), a "loss of synchronism" (two units
-    more than 180° apart), a "voltage collapse" (a unit's terminal below 0.85 p.u. for more than 3 s), or a "numerical
-    failure". Protections sample the grid every 0.1 s, and at the end of shorter control intervals. Truncated when the
-    time is over.
+    Terminated (`info["termination_reason"]`) at a "frequency limit" (outside 47.5 … 51.5 Hz), a "loss of synchronism"
+    (two units more than 180° apart), a "voltage collapse" (a unit's terminal below 0.85 p.u. for more than 3 s), or a
+    "numerical failure"; with `on_failure="terminate"`, as in v0, at a "stall", an "over-speed" or, in extended physics,
+    an "under-speed" of a rotor too, which else disconnects its group. Protections sample the grid every 0.1 s, and at
+    the end of shorter control intervals. Truncated when the time is over.
 
     ## Arguments
     `help(wtg_gym.envs.EnvSettings)` lists them; `render_mode` is one more. An unknown one raises a TypeError, a value

@@ -11,7 +11,7 @@ with I_0 the current without the limit. Power. A frequency is added to the angle
     δ̇ = ω_n (ω + Δω - ω_ref),    Δω = min(k_p (p_top - p) + x_o, 0) + max(k_p (p_min - p) + x_u, 0)
     ẋ_o = k_i (p_top - p), x_o ≤ 0,    ẋ_u = k_i (p_min - p), x_u ≥ 0,    p_top = min(p_max, T_max ω_m)
 
-p_top is also the most that P_st can be. ω + Δω is the frequency of the voltage, and what everything that measures one
+p_top is also the most that k ω_m³ can be. ω + Δω is the frequency of the voltage, and what everything that measures one
 sees; ω is that of the swing equation, whose droop keeps it near the set-point while the limiter acts. Rotor. It gives
 max(p, p_min): a chopper burns what the grid presses into the converter. Its heat cools with a time constant; once it
 exceeds what the chopper stands, the group disconnects. Voltage. Droop, reactive limits and one integrator,

@@ -261,9 +261,9 @@ def judge_island(
 ) -> tuple[float, float]:
     """Say whether an island has failed.
 
-    If several findings apply, the first in this order counts: not finite; under-speed, stall or over-speed of the last
-    such group; loss of synchronism; voltage collapse; frequency limit. The others follow from it. An island without a
-    unit has no voltage.
+    If several findings apply, the first in this order counts: not finite; where rotors end a run, under-speed, stall or
+    over-speed of the last such group; loss of synchronism; voltage collapse; frequency limit. The others follow from
+    it. An island without a unit has no voltage.
     """
     found = select((centre < limits.coi_min) | (centre > limits.coi_max), float(Status.FREQUENCY_LIMIT), 0.0)
     empty = least_angle > largest_angle

@@ -97,7 +97,8 @@ def _strike(block: Floats, x: int, lane: int, network: Network, data: LaneData, 
             # Once is enough: a protection may disconnect a unit that has come back.
             if step == start and not again:
                 block[network.connected[unit], x] = 0.0
-            if end > start and step == end and block[network.connected[unit], x] < 0.5:
+            # A unit that finds no voltage at its bus does not try again.
+            if end > start and step == end and not again and block[network.connected[unit], x] < 0.5:
                 block[facts.units + _N_UNIT * unit + _OF_UNIT.returns, x] = 1.0
                 block[facts.lane + OF_LANE.returning, x] = 1.0
         machine = facts.machines + governor * N_MACHINE_ROWS

@@ -185,11 +185,14 @@ class Fault(_AtBus):
     opens: tuple[int, int] | None = None  # both ends of the line that clears it
 
     def __post_init__(self) -> None:
+        ends = self.opens
+        if ends is not None:
+            pair = isinstance(ends, (tuple, list)) and len(ends) == 2
+            if not pair or not all(isinstance(end, (int, np.integer)) and not isinstance(end, bool) for end in ends):
+                raise ValueError(f"opens must be the two buses of a line, got {ends!r}")
+            # Either way round, as for every other line; the check of all fields takes a pair for a span.
+            object.__setattr__(self, "opens", (min(ends), max(ends)))
         super().__post_init__()
-        if self.opens is not None:
-            if not isinstance(self.opens, (tuple, list)) or len(self.opens) != 2:
-                raise ValueError(f"opens must be the two buses of a line, got {self.opens!r}")
-            object.__setattr__(self, "opens", tuple(self.opens))
 
     @property
     def end_s(self) -> float:

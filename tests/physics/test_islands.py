@@ -1,0 +1,263 @@
+"""Facts about networks that fall apart, that join again, and that lose their last machine."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from tests.physics.extended import (
+    LAW,
+    NO_SHEDDING,
+    largest_rate,
+    phasors,
+    plant,
+    recorded,
+    scenario,
+    started,
+)
+from wtg_gym.physics.extension_unit import EXTENSIONS
+from wtg_gym.physics.ieee14 import modified_ieee14
+from wtg_gym.physics.layout import Floats, n_rows_of
+from wtg_gym.physics.machine_unit import MACHINES
+from wtg_gym.physics.network import NetworkCase
+from wtg_gym.physics.parameters import WtgGroup
+from wtg_gym.physics.plant import PlantSettings, plant_settings
+from wtg_gym.physics.protection import STAGES, Status
+from wtg_gym.physics.scenario import LineTrip, LoadStep, MachineOutage
+from wtg_gym.physics.simulator import Simulator
+from wtg_gym.physics.tracking_law import get_law
+from wtg_gym.physics.units import BUSES, ISLANDS, PAIRS, UNITS
+from wtg_gym.physics.wtg_unit import GROUPS
+from wtg_gym.systems.systems import Kind
+
+#: Lines between buses 1 … 5, which have the more load, and 6 … 14; a group lives in either part.
+CUT = ((5, 6), (4, 7), (4, 9))
+NORTH, SOUTH = (1, 2, 3, 4, 5), tuple(range(6, 15))
+PARTED = (WtgGroup(bus=2, n_turbines=20.0), WtgGroup(bus=9, n_turbines=18.0))
+PARTED_WIND = [[9.0], [11.4]]
+
+
+def cut(time_s: float, lines: tuple[tuple[int, int], ...] = CUT, again_s: float | None = None) -> tuple[LineTrip, ...]:
+    return tuple(LineTrip(time_s=time_s, from_bus=f, to_bus=t, recloses_after_s=again_s) for f, t in lines)
+
+
+def parted(**more: object) -> PlantSettings:
+    return plant(**{"groups": PARTED, "shedding": NO_SHEDDING, **more})  # type: ignore[arg-type]
+
+
+def rows_of(simulator: Simulator, kind: Kind, units: list[int]) -> np.ndarray:
+    """All rows of some units of a kind (n_units, n_rows)."""
+    n = n_rows_of(kind.rows)
+    return simulator.layout.first[kind] + np.add.outer(np.array(units, dtype=int) * n, np.arange(n))
+
+
+def alone(settings: PlantSettings, buses: tuple[int, ...], slack: int, held: float | None = None) -> PlantSettings:
+    """The plant of a part of the network."""
+    case = settings.case
+    return dataclasses.replace(
+        settings,
+        case=dataclasses.replace(
+            case,
+            slack_bus=slack,
+            buses=tuple(bus for bus in case.buses if bus.number in buses),
+            branches=tuple(b for b in case.branches if b.from_bus in buses and b.to_bus in buses),
+            machines=tuple(machine for machine in case.machines if machine.bus in buses),
+        ),
+        groups=tuple(group for group in settings.groups if group.bus in buses),
+    )
+
+
+@pytest.mark.parametrize(("buses", "slack"), [(NORTH, 1), (SOUTH, 6)], ids=["grid", "second island"])
+def test_an_island_runs_as_a_network_that_consists_of_it_alone(buses: tuple[int, ...], slack: int) -> None:
+    settings = parted(load_frequency_dependence=1.0)
+    whole = started(settings, scenario(LoadStep(time_s=0.5, bus=13, power_mw=5.0), *cut(1.0), wind=PARTED_WIND))
+    recorded(whole, 1.0)
+    groups = [j for j, group in enumerate(settings.groups) if group.bus in buses]
+    machines = [i for i, machine in enumerate(settings.case.machines) if machine.bus in buses]
+    events = [LoadStep(time_s=0.0, bus=13, power_mw=5.0)] if 13 in buses else []
+    part = started(
+        alone(settings, buses, slack), scenario(*events, wind=np.array(PARTED_WIND)[groups], load_noise_bus=slack)
+    )
+    at = [settings.case.bus_index(bus) for bus in buses]
+    for kind, own in ((MACHINES, machines), (GROUPS, groups), (EXTENSIONS, groups), (BUSES, at)):
+        into = rows_of(part, kind, list(range(len(own))))
+        part.blocks[0, into, 0] = whole.blocks[0, rows_of(whole, kind, own), 0]
+    if events:
+        part.data.events[0, 0] = whole.data.events[0, 0]
+        part.data.events[0, 0, :2] = 0.0
+        part.data.events[0, 0, 2] = buses.index(13)
+    part.blocks[0, part.layout.first_rows(ISLANDS, "centre")] = whole.lane_values("coi")[0]
+    part.blocks[0, part.layout.lane("next_change"), 0] = 0.0
+    island = 0 if slack == 1 else 1
+    for _ in range(30):
+        whole.advance()
+        part.advance()
+        for name in ("speed", "power", "voltage"):
+            assert whole.machine_values(name)[0, machines] == pytest.approx(part.machine_values(name)[0], abs=1e-11), (
+                name
+            )
+        for name in ("speed", "power", "rotor_speed", "terminal_voltage"):
+            assert whole.wtg_values(name)[0, groups] == pytest.approx(part.wtg_values(name)[0], abs=1e-11), name
+        centre = whole.blocks[0, whole.layout.first_rows(ISLANDS, "centre")[island], 0]
+        assert centre == pytest.approx(part.lane_values("coi")[0], abs=1e-12)
+    assert abs(centre - 1.0) > 5e-5
+
+
+def island_of_buses(simulator: Simulator) -> Floats:
+    return simulator.blocks[0, simulator.layout.first_rows(BUSES, "island"), 0]
+
+
+def test_the_blocks_between_islands_vanish_and_powers_balance_in_each() -> None:
+    settings = parted()
+    simulator = started(settings, scenario(*cut(1.0), wind=PARTED_WIND))
+    recorded(simulator, 1.5)
+    numbers = [settings.case.bus_numbers[k] for k in np.flatnonzero(island_of_buses(simulator) == 0.0)]
+    assert numbers == list(NORTH)
+    n, unit_bus = simulator.layout.n_unit, simulator.plant.network.unit_bus
+    of_unit = island_of_buses(simulator)[unit_bus]
+    assert set(of_unit) == {0.0, 1.0}
+    y = phasors(simulator, PAIRS, "admittance").reshape(n, n)
+    assert (y[of_unit[:, None] != of_unit[None, :]] == 0.0).all()
+    voltage, current = simulator.bus_voltages(), phasors(simulator, UNITS, "current")
+    load = simulator.layout.first_rows(BUSES, "load")
+    shunts = simulator.plant.network.shunts + simulator.blocks[0, load, 0] + 1j * simulator.blocks[0, load + 1, 0]
+    opened = {settings.case.branch_index(*ends) for ends in CUT}
+    lines = np.zeros(len(voltage), dtype=complex)
+    for b, (f, t) in enumerate(simulator.plant.network.branch_ends):
+        if b not in opened:
+            ff, ft, tf, tt = simulator.plant.network.branch_y[b]
+            lines[f] += ff * voltage[f] + ft * voltage[t]
+            lines[t] += tf * voltage[f] + tt * voltage[t]
+    drawn = (voltage * np.conj(lines + shunts * voltage)).real
+    given = (voltage[unit_bus] * current.conj()).real
+    for island in (0.0, 1.0):
+        here = island_of_buses(simulator) == island
+        assert given[of_unit == island].sum() == pytest.approx(drawn[here].sum(), abs=1e-10)
+        assert given[of_unit == island].sum() > 0.5
+
+
+def test_parts_without_a_unit_are_dark_and_count_as_not_served() -> None:
+    settings = parted()
+    dark = cut(1.0, ((9, 14), (13, 14)), 1.0)
+    simulator = started(settings, scenario(*dark, LoadStep(time_s=0.5, bus=14, power_mw=4.0), wind=PARTED_WIND))
+    load = simulator.layout.first_rows(BUSES, "load")[13]
+    recorded(simulator, 1.5)
+    voltage = np.abs(simulator.bus_voltages())
+    assert voltage[13] == 0.0 and island_of_buses(simulator)[13] == -1.0 and (voltage[:13] > 0.9).all()
+    conductance = simulator.blocks[0, load, 0]
+    unserved = simulator.lane_values("unserved")[0]
+    assert unserved == pytest.approx(conductance + simulator.data.events[0, 2, 3], abs=1e-15)
+    assert simulator.lane_values("shed_energy")[0] == pytest.approx(0.5 * unserved, rel=1e-12)
+    recorded(simulator, 1.0)
+    assert abs(simulator.bus_voltages()[13]) > 0.9 and (island_of_buses(simulator) == 0.0).all()
+    assert simulator.lane_values("unserved")[0] == 0.0
+    assert simulator.lane_values("shed_energy")[0] == pytest.approx(unserved, rel=1e-12)
+    assert simulator.lane_values("status")[0] == Status.RUNNING
+
+
+def test_islands_that_join_again_are_one_and_swing_together() -> None:
+    simulator = started(parted(), scenario(*cut(1.0, again_s=0.3), wind=PARTED_WIND))
+    found = recorded(simulator, 40.0, "speed")
+    assert (island_of_buses(simulator) == 0.0).all() and simulator.lane_values("split")[0] == 0.0
+    assert np.ptp(found["speed"][12]) > 1e-5
+    assert np.ptp(found["speed"][-1]) < 1e-7
+    assert simulator.lane_values("status")[0] == Status.RUNNING
+
+
+def test_shedding_acts_in_the_island_with_the_deficit_alone() -> None:
+    simulator = started(plant(groups=PARTED), scenario(*cut(1.0), wind=[[9.0], [7.0]]))
+    recorded(simulator, 6.0)
+    served = simulator.blocks[0, simulator.layout.first_rows(BUSES, "served"), 0]
+    south = island_of_buses(simulator) == 1.0
+    assert simulator.lane_values("split")[0] == 1.0
+    assert (served[~south] == 1.0).all() and np.ptp(served[south]) == 0.0 and served[south][0] < 0.96
+    load = simulator.blocks[0, simulator.layout.first_rows(BUSES, "load"), 0]
+    assert simulator.lane_values("unserved")[0] == pytest.approx((1.0 - served) @ load, abs=1e-14)
+    shed = simulator.blocks[0, simulator.layout.first_rows(STAGES, "shed"), 0].reshape(4, -1)
+    assert (shed[0] >= 0.0).all() and (shed[1] < 0.0).any()
+
+
+def test_a_second_island_beyond_its_limits_trips_its_units_and_the_run_goes_on() -> None:
+    # Condensers alone feed the load of their part.
+    simulator = started(plant(shedding=NO_SHEDDING), scenario(*cut(1.0)))
+    recorded(simulator, 30.0)
+    assert simulator.lane_values("status")[0] == Status.RUNNING
+    assert simulator.machine_values("connected")[0].tolist() == [1.0, 1.0, 0.0, 0.0]
+    assert simulator.wtg_values("connected")[0].tolist() == [1.0, 1.0]
+    assert (island_of_buses(simulator) == [0.0] * 5 + [-1.0] * 9).all()
+    assert (simulator.bus_voltages()[5:] == 0.0).all()
+    load = simulator.blocks[0, simulator.layout.first_rows(BUSES, "load"), 0]
+    assert simulator.lane_values("unserved")[0] == pytest.approx(load[5:].sum(), abs=1e-14)
+
+
+def test_the_end_of_the_grid_is_the_end_of_the_run() -> None:
+    # All that generates is in the part with less load.
+    lines = ((1, 2), (1, 5), (2, 3), (2, 4), (2, 5))
+    case = modified_ieee14()
+    groups = (WtgGroup(bus=2, n_turbines=10.0),) * 2
+    simulator = started(plant(case=case, groups=groups, shedding=NO_SHEDDING), scenario(*cut(1.0, lines[1:])))
+    recorded(simulator, 30.0)
+    assert simulator.lane_values("status")[0] in (Status.FREQUENCY_LIMIT, Status.VOLTAGE_COLLAPSE)
+    assert simulator.lane_values("active")[0] == 0.0
+
+
+# --- No machine
+
+
+def test_without_its_last_machine_a_grid_of_converters_runs_on() -> None:
+    settings = plant(groups=(WtgGroup(bus=2, n_turbines=40.0), WtgGroup(bus=6, n_turbines=20.0)), shedding=NO_SHEDDING)
+    outages = tuple(MachineOutage(time_s=t, bus=bus) for t, bus in ((1.0, 3), (1.0, 6), (1.0, 8), (2.0, 1)))
+    simulator = started(settings, scenario(*outages, wind=[[11.0], [11.0]]))
+    recorded(simulator, 2.0)
+    held = simulator.machine_values("speed")[0, 0]
+    found = recorded(simulator, 20.0, "speed", "power")
+    assert simulator.lane_values("status")[0] == Status.RUNNING
+    assert (simulator.machine_values("connected")[0] == 0.0).all()
+    # The frame of all angles turns on with the speed that the first machine had last.
+    assert simulator.machine_values("speed")[0, 0] == held
+    assert np.ptp(found["speed"][-1]) < 1e-6
+    angles = simulator.lane_values("angle")[0]
+    simulator.advance()
+    assert simulator.lane_values("angle")[0] - angles == pytest.approx(
+        0.1 * 100.0 * np.pi * (held - 1.0), rel=1e-9, abs=1e-12
+    )
+
+
+def all_wind() -> NetworkCase:
+    return dataclasses.replace(modified_ieee14(), machines=(), slack_bus=2)
+
+
+ALL_WIND = (WtgGroup(bus=2, n_turbines=50.0), WtgGroup(bus=6, n_turbines=30.0))
+
+
+def test_wind_turbines_alone_share_the_load_by_one_factor_on_k() -> None:
+    settings = plant(case=all_wind(), groups=ALL_WIND, shedding=NO_SHEDDING)
+    step = LoadStep(time_s=1.0, bus=3, power_mw=10.0)
+    simulator = started(settings, scenario(step, wind=[[10.5], [10.0]], load_noise_bus=2))
+    assert largest_rate(simulator) < 1e-10
+    law = get_law(LAW, settings.turbine)
+    factors = [simulator.wtg_values(name)[0] / getattr(law, name) for name in ("k_min", "k_nominal", "k_max")]
+    assert np.ptp(factors) < 1e-12 and 0.1 < np.mean(factors) < 1.0
+    power, rotor = (simulator.wtg_values(name)[0] for name in ("power", "rotor_speed"))
+    assert power == pytest.approx(simulator.wtg_values("k_nominal")[0] * rotor**3, abs=1e-11)
+    voltage = simulator.bus_voltages()
+    assert np.abs(voltage[1]) == pytest.approx(1.045, abs=1e-10)
+    found = recorded(simulator, 30.0, "speed")
+    assert simulator.lane_values("status")[0] == Status.RUNNING
+    assert 0.99 < found["coi"][-1] < 0.9999 and np.ptp(found["speed"][-1]) < 1e-6
+
+
+def test_too_little_wind_for_wind_turbines_alone_is_said_in_one_line() -> None:
+    settings = plant(case=all_wind(), groups=ALL_WIND, shedding=NO_SHEDDING)
+    with pytest.raises(ValueError, match="WTG groups alone cannot meet the load at a level of 1;") as refused:
+        started(settings, scenario(wind=[[7.0], [6.0]], load_noise_bus=2))
+    assert "\n" not in str(refused.value)
+
+
+@pytest.mark.parametrize("physics", ["extended", "nrel-5mw"])
+def test_extended_physics_sheds_and_takes_damping_from_condensers_alone(physics: str) -> None:
+    settings = plant_settings(physics)
+    assert [machine.damping_pu for machine in settings.case.machines] == [2.0, 0.0, 0.0, 0.0]
+    assert [stage.share for stage in settings.shedding] == [0.05, 0.08, 0.08, 0.08, 0.08, 0.08]
