@@ -184,7 +184,7 @@ def test_the_gradient_goes_through_shed_load_and_groups_that_their_rotor_trips()
     agrees(tape, scenarios, actions)
     played(tape, scenarios, actions)
     simulator = tape.lanes.simulator
-    shed = tape._take(tape._values(), simulator.layout.first_rows(STAGES, "shed")) < 0.0
+    shed = tape._take(tape.lanes.simulator.blocks, simulator.layout.first_rows(STAGES, "shed")) < 0.0
     assert shed.any(axis=1)[[0, 2]].all() and (simulator.wtg_values("connected") == 0.0).any()
 
 
