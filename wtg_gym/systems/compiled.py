@@ -7,7 +7,8 @@ compiled code, so that an edit anywhere starts a new folder. It has one file for
 which begins with a checksum over its key and its content. A file that is missing, damaged or of something else counts
 as missing: numba compiles again, and the file is replaced.
 
-Compiling takes some ten seconds, so the logger "wtg_gym" warns of it once, with the folder.
+Compiling takes some ten seconds, so it is reported: in a terminal by a line that moves and goes away; elsewhere the
+logger "wtg_gym" warns once, with the folder. `logging.getLogger("wtg_gym").setLevel(logging.ERROR)` silences both.
 """
 
 from __future__ import annotations
@@ -40,7 +41,7 @@ _PACKAGE = Path(__file__).resolve().parent.parent
 _log = logging.getLogger("wtg_gym")
 #: What machine code depends on besides the sources and the processor.
 VERSIONS = (numba.__version__, llvmlite.__version__, sys.implementation.cache_tag)
-#: This many functions and routines are compiled before there is a warning: so few take a second.
+#: This many functions and routines are compiled before anything is reported: so few take a second.
 _SILENT_FUNCTIONS = 20
 
 
@@ -178,7 +179,7 @@ class Compilation(event.Listener):  # type: ignore[misc]
     def on_start(self, event: Any) -> None:
         """Numba begins to compile a function."""
         if self._is_ours(event):
-            self.begin()
+            self.begin(event.data["dispatcher"].py_func.__name__)
 
     def on_end(self, event: Any) -> None:
         """Numba has compiled a function, or failed to."""
@@ -189,17 +190,22 @@ class Compilation(event.Listener):  # type: ignore[misc]
     def _is_ours(event: Any) -> bool:
         return isinstance(getattr((event.data or {}).get("dispatcher"), "_cache", None), DiskCache)
 
-    def begin(self) -> None:
-        """Begin to compile something."""
+    def begin(self, name: str) -> None:
+        """Begin to compile something of a name."""
         if not self._began:
             # The compiler makes millions of objects that last: looking through them takes a tenth of its time.
             self._collects = gc.isenabled()
             gc.disable()
         self._began.append(time.perf_counter())
         self.n_functions += 1
-        if self.n_functions == _SILENT_FUNCTIONS:
+        if self.n_functions == _SILENT_FUNCTIONS and not _shows_a_line():
             kept = "not kept: no folder can be written to" if self._folder is None else f"kept in {self._folder}"
             _log.warning("wtg_gym compiles its simulator to machine code: some ten seconds, %s", kept)
+        if self.n_functions >= _SILENT_FUNCTIONS and _shows_a_line():
+            told = (
+                f"wtg_gym compiles its simulator, once: {self.seconds:.0f} s, {self.n_functions} functions, now {name}"
+            )
+            print(f"\r{told[:78]}\x1b[K", end="", file=sys.stderr, flush=True)
 
     def end(self) -> None:
         """End what was begun last."""
@@ -208,6 +214,13 @@ class Compilation(event.Listener):  # type: ignore[misc]
             if self._collects:
                 gc.enable()
             self.seconds += took
+            if self.n_functions >= _SILENT_FUNCTIONS and _shows_a_line():
+                print("\r\x1b[K", end="", file=sys.stderr, flush=True)
+
+
+def _shows_a_line() -> bool:
+    """Return whether somebody watches who may see a line that moves."""
+    return sys.stderr is not None and sys.stderr.isatty() and _log.isEnabledFor(logging.WARNING)
 
 
 @functools.cache
@@ -219,9 +232,9 @@ def compilation() -> Compilation:
 
 
 @contextlib.contextmanager
-def reporting() -> Iterator[None]:
-    """Report that something is compiled meanwhile."""
-    compilation().begin()
+def reporting(name: str) -> Iterator[None]:
+    """Report that something of a name is compiled meanwhile."""
+    compilation().begin(name)
     try:
         yield
     finally:

@@ -83,7 +83,7 @@ class Routine:
                 path = None if folder is None else folder.parent / "programs" / f"{name}.o"
                 code = kept(path, key)
                 if code is None:
-                    with reporting():
+                    with reporting(f"{program.name.lower()} ({what})"):
                         code = self._compiled(program, name, width)
                     keep(path, key, code)
                 engine = _engine()
