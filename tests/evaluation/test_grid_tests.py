@@ -44,4 +44,4 @@ def test_the_current_limit_is_reached_held_and_left() -> None:
 
 def test_the_time_beyond_a_limit_is_that_of_the_longest_stretch() -> None:
     beyond = np.array([[0, 1, 1, 1, 0, 1, 1, 0], [0, 0, 0, 0, 0, 0, 0, 1]], dtype=bool).T
-    assert _longest_beyond(0.1 * np.arange(8.0), beyond) == pytest.approx(0.2)
+    assert _longest_beyond(0.1 * np.arange(8.0), beyond) == pytest.approx(0.3)

@@ -8,6 +8,7 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from wtg_gym.cli.output import print_table
 from wtg_gym.envs.task_records import ROCOF_WINDOW_S
@@ -26,11 +27,11 @@ def key_figures(name: str, run: Trajectory) -> dict[str, Any]:
     ratios, rotors = run.tip_speed_ratio[-1], run.rotor_speed_pu[-1]
     extremes = {Status.STALL: -ratios, Status.OVER_SPEED: rotors, Status.UNDER_SPEED: -rotors}
     failed = 1 + int(np.argmax(extremes[run.status])) if run.status in extremes else None
-    # A disconnected group delivers exactly nothing.
+    # A disconnected group delivers exactly nothing; one that came back is not listed.
     off = run.power_pu == 0.0
     tripped = [
-        {"group": 1 + int(group), "time_s": _plain(run.time_s[np.argmax(off[:, group])])}
-        for group in np.flatnonzero(off.any(axis=0))
+        {"group": 1 + int(group), "time_s": _plain(run.time_s[_last_start(off[:, group])])}
+        for group in np.flatnonzero(off[-1])
     ]
     return {
         "strategy": name,
@@ -51,6 +52,11 @@ def key_figures(name: str, run: Trajectory) -> dict[str, Any]:
         "final_rotor_speed_pu": [_plain(value) for value in run.rotor_speed_pu[-1]],
         "final_power_pu": [_plain(value) for value in run.power_pu[-1]],
     }
+
+
+def _last_start(off: npt.NDArray[np.bool_]) -> int:
+    """The sample from which on a group is off to the end."""
+    return 0 if off.all() else int(off.size - np.argmin(off[::-1]))
 
 
 def _farthest(values: Floats) -> float | None:

@@ -100,8 +100,14 @@ def simulate_scenario(
     if entry and not case:
         raise ValueError("--entry belongs to --case; a scenario is played by laws: --strategy")
     if case:
-        if plot is not None or csv is not None:
-            raise ValueError("--case prints passed or failed; --plot and --csv are for scenarios")
+        if (given, plant, strategy, plot, csv) != (
+            ScenarioOptions(),
+            PlantOptions(),
+            (REFERENCE_STRATEGY,),
+            None,
+            None,
+        ):
+            raise ValueError("a case has its own scenario and grid, and is played by --entry: only --json goes with it")
         return play_cases(case, entry or (REFERENCE_STRATEGY,), json=json)
     if plot is not None:
         require_extra("matplotlib", "--plot")

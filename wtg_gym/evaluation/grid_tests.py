@@ -161,12 +161,13 @@ def _ratio_10() -> PlantSettings:
 
 
 def _longest_beyond(time_s: Floats, beyond: npt.NDArray[np.bool_]) -> float:
-    """Return the longest time that samples (n, any) lie beyond a limit without a break [s]."""
+    """Return the longest time that a quantity may lie beyond a limit, by its samples (n, any) [s]."""
     longest = 0.0
     for column in beyond.T:
         changes = np.flatnonzero(np.diff(np.concatenate([[0], column.astype(int), [0]])))
         for first, last in zip(changes[::2], changes[1::2], strict=True):
-            longest = max(longest, float(time_s[last - 1] - time_s[first]))
+            # From the last sample before to the last one beyond.
+            longest = max(longest, float(time_s[last - 1] - time_s[max(first - 1, 0)]))
     return longest
 
 
@@ -175,7 +176,7 @@ def _survives(found: Recording) -> str:
     if found.status is not Status.RUNNING:
         return f"grid lost after {found.time_s[-1]:.1f} s: {found.status.name.lower().replace('_', ' ')}"
     if not found.connected[-1].all():
-        groups = ", ".join(str(group) for group in np.flatnonzero(~found.connected[-1]))
+        groups = ", ".join(str(1 + group) for group in np.flatnonzero(~found.connected[-1]))
         return f"group {groups} tripped"
     return ""
 
@@ -228,10 +229,10 @@ def _recovers(found: Recording, cleared_s: Sequence[float]) -> Verdict:
     power, slowest, farthest = found.total(), 0.0, 0.0
     for at in cleared_s:
         after = slice(found.at(at) + 1, found.at(at + 3.0) + 1)
-        low = found.time_s[after][(found.voltage_pu[after] < 0.9).any(axis=1)]
-        slowest = max(slowest, float(low.max() - at) if low.size else 0.0)
+        times, low = found.time_s[after], (found.voltage_pu[after] < 0.9).any(axis=1)
+        slowest = max(slowest, float(times[min(int(np.flatnonzero(low).max(initial=-1)) + 1, low.size - 1)] - at))
         farthest = max(farthest, abs(power[found.at(at + 3.0)] - power[0]))
-    figure = f"0.9 p.u. after {slowest:.1f} s, power within {farthest:.3f} p.u."
+    figure = f"0.9 p.u. within {slowest:.1f} s, power within {farthest:.3f} p.u."
     return bool(slowest <= 1.5 and farthest <= 0.05), figure
 
 

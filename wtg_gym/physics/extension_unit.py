@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import math
-
 from wtg_gym.physics.extended_converter import (
     LimitState,
     VoltageInput,
@@ -12,7 +10,19 @@ from wtg_gym.physics.extended_converter import (
     power_limiter,
 )
 from wtg_gym.physics.runge_kutta import moving
-from wtg_gym.physics.units import BUSES, LANE, PAIRS, UNITS, Connection, Phasor, StartFailure, Terminal, noted, plus
+from wtg_gym.physics.units import (
+    BUSES,
+    LANE,
+    PAIRS,
+    UNITS,
+    Back,
+    Connection,
+    Phasor,
+    StartFailure,
+    Terminal,
+    noted,
+    plus,
+)
 from wtg_gym.physics.wind_turbine import (
     Extension,
     ExtensionOutput,
@@ -67,11 +77,11 @@ def start_extension(start: Terminal, emf: float, share: float) -> tuple[Extensio
 
 
 @system(EXTENSIONS, "own", "heat")
-def return_extension(own: ExtensionState, heat: float, returns: float, bus_now: Phasor) -> tuple[ExtensionState, float]:
+def return_extension(own: ExtensionState, heat: float, returns: float, back: Back) -> tuple[ExtensionState, float]:
     """Return the voltage of its bus and a limiter at rest for a group that comes back, with a cold chopper."""
-    back, limits = returns > 0.5, own.limits
-    found = ExtensionState(LimitState(0.0, 0.0, limits.energy_chopped), math.hypot(bus_now.re, bus_now.im))
-    return each(lambda new, old: select(back, new, old), found, own), select(back, 0.0, heat)
+    comes = returns > 0.5
+    found = ExtensionState(LimitState(0.0, 0.0, own.limits.energy_chopped), back.voltage)
+    return each(lambda new, old: select(comes, new, old), found, own), select(comes, 0.0, heat)
 
 
 @system(EXTENSIONS, "start_failure", "failing_unit")

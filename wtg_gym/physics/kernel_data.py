@@ -48,6 +48,7 @@ class Network(NamedTuple):
     unit_bus: npt.NDArray[np.int64]  # bus index of each unit, machines first (n_unit,)
     unit_y: npt.NDArray[np.complex128]  # internal admittance of each unit (n_unit,) [p.u.]
     connected: npt.NDArray[np.int64]  # the row that says whether each unit is connected (n_unit,)
+    angles: npt.NDArray[np.int64]  # the row of each unit's angle, -1 for none (n_unit,)
     shed_shares: npt.NDArray[np.float64]  # of the load, by each stage of shedding (n_stages,)
     tables: Tables
 

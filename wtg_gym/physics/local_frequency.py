@@ -4,7 +4,7 @@
 
 is the derivative of the angle behind a low-pass filter T, exact for an angle that turns evenly in between; Δθ is taken
 between -π and π in the frame of the angles. It starts at nominal frequency, and waits while the voltage is below
-0.2 p.u., as a relay does.
+0.2 p.u., as a relay does, after which it begins with the grid's.
 """
 
 from __future__ import annotations
@@ -104,6 +104,7 @@ def sample_bus(
     sampled: Sampled,
     lowest: float,
     highest: float,
+    coi: float,
     active: float,
 ) -> tuple[Phasor, float, float, float, float]:
     """Return the new voltage, the frequency that its turn shows, and the extremes with it."""
@@ -111,17 +112,19 @@ def sample_bus(
     live, runs = island >= 0.0, active > 0.5
     size = math.sqrt(fma(now.re, now.re, now.im * now.im))
     seen = runs & live & (size > LOW_VOLTAGE)
-    found = select(seen, frequency + sampled.gain * (measured - frequency), frequency)
+    # A bus that had no voltage begins with the grid's frequency.
+    moved = select(magnitude > LOW_VOLTAGE, frequency + sampled.gain * (measured - frequency), coi)
+    found = select(seen, moved, frequency)
     held = Phasor(select(runs, now.re, phasor.re), select(runs, now.im, phasor.im))
     size = select(runs, size, magnitude)
     return held, size, found, min(lowest, select(live, found, lowest)), max(highest, select(live, found, highest))
 
 
 @system(UNITS, "lowest", "highest", when="extended")
-def sample_unit(frequency: float, weight: float, lowest: float, highest: float) -> tuple[float, float]:
+def sample_unit(omega: float, weight: float, lowest: float, highest: float) -> tuple[float, float]:
     """Compare a connected unit."""
     counts = weight > 0.0
-    return min(lowest, select(counts, frequency, lowest)), max(highest, select(counts, frequency, highest))
+    return min(lowest, select(counts, omega, lowest)), max(highest, select(counts, omega, highest))
 
 
 @system(LANE, "worst", "worst_min", "worst_max", "sampled_angle", "sampled_step", when="extended")

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import math
-
 from wtg_gym.physics.exciter import exciter_start
 from wtg_gym.physics.governor import GovernorState
 from wtg_gym.physics.machine import (
@@ -19,7 +17,7 @@ from wtg_gym.physics.machine import (
     machine_voltage,
 )
 from wtg_gym.physics.runge_kutta import moving
-from wtg_gym.physics.units import BUSES, ISLANDS, LANE, UNITS, Connection, Phasor, StartFailure, Terminal, noted
+from wtg_gym.physics.units import ISLANDS, LANE, UNITS, Back, Connection, Phasor, StartFailure, Terminal, noted
 from wtg_gym.systems.elementary import select
 from wtg_gym.systems.records import each
 from wtg_gym.systems.systems import Kind, system
@@ -29,7 +27,7 @@ MACHINES = Kind(
     rows={"state": MachineState, "given": MachineInput, "emf": MachineVoltage, "output": MachineOutput},
     scratch={"hydro_torque": float},  # of its hydro governor, if it has one [p.u.]
     constants={"machine": Machine, "dispatch": float},
-    sees={"unit": UNITS, "bus_": BUSES, "island": ISLANDS, "lane": LANE},
+    sees={"unit": UNITS, "island": ISLANDS, "lane": LANE},
     states=("state",),
 )
 #: The first machine: its speed turns the frame of all angles, after an outage too.
@@ -125,17 +123,20 @@ def rates_of_machine(
     return rates, MachineOutput(committed * output.power, output.voltage, committed * (given.connected * torque))
 
 
-@system(MACHINES, "state", "connected", when="extended")
+@system(MACHINES, "state", "connected", "gate_reference", when="extended")
 def return_machine(
-    state: MachineState, connected: float, returns: float, bus_now: Phasor, bus_frequency: float, machine: Machine
-) -> tuple[MachineState, float]:
-    """Synchronise a machine that comes back: at its bus's voltage and frequency, without load, its gate closed."""
-    v, back = math.hypot(bus_now.re, bus_now.im), returns > 0.5
+    state: MachineState, given: MachineInput, returns: float, back: Back, machine: Machine
+) -> tuple[MachineState, float, float]:
+    """Synchronise a machine that comes back, without load and with its gate closed; a lost governor leaves it so."""
+    comes, v = returns > 0.5, back.voltage
     exciter, _ = exciter_start(v, machine.exciter)
-    found = MachineState(
-        math.atan2(bus_now.im, bus_now.re), bus_frequency, v, 0.0, v, 0.0, exciter, GovernorState(0.0, 0.0)
+    found = MachineState(back.angle, back.speed, v, 0.0, v, 0.0, exciter, GovernorState(0.0, 0.0))
+    lost = comes & (machine.governor.inv_droop > 0.0) & (given.inv_droop == 0.0)
+    return (
+        each(lambda new, old: select(comes, new, old), found, state),
+        select(comes, 1.0, given.connected),
+        select(lost, 0.0, given.gate_reference),
     )
-    return each(lambda new, old: select(back, new, old), found, state), select(back, 1.0, connected)
 
 
 stage_of_machine = moving(rates_of_machine, machine_limited, constants=["machine"])

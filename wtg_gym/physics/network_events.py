@@ -49,7 +49,7 @@ def network_events(scenario: Scenario, settings: PlantSettings, plant: Plant) ->
     ):
         away: dict[int, float] = {}
         for unit, start, end in sorted(given, key=lambda one: one[1]):
-            if start < away.get(unit, -math.inf):
+            if start <= away.get(unit, -math.inf):
                 raise ValueError(f"{name} {verb} {unit_name(settings, unit)} twice")
             away[unit] = end if end > start else math.inf
     return found
@@ -113,8 +113,12 @@ def _changes(event: Event, load_level: float, settings: PlantSettings, plant: Pl
     if isinstance(event, MachineOutage):
         end = later("returns_after_s", event.returns_after_s)
         found = _units_at(event.bus, "synchronous machine", dict(enumerate(case.unit_buses)))
-        # Sources come after the groups.
-        return [NetworkEvent(start, end, unit=unit + (n_wtg if unit >= n_sync else 0)) for unit in found]
+        if found[0] >= n_sync:
+            if end > start:
+                raise ValueError(f"the imposed source at bus {event.bus} does not come back: leave out returns_after_s")
+            # Sources come after the groups.
+            return [NetworkEvent(start, end, unit=unit + n_wtg) for unit in found]
+        return [NetworkEvent(start, end, unit=unit) for unit in found if unit < n_sync]
     if isinstance(event, GovernorLoss):
         governed = {number: m.bus for number, m in enumerate(case.machines) if m.governor is not None}
         machines = _units_at(event.bus, "machine with a governor", governed)

@@ -21,7 +21,7 @@ from wtg_gym.physics.governor import HydroGovernor, hydro_constants
 from wtg_gym.physics.hydro_unit import HYDRO
 from wtg_gym.physics.ieee14 import modified_ieee14
 from wtg_gym.physics.kernel_data import Facts, Network, structured
-from wtg_gym.physics.layout import Layout
+from wtg_gym.physics.layout import Layout, place_in
 from wtg_gym.physics.machine import Machine, machine_constants
 from wtg_gym.physics.machine_parameters import HydroGovernorParameters
 from wtg_gym.physics.machine_unit import FIRST_MACHINE, MACHINES
@@ -277,6 +277,7 @@ def build_plant(settings: PlantSettings) -> Plant:
         unit_bus=np.array(unit_bus, dtype=np.int64),
         unit_y=1.0 / np.array(impedances, dtype=np.complex128),
         connected=np.zeros(len(unit_bus), dtype=np.int64),
+        angles=np.zeros(len(unit_bus), dtype=np.int64),
         shed_shares=np.array([stage.share for stage in stages], dtype=np.float64),
         tables=Tables(np.zeros(0, dtype=np.int64), np.zeros(0), np.zeros(0, dtype=np.int64)),
     )
@@ -464,9 +465,15 @@ def arranged(
     first["starts"] = int(layout.first_scratch[LANE])
     connected = [layout.machine("connected"), layout.wtg("connected")]
     connected += [layout.rows_of(own.kind, "connected") for own in plant.further]
+    angles = [layout.machine("angle"), layout.wtg("angle")]
+    for own in plant.further:
+        turns = place_in(own.kind.rows, "angle") is not None
+        angles.append(layout.rows_of(own.kind, "angle") if turns else np.full(len(own.buses), -1))
     facts = plant.network.facts._replace(**first)  # type: ignore[arg-type]
     tables = build_table(programs, Arranged(plant, layout, further or Further({})), taped)
     tables = tables._replace(code=plant.network.tables.code)
     return plant._replace(
-        network=plant.network._replace(facts=facts, connected=np.concatenate(connected), tables=tables)
+        network=plant.network._replace(
+            facts=facts, connected=np.concatenate(connected), angles=np.concatenate(angles), tables=tables
+        )
     )

@@ -75,7 +75,7 @@ def _added(
     return momentum + own * (frequency - 1.0), inertia + own, two_h, frequency
 
 
-@system(MACHINES, "momentum", "inertia", "weight", "frequency")
+@system(MACHINES, "momentum", "inertia", "weight", "omega")
 def add_machine(
     state: MachineState, given: MachineInput, committed: float, island: float, momentum: float, inertia: float
 ) -> tuple[float, float, float, float]:
@@ -83,7 +83,7 @@ def add_machine(
     return _added(committed * (given.connected / given.inv_two_h), state.speed, island, momentum, inertia)
 
 
-@system(GROUPS, "momentum", "inertia", "weight", "frequency")
+@system(GROUPS, "momentum", "inertia", "weight", "omega")
 def add_group(
     state: WtgState,
     given: WtgInput,
@@ -102,7 +102,7 @@ def add_group(
 @system(MEMBERS, "island_momentum", "island_inertia")
 def add_member(
     unit_weight: float,
-    unit_frequency: float,
+    unit_omega: float,
     unit_island: float,
     island_number: float,
     island_momentum: float,
@@ -110,7 +110,7 @@ def add_member(
 ) -> tuple[float, float]:
     """Add a unit to the sums of its island, if that is not the grid."""
     two_h = select(unit_island == island_number, unit_weight, 0.0)
-    return island_momentum + two_h * (unit_frequency - 1.0), island_inertia + two_h
+    return island_momentum + two_h * (unit_omega - 1.0), island_inertia + two_h
 
 
 @system(ISLANDS, "centre")
@@ -247,7 +247,7 @@ def compare_member(
     return _compared(unit_sample, counts, island_least_angle, island_largest_angle, island_least_squared_voltage)
 
 
-@system(ISLANDS, "found", "healthy_step")
+@system(ISLANDS, "found", "healthy_step", "turned")
 def judge_island(
     active: float,
     centre: float,
@@ -256,9 +256,10 @@ def judge_island(
     largest_angle: float,
     least_squared_voltage: float,
     healthy_step: float,
+    turned: float,
     simulation_dt: float,
     limits: Limits,
-) -> tuple[float, float]:
+) -> tuple[float, float, float]:
     """Say whether an island has failed.
 
     If several findings apply, the first in this order counts: not finite; where rotors end a run, under-speed, stall or
@@ -272,7 +273,8 @@ def judge_island(
     low = ((step - healthy_step) * simulation_dt > limits.low_voltage_time) | empty
     found = select(low, float(Status.VOLTAGE_COLLAPSE), found)
     apart = largest_angle - least_angle > limits.angle_spread
-    return select(apart, float(Status.LOSS_OF_SYNCHRONISM), found), healthy_step
+    turned = select(empty, turned, least_angle)
+    return select(apart, float(Status.LOSS_OF_SYNCHRONISM), found), healthy_step, turned
 
 
 @system(MAIN, "finding", "finite")

@@ -99,7 +99,10 @@ def _strike(block: Floats, x: int, lane: int, network: Network, data: LaneData, 
                 block[network.connected[unit], x] = 0.0
             # A unit that finds no voltage at its bus does not try again.
             if end > start and step == end and not again and block[network.connected[unit], x] < 0.5:
-                block[facts.units + _N_UNIT * unit + _OF_UNIT.returns, x] = 1.0
+                row = facts.units + _N_UNIT * unit
+                island = max(int(block[facts.buses + _N_BUS * network.unit_bus[unit] + _OF_BUS.island, x]), 0)
+                block[row + _OF_UNIT.returns, x] = 1.0
+                block[row + _OF_UNIT.turned, x] = block[facts.islands + _N_ISLAND * island + _OF_ISLAND.turned, x]
                 block[facts.lane + OF_LANE.returning, x] = 1.0
         machine = facts.machines + governor * N_MACHINE_ROWS
         if step >= start and governor >= 0 and block[machine + _DROOP, x] > 0.0:
@@ -117,9 +120,10 @@ def _strike(block: Floats, x: int, lane: int, network: Network, data: LaneData, 
 
 @internal
 def _find_islands(block: Floats, x: int, lane: int, network: Network, data: LaneData) -> None:
-    """Number the parts of the network that hang together and have a unit: by load, the largest first.
+    """Number the parts of the network that hang together and have a unit: by the load of the start, the most first.
 
-    What protections remember of an island goes with its buses, when it falls apart and when parts join.
+    What protections remember of an island goes with most of its load, when it falls apart and when parts join. Units of
+    a part that joins another are counted from the same turn.
     """
     facts, n_bus, n = network.facts, network.shunts.shape[0], network.unit_y.shape[0]
     n_islands, n_stages = facts.n_islands, network.shed_shares.shape[0]
@@ -135,9 +139,14 @@ def _find_islands(block: Floats, x: int, lane: int, network: Network, data: Lane
                 lower = min(part[first], part[second])
                 moved |= part[first] != lower or part[second] != lower
                 part[first], part[second] = lower, lower
-    loads, lives = np.zeros(n_bus), np.zeros(n_bus)
+    # Load of each part, and of what was each island in it; one without load counts a little.
+    loads, of_old, lives = np.zeros(n_bus), np.zeros((n_bus, n_islands)), np.zeros(n_bus)
     for k in range(n_bus):
-        loads[part[k]] += block[facts.buses + _N_BUS * k + _OF_BUS.load, x]
+        row = facts.buses + _N_BUS * k
+        old, load = int(block[row + _OF_BUS.island, x]), block[row + _OF_BUS.load, x]
+        loads[part[k]] += load
+        if old >= 0:
+            of_old[part[k], old] += load + 1e-9
     for i in range(n):
         if block[network.connected[i], x] > 0.5:
             lives[part[network.unit_bus[i]]] = 1.0
@@ -157,11 +166,19 @@ def _find_islands(block: Floats, x: int, lane: int, network: Network, data: Lane
             break
         number[best] = k
         block[facts.lane + OF_LANE.split, x] = 1.0 if k > 0 else 0.0
-        old = max(int(block[facts.buses + _N_BUS * best + _OF_BUS.island, x]), 0)
+        old = 0
+        for o in range(n_islands):
+            if of_old[best, o] > of_old[best, old]:
+                old = o
         for r in range(_N_ISLAND):
             block[facts.islands + _N_ISLAND * k + r, x] = remembered[old, r]
         for r in range(n_stages):
             block[facts.stages + n_stages * k + r, x] = remembered[old, _N_ISLAND + r]
+        for i in range(n):
+            own = int(block[facts.units + _N_UNIT * i + _OF_UNIT.island, x])
+            if part[network.unit_bus[i]] == best and own >= 0 and network.angles[i] >= 0:
+                behind = remembered[old, _OF_ISLAND.turned] - remembered[own, _OF_ISLAND.turned]
+                block[network.angles[i], x] += 2.0 * math.pi * math.floor(behind / (2.0 * math.pi) + 0.5)
     for k in range(n_bus):
         block[facts.buses + _N_BUS * k + _OF_BUS.island, x] = number[part[k]]
     for i in range(n):
@@ -203,8 +220,26 @@ def _shed(block: Floats, x: int, network: Network, events: Any) -> None:
         for s in range(n_stages if island >= 0 else 0):
             if step >= 0.0 and -1.0 - block[facts.stages + n_stages * island + s, x] == step:
                 block[row + _OF_BUS.served, x] = max(block[row + _OF_BUS.served, x] - network.shed_shares[s], 0.0)
-        unserved += load * (1.0 - (block[row + _OF_BUS.served, x] if island >= 0 else 0.0))
+        unserved += max(load, 0.0) * (1.0 - (block[row + _OF_BUS.served, x] if island >= 0 else 0.0))
     block[facts.lane + OF_LANE.unserved, x] = unserved
+
+
+@internal
+def _add_branches(y: npt.NDArray[np.complex128], step: float, network: Network, events: Any) -> None:
+    """Add the branches that are closed at a step, with the impedances that they have then, to an admittance matrix."""
+    for b in range(network.branch_ends.shape[0]):
+        if not _is_open(b, step, events):
+            # Of several changes of its impedance the last one holds.
+            factor, latest = 1.0, -1.0
+            for e in range(events.shape[0]):
+                start = events[e, EVENT.start]
+                if events[e, EVENT.branch] == b and events[e, EVENT.factor] > 0.0 and latest <= start <= step:
+                    factor, latest = events[e, EVENT.factor], start
+            for i in range(4):
+                value = network.branch_y[b, i]
+                if factor != 1.0:
+                    value += (1.0 / factor - 1.0) * network.branch_series[b, i]
+                y[network.branch_ends[b, i // 2], network.branch_ends[b, i % 2]] += value
 
 
 @compiled
@@ -219,9 +254,9 @@ def assemble(
 ) -> None:
     """Write the internal admittance of every unit of a lane and its bus admittance matrix, without load noise [p.u.].
 
-    A unit that is disconnected has none. The matrix is that of the network as it was last reduced, with its loads,
-    events and units. The step of that decides which events have struck; ramps have come half the way to the next
-    change. A bus without voltage stands alone.
+    A unit that is disconnected has none, from the instant on at which a protection trips it. Else the matrix is that of
+    the network as it was last reduced, with its loads and events. The step of that decides which events have struck;
+    ramps have come half the way to the next change. A bus without voltage stands alone.
 
     Args:
         y: its first n_bus columns are written (n_bus, n).
@@ -258,19 +293,7 @@ def assemble(
         committed = block[facts.units + _N_UNIT * i + _OF_UNIT.committed, x]
         unit_y[i] = network.unit_y[i] * (committed * block[network.connected[i], x])
         y[network.unit_bus[i], network.unit_bus[i]] += unit_y[i]
-    for b in range(network.branch_ends.shape[0]):
-        if not _is_open(b, step, events):
-            # Of several changes of its impedance the last one holds.
-            factor, latest = 1.0, -1.0
-            for e in range(events.shape[0]):
-                start = events[e, EVENT.start]
-                if events[e, EVENT.branch] == b and events[e, EVENT.factor] > 0.0 and latest <= start <= step:
-                    factor, latest = events[e, EVENT.factor], start
-            for i in range(4):
-                value = network.branch_y[b, i]
-                if factor != 1.0:
-                    value += (1.0 / factor - 1.0) * network.branch_series[b, i]
-                y[network.branch_ends[b, i // 2], network.branch_ends[b, i % 2]] += value
+    _add_branches(y, step, network, events)
     for k in range(n):
         if block[facts.buses + _N_BUS * k + _OF_BUS.island, x] < 0.0:
             for m in range(n):

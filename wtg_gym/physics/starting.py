@@ -13,12 +13,14 @@ from wtg_gym.physics.units import (
     LANE,
     LOW_VOLTAGE,
     UNITS,
+    Back,
     Bus,
     Connection,
     Phasor,
     Polar,
     Sizes,
     Terminal,
+    nearest_turn,
     quotient,
 )
 from wtg_gym.systems.elementary import select
@@ -137,10 +139,10 @@ def start_worst(frame: float) -> tuple[float, float, float, float, float]:
     return 1.0, 1.0, 1.0, frame, 0.0
 
 
-@system(ISLANDS, "healthy_step", "centre")
-def start_island() -> tuple[float, float]:
+@system(ISLANDS, "healthy_step", "centre", "turned")
+def start_island() -> tuple[float, float, float]:
     """Let an island begin healthy, at nominal frequency."""
-    return 0.0, 1.0
+    return 0.0, 1.0, 0.0
 
 
 @system(UNITS, "island", "returns")
@@ -155,11 +157,18 @@ def all_returned(next_change: float, step: float, returning: float) -> tuple[flo
     return select(returning > 0.5, step, next_change), 0.0
 
 
-@system(UNITS, "returns")
-def only_with_voltage(returns: float, now: Phasor) -> float:
-    """Let no unit come back to a bus without voltage."""
-    size = math.sqrt(now.re * now.re + now.im * now.im)
-    return select(size > LOW_VOLTAGE, returns, 0.0)
+@system(UNITS, "returns", "back")
+def synchronise(
+    returns: float, turned: float, now: Phasor, magnitude: float, frequency: float, coi: float
+) -> tuple[float, Back]:
+    """Find what a unit comes back to: at its bus's voltage and frequency, within whole turns of its island.
+
+    None comes back to a bus without voltage. Where there was none before, the grid's frequency counts.
+    """
+    size = math.hypot(now.re, now.im)
+    angle = nearest_turn(math.atan2(now.im, now.re), turned)
+    back = Back(angle, select(magnitude > LOW_VOLTAGE, frequency, coi), size)
+    return select(size > LOW_VOLTAGE, returns, 0.0), back
 
 
 @system(UNITS, "returns")

@@ -40,7 +40,7 @@ VOLTAGES = (
 RETURN = (
     *VOLTAGES,
     *local.BUS_VOLTAGES,
-    starting.only_with_voltage,
+    starting.synchronise,
     machine.return_machine,
     hydro.return_hydro,
     wtg.return_group,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from enum import IntEnum
 from typing import NamedTuple
 
@@ -82,6 +83,14 @@ class Sample(NamedTuple):
     falls: float  # 1 where its island has failed
 
 
+class Back(NamedTuple):
+    """What a unit comes back to."""
+
+    angle: float  # [rad]
+    speed: float  # frequency [p.u.]
+    voltage: float  # [p.u.]
+
+
 class StartFailure(IntEnum):
     """Why a lane cannot start; 0 means it can."""
 
@@ -157,12 +166,14 @@ LANE = Kind(
     states=("angle",),
 )
 
-#: Parts of the network that hang together; the first has the most load and is the grid, whose end is the run's.
+#: Parts of the network that hang together; the first has the most of the load that a run starts with, and is the grid,
+#: whose end is the run's.
 ISLANDS = Kind(
     name="islands",
     rows={
         "centre": float,  # frequency of its centre of inertia [p.u.]
         "healthy_step": float,  # last simulation step at which the protections found no low voltage
+        "turned": float,  # angle of one of its units when the protections last sampled [rad]
     },
     scratch={
         "momentum": float,  # Σ 2H (ω - 1) of connected units [s]
@@ -209,6 +220,7 @@ UNITS = Kind(
         "committed": float,  # share of a machine's rating that is on line; 1 for others
         "inv_committed": float,
         "returns": float,  # 1 where it comes back now
+        "turned": float,  # angle of its island then, within whole turns of which it comes back [rad]
     },
     scratch={
         "voltage": Phasor,  # behind the internal impedance
@@ -216,8 +228,9 @@ UNITS = Kind(
         "planned_power": float,  # before the slack's share [p.u.]
         "start": Terminal,
         "weight": float,  # 2H, 0 where it is disconnected [s]
-        "frequency": float,  # [p.u.]
+        "omega": float,  # frequency [p.u.]
         "sample": Sample,
+        "back": Back,
     },
     constants={"connection": Connection},
     sees={"lane": LANE, "bus": BUSES, "grid_": ISLANDS},
@@ -238,6 +251,11 @@ PAIRS = Kind(
     scratch={"admittance": Phasor},
     sees={"row_": UNITS, "column_": UNITS, "lane": LANE},
 )
+
+
+def nearest_turn(angle: float, turned: float) -> float:
+    """Return an angle plus the whole turns that bring it nearest to another [rad]."""
+    return angle + 2.0 * math.pi * math.floor((turned - angle) / (2.0 * math.pi) + 0.5)
 
 
 def plus(total: Phasor, a: Phasor, b: Phasor) -> Phasor:

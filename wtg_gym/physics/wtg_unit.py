@@ -9,10 +9,10 @@ from wtg_gym.physics.pitch import PitchState
 from wtg_gym.physics.rotor_table import Cells
 from wtg_gym.physics.runge_kutta import moving
 from wtg_gym.physics.units import (
-    BUSES,
     ISLANDS,
     LANE,
     UNITS,
+    Back,
     Connection,
     Phasor,
     StartFailure,
@@ -51,7 +51,7 @@ GROUPS = Kind(
     },
     # The share is the rating on the base of the system.
     constants={"turbine": Turbine, "cells": ex.Cells, "share": float, "inv_share": float},
-    sees={"unit": UNITS, "bus_": BUSES, "island": ISLANDS, "lane": LANE},
+    sees={"unit": UNITS, "island": ISLANDS, "lane": LANE},
     states=("state",),
 )
 
@@ -127,21 +127,19 @@ def return_group(
     inv_tau: float,
     connected: float,
     returns: float,
-    bus_now: Phasor,
-    bus_frequency: float,
+    back: Back,
     turbine: Turbine,
 ) -> tuple[WtgState, float, float, float]:
-    """Synchronise a group that comes back: at its bus's voltage and frequency; rotor and blades are as they stood."""
-    back = returns > 0.5
-    deviation = select(inv_tau > 0.0, bus_frequency - turbine.converter.corners.frequency_setpoint, 0.0)
-    found = ConverterState(math.atan2(bus_now.im, bus_now.re), bus_frequency, deviation)
-    converter = each(lambda new, old: select(back, new, old), found, state.converter)
-    own = math.hypot(bus_now.re, bus_now.im)
+    """Synchronise a group that comes back; rotor and blades are as they stood."""
+    comes = returns > 0.5
+    deviation = select(inv_tau > 0.0, back.speed - turbine.converter.corners.frequency_setpoint, 0.0)
+    found = ConverterState(back.angle, back.speed, deviation)
+    converter = each(lambda new, old: select(comes, new, old), found, state.converter)
     return (
         state._replace(converter=converter),
-        select(back, own, emf),
-        select(back, 0.0, shift),
-        select(back, 1.0, connected),
+        select(comes, back.voltage, emf),
+        select(comes, 0.0, shift),
+        select(comes, 1.0, connected),
     )
 
 
