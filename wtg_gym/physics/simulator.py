@@ -115,6 +115,7 @@ class Simulator:
         self._noise_samples = samples.astype(np.int64)
         self.layout = layout_of(plant, further)
         self._law_rows = np.stack([self.layout.wtg(name) for name in _OF_LAW])
+        self._committed_rows = np.stack([self.layout.rows_of(UNITS, name) for name in ("committed", "inv_committed")])
         self._wind_rows = np.stack([self.layout.wtg(name) for name in ("wind_start", "wind_end")])
         self.plant = arranged(plant, self.layout, programs_of(plant, *PROGRAMS, *further.programs), further)
         self.width = 1 if n_lanes == 1 else WIDE
@@ -353,10 +354,9 @@ class Simulator:
         # Units of a machine that are not committed are not there; a condenser has no units to commit.
         committed = np.array([[scenario.committed] for scenario in scenarios])
         committed = np.where(machines["governor.inv_droop"] > 0.0, committed, 1.0)
-        rows[:, self.layout.rows_of(UNITS, "committed")] = 1.0
-        rows[:, self.layout.rows_of(UNITS, "inv_committed")] = 1.0
-        rows[:, self.layout.rows_of(UNITS, "committed")[: self.layout.n_sync]] = committed
-        rows[:, self.layout.rows_of(UNITS, "inv_committed")[: self.layout.n_sync]] = 1.0 / committed
+        rows[:, self._committed_rows] = 1.0
+        rows[:, self._committed_rows[0, : self.layout.n_sync]] = committed
+        rows[:, self._committed_rows[1, : self.layout.n_sync]] = 1.0 / committed
         rows[:, self.layout.machine("connected")] = 1.0
         rows[:, self.layout.machine("inv_two_h")] = 1.0 / (machines["two_h"] * scale)
         given = np.array([[np.nan if s.governor_droop is None else 1.0 / s.governor_droop] for s in scenarios])
