@@ -5,8 +5,9 @@ The list
 
 Kinds of unit and their systems
     units, starting     the lane, buses, units of the network; what a run starts from
-    machine_unit, hydro_unit, wtg_unit, extension_unit    machines and WTG groups
-    protection          what ends a run, trips a group or sheds a load
+    machine_unit, hydro_unit, wtg_unit, extension_unit, source_unit    machines, WTG groups, imposed sources
+    protection          what ends a run, trips a group or sheds a load; centres of inertia of islands
+    local_frequency     at every bus, and the worst
     further_units       kinds of one's own
     runge_kutta         a stage of the integration, made of rates
 
@@ -19,7 +20,7 @@ Equations
 
 Network
     network             admittances, power flow
-    reduction           Kron reduction, what events change in it
+    reduction           Kron reduction, what events and islands change in it
     network_events      the table of what events change in the network and its units
 
 Data
