@@ -30,6 +30,8 @@ _flow = POWER_FLOW.call
 _SHORTAGE = float(StartFailure.WIND_SHORTAGE)
 #: Least common factor on k with which WTG groups alone balance the power, by design.
 _LEAST_CURTAILMENT = 0.02
+#: What the slack bus may lack once the factor is found to its last bit [p.u.].
+_BALANCED = 1e-10
 _DIVERGED = float(StartFailure.POWER_FLOW_DIVERGED)
 
 
@@ -79,6 +81,8 @@ def _curtail(arrays: tuple[Floats, Floats], buses: Floats, y: npt.NDArray[np.com
             low = middle
         else:
             high = middle
+    if scratch[failure, 0] == 0.0 and abs(lacking) > _BALANCED:
+        scratch[failure, 0] = _DIVERGED
 
 
 @compiled
