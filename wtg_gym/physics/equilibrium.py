@@ -62,13 +62,16 @@ def _plan_flow(arrays: tuple[Floats, Floats], buses: Floats, y: npt.NDArray[np.c
 
 
 @internal
-def _curtail(arrays: tuple[Floats, Floats], buses: Floats, y: npt.NDArray[np.complex128], network: Network) -> None:
-    """Find the common factor on k with which the WTG groups alone meet the load, by halving its range."""
+def _curtail(
+    arrays: tuple[Floats, Floats], buses: Floats, y: npt.NDArray[np.complex128], network: Network, lacking: float
+) -> None:
+    """Find the common factor on k with which the WTG groups alone meet the load, by halving its range.
+
+    `lacking` is what the slack bus lacks with a factor of 1 [p.u.].
+    """
     at, scratch = network.facts.starts + OF_STARTING_LANE.curtailment, arrays[1]
     failure = network.facts.starts + OF_STARTING_LANE.start_failure
     low, high = _LEAST_CURTAILMENT, 1.0
-    scratch[at, 0] = high
-    lacking = _plan_flow(arrays, buses, y, network)
     if scratch[failure, 0] == 0.0 and lacking > POWER_FLOW_TOLERANCE:
         scratch[failure, 0] = _SHORTAGE
     while scratch[failure, 0] == 0.0 and abs(lacking) > POWER_FLOW_TOLERANCE:
@@ -114,9 +117,9 @@ def prepare_lanes(
         block, arrays = rows[lane], (rows[lane], scratch)
         scratch[own + OF_STARTING_LANE.load_level, 0] = load_levels[lane]
         scratch[own + OF_STARTING_LANE.curtailment, 0] = 1.0
-        _plan_flow(arrays, buses, y, network)
+        lacking = _plan_flow(arrays, buses, y, network)
         if facts.curtails:
-            _curtail(arrays, buses, y, network)
+            _curtail(arrays, buses, y, network, lacking)
         if scratch[own + OF_STARTING_LANE.start_failure, 0] == 0.0:
             settle(arrays, tables, NONE)
             noise_bus = int(block[facts.lane + OF_LANE.noise_bus, 0])

@@ -67,20 +67,19 @@ def begin_coi() -> tuple[float, float]:
     return 0.0, 0.0
 
 
-def _added(
-    two_h: float, frequency: float, island: float, momentum: float, inertia: float
-) -> tuple[float, float, float, float]:
-    """Return the sums of the grid with a unit of it, and the unit's inertia and frequency, for other islands."""
-    own = select(island == 0.0, two_h, 0.0)
-    return momentum + own * (frequency - 1.0), inertia + own, two_h, frequency
+def _added(two_h: float, omega: float, counts: bool, momentum: float, inertia: float) -> tuple[float, float]:
+    """Return the sums of an island with a unit that counts there."""
+    own = select(counts, two_h, 0.0)
+    return momentum + own * (omega - 1.0), inertia + own
 
 
 @system(MACHINES, "momentum", "inertia", "weight", "omega")
 def add_machine(
     state: MachineState, given: MachineInput, committed: float, island: float, momentum: float, inertia: float
 ) -> tuple[float, float, float, float]:
-    """Add a machine to the sums of the grid."""
-    return _added(committed * (given.connected / given.inv_two_h), state.speed, island, momentum, inertia)
+    """Add a machine to the sums of the grid; return its inertia and frequency, for those of other islands."""
+    two_h, omega = committed * (given.connected / given.inv_two_h), state.speed
+    return *_added(two_h, omega, island == 0.0, momentum, inertia), two_h, omega
 
 
 @system(GROUPS, "momentum", "inertia", "weight", "omega")
@@ -94,9 +93,10 @@ def add_group(
     momentum: float,
     inertia: float,
 ) -> tuple[float, float, float, float]:
-    """Add a WTG group to the sums of the grid."""
+    """Add a WTG group to the sums of the grid; return its inertia and frequency, for those of other islands."""
     two_h = turbine.converter.two_h * share * given.connected
-    return _added(two_h, frequency_of(state, output), island, momentum, inertia)
+    omega = frequency_of(state, output)
+    return *_added(two_h, omega, island == 0.0, momentum, inertia), two_h, omega
 
 
 @system(MEMBERS, "island_momentum", "island_inertia")
@@ -109,8 +109,7 @@ def add_member(
     island_inertia: float,
 ) -> tuple[float, float]:
     """Add a unit to the sums of its island, if that is not the grid."""
-    two_h = select(unit_island == island_number, unit_weight, 0.0)
-    return island_momentum + two_h * (unit_omega - 1.0), island_inertia + two_h
+    return _added(unit_weight, unit_omega, unit_island == island_number, island_momentum, island_inertia)
 
 
 @system(ISLANDS, "centre")
