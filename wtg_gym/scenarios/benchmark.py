@@ -23,6 +23,10 @@ class Benchmark:
     sensed: bool  # whether policies see what sensors measure, not what there is
     duty_time_s: float  # time constant of the filter behind which the duty is charged; 0 for none [s]
     on_failure: str = "terminate"  # what the failure of a rotor does, unless an environment is asked for the other
+    #: Whether the frequency charged is that of the worst unit, without a cap, load that is not served is charged, and a
+    #: failed episode costs what one costs in which no load is served.
+    charges_worst: bool = False
+    scores_mean: bool = False  # whether a score compares mean costs, else mean logarithms of costs
     #: Name and value of the cost's weights that are not those of :class:`~wtg_gym.envs.settings.CostWeights`.
     weights: tuple[tuple[str, float], ...] = ()
     anchors: tuple[str, str]  # names of the entries that score 0 and 100
@@ -61,6 +65,9 @@ class SuitePlant:
     generator_mva: float | None = None  # rating of the generator at bus 1, None for the paper's [MVA]
     governor: GovernorParameters | None = None  # of that generator, None for the paper's
     overload_from_pu: float | None = None  # power above which a converter counts as overloaded [p.u.]
+    secondary_time_s: float = 0.0  # of the secondary control, see PlantSettings; 0 for none [s]
+    branch_scale: float = 1.0  # factor on the impedance of every line and transformer [-]
+    condensers: bool = True  # whether the case's synchronous condensers are there
 
     def settings(
         self, *, groups: tuple[WtgGroup, ...] | None = None, physics: str | None = None, classical: bool, **steps: Any
@@ -74,9 +81,20 @@ class SuitePlant:
         """
         case = modified_ieee14(classical=classical)
         generator: dict[str, Any] = {"rating_mva": self.generator_mva, "governor": self.governor}
-        if changes := {name: value for name, value in generator.items() if value is not None}:
-            machines = [dataclasses.replace(m, **changes) if m.bus == case.slack_bus else m for m in case.machines]
-            case = dataclasses.replace(case, machines=tuple(machines))
+        changes = {name: value for name, value in generator.items() if value is not None}
+        machines = [dataclasses.replace(m, **changes) if m.bus == case.slack_bus else m for m in case.machines]
+        branches = [
+            dataclasses.replace(
+                b, resistance=self.branch_scale * b.resistance, reactance=self.branch_scale * b.reactance
+            )
+            for b in case.branches
+        ]
+        case = dataclasses.replace(
+            case,
+            machines=tuple(m for m in machines if self.condensers or m.governor is not None),
+            branches=tuple(branches),
+        )
+        steps |= {"secondary_time_s": self.secondary_time_s} if self.secondary_time_s else {}
         plant = plant_settings(physics or self.physics, case=case, groups=groups or self.groups, **steps)
         if self.overload_from_pu is not None:
             control = dataclasses.replace(plant.control, overload_limit_pu=self.overload_from_pu)
