@@ -47,7 +47,7 @@ class RunSettings:
     def __post_init__(self) -> None:
         EnvSettings(**self.env_arguments)
         suite = get_suite(self.suite)
-        if suite.distribution is None:
+        if not suite.distributions:
             raise ValueError(f"suite {self.suite!r} is a fixed list of cases, nothing to train on")
         for name, low, high in (
             ("seed", 0, 2**31 - 1),

@@ -52,7 +52,7 @@ def _summary(suite: Suite) -> dict[str, Any]:
         "duration_s": suite.duration_s,
         "splits": {split: [suite.seeds(split).start, suite.seeds(split).stop - 1] for split in SPLITS},
         "cases": [case.name for case in suite.cases],
-        "distribution": None if suite.distribution is None else suite.distribution.to_dict(),
+        "distribution": suite.sources(),
         "benchmark": suite.benchmark.to_dict(),
         "plant": suite.plant.to_dict(),
         "sensors": None if suite.sensors is None else asdict(suite.sensors),

@@ -167,8 +167,8 @@ class TaskLanes:
         sensors = self.settings.sensor_distribution()
         for delay_s in [] if sensors is None else sensors.delays_s():
             delay_intervals(delay_s, self.settings.control_dt)
-        if self.suite.distribution is not None:
-            self.suite.distribution.check_share(self.n_turbines)
+        for distribution in self.suite.distributions:
+            distribution.check_share(self.n_turbines)
 
     def draw(self, rngs: Sequence[np.random.Generator]) -> list[Scenario]:
         """Return the next episode's scenario of every generator."""

@@ -161,7 +161,7 @@ class EnvSettings:
         if self.duration_s is not None:
             require_range("duration_s", self.duration_s, 1.0, 3600.0, "s")
         require_range("simulation_dt", self.simulation_dt, *SIMULATION_DT_RANGE, "s")
-        if self.scenario is None and get_suite(self.suite).distribution is not None:
+        if self.scenario is None and get_suite(self.suite).distributions:
             # Drawn events lie on this grid.
             whole_steps("the grid of drawn events", SERIES_DT, self.simulation_dt, "simulation_dt step")
 

@@ -18,6 +18,7 @@ from wtg_gym.physics.scenario import (
     LONGEST_RUN_S,
     SERIES_DT,
     Event,
+    Fault,
     GovernorLoss,
     GroupTrip,
     LineTrip,
@@ -118,7 +119,7 @@ class ScenarioDistribution(Checked):
     )
     governor_loss_probability: float = _chance(0.0, "chance that the governor is lost, every other time from the start")
     group_trip_probability: float = _chance(
-        0.0, "chance that the smallest WTG group trips; excludes the loss of the governor"
+        0.0, "chance that a WTG group but the largest trips; excludes the loss of the governor"
     )
     machine_outage_probability: float = _chance(0.0, "chance that a synchronous machine disconnects")
     machine_outage_buses: tuple[int, ...] = design((3, 6, 8), "-", "buses whose machine may disconnect")
@@ -139,6 +140,14 @@ class ScenarioDistribution(Checked):
         0.05,
         1.0,
     )
+    fault_probability: float = _chance(0.0, "chance of a short circuit at a line's first bus, which opens the line")
+    fault_lines: tuple[tuple[int, int], ...] = design(
+        (), "-", "lines with a short circuit, its bus first; out of TRIPPABLE_LINES either way round"
+    )
+    fault_clearing_s: Span = design((0.1, 0.25), "s", "time until it is cleared; to a tenth of a second", 0.1, 1.0)
+    islandings: tuple[tuple[tuple[int, int], ...], ...] = design(
+        (), "-", "sets of lines of which one opens at once, in every run; none: it does not happen"
+    )
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -155,7 +164,11 @@ class ScenarioDistribution(Checked):
     def _check_places(self) -> None:
         object.__setattr__(self, "load_buses", tuple((int(b), float(u), float(d)) for b, u, d in self.load_buses))
         object.__setattr__(self, "load_trip_buses", tuple(int(bus) for bus in self.load_trip_buses))
-        object.__setattr__(self, "line_trips", tuple((int(a), int(b)) for a, b in self.line_trips))
+        for name in ("line_trips", "fault_lines"):
+            object.__setattr__(self, name, tuple((int(a), int(b)) for a, b in getattr(self, name)))
+        object.__setattr__(
+            self, "islandings", tuple(tuple((int(a), int(b)) for a, b in lines) for lines in self.islandings)
+        )
         buses = [bus for bus, _, _ in self.load_buses]
         if not buses or len(set(buses)) < len(buses):
             raise ValueError(f"load_buses needs at least one bus, and each bus once, got {buses}")
@@ -170,6 +183,15 @@ class ScenarioDistribution(Checked):
         unknown = set(self.line_trips) - set(TRIPPABLE_LINES)
         if (self.line_trip_probability and not self.line_trips) or unknown:
             raise ValueError(f"line_trips must be one or more of {TRIPPABLE_LINES}, got {self.line_trips}")
+        unknown = {(min(line), max(line)) for line in self.fault_lines} - set(TRIPPABLE_LINES)
+        if (self.fault_probability and not self.fault_lines) or unknown:
+            raise ValueError(f"fault_lines must be one or more of {TRIPPABLE_LINES}, got {self.fault_lines}")
+        case = modified_ieee14()
+        for lines in self.islandings:
+            if len(case.parts_without(tuple(case.branch_index(*line) for line in lines))) != 2:
+                raise ValueError(f"islandings must each leave two parts of the network, got {lines}")
+        if self.islandings and self.line_trip_probability + self.fault_probability > 0.0:
+            raise ValueError("islandings exclude line trips and faults, which open lines too")
 
     def to_dict(self) -> dict[str, Any]:
         """Return every setting as JSON-ready data; the keyword arguments to build the distribution again.
@@ -244,13 +266,14 @@ class ScenarioDistribution(Checked):
             governor_droop=pick.between(self.governor_droop),
             inertia_scale=pick.between(self.inertia_scale),
             load_level=(load_level := pick.between(self.load_level)),
-            events=(*self._load_events(pick, window), *self._line_events(pick, window)),
+            events=(*self._load_events(pick, window), *self._line_trips(pick, window)),
             intensity=pick.between(self.turbulence_intensity),
             mean_winds=self._mean_winds(pick, turbines, load_level),
             wind_event=self._wind_event(pick, len(turbines), n_samples, window),
         )
         # Last in the stream, so that suites without them draw what they always drew.
-        plan = plan._replace(events=(*plan.events, *self._outages(pick, turbines, window)))
+        outages = self._outages(pick, turbines, window)
+        plan = plan._replace(events=(*plan.events, *outages, *self._faults(pick, plan.events, window)))
         if self.machine_loading is None:
             return plan
         return plan._replace(machine_loading=pick.between(self.machine_loading))
@@ -306,7 +329,7 @@ class ScenarioDistribution(Checked):
                 events.append(trusted(LoadStep, **change))
         return events
 
-    def _line_events(self, pick: Picker, window: Span) -> list[Event]:
+    def _line_trips(self, pick: Picker, window: Span) -> list[Event]:
         if not pick.chance(self.line_trip_probability):
             return []
         from_bus, to_bus = pick.choice(self.line_trips)
@@ -322,12 +345,29 @@ class ScenarioDistribution(Checked):
                 time_s = 0.0 if pick.chance(0.5) else pick.instant(window)
                 events.append(trusted(GovernorLoss, time_s=time_s, bus=1))
             elif kind < self.governor_loss_probability + self.group_trip_probability:
-                group = turbines.index(min(turbines))
+                # Of one group there is no other.
+                group = pick.choice(sorted(range(len(turbines)), key=turbines.__getitem__)[:-1] or [0])
                 events.append(trusted(GroupTrip, time_s=pick.instant(window), group=group, returns_after_s=None))
         if self.machine_outage_probability > 0.0 and pick.chance(self.machine_outage_probability):
             time_s, bus = pick.instant(window), pick.choice(self.machine_outage_buses)
             events.append(trusted(MachineOutage, time_s=time_s, bus=bus, returns_after_s=None))
         return events
+
+    def _faults(self, pick: Picker, events: Sequence[Event], window: Span) -> list[Event]:
+        found: list[Event] = []
+        if self.fault_probability > 0.0 and pick.chance(self.fault_probability):
+            # A line that is open already cannot clear it.
+            open_lines = [(event.from_bus, event.to_bus) for event in events if isinstance(event, LineTrip)]
+            able = [line for line in self.fault_lines if (min(line), max(line)) not in open_lines]
+            if able:
+                bus, other = pick.choice(able)
+                ends = {"time_s": pick.instant(window), "bus": bus, "opens": (min(bus, other), max(bus, other))}
+                cleared = {"clears_after_s": pick.instant(self.fault_clearing_s)}
+                found.append(trusted(Fault, **ends, **cleared, resistance_pu=0.0, reactance_pu=1e-4))
+        if self.islandings:
+            lines, time_s = pick.choice(self.islandings), pick.instant(window)
+            found += [trusted(LineTrip, time_s=time_s, from_bus=a, to_bus=b, recloses_after_s=None) for a, b in lines]
+        return found
 
     def _series(
         self, streams: Sequence[np.random.Generator], plans: Sequence[_Plan], turbines: list[float], n_samples: int

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from functools import cached_property
 from itertools import pairwise
@@ -47,7 +47,7 @@ class FixedCase:
 
 @dataclass(frozen=True, kw_only=True)
 class Suite:
-    """A frozen list of scenarios: a distribution with seed ranges, or fixed cases with seeds 0, 1, …
+    """A frozen list of scenarios: distributions with seed ranges, or fixed cases with seeds 0, 1, …
 
     Args:
         name: name of the suite.
@@ -56,14 +56,16 @@ class Suite:
         benchmark: version of the benchmark that it belongs to.
         plant: its grid and turbines.
         sensors: distribution of the measurements' errors; None for exact measurements.
-        distribution: distribution of its scenarios; None for fixed cases.
-        cases: the fixed cases, case i having the seed i in every split; empty with a distribution.
+        drawn_from: distributions of its scenarios by the name of their stratum, "" where there is only one; the first of
+            n strata has the seeds with seed % n = 0, and of its m distributions the first those with seed // n % m = 0.
+        cases: the fixed cases, case i having the seed i in every split; empty with distributions.
         train: seeds to train on.
         validation: seeds to select on.
         test: seeds to rank on.
 
     Raises:
-        ValueError: neither or both of distribution and cases, or splits of a distribution overlap.
+        ValueError: neither or both of distributions and cases, a stratum without a name or a distribution, or splits of
+            distributions overlap.
     """
 
     name: str
@@ -72,15 +74,17 @@ class Suite:
     benchmark: Benchmark = V0
     plant: SuitePlant = field(default_factory=SuitePlant)
     sensors: SensorDistribution | None = None
-    distribution: ScenarioDistribution | None = None
+    drawn_from: Mapping[str, tuple[ScenarioDistribution, ...]] = field(default_factory=dict)
     cases: tuple[FixedCase, ...] = ()
     train: range = _TRAIN_SEEDS
     validation: range = _VALIDATION_SEEDS
     test: range = _TEST_SEEDS
 
     def __post_init__(self) -> None:
-        if (self.distribution is None) == (not self.cases):
-            raise ValueError(f"suite {self.name!r} needs either a distribution or cases")
+        if bool(self.drawn_from) == bool(self.cases):
+            raise ValueError(f"suite {self.name!r} needs either distributions or cases")
+        if not all(self.drawn_from.values()) or ("" in self.drawn_from and len(self.drawn_from) > 1):
+            raise ValueError(f"every stratum of suite {self.name!r} needs a name and a distribution")
         if self.cases:
             for split in SPLITS:
                 object.__setattr__(self, split, range(len(self.cases)))
@@ -90,8 +94,27 @@ class Suite:
             raise ValueError(f"the splits of suite {self.name!r} overlap: {self._split_text()}")
 
     @property
+    def distributions(self) -> tuple[ScenarioDistribution, ...]:
+        """Every distribution that its scenarios are drawn from; none for fixed cases."""
+        return tuple(distribution for kinds in self.drawn_from.values() for distribution in kinds)
+
+    @property
+    def strata(self) -> tuple[str, ...]:
+        """Names of its strata, in the order of seed % n; none where all scenarios are drawn alike, or fixed."""
+        return tuple(stratum for stratum in self.drawn_from if stratum)
+
+    def stratum(self, seed: int) -> str:
+        """Return the name of a seed's stratum, "" where there are none."""
+        return self.strata[seed % len(self.strata)] if self.strata else ""
+
+    def _distribution(self, seed: int) -> ScenarioDistribution:
+        turn, place = divmod(int(seed), len(self.drawn_from))
+        kinds = list(self.drawn_from.values())[place]
+        return kinds[turn % len(kinds)]
+
+    @property
     def _splits(self) -> tuple[str, ...]:
-        return SPLITS if self.distribution is None else (*SPLITS, FRESH)
+        return (*SPLITS, FRESH) if self.drawn_from else SPLITS
 
     def _split_text(self) -> str:
         texts = ((split, self.seeds(split)) for split in self._splits)
@@ -106,7 +129,7 @@ class Suite:
         Raises:
             ValueError: the split is unknown; the message lists them.
         """
-        if split == FRESH and self.distribution is not None:
+        if split == FRESH and self.drawn_from:
             return _FRESH_SEEDS
         if split not in SPLITS:
             fixed = f"; suite {self.name!r} has fixed cases, there is nothing to draw" if split == FRESH else ""
@@ -148,18 +171,27 @@ class Suite:
         if n_wtg is None:
             n_wtg = len(self.plant.groups)
             n_turbines = [group.n_turbines for group in self.plant.groups] if n_turbines is None else n_turbines
-        if self.distribution is not None:
-            drawn = self.distribution.draw_many(seeds, n_wtg, n_turbines, duration)
-        else:
-            drawn = self._fixed_scenarios(seeds, n_wtg, n_turbines, duration)
         measuring = self.sensors if sensors is ... else sensors
-        if measuring is None:
-            return drawn
-        name = self.name if self.distribution is None else self.distribution.name
-        errors = measuring.draw_many(name, seeds, n_wtg)
-        return [
-            trusted(Scenario, **{**vars(scenario), "sensors": own}) for scenario, own in zip(drawn, errors, strict=True)
-        ]
+        found: list[Scenario] = [None] * len(seeds)  # type: ignore[list-item]  # every place is filled
+        # Seeds of a distribution are drawn together.
+        places: dict[str, list[int]] = {}
+        for place, seed in enumerate(seeds):
+            places.setdefault(self._distribution(seed).name if self.drawn_from else self.name, []).append(place)
+        for name, taken in places.items():
+            own = [seeds[place] for place in taken]
+            if self.drawn_from:
+                drawn = self._distribution(own[0]).draw_many(own, n_wtg, n_turbines, duration)
+            else:
+                drawn = self._fixed_scenarios(own, n_wtg, n_turbines, duration)
+            if measuring is not None:
+                errors = measuring.draw_many(name, own, n_wtg)
+                drawn = [
+                    trusted(Scenario, **{**vars(scenario), "sensors": error})
+                    for scenario, error in zip(drawn, errors, strict=True)
+                ]
+            for place, scenario in zip(taken, drawn, strict=True):
+                found[place] = scenario
+        return found
 
     def _fixed_scenarios(
         self, seeds: Sequence[int], n_wtg: int, n_turbines: Sequence[float] | None, duration_s: float
@@ -179,6 +211,11 @@ class Suite:
             for seed, case in zip(seeds, cases, strict=True)
         ]
 
+    def sources(self) -> dict[str, Any] | None:
+        """Return its distribution as JSON-ready data, or those of each stratum by its name; None for fixed cases."""
+        data = {stratum: [kind.to_dict() for kind in kinds] for stratum, kinds in self.drawn_from.items()}
+        return data[""][0] if "" in data else data or None
+
     @cached_property
     def hash(self) -> str:
         """SHA-256 of the settings, the seed ranges and the drawn test and validation scenarios, as hex digits.
@@ -186,11 +223,11 @@ class Suite:
         Numbers of drawn scenarios enter with six decimals: platforms differ in the last bits of exp and FFT.
         """
         seeds = {split: self.seeds(split) for split in SPLITS}
-        drawn = [_fingerprint(self.scenario(seed)) for split in SPLITS[1:] for seed in seeds[split]]
+        drawn = [_fingerprint(scenario) for split in SPLITS[1:] for scenario in self.scenarios(seeds[split])]
         data = {
             "name": self.name,
             "duration_s": self.duration_s,
-            "distribution": None if self.distribution is None else self.distribution.to_dict(),
+            "distribution": self.sources(),
             "cases": [asdict(case) for case in self.cases],
             "splits": {split: [s.start, s.stop, s.step] for split, s in seeds.items()},
             "drawn": drawn,

@@ -38,10 +38,10 @@ _PAPER = Suite(
 
 def _drawn(name: str, description: str, **settings: Any) -> Suite:
     distribution = ScenarioDistribution(name=name, **settings)
-    return Suite(name=name, description=description, duration_s=60.0, distribution=distribution)
+    return Suite(name=name, description=description, duration_s=60.0, drawn_from={"": (distribution,)})
 
 
-def _wind_plant(generator_mva: float, *turbines: float) -> SuitePlant:
+def _wind_plant(generator_mva: float, *turbines: float, **network: Any) -> SuitePlant:
     """Return the grid of version v1: a small generator at bus 1, WTG groups in place of others."""
     return SuitePlant(
         groups=tuple(WtgGroup(bus=bus, n_turbines=n) for bus, n in zip((2, 3, 6, 8), turbines, strict=True)),
@@ -49,11 +49,23 @@ def _wind_plant(generator_mva: float, *turbines: float) -> SuitePlant:
         generator_mva=generator_mva,
         governor=GovernorParameters(gate_max_pu=1.0),
         overload_from_pu=1.05,
+        **network,
     )
 
 
+#: Lines with a short circuit at their first bus.
+_FAULT_LINES = ((2, 3), (2, 4), (2, 5), (3, 4), (4, 5), (5, 2), (4, 3), (6, 12), (9, 14), (10, 11), (13, 14))
+#: Lines whose opening leaves a WTG group and load on their own.
+_ISLANDINGS = (
+    ((5, 6), (10, 11), (13, 14)),
+    ((5, 6), (9, 10), (13, 14)),
+    ((5, 6), (4, 7), (4, 9)),
+    ((2, 3), (3, 4)),
+    ((4, 7), (4, 9), (10, 11), (13, 14)),
+)
+
 _WIND_PLANT = _wind_plant(250.0, 20.0, 14.0, 10.0, 8.0)
-#: What the scenarios of version v1 have in common; a suite replaces some of it.
+#: What the scenarios of version v1 have in common; a stratum, a suite or both replace some of it.
 _WIND_SCENARIOS: Mapping[str, Any] = MappingProxyType(
     {
         "mean_wind_m_s": (8.5, 11.0),
@@ -61,17 +73,54 @@ _WIND_SCENARIOS: Mapping[str, Any] = MappingProxyType(
         "wind_share": (0.4, 0.78),
         "wind_ramp_probability": 0.15,
         "wind_ramp_m_s": (0.5, 1.8),
-        "load_event_mw": (10.0, 34.0),
-        "net_load_change_mw": 38.0,
-        "load_trip_probability": 0.1,
         # The load of bus 4 is more than all other events together.
         "load_trip_buses": (9, 14),
+        "load_trip_probability": 0.0,
         "line_trip_probability": 0.1,
+        # Frequency and rotors have a minute to come back.
+        "quiet_end_s": 60.0,
         "governor_droop": (0.03, 0.08),
         "inertia_scale": (1.0, 1.0),
         "machine_loading": (0.5, 0.85),
-        "governor_loss_probability": 0.05,
-        "group_trip_probability": 0.05,
+    }
+)
+_EXTREME: Mapping[str, Any] = MappingProxyType(
+    {"n_load_events": (1, 2), "load_event_mw": (10.0, 30.0), "net_load_change_mw": 30.0}
+)
+#: What the strata of version v1, and the kinds of the extreme one, replace.
+_STRATA: Mapping[str, Mapping[str, Mapping[str, Any]]] = MappingProxyType(
+    {
+        "ordinary": {"": {"load_event_mw": (4.0, 16.0), "net_load_change_mw": 20.0}},
+        "large": {
+            "": {
+                "n_load_events": (1, 2),
+                "load_event_mw": (20.0, 40.0),
+                "net_load_change_mw": 45.0,
+                "load_trip_probability": 0.15,
+                "line_trip_probability": 0.25,
+                "wind_ramp_probability": 0.25,
+                "wind_ramp_m_s": (0.5, 2.2),
+                "machine_outage_probability": 0.15,
+            }
+        },
+        "extreme": {
+            "governor": {**_EXTREME, "governor_loss_probability": 1.0},
+            "machine": {
+                **_EXTREME,
+                "mean_wind_m_s": (9.5, 12.0),
+                "wind_share": (0.74, 0.9),
+                "machine_outage_probability": 1.0,
+                "machine_outage_buses": (1,),
+            },
+            "group": {**_EXTREME, "group_trip_probability": 1.0},
+            "fault": {
+                **_EXTREME,
+                "line_trip_probability": 0.0,
+                "fault_probability": 1.0,
+                "fault_lines": _FAULT_LINES,
+            },
+            "island": {**_EXTREME, "line_trip_probability": 0.0, "islandings": _ISLANDINGS},
+        },
     }
 )
 
@@ -82,23 +131,52 @@ def _drawn_v1(
     plant: SuitePlant = _WIND_PLANT,
     sensors: SensorDistribution | None = None,
     scenarios_of: str | None = None,
+    event_size: float = 1.0,
+    own: Mapping[str, Mapping[str, Any]] | None = None,
     **settings: Any,
 ) -> Suite:
-    """Return a suite of version v1; `scenarios_of` names another suite that it shares all but the sensors with."""
-    given = {**_WIND_SCENARIOS, "generator_mva": plant.generator_mva, **settings}
+    """Return a suite of version v1.
+
+    Args:
+        scenarios_of: another suite that it shares all but the sensors with.
+        event_size: factor on the load events of every stratum [-].
+        own: what it has of its own in a stratum or a kind, by its name.
+        settings: what it has of its own everywhere.
+    """
+    drawn_from: dict[str, tuple[ScenarioDistribution, ...]] = {}
+    for stratum, kinds in _STRATA.items():
+        made = []
+        for kind, given in kinds.items():
+            values = {**_WIND_SCENARIOS, **given, **settings, **(own or {}).get(kind or stratum, {})}
+            least, most = values["load_event_mw"]
+            values["load_event_mw"] = (event_size * least, event_size * most)
+            values["net_load_change_mw"] *= event_size
+            prefix = f"{scenarios_of or name}-v1/{stratum}"
+            prefix = f"{prefix}-{kind}" if kind else prefix
+            made.append(ScenarioDistribution(name=prefix, generator_mva=plant.generator_mva, **values))
+        drawn_from[stratum] = tuple(made)
     return Suite(
         name=f"{name}-v1",
         description=description,
-        duration_s=60.0,
+        duration_s=120.0,
         benchmark=V1,
         plant=plant,
         sensors=sensors or SensorDistribution(),
-        distribution=ScenarioDistribution(name=f"{scenarios_of or name}-v1", **given),
-        validation=range(10_000, 10_200),
-        test=range(20_000, 21_000),
+        drawn_from=drawn_from,
+        validation=range(10_000, 10_300),
+        test=range(20_000, 20_900),
     )
 
 
+#: What may fail in two strata of faults-v1.
+_FAULTS: Mapping[str, Any] = MappingProxyType(
+    {
+        "line_trip_probability": 0.6,
+        "machine_outage_probability": 0.4,
+        "fault_probability": 0.3,
+        "fault_lines": _FAULT_LINES,
+    }
+)
 _PAPER_V1 = Suite(
     name="paper-v1",
     description="The paper's cases in this grid: 35 MW more at bus 2 and at bus 3; the loads of buses 4 and 9 lost.",
@@ -148,21 +226,23 @@ SUITES: Mapping[str, Suite] = MappingProxyType(
                 "low-share",
                 "Two fifths of the power from wind, and larger events.",
                 _wind_plant(300.0, 14.0, 10.0, 7.0, 5.0),
+                event_size=1.25,
+                own={"machine": {"wind_share": (0.6, 0.75), "load_level": (0.85, 0.95)}},
                 wind_share=(0.25, 0.6),
-                load_event_mw=(12.0, 42.0),
-                net_load_change_mw=48.0,
             ),
             _drawn_v1(
                 "high-share",
                 "Three quarters of the power from wind beside a generator of 150 MVA.",
                 _wind_plant(150.0, 26.0, 18.0, 13.0, 10.0),
+                event_size=0.7,
+                own={"machine": {"wind_share": (0.78, 0.92)}},
                 wind_share=(0.6, 0.83),
-                load_event_mw=(6.0, 24.0),
-                net_load_change_mw=27.0,
             ),
             _drawn_v1(
                 "gusty",
                 "A gust on one group or a wind ramp on all in nearly every run, in turbulence of class A.",
+                event_size=0.9,
+                own={"machine": {"mean_wind_m_s": (9.5, 12.0), "wind_share": (0.74, 0.9)}},
                 mean_wind_m_s=(9.0, 11.5),
                 turbulence_intensity=(0.16, 0.16),
                 gust_probability=0.5,
@@ -171,7 +251,6 @@ SUITES: Mapping[str, Suite] = MappingProxyType(
                 wind_ramp_m_s=(1.0, 1.8),
                 wind_share=(0.4, 0.74),
                 n_load_events=(1, 2),
-                load_event_mw=(10.0, 30.0),
             ),
             _drawn_v1(
                 "no-wind-sensor",
@@ -181,11 +260,18 @@ SUITES: Mapping[str, Suite] = MappingProxyType(
             ),
             _drawn_v1(
                 "faults",
-                "Lines that open and close again, machines and groups that trip, besides the load events.",
-                line_trip_probability=0.6,
+                "Short circuits, lines that open and close again, machines and groups that trip, besides the load events.",
+                own={
+                    "ordinary": _FAULTS,
+                    "large": {**_FAULTS, "group_trip_probability": 0.15},
+                },
                 line_reclosing_s=(1.0, 10.0),
-                machine_outage_probability=0.4,
-                group_trip_probability=0.15,
+            ),
+            _drawn_v1(
+                "weak-grid",
+                "Long lines and no condensers: a short-circuit ratio of 1.5 … 3 at every WTG group.",
+                _wind_plant(250.0, 20.0, 14.0, 10.0, 8.0, branch_scale=2.5, condensers=False),
+                own={"large": {"machine_outage_probability": 0.0}},
             ),
             _PAPER_V1,
         )
