@@ -9,9 +9,10 @@ from __future__ import annotations
 import math
 
 from wtg_gym.envs.task_records import CostTerms, GroupDeviations, GroupRows, Task
-from wtg_gym.envs.task_units import ACTING, SENSED, SHIFTS, TASK, WINDOW
+from wtg_gym.envs.task_units import ACTING, SENSED, SHIFTS, TASK, WATCHED, WINDOW
 from wtg_gym.physics.converter import tracking_coefficient
-from wtg_gym.physics.wind_turbine import Turbine, WtgOutput, WtgState, frequency_of, tip_speed_ratio
+from wtg_gym.physics.machine import MachineInput, MachineState
+from wtg_gym.physics.wind_turbine import Turbine, WtgInput, WtgOutput, WtgState, frequency_of, tip_speed_ratio
 from wtg_gym.systems.elementary import select
 from wtg_gym.systems.programs import Here
 from wtg_gym.systems.records import each
@@ -68,10 +69,38 @@ def interval_cost(terms: CostTerms, elapsed: float, unserved: float, failed: boo
         failed: whether the episode has failed.
         task: constants. The cap scales all terms alike, so that they still add up to the cost.
     """
+    charged = _capped(terms, elapsed, task)
+    return charged._replace(failure=select(failed, task.weights.cap * (unserved + 1.0), 0.0))
+
+
+def open_cost(
+    terms: CostTerms, elapsed: float, spent: float, unserved: float, duration: float, failed: bool, task: Task
+) -> CostTerms:
+    """Return the terms of the cost of an interval in which neither frequency nor load not served have a cap.
+
+    Args:
+        terms: rates of all terms but failure [1/s].
+        elapsed: time that passed [s].
+        spent: cost of the episode before.
+        unserved: load that is not served, as a share of the case's load.
+        duration: of the whole episode [s]. A failed one costs what 1 s more than that costs without any load.
+        failed: whether the episode has failed.
+        task: constants. The cap scales all terms but frequency alike.
+    """
+    frequency = elapsed * terms.frequency
+    charged = _capped(terms._replace(frequency=0.0), elapsed, task)._replace(
+        frequency=frequency, failure=elapsed * task.weights.unserved * min(unserved, 1.0)
+    )
+    missing = task.weights.unserved * (duration + 1.0) - spent - _total_of_rates(charged)
+    return charged._replace(failure=select(failed, max(missing, 0.0), charged.failure))
+
+
+def _capped(terms: CostTerms, elapsed: float, task: Task) -> CostTerms:
+    """Return what rates cost in a time that passed [s], their sum held by the cap."""
     total = _total_of_rates(terms)
     factor = elapsed * select(total > 0.0, min(total, task.weights.cap) / total, 1.0)
     charged: CostTerms = each(lambda rate: rate * factor, terms)
-    return charged._replace(failure=select(failed, task.weights.cap * (unserved + 1.0), 0.0))
+    return charged
 
 
 def _total_of_rates(terms: CostTerms) -> float:
@@ -134,6 +163,30 @@ def charge_frequency(
         select(deviation > CONSTRAINT_FREQUENCY_HZ, 1.0, 0.0),
         0.0,
     )
+
+
+@system(TASK, "farthest", when="charges worst")
+def begin_farthest(coi: float) -> float:
+    """Begin to look for the unit whose frequency is farthest from nominal with the centre of inertia."""
+    return abs(coi - 1.0)
+
+
+@system(WATCHED, "farthest", when="charges worst")
+def farthest_machine(state: MachineState, given: MachineInput, farthest: float) -> float:
+    """Compare a machine that is connected."""
+    return max(farthest, given.connected * abs(state.speed - 1.0))
+
+
+@system(ACTING, "farthest", when="charges worst")
+def farthest_group(state: WtgState, given: WtgInput, output: WtgOutput, farthest: float) -> float:
+    """Compare a WTG group that is connected."""
+    return max(farthest, given.connected * abs(frequency_of(state, output) - 1.0))
+
+
+@system(TASK, "term_rates", when="charges worst")
+def charge_farthest(term_rates: CostTerms, farthest: float, task: Task) -> CostTerms:
+    """Charge the frequency of that unit in place of the centre of inertia's."""
+    return term_rates._replace(frequency=task.weights.frequency * frequency_cost(farthest * task.nominal_hz))
 
 
 @system(ACTING, "deviations", "charged_duty", "there")
@@ -230,9 +283,34 @@ def remember_group(group: GroupRows, state: WtgState, output: WtgOutput, was_act
     )
 
 
+@system(TASK, "new_terms", when="charges capped")
+def charge_interval(
+    term_rates: CostTerms, elapsed: float, end_step: float, step: float, status: float, task: Task, simulation_dt: float
+) -> CostTerms:
+    """Find what the last control interval cost."""
+    return interval_cost(term_rates, elapsed, (end_step - step) * simulation_dt, status != 0.0, task)
+
+
+@system(TASK, "new_terms", when="charges worst")
+def charge_open_interval(
+    term_rates: CostTerms,
+    sums: CostTerms,
+    elapsed: float,
+    unserved: float,
+    end_step: float,
+    status: float,
+    task: Task,
+    simulation_dt: float,
+) -> CostTerms:
+    """Find what the last control interval cost."""
+    spent = _total_of_rates(sums) + sums.failure
+    share = unserved * task.inv_load
+    return open_cost(term_rates, elapsed, spent, share, end_step * simulation_dt, status != 0.0, task)
+
+
 @system(TASK, "terms", "sums", "cost", "constraint", "constraint_sum", "duty_error")
 def charge_lane(
-    term_rates: CostTerms,
+    new_terms: CostTerms,
     terms: CostTerms,
     sums: CostTerms,
     constraint: float,
@@ -241,16 +319,11 @@ def charge_lane(
     violated: float,
     error: float,
     elapsed: float,
-    end_step: float,
-    step: float,
     status: float,
     was_active: float,
-    task: Task,
-    simulation_dt: float,
 ) -> tuple[CostTerms, CostTerms, float, float, float, float]:
     """Charge a lane that ran for the last control interval."""
-    ran, failed = was_active > 0.5, status != 0.0
-    new = interval_cost(term_rates, elapsed, (end_step - step) * simulation_dt, failed, task)
+    ran, failed, new = was_active > 0.5, status != 0.0, new_terms
     now = select(failed, 1.0, violated)
     return (
         each(lambda charged, before: select(ran, charged, before), new, terms),
@@ -267,10 +340,16 @@ CHARGE = (
     shift_history,
     rate_of_change,
     charge_frequency,
+    begin_farthest,
+    farthest_machine,
+    farthest_group,
+    charge_farthest,
     find_deviations,
     filter_duty,
     charge_group,
     remember_group,
     Here("charge"),
+    charge_interval,
+    charge_open_interval,
     charge_lane,
 )

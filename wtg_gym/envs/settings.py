@@ -77,8 +77,13 @@ class CostWeights(Checked):
     cap: float = _weight(
         50.0,
         "largest cost rate while the episode goes on; a failure costs this for the rest of the episode and one "
-        "second more, so that going on is never dearer",
+        "second more, so that going on is never dearer. In v1 it holds for the terms but frequency together",
         low=1e-3,
+    )
+    unserved: float = _weight(
+        70.0,
+        "in v1 alone: one unit where the whole load is not served, about what 1.5 Hz and all other terms at their cap "
+        "cost; a failed episode costs this for its whole length and one second more, whenever it fails",
     )
 
 

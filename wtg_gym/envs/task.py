@@ -87,6 +87,7 @@ def build_task(settings: EnvSettings) -> Task:
         weights=Weights(*(getattr(weights, name) for name in Weights._fields)),
         control_dt=settings.control_dt,
         nominal_hz=plant.case.frequency_hz,
+        inv_load=plant.case.base_mva / max(plant.case.load_mw, 1e-6),
         n_window=rocof_window(settings.control_dt),
         n_groups=n_wtg,
         n_actions=n_wtg * (modulates_k + modulates_tau),
@@ -106,6 +107,8 @@ def task_of(settings: EnvSettings) -> Further:
         "modulates tau": modulates_tau,
         "exact observation": not sensed or privileged,
         "privileged": privileged,
+        "charges worst": settings.benchmark().charges_worst,
+        "charges capped": not settings.benchmark().charges_worst,
     }
     return Further(
         n_units={

@@ -18,6 +18,7 @@ class Weights(NamedTuple):
     overload: float
     effort: float
     cap: float
+    unserved: float
 
 
 class Task(NamedTuple):
@@ -34,6 +35,7 @@ class Task(NamedTuple):
     weights: Weights
     control_dt: float  # [s]
     nominal_hz: float
+    inv_load: float  # 1 / load of the case [1/p.u.]
     n_window: int  # of the RoCoF, in control intervals
     n_groups: int
     n_actions: int  # of all groups

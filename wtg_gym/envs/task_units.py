@@ -41,6 +41,8 @@ TASK = Kind(
         "was_active": float,  # before the step
         "begins": float,  # 1 where the newest interval is a new one
         "term_rates": CostTerms,  # of the step that is being charged [1/s]
+        "new_terms": CostTerms,  # what it costs
+        "farthest": float,  # largest deviation of the frequency of any unit [p.u.]
         "elapsed": float,  # how long that step lasted [s]
         "violated": float,  # 1 where it violated a constraint
         "error": float,  # its duty error, mean over groups [-]

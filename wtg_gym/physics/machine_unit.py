@@ -18,7 +18,7 @@ from wtg_gym.physics.machine import (
 )
 from wtg_gym.physics.runge_kutta import moving
 from wtg_gym.physics.units import ISLANDS, LANE, UNITS, Back, Connection, Phasor, StartFailure, Terminal, noted
-from wtg_gym.systems.elementary import select
+from wtg_gym.systems.elementary import clip, select
 from wtg_gym.systems.records import each
 from wtg_gym.systems.systems import Kind, system
 
@@ -121,6 +121,20 @@ def rates_of_machine(
     torque = select(machine.governor.is_hydro > 0.5, hydro_torque, output.torque)
     rates = each(lambda rate: given.connected * rate, driven_by(torque, rates, output, given))
     return rates, MachineOutput(committed * output.power, output.voltage, committed * (given.connected * torque))
+
+
+@system(MACHINES, "gate_reference", when="secondary control")
+def restore_frequency(
+    state: MachineState, given: MachineInput, machine: Machine, secondary_gain: float, active: float
+) -> float:
+    """Move the gate reference of a governor against the deviation of its speed, an integral within the gate's limits.
+
+    Source: UCTE Operation Handbook, appendix 1, load-frequency control.
+    """
+    g = machine.governor
+    moved = given.gate_reference - secondary_gain * given.inv_droop * (state.speed - 1.0)
+    acts = (active > 0.5) & (given.inv_droop > 0.0)
+    return select(acts, clip(moved, g.gate_min, g.gate_max), given.gate_reference)
 
 
 @system(MACHINES, "state", "connected", "gate_reference", when="extended")

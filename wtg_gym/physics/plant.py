@@ -78,6 +78,8 @@ class PlantSettings(Checked):
         limits: current and power limits of every converter, and its chopper; None for the paper's, which has none.
         voltage_control: of every WTG; None for the paper's constant voltage behind X_g.
         shedding: stages of under-frequency load shedding, which every island has.
+        secondary_time_s: integration time of secondary control: the gate reference of a governor moves by its droop's
+            share of a lasting deviation within this time; 0 for none [s].
         control_dt: control interval [s], a whole number of simulation steps.
         simulation_dt: step of the integration, 0.05 … 40 ms [s]; a simulator refuses one that is too long for the
             plant's fastest mode.
@@ -98,6 +100,7 @@ class PlantSettings(Checked):
     limits: ConverterLimitParameters | None = None
     voltage_control: VoltageControlParameters | None = None
     shedding: tuple[SheddingStage, ...] = ()
+    secondary_time_s: float = 0.0
     control_dt: float = 0.1
     simulation_dt: float = 0.025
     trips_groups: bool = False
@@ -109,6 +112,8 @@ class PlantSettings(Checked):
     def __post_init__(self) -> None:
         super().__post_init__()
         require_range("simulation_dt", self.simulation_dt, *SIMULATION_DT_RANGE, "s")
+        if self.secondary_time_s:
+            require_range("secondary_time_s", self.secondary_time_s, 1.0, 3600.0, "s")
         require_range("control_dt", self.control_dt, self.simulation_dt, 10.0, "s")
         whole_steps("control_dt", self.control_dt, self.simulation_dt, "simulation step")
         for group in self.groups:
@@ -302,6 +307,7 @@ def build_plant(settings: PlantSettings) -> Plant:
             "trips_groups": settings.trips_groups,
             "reactive_max": extension.voltage.reactive_max,
             "voltage_gain": extension.voltage.gain,
+            "secondary_gain": settings.simulation_dt / settings.secondary_time_s if settings.secondary_time_s else 0.0,
         },
         further=joined,
     )
@@ -413,6 +419,8 @@ class Arranged:
             self._has.add("no machine")
         if plant.shedding.size:
             self._has.add("sheds")
+        if plant.of_lane["secondary_gain"]:
+            self._has.add("secondary control")
         ratings, weights = plant.machines["rating"].tolist(), plant.machines["reactive_weight"].tolist()
         sizes = [(rating, weight, 0.0) for rating, weight in zip(ratings, weights, strict=True)]
         sizes += [(0.0, 0.0, weight) for weight in plant.share.tolist()]

@@ -102,7 +102,7 @@ COI = (
 
 #: After a simulation step.
 #: The part with a way back comes first.
-MOVED = (extension.keep_energy, units.count_step, *COI)
+MOVED = (extension.keep_energy, units.count_step, machine.restore_frequency, *COI)
 WATCH = (
     protection.track_extremes,
     protection.count_shed_energy,

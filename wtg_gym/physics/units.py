@@ -162,6 +162,7 @@ LANE = Kind(
         "trips_groups": bool,
         "reactive_max": float,  # of the groups' voltage control [p.u.]
         "voltage_gain": float,  # of that; 0 without one
+        "secondary_gain": float,  # simulation step over the time of secondary control; 0 without one
     },
     states=("angle",),
 )

@@ -115,6 +115,8 @@ V1 = Benchmark(
     sensed=True,
     duty_time_s=15.0,
     on_failure="trip",
+    charges_worst=True,
+    scores_mean=True,
     # Duty weighs as much as frequency, since the wind is most of the power; RoCoF five times as much as in v0, since
     # the synchronous machines have less than a third of v0's inertia: 0.82 instead of 2.86 GWs on average.
     weights=(("rocof", 20.0), ("duty", 1.0), ("rotor", 20.0), ("cap", 15.0)),

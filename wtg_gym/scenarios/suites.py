@@ -49,6 +49,7 @@ def _wind_plant(generator_mva: float, *turbines: float, **network: Any) -> Suite
         generator_mva=generator_mva,
         governor=GovernorParameters(gate_max_pu=1.0),
         overload_from_pu=1.05,
+        secondary_time_s=30.0,
         **network,
     )
 
