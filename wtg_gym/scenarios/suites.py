@@ -91,6 +91,7 @@ _EXTREME: Mapping[str, Any] = MappingProxyType(
         "n_load_events": (1, 2),
         "load_event_mw": (20.0, 42.0),
         "net_load_change_mw": 55.0,
+        "load_increase_probability": 0.65,
         "wind_ramp_probability": 0.45,
         "wind_ramp_m_s": (1.0, 3.0),
     }
@@ -113,26 +114,27 @@ _STRATA: Mapping[str, Mapping[str, Mapping[str, Any]]] = MappingProxyType(
             }
         },
         "extreme": {
-            "governor": {**_EXTREME, "governor_loss_probability": 1.0},
+            "governor": {**_EXTREME, "wind_share": (0.5, 0.8), "governor_loss_probability": 1.0},
             # The wind has to carry what load shedding leaves.
             "machine": {
                 **_EXTREME,
                 "mean_wind_m_s": (9.5, 12.0),
-                "wind_share": (0.71, 0.88),
+                "wind_share": (0.7, 0.88),
                 "wind_ramp_probability": 0.15,
                 "wind_ramp_m_s": (0.5, 1.8),
                 "load_event_mw": (10.0, 30.0),
                 "net_load_change_mw": 30.0,
+                "load_increase_probability": 0.5,
                 "machine_outage_probability": 1.0,
                 "machine_outage_buses": (1,),
             },
-            "group": {**_EXTREME, "group_trip_probability": 1.0},
+            "group": {**_EXTREME, "wind_share": (0.5, 0.8), "group_trip_probability": 1.0},
             "fault": {
                 **_EXTREME,
                 "line_trip_probability": 0.0,
                 "fault_probability": 1.0,
                 "fault_lines": _FAULT_LINES,
-                "fault_clearing_s": (0.1, 0.44),
+                "fault_clearing_s": (0.2, 0.44),
             },
             # A part far from its balance would die whatever its groups do.
             "island": {
@@ -249,7 +251,10 @@ SUITES: Mapping[str, Suite] = MappingProxyType(
                 "Two fifths of the power from wind, and larger events.",
                 _wind_plant(300.0, 14.0, 10.0, 7.0, 5.0),
                 event_size=1.25,
-                own={"machine": {"wind_share": (0.6, 0.75), "load_level": (0.85, 0.95)}},
+                own={
+                    "machine": {"wind_share": (0.66, 0.77), "load_level": (0.85, 0.92)},
+                    "island": {"wind_share": (0.45, 0.65)},
+                },
                 wind_share=(0.25, 0.6),
             ),
             _drawn_v1(
@@ -265,7 +270,7 @@ SUITES: Mapping[str, Suite] = MappingProxyType(
                 "A gust on one group or a wind ramp on all in nearly every run, in turbulence of class A.",
                 event_size=0.9,
                 own={
-                    "machine": {"mean_wind_m_s": (9.5, 12.0), "wind_share": (0.74, 0.9), "wind_ramp_m_s": (0.5, 1.2)},
+                    "machine": {"mean_wind_m_s": (9.5, 12.0), "wind_share": (0.7, 0.85), "wind_ramp_m_s": (0.5, 1.2)},
                     "island": {"mean_wind_m_s": (9.0, 12.0), "wind_share": (0.55, 0.82)},
                 },
                 mean_wind_m_s=(9.0, 11.5),
@@ -298,9 +303,10 @@ SUITES: Mapping[str, Suite] = MappingProxyType(
                 event_size=0.8,
                 own={
                     "large": {"machine_outage_probability": 0.0},
-                    "machine": {"wind_share": (0.74, 0.88), "load_level": (0.95, 1.1), "machine_loading": (0.3, 0.45)},
+                    "machine": {"wind_share": (0.74, 0.88), "load_level": (0.95, 1.05), "machine_loading": (0.3, 0.45)},
                 },
-                wind_share=(0.65, 0.78),
+                wind_share=(0.67, 0.79),
+                load_level=(0.85, 1.05),
                 machine_loading=(0.6, 0.8),
             ),
             _PAPER_V1,
