@@ -48,7 +48,7 @@ def mean_over_groups(values: Iterable[float]) -> float:
     return math.fsum(own) / len(own)
 
 
-@functools.lru_cache(maxsize=1)
+@functools.lru_cache(maxsize=4)
 def _drawn(sizes: tuple[int, ...]) -> list[Indices]:
     """Return the draws of every resample, (N_RESAMPLES, size), from groups of scenarios."""
     rng = np.random.default_rng(BOOTSTRAP_SEED)
@@ -82,6 +82,7 @@ def _resampled(
         side: 0 or 1, which draws of the training seeds are taken.
         chosen: which of the values drawn count, (n_runs, N_RESAMPLES, n); None for all.
     """
+    # All runs at once: the order of the numbers in memory decides the last bits of their mean.
     drawn = values[:, scenarios]
     means = (drawn if chosen is None else chosen(drawn)).mean(axis=2)
     resampled: Floats = np.take_along_axis(means.T, _drawn_runs(values.shape[0], side), axis=1).mean(axis=1)
