@@ -115,7 +115,7 @@ class Run:
             "cost": summary.mean_pinned_cost,
             "failures_percent": summary.failures_percent,
             "nadir_hz": summary.median_nadir_hz,
-            "rocof_hz_s": summary.p95_rocof_hz_s,
+            "median_deviation_mhz": summary.median_deviation_mhz,
             "duty_error_percent": summary.mean_duty_error_percent,
             "energy_share_percent": summary.mean_energy_share_percent,
         }
