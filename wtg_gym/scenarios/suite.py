@@ -137,15 +137,6 @@ class Suite:
         seeds: range = getattr(self, split)
         return seeds
 
-    @property
-    def strata(self) -> tuple[str, ...]:
-        """Names of the strata."""
-        return ()
-
-    def stratum(self, seed: int) -> str:
-        """Return the name of a seed's stratum."""
-        return ""
-
     def scenario(self, seed: int, **changes: Any) -> Scenario:
         """Return the scenario of a seed; everything else as for :meth:`scenarios`."""
         return self.scenarios([seed], **changes)[0]

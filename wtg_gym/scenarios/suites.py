@@ -99,7 +99,14 @@ _EXTREME: Mapping[str, Any] = MappingProxyType(
 #: What the strata of version v1, and the kinds of the extreme one, replace.
 _STRATA: Mapping[str, Mapping[str, Mapping[str, Any]]] = MappingProxyType(
     {
-        "ordinary": {"": {"load_event_mw": (4.0, 16.0), "net_load_change_mw": 20.0}},
+        "ordinary": {
+            "": {
+                "n_load_events": (2, 4),
+                "load_event_mw": (4.0, 16.0),
+                "net_load_change_mw": 20.0,
+                "machine_loading": (0.5, 0.75),
+            }
+        },
         "large": {
             "": {
                 "n_load_events": (2, 3),
