@@ -14,7 +14,7 @@ from wtg_gym.evaluation import results_file, summary
 from wtg_gym.evaluation.episodes import Episode, to_csv
 from wtg_gym.evaluation.metrics import METRICS
 from wtg_gym.evaluation.partial import PartialStore
-from wtg_gym.evaluation.score import NoScaleError, gains, score_scales
+from wtg_gym.evaluation.score import NoScaleError, cost_offsets, gains, score_scales
 from wtg_gym.evaluation.statistics import Floats, Groups, Interval
 from wtg_gym.evaluation.summary import EntrySummary, Runs, ranked
 from wtg_gym.evaluation.table import markdown_table, notes_on_marks
@@ -133,7 +133,7 @@ class Results:
         """Gains over the hundred by the entry's name, (n_runs, n_scenarios)."""
         hundred = self.pinned_costs[self.benchmark.hundred][0]
         return self._by_entry(
-            {name: gains(costs, hundred, self.benchmark) for name, costs in self.pinned_costs.items()}
+            {name: gains(costs, hundred, self.cost_offsets) for name, costs in self.pinned_costs.items()}
         )
 
     @cached_property
@@ -142,6 +142,11 @@ class Results:
         suite = get_suite(self.suite)
         own = np.array([suite.stratum(seed) for seed in self.seeds])
         return {name: np.flatnonzero(own == name) for name in suite.strata or ("",) if name in own}
+
+    @property
+    def cost_offsets(self) -> Floats:
+        """J0 of every scenario, (n_scenarios,)."""
+        return cost_offsets(self.groups, self.benchmark)
 
     @property
     def _cap(self) -> float | None:

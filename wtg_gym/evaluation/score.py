@@ -3,9 +3,10 @@
 Pinned cost of scenario i: J_i is the episode's total cost; in v0 that of a failed episode is cap · (duration + 1 s), as
 if it had failed at once, which is the worst any episode can cost.
 
-Gain of scenario i: f(J_100,i) - f(J_i), where f is the cost itself in v1, and ln(J + J0) in v0; J0 bounds the gain in a
-scenario that happens to be nearly free of cost. J_100 and J_0 are the pinned costs of the two anchors of the
-benchmark's version, the hundred and the zero. Λ, the scale, is the mean over the scenarios of f(J_0,i) - f(J_100,i).
+Gain of scenario i: ln((J_100,i + J0) / (J_i + J0)), where J0 is the offset of its stratum. Up to J0 a cost counts almost
+as in a mean, beyond by its ratio, so that a few failures do not decide alone. J_100 and J_0 are the pinned costs of the
+two anchors of the benchmark's version, the hundred and the zero. Λ, the scale, is the mean over the scenarios of
+ln((J_0,i + J0) / (J_100,i + J0)).
 
 Score: 100 · (1 + mean gain / Λ), so that on the same scenarios the zero has 0 and the hundred 100. Where the suite
 draws strata, each has a score with a Λ of its own, and their mean is the score.
@@ -23,10 +24,6 @@ import numpy as np
 from wtg_gym.evaluation.episodes import Episode
 from wtg_gym.evaluation.statistics import Floats, Groups, mean, mean_over_groups
 from wtg_gym.scenarios.benchmark import Benchmark
-
-#: J0 of the score, in units of the cost.
-COST_OFFSET = 5.0
-
 
 class NoScaleError(ValueError):
     """On these scenarios the zero is not worse than the hundred, so that there is no scale."""
@@ -51,13 +48,21 @@ def pinned(episode: Episode, cap: float | None) -> float:
     return cost if cap is None else pinned_cost(cost, failed=episode.failed, duration_s=episode.duration_s, cap=cap)
 
 
-def gains(costs: Floats, hundred: Floats, benchmark: Benchmark) -> Floats:
-    """Return f(J_100) - f(J), shape (n_runs, n_scenarios).
+def cost_offsets(groups: Groups, benchmark: Benchmark) -> Floats:
+    """Return J0 of every scenario, (n_scenarios,)."""
+    found = np.empty(sum(group.size for group in groups.values()))
+    for name, group in groups.items():
+        found[group] = dict(benchmark.cost_offsets)[name]
+    return found
+
+
+def gains(costs: Floats, hundred: Floats, offsets: Floats) -> Floats:
+    """Return ln((J_100 + J0) / (J + J0)), shape (n_runs, n_scenarios).
 
     Args:
         costs: pinned costs (n_runs, n_scenarios).
         hundred: pinned costs of the hundred (n_scenarios,).
-        benchmark: the version, which says what f is.
+        offsets: J0 of each scenario (n_scenarios,).
 
     Raises:
         ValueError: a cost is negative or not finite.
@@ -65,11 +70,13 @@ def gains(costs: Floats, hundred: Floats, benchmark: Benchmark) -> Floats:
     for values in (costs, hundred):
         if not np.isfinite(values).all() or (values < 0.0).any():
             raise ValueError(f"costs must be finite and not negative, got {values.min():g} … {values.max():g}")
-    if benchmark.scores_mean:
-        return hundred - costs
+
     # math.log, because numpy's own logarithm differs between processors in the last bit.
-    base = [math.log(cost + COST_OFFSET) for cost in hundred.tolist()]
-    return np.array([[b - math.log(c + COST_OFFSET) for b, c in zip(base, run, strict=True)] for run in costs.tolist()])
+    def logarithms(row: Floats) -> Floats:
+        return np.array([math.log(each) for each in (row + offsets).tolist()])
+
+    base = logarithms(hundred)
+    return np.array([base - logarithms(run) for run in costs])
 
 
 def score_scales(zero: Floats, hundred: Floats, benchmark: Benchmark, groups: Groups) -> list[float]:
@@ -78,7 +85,7 @@ def score_scales(zero: Floats, hundred: Floats, benchmark: Benchmark, groups: Gr
     Raises:
         NoScaleError: a Λ is not positive, so that there is no scale to score on.
     """
-    lost = gains(zero[np.newaxis], hundred, benchmark)[0]
+    lost = gains(zero[np.newaxis], hundred, cost_offsets(groups, benchmark))[0]
     scales = [-mean(lost[group]) for group in groups.values()]
     for (name, group), scale in zip(groups.items(), scales, strict=True):
         if not scale > 0.0:
@@ -105,13 +112,14 @@ def points_by_term(
     hundred_terms: Floats,
     scales: Sequence[float],
     groups: Groups,
-    benchmark: Benchmark,
+    offsets: Floats,
 ) -> Floats:
     """Return how many points of the score above 100 come from each term of the cost, (n_terms,).
 
-    Each term gets the share 100 · (J_100,term - J_term) / Λ of its scenario. In v0 that is divided by L(J_100 + J0, J +
-    J0) too: a logarithm of a ratio is a difference divided by its logarithmic mean, ln(A / B) = (A - B) / L(A, B).
-    Shares of terms that add up to the pinned costs add up to the score minus 100, without a remainder.
+    A logarithm of a ratio is a difference divided by its logarithmic mean, ln(A / B) = (A - B) / L(A, B), and the
+    difference of two costs is the sum of the differences of their terms. So each term gets the share
+    100 · (J_100,term - J_term) / L(J_100 + J0, J + J0) / Λ of its scenario. Shares of terms that add up to the pinned
+    costs add up to the score minus 100, without a remainder.
 
     Source: the logarithmic mean Divisia index (LMDI) of B. W. Ang, Energy Policy 32 (2004) 1131-1139 and 33 (2005)
     867-871.
@@ -123,20 +131,20 @@ def points_by_term(
         hundred_terms: parts of `hundred` (n_terms, n_scenarios).
         scales: Λ of every group.
         groups: of the scenarios.
-        benchmark: the version.
+        offsets: J0 of each scenario (n_scenarios,).
     """
     shares = hundred_terms[:, np.newaxis] - terms
-    if not benchmark.scores_mean:
-        shares *= [
-            [_inverse_log_mean(h, c) for h, c in zip(hundred.tolist(), run, strict=True)] for run in costs.tolist()
-        ]
+    shares *= [
+        [_inverse_log_mean(*each) for each in zip(hundred.tolist(), run, offsets.tolist(), strict=True)]
+        for run in costs.tolist()
+    ]
     each = list(zip(groups.values(), scales, strict=True))
     return np.array(
         [mean_over_groups(100.0 * mean(share[:, group]) / scale for group, scale in each) for share in shares]
     )
 
 
-def _inverse_log_mean(hundred: float, cost: float) -> float:
+def _inverse_log_mean(hundred: float, cost: float, offset: float) -> float:
     """Return 1 / L(J_100 + J0, J + J0)."""
-    ratio = (hundred - cost) / (cost + COST_OFFSET)
-    return (math.log1p(ratio) / ratio if ratio else 1.0) / (cost + COST_OFFSET)
+    ratio = (hundred - cost) / (cost + offset)
+    return (math.log1p(ratio) / ratio if ratio else 1.0) / (cost + offset)

@@ -13,7 +13,7 @@ import numpy as np
 
 from wtg_gym.evaluation import statistics
 from wtg_gym.evaluation.episodes import Episode
-from wtg_gym.evaluation.score import gains, pinned, points_by_term, score_scales
+from wtg_gym.evaluation.score import cost_offsets, gains, pinned, points_by_term, score_scales
 from wtg_gym.evaluation.statistics import Floats, Groups, Interval
 from wtg_gym.scenarios.benchmark import Benchmark
 
@@ -89,14 +89,15 @@ def scored(
     """Return the :func:`measured` rows with their scores; a NoScaleError if the zero is not worse than the hundred."""
     hundred = costs[benchmark.hundred][0]
     scales = score_scales(costs[benchmark.zero][0], hundred, benchmark, groups)
-    gained = {name: gains(own, hundred, benchmark) for name, own in costs.items()}
+    offsets = cost_offsets(groups, benchmark)
+    gained = {name: gains(own, hundred, offsets) for name, own in costs.items()}
     zero = gained[benchmark.zero][0]
     terms = {row.name: parts_of_costs(runs[row.name], costs[row.name]) for row in rows}
     hundred_terms = terms[benchmark.hundred][:, 0]
 
     def with_score(row: EntrySummary) -> EntrySummary:
         own = gained[row.name]
-        points = points_by_term(costs[row.name], hundred, terms[row.name], hundred_terms, scales, groups, benchmark)
+        points = points_by_term(costs[row.name], hundred, terms[row.name], hundred_terms, scales, groups, offsets)
         return replace(
             row,
             score=statistics.score_interval(own, zero, groups),
@@ -184,7 +185,7 @@ def _measured(
         failures_percent=100.0 * (n_lost / costs.size),
         lost_or_beyond_percent=100.0 * statistics.mean(bad),
         lost_or_beyond_to_hundred=statistics.share_difference(bad, hundreds, groups),
-        marked=not benchmark.scores_mean or statistics.mean(bad) <= statistics.mean(hundreds),
+        marked=not benchmark.charges_worst or statistics.mean(bad) <= statistics.mean(hundreds),
         mean_pinned_cost=statistics.mean(costs),
         worst_decile_cost=statistics.mean(statistics.worst_tenth(costs)),
         worst_decile_to_hundred=statistics.worst_tenth_difference(costs, all_costs[benchmark.hundred], groups),
