@@ -90,6 +90,15 @@ class Suite:
             raise ValueError(f"the splits of suite {self.name!r} overlap: {self._split_text()}")
 
     @property
+    def strata(self) -> tuple[str, ...]:
+        """Return the names of the strata that scenarios are drawn in."""
+        return ()
+
+    def stratum(self, seed: int) -> str:
+        """Return the stratum of a seed, "" where there are none."""
+        return ""
+
+    @property
     def _splits(self) -> tuple[str, ...]:
         return SPLITS if self.distribution is None else (*SPLITS, FRESH)
 
