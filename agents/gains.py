@@ -14,16 +14,19 @@ from gymnasium.vector import AutoresetMode, VectorWrapper
 from wtg_gym.envs import GFMWTGVectorEnv
 from wtg_gym.envs.lanes import TaskLanes
 from wtg_gym.envs.settings import EnvSettings
-from wtg_gym.evaluation.score import COST_OFFSET
+from wtg_gym.evaluation.score import score_scales
 from wtg_gym.physics.scenario import Scenario
+from wtg_gym.scenarios import get_suite
 
 Floats = npt.NDArray[np.float64]
 
 
 #: Episodes that a law plays at a time: as many as share a block of lanes.
 _AT_ONCE = 16
-#: Training scenarios of a stratum that its mean cost is estimated from.
-_PER_STRATUM = 30
+#: Training scenarios of a stratum that its scale is estimated from.
+_PER_STRATUM = 60
+#: See :class:`Gains`.
+_MOST = 5.0
 
 
 def law_costs(lanes: TaskLanes, scenarios: Sequence[Scenario]) -> Floats:
@@ -43,58 +46,45 @@ def law_costs(lanes: TaskLanes, scenarios: Sequence[Scenario]) -> Floats:
     return costs
 
 
-def stratum_costs(settings: EnvSettings, law: str) -> dict[str, float]:
-    """Return the mean cost of a law in each stratum of the settings' suite, over its first training scenarios.
+def stratum_scales(settings: EnvSettings) -> dict[str, float]:
+    """Return the score's Λ of each stratum of the settings' suite, by its name, over its first training scenarios.
 
     A suite without strata has one, "". Episodes are as long as the suite's.
     """
-    lanes = TaskLanes(replace(settings, strategy=law, split="train", duration_s=None, scenario=None), _AT_ONCE)
-    suite, means = lanes.suite, {}
-    for name in suite.strata or ("",):
-        seeds = list(itertools.islice((seed for seed in suite.train if suite.stratum(seed) == name), _PER_STRATUM))
-        means[name] = float(law_costs(lanes, lanes.scenarios(seeds)).sum(axis=1).mean())
-    lanes.simulator.close()
-    return means
-
-
-def stratum_scales(settings: EnvSettings) -> dict[str, float]:
-    """Return by how much the mean costs of the two anchors of the score differ in each stratum.
-
-    Raises:
-        ValueError: the zero is not worse than the hundred in a stratum, so that there is no scale.
-    """
-    benchmark = settings.benchmark()
-    zero, hundred = (stratum_costs(settings, law) for law in benchmark.anchors)
-    scales = {name: zero[name] - hundred[name] for name in zero}
-    for name, scale in scales.items():
-        if not scale > 0.0:
-            raise ValueError(
-                f"{benchmark.zero} (mean cost {zero[name]:.4g}) must cost more than {benchmark.hundred} "
-                f"({hundred[name]:.4g}) in the training scenarios of {settings.suite} {name}"
-            )
-    return scales
+    benchmark, suite, costs = settings.benchmark(), get_suite(settings.suite), []
+    names = suite.strata or ("",)
+    seeds = [
+        list(itertools.islice((seed for seed in suite.train if suite.stratum(seed) == name), _PER_STRATUM))
+        for name in names
+    ]
+    for law in benchmark.anchors:
+        lanes = TaskLanes(replace(settings, strategy=law, split="train", duration_s=None, scenario=None), _AT_ONCE)
+        costs.append(law_costs(lanes, lanes.scenarios(list(itertools.chain(*seeds)))).sum(axis=1))
+        lanes.simulator.close()
+    groups = {name: i * _PER_STRATUM + np.arange(_PER_STRATUM) for i, name in enumerate(names)}
+    return dict(zip(names, score_scales(*costs, benchmark, groups), strict=True))
 
 
 class Gains:
-    """Gains of lanes over the reference, in each step: 100 (c_ref - c) / S.
+    """Gains of lanes over the reference, in each step: 100 (c_ref - c) / ((J_ref + J0) Λ).
 
     The reference is the law that scores 100: in v0 the zero action, in v1 that law tuned to its grid. c is the step's
-    cost, and c_ref the reference's in the same step of the same scenario. Loads and wind cause most of the cost, alike
-    for both: the difference leaves what the actions changed (common random numbers).
+    cost, c_ref the reference's in the same step of the same scenario, J_ref its sum over the episode, J0 the offset of
+    the score in the scenario's stratum, and Λ its :func:`stratum_scales`, 1 where there are no strata.
 
-    S is what the score divides by. Where it compares mean costs, S is :func:`stratum_scales` of the scenario's stratum:
-    a sum over an episode is what the score of a stratum gains by it. Where it compares logarithms, S = J_ref + J0 with
-    the reference's sum over the episode and the score's offset: to first order a sum is what the score gains at the
-    reference.
+    - Loads and wind cause most of the cost, alike for both: the difference leaves what the actions changed (common
+      random numbers).
+    - To first order the sum over an episode is what the score of its stratum gains at the reference.
 
-    A failure that ends an episode forfeits what c_ref would still have brought, besides its own cost. So this is
-    deliberately another objective than the cost.
+    A failure that ends an episode forfeits what c_ref would still have brought, besides its own cost; where there are
+    strata, a step costs no more than :data:`_MOST` times J_ref + J0, about what the score's logarithm makes of a
+    failure. So this is deliberately another objective than the cost.
 
     Args:
         lanes: the episodes. The reference plays the scenario of each once, when it begins.
 
     Raises:
-        ValueError: as for :func:`stratum_scales`.
+        NoScaleError: the zero is not worse than the hundred in a stratum.
     """
 
     def __init__(self, lanes: TaskLanes) -> None:
@@ -105,12 +95,12 @@ class Gains:
         self._reference = TaskLanes(replace(settings, strategy=benchmark.hundred), at_once)
         self.n_steps = round(settings.episode_duration_s() / settings.control_dt)
         self._costs = np.zeros((lanes.n_lanes, self.n_steps))
-        #: The cost that counts one per cent.
-        self._units = np.ones(lanes.n_lanes)
-        #: The same by stratum, where it is the same for all its scenarios.
-        self._of_stratum: dict[str, float] | None = None
-        if benchmark.scores_mean:
-            self._of_stratum = {name: scale / 100.0 for name, scale in stratum_scales(settings).items()}
+        #: J_ref + J0, and Λ.
+        self._sizes, self._scales = np.ones(lanes.n_lanes), np.ones(lanes.n_lanes)
+        self._offset_of, self._most = dict(benchmark.cost_offsets), np.inf
+        self._scale_of = {"": 1.0}
+        if lanes.suite.strata:
+            self._scale_of, self._most = stratum_scales(settings), _MOST
 
     def follow(self, lanes: Iterable[int]) -> None:
         """Let the reference play the scenarios that lanes play now."""
@@ -119,10 +109,9 @@ class Gains:
             return
         seeds = self._lanes.scenario_seeds[places].tolist()
         self._costs[places] = law_costs(self._reference, self._lanes.scenarios(seeds))
-        if self._of_stratum is None:
-            self._units[places] = (self._costs[places].sum(axis=1) + COST_OFFSET) / 100.0
-        else:
-            self._units[places] = [self._of_stratum[self._lanes.suite.stratum(seed)] for seed in seeds]
+        strata = [self._lanes.suite.stratum(seed) for seed in seeds]
+        self._sizes[places] = self._costs[places].sum(axis=1) + [self._offset_of[name] for name in strata]
+        self._scales[places] = [self._scale_of[name] for name in strata]
 
     def reference_costs(self) -> Floats:
         """Return the reference's costs in the step that each lane takes next, (n_lanes,)."""
@@ -134,7 +123,7 @@ class Gains:
 
     def of(self, reference_costs: Floats, rewards: Floats) -> Floats:
         """Return the gains of a step [%], (n_lanes,), from :meth:`reference_costs` before it and its rewards."""
-        gains: Floats = (reference_costs + rewards) / self._units
+        gains: Floats = 100.0 * np.maximum((reference_costs + rewards) / self._sizes, -self._most) / self._scales
         return gains
 
     def close(self) -> None:

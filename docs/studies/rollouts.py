@@ -16,7 +16,7 @@ from agents.gains import stratum_scales
 from wtg_gym.envs.lanes import TaskLanes
 from wtg_gym.envs.settings import EnvSettings
 from wtg_gym.envs.task_records import COST_TERMS
-from wtg_gym.evaluation.score import COST_OFFSET, pinned_cost
+from wtg_gym.evaluation.score import pinned_cost
 from wtg_gym.physics.layout import Floats
 from wtg_gym.physics.tracking_law import TrackingLaw
 
@@ -35,8 +35,7 @@ class Rollouts:
 
     def __init__(self, suite: str, split: str, seeds: Sequence[int], n_candidates: int, **settings) -> None:
         self._arguments, self._settings = (suite, split, list(seeds)), settings
-        #: What costs are divided by in :meth:`objective`, by stratum; None: the scales of the score.
-        self.scales: Mapping[str, float] | None = None
+        self._scales: Mapping[str, float] | None = None
         self.lanes = TaskLanes(EnvSettings(suite=suite, split=split, **settings), len(seeds) * n_candidates)
         self.shape = len(seeds), n_candidates
         self.n_wtg, self.n_local = self.lanes.n_wtg, self.lanes.n_local
@@ -87,21 +86,23 @@ class Rollouts:
         return np.where(terms[..., COST_TERMS.index("failure")] > 0.0, worst, costs)
 
     def log_costs(self, terms: Floats) -> Floats:
-        """Return ln(J + J0) of pinned costs, whose mean over scenarios decides the score of v0."""
-        return np.log(self.pinned(terms) + COST_OFFSET)
+        """Return ln(J + J0) of pinned costs, (n_scenarios, n_candidates), each in units of its stratum's Λ.
 
-    def objective(self, terms: Floats) -> Floats:
-        """Return the objective of a search, (n_scenarios, n_candidates): in v0 the cost.
-
-        In v1 it is the pinned cost over the scale of the scenario's stratum. Its mean over as many scenarios of each
-        stratum decides the score.
+        Their mean over as many scenarios of each stratum decides the score.
         """
         suite, seeds = self.lanes.suite, self._arguments[2]
-        if not suite.benchmark.scores_mean:
-            return terms.sum(axis=-1)
-        if self.scales is None:
-            self.scales = stratum_scales(self.lanes.settings)
-        return self.pinned(terms) / np.array([[self.scales[suite.stratum(seed)]] for seed in seeds])
+        offsets, strata = dict(suite.benchmark.cost_offsets), [suite.stratum(seed) for seed in seeds]
+        if self._scales is None:
+            self._scales = stratum_scales(self.lanes.settings) if suite.strata else {"": 1.0}
+        costs = self.pinned(terms) + np.array([[offsets[name]] for name in strata])
+        return np.log(costs) / np.array([[self._scales[name]] for name in strata])
+
+    def objective(self, terms: Floats) -> Floats:
+        """Return the objective of a search, (n_scenarios, n_candidates): in v0 the cost, from v1 on :meth:`log_costs`.
+
+        With v1's rotors a few failures outweigh all else in a mean of costs.
+        """
+        return terms.sum(axis=-1) if self.lanes.suite.benchmark is V0 else self.log_costs(terms)
 
     def close(self) -> None:
         self.lanes.simulator.close()

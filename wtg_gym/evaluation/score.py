@@ -25,6 +25,7 @@ from wtg_gym.evaluation.episodes import Episode
 from wtg_gym.evaluation.statistics import Floats, Groups, mean, mean_over_groups
 from wtg_gym.scenarios.benchmark import Benchmark
 
+
 class NoScaleError(ValueError):
     """On these scenarios the zero is not worse than the hundred, so that there is no scale."""
 

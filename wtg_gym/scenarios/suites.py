@@ -294,7 +294,7 @@ SUITES: Mapping[str, Suite] = MappingProxyType(
             ),
             _drawn_v1(
                 "faults",
-                "Short circuits, lines that open and close again, machines and groups that trip, besides the load events.",
+                "Short circuits, lines that open and close again, machines and groups that trip, besides load events.",
                 own={
                     "ordinary": _FAULTS,
                     "large": {**_FAULTS, "group_trip_probability": 0.15},
