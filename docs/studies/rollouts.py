@@ -19,6 +19,7 @@ from wtg_gym.envs.task_records import COST_TERMS
 from wtg_gym.evaluation.score import pinned_cost
 from wtg_gym.physics.layout import Floats
 from wtg_gym.physics.tracking_law import TrackingLaw
+from wtg_gym.scenarios.benchmark import V0
 
 #: (step, observations (n_scenarios, n_candidates, n_wtg, n)) → actions (n_scenarios, n_candidates, n_wtg, n_action).
 Candidates = Callable[[int, Floats], Floats]

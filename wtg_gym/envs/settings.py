@@ -82,7 +82,8 @@ class CostWeights(Checked):
     )
     unserved: float = _weight(
         55.0,
-        "in v1 alone: one unit where the whole load is not served, more than a deviation of 1.5 Hz costs; a failed episode costs this for its whole length and one second more, whenever it fails",
+        "in v1 alone: one unit where the whole load is not served, more than a deviation of 1.5 Hz costs; a failed "
+        "episode costs this for its whole length and one second more, whenever it fails",
     )
 
 

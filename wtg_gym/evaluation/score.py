@@ -3,9 +3,9 @@
 Pinned cost of scenario i: J_i is the episode's total cost; in v0 that of a failed episode is cap · (duration + 1 s), as
 if it had failed at once, which is the worst any episode can cost.
 
-Gain of scenario i: ln((J_100,i + J0) / (J_i + J0)), where J0 is the offset of its stratum. Up to J0 a cost counts almost
-as in a mean, beyond by its ratio, so that a few failures do not decide alone. J_100 and J_0 are the pinned costs of the
-two anchors of the benchmark's version, the hundred and the zero. Λ, the scale, is the mean over the scenarios of
+Gain of scenario i: ln((J_100,i + J0) / (J_i + J0)), where J0 is the offset of its stratum. Up to J0 a cost counts
+almost as in a mean, beyond by its ratio, so that a few failures do not decide alone. J_100 and J_0 are the pinned costs
+of the two anchors of the benchmark's version, the hundred and the zero. Λ, the scale, is the mean over the scenarios of
 ln((J_0,i + J0) / (J_100,i + J0)).
 
 Score: 100 · (1 + mean gain / Λ), so that on the same scenarios the zero has 0 and the hundred 100. Where the suite
