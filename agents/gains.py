@@ -62,7 +62,8 @@ def stratum_scales(settings: EnvSettings) -> dict[str, float]:
         costs.append(law_costs(lanes, lanes.scenarios(list(itertools.chain(*seeds)))).sum(axis=1))
         lanes.simulator.close()
     groups = {name: i * _PER_STRATUM + np.arange(_PER_STRATUM) for i, name in enumerate(names)}
-    return dict(zip(names, score_scales(*costs, benchmark, groups), strict=True))
+    zero, hundred = costs
+    return dict(zip(names, score_scales(zero, hundred, benchmark, groups), strict=True))
 
 
 class Gains:
