@@ -14,7 +14,7 @@ from wtg_gym.scenarios import FRESH, FreshDraw, ScenarioDistribution, Suite, dra
 from wtg_gym.scenarios.sensor_distribution import SensorDistribution
 
 COMMIT, SECRET = "0123456789abcdef0123456789abcdef01234567", b"sixteen bytes or more"
-STANDARD, SHARED = get_suite("standard"), get_suite("standard-v1").distribution
+STANDARD, SHARED = get_suite("standard"), get_suite("standard-v1").distributions[0]
 
 
 def distribution(**changes: Any) -> Callable[[], Any]:
@@ -36,11 +36,16 @@ BAD: list[tuple[Callable[[], Any], str]] = [
     (distribution(gust_probability=0.7, wind_ramp_probability=0.7), "1.4.*at most 1"),
     (distribution(n_load_events=(0.5, 2)), "n_load_events must be two whole numbers"),
     (distribution(line_trips=((7, 8),)), r"line_trips must be.*\(7, 8\)"),
+    (distribution(fault_probability=0.1), r"fault_lines must be one or more of .*, got \(\)"),
+    (distribution(fault_lines=((8, 7),)), r"fault_lines must be.*\(8, 7\)"),
+    (distribution(fault_clearing_s=(0.05, 0.2)), "fault_clearing_s = 0.05 s.*0.1 … 1 s"),
+    (distribution(islandings=(((5, 6), (9, 10)),)), r"leave two parts of the network, got \(\(5, 6\), \(9, 10\)\)"),
+    (distribution(islandings=(((7, 8),),)), "islandings exclude line trips and faults"),
     (distribution(load_trip_buses=(7,)), r"load_trip_buses must be.*\(7,\)"),
     (distribution(load_noise_mw="loud"), "load_noise_mw must be a number.*'loud'"),
-    (lambda: STANDARD.distribution.draw(-1), "a seed must be a whole number in 0 … [0-9]*, got -1"),
-    (lambda: STANDARD.distribution.draw(1, 0), "n_wtg must be a whole number of 1 or more, got 0"),
-    (lambda: STANDARD.distribution.draw(1, 2, [1.0]), r"one value per WTG group \(2\), got 1"),
+    (lambda: STANDARD.distributions[0].draw(-1), "a seed must be a whole number in 0 … [0-9]*, got -1"),
+    (lambda: STANDARD.distributions[0].draw(1, 0), "n_wtg must be a whole number of 1 or more, got 0"),
+    (lambda: STANDARD.distributions[0].draw(1, 2, [1.0]), r"one value per WTG group \(2\), got 1"),
     (lambda: SHARED.check_share([5.0, 5.0]), "10 turbines give .* % of the load .*wind_share .* is 40 … 78 %"),
     (lambda: SHARED.draw_many(range(20), 3, [90.0] * 3), "winds of 8.5 … 11 m/s hardly ever give"),
     (sensors(delay_s=(0.1, 0.25)), "whole numbers of 0.1 s"),
@@ -68,7 +73,9 @@ BAD: list[tuple[Callable[[], Any], str]] = [
     (lambda: get_suite("paper").scenario(0, n_turbines=[10.0]), r"one value per WTG group \(2\), got 1"),
     (lambda: get_suite("paper").scenario(0, duration_s=-1.0), "duration_s = -1 s"),
     (lambda: dataclasses.replace(STANDARD, validation=range(20_100, 20_300)), "overlap"),
-    (lambda: Suite(name="empty", description="", duration_s=60.0), "either a distribution or cases"),
+    (lambda: Suite(name="empty", description="", duration_s=60.0), "either distributions or cases"),
+    (lambda: dataclasses.replace(STANDARD, drawn_from={"": STANDARD.distributions, "more": ()}), "every stratum"),
+    (lambda: dataclasses.replace(STANDARD, drawn_from={"": STANDARD.distributions, "a": (SHARED,)}), "every stratum"),
 ]
 
 

@@ -56,7 +56,7 @@ def test_sensors_of_a_suite_are_those_of_its_distribution_and_can_be_replaced(su
     assert own.sensors is not None
     scenario = own.scenario(seed)
     # The suite without a wind sensor shares the scenarios of another.
-    name = suite if own.distribution is None else own.distribution.name
+    name = scenario.name.rsplit("/", 1)[0] if own.distributions else suite
     assert scenario.sensors == own.sensors.draw_many(name, [seed], scenario.n_wtg)[0]
     assert scenario.sensors.wind_sensor == (suite != "no-wind-sensor-v1")
     slower = own.sensors.replaced({"delay_s": (0.4, 0.6)})

@@ -1,10 +1,15 @@
 """Facts about the frozen suites."""
 
+import collections
 import dataclasses
 import pickle
 
 import pytest
 
+from wtg_gym.envs.lanes import TaskLanes
+from wtg_gym.envs.settings import EnvSettings
+from wtg_gym.physics.plant import short_circuit_ratios
+from wtg_gym.physics.scenario import Fault, GovernorLoss, GroupTrip, LineTrip, MachineOutage
 from wtg_gym.scenarios import FROZEN_HASHES, SUITES, Suite, get_suite
 from wtg_gym.scenarios.benchmark import V1
 from wtg_gym.scenarios.sensor_distribution import SensorDistribution
@@ -15,7 +20,7 @@ SECOND = [suite for suite in SUITES.values() if suite.benchmark.version == "v1"]
 
 def test_suites_are_those_of_the_benchmark():
     assert FIRST == ["paper", "standard", "low-wind", "gust", "weak-grid"]
-    kinds = ["standard", "low-share", "high-share", "gusty", "no-wind-sensor", "faults", "paper"]
+    kinds = ["standard", "low-share", "high-share", "gusty", "no-wind-sensor", "faults", "weak-grid", "paper"]
     assert [suite.name for suite in SECOND] == [f"{kind}-v1" for kind in kinds]
     assert all(get_suite(name).name == name for name in SUITES)
 
@@ -34,8 +39,9 @@ STANDARD, STANDARD_V1 = (
 @pytest.mark.parametrize(
     ("suite", "change"),
     [
-        (STANDARD, {"distribution": dataclasses.replace(STANDARD.distribution, load_noise_mw=1.01)}),
+        (STANDARD, {"drawn_from": {"": (dataclasses.replace(STANDARD.distributions[0], load_noise_mw=1.01),)}}),
         (STANDARD, {"test": range(9, 99)}),
+        (STANDARD_V1, {"drawn_from": dict(reversed(STANDARD_V1.drawn_from.items()))}),
         (STANDARD_V1, {"plant": dataclasses.replace(STANDARD_V1.plant, generator_mva=251.0)}),
         (STANDARD_V1, {"sensors": SensorDistribution(delay_s=(0.1, 0.2))}),
         (STANDARD_V1, {"sensors": None}),
@@ -48,3 +54,71 @@ def test_hash_sees_scenarios_plant_sensors_and_task_but_not_words_and_copies(sui
     assert dataclasses.replace(suite, **change).hash != suite.hash
     assert dataclasses.replace(suite, description="other words").hash == suite.hash
     assert pickle.loads(pickle.dumps(suite)).hash == suite.hash
+
+
+DRAWN = [suite for suite in SECOND if suite.distributions]
+#: What happens in every run of a kind of the stratum "extreme".
+EVENT_OF = {
+    "governor": (GovernorLoss, 1),
+    "machine": (MachineOutage, 1),
+    "group": (GroupTrip, 1),
+    "fault": (Fault, 1),
+    "island": (LineTrip, 3),
+}
+
+
+@pytest.mark.parametrize("suite", DRAWN, ids=lambda suite: suite.name)
+def test_strata_and_kinds_are_as_frequent_and_follow_from_the_seed(suite: Suite):
+    assert suite.strata == ("ordinary", "large", "extreme")
+    seeds = range(20_100, 20_190)
+    scenarios = suite.scenarios(seeds)
+    assert [scenario.seed for scenario in scenarios] == list(seeds)
+    assert [suite.stratum(seed) for seed in seeds] == [suite.strata[seed % 3] for seed in seeds]
+    named = "standard-v1" if suite.name == "no-wind-sensor-v1" else suite.name
+    parts = [scenario.name.split("/") for scenario in scenarios]
+    assert all(own == named and int(seed) in seeds for own, _, seed in parts)
+    assert all(part[1].split("-")[0] == suite.stratum(int(part[2])) for part in parts)
+    frequent = {"ordinary": 30, "large": 30, **{f"extreme-{kind}": 6 for kind in EVENT_OF}}
+    assert collections.Counter(part[1] for part in parts) == frequent
+    for (_, stratum, _), scenario in zip(parts, scenarios, strict=True):
+        event, least = EVENT_OF.get(stratum.removeprefix("extreme-"), (LineTrip, 0))
+        assert sum(isinstance(own, event) for own in scenario.events) >= least
+        assert scenario.duration_s == 120.0
+        lost_at_start = [own for own in scenario.events if isinstance(own, GovernorLoss) and own.time_s == 0.0]
+        assert all(3.0 <= own.time_s <= 60.0 for own in scenario.events if own not in lost_at_start)
+    # Alone or in any order, a seed gives the same scenario.
+    assert [own.to_json() for own in suite.scenarios(seeds[::-7])] == [own.to_json() for own in scenarios[::-7]]
+
+
+def test_suites_without_strata_say_so():
+    for name in (*FIRST, "paper-v1"):
+        assert get_suite(name).strata == () and get_suite(name).stratum(0) == ""
+
+
+@pytest.mark.parametrize("suite", DRAWN, ids=lambda suite: suite.name)
+@pytest.mark.parametrize("law", ["mppt", "deloaded-10", "coordinated-piecewise"])
+def test_every_scenario_of_validation_and_test_starts(suite: Suite, law: str):
+    lanes = TaskLanes(EnvSettings(suite=suite.name, strategy=law))
+    lanes.prepare(lanes.scenarios([*suite.validation, *suite.test]))
+
+
+def test_grid_of_the_weak_suite_is_weak_at_every_group_and_the_standard_one_is_not():
+    weak, standard = get_suite("weak-grid-v1"), get_suite("standard-v1")
+    plant = weak.plant.settings(classical=False)
+    ratios = [short_circuit_ratios(plant, scenario.committed) for scenario in weak.scenarios(weak.test)]
+    assert min(own.min() for own in ratios) >= 1.5 and max(own.max() for own in ratios) <= 3.0
+    assert short_circuit_ratios(standard.plant.settings(classical=False), 0.2).min() > 6.0
+
+
+def test_short_circuit_ratio_of_one_machine_behind_one_line_is_that_of_their_reactances():
+    plant = get_suite("standard-v1").plant.settings(classical=False)
+    case, group = plant.case, plant.groups[0]
+    buses = tuple(dataclasses.replace(bus, shunt_mvar=0.0) for bus in case.buses if bus.number in (1, group.bus))
+    line = dataclasses.replace(case.branches[0], resistance=0.0, charging=0.0)
+    assert (line.from_bus, line.to_bus) == (1, group.bus)
+    machine = case.machines[0]
+    small = dataclasses.replace(case, buses=buses, branches=(line,), machines=(machine,))
+    alone = dataclasses.replace(plant, case=small, groups=(group, group))
+    reactance = line.reactance + machine.x_subtransient * 100.0 / (0.4 * machine.rating_mva)
+    expected = 100.0 / reactance / (2.0 * 5.0 * group.n_turbines)
+    assert short_circuit_ratios(alone, 0.4) == pytest.approx([expected, expected])

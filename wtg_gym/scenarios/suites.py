@@ -178,7 +178,7 @@ def _drawn_v1(
         for kind, given in kinds.items():
             values = {**_WIND_SCENARIOS, **given, **settings, **(own or {}).get(kind or stratum, {})}
             least, most = values["load_event_mw"]
-            values["load_event_mw"] = (event_size * least, event_size * most)
+            values["load_event_mw"] = (round(event_size * least, 2), round(event_size * most, 2))
             values["net_load_change_mw"] *= event_size
             prefix = f"{scenarios_of or name}-v1/{stratum}"
             prefix = f"{prefix}-{kind}" if kind else prefix
@@ -257,7 +257,13 @@ SUITES: Mapping[str, Suite] = MappingProxyType(
                 _wind_plant(300.0, 14.0, 10.0, 7.0, 5.0),
                 event_size=1.25,
                 own={
-                    "machine": {"wind_share": (0.66, 0.77), "load_level": (0.85, 0.92)},
+                    "machine": {
+                        "mean_wind_m_s": (10.5, 13.0),
+                        "wind_share": (0.72, 0.77),
+                        "load_level": (0.85, 0.88),
+                        "load_event_mw": (6.0, 12.0),
+                        "net_load_change_mw": 12.0,
+                    },
                     "island": {"wind_share": (0.45, 0.65)},
                 },
                 wind_share=(0.25, 0.6),
@@ -267,7 +273,7 @@ SUITES: Mapping[str, Suite] = MappingProxyType(
                 "Three quarters of the power from wind beside a generator of 150 MVA.",
                 _wind_plant(150.0, 26.0, 18.0, 13.0, 10.0),
                 event_size=0.7,
-                own={"machine": {"wind_share": (0.78, 0.92)}},
+                own={"machine": {"mean_wind_m_s": (8.5, 11.0), "wind_share": (0.74, 0.88)}},
                 wind_share=(0.6, 0.83),
             ),
             _drawn_v1(
