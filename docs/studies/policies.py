@@ -78,10 +78,9 @@ FEEDBACKS = (
 
 # --- laws ------------------------------------------------------------------------------------------------------------
 
-#: Points of :func:`law_of` where searches begin, without and with the bound at K_opt.
-_FREE, _CAPPED = (1.2, 0.0, 1.0, 0.0), (0.0, 1.0, 0.0)
-#: Share of K_opt - K_pr by which K_n changes at most: with less power at nominal frequency runs could not start.
-MOST_ABOVE_NOMINAL = 0.08
+#: Points of :func:`law_of`: where searches begin, and their bounds; without the first number k ends at K_opt. K_n may
+#: change by 0.08 only: with less power at nominal frequency runs could not start.
+_START, _BOUNDS = (0.5, 0.0, 0.8, -0.6), ((0.0, -0.8, -0.2, -2.7), (3.0, 0.8, 1.05, 2.0))
 #: A multiple of 15 consecutive seeds holds as many of each stratum, and of each kind of extreme event.
 N_SCENARIOS = 120
 
@@ -89,14 +88,13 @@ N_SCENARIOS = 120
 def law_of(x: Floats) -> TrackingLaw:
     """Return the law of a point, made monotone, and held in range.
 
-    A point is how far k lies above K_opt, above K_n and below K_pr, as shares of K_opt - K_pr, and ln(τ / 0.8 s);
-    without the first number k_min is K_opt, and nothing is beyond it.
+    A point is how far k lies above K_opt, above K_n and below K_pr, as shares, tenths and shares of K_opt - K_pr, and
+    ln(τ / 0.8 s); without the first number k_min is K_opt, and nothing is beyond it.
     """
     paper = coordinated_piecewise()
     span, capped = paper.k_min - paper.k_max, len(x) == 3
     above_opt, above_nominal, below_limit, log_tau = (0.0, *x) if capped else x
-    above_nominal = min(max(above_nominal, -MOST_ABOVE_NOMINAL), MOST_ABOVE_NOMINAL)
-    nominal = paper.k_nominal + above_nominal * span
+    nominal = paper.k_nominal + 0.1 * above_nominal * span
     corners = max(paper.k_min + above_opt * span, nominal), nominal, min(paper.k_max - below_limit * span, nominal)
     k_min, k_nominal, k_max = (min(max(float(k), LEAST_COEFFICIENT), LARGEST_COEFFICIENT) for k in corners)
     low, high = TIME_CONSTANT_RANGE
@@ -120,7 +118,8 @@ def tune_law(
     seed: int = 1,
 ) -> TrackingLaw:
     """Return the law that scores most, by the scales that the present anchors have."""
-    search = Search(np.array(_CAPPED if capped else _FREE), 0.4, population, seed)
+    first = int(capped)
+    search = Search(np.array(_START[first:]), 0.3, population, seed, bounds=[side[first:] for side in _BOUNDS])
     train = get_suite(suite).train[:n_scenarios]
     with Progress("generations") as progress, closing(Rollouts(suite, "train", train, population)) as rollouts:
         for generation in range(generations):

@@ -115,9 +115,12 @@ class Search:
     By itself cma draws from numpy's one generator for everybody: searches would depend on those beside them.
     """
 
-    def __init__(self, start: Floats, spread: float, population: int, *seed: int) -> None:
+    def __init__(
+        self, start: Floats, spread: float, population: int, *seed: int, bounds: Sequence[Sequence[float]] | None = None
+    ) -> None:
         self._rng = np.random.default_rng(seed)
         options = {"popsize": population, "randn": self._normal, "seed": np.nan, "verbose": -9, "CMA_diagonal": 40}
+        options |= {} if bounds is None else {"bounds": [list(side) for side in bounds]}
         self._search = cma.CMAEvolutionStrategy(start.ravel(), spread, options)
 
     def _normal(self, *shape: int) -> Floats:

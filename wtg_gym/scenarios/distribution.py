@@ -361,7 +361,11 @@ class ScenarioDistribution(Checked):
             able = [line for line in self.fault_lines if (min(line), max(line)) not in open_lines]
             if able:
                 bus, other = pick.choice(able)
-                values = {"time_s": pick.instant(window), "bus": bus, "clears_after_s": pick.instant(self.fault_clearing_s)}
+                values = {
+                    "time_s": pick.instant(window),
+                    "bus": bus,
+                    "clears_after_s": pick.instant(self.fault_clearing_s),
+                }
                 bolted = {"resistance_pu": 0.0, "reactance_pu": 1e-4}
                 found.append(trusted(Fault, **values, **bolted, opens=(min(bus, other), max(bus, other))))
         if self.islandings:
