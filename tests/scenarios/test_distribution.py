@@ -71,7 +71,11 @@ def check(scenario: Scenario, source: ScenarioDistribution, duration_s: float) -
     for event in scenario.events:
         if isinstance(event, GovernorLoss) and event.time_s == 0.0:
             continue
-        assert min(3.0, 0.5 * duration_s) - 0.05 <= event.time_s <= max(duration_s - source.quiet_end_s, 0.5 * duration_s) + 0.05
+        assert (
+            min(3.0, 0.5 * duration_s) - 0.05
+            <= event.time_s
+            <= max(duration_s - source.quiet_end_s, 0.5 * duration_s) + 0.05
+        )
         assert event.time_s == round(event.time_s, 1)
         if isinstance(event, Fault):
             other = sum(event.opens) - event.bus

@@ -295,7 +295,7 @@ SUITES: Mapping[str, Suite] = MappingProxyType(
             ),
             _drawn_v1(
                 "faults",
-                "Short circuits, lines that open and close again, machines and groups that trip, besides the load events.",
+                "Short circuits, lines that open and close again, machines and groups that trip, in every stratum.",
                 own={
                     "ordinary": _FAULTS,
                     "large": {**_FAULTS, "group_trip_probability": 0.15},
@@ -305,7 +305,7 @@ SUITES: Mapping[str, Suite] = MappingProxyType(
             _drawn_v1(
                 "weak-grid",
                 "Long lines and no condensers: a short-circuit ratio of 1.5 … 3 at every WTG group.",
-                _wind_plant(130.0, 20.0, 14.0, 10.0, 8.0, branch_scale=2.5, condensers=False),
+                _wind_plant(130.0, 20.0, 14.0, 10.0, 8.0, branch_scale=2.75, condensers=False),
                 event_size=0.8,
                 own={
                     "large": {"machine_outage_probability": 0.0},
