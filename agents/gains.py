@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+import itertools
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -12,51 +13,106 @@ from gymnasium.vector import AutoresetMode, VectorWrapper
 
 from wtg_gym.envs import GFMWTGVectorEnv
 from wtg_gym.envs.lanes import TaskLanes
-from wtg_gym.evaluation.score import COST_OFFSET
+from wtg_gym.envs.settings import EnvSettings
+from wtg_gym.evaluation.score import score_scales
+from wtg_gym.physics.scenario import Scenario
+from wtg_gym.scenarios import get_suite
 
 Floats = npt.NDArray[np.float64]
 
 
+#: Episodes that a law plays at a time: as many as share a block of lanes.
+_AT_ONCE = 16
+#: Training scenarios of a stratum that its scale is estimated from.
+_PER_STRATUM = 60
+#: See :class:`Gains`.
+_MOST = 5.0
+
+
+def law_costs(lanes: TaskLanes, scenarios: Sequence[Scenario]) -> Floats:
+    """Return what the law of lanes pays in each step of scenarios, (n_scenarios, n_steps); nothing after a failure."""
+    n_steps = round(lanes.duration_s / lanes.settings.control_dt)
+    costs, zero = np.zeros((len(scenarios), n_steps)), np.zeros((lanes.n_lanes, lanes.n_action))
+    for first in range(0, len(scenarios), lanes.n_lanes):
+        own = costs[first : first + lanes.n_lanes]
+        lanes.start(range(len(own)), scenarios[first : first + len(own)])
+        running = np.ones(len(own), dtype=np.bool_)
+        for step in range(n_steps):
+            lanes.step(zero)
+            own[running, step] = -lanes.rewards[: len(own)][running]
+            running &= ~np.logical_or(*lanes.ended())[: len(own)]
+            if not running.any():
+                break
+    return costs
+
+
+def stratum_scales(settings: EnvSettings) -> dict[str, float]:
+    """Return the score's Λ of each stratum of the settings' suite, by its name, over its first training scenarios.
+
+    A suite without strata has one, "". Episodes are as long as the suite's.
+    """
+    benchmark, suite, costs = settings.benchmark(), get_suite(settings.suite), []
+    names = suite.strata or ("",)
+    seeds = [
+        list(itertools.islice((seed for seed in suite.train if suite.stratum(seed) == name), _PER_STRATUM))
+        for name in names
+    ]
+    for law in benchmark.anchors:
+        lanes = TaskLanes(replace(settings, strategy=law, split="train", duration_s=None, scenario=None), _AT_ONCE)
+        costs.append(law_costs(lanes, lanes.scenarios(list(itertools.chain(*seeds)))).sum(axis=1))
+        lanes.simulator.close()
+    groups = {name: i * _PER_STRATUM + np.arange(_PER_STRATUM) for i, name in enumerate(names)}
+    zero, hundred = costs
+    return dict(zip(names, score_scales(zero, hundred, benchmark, groups), strict=True))
+
+
 class Gains:
-    """Gains of lanes over the reference, in per cent: 100 (c_ref - c) / (J_ref + J0) in each step.
+    """Gains of lanes over the reference, in each step: 100 (c_ref - c) / ((J_ref + J0) Λ).
 
     The reference is the law that scores 100: in v0 the zero action, in v1 that law tuned to its grid. c is the step's
-    cost, c_ref the reference's in the same step of the same scenario, J_ref its sum over the episode, and J0 the
-    score's offset.
+    cost, c_ref the reference's in the same step of the same scenario, J_ref its sum over the episode, J0 the offset of
+    the score in the scenario's stratum, and Λ its :func:`stratum_scales`, 1 where there are no strata.
 
     - Loads and wind cause most of the cost, alike for both: the difference leaves what the actions changed (common
       random numbers).
-    - Scenarios count alike, as in the score; in a sum of costs a few wild ones decide.
+    - To first order the sum over an episode is what the score of its stratum gains at the reference.
 
-    This is deliberately another objective than the cost. To first order its sum over an episode is what the score gains
-    at the reference: each scenario weighs 1 / (J_ref + J0). A failure costs extra: besides its own cost it forfeits
-    what c_ref would still have brought. The policy that is best by it need not have the least mean pinned cost.
+    A failure that ends an episode forfeits what c_ref would still have brought, besides its own cost; where there are
+    strata, a step costs no more than :data:`_MOST` times J_ref + J0, about what the score's logarithm makes of a
+    failure. So this is deliberately another objective than the cost.
 
     Args:
         lanes: the episodes. The reference plays the scenario of each once, when it begins.
+
+    Raises:
+        NoScaleError: the zero is not worse than the hundred in a stratum.
     """
 
     def __init__(self, lanes: TaskLanes) -> None:
         self._lanes = lanes
-        benchmark = lanes.settings.benchmark()
-        self._reference = TaskLanes(replace(lanes.settings, strategy=benchmark.hundred), 1)
-        self.n_steps = round(lanes.settings.episode_duration_s() / lanes.settings.control_dt)
+        settings = lanes.settings
+        benchmark = settings.benchmark()
+        at_once = min(lanes.n_lanes, _AT_ONCE)
+        self._reference = TaskLanes(replace(settings, strategy=benchmark.hundred), at_once)
+        self.n_steps = round(settings.episode_duration_s() / settings.control_dt)
         self._costs = np.zeros((lanes.n_lanes, self.n_steps))
-        #: The cost that counts one per cent.
-        self._units = np.ones(lanes.n_lanes)
+        #: J_ref + J0, and Λ.
+        self._sizes, self._scales = np.ones(lanes.n_lanes), np.ones(lanes.n_lanes)
+        self._offset_of, self._most = dict(benchmark.cost_offsets), np.inf
+        self._scale_of = {"": 1.0}
+        if lanes.suite.strata:
+            self._scale_of, self._most = stratum_scales(settings), _MOST
 
     def follow(self, lanes: Iterable[int]) -> None:
         """Let the reference play the scenarios that lanes play now."""
-        zero = np.zeros((1, self._lanes.n_action))
-        for lane in lanes:
-            self._reference.start([0], self._lanes.scenarios([int(self._lanes.scenario_seeds[lane])]))
-            self._costs[lane] = 0.0
-            for step in range(self.n_steps):
-                self._reference.step(zero)
-                self._costs[lane, step] = -self._reference.rewards[0]
-                if self._reference.outputs.terminated[0]:
-                    break
-            self._units[lane] = (self._costs[lane].sum() + COST_OFFSET) / 100.0
+        places = list(lanes)
+        if not places:
+            return
+        seeds = self._lanes.scenario_seeds[places].tolist()
+        self._costs[places] = law_costs(self._reference, self._lanes.scenarios(seeds))
+        strata = [self._lanes.suite.stratum(seed) for seed in seeds]
+        self._sizes[places] = self._costs[places].sum(axis=1) + [self._offset_of[name] for name in strata]
+        self._scales[places] = [self._scale_of[name] for name in strata]
 
     def reference_costs(self) -> Floats:
         """Return the reference's costs in the step that each lane takes next, (n_lanes,)."""
@@ -68,7 +124,7 @@ class Gains:
 
     def of(self, reference_costs: Floats, rewards: Floats) -> Floats:
         """Return the gains of a step [%], (n_lanes,), from :meth:`reference_costs` before it and its rewards."""
-        gains: Floats = (reference_costs + rewards) / self._units
+        gains: Floats = 100.0 * np.maximum((reference_costs + rewards) / self._sizes, -self._most) / self._scales
         return gains
 
     def close(self) -> None:

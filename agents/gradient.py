@@ -1,8 +1,9 @@
 """`python -m agents.gradient`: trains a policy by back-propagation through whole episodes of the environment itself.
 
-The gradients are those of wtg_gym.gradients. Nothing is explored and no value function is learned: Adam lowers the mean
-over training scenarios of log(cost + J0), which the score rewards. Failures by slow rotors or low frequency are steps
-without a gradient: in the loss they come gradually.
+The gradients are those of wtg_gym.gradients. Nothing is explored and no value function is learned: Adam lowers what the
+score pays, the mean over training scenarios of ln(J + J0), in every stratum in units of its Λ, and if you like the mean
+cost besides, which the worst scenarios decide. Failures by slow rotors or low frequency are steps without a gradient:
+in the loss they come gradually.
 """
 
 from __future__ import annotations
@@ -21,14 +22,17 @@ from torch import Tensor, nn
 
 from agents.command import opened_run, run_command, settings_of, training_parser
 from agents.folders import loading
+from agents.gains import stratum_scales
 from agents.runs import Run, RunSettings
 from agents.training import Training, last_checkpoint
 from wtg_gym.envs import EnvSettings
+from wtg_gym.envs.lanes import TaskLanes
 from wtg_gym.envs.task_records import CostTerms
-from wtg_gym.evaluation.score import COST_OFFSET, pinned_cost
+from wtg_gym.evaluation.score import pinned_cost
 from wtg_gym.gradients.torch import TorchEpisodes
 from wtg_gym.physics.scenario import Scenario
 from wtg_gym.progress import Progress
+from wtg_gym.scenarios import get_suite
 
 #: The algorithm's name in run.json.
 NAME = "gradient"
@@ -49,10 +53,13 @@ class Hyperparameters:
     last_rate: float = 0.05
     betas: Sequence[float] = (0.9, 0.99)
     max_grad_norm: float = 1.0
+    mean_weight: float = 0.0  # of J / J0 in the loss, besides ln(J + J0)
 
     def __post_init__(self) -> None:
         if min(self.hidden, default=1) < 1 or self.lstm < 0:
             raise ValueError(f"layers must be 1 or more wide, got hidden {list(self.hidden)} and lstm {self.lstm}")
+        if not 0.0 <= self.mean_weight <= 100.0:
+            raise ValueError(f"mean_weight must be 0 … 100, got {self.mean_weight}")
 
 
 class GradientPolicy(nn.Module):
@@ -86,13 +93,14 @@ class Failures:
     """Costs in which failures by slow rotors or low frequency come gradually.
 
     A logistic function of the least rotor speed and of the least frequency takes an episode's cost towards that of a
-    failed one in the score. It is 0.5 a spread above the limit of the protection, and 0.73 at the limit. Failures of
-    other kinds keep their constant charge.
+    failed one in the score. It is 0.5 a spread above the limit of the protection, and 0.73 at the limit. Where a slow
+    rotor disconnects its group alone, it adds what the capped terms cost at their cap for the whole episode. Failures
+    of other kinds keep their constant charge.
     """
 
     def __init__(self, episodes: TorchEpisodes) -> None:
         settings = episodes.tape.lanes.settings
-        protection, cap = settings.plant().protection, settings.cost_weights().cap
+        protection, weights = settings.plant().protection, settings.cost_weights()
         frequency = (protection.frequency_min_pu, FREQUENCY_SPREAD_PU)
         rotor = (protection.rotor_speed_min_pu, ROTOR_SPREAD_PU)
         watched = {
@@ -102,7 +110,12 @@ class Failures:
         }
         self._columns = list(watched)
         self._limits, self._spreads = torch.tensor(list(watched.values()), dtype=torch.float64).T
-        self._cost = pinned_cost(0.0, failed=True, duration_s=settings.episode_duration_s(), cap=cap)
+        duration_s, open_ended = settings.episode_duration_s(), settings.benchmark().charges_worst
+        rate = weights.unserved if open_ended else weights.cap
+        self._cost = pinned_cost(0.0, failed=True, duration_s=duration_s, cap=rate)
+        self._trips = settings.on_failure == "trip"
+        self._of_rotor = weights.cap * duration_s
+        self._ends = torch.tensor([not self._trips or limit is frequency for limit in watched.values()])
 
     def watched(self, outputs: Tensor) -> Tensor:
         """Return the outputs that failures depend on, (n_lanes, n), of all outputs of a step."""
@@ -110,9 +123,10 @@ class Failures:
 
     def costs(self, terms: Tensor, least: Tensor) -> Tensor:
         """Return costs (n_lanes,), from the sums of their terms and the least of what is watched (n_lanes, n)."""
-        survives = torch.sigmoid((least - self._limits) / self._spreads - 1.0).prod(dim=1)
-        charge = terms[:, _FAILURE]
-        spent = terms.sum(dim=1) - torch.where(survives < 0.5, charge, 0.0)
+        safe = torch.sigmoid((least - self._limits) / self._spreads - 1.0)
+        survives, turns = safe[:, self._ends].prod(dim=1), safe[:, ~self._ends].prod(dim=1)
+        spent = terms.sum(dim=1) - torch.where(survives < 0.5, terms[:, _FAILURE], 0.0)
+        spent = spent + (1.0 - turns) * self._of_rotor
         return survives * spent + (1.0 - survives) * self._cost
 
 
@@ -130,9 +144,24 @@ def costs_of(
     return failures.costs(torch.stack(spent).sum(dim=0), torch.stack(watched).amin(dim=0))
 
 
-def descend(policy: nn.Module, optimizer: torch.optim.Optimizer, costs: Tensor, h: Hyperparameters) -> float:
-    """Take one step of the optimiser against what episodes cost, and return the loss before it."""
-    loss = torch.log(costs + COST_OFFSET).mean()
+class Loss:
+    """What the score pays for, to be lowered: the mean over scenarios of ln(J + J0), in units of Λ of their strata."""
+
+    def __init__(self, settings: EnvSettings, mean_weight: float = 0.0) -> None:
+        self._suite, self._mean_weight = get_suite(settings.suite), mean_weight
+        self._offsets = dict(self._suite.benchmark.cost_offsets)
+        self._scales = stratum_scales(settings) if self._suite.strata else {"": 1.0}
+
+    def __call__(self, costs: Tensor, scenarios: Sequence[Scenario]) -> Tensor:
+        """Return the loss of episodes from their costs (n_lanes,)."""
+        strata = [self._suite.stratum(scenario.seed or 0) for scenario in scenarios]
+        offsets = torch.tensor([self._offsets[name] for name in strata], dtype=costs.dtype)
+        scales = torch.tensor([self._scales[name] for name in strata], dtype=costs.dtype)
+        return ((torch.log(costs + offsets) + self._mean_weight * costs / offsets) / scales).mean()
+
+
+def descend(policy: nn.Module, optimizer: torch.optim.Optimizer, loss: Tensor, h: Hyperparameters) -> float:
+    """Take one step of the optimiser against a loss, and return the loss before it."""
     optimizer.zero_grad()
     loss.backward()  # type: ignore[no-untyped-call]
     nn.utils.clip_grad_norm_(policy.parameters(), h.max_grad_norm)
@@ -163,6 +192,18 @@ class GradientLearner:
             self.optimizer.load_state_dict(state["optimizer"])
 
 
+def draw(lanes: TaskLanes, rng: np.random.Generator) -> list[Scenario]:
+    """Return a training scenario for every lane.
+
+    Where there are strata, the seeds follow one another: so they hold as many of each stratum and kind of event.
+    """
+    if not lanes.suite.strata:
+        return lanes.draw([rng] * lanes.n_lanes)
+    seeds = lanes.suite.train
+    first = int(rng.integers(seeds.start, seeds.stop - lanes.n_lanes))
+    return lanes.scenarios(range(first, first + lanes.n_lanes))
+
+
 def train(run: Run, folder: Path) -> None:
     """Train from the last checkpoint, if there is one, to the end; checkpoints and run.json go to `folder`."""
     if run.finished:
@@ -173,7 +214,7 @@ def train(run: Run, folder: Path) -> None:
     torch.manual_seed(settings.seed)
     episodes = TorchEpisodes(EnvSettings(**settings.env_arguments), settings.n_envs)
     lanes = episodes.tape.lanes
-    failures = Failures(episodes)
+    failures, loss_of = Failures(episodes), Loss(lanes.settings, h.mean_weight)
     learner = GradientLearner(GradientPolicy(lanes.n_observation, lanes.n_action, h.hidden, h.lstm), h)
     policy, optimizer = learner.policy, learner.optimizer
     n_steps = round(lanes.duration_s / lanes.settings.control_dt)
@@ -190,8 +231,9 @@ def train(run: Run, folder: Path) -> None:
             optimizer.param_groups[0]["lr"] = h.learning_rate * (h.last_rate + (1.0 - h.last_rate) * fallen)
             # A generator of its own for each batch: a resumed run draws what an undisturbed one would have drawn.
             rng = np.random.default_rng((settings.seed, index))
-            costs = costs_of(episodes, policy, lanes.draw([rng] * settings.n_envs), n_steps, failures)
-            loss = descend(policy, optimizer, costs, h)
+            scenarios = draw(lanes, rng)
+            costs = costs_of(episodes, policy, scenarios, n_steps, failures)
+            loss = descend(policy, optimizer, loss_of(costs, scenarios), h)
             progress.update(f"loss {loss:.3f}, {training.title}", index + 1 - first, n_batches - first)
     training.take_stock(n_batches * per_batch, finished=True)
 
@@ -202,13 +244,14 @@ def main(argv: Sequence[str] | None = None) -> int:
     add = parser.add_argument
     add("--n-envs", type=int, metavar="N", help=f"episodes per gradient (default: {_N_ENVS})")
     add("--hidden", type=int, nargs="*", metavar="N", help="widths of the hidden layers, or none (default: 64 64)")
+    add("--mean-weight", type=float, metavar="W", help="weight of J / J0 beside ln(J + J0) in the loss (default: 0)")
     add("--lstm", type=int, metavar="N", help="width of an LSTM in front of them (default: 0, none)")
 
     def work() -> None:
         given = vars(parser.parse_args(argv))
 
         def settings() -> RunSettings:
-            h = Hyperparameters(**{key: given[key] for key in ("hidden", "lstm") if key in given})
+            h = Hyperparameters(**{key: given[key] for key in ("hidden", "lstm", "mean_weight") if key in given})
             return settings_of(given, NAME, dataclasses.asdict(h), timesteps=_TIMESTEPS, n_envs=_N_ENVS)
 
         with opened_run(given, (NAME,), settings) as (run, folder):

@@ -85,8 +85,8 @@ class Run:
 
     @property
     def best(self) -> dict[str, float]:
-        """The row with the best score, the first one of several."""
-        return max(self.curve, key=lambda row: row["score"])
+        """The row that ranks first: in v1 with the mark, then by its score; the first one of several."""
+        return max(self.curve, key=lambda row: (row["marked"], row["score"]))
 
     def is_due(self, timesteps: int) -> bool:
         """Return whether an interval has ended since the last validation."""
@@ -112,10 +112,12 @@ class Run:
         (summary,) = (summary for summary in results.summaries if summary.name == entry.name)
         metrics = {
             "score": results.scores[entry.name].value,
+            "marked": float(summary.marked),
+            "lost_or_beyond_percent": summary.lost_or_beyond_percent,
             "cost": summary.mean_pinned_cost,
             "failures_percent": summary.failures_percent,
             "nadir_hz": summary.median_nadir_hz,
-            "rocof_hz_s": summary.p95_rocof_hz_s,
+            "median_deviation_mhz": summary.median_deviation_mhz,
             "duty_error_percent": summary.mean_duty_error_percent,
             "energy_share_percent": summary.mean_energy_share_percent,
         }

@@ -22,7 +22,7 @@ from rollouts import Rollouts
 
 from wtg_gym.envs.lanes import TaskLanes
 from wtg_gym.envs.settings import EnvSettings
-from wtg_gym.evaluation.score import COST_OFFSET, log_gains, mean_score, score_scale
+from wtg_gym.evaluation.score import COST_OFFSET, gains, mean_score, score_scales
 from wtg_gym.files import markdown_table
 from wtg_gym.gradients import Tape
 from wtg_gym.physics.layout import Floats
@@ -137,8 +137,11 @@ def scores(suite: str, laws: Sequence[Laws], n_scenarios: int) -> list[tuple[flo
     played = [get_law(own.benchmark.zero), get_law(own.benchmark.hundred), *laws]
     with closing(Rollouts(suite, "validation", own.validation[:n_scenarios], len(played))) as rollouts:
         zero, hundred, *costs = rollouts.pinned(rollouts.play(laws=played)).T
-    scale = score_scale(zero, hundred)
-    return [(mean_score(log_gains(each[np.newaxis], hundred), scale), float(each.mean())) for each in costs]
+    names = np.array([own.stratum(seed) for seed in own.validation[:n_scenarios]])
+    groups = {name: np.flatnonzero(names == name) for name in dict.fromkeys(names.tolist())}
+    scales = score_scales(zero, hundred, own.benchmark, groups)
+    gained = (gains(each[np.newaxis], hundred, own.benchmark) for each in costs)
+    return [(mean_score(each, scales, groups), float(cost.mean())) for each, cost in zip(gained, costs, strict=True)]
 
 
 def _each(laws: Laws, key: str) -> str:

@@ -32,7 +32,7 @@ from wtg_gym.envs.settings import EnvSettings
 from wtg_gym.evaluation import Entry, Results, evaluate, leaderboard_rows, markdown_table
 from wtg_gym.evaluation.episodes import Episode
 from wtg_gym.evaluation.metrics import Recorder, measure
-from wtg_gym.evaluation.table import privileged_note
+from wtg_gym.evaluation.table import notes_on_marks
 from wtg_gym.files import update_between_markers
 from wtg_gym.physics.aerodynamics import power_coefficient
 from wtg_gym.physics.kernel_data import EVENT, NO_EVENT, LaneData
@@ -41,7 +41,7 @@ from wtg_gym.physics.simulator import PreparedLanes
 from wtg_gym.progress import Progress
 from wtg_gym.scenarios import get_suite
 
-_COLUMNS = ("entry", "score", "mean pinned cost", "worst decile", "median deviation [mHz]")
+_COLUMNS = ("entry", "score", "mean cost", "worst tenth", "median deviation [mHz]")
 #: Winds that an observer believes in [m/s].
 _WIND_RANGE = (3.5, 24.5)
 #: Time constants of the observer's filters: rotor speed and power, the wind sensor, its correction [s].
@@ -307,6 +307,7 @@ if __name__ == "__main__":
         results = results_with_planners("standard-v1", split, seeds, plannings, entries)
         results.write("results/planners")
     rows = leaderboard_rows(results)
-    table = f"{markdown_table(rows, _COLUMNS)}\n\n{privileged_note(rows).capitalize()}."
+    notes = (f"{note[0].upper()}{note[1:]}." for note in notes_on_marks(rows))
+    table = "\n\n".join((markdown_table(rows, _COLUMNS), *notes))
     text = f"The first {n} test scenarios of `standard-v1`:\n\n{table}"
     update_between_markers(docs / "benchmark.md", text, "planners")

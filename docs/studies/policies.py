@@ -2,9 +2,10 @@
 
     python docs/studies/policies.py [--output FOLDER]
 
-prints the tuned law of version v1 and writes the feedbacks of agents/policies again, as entries, to FOLDER (default:
-results/policies); those that are there already are left. To tune something of your own, change the lists below, or call
-`tune_law` and `tune_feedback`. On two processors the law takes half an hour, each feedback about as long.
+prints the laws and the three numbers of mean-droop of version v1, and writes the feedbacks of agents/policies again, as
+entries, to FOLDER (default: results/policies); those that are there already are left. To tune something of your own,
+change the lists below, or call `tune_law`, `tune_mean_droop` and `tune_feedback`. On two processors a law and the droop
+take ten minutes each at most, a feedback half an hour.
 """
 
 from __future__ import annotations
@@ -20,12 +21,20 @@ from output import folder as output_folder
 from rollouts import HISTORY_COLUMNS, Rollouts, Search, history_feedback, history_gains, linear_feedback
 from torch import Tensor, nn
 
+from baselines.mean_droop import FULL_ACTION_HZ, ROTOR_GAIN, SLOW_ROTOR_PU, MeanDroop
 from wtg_gym import export_onnx
 from wtg_gym.envs.settings import EnvSettings
 from wtg_gym.physics.layout import Floats
-from wtg_gym.physics.tracking_law import LARGEST_COEFFICIENT, TIME_CONSTANT_RANGE, TrackingLaw, coordinated_piecewise
+from wtg_gym.physics.tracking_law import (
+    LARGEST_COEFFICIENT,
+    TIME_CONSTANT_RANGE,
+    TrackingLaw,
+    Tuning,
+    coordinated_piecewise,
+)
 from wtg_gym.progress import Progress
 from wtg_gym.scenarios import get_suite
+from wtg_gym.scenarios.benchmark import V1
 
 #: Least coefficient that is tried [p.u.]: at 0 a group would give nothing.
 LEAST_COEFFICIENT = 0.05
@@ -69,33 +78,88 @@ FEEDBACKS = (
 
 # --- laws ------------------------------------------------------------------------------------------------------------
 
+#: Points of :func:`law_of` where searches begin, without and with the bound at K_opt.
+_FREE, _CAPPED = (1.2, 0.0, 1.0, 0.0), (0.0, 1.0, 0.0)
+#: Share of K_opt - K_pr by which K_n changes at most: with less power at nominal frequency runs could not start.
+MOST_ABOVE_NOMINAL = 0.08
+#: A multiple of 15 consecutive seeds holds as many of each stratum, and of each kind of extreme event.
+N_SCENARIOS = 120
+
 
 def law_of(x: Floats) -> TrackingLaw:
-    """Return the law of a point: how far k lies above K_opt, above K_n and below K_pr, as shares of K_opt - K_pr, and
-    ln(τ / 0.8 s); made monotone, and held in range."""
+    """Return the law of a point, made monotone, and held in range.
+
+    A point is how far k lies above K_opt, above K_n and below K_pr, as shares of K_opt - K_pr, and ln(τ / 0.8 s);
+    without the first number k_min is K_opt, and nothing is beyond it.
+    """
     paper = coordinated_piecewise()
-    span = paper.k_min - paper.k_max
-    nominal = paper.k_nominal + x[1] * span
-    corners = max(paper.k_min + x[0] * span, nominal), nominal, min(paper.k_max - x[2] * span, nominal)
+    span, capped = paper.k_min - paper.k_max, len(x) == 3
+    above_opt, above_nominal, below_limit, log_tau = (0.0, *x) if capped else x
+    above_nominal = min(max(above_nominal, -MOST_ABOVE_NOMINAL), MOST_ABOVE_NOMINAL)
+    nominal = paper.k_nominal + above_nominal * span
+    corners = max(paper.k_min + above_opt * span, nominal), nominal, min(paper.k_max - below_limit * span, nominal)
     k_min, k_nominal, k_max = (min(max(float(k), LEAST_COEFFICIENT), LARGEST_COEFFICIENT) for k in corners)
     low, high = TIME_CONSTANT_RANGE
-    tau = min(max(paper.damping_time_constant_s * math.exp(x[3]), low), high)
+    tau = min(max(paper.damping_time_constant_s * math.exp(log_tau), low), high)
     return TrackingLaw(name="tuned", k_min=k_min, k_nominal=k_nominal, k_max=k_max, damping_time_constant_s=tau)
 
 
+def tuning_of(law: TrackingLaw) -> Tuning:
+    """Return the numbers that make a law of the piecewise one."""
+    paper = coordinated_piecewise()
+    away = law.k_min - paper.k_min, law.k_nominal - paper.k_nominal, paper.k_max - law.k_max
+    return Tuning(*(offset / (paper.k_min - paper.k_max) for offset in away), law.damping_time_constant_s)
+
+
 def tune_law(
-    suite: str, n_scenarios: int = 192, generations: int = 45, population: int = 16, seed: int = 1
-) -> tuple[Floats, TrackingLaw]:
-    """Lower the mean of ln(J + J0), which decides the score; return the point that was found, and its law."""
-    search = Search(np.array([1.2, 0.0, 1.0, 0.0]), 0.5, population, seed)
+    suite: str,
+    capped: bool,
+    n_scenarios: int = N_SCENARIOS,
+    generations: int = 18,
+    population: int = 12,
+    seed: int = 1,
+) -> TrackingLaw:
+    """Return the law that scores most, by the scales that the present anchors have."""
+    search = Search(np.array(_CAPPED if capped else _FREE), 0.4, population, seed)
     train = get_suite(suite).train[:n_scenarios]
     with Progress("generations") as progress, closing(Rollouts(suite, "train", train, population)) as rollouts:
         for generation in range(generations):
             asked = search.ask()
-            costs = rollouts.log_costs(rollouts.play(laws=[law_of(x) for x in asked])).mean(axis=0)
+            costs = rollouts.objective(rollouts.play(laws=[law_of(x) for x in asked])).mean(axis=0)
             search.tell(asked, costs)
-            progress.update(f"mean ln(J + J0) {costs.min():.4f}", generation + 1, generations)
-    return search.mean, law_of(search.mean)
+            progress.update(f"objective {costs.min():.4f}", generation + 1, generations)
+    return law_of(search.mean)
+
+
+def mean_droop_of(x: Floats) -> MeanDroop:
+    """Return mean-droop of points (..., 3), each ln(F / 0.5 Hz), (ω_1 - 0.7) / 0.1 and ln(G / 5)."""
+    full_action, slow_rotor, gain = np.moveaxis(np.asarray(x), -1, 0)[..., np.newaxis]
+    return MeanDroop(FULL_ACTION_HZ * np.exp(full_action), SLOW_ROTOR_PU + 0.1 * slow_rotor, ROTOR_GAIN * np.exp(gain))
+
+
+def tune_mean_droop(
+    suite: str,
+    strategy: str = "coordinated-tuned",
+    n_scenarios: int = N_SCENARIOS,
+    generations: int = 18,
+    population: int = 12,
+    seed: int = 1,
+) -> tuple[MeanDroop, float]:
+    """Return the three numbers that cost little on a law, and what they cost in the scales of the score."""
+    search = Search(np.zeros(3), 0.4, population, seed)
+    train, how = get_suite(suite).train[:n_scenarios], {"strategy": strategy, "action_mode": "k"}
+    with Progress("generations") as progress, closing(Rollouts(suite, "train", train, population, **how)) as rollouts:
+
+        def costs_of(points: Floats) -> Floats:
+            policy = mean_droop_of(points)
+            return rollouts.objective(rollouts.play(lambda _step, own: policy.act(own)[..., np.newaxis])).mean(axis=0)
+
+        for generation in range(generations):
+            asked = search.ask()
+            costs = costs_of(asked)
+            search.tell(asked, costs)
+            progress.update(f"mean-droop, objective {costs.min():.4f}", generation + 1, generations)
+        return mean_droop_of(search.mean), float(costs_of(np.tile(search.mean, (population, 1)))[0])
 
 
 # --- feedbacks -------------------------------------------------------------------------------------------------------
@@ -171,6 +235,11 @@ if __name__ == "__main__":
         if not (target / feedback.folder / "entry.toml").exists():
             write_feedback(feedback, *tune_feedback(feedback), target / feedback.folder)
             print(f"wrote {target / feedback.folder}")
-    point, law = tune_law("standard-v1")
-    print("coordinated-tuned: above K_opt {:.2f}, above K_n {:.3f}, below K_pr {:.2f}".format(*point[:3]))
-    print(f"k {law.k_min:.3f}, {law.k_nominal:.3f}, {law.k_max:.3f} p.u., τ {law.damping_time_constant_s:.2f} s")
+    for name, capped in (("coordinated-tuned", True), ("coordinated-free", False)):
+        law = tune_law("standard-v1", capped)
+        print(f"{name}: " + ", ".join(f"{key} {value:.3f}" for key, value in tuning_of(law)._asdict().items()))
+        print(f"k {law.k_min:.3f}, {law.k_nominal:.3f}, {law.k_max:.3f} p.u.")
+    for strategy in V1.anchors:
+        droop, cost = tune_mean_droop("standard-v1", strategy)
+        numbers = ", ".join(f"{name} {float(value):.3f}" for name, value in vars(droop).items())
+        print(f"mean-droop on {strategy}: {numbers}; objective {cost:.4f}")

@@ -6,16 +6,17 @@ under them. To tune a law or a feedback of your own, see policies.py.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing
 
 import cma
 import numpy as np
 
+from agents.gains import stratum_scales
 from wtg_gym.envs.lanes import TaskLanes
 from wtg_gym.envs.settings import EnvSettings
 from wtg_gym.envs.task_records import COST_TERMS
-from wtg_gym.evaluation.score import COST_OFFSET, pinned_cost
+from wtg_gym.evaluation.score import pinned_cost
 from wtg_gym.physics.layout import Floats
 from wtg_gym.physics.tracking_law import TrackingLaw
 from wtg_gym.scenarios.benchmark import V0
@@ -35,6 +36,7 @@ class Rollouts:
 
     def __init__(self, suite: str, split: str, seeds: Sequence[int], n_candidates: int, **settings) -> None:
         self._arguments, self._settings = (suite, split, list(seeds)), settings
+        self._scales: Mapping[str, float] | None = None
         self.lanes = TaskLanes(EnvSettings(suite=suite, split=split, **settings), len(seeds) * n_candidates)
         self.shape = len(seeds), n_candidates
         self.n_wtg, self.n_local = self.lanes.n_wtg, self.lanes.n_local
@@ -76,17 +78,28 @@ class Rollouts:
             return alone.play()[:, 0]
 
     def pinned(self, terms: Floats) -> Floats:
-        """Return the costs that the leaderboard counts: a failed episode's is the largest there is."""
+        """Return the costs that the leaderboard counts: in v0 a failed episode's is the largest there is."""
+        costs: Floats = terms.sum(axis=-1)
+        if self.lanes.suite.benchmark.charges_worst:
+            return costs
         cap = self.lanes.settings.cost_weights().cap
         worst = pinned_cost(0.0, failed=True, duration_s=self.lanes.duration_s, cap=cap)
-        return np.where(terms[..., COST_TERMS.index("failure")] > 0.0, worst, terms.sum(axis=-1))
+        return np.where(terms[..., COST_TERMS.index("failure")] > 0.0, worst, costs)
 
     def log_costs(self, terms: Floats) -> Floats:
-        """Return ln(J + J0) of pinned costs, whose mean over scenarios decides the score."""
-        return np.log(self.pinned(terms) + COST_OFFSET)
+        """Return ln(J + J0) of pinned costs, (n_scenarios, n_candidates), each in units of its stratum's Λ.
+
+        Their mean over as many scenarios of each stratum decides the score.
+        """
+        suite, seeds = self.lanes.suite, self._arguments[2]
+        offsets, strata = dict(suite.benchmark.cost_offsets), [suite.stratum(seed) for seed in seeds]
+        if self._scales is None:
+            self._scales = stratum_scales(self.lanes.settings) if suite.strata else {"": 1.0}
+        costs = self.pinned(terms) + np.array([[offsets[name]] for name in strata])
+        return np.log(costs) / np.array([[self._scales[name]] for name in strata])
 
     def objective(self, terms: Floats) -> Floats:
-        """Return the objective of a search: in v0 the cost, from v1 on :meth:`log_costs`.
+        """Return the objective of a search, (n_scenarios, n_candidates): in v0 the cost, from v1 on :meth:`log_costs`.
 
         With v1's rotors a few failures outweigh all else in a mean of costs.
         """

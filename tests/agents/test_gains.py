@@ -8,11 +8,13 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
-from agents.gains import Gains, stagger
+from agents.gains import Gains, law_costs, stagger, stratum_costs, stratum_scales
 from agents.multi_agent import GainVecEnv
-from wtg_gym.envs import GFMWTGVectorEnv
+from wtg_gym.envs import EnvSettings, GFMWTGVectorEnv
+from wtg_gym.envs.lanes import TaskLanes
 from wtg_gym.sb3 import SB3VecEnv
 from wtg_gym.scenarios import get_suite
+from wtg_gym.scenarios.benchmark import V1
 
 ENV_ID = "GFMWTG-14bus-v0"
 
@@ -81,3 +83,40 @@ def test_failure_forfeits_what_the_reference_would_still_have_paid() -> None:
     assert sum(paid[n_steps:]) > 0.0 and total < 0.0
     gains.close()
     env.close()
+
+
+def test_the_reference_plays_sixteen_lanes_as_it_plays_one() -> None:
+    settings = EnvSettings(version="v1", strategy="mppt", duration_s=30.0, on_failure="terminate")
+    alone, together = TaskLanes(settings, 1), TaskLanes(settings, 16)
+    seeds = list(get_suite("standard-v1").train[:20])
+    costs = law_costs(together, together.scenarios(seeds))
+    assert np.array_equal(costs, [law_costs(alone, alone.scenarios([seed]))[0] for seed in seeds])
+    # Some of them fail, after which nothing is paid.
+    assert (costs[:, -1] == 0.0).any() and (costs[:, -1] > 0.0).any()
+
+
+def test_gain_of_v1_is_the_saving_in_scales_of_the_stratum(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(vars(V1), "scores_mean", True)
+    env = GFMWTGVectorEnv(3, n_threads=1, version="v1", strategy="mppt", duration_s=10.0)
+    env.reset(seed=1)
+    gains = Gains(env.lanes)
+    gains.follow(range(3))
+    references = gains.reference_costs()
+    _, rewards, *_ = env.step(np.zeros((3, 8), np.float32))
+    scales, suite = stratum_scales(env.lanes.settings), env.lanes.suite
+    own = np.array([scales[suite.stratum(int(seed))] for seed in env.lanes.scenario_seeds])
+    assert gains.of(references, rewards) == pytest.approx(100.0 * (references + rewards) / own, rel=1e-12)
+    gains.close()
+    env.close()
+
+
+def test_scales_are_differences_of_the_anchors_mean_costs() -> None:
+    settings = EnvSettings(version="v1", duration_s=10.0)
+    zero, hundred = (stratum_costs(settings, law) for law in V1.anchors)
+    scales = stratum_scales(settings)
+    assert scales == {name: zero[name] - hundred[name] for name in scales} and min(scales.values()) > 0.0
+    lanes, name = TaskLanes(EnvSettings(version="v1", strategy=V1.hundred), 30), next(iter(scales))
+    own = [seed for seed in lanes.suite.train[:90] if lanes.suite.stratum(seed) == name][:30]
+    assert law_costs(lanes, lanes.scenarios(own)).sum(axis=1).mean() == pytest.approx(hundred[name], rel=1e-12)
+    # The longer episode of the suite, not that of the settings.
+    assert lanes.duration_s > settings.episode_duration_s()

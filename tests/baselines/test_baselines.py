@@ -9,6 +9,7 @@ import pytest
 
 import baselines
 from baselines.fast_droop import FastDroop
+from baselines.mean_droop import MeanDroop
 from baselines.tip_speed_feedback import TipSpeedFeedback
 from wtg_gym.evaluation import load_entries
 from wtg_gym.physics.aerodynamics import tracking_point
@@ -50,3 +51,16 @@ def test_fast_droop_is_one_gain_of_each_groups_own_measured_frequency() -> None:
     observation[0, ::7] = deviations_hz / 0.5
     action, _ = FastDroop().predict(observation)
     assert action == pytest.approx(np.array([[0.6, -0.2, 0.0, -1.0]]))
+
+
+def test_mean_droop_acts_on_the_mean_deviation_and_spares_slow_rotors() -> None:
+    observation = np.random.default_rng(0).normal(size=(1, 28))
+    observation[0, ::7] = np.array([-0.3, 0.1, 0.0, -0.2]) / 0.5
+    speeds_pu = np.array([0.9, 0.7, 0.6, 0.3])
+    observation[0, 3::7] = (speeds_pu - 1.0) / 0.25
+    policy = MeanDroop(full_action_hz=0.5, slow_rotor_pu=0.7, rotor_gain=5.0)
+    assert policy.predict(observation)[0] == pytest.approx(np.array([[0.2, 0.2, -0.3, -1.0]]))
+    # Arrays of numbers are several policies at once.
+    own = np.repeat(observation.reshape(1, 1, 4, 7), 2, axis=1)
+    both = MeanDroop(np.array([[0.5], [1.0]]), np.array([[0.7], [0.5]]), np.array([[5.0], [1.0]])).act(own)
+    assert both == pytest.approx(np.array([[[0.2, 0.2, -0.3, -1.0], [0.1, 0.1, 0.1, -0.1]]]))

@@ -35,7 +35,7 @@ def test_evaluate_ranks_a_suite_of_v1_in_its_own_grid(capsys: pytest.CaptureFixt
         f"standard-v1-validation.{end}" for end in ("csv", "json")
     ]
     for row in Results.read(folder / "standard-v1-validation.json").ranking:
-        assert re.search(rf"{row.name} .* {row.n_lost} of 12 .* {row.mean_pinned_cost:.1f}\n", out)
+        assert re.search(rf"{row.name} .* {row.lost_or_beyond_percent:.1f} ✓ .* {row.mean_pinned_cost:.1f}\n", out)
     assert main(["results", "recompute", str(folder / "standard-v1-validation.json")]) == 0
     assert "identical" in capsys.readouterr().out
 

@@ -12,6 +12,7 @@ from baselines import tip_speed_feedback
 from wtg_gym.envs.settings import EnvSettings
 from wtg_gym.evaluation import Entry, Results, evaluate, load_entries
 from wtg_gym.evaluation.generalisation import excess_gap, generalisation_gaps, left_out, score_gap
+from wtg_gym.evaluation.statistics import Groups
 from wtg_gym.policies.play import started_lanes
 from wtg_gym.scenarios import draw_seeds
 from wtg_gym.scenarios.benchmark import V0
@@ -64,7 +65,8 @@ def test_memoriser_is_marked_and_the_same_policy_without_memory_is_not(both: tup
 
 def test_other_policies_of_a_name_are_left_out_and_few_scenarios_give_no_excess(both: tuple[Results, Results]) -> None:
     public, fresh = both
-    few = dataclasses.replace(fresh, episodes=tuple(each for each in fresh.episodes if each.seed in fresh.seeds[:10]))
+    seeds = fresh.seeds[:10]
+    few = dataclasses.replace(fresh, seeds=seeds, episodes=tuple(e for e in fresh.episodes if e.seed in seeds))
     gaps = generalisation_gaps(public, few)
     assert len(gaps) == len(generalisation_gaps(*both)) and all(gap.excess is None for gap in gaps)
     changed = tuple({**entry, "sha256": "0" * 64} if entry["name"] == "honest" else entry for entry in fresh.entries)
@@ -94,8 +96,8 @@ def test_gap_interval_agrees_with_a_bootstrap_written_out() -> None:
     sides = []
     for n in (120, 90):
         mppt = -rng.uniform(0.5, 2.0, n)
-        sides.append((0.2 * rng.normal(size=(1, n)) - 0.1 * mppt, mppt))
-    (a, m), (b, k) = sides
+        sides.append((0.2 * rng.normal(size=(1, n)) - 0.1 * mppt, mppt, {"": np.arange(n)}))
+    (a, m, _), (b, k, _) = sides
 
     i, j = (rng.integers(0, n, (20_000, n)) for n in (120, 90))
     resampled = 100.0 * (a[0, i].mean(axis=1) / -m[i].mean(axis=1) - b[0, j].mean(axis=1) / -k[j].mean(axis=1))
@@ -106,14 +108,14 @@ def test_gap_interval_agrees_with_a_bootstrap_written_out() -> None:
     assert interval.high == pytest.approx(high, abs=0.06 * (high - low))
 
 
-def _two_sets(rng: np.random.Generator, fitted: float) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
+def _two_sets(rng: np.random.Generator, fitted: float) -> list[tuple[np.ndarray, np.ndarray, np.ndarray, Groups]]:
     """Gains of two seeds and of two controls on lucky public scenarios and on fresh ones; `fitted` on the public."""
     sides = []
-    mppt = np.full(100, -1.0)
+    mppt, groups = np.full(100, -1.0), {str(i): np.arange(i, 100, 3) for i in range(3)}
     for luck, extra in ((0.5, fitted), (0.0, 0.0)):
         shared = rng.normal(size=100) + luck
         controls = np.stack([shared + 0.1 * rng.normal(size=100), rng.normal(size=100)])
-        sides.append((0.8 * shared + 0.1 * rng.normal(size=(2, 100)) + extra, controls, mppt))
+        sides.append((0.8 * shared + 0.1 * rng.normal(size=(2, 100)) + extra, controls, mppt, groups))
     return sides
 
 

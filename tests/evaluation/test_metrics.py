@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from typing import Any
+
+import gymnasium as gym
 import numpy as np
 import pytest
 
-from wtg_gym.evaluation import evaluate
+from wtg_gym.evaluation import Results, evaluate
 from wtg_gym.evaluation.metrics import quasi_steady_deviation
 from wtg_gym.physics.plant import PlantSettings
 from wtg_gym.physics.tracking_law import get_law
@@ -31,6 +34,26 @@ def test_metrics_agree_with_the_recorded_run() -> None:
         assert m["energy_mwh"] == pytest.approx(energy, rel=1e-4)
         assert m["survived_s"] == pytest.approx(60.0)
         assert 90.0 < m["energy_share_percent"] < 100.0
+
+
+def test_worst_frequency_and_shed_energy_are_those_of_info_and_none_in_the_papers_physics(results: Results) -> None:
+    law, seeds = "coordinated-tuned", range(10_000, 10_006)
+    env: Any = gym.make("GFMWTG-14bus-v1", strategy=law, duration_s=20.0, disable_env_checker=True).unwrapped
+    for episode in evaluate([], "standard-v1", "validation", seeds=seeds, duration_s=20.0).episodes_of(law):
+        scenario = get_suite("standard-v1").scenario(episode.seed, duration_s=20.0)
+        infos = [env.reset(options={"scenario": scenario})[1]]
+        over = False
+        while not over:
+            _, _, terminated, truncated, info = env.step(np.zeros(env.action_space.shape, dtype=np.float32))
+            infos.append(info)
+            over = terminated or truncated
+        worst = [info["worst_frequency_hz"] for info in infos]
+        m = episode.metrics
+        assert 45.0 < m["worst_nadir_hz"] <= min(worst) and max(worst) <= m["worst_zenith_hz"] < 55.0
+        assert m["worst_nadir_hz"] < m["nadir_hz"] and m["worst_zenith_hz"] > m["zenith_hz"]
+        assert m["shed_energy_mwh"] == pytest.approx(infos[-1]["shed_energy_mws"] / 3600.0)
+    names = ("worst_nadir_hz", "worst_zenith_hz", "shed_energy_mwh")
+    assert {episode.metrics[name] for episode in results.episodes for name in names} == {None}
 
 
 def test_deloading_shows_in_the_share_of_energy() -> None:

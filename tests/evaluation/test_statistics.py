@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 
 import numpy as np
@@ -13,8 +14,17 @@ from scipy import stats
 
 from wtg_gym.evaluation import score, statistics
 from wtg_gym.evaluation.score import COST_OFFSET
+from wtg_gym.evaluation.statistics import Groups
+from wtg_gym.scenarios.benchmark import V0, V1, Benchmark
 
 COSTS = arrays(np.float64, 7, elements=st.floats(0.0, 3050.0))
+MEANS = dataclasses.replace(V1, scores_mean=True)
+#: Seven scenarios of three strata.
+STRATA: Groups = {"calm": np.array([0, 3, 6]), "wild": np.array([1, 4]), "worst": np.array([2, 5])}
+
+
+def whole(n: int) -> Groups:
+    return {"": np.arange(n)}
 
 
 def test_score_is_the_written_formula() -> None:
@@ -22,26 +32,48 @@ def test_score_is_the_written_formula() -> None:
     scale = (math.log(105.0 / 15.0) + math.log(45.0 / 25.0)) / 2.0
     expected = [100.0 * (1.0 + math.log(15.0 / 10.0) / scale), 100.0 * (1.0 + math.log(25.0 / 85.0) / scale)]
     assert COST_OFFSET == 5.0
-    assert score.score_scale(mppt, reference) == pytest.approx(scale, rel=1e-14)
-    gains = score.log_gains(costs[np.newaxis], reference)
-    assert score.mean_score(gains, scale) == pytest.approx(sum(expected) / 2.0, rel=1e-14)
+    scales = score.score_scales(mppt, reference, V0, whole(2))
+    assert scales == pytest.approx([scale], rel=1e-14)
+    gains = score.gains(costs[np.newaxis], reference, V0)
+    assert score.mean_score(gains, scales, whole(2)) == pytest.approx(sum(expected) / 2.0, rel=1e-14)
 
 
-@given(COSTS, COSTS)
-def test_anchors_score_exactly_0_and_100(one: np.ndarray, other: np.ndarray) -> None:
-    reference, mppt = sorted((one, other), key=lambda c: float(np.log(c + COST_OFFSET).sum()))
+def test_score_of_mean_costs_is_the_mean_over_strata_and_linear_in_the_cost() -> None:
+    rng = np.random.default_rng(3)
+    zero, hundred, costs = rng.uniform(50.0, 60.0, 7), rng.uniform(10.0, 20.0, 7), rng.uniform(5.0, 90.0, (2, 7))
+    scales = score.score_scales(zero, hundred, MEANS, STRATA)
+
+    def scored(own: np.ndarray) -> float:
+        return score.mean_score(score.gains(own, hundred, MEANS), scales, STRATA)
+
+    z, h, c = ([own[..., at].mean() for at in STRATA.values()] for own in (zero, hundred, costs))
+    expected = np.mean([100.0 * (zero - own) / (zero - base) for zero, base, own in zip(z, h, c, strict=True)])
+    assert scored(costs) == pytest.approx(expected)
+    assert scored(0.25 * costs + 0.75 * hundred) == pytest.approx(0.25 * scored(costs) + 75.0)
+    zero[STRATA["wild"]] = hundred[STRATA["wild"]]
+    with pytest.raises(score.NoScaleError, match="on these 2 scenarios of the stratum 'wild' coordinated-piecewise"):
+        score.score_scales(zero, hundred, MEANS, STRATA)
+
+
+@given(COSTS, COSTS, st.sampled_from([(V0, whole(7)), (MEANS, STRATA)]))
+def test_anchors_score_exactly_0_and_100(one: np.ndarray, other: np.ndarray, version: tuple[Benchmark, Groups]) -> None:
+    benchmark, groups = version
+    reference, zero = sorted((one, other), key=lambda c: float(np.log(c + COST_OFFSET).sum()))
     try:
-        scale = score.score_scale(mppt, reference)
-    except ValueError:
+        scales = score.score_scales(zero, reference, benchmark, groups)
+    except score.NoScaleError:
         return
-    assert score.mean_score(score.log_gains(mppt[np.newaxis], reference), scale) == 0.0
-    assert score.mean_score(score.log_gains(reference[np.newaxis], reference), scale) == 100.0
+    for costs, points in ((zero, 0.0), (reference, 100.0)):
+        gains = score.gains(costs[np.newaxis], reference, benchmark)
+        assert score.mean_score(gains, scales, groups) == points
+        for at, scale in zip(groups.values(), scales, strict=True):
+            assert score.mean_score(gains, [scale], {"": at}) == points
 
 
 @pytest.mark.parametrize("bad", [-1.0, math.nan, math.inf])
 def test_impossible_costs_are_refused(bad: float) -> None:
     with pytest.raises(ValueError, match="finite and not negative"):
-        score.log_gains(np.array([[1.0, bad]]), np.ones(2))
+        score.gains(np.array([[1.0, bad]]), np.ones(2), V0)
 
 
 def test_failure_costs_the_worst_there_is() -> None:
@@ -55,7 +87,7 @@ def test_interval_of_several_seeds_covers_the_truth_as_often_as_it_says() -> Non
     for _ in range(200):
         # As trained policies are: hard and easy scenarios for all of them, better and worse seeds, and the rest.
         values = 20.0 * rng.normal(size=(1, 100)) + 3.0 * rng.normal(size=(5, 1)) + 2.0 * rng.normal(size=(5, 100))
-        interval = statistics.score_interval(values, np.full(100, -1.0))
+        interval = statistics.score_interval(values, np.full(100, -1.0), whole(100))
         covered.append(interval.low <= 100.0 <= interval.high)
     assert 0.89 <= np.mean(covered) <= 0.99
 
@@ -72,7 +104,7 @@ def test_score_interval_agrees_with_scipys_paired_bootstrap_of_the_ratio() -> No
     def score(own: np.ndarray, scale: np.ndarray, axis: int) -> np.ndarray:
         return 100.0 * (1.0 - own.mean(axis=axis) / scale.mean(axis=axis))
 
-    interval = statistics.score_interval(gains, mppt)
+    interval = statistics.score_interval(gains, mppt, whole(120))
     expected = stats.bootstrap(
         (gains[0], mppt), score, paired=True, n_resamples=20_000, method="percentile", rng=11
     ).confidence_interval
@@ -85,11 +117,11 @@ def test_score_interval_agrees_with_scipys_paired_bootstrap_of_the_ratio() -> No
 def test_difference_of_two_entries_is_paired() -> None:
     gains, mppt = _gains(np.random.default_rng(13), 1, 200)
     better = gains + 0.01
-    difference = statistics.score_difference(better, gains, mppt)
+    difference = statistics.score_difference(better, gains, mppt, whole(200))
     assert difference.value == pytest.approx(100.0 * 0.01 / -mppt.mean())
-    alone = statistics.score_interval(better, mppt)
+    alone = statistics.score_interval(better, mppt, whole(200))
     assert difference.low > 0.0 and difference.high - difference.low < 0.1 * (alone.high - alone.low)
-    other_way = statistics.score_difference(gains, better, mppt)
+    other_way = statistics.score_difference(gains, better, mppt, whole(200))
     assert (other_way.value, other_way.low, other_way.high) == pytest.approx(
         (-difference.value, -difference.high, -difference.low)
     )
@@ -98,24 +130,59 @@ def test_difference_of_two_entries_is_paired() -> None:
 def test_seeds_of_two_entries_are_drawn_independently() -> None:
     # Two rows of equal seeds, good and bad: were they drawn together, the difference would always be nought.
     gains = np.repeat([[0.0], [1.0]], 30, axis=1)
-    difference = statistics.score_difference(gains, gains, np.full(30, -1.0))
+    difference = statistics.score_difference(gains, gains, np.full(30, -1.0), whole(30))
     assert (difference.value, difference.low, difference.high) == pytest.approx((0.0, -100.0, 100.0))
+
+
+def test_interval_of_strata_covers_the_truth_and_is_narrower_than_without_them() -> None:
+    rng = np.random.default_rng(7)
+    groups = {str(i): np.arange(i, 90, 3) for i in range(3)}
+    covered, widths = [], []
+    for _ in range(200):
+        # Strata differ by far more than the scenarios in one.
+        values = 10.0 * rng.normal(size=(1, 90)) + np.resize([0.0, 100.0, -100.0], 90)
+        own, one = (statistics.score_interval(values, np.full(90, -1.0), each) for each in (groups, whole(90)))
+        covered.append(own.low <= 100.0 <= own.high)
+        widths.append((own.high - own.low) / (one.high - one.low))
+    assert 0.89 <= np.mean(covered) <= 0.99 and max(widths) < 0.3
+
+
+def test_differences_to_another_entry_are_paired() -> None:
+    rng = np.random.default_rng(12)
+    costs, happened = rng.lognormal(3.0, 1.0, (1, 70)), (rng.random((1, 70)) < 0.2).astype(float)
+    groups = {name: np.concatenate([at + 7 * i for i in range(10)]) for name, at in STRATA.items()}
+    for difference in (
+        statistics.share_difference(happened, happened, groups),
+        statistics.worst_tenth_difference(costs, costs, groups),
+    ):
+        assert (difference.value, difference.low, difference.high) == (0.0, 0.0, 0.0)
+    dearer = statistics.worst_tenth_difference(1.25 * costs, costs, groups)
+    assert (dearer.value, dearer.low, dearer.high) == pytest.approx((25.0, 25.0, 25.0))
+    more = happened.copy()
+    more[0, np.flatnonzero(happened[0] == 0.0)[:7]] = 1.0
+    share = statistics.share_difference(more, happened, groups)
+    assert share.value == pytest.approx(10.0) and 0.0 < share.low < 10.0 < share.high
 
 
 @given(
     arrays(np.float64, (3, 2, 7), elements=st.floats(0.0, 1000.0)),
     arrays(np.float64, (3, 7), elements=st.floats(0.0, 1000.0)),
+    st.sampled_from([(V0, whole(7), [0.7]), (MEANS, STRATA, [0.7, 5.0, 80.0])]),
 )
-def test_points_by_term_add_up_to_the_score(terms: np.ndarray, reference_terms: np.ndarray) -> None:
+def test_points_by_term_add_up_to_the_score(
+    terms: np.ndarray, reference_terms: np.ndarray, version: tuple[Benchmark, Groups, list[float]]
+) -> None:
+    benchmark, groups, scales = version
     costs, reference = terms.sum(axis=0), reference_terms.sum(axis=0)
-    points = score.points_by_term(costs, reference, terms, reference_terms, 0.7)
-    total = score.mean_score(score.log_gains(costs, reference), 0.7) - 100.0
-    assert math.fsum(points) == pytest.approx(total, rel=1e-9, abs=1e-9)
+    points = score.points_by_term(costs, reference, terms, reference_terms, scales, groups, benchmark)
+    total = score.mean_score(score.gains(costs, reference, benchmark), scales, groups) - 100.0
+    assert math.fsum(points) == pytest.approx(total, rel=1e-9, abs=1e-9 * np.abs(points).max() + 1e-9)
 
 
 def test_points_by_term_are_the_logarithmic_mean_written_out() -> None:
     terms, reference_terms = np.array([[[4.0]], [[1.0]]]), np.array([[2.0], [8.0]])
     # ln(15 / 10) is the gain of ten against five, and L(15, 10) = 5 / ln(15 / 10).
     expected = [100.0 * (2.0 - 4.0) * math.log(1.5) / 5.0 / 0.5, 100.0 * (8.0 - 1.0) * math.log(1.5) / 5.0 / 0.5]
-    points = score.points_by_term(np.array([[5.0]]), np.array([10.0]), terms, reference_terms, 0.5)
+    costs = np.array([[5.0]]), np.array([10.0])
+    points = score.points_by_term(*costs, terms, reference_terms, [0.5], whole(1), V0)
     assert points.tolist() == pytest.approx(expected)

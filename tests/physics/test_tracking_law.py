@@ -19,10 +19,7 @@ from wtg_gym.physics.scenario import Scenario
 from wtg_gym.physics.tracking_law import (
     STRATEGIES,
     STRATEGY_NAMES,
-    TUNED_ABOVE_NOMINAL,
-    TUNED_ABOVE_OPT,
-    TUNED_BELOW_LIMIT,
-    TUNED_TIME_CONSTANT_S,
+    TUNED,
     TrackingLaw,
     get_law,
 )
@@ -91,17 +88,23 @@ def test_a_strategy_takes_its_numbers_from_the_control_of_the_plant() -> None:
     assert get_law("coordinated-piecewise", control=control).k_nominal == tracking_point(0.2).coefficient
 
 
-def test_tuned_law_follows_the_turbine_as_its_equation_says() -> None:
+@pytest.mark.parametrize("name", TUNED)
+def test_tuned_law_follows_the_turbine_as_its_equation_says(name: str) -> None:
     # The power curve of the last one is flat: its K_opt - K_pr is so large that the range of a law's k ends before.
     for turbine in (None, LONG_BLADES, plant_settings("nrel-5mw").turbine):
-        paper, tuned = (get_law(name, turbine) for name in ("coordinated-piecewise", "coordinated-tuned"))
+        paper, tuned = (get_law(each, turbine) for each in ("coordinated-piecewise", name))
         span = paper.k_min - paper.k_max
         for k, own, share in (
-            (tuned.k_min, paper.k_min, TUNED_ABOVE_OPT),
-            (tuned.k_nominal, paper.k_nominal, TUNED_ABOVE_NOMINAL),
-            (tuned.k_max, paper.k_max, -TUNED_BELOW_LIMIT),
+            (tuned.k_min, paper.k_min, TUNED[name].above_opt),
+            (tuned.k_nominal, paper.k_nominal, TUNED[name].above_nominal),
+            (tuned.k_max, paper.k_max, -TUNED[name].below_limit),
         ):
             assert k == pytest.approx(min(max(own + share * span, 1e-3), 3.0), rel=1e-12)
-        assert tuned.damping_time_constant_s == TUNED_TIME_CONSTANT_S
+        assert tuned.damping_time_constant_s == TUNED[name].time_constant_s
     assert tuned.k_max == 1e-3
-    assert "coordinated-tuned" not in STRATEGIES and "coordinated-tuned" in STRATEGY_NAMES
+    assert name not in STRATEGIES and name in STRATEGY_NAMES
+
+
+def test_only_the_free_law_goes_beyond_the_best_coefficient() -> None:
+    best = {name: max(get_law(name).k_min, get_law(name).k_nominal) for name in TUNED}
+    assert best["coordinated-tuned"] == K_OPT < best["coordinated-free"]

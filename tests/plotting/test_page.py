@@ -54,9 +54,9 @@ def test_the_numbers_are_those_of_the_results() -> None:
     for each in ranked:
         rows = leaderboard_rows(each)
         (own,) = [data for data in shown if data.get("score_value") == [row.score.value for row in rows]]
-        for head, cells in zip(columns_of("whole"), zip(*table_cells(rows), strict=True), strict=True):
+        for head, cells in zip(columns_of("whole", rows), zip(*table_cells(rows), strict=True), strict=True):
             assert own[head] == list(cells), head
-        assert own["failures"] == [row.failures_percent for row in rows]
+        assert own["lost_or_beyond"] == [row.lost_or_beyond_percent for row in rows]
         assert own["deviation"] == [row.median_deviation_mhz for row in rows]
     assert len([data for data in shown if "score_value" in data]) == len(ranked) == 2
 

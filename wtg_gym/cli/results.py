@@ -27,8 +27,8 @@ def page(results: tuple[Path, ...], /, *, output: HtmlFile) -> int:
     """Show stored results as one HTML file with charts.
 
     It needs nothing but a browser, offline too: each suite's ranking with its intervals, to sort, the scores as a
-    chart, and the deviation of the frequency against the failures. Suites of the latest version of the
-    benchmark come first.
+    chart, and the deviation of the frequency against the share of runs that were lost or beyond 0.8 Hz. Suites of the
+    latest version of the benchmark come first.
 
     examples:
       wtg-gym results page results/standard-test.json --output leaderboard.html

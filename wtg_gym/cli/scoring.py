@@ -14,7 +14,7 @@ from wtg_gym.cli.output import note, print_json, print_table, say
 from wtg_gym.envs.settings import EnvSettings
 from wtg_gym.evaluation import Entry, Results, evaluate, load_entries, table_cells
 from wtg_gym.evaluation.evaluator import chosen_seeds, shared_settings
-from wtg_gym.evaluation.table import columns_of, privileged_note, text_columns
+from wtg_gym.evaluation.table import columns_of, notes_on_marks, text_columns
 from wtg_gym.evaluation.workers import BACKENDS, Workers
 from wtg_gym.files import read_text
 from wtg_gym.policies.entry import check_entries, run_label
@@ -23,7 +23,7 @@ from wtg_gym.ranges import require_range
 from wtg_gym.scenarios import FRESH, draw_seeds, get_suite
 
 #: Heads of columns that are too wide for a terminal of 120 columns.
-_SHORT_HEADS = {"median deviation [mHz]": "Δf [mHz]", "lost or beyond 0.8 Hz [%]": "or > 0.8 Hz [%]"}
+_SHORT_HEADS = {"median deviation [mHz]": "Δf [mHz]", "lost or beyond 0.8 Hz [%]": "lost or > 0.8 Hz [%]"}
 _MOST_SCENARIOS = 100_000
 #: Largest file with a secret [B].
 _LARGEST_SECRET = 4096
@@ -142,12 +142,15 @@ def finish(results: Results, folder: Path | None, *, as_json: bool) -> int:
         print_json(results.to_dict())
         return code
     say(f"suite {results.suite} ({results.suite_hash[:12]}), {results.split}: {len(results.seeds)} scenarios", "")
-    rows, columns = results.ranking, columns_of("terminal")
+    rows = results.ranking
+    columns = columns_of("terminal", rows)
     heads = [_SHORT_HEADS.get(column, column) for column in columns]
     print_table(heads, table_cells(rows, columns), left=text_columns(columns))
-    say("", "Δf: largest deviation of a run's frequency, the median; lost runs: those that failed, counted in the next")
-    say("column with those whose Δf is above 0.8 Hz; pinned cost: a lost run costs as if it had failed at its start")
-    say(*filter(None, [privileged_note(rows)]), "--json prints more")
+    say(
+        "",
+        "Δf: largest deviation of a run's frequency, the median; lost: runs that failed, which in the mean cost count",
+    )
+    say("as if they had failed at their start", *notes_on_marks(rows), "--json prints more")
     if results.no_score:
         note(results.no_score)
     return code

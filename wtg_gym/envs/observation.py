@@ -31,6 +31,8 @@ T = TypeVar("T")
 OBSERVATION_BOUND = 5.0
 #: Unit of frequency deviations [Hz].
 FREQUENCY_UNIT_HZ = 0.5
+#: Unit of deviations of the rotor speed from rated [p.u.].
+ROTOR_SPEED_UNIT_PU = 0.25
 N_LOCAL, N_MEASURED = size(WtgObservation), size(MeasuredObservation)
 
 
@@ -46,7 +48,7 @@ def _scaled_ratio(rotor_speed: float, wind: float, c: Rotor) -> float:
 
 
 def _scaled_rotor_speed(rotor_speed: float) -> float:
-    return (rotor_speed - 1.0) / 0.25
+    return (rotor_speed - 1.0) / ROTOR_SPEED_UNIT_PU
 
 
 def _scaled_wind(wind: float) -> float:

@@ -81,9 +81,9 @@ class CostWeights(Checked):
         low=1e-3,
     )
     unserved: float = _weight(
-        70.0,
-        "in v1 alone: one unit where the whole load is not served, about what 1.5 Hz and all other terms at their cap "
-        "cost; a failed episode costs this for its whole length and one second more, whenever it fails",
+        55.0,
+        "in v1 alone: one unit where the whole load is not served, more than a deviation of 1.5 Hz costs; a failed "
+        "episode costs this for its whole length and one second more, whenever it fails",
     )
 
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from wtg_gym.evaluation import statistics
 from wtg_gym.evaluation.results import Results, leaderboard_rows
-from wtg_gym.evaluation.statistics import Floats, Interval
+from wtg_gym.evaluation.statistics import Floats, Groups, Interval
 from wtg_gym.evaluation.table import signed_interval
 from wtg_gym.scenarios import FRESH
 
@@ -66,7 +66,7 @@ def generalisation_gaps(public: Results, fresh: Results) -> list[GeneralisationG
     others = {hundred, *left_out(public, fresh)}
     rows = [row for row in leaderboard_rows(public) if row.name not in others]
     controls = [row.name for row in rows if row.kind != "learned"]
-    scores, gains = fresh.scores, (public.log_gains, fresh.log_gains)
+    scores, gains, groups = fresh.scores, (public.gains, fresh.gains), (public.groups, fresh.groups)
     of_zero = [own[zero][0] for own in gains]
     gaps = []
     for row in rows:
@@ -75,8 +75,8 @@ def generalisation_gaps(public: Results, fresh: Results) -> list[GeneralisationG
             excess = None
             if row.kind == "learned" and of_zero[1].size >= _FEWEST_FRESH:
                 of_controls = [np.concatenate([each[name] for name in controls]) for each in gains]
-                excess = excess_gap(*zip(own, of_controls, of_zero, strict=True))
-            gap = score_gap(*zip(own, of_zero, strict=True))
+                excess = excess_gap(*zip(own, of_controls, of_zero, groups, strict=True))
+            gap = score_gap(*zip(own, of_zero, groups, strict=True))
             gaps.append(
                 GeneralisationGap(
                     name=row.name, public=public.scores[row.name], fresh=scores[row.name], gap=gap, excess=excess
@@ -85,32 +85,34 @@ def generalisation_gaps(public: Results, fresh: Results) -> list[GeneralisationG
     return gaps
 
 
-def score_gap(public: tuple[Floats, Floats], fresh: tuple[Floats, Floats]) -> Interval:
+def score_gap(public: tuple[Floats, Floats, Groups], fresh: tuple[Floats, Floats, Groups]) -> Interval:
     """Return the score on public scenarios minus that on fresh ones, with its bootstrap interval.
 
     The training seeds of a resample are the same on both sides. The scenarios are drawn on each side independently, and
-    Λ is computed anew from those that were drawn; a resample counts if both sides have a positive Λ.
+    Λ is computed anew from those that were drawn; a resample counts if both sides have a positive Λ in every stratum.
 
     Args:
-        public, fresh: log gains of the entry (n_runs, n_scenarios) and of the zero (n_scenarios,), see
-            :func:`wtg_gym.evaluation.score.log_gains`.
+        public, fresh: gains of the entry (n_runs, n_scenarios) and of the zero (n_scenarios,), see
+            :func:`wtg_gym.evaluation.score.gains`, and the groups of the scenarios.
     """
     n_runs = public[0].shape[0]
     streams = [np.random.default_rng(seed) for seed in np.random.SeedSequence(statistics.BOOTSTRAP_SEED).spawn(3)]
     runs = streams[0].integers(0, n_runs, size=(statistics.N_RESAMPLES, n_runs))
     value, scored = 0.0, np.ones(statistics.N_RESAMPLES, dtype=np.bool_)
     resampled = np.zeros(statistics.N_RESAMPLES)
-    for sign, stream, (gains, zero) in zip((1.0, -1.0), streams[1:], (public, fresh), strict=True):
-        value += sign * statistics.mean(gains) / -statistics.mean(zero)
-        scenarios = stream.integers(0, zero.size, size=(statistics.N_RESAMPLES, zero.size))
-        means = np.take_along_axis(gains[:, scenarios].mean(axis=2).T, runs, axis=1).mean(axis=1)
-        scale = -zero[scenarios].mean(axis=1)
-        resampled += sign * (100.0 * means / scale)
-        scored &= scale > 0.0
+    for sign, stream, (gains, zero, groups) in zip((1.0, -1.0), streams[1:], (public, fresh), strict=True):
+        for group in groups.values():
+            weight = sign / len(groups)
+            value += weight * statistics.mean(gains[:, group]) / -statistics.mean(zero[group])
+            scenarios = group[stream.integers(0, group.size, size=(statistics.N_RESAMPLES, group.size))]
+            means = np.take_along_axis(gains[:, scenarios].mean(axis=2).T, runs, axis=1).mean(axis=1)
+            scale = -zero[scenarios].mean(axis=1)
+            resampled += weight * (100.0 * means / scale)
+            scored &= scale > 0.0
     return statistics.percentile_interval(100.0 * value, resampled[scored])
 
 
-def excess_gap(public: tuple[Floats, Floats, Floats], fresh: tuple[Floats, Floats, Floats]) -> Interval:
+def excess_gap(public: tuple[Floats, Floats, Floats, Groups], fresh: tuple[Floats, Floats, Floats, Groups]) -> Interval:
     """Return the part of the gap that controls do not share, in points of the score, with its bootstrap interval.
 
     A set of scenarios that suits one good controller suits the others too. So the mean gain over the training seeds is
@@ -122,13 +124,15 @@ def excess_gap(public: tuple[Floats, Floats, Floats], fresh: tuple[Floats, Float
     Source: control variates, e.g. P. Glasserman, "Monte Carlo Methods in Financial Engineering", 2003, section 4.1.
 
     Args:
-        public, fresh: log gains of the entry (n_runs, n_scenarios), of the controls (n_controls, n_scenarios) and of
-            the zero (n_scenarios,).
+        public, fresh: gains of the entry (n_runs, n_scenarios), of the controls (n_controls, n_scenarios) and of the
+            zero (n_scenarios,), and the groups of the scenarios.
     """
-    gains, controls, _ = fresh
+    gains, controls, *_ = fresh
     centred = controls - controls.mean(axis=1, keepdims=True)
     weights = np.linalg.lstsq(centred.T, gains.mean(axis=0), rcond=None)[0]
-    one, other = (((own.mean(axis=0) - weights @ those)[np.newaxis], zero) for own, those, zero in (public, fresh))
+    one, other = (
+        ((own.mean(axis=0) - weights @ those)[np.newaxis], zero, groups) for own, those, zero, groups in (public, fresh)
+    )
     return score_gap(one, other)
 
 

@@ -40,6 +40,10 @@ METRICS: Mapping[str, Metric] = MappingProxyType(
         **{f"cost_{term}": Metric("-", f"{term} term of the total cost") for term in COST_TERMS},
         "nadir_hz": Metric("Hz", "lowest frequency of the centre of inertia"),
         "zenith_hz": Metric("Hz", "highest frequency of the centre of inertia"),
+        "worst_nadir_hz": Metric("Hz", "lowest frequency of any bus or unit; in extended physics only", optional=True),
+        "worst_zenith_hz": Metric(
+            "Hz", "highest frequency of any bus or unit; in extended physics only", optional=True
+        ),
         "largest_rocof_hz_s": Metric(
             "Hz/s", "largest absolute rate of change of the centre of inertia's frequency over 500 ms"
         ),
@@ -58,6 +62,9 @@ METRICS: Mapping[str, Metric] = MappingProxyType(
         "constraint_time_s": Metric("s", "control steps with a constraint violated"),
         "tripped_groups": Metric(
             "-", "groups disconnected by an event, or by their protection where a failure trips instead of ends"
+        ),
+        "shed_energy_mwh": Metric(
+            "MWh", "load not served, at 1 p.u. of voltage; in extended physics only", optional=True
         ),
         "survived_s": Metric("s", "simulated time until the end or the failure"),
     }
@@ -111,11 +118,19 @@ def measure(lanes: TaskLanes, recorder: Recorder, lane: int) -> dict[str, Any]:
     captured = math.fsum(
         share * energy for share, energy in zip(simulator.plant.share, groups("energy_captured"), strict=True)
     )
+    # What extended physics alone computes.
+    worst_hz: list[float | None] = [None, None]
+    shed_energy_mwh = None
+    if simulator.settings.extended:
+        worst_hz = [lanes.nominal_hz * float(simulator.lane_values(f"worst_{end}")[lane]) for end in ("min", "max")]
+        shed_energy_mwh = float(simulator.lane_values("shed_energy")[lane]) * simulator.settings.case.base_mva / 3600.0
     metrics: dict[str, float | None] = {
         "cost": math.fsum(terms.values()),
         **terms,
         "nadir_hz": lanes.nominal_hz * float(simulator.lane_values("coi_min")[lane]),
         "zenith_hz": lanes.nominal_hz * float(simulator.lane_values("coi_max")[lane]),
+        "worst_nadir_hz": worst_hz[0],
+        "worst_zenith_hz": worst_hz[1],
         "largest_rocof_hz_s": float(lanes.task_values("largest_rocof")[lane]),
         "quasi_steady_deviation_hz": steady,
         "energy_mwh": captured * simulator.settings.case.base_mva / 3600.0,
@@ -127,6 +142,7 @@ def measure(lanes: TaskLanes, recorder: Recorder, lane: int) -> dict[str, Any]:
         "peak_power_pu": max(groups("peak_power")),
         "constraint_time_s": float(lanes.task_values("constraint_sum")[lane]) * dt,
         "tripped_groups": float(sum(connected < 0.5 for connected in groups("connected"))),
+        "shed_energy_mwh": shed_energy_mwh,
         "survived_s": float(simulator.lane_values("step")[lane]) * simulator.plant.simulation_dt,
     }
     return {"metrics": metrics, "failure": TERMINATION_REASONS[status]}

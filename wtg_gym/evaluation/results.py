@@ -8,14 +8,16 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any, TypeVar
 
+import numpy as np
+
 from wtg_gym.evaluation import results_file, summary
 from wtg_gym.evaluation.episodes import Episode, to_csv
 from wtg_gym.evaluation.metrics import METRICS
 from wtg_gym.evaluation.partial import PartialStore
-from wtg_gym.evaluation.score import NoScaleError, log_gains, score_scale
-from wtg_gym.evaluation.statistics import Floats, Interval
+from wtg_gym.evaluation.score import NoScaleError, cost_offsets, gains, score_scales
+from wtg_gym.evaluation.statistics import Floats, Groups, Interval
 from wtg_gym.evaluation.summary import EntrySummary, Runs, ranked
-from wtg_gym.evaluation.table import markdown_table, privileged_note
+from wtg_gym.evaluation.table import markdown_table, notes_on_marks
 from wtg_gym.ranges import ByName
 from wtg_gym.scenarios import get_suite
 from wtg_gym.scenarios.benchmark import Benchmark
@@ -68,7 +70,7 @@ class Results:
     def _repr_markdown_(self) -> str:
         """Return the ranking as a table, which notebooks show."""
         scenarios = f"{self.suite}, {self.split}: {len(self.seeds)} scenarios"
-        notes = (scenarios, self.no_score, privileged_note(self.ranking))
+        notes = (scenarios, self.no_score, *notes_on_marks(self.ranking))
         return f"{'; '.join(filter(None, notes))}\n\n{markdown_table(self.ranking)}"
 
     @property
@@ -88,15 +90,18 @@ class Results:
         Raises:
             NoScaleError: on these scenarios the zero is not worse than the hundred, so that there is no score.
         """
-        return summary.scored(self._measured, self._runs, self.pinned_costs, self.benchmark)
+        return summary.scored(self._measured, self._runs, self.pinned_costs, self.benchmark, self.groups)
 
-    @property
+    @cached_property
     def _measured(self) -> list[EntrySummary]:
-        return summary.measured(self.entries, self._runs, self.pinned_costs, self.benchmark)
+        return summary.measured(self.entries, self._runs, self.pinned_costs, self.benchmark, self.groups)
 
     @property
     def ranking(self) -> list[EntrySummary]:
-        """The :attr:`summaries`, the best first; where there is no score, the least mean cost first."""
+        """The :attr:`summaries`, the best first; where there is no score, the least mean cost first.
+
+        In v1 the marked entries come first.
+        """
         return ranked(self.summaries if self.has_scale else self._measured)
 
     @cached_property
@@ -104,9 +109,9 @@ class Results:
         """Why there is no score, and what ranks instead; "" where there is a score."""
         zero, hundred = (self.pinned_costs[name][0] for name in self.benchmark.anchors)
         try:
-            score_scale(zero, hundred, self.benchmark.anchors)
+            score_scales(zero, hundred, self.benchmark, self.groups)
         except NoScaleError as error:
-            return f"ranked by mean pinned cost, as there is no score: {error}"
+            return f"ranked by mean cost, as there is no score: {error}"
         return ""
 
     @property
@@ -124,14 +129,28 @@ class Results:
         return summary.runs_by_name(self.episodes)
 
     @property
-    def log_gains(self) -> dict[str, Floats]:
-        """Log gains over the hundred by the entry's name, (n_runs, n_scenarios)."""
+    def gains(self) -> dict[str, Floats]:
+        """Gains over the hundred by the entry's name, (n_runs, n_scenarios)."""
         hundred = self.pinned_costs[self.benchmark.hundred][0]
-        return self._by_entry({name: log_gains(costs, hundred) for name, costs in self.pinned_costs.items()})
+        return self._by_entry(
+            {name: gains(costs, hundred, self.cost_offsets) for name, costs in self.pinned_costs.items()}
+        )
+
+    @cached_property
+    def groups(self) -> Groups:
+        """The scenarios of each stratum that has some, as indices by its name; by "" where there are no strata."""
+        suite = get_suite(self.suite)
+        own = np.array([suite.stratum(seed) for seed in self.seeds])
+        return {name: np.flatnonzero(own == name) for name in suite.strata or ("",) if name in own}
 
     @property
-    def _cap(self) -> float:
-        return float(self.settings["weights"]["cap"])
+    def cost_offsets(self) -> Floats:
+        """J0 of every scenario, (n_scenarios,)."""
+        return cost_offsets(self.groups, self.benchmark)
+
+    @property
+    def _cap(self) -> float | None:
+        return None if self.benchmark.charges_worst else float(self.settings["weights"]["cap"])
 
     @property
     def name(self) -> str:
@@ -230,7 +249,7 @@ class Results:
 
 
 def leaderboard_rows(results: Results) -> list[EntrySummary]:
-    """Return the entries' summaries, the best score first, equal ones by name.
+    """Return the entries' summaries, the best first, in v1 the marked ones, equal ones by name.
 
     Raises:
         NoScaleError: the results have no score, see :attr:`Results.summaries`.
@@ -241,7 +260,7 @@ def leaderboard_rows(results: Results) -> list[EntrySummary]:
 def markdown_section(results: Results) -> str:
     """Return the ranking for a Markdown page: since v1 with a sentence on the frequency before the table."""
     rows = results.ranking
-    notes = (f"{note[0].upper()}{note[1:]}." for note in (results.no_score, privileged_note(rows)) if note)
+    notes = (f"{note[0].upper()}{note[1:]}." for note in (results.no_score, *notes_on_marks(rows)) if note)
     return "\n\n".join(part for part in (_frequency_sentence(results), markdown_table(rows), *notes) if part)
 
 

@@ -15,7 +15,7 @@ from wtg_gym.policies.entry import is_name
 from wtg_gym.scenarios import FRESH, FreshDraw, get_suite
 
 #: Version of the files; another number is another form.
-FORMAT = 6
+FORMAT = 7
 #: Keys of the description that are texts.
 TEXTS = ("suite", "split", "suite_hash", "source_hash")
 #: By how much a summary may differ from the sum of its table, relative, or absolute near zero.

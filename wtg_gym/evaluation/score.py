@@ -1,12 +1,15 @@
 """The score: from the costs of episodes to points.
 
-Pinned cost of scenario i: J_i is the episode's total cost; that of a failed episode is cap · (duration + 1 s), as if it
-had failed at once, which is the worst any episode can cost.
+Pinned cost of scenario i: J_i is the episode's total cost; in v0 that of a failed episode is cap · (duration + 1 s), as
+if it had failed at once, which is the worst any episode can cost.
 
-Score of scenario i: s_i = 100 · (1 + ln((J_100,i + J0) / (J_i + J0)) / Λ), where Λ is the mean over the scenarios of
-ln((J_0,i + J0) / (J_100,i + J0)), and J_0 and J_100 are the pinned costs of the two anchors of the benchmark's version.
-On the same scenarios the zero, one of them, has the mean score 0, and the other, the hundred, 100 in each. J0 bounds
-the gain in a scenario that happens to be nearly free of cost.
+Gain of scenario i: ln((J_100,i + J0) / (J_i + J0)), where J0 is the offset of its stratum. Up to J0 a cost counts
+almost as in a mean, beyond by its ratio, so that a few failures do not decide alone. J_100 and J_0 are the pinned costs
+of the two anchors of the benchmark's version, the hundred and the zero. Λ, the scale, is the mean over the scenarios of
+ln((J_0,i + J0) / (J_100,i + J0)).
+
+Score: 100 · (1 + mean gain / Λ), so that on the same scenarios the zero has 0 and the hundred 100. Where the suite
+draws strata, each has a score with a Λ of its own, and their mean is the score.
 
 Arrays of one entry have the shape (n_runs, n_scenarios): one run per training seed, a single one for a law.
 """
@@ -14,14 +17,13 @@ Arrays of one entry have the shape (n_runs, n_scenarios): one run per training s
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 
 from wtg_gym.evaluation.episodes import Episode
-from wtg_gym.evaluation.statistics import Floats, mean
-
-#: J0 of the score, in units of the cost.
-COST_OFFSET = 5.0
+from wtg_gym.evaluation.statistics import Floats, Groups, mean, mean_over_groups
+from wtg_gym.scenarios.benchmark import Benchmark
 
 
 class NoScaleError(ValueError):
@@ -40,19 +42,28 @@ def pinned_cost(cost: float, *, failed: bool, duration_s: float, cap: float) -> 
     return cap * (duration_s + 1.0) if failed else cost
 
 
-def pinned(episode: Episode, cap: float) -> float:
-    """Return the pinned cost of an episode, with the largest cost rate `cap` [1/s]."""
+def pinned(episode: Episode, cap: float | None) -> float:
+    """Return the pinned cost of an episode, with the largest cost rate `cap` [1/s]; None: as charged."""
     cost = episode.metrics["cost"]
     assert cost is not None
-    return pinned_cost(cost, failed=episode.failed, duration_s=episode.duration_s, cap=cap)
+    return cost if cap is None else pinned_cost(cost, failed=episode.failed, duration_s=episode.duration_s, cap=cap)
 
 
-def log_gains(costs: Floats, hundred: Floats) -> Floats:
+def cost_offsets(groups: Groups, benchmark: Benchmark) -> Floats:
+    """Return J0 of every scenario, (n_scenarios,)."""
+    found = np.empty(sum(group.size for group in groups.values()))
+    for name, group in groups.items():
+        found[group] = dict(benchmark.cost_offsets)[name]
+    return found
+
+
+def gains(costs: Floats, hundred: Floats, offsets: Floats) -> Floats:
     """Return ln((J_100 + J0) / (J + J0)), shape (n_runs, n_scenarios).
 
     Args:
         costs: pinned costs (n_runs, n_scenarios).
         hundred: pinned costs of the hundred (n_scenarios,).
+        offsets: J0 of each scenario (n_scenarios,).
 
     Raises:
         ValueError: a cost is negative or not finite.
@@ -60,32 +71,50 @@ def log_gains(costs: Floats, hundred: Floats) -> Floats:
     for values in (costs, hundred):
         if not np.isfinite(values).all() or (values < 0.0).any():
             raise ValueError(f"costs must be finite and not negative, got {values.min():g} … {values.max():g}")
+
     # math.log, because numpy's own logarithm differs between processors in the last bit.
-    base = [math.log(cost + COST_OFFSET) for cost in hundred.tolist()]
-    return np.array([[b - math.log(c + COST_OFFSET) for b, c in zip(base, run, strict=True)] for run in costs.tolist()])
+    def logarithms(row: Floats) -> Floats:
+        return np.array([math.log(each) for each in (row + offsets).tolist()])
+
+    base = logarithms(hundred)
+    return np.array([base - logarithms(run) for run in costs])
 
 
-def score_scale(zero: Floats, hundred: Floats, names: tuple[str, str] = ("the zero", "the hundred")) -> float:
-    """Return Λ from the pinned costs of the two anchors, each of shape (n_scenarios,), and their names for messages.
+def score_scales(zero: Floats, hundred: Floats, benchmark: Benchmark, groups: Groups) -> list[float]:
+    """Return Λ of every group of scenarios, from the pinned costs of the two anchors, each of shape (n_scenarios,).
 
     Raises:
-        NoScaleError: Λ is not positive, so that there is no scale to score on.
+        NoScaleError: a Λ is not positive, so that there is no scale to score on.
     """
-    scale = -mean(log_gains(zero[np.newaxis], hundred))
-    if not scale > 0.0:
-        raise NoScaleError(
-            f"on these {hundred.size} scenarios {names[0]} (mean pinned cost {mean(zero):.4g}) is not worse than "
-            f"{names[1]} (mean pinned cost {mean(hundred):.4g}): Λ = {scale:.3g} must be positive to score with"
-        )
-    return scale
+    lost = gains(zero[np.newaxis], hundred, cost_offsets(groups, benchmark))[0]
+    scales = [-mean(lost[group]) for group in groups.values()]
+    for (name, group), scale in zip(groups.items(), scales, strict=True):
+        if not scale > 0.0:
+            stratum = f" of the stratum {name!r}" if name else ""
+            raise NoScaleError(
+                f"on these {group.size} scenarios{stratum} {benchmark.zero} (mean cost {mean(zero[group]):.4g}) is not "
+                f"worse than {benchmark.hundred} (mean cost {mean(hundred[group]):.4g}): Λ = {scale:.3g} must be "
+                "positive to score with"
+            )
+    return scales
 
 
-def mean_score(gains: Floats, scale: float) -> float:
-    """Return the mean of s_i from the :func:`log_gains` and Λ; exactly 0 for the zero and 100 for the hundred."""
-    return 100.0 * (1.0 + mean(gains) / scale)
+def mean_score(own: Floats, scales: Sequence[float], groups: Groups) -> float:
+    """Return the score from the :func:`gains` and every Λ; exactly 0 for the zero and 100 for the hundred."""
+    return mean_over_groups(
+        100.0 * (1.0 + mean(own[:, group]) / scale) for group, scale in zip(groups.values(), scales, strict=True)
+    )
 
 
-def points_by_term(costs: Floats, hundred: Floats, terms: Floats, hundred_terms: Floats, scale: float) -> Floats:
+def points_by_term(
+    costs: Floats,
+    hundred: Floats,
+    terms: Floats,
+    hundred_terms: Floats,
+    scales: Sequence[float],
+    groups: Groups,
+    offsets: Floats,
+) -> Floats:
     """Return how many points of the score above 100 come from each term of the cost, (n_terms,).
 
     A logarithm of a ratio is a difference divided by its logarithmic mean, ln(A / B) = (A - B) / L(A, B), and the
@@ -101,16 +130,22 @@ def points_by_term(costs: Floats, hundred: Floats, terms: Floats, hundred_terms:
         hundred: pinned costs of the hundred (n_scenarios,).
         terms: parts of `costs` (n_terms, n_runs, n_scenarios).
         hundred_terms: parts of `hundred` (n_terms, n_scenarios).
-        scale: Λ.
+        scales: Λ of every group.
+        groups: of the scenarios.
+        offsets: J0 of each scenario (n_scenarios,).
     """
-    inverse_means = np.array(
-        [[_inverse_log_mean(h, c) for h, c in zip(hundred.tolist(), run, strict=True)] for run in costs.tolist()]
+    shares = hundred_terms[:, np.newaxis] - terms
+    shares *= [
+        [_inverse_log_mean(*each) for each in zip(hundred.tolist(), run, offsets.tolist(), strict=True)]
+        for run in costs.tolist()
+    ]
+    each = list(zip(groups.values(), scales, strict=True))
+    return np.array(
+        [mean_over_groups(100.0 * mean(share[:, group]) / scale for group, scale in each) for share in shares]
     )
-    shares = (hundred_terms[:, np.newaxis] - terms) * inverse_means
-    return np.array([100.0 * mean(share) / scale for share in shares])
 
 
-def _inverse_log_mean(hundred: float, cost: float) -> float:
+def _inverse_log_mean(hundred: float, cost: float, offset: float) -> float:
     """Return 1 / L(J_100 + J0, J + J0)."""
-    ratio = (hundred - cost) / (cost + COST_OFFSET)
-    return (math.log1p(ratio) / ratio if ratio else 1.0) / (cost + COST_OFFSET)
+    ratio = (hundred - cost) / (cost + offset)
+    return (math.log1p(ratio) / ratio if ratio else 1.0) / (cost + offset)

@@ -13,8 +13,8 @@ import numpy as np
 
 from wtg_gym.evaluation import statistics
 from wtg_gym.evaluation.episodes import Episode
-from wtg_gym.evaluation.score import log_gains, pinned, points_by_term, score_scale
-from wtg_gym.evaluation.statistics import Floats, Interval
+from wtg_gym.evaluation.score import cost_offsets, gains, pinned, points_by_term, score_scales
+from wtg_gym.evaluation.statistics import Floats, Groups, Interval
 from wtg_gym.scenarios.benchmark import Benchmark
 
 #: The episodes of an entry, a sequence for each training seed.
@@ -24,8 +24,6 @@ POINTS: Mapping[str, tuple[str, ...]] = MappingProxyType(
     {"frequency_rocof": ("frequency", "rocof"), "duty": ("duty",), "overload": ("overload",)}
 )
 REST = "rest"
-#: Share of the scenarios that count as the worst.
-_WORST = 0.1
 #: Largest deviation that the grid of Continental Europe is designed for, 0.8 Hz; a run beyond it counts with the lost.
 DESIGN_DEVIATION_MHZ = 800.0
 
@@ -44,17 +42,21 @@ class EntrySummary:
     failures_percent: float  # episodes that failed [%]
     #: Episodes that failed, or whose largest deviation was beyond :data:`DESIGN_DEVIATION_MHZ` [%].
     lost_or_beyond_percent: float
+    #: That minus the hundred's [percentage points], and whether it is not above the hundred's, as in v0 always.
+    lost_or_beyond_to_hundred: Interval
+    marked: bool
     mean_pinned_cost: float  # [-]
     worst_decile_cost: float  # mean pinned cost of the worst tenth of the scenarios of each training seed [-]
-    #: Median and 95th percentile of the largest deviations of the frequency of the centre of inertia from the nominal
-    #: one, up or down [mHz].
+    worst_decile_to_hundred: Interval  # how much dearer that is than the hundred's [%]
+    #: Median of the largest deviations from the nominal frequency, up or down, of the centre of inertia, and of the bus
+    #: or unit that is farthest from it, which extended physics alone knows [mHz].
     median_deviation_mhz: float
-    p95_deviation_mhz: float
+    median_worst_deviation_mhz: float | None
     median_nadir_hz: float  # [Hz]
-    p95_rocof_hz_s: float  # 95th percentile of the largest rates of change of frequency [Hz/s]
     mean_duty_error_percent: float  # [%]
     mean_energy_share_percent: float  # of the available energy [%]
-    score: Interval | None = None  # mean of the scenarios' scores: 0 and 100 are those of the version's anchors
+    score: Interval | None = None  # 0 and 100 are those of the version's anchors
+    strata: Mapping[str, Interval] = field(default_factory=dict)  # the score of each stratum, whose mean is the score
     #: The score minus that of the entry above in the ranking, on the same scenarios; None for the first.
     difference_to_above: Interval | None = None
     #: Points above 100 by the cost terms they come from, by the names in :data:`POINTS` and :data:`REST`; they add up
@@ -63,46 +65,57 @@ class EntrySummary:
 
 
 def measured(
-    entries: Sequence[Mapping[str, Any]], runs: Mapping[str, Runs], costs: Mapping[str, Floats], benchmark: Benchmark
+    entries: Sequence[Mapping[str, Any]],
+    runs: Mapping[str, Runs],
+    costs: Mapping[str, Floats],
+    benchmark: Benchmark,
+    groups: Groups,
 ) -> list[EntrySummary]:
     """Return the row of every name without its score, in the order of the entries.
 
-    All runs are on the same scenarios in the same order; costs are pinned, (n_runs, n_scenarios).
+    All runs are on the same scenarios in the same order, those of `groups`; costs are pinned, (n_runs, n_scenarios).
     """
     described = {entry["name"]: entry for entry in entries}
-    return [_measured(each, runs[name], costs[name], benchmark) for name, each in described.items()]
+    return [_measured(each, runs, costs, benchmark, groups) for each in described.values()]
 
 
 def scored(
-    rows: Sequence[EntrySummary], runs: Mapping[str, Runs], costs: Mapping[str, Floats], benchmark: Benchmark
+    rows: Sequence[EntrySummary],
+    runs: Mapping[str, Runs],
+    costs: Mapping[str, Floats],
+    benchmark: Benchmark,
+    groups: Groups,
 ) -> list[EntrySummary]:
     """Return the :func:`measured` rows with their scores; a NoScaleError if the zero is not worse than the hundred."""
     hundred = costs[benchmark.hundred][0]
-    score_scale(costs[benchmark.zero][0], hundred, benchmark.anchors)
-    gains = {name: log_gains(own, hundred) for name, own in costs.items()}
-    zero = gains[benchmark.zero][0]
+    scales = score_scales(costs[benchmark.zero][0], hundred, benchmark, groups)
+    offsets = cost_offsets(groups, benchmark)
+    gained = {name: gains(own, hundred, offsets) for name, own in costs.items()}
+    zero = gained[benchmark.zero][0]
     terms = {row.name: parts_of_costs(runs[row.name], costs[row.name]) for row in rows}
     hundred_terms = terms[benchmark.hundred][:, 0]
 
     def with_score(row: EntrySummary) -> EntrySummary:
-        points = points_by_term(costs[row.name], hundred, terms[row.name], hundred_terms, -statistics.mean(zero))
+        own = gained[row.name]
+        points = points_by_term(costs[row.name], hundred, terms[row.name], hundred_terms, scales, groups, offsets)
         return replace(
             row,
-            score=statistics.score_interval(gains[row.name], zero),
+            score=statistics.score_interval(own, zero, groups),
+            strata={name: statistics.score_interval(own, zero, {name: at}) for name, at in groups.items() if name},
             points_by_term=dict(zip((*POINTS, REST), points.tolist(), strict=True)),
         )
 
     rows = [with_score(row) for row in rows]
     above = {
-        row.name: statistics.score_difference(gains[row.name], gains[better.name], zero)
+        row.name: statistics.score_difference(gained[row.name], gained[better.name], zero, groups)
         for better, row in itertools.pairwise(ranked(rows))
     }
     return [replace(row, difference_to_above=above.get(row.name)) for row in rows]
 
 
-def place(row: EntrySummary) -> float:
-    """Return what a row is ranked by, the least first: the score, or without one the mean pinned cost."""
-    return row.mean_pinned_cost if row.score is None else -row.score.value
+def place(row: EntrySummary) -> tuple[bool, float]:
+    """Return what a row is ranked by, the least first: the mark, then the score; without a score the mean cost."""
+    return (False, row.mean_pinned_cost) if row.score is None else (not row.marked, -row.score.value)
 
 
 def ranked(rows: Iterable[EntrySummary]) -> list[EntrySummary]:
@@ -118,8 +131,8 @@ def runs_by_name(episodes: Sequence[Episode]) -> dict[str, Runs]:
     return {name: list(own.values()) for name, own in runs.items()}
 
 
-def pinned_costs(runs: Runs, cap: float) -> Floats:
-    """Return the pinned costs, (n_runs, n_scenarios), with the largest cost rate `cap` [1/s]."""
+def pinned_costs(runs: Runs, cap: float | None) -> Floats:
+    """Return the pinned costs, (n_runs, n_scenarios), with the largest cost rate `cap` [1/s], see :func:`pinned`."""
     return np.array([[pinned(episode, cap) for episode in run] for run in runs])
 
 
@@ -137,10 +150,30 @@ def parts_of_costs(runs: Runs, costs: Floats) -> Floats:
     return np.concatenate([terms, (costs - terms.sum(axis=0))[np.newaxis]])
 
 
-def _measured(entry: Mapping[str, Any], runs: Runs, costs: Floats, benchmark: Benchmark) -> EntrySummary:
-    lost = np.array([episode.failed for run in runs for episode in run])
-    nadirs, zeniths = _values(runs, "nadir_hz"), _values(runs, "zenith_hz")
-    deviations = 1000.0 * np.maximum(benchmark.nominal_hz - nadirs, zeniths - benchmark.nominal_hz)
+def _deviations(runs: Runs, lowest: str, highest: str, nominal_hz: float) -> Floats:
+    """Return the largest deviations up or down [mHz], (n_runs, n_scenarios); NaN where they are not known."""
+    deviations = 1000.0 * np.maximum(nominal_hz - _values(runs, lowest), _values(runs, highest) - nominal_hz)
+    return deviations.reshape(len(runs), -1)
+
+
+def _lost_or_beyond(runs: Runs, nominal_hz: float) -> Floats:
+    """Return 1 where an episode failed or was beyond the design deviation, (n_runs, n_scenarios), else 0."""
+    lost = np.array([[episode.failed for episode in run] for run in runs])
+    beyond = _deviations(runs, "nadir_hz", "zenith_hz", nominal_hz) > DESIGN_DEVIATION_MHZ
+    return (lost | beyond).astype(np.float64)
+
+
+def _measured(
+    entry: Mapping[str, Any],
+    all_runs: Mapping[str, Runs],
+    all_costs: Mapping[str, Floats],
+    benchmark: Benchmark,
+    groups: Groups,
+) -> EntrySummary:
+    runs, costs, nominal_hz = all_runs[entry["name"]], all_costs[entry["name"]], benchmark.nominal_hz
+    n_lost = sum(episode.failed for run in runs for episode in run)
+    bad, hundreds = (_lost_or_beyond(each, nominal_hz) for each in (runs, all_runs[benchmark.hundred]))
+    worst = float(np.median(_deviations(runs, "worst_nadir_hz", "worst_zenith_hz", nominal_hz)))
     return EntrySummary(
         name=entry["name"],
         kind=str(entry["kind"]),
@@ -148,15 +181,17 @@ def _measured(entry: Mapping[str, Any], runs: Runs, costs: Floats, benchmark: Be
         version=benchmark.version,
         n_runs=costs.shape[0],
         n_episodes=costs.size,
-        n_lost=int(lost.sum()),
-        failures_percent=100.0 * float(np.mean(lost)),
-        lost_or_beyond_percent=100.0 * float(np.mean(lost | (deviations > DESIGN_DEVIATION_MHZ))),
+        n_lost=n_lost,
+        failures_percent=100.0 * (n_lost / costs.size),
+        lost_or_beyond_percent=100.0 * statistics.mean(bad),
+        lost_or_beyond_to_hundred=statistics.share_difference(bad, hundreds, groups),
+        marked=not benchmark.charges_worst or statistics.mean(bad) <= statistics.mean(hundreds),
         mean_pinned_cost=statistics.mean(costs),
-        worst_decile_cost=statistics.mean(np.sort(costs, axis=1)[:, -math.ceil(_WORST * costs.shape[1]) :]),
-        median_deviation_mhz=float(np.median(deviations)),
-        p95_deviation_mhz=float(np.percentile(deviations, 95.0)),
-        median_nadir_hz=float(np.median(nadirs)),
-        p95_rocof_hz_s=float(np.percentile(_values(runs, "largest_rocof_hz_s"), 95.0)),
+        worst_decile_cost=statistics.mean(statistics.worst_tenth(costs)),
+        worst_decile_to_hundred=statistics.worst_tenth_difference(costs, all_costs[benchmark.hundred], groups),
+        median_deviation_mhz=float(np.median(_deviations(runs, "nadir_hz", "zenith_hz", nominal_hz))),
+        median_worst_deviation_mhz=None if math.isnan(worst) else worst,
+        median_nadir_hz=float(np.median(_values(runs, "nadir_hz"))),
         mean_duty_error_percent=statistics.mean(_values(runs, "duty_error_percent")),
         mean_energy_share_percent=statistics.mean(_values(runs, "energy_share_percent")),
     )

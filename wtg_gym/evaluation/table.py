@@ -12,6 +12,9 @@ from wtg_gym.evaluation.summary import REST, EntrySummary, place
 #: What an entry is marked with that sees the state of the grid, and what a page says about it.
 _PRIVILEGED = "privileged"
 _PRIVILEGED_NOTE = f"{_PRIVILEGED}: sees the state of the whole grid, which no turbine measures"
+#: What a share of runs is marked with that is not above the anchor's, and what a page says about it.
+_MARK = "✓"
+_MARK_NOTE = f"{_MARK}: no more runs lost or beyond 0.8 Hz than the entry at 100, the anchor; such entries rank first"
 #: Columns of text; all others hold numbers.
 _TEXTS = ("entry", "kind")
 
@@ -20,7 +23,9 @@ _TEXTS = ("entry", "kind")
 
 
 def signed_interval(interval: Interval) -> str:
-    """Return a difference of scores and its interval, with their signs."""
+    """Return a difference and its interval, with their signs."""
+    if interval.low == interval.high:
+        return _signed(interval.value)
     return f"{_signed(interval.value)} ({_signed(interval.low)} … {_signed(interval.high)})"
 
 
@@ -50,6 +55,22 @@ def _score(row: EntrySummary) -> str:
     return "none" if row.score is None else _interval(row.score)
 
 
+def _stratum(name: str) -> Callable[[EntrySummary], str]:
+    return lambda row: _plain(row.strata[name].value) if name in row.strata else ""
+
+
+def _lost_or_beyond(row: EntrySummary) -> str:
+    return f"{row.lost_or_beyond_percent:.1f}" + (f" {_MARK}" if _has_mark(row) else "")
+
+
+def _has_mark(row: EntrySummary) -> bool:
+    return row.marked and row.version != "v0"
+
+
+def _worst_deviation(row: EntrySummary) -> str:
+    return "" if row.median_worst_deviation_mhz is None else f"{row.median_worst_deviation_mhz:.0f}"
+
+
 def _points(term: str) -> Callable[[EntrySummary], str]:
     return lambda row: _signed(row.points_by_term[term]) if row.points_by_term else "none"
 
@@ -63,11 +84,12 @@ class _Column(NamedTuple):
     tables: str  # which show it: "terminal"; "v0" and "v1", Markdown of that version; "whole", all there is
 
 
-#: In the order of every table. The whole one leaves out what another of its columns says.
+#: In the order of every table.
 _COLUMNS = (
     _Column("rank", lambda row: "", "terminal v0 v1 whole"),
     _Column("entry", _entry, "terminal v0 v1 whole"),
     _Column("score", _score, "terminal v0 v1 whole"),
+    *(_Column(name, _stratum(name), "terminal v1 whole") for name in ("ordinary", "large", "extreme")),
     _Column(
         "to the entry above",
         lambda row: signed_interval(row.difference_to_above) if row.difference_to_above else "",
@@ -80,21 +102,22 @@ _COLUMNS = (
     _Column("kind", lambda row: row.kind, "whole"),
     _Column("failures [%]", lambda row: f"{row.failures_percent:.1f}", "v0 whole"),
     _Column("median deviation [mHz]", lambda row: f"{row.median_deviation_mhz:.0f}", "terminal v1 whole"),
-    _Column("p95 deviation [mHz]", lambda row: f"{row.p95_deviation_mhz:.0f}", "whole"),
-    _Column("lost runs", lambda row: f"{row.n_lost} of {row.n_episodes}", "terminal"),
-    _Column("lost or beyond 0.8 Hz [%]", lambda row: f"{row.lost_or_beyond_percent:.1f}", "terminal v1 whole"),
-    _Column("worst decile", lambda row: f"{row.worst_decile_cost:.0f}", "whole"),
-    _Column("mean pinned cost", lambda row: f"{row.mean_pinned_cost:.1f}", "terminal whole"),
+    _Column("worst unit's [mHz]", _worst_deviation, "whole"),
+    _Column("lost or beyond 0.8 Hz [%]", _lost_or_beyond, "terminal v1 whole"),
+    _Column("to the anchor [%-points]", lambda row: signed_interval(row.lost_or_beyond_to_hundred), "v1 whole"),
+    _Column("worst tenth", lambda row: f"{row.worst_decile_cost:.0f}", "whole"),
+    _Column("worst tenth to the anchor [%]", lambda row: signed_interval(row.worst_decile_to_hundred), "v1 whole"),
+    _Column("mean cost", lambda row: f"{row.mean_pinned_cost:.1f}", "terminal whole"),
     _Column("nadir [Hz]", lambda row: f"{row.median_nadir_hz:.3f}", "v0 whole"),
-    _Column("p95 RoCoF [Hz/s]", lambda row: f"{row.p95_rocof_hz_s:.3f}", "whole"),
     _Column("duty error [%]", lambda row: f"{row.mean_duty_error_percent:.2f}", "whole"),
     _Column("energy share [%]", lambda row: f"{row.mean_energy_share_percent:.1f}", "whole"),
 )
 
 
-def columns_of(table: str) -> list[str]:
-    """Return the headings of a table: "terminal", "v0", "v1" or "whole"."""
-    return [column.heading for column in _COLUMNS if table in column.tables.split()]
+def columns_of(table: str, rows: Sequence[EntrySummary]) -> list[str]:
+    """Return the headings of a table, "terminal", "v0", "v1" or "whole", but for columns that no row fills."""
+    columns = [column for column in _COLUMNS if table in column.tables.split()]
+    return [own.heading for own in columns if own.heading == "rank" or any(map(own.text, rows))]
 
 
 def text_columns(columns: Sequence[str]) -> list[int]:
@@ -104,7 +127,7 @@ def text_columns(columns: Sequence[str]) -> list[int]:
 
 def _short_columns(rows: Sequence[EntrySummary]) -> list[str]:
     """Return the columns of a page: without a score they are those of a terminal, with the cost that ranks."""
-    return columns_of("terminal" if rows[0].score is None else rows[0].version)
+    return columns_of("terminal" if rows[0].score is None else rows[0].version, rows)
 
 
 # --- tables ----------------------------------------------------------------------------------------------------------
@@ -115,13 +138,14 @@ def table_cells(rows: Sequence[EntrySummary], columns: Sequence[str] | None = No
 
     Args:
         rows: of one version, as :func:`leaderboard_rows` or :attr:`Results.ranking` gives them.
-        columns: headings; None for those of the whole table.
+        columns: headings; None for those of the whole table that these rows fill.
     """
     texts = {column.heading: column.text for column in _COLUMNS}
     places = [place(row) for row in rows]
+    columns = columns or columns_of("whole", rows)
     ranks = [str(1 + sum(other < own for other in places)) for own in places]
     return [
-        [rank if column == "rank" else texts[column](row) for column in columns or columns_of("whole")]
+        [rank if column == "rank" else texts[column](row) for column in columns]
         for rank, row in zip(ranks, rows, strict=True)
     ]
 
@@ -138,6 +162,7 @@ def markdown_table(rows: Sequence[EntrySummary], columns: Sequence[str] | None =
     return files.markdown_table(columns, table_cells(rows, columns), right=numbers)
 
 
-def privileged_note(rows: Sequence[EntrySummary]) -> str:
-    """Return what the mark of privileged entries means, "" where no row has it."""
-    return _PRIVILEGED_NOTE if any(row.privileged for row in rows) else ""
+def notes_on_marks(rows: Sequence[EntrySummary]) -> list[str]:
+    """Return what the marks mean that rows have."""
+    marks = ((_has_mark, _MARK_NOTE), (lambda row: row.privileged, _PRIVILEGED_NOTE))
+    return [note for has_mark, note in marks if any(map(has_mark, rows))]

@@ -13,7 +13,8 @@ import numbers
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from types import MappingProxyType
+from typing import Any, NamedTuple
 
 from wtg_gym.files import read_toml
 from wtg_gym.physics.aerodynamics import tracking_point
@@ -25,10 +26,24 @@ LEAST_COEFFICIENT, LARGEST_COEFFICIENT = 1e-3, 3.0
 #: Damping time constants of a law besides 0 and ∞ [s]; a slower filter is plain droop for as long as an episode takes.
 TIME_CONSTANT_RANGE = (0.05, 1e5)
 
-#: The tuned law: how far k lies above K_opt at ω_min, above K_n at ω_st and below K_pr at ω_max, as shares of
-#: K_opt - K_pr [-], and τ [s]. docs/studies/policies.py finds them.
-TUNED_ABOVE_OPT, TUNED_ABOVE_NOMINAL, TUNED_BELOW_LIMIT = 1.52, 0.017, 1.05
-TUNED_TIME_CONSTANT_S = 0.6
+
+class Tuning(NamedTuple):
+    """How far k lies beyond that of the piecewise law, as shares of K_opt - K_pr [-], and τ."""
+
+    above_opt: float  # K_opt, at ω_min
+    above_nominal: float  # K_n, at ω_st
+    below_limit: float  # K_pr, at ω_max
+    time_constant_s: float  # [s]
+
+
+#: The laws tuned to a grid that needs the wind; docs/studies/policies.py finds them. A law that asks for more than
+#: K_opt slows the rotor past the top of its power curve: in the end it gives less the lower the frequency is.
+TUNED: Mapping[str, Tuning] = MappingProxyType(
+    {
+        "coordinated-tuned": Tuning(0.0, -0.003, 0.96, 0.34),
+        "coordinated-free": Tuning(1.52, 0.017, 1.05, 0.6),
+    }
+)
 
 #: A smaller deloading in a law file is taken for a fraction that was meant [%].
 _LEAST_PERCENT = 0.5
@@ -133,25 +148,22 @@ def coordinated_undamped(
     return dataclasses.replace(law, name="coordinated-undamped", damping_time_constant_s=0.0)
 
 
-def coordinated_tuned(
-    turbine: TurbineParameters | None = None, control: GridFormingParameters | None = None
+def tuned(
+    name: str, turbine: TurbineParameters | None = None, control: GridFormingParameters | None = None
 ) -> TrackingLaw:
-    """Return the piecewise law with steeper slopes and a faster filter, tuned to a grid that needs the wind.
+    """Return the piecewise law with the slopes and the filter of :data:`TUNED`.
 
-    It was tuned with the paper's turbine; on one with a flatter power curve k ends where a law's range does.
+    They were tuned with the paper's turbine; on one with a flatter power curve k ends where a law's range does.
     """
-    law = coordinated_piecewise(turbine, control)
+    law, tuning = coordinated_piecewise(turbine, control), TUNED[name]
     span = law.k_min - law.k_max
     corners = {
-        "k_min": law.k_min + TUNED_ABOVE_OPT * span,
-        "k_nominal": law.k_nominal + TUNED_ABOVE_NOMINAL * span,
-        "k_max": law.k_max - TUNED_BELOW_LIMIT * span,
+        "k_min": law.k_min + tuning.above_opt * span,
+        "k_nominal": law.k_nominal + tuning.above_nominal * span,
+        "k_max": law.k_max - tuning.below_limit * span,
     }
-    bounded = {name: min(max(k, LEAST_COEFFICIENT), LARGEST_COEFFICIENT) for name, k in corners.items()}
-    tuned: TrackingLaw = dataclasses.replace(
-        law, name="coordinated-tuned", damping_time_constant_s=TUNED_TIME_CONSTANT_S, **bounded
-    )
-    return tuned
+    bounded: dict[str, Any] = {key: min(max(k, LEAST_COEFFICIENT), LARGEST_COEFFICIENT) for key, k in corners.items()}
+    return TrackingLaw(name=name, damping_time_constant_s=tuning.time_constant_s, **bounded)
 
 
 #: The reference policy's strategy: zero action is exactly this.
@@ -165,11 +177,11 @@ _BUILDERS: dict[str, Callable[[TurbineParameters | None, GridFormingParameters |
     "coordinated-linear": coordinated_linear,
     "coordinated-piecewise": coordinated_piecewise,
     "coordinated-undamped": coordinated_undamped,
-    "coordinated-tuned": coordinated_tuned,
+    **{name: functools.partial(tuned, name) for name in TUNED},
 }
 #: Every built-in strategy, and those of them that the paper has.
 STRATEGY_NAMES = tuple(_BUILDERS)
-_PAPER_NAMES = STRATEGY_NAMES[:-1]
+_PAPER_NAMES = STRATEGY_NAMES[: -len(TUNED)]
 
 
 @functools.lru_cache(maxsize=64)

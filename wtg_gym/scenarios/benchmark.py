@@ -26,7 +26,8 @@ class Benchmark:
     #: Whether the frequency charged is that of the worst unit, without a cap, load that is not served is charged, and a
     #: failed episode costs what one costs in which no load is served.
     charges_worst: bool = False
-    scores_mean: bool = False  # whether a score compares mean costs, else mean logarithms of costs
+    #: Stratum, "" where there are none, and J0 of the score in it, in units of the cost.
+    cost_offsets: tuple[tuple[str, float], ...] = (("", 5.0),)
     #: Name and value of the cost's weights that are not those of :class:`~wtg_gym.envs.settings.CostWeights`.
     weights: tuple[tuple[str, float], ...] = ()
     anchors: tuple[str, str]  # names of the entries that score 0 and 100
@@ -53,7 +54,7 @@ class Benchmark:
 
     def to_dict(self) -> dict[str, Any]:
         """Return the version as JSON-ready data."""
-        return {**vars(self), "weights": dict(self.weights)}
+        return {**vars(self), "weights": dict(self.weights), "cost_offsets": dict(self.cost_offsets)}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -116,10 +117,11 @@ V1 = Benchmark(
     duty_time_s=15.0,
     on_failure="trip",
     charges_worst=True,
-    scores_mean=True,
+    # What an episode costs under the hundred, about: below that a cost counts almost as in a mean.
+    cost_offsets=(("ordinary", 40.0), ("large", 250.0), ("extreme", 1000.0), ("", 250.0)),
     # Duty weighs as much as frequency, since the wind is most of the power; RoCoF five times as much as in v0, since
     # the synchronous machines have less than a third of v0's inertia: 0.82 instead of 2.86 GWs on average.
-    weights=(("rocof", 20.0), ("duty", 1.0), ("rotor", 20.0), ("cap", 15.0)),
+    weights=(("rocof", 20.0), ("duty", 0.5), ("rotor", 20.0), ("cap", 15.0)),
     anchors=("coordinated-piecewise", "coordinated-tuned"),
 )
 

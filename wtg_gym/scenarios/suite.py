@@ -56,7 +56,11 @@ class Suite:
         benchmark: version of the benchmark that it belongs to.
         plant: its grid and turbines.
         sensors: distribution of the measurements' errors; None for exact measurements.
+<<<<<<< HEAD
         drawn_from: distributions of its scenarios by the name of their stratum, "" where there is only one. The first
+=======
+        drawn_from: distributions of its scenarios by the name of their stratum, "" where there is only one; the first
+>>>>>>> main
             of n strata has the seeds with seed % n = 0, of its m distributions the first those with seed // n % m = 0.
         cases: the fixed cases, case i having the seed i in every split; empty with distributions.
         train: seeds to train on.

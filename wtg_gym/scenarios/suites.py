@@ -89,27 +89,34 @@ _WIND_SCENARIOS: Mapping[str, Any] = MappingProxyType(
 _EXTREME: Mapping[str, Any] = MappingProxyType(
     {
         "n_load_events": (1, 2),
-        "load_event_mw": (20.0, 42.0),
-        "net_load_change_mw": 55.0,
+        "load_event_mw": (25.0, 50.0),
+        "net_load_change_mw": 60.0,
         "load_increase_probability": 0.65,
-        "wind_ramp_probability": 0.45,
-        "wind_ramp_m_s": (1.0, 3.0),
+        "wind_ramp_probability": 0.2,
     }
 )
 #: What the strata of version v1, and the kinds of the extreme one, replace.
 _STRATA: Mapping[str, Mapping[str, Mapping[str, Any]]] = MappingProxyType(
     {
-        "ordinary": {"": {"load_event_mw": (4.0, 16.0), "net_load_change_mw": 20.0}},
+        "ordinary": {
+            "": {
+                "n_load_events": (2, 4),
+                "load_event_mw": (4.0, 16.0),
+                "net_load_change_mw": 20.0,
+                "machine_loading": (0.5, 0.75),
+                "wind_ramp_m_s": (0.2, 0.7),
+            }
+        },
         "large": {
             "": {
                 "n_load_events": (2, 3),
-                "load_event_mw": (28.0, 44.0),
-                "net_load_change_mw": 60.0,
+                "load_event_mw": (22.0, 40.0),
+                "net_load_change_mw": 50.0,
                 "load_increase_probability": 0.65,
                 "load_trip_probability": 0.15,
                 "line_trip_probability": 0.25,
                 "wind_ramp_probability": 0.25,
-                "wind_ramp_m_s": (0.5, 2.2),
+                "wind_ramp_m_s": (0.5, 1.5),
                 "machine_outage_probability": 0.15,
             }
         },
@@ -120,8 +127,6 @@ _STRATA: Mapping[str, Mapping[str, Mapping[str, Any]]] = MappingProxyType(
                 **_EXTREME,
                 "mean_wind_m_s": (9.5, 12.0),
                 "wind_share": (0.7, 0.88),
-                "wind_ramp_probability": 0.15,
-                "wind_ramp_m_s": (0.5, 1.8),
                 "load_event_mw": (10.0, 30.0),
                 "net_load_change_mw": 30.0,
                 "load_increase_probability": 0.5,
@@ -134,7 +139,7 @@ _STRATA: Mapping[str, Mapping[str, Mapping[str, Any]]] = MappingProxyType(
                 "line_trip_probability": 0.0,
                 "fault_probability": 1.0,
                 "fault_lines": _FAULT_LINES,
-                "fault_clearing_s": (0.2, 0.44),
+                "fault_clearing_s": (0.15, 0.35),
             },
             # A part far from its balance would die whatever its groups do.
             "island": {

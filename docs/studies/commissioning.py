@@ -1,0 +1,187 @@
+"""Whether a law could be commissioned in v1's grid: its steady states, and ten minutes after the worst events.
+
+    python docs/studies/commissioning.py
+
+prints a table of laws. In a steady state the turbine captures what the law delivers; where that is beyond what the
+pitch protection leaves, it leaves that. No law may give less at a lower frequency, ask for more than K_opt, or exceed
+what the converter and the generator give for long.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from wtg_gym.envs.lanes import TaskLanes
+from wtg_gym.envs.settings import EnvSettings
+from wtg_gym.files import markdown_table
+from wtg_gym.physics.aerodynamics import tracking_point
+from wtg_gym.physics.plant import PlantSettings
+from wtg_gym.physics.protection import Status
+from wtg_gym.physics.scenario import Event, GovernorLoss, LoadStep
+from wtg_gym.physics.tracking_law import TrackingLaw, get_law
+from wtg_gym.reproduce.steady_states import equilibria
+from wtg_gym.scenarios import get_suite
+
+SUITE = "standard-v1"
+LAWS = ("coordinated-piecewise", "coordinated-tuned", "coordinated-free", "deloaded-10")
+WINDS_M_S = tuple(np.arange(6.0, 14.5, 1.0).tolist())
+FREQUENCIES_HZ = np.linspace(47.5, 51.5, 41)
+#: Rounding of a steady state's power, in a slope [p.u./Hz].
+ROUNDING = 1e-6
+#: When the event comes, and how long the run lasts [s].
+EVENT_S, DURATION_S = 5.0, 600.0
+N_SCENARIOS = 60
+#: Seeds among which the largest load step is looked for.
+N_SOUGHT = 300
+
+
+@dataclasses.dataclass(frozen=True)
+class Statics:
+    """A law's steady states, over all winds and frequencies."""
+
+    steepest: float  # largest dP/df; infinite where the turbine has no steady state below [p.u./Hz]
+    steepest_at: tuple[float, float]  # wind [m/s] and frequency [Hz] of it
+    capped: bool  # whether k stays at or below K_opt
+    power: float  # largest [p.u.]
+    torque: float  # largest [p.u.]
+    slowest: float  # rotor speed [p.u.]
+    within: bool  # whether the limits of power, torque and rotor speed hold
+
+
+def settled(law: TrackingLaw, wind_m_s: float, frequency_hz: float, plant: PlantSettings) -> tuple[float, float]:
+    """Return power and rotor speed of a turbine where it settles [p.u.], NaN where it does not."""
+    of = {"turbine": plant.turbine, "control": plant.control}
+    found = equilibria(frequency_hz / plant.case.frequency_hz, law, wind_m_s, **of)
+    if not found:
+        return math.nan, math.nan
+    k, most = _coefficient(law, frequency_hz, plant), plant.pitch.captured_power_limit_pu
+    # What the law delivers besides k ω³, by its droop.
+    droop = found[-1].power_pu - k * found[-1].rotor_speed_pu ** 3
+    speed = min(found[-1].rotor_speed_pu, plant.pitch.rotor_speed_limit_pu)
+    if k * speed**3 + droop > most:
+        # Where the droop alone asks for more than the pitch leaves, the rotor slows down without an end.
+        speed = ((most - droop) / k) ** (1.0 / 3.0) if most > droop else math.nan
+    return k * speed**3 + droop, speed
+
+
+def _coefficient(law: TrackingLaw, frequency_hz: float, plant: PlantSettings) -> float:
+    c = plant.control
+    corners = (c.frequency_min_pu, c.frequency_setpoint_pu, c.frequency_max_pu)
+    return float(np.interp(frequency_hz / plant.case.frequency_hz, corners, (law.k_min, law.k_nominal, law.k_max)))
+
+
+def statics(law: TrackingLaw, plant: PlantSettings, winds_m_s: Sequence[float] = WINDS_M_S) -> Statics:
+    """Return what a law's steady states in a plant with limits are like, at some winds and :data:`FREQUENCIES_HZ`."""
+    points = np.array([[settled(law, wind, f, plant) for f in FREQUENCIES_HZ] for wind in winds_m_s])
+    power, speed = points[..., 0], points[..., 1]
+    slopes = np.diff(power, axis=1) / np.diff(FREQUENCIES_HZ)
+    # On the way down from a steady state to none all power is lost.
+    slopes = np.where(np.isnan(slopes), np.where(np.isnan(power[:, 1:]), -np.inf, np.inf), slopes)
+    wind, place = np.unravel_index(slopes.argmax(), slopes.shape)
+    limits, protection = plant.limits, plant.protection
+    assert limits is not None
+    # Comparisons with NaN are false: a turbine that does not settle keeps no limit.
+    within = (
+        (power <= limits.power_max_pu)
+        & (power <= limits.torque_max_pu * speed)
+        & (protection.rotor_speed_min_pu <= speed)
+        & (speed <= protection.over_speed_pu)
+    )
+    best = tracking_point(0.0, plant.turbine).coefficient
+    return Statics(
+        steepest=float(slopes.max()),
+        steepest_at=(float(winds_m_s[wind]), float(FREQUENCIES_HZ[place : place + 2].mean())),
+        capped=max(law.k_min, law.k_nominal, law.k_max) <= best,
+        power=float(np.nanmax(power)),
+        torque=float(np.nanmax(power / speed)),
+        slowest=float(np.nanmin(speed)),
+        within=bool(within.all()),
+    )
+
+
+@dataclasses.dataclass(frozen=True)
+class Aftermath:
+    """Ten minutes after an event, over all scenarios."""
+
+    lowest_hz: float  # frequency of the centre of inertia
+    final_hz: tuple[float, float]  # least and largest at the end, of the grids that are left
+    rotors: int  # groups that tripped
+    grids: int  # grids that were lost
+
+
+def worst_events() -> dict[str, tuple[Event, ...]]:
+    """Return the largest load step among large training scenarios, and half of it once the governor is lost."""
+    suite = get_suite(SUITE)
+    seeds = [seed for seed in suite.train[:N_SOUGHT] if suite.stratum(seed) in ("", "large")]
+    steps = [e for scenario in suite.scenarios(seeds) for e in scenario.events if type(e) is LoadStep]
+    largest = dataclasses.replace(max(steps, key=lambda step: step.power_mw), time_s=EVENT_S)
+    half = dataclasses.replace(largest, power_mw=0.5 * largest.power_mw)
+    return {
+        largest.words: (largest,),
+        f"governor lost, {half.words}": (GovernorLoss(time_s=0.0, bus=1), half),
+    }
+
+
+def aftermath(law: TrackingLaw, events: tuple[Event, ...], duration_s: float = DURATION_S) -> Aftermath:
+    """Play events in the grids of training scenarios, each in a wind that stays at its mean."""
+    suite = get_suite(SUITE)
+    lanes = TaskLanes(EnvSettings(suite=SUITE, strategy=law, sensors="exact", duration_s=duration_s), N_SCENARIOS)
+    calm = {"duration_s": duration_s, "events": events, "load_noise_mw": np.zeros(0), "sensors": None}
+    lanes.start(
+        range(N_SCENARIOS),
+        [
+            dataclasses.replace(drawn, wind_speed=drawn.wind_speed.mean(axis=1, keepdims=True), **calm)
+            for drawn in suite.scenarios(suite.train[:N_SCENARIOS])
+        ],
+    )
+    nominal_hz, lowest = lanes.nominal_hz, 1.0
+    actions = np.zeros((N_SCENARIOS, lanes.n_action))
+    for _ in range(round(duration_s / lanes.settings.control_dt)):
+        lanes.step(actions)
+        lowest = min(lowest, float(lanes.simulator.lane_values("coi").min()))
+    stands = lanes.statuses() == Status.RUNNING
+    final_hz = nominal_hz * lanes.simulator.lane_values("coi")[stands]
+    tripped = lanes.simulator.wtg_values("connected")[stands] < 0.5
+    lanes.simulator.close()
+    return Aftermath(
+        lowest_hz=nominal_hz * lowest,
+        final_hz=(float(final_hz.min()), float(final_hz.max())),
+        rotors=int(tripped.sum()),
+        grids=int((~stands).sum()),
+    )
+
+
+def table(laws: Sequence[TrackingLaw]) -> str:
+    """Return what the laws do, a law in one row."""
+    plant, events = get_suite(SUITE).plant.settings(classical=False, trips_groups=True), worst_events()
+    header = ["law", "largest dP/df [p.u./Hz]", "k ≤ K_opt", "power, torque; slowest rotor [p.u.]", "limits hold"]
+    rows = []
+    for law in laws:
+        found = statics(law, plant)
+        wind, frequency = found.steepest_at
+        slope = "no steady state below" if math.isinf(found.steepest) else f"{found.steepest:.2f} at"
+        row = [
+            law.name,
+            f"{slope} {frequency:.2f} Hz, {wind:g} m/s" if found.steepest > ROUNDING else "≤ 0",
+            "yes" if found.capped else "no",
+            f"{found.power:.2f}, {found.torque:.2f}; {found.slowest:.2f}",
+            "yes" if found.within else "no",
+        ]
+        for happens in events.values():
+            after = aftermath(law, happens)
+            low, high = after.final_hz
+            row.append(
+                f"{after.lowest_hz:.2f}; {low:.2f} … {high:.2f}; {after.rotors} of {4 * N_SCENARIOS}, "
+                f"{after.grids} of {N_SCENARIOS}"
+            )
+        rows.append(row)
+    header += [f"{name}: lowest, final frequency [Hz]; rotors, grids lost" for name in events]
+    return markdown_table(header, rows)
+
+
+if __name__ == "__main__":
+    print(table([get_law(name) for name in LAWS]))
