@@ -49,27 +49,23 @@ class FixedCase:
 class Suite:
     """A frozen list of scenarios: distributions with seed ranges, or fixed cases with seeds 0, 1, …
 
-        Args:
-            name: name of the suite.
-            description: one line on what it is about.
-            duration_s: length of its runs [s].
-            benchmark: version of the benchmark that it belongs to.
-            plant: its grid and turbines.
-            sensors: distribution of the measurements' errors; None for exact measurements.
-    <<<<<<< HEAD
-            drawn_from: distributions of its scenarios by the name of their stratum, "" where there is only one. The first
-    =======
-            drawn_from: distributions of its scenarios by the name of their stratum, "" where there is only one; the first
-    >>>>>>> main
-                of n strata has the seeds with seed % n = 0, of its m distributions the first those with seed // n % m = 0.
-            cases: the fixed cases, case i having the seed i in every split; empty with distributions.
-            train: seeds to train on.
-            validation: seeds to select on.
-            test: seeds to rank on.
+    Args:
+        name: name of the suite.
+        description: one line on what it is about.
+        duration_s: length of its runs [s].
+        benchmark: version of the benchmark that it belongs to.
+        plant: its grid and turbines.
+        sensors: distribution of the measurements' errors; None for exact measurements.
+        drawn_from: distributions of its scenarios by the name of their stratum, "" where there is only one. The first
+            of n strata has the seeds with seed % n = 0, of its m distributions the first those with seed // n % m = 0.
+        cases: the fixed cases, case i having the seed i in every split; empty with distributions.
+        train: seeds to train on.
+        validation: seeds to select on.
+        test: seeds to rank on.
 
-        Raises:
-            ValueError: neither or both of distributions and cases, a stratum without a name or a distribution, or splits of
-                distributions overlap.
+    Raises:
+        ValueError: neither or both of distributions and cases, a stratum without a name or a distribution, or splits of
+            distributions overlap.
     """
 
     name: str
