@@ -201,7 +201,7 @@ def plant_settings(physics: str = "paper", **settings: Any) -> PlantSettings:
 def short_circuit_ratios(settings: PlantSettings, committed: float = 1.0) -> npt.NDArray[np.float64]:
     """Return the short-circuit ratio at each group's bus (n_group,): what the machines feed a fault, over its rating.
 
-    Machines stand behind x'' and loads do not count; groups at one bus share its short-circuit power.
+    Machines stand behind x''; loads and shunts do not count; groups at one bus share its short-circuit power.
 
     Args:
         settings: the plant; it needs a machine.
@@ -209,18 +209,16 @@ def short_circuit_ratios(settings: PlantSettings, committed: float = 1.0) -> npt
     """
     case = settings.case
     ends = np.array([[case.bus_index(b.from_bus), case.bus_index(b.to_bus)] for b in case.branches], dtype=np.int64)
-    bus_y = np.array([complex(bus.shunt_mw, bus.shunt_mvar) for bus in case.buses]) / case.base_mva
+    machine_y = np.zeros(len(case.buses), dtype=np.complex128)
     for machine in case.machines:
-        on_line = committed if machine.governor is not None else 1.0
-        bus_y[case.bus_index(machine.bus)] += (
-            on_line * machine.rating_mva / case.base_mva / (1j * machine.x_subtransient)
-        )
-    z = np.linalg.inv(assemble_admittance(ends, branch_admittances(case.branches), bus_y))
-    rating: dict[int, float] = {}
-    for group in settings.groups:
-        rating[group.bus] = rating.get(group.bus, 0.0) + group.n_turbines * settings.turbine.rated_power_mw
+        rating_mva = machine.rating_mva * (committed if machine.governor is not None else 1.0)
+        machine_y[case.bus_index(machine.bus)] += rating_mva / case.base_mva / (1j * machine.x_subtransient)
+    y: Any = assemble_admittance(ends, branch_admittances(case.branches), machine_y)
     at = [case.bus_index(group.bus) for group in settings.groups]
-    return case.base_mva / np.abs(z[at, at]) / np.array([rating[group.bus] for group in settings.groups])
+    turbines = np.bincount(at, [group.n_turbines for group in settings.groups])[at]
+    power_mva = case.base_mva / np.abs(np.linalg.inv(y)[at, at])
+    ratios: npt.NDArray[np.float64] = power_mva / (turbines * settings.turbine.rated_power_mw)
+    return ratios
 
 
 class Plant(NamedTuple):

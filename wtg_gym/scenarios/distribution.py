@@ -361,13 +361,13 @@ class ScenarioDistribution(Checked):
             able = [line for line in self.fault_lines if (min(line), max(line)) not in open_lines]
             if able:
                 bus, other = pick.choice(able)
-                values = {
-                    "time_s": pick.instant(window),
-                    "bus": bus,
-                    "clears_after_s": pick.instant(self.fault_clearing_s),
-                }
-                bolted = {"resistance_pu": 0.0, "reactance_pu": 1e-4}
-                found.append(trusted(Fault, **values, **bolted, opens=(min(bus, other), max(bus, other))))
+                fault = Fault(
+                    time_s=pick.instant(window),
+                    bus=bus,
+                    clears_after_s=pick.instant(self.fault_clearing_s),
+                    opens=(bus, other),
+                )
+                found.append(fault)
         if self.islandings:
             lines, time_s = pick.choice(self.islandings), pick.instant(window)
             found += [trusted(LineTrip, time_s=time_s, from_bus=a, to_bus=b, recloses_after_s=None) for a, b in lines]

@@ -56,7 +56,7 @@ class Suite:
         benchmark: version of the benchmark that it belongs to.
         plant: its grid and turbines.
         sensors: distribution of the measurements' errors; None for exact measurements.
-        drawn_from: distributions of its scenarios by the name of their stratum, "" where there is only one; the first
+        drawn_from: distributions of its scenarios by the name of their stratum, "" where there is only one. The first
             of n strata has the seeds with seed % n = 0, of its m distributions the first those with seed // n % m = 0.
         cases: the fixed cases, case i having the seed i in every split; empty with distributions.
         train: seeds to train on.
@@ -172,7 +172,7 @@ class Suite:
             n_wtg = len(self.plant.groups)
             n_turbines = [group.n_turbines for group in self.plant.groups] if n_turbines is None else n_turbines
         measuring = self.sensors if sensors is ... else sensors
-        found: list[Scenario] = [None] * len(seeds)  # type: ignore[list-item]  # every place is filled
+        found: dict[int, Scenario] = {}
         # Seeds of a distribution are drawn together.
         places: dict[str, list[int]] = {}
         for place, seed in enumerate(seeds):
@@ -189,9 +189,8 @@ class Suite:
                     trusted(Scenario, **{**vars(scenario), "sensors": error})
                     for scenario, error in zip(drawn, errors, strict=True)
                 ]
-            for place, scenario in zip(taken, drawn, strict=True):
-                found[place] = scenario
-        return found
+            found.update(zip(taken, drawn, strict=True))
+        return [found[place] for place in range(len(seeds))]
 
     def _fixed_scenarios(
         self, seeds: Sequence[int], n_wtg: int, n_turbines: Sequence[float] | None, duration_s: float

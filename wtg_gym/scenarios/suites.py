@@ -300,7 +300,7 @@ SUITES: Mapping[str, Suite] = MappingProxyType(
             ),
             _drawn_v1(
                 "faults",
-                "Short circuits, lines that open and close again, machines and groups that trip, besides load events.",
+                "Short circuits, lines that open and close again, machines and groups that trip, in every stratum.",
                 own={
                     "ordinary": _FAULTS,
                     "large": {**_FAULTS, "group_trip_probability": 0.15},
@@ -310,14 +310,14 @@ SUITES: Mapping[str, Suite] = MappingProxyType(
             _drawn_v1(
                 "weak-grid",
                 "Long lines and no condensers: a short-circuit ratio of 1.5 … 3 at every WTG group.",
-                _wind_plant(130.0, 20.0, 14.0, 10.0, 8.0, branch_scale=2.5, condensers=False),
+                _wind_plant(122.0, 20.0, 14.0, 10.0, 8.0, branch_scale=2.5, condensers=False),
                 event_size=0.8,
                 own={
                     "large": {"machine_outage_probability": 0.0},
-                    "machine": {"wind_share": (0.74, 0.88), "load_level": (0.95, 1.05), "machine_loading": (0.3, 0.45)},
+                    "machine": {"wind_share": (0.74, 0.88), "load_level": (0.93, 1.0), "machine_loading": (0.3, 0.45)},
                 },
-                wind_share=(0.67, 0.79),
-                load_level=(0.85, 1.05),
+                wind_share=(0.69, 0.79),
+                load_level=(0.85, 1.0),
                 machine_loading=(0.6, 0.8),
             ),
             _PAPER_V1,
