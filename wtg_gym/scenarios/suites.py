@@ -79,8 +79,9 @@ _WIND_SCENARIOS: Mapping[str, Any] = MappingProxyType(
         "load_trip_buses": (9, 14),
         "load_trip_probability": 0.0,
         "line_trip_probability": 0.1,
-        # Frequency and rotors have a minute to come back.
-        "quiet_end_s": 60.0,
+        # Frequency and rotors have a minute to come back, once the longest ramp is over.
+        "quiet_end_s": 70.0,
+        "wind_ramp_s": (5.0, 10.0),
         "governor_droop": (0.03, 0.08),
         "inertia_scale": (1.0, 1.0),
         "machine_loading": (0.5, 0.85),
