@@ -41,6 +41,11 @@ _TIMESTEPS, _N_ENVS = 1_920_000, 32
 _FAILURE = CostTerms._fields.index("failure")
 #: How gradually a failure comes, in rotor speed and in frequency [p.u.].
 ROTOR_SPREAD_PU, FREQUENCY_SPREAD_PU = 0.02, 0.001
+#: How long the loss of a group or of a stage's load counts in the gradient [s].
+AFTERWARDS_S = 60.0
+#: Largest gradient of an episode's loss with respect to an action; that of a few seconds before a trip would outweigh
+#: all others.
+MAX_ACTION_GRADIENT = 0.03
 
 
 @dataclass(frozen=True)
@@ -90,32 +95,35 @@ class GradientPolicy(nn.Module):
 
 
 class Failures:
-    """Costs in which failures by slow rotors or low frequency come gradually.
+    """Costs in which failures by slow rotors or low frequency, and load shedding, come gradually.
 
     A logistic function of the least rotor speed and of the least frequency takes an episode's cost towards that of a
-    failed one in the score. It is 0.5 a spread above the limit of the protection, and 0.73 at the limit. Where a slow
-    rotor disconnects its group alone, it adds what the capped terms cost at their cap for the whole episode. Failures
-    of other kinds keep their constant charge.
+    failed one in the score. It is 0.5 a spread above the limit of the protection, and 0.73 at the limit. A slow rotor
+    that disconnects its group alone, and every stage of load shedding, leave the cost as it is and add to its gradient:
+    what the capped terms cost at their cap, or what the stage's load costs, for a while. Failures of other kinds keep
+    their constant charge.
     """
 
     def __init__(self, episodes: TorchEpisodes) -> None:
         settings = episodes.tape.lanes.settings
-        protection, weights = settings.plant().protection, settings.cost_weights()
-        frequency = (protection.frequency_min_pu, FREQUENCY_SPREAD_PU)
-        rotor = (protection.rotor_speed_min_pu, ROTOR_SPREAD_PU)
-        watched = {
-            index: frequency if name == "frequency_pu" else rotor
-            for index, name in enumerate(episodes.tape.output_names)
-            if name == "frequency_pu" or name.startswith("rotor")
-        }
-        self._columns = list(watched)
-        self._limits, self._spreads = torch.tensor(list(watched.values()), dtype=torch.float64).T
-        duration_s, open_ended = settings.episode_duration_s(), settings.benchmark().charges_worst
+        plant, weights = settings.plant(), settings.cost_weights()
+        names = list(episodes.tape.output_names)
+        ends = [(names.index("frequency_pu"), plant.protection.frequency_min_pu, FREQUENCY_SPREAD_PU)]
+        rotor = plant.protection.rotor_speed_min_pu, ROTOR_SPREAD_PU
+        rotors = [(index, *rotor) for index, name in enumerate(names) if name.startswith("rotor")]
+        stages = [(ends[0][0], stage.frequency_pu, FREQUENCY_SPREAD_PU) for stage in plant.shedding]
+        open_ended, trips = settings.benchmark().charges_worst, settings.on_failure == "trip"
+        adding = [*(rotors if trips else ()), *(stages if open_ended else ())]
+        charges = [weights.cap * AFTERWARDS_S] * (trips * len(rotors))
+        charges += [weights.unserved * stage.share * AFTERWARDS_S for stage in plant.shedding] * open_ended
+        if not trips:
+            ends += rotors
+        self._n_ends, self._charges = len(ends), torch.tensor(charges, dtype=torch.float64)
+        columns, limits, spreads = zip(*ends, *adding, strict=True)
+        self._columns = list(columns)
+        self._limits, self._spreads = (torch.tensor(each, dtype=torch.float64) for each in (limits, spreads))
         rate = weights.unserved if open_ended else weights.cap
-        self._cost = pinned_cost(0.0, failed=True, duration_s=duration_s, cap=rate)
-        self._trips = settings.on_failure == "trip"
-        self._of_rotor = weights.cap * duration_s
-        self._ends = torch.tensor([not self._trips or limit is frequency for limit in watched.values()])
+        self._cost = pinned_cost(0.0, failed=True, duration_s=settings.episode_duration_s(), cap=rate)
 
     def watched(self, outputs: Tensor) -> Tensor:
         """Return the outputs that failures depend on, (n_lanes, n), of all outputs of a step."""
@@ -124,9 +132,10 @@ class Failures:
     def costs(self, terms: Tensor, least: Tensor) -> Tensor:
         """Return costs (n_lanes,), from the sums of their terms and the least of what is watched (n_lanes, n)."""
         safe = torch.sigmoid((least - self._limits) / self._spreads - 1.0)
-        survives, turns = safe[:, self._ends].prod(dim=1), safe[:, ~self._ends].prod(dim=1)
+        survives, keeps = safe[:, : self._n_ends].prod(dim=1), safe[:, self._n_ends :]
         spent = terms.sum(dim=1) - torch.where(survives < 0.5, terms[:, _FAILURE], 0.0)
-        spent = spent + (1.0 - turns) * self._of_rotor
+        added = ((1.0 - keeps) * self._charges).sum(dim=1)
+        spent = spent + added - added.detach()
         return survives * spent + (1.0 - survives) * self._cost
 
 
@@ -135,11 +144,15 @@ def costs_of(
 ) -> Tensor:
     """Return what the first steps of a scenario in every lane cost, (n_lanes,)."""
     observations = episodes.start(scenarios)
-    states, spent, watched = list[Tensor](), [], []
+    states, spent, watched, most = list[Tensor](), [], [], MAX_ACTION_GRADIENT / len(scenarios)
+    served = torch.ones(len(scenarios), dtype=torch.bool)
     for _ in range(n_steps):
         actions, *states = policy(observations, *states)
+        actions.register_hook(lambda gradient: gradient.clamp(-most, most))
         observations, terms = episodes.step(actions)
-        spent.append(terms)
+        # Where load is shed, a little support more only puts that off: the gradient, which knows no timing, misleads.
+        served = served & (terms.detach()[:, _FAILURE] == 0.0)
+        spent.append(torch.where(served[:, None], terms, terms.detach()))
         watched.append(failures.watched(episodes.outputs))
     return failures.costs(torch.stack(spent).sum(dim=0), torch.stack(watched).amin(dim=0))
 
@@ -244,6 +257,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     add = parser.add_argument
     add("--n-envs", type=int, metavar="N", help=f"episodes per gradient (default: {_N_ENVS})")
     add("--hidden", type=int, nargs="*", metavar="N", help="widths of the hidden layers, or none (default: 64 64)")
+    add("--learning-rate", type=float, metavar="R", help="of Adam at the start (default: 0.01)")
     add("--mean-weight", type=float, metavar="W", help="weight of J / J0 beside ln(J + J0) in the loss (default: 0)")
     add("--lstm", type=int, metavar="N", help="width of an LSTM in front of them (default: 0, none)")
 
@@ -251,7 +265,9 @@ def main(argv: Sequence[str] | None = None) -> int:
         given = vars(parser.parse_args(argv))
 
         def settings() -> RunSettings:
-            h = Hyperparameters(**{key: given[key] for key in ("hidden", "lstm", "mean_weight") if key in given})
+            h = Hyperparameters(
+                **{key: given[key] for key in ("hidden", "lstm", "learning_rate", "mean_weight") if key in given}
+            )
             return settings_of(given, NAME, dataclasses.asdict(h), timesteps=_TIMESTEPS, n_envs=_N_ENVS)
 
         with opened_run(given, (NAME,), settings) as (run, folder):

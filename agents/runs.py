@@ -112,6 +112,7 @@ class Run:
         (summary,) = (summary for summary in results.summaries if summary.name == entry.name)
         metrics = {
             "score": results.scores[entry.name].value,
+            **{f"score_{name}": each.value for name, each in summary.strata.items()},
             "marked": float(summary.marked),
             "lost_or_beyond_percent": summary.lost_or_beyond_percent,
             "cost": summary.mean_pinned_cost,
