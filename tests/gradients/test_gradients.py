@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import functools
 import math
 from typing import Any
@@ -374,6 +375,20 @@ CUT = [LineTrip(time_s=1.0, from_bus=a, to_bus=b) for a, b in ((5, 6), (4, 7), (
 def test_the_gradient_goes_through_events_of_the_network(events: list[Any]) -> None:
     tape = tape_of(**V1)
     agrees(tape, [given(4, *events)] * N_LANES, actions_of(tape, 60))
+
+
+def test_the_gradient_goes_through_secondary_control() -> None:
+    step = LoadStep(time_s=1.0, bus=4, power_mw=30.0)
+    with_it = EnvSettings(**V1)
+    without = PlantEnvSettings.of(with_it, dataclasses.replace(with_it.plant(), secondary_time_s=0.0))
+    found = []
+    for settings in (with_it, without):
+        tape = Tape(settings, N_LANES, 1)
+        actions = actions_of(tape, 300, 0.2)
+        scenarios = [given(4, step, wind=wind) for wind in (9.0, 10.0, 11.0)]
+        found.append(agrees(tape, scenarios, actions).actions)
+    # What it adds is far more than the tolerance.
+    assert np.abs(found[0] - found[1]).max() > 1e-2 * np.abs(found[0]).max()
 
 
 def test_a_plant_with_a_hydro_governor_and_a_rotor_table_has_gradients_too() -> None:
