@@ -59,9 +59,7 @@ def without_scale(results: Results) -> Results:
     """Return results of v1 in which the anchors have changed places."""
     other = {V1.zero: V1.hundred, V1.hundred: V1.zero}
     metrics = {(e.entry, e.seed): e.metrics for e in results.episodes}
-    episodes = [
-        dataclasses.replace(e, metrics=metrics[other.get(e.entry, e.entry), e.seed]) for e in results.episodes
-    ]
+    episodes = [dataclasses.replace(e, metrics=metrics[other.get(e.entry, e.entry), e.seed]) for e in results.episodes]
     return dataclasses.replace(results, episodes=tuple(episodes))
 
 
@@ -108,16 +106,12 @@ def test_entries_that_leave_0_8_hz_more_often_than_the_anchor_rank_behind_it(res
         for name, factor in ((V1.zero, 2.0), (V1.hundred, 1.0), ("wild", 0.5), ("fine", 1.1))
     }
     entries = [{"name": name, "kind": "law", "observation_mode": "measured"} for name in runs]
-    rows = summary.ranked(
-        summary.scored(summary.measured(entries, runs, costs, V1, groups), runs, costs, V1, groups)
-    )
+    rows = summary.ranked(summary.scored(summary.measured(entries, runs, costs, V1, groups), runs, costs, V1, groups))
     assert [row.name for row in rows] == [V1.hundred, "fine", V1.zero, "wild"]
     assert [row.marked for row in rows] == [True, True, True, False]
     # Of each stratum the logarithms, behind its J0.
-    logs = {
-        name: np.array([np.log(costs[name][0, at] + j0).mean() for at, j0 in zip(groups.values(), (40.0, 1000.0))])
-        for name in costs
-    }
+    of = {"ordinary": 40.0, "extreme": 1000.0}
+    logs = {n: np.array([np.log(own[0, groups[s]] + j0).mean() for s, j0 in of.items()]) for n, own in costs.items()}
     scale = logs[V1.zero] - logs[V1.hundred]
     for row in rows:
         expected = 100.0 * np.mean((logs[V1.zero] - logs[row.name]) / scale)

@@ -135,7 +135,7 @@ class Info(NamedTuple):
         "1 for a step with a failure, an overload, a frequency beyond 50 ± 0.8 Hz or a tip-speed ratio outside its "
         "range, else 0: the cost of safe reinforcement learning",
     ]
-    cost_frequency: Annotated[float, "-", "terms of the cost of this step: frequency deviation; in v1 of the worst unit"]
+    cost_frequency: Annotated[float, "-", "terms of the cost of this step: frequency deviation, in v1 the worst unit's"]
     cost_rocof: Annotated[float, "-", "rate of change of frequency"]
     cost_duty: Annotated[float, "-", "captured power away from the prescribed power; in v1 filtered with 15 s"]
     cost_rotor: Annotated[float, "-", "tip-speed ratio outside its range"]
