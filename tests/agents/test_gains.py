@@ -8,7 +8,7 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
-from agents.gains import Gains, law_costs, stagger, stratum_costs, stratum_scales
+from agents.gains import Gains, law_costs, stagger, stratum_scales
 from agents.multi_agent import GainVecEnv
 from wtg_gym.envs import EnvSettings, GFMWTGVectorEnv
 from wtg_gym.envs.lanes import TaskLanes
@@ -95,28 +95,34 @@ def test_the_reference_plays_sixteen_lanes_as_it_plays_one() -> None:
     assert (costs[:, -1] == 0.0).any() and (costs[:, -1] > 0.0).any()
 
 
-def test_gain_of_v1_is_the_saving_in_scales_of_the_stratum(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(vars(V1), "scores_mean", True)
-    env = GFMWTGVectorEnv(3, n_threads=1, version="v1", strategy="mppt", duration_s=10.0)
+def test_gain_of_v1_is_the_share_of_the_reference_cost_that_is_saved_in_scales_of_the_stratum(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    scales, offsets = {"ordinary": 0.2, "large": 0.5, "extreme": 0.25}, dict(V1.cost_offsets)
+    monkeypatch.setattr("agents.gains.stratum_scales", lambda _settings: scales)
+    env = GFMWTGVectorEnv(6, n_threads=1, version="v1", strategy="mppt", duration_s=10.0)
     env.reset(seed=1)
-    gains = Gains(env.lanes)
-    gains.follow(range(3))
+    gains, seeds = Gains(env.lanes), env.lanes.scenario_seeds.tolist()
+    gains.follow(range(6))
     references = gains.reference_costs()
-    _, rewards, *_ = env.step(np.zeros((3, 8), np.float32))
-    scales, suite = stratum_scales(env.lanes.settings), env.lanes.suite
-    own = np.array([scales[suite.stratum(int(seed))] for seed in env.lanes.scenario_seeds])
-    assert gains.of(references, rewards) == pytest.approx(100.0 * (references + rewards) / own, rel=1e-12)
+    _, rewards, *_ = env.step(np.zeros((6, 8), np.float32))
+    hundred = TaskLanes(EnvSettings(version="v1", strategy="coordinated-tuned", duration_s=10.0), 6)
+    paid, strata = law_costs(hundred, env.lanes.scenarios(seeds)), [env.lanes.suite.stratum(seed) for seed in seeds]
+    assert np.array_equal(references, paid[:, 0]) and len(set(strata)) > 1
+    sizes = paid.sum(axis=1) + [offsets[name] for name in strata]
+    own = np.array([scales[name] for name in strata])
+    assert gains.of(references, rewards) == pytest.approx(100.0 * (references + rewards) / sizes / own, rel=1e-12)
+    # A step costs no more than five times what the reference's episode does.
+    assert gains.of(references, rewards - 1e5) == pytest.approx(-500.0 / own, rel=1e-12)
     gains.close()
     env.close()
 
 
-def test_scales_are_differences_of_the_anchors_mean_costs() -> None:
-    settings = EnvSettings(version="v1", duration_s=10.0)
-    zero, hundred = (stratum_costs(settings, law) for law in V1.anchors)
-    scales = stratum_scales(settings)
-    assert scales == {name: zero[name] - hundred[name] for name in scales} and min(scales.values()) > 0.0
-    lanes, name = TaskLanes(EnvSettings(version="v1", strategy=V1.hundred), 30), next(iter(scales))
-    own = [seed for seed in lanes.suite.train[:90] if lanes.suite.stratum(seed) == name][:30]
-    assert law_costs(lanes, lanes.scenarios(own)).sum(axis=1).mean() == pytest.approx(hundred[name], rel=1e-12)
-    # The longer episode of the suite, not that of the settings.
-    assert lanes.duration_s > settings.episode_duration_s()
+def test_scales_are_those_of_the_score_on_the_first_training_scenarios_of_a_stratum() -> None:
+    scales = stratum_scales(EnvSettings(version="v1", duration_s=10.0))
+    assert list(scales) == ["ordinary", "large", "extreme"] and min(scales.values()) > 0.0
+    # Of the suite's length, not that of the settings.
+    both = [TaskLanes(EnvSettings(version="v1", strategy=law), 16) for law in V1.anchors]
+    seeds = [seed for seed in both[0].suite.train[:180] if seed % 3 == 0]
+    zero, hundred = (law_costs(lanes, lanes.scenarios(seeds)).sum(axis=1) for lanes in both)
+    assert scales["ordinary"] == pytest.approx(np.log((zero + 40.0) / (hundred + 40.0)).mean(), rel=1e-12)

@@ -3,16 +3,28 @@
 from __future__ import annotations
 
 import math
+from collections import Counter
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 import torch
 
 from agents import gradient
 from agents.export import export
 from agents.folders import folders
-from agents.gradient import Failures, GradientLearner, GradientPolicy, Hyperparameters, costs_of, descend, main
+from agents.gradient import (
+    Failures,
+    GradientLearner,
+    GradientPolicy,
+    Hyperparameters,
+    Loss,
+    costs_of,
+    descend,
+    draw,
+    main,
+)
 from agents.runs import Run
 from tests.agents.small import largest_difference
 from tests.interruption import interrupted
@@ -21,6 +33,7 @@ from wtg_gym.envs.lanes import TaskLanes
 from wtg_gym.gradients.torch import TorchEpisodes
 from wtg_gym.policies.load import load_entries
 from wtg_gym.policies.torch_export import TorchPolicy
+from wtg_gym.scenarios import get_suite
 
 #: Two gradients, with a validation before, between and after them.
 OPTIONS = ["--suite", "standard", "--timesteps", "2400", "--interval", "1200"]
@@ -37,31 +50,85 @@ def test_loss_falls_on_the_scenarios_that_it_is_of(
     torch.manual_seed(0)
     episodes = TorchEpisodes(EnvSettings(**{"version": "v0", **settings}), 4, 1)
     lanes, failures, h = episodes.tape.lanes, Failures(episodes), Hyperparameters(hidden=hidden, lstm=lstm)
+    loss_of = Loss(lanes.settings)
     policy = GradientPolicy(lanes.n_observation, lanes.n_action, hidden, lstm)
     optimizer = torch.optim.Adam(policy.parameters(), lr=h.learning_rate)
     scenarios = lanes.scenarios(range(1_000_000, 1_000_004))
-    losses = [descend(policy, optimizer, costs_of(episodes, policy, scenarios, 100, failures), h) for _ in range(10)]
+    losses = []
+    for _ in range(10):
+        loss = loss_of(costs_of(episodes, policy, scenarios, 200, failures), scenarios)
+        losses.append(descend(policy, optimizer, loss, h))
     assert losses[-1] < losses[0] - 0.01
 
 
+def watched(settings: dict[str, Any]) -> tuple[Failures, torch.Tensor, torch.Tensor]:
+    """Failures, the terms of an episode that costs 40, and the limits of frequency and rotors."""
+    episodes = TorchEpisodes(EnvSettings(**settings), 4, 1)
+    limits = torch.tensor([0.95] + [0.5] * episodes.tape.lanes.n_wtg, dtype=torch.float64)
+    limits[0] = episodes.tape.lanes.settings.plant().protection.frequency_min_pu
+    return Failures(episodes), torch.tensor([[40.0] + [0.0] * 6], dtype=torch.float64), limits
+
+
+def at_limit(limits: torch.Tensor, index: int) -> torch.Tensor:
+    least = limits + 0.5
+    least[index] = limits[index]
+    return least[None]
+
+
+#: How far an episode has failed at a limit.
+SHARE = 1.0 / (1.0 + math.exp(-1.0))
+
+
 def test_a_failure_comes_gradually_and_its_approach_has_a_gradient() -> None:
-    settings = EnvSettings(**V1)
-    episodes = TorchEpisodes(settings, 4, 1)
-    failures, n_watched = Failures(episodes), 1 + episodes.tape.lanes.n_wtg
-    limits = torch.tensor([0.97] + [0.5] * (n_watched - 1), dtype=torch.float64)
-    alive, worst = torch.tensor([[40.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0]], dtype=torch.float64), 15.0 * 61.0
-    assert failures.costs(alive, limits[None] + 0.5).item() == pytest.approx(40.0)
-    # A failure of another kind keeps its charge; in the one that comes gradually it is counted once.
+    failures, alive, limits = watched(V1)
+    assert limits[0] == 0.95
+    # A failure of another kind, or load that is not served, keeps its charge.
     charged = alive + torch.tensor([0.0] * 6 + [1000.0], dtype=torch.float64)
-    assert failures.costs(charged, limits[None] + 0.5).item() == pytest.approx(1040.0)
-    one_at_its_limit = limits + 0.5
-    one_at_its_limit[1] = 0.5
-    share = 1.0 / (1.0 + math.exp(-1.0))
     for terms in (alive, charged):
-        assert failures.costs(terms, one_at_its_limit[None]).item() == pytest.approx(40.0 + share * (worst - 40.0))
+        assert failures.costs(terms, limits[None] + 0.5).item() == pytest.approx(terms.sum().item())
+        # The failure that comes gradually is counted once.
+        failing = failures.costs(terms, at_limit(limits, 0)).item()
+        assert failing == pytest.approx(40.0 + SHARE * (55.0 * 121.0 - 40.0))
+        # A slow rotor takes its group away: what is capped costs its cap.
+        tripping = failures.costs(terms, at_limit(limits, 1)).item()
+        assert tripping == pytest.approx(terms.sum().item() + SHARE * 15.0 * 120.0)
     least = (limits + 0.005).repeat(4, 1).requires_grad_()
     failures.costs(alive.repeat(4, 1), least).sum().backward()  # type: ignore[no-untyped-call]
     assert least.grad is not None and (least.grad < 0.0).all()
+
+
+def test_a_slow_rotor_ends_the_episode_where_rotors_do() -> None:
+    failures, alive, limits = watched({**V1, "on_failure": "terminate"})
+    found = failures.costs(alive, at_limit(limits, 1)).item()
+    assert found == pytest.approx(40.0 + SHARE * (55.0 * 121.0 - 40.0))
+
+
+def test_the_loss_counts_every_stratum_by_its_offset_and_scale(monkeypatch: pytest.MonkeyPatch) -> None:
+    scales = {"ordinary": 0.2, "large": 0.5, "extreme": 0.25}
+    monkeypatch.setattr(gradient, "stratum_scales", lambda _settings: scales)
+    costs = torch.tensor([30.0, 400.0, 2000.0], dtype=torch.float64)
+    scenarios = get_suite("standard-v1").scenarios([1_000_002, 1_000_000, 1_000_001], duration_s=1.0)
+    offsets = (40.0, 250.0, 1000.0)
+    for weight in (0.0, 0.5):
+        parts = [
+            (math.log(cost + offset) + weight * cost / offset) / scale
+            for cost, offset, scale in zip(costs.tolist(), offsets, scales.values(), strict=True)
+        ]
+        assert Loss(EnvSettings(**V1), weight)(costs, scenarios).item() == pytest.approx(sum(parts) / 3.0)
+    # v0 has one offset, and no scale.
+    own = get_suite("standard").scenarios([1_000_000], duration_s=1.0)
+    assert Loss(EnvSettings(version="v0"))(costs[:1], own).item() == pytest.approx(math.log(35.0))
+
+
+def test_a_batch_of_v1_holds_as_many_of_each_stratum_and_kind() -> None:
+    lanes = TaskLanes(EnvSettings(**V1, duration_s=1.0), 30)
+    scenarios = draw(lanes, np.random.default_rng(0))
+    names = Counter(scenario.name.split("/")[1] for scenario in scenarios)
+    kinds = {f"extreme-{kind}" for kind in ("governor", "machine", "group", "fault", "island")}
+    assert names == {"ordinary": 10, "large": 10, **dict.fromkeys(kinds, 2)}
+    assert all(scenario.seed in lanes.suite.train for scenario in scenarios)
+    same, other = (draw(lanes, np.random.default_rng(seed))[0].seed for seed in (0, 1))
+    assert same == scenarios[0].seed != other
 
 
 def test_run_repeats_also_after_an_interruption_and_is_exported(

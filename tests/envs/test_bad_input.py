@@ -46,7 +46,7 @@ SETTINGS: list[tuple[dict[str, Any], str]] = [
     ({"scenario": SENSED}, "has sensors; version v0 measures exactly"),
     ({"scenario": SLOW, "physics": "extended"}, "WTG group 1 .* 4.5 m/s, below the under-speed trip at 0.5 p.u."),
     ({"sensors": "exact"}, "sensors.*v1.*v0 measures exactly"),
-    ({**V1, "suite": "weak-grid"}, "suite 'weak-grid'.*standard-v1"),
+    ({**V1, "suite": "low-wind"}, "suite 'low-wind'.*standard-v1"),
     ({**V1, "sensors": {"noise": 1.0}}, "sensors.*'noise'.*delay_s"),
     ({**V1, "control_dt": 0.2}, "delay_s of the sensors = 0.1 s.*control steps of 0.2 s"),
     ({**V1, "sensors": "exact", "scenario": CALM_V1}, "sensors.*scenario.*leave out one"),
@@ -54,7 +54,7 @@ SETTINGS: list[tuple[dict[str, Any], str]] = [
         {**V1, "scenario": {**CALM_V1.to_dict(), "sensors": {"seed": 1, "wind_bias": [0.0]}}},
         r"wind_bias of the sensors.*WTG group \(4\).*1",
     ),
-    ({**V1, "groups": 4}, "20 turbines.*% of the load.*wind_share of 'standard-v1'.*40 … 78 %"),
+    ({**V1, "groups": 4}, "20 turbines.*% of the load.*wind_share of 'standard-v1/ordinary'.*40 … 78 %"),
 ]
 
 

@@ -23,4 +23,4 @@ def results(entries: list[Entry]) -> Results:
 
 @pytest.fixture(scope="session")
 def results_v1() -> Results:
-    return evaluate("baselines", "standard-v1", "validation", seeds=range(10_000, 10_012), duration_s=30.0)
+    return evaluate("baselines", "standard-v1", "validation", seeds=range(10_000, 10_012), duration_s=60.0)

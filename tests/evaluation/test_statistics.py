@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import math
 
 import numpy as np
@@ -13,14 +12,13 @@ from hypothesis.extra.numpy import arrays
 from scipy import stats
 
 from wtg_gym.evaluation import score, statistics
-from wtg_gym.evaluation.score import COST_OFFSET
 from wtg_gym.evaluation.statistics import Groups
 from wtg_gym.scenarios.benchmark import V0, V1, Benchmark
 
 COSTS = arrays(np.float64, 7, elements=st.floats(0.0, 3050.0))
-MEANS = dataclasses.replace(V1, scores_mean=True)
-#: Seven scenarios of three strata.
-STRATA: Groups = {"calm": np.array([0, 3, 6]), "wild": np.array([1, 4]), "worst": np.array([2, 5])}
+#: Seven scenarios of three strata, and J0 of each.
+STRATA: Groups = {"ordinary": np.array([0, 3, 6]), "large": np.array([1, 4]), "extreme": np.array([2, 5])}
+OFFSETS = np.array([40.0, 250.0, 1000.0, 40.0, 250.0, 1000.0, 40.0])
 
 
 def whole(n: int) -> Groups:
@@ -31,40 +29,41 @@ def test_score_is_the_written_formula() -> None:
     reference, mppt, costs = np.array([10.0, 20.0]), np.array([100.0, 40.0]), np.array([5.0, 80.0])
     scale = (math.log(105.0 / 15.0) + math.log(45.0 / 25.0)) / 2.0
     expected = [100.0 * (1.0 + math.log(15.0 / 10.0) / scale), 100.0 * (1.0 + math.log(25.0 / 85.0) / scale)]
-    assert COST_OFFSET == 5.0
+    offsets = score.cost_offsets(whole(2), V0)
     scales = score.score_scales(mppt, reference, V0, whole(2))
     assert scales == pytest.approx([scale], rel=1e-14)
-    gains = score.gains(costs[np.newaxis], reference, V0)
+    gains = score.gains(costs[np.newaxis], reference, offsets)
     assert score.mean_score(gains, scales, whole(2)) == pytest.approx(sum(expected) / 2.0, rel=1e-14)
 
 
-def test_score_of_mean_costs_is_the_mean_over_strata_and_linear_in_the_cost() -> None:
+def test_score_of_strata_is_the_mean_of_theirs_each_with_its_offset_and_scale() -> None:
     rng = np.random.default_rng(3)
     zero, hundred, costs = rng.uniform(50.0, 60.0, 7), rng.uniform(10.0, 20.0, 7), rng.uniform(5.0, 90.0, (2, 7))
-    scales = score.score_scales(zero, hundred, MEANS, STRATA)
+    assert np.array_equal(score.cost_offsets(STRATA, V1), OFFSETS)
+    scales = score.score_scales(zero, hundred, V1, STRATA)
+    own = score.gains(costs, hundred, OFFSETS)
+    expected = []
+    for offset, at in zip((40.0, 250.0, 1000.0), STRATA.values(), strict=True):
+        z, h, c = (np.log(each[..., at] + offset).mean() for each in (zero, hundred, costs))
+        expected.append(100.0 * (z - c) / (z - h))
+        assert score.mean_score(own, [z - h], {"": at}) == pytest.approx(expected[-1])
+    assert score.mean_score(own, scales, STRATA) == pytest.approx(np.mean(expected))
+    zero[STRATA["large"]] = hundred[STRATA["large"]]
+    with pytest.raises(score.NoScaleError, match="on these 2 scenarios of the stratum 'large' coordinated-piecewise"):
+        score.score_scales(zero, hundred, V1, STRATA)
 
-    def scored(own: np.ndarray) -> float:
-        return score.mean_score(score.gains(own, hundred, MEANS), scales, STRATA)
 
-    z, h, c = ([own[..., at].mean() for at in STRATA.values()] for own in (zero, hundred, costs))
-    expected = np.mean([100.0 * (zero - own) / (zero - base) for zero, base, own in zip(z, h, c, strict=True)])
-    assert scored(costs) == pytest.approx(expected)
-    assert scored(0.25 * costs + 0.75 * hundred) == pytest.approx(0.25 * scored(costs) + 75.0)
-    zero[STRATA["wild"]] = hundred[STRATA["wild"]]
-    with pytest.raises(score.NoScaleError, match="on these 2 scenarios of the stratum 'wild' coordinated-piecewise"):
-        score.score_scales(zero, hundred, MEANS, STRATA)
-
-
-@given(COSTS, COSTS, st.sampled_from([(V0, whole(7)), (MEANS, STRATA)]))
+@given(COSTS, COSTS, st.sampled_from([(V0, whole(7)), (V1, STRATA)]))
 def test_anchors_score_exactly_0_and_100(one: np.ndarray, other: np.ndarray, version: tuple[Benchmark, Groups]) -> None:
     benchmark, groups = version
-    reference, zero = sorted((one, other), key=lambda c: float(np.log(c + COST_OFFSET).sum()))
+    offsets = score.cost_offsets(groups, benchmark)
+    reference, zero = sorted((one, other), key=lambda c: float(np.log(c + offsets).sum()))
     try:
         scales = score.score_scales(zero, reference, benchmark, groups)
     except score.NoScaleError:
         return
     for costs, points in ((zero, 0.0), (reference, 100.0)):
-        gains = score.gains(costs[np.newaxis], reference, benchmark)
+        gains = score.gains(costs[np.newaxis], reference, offsets)
         assert score.mean_score(gains, scales, groups) == points
         for at, scale in zip(groups.values(), scales, strict=True):
             assert score.mean_score(gains, [scale], {"": at}) == points
@@ -73,7 +72,7 @@ def test_anchors_score_exactly_0_and_100(one: np.ndarray, other: np.ndarray, ver
 @pytest.mark.parametrize("bad", [-1.0, math.nan, math.inf])
 def test_impossible_costs_are_refused(bad: float) -> None:
     with pytest.raises(ValueError, match="finite and not negative"):
-        score.gains(np.array([[1.0, bad]]), np.ones(2), V0)
+        score.gains(np.array([[1.0, bad]]), np.ones(2), np.full(2, 5.0))
 
 
 def test_failure_costs_the_worst_there_is() -> None:
@@ -167,15 +166,16 @@ def test_differences_to_another_entry_are_paired() -> None:
 @given(
     arrays(np.float64, (3, 2, 7), elements=st.floats(0.0, 1000.0)),
     arrays(np.float64, (3, 7), elements=st.floats(0.0, 1000.0)),
-    st.sampled_from([(V0, whole(7), [0.7]), (MEANS, STRATA, [0.7, 5.0, 80.0])]),
+    st.sampled_from([(V0, whole(7), [0.7]), (V1, STRATA, [0.7, 5.0, 80.0])]),
 )
 def test_points_by_term_add_up_to_the_score(
     terms: np.ndarray, reference_terms: np.ndarray, version: tuple[Benchmark, Groups, list[float]]
 ) -> None:
     benchmark, groups, scales = version
     costs, reference = terms.sum(axis=0), reference_terms.sum(axis=0)
-    points = score.points_by_term(costs, reference, terms, reference_terms, scales, groups, benchmark)
-    total = score.mean_score(score.gains(costs, reference, benchmark), scales, groups) - 100.0
+    offsets = score.cost_offsets(groups, benchmark)
+    points = score.points_by_term(costs, reference, terms, reference_terms, scales, groups, offsets)
+    total = score.mean_score(score.gains(costs, reference, offsets), scales, groups) - 100.0
     assert math.fsum(points) == pytest.approx(total, rel=1e-9, abs=1e-9 * np.abs(points).max() + 1e-9)
 
 
@@ -184,5 +184,5 @@ def test_points_by_term_are_the_logarithmic_mean_written_out() -> None:
     # ln(15 / 10) is the gain of ten against five, and L(15, 10) = 5 / ln(15 / 10).
     expected = [100.0 * (2.0 - 4.0) * math.log(1.5) / 5.0 / 0.5, 100.0 * (8.0 - 1.0) * math.log(1.5) / 5.0 / 0.5]
     costs = np.array([[5.0]]), np.array([10.0])
-    points = score.points_by_term(*costs, terms, reference_terms, [0.5], whole(1), V0)
+    points = score.points_by_term(*costs, terms, reference_terms, [0.5], whole(1), np.array([5.0]))
     assert points.tolist() == pytest.approx(expected)

@@ -47,10 +47,10 @@ class GFMWTGEnv(OverLanes, gym.Env[Observation, Action]):
     noise and bias, 0.1 … 0.3 s late, and its last action. The privileged part begins with the exact values.
 
     ## Rewards
-    Minus the cost of the step: frequency deviation, RoCoF, regulation duty, rotor range, converter overload, actuator
-    effort, and failure, which costs more than going on ever does; :class:`CostWeights` gives v0's reasons.
-    The terms are `info["cost_…"]`, whose sum is minus the reward. `info["cost"]` is not that sum, but 1 in a
-    step that violates a constraint and else 0, for safe learning.
+    Minus the cost of the step: frequency deviation, in v1 of the worst unit, RoCoF, regulation duty, rotor range,
+    converter overload, actuator effort, and failure, in v1 with load that is not served; :class:`CostWeights` gives
+    v0's reasons. The terms are `info["cost_…"]`, whose sum is minus the reward. `info["cost"]` is not that sum, but 1
+    in a step that violates a constraint and else 0, for safe learning.
 
     ## Starting State
     The exact equilibrium of the drawn scenario's wind, load and grid at nominal frequency.
@@ -76,7 +76,7 @@ class GFMWTGEnv(OverLanes, gym.Env[Observation, Action]):
     environment seeded with s + i, bit for bit.
 
     ## Version History
-    * v1: a grid that needs the wind, extended physics, sensors, outages, a score that pays for the frequency first.
+    * v1: a grid that needs the wind, extended physics, secondary control, sensors, outages, a score by strata.
     * v0: first version, the paper's system.
     """
 

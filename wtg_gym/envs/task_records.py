@@ -9,7 +9,7 @@ from wtg_gym.physics.sensors import DELAY_MAX_S
 
 
 class Weights(NamedTuple):
-    """Weights of the cost's terms and the cap on their sum [1/s]; see :class:`~wtg_gym.envs.settings.CostWeights`."""
+    """Weights of the cost's terms and their cap [1/s]; see :class:`~wtg_gym.envs.settings.CostWeights`."""
 
     frequency: float
     rocof: float
@@ -135,13 +135,13 @@ class Info(NamedTuple):
         "1 for a step with a failure, an overload, a frequency beyond 50 ± 0.8 Hz or a tip-speed ratio outside its "
         "range, else 0: the cost of safe reinforcement learning",
     ]
-    cost_frequency: Annotated[float, "-", "terms of the cost of this step: frequency deviation"]
+    cost_frequency: Annotated[float, "-", "terms of the cost of this step: frequency deviation, in v1 the worst unit's"]
     cost_rocof: Annotated[float, "-", "rate of change of frequency"]
     cost_duty: Annotated[float, "-", "captured power away from the prescribed power; in v1 filtered with 15 s"]
     cost_rotor: Annotated[float, "-", "tip-speed ratio outside its range"]
     cost_overload: Annotated[float, "-", "power above 1.05 p.u., in v0 1.1 p.u."]
     cost_effort: Annotated[float, "-", "actions and their changes"]
-    cost_failure: Annotated[float, "-", "what a failure costs at the end"]
+    cost_failure: Annotated[float, "-", "what a failure costs at the end, in v1 also load that is not served"]
 
 
 class LocalInfo(NamedTuple):

@@ -133,7 +133,7 @@ def restore_frequency(
     """
     g = machine.governor
     moved = given.gate_reference - secondary_gain * given.inv_droop * (state.speed - 1.0)
-    acts = (active > 0.5) & (given.inv_droop > 0.0)
+    acts = (active > 0.5) & (given.inv_droop > 0.0) & (given.connected > 0.5)
     return select(acts, clip(moved, g.gate_min, g.gate_max), given.gate_reference)
 
 

@@ -1,0 +1,99 @@
+"""Facts about secondary control: an integral of the speed's deviation in the governor's reference."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from tests.physics.extended import scenario, with_machine
+from wtg_gym.physics.ieee14 import modified_ieee14
+from wtg_gym.physics.layout import Floats
+from wtg_gym.physics.machine_parameters import GovernorParameters
+from wtg_gym.physics.plant import PlantSettings
+from wtg_gym.physics.scenario import Event, GovernorLoss, LoadStep, MachineOutage
+from wtg_gym.physics.simulator import Simulator
+from wtg_gym.scenarios import SUITES
+from wtg_gym.scenarios.benchmark import V0
+
+TIME_S = 30.0
+GOVERNOR = GovernorParameters(droop_pu=0.05, gate_max_pu=1.0)
+#: One control interval is one step of the integration.
+DT = 0.025
+MORE = LoadStep(time_s=1.0, bus=4, power_mw=60.0)
+
+
+def reference_and_speed(
+    *events: Event, seconds: float, secondary_time_s: float = TIME_S, governor: GovernorParameters = GOVERNOR
+) -> tuple[Floats, Floats]:
+    """Gate reference and speed of the generator, from the start on, after each step."""
+    case = with_machine(governor=governor)
+    settings = PlantSettings(case=case, groups=(), secondary_time_s=secondary_time_s, control_dt=DT, simulation_dt=DT)
+    simulator = Simulator(settings, duration_s=seconds)
+    simulator.start(0, scenario(*events, wind=np.zeros((0, 1)), duration_s=seconds), ())
+    names, found = ("gate_reference", "speed"), []
+    for _ in range(round(seconds / DT) + 1):
+        found.append([simulator.machine_values(name)[0, 0] for name in names])
+        simulator.advance()
+    reference, speed = np.array(found).T
+    return reference, speed
+
+
+def test_the_reference_is_the_integral_of_the_deviation_over_droop_and_time() -> None:
+    reference, speed = reference_and_speed(MORE, seconds=20.0)
+    moved = -DT / (TIME_S * GOVERNOR.droop_pu) * np.cumsum(speed[1:] - 1.0)
+    assert moved[-1] > 0.05
+    assert reference[1:] - reference[0] == pytest.approx(moved, abs=1e-12)
+
+
+def test_the_frequency_returns_to_nominal_with_the_slowest_root_of_the_loop() -> None:
+    _, speed = reference_and_speed(MORE, seconds=120.0)
+    deviation = 1.0 - speed
+    machines = modified_ieee14().machines
+    two_h, damping = (
+        sum(getattr(machine, name) * machine.rating_mva / machines[0].rating_mva for machine in machines)
+        for name in ("two_h_s", "damping_pu")
+    )
+    # 2H s + D + (1 + 1/(T s))/R · (1 + T_2 s)/((1 + T_1 s)(1 + T_3 s)) = 0 on the generator's base.
+    lags = np.polymul([GOVERNOR.gate_time_s, 1.0], [GOVERNOR.reheat_time_s, 1.0])
+    inertia = np.polymul(np.polymul([two_h, damping], [TIME_S * GOVERNOR.droop_pu, 0.0]), lags)
+    roots = np.roots(np.polyadd(inertia, np.polymul([TIME_S, 1.0], [GOVERNOR.lead_time_s, 1.0])))
+    slowest = roots[np.abs(roots).argmin()]
+    assert slowest.imag == 0.0 and -1.0 / 20.0 < slowest.real < -1.0 / 60.0
+    rate = np.log(deviation[round(80.0 / DT)] / deviation[round(110.0 / DT)]) / 30.0
+    assert rate == pytest.approx(-slowest.real, rel=0.01)
+    assert deviation.max() > 20.0 * deviation[-1] > 0.0
+    # Without it the deviation stays.
+    reference, alone = reference_and_speed(MORE, seconds=120.0, secondary_time_s=0.0)
+    assert (reference == reference[0]).all() and 1.0 - alone[-1] > 10.0 * deviation[-1]
+
+
+def test_the_reference_stays_within_the_limits_of_the_gate() -> None:
+    narrow = dataclasses.replace(GOVERNOR, gate_min_pu=0.36, gate_max_pu=0.48)
+    for power_mw, limit in ((60.0, 0.48), (-60.0, 0.36)):
+        step = LoadStep(time_s=1.0, bus=4, power_mw=power_mw)
+        reference, speed = reference_and_speed(step, seconds=60.0, governor=narrow)
+        # The deviation lasts, but it is not added up beyond the limit.
+        assert (reference >= 0.36).all() and (reference <= 0.48).all()
+        assert (reference[-400:] == limit).all() and (np.abs(speed[-400:] - 1.0) > 1e-3).all()
+
+
+def test_a_lost_governor_or_a_machine_that_is_away_keeps_its_reference() -> None:
+    for event in (GovernorLoss(time_s=5.0, bus=1), MachineOutage(time_s=5.0, bus=1)):
+        reference, speed = reference_and_speed(MORE, event, seconds=10.0)
+        last = round(5.0 / DT)
+        assert reference[last] > reference[0] and (speed[last + 1 :] != 1.0).all()
+        # The gate stays where a lost governor leaves it; the reference of a machine that trips, where it was.
+        assert (reference[last + 1 :] == reference[last + 1]).all()
+
+
+@pytest.mark.parametrize("wrong", [0.5, -30.0, 4000.0, float("nan"), "30"])
+def test_its_time_is_checked(wrong: float) -> None:
+    with pytest.raises(ValueError, match="secondary_time_s"):
+        PlantSettings(secondary_time_s=wrong)
+
+
+def test_plants_of_v0_have_none_and_those_of_v1_have_it() -> None:
+    for suite in SUITES.values():
+        assert suite.plant.settings(classical=False).secondary_time_s == (0.0 if suite.benchmark == V0 else TIME_S)
