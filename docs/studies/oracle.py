@@ -37,7 +37,7 @@ class Effort:
     suite: str
     split: str
     strategy: str  # law that the actions modulate
-    feedback: str  # folder of the linear feedback to search on top of; where there is none, from zero gains on
+    feedback: str = "agents/policies/linear-feedback-v1"  # to search on top of; without it from zero gains on
     generations: int = 100
     seed: int = 0
 
