@@ -24,9 +24,9 @@ from wtg_gym.scenarios.benchmark import V1
 from . import COORDINATED_SOURCE
 
 #: F: mean deviation of the frequency that takes the whole authority [Hz].
-FULL_ACTION_HZ = 0.5
+FULL_ACTION_HZ = 0.76
 #: ω_1: rotor speed below which a group gives less [p.u.], and G: how much less [1/p.u.].
-SLOW_ROTOR_PU, ROTOR_GAIN = 0.7, 5.0
+SLOW_ROTOR_PU, ROTOR_GAIN = 0.73, 1.1
 
 
 class MeanDroop:

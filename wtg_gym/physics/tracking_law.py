@@ -40,8 +40,8 @@ class Tuning(NamedTuple):
 #: K_opt slows the rotor past the top of its power curve: in the end it gives less the lower the frequency is.
 TUNED: Mapping[str, Tuning] = MappingProxyType(
     {
-        "coordinated-tuned": Tuning(0.0, -0.003, 0.96, 0.34),
-        "coordinated-free": Tuning(1.52, 0.017, 1.05, 0.6),
+        "coordinated-tuned": Tuning(0.0, -0.018, 0.95, 0.2),
+        "coordinated-free": Tuning(0.66, -0.035, 1.0, 0.1),
     }
 )
 

@@ -336,13 +336,14 @@ FROZEN_HASHES: Mapping[str, str] = MappingProxyType(
         "low-wind": "3c6454dd11d019be25e8282164a9b8c8a00bf377ca149c67b1af51261ce2f54f",
         "gust": "a6a50118d0a21891c75f9eea0470f8c06c45c4b9cec95a635fb9b51815b708c5",
         "weak-grid": "54861ae09060eb4e63541f6e14187da30e9bd11d3cce7b366e3fab39b4350ad9",
-        "standard-v1": "30e9d36e7d5c0d941e62e691f3094c10e312bcf4d598bcf8855d9b760c0e4d34",
-        "low-share-v1": "6d262fb7f3a7370b8a001ef3d1d4fe60e5328bf82bdce47ed9d75a954642aa58",
-        "high-share-v1": "efb493413aae93d02071c97ba7ff8e1d12be8bc02d1527ff1af973c210f6c103",
-        "gusty-v1": "18968ade87f034a378481af7af8de0373c0918e1a759ee5c26c3b0c4bb308aa6",
-        "no-wind-sensor-v1": "11cd79b762feffd021ab3cf83d3d33dc8930b11aa785da1f1154e133c6946a69",
-        "faults-v1": "399dd2044ed96e83eb36ba11d69335f89013f053c8f3bd3217196f03371fb8d0",
-        "paper-v1": "2e03a60c86c3ca4f1e97f3d6b181a0d4c664ba67c4a0acb92c7a171411f2a29e",
+        "standard-v1": "6397505b2745fbcb4c6ed27d38bdaea914c6027e16463ce4d94c38906d9237c1",
+        "low-share-v1": "bba9ecdd2ee16cb21f1c324f36cdbbbe26f592c9d8727826b2f28ea8c982bb92",
+        "high-share-v1": "43fa4f20bedf5921fe5f46ca7286216723ae353c099ce2f50a03af75991d2a12",
+        "gusty-v1": "b43d124121b86f4b9d7a2fa7fdbbda2c3728b9934b8c883d722fa5951693d0f8",
+        "no-wind-sensor-v1": "9eeb7f3ffeda756a309e17020ae36bd5860db68e5963d6d6d7dab4bf51d5b9ca",
+        "faults-v1": "dbbb8f6632116d81eaf0aa9cca2126d1e13d92e15f02573cd9c499cb89b477ba",
+        "weak-grid-v1": "8534d63c4ca2d9b082519b0b4ceb90ba9ed37dfdfe718220bcdfd6a57d1ca2a0",
+        "paper-v1": "282375e1e94bdac9d410c5211d96df97bf402693974f2843976147835121f4d9",
     }
 )
 
