@@ -52,7 +52,7 @@ class Planning:
     population: int = 24  # candidates of a search
     generations: int = 4  # of a search
     n_knots: int = 4  # of a course of actions, linear in between
-    gain: float = 1.0  # of the feedback that the course is added to: action on k per 0.5 Hz
+    gain: float = 0.5  # of the feedback that the course is added to: action on k per 0.5 Hz
     spread: float = 0.25  # standard deviation of the first candidates
     wind_memory_s: float = 20.0  # time constant of the mean that the wind returns to [s]
     wind_decay_s: float = 10.0  # time constant with which it returns [s]
