@@ -219,7 +219,7 @@ def trivial(results: Results, size: Size) -> Condition:
             rules = simple_rules(rollouts)[:: size.every]
             scores = scores_of(rollouts, rules, sieve)
         n_tried += len(rules)
-        best = [rules[place] for place in np.argsort(scores)[::-1][:AT_ONCE]]
+        best = [rules[place] for place in np.argsort(scores)[::-1][: AT_ONCE // 2]]
         with closing(Rollouts(SUITE, "validation", results.seeds, len(best), strategy=law)) as rollouts:
             scores = scores_of(rollouts, best, results)
         found += [(score, f"{law} with {words}") for score, (words, _) in zip(scores, best, strict=True)]
