@@ -1,8 +1,8 @@
 """Whether a law could be commissioned in v1's grid: its steady states, and ten minutes after the worst events.
 
-`conditions.py` asks it about the anchor. In a steady state the turbine captures what the law delivers; where that is beyond what the
-pitch protection leaves, it leaves that. No law may give less at a lower frequency, ask for more than K_opt, or exceed
-what the converter and the generator give for long.
+`conditions.py` asks it about the anchor. In a steady state the turbine captures what the law delivers; where that is
+beyond what the pitch protection leaves, it leaves that. No law may give less at a lower frequency, ask for more than
+K_opt, or exceed what the converter and the generator give for long.
 """
 
 from __future__ import annotations
