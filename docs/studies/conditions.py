@@ -222,7 +222,7 @@ def trivial(results: Results, size: Size) -> Condition:
         best = [rules[place] for place in np.argsort(scores)[::-1][: AT_ONCE // 2]]
         with closing(Rollouts(SUITE, "validation", results.seeds, len(best), strategy=law)) as rollouts:
             scores = scores_of(rollouts, best, results)
-        found += [(score, f"{law} with {words}") for score, (words, _) in zip(scores, best, strict=True)]
+        found += [(score, f"{law} with {rule.words}") for score, rule in zip(scores, best, strict=True)]
     score, words = max(found)
     return Condition(
         "d",
@@ -461,7 +461,6 @@ def slope(rows: Mapping[str, EntrySummary]) -> Condition:
 # --- trivial policies ------------------------------------------------------------------------------------------------
 
 AT_ONCE = 24
-_ACTIONS = ("k", "tau")
 _CONSTANTS = (
     (-0.5, -0.2, -0.1, -0.05, -0.02, 0.0, 0.02, 0.05, 0.1, 0.2, 0.5),  # k
     (-1.0, -0.5, -0.25, 0.0, 0.25, 0.5, 1.0),  # tau
@@ -471,56 +470,56 @@ _AMPLITUDES, _GAINS = (0.05, 0.2, 1.0), (0.2, 0.6, 2.0)
 _JUMPS = (0.25, 0.5, 0.75)
 
 
-def simple_rules(rollouts: Rollouts) -> list[tuple[str, Any]]:
-    """Return policies that should not be good, and what they do.
+class Rule(NamedTuple):
+    """A policy that should not be good: a constant action, and a gain of an observation's distance, or of its sign."""
 
-    They are a grid of constant actions; actions that jump where one observation crosses a quartile of its values under
-    the zero action; and actions in proportion to one observation's distance from its median.
-    """
-    values = _seen(rollouts)
+    words: str
+    constant: tuple[float, float] = (0.0, 0.0)
+    observed: int = 0
+    middle: float = 0.0
+    gain: tuple[float, float] = (0.0, 0.0)
+    jumps: bool = False
+
+
+def simple_rules(rollouts: Rollouts) -> list[Rule]:
+    """Return constants; jumps where one observation crosses a quartile of its values under the zero action; gains."""
     names = [name.split(".", 1)[1] for name in rollouts.lanes.observation_names[: rollouts.n_local]]
-    rules = [(f"k {k:+g}, tau {tau:+g}", _constant(k, tau)) for k, tau in itertools.product(*_CONSTANTS)]
-    for i, sign, action in itertools.product(range(len(names)), (1.0, -1.0), range(len(_ACTIONS))):
-        for jump, amplitude in itertools.product(np.quantile(values[:, i], _JUMPS), _AMPLITUDES):
-            words = f"{_ACTIONS[action]} {sign * amplitude:+g} · sign({names[i]} − {jump:.2f})"
-            rules.append((words, _rule(i, jump, sign * amplitude, action, jumps=True)))
-        for gain in _GAINS:
-            middle = float(np.median(values[:, i]))
-            words = f"{_ACTIONS[action]} {sign * gain:+g} · ({names[i]} − {middle:.2f})"
-            rules.append((words, _rule(i, middle, sign * gain, action, jumps=False)))
+    rules = [Rule(f"k {k:+g}, tau {tau:+g}", (k, tau)) for k, tau in itertools.product(*_CONSTANTS)]
+    choices = itertools.product(zip(names, _seen(rollouts).T, strict=True), (1.0, -1.0), enumerate(("k", "tau")))
+    for (name, values), sign, (i, action) in choices:
+        at, unit = names.index(name), np.eye(2)[i] * sign
+        for middle, size in itertools.product(np.quantile(values, _JUMPS), _AMPLITUDES):
+            words = f"{action} {sign * size:+g} · sign({name} − {middle:.2f})"
+            rules.append(Rule(words, observed=at, middle=middle, gain=tuple(size * unit), jumps=True))
+        for size, middle in itertools.product(_GAINS, (float(np.median(values)),)):
+            words = f"{action} {sign * size:+g} · ({name} − {middle:.2f})"
+            rules.append(Rule(words, observed=at, middle=middle, gain=tuple(size * unit)))
     return rules
 
 
-def scores_of(rollouts: Rollouts, rules: Sequence[tuple[str, Any]], results: Results) -> list[float]:
+def together(rules: Sequence[Rule]) -> Candidates:
+    _, constants, observed, middles, gain, jumps = (np.array(column) for column in zip(*rules, strict=True))
+
+    def act(_step: int, own: Floats) -> Floats:
+        distance = np.take_along_axis(own, observed[None, :, None, None], axis=-1) - middles[:, None, None]
+        moved = np.where(jumps[:, None, None], np.sign(distance), distance)
+        return constants[:, None] + gain[:, None] * moved
+
+    return act
+
+
+def scores_of(rollouts: Rollouts, rules: Sequence[Rule], results: Results) -> list[float]:
     """Return the score of each rule on the scenarios of results, by their anchors."""
     found, at_once = [], rollouts.shape[1]
     with Progress("policies") as progress:
         for start in range(0, len(rules), at_once):
             # The last ones are repeated to fill the room.
-            own = [rules[min(i, len(rules) - 1)][1] for i in range(start, start + at_once)]
-            costs = rollouts.pinned(rollouts.play(_together(own))).T
+            own = [rules[min(i, len(rules) - 1)] for i in range(start, start + at_once)]
+            costs = rollouts.pinned(rollouts.play(together(own))).T
             scored = points({str(i): cost[np.newaxis] for i, cost in enumerate(costs)}, results)
             found += [mean_and_error(each, results)[0] for each in scored.values()]
             progress.update("trivial policies", min(len(found), len(rules)), len(rules))
     return found[: len(rules)]
-
-
-def _constant(k: float, tau: float) -> Any:
-    return lambda own: np.broadcast_to((k, tau), (*own.shape[:-1], 2))
-
-
-def _rule(observed: int, middle: float, gain: float, action: int, *, jumps: bool) -> Any:
-    def act(own: Floats) -> Floats:
-        distance = own[..., observed] - middle
-        actions = np.zeros((*own.shape[:-1], 2))
-        actions[..., action] = gain * (np.sign(distance) if jumps else distance)
-        return actions
-
-    return act
-
-
-def _together(rules: Sequence[Any]) -> Candidates:
-    return lambda _step, own: np.stack([rule(own[:, i]) for i, rule in enumerate(rules)], axis=1)
 
 
 def _seen(rollouts: Rollouts) -> Floats:

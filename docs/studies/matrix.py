@@ -34,20 +34,9 @@ SUITES = tuple(
 HANGS_AT = 100
 
 
-def later(scenario: Scenario) -> Scenario:
-    """Return a scenario in which measurements are 0.5 s older."""
-    return replace(scenario, sensors=replace(scenario.sensors, delay_s=round(scenario.sensors.delay_s + 0.5, 9)))
-
-
-def biased(scenario: Scenario) -> Scenario:
-    """Return a scenario in which every wind sensor's constant error is four times as large."""
-    bias = tuple(4.0 * value for value in scenario.sensors.wind_bias)
-    return replace(scenario, sensors=replace(scenario.sensors, wind_bias=bias))
-
-
-def lighter(scenario: Scenario) -> Scenario:
-    """Return a scenario with half the inertia of the machines."""
-    return replace(scenario, inertia_scale=0.5 * scenario.inertia_scale)
+def measured(scenario: Scenario, **sensors: Any) -> Scenario:
+    """Return a scenario with other sensors."""
+    return replace(scenario, sensors=replace(scenario.sensors, **sensors))
 
 
 def hanging(seen: Floats, kept: Floats) -> None:
@@ -62,10 +51,10 @@ def silent(seen: Floats, _kept: Floats) -> None:
 
 #: By the heading of their columns: changes of the scenario, and, with the step from which on, faults of the sensors of
 #: the first group, the largest.
-CHANGES = {
-    "delay +0.5 s": later,
-    "wind bias × 4": biased,
-    "half the inertia": lighter,
+CHANGES: dict[str, Callable[[Scenario], Scenario]] = {
+    "delay +0.5 s": lambda drawn: measured(drawn, delay_s=round(drawn.sensors.delay_s + 0.5, 9)),
+    "wind bias × 4": lambda drawn: measured(drawn, wind_bias=tuple(4.0 * bias for bias in drawn.sensors.wind_bias)),
+    "half the inertia": lambda drawn: replace(drawn, inertia_scale=0.5 * drawn.inertia_scale),
     "no governor": without_governor,
 }
 FAULTS = {"a frequency sensor hangs": (hanging, HANGS_AT), "a group's sensors read 0": (silent, 0)}
