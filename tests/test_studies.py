@@ -73,9 +73,9 @@ def test_points_of_a_search_are_laws_and_laws_are_tunings() -> None:
         point = np.array([tuning[0], 10.0 * tuning[1], tuning[2], np.log(tuning.time_constant_s / 0.8)])
         assert tuning_of(law) == pytest.approx(tuning, abs=1e-12)
         assert tuning_of(law_of(point)) == pytest.approx(tuning, abs=1e-3)
-    # Three numbers: nothing is beyond K_opt, however far above K_n the point lies.
-    capped = law_of(np.array([5.0, 0.0, 0.0]))
-    assert capped.k_min == capped.k_nominal == tracking_point(0.0).coefficient >= capped.k_max
+    # Three numbers: k ends at K_opt.
+    capped = law_of(np.array([0.8, 0.0, 0.0]))
+    assert capped.k_min == tracking_point(0.0).coefficient > capped.k_nominal > capped.k_max
 
 
 def test_the_objective_of_v1_is_the_logarithm_in_scales_of_the_stratum() -> None:
