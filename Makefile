@@ -68,7 +68,7 @@ PAGE_SUITES := standard weak-grid low-wind gust paper
 PAGE_SUITES_V1 := standard-v1 low-share-v1 high-share-v1 gusty-v1 no-wind-sensor-v1 faults-v1
 
 .PHONY: matrix
-matrix: $(LEADERBOARD_READY) ## Play every entry of v1 on its drawn suites and with other sensors, and put the scores into docs/benchmark.md
+matrix: $(LEADERBOARD_READY) ## Play every entry of v1 on its drawn suites and with faults, and put the scores into docs/benchmark.md
 	$(LEADERBOARD_VENV)/bin/python docs/studies/matrix.py
 
 .PHONY: page
@@ -123,9 +123,7 @@ notebooks: $(NOTEBOOKS_READY) ## Run every notebook from the built wheel and kee
 	cd docs/notebooks && PATH="$(CURDIR)/$(NOTEBOOKS_VENV)/bin:$$PATH" jupyter nbconvert --to notebook --execute --inplace *.ipynb
 
 .PHONY: conditions
-conditions: $(TEST_READY) ## Measure whether standard-v1 is a good problem, and put the tables into docs/benchmark.md (two hours)
-	$(TEST_VENV)/bin/python docs/studies/oracle.py
-	$(TEST_VENV)/bin/python docs/studies/planner.py
+conditions: $(TEST_READY) ## Measure whether standard-v1 is a good problem, and put the tables into docs/benchmark.md (an hour)
 	$(TEST_VENV)/bin/python docs/studies/conditions.py
 
 .PHONY: docs-check

@@ -5,19 +5,24 @@ from __future__ import annotations
 import dataclasses
 import importlib
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 pytest.importorskip("cma")
 
+from changed import longer, played, without_governor
 from commissioning import aftermath, statics, worst_events
+from conditions import Size, all_entries, conditions, first, mean_and_error, points
 from gradient_law import LawLoss
+from matrix import CHANGES, FAULTS, section, with_fault, with_faults
+from planner import Planning
 from policies import FEEDBACKS, law_of, tune_feedback, tune_law, tune_mean_droop, tuning_of, write_feedback
 from rollouts import Rollouts, history_feedback, linear_feedback
 
 from agents.gains import stratum_scales
-from wtg_gym.evaluation import evaluate, load_entries
+from wtg_gym.evaluation import Results, evaluate, load_entries
 from wtg_gym.physics.aerodynamics import tracking_point
 from wtg_gym.physics.tracking_law import TUNED, get_law, tuned
 from wtg_gym.scenarios import get_suite
@@ -62,34 +67,29 @@ def test_the_gradient_of_laws_is_that_of_other_laws_with_their_own_starts() -> N
         assert gradient[place] == pytest.approx((ends[0] - ends[1]) / 2e-5, rel=1e-3, abs=1e-5), place
 
 
-@pytest.fixture
-def v1_by_means(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(vars(V1), "scores_mean", True)
-
-
 def test_points_of_a_search_are_laws_and_laws_are_tunings() -> None:
     for name, tuning in TUNED.items():
         law = tuned(name)
-        point = np.array([*tuning[:3], np.log(tuning.time_constant_s / 0.8)])
+        point = np.array([tuning[0], 10.0 * tuning[1], tuning[2], np.log(tuning.time_constant_s / 0.8)])
         assert tuning_of(law) == pytest.approx(tuning, abs=1e-12)
         assert tuning_of(law_of(point)) == pytest.approx(tuning, abs=1e-3)
-    # Three numbers: nothing is beyond K_opt, however far above K_n the point lies.
-    capped = law_of(np.array([5.0, 0.0, 0.0]))
-    assert capped.k_min == capped.k_nominal == tracking_point(0.0).coefficient >= capped.k_max
+    # Three numbers: k ends at K_opt.
+    capped = law_of(np.array([0.8, 0.0, 0.0]))
+    assert capped.k_min == tracking_point(0.0).coefficient > capped.k_nominal > capped.k_max
 
 
-def test_the_objective_of_v1_is_the_cost_in_scales_of_the_stratum(v1_by_means: None) -> None:
+def test_the_objective_of_v1_is_the_logarithm_in_scales_of_the_stratum() -> None:
     seeds = list(get_suite(SUITE).train[:6])
     own = Rollouts(SUITE, "train", seeds, 1, duration_s=12.0)
-    terms = own.play()
-    scales = stratum_scales(own.lanes.settings)
-    wanted = [cost / scales[own.lanes.suite.stratum(seed)] for cost, seed in zip(own.pinned(terms), seeds, strict=True)]
-    assert own.objective(terms) == pytest.approx(np.array(wanted), rel=1e-12)
-    own.scales = dict.fromkeys(scales, 2.0)
-    assert own.objective(terms) == pytest.approx(own.pinned(terms) / 2.0, rel=1e-12)
+    terms, scales = own.play(), stratum_scales(own.lanes.settings)
+    wanted = []
+    for cost, seed in zip(own.pinned(terms)[:, 0], seeds, strict=True):
+        stratum = own.lanes.suite.stratum(seed)
+        wanted.append(np.log(cost + dict(V1.cost_offsets)[stratum]) / scales[stratum])
+    assert own.objective(terms)[:, 0] == pytest.approx(wanted, rel=1e-12)
 
 
-def test_searches_for_laws_and_numbers_run(v1_by_means: None) -> None:
+def test_searches_for_laws_and_numbers_run() -> None:
     quick = {"n_scenarios": 3, "generations": 1, "population": 4}
     best = tracking_point(0.0).coefficient
     assert tune_law(SUITE, True, **quick).k_min == best < tune_law(SUITE, False, **quick).k_min
@@ -112,3 +112,98 @@ def test_aftermath_of_an_event() -> None:
     assert found.lowest_hz < 49.8 and found.lowest_hz <= found.final_hz[0] <= found.final_hz[1] < 50.5
     calm = aftermath(get_law("coordinated-tuned"), (), duration_s=20.0)
     assert calm.final_hz == pytest.approx((50.0, 50.0), abs=1e-6)
+
+
+#: Five of each stratum.
+VALIDATION = list(range(10_000, 10_015))
+
+
+@pytest.fixture(scope="module")
+def known() -> Results:
+    return evaluate(["coordinated-tuned", "fast-droop"], SUITE, "validation", seeds=VALIDATION)
+
+
+@pytest.fixture(scope="module")
+def players() -> list[Any]:
+    return [each for name in (*V1.anchors, "fast-droop") for each in load_entries(name)]
+
+
+def test_unchanged_scenarios_cost_what_they_cost_in_an_evaluation(known: Results, players: list[Any]) -> None:
+    found = played(players, SUITE, "validation", VALIDATION)
+    for name, costs in found.pinned_costs.items():
+        assert (costs == known.pinned_costs[name]).all()
+
+
+def test_longer_scenarios_begin_as_they_were_and_cost_more(known: Results, players: list[Any]) -> None:
+    scenario = get_suite(SUITE).scenario(VALIDATION[0])
+    more = longer(scenario)
+    n = scenario.wind_speed.shape[1]
+    assert more.wind_speed.shape[1] == n + 600 and (more.wind_speed[:, :n] == scenario.wind_speed).all()
+    # Back and forth, without a jump.
+    assert (more.wind_speed[:, n : n + 500] == scenario.wind_speed[:, -2:-502:-1]).all()
+    found = played(players, SUITE, "validation", VALIDATION, change=longer)
+    for name, costs in found.pinned_costs.items():
+        lost = np.array([episode.failed for episode in known.episodes_of(name)])
+        assert (costs[0] > known.pinned_costs[name][0]).all()
+        assert costs[0, lost] == pytest.approx(55.0 * 181.0)
+
+
+def test_the_centre_of_inertia_costs_less_than_the_worst_unit(known: Results, players: list[Any]) -> None:
+    found = played(players, SUITE, "validation", VALIDATION, by_centre=True)
+    for name, costs in found.pinned_costs.items():
+        assert (costs <= known.pinned_costs[name] + 1e-9).all() and costs.mean() < known.pinned_costs[name].mean()
+
+
+def test_points_of_scenarios_add_up_to_scores(known: Results) -> None:
+    for name, own in points(known.pinned_costs, known).items():
+        assert mean_and_error(own, known)[0] == pytest.approx(known.scores[name].value, abs=1e-9)
+    assert first(known, 3).seeds == tuple(VALIDATION[:3]) and len(first(known, 3).episodes) == 9
+
+
+def test_a_hanging_sensor_shows_what_it_showed_last() -> None:
+    seen = []
+
+    class Watching:
+        def predict(self, observation, state=None, episode_start=None, deterministic=False):
+            seen.append(observation)
+            return np.zeros((len(observation), 4)), (state or 0) + 1
+
+    entry = dataclasses.replace(load_entries("fast-droop")[0], policy=Watching())
+    for fault, since in FAULTS.values():
+        policy, state = with_fault(entry, fault, since).policy, None
+        shown = np.random.default_rng(0).normal(size=(since + 2, 1, 28))
+        seen.clear()
+        for row in shown:
+            _, state = policy.predict(row, state=state)
+        assert (np.array(seen)[:since] == shown[:since]).all() and state[2] == since + 2
+        assert (seen[-1][:, 7:] == shown[-1][:, 7:]).all()
+        assert seen[-1][0, 0] == (shown[since, 0, 0] if fault.__name__ == "hanging" else 0.0)
+
+
+def test_the_matrix_names_lost_marks(players: list[Any]) -> None:
+    test = list(get_suite(SUITE).test[:6])
+    found = with_faults(players, test)
+    assert set(found) == {*CHANGES, *FAULTS}
+    laws = {name: {key: own.pinned_costs[name] for key, own in found.items()} for name in V1.anchors}
+    assert all((laws[name]["delay +0.5 s"] == laws[name]["wind bias × 4"]).all() for name in laws)
+    assert (laws["coordinated-tuned"]["no governor"] != laws["coordinated-tuned"]["delay +0.5 s"]).any()
+    assert "| fast-droop |" in section({SUITE: found["delay +0.5 s"]}, found)
+
+
+def test_without_governor_no_scenario_has_one_lost_later() -> None:
+    lost = [event for seed in VALIDATION for event in without_governor(get_suite(SUITE).scenario(seed)).events]
+    assert [event.time_s for event in lost if type(event).__name__ == "GovernorLoss"] == [0.0] * len(VALIDATION)
+
+
+def test_all_conditions_are_measured_without_any_policy(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("conditions.PARTIAL", tmp_path)
+    quick = Planning(horizon_s=3.0, population=8, generations=1)
+    n = 15
+    size = Size(
+        n_scenarios=n, n_searched=n, n_sieved=n, every=100, n_parts=n, n_test=n, n_fresh=n,
+        generations=1, planning=quick, aftermath_s=10.0,
+    )  # fmt: skip
+    found, searched = conditions(all_entries()._replace(feedbacks=[], agents=[]), size)
+    assert [each.letter for each in found] == list("abcdefghijklmno")
+    assert next(each for each in found if each.letter == "e").met is None
+    assert {"planner-exact", "planner-measured"} <= set(searched.pinned_costs)

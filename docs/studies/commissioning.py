@@ -1,10 +1,8 @@
 """Whether a law could be commissioned in v1's grid: its steady states, and ten minutes after the worst events.
 
-    python docs/studies/commissioning.py
-
-prints a table of laws. In a steady state the turbine captures what the law delivers; where that is beyond what the
-pitch protection leaves, it leaves that. No law may give less at a lower frequency, ask for more than K_opt, or exceed
-what the converter and the generator give for long.
+`conditions.py` asks it about the anchor. In a steady state the turbine captures what the law delivers; where that is
+beyond what the pitch protection leaves, it leaves that. No law may give less at a lower frequency, ask for more than
+K_opt, or exceed what the converter and the generator give for long.
 """
 
 from __future__ import annotations
@@ -17,17 +15,15 @@ import numpy as np
 
 from wtg_gym.envs.lanes import TaskLanes
 from wtg_gym.envs.settings import EnvSettings
-from wtg_gym.files import markdown_table
 from wtg_gym.physics.aerodynamics import tracking_point
 from wtg_gym.physics.plant import PlantSettings
 from wtg_gym.physics.protection import Status
 from wtg_gym.physics.scenario import Event, GovernorLoss, LoadStep
-from wtg_gym.physics.tracking_law import TrackingLaw, get_law
+from wtg_gym.physics.tracking_law import TrackingLaw
 from wtg_gym.reproduce.steady_states import equilibria
 from wtg_gym.scenarios import get_suite
 
 SUITE = "standard-v1"
-LAWS = ("coordinated-piecewise", "coordinated-tuned", "coordinated-free", "deloaded-10")
 WINDS_M_S = tuple(np.arange(6.0, 14.5, 1.0).tolist())
 FREQUENCIES_HZ = np.linspace(47.5, 51.5, 41)
 #: Rounding of a steady state's power, in a slope [p.u./Hz].
@@ -127,14 +123,14 @@ def worst_events() -> dict[str, tuple[Event, ...]]:
 
 
 def aftermath(law: TrackingLaw, events: tuple[Event, ...], duration_s: float = DURATION_S) -> Aftermath:
-    """Play events in the grids of training scenarios, each in a wind that stays at its mean."""
+    """Play events in the grids of training scenarios, each in a wind that stays as it begins."""
     suite = get_suite(SUITE)
     lanes = TaskLanes(EnvSettings(suite=SUITE, strategy=law, sensors="exact", duration_s=duration_s), N_SCENARIOS)
     calm = {"duration_s": duration_s, "events": events, "load_noise_mw": np.zeros(0), "sensors": None}
     lanes.start(
         range(N_SCENARIOS),
         [
-            dataclasses.replace(drawn, wind_speed=drawn.wind_speed.mean(axis=1, keepdims=True), **calm)
+            dataclasses.replace(drawn, wind_speed=drawn.wind_speed[:, :1], **calm)
             for drawn in suite.scenarios(suite.train[:N_SCENARIOS])
         ],
     )
@@ -153,35 +149,3 @@ def aftermath(law: TrackingLaw, events: tuple[Event, ...], duration_s: float = D
         rotors=int(tripped.sum()),
         grids=int((~stands).sum()),
     )
-
-
-def table(laws: Sequence[TrackingLaw]) -> str:
-    """Return what the laws do, a law in one row."""
-    plant, events = get_suite(SUITE).plant.settings(classical=False, trips_groups=True), worst_events()
-    header = ["law", "largest dP/df [p.u./Hz]", "k ≤ K_opt", "power, torque; slowest rotor [p.u.]", "limits hold"]
-    rows = []
-    for law in laws:
-        found = statics(law, plant)
-        wind, frequency = found.steepest_at
-        slope = "no steady state below" if math.isinf(found.steepest) else f"{found.steepest:.2f} at"
-        row = [
-            law.name,
-            f"{slope} {frequency:.2f} Hz, {wind:g} m/s" if found.steepest > ROUNDING else "≤ 0",
-            "yes" if found.capped else "no",
-            f"{found.power:.2f}, {found.torque:.2f}; {found.slowest:.2f}",
-            "yes" if found.within else "no",
-        ]
-        for happens in events.values():
-            after = aftermath(law, happens)
-            low, high = after.final_hz
-            row.append(
-                f"{after.lowest_hz:.2f}; {low:.2f} … {high:.2f}; {after.rotors} of {4 * N_SCENARIOS}, "
-                f"{after.grids} of {N_SCENARIOS}"
-            )
-        rows.append(row)
-    header += [f"{name}: lowest, final frequency [Hz]; rotors, grids lost" for name in events]
-    return markdown_table(header, rows)
-
-
-if __name__ == "__main__":
-    print(table([get_law(name) for name in LAWS]))

@@ -22,7 +22,7 @@ from rollouts import Rollouts
 
 from wtg_gym.envs.lanes import TaskLanes
 from wtg_gym.envs.settings import EnvSettings
-from wtg_gym.evaluation.score import COST_OFFSET, gains, mean_score, score_scales
+from wtg_gym.evaluation.score import cost_offsets, gains, mean_score, score_scales
 from wtg_gym.files import markdown_table
 from wtg_gym.gradients import Tape
 from wtg_gym.physics.layout import Floats
@@ -73,7 +73,7 @@ class LawLoss:
         lanes.laws = self.laws(points)
         scenarios = lanes.scenarios(seeds)
         found = self.tape.gradient(scenarios, np.zeros((self.n_steps, lanes.n_lanes, lanes.n_action)))
-        costs = found.terms.sum(axis=1) + COST_OFFSET
+        costs = found.terms.sum(axis=1) + self._offsets(scenarios)
         of_groups = np.einsum("l,lgp->gp", 1.0 / costs, found.law) / lanes.n_lanes
         # d(1/τ) / d ln τ = -1/τ.
         of_groups[:, 3] *= -np.array([law.inverse_time_constant for law in lanes.laws])
@@ -87,13 +87,18 @@ class LawLoss:
             gradient[place, 1] = (ends[0] - ends[1]) / (2.0 * _H)
         return float(np.log(costs).mean()), gradient
 
+    def _offsets(self, scenarios: Sequence[Scenario]) -> Floats:
+        """J0 of every scenario, (n_scenarios,)."""
+        suite = self._lanes.suite
+        return np.array([dict(suite.benchmark.cost_offsets)[suite.stratum(each.seed)] for each in scenarios])
+
     def _loss(self, laws: Laws, scenarios: Sequence[Scenario]) -> float:
         lanes, idle = self._lanes, np.zeros((self._lanes.n_lanes, self._lanes.n_action))
         lanes.laws = laws
         lanes.start(list(range(lanes.n_lanes)), scenarios)
         for _ in range(self.n_steps):
             lanes.step(idle)
-        return float(np.log(lanes.cost_sums().sum(axis=1) + COST_OFFSET).mean())
+        return float(np.log(lanes.cost_sums().sum(axis=1) + self._offsets(scenarios)).mean())
 
 
 def held(points: Floats) -> Floats:
@@ -140,7 +145,8 @@ def scores(suite: str, laws: Sequence[Laws], n_scenarios: int) -> list[tuple[flo
     names = np.array([own.stratum(seed) for seed in own.validation[:n_scenarios]])
     groups = {name: np.flatnonzero(names == name) for name in dict.fromkeys(names.tolist())}
     scales = score_scales(zero, hundred, own.benchmark, groups)
-    gained = (gains(each[np.newaxis], hundred, own.benchmark) for each in costs)
+    offsets = cost_offsets(groups, own.benchmark)
+    gained = (gains(each[np.newaxis], hundred, offsets) for each in costs)
     return [(mean_score(each, scales, groups), float(cost.mean())) for each, cost in zip(gained, costs, strict=True)]
 
 

@@ -1,72 +1,156 @@
-"""Whether a policy generalises: every entry of version v1 on its drawn suites, and with other sensors.
+"""Whether a policy generalises: every entry of version v1 on its drawn suites, and with faults that no suite has.
 
     python docs/studies/matrix.py [--output DOCS]
 
-puts the scores into DOCS/benchmark.md. The results of each column are stored in results/, and used again where they
-would come out the same today, as by `wtg-gym leaderboard`. Half a day on two processors.
+puts two tables into DOCS/benchmark.md. What is played is stored in results/, and used again where it would come out the
+same today, as by `wtg-gym leaderboard`. Ten minutes a column on two processors.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
+import numpy as np
+from changed import played, without_governor
 from output import folder as output_folder
 
 from wtg_gym.cli.scoring import chosen_entries, run_evaluation
-from wtg_gym.evaluation import Results, leaderboard_rows, table_cells
+from wtg_gym.envs.observation import N_MEASURED
+from wtg_gym.envs.settings import ACTION_MODES
+from wtg_gym.evaluation import Entry, EntrySummary, Results, leaderboard_rows, table_cells
 from wtg_gym.files import markdown_table, update_between_markers
+from wtg_gym.physics.layout import Floats
+from wtg_gym.physics.scenario import Scenario
 from wtg_gym.scenarios import get_suite
-from wtg_gym.scenarios.sensor_distribution import DELAY_STEP_S
 
-FOLDER = Path("results")
-OWN = get_suite("standard-v1").sensors
-#: Folder of the results, suite, and other sensors than the suite's own, by the heading of the column.
-COLUMNS = {
-    **{
-        name: (FOLDER, f"{name}-v1", {})
-        for name in ("standard", "low-share", "high-share", "gusty", "no-wind-sensor", "faults")
-    },
-    **{
-        f"standard, delay +{steps * DELAY_STEP_S:g} s": (
-            FOLDER / f"delay-plus-{steps}",
-            "standard-v1",
-            {"delay_s": tuple(round(delay + steps * DELAY_STEP_S, 9) for delay in OWN.delay_s)},
-        )
-        for steps in (1, 2)
-    },
-    "standard, wind bias × 2": (FOLDER / "wind-bias-times-2", "standard-v1", {"wind_bias": 2.0 * OWN.wind_bias}),
+FOLDER, OWN = Path("results"), "standard-v1"
+SUITES = tuple(
+    f"{n}-v1" for n in ("standard", "low-share", "high-share", "gusty", "no-wind-sensor", "faults", "weak-grid")
+)
+#: The frequency sensor hangs from this step on.
+HANGS_AT = 100
+
+
+def measured(scenario: Scenario, **sensors: Any) -> Scenario:
+    """Return a scenario with other sensors."""
+    return replace(scenario, sensors=replace(scenario.sensors, **sensors))
+
+
+def hanging(seen: Floats, kept: Floats) -> None:
+    """Let the frequency stay at its last value."""
+    seen[:, 0] = kept[:, 0]
+
+
+def silent(seen: Floats, _kept: Floats) -> None:
+    """Let everything read 0."""
+    seen[:, :N_MEASURED] = 0.0
+
+
+#: By the heading of their columns: changes of the scenario, and, with the step from which on, faults of the sensors of
+#: the first group, the largest.
+CHANGES: dict[str, Callable[[Scenario], Scenario]] = {
+    "delay +0.5 s": lambda drawn: measured(drawn, delay_s=round(drawn.sensors.delay_s + 0.5, 9)),
+    "wind bias × 4": lambda drawn: measured(drawn, wind_bias=tuple(4.0 * bias for bias in drawn.sensors.wind_bias)),
+    "half the inertia": lambda drawn: replace(drawn, inertia_scale=0.5 * drawn.inertia_scale),
+    "no governor": without_governor,
 }
+FAULTS = {"a frequency sensor hangs": (hanging, HANGS_AT), "a group's sensors read 0": (silent, 0)}
 
 
-def played(folder: Path, suite: str, sensors: Mapping[str, object]) -> Results:
-    """Return the results of a column, which are stored."""
-    scenarios = {"suite": suite, "split": "test", **({"sensors": sensors} if sensors else {})}
+@dataclass
+class FaultyPolicy:
+    """A policy that sees what failing sensors say; its state is the step, what they said last, and its own state."""
+
+    policy: Any
+    width: int  # numbers of the first group in an observation
+    fault: Callable[[Floats, Floats], None]
+    since: int  # step
+
+    def predict(self, observation, state=None, episode_start=None, deterministic=False):
+        step, kept, own = (0, None, None) if state is None else state
+        seen = np.array(observation)
+        if step <= self.since:
+            kept = seen[:, : self.width].copy()
+        if step >= self.since:
+            self.fault(seen[:, : self.width], kept)
+        actions, own = self.policy.predict(seen, state=own, episode_start=episode_start, deterministic=deterministic)
+        return actions, (step + 1, kept, own)
+
+    def close(self) -> None:
+        """End the policy's process, where it has one."""
+        getattr(self.policy, "close", lambda: None)()
+
+
+def with_fault(entry: Entry, fault: Callable[[Floats, Floats], None], since: int) -> Entry:
+    """Return an entry with failing sensors; a law has none."""
+    if entry.policy is None:
+        return entry
+    width = N_MEASURED + sum(ACTION_MODES[entry.action_mode])
+    fingerprint = f"{fault.__name__} from step {since} on: {entry.identity}"
+    return replace(entry, policy=FaultyPolicy(entry.policy, width, fault, since), fingerprint=fingerprint)
+
+
+def on_suite(suite: str) -> Results:
+    """Return the results on a suite's test scenarios, which are stored."""
     entries = chosen_entries(("baselines", "policies"), suite)
-    found = run_evaluation(entries, partial=folder / "partial", **scenarios)
+    found = run_evaluation(entries, partial=FOLDER / "partial", suite=suite, split="test")
     # Without its parts, which would be removed once the results are written.
-    replace(found, parts=None).write(folder)
+    replace(found, parts=None).write(FOLDER)
     return found
 
 
-def section(columns: Mapping[str, Results]) -> str:
-    """Return what the columns are, and the table of mean scores, the best in the first column first."""
-    first = next(iter(columns.values()))
-    scores = [each.scores for each in columns.values()]
+def with_faults(entries: Sequence[Entry], seeds: Sequence[int], partial: Path | None = None) -> dict[str, Results]:
+    """Return the results of every fault by its heading."""
+    where = {"suite": OWN, "split": "test", "seeds": seeds, "partial": partial}
+    changed = {heading: played(entries, change=change, **where) for heading, change in CHANGES.items()}
+    failing = {
+        heading: played([with_fault(entry, *fault) for entry in entries], **where) for heading, fault in FAULTS.items()
+    }
+    return changed | failing
+
+
+def cell(row: EntrySummary | None) -> str:
+    """Return score, mark and worst tenth of an entry."""
+    if row is None or row.score is None:
+        return "–"
+    return f"{round(row.score.value, 1) + 0.0:.1f}{' ✓' if row.marked else ''}; {row.worst_decile_cost:.0f}"
+
+
+def table(columns: Mapping[str, Results], first: Results) -> str:
+    """Return a cell by entry and column, the best in `first` first, and below where marks are lost."""
     rows = leaderboard_rows(first)
+    own = {heading: {row.name: row for row in results.ranking} for heading, results in columns.items()}
     cells = [
-        [label, *(f"{round(own[row.name].value, 1) + 0.0:.1f}" for own in scores)]
+        [label, *(cell(of_column.get(row.name)) for of_column in own.values())]
         for row, (label,) in zip(rows, table_cells(rows, ("entry",)), strict=True)
     ]
+    lost = {
+        row.name: [heading for heading, of_column in own.items() if not of_column.get(row.name, row).marked]
+        for row in rows
+        if row.marked
+    }
+    said = "; ".join(f"{name} in {', '.join(headings)}" for name, headings in lost.items() if headings)
+    shown = markdown_table(("entry", *columns), cells, right=range(1, 1 + len(columns)))
+    return f"{shown}\n\nThe mark is lost: {said or 'by no entry'}."
+
+
+def section(suites: Mapping[str, Results], faults: Mapping[str, Results]) -> str:
+    """Return both tables and what they show."""
+    first = suites[OWN]
     return (
-        f"Scores on {len(first.seeds)} test scenarios per column. Sensors do not affect the laws that score 0 and 100: "
-        "with changed sensors the scale remains that of the suite.\n\n"
-        + markdown_table(("entry", *columns), cells, right=range(1, 1 + len(columns)))
+        f"Score, mark ✓ and mean cost of the worst tenth on {len(first.seeds)} test scenarios per column:\n\n"
+        f"{table(suites, first)}\n\nOn `{OWN}` with something changed, which both anchors meet too:\n\n"
+        f"{table(faults, first)}"
     )
 
 
 if __name__ == "__main__":
     docs = output_folder(__doc__)
-    columns = {heading: played(*each) for heading, each in COLUMNS.items()}
-    update_between_markers(docs / "benchmark.md", section(columns), "matrix")
+    suites = {suite: on_suite(suite) for suite in SUITES}
+    left = {entry["name"] for entry in suites[OWN].entries}
+    entries = [entry for entry in chosen_entries(("baselines", "policies"), OWN) if entry.name in left]
+    faults = with_faults(entries, get_suite(OWN).test, FOLDER / "partial")
+    update_between_markers(docs / "benchmark.md", section(suites, faults), "matrix")

@@ -1,11 +1,8 @@
 """The oracle of docs/benchmark.md: the lowest cost known for each scenario, found with foresight.
 
-    python docs/studies/oracle.py [--output FOLDER]
-
-searches the first 25 validation scenarios of standard-v1 for `conditions.py` and writes them to FOLDER (default:
-results/oracle). For each scenario CMA-ES searches a course of actions, by itself and on top of a linear feedback whose
-gains it may change; the oracle is the cheapest of these, the reference and the entries below. It is no bound: a longer
-search may find less. Finished chunks stay in FOLDER/parts, from where the next call goes on. An hour on two processors.
+For each scenario CMA-ES searches a course of actions, by itself and on top of a linear feedback whose gains it may
+change; the oracle is the cheapest of these and of known entries. It is no bound: a longer search may find less.
+Finished chunks stay in a folder, from where the next call goes on. `conditions.py` calls it for v1.
 
 The figures of v0 were found by the same search: `find_oracle` with the 200 test scenarios of standard, 100
 generations, and every entry of v0.
@@ -22,17 +19,15 @@ from typing import Any
 import cma
 import numpy as np
 import onnx
-from output import folder as output_folder
-from rollouts import Rollouts, Search, course, linear_feedback
+from rollouts import Rollouts, Search, course, linear_feedback, time_left
 
-from wtg_gym.evaluation import evaluate, load_entries
+from wtg_gym.evaluation import Results
 from wtg_gym.files import sha256, to_json, write_atomically
 from wtg_gym.physics.layout import Floats
 from wtg_gym.progress import Progress
-from wtg_gym.scenarios import get_suite
 
 #: Candidates per generation, knots per action, and scenarios that are searched side by side.
-POPULATION, N_KNOTS, CHUNK = 24, 16, 25
+POPULATION, N_KNOTS, CHUNK = 24, 16, 15
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -41,25 +36,16 @@ class Effort:
 
     suite: str
     split: str
-    n_scenarios: int
     strategy: str  # law that the actions modulate
-    feedback: str  # folder of the linear feedback to search on top of
+    feedback: str = "agents/policies/linear-feedback-v1"  # to search on top of; without it from zero gains on
     generations: int = 100
     seed: int = 0
 
 
-V1 = Effort(
-    suite="standard-v1",
-    split="validation",
-    n_scenarios=25,
-    strategy="coordinated-tuned",
-    feedback="agents/policies/linear-feedback-v1",
-)
-ENTRIES = ("coordinated-tuned", "fast-droop", "agents/policies/linear-feedback-v1")
-
-
 def gains_of(folder: str, n_action: int, n_local: int) -> Floats:
     """Return the gains (n_action, n_local + 1) of the linear feedback in a folder of agents/policies."""
+    if not Path(folder).is_dir():
+        return np.zeros((n_action, n_local + 1))
     weight, offset, *_ = map(onnx.numpy_helper.to_array, onnx.load(f"{folder}/policy.onnx").graph.initializer)
     return np.hstack([weight[:n_action, :n_local], offset[:n_action, None]]).astype(np.float64)
 
@@ -89,8 +75,8 @@ def searched(effort: Effort, seeds: list[int], with_feedback: bool) -> list[floa
         for generation in range(effort.generations):
             asked = np.array([search.ask() for search in searches])
             terms = played(rollouts, asked)
-            # A failure that comes later costs less, which shows the search the way out; what counts is the pinned cost.
-            for search, candidates, cost in zip(searches, asked, terms.sum(axis=-1), strict=True):
+            told = terms.sum(axis=-1) + time_left(rollouts.lanes).reshape(rollouts.shape)
+            for search, candidates, cost in zip(searches, asked, told, strict=True):
                 search.tell(candidates, cost)
             best = np.minimum(best, rollouts.pinned(terms).min(axis=1))
             progress.update(f"mean pinned cost {best.mean():.2f}", generation + 1, effort.generations)
@@ -98,46 +84,33 @@ def searched(effort: Effort, seeds: list[int], with_feedback: bool) -> list[floa
         return np.minimum(best, alone.pinned(played(alone, means))[:, 0]).tolist()
 
 
-def find_oracle(effort: Effort, entries: tuple[str, ...], parts: Path) -> dict[str, Any]:
-    """Search every scenario, going on from the chunks that are finished, which stay in `parts`.
+def find_oracle(effort: Effort, known: Results, parts: Path) -> dict[str, Any]:
+    """Search every scenario of known results, going on from the chunks that are finished, which stay in `parts`.
 
     Returns:
-        JSON-ready data: how the search was made, and for each of the "seeds" the pinned costs of the "reference", of
-        the cheapest of each form and of the entries, and of the "oracle", the least of them all.
+        JSON-ready data: how the search was made, and for each of the "seeds" the pinned costs of the cheapest of each
+        form and of the known "entries", and of the "oracle", the least of them all.
     """
-    suite = get_suite(effort.suite)
-    seeds = list(suite.seeds(effort.split)[: effort.n_scenarios])
-    known = [entry for name in entries for entry in load_entries(name, benchmark=suite.benchmark)]
-    with Progress("episodes") as progress:
-        results = evaluate(known, effort.suite, effort.split, seeds=seeds, on_progress=progress.update)
+    seeds = list(known.seeds)
     versions = {"cma": str(cma.__version__), "numpy": np.__version__}
     search = {**asdict(effort), "population": POPULATION, "knots": N_KNOTS, "versions": versions}
-    found = {"entries": np.concatenate([results.pinned_costs[entry.name] for entry in known]).min(axis=0).tolist()}
+    found = {"entries": np.concatenate(list(known.pinned_costs.values())).min(axis=0).tolist()}
     for form in ("course", "course_and_feedback"):
         found[form] = []
         for first in range(0, len(seeds), CHUNK):
             own = seeds[first : first + CHUNK]
             # Its name follows from everything that the costs depend on.
-            part = parts / f"{sha256(to_json([search, form, own, results.source_hash]).encode())}.json"
+            part = parts / f"{sha256(to_json([search, form, own, known.suite_hash, known.source_hash]).encode())}.json"
             if not part.exists():
                 write_atomically(part, to_json(searched(effort, own, form != "course")))
             found[form] += json.loads(part.read_text())
-    found["reference"] = results.pinned_costs[results.benchmark.hundred][0].tolist()
     return {
-        "suite_hash": results.suite_hash,
-        "source_hash": results.source_hash,
-        "settings": results.settings,
+        "suite_hash": known.suite_hash,
+        "source_hash": known.source_hash,
+        "settings": dict(known.settings),
         "search": search,
-        "tried": [{key: entry.to_dict()[key] for key in ("name", "training_seed", "sha256")} for entry in known],
+        "tried": [{key: entry[key] for key in ("name", "training_seed", "sha256")} for entry in known.entries],
         "seeds": seeds,
         **found,
         "oracle": np.min(list(found.values()), axis=0).tolist(),
     }
-
-
-if __name__ == "__main__":
-    folder = output_folder(__doc__, "results/oracle")
-    costs = find_oracle(V1, ENTRIES, folder / "parts")
-    write_atomically(folder / f"{V1.suite}-{V1.split}.json", to_json(costs))
-    before, after = np.mean(costs["reference"]), np.mean(costs["oracle"])
-    print(f"mean pinned cost: the reference {before:.1f}, the oracle {after:.1f} ({after / before - 1.0:+.0%})")

@@ -18,6 +18,7 @@ from wtg_gym.envs.settings import EnvSettings
 from wtg_gym.envs.task_records import COST_TERMS
 from wtg_gym.evaluation.score import pinned_cost
 from wtg_gym.physics.layout import Floats
+from wtg_gym.physics.protection import Status
 from wtg_gym.physics.tracking_law import TrackingLaw
 from wtg_gym.scenarios.benchmark import V0
 
@@ -107,6 +108,15 @@ class Rollouts:
 
     def close(self) -> None:
         self.lanes.simulator.close()
+
+
+def time_left(lanes: TaskLanes) -> Floats:
+    """Return how long before its time each lane has failed [s], (n_lanes,); 0 where it has not.
+
+    In v1 a failure costs the same whenever it comes. That a later one is better shows a search the way out.
+    """
+    steps = lanes.task_values("end_step") - lanes.simulator.lane_values("step")
+    return np.where(lanes.statuses() != Status.RUNNING, steps * lanes.settings.simulation_dt, 0.0)
 
 
 class Search:
