@@ -46,6 +46,8 @@ AFTERWARDS_S = 60.0
 #: Largest gradient of an episode's loss with respect to an action; that of a few seconds before a trip would outweigh
 #: all others.
 MAX_ACTION_GRADIENT = 0.03
+#: Weight in the loss of actions where the gradient knows nothing.
+STRAY_WEIGHT = 5.0
 
 
 @dataclass(frozen=True)
@@ -122,7 +124,7 @@ class Failures:
         columns, limits, spreads = zip(*ends, *adding, strict=True)
         self._columns = list(columns)
         self._limits, self._spreads = (torch.tensor(each, dtype=torch.float64) for each in (limits, spreads))
-        rate = weights.unserved if open_ended else weights.cap
+        rate = weights.failure if open_ended else weights.cap
         self._cost = pinned_cost(0.0, failed=True, duration_s=settings.episode_duration_s(), cap=rate)
 
     def watched(self, outputs: Tensor) -> Tensor:
@@ -141,20 +143,24 @@ class Failures:
 
 def costs_of(
     episodes: TorchEpisodes, policy: GradientPolicy, scenarios: Sequence[Scenario], n_steps: int, failures: Failures
-) -> Tensor:
-    """Return what the first steps of a scenario in every lane cost, (n_lanes,)."""
+) -> tuple[Tensor, Tensor]:
+    """Return what the first steps of a scenario in every lane cost, and how far actions stray there, both (n_lanes,).
+
+    Where load is shed, a little support more only puts that off. The gradient knows no timing and would mislead: there
+    costs have none, and what strays is the mean square of the actions, which begin at the law's.
+    """
     observations = episodes.start(scenarios)
     states, spent, watched, most = list[Tensor](), [], [], MAX_ACTION_GRADIENT / len(scenarios)
-    served = torch.ones(len(scenarios), dtype=torch.bool)
+    served, strays = torch.ones(len(scenarios), dtype=torch.bool), torch.zeros(len(scenarios))
     for _ in range(n_steps):
         actions, *states = policy(observations, *states)
         actions.register_hook(lambda gradient: gradient.clamp(-most, most))
         observations, terms = episodes.step(actions)
-        # Where load is shed, a little support more only puts that off: the gradient, which knows no timing, misleads.
+        strays = strays + torch.where(served, 0.0, actions.square().mean(dim=1)) / n_steps
         served = served & (terms.detach()[:, _FAILURE] == 0.0)
         spent.append(torch.where(served[:, None], terms, terms.detach()))
         watched.append(failures.watched(episodes.outputs))
-    return failures.costs(torch.stack(spent).sum(dim=0), torch.stack(watched).amin(dim=0))
+    return failures.costs(torch.stack(spent).sum(dim=0), torch.stack(watched).amin(dim=0)), strays
 
 
 class Loss:
@@ -245,8 +251,8 @@ def train(run: Run, folder: Path) -> None:
             # A generator of its own for each batch: a resumed run draws what an undisturbed one would have drawn.
             rng = np.random.default_rng((settings.seed, index))
             scenarios = draw(lanes, rng)
-            costs = costs_of(episodes, policy, scenarios, n_steps, failures)
-            loss = descend(policy, optimizer, loss_of(costs, scenarios), h)
+            costs, strays = costs_of(episodes, policy, scenarios, n_steps, failures)
+            loss = descend(policy, optimizer, loss_of(costs, scenarios) + STRAY_WEIGHT * strays.mean(), h)
             progress.update(f"loss {loss:.3f}, {training.title}", index + 1 - first, n_batches - first)
     training.take_stock(n_batches * per_batch, finished=True)
 

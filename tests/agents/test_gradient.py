@@ -56,7 +56,7 @@ def test_loss_falls_on_the_scenarios_that_it_is_of(
     scenarios = lanes.scenarios(range(1_000_000, 1_000_004))
     losses = []
     for _ in range(10):
-        loss = loss_of(costs_of(episodes, policy, scenarios, 200, failures), scenarios)
+        loss = loss_of(costs_of(episodes, policy, scenarios, 200, failures)[0], scenarios)
         losses.append(descend(policy, optimizer, loss, h))
     assert losses[-1] < losses[0] - 0.01
 
@@ -88,7 +88,7 @@ def test_a_failure_comes_gradually_and_its_approach_has_a_gradient() -> None:
         assert failures.costs(terms, limits[None] + 0.5).item() == pytest.approx(terms.sum().item())
         # The failure that comes gradually is counted once.
         failing = failures.costs(terms, at_limit(limits, 0)).item()
-        assert failing == pytest.approx(40.0 + SHARE * (55.0 * 121.0 - 40.0))
+        assert failing == pytest.approx(40.0 + SHARE * (110.0 * 121.0 - 40.0))
         # A slow rotor takes its group away: what is capped costs its cap.
         tripping = failures.costs(terms, at_limit(limits, 1)).item()
         assert tripping == pytest.approx(terms.sum().item() + SHARE * 15.0 * 120.0)
@@ -100,7 +100,7 @@ def test_a_failure_comes_gradually_and_its_approach_has_a_gradient() -> None:
 def test_a_slow_rotor_ends_the_episode_where_rotors_do() -> None:
     failures, alive, limits = watched({**V1, "on_failure": "terminate"})
     found = failures.costs(alive, at_limit(limits, 1)).item()
-    assert found == pytest.approx(40.0 + SHARE * (55.0 * 121.0 - 40.0))
+    assert found == pytest.approx(40.0 + SHARE * (110.0 * 121.0 - 40.0))
 
 
 def test_the_loss_counts_every_stratum_by_its_offset_and_scale(monkeypatch: pytest.MonkeyPatch) -> None:

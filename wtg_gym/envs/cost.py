@@ -69,36 +69,35 @@ def interval_cost(terms: CostTerms, elapsed: float, unserved: float, failed: boo
         failed: whether the episode has failed.
         task: constants. The cap scales all terms alike, so that they still add up to the cost.
     """
-    charged = _capped(terms, elapsed, task)
+    charged = _capped(terms, elapsed, task.weights.cap)
     return charged._replace(failure=select(failed, task.weights.cap * (unserved + 1.0), 0.0))
 
 
 def open_cost(
     terms: CostTerms, elapsed: float, spent: float, unserved: float, duration: float, failed: bool, task: Task
 ) -> CostTerms:
-    """Return the terms of the cost of an interval in which neither frequency nor load not served have a cap.
+    """Return the terms of the cost of an interval in which the cap is not for the frequency and load not served.
 
     Args:
         terms: rates of all terms but failure [1/s].
         elapsed: time that passed [s].
         spent: cost of the episode before.
         unserved: load that is not served, as a share of the case's load.
-        duration: of the whole episode [s]. A failed one costs what 1 s more than that costs without any load.
+        duration: of the whole episode [s]. A failed one costs the largest rate there is for 1 s more than that.
         failed: whether the episode has failed.
-        task: constants. The cap scales all terms but frequency alike.
+        task: constants. The cap scales all terms but frequency alike, the largest rate all of them.
     """
-    frequency = elapsed * terms.frequency
-    charged = _capped(terms._replace(frequency=0.0), elapsed, task)._replace(
-        frequency=frequency, failure=elapsed * task.weights.unserved * min(unserved, 1.0)
-    )
-    missing = task.weights.unserved * (duration + 1.0) - spent - _total_of_rates(charged)
-    return charged._replace(failure=select(failed, max(missing, 0.0), charged.failure))
+    rates = _capped(terms._replace(frequency=0.0), 1.0, task.weights.cap)
+    rates = rates._replace(frequency=terms.frequency, failure=task.weights.unserved * min(unserved, 1.0))
+    charged = _capped(rates, elapsed, task.weights.failure)
+    missing = task.weights.failure * (duration + 1.0) - spent - _total_of_rates(charged)
+    return charged._replace(failure=select(failed, missing, charged.failure))
 
 
-def _capped(terms: CostTerms, elapsed: float, task: Task) -> CostTerms:
-    """Return what rates cost in a time that passed [s], their sum held by the cap."""
-    total = _total_of_rates(terms)
-    factor = elapsed * select(total > 0.0, min(total, task.weights.cap) / total, 1.0)
+def _capped(terms: CostTerms, elapsed: float, most: float) -> CostTerms:
+    """Return what rates cost in a time that passed [s], their sum held at the most that it may be [1/s]."""
+    total = _total_of_rates(terms) + terms.failure
+    factor = elapsed * select(total > 0.0, min(total, most) / total, 1.0)
     charged: CostTerms = each(lambda rate: rate * factor, terms)
     return charged
 

@@ -82,8 +82,12 @@ class CostWeights(Checked):
     )
     unserved: float = _weight(
         55.0,
-        "in v1 alone: one unit where the whole load is not served, more than a deviation of 1.5 Hz costs; a failed "
-        "episode costs this for its whole length and one second more, whenever it fails",
+        "in v1 alone: one unit where the whole load is not served, more than a deviation of 1.5 Hz costs",
+    )
+    failure: float = _weight(
+        110.0,
+        "in v1 alone: largest cost rate while the episode goes on, more than the limits of the frequency and all other "
+        "terms at their cap cost; a failed episode costs this for its whole length and one second more",
     )
 
 

@@ -19,6 +19,7 @@ class Weights(NamedTuple):
     effort: float
     cap: float
     unserved: float
+    failure: float
 
 
 class Task(NamedTuple):

@@ -79,8 +79,8 @@ _WIND_SCENARIOS: Mapping[str, Any] = MappingProxyType(
         "load_trip_buses": (9, 14),
         "load_trip_probability": 0.0,
         "line_trip_probability": 0.1,
-        # Frequency and rotors have a minute to come back, once the longest ramp is over.
-        "quiet_end_s": 70.0,
+        # Frequency and rotors have a minute to come back.
+        "quiet_end_s": 60.0,
         "wind_ramp_s": (5.0, 10.0),
         "governor_droop": (0.03, 0.08),
         "inertia_scale": (1.0, 1.0),
@@ -336,13 +336,13 @@ FROZEN_HASHES: Mapping[str, str] = MappingProxyType(
         "low-wind": "3c6454dd11d019be25e8282164a9b8c8a00bf377ca149c67b1af51261ce2f54f",
         "gust": "a6a50118d0a21891c75f9eea0470f8c06c45c4b9cec95a635fb9b51815b708c5",
         "weak-grid": "54861ae09060eb4e63541f6e14187da30e9bd11d3cce7b366e3fab39b4350ad9",
-        "standard-v1": "6397505b2745fbcb4c6ed27d38bdaea914c6027e16463ce4d94c38906d9237c1",
-        "low-share-v1": "bba9ecdd2ee16cb21f1c324f36cdbbbe26f592c9d8727826b2f28ea8c982bb92",
-        "high-share-v1": "43fa4f20bedf5921fe5f46ca7286216723ae353c099ce2f50a03af75991d2a12",
-        "gusty-v1": "b43d124121b86f4b9d7a2fa7fdbbda2c3728b9934b8c883d722fa5951693d0f8",
-        "no-wind-sensor-v1": "9eeb7f3ffeda756a309e17020ae36bd5860db68e5963d6d6d7dab4bf51d5b9ca",
-        "faults-v1": "dbbb8f6632116d81eaf0aa9cca2126d1e13d92e15f02573cd9c499cb89b477ba",
-        "weak-grid-v1": "8534d63c4ca2d9b082519b0b4ceb90ba9ed37dfdfe718220bcdfd6a57d1ca2a0",
+        "standard-v1": "bba3823f149e334940f19d8ae9e9bec93f6b25d9adae54ddb1817ebabd756355",
+        "low-share-v1": "219a257afa2cb52febb512763806a5da638ccb50bba677547c0e9e1c0ba33771",
+        "high-share-v1": "1b07cff5988e751314d75c6e6f4b977f817a8aee3f5e9a1922749a60a4da4a40",
+        "gusty-v1": "62f39165167e48ec76a1475f4ee28dc77d7ce8a7bac8c3e2d01c89091e180dd0",
+        "no-wind-sensor-v1": "206c72ddce8c7a4c861c60e303dcb0c2d298941291c622106953f48b9de0913b",
+        "faults-v1": "a1e14d0e85d92ef66abe559c7b28d26474fa91a2c924db55bc1c4be6d3a91bda",
+        "weak-grid-v1": "a44cdda3c3c21447fbde920051f4ee16bfec3cedb731daa75845bed3b089f0d8",
         "paper-v1": "282375e1e94bdac9d410c5211d96df97bf402693974f2843976147835121f4d9",
     }
 )
