@@ -1,0 +1,256 @@
+"""`python -m agents.evolution`: trains a small policy by evolution, on what the score pays.
+
+CMA-ES (N. Hansen, "The CMA evolution strategy: a tutorial", 2016) plays many candidates through the same training
+scenarios and moves towards the best. It needs neither gradients nor a value function, so that it sees load shedding,
+trips and lost grids as they are: with a hundred parameters and 2 ms of one core for an episode that is cheap. Every
+generation has other scenarios.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import pickle
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import cma
+import numpy as np
+import numpy.typing as npt
+import torch
+from torch import Tensor, nn
+
+from agents.command import opened_run, run_command, settings_of, training_parser
+from agents.folders import loading
+from agents.gains import stratum_scales
+from agents.runs import Run, RunSettings
+from agents.training import Training, last_checkpoint
+from wtg_gym.envs import EnvSettings
+from wtg_gym.envs.lanes import TaskLanes
+from wtg_gym.evaluation.summary import DESIGN_DEVIATION_MHZ
+from wtg_gym.physics.scenario import Scenario
+from wtg_gym.progress import Progress
+from wtg_gym.scenarios import get_suite
+
+Floats = npt.NDArray[np.float64]
+#: The algorithm's name in run.json.
+NAME = "evolution"
+_STATE = "state.pickle"
+_TIMESTEPS, _N_ENVS = 453_600_000, 90
+#: What a policy sees besides a group's own observation: slow copies of entries of it (frequency, tip-speed ratio, rotor
+#: speed), with these time constants [s], and the mean frequency of all groups.
+SLOW_COLUMNS, SLOW_TIMES_S = (0, 0, 2, 2, 3), (2.0, 10.0, 3.0, 10.0, 10.0)
+
+
+@dataclass(frozen=True)
+class Hyperparameters:
+    """Hyperparameters; the first generations search the direct weights alone, which are few."""
+
+    hidden: int = 6
+    population: int = 20
+    first_share: float = 0.3  # of the generations
+    first_spread: float = 0.15
+    spread: float = 0.03
+    mean_weight: float = 0.0  # of J / J0 beside ln(J + J0)
+    mark_weight: float = 0.0  # of the share of runs with the grid lost or beyond the design deviation
+
+    def __post_init__(self) -> None:
+        if self.hidden < 0 or self.population < 4:
+            raise ValueError(f"hidden must be 0 or more, population 4 or more, got {self.hidden}, {self.population}")
+
+
+class GroupPolicy(nn.Module):
+    """A network that every group has alike, of what it sees, directly and through one layer of tanh units."""
+
+    def __init__(self, n_wtg: int, n_own: int, n_action: int, hidden: int, control_dt: float) -> None:
+        super().__init__()
+        self._n_wtg, n_seen = n_wtg, n_own + len(SLOW_COLUMNS) + 1
+        self._shapes = ((n_seen + 1, hidden), (hidden + n_seen + 1, n_action))
+        self.n_parameters = sum(a * b for a, b in self._shapes)
+        #: Weights of the layer of tanh units, which come first, and places of the direct ones, which come last.
+        self.n_first = self._shapes[0][0] * hidden
+        self.direct = np.arange(self.n_first + hidden * n_action, self.n_parameters)
+        self.weights = nn.Parameter(torch.zeros(self.n_parameters), requires_grad=False)
+        self._filters = torch.tensor(-np.expm1(-control_dt / np.array(SLOW_TIMES_S)), dtype=torch.float32)
+        self.state_widths = (n_wtg * len(SLOW_COLUMNS), 1)
+
+    def forward(self, observations: Tensor, *states: Tensor) -> tuple[Tensor, ...]:
+        """Return the actions (n_lanes, n_action) and the next states; zeros are given before the first step."""
+        slow, started = states or [observations.new_zeros(len(observations), width) for width in self.state_widths]
+        actions, slow = self.act(self.weights[None], observations[None], slow[None], started[None])
+        return actions[0], slow[0], torch.ones_like(started)
+
+    def act(self, weights: Tensor, observations: Tensor, slow: Tensor, started: Tensor) -> tuple[Tensor, Tensor]:
+        """Return the actions of candidates (n, n_lanes, n_action), and their slow copies.
+
+        Args:
+            weights: (n, n_parameters).
+            observations: (n, n_lanes, n_observation).
+            slow, started: (n, n_lanes, …), as in the states.
+        """
+        n, n_lanes = observations.shape[:2]
+        own = observations.reshape(n, n_lanes, self._n_wtg, -1)
+        now = own[..., list(SLOW_COLUMNS)]
+        before = torch.where(started[..., None] > 0.5, slow.reshape(now.shape), now)
+        copies = before + self._filters * (now - before)
+        mean = own[..., :1].mean(dim=2, keepdim=True).expand(n, n_lanes, self._n_wtg, 1)
+        seen = torch.cat([own, copies, mean, torch.ones_like(mean)], dim=-1).flatten(1, 2)
+        (a, b), second = self._shapes[0], self._shapes[1]
+        first = weights[:, : a * b].reshape(-1, a, b)
+        layers = weights[:, a * b :].reshape(-1, *second)
+        actions = torch.tanh(seen @ first) @ layers[:, :b] + seen @ layers[:, b:]
+        widths = self._n_wtg * second[1], self.state_widths[0]
+        return actions.reshape(n, n_lanes, widths[0]), copies.reshape(n, n_lanes, widths[1])
+
+
+class Population:
+    """Candidates that play the same training scenarios side by side."""
+
+    def __init__(self, settings: EnvSettings, n_scenarios: int, n_candidates: int, h: Hyperparameters) -> None:
+        self.lanes = TaskLanes(settings, n_scenarios * n_candidates)
+        self._shape, self._h, self._suite = (n_candidates, n_scenarios), h, get_suite(settings.suite)
+        self._offsets = dict(self._suite.benchmark.cost_offsets)
+        self._scales = stratum_scales(settings) if self._suite.strata else {"": 1.0}
+        self.n_steps = round(settings.episode_duration_s() / settings.control_dt)
+
+    def objectives(self, policy: GroupPolicy, candidates: Floats, scenarios: Sequence[Scenario]) -> Floats:
+        """Return what each candidate (n_candidates, n_parameters) should lower, mean over the scenarios."""
+        lanes, (n, n_scenarios) = self.lanes, self._shape
+        for candidate in range(n):
+            first = candidate * n_scenarios
+            lanes.start(range(first, first + n_scenarios), scenarios)
+        weights = torch.from_numpy(candidates).float()
+        slow, started = (torch.zeros(n, n_scenarios, width) for width in policy.state_widths)
+        with torch.no_grad():
+            for _ in range(self.n_steps):
+                seen = torch.from_numpy(lanes.observations).reshape(n, n_scenarios, -1)
+                actions, slow = policy.act(weights, seen, slow, started)
+                started = torch.ones_like(started)
+                clipped = actions.reshape(lanes.n_lanes, -1).clamp(-1.0, 1.0)
+                lanes.step(np.ascontiguousarray(clipped.numpy().astype(np.float64)))
+        strata = [self._suite.stratum(scenario.seed or 0) for scenario in scenarios]
+        offsets, scales = (np.array([of[name] for name in strata]) for of in (self._offsets, self._scales))
+        costs = lanes.cost_sums().sum(axis=1).reshape(self._shape)
+        lowest, highest = (lanes.nominal_hz * lanes.simulator.lane_values(name) for name in ("coi_min", "coi_max"))
+        beyond = np.maximum(lanes.nominal_hz - lowest, highest - lanes.nominal_hz) > 1e-3 * DESIGN_DEVIATION_MHZ
+        bad = (beyond | (lanes.statuses() != 0)).reshape(self._shape)
+        paid = (np.log(costs + offsets) + self._h.mean_weight * costs / offsets) / scales
+        found: Floats = paid.mean(axis=1) + self._h.mark_weight * bad.mean(axis=1)
+        return found
+
+
+class EvolutionLearner:
+    """A policy and the search for its weights, for :class:`agents.training.Training`."""
+
+    def __init__(self, policy: GroupPolicy, seed: int, h: Hyperparameters) -> None:
+        self.policy, self._seed, self._h = policy, seed, h
+        rng = np.random.default_rng(seed)
+        #: The weights that the search goes on from; the first layer's are random, and have no effect at first.
+        self.weights = 0.4 * rng.standard_normal(policy.n_parameters)
+        self.weights[policy.n_first :] = 0.0
+        policy.weights.copy_(torch.from_numpy(self.weights))
+        self.search: Any = None
+        self.places = policy.direct
+
+    def begin(self, places: Any, spread: float) -> None:
+        """Begin a search of the weights at some places."""
+        self.places = places
+        rng = np.random.default_rng((self._seed, len(places)))
+        options = {"popsize": self._h.population, "seed": int(rng.integers(1, 2**31)), "verbose": -9}
+        self.search = cma.CMAEvolutionStrategy(self.weights[places], spread, {**options, "CMA_diagonal": 40})
+
+    def ask(self) -> Floats:
+        """Return candidates (population, n_parameters)."""
+        candidates = np.tile(self.weights, (self._h.population, 1))
+        candidates[:, self.places] = self.search.ask()
+        return candidates
+
+    def tell(self, candidates: Floats, objectives: Floats) -> None:
+        """Learn what candidates are worth."""
+        self.search.tell(list(candidates[:, self.places]), objectives.tolist())
+        self.weights[self.places] = self.search.mean
+        self.policy.weights.copy_(torch.from_numpy(self.weights))
+
+    def network(self, _settings: RunSettings) -> nn.Module:
+        """Return the policy."""
+        return self.policy
+
+    def save(self, folder: Path) -> None:
+        """Write everything that training goes on from."""
+        (folder / _STATE).write_bytes(pickle.dumps((self.weights, self.places, self.search, np.random.get_state())))
+
+    def load(self, folder: Path) -> None:
+        """Go back to what :meth:`save` wrote; a ValueError names a folder that is damaged."""
+        with loading(folder):
+            self.weights, self.places, self.search, state = pickle.loads((folder / _STATE).read_bytes())
+            np.random.set_state(state)
+            self.policy.weights.copy_(torch.from_numpy(self.weights))
+
+
+def train(run: Run, folder: Path) -> None:
+    """Train from the last checkpoint, if there is one, to the end; checkpoints and run.json go to `folder`."""
+    if run.finished:
+        return
+    settings, h = run.settings, Hyperparameters(**run.settings.hyperparameters)
+    torch.set_num_threads(1)
+    population = Population(EnvSettings(**settings.env_arguments), settings.n_envs, h.population, h)
+    lanes = population.lanes
+    n_own = lanes.n_local + lanes.n_action // lanes.n_wtg
+    policy = GroupPolicy(lanes.n_wtg, n_own, lanes.n_action // lanes.n_wtg, h.hidden, lanes.settings.control_dt)
+    learner = EvolutionLearner(policy, settings.seed, h)
+    per_generation = population.n_steps * settings.n_envs * h.population
+    n_generations, first = -(-settings.timesteps // per_generation), 0
+    if saved := last_checkpoint(run, folder):
+        first = int(saved.name) // per_generation
+        learner.load(saved)
+    training = Training(run, folder, learner)
+    seeds = lanes.suite.train
+    with Progress("generations") as progress:
+        for index in range(first, n_generations):
+            training.take_stock(index * per_generation)
+            if index == 0 and h.first_share > 0.0:
+                learner.begin(policy.direct, h.first_spread)
+            if index == round(h.first_share * n_generations) and h.hidden:
+                learner.begin(np.arange(policy.n_parameters), h.spread)
+            # Seeds that follow one another hold as many of each stratum and kind of event.
+            start = int(
+                np.random.default_rng((settings.seed, index)).integers(seeds.start, seeds.stop - settings.n_envs)
+            )
+            candidates = learner.ask()
+            scenarios = lanes.scenarios(range(start, start + settings.n_envs))
+            objectives = population.objectives(policy, candidates, scenarios)
+            learner.tell(candidates, objectives)
+            progress.update(
+                f"objective {objectives.mean():.3f}, {training.title}", index + 1 - first, n_generations - first
+            )
+    training.take_stock(n_generations * per_generation, finished=True)
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run the command and return its exit code."""
+    parser = training_parser("agents.evolution", __doc__ or "", timesteps=str(_TIMESTEPS))
+    add = parser.add_argument
+    add("--n-envs", type=int, metavar="N", help=f"scenarios of a generation (default: {_N_ENVS})")
+    add("--hidden", type=int, metavar="N", help="tanh units, or 0 for a linear policy (default: 6)")
+    add("--population", type=int, metavar="N", help="candidates of a generation (default: 20)")
+    add("--mean-weight", type=float, metavar="W", help="weight of J / J0 beside ln(J + J0) (default: 0)")
+    add("--mark-weight", type=float, metavar="W", help="weight of the share lost or beyond 0.8 Hz (default: 0)")
+
+    def work() -> None:
+        given = vars(parser.parse_args(argv))
+
+        def settings() -> RunSettings:
+            names = [field.name for field in dataclasses.fields(Hyperparameters)]
+            h = Hyperparameters(**{key: given[key] for key in names if key in given})
+            return settings_of(given, NAME, dataclasses.asdict(h), timesteps=_TIMESTEPS, n_envs=_N_ENVS)
+
+        with opened_run(given, (NAME,), settings) as (run, folder):
+            train(run, folder)
+
+    return run_command(work, "go on with --resume")
+
+
+if __name__ == "__main__":
+    sys.exit(main())
