@@ -18,10 +18,9 @@ from typing import Any
 
 import cma
 import numpy as np
-import onnx
 from rollouts import Rollouts, Search, course, linear_feedback, time_left
 
-from wtg_gym.evaluation import Results
+from wtg_gym.evaluation import Results, load_entries
 from wtg_gym.files import sha256, to_json, write_atomically
 from wtg_gym.physics.layout import Floats
 from wtg_gym.progress import Progress
@@ -46,8 +45,12 @@ def gains_of(folder: str, n_action: int, n_local: int) -> Floats:
     """Return the gains (n_action, n_local + 1) of the linear feedback in a folder of agents/policies."""
     if not Path(folder).is_dir():
         return np.zeros((n_action, n_local + 1))
-    weight, offset, *_ = map(onnx.numpy_helper.to_array, onnx.load(f"{folder}/policy.onnx").graph.initializer)
-    return np.hstack([weight[:n_action, :n_local], offset[:n_action, None]]).astype(np.float64)
+    (entry,) = load_entries(folder)
+    # One number of the first group's observation after the other, so small that no action is clipped.
+    seen = np.zeros((n_local + 1, entry.policy.widths[0]), dtype=np.float32)
+    np.fill_diagonal(seen[1:], 0.01)
+    answers = entry.policy.predict(seen)[0][:, :n_action].astype(np.float64)
+    return np.hstack([(answers[1:] - answers[0]).T / 0.01, answers[0][:, None]])
 
 
 def searched(effort: Effort, seeds: list[int], with_feedback: bool) -> list[float]:

@@ -61,45 +61,59 @@ def test_loss_falls_on_the_scenarios_that_it_is_of(
     assert losses[-1] < losses[0] - 0.01
 
 
-def watched(settings: dict[str, Any]) -> tuple[Failures, torch.Tensor, torch.Tensor]:
-    """Failures, the terms of an episode that costs 40, and the limits of frequency and rotors."""
-    episodes = TorchEpisodes(EnvSettings(**settings), 4, 1)
-    limits = torch.tensor([0.95] + [0.5] * episodes.tape.lanes.n_wtg, dtype=torch.float64)
-    limits[0] = episodes.tape.lanes.settings.plant().protection.frequency_min_pu
-    return Failures(episodes), torch.tensor([[40.0] + [0.0] * 6], dtype=torch.float64), limits
-
-
-def at_limit(limits: torch.Tensor, index: int) -> torch.Tensor:
-    least = limits + 0.5
-    least[index] = limits[index]
-    return least[None]
+def watched(settings: dict[str, Any]) -> tuple[Failures, torch.Tensor, torch.Tensor, list[str]]:
+    """Failures, the terms of an episode that costs 40, outputs far from any limit, and the outputs' names."""
+    tape = TorchEpisodes(EnvSettings(**settings), 4, 1)
+    names = list(tape.tape.output_names)
+    alive = torch.tensor([[40.0] + [0.0] * 6], dtype=torch.float64)
+    return Failures(tape), alive, torch.full((1, len(names)), 1.1, dtype=torch.float64), names
 
 
 #: How far an episode has failed at a limit.
 SHARE = 1.0 / (1.0 + math.exp(-1.0))
 
 
-def test_a_failure_comes_gradually_and_its_approach_has_a_gradient() -> None:
-    failures, alive, limits = watched(V1)
-    assert limits[0] == 0.95
+def test_a_failure_comes_gradually() -> None:
+    failures, alive, outputs, names = watched(V1)
     # A failure of another kind, or load that is not served, keeps its charge.
     charged = alive + torch.tensor([0.0] * 6 + [1000.0], dtype=torch.float64)
+    falling = outputs.clone()
+    falling[0, names.index("frequency_pu")] = 0.95
     for terms in (alive, charged):
-        assert failures.costs(terms, limits[None] + 0.5).item() == pytest.approx(terms.sum().item())
+        assert failures.costs(terms, failures.watched(outputs)).item() == pytest.approx(terms.sum().item())
         # The failure that comes gradually is counted once.
-        failing = failures.costs(terms, at_limit(limits, 0)).item()
-        assert failing == pytest.approx(40.0 + SHARE * (110.0 * 121.0 - 40.0))
-        # A slow rotor takes its group away: what is capped costs its cap.
-        tripping = failures.costs(terms, at_limit(limits, 1)).item()
-        assert tripping == pytest.approx(terms.sum().item() + SHARE * 15.0 * 120.0)
-    least = (limits + 0.005).repeat(4, 1).requires_grad_()
-    failures.costs(alive.repeat(4, 1), least).sum().backward()  # type: ignore[no-untyped-call]
-    assert least.grad is not None and (least.grad < 0.0).all()
+        found = failures.costs(terms, failures.watched(falling)).item()
+        assert found == pytest.approx(40.0 + SHARE * (110.0 * 121.0 - 40.0))
+
+
+def test_what_trips_or_is_shed_changes_the_gradient_alone() -> None:
+    failures, alive, outputs, names = watched(V1)
+    stages = EnvSettings(**V1).plant().shedding
+
+    def slope(distance: float) -> float:
+        safe = 1.0 / (1.0 + math.exp(1.0 - distance))
+        return safe * (1.0 - safe)
+
+    # A slow rotor: what is capped costs its cap for a minute. The stages shed load, which costs 55/s as a whole.
+    at_stages = sum(stage.share * slope((0.98 - stage.frequency_pu) / 0.001) for stage in stages)
+    for name, limit, expected in (
+        ("rotor_2_speed_pu", 0.5, -15.0 * 60.0 * slope(0.0) / 0.02),
+        ("frequency_pu", 0.98, -55.0 * 60.0 * at_stages / 0.001),
+    ):
+        near = outputs.clone()
+        near[0, names.index(name)] = limit
+        near.requires_grad_()
+        cost = failures.costs(alive, failures.watched(near))
+        assert cost.item() == pytest.approx(40.0)
+        cost.sum().backward()  # type: ignore[no-untyped-call]
+        assert near.grad is not None
+        assert near.grad[0, names.index(name)].item() == pytest.approx(expected)
 
 
 def test_a_slow_rotor_ends_the_episode_where_rotors_do() -> None:
-    failures, alive, limits = watched({**V1, "on_failure": "terminate"})
-    found = failures.costs(alive, at_limit(limits, 1)).item()
+    failures, alive, outputs, names = watched({**V1, "on_failure": "terminate"})
+    outputs[0, names.index("rotor_1_speed_pu")] = 0.5
+    found = failures.costs(alive, failures.watched(outputs)).item()
     assert found == pytest.approx(40.0 + SHARE * (110.0 * 121.0 - 40.0))
 
 
