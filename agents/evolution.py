@@ -98,8 +98,8 @@ class GroupPolicy(nn.Module):
         mean = own[..., :1].mean(dim=2, keepdim=True).expand(n, n_lanes, self._n_wtg, 1)
         seen = torch.cat([own, copies, mean, torch.ones_like(mean)], dim=-1).flatten(1, 2)
         (a, b), second = self._shapes[0], self._shapes[1]
-        first = weights[:, : a * b].reshape(-1, a, b)
-        layers = weights[:, a * b :].reshape(-1, *second)
+        first = weights[:, : a * b].reshape(len(weights), a, b)
+        layers = weights[:, a * b :].reshape(len(weights), *second)
         actions = torch.tanh(seen @ first) @ layers[:, :b] + seen @ layers[:, b:]
         widths = self._n_wtg * second[1], self.state_widths[0]
         return actions.reshape(n, n_lanes, widths[0]), copies.reshape(n, n_lanes, widths[1])

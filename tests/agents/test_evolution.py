@@ -1,0 +1,96 @@
+"""Facts about training by evolution: it begins at the law, repeats, goes on after an interruption, and is exported."""
+
+from __future__ import annotations
+
+import pickle
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from agents.evolution import EvolutionLearner, GroupPolicy, Hyperparameters, Population, main
+from agents.export import export
+from agents.folders import folders
+from agents.runs import Run
+from tests.agents.small import largest_difference
+from tests.interruption import interrupted
+from wtg_gym.envs import EnvSettings
+from wtg_gym.policies.load import load_entries
+from wtg_gym.policies.torch_export import TorchPolicy
+
+#: Four generations, the last two of all weights, with a validation before, between and after them.
+OPTIONS = ["--suite", "standard", "--n-envs", "2", "--population", "4", "--hidden", "3"]
+OPTIONS += ["--timesteps", "19200", "--interval", "9600", "--validation-episodes", "2"]
+
+
+def policy_of(hidden: int) -> GroupPolicy:
+    return GroupPolicy(n_wtg=4, n_own=8, n_action=2, hidden=hidden, control_dt=0.1)
+
+
+def test_training_begins_at_the_law() -> None:
+    policy = policy_of(5)
+    learner = EvolutionLearner(policy, 0, Hyperparameters(hidden=5))
+    actions, _, started = policy(torch.rand(7, 32))
+    assert learner.weights.any() and not actions.any() and started.all()
+
+
+def test_groups_are_alike_and_slow_copies_follow_their_time_constants() -> None:
+    policy = policy_of(4)
+    policy.weights.copy_(torch.from_numpy(np.random.default_rng(0).normal(size=policy.n_parameters)))
+    seen = torch.rand(3, 4, 8)
+    actions, slow, started = policy(seen.reshape(3, 32))
+    assert slow.reshape(3, 4, 5) == pytest.approx(seen[..., [0, 0, 2, 2, 3]])
+    turned, *_ = policy(seen.roll(1, dims=1).reshape(3, 32))
+    assert turned.reshape(3, 4, 2) == pytest.approx(actions.reshape(3, 4, 2).roll(1, dims=1).numpy(), abs=1e-5)
+    # 10 s later a step has come through by 1 - 1/e in the copy with that time constant.
+    for _ in range(100):
+        _, slow, started = policy(seen.reshape(3, 32) + 1.0, slow, started)
+    moved = slow.reshape(3, 4, 5)[..., 1] - seen[..., 0]
+    assert moved.numpy() == pytest.approx(1.0 - np.exp(-1.0), abs=1e-5)
+
+
+def test_what_is_lowered_is_minus_the_score_in_hundreds_and_what_the_mark_asks() -> None:
+    settings = EnvSettings(version="v1", duration_s=10.0)
+    plain, weighed = (
+        Population(settings, 3, 4, Hyperparameters(population=4, mean_weight=w, mark_weight=w)) for w in (0.0, 1.0)
+    )
+    policy, scenarios = policy_of(0), plain.lanes.scenarios(range(1_000_002, 1_000_005))
+    found = [each.objectives(policy, np.zeros((4, policy.n_parameters)), scenarios) for each in (plain, weighed)]
+    costs = plain.lanes.cost_sums().sum(axis=1)[:3]
+    strata = [plain.lanes.suite.stratum(scenario.seed or 0) for scenario in scenarios]
+    offsets = np.array([dict(plain.lanes.suite.benchmark.cost_offsets)[name] for name in strata])
+    scales = np.array([plain._scales[name] for name in strata])
+    assert found[0] == pytest.approx(np.mean(np.log(costs + offsets) / scales))
+    bad = np.mean(np.abs(weighed.lanes.simulator.lane_values("coi_min")[:3] - 1.0) * 50.0 > 0.8)
+    assert found[1] - found[0] == pytest.approx(np.mean(costs / offsets / scales) + bad)
+
+
+def test_run_repeats_also_after_an_interruption_and_is_exported(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # The last of the policies counts as the best.
+    monkeypatch.setattr(Run, "best", property(lambda run: run.curve[-1]))
+    one, two = tmp_path / "one", tmp_path / "two"
+    assert main([*OPTIONS, "--output", str(one)]) == 0
+    with monkeypatch.context() as patch:
+        stop = interrupted(EvolutionLearner.tell, when=lambda *_: Run.read(two).curve[-1]["timesteps"] == 9600)
+        patch.setattr(EvolutionLearner, "tell", stop)
+        assert main([*OPTIONS, "--output", str(two)]) == 130
+    assert main(["--resume", str(two)]) == 0
+    saved = [folders(each / "checkpoints")[0] / "state.pickle" for each in (one, two)]
+    weights = [pickle.loads(path.read_bytes())[0] for path in saved]
+    assert np.array_equal(*weights) and weights[0].any()
+    scores = [[row["score"] for row in Run.read(each).curve] for each in (one, two)]
+    assert scores[0] == scores[1] and len(scores[0]) == 3
+
+    export(one, tmp_path / "entry", name="mine")
+    (entry,), settings = load_entries(tmp_path / "entry"), Run.read(one).settings
+    policy = GroupPolicy(n_wtg=2, n_own=10, n_action=2, hidden=3, control_dt=0.1)
+    policy.weights.copy_(torch.from_numpy(weights[0]))
+    assert largest_difference(TorchPolicy(policy), entry.policy, settings) <= 1e-6
+
+
+def test_widths_are_checked(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["--population", "3", "--output", str(tmp_path / "run")]) == 2
+    assert "population 4 or more" in capsys.readouterr().err
