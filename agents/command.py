@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import dataclasses
 import sys
-from collections.abc import Callable, Container, Iterator, Mapping
+from collections.abc import Callable, Container, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -69,6 +70,40 @@ def settings_of(
     named = {key: value for key, value in given.items() if key in RunSettings.__dataclass_fields__}
     defaults = {"timesteps": timesteps, "n_envs": n_envs}
     return RunSettings(**{**defaults, **named, "algo": algo, "hyperparameters": hyperparameters})
+
+
+def training_command(
+    parser: argparse.ArgumentParser,
+    argv: Sequence[str] | None,
+    algo: str,
+    hyperparameters: type[Any],
+    train: Callable[[Run, Path], None],
+    *,
+    timesteps: int,
+    n_envs: int,
+) -> int:
+    """Train as the options of a command say, and return its exit code.
+
+    Args:
+        parser, argv: see :func:`training_parser`.
+        algo: name of the algorithm.
+        hyperparameters: dataclass of them; options of the same name replace its defaults.
+        train: trains a run in its folder.
+        timesteps, n_envs: defaults of the run.
+    """
+
+    def work() -> None:
+        given = vars(parser.parse_args(argv))
+
+        def settings() -> RunSettings:
+            names = [field.name for field in dataclasses.fields(hyperparameters)]
+            chosen = hyperparameters(**{key: given[key] for key in names if key in given})
+            return settings_of(given, algo, dataclasses.asdict(chosen), timesteps=timesteps, n_envs=n_envs)
+
+        with opened_run(given, (algo,), settings) as (run, folder):
+            train(run, folder)
+
+    return run_command(work, "go on with --resume")
 
 
 @contextlib.contextmanager

@@ -8,7 +8,6 @@ generation has other scenarios.
 
 from __future__ import annotations
 
-import dataclasses
 import pickle
 import sys
 from collections.abc import Sequence
@@ -22,7 +21,7 @@ import numpy.typing as npt
 import torch
 from torch import Tensor, nn
 
-from agents.command import opened_run, run_command, settings_of, training_parser
+from agents.command import training_command, training_parser
 from agents.folders import loading
 from agents.gains import stratum_scales
 from agents.runs import Run, RunSettings
@@ -238,18 +237,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     add("--mean-weight", type=float, metavar="W", help="weight of J / J0 beside ln(J + J0) (default: 0)")
     add("--mark-weight", type=float, metavar="W", help="weight of the share lost or beyond 0.8 Hz (default: 0)")
 
-    def work() -> None:
-        given = vars(parser.parse_args(argv))
-
-        def settings() -> RunSettings:
-            names = [field.name for field in dataclasses.fields(Hyperparameters)]
-            h = Hyperparameters(**{key: given[key] for key in names if key in given})
-            return settings_of(given, NAME, dataclasses.asdict(h), timesteps=_TIMESTEPS, n_envs=_N_ENVS)
-
-        with opened_run(given, (NAME,), settings) as (run, folder):
-            train(run, folder)
-
-    return run_command(work, "go on with --resume")
+    return training_command(parser, argv, NAME, Hyperparameters, train, timesteps=_TIMESTEPS, n_envs=_N_ENVS)
 
 
 if __name__ == "__main__":

@@ -8,7 +8,6 @@ in the loss they come gradually.
 
 from __future__ import annotations
 
-import dataclasses
 import itertools
 import math
 import sys
@@ -20,7 +19,7 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from agents.command import opened_run, run_command, settings_of, training_parser
+from agents.command import training_command, training_parser
 from agents.folders import loading
 from agents.gains import stratum_scales
 from agents.runs import Run, RunSettings
@@ -267,19 +266,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     add("--mean-weight", type=float, metavar="W", help="weight of J / J0 beside ln(J + J0) in the loss (default: 0)")
     add("--lstm", type=int, metavar="N", help="width of an LSTM in front of them (default: 0, none)")
 
-    def work() -> None:
-        given = vars(parser.parse_args(argv))
-
-        def settings() -> RunSettings:
-            h = Hyperparameters(
-                **{key: given[key] for key in ("hidden", "lstm", "learning_rate", "mean_weight") if key in given}
-            )
-            return settings_of(given, NAME, dataclasses.asdict(h), timesteps=_TIMESTEPS, n_envs=_N_ENVS)
-
-        with opened_run(given, (NAME,), settings) as (run, folder):
-            train(run, folder)
-
-    return run_command(work, "go on with --resume")
+    return training_command(parser, argv, NAME, Hyperparameters, train, timesteps=_TIMESTEPS, n_envs=_N_ENVS)
 
 
 if __name__ == "__main__":
