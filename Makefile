@@ -101,16 +101,10 @@ studies: $(TEST_READY) ## Run the studies of docs/studies and renew their tables
 	for study in $(STUDIES); do $(TEST_VENV)/bin/python docs/studies/$$study.py --output $(DOCS) || exit; done
 
 .PHONY: pictures
-pictures: $(LEADERBOARD_READY) studies ## Draw every picture of the README and of docs/ that is not a measurement of time, and renew the tables beside them
+pictures: $(LEADERBOARD_READY) studies ## Draw every picture of the README and of docs/ but the page's, and renew the tables beside them
 	$(LEADERBOARD_VENV)/bin/wtg-gym simulate --strategy mppt deloaded-5 deloaded-10 coordinated-piecewise --plot $(DOCS)/images/load-increase.png
 	$(LEADERBOARD_VENV)/bin/python docs/images/rooms.py $(DOCS)/images/rooms.svg
 	$(LEADERBOARD_VENV)/bin/python docs/images/render.py $(DOCS)/images/render.png $(DOCS)/images/render-v1.png
-	$(LEADERBOARD_VENV)/bin/wtg-gym evaluate --suite standard-v1 --entries baselines policies --results results
-	$(LEADERBOARD_VENV)/bin/python docs/studies/front.py --output $(DOCS)
-
-.PHONY: docs
-docs: pictures ## Measure everything that docs/ shows again, but for performance and the page, and renew its tables and pictures
-	$(LEADERBOARD_VENV)/bin/python docs/studies/gradient_law.py
 
 .PHONY: site
 site: $(SITE_READY) ## Build the site of the documentation into build/site; broken links and pages that nothing lists are errors

@@ -13,7 +13,6 @@ import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import cma
 import numpy as np
@@ -23,15 +22,13 @@ from torch import Tensor, nn
 
 from agents.command import training_command, training_parser
 from agents.folders import loading
-from agents.gains import stratum_scales
+from agents.gains import ScoreUnits
 from agents.runs import Run, RunSettings
-from agents.training import Training, last_checkpoint
+from agents.training import Training, draw, last_checkpoint
 from wtg_gym.envs import EnvSettings
 from wtg_gym.envs.lanes import TaskLanes
-from wtg_gym.evaluation.summary import DESIGN_DEVIATION_MHZ
 from wtg_gym.physics.scenario import Scenario
 from wtg_gym.progress import Progress
-from wtg_gym.scenarios import get_suite
 
 Floats = npt.NDArray[np.float64]
 #: The algorithm's name in run.json.
@@ -41,6 +38,9 @@ _TIMESTEPS, _N_ENVS = 453_600_000, 90
 #: What a policy sees besides a group's own observation: slow copies of entries of it (frequency, tip-speed ratio, rotor
 #: speed), with these time constants [s], and the mean frequency of all groups.
 SLOW_COLUMNS, SLOW_TIMES_S = (0, 0, 2, 2, 3), (2.0, 10.0, 3.0, 10.0, 10.0)
+#: Largest deviations that count in part among those beyond the design deviation, from nothing to all [Hz]: of ninety
+#: scenarios one or two lie so close to it that candidates differ in them.
+SOFT_HZ = (0.6, 0.9)
 
 
 @dataclass(frozen=True)
@@ -53,7 +53,8 @@ class Hyperparameters:
     first_spread: float = 0.15
     spread: float = 0.03
     mean_weight: float = 0.0  # of J / J0 beside ln(J + J0)
-    mark_weight: float = 0.0  # of the share of runs with the grid lost or beyond the design deviation
+    mark_weight: float = 0.0  # of the share of runs with the grid lost or beyond the design deviation, see SOFT_HZ
+    history: bool = True  # whether a group sees what is below beside its own observation
 
     def __post_init__(self) -> None:
         if self.hidden < 0 or self.population < 4:
@@ -63,9 +64,11 @@ class Hyperparameters:
 class GroupPolicy(nn.Module):
     """A network that every group has alike, of what it sees, directly and through one layer of tanh units."""
 
-    def __init__(self, n_wtg: int, n_own: int, n_action: int, hidden: int, control_dt: float) -> None:
+    def __init__(
+        self, n_wtg: int, n_own: int, n_action: int, hidden: int, control_dt: float, history: bool = True
+    ) -> None:
         super().__init__()
-        self._n_wtg, n_seen = n_wtg, n_own + len(SLOW_COLUMNS) + 1
+        self._n_wtg, n_seen = n_wtg, n_own + (len(SLOW_COLUMNS) + 1) * history
         self._shapes = ((n_seen + 1, hidden), (hidden + n_seen + 1, n_action))
         self.n_parameters = sum(a * b for a, b in self._shapes)
         #: Weights of the layer of tanh units, which come first, and places of the direct ones, which come last.
@@ -73,35 +76,38 @@ class GroupPolicy(nn.Module):
         self.direct = np.arange(self.n_first + hidden * n_action, self.n_parameters)
         self.weights = nn.Parameter(torch.zeros(self.n_parameters), requires_grad=False)
         self._filters = torch.tensor(-np.expm1(-control_dt / np.array(SLOW_TIMES_S)), dtype=torch.float32)
-        self.state_widths = (n_wtg * len(SLOW_COLUMNS), 1)
+        self.state_widths = (n_wtg * len(SLOW_COLUMNS), 1) if history else ()
 
     def forward(self, observations: Tensor, *states: Tensor) -> tuple[Tensor, ...]:
         """Return the actions (n_lanes, n_action) and the next states; zeros are given before the first step."""
-        slow, started = states or [observations.new_zeros(len(observations), width) for width in self.state_widths]
-        actions, slow = self.act(self.weights[None], observations[None], slow[None], started[None])
-        return actions[0], slow[0], torch.ones_like(started)
+        given = states or [observations.new_zeros(len(observations), width) for width in self.state_widths]
+        found = self.act(self.weights[None], observations[None], *(each[None] for each in given))
+        return tuple(each[0] for each in found)
 
-    def act(self, weights: Tensor, observations: Tensor, slow: Tensor, started: Tensor) -> tuple[Tensor, Tensor]:
-        """Return the actions of candidates (n, n_lanes, n_action), and their slow copies.
+    def act(self, weights: Tensor, observations: Tensor, *states: Tensor) -> tuple[Tensor, ...]:
+        """Return the actions of candidates (n, n_lanes, n_action), and the next states.
 
         Args:
             weights: (n, n_parameters).
             observations: (n, n_lanes, n_observation).
-            slow, started: (n, n_lanes, …), as in the states.
+            states: (n, n_lanes, …), slow copies, and whether there are any yet; none without history.
         """
         n, n_lanes = observations.shape[:2]
         own = observations.reshape(n, n_lanes, self._n_wtg, -1)
-        now = own[..., list(SLOW_COLUMNS)]
-        before = torch.where(started[..., None] > 0.5, slow.reshape(now.shape), now)
-        copies = before + self._filters * (now - before)
-        mean = own[..., :1].mean(dim=2, keepdim=True).expand(n, n_lanes, self._n_wtg, 1)
-        seen = torch.cat([own, copies, mean, torch.ones_like(mean)], dim=-1).flatten(1, 2)
+        parts, following = [own], list[Tensor]()
+        if states:
+            slow, started = states
+            now = own[..., list(SLOW_COLUMNS)]
+            before = torch.where(started[..., None] > 0.5, slow.reshape(now.shape), now)
+            copies = before + self._filters * (now - before)
+            parts += [copies, own[..., :1].mean(dim=2, keepdim=True).expand(n, n_lanes, self._n_wtg, 1)]
+            following = [copies.reshape(n, n_lanes, self.state_widths[0]), torch.ones_like(started)]
+        seen = torch.cat([*parts, torch.ones_like(own[..., :1])], dim=-1).flatten(1, 2)
         (a, b), second = self._shapes[0], self._shapes[1]
         first = weights[:, : a * b].reshape(len(weights), a, b)
         layers = weights[:, a * b :].reshape(len(weights), *second)
         actions = torch.tanh(seen @ first) @ layers[:, :b] + seen @ layers[:, b:]
-        widths = self._n_wtg * second[1], self.state_widths[0]
-        return actions.reshape(n, n_lanes, widths[0]), copies.reshape(n, n_lanes, widths[1])
+        return (actions.reshape(n, n_lanes, self._n_wtg * second[1]), *following)
 
 
 class Population:
@@ -109,9 +115,7 @@ class Population:
 
     def __init__(self, settings: EnvSettings, n_scenarios: int, n_candidates: int, h: Hyperparameters) -> None:
         self.lanes = TaskLanes(settings, n_scenarios * n_candidates)
-        self._shape, self._h, self._suite = (n_candidates, n_scenarios), h, get_suite(settings.suite)
-        self._offsets = dict(self._suite.benchmark.cost_offsets)
-        self._scales = stratum_scales(settings) if self._suite.strata else {"": 1.0}
+        self._shape, self._h, self._units = (n_candidates, n_scenarios), h, ScoreUnits(settings)
         self.n_steps = round(settings.episode_duration_s() / settings.control_dt)
 
     def objectives(self, policy: GroupPolicy, candidates: Floats, scenarios: Sequence[Scenario]) -> Floats:
@@ -121,23 +125,53 @@ class Population:
             first = candidate * n_scenarios
             lanes.start(range(first, first + n_scenarios), scenarios)
         weights = torch.from_numpy(candidates).float()
-        slow, started = (torch.zeros(n, n_scenarios, width) for width in policy.state_widths)
+        states = [torch.zeros(n, n_scenarios, width) for width in policy.state_widths]
         with torch.no_grad():
             for _ in range(self.n_steps):
                 seen = torch.from_numpy(lanes.observations).reshape(n, n_scenarios, -1)
-                actions, slow = policy.act(weights, seen, slow, started)
-                started = torch.ones_like(started)
+                actions, *states = policy.act(weights, seen, *states)
                 clipped = actions.reshape(lanes.n_lanes, -1).clamp(-1.0, 1.0)
                 lanes.step(np.ascontiguousarray(clipped.numpy().astype(np.float64)))
-        strata = [self._suite.stratum(scenario.seed or 0) for scenario in scenarios]
-        offsets, scales = (np.array([of[name] for name in strata]) for of in (self._offsets, self._scales))
+        offsets, scales = self._units.of(scenario.seed or 0 for scenario in scenarios)
         costs = lanes.cost_sums().sum(axis=1).reshape(self._shape)
         lowest, highest = (lanes.nominal_hz * lanes.simulator.lane_values(name) for name in ("coi_min", "coi_max"))
-        beyond = np.maximum(lanes.nominal_hz - lowest, highest - lanes.nominal_hz) > 1e-3 * DESIGN_DEVIATION_MHZ
-        bad = (beyond | (lanes.statuses() != 0)).reshape(self._shape)
+        largest_hz = np.maximum(lanes.nominal_hz - lowest, highest - lanes.nominal_hz)
+        bad = np.where(lanes.statuses() != 0, 1.0, np.interp(largest_hz, SOFT_HZ, (0.0, 1.0))).reshape(self._shape)
         paid = (np.log(costs + offsets) + self._h.mean_weight * costs / offsets) / scales
         found: Floats = paid.mean(axis=1) + self._h.mark_weight * bad.mean(axis=1)
         return found
+
+
+class Search:
+    """CMA-ES (N. Hansen, "The CMA evolution strategy: a tutorial", 2016) that draws from a generator of its own.
+
+    By itself cma draws from numpy's one generator for everybody: searches would depend on those beside them.
+    """
+
+    def __init__(
+        self, start: Floats, spread: float, population: int, *seed: int, bounds: Sequence[Sequence[float]] | None = None
+    ) -> None:
+        self._rng = np.random.default_rng(seed)
+        options = {"popsize": population, "randn": self._normal, "seed": np.nan, "verbose": -9, "CMA_diagonal": 40}
+        options |= {} if bounds is None else {"bounds": [list(side) for side in bounds]}
+        self._search = cma.CMAEvolutionStrategy(start.ravel(), spread, options)
+
+    def _normal(self, *shape: int) -> Floats:
+        return self._rng.standard_normal(shape)
+
+    def ask(self) -> Floats:
+        """Return the next candidates, (population, n)."""
+        # When cma goes over from a diagonal to a full covariance, its new sampler forgets the option.
+        self._search.sm.randn = self._normal
+        return np.array(self._search.ask())
+
+    def tell(self, candidates: Floats, costs: Floats) -> None:
+        self._search.tell(list(candidates), costs.tolist())
+
+    @property
+    def mean(self) -> Floats:
+        """Mean of the distribution that candidates are drawn from: it generalises better than the luckiest of them."""
+        return np.array(self._search.result.xfavorite)
 
 
 class EvolutionLearner:
@@ -150,15 +184,12 @@ class EvolutionLearner:
         self.weights = 0.4 * rng.standard_normal(policy.n_parameters)
         self.weights[policy.n_first :] = 0.0
         policy.weights.copy_(torch.from_numpy(self.weights))
-        self.search: Any = None
-        self.places = policy.direct
+        self.begin(policy.direct, h.first_spread)
 
-    def begin(self, places: Any, spread: float) -> None:
+    def begin(self, places: npt.NDArray[np.int64], spread: float) -> None:
         """Begin a search of the weights at some places."""
         self.places = places
-        rng = np.random.default_rng((self._seed, len(places)))
-        options = {"popsize": self._h.population, "seed": int(rng.integers(1, 2**31)), "verbose": -9}
-        self.search = cma.CMAEvolutionStrategy(self.weights[places], spread, {**options, "CMA_diagonal": 40})
+        self.search = Search(self.weights[places], spread, self._h.population, self._seed, len(places))
 
     def ask(self) -> Floats:
         """Return candidates (population, n_parameters)."""
@@ -168,7 +199,7 @@ class EvolutionLearner:
 
     def tell(self, candidates: Floats, objectives: Floats) -> None:
         """Learn what candidates are worth."""
-        self.search.tell(list(candidates[:, self.places]), objectives.tolist())
+        self.search.tell(candidates[:, self.places], objectives)
         self.weights[self.places] = self.search.mean
         self.policy.weights.copy_(torch.from_numpy(self.weights))
 
@@ -178,13 +209,12 @@ class EvolutionLearner:
 
     def save(self, folder: Path) -> None:
         """Write everything that training goes on from."""
-        (folder / _STATE).write_bytes(pickle.dumps((self.weights, self.places, self.search, np.random.get_state())))
+        (folder / _STATE).write_bytes(pickle.dumps((self.weights, self.places, self.search)))
 
     def load(self, folder: Path) -> None:
         """Go back to what :meth:`save` wrote; a ValueError names a folder that is damaged."""
         with loading(folder):
-            self.weights, self.places, self.search, state = pickle.loads((folder / _STATE).read_bytes())
-            np.random.set_state(state)
+            self.weights, self.places, self.search = pickle.loads((folder / _STATE).read_bytes())
             self.policy.weights.copy_(torch.from_numpy(self.weights))
 
 
@@ -196,8 +226,8 @@ def train(run: Run, folder: Path) -> None:
     torch.set_num_threads(1)
     population = Population(EnvSettings(**settings.env_arguments), settings.n_envs, h.population, h)
     lanes = population.lanes
-    n_own = lanes.n_local + lanes.n_action // lanes.n_wtg
-    policy = GroupPolicy(lanes.n_wtg, n_own, lanes.n_action // lanes.n_wtg, h.hidden, lanes.settings.control_dt)
+    control_dt, n_action = lanes.settings.control_dt, lanes.n_action // lanes.n_wtg
+    policy = GroupPolicy(lanes.n_wtg, lanes.n_local + n_action, n_action, h.hidden, control_dt, h.history)
     learner = EvolutionLearner(policy, settings.seed, h)
     per_generation = population.n_steps * settings.n_envs * h.population
     n_generations, first = -(-settings.timesteps // per_generation), 0
@@ -205,20 +235,13 @@ def train(run: Run, folder: Path) -> None:
         first = int(saved.name) // per_generation
         learner.load(saved)
     training = Training(run, folder, learner)
-    seeds = lanes.suite.train
     with Progress("generations") as progress:
         for index in range(first, n_generations):
             training.take_stock(index * per_generation)
-            if index == 0 and h.first_share > 0.0:
-                learner.begin(policy.direct, h.first_spread)
             if index == round(h.first_share * n_generations) and h.hidden:
                 learner.begin(np.arange(policy.n_parameters), h.spread)
-            # Seeds that follow one another hold as many of each stratum and kind of event.
-            start = int(
-                np.random.default_rng((settings.seed, index)).integers(seeds.start, seeds.stop - settings.n_envs)
-            )
             candidates = learner.ask()
-            scenarios = lanes.scenarios(range(start, start + settings.n_envs))
+            scenarios = draw(lanes, np.random.default_rng((settings.seed, index)), settings.n_envs)
             objectives = population.objectives(policy, candidates, scenarios)
             learner.tell(candidates, objectives)
             progress.update(
@@ -234,6 +257,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     add("--n-envs", type=int, metavar="N", help=f"scenarios of a generation (default: {_N_ENVS})")
     add("--hidden", type=int, metavar="N", help="tanh units, or 0 for a linear policy (default: 6)")
     add("--population", type=int, metavar="N", help="candidates of a generation (default: 20)")
+    add("--own-only", dest="history", action="store_false", help="a group sees its present observation alone")
     add("--mean-weight", type=float, metavar="W", help="weight of J / J0 beside ln(J + J0) (default: 0)")
     add("--mark-weight", type=float, metavar="W", help="weight of the share lost or beyond 0.8 Hz (default: 0)")
 

@@ -66,12 +66,30 @@ def stratum_scales(settings: EnvSettings) -> dict[str, float]:
     return dict(zip(names, score_scales(zero, hundred, benchmark, groups), strict=True))
 
 
+class ScoreUnits:
+    """J0 of the score, and Λ by :func:`stratum_scales`, in the strata of scenarios; Λ is 1 where there are none.
+
+    Raises:
+        NoScaleError: the zero is not worse than the hundred in a stratum.
+    """
+
+    def __init__(self, settings: EnvSettings) -> None:
+        self._suite = get_suite(settings.suite)
+        self._offsets = dict(self._suite.benchmark.cost_offsets)
+        self._scales = stratum_scales(settings) if self._suite.strata else {"": 1.0}
+
+    def of(self, seeds: Iterable[int]) -> tuple[Floats, Floats]:
+        """Return J0 and Λ of the scenarios with these seeds, (n_scenarios,) each."""
+        strata = [self._suite.stratum(seed) for seed in seeds]
+        return np.array([self._offsets[name] for name in strata]), np.array([self._scales[name] for name in strata])
+
+
 class Gains:
     """Gains of lanes over the reference, in each step: 100 (c_ref - c) / ((J_ref + J0) Λ).
 
     The reference is the law that scores 100: in v0 the zero action, in v1 that law tuned to its grid. c is the step's
-    cost, c_ref the reference's in the same step of the same scenario, J_ref its sum over the episode, J0 the offset of
-    the score in the scenario's stratum, and Λ its :func:`stratum_scales`, 1 where there are no strata.
+    cost, c_ref the reference's in the same step of the same scenario, J_ref its sum over the episode, J0 and Λ its
+    :class:`ScoreUnits`.
 
     - Loads and wind cause most of the cost, alike for both: the difference leaves what the actions changed (common
       random numbers).
@@ -98,10 +116,7 @@ class Gains:
         self._costs = np.zeros((lanes.n_lanes, self.n_steps))
         #: J_ref + J0, and Λ.
         self._sizes, self._scales = np.ones(lanes.n_lanes), np.ones(lanes.n_lanes)
-        self._offset_of, self._most = dict(benchmark.cost_offsets), np.inf
-        self._scale_of = {"": 1.0}
-        if lanes.suite.strata:
-            self._scale_of, self._most = stratum_scales(settings), _MOST
+        self._units, self._most = ScoreUnits(settings), _MOST if lanes.suite.strata else np.inf
 
     def follow(self, lanes: Iterable[int]) -> None:
         """Let the reference play the scenarios that lanes play now."""
@@ -110,9 +125,8 @@ class Gains:
             return
         seeds = self._lanes.scenario_seeds[places].tolist()
         self._costs[places] = law_costs(self._reference, self._lanes.scenarios(seeds))
-        strata = [self._lanes.suite.stratum(seed) for seed in seeds]
-        self._sizes[places] = self._costs[places].sum(axis=1) + [self._offset_of[name] for name in strata]
-        self._scales[places] = [self._scale_of[name] for name in strata]
+        offsets, self._scales[places] = self._units.of(seeds)
+        self._sizes[places] = self._costs[places].sum(axis=1) + offsets
 
     def reference_costs(self) -> Floats:
         """Return the reference's costs in the step that each lane takes next, (n_lanes,)."""

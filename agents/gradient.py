@@ -21,17 +21,15 @@ from torch import Tensor, nn
 
 from agents.command import training_command, training_parser
 from agents.folders import loading
-from agents.gains import stratum_scales
+from agents.gains import ScoreUnits
 from agents.runs import Run, RunSettings
-from agents.training import Training, last_checkpoint
+from agents.training import Training, draw, last_checkpoint
 from wtg_gym.envs import EnvSettings
-from wtg_gym.envs.lanes import TaskLanes
 from wtg_gym.envs.task_records import CostTerms
 from wtg_gym.evaluation.score import pinned_cost
 from wtg_gym.gradients.torch import TorchEpisodes
 from wtg_gym.physics.scenario import Scenario
 from wtg_gym.progress import Progress
-from wtg_gym.scenarios import get_suite
 
 #: The algorithm's name in run.json.
 NAME = "gradient"
@@ -166,15 +164,12 @@ class Loss:
     """What the score pays for, to be lowered: the mean over scenarios of ln(J + J0), in units of Λ of their strata."""
 
     def __init__(self, settings: EnvSettings, mean_weight: float = 0.0) -> None:
-        self._suite, self._mean_weight = get_suite(settings.suite), mean_weight
-        self._offsets = dict(self._suite.benchmark.cost_offsets)
-        self._scales = stratum_scales(settings) if self._suite.strata else {"": 1.0}
+        self._units, self._mean_weight = ScoreUnits(settings), mean_weight
 
     def __call__(self, costs: Tensor, scenarios: Sequence[Scenario]) -> Tensor:
         """Return the loss of episodes from their costs (n_lanes,)."""
-        strata = [self._suite.stratum(scenario.seed or 0) for scenario in scenarios]
-        offsets = torch.tensor([self._offsets[name] for name in strata], dtype=costs.dtype)
-        scales = torch.tensor([self._scales[name] for name in strata], dtype=costs.dtype)
+        units = self._units.of(scenario.seed or 0 for scenario in scenarios)
+        offsets, scales = (torch.from_numpy(each).to(costs.dtype) for each in units)
         return ((torch.log(costs + offsets) + self._mean_weight * costs / offsets) / scales).mean()
 
 
@@ -210,18 +205,6 @@ class GradientLearner:
             self.optimizer.load_state_dict(state["optimizer"])
 
 
-def draw(lanes: TaskLanes, rng: np.random.Generator) -> list[Scenario]:
-    """Return a training scenario for every lane.
-
-    Where there are strata, the seeds follow one another: so they hold as many of each stratum and kind of event.
-    """
-    if not lanes.suite.strata:
-        return lanes.draw([rng] * lanes.n_lanes)
-    seeds = lanes.suite.train
-    first = int(rng.integers(seeds.start, seeds.stop - lanes.n_lanes))
-    return lanes.scenarios(range(first, first + lanes.n_lanes))
-
-
 def train(run: Run, folder: Path) -> None:
     """Train from the last checkpoint, if there is one, to the end; checkpoints and run.json go to `folder`."""
     if run.finished:
@@ -249,7 +232,7 @@ def train(run: Run, folder: Path) -> None:
             optimizer.param_groups[0]["lr"] = h.learning_rate * (h.last_rate + (1.0 - h.last_rate) * fallen)
             # A generator of its own for each batch: a resumed run draws what an undisturbed one would have drawn.
             rng = np.random.default_rng((settings.seed, index))
-            scenarios = draw(lanes, rng)
+            scenarios = draw(lanes, rng, settings.n_envs)
             costs, strays = costs_of(episodes, policy, scenarios, n_steps, failures)
             loss = descend(policy, optimizer, loss_of(costs, scenarios) + STRAY_WEIGHT * strays.mean(), h)
             progress.update(f"loss {loss:.3f}, {training.title}", index + 1 - first, n_batches - first)

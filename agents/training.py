@@ -6,6 +6,7 @@ import time
 from pathlib import Path
 from typing import Any, Protocol
 
+import numpy as np
 from torch import nn
 
 from agents.folders import BEST, CHECKPOINTS, folders, save_folder
@@ -14,6 +15,7 @@ from wtg_gym.envs import EnvSettings
 from wtg_gym.envs.lanes import TaskLanes
 from wtg_gym.evaluation import Entry
 from wtg_gym.files import write_atomically
+from wtg_gym.physics.scenario import Scenario
 from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY
 from wtg_gym.policies.load import ENTRY_FILE, POLICY_FILE
 from wtg_gym.policies.names import check_not_built_in
@@ -48,6 +50,18 @@ def last_checkpoint(run: Run, folder: Path) -> Path | None:
     if run.curve and not saved:
         raise ValueError(f"{folder} has validations, but no checkpoint to go on from; begin anew in another folder")
     return saved[-1] if saved else None
+
+
+def draw(lanes: TaskLanes, rng: np.random.Generator, n_scenarios: int) -> list[Scenario]:
+    """Return training scenarios.
+
+    Where there are strata, the seeds follow one another: so they hold as many of each stratum and kind of event.
+    """
+    if not lanes.suite.strata:
+        return lanes.draw([rng] * n_scenarios)
+    seeds = lanes.suite.train
+    first = int(rng.integers(seeds.start, seeds.stop - n_scenarios))
+    return lanes.scenarios(range(first, first + n_scenarios))
 
 
 class Training:

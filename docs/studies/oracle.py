@@ -18,8 +18,9 @@ from typing import Any
 
 import cma
 import numpy as np
-from rollouts import Rollouts, Search, course, linear_feedback, time_left
+from rollouts import Rollouts, course, linear_feedback, time_left
 
+from agents.evolution import Search
 from wtg_gym.evaluation import Results, load_entries
 from wtg_gym.files import sha256, to_json, write_atomically
 from wtg_gym.physics.layout import Floats

@@ -1,18 +1,17 @@
-"""What the scripts beside this share: many candidates played through many scenarios at once, and a search by CMA-ES.
+"""What the scripts beside this share: many candidates played through many scenarios at once.
 
 A candidate is a function of the step and the groups' observations that returns their actions, and if you like a law
-under them. To tune a law or a feedback of your own, see policies.py.
+under them. To tune a law of your own, see policies.py.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from contextlib import closing
 
-import cma
 import numpy as np
 
-from agents.gains import stratum_scales
+from agents.gains import ScoreUnits
 from wtg_gym.envs.lanes import TaskLanes
 from wtg_gym.envs.settings import EnvSettings
 from wtg_gym.envs.task_records import COST_TERMS
@@ -27,17 +26,13 @@ Candidates = Callable[[int, Floats], Floats]
 #: One law for all groups, or one for each.
 Law = TrackingLaw | tuple[TrackingLaw, ...]
 
-#: What a feedback with history sees besides: slow copies of entries of a group's observation (frequency, tip-speed
-#: ratio, rotor speed), and their time constants [s].
-HISTORY_COLUMNS, HISTORY_TIMES_S = (0, 0, 2, 2, 3), (2.0, 10.0, 3.0, 10.0, 10.0)
-
 
 class Rollouts:
     """Plays candidates through scenarios, all at once; further arguments are settings of the environment."""
 
     def __init__(self, suite: str, split: str, seeds: Sequence[int], n_candidates: int, **settings) -> None:
         self._arguments, self._settings = (suite, split, list(seeds)), settings
-        self._scales: Mapping[str, float] | None = None
+        self._units: ScoreUnits | None = None
         self.lanes = TaskLanes(EnvSettings(suite=suite, split=split, **settings), len(seeds) * n_candidates)
         self.shape = len(seeds), n_candidates
         self.n_wtg, self.n_local = self.lanes.n_wtg, self.lanes.n_local
@@ -92,12 +87,9 @@ class Rollouts:
 
         Their mean over as many scenarios of each stratum decides the score.
         """
-        suite, seeds = self.lanes.suite, self._arguments[2]
-        offsets, strata = dict(suite.benchmark.cost_offsets), [suite.stratum(seed) for seed in seeds]
-        if self._scales is None:
-            self._scales = stratum_scales(self.lanes.settings) if suite.strata else {"": 1.0}
-        costs = self.pinned(terms) + np.array([[offsets[name]] for name in strata])
-        return np.log(costs) / np.array([[self._scales[name]] for name in strata])
+        self._units = self._units or ScoreUnits(self.lanes.settings)
+        offsets, scales = self._units.of(self._arguments[2])
+        return np.log(self.pinned(terms) + offsets[:, None]) / scales[:, None]
 
     def objective(self, terms: Floats) -> Floats:
         """Return the objective of a search, (n_scenarios, n_candidates): in v0 the cost, from v1 on :meth:`log_costs`.
@@ -119,38 +111,6 @@ def time_left(lanes: TaskLanes) -> Floats:
     return np.where(lanes.statuses() != Status.RUNNING, steps * lanes.settings.simulation_dt, 0.0)
 
 
-class Search:
-    """CMA-ES (N. Hansen, "The CMA evolution strategy: a tutorial", 2016) that draws from a generator of its own.
-
-    By itself cma draws from numpy's one generator for everybody: searches would depend on those beside them.
-    """
-
-    def __init__(
-        self, start: Floats, spread: float, population: int, *seed: int, bounds: Sequence[Sequence[float]] | None = None
-    ) -> None:
-        self._rng = np.random.default_rng(seed)
-        options = {"popsize": population, "randn": self._normal, "seed": np.nan, "verbose": -9, "CMA_diagonal": 40}
-        options |= {} if bounds is None else {"bounds": [list(side) for side in bounds]}
-        self._search = cma.CMAEvolutionStrategy(start.ravel(), spread, options)
-
-    def _normal(self, *shape: int) -> Floats:
-        return self._rng.standard_normal(shape)
-
-    def ask(self) -> Floats:
-        """Return the next candidates, (population, n)."""
-        # When cma goes over from a diagonal to a full covariance, its new sampler forgets the option.
-        self._search.sm.randn = self._normal
-        return np.array(self._search.ask())
-
-    def tell(self, candidates: Floats, costs: Floats) -> None:
-        self._search.tell(list(candidates), costs.tolist())
-
-    @property
-    def mean(self) -> Floats:
-        """Mean of the distribution that candidates are drawn from: it generalises better than the luckiest of them."""
-        return np.array(self._search.result.xfavorite)
-
-
 def linear_feedback(gains: Floats) -> Candidates:
     """Return the feedback a = G o + b of a group's own observation; gains (..., n_action, n_local + 1), b at the end.
 
@@ -160,26 +120,6 @@ def linear_feedback(gains: Floats) -> Candidates:
     def act(_step: int, own: Floats) -> Floats:
         actions = np.einsum("...ij,...wj->...wi", gains[..., :-1], own[..., : gains.shape[-1] - 1])
         return actions + gains[..., None, :, -1]
-
-    return act
-
-
-def history_gains(control_dt: float) -> Floats:
-    """Return the gains of the filters behind the slow copies, (n_history,)."""
-    return -np.expm1(-control_dt / np.array(HISTORY_TIMES_S))
-
-
-def history_feedback(gains: Floats, control_dt: float) -> Candidates:
-    """Return the feedback a = G (o, slow copies) + b; gains (..., n_action, n_local + n_history + 1)."""
-    filters, n_local = history_gains(control_dt), gains.shape[-1] - len(HISTORY_COLUMNS) - 1
-    linear = linear_feedback(gains)
-    slow = np.zeros(0)
-
-    def act(step: int, own: Floats) -> Floats:
-        nonlocal slow
-        seen = own[..., HISTORY_COLUMNS]
-        slow = seen if step == 0 else slow + filters * (seen - slow)
-        return linear(step, np.concatenate([own[..., :n_local], slow], axis=-1))
 
     return act
 

@@ -12,6 +12,7 @@ import torch
 from agents.evolution import EvolutionLearner, GroupPolicy, Hyperparameters, Population, main
 from agents.export import export
 from agents.folders import folders
+from agents.gains import ScoreUnits
 from agents.runs import Run
 from tests.agents.small import largest_difference
 from tests.interruption import interrupted
@@ -24,8 +25,8 @@ OPTIONS = ["--suite", "standard", "--n-envs", "2", "--population", "4", "--hidde
 OPTIONS += ["--timesteps", "19200", "--interval", "9600", "--validation-episodes", "2"]
 
 
-def policy_of(hidden: int) -> GroupPolicy:
-    return GroupPolicy(n_wtg=4, n_own=8, n_action=2, hidden=hidden, control_dt=0.1)
+def policy_of(hidden: int, history: bool = True) -> GroupPolicy:
+    return GroupPolicy(n_wtg=4, n_own=8, n_action=2, hidden=hidden, control_dt=0.1, history=history)
 
 
 def test_training_begins_at_the_law() -> None:
@@ -50,20 +51,27 @@ def test_groups_are_alike_and_slow_copies_follow_their_time_constants() -> None:
     assert moved.numpy() == pytest.approx(1.0 - np.exp(-1.0), abs=1e-5)
 
 
+def test_without_history_and_units_a_policy_is_a_linear_feedback() -> None:
+    policy, gains = policy_of(0, history=False), np.random.default_rng(0).normal(size=(9, 2)).astype(np.float32)
+    policy.weights.copy_(torch.from_numpy(gains.ravel()))
+    seen = torch.rand(3, 4, 8)
+    (actions,) = policy(seen.reshape(3, 32))
+    assert actions.reshape(3, 4, 2).numpy() == pytest.approx(seen.numpy() @ gains[:8] + gains[8], abs=1e-5)
+
+
 def test_what_is_lowered_is_minus_the_score_in_hundreds_and_what_the_mark_asks() -> None:
-    settings = EnvSettings(version="v1", duration_s=10.0)
+    settings = EnvSettings(version="v1", duration_s=40.0)
     plain, weighed = (
         Population(settings, 3, 4, Hyperparameters(population=4, mean_weight=w, mark_weight=w)) for w in (0.0, 1.0)
     )
-    policy, scenarios = policy_of(0), plain.lanes.scenarios(range(1_000_002, 1_000_005))
+    policy, scenarios = policy_of(0), plain.lanes.scenarios(range(1_000_055, 1_000_058))
     found = [each.objectives(policy, np.zeros((4, policy.n_parameters)), scenarios) for each in (plain, weighed)]
     costs = plain.lanes.cost_sums().sum(axis=1)[:3]
-    strata = [plain.lanes.suite.stratum(scenario.seed or 0) for scenario in scenarios]
-    offsets = np.array([dict(plain.lanes.suite.benchmark.cost_offsets)[name] for name in strata])
-    scales = np.array([plain._scales[name] for name in strata])
+    offsets, scales = ScoreUnits(settings).of(scenario.seed or 0 for scenario in scenarios)
     assert found[0] == pytest.approx(np.mean(np.log(costs + offsets) / scales))
-    bad = np.mean(np.abs(weighed.lanes.simulator.lane_values("coi_min")[:3] - 1.0) * 50.0 > 0.8)
-    assert found[1] - found[0] == pytest.approx(np.mean(costs / offsets / scales) + bad)
+    largest_hz = 50.0 * (1.0 - weighed.lanes.simulator.lane_values("coi_min")[:3])
+    bad = np.clip((largest_hz - 0.6) / 0.3, 0.0, 1.0)
+    assert found[1] - found[0] == pytest.approx(np.mean(costs / offsets / scales + bad)) and bad.any()
 
 
 def test_run_repeats_also_after_an_interruption_and_is_exported(
