@@ -27,6 +27,7 @@ from agents.runs import Run, RunSettings
 from agents.training import Training, draw, last_checkpoint
 from wtg_gym.envs import EnvSettings
 from wtg_gym.envs.lanes import TaskLanes
+from wtg_gym.envs.observation import FREQUENCY_UNIT_HZ, ROTOR_SPEED_UNIT_PU
 from wtg_gym.physics.scenario import Scenario
 from wtg_gym.progress import Progress
 
@@ -34,13 +35,21 @@ Floats = npt.NDArray[np.float64]
 #: The algorithm's name in run.json.
 NAME = "evolution"
 _STATE = "state.pickle"
-_TIMESTEPS, _N_ENVS = 453_600_000, 90
+#: Generations over which the weights are averaged: each pulls towards its own scenarios.
+_AVERAGED = 20
+_TIMESTEPS, _N_ENVS = 324_000_000, 90
 #: What a policy sees besides a group's own observation: slow copies of entries of it (frequency, tip-speed ratio, rotor
 #: speed), with these time constants [s], and the mean frequency of all groups.
 SLOW_COLUMNS, SLOW_TIMES_S = (0, 0, 2, 2, 3), (2.0, 10.0, 3.0, 10.0, 10.0)
+#: And how far frequency and rotor speed lie below these values [Hz, p.u.]: there a grid or a rotor is about to be lost.
+LOW_FREQUENCY_HZ, LOW_ROTOR_PU = -0.8, 0.75
 #: Largest deviations that count in part among those beyond the design deviation, from nothing to all [Hz]: of ninety
 #: scenarios one or two lie so close to it that candidates differ in them.
 SOFT_HZ = (0.6, 0.9)
+
+
+_LOW_COLUMNS = [0, 3]
+_LOW = [LOW_FREQUENCY_HZ / FREQUENCY_UNIT_HZ, (LOW_ROTOR_PU - 1.0) / ROTOR_SPEED_UNIT_PU]
 
 
 @dataclass(frozen=True)
@@ -49,11 +58,11 @@ class Hyperparameters:
 
     hidden: int = 6
     population: int = 20
-    first_share: float = 0.3  # of the generations
+    first_share: float = 1.0 / 3.0  # of the generations
     first_spread: float = 0.15
     spread: float = 0.03
     mean_weight: float = 0.0  # of J / J0 beside ln(J + J0)
-    mark_weight: float = 0.0  # of the share of runs with the grid lost or beyond the design deviation, see SOFT_HZ
+    mark_weight: float = 10.0  # of the share of runs with the grid lost or beyond the design deviation, see SOFT_HZ
     history: bool = True  # whether a group sees what is below beside its own observation
 
     def __post_init__(self) -> None:
@@ -68,7 +77,7 @@ class GroupPolicy(nn.Module):
         self, n_wtg: int, n_own: int, n_action: int, hidden: int, control_dt: float, history: bool = True
     ) -> None:
         super().__init__()
-        self._n_wtg, n_seen = n_wtg, n_own + (len(SLOW_COLUMNS) + 1) * history
+        self._n_wtg, n_seen = n_wtg, n_own + (len(SLOW_COLUMNS) + 3) * history
         self._shapes = ((n_seen + 1, hidden), (hidden + n_seen + 1, n_action))
         self.n_parameters = sum(a * b for a, b in self._shapes)
         #: Weights of the layer of tanh units, which come first, and places of the direct ones, which come last.
@@ -76,7 +85,7 @@ class GroupPolicy(nn.Module):
         self.direct = np.arange(self.n_first + hidden * n_action, self.n_parameters)
         self.weights = nn.Parameter(torch.zeros(self.n_parameters), requires_grad=False)
         self._filters = torch.tensor(-np.expm1(-control_dt / np.array(SLOW_TIMES_S)), dtype=torch.float32)
-        self.state_widths = (n_wtg * len(SLOW_COLUMNS), 1) if history else ()
+        self.state_widths: tuple[int, ...] = (n_wtg * len(SLOW_COLUMNS), 1) if history else ()
 
     def forward(self, observations: Tensor, *states: Tensor) -> tuple[Tensor, ...]:
         """Return the actions (n_lanes, n_action) and the next states; zeros are given before the first step."""
@@ -100,7 +109,8 @@ class GroupPolicy(nn.Module):
             now = own[..., list(SLOW_COLUMNS)]
             before = torch.where(started[..., None] > 0.5, slow.reshape(now.shape), now)
             copies = before + self._filters * (now - before)
-            parts += [copies, own[..., :1].mean(dim=2, keepdim=True).expand(n, n_lanes, self._n_wtg, 1)]
+            low = torch.clamp(own[..., _LOW_COLUMNS] - torch.tensor(_LOW), max=0.0)
+            parts += [copies, low, own[..., :1].mean(dim=2, keepdim=True).expand(n, n_lanes, self._n_wtg, 1)]
             following = [copies.reshape(n, n_lanes, self.state_widths[0]), torch.ones_like(started)]
         seen = torch.cat([*parts, torch.ones_like(own[..., :1])], dim=-1).flatten(1, 2)
         (a, b), second = self._shapes[0], self._shapes[1]
@@ -183,7 +193,9 @@ class EvolutionLearner:
         #: The weights that the search goes on from; the first layer's are random, and have no effect at first.
         self.weights = 0.4 * rng.standard_normal(policy.n_parameters)
         self.weights[policy.n_first :] = 0.0
-        policy.weights.copy_(torch.from_numpy(self.weights))
+        #: The policy's: their average over some generations.
+        self.average = self.weights.copy()
+        policy.weights.copy_(torch.from_numpy(self.average))
         self.begin(policy.direct, h.first_spread)
 
     def begin(self, places: npt.NDArray[np.int64], spread: float) -> None:
@@ -201,7 +213,8 @@ class EvolutionLearner:
         """Learn what candidates are worth."""
         self.search.tell(candidates[:, self.places], objectives)
         self.weights[self.places] = self.search.mean
-        self.policy.weights.copy_(torch.from_numpy(self.weights))
+        self.average += (self.weights - self.average) / _AVERAGED
+        self.policy.weights.copy_(torch.from_numpy(self.average))
 
     def network(self, _settings: RunSettings) -> nn.Module:
         """Return the policy."""
@@ -209,13 +222,13 @@ class EvolutionLearner:
 
     def save(self, folder: Path) -> None:
         """Write everything that training goes on from."""
-        (folder / _STATE).write_bytes(pickle.dumps((self.weights, self.places, self.search)))
+        (folder / _STATE).write_bytes(pickle.dumps((self.weights, self.average, self.places, self.search)))
 
     def load(self, folder: Path) -> None:
         """Go back to what :meth:`save` wrote; a ValueError names a folder that is damaged."""
         with loading(folder):
-            self.weights, self.places, self.search = pickle.loads((folder / _STATE).read_bytes())
-            self.policy.weights.copy_(torch.from_numpy(self.weights))
+            self.weights, self.average, self.places, self.search = pickle.loads((folder / _STATE).read_bytes())
+            self.policy.weights.copy_(torch.from_numpy(self.average))
 
 
 def train(run: Run, folder: Path) -> None:
@@ -259,7 +272,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     add("--population", type=int, metavar="N", help="candidates of a generation (default: 20)")
     add("--own-only", dest="history", action="store_false", help="a group sees its present observation alone")
     add("--mean-weight", type=float, metavar="W", help="weight of J / J0 beside ln(J + J0) (default: 0)")
-    add("--mark-weight", type=float, metavar="W", help="weight of the share lost or beyond 0.8 Hz (default: 0)")
+    add("--mark-weight", type=float, metavar="W", help="weight of the share lost or beyond 0.8 Hz (default: 10)")
 
     return training_command(parser, argv, NAME, Hyperparameters, train, timesteps=_TIMESTEPS, n_envs=_N_ENVS)
 
