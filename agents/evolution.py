@@ -37,7 +37,7 @@ NAME = "evolution"
 _STATE = "state.pickle"
 #: Generations over which the weights are averaged: each pulls towards its own scenarios.
 _AVERAGED = 20
-_TIMESTEPS, _N_ENVS = 324_000_000, 90
+_TIMESTEPS, _N_ENVS = 259_200_000, 90
 #: What a policy sees besides a group's own observation: slow copies of entries of it (frequency, tip-speed ratio, rotor
 #: speed), with these time constants [s], and the mean frequency of all groups.
 SLOW_COLUMNS, SLOW_TIMES_S = (0, 0, 2, 2, 3), (2.0, 10.0, 3.0, 10.0, 10.0)
@@ -58,11 +58,11 @@ class Hyperparameters:
 
     hidden: int = 6
     population: int = 20
-    first_share: float = 1.0 / 3.0  # of the generations
+    first_share: float = 0.4  # of the generations
     first_spread: float = 0.15
     spread: float = 0.03
     mean_weight: float = 0.0  # of J / J0 beside ln(J + J0)
-    mark_weight: float = 10.0  # of the share of runs with the grid lost or beyond the design deviation, see SOFT_HZ
+    mark_weight: float = 5.0  # of the share of runs with the grid lost or beyond the design deviation, see SOFT_HZ
     history: bool = True  # whether a group sees what is below beside its own observation
 
     def __post_init__(self) -> None:
@@ -272,7 +272,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     add("--population", type=int, metavar="N", help="candidates of a generation (default: 20)")
     add("--own-only", dest="history", action="store_false", help="a group sees its present observation alone")
     add("--mean-weight", type=float, metavar="W", help="weight of J / J0 beside ln(J + J0) (default: 0)")
-    add("--mark-weight", type=float, metavar="W", help="weight of the share lost or beyond 0.8 Hz (default: 10)")
+    add("--mark-weight", type=float, metavar="W", help="weight of the share lost or beyond 0.8 Hz (default: 5)")
 
     return training_command(parser, argv, NAME, Hyperparameters, train, timesteps=_TIMESTEPS, n_envs=_N_ENVS)
 

@@ -87,7 +87,7 @@ def test_run_repeats_also_after_an_interruption_and_is_exported(
         assert main([*OPTIONS, "--output", str(two)]) == 130
     assert main(["--resume", str(two)]) == 0
     saved = [folders(each / "checkpoints")[0] / "state.pickle" for each in (one, two)]
-    weights = [pickle.loads(path.read_bytes())[0] for path in saved]
+    weights = [pickle.loads(path.read_bytes())[1] for path in saved]
     assert np.array_equal(*weights) and weights[0].any()
     scores = [[row["score"] for row in Run.read(each).curve] for each in (one, two)]
     assert scores[0] == scores[1] and len(scores[0]) == 3
