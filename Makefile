@@ -65,7 +65,7 @@ verification: $(LEADERBOARD_READY) ## Score every entry of the last round on its
 
 PAGE_SUITES := standard weak-grid low-wind gust paper
 # `make matrix` plays these.
-PAGE_SUITES_V1 := standard-v1 low-share-v1 high-share-v1 gusty-v1 no-wind-sensor-v1 faults-v1
+PAGE_SUITES_V1 := standard-v1 low-share-v1 high-share-v1 gusty-v1 no-wind-sensor-v1 faults-v1 weak-grid-v1
 
 .PHONY: matrix
 matrix: $(LEADERBOARD_READY) ## Play every entry of v1 on its drawn suites and with faults, and put the scores into docs/benchmark.md

@@ -30,6 +30,7 @@ from wtg_gym.envs.lanes import TaskLanes
 from wtg_gym.envs.observation import FREQUENCY_UNIT_HZ, ROTOR_SPEED_UNIT_PU
 from wtg_gym.physics.scenario import Scenario
 from wtg_gym.progress import Progress
+from wtg_gym.ranges import require_range
 
 Floats = npt.NDArray[np.float64]
 #: The algorithm's name in run.json.
@@ -68,6 +69,8 @@ class Hyperparameters:
     def __post_init__(self) -> None:
         if self.hidden < 0 or self.population < 4:
             raise ValueError(f"hidden must be 0 or more, population 4 or more, got {self.hidden}, {self.population}")
+        require_range("mean_weight", self.mean_weight, 0.0, 100.0, "")
+        require_range("mark_weight", self.mark_weight, 0.0, 100.0, "")
 
 
 class GroupPolicy(nn.Module):
@@ -236,6 +239,8 @@ def train(run: Run, folder: Path) -> None:
     if run.finished:
         return
     settings, h = run.settings, Hyperparameters(**run.settings.hyperparameters)
+    if settings.observation_mode != "local":
+        raise ValueError(f"observation_mode must be local, got {settings.observation_mode!r}: groups see their own")
     torch.set_num_threads(1)
     population = Population(EnvSettings(**settings.env_arguments), settings.n_envs, h.population, h)
     lanes = population.lanes

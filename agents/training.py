@@ -55,7 +55,7 @@ def last_checkpoint(run: Run, folder: Path) -> Path | None:
 def draw(lanes: TaskLanes, rng: np.random.Generator, n_scenarios: int) -> list[Scenario]:
     """Return training scenarios.
 
-    Where there are strata, the seeds follow one another: so they hold as many of each stratum and kind of event.
+    Where there are strata, the seeds follow one another: a multiple of 15 holds as many of each stratum and kind.
     """
     if not lanes.suite.strata:
         return lanes.draw([rng] * n_scenarios)

@@ -18,7 +18,7 @@ from wtg_gym.envs.settings import EnvSettings
 from wtg_gym.physics.aerodynamics import tracking_point
 from wtg_gym.physics.plant import PlantSettings
 from wtg_gym.physics.protection import Status
-from wtg_gym.physics.scenario import Event, GovernorLoss, LoadStep
+from wtg_gym.physics.scenario import Event, GovernorLoss, LoadStep, MachineOutage
 from wtg_gym.physics.tracking_law import TrackingLaw
 from wtg_gym.reproduce.steady_states import equilibria
 from wtg_gym.scenarios import get_suite
@@ -30,6 +30,8 @@ FREQUENCIES_HZ = np.linspace(47.5, 51.5, 41)
 ROUNDING = 1e-6
 #: When the event comes, and how long the run lasts [s].
 EVENT_S, DURATION_S = 5.0, 600.0
+#: Name of the event that leaves no machine.
+LAST_MACHINE = "the generator is lost"
 N_SCENARIOS = 60
 #: Seeds among which the largest load step is looked for.
 N_SOUGHT = 300
@@ -110,15 +112,18 @@ class Aftermath:
 
 
 def worst_events() -> dict[str, tuple[Event, ...]]:
-    """Return the largest load step among large training scenarios, and half of it once the governor is lost."""
+    """Return the largest load step among training scenarios, the same once the governor is lost, and the last outage.
+
+    Without the last machine the network has what the wind gives, which may be less than the load: no law is asked to
+    hold then.
+    """
     suite = get_suite(SUITE)
-    seeds = [seed for seed in suite.train[:N_SOUGHT] if suite.stratum(seed) in ("", "large")]
-    steps = [e for scenario in suite.scenarios(seeds) for e in scenario.events if type(e) is LoadStep]
+    steps = [e for scenario in suite.scenarios(suite.train[:N_SOUGHT]) for e in scenario.events if type(e) is LoadStep]
     largest = dataclasses.replace(max(steps, key=lambda step: step.power_mw), time_s=EVENT_S)
-    half = dataclasses.replace(largest, power_mw=0.5 * largest.power_mw)
     return {
         largest.words: (largest,),
-        f"governor lost, {half.words}": (GovernorLoss(time_s=0.0, bus=1), half),
+        f"governor lost, {largest.words}": (GovernorLoss(time_s=0.0, bus=1), largest),
+        LAST_MACHINE: (MachineOutage(time_s=EVENT_S, bus=1),),
     }
 
 

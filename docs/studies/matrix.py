@@ -8,6 +8,7 @@ same today, as by `wtg-gym leaderboard`. On two processors a suite takes six min
 
 from __future__ import annotations
 
+import inspect
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -21,7 +22,7 @@ from wtg_gym.cli.scoring import chosen_entries, run_evaluation
 from wtg_gym.envs.observation import N_MEASURED
 from wtg_gym.envs.settings import ACTION_MODES
 from wtg_gym.evaluation import Entry, EntrySummary, Results, leaderboard_rows, table_cells
-from wtg_gym.files import markdown_table, update_between_markers
+from wtg_gym.files import markdown_table, sha256, update_between_markers
 from wtg_gym.physics.layout import Floats
 from wtg_gym.physics.scenario import Scenario
 from wtg_gym.scenarios import get_suite
@@ -42,12 +43,12 @@ def measured(scenario: Scenario, **sensors: Any) -> Scenario:
 
 
 def hanging(seen: Floats, kept: Floats) -> None:
-    """Let the frequency stay at its last value."""
-    seen[:, 0] = kept[:, 0]
+    """Let the frequency stay at its last value: it does not change."""
+    seen[:, 0], seen[:, 1] = kept[:, 0], 0.0
 
 
 def silent(seen: Floats, _kept: Floats) -> None:
-    """Let everything read 0."""
+    """Let every entry of the observation be 0, as of a turbine at rated speed, 50 Hz and 10 m/s."""
     seen[:, :N_MEASURED] = 0.0
 
 
@@ -59,7 +60,7 @@ CHANGES: dict[str, Callable[[Scenario], Scenario]] = {
     "half the inertia": lambda drawn: replace(drawn, inertia_scale=0.5 * drawn.inertia_scale),
     "no governor": without_governor,
 }
-FAULTS = {"a frequency sensor hangs": (hanging, HANGS_AT), "a group's sensors read 0": (silent, 0)}
+FAULTS = {"a frequency sensor hangs": (hanging, HANGS_AT), "a group's observation is 0": (silent, 0)}
 
 
 @dataclass
@@ -91,7 +92,8 @@ def with_fault(entry: Entry, fault: Callable[[Floats, Floats], None], since: int
     if entry.policy is None:
         return entry
     width = N_MEASURED + sum(ACTION_MODES[entry.action_mode])
-    fingerprint = f"{fault.__name__} from step {since} on: {entry.identity}"
+    source = sha256(inspect.getsource(fault).encode())
+    fingerprint = f"{fault.__name__} {source} from step {since} on: {entry.identity}"
     return replace(entry, policy=FaultyPolicy(entry.policy, width, fault, since), fingerprint=fingerprint)
 
 

@@ -18,8 +18,10 @@ from typing import Any
 
 import cma
 import numpy as np
+import rollouts
 from rollouts import Rollouts, course, linear_feedback, time_left
 
+from agents import evolution
 from agents.evolution import Search
 from wtg_gym.evaluation import Results, load_entries
 from wtg_gym.files import sha256, to_json, write_atomically
@@ -57,13 +59,13 @@ def gains_of(folder: str, n_action: int, n_local: int) -> Floats:
 def searched(effort: Effort, seeds: list[int], with_feedback: bool) -> list[float]:
     """Return the smallest pinned cost found for each of some scenarios, searched side by side."""
     with (
-        closing(Rollouts(effort.suite, effort.split, seeds, POPULATION, strategy=effort.strategy)) as rollouts,
-        closing(rollouts.with_candidates(1)) as alone,
+        closing(Rollouts(effort.suite, effort.split, seeds, POPULATION, strategy=effort.strategy)) as many,
+        closing(many.with_candidates(1)) as alone,
         Progress("generations") as progress,
     ):
-        knots = N_KNOTS, rollouts.n_wtg, rollouts.n_action
+        knots = N_KNOTS, many.n_wtg, many.n_action
         n_course = int(np.prod(knots))
-        gains = gains_of(effort.feedback, rollouts.n_action, rollouts.n_local)
+        gains = gains_of(effort.feedback, many.n_action, many.n_local)
         start = np.concatenate([np.zeros(n_course), gains.ravel()]) if with_feedback else np.zeros(n_course)
         # Every scenario's search draws from a generator of its own.
         searches = [Search(start, 0.3, POPULATION, effort.seed, seed, int(with_feedback)) for seed in seeds]
@@ -78,14 +80,20 @@ def searched(effort: Effort, seeds: list[int], with_feedback: bool) -> list[floa
         best = np.full(len(seeds), np.inf)
         for generation in range(effort.generations):
             asked = np.array([search.ask() for search in searches])
-            terms = played(rollouts, asked)
-            told = terms.sum(axis=-1) + time_left(rollouts.lanes).reshape(rollouts.shape)
+            terms = played(many, asked)
+            told = terms.sum(axis=-1) + time_left(many.lanes).reshape(many.shape)
             for search, candidates, cost in zip(searches, asked, told, strict=True):
                 search.tell(candidates, cost)
-            best = np.minimum(best, rollouts.pinned(terms).min(axis=1))
+            best = np.minimum(best, many.pinned(terms).min(axis=1))
             progress.update(f"mean pinned cost {best.mean():.2f}", generation + 1, effort.generations)
         means = np.array([[search.mean] for search in searches])
         return np.minimum(best, alone.pinned(played(alone, means))[:, 0]).tolist()
+
+
+def _hashes(effort: Effort) -> list[str]:
+    """Return the hashes of what the search follows from beside the package: its own files and the feedback's."""
+    paths = [*(Path(module.__file__) for module in (rollouts, evolution)), Path(__file__)]
+    return [sha256(path.read_bytes()) for path in (*paths, *sorted(Path(effort.feedback).glob("*.onnx")))]
 
 
 def find_oracle(effort: Effort, known: Results, parts: Path) -> dict[str, Any]:
@@ -97,7 +105,13 @@ def find_oracle(effort: Effort, known: Results, parts: Path) -> dict[str, Any]:
     """
     seeds = list(known.seeds)
     versions = {"cma": str(cma.__version__), "numpy": np.__version__}
-    search = {**asdict(effort), "population": POPULATION, "knots": N_KNOTS, "versions": versions}
+    search = {
+        **asdict(effort),
+        "population": POPULATION,
+        "knots": N_KNOTS,
+        "versions": versions,
+        "files": _hashes(effort),
+    }
     found = {"entries": np.concatenate(list(known.pinned_costs.values())).min(axis=0).tolist()}
     for form in ("course", "course_and_feedback"):
         found[form] = []

@@ -15,7 +15,7 @@ import numpy as np
 from rollouts import Rollouts
 
 from agents.evolution import Search
-from baselines.mean_droop import FULL_ACTION_HZ, ROTOR_GAIN, SLOW_ROTOR_PU, MeanDroop
+from baselines.mean_droop import MeanDroop
 from wtg_gym.physics.layout import Floats
 from wtg_gym.physics.tracking_law import (
     LARGEST_COEFFICIENT,
@@ -29,7 +29,7 @@ from wtg_gym.scenarios import get_suite
 from wtg_gym.scenarios.benchmark import V1
 
 #: Least coefficient that is tried [p.u.]: at 0 a group would give nothing.
-LEAST_COEFFICIENT = 0.05
+_LEAST_TRIED = 0.05
 #: Points of :func:`law_of`: where searches begin, and their bounds; without the first number k ends at K_opt. K_n may
 #: change by 0.08 only: with less power at nominal frequency runs could not start.
 _START, _BOUNDS = (0.5, 0.0, 0.8, -0.6), ((0.0, -0.8, -0.2, -2.7), (3.0, 0.8, 1.05, 2.0))
@@ -48,7 +48,7 @@ def law_of(x: Floats) -> TrackingLaw:
     above_opt, above_nominal, below_limit, log_tau = (0.0, *x) if capped else x
     nominal = paper.k_nominal + 0.1 * above_nominal * span
     corners = max(paper.k_min + above_opt * span, nominal), nominal, min(paper.k_max - below_limit * span, nominal)
-    k_min, k_nominal, k_max = (min(max(float(k), LEAST_COEFFICIENT), LARGEST_COEFFICIENT) for k in corners)
+    k_min, k_nominal, k_max = (min(max(float(k), _LEAST_TRIED), LARGEST_COEFFICIENT) for k in corners)
     low, high = TIME_CONSTANT_RANGE
     tau = min(max(paper.damping_time_constant_s * math.exp(log_tau), low), high)
     return TrackingLaw(name="tuned", k_min=k_min, k_nominal=k_nominal, k_max=k_max, damping_time_constant_s=tau)
@@ -83,9 +83,9 @@ def tune_law(
 
 
 def mean_droop_of(x: Floats) -> MeanDroop:
-    """Return mean-droop of points (..., 3), each ln(F / 0.5 Hz), (ω_1 - 0.7) / 0.1 and ln(G / 5)."""
+    """Return mean-droop of points (..., 3), each ln(F / 0.5 Hz), (ω_1 - 0.7 p.u.) / 0.1 and ln(G p.u. / 5)."""
     full_action, slow_rotor, gain = np.moveaxis(np.asarray(x), -1, 0)[..., np.newaxis]
-    return MeanDroop(FULL_ACTION_HZ * np.exp(full_action), SLOW_ROTOR_PU + 0.1 * slow_rotor, ROTOR_GAIN * np.exp(gain))
+    return MeanDroop(0.5 * np.exp(full_action), 0.7 + 0.1 * slow_rotor, 5.0 * np.exp(gain))
 
 
 def tune_mean_droop(

@@ -91,7 +91,7 @@ def test_load_that_is_shed_is_charged_by_its_share() -> None:
     # The first stage, 5 % at 49 Hz, of the event's load too; counted at 1 p.u. of voltage.
     unserved = 0.05 * (loads / np.abs(env.lanes.simulator.bus_voltages()) ** 2).sum()
     assert sum(bus.load_mw for bus in buses) == pytest.approx(259.0)
-    assert sorted(charged) == pytest.approx([0.0, 0.1 * 55.0 * unserved / 259.0], rel=1e-6)
+    assert sorted(charged) == pytest.approx([0.0, 0.1 * 300.0 * unserved / 259.0], rel=1e-6)
 
 
 @pytest.mark.parametrize("weights", [None, {"failure": 130.0}])
@@ -103,7 +103,7 @@ def test_a_failed_episode_costs_the_same_whenever_it_fails(weights: dict[str, fl
         assert env.lanes.statuses()[0] and 10.0 * time_s < len(paid) < 10.0 * time_s + 30.0
         assert last["failure"] > 0.0
         total = -sum(reward for _, reward, _ in paid)
-        assert total == pytest.approx((weights or {"failure": 110.0})["failure"] * 13.0, rel=1e-12)
+        assert total == pytest.approx((weights or {"failure": 250.0})["failure"] * 13.0, rel=1e-12)
 
 
 def test_the_reward_is_minus_the_sum_of_the_terms() -> None:

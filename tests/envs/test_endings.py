@@ -115,7 +115,7 @@ def test_version_v1_ends_at_its_frequency_limit_and_sheds_load_before_the_lower_
     rewards, (_, terminated, truncated, info), _ = played(-150.0)
     assert terminated and not truncated and info["termination_reason"] == "frequency limit"
     assert 51.5 < info["frequency_hz"] < 51.6 and info["shed_energy_mws"] == 0.0
-    assert -rewards.sum() == pytest.approx(110.0 * 21.0, rel=1e-9)
+    assert -rewards.sum() == pytest.approx(250.0 * 21.0, rel=1e-9)
 
 
 def test_stopped_rotor_of_version_v1_trips_its_group_which_is_charged_on_or_ends_the_episode():

@@ -82,7 +82,7 @@ def leaderboard(
     What an entry did is kept in the folder partial beside the results, so that the next call plays new entries alone;
     with other source code, packages or another processor, or another policy, it is played again. An entry that fails is
     named with its reason and left out with all training seeds of its name; the exit code is 1 then. Where the entry at
-    100 is no better than that at 0, as on paper-v1, the mean cost ranks.
+    100 is no better than that at 0, the mean cost ranks.
 
     examples:
       wtg-gym leaderboard --suite standard --results results --readme README.md

@@ -146,11 +146,8 @@ def finish(results: Results, folder: Path | None, *, as_json: bool) -> int:
     columns = columns_of("terminal", rows)
     heads = [_SHORT_HEADS.get(column, column) for column in columns]
     print_table(heads, table_cells(rows, columns), left=text_columns(columns))
-    say(
-        "",
-        "Δf: largest deviation of a run's frequency, the median; lost: runs that failed, which in the mean cost count",
-    )
-    say("as if they had failed at their start", *notes_on_marks(rows), "--json prints more")
+    say("", "Δf: largest deviation of a run's frequency, the median; lost: runs that failed; --json prints more")
+    say(*notes_on_marks(rows))
     if results.no_score:
         note(results.no_score)
     return code

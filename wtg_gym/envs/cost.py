@@ -59,18 +59,18 @@ def effort(action: float, last: float) -> float:
     return action * action + 4.0 * change * change
 
 
-def interval_cost(terms: CostTerms, elapsed: float, unserved: float, failed: bool, task: Task) -> CostTerms:
+def interval_cost(terms: CostTerms, elapsed: float, left: float, failed: bool, task: Task) -> CostTerms:
     """Return the terms of the cost of an interval.
 
     Args:
         terms: rates of all terms but failure [1/s].
         elapsed: time that passed [s].
-        unserved: time that a failed episode leaves [s]; a failure costs the cap for this time and 1 s more.
+        left: time that a failed episode leaves [s]; a failure costs the cap for this time and 1 s more.
         failed: whether the episode has failed.
         task: constants. The cap scales all terms alike, so that they still add up to the cost.
     """
     charged = _capped(terms, elapsed, task.weights.cap)
-    return charged._replace(failure=select(failed, task.weights.cap * (unserved + 1.0), 0.0))
+    return charged._replace(failure=select(failed, task.weights.cap * (left + 1.0), 0.0))
 
 
 def open_cost(
@@ -86,11 +86,14 @@ def open_cost(
         duration: of the whole episode [s]. A failed one costs the largest rate there is for 1 s more than that.
         failed: whether the episode has failed.
         task: constants. The cap scales all terms but frequency alike, the largest rate all of them.
+
+    In the interval of a failure, which may be a numerical one, nothing else is charged.
     """
     rates = _capped(terms._replace(frequency=0.0), 1.0, task.weights.cap)
     rates = rates._replace(frequency=terms.frequency, failure=task.weights.unserved * min(unserved, 1.0))
     charged = _capped(rates, elapsed, task.weights.failure)
-    missing = task.weights.failure * (duration + 1.0) - spent - _total_of_rates(charged)
+    charged = each(lambda term: select(failed, 0.0, term), charged)
+    missing = task.weights.failure * (duration + 1.0) - spent
     return charged._replace(failure=select(failed, missing, charged.failure))
 
 

@@ -77,17 +77,19 @@ class CostWeights(Checked):
     cap: float = _weight(
         50.0,
         "largest cost rate while the episode goes on; a failure costs this for the rest of the episode and one "
-        "second more, so that going on is never dearer. In v1 it holds for the terms but frequency together",
+        "second more, so that going on is never dearer. In v1 it holds for all terms but frequency and load not served",
         low=1e-3,
     )
     unserved: float = _weight(
-        55.0,
-        "in v1 alone: one unit where the whole load is not served, more than a deviation of 1.5 Hz costs",
+        300.0,
+        "in v1 alone: one unit where the whole load is not served. The first stage of shedding, 5 %, costs what "
+        "0.55 Hz of deviation do: it does not pay to have load shed",
     )
     failure: float = _weight(
-        110.0,
-        "in v1 alone: largest cost rate while the episode goes on, more than the limits of the frequency and all other "
-        "terms at their cap cost; a failed episode costs this for its whole length and one second more",
+        250.0,
+        "in v1 alone: largest cost rate while the episode goes on, more than the limits of the frequency, all stages "
+        "of shedding and all other terms at their cap cost; a failed episode costs this for its whole length and one "
+        "second more",
     )
 
 

@@ -138,16 +138,22 @@ def score_difference(gains: Floats, other: Floats, zero: Floats, groups: Groups)
     return percentile_interval(value, scores[0] - scores[1])
 
 
+def share(happened: Floats, groups: Groups) -> float:
+    """Return how often something happened [%], from 1 where it did and 0 where not, (n_runs, n_scenarios)."""
+    return 100.0 * mean_over_groups(mean(happened[:, own]) for own in groups.values())
+
+
 def share_difference(happened: Floats, other: Floats, groups: Groups) -> Interval:
-    """Return how much more often something happened than in another entry [percentage points], paired.
+    """Return the :func:`share` minus that of another entry [percentage points], paired.
 
     Args:
         happened, other: 1 where it happened and 0 where not, (n_runs, n_scenarios) each.
         groups: of the scenarios.
     """
-    scenarios = np.concatenate(_drawn_scenarios(groups), axis=1)
-    difference = _resampled(happened, scenarios, 0) - _resampled(other, scenarios, 1)
-    return percentile_interval(100.0 * (mean(happened) - mean(other)), 100.0 * difference)
+    drawn = _drawn_scenarios(groups)
+    differences = [_resampled(happened, own, 0) - _resampled(other, own, 1) for own in drawn]
+    value = share(happened, groups) - share(other, groups)
+    return percentile_interval(value, 100.0 * np.mean(differences, axis=0))
 
 
 def worst_tenth(costs: Floats) -> Floats:

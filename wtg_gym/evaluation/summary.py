@@ -42,8 +42,9 @@ class EntrySummary:
     failures_percent: float  # episodes that failed [%]
     #: Episodes that failed, or whose largest deviation was beyond :data:`DESIGN_DEVIATION_MHZ` [%].
     lost_or_beyond_percent: float
-    #: That minus the hundred's [percentage points], and whether it is not above the hundred's, as in v0 always.
+    #: That minus the hundred's [percentage points].
     lost_or_beyond_to_hundred: Interval
+    #: Whether that is not above the hundred's, and no more episodes failed, beyond chance; in v0 always.
     marked: bool
     mean_pinned_cost: float  # [-]
     worst_decile_cost: float  # mean pinned cost of the worst tenth of the scenarios of each training seed [-]
@@ -156,11 +157,15 @@ def _deviations(runs: Runs, lowest: str, highest: str, nominal_hz: float) -> Flo
     return deviations.reshape(len(runs), -1)
 
 
-def _lost_or_beyond(runs: Runs, nominal_hz: float) -> Floats:
+def _lost(runs: Runs) -> Floats:
+    """Return 1 where an episode failed, (n_runs, n_scenarios), else 0."""
+    return np.array([[float(episode.failed) for episode in run] for run in runs])
+
+
+def lost_or_beyond(runs: Runs, nominal_hz: float) -> Floats:
     """Return 1 where an episode failed or was beyond the design deviation, (n_runs, n_scenarios), else 0."""
-    lost = np.array([[episode.failed for episode in run] for run in runs])
     beyond = _deviations(runs, "nadir_hz", "zenith_hz", nominal_hz) > DESIGN_DEVIATION_MHZ
-    return (lost | beyond).astype(np.float64)
+    return np.maximum(_lost(runs), beyond)
 
 
 def _measured(
@@ -171,8 +176,10 @@ def _measured(
     groups: Groups,
 ) -> EntrySummary:
     runs, costs, nominal_hz = all_runs[entry["name"]], all_costs[entry["name"]], benchmark.nominal_hz
-    n_lost = sum(episode.failed for run in runs for episode in run)
-    bad, hundreds = (_lost_or_beyond(each, nominal_hz) for each in (runs, all_runs[benchmark.hundred]))
+    hundred = all_runs[benchmark.hundred]
+    lost, hundreds_lost = _lost(runs), _lost(hundred)
+    bad, hundreds = (lost_or_beyond(each, nominal_hz) for each in (runs, hundred))
+    more, more_lost = (statistics.share_difference(*each, groups) for each in ((bad, hundreds), (lost, hundreds_lost)))
     worst = float(np.median(_deviations(runs, "worst_nadir_hz", "worst_zenith_hz", nominal_hz)))
     return EntrySummary(
         name=entry["name"],
@@ -181,11 +188,11 @@ def _measured(
         version=benchmark.version,
         n_runs=costs.shape[0],
         n_episodes=costs.size,
-        n_lost=n_lost,
-        failures_percent=100.0 * (n_lost / costs.size),
-        lost_or_beyond_percent=100.0 * statistics.mean(bad),
-        lost_or_beyond_to_hundred=statistics.share_difference(bad, hundreds, groups),
-        marked=not benchmark.charges_worst or statistics.mean(bad) <= statistics.mean(hundreds),
+        n_lost=int(lost.sum()),
+        failures_percent=100.0 * statistics.mean(lost),
+        lost_or_beyond_percent=statistics.share(bad, groups),
+        lost_or_beyond_to_hundred=more,
+        marked=not benchmark.charges_worst or (more.value <= 0.0 and more_lost.low <= 0.0),
         mean_pinned_cost=statistics.mean(costs),
         worst_decile_cost=statistics.mean(statistics.worst_tenth(costs)),
         worst_decile_to_hundred=statistics.worst_tenth_difference(costs, all_costs[benchmark.hundred], groups),

@@ -12,9 +12,12 @@ from wtg_gym.evaluation.summary import REST, EntrySummary, place
 #: What an entry is marked with that sees the state of the grid, and what a page says about it.
 _PRIVILEGED = "privileged"
 _PRIVILEGED_NOTE = f"{_PRIVILEGED}: sees the state of the whole grid, which no turbine measures"
-#: What a share of runs is marked with that is not above the anchor's, and what a page says about it.
+#: What :attr:`EntrySummary.marked` is shown by, and what a page says about it.
 _MARK = "✓"
-_MARK_NOTE = f"{_MARK}: no more runs lost or beyond 0.8 Hz than the entry at 100, the anchor; such entries rank first"
+_MARK_NOTE = (
+    f"{_MARK}: no more runs lost or beyond 0.8 Hz than the entry at 100, the anchor, and no more lost beyond chance; "
+    "such entries rank first"
+)
 #: Columns of text; all others hold numbers.
 _TEXTS = ("entry", "kind")
 

@@ -336,14 +336,14 @@ FROZEN_HASHES: Mapping[str, str] = MappingProxyType(
         "low-wind": "3c6454dd11d019be25e8282164a9b8c8a00bf377ca149c67b1af51261ce2f54f",
         "gust": "a6a50118d0a21891c75f9eea0470f8c06c45c4b9cec95a635fb9b51815b708c5",
         "weak-grid": "54861ae09060eb4e63541f6e14187da30e9bd11d3cce7b366e3fab39b4350ad9",
-        "standard-v1": "bba3823f149e334940f19d8ae9e9bec93f6b25d9adae54ddb1817ebabd756355",
-        "low-share-v1": "219a257afa2cb52febb512763806a5da638ccb50bba677547c0e9e1c0ba33771",
-        "high-share-v1": "1b07cff5988e751314d75c6e6f4b977f817a8aee3f5e9a1922749a60a4da4a40",
-        "gusty-v1": "62f39165167e48ec76a1475f4ee28dc77d7ce8a7bac8c3e2d01c89091e180dd0",
-        "no-wind-sensor-v1": "206c72ddce8c7a4c861c60e303dcb0c2d298941291c622106953f48b9de0913b",
-        "faults-v1": "a1e14d0e85d92ef66abe559c7b28d26474fa91a2c924db55bc1c4be6d3a91bda",
-        "weak-grid-v1": "a44cdda3c3c21447fbde920051f4ee16bfec3cedb731daa75845bed3b089f0d8",
-        "paper-v1": "282375e1e94bdac9d410c5211d96df97bf402693974f2843976147835121f4d9",
+        "standard-v1": "c2ff8d887953f40c3f18be2cedb86a94f9ee5afeb4c4c27d9ed568733de9c543",
+        "low-share-v1": "253f65bf3902d196e94165bb25c4d83a76f9ed4aa5f16b8a1e13849a6d332e80",
+        "high-share-v1": "d6a03350b34599abffbca37f0d664bd26e2d53fa58dbcb11657a0abc1ff4ce62",
+        "gusty-v1": "cdc0186aa31a2d44ea44a1aa17158514b9850ff4710e18262fa982f20c2a6438",
+        "no-wind-sensor-v1": "0ba317c3ea83a071cdf09f090b280c806d0b0605333e209af511ae728e1cecf8",
+        "faults-v1": "c5bb7e97f68552900843e4563e9be4deda1b6dddd86f43a104f35a3d0a2e0d6b",
+        "weak-grid-v1": "979599de01ae5e1d5475b3c05085fb12dc29bad7eff4f048f587abc6c091e87b",
+        "paper-v1": "ef90676d774fc025646daaa97dfe0f361ce95b848b15197535311c6ddd97ede1",
     }
 )
 
