@@ -88,7 +88,7 @@ def test_run_repeats_also_after_an_interruption_and_is_exported(
     assert main(["--resume", str(two)]) == 0
     saved = [folders(each / "checkpoints")[0] / "state.pickle" for each in (one, two)]
     weights = [pickle.loads(path.read_bytes())[1] for path in saved]
-    assert np.array_equal(*weights) and weights[0].any()
+    assert np.array_equal(*weights) and weights[0][-3:].any()  # direct ones, which begin at 0
     scores = [[row["score"] for row in Run.read(each).curve] for each in (one, two)]
     assert scores[0] == scores[1] and len(scores[0]) == 3
 

@@ -141,7 +141,7 @@ def test_a_batch_of_v1_holds_as_many_of_each_stratum_and_kind() -> None:
     kinds = {f"extreme-{kind}" for kind in ("governor", "machine", "group", "fault", "island")}
     assert names == {"ordinary": 10, "large": 10, **dict.fromkeys(kinds, 2)}
     assert all(scenario.seed in lanes.suite.train for scenario in scenarios)
-    same, other = (draw(lanes, np.random.default_rng(seed))[0].seed for seed in (0, 1))
+    same, other = (draw(lanes, np.random.default_rng(seed), 30)[0].seed for seed in (0, 1))
     assert same == scenarios[0].seed != other
 
 
