@@ -54,7 +54,7 @@ class RunSettings:
             ("timesteps", 1, 10**12),
             ("n_envs", 1, 100_000),
             ("interval", 0, 10**12),
-            ("validation_episodes", 1, len(suite.seeds("validation"))),
+            ("validation_episodes", max(1, len(suite.strata)), len(suite.seeds("validation"))),
         ):
             value = getattr(self, name)
             if type(value) is not int or not low <= value <= high:

@@ -129,6 +129,28 @@ def test_entries_that_leave_0_8_hz_more_often_than_the_anchor_rank_behind_it(res
     assert [cells[0] for cells in table_cells(rows)] == ["1", "2", "3", "4"]
 
 
+def test_entries_that_lose_grids_that_the_anchor_only_bends_have_no_mark(results_v1: Results) -> None:
+    low = {"nadir_hz": 49.1, "zenith_hz": 50.1}
+    bent = [
+        dataclasses.replace(e, failure="", metrics={**e.metrics, **low}) for e in results_v1.episodes_of(V1.hundred)
+    ]
+    lost = [dataclasses.replace(e, failure="frequency limit") for e in bent]
+    runs = {V1.hundred: [bent], "loses": [lost], "loses one": [[*lost[:1], *bent[1:]]]}
+    costs = {name: np.full((1, 12), 10.0) for name in runs}
+    entries = [{"name": name, "kind": "law", "observation_mode": "measured"} for name in runs]
+    rows = summary.measured(entries, runs, costs, V1, {"ordinary": np.arange(6), "large": np.arange(6, 12)})
+    assert [row.lost_or_beyond_to_hundred.value for row in rows] == [0.0, 0.0, 0.0]
+    # One lost grid may be chance.
+    assert [row.marked for row in rows] == [True, False, True]
+
+
+def test_without_a_scenario_of_every_stratum_there_is_no_score() -> None:
+    results = evaluate("fast-droop", "standard-v1", seeds=[10_000, 10_002], duration_s=1.0)
+    assert "none of the 2 scenarios is of the stratum 'extreme'" in results.no_score
+    with pytest.raises(NoScaleError, match="stratum 'extreme'"):
+        results.summaries  # noqa: B018
+
+
 def test_without_a_score_the_mean_pinned_cost_ranks(tmp_path: Path) -> None:
     results = without_scale(evaluate("fast-droop", "paper-v1", "test"))
     rows = results.ranking
