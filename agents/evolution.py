@@ -63,7 +63,7 @@ class Hyperparameters:
     first_spread: float = 0.15
     spread: float = 0.03
     mean_weight: float = 0.0  # of J / J0 beside ln(J + J0)
-    mark_weight: float = 5.0  # of the share of runs with the grid lost or beyond the design deviation, see SOFT_HZ
+    mark_weight: float = 1.0  # of the share of runs with the grid lost or beyond the design deviation, see SOFT_HZ
     history: bool = True  # whether a group sees what is below beside its own observation
 
     def __post_init__(self) -> None:
@@ -277,7 +277,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     add("--population", type=int, metavar="N", help="candidates of a generation (default: 20)")
     add("--own-only", dest="history", action="store_false", help="a group sees its present observation alone")
     add("--mean-weight", type=float, metavar="W", help="weight of J / J0 beside ln(J + J0) (default: 0)")
-    add("--mark-weight", type=float, metavar="W", help="weight of the share lost or beyond 0.8 Hz (default: 5)")
+    add("--mark-weight", type=float, metavar="W", help="weight of the share lost or beyond 0.8 Hz (default: 1)")
 
     return training_command(parser, argv, NAME, Hyperparameters, train, timesteps=_TIMESTEPS, n_envs=_N_ENVS)
 
