@@ -92,9 +92,9 @@ def open_cost(
     rates = _capped(terms._replace(frequency=0.0), 1.0, task.weights.cap)
     rates = rates._replace(frequency=terms.frequency, failure=task.weights.unserved * min(unserved, 1.0))
     charged = _capped(rates, elapsed, task.weights.failure)
-    charged = each(lambda term: select(failed, 0.0, term), charged)
     missing = task.weights.failure * (duration + 1.0) - spent
-    return charged._replace(failure=select(failed, missing, charged.failure))
+    kept: CostTerms = each(lambda term: select(failed, 0.0, term), charged)
+    return kept._replace(failure=select(failed, missing, charged.failure))
 
 
 def _capped(terms: CostTerms, elapsed: float, most: float) -> CostTerms:
