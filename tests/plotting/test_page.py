@@ -18,7 +18,7 @@ from wtg_gym.scenarios.benchmark import V1
 
 pytest.importorskip("bokeh")
 
-OWN: dict[str, Any] = {"split": "validation", "seeds": range(10_000, 10_006), "duration_s": 60.0}
+OWN: dict[str, Any] = {"split": "validation", "seeds": range(10_000, 10_009), "duration_s": 60.0}
 
 
 @functools.cache
