@@ -47,8 +47,6 @@ LOW_FREQUENCY_HZ, LOW_ROTOR_PU = -0.8, 0.75
 #: Largest deviations that count in part among those beyond the design deviation, from nothing to all [Hz]: of ninety
 #: scenarios one or two lie so close to it that candidates differ in them.
 SOFT_HZ = (0.6, 0.9)
-
-
 _LOW_COLUMNS = [0, 3]
 _LOW = [LOW_FREQUENCY_HZ / FREQUENCY_UNIT_HZ, (LOW_ROTOR_PU - 1.0) / ROTOR_SPEED_UNIT_PU]
 
@@ -88,6 +86,7 @@ class GroupPolicy(nn.Module):
         self.direct = np.arange(self.n_first + hidden * n_action, self.n_parameters)
         self.weights = nn.Parameter(torch.zeros(self.n_parameters), requires_grad=False)
         self._filters = torch.tensor(-np.expm1(-control_dt / np.array(SLOW_TIMES_S)), dtype=torch.float32)
+        self._low = torch.tensor(_LOW)
         self.state_widths: tuple[int, ...] = (n_wtg * len(SLOW_COLUMNS), 1) if history else ()
 
     def forward(self, observations: Tensor, *states: Tensor) -> tuple[Tensor, ...]:
@@ -112,7 +111,7 @@ class GroupPolicy(nn.Module):
             now = own[..., list(SLOW_COLUMNS)]
             before = torch.where(started[..., None] > 0.5, slow.reshape(now.shape), now)
             copies = before + self._filters * (now - before)
-            low = torch.clamp(own[..., _LOW_COLUMNS] - torch.tensor(_LOW), max=0.0)
+            low = torch.clamp(own[..., _LOW_COLUMNS] - self._low, max=0.0)
             parts += [copies, low, own[..., :1].mean(dim=2, keepdim=True).expand(n, n_lanes, self._n_wtg, 1)]
             following = [copies.reshape(n, n_lanes, self.state_widths[0]), torch.ones_like(started)]
         seen = torch.cat([*parts, torch.ones_like(own[..., :1])], dim=-1).flatten(1, 2)

@@ -91,7 +91,7 @@ class Results:
             NoScaleError: there is no score: on these scenarios the zero is not worse than the hundred, or a stratum has
                 none.
         """
-        self._check_scale()
+        self._check_strata()
         return summary.scored(self._measured, self._runs, self.pinned_costs, self.benchmark, self.groups)
 
     @cached_property
@@ -109,17 +109,17 @@ class Results:
     @cached_property
     def no_score(self) -> str:
         """Why there is no score, and what ranks instead; "" where there is a score."""
+        zero, hundred = (self.pinned_costs[name][0] for name in self.benchmark.anchors)
         try:
-            self._check_scale()
+            self._check_strata()
+            score_scales(zero, hundred, self.benchmark, self.groups)
         except NoScaleError as error:
             return f"ranked by mean cost, as there is no score: {error}"
         return ""
 
-    def _check_scale(self) -> None:
+    def _check_strata(self) -> None:
         if missing := [name for name in get_suite(self.suite).strata if name not in self.groups]:
             raise NoScaleError(f"none of the {len(self.seeds)} scenarios is of the stratum {missing[0]!r}")
-        zero, hundred = (self.pinned_costs[name][0] for name in self.benchmark.anchors)
-        score_scales(zero, hundred, self.benchmark, self.groups)
 
     @property
     def has_scale(self) -> bool:

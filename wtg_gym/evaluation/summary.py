@@ -177,9 +177,11 @@ def _measured(
 ) -> EntrySummary:
     runs, costs, nominal_hz = all_runs[entry["name"]], all_costs[entry["name"]], benchmark.nominal_hz
     hundred = all_runs[benchmark.hundred]
-    lost, hundreds_lost = _lost(runs), _lost(hundred)
-    bad, hundreds = (lost_or_beyond(each, nominal_hz) for each in (runs, hundred))
-    more, more_lost = (statistics.share_difference(*each, groups) for each in ((bad, hundreds), (lost, hundreds_lost)))
+    lost, bad = _lost(runs), lost_or_beyond(runs, nominal_hz)
+    more = statistics.share_difference(bad, lost_or_beyond(hundred, nominal_hz), groups)
+    marked = not benchmark.charges_worst or (
+        more.value <= 0.0 and statistics.share_difference(lost, _lost(hundred), groups).low <= 0.0
+    )
     worst = float(np.median(_deviations(runs, "worst_nadir_hz", "worst_zenith_hz", nominal_hz)))
     return EntrySummary(
         name=entry["name"],
@@ -192,7 +194,7 @@ def _measured(
         failures_percent=100.0 * statistics.mean(lost),
         lost_or_beyond_percent=statistics.share(bad, groups),
         lost_or_beyond_to_hundred=more,
-        marked=not benchmark.charges_worst or (more.value <= 0.0 and more_lost.low <= 0.0),
+        marked=marked,
         mean_pinned_cost=statistics.mean(costs),
         worst_decile_cost=statistics.mean(statistics.worst_tenth(costs)),
         worst_decile_to_hundred=statistics.worst_tenth_difference(costs, all_costs[benchmark.hundred], groups),
