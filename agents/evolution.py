@@ -24,12 +24,11 @@ from agents.command import training_command, training_parser
 from agents.folders import loading
 from agents.gains import ScoreUnits
 from agents.runs import Run, RunSettings
-from agents.training import Training, draw, last_checkpoint
+from agents.training import draw, train_in_rounds
 from wtg_gym.envs import EnvSettings
 from wtg_gym.envs.lanes import TaskLanes
 from wtg_gym.envs.observation import FREQUENCY_UNIT_HZ, ROTOR_SPEED_UNIT_PU
 from wtg_gym.physics.scenario import Scenario
-from wtg_gym.progress import Progress
 from wtg_gym.ranges import require_range
 
 Floats = npt.NDArray[np.float64]
@@ -187,7 +186,7 @@ class Search:
 
 
 class EvolutionLearner:
-    """A policy and the search for its weights, for :class:`agents.training.Training`."""
+    """A policy and the search for its weights, for :func:`agents.training.train_in_rounds`."""
 
     def __init__(self, policy: GroupPolicy, seed: int, h: Hyperparameters) -> None:
         self.policy, self._seed, self._h = policy, seed, h
@@ -246,25 +245,17 @@ def train(run: Run, folder: Path) -> None:
     control_dt, n_action = lanes.settings.control_dt, lanes.n_action // lanes.n_wtg
     policy = GroupPolicy(lanes.n_wtg, lanes.n_local + n_action, n_action, h.hidden, control_dt, h.history)
     learner = EvolutionLearner(policy, settings.seed, h)
-    per_generation = population.n_steps * settings.n_envs * h.population
-    n_generations, first = -(-settings.timesteps // per_generation), 0
-    if saved := last_checkpoint(run, folder):
-        first = int(saved.name) // per_generation
-        learner.load(saved)
-    training = Training(run, folder, learner)
-    with Progress("generations") as progress:
-        for index in range(first, n_generations):
-            training.take_stock(index * per_generation)
-            if index == round(h.first_share * n_generations) and h.hidden:
-                learner.begin(np.arange(policy.n_parameters), h.spread)
-            candidates = learner.ask()
-            scenarios = draw(lanes, np.random.default_rng((settings.seed, index)), settings.n_envs)
-            objectives = population.objectives(policy, candidates, scenarios)
-            learner.tell(candidates, objectives)
-            progress.update(
-                f"objective {objectives.mean():.3f}, {training.title}", index + 1 - first, n_generations - first
-            )
-    training.take_stock(n_generations * per_generation, finished=True)
+
+    def learn(index: int, n_generations: int) -> float:
+        if index == round(h.first_share * n_generations) and h.hidden:
+            learner.begin(np.arange(policy.n_parameters), h.spread)
+        candidates = learner.ask()
+        scenarios = draw(lanes, np.random.default_rng((settings.seed, index)), settings.n_envs)
+        objectives = population.objectives(policy, candidates, scenarios)
+        learner.tell(candidates, objectives)
+        return float(objectives.mean())
+
+    train_in_rounds(run, folder, learner, population.n_steps * settings.n_envs * h.population, learn)
 
 
 def main(argv: Sequence[str] | None = None) -> int:

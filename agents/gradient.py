@@ -23,13 +23,12 @@ from agents.command import training_command, training_parser
 from agents.folders import loading
 from agents.gains import ScoreUnits
 from agents.runs import Run, RunSettings
-from agents.training import Training, draw, last_checkpoint
+from agents.training import draw, train_in_rounds
 from wtg_gym.envs import EnvSettings
 from wtg_gym.envs.task_records import CostTerms
 from wtg_gym.evaluation.score import pinned_cost
 from wtg_gym.gradients.torch import TorchEpisodes
 from wtg_gym.physics.scenario import Scenario
-from wtg_gym.progress import Progress
 
 #: The algorithm's name in run.json.
 NAME = "gradient"
@@ -183,7 +182,7 @@ def descend(policy: nn.Module, optimizer: torch.optim.Optimizer, loss: Tensor, h
 
 
 class GradientLearner:
-    """A policy and its optimiser, for :class:`agents.training.Training`."""
+    """A policy and its optimiser, for :func:`agents.training.train_in_rounds`."""
 
     def __init__(self, policy: GradientPolicy, h: Hyperparameters) -> None:
         self.policy = policy
@@ -219,24 +218,15 @@ def train(run: Run, folder: Path) -> None:
     learner = GradientLearner(GradientPolicy(lanes.n_observation, lanes.n_action, h.hidden, h.lstm), h)
     policy, optimizer = learner.policy, learner.optimizer
     n_steps = round(lanes.duration_s / lanes.settings.control_dt)
-    per_batch = n_steps * settings.n_envs
-    n_batches, first = -(-settings.timesteps // per_batch), 0
-    if saved := last_checkpoint(run, folder):
-        first = int(saved.name) // per_batch
-        learner.load(saved)
-    training = Training(run, folder, learner)
-    with Progress("batches") as progress:
-        for index in range(first, n_batches):
-            training.take_stock(index * per_batch)
-            fallen = 0.5 + 0.5 * math.cos(math.pi * index / n_batches)
-            optimizer.param_groups[0]["lr"] = h.learning_rate * (h.last_rate + (1.0 - h.last_rate) * fallen)
-            # A generator of its own for each batch: a resumed run draws what an undisturbed one would have drawn.
-            rng = np.random.default_rng((settings.seed, index))
-            scenarios = draw(lanes, rng, settings.n_envs)
-            costs, strays = costs_of(episodes, policy, scenarios, n_steps, failures)
-            loss = descend(policy, optimizer, loss_of(costs, scenarios) + STRAY_WEIGHT * strays.mean(), h)
-            progress.update(f"loss {loss:.3f}, {training.title}", index + 1 - first, n_batches - first)
-    training.take_stock(n_batches * per_batch, finished=True)
+
+    def learn(index: int, n_batches: int) -> float:
+        fallen = 0.5 + 0.5 * math.cos(math.pi * index / n_batches)
+        optimizer.param_groups[0]["lr"] = h.learning_rate * (h.last_rate + (1.0 - h.last_rate) * fallen)
+        scenarios = draw(lanes, np.random.default_rng((settings.seed, index)), settings.n_envs)
+        costs, strays = costs_of(episodes, policy, scenarios, n_steps, failures)
+        return descend(policy, optimizer, loss_of(costs, scenarios) + STRAY_WEIGHT * strays.mean(), h)
+
+    train_in_rounds(run, folder, learner, n_steps * settings.n_envs, learn)
 
 
 def main(argv: Sequence[str] | None = None) -> int:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -21,6 +22,7 @@ from wtg_gym.policies.load import ENTRY_FILE, POLICY_FILE
 from wtg_gym.policies.names import check_not_built_in
 from wtg_gym.policies.submission_folder import entry_text
 from wtg_gym.policies.torch_export import TorchPolicy, onnx_bytes
+from wtg_gym.progress import Progress
 from wtg_gym.scenarios import get_suite
 
 #: Largest difference between a file's actions and the network's, on random observations, some of them far from any that
@@ -37,6 +39,14 @@ class Learner(Protocol):
 
     def save(self, folder: Path) -> object:
         """Write everything that training goes on from."""
+        ...
+
+
+class ResumableLearner(Learner, Protocol):
+    """A learner that goes back to its checkpoints by itself, for :func:`train_in_rounds`."""
+
+    def load(self, folder: Path) -> None:
+        """Go back to what :meth:`save` wrote; a ValueError names a folder that is damaged."""
         ...
 
 
@@ -112,6 +122,27 @@ class Training:
         (folder / POLICY_FILE).write_bytes(_exported(self._learner, settings))
         timesteps = int(self._run.curve[-1]["timesteps"])
         write_atomically(folder / ENTRY_FILE, entry_text(entry_values(settings, timesteps)))
+
+
+def train_in_rounds(
+    run: Run, folder: Path, learner: ResumableLearner, timesteps: int, learn: Callable[[int, int], float]
+) -> None:
+    """Train from the last checkpoint, if there is one, to the end, in rounds of equally many steps.
+
+    `learn(index, n_rounds)` learns from one round and returns what is to be lowered. It should draw from a generator of
+    the round: then a resumed run draws what an undisturbed one would have drawn.
+    """
+    n_rounds, first = -(-run.settings.timesteps // timesteps), 0
+    if saved := last_checkpoint(run, folder):
+        first = int(saved.name) // timesteps
+        learner.load(saved)
+    training = Training(run, folder, learner)
+    with Progress("rounds") as progress:
+        for index in range(first, n_rounds):
+            training.take_stock(index * timesteps)
+            value = learn(index, n_rounds)
+            progress.update(f"objective {value:.3f}, {training.title}", index + 1 - first, n_rounds - first)
+    training.take_stock(n_rounds * timesteps, finished=True)
 
 
 def _exported(learner: Learner, settings: RunSettings) -> bytes:

@@ -23,7 +23,8 @@ from commissioning import DURATION_S, LAST_MACHINE, ROUNDING, aftermath, statics
 from oracle import Effort, find_oracle
 from output import folder as output_folder
 from planner import Planning, with_planners
-from rollouts import Candidates, Rollouts
+from rollouts import Rollouts
+from trivial import Rule, simple_rules, together
 
 from baselines.fast_droop import FastDroop
 from wtg_gym.envs.cost import frequency_cost
@@ -54,6 +55,8 @@ DROOPS_HZ = (1.0, 0.5, 0.25, 0.0625)
 CLOCKS_S, CLOCK_HZ = (10.0, 20.0, 30.0), 0.5
 #: Training seeds from this place on are fresh for laws: tuning takes the first ones.
 FRESH_FROM = 500_000
+#: Trivial policies that are played at once.
+AT_ONCE = 24
 #: Standard errors beyond which two numbers differ.
 BEYOND = 2.0
 
@@ -452,56 +455,6 @@ def slope(rows: Mapping[str, EntrySummary]) -> Condition:
     )
 
 
-# --- trivial policies ------------------------------------------------------------------------------------------------
-
-AT_ONCE = 24
-_CONSTANTS = (
-    (-0.5, -0.2, -0.1, -0.05, -0.02, 0.0, 0.02, 0.05, 0.1, 0.2, 0.5),  # k
-    (-1.0, -0.5, -0.25, 0.0, 0.25, 0.5, 1.0),  # tau
-)
-_AMPLITUDES, _GAINS = (0.05, 0.2, 1.0), (0.2, 0.6, 2.0)
-#: Quantiles of an observation under the zero action at which an action jumps.
-_JUMPS = (0.25, 0.5, 0.75)
-
-
-class Rule(NamedTuple):
-    """A policy that should not be good: a constant action, and a gain of an observation's distance, or of its sign."""
-
-    words: str
-    constant: tuple[float, float] = (0.0, 0.0)
-    observed: int = 0
-    middle: float = 0.0
-    gain: tuple[float, float] = (0.0, 0.0)
-    jumps: bool = False
-
-
-def simple_rules(rollouts: Rollouts) -> list[Rule]:
-    """Return constants; jumps where one observation crosses a quartile of its values under the zero action; gains."""
-    names = [name.split(".", 1)[1] for name in rollouts.lanes.observation_names[: rollouts.n_local]]
-    rules = [Rule(f"k {k:+g}, tau {tau:+g}", (k, tau)) for k, tau in itertools.product(*_CONSTANTS)]
-    choices = itertools.product(zip(names, _seen(rollouts).T, strict=True), (1.0, -1.0), enumerate(("k", "tau")))
-    for (name, values), sign, (i, action) in choices:
-        at, unit = names.index(name), np.eye(2)[i] * sign
-        for middle, size in itertools.product(np.quantile(values, _JUMPS), _AMPLITUDES):
-            words = f"{action} {sign * size:+g} · sign({name} − {middle:.2f})"
-            rules.append(Rule(words, observed=at, middle=middle, gain=tuple(size * unit), jumps=True))
-        for size, middle in itertools.product(_GAINS, (float(np.median(values)),)):
-            words = f"{action} {sign * size:+g} · ({name} − {middle:.2f})"
-            rules.append(Rule(words, observed=at, middle=middle, gain=tuple(size * unit)))
-    return rules
-
-
-def together(rules: Sequence[Rule]) -> Candidates:
-    _, constants, observed, middles, gain, jumps = (np.array(column) for column in zip(*rules, strict=True))
-
-    def act(_step: int, own: Floats) -> Floats:
-        distance = np.take_along_axis(own, observed[None, :, None, None], axis=-1) - middles[:, None, None]
-        moved = np.where(jumps[:, None, None], np.sign(distance), distance)
-        return constants[:, None] + gain[:, None] * moved
-
-    return act
-
-
 def scores_of(rollouts: Rollouts, rules: Sequence[Rule], results: Results) -> list[float]:
     """Return the score of each rule on the scenarios of results, by their anchors."""
     found, at_once = [], rollouts.shape[1]
@@ -514,20 +467,6 @@ def scores_of(rollouts: Rollouts, rules: Sequence[Rule], results: Results) -> li
             found += [mean_and_error(each, results)[0] for each in scored.values()]
             progress.update("trivial policies", min(len(found), len(rules)), len(rules))
     return found[: len(rules)]
-
-
-def _seen(rollouts: Rollouts) -> Floats:
-    """Return a group's observations under the zero action, every second, (n_samples, n_local)."""
-    seen = []
-
-    def act(step: int, own: Floats) -> Floats:
-        if step % 10 == 0:
-            seen.append(own[..., : rollouts.n_local].reshape(-1, rollouts.n_local))
-        return np.zeros((*own.shape[:3], rollouts.n_action))
-
-    with closing(rollouts.with_candidates(1)) as alone:
-        alone.play(act)
-    return np.concatenate(seen)
 
 
 # --- what is played --------------------------------------------------------------------------------------------------
