@@ -115,9 +115,11 @@ class GroupPolicy(nn.Module):
             following = [copies.reshape(n, n_lanes, self.state_widths[0]), torch.ones_like(started)]
         seen = torch.cat([*parts, torch.ones_like(own[..., :1])], dim=-1).flatten(1, 2)
         (a, b), second = self._shapes[0], self._shapes[1]
-        first = weights[:, : a * b].reshape(len(weights), a, b)
         layers = weights[:, a * b :].reshape(len(weights), *second)
-        actions = torch.tanh(seen @ first) @ layers[:, :b] + seen @ layers[:, b:]
+        actions = seen @ layers[:, b:]
+        if b:  # ONNX Runtime cannot multiply by a matrix without columns.
+            first = weights[:, : a * b].reshape(len(weights), a, b)
+            actions = actions + torch.tanh(seen @ first) @ layers[:, :b]
         return (actions.reshape(n, n_lanes, self._n_wtg * second[1]), *following)
 
 
