@@ -292,7 +292,7 @@ def rotors(results: Results) -> Condition:
 
 def paid_in_full(entries: Entries, results: Results) -> Condition:
     clocks = [
-        droop(f"clock, {'on' if on else 'off'} {last:g} s", ANCHOR, Stopwatch(1200 - round(10.0 * last), on))
+        droop(f"clock, {'on' if on else 'off'} {last:g} s", ANCHOR, Stopwatch(1800 - round(10.0 * last), on))
         for last in CLOCKS_S
         for on in (True, False)
     ]

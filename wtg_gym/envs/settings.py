@@ -126,7 +126,7 @@ class EnvSettings:
         split: `"train"`, `"validation"` or `"test"`, or `"fresh"`, with seeds that are in none of them.
         scenario: one scenario for every episode, a `Scenario` or its `to_dict()`.
         groups: number of turbine groups at bus 2, or a list of `{"bus": …, "n_turbines": …}`; None: the suite's own.
-        duration_s: length of an episode [s]; None: the suite's own, 120 s in v1 and `paper`, else 60 s.
+        duration_s: length of an episode [s]; None: the suite's own, 180 s in v1, 120 s in both `paper`, else 60 s.
         control_dt: control interval, one step [s].
         simulation_dt: step of the integration [s]; 0.05 s, which some draws of v1 refuse, move the frequency by 1e-4 Hz
             at most under laws, by 1e-2 Hz under random actions.
