@@ -36,7 +36,7 @@ help: ## Show this list
 
 .PHONY: leaderboard
 leaderboard: $(LEADERBOARD_READY) ## Score every entry on the standard suites and write the rankings to the README (v1) and docs/benchmark.md (v0)
-	$(LEADERBOARD_VENV)/bin/wtg-gym leaderboard --suite standard-v1 --entries baselines policies --results results --readme README.md
+	$(LEADERBOARD_VENV)/bin/wtg-gym leaderboard --suite standard-v1 --entries baselines policies --results results --readme README.md docs/leaderboard.md
 	$(LEADERBOARD_VENV)/bin/wtg-gym leaderboard --suite standard --entries baselines policies --results results --readme docs/benchmark.md
 
 # What the fresh scenarios of the last round were drawn from: the commit with the entries, and the published secret.

@@ -124,7 +124,7 @@ def test_entries_that_leave_0_8_hz_more_often_than_the_anchor_rank_behind_it(res
     assert anchor.lost_or_beyond_to_hundred == anchor.worst_decile_to_hundred == nought
     assert fine.lost_or_beyond_to_hundred == nought and fine.worst_decile_to_hundred.value == pytest.approx(10.0)
     assert last.lost_or_beyond_to_hundred.value == pytest.approx(100.0 / 12.0)
-    text = markdown_table(rows)
+    text = markdown_table(rows, columns_of("details", rows))
     assert "| 0.0 ✓ | 0.0 | +10.0 |" in text and "| 8.3 | +8.3 (0.0 … " in text and " large " not in text
     assert [cells[0] for cells in table_cells(rows)] == ["1", "2", "3", "4"]
 

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import dataclasses
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
+
+from cyclopts import Parameter
 
 from wtg_gym.cli import scoring
 from wtg_gym.cli.options import Entries, Json, OutputFolder, PlantOptions, SeedOptions, Suite, Threads, WorkerOptions
@@ -72,7 +74,7 @@ def leaderboard(
     entries: Entries = (BASELINES,),
     suite: Suite = DEFAULT_SUITE,
     results: OutputFolder = Path("results"),
-    readme: Path | None = None,
+    readme: Annotated[tuple[Path, ...], Parameter(consume_multiple=True)] = (),
     threads: Threads = None,
     json: Json = False,
     workers: WorkerOptions = WorkerOptions(),
@@ -90,11 +92,11 @@ def leaderboard(
 
     Args:
         results: folder of the results; made if missing
-        readme: put the table between <!-- leaderboard:SUITE:start --> and <!-- leaderboard:SUITE:end --> of this file
+        readme: put the table between <!-- leaderboard:SUITE:start --> and <!-- leaderboard:SUITE:end --> of these
+            files, one with more columns between those of leaderboard:SUITE:details
     """
-    section = f"leaderboard:{suite}"
-    if readme is not None:
-        check_page("--readme", readme, section)
+    sections = [f"leaderboard:{suite}", f"leaderboard:{suite}:details"]
+    pages = [(page, check_page("--readme", page, sections)) for page in readme]
     processes = scoring.chosen_workers(workers, threads)
     with scoring.kept_parts(results) as partial:
         chosen = scoring.chosen_entries(entries, suite)
@@ -104,7 +106,7 @@ def leaderboard(
         )
     # Without its parts, which would be removed once the results are written.
     code = scoring.finish(dataclasses.replace(found, parts=None), results, as_json=json)
-    if readme is not None:
-        changed = update_between_markers(readme, markdown_section(found), section)
-        note(f"{readme}: {'updated' if changed else 'already up to date'}")
+    for page, own in pages:
+        changed = update_between_markers(page, markdown_section(found, details=own == sections[1]), own)
+        note(f"{page}: {'updated' if changed else 'already up to date'}")
     return code

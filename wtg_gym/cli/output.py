@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from wtg_gym.extras import install_advice
-from wtg_gym.files import find_markers, printable, write_atomically
+from wtg_gym.files import find_markers, printable, read_text, write_atomically
 
 #: Most characters of an error's message.
 _LONGEST_ERROR = 1500
@@ -53,14 +53,21 @@ def write_and_say(path: Path, content: str | bytes) -> None:
     note(f"wrote {path}")
 
 
-def check_page(option: str, path: Path, section: str) -> None:
-    """Raise a ValueError if a file has no markers of the section that is to be renewed, or cannot be written."""
+def check_page(option: str, path: Path, sections: Sequence[str]) -> str:
+    """Return which of some sections a file has markers of, the first if it has none of the others.
+
+    Raises:
+        ValueError: it has no markers, or cannot be written.
+    """
     try:
+        text = read_text(path, "file with the markers")
+        section = next((each for each in sections if f"<!-- {each}:start -->" in text), sections[0])
         find_markers(path, section)
     except ValueError as error:
         raise ValueError(f"{option}: {error}") from error
     if not os.access(path, os.W_OK) or not os.access(path.resolve().parent, os.W_OK):
         raise ValueError(f"{option} {path} is not writable")
+    return section
 
 
 def plain_json(value: Any) -> Any:

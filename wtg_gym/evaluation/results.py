@@ -17,7 +17,7 @@ from wtg_gym.evaluation.partial import PartialStore
 from wtg_gym.evaluation.score import NoScaleError, cost_offsets, gains, score_scales
 from wtg_gym.evaluation.statistics import Floats, Groups, Interval
 from wtg_gym.evaluation.summary import EntrySummary, Runs, ranked
-from wtg_gym.evaluation.table import markdown_table, notes_on_marks
+from wtg_gym.evaluation.table import columns_of, markdown_table, notes_on_marks
 from wtg_gym.ranges import ByName
 from wtg_gym.scenarios import get_suite
 from wtg_gym.scenarios.benchmark import Benchmark
@@ -264,11 +264,12 @@ def leaderboard_rows(results: Results) -> list[EntrySummary]:
     return ranked(results.summaries)
 
 
-def markdown_section(results: Results) -> str:
-    """Return the ranking for a Markdown page: since v1 with a sentence on the frequency before the table."""
+def markdown_section(results: Results, *, details: bool = False) -> str:
+    """Return the ranking for a Markdown page, in short, since v1 with a sentence on the frequency, or in detail."""
     rows = results.ranking
     notes = (f"{note[0].upper()}{note[1:]}." for note in (results.no_score, *notes_on_marks(rows)) if note)
-    return "\n\n".join(part for part in (_frequency_sentence(results), markdown_table(rows), *notes) if part)
+    table = markdown_table(rows, columns_of("details", rows) if details else None)
+    return "\n\n".join(part for part in ("" if details else _frequency_sentence(results), table, *notes) if part)
 
 
 def _frequency_sentence(results: Results) -> str:

@@ -84,15 +84,15 @@ def _points(term: str) -> Callable[[EntrySummary], str]:
 class _Column(NamedTuple):
     heading: str
     text: Callable[[Any], str]  # of a row
-    tables: str  # which show it: "terminal"; "v0" and "v1", Markdown of that version; "whole", all there is
+    tables: str  # which show it: "terminal"; "v0" and "v1", Markdown of that version; "details", more; "whole", all
 
 
 #: In the order of every table.
 _COLUMNS = (
-    _Column("rank", lambda row: "", "terminal v0 v1 whole"),
-    _Column("entry", _entry, "terminal v0 v1 whole"),
-    _Column("score", _score, "terminal v0 v1 whole"),
-    *(_Column(name, _stratum(name), "terminal v1 whole") for name in ("ordinary", "large", "extreme")),
+    _Column("rank", lambda row: "", "terminal v0 v1 details whole"),
+    _Column("entry", _entry, "terminal v0 v1 details whole"),
+    _Column("score", _score, "terminal v0 v1 details whole"),
+    *(_Column(name, _stratum(name), "terminal details whole") for name in ("ordinary", "large", "extreme")),
     _Column(
         "to the entry above",
         lambda row: signed_interval(row.difference_to_above) if row.difference_to_above else "",
@@ -103,13 +103,13 @@ _COLUMNS = (
     _Column("overload [points]", _points("overload"), "v0 whole"),
     _Column("rest [points]", _points(REST), "v0 whole"),
     _Column("kind", lambda row: row.kind, "whole"),
-    _Column("failures [%]", lambda row: f"{row.failures_percent:.1f}", "v0 whole"),
+    _Column("failures [%]", lambda row: f"{row.failures_percent:.1f}", "v0 details whole"),
     _Column("median deviation [mHz]", lambda row: f"{row.median_deviation_mhz:.0f}", "terminal v1 whole"),
     _Column("worst unit's [mHz]", _worst_deviation, "whole"),
-    _Column("lost or beyond 0.8 Hz [%]", _lost_or_beyond, "terminal v1 whole"),
-    _Column("to the anchor [%-points]", lambda row: signed_interval(row.lost_or_beyond_to_hundred), "v1 whole"),
+    _Column("lost or beyond 0.8 Hz [%]", _lost_or_beyond, "terminal v1 details whole"),
+    _Column("to the anchor [%-points]", lambda row: signed_interval(row.lost_or_beyond_to_hundred), "details whole"),
     _Column("worst tenth", lambda row: f"{row.worst_decile_cost:.0f}", "whole"),
-    _Column("worst tenth to the anchor [%]", lambda row: signed_interval(row.worst_decile_to_hundred), "v1 whole"),
+    _Column("worst tenth to the anchor [%]", lambda row: signed_interval(row.worst_decile_to_hundred), "details whole"),
     _Column("mean cost", lambda row: f"{row.mean_pinned_cost:.1f}", "terminal whole"),
     _Column("nadir [Hz]", lambda row: f"{row.median_nadir_hz:.3f}", "v0 whole"),
     _Column("duty error [%]", lambda row: f"{row.mean_duty_error_percent:.2f}", "whole"),
@@ -118,7 +118,7 @@ _COLUMNS = (
 
 
 def columns_of(table: str, rows: Sequence[EntrySummary]) -> list[str]:
-    """Return the headings of a table, "terminal", "v0", "v1" or "whole", but for columns that no row fills."""
+    """Return the headings of a table, see :class:`_Column`, but for columns that no row fills."""
     columns = [column for column in _COLUMNS if table in column.tables.split()]
     return [own.heading for own in columns if own.heading == "rank" or any(map(own.text, rows))]
 
