@@ -21,7 +21,6 @@ README = {
     "install": "start.md#install",
     "play-an-episode": "start.md#play-an-episode",
     "score-and-compare": "start.md#score-and-compare",
-    "train": "start.md#train",
     "leaderboard": "leaderboard.md",
     "cite": "index.md#cite",
 }
