@@ -9,8 +9,10 @@ import sys
 from pathlib import Path
 
 import pytest
+from llvmlite.binding import get_host_cpu_features
 
 import wtg_gym
+from wtg_gym.systems.compiled import KINDS
 
 #: Two functions, of which one calls the other, compiled as the simulator's are; the folder is an argument.
 PROGRAM = """
@@ -83,6 +85,18 @@ def test_damaged_files_are_compiled_again_and_replaced_by_processes_that_start_a
         assert outcome(process)[:3] == RESULT
     assert {path: path.stat().st_size for path in folder.iterdir()} == {path: len(own) for path, own in intact.items()}
     assert outcome(run(PROGRAM, folder)) == [*RESULT, "0"]
+
+
+@pytest.mark.skipif(
+    not all(map(get_host_cpu_features().get, KINDS["x86-64-v3"])), reason="needs a processor of the kind x86-64-v3"
+)
+def test_a_wheels_code_for_a_kind_of_processor_is_used_by_those_of_that_kind(tmp_path: Path) -> None:
+    assert outcome(run(PROGRAM, tmp_path, NUMBA_CPU_NAME="x86-64-v3", NUMBA_CPU_FEATURES="")) == [*RESULT, "4"]
+    brought = "from wtg_gym.systems import compiled as own\nown.SHIPPED, folder = Path(sys.argv[1]), None"
+    program = PROGRAM.replace("folder = Path(sys.argv[1])", brought)
+    assert outcome(run(program, tmp_path)) == [*RESULT, "0"]
+    # Others compile, and keep it elsewhere.
+    assert outcome(run(program, tmp_path / "none")) == [*RESULT, "4"]
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs a device that is full")

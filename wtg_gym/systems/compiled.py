@@ -7,6 +7,9 @@ compiled code, so that an edit anywhere starts a new folder. It has one file for
 which begins with a checksum over its key and its content. A file that is missing, damaged or of something else counts
 as missing: numba compiles again, and the file is replaced.
 
+A wheel may bring machine code for a kind of processor, such as x86-64-v3, made by `.ci/machine_code`. Where this one is
+of that kind, and Python and numba are those that the code was made with, nothing is compiled; the bits are the same.
+
 Compiling takes some ten seconds, so it is reported: in a terminal by a line that moves and goes away; elsewhere the
 logger "wtg_gym" warns once, with the folder. `logging.getLogger("wtg_gym").setLevel(logging.ERROR)` silences both.
 """
@@ -41,6 +44,10 @@ _PACKAGE = Path(__file__).resolve().parent.parent
 _log = logging.getLogger("wtg_gym")
 #: What machine code depends on besides the sources and the processor.
 VERSIONS = (numba.__version__, llvmlite.__version__, sys.implementation.cache_tag)
+#: Machine code that a wheel brings, and the kinds of processor that it may be for, with what they must have.
+SHIPPED = _PACKAGE / "machine_code"
+_V3 = ("avx2", "bmi", "bmi2", "f16c", "fma", "lzcnt", "movbe")
+KINDS = {"x86-64-v4": (*_V3, "avx512f", "avx512bw", "avx512cd", "avx512dq", "avx512vl"), "x86-64-v3": _V3}
 #: This many functions and routines are compiled before anything is reported: so few take a second.
 _SILENT_FUNCTIONS = 20
 
@@ -90,6 +97,17 @@ def cache_folder() -> Path | None:
     return None
 
 
+Processor = tuple[str, str, str]
+
+
+def shipped_for(processor: Processor) -> list[Processor]:
+    """Return which kinds of processor a wheel has code for that runs on this one, as numba tells them."""
+    if not SHIPPED.is_dir():
+        return []
+    has = llvmlite.binding.get_host_cpu_features()
+    return [(processor[0], kind, "") for kind, needed in KINDS.items() if all(map(has.get, needed))]
+
+
 def kept(path: Path | None, key: bytes) -> bytes | None:
     """Return what was kept in a file; None if it is missing, damaged or kept under another key."""
     if path is not None:
@@ -132,25 +150,27 @@ class DiskCache(NullCache):  # type: ignore[misc]
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
         """Return the machine code for a signature; None makes numba compile."""
-        if self._folder is None:
-            return None
         target_context.refresh()
-        key = self._key(sig, target_context.codegen())
-        code = kept(self._path(self._folder, key), key)
-        # What another version of numba has pickled may raise anything.
-        with contextlib.suppress(Exception):
-            return None if code is None else CompileResult._rebuild(target_context, *pickle.loads(code))
+        processor = target_context.codegen().magic_tuple()
+        places = [(self._folder, processor), *((SHIPPED, kind) for kind in shipped_for(processor))]
+        for folder, kind in places:
+            key = self._key(sig, kind)
+            code = None if folder is None else kept(self._path(folder, key), key)
+            # What another version of numba has pickled may raise anything.
+            with contextlib.suppress(Exception):
+                if code is not None:
+                    return CompileResult._rebuild(target_context, *pickle.loads(code))
         return None
 
     def save_overload(self, sig: Any, data: Any) -> None:
         """Keep what numba has compiled."""
         if self._folder is None or data.library.has_dynamic_globals:
             return
-        key = self._key(sig, data.codegen)
+        key = self._key(sig, data.codegen.magic_tuple())
         keep(self._path(self._folder, key), key, dumps(data._reduce()))
 
-    def _key(self, sig: Any, codegen: Any) -> bytes:
-        return digest_of(repr((self._source, sig, codegen.magic_tuple())).encode())
+    def _key(self, sig: Any, processor: Processor) -> bytes:
+        return digest_of(repr((self._source, sig, processor)).encode())
 
     def _path(self, folder: Path, key: bytes) -> Path:
         return folder / f"{self._name.removeprefix('wtg_gym.')}-{key.hex()[:16]}.nbc"

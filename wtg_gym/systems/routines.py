@@ -20,7 +20,17 @@ from numba.core.compiler_lock import global_compiler_lock
 from numba.core.registry import cpu_target
 from numba.extending import intrinsic
 
-from wtg_gym.systems.compiled import VERSIONS, cache_folder, digest_of, keep, kept, reporting
+from wtg_gym.systems.compiled import (
+    SHIPPED,
+    VERSIONS,
+    Processor,
+    cache_folder,
+    digest_of,
+    keep,
+    kept,
+    reporting,
+    shipped_for,
+)
 from wtg_gym.systems.programs import NONE, Floats, Program, Tables, Whole
 from wtg_gym.systems.systems import SCALARS
 from wtg_gym.systems.writers import BackWithoutConstants, BackWriter, NotingWriter, TapedWriter, Writer
@@ -74,23 +84,26 @@ class Routine:
         """
         n_arrays, what = _OF_WRITER[self._writer]
         told = (program.digest(back=n_arrays > 2), what, width, sorted(self._known.items()), _writers_hash())
-        key = digest_of(repr((told, _processor(), VERSIONS)).encode())
+        folder = cache_folder()
+        places = [(folder and folder.parent, _processor()), *((SHIPPED, kind) for kind in shipped_for(_processor()))]
+        keys = [digest_of(repr((told, kind, VERSIONS)).encode()) for _, kind in places]
         # Threads may ask at once.
         with global_compiler_lock:
-            if key not in _ADDRESSES:
-                name = f"{program.name.lower()}-{key.hex()[:16]}"
-                folder = cache_folder()
-                path = None if folder is None else folder.parent / "programs" / f"{name}.o"
-                code = kept(path, key)
+            if keys[0] not in _ADDRESSES:
+                names = [f"{program.name.lower()}-{key.hex()[:16]}" for key in keys]
+                bases = [base and base / "programs" for base, _ in places]
+                paths = [base and base / f"{name}.o" for base, name in zip(bases, names, strict=True)]
+                found = (kept(path, key) for path, key in zip(paths, keys, strict=True))
+                name, code = next((each for each in zip(names, found, strict=True) if each[1]), (names[0], None))
                 if code is None:
                     with reporting(f"{program.name.lower()} ({what})"):
                         code = self._compiled(program, name, width)
-                    keep(path, key, code)
+                    keep(paths[0], keys[0], code)
                 engine = _engine()
                 engine.add_object_file(binding.ObjectFileRef.from_data(code))
                 engine.finalize_object()
-                _ADDRESSES[key] = engine.get_function_address(name)
-            return _ADDRESSES[key]
+                _ADDRESSES[keys[0]] = engine.get_function_address(name)
+            return _ADDRESSES[keys[0]]
 
     def __call__(self, arrays: Sequence[Floats], tables: Tables, scalars: Sequence[float] = NONE) -> None:
         """Run it from Python.
@@ -145,9 +158,9 @@ class Routine:
 _LEVEL = 1
 
 
-def _processor() -> tuple[str, str, str]:
+def _processor() -> Processor:
     """Return triple, name and features of this processor, as numba knows them."""
-    found: tuple[str, str, str] = cpu_target.target_context.codegen().magic_tuple()
+    found: Processor = cpu_target.target_context.codegen().magic_tuple()
     return found
 
 
