@@ -369,8 +369,8 @@ def commissioned(size: Size) -> Condition:
     return Condition(
         "l",
         "the anchor: k ≤ K_opt, dP/df ≤ 0 in all steady states, limits kept; ten minutes after the largest load steps, "
-        "that upwards without the governor too, and after the trip of the largest group that scenarios lose, no grid and "
-        "no rotor is lost",
+        "that upwards without the governor too, and after the trip of the largest group that scenarios lose, no grid "
+        "and no rotor is lost",
         f"k ≤ K_opt {'yes' if found.capped else 'no'}, largest dP/df {found.steepest:.2g} p.u./Hz, power "
         f"{found.power:.2f}, torque {found.torque:.2f}, slowest rotor {found.slowest:.2f} p.u.; "
         + "; ".join(
