@@ -112,9 +112,9 @@ class Aftermath:
 
 
 def worst_events() -> dict[str, tuple[Event, ...]]:
-    """Return the largest load steps up and down among training scenarios, the trip of the largest group, and outages.
+    """Return the largest load steps up and down among training scenarios, the trip of a group, and outages.
 
-    The step up comes once the governor is lost too.
+    The step up comes once the governor is lost too. The group is the largest that scenarios lose.
 
     Without the last machine the network has what the wind gives, which may be less than the load: no law is asked to
     hold then.
@@ -126,7 +126,7 @@ def worst_events() -> dict[str, tuple[Event, ...]]:
     return {
         largest.words: (largest,),
         least.words: (least,),
-        "a group trips": (GroupTrip(time_s=EVENT_S, group=0),),
+        "a group trips": (GroupTrip(time_s=EVENT_S, group=1),),
         f"governor lost, {largest.words}": (GovernorLoss(time_s=0.0, bus=1), largest),
         LAST_MACHINE: (MachineOutage(time_s=EVENT_S, bus=1),),
     }

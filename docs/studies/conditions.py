@@ -369,7 +369,8 @@ def commissioned(size: Size) -> Condition:
     return Condition(
         "l",
         "the anchor: k ≤ K_opt, dP/df ≤ 0 in all steady states, limits kept; ten minutes after the largest load steps, "
-        "that upwards without the governor too, and after the loss of the largest group, no grid and no rotor is lost",
+        "that upwards without the governor too, and after the trip of the largest group that scenarios lose, no grid "
+        "and no rotor is lost",
         f"k ≤ K_opt {'yes' if found.capped else 'no'}, largest dP/df {found.steepest:.2g} p.u./Hz, power "
         f"{found.power:.2f}, torque {found.torque:.2f}, slowest rotor {found.slowest:.2f} p.u.; "
         + "; ".join(
@@ -541,15 +542,17 @@ def strata(results: Results) -> str:
     first_of = {row.kind: row.name for row in reversed(rows)}
     names = [first_of[kind] for kind in ("learned", "law") if kind in first_of]
     names = list(dict.fromkeys([*names, min(rows, key=lambda row: row.lost_or_beyond_percent).name]))
-    lost = {
-        name: np.mean([[episode.metrics["cost_unserved"] for episode in run] for run in runs[name]], axis=0)
+    shed = {
+        name: np.mean([[episode.metrics["shed_energy_mwh"] for episode in run] for run in runs[name]], axis=0)
         for name in {ANCHOR, *names}
     }
-    costs = {name: results.pinned_costs[name].mean(axis=0) for name in lost}
+    costs = {name: results.pinned_costs[name].mean(axis=0) for name in shed}
 
     def change(values: Mapping[str, Floats], name: str, own: Any) -> str:
         """Of a mean to the anchor's [%], with a standard error of the paired difference."""
         base = values[ANCHOR][own]
+        if not base.any():
+            return "–"
         away = 100.0 * (values[name][own] - base) / base.mean()
         return f"{away.mean():+.0f} ± {away.std(ddof=1) / len(away) ** 0.5:.0f}"
 
@@ -560,13 +563,13 @@ def strata(results: Results) -> str:
             stratum,
             f"{results.cost_offsets[own][0]:.0f}",
             f"{costs[ANCHOR][own].mean():.0f}",
-            f"{100.0 * lost[ANCHOR][own].mean() / costs[ANCHOR][own].mean():.0f}",
+            f"{shed[ANCHOR][own].mean():.3f}",
             f"{scale:.2f}",
-            *(f"{change(costs, name, own)}; {change(lost, name, own)}" for name in names),
+            *(f"{change(costs, name, own)}; {change(shed, name, own)}" for name in names),
         ]
         for (stratum, own), scale in zip(results.groups.items(), scales, strict=True)
     ]
-    head = ("", "J0", "mean cost", "of it load not served [%]", "a point [% of J + J0]")
+    head = ("", "J0", "mean cost", "load not served [MWh]", "a point [% of J + J0]")
     return markdown_table((*head, *(f"{name} [%]" for name in names)), cells, right=range(1, 5))
 
 

@@ -97,10 +97,18 @@ def with_fault(entry: Entry, fault: Callable[[Floats, Floats], None], since: int
     return replace(entry, policy=FaultyPolicy(entry.policy, width, fault, since), fingerprint=fingerprint)
 
 
+def entries_of(suite: str) -> list[Entry]:
+    """Return all entries; of several training seeds the first."""
+    found: dict[str, Entry] = {}
+    for entry in chosen_entries(("baselines", "policies"), suite):
+        found.setdefault(entry.name, entry)
+    return list(found.values())
+
+
 def on_suite(suite: str) -> Results:
     """Return the results on a suite's first test scenarios, which are kept."""
-    entries, seeds = chosen_entries(("baselines", "policies"), suite), get_suite(suite).test[:N_SCENARIOS]
-    found = run_evaluation(entries, partial=PARTIAL, suite=suite, split="test", seeds=seeds)
+    where = {"suite": suite, "split": "test", "seeds": get_suite(suite).test[:N_SCENARIOS]}
+    found = run_evaluation(entries_of(suite), partial=PARTIAL, **where)
     # Without its parts, which would be removed once the results are written.
     replace(found, parts=None).write(FOLDER)
     return found
@@ -145,7 +153,8 @@ def section(suites: Mapping[str, Results], faults: Mapping[str, Results]) -> str
     """Return both tables and what they show."""
     first = suites[OWN]
     return (
-        f"Score, mark ✓ and mean cost of the worst tenth on the first {len(first.seeds)} test scenarios of a suite:\n\n"
+        f"Score, mark ✓ and mean cost of the worst tenth on the first {len(first.seeds)} test scenarios of a suite, by "
+        "the first training seed:\n\n"
         f"{table(suites, first)}\n\nOn those of `{OWN}` with something changed, which both anchors meet too:\n\n"
         f"{table(faults, first)}"
     )
@@ -155,6 +164,6 @@ if __name__ == "__main__":
     docs = output_folder(__doc__)
     suites = {suite: on_suite(suite) for suite in SUITES}
     left = {entry["name"] for entry in suites[OWN].entries}
-    entries = [entry for entry in chosen_entries(("baselines", "policies"), OWN) if entry.name in left]
+    entries = [entry for entry in entries_of(OWN) if entry.name in left]
     faults = with_faults(entries, suites[OWN].seeds, PARTIAL)
     update_between_markers(docs / "benchmark.md", section(suites, faults), "matrix")
