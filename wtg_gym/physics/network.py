@@ -36,6 +36,8 @@ class Bus(Checked):
     voltage_pu: float | None = parameter(
         None, "p.u.", "IEEE 14", "voltage that the bus's units hold, None for none", 0.1, 10.0
     )
+    x: float | None = design(None, "-", "where pictures show it, from the left; None: laid out", -1e6, 1e6)
+    y: float | None = design(None, "-", "and from below", -1e6, 1e6)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -1,0 +1,151 @@
+"""A grid as data: network, machines, WTG groups and where its numbers come from, in one JSON file."""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+import json
+import types
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, get_args, get_type_hints
+
+from wtg_gym.files import read_json
+from wtg_gym.physics.checked import Checked
+from wtg_gym.physics.machine_parameters import (
+    ExciterParameters,
+    GovernorParameters,
+    HydroGovernorParameters,
+    SynchronousMachineParameters,
+)
+from wtg_gym.physics.network import NetworkCase
+from wtg_gym.physics.parameters import WtgGroup
+from wtg_gym.ranges import require_known
+
+#: The grids that come with the package.
+FOLDER = Path(__file__).parents[1] / "grids"
+#: The one that is meant where none is named: the paper's.
+DEFAULT_GRID = "ieee14"
+#: Controls of a machine by the name that stands in a file.
+MODELS: Mapping[str, type[Any]] = types.MappingProxyType(
+    {"SEXS": ExciterParameters, "TGOV1": GovernorParameters, "HYGOV": HydroGovernorParameters}
+)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Grid(Checked):
+    """A network with its machines and WTG groups, as a file describes it.
+
+    Args:
+        case: the network.
+        groups: the WTG groups.
+        source: where the numbers come from.
+        licence: of the source.
+        repairs: what was changed because it contradicted itself, a sentence each.
+        substitutions: what stands in place of a model that is not here, a sentence each.
+    """
+
+    case: NetworkCase
+    groups: tuple[WtgGroup, ...] = ()
+    source: str = ""
+    licence: str = ""
+    repairs: tuple[str, ...] = ()
+    substitutions: tuple[str, ...] = ()
+
+
+def known_grids() -> tuple[str, ...]:
+    """Return the names of the grids that come with the package."""
+    return tuple(sorted(path.stem for path in FOLDER.glob("*.json")))
+
+
+def get_grid(name: str) -> Grid:
+    """Return a grid by its name, or by the path of its file, which ends in ".json".
+
+    Raises:
+        ValueError: the name is unknown, or the file is damaged; the message says what is wrong.
+    """
+    if name.endswith(".json"):
+        return read_grid(Path(name))
+    if name not in known_grids():
+        raise ValueError(f"unknown grid {name!r}; known grids: {', '.join(known_grids())}, or the path of a .json file")
+    return _shipped(name)
+
+
+@functools.cache
+def _shipped(name: str) -> Grid:
+    return read_grid(FOLDER / f"{name}.json")
+
+
+def read_grid(path: Path) -> Grid:
+    """Return the grid of a file; a ValueError says what is wrong with it."""
+    data = read_json(path, "grid")
+    try:
+        own = {field.name for field in dataclasses.fields(Grid)} - {"case"}
+        case = {key: value for key, value in data.items() if key not in own}
+        return _record(Grid, {"case": case, **{key: value for key, value in data.items() if key in own}})
+    except (KeyError, TypeError, ValueError) as error:
+        raise ValueError(f"{path} is no grid: {error}") from error
+
+
+def _record(kind: Any, data: Any) -> Any:
+    """Return a dataclass from a JSON object; the records in it too."""
+    if not isinstance(data, Mapping):
+        raise ValueError(f"{kind.__name__} must be an object, got {data!r:.80}")
+    kinds = get_type_hints(kind)
+    require_known(kind.__name__, data, list(kinds))
+    return kind(**{name: _value(kinds[name], value) for name, value in data.items()})
+
+
+def _value(kind: Any, value: Any) -> Any:
+    """Return a value as the type of its field says: objects as records, lists as tuples of them."""
+    kinds = [each for each in (get_args(kind) or (kind,)) if dataclasses.is_dataclass(each)]
+    if isinstance(value, list):
+        return tuple(_record(kinds[0], each) if kinds else each for each in value)
+    if not isinstance(value, Mapping) or not kinds:
+        return value
+    if kinds[0] not in MODELS.values():
+        return _record(kinds[0], value)
+    given = dict(value)
+    models = [name for name, each in MODELS.items() if each in kinds]
+    if (model := given.pop("model", None)) not in models:
+        raise ValueError(f"unknown model {model!r}; known here: {', '.join(models)}")
+    return _record(MODELS[model], given)
+
+
+def grid_text(grid: Grid) -> str:
+    """Return a grid as its file: what is not as the defaults say, a record per line."""
+    data = {**_data(grid), **_data(grid.case)}
+    del data["case"]
+    parts = []
+    for key, value in data.items():
+        text = json.dumps(value, ensure_ascii=False, allow_nan=False)
+        if isinstance(value, list) and value:
+            text = "[\n" + ",\n".join(f"  {json.dumps(each, ensure_ascii=False, allow_nan=False)}" for each in value) + "\n ]"
+        parts.append(f" {json.dumps(key)}: {text}")
+    return "{\n" + ",\n".join(parts) + "\n}\n"
+
+
+def _data(record: Any) -> Any:
+    """Return a record as JSON-ready data, without what is as by default."""
+    if isinstance(record, tuple):
+        return [_data(each) for each in record]
+    if not dataclasses.is_dataclass(record):
+        return record
+    found: dict[str, Any] = {}
+    names = {each: name for name, each in MODELS.items()}
+    if type(record) in names:
+        found["model"] = names[type(record)]
+    for field in dataclasses.fields(record):
+        value = getattr(record, field.name)
+        factory: Any = field.default_factory
+        default = field.default if factory is dataclasses.MISSING else factory()
+        if value != default:
+            found[field.name] = _data(value)
+    return found
+
+
+def classical(case: NetworkCase) -> NetworkCase:
+    """Return a network whose machines are a constant voltage behind x'_d, without exciters."""
+    machines = (dataclasses.replace(machine, classical=True, exciter=None) for machine in case.machines)
+    return dataclasses.replace(case, machines=tuple(machines))
