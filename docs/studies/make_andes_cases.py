@@ -53,7 +53,7 @@ import numpy.typing as npt
 from andes.routines.daeint import Trapezoid, method_map
 from case import EXCITER, GENROU, GOVERNOR, HYDRO_GOVERNOR, MACHINE
 
-from wtg_gym.physics.ieee14 import modified_ieee14
+from wtg_gym.physics.grid import get_grid
 from wtg_gym.physics.machine_parameters import HydroGovernorParameters, SynchronousMachineParameters
 from wtg_gym.physics.network import NetworkCase
 from wtg_gym.physics.scenario import (
@@ -212,7 +212,7 @@ class Trace(NamedTuple):
 
 def network_of(case: Case) -> NetworkCase:
     """Return the modified IEEE 14-bus system with the case's limits, resistances and governor."""
-    network = modified_ieee14()
+    network = get_grid("ieee14").case
     machines = []
     for m in network.machines:
         governor, exciter = m.governor, m.exciter

@@ -19,7 +19,7 @@ from wtg_gym.envs.task_records import (
 )
 from wtg_gym.files import markdown_table, update_between_markers
 from wtg_gym.physics import machine_parameters, parameters
-from wtg_gym.physics.ieee14 import modified_ieee14
+from wtg_gym.physics.grid import get_grid
 from wtg_gym.physics.machine_parameters import SynchronousMachineParameters
 from wtg_gym.physics.parameters import SOURCES, WtgGroup
 from wtg_gym.scenarios import SUITES
@@ -167,7 +167,7 @@ def parameters_page():
             if own and cls not in (WtgGroup, SynchronousMachineParameters):
                 parts.append(class_list(name, own, lambda field: [field.default]))
     kinds = {}
-    for machine in modified_ieee14().machines:
+    for machine in get_grid("ieee14").case.machines:
         numbers = {key: value for key, value in vars(machine).items() if type(value) in (int, float) and key != "bus"}
         kinds.setdefault(tuple(numbers.items()), []).append(str(machine.bus))
     fields = [field for field in dataclasses.fields(SynchronousMachineParameters) if field.name in numbers]

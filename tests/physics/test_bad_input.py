@@ -12,7 +12,7 @@ import pytest
 
 from tests.physics.extended import LAW, classical, plant, scenario, started, with_machine
 from wtg_gym.physics.aerodynamics import available_power_pu, power_coefficient, tracking_point
-from wtg_gym.physics.ieee14 import modified_ieee14
+from wtg_gym.physics.grid import get_grid
 from wtg_gym.physics.machine_parameters import HydroGovernorParameters
 from wtg_gym.physics.network import Branch, Bus, NetworkCase
 from wtg_gym.physics.parameters import (
@@ -48,7 +48,7 @@ from wtg_gym.physics.trajectory import simulate
 
 NAN = math.nan
 Call = Callable[[], Any]
-IEEE14 = modified_ieee14()
+IEEE14 = get_grid("ieee14").case
 
 
 def of(kind: Any, **values: Any) -> Call:

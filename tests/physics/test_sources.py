@@ -20,7 +20,7 @@ from tests.physics.extended import (
 )
 from tests.physics.test_faults import bus_matrix
 from tests.physics.test_islands import PARTED_WIND, cut, parted
-from wtg_gym.physics.ieee14 import modified_ieee14
+from wtg_gym.physics.grid import get_grid
 from wtg_gym.physics.local_frequency import FILTER_S, turn_between
 from wtg_gym.physics.network import NetworkCase, Source
 from wtg_gym.physics.protection import Status
@@ -43,7 +43,7 @@ from wtg_gym.physics.units import BUSES, ISLANDS, Phasor
 
 def with_source(**changes: float) -> NetworkCase:
     """An imposed source in the place of the machine with the governor."""
-    case = modified_ieee14()
+    case = get_grid("ieee14").case
     return dataclasses.replace(case, machines=case.machines[1:], sources=(Source(bus=1, reactance=0.02, **changes),))
 
 
@@ -133,7 +133,7 @@ def test_a_local_frequency_is_the_filtered_turn_of_the_voltage() -> None:
 
 
 def test_half_the_units_of_a_machine_are_a_machine_of_half_the_rating() -> None:
-    case = modified_ieee14()
+    case = get_grid("ieee14").case
     half = with_machine(rating_mva=0.5 * case.machines[0].rating_mva)
     step = LoadStep(time_s=1.0, bus=3, power_mw=30.0)
     some, small = started(plant(), scenario(step, committed=0.5)), started(plant(case=half), scenario(step))

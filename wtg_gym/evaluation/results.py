@@ -96,7 +96,7 @@ class Results:
 
     @cached_property
     def _measured(self) -> list[EntrySummary]:
-        return summary.measured(self.entries, self._runs, self.pinned_costs, self.benchmark, self.groups)
+        return summary.measured(self.entries, self._runs, self.pinned_costs, get_suite(self.suite), self.groups)
 
     @property
     def ranking(self) -> list[EntrySummary]:

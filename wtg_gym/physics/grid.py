@@ -17,7 +17,6 @@ from wtg_gym.physics.machine_parameters import (
     ExciterParameters,
     GovernorParameters,
     HydroGovernorParameters,
-    SynchronousMachineParameters,
 )
 from wtg_gym.physics.network import NetworkCase
 from wtg_gym.physics.parameters import WtgGroup
@@ -83,9 +82,10 @@ def read_grid(path: Path) -> Grid:
     try:
         own = {field.name for field in dataclasses.fields(Grid)} - {"case"}
         case = {key: value for key, value in data.items() if key not in own}
-        return _record(Grid, {"case": case, **{key: value for key, value in data.items() if key in own}})
+        grid: Grid = _record(Grid, {"case": case, **{key: value for key, value in data.items() if key in own}})
     except (KeyError, TypeError, ValueError) as error:
         raise ValueError(f"{path} is no grid: {error}") from error
+    return grid
 
 
 def _record(kind: Any, data: Any) -> Any:
@@ -121,7 +121,11 @@ def grid_text(grid: Grid) -> str:
     for key, value in data.items():
         text = json.dumps(value, ensure_ascii=False, allow_nan=False)
         if isinstance(value, list) and value:
-            text = "[\n" + ",\n".join(f"  {json.dumps(each, ensure_ascii=False, allow_nan=False)}" for each in value) + "\n ]"
+            text = (
+                "[\n"
+                + ",\n".join(f"  {json.dumps(each, ensure_ascii=False, allow_nan=False)}" for each in value)
+                + "\n ]"
+            )
         parts.append(f" {json.dumps(key)}: {text}")
     return "{\n" + ",\n".join(parts) + "\n}\n"
 
@@ -143,9 +147,3 @@ def _data(record: Any) -> Any:
         if value != default:
             found[field.name] = _data(value)
     return found
-
-
-def classical(case: NetworkCase) -> NetworkCase:
-    """Return a network whose machines are a constant voltage behind x'_d, without exciters."""
-    machines = (dataclasses.replace(machine, classical=True, exciter=None) for machine in case.machines)
-    return dataclasses.replace(case, machines=tuple(machines))

@@ -160,6 +160,11 @@ class NetworkCase(Checked):
         """Return the indices of the branches any one of which splits the network when it opens."""
         return frozenset(index for index in range(len(self.branches)) if len(self.parts_without((index,))) > 1)
 
+    def classical(self) -> NetworkCase:
+        """Return the network with a constant voltage behind x'_d in place of every machine and its exciter."""
+        machines = (dataclasses.replace(machine, classical=True, exciter=None) for machine in self.machines)
+        return dataclasses.replace(self, machines=tuple(machines))
+
     def with_governors(
         self,
         change: Callable[[GovernorParameters | HydroGovernorParameters], GovernorParameters | HydroGovernorParameters],

@@ -18,8 +18,8 @@ from wtg_gym.physics.checked import Checked, design
 from wtg_gym.physics.extension_unit import COLUMNS, EXTENSIONS
 from wtg_gym.physics.further_units import FurtherUnits, joining
 from wtg_gym.physics.governor import HydroGovernor, hydro_constants
+from wtg_gym.physics.grid import get_grid
 from wtg_gym.physics.hydro_unit import HYDRO
-from wtg_gym.physics.ieee14 import modified_ieee14
 from wtg_gym.physics.kernel_data import Facts, Network, structured
 from wtg_gym.physics.layout import Layout, place_in
 from wtg_gym.physics.machine import Machine, machine_constants
@@ -91,7 +91,7 @@ class PlantSettings(Checked):
         ValueError: a bus is unknown, a step does not divide, or a value is outside its range.
     """
 
-    case: NetworkCase = dataclasses.field(default_factory=modified_ieee14)
+    case: NetworkCase = dataclasses.field(default_factory=lambda: get_grid("ieee14").case)
     groups: tuple[WtgGroup, ...] = dataclasses.field(default_factory=default_groups)
     turbine: TurbineParameters = dataclasses.field(default_factory=TurbineParameters)
     pitch: PitchParameters = dataclasses.field(default_factory=PitchParameters)
@@ -182,7 +182,7 @@ def plant_settings(physics: str = "paper", **settings: Any) -> PlantSettings:
         raise ValueError(f"unknown physics {physics!r}; choose one of {', '.join(PHYSICS)}")
     if physics == "paper":
         return PlantSettings(**settings)
-    case = settings["case"] if "case" in settings else modified_ieee14()
+    case = settings["case"] if "case" in settings else get_grid("ieee14").case
     if not isinstance(case, NetworkCase):
         raise ValueError(f"case must be a NetworkCase, got {case!r}")
     case = case.with_governors(lambda g: g if g.dead_band_pu else dataclasses.replace(g, dead_band_pu=DEAD_BAND_PU))

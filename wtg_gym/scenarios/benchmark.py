@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from types import MappingProxyType
 from typing import Any
 
-from wtg_gym.physics.ieee14 import modified_ieee14
+from wtg_gym.physics.grid import DEFAULT_GRID, get_grid
 from wtg_gym.physics.machine_parameters import GovernorParameters
 from wtg_gym.physics.parameters import WtgGroup, default_groups
 from wtg_gym.physics.plant import PlantSettings, plant_settings
@@ -47,11 +47,6 @@ class Benchmark:
         """Name of the entry that scores 100, with which all others are compared."""
         return self.anchors[1]
 
-    @property
-    def nominal_hz(self) -> float:
-        """Nominal frequency of its grid [Hz]."""
-        return modified_ieee14().frequency_hz
-
     def to_dict(self) -> dict[str, Any]:
         """Return the version as JSON-ready data."""
         return {**vars(self), "weights": dict(self.weights), "cost_offsets": dict(self.cost_offsets)}
@@ -59,8 +54,9 @@ class Benchmark:
 
 @dataclass(frozen=True, kw_only=True)
 class SuitePlant:
-    """The modified IEEE 14-bus system of a suite: how much of it is wind, how strong the rest is."""
+    """The grid of a suite: how much of it is wind, how strong the rest is."""
 
+    grid: str = DEFAULT_GRID  # its name, or the path of its file
     groups: tuple[WtgGroup, ...] = field(default_factory=default_groups)
     physics: str = "paper"  # see plant_settings
     generator_mva: float | None = None  # rating of the generator at bus 1, None for the paper's [MVA]
@@ -80,7 +76,8 @@ class SuitePlant:
             classical: whether machines are a constant voltage behind x'_d.
             steps: control_dt, simulation_dt and trips_groups of :class:`~wtg_gym.physics.plant.PlantSettings`.
         """
-        case = modified_ieee14(classical=classical)
+        case = get_grid(self.grid).case
+        case = case.classical() if classical else case
         generator: dict[str, Any] = {"rating_mva": self.generator_mva, "governor": self.governor}
         changes = {name: value for name, value in generator.items() if value is not None}
         machines = [dataclasses.replace(m, **changes) if m.bus == case.slack_bus else m for m in case.machines]
@@ -103,8 +100,9 @@ class SuitePlant:
         return plant
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the plant as JSON-ready data."""
-        return dataclasses.asdict(self)
+        """Return the plant as JSON-ready data; suites of the IEEE 14-bus system keep the hashes that they had."""
+        data = dataclasses.asdict(self)
+        return {key: value for key, value in data.items() if (key, value) != ("grid", DEFAULT_GRID)}
 
 
 #: The paper's system. 0 is MPPT, 100 the paper's law.

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from wtg_gym.physics.checked import Checked, design, required
-from wtg_gym.physics.ieee14 import modified_ieee14
+from wtg_gym.physics.grid import get_grid
 from wtg_gym.physics.scenario import (
     LONGEST_RUN_S,
     SERIES_DT,
@@ -186,7 +186,7 @@ class ScenarioDistribution(Checked):
         unknown = {(min(line), max(line)) for line in self.fault_lines} - set(TRIPPABLE_LINES)
         if (self.fault_probability and not self.fault_lines) or unknown:
             raise ValueError(f"fault_lines must be one or more of {TRIPPABLE_LINES}, got {self.fault_lines}")
-        case = modified_ieee14()
+        case = get_grid("ieee14").case
         for lines in self.islandings:
             if len(case.parts_without(tuple(case.branch_index(*line) for line in lines))) != 2:
                 raise ValueError(f"islandings must each leave two parts of the network, got {lines}")
@@ -285,7 +285,7 @@ class ScenarioDistribution(Checked):
         """
         if plan.machine_loading is None or self.generator_mva is None:
             return 1.0
-        load_mw = plan.load_level * modified_ieee14().load_mw
+        load_mw = plan.load_level * get_grid("ieee14").case.load_mw
         given = min(wind.share_of_load(winds, turbines, load_mw) for winds in (plan.mean_winds, first_winds.tolist()))
         needed = (1.0 + LOSSES - given) * load_mw / (plan.machine_loading * self.generator_mva)
         return min(max(needed, LEAST_COMMITTED), 1.0)
@@ -413,7 +413,7 @@ class ScenarioDistribution(Checked):
     def _mean_winds(self, pick: Picker, turbines: list[float], load_level: float) -> list[float]:
         if self.wind_share is None:
             return self._any_mean_winds(pick, len(turbines))
-        (low, high), load_mw = self.wind_share, load_level * modified_ieee14().load_mw
+        (low, high), load_mw = self.wind_share, load_level * get_grid("ieee14").case.load_mw
         for _ in range(_MOST_DRAWS):
             winds = self._any_mean_winds(pick, len(turbines))
             if low <= wind.share_of_load(winds, turbines, load_mw) <= high:
@@ -431,7 +431,7 @@ class ScenarioDistribution(Checked):
         # A twentieth of the range at either end: that many draws at least must fit.
         margin = 0.05 * (high - low)
         for load_level in self.load_level:
-            speeds, load_mw = (low + margin, high - margin), load_level * modified_ieee14().load_mw
+            speeds, load_mw = (low + margin, high - margin), load_level * get_grid("ieee14").case.load_mw
             least, most = (wind.share_of_load([speed] * len(n_turbines), n_turbines, load_mw) for speed in speeds)
             if most < self.wind_share[0] or least > self.wind_share[1]:
                 raise ValueError(

@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from wtg_gym.physics.grid import get_grid
 from wtg_gym.physics.scenario import Event, Scenario, trusted
 from wtg_gym.ranges import is_whole, require_whole
 from wtg_gym.scenarios.benchmark import V0, Benchmark, SuitePlant
@@ -92,6 +93,11 @@ class Suite:
         ordered = sorted((self.train, self.validation, self.test), key=lambda seeds: seeds.start)
         if any(low.stop > high.start for low, high in pairwise(ordered)):
             raise ValueError(f"the splits of suite {self.name!r} overlap: {self._split_text()}")
+
+    @property
+    def nominal_hz(self) -> float:
+        """Nominal frequency of its grid [Hz]."""
+        return get_grid(self.plant.grid).case.frequency_hz
 
     @property
     def distributions(self) -> tuple[ScenarioDistribution, ...]:
