@@ -1,6 +1,6 @@
 """What happens in a run: random wind, load events and grid strength, frozen suites, and measured wind."""
 
-from wtg_gym.scenarios.distribution import TRIPPABLE_LINES, ScenarioDistribution
+from wtg_gym.scenarios.distribution import ScenarioDistribution
 from wtg_gym.scenarios.fresh import FreshDraw, draw_seeds
 from wtg_gym.scenarios.suite import FRESH, SPLITS, FixedCase, Suite
 from wtg_gym.scenarios.suites import DEFAULT_SUITE, FROZEN_HASHES, SUITES, get_suite
@@ -14,7 +14,6 @@ __all__ = [
     "FROZEN_HASHES",
     "SPLITS",
     "SUITES",
-    "TRIPPABLE_LINES",
     "TURBULENCE_CLASSES",
     "FixedCase",
     "FreshDraw",
