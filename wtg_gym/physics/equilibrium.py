@@ -7,7 +7,17 @@ import math
 import numpy as np
 import numpy.typing as npt
 
-from wtg_gym.physics.integration import combine_load_noise, find, find_rates, plan, refresh, release, settle, start
+from wtg_gym.physics.integration import (
+    balance,
+    combine_load_noise,
+    find,
+    find_rates,
+    plan,
+    refresh,
+    release,
+    settle,
+    start,
+)
 from wtg_gym.physics.kernel_data import EVENT, LaneData, Network
 from wtg_gym.physics.layout import OF_LANE, OF_STARTING_BUS, OF_STARTING_LANE, Floats, Layout, n_rows_of
 from wtg_gym.physics.network import POWER_FLOW_TOLERANCE, PowerFlow, solve_power_flow
@@ -47,18 +57,22 @@ def _plan_flow(arrays: tuple[Floats, Floats], buses: Floats, y: npt.NDArray[np.c
     facts, tables, scratch = network.facts, network.tables, arrays[1]
     own = facts.starts
     plan(arrays, tables, NONE)
-    planned = buses[facts.slack, OF_STARTING_BUS.planned]
     released = scratch[own + OF_STARTING_LANE.start_failure, 0] == 0.0
+    balances = facts.n_balances
     while released:
         if _flow(tables, (y, facts.slack, buses, FLOW_COLUMNS)) < 0:
             scratch[own + OF_STARTING_LANE.start_failure, 0] = _DIVERGED
             break
+        if balances:
+            balance(arrays, tables, NONE)
+            balances -= 1
+            continue
         # Each time at least one bus lets go, and no bus does twice.
         release(arrays, tables, NONE)
         released = scratch[own + OF_STARTING_LANE.released, 0] > 0.0
     if scratch[own + OF_STARTING_LANE.start_failure, 0] != 0.0:
         return math.nan
-    return float(buses[facts.slack, OF_STARTING_BUS.flow] - planned)
+    return float(buses[facts.slack, OF_STARTING_BUS.flow] - buses[facts.slack, OF_STARTING_BUS.planned])
 
 
 @internal

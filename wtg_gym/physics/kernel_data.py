@@ -30,6 +30,7 @@ class Facts(NamedTuple):
     sources: int
     n_islands: int
     starts: int  # of the lane, in scratch
+    n_balances: int  # power flows after which machines share what the slack bus lacks
     curtails: bool  # whether WTG groups alone balance the power
     shares_frequency: float  # change of a load's conductance with the frequency [p.u./p.u.]
 

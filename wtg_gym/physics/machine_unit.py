@@ -47,9 +47,9 @@ def still_reference() -> float:
 
 
 @system(MACHINES, "planned_power")
-def plan_machine(dispatch: float) -> float:
-    """Return the dispatched power."""
-    return dispatch
+def plan_machine(dispatch: float, needed: float, connection: Connection) -> float:
+    """Return the dispatched power, and a share of what is needed."""
+    return dispatch + connection.participation * needed
 
 
 @system(MACHINES, "state", "voltage_reference", "gate_reference")

@@ -63,6 +63,8 @@ from wtg_gym.systems.systems import Kind
 
 #: Islands that a network may fall into, of those with a unit.
 ISLANDS_AT_MOST = 4
+#: Power flows after which machines share what the slack bus lacks: losses, within a thousandth of them.
+_BALANCES = 2
 #: Integration steps that are accepted [s].
 SIMULATION_DT_RANGE = (5e-5, 0.05)
 
@@ -80,6 +82,8 @@ class PlantSettings(Checked):
         shedding: stages of under-frequency load shedding, which every island has.
         secondary_time_s: integration time of secondary control: the gate reference of a governor moves by its droop's
             share of a lasting deviation within this time; 0 for none [s].
+        shares_dispatch: machines with a governor share at the start what the loads need, by rating and largest gate,
+            instead of their `dispatch_mw`.
         control_dt: control interval [s], a whole number of simulation steps.
         simulation_dt: step of the integration, 0.05 … 40 ms [s]; a simulator refuses one that is too long for the
             plant's fastest mode.
@@ -101,6 +105,7 @@ class PlantSettings(Checked):
     voltage_control: VoltageControlParameters | None = None
     shedding: tuple[SheddingStage, ...] = ()
     secondary_time_s: float = 0.0
+    shares_dispatch: bool = False
     control_dt: float = 0.1
     simulation_dt: float = 0.025
     trips_groups: bool = False
@@ -228,6 +233,7 @@ class Plant(NamedTuple):
     bus_y: npt.NDArray[np.complex128]  # bus admittance matrix without loads and units (n_bus, n_bus) [p.u.]
     machines: npt.NDArray[np.void]  # (n_sync,), of Machine
     dispatch: npt.NDArray[np.float64]  # power of each machine before the slack's share (n_sync,) [p.u.]
+    participation: npt.NDArray[np.float64]  # its share of what loads need at the start (n_sync,)
     turbine: npt.NDArray[np.void]  # (1,), of Turbine
     share: npt.NDArray[np.float64]  # rating of each WTG group on the system base (n_wtg,)
     cells: npt.NDArray[np.float64]  # of the rotor's C_p table (n, m, 16)
@@ -273,6 +279,10 @@ def build_plant(settings: PlantSettings) -> Plant:
     ]
     extension = extension_constants(settings.turbine, settings.limits, settings.voltage_control, settings.simulation_dt)
     stages = [SheddingConstants(stage.frequency_pu, stage.share, stage.delay_s) for stage in settings.shedding]
+    sharing = [
+        m.rating_mva * m.governor.gate_max_pu if m.governor and settings.shares_dispatch else 0.0 for m in case.machines
+    ]
+    participation = np.array(sharing) / (sum(sharing) or 1.0)
     slack = case.bus_index(case.slack_bus)
     buses = [
         Bus(
@@ -293,6 +303,7 @@ def build_plant(settings: PlantSettings) -> Plant:
         "base_mva": base,
         "simulation_dt": settings.simulation_dt,
         "n_substeps": whole_steps("control_dt", settings.control_dt, settings.simulation_dt, "simulation step"),
+        "n_balances": _BALANCES if participation.any() else 0,
         "curtails": bool(settings.groups) and not case.balanced,
         "shares_frequency": settings.load_frequency_dependence,
     }
@@ -313,7 +324,8 @@ def build_plant(settings: PlantSettings) -> Plant:
         network=network,
         bus_y=assemble_admittance(branch_ends, branch_y, shunts),
         machines=structured(Machine, machines),
-        dispatch=np.array([m.dispatch_mw / base for m in case.machines], dtype=np.float64),
+        dispatch=np.where(participation > 0.0, 0.0, [m.dispatch_mw / base for m in case.machines]),
+        participation=participation,
         turbine=structured(Turbine, [turbine]),
         share=np.array(share, dtype=np.float64),
         cells=surface_of(settings.turbine.power_coefficient)[1],
@@ -452,9 +464,12 @@ class Arranged:
             for own in plant.further
             for weight in own.reactive_weights
         ]
+        shares = [*plant.participation.tolist(), *[0.0] * (len(sizes) - plant.machines.size)]
         connections = [
-            Connection(float(number), rating, of_machine, of_group, Phasor(y.real, y.imag))
-            for number, ((rating, of_machine, of_group), y) in enumerate(zip(sizes, network.unit_y, strict=True))
+            Connection(float(number), rating, of_machine, of_group, share, Phasor(y.real, y.imag))
+            for number, ((rating, of_machine, of_group), share, y) in enumerate(
+                zip(sizes, shares, network.unit_y, strict=True)
+            )
         ]
         self._constants: dict[tuple[Kind, str], Any] = {
             (MACHINES, "machine"): plant.machines,

@@ -6,7 +6,7 @@ A control interval (:mod:`wtg_gym.physics.integration`):
 
 The start of a run (:mod:`wtg_gym.physics.equilibrium`):
 
-    plan → power flow, release until none → settle → reduction → admittances → find → rates → start
+    plan → power flow, balance, release until none → settle → reduction → admittances → find → rates → start
 
 Each name is a list of systems over all units of a kind; what is no map over units stands in the same lists. Kinds of
 unit that a plant has besides (:mod:`wtg_gym.physics.further_units`) join where it says `Here`.
@@ -138,11 +138,17 @@ PLAN = (
     starting.plan_bus,
     wtg.begin_search,
     Repeat(LANE, "searching", (*CAPTURE, wtg.nobody_searches, wtg.search_on), most=_TRIALS),
-    machine.plan_machine,
     wtg.plan_group,
+    starting.nothing_needed,
+    starting.need_of_bus,
+    starting.need_less,
+    machine.plan_machine,
     Here("plan"),
     starting.plan_unit,
 )
+
+#: After a power flow: machines share what the slack bus lacks.
+BALANCE = (starting.nothing_lacks, starting.lack_of_bus, starting.balance_unit)
 
 #: After a power flow: buses whose groups cannot hold the voltage let go of it.
 RELEASE = (starting.none_released, starting.release_voltage)
