@@ -39,6 +39,7 @@ class Grid(Checked):
     Args:
         case: the network.
         groups: the WTG groups.
+        replaced: buses whose synchronous machines these stand for.
         source: where the numbers come from.
         licence: of the source.
         repairs: what was changed because it contradicted itself, a sentence each.
@@ -47,10 +48,22 @@ class Grid(Checked):
 
     case: NetworkCase
     groups: tuple[WtgGroup, ...] = ()
+    replaced: tuple[int, ...] = ()
     source: str = ""
     licence: str = ""
     repairs: tuple[str, ...] = ()
     substitutions: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        for bus in (*self.replaced, *(group.bus for group in self.groups)):
+            self.case.bus_index(bus)
+
+    @property
+    def with_groups(self) -> NetworkCase:
+        """The network as it is with the groups, without the machines that they replace."""
+        machines = tuple(machine for machine in self.case.machines if machine.bus not in self.replaced)
+        return dataclasses.replace(self.case, machines=machines)
 
 
 def known_grids() -> tuple[str, ...]:
