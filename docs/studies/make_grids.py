@@ -118,14 +118,17 @@ def grid_of(name: str, title: str, wind_buses: tuple[int, ...]) -> Grid:
     )  # fmt: skip
     given = {machine.bus: machine.dispatch_mw for machine in case.machines if machine.bus in wind_buses}
     total = sum(given.values())
-    groups = (
-        WtgGroup(bus=bus, n_turbines=round(case.load_mw * mw / total / TURBINE_MW))
-        for bus, mw in given.items()
+    groups = tuple(
+        WtgGroup(bus=bus, n_turbines=round(case.load_mw * mw / total / TURBINE_MW)) for bus, mw in given.items()
     )
     return Grid(
-        case=case, groups=tuple(groups), replaced=wind_buses, source=f"TOPS (H. Haugdal, SINTEF), tops/ps_models/{name}.py", licence="MIT",
+        case=case,
+        groups=groups,
+        replaced=wind_buses,
+        source=f"TOPS (H. Haugdal, SINTEF), tops/ps_models/{name}.py",
+        licence="MIT",
         substitutions=(f"leakage reactances are {LEAKAGE:g} of x'': the table has none",),
-    )  # fmt: skip
+    )
 
 
 if __name__ == "__main__":

@@ -76,7 +76,7 @@ class SuitePlant:
             classical: whether machines are a constant voltage behind x'_d.
             steps: control_dt, simulation_dt and trips_groups of :class:`~wtg_gym.physics.plant.PlantSettings`.
         """
-        case = get_grid(self.grid).case
+        case = get_grid(self.grid).with_groups
         case = case.classical() if classical else case
         generator: dict[str, Any] = {"rating_mva": self.generator_mva, "governor": self.governor}
         changes = {name: value for name, value in generator.items() if value is not None}
@@ -93,11 +93,19 @@ class SuitePlant:
             branches=tuple(branches),
         )
         steps |= {"secondary_time_s": self.secondary_time_s} if self.secondary_time_s else {}
+        steps["shares_dispatch"] = sum(machine.governor is not None for machine in case.machines) > 1
         plant = plant_settings(physics or self.physics, case=case, groups=groups or self.groups, **steps)
         if self.overload_from_pu is not None:
             control = dataclasses.replace(plant.control, overload_limit_pu=self.overload_from_pu)
             plant = dataclasses.replace(plant, control=control)
         return plant
+
+    @property
+    def governed_mva(self) -> float:
+        """Rating of all machines with a governor [MVA]."""
+        if self.generator_mva is not None:
+            return self.generator_mva
+        return sum(m.rating_mva for m in get_grid(self.grid).with_groups.machines if m.governor is not None)
 
     def to_dict(self) -> dict[str, Any]:
         """Return the plant as JSON-ready data; suites of the IEEE 14-bus system keep the hashes that they had."""

@@ -17,6 +17,13 @@ from wtg_gym.scenarios.suite import Suite
 _LOAD_MW = 259.0
 
 
+_CHANCES = {
+    "load_trip_probability": "load_trip_buses",
+    "line_trip_probability": "line_trips",
+    "machine_outage_probability": "machine_outage_buses",
+}
+
+
 @dataclass(frozen=True, kw_only=True)
 class Places:
     """Where events may happen in a grid.
@@ -151,7 +158,8 @@ def suite_of_strata(
         settings: what it has of its own everywhere.
     """
     size = event_size * (1.0 if plant.grid == DEFAULT_GRID else get_grid(plant.grid).case.load_mw / _LOAD_MW)
-    of_grid = {
+    of_grid: dict[str, Any] = {
+        "load_noise_mw": round(size / event_size, 2),
         "load_buses": places.load_buses,
         "load_trip_buses": places.load_trip_buses,
         "load_noise_bus": places.load_noise_bus,
@@ -173,12 +181,14 @@ def suite_of_strata(
                 continue
             values = {**WIND_SCENARIOS, **of_grid, **given, **of_kinds.get(kind, {}), **settings}
             values |= (own or {}).get(kind or stratum, {})
+            # What has no place does not happen.
+            values |= {chance: 0.0 for chance, where in _CHANCES.items() if not values[where]}
             least, most = values["load_event_mw"]
             values["load_event_mw"] = (round(size * least, 2), round(size * most, 2))
             values["net_load_change_mw"] *= size
             prefix = f"{scenarios_of or name}-v1/{stratum}"
             prefix = f"{prefix}-{kind}" if kind else prefix
-            made.append(ScenarioDistribution(name=prefix, generator_mva=plant.generator_mva, **values))
+            made.append(ScenarioDistribution(name=prefix, generator_mva=plant.governed_mva, **values))
         drawn_from[stratum] = tuple(made)
     return Suite(
         name=f"{name}-v1",
