@@ -106,10 +106,10 @@ def machines(data: Mapping[str, Any]) -> list[SynchronousMachineParameters]:
     return found
 
 
-def grid_of(name: str, title: str, wind_buses: tuple[int, ...]) -> Grid:
+def grid_of(name: str, title: str, wind_buses: tuple[int, ...], wind_rating: float) -> Grid:
     """Return a grid with groups of turbines in place of the machines at some buses.
 
-    All turbines together are rated as the load; each group by what its machine gave.
+    All turbines together are rated as so much of the load; each group by what its machine gave.
     """
     data = importlib.import_module(f"tops.ps_models.{name}").load()
     case = NetworkCase(
@@ -119,7 +119,7 @@ def grid_of(name: str, title: str, wind_buses: tuple[int, ...]) -> Grid:
     given = {machine.bus: machine.dispatch_mw for machine in case.machines if machine.bus in wind_buses}
     total = sum(given.values())
     groups = tuple(
-        WtgGroup(bus=bus, n_turbines=round(case.load_mw * mw / total / TURBINE_MW)) for bus, mw in given.items()
+        WtgGroup(bus=bus, n_turbines=round(wind_rating * case.load_mw * mw / total / TURBINE_MW)) for bus, mw in given.items()
     )
     return Grid(
         case=case,
@@ -132,8 +132,8 @@ def grid_of(name: str, title: str, wind_buses: tuple[int, ...]) -> Grid:
 
 
 if __name__ == "__main__":
-    for name, known, title, wind_buses in (
-        ("ieee39", "ieee39", "IEEE 39-bus system (New England)", (32, 33, 35, 36, 37, 38)),
-        ("kundur", "k2a", "Kundur's two areas", (2, 4)),
+    for name, known, title, *wind in (
+        ("ieee39", "ieee39", "IEEE 39-bus system (New England)", (32, 33, 35, 36, 38, 39), 1.25),
+        ("kundur", "k2a", "Kundur's two areas", (2, 4), 1.1),
     ):
-        write_atomically(FOLDER / f"{name}.json", grid_text(grid_of(known, title, wind_buses)))
+        write_atomically(FOLDER / f"{name}.json", grid_text(grid_of(known, title, *wind)))

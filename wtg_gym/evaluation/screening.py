@@ -1,0 +1,80 @@
+"""Events that some law survives: what a grid's suite draws is found by simulation when the suite is made."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Sequence
+from contextlib import closing
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from wtg_gym.physics.plant import PlantSettings
+from wtg_gym.physics.protection import Status
+from wtg_gym.physics.scenario import (
+    Event,
+    Fault,
+    GovernorLoss,
+    LineTrip,
+    LoadTrip,
+    MachineOutage,
+    Scenario,
+)
+from wtg_gym.physics.simulator import Simulator
+from wtg_gym.physics.tracking_law import get_law
+from wtg_gym.progress import OnProgress, nothing
+from wtg_gym.scenarios.strata import Places
+from wtg_gym.scenarios.suite import Suite
+
+Flags = npt.NDArray[np.bool_]
+#: Laws of which one has to survive.
+LAWS = ("coordinated-tuned", "coordinated-free", "coordinated-piecewise", "deloaded-10", "mppt")
+#: Lanes that are simulated at once.
+_AT_ONCE = 64
+
+
+def survived(plant: PlantSettings, scenarios: Sequence[Scenario], laws: Sequence[str] = LAWS) -> Flags:
+    """Return which scenarios every law survives, (n_laws, n_scenarios); one that cannot start is not survived."""
+    found = np.zeros((len(laws), len(scenarios)), dtype=np.bool_)
+    duration_s = max(scenario.duration_s for scenario in scenarios)
+    with closing(Simulator(plant, n_lanes=min(_AT_ONCE, len(scenarios)), duration_s=duration_s)) as simulator:
+        for row, name in zip(found, laws, strict=True):
+            own = [get_law(name, plant.turbine, plant.control)] * len(plant.groups)
+            for first in range(0, len(scenarios), simulator.n_lanes):
+                lanes = []
+                for place in range(first, min(first + simulator.n_lanes, len(scenarios))):
+                    try:
+                        simulator.start(place - first, scenarios[place], own)
+                    except ValueError:
+                        continue
+                    lanes.append(place - first)
+                for _ in range(simulator.n_intervals):
+                    simulator.advance()
+                row[first + np.array(lanes, dtype=np.int64)] = simulator.lane_values("status")[lanes] == Status.RUNNING
+    return found
+
+
+#: Scenarios that an event has to be survived in, and when it strikes, and how long after it the run ends [s].
+_N_POINTS, _STRIKES_S, _AFTERWARDS_S = 6, 1.0, 30.0
+#: Scenarios that sizes are tried on, and the largest share of them that no law survives.
+_N_TRIED, _LOST = 150, 0.01
+_SMALLER = 0.85
+
+
+def survivable(suite: Suite, on_progress: OnProgress = nothing) -> Places:
+    """Return the places of a suite's events that some law survives at every operating point tried."""
+    plant = suite.plant.settings(classical=False, trips_groups=True)
+    drawn = suite.scenarios([seed for seed in suite.validation if suite.stratum(seed) == "ordinary"][:_N_POINTS])
+    length = {"duration_s": _STRIKES_S + _AFTERWARDS_S}
+    points = [dataclasses.replace(scenario, events=(), **length) for scenario in drawn]
+
+    def kept(name: str, events: Sequence[Event]) -> list[int]:
+        scenarios = [dataclasses.replace(point, events=(event,)) for event in events for point in points]
+        if not scenarios:
+            return []
+        alive = survived(plant, scenarios).any(axis=0).reshape(len(events), -1).all(axis=1)
+        on_progress(f"{name}: {int(alive.sum())} of {len(events)} survived", 0.0, 1)
+        return np.flatnonzero(alive).tolist()
+
+    places, at = suite.places, {"time_s": _STRIKES_S}
