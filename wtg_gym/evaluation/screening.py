@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Callable, Sequence
 from contextlib import closing
-from dataclasses import dataclass
+from typing import TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -23,10 +23,10 @@ from wtg_gym.physics.scenario import (
 )
 from wtg_gym.physics.simulator import Simulator
 from wtg_gym.physics.tracking_law import get_law
-from wtg_gym.progress import OnProgress, nothing
+from wtg_gym.scenarios.grid_suite import GridSuite
 from wtg_gym.scenarios.strata import Places
-from wtg_gym.scenarios.suite import Suite
 
+Place = TypeVar("Place")
 Flags = npt.NDArray[np.bool_]
 #: Laws of which one has to survive.
 LAWS = ("coordinated-tuned", "coordinated-free", "coordinated-piecewise", "deloaded-10", "mppt")
@@ -57,24 +57,43 @@ def survived(plant: PlantSettings, scenarios: Sequence[Scenario], laws: Sequence
 
 #: Scenarios that an event has to be survived in, and when it strikes, and how long after it the run ends [s].
 _N_POINTS, _STRIKES_S, _AFTERWARDS_S = 6, 1.0, 30.0
+#: How long a short circuit lasts [s].
+_CLEARED_S = 0.2
 #: Scenarios that sizes are tried on, and the largest share of them that no law survives.
 _N_TRIED, _LOST = 150, 0.01
 _SMALLER = 0.85
 
 
-def survivable(suite: Suite, on_progress: OnProgress = nothing) -> Places:
+def survivable(own: GridSuite, on_progress: Callable[[str, float, int], object]) -> Places:
     """Return the places of a suite's events that some law survives at every operating point tried."""
+    suite = own.suite
     plant = suite.plant.settings(classical=False, trips_groups=True)
     drawn = suite.scenarios([seed for seed in suite.validation if suite.stratum(seed) == "ordinary"][:_N_POINTS])
     length = {"duration_s": _STRIKES_S + _AFTERWARDS_S}
     points = [dataclasses.replace(scenario, events=(), **length) for scenario in drawn]
 
-    def kept(name: str, events: Sequence[Event]) -> list[int]:
-        scenarios = [dataclasses.replace(point, events=(event,)) for event in events for point in points]
+    def kept(name: str, buses: Sequence[Place], event: Callable[[Place], Event]) -> tuple[Place, ...]:
+        """Return the places at which some law survives the event at every operating point."""
+        scenarios = [dataclasses.replace(point, events=(event(place),)) for place in buses for point in points]
         if not scenarios:
-            return []
-        alive = survived(plant, scenarios).any(axis=0).reshape(len(events), -1).all(axis=1)
-        on_progress(f"{name}: {int(alive.sum())} of {len(events)} survived", 0.0, 1)
-        return np.flatnonzero(alive).tolist()
+            return ()
+        alive = survived(plant, scenarios).any(axis=0).reshape(len(buses), -1).all(axis=1)
+        found = tuple(place for place, lives in zip(buses, alive, strict=True) if lives)
+        on_progress(f"{name}: {len(found)} of {len(buses)} survived", 1, 1)
+        return found
 
-    places, at = suite.places, {"time_s": _STRIKES_S}
+    places, at = own.places, {"time_s": _STRIKES_S}
+    clearing = {"clears_after_s": _CLEARED_S, **at}
+
+    def outage(bus: int) -> Event:
+        return MachineOutage(bus=bus, **at)
+
+    return dataclasses.replace(
+        places,
+        line_trips=kept("line trips", places.line_trips, lambda ends: LineTrip(from_bus=ends[0], to_bus=ends[1], **at)),
+        fault_lines=kept("faults", places.fault_lines, lambda ends: Fault(bus=ends[0], opens=ends, **clearing)),
+        load_trip_buses=kept("load trips", places.load_trip_buses, lambda bus: LoadTrip(bus=bus, **at)),
+        machine_buses=kept("machines", places.machine_buses, outage),
+        generator_buses=kept("generators", places.generator_buses, outage),
+        governor_buses=kept("governors", places.governor_buses, lambda bus: GovernorLoss(bus=bus, **at)),
+    )

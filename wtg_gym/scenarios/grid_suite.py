@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
 
+from wtg_gym.physics.checked import Checked, describe, design, required
 from wtg_gym.physics.grid import get_grid
 from wtg_gym.physics.network import NetworkCase
 from wtg_gym.scenarios.benchmark import SuitePlant
+from wtg_gym.scenarios.distribution import LOSSES
 from wtg_gym.scenarios.strata import Places, suite_of_strata
+from wtg_gym.scenarios.stream import Span
 from wtg_gym.scenarios.suite import Suite
 
 #: Largest increase of a bus's load, as a share of its own and, for small ones, of the grid's.
@@ -16,6 +21,8 @@ _INCREASE, _LEAST_INCREASE = 1.0, 0.05
 _DECREASE = 0.84
 #: Loads that may be disconnected, as shares of the grid's.
 _TRIPPED = 0.02, 0.1
+#: Loading of the machines at the least share of wind, and the least width of its range.
+_LOADING, _WIDTH = 0.8, 0.13
 
 
 def all_places(case: NetworkCase) -> Places:
@@ -42,14 +49,40 @@ def all_places(case: NetworkCase) -> Places:
     )
 
 
-def grid_suite(grid: str) -> Suite:
-    """Return version v1's suite on a grid, with every event that does not take the network apart.
+@dataclass(frozen=True, kw_only=True)
+class GridSuite(Checked):
+    """What the file of a suite says: a grid, where events may happen in it, and how large they are."""
 
-    `wtg-gym grid suite` leaves out what no law survives.
-    """
+    name: str = required("-", "design", "name of the suite, without its version")
+    grid: str = required("-", "design", "name of the grid, or path of its file")
+    places: Places = field(metadata=describe("-", "design", "where events may happen"))
+    event_size: float = design(1.0, "-", "factor on the load events", 0.0, 10.0)
+    wind_share: Span = design((0.4, 0.78), "-", "share of the load from wind", 0.0, 1.0)
+    load_level: Span = design((0.85, 1.1), "-", "factor on the loads of the case", 0.3, 1.5)
+
+    @cached_property
+    def suite(self) -> Suite:
+        """Return the suite."""
+        case = get_grid(self.grid).case
+        own = {"wind_share": self.wind_share, "load_level": self.load_level}
+        return suite_of_strata(self.name, f"{case.name}.", self.plant, self.places, event_size=self.event_size, **own)
+
+    @property
+    def plant(self) -> SuitePlant:
+        """Return its plant."""
+        groups = get_grid(self.grid).groups
+        if not groups:
+            raise ValueError(f"grid {self.grid!r} has no WTG groups; a suite needs some")
+        of_v1 = {"physics": "extended", "overload_from_pu": 1.05, "secondary_time_s": 30.0}
+        return SuitePlant(grid=self.grid, groups=groups, **of_v1)
+
+
+def unscreened(grid: str) -> GridSuite:
+    """Return a suite of a grid with every event that does not take its network apart."""
     found = get_grid(grid)
-    if not found.groups:
-        raise ValueError(f"grid {grid!r} has no WTG groups; a suite needs some")
-    name = Path(grid).stem
-    plant = SuitePlant(grid=grid, groups=found.groups, physics="extended", overload_from_pu=1.05, secondary_time_s=30.0)
-    return suite_of_strata(name, f"{found.case.name}.", plant, all_places(found.with_groups))
+    own = GridSuite(name=Path(grid).stem, grid=grid, places=all_places(found.with_groups))
+    # The machines give what the wind leaves, with losses.
+    machines = own.plant.governed_mva / (own.load_level[1] * found.case.load_mw)
+    low, high = own.wind_share
+    low = max(low, round(1.0 + LOSSES - _LOADING * machines, 2))
+    return replace(own, wind_share=(low, max(high, round(low + _WIDTH, 2))))
