@@ -15,7 +15,7 @@ from wtg_gym.physics.plant import PHYSICS, SIMULATION_DT_RANGE, PlantSettings
 from wtg_gym.physics.scenario import SERIES_DT, Scenario
 from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY, TrackingLaw, group_laws
 from wtg_gym.ranges import require_known, require_range, whole_steps
-from wtg_gym.scenarios import DEFAULT_SUITE, FRESH, SPLITS, SUITES, get_suite
+from wtg_gym.scenarios import DEFAULT_SUITE, FRESH, SPLITS, SUITES, get_suite, suite_of_grid
 from wtg_gym.scenarios.benchmark import Benchmark
 from wtg_gym.scenarios.sensor_distribution import SensorDistribution
 
@@ -100,6 +100,7 @@ class EnvArguments(TypedDict, total=False):
     action_mode: str
     observation_mode: str
     suite: str
+    grid: str | None
     split: str
     scenario: Scenario | Mapping[str, Any] | None
     groups: int | Sequence[Mapping[str, Any]] | None
@@ -123,6 +124,7 @@ class EnvSettings:
         action_mode: what the actions adjust: `"k"`, `"tau"` or `"k+tau"`.
         observation_mode: `"local"`, what each group measures itself, or `"privileged"`, which adds the grid's state.
         suite: name of the suite of scenarios, in v1 with or without `-v1`; None: the standard suite of the version.
+        grid: name of a grid, or path of its file: its suite, instead of one by name.
         split: `"train"`, `"validation"` or `"test"`, or `"fresh"`, with seeds that are in none of them.
         scenario: one scenario for every episode, a `Scenario` or its `to_dict()`.
         groups: number of turbine groups at bus 2, or a list of `{"bus": …, "n_turbines": …}`; None: the suite's own.
@@ -151,6 +153,7 @@ class EnvSettings:
     action_mode: str = "k+tau"
     observation_mode: str = "local"
     suite: str = None  # type: ignore[assignment]  # replaced below
+    grid: str | None = None
     split: str = "train"
     scenario: Scenario | Mapping[str, Any] | None = None
     groups: int | Sequence[Mapping[str, Any]] | None = None
@@ -181,18 +184,26 @@ class EnvSettings:
         if self.version is not None:
             _require_choice("version", self.version, VERSIONS)
         suite = self.suite
+        if self.grid is not None:
+            if suite is not None:
+                raise ValueError("a suite names its grid; give grid or suite, not both")
+            suite = suite_of_grid(self.grid)
         if suite is None:
             suite = DEFAULT_SUITE if self.version is None else "standard"
         if isinstance(suite, str) and self.version not in (None, "v0") and f"{suite}-{self.version}" in SUITES:
             suite = f"{suite}-{self.version}"
-        known = [name for name, own in SUITES.items() if self.version in (None, own.benchmark.version)]
-        _require_choice("suite", suite, known)
+        if not str(suite).endswith(".json"):
+            known = [name for name, own in SUITES.items() if self.version in (None, own.benchmark.version)]
+            _require_choice("suite", suite, known)
+        found = get_suite(suite)
+        if self.version not in (None, found.benchmark.version):
+            raise ValueError(f"suite {suite!r} is of version {found.benchmark.version}, not {self.version}")
         object.__setattr__(self, "suite", suite)
-        object.__setattr__(self, "version", SUITES[suite].benchmark.version)
+        object.__setattr__(self, "version", found.benchmark.version)
         if self.on_failure is None:
-            object.__setattr__(self, "on_failure", SUITES[suite].benchmark.on_failure)
+            object.__setattr__(self, "on_failure", found.benchmark.on_failure)
         if self.physics is None:
-            object.__setattr__(self, "physics", SUITES[suite].plant.physics)
+            object.__setattr__(self, "physics", found.plant.physics)
 
     def benchmark(self) -> Benchmark:
         """Return the version of the benchmark."""
@@ -281,7 +292,11 @@ class PlantEnvSettings(EnvSettings):
     @classmethod
     def of(cls, settings: EnvSettings, given: PlantSettings) -> PlantEnvSettings:
         """Return settings with another plant."""
-        fields = {field.name: getattr(settings, field.name) for field in dataclasses.fields(EnvSettings)}
+        fields = {
+            field.name: getattr(settings, field.name)
+            for field in dataclasses.fields(EnvSettings)
+            if field.name != "grid"
+        }
         return cls(**fields | {"control_dt": given.control_dt, "simulation_dt": given.simulation_dt}, given=given)
 
 

@@ -78,30 +78,27 @@ def get_grid(name: str) -> Grid:
         ValueError: the name is unknown, or the file is damaged; the message says what is wrong.
     """
     if name.endswith(".json"):
-        return read_grid(Path(name))
+        path = Path(name)
+        return read_grid(path, path.stat().st_mtime_ns if path.exists() else 0)
     if name not in known_grids():
         raise ValueError(f"unknown grid {name!r}; known grids: {', '.join(known_grids())}, or the path of a .json file")
-    return _shipped(name)
-
-
-@functools.cache
-def _shipped(name: str) -> Grid:
     return read_grid(FOLDER / f"{name}.json")
 
 
-def read_grid(path: Path) -> Grid:
+@functools.lru_cache(maxsize=64)
+def read_grid(path: Path, _changed: int = 0) -> Grid:
     """Return the grid of a file; a ValueError says what is wrong with it."""
     data = read_json(path, "grid")
     try:
         own = {field.name for field in dataclasses.fields(Grid)} - {"case"}
         case = {key: value for key, value in data.items() if key not in own}
-        grid: Grid = _record(Grid, {"case": case, **{key: value for key, value in data.items() if key in own}})
+        grid: Grid = record_of(Grid, {"case": case, **{key: value for key, value in data.items() if key in own}})
     except (KeyError, TypeError, ValueError) as error:
         raise ValueError(f"{path} is no grid: {error}") from error
     return grid
 
 
-def _record(kind: Any, data: Any) -> Any:
+def record_of(kind: Any, data: Any) -> Any:
     """Return a dataclass from a JSON object; the records in it too."""
     if not isinstance(data, Mapping):
         raise ValueError(f"{kind.__name__} must be an object, got {data!r:.80}")
@@ -114,21 +111,21 @@ def _value(kind: Any, value: Any) -> Any:
     """Return a value as the type of its field says: objects as records, lists as tuples of them."""
     kinds = [each for each in (get_args(kind) or (kind,)) if dataclasses.is_dataclass(each)]
     if isinstance(value, list):
-        return tuple(_record(kinds[0], each) if kinds else each for each in value)
+        return tuple(record_of(kinds[0], each) if kinds else _value(None, each) for each in value)
     if not isinstance(value, Mapping) or not kinds:
         return value
     if kinds[0] not in MODELS.values():
-        return _record(kinds[0], value)
+        return record_of(kinds[0], value)
     given = dict(value)
     models = [name for name, each in MODELS.items() if each in kinds]
     if (model := given.pop("model", None)) not in models:
         raise ValueError(f"unknown model {model!r}; known here: {', '.join(models)}")
-    return _record(MODELS[model], given)
+    return record_of(MODELS[model], given)
 
 
 def grid_text(grid: Grid) -> str:
     """Return a grid as its file: what is not as the defaults say, a record per line."""
-    data = {**_data(grid), **_data(grid.case)}
+    data = {**data_of(grid), **data_of(grid.case)}
     del data["case"]
     parts = []
     for key, value in data.items():
@@ -143,10 +140,10 @@ def grid_text(grid: Grid) -> str:
     return "{\n" + ",\n".join(parts) + "\n}\n"
 
 
-def _data(record: Any) -> Any:
+def data_of(record: Any) -> Any:
     """Return a record as JSON-ready data, without what is as by default."""
     if isinstance(record, tuple):
-        return [_data(each) for each in record]
+        return [data_of(each) for each in record]
     if not dataclasses.is_dataclass(record):
         return record
     found: dict[str, Any] = {}
@@ -158,5 +155,5 @@ def _data(record: Any) -> Any:
         factory: Any = field.default_factory
         default = field.default if factory is dataclasses.MISSING else factory()
         if value != default:
-            found[field.name] = _data(value)
+            found[field.name] = data_of(value)
     return found

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 from pathlib import Path
 
+from wtg_gym.files import read_json
 from wtg_gym.physics.checked import Checked, describe, design, required
-from wtg_gym.physics.grid import get_grid
+from wtg_gym.physics.grid import get_grid, record_of
 from wtg_gym.physics.network import NetworkCase
 from wtg_gym.scenarios.benchmark import SuitePlant
 from wtg_gym.scenarios.distribution import LOSSES
@@ -62,7 +63,7 @@ class GridSuite(Checked):
 
     @cached_property
     def suite(self) -> Suite:
-        """Return the suite."""
+        """The suite."""
         case = get_grid(self.grid).case
         own = {"wind_share": self.wind_share, "load_level": self.load_level}
         return suite_of_strata(self.name, f"{case.name}.", self.plant, self.places, event_size=self.event_size, **own)
@@ -75,6 +76,23 @@ class GridSuite(Checked):
             raise ValueError(f"grid {self.grid!r} has no WTG groups; a suite needs some")
         of_v1 = {"physics": "extended", "overload_from_pu": 1.05, "secondary_time_s": 30.0}
         return SuitePlant(grid=self.grid, groups=groups, **of_v1)
+
+
+@lru_cache(maxsize=64)
+def suite_of_file(path: str) -> Suite:
+    """Return the suite of a file, or the :func:`unscreened` one of a grid's file; a ValueError says what is wrong."""
+    data = read_json(Path(path), "suite or grid")
+    return replace(unscreened(path) if "branches" in data else read_suite(path), name=path).suite
+
+
+def read_suite(path: str) -> GridSuite:
+    """Return what the file of a suite says; a path of a grid counts from the file's folder."""
+    try:
+        found: GridSuite = record_of(GridSuite, read_json(Path(path), "suite"))
+    except (TypeError, ValueError) as error:
+        raise ValueError(f"{path} is no suite: {error}") from error
+    beside = Path(path).with_name(found.grid)
+    return replace(found, grid=str(beside)) if found.grid.endswith(".json") and beside.exists() else found
 
 
 def unscreened(grid: str) -> GridSuite:

@@ -9,11 +9,13 @@ from collections.abc import Mapping
 from types import MappingProxyType
 from typing import Any
 
+from wtg_gym.physics.grid import DEFAULT_GRID, FOLDER, get_grid
 from wtg_gym.physics.machine_parameters import GovernorParameters
 from wtg_gym.physics.parameters import WtgGroup
 from wtg_gym.physics.scenario import LoadStep, LoadTrip
 from wtg_gym.scenarios.benchmark import V1, SuitePlant
 from wtg_gym.scenarios.distribution import ScenarioDistribution
+from wtg_gym.scenarios.grid_suite import suite_of_file
 from wtg_gym.scenarios.sensor_distribution import SensorDistribution
 from wtg_gym.scenarios.strata import Places, suite_of_strata
 from wtg_gym.scenarios.suite import FixedCase, Suite
@@ -235,12 +237,24 @@ FROZEN_HASHES: Mapping[str, str] = MappingProxyType(
 )
 
 
+def suite_of_grid(grid: str) -> str:
+    """Return the name of a grid's suite, or the path of the grid's file, which stands for one with all events."""
+    if not isinstance(grid, str):
+        raise ValueError(f"grid must be a name or the path of a .json file, got {grid!r:.80}")
+    get_grid(grid)
+    if grid == DEFAULT_GRID:
+        return DEFAULT_SUITE
+    return grid if grid.endswith(".json") else f"{grid}-v1" if f"{grid}-v1" in SUITES else str(FOLDER / f"{grid}.json")
+
+
 def get_suite(name: str) -> Suite:
-    """Return a suite by its name.
+    """Return a suite by its name, or by the path of its file or of a grid's, which ends in ".json".
 
     Raises:
-        ValueError: the suite is unknown; the message lists the known ones.
+        ValueError: the suite is unknown, or the file is damaged; the message lists the known ones, or says why.
     """
+    if isinstance(name, str) and name.endswith(".json"):
+        return suite_of_file(name)
     if not isinstance(name, str) or name not in SUITES:
-        raise ValueError(f"unknown suite {name!r}; known suites: {', '.join(SUITES)}")
+        raise ValueError(f"unknown suite {name!r}; known suites: {', '.join(SUITES)}, or the path of a .json file")
     return SUITES[name]
