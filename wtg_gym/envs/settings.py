@@ -292,11 +292,9 @@ class PlantEnvSettings(EnvSettings):
     @classmethod
     def of(cls, settings: EnvSettings, given: PlantSettings) -> PlantEnvSettings:
         """Return settings with another plant."""
-        fields = {
-            field.name: getattr(settings, field.name)
-            for field in dataclasses.fields(EnvSettings)
-            if field.name != "grid"
-        }
+        fields = {field.name: getattr(settings, field.name) for field in dataclasses.fields(EnvSettings)}
+        # Its suite is known by now.
+        del fields["grid"]
         return cls(**fields | {"control_dt": given.control_dt, "simulation_dt": given.simulation_dt}, given=given)
 
 

@@ -12,7 +12,7 @@ from wtg_gym.physics.grid import get_grid, record_of
 from wtg_gym.physics.network import NetworkCase
 from wtg_gym.scenarios.benchmark import SuitePlant
 from wtg_gym.scenarios.distribution import LOSSES
-from wtg_gym.scenarios.strata import Places, suite_of_strata
+from wtg_gym.scenarios.strata import WIND_SCENARIOS, Places, suite_of_strata
 from wtg_gym.scenarios.stream import Span
 from wtg_gym.scenarios.suite import Suite
 
@@ -65,8 +65,12 @@ class GridSuite(Checked):
     def suite(self) -> Suite:
         """The suite."""
         case = get_grid(self.grid).case
-        own = {"wind_share": self.wind_share, "load_level": self.load_level}
-        return suite_of_strata(self.name, f"{case.name}.", self.plant, self.places, event_size=self.event_size, **own)
+        drawn = {"wind_share": self.wind_share, "load_level": self.load_level}
+        # Where other machines stay, the loss of one asks for no more wind than other events.
+        own = {"machine": {"mean_wind_m_s": WIND_SCENARIOS["mean_wind_m_s"]}}
+        return suite_of_strata(
+            self.name, f"{case.name}.", self.plant, self.places, event_size=self.event_size, own=own, **drawn
+        )
 
     @property
     def plant(self) -> SuitePlant:
