@@ -10,8 +10,10 @@ from typing import Any, Protocol, runtime_checkable
 
 from wtg_gym.envs.settings import EnvSettings
 from wtg_gym.files import sha256
+from wtg_gym.physics.grid import DEFAULT_GRID
 from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY, TrackingLaw, get_law
-from wtg_gym.scenarios.benchmark import ANCHOR_NAMES, BENCHMARKS, Benchmark
+from wtg_gym.scenarios.benchmark import ANCHOR_NAMES, BENCHMARKS
+from wtg_gym.scenarios.suite import Suite
 
 #: What entries of one name must agree on, as they share a row.
 _OF_A_ROW = ("kind", "strategy", "action_mode", "observation_mode", "source")
@@ -41,6 +43,8 @@ class Entry:
             export both with :func:`~wtg_gym.export_onnx`.
         action_mode: "k", "tau" or "k+tau".
         observation_mode: "local" or "privileged".
+        per_group: whether the policy answers for one group at a time, by its own observation: then it plays any number
+            of groups, on any grid.
         environment: id of the environment whose observations the policy takes; None: those of any that it is played in.
         description: one sentence on what it is.
         source: citation.
@@ -58,6 +62,7 @@ class Entry:
     policy: Policy | None = None
     action_mode: str = "k+tau"
     observation_mode: str = "local"
+    per_group: bool = False
     environment: str | None = None
     description: str = ""
     source: str = ""
@@ -75,6 +80,11 @@ class Entry:
         object.__setattr__(self, "law", get_law(self.strategy))
         # Checks the two modes.
         EnvSettings(action_mode=self.action_mode, observation_mode=self.observation_mode)
+        if not isinstance(self.per_group, bool) or (self.per_group and self.observation_mode != "local"):
+            raise ValueError(
+                f"per_group of entry {name!r} must be true or false, and true with local observations alone, got "
+                f"{self.per_group!r}"
+            )
         if self.environment not in (None, *BENCHMARKS):
             raise ValueError(
                 f"environment of entry {name!r} must be one of {', '.join(BENCHMARKS)}, got {self.environment!r}"
@@ -113,6 +123,7 @@ class Entry:
             return None
         policy = None if self.policy is None else self.fingerprint
         data = [self.law.to_dict(), policy, self.action_mode, self.observation_mode]
+        data += ["per group"] * self.per_group
         return sha256(json.dumps(data, sort_keys=True).encode())
 
     def to_dict(self) -> dict[str, Any]:
@@ -175,9 +186,16 @@ def check_entries(entries: Sequence[Entry]) -> None:
             raise ValueError(f"the name {entry.name!r} is reserved for the strategy itself, which fixes the score")
 
 
-def check_version(entries: Sequence[Entry], benchmark: Benchmark) -> None:
-    """Raise a ValueError if an entry's policy takes the observations of another version of the benchmark."""
+def check_version(entries: Sequence[Entry], suite: Suite) -> None:
+    """Raise a ValueError if an entry's policy takes observations of another version, or of another grid's groups."""
+    benchmark = suite.benchmark
     for entry in entries:
+        elsewhere = entry.environment is not None and suite.plant.grid != DEFAULT_GRID
+        if elsewhere and entry.policy is not None and not entry.per_group:
+            raise ValueError(
+                f"entry {entry.label!r} is for the groups of {entry.environment}; on other grids policies play that "
+                "have per_group = true in their entry.toml"
+            )
         if entry.environment not in (None, benchmark.env_id):
             raise ValueError(
                 f"entry {entry.label!r} is for {entry.environment}, these scenarios are of {benchmark.env_id}, "
