@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Callable, Sequence
 from contextlib import closing
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -69,7 +69,7 @@ def survivable(own: GridSuite, on_progress: Callable[[str, float, int], object])
     suite = own.suite
     plant = suite.plant.settings(classical=False, trips_groups=True)
     drawn = suite.scenarios([seed for seed in suite.validation if suite.stratum(seed) == "ordinary"][:_N_POINTS])
-    length = {"duration_s": _STRIKES_S + _AFTERWARDS_S}
+    length: dict[str, Any] = {"duration_s": _STRIKES_S + _AFTERWARDS_S}
     points = [dataclasses.replace(scenario, events=(), **length) for scenario in drawn]
 
     def kept(name: str, buses: Sequence[Place], event: Callable[[Place], Event]) -> tuple[Place, ...]:
@@ -77,7 +77,7 @@ def survivable(own: GridSuite, on_progress: Callable[[str, float, int], object])
         scenarios = [dataclasses.replace(point, events=(event(place),)) for place in buses for point in points]
         if not scenarios:
             return ()
-        alive = survived(plant, scenarios).any(axis=0).reshape(len(buses), -1).all(axis=1)
+        alive: Flags = np.all(survived(plant, scenarios).any(axis=0).reshape(len(buses), -1), axis=1)
         found = tuple(place for place, lives in zip(buses, alive, strict=True) if lives)
         on_progress(f"{name}: {len(found)} of {len(buses)} survived", 1, 1)
         return found

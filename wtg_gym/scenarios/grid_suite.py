@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 from functools import cached_property, lru_cache
 from pathlib import Path
+from typing import Any
 
 from wtg_gym.files import read_json
 from wtg_gym.physics.checked import Checked, describe, design, required
@@ -65,11 +66,17 @@ class GridSuite(Checked):
     def suite(self) -> Suite:
         """The suite."""
         case = get_grid(self.grid).case
-        drawn = {"wind_share": self.wind_share, "load_level": self.load_level}
         # Where other machines stay, the loss of one asks for no more wind than other events.
         own = {"machine": {"mean_wind_m_s": WIND_SCENARIOS["mean_wind_m_s"]}}
         return suite_of_strata(
-            self.name, f"{case.name}.", self.plant, self.places, event_size=self.event_size, own=own, **drawn
+            self.name,
+            f"{case.name}.",
+            self.plant,
+            self.places,
+            event_size=self.event_size,
+            own=own,
+            wind_share=self.wind_share,
+            load_level=self.load_level,
         )
 
     @property
@@ -78,7 +85,7 @@ class GridSuite(Checked):
         groups = get_grid(self.grid).groups
         if not groups:
             raise ValueError(f"grid {self.grid!r} has no WTG groups; a suite needs some")
-        of_v1 = {"physics": "extended", "overload_from_pu": 1.05, "secondary_time_s": 30.0}
+        of_v1: dict[str, Any] = {"physics": "extended", "overload_from_pu": 1.05, "secondary_time_s": 30.0}
         return SuitePlant(grid=self.grid, groups=groups, **of_v1)
 
 
