@@ -49,6 +49,7 @@ Whole = Annotated[int, Parameter(converter=_whole)]
 OutputFolder = Annotated[Path, Parameter(validator=(validators.Path(file_okay=False), _can_be_written))]
 CsvFile = Annotated[Path, _output_file("csv")]
 FigureFile = Annotated[Path, _output_file("png", "svg", "pdf")]
+JsonFile = Annotated[Path, _output_file("json")]
 HtmlFile = Annotated[Path, _output_file("html", "htm")]
 
 Threads = Annotated[Whole | None, Parameter(help="threads to step with; default: one per processor")]

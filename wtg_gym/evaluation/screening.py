@@ -23,7 +23,7 @@ from wtg_gym.physics.scenario import (
 )
 from wtg_gym.physics.simulator import Simulator
 from wtg_gym.physics.tracking_law import get_law
-from wtg_gym.scenarios.grid_suite import GridSuite
+from wtg_gym.scenarios.grid_suite import GridSuite, unscreened
 from wtg_gym.scenarios.strata import Places
 
 Place = TypeVar("Place")
@@ -61,7 +61,9 @@ _N_POINTS, _STRIKES_S, _AFTERWARDS_S = 6, 1.0, 30.0
 _CLEARED_S = 0.2
 #: Scenarios that sizes are tried on, and the largest share of them that no law survives.
 _N_TRIED, _LOST = 150, 0.01
-_SMALLER = 0.85
+_SMALLER, _LEAST_SIZE = 0.85, 0.1
+#: Step in which loads are lowered.
+_LESS_LOAD = 0.05
 
 
 def survivable(own: GridSuite, on_progress: Callable[[str, float, int], object]) -> Places:
@@ -97,3 +99,43 @@ def survivable(own: GridSuite, on_progress: Callable[[str, float, int], object])
         generator_buses=kept("generators", places.generator_buses, outage),
         governor_buses=kept("governors", places.governor_buses, lambda bus: GovernorLoss(bus=bus, **at)),
     )
+
+
+def screened(grid: str, on_progress: Callable[[str, float, int], object]) -> GridSuite:
+    """Return a suite of a grid whose events some law survives, and whose sizes leave few scenarios that none does.
+
+    Loads are lowered until every operating point starts under all laws, then events are made smaller.
+
+    Raises:
+        ValueError: no size is small enough.
+    """
+    own = unscreened(grid)
+    while not _starts(own):
+        low, high = own.load_level
+        own = dataclasses.replace(own, load_level=(round(low - _LESS_LOAD, 2), round(high - _LESS_LOAD, 2)))
+        on_progress(f"load level at most {own.load_level[1]:g}", 1, 1)
+    own = dataclasses.replace(own, places=survivable(own, on_progress))
+    plant = own.suite.plant.settings(classical=False, trips_groups=True)
+    while True:
+        scenarios = own.suite.scenarios(own.suite.validation[:_N_TRIED])
+        lost = 1.0 - survived(plant, scenarios).any(axis=0).mean()
+        on_progress(f"events of {own.event_size:g}: {100.0 * lost:.1f} % are lost under every law", 1, 1)
+        if lost <= _LOST:
+            return own
+        own = dataclasses.replace(own, event_size=round(_SMALLER * own.event_size, 2))
+        if own.event_size < _LEAST_SIZE:
+            raise ValueError(f"grid {grid!r} loses {100.0 * lost:.0f} % of the scenarios at events of any size")
+
+
+def _starts(own: GridSuite) -> bool:
+    """Return whether every operating point tried starts under all laws."""
+    plant = own.suite.plant.settings(classical=False, trips_groups=True)
+    scenarios = own.suite.scenarios(own.suite.validation[:_N_TRIED])
+    drawn = [dataclasses.replace(scenario, events=()) for scenario in scenarios]
+    with closing(Simulator(plant)) as simulator:
+        for name in LAWS:
+            try:
+                simulator.prepare(drawn, [get_law(name, plant.turbine, plant.control)] * len(plant.groups))
+            except ValueError:
+                return False
+    return True

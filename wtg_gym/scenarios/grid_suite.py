@@ -7,9 +7,9 @@ from functools import cached_property, lru_cache
 from pathlib import Path
 from typing import Any
 
-from wtg_gym.files import read_json
+from wtg_gym.files import read_json, to_json
 from wtg_gym.physics.checked import Checked, describe, design, required
-from wtg_gym.physics.grid import get_grid, record_of
+from wtg_gym.physics.grid import data_of, get_grid, record_of
 from wtg_gym.physics.network import NetworkCase
 from wtg_gym.scenarios.benchmark import SuitePlant
 from wtg_gym.scenarios.distribution import LOSSES
@@ -104,6 +104,11 @@ def read_suite(path: str) -> GridSuite:
         raise ValueError(f"{path} is no suite: {error}") from error
     beside = Path(path).with_name(found.grid)
     return replace(found, grid=str(beside)) if found.grid.endswith(".json") and beside.exists() else found
+
+
+def suite_text(suite: GridSuite) -> str:
+    """Return a suite as its file."""
+    return to_json(data_of(suite))
 
 
 def unscreened(grid: str) -> GridSuite:

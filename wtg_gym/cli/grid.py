@@ -1,0 +1,88 @@
+"""`wtg-gym grid`: grids of one's own: bring one in, look at it, and make a suite of scenarios for it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+from cyclopts import App, Parameter
+
+from wtg_gym.cli.options import Flag, JsonFile
+from wtg_gym.cli.output import note, print_table, write_and_say
+from wtg_gym.evaluation.screening import screened
+from wtg_gym.grids.andes import convert, grid_of
+from wtg_gym.grids.describe import describe_equilibrium, describe_grid
+from wtg_gym.grids.wind import with_wind
+from wtg_gym.physics.grid import get_grid, grid_text
+from wtg_gym.progress import Progress
+from wtg_gym.scenarios.grid_suite import suite_text
+
+app = App(name="grid", help="grids of your own: bring one in, check it, make a suite of scenarios for it")
+
+
+@app.command(name="import")
+def import_grid(
+    case: Path,
+    /,
+    *,
+    output: JsonFile,
+    dynamic: Annotated[Path | None, Parameter(help="DYR file with the machines of a RAW file")] = None,
+    wind: Annotated[
+        tuple[int, ...],
+        Parameter(
+            consume_multiple=True,
+            help="buses whose machines turbines replace; default: the largest, up to 60 % of the power",
+        ),
+    ] = (),
+    substitute: Annotated[
+        Flag, Parameter(help="put typical controls in the place of models that are not here")
+    ] = False,
+    andes: Annotated[str, Parameter(help="the command of ANDES")] = "andes",
+) -> int:
+    """Turn a case of another program into a grid's file.
+
+    ANDES reads it (https://docs.andes.app; `pip install andes`, in an environment of its own if you like): RAW of
+    versions 32 to 34 with DYR, xlsx, json, and MATPOWER's .m, whose machines are typical ones. What was repaired or
+    replaced is said, and stands in the file.
+
+    examples:
+      wtg-gym grid import ieee39.raw --dynamic ieee39.dyr --output ieee39.json
+      wtg-gym grid import case118.m --output ieee118.json --wind 10 26 65
+      wtg-gym evaluate --suite ieee39.json                      score the laws on it
+    """
+    grid = grid_of(convert(case, dynamic, andes), case.stem, substitute=substitute)
+    for line in (*grid.repairs, *grid.substitutions):
+        note(line)
+    write_and_say(output, grid_text(with_wind(grid, wind)))
+    return 0
+
+
+@app.command
+def check(grid: str, /) -> int:
+    """Look at a grid: power flow, equilibrium, least damped modes, and the longest step of the integration.
+
+    examples:
+      wtg-gym grid check ieee39
+      wtg-gym grid check my_grid.json
+    """
+    found = get_grid(grid)
+    rows = [*describe_grid(found), *describe_equilibrium(found)]
+    print_table(("", ""), rows, left=(0, 1))
+    return 0
+
+
+@app.command
+def suite(grid: str, /, *, output: JsonFile) -> int:
+    """Make a suite of scenarios of version v1 for a grid, by simulation.
+
+    Kept are events that some law survives at every operating point tried, and sizes at which at most one scenario in a
+    hundred is lost under every law. The suite's file names the grid's.
+
+    examples:
+      wtg-gym grid suite my_grid.json --output my_suite.json
+      wtg-gym evaluate --suite my_suite.json
+    """
+    with Progress("rounds") as progress:
+        made = screened(grid, progress.update)
+    write_and_say(output, suite_text(made))
+    return 0

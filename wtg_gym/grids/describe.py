@@ -1,0 +1,84 @@
+"""What a grid is, in lines for people: sizes, power flow, equilibrium, modes, step."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Iterator
+
+import numpy as np
+
+from wtg_gym.physics.grid import Grid
+from wtg_gym.physics.linearisation import moving_states, state_matrix
+from wtg_gym.physics.plant import PlantSettings, plant_settings
+from wtg_gym.physics.scenario import Scenario
+from wtg_gym.physics.simulator import Simulator
+from wtg_gym.physics.tracking_law import get_law
+
+#: Wind at which all groups stand, and the law under which they do.
+WIND_M_S, LAW = 10.0, "coordinated-tuned"
+#: Steps of the integration that are tried, the longest first [s].
+STEPS_S = (0.025, 0.0125, 0.01, 0.005, 0.0025, 0.001)
+#: Modes of these frequencies count [Hz]: rotors that swing against each other, and controls.
+_MODES_HZ = (0.05, 5.0)
+
+Line = tuple[str, str]
+
+
+def describe_grid(grid: Grid) -> Iterator[Line]:
+    """Yield what is in a grid."""
+    case = grid.case
+    governed = [machine for machine in case.machines if machine.governor is not None]
+    rating, turbines = sum(m.rating_mva for m in case.machines), sum(group.n_turbines for group in grid.groups)
+    yield "name", case.name
+    yield "network", f"{len(case.buses)} buses, {len(case.branches)} branches ({len(case.bridges)} of them bridges)"
+    yield "base", f"{case.base_mva:g} MVA, {case.frequency_hz:g} Hz"
+    yield "load", f"{case.load_mw:.1f} MW"
+    yield "machines", f"{len(case.machines)} of {rating:.0f} MVA, {len(governed)} with a governor"
+    yield "WTG groups", f"{len(grid.groups)} of {turbines:g} turbines, in place of {len(grid.replaced)} machines"
+    yield "source", f"{grid.source or 'not given'}; licence: {grid.licence or 'not given'}"
+    for name, lines in (("repaired", grid.repairs), ("replaced", grid.substitutions)):
+        for line in lines:
+            yield name, line
+
+
+def longest_step(plant: PlantSettings) -> float:
+    """Return the longest of :data:`STEPS_S` that suits a plant's fastest mode; a ValueError where none does."""
+    refusal: ValueError | None = None
+    for step in STEPS_S:
+        try:
+            Simulator(dataclasses.replace(plant, simulation_dt=step)).close()
+        except ValueError as error:
+            refusal = error
+            continue
+        return step
+    raise ValueError(f"no step of {STEPS_S[-1]:g} s or more suits this grid: {refusal}")
+
+
+def describe_equilibrium(grid: Grid) -> Iterator[Line]:
+    """Yield what a grid is at its loads and a steady wind, without its groups where it has none."""
+    case = grid.with_groups if grid.groups else grid.case
+    shares = sum(machine.governor is not None for machine in case.machines) > 1 and bool(grid.groups)
+    plant = plant_settings("extended", case=case, groups=grid.groups, shares_dispatch=shares)
+    step = longest_step(plant)
+    plant = dataclasses.replace(plant, simulation_dt=step)
+    yield "step", f"{1000.0 * step:g} ms"
+    simulator = Simulator(plant, duration_s=1.0)
+    wind = np.full((len(grid.groups), 1), WIND_M_S)
+    scenario = Scenario(name="steady wind", wind_speed=wind, duration_s=1.0, load_noise_bus=case.slack_bus)
+    law = get_law(LAW, plant.turbine, plant.control)
+    simulator.start(0, scenario, [law] * len(grid.groups))
+    simulator.evaluate()
+    voltages = np.abs(simulator.bus_voltages())
+    yield "voltages", f"{voltages.min():.3f} … {voltages.max():.3f} p.u."
+    rows, layout = simulator.blocks[0, :, 0], simulator.layout
+    matrix = state_matrix(rows, simulator.plant, layout, -1.0)
+    keep = moving_states(matrix, rows, layout)
+    yield "equilibrium", f"largest rate {np.abs(simulator.rates()[keep]).max():.1e} p.u./s"
+    values = np.linalg.eigvals(matrix[np.ix_(keep, keep)])
+    swings = [(-value.real / abs(value), value.imag / (2.0 * math.pi)) for value in values]
+    between = sorted((damping, hertz) for damping, hertz in swings if _MODES_HZ[0] < hertz < _MODES_HZ[1])
+    for damping, hertz in between[:3]:
+        yield "mode", f"{hertz:.2f} Hz, damped by {100.0 * damping:.1f} %"
+    growing = [v for v in values if v.real > 1e-6]
+    yield "stable", "yes" if not growing else f"no: {len(growing)} modes grow"
