@@ -84,8 +84,9 @@ def survivable(own: GridSuite, on_progress: Callable[[str, float, int], object])
         on_progress(f"{name}: {len(found)} of {len(buses)} survived", 1, 1)
         return found
 
-    places, at = own.places, {"time_s": _STRIKES_S}
-    clearing = {"clears_after_s": _CLEARED_S, **at}
+    places = own.places
+    at: dict[str, Any] = {"time_s": _STRIKES_S}
+    clearing: dict[str, Any] = {"clears_after_s": _CLEARED_S, **at}
 
     def outage(bus: int) -> Event:
         return MachineOutage(bus=bus, **at)

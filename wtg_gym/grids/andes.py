@@ -133,13 +133,15 @@ def grid_of(tables: Tables, name: str, *, substitute: bool = False) -> Grid:
     machines = _machines(tables, numbers, base, report, substitute)
     buses = _buses(tables, numbers, base, {machine.bus for machine in machines})
     branches, shunts = _branches(tables, numbers, base, report)
-    (slack,) = {numbers[row["bus"]] for row in _live(tables, "Slack")} or {None}
+    slacks = sorted({numbers[row["bus"]] for row in _live(tables, "Slack")})
+    if len(slacks) != 1:
+        raise ValueError(f"the case must have one slack bus, got {slacks}")
     return Grid(
         case=NetworkCase(
             name=name,
             base_mva=base,
             frequency_hz=_config(tables, "freq", 60.0),
-            slack_bus=slack,
+            slack_bus=slacks[0],
             buses=tuple(_with_shunt(bus, shunts.get(bus.number, 0j) * base) for bus in buses),
             branches=tuple(branches),
             machines=tuple(machines),

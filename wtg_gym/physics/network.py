@@ -130,20 +130,29 @@ class NetworkCase(Checked):
             raise ValueError(f"unknown bus {number!r}; {self.name} has buses {list(self.bus_numbers)}")
         return self.bus_numbers.index(number)
 
-    def branch_index(self, from_bus: int, to_bus: int) -> int:
-        """Return the index of the branch between two buses, either way round; a ValueError lists the branches."""
+    def branch_index(self, from_bus: int, to_bus: int, circuit: int | None = None) -> int:
+        """Return the index of the branch between two buses, either way round; a ValueError lists the branches.
+
+        Args:
+            from_bus, to_bus: numbers of the buses.
+            circuit: which of parallel branches, counted from 1; None: the first.
+        """
         self.bus_index(from_bus)
         self.bus_index(to_bus)
-        index = self._branches_by_ends.get(frozenset((from_bus, to_bus)))
-        if index is not None:
-            return index
+        found = self._branches_by_ends.get(frozenset((from_bus, to_bus)), [])
+        if 0 < (circuit or 1) <= len(found):
+            return found[(circuit or 1) - 1]
+        if found:
+            raise ValueError(f"no circuit {circuit} between buses {from_bus} and {to_bus}; there are {len(found)}")
         known = ", ".join(f"{b.from_bus}-{b.to_bus}" for b in self.branches)
         raise ValueError(f"no branch {from_bus}-{to_bus} in {self.name}; branches: {known}")
 
     @functools.cached_property
-    def _branches_by_ends(self) -> dict[frozenset[int], int]:
-        # Of parallel branches the first one counts: it comes last here.
-        return {frozenset((b.from_bus, b.to_bus)): i for i, b in reversed(list(enumerate(self.branches)))}
+    def _branches_by_ends(self) -> dict[frozenset[int], list[int]]:
+        found: dict[frozenset[int], list[int]] = {}
+        for index, branch in enumerate(self.branches):
+            found.setdefault(frozenset((branch.from_bus, branch.to_bus)), []).append(index)
+        return found
 
     def parts_without(self, branches: tuple[int, ...]) -> list[set[int]]:
         """Return the buses of each part that hangs together when the branches of these indices are open."""
