@@ -15,6 +15,8 @@ from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
 
 from wtg_gym.physics.checked import Checked, design, parameter, required
 from wtg_gym.physics.machine_parameters import GovernorParameters, HydroGovernorParameters, SynchronousMachineParameters
@@ -156,12 +158,14 @@ class NetworkCase(Checked):
 
     def parts_without(self, branches: tuple[int, ...]) -> list[set[int]]:
         """Return the buses of each part that hangs together when the branches of these indices are open."""
-        parts = [{bus.number} for bus in self.buses]
-        for index, branch in enumerate(self.branches):
-            if index not in branches:
-                ends = {branch.from_bus, branch.to_bus}
-                joined = [part for part in parts if not part.isdisjoint(ends)]
-                parts = [part for part in parts if part.isdisjoint(ends)] + [set().union(*joined)]
+        at = {number: place for place, number in enumerate(self.bus_numbers)}
+        closed = [(at[b.from_bus], at[b.to_bus]) for index, b in enumerate(self.branches) if index not in branches]
+        ends = np.array(closed, dtype=np.int64).reshape(-1, 2).T
+        shape = (len(at), len(at))
+        n, part_of = connected_components(coo_array((np.ones(ends.shape[1]), ends), shape=shape), directed=False)
+        parts: list[set[int]] = [set() for _ in range(n)]
+        for number, part in zip(self.bus_numbers, part_of.tolist(), strict=True):
+            parts[part].add(number)
         return parts
 
     @functools.cached_property
