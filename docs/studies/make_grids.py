@@ -15,12 +15,17 @@ from collections.abc import Iterator, Mapping
 from typing import Any
 
 from wtg_gym.files import write_atomically
+from wtg_gym.grids.wind import with_wind
 from wtg_gym.physics.grid import FOLDER, Grid, grid_text
-from wtg_gym.physics.machine_parameters import ExciterParameters, GovernorParameters, SynchronousMachineParameters
+from wtg_gym.physics.machine_parameters import (
+    ExciterParameters,
+    GovernorParameters,
+    HydroGovernorParameters,
+    SynchronousMachineParameters,
+)
 from wtg_gym.physics.network import Branch, Bus, NetworkCase
-from wtg_gym.physics.parameters import WtgGroup
 
-BASE_MVA, TURBINE_MW = 100.0, 5.0
+BASE_MVA = 100.0
 #: Of x'': the tables have no leakage reactance.
 LEAKAGE = 0.8
 
@@ -71,69 +76,70 @@ def buses(data: Mapping[str, Any]) -> list[Bus]:
         bus = found[number(load["bus"])]
         sums = {"load_mw": bus.load_mw + load["P"], "load_mvar": bus.load_mvar + load["Q"]}
         found[bus.number] = dataclasses.replace(bus, **sums)
-    for shunt in rows(data["shunts"]):
+    for shunt in rows(data.get("shunts", [[]])):
         bus = found[number(shunt["bus"])]
         found[bus.number] = dataclasses.replace(bus, shunt_mvar=bus.shunt_mvar + shunt["Q"])
     return [dataclasses.replace(bus, voltage_pu=held.get(bus.number)) for bus in found.values()]
 
 
+def governor_of(row: Mapping[str, Any] | None) -> GovernorParameters | HydroGovernorParameters | None:
+    """Return the governor of a table's row: TGOV1, or HYGOV in place of a linear hydro governor."""
+    if row is None:
+        return None
+    if "T_4" in row:
+        return HydroGovernorParameters(droop_pu=row["R"], gate_min_pu=row["V_min"])
+    return GovernorParameters(
+        droop_pu=row["R"], gate_time_s=row["T_1"], lead_time_s=row["T_2"], reheat_time_s=row["T_3"],
+        gate_min_pu=row["V_min"], gate_max_pu=row["V_max"], turbine_damping_pu=row["D_t"],
+    )  # fmt: skip
+
+
 def machines(data: Mapping[str, Any]) -> list[SynchronousMachineParameters]:
-    """Return the machines; equal ones at a bus are one."""
-    controls = {
-        kind: {row["gen"]: row for own in data.get(kind, {}).values() for row in rows(own)} for kind in ("gov", "avr")
-    }
-    found = []
+    """Return the machines; those at a bus that are equal but for rating and power are one."""
+    governors, exciters = (
+        {row["gen"]: row for table in data.get(kind, {}).values() for row in rows(table)} for kind in ("gov", "avr")
+    )
+    found: dict[SynchronousMachineParameters, tuple[float, float]] = {}
     for row in rows(data["generators"]["GEN"]):
-        n, g, e = int(row.get("N_par", 1)), controls["gov"].get(row["name"]), controls["avr"].get(row["name"])
-        governor = g and GovernorParameters(
-            droop_pu=g["R"], gate_time_s=g["T_1"], lead_time_s=g["T_2"], reheat_time_s=g["T_3"],
-            gate_min_pu=g["V_min"], gate_max_pu=g["V_max"], turbine_damping_pu=g["D_t"],
-        )  # fmt: skip
+        e, n = exciters.get(row["name"]), int(row.get("N_par", 1))
         exciter = e and ExciterParameters(
             gain=e["K"], lead_lag_ratio=e["T_a"] / e["T_b"], lag_time_s=e["T_b"], exciter_time_s=e["T_e"],
             field_min_pu=e["E_min"], field_max_pu=e["E_max"],
         )  # fmt: skip
-        found.append(
-            SynchronousMachineParameters(
-                bus=number(row["bus"]), rating_mva=n * row["S_n"], two_h_s=2.0 * row["H"], damping_pu=row["D"],
-                x_d=row["X_d"], x_q=row["X_q"], x_d_transient=row["X_d_t"], x_q_transient=row["X_q_t"],
-                x_subtransient=row["X_d_st"], x_leakage=LEAKAGE * row["X_d_st"],
-                t_d0_transient_s=row["T_d0_t"], t_q0_transient_s=row["T_q0_t"],
-                t_d0_subtransient_s=row["T_d0_st"], t_q0_subtransient_s=row["T_q0_st"],
-                dispatch_mw=n * row["P"], governor=governor, exciter=exciter,
-            )
+        one = SynchronousMachineParameters(
+            bus=number(row["bus"]), rating_mva=1.0, two_h_s=2.0 * row["H"], damping_pu=row["D"],
+            x_d=row["X_d"], x_q=row["X_q"], x_d_transient=row["X_d_t"], x_q_transient=row["X_q_t"],
+            x_subtransient=row["X_d_st"], x_leakage=LEAKAGE * row["X_d_st"],
+            t_d0_transient_s=row["T_d0_t"], t_q0_transient_s=row["T_q0_t"],
+            t_d0_subtransient_s=row["T_d0_st"], t_q0_subtransient_s=row["T_q0_st"],
+            governor=governor_of(governors.get(row["name"])), exciter=exciter,
         )  # fmt: skip
-    return found
+        mva, mw = found.get(one, (0.0, 0.0))
+        found[one] = mva + n * row["S_n"], mw + n * row["P"]
+    return [
+        dataclasses.replace(one, rating_mva=round(mva, 3), dispatch_mw=round(mw, 3)) for one, (mva, mw) in found.items()
+    ]
 
 
-def grid_of(name: str, title: str, wind_buses: tuple[int, ...], wind_rating: float) -> Grid:
-    """Return a grid with groups of turbines in place of the machines at some buses.
-
-    All turbines together are rated as so much of the load; each group by what its machine gave.
-    """
+def grid_of(name: str, title: str) -> Grid:
+    """Return a grid without groups of turbines."""
     data = importlib.import_module(f"tops.ps_models.{name}").load()
     case = NetworkCase(
         name=title, base_mva=BASE_MVA, frequency_hz=float(data["f"]), slack_bus=number(data["slack_bus"]),
         buses=tuple(buses(data)), branches=tuple(branches(data)), machines=tuple(machines(data)),
     )  # fmt: skip
-    given = {machine.bus: machine.dispatch_mw for machine in case.machines if machine.bus in wind_buses}
-    total = sum(given.values())
-    groups = tuple(
-        WtgGroup(bus=bus, n_turbines=round(wind_rating * case.load_mw * mw / total / TURBINE_MW)) for bus, mw in given.items()
-    )
-    return Grid(
-        case=case,
-        groups=groups,
-        replaced=wind_buses,
-        source=f"TOPS (H. Haugdal, SINTEF), tops/ps_models/{name}.py",
-        licence="MIT",
-        substitutions=(f"leakage reactances are {LEAKAGE:g} of x'': the table has none",),
-    )
+    replaced = [f"leakage reactances are {LEAKAGE:g} of x'': the table has none"]
+    if "HYGOV_simple" in data.get("gov", {}):
+        replaced.append("HYGOV with typical data and the table's droop in place of linear hydro governors")
+    source = f"TOPS (H. Haugdal, SINTEF), tops/ps_models/{name}.py"
+    return Grid(case=case, source=source, licence="MIT", substitutions=tuple(replaced))
 
 
 if __name__ == "__main__":
-    for name, known, title, *wind in (
+    for name, table, title, buses_with_wind, rating in (
         ("ieee39", "ieee39", "IEEE 39-bus system (New England)", (32, 33, 35, 36, 38, 39), 1.25),
         ("kundur", "k2a", "Kundur's two areas", (2, 4), 1.1),
+        ("nordic45", "n45_tuned", "Nordic 45", (), 1.25),
     ):
-        write_atomically(FOLDER / f"{name}.json", grid_text(grid_of(known, title, *wind)))
+        grid = with_wind(grid_of(table, title), buses_with_wind, rating)
+        write_atomically(FOLDER / f"{name}.json", grid_text(grid))

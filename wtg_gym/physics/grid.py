@@ -127,17 +127,14 @@ def grid_text(grid: Grid) -> str:
     """Return a grid as its file: what is not as the defaults say, a record per line."""
     data = {**data_of(grid), **data_of(grid.case)}
     del data["case"]
-    parts = []
+    written = functools.partial(json.dumps, ensure_ascii=False, allow_nan=False)
+    lines = []
     for key, value in data.items():
-        text = json.dumps(value, ensure_ascii=False, allow_nan=False)
-        if isinstance(value, list) and value:
-            text = (
-                "[\n"
-                + ",\n".join(f"  {json.dumps(each, ensure_ascii=False, allow_nan=False)}" for each in value)
-                + "\n ]"
-            )
-        parts.append(f" {json.dumps(key)}: {text}")
-    return "{\n" + ",\n".join(parts) + "\n}\n"
+        text = written(value)
+        if isinstance(value, list) and value and isinstance(value[0], dict):
+            text = "[\n  " + ",\n  ".join(map(written, value)) + "\n ]"
+        lines.append(f" {written(key)}: {text}")
+    return "{\n" + ",\n".join(lines) + "\n}\n"
 
 
 def data_of(record: Any) -> Any:
