@@ -125,7 +125,9 @@ def add_torque(total_torque: float, torque: float) -> float:
 @system(TASK, "grid_observed", when="privileged")
 def observe_grid(coi: float, rocof: float, total_torque: float, task: Task) -> GridObservation:
     """Return the observation of the grid."""
-    return bounded(GridObservation((coi - 1.0) * task.nominal_hz / FREQUENCY_UNIT_HZ, rocof, total_torque))
+    return bounded(
+        GridObservation((coi - 1.0) * task.nominal_hz / FREQUENCY_UNIT_HZ, rocof, task.inv_torque * total_torque)
+    )
 
 
 @system(TASK, "info")

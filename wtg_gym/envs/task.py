@@ -23,16 +23,21 @@ from wtg_gym.envs.settings import ACTION_MODES, EnvSettings
 from wtg_gym.envs.task_records import Info, LocalInfo, Task, Weights, n_delayed, rocof_window
 from wtg_gym.envs.task_units import ACTING, HISTORY, RING, SENSED, SENSORS, SHIFTS, TASK, WATCHED, WINDOW
 from wtg_gym.physics import integration
+from wtg_gym.physics.grid import DEFAULT_GRID
 from wtg_gym.physics.integration import advance_interval
 from wtg_gym.physics.kernel_data import LaneData, Network
 from wtg_gym.physics.layout import Floats, Layout, Whole
 from wtg_gym.physics.plant import Further
 from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY, get_law
+from wtg_gym.scenarios import get_suite
 from wtg_gym.systems.compiled import compiled, internal
 from wtg_gym.systems.programs import NONE, in_one_table
 from wtg_gym.systems.routines import Routine
 from wtg_gym.systems.systems import Kind, count
 
+#: Share of the load that the torque of the machines is counted in on other grids than the IEEE 14-bus system, where it
+#: is 100 MVA.
+_TORQUE_SHARE = 0.39
 Observations = npt.NDArray[np.float32]
 N_INFO = len(Info._fields) + len(LocalInfo._fields)
 PROGRAMS = in_one_table(
@@ -74,7 +79,7 @@ def build_task(settings: EnvSettings) -> Task:
     reference = get_law(REFERENCE_STRATEGY, plant.turbine, plant.control)
     weights = settings.cost_weights()
     modulates_k, modulates_tau = ACTION_MODES[settings.action_mode]
-    n_wtg = len(plant.groups)
+    n_wtg, of_ieee14 = len(plant.groups), get_suite(settings.suite).plant.grid == DEFAULT_GRID
     return Task(
         modulates_k=modulates_k,
         modulates_tau=modulates_tau,
@@ -88,6 +93,7 @@ def build_task(settings: EnvSettings) -> Task:
         control_dt=settings.control_dt,
         nominal_hz=plant.case.frequency_hz,
         inv_load=plant.case.base_mva / max(plant.case.load_mw, 1e-6),
+        inv_torque=1.0 if of_ieee14 else plant.case.base_mva / max(_TORQUE_SHARE * plant.case.load_mw, 1e-6),
         n_window=rocof_window(settings.control_dt),
         n_groups=n_wtg,
         n_actions=n_wtg * (modulates_k + modulates_tau),

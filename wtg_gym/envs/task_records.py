@@ -37,6 +37,7 @@ class Task(NamedTuple):
     control_dt: float  # [s]
     nominal_hz: float
     inv_load: float  # 1 / load of the case [1/p.u.]
+    inv_torque: float  # 1 / what the machines' torque is counted in [1/p.u.]
     n_window: int  # of the RoCoF, in control intervals
     n_groups: int
     n_actions: int  # of all groups
@@ -110,7 +111,7 @@ class GridObservation(NamedTuple):
 
     frequency_deviation: Annotated[float, "0.5 Hz", "frequency of the centre of inertia minus the nominal one"]
     rocof: Annotated[float, "Hz/s", "rate of change of the frequency of the centre of inertia over 0.5 s"]
-    torque: Annotated[float, "100 MVA", "mechanical torque of all machines"]
+    torque: Annotated[float, "100 MVA", "mechanical torque of all machines; on other grids in 39 % of the load"]
 
 
 class MeasuredObservation(NamedTuple):
