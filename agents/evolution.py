@@ -77,7 +77,8 @@ class GroupPolicy(nn.Module):
         self, n_wtg: int, n_own: int, n_action: int, hidden: int, control_dt: float, history: bool = True
     ) -> None:
         super().__init__()
-        self._n_wtg, n_seen = n_wtg, n_own + (len(SLOW_COLUMNS) + 3) * history
+        self._n_wtg, self._n_own = n_wtg, n_own
+        n_seen = n_own + (len(SLOW_COLUMNS) + 3) * history
         self._shapes = ((n_seen + 1, hidden), (hidden + n_seen + 1, n_action))
         self.n_parameters = sum(a * b for a, b in self._shapes)
         #: Weights of the layer of tanh units, which come first, and places of the direct ones, which come last.
@@ -102,23 +103,27 @@ class GroupPolicy(nn.Module):
             observations: (n, n_lanes, n_observation).
             states: (n, n_lanes, …), slow copies, and whether there are any yet; none without history.
         """
-        n, n_lanes = observations.shape[:2]
-        own = observations.reshape(n, n_lanes, self._n_wtg, -1)
+        # The number of lanes stands nowhere: in an exported graph, what depends on it takes longer than all else.
+        n, n_wtg = len(weights), self._n_wtg
+        own = observations.reshape(n, -1, n_wtg, self._n_own)
         parts, following = [own], list[Tensor]()
         if states:
             slow, started = states
             now = own[..., list(SLOW_COLUMNS)]
-            before = torch.where(started[..., None] > 0.5, slow.reshape(now.shape), now)
+            before = torch.where(started[..., None] > 0.5, slow.reshape(n, -1, n_wtg, len(SLOW_COLUMNS)), now)
             copies = before + self._filters * (now - before)
             low = torch.clamp(own[..., _LOW_COLUMNS] - self._low, max=0.0)
-            parts += [copies, low, own[..., :1].mean(dim=2, keepdim=True).expand(n, n_lanes, self._n_wtg, 1)]
-            following = [copies.reshape(n, n_lanes, self.state_widths[0]), torch.ones_like(started)]
-        seen = torch.cat([*parts, torch.ones_like(own[..., :1])], dim=-1).flatten(1, 2)
-        (a, b), second = self._shapes[0], self._shapes[1]
-        first = weights[:, : a * b].reshape(len(weights), a, b)
-        layers = weights[:, a * b :].reshape(len(weights), *second)
-        actions = torch.tanh(seen @ first) @ layers[:, :b] + seen @ layers[:, b:]
-        return (actions.reshape(n, n_lanes, self._n_wtg * second[1]), *following)
+            frequency = own[..., :1]
+            parts += [copies, low, frequency.mean(dim=2, keepdim=True) + 0.0 * frequency]
+            following = [copies.reshape(n, -1, self.state_widths[0]), 0.0 * started + 1.0]
+        (a, b), (_, n_action) = self._shapes
+        seen = torch.cat(parts, dim=-1).reshape(n, -1, a - 1)
+        layers = weights[:, a * b :].reshape(n, -1, n_action)
+        actions = seen @ layers[:, b:-1] + layers[:, -1:]
+        if b:  # ONNX Runtime cannot multiply by a matrix without columns.
+            first = weights[:, : a * b].reshape(n, a, b)
+            actions = actions + torch.tanh(seen @ first[:, :-1] + first[:, -1:]) @ layers[:, :b]
+        return (actions.reshape(n, -1, n_wtg * n_action), *following)
 
 
 class Population:

@@ -15,7 +15,10 @@ from wtg_gym.plotting import save_figure, style
 from wtg_gym.policies.load import load_entries
 
 LAWS = ("mppt", "deloaded-5", "deloaded-10", "coordinated-linear", "coordinated-undamped", "coordinated-piecewise")
-TUNED = ("coordinated-tuned", "fast-droop", "linear-feedback-v1", "ppo-v1-0", "recurrent-ppo-v1-0", "gradient-v1-0")
+TUNED = (
+    *("coordinated-tuned", "coordinated-free", "fast-droop", "mean-droop", "linear-feedback-v1"),
+    *("history-feedback-v1", "evolution-v1-0", "ppo-v1-0", "recurrent-ppo-v1-0", "gradient-v1-0"),
+)
 DRAWN = ("deloaded-10", "coordinated-piecewise", "coordinated-tuned")
 
 

@@ -18,7 +18,7 @@ from tests.agents.small import largest_difference
 from tests.interruption import interrupted
 from wtg_gym.envs import EnvSettings
 from wtg_gym.policies.load import load_entries
-from wtg_gym.policies.torch_export import TorchPolicy
+from wtg_gym.policies.torch_export import TorchPolicy, onnx_bytes
 
 #: Four generations, the last two of all weights, with a validation before, between and after them.
 OPTIONS = ["--suite", "standard", "--n-envs", "2", "--population", "4", "--hidden", "3"]
@@ -57,6 +57,11 @@ def test_without_history_and_units_a_policy_is_a_linear_feedback() -> None:
     seen = torch.rand(3, 4, 8)
     (actions,) = policy(seen.reshape(3, 32))
     assert actions.reshape(3, 4, 2).numpy() == pytest.approx(seen.numpy() @ gains[:8] + gains[8], abs=1e-5)
+
+
+@pytest.mark.parametrize("history", [False, True])
+def test_a_policy_without_units_is_exported(history: bool) -> None:
+    assert onnx_bytes(policy_of(0, history), 32, 8, tolerance=1e-4)
 
 
 def test_what_is_lowered_is_minus_the_score_in_hundreds_and_what_the_mark_asks() -> None:

@@ -11,6 +11,7 @@ import pytest
 
 from tests.submissions.models import ACTION, LINEAR, OBSERVATION, N, after, info, make_bytes, model, with_state
 from wtg_gym.evaluation import OnnxPolicy, PolicyError, evaluate, load_entries
+from wtg_gym.policies.onnx_worker import stateless
 
 POLICIES = Path(__file__).resolve().parents[2] / "agents" / "policies"
 
@@ -78,6 +79,19 @@ def test_random_numbers_start_alike_in_every_scenario() -> None:
         assert np.array_equal(again, courses[-1][0]) and not np.array_equal(*courses[-1])
     for many, one in zip(*courses, strict=True):
         assert np.array_equal(many, np.repeat(one, 3, axis=0))
+
+
+def test_scenarios_share_a_session_where_operators_keep_nothing() -> None:
+    files = sorted(POLICIES.glob("*/policy.onnx"))
+    assert len(files) > 30 and all(stateless(path.read_bytes()) for path in files)
+    assert stateless(after("action = Tanh(linear)").SerializeToString())
+    random = after("action = RandomNormalLike(linear)").SerializeToString()
+    assert not stateless(random) and not stateless(b"\xff" * 20) and not stateless(random[:-1])
+    foreign = after("action = Tanh(linear)")
+    foreign.graph.node[-1].domain = "com.microsoft"
+    assert not stateless(foreign.SerializeToString())
+    # A second graph in the file, whose nodes onnx adds to the first one's, counts too.
+    assert not stateless(make_bytes() + random)
 
 
 def test_costs_in_a_scenario_are_the_same_to_the_last_bit_whatever_is_played_beside_it() -> None:
