@@ -106,7 +106,7 @@ class EnvArguments(TypedDict, total=False):
     groups: int | Sequence[Mapping[str, Any]] | None
     duration_s: float | None
     control_dt: float
-    simulation_dt: float
+    simulation_dt: float | None
     weights: Mapping[str, float] | None
     machine_model: str
     on_failure: str
@@ -130,8 +130,9 @@ class EnvSettings:
         groups: number of turbine groups at bus 2, or a list of `{"bus": …, "n_turbines": …}`; None: the suite's own.
         duration_s: length of an episode [s]; None: the suite's own, 120 s in v1 and `paper`, else 60 s.
         control_dt: control interval, one step [s].
-        simulation_dt: step of the integration [s]; 0.05 s, which some draws of v1 refuse, move the frequency by 1e-4 Hz
-            at most under laws, by 1e-2 Hz under random actions.
+        simulation_dt: step of the integration [s]; None: the suite's own, 0.025 s in the IEEE 14-bus system. There 0.05 s,
+            which some draws of v1 refuse, move the frequency by 1e-4 Hz at most under laws, by 1e-2 Hz under random
+            actions.
         weights: replaces single weights of the cost, see :class:`CostWeights`.
         machine_model: synchronous machines: `"genrou"`, with exciters, or `"classical"`.
         on_failure: consequence of a rotor's failure (stall, over-speed, under-speed): `"terminate"` the episode, or
@@ -159,7 +160,7 @@ class EnvSettings:
     groups: int | Sequence[Mapping[str, Any]] | None = None
     duration_s: float | None = None
     control_dt: float = 0.1
-    simulation_dt: float = 0.025
+    simulation_dt: float = None  # type: ignore[assignment]  # replaced below
     weights: Mapping[str, float] | None = None
     machine_model: str = "genrou"
     on_failure: str = None  # type: ignore[assignment]  # replaced below
@@ -202,6 +203,8 @@ class EnvSettings:
         object.__setattr__(self, "version", found.benchmark.version)
         if self.on_failure is None:
             object.__setattr__(self, "on_failure", found.benchmark.on_failure)
+        if self.simulation_dt is None:
+            object.__setattr__(self, "simulation_dt", found.plant.simulation_dt)
         if self.physics is None:
             object.__setattr__(self, "physics", found.plant.physics)
 

@@ -10,15 +10,13 @@ import numpy as np
 
 from wtg_gym.physics.grid import Grid
 from wtg_gym.physics.linearisation import moving_states, state_matrix
-from wtg_gym.physics.plant import PlantSettings, plant_settings
+from wtg_gym.physics.plant import plant_settings
 from wtg_gym.physics.scenario import Scenario
-from wtg_gym.physics.simulator import Simulator
+from wtg_gym.physics.simulator import Simulator, longest_step
 from wtg_gym.physics.tracking_law import get_law
 
 #: Wind at which all groups stand, and the law under which they do.
 WIND_M_S, LAW = 10.0, "coordinated-tuned"
-#: Steps of the integration that are tried, the longest first [s].
-STEPS_S = (0.025, 0.0125, 0.01, 0.005, 0.0025, 0.001)
 #: Modes of these frequencies count [Hz]: rotors that swing against each other, and controls.
 _MODES_HZ = (0.05, 5.0)
 
@@ -40,19 +38,6 @@ def describe_grid(grid: Grid) -> Iterator[Line]:
     for name, lines in (("repaired", grid.repairs), ("replaced", grid.substitutions)):
         for line in lines:
             yield name, line
-
-
-def longest_step(plant: PlantSettings) -> float:
-    """Return the longest of :data:`STEPS_S` that suits a plant's fastest mode; a ValueError where none does."""
-    refusal: ValueError | None = None
-    for step in STEPS_S:
-        try:
-            Simulator(dataclasses.replace(plant, simulation_dt=step)).close()
-        except ValueError as error:
-            refusal = error
-            continue
-        return step
-    raise ValueError(f"no step of {STEPS_S[-1]:g} s or more suits this grid: {refusal}")
 
 
 def describe_equilibrium(grid: Grid) -> Iterator[Line]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import functools
 import math
 from collections.abc import Sequence
@@ -448,3 +449,20 @@ class Simulator:
         self.scratches = self.new_scratches(self.threads.n_workers, self.width)
         # Perhaps in another process.
         self.link(Further({}))
+
+
+#: Steps of the integration that are tried, the longest first [s].
+STEPS_S = (0.025, 0.0125, 0.01, 0.005, 0.0025, 0.001)
+
+
+def longest_step(plant: PlantSettings) -> float:
+    """Return the longest of :data:`STEPS_S` that suits a plant's fastest mode; a ValueError where none does."""
+    refusal: ValueError | None = None
+    for step in STEPS_S:
+        try:
+            Simulator(dataclasses.replace(plant, simulation_dt=step)).close()
+        except ValueError as error:
+            refusal = error
+            continue
+        return step
+    raise ValueError(f"no step of {STEPS_S[-1]:g} s or more suits this grid: {refusal}")

@@ -65,6 +65,7 @@ class SuitePlant:
     secondary_time_s: float = 0.0  # of the secondary control, see PlantSettings; 0 for none [s]
     branch_scale: float = 1.0  # factor on the impedance of every line and transformer [-]
     condensers: bool = True  # whether the case's synchronous condensers are there
+    simulation_dt: float = 0.025  # longest step that suits it, of those of longest_step [s]
 
     def settings(
         self, *, groups: tuple[WtgGroup, ...] | None = None, physics: str | None = None, classical: bool, **steps: Any
@@ -110,7 +111,8 @@ class SuitePlant:
     def to_dict(self) -> dict[str, Any]:
         """Return the plant as JSON-ready data; suites of the IEEE 14-bus system keep the hashes that they had."""
         data = dataclasses.asdict(self)
-        return {key: value for key, value in data.items() if (key, value) != ("grid", DEFAULT_GRID)}
+        later = {"grid": DEFAULT_GRID, "simulation_dt": SuitePlant.simulation_dt}
+        return {key: value for key, value in data.items() if key not in later or value != later[key]}
 
 
 #: The paper's system. 0 is MPPT, 100 the paper's law.

@@ -11,6 +11,8 @@ from wtg_gym.files import read_json, to_json
 from wtg_gym.physics.checked import Checked, describe, design, required
 from wtg_gym.physics.grid import data_of, get_grid, record_of
 from wtg_gym.physics.network import NetworkCase
+from wtg_gym.physics.plant import SIMULATION_DT_RANGE
+from wtg_gym.physics.simulator import longest_step
 from wtg_gym.scenarios.benchmark import SuitePlant
 from wtg_gym.scenarios.distribution import LOSSES
 from wtg_gym.scenarios.strata import WIND_SCENARIOS, Places, suite_of_strata
@@ -61,6 +63,7 @@ class GridSuite(Checked):
     event_size: float = design(1.0, "-", "factor on the load events", 0.0, 10.0)
     wind_share: Span = design((0.4, 0.78), "-", "share of the load from wind", 0.0, 1.0)
     load_level: Span = design((0.85, 1.1), "-", "factor on the loads of the case", 0.3, 1.5)
+    simulation_dt: float = design(0.025, "s", "step of the integration", *SIMULATION_DT_RANGE)
 
     @cached_property
     def suite(self) -> Suite:
@@ -86,7 +89,7 @@ class GridSuite(Checked):
         if not groups:
             raise ValueError(f"grid {self.grid!r} has no WTG groups; a suite needs some")
         of_v1: dict[str, Any] = {"physics": "extended", "overload_from_pu": 1.05, "secondary_time_s": 30.0}
-        return SuitePlant(grid=self.grid, groups=groups, **of_v1)
+        return SuitePlant(grid=self.grid, groups=groups, simulation_dt=self.simulation_dt, **of_v1)
 
 
 @lru_cache(maxsize=64)
@@ -115,6 +118,7 @@ def unscreened(grid: str) -> GridSuite:
     """Return a suite of a grid with every event that does not take its network apart."""
     found = get_grid(grid)
     own = GridSuite(name=Path(grid).stem, grid=grid, places=all_places(found.with_groups))
+    own = replace(own, simulation_dt=longest_step(own.plant.settings(classical=False)))
     # The machines give what the wind leaves, with losses.
     machines = own.plant.governed_mva / (own.load_level[1] * found.case.load_mw)
     low, high = own.wind_share
