@@ -106,7 +106,7 @@ class EnvArguments(TypedDict, total=False):
     groups: int | Sequence[Mapping[str, Any]] | None
     duration_s: float | None
     control_dt: float
-    simulation_dt: float | None
+    simulation_dt: float
     weights: Mapping[str, float] | None
     machine_model: str
     on_failure: str
