@@ -130,9 +130,9 @@ class EnvSettings:
         groups: number of turbine groups at bus 2, or a list of `{"bus": …, "n_turbines": …}`; None: the suite's own.
         duration_s: length of an episode [s]; None: the suite's own, 120 s in v1 and `paper`, else 60 s.
         control_dt: control interval, one step [s].
-        simulation_dt: step of the integration [s]; None: the suite's own, 0.025 s in the IEEE 14-bus system. There 0.05 s,
-            which some draws of v1 refuse, move the frequency by 1e-4 Hz at most under laws, by 1e-2 Hz under random
-            actions.
+        simulation_dt: step of the integration [s]; None: the suite's own, 0.025 s in the IEEE 14-bus system. There
+            0.05 s, which some draws of v1 refuse, move the frequency by 1e-4 Hz at most under laws, by 1e-2 Hz under
+            random actions.
         weights: replaces single weights of the cost, see :class:`CostWeights`.
         machine_model: synchronous machines: `"genrou"`, with exciters, or `"classical"`.
         on_failure: consequence of a rotor's failure (stall, over-speed, under-speed): `"terminate"` the episode, or
