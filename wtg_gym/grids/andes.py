@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from wtg_gym.files import read_json
+from wtg_gym.grids.wind import typical_machine
 from wtg_gym.physics.grid import Grid
 from wtg_gym.physics.machine_parameters import (
     ExciterParameters,
@@ -131,6 +132,9 @@ def grid_of(tables: Tables, name: str, *, substitute: bool = False) -> Grid:
     base = _config(tables, "mva", 100.0)
     numbers = _numbers(tables)
     machines = _machines(tables, numbers, base, report, substitute)
+    if not machines:
+        machines = _typical_machines(tables, numbers, base)
+        report.substitutions.append(f"the case has no machines; all {len(machines)} are typical ones")
     buses = _buses(tables, numbers, base, {machine.bus for machine in machines})
     branches, shunts = _branches(tables, numbers, base, report)
     slacks = sorted({numbers[row["bus"]] for row in _live(tables, "Slack")})
@@ -249,6 +253,15 @@ def _machines(
             else:
                 found.append(_genrou(row, {"exciter": None, **common}, report))
     return found
+
+
+def _typical_machines(tables: Tables, numbers: Mapping[Any, int], base: float) -> list[SynchronousMachineParameters]:
+    """Return a typical machine for every source of a power flow."""
+    return [
+        typical_machine(numbers[row["bus"]], base * row["p0"], base * row["q0"], slack=model == "Slack")
+        for model in ("PV", "Slack")
+        for row in _live(tables, model)
+    ]
 
 
 def _genrou(row: Row, common: dict[str, Any], report: Report) -> SynchronousMachineParameters:
