@@ -11,11 +11,20 @@ import pytest
 
 from wtg_gym.envs import GFMWTGEnv
 from wtg_gym.physics.grid import FOLDER, Grid, get_grid, grid_text, known_grids, read_grid
-from wtg_gym.physics.network import Branch, Bus, NetworkCase
+from wtg_gym.physics.network import (
+    Branch,
+    Bus,
+    NetworkCase,
+    PowerFlow,
+    assemble_admittance,
+    branch_admittances,
+    solve_power_flow,
+)
 from wtg_gym.physics.parameters import WtgGroup
 from wtg_gym.physics.plant import PlantSettings, plant_settings
 from wtg_gym.physics.scenario import LineTrip, Scenario
 from wtg_gym.physics.simulator import Simulator
+from wtg_gym.physics.sparse_flow import pattern_of, solve_sparse_flow
 from wtg_gym.physics.tracking_law import get_law
 
 #: A grid that nobody has seen: two machines, a ring of five buses at 60 Hz, on 250 MVA.
@@ -142,3 +151,21 @@ def test_a_grid_names_what_its_groups_replace() -> None:
     with pytest.raises(ValueError, match="unknown bus 99"):
         Grid(case=grid.case, groups=(WtgGroup(bus=99),))
     assert dataclasses.replace(grid, groups=(), replaced=()).with_groups == grid.case
+
+
+@pytest.mark.parametrize("name", ["ieee14", "ieee39", "kundur", "nordic45"])
+def test_the_sparse_power_flow_finds_what_the_dense_one_finds(name: str) -> None:
+    case, at = get_grid(name).case, PowerFlow(power=0, polar=2, holds_voltage=4, flow=5, voltage=7)
+    ends = np.array([[case.bus_index(b.from_bus), case.bus_index(b.to_bus)] for b in case.branches])
+    shunts = np.array([complex(bus.shunt_mw, bus.shunt_mvar) / case.base_mva for bus in case.buses])
+    y, slack = assemble_admittance(ends, branch_admittances(case.branches), shunts), case.bus_index(case.slack_bus)
+    dense = np.zeros((len(case.buses), 9))
+    for row, bus in zip(dense, case.buses, strict=True):
+        row[0], row[1] = -bus.load_mw / case.base_mva, -bus.load_mvar / case.base_mva
+        row[2], row[4] = bus.voltage_pu or 1.0, float(bus.voltage_pu is not None)
+    for machine in case.machines:
+        dense[case.bus_index(machine.bus), 0] += machine.dispatch_mw / case.base_mva
+    sparse = dense.copy()
+    assert solve_power_flow(y, slack, dense, at) > 0
+    assert solve_sparse_flow(y, slack, sparse, at, pattern_of(y)) > 0
+    assert np.abs(dense - sparse).max() < 1e-10

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 
+import numba
 import numpy as np
 import numpy.typing as npt
 
@@ -21,6 +22,7 @@ from wtg_gym.physics.integration import (
 from wtg_gym.physics.kernel_data import EVENT, LaneData, Network
 from wtg_gym.physics.layout import OF_LANE, OF_STARTING_BUS, OF_STARTING_LANE, Floats, Layout, n_rows_of
 from wtg_gym.physics.network import POWER_FLOW_TOLERANCE, PowerFlow, solve_power_flow
+from wtg_gym.physics.sparse_flow import solve_sparse_flow
 from wtg_gym.physics.units import BUSES, StartFailure
 from wtg_gym.systems.compiled import compiled, internal
 from wtg_gym.systems.programs import NONE
@@ -36,7 +38,9 @@ FLOW_COLUMNS = PowerFlow(
     voltage=OF_STARTING_BUS.at_bus,
 )
 POWER_FLOW = Function(solve_power_flow, 1)
-_flow = POWER_FLOW.call
+#: Compiled for large networks alone.
+SPARSE_FLOW = Function(solve_sparse_flow, 2, numba.int64)
+_flow, _sparse_flow = POWER_FLOW.call, SPARSE_FLOW.call
 _SHORTAGE = float(StartFailure.WIND_SHORTAGE)
 #: Least common factor on k with which WTG groups alone balance the power, by design.
 _LEAST_CURTAILMENT = 0.02
@@ -60,7 +64,11 @@ def _plan_flow(arrays: tuple[Floats, Floats], buses: Floats, y: npt.NDArray[np.c
     released = scratch[own + OF_STARTING_LANE.start_failure, 0] == 0.0
     balances = facts.n_balances
     while released:
-        if _flow(tables, (y, facts.slack, buses, FLOW_COLUMNS)) < 0:
+        if facts.is_large:
+            steps = _sparse_flow(tables, (y, facts.slack, buses, FLOW_COLUMNS, network.pattern))
+        else:
+            steps = _flow(tables, (y, facts.slack, buses, FLOW_COLUMNS))
+        if steps < 0:
             scratch[own + OF_STARTING_LANE.start_failure, 0] = _DIVERGED
             break
         if balances:

@@ -367,7 +367,7 @@ def solve_power_flow(y: npt.NDArray[np.complex128], slack: int, buses: npt.NDArr
                 worst = max(worst, abs(buses[i, at.power + 1] - sum_im))
                 q_row += 1
         if worst < POWER_FLOW_TOLERANCE:
-            _note_flow(y, buses, at)
+            note_flow(y, buses, at)
             return iteration
         if not math.isfinite(worst) or not eliminate(a):
             return -1
@@ -382,7 +382,7 @@ def solve_power_flow(y: npt.NDArray[np.complex128], slack: int, buses: npt.NDArr
 
 
 @inlined
-def _note_flow(y: npt.NDArray[np.complex128], buses: npt.NDArray[np.float64], at: PowerFlow) -> None:
+def note_flow(y: npt.NDArray[np.complex128], buses: npt.NDArray[np.float64], at: PowerFlow) -> None:
     """Write voltages and flows of a solved power flow."""
     n = y.shape[0]
     for k in range(n):

@@ -41,6 +41,7 @@ from wtg_gym.physics.parameters import (
 )
 from wtg_gym.physics.protection import STAGES, SheddingConstants
 from wtg_gym.physics.source_unit import SOURCES, source_units
+from wtg_gym.physics.sparse_flow import SPARSE_FROM, pattern_of
 from wtg_gym.physics.units import (
     BUSES,
     ISLANDS,
@@ -298,11 +299,13 @@ def build_plant(settings: PlantSettings) -> Plant:
     branch_y = np.ascontiguousarray(branch_admittances(case.branches))
     series = tuple(dataclasses.replace(branch, charging=0.0) for branch in case.branches)
     shunts = np.array([complex(bus.shunt_mw, bus.shunt_mvar) / base for bus in case.buses], dtype=np.complex128)
+    bus_y, is_large = assemble_admittance(branch_ends, branch_y, shunts), len(buses) >= SPARSE_FROM
     facts: dict[str, Any] = dict.fromkeys(Facts._fields, 0) | {
         "slack": slack,
         "base_mva": base,
         "simulation_dt": settings.simulation_dt,
         "n_substeps": whole_steps("control_dt", settings.control_dt, settings.simulation_dt, "simulation step"),
+        "is_large": is_large,
         "n_balances": _BALANCES if participation.any() else 0,
         "curtails": bool(settings.groups) and not case.balanced,
         "shares_frequency": settings.load_frequency_dependence,
@@ -317,12 +320,13 @@ def build_plant(settings: PlantSettings) -> Plant:
         unit_y=1.0 / np.array(impedances, dtype=np.complex128),
         connected=np.zeros(len(unit_bus), dtype=np.int64),
         angles=np.zeros(len(unit_bus), dtype=np.int64),
+        pattern=pattern_of(bus_y if is_large else bus_y[:0, :0]),
         shed_shares=np.array([stage.share for stage in stages], dtype=np.float64),
         tables=Tables(np.zeros(0, dtype=np.int64), np.zeros(0), np.zeros(0, dtype=np.int64)),
     )
     return Plant(
         network=network,
-        bus_y=assemble_admittance(branch_ends, branch_y, shunts),
+        bus_y=bus_y,
         machines=structured(Machine, machines),
         dispatch=np.where(participation > 0.0, 0.0, [m.dispatch_mw / base for m in case.machines]),
         participation=participation,

@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from wtg_gym.physics.block_threads import BlockThreads
-from wtg_gym.physics.equilibrium import FLOW_COLUMNS, POWER_FLOW, prepare_lanes, rows_of_buses
+from wtg_gym.physics.equilibrium import FLOW_COLUMNS, POWER_FLOW, SPARSE_FLOW, prepare_lanes, rows_of_buses
 from wtg_gym.physics.integration import PROGRAMS, REFRESH, STARTING, STEPPING, advance_blocks, evaluate_blocks
 from wtg_gym.physics.kernel_data import NO_EVENT, LaneData
 from wtg_gym.physics.layout import Floats
@@ -139,10 +139,13 @@ class Simulator:
     def functions(self) -> dict[Function, tuple[Any, ...]]:
         """Return the functions that are called at an address, with arguments like those they are given."""
         network, some = self.plant.network, np.zeros((1, 1))
-        return {
+        found: dict[Function, tuple[Any, ...]] = {
             REFRESH: (some, 0, 0, network, self._allocate_data(1, 1)),
             POWER_FLOW: (self.plant.bus_y, 0, some, FLOW_COLUMNS),
         }
+        if network.facts.is_large:
+            found[SPARSE_FLOW] = (self.plant.bus_y, 0, some, FLOW_COLUMNS, network.pattern)
+        return found
 
     def link(self, further: Further) -> None:
         """Let the plant know where the machine code is in this process; a copy in another one needs it.
