@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from wtg_gym.files import read_json
-from wtg_gym.grids.wind import typical_machine
+from wtg_gym.grids.typical import rated, typical_machine
 from wtg_gym.physics.grid import Grid
 from wtg_gym.physics.machine_parameters import (
     ExciterParameters,
@@ -132,7 +132,7 @@ def grid_of(tables: Tables, name: str, *, substitute: bool = False) -> Grid:
     base = _config(tables, "mva", 100.0)
     numbers = _numbers(tables)
     machines = _machines(tables, numbers, base, report, substitute)
-    if not machines:
+    if not _has_machines(tables):
         machines = _typical_machines(tables, numbers, base)
         report.substitutions.append(f"the case has no machines; all {len(machines)} are typical ones")
     buses = _buses(tables, numbers, base, {machine.bus for machine in machines})
@@ -140,7 +140,7 @@ def grid_of(tables: Tables, name: str, *, substitute: bool = False) -> Grid:
     slacks = sorted({numbers[row["bus"]] for row in _live(tables, "Slack")})
     if len(slacks) != 1:
         raise ValueError(f"the case must have one slack bus, got {slacks}")
-    return Grid(
+    grid = Grid(
         case=NetworkCase(
             name=name,
             base_mva=base,
@@ -153,6 +153,11 @@ def grid_of(tables: Tables, name: str, *, substitute: bool = False) -> Grid:
         repairs=tuple(report.repairs),
         substitutions=tuple(report.substitutions),
     )
+    return grid if _has_machines(tables) else dataclasses.replace(grid, case=rated(grid.case))
+
+
+def _has_machines(tables: Tables) -> bool:
+    return any(tables.get(model) for model in _MACHINES)
 
 
 def _live(tables: Tables, model: str) -> Iterable[Row]:
@@ -258,7 +263,7 @@ def _machines(
 def _typical_machines(tables: Tables, numbers: Mapping[Any, int], base: float) -> list[SynchronousMachineParameters]:
     """Return a typical machine for every source of a power flow."""
     return [
-        typical_machine(numbers[row["bus"]], base * row["p0"], base * row["q0"], slack=model == "Slack")
+        typical_machine(numbers[row["bus"]], base * row["p0"], slack=model == "Slack")
         for model in ("PV", "Slack")
         for row in _live(tables, model)
     ]

@@ -1,4 +1,4 @@
-"""Groups of turbines in the place of synchronous machines, and machines for cases that have none."""
+"""Groups of turbines in the place of synchronous machines."""
 
 from __future__ import annotations
 
@@ -6,11 +6,12 @@ import dataclasses
 from collections.abc import Sequence
 
 from wtg_gym.physics.grid import Grid
-from wtg_gym.physics.machine_parameters import ExciterParameters, GovernorParameters, SynchronousMachineParameters
 from wtg_gym.physics.parameters import TurbineParameters, WtgGroup
 
 #: Share of the power that groups take over where nobody says which machines they replace.
 SHARE = 0.6
+#: Groups at most then.
+MOST_GROUPS = 6
 
 
 def with_wind(grid: Grid, buses: Sequence[int] = (), rating: float = 1.25) -> Grid:
@@ -31,7 +32,7 @@ def with_wind(grid: Grid, buses: Sequence[int] = (), rating: float = 1.25) -> Gr
         total, taken = sum(given.values()), 0.0
         chosen = list[int]()
         for bus in sorted(given, key=given.__getitem__, reverse=True):
-            if bus != case.slack_bus and taken + given[bus] <= SHARE * total:
+            if bus != case.slack_bus and 0.0 < given[bus] <= SHARE * total - taken and len(chosen) < MOST_GROUPS:
                 chosen.append(bus)
                 taken += given[bus]
         buses = chosen
@@ -47,19 +48,3 @@ def with_wind(grid: Grid, buses: Sequence[int] = (), rating: float = 1.25) -> Gr
         for bus in buses
     )
     return dataclasses.replace(grid, groups=groups, replaced=tuple(buses))
-
-
-def typical_machine(bus: int, power_mw: float, reactive_mvar: float, slack: bool) -> SynchronousMachineParameters:
-    """Return a machine for a case that says what it gives alone; one that gives no power is a condenser.
-
-    Its values are those of a large round-rotor machine; source: P. Kundur: Power System Stability and Control, table
-    4.2.
-    """
-    rating = max(1.25 * abs(power_mw), 1.5 * abs(reactive_mvar), 20.0)
-    governed = power_mw > 0.0 or slack
-    return SynchronousMachineParameters(
-        bus=bus, rating_mva=rating, two_h_s=8.0 if governed else 3.0, dispatch_mw=power_mw, damping_pu=0.0,
-        x_d=1.8, x_q=1.7, x_d_transient=0.3, x_q_transient=0.55, x_subtransient=0.25, x_leakage=0.15,
-        t_d0_transient_s=8.0, t_q0_transient_s=0.4, t_d0_subtransient_s=0.03, t_q0_subtransient_s=0.05,
-        exciter=ExciterParameters(), governor=GovernorParameters(droop_pu=0.05) if governed else None,
-    )  # fmt: skip
