@@ -124,7 +124,7 @@ def play(plant, scenarios, strategy):
     simulator = Simulator(
         dataclasses.replace(plant, control_dt=step_s), n_lanes=len(scenarios), duration_s=scenarios[0].duration_s
     )
-    laws = group_laws(strategy, len(plant.groups), plant.turbine, plant.control)
+    laws = group_laws(strategy, plant.turbines, plant.control)
     simulator.start(range(len(scenarios)), simulator.prepare(scenarios, laws))
     rows = []
     for interval in range(simulator.n_intervals + 1):
@@ -410,7 +410,7 @@ def play_with_loads(exponent, strategy):
     step_s = PlantSettings().simulation_dt
     plant = PlantSettings(control_dt=step_s)
     simulator = Simulator(plant, duration_s=INCREASE.duration_s)
-    simulator.start(0, INCREASE, group_laws(strategy, len(plant.groups)))
+    simulator.start(0, INCREASE, group_laws(strategy, plant.turbines))
     simulator.evaluate()
     rows, layout, data = simulator.blocks[0, :, 0], simulator.layout, simulator.data
     # A copy: both are written below.

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from wtg_gym.envs import GFMWTGEnv
+from wtg_gym.physics.aerodynamics import available_power_pu
 from wtg_gym.physics.grid import FOLDER, Grid, get_grid, grid_text, known_grids, read_grid
 from wtg_gym.physics.network import (
     Branch,
@@ -20,12 +21,12 @@ from wtg_gym.physics.network import (
     branch_admittances,
     solve_power_flow,
 )
-from wtg_gym.physics.parameters import WtgGroup
+from wtg_gym.physics.parameters import TurbineParameters, WtgGroup, nrel_5mw
 from wtg_gym.physics.plant import PlantSettings, plant_settings
 from wtg_gym.physics.scenario import LineTrip, Scenario
 from wtg_gym.physics.simulator import Simulator
 from wtg_gym.physics.sparse_flow import pattern_of, solve_sparse_flow
-from wtg_gym.physics.tracking_law import get_law
+from wtg_gym.physics.tracking_law import get_law, group_laws
 
 #: A grid that nobody has seen: two machines, a ring of five buses at 60 Hz, on 250 MVA.
 STRANGER = {
@@ -169,3 +170,24 @@ def test_the_sparse_power_flow_finds_what_the_dense_one_finds(name: str) -> None
     assert solve_power_flow(y, slack, dense, at) > 0
     assert solve_sparse_flow(y, slack, sparse, at, pattern_of(y)) > 0
     assert np.abs(dense - sparse).max() < 1e-10
+
+
+def test_groups_have_turbines_of_their_own() -> None:
+    small = TurbineParameters(rated_power_mw=2.0, blade_radius_m=40.0, nominal_rotor_speed_rad_s=1.8)
+    groups = WtgGroup(bus=2, n_turbines=10.0), WtgGroup(bus=3, n_turbines=10.0, turbine=small)
+    plant = plant_settings("extended", groups=groups)
+    simulator, laws = Simulator(plant, duration_s=1.0), group_laws("coordinated-piecewise", plant.turbines)
+    assert laws[0].k_nominal != laws[1].k_nominal
+    scenario = Scenario(name="wind", wind_speed=np.full((2, 1), 9.0), duration_s=1.0)
+    simulator.start(0, scenario, laws)
+    simulator.evaluate()
+    for group, (turbine, law) in enumerate(zip(plant.turbines, laws, strict=True)):
+        speed, power = (simulator.wtg_values(name)[0, group] for name in ("rotor_speed", "power"))
+        assert power == pytest.approx(law.k_nominal * speed**3, abs=1e-9)
+        # What it delivers it captures, by its own rotor.
+        assert simulator.wtg_values("captured")[0, group] == pytest.approx(power, abs=1e-9)
+        assert power < available_power_pu(9.0, turbine)
+    shares = [group.n_turbines * own.rated_power_mw / 100.0 for group, own in zip(groups, plant.turbines, strict=True)]
+    assert simulator.plant.share.tolist() == shares == [0.5, 0.2]
+    with pytest.raises(ValueError, match="must have one C_p curve"):
+        plant_settings("extended", groups=(groups[0], WtgGroup(bus=3, turbine=nrel_5mw())))

@@ -23,6 +23,7 @@ from tests.physics.test_islands import PARTED_WIND, cut, parted
 from wtg_gym.physics.grid import get_grid
 from wtg_gym.physics.local_frequency import FILTER_S, turn_between
 from wtg_gym.physics.network import NetworkCase, Source
+from wtg_gym.physics.parameters import TurbineParameters
 from wtg_gym.physics.protection import Status
 from wtg_gym.physics.scenario import (
     Fault,
@@ -157,7 +158,7 @@ def test_a_run_has_the_same_bits_among_neighbours_with_islands_faults_and_return
         scenario(Fault(time_s=0.3, bus=4, clears_after_s=0.1, opens=(2, 4)), wind=PARTED_WIND),
         scenario(MachineOutage(time_s=0.1, bus=3, returns_after_s=0.5), wind=PARTED_WIND),
     ]
-    laws = group_laws(LAW, 2)
+    laws = group_laws(LAW, (TurbineParameters(),) * 2)
     for what in (own, others[0]):
         single, many = started(parted(), what), Simulator(parted(), n_lanes=17)
         for lane in range(17):

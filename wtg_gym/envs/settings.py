@@ -127,7 +127,8 @@ class EnvSettings:
         grid: name of a grid, or path of its file: its suite, instead of one by name.
         split: `"train"`, `"validation"` or `"test"`, or `"fresh"`, with seeds that are in none of them.
         scenario: one scenario for every episode, a `Scenario` or its `to_dict()`.
-        groups: number of turbine groups at bus 2, or a list of `{"bus": …, "n_turbines": …}`; None: the suite's own.
+        groups: number of turbine groups at the bus of the first one, or a list of `{"bus": …, "n_turbines": …}`, with a
+            `"turbine"` (TurbineParameters) if it is not the suite's; None: the suite's own groups.
         duration_s: length of an episode [s]; None: the suite's own, 120 s in v1 and `paper`, else 60 s.
         control_dt: control interval, one step [s].
         simulation_dt: step of the integration [s]; None: the suite's own, 0.025 s in the IEEE 14-bus system. There
@@ -240,20 +241,20 @@ class EnvSettings:
         if self.groups is None:
             return get_suite(self.suite).plant.groups
         if isinstance(self.groups, (int, np.integer)):
-            return default_groups(self.groups)
+            return default_groups(self.groups, get_suite(self.suite).plant.groups[0].bus)
         if isinstance(self.groups, (str, Mapping)) or not isinstance(self.groups, Sequence) or not self.groups:
             raise ValueError(
                 f'groups must be a number of groups or a list of {{"bus": …, "n_turbines": …}}, got {self.groups!r}'
             )
         for entry in self.groups:
-            if not isinstance(entry, Mapping) or not entry or not set(entry) <= {"bus", "n_turbines"}:
+            if not isinstance(entry, Mapping) or not entry or not set(entry) <= {"bus", "n_turbines", "turbine"}:
                 raise ValueError(f'a WTG group must be {{"bus": …, "n_turbines": …}}, got {entry!r}')
         return tuple(WtgGroup(**entry) for entry in self.groups)
 
     def laws(self) -> tuple[TrackingLaw, ...]:
         """Return one law per WTG group; a ValueError lists the known strategies."""
         plant = self.plant()
-        return group_laws(self.strategy, len(plant.groups), plant.turbine, plant.control)
+        return group_laws(self.strategy, plant.turbines, plant.control)
 
     def plant(self) -> PlantSettings:
         """Return the plant and its time steps."""

@@ -27,9 +27,6 @@ class Task(NamedTuple):
 
     modulates_k: bool
     modulates_tau: bool
-    k_authority: float  # offset on k at full action [p.u.]
-    k_low: float  # K_pr
-    k_span: float  # K_opt - K_pr
     share_min: float  # share of the usable power to capture at ω_min, ω_st, ω_max
     share_nominal: float
     share_max: float
@@ -43,6 +40,14 @@ class Task(NamedTuple):
     n_actions: int  # of all groups
     n_substeps: int  # simulation steps per control interval
     duty_gain: float  # of the filter that the duty is charged behind, 1 - exp(-Δt / T) [-]
+
+
+class Reach(NamedTuple):
+    """Constants of the task that a group's turbine decides."""
+
+    k_authority: float  # offset on k at full action [p.u.]
+    k_low: float  # K_pr
+    k_span: float  # K_opt - K_pr
 
 
 class CostTerms(NamedTuple):

@@ -22,7 +22,7 @@ from wtg_gym.physics.scenario import (
     Scenario,
 )
 from wtg_gym.physics.simulator import Simulator
-from wtg_gym.physics.tracking_law import get_law
+from wtg_gym.physics.tracking_law import group_laws
 from wtg_gym.scenarios.grid_suite import GridSuite, unscreened
 from wtg_gym.scenarios.strata import Places
 
@@ -40,7 +40,7 @@ def survived(plant: PlantSettings, scenarios: Sequence[Scenario], laws: Sequence
     duration_s = max(scenario.duration_s for scenario in scenarios)
     with closing(Simulator(plant, n_lanes=min(_AT_ONCE, len(scenarios)), duration_s=duration_s)) as simulator:
         for row, name in zip(found, laws, strict=True):
-            own = [get_law(name, plant.turbine, plant.control)] * len(plant.groups)
+            own = group_laws(name, plant.turbines, plant.control)
             for first in range(0, len(scenarios), simulator.n_lanes):
                 lanes = []
                 for place in range(first, min(first + simulator.n_lanes, len(scenarios))):
@@ -136,7 +136,7 @@ def _starts(own: GridSuite) -> bool:
     with closing(Simulator(plant)) as simulator:
         for name in LAWS:
             try:
-                simulator.prepare(drawn, [get_law(name, plant.turbine, plant.control)] * len(plant.groups))
+                simulator.prepare(drawn, group_laws(name, plant.turbines, plant.control))
             except ValueError:
                 return False
     return True

@@ -13,7 +13,7 @@ from wtg_gym.physics.linearisation import moving_states, state_matrix
 from wtg_gym.physics.plant import plant_settings
 from wtg_gym.physics.scenario import Scenario
 from wtg_gym.physics.simulator import Simulator, longest_step
-from wtg_gym.physics.tracking_law import get_law
+from wtg_gym.physics.tracking_law import group_laws
 
 #: Wind at which all groups stand, and the law under which they do.
 WIND_M_S, LAW = 10.0, "coordinated-tuned"
@@ -51,8 +51,7 @@ def describe_equilibrium(grid: Grid) -> Iterator[Line]:
     simulator = Simulator(plant, duration_s=1.0)
     wind = np.full((len(grid.groups), 1), WIND_M_S)
     scenario = Scenario(name="steady wind", wind_speed=wind, duration_s=1.0, load_noise_bus=case.slack_bus)
-    law = get_law(LAW, plant.turbine, plant.control)
-    simulator.start(0, scenario, [law] * len(grid.groups))
+    simulator.start(0, scenario, group_laws(LAW, plant.turbines, plant.control))
     simulator.evaluate()
     voltages = np.abs(simulator.bus_voltages())
     yield "voltages", f"{voltages.min():.3f} … {voltages.max():.3f} p.u."

@@ -318,10 +318,14 @@ class WtgGroup(Checked):
     Args:
         bus: bus number of the network.
         n_turbines: how many turbines of `turbine.rated_power_mw` it stands for.
+        turbine: which; None: that of the plant.
     """
 
     bus: int = parameter(2, "-", "paper", "bus number")
     n_turbines: float = parameter(10.0, "-", "paper", "number of turbines in the group", 1e-3, 1e4)
+    turbine: TurbineParameters | None = dataclasses.field(
+        default=None, metadata=describe("-", "design", "its turbines, None for the plant's")
+    )
 
 
 def default_groups(n_groups: int = 2, bus: int = 2) -> tuple[WtgGroup, ...]:

@@ -141,6 +141,8 @@ class PlantSettings(Checked):
                 "runs start at nominal frequency, so that frequency_setpoint_pu must be 1 p.u., got "
                 f"{self.control.frequency_setpoint_pu:g} p.u."
             )
+        if any(own.power_coefficient != self.turbines[0].power_coefficient for own in self.turbines):
+            raise ValueError("the turbines of all groups must have one C_p curve, or one table of it")
         total = sum(stage.share for stage in self.shedding)
         if total > 1.0 + 1e-12:
             raise ValueError(f"the shedding stages disconnect {100.0 * total:g} % of the load; allowed: at most 100 %")
@@ -149,6 +151,13 @@ class PlantSettings(Checked):
     def all_further(self) -> tuple[FurtherUnits, ...]:
         """All units that are neither machines nor WTG groups: imposed sources of the network, then `further`."""
         return (*source_units(self.case.sources), *self.further)
+
+    @property
+    def turbines(self) -> tuple[TurbineParameters, ...]:
+        """Turbines of each group; whether a rotor keeps its energy is a choice for all."""
+        keeps = self.turbine.conserves_energy
+        own = (group.turbine and dataclasses.replace(group.turbine, conserves_energy=keeps) for group in self.groups)
+        return tuple(turbine or self.turbine for turbine in own)
 
     @property
     def extended(self) -> bool:
@@ -221,9 +230,10 @@ def short_circuit_ratios(settings: PlantSettings, committed: float = 1.0) -> npt
         machine_y[case.bus_index(machine.bus)] += rating_mva / case.base_mva / (1j * machine.x_subtransient)
     y: Any = assemble_admittance(ends, branch_admittances(case.branches), machine_y)
     at = [case.bus_index(group.bus) for group in settings.groups]
-    turbines = np.bincount(at, [group.n_turbines for group in settings.groups])[at]
+    sizes = zip(settings.groups, settings.turbines, strict=True)
+    rated_mw = np.bincount(at, [group.n_turbines * own.rated_power_mw for group, own in sizes])[at]
     power_mva = case.base_mva / np.abs(np.linalg.inv(y)[at, at])
-    ratios: npt.NDArray[np.float64] = power_mva / (turbines * settings.turbine.rated_power_mw)
+    ratios: npt.NDArray[np.float64] = power_mva / rated_mw
     return ratios
 
 
@@ -235,11 +245,11 @@ class Plant(NamedTuple):
     machines: npt.NDArray[np.void]  # (n_sync,), of Machine
     dispatch: npt.NDArray[np.float64]  # power of each machine before the slack's share (n_sync,) [p.u.]
     participation: npt.NDArray[np.float64]  # its share of what loads need at the start (n_sync,)
-    turbine: npt.NDArray[np.void]  # (1,), of Turbine
+    turbine: npt.NDArray[np.void]  # of each WTG group, or one where there is none (n_wtg,), of Turbine
     share: npt.NDArray[np.float64]  # rating of each WTG group on the system base (n_wtg,)
     cells: npt.NDArray[np.float64]  # of the rotor's C_p table (n, m, 16)
     hydro: npt.NDArray[np.void]  # (n_hydro,), of HydroGovernor
-    extension: npt.NDArray[np.void]  # (1,), of Extension; (0,) where the groups are not extended
+    extension: npt.NDArray[np.void]  # likewise, of Extension; (0,) where the groups are not extended
     shedding: npt.NDArray[np.void]  # (n_stages,), of SheddingConstants
     buses: npt.NDArray[np.void]  # (n_bus,), of Bus
     of_lane: Mapping[str, Any]  # constants of every lane
@@ -264,8 +274,10 @@ def build_plant(settings: PlantSettings) -> Plant:
     """Return the constants of a plant; :func:`arranged` adds where its rows lie."""
     case, base = settings.case, settings.case.base_mva
     machines = [machine_constants(m, base) for m in case.machines]
-    turbine = turbine_constants(settings.turbine, settings.pitch, settings.control, settings.protection)
-    share = [g.n_turbines * settings.turbine.rated_power_mw / base for g in settings.groups]
+    of_groups = settings.turbines or (settings.turbine,)
+    turbines = [turbine_constants(t, settings.pitch, settings.control, settings.protection) for t in of_groups]
+    turbine, pairs = turbines[0], zip(settings.groups, settings.turbines, strict=True)
+    share = [group.n_turbines * own.rated_power_mw / base for group, own in pairs]
     joined = settings.all_further
     further = [bus for own in joined for bus in own.buses]
     buses_of_units = (*(m.bus for m in case.machines), *(g.bus for g in settings.groups), *further)
@@ -278,7 +290,9 @@ def build_plant(settings: PlantSettings) -> Plant:
         for index, machine in enumerate(case.machines)
         if isinstance(machine.governor, HydroGovernorParameters)
     ]
-    extension = extension_constants(settings.turbine, settings.limits, settings.voltage_control, settings.simulation_dt)
+    given = settings.limits, settings.voltage_control, settings.simulation_dt
+    extensions = [extension_constants(own, *given) for own in of_groups]
+    extension = extensions[0]
     stages = [SheddingConstants(stage.frequency_pu, stage.share, stage.delay_s) for stage in settings.shedding]
     sharing = [
         m.rating_mva * m.governor.gate_max_pu if m.governor and settings.shares_dispatch else 0.0 for m in case.machines
@@ -330,11 +344,11 @@ def build_plant(settings: PlantSettings) -> Plant:
         machines=structured(Machine, machines),
         dispatch=np.where(participation > 0.0, 0.0, [m.dispatch_mw / base for m in case.machines]),
         participation=participation,
-        turbine=structured(Turbine, [turbine]),
+        turbine=structured(Turbine, turbines),
         share=np.array(share, dtype=np.float64),
-        cells=surface_of(settings.turbine.power_coefficient)[1],
+        cells=surface_of(of_groups[0].power_coefficient)[1],
         hydro=structured(HydroGovernor, hydro),
-        extension=structured(Extension, [extension] * settings.extended),
+        extension=structured(Extension, extensions * settings.extended),
         shedding=structured(SheddingConstants, stages * (ISLANDS_AT_MOST if settings.extended else 1)),
         buses=structured(Bus, buses),
         of_lane={
@@ -367,7 +381,7 @@ class Further(NamedTuple):
 def layout_of(plant: Plant, further: Further | None = None) -> Layout:
     """Return where the numbers of a plant's lanes lie, with those of further kinds of unit behind them."""
     n_sync, n_wtg = plant.machines.size, plant.share.size
-    n_unit, n_extended = plant.network.unit_bus.size, n_wtg * plant.extension.size
+    n_unit, n_extended = plant.network.unit_bus.size, n_wtg if plant.extension.size else 0
     groups = n_sync + np.arange(n_wtg)
     row, column = np.divmod(np.arange(n_unit * n_unit), max(n_unit, 1))
     extended, unit = np.divmod(np.arange(n_extended * n_unit), max(n_unit, 1))
@@ -478,12 +492,12 @@ class Arranged:
         self._constants: dict[tuple[Kind, str], Any] = {
             (MACHINES, "machine"): plant.machines,
             (MACHINES, "dispatch"): plant.dispatch,
-            (GROUPS, "turbine"): np.repeat(plant.turbine, n_wtg),
+            (GROUPS, "turbine"): plant.turbine[:n_wtg],
             (GROUPS, "cells"): plant.cells,
             (GROUPS, "share"): plant.share,
             (GROUPS, "inv_share"): 1.0 / plant.share,
             (HYDRO, "hydro"): plant.hydro,
-            (EXTENSIONS, "extension"): np.repeat(plant.extension, n_wtg),
+            (EXTENSIONS, "extension"): plant.extension[:n_wtg],
             (STAGES, "stage"): plant.shedding,
             (BUSES, "bus"): plant.buses,
             (UNITS, "connection"): connections,

@@ -28,7 +28,7 @@ from wtg_gym.physics.start_errors import (
     scenario_name,
     start_failure,
 )
-from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY, TrackingLaw, get_law
+from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY, TrackingLaw, group_laws
 from wtg_gym.physics.units import UNITS, StartFailure
 from wtg_gym.ranges import require_range, require_whole, whole_steps
 from wtg_gym.systems.routines import WIDE, Function, Routine, code_of
@@ -132,7 +132,7 @@ class Simulator:
         self._rates = np.zeros((0, 0, 0))
         self._pad()
         self._checked = _checked_inertias(settings)
-        reference = (get_law(REFERENCE_STRATEGY, settings.turbine, settings.control),) * self.layout.n_wtg
+        reference = group_laws(REFERENCE_STRATEGY, settings.turbines, settings.control)
         if reference not in self._checked and self._check_nominal(reference):
             self._checked[reference] = 1.0
 

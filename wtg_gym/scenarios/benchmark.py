@@ -112,6 +112,9 @@ class SuitePlant:
         """Return the plant as JSON-ready data; suites of the IEEE 14-bus system keep the hashes that they had."""
         data = dataclasses.asdict(self)
         later = {"grid": DEFAULT_GRID, "simulation_dt": SuitePlant.simulation_dt}
+        for group in data["groups"]:
+            if group["turbine"] is None:
+                del group["turbine"]
         return {key: value for key, value in data.items() if key not in later or value != later[key]}
 
 

@@ -26,6 +26,7 @@ class LaneFrames:
 
     def __init__(self, lanes: TaskLanes, *, opens_window: bool = False, fps: int = 10) -> None:
         self._lanes, self._plant = lanes, lanes.settings.plant()
+        self._tip_speeds = np.array([each.tip_speed_ratio_per_speed_m_s for each in self._plant.turbines])
         self._panels = panels_of(self._plant, limited=lanes.suite.benchmark.version != "v0")
         #: By quantity, (n_lanes, n_steps, 1 or n_wtg); not a number where there is none.
         self._samples: dict[str, npt.NDArray[np.float32]] = {}
@@ -42,7 +43,7 @@ class LaneFrames:
             "frequency": lanes.nominal_hz * coi[:, None],
             "rocof": lanes.task_values("rocof")[:, None],
             "rotor": rotor,
-            "ratio": self._plant.turbine.tip_speed_ratio_per_speed_m_s * _quotients(rotor, wind),
+            "ratio": self._tip_speeds * _quotients(rotor, wind),
             "power": simulator.wtg_values("power"),
             "k": simulator.wtg_values("coefficient"),
             "tau": _quotients(np.ones_like(rate), rate),
