@@ -162,7 +162,9 @@ def parameters_page():
         for name, cls in vars(module).items():
             if not dataclasses.is_dataclass(cls) or getattr(cls, "__module__", "") != module.__name__:
                 continue
-            own = [field for field in dataclasses.fields(cls) if isinstance(field.default, float)]
+            # What a class has from another one stands there.
+            declared = [field for field in dataclasses.fields(cls) if field.name in cls.__annotations__]
+            own = [field for field in declared if isinstance(field.default, float)]
             # The environment's page has the groups; the machines have a table of their own.
             if own and cls not in (WtgGroup, SynchronousMachineParameters):
                 parts.append(class_list(name, own, lambda field: [field.default]))

@@ -16,6 +16,13 @@ Equations
     wind_turbine        rotor, captured power p_w, a group as a whole, the search for its equilibrium
     pitch, converter, extended_converter    controls of a wind turbine
     machine, exciter, governor              synchronous machines
+
+Models of machines that only some plants have (machine_models says which)
+    stab1, ieeest, ieeex1, ieeeg1, ieesgo, gast    stabilisers, exciters, governors with their turbines
+    saturation, saturated_machine                  of exciters and of GENROU
+    machine_controls, control_blocks               what controls have in common: as units, and as equations
+
+Measurement
     sensors             measurements with filter, noise, bias and delay
 
 Network
@@ -24,7 +31,7 @@ Network
     network_events      the table of what events change in the network and its units
 
 Data
-    parameters, machine_parameters, checked    every number with unit, source and range
+    parameters, machine_parameters, control_parameters, checked    every number with unit, source and range
     ieee14, tables/     the network; the C_p of another turbine
     plant, kernel_data  a network, its WTG groups and the time steps; constants, series and events as arrays
     scenario            what happens in a run

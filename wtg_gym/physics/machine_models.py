@@ -57,7 +57,7 @@ def control_constants(machines: Sequence[SynchronousMachineParameters]) -> dict[
     return found
 
 
-def control(name: str) -> Control:
+def control_named(name: str) -> Control:
     """Return a control by the name of its kind."""
     return _BY_NAME[name]
 

@@ -23,7 +23,7 @@ from wtg_gym.physics.hydro_unit import HYDRO
 from wtg_gym.physics.kernel_data import Facts, Network, structured
 from wtg_gym.physics.layout import Layout, place_in
 from wtg_gym.physics.machine import Machine, RotorSaturation, machine_constants, rotor_saturation
-from wtg_gym.physics.machine_models import control, control_constants, joining_models
+from wtg_gym.physics.machine_models import control_constants, control_named, joining_models
 from wtg_gym.physics.machine_parameters import HydroGovernorParameters
 from wtg_gym.physics.machine_unit import FIRST_MACHINE, MACHINES
 from wtg_gym.physics.network import NetworkCase, assemble_admittance, branch_admittances
@@ -427,7 +427,7 @@ def layout_of(plant: Plant, further: Further | None = None) -> Layout:
         (FIRST_MACHINE, "machine"): np.zeros(min(n_sync, 1), dtype=np.int64),
     }
     for name, constants in plant.controls.items():
-        kind, of_machine = control(name).kind, np.array([own.machine for own in constants], dtype=np.int64)
+        kind, of_machine = control_named(name).kind, np.array([own.machine for own in constants], dtype=np.int64)
         n_units[kind] = len(constants)
         links |= {(kind, "machine"): of_machine, (kind, "unit"): of_machine}
     first, added = n_sync + n_wtg, further or Further({})
@@ -503,7 +503,7 @@ class Arranged:
             (UNITS, "connection"): connections,
             (ISLANDS, "number"): np.arange(float(layout.n_units(ISLANDS))),
             **{(LANE, name): [value] for name, value in plant.of_lane.items()},
-            **{(control(name).kind, "model"): values for name, values in plant.controls.items()},
+            **{(control_named(name).kind, "model"): values for name, values in plant.controls.items()},
             **{(own.kind, name): values for own in plant.further for name, values in own.constants.items()},
             **further.constants,
         }
