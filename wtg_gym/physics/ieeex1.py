@@ -51,12 +51,12 @@ class Ieeex1State(NamedTuple):
 
 def ieeex1_constants(machine: int, p: SaturatingExciterParameters) -> Ieeex1:
     """Return the constants of the exciter of a machine, given by its index."""
-    leads = isinstance(p, LeadLagExciterParameters)
+    lead_time, lag_time = (p.lead_time_s, p.lag_time_s) if isinstance(p, LeadLagExciterParameters) else (0.0, 0.0)
     return Ieeex1(
         machine=machine,
         inv_sensing_time=inverse(p.sensing_time_s),
-        lead_time=p.lead_time_s if leads else 0.0,
-        inv_lag_time=inverse(p.lag_time_s) if leads else 0.0,
+        lead_time=lead_time,
+        inv_lag_time=inverse(lag_time),
         gain=p.regulator_gain,
         inv_regulator_time=inverse(p.regulator_time_s),
         regulator_min=p.regulator_min_pu,
