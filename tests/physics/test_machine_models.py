@@ -210,6 +210,18 @@ def test_the_dc_exciter_is_linear_beside_its_saturation() -> None:
     assert response(rates, start, 1.0 + error) == pytest.approx(forward / (1.0 + forward * feedback), rel=1e-6)
 
 
+def test_a_regulator_leaves_its_limit_as_soon_as_the_error_asks_for_it() -> None:
+    c = ieeex1_constants(0, EXCITER)
+    held = ieeex1_start(2.0, 1.0, c)[0]._replace(regulator=c.regulator_max, lead_lag=1.0)
+    assert ieeex1_rates(held, 2.0, 1.0, c).regulator == 0.0
+    assert ieeex1_rates(held, -2.0, 1.0, c).regulator == pytest.approx(
+        (c.gain * (1.0 - EXCITER.lead_time_s * 4.0 / EXCITER.lag_time_s) - c.regulator_max) / EXCITER.regulator_time_s
+    )
+    # What drives the exciter is never beyond the limit.
+    beyond = held._replace(regulator=2.0 * c.regulator_max)
+    assert ieeex1_rates(beyond, 2.0, 1.0, c).excitation == ieeex1_rates(held, 2.0, 1.0, c).excitation
+
+
 INV_DROOP = 20.0
 
 
