@@ -107,7 +107,10 @@ def network(*machines: SynchronousMachineParameters) -> NetworkCase:
 
 
 def started(
-    machines: Sequence[SynchronousMachineParameters], *events: Event, committed: float = 1.0, **more: Any
+    machines: Sequence[SynchronousMachineParameters],
+    *events: Event,
+    given: dict[str, Any] | None = None,
+    **more: Any,
 ) -> Simulator:
     usual: dict[str, Any] = {
         "case": network(*machines),
@@ -117,7 +120,7 @@ def started(
         "limits": ConverterLimitParameters(),
     }
     simulator = Simulator(PlantSettings(**{**usual, **more}), duration_s=120.0)
-    what = scenario(*events, wind=np.zeros((0, 1)), committed=committed, duration_s=120.0, load_noise_bus=3)
+    what = scenario(*events, wind=np.zeros((0, 1)), duration_s=120.0, load_noise_bus=3, **(given or {}))
     simulator.start(0, what, ())
     return simulator
 
@@ -262,11 +265,12 @@ def test_a_hot_exhaust_holds_the_gas_turbine_at_its_load_limit() -> None:
 
 
 @pytest.mark.parametrize("machines", [(FIRST, SECOND), OTHERS], ids=["first", "others"])
-@pytest.mark.parametrize("committed", [1.0, 0.8])
+@pytest.mark.parametrize(("committed", "droop"), [(1.0, None), (0.8, 0.04)])
 def test_runs_start_in_an_exact_equilibrium_and_settle(
-    machines: tuple[SynchronousMachineParameters, ...], committed: float
+    machines: tuple[SynchronousMachineParameters, ...], committed: float, droop: float | None
 ) -> None:
-    simulator = started(machines, LoadStep(time_s=1.0, bus=3, power_mw=20.0), committed=committed)
+    given = {"committed": committed, "governor_droop": droop}
+    simulator = started(machines, LoadStep(time_s=1.0, bus=3, power_mw=20.0), given=given)
     assert largest_rate(simulator) < 1e-9
     rows = simulator._lane_view(0)
     matrix = state_matrix(rows, simulator.plant, simulator.layout, 1)
@@ -277,13 +281,14 @@ def test_runs_start_in_an_exact_equilibrium_and_settle(
     assert np.linalg.eigvals(matrix[np.ix_(keep, keep)]).real.max() < 0.0
     advanced(simulator, 100.0)
     simulator.evaluate()
-    # The exact droop of both governors together.
-    inv_droop = sum(m.rating_mva / 100.0 / m.governor.droop_pu for m in machines if m.governor) * committed
-    given = simulator.machine_values("power")[0].sum()
-    start = started(machines, committed=committed).machine_values("power")[0].sum()
-    damping = sum(m.rating_mva / 100.0 * getattr(m.governor, "turbine_damping_pu", 0.0) for m in machines)
+    # The droop of both governors together.
+    ratings = np.array([m.rating_mva for m in machines]) / 100.0
+    inv_droops = np.array([1.0 / (droop or m.governor.droop_pu) for m in machines if m.governor])
+    damping = np.array([getattr(m.governor, "turbine_damping_pu", 0.0) for m in machines])
+    before = started(machines, given=given).machine_values("power")[0].sum()
+    more = simulator.machine_values("power")[0].sum() - before
     deviation = 1.0 - simulator.lane_values("coi")[0]
-    assert (inv_droop + damping) * deviation == pytest.approx(given - start, rel=2e-3)
+    assert committed * ratings @ (inv_droops + damping) * deviation == pytest.approx(more, rel=2e-3)
 
 
 def test_time_constants_of_zero_take_their_blocks_away() -> None:

@@ -16,14 +16,12 @@ Equations
     wind_turbine        rotor, captured power p_w, a group as a whole, the search for its equilibrium
     pitch, converter, extended_converter    controls of a wind turbine
     machine, exciter, governor              synchronous machines
+    sensors             measurements with filter, noise, bias and delay
 
 Models of machines that only some plants have (machine_models says which)
     stab1, ieeest, ieeex1, ieeeg1, ieesgo, gast    stabilisers, exciters, governors with their turbines
     saturation, saturated_machine                  of exciters and of GENROU
     machine_controls, control_blocks               what controls have in common: as units, and as equations
-
-Measurement
-    sensors             measurements with filter, noise, bias and delay
 
 Network
     network             admittances, power flow
