@@ -19,7 +19,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from wtg_gym.physics.machine_parameters import GovernorParameters, HydroGovernorParameters
+from wtg_gym.physics.machine_parameters import AnyGovernor, GovernorParameters, HydroGovernorParameters
 from wtg_gym.systems.elementary import clip, limited_rate, select
 
 #: The gate is kept this far open in h = (q/g)² [p.u.].
@@ -37,7 +37,7 @@ class Governor(NamedTuple):
     gate_max: float
     turbine_damping: float  # D_t [p.u./p.u.]
     dead_band: float  # [p.u.]
-    is_hydro: float  # 1 where the torque is that of a hydro governor instead
+    is_unit: float  # 1 where the torque is that of a governor that is a unit of its own
 
 
 class GovernorState(NamedTuple):
@@ -47,7 +47,7 @@ class GovernorState(NamedTuple):
     reheat: float  # x [p.u.]
 
 
-def governor_constants(parameters: GovernorParameters | HydroGovernorParameters | None) -> Governor:
+def governor_constants(parameters: AnyGovernor | None) -> Governor:
     """Return the constants of a governor; without one, or with one of another type, the torque is constant."""
     if not isinstance(parameters, GovernorParameters):
         inv_droop = 0.0 if parameters is None else 1.0 / parameters.droop_pu
@@ -61,7 +61,7 @@ def governor_constants(parameters: GovernorParameters | HydroGovernorParameters 
         gate_max=parameters.gate_max_pu,
         turbine_damping=parameters.turbine_damping_pu,
         dead_band=parameters.dead_band_pu,
-        is_hydro=0.0,
+        is_unit=0.0,
     )
 
 

@@ -13,6 +13,15 @@ from typing import Any, get_args, get_type_hints
 
 from wtg_gym.files import read_json
 from wtg_gym.physics.checked import Checked
+from wtg_gym.physics.control_parameters import (
+    BoilerGovernorParameters,
+    FilterStabiliserParameters,
+    GasGovernorParameters,
+    LeadLagExciterParameters,
+    ReheatGovernorParameters,
+    SaturatingExciterParameters,
+    SpeedStabiliserParameters,
+)
 from wtg_gym.physics.machine_parameters import (
     ExciterParameters,
     GovernorParameters,
@@ -28,7 +37,18 @@ FOLDER = Path(__file__).parents[1] / "grids"
 DEFAULT_GRID = "ieee14"
 #: Controls of a machine by the name that stands in a file.
 MODELS: Mapping[str, type[Any]] = types.MappingProxyType(
-    {"SEXS": ExciterParameters, "TGOV1": GovernorParameters, "HYGOV": HydroGovernorParameters}
+    {
+        "SEXS": ExciterParameters,
+        "IEEET1": SaturatingExciterParameters,
+        "IEEEX1": LeadLagExciterParameters,
+        "TGOV1": GovernorParameters,
+        "HYGOV": HydroGovernorParameters,
+        "IEEEG1": BoilerGovernorParameters,
+        "IEESGO": ReheatGovernorParameters,
+        "GAST": GasGovernorParameters,
+        "STAB1": SpeedStabiliserParameters,
+        "IEEEST": FilterStabiliserParameters,
+    }
 )
 
 

@@ -36,7 +36,7 @@ def check_hydro(
     return noted(fits, StartFailure.GOVERNOR_LIMIT, hydro.machine, start_failure, failing_unit)
 
 
-@system(HYDRO, "water_rates", "hydro_torque")
+@system(HYDRO, "water_rates", "turbine_torque")
 def rates_of_hydro(
     water: HydroState, state: MachineState, given: MachineInput, machine: Machine, hydro: HydroGovernor
 ) -> tuple[HydroState, float]:

@@ -9,10 +9,10 @@
     V_d = E''_d - r i_d + x'' i_q,    V_q = E''_q - r i_q - x'' i_d,    p = E''_d i_d + E''_q i_q
 
 with γ_d = (x'' - x_l)/(x'_d - x_l), γ_d2 = (x'_d - x'')/(x'_d - x_l)², and γ_q, γ_q2 alike; x''_q = x''_d = x''.
-Neglected are saturation, stator transients, and the effect of speed on voltages; so the electrical torque T_e equals
-the air-gap power p [p.u.]. All values are on the system base, those of the governor on the machine's. Source: P. Sauer,
-M. Pai: Power System Dynamics and Stability, chapter 3 (subtransient model); P. Kundur: Power System Stability and
-Control, chapter 3.
+Neglected are stator transients, the effect of speed on voltages, and saturation, but see
+:mod:`wtg_gym.physics.saturated_machine`; so the electrical torque T_e equals the air-gap power p [p.u.]. All values are
+on the system base, those of the governor on the machine's. Source: P. Sauer, M. Pai: Power System Dynamics and
+Stability, chapter 3 (subtransient model); P. Kundur: Power System Stability and Control, chapter 3.
 """
 
 from __future__ import annotations
@@ -30,6 +30,7 @@ from wtg_gym.physics.exciter import (
 )
 from wtg_gym.physics.governor import Governor, GovernorState, governor_constants, governor_limited, governor_rates
 from wtg_gym.physics.machine_parameters import SynchronousMachineParameters
+from wtg_gym.physics.saturation import Saturation, saturated, saturation_constants
 from wtg_gym.systems.elementary import sine_cosine
 
 
@@ -56,6 +57,13 @@ class Machine(NamedTuple):
     reactive_weight: float  # weight in sharing its bus's initial reactive power [p.u.]; its rating by default
     exciter: Exciter
     governor: Governor
+
+
+class RotorSaturation(NamedTuple):
+    """Constants of a rotor's saturation."""
+
+    curve: Saturation
+    q_weight: float  # of the q axis, (x_q - x_l)/(x_d - x_l)
 
 
 class MachineState(NamedTuple):
@@ -106,6 +114,29 @@ def machine_voltage(s: MachineState, c: Machine) -> tuple[MachineVoltage, float,
     return MachineVoltage(sine, cosine, e_d, e_q), e_d * sine + e_q * cosine, e_q * sine - e_d * cosine
 
 
+def terminal_voltage(e: MachineVoltage, i_re: float, i_im: float, c: Machine) -> float:
+    """Return the voltage at the terminal [p.u.], at a current into the network in its frame [p.u.]."""
+    return _stator(e, *_in_rotor(e, i_re, i_im), c)
+
+
+def _in_rotor(e: MachineVoltage, i_re: float, i_im: float) -> tuple[float, float]:
+    """Return a current in the rotor's frame, i_d and i_q."""
+    return i_re * e.sine - i_im * e.cosine, i_re * e.cosine + i_im * e.sine
+
+
+def _stator(e: MachineVoltage, i_d: float, i_q: float, c: Machine) -> float:
+    """Return the voltage at the terminal."""
+    v_d = e.e_d - c.resistance * i_d + c.internal_reactance * i_q
+    v_q = e.e_q - c.resistance * i_q - c.internal_reactance * i_d
+    return math.sqrt(v_d * v_d + v_q * v_q)
+
+
+def saturation_factor(e_d: float, e_q: float, c: RotorSaturation) -> float:
+    """Return S at a voltage behind x'' by its components [p.u.]."""
+    flux = math.sqrt(e_d * e_d + e_q * e_q)
+    return saturated(flux, c.curve) / max(flux, 1e-9)
+
+
 def machine_rates(
     s: MachineState,
     e: MachineVoltage,
@@ -124,10 +155,8 @@ def machine_rates(
         reference_speed: of the first unit [p.u.].
         omega_n: nominal angular frequency ω_n [rad/s].
     """
-    i_d, i_q = i_re * e.sine - i_im * e.cosine, i_re * e.cosine + i_im * e.sine
-    v_d = e.e_d - c.resistance * i_d + c.internal_reactance * i_q
-    v_q = e.e_q - c.resistance * i_q - c.internal_reactance * i_d
-    voltage = math.sqrt(v_d * v_d + v_q * v_q)
+    i_d, i_q = _in_rotor(e, i_re, i_im)
+    voltage = _stator(e, i_d, i_q, c)
     power = e.e_d * i_d + e.e_q * i_q
 
     governor, turbine_torque = governor_rates(s.governor, s.speed, u.gate_reference, u.inv_droop, c.governor)
@@ -178,7 +207,14 @@ def machine_limited(s: MachineState, c: Machine) -> MachineState:
 
 
 def machine_start(
-    power: float, v_re: float, v_im: float, magnitude: float, i_re: float, i_im: float, c: Machine
+    power: float,
+    v_re: float,
+    v_im: float,
+    magnitude: float,
+    i_re: float,
+    i_im: float,
+    c: Machine,
+    saturation: RotorSaturation | None = None,
 ) -> tuple[MachineState, float, float]:
     """Return the equilibrium at a terminal, its V_ref and its gate reference.
 
@@ -189,18 +225,32 @@ def machine_start(
         v_re, v_im, magnitude: of the voltage [p.u.].
         i_re, i_im: of the current into the network [p.u.].
         c: constants.
+        saturation: of the rotor; None for none.
     """
     # x'_d - x'' = (x'_d - x_l)(1 - γ_d), and likewise on the q axis.
     x_d_transient = c.internal_reactance + c.x_d_leak * (1.0 - c.gamma_d)
     x_q = c.internal_reactance + c.x_q_leak * (1.0 - c.gamma_q) + c.x_q_field
     axis_re, axis_im = v_re + (c.resistance * i_re - x_q * i_im), v_im + (c.resistance * i_im + x_q * i_re)
+    factor = 0.0
+    if saturation is not None:
+        # Saturation is that of the voltage behind x'', whose size the rotor's frame does not change.
+        r, x = c.resistance, c.internal_reactance
+        e_re, e_im = v_re + (r * i_re - x * i_im), v_im + (r * i_im + x * i_re)
+        factor = saturation_factor(e_re, e_im, saturation)
+        axis_re, axis_im = axis_re + factor * saturation.q_weight * e_re, axis_im + factor * saturation.q_weight * e_im
     delta = math.atan2(axis_im, axis_re)
     sine, cosine = math.sin(delta), math.cos(delta)
     i_d, i_q = i_re * sine - i_im * cosine, i_re * cosine + i_im * sine
     v_q = v_re * cosine + v_im * sine
     e_q_transient = v_q + c.resistance * i_q + x_d_transient * i_d
     e_d_transient = c.x_q_field * i_q
-    exciter, error = exciter_start(e_q_transient + c.x_d_field * i_d, c.exciter)
+    field_voltage = e_q_transient + c.x_d_field * i_d
+    if saturation is not None:
+        v_d = v_re * sine - v_im * cosine
+        x_q_transient = x_q - c.x_q_field
+        e_d_transient = v_d + c.resistance * i_d - x_q_transient * i_q
+        field_voltage = field_voltage + factor * (v_q + c.resistance * i_q + c.internal_reactance * i_d)
+    exciter, error = exciter_start(field_voltage, c.exciter)
     torque = power + c.resistance * (i_d * i_d + i_q * i_q)
     gate = torque / c.rating
     state = MachineState(
@@ -259,3 +309,15 @@ def _genrou(m: SynchronousMachineParameters, scale: float) -> dict[str, float]:
         "inv_t_q0_transient": 1.0 / m.t_q0_transient_s,
         "inv_t_q0_subtransient": 1.0 / m.t_q0_subtransient_s,
     }
+
+
+def rotor_saturation(m: SynchronousMachineParameters) -> RotorSaturation:
+    """Return the constants of a machine's saturation.
+
+    Raises:
+        ValueError: S(1.2) is too small beside S(1.0).
+    """
+    if m.classical:
+        return RotorSaturation(Saturation(0.0, 0.0), 1.0)
+    curve = saturation_constants(f"machine at bus {m.bus}", (1.0, m.saturation_1_0), (1.2, m.saturation_1_2))
+    return RotorSaturation(curve, (m.x_q - m.x_leakage) / (m.x_d - m.x_leakage))

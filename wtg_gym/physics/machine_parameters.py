@@ -7,6 +7,15 @@ from dataclasses import dataclass
 from typing import Any
 
 from wtg_gym.physics.checked import Checked, describe, design, parameter, required
+from wtg_gym.physics.control_parameters import (
+    BoilerGovernorParameters,
+    FilterStabiliserParameters,
+    GasGovernorParameters,
+    LeadLagExciterParameters,
+    ReheatGovernorParameters,
+    SaturatingExciterParameters,
+    SpeedStabiliserParameters,
+)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -66,9 +75,24 @@ class HydroGovernorParameters(Checked):
     )
 
 
+AnyExciter = ExciterParameters | SaturatingExciterParameters | LeadLagExciterParameters
+AnyGovernor = (
+    GovernorParameters
+    | HydroGovernorParameters
+    | BoilerGovernorParameters
+    | ReheatGovernorParameters
+    | GasGovernorParameters
+)
+AnyStabiliser = SpeedStabiliserParameters | FilterStabiliserParameters
+
+
 @dataclass(frozen=True, kw_only=True)
 class SynchronousMachineParameters(Checked):
-    """A round-rotor machine (GENROU without saturation, x''_q = x''_d) on its own base, or a classical one."""
+    """A round-rotor machine (GENROU with x''_q = x''_d) on its own base, or a classical one.
+
+    Raises:
+        ValueError: a value is out of its range, or a stabiliser has no exciter to act on.
+    """
 
     bus: int = required("-", "Milano", "bus number")
     rating_mva: float = required("MVA", "Milano", "rating S_n", 1e-6, 1e12)
@@ -100,13 +124,23 @@ class SynchronousMachineParameters(Checked):
     reactive_weight: float | None = design(
         None, "MVA", "weight in sharing its bus's initial reactive power; None: its rating", 0.0, 1e12
     )
-    exciter: ExciterParameters | None = dataclasses.field(
+    saturation_1_0: float = design(0.0, "-", "saturation S(1.0)", 0.0, 10.0)
+    saturation_1_2: float = design(0.0, "-", "saturation S(1.2); 0 for none", 0.0, 10.0)
+    exciter: AnyExciter | None = dataclasses.field(
         default_factory=ExciterParameters, metadata=describe("-", "design", "exciter, None for constant field")
     )
-    governor: GovernorParameters | HydroGovernorParameters | None = dataclasses.field(
+    stabiliser: AnyStabiliser | None = dataclasses.field(
+        default=None, metadata=describe("-", "design", "power system stabiliser, whose signal its exciter adds")
+    )
+    governor: AnyGovernor | None = dataclasses.field(
         default=None, metadata=describe("-", "Milano", "governor, None for constant torque")
     )
     classical: bool = design(False, "-", "constant voltage behind x'_d instead of GENROU and exciter (ANDES' GENCLS)")
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.stabiliser is not None and self.exciter is None and not self.classical:
+            raise ValueError(f"machine at bus {self.bus}: a stabiliser needs an exciter, which adds its signal")
 
 
 def classical_machine(**values: Any) -> SynchronousMachineParameters:

@@ -10,6 +10,7 @@ from wtg_gym.physics.machine import (
     MachineOutput,
     MachineState,
     MachineVoltage,
+    RotorSaturation,
     driven_by,
     machine_limited,
     machine_rates,
@@ -25,8 +26,8 @@ from wtg_gym.systems.systems import Kind, system
 MACHINES = Kind(
     name="machines",
     rows={"state": MachineState, "given": MachineInput, "emf": MachineVoltage, "output": MachineOutput},
-    scratch={"hydro_torque": float},  # of its hydro governor, if it has one [p.u.]
-    constants={"machine": Machine, "dispatch": float},
+    scratch={"turbine_torque": float},  # of its governor, where that is a unit of its own [p.u.]
+    constants={"machine": Machine, "dispatch": float, "saturation": RotorSaturation},
     sees={"unit": UNITS, "island": ISLANDS, "lane": LANE},
     states=("state",),
 )
@@ -104,21 +105,21 @@ def rates_of_machine(
     emf: MachineVoltage,
     current: Phasor,
     given: MachineInput,
-    hydro_torque: float,
+    turbine_torque: float,
     committed: float,
     inv_committed: float,
     machine: Machine,
     reference_speed: float,
     omega_n: float,
 ) -> tuple[MachineState, MachineOutput]:
-    """Return rates and outputs; the torque is that of its hydro governor, if it has one.
+    """Return rates and outputs; the torque is that of its governor, where that is a unit of its own.
 
     Of its equal parts a share is committed: the equations are those of all parts, of which each gives as much. After an
     outage a machine keeps its states.
     """
     i_re, i_im = inv_committed * current.re, inv_committed * current.im
     rates, output = machine_rates(state, emf, i_re, i_im, given, machine, reference_speed, omega_n)
-    torque = select(machine.governor.is_hydro > 0.5, hydro_torque, output.torque)
+    torque = select(machine.governor.is_unit > 0.5, turbine_torque, output.torque)
     rates = each(lambda rate: given.connected * rate, driven_by(torque, rates, output, given))
     return rates, MachineOutput(committed * output.power, output.voltage, committed * (given.connected * torque))
 

@@ -19,7 +19,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from wtg_gym.physics.checked import Checked, design, parameter, required
-from wtg_gym.physics.machine_parameters import GovernorParameters, HydroGovernorParameters, SynchronousMachineParameters
+from wtg_gym.physics.machine_parameters import AnyGovernor, SynchronousMachineParameters
 from wtg_gym.systems.compiled import compiled, inlined
 
 #: Largest power mismatch accepted as a power-flow solution [p.u.].
@@ -204,13 +204,12 @@ class NetworkCase(Checked):
 
     def classical(self) -> NetworkCase:
         """Return the network with a constant voltage behind x'_d in place of every machine and its exciter."""
-        machines = (dataclasses.replace(machine, classical=True, exciter=None) for machine in self.machines)
+        machines = (
+            dataclasses.replace(machine, classical=True, exciter=None, stabiliser=None) for machine in self.machines
+        )
         return dataclasses.replace(self, machines=tuple(machines))
 
-    def with_governors(
-        self,
-        change: Callable[[GovernorParameters | HydroGovernorParameters], GovernorParameters | HydroGovernorParameters],
-    ) -> NetworkCase:
+    def with_governors(self, change: Callable[[AnyGovernor], AnyGovernor]) -> NetworkCase:
         """Return the network with other governors: `change` turns the one of each machine that has one into its own."""
         machines = tuple(
             machine if machine.governor is None else dataclasses.replace(machine, governor=change(machine.governor))

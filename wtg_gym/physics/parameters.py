@@ -39,6 +39,8 @@ SOURCES = {
     "non-synchronous generation",
     "Kundur": "P. Kundur: Power System Stability and Control: F_HP = 0.3, T_RH = 7 s of a steam turbine with reheat; "
     "as TGOV1 in the data of his two-area system that ANDES distributes",
+    "ANDES": "default of the model of the same name in ANDES 2.0.0; H. Cui et al.: Hybrid Symbolic-Numeric Framework "
+    "for Power System Modeling and Analysis, IEEE Transactions on Power Systems, 2021",
     "HYGOV": "typical data of the hydro governor HYGOV of PSS/E; P. Kundur: Power System Stability and Control, 9.1",
     "design": "a design value of this benchmark",
 }

@@ -22,7 +22,8 @@ from wtg_gym.physics.grid import get_grid
 from wtg_gym.physics.hydro_unit import HYDRO
 from wtg_gym.physics.kernel_data import Facts, Network, structured
 from wtg_gym.physics.layout import Layout, place_in
-from wtg_gym.physics.machine import Machine, machine_constants
+from wtg_gym.physics.machine import Machine, RotorSaturation, machine_constants, rotor_saturation
+from wtg_gym.physics.machine_models import control_constants, control_named, joining_models
 from wtg_gym.physics.machine_parameters import HydroGovernorParameters
 from wtg_gym.physics.machine_unit import FIRST_MACHINE, MACHINES
 from wtg_gym.physics.network import NetworkCase, assemble_admittance, branch_admittances
@@ -249,11 +250,18 @@ class Plant(NamedTuple):
     share: npt.NDArray[np.float64]  # rating of each WTG group on the system base (n_wtg,)
     cells: npt.NDArray[np.float64]  # of the rotor's C_p table (n, m, 16)
     hydro: npt.NDArray[np.void]  # (n_hydro,), of HydroGovernor
+    saturation: tuple[RotorSaturation, ...]  # of each machine (n_sync,)
+    controls: Mapping[str, Sequence[Any]]  # constants of controls that are units of their own, by the names of kinds
     extension: npt.NDArray[np.void]  # likewise, of Extension; (0,) where the groups are not extended
     shedding: npt.NDArray[np.void]  # (n_stages,), of SheddingConstants
     buses: npt.NDArray[np.void]  # (n_bus,), of Bus
     of_lane: Mapping[str, Any]  # constants of every lane
     further: tuple[FurtherUnits, ...]
+
+    @property
+    def saturates(self) -> bool:
+        """Whether the rotor of any machine saturates."""
+        return any(own.curve.gain > 0.0 for own in self.saturation)
 
     @property
     def n_substeps(self) -> int:
@@ -348,6 +356,8 @@ def build_plant(settings: PlantSettings) -> Plant:
         share=np.array(share, dtype=np.float64),
         cells=surface_of(of_groups[0].power_coefficient)[1],
         hydro=structured(HydroGovernor, hydro),
+        saturation=tuple(rotor_saturation(machine) for machine in case.machines),
+        controls=control_constants(case.machines),
         extension=structured(Extension, extensions * settings.extended),
         shedding=structured(SheddingConstants, stages * (ISLANDS_AT_MOST if settings.extended else 1)),
         buses=structured(Bus, buses),
@@ -434,6 +444,10 @@ def layout_of(plant: Plant, further: Further | None = None) -> Layout:
         (HYDRO, "machine"): plant.hydro["machine"],
         (FIRST_MACHINE, "machine"): np.zeros(min(n_sync, 1), dtype=np.int64),
     }
+    for name, constants in plant.controls.items():
+        kind, of_machine = control_named(name).kind, np.array([own.machine for own in constants], dtype=np.int64)
+        n_units[kind] = len(constants)
+        links |= {(kind, "machine"): of_machine, (kind, "unit"): of_machine}
     first, added = n_sync + n_wtg, further or Further({})
     for own in plant.further:
         if own.kind in n_units or own.kind in added.n_units:
@@ -451,13 +465,16 @@ def layout_of(plant: Plant, further: Further | None = None) -> Layout:
 
 
 def programs_of(plant: Plant, *programs: Program) -> tuple[Program, ...]:
-    """Return programs with the systems of a plant's further units."""
-    return _joined(plant.further, programs)
+    """Return programs with the systems of a plant's further units, and of models of machines that only it has."""
+    return _joined(plant.further, tuple(plant.controls), plant.saturates, programs)
 
 
 @functools.lru_cache(maxsize=64)
-def _joined(further: tuple[FurtherUnits, ...], programs: tuple[Program, ...]) -> tuple[Program, ...]:
-    return tuple(program.joined(joining(further)) for program in programs)
+def _joined(
+    further: tuple[FurtherUnits, ...], controls: tuple[str, ...], saturated: bool, programs: tuple[Program, ...]
+) -> tuple[Program, ...]:
+    found = joining(further) | joining_models(controls, saturated=saturated)
+    return tuple(program.joined(found) for program in programs)
 
 
 class Arranged:
@@ -492,6 +509,7 @@ class Arranged:
         self._constants: dict[tuple[Kind, str], Any] = {
             (MACHINES, "machine"): plant.machines,
             (MACHINES, "dispatch"): plant.dispatch,
+            (MACHINES, "saturation"): plant.saturation,
             (GROUPS, "turbine"): plant.turbine[:n_wtg],
             (GROUPS, "cells"): plant.cells,
             (GROUPS, "share"): plant.share,
@@ -503,6 +521,7 @@ class Arranged:
             (UNITS, "connection"): connections,
             (ISLANDS, "number"): np.arange(float(layout.n_units(ISLANDS))),
             **{(LANE, name): [value] for name, value in plant.of_lane.items()},
+            **{(control_named(name).kind, "model"): values for name, values in plant.controls.items()},
             **{(own.kind, name): values for own in plant.further for name, values in own.constants.items()},
             **further.constants,
         }

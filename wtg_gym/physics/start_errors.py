@@ -6,12 +6,16 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from wtg_gym.physics.hydro_unit import HYDRO
 from wtg_gym.physics.layout import Floats, Layout
+from wtg_gym.physics.machine_models import controls_of
 from wtg_gym.physics.machine_parameters import ExciterParameters, HydroGovernorParameters
+from wtg_gym.physics.machine_unit import MACHINES
 from wtg_gym.physics.parameters import ConverterLimitParameters, VoltageControlParameters
 from wtg_gym.physics.plant import PlantSettings
 from wtg_gym.physics.scenario import Scenario
 from wtg_gym.physics.units import StartFailure
+from wtg_gym.systems.systems import Kind
 
 #: Beginning of the names of scenarios that a simulator makes for itself.
 NOMINAL = "the plant at "
@@ -82,15 +86,10 @@ def start_failure(
         )
     name = unit_name(settings, unit)
     if unit < layout.n_sync:
-        machine = settings.case.machines[unit]
-        governor, exciter = machine.governor, machine.exciter or ExciterParameters()
-        quantity, low, high = "field_voltage", exciter.field_min_pu, exciter.field_max_pu
-        if failure == StartFailure.GOVERNOR_LIMIT and governor is not None:
-            quantity = "hydro_gate" if isinstance(governor, HydroGovernorParameters) else "gate"
-            low, high = governor.gate_min_pu, governor.gate_max_pu
+        quantity, value, low, high = _limited(failure, unit, rows, settings, layout)
         what = quantity.replace("_", " ")
         return (
-            f"{name} would start at {rows[layout.machine(quantity)[unit]]:.4g} p.u. of {what}, beyond its {what} "
+            f"{name} would start at {value:.4g} p.u. of {what}, beyond its {what} "
             f"limits {low:g} … {high:g} p.u.; change wind or load level"
         )
     j = unit - layout.n_sync
@@ -111,3 +110,30 @@ def start_failure(
         f"{name} would start with {emf:.4g} p.u. behind X_g, beyond the limits {control.internal_voltage_min_pu:g} … "
         f"{control.internal_voltage_max_pu:g} p.u. of its voltage control"
     )
+
+
+def _limited(
+    failure: StartFailure, unit: int, rows: Floats, settings: PlantSettings, layout: Layout
+) -> tuple[str, float, float, float]:
+    """Return the quantity of a machine that starts beyond its limits, its value, and the limits [p.u.]."""
+    machine = settings.case.machines[unit]
+
+    def found(quantity: str, kind: Kind, of_unit: int = unit) -> tuple[str, float]:
+        return quantity, float(rows[layout.rows_of(kind, quantity)[of_unit]])
+
+    def among(kind: Kind) -> int:
+        return int(np.flatnonzero(layout.seen(kind, "machine") == unit)[0])
+
+    for own, parameters in controls_of(machine):
+        if own.failure == failure:
+            return *found(own.limited, own.kind, among(own.kind)), *own.limits(own.constants(unit, parameters))
+    governor, exciter = machine.governor, machine.exciter
+    if failure == StartFailure.GOVERNOR_LIMIT and governor is not None:
+        of_gate = (
+            found("hydro_gate", HYDRO, among(HYDRO))
+            if isinstance(governor, HydroGovernorParameters)
+            else found("gate", MACHINES)
+        )
+        return *of_gate, governor.gate_min_pu, governor.gate_max_pu
+    assert isinstance(exciter, ExciterParameters)
+    return *found("field_voltage", MACHINES), exciter.field_min_pu, exciter.field_max_pu

@@ -9,7 +9,8 @@ The start of a run (:mod:`wtg_gym.physics.equilibrium`):
     plan → power flow, balance, release until none → settle → reduction → admittances → find → rates → start
 
 Each name is a list of systems over all units of a kind; what is no map over units stands in the same lists. Kinds of
-unit that a plant has besides (:mod:`wtg_gym.physics.further_units`) join where it says `Here`.
+unit that a plant has besides (:mod:`wtg_gym.physics.further_units`), and models of machines that only some plants have
+(:mod:`wtg_gym.physics.machine_models`), join where it says `Here`.
 """
 
 from __future__ import annotations
@@ -41,8 +42,9 @@ RETURN = (
     *VOLTAGES,
     *local.BUS_VOLTAGES,
     starting.synchronise,
-    machine.return_machine,
+    Here("machine return", (machine.return_machine,)),
     hydro.return_hydro,
+    Here("control return"),
     wtg.return_group,
     extension.return_extension,
     starting.all_returned,
@@ -73,7 +75,8 @@ FIND = (*FLOWS, *LIMITS, *CAPTURE)
 #: One stage of the Runge-Kutta method, after `FIND`: it finds the rates of every unit and moves its states.
 MOVE = (
     hydro.stage_of_hydro,
-    machine.stage_of_machine,
+    Here("control move"),
+    Here("machine move", (machine.stage_of_machine,)),
     wtg.stage_of_group,
     extension.stage_of_extended,
     Here("move"),
@@ -83,7 +86,8 @@ MOVE = (
 #: Rates and outputs, without moving any state, after `FIND`.
 RATES = (
     hydro.rates_of_hydro,
-    machine.rates_of_machine,
+    Here("control rates"),
+    Here("machine rates", (machine.rates_of_machine,)),
     wtg.rates_of_group,
     extension.rates_of_extended,
     Here("rates"),
@@ -157,8 +161,9 @@ RELEASE = (starting.none_released, starting.release_voltage)
 SETTLE = (
     starting.load_at_bus,
     starting.share_flow,
-    machine.start_machine,
+    Here("machine settle", (machine.start_machine,)),
     hydro.start_hydro,
+    Here("control settle"),
     machine.still_frame,
     machine.take_frame,
     machine.turn_machine,
@@ -182,6 +187,7 @@ START = (
     wtg.no_overload,
     machine.check_machine,
     hydro.check_hydro,
+    Here("control start"),
     extension.check_extension,
     Here("start"),
 )
