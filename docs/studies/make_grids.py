@@ -16,6 +16,7 @@ from typing import Any
 
 from wtg_gym.files import write_atomically
 from wtg_gym.grids.wind import with_wind
+from wtg_gym.physics.control_parameters import SpeedStabiliserParameters
 from wtg_gym.physics.grid import FOLDER, Grid, grid_text
 from wtg_gym.physics.machine_parameters import (
     ExciterParameters,
@@ -96,8 +97,9 @@ def governor_of(row: Mapping[str, Any] | None) -> GovernorParameters | HydroGove
 
 def machines(data: Mapping[str, Any]) -> list[SynchronousMachineParameters]:
     """Return the machines; those at a bus that are equal but for rating and power are one."""
-    governors, exciters = (
-        {row["gen"]: row for table in data.get(kind, {}).values() for row in rows(table)} for kind in ("gov", "avr")
+    governors, exciters, stabilisers = (
+        {row["gen"]: row for table in data.get(kind, {}).values() for row in rows(table)}
+        for kind in ("gov", "avr", "pss")
     )
     found: dict[SynchronousMachineParameters, tuple[float, float]] = {}
     for row in rows(data["generators"]["GEN"]):
@@ -106,13 +108,18 @@ def machines(data: Mapping[str, Any]) -> list[SynchronousMachineParameters]:
             gain=e["K"], lead_lag_ratio=e["T_a"] / e["T_b"], lag_time_s=e["T_b"], exciter_time_s=e["T_e"],
             field_min_pu=e["E_min"], field_max_pu=e["E_max"],
         )  # fmt: skip
+        p = stabilisers.get(row["name"])
+        stabiliser = p and SpeedStabiliserParameters(
+            gain=p["K"], washout_time_s=p["T"], lead_time_1_s=p["T_1"], lag_time_1_s=p["T_3"], lead_time_2_s=p["T_2"],
+            lag_time_2_s=p["T_4"], signal_limit_pu=p["H_lim"],
+        )  # fmt: skip
         one = SynchronousMachineParameters(
             bus=number(row["bus"]), rating_mva=1.0, two_h_s=2.0 * row["H"], damping_pu=row["D"],
             x_d=row["X_d"], x_q=row["X_q"], x_d_transient=row["X_d_t"], x_q_transient=row["X_q_t"],
             x_subtransient=row["X_d_st"], x_leakage=LEAKAGE * row["X_d_st"],
             t_d0_transient_s=row["T_d0_t"], t_q0_transient_s=row["T_q0_t"],
             t_d0_subtransient_s=row["T_d0_st"], t_q0_subtransient_s=row["T_q0_st"],
-            governor=governor_of(governors.get(row["name"])), exciter=exciter,
+            governor=governor_of(governors.get(row["name"])), exciter=exciter, stabiliser=stabiliser,
         )  # fmt: skip
         mva, mw = found.get(one, (0.0, 0.0))
         found[one] = mva + n * row["S_n"], mw + n * row["P"]
