@@ -37,7 +37,7 @@ NAME = "evolution"
 _STATE = "state.pickle"
 #: Generations over which the weights are averaged: each pulls towards its own scenarios.
 _AVERAGED = 20
-_TIMESTEPS, _N_ENVS = 259_200_000, 90
+_TIMESTEPS, _N_ENVS = 388_800_000, 90
 #: What a policy sees besides a group's own observation: slow copies of entries of it (frequency, tip-speed ratio, rotor
 #: speed), with these time constants [s], and the mean frequency of all groups.
 SLOW_COLUMNS, SLOW_TIMES_S = (0, 0, 2, 2, 3), (2.0, 10.0, 3.0, 10.0, 10.0)

@@ -50,7 +50,7 @@ def test_joint_run_is_that_of_the_single_environment_bit_for_bit(name: str) -> N
     expected, info = local.reset(seed=3)
     seen, _ = privileged.reset(seed=3)
     n_local = expected.size // len(env.possible_agents)
-    for (joint,) in actions_of(4, 1200, n_action=local.action_space.shape[0]):
+    for (joint,) in actions_of(4, 1800, n_action=local.action_space.shape[0]):
         for agent in env.agents:
             block = env.possible_agents.index(agent) * n_local
             assert observations[agent].tobytes() == expected[block : block + n_local].tobytes()

@@ -292,7 +292,7 @@ def rotors(results: Results) -> Condition:
 
 def paid_in_full(entries: Entries, results: Results) -> Condition:
     clocks = [
-        droop(f"clock, {'on' if on else 'off'} {last:g} s", ANCHOR, Stopwatch(1200 - round(10.0 * last), on))
+        droop(f"clock, {'on' if on else 'off'} {last:g} s", ANCHOR, Stopwatch(1800 - round(10.0 * last), on))
         for last in CLOCKS_S
         for on in (True, False)
     ]
@@ -538,7 +538,7 @@ def section(found: Sequence[Condition], n_scenarios: int) -> str:
     table = markdown_table(
         ("", "condition", "measured"), [(f"({c.letter})", c.demand, c.measured + says[c.met]) for c in found]
     )
-    n_met = sum(c.met is True for c in found)
+    n_met = sum(bool(c.met) for c in found)
     return f"{n_met} of {len(found)} are met on {n_scenarios} validation scenarios of `{SUITE}`:\n\n{table}"
 
 

@@ -120,5 +120,5 @@ if __name__ == "__main__":
         print(f"k {law.k_min:.3f}, {law.k_nominal:.3f}, {law.k_max:.3f} p.u.")
     for strategy in V1.anchors:
         droop, cost = tune_mean_droop("standard-v1", strategy)
-        numbers = ", ".join(f"{name} {float(value):.3f}" for name, value in vars(droop).items())
+        numbers = ", ".join(f"{name} {np.squeeze(value):.3f}" for name, value in vars(droop).items())
         print(f"mean-droop on {strategy}: {numbers}; objective {cost:.4f}")

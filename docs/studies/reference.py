@@ -92,8 +92,8 @@ def weights():
     rows = [(f"`{name}`", *(f"{getattr(weights, name):g}" for weights in own)) for name in names]
     table = markdown_table(("weight [1/s]", *ENVS), rows, right=range(1, 1 + len(own)))
     return (
-        f"{table}\n\n`cap` is the largest sum, in v1 of all terms but frequency; `unserved` and `failure` count in v1 "
-        "alone: [the equations and the reasons](benchmark.md#the-cost)."
+        f"{table}\n\n`cap` is the largest sum, in v1 of all terms but frequency and load not served; `unserved` and "
+        "`failure` count in v1 alone: [the equations and the reasons](benchmark.md#the-cost)."
     )
 
 

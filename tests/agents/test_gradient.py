@@ -83,7 +83,7 @@ def test_a_failure_comes_gradually() -> None:
         assert failures.costs(terms, failures.watched(outputs)).item() == pytest.approx(terms.sum().item())
         # The failure that comes gradually is counted once.
         found = failures.costs(terms, failures.watched(falling)).item()
-        assert found == pytest.approx(40.0 + SHARE * (250.0 * 121.0 - 40.0))
+        assert found == pytest.approx(40.0 + SHARE * (250.0 * 181.0 - 40.0))
 
 
 def test_what_trips_or_is_shed_changes_the_gradient_alone() -> None:
@@ -114,7 +114,7 @@ def test_a_slow_rotor_ends_the_episode_where_rotors_do() -> None:
     failures, alive, outputs, names = watched({**V1, "on_failure": "terminate"})
     outputs[0, names.index("rotor_1_speed_pu")] = 0.5
     found = failures.costs(alive, failures.watched(outputs)).item()
-    assert found == pytest.approx(40.0 + SHARE * (250.0 * 121.0 - 40.0))
+    assert found == pytest.approx(40.0 + SHARE * (250.0 * 181.0 - 40.0))
 
 
 def test_the_loss_counts_every_stratum_by_its_offset_and_scale(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -122,7 +122,7 @@ def test_the_loss_counts_every_stratum_by_its_offset_and_scale(monkeypatch: pyte
     monkeypatch.setattr("agents.gains.stratum_scales", lambda _settings: scales)
     costs = torch.tensor([30.0, 400.0, 2000.0], dtype=torch.float64)
     scenarios = get_suite("standard-v1").scenarios([1_000_002, 1_000_000, 1_000_001], duration_s=1.0)
-    offsets = (40.0, 250.0, 2000.0)
+    offsets = (40.0, 300.0, 3000.0)
     for weight in (0.0, 0.5):
         parts = [
             (math.log(cost + offset) + weight * cost / offset) / scale

@@ -110,7 +110,7 @@ def test_entries_that_leave_0_8_hz_more_often_than_the_anchor_rank_behind_it(res
     assert [row.name for row in rows] == [V1.hundred, "fine", V1.zero, "wild"]
     assert [row.marked for row in rows] == [True, True, True, False]
     # Of each stratum the logarithms, behind its J0.
-    of = {"ordinary": 40.0, "extreme": 2000.0}
+    of = {"ordinary": 40.0, "extreme": 3000.0}
     logs = {n: np.array([np.log(own[0, groups[s]] + j0).mean() for s, j0 in of.items()]) for n, own in costs.items()}
     scale = logs[V1.zero] - logs[V1.hundred]
     for row in rows:

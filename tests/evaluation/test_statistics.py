@@ -18,7 +18,7 @@ from wtg_gym.scenarios.benchmark import V0, V1, Benchmark
 COSTS = arrays(np.float64, 7, elements=st.floats(0.0, 3050.0))
 #: Seven scenarios of three strata, and J0 of each.
 STRATA: Groups = {"ordinary": np.array([0, 3, 6]), "large": np.array([1, 4]), "extreme": np.array([2, 5])}
-OFFSETS = np.array([40.0, 250.0, 2000.0, 40.0, 250.0, 2000.0, 40.0])
+OFFSETS = np.array([40.0, 300.0, 3000.0, 40.0, 300.0, 3000.0, 40.0])
 
 
 def whole(n: int) -> Groups:
@@ -43,7 +43,7 @@ def test_score_of_strata_is_the_mean_of_theirs_each_with_its_offset_and_scale() 
     scales = score.score_scales(zero, hundred, V1, STRATA)
     own = score.gains(costs, hundred, OFFSETS)
     expected = []
-    for offset, at in zip((40.0, 250.0, 2000.0), STRATA.values(), strict=True):
+    for offset, at in zip((40.0, 300.0, 3000.0), STRATA.values(), strict=True):
         z, h, c = (np.log(each[..., at] + offset).mean() for each in (zero, hundred, costs))
         expected.append(100.0 * (z - c) / (z - h))
         assert score.mean_score(own, [z - h], {"": at}) == pytest.approx(expected[-1])

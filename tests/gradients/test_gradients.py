@@ -113,8 +113,8 @@ def test_a_step_is_replayed_to_the_last_bit(settings: dict[str, Any], monkeypatc
     [
         ({}, 1_000_000, "overload"),
         # Load is shed in an island of groups alone.
-        ({**V1, "suite": "faults"}, 1_000_033, "overload"),
-        ({**V1, "suite": "no-wind-sensor"}, 1_000_042, "rotor"),
+        ({**V1, "suite": "faults"}, 1_000_047, "rotor"),
+        ({**V1, "suite": "no-wind-sensor"}, 1_000_015, "rotor"),
     ],
     ids=["v0", "faults", "no wind sensor"],
 )

@@ -83,7 +83,7 @@ def test_strata_and_kinds_are_as_frequent_and_follow_from_the_seed(suite: Suite)
     for (_, stratum, _), scenario in zip(parts, scenarios, strict=True):
         event, least = EVENT_OF.get(stratum.removeprefix("extreme-"), (LineTrip, 0))
         assert sum(isinstance(own, event) for own in scenario.events) >= least
-        assert scenario.duration_s == 120.0
+        assert scenario.duration_s == 180.0
         lost_at_start = [own for own in scenario.events if isinstance(own, GovernorLoss) and own.time_s == 0.0]
         assert all(3.0 <= own.time_s <= 60.0 for own in scenario.events if own not in lost_at_start)
     # Alone or in any order, a seed gives the same scenario.

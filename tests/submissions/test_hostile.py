@@ -91,7 +91,9 @@ ATTACKS: dict[str, dict[str, Build]] = {
         ),
         "5 million numbers for each scenario": _after(
             "all = Expand(nought, size); whole = Cast<to = 7>(linear); none = Gather(all, whole); "
-            "action = Add(linear, none)",
+            # Random numbers give every scenario a session of its own.
+            "noise = RandomUniformLike(linear); still = Sub(noise, noise); part = Add(linear, none); "
+            "action = Add(part, still)",
             nought=[0.0],
             size=[5_000_000],
         ),

@@ -129,7 +129,7 @@ class EnvSettings:
         scenario: one scenario for every episode, a `Scenario` or its `to_dict()`.
         groups: number of turbine groups at the bus of the first one, or a list of `{"bus": …, "n_turbines": …}`, with a
             `"turbine"` (TurbineParameters) if it is not the suite's; None: the suite's own groups.
-        duration_s: length of an episode [s]; None: the suite's own, 120 s in v1 and `paper`, else 60 s.
+        duration_s: length of an episode [s]; None: the suite's own, 180 s in v1, 120 s in both `paper`, else 60 s.
         control_dt: control interval, one step [s].
         simulation_dt: step of the integration [s]; None: the suite's own, 0.025 s in the IEEE 14-bus system. There
             0.05 s, which some draws of v1 refuse, move the frequency by 1e-4 Hz at most under laws, by 1e-2 Hz under

@@ -41,7 +41,7 @@ class Tuning(NamedTuple):
 TUNED: Mapping[str, Tuning] = MappingProxyType(
     {
         "coordinated-tuned": Tuning(0.0, -0.018, 0.95, 0.2),
-        "coordinated-free": Tuning(0.66, -0.035, 1.0, 0.1),
+        "coordinated-free": Tuning(0.63, -0.018, 0.98, 0.2),
     }
 )
 

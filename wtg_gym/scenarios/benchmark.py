@@ -129,7 +129,7 @@ V1 = Benchmark(
     on_failure="trip",
     charges_worst=True,
     # Of the size of what an episode costs under the hundred: below that a cost counts almost as in a mean.
-    cost_offsets=(("ordinary", 40.0), ("large", 250.0), ("extreme", 2000.0), ("", 250.0)),
+    cost_offsets=(("ordinary", 40.0), ("large", 300.0), ("extreme", 3000.0), ("", 300.0)),
     # Duty weighs as much as frequency, since the wind is most of the power; RoCoF five times as much as in v0, since
     # the synchronous machines have less than a third of v0's inertia: 0.82 instead of 2.86 GWs on average.
     weights=(("rocof", 20.0), ("duty", 0.3), ("rotor", 20.0), ("cap", 15.0)),

@@ -138,6 +138,7 @@ class ScenarioDistribution(Checked):
         0.05,
         1.0,
     )
+    last_event_s: float | None = design(None, "s", "latest event; None: as long before the end", 0.0, 3600.0)
     fault_probability: float = _chance(0.0, "chance of a short circuit at a line's first bus, which opens the line")
     fault_lines: tuple[tuple[int, int], ...] = design(
         (), "-", "lines with a short circuit, its bus first; none that a part of the network hangs on"
@@ -232,6 +233,8 @@ class ScenarioDistribution(Checked):
             require_range("n_turbines", number, 1e-3, 1e4, "")
         duration_s = require_range("duration_s", duration_s, SERIES_DT, LONGEST_RUN_S, "s")
         latest = max(duration_s - self.quiet_end_s, 0.5 * duration_s)
+        if self.last_event_s is not None:
+            latest = min(latest, self.last_event_s)
         window = (min(self.first_event_s, latest), latest)
         n_samples = math.ceil(round(duration_s / SERIES_DT, 6)) + 1
         # The name is part of the seed, so that two suites share no scenario.

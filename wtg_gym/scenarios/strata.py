@@ -61,8 +61,8 @@ WIND_SCENARIOS: Mapping[str, Any] = MappingProxyType(
         "wind_ramp_m_s": (0.5, 1.8),
         "load_trip_probability": 0.0,
         "line_trip_probability": 0.1,
-        # Frequency and rotors have a minute to come back.
-        "quiet_end_s": 60.0,
+        # Frequency and rotors have two minutes to come back: after one, entries still pay for what they have lent.
+        "last_event_s": 60.0,
         "wind_ramp_s": (5.0, 10.0),
         "governor_droop": (0.03, 0.08),
         "inertia_scale": (1.0, 1.0),
@@ -193,7 +193,7 @@ def suite_of_strata(
     return Suite(
         name=f"{name}-v1",
         description=description,
-        duration_s=120.0,
+        duration_s=180.0,
         benchmark=benchmark,
         plant=plant,
         sensors=sensors or SensorDistribution(),

@@ -225,14 +225,14 @@ FROZEN_HASHES: Mapping[str, str] = MappingProxyType(
         "low-wind": "3c6454dd11d019be25e8282164a9b8c8a00bf377ca149c67b1af51261ce2f54f",
         "gust": "a6a50118d0a21891c75f9eea0470f8c06c45c4b9cec95a635fb9b51815b708c5",
         "weak-grid": "54861ae09060eb4e63541f6e14187da30e9bd11d3cce7b366e3fab39b4350ad9",
-        "standard-v1": "c2ff8d887953f40c3f18be2cedb86a94f9ee5afeb4c4c27d9ed568733de9c543",
-        "low-share-v1": "253f65bf3902d196e94165bb25c4d83a76f9ed4aa5f16b8a1e13849a6d332e80",
-        "high-share-v1": "d6a03350b34599abffbca37f0d664bd26e2d53fa58dbcb11657a0abc1ff4ce62",
-        "gusty-v1": "cdc0186aa31a2d44ea44a1aa17158514b9850ff4710e18262fa982f20c2a6438",
-        "no-wind-sensor-v1": "0ba317c3ea83a071cdf09f090b280c806d0b0605333e209af511ae728e1cecf8",
-        "faults-v1": "c5bb7e97f68552900843e4563e9be4deda1b6dddd86f43a104f35a3d0a2e0d6b",
-        "weak-grid-v1": "979599de01ae5e1d5475b3c05085fb12dc29bad7eff4f048f587abc6c091e87b",
-        "paper-v1": "ef90676d774fc025646daaa97dfe0f361ce95b848b15197535311c6ddd97ede1",
+        "standard-v1": "17535d6fec72735cad3e424137e989752d849d536d2b550926003046cb1496c3",
+        "low-share-v1": "f047d7b771aa2cc03123e57bc9d7eb3e7a490a0754198ebe6d26b1a9bbef7b3e",
+        "high-share-v1": "559b81a44e27f322d6ad3336fa31476be13b9c300703be20131867df6aacb0a9",
+        "gusty-v1": "15db285081685691bb3c408118239151a2f5d25fe28bfc0656291937b207c4c6",
+        "no-wind-sensor-v1": "e0ec8199dae6d82b4ffb5322db38bcbd73a05353529a9ac46dd66713b7ada334",
+        "faults-v1": "cd4a7b463efff4df05a4e3f204035c74f994516bc0dd98a9e48b3ce100ef04a3",
+        "weak-grid-v1": "b57fafe060b65e9129731bf2fe3d9c2332a8c87dfe634c11b2fb330bab32fcdc",
+        "paper-v1": "1d7b16b8ffc06f38bd04e211d26bcbe44dd9dbd20a8761080e073c8177340fbe",
     }
 )
 
