@@ -2,7 +2,7 @@
 
 CMA-ES (N. Hansen, "The CMA evolution strategy: a tutorial", 2016) plays many candidates through the same training
 scenarios and moves towards the best. It needs neither gradients nor a value function, so that it sees load shedding,
-trips and lost grids as they are: with a hundred parameters and 2 ms of one core for an episode that is cheap. Every
+trips and lost grids as they are: with a hundred parameters and some ms of one core for an episode that is cheap. Every
 generation has other scenarios.
 """
 

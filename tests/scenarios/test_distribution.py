@@ -76,6 +76,8 @@ def check(scenario: Scenario, source: ScenarioDistribution, duration_s: float) -
             <= event.time_s
             <= max(duration_s - source.quiet_end_s, 0.5 * duration_s) + 0.05
         )
+        if source.last_event_s is not None:
+            assert event.time_s <= source.last_event_s + 0.05
         assert event.time_s == round(event.time_s, 1)
         if isinstance(event, Fault):
             other = sum(event.opens) - event.bus

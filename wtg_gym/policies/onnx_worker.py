@@ -184,9 +184,11 @@ class _Served:
         import numpy as np
         import onnxruntime
 
-        # A session's own generators begin alike.
-        onnxruntime.set_seed(0)
-        session = self._shared or _open_session(self._content)
+        session = self._shared
+        if session is None:
+            # A session's own generators begin alike.
+            onnxruntime.set_seed(0)
+            session = _open_session(self._content)
         binding = session.io_binding()
         for bind, names, arrays in (
             (binding.bind_input, self._inputs, self._given),

@@ -138,7 +138,7 @@ class ScenarioDistribution(Checked):
         0.05,
         1.0,
     )
-    last_event_s: float | None = design(None, "s", "latest event; None: as long before the end", 0.0, 3600.0)
+    last_event_s: float | None = design(None, "s", "latest event; None: quiet_end_s alone bounds it", 0.0, 3600.0)
     fault_probability: float = _chance(0.0, "chance of a short circuit at a line's first bus, which opens the line")
     fault_lines: tuple[tuple[int, int], ...] = design(
         (), "-", "lines with a short circuit, its bus first; none that a part of the network hangs on"
