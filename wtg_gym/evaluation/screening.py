@@ -22,6 +22,7 @@ from wtg_gym.physics.scenario import (
     Scenario,
 )
 from wtg_gym.physics.simulator import Simulator
+from wtg_gym.physics.start_errors import StartError
 from wtg_gym.physics.tracking_law import group_laws
 from wtg_gym.scenarios.grid_suite import GridSuite, unscreened
 from wtg_gym.scenarios.strata import Places
@@ -46,7 +47,7 @@ def survived(plant: PlantSettings, scenarios: Sequence[Scenario], laws: Sequence
                 for place in range(first, min(first + simulator.n_lanes, len(scenarios))):
                     try:
                         simulator.start(place - first, scenarios[place], own)
-                    except ValueError:
+                    except StartError:
                         continue
                     lanes.append(place - first)
                 for _ in range(simulator.n_intervals):
@@ -133,10 +134,10 @@ def _starts(own: GridSuite) -> bool:
     plant = own.suite.plant.settings(classical=False, trips_groups=True)
     scenarios = own.suite.scenarios(own.suite.validation[:_N_TRIED])
     drawn = [dataclasses.replace(scenario, events=()) for scenario in scenarios]
-    with closing(Simulator(plant)) as simulator:
+    with closing(Simulator(plant, duration_s=own.suite.duration_s)) as simulator:
         for name in LAWS:
             try:
                 simulator.prepare(drawn, group_laws(name, plant.turbines, plant.control))
-            except ValueError:
+            except StartError:
                 return False
     return True

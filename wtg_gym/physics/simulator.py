@@ -23,6 +23,7 @@ from wtg_gym.physics.reduction import assemble
 from wtg_gym.physics.scenario import LONGEST_RUN_S, SERIES_DT, Scenario
 from wtg_gym.physics.start_errors import (
     NOMINAL,
+    StartError,
     check_internal_voltages,
     check_rotor_speeds,
     scenario_name,
@@ -287,7 +288,7 @@ class Simulator:
         for scenario, (failure, unit), row in zip(scenarios, failures.tolist(), rows, strict=True):
             if failure:
                 reason = start_failure(StartFailure(failure), unit, row, scenario, self.settings, self.layout)
-                raise ValueError(f"scenario {scenario.name!r} cannot start: {reason}")
+                raise StartError(f"scenario {scenario.name!r} cannot start: {reason}")
         return PreparedLanes(rows, data)
 
     def start(

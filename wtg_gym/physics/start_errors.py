@@ -21,6 +21,10 @@ from wtg_gym.systems.systems import Kind
 NOMINAL = "the plant at "
 
 
+class StartError(ValueError):
+    """There is no equilibrium to start a scenario from."""
+
+
 def scenario_name(scenario: Scenario) -> str:
     """Return what an error calls a scenario."""
     return scenario.name if scenario.name.startswith(NOMINAL) else f"scenario {scenario.name!r}"
@@ -55,7 +59,7 @@ def check_internal_voltages(
     lane, unit = np.argwhere(~(voltages <= limit))[0]
     bus = settings.case.buses[settings.case.bus_index(bus_of_unit(settings, int(unit)))]
     task = "for its share of the power" if bus.voltage_pu is None else f"to hold {bus.voltage_pu:g} p.u. there"
-    raise ValueError(
+    raise StartError(
         f"{scenario_name(scenarios[lane])} cannot start: {unit_name(settings, int(unit))} needs an internal voltage of "
         f"{voltages[lane, unit]:.3g} p.u. {task}; allowed: at most {limit:g} p.u. (a larger rating needs less)"
     )
@@ -66,7 +70,7 @@ def check_rotor_speeds(rows: Floats, scenarios: Sequence[Scenario], settings: Pl
     speeds, least = rows[:, layout.wtg("rotor_speed")], settings.protection.rotor_speed_min_pu
     for lane, group in np.argwhere(speeds < least):
         scenario = scenarios[lane]
-        raise ValueError(
+        raise StartError(
             f"scenario {scenario.name!r} cannot start: the rotor of {unit_name(settings, layout.n_sync + group)} would "
             f"start at {speeds[lane, group]:.3g} p.u. in a wind of {scenario.wind_speed[group, 0]:.3g} m/s, below the "
             f"under-speed trip at {least:g} p.u."

@@ -15,7 +15,7 @@ from wtg_gym.physics.parameters import WtgGroup
 from wtg_gym.physics.scenario import LoadStep, LoadTrip
 from wtg_gym.scenarios.benchmark import V1, SuitePlant
 from wtg_gym.scenarios.distribution import ScenarioDistribution
-from wtg_gym.scenarios.grid_suite import suite_of_file
+from wtg_gym.scenarios.grid_suite import read_suite, suite_of_file
 from wtg_gym.scenarios.sensor_distribution import SensorDistribution
 from wtg_gym.scenarios.strata import Places, suite_of_strata
 from wtg_gym.scenarios.suite import FixedCase, Suite
@@ -211,6 +211,8 @@ SUITES: Mapping[str, Suite] = MappingProxyType(
                 machine_loading=(0.6, 0.8),
             ),
             _PAPER_V1,
+            # Made by `wtg-gym grid suite`.
+            *(read_suite(str(path)).suite for path in sorted((FOLDER / "suites").glob("*.json"))),
         )
     }
 )

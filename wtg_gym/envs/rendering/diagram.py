@@ -8,8 +8,10 @@ from collections.abc import Collection, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from gymnasium.error import DependencyNotInstalled
 
 from wtg_gym.envs.rendering.colours import EVENT, INK, PAGE, SOFT, group_colour
+from wtg_gym.extras import install_advice
 from wtg_gym.physics.network import NetworkCase
 from wtg_gym.physics.plant import PlantSettings
 from wtg_gym.physics.scenario import Event, Fault, GovernorLoss, GroupTrip, LineTrip, MachineOutage, ReactanceStep
@@ -33,8 +35,10 @@ def bus_places(case: NetworkCase) -> Mapping[int, tuple[float, float]]:
     """Return where the buses are drawn, by their numbers: as the case says, or laid out so that no lines are long."""
     placed = {bus.number: (bus.x, bus.y) for bus in case.buses if bus.x is not None and bus.y is not None}
     if len(placed) < len(case.buses):
-        import networkx
-
+        try:
+            import networkx
+        except ImportError as error:
+            raise DependencyNotInstalled(f"this grid's places need networkx; {install_advice('render')}") from error
         placed = networkx.kamada_kawai_layout(networkx.Graph((b.from_bus, b.to_bus) for b in case.branches))
     points = np.array([placed[bus.number] for bus in case.buses], dtype=np.float64)
     low, span = points.min(axis=0), np.maximum(np.ptp(points, axis=0), 1e-9)

@@ -1,0 +1,68 @@
+"""The grids that come with the package, and policies of one group on grids that they were not trained on.
+
+    python docs/studies/grids.py [--output DOCS]
+
+puts into DOCS/grids.md what is in each grid and its suite, and scores: laws, and the shipped policies with per_group =
+true, which were trained on 14 buses. Five minutes on two processors.
+"""
+
+from __future__ import annotations
+
+from output import folder as output_folder
+
+from wtg_gym.evaluation import Results, evaluate, load_entries
+from wtg_gym.files import markdown_table, update_between_markers
+from wtg_gym.grids.describe import describe_equilibrium, describe_grid
+from wtg_gym.physics.grid import DEFAULT_GRID, get_grid, known_grids
+from wtg_gym.progress import Progress
+from wtg_gym.scenarios import DEFAULT_SUITE, get_suite, suite_of_grid
+from wtg_gym.scenarios.benchmark import V1
+
+SUITES = tuple(suite_of_grid(name) for name in known_grids())
+N_SCENARIOS = 300
+
+
+def grids() -> str:
+    """Return a column per grid: what `wtg-gym grid check` says, and what its suite draws from."""
+    columns = []
+    for name, suite in zip(known_grids(), map(get_suite, SUITES), strict=True):
+        grid = get_grid(name)
+        lines = dict([*describe_grid(grid), *(() if name == DEFAULT_GRID else describe_equilibrium(grid))])
+        extreme = suite.drawn_from["extreme"]
+        lines["wind's share"] = "{:.0%} … {:.0%}".format(*suite.drawn_from["large"][0].wind_share)
+        lines["large load events"] = "{:.0f} … {:.0f} MW".format(*suite.drawn_from["large"][0].load_event_mw)
+        lines["lines that trip"] = str(len(suite.drawn_from["large"][0].line_trips))
+        lines["kinds of extreme event"] = ", ".join(kind.name.rpartition("-")[2] for kind in extreme)
+        columns.append(lines)
+    rows = [key for key in columns[-1] if key not in ("repaired", "replaced", "mode", "equilibrium")]
+    cells = [[row, *(lines.get(row, "–") for lines in columns)] for row in rows]
+    return markdown_table(("", *(f"`{name}`" for name in known_grids())), cells)
+
+
+def played(suite: str) -> Results:
+    """Return the results of laws and policies of one group on a suite's first test scenarios."""
+    entries = [entry for entry in load_entries("baselines", V1) if entry.policy is None]
+    entries += [entry for entry in load_entries("policies", V1) if entry.per_group]
+    with Progress("episodes") as progress:
+        seeds = get_suite(suite).test[:N_SCENARIOS]
+        return evaluate(entries, suite, "test", seeds=seeds, on_progress=progress.update, keep_going=True)
+
+
+def transfer(columns: dict[str, Results]) -> str:
+    """Return score, mark and share of bad runs of every entry, a column per suite."""
+    rows = {suite: {row.name: row for row in results.ranking} for suite, results in columns.items()}
+
+    def cell(suite: str, name: str) -> str:
+        row = rows[suite].get(name)
+        if row is None or row.score is None:
+            return "–"
+        return f"{row.score.value:.1f}{' ✓' if row.marked else ''}; {row.lost_or_beyond_percent:.1f} %"
+
+    cells = [[name, *(cell(suite, name) for suite in columns)] for name in rows[DEFAULT_SUITE]]
+    return markdown_table(("entry", *columns), cells, right=range(1, 1 + len(columns)))
+
+
+if __name__ == "__main__":
+    docs = output_folder(__doc__)
+    update_between_markers(docs / "grids.md", grids(), "grids")
+    update_between_markers(docs / "grids.md", transfer({suite: played(suite) for suite in SUITES}), "transfer")
