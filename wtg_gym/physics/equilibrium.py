@@ -89,24 +89,25 @@ def _curtail(
 ) -> None:
     """Find the common factor on k with which the WTG groups alone meet the load, by halving its range.
 
-    `lacking` is what the slack bus lacks with a factor of 1 [p.u.].
+    `lacking` is what the slack bus lacks with a factor of 1 [p.u.]. Far more than the load has no power flow: it counts as
+    too much.
     """
     at, scratch = network.facts.starts + OF_STARTING_LANE.curtailment, arrays[1]
     failure = network.facts.starts + OF_STARTING_LANE.start_failure
     low, high = _LEAST_CURTAILMENT, 1.0
     if scratch[failure, 0] == 0.0 and lacking > POWER_FLOW_TOLERANCE:
         scratch[failure, 0] = _SHORTAGE
-    while scratch[failure, 0] == 0.0 and abs(lacking) > POWER_FLOW_TOLERANCE:
+    while scratch[failure, 0] in (0.0, _DIVERGED) and not abs(lacking) <= POWER_FLOW_TOLERANCE:
         middle = 0.5 * (low + high)
         if middle in (low, high):
             break
-        scratch[at, 0] = middle
+        scratch[at, 0], scratch[failure, 0] = middle, 0.0
         lacking = _plan_flow(arrays, buses, y, network)
         if lacking > 0.0:
             low = middle
         else:
             high = middle
-    if scratch[failure, 0] == 0.0 and abs(lacking) > _BALANCED:
+    if scratch[failure, 0] == 0.0 and not abs(lacking) <= _BALANCED:
         scratch[failure, 0] = _DIVERGED
 
 
