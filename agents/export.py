@@ -57,11 +57,12 @@ def export(
 def _model_card(run: Run, best: Mapping[str, float], name: str, authors: Sequence[str], content: bytes) -> str:
     """Return the README.md of an exported policy; `best` is its row of the run's curve, `content` its policy.onnx."""
     settings, provenance = run.settings, run.provenance
-    benchmark = get_suite(settings.suite).benchmark
+    suite = get_suite(settings.suite)
+    benchmark = suite.benchmark
     changes = [change for process in run.resumptions for change in process["differences"]]
     facts = {
         "actions": f"`{settings.action_mode}` of `{settings.strategy}`, deterministic",
-        "observations": f"`{settings.observation_mode}` of `{benchmark.env_id}`, suite `{settings.suite}`",
+        "observations": f"`{settings.observation_mode}` of `{suite.env_id}`, suite `{settings.suite}`",
         "steps": f"{best['timesteps']:,} of {settings.timesteps:,}",
         "changed by a resumption": "; ".join(changes) or "nothing",
         "validation score": f"{best['score']:.1f} on {settings.validation_episodes} scenarios "

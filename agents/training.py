@@ -171,7 +171,7 @@ def entry_values(settings: RunSettings, timesteps: int, name: str = "", descript
         "action_mode": settings.action_mode,
         "observation_mode": settings.observation_mode,
         "training_seed": settings.seed,
-        "environment": get_suite(settings.suite).benchmark.env_id,
+        "environment": get_suite(settings.suite).env_id,
     }
     values |= {} if settings.strategy == REFERENCE_STRATEGY else {"strategy": settings.strategy}
     check_not_built_in("the entry's name", values["name"])

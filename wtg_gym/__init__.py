@@ -1,7 +1,7 @@
 """Grid-forming wind turbine generators in a power grid, as a Gymnasium benchmark.
 
-Importing this package registers `GFMWTG-14bus-v0`, `GFMWTG-14bus-v1`, and `GFMWTG-v1` for any grid. The environments' classes and what scores a
-policy are loaded, with the numerical packages that they need, when they are first used.
+Importing this package registers `GFMWTG-14bus-v0`, `GFMWTG-14bus-v1`, and `GFMWTG-v1` for any grid. The environments'
+classes and what scores a policy are loaded, with the numerical packages that they need, when they are first used.
 """
 
 import warnings

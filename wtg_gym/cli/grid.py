@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
@@ -13,9 +15,8 @@ from wtg_gym.evaluation.screening import screened
 from wtg_gym.grids.andes import convert, grid_of
 from wtg_gym.grids.describe import describe_equilibrium, describe_grid
 from wtg_gym.grids.wind import with_wind
-from wtg_gym.physics.grid import get_grid, grid_text
+from wtg_gym.physics.grid import data_of, get_grid, grid_text, text_of
 from wtg_gym.progress import Progress
-from wtg_gym.scenarios.grid_suite import suite_text
 
 app = App(name="grid", help="grids of your own: bring one in, check it, make a suite of scenarios for it")
 
@@ -83,6 +84,8 @@ def suite(grid: str, /, *, output: JsonFile) -> int:
       wtg-gym evaluate --suite my_suite.json
     """
     with Progress("rounds") as progress:
-        made = screened(grid, progress.update)
-    write_and_say(output, suite_text(made))
+        made = screened(grid, output.stem, progress.update)
+    # A file of a grid is looked for from the suite's folder.
+    own = Path(os.path.relpath(grid, output.parent)).as_posix() if grid.endswith(".json") else grid
+    write_and_say(output, text_of(data_of(replace(made, grid=own))))
     return 0

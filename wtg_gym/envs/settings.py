@@ -10,6 +10,7 @@ from typing import Any, TypedDict
 import numpy as np
 
 from wtg_gym.physics.checked import Checked, design
+from wtg_gym.physics.grid import DEFAULT_GRID
 from wtg_gym.physics.parameters import WtgGroup, default_groups
 from wtg_gym.physics.plant import PHYSICS, SIMULATION_DT_RANGE, PlantSettings
 from wtg_gym.physics.scenario import SERIES_DT, Scenario
@@ -189,7 +190,9 @@ class EnvSettings:
         if self.grid is not None:
             if suite is not None:
                 raise ValueError("a suite names its grid; give grid or suite, not both")
-            suite = suite_of_grid(self.grid)
+            suite = suite_of_grid(self.grid) if self.grid != DEFAULT_GRID else None
+            # The suite stands for it from here on.
+            object.__setattr__(self, "grid", None)
         if suite is None:
             suite = DEFAULT_SUITE if self.version is None else "standard"
         if isinstance(suite, str) and self.version not in (None, "v0") and f"{suite}-{self.version}" in SUITES:
@@ -208,6 +211,11 @@ class EnvSettings:
             object.__setattr__(self, "simulation_dt", found.plant.simulation_dt)
         if self.physics is None:
             object.__setattr__(self, "physics", found.plant.physics)
+
+    @property
+    def env_id(self) -> str:
+        """Id of the environment."""
+        return get_suite(self.suite).env_id
 
     def benchmark(self) -> Benchmark:
         """Return the version of the benchmark."""

@@ -162,7 +162,7 @@ class Results:
     @property
     def name(self) -> str:
         """Return the files' name without ending."""
-        return f"{self.suite}-{self.split}"
+        return f"{get_suite(self.suite).name}-{self.split}"
 
     def episodes_of(self, name: str) -> list[Episode]:
         """Return the episodes of an entry.

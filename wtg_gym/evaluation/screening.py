@@ -10,6 +10,7 @@ from typing import Any, TypeVar
 import numpy as np
 import numpy.typing as npt
 
+from wtg_gym.physics.grid import get_grid
 from wtg_gym.physics.plant import PlantSettings
 from wtg_gym.physics.protection import Status
 from wtg_gym.physics.scenario import (
@@ -24,7 +25,7 @@ from wtg_gym.physics.scenario import (
 from wtg_gym.physics.simulator import Simulator
 from wtg_gym.physics.start_errors import StartError
 from wtg_gym.physics.tracking_law import group_laws
-from wtg_gym.scenarios.grid_suite import GridSuite, unscreened
+from wtg_gym.scenarios.grid_suite import GridSuite, all_places, unscreened
 from wtg_gym.scenarios.strata import Places
 
 Place = TypeVar("Place")
@@ -64,7 +65,7 @@ _CLEARED_S = 0.2
 _N_TRIED, _LOST = 150, 0.01
 _SMALLER, _LEAST_SIZE = 0.85, 0.1
 #: Step in which loads are lowered.
-_LESS_LOAD = 0.05
+_LESS_LOAD, _LEAST_LOAD = 0.05, 0.4
 
 
 def survivable(own: GridSuite, on_progress: Callable[[str, float, int], object]) -> Places:
@@ -103,19 +104,28 @@ def survivable(own: GridSuite, on_progress: Callable[[str, float, int], object])
     )
 
 
-def screened(grid: str, on_progress: Callable[[str, float, int], object]) -> GridSuite:
+def screened(grid: str, name: str, on_progress: Callable[[str, float, int], object]) -> GridSuite:
     """Return a suite of a grid whose events some law survives, and whose sizes leave few scenarios that none does.
 
     Loads are lowered until every operating point starts under all laws, then events are made smaller.
 
+    Args:
+        grid: its name, or the path of its file.
+        name: of the suite, without version; its scenarios are drawn by it.
+
     Raises:
-        ValueError: no size is small enough.
+        ValueError: no load or no size is small enough.
     """
-    own = unscreened(grid)
+    own = dataclasses.replace(unscreened(grid), name=name)
+    case = get_grid(grid).with_groups
     while not _starts(own):
-        low, high = own.load_level
-        own = dataclasses.replace(own, load_level=(round(low - _LESS_LOAD, 2), round(high - _LESS_LOAD, 2)))
-        on_progress(f"load level at most {own.load_level[1]:g}", 1, 1)
+        low, high = (round(level - _LESS_LOAD, 2) for level in own.load_level)
+        if low < _LEAST_LOAD:
+            raise ValueError(
+                f"grid {grid!r} has no equilibrium in some winds at {100.0 * low:.0f} % of its load too"
+            )
+        own = dataclasses.replace(own, load_level=(low, high), places=all_places(case, low))
+        on_progress(f"load level at most {high:g}", 1, 1)
     own = dataclasses.replace(own, places=survivable(own, on_progress))
     plant = own.suite.plant.settings(classical=False, trips_groups=True)
     while True:

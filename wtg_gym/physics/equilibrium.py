@@ -89,8 +89,7 @@ def _curtail(
 ) -> None:
     """Find the common factor on k with which the WTG groups alone meet the load, by halving its range.
 
-    `lacking` is what the slack bus lacks with a factor of 1 [p.u.]. Far more than the load has no power flow: it counts as
-    too much.
+    `lacking` is what the slack bus lacks with a factor of 1 [p.u.]. Where there is no power flow, there is too much.
     """
     at, scratch = network.facts.starts + OF_STARTING_LANE.curtailment, arrays[1]
     failure = network.facts.starts + OF_STARTING_LANE.start_failure

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, get_args, get_type_hints
 
-from wtg_gym.files import read_json
+from wtg_gym.files import read_json, sha256
 from wtg_gym.physics.checked import Checked
 from wtg_gym.physics.control_parameters import (
     BoilerGovernorParameters,
@@ -97,12 +97,16 @@ def get_grid(name: str) -> Grid:
     Raises:
         ValueError: the name is unknown, or the file is damaged; the message says what is wrong.
     """
-    if name.endswith(".json"):
-        path = Path(name)
-        return read_grid(path, path.stat().st_mtime_ns if path.exists() else 0)
-    if name not in known_grids():
+    path = Path(name) if name.endswith(".json") else FOLDER / f"{name}.json"
+    if path.parent == FOLDER and not path.exists():
         raise ValueError(f"unknown grid {name!r}; known grids: {', '.join(known_grids())}, or the path of a .json file")
-    return read_grid(FOLDER / f"{name}.json")
+    return read_grid(path.resolve(), modified(name))
+
+
+def modified(name: str) -> int:
+    """Return when a file was changed last [ns], so that what is kept of it can be told from it; 0 for a name."""
+    path = Path(name)
+    return path.stat().st_mtime_ns if name.endswith(".json") and path.exists() else 0
 
 
 @functools.lru_cache(maxsize=64)
@@ -111,6 +115,8 @@ def read_grid(path: Path, _changed: int = 0) -> Grid:
     data = read_json(path, "grid")
     try:
         own = {field.name for field in dataclasses.fields(Grid)} - {"case"}
+        if not isinstance(data, dict):
+            raise ValueError("it must hold an object")
         case = {key: value for key, value in data.items() if key not in own}
         grid: Grid = record_of(Grid, {"case": case, **{key: value for key, value in data.items() if key in own}})
     except (KeyError, TypeError, ValueError) as error:
@@ -144,9 +150,19 @@ def _value(kind: Any, value: Any) -> Any:
 
 
 def grid_text(grid: Grid) -> str:
-    """Return a grid as its file: what is not as the defaults say, a record per line."""
+    """Return a grid as its file: what is not as the defaults say."""
     data = {**data_of(grid), **data_of(grid.case)}
     del data["case"]
+    return text_of(data)
+
+
+def digest_of_grid(name: str) -> str:
+    """Return the sha256 of what is in a grid, so that a hash does not depend on where its file lies."""
+    return sha256(grid_text(get_grid(name)).encode())
+
+
+def text_of(data: Mapping[str, Any]) -> str:
+    """Return an object as JSON with a line for each value, and for each record of a list."""
     written = functools.partial(json.dumps, ensure_ascii=False, allow_nan=False)
     lines = []
     for key, value in data.items():

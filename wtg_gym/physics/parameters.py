@@ -11,6 +11,7 @@ import functools
 import math
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from wtg_gym.physics.checked import Checked, describe, design, parameter
 from wtg_gym.physics.rotor_table import RotorTable, read_rotor_table
@@ -328,6 +329,11 @@ class WtgGroup(Checked):
     turbine: TurbineParameters | None = dataclasses.field(
         default=None, metadata=describe("-", "design", "its turbines, None for the plant's")
     )
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the group as JSON-ready data, with its turbine if it has one of its own."""
+        own = {} if self.turbine is None else {"turbine": dataclasses.asdict(self.turbine)}
+        return {"bus": int(self.bus), "n_turbines": float(self.n_turbines), **own}
 
 
 def default_groups(n_groups: int = 2, bus: int = 2) -> tuple[WtgGroup, ...]:

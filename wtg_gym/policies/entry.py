@@ -10,9 +10,8 @@ from typing import Any, Protocol, runtime_checkable
 
 from wtg_gym.envs.settings import EnvSettings
 from wtg_gym.files import sha256
-from wtg_gym.physics.grid import DEFAULT_GRID
 from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY, TrackingLaw, get_law
-from wtg_gym.scenarios.benchmark import ANCHOR_NAMES, BENCHMARKS
+from wtg_gym.scenarios.benchmark import ANCHOR_NAMES, ANY_GRID, BENCHMARKS, V1
 from wtg_gym.scenarios.suite import Suite
 
 #: What entries of one name must agree on, as they share a row.
@@ -85,9 +84,10 @@ class Entry:
                 f"per_group of entry {name!r} must be true or false, and true with local observations alone, got "
                 f"{self.per_group!r}"
             )
-        if self.environment not in (None, *BENCHMARKS):
+        if self.environment not in (None, ANY_GRID, *BENCHMARKS):
             raise ValueError(
-                f"environment of entry {name!r} must be one of {', '.join(BENCHMARKS)}, got {self.environment!r}"
+                f"environment of entry {name!r} must be one of {', '.join((*BENCHMARKS, ANY_GRID))}, got "
+                f"{self.environment!r}"
             )
         if self.policy is not None and not is_policy(self.policy):
             raise ValueError(
@@ -189,18 +189,17 @@ def check_entries(entries: Sequence[Entry]) -> None:
 def check_version(entries: Sequence[Entry], suite: Suite) -> None:
     """Raise a ValueError if an entry's policy takes observations of another version, or of another grid's groups."""
     benchmark = suite.benchmark
+    moving = (V1.env_id, ANY_GRID) if benchmark is V1 else ()
     for entry in entries:
-        elsewhere = entry.environment is not None and suite.plant.grid != DEFAULT_GRID
-        if elsewhere and entry.policy is not None and not entry.per_group:
-            raise ValueError(
-                f"entry {entry.label!r} is for the groups of {entry.environment}; on other grids policies play that "
-                "have per_group = true in their entry.toml"
-            )
-        if entry.environment not in (None, benchmark.env_id):
-            raise ValueError(
-                f"entry {entry.label!r} is for {entry.environment}, these scenarios are of {benchmark.env_id}, "
-                "whose observations are others"
-            )
+        if entry.environment in (None, suite.env_id) or (entry.per_group and entry.environment in moving):
+            continue
+        # What is not a policy has no observations.
+        if entry.policy is None and entry.environment == benchmark.env_id:
+            continue
+        raise ValueError(
+            f"entry {entry.label!r} is for {entry.environment}, these scenarios are of {suite.env_id}, whose "
+            "observations are others; between grids move policies with per_group = true in their entry.toml"
+        )
 
 
 def row_conflict(one: Mapping[str, Any], two: Mapping[str, Any]) -> str | None:

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from types import MappingProxyType
 from typing import Any
 
-from wtg_gym.physics.grid import DEFAULT_GRID, get_grid
+from wtg_gym.physics.grid import DEFAULT_GRID, digest_of_grid, get_grid
 from wtg_gym.physics.machine_parameters import GovernorParameters
 from wtg_gym.physics.parameters import WtgGroup, default_groups
 from wtg_gym.physics.plant import PlantSettings, plant_settings
@@ -108,13 +108,18 @@ class SuitePlant:
             return self.generator_mva
         return sum(m.rating_mva for m in get_grid(self.grid).with_groups.machines if m.governor is not None)
 
+    @property
+    def constant_mw(self) -> float:
+        """What its machines without a governor give [MW]."""
+        machines = get_grid(self.grid).with_groups.machines
+        return sum(machine.dispatch_mw for machine in machines if machine.governor is None)
+
     def to_dict(self) -> dict[str, Any]:
         """Return the plant as JSON-ready data; suites of the IEEE 14-bus system keep the hashes that they had."""
-        data = dataclasses.asdict(self)
+        data = {**dataclasses.asdict(self), "groups": [group.to_dict() for group in self.groups]}
+        if self.grid != DEFAULT_GRID:
+            data["grid"] = digest_of_grid(self.grid)
         later = {"grid": DEFAULT_GRID, "simulation_dt": SuitePlant.simulation_dt}
-        for group in data["groups"]:
-            if group["turbine"] is None:
-                del group["turbine"]
         return {key: value for key, value in data.items() if key not in later or value != later[key]}
 
 
@@ -136,6 +141,8 @@ V1 = Benchmark(
     anchors=("coordinated-piecewise", "coordinated-tuned"),
 )
 
+#: Id of version v1 on other grids.
+ANY_GRID = "GFMWTG-v1"
 #: The versions by the id of their environment.
 BENCHMARKS: Mapping[str, Benchmark] = MappingProxyType({benchmark.env_id: benchmark for benchmark in (V0, V1)})
 #: Names that an entry fixes the scale with in some version; no other entry can have one.

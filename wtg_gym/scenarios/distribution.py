@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from wtg_gym.physics.checked import Checked, design, required
-from wtg_gym.physics.grid import DEFAULT_GRID, get_grid
+from wtg_gym.physics.grid import DEFAULT_GRID, digest_of_grid, get_grid
 from wtg_gym.physics.scenario import (
     LONGEST_RUN_S,
     SERIES_DT,
@@ -149,6 +149,7 @@ class ScenarioDistribution(Checked):
     )
     grid: str = design(DEFAULT_GRID, "-", "name of the grid, or path of its file")
     governor_loss_buses: tuple[int, ...] = design((1,), "-", "buses of machines of which one loses its governor")
+    constant_mw: float = design(0.0, "MW", "what machines without a governor give", 0.0, 1e6)
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -195,14 +196,15 @@ class ScenarioDistribution(Checked):
     def to_dict(self) -> dict[str, Any]:
         """Return every setting as JSON-ready data; the keyword arguments to build the distribution again.
 
-        Settings that older suites do not have are left out where they do nothing, so that those keep their hashes.
+        Settings that older suites do not have are left out where they do nothing, so that those keep their hashes. A
+        digest of what is in the grid stands in its place.
         """
         data = dataclasses.asdict(self)
         names = list(data)
         for name in names[names.index("wind_share") :]:
             if data[name] == getattr(type(self), name):
                 del data[name]
-        return data
+        return data | {"grid": digest_of_grid(self.grid)} if "grid" in data else data
 
     def draw(self, seed: int, *given: Any) -> Scenario:
         """Draw the scenario of a seed; everything else as for :meth:`draw_many`."""
@@ -288,7 +290,7 @@ class ScenarioDistribution(Checked):
             return 1.0
         load_mw = plan.load_level * self._load_mw
         given = min(wind.share_of_load(winds, turbines, load_mw) for winds in (plan.mean_winds, first_winds.tolist()))
-        needed = (1.0 + LOSSES - given) * load_mw / (plan.machine_loading * self.generator_mva)
+        needed = ((1.0 + LOSSES - given) * load_mw - self.constant_mw) / (plan.machine_loading * self.generator_mva)
         return min(max(needed, LEAST_COMMITTED), 1.0)
 
     @property

@@ -167,6 +167,7 @@ def suite_of_strata(
         "machine_outage_buses": places.machine_buses,
         "governor_loss_buses": places.governor_buses,
         "grid": plant.grid,
+        "constant_mw": plant.constant_mw,
     }
     of_kinds: dict[str, dict[str, Any]] = {
         "machine": {"machine_outage_buses": places.generator_buses},

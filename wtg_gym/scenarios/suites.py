@@ -212,7 +212,7 @@ SUITES: Mapping[str, Suite] = MappingProxyType(
             ),
             _PAPER_V1,
             # Made by `wtg-gym grid suite`.
-            *(read_suite(str(path)).suite for path in sorted((FOLDER / "suites").glob("*.json"))),
+            *(read_suite(path).suite for path in sorted((FOLDER / "suites").glob("*.json"))),
         )
     }
 )
