@@ -62,8 +62,8 @@ _N_POINTS, _STRIKES_S, _AFTERWARDS_S = 6, 1.0, 30.0
 #: How long a short circuit lasts [s].
 _CLEARED_S = 0.2
 #: Scenarios that sizes are tried on, and the largest share of them that no law survives.
-_N_TRIED, _LOST = 150, 0.01
-_SMALLER, _LEAST_SIZE = 0.85, 0.1
+_N_TRIED, _LOST = 300, 0.01
+_SMALLER, _LEAST_SIZE = 0.9, 0.1
 #: Step in which loads are lowered.
 _LESS_LOAD, _LEAST_LOAD = 0.05, 0.4
 
