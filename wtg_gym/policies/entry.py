@@ -188,13 +188,11 @@ def check_entries(entries: Sequence[Entry]) -> None:
 
 def check_version(entries: Sequence[Entry], suite: Suite) -> None:
     """Raise a ValueError if an entry's policy takes observations of another version, or of another grid's groups."""
-    benchmark = suite.benchmark
-    moving = (V1.env_id, ANY_GRID) if benchmark is V1 else ()
+    moving = (V1.env_id, ANY_GRID) if suite.benchmark is V1 else ()
     for entry in entries:
-        if entry.environment in (None, suite.env_id) or (entry.per_group and entry.environment in moving):
-            continue
-        # What is not a policy has no observations.
-        if entry.policy is None and entry.environment == benchmark.env_id:
+        # A law has no observations, and what was made by hand takes those of any number of groups.
+        moves = entry.per_group or not entry.learned or entry.policy is None
+        if entry.environment in (None, suite.env_id) or (moves and entry.environment in moving):
             continue
         raise ValueError(
             f"entry {entry.label!r} is for {entry.environment}, these scenarios are of {suite.env_id}, whose "

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property, lru_cache
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -85,7 +85,7 @@ class GridSuite(Checked):
     load_level: Span = design(_LOAD_LEVEL, "-", "factor on the loads of the case", 0.3, 1.5)
     simulation_dt: float = design(0.025, "s", "step of the integration", *SIMULATION_DT_RANGE)
 
-    @cached_property
+    @property
     def suite(self) -> Suite:
         """The suite."""
         case = get_grid(self.grid).case
