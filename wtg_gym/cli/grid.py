@@ -32,11 +32,12 @@ def import_grid(
         tuple[int, ...],
         Parameter(
             consume_multiple=True,
-            help="buses whose machines turbines replace; default: the largest, up to 60 % of the power",
+            help="buses whose machines turbines of 5 MW replace, rated for 2.1 times what these give; default: the "
+            "largest, up to 60 % of the power (turbines of up to 1.25 times the load)",
         ),
     ] = (),
     substitute: Annotated[
-        Flag, Parameter(help="put typical controls in the place of models that are not here")
+        Flag, Parameter(help="put typical controls in the place of models that are not here, or leave those out")
     ] = False,
     andes: Annotated[str, Parameter(help="the command of ANDES")] = "andes",
 ) -> int:
@@ -44,7 +45,8 @@ def import_grid(
 
     ANDES reads it (https://docs.andes.app; `pip install andes`, in an environment of its own if you like): RAW of
     versions 32 to 34 with DYR, xlsx, json, and MATPOWER's .m, whose machines are typical ones. What was repaired or
-    replaced is said, and stands in the file.
+    replaced is said, and stands in the file; so are the numbers of buses that have names. A phase shifter counts as a
+    model that is not here, and is taken as none when that is asked for.
 
     examples:
       wtg-gym grid import ieee39.raw --dynamic ieee39.dyr --output ieee39.json

@@ -60,7 +60,7 @@ def describe_equilibrium(grid: Grid) -> Iterator[Line]:
     keep = moving_states(matrix, rows, layout)
     yield "equilibrium", f"largest rate {np.abs(simulator.rates()[keep]).max():.1e} p.u./s"
     values = np.linalg.eigvals(matrix[np.ix_(keep, keep)])
-    swings = [(-value.real / abs(value), value.imag / (2.0 * math.pi)) for value in values]
+    swings = [(-value.real / abs(value), value.imag / (2.0 * math.pi)) for value in values if value]
     between = sorted((damping, hertz) for damping, hertz in swings if _MODES_HZ[0] < hertz < _MODES_HZ[1])
     for damping, hertz in between[:3]:
         yield "mode", f"{hertz:.2f} Hz, damped by {100.0 * damping:.1f} %"
