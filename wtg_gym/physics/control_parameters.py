@@ -6,6 +6,7 @@ A time constant of 0 s takes its block away, except where its range says otherwi
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 from wtg_gym.physics.checked import Checked, design, parameter
 
@@ -24,6 +25,8 @@ def _requires_lag(record: Checked, *pairs: tuple[str, str]) -> None:
 class SpeedStabiliserParameters(Checked):
     """STAB1: a washout of the speed deviation, two lead-lags, a limit."""
 
+    MODEL = "STAB1"
+
     gain: float = design(20.0, "p.u./p.u.", "gain K of the washed out speed; K/T in the data of PSS/E", 0.0, 1e4)
     washout_time_s: float = design(10.0, "s", "T of the washout", 1e-3, 1e4)
     lead_time_1_s: float = design(0.05, "s", "T_1 of the first lead-lag", 0.0, 1e4)
@@ -41,9 +44,9 @@ class SpeedStabiliserParameters(Checked):
 class FilterStabiliserParameters(Checked):
     """IEEEST with the speed deviation as its input: a filter, two lead-lags, a washout, limits."""
 
+    MODEL = "IEEEST"
     RISING = ("signal_min_pu", "signal_max_pu")
 
-    input_mode: int = parameter(1, "-", "ANDES", "input; 1, the speed deviation, is the only one here", 1, 6)
     filter_a1_s: float = parameter(1.0, "s", "ANDES", "A_1 of the filter's first denominator", 0.0, 1e3)
     filter_a2_s2: float = parameter(1.0, "s²", "ANDES", "A_2 of the filter's first denominator", 0.0, 1e3)
     filter_a3_s: float = parameter(1.0, "s", "ANDES", "A_3 of the filter's second denominator", 0.0, 1e3)
@@ -68,9 +71,6 @@ class FilterStabiliserParameters(Checked):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        name = type(self).__name__
-        if self.input_mode != 1:
-            raise ValueError(f"{name}: input_mode = {self.input_mode} is not known; 1, the speed deviation, is")
         _requires_lag(self, ("lead_time_1_s", "lag_time_1_s"), ("lead_time_2_s", "lag_time_2_s"))
         first, second, numerator = (
             2 if square != 0.0 else 1 if linear != 0.0 else 0
@@ -82,8 +82,8 @@ class FilterStabiliserParameters(Checked):
         )
         if numerator > (second or first):
             raise ValueError(
-                f"{name}: the filter's numerator 1 + A_5 s + A_6 s² has degree {numerator}; its denominator "
-                f"1 + A_3 s + A_4 s², or without that 1 + A_1 s + A_2 s², has only {second or first}"
+                f"{type(self).__name__}: the filter's numerator 1 + A_5 s + A_6 s² has degree {numerator}; its "
+                f"denominator 1 + A_3 s + A_4 s², or without that 1 + A_1 s + A_2 s², has only {second or first}"
             )
 
 
@@ -91,6 +91,7 @@ class FilterStabiliserParameters(Checked):
 class SaturatingExciterParameters(Checked):
     """IEEET1: a voltage regulator with a non-windup limit, a saturating dc exciter, rate feedback."""
 
+    MODEL = "IEEET1"
     RISING = ("regulator_min_pu", "regulator_max_pu")
 
     sensing_time_s: float = parameter(0.02, "s", "ANDES", "T_R of the voltage measurement", 0.0, 1e4)
@@ -112,6 +113,8 @@ class SaturatingExciterParameters(Checked):
 class LeadLagExciterParameters(SaturatingExciterParameters):
     """IEEEX1: IEEET1 with a lead-lag before the regulator."""
 
+    MODEL = "IEEEX1"
+
     lead_time_s: float = parameter(1.0, "s", "ANDES", "T_C of the lead-lag", 0.0, 1e4)
     lag_time_s: float = parameter(1.0, "s", "ANDES", "T_B of the lead-lag", 0.0, 1e4)
 
@@ -120,18 +123,16 @@ class LeadLagExciterParameters(SaturatingExciterParameters):
         _requires_lag(self, ("lead_time_s", "lag_time_s"))
 
 
-def _dead_band() -> float:
+def dead_band() -> Any:
     """Return the field that every governor has."""
-    dead_band: float = design(
-        0.0, "p.u.", "speed deviation that the governor does not see, without a step at its edge", 0.0, 0.5
-    )
-    return dead_band
+    return design(0.0, "p.u.", "speed deviation that the governor does not see, without a step at its edge", 0.0, 0.5)
 
 
 @dataclass(frozen=True, kw_only=True)
 class BoilerGovernorParameters(Checked):
     """IEEEG1: a lead-lag, a valve with limits of speed and opening, four passes of steam; one shaft."""
 
+    MODEL = "IEEEG1"
     RISING = ("gate_min_pu", "gate_max_pu")
 
     droop_pu: float = parameter(0.05, "p.u.", "ANDES", "droop on the machine base, 1/K", 1e-4, 1e3)
@@ -150,7 +151,7 @@ class BoilerGovernorParameters(Checked):
     fraction_2: float = parameter(0.5, "-", "ANDES", "K_3, after the second", 0.0, 10.0)
     fraction_3: float = parameter(0.0, "-", "ANDES", "K_5, after the third", 0.0, 10.0)
     fraction_4: float = parameter(0.0, "-", "ANDES", "K_7, after the fourth", 0.0, 10.0)
-    dead_band_pu: float = _dead_band()
+    dead_band_pu: float = dead_band()
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -163,6 +164,7 @@ class BoilerGovernorParameters(Checked):
 class ReheatGovernorParameters(Checked):
     """IEESGO: a lag, a lead-lag, a limit, three stages of steam."""
 
+    MODEL = "IEESGO"
     RISING = ("gate_min_pu", "gate_max_pu")
 
     droop_pu: float = design(0.05, "p.u.", "droop on the machine base, 1/K_1", 1e-4, 1e3)
@@ -176,7 +178,7 @@ class ReheatGovernorParameters(Checked):
     fraction_3: float = design(0.5, "-", "K_3, share of that behind the crossover", -10.0, 10.0)
     gate_min_pu: float = parameter(0.0, "p.u.", "ANDES", "least order P_min", -1e6, 1e6)
     gate_max_pu: float = parameter(5.0, "p.u.", "ANDES", "largest order P_max", -1e6, 1e6)
-    dead_band_pu: float = _dead_band()
+    dead_band_pu: float = dead_band()
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -187,6 +189,7 @@ class ReheatGovernorParameters(Checked):
 class GasGovernorParameters(Checked):
     """GAST: a gas turbine whose valve has limits, with a limit of the exhaust temperature."""
 
+    MODEL = "GAST"
     RISING = ("gate_min_pu", "gate_max_pu")
 
     droop_pu: float = parameter(0.05, "p.u.", "ANDES", "droop R on the machine base", 1e-4, 1e3)
@@ -198,4 +201,4 @@ class GasGovernorParameters(Checked):
     gate_min_pu: float = parameter(0.0, "p.u.", "ANDES", "least valve opening V_min", -1e6, 1e6)
     gate_max_pu: float = parameter(1.2, "p.u.", "ANDES", "largest valve opening V_max", -1e6, 1e6)
     turbine_damping_pu: float = parameter(0.0, "p.u./p.u.", "ANDES", "damping D_t of the turbine", 0.0, 1e4)
-    dead_band_pu: float = _dead_band()
+    dead_band_pu: float = dead_band()

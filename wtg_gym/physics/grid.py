@@ -13,20 +13,7 @@ from typing import Any, get_args, get_type_hints
 
 from wtg_gym.files import read_json, sha256
 from wtg_gym.physics.checked import Checked
-from wtg_gym.physics.control_parameters import (
-    BoilerGovernorParameters,
-    FilterStabiliserParameters,
-    GasGovernorParameters,
-    LeadLagExciterParameters,
-    ReheatGovernorParameters,
-    SaturatingExciterParameters,
-    SpeedStabiliserParameters,
-)
-from wtg_gym.physics.machine_parameters import (
-    ExciterParameters,
-    GovernorParameters,
-    HydroGovernorParameters,
-)
+from wtg_gym.physics.machine_parameters import AnyExciter, AnyGovernor, AnyStabiliser
 from wtg_gym.physics.network import NetworkCase
 from wtg_gym.physics.parameters import WtgGroup
 from wtg_gym.ranges import require_known
@@ -37,18 +24,7 @@ FOLDER = Path(__file__).parents[1] / "grids"
 DEFAULT_GRID = "ieee14"
 #: Controls of a machine by the name that stands in a file.
 MODELS: Mapping[str, type[Any]] = types.MappingProxyType(
-    {
-        "SEXS": ExciterParameters,
-        "IEEET1": SaturatingExciterParameters,
-        "IEEEX1": LeadLagExciterParameters,
-        "TGOV1": GovernorParameters,
-        "HYGOV": HydroGovernorParameters,
-        "IEEEG1": BoilerGovernorParameters,
-        "IEESGO": ReheatGovernorParameters,
-        "GAST": GasGovernorParameters,
-        "STAB1": SpeedStabiliserParameters,
-        "IEEEST": FilterStabiliserParameters,
-    }
+    {each.MODEL: each for control in (AnyExciter, AnyGovernor, AnyStabiliser) for each in get_args(control)}
 )
 
 

@@ -12,9 +12,9 @@ the second part of the filter away where A_4 is 0, the numerator keeps its effec
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
-from wtg_gym.physics.control_blocks import inverse, lag, lead_lag
+from wtg_gym.physics.control_blocks import Constants, inverse, lag, lead_lag
 from wtg_gym.physics.control_parameters import FilterStabiliserParameters
 from wtg_gym.physics.machine_controls import stabiliser
 from wtg_gym.systems.elementary import clip, select
@@ -26,27 +26,6 @@ class Denominator(NamedTuple):
     linear: float  # A [s]
     inv_linear: float  # 1/A where B is 0 [1/s]; 0 for no denominator, or one of the second degree
     inv_square: float  # 1/B [1/s²]; 0 for one of the first degree, or none
-
-
-class Ieeest(NamedTuple):
-    """Constants."""
-
-    machine: int  # whose stabiliser it is
-    first: Denominator  # A_1, A_2
-    second: Denominator  # A_3, A_4
-    numerator_1: float  # A_5 [s]
-    numerator_2: float  # A_6 [s²]
-    lead_time_1: float  # T_1 [s]
-    inv_lag_time_1: float  # 1/T_2 [1/s]
-    lead_time_2: float  # T_3 [s]
-    inv_lag_time_2: float  # 1/T_4 [1/s]
-    gain: float  # K_S [p.u./p.u.]
-    washout_ratio: float  # T_5 / T_6; 0 for a lag
-    inv_washout_time: float  # 1/T_6 [1/s]
-    low: float  # L_Smin [p.u.]
-    high: float  # L_Smax [p.u.]
-    voltage_min: float  # V_CL [p.u.], -∞ for none
-    voltage_max: float  # V_CU [p.u.], ∞ for none
 
 
 class IeeestState(NamedTuple):
@@ -65,26 +44,13 @@ def _denominator(linear: float, square: float) -> Denominator:
     return Denominator(linear, 0.0 if square else inverse(linear), inverse(square))
 
 
-def ieeest_constants(machine: int, p: FilterStabiliserParameters) -> Ieeest:
-    """Return the constants of the stabiliser of a machine, given by its index."""
-    return Ieeest(
-        machine=machine,
-        first=_denominator(p.filter_a1_s, p.filter_a2_s2),
-        second=_denominator(p.filter_a3_s, p.filter_a4_s2),
-        numerator_1=p.filter_a5_s,
-        numerator_2=p.filter_a6_s2,
-        lead_time_1=p.lead_time_1_s,
-        inv_lag_time_1=inverse(p.lag_time_1_s),
-        lead_time_2=p.lead_time_2_s,
-        inv_lag_time_2=inverse(p.lag_time_2_s),
-        gain=p.gain,
-        washout_ratio=p.washout_gain_s / p.washout_time_s,
-        inv_washout_time=1.0 / p.washout_time_s,
-        low=p.signal_min_pu,
-        high=p.signal_max_pu,
-        voltage_min=p.voltage_min_pu or -math.inf,
-        voltage_max=p.voltage_max_pu or math.inf,
-    )
+def _besides(p: FilterStabiliserParameters) -> dict[str, Any]:
+    return {
+        "first": _denominator(p.filter_a1_s, p.filter_a2_s2),
+        "second": _denominator(p.filter_a3_s, p.filter_a4_s2),
+        "voltage_min": p.voltage_min_pu or -math.inf,
+        "voltage_max": p.voltage_max_pu or math.inf,
+    }
 
 
 def _divided(
@@ -104,23 +70,23 @@ def _divided(
     )
 
 
-def ieeest_rates(s: IeeestState, deviation: float, voltage: float, c: Ieeest) -> tuple[IeeestState, float]:
+def ieeest_rates(s: IeeestState, deviation: float, voltage: float, c: Any) -> tuple[IeeestState, float]:
     """Return the rates and the signal [p.u.] at a speed deviation ω - 1 and a terminal voltage [p.u.]."""
     slope_1, filter_1, once = _divided(s.slope_1, s.filter_1, deviation, 0.0, 0.0, c.first)
     slope_2, filter_2, twice = _divided(s.slope_2, s.filter_2, once, filter_1, slope_1, c.second)
-    filtered = twice + c.numerator_1 * filter_2 + c.numerator_2 * slope_2
-    first, led = lead_lag(s.lead_lag_1, filtered, c.lead_time_1, c.inv_lag_time_1)
-    second, led = lead_lag(s.lead_lag_2, led, c.lead_time_2, c.inv_lag_time_2)
+    filtered = twice + c.filter_a5_s * filter_2 + c.filter_a6_s2 * slope_2
+    first, led = lead_lag(s.lead_lag_1, filtered, c.lead_time_1_s, c.inv_lag_time_1)
+    second, led = lead_lag(s.lead_lag_2, led, c.lead_time_2_s, c.inv_lag_time_2)
     washout, slow = lag(s.washout, c.gain * led, c.inv_washout_time)
-    washed = select(c.washout_ratio > 0.0, c.washout_ratio * (c.gain * led - slow), slow)
+    washed = select(c.washout_gain_s > 0.0, c.washout_gain_s * washout, slow)
     acts = (c.voltage_min < voltage) & (voltage < c.voltage_max)
     rates = IeeestState(slope_1, filter_1, slope_2, filter_2, first, second, washout)
-    return rates, select(acts, clip(washed, c.low, c.high), 0.0)
+    return rates, select(acts, clip(washed, c.signal_min_pu, c.signal_max_pu), 0.0)
 
 
-def ieeest_start(deviation: float, c: Ieeest) -> IeeestState:
+def ieeest_start(deviation: float, c: Any) -> IeeestState:
     """Return the equilibrium at a constant speed deviation [p.u.]."""
     return IeeestState(0.0, deviation, 0.0, deviation, deviation, deviation, c.gain * deviation)
 
 
-IEEEST = stabiliser("stabilisers IEEEST", IeeestState, Ieeest, ieeest_constants, ieeest_rates, ieeest_start)
+IEEEST = stabiliser(Constants(FilterStabiliserParameters, besides=_besides), IeeestState, ieeest_rates, ieeest_start)

@@ -1,18 +1,20 @@
 """The synchronous machine: swing equation and GENROU's fluxes, with its exciter and its governor.
 
     δ̇ = ω_n (ω - ω_ref),    2H ω̇ = T_m - T_e - D (ω - 1),    T_e = p
-    T'_d0 Ė'_q = E_fd - E'_q - (x_d - x'_d)(i_d - γ_d2 (ψ_1d + (x'_d - x_l) i_d - E'_q))
-    T'_q0 Ė'_d = -E'_d + (x_q - x'_q)(i_q - γ_q2 (ψ_2q + (x'_q - x_l) i_q + E'_d))
+    T'_d0 Ė'_q = E_fd - E'_q - (x_d - x'_d)(i_d - γ_d2 (ψ_1d + (x'_d - x_l) i_d - E'_q)) - S E''_q
+    T'_q0 Ė'_d = -E'_d + (x_q - x'_q)(i_q - γ_q2 (ψ_2q + (x'_q - x_l) i_q + E'_d)) - S E''_d (x_q - x_l)/(x_d - x_l)
     T''_d0 ψ̇_1d = -(ψ_1d + (x'_d - x_l) i_d - E'_q),    T''_q0 ψ̇_2q = -(ψ_2q + (x'_q - x_l) i_q + E'_d)
 
     E''_q = γ_d E'_q + (1 - γ_d) ψ_1d,    E''_d = γ_q E'_d - (1 - γ_q) ψ_2q
     V_d = E''_d - r i_d + x'' i_q,    V_q = E''_q - r i_q - x'' i_d,    p = E''_d i_d + E''_q i_q
+    S = B (ψ - A)²/ψ for ψ > A,    ψ = √(E''_d² + E''_q²)
 
 with γ_d = (x'' - x_l)/(x'_d - x_l), γ_d2 = (x'_d - x'')/(x'_d - x_l)², and γ_q, γ_q2 alike; x''_q = x''_d = x''.
-Neglected are stator transients, the effect of speed on voltages, and saturation, but see
-:mod:`wtg_gym.physics.saturated_machine`; so the electrical torque T_e equals the air-gap power p [p.u.]. All values are
-on the system base, those of the governor on the machine's. Source: P. Sauer, M. Pai: Power System Dynamics and
-Stability, chapter 3 (subtransient model); P. Kundur: Power System Stability and Control, chapter 3.
+S is saturation by the flux ψ of the air gap, in plants that have any: A and B are those of the parabola through S(1.0)
+and S(1.2), see :mod:`wtg_gym.physics.saturation`. Neglected are stator transients and the effect of speed on voltages;
+so the electrical torque T_e equals the air-gap power p [p.u.]. All values are on the system base, those of the governor
+on the machine's. Source: P. Sauer, M. Pai: Power System Dynamics and Stability, chapter 3 (subtransient model);
+P. Kundur: Power System Stability and Control, chapter 3; saturation: GENROU of PSS/E, as ANDES defines it.
 """
 
 from __future__ import annotations
@@ -64,6 +66,13 @@ class RotorSaturation(NamedTuple):
 
     curve: Saturation
     q_weight: float  # of the q axis, (x_q - x_l)/(x_d - x_l)
+
+
+class Saturating(NamedTuple):
+    """What saturation takes from the voltages that drive both fluxes [p.u.]."""
+
+    d: float  # S E''_q
+    q: float  # S E''_d (x_q - x_l)/(x_d - x_l)
 
 
 class MachineState(NamedTuple):
@@ -144,6 +153,7 @@ def machine_rates(
     i_im: float,
     u: MachineInput,
     c: Machine,
+    iron: Saturating,
     reference_speed: float,
     omega_n: float,
 ) -> tuple[MachineState, MachineOutput]:
@@ -151,6 +161,7 @@ def machine_rates(
 
     Args:
         s, e, u, c: states, voltage behind x'', inputs, constants.
+        iron: what saturation takes.
         i_re, i_im: current into the network, in its frame [p.u.].
         reference_speed: of the first unit [p.u.].
         omega_n: nominal angular frequency ω_n [rad/s].
@@ -164,11 +175,12 @@ def machine_rates(
     lag_d = s.psi_1d + c.x_d_leak * i_d - s.e_q_transient
     lag_q = s.psi_2q + c.x_q_leak * i_q + s.e_d_transient
     field = s.exciter.field_voltage - s.e_q_transient - c.x_d_field * (i_d - c.gamma_d2 * lag_d)
+    damper = -s.e_d_transient + c.x_q_field * (i_q - c.gamma_q2 * lag_q)
     rates = MachineState(
         angle=omega_n * (s.speed - reference_speed),
         speed=u.inv_two_h * (torque - power - c.damping * (s.speed - 1.0)),
-        e_q_transient=c.inv_t_d0_transient * field,
-        e_d_transient=c.inv_t_q0_transient * (-s.e_d_transient + c.x_q_field * (i_q - c.gamma_q2 * lag_q)),
+        e_q_transient=c.inv_t_d0_transient * (field - iron.d),
+        e_d_transient=c.inv_t_q0_transient * (damper - iron.q),
         psi_1d=-c.inv_t_d0_subtransient * lag_d,
         psi_2q=-c.inv_t_q0_subtransient * lag_q,
         exciter=exciter_rates(s.exciter, u.voltage_reference - voltage, c.exciter),
@@ -214,7 +226,7 @@ def machine_start(
     i_re: float,
     i_im: float,
     c: Machine,
-    saturation: RotorSaturation | None = None,
+    saturation: RotorSaturation,
 ) -> tuple[MachineState, float, float]:
     """Return the equilibrium at a terminal, its V_ref and its gate reference.
 
@@ -224,32 +236,24 @@ def machine_start(
         power: [p.u.].
         v_re, v_im, magnitude: of the voltage [p.u.].
         i_re, i_im: of the current into the network [p.u.].
-        c: constants.
-        saturation: of the rotor; None for none.
+        c, saturation: constants.
     """
     # x'_d - x'' = (x'_d - x_l)(1 - γ_d), and likewise on the q axis.
     x_d_transient = c.internal_reactance + c.x_d_leak * (1.0 - c.gamma_d)
     x_q = c.internal_reactance + c.x_q_leak * (1.0 - c.gamma_q) + c.x_q_field
     axis_re, axis_im = v_re + (c.resistance * i_re - x_q * i_im), v_im + (c.resistance * i_im + x_q * i_re)
-    factor = 0.0
-    if saturation is not None:
-        # Saturation is that of the voltage behind x'', whose size the rotor's frame does not change.
-        r, x = c.resistance, c.internal_reactance
-        e_re, e_im = v_re + (r * i_re - x * i_im), v_im + (r * i_im + x * i_re)
-        factor = saturation_factor(e_re, e_im, saturation)
-        axis_re, axis_im = axis_re + factor * saturation.q_weight * e_re, axis_im + factor * saturation.q_weight * e_im
-    delta = math.atan2(axis_im, axis_re)
+    # Saturation is that of the voltage behind x'', whose size the rotor's frame does not change.
+    r, x = c.resistance, c.internal_reactance
+    e_re, e_im = v_re + (r * i_re - x * i_im), v_im + (r * i_im + x * i_re)
+    on_d = saturation_factor(e_re, e_im, saturation)
+    on_q = on_d * saturation.q_weight
+    delta = math.atan2(axis_im + on_q * e_im, axis_re + on_q * e_re)
     sine, cosine = math.sin(delta), math.cos(delta)
     i_d, i_q = i_re * sine - i_im * cosine, i_re * cosine + i_im * sine
     v_q = v_re * cosine + v_im * sine
     e_q_transient = v_q + c.resistance * i_q + x_d_transient * i_d
-    e_d_transient = c.x_q_field * i_q
-    field_voltage = e_q_transient + c.x_d_field * i_d
-    if saturation is not None:
-        v_d = v_re * sine - v_im * cosine
-        x_q_transient = x_q - c.x_q_field
-        e_d_transient = v_d + c.resistance * i_d - x_q_transient * i_q
-        field_voltage = field_voltage + factor * (v_q + c.resistance * i_q + c.internal_reactance * i_d)
+    e_d_transient = c.x_q_field * i_q - on_q * (e_re * sine - e_im * cosine)
+    field_voltage = e_q_transient + c.x_d_field * i_d + on_d * (e_re * cosine + e_im * sine)
     exciter, error = exciter_start(field_voltage, c.exciter)
     torque = power + c.resistance * (i_d * i_d + i_q * i_q)
     gate = torque / c.rating

@@ -8,22 +8,20 @@ field voltage and torque follow from states of the control and are no states of 
 
 from __future__ import annotations
 
-import math
+import importlib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
+from wtg_gym.physics.control_blocks import Constants
+from wtg_gym.physics.governor import gate_limits
 from wtg_gym.physics.machine import Machine, MachineInput, MachineVoltage, terminal_voltage
 from wtg_gym.physics.machine_unit import MACHINES
 from wtg_gym.physics.runge_kutta import moving
 from wtg_gym.physics.units import LANE, UNITS, Back, Phasor, StartFailure, noted
-from wtg_gym.systems.elementary import select
+from wtg_gym.systems.elementary import clip, select
 from wtg_gym.systems.records import each
 from wtg_gym.systems.systems import Kind, System, system
-
-
-def _unlimited(model: Any) -> tuple[float, float]:
-    return -math.inf, math.inf
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -31,73 +29,115 @@ class Control:
     """A model of a control.
 
     Args:
-        kind: what its units keep: "control", the states, and the constants "model", which begin with the number of the
-            machine.
-        constants: the function of that number and of the parameters that returns them.
+        kind: what its units keep: "control", the states, and the constants "model".
+        constants: what makes those of its parameters.
         systems: by the places of :mod:`wtg_gym.physics.step` where they join.
-        failure: what a start beyond its limits is called; NONE for a control without any.
-        limited: the number of "control" that has them.
-        limits: from the constants.
+        failure: what a start beyond its limits is called.
+        limited: the state that has them.
+        limits: of that state at rest, from the parameters or the constants; None for none.
     """
 
     kind: Kind
-    constants: Callable[[int, Any], Any]
+    constants: Constants
     systems: Mapping[str, tuple[System, ...]]
     failure: StartFailure = StartFailure.NONE
     limited: str = ""
-    limits: Callable[[Any], tuple[float, float]] = _unlimited
+    limits: Callable[[Any], tuple[float, float]] | None = None
 
 
-def _kind(name: str, state: type, model: type, **rows: Any) -> Kind:
-    return Kind(
-        name=name,
+class _KindOfControl(Kind):
+    """A kind that a copy in another process finds by its name: its record of constants has none there."""
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return _kind_named, (self.name,)
+
+
+def _kind_named(name: str) -> Kind:
+    # The list of all controls is made of what is here.
+    kind: Kind = importlib.import_module("wtg_gym.physics.machine_models").CONTROLS[name].kind
+    return kind
+
+
+def _kind(what: str, constants: Constants, state: type, **rows: Any) -> Kind:
+    return _KindOfControl(
+        name=f"{what} {constants.parameters[-1].MODEL}",
         rows={"control": state, **rows},
-        constants={"model": model},
+        constants={"model": constants.record},
         sees={"machine": MACHINES, "unit": UNITS, "lane": LANE},
         states=("control",),
     )
 
 
-def _at(emf: MachineVoltage, current: Phasor, inv_committed: float, machine: Machine) -> float:
-    """Return the voltage at a machine's terminal [p.u.]."""
-    return terminal_voltage(emf, inv_committed * current.re, inv_committed * current.im, machine)
+def _systems(
+    start: System,
+    rates: System,
+    comes_back: Callable[[Back, float, Any], Any],
+    limit: Callable[[Any, Any], Any] | None = None,
+) -> dict[str, tuple[System, ...]]:
+    """Return the systems of a control: its start, its rates, and what follows from them.
+
+    Args:
+        start, rates: the systems.
+        comes_back: its states where its machine comes back, from what that comes back to, its field voltage [p.u.] and
+            the constants.
+        limit: the states, held within their limits, from them and the constants.
+    """
+
+    @system(rates.kind, "control", when="extended")
+    def return_control(control: Any, field_voltage: float, returns: float, back: Back, model: Any) -> Any:
+        found = comes_back(back, field_voltage, model)
+        return each(lambda new, old: select(returns > 0.5, new, old), found, control)
+
+    return {
+        "control settle": (start,),
+        "control move": (moving(rates, limit, constants=["model"]),),
+        "control rates": (rates,),
+        "control return": (return_control,),
+    }
 
 
-def _where(condition: bool, new: Any, old: Any) -> Any:
-    return each(lambda a, b: select(condition, a, b), new, old)
-
-
-def _check(kind: Kind, quantity: str, limits: Callable[[Any], tuple[float, float]], failure: StartFailure) -> System:
-    """Return the system that notes a control that would start beyond its limits."""
+def _checked(
+    kind: Kind,
+    constants: Constants,
+    systems: Mapping[str, tuple[System, ...]],
+    failure: StartFailure,
+    limited: str,
+    limits: Callable[[Any], tuple[float, float]],
+) -> Control:
+    """Return a control that cannot start beyond its limits."""
 
     @system(kind, "start_failure", "failing_unit")
     def check_control(control: Any, model: Any, start_failure: float, failing_unit: float) -> tuple[float, float]:
         low, high = limits(model)
-        value = getattr(control, quantity)
+        value = getattr(control, limited)
         fits = (low <= value) & (value <= high)
         return noted(fits, failure, model.machine, start_failure, failing_unit)
 
-    return check_control
+    return Control(
+        kind=kind,
+        constants=constants,
+        systems={**systems, "control start": (check_control,)},
+        failure=failure,
+        limited=limited,
+        limits=limits,
+    )
 
 
 def stabiliser(
-    name: str,
+    constants: Constants,
     state: type,
-    model: type,
-    constants: Callable[[int, Any], Any],
     rates: Callable[[Any, float, float, Any], tuple[Any, float]],
     start: Callable[[float, Any], Any],
 ) -> Control:
     """Return a stabiliser.
 
     Args:
-        name: of its kind.
-        state, model: records of its states and constants.
         constants: see :class:`Control`.
+        state: record of its states.
         rates: rates and signal [p.u.] at states, speed deviation, terminal voltage [p.u.] and constants.
         start: the equilibrium at a constant speed deviation [p.u.].
     """
-    kind = _kind(name, state, model, set_point=float)
+    kind = _kind("stabilisers", constants, state, set_point=float)
 
     @system(kind, "control", "set_point")
     def start_stabiliser(voltage_reference: float, model: Any) -> tuple[Any, float]:
@@ -115,44 +155,29 @@ def stabiliser(
         machine: Machine,
         model: Any,
     ) -> tuple[Any, float]:
-        found, signal = rates(control, speed - 1.0, _at(emf, current, inv_committed, machine), model)
+        voltage = terminal_voltage(emf, inv_committed * current.re, inv_committed * current.im, machine)
+        found, signal = rates(control, speed - 1.0, voltage, model)
         return each(lambda rate: given.connected * rate, found), set_point + signal
 
-    @system(kind, "control", when="extended")
-    def return_stabiliser(control: Any, returns: float, back: Back, model: Any) -> Any:
-        return _where(returns > 0.5, start(back.speed - 1.0, model), control)
-
-    systems = {
-        "control settle": (start_stabiliser,),
-        "control move": (moving(rates_of_stabiliser),),
-        "control rates": (rates_of_stabiliser,),
-        "control return": (return_stabiliser,),
-    }
+    systems = _systems(start_stabiliser, rates_of_stabiliser, lambda back, _, model: start(back.speed - 1.0, model))
     return Control(kind=kind, constants=constants, systems=systems)
 
 
 def exciter(
-    name: str,
+    constants: Constants,
     state: type,
-    model: type,
-    constants: Callable[[int, Any], Any],
     rates: Callable[[Any, float, float, Any], Any],
-    limit: Callable[[Any, Any], Any],
     start: Callable[[float, float, Any], tuple[Any, float]],
-    limited: str,
-    limits: Callable[[Any], tuple[float, float]],
 ) -> Control:
-    """Return an exciter; its states have the field voltage as `excitation`.
+    """Return an exciter; its states have the field voltage as `excitation`, and a `regulator` with limits.
 
     Args:
-        name: of its kind.
-        state, model: records of its states and constants.
-        constants, limited, limits: see :class:`Control`.
+        constants: see :class:`Control`.
+        state: record of its states.
         rates: at states, reference, terminal voltage [p.u.] and constants.
-        limit: the states, held within their limits.
         start: the equilibrium at a field voltage and a terminal voltage [p.u.], and the voltage error that it needs.
     """
-    kind = _kind(name, state, model)
+    kind = _kind("exciters", constants, state)
 
     @system(kind, "control", "voltage_reference")
     def start_exciter(field_voltage: float, voltage_reference: float, model: Any) -> tuple[Any, float]:
@@ -170,59 +195,47 @@ def exciter(
         machine: Machine,
         model: Any,
     ) -> tuple[Any, float]:
-        found = rates(control, given.voltage_reference, _at(emf, current, inv_committed, machine), model)
+        voltage = terminal_voltage(emf, inv_committed * current.re, inv_committed * current.im, machine)
+        found = rates(control, given.voltage_reference, voltage, model)
         return each(lambda rate: given.connected * rate, found), control.excitation
 
-    @system(kind, "control", when="extended")
-    def return_exciter(control: Any, field_voltage: float, returns: float, back: Back, model: Any) -> Any:
-        found, _ = start(field_voltage, back.voltage, model)
-        return _where(returns > 0.5, found, control)
+    def limits(c: Any) -> tuple[float, float]:
+        return c.regulator_min_pu, c.regulator_max_pu
 
-    systems = {
-        "control settle": (start_exciter,),
-        "control move": (moving(rates_of_exciter, limit, constants=["model"]),),
-        "control rates": (rates_of_exciter,),
-        "control return": (return_exciter,),
-        "control start": (_check(kind, limited, limits, StartFailure.EXCITER_LIMIT),),
-    }
-    return Control(
-        kind=kind,
-        constants=constants,
-        systems=systems,
-        failure=StartFailure.EXCITER_LIMIT,
-        limited=limited,
-        limits=limits,
+    systems = _systems(
+        start_exciter,
+        rates_of_exciter,
+        lambda back, field_voltage, model: start(field_voltage, back.voltage, model)[0],
+        lambda s, c: s._replace(regulator=clip(s.regulator, *limits(c))),
     )
+    return _checked(kind, constants, systems, StartFailure.EXCITER_LIMIT, "regulator", limits)
 
 
 def governor(
-    name: str,
+    constants: Constants,
     state: type,
-    model: type,
-    constants: Callable[[int, Any], Any],
     rates: Callable[[Any, float, float, float, Any], tuple[Any, float]],
-    limit: Callable[[Any, Any], Any],
     start: Callable[[float, Any], Any],
-    limits: Callable[[Any], tuple[float, float]],
+    gate: str = "valve",
+    limit: Callable[[Any, Any], Any] = lambda s, c: s._replace(valve=clip(s.valve, c.gate_min_pu, c.gate_max_pu)),
 ) -> Control:
-    """Return a governor with its turbine; its states have what the gate gives as `valve`.
+    """Return a governor with its turbine.
 
     Args:
-        name: of its kind.
-        state, model: records of its states and constants.
         constants: see :class:`Control`.
+        state: record of its states.
         rates: rates and torque, on the base of the machine, at states, speed, reference [p.u.], 1/R in use and
             constants. Without a droop the governor is lost, and what its gate gives stands still.
-        limit: the states, held within their limits.
-        start: the equilibrium at a torque [p.u.]; its `valve` is the reference.
-        limits: of the valve, from the constants.
+        start: the equilibrium at a torque [p.u.].
+        gate: the state that is the reference then: what the gate gives.
+        limit: the states, held within their limits, from them and the constants.
     """
-    kind = _kind(name, state, model)
+    kind = _kind("governors", constants, state)
 
     @system(kind, "control", "gate_reference")
     def start_governor(gate_reference: float, model: Any) -> tuple[Any, float]:
         control = start(gate_reference, model)
-        return control, control.valve
+        return control, getattr(control, gate)
 
     @system(kind, "control_rates", "turbine_torque")
     def rates_of_governor(
@@ -231,22 +244,5 @@ def governor(
         found, torque = rates(control, speed, given.gate_reference, given.inv_droop, model)
         return each(lambda rate: given.connected * rate, found), machine.rating * torque
 
-    @system(kind, "control", when="extended")
-    def return_governor(control: Any, returns: float, model: Any) -> Any:
-        return _where(returns > 0.5, start(0.0, model), control)
-
-    systems = {
-        "control settle": (start_governor,),
-        "control move": (moving(rates_of_governor, limit, constants=["model"]),),
-        "control rates": (rates_of_governor,),
-        "control return": (return_governor,),
-        "control start": (_check(kind, "valve", limits, StartFailure.GOVERNOR_LIMIT),),
-    }
-    return Control(
-        kind=kind,
-        constants=constants,
-        systems=systems,
-        failure=StartFailure.GOVERNOR_LIMIT,
-        limited="valve",
-        limits=limits,
-    )
+    systems = _systems(start_governor, rates_of_governor, lambda _, __, model: start(0.0, model), limit)
+    return _checked(kind, constants, systems, StartFailure.GOVERNOR_LIMIT, gate, gate_limits)

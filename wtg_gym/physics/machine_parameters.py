@@ -15,6 +15,7 @@ from wtg_gym.physics.control_parameters import (
     ReheatGovernorParameters,
     SaturatingExciterParameters,
     SpeedStabiliserParameters,
+    dead_band,
 )
 
 
@@ -22,6 +23,7 @@ from wtg_gym.physics.control_parameters import (
 class ExciterParameters(Checked):
     """SEXS: lead-lag, first-order exciter with a non-windup limit, on the terminal voltage."""
 
+    MODEL = "SEXS"
     RISING = ("field_min_pu", "field_max_pu")
 
     gain: float = design(100.0, "p.u./p.u.", "gain K", 1e-3, 1e6)
@@ -36,6 +38,7 @@ class ExciterParameters(Checked):
 class GovernorParameters(Checked):
     """TGOV1: droop, gate with non-windup limits, reheat lead-lag."""
 
+    MODEL = "TGOV1"
     RISING = ("gate_min_pu", "gate_max_pu")
 
     droop_pu: float = parameter(
@@ -47,15 +50,14 @@ class GovernorParameters(Checked):
     gate_min_pu: float = design(0.0, "p.u.", "lower gate limit", -1e6, 1e6)
     gate_max_pu: float = parameter(1.2, "p.u.", "Milano", "upper gate limit", -1e6, 1e6)
     turbine_damping_pu: float = design(0.0, "p.u./p.u.", "D_t", 0.0, 1e4)
-    dead_band_pu: float = design(
-        0.0, "p.u.", "speed deviation that the governor does not see, without a step at its edge", 0.0, 0.5
-    )
+    dead_band_pu: float = dead_band()
 
 
 @dataclass(frozen=True, kw_only=True)
 class HydroGovernorParameters(Checked):
     """HYGOV: a hydro governor with permanent and temporary droop, and a penstock with inelastic water."""
 
+    MODEL = "HYGOV"
     RISING = ("gate_min_pu", "gate_max_pu")
 
     droop_pu: float = parameter(0.05, "p.u.", "HYGOV", "permanent droop R on the machine base", 1e-4, 1e3)
@@ -70,9 +72,7 @@ class HydroGovernorParameters(Checked):
     turbine_gain: float = parameter(1.1, "p.u./p.u.", "HYGOV", "turbine gain A_t", 1e-2, 100.0)
     turbine_damping_pu: float = parameter(0.5, "p.u./p.u.", "HYGOV", "damping D_t of the turbine", 0.0, 1e4)
     no_load_flow_pu: float = parameter(0.08, "p.u.", "HYGOV", "flow q_nl without load", 0.0, 1.0)
-    dead_band_pu: float = design(
-        0.0, "p.u.", "speed deviation that the governor does not see, without a step at its edge", 0.0, 0.5
-    )
+    dead_band_pu: float = dead_band()
 
 
 AnyExciter = ExciterParameters | SaturatingExciterParameters | LeadLagExciterParameters

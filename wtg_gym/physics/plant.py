@@ -17,14 +17,13 @@ from wtg_gym.physics.aerodynamics import surface_of
 from wtg_gym.physics.checked import Checked, design
 from wtg_gym.physics.extension_unit import COLUMNS, EXTENSIONS
 from wtg_gym.physics.further_units import FurtherUnits, joining
-from wtg_gym.physics.governor import HydroGovernor, hydro_constants
+from wtg_gym.physics.governor import gate_limits
 from wtg_gym.physics.grid import get_grid
-from wtg_gym.physics.hydro_unit import HYDRO
+from wtg_gym.physics.hydro_unit import HYGOV
 from wtg_gym.physics.kernel_data import Facts, Network, structured
 from wtg_gym.physics.layout import Layout, place_in
 from wtg_gym.physics.machine import Machine, RotorSaturation, machine_constants, rotor_saturation
-from wtg_gym.physics.machine_models import control_constants, control_named, joining_models
-from wtg_gym.physics.machine_parameters import HydroGovernorParameters
+from wtg_gym.physics.machine_models import CONTROLS, control_constants, joining_controls
 from wtg_gym.physics.machine_unit import FIRST_MACHINE, MACHINES
 from wtg_gym.physics.network import NetworkCase, assemble_admittance, branch_admittances
 from wtg_gym.physics.parameters import (
@@ -84,8 +83,8 @@ class PlantSettings(Checked):
         shedding: stages of under-frequency load shedding, which every island has.
         secondary_time_s: integration time of secondary control: the gate reference of a governor moves by its droop's
             share of a lasting deviation within this time; 0 for none [s].
-        shares_dispatch: machines with a governor share at the start what the loads need, by rating and largest gate,
-            instead of their `dispatch_mw`.
+        shares_dispatch: machines with a governor share at the start what the loads need, by rating and largest gate, of
+            which 1 p.u. counts at most, instead of their `dispatch_mw`.
         control_dt: control interval [s], a whole number of simulation steps.
         simulation_dt: step of the integration, 0.05 … 40 ms [s]; a simulator refuses one that is too long for the
             plant's fastest mode.
@@ -249,9 +248,8 @@ class Plant(NamedTuple):
     turbine: npt.NDArray[np.void]  # of each WTG group, or one where there is none (n_wtg,), of Turbine
     share: npt.NDArray[np.float64]  # rating of each WTG group on the system base (n_wtg,)
     cells: npt.NDArray[np.float64]  # of the rotor's C_p table (n, m, 16)
-    hydro: npt.NDArray[np.void]  # (n_hydro,), of HydroGovernor
     saturation: tuple[RotorSaturation, ...]  # of each machine (n_sync,)
-    controls: Mapping[str, Sequence[Any]]  # constants of controls that are units of their own, by the names of kinds
+    own_controls: Mapping[str, npt.NDArray[np.void]]  # constants of those that are units, by the names of kinds
     extension: npt.NDArray[np.void]  # likewise, of Extension; (0,) where the groups are not extended
     shedding: npt.NDArray[np.void]  # (n_stages,), of SheddingConstants
     buses: npt.NDArray[np.void]  # (n_bus,), of Bus
@@ -262,6 +260,11 @@ class Plant(NamedTuple):
     def saturates(self) -> bool:
         """Whether the rotor of any machine saturates."""
         return any(own.curve.gain > 0.0 for own in self.saturation)
+
+    @property
+    def controls(self) -> tuple[str, ...]:
+        """Names of the kinds of controls that gradients do not know."""
+        return tuple(name for name in self.own_controls if name != HYGOV.kind.name)
 
     @property
     def n_substeps(self) -> int:
@@ -293,17 +296,14 @@ def build_plant(settings: PlantSettings) -> Plant:
     impedances = [complex(m.resistance, m.internal_reactance) for m in machines]
     impedances += [1j * turbine.converter.reactance / s for s in share]
     impedances += [impedance for own in joined for impedance in own.impedances]
-    hydro = [
-        hydro_constants(index, machine.governor)
-        for index, machine in enumerate(case.machines)
-        if isinstance(machine.governor, HydroGovernorParameters)
-    ]
     given = settings.limits, settings.voltage_control, settings.simulation_dt
     extensions = [extension_constants(own, *given) for own in of_groups]
     extension = extensions[0]
     stages = [SheddingConstants(stage.frequency_pu, stage.share, stage.delay_s) for stage in settings.shedding]
+    # A gate beyond 1 p.u. says nothing about the power that a machine is meant for.
     sharing = [
-        m.rating_mva * m.governor.gate_max_pu if m.governor and settings.shares_dispatch else 0.0 for m in case.machines
+        m.rating_mva * min(gate_limits(m.governor)[1], 1.0) if m.governor and settings.shares_dispatch else 0.0
+        for m in case.machines
     ]
     participation = np.array(sharing) / (sum(sharing) or 1.0)
     slack = case.bus_index(case.slack_bus)
@@ -355,9 +355,8 @@ def build_plant(settings: PlantSettings) -> Plant:
         turbine=structured(Turbine, turbines),
         share=np.array(share, dtype=np.float64),
         cells=surface_of(of_groups[0].power_coefficient)[1],
-        hydro=structured(HydroGovernor, hydro),
         saturation=tuple(rotor_saturation(machine) for machine in case.machines),
-        controls=control_constants(case.machines),
+        own_controls=control_constants(case.machines),
         extension=structured(Extension, extensions * settings.extended),
         shedding=structured(SheddingConstants, stages * (ISLANDS_AT_MOST if settings.extended else 1)),
         buses=structured(Bus, buses),
@@ -401,7 +400,6 @@ def layout_of(plant: Plant, further: Further | None = None) -> Layout:
     n_units = {
         MACHINES: n_sync,
         GROUPS: n_wtg,
-        HYDRO: plant.hydro.size,
         EXTENSIONS: n_extended,
         LANE: 1,
         BUSES: n_bus,
@@ -414,13 +412,13 @@ def layout_of(plant: Plant, further: Further | None = None) -> Layout:
         STAGES: plant.shedding.size,
         FIRST_MACHINE: min(n_sync, 1),
         COLUMNS: n_extended * n_unit,
+        **dict.fromkeys((control.kind for control in CONTROLS.values()), 0),
     }
     links = {
         (MACHINES, "unit"): np.arange(n_sync),
         (MACHINES, "bus_"): plant.network.unit_bus[:n_sync],
         (GROUPS, "bus_"): plant.network.unit_bus[groups],
         (EXTENSIONS, "bus_"): plant.network.unit_bus[groups[:n_extended]],
-        (HYDRO, "unit"): plant.hydro["machine"],
         (MEMBERS, "unit_"): np.tile(np.arange(n_unit), n_islands - 1),
         (MEMBERS, "island_"): np.repeat(np.arange(1, n_islands), n_unit),
         (MAIN, "island"): np.zeros(1, dtype=np.int64),
@@ -441,12 +439,11 @@ def layout_of(plant: Plant, further: Further | None = None) -> Layout:
         (COLUMNS, "entry"): unit * n_unit + n_sync + extended,
         (COLUMNS, "unit"): unit,
         (COLUMNS, "group"): extended,
-        (HYDRO, "machine"): plant.hydro["machine"],
         (FIRST_MACHINE, "machine"): np.zeros(min(n_sync, 1), dtype=np.int64),
     }
-    for name, constants in plant.controls.items():
-        kind, of_machine = control_named(name).kind, np.array([own.machine for own in constants], dtype=np.int64)
-        n_units[kind] = len(constants)
+    for name, constants in plant.own_controls.items():
+        kind, of_machine = CONTROLS[name].kind, constants["machine"]
+        n_units[kind] = constants.size
         links |= {(kind, "machine"): of_machine, (kind, "unit"): of_machine}
     first, added = n_sync + n_wtg, further or Further({})
     for own in plant.further:
@@ -465,15 +462,15 @@ def layout_of(plant: Plant, further: Further | None = None) -> Layout:
 
 
 def programs_of(plant: Plant, *programs: Program) -> tuple[Program, ...]:
-    """Return programs with the systems of a plant's further units, and of models of machines that only it has."""
-    return _joined(plant.further, tuple(plant.controls), plant.saturates, programs)
+    """Return programs with the systems of a plant's further units, and of controls that only some machines have."""
+    return _joined(plant.further, tuple(plant.own_controls), programs)
 
 
 @functools.lru_cache(maxsize=64)
 def _joined(
-    further: tuple[FurtherUnits, ...], controls: tuple[str, ...], saturated: bool, programs: tuple[Program, ...]
+    further: tuple[FurtherUnits, ...], controls: tuple[str, ...], programs: tuple[Program, ...]
 ) -> tuple[Program, ...]:
-    found = joining(further) | joining_models(controls, saturated=saturated)
+    found = joining(further) | joining_controls(controls)
     return tuple(program.joined(found) for program in programs)
 
 
@@ -489,6 +486,8 @@ class Arranged:
             self._has.add("no machine")
         if plant.shedding.size:
             self._has.add("sheds")
+        if plant.saturates:
+            self._has.add("saturates")
         if plant.of_lane["secondary_gain"]:
             self._has.add("secondary control")
         ratings, weights = plant.machines["rating"].tolist(), plant.machines["reactive_weight"].tolist()
@@ -514,14 +513,13 @@ class Arranged:
             (GROUPS, "cells"): plant.cells,
             (GROUPS, "share"): plant.share,
             (GROUPS, "inv_share"): 1.0 / plant.share,
-            (HYDRO, "hydro"): plant.hydro,
             (EXTENSIONS, "extension"): plant.extension[:n_wtg],
             (STAGES, "stage"): plant.shedding,
             (BUSES, "bus"): plant.buses,
             (UNITS, "connection"): connections,
             (ISLANDS, "number"): np.arange(float(layout.n_units(ISLANDS))),
             **{(LANE, name): [value] for name, value in plant.of_lane.items()},
-            **{(control_named(name).kind, "model"): values for name, values in plant.controls.items()},
+            **{(CONTROLS[name].kind, "model"): values for name, values in plant.own_controls.items()},
             **{(own.kind, name): values for own in plant.further for name, values in own.constants.items()},
             **further.constants,
         }

@@ -6,16 +6,14 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from wtg_gym.physics.hydro_unit import HYDRO
+from wtg_gym.physics.governor import gate_limits
 from wtg_gym.physics.layout import Floats, Layout
 from wtg_gym.physics.machine_models import controls_of
-from wtg_gym.physics.machine_parameters import ExciterParameters, HydroGovernorParameters
-from wtg_gym.physics.machine_unit import MACHINES
+from wtg_gym.physics.machine_parameters import ExciterParameters
 from wtg_gym.physics.parameters import ConverterLimitParameters, VoltageControlParameters
 from wtg_gym.physics.plant import PlantSettings
 from wtg_gym.physics.scenario import Scenario
 from wtg_gym.physics.units import StartFailure
-from wtg_gym.systems.systems import Kind
 
 #: Beginning of the names of scenarios that a simulator makes for itself.
 NOMINAL = "the plant at "
@@ -121,23 +119,14 @@ def _limited(
 ) -> tuple[str, float, float, float]:
     """Return the quantity of a machine that starts beyond its limits, its value, and the limits [p.u.]."""
     machine = settings.case.machines[unit]
-
-    def found(quantity: str, kind: Kind, of_unit: int = unit) -> tuple[str, float]:
-        return quantity, float(rows[layout.rows_of(kind, quantity)[of_unit]])
-
-    def among(kind: Kind) -> int:
-        return int(np.flatnonzero(layout.seen(kind, "machine") == unit)[0])
-
     for own, parameters in controls_of(machine):
-        if own.failure == failure:
-            return *found(own.limited, own.kind, among(own.kind)), *own.limits(own.constants(unit, parameters))
-    governor, exciter = machine.governor, machine.exciter
-    if failure == StartFailure.GOVERNOR_LIMIT and governor is not None:
-        of_gate = (
-            found("hydro_gate", HYDRO, among(HYDRO))
-            if isinstance(governor, HydroGovernorParameters)
-            else found("gate", MACHINES)
-        )
-        return *of_gate, governor.gate_min_pu, governor.gate_max_pu
+        if own.limits is not None and own.failure == failure:
+            place = np.flatnonzero(layout.seen(own.kind, "machine") == unit)[0]
+            value = rows[layout.rows_of(own.kind, own.limited)[place]]
+            return own.limited, float(value), *own.limits(parameters)
+    if failure == StartFailure.GOVERNOR_LIMIT:
+        return "gate", float(rows[layout.machine("gate")[unit]]), *gate_limits(machine.governor)
+    exciter = machine.exciter
     assert isinstance(exciter, ExciterParameters)
-    return *found("field_voltage", MACHINES), exciter.field_min_pu, exciter.field_max_pu
+    value = rows[layout.machine("field_voltage")[unit]]
+    return "field_voltage", float(value), exciter.field_min_pu, exciter.field_max_pu

@@ -9,14 +9,13 @@ The start of a run (:mod:`wtg_gym.physics.equilibrium`):
     plan → power flow, balance, release until none → settle → reduction → admittances → find → rates → start
 
 Each name is a list of systems over all units of a kind; what is no map over units stands in the same lists. Kinds of
-unit that a plant has besides (:mod:`wtg_gym.physics.further_units`), and models of machines that only some plants have
+unit that a plant has besides (:mod:`wtg_gym.physics.further_units`), and controls that only some machines have
 (:mod:`wtg_gym.physics.machine_models`), join where it says `Here`.
 """
 
 from __future__ import annotations
 
 from wtg_gym.physics import extension_unit as extension
-from wtg_gym.physics import hydro_unit as hydro
 from wtg_gym.physics import local_frequency as local
 from wtg_gym.physics import machine_unit as machine
 from wtg_gym.physics import protection, starting, units
@@ -32,6 +31,7 @@ VOLTAGES = (
     machine.still_reference,
     machine.reference,
     machine.voltage_of_machine,
+    machine.saturate_machine,
     wtg.voltage_of_group,
     extension.voltage_of_extended,
     Here("voltages"),
@@ -42,8 +42,7 @@ RETURN = (
     *VOLTAGES,
     *local.BUS_VOLTAGES,
     starting.synchronise,
-    Here("machine return", (machine.return_machine,)),
-    hydro.return_hydro,
+    machine.return_machine,
     Here("control return"),
     wtg.return_group,
     extension.return_extension,
@@ -74,9 +73,8 @@ FIND = (*FLOWS, *LIMITS, *CAPTURE)
 
 #: One stage of the Runge-Kutta method, after `FIND`: it finds the rates of every unit and moves its states.
 MOVE = (
-    hydro.stage_of_hydro,
     Here("control move"),
-    Here("machine move", (machine.stage_of_machine,)),
+    machine.stage_of_machine,
     wtg.stage_of_group,
     extension.stage_of_extended,
     Here("move"),
@@ -85,9 +83,8 @@ MOVE = (
 
 #: Rates and outputs, without moving any state, after `FIND`.
 RATES = (
-    hydro.rates_of_hydro,
     Here("control rates"),
-    Here("machine rates", (machine.rates_of_machine,)),
+    machine.rates_of_machine,
     wtg.rates_of_group,
     extension.rates_of_extended,
     Here("rates"),
@@ -161,8 +158,7 @@ RELEASE = (starting.none_released, starting.release_voltage)
 SETTLE = (
     starting.load_at_bus,
     starting.share_flow,
-    Here("machine settle", (machine.start_machine,)),
-    hydro.start_hydro,
+    machine.start_machine,
     Here("control settle"),
     machine.still_frame,
     machine.take_frame,
@@ -186,7 +182,6 @@ START = (
     protection.track_extremes,
     wtg.no_overload,
     machine.check_machine,
-    hydro.check_hydro,
     Here("control start"),
     extension.check_extension,
     Here("start"),
