@@ -12,6 +12,7 @@ import pytest
 from wtg_gym.envs import GFMWTGEnv
 from wtg_gym.physics.aerodynamics import available_power_pu
 from wtg_gym.physics.grid import FOLDER, Grid, get_grid, grid_text, known_grids, read_grid
+from wtg_gym.physics.linearisation import moving_states, state_matrix
 from wtg_gym.physics.network import (
     Branch,
     Bus,
@@ -26,6 +27,7 @@ from wtg_gym.physics.plant import PlantSettings, plant_settings
 from wtg_gym.physics.scenario import LineTrip, Scenario
 from wtg_gym.physics.simulator import Simulator
 from wtg_gym.physics.sparse_flow import pattern_of, solve_sparse_flow
+from wtg_gym.physics.start_errors import StartError
 from wtg_gym.physics.tracking_law import get_law, group_laws
 
 #: A grid that nobody has seen: two machines, a ring of five buses at 60 Hz, on 250 MVA.
@@ -116,6 +118,28 @@ def test_machines_share_what_the_wind_leaves_by_rating_and_gate() -> None:
         # A slack machine that is left with the losses' rest deviates by that alone.
         gates = simulator.machine_values("gate")[0]
         assert np.ptp(gates) < 2e-3
+
+
+def test_turbines_alone_start_at_rest_or_not_at_all() -> None:
+    case = get_grid("ieee39").case
+    law, started = get_law("coordinated-tuned"), []
+    for rating in (1.2, 1.8, 2.5):
+        groups = tuple(WtgGroup(bus=m.bus, n_turbines=round(rating * m.rating_mva / 5.0)) for m in case.machines)
+        plant = plant_settings("extended", case=dataclasses.replace(case, machines=()), groups=groups)
+        simulator = Simulator(plant, duration_s=1.0)
+        scenario = Scenario(name="still", wind_speed=np.full((10, 1), 8.5), duration_s=1.0, load_noise_bus=39)
+        try:
+            simulator.start(0, scenario, [law] * 10)
+        except StartError:
+            # With so little reactive power the voltages collapse.
+            started.append(False)
+            continue
+        started.append(True)
+        simulator.evaluate()
+        rows, layout = simulator.blocks[0, :, 0], simulator.layout
+        keep = moving_states(state_matrix(rows, simulator.plant, layout, -1.0), rows, layout)
+        assert np.abs(simulator.rates()[keep]).max() < 1e-9
+    assert started == [False, True, True]
 
 
 def test_a_parallel_line_trips_by_its_circuit() -> None:

@@ -20,7 +20,7 @@ Equations
 
 Models of machines that only some plants have (machine_models says which)
     stab1, ieeest, ieeex1, ieeeg1, ieesgo, gast    stabilisers, exciters, governors with their turbines
-    saturation, saturated_machine                  of exciters and of GENROU
+    saturation                                     of exciters and of GENROU
     machine_controls, control_blocks               what controls have in common: as units, and as equations
 
 Network

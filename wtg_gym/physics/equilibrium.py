@@ -44,6 +44,8 @@ _flow, _sparse_flow = POWER_FLOW.call, SPARSE_FLOW.call
 _SHORTAGE = float(StartFailure.WIND_SHORTAGE)
 #: Least common factor on k with which WTG groups alone balance the power, by design.
 _LEAST_CURTAILMENT = 0.02
+#: Width of the range in which losses are still unknown, and how much of k they may take, by design.
+_CLOSE, _LOSSES = 0.01, 0.15
 #: What the slack bus may lack once the factor is found to its last bit [p.u.].
 _BALANCED = 1e-10
 _DIVERGED = float(StartFailure.POWER_FLOW_DIVERGED)
@@ -84,18 +86,29 @@ def _plan_flow(arrays: tuple[Floats, Floats], buses: Floats, y: npt.NDArray[np.c
 
 
 @internal
-def _curtail(
-    arrays: tuple[Floats, Floats], buses: Floats, y: npt.NDArray[np.complex128], network: Network, lacking: float
-) -> None:
-    """Find the common factor on k with which the WTG groups alone meet the load, by halving its range.
-
-    `lacking` is what the slack bus lacks with a factor of 1 [p.u.]. Where there is no power flow, there is too much.
-    """
-    at, scratch = network.facts.starts + OF_STARTING_LANE.curtailment, arrays[1]
-    failure = network.facts.starts + OF_STARTING_LANE.start_failure
+def _curtail(arrays: tuple[Floats, Floats], buses: Floats, y: npt.NDArray[np.complex128], network: Network) -> None:
+    """Find the common factor on k with which the WTG groups alone meet the load, by halving its range."""
+    own, scratch = network.facts.starts, arrays[1]
+    at, failure, needed = (
+        own + OF_STARTING_LANE.curtailment,
+        own + OF_STARTING_LANE.start_failure,
+        own + OF_STARTING_LANE.needed,
+    )
     low, high = _LEAST_CURTAILMENT, 1.0
+    # Far from the balance there is no power flow: what all give without losses comes close.
+    while high - low > _CLOSE and scratch[failure, 0] == 0.0:
+        scratch[at, 0] = 0.5 * (low + high)
+        plan(arrays, network.tables, NONE)
+        if scratch[needed, 0] > 0.0:
+            low = scratch[at, 0]
+        else:
+            high = scratch[at, 0]
+    low, high = max(low - _CLOSE, _LEAST_CURTAILMENT), min(high + _LOSSES, 1.0)
+    scratch[at, 0] = high
+    lacking = _plan_flow(arrays, buses, y, network)
     if scratch[failure, 0] == 0.0 and lacking > POWER_FLOW_TOLERANCE:
         scratch[failure, 0] = _SHORTAGE
+    # The more the groups give, the less reactive power they have: without a power flow there is too much.
     while scratch[failure, 0] in (0.0, _DIVERGED) and not abs(lacking) <= POWER_FLOW_TOLERANCE:
         middle = 0.5 * (low + high)
         if middle in (low, high):
@@ -139,9 +152,10 @@ def prepare_lanes(
         block, arrays = rows[lane], (rows[lane], scratch)
         scratch[own + OF_STARTING_LANE.load_level, 0] = load_levels[lane]
         scratch[own + OF_STARTING_LANE.curtailment, 0] = 1.0
-        lacking = _plan_flow(arrays, buses, y, network)
         if facts.curtails:
-            _curtail(arrays, buses, y, network, lacking)
+            _curtail(arrays, buses, y, network)
+        else:
+            _plan_flow(arrays, buses, y, network)
         if scratch[own + OF_STARTING_LANE.start_failure, 0] == 0.0:
             settle(arrays, tables, NONE)
             noise_bus = int(block[facts.lane + OF_LANE.noise_bus, 0])

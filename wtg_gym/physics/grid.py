@@ -104,7 +104,8 @@ def record_of(kind: Any, data: Any) -> Any:
     """Return a dataclass from a JSON object; the records in it too."""
     if not isinstance(data, Mapping):
         raise ValueError(f"{kind.__name__} must be an object, got {data!r:.80}")
-    kinds = get_type_hints(kind)
+    hints = get_type_hints(kind)
+    kinds = {field.name: hints[field.name] for field in dataclasses.fields(kind)}
     require_known(kind.__name__, data, list(kinds))
     return kind(**{name: _value(kinds[name], value) for name, value in data.items()})
 

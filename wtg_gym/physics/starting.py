@@ -112,7 +112,7 @@ def release_voltage(
     """
     asked, limit = flow.im + load_level * bus.load.im, reactive_max * sizes.group_weights
     alone = (sizes.ratings == 0.0) & (sizes.group_weights > 0.0) & (voltage_gain > 0.0)
-    lacks = alone & (select(bus.is_slack, 0.0, holds) > 0.5) & (abs(asked) > limit * (1.0 + 1e-9))
+    lacks = alone & (holds > 0.5) & (abs(asked) > limit * (1.0 + 1e-9))
     given = select(asked < 0.0, -limit, limit) - load_level * bus.load.im
     return (
         select(lacks, 0.0, holds),
