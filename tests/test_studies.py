@@ -25,6 +25,7 @@ from conditions import (
     operator,
     points,
     slope,
+    strata,
 )
 from matrix import CHANGES, FAULTS, section, with_fault, with_faults
 from planner import Planning
@@ -206,7 +207,8 @@ def test_all_conditions_are_measured_without_any_policy(tmp_path: Path, monkeypa
         n_scenarios=n, n_searched=n, n_sieved=n, every=100, n_parts=n, n_test=n, n_fresh=n,
         generations=1, planning=quick, aftermath_s=10.0,
     )  # fmt: skip
-    found, searched = conditions(all_entries()._replace(feedbacks=[], agents=[]), size)
+    found, ranked, searched = conditions(all_entries()._replace(feedbacks=[], agents=[]), size)
     assert [each.letter for each in found] == list("abcdefghijklmno")
     assert next(each for each in found if each.letter == "e").met is None
     assert {"planner-exact", "planner-measured"} <= set(searched.pinned_costs)
+    assert strata(ranked).count("\n") == 4 and "| extreme |" in strata(ranked)

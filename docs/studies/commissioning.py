@@ -18,7 +18,7 @@ from wtg_gym.envs.settings import EnvSettings
 from wtg_gym.physics.aerodynamics import tracking_point
 from wtg_gym.physics.plant import PlantSettings
 from wtg_gym.physics.protection import Status
-from wtg_gym.physics.scenario import Event, GovernorLoss, LoadStep, MachineOutage
+from wtg_gym.physics.scenario import Event, GovernorLoss, GroupTrip, LoadStep, MachineOutage
 from wtg_gym.physics.tracking_law import TrackingLaw
 from wtg_gym.reproduce.steady_states import equilibria
 from wtg_gym.scenarios import get_suite
@@ -107,21 +107,26 @@ class Aftermath:
 
     lowest_hz: float  # frequency of the centre of inertia
     final_hz: tuple[float, float]  # least and largest at the end, of the grids that are left
-    rotors: int  # groups that tripped
+    rotors: int  # groups that a protection disconnected
     grids: int  # grids that were lost
 
 
 def worst_events() -> dict[str, tuple[Event, ...]]:
-    """Return the largest load step among training scenarios, the same once the governor is lost, and the last outage.
+    """Return the largest load steps up and down among training scenarios, the trip of a group, and outages.
+
+    The step up comes once the governor is lost too. The group is the largest that scenarios lose.
 
     Without the last machine the network has what the wind gives, which may be less than the load: no law is asked to
     hold then.
     """
     suite = get_suite(SUITE)
     steps = [e for scenario in suite.scenarios(suite.train[:N_SOUGHT]) for e in scenario.events if type(e) is LoadStep]
-    largest = dataclasses.replace(max(steps, key=lambda step: step.power_mw), time_s=EVENT_S)
+    chosen = (max(steps, key=lambda step: step.power_mw), min(steps, key=lambda step: step.power_mw))
+    largest, least = (dataclasses.replace(step, time_s=EVENT_S) for step in chosen)
     return {
         largest.words: (largest,),
+        least.words: (least,),
+        "a group trips": (GroupTrip(time_s=EVENT_S, group=1),),
         f"governor lost, {largest.words}": (GovernorLoss(time_s=0.0, bus=1), largest),
         LAST_MACHINE: (MachineOutage(time_s=EVENT_S, bus=1),),
     }
@@ -147,10 +152,11 @@ def aftermath(law: TrackingLaw, events: tuple[Event, ...], duration_s: float = D
     stands = lanes.statuses() == Status.RUNNING
     final_hz = nominal_hz * lanes.simulator.lane_values("coi")[stands]
     tripped = lanes.simulator.wtg_values("connected")[stands] < 0.5
+    by_event = sum(isinstance(event, GroupTrip) for event in events) * stands.sum()
     lanes.simulator.close()
     return Aftermath(
         lowest_hz=nominal_hz * lowest,
         final_hz=(float(final_hz.min()), float(final_hz.max())),
-        rotors=int(tripped.sum()),
+        rotors=int(tripped.sum() - by_event),
         grids=int((~stands).sum()),
     )

@@ -8,7 +8,7 @@ from typing import Any
 from wtg_gym.cli.options import Json, SuiteName, Whole
 from wtg_gym.cli.output import print_json, print_table, say
 from wtg_gym.cli.scenario_text import describe_scenario
-from wtg_gym.scenarios import SPLITS, SUITES, Suite, get_suite
+from wtg_gym.scenarios import FROZEN_HASHES, SPLITS, SUITES, Suite, get_suite
 
 
 def suites(name: SuiteName | None = None, /, *, seed: Whole | None = None, json: Json = False) -> int:
@@ -64,7 +64,7 @@ def _print_suites(suites: list[Suite]) -> None:
     rows = []
     for suite in suites:
         seeds = (f"{suite.seeds(split).start} … {suite.seeds(split).stop - 1}" for split in SPLITS)
-        rows.append((suite.name, suite.hash[:12], f"{suite.duration_s:g}", *seeds, str(len(suite.test))))
+        rows.append((suite.name, FROZEN_HASHES[suite.name][:12], f"{suite.duration_s:g}", *seeds, str(len(suite.test))))
     print_table(header, rows, left=(0, 1))
     say("")
     width = max(len(suite.name) for suite in suites)

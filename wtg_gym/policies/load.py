@@ -6,6 +6,7 @@ package has copies of both in `wtg_gym/shipped`, because those two names could c
 
 from __future__ import annotations
 
+import difflib
 import importlib
 import itertools
 from collections.abc import Mapping, Sequence
@@ -67,7 +68,7 @@ def load_entries(spec: str | Path, benchmark: Benchmark = V1) -> list[Entry]:
     if not colon and Path(text or "no folder").is_dir():
         raise ValueError(f"the folder {text} holds no {ENTRY_FILE}; several folders are {text.rstrip('/')}/*")
     if not colon or not all(part.isidentifier() for part in module_name.split(".")):
-        raise ValueError(f"unknown entry {text!r}; {_allowed()}")
+        raise ValueError(f"unknown entry {text!r}; {_allowed(text)}")
     return [_entry_of(_import(module_name, text), attribute, text)]
 
 
@@ -151,14 +152,18 @@ def _import(name: str, spec: str) -> ModuleType:
     except ImportError as error:
         missing = error.name if isinstance(error, ModuleNotFoundError) else None
         if missing is not None and (name == missing or name.startswith(missing + ".")):
-            raise ValueError(f"unknown entry {spec!r}: there is no module {missing!r}; {_allowed()}") from error
+            raise ValueError(f"unknown entry {spec!r}: there is no module {missing!r}; {_allowed(spec)}") from error
         raise ValueError(f"entry {spec!r} cannot be imported: {error}") from error
 
 
-def _allowed() -> str:
-    names = [name for folder in policy_folders() if (name := policy_name(folder))]
-    shipped = ", ".join(repr(known) for known in dict.fromkeys((*STRATEGY_NAMES, BASELINES, *names, POLICIES)))
-    return f'allowed are {shipped}, a .toml file with a law, a folder with {ENTRY_FILE}, or "module:ATTRIBUTE"'
+def _allowed(text: str) -> str:
+    """Return what can stand in the place of a wrong entry: the names like it, or all."""
+    shipped = (name for folder in policy_folders() if (name := policy_name(folder)))
+    names = {name.casefold(): name for name in (*STRATEGY_NAMES, BASELINES, *shipped, POLICIES)}
+    if close := difflib.get_close_matches(text.casefold(), names):
+        return f"did you mean {' or '.join(repr(names[name]) for name in close)}?"
+    known = ", ".join(map(repr, names.values()))
+    return f'allowed are {known}, a .toml file with a law, a folder with {ENTRY_FILE}, or "module:ATTRIBUTE"'
 
 
 def _baselines(version: str | None = None) -> list[Entry]:
