@@ -144,6 +144,21 @@ def test_entries_that_lose_grids_that_the_anchor_only_bends_have_no_mark(results
     assert [row.marked for row in rows] == [True, False, True]
 
 
+def test_as_many_bad_runs_in_other_strata_keep_the_mark(results_v1: Results) -> None:
+    def beyond(*places: int) -> list[Any]:
+        return [
+            dataclasses.replace(e, failure="", metrics={**e.metrics, "nadir_hz": 49.1 if i in places else 49.9})
+            for i, e in enumerate(results_v1.episodes_of(V1.hundred))
+        ]
+
+    # The mean of 0 and 5 of 6 is larger than that of 1 and 4 of 6, in its last bit.
+    runs = {V1.hundred: [beyond(0, 6, 7, 8, 9)], "other": [beyond(6, 7, 8, 9, 10)]}
+    costs = {name: np.full((1, 12), 10.0) for name in runs}
+    entries = [{"name": name, "kind": "law", "observation_mode": "measured"} for name in runs]
+    rows = summary.measured(entries, runs, costs, V1, {"ordinary": np.arange(6), "large": np.arange(6, 12)})
+    assert rows[1].lost_or_beyond_to_hundred.value > 0.0 and [row.marked for row in rows] == [True, True]
+
+
 def test_without_a_scenario_of_every_stratum_there_is_no_score() -> None:
     results = evaluate("fast-droop", "standard-v1", seeds=[10_000, 10_002], duration_s=1.0)
     assert "none of the 2 scenarios is of the stratum 'extreme'" in results.no_score

@@ -185,8 +185,9 @@ def _measured(
     hundred = all_runs[benchmark.hundred]
     lost, bad = _lost(runs), lost_or_beyond(runs, nominal_hz)
     more = statistics.share_difference(bad, lost_or_beyond(hundred, nominal_hz), groups)
+    # Of equal counts in other strata the shares differ in their last bits.
     marked = not benchmark.charges_worst or (
-        more.value <= 0.0 and statistics.share_difference(lost, _lost(hundred), groups).low <= 0.0
+        round(more.value, 9) <= 0.0 and statistics.share_difference(lost, _lost(hundred), groups).low <= 0.0
     )
     worst = float(np.median(_deviations(runs, "worst_nadir_hz", "worst_zenith_hz", nominal_hz)))
     return EntrySummary(
@@ -197,7 +198,7 @@ def _measured(
         n_runs=costs.shape[0],
         n_episodes=costs.size,
         n_lost=int(lost.sum()),
-        failures_percent=100.0 * statistics.mean(lost),
+        failures_percent=statistics.share(lost, groups),
         lost_or_beyond_percent=statistics.share(bad, groups),
         lost_or_beyond_to_hundred=more,
         marked=marked,

@@ -14,7 +14,10 @@ _PRIVILEGED = "privileged"
 _PRIVILEGED_NOTE = f"{_PRIVILEGED}: sees the state of the whole grid, which no turbine measures"
 #: What :attr:`EntrySummary.marked` is shown by, and what a page says about it.
 _MARK = "✓"
-_MARK_NOTE = f"{_MARK}: no more runs lost or beyond 0.8 Hz than the entry at 100, nor lost beyond chance; ranks first"
+_MARK_NOTE = (
+    f"{_MARK}: no more runs lost or beyond 0.8 Hz than the anchor at 100, nor more grids lost beyond chance; "
+    "ranks first"
+)
 #: Columns of text; all others hold numbers.
 _TEXTS = ("entry", "kind")
 

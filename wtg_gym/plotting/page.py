@@ -29,6 +29,8 @@ return names.map((text, row) => text.toLowerCase().includes(wanted) && kinds.inc
 """
 #: Sizes [pixels].
 _CHARACTER_WIDTH, _ROW_HEIGHT, _CHART_HEIGHT = 6, 26, 420
+#: Least score that is shown at first.
+_LEAST_SHOWN = -100.0
 
 
 def leaderboard_page(results: Sequence[Results]) -> str:
@@ -131,11 +133,16 @@ def _chart(title: str, x: str, y: str, **settings: Any) -> Any:
 
 
 def _score_chart(source: Any, view: Any) -> Any:
-    from bokeh.models import FactorRange
+    from bokeh.models import FactorRange, Range1d
 
     names = list(source.data["name"])
     height = max(_CHART_HEIGHT, 60 + 16 * len(names))
-    made = _chart("Scores with 95 % intervals", "score", "", y_range=FactorRange(*reversed(names)), height=height)
+    low, high = min([0.0, *source.data["score_low"]]), max([100.0, *source.data["score_high"]])
+    # A law that stalls would make one point of all others: the chart can be moved to it.
+    across = Range1d(max(low, _LEAST_SHOWN) - 5.0, high + 5.0)
+    made = _chart(
+        "Scores with 95 % intervals", "score", "", x_range=across, y_range=FactorRange(*reversed(names)), height=height
+    )
     made.vspan([0.0, 100.0], line_color=LINE)
     made.segment("score_low", "name", "score_high", "name", source=source, view=view, color="colour", line_width=2)
     made.scatter("score_value", "name", source=source, view=view, color="colour", size=8)
@@ -144,6 +151,8 @@ def _score_chart(source: Any, view: Any) -> Any:
 
 def _deviation_chart(source: Any, view: Any) -> Any:
     y = "median of the largest deviations [mHz]"
-    made = _chart("Typical and large deviations", "runs lost or beyond 0.8 Hz [%]", y, height=_CHART_HEIGHT)
+    made = _chart(
+        "Typical and large deviations", "runs lost or beyond 0.8 Hz [%]", y, y_axis_type="log", height=_CHART_HEIGHT
+    )
     made.scatter("lost_or_beyond", "deviation", source=source, view=view, color="colour", size=9, legend_group="kind")
     return made
