@@ -291,8 +291,9 @@ def rotors(results: Results) -> Condition:
 
 
 def paid_in_full(entries: Entries, results: Results) -> Condition:
+    length_s = get_suite(SUITE).duration_s
     clocks = [
-        droop(f"clock, {name} {last:g} s", ANCHOR, Stopwatch(1800 - round(10.0 * last), on, action))
+        droop(f"clock, {name} {last:g} s", ANCHOR, Stopwatch(round(10.0 * (length_s - last)), on, action))
         for last in CLOCKS_S
         for name, on, action in (("on", True, None), ("off", False, None), ("up", True, 1.0), ("down", True, -1.0))
     ]
