@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections import defaultdict
 from collections.abc import Callable, Sequence
 from contextlib import closing
 from typing import Any, TypeVar
@@ -63,6 +64,8 @@ _N_POINTS, _STRIKES_S, _AFTERWARDS_S = 6, 1.0, 30.0
 _CLEARED_S = 0.2
 #: Scenarios that sizes are tried on, and the largest share of them that no law survives.
 _N_TRIED, _LOST = 300, 0.01
+#: Share of a place's scenarios under which, where no law survives them, the place is left out.
+_LOST_AT_PLACE = 0.1
 _SMALLER, _LEAST_SIZE = 0.9, 0.1
 #: Step in which loads are lowered.
 _LESS_LOAD, _LEAST_LOAD = 0.05, 0.4
@@ -107,7 +110,8 @@ def survivable(own: GridSuite, on_progress: Callable[[str, float, int], object])
 def screened(grid: str, name: str, on_progress: Callable[[str, float, int], object]) -> GridSuite:
     """Return a suite of a grid whose events some law survives, and whose sizes leave few scenarios that none does.
 
-    Loads are lowered until every operating point starts under all laws, then events are made smaller.
+    Loads are lowered until every operating point starts under all laws; then places are left out at which no law survives
+    every tenth scenario, and events are made smaller.
 
     Args:
         grid: its name, or the path of its file.
@@ -130,13 +134,44 @@ def screened(grid: str, name: str, on_progress: Callable[[str, float, int], obje
     plant = own.suite.plant.settings(classical=False, trips_groups=True)
     while True:
         scenarios = own.suite.scenarios(own.suite.validation[:_N_TRIED])
-        lost = 1.0 - survived(plant, scenarios).any(axis=0).mean()
-        on_progress(f"events of {own.event_size:g}: {100.0 * lost:.1f} % are lost under every law", 1, 1)
-        if lost <= _LOST:
+        lost = ~survived(plant, scenarios).any(axis=0)
+        on_progress(f"events of {own.event_size:g}: {100.0 * lost.mean():.1f} % are lost under every law", 1, 1)
+        if lost.mean() <= _LOST:
             return own
+        fewer = _without(own.places, scenarios, lost)
+        if fewer != own.places:
+            own = dataclasses.replace(own, places=fewer)
+            continue
         own = dataclasses.replace(own, event_size=round(_SMALLER * own.event_size, 2))
         if own.event_size < _LEAST_SIZE:
-            raise ValueError(f"grid {grid!r} loses {100.0 * lost:.0f} % of the scenarios at events of any size")
+            raise ValueError(f"grid {grid!r} loses {100.0 * lost.mean():.0f} % of the scenarios at events of any size")
+
+
+def _without(places: Places, scenarios: Sequence[Scenario], lost: Flags) -> Places:
+    """Return the places without those where a tenth of the scenarios or more is lost."""
+    drawn: dict[tuple[str, Any], list[bool]] = defaultdict(list)
+    for scenario, is_lost in zip(scenarios, lost, strict=True):
+        for place in {place for event in scenario.events for place in _places_of(event)}:
+            drawn[place].append(bool(is_lost))
+    bad = {place for place, flags in drawn.items() if sum(flags) >= _LOST_AT_PLACE * len(flags)}
+    kept = {name: tuple(p for p in getattr(places, name) if (name, p) not in bad) for name, _ in bad}
+    return dataclasses.replace(places, **kept)
+
+
+def _places_of(event: Event) -> list[tuple[str, Any]]:
+    """Return the fields of :class:`Places` that an event was drawn from, each with its place."""
+    match event:
+        case LineTrip():
+            return [("line_trips", (event.from_bus, event.to_bus))]
+        case Fault():
+            return [("fault_lines", event.opens)]
+        case LoadTrip():
+            return [("load_trip_buses", event.bus)]
+        case MachineOutage():
+            return [("machine_buses", event.bus), ("generator_buses", event.bus)]
+        case GovernorLoss():
+            return [("governor_buses", event.bus)]
+    return []
 
 
 def _starts(own: GridSuite) -> bool:
