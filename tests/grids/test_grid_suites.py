@@ -15,12 +15,9 @@ from tests.physics.test_grid_files import STRANGER
 from wtg_gym.envs.settings import EnvSettings
 from wtg_gym.evaluation import Entry, screening
 from wtg_gym.physics.grid import data_of, get_grid, text_of
-from wtg_gym.physics.scenario import LoadStep
 from wtg_gym.policies.entry import check_version
-from wtg_gym.scenarios import SUITES, get_suite
+from wtg_gym.scenarios import get_suite
 from wtg_gym.scenarios.grid_suite import all_places, unscreened
-
-OF_GRIDS = [name for name, suite in SUITES.items() if suite.plant.grid != "ieee14"]
 
 
 @pytest.fixture
@@ -74,18 +71,6 @@ def test_a_policy_of_all_groups_stays_in_its_grid_and_one_of_a_group_moves() -> 
     for suite, other in ((elsewhere, {}), (get_suite("standard-v1"), {"environment": "GFMWTG-v1"})):
         with pytest.raises(ValueError, match="between grids move policies with per_group = true"):
             check_version([Entry(**{**given, **other})], suite)
-
-
-@pytest.mark.parametrize("name", OF_GRIDS)
-def test_loads_stay_above_zero_in_every_scenario(name: str) -> None:
-    suite = get_suite(name)
-    loads = {bus.number: bus.load_mw for bus in get_grid(suite.plant.grid).case.buses}
-    for scenario in suite.scenarios(suite.validation[:150]):
-        left = {bus: scenario.load_level * load for bus, load in loads.items()}
-        for event in scenario.events:
-            if isinstance(event, LoadStep):
-                left[event.bus] += event.power_mw
-        assert min(left.values()) >= 0.0
 
 
 def test_places_name_every_bus_once_and_lines_that_are_no_bridges() -> None:

@@ -64,11 +64,13 @@ _N_POINTS, _STRIKES_S, _AFTERWARDS_S = 6, 1.0, 30.0
 _CLEARED_S = 0.2
 #: Scenarios that sizes are tried on, and the largest share of them that no law survives.
 _N_TRIED, _LOST = 300, 0.01
+#: Training scenarios whose operating points have to start.
+_N_STARTED = 1000
 #: Share of a place's scenarios under which, where no law survives them, the place is left out.
 _LOST_AT_PLACE = 0.1
 _SMALLER, _LEAST_SIZE = 0.9, 0.1
-#: Step in which loads are lowered.
-_LESS_LOAD, _LEAST_LOAD = 0.05, 0.4
+#: Step in which loads are lowered, the lowest ones, and the least difference between the largest and the lowest.
+_LESS_LOAD, _LEAST_LOAD, _LEAST_RANGE = 0.05, 0.4, 0.15
 
 
 def survivable(own: GridSuite, on_progress: Callable[[str, float, int], object]) -> Places:
@@ -110,8 +112,8 @@ def survivable(own: GridSuite, on_progress: Callable[[str, float, int], object])
 def screened(grid: str, name: str, on_progress: Callable[[str, float, int], object]) -> GridSuite:
     """Return a suite of a grid whose events some law survives, and whose sizes leave few scenarios that none does.
 
-    Loads are lowered until every operating point starts under all laws; then places are left out at which no law survives
-    every tenth scenario, and events are made smaller.
+    Loads are lowered until every operating point starts under all laws; then places are left out at which every tenth
+    scenario is lost under all of them, and events are made smaller.
 
     Args:
         grid: its name, or the path of its file.
@@ -123,11 +125,10 @@ def screened(grid: str, name: str, on_progress: Callable[[str, float, int], obje
     own = dataclasses.replace(unscreened(grid), name=name)
     case = get_grid(grid).with_groups
     while not _starts(own):
-        low, high = (round(level - _LESS_LOAD, 2) for level in own.load_level)
+        high = round(own.load_level[1] - _LESS_LOAD, 2)
+        low = min(own.load_level[0], round(high - _LEAST_RANGE, 2))
         if low < _LEAST_LOAD:
-            raise ValueError(
-                f"grid {grid!r} has no equilibrium in some winds at {100.0 * low:.0f} % of its load too"
-            )
+            raise ValueError(f"grid {grid!r} has no equilibrium in some winds at {100.0 * low:.0f} % of its load too")
         own = dataclasses.replace(own, load_level=(low, high), places=all_places(case, low))
         on_progress(f"load level at most {high:g}", 1, 1)
     own = dataclasses.replace(own, places=survivable(own, on_progress))
@@ -175,9 +176,9 @@ def _places_of(event: Event) -> list[tuple[str, Any]]:
 
 
 def _starts(own: GridSuite) -> bool:
-    """Return whether every operating point tried starts under all laws."""
+    """Return whether every operating point of validation and test starts under all laws, and 1,000 of training do."""
     plant = own.suite.plant.settings(classical=False, trips_groups=True)
-    scenarios = own.suite.scenarios(own.suite.validation[:_N_TRIED])
+    scenarios = own.suite.scenarios([*own.suite.validation, *own.suite.test, *own.suite.train[:_N_STARTED]])
     drawn = [dataclasses.replace(scenario, events=()) for scenario in scenarios]
     with closing(Simulator(plant, duration_s=own.suite.duration_s)) as simulator:
         for name in LAWS:

@@ -341,9 +341,9 @@ class ScenarioDistribution(Checked):
         if not pick.chance(self.line_trip_probability):
             return []
         from_bus, to_bus = pick.choice(self.line_trips)
-        ends = {"time_s": pick.instant(window), "from_bus": from_bus, "to_bus": to_bus}
+        time_s = pick.instant(window)
         after_s = None if self.line_reclosing_s is None else round(pick.between(self.line_reclosing_s), 1)
-        return [trusted(LineTrip, **ends, recloses_after_s=after_s)]
+        return [_line_trip(time_s, from_bus, to_bus, after_s)]
 
     def _outages(self, pick: Picker, turbines: list[float], window: Span) -> list[Event]:
         events: list[Event] = []
@@ -381,7 +381,7 @@ class ScenarioDistribution(Checked):
                 found.append(fault)
         if self.islandings:
             lines, time_s = pick.choice(self.islandings), pick.instant(window)
-            found += [trusted(LineTrip, time_s=time_s, from_bus=a, to_bus=b, recloses_after_s=None) for a, b in lines]
+            found += [_line_trip(time_s, *ends) for ends in lines]
         return found
 
     def _series(
@@ -474,6 +474,11 @@ class ScenarioDistribution(Checked):
             return group, wind.extreme_operating_gust(time_s, start_s, pick.between(self.gust_m_s))
         change = pick.between(self.wind_ramp_m_s) * (1.0 if pick.chance(0.5) else -1.0)
         return slice(None), wind.coherent_ramp(time_s, start_s, change, pick.between(self.wind_ramp_s))
+
+
+def _line_trip(time_s: float, from_bus: int, to_bus: int, recloses_after_s: float | None = None) -> LineTrip:
+    ends = {"from_bus": from_bus, "to_bus": to_bus}
+    return trusted(LineTrip, time_s=time_s, **ends, recloses_after_s=recloses_after_s, circuit=None)
 
 
 class _Plan(NamedTuple):

@@ -236,8 +236,8 @@ FROZEN_HASHES: Mapping[str, str] = MappingProxyType(
         "weak-grid-v1": "b57fafe060b65e9129731bf2fe3d9c2332a8c87dfe634c11b2fb330bab32fcdc",
         "paper-v1": "1d7b16b8ffc06f38bd04e211d26bcbe44dd9dbd20a8761080e073c8177340fbe",
         "ieee39-v1": "0a01227cdf3f1dae8f5b2d92b3febe61194e8a79402c2704f5cedda1ed29b916",
-        "kundur-v1": "8433587b3d12fcb2823ea2b4ca01cd0650dbef9536b38d00c96ffdab039f2666",
-        "nordic45-v1": "8ba8edfd8bed1466878d102f253c38138d1c4643100f99a495e9267e8c67ba71",
+        "kundur-v1": "4e6b98ae6ac20ec57cbb680e0f83392a52ebc5971d3dcae0f35bfdf18d67dbad",
+        "nordic45-v1": "cc05789759a32882d2b9a33c27d2cda8c80d36aaaf25904b4f5a97f335005052",
     }
 )
 
