@@ -314,6 +314,33 @@ ALONE: dict[str, dict[str, Any]] = {
         )
     },
 }
+
+
+def without_limits(network: NetworkCase) -> NetworkCase:
+    """Return a network whose limits are out of reach: where one binds, the error of a step does not fall regularly."""
+    far = {"signal_limit_pu": 9.0, "field_min_pu": -99.0, "field_max_pu": 99.0, "gate_min_pu": -9.0, "gate_max_pu": 9.0}
+
+    def widened(control: Any) -> Any:
+        if control is None:
+            return None
+        return dataclasses.replace(control, **{name: far[name] for name in vars(control).keys() & far.keys()})
+
+    names = ("exciter", "governor", "stabiliser")
+    machines = (dataclasses.replace(m, **{n: widened(getattr(m, n)) for n in names}) for m in network.machines)
+    return dataclasses.replace(network, machines=tuple(machines))
+
+
+#: On 39 buses: every class of event.
+ON_39_BUSES = without_limits(get_grid("ieee39").case)
+ON_39 = {
+    "loads": (Trip(1.0, 8), Step(4.0, 20, 200.0)),
+    "lines": (
+        LineTrip(time_s=1.0, from_bus=16, to_bus=17),
+        Fault(time_s=4.0, bus=3, clears_after_s=0.125, resistance_pu=0.005, reactance_pu=0.02, opens=(3, 4)),
+        ReactanceStep(time_s=7.0, from_bus=25, to_bus=26, factor=2.0),
+    ),
+    "outage": (MachineOutage(time_s=1.0, bus=32),),
+}
 CASES = (
     Case("genrou", {"a": STEPS_UP, "b": (Trip(5.0, 4), Trip(30.0, 9))}),
     Case(
@@ -329,6 +356,7 @@ CASES = (
     Case("shedding", {"a": SHEDDING}),
     Case("grid-events", {"faults": FAULTS, "islands": ISLANDS, "outage": OUTAGE}, duration_s=20.0),
     Case("imposed-source", {"a": SOURCE_EVENTS}, units=SOURCE, duration_s=20.0),
+    Case("ieee39", ON_39, units={}, duration_s=10.0, network=ON_39_BUSES, extrapolates=True),
     *(
         Case(name, {"a": BOTH_WAYS}, units={}, duration_s=6.0, network=two_machines(**own), extrapolates=True)
         for name, own in ALONE.items()

@@ -88,6 +88,19 @@ def test_a_strangers_grid_plays_without_any_code(stranger: Path) -> None:
     env.close()
 
 
+def test_a_grid_that_is_an_object_plays_as_its_file_does() -> None:
+    grid = get_grid("kundur")
+    groups = [{"bus": group.bus, "n_turbines": group.n_turbines} for group in grid.groups]
+    whole, parts = GFMWTGEnv(grid=grid), GFMWTGEnv(grid=grid.with_groups, groups=groups)
+    assert whole.settings.plant() == parts.settings.plant()
+    assert read_grid(Path(whole.settings.suite)) == grid
+    for env in (whole, parts):
+        assert np.isfinite(env.reset(seed=1)[0]).all()
+    for given in (None, 2):
+        with pytest.raises(ValueError, match=f"groups must be a list of them, got {given}"):
+            GFMWTGEnv(grid=grid.with_groups, groups=given)
+
+
 @pytest.mark.parametrize(
     ("change", "words"),
     [

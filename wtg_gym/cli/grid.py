@@ -14,6 +14,7 @@ from wtg_gym.cli.output import note, print_table, write_and_say
 from wtg_gym.evaluation.screening import screened
 from wtg_gym.grids.andes import convert, grid_of
 from wtg_gym.grids.describe import describe_equilibrium, describe_grid
+from wtg_gym.grids.pandapower import is_network, tables_of
 from wtg_gym.grids.wind import with_wind
 from wtg_gym.physics.grid import data_of, get_grid, grid_text, text_of
 from wtg_gym.progress import Progress
@@ -48,12 +49,16 @@ def import_grid(
     replaced is said, and stands in the file; so are the numbers of buses that have names. A phase shifter counts as a
     model that is not here, and is taken as none when that is asked for.
 
+    A network of pandapower, as its `to_json` writes it, is read by pandapower and gets typical machines.
+
     examples:
       wtg-gym grid import ieee39.raw --dynamic ieee39.dyr --output ieee39.json
       wtg-gym grid import case118.m --output ieee118.json --wind 10 26 65
+      wtg-gym grid import network.json --output my_grid.json
       wtg-gym evaluate --suite ieee39.json                      score the laws on it
     """
-    grid = grid_of(convert(case, dynamic, andes), case.stem, substitute=substitute)
+    tables = tables_of(case) if is_network(case) else convert(case, dynamic, andes)
+    grid = grid_of(tables, case.stem, substitute=substitute)
     for line in (*grid.repairs, *grid.substitutions):
         note(line)
     write_and_say(output, grid_text(with_wind(grid, wind)))

@@ -10,7 +10,8 @@ from typing import Any, TypedDict
 import numpy as np
 
 from wtg_gym.physics.checked import Checked, design
-from wtg_gym.physics.grid import DEFAULT_GRID
+from wtg_gym.physics.grid import DEFAULT_GRID, Grid, file_of
+from wtg_gym.physics.network import NetworkCase
 from wtg_gym.physics.parameters import WtgGroup, default_groups
 from wtg_gym.physics.plant import PHYSICS, SIMULATION_DT_RANGE, PlantSettings
 from wtg_gym.physics.scenario import SERIES_DT, Scenario
@@ -101,7 +102,7 @@ class EnvArguments(TypedDict, total=False):
     action_mode: str
     observation_mode: str
     suite: str
-    grid: str | None
+    grid: str | Grid | NetworkCase | None
     split: str
     scenario: Scenario | Mapping[str, Any] | None
     groups: int | Sequence[Mapping[str, Any]] | None
@@ -118,14 +119,15 @@ class EnvArguments(TypedDict, total=False):
 
 @dataclass(frozen=True, kw_only=True)
 class EnvSettings:
-    """Arguments of the environment; all but a `TrackingLaw` and a `Scenario` can be written as JSON.
+    """Arguments of the environment; all but objects of this package can be written as JSON.
 
     Args:
         strategy: control law that the actions adjust: a name, a TOML file, a `TrackingLaw`, or one for each group.
         action_mode: what the actions adjust: `"k"`, `"tau"` or `"k+tau"`.
         observation_mode: `"local"`, what each group measures itself, or `"privileged"`, which adds the grid's state.
         suite: name of the suite of scenarios, in v1 with or without `-v1`; None: the standard suite of the version.
-        grid: name of a grid, or path of its file: its suite, instead of one by name.
+        grid: name of a grid, or path of its file: its suite, instead of one by name. Or a `Grid`, or a `NetworkCase`
+            as it is beside its `groups`.
         split: `"train"`, `"validation"` or `"test"`, or `"fresh"`, with seeds that are in none of them.
         scenario: one scenario for every episode, a `Scenario` or its `to_dict()`.
         groups: number of turbine groups at the bus of the first one, or a list of `{"bus": …, "n_turbines": …}`, with a
@@ -156,7 +158,7 @@ class EnvSettings:
     action_mode: str = "k+tau"
     observation_mode: str = "local"
     suite: str = None  # type: ignore[assignment]  # replaced below
-    grid: str | None = None
+    grid: str | Grid | NetworkCase | None = None
     split: str = "train"
     scenario: Scenario | Mapping[str, Any] | None = None
     groups: int | Sequence[Mapping[str, Any]] | None = None
@@ -190,7 +192,7 @@ class EnvSettings:
         if self.grid is not None:
             if suite is not None:
                 raise ValueError("a suite names its grid; give grid or suite, not both")
-            suite = suite_of_grid(self.grid) if self.grid != DEFAULT_GRID else None
+            suite = suite_of_grid(self._grid()) if self.grid != DEFAULT_GRID else None
             # The suite stands for it from here on.
             object.__setattr__(self, "grid", None)
         if suite is None:
@@ -211,6 +213,15 @@ class EnvSettings:
             object.__setattr__(self, "simulation_dt", found.plant.simulation_dt)
         if self.physics is None:
             object.__setattr__(self, "physics", found.plant.physics)
+
+    def _grid(self) -> str:
+        """Return the name or the path of the grid; one that is given as an object gets a file."""
+        grid = self.grid
+        if isinstance(grid, NetworkCase):
+            if self.groups is None or isinstance(self.groups, (int, np.integer)):
+                raise ValueError(f"a NetworkCase has no WTG groups: groups must be a list of them, got {self.groups!r}")
+            grid = Grid(case=grid, groups=self.wtg_groups())
+        return file_of(grid) if isinstance(grid, Grid) else grid  # type: ignore[return-value]
 
     @property
     def env_id(self) -> str:

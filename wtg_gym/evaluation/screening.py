@@ -135,7 +135,7 @@ def screened(grid: str, name: str, on_progress: Callable[[str, float, int], obje
     plant = own.suite.plant.settings(classical=False, trips_groups=True)
     while True:
         scenarios = own.suite.scenarios(own.suite.validation[:_N_TRIED])
-        lost = ~survived(plant, scenarios).any(axis=0)
+        lost: Flags = np.logical_not(survived(plant, scenarios).any(axis=0))
         on_progress(f"events of {own.event_size:g}: {100.0 * lost.mean():.1f} % are lost under every law", 1, 1)
         if lost.mean() <= _LOST:
             return own
@@ -155,7 +155,7 @@ def _without(places: Places, scenarios: Sequence[Scenario], lost: Flags) -> Plac
         for place in {place for event in scenario.events for place in _places_of(event)}:
             drawn[place].append(bool(is_lost))
     bad = {place for place, flags in drawn.items() if sum(flags) >= _LOST_AT_PLACE * len(flags)}
-    kept = {name: tuple(p for p in getattr(places, name) if (name, p) not in bad) for name, _ in bad}
+    kept: dict[str, Any] = {name: tuple(p for p in getattr(places, name) if (name, p) not in bad) for name, _ in bad}
     return dataclasses.replace(places, **kept)
 
 

@@ -5,18 +5,20 @@ from __future__ import annotations
 import dataclasses
 import functools
 import json
+import tempfile
 import types
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, get_args, get_type_hints
 
-from wtg_gym.files import read_json, sha256
+from wtg_gym.files import read_json, sha256, write_atomically
 from wtg_gym.physics.checked import Checked
 from wtg_gym.physics.machine_parameters import AnyExciter, AnyGovernor, AnyStabiliser
 from wtg_gym.physics.network import NetworkCase
 from wtg_gym.physics.parameters import WtgGroup
 from wtg_gym.ranges import require_known
+from wtg_gym.systems.compiled import cache_folder
 
 #: The grids that come with the package.
 FOLDER = Path(__file__).parents[1] / "grids"
@@ -131,6 +133,15 @@ def grid_text(grid: Grid) -> str:
     data = {**data_of(grid), **data_of(grid.case)}
     del data["case"]
     return text_of(data)
+
+
+def file_of(grid: Grid) -> str:
+    """Return the path of a grid's file in the user's cache, so that it is one by its path as every other."""
+    text = grid_text(grid)
+    path = (cache_folder() or Path(tempfile.mkdtemp())) / f"grid-{sha256(text.encode())[:16]}.json"
+    if not path.exists():
+        write_atomically(path, text)
+    return str(path)
 
 
 def digest_of_grid(name: str) -> str:
