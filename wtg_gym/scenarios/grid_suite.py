@@ -13,6 +13,7 @@ from wtg_gym.physics.checked import Checked, describe, design, required
 from wtg_gym.physics.grid import get_grid, modified, record_of
 from wtg_gym.physics.machine_parameters import SynchronousMachineParameters
 from wtg_gym.physics.network import NetworkCase
+from wtg_gym.physics.parameters import TurbineParameters
 from wtg_gym.physics.plant import SIMULATION_DT_RANGE
 from wtg_gym.physics.simulator import longest_step
 from wtg_gym.scenarios.benchmark import SuitePlant
@@ -32,6 +33,8 @@ _TRIPPED = 0.02, 0.1
 #: Loading of the machines at the least share of wind, and the least width of its range.
 _LOADING, _WIDTH = 0.8, 0.13
 _LOAD_LEVEL = 0.85, 1.1
+#: Least and largest share of wind over the rated power of all turbines and the load.
+_OF_RATED = 0.32, 0.72
 
 
 def all_places(case: NetworkCase, least_level: float = _LOAD_LEVEL[0]) -> Places:
@@ -152,7 +155,11 @@ def unscreened(grid: str) -> GridSuite:
     # The machines give what the wind leaves, with losses.
     load_mw = own.load_level[1] * found.case.load_mw
     machines = (own.plant.governed_mva + own.plant.constant_mw) / load_mw
-    low, high = own.wind_share
+    # Turbines give some of what they are rated for.
+    turbines = (each.turbine or TurbineParameters() for each in found.groups)
+    rated_mw = sum(each.n_turbines * own.rated_power_mw for each, own in zip(found.groups, turbines, strict=True))
+    given = (round(part * rated_mw / found.case.load_mw, 2) for part in _OF_RATED)
+    low, high = map(min, own.wind_share, given)
     low = max(low, round(1.0 + LOSSES - _LOADING * machines, 2))
     if low + _WIDTH > 1.0:
         raise ValueError(
