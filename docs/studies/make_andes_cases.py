@@ -46,6 +46,7 @@ from __future__ import annotations
 import argparse
 import dataclasses
 import functools
+import itertools
 import json
 import logging
 import math
@@ -195,7 +196,7 @@ class Case:
     units: dict[str, tuple[str, float, float]] = field(default_factory=lambda: UNITS)
     duration_s: float = DURATION_S
     network: NetworkCase | None = None  # in place of the modified IEEE 14-bus system
-    extrapolates: bool = False
+    extrapolations: int = 0  # to a step of zero, each from two steps or from two results of the one before
 
 
 STEPS_UP = (Step(5.0, 2, 75.0), Step(30.0, 3, 75.0))
@@ -356,9 +357,9 @@ CASES = (
     Case("shedding", {"a": SHEDDING}),
     Case("grid-events", {"faults": FAULTS, "islands": ISLANDS, "outage": OUTAGE}, duration_s=20.0),
     Case("imposed-source", {"a": SOURCE_EVENTS}, units=SOURCE, duration_s=20.0),
-    Case("ieee39", ON_39, units={}, duration_s=10.0, network=ON_39_BUSES, extrapolates=True),
+    Case("ieee39", ON_39, units={}, duration_s=10.0, network=ON_39_BUSES, extrapolations=2),
     *(
-        Case(name, {"a": BOTH_WAYS}, units={}, duration_s=6.0, network=two_machines(**own), extrapolates=True)
+        Case(name, {"a": BOTH_WAYS}, units={}, duration_s=6.0, network=two_machines(**own), extrapolations=1)
         for name, own in ALONE.items()
     ),
 )
@@ -692,11 +693,18 @@ def difference(trace: Trace, other: Trace) -> dict[str, float]:
     return {q: float(np.abs(getattr(trace, q) - getattr(other, q)).max()) for q in QUANTITIES}
 
 
-def extrapolated(trace: Trace, finer: Trace, ratio: float) -> Trace:
-    """Return a trace for no step, from those of two steps, whose error falls with the square of their ratio."""
-    weight = 1.0 / (ratio * ratio - 1.0)
-    found = {q: getattr(finer, q) + weight * (getattr(finer, q) - getattr(trace, q)) for q in QUANTITIES}
-    return finer._replace(**found)
+def extrapolated(traces: Sequence[Trace], steps: Sequence[int], times: int) -> Trace:
+    """Return the finest trace, extrapolated to a step of zero so often: errors are a series of even powers of it."""
+    found = list(traces)
+    for order in range(1, times + 1):
+        ratios = [(after / before) ** 2 for before, after in zip(steps[:-order], steps[order:], strict=True)]
+        found = [
+            finer._replace(
+                **{q: getattr(finer, q) + (getattr(finer, q) - getattr(coarser, q)) / (ratio - 1.0) for q in QUANTITIES}
+            )
+            for (coarser, finer), ratio in zip(itertools.pairwise(found), ratios, strict=True)
+        ]
+    return found[-1]
 
 
 def event_data(
@@ -808,10 +816,9 @@ def make_case(case: Case, folder: Path, steps: Sequence[int]) -> dict[str, Any]:
         finest = traces[-1]
         to_finest = {f"1/{n}": difference(t, finest) for n, t in zip(steps[:-1], traces[:-1], strict=True)}
         remaining = {q: value / 3.0 for q, value in to_finest[f"1/{steps[-2]}"].items()}
-        if case.extrapolates:
-            before = extrapolated(traces[-3], traces[-2], steps[-2] / steps[-3])
-            finest = extrapolated(traces[-2], finest, steps[-1] / steps[-2])
-            remaining = difference(before, finest)
+        if case.extrapolations:
+            finest = extrapolated(traces, steps, case.extrapolations)
+            remaining = difference(extrapolated(traces[:-1], steps[:-1], case.extrapolations), finest)
         worst = {q: max(worst[q], remaining[q]) for q in QUANTITIES}
         name = f"{case.name}/{key}.csv"
         write_trace(folder / name, finest, machine_keys(case, network, events), network)

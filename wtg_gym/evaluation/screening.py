@@ -12,6 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from wtg_gym.physics.grid import get_grid
+from wtg_gym.physics.linearisation import moving_states, state_matrix, swing_modes
 from wtg_gym.physics.plant import PlantSettings
 from wtg_gym.physics.protection import Status
 from wtg_gym.physics.scenario import (
@@ -66,6 +67,8 @@ _CLEARED_S = 0.2
 _N_TRIED, _LOST = 300, 0.01
 #: Training scenarios whose operating points have to start.
 _N_STARTED = 1000
+#: Operating points whose modes are looked at, and the least damping of these [-].
+_N_DAMPED, _LEAST_DAMPING = 100, 0.02
 #: Share of a place's scenarios under which, where no law survives them, the place is left out.
 _LOST_AT_PLACE = 0.1
 _SMALLER, _LEAST_SIZE = 0.9, 0.1
@@ -120,7 +123,7 @@ def screened(grid: str, name: str, on_progress: Callable[[str, float, int], obje
         name: of the suite, without version; its scenarios are drawn by it.
 
     Raises:
-        ValueError: no load or no size is small enough.
+        ValueError: no load or no size is small enough, or a mode is hardly damped.
     """
     own = dataclasses.replace(unscreened(grid), name=name)
     case = get_grid(grid).with_groups
@@ -131,6 +134,14 @@ def screened(grid: str, name: str, on_progress: Callable[[str, float, int], obje
             raise ValueError(f"grid {grid!r} has no equilibrium in some winds at {100.0 * low:.0f} % of its load too")
         own = dataclasses.replace(own, load_level=(low, high), places=all_places(case, low))
         on_progress(f"load level at most {high:g}", 1, 1)
+    damping, hertz = _least_damped(own)
+    on_progress(f"least damped mode: {hertz:.2f} Hz by {100.0 * damping:.1f} %", 1, 1)
+    if damping < _LEAST_DAMPING:
+        raise ValueError(
+            f"grid {grid!r} has operating points with a mode of {hertz:.2f} Hz that is damped by {100.0 * damping:.1f} "
+            f"%; at least {100.0 * _LEAST_DAMPING:g} % are needed: `wtg-gym grid check` shows modes, machines may need "
+            "other stabilisers"
+        )
     own = dataclasses.replace(own, places=survivable(own, on_progress))
     plant = own.suite.plant.settings(classical=False, trips_groups=True)
     while True:
@@ -173,6 +184,21 @@ def _places_of(event: Event) -> list[tuple[str, Any]]:
         case GovernorLoss():
             return [("governor_buses", event.bus)]
     return []
+
+
+def _least_damped(own: GridSuite) -> tuple[float, float]:
+    """Return damping [-] and frequency [Hz] of the least damped mode of all operating points tried."""
+    plant = own.suite.plant.settings(classical=False, trips_groups=True)
+    found = []
+    with closing(Simulator(plant, duration_s=own.suite.duration_s)) as simulator:
+        laws = group_laws(LAWS[0], plant.turbines, plant.control)
+        for scenario in own.suite.scenarios(own.suite.validation[:_N_DAMPED]):
+            simulator.start(0, dataclasses.replace(scenario, events=()), laws)
+            rows = simulator.blocks[0, :, 0]
+            matrix = state_matrix(rows, simulator.plant, simulator.layout, -1.0)
+            keep = moving_states(matrix, rows, simulator.layout)
+            found += swing_modes(matrix[np.ix_(keep, keep)])[:1]
+    return min(found)
 
 
 def _starts(own: GridSuite) -> bool:

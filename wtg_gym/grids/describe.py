@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import dataclasses
-import math
 from collections.abc import Iterator
 
 import numpy as np
 
 from wtg_gym.physics.grid import Grid
-from wtg_gym.physics.linearisation import moving_states, state_matrix
+from wtg_gym.physics.linearisation import moving_states, state_matrix, swing_modes
 from wtg_gym.physics.plant import plant_settings
 from wtg_gym.physics.scenario import Scenario
 from wtg_gym.physics.simulator import Simulator, longest_step
@@ -17,8 +16,6 @@ from wtg_gym.physics.tracking_law import group_laws
 
 #: Wind at which all groups stand, and the law under which they do.
 WIND_M_S, LAW = 10.0, "coordinated-tuned"
-#: Modes of these frequencies count [Hz]: rotors that swing against each other, and controls.
-_MODES_HZ = (0.05, 5.0)
 
 Line = tuple[str, str]
 
@@ -59,10 +56,8 @@ def describe_equilibrium(grid: Grid) -> Iterator[Line]:
     matrix = state_matrix(rows, simulator.plant, layout, -1.0)
     keep = moving_states(matrix, rows, layout)
     yield "equilibrium", f"largest rate {np.abs(simulator.rates()[keep]).max():.1e} p.u./s"
-    values = np.linalg.eigvals(matrix[np.ix_(keep, keep)])
-    swings = [(-value.real / abs(value), value.imag / (2.0 * math.pi)) for value in values if value]
-    between = sorted((damping, hertz) for damping, hertz in swings if _MODES_HZ[0] < hertz < _MODES_HZ[1])
-    for damping, hertz in between[:3]:
+    matrix = matrix[np.ix_(keep, keep)]
+    for damping, hertz in swing_modes(matrix)[:3]:
         yield "mode", f"{hertz:.2f} Hz, damped by {100.0 * damping:.1f} %"
-    growing = [v for v in values if v.real > 1e-6]
+    growing = [value for value in np.linalg.eigvals(matrix) if value.real > 1e-6]
     yield "stable", "yes" if not growing else f"no: {len(growing)} modes grow"

@@ -235,7 +235,7 @@ FROZEN_HASHES: Mapping[str, str] = MappingProxyType(
         "faults-v1": "cd4a7b463efff4df05a4e3f204035c74f994516bc0dd98a9e48b3ce100ef04a3",
         "weak-grid-v1": "b57fafe060b65e9129731bf2fe3d9c2332a8c87dfe634c11b2fb330bab32fcdc",
         "paper-v1": "1d7b16b8ffc06f38bd04e211d26bcbe44dd9dbd20a8761080e073c8177340fbe",
-        "ieee39-v1": "0a01227cdf3f1dae8f5b2d92b3febe61194e8a79402c2704f5cedda1ed29b916",
+        "ieee39-v1": "a45d20948231a6e4b12bc6ddcd862e8a801e7f9ad61ab2dcbc943c253f179a35",
         "kundur-v1": "4e6b98ae6ac20ec57cbb680e0f83392a52ebc5971d3dcae0f35bfdf18d67dbad",
         "nordic45-v1": "cc05789759a32882d2b9a33c27d2cda8c80d36aaaf25904b4f5a97f335005052",
     }
