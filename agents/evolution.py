@@ -77,6 +77,8 @@ class GroupPolicy(nn.Module):
         self, n_wtg: int, n_own: int, n_action: int, hidden: int, control_dt: float, history: bool = True
     ) -> None:
         super().__init__()
+        #: Whether it answers for one group at a time.
+        self.per_group = False
         self._n_wtg, self._n_own = n_wtg, n_own
         n_seen = n_own + (len(SLOW_COLUMNS) + 3) * history
         self._shapes = ((n_seen + 1, hidden), (hidden + n_seen + 1, n_action))
@@ -88,6 +90,13 @@ class GroupPolicy(nn.Module):
         self._filters = torch.tensor(-np.expm1(-control_dt / np.array(SLOW_TIMES_S)), dtype=torch.float32)
         self._low = torch.tensor(_LOW)
         self.state_widths: tuple[int, ...] = (n_wtg * len(SLOW_COLUMNS), 1) if history else ()
+
+    def of_one(self) -> GroupPolicy:
+        """Return the policy of a single group, with the same weights, now and later."""
+        _, (_, n_action) = self._shapes
+        one = GroupPolicy(1, self._n_own, n_action, self._shapes[0][1], 1.0, history=False)
+        one.weights, one.per_group = self.weights, True
+        return one
 
     def forward(self, observations: Tensor, *states: Tensor) -> tuple[Tensor, ...]:
         """Return the actions (n_lanes, n_action) and the next states; zeros are given before the first step."""
@@ -203,6 +212,8 @@ class EvolutionLearner:
         self.average = self.weights.copy()
         policy.weights.copy_(torch.from_numpy(self.average))
         self.begin(policy.direct, h.first_spread)
+        #: What is exported: where a group sees nothing of the others, the policy of one.
+        self.exported = policy if h.history else policy.of_one()
 
     def begin(self, places: npt.NDArray[np.int64], spread: float) -> None:
         """Begin a search of the weights at some places."""
@@ -224,7 +235,7 @@ class EvolutionLearner:
 
     def network(self, _settings: RunSettings) -> nn.Module:
         """Return the policy."""
-        return self.policy
+        return self.exported
 
     def save(self, folder: Path) -> None:
         """Write everything that training goes on from."""

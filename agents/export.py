@@ -12,6 +12,7 @@ from agents.folders import BEST, folders
 from agents.runs import Run
 from agents.training import entry_values
 from wtg_gym.files import markdown_table, sha256, write_together
+from wtg_gym.policies.entry_toml import parse_entry
 from wtg_gym.policies.load import ENTRY_FILE, POLICY_FILE
 from wtg_gym.policies.submission_folder import entry_text
 from wtg_gym.scenarios import get_suite
@@ -40,6 +41,8 @@ def export(
         raise ValueError(f"{run_folder} has no validated policy yet: go on with the run first")
     timesteps = int(best[-1].name)
     entry = entry_values(settings, timesteps, name, description)
+    if parse_entry((best[-1] / ENTRY_FILE).read_text(encoding="utf-8")).get("per_group"):
+        entry["per_group"] = True
     content = (best[-1] / POLICY_FILE).read_bytes()
     trained_on = f"{settings.suite}, split train, {timesteps} steps; chosen on split validation"
     files: dict[str, str | bytes] = {
@@ -54,11 +57,12 @@ def export(
 def _model_card(run: Run, best: Mapping[str, float], name: str, authors: Sequence[str], content: bytes) -> str:
     """Return the README.md of an exported policy; `best` is its row of the run's curve, `content` its policy.onnx."""
     settings, provenance = run.settings, run.provenance
-    benchmark = get_suite(settings.suite).benchmark
+    suite = get_suite(settings.suite)
+    benchmark = suite.benchmark
     changes = [change for process in run.resumptions for change in process["differences"]]
     facts = {
         "actions": f"`{settings.action_mode}` of `{settings.strategy}`, deterministic",
-        "observations": f"`{settings.observation_mode}` of `{benchmark.env_id}`, suite `{settings.suite}`",
+        "observations": f"`{settings.observation_mode}` of `{suite.env_id}`, suite `{settings.suite}`",
         "steps": f"{best['timesteps']:,} of {settings.timesteps:,}",
         "changed by a resumption": "; ".join(changes) or "nothing",
         "validation score": f"{best['score']:.1f} on {settings.validation_episodes} scenarios "

@@ -57,6 +57,7 @@ class Hyperparameters:
     betas: Sequence[float] = (0.9, 0.99)
     max_grad_norm: float = 1.0
     mean_weight: float = 0.0  # of J / J0 in the loss, besides ln(J + J0)
+    per_group: bool = False  # whether the policy sees one group at a time
 
     def __post_init__(self) -> None:
         if min(self.hidden, default=1) < 1 or self.lstm < 0:
@@ -70,6 +71,8 @@ class GradientPolicy(nn.Module):
 
     def __init__(self, n_observation: int, n_action: int, hidden: Sequence[int] = (), lstm: int = 0) -> None:
         super().__init__()
+        #: Whether it answers for one group at a time.
+        self.per_group = False
         self.lstm = nn.LSTM(n_observation, lstm) if lstm else None
         widths = [lstm or n_observation, *hidden, n_action]
         layers = [nn.Linear(n_in, n_out) for n_in, n_out in itertools.pairwise(widths)]
@@ -148,8 +151,10 @@ def costs_of(
     observations = episodes.start(scenarios)
     states, spent, watched, most = list[Tensor](), [], [], MAX_ACTION_GRADIENT / len(scenarios)
     served, strays = torch.ones(len(scenarios), dtype=torch.bool), torch.zeros(len(scenarios))
+    n_rows = len(scenarios) * (episodes.tape.lanes.n_wtg if policy.per_group else 1)
     for _ in range(n_steps):
-        actions, *states = policy(observations, *states)
+        given, *states = policy(observations.reshape(n_rows, -1), *states)
+        actions = given.reshape(len(scenarios), -1)
         actions.register_hook(lambda gradient: gradient.clamp(-most, most))
         observations, terms = episodes.step(actions)
         strays = strays + torch.where(served, 0.0, actions.square().mean(dim=1)) / n_steps
@@ -215,8 +220,11 @@ def train(run: Run, folder: Path) -> None:
     episodes = TorchEpisodes(EnvSettings(**settings.env_arguments), settings.n_envs)
     lanes = episodes.tape.lanes
     failures, loss_of = Failures(episodes), Loss(lanes.settings, h.mean_weight)
-    learner = GradientLearner(GradientPolicy(lanes.n_observation, lanes.n_action, h.hidden, h.lstm), h)
-    policy, optimizer = learner.policy, learner.optimizer
+    n_parts = lanes.n_wtg if h.per_group else 1
+    policy = GradientPolicy(lanes.n_observation // n_parts, lanes.n_action // n_parts, h.hidden, h.lstm)
+    policy.per_group = h.per_group
+    learner = GradientLearner(policy, h)
+    optimizer = learner.optimizer
     n_steps = round(lanes.duration_s / lanes.settings.control_dt)
 
     def learn(index: int, n_batches: int) -> float:
@@ -237,6 +245,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     add("--hidden", type=int, nargs="*", metavar="N", help="widths of the hidden layers, or none (default: 64 64)")
     add("--learning-rate", type=float, metavar="R", help="of Adam at the start (default: 0.01)")
     add("--mean-weight", type=float, metavar="W", help="weight of J / J0 beside ln(J + J0) in the loss (default: 0)")
+    add("--per-group", action="store_true", help="the policy sees one group at a time, and plays any grid")
     add("--lstm", type=int, metavar="N", help="width of an LSTM in front of them (default: 0, none)")
 
     return training_command(parser, argv, NAME, Hyperparameters, train, timesteps=_TIMESTEPS, n_envs=_N_ENVS)

@@ -93,11 +93,11 @@ class Run:
         interval = self.settings.interval or max(1, self.settings.timesteps // 20)
         return not self.curve or timesteps // interval > int(self.curve[-1]["timesteps"]) // interval
 
-    def validate(self, policy: Policy, timesteps: int, wall_time_s: float) -> dict[str, float]:
+    def validate(self, policy: Policy, per_group: bool, timesteps: int, wall_time_s: float) -> dict[str, float]:
         """Play the validation scenarios, add a row with score and metrics to the curve, and return the metrics.
 
-        The policy takes raw observations; it was trained for that many environment steps and seconds. On scenarios
-        without a scale there is a NoScaleError.
+        The policy takes raw observations, of one group at a time or of all; it was trained for that many environment
+        steps and seconds. On scenarios without a scale there is a NoScaleError.
         """
         s = self.settings
         entry = Entry(
@@ -106,6 +106,7 @@ class Run:
             strategy=s.strategy,
             action_mode=s.action_mode,
             observation_mode=s.observation_mode,
+            per_group=per_group,
         )
         seeds = get_suite(s.suite).seeds("validation")[: s.validation_episodes]
         results = evaluate([entry], s.suite, "validation", seeds=seeds)

@@ -107,8 +107,9 @@ class Training:
             if finished:
                 run.write(self._folder)
             return None
-        policy = TorchPolicy(learner.network(run.settings))
-        metrics = run.validate(policy, timesteps, time.monotonic() - self._began)
+        network = learner.network(run.settings)
+        played = TorchPolicy(network), per_group(network)
+        metrics = run.validate(*played, timesteps, time.monotonic() - self._began)
         # First, because one whose row is missing in run.json is validated again on resumption.
         save_folder(self._folder / CHECKPOINTS, timesteps, learner.save)
         if run.best is run.curve[-1]:
@@ -120,8 +121,10 @@ class Training:
         """Write the policy as an entry that `wtg-gym evaluate` plays."""
         settings = self._run.settings
         (folder / POLICY_FILE).write_bytes(_exported(self._learner, settings))
-        timesteps = int(self._run.curve[-1]["timesteps"])
-        write_atomically(folder / ENTRY_FILE, entry_text(entry_values(settings, timesteps)))
+        values = entry_values(settings, int(self._run.curve[-1]["timesteps"]))
+        if per_group(self._learner.network(settings)):
+            values["per_group"] = True
+        write_atomically(folder / ENTRY_FILE, entry_text(values))
 
 
 def train_in_rounds(
@@ -147,8 +150,14 @@ def train_in_rounds(
 
 def _exported(learner: Learner, settings: RunSettings) -> bytes:
     """Return the file of a policy as ONNX."""
-    lanes = TaskLanes(EnvSettings(**settings.env_arguments), 1, 1)
-    return onnx_bytes(learner.network(settings), lanes.n_observation, lanes.n_action, tolerance=_TOLERANCE)
+    lanes, network = TaskLanes(EnvSettings(**settings.env_arguments), 1, 1), learner.network(settings)
+    n_parts = lanes.n_wtg if per_group(network) else 1
+    return onnx_bytes(network, lanes.n_observation // n_parts, lanes.n_action // n_parts, tolerance=_TOLERANCE)
+
+
+def per_group(network: nn.Module) -> bool:
+    """Return whether a network answers for one group at a time, which its attribute `per_group` says."""
+    return bool(getattr(network, "per_group", False))
 
 
 def entry_values(settings: RunSettings, timesteps: int, name: str = "", description: str = "") -> dict[str, Any]:
@@ -162,7 +171,7 @@ def entry_values(settings: RunSettings, timesteps: int, name: str = "", descript
         "action_mode": settings.action_mode,
         "observation_mode": settings.observation_mode,
         "training_seed": settings.seed,
-        "environment": get_suite(settings.suite).benchmark.env_id,
+        "environment": get_suite(settings.suite).env_id,
     }
     values |= {} if settings.strategy == REFERENCE_STRATEGY else {"strategy": settings.strategy}
     check_not_built_in("the entry's name", values["name"])

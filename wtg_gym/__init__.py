@@ -1,7 +1,7 @@
-"""Grid-forming wind turbine generators on the modified IEEE 14-bus system, as a Gymnasium benchmark.
+"""Grid-forming wind turbine generators in a power grid, as a Gymnasium benchmark.
 
-Importing this package registers `GFMWTG-14bus-v0` and `GFMWTG-14bus-v1`. The environments' classes and what scores a
-policy are loaded, with the numerical packages that they need, when they are first used.
+Importing this package registers `GFMWTG-14bus-v0`, `GFMWTG-14bus-v1`, and `GFMWTG-v1` for any grid. The environments'
+classes and what scores a policy are loaded, with the numerical packages that they need, when they are first used.
 """
 
 import warnings
@@ -50,7 +50,8 @@ ENV_IDS = ("GFMWTG-14bus-v0", "GFMWTG-14bus-v1")
 #: The one that is meant where no version is named.
 ENV_ID = ENV_IDS[1]
 
-for _id in ENV_IDS:
+# The last one is version v1 with any grid, by the argument `grid`.
+for _id in (*ENV_IDS, "GFMWTG-v1"):
     if _id not in registry:
         register(
             _id,

@@ -64,7 +64,7 @@ class GFMWTGParallelEnv(ParallelEnv[str, Observation, Action]):  # type: ignore[
         self.single_env = GFMWTGEnv(render_mode=render_mode, **seen)
         self.render_mode = render_mode
         lanes, settings = self.single_env.lanes, self.single_env.settings
-        self.metadata = {**self.single_env.metadata, "name": settings.benchmark().env_id, "is_parallelizable": True}
+        self.metadata = {**self.single_env.metadata, "name": settings.env_id, "is_parallelizable": True}
         self.possible_agents = [f"wtg{group}" for group in range(lanes.n_wtg)]
         self.agents: list[str] = []
         n_modes = sum(ACTION_MODES[settings.action_mode])

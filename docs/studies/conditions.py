@@ -317,7 +317,7 @@ def paid_in_full(entries: Entries, results: Results) -> Condition:
 
 def operator(results: Results) -> Condition:
     runs = runs_by_name(results.episodes)
-    shares = {name: lost_or_beyond(own, results.benchmark.nominal_hz) for name, own in runs.items()}
+    shares = {name: lost_or_beyond(own, get_suite(results.suite).nominal_hz) for name, own in runs.items()}
     ranking, wrong, excused, n_pairs = results.ranking, [], [], 0
     for upper, lower in itertools.combinations(ranking, 2):
         more = share_difference(shares[upper.name], shares[lower.name], results.groups)

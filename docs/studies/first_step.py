@@ -15,8 +15,11 @@ from wtg_gym.files import markdown_table, update_between_markers
 PROGRAM = """
 import sys, time
 import gymnasium as gym, numpy as np
-version, n_envs, groups, what = sys.argv[1], int(sys.argv[2]), sys.argv[3], sys.argv[4]
+version, n_envs, groups, what, grid = [*sys.argv[1:], ""][:5]
+n_envs = int(n_envs)
 name, given = f"wtg_gym:GFMWTG-14bus-{version}", {"groups": int(groups)} if groups else {}
+if grid:
+    name, given = "wtg_gym:GFMWTG-v1", {"grid": grid}
 env = gym.make(name, **given) if n_envs == 1 else gym.make_vec(name, num_envs=n_envs, **given)
 env.reset(seed=0)
 action = np.zeros(env.action_space.shape, np.float32)
@@ -42,6 +45,7 @@ CASES = (
     ("v1, vector of 64, first step", ("v1", "64", "", "step")),
     ("  first score", ("v1", "64", "", "score")),
     ("  first gradient", ("v1", "64", "", "gradient")),
+    ("  IEEE 39", ("v1", "64", "", "step", "ieee39")),
 )
 
 

@@ -29,6 +29,13 @@ Its HYGOV works on the system base, where it integrates e instead of e/(r T_r), 
 the machine's rating, counts the rating twice in D_t, and leaves ė/r out of the rate limit. The case `hydro` has r T_r =
 1 there, D_t = 0 and a rate limit that never binds, and ANDES gets T_w divided by the rating: so the two models are one.
 
+Other models of machines act alone at bus 1 of a network of three buses, where their limits bind; bus 2 has SEXS and
+TGOV1. ANDES takes K_1 of IEESGO and the rate limits of IEEEG1 for numbers on the system base, and gets them multiplied
+by the rating. It scales the limits of IEEEX1 by the voltage, so that none binds there: IEEET1 has the same regulator.
+It has no STAB1: an IEEEST without a filter is one. These traces are extrapolated from the two finest steps to none.
+What error remains is estimated by what the finest step has changed in that: where a limit binds within a step, errors
+do not fall regularly, and after four iterations ANDES lets no limiter go, which finer steps need not mend.
+
 Usage:
     pip install andes==2.0.0
     python docs/studies/make_andes_cases.py --help
@@ -39,10 +46,11 @@ from __future__ import annotations
 import argparse
 import dataclasses
 import functools
+import itertools
 import json
 import logging
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -51,11 +59,25 @@ import andes
 import numpy as np
 import numpy.typing as npt
 from andes.routines.daeint import Trapezoid, method_map
-from case import EXCITER, GENROU, GOVERNOR, HYDRO_GOVERNOR, MACHINE
+from case import EXCITERS, GENROU, GOVERNORS, MACHINE, STABILISERS
 
-from wtg_gym.physics.ieee14 import modified_ieee14
-from wtg_gym.physics.machine_parameters import HydroGovernorParameters, SynchronousMachineParameters
-from wtg_gym.physics.network import NetworkCase
+from wtg_gym.physics.control_parameters import (
+    BoilerGovernorParameters,
+    FilterStabiliserParameters,
+    GasGovernorParameters,
+    LeadLagExciterParameters,
+    ReheatGovernorParameters,
+    SaturatingExciterParameters,
+    SpeedStabiliserParameters,
+)
+from wtg_gym.physics.grid import get_grid
+from wtg_gym.physics.machine_parameters import (
+    ExciterParameters,
+    GovernorParameters,
+    HydroGovernorParameters,
+    SynchronousMachineParameters,
+)
+from wtg_gym.physics.network import Branch, Bus, NetworkCase
 from wtg_gym.physics.scenario import (
     EVENT_KINDS,
     Fault,
@@ -76,6 +98,8 @@ ROW_S, FINE_ROW_S, FINE_SPAN_S = 0.25, 0.0625, 1.0
 EVENT_STEP_S = 1e-9
 #: What ANDES adds to the resistance and reactance of every line [p.u.].
 LINE_OFFSET_PU = 1e-8
+#: What ten significant digits of a trace leave open, and a little more [p.u.].
+WRITTEN_PU = 1e-10
 #: All buses get one nominal voltage [kV]: the data are per unit throughout.
 NOMINAL_KV = 69.0
 #: Bus, power flow set-points and data of the units that stand for the wind turbine groups.
@@ -87,6 +111,17 @@ FORMING_UNITS = {"2a": ("REGF1", 8.0, 50.0), "2b": ("REGF2", 8.0, 50.0)}
 SOURCE_M_S = 1e11
 SOURCE = {"2": ("GENCLS", SOURCE_M_S, 0.0)}
 QUANTITIES = ("w", "Pe", "V")
+#: What has an upper limit, by model, and which.
+LIMITED = (
+    ("TGOV1", "LAG_y", "VMAX"),
+    ("SEXS", "LAW_y", "EMAX"),
+    ("IEEEX1", "LA_y", "VRMAX"),
+    ("IEEET1", "LA_y", "VRMAX"),
+    ("IEEEG1", "IAW_y", "PMAX"),
+    ("IEESGO", "HL_x", "PMAX"),
+    ("GAST", "LAG_y", "VMAX"),
+    ("IEEEST", "WO_y", "LSMAX"),
+)
 
 NOTE = (
     "Made by make_andes_cases.py with ANDES {version}. System base {base:g} MVA, {frequency:g} Hz, theta in rad. "
@@ -160,6 +195,8 @@ class Case:
     hydro: bool = False
     units: dict[str, tuple[str, float, float]] = field(default_factory=lambda: UNITS)
     duration_s: float = DURATION_S
+    network: NetworkCase | None = None  # in place of the modified IEEE 14-bus system
+    extrapolations: int = 0  # to a step of zero, each from two steps or from two results of the one before
 
 
 STEPS_UP = (Step(5.0, 2, 75.0), Step(30.0, 3, 75.0))
@@ -182,6 +219,129 @@ SOURCE_EVENTS = (
     PhaseJump(time_s=1.0, bus=UNIT_BUS, angle_deg=10.0),
     FrequencyRamp(time_s=7.0, bus=UNIT_BUS, rocof_hz_s=-0.05, duration_s=2.0),
 )
+
+
+def two_machines(**first: Any) -> NetworkCase:
+    """Return two machines and a load between them; the first has the controls that are given, else SEXS."""
+    rotor: dict[str, Any] = {
+        "rating_mva": 200.0,
+        "two_h_s": 8.0,
+        "x_d": 1.8,
+        "x_q": 1.7,
+        "x_d_transient": 0.3,
+        "x_q_transient": 0.55,
+        "x_subtransient": 0.25,
+        "x_leakage": 0.2,
+        "t_d0_transient_s": 8.0,
+        "t_d0_subtransient_s": 0.03,
+        "t_q0_transient_s": 0.4,
+        "t_q0_subtransient_s": 0.05,
+        "resistance": 0.0025,
+        "damping_pu": 0.0,
+        "exciter": ExciterParameters(),
+        "governor": None,
+    }
+    second = {**rotor, "bus": 2, "dispatch_mw": 80.0, "governor": GovernorParameters(droop_pu=0.05)}
+    lines = ((1, 3, 0.005, 0.05), (2, 3, 0.005, 0.06), (1, 2, 0.01, 0.1))
+    return NetworkCase(
+        name="two machines",
+        base_mva=100.0,
+        frequency_hz=50.0,
+        slack_bus=1,
+        buses=(
+            Bus(number=1, voltage_pu=1.03),
+            Bus(number=2, voltage_pu=1.01),
+            Bus(number=3, load_mw=200.0, load_mvar=60.0),
+        ),
+        branches=tuple(Branch(from_bus=a, to_bus=b, resistance=r, reactance=x, charging=0.02) for a, b, r, x in lines),
+        machines=(
+            SynchronousMachineParameters(**{**rotor, "bus": 1, **first}),
+            SynchronousMachineParameters(**second),
+        ),
+    )
+
+
+#: A load comes, a line opens, and most of the load goes again.
+BOTH_WAYS = (Step(0.5, 3, 60.0), LineTrip(time_s=1.5, from_bus=1, to_bus=2), Step(3.0, 3, -50.0))
+_EXCITER: dict[str, float] = {
+    "regulator_gain": 40.0,
+    "feedback_gain_s": 0.06,
+    "saturation_voltage_1_pu": 1.5,
+    "saturation_1": 0.06,
+    "saturation_voltage_2_pu": 3.0,
+    "saturation_2": 0.3,
+}
+#: Models of machines that act alone, by the names of their cases.
+ALONE: dict[str, dict[str, Any]] = {
+    "saturation": {"saturation_1_0": 0.1, "saturation_1_2": 0.4},
+    "stab1": {"stabiliser": SpeedStabiliserParameters(signal_limit_pu=0.02)},
+    "ieeest": {
+        "stabiliser": FilterStabiliserParameters(
+            filter_a1_s=0.1,
+            filter_a2_s2=0.005,
+            filter_a3_s=0.08,
+            filter_a4_s2=0.002,
+            filter_a5_s=0.05,
+            filter_a6_s2=0.001,
+            lead_time_1_s=0.2,
+            lag_time_1_s=0.05,
+            lead_time_2_s=0.1,
+            lag_time_2_s=0.05,
+            washout_gain_s=5.0,
+            washout_time_s=5.0,
+            gain=10.0,
+            signal_min_pu=-0.015,
+            signal_max_pu=0.02,
+        )
+    },
+    "ieeet1": {"exciter": SaturatingExciterParameters(**_EXCITER, regulator_max_pu=2.4)},
+    "ieeex1": {"exciter": LeadLagExciterParameters(**_EXCITER, lead_time_s=0.5, lag_time_s=1.5)},
+    "ieeeg1": {
+        "governor": BoilerGovernorParameters(
+            lag_time_s=0.2,
+            lead_time_s=0.5,
+            gate_max_pu=0.69,
+            fraction_1=0.3,
+            fraction_2=0.3,
+            fraction_3=0.25,
+            fraction_4=0.15,
+            pass_time_4_s=0.3,
+        )
+    },
+    "ieesgo": {"governor": ReheatGovernorParameters(lag_time_s=0.1, lead_time_s=0.3, gate_max_pu=0.66)},
+    "gast": {
+        "governor": GasGovernorParameters(
+            exhaust_time_s=2.0, load_limit_pu=0.66, temperature_gain=2.0, gate_max_pu=0.72, turbine_damping_pu=0.5
+        )
+    },
+}
+
+
+def without_limits(network: NetworkCase) -> NetworkCase:
+    """Return a network whose limits are out of reach: where one binds, the error of a step does not fall regularly."""
+    far = {"signal_limit_pu": 9.0, "field_min_pu": -99.0, "field_max_pu": 99.0, "gate_min_pu": -9.0, "gate_max_pu": 9.0}
+
+    def widened(control: Any) -> Any:
+        if control is None:
+            return None
+        return dataclasses.replace(control, **{name: far[name] for name in vars(control).keys() & far.keys()})
+
+    names = ("exciter", "governor", "stabiliser")
+    machines = (dataclasses.replace(m, **{n: widened(getattr(m, n)) for n in names}) for m in network.machines)
+    return dataclasses.replace(network, machines=tuple(machines))
+
+
+#: On 39 buses: every class of event.
+ON_39_BUSES = without_limits(get_grid("ieee39").case)
+ON_39 = {
+    "loads": (Trip(1.0, 8), Step(4.0, 20, 200.0)),
+    "lines": (
+        LineTrip(time_s=1.0, from_bus=16, to_bus=17),
+        Fault(time_s=4.0, bus=3, clears_after_s=0.125, resistance_pu=0.005, reactance_pu=0.02, opens=(3, 4)),
+        ReactanceStep(time_s=7.0, from_bus=25, to_bus=26, factor=2.0),
+    ),
+    "outage": (MachineOutage(time_s=1.0, bus=32),),
+}
 CASES = (
     Case("genrou", {"a": STEPS_UP, "b": (Trip(5.0, 4), Trip(30.0, 9))}),
     Case(
@@ -197,6 +357,11 @@ CASES = (
     Case("shedding", {"a": SHEDDING}),
     Case("grid-events", {"faults": FAULTS, "islands": ISLANDS, "outage": OUTAGE}, duration_s=20.0),
     Case("imposed-source", {"a": SOURCE_EVENTS}, units=SOURCE, duration_s=20.0),
+    Case("ieee39", ON_39, units={}, duration_s=10.0, network=ON_39_BUSES, extrapolations=2),
+    *(
+        Case(name, {"a": BOTH_WAYS}, units={}, duration_s=6.0, network=two_machines(**own), extrapolations=1)
+        for name, own in ALONE.items()
+    ),
 )
 
 
@@ -211,8 +376,10 @@ class Trace(NamedTuple):
 
 
 def network_of(case: Case) -> NetworkCase:
-    """Return the modified IEEE 14-bus system with the case's limits, resistances and governor."""
-    network = modified_ieee14()
+    """Return the case's network: the modified IEEE 14-bus system with its limits, resistances and governor, if none."""
+    if case.network is not None:
+        return case.network
+    network = get_grid("ieee14").case
     machines = []
     for m in network.machines:
         governor, exciter = m.governor, m.exciter
@@ -232,7 +399,7 @@ def network_of(case: Case) -> NetworkCase:
     return dataclasses.replace(network, machines=tuple(machines))
 
 
-def named(names: dict[str, str], record: Any) -> dict[str, float]:
+def named(names: Mapping[str, str], record: Any) -> dict[str, float]:
     """Return ANDES' parameters of a record, without a dead band of zero."""
     return {key: getattr(record, name) for name, key in names.items() if key != "db" or getattr(record, name)}
 
@@ -241,14 +408,40 @@ def genrou_data(m: SynchronousMachineParameters) -> dict[str, float]:
     """Return ANDES' parameters of a GENROU on its own base."""
     own = {**named(MACHINE | GENROU, m), "xq2": m.x_subtransient, "gammap": 1.0, "gammaq": 1.0}
     order = "Sn M D ra xl xd xq xd1 xq1 xd2 xq2 Td10 Td20 Tq10 Tq20 gammap gammaq"
+    order += " S10 S12" if m.saturation_1_2 else ""
     return {key: own[key] for key in order.split()}
 
 
-def governor_data(m: SynchronousMachineParameters) -> tuple[str, dict[str, float]]:
-    """Return the model of a machine's governor, "" where there is none, and ANDES' parameters."""
-    if isinstance(m.governor, HydroGovernorParameters):
-        return "hygov", named(HYDRO_GOVERNOR, m.governor)
-    return ("", {}) if m.governor is None else ("tgov1", named(GOVERNOR, m.governor))
+def control_data(record: Any, kinds: Mapping[str, tuple[Any, Mapping[str, str]]]) -> tuple[str, dict[str, float]]:
+    """Return the model of a machine's control, "" where there is none, and its parameters as the file has them."""
+    for model, (kind, names) in kinds.items():
+        if type(record) is kind:
+            return model, named(names, record)
+    return "", {}
+
+
+def andes_control(model: str, data: dict[str, float], rating: float) -> tuple[str, dict[str, float]]:
+    """Return ANDES' model and parameters of a control; `rating` is that of its machine on the system base."""
+    if model == "hygov":
+        return "HYGOV", {**data, "Tw": data["Tw"] / rating}
+    if model == "tgov1" and "db" in data:
+        rest = {key: value for key, value in data.items() if key != "db"}
+        return "TGOV1DB", {**rest, "dbL": -data["db"], "dbU": data["db"]}
+    if model == "ieeeg1":
+        rest = {key: value for key, value in data.items() if key != "R"}
+        return "IEEEG1", {**rest, "K": 1.0 / data["R"], "UO": rating * data["UO"], "UC": rating * data["UC"]}
+    if model == "ieesgo":
+        rest = {key: value for key, value in data.items() if key != "R"}
+        return "IEESGO", {**rest, "K1": rating / data["R"]}
+    if model == "ieeex1":
+        rest = {key: value for key, value in data.items() if key not in ("KF", "TF")}
+        return "IEEEX1", {**rest, "KF1": data["KF"], "TF1": data["TF"]}
+    if model == "stab1":
+        filters = dict.fromkeys(("A1", "A2", "A3", "A4", "A5", "A6"), 0.0)
+        leads = {"T1": data["T1"], "T2": data["T3"], "T3": data["T2"], "T4": data["T4"]}
+        limits = {"LSMAX": data["HLIM"], "LSMIN": -data["HLIM"]}
+        return "IEEEST", {**filters, **leads, "T5": data["T"], "T6": data["T"], "KS": data["K"], **limits}
+    return model.upper(), data
 
 
 def unit_data(case: Case, two_h_s: float, damping_pu: float) -> dict[str, float]:
@@ -326,7 +519,8 @@ def build_system(
             system.add("PQ", idx=f"load {bus}", bus=bus, **power, **common)
         if bus in shunts:
             system.add("Shunt", idx=f"shunt {bus}", Sn=base, **shunts[bus], **common)
-    dispatch = {m.bus: m.dispatch_mw / base for m in network.machines} | {UNIT_BUS: UNIT_POWER_PU}
+    dispatch = {m.bus: m.dispatch_mw / base for m in network.machines}
+    dispatch |= {UNIT_BUS: UNIT_POWER_PU} if case.units else {}
     for bus, power in sorted(dispatch.items()):
         held = {"idx": f"static {bus}", "bus": bus, "v0": network.buses[network.bus_index(bus)].voltage_pu}
         if bus == network.slack_bus:
@@ -335,18 +529,16 @@ def build_system(
             system.add("PV", p0=power, qmin=-9.0, qmax=9.0, **held, **common)
     for m in network.machines:
         key = str(m.bus)
-        data = {**genrou_data(m), "S10": 0.0, "S12": 1.0, **common}
+        data = {"S10": 0.0, "S12": 1.0, **genrou_data(m), **common}
         system.add("GENROU", idx=key, bus=m.bus, gen=f"static {key}", fn=frequency, **data)
-        if m.exciter is not None:
-            system.add("SEXS", idx=f"exciter {key}", syn=key, **named(EXCITER, m.exciter))
-        model, data = governor_data(m)
-        if model == "hygov":
-            data["Tw"] *= base / m.rating_mva
-        elif "db" in data:
-            model, band = "tgov1db", data.pop("db")
-            data |= {"dbL": -band, "dbU": band}
-        if model:
-            system.add(model.upper(), idx=f"governor {key}", syn=key, **data)
+        for what, record, kinds, of in (
+            ("exciter", m.exciter, EXCITERS, {"syn": key}),
+            ("governor", m.governor, GOVERNORS, {"syn": key}),
+            ("stabiliser", m.stabiliser, STABILISERS, {"avr": f"exciter {key}", "MODE": 1}),
+        ):
+            if record is not None:
+                model, data = andes_control(*control_data(record, kinds), m.rating_mva / base)
+                system.add(model, idx=f"{what} {key}", **of, **data)
     for key, (model, *swing) in case.units.items():
         data = unit_data(case, *swing)
         own = {**data, **common} if model == "GENCLS" else forming_data(model, data, base)
@@ -486,10 +678,11 @@ def simulate(
     # Times that machines that stay spend at an upper limit, for the summary only.
     step = np.diff(t, append=t[-1])
     at_limit = {}
-    for model, state, limit in (("TGOV1", "LAG_y", "VMAX"), ("SEXS", "LAW_y", "EMAX")):
+    for model, state, limit in LIMITED:
         m = getattr(system, model)
         for i, name in enumerate(m.idx.v):
-            held = x[:, getattr(m, state).a[i]] > getattr(m, limit).v[i] - 1e-9
+            own = getattr(m, state)
+            held = (x if own.v_code == "x" else y)[:, own.a[i]] > getattr(m, limit).v[i] - 1e-9
             at_limit[name] = float(step[held].sum()) if m.syn.v[i] in keys else 0.0
     columns = (np.column_stack([found[key][at] for key in keys]) for found in (speed, power))
     return Trace(wanted, *columns, y[np.ix_(at, system.Bus.v.a)], at_limit)
@@ -498,6 +691,20 @@ def simulate(
 def difference(trace: Trace, other: Trace) -> dict[str, float]:
     """Return the largest difference per quantity."""
     return {q: float(np.abs(getattr(trace, q) - getattr(other, q)).max()) for q in QUANTITIES}
+
+
+def extrapolated(traces: Sequence[Trace], steps: Sequence[int], times: int) -> Trace:
+    """Return the finest trace, extrapolated to a step of zero so often: errors are a series of even powers of it."""
+    found = list(traces)
+    for order in range(1, times + 1):
+        ratios = [(after / before) ** 2 for before, after in zip(steps[:-order], steps[order:], strict=True)]
+        found = [
+            finer._replace(
+                **{q: getattr(finer, q) + (getattr(finer, q) - getattr(coarser, q)) / (ratio - 1.0) for q in QUANTITIES}
+            )
+            for (coarser, finer), ratio in zip(itertools.pairwise(found), ratios, strict=True)
+        ]
+    return found[-1]
 
 
 def event_data(
@@ -536,13 +743,19 @@ def parameter_file(case: Case, network: NetworkCase, system: Any, tolerance: dic
     note = NOTE.format(version=andes.__version__, base=network.base_mva, frequency=network.frequency_hz)
     forming = [f"{key} is a {model}" for key, (model, *_) in case.units.items() if model != "GENCLS"]
     units = f" In ANDES {' and '.join(forming)}; M, D and xd1 are those of its equivalent." if forming else ""
-    governors: dict[str, list[dict[str, Any]]] = {"tgov1": []}
+    controls: dict[str, list[dict[str, Any]]] = {"sexs": [], "tgov1": []}
     for m in network.machines:
-        kind, data = governor_data(m)
-        if kind:
-            governors.setdefault(kind, []).append({"gen": str(m.bus), "bus": m.bus, **data})
+        own = (m.exciter, EXCITERS, {}), (m.stabiliser, STABILISERS, {}), (m.governor, GOVERNORS, {"bus": m.bus})
+        for record, kinds, place in own:
+            kind, data = control_data(record, kinds)
+            if kind:
+                controls.setdefault(kind, []).append({"gen": str(m.bus), **place, **data})
+    others = [kind for kind in controls if kind not in ("sexs", "tgov1", "hygov")]
+    alone = f" {', '.join(others)}: as in PSS/E, see wtg_gym/physics." if others else ""
+    saturates = any(m.saturation_1_2 for m in network.machines)
+    note = note.replace("GENROU: no saturation", "GENROU: saturation S10, S12") if saturates else note
     return {
-        "note": note + (GOVERNOR_NOTE if case.hydro or "dead_band_pu" in case.governor else "") + units,
+        "note": note + (GOVERNOR_NOTE if case.hydro or "dead_band_pu" in case.governor else "") + units + alone,
         "fn": network.frequency_hz,
         "Sbase": network.base_mva,
         "bus": [
@@ -554,8 +767,7 @@ def parameter_file(case: Case, network: NetworkCase, system: Any, tolerance: dic
         "load": load_data(network),
         "gen_static": dict(sorted(static.items())),
         "gens": dict(sorted(gens.items())),
-        "sexs": [{"gen": str(m.bus), **named(EXCITER, m.exciter)} for m in network.machines if m.exciter is not None],
-        **governors,
+        **controls,
         "events": {
             key: [entry for e in events for entry in event_data(e, events, network, voltage)]
             for key, events in case.events.items()
@@ -604,6 +816,9 @@ def make_case(case: Case, folder: Path, steps: Sequence[int]) -> dict[str, Any]:
         finest = traces[-1]
         to_finest = {f"1/{n}": difference(t, finest) for n, t in zip(steps[:-1], traces[:-1], strict=True)}
         remaining = {q: value / 3.0 for q, value in to_finest[f"1/{steps[-2]}"].items()}
+        if case.extrapolations:
+            finest = extrapolated(traces, steps, case.extrapolations)
+            remaining = difference(extrapolated(traces[:-1], steps[:-1], case.extrapolations), finest)
         worst = {q: max(worst[q], remaining[q]) for q in QUANTITIES}
         name = f"{case.name}/{key}.csv"
         write_trace(folder / name, finest, machine_keys(case, network, events), network)
@@ -614,7 +829,7 @@ def make_case(case: Case, folder: Path, steps: Sequence[int]) -> dict[str, Any]:
             "time_at_upper_limit_s": {k: round(v, 3) for k, v in finest.at_limit_s.items() if v > 0.0},
         }
         print(f"{name}: {json.dumps(convergence[name])}; lowest speed {finest.w.min():.5f} p.u.", flush=True)
-    tolerance = {q: one_digit_up(3.0 * worst[q]) for q in QUANTITIES}
+    tolerance = {q: one_digit_up(max(3.0 * worst[q], WRITTEN_PU)) for q in QUANTITIES}
     write_json(folder / case.name / "params.json", parameter_file(case, network, static, tolerance))
     return convergence
 
@@ -632,11 +847,11 @@ def main(arguments: Sequence[str] | None = None) -> None:
         nargs="+",
         default=list(STEPS_PER_SECOND),
         metavar="N",
-        help=f"steps per second, at least two multiples of 16, rising (default: {STEPS_PER_SECOND})",
+        help=f"steps per second, at least three multiples of 16, rising (default: {STEPS_PER_SECOND})",
     )
     options = parser.parse_args(arguments)
-    if len(options.steps) < 2 or options.steps != sorted(set(options.steps)) or any(n % 16 for n in options.steps):
-        parser.error(f"--steps must be at least two rising multiples of 16, got {options.steps}")
+    if len(options.steps) < 3 or options.steps != sorted(set(options.steps)) or any(n % 16 for n in options.steps):
+        parser.error(f"--steps must be at least three rising multiples of 16, got {options.steps}")
     andes.config_logger(stream_level=logging.WARNING)
     logging.getLogger("andes").setLevel(logging.WARNING)
     path = options.out / "andes_convergence.json"

@@ -25,6 +25,7 @@ from output import folder
 from stable_baselines3 import PPO
 from stable_baselines3.common.vec_env import DummyVecEnv, SubprocVecEnv
 
+from wtg_gym.envs import GFMWTGVectorEnv
 from wtg_gym.envs.settings import EnvSettings
 from wtg_gym.files import markdown_table, update_between_markers
 from wtg_gym.gradients import Tape
@@ -34,6 +35,8 @@ from wtg_gym.scenarios import get_suite
 SECONDS, REPEATS = 1.0, 5
 YARDSTICK, CART_POLE = "Pendulum-v1", "CartPole-v1"  # physics of a few lines, in pure Python
 OURS = {"v0": "wtg_gym:GFMWTG-14bus-v0", "v1": "wtg_gym:GFMWTG-14bus-v1"}
+#: Version v1 on other grids.
+GRIDS = {"IEEE 39": "ieee39", "Nordic 45": "nordic45"}
 N_PROCESSORS = os.cpu_count() or 1
 
 
@@ -61,9 +64,9 @@ def batch(envs, action_space, n_envs):
     return lambda: envs.step(actions[next(count) % 8]), n_envs
 
 
-def vector(version, n_envs):
+def vector(name, n_envs):
     """Step a batch of ours whose first episodes are of all lengths, so that resets come evenly from then on."""
-    envs, suite = gym.make_vec(OURS[version], num_envs=n_envs), get_suite(EnvSettings(version=version).suite)
+    envs, suite = GFMWTGVectorEnv(n_envs, suite=name), get_suite(name)
     lengths = np.random.default_rng(0).integers(10, round(10.0 * suite.duration_s), n_envs) / 10.0
     scenarios = [suite.scenario(suite.validation[i % 100], duration_s=float(s)) for i, s in enumerate(lengths)]
     envs.reset(seed=0)
@@ -160,8 +163,11 @@ def cases():
     found = {name: functools.partial(single, gym.make(name)) for name in (YARDSTICK, CART_POLE)}
     for version in OURS:
         found[version] = functools.partial(single, gym.make(OURS[version]))
+    suites = {version: EnvSettings(version=version).suite for version in OURS}
+    suites |= {name: EnvSettings(grid=grid).suite for name, grid in GRIDS.items()}
+    for name, suite in suites.items():
         for n in (64, 1024):
-            found[f"{version}, vector of {n}"] = functools.partial(vector, version, n)
+            found[f"{name}, vector of {n}"] = functools.partial(vector, suite, n)
     for version in OURS:
         for n in (1, 64):
             found[f"{version}, gradients of {n}"] = functools.partial(gradients, version, n)

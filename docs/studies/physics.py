@@ -12,7 +12,7 @@ from small_signal import slope, synchronising_coefficients
 
 from wtg_gym.envs.lanes import TERMINATION_REASONS
 from wtg_gym.files import markdown_table, update_between_markers
-from wtg_gym.physics.ieee14 import modified_ieee14
+from wtg_gym.physics.grid import get_grid
 from wtg_gym.physics.kernel_data import EVENT
 from wtg_gym.physics.machine_parameters import HydroGovernorParameters
 from wtg_gym.physics.parameters import (
@@ -64,8 +64,8 @@ def plants():
     )
     paper, extended = PlantSettings(limits=far), plant_settings("extended")
     limits = dataclasses.replace(ConverterLimitParameters(), power_min_pu=far.power_min_pu)
-    hydro = modified_ieee14().with_governors(lambda steam: HydroGovernorParameters(droop_pu=steam.droop_pu))
-    banded = modified_ieee14().with_governors(lambda steam: dataclasses.replace(steam, dead_band_pu=DEAD_BAND_PU))
+    hydro = get_grid("ieee14").case.with_governors(lambda steam: HydroGovernorParameters(droop_pu=steam.droop_pu))
+    banded = get_grid("ieee14").case.with_governors(lambda steam: dataclasses.replace(steam, dead_band_pu=DEAD_BAND_PU))
     undamped = extended.case.with_governors(lambda steam: dataclasses.replace(steam, dead_band_pu=0.0))
     # The stages are there, and shed nothing: a plant without them would be compiled for itself.
     idle = tuple(dataclasses.replace(stage, share=0.0) for stage in extended.shedding)
@@ -124,7 +124,7 @@ def play(plant, scenarios, strategy):
     simulator = Simulator(
         dataclasses.replace(plant, control_dt=step_s), n_lanes=len(scenarios), duration_s=scenarios[0].duration_s
     )
-    laws = group_laws(strategy, len(plant.groups), plant.turbine, plant.control)
+    laws = group_laws(strategy, plant.turbines, plant.control)
     simulator.start(range(len(scenarios)), simulator.prepare(scenarios, laws))
     rows = []
     for interval in range(simulator.n_intervals + 1):
@@ -238,7 +238,7 @@ def parts_table(increase, failures):
 
 def rotor_energy(increase):
     """Return how much more energy the paper's rotor releases than a real one, at several winds, as a sentence."""
-    settled_pu = increase[PAPER][REFERENCE_STRATEGY].hertz[-1] / modified_ieee14().frequency_hz
+    settled_pu = increase[PAPER][REFERENCE_STRATEGY].hertz[-1] / get_grid("ieee14").case.frequency_hz
     winds, excess = (6.0, 8.0, 10.0, 11.4), []
     for wind in winds:
         law = get_law(REFERENCE_STRATEGY)
@@ -322,7 +322,7 @@ def start_at(bus_voltage_pu, turbine=None, voltage_control=None):
     frequencies, a held terminal voltage at low ones.
     """
     turbine = turbine or TurbineParameters()
-    case, law = modified_ieee14(), get_law(REFERENCE_STRATEGY, turbine)
+    case, law = get_grid("ieee14").case, get_law(REFERENCE_STRATEGY, turbine)
     buses = tuple(dataclasses.replace(bus, voltage_pu=bus_voltage_pu) if bus.number == 2 else bus for bus in case.buses)
     plant = PlantSettings(case=dataclasses.replace(case, buses=buses), turbine=turbine, voltage_control=voltage_control)
     simulator = Simulator(plant, duration_s=INCREASE.duration_s)
@@ -370,7 +370,7 @@ def margins_table():
     # Bus 2 here keeps the groups clear of their reactive limit, which would be a corner of the right-hand side.
     control = {"bus_voltage_pu": 1.04, "voltage_control": VoltageControlParameters()}
     forms = {
-        "constant E": {"bus_voltage_pu": modified_ieee14().buses[1].voltage_pu},
+        "constant E": {"bus_voltage_pu": get_grid("ieee14").case.buses[1].voltage_pu},
         "voltage control": control,
         "and NREL 5 MW": {**control, "turbine": nrel_5mw()},
     }
@@ -410,7 +410,7 @@ def play_with_loads(exponent, strategy):
     step_s = PlantSettings().simulation_dt
     plant = PlantSettings(control_dt=step_s)
     simulator = Simulator(plant, duration_s=INCREASE.duration_s)
-    simulator.start(0, INCREASE, group_laws(strategy, len(plant.groups)))
+    simulator.start(0, INCREASE, group_laws(strategy, plant.turbines))
     simulator.evaluate()
     rows, layout, data = simulator.blocks[0, :, 0], simulator.layout, simulator.data
     # A copy: both are written below.

@@ -18,8 +18,8 @@ from wtg_gym.envs.task_records import (
     WtgObservation,
 )
 from wtg_gym.files import markdown_table, update_between_markers
-from wtg_gym.physics import machine_parameters, parameters
-from wtg_gym.physics.ieee14 import modified_ieee14
+from wtg_gym.physics import control_parameters, machine_parameters, parameters
+from wtg_gym.physics.grid import get_grid
 from wtg_gym.physics.machine_parameters import SynchronousMachineParameters
 from wtg_gym.physics.parameters import SOURCES, WtgGroup
 from wtg_gym.scenarios import SUITES
@@ -158,16 +158,18 @@ def class_list(title, fields, values):
 def parameters_page():
     """Return a list for each class of parameters, one for the machines, and the sources."""
     parts = []
-    for module in (parameters, machine_parameters):
+    for module in (parameters, machine_parameters, control_parameters):
         for name, cls in vars(module).items():
             if not dataclasses.is_dataclass(cls) or getattr(cls, "__module__", "") != module.__name__:
                 continue
-            own = [field for field in dataclasses.fields(cls) if isinstance(field.default, float)]
+            # What a class has from another one stands there.
+            declared = [field for field in dataclasses.fields(cls) if field.name in cls.__annotations__]
+            own = [field for field in declared if isinstance(field.default, float)]
             # The environment's page has the groups; the machines have a table of their own.
             if own and cls not in (WtgGroup, SynchronousMachineParameters):
                 parts.append(class_list(name, own, lambda field: [field.default]))
     kinds = {}
-    for machine in modified_ieee14().machines:
+    for machine in get_grid("ieee14").case.machines:
         numbers = {key: value for key, value in vars(machine).items() if type(value) in (int, float) and key != "bus"}
         kinds.setdefault(tuple(numbers.items()), []).append(str(machine.bus))
     fields = [field for field in dataclasses.fields(SynchronousMachineParameters) if field.name in numbers]

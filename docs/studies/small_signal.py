@@ -55,7 +55,7 @@ def at_rest(scenario, laws, settings=None):
     settings = settings or PlantSettings()
     duration_s = settings.control_dt * max(1, round(1.0 / settings.control_dt))
     simulator = Simulator(settings, duration_s=duration_s)
-    laws = group_laws(laws, len(settings.groups), settings.turbine, settings.control)
+    laws = group_laws(laws, settings.turbines, settings.control)
     simulator.start(0, dataclasses.replace(scenario, events=(), duration_s=duration_s), laws)
     return simulator
 

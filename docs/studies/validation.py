@@ -101,7 +101,7 @@ def samples(run, step_s):
     n_wtg, hertz = len(plant.groups), plant.case.frequency_hz
     seeds, sizes = list(suite.validation[:N_SCENARIOS]), [group.n_turbines for group in plant.groups]
     scenarios = suite.scenarios(seeds, n_wtg=n_wtg, n_turbines=sizes)
-    laws = group_laws(environment.strategy, n_wtg, plant.turbine, plant.control)
+    laws = group_laws(environment.strategy, plant.turbines, plant.control)
     simulator = Simulator(plant, n_lanes=len(scenarios), duration_s=suite.duration_s)
     simulator.start(range(len(scenarios)), simulator.prepare(scenarios, laws))
     found = []

@@ -46,6 +46,9 @@ _VARIANTS["v1"] = {
         "suite": "low-share-v1",
         "strategy": ["coordinated-linear", "coordinated-undamped", "mppt", "deloaded-10"],
     },
+    "ieee39": {"suite": "ieee39-v1"},
+    "kundur": {"suite": "kundur-v1", "strategy": "coordinated-free"},
+    "nordic45": {"suite": "nordic45-v1", "observation_mode": "privileged"},
 }
 
 
@@ -108,7 +111,7 @@ def cases(version: str) -> dict[str, Callable[[], dict[str, Any]]]:
         found[f"{name}, single"] = lambda: _single(**settings)
         found[f"{name}, batched"] = lambda: _batched(mode, n_threads, **settings)
 
-    suites = [name for name, suite in SUITES.items() if suite.benchmark.version == version]
+    suites = [name for name, suite in SUITES.items() if suite.env_id == f"GFMWTG-14bus-{version}"]
     for suite, (action, observation) in itertools.product(suites, modes):
         chosen = {"suite": suite, "action_mode": action, "observation_mode": observation}
         add(f"{suite}, {action}, {observation}", chosen)

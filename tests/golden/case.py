@@ -13,6 +13,15 @@ from typing import Any
 
 import numpy as np
 
+from wtg_gym.physics.control_parameters import (
+    BoilerGovernorParameters,
+    FilterStabiliserParameters,
+    GasGovernorParameters,
+    LeadLagExciterParameters,
+    ReheatGovernorParameters,
+    SaturatingExciterParameters,
+    SpeedStabiliserParameters,
+)
 from wtg_gym.physics.layout import Floats
 from wtg_gym.physics.machine_parameters import (
     ExciterParameters,
@@ -43,6 +52,8 @@ GENROU = {
     "t_d0_subtransient_s": "Td20",
     "t_q0_transient_s": "Tq10",
     "t_q0_subtransient_s": "Tq20",
+    "saturation_1_0": "S10",
+    "saturation_1_2": "S12",
 }
 EXCITER = {
     "lead_lag_ratio": "TATB",
@@ -77,8 +88,107 @@ HYDRO_GOVERNOR = {
     "no_load_flow_pu": "qNL",
     "dead_band_pu": "db",
 }
-_GOVERNORS = {"tgov1": (GovernorParameters, GOVERNOR), "hygov": (HydroGovernorParameters, HYDRO_GOVERNOR)}
-_EXCITERS = {"sexs": (ExciterParameters, EXCITER)}
+IEEET1 = {
+    "sensing_time_s": "TR",
+    "regulator_gain": "KA",
+    "regulator_time_s": "TA",
+    "regulator_min_pu": "VRMIN",
+    "regulator_max_pu": "VRMAX",
+    "exciter_gain": "KE",
+    "exciter_time_s": "TE",
+    "feedback_gain_s": "KF",
+    "feedback_time_s": "TF",
+    "saturation_voltage_1_pu": "E1",
+    "saturation_1": "SE1",
+    "saturation_voltage_2_pu": "E2",
+    "saturation_2": "SE2",
+}
+IEEEX1 = {**IEEET1, "lead_time_s": "TC", "lag_time_s": "TB"}
+IEEEG1 = {
+    "droop_pu": "R",
+    "lag_time_s": "T1",
+    "lead_time_s": "T2",
+    "valve_time_s": "T3",
+    "opening_rate_pu_s": "UO",
+    "closing_rate_pu_s": "UC",
+    "gate_min_pu": "PMIN",
+    "gate_max_pu": "PMAX",
+    "pass_time_1_s": "T4",
+    "fraction_1": "K1",
+    "pass_time_2_s": "T5",
+    "fraction_2": "K3",
+    "pass_time_3_s": "T6",
+    "fraction_3": "K5",
+    "pass_time_4_s": "T7",
+    "fraction_4": "K7",
+}
+IEESGO = {
+    "droop_pu": "R",
+    "lag_time_s": "T1",
+    "lead_time_s": "T2",
+    "governor_time_s": "T3",
+    "inlet_time_s": "T4",
+    "reheat_time_s": "T5",
+    "crossover_time_s": "T6",
+    "fraction_2": "K2",
+    "fraction_3": "K3",
+    "gate_min_pu": "PMIN",
+    "gate_max_pu": "PMAX",
+}
+GAST = {
+    "droop_pu": "R",
+    "valve_time_s": "T1",
+    "turbine_time_s": "T2",
+    "exhaust_time_s": "T3",
+    "load_limit_pu": "AT",
+    "temperature_gain": "KT",
+    "gate_min_pu": "VMIN",
+    "gate_max_pu": "VMAX",
+    "turbine_damping_pu": "Dt",
+}
+STAB1 = {
+    "gain": "K",
+    "washout_time_s": "T",
+    "lead_time_1_s": "T1",
+    "lag_time_1_s": "T3",
+    "lead_time_2_s": "T2",
+    "lag_time_2_s": "T4",
+    "signal_limit_pu": "HLIM",
+}
+IEEEST = {
+    "filter_a1_s": "A1",
+    "filter_a2_s2": "A2",
+    "filter_a3_s": "A3",
+    "filter_a4_s2": "A4",
+    "filter_a5_s": "A5",
+    "filter_a6_s2": "A6",
+    "lead_time_1_s": "T1",
+    "lag_time_1_s": "T2",
+    "lead_time_2_s": "T3",
+    "lag_time_2_s": "T4",
+    "washout_gain_s": "T5",
+    "washout_time_s": "T6",
+    "gain": "KS",
+    "signal_min_pu": "LSMIN",
+    "signal_max_pu": "LSMAX",
+}
+#: Record and names of each model, by what the file calls it.
+GOVERNORS = {
+    "tgov1": (GovernorParameters, GOVERNOR),
+    "hygov": (HydroGovernorParameters, HYDRO_GOVERNOR),
+    "ieeeg1": (BoilerGovernorParameters, IEEEG1),
+    "ieesgo": (ReheatGovernorParameters, IEESGO),
+    "gast": (GasGovernorParameters, GAST),
+}
+EXCITERS = {
+    "sexs": (ExciterParameters, EXCITER),
+    "ieeet1": (SaturatingExciterParameters, IEEET1),
+    "ieeex1": (LeadLagExciterParameters, IEEEX1),
+}
+STABILISERS = {
+    "stab1": (SpeedStabiliserParameters, STAB1),
+    "ieeest": (FilterStabiliserParameters, IEEEST),
+}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -169,7 +279,7 @@ def _named(names: Mapping[str, str], given: Mapping[str, Any]) -> dict[str, Any]
 
 
 def _control(data: Mapping[str, Any], key: str, kinds: Mapping[str, tuple[Any, Mapping[str, str]]]) -> Any:
-    """Return the governor or the exciter of a machine, of the first kind of which the file has one, or None."""
+    """Return the control of a machine, of the first of these kinds of which the file has one, or None."""
     for kind, (record, names) in kinds.items():
         entries = data.get(kind, [])
         for entry in [entries] if isinstance(entries, dict) else entries:
@@ -187,12 +297,13 @@ def _machine(
         "dispatch_mw": base * power.real,
         # Only the proportions of the weights count.
         "reactive_weight": base * gen["gammaq"],
-        "governor": _control(data, key, _GOVERNORS),
+        "governor": _control(data, key, GOVERNORS),
     }
     if gen.get("model", "GENCLS") == "GENCLS":
         return classical_machine(**common)
     assert gen["xd2"] == gen["xq2"], "the network is a constant admittance"
-    return SynchronousMachineParameters(exciter=_control(data, key, _EXCITERS), **_named(GENROU, gen), **common)
+    electric = {"exciter": _control(data, key, EXCITERS), "stabiliser": _control(data, key, STABILISERS)}
+    return SynchronousMachineParameters(**electric, **_named(GENROU, gen), **common)
 
 
 def _event(

@@ -12,11 +12,12 @@ from tests.golden.replay import differences, replay
 KINDS = (
     *("classical-machines", "dead-band", "genrou", "grid-events", "grid-forming", "hydro", "ideal-source-units"),
     *("imposed-source", "limits", "shedding"),
+    *("gast", "ieeeg1", "ieeest", "ieeet1", "ieeex1", "ieesgo", "saturation", "stab1"),
 )
 
 
 def test_there_are_golden_cases_of_every_kind() -> None:
-    assert sorted({trace.parent.name for trace in TRACES}) == sorted(KINDS) and len(TRACES) >= 14
+    assert sorted({trace.parent.name for trace in TRACES}) == sorted(KINDS) and len(TRACES) >= 22
 
 
 @pytest.mark.parametrize("path", TRACES, ids=lambda path: f"{path.parent.name}/{path.name}")

@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.integrate import solve_ivp
 
-from wtg_gym.physics.ieee14 import modified_ieee14
+from wtg_gym.physics.grid import get_grid
 from wtg_gym.physics.layout import Floats
 from wtg_gym.physics.machine_parameters import GovernorParameters, HydroGovernorParameters, classical_machine
 from wtg_gym.physics.network import NetworkCase
@@ -68,7 +68,7 @@ def plant(
 
 def with_machine(**changes: Any) -> NetworkCase:
     """The default network with other data of the machine at bus 1."""
-    case = modified_ieee14()
+    case = get_grid("ieee14").case
     return dataclasses.replace(case, machines=(dataclasses.replace(case.machines[0], **changes), *case.machines[1:]))
 
 

@@ -12,7 +12,7 @@ import pytest
 
 from tests.physics.extended import LAW, classical, plant, scenario, started, with_machine
 from wtg_gym.physics.aerodynamics import available_power_pu, power_coefficient, tracking_point
-from wtg_gym.physics.ieee14 import modified_ieee14
+from wtg_gym.physics.grid import get_grid
 from wtg_gym.physics.machine_parameters import HydroGovernorParameters
 from wtg_gym.physics.network import Branch, Bus, NetworkCase
 from wtg_gym.physics.parameters import (
@@ -48,7 +48,8 @@ from wtg_gym.physics.trajectory import simulate
 
 NAN = math.nan
 Call = Callable[[], Any]
-IEEE14 = modified_ieee14()
+IEEE14 = get_grid("ieee14").case
+TURBINES = (TurbineParameters(),) * 2
 
 
 def of(kind: Any, **values: Any) -> Call:
@@ -137,7 +138,7 @@ RECORDS: list[tuple[Call, str]] = [
         for after_s in (-0.5, 0.0, NAN, "soon")
     ),
     (lambda: get_law("magic"), "unknown strategy 'magic'; known strategies: mppt, deloaded-5"),
-    (lambda: group_laws(["mppt"] * 3, 2), "one for each of the 2 groups, got 3"),
+    (lambda: group_laws(["mppt"] * 3, TURBINES), "one for each of the 2 groups, got 3"),
     (lambda: simulate("load-increase", "mppt"), "scenario must be a Scenario, got str"),  # type: ignore[arg-type]
     (of(PlantSettings, simulation_dt=0.03), "control_dt = 0.1 s is not a whole number of simulation steps of 0.03 s"),
     (of(PlantSettings, groups=(WtgGroup(bus=99),)), r"unknown bus 99; .* has buses \[1, 2"),
@@ -164,7 +165,7 @@ RECORDS: list[tuple[Call, str]] = [
 def fit(*events: Any, **more: Any) -> Call:
     """A scenario that the usual plant prepares together with a good one."""
     what = scenario(), scenario(*events, **more)
-    return lambda: Simulator(PlantSettings(), duration_s=120.0).prepare(what, group_laws(LAW, 2))
+    return lambda: Simulator(PlantSettings(), duration_s=120.0).prepare(what, group_laws(LAW, TURBINES))
 
 
 def line(time_s: float, from_bus: int, to_bus: int, recloses_after_s: float | None = None) -> LineTrip:

@@ -18,7 +18,7 @@ from tests.physics.extended import (
     scenario,
     started,
 )
-from wtg_gym.physics.ieee14 import modified_ieee14
+from wtg_gym.physics.grid import get_grid
 from wtg_gym.physics.linearisation import moving_states, state_matrix
 from wtg_gym.physics.parameters import VoltageControlParameters, WtgGroup
 from wtg_gym.physics.plant import PlantSettings
@@ -59,10 +59,10 @@ def test_above_rated_the_pitch_holds_the_captured_power_at_its_limit_and_below_i
 
 def test_other_groups_machine_models_resistance_and_shared_buses_start_at_rest() -> None:
     groups = WtgGroup(bus=3), WtgGroup(bus=14, n_turbines=2.0)
-    for classical_machines in (False, True):
-        settings = PlantSettings(case=modified_ieee14(classical=classical_machines), groups=groups)
+    case = get_grid("ieee14").case
+    for own in (case, case.classical()):
+        settings = PlantSettings(case=own, groups=groups)
         assert largest_rate(started(settings, scenario(wind=[[9.0], [9.0]]), "mppt")) <= LIMIT
-    case = modified_ieee14()
     machines = [dataclasses.replace(machine, resistance=0.003) for machine in case.machines]
     # In the place of the last one: as many machines as usual, whose code is compiled already.
     case = dataclasses.replace(case, machines=(*machines[:-1], classical(bus=3, dispatch_mw=20.0)))

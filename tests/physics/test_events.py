@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from tests.physics.extended import phasors, recorded, scenario
-from wtg_gym.physics.ieee14 import modified_ieee14
+from wtg_gym.physics.grid import get_grid
 from wtg_gym.physics.network import assemble_admittance
 from wtg_gym.physics.protection import Status
 from wtg_gym.physics.scenario import (
@@ -26,7 +26,7 @@ from wtg_gym.physics.tracking_law import STRATEGIES
 from wtg_gym.physics.units import BUSES, ISLANDS, PAIRS, UNITS
 
 LAWS = (STRATEGIES["coordinated-piecewise"],) * 2
-CASE = modified_ieee14()
+CASE = get_grid("ieee14").case
 ALL = (
     LoadStep(time_s=0.5, bus=3, power_mw=20.0, reactive_mvar=5.0),
     LineTrip(time_s=1.0, from_bus=2, to_bus=4, recloses_after_s=0.75),

@@ -18,7 +18,7 @@ from tests.physics.extended import (
     started,
 )
 from wtg_gym.physics.extension_unit import EXTENSIONS
-from wtg_gym.physics.ieee14 import modified_ieee14
+from wtg_gym.physics.grid import get_grid
 from wtg_gym.physics.layout import Floats, n_rows_of
 from wtg_gym.physics.machine_unit import MACHINES
 from wtg_gym.physics.network import NetworkCase
@@ -195,7 +195,7 @@ def test_a_second_island_beyond_its_limits_trips_its_units_and_the_run_goes_on()
 def test_the_end_of_the_grid_is_the_end_of_the_run() -> None:
     # All that generates is in the part with less load.
     lines = ((1, 2), (1, 5), (2, 3), (2, 4), (2, 5))
-    case = modified_ieee14()
+    case = get_grid("ieee14").case
     groups = (WtgGroup(bus=2, n_turbines=10.0),) * 2
     simulator = started(plant(case=case, groups=groups, shedding=NO_SHEDDING), scenario(*cut(1.0, lines[1:])))
     recorded(simulator, 30.0)
@@ -226,7 +226,7 @@ def test_without_its_last_machine_a_grid_of_converters_runs_on() -> None:
 
 
 def all_wind() -> NetworkCase:
-    return dataclasses.replace(modified_ieee14(), machines=(), slack_bus=2)
+    return dataclasses.replace(get_grid("ieee14").case, machines=(), slack_bus=2)
 
 
 ALL_WIND = (WtgGroup(bus=2, n_turbines=50.0), WtgGroup(bus=6, n_turbines=30.0))

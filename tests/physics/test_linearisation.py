@@ -11,7 +11,7 @@ from scipy.linalg import expm
 
 from docs.studies.small_signal import linearise
 from tests.physics.extended import plant, scenario, with_machine
-from wtg_gym.physics.ieee14 import modified_ieee14
+from wtg_gym.physics.grid import get_grid
 from wtg_gym.physics.linearisation import largest_stable_steps
 from wtg_gym.physics.parameters import ConverterLimitParameters, GridFormingParameters, VoltageControlParameters
 from wtg_gym.physics.plant import PlantSettings
@@ -96,7 +96,8 @@ REFERENCE = STRATEGIES["coordinated-piecewise"]
 @pytest.mark.parametrize(("side", "classical"), [("under", False), ("over", True)])
 def test_small_motion_of_the_simulator_is_that_of_the_linear_model(side: str, classical: bool) -> None:
     """A push of 1e-6, let go for 0.1 s, before the WTGs' frequencies come back to the corner of g(ω)."""
-    settings = PlantSettings(case=modified_ieee14(classical=classical), simulation_dt=0.0025)
+    case = get_grid("ieee14").case
+    settings = PlantSettings(case=case.classical() if classical else case, simulation_dt=0.0025)
     linear = linearise(PAPER, REFERENCE, settings, side=side)
     simulator = Simulator(settings)
     simulator.start(0, scenario(), (REFERENCE,) * 2)

@@ -10,7 +10,7 @@ import pytest
 
 from tests.physics.extended import classical
 from wtg_gym.physics.equilibrium import FLOW_COLUMNS
-from wtg_gym.physics.ieee14 import modified_ieee14
+from wtg_gym.physics.grid import get_grid
 from wtg_gym.physics.layout import n_rows_of
 from wtg_gym.physics.network import (
     Branch,
@@ -52,7 +52,7 @@ def solve(case: NetworkCase, power: np.ndarray[Any, np.dtype[np.complex128]]) ->
 
 
 def test_power_flow_meets_the_published_solution_of_the_ieee_14_bus_system() -> None:
-    case = modified_ieee14()
+    case = get_grid("ieee14").case
     original = dataclasses.replace(case, machines=(*case.machines, classical(bus=2, dispatch_mw=40.0)))
     power = np.zeros(14, dtype=np.complex128)
     power[1] = 0.4
@@ -66,7 +66,7 @@ def test_power_flow_meets_the_published_solution_of_the_ieee_14_bus_system() -> 
 def test_impossible_power_flow_is_reported() -> None:
     power = np.zeros(14, dtype=np.complex128)
     power[13] = -30.0
-    assert solve(modified_ieee14(), power)[2] == -1
+    assert solve(get_grid("ieee14").case, power)[2] == -1
 
 
 @pytest.mark.parametrize("dtype", [np.float64, np.complex128])

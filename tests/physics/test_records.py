@@ -9,10 +9,11 @@ import pytest
 
 from wtg_gym.physics import machine_parameters, parameters
 from wtg_gym.physics.checked import Checked
-from wtg_gym.physics.ieee14 import modified_ieee14
+from wtg_gym.physics.grid import get_grid
 from wtg_gym.physics.parameters import SOURCES
 
-MACHINE = modified_ieee14().machines[0]
+CASE = get_grid("ieee14").case
+MACHINE = CASE.machines[0]
 RECORDS = [
     kind()
     for kind in (*vars(parameters).values(), *vars(machine_parameters).values())
@@ -20,7 +21,7 @@ RECORDS = [
     and issubclass(kind, Checked)
     and kind not in (Checked, machine_parameters.SynchronousMachineParameters)
 ]
-RECORDS += [MACHINE, MACHINE.governor, MACHINE.exciter, *modified_ieee14().buses[:1], *modified_ieee14().branches[:1]]
+RECORDS += [MACHINE, MACHINE.governor, MACHINE.exciter, *CASE.buses[:1], *CASE.branches[:1]]
 
 
 def test_every_parameter_has_unit_source_and_description_and_every_source_is_used() -> None:

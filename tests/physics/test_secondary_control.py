@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from tests.physics.extended import scenario, with_machine
-from wtg_gym.physics.ieee14 import modified_ieee14
+from wtg_gym.physics.grid import get_grid
 from wtg_gym.physics.layout import Floats
 from wtg_gym.physics.machine_parameters import GovernorParameters
 from wtg_gym.physics.plant import PlantSettings
@@ -50,7 +50,7 @@ def test_the_reference_is_the_integral_of_the_deviation_over_droop_and_time() ->
 def test_the_frequency_returns_to_nominal_with_the_slowest_root_of_the_loop() -> None:
     _, speed = reference_and_speed(MORE, seconds=120.0)
     deviation = 1.0 - speed
-    machines = modified_ieee14().machines
+    machines = get_grid("ieee14").case.machines
     two_h, damping = (
         sum(getattr(machine, name) * machine.rating_mva / machines[0].rating_mva for machine in machines)
         for name in ("two_h_s", "damping_pu")

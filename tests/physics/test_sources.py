@@ -20,9 +20,10 @@ from tests.physics.extended import (
 )
 from tests.physics.test_faults import bus_matrix
 from tests.physics.test_islands import PARTED_WIND, cut, parted
-from wtg_gym.physics.ieee14 import modified_ieee14
+from wtg_gym.physics.grid import get_grid
 from wtg_gym.physics.local_frequency import FILTER_S, turn_between
 from wtg_gym.physics.network import NetworkCase, Source
+from wtg_gym.physics.parameters import TurbineParameters
 from wtg_gym.physics.protection import Status
 from wtg_gym.physics.scenario import (
     Fault,
@@ -43,7 +44,7 @@ from wtg_gym.physics.units import BUSES, ISLANDS, Phasor
 
 def with_source(**changes: float) -> NetworkCase:
     """An imposed source in the place of the machine with the governor."""
-    case = modified_ieee14()
+    case = get_grid("ieee14").case
     return dataclasses.replace(case, machines=case.machines[1:], sources=(Source(bus=1, reactance=0.02, **changes),))
 
 
@@ -133,7 +134,7 @@ def test_a_local_frequency_is_the_filtered_turn_of_the_voltage() -> None:
 
 
 def test_half_the_units_of_a_machine_are_a_machine_of_half_the_rating() -> None:
-    case = modified_ieee14()
+    case = get_grid("ieee14").case
     half = with_machine(rating_mva=0.5 * case.machines[0].rating_mva)
     step = LoadStep(time_s=1.0, bus=3, power_mw=30.0)
     some, small = started(plant(), scenario(step, committed=0.5)), started(plant(case=half), scenario(step))
@@ -157,7 +158,7 @@ def test_a_run_has_the_same_bits_among_neighbours_with_islands_faults_and_return
         scenario(Fault(time_s=0.3, bus=4, clears_after_s=0.1, opens=(2, 4)), wind=PARTED_WIND),
         scenario(MachineOutage(time_s=0.1, bus=3, returns_after_s=0.5), wind=PARTED_WIND),
     ]
-    laws = group_laws(LAW, 2)
+    laws = group_laws(LAW, (TurbineParameters(),) * 2)
     for what in (own, others[0]):
         single, many = started(parted(), what), Simulator(parted(), n_lanes=17)
         for lane in range(17):

@@ -36,7 +36,7 @@ BAD: list[tuple[Callable[[], Any], str]] = [
     (distribution(gust_probability=0.7, wind_ramp_probability=0.7), "1.4.*at most 1"),
     (distribution(n_load_events=(0.5, 2)), "n_load_events must be two whole numbers"),
     (distribution(line_trips=((7, 8),)), r"line_trips must be.*\(7, 8\)"),
-    (distribution(fault_probability=0.1), r"fault_lines must be one or more of .*, got \(\)"),
+    (distribution(fault_probability=0.1), r"fault_lines must be one or more lines that .*, got \(\)"),
     (distribution(fault_lines=((8, 7),)), r"fault_lines must be.*\(8, 7\)"),
     (distribution(fault_clearing_s=(0.05, 0.2)), "fault_clearing_s = 0.05 s.*0.1 … 1 s"),
     (distribution(islandings=(((5, 6), (9, 10)),)), r"leave two parts of the network, got \(\(5, 6\), \(9, 10\)\)"),

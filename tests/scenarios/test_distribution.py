@@ -9,6 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from wtg_gym.physics.aerodynamics import available_power_pu
+from wtg_gym.physics.grid import DEFAULT_GRID, get_grid
 from wtg_gym.physics.scenario import (
     Fault,
     GovernorLoss,
@@ -41,6 +42,12 @@ BUS_LOAD_MW = {
 }  # fmt: skip
 
 
+def loads_mw(source: ScenarioDistribution) -> dict[int, float]:
+    """Loads of a distribution's grid at load level 1 [MW]."""
+    grid = BY_NAME[source.name][0].plant.grid if source.name in BY_NAME else DEFAULT_GRID
+    return BUS_LOAD_MW if grid == DEFAULT_GRID else {bus.number: bus.load_mw for bus in get_grid(grid).case.buses}
+
+
 def check(scenario: Scenario, source: ScenarioDistribution, duration_s: float) -> None:
     """Every promise of a distribution about each of its scenarios."""
     n_samples = math.ceil(duration_s / 0.1 - 1e-6) + 1
@@ -67,7 +74,8 @@ def check(scenario: Scenario, source: ScenarioDistribution, duration_s: float) -
     else:
         assert len(trips) <= 1
     assert sum(isinstance(event, LoadTrip) for event in load_events) <= 1
-    load = {bus: scenario.load_level * power for bus, power in BUS_LOAD_MW.items()}
+    bus_load_mw = loads_mw(source)
+    load = {bus: scenario.load_level * power for bus, power in bus_load_mw.items()}
     for event in scenario.events:
         if isinstance(event, GovernorLoss) and event.time_s == 0.0:
             continue
@@ -98,18 +106,22 @@ def check(scenario: Scenario, source: ScenarioDistribution, duration_s: float) -
         elif isinstance(event, GroupTrip):
             assert event.group < scenario.n_wtg
         elif isinstance(event, GovernorLoss):
-            assert event.bus == 1
+            assert event.bus in source.governor_loss_buses
         elif isinstance(event, LoadTrip):
             assert event.bus in source.load_trip_buses
-            load[event.bus] -= scenario.load_level * BUS_LOAD_MW[event.bus]
+            load[event.bus] -= scenario.load_level * bus_load_mw[event.bus]
         else:
-            assert source.load_event_mw[0] <= abs(event.power_mw) <= source.load_event_mw[1]
-            assert event.bus in {bus for bus, _, _ in source.load_buses}
+            increase_mw, decrease_mw = {bus: limits for bus, *limits in source.load_buses}[event.bus]
+            largest_mw = increase_mw if event.power_mw > 0.0 else decrease_mw
+            assert min(source.load_event_mw[0], largest_mw) <= abs(event.power_mw) + 0.01
+            assert abs(event.power_mw) <= min(source.load_event_mw[1], largest_mw) + 0.01
             load[event.bus] += min(event.power_mw, 0.0)
-    assert min(load.values()) > -1e-9
+    # Buses that feed in are negative loads from the start.
+    assert min(power for bus, power in load.items() if bus_load_mw[bus] >= 0.0) > -1e-9
     changes = [event.power_mw for event in load_events if isinstance(event, LoadStep)]
-    # One disconnection of at most 40 MW counts too, so a limit met with it may be missed without it.
-    assert abs(sum(changes)) <= source.net_load_change_mw + 40.0
+    # One disconnection counts too, so a limit met with it may be missed without it.
+    largest_mw = max((bus_load_mw[bus] for bus in source.load_trip_buses), default=0.0)
+    assert abs(sum(changes)) <= source.net_load_change_mw + 1.1 * largest_mw
 
 
 @pytest.mark.parametrize("source", DISTRIBUTIONS, ids=lambda source: source.name)
@@ -138,7 +150,8 @@ def test_scenarios_of_the_suites_own_groups_keep_every_promise_and_their_share_o
     seeds = range(200)
     for scenario in source.draw_many(seeds, len(turbines), turbines, 120.0):
         check(scenario, source, 120.0)
-        largest = turbines.index(max(turbines))
+        # Of groups of one size, one stays.
+        largest = max(range(len(turbines)), key=lambda group: (turbines[group], group))
         assert all(event.group != largest for event in scenario.events if isinstance(event, GroupTrip))
     # Without turbulence, gusts and ramps the wind is its mean; the numbers of the stream are the same.
     still = replace(source, turbulence_intensity=(0.0, 0.0), gust_probability=0.0, wind_ramp_probability=0.0)
@@ -151,7 +164,7 @@ def test_scenarios_of_the_suites_own_groups_keep_every_promise_and_their_share_o
             4.75 * n * min(available_power_pu(wind), 1.0)
             for n, wind in zip(turbines, scenario.wind_speed[:, 0], strict=True)
         )
-        shares.append(given_mw / (scenario.load_level * sum(BUS_LOAD_MW.values())))
+        shares.append(given_mw / (scenario.load_level * sum(loads_mw(source).values())))
     assert low <= min(shares) and max(shares) <= high
     assert np.std(shares) > 0.2 * (high - low), "the range is used"
 

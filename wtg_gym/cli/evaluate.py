@@ -100,7 +100,7 @@ def leaderboard(
     processes = scoring.chosen_workers(workers, threads)
     with scoring.kept_parts(results) as partial:
         chosen = scoring.chosen_entries(entries, suite)
-        check_version(chosen, get_suite(suite).benchmark)
+        check_version(chosen, get_suite(suite))
         found = scoring.run_evaluation(
             chosen, suite=suite, split="test", partial=partial, n_threads=threads, workers=processes
         )

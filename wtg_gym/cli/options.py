@@ -20,7 +20,8 @@ Words = Annotated[tuple[str, ...], Parameter(consume_multiple=1, negative="", sh
 
 
 def _suite(_: Any, tokens: Sequence[Token]) -> str:
-    return get_suite(tokens[0].value).name
+    get_suite(name := tokens[0].value)
+    return name
 
 
 def _whole(_: Any, tokens: Sequence[Token]) -> int:
@@ -49,11 +50,14 @@ Whole = Annotated[int, Parameter(converter=_whole)]
 OutputFolder = Annotated[Path, Parameter(validator=(validators.Path(file_okay=False), _can_be_written))]
 CsvFile = Annotated[Path, _output_file("csv")]
 FigureFile = Annotated[Path, _output_file("png", "svg", "pdf")]
+JsonFile = Annotated[Path, _output_file("json")]
 HtmlFile = Annotated[Path, _output_file("html", "htm")]
 
 Threads = Annotated[Whole | None, Parameter(help="threads to step with; default: one per processor")]
 Json = Annotated[bool, Parameter(negative="", show_default=False, help="print JSON, and nothing else, on stdout")]
-Suite = Annotated[SuiteName, Parameter(help="one of those that `wtg-gym suites` lists")]
+Suite = Annotated[
+    SuiteName, Parameter(help="one of those that `wtg-gym suites` lists, or the .json file of a suite or a grid")
+]
 Entries = Annotated[
     Words,
     Parameter(

@@ -88,10 +88,11 @@ def chosen_workers(given: WorkerOptions, threads: int | None) -> Workers | None:
 def check_stored(folder: Path | None, planned: Mapping[str, Any]) -> None:
     """Refuse a folder whose results of the same suite and split are of other settings, seeds or another draw."""
     suite, split = planned["suite"], planned["split"]
-    if folder is None or not (folder / f"{suite}-{split}.json").exists():
+    path = Path(folder or "") / f"{get_suite(suite).name}-{split}.json"
+    if folder is None or not path.exists():
         return
     try:
-        stored = Results.read(folder / f"{suite}-{split}.json")
+        stored = Results.read(path)
     except ValueError as error:
         note(f"will be replaced: {error}")
         return
@@ -104,7 +105,7 @@ def check_stored(folder: Path | None, planned: Mapping[str, Any]) -> None:
     }
     if other := [key for key, value in now.items() if getattr(stored, key) != value]:
         raise ValueError(
-            f"--results {folder}: its {suite}-{split}.json is of other {' and '.join(other)} and would be lost; "
+            f"--results {folder}: its {path.name} is of other {' and '.join(other)} and would be lost; "
             "give another folder"
         )
 

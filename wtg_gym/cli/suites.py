@@ -46,7 +46,7 @@ def suites(name: SuiteName | None = None, /, *, seed: Whole | None = None, json:
 def _summary(suite: Suite) -> dict[str, Any]:
     return {
         "name": suite.name,
-        "environment": suite.benchmark.env_id,
+        "environment": suite.env_id,
         "description": suite.description,
         "hash": suite.hash,
         "duration_s": suite.duration_s,

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from wtg_gym.envs.task_records import Task
+from wtg_gym.envs.task_records import Reach
 from wtg_gym.envs.task_units import ACTING, TASK
 from wtg_gym.physics.layout import Floats
 from wtg_gym.systems.elementary import clip
@@ -18,10 +18,10 @@ TIME_CONSTANT_RATIO = 4.0
 
 
 @system(ACTING, "action_k", "k_offset", when="modulates k")
-def act_on_k(on_k: float, task: Task) -> tuple[float, float]:
+def act_on_k(on_k: float, reach: Reach) -> tuple[float, float]:
     """Turn an action into an offset on k; zero leaves the law to the last bit."""
     action = clip(on_k, -1.0, 1.0)
-    return action, task.k_authority * action
+    return action, reach.k_authority * action
 
 
 @system(ACTING, "action_tau", "inv_tau", when="modulates tau")

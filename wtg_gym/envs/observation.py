@@ -14,6 +14,7 @@ from wtg_gym.envs.task_records import (
     LocalInfo,
     MachineObservation,
     MeasuredObservation,
+    Reach,
     Task,
     WtgObservation,
 )
@@ -70,7 +71,9 @@ def observe_measured(m: Measurement, wind_sensor: float, t: Turbine, task: Task)
 
 
 @system(ACTING, "observed", when="exact observation")
-def observe_group(state: WtgState, output: WtgOutput, group: GroupRows, turbine: Turbine, task: Task) -> WtgObservation:
+def observe_group(
+    state: WtgState, output: WtgOutput, group: GroupRows, turbine: Turbine, reach: Reach, task: Task
+) -> WtgObservation:
     """Return the exact observation of a WTG group."""
     return bounded(
         WtgObservation(
@@ -80,7 +83,7 @@ def observe_group(state: WtgState, output: WtgOutput, group: GroupRows, turbine:
             rotor_speed=_scaled_rotor_speed(state.rotor_speed),
             power=output.power,
             wind=_scaled_wind(output.wind),
-            coefficient=(output.coefficient - task.k_low) / task.k_span,
+            coefficient=(output.coefficient - reach.k_low) / reach.k_span,
             filter_state=state.converter.filter * task.nominal_hz / FREQUENCY_UNIT_HZ,
         )
     )
@@ -125,7 +128,9 @@ def add_torque(total_torque: float, torque: float) -> float:
 @system(TASK, "grid_observed", when="privileged")
 def observe_grid(coi: float, rocof: float, total_torque: float, task: Task) -> GridObservation:
     """Return the observation of the grid."""
-    return bounded(GridObservation((coi - 1.0) * task.nominal_hz / FREQUENCY_UNIT_HZ, rocof, total_torque))
+    return bounded(
+        GridObservation((coi - 1.0) * task.nominal_hz / FREQUENCY_UNIT_HZ, rocof, task.inv_torque * total_torque)
+    )
 
 
 @system(TASK, "info")

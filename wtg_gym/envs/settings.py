@@ -10,12 +10,14 @@ from typing import Any, TypedDict
 import numpy as np
 
 from wtg_gym.physics.checked import Checked, design
+from wtg_gym.physics.grid import DEFAULT_GRID, Grid, file_of
+from wtg_gym.physics.network import NetworkCase
 from wtg_gym.physics.parameters import WtgGroup, default_groups
 from wtg_gym.physics.plant import PHYSICS, SIMULATION_DT_RANGE, PlantSettings
 from wtg_gym.physics.scenario import SERIES_DT, Scenario
 from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY, TrackingLaw, group_laws
 from wtg_gym.ranges import require_known, require_range, whole_steps
-from wtg_gym.scenarios import DEFAULT_SUITE, FRESH, SPLITS, SUITES, get_suite
+from wtg_gym.scenarios import DEFAULT_SUITE, FRESH, SPLITS, SUITES, get_suite, suite_of_grid
 from wtg_gym.scenarios.benchmark import Benchmark
 from wtg_gym.scenarios.sensor_distribution import SensorDistribution
 
@@ -100,6 +102,7 @@ class EnvArguments(TypedDict, total=False):
     action_mode: str
     observation_mode: str
     suite: str
+    grid: str | Grid | NetworkCase | None
     split: str
     scenario: Scenario | Mapping[str, Any] | None
     groups: int | Sequence[Mapping[str, Any]] | None
@@ -116,20 +119,24 @@ class EnvArguments(TypedDict, total=False):
 
 @dataclass(frozen=True, kw_only=True)
 class EnvSettings:
-    """Arguments of the environment; all but a `TrackingLaw` and a `Scenario` can be written as JSON.
+    """Arguments of the environment; all but objects of this package can be written as JSON.
 
     Args:
         strategy: control law that the actions adjust: a name, a TOML file, a `TrackingLaw`, or one for each group.
         action_mode: what the actions adjust: `"k"`, `"tau"` or `"k+tau"`.
         observation_mode: `"local"`, what each group measures itself, or `"privileged"`, which adds the grid's state.
         suite: name of the suite of scenarios, in v1 with or without `-v1`; None: the standard suite of the version.
+        grid: name of a grid, or path of its file: its suite, instead of one by name. Or a `Grid`, or a `NetworkCase`
+            as it is beside its `groups`.
         split: `"train"`, `"validation"` or `"test"`, or `"fresh"`, with seeds that are in none of them.
         scenario: one scenario for every episode, a `Scenario` or its `to_dict()`.
-        groups: number of turbine groups at bus 2, or a list of `{"bus": …, "n_turbines": …}`; None: the suite's own.
+        groups: number of turbine groups at the bus of the first one, or a list of `{"bus": …, "n_turbines": …}`, with a
+            `"turbine"` (TurbineParameters) if it is not the suite's; None: the suite's own groups.
         duration_s: length of an episode [s]; None: the suite's own, 180 s in v1, 120 s in both `paper`, else 60 s.
         control_dt: control interval, one step [s].
-        simulation_dt: step of the integration [s]; 0.05 s, which some draws of v1 refuse, move the frequency by 1e-4 Hz
-            at most under laws, by 1e-2 Hz under random actions.
+        simulation_dt: step of the integration [s]; None: the suite's own, 0.025 s in the IEEE 14-bus system. There
+            0.05 s, which some draws of v1 refuse, move the frequency by 1e-4 Hz at most under laws, by 1e-2 Hz under
+            random actions.
         weights: replaces single weights of the cost, see :class:`CostWeights`.
         machine_model: synchronous machines: `"genrou"`, with exciters, or `"classical"`.
         on_failure: consequence of a rotor's failure (stall, over-speed, under-speed): `"terminate"` the episode, or
@@ -151,12 +158,13 @@ class EnvSettings:
     action_mode: str = "k+tau"
     observation_mode: str = "local"
     suite: str = None  # type: ignore[assignment]  # replaced below
+    grid: str | Grid | NetworkCase | None = None
     split: str = "train"
     scenario: Scenario | Mapping[str, Any] | None = None
     groups: int | Sequence[Mapping[str, Any]] | None = None
     duration_s: float | None = None
     control_dt: float = 0.1
-    simulation_dt: float = 0.025
+    simulation_dt: float = None  # type: ignore[assignment]  # replaced below
     weights: Mapping[str, float] | None = None
     machine_model: str = "genrou"
     on_failure: str = None  # type: ignore[assignment]  # replaced below
@@ -181,18 +189,44 @@ class EnvSettings:
         if self.version is not None:
             _require_choice("version", self.version, VERSIONS)
         suite = self.suite
+        if self.grid is not None:
+            if suite is not None:
+                raise ValueError("a suite names its grid; give grid or suite, not both")
+            suite = suite_of_grid(self._grid()) if self.grid != DEFAULT_GRID else None
+            # The suite stands for it from here on.
+            object.__setattr__(self, "grid", None)
         if suite is None:
             suite = DEFAULT_SUITE if self.version is None else "standard"
         if isinstance(suite, str) and self.version not in (None, "v0") and f"{suite}-{self.version}" in SUITES:
             suite = f"{suite}-{self.version}"
-        known = [name for name, own in SUITES.items() if self.version in (None, own.benchmark.version)]
-        _require_choice("suite", suite, known)
+        if not str(suite).endswith(".json"):
+            known = [name for name, own in SUITES.items() if self.version in (None, own.benchmark.version)]
+            _require_choice("suite", suite, known)
+        found = get_suite(suite)
+        if self.version not in (None, found.benchmark.version):
+            raise ValueError(f"suite {suite!r} is of version {found.benchmark.version}, not {self.version}")
         object.__setattr__(self, "suite", suite)
-        object.__setattr__(self, "version", SUITES[suite].benchmark.version)
+        object.__setattr__(self, "version", found.benchmark.version)
         if self.on_failure is None:
-            object.__setattr__(self, "on_failure", SUITES[suite].benchmark.on_failure)
+            object.__setattr__(self, "on_failure", found.benchmark.on_failure)
+        if self.simulation_dt is None:
+            object.__setattr__(self, "simulation_dt", found.plant.simulation_dt)
         if self.physics is None:
-            object.__setattr__(self, "physics", SUITES[suite].plant.physics)
+            object.__setattr__(self, "physics", found.plant.physics)
+
+    def _grid(self) -> str:
+        """Return the name or the path of the grid; one that is given as an object gets a file."""
+        grid = self.grid
+        if isinstance(grid, NetworkCase):
+            if self.groups is None or isinstance(self.groups, (int, np.integer)):
+                raise ValueError(f"a NetworkCase has no WTG groups: groups must be a list of them, got {self.groups!r}")
+            grid = Grid(case=grid, groups=self.wtg_groups())
+        return file_of(grid) if isinstance(grid, Grid) else grid  # type: ignore[return-value]
+
+    @property
+    def env_id(self) -> str:
+        """Id of the environment."""
+        return get_suite(self.suite).env_id
 
     def benchmark(self) -> Benchmark:
         """Return the version of the benchmark."""
@@ -226,20 +260,20 @@ class EnvSettings:
         if self.groups is None:
             return get_suite(self.suite).plant.groups
         if isinstance(self.groups, (int, np.integer)):
-            return default_groups(self.groups)
+            return default_groups(self.groups, get_suite(self.suite).plant.groups[0].bus)
         if isinstance(self.groups, (str, Mapping)) or not isinstance(self.groups, Sequence) or not self.groups:
             raise ValueError(
                 f'groups must be a number of groups or a list of {{"bus": …, "n_turbines": …}}, got {self.groups!r}'
             )
         for entry in self.groups:
-            if not isinstance(entry, Mapping) or not entry or not set(entry) <= {"bus", "n_turbines"}:
+            if not isinstance(entry, Mapping) or not entry or not set(entry) <= {"bus", "n_turbines", "turbine"}:
                 raise ValueError(f'a WTG group must be {{"bus": …, "n_turbines": …}}, got {entry!r}')
         return tuple(WtgGroup(**entry) for entry in self.groups)
 
     def laws(self) -> tuple[TrackingLaw, ...]:
         """Return one law per WTG group; a ValueError lists the known strategies."""
         plant = self.plant()
-        return group_laws(self.strategy, len(plant.groups), plant.turbine, plant.control)
+        return group_laws(self.strategy, plant.turbines, plant.control)
 
     def plant(self) -> PlantSettings:
         """Return the plant and its time steps."""
@@ -282,6 +316,8 @@ class PlantEnvSettings(EnvSettings):
     def of(cls, settings: EnvSettings, given: PlantSettings) -> PlantEnvSettings:
         """Return settings with another plant."""
         fields = {field.name: getattr(settings, field.name) for field in dataclasses.fields(EnvSettings)}
+        # Its suite is known by now.
+        del fields["grid"]
         return cls(**fields | {"control_dt": given.control_dt, "simulation_dt": given.simulation_dt}, given=given)
 
 

@@ -20,19 +20,24 @@ from wtg_gym.envs.cost import CHARGE
 from wtg_gym.envs.measuring import MEASURE, START_SENSORS
 from wtg_gym.envs.observation import OBSERVE, end_episode
 from wtg_gym.envs.settings import ACTION_MODES, EnvSettings
-from wtg_gym.envs.task_records import Info, LocalInfo, Task, Weights, n_delayed, rocof_window
+from wtg_gym.envs.task_records import Info, LocalInfo, Reach, Task, Weights, n_delayed, rocof_window
 from wtg_gym.envs.task_units import ACTING, HISTORY, RING, SENSED, SENSORS, SHIFTS, TASK, WATCHED, WINDOW
 from wtg_gym.physics import integration
+from wtg_gym.physics.grid import DEFAULT_GRID
 from wtg_gym.physics.integration import advance_interval
 from wtg_gym.physics.kernel_data import LaneData, Network
 from wtg_gym.physics.layout import Floats, Layout, Whole
 from wtg_gym.physics.plant import Further
-from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY, get_law
+from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY, group_laws
+from wtg_gym.scenarios import get_suite
 from wtg_gym.systems.compiled import compiled, internal
 from wtg_gym.systems.programs import NONE, in_one_table
 from wtg_gym.systems.routines import Routine
 from wtg_gym.systems.systems import Kind, count
 
+#: Share of the load that the torque of the machines is counted in on other grids than the IEEE 14-bus system, where it
+#: is 100 MVA.
+_TORQUE_SHARE = 0.39
 Observations = npt.NDArray[np.float32]
 N_INFO = len(Info._fields) + len(LocalInfo._fields)
 PROGRAMS = in_one_table(
@@ -71,16 +76,12 @@ def build_task(settings: EnvSettings) -> Task:
     """Return the constants of the task."""
     plant = settings.plant()
     benchmark = settings.benchmark()
-    reference = get_law(REFERENCE_STRATEGY, plant.turbine, plant.control)
     weights = settings.cost_weights()
     modulates_k, modulates_tau = ACTION_MODES[settings.action_mode]
-    n_wtg = len(plant.groups)
+    n_wtg, of_ieee14 = len(plant.groups), get_suite(settings.suite).plant.grid == DEFAULT_GRID
     return Task(
         modulates_k=modulates_k,
         modulates_tau=modulates_tau,
-        k_authority=benchmark.k_authority * (reference.k_min - reference.k_max),
-        k_low=reference.k_max,
-        k_span=reference.k_min - reference.k_max,
         share_min=1.0,
         share_nominal=1.0 - plant.control.deloading_nominal,
         share_max=1.0 - plant.control.deloading_limit,
@@ -88,12 +89,20 @@ def build_task(settings: EnvSettings) -> Task:
         control_dt=settings.control_dt,
         nominal_hz=plant.case.frequency_hz,
         inv_load=plant.case.base_mva / max(plant.case.load_mw, 1e-6),
+        inv_torque=1.0 if of_ieee14 else plant.case.base_mva / max(_TORQUE_SHARE * plant.case.load_mw, 1e-6),
         n_window=rocof_window(settings.control_dt),
         n_groups=n_wtg,
         n_actions=n_wtg * (modulates_k + modulates_tau),
         n_substeps=round(settings.control_dt / settings.simulation_dt),
         duty_gain=-math.expm1(-settings.control_dt / benchmark.duty_time_s) if benchmark.duty_time_s > 0.0 else 1.0,
     )
+
+
+def reaches_of(settings: EnvSettings) -> list[Reach]:
+    """Return what each group's turbine decides."""
+    plant, authority = settings.plant(), settings.benchmark().k_authority
+    laws = group_laws(REFERENCE_STRATEGY, plant.turbines, plant.control)
+    return [Reach(authority * (law.k_min - law.k_max), law.k_max, law.k_min - law.k_max) for law in laws]
 
 
 def task_of(settings: EnvSettings) -> Further:
@@ -131,7 +140,11 @@ def task_of(settings: EnvSettings) -> Further:
         programs=PROGRAMS,
         stepping=(_ACT, _CHARGE, _MEASURE, _OBSERVE, _END),
         starting=(_START_SENSORS, _OBSERVE),
-        constants={(TASK, "task"): [build_task(settings)], (SENSED, "group_number"): range(n_wtg)},
+        constants={
+            (TASK, "task"): [build_task(settings)],
+            (ACTING, "reach"): reaches_of(settings),
+            (SENSED, "group_number"): range(n_wtg),
+        },
         has=[name for name, given in has.items() if given],
     )
 

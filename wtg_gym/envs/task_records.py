@@ -27,9 +27,6 @@ class Task(NamedTuple):
 
     modulates_k: bool
     modulates_tau: bool
-    k_authority: float  # offset on k at full action [p.u.]
-    k_low: float  # K_pr
-    k_span: float  # K_opt - K_pr
     share_min: float  # share of the usable power to capture at ω_min, ω_st, ω_max
     share_nominal: float
     share_max: float
@@ -37,11 +34,20 @@ class Task(NamedTuple):
     control_dt: float  # [s]
     nominal_hz: float
     inv_load: float  # 1 / load of the case [1/p.u.]
+    inv_torque: float  # 1 / what the machines' torque is counted in [1/p.u.]
     n_window: int  # of the RoCoF, in control intervals
     n_groups: int
     n_actions: int  # of all groups
     n_substeps: int  # simulation steps per control interval
     duty_gain: float  # of the filter that the duty is charged behind, 1 - exp(-Δt / T) [-]
+
+
+class Reach(NamedTuple):
+    """Constants of the task that a group's turbine decides."""
+
+    k_authority: float  # offset on k at full action [p.u.]
+    k_low: float  # K_pr
+    k_span: float  # K_opt - K_pr
 
 
 class CostTerms(NamedTuple):
@@ -110,7 +116,7 @@ class GridObservation(NamedTuple):
 
     frequency_deviation: Annotated[float, "0.5 Hz", "frequency of the centre of inertia minus the nominal one"]
     rocof: Annotated[float, "Hz/s", "rate of change of the frequency of the centre of inertia over 0.5 s"]
-    torque: Annotated[float, "100 MVA", "mechanical torque of all machines"]
+    torque: Annotated[float, "100 MVA", "mechanical torque of all machines; on other grids in 39 % of the load"]
 
 
 class MeasuredObservation(NamedTuple):

@@ -12,6 +12,7 @@ from wtg_gym.envs.task_records import (
     LocalInfo,
     MachineObservation,
     MeasuredObservation,
+    Reach,
     Task,
     WtgObservation,
 )
@@ -74,6 +75,7 @@ ACTING = Kind(
         "charged_duty": float,  # in v1 filtered
         "there": float,  # 0 for a group that an event has disconnected, else 1
     },
+    constants={"reach": Reach},
     sees={"group": GROUPS, "task": TASK, "lane": LANE},
 )
 

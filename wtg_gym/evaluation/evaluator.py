@@ -30,7 +30,8 @@ from wtg_gym.policies.play import play, started_lanes
 from wtg_gym.policies.policy_process import NotIsolatedError
 from wtg_gym.ranges import is_whole, require_whole
 from wtg_gym.scenarios import DEFAULT_SUITE, FRESH, FreshDraw, get_suite
-from wtg_gym.scenarios.benchmark import V0, Benchmark
+from wtg_gym.scenarios.benchmark import V0
+from wtg_gym.scenarios.suite import Suite
 from wtg_gym.systems.compiled import source_hash
 
 Progress = Callable[[str, int, int], None]
@@ -101,7 +102,7 @@ def evaluate(
     if workers is not None and n_threads not in (None, 1):
         raise ValueError(f"a worker steps with one thread; leave out the threads, got {n_threads!r}")
     settings = EnvSettings(suite=suite, split=split, **env_arguments)
-    competitors = _with_anchors(entries, settings.benchmark())
+    competitors = _with_anchors(entries, get_suite(settings.suite))
     chosen, shared = chosen_seeds(settings.suite, split, seeds, draw), shared_settings(settings)
     suite_hash = get_suite(settings.suite).hash
     store = PartialStore(partial, [settings.suite, suite_hash, split, shared])
@@ -116,7 +117,7 @@ def evaluate(
         source_hash=source_hash(),
         seeds=tuple(chosen),
         draw=None if draw is None else {"commit": draw.commit, "secret_sha256": draw.secret_sha256},
-        environment={"id": settings.benchmark().env_id, "fingerprint": environment_fingerprint(settings)},
+        environment={"id": settings.env_id, "fingerprint": environment_fingerprint(settings)},
         settings=shared,
         versions=dict(versions()),
         entries=tuple(entry.to_dict() for entry in competitors),
@@ -128,15 +129,16 @@ def evaluate(
 # --- arguments -------------------------------------------------------------------------------------------------------
 
 
-def _with_anchors(given: str | Path | Entry | Sequence[str | Path | Entry], benchmark: Benchmark) -> list[Entry]:
+def _with_anchors(given: str | Path | Entry | Sequence[str | Path | Entry], suite: Suite) -> list[Entry]:
     """Return the entries, and the version's anchors that are not among them."""
     entries: list[Any] = []
+    benchmark = suite.benchmark
     if not isinstance(given, (str, Path, Entry, Sequence)):
         raise ValueError(f"entries must be names, paths or Entry, one or a list of them, got {given!r}")
     for each in [given] if isinstance(given, (str, Path, Entry)) else given:
         entries += load_entries(each, benchmark=benchmark) if isinstance(each, (str, Path)) else [each]
     check_entries(entries)
-    check_version(entries, benchmark)
+    check_version(entries, suite)
     missing = [name for name in benchmark.anchors if name not in {entry.name for entry in entries}]
     return [*entries, *(Entry(name=name, strategy=name, description="Anchor of the score.") for name in missing)]
 
@@ -192,7 +194,7 @@ def shared_settings(settings: EnvSettings) -> dict[str, Any]:
         "control_dt": float(settings.control_dt),
         "simulation_dt": float(settings.simulation_dt),
         "weights": {key: float(value) for key, value in dataclasses.asdict(settings.cost_weights()).items()},
-        "groups": [{"bus": int(group.bus), "n_turbines": float(group.n_turbines)} for group in settings.wtg_groups()],
+        "groups": [group.to_dict() for group in settings.wtg_groups()],
         "authority": {"k": benchmark.k_authority, "tau": TIME_CONSTANT_RATIO},
         "machine_model": settings.machine_model,
         "on_failure": settings.on_failure,

@@ -379,7 +379,7 @@ def run_grid_test(test: GridTest, entry: Entry) -> tuple[Recording, Verdict]:
         PolicyError: the entry's law has no equilibrium there, or its policy fails.
         ValueError: the entry is of another version.
     """
-    check_version([entry], V1)
+    check_version([entry], get_suite(DEFAULT_SUITE))
     plant = test.plant()
     own = EnvSettings(version=V1.version, sensors="exact", duration_s=test.duration_s)
     settings = PlantEnvSettings.of(own, plant)

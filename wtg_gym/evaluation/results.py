@@ -96,7 +96,7 @@ class Results:
 
     @cached_property
     def _measured(self) -> list[EntrySummary]:
-        return summary.measured(self.entries, self._runs, self.pinned_costs, self.benchmark, self.groups)
+        return summary.measured(self.entries, self._runs, self.pinned_costs, get_suite(self.suite), self.groups)
 
     @property
     def ranking(self) -> list[EntrySummary]:
@@ -162,7 +162,7 @@ class Results:
     @property
     def name(self) -> str:
         """Return the files' name without ending."""
-        return f"{self.suite}-{self.split}"
+        return f"{get_suite(self.suite).name}-{self.split}"
 
     def episodes_of(self, name: str) -> list[Episode]:
         """Return the episodes of an entry.

@@ -16,6 +16,7 @@ from wtg_gym.evaluation.episodes import Episode
 from wtg_gym.evaluation.score import cost_offsets, gains, pinned, points_by_term, score_scales
 from wtg_gym.evaluation.statistics import Floats, Groups, Interval
 from wtg_gym.scenarios.benchmark import Benchmark
+from wtg_gym.scenarios.suite import Suite
 
 #: The episodes of an entry, a sequence for each training seed.
 Runs = Sequence[Sequence[Episode]]
@@ -69,7 +70,7 @@ def measured(
     entries: Sequence[Mapping[str, Any]],
     runs: Mapping[str, Runs],
     costs: Mapping[str, Floats],
-    benchmark: Benchmark,
+    suite: Suite,
     groups: Groups,
 ) -> list[EntrySummary]:
     """Return the row of every name without its score, in the order of the entries.
@@ -77,7 +78,7 @@ def measured(
     All runs are on the same scenarios in the same order, those of `groups`; costs are pinned, (n_runs, n_scenarios).
     """
     described = {entry["name"]: entry for entry in entries}
-    return [_measured(each, runs, costs, benchmark, groups) for each in described.values()]
+    return [_measured(each, runs, costs, suite, groups) for each in described.values()]
 
 
 def scored(
@@ -172,10 +173,15 @@ def _measured(
     entry: Mapping[str, Any],
     all_runs: Mapping[str, Runs],
     all_costs: Mapping[str, Floats],
-    benchmark: Benchmark,
+    suite: Suite,
     groups: Groups,
 ) -> EntrySummary:
-    runs, costs, nominal_hz = all_runs[entry["name"]], all_costs[entry["name"]], benchmark.nominal_hz
+    runs, costs, benchmark, nominal_hz = (
+        all_runs[entry["name"]],
+        all_costs[entry["name"]],
+        suite.benchmark,
+        suite.nominal_hz,
+    )
     hundred = all_runs[benchmark.hundred]
     lost, bad = _lost(runs), lost_or_beyond(runs, nominal_hz)
     more = statistics.share_difference(bad, lost_or_beyond(hundred, nominal_hz), groups)

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from wtg_gym.physics.layout import Floats
-from wtg_gym.physics.machine_parameters import GovernorParameters
+from wtg_gym.physics.machine_parameters import ExciterParameters, GovernorParameters
 from wtg_gym.physics.plant import PlantSettings, build_plant
 
 #: Fields of the parameter classes that act on a run, and neither on the equilibrium it starts from nor on a law.
@@ -61,6 +61,8 @@ def known_parameters(plant: PlantSettings) -> dict[str, float]:
         for part, fields in _OF_MACHINES.items():
             owners = [getattr(machine, part) if part else machine for machine in machines]
             if part == "governor" and not all(isinstance(owner, GovernorParameters) for owner in owners):
+                continue
+            if part == "exciter" and not all(isinstance(owner, ExciterParameters) for owner in owners):
                 continue
             if any(owner is None for owner in owners):
                 continue

@@ -18,13 +18,18 @@ Equations
     machine, exciter, governor              synchronous machines
     sensors             measurements with filter, noise, bias and delay
 
+Models of machines that only some plants have (machine_models says which)
+    stab1, ieeest, ieeex1, ieeeg1, ieesgo, gast    stabilisers, exciters, governors with their turbines
+    saturation                                     of exciters and of GENROU
+    machine_controls, control_blocks               what controls have in common: as units, and as equations
+
 Network
     network             admittances, power flow
     reduction           Kron reduction, what events and islands change in it
     network_events      the table of what events change in the network and its units
 
 Data
-    parameters, machine_parameters, checked    every number with unit, source and range
+    parameters, machine_parameters, control_parameters, checked    every number with unit, source and range
     ieee14, tables/     the network; the C_p of another turbine
     plant, kernel_data  a network, its WTG groups and the time steps; constants, series and events as arrays
     scenario            what happens in a run

@@ -4,13 +4,25 @@ from __future__ import annotations
 
 import math
 
+import numba
 import numpy as np
 import numpy.typing as npt
 
-from wtg_gym.physics.integration import combine_load_noise, find, find_rates, plan, refresh, release, settle, start
+from wtg_gym.physics.integration import (
+    balance,
+    combine_load_noise,
+    find,
+    find_rates,
+    plan,
+    refresh,
+    release,
+    settle,
+    start,
+)
 from wtg_gym.physics.kernel_data import EVENT, LaneData, Network
 from wtg_gym.physics.layout import OF_LANE, OF_STARTING_BUS, OF_STARTING_LANE, Floats, Layout, n_rows_of
 from wtg_gym.physics.network import POWER_FLOW_TOLERANCE, PowerFlow, solve_power_flow
+from wtg_gym.physics.sparse_flow import solve_sparse_flow
 from wtg_gym.physics.units import BUSES, StartFailure
 from wtg_gym.systems.compiled import compiled, internal
 from wtg_gym.systems.programs import NONE
@@ -26,10 +38,14 @@ FLOW_COLUMNS = PowerFlow(
     voltage=OF_STARTING_BUS.at_bus,
 )
 POWER_FLOW = Function(solve_power_flow, 1)
-_flow = POWER_FLOW.call
+#: Compiled for large networks alone.
+SPARSE_FLOW = Function(solve_sparse_flow, 2, numba.int64)
+_flow, _sparse_flow = POWER_FLOW.call, SPARSE_FLOW.call
 _SHORTAGE = float(StartFailure.WIND_SHORTAGE)
 #: Least common factor on k with which WTG groups alone balance the power, by design.
 _LEAST_CURTAILMENT = 0.02
+#: Width of the range in which losses are still unknown, and how much of k they may take, by design.
+_CLOSE, _LOSSES = 0.01, 0.15
 #: What the slack bus may lack once the factor is found to its last bit [p.u.].
 _BALANCED = 1e-10
 _DIVERGED = float(StartFailure.POWER_FLOW_DIVERGED)
@@ -47,44 +63,63 @@ def _plan_flow(arrays: tuple[Floats, Floats], buses: Floats, y: npt.NDArray[np.c
     facts, tables, scratch = network.facts, network.tables, arrays[1]
     own = facts.starts
     plan(arrays, tables, NONE)
-    planned = buses[facts.slack, OF_STARTING_BUS.planned]
     released = scratch[own + OF_STARTING_LANE.start_failure, 0] == 0.0
+    balances = facts.n_balances
     while released:
-        if _flow(tables, (y, facts.slack, buses, FLOW_COLUMNS)) < 0:
+        if facts.is_large:
+            steps = _sparse_flow(tables, (y, facts.slack, buses, FLOW_COLUMNS, network.pattern))
+        else:
+            steps = _flow(tables, (y, facts.slack, buses, FLOW_COLUMNS))
+        if steps < 0:
             scratch[own + OF_STARTING_LANE.start_failure, 0] = _DIVERGED
             break
+        if balances:
+            balance(arrays, tables, NONE)
+            balances -= 1
+            continue
         # Each time at least one bus lets go, and no bus does twice.
         release(arrays, tables, NONE)
         released = scratch[own + OF_STARTING_LANE.released, 0] > 0.0
     if scratch[own + OF_STARTING_LANE.start_failure, 0] != 0.0:
         return math.nan
-    return float(buses[facts.slack, OF_STARTING_BUS.flow] - planned)
+    return float(buses[facts.slack, OF_STARTING_BUS.flow] - buses[facts.slack, OF_STARTING_BUS.planned])
 
 
 @internal
-def _curtail(
-    arrays: tuple[Floats, Floats], buses: Floats, y: npt.NDArray[np.complex128], network: Network, lacking: float
-) -> None:
-    """Find the common factor on k with which the WTG groups alone meet the load, by halving its range.
-
-    `lacking` is what the slack bus lacks with a factor of 1 [p.u.].
-    """
-    at, scratch = network.facts.starts + OF_STARTING_LANE.curtailment, arrays[1]
-    failure = network.facts.starts + OF_STARTING_LANE.start_failure
+def _curtail(arrays: tuple[Floats, Floats], buses: Floats, y: npt.NDArray[np.complex128], network: Network) -> None:
+    """Find the common factor on k with which the WTG groups alone meet the load, by halving its range."""
+    own, scratch = network.facts.starts, arrays[1]
+    at, failure, needed = (
+        own + OF_STARTING_LANE.curtailment,
+        own + OF_STARTING_LANE.start_failure,
+        own + OF_STARTING_LANE.needed,
+    )
     low, high = _LEAST_CURTAILMENT, 1.0
+    # Far from the balance there is no power flow: what all give without losses comes close.
+    while high - low > _CLOSE and scratch[failure, 0] == 0.0:
+        scratch[at, 0] = 0.5 * (low + high)
+        plan(arrays, network.tables, NONE)
+        if scratch[needed, 0] > 0.0:
+            low = scratch[at, 0]
+        else:
+            high = scratch[at, 0]
+    low, high = max(low - _CLOSE, _LEAST_CURTAILMENT), min(high + _LOSSES, 1.0)
+    scratch[at, 0] = high
+    lacking = _plan_flow(arrays, buses, y, network)
     if scratch[failure, 0] == 0.0 and lacking > POWER_FLOW_TOLERANCE:
         scratch[failure, 0] = _SHORTAGE
-    while scratch[failure, 0] == 0.0 and abs(lacking) > POWER_FLOW_TOLERANCE:
+    # The more the groups give, the less reactive power they have: without a power flow there is too much.
+    while scratch[failure, 0] in (0.0, _DIVERGED) and not abs(lacking) <= POWER_FLOW_TOLERANCE:
         middle = 0.5 * (low + high)
         if middle in (low, high):
             break
-        scratch[at, 0] = middle
+        scratch[at, 0], scratch[failure, 0] = middle, 0.0
         lacking = _plan_flow(arrays, buses, y, network)
         if lacking > 0.0:
             low = middle
         else:
             high = middle
-    if scratch[failure, 0] == 0.0 and abs(lacking) > _BALANCED:
+    if scratch[failure, 0] == 0.0 and not abs(lacking) <= _BALANCED:
         scratch[failure, 0] = _DIVERGED
 
 
@@ -117,9 +152,10 @@ def prepare_lanes(
         block, arrays = rows[lane], (rows[lane], scratch)
         scratch[own + OF_STARTING_LANE.load_level, 0] = load_levels[lane]
         scratch[own + OF_STARTING_LANE.curtailment, 0] = 1.0
-        lacking = _plan_flow(arrays, buses, y, network)
         if facts.curtails:
-            _curtail(arrays, buses, y, network, lacking)
+            _curtail(arrays, buses, y, network)
+        else:
+            _plan_flow(arrays, buses, y, network)
         if scratch[own + OF_STARTING_LANE.start_failure, 0] == 0.0:
             settle(arrays, tables, NONE)
             noise_bus = int(block[facts.lane + OF_LANE.noise_bus, 0])

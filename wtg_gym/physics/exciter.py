@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from wtg_gym.physics.machine_parameters import ExciterParameters
+from wtg_gym.physics.machine_parameters import AnyExciter, ExciterParameters
 from wtg_gym.systems.elementary import clip, limited_rate, select
 
 
@@ -31,9 +31,9 @@ class ExciterState(NamedTuple):
     field_voltage: float  # E_fd [p.u.]
 
 
-def exciter_constants(parameters: ExciterParameters | None) -> Exciter:
-    """Return the constants of an exciter; without one the field voltage is constant."""
-    if parameters is None:
+def exciter_constants(parameters: AnyExciter | None) -> Exciter:
+    """Return the constants of an exciter; without one the field voltage stays, unless another model sets it."""
+    if not isinstance(parameters, ExciterParameters):
         return Exciter(0.0, 0.0, 0.0, 0.0, -float("inf"), float("inf"))
     return Exciter(
         gain=parameters.gain,

@@ -17,9 +17,11 @@ Source: HYGOV of PSS/E, as ANDES defines it; P. Kundur: Power System Stability a
 
 from __future__ import annotations
 
-from typing import NamedTuple
+import math
+from typing import Any, NamedTuple
 
-from wtg_gym.physics.machine_parameters import GovernorParameters, HydroGovernorParameters
+from wtg_gym.physics.control_blocks import Constants
+from wtg_gym.physics.machine_parameters import AnyGovernor, GovernorParameters, HydroGovernorParameters
 from wtg_gym.systems.elementary import clip, limited_rate, select
 
 #: The gate is kept this far open in h = (q/g)² [p.u.].
@@ -33,11 +35,11 @@ class Governor(NamedTuple):
     inv_gate_time: float  # 1 / T_1 [1/s]
     lead_reheat_ratio: float  # T_2 / T_3
     inv_reheat_time: float  # 1 / T_3 [1/s]
-    gate_min: float  # [p.u.]
+    gate_min: float  # [p.u.]; of a governor that is a unit of its own, of its reference
     gate_max: float
     turbine_damping: float  # D_t [p.u./p.u.]
     dead_band: float  # [p.u.]
-    is_hydro: float  # 1 where the torque is that of a hydro governor instead
+    is_unit: float  # 1 where the torque is that of a governor that is a unit of its own
 
 
 class GovernorState(NamedTuple):
@@ -47,11 +49,18 @@ class GovernorState(NamedTuple):
     reheat: float  # x [p.u.]
 
 
-def governor_constants(parameters: GovernorParameters | HydroGovernorParameters | None) -> Governor:
-    """Return the constants of a governor; without one, or with one of another type, the torque is constant."""
+def gate_limits(p: Any) -> tuple[float, float]:
+    """Return the limits of a gate at rest [p.u.], from parameters or constants."""
+    # Of a gas turbine the temperature allows as much as the ambient one.
+    return p.gate_min_pu, min(p.gate_max_pu, getattr(p, "load_limit_pu", math.inf))
+
+
+def governor_constants(parameters: AnyGovernor | None) -> Governor:
+    """Return the constants of a governor; without one, or with one that is a unit of its own, its gate stands still."""
     if not isinstance(parameters, GovernorParameters):
-        inv_droop = 0.0 if parameters is None else 1.0 / parameters.droop_pu
-        return Governor(inv_droop, 0.0, 0.0, 0.0, -float("inf"), float("inf"), 0.0, 0.0, float(parameters is not None))
+        inv_droop, is_unit = (0.0, 0.0) if parameters is None else (1.0 / parameters.droop_pu, 1.0)
+        limits = (-math.inf, math.inf) if parameters is None else gate_limits(parameters)
+        return Governor(inv_droop, 0.0, 0.0, 0.0, *limits, 0.0, 0.0, is_unit)
     return Governor(
         inv_droop=1.0 / parameters.droop_pu,
         inv_gate_time=1.0 / parameters.gate_time_s,
@@ -61,7 +70,7 @@ def governor_constants(parameters: GovernorParameters | HydroGovernorParameters 
         gate_max=parameters.gate_max_pu,
         turbine_damping=parameters.turbine_damping_pu,
         dead_band=parameters.dead_band_pu,
-        is_hydro=0.0,
+        is_unit=0.0,
     )
 
 
@@ -90,24 +99,6 @@ def governor_limited(s: GovernorState, c: Governor) -> GovernorState:
     return GovernorState(clip(s.gate, c.gate_min, c.gate_max), s.reheat)
 
 
-class HydroGovernor(NamedTuple):
-    """Constants, on the base of the machine."""
-
-    machine: int  # whose governor it is
-    inv_filter_time: float  # 1/T_f [1/s]
-    inv_temporary_droop: float  # 1/r [p.u./p.u.]
-    inv_reset_time: float  # 1/T_r [1/s]
-    inv_gate_time: float  # 1/T_g [1/s]
-    gate_rate_limit: float  # v_max [p.u./s]
-    gate_min: float  # [p.u.]
-    gate_max: float
-    inv_water_time: float  # 1/T_w [1/s]
-    turbine_gain: float  # A_t [p.u./p.u.]
-    turbine_damping: float  # D_t [p.u./p.u.]
-    no_load_flow: float  # q_nl [p.u.]
-    dead_band: float  # [p.u.]
-
-
 class HydroState(NamedTuple):
     """States."""
 
@@ -117,56 +108,40 @@ class HydroState(NamedTuple):
     flow: float  # q [p.u.]
 
 
-def hydro_constants(machine: int, p: HydroGovernorParameters) -> HydroGovernor:
-    """Return the constants of the governor of a machine, given by its index."""
-    return HydroGovernor(
-        machine=machine,
-        inv_filter_time=1.0 / p.filter_time_s,
-        inv_temporary_droop=1.0 / p.temporary_droop_pu,
-        inv_reset_time=1.0 / p.reset_time_s,
-        inv_gate_time=1.0 / p.gate_time_s,
-        gate_rate_limit=p.gate_rate_limit_pu_s,
-        gate_min=p.gate_min_pu,
-        gate_max=p.gate_max_pu,
-        inv_water_time=1.0 / p.water_time_s,
-        turbine_gain=p.turbine_gain,
-        turbine_damping=p.turbine_damping_pu,
-        no_load_flow=p.no_load_flow_pu,
-        dead_band=p.dead_band_pu,
-    )
+hydro_constants = Constants(
+    HydroGovernorParameters, besides=lambda p: {"inv_temporary_droop": 1.0 / p.temporary_droop_pu}
+)
 
 
-def hydro_rates(
-    s: HydroState, speed: float, reference: float, inv_droop: float, c: HydroGovernor
-) -> tuple[HydroState, float]:
+def hydro_rates(s: HydroState, speed: float, reference: float, inv_droop: float, c: Any) -> tuple[HydroState, float]:
     """Return the rates [p.u./s] and the torque [p.u.]; speed ω [p.u.], reference g_ref [p.u.], 1/R in use.
 
     Without a droop the governor is lost: it and its gate stand still.
     """
     acts = select(inv_droop > 0.0, 1.0, 0.0)
-    deviation = beyond_dead_band(speed - 1.0, c.dead_band)
+    deviation = beyond_dead_band(speed - 1.0, c.dead_band_pu)
     permanent = (reference - s.gate_order) / max(inv_droop, 1e-6)
     error_rate = c.inv_filter_time * (permanent - deviation - s.speed_error)
     wanted = c.inv_temporary_droop * (c.inv_reset_time * s.speed_error + error_rate)
-    order_rate = clip(wanted, -c.gate_rate_limit, c.gate_rate_limit)
+    order_rate = clip(wanted, -c.gate_rate_limit_pu_s, c.gate_rate_limit_pu_s)
     ratio = s.flow / max(s.hydro_gate, _LEAST_GATE)
     head = ratio * ratio
     rates = HydroState(
         speed_error=acts * error_rate,
-        gate_order=acts * limited_rate(order_rate, s.gate_order, c.gate_min, c.gate_max),
+        gate_order=acts * limited_rate(order_rate, s.gate_order, c.gate_min_pu, c.gate_max_pu),
         hydro_gate=acts * c.inv_gate_time * (s.gate_order - s.hydro_gate),
         flow=c.inv_water_time * (1.0 - head),
     )
-    torque = c.turbine_gain * head * (s.flow - c.no_load_flow) - c.turbine_damping * s.hydro_gate * (speed - 1.0)
+    torque = c.turbine_gain * head * (s.flow - c.no_load_flow_pu) - c.turbine_damping_pu * s.hydro_gate * (speed - 1.0)
     return rates, torque
 
 
-def hydro_limited(s: HydroState, c: HydroGovernor) -> HydroState:
+def hydro_limited(s: HydroState, c: Any) -> HydroState:
     """Return the states, held within their limits."""
-    return HydroState(s.speed_error, clip(s.gate_order, c.gate_min, c.gate_max), s.hydro_gate, s.flow)
+    return HydroState(s.speed_error, clip(s.gate_order, c.gate_min_pu, c.gate_max_pu), s.hydro_gate, s.flow)
 
 
-def hydro_start(torque: float, c: HydroGovernor) -> HydroState:
+def hydro_start(torque: float, c: Any) -> HydroState:
     """Return the equilibrium at a torque [p.u.]; its gate is g_ref."""
-    gate = torque / c.turbine_gain + c.no_load_flow
+    gate = torque / c.turbine_gain + c.no_load_flow_pu
     return HydroState(0.0, gate, gate, gate)

@@ -20,6 +20,7 @@ PROGRAMS = in_one_table(
     FINISH=systems.FINISH,
     PROTECT=systems.PROTECT,
     PLAN=systems.PLAN,
+    BALANCE=systems.BALANCE,
     RELEASE=systems.RELEASE,
     SETTLE=systems.SETTLE,
     START=systems.START,
@@ -34,7 +35,7 @@ EVALUATING = tuple(map(Routine, (_ADMITTANCES, _FIND, _RATES)))
 STEPPING = (*EVALUATING, *map(Routine, (_FINISH, _PROTECT)), _FIRST, _MIDDLE, _LAST)
 STARTING = (*EVALUATING, *map(Routine, _STARTING))
 combine_load_noise, find, find_rates, _finish, protect, _move_first, _move, _move_last = (r.call for r in STEPPING)
-plan, release, settle, start = (routine.call for routine in STARTING[3:])
+plan, balance, release, settle, start = (routine.call for routine in STARTING[3:])
 #: Scalars of an evaluation at an interval's end.
 AT_END = (1.0, 0.0, 0.0, 0.0)
 REFRESH = Function(refresh_network, 0)

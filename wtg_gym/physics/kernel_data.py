@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from wtg_gym.physics.sparse_flow import Pattern
 from wtg_gym.systems.programs import Tables
 from wtg_gym.systems.records import dtype, flatten
 
@@ -30,6 +31,8 @@ class Facts(NamedTuple):
     sources: int
     n_islands: int
     starts: int  # of the lane, in scratch
+    n_balances: int  # power flows after which machines share what the slack bus lacks
+    is_large: bool  # whether the power flow is solved by sparse elimination
     curtails: bool  # whether WTG groups alone balance the power
     shares_frequency: float  # change of a load's conductance with the frequency [p.u./p.u.]
 
@@ -50,6 +53,7 @@ class Network(NamedTuple):
     connected: npt.NDArray[np.int64]  # the row that says whether each unit is connected (n_unit,)
     angles: npt.NDArray[np.int64]  # the row of each unit's angle, -1 for none (n_unit,)
     shed_shares: npt.NDArray[np.float64]  # of the load, by each stage of shedding (n_stages,)
+    pattern: Pattern  # of the power flow of a large network
     tables: Tables
 
 

@@ -6,6 +6,8 @@ the method's stability region, |R(hλ)| > 1, the run grows without bound: that i
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import numpy.typing as npt
 
@@ -19,6 +21,8 @@ _DIFFERENCE = 2e-6
 #: The largest stable step must exceed the chosen one by this factor. Load, line trips, wind and governor droop move it
 #: by less than 1 % over the runs of the suites; the rest is for what lies beyond them.
 STEP_MARGIN = 1.05
+#: Frequencies at which rotors swing against each other, and controls with them [Hz].
+SWINGS_HZ = (0.05, 5.0)
 
 
 def state_matrix(rows: Floats, plant: Plant, layout: Layout, side: npt.ArrayLike) -> Floats:
@@ -67,6 +71,12 @@ def moving_states(matrix: Floats, rows: Floats, layout: Layout) -> npt.NDArray[n
         if (kept == keep).all():
             return kept
         keep = kept
+
+
+def swing_modes(matrix: Floats) -> list[tuple[float, float]]:
+    """Return damping [-] and frequency [Hz] of the modes in which rotors and controls swing, the least damped first."""
+    modes = [(-value.real / abs(value), value.imag / math.tau) for value in np.linalg.eigvals(matrix) if value]
+    return sorted((damping, hertz) for damping, hertz in modes if SWINGS_HZ[0] < hertz < SWINGS_HZ[1])
 
 
 def largest_stable_steps(eigenvalues: npt.ArrayLike) -> Floats:

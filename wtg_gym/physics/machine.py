@@ -1,18 +1,20 @@
 """The synchronous machine: swing equation and GENROU's fluxes, with its exciter and its governor.
 
     δ̇ = ω_n (ω - ω_ref),    2H ω̇ = T_m - T_e - D (ω - 1),    T_e = p
-    T'_d0 Ė'_q = E_fd - E'_q - (x_d - x'_d)(i_d - γ_d2 (ψ_1d + (x'_d - x_l) i_d - E'_q))
-    T'_q0 Ė'_d = -E'_d + (x_q - x'_q)(i_q - γ_q2 (ψ_2q + (x'_q - x_l) i_q + E'_d))
+    T'_d0 Ė'_q = E_fd - E'_q - (x_d - x'_d)(i_d - γ_d2 (ψ_1d + (x'_d - x_l) i_d - E'_q)) - S E''_q
+    T'_q0 Ė'_d = -E'_d + (x_q - x'_q)(i_q - γ_q2 (ψ_2q + (x'_q - x_l) i_q + E'_d)) - S E''_d (x_q - x_l)/(x_d - x_l)
     T''_d0 ψ̇_1d = -(ψ_1d + (x'_d - x_l) i_d - E'_q),    T''_q0 ψ̇_2q = -(ψ_2q + (x'_q - x_l) i_q + E'_d)
 
     E''_q = γ_d E'_q + (1 - γ_d) ψ_1d,    E''_d = γ_q E'_d - (1 - γ_q) ψ_2q
     V_d = E''_d - r i_d + x'' i_q,    V_q = E''_q - r i_q - x'' i_d,    p = E''_d i_d + E''_q i_q
+    S = B (ψ - A)²/ψ for ψ > A,    ψ = √(E''_d² + E''_q²)
 
 with γ_d = (x'' - x_l)/(x'_d - x_l), γ_d2 = (x'_d - x'')/(x'_d - x_l)², and γ_q, γ_q2 alike; x''_q = x''_d = x''.
-Neglected are saturation, stator transients, and the effect of speed on voltages; so the electrical torque T_e equals
-the air-gap power p [p.u.]. All values are on the system base, those of the governor on the machine's. Source: P. Sauer,
-M. Pai: Power System Dynamics and Stability, chapter 3 (subtransient model); P. Kundur: Power System Stability and
-Control, chapter 3.
+S is saturation by the flux ψ of the air gap, in plants that have any: A and B are those of the parabola through S(1.0)
+and S(1.2), see :mod:`wtg_gym.physics.saturation`. Neglected are stator transients and the effect of speed on voltages;
+so the electrical torque T_e equals the air-gap power p [p.u.]. All values are on the system base, those of the governor
+on the machine's. Source: P. Sauer, M. Pai: Power System Dynamics and Stability, chapter 3 (subtransient model);
+P. Kundur: Power System Stability and Control, chapter 3; saturation: GENROU of PSS/E, as ANDES defines it.
 """
 
 from __future__ import annotations
@@ -30,6 +32,7 @@ from wtg_gym.physics.exciter import (
 )
 from wtg_gym.physics.governor import Governor, GovernorState, governor_constants, governor_limited, governor_rates
 from wtg_gym.physics.machine_parameters import SynchronousMachineParameters
+from wtg_gym.physics.saturation import Saturation, saturated, saturation_constants
 from wtg_gym.systems.elementary import sine_cosine
 
 
@@ -56,6 +59,20 @@ class Machine(NamedTuple):
     reactive_weight: float  # weight in sharing its bus's initial reactive power [p.u.]; its rating by default
     exciter: Exciter
     governor: Governor
+
+
+class RotorSaturation(NamedTuple):
+    """Constants of a rotor's saturation."""
+
+    curve: Saturation
+    q_weight: float  # of the q axis, (x_q - x_l)/(x_d - x_l)
+
+
+class Saturating(NamedTuple):
+    """What saturation takes from the voltages that drive both fluxes [p.u.]."""
+
+    d: float  # S E''_q
+    q: float  # S E''_d (x_q - x_l)/(x_d - x_l)
 
 
 class MachineState(NamedTuple):
@@ -106,6 +123,29 @@ def machine_voltage(s: MachineState, c: Machine) -> tuple[MachineVoltage, float,
     return MachineVoltage(sine, cosine, e_d, e_q), e_d * sine + e_q * cosine, e_q * sine - e_d * cosine
 
 
+def terminal_voltage(e: MachineVoltage, i_re: float, i_im: float, c: Machine) -> float:
+    """Return the voltage at the terminal [p.u.], at a current into the network in its frame [p.u.]."""
+    return _stator(e, *_in_rotor(e, i_re, i_im), c)
+
+
+def _in_rotor(e: MachineVoltage, i_re: float, i_im: float) -> tuple[float, float]:
+    """Return a current in the rotor's frame, i_d and i_q."""
+    return i_re * e.sine - i_im * e.cosine, i_re * e.cosine + i_im * e.sine
+
+
+def _stator(e: MachineVoltage, i_d: float, i_q: float, c: Machine) -> float:
+    """Return the voltage at the terminal."""
+    v_d = e.e_d - c.resistance * i_d + c.internal_reactance * i_q
+    v_q = e.e_q - c.resistance * i_q - c.internal_reactance * i_d
+    return math.sqrt(v_d * v_d + v_q * v_q)
+
+
+def saturation_factor(e_d: float, e_q: float, c: RotorSaturation) -> float:
+    """Return S at a voltage behind x'' by its components [p.u.]."""
+    flux = math.sqrt(e_d * e_d + e_q * e_q)
+    return saturated(flux, c.curve) / max(flux, 1e-9)
+
+
 def machine_rates(
     s: MachineState,
     e: MachineVoltage,
@@ -113,6 +153,7 @@ def machine_rates(
     i_im: float,
     u: MachineInput,
     c: Machine,
+    iron: Saturating,
     reference_speed: float,
     omega_n: float,
 ) -> tuple[MachineState, MachineOutput]:
@@ -120,14 +161,13 @@ def machine_rates(
 
     Args:
         s, e, u, c: states, voltage behind x'', inputs, constants.
+        iron: what saturation takes.
         i_re, i_im: current into the network, in its frame [p.u.].
         reference_speed: of the first unit [p.u.].
         omega_n: nominal angular frequency ω_n [rad/s].
     """
-    i_d, i_q = i_re * e.sine - i_im * e.cosine, i_re * e.cosine + i_im * e.sine
-    v_d = e.e_d - c.resistance * i_d + c.internal_reactance * i_q
-    v_q = e.e_q - c.resistance * i_q - c.internal_reactance * i_d
-    voltage = math.sqrt(v_d * v_d + v_q * v_q)
+    i_d, i_q = _in_rotor(e, i_re, i_im)
+    voltage = _stator(e, i_d, i_q, c)
     power = e.e_d * i_d + e.e_q * i_q
 
     governor, turbine_torque = governor_rates(s.governor, s.speed, u.gate_reference, u.inv_droop, c.governor)
@@ -135,11 +175,12 @@ def machine_rates(
     lag_d = s.psi_1d + c.x_d_leak * i_d - s.e_q_transient
     lag_q = s.psi_2q + c.x_q_leak * i_q + s.e_d_transient
     field = s.exciter.field_voltage - s.e_q_transient - c.x_d_field * (i_d - c.gamma_d2 * lag_d)
+    damper = -s.e_d_transient + c.x_q_field * (i_q - c.gamma_q2 * lag_q)
     rates = MachineState(
         angle=omega_n * (s.speed - reference_speed),
         speed=u.inv_two_h * (torque - power - c.damping * (s.speed - 1.0)),
-        e_q_transient=c.inv_t_d0_transient * field,
-        e_d_transient=c.inv_t_q0_transient * (-s.e_d_transient + c.x_q_field * (i_q - c.gamma_q2 * lag_q)),
+        e_q_transient=c.inv_t_d0_transient * (field - iron.d),
+        e_d_transient=c.inv_t_q0_transient * (damper - iron.q),
         psi_1d=-c.inv_t_d0_subtransient * lag_d,
         psi_2q=-c.inv_t_q0_subtransient * lag_q,
         exciter=exciter_rates(s.exciter, u.voltage_reference - voltage, c.exciter),
@@ -178,7 +219,14 @@ def machine_limited(s: MachineState, c: Machine) -> MachineState:
 
 
 def machine_start(
-    power: float, v_re: float, v_im: float, magnitude: float, i_re: float, i_im: float, c: Machine
+    power: float,
+    v_re: float,
+    v_im: float,
+    magnitude: float,
+    i_re: float,
+    i_im: float,
+    c: Machine,
+    saturation: RotorSaturation,
 ) -> tuple[MachineState, float, float]:
     """Return the equilibrium at a terminal, its V_ref and its gate reference.
 
@@ -188,19 +236,25 @@ def machine_start(
         power: [p.u.].
         v_re, v_im, magnitude: of the voltage [p.u.].
         i_re, i_im: of the current into the network [p.u.].
-        c: constants.
+        c, saturation: constants.
     """
     # x'_d - x'' = (x'_d - x_l)(1 - γ_d), and likewise on the q axis.
     x_d_transient = c.internal_reactance + c.x_d_leak * (1.0 - c.gamma_d)
     x_q = c.internal_reactance + c.x_q_leak * (1.0 - c.gamma_q) + c.x_q_field
     axis_re, axis_im = v_re + (c.resistance * i_re - x_q * i_im), v_im + (c.resistance * i_im + x_q * i_re)
-    delta = math.atan2(axis_im, axis_re)
+    # Saturation is that of the voltage behind x'', whose size the rotor's frame does not change.
+    r, x = c.resistance, c.internal_reactance
+    e_re, e_im = v_re + (r * i_re - x * i_im), v_im + (r * i_im + x * i_re)
+    on_d = saturation_factor(e_re, e_im, saturation)
+    on_q = on_d * saturation.q_weight
+    delta = math.atan2(axis_im + on_q * e_im, axis_re + on_q * e_re)
     sine, cosine = math.sin(delta), math.cos(delta)
     i_d, i_q = i_re * sine - i_im * cosine, i_re * cosine + i_im * sine
     v_q = v_re * cosine + v_im * sine
     e_q_transient = v_q + c.resistance * i_q + x_d_transient * i_d
-    e_d_transient = c.x_q_field * i_q
-    exciter, error = exciter_start(e_q_transient + c.x_d_field * i_d, c.exciter)
+    e_d_transient = c.x_q_field * i_q - on_q * (e_re * sine - e_im * cosine)
+    field_voltage = e_q_transient + c.x_d_field * i_d + on_d * (e_re * cosine + e_im * sine)
+    exciter, error = exciter_start(field_voltage, c.exciter)
     torque = power + c.resistance * (i_d * i_d + i_q * i_q)
     gate = torque / c.rating
     state = MachineState(
@@ -259,3 +313,15 @@ def _genrou(m: SynchronousMachineParameters, scale: float) -> dict[str, float]:
         "inv_t_q0_transient": 1.0 / m.t_q0_transient_s,
         "inv_t_q0_subtransient": 1.0 / m.t_q0_subtransient_s,
     }
+
+
+def rotor_saturation(m: SynchronousMachineParameters) -> RotorSaturation:
+    """Return the constants of a machine's saturation.
+
+    Raises:
+        ValueError: S(1.2) is too small beside S(1.0).
+    """
+    if m.classical:
+        return RotorSaturation(Saturation(0.0, 0.0), 1.0)
+    curve = saturation_constants(f"machine at bus {m.bus}", (1.0, m.saturation_1_0), (1.2, m.saturation_1_2))
+    return RotorSaturation(curve, (m.x_q - m.x_leakage) / (m.x_d - m.x_leakage))

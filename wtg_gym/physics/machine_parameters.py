@@ -7,12 +7,23 @@ from dataclasses import dataclass
 from typing import Any
 
 from wtg_gym.physics.checked import Checked, describe, design, parameter, required
+from wtg_gym.physics.control_parameters import (
+    BoilerGovernorParameters,
+    FilterStabiliserParameters,
+    GasGovernorParameters,
+    LeadLagExciterParameters,
+    ReheatGovernorParameters,
+    SaturatingExciterParameters,
+    SpeedStabiliserParameters,
+    dead_band,
+)
 
 
 @dataclass(frozen=True, kw_only=True)
 class ExciterParameters(Checked):
     """SEXS: lead-lag, first-order exciter with a non-windup limit, on the terminal voltage."""
 
+    MODEL = "SEXS"
     RISING = ("field_min_pu", "field_max_pu")
 
     gain: float = design(100.0, "p.u./p.u.", "gain K", 1e-3, 1e6)
@@ -27,6 +38,7 @@ class ExciterParameters(Checked):
 class GovernorParameters(Checked):
     """TGOV1: droop, gate with non-windup limits, reheat lead-lag."""
 
+    MODEL = "TGOV1"
     RISING = ("gate_min_pu", "gate_max_pu")
 
     droop_pu: float = parameter(
@@ -38,15 +50,14 @@ class GovernorParameters(Checked):
     gate_min_pu: float = design(0.0, "p.u.", "lower gate limit", -1e6, 1e6)
     gate_max_pu: float = parameter(1.2, "p.u.", "Milano", "upper gate limit", -1e6, 1e6)
     turbine_damping_pu: float = design(0.0, "p.u./p.u.", "D_t", 0.0, 1e4)
-    dead_band_pu: float = design(
-        0.0, "p.u.", "speed deviation that the governor does not see, without a step at its edge", 0.0, 0.5
-    )
+    dead_band_pu: float = dead_band()
 
 
 @dataclass(frozen=True, kw_only=True)
 class HydroGovernorParameters(Checked):
     """HYGOV: a hydro governor with permanent and temporary droop, and a penstock with inelastic water."""
 
+    MODEL = "HYGOV"
     RISING = ("gate_min_pu", "gate_max_pu")
 
     droop_pu: float = parameter(0.05, "p.u.", "HYGOV", "permanent droop R on the machine base", 1e-4, 1e3)
@@ -61,14 +72,27 @@ class HydroGovernorParameters(Checked):
     turbine_gain: float = parameter(1.1, "p.u./p.u.", "HYGOV", "turbine gain A_t", 1e-2, 100.0)
     turbine_damping_pu: float = parameter(0.5, "p.u./p.u.", "HYGOV", "damping D_t of the turbine", 0.0, 1e4)
     no_load_flow_pu: float = parameter(0.08, "p.u.", "HYGOV", "flow q_nl without load", 0.0, 1.0)
-    dead_band_pu: float = design(
-        0.0, "p.u.", "speed deviation that the governor does not see, without a step at its edge", 0.0, 0.5
-    )
+    dead_band_pu: float = dead_band()
+
+
+AnyExciter = ExciterParameters | SaturatingExciterParameters | LeadLagExciterParameters
+AnyGovernor = (
+    GovernorParameters
+    | HydroGovernorParameters
+    | BoilerGovernorParameters
+    | ReheatGovernorParameters
+    | GasGovernorParameters
+)
+AnyStabiliser = SpeedStabiliserParameters | FilterStabiliserParameters
 
 
 @dataclass(frozen=True, kw_only=True)
 class SynchronousMachineParameters(Checked):
-    """A round-rotor machine (GENROU without saturation, x''_q = x''_d) on its own base, or a classical one."""
+    """A round-rotor machine (GENROU with x''_q = x''_d) on its own base, or a classical one.
+
+    Raises:
+        ValueError: a value is out of its range, or a stabiliser has no exciter to act on.
+    """
 
     bus: int = required("-", "Milano", "bus number")
     rating_mva: float = required("MVA", "Milano", "rating S_n", 1e-6, 1e12)
@@ -100,13 +124,23 @@ class SynchronousMachineParameters(Checked):
     reactive_weight: float | None = design(
         None, "MVA", "weight in sharing its bus's initial reactive power; None: its rating", 0.0, 1e12
     )
-    exciter: ExciterParameters | None = dataclasses.field(
+    saturation_1_0: float = design(0.0, "-", "saturation S(1.0)", 0.0, 10.0)
+    saturation_1_2: float = design(0.0, "-", "saturation S(1.2); 0 for none", 0.0, 10.0)
+    exciter: AnyExciter | None = dataclasses.field(
         default_factory=ExciterParameters, metadata=describe("-", "design", "exciter, None for constant field")
     )
-    governor: GovernorParameters | HydroGovernorParameters | None = dataclasses.field(
+    stabiliser: AnyStabiliser | None = dataclasses.field(
+        default=None, metadata=describe("-", "design", "power system stabiliser, whose signal its exciter adds")
+    )
+    governor: AnyGovernor | None = dataclasses.field(
         default=None, metadata=describe("-", "Milano", "governor, None for constant torque")
     )
     classical: bool = design(False, "-", "constant voltage behind x'_d instead of GENROU and exciter (ANDES' GENCLS)")
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.stabiliser is not None and self.exciter is None and not self.classical:
+            raise ValueError(f"machine at bus {self.bus}: a stabiliser needs an exciter, which adds its signal")
 
 
 def classical_machine(**values: Any) -> SynchronousMachineParameters:

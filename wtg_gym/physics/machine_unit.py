@@ -10,13 +10,17 @@ from wtg_gym.physics.machine import (
     MachineOutput,
     MachineState,
     MachineVoltage,
+    RotorSaturation,
+    Saturating,
     driven_by,
     machine_limited,
     machine_rates,
     machine_start,
     machine_voltage,
+    saturation_factor,
 )
 from wtg_gym.physics.runge_kutta import moving
+from wtg_gym.physics.saturation import saturated
 from wtg_gym.physics.units import ISLANDS, LANE, UNITS, Back, Connection, Phasor, StartFailure, Terminal, noted
 from wtg_gym.systems.elementary import clip, select
 from wtg_gym.systems.records import each
@@ -25,8 +29,11 @@ from wtg_gym.systems.systems import Kind, system
 MACHINES = Kind(
     name="machines",
     rows={"state": MachineState, "given": MachineInput, "emf": MachineVoltage, "output": MachineOutput},
-    scratch={"hydro_torque": float},  # of its hydro governor, if it has one [p.u.]
-    constants={"machine": Machine, "dispatch": float},
+    scratch={
+        "turbine_torque": float,  # of its governor, where that is a unit of its own [p.u.]
+        "iron": Saturating,  # zero where no machine saturates
+    },
+    constants={"machine": Machine, "dispatch": float, "saturation": RotorSaturation},
     sees={"unit": UNITS, "island": ISLANDS, "lane": LANE},
     states=("state",),
 )
@@ -47,16 +54,18 @@ def still_reference() -> float:
 
 
 @system(MACHINES, "planned_power")
-def plan_machine(dispatch: float) -> float:
-    """Return the dispatched power."""
-    return dispatch
+def plan_machine(dispatch: float, needed: float, connection: Connection) -> float:
+    """Return the dispatched power, and a share of what is needed."""
+    return dispatch + connection.participation * needed
 
 
 @system(MACHINES, "state", "voltage_reference", "gate_reference")
-def start_machine(start: Terminal, inv_committed: float, machine: Machine) -> tuple[MachineState, float, float]:
+def start_machine(
+    start: Terminal, inv_committed: float, machine: Machine, saturation: RotorSaturation
+) -> tuple[MachineState, float, float]:
     """Return the equilibrium that a run starts from; angles count from the network's frame."""
     v, i_re, i_im = start.voltage, inv_committed * start.current.re, inv_committed * start.current.im
-    return machine_start(inv_committed * start.power, v.re, v.im, start.magnitude, i_re, i_im, machine)
+    return machine_start(inv_committed * start.power, v.re, v.im, start.magnitude, i_re, i_im, machine, saturation)
 
 
 @system(LANE, "frame", when="no machine")
@@ -81,9 +90,9 @@ def turn_machine(state: MachineState, frame: float) -> MachineState:
 def check_machine(
     state: MachineState, machine: Machine, connection: Connection, start_failure: float, failing_unit: float
 ) -> tuple[float, float]:
-    """Note a machine that would start beyond the limits of its governor or its exciter."""
+    """Note a machine that would start beyond the limits of its governor or its exciter, but for units of their own."""
     gate, field, c = state.governor.gate, state.exciter.field_voltage, machine
-    fits = (c.governor.gate_min <= gate) & (gate <= c.governor.gate_max)
+    fits = (c.governor.is_unit > 0.5) | (c.governor.gate_min <= gate) & (gate <= c.governor.gate_max)
     start_failure, failing_unit = noted(
         fits, StartFailure.GOVERNOR_LIMIT, connection.number, start_failure, failing_unit
     )
@@ -98,27 +107,35 @@ def voltage_of_machine(state: MachineState, machine: Machine) -> tuple[MachineVo
     return emf, Phasor(re, im)
 
 
+@system(MACHINES, "iron", when="saturates")
+def saturate_machine(emf: MachineVoltage, saturation: RotorSaturation) -> Saturating:
+    """Return what saturation takes; a plant in which no machine saturates does without."""
+    factor = saturation_factor(emf.e_d, emf.e_q, saturation)
+    return Saturating(factor * emf.e_q, factor * saturation.q_weight * emf.e_d)
+
+
 @system(MACHINES, "state_rates", "output")
 def rates_of_machine(
     state: MachineState,
     emf: MachineVoltage,
     current: Phasor,
     given: MachineInput,
-    hydro_torque: float,
+    iron: Saturating,
+    turbine_torque: float,
     committed: float,
     inv_committed: float,
     machine: Machine,
     reference_speed: float,
     omega_n: float,
 ) -> tuple[MachineState, MachineOutput]:
-    """Return rates and outputs; the torque is that of its hydro governor, if it has one.
+    """Return rates and outputs; the torque is that of its governor, where that is a unit of its own.
 
     Of its equal parts a share is committed: the equations are those of all parts, of which each gives as much. After an
     outage a machine keeps its states.
     """
     i_re, i_im = inv_committed * current.re, inv_committed * current.im
-    rates, output = machine_rates(state, emf, i_re, i_im, given, machine, reference_speed, omega_n)
-    torque = select(machine.governor.is_hydro > 0.5, hydro_torque, output.torque)
+    rates, output = machine_rates(state, emf, i_re, i_im, given, machine, iron, reference_speed, omega_n)
+    torque = select(machine.governor.is_unit > 0.5, turbine_torque, output.torque)
     rates = each(lambda rate: given.connected * rate, driven_by(torque, rates, output, given))
     return rates, MachineOutput(committed * output.power, output.voltage, committed * (given.connected * torque))
 
@@ -139,11 +156,11 @@ def restore_frequency(
 
 @system(MACHINES, "state", "connected", "gate_reference", when="extended")
 def return_machine(
-    state: MachineState, given: MachineInput, returns: float, back: Back, machine: Machine
+    state: MachineState, given: MachineInput, returns: float, back: Back, machine: Machine, saturation: RotorSaturation
 ) -> tuple[MachineState, float, float]:
     """Synchronise a machine that comes back, without load and with its gate closed; a lost governor leaves it so."""
     comes, v = returns > 0.5, back.voltage
-    exciter, _ = exciter_start(v, machine.exciter)
+    exciter, _ = exciter_start(v + saturated(v, saturation.curve), machine.exciter)
     found = MachineState(back.angle, back.speed, v, 0.0, v, 0.0, exciter, GovernorState(0.0, 0.0))
     lost = comes & (machine.governor.inv_droop > 0.0) & (given.inv_droop == 0.0)
     return (

@@ -15,9 +15,11 @@ from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
 
 from wtg_gym.physics.checked import Checked, design, parameter, required
-from wtg_gym.physics.machine_parameters import GovernorParameters, HydroGovernorParameters, SynchronousMachineParameters
+from wtg_gym.physics.machine_parameters import AnyGovernor, SynchronousMachineParameters
 from wtg_gym.systems.compiled import compiled, inlined
 
 #: Largest power mismatch accepted as a power-flow solution [p.u.].
@@ -36,6 +38,8 @@ class Bus(Checked):
     voltage_pu: float | None = parameter(
         None, "p.u.", "IEEE 14", "voltage that the bus's units hold, None for none", 0.1, 10.0
     )
+    x: float | None = design(None, "-", "where pictures show it, from the left; None: laid out", -1e6, 1e6)
+    y: float | None = design(None, "-", "and from below", -1e6, 1e6)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -128,40 +132,84 @@ class NetworkCase(Checked):
             raise ValueError(f"unknown bus {number!r}; {self.name} has buses {list(self.bus_numbers)}")
         return self.bus_numbers.index(number)
 
-    def branch_index(self, from_bus: int, to_bus: int) -> int:
-        """Return the index of the branch between two buses, either way round; a ValueError lists the branches."""
+    def branch_index(self, from_bus: int, to_bus: int, circuit: int | None = None) -> int:
+        """Return the index of the branch between two buses, either way round; a ValueError lists the branches.
+
+        Args:
+            from_bus, to_bus: numbers of the buses.
+            circuit: which of parallel branches, counted from 1; None: the first.
+        """
         self.bus_index(from_bus)
         self.bus_index(to_bus)
-        index = self._branches_by_ends.get(frozenset((from_bus, to_bus)))
-        if index is not None:
-            return index
+        found = self._branches_by_ends.get(frozenset((from_bus, to_bus)), [])
+        if 0 < (circuit or 1) <= len(found):
+            return found[(circuit or 1) - 1]
+        if found:
+            raise ValueError(f"no circuit {circuit} between buses {from_bus} and {to_bus}; there are {len(found)}")
         known = ", ".join(f"{b.from_bus}-{b.to_bus}" for b in self.branches)
         raise ValueError(f"no branch {from_bus}-{to_bus} in {self.name}; branches: {known}")
 
     @functools.cached_property
-    def _branches_by_ends(self) -> dict[frozenset[int], int]:
-        # Of parallel branches the first one counts: it comes last here.
-        return {frozenset((b.from_bus, b.to_bus)): i for i, b in reversed(list(enumerate(self.branches)))}
+    def _branches_by_ends(self) -> dict[frozenset[int], list[int]]:
+        found: dict[frozenset[int], list[int]] = {}
+        for index, branch in enumerate(self.branches):
+            found.setdefault(frozenset((branch.from_bus, branch.to_bus)), []).append(index)
+        return found
 
     def parts_without(self, branches: tuple[int, ...]) -> list[set[int]]:
         """Return the buses of each part that hangs together when the branches of these indices are open."""
-        parts = [{bus.number} for bus in self.buses]
-        for index, branch in enumerate(self.branches):
-            if index not in branches:
-                ends = {branch.from_bus, branch.to_bus}
-                joined = [part for part in parts if not part.isdisjoint(ends)]
-                parts = [part for part in parts if part.isdisjoint(ends)] + [set().union(*joined)]
+        at = {number: place for place, number in enumerate(self.bus_numbers)}
+        closed = [(at[b.from_bus], at[b.to_bus]) for index, b in enumerate(self.branches) if index not in branches]
+        ends = np.array(closed, dtype=np.int64).reshape(-1, 2).T
+        shape = (len(at), len(at))
+        n, part_of = connected_components(coo_array((np.ones(ends.shape[1]), ends), shape=shape), directed=False)
+        parts: list[set[int]] = [set() for _ in range(n)]
+        for number, part in zip(self.bus_numbers, part_of.tolist(), strict=True):
+            parts[part].add(number)
         return parts
 
     @functools.cached_property
     def bridges(self) -> frozenset[int]:
-        """Return the indices of the branches any one of which splits the network when it opens."""
-        return frozenset(index for index in range(len(self.branches)) if len(self.parts_without((index,))) > 1)
+        """Return the indices of the branches any one of which splits the network when it opens.
 
-    def with_governors(
-        self,
-        change: Callable[[GovernorParameters | HydroGovernorParameters], GovernorParameters | HydroGovernorParameters],
-    ) -> NetworkCase:
+        A depth-first search meets every branch once: what hangs below a bridge reaches nothing above it otherwise.
+        Source: R. Tarjan, "A note on finding the bridges of a graph", 1974.
+        """
+        beside: dict[int, list[tuple[int, int]]] = {number: [] for number in self.bus_numbers}
+        for index, branch in enumerate(self.branches):
+            beside[branch.from_bus].append((branch.to_bus, index))
+            beside[branch.to_bus].append((branch.from_bus, index))
+        root = self.bus_numbers[0]
+        # The order in which buses are met, and the earliest that what lies below them reaches.
+        met, reaches, found = {root: 0}, {root: 0}, set[int]()
+        path = [(root, -1, iter(beside[root]))]
+        while path:
+            bus, came_by, others = path[-1]
+            for other, index in others:
+                if index == came_by:
+                    continue
+                if other not in met:
+                    met[other] = reaches[other] = len(met)
+                    path.append((other, index, iter(beside[other])))
+                    break
+                reaches[bus] = min(reaches[bus], met[other])
+            else:
+                path.pop()
+                if path:
+                    above = path[-1][0]
+                    reaches[above] = min(reaches[above], reaches[bus])
+                    if reaches[bus] > met[above]:
+                        found.add(came_by)
+        return frozenset(found)
+
+    def classical(self) -> NetworkCase:
+        """Return the network with a constant voltage behind x'_d in place of every machine and its exciter."""
+        machines = (
+            dataclasses.replace(machine, classical=True, exciter=None, stabiliser=None) for machine in self.machines
+        )
+        return dataclasses.replace(self, machines=tuple(machines))
+
+    def with_governors(self, change: Callable[[AnyGovernor], AnyGovernor]) -> NetworkCase:
         """Return the network with other governors: `change` turns the one of each machine that has one into its own."""
         machines = tuple(
             machine if machine.governor is None else dataclasses.replace(machine, governor=change(machine.governor))
@@ -318,7 +366,7 @@ def solve_power_flow(y: npt.NDArray[np.complex128], slack: int, buses: npt.NDArr
                 worst = max(worst, abs(buses[i, at.power + 1] - sum_im))
                 q_row += 1
         if worst < POWER_FLOW_TOLERANCE:
-            _note_flow(y, buses, at)
+            note_flow(y, buses, at)
             return iteration
         if not math.isfinite(worst) or not eliminate(a):
             return -1
@@ -333,7 +381,7 @@ def solve_power_flow(y: npt.NDArray[np.complex128], slack: int, buses: npt.NDArr
 
 
 @inlined
-def _note_flow(y: npt.NDArray[np.complex128], buses: npt.NDArray[np.float64], at: PowerFlow) -> None:
+def note_flow(y: npt.NDArray[np.complex128], buses: npt.NDArray[np.float64], at: PowerFlow) -> None:
     """Write voltages and flows of a solved power flow."""
     n = y.shape[0]
     for k in range(n):

@@ -93,15 +93,17 @@ def _changes(event: Event, load_level: float, settings: PlantSettings, plant: Pl
         return [NetworkEvent(start, end, unit=n_sync + event.group)]
     if isinstance(event, LineTrip):
         end = later("recloses_after_s", event.recloses_after_s)
-        return [NetworkEvent(start, end, branch=case.branch_index(event.from_bus, event.to_bus))]
+        return [NetworkEvent(start, end, branch=case.branch_index(event.from_bus, event.to_bus, event.circuit))]
     if isinstance(event, ReactanceStep):
-        branch = case.branch_index(event.from_bus, event.to_bus)
+        branch = case.branch_index(event.from_bus, event.to_bus, event.circuit)
         return [NetworkEvent(start, start, branch=branch, factor=event.factor)]
     bus = case.bus_index(event.bus)
     if isinstance(event, Fault):
         end = later("clears_after_s", event.clears_after_s)
         y = 1.0 / complex(event.resistance_pu, event.reactance_pu)
-        cleared = [] if event.opens is None else [NetworkEvent(end, end, branch=case.branch_index(*event.opens))]
+        cleared = []
+        if event.opens is not None:
+            cleared = [NetworkEvent(end, end, branch=case.branch_index(*event.opens, event.circuit))]
         return [NetworkEvent(start, end, active=y.real, reactive=y.imag, fault=bus), *cleared]
     if isinstance(event, (PhaseJump, FrequencyRamp)):
         sources = {number: source.bus for number, source in enumerate(case.sources)}

@@ -11,6 +11,7 @@ import functools
 import math
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from wtg_gym.physics.checked import Checked, describe, design, parameter
 from wtg_gym.physics.rotor_table import RotorTable, read_rotor_table
@@ -39,6 +40,8 @@ SOURCES = {
     "non-synchronous generation",
     "Kundur": "P. Kundur: Power System Stability and Control: F_HP = 0.3, T_RH = 7 s of a steam turbine with reheat; "
     "as TGOV1 in the data of his two-area system that ANDES distributes",
+    "ANDES": "default of the model of the same name in ANDES 2.0.0; H. Cui et al.: Hybrid Symbolic-Numeric Framework "
+    "for Power System Modeling and Analysis, IEEE Transactions on Power Systems, 2021",
     "HYGOV": "typical data of the hydro governor HYGOV of PSS/E; P. Kundur: Power System Stability and Control, 9.1",
     "design": "a design value of this benchmark",
 }
@@ -318,10 +321,19 @@ class WtgGroup(Checked):
     Args:
         bus: bus number of the network.
         n_turbines: how many turbines of `turbine.rated_power_mw` it stands for.
+        turbine: which; None: that of the plant.
     """
 
     bus: int = parameter(2, "-", "paper", "bus number")
     n_turbines: float = parameter(10.0, "-", "paper", "number of turbines in the group", 1e-3, 1e4)
+    turbine: TurbineParameters | None = dataclasses.field(
+        default=None, metadata=describe("-", "design", "its turbines, None for the plant's")
+    )
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the group as JSON-ready data, with its turbine if it has one of its own."""
+        own = {} if self.turbine is None else {"turbine": dataclasses.asdict(self.turbine)}
+        return {"bus": int(self.bus), "n_turbines": float(self.n_turbines), **own}
 
 
 def default_groups(n_groups: int = 2, bus: int = 2) -> tuple[WtgGroup, ...]:

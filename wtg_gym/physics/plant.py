@@ -17,13 +17,13 @@ from wtg_gym.physics.aerodynamics import surface_of
 from wtg_gym.physics.checked import Checked, design
 from wtg_gym.physics.extension_unit import COLUMNS, EXTENSIONS
 from wtg_gym.physics.further_units import FurtherUnits, joining
-from wtg_gym.physics.governor import HydroGovernor, hydro_constants
-from wtg_gym.physics.hydro_unit import HYDRO
-from wtg_gym.physics.ieee14 import modified_ieee14
+from wtg_gym.physics.governor import gate_limits
+from wtg_gym.physics.grid import get_grid
+from wtg_gym.physics.hydro_unit import HYGOV
 from wtg_gym.physics.kernel_data import Facts, Network, structured
 from wtg_gym.physics.layout import Layout, place_in
-from wtg_gym.physics.machine import Machine, machine_constants
-from wtg_gym.physics.machine_parameters import HydroGovernorParameters
+from wtg_gym.physics.machine import Machine, RotorSaturation, machine_constants, rotor_saturation
+from wtg_gym.physics.machine_models import CONTROLS, control_constants, joining_controls
 from wtg_gym.physics.machine_unit import FIRST_MACHINE, MACHINES
 from wtg_gym.physics.network import NetworkCase, assemble_admittance, branch_admittances
 from wtg_gym.physics.parameters import (
@@ -41,6 +41,7 @@ from wtg_gym.physics.parameters import (
 )
 from wtg_gym.physics.protection import STAGES, SheddingConstants
 from wtg_gym.physics.source_unit import SOURCES, source_units
+from wtg_gym.physics.sparse_flow import SPARSE_FROM, pattern_of
 from wtg_gym.physics.units import (
     BUSES,
     ISLANDS,
@@ -63,6 +64,8 @@ from wtg_gym.systems.systems import Kind
 
 #: Islands that a network may fall into, of those with a unit.
 ISLANDS_AT_MOST = 4
+#: Power flows after which machines share what the slack bus lacks: losses, within a thousandth of them.
+_BALANCES = 2
 #: Integration steps that are accepted [s].
 SIMULATION_DT_RANGE = (5e-5, 0.05)
 
@@ -80,6 +83,8 @@ class PlantSettings(Checked):
         shedding: stages of under-frequency load shedding, which every island has.
         secondary_time_s: integration time of secondary control: the gate reference of a governor moves by its droop's
             share of a lasting deviation within this time; 0 for none [s].
+        shares_dispatch: machines with a governor share at the start what the loads need, by rating and largest gate, of
+            which 1 p.u. counts at most, instead of their `dispatch_mw`.
         control_dt: control interval [s], a whole number of simulation steps.
         simulation_dt: step of the integration, 0.05 … 40 ms [s]; a simulator refuses one that is too long for the
             plant's fastest mode.
@@ -91,7 +96,7 @@ class PlantSettings(Checked):
         ValueError: a bus is unknown, a step does not divide, or a value is outside its range.
     """
 
-    case: NetworkCase = dataclasses.field(default_factory=modified_ieee14)
+    case: NetworkCase = dataclasses.field(default_factory=lambda: get_grid("ieee14").case)
     groups: tuple[WtgGroup, ...] = dataclasses.field(default_factory=default_groups)
     turbine: TurbineParameters = dataclasses.field(default_factory=TurbineParameters)
     pitch: PitchParameters = dataclasses.field(default_factory=PitchParameters)
@@ -101,6 +106,7 @@ class PlantSettings(Checked):
     voltage_control: VoltageControlParameters | None = None
     shedding: tuple[SheddingStage, ...] = ()
     secondary_time_s: float = 0.0
+    shares_dispatch: bool = False
     control_dt: float = 0.1
     simulation_dt: float = 0.025
     trips_groups: bool = False
@@ -135,6 +141,8 @@ class PlantSettings(Checked):
                 "runs start at nominal frequency, so that frequency_setpoint_pu must be 1 p.u., got "
                 f"{self.control.frequency_setpoint_pu:g} p.u."
             )
+        if any(own.power_coefficient != self.turbines[0].power_coefficient for own in self.turbines):
+            raise ValueError("the turbines of all groups must have one C_p curve, or one table of it")
         total = sum(stage.share for stage in self.shedding)
         if total > 1.0 + 1e-12:
             raise ValueError(f"the shedding stages disconnect {100.0 * total:g} % of the load; allowed: at most 100 %")
@@ -143,6 +151,13 @@ class PlantSettings(Checked):
     def all_further(self) -> tuple[FurtherUnits, ...]:
         """All units that are neither machines nor WTG groups: imposed sources of the network, then `further`."""
         return (*source_units(self.case.sources), *self.further)
+
+    @property
+    def turbines(self) -> tuple[TurbineParameters, ...]:
+        """Turbines of each group; whether a rotor keeps its energy is a choice for all."""
+        keeps = self.turbine.conserves_energy
+        own = (group.turbine and dataclasses.replace(group.turbine, conserves_energy=keeps) for group in self.groups)
+        return tuple(turbine or self.turbine for turbine in own)
 
     @property
     def extended(self) -> bool:
@@ -182,7 +197,7 @@ def plant_settings(physics: str = "paper", **settings: Any) -> PlantSettings:
         raise ValueError(f"unknown physics {physics!r}; choose one of {', '.join(PHYSICS)}")
     if physics == "paper":
         return PlantSettings(**settings)
-    case = settings["case"] if "case" in settings else modified_ieee14()
+    case = settings["case"] if "case" in settings else get_grid("ieee14").case
     if not isinstance(case, NetworkCase):
         raise ValueError(f"case must be a NetworkCase, got {case!r}")
     case = case.with_governors(lambda g: g if g.dead_band_pu else dataclasses.replace(g, dead_band_pu=DEAD_BAND_PU))
@@ -215,9 +230,10 @@ def short_circuit_ratios(settings: PlantSettings, committed: float = 1.0) -> npt
         machine_y[case.bus_index(machine.bus)] += rating_mva / case.base_mva / (1j * machine.x_subtransient)
     y: Any = assemble_admittance(ends, branch_admittances(case.branches), machine_y)
     at = [case.bus_index(group.bus) for group in settings.groups]
-    turbines = np.bincount(at, [group.n_turbines for group in settings.groups])[at]
+    sizes = zip(settings.groups, settings.turbines, strict=True)
+    rated_mw = np.bincount(at, [group.n_turbines * own.rated_power_mw for group, own in sizes])[at]
     power_mva = case.base_mva / np.abs(np.linalg.inv(y)[at, at])
-    ratios: npt.NDArray[np.float64] = power_mva / (turbines * settings.turbine.rated_power_mw)
+    ratios: npt.NDArray[np.float64] = power_mva / rated_mw
     return ratios
 
 
@@ -228,15 +244,27 @@ class Plant(NamedTuple):
     bus_y: npt.NDArray[np.complex128]  # bus admittance matrix without loads and units (n_bus, n_bus) [p.u.]
     machines: npt.NDArray[np.void]  # (n_sync,), of Machine
     dispatch: npt.NDArray[np.float64]  # power of each machine before the slack's share (n_sync,) [p.u.]
-    turbine: npt.NDArray[np.void]  # (1,), of Turbine
+    participation: npt.NDArray[np.float64]  # its share of what loads need at the start (n_sync,)
+    turbine: npt.NDArray[np.void]  # of each WTG group, or one where there is none (n_wtg,), of Turbine
     share: npt.NDArray[np.float64]  # rating of each WTG group on the system base (n_wtg,)
     cells: npt.NDArray[np.float64]  # of the rotor's C_p table (n, m, 16)
-    hydro: npt.NDArray[np.void]  # (n_hydro,), of HydroGovernor
-    extension: npt.NDArray[np.void]  # (1,), of Extension; (0,) where the groups are not extended
+    saturation: tuple[RotorSaturation, ...]  # of each machine (n_sync,)
+    own_controls: Mapping[str, npt.NDArray[np.void]]  # constants of those that are units, by the names of kinds
+    extension: npt.NDArray[np.void]  # likewise, of Extension; (0,) where the groups are not extended
     shedding: npt.NDArray[np.void]  # (n_stages,), of SheddingConstants
     buses: npt.NDArray[np.void]  # (n_bus,), of Bus
     of_lane: Mapping[str, Any]  # constants of every lane
     further: tuple[FurtherUnits, ...]
+
+    @property
+    def saturates(self) -> bool:
+        """Whether the rotor of any machine saturates."""
+        return any(own.curve.gain > 0.0 for own in self.saturation)
+
+    @property
+    def controls(self) -> tuple[str, ...]:
+        """Names of the kinds of controls that gradients do not know."""
+        return tuple(name for name in self.own_controls if name != HYGOV.kind.name)
 
     @property
     def n_substeps(self) -> int:
@@ -257,8 +285,10 @@ def build_plant(settings: PlantSettings) -> Plant:
     """Return the constants of a plant; :func:`arranged` adds where its rows lie."""
     case, base = settings.case, settings.case.base_mva
     machines = [machine_constants(m, base) for m in case.machines]
-    turbine = turbine_constants(settings.turbine, settings.pitch, settings.control, settings.protection)
-    share = [g.n_turbines * settings.turbine.rated_power_mw / base for g in settings.groups]
+    of_groups = settings.turbines or (settings.turbine,)
+    turbines = [turbine_constants(t, settings.pitch, settings.control, settings.protection) for t in of_groups]
+    turbine, pairs = turbines[0], zip(settings.groups, settings.turbines, strict=True)
+    share = [group.n_turbines * own.rated_power_mw / base for group, own in pairs]
     joined = settings.all_further
     further = [bus for own in joined for bus in own.buses]
     buses_of_units = (*(m.bus for m in case.machines), *(g.bus for g in settings.groups), *further)
@@ -266,13 +296,16 @@ def build_plant(settings: PlantSettings) -> Plant:
     impedances = [complex(m.resistance, m.internal_reactance) for m in machines]
     impedances += [1j * turbine.converter.reactance / s for s in share]
     impedances += [impedance for own in joined for impedance in own.impedances]
-    hydro = [
-        hydro_constants(index, machine.governor)
-        for index, machine in enumerate(case.machines)
-        if isinstance(machine.governor, HydroGovernorParameters)
-    ]
-    extension = extension_constants(settings.turbine, settings.limits, settings.voltage_control, settings.simulation_dt)
+    given = settings.limits, settings.voltage_control, settings.simulation_dt
+    extensions = [extension_constants(own, *given) for own in of_groups]
+    extension = extensions[0]
     stages = [SheddingConstants(stage.frequency_pu, stage.share, stage.delay_s) for stage in settings.shedding]
+    # A gate beyond 1 p.u. says nothing about the power that a machine is meant for.
+    sharing = [
+        m.rating_mva * min(gate_limits(m.governor)[1], 1.0) if m.governor and settings.shares_dispatch else 0.0
+        for m in case.machines
+    ]
+    participation = np.array(sharing) / (sum(sharing) or 1.0)
     slack = case.bus_index(case.slack_bus)
     buses = [
         Bus(
@@ -288,11 +321,14 @@ def build_plant(settings: PlantSettings) -> Plant:
     branch_y = np.ascontiguousarray(branch_admittances(case.branches))
     series = tuple(dataclasses.replace(branch, charging=0.0) for branch in case.branches)
     shunts = np.array([complex(bus.shunt_mw, bus.shunt_mvar) / base for bus in case.buses], dtype=np.complex128)
+    bus_y, is_large = assemble_admittance(branch_ends, branch_y, shunts), len(buses) >= SPARSE_FROM
     facts: dict[str, Any] = dict.fromkeys(Facts._fields, 0) | {
         "slack": slack,
         "base_mva": base,
         "simulation_dt": settings.simulation_dt,
         "n_substeps": whole_steps("control_dt", settings.control_dt, settings.simulation_dt, "simulation step"),
+        "is_large": is_large,
+        "n_balances": _BALANCES if participation.any() else 0,
         "curtails": bool(settings.groups) and not case.balanced,
         "shares_frequency": settings.load_frequency_dependence,
     }
@@ -306,19 +342,22 @@ def build_plant(settings: PlantSettings) -> Plant:
         unit_y=1.0 / np.array(impedances, dtype=np.complex128),
         connected=np.zeros(len(unit_bus), dtype=np.int64),
         angles=np.zeros(len(unit_bus), dtype=np.int64),
+        pattern=pattern_of(bus_y if is_large else bus_y[:0, :0]),
         shed_shares=np.array([stage.share for stage in stages], dtype=np.float64),
         tables=Tables(np.zeros(0, dtype=np.int64), np.zeros(0), np.zeros(0, dtype=np.int64)),
     )
     return Plant(
         network=network,
-        bus_y=assemble_admittance(branch_ends, branch_y, shunts),
+        bus_y=bus_y,
         machines=structured(Machine, machines),
-        dispatch=np.array([m.dispatch_mw / base for m in case.machines], dtype=np.float64),
-        turbine=structured(Turbine, [turbine]),
+        dispatch=np.where(participation > 0.0, 0.0, [m.dispatch_mw / base for m in case.machines]),
+        participation=participation,
+        turbine=structured(Turbine, turbines),
         share=np.array(share, dtype=np.float64),
-        cells=surface_of(settings.turbine.power_coefficient)[1],
-        hydro=structured(HydroGovernor, hydro),
-        extension=structured(Extension, [extension] * settings.extended),
+        cells=surface_of(of_groups[0].power_coefficient)[1],
+        saturation=tuple(rotor_saturation(machine) for machine in case.machines),
+        own_controls=control_constants(case.machines),
+        extension=structured(Extension, extensions * settings.extended),
         shedding=structured(SheddingConstants, stages * (ISLANDS_AT_MOST if settings.extended else 1)),
         buses=structured(Bus, buses),
         of_lane={
@@ -351,7 +390,7 @@ class Further(NamedTuple):
 def layout_of(plant: Plant, further: Further | None = None) -> Layout:
     """Return where the numbers of a plant's lanes lie, with those of further kinds of unit behind them."""
     n_sync, n_wtg = plant.machines.size, plant.share.size
-    n_unit, n_extended = plant.network.unit_bus.size, n_wtg * plant.extension.size
+    n_unit, n_extended = plant.network.unit_bus.size, n_wtg if plant.extension.size else 0
     groups = n_sync + np.arange(n_wtg)
     row, column = np.divmod(np.arange(n_unit * n_unit), max(n_unit, 1))
     extended, unit = np.divmod(np.arange(n_extended * n_unit), max(n_unit, 1))
@@ -361,7 +400,6 @@ def layout_of(plant: Plant, further: Further | None = None) -> Layout:
     n_units = {
         MACHINES: n_sync,
         GROUPS: n_wtg,
-        HYDRO: plant.hydro.size,
         EXTENSIONS: n_extended,
         LANE: 1,
         BUSES: n_bus,
@@ -374,13 +412,13 @@ def layout_of(plant: Plant, further: Further | None = None) -> Layout:
         STAGES: plant.shedding.size,
         FIRST_MACHINE: min(n_sync, 1),
         COLUMNS: n_extended * n_unit,
+        **dict.fromkeys((control.kind for control in CONTROLS.values()), 0),
     }
     links = {
         (MACHINES, "unit"): np.arange(n_sync),
         (MACHINES, "bus_"): plant.network.unit_bus[:n_sync],
         (GROUPS, "bus_"): plant.network.unit_bus[groups],
         (EXTENSIONS, "bus_"): plant.network.unit_bus[groups[:n_extended]],
-        (HYDRO, "unit"): plant.hydro["machine"],
         (MEMBERS, "unit_"): np.tile(np.arange(n_unit), n_islands - 1),
         (MEMBERS, "island_"): np.repeat(np.arange(1, n_islands), n_unit),
         (MAIN, "island"): np.zeros(1, dtype=np.int64),
@@ -401,9 +439,12 @@ def layout_of(plant: Plant, further: Further | None = None) -> Layout:
         (COLUMNS, "entry"): unit * n_unit + n_sync + extended,
         (COLUMNS, "unit"): unit,
         (COLUMNS, "group"): extended,
-        (HYDRO, "machine"): plant.hydro["machine"],
         (FIRST_MACHINE, "machine"): np.zeros(min(n_sync, 1), dtype=np.int64),
     }
+    for name, constants in plant.own_controls.items():
+        kind, of_machine = CONTROLS[name].kind, constants["machine"]
+        n_units[kind] = constants.size
+        links |= {(kind, "machine"): of_machine, (kind, "unit"): of_machine}
     first, added = n_sync + n_wtg, further or Further({})
     for own in plant.further:
         if own.kind in n_units or own.kind in added.n_units:
@@ -421,13 +462,16 @@ def layout_of(plant: Plant, further: Further | None = None) -> Layout:
 
 
 def programs_of(plant: Plant, *programs: Program) -> tuple[Program, ...]:
-    """Return programs with the systems of a plant's further units."""
-    return _joined(plant.further, programs)
+    """Return programs with the systems of a plant's further units, and of controls that only some machines have."""
+    return _joined(plant.further, tuple(plant.own_controls), programs)
 
 
 @functools.lru_cache(maxsize=64)
-def _joined(further: tuple[FurtherUnits, ...], programs: tuple[Program, ...]) -> tuple[Program, ...]:
-    return tuple(program.joined(joining(further)) for program in programs)
+def _joined(
+    further: tuple[FurtherUnits, ...], controls: tuple[str, ...], programs: tuple[Program, ...]
+) -> tuple[Program, ...]:
+    found = joining(further) | joining_controls(controls)
+    return tuple(program.joined(found) for program in programs)
 
 
 class Arranged:
@@ -442,6 +486,8 @@ class Arranged:
             self._has.add("no machine")
         if plant.shedding.size:
             self._has.add("sheds")
+        if plant.saturates:
+            self._has.add("saturates")
         if plant.of_lane["secondary_gain"]:
             self._has.add("secondary control")
         ratings, weights = plant.machines["rating"].tolist(), plant.machines["reactive_weight"].tolist()
@@ -452,24 +498,28 @@ class Arranged:
             for own in plant.further
             for weight in own.reactive_weights
         ]
+        shares = [*plant.participation.tolist(), *[0.0] * (len(sizes) - plant.machines.size)]
         connections = [
-            Connection(float(number), rating, of_machine, of_group, Phasor(y.real, y.imag))
-            for number, ((rating, of_machine, of_group), y) in enumerate(zip(sizes, network.unit_y, strict=True))
+            Connection(float(number), rating, of_machine, of_group, share, Phasor(y.real, y.imag))
+            for number, ((rating, of_machine, of_group), share, y) in enumerate(
+                zip(sizes, shares, network.unit_y, strict=True)
+            )
         ]
         self._constants: dict[tuple[Kind, str], Any] = {
             (MACHINES, "machine"): plant.machines,
             (MACHINES, "dispatch"): plant.dispatch,
-            (GROUPS, "turbine"): np.repeat(plant.turbine, n_wtg),
+            (MACHINES, "saturation"): plant.saturation,
+            (GROUPS, "turbine"): plant.turbine[:n_wtg],
             (GROUPS, "cells"): plant.cells,
             (GROUPS, "share"): plant.share,
             (GROUPS, "inv_share"): 1.0 / plant.share,
-            (HYDRO, "hydro"): plant.hydro,
-            (EXTENSIONS, "extension"): np.repeat(plant.extension, n_wtg),
+            (EXTENSIONS, "extension"): plant.extension[:n_wtg],
             (STAGES, "stage"): plant.shedding,
             (BUSES, "bus"): plant.buses,
             (UNITS, "connection"): connections,
             (ISLANDS, "number"): np.arange(float(layout.n_units(ISLANDS))),
             **{(LANE, name): [value] for name, value in plant.of_lane.items()},
+            **{(CONTROLS[name].kind, "model"): values for name, values in plant.own_controls.items()},
             **{(own.kind, name): values for own in plant.further for name, values in own.constants.items()},
             **further.constants,
         }

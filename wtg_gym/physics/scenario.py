@@ -154,6 +154,15 @@ class LoadTrip(_AtBus):
         return f"load of bus {self.bus} lost"
 
 
+def _circuit() -> Any:
+    doc = "which of parallel lines, counted from 1 in the order of the case; None: the first"
+    return design(None, "-", doc, 1, 99)
+
+
+def _of_several(circuit: int | None) -> str:
+    return "" if circuit is None else f" (circuit {circuit})"
+
+
 @dataclass(frozen=True, kw_only=True)
 class LineTrip(_At):
     """The branch between two buses opens at both ends at `time_s` [s]."""
@@ -163,6 +172,7 @@ class LineTrip(_At):
     recloses_after_s: float | None = design(
         None, "s", "time after which it closes again; None: never", 1e-3, LONGEST_RUN_S
     )
+    circuit: int | None = _circuit()
 
     @property
     def end_s(self) -> float:
@@ -172,7 +182,7 @@ class LineTrip(_At):
     @property
     def words(self) -> str:
         """The event in words."""
-        return f"line {self.from_bus}–{self.to_bus} opens{_for(self.recloses_after_s)}"
+        return f"line {self.from_bus}–{self.to_bus}{_of_several(self.circuit)} opens{_for(self.recloses_after_s)}"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -183,6 +193,7 @@ class Fault(_AtBus):
     resistance_pu: float = design(0.0, "p.u.", "resistance to ground, on the system base", 0.0, 1e3)
     reactance_pu: float = design(1e-4, "p.u.", "reactance to ground, on the system base", 1e-5, 1e3)
     opens: tuple[int, int] | None = None  # both ends of the line that clears it
+    circuit: int | None = _circuit()
 
     def __post_init__(self) -> None:
         ends = self.opens
@@ -202,7 +213,8 @@ class Fault(_AtBus):
     @property
     def words(self) -> str:
         """The event in words."""
-        opens = "" if self.opens is None else f", then line {self.opens[0]}–{self.opens[1]} opens"
+        ends = "" if self.opens is None else f"{self.opens[0]}–{self.opens[1]}{_of_several(self.circuit)}"
+        opens = f", then line {ends} opens" if ends else ""
         return f"fault at bus {self.bus}{_for(self.clears_after_s)}{opens}"
 
 
@@ -213,6 +225,7 @@ class ReactanceStep(_At):
     from_bus: int
     to_bus: int
     factor: float = required("-", "design", "on resistance and reactance of the case", 1e-2, 1e3)
+    circuit: int | None = _circuit()
 
     @property
     def words(self) -> str:

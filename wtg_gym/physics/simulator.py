@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import functools
 import math
 from collections.abc import Sequence
@@ -11,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from wtg_gym.physics.block_threads import BlockThreads
-from wtg_gym.physics.equilibrium import FLOW_COLUMNS, POWER_FLOW, prepare_lanes, rows_of_buses
+from wtg_gym.physics.equilibrium import FLOW_COLUMNS, POWER_FLOW, SPARSE_FLOW, prepare_lanes, rows_of_buses
 from wtg_gym.physics.integration import PROGRAMS, REFRESH, STARTING, STEPPING, advance_blocks, evaluate_blocks
 from wtg_gym.physics.kernel_data import NO_EVENT, LaneData
 from wtg_gym.physics.layout import Floats
@@ -22,12 +23,13 @@ from wtg_gym.physics.reduction import assemble
 from wtg_gym.physics.scenario import LONGEST_RUN_S, SERIES_DT, Scenario
 from wtg_gym.physics.start_errors import (
     NOMINAL,
+    StartError,
     check_internal_voltages,
     check_rotor_speeds,
     scenario_name,
     start_failure,
 )
-from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY, TrackingLaw, get_law
+from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY, TrackingLaw, group_laws
 from wtg_gym.physics.units import UNITS, StartFailure
 from wtg_gym.ranges import require_range, require_whole, whole_steps
 from wtg_gym.systems.routines import WIDE, Function, Routine, code_of
@@ -131,17 +133,20 @@ class Simulator:
         self._rates = np.zeros((0, 0, 0))
         self._pad()
         self._checked = _checked_inertias(settings)
-        reference = (get_law(REFERENCE_STRATEGY, settings.turbine, settings.control),) * self.layout.n_wtg
+        reference = group_laws(REFERENCE_STRATEGY, settings.turbines, settings.control)
         if reference not in self._checked and self._check_nominal(reference):
             self._checked[reference] = 1.0
 
     def functions(self) -> dict[Function, tuple[Any, ...]]:
         """Return the functions that are called at an address, with arguments like those they are given."""
         network, some = self.plant.network, np.zeros((1, 1))
-        return {
+        found: dict[Function, tuple[Any, ...]] = {
             REFRESH: (some, 0, 0, network, self._allocate_data(1, 1)),
             POWER_FLOW: (self.plant.bus_y, 0, some, FLOW_COLUMNS),
         }
+        if network.facts.is_large:
+            found[SPARSE_FLOW] = (self.plant.bus_y, 0, some, FLOW_COLUMNS, network.pattern)
+        return found
 
     def link(self, further: Further) -> None:
         """Let the plant know where the machine code is in this process; a copy in another one needs it.
@@ -283,7 +288,7 @@ class Simulator:
         for scenario, (failure, unit), row in zip(scenarios, failures.tolist(), rows, strict=True):
             if failure:
                 reason = start_failure(StartFailure(failure), unit, row, scenario, self.settings, self.layout)
-                raise ValueError(f"scenario {scenario.name!r} cannot start: {reason}")
+                raise StartError(f"scenario {scenario.name!r} cannot start: {reason}")
         return PreparedLanes(rows, data)
 
     def start(
@@ -448,3 +453,20 @@ class Simulator:
         self.scratches = self.new_scratches(self.threads.n_workers, self.width)
         # Perhaps in another process.
         self.link(Further({}))
+
+
+#: Steps of the integration that are tried, the longest first [s].
+STEPS_S = (0.025, 0.0125, 0.01, 0.005, 0.0025, 0.001)
+
+
+def longest_step(plant: PlantSettings) -> float:
+    """Return the longest of :data:`STEPS_S` that suits a plant's fastest mode; a ValueError where none does."""
+    refusal: ValueError | None = None
+    for step in STEPS_S:
+        try:
+            Simulator(dataclasses.replace(plant, simulation_dt=step)).close()
+        except ValueError as error:
+            refusal = error
+            continue
+        return step
+    raise ValueError(f"no step of {STEPS_S[-1]:g} s or more suits this grid: {refusal}")

@@ -6,8 +6,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from wtg_gym.physics.governor import gate_limits
 from wtg_gym.physics.layout import Floats, Layout
-from wtg_gym.physics.machine_parameters import ExciterParameters, HydroGovernorParameters
+from wtg_gym.physics.machine_models import controls_of
+from wtg_gym.physics.machine_parameters import ExciterParameters
 from wtg_gym.physics.parameters import ConverterLimitParameters, VoltageControlParameters
 from wtg_gym.physics.plant import PlantSettings
 from wtg_gym.physics.scenario import Scenario
@@ -15,6 +17,10 @@ from wtg_gym.physics.units import StartFailure
 
 #: Beginning of the names of scenarios that a simulator makes for itself.
 NOMINAL = "the plant at "
+
+
+class StartError(ValueError):
+    """There is no equilibrium to start a scenario from."""
 
 
 def scenario_name(scenario: Scenario) -> str:
@@ -51,7 +57,7 @@ def check_internal_voltages(
     lane, unit = np.argwhere(~(voltages <= limit))[0]
     bus = settings.case.buses[settings.case.bus_index(bus_of_unit(settings, int(unit)))]
     task = "for its share of the power" if bus.voltage_pu is None else f"to hold {bus.voltage_pu:g} p.u. there"
-    raise ValueError(
+    raise StartError(
         f"{scenario_name(scenarios[lane])} cannot start: {unit_name(settings, int(unit))} needs an internal voltage of "
         f"{voltages[lane, unit]:.3g} p.u. {task}; allowed: at most {limit:g} p.u. (a larger rating needs less)"
     )
@@ -62,7 +68,7 @@ def check_rotor_speeds(rows: Floats, scenarios: Sequence[Scenario], settings: Pl
     speeds, least = rows[:, layout.wtg("rotor_speed")], settings.protection.rotor_speed_min_pu
     for lane, group in np.argwhere(speeds < least):
         scenario = scenarios[lane]
-        raise ValueError(
+        raise StartError(
             f"scenario {scenario.name!r} cannot start: the rotor of {unit_name(settings, layout.n_sync + group)} would "
             f"start at {speeds[lane, group]:.3g} p.u. in a wind of {scenario.wind_speed[group, 0]:.3g} m/s, below the "
             f"under-speed trip at {least:g} p.u."
@@ -82,15 +88,10 @@ def start_failure(
         )
     name = unit_name(settings, unit)
     if unit < layout.n_sync:
-        machine = settings.case.machines[unit]
-        governor, exciter = machine.governor, machine.exciter or ExciterParameters()
-        quantity, low, high = "field_voltage", exciter.field_min_pu, exciter.field_max_pu
-        if failure == StartFailure.GOVERNOR_LIMIT and governor is not None:
-            quantity = "hydro_gate" if isinstance(governor, HydroGovernorParameters) else "gate"
-            low, high = governor.gate_min_pu, governor.gate_max_pu
+        quantity, value, low, high = _limited(failure, unit, rows, settings, layout)
         what = quantity.replace("_", " ")
         return (
-            f"{name} would start at {rows[layout.machine(quantity)[unit]]:.4g} p.u. of {what}, beyond its {what} "
+            f"{name} would start at {value:.4g} p.u. of {what}, beyond its {what} "
             f"limits {low:g} … {high:g} p.u.; change wind or load level"
         )
     j = unit - layout.n_sync
@@ -111,3 +112,21 @@ def start_failure(
         f"{name} would start with {emf:.4g} p.u. behind X_g, beyond the limits {control.internal_voltage_min_pu:g} … "
         f"{control.internal_voltage_max_pu:g} p.u. of its voltage control"
     )
+
+
+def _limited(
+    failure: StartFailure, unit: int, rows: Floats, settings: PlantSettings, layout: Layout
+) -> tuple[str, float, float, float]:
+    """Return the quantity of a machine that starts beyond its limits, its value, and the limits [p.u.]."""
+    machine = settings.case.machines[unit]
+    for own, parameters in controls_of(machine):
+        if own.limits is not None and own.failure == failure:
+            place = np.flatnonzero(layout.seen(own.kind, "machine") == unit)[0]
+            value = rows[layout.rows_of(own.kind, own.limited)[place]]
+            return own.limited, float(value), *own.limits(parameters)
+    if failure == StartFailure.GOVERNOR_LIMIT:
+        return "gate", float(rows[layout.machine("gate")[unit]]), *gate_limits(machine.governor)
+    exciter = machine.exciter
+    assert isinstance(exciter, ExciterParameters)
+    value = rows[layout.machine("field_voltage")[unit]]
+    return "field_voltage", float(value), exciter.field_min_pu, exciter.field_max_pu

@@ -23,6 +23,7 @@ from wtg_gym.physics.units import (
     nearest_turn,
     quotient,
 )
+from wtg_gym.physics.wtg_unit import GROUPS
 from wtg_gym.systems.elementary import select
 from wtg_gym.systems.systems import system
 
@@ -31,6 +32,43 @@ from wtg_gym.systems.systems import system
 def begin_start() -> tuple[float, float]:
     """Begin to look for what cannot start."""
     return 0.0, 0.0
+
+
+@system(LANE, "needed")
+def nothing_needed() -> float:
+    """Begin to add up what machines have to give."""
+    return 0.0
+
+
+@system(BUSES, "needed")
+def need_of_bus(needed: float, load_level: float, bus: Bus) -> float:
+    """Add a load."""
+    return needed + load_level * bus.load.re
+
+
+@system(GROUPS, "needed")
+def need_less(needed: float, planned_power: float) -> float:
+    """Take off what a group gives."""
+    return needed - planned_power
+
+
+@system(LANE, "lacking")
+def nothing_lacks() -> float:
+    """Begin to look for what the slack bus lacks."""
+    return 0.0
+
+
+@system(BUSES, "lacking")
+def lack_of_bus(lacking: float, flow: Phasor, planned: Phasor, bus: Bus) -> float:
+    """Note what the slack bus lacks."""
+    return lacking + select(bus.is_slack, flow.re - planned.re, 0.0)
+
+
+@system(UNITS, "planned", "planned_power")
+def balance_unit(planned: Phasor, planned_power: float, lacking: float, connection: Connection) -> tuple[Phasor, float]:
+    """Let a unit give its share of what the slack bus lacks."""
+    given = connection.participation * lacking
+    return Phasor(planned.re + given, planned.im), planned_power + given
 
 
 @system(BUSES, "planned", "polar", "holds", "sizes")
@@ -74,7 +112,7 @@ def release_voltage(
     """
     asked, limit = flow.im + load_level * bus.load.im, reactive_max * sizes.group_weights
     alone = (sizes.ratings == 0.0) & (sizes.group_weights > 0.0) & (voltage_gain > 0.0)
-    lacks = alone & (select(bus.is_slack, 0.0, holds) > 0.5) & (abs(asked) > limit * (1.0 + 1e-9))
+    lacks = alone & (holds > 0.5) & (abs(asked) > limit * (1.0 + 1e-9))
     given = select(asked < 0.0, -limit, limit) - load_level * bus.load.im
     return (
         select(lacks, 0.0, holds),

@@ -6,16 +6,16 @@ A control interval (:mod:`wtg_gym.physics.integration`):
 
 The start of a run (:mod:`wtg_gym.physics.equilibrium`):
 
-    plan → power flow, release until none → settle → reduction → admittances → find → rates → start
+    plan → power flow, balance, release until none → settle → reduction → admittances → find → rates → start
 
 Each name is a list of systems over all units of a kind; what is no map over units stands in the same lists. Kinds of
-unit that a plant has besides (:mod:`wtg_gym.physics.further_units`) join where it says `Here`.
+unit that a plant has besides (:mod:`wtg_gym.physics.further_units`), and controls that only some machines have
+(:mod:`wtg_gym.physics.machine_models`), join where it says `Here`.
 """
 
 from __future__ import annotations
 
 from wtg_gym.physics import extension_unit as extension
-from wtg_gym.physics import hydro_unit as hydro
 from wtg_gym.physics import local_frequency as local
 from wtg_gym.physics import machine_unit as machine
 from wtg_gym.physics import protection, starting, units
@@ -31,6 +31,7 @@ VOLTAGES = (
     machine.still_reference,
     machine.reference,
     machine.voltage_of_machine,
+    machine.saturate_machine,
     wtg.voltage_of_group,
     extension.voltage_of_extended,
     Here("voltages"),
@@ -42,7 +43,7 @@ RETURN = (
     *local.BUS_VOLTAGES,
     starting.synchronise,
     machine.return_machine,
-    hydro.return_hydro,
+    Here("control return"),
     wtg.return_group,
     extension.return_extension,
     starting.all_returned,
@@ -72,7 +73,7 @@ FIND = (*FLOWS, *LIMITS, *CAPTURE)
 
 #: One stage of the Runge-Kutta method, after `FIND`: it finds the rates of every unit and moves its states.
 MOVE = (
-    hydro.stage_of_hydro,
+    Here("control move"),
     machine.stage_of_machine,
     wtg.stage_of_group,
     extension.stage_of_extended,
@@ -82,7 +83,7 @@ MOVE = (
 
 #: Rates and outputs, without moving any state, after `FIND`.
 RATES = (
-    hydro.rates_of_hydro,
+    Here("control rates"),
     machine.rates_of_machine,
     wtg.rates_of_group,
     extension.rates_of_extended,
@@ -138,11 +139,17 @@ PLAN = (
     starting.plan_bus,
     wtg.begin_search,
     Repeat(LANE, "searching", (*CAPTURE, wtg.nobody_searches, wtg.search_on), most=_TRIALS),
-    machine.plan_machine,
     wtg.plan_group,
+    starting.nothing_needed,
+    starting.need_of_bus,
+    starting.need_less,
+    machine.plan_machine,
     Here("plan"),
     starting.plan_unit,
 )
+
+#: After a power flow: machines share what the slack bus lacks.
+BALANCE = (starting.nothing_lacks, starting.lack_of_bus, starting.balance_unit)
 
 #: After a power flow: buses whose groups cannot hold the voltage let go of it.
 RELEASE = (starting.none_released, starting.release_voltage)
@@ -152,7 +159,7 @@ SETTLE = (
     starting.load_at_bus,
     starting.share_flow,
     machine.start_machine,
-    hydro.start_hydro,
+    Here("control settle"),
     machine.still_frame,
     machine.take_frame,
     machine.turn_machine,
@@ -175,7 +182,7 @@ START = (
     protection.track_extremes,
     wtg.no_overload,
     machine.check_machine,
-    hydro.check_hydro,
+    Here("control start"),
     extension.check_extension,
     Here("start"),
 )

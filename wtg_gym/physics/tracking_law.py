@@ -230,22 +230,23 @@ def get_law(
 
 def group_laws(
     strategies: str | Path | TrackingLaw | Sequence[str | Path | TrackingLaw],
-    n_groups: int,
-    turbine: TurbineParameters | None = None,
+    turbines: Sequence[TurbineParameters],
     control: GridFormingParameters | None = None,
 ) -> tuple[TrackingLaw, ...]:
-    """Return one law per WTG group, (n_groups,): the given one for all, or the one given for each.
+    """Return one law per WTG group, (n_groups,), for its turbine: the given one for all, or the one given for each.
 
     Raises:
         ValueError: a strategy is unknown, or there are not as many as groups.
     """
     if isinstance(strategies, (str, Path, TrackingLaw)):
-        return (get_law(strategies, turbine, control),) * n_groups
+        return tuple(get_law(strategies, turbine, control) for turbine in turbines)
     if not isinstance(strategies, Sequence):
         raise ValueError(f"strategy must be a name or a list of names, got {strategies!r}")
-    if len(strategies) != n_groups:
-        raise ValueError(f"strategy must name one law, or one for each of the {n_groups} groups, got {len(strategies)}")
-    return tuple(get_law(strategy, turbine, control) for strategy in strategies)
+    if len(strategies) != len(turbines):
+        raise ValueError(
+            f"strategy must name one law, or one for each of the {len(turbines)} groups, got {len(strategies)}"
+        )
+    return tuple(get_law(own, turbine, control) for own, turbine in zip(strategies, turbines, strict=True))
 
 
 def read_law(path: Path, turbine: TurbineParameters | None = None) -> TrackingLaw:

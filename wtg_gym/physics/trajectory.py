@@ -101,7 +101,7 @@ def simulate(
         raise ValueError(f"scenario must be a Scenario, got {type(scenario).__name__}")
     settings = settings or PlantSettings()
     simulator = Simulator(settings, duration_s=scenario.duration_s)
-    groups_laws = group_laws(laws, len(settings.groups), settings.turbine, settings.control)
+    groups_laws = group_laws(laws, settings.turbines, settings.control)
     simulator.start(0, simulator.prepare([scenario], groups_laws, turning=True))
     nominal = settings.case.frequency_hz
     names = ("speed", "rotor_speed", "power", "captured", "coefficient", "filter", "pitch", "wind", "shift")
@@ -122,7 +122,7 @@ def simulate(
     if status != Status.RUNNING:
         # A protection may act within a control interval.
         time[-1] = min(time[-1], simulator.lane_values("step")[0] * settings.simulation_dt)
-    tip_speed = settings.turbine.tip_speed_ratio_per_speed_m_s
+    tip_speed = np.array([turbine.tip_speed_ratio_per_speed_m_s for turbine in settings.turbines])
     return Trajectory(
         time_s=time,
         frequency_hz=np.array(frequency),

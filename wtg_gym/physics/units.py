@@ -63,6 +63,7 @@ class Connection(NamedTuple):
     rating: float  # of a machine; 0 for a group
     machine_weight: float  # share of reactive power; 0 for a group
     group_weight: float  # 0 for a machine
+    participation: float  # share of what all machines give at the start; 0 where the case says what it gives
     y: Phasor  # internal admittance [p.u.]
 
 
@@ -148,6 +149,8 @@ LANE = Kind(
         "load_level": float,  # share of the nominal load that a run starts with
         "searching": float,  # groups whose equilibrium is not found yet
         "released": float,  # buses that let go of their voltage
+        "needed": float,  # what loads need and groups do not give [p.u.]
+        "lacking": float,  # what the slack bus lacks [p.u.]
         "curtailment": float,  # common factor on k by which groups share the balance
         "frame": float,  # angle of the first unit against the network's frame [rad]
         "start_failure": float,  # why the run cannot start, of StartFailure

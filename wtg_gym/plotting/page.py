@@ -86,7 +86,7 @@ def _ranking(results: Results) -> Any:
     name.js_on_change("value_input", filtered)
     zero, hundred = results.benchmark.anchors
     words = Div(
-        text=f"<b>{escape(results.benchmark.env_id)}</b>, suite {escape(results.suite)}: {len(results.seeds)} "
+        text=f"<b>{escape(results.environment['id'])}</b>, suite {escape(results.suite)}: {len(results.seeds)} "
         f"{escape(results.split)} scenarios. Score 0 is {zero}, 100 is {hundred}; in brackets are 95 % intervals. "
         "Points say which terms of the cost a score above or below 100 comes from. A click on a heading sorts; rows "
         f"that are chosen stand out in the charts. {escape('. '.join(notes_on_marks(rows)))}",

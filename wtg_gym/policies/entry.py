@@ -11,7 +11,8 @@ from typing import Any, Protocol, runtime_checkable
 from wtg_gym.envs.settings import EnvSettings
 from wtg_gym.files import sha256
 from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY, TrackingLaw, get_law
-from wtg_gym.scenarios.benchmark import ANCHOR_NAMES, BENCHMARKS, Benchmark
+from wtg_gym.scenarios.benchmark import ANCHOR_NAMES, ANY_GRID, BENCHMARKS, V1
+from wtg_gym.scenarios.suite import Suite
 
 #: What entries of one name must agree on, as they share a row.
 _OF_A_ROW = ("kind", "strategy", "action_mode", "observation_mode", "source")
@@ -41,6 +42,8 @@ class Entry:
             export both with :func:`~wtg_gym.export_onnx`.
         action_mode: "k", "tau" or "k+tau".
         observation_mode: "local" or "privileged".
+        per_group: whether the policy answers for one group at a time, by its own observation: then it plays any number
+            of groups, on any grid.
         environment: id of the environment whose observations the policy takes; None: those of any that it is played in.
         description: one sentence on what it is.
         source: citation.
@@ -58,6 +61,7 @@ class Entry:
     policy: Policy | None = None
     action_mode: str = "k+tau"
     observation_mode: str = "local"
+    per_group: bool = False
     environment: str | None = None
     description: str = ""
     source: str = ""
@@ -75,9 +79,15 @@ class Entry:
         object.__setattr__(self, "law", get_law(self.strategy))
         # Checks the two modes.
         EnvSettings(action_mode=self.action_mode, observation_mode=self.observation_mode)
-        if self.environment not in (None, *BENCHMARKS):
+        if not isinstance(self.per_group, bool) or (self.per_group and self.observation_mode != "local"):
             raise ValueError(
-                f"environment of entry {name!r} must be one of {', '.join(BENCHMARKS)}, got {self.environment!r}"
+                f"per_group of entry {name!r} must be true or false, and true with local observations alone, got "
+                f"{self.per_group!r}"
+            )
+        if self.environment not in (None, ANY_GRID, *BENCHMARKS):
+            raise ValueError(
+                f"environment of entry {name!r} must be one of {', '.join((*BENCHMARKS, ANY_GRID))}, got "
+                f"{self.environment!r}"
             )
         if self.policy is not None and not is_policy(self.policy):
             raise ValueError(
@@ -113,6 +123,7 @@ class Entry:
             return None
         policy = None if self.policy is None else self.fingerprint
         data = [self.law.to_dict(), policy, self.action_mode, self.observation_mode]
+        data += ["per group"] * self.per_group
         return sha256(json.dumps(data, sort_keys=True).encode())
 
     def to_dict(self) -> dict[str, Any]:
@@ -175,14 +186,18 @@ def check_entries(entries: Sequence[Entry]) -> None:
             raise ValueError(f"the name {entry.name!r} is reserved for the strategy itself, which fixes the score")
 
 
-def check_version(entries: Sequence[Entry], benchmark: Benchmark) -> None:
-    """Raise a ValueError if an entry's policy takes the observations of another version of the benchmark."""
+def check_version(entries: Sequence[Entry], suite: Suite) -> None:
+    """Raise a ValueError if an entry's policy takes observations of another version, or of another grid's groups."""
+    moving = (V1.env_id, ANY_GRID) if suite.benchmark is V1 else ()
     for entry in entries:
-        if entry.environment not in (None, benchmark.env_id):
-            raise ValueError(
-                f"entry {entry.label!r} is for {entry.environment}, these scenarios are of {benchmark.env_id}, "
-                "whose observations are others"
-            )
+        # A law has no observations, and what was made by hand takes those of any number of groups.
+        moves = entry.per_group or not entry.learned or entry.policy is None
+        if entry.environment in (None, suite.env_id) or (moves and entry.environment in moving):
+            continue
+        raise ValueError(
+            f"entry {entry.label!r} is for {entry.environment}, these scenarios are of {suite.env_id}, whose "
+            "observations are others; between grids move policies with per_group = true in their entry.toml"
+        )
 
 
 def row_conflict(one: Mapping[str, Any], two: Mapping[str, Any]) -> str | None:

@@ -18,6 +18,7 @@ _KEYS = (
     "description",
     "action_mode",
     "observation_mode",
+    "per_group",
     "environment",
     "strategy",
     "training_seed",
@@ -64,6 +65,8 @@ def parse_entry(text: str, needed: Sequence[str] = NEEDED) -> dict[str, Any]:
     authors = data.get("authors", [])
     if not isinstance(authors, list) or not all(isinstance(each, str) and each for each in authors):
         raise ValueError(f"authors must be a list of texts, none of them empty, got {short(authors)}")
+    if not isinstance(data.get("per_group", False), bool):
+        raise ValueError(f"per_group must be true or false, got {short(data['per_group'])}")
     seed = data.get("training_seed", 0)
     if isinstance(seed, bool) or not isinstance(seed, int) or not 0 <= seed <= _LARGEST_SEED:
         raise ValueError(f"training_seed must be a whole number 0 … {_LARGEST_SEED}, got {short(seed)}")

@@ -239,7 +239,7 @@ def rollout(policy: Policy, described: Entry | EntryFile, *, backwards: bool = F
     the last scenario first; the actions come in the usual order all the same. An action that is not finite, or a policy
     that cannot answer, is a ValueError.
     """
-    keys = ("action_mode", "observation_mode", "environment", "strategy")
+    keys = ("action_mode", "observation_mode", "per_group", "environment", "strategy")
     entry = Entry(name="the policy", policy=policy, **{key: getattr(described, key) for key in keys})
     settings = EnvSettings(version=BENCHMARKS[described.environment or V1.env_id].version, split="validation")
     order = -1 if backwards else 1

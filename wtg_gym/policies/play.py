@@ -75,10 +75,12 @@ def play(
 
 def _answer(entry: Entry, lanes: TaskLanes, state: Any, step: int) -> tuple[npt.NDArray[np.float64], Any]:
     """Return the policy's actions (n_lanes, n_action) in a step, and its next recurrent state."""
-    policy, shape = cast(Policy, entry.policy), (lanes.n_lanes, lanes.n_action)
-    start = np.full(lanes.n_lanes, step == 0)
+    # For a policy of one group, each is a lane: local observations are those of one group after the other.
+    n_parts = lanes.n_wtg if entry.per_group else 1
+    policy, shape = cast(Policy, entry.policy), (lanes.n_lanes * n_parts, lanes.n_action // n_parts)
+    seen, start = lanes.observations.reshape(shape[0], -1).copy(), np.full(shape[0], step == 0)
     try:
-        answer = policy.predict(lanes.observations.copy(), state=state, episode_start=start, deterministic=True)
+        answer = policy.predict(seen, state=state, episode_start=start, deterministic=True)
     except NotIsolatedError:
         raise
     except (Exception, SystemExit) as error:
@@ -95,7 +97,7 @@ def _answer(entry: Entry, lanes: TaskLanes, state: Any, step: int) -> tuple[npt.
         raise _complaint(entry, step, "actions must be an array of numbers", f"one of {actions.dtype}")
     if actions.shape != shape:
         raise _complaint(entry, step, f"actions must have shape {shape} (lanes, values)", f"shape {actions.shape}")
-    return actions.astype(np.float64), answer[1]
+    return actions.astype(np.float64).reshape(lanes.n_lanes, lanes.n_action), answer[1]
 
 
 def _check_finite(actions: npt.NDArray[np.float64], entry: Entry, lanes: TaskLanes, step: int) -> None:

@@ -40,17 +40,19 @@ class EntryFile:
     training_seed: int
     action_mode: str
     observation_mode: str = "local"
+    per_group: bool = False
     environment: str
     strategy: str = REFERENCE_STRATEGY
     description: str = ""
     trained_on: str = ""
 
     def widths(self) -> tuple[int, int]:
-        """Return how many observations and actions there are in its modes and environment."""
+        """Return how many observations and actions there are in its modes and environment, or for one group of it."""
         version = BENCHMARKS[self.environment].version
         modes: Any = {"action_mode": self.action_mode, "observation_mode": self.observation_mode}
         lanes = TaskLanes(EnvSettings(version=version, **modes), 1, 1)
-        return lanes.n_observation, lanes.n_action
+        n_parts = lanes.n_wtg if self.per_group else 1
+        return lanes.n_observation // n_parts, lanes.n_action // n_parts
 
 
 def entry_text(values: Mapping[str, Any]) -> str:

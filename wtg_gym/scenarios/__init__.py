@@ -1,9 +1,9 @@
 """What happens in a run: random wind, load events and grid strength, frozen suites, and measured wind."""
 
-from wtg_gym.scenarios.distribution import TRIPPABLE_LINES, ScenarioDistribution
+from wtg_gym.scenarios.distribution import ScenarioDistribution
 from wtg_gym.scenarios.fresh import FreshDraw, draw_seeds
 from wtg_gym.scenarios.suite import FRESH, SPLITS, FixedCase, Suite
-from wtg_gym.scenarios.suites import DEFAULT_SUITE, FROZEN_HASHES, SUITES, get_suite
+from wtg_gym.scenarios.suites import DEFAULT_SUITE, FROZEN_HASHES, SUITES, get_suite, suite_of_grid
 from wtg_gym.scenarios.wind import DRAWN_WIND_RANGE, TURBULENCE_CLASSES
 from wtg_gym.scenarios.wind_csv import read_wind_csv
 
@@ -14,7 +14,6 @@ __all__ = [
     "FROZEN_HASHES",
     "SPLITS",
     "SUITES",
-    "TRIPPABLE_LINES",
     "TURBULENCE_CLASSES",
     "FixedCase",
     "FreshDraw",
@@ -23,4 +22,5 @@ __all__ = [
     "draw_seeds",
     "get_suite",
     "read_wind_csv",
+    "suite_of_grid",
 ]

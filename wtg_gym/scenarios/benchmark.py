@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from types import MappingProxyType
 from typing import Any
 
-from wtg_gym.physics.ieee14 import modified_ieee14
+from wtg_gym.physics.grid import DEFAULT_GRID, digest_of_grid, get_grid
 from wtg_gym.physics.machine_parameters import GovernorParameters
 from wtg_gym.physics.parameters import WtgGroup, default_groups
 from wtg_gym.physics.plant import PlantSettings, plant_settings
@@ -47,11 +47,6 @@ class Benchmark:
         """Name of the entry that scores 100, with which all others are compared."""
         return self.anchors[1]
 
-    @property
-    def nominal_hz(self) -> float:
-        """Nominal frequency of its grid [Hz]."""
-        return modified_ieee14().frequency_hz
-
     def to_dict(self) -> dict[str, Any]:
         """Return the version as JSON-ready data."""
         return {**vars(self), "weights": dict(self.weights), "cost_offsets": dict(self.cost_offsets)}
@@ -59,8 +54,9 @@ class Benchmark:
 
 @dataclass(frozen=True, kw_only=True)
 class SuitePlant:
-    """The modified IEEE 14-bus system of a suite: how much of it is wind, how strong the rest is."""
+    """The grid of a suite: how much of it is wind, how strong the rest is."""
 
+    grid: str = DEFAULT_GRID  # its name, or the path of its file
     groups: tuple[WtgGroup, ...] = field(default_factory=default_groups)
     physics: str = "paper"  # see plant_settings
     generator_mva: float | None = None  # rating of the generator at bus 1, None for the paper's [MVA]
@@ -69,6 +65,7 @@ class SuitePlant:
     secondary_time_s: float = 0.0  # of the secondary control, see PlantSettings; 0 for none [s]
     branch_scale: float = 1.0  # factor on the impedance of every line and transformer [-]
     condensers: bool = True  # whether the case's synchronous condensers are there
+    simulation_dt: float = 0.025  # longest step that suits it, of those of longest_step [s]
 
     def settings(
         self, *, groups: tuple[WtgGroup, ...] | None = None, physics: str | None = None, classical: bool, **steps: Any
@@ -80,7 +77,8 @@ class SuitePlant:
             classical: whether machines are a constant voltage behind x'_d.
             steps: control_dt, simulation_dt and trips_groups of :class:`~wtg_gym.physics.plant.PlantSettings`.
         """
-        case = modified_ieee14(classical=classical)
+        case = get_grid(self.grid).with_groups
+        case = case.classical() if classical else case
         generator: dict[str, Any] = {"rating_mva": self.generator_mva, "governor": self.governor}
         changes = {name: value for name, value in generator.items() if value is not None}
         machines = [dataclasses.replace(m, **changes) if m.bus == case.slack_bus else m for m in case.machines]
@@ -96,15 +94,33 @@ class SuitePlant:
             branches=tuple(branches),
         )
         steps |= {"secondary_time_s": self.secondary_time_s} if self.secondary_time_s else {}
+        steps["shares_dispatch"] = sum(machine.governor is not None for machine in case.machines) > 1
         plant = plant_settings(physics or self.physics, case=case, groups=groups or self.groups, **steps)
         if self.overload_from_pu is not None:
             control = dataclasses.replace(plant.control, overload_limit_pu=self.overload_from_pu)
             plant = dataclasses.replace(plant, control=control)
         return plant
 
+    @property
+    def governed_mva(self) -> float:
+        """Rating of all machines with a governor [MVA]."""
+        if self.generator_mva is not None:
+            return self.generator_mva
+        return sum(m.rating_mva for m in get_grid(self.grid).with_groups.machines if m.governor is not None)
+
+    @property
+    def constant_mw(self) -> float:
+        """What its machines without a governor give [MW]."""
+        machines = get_grid(self.grid).with_groups.machines
+        return sum(machine.dispatch_mw for machine in machines if machine.governor is None)
+
     def to_dict(self) -> dict[str, Any]:
-        """Return the plant as JSON-ready data."""
-        return dataclasses.asdict(self)
+        """Return the plant as JSON-ready data; suites of the IEEE 14-bus system keep the hashes that they had."""
+        data = {**dataclasses.asdict(self), "groups": [group.to_dict() for group in self.groups]}
+        if self.grid != DEFAULT_GRID:
+            data["grid"] = digest_of_grid(self.grid)
+        later = {"grid": DEFAULT_GRID, "simulation_dt": SuitePlant.simulation_dt}
+        return {key: value for key, value in data.items() if key not in later or value != later[key]}
 
 
 #: The paper's system. 0 is MPPT, 100 the paper's law.
@@ -125,6 +141,8 @@ V1 = Benchmark(
     anchors=("coordinated-piecewise", "coordinated-tuned"),
 )
 
+#: Id of version v1 on other grids.
+ANY_GRID = "GFMWTG-v1"
 #: The versions by the id of their environment.
 BENCHMARKS: Mapping[str, Benchmark] = MappingProxyType({benchmark.env_id: benchmark for benchmark in (V0, V1)})
 #: Names that an entry fixes the scale with in some version; no other entry can have one.

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from wtg_gym.physics.checked import Checked, design, required
-from wtg_gym.physics.ieee14 import modified_ieee14
+from wtg_gym.physics.grid import DEFAULT_GRID, digest_of_grid, get_grid
 from wtg_gym.physics.scenario import (
     LONGEST_RUN_S,
     SERIES_DT,
@@ -33,14 +33,12 @@ from wtg_gym.ranges import require_bus, require_range, require_whole
 from wtg_gym.scenarios import wind
 from wtg_gym.scenarios.stream import FloatArray, Picker, Span, seed_streams
 
-#: Branches of the IEEE 14-bus system whose opening leaves the network in one piece.
-TRIPPABLE_LINES = (
-    (1, 2), (1, 5), (2, 3), (2, 4), (2, 5), (3, 4), (4, 5), (6, 11), (6, 12), (6, 13),
+#: Lines of the IEEE 14-bus system that no part of it hangs on, without 1-2, which carries most of the output of bus 1:
+#: with a load event on top, no wind controller could save the run.
+_SURVIVABLE_LINES = (
+    (1, 5), (2, 3), (2, 4), (2, 5), (3, 4), (4, 5), (6, 11), (6, 12), (6, 13),
     (9, 10), (9, 14), (10, 11), (12, 13), (13, 14),
 )  # fmt: skip
-#: The same without 1-2, which carries most of the output of bus 1: with a load event on top, no wind
-#: controller could save the run.
-_SURVIVABLE_LINES = TRIPPABLE_LINES[1:]
 #: Least share of the generator's units that is on line, by design: one of five.
 LEAST_COMMITTED = 0.2
 #: Share of the load that the network loses, at most.
@@ -82,10 +80,10 @@ class ScenarioDistribution(Checked):
     wind_ramp_m_s: Span = design((1.0, 3.0), "m/s", "size of a wind ramp; both signs", 0.0, 10.0)
     wind_ramp_s: Span = design((5.0, 20.0), "s", "length of a wind ramp", 0.1, 3600.0)
     n_load_events: tuple[int, int] = design((1, 3), "-", "number of load events", 0, 20)
-    load_event_mw: Span = design((15.0, 50.0), "MW", "size of a load event", 0.0, 500.0)
+    load_event_mw: Span = design((15.0, 50.0), "MW", "size of a load event", 0.0, 1e5)
     load_increase_probability: float = _chance(0.5, "chance that a load event is an increase")
     net_load_change_mw: float = design(
-        75.0, "MW", "a load step or ramp that would take their sum beyond this changes its sign", 0.0, 1000.0
+        75.0, "MW", "a load step or ramp that would take their sum beyond this changes its sign", 0.0, 1e5
     )
     load_buses: tuple[tuple[int, float, float], ...] = design(
         _LOAD_BUSES, "-", "bus, largest increase and largest decrease there [MW] over all load events of a run"
@@ -98,12 +96,12 @@ class ScenarioDistribution(Checked):
     )
     line_trip_probability: float = _chance(0.15, "chance that one line trips")
     line_trips: tuple[tuple[int, int], ...] = design(
-        _SURVIVABLE_LINES, "-", "lines that may trip; out of TRIPPABLE_LINES"
+        _SURVIVABLE_LINES, "-", "lines that may trip; none that a part of the network hangs on"
     )
     first_event_s: float = design(3.0, "s", "earliest event", 0.0, 3600.0)
     quiet_end_s: float = design(10.0, "s", "time without a new event at the end", 0.0, 3600.0)
     load_noise_mw: float = design(
-        1.0, "MW", "standard deviation of the load noise, once its start has decayed", 0.0, 50.0
+        1.0, "MW", "standard deviation of the load noise, once its start has decayed", 0.0, 1e4
     )
     load_noise_correlation_s: float = design(2.0, "s", "correlation time of the load noise", 0.1, 60.0)
     load_noise_bus: int = design(3, "-", "bus of the load noise")
@@ -143,12 +141,15 @@ class ScenarioDistribution(Checked):
     last_event_s: float | None = design(None, "s", "latest event; None: quiet_end_s alone bounds it", 0.0, 3600.0)
     fault_probability: float = _chance(0.0, "chance of a short circuit at a line's first bus, which opens the line")
     fault_lines: tuple[tuple[int, int], ...] = design(
-        (), "-", "lines with a short circuit, its bus first; out of TRIPPABLE_LINES either way round"
+        (), "-", "lines with a short circuit, its bus first; none that a part of the network hangs on"
     )
     fault_clearing_s: Span = design((0.1, 0.25), "s", "time until it is cleared; to a tenth of a second", 0.1, 1.0)
     islandings: tuple[tuple[tuple[int, int], ...], ...] = design(
         (), "-", "sets of lines of which one opens at once, in every run; none: it does not happen"
     )
+    grid: str = design(DEFAULT_GRID, "-", "name of the grid, or path of its file")
+    governor_loss_buses: tuple[int, ...] = design((1,), "-", "buses of machines of which one loses its governor")
+    constant_mw: float = design(0.0, "MW", "what machines without a governor give", 0.0, 1e6)
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -181,13 +182,11 @@ class ScenarioDistribution(Checked):
             require_range(f"largest load decrease at bus {bus}", decrease, 0.0, 1e4, "MW")
         if (self.load_trip_probability and not self.load_trip_buses) or not set(self.load_trip_buses) <= set(buses):
             raise ValueError(f"load_trip_buses must be one or more of the load buses {buses}: {self.load_trip_buses}")
-        unknown = set(self.line_trips) - set(TRIPPABLE_LINES)
-        if (self.line_trip_probability and not self.line_trips) or unknown:
-            raise ValueError(f"line_trips must be one or more of {TRIPPABLE_LINES}, got {self.line_trips}")
-        unknown = {(min(line), max(line)) for line in self.fault_lines} - set(TRIPPABLE_LINES)
-        if (self.fault_probability and not self.fault_lines) or unknown:
-            raise ValueError(f"fault_lines must be one or more of {TRIPPABLE_LINES}, got {self.fault_lines}")
-        case = modified_ieee14()
+        case = get_grid(self.grid).case
+        for name, chance in (("line_trips", self.line_trip_probability), ("fault_lines", self.fault_probability)):
+            lines = getattr(self, name)
+            if (chance and not lines) or any(case.branch_index(*line) in case.bridges for line in lines):
+                raise ValueError(f"{name} must be one or more lines that no part of the network hangs on, got {lines}")
         for lines in self.islandings:
             if len(case.parts_without(tuple(case.branch_index(*line) for line in lines))) != 2:
                 raise ValueError(f"islandings must each leave two parts of the network, got {lines}")
@@ -197,14 +196,15 @@ class ScenarioDistribution(Checked):
     def to_dict(self) -> dict[str, Any]:
         """Return every setting as JSON-ready data; the keyword arguments to build the distribution again.
 
-        Settings that older suites do not have are left out where they do nothing, so that those keep their hashes.
+        Settings that older suites do not have are left out where they do nothing, so that those keep their hashes. A
+        digest of what is in the grid stands in its place.
         """
         data = dataclasses.asdict(self)
         names = list(data)
         for name in names[names.index("wind_share") :]:
             if data[name] == getattr(type(self), name):
                 del data[name]
-        return data
+        return data | {"grid": digest_of_grid(self.grid)} if "grid" in data else data
 
     def draw(self, seed: int, *given: Any) -> Scenario:
         """Draw the scenario of a seed; everything else as for :meth:`draw_many`."""
@@ -288,10 +288,15 @@ class ScenarioDistribution(Checked):
         """
         if plan.machine_loading is None or self.generator_mva is None:
             return 1.0
-        load_mw = plan.load_level * modified_ieee14().load_mw
+        load_mw = plan.load_level * self._load_mw
         given = min(wind.share_of_load(winds, turbines, load_mw) for winds in (plan.mean_winds, first_winds.tolist()))
-        needed = (1.0 + LOSSES - given) * load_mw / (plan.machine_loading * self.generator_mva)
+        needed = ((1.0 + LOSSES - given) * load_mw - self.constant_mw) / (plan.machine_loading * self.generator_mva)
         return min(max(needed, LEAST_COMMITTED), 1.0)
+
+    @property
+    def _load_mw(self) -> float:
+        """Load of the grid [MW]."""
+        return get_grid(self.grid).case.load_mw
 
     @cached_property
     def _load_rooms(self) -> tuple[dict[int, float], dict[int, float]]:
@@ -336,9 +341,9 @@ class ScenarioDistribution(Checked):
         if not pick.chance(self.line_trip_probability):
             return []
         from_bus, to_bus = pick.choice(self.line_trips)
-        ends = {"time_s": pick.instant(window), "from_bus": from_bus, "to_bus": to_bus}
+        time_s = pick.instant(window)
         after_s = None if self.line_reclosing_s is None else round(pick.between(self.line_reclosing_s), 1)
-        return [trusted(LineTrip, **ends, recloses_after_s=after_s)]
+        return [_line_trip(time_s, from_bus, to_bus, after_s)]
 
     def _outages(self, pick: Picker, turbines: list[float], window: Span) -> list[Event]:
         events: list[Event] = []
@@ -346,7 +351,10 @@ class ScenarioDistribution(Checked):
             kind = pick.uniform()
             if kind < self.governor_loss_probability:
                 time_s = 0.0 if pick.chance(0.5) else pick.instant(window)
-                events.append(trusted(GovernorLoss, time_s=time_s, bus=1))
+                # Of one there is nothing to draw.
+                buses = self.governor_loss_buses
+                bus = buses[0] if len(buses) == 1 else pick.choice(buses)
+                events.append(trusted(GovernorLoss, time_s=time_s, bus=bus))
             elif kind < self.governor_loss_probability + self.group_trip_probability:
                 # Of one group there is no other.
                 group = pick.choice(sorted(range(len(turbines)), key=turbines.__getitem__)[:-1] or [0])
@@ -373,7 +381,7 @@ class ScenarioDistribution(Checked):
                 found.append(fault)
         if self.islandings:
             lines, time_s = pick.choice(self.islandings), pick.instant(window)
-            found += [trusted(LineTrip, time_s=time_s, from_bus=a, to_bus=b, recloses_after_s=None) for a, b in lines]
+            found += [_line_trip(time_s, *ends) for ends in lines]
         return found
 
     def _series(
@@ -416,7 +424,7 @@ class ScenarioDistribution(Checked):
     def _mean_winds(self, pick: Picker, turbines: list[float], load_level: float) -> list[float]:
         if self.wind_share is None:
             return self._any_mean_winds(pick, len(turbines))
-        (low, high), load_mw = self.wind_share, load_level * modified_ieee14().load_mw
+        (low, high), load_mw = self.wind_share, load_level * self._load_mw
         for _ in range(_MOST_DRAWS):
             winds = self._any_mean_winds(pick, len(turbines))
             if low <= wind.share_of_load(winds, turbines, load_mw) <= high:
@@ -434,7 +442,7 @@ class ScenarioDistribution(Checked):
         # A twentieth of the range at either end: that many draws at least must fit.
         margin = 0.05 * (high - low)
         for load_level in self.load_level:
-            speeds, load_mw = (low + margin, high - margin), load_level * modified_ieee14().load_mw
+            speeds, load_mw = (low + margin, high - margin), load_level * self._load_mw
             least, most = (wind.share_of_load([speed] * len(n_turbines), n_turbines, load_mw) for speed in speeds)
             if most < self.wind_share[0] or least > self.wind_share[1]:
                 raise ValueError(
@@ -466,6 +474,11 @@ class ScenarioDistribution(Checked):
             return group, wind.extreme_operating_gust(time_s, start_s, pick.between(self.gust_m_s))
         change = pick.between(self.wind_ramp_m_s) * (1.0 if pick.chance(0.5) else -1.0)
         return slice(None), wind.coherent_ramp(time_s, start_s, change, pick.between(self.wind_ramp_s))
+
+
+def _line_trip(time_s: float, from_bus: int, to_bus: int, recloses_after_s: float | None = None) -> LineTrip:
+    ends = {"from_bus": from_bus, "to_bus": to_bus}
+    return trusted(LineTrip, time_s=time_s, **ends, recloses_after_s=recloses_after_s, circuit=None)
 
 
 class _Plan(NamedTuple):

@@ -13,9 +13,11 @@ from typing import Any
 
 import numpy as np
 
+from wtg_gym.physics.grid import DEFAULT_GRID, get_grid
+from wtg_gym.physics.parameters import TurbineParameters, WtgGroup
 from wtg_gym.physics.scenario import Event, Scenario, trusted
 from wtg_gym.ranges import is_whole, require_whole
-from wtg_gym.scenarios.benchmark import V0, Benchmark, SuitePlant
+from wtg_gym.scenarios.benchmark import ANY_GRID, V0, Benchmark, SuitePlant
 from wtg_gym.scenarios.distribution import ScenarioDistribution
 from wtg_gym.scenarios.sensor_distribution import SensorDistribution
 
@@ -94,6 +96,16 @@ class Suite:
             raise ValueError(f"the splits of suite {self.name!r} overlap: {self._split_text()}")
 
     @property
+    def env_id(self) -> str:
+        """Id of its environment."""
+        return self.benchmark.env_id if self.plant.grid == DEFAULT_GRID else ANY_GRID
+
+    @property
+    def nominal_hz(self) -> float:
+        """Nominal frequency of its grid [Hz]."""
+        return get_grid(self.plant.grid).case.frequency_hz
+
+    @property
     def distributions(self) -> tuple[ScenarioDistribution, ...]:
         """Every distribution that its scenarios are drawn from; none for fixed cases."""
         return tuple(distribution for kinds in self.drawn_from.values() for distribution in kinds)
@@ -170,7 +182,7 @@ class Suite:
         duration = self.duration_s if duration_s is None else duration_s
         if n_wtg is None:
             n_wtg = len(self.plant.groups)
-            n_turbines = [group.n_turbines for group in self.plant.groups] if n_turbines is None else n_turbines
+            n_turbines = [_default_turbines(group) for group in self.plant.groups] if n_turbines is None else n_turbines
         measuring = self.sensors if sensors is ... else sensors
         found: dict[int, Scenario] = {}
         # Seeds of a distribution are drawn together.
@@ -236,6 +248,12 @@ class Suite:
             data["sensors"] = None if self.sensors is None else asdict(self.sensors)
         text = json.dumps(data, sort_keys=True, separators=(",", ":"), allow_nan=False)
         return hashlib.sha256(text.encode()).hexdigest()
+
+
+def _default_turbines(group: WtgGroup) -> float:
+    """Return how many of the default turbines give what a group's own do."""
+    own = group.n_turbines
+    return own if group.turbine is None else own * group.turbine.rated_power_mw / TurbineParameters().rated_power_mw
 
 
 def _decimal(value: float) -> str:

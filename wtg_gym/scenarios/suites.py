@@ -9,12 +9,15 @@ from collections.abc import Mapping
 from types import MappingProxyType
 from typing import Any
 
+from wtg_gym.physics.grid import DEFAULT_GRID, FOLDER, get_grid
 from wtg_gym.physics.machine_parameters import GovernorParameters
 from wtg_gym.physics.parameters import WtgGroup
 from wtg_gym.physics.scenario import LoadStep, LoadTrip
 from wtg_gym.scenarios.benchmark import V1, SuitePlant
 from wtg_gym.scenarios.distribution import ScenarioDistribution
+from wtg_gym.scenarios.grid_suite import read_suite, suite_of_file
 from wtg_gym.scenarios.sensor_distribution import SensorDistribution
+from wtg_gym.scenarios.strata import Places, suite_of_strata
 from wtg_gym.scenarios.suite import FixedCase, Suite
 
 
@@ -65,137 +68,23 @@ _ISLANDINGS = (
     ((5, 6), (9, 10), (9, 14)),
     ((5, 6), (4, 7), (4, 9)),
 )
-
+_PLACES = Places(
+    load_buses=ScenarioDistribution.load_buses,
+    # The load of bus 4 is more than all other events together.
+    load_trip_buses=(9, 14),
+    load_noise_bus=ScenarioDistribution.load_noise_bus,
+    line_trips=ScenarioDistribution.line_trips,
+    fault_lines=_FAULT_LINES,
+    islandings=_ISLANDINGS,
+    machine_buses=(3, 6, 8),
+    generator_buses=(1,),
+    governor_buses=(1,),
+)
 _WIND_PLANT = _wind_plant(250.0, 20.0, 14.0, 10.0, 8.0)
-#: What the scenarios of version v1 have in common; a stratum, a suite or both replace some of it.
-_WIND_SCENARIOS: Mapping[str, Any] = MappingProxyType(
-    {
-        "mean_wind_m_s": (8.5, 11.0),
-        "mean_wind_spread_m_s": 1.0,
-        "wind_share": (0.4, 0.78),
-        "wind_ramp_probability": 0.15,
-        "wind_ramp_m_s": (0.5, 1.8),
-        # The load of bus 4 is more than all other events together.
-        "load_trip_buses": (9, 14),
-        "load_trip_probability": 0.0,
-        "line_trip_probability": 0.1,
-        # Frequency and rotors have two minutes to come back: after one, entries still pay for what they have lent.
-        "last_event_s": 60.0,
-        "wind_ramp_s": (5.0, 10.0),
-        "governor_droop": (0.03, 0.08),
-        "inertia_scale": (1.0, 1.0),
-        "machine_loading": (0.5, 0.85),
-    }
-)
-_EXTREME: Mapping[str, Any] = MappingProxyType(
-    {
-        "n_load_events": (1, 2),
-        "load_event_mw": (25.0, 50.0),
-        "net_load_change_mw": 60.0,
-        "load_increase_probability": 0.65,
-        "wind_ramp_probability": 0.2,
-    }
-)
-#: What the strata of version v1, and the kinds of the extreme one, replace.
-_STRATA: Mapping[str, Mapping[str, Mapping[str, Any]]] = MappingProxyType(
-    {
-        "ordinary": {
-            "": {
-                "n_load_events": (2, 4),
-                "load_event_mw": (4.0, 16.0),
-                "net_load_change_mw": 20.0,
-                "machine_loading": (0.5, 0.75),
-                "wind_ramp_m_s": (0.2, 0.7),
-            }
-        },
-        "large": {
-            "": {
-                "n_load_events": (2, 3),
-                "load_event_mw": (22.0, 40.0),
-                "net_load_change_mw": 50.0,
-                "load_increase_probability": 0.65,
-                "load_trip_probability": 0.15,
-                "line_trip_probability": 0.25,
-                "wind_ramp_probability": 0.25,
-                "wind_ramp_m_s": (0.5, 1.5),
-                "machine_outage_probability": 0.15,
-            }
-        },
-        "extreme": {
-            "governor": {**_EXTREME, "wind_share": (0.5, 0.8), "governor_loss_probability": 1.0},
-            # The wind has to carry what load shedding leaves.
-            "machine": {
-                **_EXTREME,
-                "mean_wind_m_s": (9.5, 12.0),
-                "wind_share": (0.7, 0.88),
-                "load_event_mw": (10.0, 30.0),
-                "net_load_change_mw": 30.0,
-                "load_increase_probability": 0.5,
-                "machine_outage_probability": 1.0,
-                "machine_outage_buses": (1,),
-            },
-            "group": {**_EXTREME, "wind_share": (0.5, 0.8), "group_trip_probability": 1.0},
-            "fault": {
-                **_EXTREME,
-                "line_trip_probability": 0.0,
-                "fault_probability": 1.0,
-                "fault_lines": _FAULT_LINES,
-                "fault_clearing_s": (0.15, 0.35),
-            },
-            # A part far from its balance would die whatever its groups do.
-            "island": {
-                **_EXTREME,
-                "mean_wind_m_s": (9.0, 12.0),
-                "wind_share": (0.55, 0.82),
-                "line_trip_probability": 0.0,
-                "islandings": _ISLANDINGS,
-            },
-        },
-    }
-)
 
 
-def _drawn_v1(
-    name: str,
-    description: str,
-    plant: SuitePlant = _WIND_PLANT,
-    sensors: SensorDistribution | None = None,
-    scenarios_of: str | None = None,
-    event_size: float = 1.0,
-    own: Mapping[str, Mapping[str, Any]] | None = None,
-    **settings: Any,
-) -> Suite:
-    """Return a suite of version v1.
-
-    Args:
-        scenarios_of: another suite that it shares all but the sensors with.
-        event_size: factor on the load events of every stratum [-].
-        own: what it has of its own in a stratum or a kind, by its name.
-        settings: what it has of its own everywhere.
-    """
-    drawn_from: dict[str, tuple[ScenarioDistribution, ...]] = {}
-    for stratum, kinds in _STRATA.items():
-        made = []
-        for kind, given in kinds.items():
-            values = {**_WIND_SCENARIOS, **given, **settings, **(own or {}).get(kind or stratum, {})}
-            least, most = values["load_event_mw"]
-            values["load_event_mw"] = (round(event_size * least, 2), round(event_size * most, 2))
-            values["net_load_change_mw"] *= event_size
-            prefix = f"{scenarios_of or name}-v1/{stratum}"
-            prefix = f"{prefix}-{kind}" if kind else prefix
-            made.append(ScenarioDistribution(name=prefix, generator_mva=plant.generator_mva, **values))
-        drawn_from[stratum] = tuple(made)
-    return Suite(
-        name=f"{name}-v1",
-        description=description,
-        duration_s=180.0,
-        benchmark=V1,
-        plant=plant,
-        sensors=sensors or SensorDistribution(),
-        drawn_from=drawn_from,
-        validation=range(10_000, 10_300),
-        test=range(20_000, 20_900),
-    )
+def _drawn_v1(name: str, description: str, plant: SuitePlant = _WIND_PLANT, **settings: Any) -> Suite:
+    return suite_of_strata(name, description, plant, _PLACES, **settings)
 
 
 #: What may fail in two strata of faults-v1.
@@ -322,6 +211,8 @@ SUITES: Mapping[str, Suite] = MappingProxyType(
                 machine_loading=(0.6, 0.8),
             ),
             _PAPER_V1,
+            # Made by `wtg-gym grid suite`.
+            *(read_suite(path).suite for path in sorted((FOLDER / "suites").glob("*.json"))),
         )
     }
 )
@@ -344,16 +235,31 @@ FROZEN_HASHES: Mapping[str, str] = MappingProxyType(
         "faults-v1": "cd4a7b463efff4df05a4e3f204035c74f994516bc0dd98a9e48b3ce100ef04a3",
         "weak-grid-v1": "b57fafe060b65e9129731bf2fe3d9c2332a8c87dfe634c11b2fb330bab32fcdc",
         "paper-v1": "1d7b16b8ffc06f38bd04e211d26bcbe44dd9dbd20a8761080e073c8177340fbe",
+        "ieee39-v1": "a45d20948231a6e4b12bc6ddcd862e8a801e7f9ad61ab2dcbc943c253f179a35",
+        "kundur-v1": "4e6b98ae6ac20ec57cbb680e0f83392a52ebc5971d3dcae0f35bfdf18d67dbad",
+        "nordic45-v1": "cc05789759a32882d2b9a33c27d2cda8c80d36aaaf25904b4f5a97f335005052",
     }
 )
 
 
+def suite_of_grid(grid: str) -> str:
+    """Return the name of a grid's suite, or the path of the grid's file, which stands for one with all events."""
+    if not isinstance(grid, str):
+        raise ValueError(f"grid must be a name or the path of a .json file, got {grid!r:.80}")
+    get_grid(grid)
+    if grid == DEFAULT_GRID:
+        return DEFAULT_SUITE
+    return grid if grid.endswith(".json") else f"{grid}-v1" if f"{grid}-v1" in SUITES else str(FOLDER / f"{grid}.json")
+
+
 def get_suite(name: str) -> Suite:
-    """Return a suite by its name.
+    """Return a suite by its name, or by the path of its file or of a grid's, which ends in ".json".
 
     Raises:
-        ValueError: the suite is unknown; the message lists the known ones.
+        ValueError: the suite is unknown, or the file is damaged; the message lists the known ones, or says why.
     """
+    if isinstance(name, str) and name.endswith(".json"):
+        return suite_of_file(name)
     if not isinstance(name, str) or name not in SUITES:
-        raise ValueError(f"unknown suite {name!r}; known suites: {', '.join(SUITES)}")
+        raise ValueError(f"unknown suite {name!r}; known suites: {', '.join(SUITES)}, or the path of a .json file")
     return SUITES[name]

@@ -60,6 +60,7 @@ class Here(NamedTuple):
     """Where the systems of further kinds of unit join a list, by the name that they call the place."""
 
     name: str
+    otherwise: tuple[System, ...] = ()  # what stands there where none joins
 
 
 class Delay(NamedTuple):
@@ -131,7 +132,7 @@ def _with(entries: Sequence[Any], joining: Mapping[str, Sequence[System]]) -> It
     """Yield entries, with the systems of further kinds of unit where they join."""
     for entry in entries:
         if isinstance(entry, Here):
-            yield from joining.get(entry.name, ())
+            yield from joining.get(entry.name, entry.otherwise)
         elif isinstance(entry, (When, Repeat)):
             yield entry._replace(entries=tuple(_with(entry.entries, joining)))
         else:

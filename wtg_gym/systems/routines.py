@@ -40,7 +40,7 @@ WIDE = 16
 #: Where machine code is in this process, by the key that it is kept under.
 _ADDRESSES: dict[bytes, int] = {}
 #: Routines that one program has, at most, and functions that are called at an address.
-_PLACES, _FUNCTIONS = 4, 2
+_PLACES, _FUNCTIONS = 4, 3
 _NUMBERS, _WHOLES, _DOUBLE, _WHOLE = (
     ir.DoubleType().as_pointer(),
     ir.IntType(64).as_pointer(),
@@ -234,28 +234,29 @@ class Function:
     Args:
         function: the compiled function.
         place: its own among all such functions.
+        result: type of what it returns; None: found by compiling it, wherever it might be called.
     """
 
-    def __init__(self, function: Any, place: int) -> None:
+    def __init__(self, function: Any, place: int, result: Any = None) -> None:
         self.function, self.place = function, place
 
         @intrinsic
         def call(typing_context: Any, tables: Any, arguments: Any) -> Any:
             given = tuple(types.unliteral(kind) for kind in arguments)
-            result = self._compiled(given).signature.return_type
+            returned = result or self._compiled(given).signature.return_type
 
             def code(context: Any, builder: Any, signature: Any, values: Any) -> Any:
                 addresses = context.make_array(tables[2])(context, builder, builder.extract_value(values[0], 2)).data
                 address = builder.load(builder.gep(addresses, [_WHOLE(place)]))
-                kind = context.call_conv.get_function_type(result, given)
+                kind = context.call_conv.get_function_type(returned, given)
                 called = builder.inttoptr(address, kind.as_pointer())
                 own = [
                     context.cast(builder, builder.extract_value(values[1], i), arguments[i], kind)
                     for i, kind in enumerate(given)
                 ]
-                return context.call_conv.call_function(builder, called, result, given, own)[1]
+                return context.call_conv.call_function(builder, called, returned, given, own)[1]
 
-            return result(tables, arguments), code
+            return returned(tables, arguments), code
 
         self.call: Callable[..., Any] = call
 

@@ -2,59 +2,78 @@
 
 from __future__ import annotations
 
+import functools
+import math
 from collections.abc import Collection, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from gymnasium.error import DependencyNotInstalled
 
 from wtg_gym.envs.rendering.colours import EVENT, INK, PAGE, SOFT, group_colour
+from wtg_gym.extras import install_advice
+from wtg_gym.physics.network import NetworkCase
 from wtg_gym.physics.plant import PlantSettings
 from wtg_gym.physics.scenario import Event, Fault, GovernorLoss, GroupTrip, LineTrip, MachineOutage, ReactanceStep
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-#: Where the buses are drawn.
-# fmt: off
-BUS_PLACES: Mapping[int, tuple[float, float]] = {
-    1: (0.3, 1.6), 2: (2.2, 0.5), 3: (7.6, 0.3), 4: (6.0, 1.8), 5: (3.2, 1.8), 6: (3.0, 3.6), 7: (7.4, 2.6),
-    8: (9.0, 2.6), 9: (6.6, 3.6), 10: (5.6, 4.5), 11: (4.2, 4.5), 12: (0.9, 4.5), 13: (2.6, 5.4), 14: (6.6, 5.4),
-}
-# fmt: on
+#: Width and height that the places of buses are scaled to, and buses that symbols and numbers of full size suit.
+_WIDTH, _HEIGHT, _N_BUSES = 8.7, 5.1, 14
 #: The units of one bus stand within this.
 _UNITS_WIDTH = 4.4
 _OPENED: Mapping[str, Any] = {"color": EVENT, "linewidth": 2.5, "linestyle": (0, (1.6, 1.2))}
-#: Behind numbers, for a line may run there.
 #: Events that may be undone.
 _LOSSES = (LineTrip, MachineOutage, GroupTrip)
+#: Behind numbers, for a line may run there.
 _PLATE: Mapping[str, Any] = {"facecolor": PAGE, "edgecolor": "none", "pad": 0.8}
+
+
+@functools.lru_cache(maxsize=16)
+def bus_places(case: NetworkCase) -> Mapping[int, tuple[float, float]]:
+    """Return where the buses are drawn, by their numbers: as the case says, or laid out so that no lines are long."""
+    placed = {bus.number: (bus.x, bus.y) for bus in case.buses if bus.x is not None and bus.y is not None}
+    if len(placed) < len(case.buses):
+        try:
+            import networkx
+        except ImportError as error:
+            raise DependencyNotInstalled(f"this grid's places need networkx; {install_advice('render')}") from error
+        placed = networkx.kamada_kawai_layout(networkx.Graph((b.from_bus, b.to_bus) for b in case.branches))
+    points = np.array([placed[bus.number] for bus in case.buses], dtype=np.float64)
+    low, span = points.min(axis=0), np.maximum(np.ptp(points, axis=0), 1e-9)
+    scaled = ((points - low) / span * (_WIDTH, _HEIGHT) + (0.3, 0.3)).tolist()
+    return {bus.number: (x, y) for bus, (x, y) in zip(case.buses, scaled, strict=True)}
 
 
 def draw_diagram(axes: Axes, plant: PlantSettings, events: Sequence[Event], over: Collection[Event] = ()) -> None:
     """Draw the diagram into empty axes, with the events that have struck, numbered, of which some are undone."""
-    group_buses = [group.bus for group in plant.groups]
+    group_buses, places = [group.bus for group in plant.groups], bus_places(plant.case)
+    size = min(1.0, math.sqrt(_N_BUSES / len(places)))
     axes.set_axis_off()
     axes.set(xlim=(-0.6, 9.8), ylim=(-0.9, 6.1))
     lasting = [e for e in events if e not in over]
     opened = [{e.from_bus, e.to_bus} for e in lasting if isinstance(e, LineTrip)]
     opened += [set(e.opens) for e in lasting if isinstance(e, Fault) and e.opens is not None]
     for branch in plant.case.branches:
-        ends = np.array([BUS_PLACES[branch.from_bus], BUS_PLACES[branch.to_bus]])
+        ends = np.array([places[branch.from_bus], places[branch.to_bus]])
         is_open = {branch.from_bus, branch.to_bus} in opened
         axes.plot(*ends.T, **(_OPENED if is_open else {"color": SOFT, "linewidth": 1.0}))
-    for bus, (x, y) in BUS_PLACES.items():
+    for bus, (x, y) in places.items():
         units = _units(bus, plant, lasting)
-        gap = min(0.8, _UNITS_WIDTH / max(1, len(units) - 1))
-        first = -0.5 * gap * (len(units) - 1) - (0.35 if [name for name, *_ in units] in (["G"], ["C"]) else 0.0)
+        gap = size * min(0.8, _UNITS_WIDTH / max(1, len(units) - 1))
+        first = -0.5 * gap * (len(units) - 1) - (0.35 * size if [name for name, *_ in units] in (["G"], ["C"]) else 0.0)
         for place, (name, colour, is_out) in enumerate(units):
-            _draw_unit(axes, (x + first + gap * place, y), name, colour, is_out=is_out)
-        half = max(0.45, 0.5 * gap * (len(units) - 1) + 0.15)
-        axes.plot([x - half, x + half], [y, y], color=INK, linewidth=3.0, solid_capstyle="butt")
-        axes.text(x + half - 0.03, y + 0.08, str(bus), fontsize=10, color=INK, va="bottom", bbox=_PLATE)
-    for bus, (x, y) in BUS_PLACES.items():
+            _draw_unit(axes, (x + first + gap * place, y), name, colour, size, is_out=is_out)
+        half = max(0.45 * size, 0.5 * gap * (len(units) - 1) + 0.15 * size)
+        axes.plot([x - half, x + half], [y, y], color=INK, linewidth=3.0 * size, solid_capstyle="butt")
+        axes.text(x + half - 0.03, y + 0.08 * size, str(bus), fontsize=10 * size, color=INK, va="bottom", bbox=_PLATE)
+    for bus, (x, y) in places.items():
         numbers = [str(n) for n, event in enumerate(events, start=1) if bus in _struck_buses(event, group_buses)]
         if numbers:
-            axes.plot(x, y, "o", markersize=20, markerfacecolor="none", markeredgecolor=EVENT, markeredgewidth=2.0)
+            axes.plot(
+                x, y, "o", markersize=20 * size, markerfacecolor="none", markeredgecolor=EVENT, markeredgewidth=2.0
+            )
             words = axes.text(x - 0.35, y + 0.25, ", ".join(numbers), color=EVENT, ha="right", bbox=_PLATE, zorder=5)
             words.set(fontsize=10, fontweight="bold")
 
@@ -75,11 +94,12 @@ def _units(bus: int, plant: PlantSettings, events: Sequence[Event]) -> list[tupl
     return units
 
 
-def _draw_unit(axes: Axes, place: tuple[float, float], name: str, colour: str, *, is_out: bool) -> None:
+def _draw_unit(axes: Axes, place: tuple[float, float], name: str, colour: str, size: float, *, is_out: bool) -> None:
     x, y = place
-    axes.plot([x, x], [y, y - 0.85], **(_OPENED if is_out else {"color": colour, "linewidth": 1.0}))
-    axes.plot(x, y - 0.85, "o", markersize=18, markerfacecolor=PAGE, markeredgecolor=colour, markeredgewidth=1.4)
-    axes.text(x, y - 0.87, name, fontsize=9, color=colour, ha="center", va="center")
+    centre = y - 0.85 * size
+    axes.plot([x, x], [y, centre], **(_OPENED if is_out else {"color": colour, "linewidth": 1.0}))
+    axes.plot(x, centre, "o", markersize=18 * size, markerfacecolor=PAGE, markeredgecolor=colour, markeredgewidth=1.4)
+    axes.text(x, centre - 0.02 * size, name, fontsize=9 * size, color=colour, ha="center", va="center")
 
 
 def undone(events: Sequence[Event], now_s: float) -> tuple[Event, ...]:

@@ -26,11 +26,12 @@ class LaneFrames:
 
     def __init__(self, lanes: TaskLanes, *, opens_window: bool = False, fps: int = 10) -> None:
         self._lanes, self._plant = lanes, lanes.settings.plant()
+        self._tip_speeds = np.array([each.tip_speed_ratio_per_speed_m_s for each in self._plant.turbines])
         self._panels = panels_of(self._plant, limited=lanes.suite.benchmark.version != "v0")
         #: By quantity, (n_lanes, n_steps, 1 or n_wtg); not a number where there is none.
         self._samples: dict[str, npt.NDArray[np.float32]] = {}
         self._painters = [FramePainter() for _ in range(lanes.n_lanes)]
-        self._window = Window(lanes.suite.benchmark.env_id, fps) if opens_window else None
+        self._window = Window(lanes.suite.env_id, fps) if opens_window else None
 
     def sample(self) -> None:
         """Write down where every lane stands: after a reset and after every step."""
@@ -42,7 +43,7 @@ class LaneFrames:
             "frequency": lanes.nominal_hz * coi[:, None],
             "rocof": lanes.task_values("rocof")[:, None],
             "rotor": rotor,
-            "ratio": self._plant.turbine.tip_speed_ratio_per_speed_m_s * _quotients(rotor, wind),
+            "ratio": self._tip_speeds * _quotients(rotor, wind),
             "power": simulator.wtg_values("power"),
             "k": simulator.wtg_values("coefficient"),
             "tau": _quotients(np.ones_like(rate), rate),
@@ -72,7 +73,7 @@ class LaneFrames:
         struck = tuple(event for event in lanes.events[lane] if event.time_s <= now_s + 1e-6)
         seed, outputs = int(lanes.scenario_seeds[lane]), lanes.outputs
         scene = Scene(
-            env_id=lanes.suite.benchmark.env_id,
+            env_id=lanes.suite.env_id,
             heading="scenario of one's own" if seed < 0 else f"scenario {seed}",
             duration_s=float(lanes.task_values("end_step")[lane]) * simulator.plant.simulation_dt,
             plant=self._plant,

@@ -1,0 +1,62 @@
+"""`wtg-gym grid` as a user calls it: from a network of pandapower to a scored law."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pandapower
+import pandapower.networks
+import pytest
+
+from tests.cli.calls import error_of, json_of
+from wtg_gym.cli import main
+from wtg_gym.physics.grid import get_grid
+
+
+@pytest.fixture(scope="module")
+def network(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """IEEE 39 as pandapower has it, without dynamics."""
+    path = tmp_path_factory.mktemp("networks") / "new england.json"
+    pandapower.to_json(pandapower.networks.case39(), str(path))
+    return path
+
+
+def test_a_network_of_pandapower_becomes_a_grid_whose_law_is_scored(
+    network: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    output = tmp_path / "ne.json"
+    assert main(["grid", "import", str(network), "--output", str(output), "--wind", "33", "35"]) == 0
+    said = capsys.readouterr().err
+    assert "all 10 are typical ones" in said and str(output) in said
+    grid = get_grid(str(output))
+    assert grid.case.frequency_hz == 60.0 and grid.case.base_mva == 100.0
+    assert len(grid.case.branches) == 46 and grid.case.bus_numbers == get_grid("ieee39").case.bus_numbers
+    assert {group.bus for group in grid.groups} == {33, 35} == set(grid.replaced)
+    assert grid.case.load_mw == pytest.approx(6254.23)
+    assert all(bus.x is not None for bus in grid.case.buses)
+
+    assert main(["grid", "check", str(output)]) == 0
+    rows = capsys.readouterr().out
+    assert "39 buses, 46 branches" in rows and "all 10 are typical ones" in rows
+    results = json_of(
+        capsys, "evaluate", "--suite", str(output), "--scenarios", "1", "--duration", "2", "--entries", "mppt", "--json"
+    )
+    assert "mppt" in str(results)
+
+
+def test_a_grid_that_is_here_is_checked_by_its_name(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["grid", "check", "kundur"]) == 0
+    rows = capsys.readouterr().out
+    assert "11 buses" in rows and "damped by" in rows
+    assert "unknown grid 'kundru'" in error_of(capsys, "grid", "check", "kundru")
+
+
+def test_a_network_without_a_power_flow_is_refused_in_a_line(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    network = pandapower.networks.case9()
+    network.load.p_mw *= 100.0
+    path = tmp_path / "heavy.json"
+    pandapower.to_json(network, str(path))
+    said = error_of(capsys, "grid", "import", str(path), "--output", str(tmp_path / "grid.json"))
+    assert "pandapower finds no power flow" in said and not (tmp_path / "grid.json").exists()

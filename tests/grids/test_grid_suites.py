@@ -1,0 +1,94 @@
+"""Facts about suites of grids: what they are told by, what they may draw, and the way from a file to a score."""
+
+from __future__ import annotations
+
+import json
+import os
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.cli.calls import json_of
+from tests.physics.test_grid_files import STRANGER
+from wtg_gym.envs.settings import EnvSettings
+from wtg_gym.evaluation import Entry, screening
+from wtg_gym.physics.grid import data_of, get_grid, text_of
+from wtg_gym.policies.entry import check_version
+from wtg_gym.scenarios import get_suite
+from wtg_gym.scenarios.grid_suite import all_places, unscreened
+
+
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A folder with a grid, and a suite of it in a folder of its own; it is the working directory."""
+    (tmp_path / "ring.json").write_text(json.dumps(STRANGER), encoding="utf-8")
+    (tmp_path / "suites").mkdir()
+    own = replace(unscreened(str(tmp_path / "ring.json")), name="my-ring", grid="../ring.json")
+    (tmp_path / "suites" / "mine.json").write_text(text_of(data_of(own)), encoding="utf-8")
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def test_a_suite_is_what_is_in_its_files_wherever_they_lie(folder: Path) -> None:
+    one = get_suite("suites/mine.json")
+    assert one.name == "my-ring-v1" and one.scenario(1_000_000).name.startswith("my-ring-v1/")
+    assert one.hash == get_suite(str(folder / "suites" / ".." / "suites" / "mine.json")).hash
+    (folder / "ring.json").write_text(json.dumps({**STRANGER, "frequency_hz": 50.0}), encoding="utf-8")
+    os.utime(folder / "ring.json", ns=(1, 1))
+    assert get_suite("suites/mine.json").hash != one.hash and get_suite("suites/mine.json").nominal_hz == 50.0
+
+
+def test_a_suite_whose_grid_is_missing_is_refused_in_a_line(folder: Path) -> None:
+    (folder / "ring.json").unlink()
+    with pytest.raises(ValueError, match=r"mine\.json is no suite: .*ring\.json") as refusal:
+        get_suite("suites/mine.json")
+    assert "\n" not in str(refusal.value)
+
+
+def test_a_file_is_scored_by_the_command_and_its_results_stay_in_their_folder(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    json_of(capsys, "evaluate", "--suite", "suites/mine.json", "--scenarios", "3", "--results", "found", "--json")
+    assert {path.name for path in (folder / "found").glob("*.json")} == {"my-ring-v1-validation.json"}
+
+
+def test_settings_of_a_grid_can_be_changed() -> None:
+    settings = EnvSettings(grid="ieee39")
+    assert replace(settings, split="test").suite == settings.suite and settings.env_id == "GFMWTG-v1"
+    assert EnvSettings(grid="ieee14", version="v0").suite == "standard"
+
+
+def test_a_policy_of_all_groups_stays_in_its_grid_and_one_of_a_group_moves() -> None:
+    class Still:
+        def predict(self, observation, state=None, episode_start=None, deterministic=False):
+            return np.zeros((len(observation), 2)), None
+
+    elsewhere = get_suite(EnvSettings(grid="ieee39").suite)
+    given = {"name": "still", "policy": Still(), "environment": "GFMWTG-14bus-v1"}
+    check_version([Entry(**given, per_group=True)], elsewhere)
+    for suite, other in ((elsewhere, {}), (get_suite("standard-v1"), {"environment": "GFMWTG-v1"})):
+        with pytest.raises(ValueError, match="between grids move policies with per_group = true"):
+            check_version([Entry(**{**given, **other})], suite)
+
+
+def test_places_name_every_bus_once_and_lines_that_are_no_bridges() -> None:
+    for name in ("ieee39", "nordic45"):
+        case = get_grid(name).with_groups
+        places = all_places(case)
+        for buses in (places.machine_buses, places.generator_buses, places.governor_buses):
+            assert len(set(buses)) == len(buses)
+        assert not {case.branch_index(*line) for line in places.line_trips} & case.bridges
+
+
+def test_what_no_law_survives_is_left_out(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(screening, "_N_TRIED", 30)
+    monkeypatch.setattr(screening, "_N_POINTS", 2)
+    said: list[str] = []
+    made = screening.screened("ring.json", "ring", lambda words, *_: said.append(words))
+    every = unscreened("ring.json").places
+    assert set(made.places.line_trips) <= set(every.line_trips) and made.event_size <= 1.0
+    plant = made.suite.plant.settings(classical=False, trips_groups=True)
+    drawn = made.suite.scenarios(made.suite.validation[:30])
+    assert screening.survived(plant, drawn).any(axis=0).all() and said

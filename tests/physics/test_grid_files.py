@@ -1,0 +1,230 @@
+"""Facts about grids as files: they come back as they were, play without code of their own, and are refused clearly."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from wtg_gym.envs import GFMWTGEnv
+from wtg_gym.physics.aerodynamics import available_power_pu
+from wtg_gym.physics.grid import FOLDER, Grid, get_grid, grid_text, known_grids, read_grid
+from wtg_gym.physics.linearisation import moving_states, state_matrix
+from wtg_gym.physics.network import (
+    Branch,
+    Bus,
+    NetworkCase,
+    PowerFlow,
+    assemble_admittance,
+    branch_admittances,
+    solve_power_flow,
+)
+from wtg_gym.physics.parameters import TurbineParameters, WtgGroup, nrel_5mw
+from wtg_gym.physics.plant import PlantSettings, plant_settings
+from wtg_gym.physics.scenario import LineTrip, Scenario
+from wtg_gym.physics.simulator import Simulator
+from wtg_gym.physics.sparse_flow import pattern_of, solve_sparse_flow
+from wtg_gym.physics.start_errors import StartError
+from wtg_gym.physics.tracking_law import get_law, group_laws
+
+#: A grid that nobody has seen: two machines, a ring of five buses at 60 Hz, on 250 MVA.
+STRANGER = {
+    "name": "a stranger's ring",
+    "base_mva": 250.0,
+    "frequency_hz": 60.0,
+    "slack_bus": 101,
+    "buses": [
+        {"number": 101, "voltage_pu": 1.03},
+        {"number": 7, "load_mw": 120.0, "load_mvar": 20.0},
+        {"number": 55, "load_mw": 90.0, "load_mvar": 10.0},
+        {"number": 300, "voltage_pu": 1.02},
+        {"number": 12, "voltage_pu": 1.02, "load_mw": 30.0},
+    ],
+    "branches": [
+        {"from_bus": a, "to_bus": b, "resistance": 0.01, "reactance": 0.12, "charging": 0.02}
+        for a, b in ((101, 7), (7, 55), (55, 300), (300, 12), (12, 101), (7, 300))
+    ],
+    "machines": [
+        {
+            "bus": bus, "rating_mva": mva, "two_h_s": 9.0, "x_d": 1.6, "x_q": 1.5, "x_d_transient": 0.3,
+            "x_q_transient": 0.5, "x_subtransient": 0.22, "x_leakage": 0.15, "t_d0_transient_s": 7.0,
+            "t_q0_transient_s": 0.5, "t_d0_subtransient_s": 0.03, "t_q0_subtransient_s": 0.05, "dispatch_mw": 40.0,
+            "governor": {"model": "TGOV1", "droop_pu": 0.05},
+        }
+        for bus, mva in ((101, 120.0), (300, 80.0))
+    ],
+    "groups": [{"bus": 12, "n_turbines": 30.0}, {"bus": 55, "n_turbines": 25.0}],
+}  # fmt: skip
+
+
+@pytest.fixture
+def stranger(tmp_path: Path) -> Path:
+    path = tmp_path / "stranger.json"
+    path.write_text(json.dumps(STRANGER), encoding="utf-8")
+    return path
+
+
+@pytest.mark.parametrize("name", known_grids())
+def test_a_grid_comes_back_from_its_file(name: str, tmp_path: Path) -> None:
+    grid = get_grid(name)
+    path = tmp_path / "again.json"
+    path.write_text(grid_text(grid), encoding="utf-8")
+    assert read_grid(path) == grid and path.read_text() == (FOLDER / f"{name}.json").read_text()
+    assert grid.source and grid.licence
+
+
+def test_a_strangers_grid_plays_without_any_code(stranger: Path) -> None:
+    env = GFMWTGEnv(grid=str(stranger), strategy="coordinated-tuned")
+    assert env.observation_space.shape == (2 * 8,)
+    for seed in range(3):
+        _, info = env.reset(seed=seed)
+        assert info["frequency_hz"] == 60.0
+        for _ in range(20):
+            _, reward, *_, info = env.step(np.zeros(env.action_space.shape, dtype=np.float32))
+            assert np.isfinite(reward) and 55.0 < info["frequency_hz"] < 65.0
+    env.close()
+
+
+def test_a_grid_that_is_an_object_plays_as_its_file_does() -> None:
+    grid = get_grid("kundur")
+    groups = [{"bus": group.bus, "n_turbines": group.n_turbines} for group in grid.groups]
+    whole, parts = GFMWTGEnv(grid=grid), GFMWTGEnv(grid=grid.with_groups, groups=groups)
+    assert whole.settings.plant() == parts.settings.plant()
+    assert read_grid(Path(whole.settings.suite)) == grid
+    for env in (whole, parts):
+        assert np.isfinite(env.reset(seed=1)[0]).all()
+    for given in (None, 2):
+        with pytest.raises(ValueError, match=f"groups must be a list of them, got {given}"):
+            GFMWTGEnv(grid=grid.with_groups, groups=given)
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"slack_bus": 7}, "slack bus 7"),
+        ({"buses": STRANGER["buses"][:4]}, "unknown bus 12"),
+        ({"branches": STRANGER["branches"][1:2]}, "not connected"),
+        ({"groups": [{"bus": 13}]}, "unknown bus 13"),
+        ({"machines": [{**STRANGER["machines"][0], "governor": {"model": "GGOV1"}}]}, "unknown model 'GGOV1'"),
+        ({"machines": [{**STRANGER["machines"][0], "two_h_s": -1.0}]}, "two_h_s"),
+        ({"colour": "red"}, "unknown NetworkCase"),
+    ],
+)
+def test_a_file_with_a_mistake_is_refused_in_a_line(change: dict, words: str, tmp_path: Path) -> None:
+    path = tmp_path / "wrong.json"
+    path.write_text(json.dumps({**STRANGER, **change}), encoding="utf-8")
+    with pytest.raises(ValueError, match=words) as refusal:
+        get_grid(str(path))
+    assert str(path) in str(refusal.value) and "\n" not in str(refusal.value)
+
+
+def test_machines_share_what_the_wind_leaves_by_rating_and_gate() -> None:
+    grid = get_grid("ieee39")
+    plant = plant_settings("extended", case=grid.with_groups, groups=grid.groups, shares_dispatch=True)
+    simulator, law = Simulator(plant, duration_s=1.0), get_law("coordinated-tuned")
+    for wind in (9.5, 10.2):
+        scenario = Scenario(name="wind", wind_speed=np.full((6, 1), wind), duration_s=1.0, load_noise_bus=39)
+        simulator.start(0, scenario, [law] * 6)
+        # A slack machine that is left with the losses' rest deviates by that alone.
+        gates = simulator.machine_values("gate")[0]
+        assert np.ptp(gates) < 2e-3
+
+
+def test_turbines_alone_start_at_rest_or_not_at_all() -> None:
+    case = get_grid("ieee39").case
+    law, started = get_law("coordinated-tuned"), []
+    for rating in (1.2, 1.8, 2.5):
+        groups = tuple(WtgGroup(bus=m.bus, n_turbines=round(rating * m.rating_mva / 5.0)) for m in case.machines)
+        plant = plant_settings("extended", case=dataclasses.replace(case, machines=()), groups=groups)
+        simulator = Simulator(plant, duration_s=1.0)
+        scenario = Scenario(name="still", wind_speed=np.full((10, 1), 8.5), duration_s=1.0, load_noise_bus=39)
+        try:
+            simulator.start(0, scenario, [law] * 10)
+        except StartError:
+            # With so little reactive power the voltages collapse.
+            started.append(False)
+            continue
+        started.append(True)
+        simulator.evaluate()
+        rows, layout = simulator.blocks[0, :, 0], simulator.layout
+        keep = moving_states(state_matrix(rows, simulator.plant, layout, -1.0), rows, layout)
+        assert np.abs(simulator.rates()[keep]).max() < 1e-9
+    assert started == [False, True, True]
+
+
+def test_a_parallel_line_trips_by_its_circuit() -> None:
+    case = get_grid("kundur").case
+    assert case.branch_index(7, 8) == case.branch_index(8, 7, 1) != case.branch_index(7, 8, 2)
+    with pytest.raises(ValueError, match="no circuit 3 between buses 7 and 8; there are 2"):
+        case.branch_index(7, 8, 3)
+    trips = (LineTrip(time_s=0.1, from_bus=7, to_bus=8), LineTrip(time_s=0.2, from_bus=8, to_bus=7, circuit=2))
+    still = dict(wind_speed=np.zeros((0, 1)), duration_s=1.0, load_noise_bus=7)
+    with pytest.raises(ValueError, match="would split the network"):
+        Simulator(PlantSettings(case=case, groups=()), duration_s=1.0).prepare(
+            [Scenario(name="both", events=trips, **still)], []
+        )
+
+
+def test_bridges_are_what_takes_the_network_apart() -> None:
+    rng = np.random.default_rng(0)
+    for _ in range(50):
+        n = int(rng.integers(2, 12))
+        ends = [(int(rng.integers(1, k)), k) for k in range(2, n + 1)]
+        ends += [(int(a), int(b)) for a, b in rng.integers(1, n + 1, (int(rng.integers(0, 6)), 2)) if a != b]
+        case = NetworkCase(
+            name="random", base_mva=1.0, frequency_hz=50.0, slack_bus=1, machines=(),
+            buses=tuple(Bus(number=k, voltage_pu=1.0) for k in range(1, n + 1)),
+            branches=tuple(Branch(from_bus=a, to_bus=b, resistance=0.0, reactance=0.1) for a, b in ends),
+        )  # fmt: skip
+        apart = {index for index in range(len(ends)) if len(case.parts_without((index,))) > 1}
+        assert case.bridges == apart
+
+
+def test_a_grid_names_what_its_groups_replace() -> None:
+    grid = get_grid("ieee39")
+    assert {machine.bus for machine in grid.with_groups.machines} == {30, 31, 34, 37}
+    with pytest.raises(ValueError, match="unknown bus 99"):
+        Grid(case=grid.case, groups=(WtgGroup(bus=99),))
+    assert dataclasses.replace(grid, groups=(), replaced=()).with_groups == grid.case
+
+
+@pytest.mark.parametrize("name", ["ieee14", "ieee39", "kundur", "nordic45"])
+def test_the_sparse_power_flow_finds_what_the_dense_one_finds(name: str) -> None:
+    case, at = get_grid(name).case, PowerFlow(power=0, polar=2, holds_voltage=4, flow=5, voltage=7)
+    ends = np.array([[case.bus_index(b.from_bus), case.bus_index(b.to_bus)] for b in case.branches])
+    shunts = np.array([complex(bus.shunt_mw, bus.shunt_mvar) / case.base_mva for bus in case.buses])
+    y, slack = assemble_admittance(ends, branch_admittances(case.branches), shunts), case.bus_index(case.slack_bus)
+    dense = np.zeros((len(case.buses), 9))
+    for row, bus in zip(dense, case.buses, strict=True):
+        row[0], row[1] = -bus.load_mw / case.base_mva, -bus.load_mvar / case.base_mva
+        row[2], row[4] = bus.voltage_pu or 1.0, float(bus.voltage_pu is not None)
+    for machine in case.machines:
+        dense[case.bus_index(machine.bus), 0] += machine.dispatch_mw / case.base_mva
+    sparse = dense.copy()
+    assert solve_power_flow(y, slack, dense, at) > 0
+    assert solve_sparse_flow(y, slack, sparse, at, pattern_of(y)) > 0
+    assert np.abs(dense - sparse).max() < 1e-10
+
+
+def test_groups_have_turbines_of_their_own() -> None:
+    small = TurbineParameters(rated_power_mw=2.0, blade_radius_m=40.0, nominal_rotor_speed_rad_s=1.8)
+    groups = WtgGroup(bus=2, n_turbines=10.0), WtgGroup(bus=3, n_turbines=10.0, turbine=small)
+    plant = plant_settings("extended", groups=groups)
+    simulator, laws = Simulator(plant, duration_s=1.0), group_laws("coordinated-piecewise", plant.turbines)
+    assert laws[0].k_nominal != laws[1].k_nominal
+    scenario = Scenario(name="wind", wind_speed=np.full((2, 1), 9.0), duration_s=1.0)
+    simulator.start(0, scenario, laws)
+    simulator.evaluate()
+    for group, (turbine, law) in enumerate(zip(plant.turbines, laws, strict=True)):
+        speed, power = (simulator.wtg_values(name)[0, group] for name in ("rotor_speed", "power"))
+        assert power == pytest.approx(law.k_nominal * speed**3, abs=1e-9)
+        # What it delivers it captures, by its own rotor.
+        assert simulator.wtg_values("captured")[0, group] == pytest.approx(power, abs=1e-9)
+        assert power < available_power_pu(9.0, turbine)
+    shares = [group.n_turbines * own.rated_power_mw / 100.0 for group, own in zip(groups, plant.turbines, strict=True)]
+    assert simulator.plant.share.tolist() == shares == [0.5, 0.2]
+    with pytest.raises(ValueError, match="must have one C_p curve"):
+        plant_settings("extended", groups=(groups[0], WtgGroup(bus=3, turbine=nrel_5mw())))

@@ -1,0 +1,412 @@
+"""Models of machines that only some plants have: their transfer functions, and their place in a run."""
+
+from __future__ import annotations
+
+import dataclasses
+import pickle
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+
+from tests.physics.extended import largest_rate, scenario
+from wtg_gym.envs.settings import EnvSettings, PlantEnvSettings
+from wtg_gym.gradients.tape import Tape
+from wtg_gym.physics.control_parameters import (
+    BoilerGovernorParameters,
+    FilterStabiliserParameters,
+    GasGovernorParameters,
+    LeadLagExciterParameters,
+    ReheatGovernorParameters,
+    SaturatingExciterParameters,
+    SpeedStabiliserParameters,
+)
+from wtg_gym.physics.gast import GAST, gast_rates, gast_start
+from wtg_gym.physics.grid import Grid, get_grid, grid_text
+from wtg_gym.physics.ieeeg1 import IEEEG1, ieeeg1_rates, ieeeg1_start
+from wtg_gym.physics.ieeest import IEEEST, ieeest_rates, ieeest_start
+from wtg_gym.physics.ieeex1 import IEEEX1, ieeex1_rates, ieeex1_start
+from wtg_gym.physics.ieesgo import IEESGO, ieesgo_rates, ieesgo_start
+from wtg_gym.physics.integration import PROGRAMS
+from wtg_gym.physics.linearisation import moving_states, state_matrix
+from wtg_gym.physics.machine_parameters import (
+    GovernorParameters,
+    HydroGovernorParameters,
+    SynchronousMachineParameters,
+)
+from wtg_gym.physics.network import Branch, Bus, NetworkCase
+from wtg_gym.physics.parameters import ConverterLimitParameters, ProtectionParameters
+from wtg_gym.physics.plant import PlantSettings, build_plant, programs_of
+from wtg_gym.physics.saturation import saturated, saturation_constants
+from wtg_gym.physics.scenario import Event, GovernorLoss, LoadStep, MachineOutage
+from wtg_gym.physics.simulator import Simulator
+from wtg_gym.physics.stab1 import STAB1, stab1_rates, stab1_start
+
+Complex = npt.NDArray[np.complex128]
+S = 2j * np.pi * np.array([0.05, 0.4, 1.5, 6.0])
+
+STABILISER = SpeedStabiliserParameters(signal_limit_pu=0.05)
+FILTER = FilterStabiliserParameters(
+    filter_a1_s=0.1, filter_a2_s2=0.005, filter_a3_s=0.08, filter_a4_s2=0.002, filter_a5_s=0.05, filter_a6_s2=0.001
+)
+EXCITER = LeadLagExciterParameters(
+    regulator_gain=40.0,
+    lead_time_s=0.5,
+    lag_time_s=1.5,
+    saturation_voltage_1_pu=1.5,
+    saturation_1=0.06,
+    saturation_voltage_2_pu=3.0,
+    saturation_2=0.3,
+)
+BOILER = BoilerGovernorParameters(lag_time_s=0.2, lead_time_s=0.5, fraction_1=0.3, fraction_2=0.2, fraction_3=0.5)
+
+
+def machine(bus: int, **changes: Any) -> SynchronousMachineParameters:
+    usual: dict[str, Any] = {
+        "rating_mva": 200.0,
+        "two_h_s": 8.0,
+        "x_d": 1.8,
+        "x_q": 1.7,
+        "x_d_transient": 0.3,
+        "x_q_transient": 0.55,
+        "x_subtransient": 0.25,
+        "x_leakage": 0.2,
+        "t_d0_transient_s": 8.0,
+        "t_d0_subtransient_s": 0.03,
+        "t_q0_transient_s": 0.4,
+        "t_q0_subtransient_s": 0.05,
+        "damping_pu": 0.0,
+        "saturation_1_0": 0.1,
+        "saturation_1_2": 0.4,
+    }
+    return SynchronousMachineParameters(**{**usual, "bus": bus, **changes})
+
+
+#: Every model, on two machines.
+FIRST = machine(1, exciter=EXCITER, stabiliser=FILTER, governor=BOILER)
+SECOND = machine(2, dispatch_mw=80.0, stabiliser=STABILISER, governor=GasGovernorParameters())
+OTHERS = (
+    dataclasses.replace(FIRST, exciter=SaturatingExciterParameters(regulator_gain=40.0), stabiliser=STABILISER),
+    dataclasses.replace(SECOND, governor=ReheatGovernorParameters(), saturation_1_0=0.0, saturation_1_2=0.0),
+)
+
+
+def network(*machines: SynchronousMachineParameters) -> NetworkCase:
+    lines = ((1, 3, 0.005, 0.05), (2, 3, 0.005, 0.06), (1, 2, 0.01, 0.1))
+    return NetworkCase(
+        name="two machines",
+        base_mva=100.0,
+        frequency_hz=50.0,
+        slack_bus=1,
+        buses=(
+            Bus(number=1, voltage_pu=1.03),
+            Bus(number=2, voltage_pu=1.01),
+            Bus(number=3, load_mw=200.0, load_mvar=60.0),
+        ),
+        branches=tuple(Branch(from_bus=a, to_bus=b, resistance=r, reactance=x) for a, b, r, x in lines),
+        machines=machines,
+    )
+
+
+def started(
+    machines: Sequence[SynchronousMachineParameters],
+    *events: Event,
+    given: dict[str, Any] | None = None,
+    **more: Any,
+) -> Simulator:
+    usual: dict[str, Any] = {
+        "case": network(*machines),
+        "groups": (),
+        "simulation_dt": 0.01,
+        "protection": ProtectionParameters(frequency_min_pu=0.9, frequency_max_pu=1.1),
+        "limits": ConverterLimitParameters(),
+    }
+    simulator = Simulator(PlantSettings(**{**usual, **more}), duration_s=120.0)
+    what = scenario(*events, wind=np.zeros((0, 1)), duration_s=120.0, load_noise_bus=3, **(given or {}))
+    simulator.start(0, what, ())
+    return simulator
+
+
+def advanced(simulator: Simulator, seconds: float) -> Simulator:
+    for _ in range(round(10.0 * seconds)):
+        simulator.advance()
+    assert simulator.lane_values("status")[0] == 0.0
+    return simulator
+
+
+def response(rates: Callable[[Any, float], tuple[Any, float]], start: Any, at: float) -> Complex:
+    """The transfer function of a block at `S`, from differences around its equilibrium at an input."""
+    x, n, step = np.array(start), len(start), 1e-4
+
+    def both(state: npt.NDArray[np.float64], given: float) -> npt.NDArray[np.float64]:
+        found, output = rates(type(start)(*state), given)
+        return np.array([*found, output])
+
+    a = np.array([(both(x + d, at) - both(x - d, at)) / (2.0 * step) for d in step * np.eye(n)]).T
+    b = (both(x, at + step) - both(x, at - step)) / (2.0 * step)
+    # States of a block that is none stand still and have no effect.
+    moves = a[:n].any(axis=1) | (b[:n] != 0.0)
+    a, b = a[np.ix_([*moves, True], moves)], b[[*moves, True]]
+    found = [a[-1] @ np.linalg.solve(s * np.eye(moves.sum()) - a[:-1], b[:-1]) + b[-1] for s in S]
+    return np.array(found)
+
+
+def test_the_parabola_of_saturation_goes_through_both_points_and_begins_between() -> None:
+    curve = saturation_constants("x", (1.0, 0.1), (1.2, 0.4))
+    assert [saturated(e, curve) for e in (1.0, 1.2, 0.5)] == pytest.approx([0.1, 0.48, 0.0])
+    assert saturation_constants("x", (1.0, 0.0), (1.2, 0.4)).threshold == pytest.approx(1.0)
+    with pytest.raises(ValueError, match=r"x: saturation must rise from S\(1 p.u.\) = 0.4 to S\(1.2 p.u.\) = 0.1"):
+        saturation_constants("x", (1.0, 0.4), (1.2, 0.1))
+
+
+def test_stab1_has_its_transfer_function_and_its_limit() -> None:
+    p = STABILISER
+    c = STAB1.constants(0, p)
+    found = response(lambda s, u: stab1_rates(s, u, 1.0, c), stab1_start(0.0, c), 0.0)
+    wanted = p.gain * S * p.washout_time_s / (1.0 + S * p.washout_time_s)
+    wanted = wanted * (1.0 + S * p.lead_time_1_s) / (1.0 + S * p.lag_time_1_s)
+    wanted = wanted * (1.0 + S * p.lead_time_2_s) / (1.0 + S * p.lag_time_2_s)
+    assert found == pytest.approx(wanted, rel=1e-7)
+    assert stab1_rates(stab1_start(0.0, c), 0.1, 1.0, c)[1] == p.signal_limit_pu
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {},
+        {"filter_a4_s2": 0.0, "filter_a6_s2": 0.0},
+        {"filter_a3_s": 0.0, "filter_a4_s2": 0.0},
+        {"filter_a2_s2": 0.0, "filter_a3_s": 0.0, "filter_a4_s2": 0.0, "filter_a6_s2": 0.0},
+        {"filter_a1_s": 0.0, "filter_a2_s2": 0.0},
+        {name: 0.0 for name in vars(FILTER) if name.startswith("filter_")},
+        {"washout_gain_s": 0.0},
+        {"lead_time_1_s": 0.0, "lag_time_1_s": 0.0},
+    ],
+)
+def test_ieeest_has_its_transfer_function_with_any_part_left_out(changes: dict[str, float]) -> None:
+    p = dataclasses.replace(FILTER, **{"gain": 7.0, "lead_time_2_s": 0.3, **changes})
+    c = IEEEST.constants(0, p)
+    found = response(lambda s, u: ieeest_rates(s, u, 1.0, c), ieeest_start(0.0, c), 0.0)
+    wanted = (1.0 + p.filter_a5_s * S + p.filter_a6_s2 * S**2) / (1.0 + p.filter_a1_s * S + p.filter_a2_s2 * S**2)
+    wanted = wanted / (1.0 + p.filter_a3_s * S + p.filter_a4_s2 * S**2)
+    wanted = wanted * (1.0 + S * p.lead_time_1_s) / (1.0 + S * p.lag_time_1_s)
+    wanted = wanted * (1.0 + S * p.lead_time_2_s) / (1.0 + S * p.lag_time_2_s)
+    washout = S * p.washout_gain_s if p.washout_gain_s else 1.0
+    assert found == pytest.approx(wanted * p.gain * washout / (1.0 + S * p.washout_time_s), rel=1e-6)
+
+
+def test_ieeest_gives_no_signal_beyond_its_voltages() -> None:
+    c = IEEEST.constants(0, dataclasses.replace(FILTER, voltage_min_pu=0.8, voltage_max_pu=1.2))
+    start = ieeest_start(0.0, c)._replace(washout=-0.01)
+    assert [ieeest_rates(start, 0.0, v, c)[1] != 0.0 for v in (0.7, 1.0, 1.3)] == [False, True, False]
+
+
+def test_the_dc_exciter_is_linear_beside_its_saturation() -> None:
+    p = dataclasses.replace(EXCITER, saturation_1=0.0, saturation_2=0.0)
+    c = IEEEX1.constants(0, p)
+    start, error = ieeex1_start(2.0, 1.0, c)
+
+    def rates(s: Any, u: float) -> tuple[Any, float]:
+        return ieeex1_rates(s, u, 1.0, c), s.excitation
+
+    forward = p.regulator_gain * (1.0 + S * p.lead_time_s) / (1.0 + S * p.lag_time_s)
+    forward = forward / (1.0 + S * p.regulator_time_s) / (p.exciter_gain + S * p.exciter_time_s)
+    feedback = S * p.feedback_gain_s / (1.0 + S * p.feedback_time_s)
+    assert response(rates, start, 1.0 + error) == pytest.approx(forward / (1.0 + forward * feedback), rel=1e-6)
+
+
+def test_a_regulator_leaves_its_limit_as_soon_as_the_error_asks_for_it() -> None:
+    c = IEEEX1.constants(0, EXCITER)
+    held = ieeex1_start(2.0, 1.0, c)[0]._replace(regulator=EXCITER.regulator_max_pu, lead_lag=1.0)
+    assert ieeex1_rates(held, 2.0, 1.0, c).regulator == 0.0
+    assert ieeex1_rates(held, -2.0, 1.0, c).regulator == pytest.approx(
+        (c.regulator_gain * (1.0 - c.lead_time_s * 4.0 / c.lag_time_s) - c.regulator_max_pu) / c.regulator_time_s
+    )
+    # What drives the exciter is never beyond the limit.
+    beyond = held._replace(regulator=2.0 * c.regulator_max_pu)
+    assert ieeex1_rates(beyond, 2.0, 1.0, c).excitation == ieeex1_rates(held, 2.0, 1.0, c).excitation
+
+
+INV_DROOP = 20.0
+
+
+def _lags(*times: float) -> Complex:
+    return np.asarray(np.prod([1.0 / (1.0 + S * t) for t in times], axis=0))
+
+
+def test_steam_and_gas_governors_have_their_transfer_functions() -> None:
+    boiler = IEEEG1.constants(0, dataclasses.replace(BOILER, opening_rate_pu_s=10.0, closing_rate_pu_s=-10.0))
+    found = response(lambda s, u: ieeeg1_rates(s, u, 0.5, INV_DROOP, boiler), ieeeg1_start(0.5, boiler), 1.0)
+    b = BOILER
+    passes = np.cumprod(
+        [_lags(t) for t in (b.pass_time_1_s, b.pass_time_2_s, b.pass_time_3_s, b.pass_time_4_s)], axis=0
+    )
+    wanted = -INV_DROOP * (1.0 + S * b.lead_time_s) * _lags(b.lag_time_s, b.valve_time_s)
+    fractions = np.array([b.fraction_1, b.fraction_2, b.fraction_3, b.fraction_4])
+    assert found == pytest.approx(wanted * (fractions @ passes), rel=1e-6)
+
+    r = ReheatGovernorParameters()
+    reheat = IEESGO.constants(0, r)
+    found = response(lambda s, u: ieesgo_rates(s, u, 0.5, INV_DROOP, reheat), ieesgo_start(0.5, reheat), 1.0)
+    order = -INV_DROOP * (1.0 + S * r.lead_time_s) * _lags(r.lag_time_s, r.governor_time_s, r.inlet_time_s)
+    behind = 1.0 - r.fraction_3 + r.fraction_3 * _lags(r.crossover_time_s)
+    shares = 1.0 - r.fraction_2 + r.fraction_2 * _lags(r.reheat_time_s) * behind
+    assert found == pytest.approx(order * shares, rel=1e-6)
+
+    g = dataclasses.replace(GasGovernorParameters(), turbine_damping_pu=0.5)
+    gas = GAST.constants(0, g)
+    found = response(lambda s, u: gast_rates(s, u, 0.5, INV_DROOP, gas), gast_start(0.5, gas), 1.0)
+    wanted = -INV_DROOP * _lags(g.valve_time_s, g.turbine_time_s) - g.turbine_damping_pu
+    assert found == pytest.approx(wanted, rel=1e-6)
+
+
+def test_a_hot_exhaust_holds_the_gas_turbine_at_its_load_limit() -> None:
+    c = GAST.constants(0, GasGovernorParameters(load_limit_pu=0.7))
+    hot = gast_start(0.7, c)
+    assert max(np.abs(gast_rates(hot, 0.9, 0.5, INV_DROOP, c)[0])) < 1e-12
+
+
+@pytest.mark.parametrize("machines", [(FIRST, SECOND), OTHERS], ids=["first", "others"])
+@pytest.mark.parametrize(("committed", "droop"), [(1.0, None), (0.8, 0.04)])
+def test_runs_start_in_an_exact_equilibrium_and_settle(
+    machines: tuple[SynchronousMachineParameters, ...], committed: float, droop: float | None
+) -> None:
+    given = {"committed": committed, "governor_droop": droop}
+    simulator = started(machines, LoadStep(time_s=1.0, bus=3, power_mw=20.0), given=given)
+    assert largest_rate(simulator) < 1e-9
+    rows = simulator._lane_view(0)
+    matrix = state_matrix(rows, simulator.plant, simulator.layout, 1)
+    keep = moving_states(matrix, rows, simulator.layout)
+    names = [name for name, own in zip(simulator.layout.state_names, keep, strict=True) if own]
+    # Copies of what controls set are no states; the second machine has SEXS.
+    assert not {"sync0.field_voltage", "sync0.gate", "sync1.gate"} & set(names)
+    assert np.linalg.eigvals(matrix[np.ix_(keep, keep)]).real.max() < 0.0
+    advanced(simulator, 100.0)
+    simulator.evaluate()
+    # The droop of both governors together.
+    ratings = np.array([m.rating_mva for m in machines]) / 100.0
+    inv_droops = np.array([1.0 / (droop or m.governor.droop_pu) for m in machines if m.governor])
+    damping = np.array([getattr(m.governor, "turbine_damping_pu", 0.0) for m in machines])
+    before = started(machines, given=given).machine_values("power")[0].sum()
+    more = simulator.machine_values("power")[0].sum() - before
+    deviation = 1.0 - simulator.lane_values("coi")[0]
+    assert committed * ratings @ (inv_droops + damping) * deviation == pytest.approx(more, rel=2e-3)
+
+
+def test_time_constants_of_zero_take_their_blocks_away() -> None:
+    exciter = LeadLagExciterParameters(
+        sensing_time_s=0.0, regulator_time_s=0.0, lead_time_s=0.0, lag_time_s=0.0, regulator_gain=40.0
+    )
+    governor = BoilerGovernorParameters(
+        lag_time_s=0.0, lead_time_s=0.0, pass_time_3_s=0.0, pass_time_4_s=0.0, fraction_3=0.1, fraction_2=0.4
+    )
+    simulator = started((dataclasses.replace(FIRST, exciter=exciter, governor=governor), SECOND))
+    assert largest_rate(simulator) < 1e-9
+    with pytest.raises(ValueError, match="lead_time_s = 1 s needs lag_time_s above 0 s"):
+        dataclasses.replace(governor, lead_time_s=1.0)
+
+
+def test_a_lost_governor_keeps_its_torque_and_a_machine_comes_back() -> None:
+    lost = started((FIRST, SECOND), GovernorLoss(time_s=0.5, bus=1), LoadStep(time_s=1.0, bus=3, power_mw=10.0))
+    before = lost.machine_values("torque")[0, 0]
+    assert advanced(lost, 60.0).machine_values("torque")[0, 0] == pytest.approx(before, abs=1e-12)
+    events = LoadStep(time_s=1.0, bus=3, power_mw=-60.0), MachineOutage(time_s=1.0, bus=1, returns_after_s=5.0)
+    back = advanced(started((FIRST, SECOND), *events), 100.0)
+    assert back.machine_values("connected")[0, 0] == 1.0
+    assert back.lane_values("coi")[0] == pytest.approx(1.0, abs=0.01)
+    assert back.machine_values("power")[0, 0] > 0.3
+
+
+def test_a_copy_of_a_run_goes_on_alike() -> None:
+    simulator = started((FIRST, SECOND), LoadStep(time_s=0.0, bus=3, power_mw=10.0))
+    copied = pickle.loads(pickle.dumps(simulator))
+    assert (advanced(copied, 1.0).blocks == advanced(simulator, 1.0).blocks).all()
+
+
+def test_secondary_control_moves_the_references_of_all_governors() -> None:
+    step = LoadStep(time_s=1.0, bus=3, power_mw=20.0)
+    simulator = advanced(started((FIRST, SECOND), step, secondary_time_s=10.0), 110.0)
+    assert simulator.lane_values("coi")[0] == pytest.approx(1.0, abs=1e-5)
+
+
+def test_secondary_control_keeps_the_references_within_the_limits_of_the_gates() -> None:
+    hydro, gas = HydroGovernorParameters(gate_max_pu=0.66), GasGovernorParameters(load_limit_pu=0.45)
+    machines = (
+        machine(1, governor=hydro, damping_pu=10.0),
+        machine(2, governor=gas, damping_pu=10.0, dispatch_mw=80.0),
+    )
+    step = LoadStep(time_s=1.0, bus=3, power_mw=60.0)
+    simulator, references = started(machines, step, secondary_time_s=10.0), []
+    for _ in range(60):
+        advanced(simulator, 1.0)
+        references.append(simulator.machine_values("gate_reference")[0])
+    # The deviation lasts, but it is not added up beyond what a gate can give at rest.
+    assert simulator.lane_values("coi")[0] < 0.995
+    assert np.max(references, axis=0).tolist() == [0.66, 0.45] == references[-1].tolist()
+
+
+def test_a_share_of_the_dispatch_counts_a_gate_up_to_nominal_power_only() -> None:
+    governors = GovernorParameters(gate_max_pu=0.8), GovernorParameters(), BoilerGovernorParameters()
+    machines = [machine(1, governor=own) for own in (*governors, GasGovernorParameters(load_limit_pu=0.7), None)]
+    plant = build_plant(PlantSettings(case=network(*machines), groups=(), shares_dispatch=True))
+    assert plant.participation == pytest.approx(np.array([0.8, 1.0, 1.0, 0.7, 0.0]) / 3.5)
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"governor": dataclasses.replace(BOILER, gate_max_pu=0.2)}, "p.u. of valve, beyond its valve limits 0 … 0.2"),
+        ({"governor": GasGovernorParameters(load_limit_pu=0.3)}, "p.u. of valve, beyond its valve limits 0 … 0.3"),
+        (
+            {"exciter": dataclasses.replace(EXCITER, regulator_max_pu=1.0)},
+            "p.u. of regulator, beyond its regulator limits -7.3 … 1 p.u.",
+        ),
+    ],
+)
+def test_a_start_beyond_limits_is_refused_with_its_reason(changes: dict[str, Any], message: str) -> None:
+    # The one that cannot start is not the first of its kind.
+    other = dataclasses.replace(SECOND, exciter=EXCITER, governor=changes.get("governor", BOILER))
+    bad = dataclasses.replace(other, bus=1, dispatch_mw=0.0, **changes)
+    good = dataclasses.replace(other, governor=BOILER)
+    with pytest.raises(ValueError, match=f"machine at bus 1 would start at .* {message}"):
+        started((bad, good))
+
+
+def test_what_cannot_be_is_refused() -> None:
+    with pytest.raises(ValueError, match="machine at bus 1: a stabiliser needs an exciter"):
+        machine(1, exciter=None, stabiliser=STABILISER)
+    with pytest.raises(ValueError, match=r"numerator 1 .* has degree 2; its denominator .* has only 1"):
+        dataclasses.replace(FILTER, filter_a4_s2=0.0)
+    classical = network(FIRST, SECOND).classical().machines
+    assert all(m.stabiliser is None and m.exciter is None for m in classical)
+
+
+def test_gradients_are_refused_by_the_names_of_the_models() -> None:
+    plant = PlantSettings(case=get_grid("ieee14").case)
+    machines = (dataclasses.replace(plant.case.machines[0], stabiliser=STABILISER), *plant.case.machines[1:])
+    changed = dataclasses.replace(plant, case=dataclasses.replace(plant.case, machines=machines))
+    with pytest.raises(ValueError, match="gradients do not know these models of machines: stabilisers STAB1"):
+        Tape(PlantEnvSettings.of(EnvSettings(version="v0"), changed))
+
+
+def test_a_grid_file_names_every_model(tmp_path: Path) -> None:
+    for machines in ((FIRST, SECOND), OTHERS):
+        grid, path = Grid(case=network(*machines)), tmp_path / "grid.json"
+        path.write_text(grid_text(grid), encoding="utf-8")
+        assert get_grid(str(path)) == grid
+    text = path.read_text(encoding="utf-8")
+    assert '"model": "IEESGO"' in text and '"model": "STAB1"' in text
+    path.write_text(text.replace("IEESGO", "IEEEX1"), encoding="utf-8")
+    with pytest.raises(ValueError, match="unknown model 'IEEEX1'; known here: TGOV1, HYGOV, IEEEG1, IEESGO, GAST"):
+        get_grid(str(path))
+
+
+def test_a_plant_without_these_controls_runs_the_same_programs() -> None:
+    assert programs_of(build_plant(PlantSettings()), *PROGRAMS) == PROGRAMS
+    saturating = network(machine(1), machine(2, dispatch_mw=80.0))
+    assert programs_of(build_plant(PlantSettings(case=saturating, groups=())), *PROGRAMS) == PROGRAMS
+    controlled = network(FIRST, SECOND)
+    assert programs_of(build_plant(PlantSettings(case=controlled, groups=())), *PROGRAMS) != PROGRAMS

@@ -1,0 +1,98 @@
+"""`wtg-gym grid`: grids of one's own: bring one in, look at it, and make a suite of scenarios for it."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import replace
+from pathlib import Path
+from typing import Annotated
+
+from cyclopts import App, Parameter
+
+from wtg_gym.cli.options import Flag, JsonFile
+from wtg_gym.cli.output import note, print_table, write_and_say
+from wtg_gym.evaluation.screening import screened
+from wtg_gym.grids.andes import convert, grid_of
+from wtg_gym.grids.describe import describe_equilibrium, describe_grid
+from wtg_gym.grids.pandapower import is_network, tables_of
+from wtg_gym.grids.wind import with_wind
+from wtg_gym.physics.grid import data_of, get_grid, grid_text, text_of
+from wtg_gym.progress import Progress
+
+app = App(name="grid", help="grids of your own: bring one in, check it, make a suite of scenarios for it")
+
+
+@app.command(name="import")
+def import_grid(
+    case: Path,
+    /,
+    *,
+    output: JsonFile,
+    dynamic: Annotated[Path | None, Parameter(help="DYR file with the machines of a RAW file")] = None,
+    wind: Annotated[
+        tuple[int, ...],
+        Parameter(
+            consume_multiple=True,
+            help="buses whose machines turbines of 5 MW replace, rated for 2.1 times what these give; default: the "
+            "largest, up to 60 % of the power (turbines of up to 1.25 times the load)",
+        ),
+    ] = (),
+    substitute: Annotated[
+        Flag, Parameter(help="put typical controls in the place of models that are not here, or leave those out")
+    ] = False,
+    andes: Annotated[str, Parameter(help="the command of ANDES")] = "andes",
+) -> int:
+    """Turn a case of another program into a grid's file.
+
+    ANDES reads it (https://docs.andes.app; `pip install andes`, in an environment of its own if you like): RAW of
+    versions 32 to 34 with DYR, xlsx, json, and MATPOWER's .m, whose machines are typical ones. What was repaired or
+    replaced is said, and stands in the file; so are the numbers of buses that have names. A phase shifter counts as a
+    model that is not here, and is taken as none when that is asked for.
+
+    A network of pandapower, as its `to_json` writes it, is read by pandapower and gets typical machines.
+
+    examples:
+      wtg-gym grid import ieee39.raw --dynamic ieee39.dyr --output ieee39.json
+      wtg-gym grid import case118.m --output ieee118.json --wind 10 26 65
+      wtg-gym grid import network.json --output my_grid.json
+      wtg-gym evaluate --suite ieee39.json                      score the laws on it
+    """
+    tables = tables_of(case) if is_network(case) else convert(case, dynamic, andes)
+    grid = grid_of(tables, case.stem, substitute=substitute)
+    for line in (*grid.repairs, *grid.substitutions):
+        note(line)
+    write_and_say(output, grid_text(with_wind(grid, wind)))
+    return 0
+
+
+@app.command
+def check(grid: str, /) -> int:
+    """Look at a grid: power flow, equilibrium, least damped modes, and the longest step of the integration.
+
+    examples:
+      wtg-gym grid check ieee39
+      wtg-gym grid check my_grid.json
+    """
+    found = get_grid(grid)
+    rows = [*describe_grid(found), *describe_equilibrium(found)]
+    print_table(("", ""), rows, left=(0, 1))
+    return 0
+
+
+@app.command
+def suite(grid: str, /, *, output: JsonFile) -> int:
+    """Make a suite of scenarios of version v1 for a grid, by simulation.
+
+    Kept are events that some law survives at every operating point tried, and sizes at which at most one scenario in a
+    hundred is lost under every law. The suite's file names the grid's.
+
+    examples:
+      wtg-gym grid suite my_grid.json --output my_suite.json
+      wtg-gym evaluate --suite my_suite.json
+    """
+    with Progress("rounds") as progress:
+        made = screened(grid, output.stem, progress.update)
+    # A file of a grid is looked for from the suite's folder.
+    own = Path(os.path.relpath(grid, output.parent)).as_posix() if grid.endswith(".json") else grid
+    write_and_say(output, text_of(data_of(replace(made, grid=own))))
+    return 0

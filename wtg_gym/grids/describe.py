@@ -1,0 +1,63 @@
+"""What a grid is, in lines for people: sizes, power flow, equilibrium, modes, step."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterator
+
+import numpy as np
+
+from wtg_gym.physics.grid import Grid
+from wtg_gym.physics.linearisation import moving_states, state_matrix, swing_modes
+from wtg_gym.physics.plant import plant_settings
+from wtg_gym.physics.scenario import Scenario
+from wtg_gym.physics.simulator import Simulator, longest_step
+from wtg_gym.physics.tracking_law import group_laws
+
+#: Wind at which all groups stand, and the law under which they do.
+WIND_M_S, LAW = 10.0, "coordinated-tuned"
+
+Line = tuple[str, str]
+
+
+def describe_grid(grid: Grid) -> Iterator[Line]:
+    """Yield what is in a grid."""
+    case = grid.case
+    governed = [machine for machine in case.machines if machine.governor is not None]
+    rating, turbines = sum(m.rating_mva for m in case.machines), sum(group.n_turbines for group in grid.groups)
+    yield "name", case.name
+    yield "network", f"{len(case.buses)} buses, {len(case.branches)} branches ({len(case.bridges)} of them bridges)"
+    yield "base", f"{case.base_mva:g} MVA, {case.frequency_hz:g} Hz"
+    yield "load", f"{case.load_mw:.1f} MW"
+    yield "machines", f"{len(case.machines)} of {rating:.0f} MVA, {len(governed)} with a governor"
+    yield "WTG groups", f"{len(grid.groups)} of {turbines:g} turbines, in place of {len(grid.replaced)} machines"
+    yield "source", f"{grid.source or 'not given'}; licence: {grid.licence or 'not given'}"
+    for name, lines in (("repaired", grid.repairs), ("replaced", grid.substitutions)):
+        for line in lines:
+            yield name, line
+
+
+def describe_equilibrium(grid: Grid) -> Iterator[Line]:
+    """Yield what a grid is at its loads and a steady wind, without its groups where it has none."""
+    case = grid.with_groups if grid.groups else grid.case
+    shares = sum(machine.governor is not None for machine in case.machines) > 1 and bool(grid.groups)
+    plant = plant_settings("extended", case=case, groups=grid.groups, shares_dispatch=shares)
+    step = longest_step(plant)
+    plant = dataclasses.replace(plant, simulation_dt=step)
+    yield "step", f"{1000.0 * step:g} ms"
+    simulator = Simulator(plant, duration_s=1.0)
+    wind = np.full((len(grid.groups), 1), WIND_M_S)
+    scenario = Scenario(name="steady wind", wind_speed=wind, duration_s=1.0, load_noise_bus=case.slack_bus)
+    simulator.start(0, scenario, group_laws(LAW, plant.turbines, plant.control))
+    simulator.evaluate()
+    voltages = np.abs(simulator.bus_voltages())
+    yield "voltages", f"{voltages.min():.3f} … {voltages.max():.3f} p.u."
+    rows, layout = simulator.blocks[0, :, 0], simulator.layout
+    matrix = state_matrix(rows, simulator.plant, layout, -1.0)
+    keep = moving_states(matrix, rows, layout)
+    yield "equilibrium", f"largest rate {np.abs(simulator.rates()[keep]).max():.1e} p.u./s"
+    matrix = matrix[np.ix_(keep, keep)]
+    for damping, hertz in swing_modes(matrix)[:3]:
+        yield "mode", f"{hertz:.2f} Hz, damped by {100.0 * damping:.1f} %"
+    growing = [value for value in np.linalg.eigvals(matrix) if value.real > 1e-6]
+    yield "stable", "yes" if not growing else f"no: {len(growing)} modes grow"

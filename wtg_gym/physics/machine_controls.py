@@ -1,0 +1,248 @@
+"""Controls of machines as units of kinds of their own: what stabilisers, exciters and governors have in common.
+
+Only some machines have them, and a plant without them runs none of their systems. A control says what it does through
+rows that its machine has anyway, before the machine is moved: a stabiliser shifts the reference of its machine's
+exciter, an exciter sets the field voltage, a governor with its turbine the torque. The copies that the machine keeps of
+field voltage and torque follow from states of the control and are no states of the plant.
+"""
+
+from __future__ import annotations
+
+import importlib
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from wtg_gym.physics.control_blocks import Constants
+from wtg_gym.physics.governor import gate_limits
+from wtg_gym.physics.machine import Machine, MachineInput, MachineVoltage, terminal_voltage
+from wtg_gym.physics.machine_unit import MACHINES
+from wtg_gym.physics.runge_kutta import moving
+from wtg_gym.physics.units import LANE, UNITS, Back, Phasor, StartFailure, noted
+from wtg_gym.systems.elementary import clip, select
+from wtg_gym.systems.records import each
+from wtg_gym.systems.systems import Kind, System, system
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Control:
+    """A model of a control.
+
+    Args:
+        kind: what its units keep: "control", the states, and the constants "model".
+        constants: what makes those of its parameters.
+        systems: by the places of :mod:`wtg_gym.physics.step` where they join.
+        failure: what a start beyond its limits is called.
+        limited: the state that has them.
+        limits: of that state at rest, from the parameters or the constants; None for none.
+    """
+
+    kind: Kind
+    constants: Constants
+    systems: Mapping[str, tuple[System, ...]]
+    failure: StartFailure = StartFailure.NONE
+    limited: str = ""
+    limits: Callable[[Any], tuple[float, float]] | None = None
+
+
+class _KindOfControl(Kind):
+    """A kind that a copy in another process finds by its name: its record of constants has none there."""
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return _kind_named, (self.name,)
+
+
+def _kind_named(name: str) -> Kind:
+    # The list of all controls is made of what is here.
+    kind: Kind = importlib.import_module("wtg_gym.physics.machine_models").CONTROLS[name].kind
+    return kind
+
+
+def _kind(what: str, constants: Constants, state: type, **rows: Any) -> Kind:
+    return _KindOfControl(
+        name=f"{what} {constants.parameters[-1].MODEL}",
+        rows={"control": state, **rows},
+        constants={"model": constants.record},
+        sees={"machine": MACHINES, "unit": UNITS, "lane": LANE},
+        states=("control",),
+    )
+
+
+def _systems(
+    start: System,
+    rates: System,
+    comes_back: Callable[[Back, float, Any], Any],
+    limit: Callable[[Any, Any], Any] | None = None,
+) -> dict[str, tuple[System, ...]]:
+    """Return the systems of a control: its start, its rates, and what follows from them.
+
+    Args:
+        start, rates: the systems.
+        comes_back: its states where its machine comes back, from what that comes back to, its field voltage [p.u.] and
+            the constants.
+        limit: the states, held within their limits, from them and the constants.
+    """
+
+    @system(rates.kind, "control", when="extended")
+    def return_control(control: Any, field_voltage: float, returns: float, back: Back, model: Any) -> Any:
+        found = comes_back(back, field_voltage, model)
+        return each(lambda new, old: select(returns > 0.5, new, old), found, control)
+
+    return {
+        "control settle": (start,),
+        "control move": (moving(rates, limit, constants=["model"]),),
+        "control rates": (rates,),
+        "control return": (return_control,),
+    }
+
+
+def _checked(
+    kind: Kind,
+    constants: Constants,
+    systems: Mapping[str, tuple[System, ...]],
+    failure: StartFailure,
+    limited: str,
+    limits: Callable[[Any], tuple[float, float]],
+) -> Control:
+    """Return a control that cannot start beyond its limits."""
+
+    @system(kind, "start_failure", "failing_unit")
+    def check_control(control: Any, model: Any, start_failure: float, failing_unit: float) -> tuple[float, float]:
+        low, high = limits(model)
+        value = getattr(control, limited)
+        fits = (low <= value) & (value <= high)
+        return noted(fits, failure, model.machine, start_failure, failing_unit)
+
+    return Control(
+        kind=kind,
+        constants=constants,
+        systems={**systems, "control start": (check_control,)},
+        failure=failure,
+        limited=limited,
+        limits=limits,
+    )
+
+
+def stabiliser(
+    constants: Constants,
+    state: type,
+    rates: Callable[[Any, float, float, Any], tuple[Any, float]],
+    start: Callable[[float, Any], Any],
+) -> Control:
+    """Return a stabiliser.
+
+    Args:
+        constants: see :class:`Control`.
+        state: record of its states.
+        rates: rates and signal [p.u.] at states, speed deviation, terminal voltage [p.u.] and constants.
+        start: the equilibrium at a constant speed deviation [p.u.].
+    """
+    kind = _kind("stabilisers", constants, state, set_point=float)
+
+    @system(kind, "control", "set_point")
+    def start_stabiliser(voltage_reference: float, model: Any) -> tuple[Any, float]:
+        return start(0.0, model), voltage_reference
+
+    @system(kind, "control_rates", "voltage_reference")
+    def rates_of_stabiliser(
+        control: Any,
+        set_point: float,
+        speed: float,
+        given: MachineInput,
+        emf: MachineVoltage,
+        current: Phasor,
+        inv_committed: float,
+        machine: Machine,
+        model: Any,
+    ) -> tuple[Any, float]:
+        voltage = terminal_voltage(emf, inv_committed * current.re, inv_committed * current.im, machine)
+        found, signal = rates(control, speed - 1.0, voltage, model)
+        return each(lambda rate: given.connected * rate, found), set_point + signal
+
+    systems = _systems(start_stabiliser, rates_of_stabiliser, lambda back, _, model: start(back.speed - 1.0, model))
+    return Control(kind=kind, constants=constants, systems=systems)
+
+
+def exciter(
+    constants: Constants,
+    state: type,
+    rates: Callable[[Any, float, float, Any], Any],
+    start: Callable[[float, float, Any], tuple[Any, float]],
+) -> Control:
+    """Return an exciter; its states have the field voltage as `excitation`, and a `regulator` with limits.
+
+    Args:
+        constants: see :class:`Control`.
+        state: record of its states.
+        rates: at states, reference, terminal voltage [p.u.] and constants.
+        start: the equilibrium at a field voltage and a terminal voltage [p.u.], and the voltage error that it needs.
+    """
+    kind = _kind("exciters", constants, state)
+
+    @system(kind, "control", "voltage_reference")
+    def start_exciter(field_voltage: float, voltage_reference: float, model: Any) -> tuple[Any, float]:
+        # Without an exciter of its own the machine takes the voltage at its terminal for the reference.
+        control, error = start(field_voltage, voltage_reference, model)
+        return control, voltage_reference + error
+
+    @system(kind, "control_rates", "field_voltage")
+    def rates_of_exciter(
+        control: Any,
+        given: MachineInput,
+        emf: MachineVoltage,
+        current: Phasor,
+        inv_committed: float,
+        machine: Machine,
+        model: Any,
+    ) -> tuple[Any, float]:
+        voltage = terminal_voltage(emf, inv_committed * current.re, inv_committed * current.im, machine)
+        found = rates(control, given.voltage_reference, voltage, model)
+        return each(lambda rate: given.connected * rate, found), control.excitation
+
+    def limits(c: Any) -> tuple[float, float]:
+        return c.regulator_min_pu, c.regulator_max_pu
+
+    systems = _systems(
+        start_exciter,
+        rates_of_exciter,
+        lambda back, field_voltage, model: start(field_voltage, back.voltage, model)[0],
+        lambda s, c: s._replace(regulator=clip(s.regulator, *limits(c))),
+    )
+    return _checked(kind, constants, systems, StartFailure.EXCITER_LIMIT, "regulator", limits)
+
+
+def governor(
+    constants: Constants,
+    state: type,
+    rates: Callable[[Any, float, float, float, Any], tuple[Any, float]],
+    start: Callable[[float, Any], Any],
+    gate: str = "valve",
+    limit: Callable[[Any, Any], Any] = lambda s, c: s._replace(valve=clip(s.valve, c.gate_min_pu, c.gate_max_pu)),
+) -> Control:
+    """Return a governor with its turbine.
+
+    Args:
+        constants: see :class:`Control`.
+        state: record of its states.
+        rates: rates and torque, on the base of the machine, at states, speed, reference [p.u.], 1/R in use and
+            constants. Without a droop the governor is lost, and what its gate gives stands still.
+        start: the equilibrium at a torque [p.u.].
+        gate: the state that is the reference then: what the gate gives.
+        limit: the states, held within their limits, from them and the constants.
+    """
+    kind = _kind("governors", constants, state)
+
+    @system(kind, "control", "gate_reference")
+    def start_governor(gate_reference: float, model: Any) -> tuple[Any, float]:
+        control = start(gate_reference, model)
+        return control, getattr(control, gate)
+
+    @system(kind, "control_rates", "turbine_torque")
+    def rates_of_governor(
+        control: Any, speed: float, given: MachineInput, machine: Machine, model: Any
+    ) -> tuple[Any, float]:
+        found, torque = rates(control, speed, given.gate_reference, given.inv_droop, model)
+        return each(lambda rate: given.connected * rate, found), machine.rating * torque
+
+    systems = _systems(start_governor, rates_of_governor, lambda _, __, model: start(0.0, model), limit)
+    return _checked(kind, constants, systems, StartFailure.GOVERNOR_LIMIT, gate, gate_limits)

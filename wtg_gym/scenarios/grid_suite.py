@@ -1,0 +1,169 @@
+"""Suites of version v1 for any grid: where events may happen follows from the network, or is read from a file."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+from wtg_gym.files import read_json
+from wtg_gym.physics.checked import Checked, describe, design, required
+from wtg_gym.physics.grid import get_grid, modified, record_of
+from wtg_gym.physics.machine_parameters import SynchronousMachineParameters
+from wtg_gym.physics.network import NetworkCase
+from wtg_gym.physics.parameters import TurbineParameters
+from wtg_gym.physics.plant import SIMULATION_DT_RANGE
+from wtg_gym.physics.simulator import longest_step
+from wtg_gym.scenarios.benchmark import SuitePlant
+from wtg_gym.scenarios.distribution import LOSSES
+from wtg_gym.scenarios.strata import WIND_SCENARIOS, Places, suite_of_strata
+from wtg_gym.scenarios.stream import Span
+from wtg_gym.scenarios.suite import Suite
+
+#: Largest increase of a bus's load, as a share of its own and, for small ones, of the grid's.
+_INCREASE, _LEAST_INCREASE = 1.0, 0.05
+#: What a decrease leaves at the least load level, as a share of the bus's load.
+_LEFT = 0.01
+#: Loads that change, the largest ones.
+_N_LOADS = 20
+#: Loads that may be disconnected, as shares of the grid's.
+_TRIPPED = 0.02, 0.1
+#: Loading of the machines at the least share of wind, and the least width of its range.
+_LOADING, _WIDTH = 0.8, 0.13
+_LOAD_LEVEL = 0.85, 1.1
+#: Least and largest share of wind over the rated power of all turbines and the load.
+_OF_RATED = 0.32, 0.72
+
+
+def all_places(case: NetworkCase, least_level: float = _LOAD_LEVEL[0]) -> Places:
+    """Return every place where something may happen without taking the network apart.
+
+    Branches with a tap or without charging count as transformers, which do not trip.
+
+    Args:
+        case: the network.
+        least_level: least factor on its loads that a decrease may start from [-].
+    """
+    large = sorted(case.buses, key=lambda bus: -bus.load_mw)[:_N_LOADS]
+    loads = [bus for bus in case.buses if bus in large and bus.load_mw > 0.0]
+    meshed = [b for index, b in enumerate(case.branches) if index not in case.bridges]
+    lines = [(b.from_bus, b.to_bus) for b in meshed if b.tap == 1.0 and b.charging > 0.0]
+    governed = sorted((m for m in case.machines if m.governor is not None), key=lambda m: m.rating_mva)
+    others = [m for m in case.machines if m.governor is None]
+    least = _LEAST_INCREASE * case.load_mw
+    return Places(
+        load_buses=tuple(
+            (
+                bus.number,
+                round(max(_INCREASE * bus.load_mw, least), 2),
+                round(max(least_level - _LEFT, 0.0) * bus.load_mw, 2),
+            )
+            for bus in loads
+        ),
+        load_trip_buses=tuple(bus.number for bus in loads if _TRIPPED[0] <= bus.load_mw / case.load_mw <= _TRIPPED[1]),
+        load_noise_bus=large[0].number,
+        line_trips=tuple(dict.fromkeys(lines)),
+        fault_lines=tuple(dict.fromkeys(end for a, b in lines for end in ((a, b), (b, a)))),
+        machine_buses=_buses(others or governed[:-1]),
+        generator_buses=_buses(governed),
+        governor_buses=_buses(governed),
+    )
+
+
+def _buses(machines: Sequence[SynchronousMachineParameters]) -> tuple[int, ...]:
+    return tuple(dict.fromkeys(machine.bus for machine in machines))
+
+
+@dataclass(frozen=True, kw_only=True)
+class GridSuite(Checked):
+    """What the file of a suite says: a grid, where events may happen in it, and how large they are."""
+
+    name: str = required("-", "design", "name of the suite, without its version")
+    grid: str = required("-", "design", "name of the grid, or path of its file")
+    places: Places = field(metadata=describe("-", "design", "where events may happen"))
+    event_size: float = design(1.0, "-", "factor on the load events", 0.0, 10.0)
+    wind_share: Span = design((0.4, 0.78), "-", "share of the load from wind", 0.0, 1.0)
+    load_level: Span = design(_LOAD_LEVEL, "-", "factor on the loads of the case", 0.3, 1.5)
+    simulation_dt: float = design(0.025, "s", "step of the integration", *SIMULATION_DT_RANGE)
+
+    @property
+    def suite(self) -> Suite:
+        """The suite."""
+        case = get_grid(self.grid).case
+        # Where other machines stay, the loss of one asks for no more wind than other events.
+        own = {"machine": {"mean_wind_m_s": WIND_SCENARIOS["mean_wind_m_s"]}}
+        return suite_of_strata(
+            self.name,
+            f"{case.name}.",
+            self.plant,
+            self.places,
+            event_size=self.event_size,
+            own=own,
+            wind_share=self.wind_share,
+            load_level=self.load_level,
+        )
+
+    @property
+    def plant(self) -> SuitePlant:
+        """Return its plant."""
+        groups = get_grid(self.grid).groups
+        if not groups:
+            raise ValueError(f"grid {self.grid!r} has no WTG groups; a suite needs some")
+        of_v1: dict[str, Any] = {"physics": "extended", "overload_from_pu": 1.05, "secondary_time_s": 30.0}
+        return SuitePlant(grid=self.grid, groups=groups, simulation_dt=self.simulation_dt, **of_v1)
+
+
+def suite_of_file(path: str) -> Suite:
+    """Return the suite of a file, or the :func:`unscreened` one of a grid's file; a ValueError says what is wrong."""
+    own = _read(Path(path).resolve(), modified(path))
+    return _made(own, modified(own.grid))
+
+
+@lru_cache(maxsize=64)
+def _made(own: GridSuite, _grid_changed: int) -> Suite:
+    return own.suite
+
+
+@lru_cache(maxsize=64)
+def _read(path: Path, _changed: int) -> GridSuite:
+    data = read_json(path, "suite or grid")
+    return unscreened(str(path)) if isinstance(data, dict) and "branches" in data else read_suite(path)
+
+
+def read_suite(path: Path) -> GridSuite:
+    """Return what the file of a suite says; a path of a grid counts from the file's folder."""
+    try:
+        found: GridSuite = record_of(GridSuite, read_json(path, "suite"))
+        grid = str((path.parent / found.grid).resolve()) if found.grid.endswith(".json") else found.grid
+        get_grid(grid)
+    except (TypeError, ValueError) as error:
+        raise ValueError(f"{path} is no suite: {error}") from error
+    return replace(found, grid=grid)
+
+
+def unscreened(grid: str) -> GridSuite:
+    """Return a suite of a grid, a name or a file, with every event that does not take its network apart.
+
+    Raises:
+        ValueError: the machines that stay cannot give what the wind leaves.
+    """
+    found = get_grid(grid)
+    own = GridSuite(name=Path(grid).stem, grid=grid, places=all_places(found.with_groups))
+    own = replace(own, simulation_dt=longest_step(own.plant.settings(classical=False)))
+    # The machines give what the wind leaves, with losses.
+    load_mw = own.load_level[1] * found.case.load_mw
+    machines = (own.plant.governed_mva + own.plant.constant_mw) / load_mw
+    # Turbines give some of what they are rated for.
+    turbines = (each.turbine or TurbineParameters() for each in found.groups)
+    rated_mw = sum(each.n_turbines * own.rated_power_mw for each, own in zip(found.groups, turbines, strict=True))
+    given = (round(part * rated_mw / found.case.load_mw, 2) for part in _OF_RATED)
+    low, high = map(min, own.wind_share, given)
+    low = max(low, round(1.0 + LOSSES - _LOADING * machines, 2))
+    if low + _WIDTH > 1.0:
+        raise ValueError(
+            f"the machines of grid {grid!r} give {100.0 * _LOADING * machines:.0f} % of its load of {load_mw:.0f} MW; "
+            f"{100.0 * (LOSSES + _WIDTH):.0f} % or more are needed beside the wind"
+        )
+    return replace(own, wind_share=(low, max(high, round(low + _WIDTH, 2))))
