@@ -8,19 +8,14 @@ from typing import Annotated, Literal
 
 from cyclopts import Parameter
 
-from wtg_gym.cli import scoring
+from wtg_gym import DEFAULT_SUITE
 from wtg_gym.cli.options import Entries, Json, OutputFolder, PlantOptions, SeedOptions, Suite, Threads, WorkerOptions
 from wtg_gym.cli.output import check_page, note
-from wtg_gym.evaluation.results import markdown_section
-from wtg_gym.files import update_between_markers
-from wtg_gym.policies.entry import check_version
-from wtg_gym.policies.names import BASELINES
-from wtg_gym.scenarios import DEFAULT_SUITE, get_suite
 
 
 def evaluate(
     *,
-    entries: Entries = (BASELINES,),
+    entries: Entries = ("baselines",),
     suite: Suite = DEFAULT_SUITE,
     split: Literal["train", "validation", "test", "fresh"] = "validation",
     duration: float | None = None,
@@ -59,6 +54,8 @@ def evaluate(
         duration: length of an episode [s]; default: the suite's
         results: folder to write results to; made if missing
     """
+    from wtg_gym.cli import scoring
+
     processes = scoring.chosen_workers(workers, threads)
     planned = {**scoring.chosen_scenarios(suite, split, seeds), "duration_s": duration, **dataclasses.asdict(plant)}
     scoring.check_stored(results, planned)
@@ -71,7 +68,7 @@ def evaluate(
 
 def leaderboard(
     *,
-    entries: Entries = (BASELINES,),
+    entries: Entries = ("baselines",),
     suite: Suite = DEFAULT_SUITE,
     results: OutputFolder = Path("results"),
     readme: Annotated[tuple[Path, ...], Parameter(consume_multiple=True)] = (),
@@ -95,6 +92,12 @@ def leaderboard(
         readme: put the table between <!-- leaderboard:SUITE:start --> and <!-- leaderboard:SUITE:end --> of these
             files, one with more columns between those of leaderboard:SUITE:details
     """
+    from wtg_gym.cli import scoring
+    from wtg_gym.evaluation.results import markdown_section
+    from wtg_gym.files import update_between_markers
+    from wtg_gym.policies.entry import check_version
+    from wtg_gym.scenarios import get_suite
+
     sections = [f"leaderboard:{suite}", f"leaderboard:{suite}:details"]
     pages = [(page, check_page("--readme", page, sections)) for page in readme]
     processes = scoring.chosen_workers(workers, threads)

@@ -11,13 +11,6 @@ from cyclopts import App, Parameter
 
 from wtg_gym.cli.options import Flag, JsonFile
 from wtg_gym.cli.output import note, print_table, write_and_say
-from wtg_gym.evaluation.screening import screened
-from wtg_gym.grids.andes import convert, grid_of
-from wtg_gym.grids.describe import describe_equilibrium, describe_grid
-from wtg_gym.grids.pandapower import is_network, tables_of
-from wtg_gym.grids.wind import with_wind
-from wtg_gym.physics.grid import data_of, get_grid, grid_text, text_of
-from wtg_gym.progress import Progress
 
 app = App(name="grid", help="grids of your own: bring one in, check it, make a suite of scenarios for it")
 
@@ -57,6 +50,11 @@ def import_grid(
       wtg-gym grid import network.json --output my_grid.json
       wtg-gym evaluate --suite ieee39.json                      score the laws on it
     """
+    from wtg_gym.grids.andes import convert, grid_of
+    from wtg_gym.grids.pandapower import is_network, tables_of
+    from wtg_gym.grids.wind import with_wind
+    from wtg_gym.physics.grid import grid_text
+
     tables = tables_of(case) if is_network(case) else convert(case, dynamic, andes)
     grid = grid_of(tables, case.stem, substitute=substitute)
     for line in (*grid.repairs, *grid.substitutions):
@@ -73,6 +71,9 @@ def check(grid: str, /) -> int:
       wtg-gym grid check ieee39
       wtg-gym grid check my_grid.json
     """
+    from wtg_gym.grids.describe import describe_equilibrium, describe_grid
+    from wtg_gym.physics.grid import get_grid
+
     found = get_grid(grid)
     rows = [*describe_grid(found), *describe_equilibrium(found)]
     print_table(("", ""), rows, left=(0, 1))
@@ -90,6 +91,10 @@ def suite(grid: str, /, *, output: JsonFile) -> int:
       wtg-gym grid suite my_grid.json --output my_suite.json
       wtg-gym evaluate --suite my_suite.json
     """
+    from wtg_gym.evaluation.screening import screened
+    from wtg_gym.physics.grid import data_of, text_of
+    from wtg_gym.progress import Progress
+
     with Progress("rounds") as progress:
         made = screened(grid, output.stem, progress.update)
     # A file of a grid is looked for from the suite's folder.

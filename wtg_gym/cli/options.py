@@ -1,4 +1,8 @@
-"""Options that several commands share."""
+"""Options that several commands share.
+
+What a command runs is imported when it runs, so that its help is there at once: modules of commands import no more than
+this one, `output` and the standard library.
+"""
 
 from __future__ import annotations
 
@@ -10,9 +14,6 @@ from typing import Annotated, Any, Literal
 
 from cyclopts import Group, Parameter, Token, validators
 
-from wtg_gym.policies.names import BASELINES
-from wtg_gym.scenarios import get_suite
-
 #: An option that takes no value.
 Flag = Annotated[bool, Parameter(negative="", show_default=False)]
 #: An option that takes one word or several.
@@ -20,6 +21,8 @@ Words = Annotated[tuple[str, ...], Parameter(consume_multiple=1, negative="", sh
 
 
 def _suite(_: Any, tokens: Sequence[Token]) -> str:
+    from wtg_gym.scenarios import get_suite
+
     get_suite(name := tokens[0].value)
     return name
 
@@ -64,7 +67,7 @@ Entries = Annotated[
         help="'baselines'; 'policies', the trained ones that come with the package; one of either by its name in the "
         "leaderboard, such as linear-feedback or 'PPO (k)'; a .toml file with a law; a folder with entry.toml and "
         "policy.onnx; or module:ATTRIBUTE, whose code is run. Several are allowed; default: "
-        f"{BASELINES}"
+        "baselines"
     ),
 ]
 

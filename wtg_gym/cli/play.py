@@ -7,10 +7,9 @@ from typing import Annotated, Any
 
 from cyclopts import Parameter, validators
 
+from wtg_gym import DEFAULT_SUITE
 from wtg_gym.cli.options import Flag, SuiteName, Whole
 from wtg_gym.cli.output import note, require_extra
-from wtg_gym.plotting.live.match import Match
-from wtg_gym.scenarios import DEFAULT_SUITE, get_suite
 
 
 def play(
@@ -41,6 +40,9 @@ def play(
         port: port at localhost; 0: any that is free
         no_browser: do not open a browser, only say the address
     """
+    from wtg_gym.plotting.live.match import Match
+    from wtg_gym.scenarios import get_suite
+
     chosen = get_suite(suite)
     # Refuses a duration or a seed that is out of range.
     match = Match(chosen, chosen.test[0] if seed is None else seed, duration)

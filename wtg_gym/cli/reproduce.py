@@ -7,9 +7,6 @@ from pathlib import Path
 
 from wtg_gym.cli import output as out
 from wtg_gym.cli.options import Json, OutputFolder
-from wtg_gym.files import to_json, write_atomically
-from wtg_gym.progress import Progress
-from wtg_gym.reproduce.claims import paper_claims, run_case
 
 
 def reproduce(
@@ -30,7 +27,10 @@ def reproduce(
         output: folder to write to
     """
     out.require_extra("matplotlib", "wtg-gym reproduce")
+    from wtg_gym.files import to_json, write_atomically
     from wtg_gym.plotting import save_figure
+    from wtg_gym.progress import Progress
+    from wtg_gym.reproduce.claims import paper_claims, run_case
     from wtg_gym.reproduce.figures import paper_figures
 
     with Progress("steps") as progress:

@@ -7,14 +7,7 @@ from pathlib import Path
 from cyclopts import App
 
 from wtg_gym.cli import output as out
-from wtg_gym.cli import scoring
 from wtg_gym.cli.options import Entries, HtmlFile, Json, Threads, WorkerOptions
-from wtg_gym.evaluation import Results, generalisation
-from wtg_gym.evaluation.recompute import departures
-from wtg_gym.evaluation.recompute import recompute as compute_again
-from wtg_gym.plotting.page import leaderboard_page
-from wtg_gym.policies.names import BASELINES
-from wtg_gym.progress import Progress
 
 #: Differences that are printed.
 _SHOWN = 20
@@ -39,6 +32,10 @@ def page(results: tuple[Path, ...], /, *, output: HtmlFile) -> int:
         output: the HTML file to write
     """
     out.require_extra("bokeh", "wtg-gym results page")
+    from wtg_gym.evaluation import Results
+    from wtg_gym.evaluation.recompute import departures
+    from wtg_gym.plotting.page import leaderboard_page
+
     read = [Results.read(each) for each in results]
     for each in read:
         if not each.has_scale:
@@ -56,7 +53,7 @@ def recompute(
     results: Path,
     /,
     *,
-    entries: Entries = (BASELINES,),
+    entries: Entries = ("baselines",),
     secret_file: Path | None = None,
     threads: Threads = None,
     workers: WorkerOptions = WorkerOptions(),
@@ -76,6 +73,12 @@ def recompute(
         results: JSON file of results, the CSV beside it
         secret_file: also check that fresh seeds were drawn with this secret
     """
+    from wtg_gym.cli import scoring
+    from wtg_gym.evaluation import Results
+    from wtg_gym.evaluation.recompute import departures
+    from wtg_gym.evaluation.recompute import recompute as compute_again
+    from wtg_gym.progress import Progress
+
     stored = Results.read(results)
     secret = None if secret_file is None else scoring.read_secret(secret_file)
     processes = scoring.chosen_workers(workers, threads)
@@ -122,6 +125,8 @@ def gap(public: Path, fresh: Path, /, *, json: Json = False) -> int:
         public: JSON file of results on the test scenarios
         fresh: JSON file of results on the split fresh
     """
+    from wtg_gym.evaluation import Results, generalisation
+
     first, second = Results.read(public), Results.read(fresh)
     gaps = generalisation.generalisation_gaps(first, second)
     missing = generalisation.left_out(first, second)

@@ -2,24 +2,14 @@
 
 from __future__ import annotations
 
-import contextlib
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal
 
 from cyclopts import App, Parameter, validators
 
-from wtg_gym.cli import scoring
 from wtg_gym.cli.options import Flag, Json, OutputFolder, SeedOptions, Threads, Words
-from wtg_gym.cli.output import note, print_json, print_table, say
-from wtg_gym.envs.settings import EnvSettings
-from wtg_gym.policies.conflicts import Conflict, conflicts
-from wtg_gym.policies.gate import Report, check_submission
-from wtg_gym.policies.load import ENTRY_FILE
-from wtg_gym.policies.submission_folder import parse_submission, read_files, write_template
-from wtg_gym.scenarios import get_suite
-from wtg_gym.scenarios.benchmark import BENCHMARKS
+from wtg_gym.cli.output import note, print_json, say
 
 WEAK_OPTION = "--weak-isolation"
 
@@ -59,6 +49,8 @@ def new(folder: OutputFolder, /) -> int:
     Args:
         folder: where to write; made if missing
     """
+    from wtg_gym.policies.submission_folder import write_template
+
     note(f"wrote {write_template(folder)}")
     return 0
 
@@ -76,14 +68,16 @@ def check(folders: Folders, /, *, gate: GateOptions = GateOptions(), json: Json 
     Args:
         folders: folders with entry.toml, policy.onnx and, if there is one, README.md
     """
-    reports = _reports(folders, gate)
-    wrong = _together(reports, gate)
+    from wtg_gym.cli import gate_reports
+
+    reports = gate_reports.reports(folders, gate)
+    wrong = gate_reports.together(reports, gate)
     if json:
         together = [conflict.reason for conflict in wrong]
         print_json({"submissions": [report.to_dict() for report in reports], "together": together})
     else:
         for report in reports:
-            _print(report)
+            gate_reports.print_report(report)
         for conflict in wrong:
             say(f"refused: {conflict.reason}")
     return int(bool(wrong) or not all(report.accepted for report in reports))
@@ -119,7 +113,10 @@ def score(
         split: which seeds of the suite; fresh: seeds drawn from a commit and a secret
         results: folder to write results to; made if missing
     """
-    planned = {suite: scoring.chosen_scenarios(suite, split, seeds) for suite in _suites(folders)}
+    from wtg_gym.cli import gate_reports, scoring
+    from wtg_gym.scenarios import get_suite
+
+    planned = {suite: scoring.chosen_scenarios(suite, split, seeds) for suite in gate_reports.suites(folders)}
     if json and len(planned) > 1:
         raise ValueError(f"--json prints one suite, the folders are for those of {', '.join(planned)}")
     for scenarios in planned.values():
@@ -128,8 +125,8 @@ def score(
         # Anchors first: errors of the arguments come before the work of the gate.
         for scenarios in planned.values():
             scoring.run_evaluation([], partial=partial, n_threads=threads, **scenarios)
-        reports = _reports(folders, gate)
-        why = _why_left_out(reports, _together(reports, gate))
+        reports = gate_reports.reports(folders, gate)
+        why = gate_reports.why_left_out(reports, gate_reports.together(reports, gate))
         for reason in dict.fromkeys(why.values()):
             note(f"left out: {reason}")
         entries = [report.played(weak=gate.weak_isolation) for report in reports if report.folder not in why]
@@ -139,62 +136,3 @@ def score(
             found = scoring.run_evaluation(own, partial=partial, n_threads=threads, **scenarios)
             codes.append(scoring.finish(found, results, as_json=json) if own else 0)
     return max(codes)
-
-
-def _suites(folders: Sequence[Path]) -> list[str]:
-    """Return the standard suites of the versions that the folders say they are for."""
-    said = set()
-    for folder in folders:
-        # The gate says why one cannot be read.
-        with contextlib.suppress(ValueError):
-            said.add(parse_submission(read_files(folder)[ENTRY_FILE]).environment)
-    return [EnvSettings(version=each.version).suite for each in BENCHMARKS.values() if each.env_id in said]
-
-
-def _why_left_out(reports: Sequence[Report], wrong: Sequence[Conflict]) -> dict[Path, str]:
-    """Return why folders are not ranked: authors cannot choose the seeds of a row, so all of a name go together."""
-    why = {folder: conflict.reason for conflict in wrong for folder in conflict.folders}
-    for report in reports:
-        if report.refusal is not None:
-            why[report.folder] = f"{_shown(report.folder)}: {report.refusal.name}: {report.refusal.reason}"
-    names = {report.entry.name for report in reports if report.folder in why and report.entry is not None}
-    for report in reports:
-        if report.entry is not None and report.entry.name in names:
-            why.setdefault(report.folder, f"{_shown(report.folder)}, as another folder of its name is refused")
-    return why
-
-
-def _reports(folders: Sequence[Path], gate: GateOptions) -> list[Report]:
-    reports = [check_submission(folder, weak=gate.weak_isolation) for folder in folders]
-    for text in dict.fromkeys(text for report in reports for text in report.notes):
-        note(f"not isolated, as {WEAK_OPTION} allows: {text}")
-    return reports
-
-
-def _together(reports: list[Report], gate: GateOptions) -> list[Conflict]:
-    """Return the conflicts of accepted submissions with each other and with those that are there."""
-    accepted = [report for report in reports if report.accepted]
-    own = {report.folder.resolve() for report in reports}
-    beside = []
-    for folder in map(Path, gate.beside) if accepted else ():
-        if folder.resolve() not in own:
-            beside.append(check_submission(folder, weak=gate.weak_isolation, rollout_only=True))
-            refusal = beside[-1].refusal
-            if refusal is not None:
-                note(f"--beside {_shown(folder)}: compared as far as it can be read: {refusal.reason}")
-    return conflicts(accepted, beside)
-
-
-def _shown(folder: Path) -> str:
-    # One line, and no command to a terminal.
-    return ascii(str(folder))[1:-1]
-
-
-def _print(report: Report) -> None:
-    print_table(
-        (_shown(report.folder), "verdict", "reason"),
-        [(check.name, check.verdict, check.reason) for check in report.checks],
-        left=(0, 1, 2),
-    )
-    accepted = f"accepted, sha256 {report.sha256}" if report.accepted else "refused"
-    say(f"{_shown(report.folder)}: {accepted}", "")

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import asdict
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from wtg_gym.cli.options import Json, SuiteName, Whole
 from wtg_gym.cli.output import print_json, print_table, say
-from wtg_gym.cli.scenario_text import describe_scenario
-from wtg_gym.scenarios import FROZEN_HASHES, SPLITS, SUITES, Suite, get_suite
+
+if TYPE_CHECKING:
+    from wtg_gym.scenarios import Suite
 
 
 def suites(name: SuiteName | None = None, /, *, seed: Whole | None = None, json: Json = False) -> int:
@@ -27,6 +28,9 @@ def suites(name: SuiteName | None = None, /, *, seed: Whole | None = None, json:
         name: one suite; default: all
         seed: show the scenario of this seed of the suite
     """
+    from wtg_gym.cli.scenario_text import describe_scenario
+    from wtg_gym.scenarios import SUITES, get_suite
+
     chosen = list(SUITES.values()) if name is None else [get_suite(name)]
     if seed is not None:
         if name is None:
@@ -44,6 +48,8 @@ def suites(name: SuiteName | None = None, /, *, seed: Whole | None = None, json:
 
 
 def _summary(suite: Suite) -> dict[str, Any]:
+    from wtg_gym.scenarios import SPLITS
+
     return {
         "name": suite.name,
         "environment": suite.env_id,
@@ -60,6 +66,8 @@ def _summary(suite: Suite) -> dict[str, Any]:
 
 
 def _print_suites(suites: list[Suite]) -> None:
+    from wtg_gym.scenarios import FROZEN_HASHES, SPLITS
+
     header = ("suite", "hash", "length [s]", *(f"{split} seeds" for split in SPLITS), "test runs")
     rows = []
     for suite in suites:

@@ -3,13 +3,6 @@
 from __future__ import annotations
 
 from wtg_gym.cli.output import say
-from wtg_gym.envs import GFMWTGEnv, GFMWTGVectorEnv
-from wtg_gym.envs.settings import VERSIONS, EnvSettings
-from wtg_gym.evaluation import evaluate
-from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY
-from wtg_gym.physics.trajectory import simulate
-from wtg_gym.scenarios import get_suite
-from wtg_gym.systems.compiled import cache_folder, compilation
 
 
 def warmup() -> int:
@@ -21,6 +14,9 @@ def warmup() -> int:
       wtg-gym warmup
       XDG_CACHE_HOME=/opt/cache wtg-gym warmup     keep the machine code in /opt/cache/wtg_gym, as for an image
     """
+    from wtg_gym.envs.settings import VERSIONS
+    from wtg_gym.systems.compiled import cache_folder, compilation
+
     for version in VERSIONS:
         _compile(version)
     done, folder = compilation(), cache_folder()
@@ -34,6 +30,13 @@ def warmup() -> int:
 
 def _compile(version: str) -> None:
     """Use everything of a version of the benchmark once."""
+    from wtg_gym.envs import GFMWTGEnv, GFMWTGVectorEnv
+    from wtg_gym.envs.settings import EnvSettings
+    from wtg_gym.evaluation import evaluate
+    from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY
+    from wtg_gym.physics.trajectory import simulate
+    from wtg_gym.scenarios import get_suite
+
     settings = EnvSettings(version=version)
     environment: GFMWTGEnv | GFMWTGVectorEnv
     for environment in (GFMWTGEnv(version=version), GFMWTGVectorEnv(2, version=version)):
