@@ -53,7 +53,7 @@ def test_help_of_every_command_teaches_by_examples_that_it_takes(
     for name in ("my-policy", "my-policy-*"):
         (tmp_path / name).mkdir()
     names = [name for name in build_app([]) if not name.startswith("-")]
-    assert len(names) == 9
+    assert len(names) == 10
     for name in names:
         own = [part for part in build_app([name])[name] if not part.startswith("-")]
         for command in [(name, part) for part in own] or [(name,)]:

@@ -24,6 +24,7 @@ from wtg_gym.evaluation import (
 )
 from wtg_gym.evaluation.results import markdown_section
 from wtg_gym.evaluation.table import columns_of
+from wtg_gym.scenarios import get_suite
 from wtg_gym.scenarios.benchmark import V1
 
 
@@ -106,7 +107,11 @@ def test_entries_that_leave_0_8_hz_more_often_than_the_anchor_rank_behind_it(res
         for name, factor in ((V1.zero, 2.0), (V1.hundred, 1.0), ("wild", 0.5), ("fine", 1.1))
     }
     entries = [{"name": name, "kind": "law", "observation_mode": "measured"} for name in runs]
-    rows = summary.ranked(summary.scored(summary.measured(entries, runs, costs, V1, groups), runs, costs, V1, groups))
+    rows = summary.ranked(
+        summary.scored(
+            summary.measured(entries, runs, costs, get_suite("standard-v1"), groups), runs, costs, V1, groups
+        )
+    )
     assert [row.name for row in rows] == [V1.hundred, "fine", V1.zero, "wild"]
     assert [row.marked for row in rows] == [True, True, True, False]
     # Of each stratum the logarithms, behind its J0.
@@ -138,7 +143,9 @@ def test_entries_that_lose_grids_that_the_anchor_only_bends_have_no_mark(results
     runs = {V1.hundred: [bent], "loses": [lost], "loses one": [[*lost[:1], *bent[1:]]]}
     costs = {name: np.full((1, 12), 10.0) for name in runs}
     entries = [{"name": name, "kind": "law", "observation_mode": "measured"} for name in runs]
-    rows = summary.measured(entries, runs, costs, V1, {"ordinary": np.arange(6), "large": np.arange(6, 12)})
+    rows = summary.measured(
+        entries, runs, costs, get_suite("standard-v1"), {"ordinary": np.arange(6), "large": np.arange(6, 12)}
+    )
     assert [row.lost_or_beyond_to_hundred.value for row in rows] == [0.0, 0.0, 0.0]
     # One lost grid may be chance.
     assert [row.marked for row in rows] == [True, False, True]
@@ -155,7 +162,9 @@ def test_as_many_bad_runs_in_other_strata_keep_the_mark(results_v1: Results) -> 
     runs = {V1.hundred: [beyond(0, 6, 7, 8, 9)], "other": [beyond(6, 7, 8, 9, 10)]}
     costs = {name: np.full((1, 12), 10.0) for name in runs}
     entries = [{"name": name, "kind": "law", "observation_mode": "measured"} for name in runs]
-    rows = summary.measured(entries, runs, costs, V1, {"ordinary": np.arange(6), "large": np.arange(6, 12)})
+    rows = summary.measured(
+        entries, runs, costs, get_suite("standard-v1"), {"ordinary": np.arange(6), "large": np.arange(6, 12)}
+    )
     assert rows[1].lost_or_beyond_to_hundred.value > 0.0 and [row.marked for row in rows] == [True, True]
 
 

@@ -11,13 +11,13 @@ from tests.golden.replay import differences, replay
 
 KINDS = (
     *("classical-machines", "dead-band", "genrou", "grid-events", "grid-forming", "hydro", "ideal-source-units"),
-    *("imposed-source", "limits", "shedding"),
+    *("ieee39", "imposed-source", "limits", "shedding"),
     *("gast", "ieeeg1", "ieeest", "ieeet1", "ieeex1", "ieesgo", "saturation", "stab1"),
 )
 
 
 def test_there_are_golden_cases_of_every_kind() -> None:
-    assert sorted({trace.parent.name for trace in TRACES}) == sorted(KINDS) and len(TRACES) >= 22
+    assert sorted({trace.parent.name for trace in TRACES}) == sorted(KINDS) and len(TRACES) >= 25
 
 
 @pytest.mark.parametrize("path", TRACES, ids=lambda path: f"{path.parent.name}/{path.name}")
@@ -30,6 +30,7 @@ def test_fine_step_follows_the_golden_trace_and_the_default_step_is_close_to_it(
     )
     for quantity, tolerance in case.tolerance.items():
         assert fine[quantity] <= tolerance, (quantity, fine[quantity])
-    # Faults take more than half the voltage away.
-    voltage = 5e-5 if path.stem == "faults" else 2e-5
-    assert default["w"] < 5e-6 and default["Pe"] < 5e-4 and default["V"] < voltage
+    # Faults take more than half the voltage away; of 39 buses the machines are ten times as large as the base.
+    large = case.network.load_mw > 10.0 * case.network.base_mva
+    voltage, power = (2e-4, 5e-3) if large else (5e-5 if path.stem == "faults" else 2e-5, 5e-4)
+    assert default["w"] < 5e-6 and default["Pe"] < power and default["V"] < voltage
