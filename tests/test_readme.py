@@ -12,6 +12,7 @@ import re
 import shlex
 import subprocess
 import sys
+import tomllib
 from pathlib import Path
 
 import pytest
@@ -103,12 +104,45 @@ def anchors(page: Path) -> set[str]:
     return {re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-") for heading in headings}
 
 
+def test_the_first_page_is_read_in_a_minute() -> None:
+    lines = (ROOT / "README.md").read_text(encoding="utf-8").splitlines()
+    assert len(lines) <= 110
+    assert max(line.count("|") for line in lines) - 1 == 5, "columns of the leaderboard"
+
+
+def test_a_release_has_addresses_and_an_install_command_of_its_own(tmp_path: Path) -> None:
+    listed = subprocess.run(["git", "ls-files"], cwd=ROOT, capture_output=True, encoding="utf-8", check=True).stdout
+    texts = [name for name in listed.splitlines() if name.endswith((".md", ".py", ".toml", ".cff"))]
+    for name in texts:
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / name).write_bytes((ROOT / name).read_bytes())
+    urls = {name: f"https://example.org/{name}" for name in ("repository", "site", "paper")}
+    options = [word for name, url in urls.items() for word in (f"--{name}", url)]
+    run([sys.executable, str(ROOT / ".ci/addresses"), *options, "--folder", str(tmp_path)], tmp_path)
+    for name in texts:
+        if name != "tests/test_readme.py":
+            text = (tmp_path / name).read_text(encoding="utf-8")
+            assert not re.search("(REPOSITORY|SITE|PAPER)_URL", text), name
+    project = tomllib.loads((tmp_path / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    assert set(project["urls"].values()) == set(urls.values())
+    assert all(url in (tmp_path / "CITATION.cff").read_text(encoding="utf-8") for url in urls.values())
+    page = (tmp_path / "README.md").read_text(encoding="utf-8")
+    assert "pip install wtg-gym" in page and "git clone" not in page and "pip install '." not in page
+    advice = run([sys.executable, "-P", "-c", "from wtg_gym.extras import *; print(install_advice('x'))"], tmp_path, {
+        **os.environ, "PYTHONPATH": str(tmp_path)
+    })  # fmt: skip
+    assert advice == "pip install 'wtg-gym[x]'\n"
+
+
 @pytest.mark.parametrize("name", PAGES)
 def test_every_link_leads_to_a_file_and_a_heading(name: str) -> None:
     page = ROOT / name
     # Code, such as a hostile text that a table quotes, is shown and leads nowhere.
     text = re.sub(r"`[^`]*`", "", page.read_text(encoding="utf-8"))
     for file, anchor in re.findall(r"\]\(([^)#:]*)(?:#([^)]*))?\)", text):
+        if file.endswith("_URL"):
+            # Its address comes with a release.
+            continue
         target = page.parent / file if file else page
         assert target.exists(), file
         assert not anchor or anchor in anchors(target), f"{file}#{anchor}"

@@ -265,18 +265,25 @@ def leaderboard_rows(results: Results) -> list[EntrySummary]:
 
 
 def markdown_section(results: Results, *, details: bool = False) -> str:
-    """Return the ranking for a Markdown page, in short, since v1 with a sentence on the frequency, or in detail."""
+    """Return the ranking for a Markdown page, in detail or in short.
+
+    In short, since v1, a sentence on the frequency comes first, and entries below the entry at 0 are only named.
+    """
     rows = results.ranking
-    notes = (f"{note[0].upper()}{note[1:]}." for note in (results.no_score, *notes_on_marks(rows)) if note)
-    table = markdown_table(rows, columns_of("details", rows) if details else None)
-    return "\n\n".join(part for part in ("" if details else _frequency_sentence(results), table, *notes) if part)
+    short = not details and results.benchmark.version != "v0"
+    below = [row for row in rows if short and row.score is not None and row.score.value < 0.0]
+    shown = [row for row in rows if row not in below]
+    named = f"below {results.benchmark.zero}: {', '.join(f'`{row.name}`' for row in below)}" if below else ""
+    notes = " ".join(
+        f"{note[0].upper()}{note[1:]}." for note in (results.no_score, *notes_on_marks(rows), named) if note
+    )
+    table = markdown_table(shown, columns_of("details", rows) if details else None)
+    return "\n\n".join(part for part in (_frequency_sentence(results) if short else "", table, notes) if part)
 
 
 def _frequency_sentence(results: Results) -> str:
-    """Return what the anchors and the best learned entry do for the frequency [mHz], "" in v0."""
+    """Return what the anchors and the best learned entry do for the frequency [mHz]."""
     benchmark, rows = results.benchmark, results.ranking
-    if benchmark.version == "v0":
-        return ""
     learned = next((row for row in rows if row.kind == "learned"), None)
     who = {benchmark.zero: "the published law", benchmark.hundred: "that law tuned to this grid"}
     if learned is not None:
