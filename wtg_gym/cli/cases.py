@@ -15,7 +15,7 @@ def play_cases(names: Sequence[str], specs: Sequence[str], *, json: bool) -> int
     """Play entries through tests, and print verdicts and figures; return 1 where one has failed, else 0."""
     expanded = [each for name in names for each in (GRID_TESTS if name == "all" else (name,))]
     tests = [get_grid_test(name) for name in dict.fromkeys(expanded)]
-    entries = [entry for spec in specs for entry in load_entries(spec)]
+    entries = load_entries(specs)
     rows: list[dict[str, Any]] = []
     with Progress("cases") as progress:
         for done, (test, entry) in enumerate((test, entry) for test in tests for entry in entries):

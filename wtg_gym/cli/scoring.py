@@ -38,7 +38,7 @@ def chosen_entries(specs: Sequence[str], suite: str) -> list[Entry]:
     # A console script, unlike `python -m`, does not look into the working folder: a checkout's packages are there.
     if os.getcwd() not in sys.path:
         sys.path.append(os.getcwd())
-    entries = [entry for spec in specs for entry in load_entries(spec, benchmark)]
+    entries = load_entries(specs, benchmark)
     # `evaluate` checks them too, but after the simulator was compiled.
     check_entries(entries)
     return entries

@@ -9,7 +9,7 @@ from __future__ import annotations
 import difflib
 import importlib
 import itertools
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -26,8 +26,8 @@ from wtg_gym.scenarios.benchmark import V1, Benchmark
 ENTRY_FILE, POLICY_FILE = "entry.toml", "policy.onnx"
 
 
-def load_entries(spec: str | Path, benchmark: Benchmark = V1) -> list[Entry]:
-    """Return the entries that a text names.
+def load_entries(spec: str | Path | Iterable[str | Path], benchmark: Benchmark = V1) -> list[Entry]:
+    """Return the entries that a text or several name.
 
     Args:
         spec: what is found first, in this order: the name of a built-in strategy; "baselines" for all baselines,
@@ -40,8 +40,10 @@ def load_entries(spec: str | Path, benchmark: Benchmark = V1) -> list[Entry]:
     Raises:
         ValueError: nothing of that name, or it holds no entry; the message says what is allowed.
     """
+    if not isinstance(spec, (str, Path, Iterable)):
+        raise ValueError(f"load_entries() takes names and paths, got {spec!r}")
     if not isinstance(spec, (str, Path)):
-        raise ValueError(f"load_entries() takes one name or path, got {spec!r}")
+        return [entry for each in spec for entry in load_entries(each, benchmark)]
     text = str(spec)
     if text == BASELINES:
         return _baselines(benchmark.version)
