@@ -55,7 +55,9 @@ def import_grid(
     from wtg_gym.grids.wind import with_wind
     from wtg_gym.physics.grid import grid_text
 
-    tables = tables_of(case) if is_network(case) else convert(case, dynamic, andes)
+    pandapower = is_network(case)
+    note(f"{'pandapower' if pandapower else 'ANDES'} reads {case}, for the first time within a minute or two")
+    tables = tables_of(case) if pandapower else convert(case, dynamic, andes)
     grid = grid_of(tables, case.stem, substitute=substitute)
     for line in (*grid.repairs, *grid.substitutions):
         note(line)
