@@ -17,4 +17,4 @@ def test_every_trained_policy_is_there_and_its_card_has_its_command() -> None:
         card, n_cards = (folder / "README.md").read_text(encoding="utf-8"), n_cards + 1
         assert (str(entry.training_seed), entry.kind) == (folder.name.rpartition("-")[2], "learned")
         assert " -m agents." in card and sha256((folder / "policy.onnx").read_bytes()) in card
-    assert n_cards == 39
+    assert n_cards == 44

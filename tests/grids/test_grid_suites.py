@@ -6,6 +6,7 @@ import json
 import os
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -52,6 +53,41 @@ def test_a_file_is_scored_by_the_command_and_its_results_stay_in_their_folder(
 ) -> None:
     json_of(capsys, "evaluate", "--suite", "suites/mine.json", "--scenarios", "3", "--results", "found", "--json")
     assert {path.name for path in (folder / "found").glob("*.json")} == {"my-ring-v1-validation.json"}
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"name": "../elsewhere"}, "name must be letters"),
+        ({"places": {"load_noise_bus": 99}}, "load_noise_bus: there is no bus 99"),
+        ({"places": {"load_buses": [[5, 1.0]]}}, "load_buses must be triples"),
+        ({"places": {"governor_buses": [5]}}, "governor_buses: there is no machine with a governor"),
+        ({"places": {"line_trips": [[5, 99]]}}, "unknown bus 5"),
+    ],
+    ids=str,
+)
+def test_a_suite_with_a_mistake_is_refused_before_anything_is_played(
+    folder: Path, change: dict[str, Any], words: str
+) -> None:
+    data = data_of(unscreened(str(folder / "ring.json")))
+    places = {**data["places"], **change.pop("places", {})}
+    wrong = folder / "wrong.json"
+    wrong.write_text(text_of({**data, **change, "places": places}), encoding="utf-8")
+    with pytest.raises(ValueError, match=words):
+        get_suite(str(wrong))
+
+
+def test_another_suite_may_not_have_the_name_of_a_frozen_one(folder: Path) -> None:
+    other = folder / "standard.json"
+    other.write_bytes((folder / "ring.json").read_bytes())
+    with pytest.raises(ValueError, match="another suite than standard-v1: give it another name"):
+        get_suite(str(other))
+
+
+def test_kinds_without_a_place_do_not_happen(folder: Path) -> None:
+    own = unscreened(str(folder / "ring.json"))
+    suite = replace(own, places=replace(own.places, governor_buses=())).suite
+    assert not any("governor" in scenario.name for scenario in suite.scenarios(suite.validation[:90]))
 
 
 def test_settings_of_a_grid_can_be_changed() -> None:

@@ -61,7 +61,12 @@ def import_grid(
     grid = grid_of(tables, case.stem, substitute=substitute)
     for line in (*grid.repairs, *grid.substitutions):
         note(line)
-    write_and_say(output, grid_text(with_wind(grid, wind)))
+    made = with_wind(grid, wind)
+    write_and_say(output, grid_text(made))
+    try:
+        list(describe_equilibrium(made))
+    except ValueError as error:
+        note(f"as it is, it does not start: {error}; turbines at other buses (--wind) may help")
     return 0
 
 

@@ -29,6 +29,7 @@ from wtg_gym.physics.protection import Status
 from wtg_gym.physics.scenario import Event, GroupTrip, Scenario
 from wtg_gym.physics.sensors import SensorInput, delay_intervals, sensor_input
 from wtg_gym.physics.simulator import PreparedLanes, Simulator
+from wtg_gym.physics.start_errors import StartError
 from wtg_gym.ranges import whole_steps
 from wtg_gym.scenarios import get_suite
 from wtg_gym.systems.records import flatten, size
@@ -196,7 +197,13 @@ class TaskLanes:
         Raises:
             ValueError: a scenario does not fit the plant or the episode length, or has no such equilibrium.
         """
-        lanes, dt = self.simulator.prepare(scenarios, self.laws, turning=turning), self.settings.control_dt
+        try:
+            lanes, dt = self.simulator.prepare(scenarios, self.laws, turning=turning), self.settings.control_dt
+        except StartError as error:
+            if self.settings.suite.endswith(".json"):
+                advice = "`wtg-gym grid suite` makes a suite whose scenarios start"
+                raise StartError(f"{error}; {advice}") from error
+            raise
         durations = [min(scenario.duration_s, self.duration_s) for scenario in scenarios]
         intervals = [whole_steps("scenario duration_s", length, dt, "control step") for length in durations]
         seeds = [-1 if scenario.seed is None else scenario.seed for scenario in scenarios]

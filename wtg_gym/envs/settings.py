@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from os import PathLike, fspath
 from typing import Any, TypedDict
 
 import numpy as np
@@ -102,10 +103,10 @@ class EnvArguments(TypedDict, total=False):
     action_mode: str
     observation_mode: str
     suite: str
-    grid: str | Grid | NetworkCase | None
+    grid: str | PathLike[str] | Grid | NetworkCase | None
     split: str
     scenario: Scenario | Mapping[str, Any] | None
-    groups: int | Sequence[Mapping[str, Any]] | None
+    groups: int | Sequence[Mapping[str, Any] | WtgGroup] | None
     duration_s: float | None
     control_dt: float
     simulation_dt: float
@@ -158,10 +159,10 @@ class EnvSettings:
     action_mode: str = "k+tau"
     observation_mode: str = "local"
     suite: str = None  # type: ignore[assignment]  # replaced below
-    grid: str | Grid | NetworkCase | None = None
+    grid: str | PathLike[str] | Grid | NetworkCase | None = None
     split: str = "train"
     scenario: Scenario | Mapping[str, Any] | None = None
-    groups: int | Sequence[Mapping[str, Any]] | None = None
+    groups: int | Sequence[Mapping[str, Any] | WtgGroup] | None = None
     duration_s: float | None = None
     control_dt: float = 0.1
     simulation_dt: float = None  # type: ignore[assignment]  # replaced below
@@ -221,6 +222,8 @@ class EnvSettings:
             if self.groups is None or isinstance(self.groups, (int, np.integer)):
                 raise ValueError(f"a NetworkCase has no WTG groups: groups must be a list of them, got {self.groups!r}")
             grid = Grid(case=grid, groups=self.wtg_groups())
+        if isinstance(grid, PathLike):
+            return str(fspath(grid))
         return file_of(grid) if isinstance(grid, Grid) else grid  # type: ignore[return-value]
 
     @property
@@ -266,9 +269,11 @@ class EnvSettings:
                 f'groups must be a number of groups or a list of {{"bus": …, "n_turbines": …}}, got {self.groups!r}'
             )
         for entry in self.groups:
+            if isinstance(entry, WtgGroup):
+                continue
             if not isinstance(entry, Mapping) or not entry or not set(entry) <= {"bus", "n_turbines", "turbine"}:
                 raise ValueError(f'a WTG group must be {{"bus": …, "n_turbines": …}}, got {entry!r}')
-        return tuple(WtgGroup(**entry) for entry in self.groups)
+        return tuple(entry if isinstance(entry, WtgGroup) else WtgGroup(**entry) for entry in self.groups)
 
     def laws(self) -> tuple[TrackingLaw, ...]:
         """Return one law per WTG group; a ValueError lists the known strategies."""

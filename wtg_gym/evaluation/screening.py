@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections import defaultdict
+from collections import Counter, defaultdict
 from collections.abc import Callable, Sequence
 from contextlib import closing
 from typing import Any, TypeVar
@@ -72,6 +72,8 @@ _N_DAMPED, _LEAST_DAMPING = 100, 0.02
 #: Share of a place's scenarios under which, where no law survives them, the place is left out.
 _LOST_AT_PLACE = 0.1
 _SMALLER, _LEAST_SIZE = 0.9, 0.1
+#: Sizes after which fewer scenarios must be lost.
+_PATIENCE = 4
 #: Step in which loads are lowered, the lowest ones, and the least difference between the largest and the lowest.
 _LESS_LOAD, _LEAST_LOAD, _LEAST_RANGE = 0.05, 0.4, 0.15
 
@@ -144,6 +146,7 @@ def screened(grid: str, name: str, on_progress: Callable[[str, float, int], obje
         )
     own = dataclasses.replace(own, places=survivable(own, on_progress))
     plant = own.suite.plant.settings(classical=False, trips_groups=True)
+    shares: list[float] = []
     while True:
         scenarios = own.suite.scenarios(own.suite.validation[:_N_TRIED])
         lost: Flags = np.logical_not(survived(plant, scenarios).any(axis=0))
@@ -154,9 +157,15 @@ def screened(grid: str, name: str, on_progress: Callable[[str, float, int], obje
         if fewer != own.places:
             own = dataclasses.replace(own, places=fewer)
             continue
+        shares.append(lost.mean())
+        if own.event_size < _LEAST_SIZE or (len(shares) > _PATIENCE and shares[-1] >= shares[-1 - _PATIENCE]):
+            kinds = Counter(s.name.split("/")[1] for s, is_lost in zip(scenarios, lost, strict=True) if is_lost)
+            said = ", ".join(f"{n} of {kind}" for kind, n in kinds.most_common(3))
+            raise ValueError(
+                f"grid {grid!r} loses {100.0 * lost.mean():.1f} % of the scenarios at smaller events too: {said}; "
+                "other groups, or more machines beside them, may hold it"
+            )
         own = dataclasses.replace(own, event_size=round(_SMALLER * own.event_size, 2))
-        if own.event_size < _LEAST_SIZE:
-            raise ValueError(f"grid {grid!r} loses {100.0 * lost.mean():.0f} % of the scenarios at events of any size")
 
 
 def _without(places: Places, scenarios: Sequence[Scenario], lost: Flags) -> Places:

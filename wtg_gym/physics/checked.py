@@ -83,8 +83,10 @@ def _checked(name: str, value: Any, kind: Any, field: Any) -> Any:
         entry: Any = get_args(kind)[0]
         of_records: bool = dataclasses.is_dataclass(entry)
         items = value if isinstance(value, (tuple, list)) else (None,)
-        if of_records and not all(isinstance(item, entry) for item in items):
+        if (of_records or entry is str) and not all(isinstance(item, entry) for item in items):
             raise ValueError(f"{name} must be {field.type}, got {value!r}")
+        if entry is int:
+            return tuple(require_bus(name, item) for item in items)
         return tuple(value) if isinstance(value, list) else value
     if get_origin(kind) is not np.ndarray and not isinstance(value, kind):
         raise ValueError(f"{name} must be {field.type}, got {value!r}")

@@ -22,6 +22,8 @@ from wtg_gym.systems.compiled import cache_folder
 
 #: The grids that come with the package.
 FOLDER = Path(__file__).parents[1] / "grids"
+#: A batch of episodes of more would not fit into memory.
+MOST_BUSES = 500
 #: The one that is meant where none is named: the paper's.
 DEFAULT_GRID = "ieee14"
 #: Controls of a machine by the name that stands in a file.
@@ -54,6 +56,8 @@ class Grid(Checked):
 
     def __post_init__(self) -> None:
         super().__post_init__()
+        if len(self.case.buses) > MOST_BUSES:
+            raise ValueError(f"a grid has at most {MOST_BUSES} buses, got {len(self.case.buses)}")
         for bus in (*self.replaced, *(group.bus for group in self.groups)):
             self.case.bus_index(bus)
 

@@ -25,6 +25,10 @@ STEP_MARGIN = 1.05
 SWINGS_HZ = (0.05, 5.0)
 
 
+class StepError(ValueError):
+    """A plant's modes are too fast for the step of the integration."""
+
+
 def state_matrix(rows: Floats, plant: Plant, layout: Layout, side: npt.ArrayLike) -> Floats:
     """Return A of ẋ = A x around the state that one lane's rows hold, shape (n, n) [1/s, with p.u. and rad].
 
@@ -107,7 +111,7 @@ def check_step(rows: Floats, plant: Plant, layout: Layout) -> None:
     limits of converters: their controls may be fast, and are checked as if all of them acted.
 
     Raises:
-        ValueError: the message names the eigenvalue, the state it mainly belongs to, the step and the largest allowed.
+        StepError: the message names the eigenvalue, the state it mainly belongs to, the step and the largest allowed.
     """
     t = plant.turbine[0]
     low, setpoint, high = (t[f"converter.corners.{name}"] for name in Corners._fields)
@@ -142,7 +146,7 @@ def _check_modes(rows: Floats, plant: Plant, layout: Layout, side: Floats) -> No
     # Participation: the part of each state in the mode, whatever its unit.
     share = np.abs(np.linalg.pinv(right)[at] * right[:, at])
     state = np.array(layout.state_names)[keep][int(np.argmax(share))]
-    raise ValueError(
+    raise StepError(
         f"simulation_dt = {plant.simulation_dt:g} s is too long for this plant: its mode with the eigenvalue "
         f"{values[at]:.4g} 1/s (mainly {state}) would grow without bound in the integration; "
         f"allowed: at most {steps[at] / STEP_MARGIN:.3g} s"

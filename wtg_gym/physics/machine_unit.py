@@ -53,6 +53,12 @@ def still_reference() -> float:
     return 1.0
 
 
+@system(MACHINES, "needed")
+def need_less(needed: float, dispatch: float) -> float:
+    """Take off what a machine gives in any wind."""
+    return needed - dispatch
+
+
 @system(MACHINES, "planned_power")
 def plan_machine(dispatch: float, needed: float, connection: Connection) -> float:
     """Return the dispatched power, and a share of what is needed."""

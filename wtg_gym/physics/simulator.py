@@ -16,7 +16,7 @@ from wtg_gym.physics.equilibrium import FLOW_COLUMNS, POWER_FLOW, SPARSE_FLOW, p
 from wtg_gym.physics.integration import PROGRAMS, REFRESH, STARTING, STEPPING, advance_blocks, evaluate_blocks
 from wtg_gym.physics.kernel_data import NO_EVENT, LaneData
 from wtg_gym.physics.layout import Floats
-from wtg_gym.physics.linearisation import check_step
+from wtg_gym.physics.linearisation import StepError, check_step
 from wtg_gym.physics.network_events import network_events
 from wtg_gym.physics.plant import Further, PlantSettings, arranged, build_plant, layout_of, programs_of
 from wtg_gym.physics.reduction import assemble
@@ -460,13 +460,13 @@ STEPS_S = (0.025, 0.0125, 0.01, 0.005, 0.0025, 0.001)
 
 
 def longest_step(plant: PlantSettings) -> float:
-    """Return the longest of :data:`STEPS_S` that suits a plant's fastest mode; a ValueError where none does."""
-    refusal: ValueError | None = None
+    """Return the longest of :data:`STEPS_S` that suits a plant's fastest mode; a StepError where none does."""
+    refusal: StepError | None = None
     for step in STEPS_S:
         try:
             Simulator(dataclasses.replace(plant, simulation_dt=step)).close()
-        except ValueError as error:
+        except StepError as error:
             refusal = error
             continue
         return step
-    raise ValueError(f"no step of {STEPS_S[-1]:g} s or more suits this grid: {refusal}")
+    raise StepError(f"no step of {STEPS_S[-1]:g} s or more suits this grid: {refusal}")

@@ -143,6 +143,7 @@ PLAN = (
     starting.nothing_needed,
     starting.need_of_bus,
     starting.need_less,
+    machine.need_less,
     machine.plan_machine,
     Here("plan"),
     starting.plan_unit,

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
@@ -33,6 +35,10 @@ _TRIPPED = 0.02, 0.1
 #: Loading of the machines at the least share of wind, and the least width of its range.
 _LOADING, _WIDTH = 0.8, 0.13
 _LOAD_LEVEL = 0.85, 1.1
+#: Impedance below which rounding keeps the power flow from its tolerance [p.u.].
+_LEAST_IMPEDANCE = 1e-6
+#: Results are files of the suite's name.
+_NAME = re.compile(r"[^\W_][\w .()+-]{0,80}")
 #: Least and largest share of wind over the rated power of all turbines and the load.
 _OF_RATED = 0.32, 0.72
 
@@ -88,6 +94,11 @@ class GridSuite(Checked):
     load_level: Span = design(_LOAD_LEVEL, "-", "factor on the loads of the case", 0.3, 1.5)
     simulation_dt: float = design(0.025, "s", "step of the integration", *SIMULATION_DT_RANGE)
 
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if not _NAME.fullmatch(self.name):
+            raise ValueError(f"name must be letters, digits, blanks and . + - _ ( ), got {self.name!r:.80}")
+
     @property
     def suite(self) -> Suite:
         """The suite."""
@@ -115,6 +126,39 @@ class GridSuite(Checked):
         return SuitePlant(grid=self.grid, groups=groups, simulation_dt=self.simulation_dt, **of_v1)
 
 
+def check_places(places: Places, case: NetworkCase) -> None:
+    """Raise a ValueError for a place that is not in the network.
+
+    Args:
+        places: of the suite.
+        case: the network with its groups.
+    """
+    for entry in places.load_buses:
+        if not isinstance(entry, (tuple, list)) or len(entry) != 3:
+            raise ValueError(f"load_buses must be triples of a bus, an increase and a decrease [MW], got {entry!r}")
+    buses = {
+        "load_buses": (tuple(bus for bus, *_ in places.load_buses), case.bus_numbers, "bus"),
+        "load_trip_buses": (places.load_trip_buses, case.bus_numbers, "bus"),
+        "load_noise_bus": ((places.load_noise_bus,), case.bus_numbers, "bus"),
+    }
+    machines = {machine.bus for machine in case.machines}
+    governed = {machine.bus for machine in case.machines if machine.governor is not None}
+    for name, able, what in (
+        ("machine_buses", machines, "machine"),
+        ("generator_buses", governed, "machine with a governor"),
+        ("governor_buses", governed, "machine with a governor"),
+    ):
+        buses[name] = (getattr(places, name), tuple(able), f"{what} beside the groups at bus")
+    for name, (given, known, what) in buses.items():
+        for bus in given:
+            if bus not in known:
+                raise ValueError(f"{name}: there is no {what} {bus!r}")
+    for name in ("line_trips", "fault_lines"):
+        for ends in getattr(places, name):
+            if case.branch_index(*ends) in case.bridges:
+                raise ValueError(f"{name}: without line {ends[0]}-{ends[1]} the network falls apart")
+
+
 def suite_of_file(path: str) -> Suite:
     """Return the suite of a file, or the :func:`unscreened` one of a grid's file; a ValueError says what is wrong."""
     own = _read(Path(path).resolve(), modified(path))
@@ -137,7 +181,7 @@ def read_suite(path: Path) -> GridSuite:
     try:
         found: GridSuite = record_of(GridSuite, read_json(path, "suite"))
         grid = str((path.parent / found.grid).resolve()) if found.grid.endswith(".json") else found.grid
-        get_grid(grid)
+        check_places(found.places, get_grid(grid).with_groups)
     except (TypeError, ValueError) as error:
         raise ValueError(f"{path} is no suite: {error}") from error
     return replace(found, grid=grid)
@@ -150,6 +194,12 @@ def unscreened(grid: str) -> GridSuite:
         ValueError: the machines that stay cannot give what the wind leaves.
     """
     found = get_grid(grid)
+    for branch in found.case.branches:
+        ends = f"branch {branch.from_bus}-{branch.to_bus}"
+        if branch.phase_rad:
+            raise ValueError(f"{ends} shifts the phase; the load noise of every suite needs a network without that")
+        if math.hypot(branch.resistance, branch.reactance) < _LEAST_IMPEDANCE:
+            raise ValueError(f"{ends} has an impedance below {_LEAST_IMPEDANCE:g} p.u., too little for the power flow")
     own = GridSuite(name=Path(grid).stem, grid=grid, places=all_places(found.with_groups))
     own = replace(own, simulation_dt=longest_step(own.plant.settings(classical=False)))
     # The machines give what the wind leaves, with losses.

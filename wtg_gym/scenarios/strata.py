@@ -170,6 +170,7 @@ def suite_of_strata(
         "constant_mw": plant.constant_mw,
     }
     of_kinds: dict[str, dict[str, Any]] = {
+        "governor": {"governor_loss_buses": places.governor_buses},
         "machine": {"machine_outage_buses": places.generator_buses},
         "fault": {"fault_lines": places.fault_lines},
         "island": {"islandings": places.islandings},

@@ -258,7 +258,10 @@ def get_suite(name: str) -> Suite:
         ValueError: the suite is unknown, or the file is damaged; the message lists the known ones, or says why.
     """
     if isinstance(name, str) and name.endswith(".json"):
-        return suite_of_file(name)
+        own = suite_of_file(name)
+        if own.name in FROZEN_HASHES and own.hash != FROZEN_HASHES[own.name]:
+            raise ValueError(f"{name} is another suite than {own.name}: give it another name")
+        return own
     if not isinstance(name, str) or name not in SUITES:
         raise ValueError(f"unknown suite {name!r}; known suites: {', '.join(SUITES)}, or the path of a .json file")
     return SUITES[name]
