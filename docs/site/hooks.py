@@ -106,7 +106,7 @@ def on_page_markdown(text: str, page: Any, config: Any, files: Any) -> str:
     here = page.file.src_uri
     source = next((path for path, name in OUTSIDE.items() if name == here), f"docs/{here}")
     known = frozenset(file.src_uri for file in files if file.inclusion.is_included())
-    repository = config.extra["repository"].rstrip("/")
+    repository = (config.extra["repository"] or "").rstrip("/")
     readme = (ROOT / "README.md").read_text(encoding="utf-8")
     # Every second part is the anchor of a section.
     parts = _INCLUDED.split(text)
