@@ -150,7 +150,7 @@ test-rllib: $(RLLIB_READY) ## Run the tests that need Ray, which `make test` ski
 	$(RLLIB_VENV)/bin/python -m pytest tests/agents/test_rllib.py tests/evaluation/test_workers.py
 
 .PHONY: integrations
-integrations: $(TEST_READY) ## Run the programs of docs/integrations.md, each in an environment of its own, and renew its table (an hour)
+integrations: $(TEST_READY) ## Run the programs of docs/integrations.md, each in an environment of its own (an hour)
 	$(TEST_VENV)/bin/python -m tests.integrations
 
 .PHONY: test

@@ -19,11 +19,22 @@ _HEAD = re.compile(r"\A# /// script\n(.*?)^# ///\n", re.MULTILINE | re.DOTALL)
 _LIMIT_S = 900
 
 
-def run(program: Path) -> None:
-    """Install what a program needs and run it in an empty folder; an error of `subprocess` says why not."""
+def programs() -> list[Path]:
+    """Return the programs."""
+    return sorted((ROOT / "docs" / "integrations").glob("with_*"))
+
+
+def packages_of(program: Path) -> list[str]:
+    """Return what a program's head names."""
     head = _HEAD.match(program.read_text(encoding="utf-8"))
     assert head is not None, f"{program} has no head"
-    packages = tomllib.loads(head[1].replace("# ", ""))["dependencies"]
+    packages: list[str] = tomllib.loads(head[1].replace("# ", ""))["dependencies"]
+    return packages
+
+
+def run(program: Path) -> None:
+    """Install what a program needs and run it in an empty folder; an error of `subprocess` says why not."""
+    packages = packages_of(program)
     environment = ROOT / "build" / "integrations" / program.stem
     venv.create(environment, with_pip=True)
     pip = [environment / "bin" / "pip", "install", "--quiet", "--disable-pip-version-check"]
@@ -37,7 +48,7 @@ def run(program: Path) -> None:
 def main(names: list[str]) -> int:
     """Run the programs of these names, or all; return 1 if one does not run, else 0."""
     failed = []
-    for program in sorted((ROOT / "docs" / "integrations").glob("with_*")):
+    for program in programs():
         if not names or program.stem.removeprefix("with_") in names:
             try:
                 run(program)

@@ -17,6 +17,7 @@ from pathlib import Path
 
 import pytest
 
+from tests.integrations import packages_of, programs
 from wtg_gym.cli import build_app
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -95,6 +96,13 @@ def test_commands_of_a_notebook_are_known(path: Path, tmp_path: Path, monkeypatc
         if line.startswith("!wtg-gym "):
             words = shlex.split(line.partition(" 2>")[0])[1:]
             build_app(words).parse_args(words, exit_on_error=False, print_error=False)
+
+
+@pytest.mark.parametrize("program", programs(), ids=lambda program: program.stem)
+def test_a_program_of_another_library_has_the_line_of_pip_that_its_head_asks_for(program: Path) -> None:
+    items = (ROOT / "docs/integrations.md").read_text(encoding="utf-8").split("\n- ")
+    (own,) = [item for item in items if f"(integrations/{program.name})" in item]
+    assert f"    {shlex.join(['pip', 'install', '.[agents]', *packages_of(program)])}\n" in own
 
 
 def anchors(page: Path) -> set[str]:

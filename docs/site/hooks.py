@@ -1,6 +1,6 @@
 """Changes that the site makes to pages; GitHub shows them unchanged.
 
-- A few files outside docs/ are pages of the site too.
+- A few files outside docs/ are pages of the site too; the README is its home.
 - A link to another file of the repository leads to the repository's address; while that is unknown, it is text.
 - A link that `<!-- include -->` follows, to a heading of README.md, becomes that section: the README says it once.
 """
@@ -14,26 +14,23 @@ from typing import Any
 
 ROOT = Path(__file__).resolve().parents[2]
 #: Files outside docs/, and what they are called as pages of the site.
-OUTSIDE = {"CONTRIBUTING.md": "contributing.md", "CHANGELOG.md": "changelog.md", "agents/README.md": "training.md"}
-#: Where the sections of README.md are on the site; the rest of it is on the home page.
-README = {
-    "": "index.md",
-    "install": "start.md#install",
-    "play-an-episode": "start.md#play-an-episode",
-    "score-and-compare": "start.md#score-and-compare",
-    "leaderboard": "leaderboard.md",
-    "cite": "index.md#cite",
+OUTSIDE = {
+    "README.md": "index.md",
+    "CONTRIBUTING.md": "contributing.md",
+    "CHANGELOG.md": "changelog.md",
+    "agents/README.md": "training.md",
 }
-#: What `make page` writes, if it has.
+#: What `make page` writes.
 LEADERBOARD = "leaderboard.html"
-# A page of the site is a folder, so its files are one level up. The frame is as tall as what it shows.
+# A page of the site is a folder, so its files are one level up. The frame is as tall as what it shows, which by Bokeh's
+# own style would be as tall as the frame.
 _EMBEDDED = f"""
-## Filters, profiles and single runs
+## All suites, with filters and charts
 
-[Open this page alone]({LEADERBOARD}): its address then keeps what you choose.
+[Open this page alone]({LEADERBOARD}).
 
-<iframe class="leaderboard" src="../{LEADERBOARD}" title="Leaderboard with filters, profiles and single runs"
-  onload="const page = this.contentDocument.body;
+<iframe class="leaderboard" src="../{LEADERBOARD}" title="Leaderboard of all suites with filters and charts"
+  onload="const page = this.contentDocument.body; page.style.height = 'auto';
     new ResizeObserver(() => this.style.height = page.offsetHeight + 40 + 'px').observe(page)"></iframe>
 """
 #: Code, or a link or picture with its text, file and anchor; a link in code is left alone.
@@ -77,9 +74,6 @@ def rewritten(text: str, here: str, source: str, repository: str, known: frozens
             return found[0]
         path = posixpath.normpath(posixpath.join(posixpath.dirname(source), file))
         target = OUTSIDE.get(path, path.removeprefix("docs/") if path.startswith("docs/") else "")
-        if path == "README.md":
-            target, _, anchor = README.get(anchor.removeprefix("#"), README[""]).partition("#")
-            anchor = anchor and f"#{anchor}"
         if target in known:
             return f"{mark}[{label}]({posixpath.relpath(target, posixpath.dirname(here) or '.')}{anchor})"
         if mark or not (ROOT / path).exists():
@@ -111,8 +105,8 @@ def on_page_markdown(text: str, page: Any, config: Any, files: Any) -> str:
     """Put sections of the README where they are asked for, and mend links."""
     here = page.file.src_uri
     source = next((path for path, name in OUTSIDE.items() if name == here), f"docs/{here}")
-    known = frozenset(file.src_uri for file in files)
-    repository = config.extra["repository"].rstrip("/")
+    known = frozenset(file.src_uri for file in files if file.inclusion.is_included())
+    repository = (config.extra["repository"] or "").rstrip("/")
     readme = (ROOT / "README.md").read_text(encoding="utf-8")
     # Every second part is the anchor of a section.
     parts = _INCLUDED.split(text)
@@ -120,10 +114,13 @@ def on_page_markdown(text: str, page: Any, config: Any, files: Any) -> str:
     for place, anchor in enumerate(parts[1::2]):
         found = section(readme, anchor, text.partition("\n")[0].removeprefix("# "))
         parts[2 * place + 1] = rewritten(found, here, "README.md", repository, known)
-    if here == "leaderboard.md" and LEADERBOARD in known:
+    if here == "index.md" and repository:
+        # Above the first heading, that of the installation.
+        parts[0] = parts[0].replace("\n## ", f"\n[Source code]({repository}){{ .md-button }}\n\n## ", 1)
+    if here == "leaderboard.md":
         parts.append(_EMBEDDED)
-    if here in ("index.md", "leaderboard.md"):
-        page.meta["hide"] = ["navigation", "toc"]  # figure and table have the whole width
+    if here == "leaderboard.md":
+        page.meta["hide"] = ["navigation", "toc"]  # the table has the whole width
     elif page.parent is None:
         page.meta["hide"] = ["navigation"]  # there is no other page beside it
     return "".join(parts)
