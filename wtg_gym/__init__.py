@@ -49,8 +49,6 @@ except PackageNotFoundError:  # a checkout that was not installed
 ENV_IDS = ("GFMWTG-14bus-v0", "GFMWTG-14bus-v1")
 #: The one that is meant where no version is named.
 ENV_ID = ENV_IDS[1]
-#: The suite that is meant where neither a suite nor a version is named.
-DEFAULT_SUITE = "standard-v1"
 
 # The last one is version v1 with any grid, by the argument `grid`.
 for _id in (*ENV_IDS, "GFMWTG-v1"):

@@ -16,8 +16,9 @@ import pytest
 import wtg_gym
 import wtg_gym.cli
 from tests.cli.calls import ROOT
-from wtg_gym.cli import build_app, main
+from wtg_gym.cli import build_app, main, options
 from wtg_gym.cli.output import note, print_json, print_table, say
+from wtg_gym.scenarios import DEFAULT_SUITE
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="pipes break in another way there")
@@ -104,3 +105,14 @@ def test_no_command_prints_past_the_one_place_that_escapes() -> None:
         calls = [node.func for node in ast.walk(ast.parse(path.read_text())) if isinstance(node, ast.Call)]
         printing = [call for call in calls if isinstance(call, ast.Name) and call.id == "print"]
         assert not printing or path.name in ("output.py", "__init__.py"), path
+
+
+def test_commands_mean_the_benchmarks_suite_where_none_is_named() -> None:
+    assert options.DEFAULT_SUITE == DEFAULT_SUITE
+
+
+def test_help_imports_nothing_that_simulates() -> None:
+    for command in ("evaluate", "grid", "leaderboard", "play", "results", "simulate", "submission", "suites"):
+        code = f"import sys; from wtg_gym.cli import main; main(['{command}', '--help']); print('numba' in sys.modules)"
+        done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, encoding="utf-8", check=True)
+        assert done.stdout.endswith("False\n"), command

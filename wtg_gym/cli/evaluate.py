@@ -8,8 +8,17 @@ from typing import Annotated, Literal
 
 from cyclopts import Parameter
 
-from wtg_gym import DEFAULT_SUITE
-from wtg_gym.cli.options import Entries, Json, OutputFolder, PlantOptions, SeedOptions, Suite, Threads, WorkerOptions
+from wtg_gym.cli.options import (
+    DEFAULT_SUITE,
+    Entries,
+    Json,
+    OutputFolder,
+    PlantOptions,
+    SeedOptions,
+    Suite,
+    Threads,
+    WorkerOptions,
+)
 from wtg_gym.cli.output import check_page, note
 
 

@@ -51,6 +51,7 @@ def import_grid(
       wtg-gym evaluate --suite ieee39.json                      score the laws on it
     """
     from wtg_gym.grids.andes import convert, grid_of
+    from wtg_gym.grids.describe import describe_equilibrium
     from wtg_gym.grids.pandapower import is_network, tables_of
     from wtg_gym.grids.wind import with_wind
     from wtg_gym.physics.grid import grid_text

@@ -14,6 +14,8 @@ from typing import Annotated, Any, Literal
 
 from cyclopts import Group, Parameter, Token, validators
 
+#: That of `wtg_gym.scenarios`, whose import takes a second.
+DEFAULT_SUITE = "standard-v1"
 #: An option that takes no value.
 Flag = Annotated[bool, Parameter(negative="", show_default=False)]
 #: An option that takes one word or several.

@@ -7,8 +7,7 @@ from typing import Annotated, Any
 
 from cyclopts import Parameter, validators
 
-from wtg_gym import DEFAULT_SUITE
-from wtg_gym.cli.options import Flag, SuiteName, Whole
+from wtg_gym.cli.options import DEFAULT_SUITE, Flag, SuiteName, Whole
 from wtg_gym.cli.output import note, require_extra
 
 

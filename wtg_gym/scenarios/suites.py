@@ -9,7 +9,6 @@ from collections.abc import Mapping
 from types import MappingProxyType
 from typing import Any
 
-from wtg_gym import DEFAULT_SUITE as DEFAULT_SUITE
 from wtg_gym.physics.grid import DEFAULT_GRID, FOLDER, get_grid
 from wtg_gym.physics.machine_parameters import GovernorParameters
 from wtg_gym.physics.parameters import WtgGroup
@@ -218,6 +217,8 @@ SUITES: Mapping[str, Suite] = MappingProxyType(
     }
 )
 
+#: The suite that is meant where neither a suite nor a version is named.
+DEFAULT_SUITE = "standard-v1"
 #: What the hashes of the suites must be.
 FROZEN_HASHES: Mapping[str, str] = MappingProxyType(
     {
