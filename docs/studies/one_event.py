@@ -103,7 +103,7 @@ def plot_one_event(scenario: Scenario, runs: Mapping[str, Recording], plant: Pla
         low, high = axes.get_ylim()
         for words, limit in limits.items():
             if low < limit < high:
-                style.draw_reference(axes, limit, words.strip())
+                style.draw_reference(axes, limit, words.strip(), below=words == "load shed")
         mark_instants(axes, scenario, numbered=True)
         axes.set_xlim(0.0, scenario.duration_s)
         axes.set_xlabel("time [s]")

@@ -157,11 +157,15 @@ def letter_panel(axes: Axes, letter: str, text: str = "") -> None:
     axes.set_title(f"({letter}) {text}".rstrip(), loc="left", pad=10.0)
 
 
-def draw_reference(axes: Axes, y: float, name: str) -> None:
-    """Draw a thin dashed line at height y in data units, and its name right of the panel, where the layout has room."""
+def draw_reference(axes: Axes, y: float, name: str, *, below: bool = False) -> None:
+    """Draw a thin dashed line at height y in data units, and its name right of the panel, where the layout has room.
+
+    With `below` the name stands below the line's height, for one that another line is near to.
+    """
+    side = "top" if below else "center"
     axes.axhline(y, linewidth=0.7, zorder=1, **REFERENCE)
     at_right = axes.get_yaxis_transform()
-    axes.text(1.01, y, name, transform=at_right, fontsize=SMALL_PT, color="0.3", va="center", clip_on=False)
+    axes.text(1.01, y, name, transform=at_right, fontsize=SMALL_PT, color="0.3", va=side, clip_on=False)
 
 
 def share_limits(row: Sequence[Axes]) -> None:
