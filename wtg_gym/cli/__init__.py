@@ -30,8 +30,8 @@ _COMMANDS = {
 }
 
 _DESCRIPTION = """\
-Primary frequency regulation with grid-forming wind turbine generators on the modified IEEE 14-bus system: simulate
-single scenarios, score controllers on frozen suites of scenarios, and rank them."""
+Primary frequency regulation with grid-forming wind turbine generators on the modified IEEE 14-bus system and other
+grids: simulate single scenarios, score controllers on frozen suites of scenarios, and rank them."""
 
 _EPILOGUE = """\
 first steps:

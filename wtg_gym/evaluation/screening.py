@@ -135,6 +135,14 @@ def screened(grid: str, name: str, on_progress: Callable[[str, float, int], obje
         if low < _LEAST_LOAD:
             raise ValueError(f"grid {grid!r} has no equilibrium in some winds at {100.0 * low:.0f} % of its load too")
         own = dataclasses.replace(own, load_level=(low, high), places=all_places(case, low))
+        try:
+            # With less load the turbines give a larger share of it.
+            _ = own.suite
+        except ValueError as error:
+            raise ValueError(
+                f"some operating points of grid {grid!r} have no equilibrium at {100.0 * high + 5.0:.0f} % of its load; "
+                f"with less, {error}"
+            ) from error
         on_progress(f"load level at most {high:g}", 1, 1)
     damping, hertz = _least_damped(own)
     on_progress(f"least damped mode: {hertz:.2f} Hz by {100.0 * damping:.1f} %", 1, 1)
