@@ -140,8 +140,8 @@ def screened(grid: str, name: str, on_progress: Callable[[str, float, int], obje
             _ = own.suite
         except ValueError as error:
             raise ValueError(
-                f"some operating points of grid {grid!r} have no equilibrium at {100.0 * high + 5.0:.0f} % of its load; "
-                f"with less, {error}"
+                f"grid {grid!r} has no equilibrium in some winds at its loads or a little less; with {low:.0%} … "
+                f"{high:.0%} of them, {error}"
             ) from error
         on_progress(f"load level at most {high:g}", 1, 1)
     damping, hertz = _least_damped(own)
