@@ -13,7 +13,7 @@ import numpy as np
 from output import folder as output_folder
 
 from wtg_gym.files import markdown_table, update_between_markers
-from wtg_gym.physics.linearisation import largest_stable_steps, moving_states, state_matrix
+from wtg_gym.physics.linearisation import largest_stable_steps, moving_matrix
 from wtg_gym.physics.machine_parameters import classical_machine
 from wtg_gym.physics.network import Branch, Bus, NetworkCase
 from wtg_gym.physics.parameters import WtgGroup
@@ -68,9 +68,8 @@ def linearise(scenario, laws, settings=None, *, side="under"):
     """
     simulator = at_rest(scenario, laws, settings)
     rows, layout = simulator.blocks[0, :, 0], simulator.layout
-    matrix = state_matrix(rows, simulator.plant, layout, {"under": -1.0, "over": 1.0}[side])
-    keep = moving_states(matrix, rows, layout)
-    return LinearModel(matrix[np.ix_(keep, keep)], np.array(layout.state_names)[keep].tolist())
+    matrix, keep = moving_matrix(rows, simulator.plant, layout, {"under": -1.0, "over": 1.0}[side])
+    return LinearModel(matrix, np.array(layout.state_names)[keep].tolist())
 
 
 def modes(model):

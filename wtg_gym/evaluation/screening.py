@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from wtg_gym.physics.grid import get_grid
-from wtg_gym.physics.linearisation import moving_states, state_matrix, swing_modes
+from wtg_gym.physics.linearisation import moving_matrix, swing_modes
 from wtg_gym.physics.plant import PlantSettings
 from wtg_gym.physics.protection import Status
 from wtg_gym.physics.scenario import (
@@ -204,9 +204,8 @@ def _least_damped(own: GridSuite) -> tuple[float, float]:
         for scenario in own.suite.scenarios(own.suite.validation[:_N_DAMPED]):
             simulator.start(0, dataclasses.replace(scenario, events=()), laws)
             rows = simulator.blocks[0, :, 0]
-            matrix = state_matrix(rows, simulator.plant, simulator.layout, -1.0)
-            keep = moving_states(matrix, rows, simulator.layout)
-            found += swing_modes(matrix[np.ix_(keep, keep)])[:1]
+            matrix, _ = moving_matrix(rows, simulator.plant, simulator.layout, -1.0)
+            found += swing_modes(matrix)[:1]
     return min(found)
 
 

@@ -20,7 +20,7 @@ from typing import Any, TypeVar
 from wtg_gym.grids.typical import TYPICAL_EXCITER, TYPICAL_GOVERNOR, typical_machine
 from wtg_gym.physics.grid import MODELS, Grid
 from wtg_gym.physics.machine_parameters import SynchronousMachineParameters, classical_machine
-from wtg_gym.physics.network import Branch, Bus, NetworkCase
+from wtg_gym.physics.network import LEAST_IMPEDANCE, Branch, Bus, NetworkCase
 from wtg_gym.physics.saturation import saturation_constants
 from wtg_gym.ranges import require_range
 
@@ -31,9 +31,8 @@ Record = TypeVar("Record")
 _LIMIT_S = 600.0
 #: Models of PSS/E that ANDES itself reads as others.
 _READ_AS = {"GENSAL": "GENROU", "ESAC6A": "SEXS", "SCRX": "SEXS", "EXPIC1": "SEXS", "GGOV1": "TGOV1"}
-#: Impedance below which a branch has none, and the reactance that it gets then [p.u.]: with less, rounding keeps the
-#: power flow from its tolerance.
-_LEAST_IMPEDANCE, _LEAST_REACTANCE = 1e-6, 5e-4
+#: Reactance that a branch without impedance gets [p.u.].
+_LEAST_REACTANCE = 5e-4
 #: Share of x'' that a leakage reactance has at most, so that the order x'' > x_l holds.
 _LEAKAGE = 0.8
 #: Power from which on a limit means none [p.u.]; ANDES has 999, files 9900 or 9999 Mvar.
@@ -236,7 +235,7 @@ class _Case:
             name = "branch {}-{}".format(*ends)
             scale = self.base / row["Sn"] * (row["Vn1"] / self.volts[ends[0]]) ** 2
             reactance, tap = scale * row["x"], row["tap"] or 1.0
-            if math.hypot(reactance, scale * row["r"]) < _LEAST_IMPEDANCE:
+            if math.hypot(reactance, scale * row["r"]) < LEAST_IMPEDANCE:
                 reactance = _LEAST_REACTANCE
                 self.repairs.append(f"{name} has no impedance; it gets {reactance:g} p.u. of reactance")
             if row["phi"]:

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from wtg_gym.physics.grid import Grid
-from wtg_gym.physics.linearisation import moving_states, state_matrix, swing_modes
+from wtg_gym.physics.linearisation import moving_matrix, swing_modes
 from wtg_gym.physics.plant import plant_settings
 from wtg_gym.physics.scenario import Scenario
 from wtg_gym.physics.simulator import Simulator, longest_step
@@ -53,10 +53,8 @@ def describe_equilibrium(grid: Grid) -> Iterator[Line]:
     voltages = np.abs(simulator.bus_voltages())
     yield "voltages", f"{voltages.min():.3f} … {voltages.max():.3f} p.u."
     rows, layout = simulator.blocks[0, :, 0], simulator.layout
-    matrix = state_matrix(rows, simulator.plant, layout, -1.0)
-    keep = moving_states(matrix, rows, layout)
+    matrix, keep = moving_matrix(rows, simulator.plant, layout, -1.0)
     yield "equilibrium", f"largest rate {np.abs(simulator.rates()[keep]).max():.1e} p.u./s"
-    matrix = matrix[np.ix_(keep, keep)]
     for damping, hertz in swing_modes(matrix)[:3]:
         yield "mode", f"{hertz:.2f} Hz, damped by {100.0 * damping:.1f} %"
     growing = [value for value in np.linalg.eigvals(matrix) if value.real > 1e-6]

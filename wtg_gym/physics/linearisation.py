@@ -77,6 +77,15 @@ def moving_states(matrix: Floats, rows: Floats, layout: Layout) -> npt.NDArray[n
         keep = kept
 
 
+def moving_matrix(
+    rows: Floats, plant: Plant, layout: Layout, side: npt.ArrayLike
+) -> tuple[Floats, npt.NDArray[np.bool_]]:
+    """Return the part of :func:`state_matrix` that takes part in the dynamics, and which states that are (n,)."""
+    matrix = state_matrix(rows, plant, layout, side)
+    keep = moving_states(matrix, rows, layout)
+    return matrix[np.ix_(keep, keep)], keep
+
+
 def swing_modes(matrix: Floats) -> list[tuple[float, float]]:
     """Return damping [-] and frequency [Hz] of the modes in which rotors and controls swing, the least damped first."""
     modes = [(-value.real / abs(value), value.imag / math.tau) for value in np.linalg.eigvals(matrix) if value]
@@ -134,9 +143,7 @@ def _beyond_limits(rows: Floats, plant: Plant, layout: Layout) -> tuple[Floats, 
 
 
 def _check_modes(rows: Floats, plant: Plant, layout: Layout, side: Floats) -> None:
-    matrix = state_matrix(rows, plant, layout, side)
-    keep = moving_states(matrix, rows, layout)
-    matrix = matrix[np.ix_(keep, keep)]
+    matrix, keep = moving_matrix(rows, plant, layout, side)
     steps = largest_stable_steps(np.linalg.eigvals(matrix))
     if steps.min(initial=np.inf) >= STEP_MARGIN * plant.simulation_dt:
         return

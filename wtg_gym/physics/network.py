@@ -24,6 +24,8 @@ from wtg_gym.systems.compiled import compiled, inlined
 
 #: Largest power mismatch accepted as a power-flow solution [p.u.].
 POWER_FLOW_TOLERANCE = 1e-12
+#: Impedance of a branch below which rounding keeps the power flow from its tolerance [p.u.].
+LEAST_IMPEDANCE = 1e-6
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -14,8 +14,7 @@ from wtg_gym.files import read_json
 from wtg_gym.physics.checked import Checked, describe, design, required
 from wtg_gym.physics.grid import get_grid, modified, record_of
 from wtg_gym.physics.machine_parameters import SynchronousMachineParameters
-from wtg_gym.physics.network import NetworkCase
-from wtg_gym.physics.parameters import TurbineParameters
+from wtg_gym.physics.network import LEAST_IMPEDANCE, NetworkCase
 from wtg_gym.physics.plant import SIMULATION_DT_RANGE
 from wtg_gym.physics.simulator import longest_step
 from wtg_gym.scenarios.benchmark import SuitePlant
@@ -35,8 +34,6 @@ _TRIPPED = 0.02, 0.1
 #: Loading of the machines at the least share of wind, and the least width of its range.
 _LOADING, _WIDTH = 0.8, 0.13
 _LOAD_LEVEL = 0.85, 1.1
-#: Impedance below which rounding keeps the power flow from its tolerance [p.u.].
-_LEAST_IMPEDANCE = 1e-6
 #: Results are files of the suite's name.
 _NAME = re.compile(r"[^\W_][\w .()+-]{0,80}")
 #: Least and largest share of wind over the rated power of all turbines and the load.
@@ -198,16 +195,17 @@ def unscreened(grid: str) -> GridSuite:
         ends = f"branch {branch.from_bus}-{branch.to_bus}"
         if branch.phase_rad:
             raise ValueError(f"{ends} shifts the phase; the load noise of every suite needs a network without that")
-        if math.hypot(branch.resistance, branch.reactance) < _LEAST_IMPEDANCE:
-            raise ValueError(f"{ends} has an impedance below {_LEAST_IMPEDANCE:g} p.u., too little for the power flow")
+        if math.hypot(branch.resistance, branch.reactance) < LEAST_IMPEDANCE:
+            raise ValueError(f"{ends} has an impedance below {LEAST_IMPEDANCE:g} p.u., too little for the power flow")
     own = GridSuite(name=Path(grid).stem, grid=grid, places=all_places(found.with_groups))
-    own = replace(own, simulation_dt=longest_step(own.plant.settings(classical=False)))
+    plant = own.plant.settings(classical=False)
+    own = replace(own, simulation_dt=longest_step(plant))
     # The machines give what the wind leaves, with losses.
     load_mw = own.load_level[1] * found.case.load_mw
     machines = (own.plant.governed_mva + own.plant.constant_mw) / load_mw
     # Turbines give some of what they are rated for.
-    turbines = (each.turbine or TurbineParameters() for each in found.groups)
-    rated_mw = sum(each.n_turbines * own.rated_power_mw for each, own in zip(found.groups, turbines, strict=True))
+    sizes = zip(found.groups, plant.turbines, strict=True)
+    rated_mw = sum(group.n_turbines * turbine.rated_power_mw for group, turbine in sizes)
     given = (round(part * rated_mw / found.case.load_mw, 2) for part in _OF_RATED)
     low, high = map(min, own.wind_share, given)
     low = max(low, round(1.0 + LOSSES - _LOADING * machines, 2))
