@@ -151,7 +151,7 @@ test-rllib: $(RLLIB_READY) ## Run the tests that need Ray, which `make test` ski
 
 .PHONY: integrations
 integrations: $(TEST_READY) ## Run the programs of docs/integrations.md, each in an environment of its own (an hour)
-	$(TEST_VENV)/bin/python -m tests.integrations
+	$(TEST_VENV)/bin/python docs/studies/integrations.py
 
 .PHONY: test
 test: lint types contracts pytest ## Check everything, stopping at the first failure: the four targets below, in order

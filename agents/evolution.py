@@ -22,12 +22,12 @@ from torch import Tensor, nn
 
 from agents.command import training_command, training_parser
 from agents.folders import loading
-from agents.gains import ScoreUnits
 from agents.runs import Run, RunSettings
 from agents.training import draw, train_in_rounds
 from wtg_gym.envs import EnvSettings
 from wtg_gym.envs.lanes import TaskLanes
 from wtg_gym.envs.observation import FREQUENCY_UNIT_HZ, ROTOR_SPEED_UNIT_PU
+from wtg_gym.gains import ScoreUnits
 from wtg_gym.physics.scenario import Scenario
 from wtg_gym.ranges import require_range
 

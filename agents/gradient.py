@@ -21,12 +21,12 @@ from torch import Tensor, nn
 
 from agents.command import training_command, training_parser
 from agents.folders import loading
-from agents.gains import ScoreUnits
 from agents.runs import Run, RunSettings
 from agents.training import draw, train_in_rounds
 from wtg_gym.envs import EnvSettings
 from wtg_gym.envs.task_records import CostTerms
 from wtg_gym.evaluation.score import pinned_cost
+from wtg_gym.gains import ScoreUnits
 from wtg_gym.gradients.torch import TorchEpisodes
 from wtg_gym.physics.scenario import Scenario
 

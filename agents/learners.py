@@ -20,10 +20,10 @@ from torch import nn
 
 from agents.folders import loading
 from agents.hyperparameters import IPPO, TRAINED, algorithm_arguments, normalization_arguments
-from agents.multi_agent import GainVecEnv, SharedPolicy, agent_env
+from agents.multi_agent import SharedPolicy, agent_env
 from agents.runs import RunSettings
 from wtg_gym.envs import EnvSettings
-from wtg_gym.sb3 import DeterministicPolicy
+from wtg_gym.sb3 import DeterministicPolicy, SB3VecEnv
 
 _MODEL = "model.zip"
 _NORMALIZE = "vec_normalize.pkl"
@@ -78,7 +78,8 @@ def new_model(settings: RunSettings) -> BaseAlgorithm:
     Raises:
         ValueError: the algorithm refuses a hyperparameter.
     """
-    lanes = agent_env(settings) if settings.algo == IPPO else GainVecEnv(settings.n_envs, **settings.env_arguments)
+    n_envs, arguments = settings.n_envs, settings.env_arguments
+    lanes = agent_env(settings) if settings.algo == IPPO else SB3VecEnv(n_envs, gains=True, **arguments)
     env: VecEnv = VecMonitor(lanes)
     try:
         arguments = algorithm_arguments(settings.hyperparameters)

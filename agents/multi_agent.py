@@ -18,7 +18,6 @@ from gymnasium.spaces import Box
 from stable_baselines3.common.vec_env import VecEnvWrapper
 from torch import Tensor, nn
 
-from agents.gains import GainEnvs
 from agents.runs import RunSettings
 from wtg_gym.envs import EnvSettings
 from wtg_gym.envs.observation import OBSERVATION_BOUND
@@ -27,18 +26,6 @@ from wtg_gym.sb3 import SB3VecEnv
 
 Array = npt.NDArray[Any]
 Infos = list[dict[str, Any]]
-
-
-class GainVecEnv(SB3VecEnv):
-    """:class:`SB3VecEnv` on :class:`agents.gains.GainEnvs`.
-
-    The first episode that a lane reports is what spreading has left of it, and its `reset_infos` is empty until then.
-    """
-
-    def __init__(self, num_envs: int = 1, **arguments: Any) -> None:
-        super().__init__(num_envs, **arguments)
-        self.lanes = self.vector_env.lanes
-        self.vector_env = GainEnvs(self.vector_env)  # type: ignore[assignment]
 
 
 def group_sizes(settings: EnvSettings) -> Array:
@@ -55,7 +42,7 @@ def agent_env(settings: RunSettings) -> AgentVecEnv:
     n_wtg = group_sizes(EnvSettings(**settings.env_arguments)).size
     if settings.n_envs % n_wtg:
         raise ValueError(f"n_envs must be a whole multiple of the {n_wtg} WTG groups, got {settings.n_envs}")
-    return AgentVecEnv(GainVecEnv(settings.n_envs // n_wtg, **settings.env_arguments))
+    return AgentVecEnv(SB3VecEnv(settings.n_envs // n_wtg, gains=True, **settings.env_arguments))
 
 
 class AgentVecEnv(VecEnvWrapper):
@@ -64,7 +51,7 @@ class AgentVecEnv(VecEnvWrapper):
     All agents of an episode earn its gain and end together.
     """
 
-    def __init__(self, venv: GainVecEnv) -> None:
+    def __init__(self, venv: SB3VecEnv) -> None:
         lanes = venv.lanes
         self.n_wtg = lanes.n_wtg
         self._sizes = group_sizes(lanes.settings)

@@ -16,8 +16,8 @@ import tomllib
 from pathlib import Path
 
 import pytest
+from integrations import packages_of, programs
 
-from tests.integrations import packages_of, programs
 from wtg_gym.cli import build_app
 
 ROOT = Path(__file__).resolve().parent.parent

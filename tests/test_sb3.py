@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import gymnasium as gym
 import numpy as np
 import pytest
+from stable_baselines3 import PPO
 from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv
 
 from tests.envs.rollouts import actions_of, calm, rising
-from wtg_gym.sb3 import SB3VecEnv, make_sb3_vec_env
+from wtg_gym import Entry, export_onnx
+from wtg_gym.evaluation import load_entries
+from wtg_gym.sb3 import DeterministicPolicy, SB3VecEnv, make_sb3_vec_env
 
 ENV_ID = "GFMWTG-14bus-v0"
 N = 3
@@ -103,3 +107,19 @@ def test_attributes_are_those_of_single_environments():
     assert env.observation_space == reference.observation_space and env.action_space == reference.action_space
     assert env.render_mode is None and env.get_images() == [None] * N and env.unwrapped is env
     assert env.env_is_wrapped(Monitor) == [False] * N and env.env_is_wrapped(Monitor, [1]) == [False]
+
+
+def test_a_learner_is_played_on_the_law_that_it_learned_on(tmp_path: Path) -> None:
+    envs = make_sb3_vec_env(2, strategy="coordinated-tuned", action_mode="k")
+    model = PPO("MlpPolicy", envs, n_steps=4, batch_size=8)
+    with pytest.raises(ValueError, match=r"learned with strategy='coordinated-tuned'.*give it strategy="):
+        Entry(name="mine", policy=model, action_mode="k")
+    with pytest.raises(ValueError, match="learned with action_mode='k'"):
+        Entry(name="mine", policy=model, strategy="coordinated-tuned")
+    assert (
+        Entry(name="mine", policy=model, strategy="coordinated-tuned", action_mode="k").law.name == "coordinated-tuned"
+    )
+    with pytest.raises(ValueError, match="learned with strategy='coordinated-tuned', got strategy='mppt'"):
+        export_onnx(DeterministicPolicy(model), tmp_path, name="mine", strategy="mppt")
+    (entry,) = load_entries(export_onnx(DeterministicPolicy(model), tmp_path, name="mine"))
+    assert (entry.law.name, entry.action_mode) == ("coordinated-tuned", "k")

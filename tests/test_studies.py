@@ -32,8 +32,8 @@ from planner import Planning
 from policies import law_of, tune_law, tune_mean_droop, tuning_of
 from rollouts import Rollouts
 
-from agents.gains import stratum_scales
 from wtg_gym.evaluation import Results, evaluate, load_entries
+from wtg_gym.gains import stratum_scales
 from wtg_gym.physics.aerodynamics import tracking_point
 from wtg_gym.physics.tracking_law import TUNED, get_law, tuned
 from wtg_gym.scenarios import get_suite

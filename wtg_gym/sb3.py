@@ -12,6 +12,8 @@ from gymnasium.vector import AutoresetMode
 
 from wtg_gym.envs import GFMWTGVectorEnv
 from wtg_gym.extras import install_advice
+from wtg_gym.gains import GainEnvs
+from wtg_gym.policies.entry import learned_in
 
 try:
     import torch
@@ -33,7 +35,7 @@ class SB3VecEnv(VecEnv):
     Every step gives a list of `num_envs` infos:
 
     - While its episode runs, a lane's info holds `TimeLimit.truncated` (False) and nothing else: learners need no more,
-      and writing every key for every lane slows a large batch down. `vector_env.lanes.info_arrays()` has the others.
+      and writing every key for every lane slows a large batch down. `lanes.info_arrays()` has the others.
     - At its end it holds every key of the single environment's info for the last step, `terminal_observation`
       (n_observation,) float32, and `TimeLimit.truncated`: True where time was over without a failure.
 
@@ -41,6 +43,8 @@ class SB3VecEnv(VecEnv):
 
     Args:
         num_envs: number of episodes side by side.
+        gains: rewards are gains over the law that scores 100, see :class:`wtg_gym.gains.GainEnvs`; the first episode
+            that a lane reports is then what spreading has left of it, and its `reset_infos` is empty until then.
         arguments: as for :class:`wtg_gym.envs.GFMWTGVectorEnv`, but `autoreset_mode`.
 
     Raises:
@@ -48,15 +52,17 @@ class SB3VecEnv(VecEnv):
         ValueError: an argument is out of range.
     """
 
-    def __init__(self, num_envs: int = 1, **arguments: Any) -> None:
+    def __init__(self, num_envs: int = 1, *, gains: bool = False, **arguments: Any) -> None:
         if "autoreset_mode" in arguments:
             raise TypeError("autoreset_mode cannot be chosen: Stable-Baselines3 needs resets within the same step")
         #: The batch that does the work.
-        self.vector_env = GFMWTGVectorEnv(num_envs, autoreset_mode=AutoresetMode.SAME_STEP, **arguments)
+        env = GFMWTGVectorEnv(num_envs, autoreset_mode=AutoresetMode.SAME_STEP, **arguments)
+        self.vector_env: GFMWTGVectorEnv | GainEnvs = GainEnvs(env) if gains else env
+        self.lanes = env.lanes
         self._actions: npt.NDArray[Any] | None = None
-        super().__init__(num_envs, self.vector_env.single_observation_space, self.vector_env.single_action_space)
+        super().__init__(num_envs, env.single_observation_space, env.single_action_space)
         # Without it VecVideoRecorder would play an episode three times as fast as it was.
-        self.metadata["render_fps"] = self.vector_env.metadata["render_fps"]
+        self.metadata["render_fps"] = env.metadata["render_fps"]
 
     def reset(self) -> Observations:
         """Start an episode in every lane, with the seeds set before, which are used once.
@@ -113,7 +119,8 @@ class SB3VecEnv(VecEnv):
         """Return a frame per lane, which `render_mode="rgb_array"` asks for; else None per lane."""
         if self.vector_env.render_mode is None:
             return [None] * self.num_envs
-        return list(self.vector_env.render() or ())
+        frames: Any = self.vector_env.render()
+        return list(frames or ())
 
     def get_attr(self, attr_name: str, indices: int | Iterable[int] | None = None) -> list[Any]:
         """Return an attribute that all lanes share, such as `settings` or `observation_names`, once per lane asked for.
@@ -124,7 +131,7 @@ class SB3VecEnv(VecEnv):
         """
         # Spaces of the batch have other shapes, and its generators are not those of the lanes.
         name = f"single_{attr_name}" if attr_name in ("action_space", "observation_space") else attr_name
-        value = None if name in ("np_random", "np_random_seed") else getattr(self.vector_env, name)
+        value = None if name in ("np_random", "np_random_seed") else getattr(self.vector_env.unwrapped, name)
         if name in ("np_random", "np_random_seed") or callable(value):
             raise AttributeError(f"the lanes are stepped together and have no {attr_name!r} of their own")
         lanes = np.arange(self.num_envs)[list(self._get_indices(indices))]
@@ -183,6 +190,8 @@ class DeterministicPolicy(torch.nn.Module):
 
     def __init__(self, model: BaseAlgorithm) -> None:
         super().__init__()
+        #: Strategy and modes of the model's environment, for entry.toml.
+        self.learned_in = learned_in(model)
         self._policy: Any = model.policy
         self._lstm: Any = getattr(model.policy, "lstm_actor", None)
         #: Widths of the states: hidden and cell of every layer of an LSTM, else none.

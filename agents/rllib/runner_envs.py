@@ -12,8 +12,8 @@ import numpy.typing as npt
 from gymnasium.spaces import Box
 from gymnasium.vector.utils import batch_space
 
-from agents.gains import GainEnvs
 from wtg_gym.envs import GFMWTGVectorEnv
+from wtg_gym.gains import GainEnvs
 
 #: Observations and rewards are clipped to this many scales, as VecNormalize does.
 CLIP = 10.0

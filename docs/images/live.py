@@ -40,7 +40,7 @@ def model(name: str) -> str:
 
 def play(page: Any) -> None:
     page.get_by_text("Start", exact=True).click()
-    # By the scenario's time, whatever the clock says: the load comes back at 34.9 s.
+    # By the scenario's time, whatever the clock says.
     for second, k in ((16, -0.2), (20, -0.1), (36, 0.1), (40, -0.1)):
         page.wait_for_function(f"parseFloat({model('status')}.text.slice(3)) >= {second}", timeout=120_000)
         page.evaluate(f"{model('k')}.value = {k}")

@@ -2,23 +2,37 @@
 # requires-python = ">=3.11"
 # dependencies = ["skrl==2.1.1", "torch==2.13.0"]
 # ///
+import sys
+import time
+
 import gymnasium as gym
 import torch
+from gymnasium.wrappers.vector import NormalizeReward
 from skrl.agents.torch.ppo import PPO
 from skrl.envs.wrappers.torch import wrap_env
 from skrl.memories.torch import RandomMemory
 from skrl.models.torch import DeterministicMixin, GaussianMixin, Model
-from skrl.trainers.torch import SequentialTrainer
+from skrl.trainers.torch import StepTrainer
+from skrl.utils import set_seed
 from torch import nn
 
 import wtg_gym
 
-env = wrap_env(gym.make_vec("GFMWTG-14bus-v1", num_envs=16, strategy="coordinated-tuned"))
+seconds, seed = map(int, sys.argv[1:]) if sys.argv[1:] else (5, 0)
+torch.set_num_threads(1)
+set_seed(seed)
+envs = gym.make_vec("GFMWTG-14bus-v1", num_envs=64, n_threads=1, strategy="coordinated-tuned")
+envs.reset(seed=seed)
+env = wrap_env(NormalizeReward(envs, gamma=0.998))
 spaces = {"observation_space": env.observation_space, "action_space": env.action_space, "device": env.device}
 
 
 def network(n_out: int) -> nn.Module:
-    return nn.Sequential(nn.Linear(env.observation_space.shape[0], 64), nn.Tanh(), nn.Linear(64, n_out))
+    layers = [nn.Linear(env.observation_space.shape[0], 64), nn.Tanh(), nn.Linear(64, 64), nn.Tanh()]
+    last = nn.Linear(64, n_out)
+    nn.init.orthogonal_(last.weight, gain=0.01)  # zero action is a good controller to begin with
+    nn.init.zeros_(last.bias)
+    return nn.Sequential(*layers, last)
 
 
 class Policy(GaussianMixin, Model):
@@ -26,7 +40,7 @@ class Policy(GaussianMixin, Model):
         Model.__init__(self, **spaces)
         GaussianMixin.__init__(self, clip_actions=True)
         self.net = network(self.num_actions)
-        self.log_std = nn.Parameter(torch.full((self.num_actions,), -3.0))
+        self.log_std = nn.Parameter(torch.full((self.num_actions,), -4.0))
 
     def compute(self, inputs, role):
         return self.net(inputs["observations"]), {"log_std": self.log_std}
@@ -43,7 +57,17 @@ class Value(DeterministicMixin, Model):
 
 
 policy = Policy()
-memory = RandomMemory(memory_size=16, num_envs=env.num_envs, device=env.device)
-agent = PPO(models={"policy": policy, "value": Value()}, memory=memory, **spaces)
-SequentialTrainer(env=env, agents=agent, cfg={"timesteps": 64, "headless": True}).train()
-wtg_gym.export_onnx(policy.net, "skrl", name="my skrl agent", strategy="coordinated-tuned")
+settings = {"rollouts": 64, "learning_epochs": 5, "mini_batches": 4, "learning_rate": 2e-4, "discount_factor": 0.998}
+agent = PPO(
+    models={"policy": policy, "value": Value()},
+    memory=RandomMemory(memory_size=64, num_envs=env.num_envs, device=env.device),
+    cfg={**settings, "experiment": {"write_interval": 0, "checkpoint_interval": 0}},
+    **spaces,
+)
+n_steps, end = 0, time.process_time() + seconds
+trainer = StepTrainer(env=env, agents=agent, cfg={"timesteps": 1, "headless": True, "disable_progressbar": True})
+while time.process_time() < end:
+    trainer.train()
+    n_steps += env.num_envs
+print(n_steps, "steps")
+wtg_gym.export_onnx(policy.net, "skrl", name="my agent of skrl", strategy="coordinated-tuned", training_seed=seed)

@@ -2,24 +2,70 @@
 # requires-python = ">=3.11"
 # dependencies = ["torchrl==0.14.1", "torch==2.13.0"]
 # ///
+import sys
+import time
+
 import torch
-from tensordict.nn import TensorDictModule
+from tensordict.nn import AddStateIndependentNormalScale, TensorDictModule
 from torch import nn
-from torchrl.envs import GymEnv, ParallelEnv
-from torchrl.envs.libs.gym import default_info_dict_reader
+from torchrl.collectors import Collector
+from torchrl.envs import GymEnv, RewardScaling, SerialEnv, TransformedEnv
+from torchrl.modules import IndependentNormal, ProbabilisticActor, ValueOperator
+from torchrl.objectives import ClipPPOLoss
+from torchrl.objectives.value import GAE
 
 import wtg_gym
 
+seconds, seed = map(int, sys.argv[1:]) if sys.argv[1:] else (5, 0)
+torch.set_num_threads(1)
+torch.manual_seed(seed)
+
 
 def make() -> GymEnv:
-    env = GymEnv("GFMWTG-14bus-v1", strategy="coordinated-tuned")
-    return env.set_info_dict_reader(default_info_dict_reader(["cost", "frequency_hz"]))
+    return GymEnv("GFMWTG-14bus-v1", strategy="coordinated-tuned")
 
 
-if __name__ == "__main__":
-    actor = nn.Sequential(nn.Linear(make().observation_spec["observation"].shape[-1], 64), nn.Tanh(), nn.Linear(64, 8))
-    policy = TensorDictModule(actor, in_keys=["observation"], out_keys=["action"])
-    with torch.no_grad():
-        one, many = make().rollout(20, policy), ParallelEnv(2, make).rollout(20, policy)
-    print(one["next", "frequency_hz"].min(), many["next", "reward"].sum(1).mean())
-    wtg_gym.export_onnx(actor, "torchrl", name="my TorchRL agent", strategy="coordinated-tuned")
+env = TransformedEnv(SerialEnv(16, make), RewardScaling(loc=0.0, scale=1 / 1000))  # to returns of about one
+env.set_seed(seed)
+n_observation, n_action = env.observation_spec["observation"].shape[-1], env.action_spec.shape[-1]
+
+
+def network(n_out: int) -> nn.Sequential:
+    last = nn.Linear(64, n_out)
+    nn.init.orthogonal_(last.weight, 0.01)  # zero action is a good controller to begin with, and noise costs
+    nn.init.zeros_(last.bias)
+    return nn.Sequential(nn.Linear(n_observation, 64), nn.Tanh(), nn.Linear(64, 64), nn.Tanh(), last)
+
+
+mean = network(n_action)
+noise = AddStateIndependentNormalScale(n_action, scale_mapping="exp")
+nn.init.constant_(noise.state_independent_scale, -4.0)
+actor = ProbabilisticActor(
+    TensorDictModule(nn.Sequential(mean, noise), in_keys=["observation"], out_keys=["loc", "scale"]),
+    in_keys=["loc", "scale"],
+    distribution_class=IndependentNormal,
+    return_log_prob=True,
+)
+critic = ValueOperator(network(1), in_keys=["observation"])
+advantage = GAE(gamma=0.998, lmbda=0.95, value_network=critic)
+loss = ClipPPOLoss(actor, critic, clip_epsilon=0.2, entropy_bonus=False, critic_coeff=0.5, normalize_advantage=True)
+optimizer = torch.optim.Adam(loss.parameters(), lr=2e-4)
+collector = Collector(env, actor, frames_per_batch=4096, total_frames=-1, trust_policy=True)
+n_steps, end = 0, time.process_time() + seconds
+for batch in collector:
+    for _ in range(5):
+        with torch.no_grad():
+            advantage(batch)
+        rows = batch.reshape(-1)
+        for chosen in torch.randperm(len(rows)).chunk(4):
+            losses = loss(rows[chosen])
+            optimizer.zero_grad()
+            (losses["loss_objective"] + losses["loss_critic"]).backward()
+            nn.utils.clip_grad_norm_(loss.parameters(), 0.5)
+            optimizer.step()
+    n_steps += len(rows)
+    if time.process_time() > end:
+        break
+print(n_steps, "steps")
+wtg_gym.export_onnx(mean, "torchrl", name="my agent of TorchRL", strategy="coordinated-tuned", training_seed=seed)
+collector.shutdown()

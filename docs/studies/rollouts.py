@@ -11,11 +11,11 @@ from contextlib import closing
 
 import numpy as np
 
-from agents.gains import ScoreUnits
 from wtg_gym.envs.lanes import TaskLanes
 from wtg_gym.envs.settings import EnvSettings
 from wtg_gym.envs.task_records import COST_TERMS
 from wtg_gym.evaluation.score import pinned_cost
+from wtg_gym.gains import ScoreUnits
 from wtg_gym.physics.layout import Floats
 from wtg_gym.physics.protection import Status
 from wtg_gym.physics.tracking_law import TrackingLaw

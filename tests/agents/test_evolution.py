@@ -12,11 +12,11 @@ import torch
 from agents.evolution import EvolutionLearner, GroupPolicy, Hyperparameters, Population, main
 from agents.export import export
 from agents.folders import folders
-from agents.gains import ScoreUnits
 from agents.runs import Run
 from tests.agents.small import largest_difference
 from tests.interruption import interrupted
 from wtg_gym.envs import EnvSettings
+from wtg_gym.gains import ScoreUnits
 from wtg_gym.policies.load import load_entries
 from wtg_gym.policies.torch_export import TorchPolicy, onnx_bytes
 

@@ -119,7 +119,7 @@ def test_a_slow_rotor_ends_the_episode_where_rotors_do() -> None:
 
 def test_the_loss_counts_every_stratum_by_its_offset_and_scale(monkeypatch: pytest.MonkeyPatch) -> None:
     scales = {"ordinary": 0.2, "large": 0.5, "extreme": 0.25}
-    monkeypatch.setattr("agents.gains.stratum_scales", lambda _settings: scales)
+    monkeypatch.setattr("wtg_gym.gains.stratum_scales", lambda _settings: scales)
     costs = torch.tensor([30.0, 400.0, 2000.0], dtype=torch.float64)
     scenarios = get_suite("standard-v1").scenarios([1_000_002, 1_000_000, 1_000_001], duration_s=1.0)
     offsets = (40.0, 300.0, 3000.0)

@@ -10,15 +10,16 @@ import pytest
 import torch
 from torch import nn
 
-from agents.multi_agent import AgentVecEnv, GainVecEnv, SharedPolicy
+from agents.multi_agent import AgentVecEnv, SharedPolicy
 from wtg_gym.envs import EnvSettings
+from wtg_gym.sb3 import SB3VecEnv
 
 SHORT: dict[str, Any] = {"version": "v0", "duration_s": 5.0, "strategy": "mppt"}
 
 
 def test_lanes_are_the_groups_of_the_episodes() -> None:
     arguments = {**SHORT, "groups": 3}
-    episodes, groups = GainVecEnv(2, **arguments), AgentVecEnv(GainVecEnv(2, **arguments))
+    episodes, groups = SB3VecEnv(2, gains=True, **arguments), AgentVecEnv(SB3VecEnv(2, gains=True, **arguments))
     for env in (episodes, groups):
         env.seed(3)
     seen, split = episodes.reset(), groups.reset()

@@ -105,7 +105,7 @@ def test_a_policy_of_all_groups_stays_in_its_grid_and_one_of_a_group_moves() -> 
     given = {"name": "still", "policy": Still(), "environment": "GFMWTG-14bus-v1"}
     check_version([Entry(**given, per_group=True)], elsewhere)
     for suite, other in ((elsewhere, {}), (get_suite("standard-v1"), {"environment": "GFMWTG-v1"})):
-        with pytest.raises(ValueError, match="between grids move policies with per_group = true"):
+        with pytest.raises(ValueError, match="choose a suite of its own environment; policies with per_group = true"):
             check_version([Entry(**{**given, **other})], suite)
 
 

@@ -35,16 +35,17 @@ grids: simulate single scenarios, score controllers on frozen suites of scenario
 
 _EPILOGUE = """\
 first steps:
-  wtg-gym simulate                                   the paper's load increase under the reference strategy
-  wtg-gym simulate --strategy all --plot run.png     under every strategy, with a figure
-  wtg-gym play                                       hold the frequency by hand, in the browser
-  wtg-gym suites                                     the suites of scenarios
-  wtg-gym evaluate --suite standard-v1               score the baselines of version v1
-  wtg-gym leaderboard --suite paper                  rank the baselines on the paper's cases
-  wtg-gym reproduce                                  the paper's figures and claims, measured
+  wtg-gym simulate                              the paper's load increase
+  wtg-gym simulate --strategy all --plot a.png  under every strategy, drawn
+  wtg-gym play                                  hold the frequency by hand
+  wtg-gym suites                                the suites of scenarios
+  wtg-gym evaluate --suite standard-v1          score the baselines of v1
+  wtg-gym leaderboard --suite paper             rank them on the paper's cases
+  wtg-gym reproduce                             the paper's figures and claims
 
 'wtg-gym COMMAND --help' explains a command and gives examples.
-exit codes: 0 fine, 1 a check failed, 2 bad input, 130 interrupted, 141 the output's reader is gone
+exit codes: 0 fine, 1 a check failed, 2 bad input, 130 interrupted, 141 the
+reader of the output is gone
 """
 
 

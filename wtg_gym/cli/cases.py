@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from wtg_gym.cli.output import print_json, print_table
+from wtg_gym.cli.scoring import look_into_working_folder
 from wtg_gym.evaluation.grid_tests import GRID_TESTS, get_grid_test, run_grid_test
 from wtg_gym.policies.load import load_entries
 from wtg_gym.progress import Progress
@@ -15,6 +16,7 @@ def play_cases(names: Sequence[str], specs: Sequence[str], *, json: bool) -> int
     """Play entries through tests, and print verdicts and figures; return 1 where one has failed, else 0."""
     expanded = [each for name in names for each in (GRID_TESTS if name == "all" else (name,))]
     tests = [get_grid_test(name) for name in dict.fromkeys(expanded)]
+    look_into_working_folder()
     entries = load_entries(specs)
     rows: list[dict[str, Any]] = []
     with Progress("cases") as progress:

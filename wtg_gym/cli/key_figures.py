@@ -30,8 +30,13 @@ def key_figures(name: str, run: Trajectory) -> dict[str, Any]:
     # A disconnected group delivers exactly nothing; one that came back is not listed.
     off = run.power_pu == 0.0
     tripped = [
-        {"group": 1 + int(group), "time_s": _plain(run.time_s[_last_start(off[:, group])])}
+        {
+            "group": 1 + int(group),
+            "time_s": _plain(run.time_s[at]),
+            "rotor_speed_pu": _plain(run.rotor_speed_pu[at, group]),
+        }
         for group in np.flatnonzero(off[-1])
+        for at in [_last_start(off[:, group])]
     ]
     return {
         "strategy": name,
@@ -71,15 +76,18 @@ def _plain(value: float) -> float | None:
 
 def print_key_figures(figures: list[dict[str, Any]]) -> None:
     """Print the key figures of several runs as a table with units."""
+    sheds = any(row["shed_energy_mws"] for row in figures)
     window_ms = round(1000 * figures[0]["rocof_window_s"])
     header = (
         "strategy",
         "nadir [Hz]",
         "zenith [Hz]",
+        "of any unit [Hz]",
         f"RoCoF, {window_ms} ms [Hz/s]",
         "final [Hz]",
         "final rotor speed [p.u.]",
         "final power [p.u.]",
+        *(("not served [MW s]",) if sheds else ()),
         "end",
     )
     rows = [
@@ -87,25 +95,27 @@ def print_key_figures(figures: list[dict[str, Any]]) -> None:
             row["strategy"],
             _digits(row["nadir_hz"], 3),
             _digits(row["zenith_hz"], 3),
+            f"{_digits(row['local_nadir_hz'], 3)} … {_digits(row['local_zenith_hz'], 3)}",
             _digits(row["largest_rocof_hz_s"], 3),
             _digits(row["final_frequency_hz"], 3),
             _per_group(row["final_rotor_speed_pu"]),
             _per_group(row["final_power_pu"]),
+            *((_digits(row["shed_energy_mws"], 0),) if sheds else ()),
             _end(row),
         )
         for row in figures
     ]
-    print_table(header, rows)
+    print_table(header, rows, left=(0, len(header) - 1))
 
 
 def _end(row: Mapping[str, Any]) -> str:
     time_s = _digits(row["end_time_s"], 1)
     if row["status"] == "completed":
-        trips: dict[str, list[str]] = {}
-        for trip in row["tripped_groups"]:
-            trips.setdefault(f"{trip['time_s']:.1f} s", []).append(str(trip["group"]))
-        parts = [f"group {', '.join(groups)} tripped at {when}" for when, groups in trips.items()]
-        return "; ".join([*parts, f"completed {time_s} s"])
+        trips = (
+            f"group {trip['group']} tripped at {trip['time_s']:.1f} s, rotor {_digits(trip['rotor_speed_pu'], 2)} p.u."
+            for trip in row["tripped_groups"]
+        )
+        return "; ".join([*trips, f"completed {time_s} s"])
     group = f" of group {row['failed_group']}" if row["failed_group"] else ""
     return f"{row['status'].replace('-', ' ')}{group} at {time_s} s"
 

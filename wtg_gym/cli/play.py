@@ -28,12 +28,12 @@ def play(
 
     examples:
       wtg-gym play
-      wtg-gym play --suite faults-v1 --seed 20003
+      wtg-gym play --suite faults-v1 --seed 10003
       wtg-gym play --suite standard --speed 0.5 --port 5006 --no-browser
 
     Args:
         suite: one of those that `wtg-gym suites` lists
-        seed: seed of the suite; default: its first test seed
+        seed: seed of the suite; default: its first validation seed
         duration: length of a run [s]; default: the suite's
         speed: simulated seconds per second, 0.1 … 20
         port: port at localhost; 0: any that is free
@@ -44,7 +44,7 @@ def play(
 
     chosen = get_suite(suite)
     # Refuses a duration or a seed that is out of range.
-    match = Match(chosen, chosen.test[0] if seed is None else seed, duration)
+    match = Match(chosen, chosen.validation[0] if seed is None else seed, duration)
     require_extra("bokeh", "wtg-gym play")
     from bokeh.server.server import Server
 

@@ -30,8 +30,8 @@ def describe_scenario(scenario: Scenario) -> list[str]:
     lines = [
         f"scenario {scenario.name}: {scenario.duration_s:g} s",
         f"  mean wind    {', '.join(winds)}{more} m/s",
-        f"  grid         governor droop {droop}, inertia {100.0 * scenario.inertia_scale:.3g} %, "
-        f"load {100.0 * scenario.load_level:.3g} %",
+        f"  grid         governor droop {droop}, {100.0 * scenario.committed:.3g} % of the machines' units on line, "
+        f"inertia of each {100.0 * scenario.inertia_scale:.3g} %, load {100.0 * scenario.load_level:.3g} %",
         f"  load noise   {noise}",
     ]
     events = sorted(scenario.events, key=lambda event: event.time_s)

@@ -34,14 +34,17 @@ _LARGEST_SECRET = 4096
 
 def chosen_entries(specs: Sequence[str], suite: str) -> list[Entry]:
     """Return the entries of `--entries` for a suite."""
-    benchmark = get_suite(suite).benchmark
-    # A console script, unlike `python -m`, does not look into the working folder: a checkout's packages are there.
-    if os.getcwd() not in sys.path:
-        sys.path.append(os.getcwd())
-    entries = load_entries(specs, benchmark)
+    look_into_working_folder()
+    entries = load_entries(specs, get_suite(suite).benchmark)
     # `evaluate` checks them too, but after the simulator was compiled.
     check_entries(entries)
     return entries
+
+
+def look_into_working_folder() -> None:
+    """Let modules there be entries, as `python -m` does and a console script does not."""
+    if os.getcwd() not in sys.path:
+        sys.path.append(os.getcwd())
 
 
 def chosen_scenarios(suite: str, split: str, given: SeedOptions) -> dict[str, Any]:
@@ -147,7 +150,9 @@ def finish(results: Results, folder: Path | None, *, as_json: bool) -> int:
     columns = columns_of("terminal", rows)
     heads = [_SHORT_HEADS.get(column, column) for column in columns]
     print_table(heads, table_cells(rows, columns), left=text_columns(columns))
-    say("", "Δf: largest deviation of a run's frequency, the median; lost: runs that failed; --json prints more")
+    say(
+        "", "in brackets: 95 % interval; Δf: largest deviation of a run's frequency, the median; lost: runs that failed"
+    )
     say(*notes_on_marks(rows))
     if results.no_score:
         note(results.no_score)

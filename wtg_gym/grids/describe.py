@@ -29,8 +29,8 @@ def describe_grid(grid: Grid) -> Iterator[Line]:
     yield "network", f"{len(case.buses)} buses, {len(case.branches)} branches ({len(case.bridges)} of them bridges)"
     yield "base", f"{case.base_mva:g} MVA, {case.frequency_hz:g} Hz"
     yield "load", f"{case.load_mw:.1f} MW"
-    yield "machines", f"{len(case.machines)} of {rating:.0f} MVA, {len(governed)} with a governor"
-    yield "WTG groups", f"{len(grid.groups)} of {turbines:g} turbines, in place of {len(grid.replaced)} machines"
+    yield "machines", f"{len(case.machines)}, {rating:.0f} MVA together, {len(governed)} with a governor"
+    yield "WTG groups", f"{len(grid.groups)}, {turbines:g} turbines together, in place of {len(grid.replaced)} machines"
     yield "source", f"{grid.source or 'not given'}; licence: {grid.licence or 'not given'}"
     for name, lines in (("repaired", grid.repairs), ("replaced", grid.substitutions)):
         for line in lines:
@@ -51,6 +51,7 @@ def describe_equilibrium(grid: Grid) -> Iterator[Line]:
     simulator.start(0, scenario, group_laws(LAW, plant.turbines, plant.control))
     simulator.evaluate()
     voltages = np.abs(simulator.bus_voltages())
+    yield "state below", f"{WIND_M_S:g} m/s, all groups under {LAW}"
     yield "voltages", f"{voltages.min():.3f} … {voltages.max():.3f} p.u."
     rows, layout = simulator.blocks[0, :, 0], simulator.layout
     matrix, keep = moving_matrix(rows, simulator.plant, layout, -1.0)

@@ -224,7 +224,10 @@ def get_law(
         return read_law(Path(strategy), turbine)
     if not isinstance(strategy, str) or strategy not in STRATEGY_NAMES:
         known = ", ".join(STRATEGY_NAMES)
-        raise ValueError(f"unknown strategy {str(strategy)!r}; known strategies: {known}, or a .toml file with a law")
+        raise ValueError(
+            f"unknown strategy {str(strategy)!r}; known strategies: {known}, or a .toml file with a "
+            "law; trained policies are entries of `evaluate`"
+        )
     return _strategy(strategy, turbine, control)
 
 

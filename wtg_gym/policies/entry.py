@@ -100,11 +100,23 @@ class Entry:
                 "predict() leaves out; export both with "
                 "wtg_gym.export_onnx(wtg_gym.sb3.DeterministicPolicy(model), folder, name=...)"
             )
+        self._check_training()
         for key in ("description", "source"):
             if not isinstance(getattr(self, key), str):
                 raise ValueError(f"{key} of entry {name!r} must be text, got {getattr(self, key)!r}")
         if seed is not None and (isinstance(seed, bool) or not isinstance(seed, int) or seed < 0):
             raise ValueError(f"training_seed of entry {name!r} must be a whole number from 0 on, got {seed!r}")
+
+    def _check_training(self) -> None:
+        """Raise a ValueError if a learner's own environment says that it learned on another law or in other modes."""
+        learned = learned_in(self.policy)
+        for key, value in learned.items():
+            own = getattr(self, key)
+            if own != value and (key != "strategy" or get_law(own) != get_law(value)):
+                raise ValueError(
+                    f"the policy of entry {self.name!r} learned with {key}={value!r}, the entry has {own!r}: give it "
+                    f"{key}={value!r}"
+                )
 
     @property
     def kind(self) -> str:
@@ -164,6 +176,18 @@ def _misses_normalization(policy: Any) -> bool:
     return callable(normalization) and bool(getattr(normalization(), "norm_obs", False))
 
 
+def learned_in(policy: Any) -> dict[str, Any]:
+    """Return strategy and modes of the environment that a learner of Stable-Baselines3 has; empty for anything else."""
+    env = policy.get_env() if callable(getattr(policy, "get_env", None)) else None
+    try:
+        settings = env.get_attr("settings")[0] if env is not None else None
+    except AttributeError:
+        return {}
+    keys = ("strategy", "action_mode", "observation_mode")
+    known = isinstance(settings, EnvSettings) and isinstance(settings.strategy, (str, TrackingLaw))
+    return {key: getattr(settings, key) for key in keys} if known else {}
+
+
 def check_entries(entries: Sequence[Entry]) -> None:
     """Raise a ValueError if entries cannot stand in one table: names, training seeds and rows must fit."""
     if isinstance(entries, (str, Entry)) or not all(isinstance(entry, Entry) for entry in entries):
@@ -196,7 +220,8 @@ def check_version(entries: Sequence[Entry], suite: Suite) -> None:
             continue
         raise ValueError(
             f"entry {entry.label!r} is for {entry.environment}, these scenarios are of {suite.env_id}, whose "
-            "observations are others; between grids move policies with per_group = true in their entry.toml"
+            "observations are others: choose a suite of its own environment; policies with per_group = true in their "
+            "entry.toml play every grid"
         )
 
 

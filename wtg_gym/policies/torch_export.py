@@ -53,7 +53,8 @@ def export_onnx(
         name: of the entry.
         tolerance: largest difference between the actions of the file and the module, [-1, 1].
         entry: further keys of entry.toml: environment (default "GFMWTG-14bus-v1"), action_mode ("k+tau"),
-            observation_mode, strategy, training_seed (0), authors (["unnamed"]), description, trained_on.
+            observation_mode, strategy, training_seed (0), authors (["unnamed"]), description, trained_on. Strategy and
+            modes of a :class:`~wtg_gym.sb3.DeterministicPolicy` are those of its learner's environment.
 
     Returns:
         the folder.
@@ -64,6 +65,10 @@ def export_onnx(
     """
     if not isinstance(module, nn.Module):
         raise ValueError(f"export_onnx() takes a torch.nn.Module, got {type(module).__name__}")
+    learned: dict[str, Any] = getattr(module, "learned_in", {})
+    for key, value in learned.items():
+        if entry.setdefault(key, value) != value:
+            raise ValueError(f"the {type(module).__name__} learned with {key}={value!r}, got {key}={entry[key]!r}")
     values = {
         "name": name,
         "environment": "GFMWTG-14bus-v1",
@@ -162,7 +167,7 @@ def _exported(playable: _Playable, n_observation: int) -> bytes:
     """Return the file; a ValueError says what torch cannot export."""
     states = [f"state_{index}" for index in range(len(playable.state_widths))]
     inputs, outputs = ["observation", *states], ["action", *(f"next_{name}" for name in states)]
-    # It is always played one scenario at a time.
+    # It is always played one scenario at a time: without another size of the batch onnxruntime simplifies more.
     given = tuple(torch.zeros(1, width) for width in (n_observation, *playable.state_widths))
     try:
         with tempfile.TemporaryDirectory() as folder, warnings.catch_warnings(), torch.no_grad():
@@ -177,7 +182,6 @@ def _exported(playable: _Playable, n_observation: int) -> bytes:
                 opset_version=_OPSET,
                 input_names=inputs,
                 output_names=outputs,
-                dynamic_axes={name: {0: "batch"} for name in (*inputs, *outputs)},
             )
             return file.read_bytes()
     except Exception as error:

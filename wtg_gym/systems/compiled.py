@@ -48,8 +48,8 @@ VERSIONS = (numba.__version__, llvmlite.__version__, sys.implementation.cache_ta
 SHIPPED = _PACKAGE / "machine_code"
 _V3 = ("avx2", "bmi", "bmi2", "f16c", "fma", "lzcnt", "movbe")
 KINDS = {"x86-64-v4": (*_V3, "avx512f", "avx512bw", "avx512cd", "avx512dq", "avx512vl"), "x86-64-v3": _V3}
-#: This many functions and routines are compiled before anything is reported: so few take a second.
-_SILENT_FUNCTIONS = 20
+#: From this function or routine on compiling is reported: a single one takes a moment.
+_SILENT_FUNCTIONS = 2
 
 
 def digest_of(*parts: bytes) -> bytes:

@@ -60,6 +60,7 @@ class PlayPage:
         made.update(toolbar_location=None, sizing_mode="stretch_width", lod_threshold=None)
         made.update(min_border_left=60, min_border_right=20)
         made.axis.minor_tick_line_color = None
+        made.xaxis.axis_label = "time [s]" if name == "power" else None
         if name == "frequency":
             nominal = self._match.nominal_hz
             # Keeps this range in view.
@@ -68,8 +69,11 @@ class PlayPage:
         made.vspan("x", source=self._strikes, line_color=EVENT, line_dash="dashed")
         for j in range(1 if name == "frequency" else self._match.n_groups):
             colour = INK if name == "frequency" else group_colour(j)
-            for lane, style in ((REFERENCE, {"line_dash": [6, 3]}), (OWN, {"line_width": 2.2})):
+            own = {"line_width": 2.2, **({"legend_label": f"group {j + 1}"} if name == "rotor" else {})}
+            for lane, style in ((REFERENCE, {"line_dash": [6, 3]}), (OWN, own)):
                 made.line("t", f"{name}-{lane}-{j}", source=self._traces, color=colour, **style)
+        if name == "rotor":
+            made.legend.update(location="bottom_right", orientation="horizontal", padding=2, background_fill_alpha=0.7)
         return made
 
     # --- what you do -------------------------------------------------------------------------------------------------

@@ -8,10 +8,9 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
-from agents.gains import Gains, law_costs, stagger, stratum_scales
-from agents.multi_agent import GainVecEnv
 from wtg_gym.envs import EnvSettings, GFMWTGVectorEnv
 from wtg_gym.envs.lanes import TaskLanes
+from wtg_gym.gains import Gains, law_costs, stagger, stratum_scales
 from wtg_gym.sb3 import SB3VecEnv
 from wtg_gym.scenarios import get_suite
 from wtg_gym.scenarios.benchmark import V1
@@ -29,7 +28,7 @@ def reference_cost(seed: int) -> float:
 
 
 def test_gain_is_the_share_of_the_reference_cost_that_is_saved() -> None:
-    env, plain = GainVecEnv(3, duration_s=2.0, version="v0"), SB3VecEnv(3, duration_s=2.0, version="v0")
+    env, plain = SB3VecEnv(3, gains=True, duration_s=2.0, version="v0"), SB3VecEnv(3, duration_s=2.0, version="v0")
     for each in (env, plain):
         each.seed(11)
     plain.reset()
@@ -99,7 +98,7 @@ def test_gain_of_v1_is_the_share_of_the_reference_cost_that_is_saved_in_scales_o
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     scales, offsets = {"ordinary": 0.2, "large": 0.5, "extreme": 0.25}, dict(V1.cost_offsets)
-    monkeypatch.setattr("agents.gains.stratum_scales", lambda _settings: scales)
+    monkeypatch.setattr("wtg_gym.gains.stratum_scales", lambda _settings: scales)
     env = GFMWTGVectorEnv(6, n_threads=1, version="v1", strategy="mppt", duration_s=10.0)
     env.reset(seed=1)
     gains, seeds = Gains(env.lanes), env.lanes.scenario_seeds.tolist()
