@@ -14,14 +14,16 @@ from gymnasium.wrappers.vector import NormalizeReward
 from torch import nn
 from torch.distributions import Normal
 
-import wtg_gym
+from wtg_gym import export_onnx
+from wtg_gym.gains import GainEnvs
 
 seconds, seed = map(int, sys.argv[1:]) if sys.argv[1:] else (5, 0)
 torch.set_num_threads(1)
 torch.manual_seed(seed)
 N_ENVS, N_STEPS, GAMMA, LAMBDA = 64, 64, 0.998, 0.95
 task = {"strategy": "coordinated-tuned", "autoreset_mode": AutoresetMode.SAME_STEP}
-envs = NormalizeReward(gym.make_vec("GFMWTG-14bus-v1", num_envs=N_ENVS, n_threads=1, **task), gamma=GAMMA)
+lanes = gym.make_vec("wtg_gym:GFMWTG-14bus-v1", num_envs=N_ENVS, n_threads=1, **task)
+envs = NormalizeReward(GainEnvs(lanes), gamma=GAMMA)
 n_observation, n_action = envs.single_observation_space.shape[0], envs.single_action_space.shape[0]
 
 
@@ -75,4 +77,4 @@ while time.process_time() < end:
             nn.utils.clip_grad_norm_(parameters, 0.5)
             optimizer.step()
 print(n_steps, "steps")
-wtg_gym.export_onnx(actor, "cleanrl", name="my agent of CleanRL", strategy="coordinated-tuned", training_seed=seed)
+export_onnx(actor, "cleanrl", name="my agent of CleanRL", strategy="coordinated-tuned", training_seed=seed)

@@ -5,10 +5,9 @@
 import sys
 import time
 
-import gymnasium as gym
 import ray
 import torch
-from gymnasium.wrappers import NormalizeReward
+from gymnasium.wrappers.vector import NormalizeReward
 from ray.rllib.algorithms.ppo import PPOConfig
 from ray.rllib.algorithms.ppo.torch.default_ppo_torch_rl_module import DefaultPPOTorchRLModule
 from ray.rllib.core.models.base import ACTOR, ENCODER_OUT
@@ -17,6 +16,19 @@ from ray.tune import register_env
 from torch import nn
 
 from wtg_gym import export_onnx
+from wtg_gym.envs import GFMWTGVectorEnv
+from wtg_gym.gains import GainEnvs
+
+
+class Lanes(NormalizeReward):
+    """The native batch; RLlib takes infos apart for every lane and step, which takes longer than all the rest."""
+
+    def __init__(self, num_envs=1, **arguments):
+        super().__init__(GainEnvs(GFMWTGVectorEnv(num_envs, **arguments)), gamma=0.998)
+
+    def step(self, actions):
+        *rest, _ = super().step(actions)
+        return *rest, {}
 
 
 class Module(DefaultPPOTorchRLModule):
@@ -40,14 +52,13 @@ class Mean(nn.Module):
 
 seconds, seed = map(int, sys.argv[1:]) if sys.argv[1:] else (5, 0)
 torch.set_num_threads(1)
-task = {"id": "wtg_gym:GFMWTG-14bus-v1", "strategy": "coordinated-tuned"}
-register_env("wtg", lambda config: NormalizeReward(gym.make(**task), gamma=0.998))
+register_env("lanes", lambda config: Lanes(**config))
 ray.init(num_cpus=2, include_dashboard=False)
 network = {"fcnet_hiddens": [64, 64], "fcnet_activation": "tanh", "vf_share_layers": False, "free_log_std": True}
 config = (
     PPOConfig()
-    .environment("wtg")
-    .env_runners(num_env_runners=0, num_envs_per_env_runner=16)
+    .environment("lanes", env_config={"n_threads": 1, "strategy": "coordinated-tuned"})
+    .env_runners(num_env_runners=0, num_envs_per_env_runner=64, gym_env_vectorize_mode="vector_entry_point")
     .rl_module(rl_module_spec=RLModuleSpec(module_class=Module, model_config=network))
     .training(train_batch_size_per_learner=4096, minibatch_size=1024, num_epochs=5, lr=2e-4, gamma=0.998, lambda_=0.95)
     .training(use_kl_loss=False, vf_loss_coeff=0.5, vf_clip_param=float("inf"), grad_clip=0.5, clip_param=0.2)
@@ -57,7 +68,7 @@ algorithm = config.build_algo()
 end = time.process_time() + seconds
 while time.process_time() < end:
     result = algorithm.train()
-print(result["num_env_steps_sampled_lifetime"], "steps")
+print(int(result["num_env_steps_sampled_lifetime"]), "steps")
 actor = Mean(algorithm.get_module())
 export_onnx(actor, "rllib", name="my agent of RLlib", strategy="coordinated-tuned", training_seed=seed)
 algorithm.stop()

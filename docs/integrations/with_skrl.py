@@ -16,14 +16,16 @@ from skrl.trainers.torch import StepTrainer
 from skrl.utils import set_seed
 from torch import nn
 
-import wtg_gym
+from wtg_gym import export_onnx
+from wtg_gym.gains import GainEnvs
 
 seconds, seed = map(int, sys.argv[1:]) if sys.argv[1:] else (5, 0)
 torch.set_num_threads(1)
 set_seed(seed)
-envs = gym.make_vec("GFMWTG-14bus-v1", num_envs=64, n_threads=1, strategy="coordinated-tuned")
+lanes = gym.make_vec("wtg_gym:GFMWTG-14bus-v1", num_envs=64, n_threads=1, strategy="coordinated-tuned")
+envs = NormalizeReward(GainEnvs(lanes), gamma=0.998)
 envs.reset(seed=seed)
-env = wrap_env(NormalizeReward(envs, gamma=0.998))
+env = wrap_env(envs)
 spaces = {"observation_space": env.observation_space, "action_space": env.action_space, "device": env.device}
 
 
@@ -70,4 +72,4 @@ while time.process_time() < end:
     trainer.train()
     n_steps += env.num_envs
 print(n_steps, "steps")
-wtg_gym.export_onnx(policy.net, "skrl", name="my agent of skrl", strategy="coordinated-tuned", training_seed=seed)
+export_onnx(policy.net, "skrl", name="my agent of skrl", strategy="coordinated-tuned", training_seed=seed)

@@ -5,29 +5,40 @@
 import sys
 import time
 
+import gymnasium as gym
 import torch
+from gymnasium.vector import AutoresetMode
 from tensordict.nn import AddStateIndependentNormalScale, TensorDictModule
 from torch import nn
 from torchrl.collectors import Collector
-from torchrl.envs import GymEnv, RewardScaling, SerialEnv, TransformedEnv
+from torchrl.envs import GymWrapper, RewardScaling, TransformedEnv
 from torchrl.modules import IndependentNormal, ProbabilisticActor, ValueOperator
 from torchrl.objectives import ClipPPOLoss
 from torchrl.objectives.value import GAE
 
-import wtg_gym
+from wtg_gym import export_onnx
+from wtg_gym.gains import GainEnvs
 
 seconds, seed = map(int, sys.argv[1:]) if sys.argv[1:] else (5, 0)
 torch.set_num_threads(1)
 torch.manual_seed(seed)
 
 
-def make() -> GymEnv:
-    return GymEnv("GFMWTG-14bus-v1", strategy="coordinated-tuned")
+class Lanes(GainEnvs):
+    """The native batch; TorchRL takes numbers alone in the infos, and asks for the mode."""
+
+    autoreset_mode = AutoresetMode.SAME_STEP
+
+    def step(self, actions):
+        *rest, infos = super().step(actions)
+        return *rest, {name: infos[name] for name in infos if name in ("final_obs", "_final_obs")}
 
 
-env = TransformedEnv(SerialEnv(16, make), RewardScaling(loc=0.0, scale=1 / 1000))  # to returns of about one
-env.set_seed(seed)
-n_observation, n_action = env.observation_spec["observation"].shape[-1], env.action_spec.shape[-1]
+task = {"strategy": "coordinated-tuned", "autoreset_mode": Lanes.autoreset_mode}
+lanes = Lanes(gym.make_vec("wtg_gym:GFMWTG-14bus-v1", num_envs=64, n_threads=1, **task))
+lanes.reset(seed=seed)
+env = TransformedEnv(GymWrapper(lanes), RewardScaling(loc=0.0, scale=0.1))  # to returns of about one
+n_observation, n_action = (space.shape[0] for space in (lanes.single_observation_space, lanes.single_action_space))
 
 
 def network(n_out: int) -> nn.Sequential:
@@ -67,5 +78,5 @@ for batch in collector:
     if time.process_time() > end:
         break
 print(n_steps, "steps")
-wtg_gym.export_onnx(mean, "torchrl", name="my agent of TorchRL", strategy="coordinated-tuned", training_seed=seed)
+export_onnx(mean, "torchrl", name="my agent of TorchRL", strategy="coordinated-tuned", training_seed=seed)
 collector.shutdown()
