@@ -113,6 +113,10 @@ def record_of(kind: Any, data: Any) -> Any:
     hints = get_type_hints(kind)
     kinds = {field.name: hints[field.name] for field in dataclasses.fields(kind)}
     require_known(kind.__name__, data, list(kinds))
+    nothing = dataclasses.MISSING
+    needed = [each.name for each in dataclasses.fields(kind) if each.default is each.default_factory is nothing]
+    if missing := [name for name in needed if name not in data]:
+        raise ValueError(f"{kind.__name__} {dict(data)!r:.80} misses {', '.join(missing)}")
     return kind(**{name: _value(kinds[name], value) for name, value in data.items()})
 
 
