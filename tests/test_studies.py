@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import importlib
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -30,6 +31,7 @@ from conditions import (
 from matrix import CHANGES, FAULTS, section, with_fault, with_faults
 from planner import Planning
 from policies import law_of, tune_law, tune_mean_droop, tuning_of
+from reference import environment_page, parameters_page
 from rollouts import Rollouts
 
 from wtg_gym.evaluation import Results, evaluate, load_entries
@@ -39,14 +41,20 @@ from wtg_gym.physics.tracking_law import TUNED, get_law, tuned
 from wtg_gym.scenarios import get_suite
 from wtg_gym.scenarios.benchmark import V1
 
+DOCS = Path(__file__).parent.parent / "docs"
 #: But for the one that needs ANDES, which has an environment of its own.
-STUDIES = {path.stem for path in (Path(__file__).parent.parent / "docs/studies").glob("*.py")} - {"make_andes_cases"}
+STUDIES = {path.stem for path in (DOCS / "studies").glob("*.py")} - {"make_andes_cases"}
 SUITE, SEEDS = "standard-v1", [10_000, 10_001, 10_002]
 
 
 @pytest.mark.parametrize("name", sorted(STUDIES))
 def test_every_study_finds_what_it_imports(name: str) -> None:
     importlib.import_module(name)
+
+
+@pytest.mark.parametrize(("page", "made"), [("environment", environment_page), ("parameters", parameters_page)])
+def test_the_reference_is_that_of_the_code(page: str, made: Callable[[], str]) -> None:
+    assert made().strip() in (DOCS / f"{page}.md").read_text(encoding="utf-8")
 
 
 def test_points_of_a_search_are_laws_and_laws_are_tunings() -> None:

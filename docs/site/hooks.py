@@ -1,7 +1,8 @@
 """Changes that the site makes to pages; GitHub shows them unchanged.
 
 - A few files outside docs/ are pages of the site too; the README is its home.
-- A link to another file of the repository leads to the repository's address; while that is unknown, it is text.
+- A link to another file of the repository leads to the repository's address; while that is unknown, it is text, as is
+  one to an address that a release fills in.
 - A link that `<!-- include -->` follows, to a heading of README.md, becomes that section: the README says it once.
 """
 
@@ -72,6 +73,8 @@ def rewritten(text: str, here: str, source: str, repository: str, known: frozens
         mark, label, file, anchor = found[1], found[2], found[3], found[4] or ""
         if label is None or not file:
             return found[0]
+        if file.endswith("_URL"):
+            return label  # a release fills it in
         path = posixpath.normpath(posixpath.join(posixpath.dirname(source), file))
         target = OUTSIDE.get(path, path.removeprefix("docs/") if path.startswith("docs/") else "")
         if target in known:
