@@ -16,7 +16,7 @@ _PRIVILEGED_NOTE = f"{_PRIVILEGED}: sees the state of the whole grid, which no t
 _MARK = "✓"
 _MARK_NOTE = (
     f"{_MARK}: no more runs lost or beyond 0.8 Hz than the anchor at 100, nor more grids lost beyond chance; "
-    "entries without it rank below"
+    "the others rank below"
 )
 #: Columns of text; all others hold numbers.
 _TEXTS = ("entry", "kind")
