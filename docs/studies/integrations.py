@@ -7,7 +7,7 @@ runs them for seconds each, or those that are named.
     python docs/studies/integrations.py --table
 
 trains with every program that has a learner, ten minutes of a processor core and three seeds each, scores what they
-learned on validation scenarios, and puts the table into docs/integrations.md. It takes 75 minutes on two cores.
+learned on validation scenarios, and puts the table into docs/integrations.md. It takes an hour on two cores.
 
 A program's head names its packages with their versions, as PEP 723 has it.
 """
@@ -32,7 +32,7 @@ from wtg_gym.scenarios import DEFAULT_SUITE, get_suite
 
 ROOT = Path(__file__).resolve().parents[2]
 #: Programs that take `SECONDS SEED` and write an entry into a folder of their own name.
-LEARNERS = ("stable_baselines3", "cleanrl", "skrl", "rllib", "torchrl")
+LEARNERS = ("stable_baselines3", "cleanrl", "skrl", "rllib")
 SECONDS, TRAINING_SEEDS, N_SCENARIOS = 600, range(3), 300
 _HEAD = re.compile(r"\A# /// script\n(.*?)^# ///\n", re.MULTILINE | re.DOTALL)
 _LIMIT_S = 900
