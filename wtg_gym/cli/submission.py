@@ -122,9 +122,6 @@ def score(
     for scenarios in planned.values():
         scoring.check_stored(results, scenarios)
     with scoring.kept_parts(results) as partial:
-        # Anchors first: errors of the arguments come before the work of the gate.
-        for scenarios in planned.values():
-            scoring.run_evaluation([], partial=partial, n_threads=threads, **scenarios)
         reports = gate_reports.reports(folders, gate)
         why = gate_reports.why_left_out(reports, gate_reports.together(reports, gate))
         for reason in dict.fromkeys(why.values()):
