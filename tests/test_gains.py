@@ -10,7 +10,7 @@ import pytest
 
 from wtg_gym.envs import EnvSettings, GFMWTGVectorEnv
 from wtg_gym.envs.lanes import TaskLanes
-from wtg_gym.gains import Gains, law_costs, stagger, stratum_scales
+from wtg_gym.gains import GainEnvs, Gains, law_costs, stagger, stratum_scales
 from wtg_gym.sb3 import SB3VecEnv
 from wtg_gym.scenarios import get_suite
 from wtg_gym.scenarios.benchmark import V1
@@ -125,3 +125,13 @@ def test_scales_are_those_of_the_score_on_the_first_training_scenarios_of_a_stra
     seeds = [seed for seed in both[0].suite.train[:180] if seed % 3 == 0]
     zero, hundred = (law_costs(lanes, lanes.scenarios(seeds)).sum(axis=1) for lanes in both)
     assert scales["ordinary"] == pytest.approx(np.log((zero + 40.0) / (hundred + 40.0)).mean(), rel=1e-12)
+
+
+def test_gains_go_around_the_native_batch_of_any_library() -> None:
+    lanes = gym.make_vec(ENV_ID, num_envs=2, duration_s=2.0)
+    envs = GainEnvs(lanes)
+    observations, _ = envs.reset(seed=0)
+    assert observations.shape == lanes.observation_space.shape
+    assert envs.step(np.zeros(lanes.action_space.shape))[1].shape == (2,)
+    with pytest.raises(ValueError, match="native batch alone"):
+        GainEnvs(gym.wrappers.vector.NormalizeReward(lanes))

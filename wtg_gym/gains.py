@@ -1,4 +1,8 @@
-"""The lanes that policies are trained in: their reward, and the points of their episodes at which they start."""
+"""Training on gains: a reward that is the gain over the law that scores 100, for any library with vector environments.
+
+On the environment's own reward a few extreme scenarios outweigh all ordinary minutes, which the score counts alike; and
+loads and wind cause most of the cost, whatever the policy does. Scores are computed without all of this.
+"""
 
 from __future__ import annotations
 
@@ -173,12 +177,22 @@ def stagger(env: GFMWTGVectorEnv) -> npt.NDArray[np.float32]:
 class GainEnvs(VectorWrapper):
     """The native vector environment with :class:`Gains` as rewards, and lanes that every reset spreads.
 
-    Spreading starts the lanes anew, so that reset options are lost, and the first info is empty.
+    `GainEnvs(gym.make_vec("wtg_gym:GFMWTG-14bus-v1", num_envs=64, strategy="coordinated-tuned"))`. Spreading starts the
+    lanes anew, so that reset options are lost, and the first info is empty.
+
+    Args:
+        env: the native batch, as `gym.make_vec` or :class:`wtg_gym.envs.GFMWTGVectorEnv` makes it; other wrappers go
+            around this one.
+
+    Raises:
+        ValueError: the environment is another one, or wrapped.
     """
 
     env: GFMWTGVectorEnv
 
     def __init__(self, env: GFMWTGVectorEnv) -> None:
+        if not isinstance(env, GFMWTGVectorEnv):
+            raise ValueError(f"GainEnvs goes around the native batch alone, other wrappers around it; got {env}")
         super().__init__(env)
         self.gains = Gains(env.lanes)
         self._within_step = env.autoreset_mode == AutoresetMode.SAME_STEP

@@ -21,7 +21,10 @@ ROOT = Path(__file__).parents[2]
 ROOMS = (
     *("agents", "baselines"),
     *(f"wtg_gym/{name}" for name in ("plotting", "cli", "evaluation", "reproduce")),
-    *(f"wtg_gym/{name}" for name in ("sb3.py", "gradients", "pettingzoo.py", "policies", "envs", "scenarios")),
+    *(
+        f"wtg_gym/{name}"
+        for name in ("sb3.py", "gains.py", "gradients", "pettingzoo.py", "policies", "envs", "scenarios")
+    ),
     *("wtg_gym/physics", "wtg_gym/systems"),
 )
 # File, what it does there; docs/architecture.md says more.
