@@ -128,10 +128,29 @@ def test_scales_are_those_of_the_score_on_the_first_training_scenarios_of_a_stra
 
 
 def test_gains_go_around_the_native_batch_of_any_library() -> None:
-    lanes = gym.make_vec(ENV_ID, num_envs=2, duration_s=2.0)
-    envs = GainEnvs(lanes)
-    observations, _ = envs.reset(seed=0)
-    assert observations.shape == lanes.observation_space.shape
-    assert envs.step(np.zeros(lanes.action_space.shape))[1].shape == (2,)
+    arguments: dict[str, Any] = {"num_envs": 2, "duration_s": 2.0, "autoreset_mode": gym.vector.AutoresetMode.SAME_STEP}
+    envs, own = GainEnvs(gym.make_vec(ENV_ID, **arguments)), SB3VecEnv(2, gains=True, version="v0", duration_s=2.0)
+    own.seed(3)
+    assert np.array_equal(envs.reset(seed=[3, 4])[0], own.reset())
+    actions = np.full(envs.action_space.shape, 0.5, np.float32)
+    for _ in range(25):
+        _, gains, *_ = envs.step(actions)
+        assert np.array_equal(gains.astype(np.float32), own.step(actions)[1]) and (gains != 0.0).all()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "options", "message"),
+    [
+        ({"autoreset_mode": gym.vector.AutoresetMode.DISABLED}, None, "start again by themselves"),
+        ({"scenario": get_suite("standard").scenario(10_000)}, None, "scenarios of a suite"),
+        ({}, {"reset_mask": [True, False]}, "no reset options"),
+    ],
+)
+def test_gains_refuse_lanes_that_they_cannot_follow(arguments: Any, options: Any, message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        GainEnvs(gym.make_vec(ENV_ID, num_envs=2, **arguments)).reset(options=options)
+
+
+def test_gains_refuse_what_is_wrapped() -> None:
     with pytest.raises(ValueError, match="native batch alone"):
-        GainEnvs(gym.wrappers.vector.NormalizeReward(lanes))
+        GainEnvs(gym.wrappers.vector.NormalizeReward(gym.make_vec(ENV_ID, num_envs=2)))

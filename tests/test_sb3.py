@@ -15,6 +15,8 @@ from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv
 from tests.envs.rollouts import actions_of, calm, rising
 from wtg_gym import Entry, export_onnx
 from wtg_gym.evaluation import load_entries
+from wtg_gym.physics.tracking_law import get_law
+from wtg_gym.policies.load import example_law
 from wtg_gym.sb3 import DeterministicPolicy, SB3VecEnv, make_sb3_vec_env
 
 ENV_ID = "GFMWTG-14bus-v0"
@@ -109,17 +111,37 @@ def test_attributes_are_those_of_single_environments():
     assert env.env_is_wrapped(Monitor) == [False] * N and env.env_is_wrapped(Monitor, [1]) == [False]
 
 
+def learner(**arguments: Any) -> PPO:
+    return PPO("MlpPolicy", make_sb3_vec_env(2, **arguments), n_steps=4, batch_size=8)
+
+
 def test_a_learner_is_played_on_the_law_that_it_learned_on(tmp_path: Path) -> None:
-    envs = make_sb3_vec_env(2, strategy="coordinated-tuned", action_mode="k")
-    model = PPO("MlpPolicy", envs, n_steps=4, batch_size=8)
-    with pytest.raises(ValueError, match=r"learned with strategy='coordinated-tuned'.*give it strategy="):
+    model = learner(strategy="coordinated-tuned", action_mode="k")
+    with pytest.raises(ValueError, match="learned with strategy 'coordinated-tuned', the entry has 'coordinated-piece"):
         Entry(name="mine", policy=model, action_mode="k")
-    with pytest.raises(ValueError, match="learned with action_mode='k'"):
+    with pytest.raises(ValueError, match="learned with action_mode 'k', the entry has"):
         Entry(name="mine", policy=model, strategy="coordinated-tuned")
-    assert (
-        Entry(name="mine", policy=model, strategy="coordinated-tuned", action_mode="k").law.name == "coordinated-tuned"
-    )
-    with pytest.raises(ValueError, match="learned with strategy='coordinated-tuned', got strategy='mppt'"):
+    Entry(name="mine", policy=model, strategy="coordinated-tuned", action_mode="k")
+    with pytest.raises(ValueError, match="had strategy 'coordinated-tuned', got 'mppt'"):
         export_onnx(DeterministicPolicy(model), tmp_path, name="mine", strategy="mppt")
     (entry,) = load_entries(export_onnx(DeterministicPolicy(model), tmp_path, name="mine"))
     assert (entry.law.name, entry.action_mode) == ("coordinated-tuned", "k")
+    model.save(tmp_path / "model.zip")
+    with pytest.raises(ValueError, match="give its strategy"):
+        export_onnx(DeterministicPolicy(PPO.load(tmp_path / "model.zip")), tmp_path, name="mine", action_mode="k")
+
+
+def test_laws_of_a_learner_may_be_files_or_objects(tmp_path: Path) -> None:
+    file = tmp_path / "my_law.toml"
+    file.write_text(example_law())
+    own = get_law(file)
+    for strategy in (file, str(file), own, [own] * 4):
+        model = learner(strategy=strategy)
+        assert Entry(name="mine", policy=model, strategy=file).law == own
+        with pytest.raises(ValueError, match="learned with strategy 'reserve-7'"):
+            Entry(name="mine", policy=model)
+        with pytest.raises(ValueError, match="a built-in one, the learner's was 'reserve-7'"):
+            export_onnx(DeterministicPolicy(model), tmp_path, name="mine")
+    several = learner(strategy=["mppt", "coordinated-tuned", "mppt", "mppt"])
+    with pytest.raises(ValueError, match="mppt, coordinated-tuned, mppt, mppt"):
+        Entry(name="mine", policy=several, strategy="mppt")

@@ -177,15 +177,16 @@ def stagger(env: GFMWTGVectorEnv) -> npt.NDArray[np.float32]:
 class GainEnvs(VectorWrapper):
     """The native vector environment with :class:`Gains` as rewards, and lanes that every reset spreads.
 
-    `GainEnvs(gym.make_vec("wtg_gym:GFMWTG-14bus-v1", num_envs=64, strategy="coordinated-tuned"))`. Spreading starts the
-    lanes anew, so that reset options are lost, and the first info is empty.
+    `GainEnvs(gym.make_vec("wtg_gym:GFMWTG-14bus-v1", num_envs=64, strategy="coordinated-tuned"))`. The first info of
+    spread lanes is empty.
 
     Args:
         env: the native batch, as `gym.make_vec` or :class:`wtg_gym.envs.GFMWTGVectorEnv` makes it; other wrappers go
             around this one.
 
     Raises:
-        ValueError: the environment is another one, or wrapped.
+        ValueError: the environment is another one, wrapped, does not start again by itself, or plays one scenario; or
+            a reset has options.
     """
 
     env: GFMWTGVectorEnv
@@ -193,6 +194,10 @@ class GainEnvs(VectorWrapper):
     def __init__(self, env: GFMWTGVectorEnv) -> None:
         if not isinstance(env, GFMWTGVectorEnv):
             raise ValueError(f"GainEnvs goes around the native batch alone, other wrappers around it; got {env}")
+        if env.autoreset_mode == AutoresetMode.DISABLED:
+            raise ValueError("GainEnvs needs lanes that start again by themselves, got autoreset_mode DISABLED")
+        if env.settings.scenario is not None:
+            raise ValueError("GainEnvs plays the scenarios of a suite: leave out the scenario")
         super().__init__(env)
         self.gains = Gains(env.lanes)
         self._within_step = env.autoreset_mode == AutoresetMode.SAME_STEP
@@ -202,6 +207,8 @@ class GainEnvs(VectorWrapper):
         self, *, seed: Any = None, options: dict[str, Any] | None = None
     ) -> tuple[npt.NDArray[np.float32], dict[str, Any]]:
         """Start and spread the lanes; returns the observations (num_envs, n_observation)."""
+        if options:
+            raise ValueError(f"GainEnvs has no reset options, got {options!r:.80}")
         self.env.reset(seed=seed)
         observations = stagger(self.env)
         self._ended[:] = False

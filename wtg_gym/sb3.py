@@ -55,9 +55,10 @@ class SB3VecEnv(VecEnv):
     def __init__(self, num_envs: int = 1, *, gains: bool = False, **arguments: Any) -> None:
         if "autoreset_mode" in arguments:
             raise TypeError("autoreset_mode cannot be chosen: Stable-Baselines3 needs resets within the same step")
-        #: The batch that does the work.
         env = GFMWTGVectorEnv(num_envs, autoreset_mode=AutoresetMode.SAME_STEP, **arguments)
+        #: The batch that does the work.
         self.vector_env: GFMWTGVectorEnv | GainEnvs = GainEnvs(env) if gains else env
+        #: Its lanes: states, and every number of `info` by `info_arrays()`.
         self.lanes = env.lanes
         self._actions: npt.NDArray[Any] | None = None
         super().__init__(num_envs, env.single_observation_space, env.single_action_space)

@@ -60,6 +60,7 @@ class Value(DeterministicMixin, Model):
 
 policy = Policy()
 settings = {"rollouts": 64, "learning_epochs": 5, "mini_batches": 4, "learning_rate": 2e-4, "discount_factor": 0.998}
+settings |= {"time_limit_bootstrap": True, "value_loss_scale": 0.5, "value_clip": 0.0}
 agent = PPO(
     models={"policy": policy, "value": Value()},
     memory=RandomMemory(memory_size=64, num_envs=env.num_envs, device=env.device),

@@ -6,8 +6,8 @@ runs them for seconds each, or those that are named.
 
     python docs/studies/integrations.py --table
 
-trains with every program that has a learner, ten minutes of a processor core and three seeds each, scores what they
-learned on validation scenarios, and puts the table into docs/integrations.md. It takes an hour on two cores.
+trains with PPO of four libraries, ten minutes of a processor core and three seeds each, scores what they learned on
+validation scenarios, and puts the table into docs/integrations.md. It takes an hour on two cores.
 
 A program's head names its packages with their versions, as PEP 723 has it.
 """
@@ -18,6 +18,7 @@ import argparse
 import itertools
 import os
 import re
+import shutil
 import subprocess
 import sys
 import tempfile
@@ -93,6 +94,7 @@ def runs(names: list[str]) -> int:
 
 def table(folder: Path) -> str:
     """Train with every learner, and return a row for each, the best first: steps of a run, score and mark."""
+    shutil.rmtree(folder, ignore_errors=True)
     by_name = {program.stem.removeprefix("with_"): program for program in programs()}
     environments = {name: environment_of(by_name[name]) for name in LEARNERS}
 
@@ -125,6 +127,8 @@ if __name__ == "__main__":
     parser.add_argument("names", nargs="*", metavar="NAME", help="for example skrl")
     parser.add_argument("--table", action="store_true", help="train for ten minutes and make the table")
     given = parser.parse_args()
+    if given.table and given.names:
+        parser.error("--table trains with its own four programs: leave out the names")
     if not given.table:
         sys.exit(runs(given.names))
     made = table(ROOT / "build" / "integrations" / "learned")

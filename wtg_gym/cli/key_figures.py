@@ -82,7 +82,7 @@ def print_key_figures(figures: list[dict[str, Any]]) -> None:
         "strategy",
         "nadir [Hz]",
         "zenith [Hz]",
-        "of any unit [Hz]",
+        "range of all units [Hz]",
         f"RoCoF, {window_ms} ms [Hz/s]",
         "final [Hz]",
         "final rotor speed [p.u.]",
@@ -111,11 +111,11 @@ def print_key_figures(figures: list[dict[str, Any]]) -> None:
 def _end(row: Mapping[str, Any]) -> str:
     time_s = _digits(row["end_time_s"], 1)
     if row["status"] == "completed":
-        trips = (
-            f"group {trip['group']} tripped at {trip['time_s']:.1f} s, rotor {_digits(trip['rotor_speed_pu'], 2)} p.u."
-            for trip in row["tripped_groups"]
-        )
-        return "; ".join([*trips, f"completed {time_s} s"])
+        trips: dict[str, list[str]] = {}
+        for trip in row["tripped_groups"]:
+            trips.setdefault(f"{trip['time_s']:.1f} s", []).append(str(trip["group"]))
+        parts = [f"group {', '.join(groups)} tripped at {when}" for when, groups in trips.items()]
+        return "; ".join([*parts, f"completed {time_s} s"])
     group = f" of group {row['failed_group']}" if row["failed_group"] else ""
     return f"{row['status'].replace('-', ' ')}{group} at {time_s} s"
 

@@ -129,7 +129,7 @@ def score(
         entries = [report.played(weak=gate.weak_isolation) for report in reports if report.folder not in why]
         codes = [int(bool(why))]
         for name, scenarios in planned.items():
-            own = [entry for entry in entries if entry.environment == get_suite(name).env_id]
-            found = scoring.run_evaluation(own, partial=partial, n_threads=threads, **scenarios)
-            codes.append(scoring.finish(found, results, as_json=json) if own else 0)
+            if own := [entry for entry in entries if entry.environment == get_suite(name).env_id]:
+                found = scoring.run_evaluation(own, partial=partial, n_threads=threads, **scenarios)
+                codes.append(scoring.finish(found, results, as_json=json))
     return max(codes)

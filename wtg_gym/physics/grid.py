@@ -116,7 +116,7 @@ def record_of(kind: Any, data: Any) -> Any:
     nothing = dataclasses.MISSING
     needed = [each.name for each in dataclasses.fields(kind) if each.default is each.default_factory is nothing]
     if missing := [name for name in needed if name not in data]:
-        raise ValueError(f"{kind.__name__} {dict(data)!r:.80} misses {', '.join(missing)}")
+        raise ValueError(f"{kind.__name__} {dict(data)!r:.300} misses {', '.join(missing)}")
     return kind(**{name: _value(kinds[name], value) for name, value in data.items()})
 
 

@@ -109,13 +109,13 @@ class Entry:
 
     def _check_training(self) -> None:
         """Raise a ValueError if a learner's own environment says that it learned on another law or in other modes."""
-        learned = learned_in(self.policy)
-        for key, value in learned.items():
-            own = getattr(self, key)
-            if own != value and (key != "strategy" or get_law(own) != get_law(value)):
+        for key, value in learned_in(self.policy).items():
+            own = self.law if key == "strategy" else getattr(self, key)
+            if own != value:
+                told = [each.name if isinstance(each, TrackingLaw) else each for each in (own, value)]
                 raise ValueError(
-                    f"the policy of entry {self.name!r} learned with {key}={value!r}, the entry has {own!r}: give it "
-                    f"{key}={value!r}"
+                    f"the policy of entry {self.name!r} learned with {key} {told[1]!r}, the entry has {told[0]!r}: "
+                    f"give it the {key} of its training"
                 )
 
     @property
@@ -177,15 +177,21 @@ def _misses_normalization(policy: Any) -> bool:
 
 
 def learned_in(policy: Any) -> dict[str, Any]:
-    """Return strategy and modes of the environment that a learner of Stable-Baselines3 has; empty for anything else."""
-    env = policy.get_env() if callable(getattr(policy, "get_env", None)) else None
+    """Return law ("strategy") and modes of the environment that a learner of Stable-Baselines3 has.
+
+    Empty where there is none; several laws, one for each group, are the names of all.
+    """
     try:
-        settings = env.get_attr("settings")[0] if env is not None else None
-    except AttributeError:
+        settings = policy.get_env().get_attr("settings")[0]
+    # Anybody's policy may have a method of that name, and an environment may be closed.
+    except Exception:
         return {}
-    keys = ("strategy", "action_mode", "observation_mode")
-    known = isinstance(settings, EnvSettings) and isinstance(settings.strategy, (str, TrackingLaw))
-    return {key: getattr(settings, key) for key in keys} if known else {}
+    if not isinstance(settings, EnvSettings):
+        return {}
+    given = settings.strategy
+    laws = [get_law(each) for each in ([given] if isinstance(given, (str, Path, TrackingLaw)) else given)]
+    law = laws[0] if all(each == laws[0] for each in laws) else ", ".join(each.name for each in laws)
+    return {"strategy": law, "action_mode": settings.action_mode, "observation_mode": settings.observation_mode}
 
 
 def check_entries(entries: Sequence[Entry]) -> None:

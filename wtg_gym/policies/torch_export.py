@@ -14,6 +14,7 @@ import numpy as np
 
 from wtg_gym.extras import install_advice
 from wtg_gym.files import write_together
+from wtg_gym.physics.tracking_law import STRATEGY_NAMES, TrackingLaw, get_law
 from wtg_gym.policies.load import ENTRY_FILE, POLICY_FILE
 from wtg_gym.policies.onnx_policy import OnnxPolicy
 from wtg_gym.policies.policy_process import PolicyError
@@ -65,10 +66,8 @@ def export_onnx(
     """
     if not isinstance(module, nn.Module):
         raise ValueError(f"export_onnx() takes a torch.nn.Module, got {type(module).__name__}")
-    learned: dict[str, Any] = getattr(module, "learned_in", {})
-    for key, value in learned.items():
-        if entry.setdefault(key, value) != value:
-            raise ValueError(f"the {type(module).__name__} learned with {key}={value!r}, got {key}={entry[key]!r}")
+    if (learned := getattr(module, "learned_in", None)) is not None:
+        entry = _of_training(learned, entry)
     values = {
         "name": name,
         "environment": "GFMWTG-14bus-v1",
@@ -83,6 +82,20 @@ def export_onnx(
     # entry.toml last, because it makes the folder an entry.
     write_together({Path(folder) / POLICY_FILE: content, Path(folder) / ENTRY_FILE: text})
     return Path(folder)
+
+
+def _of_training(learned: dict[str, Any], entry: dict[str, Any]) -> dict[str, Any]:
+    """Return the keys of entry.toml with the law and the modes that a learner had; a ValueError if others are given."""
+    if not learned and "strategy" not in entry:
+        raise ValueError("the learner has no environment that says what it learned on: give its strategy and modes")
+    made = dict(entry)
+    for key, value in learned.items():
+        name = value.name if isinstance(value, TrackingLaw) else value
+        if key == "strategy" and (name not in STRATEGY_NAMES or get_law(name) != value):
+            raise ValueError(f"a folder's strategy is a built-in one, the learner's was {name!r}: play it by Entry()")
+        if made.setdefault(key, name) != name:
+            raise ValueError(f"the learner had {key} {name!r}, got {entry[key]!r}")
+    return made
 
 
 def onnx_bytes(module: nn.Module, n_observation: int, n_action: int, *, tolerance: float = 1e-5) -> bytes:
