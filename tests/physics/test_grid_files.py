@@ -111,6 +111,7 @@ def test_a_grid_that_is_an_object_plays_as_its_file_does() -> None:
         ({"machines": [{**STRANGER["machines"][0], "governor": {"model": "GGOV1"}}]}, "unknown model 'GGOV1'"),
         ({"machines": [{**STRANGER["machines"][0], "two_h_s": -1.0}]}, "two_h_s"),
         ({"colour": "red"}, "unknown NetworkCase"),
+        ({"branches": [{"from_bus": 12}]}, "Branch .*12.* misses to_bus"),
     ],
 )
 def test_a_file_with_a_mistake_is_refused_in_a_line(change: dict, words: str, tmp_path: Path) -> None:
