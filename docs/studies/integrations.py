@@ -118,7 +118,8 @@ def table(folder: Path) -> str:
         if name := libraries.get(row.name):
             steps = sum(millions[name, seed] for seed in TRAINING_SEEDS) / len(TRAINING_SEEDS)
             label = f"[{row.name.removeprefix('my agent of ')}](integrations/{by_name[name].name})"
-            rows.append([label, f"{steps:.1f}", f"{row.score}{' ✓' if row.marked else ''}"])
+            score = f"{row.score.value:.1f} ({row.score.low:.1f} … {row.score.high:.1f})"
+            rows.append([label, f"{steps:.1f}", f"{score}{' ✓' if row.marked else ''}"])
     return markdown_table(("library", "million steps", "score"), rows, right=(1, 2))
 
 
