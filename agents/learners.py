@@ -78,8 +78,8 @@ def new_model(settings: RunSettings) -> BaseAlgorithm:
     Raises:
         ValueError: the algorithm refuses a hyperparameter.
     """
-    n_envs, arguments = settings.n_envs, settings.env_arguments
-    lanes = agent_env(settings) if settings.algo == IPPO else SB3VecEnv(n_envs, gains=True, **arguments)
+    single = settings.algo != IPPO
+    lanes = SB3VecEnv(settings.n_envs, gains=True, **settings.env_arguments) if single else agent_env(settings)
     env: VecEnv = VecMonitor(lanes)
     try:
         arguments = algorithm_arguments(settings.hyperparameters)

@@ -27,7 +27,7 @@ import venv
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
-from wtg_gym.evaluation import evaluate, load_entries
+from wtg_gym.evaluation import evaluate, load_entries, table_cells
 from wtg_gym.files import markdown_table, update_between_markers
 from wtg_gym.scenarios import DEFAULT_SUITE, get_suite
 
@@ -114,11 +114,10 @@ def table(folder: Path) -> str:
     results = evaluate(list(found.values()), DEFAULT_SUITE, seeds=seeds)
     libraries = {entry.name: name for (name, _), entry in found.items()}
     rows = []
-    for row in results.ranking:
+    for row, (score,) in zip(results.ranking, table_cells(results.ranking, ["score"]), strict=True):
         if name := libraries.get(row.name):
             steps = sum(millions[name, seed] for seed in TRAINING_SEEDS) / len(TRAINING_SEEDS)
             label = f"[{row.name.removeprefix('my agent of ')}](integrations/{by_name[name].name})"
-            score = f"{row.score.value:.1f} ({row.score.low:.1f} … {row.score.high:.1f})"
             rows.append([label, f"{steps:.1f}", f"{score}{' ✓' if row.marked else ''}"])
     return markdown_table(("library", "million steps", "score"), rows, right=(1, 2))
 

@@ -161,8 +161,8 @@ def _import(name: str, spec: str) -> ModuleType:
 def _allowed(text: str) -> str:
     """Return what can stand in the place of a wrong entry: the names like it, or all."""
     shipped = (name for folder in policy_folders() if (name := policy_name(folder)))
-    laws = dict.fromkeys((*STRATEGY_NAMES, *(entry.name for entry in _baselines())))
-    names = {name.casefold(): name for name in (*laws, BASELINES, *shipped, POLICIES)}
+    baselines = (entry.name for entry in _baselines())
+    names = {name.casefold(): name for name in (*STRATEGY_NAMES, *baselines, BASELINES, *shipped, POLICIES)}
     if close := difflib.get_close_matches(text.casefold(), names):
         return f"did you mean {' or '.join(repr(names[name]) for name in close)}?"
     known = ", ".join(map(repr, names.values()))
