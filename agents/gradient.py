@@ -107,13 +107,13 @@ class Failures:
 
     def __init__(self, episodes: TorchEpisodes) -> None:
         settings = episodes.tape.lanes.settings
-        plant, weights = settings.plant(), settings.cost_weights()
+        plant, weights = settings.resolved_plant, settings.cost_weights()
         names = list(episodes.tape.output_names)
         ends = [(names.index("frequency_pu"), plant.protection.frequency_min_pu, FREQUENCY_SPREAD_PU)]
         rotor = plant.protection.rotor_speed_min_pu, ROTOR_SPREAD_PU
         rotors = [(index, *rotor) for index, name in enumerate(names) if name.startswith("rotor")]
         stages = [(ends[0][0], stage.frequency_pu, FREQUENCY_SPREAD_PU) for stage in plant.shedding]
-        open_ended, trips = settings.benchmark().charges_worst, settings.on_failure == "trip"
+        open_ended, trips = settings.benchmark.charges_worst, plant.trips_groups
         adding = [*(rotors if trips else ()), *(stages if open_ended else ())]
         charges = [weights.cap * AFTERWARDS_S] * (trips * len(rotors))
         charges += [weights.unserved * stage.share * AFTERWARDS_S for stage in plant.shedding] * open_ended

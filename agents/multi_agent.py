@@ -30,7 +30,7 @@ Infos = list[dict[str, Any]]
 
 def group_sizes(settings: EnvSettings) -> Array:
     """Return the number of turbines of each WTG group, as a multiple of their mean, (n_wtg,) float32."""
-    turbines = np.array([group.n_turbines for group in settings.wtg_groups()])
+    turbines = np.array([group.n_turbines for group in settings.resolved_plant.groups])
     sizes: Array = (turbines / turbines.mean()).astype(np.float32)
     return sizes
 
@@ -107,7 +107,7 @@ class SharedPolicy(nn.Module):
         self._agent = agent
         self.register_buffer("_sizes", torch.as_tensor(group_sizes(settings))[:, None])
         # A plain number, so that the width of the file's action does not depend on the batch.
-        self._n_action = sum(ACTION_MODES[settings.action_mode]) * len(settings.wtg_groups())
+        self._n_action = sum(ACTION_MODES[settings.action_mode]) * len(settings.resolved_plant.groups)
 
     def forward(self, observation: Tensor) -> Tensor:
         """Return the joint actions (batch, n_action) for the joint local observations (batch, n_observation)."""

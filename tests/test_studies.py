@@ -88,7 +88,7 @@ def test_searches_for_laws_and_numbers_run() -> None:
 
 
 def test_commissioning_finds_a_power_that_falls_with_the_frequency() -> None:
-    plant = get_suite(SUITE).plant.settings(classical=False, trips_groups=True)
+    plant = get_suite(SUITE).plant
     capped, free = (statics(get_law(name), plant, (10.0,)) for name in ("coordinated-tuned", "coordinated-free"))
     assert capped.steepest <= 1e-6 and capped.capped and capped.within
     assert free.steepest > 0.01 and not free.capped

@@ -20,7 +20,6 @@ from wtg_gym.envs.lanes import TaskLanes
 from wtg_gym.envs.settings import EnvSettings
 from wtg_gym.evaluation.score import score_scales
 from wtg_gym.physics.scenario import Scenario
-from wtg_gym.scenarios import get_suite
 
 Floats = npt.NDArray[np.float64]
 
@@ -55,7 +54,7 @@ def stratum_scales(settings: EnvSettings) -> dict[str, float]:
 
     A suite without strata has one, "". Episodes are as long as the suite's.
     """
-    benchmark, suite, costs = settings.benchmark(), get_suite(settings.suite), []
+    benchmark, suite, costs = settings.benchmark, settings.resolved_suite, []
     names = suite.strata or ("",)
     seeds = [
         list(itertools.islice((seed for seed in suite.train if suite.stratum(seed) == name), _PER_STRATUM))
@@ -78,7 +77,7 @@ class ScoreUnits:
     """
 
     def __init__(self, settings: EnvSettings) -> None:
-        self._suite = get_suite(settings.suite)
+        self._suite = settings.resolved_suite
         self._offsets = dict(self._suite.benchmark.cost_offsets)
         self._scales = stratum_scales(settings) if self._suite.strata else {"": 1.0}
 
@@ -113,7 +112,7 @@ class Gains:
     def __init__(self, lanes: TaskLanes) -> None:
         self._lanes = lanes
         settings = lanes.settings
-        benchmark = settings.benchmark()
+        benchmark = settings.benchmark
         at_once = min(lanes.n_lanes, _AT_ONCE)
         self._reference = TaskLanes(replace(settings, strategy=benchmark.hundred), at_once)
         self.n_steps = round(settings.episode_duration_s() / settings.control_dt)

@@ -70,6 +70,12 @@ def require_known(what: str, given: Iterable[Any], known: Collection[str]) -> No
         raise ValueError(f"unknown {what} {unknown}; known {what}: {', '.join(known)}")
 
 
+def require_choice(name: str, value: Any, choices: Iterable[str]) -> None:
+    """Raise a ValueError that names the value and the choices, where it is none of them."""
+    if not isinstance(value, str) or value not in choices:
+        raise ValueError(f"unknown {name} {value!r:.80}; choose one of {', '.join(choices)}")
+
+
 def require_bus(name: str, bus: Any) -> int:
     """Return a bus number as an int, or raise a ValueError that names it."""
     if not is_whole(bus) or bus < 1:

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from wtg_gym.envs.cost import frequency_cost
-from wtg_gym.envs.settings import EnvSettings, PlantEnvSettings
+from wtg_gym.envs.settings import EnvSettings
 from wtg_gym.evaluation import Entry, Results
 from wtg_gym.evaluation.circumstances import environment_fingerprint, versions
 from wtg_gym.evaluation.episodes import Episode
@@ -57,7 +57,7 @@ def played(
     scenarios = [change(scenario) for scenario in get_suite(suite).scenarios(seeds)]
     own = EnvSettings(suite=suite, split=split, **{"duration_s": scenarios[0].duration_s} | settings)
     if plant is not None:
-        own = PlantEnvSettings.of(own, plant(own.plant()))
+        own = dataclasses.replace(own, plant=plant(own.plant()))
     shared = shared_settings(own)
     scene = sha256(pickle.dumps([scenarios, by_centre]) + repr(own.plant()).encode())
     store = PartialStore(partial, [scene, shared, sha256(Path(__file__).read_bytes())])

@@ -363,7 +363,7 @@ def governor_lost(entries: Entries, results: Results) -> Condition:
 
 
 def commissioned(size: Size) -> Condition:
-    law, plant = get_law(ANCHOR), get_suite(SUITE).plant.settings(classical=False, trips_groups=True)
+    law, plant = get_law(ANCHOR), get_suite(SUITE).plant
     found = statics(law, plant)
     after = {name: aftermath(law, events, size.aftermath_s) for name, events in worst_events().items()}
     steady = found.capped and found.steepest <= ROUNDING and found.within

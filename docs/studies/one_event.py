@@ -155,4 +155,4 @@ if __name__ == "__main__":
         print(f"{entry.name}: {np.nanmax(runs[entry.name].unserved_mw):.0f} MW not served at most")
     # Beside the events there is no room for the suite's name.
     scenario = replace(scenarios[0], name=scenarios[0].name.partition("/")[2])
-    save_figure(plot_one_event(scenario, runs, settings.plant()), docs / "images" / "one-event", ["svg"])
+    save_figure(plot_one_event(scenario, runs, settings.resolved_plant), docs / "images" / "one-event", ["svg"])

@@ -22,7 +22,7 @@ from wtg_gym.physics.parameters import (
     VoltageControlParameters,
     nrel_5mw,
 )
-from wtg_gym.physics.plant import DEAD_BAND_PU, PlantSettings, plant_settings
+from wtg_gym.physics.plant import DEAD_BAND_PU, PlantSettings
 from wtg_gym.physics.protection import Status
 from wtg_gym.physics.simulator import Simulator
 from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY, get_law, group_laws
@@ -62,7 +62,7 @@ def plants():
         power_gain=0.0,
         power_integral_gain=0.0,
     )
-    paper, extended = PlantSettings(limits=far), plant_settings("extended")
+    paper, extended = PlantSettings(limits=far), PlantSettings().replaced(physics="extended")
     limits = dataclasses.replace(ConverterLimitParameters(), power_min_pu=far.power_min_pu)
     hydro = get_grid("ieee14").case.with_governors(lambda steam: HydroGovernorParameters(droop_pu=steam.droop_pu))
     banded = get_grid("ieee14").case.with_governors(lambda steam: dataclasses.replace(steam, dead_band_pu=DEAD_BAND_PU))
@@ -78,13 +78,13 @@ def plants():
         "voltage control": dataclasses.replace(paper, voltage_control=extended.voltage_control),
         "dead band": dataclasses.replace(paper, case=banded),
         "condensers without D": dataclasses.replace(paper, case=undamped),
-        TOGETHER: plant_settings("extended", protection=untripped, shedding=()),
+        TOGETHER: PlantSettings().replaced(physics="extended", protection=untripped, shedding=()),
         "under-speed trip": dataclasses.replace(paper, protection=extended.protection),
         "NREL 5 MW rotor": dataclasses.replace(paper, turbine=nrel_5mw(conserves_energy=False)),
         "hydro governor": dataclasses.replace(paper, case=hydro, shedding=idle),
-        HYDRO: plant_settings("extended", protection=untripped, case=hydro),
+        HYDRO: PlantSettings().replaced(physics="extended", protection=untripped, case=hydro),
         "extended": extended,
-        "nrel-5mw": plant_settings("nrel-5mw"),
+        "nrel-5mw": PlantSettings().replaced(physics="nrel-5mw"),
     }
 
 

@@ -45,7 +45,7 @@ def overview():
     columns = [header]
     for version in NEWEST_FIRST:
         env, step_s = ENVS[version.version], ENVS[version.version].settings.control_dt
-        groups = [f"{group.n_turbines:g} at bus {group.bus}" for group in env.settings.wtg_groups()]
+        groups = [f"{group.n_turbines:g} at bus {group.bus}" for group in env.settings.resolved_plant.groups]
         suites = [f"`{suite.name}`" for suite in SUITES.values() if suite.benchmark == version]
         episode = env.settings.episode_duration_s()
         spaces = f"`{env.action_space}`", f"`{env.observation_space}`"

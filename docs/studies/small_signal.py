@@ -203,7 +203,7 @@ def modes_of_v1():
     """Return the extremes of the modes of v1's grids, on both slopes of g(ω), in words."""
     models = []
     for suite in map(get_suite, ("standard-v1", "low-share-v1", "high-share-v1")):
-        plant = suite.plant.settings(classical=False)
+        plant = suite.plant
         for scenario in suite.scenarios(suite.validation[:20]):
             models += [linearise(scenario, REFERENCE_STRATEGY, plant, side=side) for side in ("under", "over")]
     return extremes(models, plant)

@@ -59,7 +59,7 @@ class Agent(nn.Linear):
 @pytest.mark.parametrize("suite", ["standard", "standard-v1"])
 def test_every_group_acts_by_what_it_sees_itself_its_size_among_it(suite: str) -> None:
     settings = EnvSettings(suite=suite)
-    turbines = torch.tensor([float(group.n_turbines) for group in settings.wtg_groups()])
+    turbines = torch.tensor([float(group.n_turbines) for group in settings.resolved_plant.groups])
     n, width = len(turbines), 7
     agent = Agent(width + 1, 2)
     observations = torch.randn(3, n * width)

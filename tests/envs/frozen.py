@@ -29,19 +29,19 @@ _VARIANTS: dict[str, dict[str, dict[str, Any]]] = {}
 _VARIANTS["v0"] = {
     "stalls": {"suite": "low-wind", "strategy": "mppt"},
     "trips": {"suite": "low-wind", "strategy": "deloaded-5", "on_failure": "trip"},
-    "classical": {"suite": "gust", "machine_model": "classical"},
+    "classical": {"suite": "gust", "plant": {"machine_model": "classical"}},
     "three groups": {"suite": "weak-grid", "groups": 3},
     "one group": {"suite": "standard", "groups": [{"bus": 3, "n_turbines": 4.0}]},
-    "fine steps": {"suite": "standard", "control_dt": 0.05, "simulation_dt": 0.0125},
+    "fine steps": {"suite": "standard", "control_dt": 0.05, "plant": {"simulation_dt": 0.0125}},
     "laws": {"suite": "standard", "strategy": ["coordinated-linear", "coordinated-undamped"]},
 }
 _VARIANTS["v1"] = {
     "fails": {"suite": "gusty-v1", "strategy": "mppt"},
     "trips": {"suite": "high-share-v1", "strategy": "deloaded-5", "on_failure": "trip"},
-    "classical": {"suite": "faults-v1", "machine_model": "classical"},
+    "classical": {"suite": "faults-v1", "plant": {"machine_model": "classical"}},
     "exact": {"suite": "standard-v1", "sensors": "exact", "observation_mode": "privileged"},
     "late": {"suite": "standard-v1", "sensors": {"delay_s": (0.0, 1.0), "wind_bias": 0.2}},
-    "fine steps": {"suite": "standard-v1", "control_dt": 0.05, "simulation_dt": 0.0125},
+    "fine steps": {"suite": "standard-v1", "control_dt": 0.05, "plant": {"simulation_dt": 0.0125}},
     "laws": {
         "suite": "low-share-v1",
         "strategy": ["coordinated-linear", "coordinated-undamped", "mppt", "deloaded-10"],

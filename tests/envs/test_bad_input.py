@@ -28,7 +28,7 @@ CALM_V1 = calm(n_wtg=4)
 SENSED = dataclasses.replace(get_suite("standard").scenario(20_000), sensors=Sensors(seed=1, wind_bias=(0.0, 0.0)))
 V1: dict[str, Any] = {"version": "v1"}
 QUICK = TrackingLaw(name="quick", k_min=0.7, k_nominal=0.6, k_max=0.5, damping_time_constant_s=0.05)
-LONG_STEPS = {"control_dt": 0.2, "simulation_dt": 0.04, "scenario": calm().to_dict()}
+LONG_STEPS = {"control_dt": 0.2, "plant": {"simulation_dt": 0.04}, "scenario": calm().to_dict()}
 SLOW = Scenario(name="slow", wind_speed=np.array([[8.0], [4.5]]))
 
 # Arguments of both environments, and a pattern of what the message names. Version v0 where none is given.
@@ -36,15 +36,22 @@ SETTINGS: list[tuple[dict[str, Any], str]] = [
     ({"strategy": "x"}, "unknown strategy 'x'.*mppt.*coordinated-piecewise"),
     ({"action_mode": "x"}, "action_mode 'x'.*k, tau, k.tau"),
     ({"suite": "x"}, "suite 'x'.*paper.*weak-grid"),
-    ({"physics": "x"}, "physics 'x'.*paper, extended, nrel-5mw"),
+    ({"plant": {"physics": "x"}}, "physics 'x'.*paper, extended, nrel-5mw"),
     ({"groups": [{"buss": 2}]}, "buss"),
+    ({"plant": {"gruops": 3}}, "gruops"),
+    ({"plant": 3}, "plant must be a Plant or a dictionary .* got 3"),
+    ({"plant": {"control_dt": 0.2}}, "control_dt is no part of plant here: give the argument"),
+    ({**V1, "plant": {"physics": "paper"}}, "cannot go back to the physics of the paper"),
     ({"duration_s": 2.05}, "duration_s.*2.05.*0.1 s"),
-    ({"simulation_dt": 0.06}, "simulation_dt.*0.06.*0.05 s"),
+    ({"plant": {"simulation_dt": 0.06}}, "simulation_dt.*0.06.*0.05 s"),
     ({"strategy": QUICK, **LONG_STEPS}, "simulation_dt = 0.04 s .* at most 0.0332 s"),
     ({"weights": {"x": 1}}, "weight.*'x'.*frequency.*cap"),
     ({"weights": {"cap": 0}}, "cap = 0 1/s"),
     ({"scenario": SENSED}, "has sensors; version v0 measures exactly"),
-    ({"scenario": SLOW, "physics": "extended"}, "WTG group 1 .* 4.5 m/s, below the under-speed trip at 0.5 p.u."),
+    (
+        {"scenario": SLOW, "plant": {"physics": "extended"}},
+        "WTG group 1 .* 4.5 m/s, below the under-speed trip at 0.5 p.u.",
+    ),
     ({"sensors": "exact"}, "sensors.*v1.*v0 measures exactly"),
     ({**V1, "suite": "low-wind"}, "suite 'low-wind'.*standard-v1"),
     ({**V1, "sensors": {"noise": 1.0}}, "sensors.*'noise'.*delay_s"),
@@ -236,9 +243,9 @@ def test_step_of_a_batch_whose_lanes_were_not_all_reset_is_a_runtime_error(mode:
 @pytest.mark.parametrize(
     ("settings", "named"),
     [
-        ({"weights": {"duty": 0.0}, "on_failure": "trip"}, "weights, on_failure"),
+        ({"weights": {"duty": 0.0}, "on_failure": "trip"}, "weights, plant"),
         ({"strategy": "mppt"}, "strategy"),
-        (V1, "strategy, groups, weights, plant, on_failure, physics, version"),
+        (V1, "strategy, weights, plant, version"),
     ],
     ids=str,
 )

@@ -57,12 +57,11 @@ def arguments(draw: Any) -> dict[str, Any]:
         "observation_mode": draw(OBSERVATION_MODES),
         "suite": suite,
         "split": draw(st.sampled_from(["train", "validation", "test"])),
-        "machine_model": draw(st.sampled_from(["genrou", "classical"])),
+        "plant": {"machine_model": draw(st.sampled_from(["genrou", "classical"])), "simulation_dt": simulation_dt},
         "on_failure": draw(ON_FAILURE),
         "weights": draw(WEIGHTS),
         "duration_s": 3.0,
         "control_dt": control_dt,
-        "simulation_dt": simulation_dt,
         **exact,
     }
 

@@ -12,7 +12,7 @@ import numpy.typing as npt
 import pytest
 
 from tests.physics.extended import plant
-from wtg_gym.envs.settings import EnvSettings, PlantEnvSettings
+from wtg_gym.envs.settings import EnvSettings
 from wtg_gym.envs.task_records import COST_TERMS
 from wtg_gym.gradients import check_by_differences
 from wtg_gym.gradients.adjoint import pull
@@ -380,7 +380,7 @@ def test_the_gradient_goes_through_events_of_the_network(events: list[Any]) -> N
 def test_the_gradient_goes_through_secondary_control() -> None:
     step = LoadStep(time_s=1.0, bus=4, power_mw=30.0)
     with_it = EnvSettings(**V1)
-    without = PlantEnvSettings.of(with_it, dataclasses.replace(with_it.plant(), secondary_time_s=0.0))
+    without = dataclasses.replace(with_it, plant=dataclasses.replace(with_it.plant(), secondary_time_s=0.0))
     found = []
     for settings in (with_it, without):
         tape = Tape(settings, N_LANES, 1)
@@ -392,7 +392,7 @@ def test_the_gradient_goes_through_secondary_control() -> None:
 
 
 def test_a_plant_with_a_hydro_governor_and_a_rotor_table_has_gradients_too() -> None:
-    given = PlantEnvSettings.of(EnvSettings(version="v0", duration_s=10.0), plant(table=True))
+    given = dataclasses.replace(EnvSettings(version="v0", duration_s=10.0), plant=plant(table=True))
     tape = Tape(given, 2, 1)
     scenarios = [tape.lanes.suite.scenario(seed, duration_s=10.0) for seed in (10_000, 10_001)]
     actions = np.random.default_rng(0).uniform(-0.3, 0.3, (50, 2, tape.lanes.n_action))

@@ -11,7 +11,7 @@ import numpy.typing as npt
 import pytest
 
 from wtg_gym.envs.lanes import TaskLanes
-from wtg_gym.envs.settings import EnvSettings, PlantEnvSettings
+from wtg_gym.envs.settings import EnvSettings
 from wtg_gym.envs.task_records import COST_TERMS
 from wtg_gym.gradients.plant_parameters import known_parameters, with_parameters
 from wtg_gym.gradients.tape import Tape
@@ -30,7 +30,7 @@ COMPARED = [name for name in KNOWN if not name.startswith(("machines.6.", "machi
 
 @functools.cache
 def tape() -> Tape:
-    return Tape(PlantEnvSettings.of(SETTINGS, PLANT), N_LANES, 1, tuple(KNOWN))
+    return Tape(dataclasses.replace(SETTINGS, plant=PLANT), N_LANES, 1, tuple(KNOWN))
 
 
 @functools.cache
@@ -50,7 +50,7 @@ def given() -> tuple[list[Scenario], Floats, Floats]:
 
 def weighed(plant: PlantSettings, scenarios: list[Scenario], actions: Floats, weights: Floats) -> Floats:
     """Cost and weighed outputs of each episode (n_lanes,), in a plant built anew, by the environment alone."""
-    lanes = TaskLanes(PlantEnvSettings.of(SETTINGS, plant), N_LANES, 1)
+    lanes = TaskLanes(dataclasses.replace(SETTINGS, plant=plant), N_LANES, 1)
     lanes.start(list(range(N_LANES)), scenarios)
     total = np.zeros(N_LANES)
     for own, weight in zip(actions, weights, strict=True):
@@ -142,7 +142,7 @@ def test_inertia_is_scaled_by_scenarios_and_gone_with_its_machine() -> None:
 def test_other_values_are_those_of_a_rebuilt_plant() -> None:
     scenarios, actions, weights = given()
     values = {"control.inertia_constant_s": 3.5, "machines.1.governor.droop_pu": 0.03}
-    rebuilt = Tape(PlantEnvSettings.of(SETTINGS, with_parameters(PLANT, values)), N_LANES, 1, tuple(KNOWN))
+    rebuilt = Tape(dataclasses.replace(SETTINGS, plant=with_parameters(PLANT, values)), N_LANES, 1, tuple(KNOWN))
     tape().set_parameters(values)
     assert tape().parameter_values() == {**KNOWN, **values}
     with pytest.raises(ValueError, match="start"):

@@ -61,7 +61,7 @@ def tape_of(name: str) -> Tape:
     # No cap is reached: it would mix the terms. That of v1 is high enough, and its machine code is shared.
     high: dict[str, Any] = {"version": "v0", "weights": {"cap": 5000.0}, "observation_mode": "privileged"}
     settings, parameters = {
-        "within a control step": ({**high, "physics": "extended", "control_dt": 0.5}, PARAMETERS),
+        "within a control step": ({**high, "plant": {"physics": "extended"}, "control_dt": 0.5}, PARAMETERS),
         "v1": (V1, ()),
     }[name]
     return Tape(EnvSettings(on_failure="trip", **settings), N_LANES, 1, parameters)

@@ -92,8 +92,8 @@ def test_kinds_without_a_place_do_not_happen(folder: Path) -> None:
 
 def test_settings_of_a_grid_can_be_changed() -> None:
     settings = EnvSettings(grid="ieee39")
-    assert replace(settings, split="test").suite == settings.suite and settings.env_id == "GFMWTG-v1"
-    assert EnvSettings(grid="ieee14", version="v0").suite == "standard"
+    assert replace(settings, split="test").suite_name == settings.suite_name and settings.env_id == "GFMWTG-v1"
+    assert EnvSettings(grid="ieee14", version="v0").suite_name == "standard"
 
 
 def test_a_policy_of_all_groups_stays_in_its_grid_and_one_of_a_group_moves() -> None:
@@ -101,7 +101,7 @@ def test_a_policy_of_all_groups_stays_in_its_grid_and_one_of_a_group_moves() -> 
         def predict(self, observation, state=None, episode_start=None, deterministic=False):
             return np.zeros((len(observation), 2)), None
 
-    elsewhere = get_suite(EnvSettings(grid="ieee39").suite)
+    elsewhere = get_suite(EnvSettings(grid="ieee39").suite_name)
     given = {"name": "still", "policy": Still(), "environment": "GFMWTG-14bus-v1"}
     check_version([Entry(**given, per_group=True)], elsewhere)
     for suite, other in ((elsewhere, {}), (get_suite("standard-v1"), {"environment": "GFMWTG-v1"})):
@@ -125,6 +125,6 @@ def test_what_no_law_survives_is_left_out(folder: Path, monkeypatch: pytest.Monk
     made = screening.screened("ring.json", "ring", lambda words, *_: said.append(words))
     every = unscreened("ring.json").places
     assert set(made.places.line_trips) <= set(every.line_trips) and made.event_size <= 1.0
-    plant = made.suite.plant.settings(classical=False, trips_groups=True)
+    plant = made.suite.plant
     drawn = made.suite.scenarios(made.suite.validation[:30])
     assert screening.survived(plant, drawn).any(axis=0).all() and said

@@ -14,7 +14,7 @@ from wtg_gym.physics.scenario import Event, GovernorLoss, GroupTrip, LineTrip, L
 from wtg_gym.physics.simulator import Simulator
 from wtg_gym.scenarios import get_suite
 
-V1 = get_suite("standard-v1").plant.settings(classical=False, trips_groups=True)
+V1 = get_suite("standard-v1").plant
 WITHOUT_MACHINES = dataclasses.replace(V1, case=dataclasses.replace(V1.case, machines=(), slack_bus=2))
 
 

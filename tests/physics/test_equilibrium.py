@@ -40,7 +40,7 @@ def test_no_state_moves_at_the_start_at_any_wind(simulator: Simulator, law: Trac
 @pytest.mark.parametrize("split", ["validation", "test"])
 def test_no_state_moves_at_the_start_of_the_suites(simulator: Simulator, suite: Suite, split: str) -> None:
     if suite.benchmark.version != "v0":
-        plant = suite.plant.settings(classical=False, control_dt=0.1, simulation_dt=0.025)
+        plant = suite.plant
         simulator = Simulator(plant, duration_s=suite.duration_s)
     laws = (STRATEGIES["coordinated-piecewise"],) * len(suite.plant.groups)
     for seed in list(suite.seeds(split))[:50]:

@@ -23,7 +23,7 @@ from wtg_gym.physics.layout import Floats, n_rows_of
 from wtg_gym.physics.machine_unit import MACHINES
 from wtg_gym.physics.network import NetworkCase
 from wtg_gym.physics.parameters import WtgGroup
-from wtg_gym.physics.plant import PlantSettings, plant_settings
+from wtg_gym.physics.plant import PlantSettings
 from wtg_gym.physics.protection import STAGES, Status
 from wtg_gym.physics.scenario import LineTrip, LoadStep, MachineOutage
 from wtg_gym.physics.simulator import Simulator
@@ -258,6 +258,6 @@ def test_too_little_wind_for_wind_turbines_alone_is_said_in_one_line() -> None:
 
 @pytest.mark.parametrize("physics", ["extended", "nrel-5mw"])
 def test_extended_physics_sheds_and_takes_damping_from_condensers_alone(physics: str) -> None:
-    settings = plant_settings(physics)
+    settings = PlantSettings().replaced(physics=physics)
     assert [machine.damping_pu for machine in settings.case.machines] == [2.0, 0.0, 0.0, 0.0]
     assert [stage.share for stage in settings.shedding] == [0.05, 0.08, 0.08, 0.08, 0.08, 0.08]

@@ -13,7 +13,7 @@ import numpy.typing as npt
 import pytest
 
 from tests.physics.extended import largest_rate, scenario
-from wtg_gym.envs.settings import EnvSettings, PlantEnvSettings
+from wtg_gym.envs.settings import EnvSettings
 from wtg_gym.gradients.tape import Tape
 from wtg_gym.physics.control_parameters import (
     BoilerGovernorParameters,
@@ -389,7 +389,7 @@ def test_gradients_are_refused_by_the_names_of_the_models() -> None:
     machines = (dataclasses.replace(plant.case.machines[0], stabiliser=STABILISER), *plant.case.machines[1:])
     changed = dataclasses.replace(plant, case=dataclasses.replace(plant.case, machines=machines))
     with pytest.raises(ValueError, match="gradients do not know these models of machines: stabilisers STAB1"):
-        Tape(PlantEnvSettings.of(EnvSettings(version="v0"), changed))
+        Tape(dataclasses.replace(EnvSettings(version="v0"), plant=changed))
 
 
 def test_a_grid_file_names_every_model(tmp_path: Path) -> None:

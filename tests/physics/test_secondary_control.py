@@ -96,4 +96,4 @@ def test_its_time_is_checked(wrong: float) -> None:
 
 def test_plants_of_v0_have_none_and_those_of_v1_have_it() -> None:
     for suite in SUITES.values():
-        assert suite.plant.settings(classical=False).secondary_time_s == (0.0 if suite.benchmark == V0 else TIME_S)
+        assert suite.plant.secondary_time_s == (0.0 if suite.benchmark == V0 else TIME_S)

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from wtg_gym.physics.aerodynamics import tracking_point
 from wtg_gym.physics.converter import Corners, tracking_coefficient
 from wtg_gym.physics.parameters import GridFormingParameters, TurbineParameters
-from wtg_gym.physics.plant import PlantSettings, plant_settings
+from wtg_gym.physics.plant import PlantSettings
 from wtg_gym.physics.scenario import Scenario
 from wtg_gym.physics.tracking_law import (
     STRATEGIES,
@@ -91,7 +91,7 @@ def test_a_strategy_takes_its_numbers_from_the_control_of_the_plant() -> None:
 @pytest.mark.parametrize("name", TUNED)
 def test_tuned_law_follows_the_turbine_as_its_equation_says(name: str) -> None:
     # The power curve of the last one is flat: its K_opt - K_pr is so large that the range of a law's k ends before.
-    for turbine in (None, LONG_BLADES, plant_settings("nrel-5mw").turbine):
+    for turbine in (None, LONG_BLADES, PlantSettings().replaced(physics="nrel-5mw").turbine):
         paper, tuned = (get_law(each, turbine) for each in ("coordinated-piecewise", name))
         span = paper.k_min - paper.k_max
         for k, own, share in (

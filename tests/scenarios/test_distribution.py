@@ -44,7 +44,7 @@ BUS_LOAD_MW = {
 
 def loads_mw(source: ScenarioDistribution) -> dict[int, float]:
     """Loads of a distribution's grid at load level 1 [MW]."""
-    grid = BY_NAME[source.name][0].plant.grid if source.name in BY_NAME else DEFAULT_GRID
+    grid = BY_NAME[source.name][0].grid if source.name in BY_NAME else DEFAULT_GRID
     return BUS_LOAD_MW if grid == DEFAULT_GRID else {bus.number: bus.load_mw for bus in get_grid(grid).case.buses}
 
 

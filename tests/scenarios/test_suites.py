@@ -44,7 +44,7 @@ STANDARD, STANDARD_V1 = (
         (STANDARD, {"drawn_from": {"": (dataclasses.replace(STANDARD.distributions[0], load_noise_mw=1.01),)}}),
         (STANDARD, {"test": range(9, 99)}),
         (STANDARD_V1, {"drawn_from": dict(reversed(STANDARD_V1.drawn_from.items()))}),
-        (STANDARD_V1, {"plant": dataclasses.replace(STANDARD_V1.plant, generator_mva=251.0)}),
+        (STANDARD_V1, {"plant": dataclasses.replace(STANDARD_V1.plant, secondary_time_s=31.0)}),
         (STANDARD_V1, {"sensors": SensorDistribution(delay_s=(0.1, 0.2))}),
         (STANDARD_V1, {"sensors": None}),
         (STANDARD_V1, {"benchmark": dataclasses.replace(V1, weights=(("rotor", 21.0),))}),
@@ -83,7 +83,7 @@ def test_strata_and_kinds_are_as_frequent_and_follow_from_the_seed(suite: Suite)
     count = collections.Counter(part[1] for part in parts)
     assert count["ordinary"] == count["large"] == 30
     # No other grid than that of 14 buses has lines that leave groups without machines.
-    kinds = [f"extreme-{kind}" for kind in EVENT_OF if kind != "island" or suite.plant.grid == DEFAULT_GRID]
+    kinds = [f"extreme-{kind}" for kind in EVENT_OF if kind != "island" or suite.grid == DEFAULT_GRID]
     assert {name for name in count if "-" in name} == set(kinds)
     assert max(count[kind] for kind in kinds) - min(count[kind] for kind in kinds) <= 1
     for (_, stratum, _), scenario in zip(parts, scenarios, strict=True):
@@ -110,14 +110,14 @@ def test_every_scenario_of_validation_and_test_starts(suite: Suite, law: str):
 
 def test_grid_of_the_weak_suite_is_weak_at_every_group_and_the_standard_one_is_not():
     weak, standard = get_suite("weak-grid-v1"), get_suite("standard-v1")
-    plant = weak.plant.settings(classical=False)
+    plant = weak.plant
     ratios = [short_circuit_ratios(plant, scenario.committed) for scenario in weak.scenarios(weak.test)]
     assert min(own.min() for own in ratios) >= 1.5 and max(own.max() for own in ratios) <= 3.0
-    assert short_circuit_ratios(standard.plant.settings(classical=False), 0.2).min() > 6.0
+    assert short_circuit_ratios(standard.plant, 0.2).min() > 6.0
 
 
 def test_short_circuit_ratio_of_one_machine_behind_one_line_is_that_of_their_reactances():
-    plant = get_suite("standard-v1").plant.settings(classical=False)
+    plant = get_suite("standard-v1").plant
     case, group = plant.case, plant.groups[0]
     buses = tuple(dataclasses.replace(bus, shunt_mvar=0.0) for bus in case.buses if bus.number in (1, group.bus))
     line = dataclasses.replace(case.branches[0], resistance=0.0, charging=0.0)

@@ -13,7 +13,7 @@ import pytest
 
 from tests.physics.extended import largest_rate, scenario
 from wtg_gym.envs.lanes import TaskLanes
-from wtg_gym.envs.settings import EnvSettings, PlantEnvSettings
+from wtg_gym.envs.settings import EnvSettings
 from wtg_gym.envs.task_records import CostTerms
 from wtg_gym.envs.task_units import TASK
 from wtg_gym.gradients import check_by_differences
@@ -138,10 +138,10 @@ def batteries(*buses: int, energy_time_s: float = 600.0) -> FurtherUnits:
 STEP = scenario(LoadStep(time_s=1.0, bus=9, power_mw=60.0), duration_s=20.0)
 
 
-def settings(version: str = "v0", **more: Any) -> PlantEnvSettings:
+def settings(version: str = "v0", **more: Any) -> EnvSettings:
     own = EnvSettings(version=version, action_mode="k+tau", duration_s=20.0)
     given = PlantSettings(further=(batteries(9, 14, **more),), control_dt=own.control_dt)
-    return PlantEnvSettings.of(own, given)
+    return dataclasses.replace(own, plant=given)
 
 
 def played(n_lanes: int, n_steps: int = 60) -> TaskLanes:
@@ -208,7 +208,9 @@ def test_bad_units_are_refused(changes: dict[str, Any], reason: str) -> None:
 
 def test_a_kind_that_is_there_already_is_refused() -> None:
     with pytest.raises(ValueError, match="units of a kind 'batteries' already"):
-        TaskLanes(PlantEnvSettings.of(EnvSettings(version="v0"), PlantSettings(further=(batteries(9), batteries(14)))))
+        TaskLanes(
+            dataclasses.replace(EnvSettings(version="v0"), plant=PlantSettings(further=(batteries(9), batteries(14))))
+        )
 
 
 def test_a_copy_from_another_process_goes_on_with_the_same_bits() -> None:

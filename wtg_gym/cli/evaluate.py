@@ -66,7 +66,13 @@ def evaluate(
     from wtg_gym.cli import scoring
 
     processes = scoring.chosen_workers(workers, threads)
-    planned = {**scoring.chosen_scenarios(suite, split, seeds), "duration_s": duration, **dataclasses.asdict(plant)}
+    planned = {
+        **scoring.chosen_scenarios(suite, split, seeds),
+        "duration_s": duration,
+        "control_dt": plant.control_dt,
+        "on_failure": plant.on_failure,
+        "plant": plant.replaced() or None,
+    }
     scoring.check_stored(results, planned)
     with scoring.kept_parts(results) as partial:
         # Last, because it takes longest, and may run code.

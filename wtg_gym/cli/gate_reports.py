@@ -23,7 +23,7 @@ def suites(folders: Sequence[Path]) -> list[str]:
         # The gate says why one cannot be read.
         with contextlib.suppress(ValueError):
             said.add(parse_submission(read_files(folder)[ENTRY_FILE]).environment)
-    return [EnvSettings(version=each.version).suite for each in BENCHMARKS.values() if each.env_id in said]
+    return [EnvSettings(version=each.version).suite_name for each in BENCHMARKS.values() if each.env_id in said]
 
 
 def why_left_out(reports: Sequence[Report], wrong: Sequence[Conflict]) -> dict[Path, str]:

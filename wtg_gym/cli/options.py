@@ -114,8 +114,8 @@ class PlantOptions:
 
     control_dt: float = 0.1
     """control interval [s]"""
-    simulation_dt: float = 0.025
-    """integration step, at most 0.05 s"""
+    simulation_dt: float | None = None
+    """integration step, at most 0.05 s; default: the suite's"""
     machine_model: Literal["genrou", "classical"] = "genrou"
     """synchronous machines: genrou with exciters, or classical"""
     on_failure: Literal["terminate", "trip"] | None = None
@@ -123,3 +123,9 @@ class PlantOptions:
     version v0 the end, in v1 the group"""
     physics: Literal["paper", "extended", "nrel-5mw"] | None = None
     """the paper's model; extended by what it leaves out; or that with the NREL 5 MW turbine; default: the suite's"""
+
+    def replaced(self) -> dict[str, Any]:
+        """Return what is replaced in the suite's plant."""
+        options = {"physics": self.physics, "simulation_dt": self.simulation_dt}
+        model = {} if self.machine_model == "genrou" else {"machine_model": self.machine_model}
+        return {**{name: value for name, value in options.items() if value is not None}, **model}

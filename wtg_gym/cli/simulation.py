@@ -15,7 +15,8 @@ from wtg_gym.cli.output import print_json, require_extra, say, write_and_say
 from wtg_gym.cli.scenario_text import describe_scenario, scenario_summary
 from wtg_gym.cli.simulate import ScenarioOptions
 from wtg_gym.files import read_json
-from wtg_gym.physics.parameters import TurbineParameters, WtgGroup, default_groups
+from wtg_gym.physics.parameters import TurbineParameters
+from wtg_gym.physics.plant import PlantSettings
 from wtg_gym.physics.protection import Status
 from wtg_gym.physics.scenario import Scenario
 from wtg_gym.physics.tracking_law import STRATEGIES, STRATEGY_NAMES, TrackingLaw, get_law
@@ -39,15 +40,12 @@ def run(
         require_extra("matplotlib", "--plot")
     suite = get_suite(given.suite)
     scenario = _scenario(given, suite)
-    # Another number of groups stands at bus 2.
-    groups = suite.plant.groups if scenario.n_wtg == len(suite.plant.groups) else default_groups(scenario.n_wtg)
-    settings = suite.plant.settings(
-        groups=groups,
-        physics=plant.physics,
-        classical=plant.machine_model == "classical",
+    settings = suite.plant.replaced(
+        # Another number of groups stands at bus 2.
+        groups=None if scenario.n_wtg == len(suite.plant.groups) else scenario.n_wtg,
         control_dt=plant.control_dt,
-        simulation_dt=plant.simulation_dt,
         trips_groups=(plant.on_failure or suite.benchmark.on_failure) == "trip",
+        **plant.replaced(),
     )
     every = STRATEGIES if suite.benchmark is V0 else STRATEGY_NAMES
     laws = _laws(strategies, settings.turbine, every)
@@ -65,7 +63,11 @@ def run(
     figures = [key_figures(name, trajectory) for name, trajectory in runs.items()]
     if json:
         print_json(
-            {"scenario": scenario_summary(scenario), "plant": _plant_summary(plant, suite, groups), "runs": figures}
+            {
+                "scenario": scenario_summary(scenario),
+                "plant": _plant_summary(plant, suite, settings),
+                "runs": figures,
+            }
         )
     else:
         say(*describe_scenario(scenario), "")
@@ -120,12 +122,12 @@ def _read_scenario(path: Path, suite: Suite) -> Scenario:
     return scenario
 
 
-def _plant_summary(plant: PlantOptions, suite: Suite, groups: tuple[WtgGroup, ...]) -> dict[str, Any]:
+def _plant_summary(options: PlantOptions, suite: Suite, plant: PlantSettings) -> dict[str, Any]:
     return {
-        "groups": [dataclasses.asdict(group) for group in groups],
+        "groups": [dataclasses.asdict(group) for group in plant.groups],
         "control_dt_s": plant.control_dt,
         "simulation_dt_s": plant.simulation_dt,
-        "machine_model": plant.machine_model,
-        "on_failure": plant.on_failure or suite.benchmark.on_failure,
-        "physics": plant.physics or suite.plant.physics,
+        "machine_model": options.machine_model,
+        "on_failure": "trip" if plant.trips_groups else "terminate",
+        "physics": options.physics or ("extended" if suite.plant.extended else "paper"),
     }

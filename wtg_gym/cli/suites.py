@@ -60,7 +60,7 @@ def _summary(suite: Suite) -> dict[str, Any]:
         "cases": [case.name for case in suite.cases],
         "distribution": suite.sources(),
         "benchmark": suite.benchmark.to_dict(),
-        "plant": suite.plant.to_dict(),
+        "plant": {"groups": [group.to_dict() for group in suite.plant.groups], **suite.plant_data},
         "sensors": None if suite.sensors is None else asdict(suite.sensors),
     }
 

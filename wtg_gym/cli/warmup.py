@@ -35,7 +35,6 @@ def _compile(version: str) -> None:
     from wtg_gym.evaluation import evaluate
     from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY
     from wtg_gym.physics.trajectory import simulate
-    from wtg_gym.scenarios import get_suite
 
     settings = EnvSettings(version=version)
     environment: GFMWTGEnv | GFMWTGVectorEnv
@@ -43,8 +42,8 @@ def _compile(version: str) -> None:
         environment.reset(seed=0)
         environment.step(environment.action_space.sample())
         environment.close()
-    suite, plant = get_suite(settings.suite), settings.plant()
+    suite, plant = settings.resolved_suite, settings.resolved_plant
     seed = suite.validation[0]
     scenario = suite.scenario(seed)
     simulate(scenario, REFERENCE_STRATEGY, plant)
-    evaluate([], settings.suite, seeds=(seed,), duration_s=1.0)
+    evaluate([], settings.suite_name, seeds=(seed,), duration_s=1.0)

@@ -102,7 +102,7 @@ class OverLanes:
 
     @spec.setter
     def spec(self, spec: EnvSpec | None) -> None:
-        version = self.settings.version
+        version = self.settings.benchmark.version
         if spec is not None and spec.id in BENCHMARKS and BENCHMARKS[spec.id].version != version:
             raise ValueError(
                 f"{spec.id} cannot be made with version = {version!r}: its id is its version; leave it out"

@@ -31,7 +31,6 @@ from wtg_gym.physics.sensors import SensorInput, delay_intervals, sensor_input
 from wtg_gym.physics.simulator import PreparedLanes, Simulator
 from wtg_gym.physics.start_errors import StartError
 from wtg_gym.ranges import whole_steps
-from wtg_gym.scenarios import get_suite
 from wtg_gym.systems.records import flatten, size
 
 Floats = npt.NDArray[np.float64]
@@ -86,9 +85,9 @@ class TaskLanes:
 
     def __init__(self, settings: EnvSettings, n_lanes: int = 1, n_threads: int | None = None) -> None:
         self.settings = settings
-        self.suite = get_suite(settings.suite)
+        self.suite = settings.resolved_suite
         self.laws = settings.laws()
-        plant = settings.plant()
+        plant = settings.resolved_plant
         self.n_wtg = len(plant.groups)
         self.n_turbines = [group.n_turbines for group in plant.groups]
         self.duration_s = settings.episode_duration_s()
@@ -135,28 +134,25 @@ class TaskLanes:
     @cached_property
     def _of_episodes(self) -> dict[str, Any]:
         """Settings that a running episode depends on; where its scenario was drawn from is none of them."""
-        shared = (
-            *("action_mode", "observation_mode", "control_dt", "simulation_dt"),
-            *("machine_model", "on_failure", "physics", "version"),
-        )
         return {
             "num_envs": self.n_lanes,
             "strategy": self.laws,
-            "groups": self.simulator.settings.groups,
             "duration_s": self.duration_s,
             "weights": self.settings.cost_weights(),
-            "plant": self.suite.plant,
-            "further": self.simulator.settings.further,
-            **{name: getattr(self.settings, name) for name in shared},
+            "plant": self.simulator.settings,
+            "version": self.suite.benchmark.version,
+            "action_mode": self.settings.action_mode,
+            "observation_mode": self.settings.observation_mode,
         }
 
     def _check_time_constants(self) -> None:
         """Refuse a law whose damping the actions can make faster than the integration step follows."""
         fastest = TIME_CONSTANT_RATIO * max((law.inverse_time_constant for law in self.laws), default=0.0)
         allowed = float(largest_stable_steps(-fastest)) / STEP_MARGIN
-        if ACTION_MODES[self.settings.action_mode][1] and self.settings.simulation_dt > allowed:
+        step_s = self.simulator.settings.simulation_dt
+        if ACTION_MODES[self.settings.action_mode][1] and step_s > allowed:
             raise ValueError(
-                f"simulation_dt = {self.settings.simulation_dt:g} s is too long for the damping time constant of "
+                f"simulation_dt = {step_s:g} s is too long for the damping time constant of "
                 f"{TIME_CONSTANT_RATIO / fastest:g} s, which actions make {1.0 / fastest:g} s; "
                 f"allowed: at most {allowed:.3g} s"
             )
@@ -200,7 +196,7 @@ class TaskLanes:
         try:
             lanes, dt = self.simulator.prepare(scenarios, self.laws, turning=turning), self.settings.control_dt
         except StartError as error:
-            if self.settings.suite.endswith(".json"):
+            if self.settings.suite_name.endswith(".json"):
                 advice = "`wtg-gym grid suite` makes a suite whose scenarios start"
                 raise StartError(f"{error}; {advice}") from error
             raise
@@ -256,7 +252,11 @@ class TaskLanes:
         given = sensor_input(sensors, self.settings.control_dt, self.nominal_hz)
         biases = (0.0,) * self.n_wtg if sensors is None else sensors.wind_bias
         # A group that leaves twice is charged from its first return on.
-        leaves_at, returns_at, dt = [math.inf] * self.n_wtg, [math.inf] * self.n_wtg, self.settings.simulation_dt
+        leaves_at, returns_at, dt = (
+            [math.inf] * self.n_wtg,
+            [math.inf] * self.n_wtg,
+            self.simulator.settings.simulation_dt,
+        )
         for event in scenario.events:
             if isinstance(event, GroupTrip) and event.time_s < leaves_at[event.group] * dt:
                 leaves_at[event.group] = float(round(event.time_s / dt))

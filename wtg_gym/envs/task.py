@@ -29,7 +29,6 @@ from wtg_gym.physics.kernel_data import LaneData, Network
 from wtg_gym.physics.layout import Floats, Layout, Whole
 from wtg_gym.physics.plant import Further
 from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY, group_laws
-from wtg_gym.scenarios import get_suite
 from wtg_gym.systems.compiled import compiled, internal
 from wtg_gym.systems.programs import NONE, in_one_table
 from wtg_gym.systems.routines import Routine
@@ -74,11 +73,11 @@ def new_outputs(n_lanes: int, n_observation: int) -> Outputs:
 
 def build_task(settings: EnvSettings) -> Task:
     """Return the constants of the task."""
-    plant = settings.plant()
-    benchmark = settings.benchmark()
+    plant = settings.resolved_plant
+    benchmark = settings.benchmark
     weights = settings.cost_weights()
     modulates_k, modulates_tau = ACTION_MODES[settings.action_mode]
-    n_wtg, of_ieee14 = len(plant.groups), get_suite(settings.suite).plant.grid == DEFAULT_GRID
+    n_wtg, of_ieee14 = len(plant.groups), settings.resolved_suite.grid == DEFAULT_GRID
     return Task(
         modulates_k=modulates_k,
         modulates_tau=modulates_tau,
@@ -93,21 +92,21 @@ def build_task(settings: EnvSettings) -> Task:
         n_window=rocof_window(settings.control_dt),
         n_groups=n_wtg,
         n_actions=n_wtg * (modulates_k + modulates_tau),
-        n_substeps=round(settings.control_dt / settings.simulation_dt),
+        n_substeps=round(settings.control_dt / plant.simulation_dt),
         duty_gain=-math.expm1(-settings.control_dt / benchmark.duty_time_s) if benchmark.duty_time_s > 0.0 else 1.0,
     )
 
 
 def reaches_of(settings: EnvSettings) -> list[Reach]:
     """Return what each group's turbine decides."""
-    plant, authority = settings.plant(), settings.benchmark().k_authority
+    plant, authority = settings.resolved_plant, settings.benchmark.k_authority
     laws = group_laws(REFERENCE_STRATEGY, plant.turbines, plant.control)
     return [Reach(authority * (law.k_min - law.k_max), law.k_max, law.k_min - law.k_max) for law in laws]
 
 
 def task_of(settings: EnvSettings) -> Further:
     """Return the task's kinds of unit and programs, as a simulator takes them."""
-    plant, sensed = settings.plant(), settings.benchmark().sensed
+    plant, sensed = settings.resolved_plant, settings.benchmark.sensed
     n_wtg, n_window = len(plant.groups), rocof_window(settings.control_dt)
     privileged = settings.observation_mode == "privileged"
     modulates_k, modulates_tau = ACTION_MODES[settings.action_mode]
@@ -116,8 +115,8 @@ def task_of(settings: EnvSettings) -> Further:
         "modulates tau": modulates_tau,
         "exact observation": not sensed or privileged,
         "privileged": privileged,
-        "charges worst": settings.benchmark().charges_worst,
-        "charges capped": not settings.benchmark().charges_worst,
+        "charges worst": settings.benchmark.charges_worst,
+        "charges capped": not settings.benchmark.charges_worst,
     }
     return Further(
         n_units={
@@ -172,7 +171,7 @@ def task_data(settings: EnvSettings, layout: Layout) -> TaskData:
         """Return the first row of a part of the first unit; 0 where there is none."""
         return int(layout.first_rows(kind, part)[:1].sum())
 
-    sensed = settings.benchmark().sensed
+    sensed = settings.benchmark.sensed
     modulated = np.array(ACTION_MODES[settings.action_mode])
     exact, shown, actions = rows(ACTING, "observed"), rows(SENSED, "shown"), rows(ACTING, "shown_actions")[:, modulated]
     # In the order of their names: see observation_names.
@@ -181,7 +180,7 @@ def task_data(settings: EnvSettings, layout: Layout) -> TaskData:
         if sensed:
             parts += [own for j in range(layout.n_wtg) for own in (exact[j], rows(SENSED, "shown_duty")[j])]
         parts += [rows(WATCHED, "machine_observed").ravel(), rows(TASK, "grid_observed")[0]]
-    for own in settings.plant().further:
+    for own in settings.resolved_plant.further:
         parts += [] if own.shown is None else [rows(own.kind, own.shown).ravel()]
     return TaskData(
         wanted=rows(ACTING, "wanted")[:, modulated].ravel(),

@@ -20,7 +20,6 @@ from wtg_gym.envs.lanes import TaskLanes
 from wtg_gym.envs.settings import EnvSettings
 from wtg_gym.files import sha256
 from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY
-from wtg_gym.scenarios import get_suite
 from wtg_gym.systems.compiled import source_hash
 
 _PACKAGES = ("numpy", "scipy", "numba", "onnxruntime")
@@ -68,7 +67,7 @@ def environment_fingerprint(settings: EnvSettings) -> str:
     probed = dataclasses.replace(
         settings, strategy=REFERENCE_STRATEGY, action_mode="k+tau", observation_mode="privileged"
     )
-    seeds = get_suite(settings.suite).seeds("validation")[:_N_SCENARIOS]
+    seeds = settings.resolved_suite.seeds("validation")[:_N_SCENARIOS]
     lanes = TaskLanes(probed, len(seeds), 1)
     try:
         lanes.start(range(len(seeds)), lanes.scenarios(seeds))

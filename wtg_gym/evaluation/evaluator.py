@@ -8,7 +8,7 @@ import dataclasses
 import json
 import os
 from collections import Counter
-from collections.abc import Callable, Collection, Generator, Iterable, Iterator, Sequence
+from collections.abc import Callable, Collection, Generator, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
@@ -102,16 +102,16 @@ def evaluate(
     if workers is not None and n_threads not in (None, 1):
         raise ValueError(f"a worker steps with one thread; leave out the threads, got {n_threads!r}")
     settings = EnvSettings(suite=suite, split=split, **env_arguments)
-    competitors = _with_anchors(entries, get_suite(settings.suite))
-    chosen, shared = chosen_seeds(settings.suite, split, seeds, draw), shared_settings(settings)
-    suite_hash = get_suite(settings.suite).hash
-    store = PartialStore(partial, [settings.suite, suite_hash, split, shared])
+    competitors = _with_anchors(entries, settings.resolved_suite)
+    chosen, shared = chosen_seeds(settings.suite_name, split, seeds, draw), shared_settings(settings)
+    suite_hash = settings.resolved_suite.hash
+    store = PartialStore(partial, [settings.suite_name, suite_hash, split, shared])
     parts = [part for entry in competitors for part in _parts(entry, chosen, batch)]
-    needed = settings.benchmark().anchors if keep_going else [entry.name for entry in competitors]
+    needed = settings.benchmark.anchors if keep_going else [entry.name for entry in competitors]
     with contextlib.closing(_stored_and_played(store, parts, settings, n_threads, workers)) as batches:
         episodes, failures = _collected(batches, parts, on_progress, needed)
     return Results(
-        suite=settings.suite,
+        suite=settings.suite_name,
         split=split,
         suite_hash=suite_hash,
         source_hash=source_hash(),
@@ -188,24 +188,24 @@ def chosen_seeds(suite: str, split: str, seeds: Sequence[int] | None, draw: Fres
 
 def shared_settings(settings: EnvSettings) -> dict[str, Any]:
     """Return the settings that all entries share, defaults filled in, as JSON-ready data."""
-    benchmark = settings.benchmark()
-    found = {
+    benchmark, plant = settings.benchmark, settings.resolved_plant
+    found: dict[str, Any] = {
         "duration_s": settings.episode_duration_s(),
         "control_dt": float(settings.control_dt),
-        "simulation_dt": float(settings.simulation_dt),
+        "simulation_dt": float(plant.simulation_dt),
         "weights": {key: float(value) for key, value in dataclasses.asdict(settings.cost_weights()).items()},
-        "groups": [group.to_dict() for group in settings.wtg_groups()],
+        "groups": [group.to_dict() for group in plant.groups],
         "authority": {"k": benchmark.k_authority, "tau": TIME_CONSTANT_RATIO},
-        "machine_model": settings.machine_model,
-        "on_failure": settings.on_failure,
+        "on_failure": "trip" if plant.trips_groups else "terminate",
     }
-    # Results of the paper's physics look as they did before there was another.
-    if settings.physics != "paper":
-        found["physics"] = settings.physics
+    if settings.plant is not None:
+        if not isinstance(settings.plant, Mapping):
+            raise ValueError("results say which plant was played: plant must be a dictionary of what to replace")
+        found["replaced"] = dict(settings.plant)
     if benchmark is not V0:
         sensors = settings.sensor_distribution()
         found["version"] = benchmark.version
-        found["plant"] = get_suite(settings.suite).plant.to_dict()
+        found["plant"] = dict(settings.resolved_suite.plant_data)
         found["sensors"] = "exact" if sensors is None else dataclasses.asdict(sensors)
         found["duty_time_s"] = benchmark.duty_time_s
     # Lists, as files hold them, not tuples.

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from wtg_gym.envs.settings import EnvSettings, PlantEnvSettings
+from wtg_gym.envs.settings import EnvSettings
 from wtg_gym.physics.layout import Floats
 from wtg_gym.physics.network import Branch, Bus, NetworkCase, Source
 from wtg_gym.physics.plant import PlantSettings
@@ -115,7 +115,7 @@ class GridTest:
 
 def _grid(**changes: Any) -> PlantSettings:
     """Return the plant of version v1; `changes` are of its network."""
-    settings = get_suite(DEFAULT_SUITE).plant.settings(classical=False, trips_groups=True)
+    settings = get_suite(DEFAULT_SUITE).plant
     return dataclasses.replace(settings, case=dataclasses.replace(settings.case, **changes))
 
 
@@ -382,7 +382,7 @@ def run_grid_test(test: GridTest, entry: Entry) -> tuple[Recording, Verdict]:
     check_version([entry], get_suite(DEFAULT_SUITE))
     plant = test.plant()
     own = EnvSettings(version=V1.version, sensors="exact", duration_s=test.duration_s)
-    settings = PlantEnvSettings.of(own, plant)
+    settings = dataclasses.replace(own, plant=plant)
     samples: list[tuple[Any, ...]] = []
     with started_lanes(entry, settings, [test.scenario(plant)], 1) as (lanes, _):
         simulator = lanes.simulator

@@ -15,10 +15,10 @@ from wtg_gym.policies.entry import run_label
 from wtg_gym.scenarios import FreshDraw, get_suite
 
 #: The settings of results that are arguments of the environment, as they are called there.
-_ARGUMENTS = (
-    *("duration_s", "control_dt", "simulation_dt", "weights", "groups"),
-    *("machine_model", "on_failure", "physics", "sensors"),
-)
+_ARGUMENTS = {
+    **{name: name for name in ("duration_s", "control_dt", "weights", "groups", "on_failure", "sensors")},
+    "replaced": "plant",
+}
 #: Data of an entry that decide its numbers; the others are texts about it.
 _PLAYED = ("action_mode", "kind", "observation_mode", "policy_sha256", "sha256", "strategy")
 
@@ -85,7 +85,7 @@ def recompute(
         workers=workers,
         on_progress=on_progress,
         keep_going=True,
-        **{name: stored.settings[name] for name in _ARGUMENTS if name in stored.settings},
+        **{argument: stored.settings[name] for name, argument in _ARGUMENTS.items() if name in stored.settings},
     )
     differences += _compared(_deciding(stored), _deciding(now))
     cells, others = _cells(stored), _cells(now)
@@ -98,12 +98,10 @@ def recompute(
 def departures(stored: Results) -> list[str]:
     """Return how results depart from the benchmark's own: other settings, or not as many scenarios."""
     found = []
-    # Results of the paper's physics do not name it.
-    own = {"physics": "paper", **stored.settings}
-    usual = {"physics": "paper", **shared_settings(EnvSettings(suite=stored.suite, split=stored.split))}
-    for key, value in usual.items():
-        if own.get(key) != value:
-            found.append(f"{key} is {own.get(key)}, that of the benchmark {value}")
+    usual = shared_settings(EnvSettings(suite=stored.suite, split=stored.split))
+    for key in {**usual, **stored.settings}:
+        if stored.settings.get(key) != usual.get(key):
+            found.append(f"{key} is {stored.settings.get(key)}, that of the benchmark {usual.get(key)}")
     n_all = len(get_suite(stored.suite).seeds(stored.split if stored.draw is None else "test"))
     if len(stored.seeds) != n_all:
         found.append(f"{len(stored.seeds)} scenarios, those of the benchmark are {n_all}")

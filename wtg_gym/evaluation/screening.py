@@ -81,7 +81,7 @@ _LESS_LOAD, _LEAST_LOAD, _LEAST_RANGE = 0.05, 0.4, 0.15
 def survivable(own: GridSuite, on_progress: Callable[[str, float, int], object]) -> Places:
     """Return the places of a suite's events that some law survives at every operating point tried."""
     suite = own.suite
-    plant = suite.plant.settings(classical=False, trips_groups=True)
+    plant = suite.plant
     drawn = suite.scenarios([seed for seed in suite.validation if suite.stratum(seed) == "ordinary"][:_N_POINTS])
     length: dict[str, Any] = {"duration_s": _STRIKES_S + _AFTERWARDS_S}
     points = [dataclasses.replace(scenario, events=(), **length) for scenario in drawn]
@@ -145,7 +145,7 @@ def screened(grid: str, name: str, on_progress: Callable[[str, float, int], obje
             "other stabilisers"
         )
     own = dataclasses.replace(own, places=survivable(own, on_progress))
-    plant = own.suite.plant.settings(classical=False, trips_groups=True)
+    plant = own.suite.plant
     shares: list[float] = []
     while True:
         scenarios = own.suite.scenarios(own.suite.validation[:_N_TRIED])
@@ -197,7 +197,7 @@ def _places_of(event: Event) -> list[tuple[str, Any]]:
 
 def _least_damped(own: GridSuite) -> tuple[float, float]:
     """Return damping [-] and frequency [Hz] of the least damped mode of all operating points tried."""
-    plant = own.suite.plant.settings(classical=False, trips_groups=True)
+    plant = own.suite.plant
     found = []
     with closing(Simulator(plant, duration_s=own.suite.duration_s)) as simulator:
         laws = group_laws(LAWS[0], plant.turbines, plant.control)
@@ -211,7 +211,7 @@ def _least_damped(own: GridSuite) -> tuple[float, float]:
 
 def _starts(own: GridSuite) -> bool:
     """Return whether every operating point of validation and test starts under all laws, and 1,000 of training do."""
-    plant = own.suite.plant.settings(classical=False, trips_groups=True)
+    plant = own.suite.plant
     seeds = [*own.suite.validation, *own.suite.test, *own.suite.train[:_N_STARTED]]
     try:
         scenarios = own.suite.scenarios(seeds)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
@@ -11,7 +12,7 @@ import numpy.typing as npt
 from wtg_gym.envs import task as of_task
 from wtg_gym.envs.actions import as_actions
 from wtg_gym.envs.lanes import TaskLanes
-from wtg_gym.envs.settings import ACTION_MODES, EnvSettings, PlantEnvSettings
+from wtg_gym.envs.settings import ACTION_MODES, EnvSettings
 from wtg_gym.envs.task import Outputs, bind, step_blocks, task_of
 from wtg_gym.envs.task_records import COST_TERMS
 from wtg_gym.envs.task_units import ACTING, TASK
@@ -114,7 +115,7 @@ class Tape:
         parameters: Sequence[str] = (),
     ) -> None:
         parameters = (parameters,) if isinstance(parameters, str) else tuple(parameters)
-        plant = settings.plant()
+        plant = settings.resolved_plant
         built = build_plant(plant)
         if built.controls or built.saturates:
             models = [*built.controls, *["saturation of machines"] * built.saturates]
@@ -194,7 +195,7 @@ class Tape:
         if unknown := sorted(set(values) - set(self.parameters)):
             raise ValueError(f"the tape has no parameters {unknown}; it has: {', '.join(self.parameters) or 'none'}")
         plant = with_parameters(self.lanes.simulator.settings, values)
-        settings = PlantEnvSettings.of(self.lanes.settings, plant)
+        settings = dataclasses.replace(self.lanes.settings, plant=plant)
         self._open(TaskLanes(settings, self.lanes.n_lanes, self.lanes.simulator.threads.n_threads))
         self._begin(started=False)
 

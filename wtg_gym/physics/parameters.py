@@ -9,13 +9,14 @@ from __future__ import annotations
 import dataclasses
 import functools
 import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from wtg_gym.physics.checked import Checked, describe, design, parameter
 from wtg_gym.physics.rotor_table import RotorTable, read_rotor_table
-from wtg_gym.ranges import require_whole
+from wtg_gym.ranges import is_whole, require_whole
 
 #: What the short keys in each field's `source` stand for.
 SOURCES = {
@@ -340,3 +341,21 @@ def default_groups(n_groups: int = 2, bus: int = 2) -> tuple[WtgGroup, ...]:
     """Return `n_groups` equal groups at a bus that share the paper's twenty turbines (100 MW)."""
     n_groups = require_whole("the number of WTG groups", n_groups, 1, 1024)
     return tuple(WtgGroup(bus=bus, n_turbines=20.0 / n_groups) for _ in range(n_groups))
+
+
+def groups_of(description: int | Sequence[WtgGroup | Mapping[str, Any]], bus: int = 2) -> tuple[WtgGroup, ...]:
+    """Return WTG groups from a number of equal ones at a bus, or from a list of them or of their data.
+
+    Raises:
+        ValueError: the description is of another form; the message shows it.
+    """
+    if is_whole(description):
+        return default_groups(int(description), bus)  # type: ignore[arg-type]
+    form = '{"bus": …, "n_turbines": …}'
+    if isinstance(description, (str, Mapping)) or not isinstance(description, Sequence):
+        raise ValueError(f"groups must be a number of groups or a list of {form}, got {description!r:.80}")
+    for entry in description:
+        known = {field.name for field in dataclasses.fields(WtgGroup)}
+        if not isinstance(entry, WtgGroup) and not (isinstance(entry, Mapping) and entry and set(entry) <= known):
+            raise ValueError(f"a WTG group must be {form}, got {entry!r:.80}")
+    return tuple(entry if isinstance(entry, WtgGroup) else WtgGroup(**entry) for entry in description)

@@ -37,6 +37,7 @@ from wtg_gym.physics.parameters import (
     WtgGroup,
     default_groups,
     european_shedding,
+    groups_of,
     nrel_5mw,
 )
 from wtg_gym.physics.protection import STAGES, SheddingConstants
@@ -57,7 +58,7 @@ from wtg_gym.physics.units import (
 )
 from wtg_gym.physics.wind_turbine import Extension, Turbine, extension_constants, turbine_constants
 from wtg_gym.physics.wtg_unit import GROUPS
-from wtg_gym.ranges import require_range, whole_steps
+from wtg_gym.ranges import require_choice, require_known, require_range, whole_steps
 from wtg_gym.systems.programs import Program, Tables, build_table
 from wtg_gym.systems.routines import Routine
 from wtg_gym.systems.systems import Kind
@@ -147,6 +148,44 @@ class PlantSettings(Checked):
         if total > 1.0 + 1e-12:
             raise ValueError(f"the shedding stages disconnect {100.0 * total:g} % of the load; allowed: at most 100 %")
 
+    def replaced(
+        self,
+        *,
+        physics: str | None = None,
+        machine_model: str = "genrou",
+        groups: int | Sequence[WtgGroup | Mapping[str, Any]] | None = None,
+        **fields: Any,
+    ) -> PlantSettings:
+        """Return the plant with parts of it replaced, by name or as plain data.
+
+        Args:
+            physics: "extended", the physics of version v1; "nrel-5mw", the same with the NREL 5 MW turbine and its C_p
+                table; or "paper", which an extended plant cannot go back to. A governor keeps its own dead band.
+            machine_model: "classical" puts a constant voltage behind x'_d in place of every synchronous machine and its
+                exciter; "genrou" leaves them as they are.
+            groups: the WTG groups, their data, or how many share the paper's twenty turbines at the bus of the first.
+            fields: fields of this class; they replace those of `physics` too.
+
+        Raises:
+            ValueError: a name is unknown, or a value is outside its range.
+        """
+        require_known("settings of a plant", fields, [field.name for field in dataclasses.fields(self)])
+        case = fields.pop("case", self.case)
+        if not isinstance(case, NetworkCase):
+            raise ValueError(f"case must be a NetworkCase, got {case!r:.80}")
+        require_choice("machine_model", machine_model, MACHINE_MODELS)
+        changes: dict[str, Any] = {"case": case.classical() if machine_model == "classical" else case}
+        if physics is not None:
+            require_choice("physics", physics, PHYSICS)
+            if physics != "paper":
+                turbine = nrel_5mw() if physics == "nrel-5mw" else TurbineParameters(conserves_energy=True)
+                changes = _extended(changes["case"], turbine)
+            elif self.extended:
+                raise ValueError("an extended plant cannot go back to the physics of the paper; start from Plant()")
+        if groups is not None:
+            changes["groups"] = groups_of(groups, self.groups[0].bus if self.groups else self.case.slack_bus)
+        return dataclasses.replace(self, **{**changes, **fields})
+
     @property
     def all_further(self) -> tuple[FurtherUnits, ...]:
         """All units that are neither machines nor WTG groups: imposed sources of the network, then `further`."""
@@ -165,8 +204,10 @@ class PlantSettings(Checked):
         return self.limits is not None or self.voltage_control is not None or self.turbine.conserves_energy
 
 
-#: Physics by name: the paper's, what :func:`plant_settings` adds to it, and the same with the NREL 5 MW turbine.
+#: Physics by name: the paper's, what :func:`_extended` adds to it, and the same with the NREL 5 MW turbine.
 PHYSICS = ("paper", "extended", "nrel-5mw")
+#: Models of synchronous machines by name: that of the network's data, or a constant voltage behind x'_d.
+MACHINE_MODELS = ("genrou", "classical")
 #: Dead band of the governors in extended physics [p.u.]: 10 mHz of 50 Hz, the combined effect of insensitivity and dead
 #: band that frequency containment reserve of continental Europe may have. Source: Commission Regulation (EU) 2017/1485,
 #: annex V.
@@ -177,40 +218,24 @@ DEAD_BAND_PU = 0.0002
 ROTOR_SPEED_MIN_PU = 0.5
 
 
-def plant_settings(physics: str = "paper", **settings: Any) -> PlantSettings:
-    """Return a plant with a kind of physics.
+def _extended(case: NetworkCase, turbine: TurbineParameters) -> dict[str, Any]:
+    """Return what extended physics replaces in a plant.
 
-    "extended" adds to the paper's model: a rotor that keeps its energy, limits of current, power and torque with a
-    chopper, terminal voltage control with reactive limits, a rotor under-speed trip, a governor dead band, and load
-    shedding as continental Europe asks for; and it takes from machines without a governor their damping D, which would
-    be power without a source. "nrel-5mw" has the NREL 5 MW turbine and its C_p table besides.
-
-    Args:
-        physics: one of :data:`PHYSICS`.
-        settings: fields of :class:`PlantSettings`; they replace what `physics` sets, and a governor keeps its own dead
-            band.
-
-    Raises:
-        ValueError: the name is unknown, or a setting is outside its range.
+    It adds to the paper's model: a rotor that keeps its energy, limits of current, power and torque with a chopper,
+    terminal voltage control with reactive limits, a rotor under-speed trip, a governor dead band, and load shedding as
+    continental Europe asks for. It takes from machines without a governor their damping D, which would be power without
+    a source.
     """
-    if physics not in PHYSICS:
-        raise ValueError(f"unknown physics {physics!r}; choose one of {', '.join(PHYSICS)}")
-    if physics == "paper":
-        return PlantSettings(**settings)
-    case = settings["case"] if "case" in settings else get_grid("ieee14").case
-    if not isinstance(case, NetworkCase):
-        raise ValueError(f"case must be a NetworkCase, got {case!r}")
     case = case.with_governors(lambda g: g if g.dead_band_pu else dataclasses.replace(g, dead_band_pu=DEAD_BAND_PU))
     machines = (m if m.governor is not None else dataclasses.replace(m, damping_pu=0.0) for m in case.machines)
-    case = dataclasses.replace(case, machines=tuple(machines))
-    extended: dict[str, Any] = {
-        "turbine": nrel_5mw() if physics == "nrel-5mw" else TurbineParameters(conserves_energy=True),
+    return {
+        "case": dataclasses.replace(case, machines=tuple(machines)),
+        "turbine": turbine,
         "limits": ConverterLimitParameters(),
         "voltage_control": VoltageControlParameters(),
         "protection": ProtectionParameters(rotor_speed_min_pu=ROTOR_SPEED_MIN_PU),
         "shedding": european_shedding(),
     }
-    return PlantSettings(**{**extended, **settings, "case": case})
 
 
 def short_circuit_ratios(settings: PlantSettings, committed: float = 1.0) -> npt.NDArray[np.float64]:

@@ -23,7 +23,6 @@ from wtg_gym.policies.onnx_policy import OnnxPolicy
 from wtg_gym.policies.play import play, started_lanes
 from wtg_gym.policies.policy_process import NotIsolatedError
 from wtg_gym.policies.submission_folder import EntryFile, parse_submission, read_files
-from wtg_gym.scenarios import get_suite
 from wtg_gym.scenarios.benchmark import BENCHMARKS, V1
 
 Floats = npt.NDArray[np.float64]
@@ -243,7 +242,7 @@ def rollout(policy: Policy, described: Entry | EntryFile, *, backwards: bool = F
     entry = Entry(name="the policy", policy=policy, **{key: getattr(described, key) for key in keys})
     settings = EnvSettings(version=BENCHMARKS[described.environment or V1.env_id].version, split="validation")
     order = -1 if backwards else 1
-    seeds = get_suite(settings.suite).validation[:_ROLLOUT_LANES][::order]
+    seeds = settings.resolved_suite.validation[:_ROLLOUT_LANES][::order]
     actions: list[Floats] = []
     with started_lanes(entry, settings, seeds) as (lanes, _):
         for _step in play(entry, lanes, actions):

@@ -1,17 +1,11 @@
-"""What a version of the benchmark fixes besides its suites' scenarios: plant, task, anchors of the score."""
+"""What a version of the benchmark fixes besides its suites: task, anchors of the score."""
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Any
-
-from wtg_gym.physics.grid import DEFAULT_GRID, digest_of_grid, get_grid
-from wtg_gym.physics.machine_parameters import GovernorParameters
-from wtg_gym.physics.parameters import WtgGroup, default_groups
-from wtg_gym.physics.plant import PlantSettings, plant_settings
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -50,77 +44,6 @@ class Benchmark:
     def to_dict(self) -> dict[str, Any]:
         """Return the version as JSON-ready data."""
         return {**vars(self), "weights": dict(self.weights), "cost_offsets": dict(self.cost_offsets)}
-
-
-@dataclass(frozen=True, kw_only=True)
-class SuitePlant:
-    """The grid of a suite: how much of it is wind, how strong the rest is."""
-
-    grid: str = DEFAULT_GRID  # its name, or the path of its file
-    groups: tuple[WtgGroup, ...] = field(default_factory=default_groups)
-    physics: str = "paper"  # see plant_settings
-    generator_mva: float | None = None  # rating of the generator at bus 1, None for the paper's [MVA]
-    governor: GovernorParameters | None = None  # of that generator, None for the paper's
-    overload_from_pu: float | None = None  # power above which a converter counts as overloaded [p.u.]
-    secondary_time_s: float = 0.0  # of the secondary control, see PlantSettings; 0 for none [s]
-    branch_scale: float = 1.0  # factor on the impedance of every line and transformer [-]
-    condensers: bool = True  # whether the case's synchronous condensers are there
-    simulation_dt: float = 0.025  # longest step that suits it, of those of longest_step [s]
-
-    def settings(
-        self, *, groups: tuple[WtgGroup, ...] | None = None, physics: str | None = None, classical: bool, **steps: Any
-    ) -> PlantSettings:
-        """Return the plant, with other groups or physics if given.
-
-        Args:
-            groups, physics: replace the suite's own.
-            classical: whether machines are a constant voltage behind x'_d.
-            steps: control_dt, simulation_dt and trips_groups of :class:`~wtg_gym.physics.plant.PlantSettings`.
-        """
-        case = get_grid(self.grid).with_groups
-        case = case.classical() if classical else case
-        generator: dict[str, Any] = {"rating_mva": self.generator_mva, "governor": self.governor}
-        changes = {name: value for name, value in generator.items() if value is not None}
-        machines = [dataclasses.replace(m, **changes) if m.bus == case.slack_bus else m for m in case.machines]
-        branches = [
-            dataclasses.replace(
-                b, resistance=self.branch_scale * b.resistance, reactance=self.branch_scale * b.reactance
-            )
-            for b in case.branches
-        ]
-        case = dataclasses.replace(
-            case,
-            machines=tuple(m for m in machines if self.condensers or m.governor is not None),
-            branches=tuple(branches),
-        )
-        steps |= {"secondary_time_s": self.secondary_time_s} if self.secondary_time_s else {}
-        steps["shares_dispatch"] = sum(machine.governor is not None for machine in case.machines) > 1
-        plant = plant_settings(physics or self.physics, case=case, groups=groups or self.groups, **steps)
-        if self.overload_from_pu is not None:
-            control = dataclasses.replace(plant.control, overload_limit_pu=self.overload_from_pu)
-            plant = dataclasses.replace(plant, control=control)
-        return plant
-
-    @property
-    def governed_mva(self) -> float:
-        """Rating of all machines with a governor [MVA]."""
-        if self.generator_mva is not None:
-            return self.generator_mva
-        return sum(m.rating_mva for m in get_grid(self.grid).with_groups.machines if m.governor is not None)
-
-    @property
-    def constant_mw(self) -> float:
-        """What its machines without a governor give [MW]."""
-        machines = get_grid(self.grid).with_groups.machines
-        return sum(machine.dispatch_mw for machine in machines if machine.governor is None)
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return the plant as JSON-ready data; suites of the IEEE 14-bus system keep the hashes that they had."""
-        data = {**dataclasses.asdict(self), "groups": [group.to_dict() for group in self.groups]}
-        if self.grid != DEFAULT_GRID:
-            data["grid"] = digest_of_grid(self.grid)
-        later = {"grid": DEFAULT_GRID, "simulation_dt": SuitePlant.simulation_dt}
-        return {key: value for key, value in data.items() if key not in later or value != later[key]}
 
 
 #: The paper's system. 0 is MPPT, 100 the paper's law.

@@ -17,9 +17,8 @@ from wtg_gym.physics.machine_parameters import SynchronousMachineParameters
 from wtg_gym.physics.network import LEAST_IMPEDANCE, NetworkCase
 from wtg_gym.physics.plant import SIMULATION_DT_RANGE
 from wtg_gym.physics.simulator import longest_step
-from wtg_gym.scenarios.benchmark import SuitePlant
 from wtg_gym.scenarios.distribution import LOSSES
-from wtg_gym.scenarios.strata import WIND_SCENARIOS, Places, suite_of_strata
+from wtg_gym.scenarios.strata import WIND_SCENARIOS, Places, constant_mw, governed_mva, suite_of_strata, wind_plant
 from wtg_gym.scenarios.stream import Span
 from wtg_gym.scenarios.suite import Suite
 
@@ -114,13 +113,12 @@ class GridSuite(Checked):
         )
 
     @property
-    def plant(self) -> SuitePlant:
-        """Return its plant."""
+    def plant(self) -> dict[str, Any]:
+        """Its grid and plant, see :func:`~wtg_gym.scenarios.strata.wind_plant`."""
         groups = get_grid(self.grid).groups
         if not groups:
             raise ValueError(f"grid {self.grid!r} has no WTG groups; a suite needs some")
-        of_v1: dict[str, Any] = {"physics": "extended", "overload_from_pu": 1.05, "secondary_time_s": 30.0}
-        return SuitePlant(grid=self.grid, groups=groups, simulation_dt=self.simulation_dt, **of_v1)
+        return wind_plant(self.grid, groups, simulation_dt=self.simulation_dt)
 
 
 def check_places(places: Places, case: NetworkCase) -> None:
@@ -198,11 +196,11 @@ def unscreened(grid: str) -> GridSuite:
         if math.hypot(branch.resistance, branch.reactance) < LEAST_IMPEDANCE:
             raise ValueError(f"{ends} has an impedance below {LEAST_IMPEDANCE:g} p.u., too little for the power flow")
     own = GridSuite(name=Path(grid).stem, grid=grid, places=all_places(found.with_groups))
-    plant = own.plant.settings(classical=False)
+    plant = own.plant["plant"]
     own = replace(own, simulation_dt=longest_step(plant))
     # The machines give what the wind leaves, with losses.
     load_mw = own.load_level[1] * found.case.load_mw
-    machines = (own.plant.governed_mva + own.plant.constant_mw) / load_mw
+    machines = (governed_mva(plant) + constant_mw(plant)) / load_mw
     # Turbines give some of what they are rated for.
     sizes = zip(found.groups, plant.turbines, strict=True)
     rated_mw = sum(group.n_turbines * turbine.rated_power_mw for group, turbine in sizes)

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Any
 
-from wtg_gym.physics.grid import DEFAULT_GRID, get_grid
-from wtg_gym.scenarios.benchmark import V1, Benchmark, SuitePlant
+from wtg_gym.physics.grid import DEFAULT_GRID, digest_of_grid, get_grid
+from wtg_gym.physics.machine_parameters import GovernorParameters
+from wtg_gym.physics.parameters import GridFormingParameters, WtgGroup
+from wtg_gym.physics.plant import PlantSettings
+from wtg_gym.scenarios.benchmark import V1, Benchmark
 from wtg_gym.scenarios.distribution import ScenarioDistribution
 from wtg_gym.scenarios.sensor_distribution import SensorDistribution
 from wtg_gym.scenarios.suite import Suite
@@ -134,10 +138,89 @@ STRATA: Mapping[str, Mapping[str, Mapping[str, Any]]] = MappingProxyType(
 )
 
 
+#: Power above which a converter counts as overloaded in version v1 [p.u.].
+_OVERLOAD_FROM_PU = 1.05
+#: Integration time of its secondary control [s].
+_SECONDARY_TIME_S = 30.0
+
+
+def wind_plant(
+    grid: str,
+    groups: tuple[WtgGroup, ...],
+    *,
+    generator_mva: float | None = None,
+    branch_scale: float = 1.0,
+    condensers: bool = True,
+    simulation_dt: float = 0.025,
+) -> dict[str, Any]:
+    """Return `grid`, `plant`, `plant_data` and `described` of a suite of version v1.
+
+    Args:
+        grid: its name, or the path of its file.
+        groups: the WTG groups.
+        generator_mva: rating of the machine at the slack bus, whose gate then opens to 1 p.u.; None: the grid's [MVA].
+        branch_scale: factor on the impedance of every line and transformer [-].
+        condensers: whether machines without a governor are there.
+        simulation_dt: step of the integration [s].
+    """
+    case = get_grid(grid).with_groups
+    governor = None if generator_mva is None else GovernorParameters(gate_max_pu=1.0)
+    machines = [
+        dataclasses.replace(m, rating_mva=generator_mva, governor=governor)
+        if generator_mva is not None and m.bus == case.slack_bus
+        else m
+        for m in case.machines
+    ]
+    branches = [
+        dataclasses.replace(b, resistance=branch_scale * b.resistance, reactance=branch_scale * b.reactance)
+        for b in case.branches
+    ]
+    governed = sum(machine.governor is not None for machine in machines)
+    plant = PlantSettings(
+        case=dataclasses.replace(
+            case,
+            machines=tuple(m for m in machines if condensers or m.governor is not None),
+            branches=tuple(branches),
+        ),
+        groups=groups,
+        control=GridFormingParameters(overload_limit_pu=_OVERLOAD_FROM_PU),
+        secondary_time_s=_SECONDARY_TIME_S,
+        shares_dispatch=governed > 1,
+        simulation_dt=simulation_dt,
+        trips_groups=True,
+    )
+    data: dict[str, Any] = {
+        "groups": [group.to_dict() for group in groups],
+        "physics": "extended",
+        "generator_mva": generator_mva,
+        "governor": None if governor is None else dataclasses.asdict(governor),
+        "overload_from_pu": _OVERLOAD_FROM_PU,
+        "secondary_time_s": _SECONDARY_TIME_S,
+        "branch_scale": branch_scale,
+        "condensers": condensers,
+    }
+    if grid != DEFAULT_GRID:
+        data["grid"] = digest_of_grid(grid)
+    if simulation_dt != PlantSettings.simulation_dt:
+        data["simulation_dt"] = simulation_dt
+    plant = plant.replaced(physics="extended")
+    return {"grid": grid, "plant": plant, "plant_data": data, "described": plant}
+
+
+def governed_mva(plant: PlantSettings) -> float:
+    """Return the rating of all machines with a governor [MVA]."""
+    return sum(machine.rating_mva for machine in plant.case.machines if machine.governor is not None)
+
+
+def constant_mw(plant: PlantSettings) -> float:
+    """Return what machines without a governor give [MW]."""
+    return sum(machine.dispatch_mw for machine in plant.case.machines if machine.governor is None)
+
+
 def suite_of_strata(
     name: str,
     description: str,
-    plant: SuitePlant,
+    plant: Mapping[str, Any],
     places: Places,
     *,
     sensors: SensorDistribution | None = None,
@@ -151,13 +234,15 @@ def suite_of_strata(
 
     Args:
         name: without "-v1".
+        plant: what :func:`wind_plant` returns.
         places: where events may happen; a kind of extreme event without a place is left out.
         scenarios_of: another suite that it shares all but the sensors with.
         event_size: factor on the load events of every stratum, which are in per cent of the load [-].
         own: what it has of its own in a stratum or a kind, by its name.
         settings: what it has of its own everywhere.
     """
-    size = event_size * (1.0 if plant.grid == DEFAULT_GRID else get_grid(plant.grid).case.load_mw / _LOAD_MW)
+    grid = plant["grid"]
+    size = event_size * (1.0 if grid == DEFAULT_GRID else plant["plant"].case.load_mw / _LOAD_MW)
     of_grid: dict[str, Any] = {
         "load_noise_mw": round(size / event_size, 2),
         "load_buses": places.load_buses,
@@ -166,8 +251,8 @@ def suite_of_strata(
         "line_trips": places.line_trips,
         "machine_outage_buses": places.machine_buses,
         "governor_loss_buses": places.governor_buses,
-        "grid": plant.grid,
-        "constant_mw": plant.constant_mw,
+        "grid": grid,
+        "constant_mw": constant_mw(plant["plant"]),
     }
     of_kinds: dict[str, dict[str, Any]] = {
         "governor": {"governor_loss_buses": places.governor_buses},
@@ -190,16 +275,16 @@ def suite_of_strata(
             values["net_load_change_mw"] *= size
             prefix = f"{scenarios_of or name}-v1/{stratum}"
             prefix = f"{prefix}-{kind}" if kind else prefix
-            made.append(ScenarioDistribution(name=prefix, generator_mva=plant.governed_mva, **values))
+            made.append(ScenarioDistribution(name=prefix, generator_mva=governed_mva(plant["plant"]), **values))
         drawn_from[stratum] = tuple(made)
     return Suite(
         name=f"{name}-v1",
         description=description,
         duration_s=180.0,
         benchmark=benchmark,
-        plant=plant,
         sensors=sensors or SensorDistribution(),
         drawn_from=drawn_from,
         validation=range(10_000, 10_300),
         test=range(20_000, 20_900),
+        **plant,
     )

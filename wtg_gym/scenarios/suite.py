@@ -13,11 +13,12 @@ from typing import Any
 
 import numpy as np
 
-from wtg_gym.physics.grid import DEFAULT_GRID, get_grid
+from wtg_gym.physics.grid import DEFAULT_GRID
 from wtg_gym.physics.parameters import TurbineParameters, WtgGroup
+from wtg_gym.physics.plant import PlantSettings
 from wtg_gym.physics.scenario import Event, Scenario, trusted
 from wtg_gym.ranges import is_whole, require_whole
-from wtg_gym.scenarios.benchmark import ANY_GRID, V0, Benchmark, SuitePlant
+from wtg_gym.scenarios.benchmark import ANY_GRID, V0, Benchmark
 from wtg_gym.scenarios.distribution import ScenarioDistribution
 from wtg_gym.scenarios.sensor_distribution import SensorDistribution
 
@@ -56,7 +57,10 @@ class Suite:
         description: one line on what it is about.
         duration_s: length of its runs [s].
         benchmark: version of the benchmark that it belongs to.
-        plant: its grid and turbines.
+        grid: name of its grid, or path of the grid's file.
+        plant: the grid with its machines, turbines and physics.
+        plant_data, described: what its hash holds of the plant in versions after v0, and which plant that describes:
+            of another one it holds everything.
         sensors: distribution of the measurements' errors; None for exact measurements.
         drawn_from: distributions of its scenarios by the name of their stratum, "" where there is only one. The first
             of n strata has the seeds with seed % n = 0, of its m distributions the first those with seed // n % m = 0.
@@ -74,7 +78,10 @@ class Suite:
     description: str
     duration_s: float
     benchmark: Benchmark = V0
-    plant: SuitePlant = field(default_factory=SuitePlant)
+    grid: str = DEFAULT_GRID
+    plant: PlantSettings = field(default_factory=PlantSettings)
+    plant_data: Mapping[str, Any] = field(default_factory=dict)
+    described: PlantSettings | None = None
     sensors: SensorDistribution | None = None
     drawn_from: Mapping[str, tuple[ScenarioDistribution, ...]] = field(default_factory=dict)
     cases: tuple[FixedCase, ...] = ()
@@ -98,12 +105,12 @@ class Suite:
     @property
     def env_id(self) -> str:
         """Id of its environment."""
-        return self.benchmark.env_id if self.plant.grid == DEFAULT_GRID else ANY_GRID
+        return self.benchmark.env_id if self.grid == DEFAULT_GRID else ANY_GRID
 
     @property
     def nominal_hz(self) -> float:
         """Nominal frequency of its grid [Hz]."""
-        return get_grid(self.plant.grid).case.frequency_hz
+        return self.plant.case.frequency_hz
 
     @property
     def distributions(self) -> tuple[ScenarioDistribution, ...]:
@@ -244,7 +251,8 @@ class Suite:
             "drawn": drawn,
         }
         if self.benchmark != V0:
-            data["benchmark"], data["plant"] = self.benchmark.to_dict(), self.plant.to_dict()
+            whole = {} if self.plant == self.described else {"whole": repr(self.plant)}
+            data["benchmark"], data["plant"] = self.benchmark.to_dict(), {**self.plant_data, **whole}
             data["sensors"] = None if self.sensors is None else asdict(self.sensors)
         text = json.dumps(data, sort_keys=True, separators=(",", ":"), allow_nan=False)
         return hashlib.sha256(text.encode()).hexdigest()

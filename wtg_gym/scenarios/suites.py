@@ -10,14 +10,13 @@ from types import MappingProxyType
 from typing import Any
 
 from wtg_gym.physics.grid import DEFAULT_GRID, FOLDER, get_grid
-from wtg_gym.physics.machine_parameters import GovernorParameters
 from wtg_gym.physics.parameters import WtgGroup
 from wtg_gym.physics.scenario import LoadStep, LoadTrip
-from wtg_gym.scenarios.benchmark import V1, SuitePlant
+from wtg_gym.scenarios.benchmark import V1
 from wtg_gym.scenarios.distribution import ScenarioDistribution
 from wtg_gym.scenarios.grid_suite import read_suite, suite_of_file
 from wtg_gym.scenarios.sensor_distribution import SensorDistribution
-from wtg_gym.scenarios.strata import Places, suite_of_strata
+from wtg_gym.scenarios.strata import Places, suite_of_strata, wind_plant
 from wtg_gym.scenarios.suite import FixedCase, Suite
 
 
@@ -44,17 +43,10 @@ def _drawn(name: str, description: str, **settings: Any) -> Suite:
     return Suite(name=name, description=description, duration_s=60.0, drawn_from={"": (distribution,)})
 
 
-def _wind_plant(generator_mva: float, *turbines: float, **network: Any) -> SuitePlant:
-    """Return the grid of version v1: a small generator at bus 1, WTG groups in place of others."""
-    return SuitePlant(
-        groups=tuple(WtgGroup(bus=bus, n_turbines=n) for bus, n in zip((2, 3, 6, 8), turbines, strict=True)),
-        physics="extended",
-        generator_mva=generator_mva,
-        governor=GovernorParameters(gate_max_pu=1.0),
-        overload_from_pu=1.05,
-        secondary_time_s=30.0,
-        **network,
-    )
+def _wind_plant(generator_mva: float, *turbines: float, **network: Any) -> dict[str, Any]:
+    """Return the plant of version v1: a small generator at bus 1, WTG groups in place of others."""
+    groups = tuple(WtgGroup(bus=bus, n_turbines=n) for bus, n in zip((2, 3, 6, 8), turbines, strict=True))
+    return wind_plant(DEFAULT_GRID, groups, generator_mva=generator_mva, **network)
 
 
 #: Lines with a short circuit at their first bus: one of 0.4 s next to the generator can cost it its synchronism.
@@ -83,7 +75,7 @@ _PLACES = Places(
 _WIND_PLANT = _wind_plant(250.0, 20.0, 14.0, 10.0, 8.0)
 
 
-def _drawn_v1(name: str, description: str, plant: SuitePlant = _WIND_PLANT, **settings: Any) -> Suite:
+def _drawn_v1(name: str, description: str, plant: Mapping[str, Any] = _WIND_PLANT, **settings: Any) -> Suite:
     return suite_of_strata(name, description, plant, _PLACES, **settings)
 
 
@@ -101,9 +93,9 @@ _PAPER_V1 = Suite(
     description="The paper's cases in this grid: 35 MW more at bus 2 and at bus 3; the loads of buses 4 and 9 lost.",
     duration_s=120.0,
     benchmark=V1,
-    plant=_WIND_PLANT,
     sensors=SensorDistribution(),
     cases=_paper_cases((11.0, 9.0), 35.0),
+    **_WIND_PLANT,
 )
 
 #: Every suite by its name.

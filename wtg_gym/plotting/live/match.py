@@ -55,7 +55,7 @@ class Match:
     @property
     def time_s(self) -> float:
         """Time since your start [s]; of a failure its instant."""
-        return float(self._lanes.simulator.lane_values("step")[OWN]) * self._lanes.settings.simulation_dt
+        return float(self._lanes.simulator.lane_values("step")[OWN]) * self._lanes.simulator.settings.simulation_dt
 
     def step(self, k: float, tau: float) -> list[tuple[float, str]]:
         """Hold your action on k and τ of all groups for a control interval; return times [s] and words of events."""
