@@ -17,7 +17,7 @@ from wtg_gym.physics.parameters import WtgGroup, default_groups
 from wtg_gym.physics.plant import PHYSICS, SIMULATION_DT_RANGE, PlantSettings
 from wtg_gym.physics.scenario import SERIES_DT, Scenario
 from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY, TrackingLaw, group_laws
-from wtg_gym.ranges import require_known, require_range, whole_steps
+from wtg_gym.ranges import require_choice, require_known, require_range, whole_steps
 from wtg_gym.scenarios import DEFAULT_SUITE, FRESH, SPLITS, SUITES, get_suite, suite_of_grid
 from wtg_gym.scenarios.benchmark import Benchmark
 from wtg_gym.scenarios.sensor_distribution import SensorDistribution
@@ -176,7 +176,7 @@ class EnvSettings:
     def __post_init__(self) -> None:
         self._choose_suite()
         for name, choices in _CHOICES.items():
-            _require_choice(name, getattr(self, name), choices)
+            require_choice(name, getattr(self, name), choices)
         self.sensor_distribution()
         if self.duration_s is not None:
             require_range("duration_s", self.duration_s, 1.0, 3600.0, "s")
@@ -188,7 +188,7 @@ class EnvSettings:
     def _choose_suite(self) -> None:
         """Find the suite by version and name: of version v1, "standard" is "standard-v1"."""
         if self.version is not None:
-            _require_choice("version", self.version, VERSIONS)
+            require_choice("version", self.version, VERSIONS)
         suite = self.suite
         if self.grid is not None:
             if suite is not None:
@@ -202,7 +202,7 @@ class EnvSettings:
             suite = f"{suite}-{self.version}"
         if not str(suite).endswith(".json"):
             known = [name for name, own in SUITES.items() if self.version in (None, own.benchmark.version)]
-            _require_choice("suite", suite, known)
+            require_choice("suite", suite, known)
         found = get_suite(suite)
         if self.version not in (None, found.benchmark.version):
             raise ValueError(f"suite {suite!r} is of version {found.benchmark.version}, not {self.version}")
@@ -333,8 +333,3 @@ def as_scenario(name: str, value: Any) -> Scenario:
     if isinstance(value, Mapping):
         return Scenario.from_dict(dict(value))
     raise ValueError(f"{name} must be a Scenario or its to_dict() form, got {value!r:.80}")
-
-
-def _require_choice(name: str, value: Any, choices: Sequence[str]) -> None:
-    if not isinstance(value, str) or value not in choices:
-        raise ValueError(f"unknown {name} {value!r}; choose one of {', '.join(choices)}")
