@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import difflib
 import math
 from collections.abc import Collection, Iterable, Mapping
 from typing import Any, TypeVar
@@ -27,7 +28,15 @@ class ByName(dict[str, Value]):
 
     def __missing__(self, name: Any) -> Value:
         reason = f": {self._missing[name]}" if name in self._missing else ""
-        raise KeyError(f"unknown {self._kind} {name!r}{reason}; choose one of {', '.join(self)}")
+        known = f"choose one of {', '.join(self)}{did_you_mean(name, self)}"
+        raise KeyError(f"unknown {self._kind} {name!r}{reason}; {known}")
+
+
+def did_you_mean(name: Any, known: Iterable[str]) -> str:
+    """Return the end of an error about an unknown name: "; did you mean 'paper'?", or "" if no known one is like it."""
+    names = {each.casefold(): each for each in known}
+    close = difflib.get_close_matches(str(name).casefold(), names)
+    return f"; did you mean {' or '.join(repr(names[each]) for each in close)}?" if close else ""
 
 
 def is_whole(value: Any) -> bool:
@@ -67,13 +76,14 @@ def require_whole(name: str, value: Any, low: int, high: float = math.inf) -> in
 def require_known(what: str, given: Iterable[Any], known: Collection[str]) -> None:
     """Raise a ValueError that names what is given and not known, and what is known."""
     if unknown := sorted(map(str, set(given) - set(known))):
-        raise ValueError(f"unknown {what} {unknown}; known {what}: {', '.join(known)}")
+        raise ValueError(f"unknown {what} {unknown}; known {what}: {', '.join(known)}{did_you_mean(unknown[0], known)}")
 
 
-def require_choice(name: str, value: Any, choices: Iterable[str]) -> None:
-    """Raise a ValueError that names the value and the choices, where it is none of them."""
+def require_choice(name: str, value: Any, choices: Collection[str]) -> None:
+    """Raise a ValueError that names a value which is none of the choices, and the choices."""
     if not isinstance(value, str) or value not in choices:
-        raise ValueError(f"unknown {name} {value!r:.80}; choose one of {', '.join(choices)}")
+        known = f"choose one of {', '.join(choices)}{did_you_mean(value, choices)}"
+        raise ValueError(f"unknown {name} {value!r}; {known}")
 
 
 def require_bus(name: str, bus: Any) -> int:

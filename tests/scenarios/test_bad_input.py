@@ -51,7 +51,7 @@ BAD: list[tuple[Callable[[], Any], str]] = [
     (sensors(delay_s=(0.1, 0.25)), "whole numbers of 0.1 s"),
     (sensors(wind_bias=math.nan), "wind_bias = nan.*0 … 0.2"),
     (sensors(wind_sensor="no"), "wind_sensor must be bool"),
-    (sensors(delay=0.1), "unknown values of the sensors .*; known values of the sensors: delay_s, .*, wind_sensor$"),
+    (sensors(delay=0.1), "unknown values .*; known values of the sensors: .*, wind_sensor; did you mean 'delay_s'"),
     (draw(suite="paper"), "suite 'paper' has fixed cases"),
     (draw(commit="abc"), "full git hash of 40 or 64 hexadecimal digits, got 'abc'"),
     (draw(secret=b"short"), "16 bytes or more, got 5"),

@@ -17,7 +17,7 @@ from wtg_gym.systems import expressions as ex
 from wtg_gym.systems.elementary import exponential, fma, select, sine_cosine
 from wtg_gym.systems.programs import Each, Program, Repeat, When, build_table, in_one_table
 from wtg_gym.systems.routines import Routine, code_of
-from wtg_gym.systems.systems import Kind, System, system
+from wtg_gym.systems.systems import Kind, system
 from wtg_gym.systems.writers import BackWithoutConstants, TapedWriter
 
 Floats = npt.NDArray[np.float64]
@@ -146,18 +146,6 @@ def test_nothing_is_worked_out_twice() -> None:
 def test_a_branch_on_a_traced_number_is_refused() -> None:
     with pytest.raises(TypeError, match="select"):
         bool(ex.symbol("a") > 1.0)
-
-
-@pytest.mark.parametrize(
-    ("made", "reason"),
-    [
-        (System(UNITS, lambda a, speed: a, ("sum",)), "'speed' .* no part or constant of units"),
-        (System(UNITS, lambda a: a, ("total",)), "writes 'total', which no unit of units has"),
-    ],
-)
-def test_a_system_that_names_what_nobody_has_is_refused(made: System, reason: str) -> None:
-    with pytest.raises(TypeError, match=reason):
-        _ = made.targets, made.trace
 
 
 def test_programs_that_differ_in_one_thing_have_machine_code_of_their_own() -> None:

@@ -18,16 +18,16 @@ TIME_CONSTANT_RATIO = 4.0
 
 
 @system(ACTING, "action_k", "k_offset", when="modulates k")
-def act_on_k(on_k: float, reach: Reach) -> tuple[float, float]:
+def act_on_k(wanted_on_k: float, reach: Reach) -> tuple[float, float]:
     """Turn an action into an offset on k; zero leaves the law to the last bit."""
-    action = clip(on_k, -1.0, 1.0)
+    action = clip(wanted_on_k, -1.0, 1.0)
     return action, reach.k_authority * action
 
 
 @system(ACTING, "action_tau", "inv_tau", when="modulates tau")
-def act_on_tau(on_tau: float, base_inv_tau: float) -> tuple[float, float]:
+def act_on_tau(wanted_on_tau: float, base_inv_tau: float) -> tuple[float, float]:
     """Turn an action into a scale on τ; zero leaves the law to the last bit."""
-    action = clip(on_tau, -1.0, 1.0)
+    action = clip(wanted_on_tau, -1.0, 1.0)
     return action, base_inv_tau * TIME_CONSTANT_RATIO**-action
 
 

@@ -12,6 +12,7 @@ from wtg_gym.envs.task_records import CostTerms, GroupDeviations, GroupRows, Tas
 from wtg_gym.envs.task_units import ACTING, SENSED, SHIFTS, TASK, WATCHED, WINDOW
 from wtg_gym.physics.converter import tracking_coefficient
 from wtg_gym.physics.machine import MachineInput, MachineState
+from wtg_gym.physics.units import Joining
 from wtg_gym.physics.wind_turbine import Turbine, WtgInput, WtgOutput, WtgState, frequency_of, tip_speed_ratio
 from wtg_gym.systems.elementary import select
 from wtg_gym.systems.programs import Here
@@ -127,36 +128,36 @@ def _rounded(value: float) -> float:
     return select((up - value == 0.5) & (odd == 1.0), up - 1.0, up)
 
 
-@system(SHIFTS, "frequency")
-def shift_history(frequency: float, next_frequency: float, begins: float) -> float:
+@system(SHIFTS, "this_frequency")
+def shift_history(this_frequency: float, next_frequency: float, begins: float) -> float:
     """Move the history on where an interval begins; else the newest frequency is replaced."""
-    return select(begins > 0.5, next_frequency, frequency)
+    return select(begins > 0.5, next_frequency, this_frequency)
 
 
-@system(WINDOW, "newest_frequency", "rocof", "largest_rocof")
+@system(WINDOW, "newest_frequency", "task_rocof", "largest_rocof")
 def rate_of_change(
     oldest_frequency: float,
     newest_frequency: float,
     coi: float,
     was_active: float,
-    rocof: float,
+    task_rocof: float,
     largest_rocof: float,
     task: Task,
 ) -> tuple[float, float, float]:
     """Put the new frequency into the history, and find its rate of change over the window [Hz/s]."""
     ran = was_active > 0.5
     change = (coi - oldest_frequency) * task.nominal_hz
-    new = select(ran, change / (task.n_window * task.control_dt), rocof)
+    new = select(ran, change / (task.n_window * task.control_dt), task_rocof)
     return select(ran, coi, newest_frequency), new, max(largest_rocof, abs(new))
 
 
 @system(TASK, "term_rates", "elapsed", "violated", "error")
 def charge_frequency(
-    step: float, coi: float, rocof: float, task: Task, simulation_dt: float
+    step: float, coi: float, own_rocof: float, task: Task, simulation_dt: float
 ) -> tuple[CostTerms, float, float, float]:
     """Begin the rates of the cost with those of the frequency, and find how long the interval lasted."""
     deviation = abs(coi - 1.0) * task.nominal_hz
-    frequency, on_rocof = task.weights.frequency * frequency_cost(deviation), task.weights.rocof * rocof_cost(rocof)
+    frequency, on_rocof = task.weights.frequency * frequency_cost(deviation), task.weights.rocof * rocof_cost(own_rocof)
     # A run can end within the interval: the time after that is the failure's.
     unspent = math.ceil(step / task.n_substeps) * task.n_substeps - step
     return (
@@ -310,7 +311,7 @@ def charge_open_interval(
     return open_cost(term_rates, elapsed, spent, share, end_step * simulation_dt, status != 0.0, task)
 
 
-@system(TASK, "terms", "sums", "cost", "constraint", "constraint_sum", "duty_error")
+@system(TASK, "terms", "sums", "own_cost", "constraint", "constraint_sum", "duty_error")
 def charge_lane(
     new_terms: CostTerms,
     terms: CostTerms,
@@ -350,7 +351,7 @@ CHARGE = (
     filter_duty,
     charge_group,
     remember_group,
-    Here("charge"),
+    Here(Joining.CHARGE),
     charge_interval,
     charge_open_interval,
     charge_lane,

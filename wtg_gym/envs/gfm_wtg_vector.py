@@ -25,7 +25,7 @@ from wtg_gym.envs.lanes import PreparedEpisodes
 from wtg_gym.envs.next_episodes import NextEpisodes
 from wtg_gym.envs.settings import EnvArguments, as_scenario
 from wtg_gym.physics.scenario import Scenario
-from wtg_gym.ranges import is_whole, require_whole
+from wtg_gym.ranges import is_whole, require_choice, require_whole
 
 if TYPE_CHECKING:
     from wtg_gym.envs.rendering import Frame
@@ -71,9 +71,8 @@ class GFMWTGVectorEnv(OverLanes, gym.vector.VectorEnv[Observation, Action, npt.N
         if max_episode_steps is not None:
             max_episode_steps = require_whole("max_episode_steps", max_episode_steps, 1)
         self._step_limit = max_episode_steps
-        modes = [mode.value for mode in AutoresetMode]
-        if autoreset_mode not in modes and autoreset_mode not in list(AutoresetMode):
-            raise ValueError(f"unknown autoreset_mode {autoreset_mode!r}; choose one of {', '.join(modes)}")
+        if not isinstance(autoreset_mode, AutoresetMode):
+            require_choice("autoreset_mode", autoreset_mode, [mode.value for mode in AutoresetMode])
         self.autoreset_mode = AutoresetMode(autoreset_mode)
         self.single_observation_space, self.single_action_space = self._open(
             arguments, render_mode, self.num_envs, n_threads

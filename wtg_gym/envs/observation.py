@@ -21,6 +21,7 @@ from wtg_gym.envs.task_records import (
 from wtg_gym.envs.task_units import ACTING, SENSED, TASK, WATCHED
 from wtg_gym.physics.machine import Machine, MachineOutput, MachineState
 from wtg_gym.physics.sensors import Measurement
+from wtg_gym.physics.units import Joining
 from wtg_gym.physics.wind_turbine import Rotor, Turbine, WtgOutput, WtgState, frequency_of, tip_speed_ratio
 from wtg_gym.systems.elementary import clip, select
 from wtg_gym.systems.programs import Here
@@ -120,25 +121,25 @@ def begin_torque() -> float:
 
 
 @system(WATCHED, "total_torque")
-def add_torque(total_torque: float, torque: float) -> float:
+def add_torque(total_torque: float, output_torque: float) -> float:
     """Add the torque of a machine."""
-    return total_torque + torque
+    return total_torque + output_torque
 
 
 @system(TASK, "grid_observed", when="privileged")
-def observe_grid(coi: float, rocof: float, total_torque: float, task: Task) -> GridObservation:
+def observe_grid(coi: float, own_rocof: float, total_torque: float, task: Task) -> GridObservation:
     """Return the observation of the grid."""
     return bounded(
-        GridObservation((coi - 1.0) * task.nominal_hz / FREQUENCY_UNIT_HZ, rocof, task.inv_torque * total_torque)
+        GridObservation((coi - 1.0) * task.nominal_hz / FREQUENCY_UNIT_HZ, own_rocof, task.inv_torque * total_torque)
     )
 
 
 @system(TASK, "info")
 def inform(
-    step: float, coi: float, rocof: float, constraint: float, terms: CostTerms, task: Task, simulation_dt: float
+    step: float, coi: float, own_rocof: float, constraint: float, terms: CostTerms, task: Task, simulation_dt: float
 ) -> Info:
     """Return the numbers of `info`; its last are the terms of the cost, in their order."""
-    return Info(step * simulation_dt, task.nominal_hz * coi, rocof, constraint, *terms)
+    return Info(step * simulation_dt, task.nominal_hz * coi, own_rocof, constraint, *terms)
 
 
 @system(TASK, "local_info", when="extended")
@@ -161,7 +162,7 @@ OBSERVE = (
     begin_torque,
     add_torque,
     observe_grid,
-    Here("observe"),
+    Here(Joining.OBSERVE),
     inform,
     inform_of_places,
 )

@@ -131,7 +131,7 @@ def task_of(settings: EnvSettings) -> Further:
             RING: n_wtg * n_delayed(settings.control_dt) * sensed,
         },
         links={
-            (SHIFTS, "own"): np.arange(n_window),
+            (SHIFTS, "this_"): np.arange(n_window),
             (SHIFTS, "next_"): 1 + np.arange(n_window),
             (WINDOW, "oldest_"): np.array([0]),
             (WINDOW, "newest_"): np.array([n_window]),

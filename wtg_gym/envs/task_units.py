@@ -54,12 +54,17 @@ TASK = Kind(
     },
     constants={"task": Task},
     sees={"lane": LANE},
+    conditions=(
+        *("modulates k", "modulates tau"),
+        *("exact observation", "privileged"),
+        *("charges worst", "charges capped"),  # frequency: of the worst unit, or of the centre of inertia with a cap
+    ),
 )
 
 #: The frequency of the centre of inertia at the ends of the latest control intervals, the oldest first.
 HISTORY = Kind(name="history", rows={"frequency": float})
 #: Neighbours in the history: each takes the place of the one before it.
-SHIFTS = Kind(name="shifts", sees={"own": HISTORY, "next_": HISTORY, "task": TASK})
+SHIFTS = Kind(name="shifts", sees={"this_": HISTORY, "next_": HISTORY, "task": TASK})
 #: Both ends of the history.
 WINDOW = Kind(name="window", sees={"oldest_": HISTORY, "newest_": HISTORY, "task": TASK, "lane": LANE})
 

@@ -80,7 +80,7 @@ def start_extension(start: Terminal, emf: float, share: float) -> tuple[Extensio
 def return_extension(own: ExtensionState, heat: float, returns: float, back: Back) -> tuple[ExtensionState, float]:
     """Return the voltage of its bus and a limiter at rest for a group that comes back, with a cold chopper."""
     comes = returns > 0.5
-    found = ExtensionState(LimitState(0.0, 0.0, own.limits.energy_chopped), back.voltage)
+    found = ExtensionState(LimitState(0.0, 0.0, own.limits.energy_chopped), back.bus_voltage)
     return each(lambda new, old: select(comes, new, old), found, own), select(comes, 0.0, heat)
 
 
@@ -121,11 +121,11 @@ def none_exceeded() -> float:
 
 @system(EXTENSIONS, "reactance", "source", "exceeded")
 def begin_limits(
-    voltage: Phasor, current: Phasor, extension: Extension, share: float, exceeded: float
+    voltage: Phasor, unit_current: Phasor, extension: Extension, share: float, exceeded: float
 ) -> tuple[float, Phasor, float]:
     """Keep the voltage without a limit, and count groups whose current is too large."""
     largest = (extension.limits.current_max * share) * (extension.limits.current_max * share)
-    too_large = fma(current.re, current.re, current.im * current.im) > largest
+    too_large = fma(unit_current.re, unit_current.re, unit_current.im * unit_current.im) > largest
     return 0.0, voltage, exceeded + select(too_large, 1.0, 0.0)
 
 
@@ -139,14 +139,14 @@ def _limit(
     own_entry_admittance: Phasor,
     source: Phasor,
     voltage: Phasor,
-    current: Phasor,
+    unit_current: Phasor,
     extension: Extension,
     share: float,
     unsettled: float,
     settled: float,
 ) -> tuple[float, Phasor, Phasor, float]:
     y, e = own_entry_admittance, voltage
-    free = plus(current, y, Phasor(source.re - e.re, source.im - e.im))
+    free = plus(unit_current, y, Phasor(source.re - e.re, source.im - e.im))
     reactance = limiting_reactance(free.re, free.im, y.re, y.im, extension.limits.current_max * share)
     # E' = E - jX_v I, and I = I_0 / (1 + jX_v Y).
     d_re, d_im = 1.0 - reactance * y.im, reactance * y.re
@@ -164,13 +164,13 @@ def _limit_that_moves(
     own_entry_admittance: Phasor,
     source: Phasor,
     voltage: Phasor,
-    current: Phasor,
+    unit_current: Phasor,
     extension: Extension,
     share: float,
     unsettled: float,
 ) -> tuple[float, Phasor, Phasor, float]:
     # However little a voltage moves: where it stands is where the limit holds.
-    return _limit(own_entry_admittance, source, voltage, current, extension, share, unsettled, -1.0)
+    return _limit(own_entry_admittance, source, voltage, unit_current, extension, share, unsettled, -1.0)
 
 
 @system(EXTENSIONS, "reactance", "voltage", "change", "unsettled", backward=_limit_that_moves)
@@ -178,7 +178,7 @@ def limit_current(
     own_entry_admittance: Phasor,
     source: Phasor,
     voltage: Phasor,
-    current: Phasor,
+    unit_current: Phasor,
     extension: Extension,
     share: float,
     unsettled: float,
@@ -187,13 +187,13 @@ def limit_current(
 
     A lane without such a group, or one that has settled, keeps its bits, whatever its neighbours do.
     """
-    return _limit(own_entry_admittance, source, voltage, current, extension, share, unsettled, _SETTLED)
+    return _limit(own_entry_admittance, source, voltage, unit_current, extension, share, unsettled, _SETTLED)
 
 
-@system(COLUMNS, "current")
-def follow_change(current: Phasor, admittance: Phasor, change: Phasor) -> Phasor:
+@system(COLUMNS, "unit_current")
+def follow_change(unit_current: Phasor, admittance: Phasor, change: Phasor) -> Phasor:
     """Return the current of a unit after the voltage of a group has changed."""
-    return plus(current, admittance, change)
+    return plus(unit_current, admittance, change)
 
 
 @system(EXTENSIONS, "state_rates", "own_rates", "output", "terminal")
@@ -201,12 +201,12 @@ def rates_of_extended(
     state: WtgState,
     own: ExtensionState,
     voltage: Phasor,
-    current: Phasor,
+    unit_current: Phasor,
     reactance: float,
     bus_magnitude: float,
     given: WtgInput,
     references: VoltageInput,
-    captured: float,
+    group_captured: float,
     turbine: Turbine,
     extension: Extension,
     share: float,
@@ -216,12 +216,12 @@ def rates_of_extended(
     fraction: float,
 ) -> tuple[WtgState, ExtensionState, WtgOutput, ExtensionOutput]:
     """Return the rates of both kinds of state, and the outputs."""
-    power, most = power_of(voltage, current, inv_share), most_power(state.rotor_speed, extension.limits)
+    power, most = power_of(voltage, unit_current, inv_share), most_power(state.rotor_speed, extension.limits)
     limit_rates, shift, drawn = power_limiter(own.limits, power, most, extension.limits)
     rates, output = wtg_rates(
         state,
         power,
-        captured,
+        group_captured,
         wind_at(given, fraction),
         given,
         turbine,
@@ -230,7 +230,13 @@ def rates_of_extended(
         limiter=(shift, most),
     )
     terminal = at_terminal(
-        voltage.re, voltage.im, inv_share * current.re, inv_share * current.im, reactance, share, turbine.converter
+        voltage.re,
+        voltage.im,
+        inv_share * unit_current.re,
+        inv_share * unit_current.im,
+        reactance,
+        share,
+        turbine.converter,
     )
     # A group that is disconnected measures its bus.
     seen = select(given.connected > 0.5, terminal.terminal_voltage, bus_magnitude)

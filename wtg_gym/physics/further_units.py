@@ -8,12 +8,13 @@ from dataclasses import dataclass
 from typing import Any
 
 from wtg_gym.physics.layout import place_in
-from wtg_gym.ranges import require_range
+from wtg_gym.physics.units import Joining
+from wtg_gym.ranges import did_you_mean, require_range
 from wtg_gym.systems.records import is_record, short_names
 from wtg_gym.systems.systems import Kind, System
 
-#: Where systems may join the lists of :mod:`wtg_gym.physics.step`; the last two, of the task.
-PLACES = ("plan", "settle", "voltages", "move", "rates", "sample", "start", "charge", "observe")
+#: Where systems have to join.
+_NEEDED = (Joining.PLAN, Joining.SETTLE, Joining.VOLTAGES, Joining.MOVE, Joining.RATES)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -26,11 +27,12 @@ class FurtherUnits:
         impedances: behind which each one's voltage stands [p.u. of the system].
         reactive_weights: by which each shares the reactive power of its bus, a rating on the base of the system.
         constants: of the kind, one entry for each unit.
-        systems: by the places of :data:`PLACES` where they join: "plan" writes `planned_power`, "settle" finds the
-            equilibrium from `start`, "voltages" writes `voltage`, "move" has the stages of the integration and "rates"
-            what they are made of; if wanted "start", "charge", "observe", and "sample", which writes what protections
-            compare. The centre of inertia does not see further units.
+        systems: by where they join the lists of a step, of :class:`~wtg_gym.physics.units.Joining`: "plan" writes
+            `planned_power`, "settle" finds the equilibrium from `start`, "voltages" writes `voltage`, "move" has the
+            stages of the integration and "rates" what they are made of; if wanted "start", "charge", "observe", and
+            "sample", which writes what protections compare. The centre of inertia does not see further units.
         shown: a part in scratch that observations end with; None for none.
+        has: conditions of the kind that hold.
         balances: whether they balance the power at their buses and hold the voltage without a limit, as machines do.
     """
 
@@ -41,6 +43,7 @@ class FurtherUnits:
     constants: Mapping[str, Sequence[Any]]
     systems: Mapping[str, tuple[System, ...]]
     shown: str | None = None
+    has: tuple[str, ...] = ()
     balances: bool = False
 
     def __post_init__(self) -> None:
@@ -53,9 +56,10 @@ class FurtherUnits:
             raise ValueError(f"impedances of {name} must be finite and not 0 p.u., got {self.impedances}")
         for weight in self.reactive_weights:
             require_range(f"a reactive weight of {name}", weight, 1e-9, 1e6, "p.u.")
-        if unknown := sorted(set(self.systems) - set(PLACES)):
-            raise ValueError(f"no list has a place {unknown[0]!r} for {name}; places: {', '.join(PLACES)}")
-        if missing := [place for place in PLACES[:5] if place not in self.systems]:
+        if unknown := sorted(set(self.systems) - set(Joining)):
+            places = f"{', '.join(Joining)}{did_you_mean(unknown[0], Joining)}"
+            raise ValueError(f"no list has a place {unknown[0]!r} for {name}; places: {places}")
+        if missing := [place for place in _NEEDED if place not in self.systems]:
             raise ValueError(f"{name} have no systems for {', '.join(missing)}")
         if others := {one.kind.name for own in self.systems.values() for one in own} - {name}:
             raise ValueError(f"systems of {', '.join(sorted(others))} cannot join for {name}")
@@ -64,7 +68,8 @@ class FurtherUnits:
         if place_in(kind.rows, "connected") is None:
             raise ValueError(f"the rows of {name} have no number `connected`, which says whether a unit is")
         if self.shown is not None and not is_record(kind.scratch.get(self.shown)):
-            raise ValueError(f"{self.shown!r} is no record in scratch of {name}")
+            like = did_you_mean(self.shown, kind.scratch)
+            raise ValueError(f"{self.shown!r} is no record in scratch of {name}{like}")
 
     def names(self) -> list[str]:
         """Return the names of what observations show, one unit after the other."""

@@ -17,7 +17,7 @@ from wtg_gym.physics.checked import Checked
 from wtg_gym.physics.machine_parameters import AnyExciter, AnyGovernor, AnyStabiliser
 from wtg_gym.physics.network import NetworkCase
 from wtg_gym.physics.parameters import WtgGroup
-from wtg_gym.ranges import require_known
+from wtg_gym.ranges import did_you_mean, require_known
 from wtg_gym.systems.compiled import cache_folder
 
 #: The grids that come with the package.
@@ -81,7 +81,8 @@ def get_grid(name: str) -> Grid:
     """
     path = Path(name) if name.endswith(".json") else FOLDER / f"{name}.json"
     if path.parent == FOLDER and not path.exists():
-        raise ValueError(f"unknown grid {name!r}; known grids: {', '.join(known_grids())}, or the path of a .json file")
+        known = f"{', '.join(known_grids())}, or the path of a .json file{did_you_mean(name, known_grids())}"
+        raise ValueError(f"unknown grid {name!r}; known grids: {known}")
     return read_grid(path.resolve(), modified(name))
 
 
@@ -132,7 +133,7 @@ def _value(kind: Any, value: Any) -> Any:
     given = dict(value)
     models = [name for name, each in MODELS.items() if each in kinds]
     if (model := given.pop("model", None)) not in models:
-        raise ValueError(f"unknown model {model!r}; known here: {', '.join(models)}")
+        raise ValueError(f"unknown model {model!r}; known here: {', '.join(models)}{did_you_mean(model, models)}")
     return record_of(MODELS[model], given)
 
 

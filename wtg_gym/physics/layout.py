@@ -20,6 +20,7 @@ from wtg_gym.physics.hydro_unit import HYDRO
 from wtg_gym.physics.machine_unit import MACHINES
 from wtg_gym.physics.units import BUSES, LANE, UNITS
 from wtg_gym.physics.wtg_unit import GROUPS
+from wtg_gym.ranges import require_known
 from wtg_gym.systems.records import is_record, short_names
 from wtg_gym.systems.systems import Kind, count
 
@@ -47,14 +48,11 @@ def n_rows_of(parts: Mapping[str, Any]) -> int:
 
 
 def place_in(parts: Mapping[str, Any], name: str) -> int | None:
-    """Return the row of a number by its short name; where several have it, of the first."""
-    row = 0
-    for part, record in parts.items():
-        names = short_names(record) if is_record(record) else (part,)
-        if name in names:
-            return row + names.index(name)
-        row += count(record)
-    return None
+    """Return the row of a number by its short name, None if none has it; a KeyError if several have it."""
+    names = [each for part, record in parts.items() for each in (short_names(record) if is_record(record) else (part,))]
+    if names.count(name) > 1:
+        raise KeyError(f"{names.count(name)} numbers have the name {name!r}")
+    return names.index(name) if name in names else None
 
 
 class Layout:
@@ -64,9 +62,14 @@ class Layout:
         n_units: how many units of each kind there are, in the order of their rows.
         links: which unit of a kind that it sees each unit of a kind means, (n_units,), by kind and label; where it is
             left out, the lane, or the unit with the same number.
+
+    Raises:
+        ValueError: a kind sees nothing by that label.
     """
 
     def __init__(self, n_units: Mapping[Kind, int], links: Mapping[tuple[Kind, str], Whole]) -> None:
+        for kind, label in links:
+            require_known(f"labels of what {kind.name} see", [label], kind.sees)
         self.counts, self._links = dict(n_units), dict(links)
         self.first, self.n_rows = self._firsts([n_rows_of(kind.rows) for kind in n_units])
         self.first_scratch, self.n_scratch = self._firsts([n_rows_of(kind.scratch) for kind in n_units])
@@ -189,7 +192,7 @@ N_MACHINE_ROWS, N_WTG_ROWS = n_rows_of(MACHINES.rows), n_rows_of(GROUPS.rows)
 
 
 def place_of(kind: Kind, name: str) -> int:
-    """Return which of a unit's rows has a number of a short name; where several have it, the first."""
+    """Return which of a unit's rows has a number of a short name."""
     place = place_in(kind.rows, name)
     if place is None:
         raise KeyError(f"{name!r} is no number of {kind.name}")

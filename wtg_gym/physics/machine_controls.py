@@ -18,7 +18,7 @@ from wtg_gym.physics.governor import gate_limits
 from wtg_gym.physics.machine import Machine, MachineInput, MachineVoltage, terminal_voltage
 from wtg_gym.physics.machine_unit import MACHINES
 from wtg_gym.physics.runge_kutta import moving
-from wtg_gym.physics.units import LANE, UNITS, Back, Phasor, StartFailure, noted
+from wtg_gym.physics.units import LANE, UNITS, Back, ControlJoining, Phasor, StartFailure, noted
 from wtg_gym.systems.elementary import clip, select
 from wtg_gym.systems.records import each
 from wtg_gym.systems.systems import Kind, System, system
@@ -31,7 +31,7 @@ class Control:
     Args:
         kind: what its units keep: "control", the states, and the constants "model".
         constants: what makes those of its parameters.
-        systems: by the places of :mod:`wtg_gym.physics.step` where they join.
+        systems: by the places where they join the lists of :mod:`wtg_gym.physics.step`.
         failure: what a start beyond its limits is called.
         limited: the state that has them.
         limits: of that state at rest, from the parameters or the constants; None for none.
@@ -39,7 +39,7 @@ class Control:
 
     kind: Kind
     constants: Constants
-    systems: Mapping[str, tuple[System, ...]]
+    systems: Mapping[ControlJoining, tuple[System, ...]]
     failure: StartFailure = StartFailure.NONE
     limited: str = ""
     limits: Callable[[Any], tuple[float, float]] | None = None
@@ -73,7 +73,7 @@ def _systems(
     rates: System,
     comes_back: Callable[[Back, float, Any], Any],
     limit: Callable[[Any, Any], Any] | None = None,
-) -> dict[str, tuple[System, ...]]:
+) -> dict[ControlJoining, tuple[System, ...]]:
     """Return the systems of a control: its start, its rates, and what follows from them.
 
     Args:
@@ -89,17 +89,17 @@ def _systems(
         return each(lambda new, old: select(returns > 0.5, new, old), found, control)
 
     return {
-        "control settle": (start,),
-        "control move": (moving(rates, limit, constants=["model"]),),
-        "control rates": (rates,),
-        "control return": (return_control,),
+        ControlJoining.SETTLE: (start,),
+        ControlJoining.MOVE: (moving(rates, limit, constants=["model"]),),
+        ControlJoining.RATES: (rates,),
+        ControlJoining.RETURN: (return_control,),
     }
 
 
 def _checked(
     kind: Kind,
     constants: Constants,
-    systems: Mapping[str, tuple[System, ...]],
+    systems: Mapping[ControlJoining, tuple[System, ...]],
     failure: StartFailure,
     limited: str,
     limits: Callable[[Any], tuple[float, float]],
@@ -116,7 +116,7 @@ def _checked(
     return Control(
         kind=kind,
         constants=constants,
-        systems={**systems, "control start": (check_control,)},
+        systems={**systems, ControlJoining.START: (check_control,)},
         failure=failure,
         limited=limited,
         limits=limits,
@@ -159,7 +159,7 @@ def stabiliser(
         found, signal = rates(control, speed - 1.0, voltage, model)
         return each(lambda rate: given.connected * rate, found), set_point + signal
 
-    systems = _systems(start_stabiliser, rates_of_stabiliser, lambda back, _, model: start(back.speed - 1.0, model))
+    systems = _systems(start_stabiliser, rates_of_stabiliser, lambda back, _, model: start(back.bus_speed - 1.0, model))
     return Control(kind=kind, constants=constants, systems=systems)
 
 
@@ -205,7 +205,7 @@ def exciter(
     systems = _systems(
         start_exciter,
         rates_of_exciter,
-        lambda back, field_voltage, model: start(field_voltage, back.voltage, model)[0],
+        lambda back, field_voltage, model: start(field_voltage, back.bus_voltage, model)[0],
         lambda s, c: s._replace(regulator=clip(s.regulator, *limits(c))),
     )
     return _checked(kind, constants, systems, StartFailure.EXCITER_LIMIT, "regulator", limits)

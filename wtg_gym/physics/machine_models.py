@@ -19,6 +19,7 @@ from wtg_gym.physics.kernel_data import structured
 from wtg_gym.physics.machine_controls import Control
 from wtg_gym.physics.machine_parameters import SynchronousMachineParameters
 from wtg_gym.physics.stab1 import STAB1
+from wtg_gym.physics.units import ControlJoining
 from wtg_gym.systems.systems import System
 
 #: By the names of their kinds. Stabilisers come before the exciters whose references they shift.
@@ -44,14 +45,14 @@ def control_constants(machines: Sequence[SynchronousMachineParameters]) -> dict[
     return {name: structured(CONTROLS[name].constants.record, own) for name, own in found.items()}
 
 
-def joining_controls(names: Sequence[str]) -> dict[str, tuple[System, ...]]:
+def joining_controls(names: Sequence[str]) -> dict[ControlJoining, tuple[System, ...]]:
     """Return the systems of controls, by the names of their kinds, by the places where they join.
 
     At the start exciters come before the stabilisers: they say what reference they need.
     """
-    places: dict[str, tuple[System, ...]] = {}
+    places: dict[ControlJoining, tuple[System, ...]] = {}
     for one in (one for name, one in CONTROLS.items() if name in names):
         for place, systems in one.systems.items():
             before = places.get(place, ())
-            places[place] = (*systems, *before) if place == "control settle" else (*before, *systems)
+            places[place] = (*systems, *before) if place is ControlJoining.SETTLE else (*before, *systems)
     return places

@@ -106,7 +106,7 @@ def check_machine(
     return noted(fits, StartFailure.EXCITER_LIMIT, connection.number, start_failure, failing_unit)
 
 
-@system(MACHINES, "emf", "voltage")
+@system(MACHINES, "emf", "unit_voltage")
 def voltage_of_machine(state: MachineState, machine: Machine) -> tuple[MachineVoltage, Phasor]:
     """Return the voltage behind x'', in the frames of rotor and network."""
     emf, re, im = machine_voltage(state, machine)
@@ -165,9 +165,9 @@ def return_machine(
     state: MachineState, given: MachineInput, returns: float, back: Back, machine: Machine, saturation: RotorSaturation
 ) -> tuple[MachineState, float, float]:
     """Synchronise a machine that comes back, without load and with its gate closed; a lost governor leaves it so."""
-    comes, v = returns > 0.5, back.voltage
+    comes, v = returns > 0.5, back.bus_voltage
     exciter, _ = exciter_start(v + saturated(v, saturation.curve), machine.exciter)
-    found = MachineState(back.angle, back.speed, v, 0.0, v, 0.0, exciter, GovernorState(0.0, 0.0))
+    found = MachineState(back.bus_angle, back.bus_speed, v, 0.0, v, 0.0, exciter, GovernorState(0.0, 0.0))
     lost = comes & (machine.governor.inv_droop > 0.0) & (given.inv_droop == 0.0)
     return (
         each(lambda new, old: select(comes, new, old), found, state),

@@ -409,7 +409,7 @@ class Further(NamedTuple):
     stepping: tuple[Routine, ...] = ()  # that are called with blocks of the simulator's width
     starting: tuple[Routine, ...] = ()  # and with blocks of one lane, to start runs
     constants: Mapping[tuple[Kind, str], Any] = MappingProxyType({})
-    has: Collection[str] = ()  # what systems of the programs are for
+    has: Collection[str] = ()  # conditions of its kinds that hold
 
 
 def layout_of(plant: Plant, further: Further | None = None) -> Layout:
@@ -441,8 +441,6 @@ def layout_of(plant: Plant, further: Further | None = None) -> Layout:
     }
     links = {
         (MACHINES, "unit"): np.arange(n_sync),
-        (MACHINES, "bus_"): plant.network.unit_bus[:n_sync],
-        (GROUPS, "bus_"): plant.network.unit_bus[groups],
         (EXTENSIONS, "bus_"): plant.network.unit_bus[groups[:n_extended]],
         (MEMBERS, "unit_"): np.tile(np.arange(n_unit), n_islands - 1),
         (MEMBERS, "island_"): np.repeat(np.arange(1, n_islands), n_unit),
@@ -505,16 +503,19 @@ class Arranged:
     def __init__(self, plant: Plant, layout: Layout, further: Further) -> None:
         self.n_units, self.first_rows, self.seen = layout.n_units, layout.first_rows, layout.seen
         n_wtg, network = plant.share.size, plant.network
-        self._has = {"table" if plant.cells.size else "curve", *further.has}
-        self._has.add("extended" if plant.extension.size else "constant voltage")
-        if not plant.machines.size:
-            self._has.add("no machine")
-        if plant.shedding.size:
-            self._has.add("sheds")
-        if plant.saturates:
-            self._has.add("saturates")
-        if plant.of_lane["secondary_gain"]:
-            self._has.add("secondary control")
+        has = {
+            "table": plant.cells.size > 0,
+            "curve": not plant.cells.size,
+            "extended": plant.extension.size > 0,
+            "constant voltage": not plant.extension.size,
+            "no machine": not plant.machines.size,
+            "sheds": plant.shedding.size > 0,
+            "saturates": plant.saturates,
+            "secondary control": plant.of_lane["secondary_gain"] > 0.0,
+        }
+        added = [*further.has, *(condition for own in plant.further for condition in own.has)]
+        require_known("conditions", added, [condition for kind in layout.counts for condition in kind.conditions])
+        self._has = {*(condition for condition, holds in has.items() if holds), *added}
         ratings, weights = plant.machines["rating"].tolist(), plant.machines["reactive_weight"].tolist()
         sizes = [(rating, weight, 0.0) for rating, weight in zip(ratings, weights, strict=True)]
         sizes += [(0.0, 0.0, weight) for weight in plant.share.tolist()]

@@ -223,13 +223,13 @@ def _compared(
 @system(UNITS, "grid_least_angle", "grid_largest_angle", "grid_least_squared_voltage")
 def compare_unit(
     sample: Sample,
-    island: float,
+    own_island: float,
     grid_least_angle: float,
     grid_largest_angle: float,
     grid_least_squared_voltage: float,
 ) -> tuple[float, float, float]:
     """Compare a unit with the others of the grid."""
-    return _compared(sample, island == 0.0, grid_least_angle, grid_largest_angle, grid_least_squared_voltage)
+    return _compared(sample, own_island == 0.0, grid_least_angle, grid_largest_angle, grid_least_squared_voltage)
 
 
 @system(MEMBERS, "island_least_angle", "island_largest_angle", "island_least_squared_voltage")
@@ -282,10 +282,10 @@ def judge_grid(found: float, centre: float) -> tuple[float, float]:
     return found, select(math.isfinite(centre), 1.0, 0.0)
 
 
-@system(MEMBERS, "unit_falls")
-def fall_member(unit_falls: float, unit_island: float, island_number: float, island_found: float) -> float:
+@system(MEMBERS, "unit_sample_falls")
+def fall_member(unit_sample_falls: float, unit_island: float, island_number: float, island_found: float) -> float:
     """Let the units of an island that is not the grid fall with it."""
-    return select((unit_island == island_number) & (island_found > 0.0), 1.0, unit_falls)
+    return select((unit_island == island_number) & (island_found > 0.0), 1.0, unit_sample_falls)
 
 
 @system(MACHINES, "connected", "next_change", when="extended")

@@ -15,7 +15,7 @@ from typing import NamedTuple
 from wtg_gym.physics.further_units import FurtherUnits
 from wtg_gym.physics.network import Source
 from wtg_gym.physics.runge_kutta import moving
-from wtg_gym.physics.units import LANE, UNITS, Connection, Phasor, Sample, Terminal, quotient
+from wtg_gym.physics.units import LANE, UNITS, Connection, Joining, Phasor, Sample, Terminal, quotient
 from wtg_gym.systems.elementary import sine_cosine
 from wtg_gym.systems.systems import Kind, system
 
@@ -93,12 +93,12 @@ def source_units(sources: tuple[Source, ...]) -> tuple[FurtherUnits, ...]:
             balances=True,
             constants={},
             systems={
-                "plan": (plan_source,),
-                "settle": (start_source,),
-                "voltages": (voltage_of_source,),
-                "move": (stage_of_source,),
-                "rates": (rates_of_source,),
-                "sample": (sample_source,),
+                Joining.PLAN: (plan_source,),
+                Joining.SETTLE: (start_source,),
+                Joining.VOLTAGES: (voltage_of_source,),
+                Joining.MOVE: (stage_of_source,),
+                Joining.RATES: (rates_of_source,),
+                Joining.SAMPLE: (sample_source,),
             },
         ),
     )

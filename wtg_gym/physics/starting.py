@@ -183,7 +183,7 @@ def start_island() -> tuple[float, float, float]:
     return 0.0, 1.0, 0.0
 
 
-@system(UNITS, "island", "returns")
+@system(UNITS, "own_island", "returns")
 def start_unit() -> tuple[float, float]:
     """Let every unit begin in one island."""
     return 0.0, 0.0
@@ -197,7 +197,7 @@ def all_returned(next_change: float, step: float, returning: float) -> tuple[flo
 
 @system(UNITS, "returns", "back")
 def synchronise(
-    returns: float, turned: float, now: Phasor, magnitude: float, frequency: float, coi: float
+    returns: float, turned: float, now: Phasor, bus_magnitude: float, frequency: float, coi: float
 ) -> tuple[float, Back]:
     """Find what a unit comes back to: at its bus's voltage and frequency, within whole turns of its island.
 
@@ -205,7 +205,7 @@ def synchronise(
     """
     size = math.hypot(now.re, now.im)
     angle = nearest_turn(math.atan2(now.im, now.re), turned)
-    back = Back(angle, select(magnitude > LOW_VOLTAGE, frequency, coi), size)
+    back = Back(angle, select(bus_magnitude > LOW_VOLTAGE, frequency, coi), size)
     return select(size > LOW_VOLTAGE, returns, 0.0), back
 
 

@@ -20,7 +20,7 @@ from wtg_gym.physics import local_frequency as local
 from wtg_gym.physics import machine_unit as machine
 from wtg_gym.physics import protection, starting, units
 from wtg_gym.physics import wtg_unit as wtg
-from wtg_gym.physics.units import LANE, PAIRS, UNITS
+from wtg_gym.physics.units import LANE, PAIRS, UNITS, ControlJoining, Joining
 from wtg_gym.systems.programs import Each, Here, Product, Repeat, When
 
 #: Gauss-Seidel sweeps over the groups whose current is limited, at most: a few, but some thirty for large groups at a
@@ -34,7 +34,7 @@ VOLTAGES = (
     machine.saturate_machine,
     wtg.voltage_of_group,
     extension.voltage_of_extended,
-    Here("voltages"),
+    Here(Joining.VOLTAGES),
 )
 
 #: Units that an event brings back are synchronised, with the network as it is without them.
@@ -43,7 +43,7 @@ RETURN = (
     *local.BUS_VOLTAGES,
     starting.synchronise,
     machine.return_machine,
-    Here("control return"),
+    Here(ControlJoining.RETURN),
     wtg.return_group,
     extension.return_extension,
     starting.all_returned,
@@ -73,21 +73,21 @@ FIND = (*FLOWS, *LIMITS, *CAPTURE)
 
 #: One stage of the Runge-Kutta method, after `FIND`: it finds the rates of every unit and moves its states.
 MOVE = (
-    Here("control move"),
+    Here(ControlJoining.MOVE),
     machine.stage_of_machine,
     wtg.stage_of_group,
     extension.stage_of_extended,
-    Here("move"),
+    Here(Joining.MOVE),
     units.reference_stage,
 )
 
 #: Rates and outputs, without moving any state, after `FIND`.
 RATES = (
-    Here("control rates"),
+    Here(ControlJoining.RATES),
     machine.rates_of_machine,
     wtg.rates_of_group,
     extension.rates_of_extended,
-    Here("rates"),
+    Here(Joining.RATES),
     units.reference_rate,
 )
 
@@ -118,7 +118,7 @@ PROTECT = (
     protection.begin_sample,
     protection.sample_machine,
     protection.sample_group,
-    Here("sample"),
+    Here(Joining.SAMPLE),
     protection.compare_unit,
     When(LANE, "split", (protection.compare_member,)),
     protection.judge_island,
@@ -145,7 +145,7 @@ PLAN = (
     starting.need_less,
     machine.need_less,
     machine.plan_machine,
-    Here("plan"),
+    Here(Joining.PLAN),
     starting.plan_unit,
 )
 
@@ -160,14 +160,14 @@ SETTLE = (
     starting.load_at_bus,
     starting.share_flow,
     machine.start_machine,
-    Here("control settle"),
+    Here(ControlJoining.SETTLE),
     machine.still_frame,
     machine.take_frame,
     machine.turn_machine,
     wtg.start_group,
     wtg.curtail_law,
     extension.start_extension,
-    Here("settle"),
+    Here(Joining.SETTLE),
     starting.start_clock,
     starting.start_worst,
     starting.start_island,
@@ -183,7 +183,7 @@ START = (
     protection.track_extremes,
     wtg.no_overload,
     machine.check_machine,
-    Here("control start"),
+    Here(ControlJoining.START),
     extension.check_extension,
-    Here("start"),
+    Here(Joining.START),
 )

@@ -19,7 +19,7 @@ from typing import Any, NamedTuple
 from wtg_gym.files import read_toml
 from wtg_gym.physics.aerodynamics import tracking_point
 from wtg_gym.physics.parameters import GridFormingParameters, TurbineParameters
-from wtg_gym.ranges import require_known, require_range
+from wtg_gym.ranges import did_you_mean, require_known, require_range
 
 #: Smallest and largest tracking coefficient a law may ask for [p.u.]: nearly no power, and three times K_opt.
 LEAST_COEFFICIENT, LARGEST_COEFFICIENT = 1e-3, 3.0
@@ -223,10 +223,9 @@ def get_law(
     if str(strategy).endswith(".toml"):
         return read_law(Path(strategy), turbine)
     if not isinstance(strategy, str) or strategy not in STRATEGY_NAMES:
-        known = ", ".join(STRATEGY_NAMES)
         raise ValueError(
-            f"unknown strategy {str(strategy)!r}; known strategies: {known}, or a .toml file with a "
-            "law; trained policies are entries of `evaluate`"
+            f"unknown strategy {str(strategy)!r}; known strategies: {', '.join(STRATEGY_NAMES)}, or a .toml file with "
+            f"a law; trained policies are entries of `evaluate`{did_you_mean(strategy, STRATEGY_NAMES)}"
         )
     return _strategy(strategy, turbine, control)
 

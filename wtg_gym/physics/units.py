@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from enum import IntEnum
+from enum import IntEnum, StrEnum
 from typing import NamedTuple
 
 from wtg_gym.physics.runge_kutta import moving
@@ -87,9 +87,9 @@ class Sample(NamedTuple):
 class Back(NamedTuple):
     """What a unit comes back to."""
 
-    angle: float  # [rad]
-    speed: float  # frequency [p.u.]
-    voltage: float  # [p.u.]
+    bus_angle: float  # [rad]
+    bus_speed: float  # frequency [p.u.]
+    bus_voltage: float  # [p.u.]
 
 
 class StartFailure(IntEnum):
@@ -103,6 +103,30 @@ class StartFailure(IntEnum):
     CONVERTER_LIMIT = 5
     INTERNAL_VOLTAGE_LIMIT = 6
     WIND_SHORTAGE = 7
+
+
+class Joining(StrEnum):
+    """Where systems of further kinds of unit may join the lists of a step; the last two are lists of the task."""
+
+    PLAN = "plan"
+    SETTLE = "settle"
+    VOLTAGES = "voltages"
+    MOVE = "move"
+    RATES = "rates"
+    SAMPLE = "sample"
+    START = "start"
+    CHARGE = "charge"
+    OBSERVE = "observe"
+
+
+class ControlJoining(StrEnum):
+    """Where systems of controls that only some machines have join those lists."""
+
+    SETTLE = "control settle"
+    MOVE = "control move"
+    RATES = "control rates"
+    RETURN = "control return"
+    START = "control start"
 
 
 #: A lane: a run. What is of one unit here is of the lane.
@@ -168,6 +192,14 @@ LANE = Kind(
         "secondary_gain": float,  # simulation step over the time of secondary control; 0 without one
     },
     states=("angle",),
+    conditions=(
+        *("table", "curve"),  # of C_p
+        *("extended", "constant voltage"),  # WTG groups
+        "no machine",
+        "saturates",  # the rotor of a machine
+        "sheds",  # load, by stages
+        "secondary control",
+    ),
 )
 
 #: Parts of the network that hang together; the first has the most of the load that a run starts with, and is the grid,

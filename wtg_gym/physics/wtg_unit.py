@@ -6,7 +6,6 @@ import math
 
 from wtg_gym.physics.converter import ConverterState
 from wtg_gym.physics.pitch import PitchState
-from wtg_gym.physics.rotor_table import Cells
 from wtg_gym.physics.runge_kutta import moving
 from wtg_gym.physics.units import (
     ISLANDS,
@@ -73,14 +72,14 @@ def search_on(
     search: Search,
     rotor_speed: float,
     pitch: float,
-    captured: float,
+    own_captured: float,
     k_nominal: float,
     curtailment: float,
     turbine: Turbine,
     searching: float,
 ) -> tuple[Search, float, float, float]:
     """Judge the state that was tried by the power that it captures, and choose the next."""
-    search, rotor_speed, pitch = searched(search, rotor_speed, pitch, captured, curtailment * k_nominal, turbine)
+    search, rotor_speed, pitch = searched(search, rotor_speed, pitch, own_captured, curtailment * k_nominal, turbine)
     return search, rotor_speed, pitch, searching + select(search.phase < FOUND, 1.0, 0.0)
 
 
@@ -132,12 +131,12 @@ def return_group(
 ) -> tuple[WtgState, float, float, float]:
     """Synchronise a group that comes back; rotor and blades are as they stood."""
     comes = returns > 0.5
-    deviation = select(inv_tau > 0.0, back.speed - turbine.converter.corners.frequency_setpoint, 0.0)
-    found = ConverterState(back.angle, back.speed, deviation)
+    deviation = select(inv_tau > 0.0, back.bus_speed - turbine.converter.corners.frequency_setpoint, 0.0)
+    found = ConverterState(back.bus_angle, back.bus_speed, deviation)
     converter = each(lambda new, old: select(comes, new, old), found, state.converter)
     return (
         state._replace(converter=converter),
-        select(comes, back.voltage, emf),
+        select(comes, back.bus_voltage, emf),
         select(comes, 0.0, shift),
         select(comes, 1.0, connected),
     )
@@ -155,14 +154,14 @@ def voltage_of_group(state: WtgState, given: WtgInput) -> Phasor:
     return Phasor(*wtg_voltage(state, given.emf))
 
 
-@system(GROUPS, "captured", when="curve")
+@system(GROUPS, "own_captured", when="curve")
 def capture_by_curve(state: WtgState, given: WtgInput, turbine: Turbine, fraction: float) -> float:
     """Return the power from the wind."""
     return captured_by_curve(state.rotor_speed, wind_at(given, fraction), state.pitch.pitch, turbine.rotor)
 
 
-@system(GROUPS, "captured", when="table")
-def capture_by_table(state: WtgState, given: WtgInput, turbine: Turbine, cells: Cells, fraction: float) -> float:
+@system(GROUPS, "own_captured", when="table")
+def capture_by_table(state: WtgState, given: WtgInput, turbine: Turbine, cells: ex.Cells, fraction: float) -> float:
     """Return the power from the wind."""
     return captured_by_table(state.rotor_speed, wind_at(given, fraction), state.pitch.pitch, turbine.rotor, cells)
 
@@ -178,7 +177,7 @@ def rates_of_group(
     voltage: Phasor,
     current: Phasor,
     given: WtgInput,
-    captured: float,
+    own_captured: float,
     turbine: Turbine,
     inv_share: float,
     reference_speed: float,
@@ -187,7 +186,7 @@ def rates_of_group(
 ) -> tuple[WtgState, WtgOutput]:
     """Return rates and outputs of a group that is not extended."""
     power = power_of(voltage, current, inv_share)
-    return wtg_rates(state, power, captured, wind_at(given, fraction), given, turbine, reference_speed, omega_n)
+    return wtg_rates(state, power, own_captured, wind_at(given, fraction), given, turbine, reference_speed, omega_n)
 
 
 stage_of_group = moving(rates_of_group, wtg_limited, constants=["turbine"])

@@ -6,7 +6,6 @@ package has copies of both in `wtg_gym/shipped`, because those two names could c
 
 from __future__ import annotations
 
-import difflib
 import importlib
 import itertools
 from collections.abc import Iterable, Mapping, Sequence
@@ -20,6 +19,7 @@ from wtg_gym.policies.entry import Entry, is_policy
 from wtg_gym.policies.entry_toml import parse_entry
 from wtg_gym.policies.names import BASELINES, INSTALLED, POLICIES, ROOT, check_not_built_in, is_built_in
 from wtg_gym.policies.onnx_policy import OnnxPolicy
+from wtg_gym.ranges import did_you_mean
 from wtg_gym.scenarios.benchmark import V1, Benchmark
 
 #: The files of a folder with a trained policy.
@@ -70,7 +70,7 @@ def load_entries(spec: str | Path | Iterable[str | Path], benchmark: Benchmark =
     if not colon and Path(text or "no folder").is_dir():
         raise ValueError(f"the folder {text} holds no {ENTRY_FILE}; several folders are {text.rstrip('/')}/*")
     if not colon or not all(part.isidentifier() for part in module_name.split(".")):
-        raise ValueError(f"unknown entry {text!r}; {_allowed(text)}")
+        raise ValueError(f"unknown entry {text!r}{_allowed(text)}")
     return [_entry_of(_import(module_name, text), attribute, text)]
 
 
@@ -154,19 +154,17 @@ def _import(name: str, spec: str) -> ModuleType:
     except ImportError as error:
         missing = error.name if isinstance(error, ModuleNotFoundError) else None
         if missing is not None and (name == missing or name.startswith(missing + ".")):
-            raise ValueError(f"unknown entry {spec!r}: there is no module {missing!r}; {_allowed(spec)}") from error
+            raise ValueError(f"unknown entry {spec!r}: there is no module {missing!r}{_allowed(spec)}") from error
         raise ValueError(f"entry {spec!r} cannot be imported: {error}") from error
 
 
 def _allowed(text: str) -> str:
-    """Return what can stand in the place of a wrong entry: the names like it, or all."""
+    """Return the end of an error about a wrong entry: the names like it, or all."""
     shipped = (name for folder in policy_folders() if (name := policy_name(folder)))
     baselines = (entry.name for entry in _baselines())
-    names = {name.casefold(): name for name in (*STRATEGY_NAMES, *baselines, BASELINES, *shipped, POLICIES)}
-    if close := difflib.get_close_matches(text.casefold(), names):
-        return f"did you mean {' or '.join(repr(names[name]) for name in close)}?"
-    known = ", ".join(map(repr, names.values()))
-    return f'allowed are {known}, a .toml file with a law, a folder with {ENTRY_FILE}, or "module:ATTRIBUTE"'
+    names = (*STRATEGY_NAMES, *baselines, BASELINES, *shipped, POLICIES)
+    known = f'{", ".join(map(repr, names))}, a .toml file with a law, a folder with {ENTRY_FILE}, or "module:ATTRIBUTE"'
+    return did_you_mean(text, names) or f"; allowed are {known}"
 
 
 def _baselines(version: str | None = None) -> list[Entry]:

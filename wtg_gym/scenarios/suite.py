@@ -17,7 +17,7 @@ from wtg_gym.physics.grid import DEFAULT_GRID
 from wtg_gym.physics.parameters import TurbineParameters, WtgGroup
 from wtg_gym.physics.plant import PlantSettings
 from wtg_gym.physics.scenario import Event, Scenario, trusted
-from wtg_gym.ranges import is_whole, require_whole
+from wtg_gym.ranges import did_you_mean, is_whole, require_whole
 from wtg_gym.scenarios.benchmark import ANY_GRID, V0, Benchmark
 from wtg_gym.scenarios.distribution import ScenarioDistribution
 from wtg_gym.scenarios.sensor_distribution import SensorDistribution
@@ -151,8 +151,9 @@ class Suite:
         if split == FRESH and self.drawn_from:
             return _FRESH_SEEDS
         if split not in SPLITS:
-            fixed = f"; suite {self.name!r} has fixed cases, there is nothing to draw" if split == FRESH else ""
-            raise ValueError(f"unknown split {split!r}; known splits: {', '.join(self._splits)}{fixed}")
+            fixed = f"; suite {self.name!r} has fixed cases, there is nothing to draw"
+            why = fixed if split == FRESH else did_you_mean(split, self._splits)
+            raise ValueError(f"unknown split {split!r}; known splits: {', '.join(self._splits)}{why}")
         seeds: range = getattr(self, split)
         return seeds
 

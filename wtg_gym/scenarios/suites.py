@@ -12,6 +12,7 @@ from typing import Any
 from wtg_gym.physics.grid import DEFAULT_GRID, FOLDER, get_grid
 from wtg_gym.physics.parameters import WtgGroup
 from wtg_gym.physics.scenario import LoadStep, LoadTrip
+from wtg_gym.ranges import did_you_mean
 from wtg_gym.scenarios.benchmark import V1
 from wtg_gym.scenarios.distribution import ScenarioDistribution
 from wtg_gym.scenarios.grid_suite import read_suite, suite_of_file
@@ -256,5 +257,6 @@ def get_suite(name: str) -> Suite:
             raise ValueError(f"{name} is another suite than {own.name}: give it another name")
         return own
     if not isinstance(name, str) or name not in SUITES:
-        raise ValueError(f"unknown suite {name!r}; known suites: {', '.join(SUITES)}, or the path of a .json file")
+        known = f"{', '.join(SUITES)}, or the path of a .json file{did_you_mean(name, SUITES)}"
+        raise ValueError(f"unknown suite {name!r}; known suites: {known}")
     return SUITES[name]

@@ -8,6 +8,8 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from enum import StrEnum
 from types import MappingProxyType
 from typing import Any, NamedTuple, Protocol
 
@@ -28,7 +30,8 @@ _MOST = 40
 _NOBODY: Mapping[str, Sequence[System]] = MappingProxyType({})
 
 
-class Product(NamedTuple):
+@dataclass(frozen=True, eq=False)
+class Product:
     """`result` = `matrix` · `vector`, complex: a row of the matrix for each unit of the result, vectors in scratch."""
 
     pairs: Kind  # whose units are the matrix' entries, row by row
@@ -38,32 +41,57 @@ class Product(NamedTuple):
     result: str
     of: Kind | None = None  # whose result it is; None: of the same units
 
+    def __post_init__(self) -> None:
+        matrix = self.pairs.record_of(self.matrix, "rows", "scratch")
+        vectors = (
+            self.units.record_of(self.vector, "scratch"),
+            (self.of or self.units).record_of(self.result, "scratch"),
+        )
+        if any(count(record) != 2 for record in (matrix, *vectors)):
+            raise TypeError(
+                f"{self.matrix!r}, {self.vector!r} and {self.result!r} of a product must be complex numbers"
+            )
 
-class When(NamedTuple):
+
+@dataclass(frozen=True, eq=False)
+class _Flagged:
+    """Entries that a number of the lane lets run."""
+
+    lane: Kind
+    flag: str
+    entries: tuple[Any, ...]
+
+    def __post_init__(self) -> None:
+        if not self.place.has_rows or self.place.record is not float:
+            raise TypeError(f"{self.flag!r} of {self.lane.name} is no single number that a lane has")
+
+    @property
+    def place(self) -> Place:
+        """Where the number lies."""
+        return self.lane.find(self.flag)
+
+
+@dataclass(frozen=True, eq=False)
+class When(_Flagged):
     """Entries that run where a number of the lane is above zero in any lane of the block."""
 
-    lane: Kind
-    flag: str
-    entries: tuple[Any, ...]
 
-
-class Repeat(NamedTuple):
+@dataclass(frozen=True, eq=False)
+class Repeat(_Flagged):
     """Entries that run, and again while a number of the lane is above zero in any lane, `most` times in all."""
 
-    lane: Kind
-    flag: str
-    entries: tuple[Any, ...]
     most: int
 
 
 class Here(NamedTuple):
     """Where the systems of further kinds of unit join a list, by the name that they call the place."""
 
-    name: str
+    name: StrEnum
     otherwise: tuple[System, ...] = ()  # what stands there where none joins
 
 
-class Delay(NamedTuple):
+@dataclass(frozen=True, eq=False)
+class Delay:
     """A part of every unit, kept in a ring that turns by a place a time, and handed out some turns later."""
 
     units: Kind
@@ -73,6 +101,15 @@ class Delay(NamedTuple):
     kept: str
     turn: str  # how often the ring has turned, a number that units see
     delay: str  # turns, likewise
+
+    def __post_init__(self) -> None:
+        records = {*(self.units.record_of(part, "scratch") for part in (self.part, self.delayed))}
+        if len(records | {self.ring.record_of(self.kept, "rows")}) > 1:
+            raise TypeError(f"{self.part!r}, {self.delayed!r} and {self.kept!r} of a delay must be of one record")
+        for number in (self.turn, self.delay):
+            place = self.units.find(number)
+            if place.where != "rows" or place.record is not float:
+                raise TypeError(f"{number!r} of a delay is no single number that lasts from step to step")
 
 
 class Each(NamedTuple):
@@ -134,7 +171,7 @@ def _with(entries: Sequence[Any], joining: Mapping[str, Sequence[System]]) -> It
         if isinstance(entry, Here):
             yield from joining.get(entry.name, entry.otherwise)
         elif isinstance(entry, (When, Repeat)):
-            yield entry._replace(entries=tuple(_with(entry.entries, joining)))
+            yield replace(entry, entries=tuple(_with(entry.entries, joining)))
         else:
             yield entry
 
@@ -184,18 +221,15 @@ class Program:
 def _told(entry: Any) -> tuple[Any, ...]:
     """Return what an entry is, but for the operations of systems, and what lies within it."""
     if isinstance(entry, System):
-        places = {**entry.reads, **entry.targets}
-        slots = [(slot, places[slot].in_scratch) for slot in entry.slots]
+        slots = [(slot, entry.places[slot].in_scratch) for slot in entry.slots]
         return entry.name, slots, entry.constants_used, entry.when
     if isinstance(entry, Each):
         return "each", _told(entry.outer), _told(entry.inner)
     if isinstance(entry, (When, Repeat)):
-        flag = entry.lane.find(entry.flag)
         most = entry.most if isinstance(entry, Repeat) else 1
-        return type(entry).__name__, flag is not None and flag.in_scratch, most, [_told(each) for each in entry.entries]
+        return type(entry).__name__, entry.place.in_scratch, most, [_told(each) for each in entry.entries]
     if isinstance(entry, Delay):
-        record = {**entry.units.rows, **entry.units.scratch}[entry.part]
-        return "delay", count(record), entry.part in entry.units.scratch, entry.delayed in entry.units.scratch
+        return "delay", count(entry.units.scratch[entry.part])
     if isinstance(entry, Product):
         return "product", entry.matrix in entry.pairs.rows
     return (type(entry).__name__,)
@@ -251,9 +285,7 @@ def build_table(programs: Sequence[Program], plant: Arrangement, taped: Sequence
             elif isinstance(entry, Delay):
                 rows += _delay_rows(entry, plant)
             else:
-                at = entry.lane.find(entry.flag)
-                assert at is not None
-                own[1] = plant.first_rows(at.kind, at.part)[0]
+                own[1] = plant.first_rows(entry.place.kind, entry.place.part)[0] + entry.place.offset
     table = np.concatenate([head.ravel(), np.array(rows, dtype=np.int64)])
     return Tables(table, np.array(numbers, dtype=np.float64), np.zeros(0, dtype=np.int64))
 
@@ -272,10 +304,9 @@ def constant_places(
     for program in programs:
         for one in (entry for entry in _flat(program.entries) if isinstance(entry, System)):
             used = one.constants_used
-            place = one.kind.find_constant(argument)
-            if place is None or f"{argument}.{leaf}" not in used:
+            if f"{argument}.{leaf}" not in used:
                 continue
-            n = _n_units(one, plant)
+            n, place = _n_units(one, plant), one.places[argument]
             units = plant.seen(one.kind, place.seen)[:n] if place.seen else np.arange(n)
             first = int(tables.table[HEAD * program.places[id(one)] + 2])
             found += [
@@ -297,11 +328,8 @@ def _delay_rows(entry: Delay, plant: Arrangement) -> list[int]:
     n = plant.n_units(entry.units)
     if n == 0:
         return [0] * 8
-    numbers = []
-    for name in (entry.turn, entry.delay):
-        place = entry.units.find(name)
-        assert place is not None
-        numbers.append(int(_rows_of(entry.units, place, plant)[0]))
+    places = (entry.units.find(name) for name in (entry.turn, entry.delay))
+    numbers = [int(_rows_of(entry.units, place, plant)[0]) for place in places]
     ring = [_stride(entry.ring, entry.kept, plant)[0], plant.n_units(entry.ring) // n]
     return [*_stride(entry.units, entry.part, plant), *_stride(entry.units, entry.delayed, plant), *ring, *numbers]
 
@@ -316,8 +344,7 @@ def _system_rows(one: System, plant: Arrangement, n: int) -> list[int]:
     """Return the first rows of a system's parts for each of n units."""
     if n == 0:
         return []
-    parts = {**one.reads, **one.targets}
-    found = [_rows_of(one.kind, parts[name], plant) for name in one.slots]
+    found = [_rows_of(one.kind, one.places[name], plant) for name in one.slots]
     rows: list[int] = np.stack(found, axis=1).ravel().tolist()
     return rows
 
@@ -334,8 +361,7 @@ def _constants_of(one: System, plant: Arrangement, n: int, numbers: list[float],
         return []
     values: dict[str, Floats] = {}
     for argument in dict.fromkeys(name.partition(".")[0] for name in used):
-        place = one.kind.find_constant(argument)
-        assert place is not None
+        place = one.places[argument]
         given = plant.constants(place.kind, place.part)
         if place.record is ex.Cells:
             key = place.kind, place.part

@@ -19,23 +19,37 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple, get_type_hints
 
+from wtg_gym.ranges import did_you_mean
 from wtg_gym.systems import expressions as ex
-from wtg_gym.systems.records import flatten, is_record, kinds_of, leaves, short_names, size
+from wtg_gym.systems.records import flatten, is_record, kinds_of, leaves, size
 from wtg_gym.systems.tracing import retargeted
+
+#: What a state "x" has in scratch besides: "x_rates", and the integration's own "x_base" and "x_sum".
+_OF_STATES = ("rates", "base", "sum")
+#: Numbers that a caller hands to a program with every call.
+SCALARS = ("fraction", "ahead", "first", "last")
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Kind:
     """A kind of unit.
 
+    The full name of a part is its label and its own name: "own_heat" in the unit itself, "unit_voltage" in a unit seen
+    by the label "unit". That of a number within a record goes on: "own_state_pitch_angle". Systems use a full name, or
+    any end of it that no other place has.
+
     Args:
         name: of the kind, in the plural; no other kind has it, and a copy is the same kind.
         rows: parts that every lane keeps, by name: record classes, or float.
         scratch: parts that last for a control step only.
         constants: what is known of a unit before a run.
-        sees: other kinds whose parts its systems may name, by a label; one that ends with "_" stands before the names.
-        states: parts that the integration moves. Each has three more in scratch: "x_rates", and the integration's own
-            "x_base" and "x_sum".
+        sees: other kinds whose parts its systems may name, by a label; of one that ends with "_" by full names only.
+        states: parts that the integration moves. Each has three more in scratch, which are named as a whole: "x_rates",
+            and the integration's own "x_base" and "x_sum".
+        conditions: what a plant may have or lack, so that systems of the kind, and of those that see it, act or not.
+
+    Raises:
+        TypeError: a state is no part in rows, or two parts have one name.
     """
 
     name: str
@@ -44,10 +58,14 @@ class Kind:
     constants: Mapping[str, Any] = field(default_factory=dict)
     sees: Mapping[str, Kind] = field(default_factory=dict)
     states: tuple[str, ...] = ()
+    conditions: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
-        own = {f"{state}_{what}": self.rows[state] for state in self.states for what in ("rates", "base", "sum")}
-        object.__setattr__(self, "scratch", {**own, **self.scratch})
+        of_states = {f"{state}_{what}": self.record_of(state, "rows") for state in self.states for what in _OF_STATES}
+        object.__setattr__(self, "scratch", {**of_states, **self.scratch})
+        names = [*self.rows, *self.scratch, *self.constants]
+        if twice := [name for name in names if names.count(name) > 1]:
+            raise TypeError(f"{self.name} have two parts with the name {twice[0]!r}")
 
     def __eq__(self, other: object) -> bool:
         return isinstance(other, Kind) and self.name == other.name
@@ -55,49 +73,80 @@ class Kind:
     def __hash__(self) -> int:
         return hash(self.name)
 
-    def find(self, argument: str) -> Place | None:
-        """Return where an argument of a system lies: a part, or a number of a part by its short name; None for none."""
-        for label, kind, name in self._meanings(argument):
-            for in_scratch, parts in enumerate((kind.rows, kind.scratch)):
-                if name in parts:
-                    return Place(kind, label, name, parts[name], in_scratch=bool(in_scratch))
-        for label, kind, name in self._meanings(argument):
-            for in_scratch, parts in enumerate((kind.rows, kind.scratch)):
-                for part, record in parts.items():
-                    if is_record(record) and name in short_names(record):
-                        offset = short_names(record).index(name)
-                        return Place(kind, label, part, float, in_scratch=bool(in_scratch), offset=offset)
-        return None
+    def __getstate__(self) -> dict[str, Any]:
+        # A copy finds its names anew.
+        return {name: value for name, value in vars(self).items() if name != "names"}
 
-    def find_constant(self, argument: str) -> Place | None:
-        """Return whose constant an argument is; None for none."""
-        for label, kind, name in self._meanings(argument):
-            if name in kind.constants:
-                return Place(kind, label, name, kind.constants[name], in_scratch=False)
-        return None
+    def record_of(self, part: str, *where: str) -> Any:
+        """Return the record, or float, of a part in "rows" or "scratch"; a TypeError names the parts most like it."""
+        parts = {name: record for each in where for name, record in getattr(self, each).items()}
+        if part not in parts:
+            raise TypeError(f"{self.name} have no part {part!r} in {' or '.join(where)}{did_you_mean(part, parts)}")
+        return parts[part]
 
-    def _meanings(self, argument: str) -> Iterator[tuple[str, Kind, str]]:
-        """Yield the kinds that may have something of this name, with their labels and what they call it."""
-        yield "", self, argument
-        for label, kind in self.sees.items():
-            prefix = label if label.endswith("_") else ""
-            if argument.startswith(prefix):
-                yield label, kind, argument.removeprefix(prefix)
+    def find(self, name: str, who: str = "") -> Place:
+        """Return what a name means to the systems of the kind.
+
+        Args:
+            name: a full name, or the end of one.
+            who: how the error begins; otherwise with the name.
+
+        Raises:
+            TypeError: nothing has the name, or several places have it.
+        """
+        places = self.names.get(name, [])
+        if len(places) == 1:
+            return places[0]
+        if not places:
+            kinds = ", ".join(kind.name for kind in self.sees.values()) or "nothing"
+            nobody = f"is no part or constant of {self.name}, nor of what they see: {kinds}"
+            raise TypeError(f"{who or repr(name)} {nobody}{did_you_mean(name, self.names)}")
+        several = " and ".join(f"{place.name!r} ({place.where} of {place.kind.name})" for place in places)
+        raise TypeError(f"{who or repr(name)} can mean {several}: use one of these full names")
+
+    @functools.cached_property
+    def names(self) -> Mapping[str, list[Place]]:
+        """Places by all the names that systems of the kind may use."""
+        found = {name: [Place(self, "", name, float, "scalars", name=name)] for name in SCALARS}
+        for label, kind in {"": self, **self.sees}.items():
+            for path, place in kind._places():
+                full = (label.removesuffix("_") or "own", *path)
+                seen = place._replace(seen=label, name="_".join(full))
+                for first in range(1 if label.endswith("_") else len(full)):
+                    found.setdefault("_".join(full[first:]), []).append(seen)
+        return found
+
+    def _places(self) -> Iterator[tuple[tuple[str, ...], Place]]:
+        """Yield parts, and numbers within records, with their names and those of what they are in."""
+        of_states = {f"{state}_{what}" for state in self.states for what in _OF_STATES}
+        for where in ("rows", "scratch", "constants"):
+            for part, record in getattr(self, where).items():
+                yield (part,), Place(self, "", part, record, where)
+                if is_record(record) and where != "constants" and part not in of_states:
+                    for offset, leaf in enumerate(leaves(record)):
+                        yield (part, *leaf.split(".")), Place(self, "", part, float, where, offset)
 
 
 class Place(NamedTuple):
-    """What an argument is."""
+    """What a name means."""
 
     kind: Kind  # whose units have it
     seen: str  # label under which that kind is seen; "" for the kind itself
     part: str
     record: Any
-    in_scratch: bool
+    where: str  # "rows", "scratch", "constants" or "scalars"
     offset: int = 0  # of a number within its part
+    name: str = ""  # the full one
 
+    @property
+    def in_scratch(self) -> bool:
+        """Whether it lies in scratch."""
+        return self.where == "scratch"
 
-#: Numbers that a caller hands to a program with every call.
-SCALARS = ("fraction", "ahead", "first", "last")
+    @property
+    def has_rows(self) -> bool:
+        """Whether it has rows, in the block or in scratch."""
+        return self.where in ("rows", "scratch")
 
 
 class Trace(NamedTuple):
@@ -126,10 +175,14 @@ class System:
         kind: whose units it is applied to.
         equation: the function.
         writes: the parts that its result, or the entries of that tuple, replace.
-        when: what a plant must have for the system to act; None for any.
+        when: one of the conditions of the kind, or of those that it sees, under which the system acts; None for any.
         backward: another function of the same arguments that has the derivatives to follow; None for the equation.
         arguments: their names, where the function takes any.
         origin: function and arguments that make it again; None for a function of a module.
+
+    Raises:
+        TypeError: a name means nothing, or several things; an annotation is not the record that the name means; `when`
+            is no condition; or `backward` has other arguments.
     """
 
     kind: Kind
@@ -139,6 +192,39 @@ class System:
     backward: Callable[..., Any] | None = None
     arguments: tuple[str, ...] = ()
     origin: tuple[Any, ...] | None = None
+
+    def __post_init__(self) -> None:
+        known = [condition for kind in (self.kind, *self.kind.sees.values()) for condition in kind.conditions]
+        if self.when is not None and self.when not in known:
+            nobody = f"is no condition of {self.kind.name} or of what they see: {', '.join(known) or 'none'}"
+            raise TypeError(f"when={self.when!r} of system {self.name!r} {nobody}{did_you_mean(self.when, known)}")
+        if self.backward is not None and (names := _parameters(self.backward)) != self.arguments_named:
+            raise TypeError(
+                f"the way back of system {self.name!r} has the arguments {names}, not {self.arguments_named}"
+            )
+        for name, place in self.targets.items():
+            if not place.has_rows:
+                raise TypeError(f"system {self.name!r} writes {name!r}, which is one of the {place.where}")
+        for name, annotation in self._annotations().items():
+            record = self.places[name].record
+            if annotation not in (Any, record):
+                told, means = inspect.formatannotation(annotation), inspect.formatannotation(record)
+                raise TypeError(
+                    f"argument {name!r} of system {self.name!r} is annotated with {told}, but means {means}"
+                )
+
+    def _annotations(self) -> dict[str, Any]:
+        """Return what the arguments are annotated with, of those that are."""
+        if self.arguments:
+            return {}
+        function = _plain(self.equation)
+        try:
+            hints = get_type_hints(function)
+        except NameError:
+            # A class of a function's own is known by its name only.
+            records = (place.record for place in self.places.values())
+            hints = get_type_hints(function, localns={record.__name__: record for record in records})
+        return {name: hint for name, hint in hints.items() if name in self.arguments_named}
 
     def __reduce__(self) -> tuple[Any, ...]:
         if self.origin is not None:
@@ -154,7 +240,7 @@ class System:
     @property
     def name(self) -> str:
         """Name of the function."""
-        name: str = getattr(self.equation, "py_func", self.equation).__name__
+        name: str = _plain(self.equation).__name__
         return name
 
     def __call__(self, *arguments: Any, **named: Any) -> Any:
@@ -162,22 +248,21 @@ class System:
         return self.equation(*arguments, **named)
 
     @functools.cached_property
-    def reads(self) -> dict[str, Place]:
-        """Parts that the arguments name."""
-        return {a: place for a in self.arguments_named if (place := self.kind.find(a)) is not None}
-
-    @functools.cached_property
-    def targets(self) -> dict[str, Place]:
-        """Parts that the result replaces."""
-        found = {name: self.kind.find(name) for name in self.writes}
-        if unknown := [name for name, place in found.items() if place is None]:
-            raise TypeError(f"system {self.name!r} writes {unknown[0]!r}, which no unit of {self.kind.name} has")
-        return {name: place for name, place in found.items() if place is not None}
+    def places(self) -> dict[str, Place]:
+        """What the arguments and the written names mean."""
+        read = {name: f"argument {name!r} of system {self.name!r}" for name in self.arguments_named}
+        written = {name: f"system {self.name!r} writes {name!r}, which" for name in self.writes}
+        return {name: self.kind.find(name, who) for name, who in {**written, **read}.items()}
 
     @property
+    def targets(self) -> dict[str, Place]:
+        """Parts that the result replaces."""
+        return {name: self.places[name] for name in self.writes}
+
+    @functools.cached_property
     def arguments_named(self) -> tuple[str, ...]:
         """Names of the arguments."""
-        return self.arguments or tuple(inspect.signature(getattr(self.equation, "py_func", self.equation)).parameters)
+        return self.arguments or _parameters(self.equation)
 
     @property
     def trace(self) -> Trace:
@@ -202,10 +287,14 @@ class System:
         given = {name: known[name] if name in known else self._given(name, found) for name in self.arguments_named}
         result = retargeted(equation or self.equation)(*given.values())
         results = (result,) if not isinstance(result, tuple) or is_record(type(result)) else result
+        if len(results) != len(self.writes):
+            raise TypeError(f"system {self.name!r} writes {', '.join(self.writes)}, but returns {len(results)} values")
         for name, value in zip(self.writes, results, strict=True):
-            values = flatten(value) if is_record(type(value)) else (value,)
-            if len(values) != count(self.targets[name].record):
-                raise TypeError(f"system {self.name!r} writes {len(values)} numbers to {name!r}")
+            kind, record = type(value) if is_record(type(value)) else float, self.places[name].record
+            if kind is not record:
+                wrong, right = inspect.formatannotation(kind), inspect.formatannotation(record)
+                raise TypeError(f"system {self.name!r} writes {wrong} to {name!r}, which is {right}")
+            values = flatten(value) if is_record(kind) else (value,)
             found.stores.extend((name, place, each) for place, each in enumerate(values))
         return found
 
@@ -230,7 +319,7 @@ class System:
     @functools.cached_property
     def slots(self) -> list[str]:
         """Parts whose rows the system is given, in the order of a table."""
-        return list(dict.fromkeys((*self.reads, *self.writes)))
+        return list(dict.fromkeys(name for name in (*self.arguments_named, *self.writes) if self.places[name].has_rows))
 
     @functools.cached_property
     def constants_used(self) -> list[str]:
@@ -247,27 +336,23 @@ class System:
 
     def row(self, name: str, k: int) -> tuple[str, str, int]:
         """Return which row an argument's number is: by label, part and place in it, whatever it is called here."""
-        place = self.reads.get(name) or self.targets[name]
+        place = self.places[name]
         return place.seen, place.part, place.offset + k
 
     def _given(self, name: str, found: Trace) -> Any:
-        if name in self.reads:
-            return built(self.reads[name].record, self._symbols(name, found))
-        if name in SCALARS:
+        record = self.places[name].record
+        if self.places[name].has_rows:
+            return built(record, self._symbols(name, record, found))
+        if self.places[name].where == "scalars":
             symbol = ex.symbol(name)
             found.scalars[symbol] = name
             return symbol
-        constant = self.kind.find_constant(name)
-        if constant is None:
-            raise TypeError(
-                f"argument {name!r} of system {self.name!r} is no part or constant of {self.kind.name}, nor of what "
-                f"they see: {', '.join(kind.name for kind in self.kind.sees.values())}"
-            )
-        values = self._constants(name, constant.record, found)
-        return ex.Cells(*values) if constant.record is ex.Cells else built(constant.record, values)
+        values = self._constants(name, record, found)
+        return ex.Cells(*values) if record is ex.Cells else built(record, values)
 
-    def _symbols(self, name: str, found: Trace) -> Iterator[Any]:
-        for place in range(count(self.reads[name].record)):
+    @staticmethod
+    def _symbols(name: str, record: Any, found: Trace) -> Iterator[Any]:
+        for place in range(count(record)):
             symbol = ex.symbol(f"{name}[{place}]")
             found.inputs[symbol] = (name, place)
             yield symbol
@@ -278,6 +363,16 @@ class System:
             symbol = ex.symbol(leaf)
             found.constants[symbol] = leaf
             yield symbol != 0.0 if kind is bool else symbol
+
+
+def _plain(function: Callable[..., Any]) -> Callable[..., Any]:
+    """Return the function of Python's that a compiled one was made of."""
+    plain: Callable[..., Any] = getattr(function, "py_func", function)
+    return plain
+
+
+def _parameters(function: Callable[..., Any]) -> tuple[str, ...]:
+    return tuple(inspect.signature(_plain(function)).parameters)
 
 
 def _of_module(module: str, name: str) -> Any:

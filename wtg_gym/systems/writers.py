@@ -64,25 +64,31 @@ class Writer:
         rows = self._rows(one, unit)
         instruction = lanes.program(self._given(one, trace, unit, lambda name, k: lanes.load(self._at(rows[name], k))))
         self._note(one, unit, {at: instruction(symbol) for symbol, at in trace.inputs.items() if self._notes(one, at)})
-        symbols = {at: symbol for symbol, at in trace.inputs.items()}
         used = set(ex.needed(value for *_, value in trace.stores))
+        # A row may be read by another name than it is written by.
+        symbols: dict[Any, list[ex.Number]] = {}
+        for symbol, at in trace.inputs.items():
+            symbols.setdefault(one.row(*at), []).append(symbol)
         # What belongs to one number of a record is worked out and stored together: few numbers are held at a time.
         for name, k, value in sorted(trace.stores, key=lambda store: store[1]):
-            if symbols.get((name, k)) is value:
+            before = symbols.get(one.row(name, k), [])
+            if any(symbol is value for symbol in before):
                 # It stays what it is.
                 continue
             found = instruction(value)
-            if symbols.get((name, k)) in used:
+            for symbol in before:
                 # What is read later, too, is what was there before.
-                instruction(symbols[name, k])
+                if symbol in used:
+                    instruction(symbol)
             lanes.store(found, self._at(rows[name], k))
 
     def _rows(self, one: System, unit: Any) -> dict[str, Any]:
         """Return pointers to the first row of each part that a system names."""
-        slots, parts = one.slots, {**one.reads, **one.targets}
+        slots, places = one.slots, one.places
         base = self.builder.add(self._head(one, 1), self.builder.mul(unit, _WHOLE(len(slots))))
         return {
-            name: self._row(parts[name], self._whole(self.builder.add(base, _WHOLE(i)))) for i, name in enumerate(slots)
+            name: self._row(places[name], self._whole(self.builder.add(base, _WHOLE(i))))
+            for i, name in enumerate(slots)
         }
 
     def _given(
@@ -123,9 +129,7 @@ class Writer:
         return self.builder.gep(first, [_WHOLE(k * self.lanes.width)])
 
     def _is_up(self, entry: When | Repeat) -> Any:
-        place = entry.lane.find(entry.flag)
-        assert place is not None
-        return self.lanes.any_positive(self.lanes.load(self._row(place, self._head(entry, 1))))
+        return self.lanes.any_positive(self.lanes.load(self._row(entry.place, self._head(entry, 1))))
 
     def _repeat(self, entry: Repeat) -> None:
         builder = self.builder
@@ -177,7 +181,7 @@ class Writer:
 
         Those in the ring are where the newest number goes, and where the newest of those lies that have arrived.
         """
-        builder, lanes, record = self.builder, self.lanes, {**entry.units.rows, **entry.units.scratch}[entry.part]
+        builder, lanes, record = self.builder, self.lanes, entry.units.scratch[entry.part]
         n, size = self._head(entry, 0), count(record)
         part, stride, shown, shown_stride, ring, n_turns = self._places(entry, range(6))
 
