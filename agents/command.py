@@ -12,9 +12,10 @@ from typing import Any
 
 from agents.folders import held
 from agents.runs import RUN_FILE, Run, RunSettings
-from wtg_gym.envs.settings import ACTION_MODES, OBSERVATION_MODES
 from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY
 from wtg_gym.scenarios import DEFAULT_SUITE
+from wtg_gym.tasks.episode import ACTION_MODES
+from wtg_gym.tasks.observation import OBSERVATION_MODES
 
 
 def make_parser(prog: str, description: str) -> argparse.ArgumentParser:

@@ -26,10 +26,10 @@ from agents.runs import Run, RunSettings
 from agents.training import draw, train_in_rounds
 from wtg_gym.envs import EnvSettings
 from wtg_gym.envs.lanes import TaskLanes
-from wtg_gym.envs.observation import FREQUENCY_UNIT_HZ, ROTOR_SPEED_UNIT_PU
 from wtg_gym.gains import ScoreUnits
 from wtg_gym.physics.scenario import Scenario
 from wtg_gym.ranges import require_range
+from wtg_gym.tasks.observation import FREQUENCY_UNIT_HZ, ROTOR_SPEED_UNIT_PU
 
 Floats = npt.NDArray[np.float64]
 #: The algorithm's name in run.json.

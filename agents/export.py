@@ -58,7 +58,7 @@ def _model_card(run: Run, best: Mapping[str, float], name: str, authors: Sequenc
     """Return the README.md of an exported policy; `best` is its row of the run's curve, `content` its policy.onnx."""
     settings, provenance = run.settings, run.provenance
     suite = get_suite(settings.suite)
-    benchmark = suite.benchmark
+    task = suite.task
     changes = [change for process in run.resumptions for change in process["differences"]]
     facts = {
         "actions": f"`{settings.action_mode}` of `{settings.strategy}`, deterministic",
@@ -66,7 +66,7 @@ def _model_card(run: Run, best: Mapping[str, float], name: str, authors: Sequenc
         "steps": f"{best['timesteps']:,} of {settings.timesteps:,}",
         "changed by a resumption": "; ".join(changes) or "nothing",
         "validation score": f"{best['score']:.1f} on {settings.validation_episodes} scenarios "
-        f"({benchmark.zero} 0, {benchmark.hundred} 100), chosen as the best of the curve: a little optimistic",
+        f"({task.zero} 0, {task.hundred} 100), chosen as the best of the curve: a little optimistic",
         "authors": ", ".join(authors) or "not given",
         "sha256 of policy.onnx": f"`{sha256(content)}`",
         **{key: f"`{value}`" for key, value in sorted(settings.hyperparameters.items())},

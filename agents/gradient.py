@@ -24,11 +24,11 @@ from agents.folders import loading
 from agents.runs import Run, RunSettings
 from agents.training import draw, train_in_rounds
 from wtg_gym.envs import EnvSettings
-from wtg_gym.envs.task_records import CostTerms
 from wtg_gym.evaluation.score import pinned_cost
 from wtg_gym.gains import ScoreUnits
 from wtg_gym.gradients.torch import TorchEpisodes
 from wtg_gym.physics.scenario import Scenario
+from wtg_gym.tasks.cost import CostTerms
 
 #: The algorithm's name in run.json.
 NAME = "gradient"
@@ -113,7 +113,7 @@ class Failures:
         rotor = plant.protection.rotor_speed_min_pu, ROTOR_SPREAD_PU
         rotors = [(index, *rotor) for index, name in enumerate(names) if name.startswith("rotor")]
         stages = [(ends[0][0], stage.frequency_pu, FREQUENCY_SPREAD_PU) for stage in plant.shedding]
-        open_ended, trips = settings.benchmark.charges_worst, plant.trips_groups
+        open_ended, trips = settings.task.failure_costs_whole_episode, plant.trips_groups
         adding = [*(rotors if trips else ()), *(stages if open_ended else ())]
         charges = [weights.cap * AFTERWARDS_S] * (trips * len(rotors))
         charges += [weights.unserved * stage.share * AFTERWARDS_S for stage in plant.shedding] * open_ended

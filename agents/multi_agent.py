@@ -20,9 +20,9 @@ from torch import Tensor, nn
 
 from agents.runs import RunSettings
 from wtg_gym.envs import EnvSettings
-from wtg_gym.envs.observation import OBSERVATION_BOUND
-from wtg_gym.envs.settings import ACTION_MODES
 from wtg_gym.sb3 import SB3VecEnv
+from wtg_gym.tasks.episode import ACTION_MODES
+from wtg_gym.tasks.observation import OBSERVATION_BOUND
 
 Array = npt.NDArray[Any]
 Infos = list[dict[str, Any]]

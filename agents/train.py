@@ -100,7 +100,7 @@ def sb3_settings(given: Mapping[str, Any]) -> RunSettings:
     if "algo" not in given:
         raise ValueError(f"--algo is needed: {', '.join(TRAINED)}")
     path = Path(given.get("config", CONFIG_FOLDER / f"{given['algo']}.yml"))
-    raw = read_config(path, get_suite(given.get("suite", DEFAULT_SUITE)).benchmark.env_id)
+    raw = read_config(path, get_suite(given.get("suite", DEFAULT_SUITE)).task.env_id)
     return settings_of(given, given["algo"], raw, timesteps=raw.get("n_timesteps", 0), n_envs=raw.get("n_envs", 1))
 
 

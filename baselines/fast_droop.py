@@ -15,10 +15,11 @@ from typing import Any
 
 import numpy as np
 
-from wtg_gym.envs.observation import FREQUENCY_UNIT_HZ, N_MEASURED
 from wtg_gym.evaluation import Entry
 from wtg_gym.files import sha256
-from wtg_gym.scenarios.benchmark import V1
+from wtg_gym.tasks import V1
+from wtg_gym.tasks.observation import FREQUENCY_UNIT_HZ, of_groups
+from wtg_gym.tasks.sensing import MeasuredObservation
 
 from . import COORDINATED_SOURCE
 
@@ -40,8 +41,8 @@ class FastDroop:
         self, observation: Any, state: Any = None, episode_start: Any = None, deterministic: bool = False
     ) -> tuple[Any, Any]:
         """Return (actions (n_lanes, n_wtg) on k in [-1, 1], no state)."""
-        own = np.asarray(observation, dtype=np.float64).reshape(len(observation), -1, N_MEASURED + 1)
-        deviation_hz = FREQUENCY_UNIT_HZ * own[..., 0]
+        seen = of_groups(np.asarray(observation, dtype=np.float64), MeasuredObservation, "k")
+        deviation_hz = FREQUENCY_UNIT_HZ * seen.frequency_deviation
         return np.clip(-deviation_hz / self.full_action_hz, -1.0, 1.0), state
 
 

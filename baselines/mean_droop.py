@@ -16,10 +16,11 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from wtg_gym.envs.observation import FREQUENCY_UNIT_HZ, N_MEASURED, ROTOR_SPEED_UNIT_PU
 from wtg_gym.evaluation import Entry
 from wtg_gym.files import sha256
-from wtg_gym.scenarios.benchmark import V1
+from wtg_gym.tasks import V1
+from wtg_gym.tasks.observation import FREQUENCY_UNIT_HZ, ROTOR_SPEED_UNIT_PU, of_groups
+from wtg_gym.tasks.sensing import MeasuredObservation
 
 from . import COORDINATED_SOURCE
 
@@ -45,10 +46,10 @@ class MeanDroop:
     ) -> None:
         self.full_action_hz, self.slow_rotor_pu, self.rotor_gain = full_action_hz, slow_rotor_pu, rotor_gain
 
-    def act(self, own: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-        """Return the actions on k in [-1, 1], (..., n_wtg), from the groups' observations (..., n_wtg, n)."""
-        deviation_hz = FREQUENCY_UNIT_HZ * own[..., 0].mean(axis=-1, keepdims=True)
-        slower = np.minimum(1.0 + ROTOR_SPEED_UNIT_PU * own[..., 3] - self.slow_rotor_pu, 0.0)
+    def act(self, frequency_deviation: Any, rotor_speed: Any) -> npt.NDArray[np.float64]:
+        """Return the actions on k in [-1, 1], (..., n_wtg), from what the groups observe, (..., n_wtg) each."""
+        deviation_hz = FREQUENCY_UNIT_HZ * frequency_deviation.mean(axis=-1, keepdims=True)
+        slower = np.minimum(1.0 + ROTOR_SPEED_UNIT_PU * rotor_speed - self.slow_rotor_pu, 0.0)
         actions: npt.NDArray[np.float64] = -deviation_hz / self.full_action_hz + self.rotor_gain * slower
         return np.clip(actions, -1.0, 1.0)
 
@@ -56,8 +57,8 @@ class MeanDroop:
         self, observation: Any, state: Any = None, episode_start: Any = None, deterministic: bool = False
     ) -> tuple[Any, Any]:
         """Return (actions (n_lanes, n_wtg) on k in [-1, 1], no state)."""
-        own = np.asarray(observation, dtype=np.float64).reshape(len(observation), -1, N_MEASURED + 1)
-        return self.act(own), state
+        seen = of_groups(np.asarray(observation, dtype=np.float64), MeasuredObservation, "k")
+        return self.act(seen.frequency_deviation, seen.rotor_speed), state
 
 
 ENTRY = Entry(

@@ -18,12 +18,12 @@ from typing import Any
 
 import numpy as np
 
-from wtg_gym.envs.observation import FREQUENCY_UNIT_HZ, N_LOCAL
 from wtg_gym.evaluation import Entry
 from wtg_gym.files import sha256
 from wtg_gym.physics.aerodynamics import tracking_point
 from wtg_gym.physics.parameters import GridFormingParameters
-from wtg_gym.scenarios.benchmark import V0
+from wtg_gym.tasks import V0
+from wtg_gym.tasks.observation import FREQUENCY_UNIT_HZ, WtgObservation, of_groups
 
 from . import COORDINATED_SOURCE
 
@@ -54,9 +54,9 @@ class TipSpeedFeedback:
         self, observation: Any, state: Any = None, episode_start: Any = None, deterministic: bool = False
     ) -> tuple[Any, Any]:
         """Return (actions (n_lanes, n_wtg) on k in [-1, 1], no state)."""
-        own = np.asarray(observation, dtype=np.float64).reshape(len(observation), -1, N_LOCAL + 1)
-        target = np.interp(FREQUENCY_UNIT_HZ * own[..., 0], self._deviation_hz, self._target)
-        return np.clip(self._gain * (own[..., 2] - target), -1.0, 1.0), state
+        seen = of_groups(np.asarray(observation, dtype=np.float64), WtgObservation, "k")
+        target = np.interp(FREQUENCY_UNIT_HZ * seen.frequency_deviation, self._deviation_hz, self._target)
+        return np.clip(self._gain * (seen.tip_speed_ratio - target), -1.0, 1.0), state
 
 
 ENTRY = Entry(

@@ -13,7 +13,7 @@ from wtg_gym.envs.lanes import TaskLanes
 from wtg_gym.gains import GainEnvs, Gains, law_costs, stagger, stratum_scales
 from wtg_gym.sb3 import SB3VecEnv
 from wtg_gym.scenarios import get_suite
-from wtg_gym.scenarios.benchmark import V1
+from wtg_gym.tasks import V1
 
 ENV_ID = "GFMWTG-14bus-v0"
 

@@ -39,7 +39,7 @@ from wtg_gym.gains import stratum_scales
 from wtg_gym.physics.aerodynamics import tracking_point
 from wtg_gym.physics.tracking_law import TUNED, get_law, tuned
 from wtg_gym.scenarios import get_suite
-from wtg_gym.scenarios.benchmark import V1
+from wtg_gym.tasks import V1
 
 DOCS = Path(__file__).parent.parent / "docs"
 #: But for the one that needs ANDES, which has an environment of its own.

@@ -54,19 +54,19 @@ def stratum_scales(settings: EnvSettings) -> dict[str, float]:
 
     A suite without strata has one, "". Episodes are as long as the suite's.
     """
-    benchmark, suite, costs = settings.benchmark, settings.resolved_suite, []
+    task, suite, costs = settings.task, settings.resolved_suite, []
     names = suite.strata or ("",)
     seeds = [
         list(itertools.islice((seed for seed in suite.train if suite.stratum(seed) == name), _PER_STRATUM))
         for name in names
     ]
-    for law in benchmark.anchors:
+    for law in task.anchors:
         lanes = TaskLanes(replace(settings, strategy=law, split="train", duration_s=None, scenario=None), _AT_ONCE)
         costs.append(law_costs(lanes, lanes.scenarios(list(itertools.chain(*seeds)))).sum(axis=1))
         lanes.simulator.close()
     groups = {name: i * _PER_STRATUM + np.arange(_PER_STRATUM) for i, name in enumerate(names)}
     zero, hundred = costs
-    return dict(zip(names, score_scales(zero, hundred, benchmark, groups), strict=True))
+    return dict(zip(names, score_scales(zero, hundred, task, groups), strict=True))
 
 
 class ScoreUnits:
@@ -78,7 +78,7 @@ class ScoreUnits:
 
     def __init__(self, settings: EnvSettings) -> None:
         self._suite = settings.resolved_suite
-        self._offsets = dict(self._suite.benchmark.cost_offsets)
+        self._offsets = dict(self._suite.task.cost_offsets)
         self._scales = stratum_scales(settings) if self._suite.strata else {"": 1.0}
 
     def of(self, seeds: Iterable[int]) -> tuple[Floats, Floats]:
@@ -112,9 +112,9 @@ class Gains:
     def __init__(self, lanes: TaskLanes) -> None:
         self._lanes = lanes
         settings = lanes.settings
-        benchmark = settings.benchmark
+        task = settings.task
         at_once = min(lanes.n_lanes, _AT_ONCE)
-        self._reference = TaskLanes(replace(settings, strategy=benchmark.hundred), at_once)
+        self._reference = TaskLanes(replace(settings, strategy=task.hundred), at_once)
         self.n_steps = round(settings.episode_duration_s() / settings.control_dt)
         self._costs = np.zeros((lanes.n_lanes, self.n_steps))
         #: J_ref + J0, and Λ.

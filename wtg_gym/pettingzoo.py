@@ -11,11 +11,12 @@ import numpy.typing as npt
 
 from wtg_gym.envs import GFMWTGEnv
 from wtg_gym.envs.actions import as_actions
-from wtg_gym.envs.observation import OBSERVATION_BOUND
 from wtg_gym.envs.rendering import Frame
-from wtg_gym.envs.settings import ACTION_MODES, EnvArguments
+from wtg_gym.envs.settings import EnvArguments
 from wtg_gym.extras import install_advice
 from wtg_gym.ranges import ByName, require_known
+from wtg_gym.tasks.episode import ACTION_MODES
+from wtg_gym.tasks.observation import OBSERVATION_BOUND
 
 try:
     from pettingzoo import ParallelEnv

@@ -13,7 +13,6 @@ from typing import Any
 
 import numpy as np
 
-from wtg_gym.envs.cost import frequency_cost
 from wtg_gym.envs.settings import EnvSettings
 from wtg_gym.evaluation import Entry, Results
 from wtg_gym.evaluation.circumstances import environment_fingerprint, versions
@@ -28,6 +27,7 @@ from wtg_gym.policies.play import play, started_lanes
 from wtg_gym.progress import Progress
 from wtg_gym.scenarios import get_suite
 from wtg_gym.systems.compiled import source_hash
+from wtg_gym.tasks.cost import frequency_cost
 
 #: Scenarios that are played side by side, as many as `evaluate` gives to a policy in a file.
 BATCH = 64

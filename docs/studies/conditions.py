@@ -27,9 +27,6 @@ from rollouts import Rollouts
 from trivial import Rule, simple_rules, together
 
 from baselines.fast_droop import FastDroop
-from wtg_gym.envs.cost import frequency_cost
-from wtg_gym.envs.observation import N_MEASURED
-from wtg_gym.envs.task_records import COST_TERMS
 from wtg_gym.evaluation import Entry, Results, evaluate, load_entries
 from wtg_gym.evaluation import markdown_table as ranking_table
 from wtg_gym.evaluation.score import gains, score_scales
@@ -43,10 +40,12 @@ from wtg_gym.physics.scenario import GroupTrip
 from wtg_gym.physics.tracking_law import get_law
 from wtg_gym.progress import Progress
 from wtg_gym.scenarios import get_suite
+from wtg_gym.tasks.cost import COST_TERMS, frequency_cost
+from wtg_gym.tasks.observation import N_MEASURED
 
 SUITE = "standard-v1"
 PARTIAL = Path("results/conditions")
-ZERO, ANCHOR = get_suite(SUITE).benchmark.anchors
+ZERO, ANCHOR = get_suite(SUITE).task.anchors
 #: Laws whose rotors must keep the paper's order, the safest first.
 LAWS = ("coordinated-piecewise", "deloaded-10", "deloaded-5", "mppt")
 #: Deviations that take the whole authority of the droops that are tried on each law [Hz].
@@ -102,18 +101,18 @@ class Entries(NamedTuple):
 
 def all_entries() -> Entries:
     """Return the entries that there are; policies may be missing."""
-    benchmark = get_suite(SUITE).benchmark
-    policies = [each for each in load_entries("policies", benchmark) if each.environment == benchmark.env_id]
+    task = get_suite(SUITE).task
+    policies = [each for each in load_entries("policies", task) if each.environment == task.env_id]
     tuned = [each for each in policies if each.name.endswith("-feedback")]
     droops = [
         droop(f"{law} with {hz:g} Hz", law, FastDroop(hz)) for law in dict.fromkeys((*LAWS, ANCHOR)) for hz in DROOPS_HZ
     ]
-    return Entries(load_entries("baselines", benchmark), tuned, [e for e in policies if e not in tuned], droops)
+    return Entries(load_entries("baselines", task), tuned, [e for e in policies if e not in tuned], droops)
 
 
 def droop(name: str, strategy: str, policy: Any) -> Entry:
     """Return an entry that moves k alone."""
-    env_id, own = get_suite(SUITE).benchmark.env_id, sha256(repr(sorted(vars(policy).items())).encode())
+    env_id, own = get_suite(SUITE).task.env_id, sha256(repr(sorted(vars(policy).items())).encode())
     modes = {"action_mode": "k", "environment": env_id, "learned": False}
     source = sha256(inspect.getsource(type(policy)).encode())
     fingerprint = f"{type(policy).__name__} {source} {own}"
@@ -129,9 +128,7 @@ def points(costs: Mapping[str, Floats], scale: Results) -> dict[str, Floats]:
     """
     zero, hundred = (scale.pinned_costs[name][0] for name in (ZERO, ANCHOR))
     scales = np.empty(len(scale.seeds))
-    for own, value in zip(
-        scale.groups.values(), score_scales(zero, hundred, scale.benchmark, scale.groups), strict=True
-    ):
+    for own, value in zip(scale.groups.values(), score_scales(zero, hundred, scale.task, scale.groups), strict=True):
         scales[own] = value
     gained = {name: gains(own, hundred, scale.cost_offsets) for name, own in costs.items()}
     return {name: 100.0 * (1.0 + own.mean(axis=0) / scales) for name, own in gained.items()}
@@ -558,7 +555,7 @@ def strata(results: Results) -> str:
         return f"{away.mean():+.0f} ± {away.std(ddof=1) / len(away) ** 0.5:.0f}"
 
     zero, hundred = (results.pinned_costs[name][0] for name in (ZERO, ANCHOR))
-    scales = score_scales(zero, hundred, results.benchmark, results.groups)
+    scales = score_scales(zero, hundred, results.task, results.groups)
     cells = [
         [
             stratum,

@@ -27,7 +27,7 @@ from wtg_gym.physics.trajectory import simulate
 from wtg_gym.plotting import save_figure, style
 from wtg_gym.progress import Progress
 from wtg_gym.scenarios import DEFAULT_SUITE, get_suite, suite_of_grid
-from wtg_gym.scenarios.benchmark import V1
+from wtg_gym.tasks import V1
 
 #: Of the grid without machines: rating of all turbines over that of the machines that they replace, and their wind.
 RATING, WIND_M_S = 1.8, 8.0

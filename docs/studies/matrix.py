@@ -19,13 +19,13 @@ from changed import played, without_governor
 from output import folder as output_folder
 
 from wtg_gym.cli.scoring import chosen_entries, run_evaluation
-from wtg_gym.envs.observation import N_MEASURED
-from wtg_gym.envs.settings import ACTION_MODES
 from wtg_gym.evaluation import Entry, EntrySummary, Results, leaderboard_rows, table_cells
 from wtg_gym.files import markdown_table, sha256, update_between_markers
 from wtg_gym.physics.layout import Floats
 from wtg_gym.physics.scenario import Scenario
 from wtg_gym.scenarios import get_suite
+from wtg_gym.tasks.episode import ACTION_MODES
+from wtg_gym.tasks.observation import N_MEASURED
 
 OWN, FOLDER, PARTIAL = "standard-v1", Path("results/matrix"), Path("results/partial")
 SUITES = tuple(

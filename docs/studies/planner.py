@@ -22,7 +22,6 @@ import numpy.typing as npt
 from rollouts import between, positions, time_left
 
 from wtg_gym.envs.lanes import TaskLanes
-from wtg_gym.envs.observation import N_LOCAL, N_MEASURED
 from wtg_gym.envs.settings import EnvSettings
 from wtg_gym.evaluation import Entry, Results
 from wtg_gym.evaluation.episodes import Episode
@@ -33,6 +32,7 @@ from wtg_gym.physics.layout import Floats
 from wtg_gym.physics.simulator import PreparedLanes
 from wtg_gym.progress import Progress
 from wtg_gym.scenarios import get_suite
+from wtg_gym.tasks.observation import N_LOCAL, N_MEASURED
 
 #: Winds that an observer believes in [m/s].
 _WIND_RANGE = (3.5, 24.5)
@@ -245,7 +245,7 @@ def _actions(lanes: TaskLanes, course: Floats, gain: float) -> Floats:
 def played_by_planner(suite: str, split: str, seeds: Sequence[int], planning: Planning) -> list[Episode]:
     """Play scenarios of version v1 with a planner each, and measure the episodes."""
     modes = {"action_mode": "k+tau", "observation_mode": "privileged"}
-    settings = EnvSettings(suite=suite, split=split, strategy=get_suite(suite).benchmark.hundred, **modes)
+    settings = EnvSettings(suite=suite, split=split, strategy=get_suite(suite).task.hundred, **modes)
     lanes = TaskLanes(settings, len(seeds))
     with closing(lanes.simulator), Progress("steps") as progress:
         scenarios = lanes.scenarios(seeds)

@@ -26,7 +26,7 @@ from wtg_gym.physics.tracking_law import (
 )
 from wtg_gym.progress import Progress
 from wtg_gym.scenarios import get_suite
-from wtg_gym.scenarios.benchmark import V1
+from wtg_gym.tasks import V1
 
 #: Least coefficient that is tried [p.u.]: at 0 a group would give nothing.
 _LEAST_TRIED = 0.05

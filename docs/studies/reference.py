@@ -8,7 +8,7 @@ from typing import get_type_hints
 
 from output import folder
 
-from wtg_gym.envs import CostWeights, EnvSettings, GFMWTGEnv
+from wtg_gym.envs import EnvSettings, GFMWTGEnv
 from wtg_gym.envs.task_records import (
     GridObservation,
     Info,
@@ -23,9 +23,10 @@ from wtg_gym.physics.grid import get_grid
 from wtg_gym.physics.machine_parameters import SynchronousMachineParameters
 from wtg_gym.physics.parameters import SOURCES, WtgGroup
 from wtg_gym.scenarios import SUITES
-from wtg_gym.scenarios.benchmark import BENCHMARKS
+from wtg_gym.tasks import TASKS
+from wtg_gym.tasks.cost import CostWeights
 
-NEWEST_FIRST = list(BENCHMARKS.values())[::-1]
+NEWEST_FIRST = list(TASKS.values())[::-1]
 ENVS = {version.version: GFMWTGEnv(version=version.version) for version in NEWEST_FIRST}
 
 
@@ -46,7 +47,7 @@ def overview():
     for version in NEWEST_FIRST:
         env, step_s = ENVS[version.version], ENVS[version.version].settings.control_dt
         groups = [f"{group.n_turbines:g} at bus {group.bus}" for group in env.settings.resolved_plant.groups]
-        suites = [f"`{suite.name}`" for suite in SUITES.values() if suite.benchmark == version]
+        suites = [f"`{suite.name}`" for suite in SUITES.values() if suite.task == version]
         episode = env.settings.episode_duration_s()
         spaces = f"`{env.action_space}`", f"`{env.observation_space}`"
         time = f"{step_s} s, {round(episode / step_s)} steps"

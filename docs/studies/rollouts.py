@@ -13,13 +13,13 @@ import numpy as np
 
 from wtg_gym.envs.lanes import TaskLanes
 from wtg_gym.envs.settings import EnvSettings
-from wtg_gym.envs.task_records import COST_TERMS
 from wtg_gym.evaluation.score import pinned_cost
 from wtg_gym.gains import ScoreUnits
 from wtg_gym.physics.layout import Floats
 from wtg_gym.physics.protection import Status
 from wtg_gym.physics.tracking_law import TrackingLaw
-from wtg_gym.scenarios.benchmark import V0
+from wtg_gym.tasks import V0
+from wtg_gym.tasks.cost import COST_TERMS
 
 #: (step, observations (n_scenarios, n_candidates, n_wtg, n)) → actions (n_scenarios, n_candidates, n_wtg, n_action).
 Candidates = Callable[[int, Floats], Floats]
@@ -76,7 +76,7 @@ class Rollouts:
     def pinned(self, terms: Floats) -> Floats:
         """Return the costs that the leaderboard counts: in v0 a failed episode's is the largest there is."""
         costs: Floats = terms.sum(axis=-1)
-        if self.lanes.suite.benchmark.charges_worst:
+        if self.lanes.suite.task.charges_worst:
             return costs
         cap = self.lanes.settings.cost_weights().cap
         worst = pinned_cost(0.0, failed=True, duration_s=self.lanes.duration_s, cap=cap)
@@ -96,7 +96,7 @@ class Rollouts:
 
         With v1's rotors a few failures outweigh all else in a mean of costs.
         """
-        return terms.sum(axis=-1) if self.lanes.suite.benchmark is V0 else self.log_costs(terms)
+        return terms.sum(axis=-1) if self.lanes.suite.task is V0 else self.log_costs(terms)
 
     def close(self) -> None:
         self.lanes.simulator.close()

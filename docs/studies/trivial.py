@@ -10,8 +10,8 @@ from typing import NamedTuple
 import numpy as np
 from rollouts import Candidates, Rollouts
 
-from wtg_gym.envs.observation import FREQUENCY_UNIT_HZ
 from wtg_gym.physics.layout import Floats
+from wtg_gym.tasks.observation import FREQUENCY_UNIT_HZ
 
 _CONSTANTS = (
     (-0.5, -0.2, -0.1, -0.05, -0.02, 0.0, 0.02, 0.05, 0.1, 0.2, 0.5),  # k

@@ -106,7 +106,7 @@ def samples(run, step_s):
     simulator.start(range(len(scenarios)), simulator.prepare(scenarios, laws))
     found = []
     rows = [simulator.layout.wtg(name) for name in ("k_offset", "inv_tau")]
-    authority = environment.benchmark().k_authority * (tracking_point(0.0, plant.turbine).coefficient - laws[0].k_max)
+    authority = environment.task().k_authority * (tracking_point(0.0, plant.turbine).coefficient - laws[0].k_max)
     for _ in range(simulator.n_intervals):
         k, tau = RUNS[run] * rng.uniform(-1.0, 1.0, (2, *simulator.blocks[:, rows[0], :].shape))
         simulator.blocks[:, rows[0], :] = authority * k

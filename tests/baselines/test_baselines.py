@@ -14,13 +14,13 @@ from baselines.tip_speed_feedback import TipSpeedFeedback
 from wtg_gym.evaluation import load_entries
 from wtg_gym.physics.aerodynamics import tracking_point
 from wtg_gym.physics.tracking_law import STRATEGIES
-from wtg_gym.scenarios.benchmark import V0
+from wtg_gym.tasks import V0
 
 FOLDER = Path(baselines.__file__).parent
 
 
 def test_entries_are_the_built_in_strategies_and_every_module_is_named() -> None:
-    entries = load_entries("baselines", benchmark=V0)
+    entries = load_entries("baselines", task=V0)
     assert {entry.name: entry.law for entry in entries if entry.kind == "law"} == STRATEGIES
     assert [(entry.name, entry.kind) for entry in entries if entry.kind != "law"] == [
         ("tip-speed-feedback", "feedback")

@@ -16,7 +16,7 @@ from tests.cli.calls import error_of, start
 from tests.interruption import end
 from wtg_gym.cli import main
 from wtg_gym.evaluation import Results, Workers, evaluator
-from wtg_gym.scenarios.benchmark import V1
+from wtg_gym.tasks import V1
 
 _FEW = ("--suite", "low-wind", "--split", "test", "--seeds", "20000", "20001", "20002", "20005")
 _LEADERBOARD = ("leaderboard", "--suite", "paper", "--entries")

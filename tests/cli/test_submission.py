@@ -12,7 +12,7 @@ from tests.submissions.models import TOML, after, folder
 from wtg_gym.cli import main
 from wtg_gym.evaluation import Results, evaluate, load_entries
 from wtg_gym.policies import gate
-from wtg_gym.scenarios.benchmark import V0
+from wtg_gym.tasks import V0
 
 OTHER = TOML.replace("Mine", "Other")
 _FEW = ("--seeds", "20000", "20001")

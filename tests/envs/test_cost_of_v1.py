@@ -10,8 +10,8 @@ import pytest
 
 from tests.envs.rollouts import calm
 from wtg_gym.envs import GFMWTGEnv
-from wtg_gym.envs.task_records import COST_TERMS
 from wtg_gym.physics.scenario import Event, Fault, GroupTrip, LineTrip, LoadStep, MachineOutage
+from wtg_gym.tasks.cost import COST_TERMS
 
 #: Lines whose opening leaves the groups at buses 6 and 8 to themselves.
 CUT = [LineTrip(time_s=1.0, from_bus=a, to_bus=b) for a, b in ((5, 6), (4, 7), (4, 9))]

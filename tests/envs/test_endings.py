@@ -6,13 +6,14 @@ import numpy as np
 import pytest
 
 from tests.envs.rollouts import N_WTG, VERSIONS, calm, episode, eventful, rising, sagging
-from wtg_gym.envs import CostWeights, GFMWTGEnv
+from wtg_gym.envs import GFMWTGEnv
 from wtg_gym.physics.parameters import ProtectionParameters
 from wtg_gym.physics.plant import PlantSettings
 from wtg_gym.physics.protection import Status
 from wtg_gym.physics.scenario import LineTrip, LoadStep, Scenario
 from wtg_gym.physics.trajectory import simulate
 from wtg_gym.physics.units import ISLANDS
+from wtg_gym.tasks.cost import CostWeights
 
 GONE = calm(duration_s=20.0, events=(LoadStep(time_s=1.025, bus=2, power_mw=600.0),))
 TORN = calm(

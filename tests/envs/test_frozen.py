@@ -22,8 +22,8 @@ CASES = {version: cases(version) for version in RECORDED}
 
 def test_a_version_is_frozen_in_its_suites_and_its_answers_alike() -> None:
     assert "v0" in RECORDED
-    assert {SUITES[name].benchmark.version for name in FROZEN_HASHES} == set(RECORDED)
-    assert set(FROZEN_HASHES) == {name for name, suite in SUITES.items() if suite.benchmark.version in RECORDED}
+    assert {SUITES[name].task.version for name in FROZEN_HASHES} == set(RECORDED)
+    assert set(FROZEN_HASHES) == {name for name, suite in SUITES.items() if suite.task.version in RECORDED}
 
 
 @pytest.mark.parametrize("version", RECORDED)

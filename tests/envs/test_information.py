@@ -12,7 +12,8 @@ from tests.envs.rollouts import (
     episode,
     eventful,
 )
-from wtg_gym.envs import CostWeights, GFMWTGEnv, GFMWTGVectorEnv
+from wtg_gym.envs import GFMWTGEnv, GFMWTGVectorEnv
+from wtg_gym.tasks.cost import CostWeights
 
 TERMS = [f"cost_{name}" for name in ("duty", "effort", "failure", "frequency", "overload", "rocof", "rotor")]
 KEYS = {*TERMS, "time_s", "frequency_hz", "rocof_hz_s", "cost", "scenario_seed", "termination_reason"}

@@ -54,9 +54,9 @@ def test_both_checkers_have_no_complaint(modes: dict[str, str], env_id: str):
 
 def test_version_v1_is_meant_where_none_is_named() -> None:
     assert wtg_gym.ENV_ID == "GFMWTG-14bus-v1"
-    assert (EnvSettings().benchmark.version, EnvSettings().suite_name) == ("v1", "standard-v1")
+    assert (EnvSettings().task.version, EnvSettings().suite_name) == ("v1", "standard-v1")
     assert EnvSettings(version="v0").suite_name == "standard"
-    assert EnvSettings(suite="standard").benchmark.version == "v0"
+    assert EnvSettings(suite="standard").task.version == "v0"
     for env in (GFMWTGEnv(), GFMWTGVectorEnv(2), parallel_env().single_env, SB3VecEnv(2).vector_env):
         assert env.settings.suite_name == "standard-v1"
 
@@ -67,7 +67,7 @@ def test_an_id_is_not_made_with_another_version(env_id: str):
     for make in (gym.make, functools.partial(gym.make_vec, num_envs=2)):
         with pytest.raises(ValueError, match=f"^{env_id} cannot be made with version = {other!r}"):
             make(env_id, version=other)
-    assert gym.make(env_id, version=env_id[-2:]).unwrapped.settings.benchmark.version == env_id[-2:]
+    assert gym.make(env_id, version=env_id[-2:]).unwrapped.settings.task.version == env_id[-2:]
 
 
 def test_id_with_the_module_works_without_an_import_and_needs_neither_learner_nor_plotting():
@@ -97,7 +97,7 @@ def test_id_with_the_module_works_without_an_import_and_needs_neither_learner_no
     ],
 )
 def test_spec_survives_json_with_its_arguments(arguments: dict[str, Any]):
-    env = gym.make(f"GFMWTG-14bus-{EnvSettings(**arguments).benchmark.version}", **arguments)
+    env = gym.make(f"GFMWTG-14bus-{EnvSettings(**arguments).task.version}", **arguments)
     again = EnvSpec.from_json(env.spec.to_json())
     assert json.loads(again.to_json()) == json.loads(env.spec.to_json())
     copied = gym.make(again)

@@ -11,11 +11,12 @@ import pytest
 
 from tests.envs.rollouts import actions_of, calm
 from wtg_gym.envs import GFMWTGEnv
-from wtg_gym.envs.task_records import MeasuredObservation, WtgObservation
 from wtg_gym.physics.parameters import GridFormingParameters
 from wtg_gym.physics.scenario import Event, GroupTrip, LoadStep, Scenario
 from wtg_gym.physics.sensors import Sensors
 from wtg_gym.scenarios import get_suite
+from wtg_gym.tasks.observation import WtgObservation
+from wtg_gym.tasks.sensing import MeasuredObservation
 
 Floats = npt.NDArray[Any]
 N_WTG, N_ACTION = 4, 8

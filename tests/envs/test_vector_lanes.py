@@ -52,7 +52,7 @@ def test_lane_equals_the_single_environment_with_its_seed_through_resets(mode: A
         assert vector_steps(batch, actions[:, :n_lanes], seed=40) == expected[:n_lanes]
 
 
-SUITES_V1 = [name for name, suite in SUITES.items() if suite.benchmark.version == "v1"]
+SUITES_V1 = [name for name, suite in SUITES.items() if suite.task.version == "v1"]
 
 
 @pytest.mark.parametrize("suite", SUITES_V1)

@@ -14,7 +14,7 @@ import pytest
 from wtg_gym.evaluation import Entry, load_entries
 from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY, STRATEGIES, TrackingLaw, get_law
 from wtg_gym.policies.entry import check_entries
-from wtg_gym.scenarios.benchmark import V0, V1
+from wtg_gym.tasks import V0, V1
 
 POLICIES = Path(__file__).resolve().parents[2] / "agents" / "policies"
 MODULE = """
@@ -54,7 +54,7 @@ def test_names_of_the_table_stand_for_baselines_and_for_all_seeds_of_a_policy() 
     assert found("PPO (k)") == [("PPO (k)", seed) for seed in range(5)]
     assert found("ppo-k-3") == [("PPO (k)", 3)]
     assert {name for name, _ in found("policies")} >= {"linear-feedback", "PPO", "recurrent PPO", "gradient LSTM"}
-    of_v0 = {entry.name for entry in load_entries("policies", benchmark=V0)}
+    of_v0 = {entry.name for entry in load_entries("policies", task=V0)}
     assert of_v0 >= {"linear-feedback", "PPO (k, τ)", "PPO (τ)", "SAC (k, τ)"}
 
 
@@ -135,7 +135,7 @@ def test_identity_of_a_law_follows_its_numbers_and_that_of_a_policy_needs_a_fing
 
 def test_baselines_are_those_of_the_version() -> None:
     laws = ["mppt", "deloaded-5", "deloaded-10", "coordinated-linear", "coordinated-piecewise"]
-    found = {v.version: [entry.name for entry in load_entries("baselines", benchmark=v)] for v in (V0, V1)}
+    found = {v.version: [entry.name for entry in load_entries("baselines", task=v)] for v in (V0, V1)}
     assert found["v0"] == [*laws, "coordinated-undamped", "tip-speed-feedback"]
     assert found["v1"] == [*laws, "coordinated-tuned", "coordinated-free", "fast-droop", "mean-droop"]
     environments = {name: load_entries(name)[0].environment for name in ("tip-speed-feedback", "fast-droop", "mppt")}

@@ -15,7 +15,7 @@ from wtg_gym.evaluation.generalisation import excess_gap, generalisation_gaps, l
 from wtg_gym.evaluation.statistics import Groups
 from wtg_gym.policies.play import started_lanes
 from wtg_gym.scenarios import draw_seeds
-from wtg_gym.scenarios.benchmark import V0
+from wtg_gym.tasks import V0
 
 PUBLIC = range(20_000, 20_040)
 DRAW = draw_seeds("standard", "a" * 40, b"a secret for these tests", 40)
@@ -43,7 +43,7 @@ def both() -> tuple[Results, Results]:
     feedback = tip_speed_feedback.ENTRY
     modes: dict[str, Any] = {"action_mode": feedback.action_mode, "observation_mode": feedback.observation_mode}
     entries = [
-        *load_entries("baselines", benchmark=V0),
+        *load_entries("baselines", task=V0),
         Entry(name="memoriser", policy=Memoriser(), fingerprint="memoriser", **modes),
         Entry(name="honest", policy=feedback.policy, fingerprint="honest", **modes),
     ]

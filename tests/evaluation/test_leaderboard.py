@@ -25,7 +25,7 @@ from wtg_gym.evaluation import (
 from wtg_gym.evaluation.results import markdown_section
 from wtg_gym.evaluation.table import columns_of
 from wtg_gym.scenarios import get_suite
-from wtg_gym.scenarios.benchmark import V1
+from wtg_gym.tasks import V1
 
 
 def test_table_has_the_best_first_and_equal_scores_share_a_rank(results: Results) -> None:

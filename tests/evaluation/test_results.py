@@ -47,7 +47,7 @@ def test_anchors_score_exactly_0_and_100(results: Results, results_v1: Results) 
         (results, ("mppt", "coordinated-piecewise")),
         (results_v1, ("coordinated-piecewise", "coordinated-tuned")),
     ):
-        assert each.benchmark.anchors == anchors
+        assert each.task.anchors == anchors
         assert [each.scores[name] for name in anchors] == [Interval(0.0, 0.0, 0.0), Interval(100.0, 100.0, 100.0)]
 
 

@@ -13,7 +13,7 @@ from scipy import stats
 
 from wtg_gym.evaluation import score, statistics
 from wtg_gym.evaluation.statistics import Groups
-from wtg_gym.scenarios.benchmark import V0, V1, Benchmark
+from wtg_gym.tasks import V0, V1, Task
 
 COSTS = arrays(np.float64, 7, elements=st.floats(0.0, 3050.0))
 #: Seven scenarios of three strata, and J0 of each.
@@ -54,12 +54,12 @@ def test_score_of_strata_is_the_mean_of_theirs_each_with_its_offset_and_scale() 
 
 
 @given(COSTS, COSTS, st.sampled_from([(V0, whole(7)), (V1, STRATA)]))
-def test_anchors_score_exactly_0_and_100(one: np.ndarray, other: np.ndarray, version: tuple[Benchmark, Groups]) -> None:
-    benchmark, groups = version
-    offsets = score.cost_offsets(groups, benchmark)
+def test_anchors_score_exactly_0_and_100(one: np.ndarray, other: np.ndarray, version: tuple[Task, Groups]) -> None:
+    task, groups = version
+    offsets = score.cost_offsets(groups, task)
     reference, zero = sorted((one, other), key=lambda c: float(np.log(c + offsets).sum()))
     try:
-        scales = score.score_scales(zero, reference, benchmark, groups)
+        scales = score.score_scales(zero, reference, task, groups)
     except score.NoScaleError:
         return
     for costs, points in ((zero, 0.0), (reference, 100.0)):
@@ -169,11 +169,11 @@ def test_differences_to_another_entry_are_paired() -> None:
     st.sampled_from([(V0, whole(7), [0.7]), (V1, STRATA, [0.7, 5.0, 80.0])]),
 )
 def test_points_by_term_add_up_to_the_score(
-    terms: np.ndarray, reference_terms: np.ndarray, version: tuple[Benchmark, Groups, list[float]]
+    terms: np.ndarray, reference_terms: np.ndarray, version: tuple[Task, Groups, list[float]]
 ) -> None:
-    benchmark, groups, scales = version
+    task, groups, scales = version
     costs, reference = terms.sum(axis=0), reference_terms.sum(axis=0)
-    offsets = score.cost_offsets(groups, benchmark)
+    offsets = score.cost_offsets(groups, task)
     points = score.points_by_term(costs, reference, terms, reference_terms, scales, groups, offsets)
     total = score.mean_score(score.gains(costs, reference, offsets), scales, groups) - 100.0
     assert math.fsum(points) == pytest.approx(total, rel=1e-9, abs=1e-9 * np.abs(points).max() + 1e-9)

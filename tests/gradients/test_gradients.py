@@ -13,7 +13,6 @@ import pytest
 
 from tests.physics.extended import plant
 from wtg_gym.envs.settings import EnvSettings
-from wtg_gym.envs.task_records import COST_TERMS
 from wtg_gym.gradients import check_by_differences
 from wtg_gym.gradients.adjoint import pull
 from wtg_gym.gradients.tape import Gradient, Tape
@@ -28,6 +27,7 @@ from wtg_gym.physics.scenario import (
     ReactanceStep,
     Scenario,
 )
+from wtg_gym.tasks.cost import COST_TERMS
 
 Floats = npt.NDArray[np.float64]
 N_LANES = 3

@@ -12,11 +12,11 @@ import pytest
 
 from wtg_gym.envs.lanes import TaskLanes
 from wtg_gym.envs.settings import EnvSettings
-from wtg_gym.envs.task_records import COST_TERMS
 from wtg_gym.gradients.plant_parameters import known_parameters, with_parameters
 from wtg_gym.gradients.tape import Tape
 from wtg_gym.physics.plant import PlantSettings
 from wtg_gym.physics.scenario import GovernorLoss, LoadStep, MachineOutage, Scenario
+from wtg_gym.tasks.cost import COST_TERMS
 
 Floats = npt.NDArray[np.float64]
 N_STEPS, N_LANES = 120, 3

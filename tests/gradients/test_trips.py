@@ -12,11 +12,11 @@ import pytest
 
 from tests.gradients.test_gradients import N_LANES, V1, actions_of, agrees, given, played
 from wtg_gym.envs.settings import EnvSettings
-from wtg_gym.envs.task_records import COST_TERMS
 from wtg_gym.gradients import LAW_PARAMETERS, check_by_differences
 from wtg_gym.gradients.tape import Tape
 from wtg_gym.physics.protection import STAGES
 from wtg_gym.physics.scenario import GovernorLoss, GroupTrip, LoadStep, Scenario
+from wtg_gym.tasks.cost import COST_TERMS
 
 Floats = npt.NDArray[np.float64]
 #: What a step is charged, one term alone, and what it shows.

@@ -39,7 +39,7 @@ def test_no_state_moves_at_the_start_at_any_wind(simulator: Simulator, law: Trac
 @pytest.mark.parametrize("suite", SUITES.values(), ids=lambda suite: suite.name)
 @pytest.mark.parametrize("split", ["validation", "test"])
 def test_no_state_moves_at_the_start_of_the_suites(simulator: Simulator, suite: Suite, split: str) -> None:
-    if suite.benchmark.version != "v0":
+    if suite.task.version != "v0":
         plant = suite.plant
         simulator = Simulator(plant, duration_s=suite.duration_s)
     laws = (STRATEGIES["coordinated-piecewise"],) * len(suite.plant.groups)

@@ -15,7 +15,7 @@ from wtg_gym.physics.plant import PlantSettings
 from wtg_gym.physics.scenario import Event, GovernorLoss, LoadStep, MachineOutage
 from wtg_gym.physics.simulator import Simulator
 from wtg_gym.scenarios import SUITES
-from wtg_gym.scenarios.benchmark import V0
+from wtg_gym.tasks import V0
 
 TIME_S = 30.0
 GOVERNOR = GovernorParameters(droop_pu=0.05, gate_max_pu=1.0)
@@ -96,4 +96,4 @@ def test_its_time_is_checked(wrong: float) -> None:
 
 def test_plants_of_v0_have_none_and_those_of_v1_have_it() -> None:
     for suite in SUITES.values():
-        assert suite.plant.secondary_time_s == (0.0 if suite.benchmark == V0 else TIME_S)
+        assert suite.plant.secondary_time_s == (0.0 if suite.task == V0 else TIME_S)

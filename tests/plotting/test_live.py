@@ -30,7 +30,7 @@ def test_without_an_action_you_are_the_reference(suite: Suite) -> None:
     you, *anchors = match.verdicts()
     same = next(each for each in anchors if each.name == "coordinated-piecewise")
     assert you._replace(name=same.name) == same
-    assert [each.name for each in anchors] == list(suite.benchmark.anchors)
+    assert [each.name for each in anchors] == list(suite.task.anchors)
     for values in match.sample().values():
         assert np.array_equal(values[OWN], values[REFERENCE])
 

@@ -14,7 +14,7 @@ from tests.evaluation.test_leaderboard import without_scale
 from wtg_gym.evaluation import Results, evaluate, leaderboard_rows, load_entries, table_cells
 from wtg_gym.evaluation.table import columns_of
 from wtg_gym.plotting.page import leaderboard_page
-from wtg_gym.scenarios.benchmark import V1
+from wtg_gym.tasks import V1
 
 pytest.importorskip("bokeh")
 
@@ -24,7 +24,7 @@ OWN: dict[str, Any] = {"split": "validation", "seeds": range(10_000, 10_009), "d
 @functools.cache
 def all_results() -> tuple[Results, ...]:
     """Results of both versions; of v1 without a scale too."""
-    laws, droop = ["mppt", "deloaded-10"], load_entries("fast-droop", benchmark=V1)
+    laws, droop = ["mppt", "deloaded-10"], load_entries("fast-droop", task=V1)
     return (
         evaluate(laws, "standard", **OWN, version="v0"),
         evaluate([*laws, *droop], "standard-v1", **OWN),

@@ -12,11 +12,11 @@ from wtg_gym.physics.grid import DEFAULT_GRID
 from wtg_gym.physics.plant import short_circuit_ratios
 from wtg_gym.physics.scenario import Fault, GovernorLoss, GroupTrip, LineTrip, MachineOutage
 from wtg_gym.scenarios import FROZEN_HASHES, SUITES, Suite, get_suite
-from wtg_gym.scenarios.benchmark import V1
 from wtg_gym.scenarios.sensor_distribution import SensorDistribution
+from wtg_gym.tasks import V1
 
-FIRST = [name for name, suite in SUITES.items() if suite.benchmark.version == "v0"]
-SECOND = [suite for suite in SUITES.values() if suite.benchmark.version == "v1"]
+FIRST = [name for name, suite in SUITES.items() if suite.task.version == "v0"]
+SECOND = [suite for suite in SUITES.values() if suite.task.version == "v1"]
 
 
 def test_suites_are_those_of_the_benchmark():

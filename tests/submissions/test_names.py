@@ -17,7 +17,7 @@ from wtg_gym.policies.conflicts import conflicts
 from wtg_gym.policies.gate import check_submission
 from wtg_gym.policies.load import ROOT, policy_folders, policy_name
 from wtg_gym.policies.names import plain_name
-from wtg_gym.scenarios.benchmark import V0, V1
+from wtg_gym.tasks import V0, V1
 
 POLICIES = ROOT / "agents" / "policies"
 
@@ -55,7 +55,7 @@ def test_entry_cannot_have_a_name_by_which_something_is_found(name: str, tmp_pat
 
 
 def test_everything_that_is_found_by_name_is_refused_as_a_name(tmp_path: Path) -> None:
-    baselines = {entry.name for version in (V0, V1) for entry in load_entries("baselines", benchmark=version)}
+    baselines = {entry.name for version in (V0, V1) for entry in load_entries("baselines", task=version)}
     shipped = {name for path in policy_folders() for name in (path.name, policy_name(path))}
     for index, name in enumerate(sorted({*STRATEGY_NAMES, *baselines, *filter(None, shipped)})):
         assert load_entries(name)

@@ -14,8 +14,6 @@ import pytest
 from tests.physics.extended import largest_rate, scenario
 from wtg_gym.envs.lanes import TaskLanes
 from wtg_gym.envs.settings import EnvSettings
-from wtg_gym.envs.task_records import CostTerms
-from wtg_gym.envs.task_units import TASK
 from wtg_gym.gradients import check_by_differences
 from wtg_gym.gradients.tape import Tape
 from wtg_gym.physics.further_units import FurtherUnits
@@ -25,6 +23,7 @@ from wtg_gym.physics.scenario import LoadStep
 from wtg_gym.physics.units import LANE, UNITS, Connection, Phasor, Terminal, quotient
 from wtg_gym.systems.elementary import clip, select, sine_cosine
 from wtg_gym.systems.systems import Kind, system
+from wtg_gym.tasks.cost import COST, CostTerms
 
 
 class Battery(NamedTuple):
@@ -57,7 +56,7 @@ BATTERIES = Kind(
     rows={"charge": BatteryState, "emf": float, "connected": float, "output": BatteryOutput},
     scratch={"seen": BatteryOutput},
     constants={"battery": Battery},
-    sees={"unit": UNITS, "lane": LANE, "task": TASK},
+    sees={"unit": UNITS, "lane": LANE, "cost": COST},
     states=("charge",),
 )
 

@@ -13,7 +13,7 @@ from wtg_gym.policies.conflicts import Conflict, conflicts
 from wtg_gym.policies.gate import Report, check_submission
 from wtg_gym.policies.load import ENTRY_FILE
 from wtg_gym.policies.submission_folder import parse_submission, read_files
-from wtg_gym.scenarios.benchmark import BENCHMARKS
+from wtg_gym.tasks import TASKS
 
 
 def suites(folders: Sequence[Path]) -> list[str]:
@@ -23,7 +23,7 @@ def suites(folders: Sequence[Path]) -> list[str]:
         # The gate says why one cannot be read.
         with contextlib.suppress(ValueError):
             said.add(parse_submission(read_files(folder)[ENTRY_FILE]).environment)
-    return [EnvSettings(version=each.version).suite_name for each in BENCHMARKS.values() if each.env_id in said]
+    return [EnvSettings(version=each.version).suite_name for each in TASKS.values() if each.env_id in said]
 
 
 def why_left_out(reports: Sequence[Report], wrong: Sequence[Conflict]) -> dict[Path, str]:

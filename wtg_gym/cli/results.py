@@ -39,9 +39,7 @@ def page(results: tuple[Path, ...], /, *, output: HtmlFile) -> int:
     read = [Results.read(each) for each in results]
     for each in read:
         if not each.has_scale:
-            out.note(
-                f"no ranking of {each.name}, where {each.benchmark.hundred} is no better than {each.benchmark.zero}"
-            )
+            out.note(f"no ranking of {each.name}, where {each.task.hundred} is no better than {each.task.zero}")
         for text in departures(each):
             out.note(f"{each.name} is not the benchmark's own: {text}")
     out.write_and_say(output, leaderboard_page(read))

@@ -35,7 +35,7 @@ _LARGEST_SECRET = 4096
 def chosen_entries(specs: Sequence[str], suite: str) -> list[Entry]:
     """Return the entries of `--entries` for a suite."""
     look_into_working_folder()
-    entries = load_entries(specs, get_suite(suite).benchmark)
+    entries = load_entries(specs, get_suite(suite).task)
     # `evaluate` checks them too, but after the simulator was compiled.
     check_entries(entries)
     return entries

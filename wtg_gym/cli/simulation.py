@@ -23,7 +23,7 @@ from wtg_gym.physics.tracking_law import STRATEGIES, STRATEGY_NAMES, TrackingLaw
 from wtg_gym.physics.trajectory import simulate
 from wtg_gym.progress import Progress
 from wtg_gym.scenarios import Suite, get_suite, read_wind_csv
-from wtg_gym.scenarios.benchmark import V0
+from wtg_gym.tasks import V0
 
 
 def run(
@@ -44,10 +44,10 @@ def run(
         # Another number of groups stands at bus 2.
         groups=None if scenario.n_wtg == len(suite.plant.groups) else scenario.n_wtg,
         control_dt=plant.control_dt,
-        trips_groups=(plant.on_failure or suite.benchmark.on_failure) == "trip",
+        trips_groups=(plant.on_failure or suite.task.on_failure) == "trip",
         **plant.replaced(),
     )
-    every = STRATEGIES if suite.benchmark is V0 else STRATEGY_NAMES
+    every = STRATEGIES if suite.task is V0 else STRATEGY_NAMES
     laws = _laws(strategies, settings.turbine, every)
     with Progress("runs") as progress:
         runs = {}
@@ -104,7 +104,7 @@ def _scenario(given: ScenarioOptions, suite: Suite) -> Scenario:
     else:
         n_groups = scenario.n_wtg if len(given.wind) == 1 else len(given.wind)
         wind = np.resize(np.array(given.wind), (n_groups, 1))
-    if suite.benchmark is not V0 and len(wind) != len(suite.plant.groups):
+    if suite.task is not V0 and len(wind) != len(suite.plant.groups):
         raise ValueError(f"there is wind for {len(wind)} WTG groups, {suite.name} has {len(suite.plant.groups)}")
     return dataclasses.replace(scenario, wind_speed=wind, wind_dt_s=wind_dt_s)
 
@@ -115,7 +115,7 @@ def _read_scenario(path: Path, suite: Suite) -> Scenario:
         scenario = Scenario.from_dict(data)
     except ValueError as error:
         raise ValueError(f"scenario file {path}: {error}") from error
-    if scenario.sensors is not None and not suite.benchmark.sensed:
+    if scenario.sensors is not None and not suite.task.has_sensors:
         raise ValueError(
             f"{path} has sensors, as scenarios of version v1: say with --suite whose grid it is, such as standard-v1"
         )

@@ -59,7 +59,7 @@ def _summary(suite: Suite) -> dict[str, Any]:
         "splits": {split: [suite.seeds(split).start, suite.seeds(split).stop - 1] for split in SPLITS},
         "cases": [case.name for case in suite.cases],
         "distribution": suite.sources(),
-        "benchmark": suite.benchmark.to_dict(),
+        "benchmark": suite.task.to_dict(),
         "plant": {"groups": [group.to_dict() for group in suite.plant.groups], **suite.plant_data},
         "sensors": None if suite.sensors is None else asdict(suite.sensors),
     }

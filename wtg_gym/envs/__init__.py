@@ -3,7 +3,8 @@
 from typing import TYPE_CHECKING, Any
 
 from wtg_gym.envs.gfm_wtg import GFMWTGEnv
-from wtg_gym.envs.settings import CostWeights, EnvArguments, EnvSettings
+from wtg_gym.envs.settings import EnvArguments, EnvSettings
+from wtg_gym.tasks.cost import CostWeights
 
 if TYPE_CHECKING:
     from wtg_gym.envs.gfm_wtg_vector import GFMWTGVectorEnv

@@ -1,4 +1,4 @@
-"""What an action may be, and how it moves k and τ."""
+"""What an action may be."""
 
 from __future__ import annotations
 
@@ -7,37 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from wtg_gym.envs.task_records import Reach
-from wtg_gym.envs.task_units import ACTING, TASK
 from wtg_gym.physics.layout import Floats
-from wtg_gym.systems.elementary import clip
-from wtg_gym.systems.systems import system
-
-#: Full action multiplies or divides the damping time constant by this.
-TIME_CONSTANT_RATIO = 4.0
-
-
-@system(ACTING, "action_k", "k_offset", when="modulates k")
-def act_on_k(wanted_on_k: float, reach: Reach) -> tuple[float, float]:
-    """Turn an action into an offset on k; zero leaves the law to the last bit."""
-    action = clip(wanted_on_k, -1.0, 1.0)
-    return action, reach.k_authority * action
-
-
-@system(ACTING, "action_tau", "inv_tau", when="modulates tau")
-def act_on_tau(wanted_on_tau: float, base_inv_tau: float) -> tuple[float, float]:
-    """Turn an action into a scale on τ; zero leaves the law to the last bit."""
-    action = clip(wanted_on_tau, -1.0, 1.0)
-    return action, base_inv_tau * TIME_CONSTANT_RATIO**-action
-
-
-@system(TASK, "was_active")
-def note_active(active: float) -> float:
-    """Remember whether a lane runs."""
-    return active
-
-
-ACT = (act_on_k, act_on_tau, note_active)
 
 
 def as_actions(given: Any, shape: tuple[int, ...]) -> Floats:

@@ -14,10 +14,10 @@ import numpy.typing as npt
 from gymnasium.envs.registration import EnvSpec
 
 from wtg_gym.envs.lanes import LanesSnapshot, TaskLanes
-from wtg_gym.envs.observation import OBSERVATION_BOUND
 from wtg_gym.envs.settings import EnvArguments, EnvSettings
 from wtg_gym.ranges import require_known
-from wtg_gym.scenarios.benchmark import BENCHMARKS
+from wtg_gym.tasks import TASKS
+from wtg_gym.tasks.observation import OBSERVATION_BOUND
 
 if TYPE_CHECKING:
     from wtg_gym.envs.rendering import LaneFrames
@@ -102,8 +102,8 @@ class OverLanes:
 
     @spec.setter
     def spec(self, spec: EnvSpec | None) -> None:
-        version = self.settings.benchmark.version
-        if spec is not None and spec.id in BENCHMARKS and BENCHMARKS[spec.id].version != version:
+        version = self.settings.task.version
+        if spec is not None and spec.id in TASKS and TASKS[spec.id].version != version:
             raise ValueError(
                 f"{spec.id} cannot be made with version = {version!r}: its id is its version; leave it out"
             )

@@ -10,19 +10,8 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from wtg_gym.envs.actions import TIME_CONSTANT_RATIO
-from wtg_gym.envs.observation import N_LOCAL, N_MEASURED, observation_names
-from wtg_gym.envs.settings import ACTION_MODES, EnvSettings
-from wtg_gym.envs.task import (
-    Outputs,
-    bind,
-    new_outputs,
-    step_blocks,
-    task_data,
-    task_of,
-)
-from wtg_gym.envs.task_records import CostTerms, Info, LocalInfo
-from wtg_gym.envs.task_units import ACTING, HISTORY, SENSED, SENSORS, TASK
+from wtg_gym.envs.settings import EnvSettings
+from wtg_gym.envs.stepping import Outputs, bind, new_outputs, step_blocks, task_data
 from wtg_gym.physics.kernel_data import LaneData
 from wtg_gym.physics.linearisation import STEP_MARGIN, largest_stable_steps
 from wtg_gym.physics.protection import Status
@@ -32,6 +21,10 @@ from wtg_gym.physics.simulator import PreparedLanes, Simulator
 from wtg_gym.physics.start_errors import StartError
 from wtg_gym.ranges import whole_steps
 from wtg_gym.systems.records import flatten, size
+from wtg_gym.tasks.cost import COST, FILTERED_DUTY, CostTerms
+from wtg_gym.tasks.episode import ACTING, ACTION_MODES, HISTORY, TASK, TIME_CONSTANT_RATIO
+from wtg_gym.tasks.observation import Info, LocalInfo
+from wtg_gym.tasks.sensing import SENSED, SENSORS
 
 Floats = npt.NDArray[np.float64]
 
@@ -91,28 +84,21 @@ class TaskLanes:
         self.n_wtg = len(plant.groups)
         self.n_turbines = [group.n_turbines for group in plant.groups]
         self.duration_s = settings.episode_duration_s()
-        self.observation_names = observation_names(
-            self.n_wtg,
-            len(plant.case.machines),
-            settings.action_mode,
-            privileged=settings.observation_mode == "privileged",
-            sensed=self.suite.benchmark.sensed,
-        )
-        self.observation_names += [name for own in plant.further for name in own.names()]
+        self.observation_names = settings.task.observation_names(settings.choices)
         self.info_names = (*Info._fields, *(LocalInfo._fields if plant.extended else ()))
         self.n_observation = len(self.observation_names)
         #: Numbers that each group has of its own in an observation, before its last actions; groups come first.
-        self.n_local = N_MEASURED if self.suite.benchmark.sensed else N_LOCAL
+        self.n_local = settings.task.n_local
         self.simulator = Simulator(
             plant,
             n_lanes=n_lanes,
             duration_s=self.duration_s,
-            further=task_of(settings),
+            further=settings.task.further(settings.choices),
             n_threads=n_threads,
         )
         self.n_lanes = self.simulator.n_lanes
         self.nominal_hz = plant.case.frequency_hz
-        self.task = task_data(settings, self.simulator.layout)
+        self.task_data = task_data(settings.task, settings.choices, self.simulator.layout)
         self._check_time_constants()
         self._check_draws()
         self.n_action = self.n_wtg * sum(ACTION_MODES[settings.action_mode])
@@ -140,7 +126,7 @@ class TaskLanes:
             "duration_s": self.duration_s,
             "weights": self.settings.cost_weights(),
             "plant": self.simulator.settings,
-            "version": self.suite.benchmark.version,
+            "version": self.suite.task.version,
             "action_mode": self.settings.action_mode,
             "observation_mode": self.settings.observation_mode,
         }
@@ -223,13 +209,13 @@ class TaskLanes:
         rows[:, layout.first_rows(HISTORY, "frequency")] = 1.0
         group = layout.first_rows(ACTING, "group")
         rows[:, group], rows[:, group + 1] = rows[:, layout.wtg("inv_tau")], rows[:, layout.wtg("speed")]
-        if self.suite.benchmark.sensed:
+        if self.suite.task.has_sensors:
             first = layout.first_rows(SENSORS, "sensor_input")[0]
             places = [
                 *range(first, first + size(SensorInput)),
                 *layout.first_rows(SENSED, "wind_bias"),
-                *layout.first_rows(SENSED, "leaves_at"),
-                *layout.first_rows(SENSED, "returns_at"),
+                *layout.first_rows(FILTERED_DUTY, "leaves_at"),
+                *layout.first_rows(FILTERED_DUTY, "returns_at"),
             ]
             rows[:, places] = [self._sensor_numbers(scenario) for scenario in scenarios]
         else:
@@ -237,16 +223,16 @@ class TaskLanes:
                 self._sensor_numbers(scenario)
         outputs = new_outputs(len(rows), self.n_observation)
         blocks, scratches = rows[:, :, np.newaxis], simulator.new_scratches(1, 1)
-        bound = bind(blocks, scratches, simulator.plant.network, lanes.data, self.task, outputs)
+        bound = bind(blocks, scratches, simulator.plant.network, lanes.data, self.task_data, outputs)
         step_blocks(bound, np.zeros((0, self.n_action)), 0, len(rows), 0, True)
         return outputs
 
     def _sensor_numbers(self, scenario: Scenario) -> list[float]:
         """Return the constants of a scenario's sensors, and of each group the bias of its wind and when it leaves."""
         sensors = scenario.sensors
-        if not self.suite.benchmark.sensed:
+        if not self.suite.task.has_sensors:
             if sensors is not None:
-                version = self.suite.benchmark.version
+                version = self.suite.task.version
                 raise ValueError(f"scenario {scenario.name!r} has sensors; version {version} measures exactly")
             return []
         given = sensor_input(sensors, self.settings.control_dt, self.nominal_hz)
@@ -312,7 +298,12 @@ class TaskLanes:
         simulator = self.simulator
         if self._bound is None:
             self._bound = bind(
-                simulator.blocks, simulator.scratches, simulator.plant.network, simulator.data, self.task, self.outputs
+                simulator.blocks,
+                simulator.scratches,
+                simulator.plant.network,
+                simulator.data,
+                self.task_data,
+                self.outputs,
             )
         bound, alone = self._bound, simulator.threads.n_blocks == 1
         if alone:
@@ -340,12 +331,13 @@ class TaskLanes:
         return self.outputs.terminated.copy(), self.outputs.truncated.copy()
 
     def task_values(self, name: str) -> Floats:
-        """Return a number of the task of every lane by its name in `envs.task_units.TASK`, (n_lanes,)."""
-        return self.simulator.values(self.simulator.layout.first_rows(TASK, name)[0])
+        """Return a number of the task or the cost of every environment by its name, (n_lanes,)."""
+        kind = TASK if name in TASK.rows else COST
+        return self.simulator.values(self.simulator.layout.first_rows(kind, name)[0])
 
     def cost_sums(self) -> Floats:
         """Return each lane's costs of the episode so far, (n_lanes, n_terms), in the order of `COST_TERMS`."""
-        first = self.simulator.layout.first_rows(TASK, "sums")[0]
+        first = self.simulator.layout.first_rows(COST, "sums")[0]
         return np.stack([self.simulator.values(first + i) for i in range(size(CostTerms))], axis=1)
 
     def info_arrays(self) -> dict[str, npt.NDArray[Any]]:
@@ -374,7 +366,7 @@ class TaskLanes:
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__.update(state)
-        self.simulator.link(task_of(self.settings))
+        self.simulator.link(self.settings.task.further(self.settings.choices))
 
     def snapshot(self) -> LanesSnapshot:
         """Return a copy of everything that changes."""

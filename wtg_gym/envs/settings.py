@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from os import PathLike, fspath
 from typing import Any, TypedDict
 
-from wtg_gym.physics.checked import Checked, design
 from wtg_gym.physics.grid import DEFAULT_GRID, Grid, file_of
 from wtg_gym.physics.parameters import WtgGroup
 from wtg_gym.physics.plant import PlantSettings
@@ -17,13 +15,14 @@ from wtg_gym.physics.scenario import SERIES_DT, Scenario
 from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY, TrackingLaw, group_laws
 from wtg_gym.ranges import require_choice, require_known, require_range, whole_steps
 from wtg_gym.scenarios import DEFAULT_SUITE, FRESH, SPLITS, SUITES, Suite, get_suite, suite_of_grid
-from wtg_gym.scenarios.benchmark import Benchmark
 from wtg_gym.scenarios.sensor_distribution import SensorDistribution
+from wtg_gym.tasks import TASKS, Task
+from wtg_gym.tasks.cost import CostWeights
+from wtg_gym.tasks.episode import ACTION_MODES
+from wtg_gym.tasks.observation import OBSERVATION_MODES
+from wtg_gym.tasks.task import Choices
 
-#: Action modes and which of (k, τ) each of them modulates.
-ACTION_MODES: dict[str, tuple[bool, bool]] = {"k": (True, False), "tau": (False, True), "k+tau": (True, True)}
-OBSERVATION_MODES = ("local", "privileged")
-VERSIONS = ("v0", "v1")
+VERSIONS = tuple(task.version for task in TASKS.values())
 _ON_FAILURE = ("terminate", "trip")
 #: Settings that are one of some names.
 _CHOICES: dict[str, Sequence[str]] = {
@@ -31,65 +30,6 @@ _CHOICES: dict[str, Sequence[str]] = {
     "observation_mode": OBSERVATION_MODES,
     "split": (*SPLITS, FRESH),
 }
-
-
-def _weight(default: float, doc: str, low: float = 0.0) -> Any:
-    return design(default, "1/s", doc, low, 1e6)
-
-
-@dataclass(frozen=True, kw_only=True)
-class CostWeights(Checked):
-    """Weights of the cost's terms. Each is a rate [1/s] at the deviation that `doc` names as one unit.
-
-    The reward is minus the cost. The terms' equations are in :mod:`wtg_gym.envs.cost`.
-    """
-
-    frequency: float = _weight(
-        1.0,
-        "one at ±0.2 Hz, where European primary reserve is fully active; quadratic inside, four times as steep "
-        "as at that edge outside",
-    )
-    rocof: float = _weight(
-        4.0, "one unit at 0.2 Hz/s over 500 ms, squared; loss-of-mains relays act from 0.5 … 1 Hz/s on"
-    )
-    duty: float = _weight(
-        2.0,
-        "one unit at a captured power 5 % of the available away from what the prescribed characteristic asks: the "
-        "reserve that a unit is paid to hold. In v0 its weight is twice that of the frequency: a unit controls its "
-        "reserve alone, but the frequency only together with all others",
-    )
-    rotor: float = _weight(
-        5.0,
-        "one unit at a tip-speed ratio 10 % of λ_opt beyond 0.9 λ_opt … 1.1 λ_pr, squared: low speed leads to "
-        "stall, high speed loads the structure",
-    )
-    overload: float = _weight(
-        10.0,
-        "one unit at 0.1 p.u. of power above 1.1 p.u., squared. A converter at its current limit, which v0 does "
-        "not model, no longer forms the grid: 1.2 p.u. costs about what 0.4 Hz of deviation do",
-    )
-    effort: float = _weight(
-        0.05,
-        "one unit at full action, four at a change by 1 within a step: a tie-breaker that keeps unused actions at "
-        "zero and discourages chatter",
-    )
-    cap: float = _weight(
-        50.0,
-        "largest cost rate while the episode goes on; a failure costs this for the rest of the episode and one "
-        "second more, so that going on is never dearer. In v1 it holds for all terms but frequency and load not served",
-        low=1e-3,
-    )
-    unserved: float = _weight(
-        300.0,
-        "in v1 alone: one unit where the whole load is not served. The first stage of shedding, 5 %, costs what "
-        "0.55 Hz of deviation do: it does not pay to have load shed",
-    )
-    failure: float = _weight(
-        250.0,
-        "in v1 alone: largest cost rate while the episode goes on, more than the limits of the frequency, all stages "
-        "of shedding and all other terms at their cap cost; a failed episode costs this for its whole length and one "
-        "second more",
-    )
 
 
 class EnvArguments(TypedDict, total=False):
@@ -186,7 +126,7 @@ class EnvSettings:
         if isinstance(suite, str) and f"{suite}-{self.version}" in SUITES:
             return f"{suite}-{self.version}"
         if not str(suite).endswith(".json"):
-            known = [name for name, known in SUITES.items() if self.version in (None, known.benchmark.version)]
+            known = [name for name, known in SUITES.items() if self.version in (None, known.task.version)]
             require_choice("suite", suite, known)
         return suite
 
@@ -194,14 +134,14 @@ class EnvSettings:
     def resolved_suite(self) -> Suite:
         """The suite."""
         suite = get_suite(self.suite_name)
-        if self.version not in (None, suite.benchmark.version):
-            raise ValueError(f"suite {self.suite_name!r} is of version {suite.benchmark.version}, not {self.version}")
+        if self.version not in (None, suite.task.version):
+            raise ValueError(f"suite {self.suite_name!r} is of version {suite.task.version}, not {self.version}")
         return suite
 
     @cached_property
     def resolved_plant(self) -> PlantSettings:
         """The plant: the suite's with what `plant` replaces, or `plant` itself."""
-        failure = self.on_failure or self.benchmark.on_failure
+        failure = self.on_failure or self.task.on_failure
         arguments: dict[str, Any] = {"control_dt": self.control_dt, "trips_groups": failure == "trip"}
         if self.groups is not None:
             arguments["groups"] = self.groups
@@ -220,17 +160,23 @@ class EnvSettings:
         return self.resolved_suite.env_id
 
     @property
-    def benchmark(self) -> Benchmark:
-        """The version of the benchmark."""
-        return self.resolved_suite.benchmark
+    def task(self) -> Task:
+        """What is acted, charged and observed."""
+        return self.resolved_suite.task
+
+    @cached_property
+    def choices(self) -> Choices:
+        """What the environment chooses of the task."""
+        privileged = self.observation_mode == "privileged"
+        return Choices(self.resolved_plant, self.cost_weights(), self.action_mode, privileged)
 
     def sensor_distribution(self) -> SensorDistribution | None:
         """Return what the sensors' errors are drawn from, None where they measure exactly; errors name the value."""
         own = self.resolved_suite.sensors
         if self.sensors is None:
             return own
-        if own is None and not self.benchmark.sensed:
-            raise ValueError(f"sensors are part of version v1; version {self.benchmark.version} measures exactly")
+        if own is None and not self.task.has_sensors:
+            raise ValueError(f"sensors are part of version v1; version {self.task.version} measures exactly")
         if self.scenario is not None:
             raise ValueError("sensors are those of the scenario where one is given; leave out one of the two")
         if self.sensors == "exact":
@@ -243,9 +189,9 @@ class EnvSettings:
         """Return the weights in force; a ValueError names unknown ones."""
         if self.weights is not None and not isinstance(self.weights, Mapping):
             raise ValueError(f"weights must be a dictionary of names and numbers, got {self.weights!r}")
-        given = dict(self.weights or {})
-        require_known("weights", given, [field.name for field in dataclasses.fields(CostWeights)])
-        return CostWeights(**{**dict(self.benchmark.weights), **given})
+        changes = dict(self.weights or {})
+        require_known("weights", changes, CostWeights._fields)
+        return self.task.weights._replace(**changes).checked()
 
     def laws(self) -> tuple[TrackingLaw, ...]:
         """Return one law per WTG group; a ValueError lists the known strategies."""

@@ -15,7 +15,6 @@ from typing import Any
 
 import numpy as np
 
-from wtg_gym.envs.actions import TIME_CONSTANT_RATIO
 from wtg_gym.envs.settings import EnvSettings
 from wtg_gym.evaluation.circumstances import environment_fingerprint, versions
 from wtg_gym.evaluation.episodes import Episode
@@ -30,9 +29,10 @@ from wtg_gym.policies.play import play, started_lanes
 from wtg_gym.policies.policy_process import NotIsolatedError
 from wtg_gym.ranges import is_whole, require_whole
 from wtg_gym.scenarios import DEFAULT_SUITE, FRESH, FreshDraw, get_suite
-from wtg_gym.scenarios.benchmark import V0
 from wtg_gym.scenarios.suite import Suite
 from wtg_gym.systems.compiled import source_hash
+from wtg_gym.tasks import V0
+from wtg_gym.tasks.episode import TIME_CONSTANT_RATIO
 
 Progress = Callable[[str, int, int], None]
 #: A batch: an entry, and the seeds of the scenarios that it plays at once.
@@ -107,7 +107,7 @@ def evaluate(
     suite_hash = settings.resolved_suite.hash
     store = PartialStore(partial, [settings.suite_name, suite_hash, split, shared])
     parts = [part for entry in competitors for part in _parts(entry, chosen, batch)]
-    needed = settings.benchmark.anchors if keep_going else [entry.name for entry in competitors]
+    needed = settings.task.anchors if keep_going else [entry.name for entry in competitors]
     with contextlib.closing(_stored_and_played(store, parts, settings, n_threads, workers)) as batches:
         episodes, failures = _collected(batches, parts, on_progress, needed)
     return Results(
@@ -132,14 +132,14 @@ def evaluate(
 def _with_anchors(given: str | Path | Entry | Sequence[str | Path | Entry], suite: Suite) -> list[Entry]:
     """Return the entries, and the version's anchors that are not among them."""
     entries: list[Any] = []
-    benchmark = suite.benchmark
+    task = suite.task
     if not isinstance(given, (str, Path, Entry, Sequence)):
         raise ValueError(f"entries must be names, paths or Entry, one or a list of them, got {given!r}")
     for each in [given] if isinstance(given, (str, Path, Entry)) else given:
-        entries += load_entries(each, benchmark=benchmark) if isinstance(each, (str, Path)) else [each]
+        entries += load_entries(each, task=task) if isinstance(each, (str, Path)) else [each]
     check_entries(entries)
     check_version(entries, suite)
-    missing = [name for name in benchmark.anchors if name not in {entry.name for entry in entries}]
+    missing = [name for name in task.anchors if name not in {entry.name for entry in entries}]
     return [*entries, *(Entry(name=name, strategy=name, description="Anchor of the score.") for name in missing)]
 
 
@@ -188,26 +188,26 @@ def chosen_seeds(suite: str, split: str, seeds: Sequence[int] | None, draw: Fres
 
 def shared_settings(settings: EnvSettings) -> dict[str, Any]:
     """Return the settings that all entries share, defaults filled in, as JSON-ready data."""
-    benchmark, plant = settings.benchmark, settings.resolved_plant
+    task, plant = settings.task, settings.resolved_plant
     found: dict[str, Any] = {
         "duration_s": settings.episode_duration_s(),
         "control_dt": float(settings.control_dt),
         "simulation_dt": float(plant.simulation_dt),
-        "weights": {key: float(value) for key, value in dataclasses.asdict(settings.cost_weights()).items()},
+        "weights": {key: float(value) for key, value in settings.cost_weights()._asdict().items()},
         "groups": [group.to_dict() for group in plant.groups],
-        "authority": {"k": benchmark.k_authority, "tau": TIME_CONSTANT_RATIO},
+        "authority": {"k": task.k_authority, "tau": TIME_CONSTANT_RATIO},
         "on_failure": "trip" if plant.trips_groups else "terminate",
     }
     if settings.plant is not None:
         if not isinstance(settings.plant, Mapping):
             raise ValueError("results say which plant was played: plant must be a dictionary of what to replace")
         found["replaced"] = dict(settings.plant)
-    if benchmark is not V0:
+    if task is not V0:
         sensors = settings.sensor_distribution()
-        found["version"] = benchmark.version
+        found["version"] = task.version
         found["plant"] = dict(settings.resolved_suite.plant_data)
         found["sensors"] = "exact" if sensors is None else dataclasses.asdict(sensors)
-        found["duty_time_s"] = benchmark.duty_time_s
+        found["duty_time_s"] = task.duty_time_s
     # Lists, as files hold them, not tuples.
     data: dict[str, Any] = json.loads(json.dumps(found))
     return data

@@ -62,7 +62,7 @@ def generalisation_gaps(public: Results, fresh: Results) -> list[GeneralisationG
     for key in ("suite", "suite_hash", "source_hash", "settings"):
         if getattr(public, key) != getattr(fresh, key):
             raise ValueError(f"the two results are of another {key.replace('_', ' ')}: evaluate both again")
-    zero, hundred = public.benchmark.anchors
+    zero, hundred = public.task.anchors
     others = {hundred, *left_out(public, fresh)}
     rows = [row for row in leaderboard_rows(public) if row.name not in others]
     controls = [row.name for row in rows if row.kind != "learned"]

@@ -33,8 +33,8 @@ from wtg_gym.physics.scenario import (
 from wtg_gym.physics.units import BUSES
 from wtg_gym.policies.entry import Entry, check_version
 from wtg_gym.policies.play import play, started_lanes
-from wtg_gym.scenarios.benchmark import V1
 from wtg_gym.scenarios.suites import DEFAULT_SUITE, get_suite
+from wtg_gym.tasks import V1
 
 #: What the short keys in each test's `source` stand for.
 SOURCES = {

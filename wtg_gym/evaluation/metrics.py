@@ -15,8 +15,8 @@ import numpy as np
 import numpy.typing as npt
 
 from wtg_gym.envs.lanes import TERMINATION_REASONS, TaskLanes
-from wtg_gym.envs.task_records import COST_TERMS
 from wtg_gym.physics.protection import Status
+from wtg_gym.tasks.cost import COST_TERMS
 
 Floats = npt.NDArray[np.float64]
 

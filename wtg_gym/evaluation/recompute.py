@@ -72,7 +72,7 @@ def recompute(
             differences.append(Difference("seeds", f"those of {draw.secret_sha256[:12]}", "others: not of this secret"))
     given = {(entry.name, entry.training_seed): entry for entry in entries}
     wanted = [(entry["name"], entry["training_seed"]) for entry in (*stored.entries, *stored.failed)]
-    missing = [name for name, seed in wanted if (name, seed) not in given and name not in stored.benchmark.anchors]
+    missing = [name for name, seed in wanted if (name, seed) not in given and name not in stored.task.anchors]
     if missing:
         raise ValueError(f"the results hold entries that were not given: {', '.join(dict.fromkeys(missing))}")
     now = evaluate(
@@ -131,7 +131,7 @@ def _circumstances(results: Results) -> dict[str, Any]:
     found = {"source_hash": results.source_hash}
     found |= {f"environment.{key}": value for key, value in results.environment.items()} | dict(results.versions)
     for label, entry in _by_label(results).items():
-        if entry["name"] not in results.benchmark.anchors:
+        if entry["name"] not in results.task.anchors:
             found |= {f"{label}: {key}": value for key, value in entry.items() if key not in _PLAYED}
     return found
 

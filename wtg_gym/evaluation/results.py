@@ -20,7 +20,7 @@ from wtg_gym.evaluation.summary import EntrySummary, Runs, ranked
 from wtg_gym.evaluation.table import columns_of, markdown_table, notes_on_marks
 from wtg_gym.ranges import ByName
 from wtg_gym.scenarios import get_suite
-from wtg_gym.scenarios.benchmark import Benchmark
+from wtg_gym.tasks import Task
 
 Value = TypeVar("Value")
 
@@ -74,9 +74,9 @@ class Results:
         return f"{'; '.join(filter(None, notes))}\n\n{markdown_table(self.ranking)}"
 
     @property
-    def benchmark(self) -> Benchmark:
+    def task(self) -> Task:
         """Version of the benchmark, with the names of the score's anchors."""
-        return get_suite(self.suite).benchmark
+        return get_suite(self.suite).task
 
     @property
     def scores(self) -> dict[str, Interval]:
@@ -92,7 +92,7 @@ class Results:
                 none.
         """
         self._check_strata()
-        return summary.scored(self._measured, self._runs, self.pinned_costs, self.benchmark, self.groups)
+        return summary.scored(self._measured, self._runs, self.pinned_costs, self.task, self.groups)
 
     @cached_property
     def _measured(self) -> list[EntrySummary]:
@@ -109,10 +109,10 @@ class Results:
     @cached_property
     def no_score(self) -> str:
         """Why there is no score, and what ranks instead; "" where there is a score."""
-        zero, hundred = (self.pinned_costs[name][0] for name in self.benchmark.anchors)
+        zero, hundred = (self.pinned_costs[name][0] for name in self.task.anchors)
         try:
             self._check_strata()
-            score_scales(zero, hundred, self.benchmark, self.groups)
+            score_scales(zero, hundred, self.task, self.groups)
         except NoScaleError as error:
             return f"ranked by mean cost, as there is no score: {error}"
         return ""
@@ -138,7 +138,7 @@ class Results:
     @property
     def gains(self) -> dict[str, Floats]:
         """Gains over the hundred by the entry's name, (n_runs, n_scenarios)."""
-        hundred = self.pinned_costs[self.benchmark.hundred][0]
+        hundred = self.pinned_costs[self.task.hundred][0]
         return self._by_entry(
             {name: gains(costs, hundred, self.cost_offsets) for name, costs in self.pinned_costs.items()}
         )
@@ -153,11 +153,11 @@ class Results:
     @property
     def cost_offsets(self) -> Floats:
         """J0 of every scenario, (n_scenarios,)."""
-        return cost_offsets(self.groups, self.benchmark)
+        return cost_offsets(self.groups, self.task)
 
     @property
     def _cap(self) -> float | None:
-        return None if self.benchmark.charges_worst else float(self.settings["weights"]["cap"])
+        return None if self.task.failure_costs_whole_episode else float(self.settings["weights"]["cap"])
 
     @property
     def name(self) -> str:
@@ -270,10 +270,10 @@ def markdown_section(results: Results, *, details: bool = False) -> str:
     In short, since v1, a sentence on the frequency comes first, and entries below the entry at 0 are only named.
     """
     rows = results.ranking
-    short = not details and results.benchmark.version != "v0"
+    short = not details and results.task.version != "v0"
     below = [row for row in rows if short and row.score is not None and row.score.value < 0.0]
     shown = [row for row in rows if row not in below]
-    named = f"below {results.benchmark.zero}: {', '.join(f'`{row.name}`' for row in below)}" if below else ""
+    named = f"below {results.task.zero}: {', '.join(f'`{row.name}`' for row in below)}" if below else ""
     notes = " ".join(
         f"{note[0].upper()}{note[1:]}." for note in (results.no_score, *notes_on_marks(rows), named) if note
     )
@@ -283,9 +283,9 @@ def markdown_section(results: Results, *, details: bool = False) -> str:
 
 def _frequency_sentence(results: Results) -> str:
     """Return what the anchors and the best learned entry do for the frequency [mHz]."""
-    benchmark, rows = results.benchmark, results.ranking
+    task, rows = results.task, results.ranking
     learned = next((row for row in rows if row.kind == "learned"), None)
-    who = {benchmark.zero: "the published law", benchmark.hundred: "that law tuned to this grid"}
+    who = {task.zero: "the published law", task.hundred: "that law tuned to this grid"}
     if learned is not None:
         who[learned.name] = f"`{learned.name}`, the best learned entry"
     deviations = {row.name: row.median_deviation_mhz for row in rows}

@@ -23,7 +23,7 @@ import numpy as np
 
 from wtg_gym.evaluation.episodes import Episode
 from wtg_gym.evaluation.statistics import Floats, Groups, mean, mean_over_groups
-from wtg_gym.scenarios.benchmark import Benchmark
+from wtg_gym.tasks import Task
 
 
 class NoScaleError(ValueError):
@@ -49,11 +49,11 @@ def pinned(episode: Episode, cap: float | None) -> float:
     return cost if cap is None else pinned_cost(cost, failed=episode.failed, duration_s=episode.duration_s, cap=cap)
 
 
-def cost_offsets(groups: Groups, benchmark: Benchmark) -> Floats:
+def cost_offsets(groups: Groups, task: Task) -> Floats:
     """Return J0 of every scenario, (n_scenarios,)."""
     found = np.empty(sum(group.size for group in groups.values()))
     for name, group in groups.items():
-        found[group] = dict(benchmark.cost_offsets)[name]
+        found[group] = dict(task.cost_offsets)[name]
     return found
 
 
@@ -80,20 +80,20 @@ def gains(costs: Floats, hundred: Floats, offsets: Floats) -> Floats:
     return np.array([base - logarithms(run) for run in costs])
 
 
-def score_scales(zero: Floats, hundred: Floats, benchmark: Benchmark, groups: Groups) -> list[float]:
+def score_scales(zero: Floats, hundred: Floats, task: Task, groups: Groups) -> list[float]:
     """Return Λ of every group of scenarios, from the pinned costs of the two anchors, each of shape (n_scenarios,).
 
     Raises:
         NoScaleError: a Λ is not positive, so that there is no scale to score on.
     """
-    lost = gains(zero[np.newaxis], hundred, cost_offsets(groups, benchmark))[0]
+    lost = gains(zero[np.newaxis], hundred, cost_offsets(groups, task))[0]
     scales = [-mean(lost[group]) for group in groups.values()]
     for (name, group), scale in zip(groups.items(), scales, strict=True):
         if not scale > 0.0:
             stratum = f" of the stratum {name!r}" if name else ""
             raise NoScaleError(
-                f"on these {group.size} scenarios{stratum} {benchmark.zero} (mean cost {mean(zero[group]):.4g}) is not "
-                f"worse than {benchmark.hundred} (mean cost {mean(hundred[group]):.4g}): Λ = {scale:.3g} must be "
+                f"on these {group.size} scenarios{stratum} {task.zero} (mean cost {mean(zero[group]):.4g}) is not "
+                f"worse than {task.hundred} (mean cost {mean(hundred[group]):.4g}): Λ = {scale:.3g} must be "
                 "positive to score with"
             )
     return scales

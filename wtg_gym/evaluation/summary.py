@@ -15,8 +15,8 @@ from wtg_gym.evaluation import statistics
 from wtg_gym.evaluation.episodes import Episode
 from wtg_gym.evaluation.score import cost_offsets, gains, pinned, points_by_term, score_scales
 from wtg_gym.evaluation.statistics import Floats, Groups, Interval
-from wtg_gym.scenarios.benchmark import Benchmark
 from wtg_gym.scenarios.suite import Suite
+from wtg_gym.tasks import Task
 
 #: The episodes of an entry, a sequence for each training seed.
 Runs = Sequence[Sequence[Episode]]
@@ -85,17 +85,17 @@ def scored(
     rows: Sequence[EntrySummary],
     runs: Mapping[str, Runs],
     costs: Mapping[str, Floats],
-    benchmark: Benchmark,
+    task: Task,
     groups: Groups,
 ) -> list[EntrySummary]:
     """Return the :func:`measured` rows with their scores; a NoScaleError if the zero is not worse than the hundred."""
-    hundred = costs[benchmark.hundred][0]
-    scales = score_scales(costs[benchmark.zero][0], hundred, benchmark, groups)
-    offsets = cost_offsets(groups, benchmark)
+    hundred = costs[task.hundred][0]
+    scales = score_scales(costs[task.zero][0], hundred, task, groups)
+    offsets = cost_offsets(groups, task)
     gained = {name: gains(own, hundred, offsets) for name, own in costs.items()}
-    zero = gained[benchmark.zero][0]
+    zero = gained[task.zero][0]
     terms = {row.name: parts_of_costs(runs[row.name], costs[row.name]) for row in rows}
-    hundred_terms = terms[benchmark.hundred][:, 0]
+    hundred_terms = terms[task.hundred][:, 0]
 
     def with_score(row: EntrySummary) -> EntrySummary:
         own = gained[row.name]
@@ -176,17 +176,17 @@ def _measured(
     suite: Suite,
     groups: Groups,
 ) -> EntrySummary:
-    runs, costs, benchmark, nominal_hz = (
+    runs, costs, task, nominal_hz = (
         all_runs[entry["name"]],
         all_costs[entry["name"]],
-        suite.benchmark,
+        suite.task,
         suite.nominal_hz,
     )
-    hundred = all_runs[benchmark.hundred]
+    hundred = all_runs[task.hundred]
     lost, bad = _lost(runs), lost_or_beyond(runs, nominal_hz)
     more = statistics.share_difference(bad, lost_or_beyond(hundred, nominal_hz), groups)
     # Of equal counts in other strata the shares differ in their last bits.
-    marked = not benchmark.charges_worst or (
+    marked = not task.failure_costs_whole_episode or (
         round(more.value, 9) <= 0.0 and statistics.share_difference(lost, _lost(hundred), groups).low <= 0.0
     )
     worst = float(np.median(_deviations(runs, "worst_nadir_hz", "worst_zenith_hz", nominal_hz)))
@@ -194,7 +194,7 @@ def _measured(
         name=entry["name"],
         kind=str(entry["kind"]),
         privileged=entry["observation_mode"] == "privileged",
-        version=benchmark.version,
+        version=task.version,
         n_runs=costs.shape[0],
         n_episodes=costs.size,
         n_lost=int(lost.sum()),
@@ -204,7 +204,7 @@ def _measured(
         marked=marked,
         mean_pinned_cost=statistics.mean(costs),
         worst_decile_cost=statistics.mean(statistics.worst_tenth(costs)),
-        worst_decile_to_hundred=statistics.worst_tenth_difference(costs, all_costs[benchmark.hundred], groups),
+        worst_decile_to_hundred=statistics.worst_tenth_difference(costs, all_costs[task.hundred], groups),
         median_deviation_mhz=float(np.median(_deviations(runs, "nadir_hz", "zenith_hz", nominal_hz))),
         median_worst_deviation_mhz=None if math.isnan(worst) else worst,
         median_nadir_hz=float(np.median(_values(runs, "nadir_hz"))),

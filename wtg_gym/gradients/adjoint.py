@@ -1,12 +1,13 @@
 """Back through one control step: play it again on a tape, then pull cotangents back through its programs in turn.
 
-The programs are those of the step (:mod:`wtg_gym.physics.step`, :mod:`wtg_gym.envs.task`), the right-hand side in three
+The programs are those of the step (:mod:`wtg_gym.physics.step`, and a task's), the right-hand side in three
 parts: flows, the sweeps that hold currents, motion. What is no system has its rule here: the fixed point of the sweeps,
 and a governor that an event takes away. Discrete events and the ends of runs do not move.
 """
 
 from __future__ import annotations
 
+import functools
 import math
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -14,12 +15,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from wtg_gym.envs import task as of_task
-from wtg_gym.envs.actions import ACT
-from wtg_gym.envs.cost import CHARGE
-from wtg_gym.envs.measuring import MEASURE
-from wtg_gym.envs.observation import OBSERVE
-from wtg_gym.envs.task import TaskData, read_actions
+from wtg_gym.envs.stepping import TaskData, read_actions
 from wtg_gym.physics import integration
 from wtg_gym.physics import step as of_step
 from wtg_gym.physics.extension_unit import EXTENSIONS
@@ -40,41 +36,51 @@ from wtg_gym.systems.programs import NONE, Arrangement, Program, in_one_table, u
 from wtg_gym.systems.routines import Routine
 from wtg_gym.systems.systems import Kind, count
 from wtg_gym.systems.writers import BackWithoutConstants, BackWriter, NotingWriter, TapedWriter, Writer
+from wtg_gym.tasks import V1, Task
 
 #: The way back through the sweeps that hold currents ends where no cotangent changes by more than this share of the
 #: lane's largest. They come some thirty times at most; if ever this many were too few, not a number comes back.
 _SWEEPS = 1000
 _SETTLED = 1e-13
 
-PROGRAMS = in_one_table(
-    *integration.PROGRAMS,
-    *of_task.PROGRAMS,
-    ACTED=ACT,
-    FLOWS=of_step.FLOWS,
-    SWEEP=of_step.SWEEP,
-    MOTION=(*of_step.CAPTURE, *of_step.MOVE),
-    RATES=(*of_step.CAPTURE, *of_step.RATES),
-    FINISHED=unconditional(of_step.MOVED),
-    CHARGED=CHARGE,
-    MEASURED=MEASURE,
-    OBSERVED=OBSERVE,
-    LIMITS=of_step.LIMITS,
-    REST=of_step.WATCH,
-)
-#: Programs that have a way back, in the order of :class:`Noted`.
-TAPED = PROGRAMS[:9]
-_sweep, _limits, _rest = PROGRAMS[2], *PROGRAMS[9:]
+
+@functools.cache
+def programs_of(task: Task) -> tuple[Program, ...]:
+    """Return the programs of a task's step that are taped, and those it is replayed with."""
+    return in_one_table(
+        *integration.PROGRAMS,
+        *task.programs,
+        ACTED=task.act,
+        FLOWS=of_step.FLOWS,
+        SWEEP=of_step.SWEEP,
+        MOTION=(*of_step.CAPTURE, *of_step.MOVE),
+        RATES=(*of_step.CAPTURE, *of_step.RATES),
+        FINISHED=unconditional(of_step.MOVED),
+        CHARGED=task.charge,
+        MEASURED=task.measure,
+        OBSERVED=task.observe,
+        LIMITS=of_step.LIMITS,
+        REST=of_step.WATCH,
+    )
+
+
+# Every task has its programs at the same places.
+_PROGRAMS = programs_of(V1)
+#: How many of them have a way back, in the order of :class:`Noted`.
+N_TAPED = 9
+_TAPED = _PROGRAMS[:N_TAPED]
+_sweep, _limits, _rest = _PROGRAMS[2], *_PROGRAMS[N_TAPED:]
 _FORWARD = {
     program.name: Routine(program, writer)
-    for programs, writer in ((TAPED, TapedWriter), ((_sweep,), NotingWriter), ((_limits, _rest), Writer))
+    for programs, writer in ((_TAPED, TapedWriter), ((_sweep,), NotingWriter), ((_limits, _rest), Writer))
     for program in programs
 }
 _act, _flow, _note_sweep, _move, _rate, _finish, _charge, _measure, _observe, _hold, _end_step = (
-    _FORWARD[program.name].call for program in PROGRAMS
+    _FORWARD[program.name].call for program in _PROGRAMS
 )
 #: The ways back stand at one place, with cotangents of constants or without.
 _WITHOUT, _WITH = (
-    tuple(Routine(program, writer, place=1) for program in TAPED) for writer in (BackWithoutConstants, BackWriter)
+    tuple(Routine(program, writer, place=1) for program in _TAPED) for writer in (BackWithoutConstants, BackWriter)
 )
 _act_back, _flow_back, _sweep_back, _move_back, _rate_back, _finish_back, _charge_back, _measure_back, _observe_back = (
     routine.call for routine in _WITH
@@ -327,7 +333,7 @@ def pull(
         observation_bars: of the observations (n_lanes, n_observation).
         action_bars: takes those of the actions (n_lanes, n_action).
         constant_bars: those of the constants are added to (n_blocks, n_numbers, width).
-        network, data, task: as for :func:`~wtg_gym.envs.task.step_blocks`.
+        network, data, task: as for :func:`~wtg_gym.envs.stepping.step_blocks`.
         actions: of the step (n_lanes, n_action).
         rules, work: see :func:`rules_of` and :func:`work_of`.
     """

@@ -9,14 +9,12 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from wtg_gym.envs import task as of_task
 from wtg_gym.envs.actions import as_actions
 from wtg_gym.envs.lanes import TaskLanes
-from wtg_gym.envs.settings import ACTION_MODES, EnvSettings
-from wtg_gym.envs.task import Outputs, bind, step_blocks, task_of
-from wtg_gym.envs.task_records import COST_TERMS
-from wtg_gym.envs.task_units import ACTING, TASK
-from wtg_gym.gradients.adjoint import PROGRAMS, TAPED, Work, pull, routines_of, rules_of, work_of
+from wtg_gym.envs.settings import EnvSettings
+from wtg_gym.envs.stepping import Outputs, bind, step_blocks
+from wtg_gym.gradients.adjoint import N_TAPED, Work, pull, routines_of, rules_of, work_of
+from wtg_gym.gradients.adjoint import programs_of as taped_programs
 from wtg_gym.gradients.plant_parameters import (
     Leaf,
     Moved,
@@ -27,10 +25,12 @@ from wtg_gym.gradients.plant_parameters import (
 )
 from wtg_gym.physics import integration
 from wtg_gym.physics.layout import Whole
-from wtg_gym.physics.plant import Arranged, arranged, build_plant, programs_of
+from wtg_gym.physics.plant import Arranged, Plant, arranged, build_plant, programs_of
 from wtg_gym.physics.scenario import Scenario
 from wtg_gym.systems.programs import Program, constant_places
 from wtg_gym.systems.routines import code_of
+from wtg_gym.tasks.cost import COST, COST_TERMS
+from wtg_gym.tasks.episode import ACTING, ACTION_MODES, TASK
 
 Floats = npt.NDArray[np.float64]
 #: Parameters of a tracking law that gradients are taken with respect to.
@@ -138,9 +138,10 @@ class Tape:
         """Take lanes whose steps are to be differentiated."""
         self.lanes = lanes
         simulator, settings, layout = lanes.simulator, lanes.settings, lanes.simulator.layout
-        further, built = task_of(settings), build_plant(simulator.settings)
-        programs = programs_of(built, *integration.PROGRAMS, *of_task.PROGRAMS, *PROGRAMS)
-        taped = programs[-len(PROGRAMS) :][: len(TAPED)]
+        task, built = settings.task, build_plant(simulator.settings)
+        further = task.further(settings.choices)
+        programs = self._programs(built)
+        taped = programs[-len(taped_programs(task)) :][:N_TAPED]
         #: The plant, with the table of the programs that go back.
         self._plant = arranged(built, layout, programs, further, taped)
         self._link(programs)
@@ -161,12 +162,17 @@ class Tape:
             # Where actions scale 1/τ, the law's own is kept beside them.
             inv_tau = layout.first_rows(ACTING, "group")
         self._law_rows = np.stack([*(layout.wtg(name) for name in LAW_PARAMETERS[:3]), inv_tau], axis=1)
-        terms = layout.first_rows(TASK, "terms")[0] + np.arange(len(COST_TERMS))
+        terms = layout.first_rows(COST, "terms")[0] + np.arange(len(COST_TERMS))
         outputs = [layout.lane("coi"), layout.first_rows(TASK, "rocof")[0]]
         outputs += [*layout.wtg("rotor_speed"), *layout.machine("speed")]
         #: Rows of a block: of the terms of a step's cost, and of what `output_names` names.
         self._term_rows, self._output_rows = terms, np.array(outputs, dtype=np.int64)
         self._scratch_outputs = Outputs._make(np.zeros_like(array) for array in lanes.outputs)
+
+    def _programs(self, plant: Plant) -> tuple[Program, ...]:
+        """Return the programs of the physics, of the task and of the tape."""
+        task = self.lanes.settings.task
+        return programs_of(plant, *integration.PROGRAMS, *task.programs, *taped_programs(task))
 
     def _link(self, programs: Sequence[Program]) -> None:
         """Let the plant know where the machine code is in this process."""
@@ -177,7 +183,7 @@ class Tape:
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__.update(state)
-        self._link(programs_of(self._plant, *integration.PROGRAMS, *of_task.PROGRAMS, *PROGRAMS))
+        self._link(self._programs(self._plant))
 
     @property
     def output_names(self) -> tuple[str, ...]:
@@ -301,7 +307,7 @@ class Tape:
 
     def _again(self, blocks: Floats, actions: Floats) -> None:
         own = self.lanes.simulator
-        bound = bind(blocks, own.scratches, own.plant.network, own.data, self.lanes.task, self._scratch_outputs)
+        bound = bind(blocks, own.scratches, own.plant.network, own.data, self.lanes.task_data, self._scratch_outputs)
         own.threads.run(lambda first, last, worker: step_blocks(bound, actions, first, last, worker, False))
 
     def outputs(self) -> Floats:
@@ -360,7 +366,7 @@ class Tape:
                 last,
                 self._plant.network,
                 simulator.data,
-                self.lanes.task,
+                self.lanes.task_data,
                 self._actions[step],
                 self._rules,
                 self._work(worker),

@@ -46,7 +46,7 @@ def leaderboard_page(results: Sequence[Results]) -> str:
     ranked = [each for each in results if each.has_scale]
     if not ranked:
         raise ValueError("the page needs results with a score")
-    ranked.sort(key=lambda each: each.benchmark.version, reverse=True)
+    ranked.sort(key=lambda each: each.task.version, reverse=True)
     names = [each.name for each in ranked]
     if twice := sorted({name for name in names if names.count(name) > 1}):
         raise ValueError(f"results of the same scenarios were given twice: {', '.join(twice)}")
@@ -84,7 +84,7 @@ def _ranking(results: Results) -> Any:
     filtered = CustomJS(args={"source": source}, code="source.change.emit()")
     kind.js_on_change("active", filtered)
     name.js_on_change("value_input", filtered)
-    zero, hundred = results.benchmark.anchors
+    zero, hundred = results.task.anchors
     words = Div(
         text=f"<b>{escape(results.environment['id'])}</b>, suite {escape(results.suite)}: {len(results.seeds)} "
         f"{escape(results.split)} scenarios. Score 0 is {zero}, 100 is {hundred}; in brackets are 95 % intervals. "

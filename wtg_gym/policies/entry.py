@@ -11,8 +11,8 @@ from typing import Any, Protocol, runtime_checkable
 from wtg_gym.envs.settings import EnvSettings
 from wtg_gym.files import sha256
 from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY, TrackingLaw, get_law
-from wtg_gym.scenarios.benchmark import ANCHOR_NAMES, ANY_GRID, BENCHMARKS, V1
 from wtg_gym.scenarios.suite import Suite
+from wtg_gym.tasks import ANCHOR_NAMES, ANY_GRID, TASKS, V1
 
 #: What entries of one name must agree on, as they share a row.
 _OF_A_ROW = ("kind", "strategy", "action_mode", "observation_mode", "source")
@@ -84,9 +84,9 @@ class Entry:
                 f"per_group of entry {name!r} must be true or false, and true with local observations alone, got "
                 f"{self.per_group!r}"
             )
-        if self.environment not in (None, ANY_GRID, *BENCHMARKS):
+        if self.environment not in (None, ANY_GRID, *TASKS):
             raise ValueError(
-                f"environment of entry {name!r} must be one of {', '.join((*BENCHMARKS, ANY_GRID))}, got "
+                f"environment of entry {name!r} must be one of {', '.join((*TASKS, ANY_GRID))}, got "
                 f"{self.environment!r}"
             )
         if self.policy is not None and not is_policy(self.policy):
@@ -218,7 +218,7 @@ def check_entries(entries: Sequence[Entry]) -> None:
 
 def check_version(entries: Sequence[Entry], suite: Suite) -> None:
     """Raise a ValueError if an entry's policy takes observations of another version, or of another grid's groups."""
-    moving = (V1.env_id, ANY_GRID) if suite.benchmark is V1 else ()
+    moving = (V1.env_id, ANY_GRID) if suite.task is V1 else ()
     for entry in entries:
         # A law has no observations, and what was made by hand takes those of any number of groups.
         moves = entry.per_group or not entry.learned or entry.policy is None

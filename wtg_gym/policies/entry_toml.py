@@ -5,11 +5,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-from wtg_gym.envs.settings import ACTION_MODES, OBSERVATION_MODES
 from wtg_gym.files import parse_toml
 from wtg_gym.physics.tracking_law import STRATEGY_NAMES
 from wtg_gym.policies.submission_texts import short
-from wtg_gym.scenarios.benchmark import BENCHMARKS, V1
+from wtg_gym.tasks import TASKS, V1
+from wtg_gym.tasks.episode import ACTION_MODES
+from wtg_gym.tasks.observation import OBSERVATION_MODES
 
 #: What any folder's file must say.
 NEEDED = ("name", "action_mode")
@@ -28,7 +29,7 @@ _KEYS = (
 _CHOICES = {
     "action_mode": tuple(ACTION_MODES),
     "observation_mode": OBSERVATION_MODES,
-    "environment": tuple(BENCHMARKS),
+    "environment": tuple(TASKS),
     "strategy": STRATEGY_NAMES,
 }
 _LARGEST_SEED = 2**32 - 1

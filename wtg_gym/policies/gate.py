@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from wtg_gym.envs.settings import ACTION_MODES, EnvSettings
+from wtg_gym.envs.settings import EnvSettings
 from wtg_gym.files import sha256
 from wtg_gym.physics.tracking_law import get_law
 from wtg_gym.policies.entry import Entry, Policy
@@ -23,7 +23,8 @@ from wtg_gym.policies.onnx_policy import OnnxPolicy
 from wtg_gym.policies.play import play, started_lanes
 from wtg_gym.policies.policy_process import NotIsolatedError
 from wtg_gym.policies.submission_folder import EntryFile, parse_submission, read_files
-from wtg_gym.scenarios.benchmark import BENCHMARKS, V1
+from wtg_gym.tasks import TASKS, V1
+from wtg_gym.tasks.episode import ACTION_MODES
 
 Floats = npt.NDArray[np.float64]
 #: All checks in their order.
@@ -165,7 +166,7 @@ def _check_not_found(what: str, name: str, folders: Sequence[Path]) -> None:
 def _check_no_baseline(actions: Floats, entry: EntryFile) -> None:
     """Refuse a policy that plays as a baseline does on the same law: the law itself, or a feedback made by hand."""
     known = {entry.strategy: (np.zeros_like(actions), entry.action_mode)}
-    for baseline in load_entries(BASELINES, benchmark=BENCHMARKS[entry.environment]):
+    for baseline in load_entries(BASELINES, task=TASKS[entry.environment]):
         if baseline.policy is not None and baseline.law == get_law(entry.strategy):
             known[baseline.name] = _rollout_of(baseline, _ROLLOUT_LANES), baseline.action_mode
     for name, (others, mode) in known.items():
@@ -240,7 +241,7 @@ def rollout(policy: Policy, described: Entry | EntryFile, *, backwards: bool = F
     """
     keys = ("action_mode", "observation_mode", "per_group", "environment", "strategy")
     entry = Entry(name="the policy", policy=policy, **{key: getattr(described, key) for key in keys})
-    settings = EnvSettings(version=BENCHMARKS[described.environment or V1.env_id].version, split="validation")
+    settings = EnvSettings(version=TASKS[described.environment or V1.env_id].version, split="validation")
     order = -1 if backwards else 1
     seeds = settings.resolved_suite.validation[:_ROLLOUT_LANES][::order]
     actions: list[Floats] = []

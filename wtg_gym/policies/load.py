@@ -20,13 +20,13 @@ from wtg_gym.policies.entry_toml import parse_entry
 from wtg_gym.policies.names import BASELINES, INSTALLED, POLICIES, ROOT, check_not_built_in, is_built_in
 from wtg_gym.policies.onnx_policy import OnnxPolicy
 from wtg_gym.ranges import did_you_mean
-from wtg_gym.scenarios.benchmark import V1, Benchmark
+from wtg_gym.tasks import V1, Task
 
 #: The files of a folder with a trained policy.
 ENTRY_FILE, POLICY_FILE = "entry.toml", "policy.onnx"
 
 
-def load_entries(spec: str | Path | Iterable[str | Path], benchmark: Benchmark = V1) -> list[Entry]:
+def load_entries(spec: str | Path | Iterable[str | Path], task: Task = V1) -> list[Entry]:
     """Return the entries that a text or several name.
 
     Args:
@@ -43,12 +43,12 @@ def load_entries(spec: str | Path | Iterable[str | Path], benchmark: Benchmark =
     if not isinstance(spec, (str, Path, Iterable)):
         raise ValueError(f"load_entries() takes names and paths, got {spec!r}")
     if not isinstance(spec, (str, Path)):
-        return [entry for each in spec for entry in load_entries(each, benchmark)]
+        return [entry for each in spec for entry in load_entries(each, task)]
     text = str(spec)
     if text == BASELINES:
-        return _baselines(benchmark.version)
+        return _baselines(task.version)
     if text == POLICIES:
-        return _for_version(policy_folders(), benchmark)
+        return _for_version(policy_folders(), task)
     baselines = _baselines() if is_built_in(text) else []
     if named := [entry for entry in baselines if entry.name == text]:
         return named
@@ -65,7 +65,7 @@ def load_entries(spec: str | Path | Iterable[str | Path], benchmark: Benchmark =
             "wtg_gym.export_onnx(wtg_gym.sb3.DeterministicPolicy(model), folder, name=...)"
         )
     if shipped := [folder for folder in policy_folders() if text in (folder.name, policy_name(folder))]:
-        return _for_version(shipped, benchmark)
+        return _for_version(shipped, task)
     module_name, colon, attribute = text.partition(":")
     if not colon and Path(text or "no folder").is_dir():
         raise ValueError(f"the folder {text} holds no {ENTRY_FILE}; several folders are {text.rstrip('/')}/*")
@@ -100,10 +100,10 @@ def _said(folder: Path) -> dict[str, Any]:
         return {}
 
 
-def _for_version(folders: Sequence[Path], benchmark: Benchmark) -> list[Entry]:
+def _for_version(folders: Sequence[Path], task: Task) -> list[Entry]:
     """Return the entries of shipped folders: those for a version, or all if there are none for it."""
     entries = [load_entry_folder(folder) for folder in folders]
-    return [entry for entry in entries if entry.environment == benchmark.env_id] or entries
+    return [entry for entry in entries if entry.environment == task.env_id] or entries
 
 
 def load_entry_folder(folder: Path) -> Entry:

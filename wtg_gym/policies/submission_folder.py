@@ -19,7 +19,7 @@ from wtg_gym.policies.entry_toml import parse_entry
 from wtg_gym.policies.load import ENTRY_FILE, POLICY_FILE
 from wtg_gym.policies.names import check_not_built_in
 from wtg_gym.policies.submission_texts import check_author, check_name, check_text
-from wtg_gym.scenarios.benchmark import BENCHMARKS
+from wtg_gym.tasks import TASKS
 
 #: The files of a folder and their largest sizes [bytes]; every limit is far above what a policy here needs.
 FILES = {ENTRY_FILE: LARGEST_TOML_BYTES, POLICY_FILE: 5_000_000, "README.md": 65_536}
@@ -48,7 +48,7 @@ class EntryFile:
 
     def widths(self) -> tuple[int, int]:
         """Return how many observations and actions there are in its modes and environment, or for one group of it."""
-        version = BENCHMARKS[self.environment].version
+        version = TASKS[self.environment].version
         modes: Any = {"action_mode": self.action_mode, "observation_mode": self.observation_mode}
         lanes = TaskLanes(EnvSettings(version=version, **modes), 1, 1)
         n_parts = lanes.n_wtg if self.per_group else 1

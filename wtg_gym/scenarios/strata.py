@@ -12,10 +12,10 @@ from wtg_gym.physics.grid import DEFAULT_GRID, digest_of_grid, get_grid
 from wtg_gym.physics.machine_parameters import GovernorParameters
 from wtg_gym.physics.parameters import GridFormingParameters, WtgGroup
 from wtg_gym.physics.plant import PlantSettings
-from wtg_gym.scenarios.benchmark import V1, Benchmark
 from wtg_gym.scenarios.distribution import ScenarioDistribution
 from wtg_gym.scenarios.sensor_distribution import SensorDistribution
 from wtg_gym.scenarios.suite import Suite
+from wtg_gym.tasks import V1, Task
 
 #: Load of the grid that the sizes below are for [MW].
 _LOAD_MW = 259.0
@@ -227,7 +227,7 @@ def suite_of_strata(
     scenarios_of: str | None = None,
     event_size: float = 1.0,
     own: Mapping[str, Mapping[str, Any]] | None = None,
-    benchmark: Benchmark = V1,
+    task: Task = V1,
     **settings: Any,
 ) -> Suite:
     """Return a suite of version v1.
@@ -281,7 +281,7 @@ def suite_of_strata(
         name=f"{name}-v1",
         description=description,
         duration_s=180.0,
-        benchmark=benchmark,
+        task=task,
         sensors=sensors or SensorDistribution(),
         drawn_from=drawn_from,
         validation=range(10_000, 10_300),

@@ -18,9 +18,9 @@ from wtg_gym.physics.parameters import TurbineParameters, WtgGroup
 from wtg_gym.physics.plant import PlantSettings
 from wtg_gym.physics.scenario import Event, Scenario, trusted
 from wtg_gym.ranges import did_you_mean, is_whole, require_whole
-from wtg_gym.scenarios.benchmark import ANY_GRID, V0, Benchmark
 from wtg_gym.scenarios.distribution import ScenarioDistribution
 from wtg_gym.scenarios.sensor_distribution import SensorDistribution
+from wtg_gym.tasks import ANY_GRID, V0, Task
 
 #: Names of the frozen splits, in the order of the seeds' use.
 SPLITS = ("train", "validation", "test")
@@ -56,7 +56,7 @@ class Suite:
         name: name of the suite.
         description: one line on what it is about.
         duration_s: length of its runs [s].
-        benchmark: version of the benchmark that it belongs to.
+        task: what is acted, charged and observed: a version of the benchmark.
         grid: name of its grid, or path of the grid's file.
         plant: the grid with its machines, turbines and physics.
         plant_data, described: what its hash holds of the plant in versions after v0, and which plant that describes:
@@ -77,7 +77,7 @@ class Suite:
     name: str
     description: str
     duration_s: float
-    benchmark: Benchmark = V0
+    task: Task = V0
     grid: str = DEFAULT_GRID
     plant: PlantSettings = field(default_factory=PlantSettings)
     plant_data: Mapping[str, Any] = field(default_factory=dict)
@@ -105,7 +105,7 @@ class Suite:
     @property
     def env_id(self) -> str:
         """Id of its environment."""
-        return self.benchmark.env_id if self.grid == DEFAULT_GRID else ANY_GRID
+        return self.task.env_id if self.grid == DEFAULT_GRID else ANY_GRID
 
     @property
     def nominal_hz(self) -> float:
@@ -251,9 +251,9 @@ class Suite:
             "splits": {split: [s.start, s.stop, s.step] for split, s in seeds.items()},
             "drawn": drawn,
         }
-        if self.benchmark != V0:
+        if self.task is not V0:
             whole = {} if self.plant == self.described else {"whole": repr(self.plant)}
-            data["benchmark"], data["plant"] = self.benchmark.to_dict(), {**self.plant_data, **whole}
+            data["benchmark"], data["plant"] = self.task.to_dict(), {**self.plant_data, **whole}
             data["sensors"] = None if self.sensors is None else asdict(self.sensors)
         text = json.dumps(data, sort_keys=True, separators=(",", ":"), allow_nan=False)
         return hashlib.sha256(text.encode()).hexdigest()

@@ -13,12 +13,12 @@ from wtg_gym.physics.grid import DEFAULT_GRID, FOLDER, get_grid
 from wtg_gym.physics.parameters import WtgGroup
 from wtg_gym.physics.scenario import LoadStep, LoadTrip
 from wtg_gym.ranges import did_you_mean
-from wtg_gym.scenarios.benchmark import V1
 from wtg_gym.scenarios.distribution import ScenarioDistribution
 from wtg_gym.scenarios.grid_suite import read_suite, suite_of_file
 from wtg_gym.scenarios.sensor_distribution import SensorDistribution
 from wtg_gym.scenarios.strata import Places, suite_of_strata, wind_plant
 from wtg_gym.scenarios.suite import FixedCase, Suite
+from wtg_gym.tasks import V1
 
 
 def _paper_cases(wind_speed_m_s: tuple[float, float], increase_mw: float) -> tuple[FixedCase, FixedCase]:
@@ -93,7 +93,7 @@ _PAPER_V1 = Suite(
     name="paper-v1",
     description="The paper's cases in this grid: 35 MW more at bus 2 and at bus 3; the loads of buses 4 and 9 lost.",
     duration_s=120.0,
-    benchmark=V1,
+    task=V1,
     sensors=SensorDistribution(),
     cases=_paper_cases((11.0, 9.0), 35.0),
     **_WIND_PLANT,

@@ -87,7 +87,7 @@ class Match:
             n_threads=1,
         )
         verdicts = []
-        for name in (YOU, *results.benchmark.anchors):
+        for name in (YOU, *results.task.anchors):
             (episode,) = results.episodes_of(name)
             metrics = {key: float(value) for key, value in episode.metrics.items() if value is not None}
             deviation = max(self.nominal_hz - metrics["nadir_hz"], metrics["zenith_hz"] - self.nominal_hz)

@@ -1,0 +1,184 @@
+"""One step of a task over the environments of a block: actions, physics, cost, observation, information.
+
+One compiled call does it all: act → the physics' step → charge → measure → observe → end. The lists of systems are
+those of a :class:`~wtg_gym.tasks.task.Task`.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any, NamedTuple
+
+import numba
+import numpy as np
+import numpy.typing as npt
+from numba.experimental import structref
+
+from wtg_gym.physics.integration import advance_interval
+from wtg_gym.physics.kernel_data import LaneData, Network
+from wtg_gym.physics.layout import Floats, Layout, Whole
+from wtg_gym.systems.compiled import compiled, internal
+from wtg_gym.systems.programs import NONE
+from wtg_gym.systems.routines import Routine
+from wtg_gym.systems.systems import count
+from wtg_gym.tasks import V1, Task
+from wtg_gym.tasks.cost import COST
+from wtg_gym.tasks.episode import ACTING, ACTION_MODES, TASK
+from wtg_gym.tasks.observation import INFO, Info, LocalInfo
+from wtg_gym.tasks.task import Choices
+
+Observations = npt.NDArray[np.float32]
+N_INFO = len(Info._fields) + len(LocalInfo._fields)
+# Every task has its lists at the same places.
+_act, _charge, _start_sensors, _measure, _observe, _end = (Routine(program).call for program in V1.programs)
+
+
+class Outputs(NamedTuple):
+    """Outputs of a step, one row per lane."""
+
+    observations: Observations  # (n_lanes, n_observation)
+    rewards: Floats  # (n_lanes,), 0 for a lane that had ended
+    infos: Floats  # (n_lanes, N_INFO)
+    terminated: npt.NDArray[np.bool_]  # (n_lanes,)
+    truncated: npt.NDArray[np.bool_]  # (n_lanes,)
+
+
+def new_outputs(n_lanes: int, n_observation: int) -> Outputs:
+    """Return outputs of zeros."""
+    flags = (np.zeros(n_lanes, dtype=np.bool_) for _ in range(2))
+    observations = np.zeros((n_lanes, n_observation), dtype=np.float32)
+    return Outputs(observations, np.zeros(n_lanes), np.zeros((n_lanes, N_INFO)), *flags)
+
+
+class TaskData(NamedTuple):
+    """Where the loops of the task find rows: in scratch, but for the last three."""
+
+    wanted: Whole  # actions (n_action,)
+    observed: Whole  # entries of the observation (n_observation,)
+    info: int  # the first of N_INFO
+    was_active: int
+    cost: int
+    active: int
+    status: int
+
+
+def task_data(task: Task, choices: Choices, layout: Layout) -> TaskData:
+    """Return where the loops of the task find rows."""
+    modulated = np.array(ACTION_MODES[choices.action_mode])
+    wanted = layout.first_rows(ACTING, "wanted")[:, np.newaxis] + np.arange(count(ACTING.scratch["wanted"]))
+    return TaskData(
+        wanted=wanted[:, modulated].ravel(),
+        observed=task.observed_rows(choices, layout),
+        info=int(layout.first_rows(INFO, "info")[0]),
+        was_active=int(layout.first_rows(TASK, "was_active")[0]),
+        cost=int(layout.first_rows(COST, "cost")[0]),
+        active=layout.lane("active"),
+        status=layout.lane("status"),
+    )
+
+
+@internal
+def read_actions(scratch: Floats, actions: Floats, first: int, task: TaskData) -> int:
+    """Copy the actions of a block's lanes, from row `first` of (n_lanes, n_action) on; padding lanes have none.
+
+    Returns:
+        the first lane with an action that is not finite, or -1.
+    """
+    invalid = -1
+    for a in range(task.wanted.shape[0]):
+        for x in range(scratch.shape[1]):
+            action = actions[first + x, a] if first + x < actions.shape[0] else 0.0
+            if not math.isfinite(action) and (invalid < 0 or first + x < invalid):
+                invalid = first + x
+            scratch[task.wanted[a], x] = action
+    return invalid
+
+
+@internal
+def _report(block: Floats, scratch: Floats, first: int, task: TaskData, outputs: Outputs) -> None:
+    """Copy what the lanes of a block, from `first` on, have observed, and say whether their episodes are over."""
+    for x in range(min(block.shape[1], outputs.rewards.shape[0] - first)):
+        lane = first + x
+        outputs.rewards[lane] = 0.0
+        if scratch[task.was_active, x] > 0.5:
+            outputs.rewards[lane] = -block[task.cost, x]
+            for k in range(task.observed.shape[0]):
+                outputs.observations[lane, k] = scratch[task.observed[k], x]
+            for k in range(N_INFO):
+                outputs.infos[lane, k] = scratch[task.info + k, x]
+            failed = block[task.status, x] != 0.0
+            outputs.terminated[lane] = failed
+            outputs.truncated[lane] = not failed and block[task.active, x] < 0.5
+
+
+# A call into compiled code unpacks every array that it is given, which takes a third as long as the step of one
+# environment. Bound to one object, they are unpacked once.
+
+
+@structref.register
+class _BoundType(numba.types.StructRef):  # type: ignore[misc]
+    """The compiler's type of :class:`Bound`."""
+
+    def preprocess_fields(self, fields: Any) -> Any:
+        return tuple((name, numba.types.unliteral(kind)) for name, kind in fields)
+
+
+class Bound(structref.StructRefProxy):  # type: ignore[misc]
+    """The arguments of :func:`step_blocks` that last, in one object; :func:`bind` makes it."""
+
+
+structref.define_proxy(Bound, _BoundType, ["blocks", "scratches", "network", "data", "task", "outputs"])
+
+
+# The constructor that numba makes for `Bound` is not kept on disk: each process would compile it anew.
+@compiled
+def bind(blocks: Floats, scratches: Floats, network: Network, data: LaneData, task: TaskData, outputs: Outputs) -> Any:
+    """Return the arguments of :func:`step_blocks` that last.
+
+    Args:
+        blocks: (n_blocks, n_rows, width).
+        scratches: of each worker (n_workers, n_scratch, width).
+        network, data: as for :func:`~wtg_gym.physics.integration.advance_interval`.
+        task: see :func:`task_data`.
+        outputs: written for running lanes; the reward is 0 for those that had ended.
+    """
+    return Bound(blocks, scratches, network, data, task, outputs)
+
+
+@compiled
+def step_blocks(bound: Any, actions: Floats, first: int, last: int, worker: int, starts: bool) -> int:
+    """Apply actions, advance one control interval, observe and charge, for the lanes of blocks first … last - 1.
+
+    Args:
+        bound: see :func:`bind`.
+        actions: (n_lanes, n_action), clipped to [-1, 1] here.
+        first, last: range of blocks.
+        worker: whose scratch is used.
+        starts: take the first measurements and observations of prepared episodes instead.
+
+    Returns:
+        -1, or the first lane with an action that is not finite: its block and those after it have not been stepped.
+    """
+    blocks, scratch, network, task = bound.blocks, bound.scratches[worker], bound.network, bound.task
+    width, tables = blocks.shape[2], network.tables
+    for b in range(first, last):
+        block, arrays = blocks[b], (blocks[b], scratch)
+        if starts:
+            for x in range(width):
+                scratch[task.was_active, x] = 1.0
+        else:
+            invalid = read_actions(scratch, actions, b * width, task)
+            if invalid >= 0:
+                return invalid
+            _act(arrays, tables, NONE)
+            advance_interval(block, scratch, b * width, network, bound.data)
+            _charge(arrays, tables, NONE)
+        if starts:
+            _start_sensors(arrays, tables, NONE)
+        else:
+            _measure(arrays, tables, NONE)
+        _observe(arrays, tables, NONE)
+        if not starts:
+            _end(arrays, tables, NONE)
+        _report(block, scratch, b * width, task, bound.outputs)
+    return -1

@@ -1,0 +1,431 @@
+"""The cost of one control interval, term by term.
+
+The cost is a rate [1/s] times the time that passed. A term is a field of :class:`CostTerms`, a weight in
+:class:`CostWeights`, and an equation. Version v0 charges the frequency of the centre of inertia and caps the cost;
+version v1 charges that of the unit that is farthest from nominal and load that is not served.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Annotated, NamedTuple
+
+from wtg_gym.physics.converter import tracking_coefficient
+from wtg_gym.physics.machine import MachineInput, MachineState
+from wtg_gym.physics.machine_unit import MACHINES
+from wtg_gym.physics.units import LANE
+from wtg_gym.physics.wind_turbine import Turbine, WtgInput, WtgOutput, WtgState, frequency_of, tip_speed_ratio
+from wtg_gym.physics.wtg_unit import GROUPS
+from wtg_gym.ranges import require_range
+from wtg_gym.systems.elementary import select
+from wtg_gym.systems.records import each
+from wtg_gym.systems.systems import Kind, system
+from wtg_gym.tasks.episode import ACTING, TASK, GroupRows, TaskConstants
+
+#: Frequency deviation beyond which the constraint cost counts [Hz]: ENTSO-E's steady-state limit is 0.2, its
+#: instantaneous limit 0.8 Hz.
+CONSTRAINT_FREQUENCY_HZ = 0.8
+
+
+class CostTerms(NamedTuple):
+    """Terms of the cost."""
+
+    frequency: float
+    rocof: float
+    duty: float
+    rotor: float
+    overload: float
+    effort: float
+    failure: float
+
+
+COST_TERMS = CostTerms._fields
+
+
+class CostWeights(NamedTuple):
+    """Weights of the cost's terms. Each is a rate [1/s] at the deviation that its text names as one unit.
+
+    The reward is minus the cost. The terms' equations are in :mod:`wtg_gym.tasks.cost`.
+    """
+
+    frequency: Annotated[
+        float,
+        "one at ±0.2 Hz, where European primary reserve is fully active; quadratic inside, four times as steep "
+        "as at that edge outside",
+    ] = 1.0
+    rocof: Annotated[
+        float, "one unit at 0.2 Hz/s over 500 ms, squared; loss-of-mains relays act from 0.5 … 1 Hz/s on"
+    ] = 4.0
+    duty: Annotated[
+        float,
+        "one unit at a captured power 5 % of the available away from what the prescribed characteristic asks: the "
+        "reserve that a unit is paid to hold. In v0 its weight is twice that of the frequency: a unit controls its "
+        "reserve alone, but the frequency only together with all others",
+    ] = 2.0
+    rotor: Annotated[
+        float,
+        "one unit at a tip-speed ratio 10 % of λ_opt beyond 0.9 λ_opt … 1.1 λ_pr, squared: low speed leads to "
+        "stall, high speed loads the structure",
+    ] = 5.0
+    overload: Annotated[
+        float,
+        "one unit at 0.1 p.u. of power above 1.1 p.u., squared. A converter at its current limit, which v0 does "
+        "not model, no longer forms the grid: 1.2 p.u. costs about what 0.4 Hz of deviation do",
+    ] = 10.0
+    effort: Annotated[
+        float,
+        "one unit at full action, four at a change by 1 within a step: a tie-breaker that keeps unused actions at "
+        "zero and discourages chatter",
+    ] = 0.05
+    cap: Annotated[
+        float,
+        "largest cost rate while the episode goes on; a failure costs this for the rest of the episode and one "
+        "second more, so that going on is never dearer. In v1 it holds for all terms but frequency and load not served",
+    ] = 50.0
+    unserved: Annotated[
+        float,
+        "in v1 alone: one unit where the whole load is not served. The first stage of shedding, 5 %, costs what "
+        "0.55 Hz of deviation do: it does not pay to have load shed",
+    ] = 300.0
+    failure: Annotated[
+        float,
+        "in v1 alone: largest cost rate while the episode goes on, more than the limits of the frequency, all stages "
+        "of shedding and all other terms at their cap cost; a failed episode costs this for its whole length and one "
+        "second more",
+    ] = 250.0
+
+    def checked(self) -> CostWeights:
+        """Return the weights as floats; a ValueError names one outside 0 … 1e6 1/s; the cap is 1e-3 1/s or more."""
+        lows = {"cap": 1e-3}
+        values = self._asdict().items()
+        return CostWeights(*(require_range(name, value, lows.get(name, 0.0), 1e6, "1/s") for name, value in values))
+
+
+class GroupDeviations(NamedTuple):
+    """Deviations of one WTG group, in the units of its costs, and its available power [p.u.]."""
+
+    duty: float  # captured less prescribed power, 0.05 of the available power
+    rotor: float  # tip-speed ratio outside its band, 0.1 λ_opt
+    overload: float  # power beyond the converter's limit, 0.1 p.u.
+    available: float
+
+
+#: The cost of an environment.
+COST = Kind(
+    name="costs",
+    rows={
+        "sums": CostTerms,  # over the episode
+        "terms": CostTerms,  # of the last step
+        "cost": float,  # of the last step
+        "constraint": float,  # 1 where the last step violated a constraint
+        "constraint_sum": float,
+        "available_energy": float,  # of all groups [p.u. s of the system base]
+        "duty_error": float,  # ∫ |captured - prescribed| / available dt, mean over groups [s]
+    },
+    scratch={
+        "term_rates": CostTerms,  # of the step that is being charged [1/s]
+        "new_terms": CostTerms,  # what it costs
+        "largest_deviation": float,  # of the frequency of any unit [p.u.]
+        "elapsed": float,  # how long that step lasted [s]
+        "violated": float,  # 1 where it violated a constraint
+        "error": float,  # its duty error, mean over groups [-]
+    },
+    constants={"weights": CostWeights},
+    sees={"task": TASK, "lane": LANE},
+)
+#: The part of a WTG group in the cost.
+GROUP_COST = Kind(
+    name="costs of groups",
+    scratch={
+        "deviations": GroupDeviations,
+        "charged_duty": float,  # in v1 filtered
+        "there": float,  # 0 for a group that an event has disconnected, else 1
+    },
+    sees={"acting": ACTING, "group": GROUPS, "cost": COST, "task": TASK, "lane": LANE},
+)
+#: The part of a synchronous machine in the cost.
+MACHINE_COST = Kind(name="costs of machines", sees={"machine": MACHINES, "cost": COST, "task": TASK, "lane": LANE})
+#: The duty error of a WTG group behind a filter.
+FILTERED_DUTY = Kind(
+    name="filtered duties",
+    rows={
+        "leaves_at": float,  # simulation step at which an event disconnects the group
+        "returns_at": float,  # and at which it comes back
+        "mean_duty": float,  # signed, 0.05 of the available power
+    },
+    sees={"charged": GROUP_COST, "task": TASK, "lane": LANE},
+)
+
+
+def frequency_cost(deviation_hz: float) -> float:
+    """Return the cost of a frequency deviation [Hz]: quadratic within 0.2 Hz, linear and steeper outside."""
+    ratio = deviation_hz / 0.2
+    return select(ratio < 1.0, ratio * ratio, 1.0 + 8.0 * (ratio - 1.0))
+
+
+def rocof_cost(rocof_hz_s: float) -> float:
+    """Return the cost of a rate of change of frequency [Hz/s]."""
+    ratio = rocof_hz_s / 0.2
+    return ratio * ratio
+
+
+def duty_cost(duty: float) -> float:
+    """Return the cost of a duty error: quadratic within one unit, linear outside (Huber)."""
+    size = abs(duty)
+    return select(size < 1.0, size * size, 2.0 * size - 1.0)
+
+
+def filtered_duty(mean: float, duty: float, ran: bool, task: TaskConstants) -> float:
+    """Return the duty error behind its filter, one control interval later; an early end counts as a whole interval.
+
+    Args:
+        mean: the filtered error before.
+        duty: the duty error now.
+        ran: whether the lane ran in that interval.
+        task: constants.
+    """
+    return mean + select(ran, task.duty_gain, 0.0) * (duty - mean)
+
+
+def effort(action: float, last: float) -> float:
+    """Return the cost of an action and of its change."""
+    change = action - last
+    return action * action + 4.0 * change * change
+
+
+def interval_cost(terms: CostTerms, elapsed: float, left: float, failed: bool, weights: CostWeights) -> CostTerms:
+    """Return the terms of the cost of an interval.
+
+    Args:
+        terms: rates of all terms but failure [1/s].
+        elapsed: time that passed [s].
+        left: time that a failed episode leaves [s]; a failure costs the cap for this time and 1 s more.
+        failed: whether the episode has failed.
+        weights: of the terms. The cap scales all terms alike, so that they still add up to the cost.
+    """
+    charged = _capped(terms, elapsed, weights.cap)
+    return charged._replace(failure=select(failed, weights.cap * (left + 1.0), 0.0))
+
+
+def open_cost(
+    terms: CostTerms, elapsed: float, spent: float, unserved: float, duration: float, failed: bool, weights: CostWeights
+) -> CostTerms:
+    """Return the terms of the cost of an interval in which the cap is not for the frequency and load not served.
+
+    Args:
+        terms: rates of all terms but failure [1/s].
+        elapsed: time that passed [s].
+        spent: cost of the episode before.
+        unserved: load that is not served, as a share of the case's load.
+        duration: of the whole episode [s]. A failed one costs the largest rate there is for 1 s more than that.
+        failed: whether the episode has failed.
+        weights: of the terms. The cap scales all terms but frequency alike, the largest rate all of them.
+
+    In the interval of a failure, which may be a numerical one, nothing else is charged.
+    """
+    rates = _capped(terms._replace(frequency=0.0), 1.0, weights.cap)
+    rates = rates._replace(frequency=terms.frequency, failure=weights.unserved * min(unserved, 1.0))
+    charged = _capped(rates, elapsed, weights.failure)
+    missing = weights.failure * (duration + 1.0) - spent
+    kept: CostTerms = each(lambda term: select(failed, 0.0, term), charged)
+    return kept._replace(failure=select(failed, missing, charged.failure))
+
+
+def _capped(terms: CostTerms, elapsed: float, most: float) -> CostTerms:
+    """Return what rates cost in a time that passed [s], their sum held at the most that it may be [1/s]."""
+    total = _total_of_rates(terms) + terms.failure
+    factor = elapsed * select(total > 0.0, min(total, most) / total, 1.0)
+    charged: CostTerms = each(lambda rate: rate * factor, terms)
+    return charged
+
+
+def _total_of_rates(terms: CostTerms) -> float:
+    """Return the sum of all terms but failure."""
+    return terms.frequency + terms.rocof + terms.duty + terms.rotor + terms.overload + terms.effort
+
+
+# --- the systems: over environments, WTG groups and machines ---------------------------------------------------------
+
+
+@system(COST, "term_rates", "elapsed", "violated", "error")
+def charge_frequency(
+    step: float, coi: float, task_rocof: float, task: TaskConstants, weights: CostWeights, simulation_dt: float
+) -> tuple[CostTerms, float, float, float]:
+    """Begin the rates of the cost with those of the frequency, and find how long the interval lasted."""
+    deviation = abs(coi - 1.0) * task.nominal_hz
+    frequency, on_rocof = weights.frequency * frequency_cost(deviation), weights.rocof * rocof_cost(task_rocof)
+    # A run can end within the interval: the time after that is the failure's.
+    unspent = math.ceil(step / task.n_substeps) * task.n_substeps - step
+    return (
+        CostTerms(frequency, on_rocof, 0.0, 0.0, 0.0, 0.0, 0.0),
+        task.control_dt - unspent * simulation_dt,
+        select(deviation > CONSTRAINT_FREQUENCY_HZ, 1.0, 0.0),
+        0.0,
+    )
+
+
+@system(COST, "largest_deviation")
+def start_largest_deviation(coi: float) -> float:
+    """Start the search for the largest deviation of any unit with that of the centre of inertia."""
+    return abs(coi - 1.0)
+
+
+@system(MACHINE_COST, "largest_deviation")
+def compare_machine(state: MachineState, given: MachineInput, largest_deviation: float) -> float:
+    """Compare a machine that is connected."""
+    return max(largest_deviation, given.connected * abs(state.speed - 1.0))
+
+
+@system(GROUP_COST, "largest_deviation")
+def compare_group(state: WtgState, given: WtgInput, output: WtgOutput, largest_deviation: float) -> float:
+    """Compare a WTG group that is connected."""
+    return max(largest_deviation, given.connected * abs(frequency_of(state, output) - 1.0))
+
+
+@system(COST, "term_rates")
+def charge_largest_deviation(
+    term_rates: CostTerms, largest_deviation: float, task: TaskConstants, weights: CostWeights
+) -> CostTerms:
+    """Charge that deviation in place of the centre of inertia's."""
+    return term_rates._replace(frequency=weights.frequency * frequency_cost(largest_deviation * task.nominal_hz))
+
+
+@system(GROUP_COST, "deviations", "charged_duty", "there")
+def find_deviations(
+    state: WtgState, output: WtgOutput, turbine: Turbine, task: TaskConstants
+) -> tuple[GroupDeviations, float, float]:
+    """Find the deviations of a WTG group.
+
+    The prescribed power is a share of the usable power. Usable is the available power, up to that of which a rotor with
+    its nominal reserve captures as much as the pitch protection allows. A group that a protection has tripped captures
+    nothing and is charged for it.
+    """
+    wind = output.wind
+    available = turbine.rotor.available_per_cubic_wind * wind * wind * wind
+    usable = min(available, turbine.pitch.power_limit / task.share_nominal)
+    prescribed = usable * tracking_coefficient(
+        frequency_of(state, output), task.share_min, task.share_nominal, task.share_max, turbine.converter.corners
+    )
+    ratio = tip_speed_ratio(state.rotor_speed, wind, turbine.rotor)
+    best = turbine.rotor.tip_speed_ratio_opt
+    low, high = 0.9 * best - ratio, ratio - 1.1 * turbine.rotor.tip_speed_ratio_limit
+    # Above rated the pitch, not the rotor, keeps the tip-speed ratio low.
+    low = select(state.pitch.pitch > turbine.limits.stall_pitch, 0.0, low)
+    deviations = GroupDeviations(
+        duty=(output.captured - prescribed) / (0.05 * available),
+        rotor=max(0.0, max(low, high)) / (0.1 * best),
+        overload=max(0.0, output.power - turbine.converter.overload) / 0.1,
+        available=available,
+    )
+    return deviations, deviations.duty, 1.0
+
+
+@system(FILTERED_DUTY, "deviations", "charged_duty", "there", "mean_duty")
+def filter_duty(
+    deviations: GroupDeviations,
+    mean_duty: float,
+    leaves_at: float,
+    returns_at: float,
+    step: float,
+    was_active: float,
+    task: TaskConstants,
+) -> tuple[GroupDeviations, float, float, float]:
+    """Charge the duty behind its filter, and a group that an event has disconnected nothing."""
+    there = select((step <= leaves_at) | (step > returns_at), 1.0, 0.0)
+    exempt: GroupDeviations = each(lambda deviation: there * deviation, deviations)
+    duty = there * filtered_duty(mean_duty, exempt.duty, was_active > 0.5, task)
+    return exempt, duty, there, duty
+
+
+@system(GROUP_COST, "term_rates", "violated", "error", "available_energy")
+def charge_group(
+    term_rates: CostTerms,
+    violated: float,
+    error: float,
+    available_energy: float,
+    deviations: GroupDeviations,
+    charged_duty: float,
+    there: float,
+    group: GroupRows,
+    share: float,
+    elapsed: float,
+    was_active: float,
+    task: TaskConstants,
+    weights: CostWeights,
+) -> tuple[CostTerms, float, float, float]:
+    """Add the rates of a WTG group to those of the lane; actions of one that is not there cost nothing."""
+    w, n_wtg = weights, task.n_groups
+    on_k = there * w.effort * effort(group.action_k, group.last_action_k) / task.n_actions
+    on_tau = there * w.effort * effort(group.action_tau, group.last_action_tau) / task.n_actions
+    acted = term_rates.effort + select(task.modulates_k, on_k, 0.0)
+    rates = term_rates._replace(
+        duty=term_rates.duty + w.duty * duty_cost(charged_duty) / n_wtg,
+        rotor=term_rates.rotor + w.rotor * deviations.rotor * deviations.rotor / n_wtg,
+        overload=term_rates.overload + w.overload * deviations.overload * deviations.overload / n_wtg,
+        effort=acted + select(task.modulates_tau, on_tau, 0.0),
+    )
+    return (
+        rates,
+        select((deviations.rotor > 0.0) | (deviations.overload > 0.0), 1.0, violated),
+        error + 0.05 * abs(deviations.duty) / n_wtg,
+        available_energy + select(was_active > 0.5, share * deviations.available * elapsed, 0.0),
+    )
+
+
+@system(COST, "new_terms")
+def charge_interval(
+    term_rates: CostTerms,
+    elapsed: float,
+    end_step: float,
+    step: float,
+    status: float,
+    weights: CostWeights,
+    simulation_dt: float,
+) -> CostTerms:
+    """Find what the last control interval cost."""
+    return interval_cost(term_rates, elapsed, (end_step - step) * simulation_dt, status != 0.0, weights)
+
+
+@system(COST, "new_terms")
+def charge_open_interval(
+    term_rates: CostTerms,
+    sums: CostTerms,
+    elapsed: float,
+    unserved: float,
+    end_step: float,
+    status: float,
+    task: TaskConstants,
+    weights: CostWeights,
+    simulation_dt: float,
+) -> CostTerms:
+    """Find what the last control interval cost."""
+    spent = _total_of_rates(sums) + sums.failure
+    share = unserved * task.inv_load
+    return open_cost(term_rates, elapsed, spent, share, end_step * simulation_dt, status != 0.0, weights)
+
+
+@system(COST, "terms", "sums", "own_cost", "constraint", "constraint_sum", "duty_error")
+def charge_lane(
+    new_terms: CostTerms,
+    terms: CostTerms,
+    sums: CostTerms,
+    constraint: float,
+    constraint_sum: float,
+    duty_error: float,
+    violated: float,
+    error: float,
+    elapsed: float,
+    status: float,
+    was_active: float,
+) -> tuple[CostTerms, CostTerms, float, float, float, float]:
+    """Charge a lane that ran for the last control interval."""
+    ran, failed, new = was_active > 0.5, status != 0.0, new_terms
+    now = select(failed, 1.0, violated)
+    return (
+        each(lambda charged, before: select(ran, charged, before), new, terms),
+        each(lambda charged, total: total + select(ran, charged, 0.0), new, sums),
+        _total_of_rates(new) + new.failure,
+        select(ran, now, constraint),
+        constraint_sum + select(ran, now, 0.0),
+        duty_error + select(ran, error * elapsed, 0.0),
+    )

@@ -1,0 +1,278 @@
+"""Observations and `info`: records, their equations, and the names of an observation's entries.
+
+A new entry is a field of a record here, with its unit, and a line in the equation below it.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, NamedTuple, TypeVar
+
+import numpy.typing as npt
+
+from wtg_gym.physics.machine import Machine, MachineOutput, MachineState
+from wtg_gym.physics.machine_unit import MACHINES
+from wtg_gym.physics.units import LANE
+from wtg_gym.physics.wind_turbine import Rotor, Turbine, WtgOutput, WtgState, frequency_of, tip_speed_ratio
+from wtg_gym.physics.wtg_unit import GROUPS
+from wtg_gym.systems.elementary import clip
+from wtg_gym.systems.records import each
+from wtg_gym.systems.systems import Kind, system
+from wtg_gym.tasks.cost import COST, FILTERED_DUTY, CostTerms
+from wtg_gym.tasks.episode import ACTING, ACTION_MODES, TASK, GroupRows, Reach, TaskConstants
+
+OBSERVATION_MODES = ("local", "privileged")
+T = TypeVar("T")
+R = TypeVar("R", bound=tuple[Any, ...])
+#: Every entry of the observation is clipped to ± this.
+OBSERVATION_BOUND = 5.0
+#: Unit of frequency deviations [Hz].
+FREQUENCY_UNIT_HZ = 0.5
+#: Unit of deviations of the rotor speed from rated [p.u.].
+ROTOR_SPEED_UNIT_PU = 0.25
+
+
+def bounded(observation: T) -> T:
+    """Return an observation, each entry clipped."""
+    clipped: T = each(lambda value: clip(value, -OBSERVATION_BOUND, OBSERVATION_BOUND), observation)
+    return clipped
+
+
+def scaled_ratio(rotor_speed: float, wind: float, c: Rotor) -> float:
+    ratio = tip_speed_ratio(rotor_speed, wind, c)
+    return (ratio - c.tip_speed_ratio_opt) / (c.tip_speed_ratio_limit - c.tip_speed_ratio_opt)
+
+
+def scaled_rotor_speed(rotor_speed: float) -> float:
+    return (rotor_speed - 1.0) / ROTOR_SPEED_UNIT_PU
+
+
+def scaled_wind(wind: float) -> float:
+    return (wind - 10.0) / 5.0
+
+
+def of_groups(observation: npt.NDArray[Any], record: type[R], action_mode: str) -> R:
+    """Return what every WTG group shows in a local observation, by name.
+
+    Args:
+        observation: (..., n_observation).
+        record: what a group shows: :class:`WtgObservation` in v0, `MeasuredObservation` of
+            :mod:`wtg_gym.tasks.sensing` in v1.
+        action_mode: of the environment; the last actions stand behind each group's numbers.
+
+    Returns:
+        the record, each field an array (..., n_wtg).
+    """
+    n = len(record._fields)  # type: ignore[attr-defined]
+    groups = observation.reshape(*observation.shape[:-1], -1, n + sum(ACTION_MODES[action_mode]))
+    return record(*(groups[..., i] for i in range(n)))
+
+
+# --- WTG groups ------------------------------------------------------------------------------------------------------
+
+
+class WtgObservation(NamedTuple):
+    """Local measurements of a WTG group, each with its unit and meaning."""
+
+    frequency_deviation: Annotated[float, "0.5 Hz", "frequency of the converter minus the nominal one"]
+    rocof: Annotated[float, "Hz/s", "rate of change of that frequency over the last control interval"]
+    tip_speed_ratio: Annotated[float, "0 at λ_opt, 1 at λ_pr", "speed of the blade tips over wind speed"]
+    rotor_speed: Annotated[float, "0.25 p.u. from 1 p.u.", "rotor speed; the nominal one is 1 p.u."]
+    power: Annotated[float, "p.u.", "power into the grid, of the group's rating"]
+    wind: Annotated[float, "5 m/s from 10 m/s", "wind, averaged over the rotor"]
+    coefficient: Annotated[float, "0 at K_pr, 1 at K_opt", "k in use"]
+    filter_state: Annotated[float, "0.5 Hz", "state of the damping filter"]
+
+
+class ActionObservation(NamedTuple):
+    """The last actions of a WTG group."""
+
+    last_action_k: float
+    last_action_tau: float
+
+
+class DutyObservation(NamedTuple):
+    """The duty error of a WTG group that is charged."""
+
+    mean_duty: Annotated[float, "0.05 of the available power", "captured less prescribed power behind its filter"]
+
+
+OBSERVED = Kind(
+    name="observed groups",
+    scratch={"observed": WtgObservation, "shown_actions": ActionObservation},
+    sees={"acting": ACTING, "group": GROUPS, "task": TASK, "lane": LANE},
+)
+OBSERVED_DUTY = Kind(
+    name="observed duties", scratch={"shown_duty": DutyObservation}, sees={"filtered": FILTERED_DUTY, "task": TASK}
+)
+
+
+def exact_observation(
+    state: WtgState, output: WtgOutput, group: GroupRows, turbine: Turbine, reach: Reach, task: TaskConstants
+) -> WtgObservation:
+    """Return the exact observation of a WTG group."""
+    return bounded(
+        WtgObservation(
+            frequency_deviation=(frequency_of(state, output) - 1.0) * task.nominal_hz / FREQUENCY_UNIT_HZ,
+            rocof=group.rocof,
+            tip_speed_ratio=scaled_ratio(state.rotor_speed, output.wind, turbine.rotor),
+            rotor_speed=scaled_rotor_speed(state.rotor_speed),
+            power=output.power,
+            wind=scaled_wind(output.wind),
+            coefficient=(output.coefficient - reach.k_low) / reach.k_span,
+            filter_state=state.converter.filter * task.nominal_hz / FREQUENCY_UNIT_HZ,
+        )
+    )
+
+
+@system(OBSERVED, "observed")
+def observe_group(
+    state: WtgState, output: WtgOutput, group: GroupRows, turbine: Turbine, reach: Reach, task: TaskConstants
+) -> WtgObservation:
+    """Observe a WTG group exactly."""
+    return exact_observation(state, output, group, turbine, reach, task)
+
+
+@system(OBSERVED, "observed", when="privileged")
+def observe_group_if_privileged(
+    state: WtgState, output: WtgOutput, group: GroupRows, turbine: Turbine, reach: Reach, task: TaskConstants
+) -> WtgObservation:
+    """Observe a WTG group exactly, beside what its sensors say."""
+    return exact_observation(state, output, group, turbine, reach, task)
+
+
+@system(OBSERVED, "shown_actions")
+def show_actions(group: GroupRows) -> ActionObservation:
+    """Return the last actions of a WTG group."""
+    return ActionObservation(group.last_action_k, group.last_action_tau)
+
+
+@system(OBSERVED_DUTY, "shown_duty")
+def show_duty(filtered_mean_duty: float) -> DutyObservation:
+    """Return the duty error that is charged."""
+    return bounded(DutyObservation(filtered_mean_duty))
+
+
+# --- the grid, in the privileged observation --------------------------------------------------------------------------
+
+
+class MachineObservation(NamedTuple):
+    """A synchronous machine, in the privileged observation."""
+
+    speed: Annotated[float, "0.5 Hz", "speed as a frequency, minus the nominal one"]
+    power: Annotated[float, "rating", "power into the grid"]
+    voltage: Annotated[float, "0.1 p.u. from 1 p.u.", "voltage at the terminal"]
+
+
+class GridObservation(NamedTuple):
+    """The grid, in the privileged observation."""
+
+    frequency_deviation: Annotated[float, "0.5 Hz", "frequency of the centre of inertia minus the nominal one"]
+    rocof: Annotated[float, "Hz/s", "rate of change of the frequency of the centre of inertia over 0.5 s"]
+    torque: Annotated[float, "100 MVA", "mechanical torque of all machines; on other grids in 39 % of the load"]
+
+
+OBSERVED_GRID = Kind(
+    name="observed grids",
+    scratch={"total_torque": float, "grid_observed": GridObservation},  # torque of all machines [p.u.]
+    constants={"inv_torque": float},  # 1 / what the torque is counted in [1/p.u.]
+    sees={"task": TASK, "lane": LANE},
+)
+OBSERVED_MACHINES = Kind(
+    name="observed machines",
+    scratch={"machine_observed": MachineObservation},
+    sees={"machine": MACHINES, "grid": OBSERVED_GRID, "task": TASK, "lane": LANE},
+)
+
+
+@system(OBSERVED_MACHINES, "machine_observed", when="privileged")
+def observe_machine(
+    state: MachineState, output: MachineOutput, machine: Machine, task: TaskConstants
+) -> MachineObservation:
+    """Return the observation of a synchronous machine."""
+    return bounded(
+        MachineObservation(
+            speed=(state.speed - 1.0) * task.nominal_hz / FREQUENCY_UNIT_HZ,
+            power=output.power / machine.rating,
+            voltage=(output.voltage - 1.0) / 0.1,
+        )
+    )
+
+
+@system(OBSERVED_GRID, "total_torque")
+def start_torque() -> float:
+    """Start the sum of the torques of all machines."""
+    return 0.0
+
+
+@system(OBSERVED_MACHINES, "total_torque")
+def add_torque(total_torque: float, output_torque: float) -> float:
+    """Add the torque of a machine."""
+    return total_torque + output_torque
+
+
+@system(OBSERVED_GRID, "grid_observed", when="privileged")
+def observe_grid(
+    coi: float, task_rocof: float, total_torque: float, inv_torque: float, task: TaskConstants
+) -> GridObservation:
+    """Return the observation of the grid."""
+    return bounded(
+        GridObservation((coi - 1.0) * task.nominal_hz / FREQUENCY_UNIT_HZ, task_rocof, inv_torque * total_torque)
+    )
+
+
+# --- info ------------------------------------------------------------------------------------------------------------
+
+
+class Info(NamedTuple):
+    """The numbers of `info`, with their units and meanings."""
+
+    time_s: Annotated[float, "s", "time since the start of the episode"]
+    frequency_hz: Annotated[float, "Hz", "frequency of the centre of inertia"]
+    rocof_hz_s: Annotated[float, "Hz/s", "rate of change of the frequency of the centre of inertia over 0.5 s"]
+    cost: Annotated[
+        float,
+        "-",
+        "1 for a step with a failure, an overload, a frequency beyond 50 ± 0.8 Hz or a tip-speed ratio outside its "
+        "range, else 0: the cost of safe reinforcement learning",
+    ]
+    cost_frequency: Annotated[float, "-", "terms of the cost of this step: frequency deviation, in v1 the worst unit's"]
+    cost_rocof: Annotated[float, "-", "rate of change of frequency"]
+    cost_duty: Annotated[float, "-", "captured power away from the prescribed power; in v1 filtered with 15 s"]
+    cost_rotor: Annotated[float, "-", "tip-speed ratio outside its range"]
+    cost_overload: Annotated[float, "-", "power above 1.05 p.u., in v0 1.1 p.u."]
+    cost_effort: Annotated[float, "-", "actions and their changes"]
+    cost_failure: Annotated[float, "-", "what a failure costs at the end, in v1 also load that is not served"]
+
+
+class LocalInfo(NamedTuple):
+    """What `info` has besides in extended physics."""
+
+    worst_frequency_hz: Annotated[float, "Hz", "frequency of the bus or unit that is farthest from nominal"]
+    shed_energy_mws: Annotated[float, "MW s", "load not served since the start, at 1 p.u. of voltage"]
+
+
+INFO = Kind(
+    name="information",
+    scratch={"info": Info, "local_info": LocalInfo},  # the second follows the first
+    sees={"cost": COST, "task": TASK, "lane": LANE},
+)
+
+
+@system(INFO, "info")
+def inform(
+    step: float,
+    coi: float,
+    task_rocof: float,
+    constraint: float,
+    terms: CostTerms,
+    task: TaskConstants,
+    simulation_dt: float,
+) -> Info:
+    """Return the numbers of `info`; its last are the terms of the cost, in their order."""
+    return Info(step * simulation_dt, task.nominal_hz * coi, task_rocof, constraint, *terms)
+
+
+@system(INFO, "local_info", when="extended")
+def inform_of_places(worst: float, shed_energy: float, base_mva: float, task: TaskConstants) -> LocalInfo:
+    """Return what `info` has besides in extended physics."""
+    return LocalInfo(task.nominal_hz * worst, base_mva * shed_energy)

@@ -1,0 +1,122 @@
+"""The sensors: measurements are taken after every control interval, kept in a ring, and shown some steps late.
+
+The equations of the sensors stand in :mod:`wtg_gym.physics.sensors`.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Annotated, NamedTuple
+
+from wtg_gym.physics.sensors import (
+    DELAY_MAX_S,
+    Measurement,
+    Noise,
+    SensorInput,
+    SensorState,
+    drawn,
+    measured,
+    sensors_advanced,
+    sensors_started,
+)
+from wtg_gym.physics.units import LANE
+from wtg_gym.physics.wind_turbine import Turbine, WtgOutput, WtgState, frequency_of
+from wtg_gym.physics.wtg_unit import GROUPS
+from wtg_gym.systems.programs import Delay
+from wtg_gym.systems.systems import Kind, system
+from wtg_gym.tasks.episode import ACTING, TASK, GroupRows, TaskConstants
+from wtg_gym.tasks.observation import FREQUENCY_UNIT_HZ, bounded, scaled_ratio, scaled_rotor_speed, scaled_wind
+
+
+class MeasuredObservation(NamedTuple):
+    """Measurements of the sensors of a WTG group."""
+
+    frequency_deviation: Annotated[float, "0.5 Hz", "filtered frequency of the converter minus the nominal one"]
+    rocof: Annotated[float, "Hz/s", "rate of change of the frequency, filtered"]
+    tip_speed_ratio: Annotated[float, "0 at λ_opt, 1 at λ_pr", "measured speed of the blade tips over measured wind"]
+    rotor_speed: Annotated[float, "0.25 p.u. from 1 p.u.", "rotor speed; the nominal one is 1 p.u."]
+    power: Annotated[float, "p.u.", "power into the grid, of the group's rating"]
+    wind: Annotated[float, "5 m/s from 10 m/s", "wind, with a constant and a slow error"]
+
+
+#: The sensors that all WTG groups of an environment have.
+SENSORS = Kind(name="sensors", rows={"sensor_input": SensorInput})
+#: The sensors of a WTG group.
+SENSED = Kind(
+    name="sensed groups",
+    rows={"sensors": SensorState, "wind_bias": float},
+    scratch={
+        "noise": Noise,
+        "seen": MeasuredObservation,  # what is measured now
+        "shown": MeasuredObservation,  # the newest measurement that has arrived
+    },
+    constants={"group_number": float},
+    sees={"acting": ACTING, "group": GROUPS, "sensors": SENSORS, "task": TASK, "lane": LANE},
+)
+#: The latest measurements of all groups, one after the other in a ring.
+RING = Kind(name="ring", rows={"measurement": MeasuredObservation})
+
+
+def n_delayed(control_dt: float) -> int:
+    """Return how many measurements an environment keeps for the longest delay."""
+    return math.ceil(DELAY_MAX_S / control_dt - 1e-9) + 1
+
+
+def observe_measured(m: Measurement, wind_sensor: float, t: Turbine, task: TaskConstants) -> MeasuredObservation:
+    """Return the observation of what a WTG group measures; without a wind sensor, wind and ratio are 0."""
+    return bounded(
+        MeasuredObservation(
+            frequency_deviation=(m.frequency - 1.0) * task.nominal_hz / FREQUENCY_UNIT_HZ,
+            rocof=m.rocof,
+            tip_speed_ratio=wind_sensor * scaled_ratio(m.rotor_speed, m.wind, t.rotor),
+            rotor_speed=scaled_rotor_speed(m.rotor_speed),
+            power=m.power,
+            wind=wind_sensor * scaled_wind(m.wind),
+        )
+    )
+
+
+def _exact(state: WtgState, output: WtgOutput, group: GroupRows) -> Measurement:
+    """Return what a WTG group would measure without errors."""
+    return Measurement(frequency_of(state, output), group.rocof, state.rotor_speed, output.power, output.wind)
+
+
+@system(SENSED, "noise")
+def draw_noise(sensor_input: SensorInput, interval: float, group_number: float) -> Noise:
+    """Draw the random numbers of the present interval's measurements."""
+    return drawn(sensor_input.seed, interval, group_number)
+
+
+@system(SENSED, "sensors")
+def start_sensors(state: WtgState, output: WtgOutput, group: GroupRows, noise: Noise) -> SensorState:
+    """Begin a run with what is measured first."""
+    return sensors_started(_exact(state, output, group), noise)
+
+
+@system(SENSED, "sensors")
+def advance_sensors(
+    sensors: SensorState, state: WtgState, output: WtgOutput, group: GroupRows, noise: Noise, sensor_input: SensorInput
+) -> SensorState:
+    """Move filters and slow errors on to the end of a control interval."""
+    return sensors_advanced(sensors, _exact(state, output, group), noise, sensor_input)
+
+
+@system(SENSED, "seen")
+def measure_group(
+    sensors: SensorState,
+    state: WtgState,
+    output: WtgOutput,
+    group: GroupRows,
+    wind_bias: float,
+    noise: Noise,
+    sensor_input: SensorInput,
+    turbine: Turbine,
+    task: TaskConstants,
+) -> MeasuredObservation:
+    """Take the measurement of a WTG group."""
+    value = measured(sensors, _exact(state, output, group), wind_bias, noise, sensor_input)
+    return observe_measured(value, sensor_input.wind_sensor, turbine, task)
+
+
+#: Measurements are shown late.
+SHOW = Delay(SENSED, "seen", "shown", RING, "measurement", turn="interval", delay="delay")

@@ -1,0 +1,297 @@
+"""A task: what an environment acts on, charges and observes, and the scale of its score."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any, NamedTuple, get_type_hints
+
+import numpy as np
+
+from wtg_gym.physics import integration
+from wtg_gym.physics.grid import DEFAULT_GRID, get_grid
+from wtg_gym.physics.layout import Layout, Whole
+from wtg_gym.physics.plant import Further, PlantSettings
+from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY, group_laws
+from wtg_gym.systems.programs import Program, in_one_table
+from wtg_gym.systems.routines import Routine
+from wtg_gym.systems.systems import Kind, count
+from wtg_gym.tasks.cost import COST, FILTERED_DUTY, GROUP_COST, MACHINE_COST, CostWeights
+from wtg_gym.tasks.episode import (
+    ACTING,
+    ACTION_MODES,
+    HISTORY,
+    SHIFTS,
+    TASK,
+    WINDOW,
+    Reach,
+    TaskConstants,
+    end_episode,
+    rocof_window,
+)
+from wtg_gym.tasks.observation import INFO, OBSERVED, OBSERVED_DUTY, OBSERVED_GRID, OBSERVED_MACHINES
+from wtg_gym.tasks.sensing import RING, SENSED, SENSORS, n_delayed
+
+#: Share of the load that the torque of the machines is counted in on other grids than the IEEE 14-bus system, where it
+#: is 100 MVA.
+_TORQUE_SHARE = 0.39
+#: A part of an observation: its kind of unit, its name there, and the letters before the number of its unit.
+Shown = tuple[Kind, str, str]
+
+
+class Choices(NamedTuple):
+    """What an environment chooses of a task."""
+
+    plant: PlantSettings
+    weights: CostWeights
+    action_mode: str
+    privileged: bool
+
+
+class Entries(NamedTuple):
+    """Entries of an observation that are neighbours: a record of one unit."""
+
+    kind: Kind
+    part: str
+    unit: int
+    prefix: str  # before the names of the record's fields
+    fields: tuple[str, ...]  # those of the record that are observed
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Task:
+    """A version of the benchmark: its equations as lists, its weights, and what scores 0 and 100.
+
+    Args:
+        version: "v0", "v1".
+        k_authority: offset on k at full action, as a share of K_opt - K_pr [-].
+        act, charge, start_sensors, measure, observe: the lists of a step, in their order around the physics.
+        of_groups: what every WTG group shows, before its last actions.
+        privileged: what it shows besides in the privileged observation.
+        weights: of the terms of the cost.
+        duty_time_s: time constant of the filter behind which the duty is charged; 0 for none [s].
+        on_failure: what the failure of a rotor does, unless an environment is asked for the other.
+        failure_costs_whole_episode: whether a failed episode costs what one costs in which no load is served; else it
+            costs the cap for the time that was left. Where it does, entries are marked for their reliability.
+        cost_offsets: stratum, "" where there are none, and J0 of the score in it, in units of the cost.
+        anchors: names of the entries that score 0 and 100.
+    """
+
+    version: str
+    k_authority: float
+    act: tuple[Any, ...]
+    charge: tuple[Any, ...]
+    start_sensors: tuple[Any, ...] = ()
+    measure: tuple[Any, ...] = ()
+    observe: tuple[Any, ...]
+    of_groups: Shown
+    privileged: tuple[Shown, ...] = ()
+    weights: CostWeights = CostWeights()
+    duty_time_s: float = 0.0
+    on_failure: str = "terminate"
+    failure_costs_whole_episode: bool = False
+    cost_offsets: Mapping[str, float] = field(default_factory=lambda: {"": 5.0})
+    anchors: tuple[str, str]
+
+    def __post_init__(self) -> None:
+        _FIRST.setdefault(self.version, self)
+
+    def __reduce__(self) -> Any:
+        # A copy of a version is that version, in another process too.
+        return (_of_version, (self.version,)) if _FIRST[self.version] is self else object.__reduce_ex__(self, 2)
+
+    @property
+    def env_id(self) -> str:
+        """Id of the environment."""
+        return f"GFMWTG-14bus-{self.version}"
+
+    @property
+    def zero(self) -> str:
+        """Name of the entry that scores 0."""
+        return self.anchors[0]
+
+    @property
+    def hundred(self) -> str:
+        """Name of the entry that scores 100, with which all others are compared."""
+        return self.anchors[1]
+
+    @property
+    def has_sensors(self) -> bool:
+        """Whether policies see what sensors measure, not what there is."""
+        return bool(self.measure)
+
+    @property
+    def n_local(self) -> int:
+        """Numbers that each group has of its own in an observation, before its last actions; groups come first."""
+        kind, part, _ = self.of_groups
+        return count(kind.scratch[part])
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return what hashes of suites hold of the task, as JSON-ready data."""
+        defaults = CostWeights()._asdict()
+        return {
+            "version": self.version,
+            "k_authority": self.k_authority,
+            "sensed": self.has_sensors,
+            "duty_time_s": self.duty_time_s,
+            "on_failure": self.on_failure,
+            "charges_worst": self.failure_costs_whole_episode,
+            "cost_offsets": dict(self.cost_offsets),
+            "weights": {name: value for name, value in self.weights._asdict().items() if value != defaults[name]},
+            "anchors": self.anchors,
+        }
+
+    # --- what a simulator needs of it ---------------------------------------------------------------------------------
+
+    @cached_property
+    def programs(self) -> tuple[Program, ...]:
+        """The lists as programs, behind those of the physics."""
+        return in_one_table(
+            *integration.PROGRAMS,
+            ACT=self.act,
+            CHARGE=self.charge,
+            START_SENSORS=self.start_sensors,
+            MEASURE=self.measure,
+            OBSERVE=self.observe,
+            END=(end_episode,),
+        )
+
+    def further(self, choices: Choices) -> Further:
+        """Return the task's kinds of unit and programs, as a simulator takes them."""
+        plant, sensors = choices.plant, int(self.has_sensors)
+        n_wtg, n_sync, n_window = len(plant.groups), len(plant.case.machines), rocof_window(plant.control_dt)
+        modulated = dict(zip(("modulates k", "modulates tau"), ACTION_MODES[choices.action_mode], strict=True))
+        conditions = {**modulated, "privileged": choices.privileged}
+        act, charge, start_sensors, measure, observe, end = map(Routine, self.programs)
+        return Further(
+            n_units={
+                TASK: 1,
+                HISTORY: n_window + 1,
+                SHIFTS: n_window,
+                WINDOW: 1,
+                ACTING: n_wtg,
+                COST: 1,
+                GROUP_COST: n_wtg,
+                MACHINE_COST: n_sync,
+                FILTERED_DUTY: n_wtg * sensors,
+                OBSERVED: n_wtg,
+                OBSERVED_DUTY: n_wtg * sensors,
+                OBSERVED_GRID: 1,
+                OBSERVED_MACHINES: n_sync,
+                INFO: 1,
+                SENSORS: sensors,
+                SENSED: n_wtg * sensors,
+                RING: n_wtg * n_delayed(plant.control_dt) * sensors,
+            },
+            links={
+                (SHIFTS, "this_"): np.arange(n_window),
+                (SHIFTS, "next_"): 1 + np.arange(n_window),
+                (WINDOW, "oldest_"): np.array([0]),
+                (WINDOW, "newest_"): np.array([n_window]),
+            },
+            programs=self.programs,
+            stepping=(act, charge, measure, observe, end),
+            starting=(start_sensors, observe),
+            constants={
+                (TASK, "task"): [self._constants(choices)],
+                (COST, "weights"): [choices.weights],
+                (ACTING, "reach"): self._reaches(plant),
+                (OBSERVED_GRID, "inv_torque"): [_inv_torque(plant)],
+                (SENSED, "group_number"): range(n_wtg),
+            },
+            has=[name for name, holds in conditions.items() if holds],
+        )
+
+    def _constants(self, choices: Choices) -> TaskConstants:
+        plant = choices.plant
+        modulates_k, modulates_tau = ACTION_MODES[choices.action_mode]
+        n_wtg, control_dt = len(plant.groups), plant.control_dt
+        return TaskConstants(
+            modulates_k=modulates_k,
+            modulates_tau=modulates_tau,
+            share_min=1.0,
+            share_nominal=1.0 - plant.control.deloading_nominal,
+            share_max=1.0 - plant.control.deloading_limit,
+            control_dt=control_dt,
+            nominal_hz=plant.case.frequency_hz,
+            inv_load=plant.case.base_mva / max(plant.case.load_mw, 1e-6),
+            n_window=rocof_window(control_dt),
+            n_groups=n_wtg,
+            n_actions=n_wtg * (modulates_k + modulates_tau),
+            n_substeps=round(control_dt / plant.simulation_dt),
+            duty_gain=-math.expm1(-control_dt / self.duty_time_s) if self.duty_time_s > 0.0 else 1.0,
+        )
+
+    def _reaches(self, plant: PlantSettings) -> list[Reach]:
+        """Return what each group's turbine decides."""
+        laws = group_laws(REFERENCE_STRATEGY, plant.turbines, plant.control)
+        return [Reach(self.k_authority * (law.k_min - law.k_max), law.k_max, law.k_min - law.k_max) for law in laws]
+
+    # --- observations -------------------------------------------------------------------------------------------------
+
+    def entries(self, choices: Choices) -> list[Entries]:
+        """Return the entries of an observation: groups, then what is privileged, then devices."""
+        n_wtg, modulated = len(choices.plant.groups), ACTION_MODES[choices.action_mode]
+        actions = tuple(name for name, used in zip(_fields(OBSERVED, "shown_actions"), modulated, strict=True) if used)
+        found = []
+        for j in range(n_wtg):
+            kind, part, prefix = self.of_groups
+            found.append(Entries(kind, part, j, f"{prefix}{j}", _fields(kind, part)))
+            found.append(Entries(OBSERVED, "shown_actions", j, f"{prefix}{j}", actions))
+        if choices.privileged:
+            shown = [(kind, part, j, f"{prefix}{j}") for j in range(n_wtg) for kind, part, prefix in self.privileged]
+            shown += [
+                (OBSERVED_MACHINES, "machine_observed", i, f"sync{i}") for i in range(len(choices.plant.case.machines))
+            ]
+            shown.append((OBSERVED_GRID, "grid_observed", 0, "grid"))
+            found += [Entries(*where, _fields(*where[:2])) for where in shown]
+        for units in choices.plant.further:
+            if units.shown is not None:
+                found += [
+                    Entries(units.kind, units.shown, j, f"{units.kind.name}{j}", _fields(units.kind, units.shown))
+                    for j in range(len(units.buses))
+                ]
+        return found
+
+    def observation_names(self, choices: Choices) -> list[str]:
+        """Return the names of the observation's entries, with the unit each is counted in.
+
+        `wtg0` is group 1 of commands and pictures. With sensors a group has what they say; the privileged part then
+        begins with the exact values, as "exact0" and so on, and the duty error that is charged.
+        """
+        names = []
+        for entries in self.entries(choices):
+            hints = get_type_hints(entries.kind.scratch[entries.part], include_extras=True)
+            for name in entries.fields:
+                unit = getattr(hints[name], "__metadata__", None)
+                names.append(f"{entries.prefix}.{name}" + (f" [{unit[0]}]" if unit else ""))
+        return names
+
+    def observed_rows(self, choices: Choices, layout: Layout) -> Whole:
+        """Return the rows in scratch of the observation's entries, in the order of their names (n_observation,)."""
+        rows: list[int] = []
+        for kind, part, unit, _, fields in self.entries(choices):
+            first = int(layout.first_rows(kind, part)[unit])
+            rows += [first + _fields(kind, part).index(name) for name in fields]
+        return np.array(rows, dtype=np.int64)
+
+
+#: The first task of each version: the one of the benchmark.
+_FIRST: dict[str, Task] = {}
+
+
+def _of_version(version: str) -> Task:
+    return _FIRST[version]
+
+
+def _fields(kind: Kind, part: str) -> tuple[str, ...]:
+    names: tuple[str, ...] = kind.scratch[part]._fields
+    return names
+
+
+def _inv_torque(plant: PlantSettings) -> float:
+    if plant.case.load_mw == get_grid(DEFAULT_GRID).case.load_mw:
+        return 1.0
+    return plant.case.base_mva / max(_TORQUE_SHARE * plant.case.load_mw, 1e-6)

@@ -1,0 +1,58 @@
+"""Version v1: the grid that needs the wind, seen through sensors."""
+
+from __future__ import annotations
+
+from wtg_gym.physics.units import Joining
+from wtg_gym.systems.programs import Here
+from wtg_gym.tasks import cost, episode, observation, sensing
+from wtg_gym.tasks.cost import CostWeights
+from wtg_gym.tasks.task import Task
+
+#: 0 is the paper's law, 100 the same law tuned to this grid.
+V1 = Task(
+    version="v1",
+    k_authority=1.0,
+    act=(episode.act_on_k, episode.act_on_tau, episode.note_active),
+    charge=(
+        episode.count_interval,
+        episode.shift_history,
+        episode.rate_of_change,
+        cost.charge_frequency,
+        cost.start_largest_deviation,
+        cost.compare_machine,
+        cost.compare_group,
+        cost.charge_largest_deviation,
+        cost.find_deviations,
+        cost.filter_duty,
+        cost.charge_group,
+        episode.remember_group,
+        Here(Joining.CHARGE),
+        cost.charge_open_interval,
+        cost.charge_lane,
+    ),
+    start_sensors=(sensing.draw_noise, sensing.start_sensors, sensing.measure_group, sensing.SHOW),
+    measure=(sensing.draw_noise, sensing.advance_sensors, sensing.measure_group, sensing.SHOW),
+    observe=(
+        observation.observe_group_if_privileged,
+        observation.show_actions,
+        observation.show_duty,
+        observation.observe_machine,
+        observation.start_torque,
+        observation.add_torque,
+        observation.observe_grid,
+        Here(Joining.OBSERVE),
+        observation.inform,
+        observation.inform_of_places,
+    ),
+    of_groups=(sensing.SENSED, "shown", "wtg"),
+    privileged=((observation.OBSERVED, "observed", "exact"), (observation.OBSERVED_DUTY, "shown_duty", "exact")),
+    # Duty weighs as much as frequency, since the wind is most of the power; RoCoF five times as much as in v0, since
+    # the synchronous machines have less than a third of v0's inertia: 0.82 instead of 2.86 GWs on average.
+    weights=CostWeights(rocof=20.0, duty=0.3, rotor=20.0, cap=15.0),
+    duty_time_s=15.0,
+    on_failure="trip",
+    failure_costs_whole_episode=True,
+    # Of the size of what an episode costs under the hundred: below that a cost counts almost as in a mean.
+    cost_offsets={"ordinary": 40.0, "large": 300.0, "extreme": 3000.0, "": 300.0},
+    anchors=("coordinated-piecewise", "coordinated-tuned"),
+)
