@@ -98,7 +98,7 @@ class Kind:
         if len(places) == 1:
             return places[0]
         if not places:
-            kinds = ", ".join(kind.name for kind in self.sees.values()) or "nothing"
+            kinds = ", ".join(dict.fromkeys(kind.name for kind in self.sees.values())) or "nothing"
             nobody = f"is no part or constant of {self.name}, nor of what they see: {kinds}"
             raise TypeError(f"{who or repr(name)} {nobody}{did_you_mean(name, self.names)}")
         several = " and ".join(f"{place.name!r} ({place.where} of {place.kind.name})" for place in places)
@@ -194,7 +194,8 @@ class System:
     origin: tuple[Any, ...] | None = None
 
     def __post_init__(self) -> None:
-        known = [condition for kind in (self.kind, *self.kind.sees.values()) for condition in kind.conditions]
+        kinds = dict.fromkeys((self.kind, *self.kind.sees.values()))
+        known = [condition for kind in kinds for condition in kind.conditions]
         if self.when is not None and self.when not in known:
             nobody = f"is no condition of {self.kind.name} or of what they see: {', '.join(known) or 'none'}"
             raise TypeError(f"when={self.when!r} of system {self.name!r} {nobody}{did_you_mean(self.when, known)}")
