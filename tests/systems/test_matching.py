@@ -113,9 +113,12 @@ REFUSED: dict[str, tuple[Callable[[], Any], str]] = {
         "'own_level' (scratch of guests) and 'host_level'",
     ),
     "written constant": (named("size", writes=("size",)), "writes 'size', which is one of the constants"),
-    "float for a record": (function(float_for_record, "copy"), "'state' .* annotated with float, but means .*Pair"),
-    "another record": (function(other_of_its_size, "copy"), "'state' .* annotated with .*Other, but means .*Pair"),
-    "record for a float": (function(record_for_float, "copy"), "'own_heat' .* with .*Pair, but means float"),
+    "float for a record": (function(float_for_record, "copy"), "'state' .* means .*Pair, but is annotated with float"),
+    "another record": (function(other_of_its_size, "copy"), "'state' .* means .*Pair, but is annotated with .*Other"),
+    "record for a float": (
+        function(record_for_float, "copy"),
+        "'own_heat' .* means float, but is annotated with .*Pair",
+    ),
     "result of another record": (traced(function(other_back, "copy")), "writes .*Other to 'copy', which is .*Pair"),
     "too few results": (
         traced(function(other_back, "other", "copy")),
@@ -123,7 +126,7 @@ REFUSED: dict[str, tuple[Callable[[], Any], str]] = {
     ),
     "way back": (
         function(of_two, "own_level", backward=of_two_the_other_way_round),
-        "the way back of system 'of_two' has the arguments ('host_heat', 'own_heat'), not ('own_heat', 'host_heat')",
+        "the way back of system 'of_two' takes ('host_heat', 'own_heat'), not ('own_heat', 'host_heat')",
     ),
     "condition": (
         named("state", when="awoke"),
@@ -150,7 +153,7 @@ REFUSED: dict[str, tuple[Callable[[], Any], str]] = {
         lambda: Layout({GUESTS: 1, HOSTS: 1}, {(GUESTS, "hots"): np.array([0])}),
         "unknown labels of what guests see ['hots']; known labels of what guests see: host, far_; did you mean 'host'",
     ),
-    "row by a name of two": (lambda: place_in(GUESTS.rows, "re"), "2 numbers have the name 're'"),
+    "row by a name of two": (lambda: place_in(GUESTS, "re"), "2 numbers of guests have the name 're'"),
 }
 
 
