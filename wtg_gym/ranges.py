@@ -33,10 +33,10 @@ class ByName(dict[str, Value]):
 
 
 def did_you_mean(name: Any, known: Iterable[str]) -> str:
-    """Return the end of an error about an unknown name: "; did you mean 'paper'?", or "" if no known one is like it."""
-    names = {each.casefold(): each for each in known}
-    close = difflib.get_close_matches(str(name).casefold(), names)
-    return f"; did you mean {' or '.join(repr(names[each]) for each in close)}?" if close else ""
+    """Return the end of an error about an unknown name: "; did you mean 'paper'?", or "" if no known one is near."""
+    names = {each.casefold(): str(each) for each in known}
+    close = difflib.get_close_matches(str(name).casefold(), names, n=1)
+    return f"; did you mean {names[close[0]]!r}?" if close else ""
 
 
 def is_whole(value: Any) -> bool:

@@ -58,6 +58,7 @@ BATTERIES = Kind(
     constants={"battery": Battery},
     sees={"unit": UNITS, "lane": LANE, "cost": COST},
     states=("charge",),
+    conditions=("wears",),
 )
 
 
@@ -99,7 +100,7 @@ def limited(charge: BatteryState, _: Battery) -> BatteryState:
     return BatteryState(charge.angle, clip(charge.energy, 0.0, 1.0))
 
 
-@system(BATTERIES, "term_rates")
+@system(BATTERIES, "term_rates", when="wears")
 def charge_for_wear(term_rates: CostTerms, output: BatteryOutput) -> CostTerms:
     """Add the wear to the effort."""
     return term_rates._replace(effort=term_rates.effort + 0.1 * output.power * output.power)
@@ -111,7 +112,7 @@ def observe(output: BatteryOutput) -> BatteryOutput:
     return output
 
 
-def batteries(*buses: int, energy_time_s: float = 600.0) -> FurtherUnits:
+def batteries(*buses: int, energy_time_s: float = 600.0, has: tuple[str, ...] = ("wears",)) -> FurtherUnits:
     """Batteries of 20 MVA, with a reactance of 0.2 p.u."""
     n, rating = len(buses), 0.2  # on the system's 100 MVA
     battery = Battery(1.0 / rating, 1.0 / energy_time_s, efficiency=0.95, droop=0.02, beyond=4.0)
@@ -131,6 +132,7 @@ def batteries(*buses: int, energy_time_s: float = 600.0) -> FurtherUnits:
             "observe": (observe,),
         },
         shown="seen",
+        has=has,
     )
 
 
@@ -143,8 +145,8 @@ def settings(version: str = "v0", **more: Any) -> EnvSettings:
     return dataclasses.replace(own, plant=given)
 
 
-def played(n_lanes: int, n_steps: int = 60) -> TaskLanes:
-    lanes = TaskLanes(settings(), n_lanes)
+def played(n_lanes: int, n_steps: int = 60, **more: Any) -> TaskLanes:
+    lanes = TaskLanes(settings(**more), n_lanes)
     lanes.start(list(range(n_lanes)), [STEP] * n_lanes)
     for _ in range(n_steps):
         lanes.step(np.zeros((n_lanes, lanes.n_action)))
@@ -163,8 +165,9 @@ def test_it_starts_in_equilibrium_and_holds_up_the_frequency() -> None:
     assert 1.0 > with_them > alone + 1e-4
     energy = own.observations[0, [own.observation_names.index(f"batteries{j}.energy_left") for j in range(2)]]
     assert (energy < 0.5).all() and (energy > 0.4).all()
-    # Wear is part of the cost of effort.
-    assert own.cost_sums()[0, list(CostTerms._fields).index("effort")] > 0.0
+    # Wear is part of the cost of effort, of batteries that wear.
+    effort = list(CostTerms._fields).index("effort")
+    assert own.cost_sums()[0, effort] > 0.0 == played(1, has=()).cost_sums()[0, effort]
 
 
 def test_one_lane_and_many_have_the_same_bits() -> None:
@@ -192,12 +195,15 @@ def test_its_gradient_is_that_of_differences() -> None:
 @pytest.mark.parametrize(
     ("changes", "reason"),
     [
-        ({"systems": {"setle": (settle,)}}, "no list has a place 'setle' for batteries; places: plan, settle"),
+        (
+            {"systems": {"setle": (settle,)}},
+            "no list has a place 'setle' for batteries; .*; did you mean 'settle'",
+        ),
         ({"systems": {"plan": (plan,)}}, "batteries have no systems for settle, voltages, move, rates"),
         ({"impedances": (0j,)}, "impedances of batteries must be finite and not 0 p.u."),
         ({"reactive_weights": (0.1, 0.2)}, "1 batteries need 1 reactive_weights, got 2"),
         ({"constants": {}}, r"batteries have the constants \['battery'\], got \[\]"),
-        ({"shown": "emf"}, "'emf' is no record in scratch of batteries"),
+        ({"shown": "sen"}, "'sen' is no record in scratch of batteries; did you mean 'seen'"),
     ],
 )
 def test_bad_units_are_refused(changes: dict[str, Any], reason: str) -> None:
@@ -210,6 +216,11 @@ def test_a_kind_that_is_there_already_is_refused() -> None:
         TaskLanes(
             dataclasses.replace(EnvSettings(version="v0"), plant=PlantSettings(further=(batteries(9), batteries(14))))
         )
+
+
+def test_a_condition_that_no_kind_has_is_refused() -> None:
+    with pytest.raises(ValueError, match=r"unknown conditions \['weares'\].*; did you mean 'wears'"):
+        TaskLanes(settings(has=("weares",)))
 
 
 def test_a_copy_from_another_process_goes_on_with_the_same_bits() -> None:

@@ -110,9 +110,8 @@ ROTORS = Kind(
 
 
 @system(ROTORS, "coefficient")
-def coefficient_of(ratio: float, pitch_deg: float, cells: Any, grid: Grid) -> float:
-    value: float = tabulated_power_coefficient(ratio, pitch_deg, cells, grid)
-    return value
+def coefficient_of(ratio: float, pitch_deg: float, cells: ex.Cells, grid: Grid) -> float:
+    return tabulated_power_coefficient(ratio, pitch_deg, cells, grid)
 
 
 #: Tip-speed ratio and pitch angle [deg] within the table, below its first ratio, and beyond its last one.

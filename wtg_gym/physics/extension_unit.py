@@ -229,15 +229,8 @@ def rates_of_extended(
         omega_n,
         limiter=(shift, most),
     )
-    terminal = at_terminal(
-        voltage.re,
-        voltage.im,
-        inv_share * unit_current.re,
-        inv_share * unit_current.im,
-        reactance,
-        share,
-        turbine.converter,
-    )
+    i_re, i_im = inv_share * unit_current.re, inv_share * unit_current.im
+    terminal = at_terminal(voltage.re, voltage.im, i_re, i_im, reactance, share, turbine.converter)
     # A group that is disconnected measures its bus.
     seen = select(given.connected > 0.5, terminal.terminal_voltage, bus_magnitude)
     terminal = terminal._replace(terminal_voltage=seen)

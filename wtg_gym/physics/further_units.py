@@ -65,7 +65,7 @@ class FurtherUnits:
             raise ValueError(f"systems of {', '.join(sorted(others))} cannot join for {name}")
         if set(self.constants) != set(kind.constants):
             raise ValueError(f"{name} have the constants {sorted(kind.constants)}, got {sorted(self.constants)}")
-        if place_in(kind.rows, "connected") is None:
+        if place_in(kind, "connected") is None:
             raise ValueError(f"the rows of {name} have no number `connected`, which says whether a unit is")
         if self.shown is not None and not is_record(kind.scratch.get(self.shown)):
             like = did_you_mean(self.shown, kind.scratch)

@@ -7,6 +7,7 @@ has rows of the same form in a scratch that a thread shares between its blocks.
 
 from __future__ import annotations
 
+import itertools
 from collections import namedtuple
 from collections.abc import Mapping, Sequence
 from functools import cached_property
@@ -20,7 +21,7 @@ from wtg_gym.physics.hydro_unit import HYDRO
 from wtg_gym.physics.machine_unit import MACHINES
 from wtg_gym.physics.units import BUSES, LANE, UNITS
 from wtg_gym.physics.wtg_unit import GROUPS
-from wtg_gym.ranges import require_known
+from wtg_gym.ranges import did_you_mean, require_known
 from wtg_gym.systems.records import is_record, short_names
 from wtg_gym.systems.systems import Kind, count
 
@@ -47,11 +48,17 @@ def n_rows_of(parts: Mapping[str, Any]) -> int:
     return sum(count(record) for record in parts.values())
 
 
-def place_in(parts: Mapping[str, Any], name: str) -> int | None:
-    """Return the row of a number by its short name, None if none has it; a KeyError if several have it."""
-    names = [each for part, record in parts.items() for each in (short_names(record) if is_record(record) else (part,))]
+def names_of(kind: Kind) -> list[str]:
+    """Return the short name of each of a unit's rows."""
+    names = (short_names(record) if is_record(record) else (part,) for part, record in kind.rows.items())
+    return [*itertools.chain(*names)]
+
+
+def place_in(kind: Kind, name: str) -> int | None:
+    """Return which of a unit's rows has a number of a short name, None if none has; a ValueError if several have."""
+    names = names_of(kind)
     if names.count(name) > 1:
-        raise KeyError(f"{names.count(name)} numbers have the name {name!r}")
+        raise ValueError(f"{names.count(name)} numbers of {kind.name} have the name {name!r}")
     return names.index(name) if name in names else None
 
 
@@ -141,11 +148,12 @@ class Layout:
     def _named(self, name: str, what: str, kinds: Sequence[Kind]) -> Whole:
         if (name, what) not in self._found:
             for kind in kinds:
-                if place_in(kind.rows, name) is not None and (self.counts[kind] or kind is kinds[0]):
+                if place_in(kind, name) is not None and (self.counts[kind] or kind is kinds[0]):
                     self._found[name, what] = self.rows_of(kind, name)
                     break
             else:
-                raise KeyError(f"{name!r} is no number of a {what} of this plant")
+                known = itertools.chain(*(names_of(kind) for kind in kinds if self.counts[kind]))
+                raise KeyError(f"{name!r} is no number of a {what} of this plant{did_you_mean(name, known)}")
         return self._found[name, what]
 
     @cached_property
@@ -193,7 +201,7 @@ N_MACHINE_ROWS, N_WTG_ROWS = n_rows_of(MACHINES.rows), n_rows_of(GROUPS.rows)
 
 def place_of(kind: Kind, name: str) -> int:
     """Return which of a unit's rows has a number of a short name."""
-    place = place_in(kind.rows, name)
+    place = place_in(kind, name)
     if place is None:
-        raise KeyError(f"{name!r} is no number of {kind.name}")
+        raise KeyError(f"{name!r} is no number of {kind.name}{did_you_mean(name, names_of(kind))}")
     return place

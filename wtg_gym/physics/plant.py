@@ -89,7 +89,8 @@ class PlantSettings(Checked):
         control_dt: control interval [s], a whole number of simulation steps.
         simulation_dt: step of the integration, 0.05 … 40 ms [s]; a simulator refuses one that is too long for the
             plant's fastest mode.
-        further: units of kinds of one's own.
+        further: units of kinds of one's own. Those that see the task need :class:`~wtg_gym.envs.lanes.TaskLanes`; no
+            argument of `gym.make` takes them.
         trips_groups: the failure of a rotor (:class:`~wtg_gym.physics.protection.Status`) disconnects its group instead
             of ending the run.
 
@@ -574,7 +575,7 @@ def arranged(
     connected += [layout.rows_of(own.kind, "connected") for own in plant.further]
     angles = [layout.machine("angle"), layout.wtg("angle")]
     for own in plant.further:
-        turns = place_in(own.kind.rows, "angle") is not None
+        turns = place_in(own.kind, "angle") is not None
         angles.append(layout.rows_of(own.kind, "angle") if turns else np.full(len(own.buses), -1))
     facts = plant.network.facts._replace(**first)  # type: ignore[arg-type]
     tables = build_table(programs, Arranged(plant, layout, further or Further({})), taped)

@@ -21,6 +21,7 @@ import numpy.typing as npt
 from scipy.interpolate import RectBivariateSpline
 
 from wtg_gym.files import read_text
+from wtg_gym.systems import expressions as ex
 from wtg_gym.systems.elementary import clip, fma
 
 #: Coefficients of each cell's polynomial (n_λ - 1, n_β - 1, 16); without cells where a turbine has no table.
@@ -124,7 +125,7 @@ def _n_steps(length: float, step: float) -> int:
     return min(max(1, round(length / step)), _MOST_POINTS)
 
 
-def tabulated_power_coefficient(ratio: float, pitch_deg: float, cells: Cells, g: Grid) -> float:
+def tabulated_power_coefficient(ratio: float, pitch_deg: float, cells: Cells | ex.Cells, g: Grid) -> float:
     """Return C_p at a tip-speed ratio λ and a pitch angle β [deg]."""
     n_ratio, n_pitch = cells.shape[0], cells.shape[1]
     u = clip((ratio - g.ratio_min) * g.inv_ratio_step, 0.0, n_ratio * 1.0)

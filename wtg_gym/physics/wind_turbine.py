@@ -40,7 +40,8 @@ from wtg_gym.physics.parameters import (
     VoltageControlParameters,
 )
 from wtg_gym.physics.pitch import Pitch, PitchState, pitch_constants, pitch_limited, pitch_rates
-from wtg_gym.physics.rotor_table import Cells, Grid, tabulated_power_coefficient
+from wtg_gym.physics.rotor_table import Grid, tabulated_power_coefficient
+from wtg_gym.systems import expressions as ex
 from wtg_gym.systems.elementary import fma, select, sine_cosine
 from wtg_gym.systems.records import each
 
@@ -162,7 +163,7 @@ def captured_by_curve(rotor_speed: float, wind: float, pitch: float, c: Rotor) -
     return c.wind_power * wind * wind * wind * power_coefficient_at(tip, wind, pitch, c.curve)
 
 
-def captured_by_table(rotor_speed: float, wind: float, pitch: float, c: Rotor, cells: Cells) -> float:
+def captured_by_table(rotor_speed: float, wind: float, pitch: float, c: Rotor, cells: ex.Cells) -> float:
     """Return what :func:`captured_by_curve` does, by the table of C_p."""
     ratio = c.tip_speed * max(rotor_speed, 1e-3) / wind
     return c.wind_power * wind * wind * wind * tabulated_power_coefficient(ratio, pitch, cells, c.grid)

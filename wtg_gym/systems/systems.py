@@ -98,7 +98,7 @@ class Kind:
         if len(places) == 1:
             return places[0]
         if not places:
-            kinds = ", ".join(kind.name for kind in self.sees.values()) or "nothing"
+            kinds = ", ".join(dict.fromkeys(kind.name for kind in self.sees.values())) or "nothing"
             nobody = f"is no part or constant of {self.name}, nor of what they see: {kinds}"
             raise TypeError(f"{who or repr(name)} {nobody}{did_you_mean(name, self.names)}")
         several = " and ".join(f"{place.name!r} ({place.where} of {place.kind.name})" for place in places)
@@ -194,36 +194,35 @@ class System:
     origin: tuple[Any, ...] | None = None
 
     def __post_init__(self) -> None:
-        known = [condition for kind in (self.kind, *self.kind.sees.values()) for condition in kind.conditions]
+        kinds = dict.fromkeys((self.kind, *self.kind.sees.values()))
+        known = [condition for kind in kinds for condition in kind.conditions]
         if self.when is not None and self.when not in known:
             nobody = f"is no condition of {self.kind.name} or of what they see: {', '.join(known) or 'none'}"
             raise TypeError(f"when={self.when!r} of system {self.name!r} {nobody}{did_you_mean(self.when, known)}")
-        if self.backward is not None and (names := _parameters(self.backward)) != self.arguments_named:
-            raise TypeError(
-                f"the way back of system {self.name!r} has the arguments {names}, not {self.arguments_named}"
-            )
-        for name, place in self.targets.items():
-            if not place.has_rows:
-                raise TypeError(f"system {self.name!r} writes {name!r}, which is one of the {place.where}")
+        back = tuple(inspect.signature(self.backward or self.equation).parameters)
+        if self.backward is not None and back != self.arguments_named:
+            raise TypeError(f"the way back of system {self.name!r} takes {back}, not {self.arguments_named}")
+        for name in self.writes:
+            if not self.places[name].has_rows:
+                raise TypeError(f"system {self.name!r} writes {name!r}, which is one of the {self.places[name].where}")
         for name, annotation in self._annotations().items():
             record = self.places[name].record
             if annotation not in (Any, record):
-                told, means = inspect.formatannotation(annotation), inspect.formatannotation(record)
+                wrong, right = inspect.formatannotation(annotation), inspect.formatannotation(record)
                 raise TypeError(
-                    f"argument {name!r} of system {self.name!r} is annotated with {told}, but means {means}"
+                    f"argument {name!r} of system {self.name!r} means {right}, but is annotated with {wrong}"
                 )
 
     def _annotations(self) -> dict[str, Any]:
         """Return what the arguments are annotated with, of those that are."""
         if self.arguments:
             return {}
-        function = _plain(self.equation)
         try:
-            hints = get_type_hints(function)
+            hints = get_type_hints(self.equation)
         except NameError:
-            # A class of a function's own is known by its name only.
+            # A class that is defined within a function is known by its name only.
             records = (place.record for place in self.places.values())
-            hints = get_type_hints(function, localns={record.__name__: record for record in records})
+            hints = get_type_hints(self.equation, localns={record.__name__: record for record in records})
         return {name: hint for name, hint in hints.items() if name in self.arguments_named}
 
     def __reduce__(self) -> tuple[Any, ...]:
@@ -240,8 +239,7 @@ class System:
     @property
     def name(self) -> str:
         """Name of the function."""
-        name: str = _plain(self.equation).__name__
-        return name
+        return self.equation.__name__
 
     def __call__(self, *arguments: Any, **named: Any) -> Any:
         """Evaluate the equation."""
@@ -254,15 +252,10 @@ class System:
         written = {name: f"system {self.name!r} writes {name!r}, which" for name in self.writes}
         return {name: self.kind.find(name, who) for name, who in {**written, **read}.items()}
 
-    @property
-    def targets(self) -> dict[str, Place]:
-        """Parts that the result replaces."""
-        return {name: self.places[name] for name in self.writes}
-
     @functools.cached_property
     def arguments_named(self) -> tuple[str, ...]:
         """Names of the arguments."""
-        return self.arguments or _parameters(self.equation)
+        return self.arguments or tuple(inspect.signature(self.equation).parameters)
 
     @property
     def trace(self) -> Trace:
@@ -363,16 +356,6 @@ class System:
             symbol = ex.symbol(leaf)
             found.constants[symbol] = leaf
             yield symbol != 0.0 if kind is bool else symbol
-
-
-def _plain(function: Callable[..., Any]) -> Callable[..., Any]:
-    """Return the function of Python's that a compiled one was made of."""
-    plain: Callable[..., Any] = getattr(function, "py_func", function)
-    return plain
-
-
-def _parameters(function: Callable[..., Any]) -> tuple[str, ...]:
-    return tuple(inspect.signature(_plain(function)).parameters)
 
 
 def _of_module(module: str, name: str) -> Any:
