@@ -23,7 +23,7 @@ ROOMS = (
     *(f"wtg_gym/{name}" for name in ("plotting", "cli", "evaluation", "reproduce")),
     *(
         f"wtg_gym/{name}"
-        for name in ("sb3.py", "gains.py", "gradients", "pettingzoo.py", "policies", "envs", "scenarios")
+        for name in ("sb3.py", "gains.py", "gradients", "pettingzoo.py", "policies", "envs", "scenarios", "tasks")
     ),
     *("wtg_gym/physics", "wtg_gym/systems"),
 )
@@ -31,7 +31,7 @@ ROOMS = (
 ACTION = (
     ("envs/gfm_wtg.py", "step"),
     ("envs/lanes.py", "all lanes, threads"),
-    ("envs/task.py", "the lists of the task"),
+    ("envs/stepping.py", "the lists of the task"),
     ("physics/integration.py", "one interval, events"),
     ("physics/step.py", "the list of systems"),
     ("physics/machine_unit.py", "a machine's systems"),

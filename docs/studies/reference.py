@@ -9,14 +9,6 @@ from typing import get_type_hints
 from output import folder
 
 from wtg_gym.envs import EnvSettings, GFMWTGEnv
-from wtg_gym.envs.task_records import (
-    GridObservation,
-    Info,
-    LocalInfo,
-    MachineObservation,
-    MeasuredObservation,
-    WtgObservation,
-)
 from wtg_gym.files import markdown_table, update_between_markers
 from wtg_gym.physics import control_parameters, machine_parameters, parameters
 from wtg_gym.physics.grid import get_grid
@@ -25,6 +17,8 @@ from wtg_gym.physics.parameters import SOURCES, WtgGroup
 from wtg_gym.scenarios import SUITES
 from wtg_gym.tasks import TASKS
 from wtg_gym.tasks.cost import CostWeights
+from wtg_gym.tasks.observation import GridObservation, Info, LocalInfo, MachineObservation, WtgObservation
+from wtg_gym.tasks.sensing import MeasuredObservation
 
 NEWEST_FIRST = list(TASKS.values())[::-1]
 ENVS = {version.version: GFMWTGEnv(version=version.version) for version in NEWEST_FIRST}
@@ -89,8 +83,7 @@ def privileged():
 def weights():
     """Return the weights of the cost."""
     own = [env.settings.cost_weights() for env in ENVS.values()]
-    names = [field.name for field in dataclasses.fields(CostWeights)]
-    rows = [(f"`{name}`", *(f"{getattr(weights, name):g}" for weights in own)) for name in names]
+    rows = [(f"`{name}`", *(f"{getattr(weights, name):g}" for weights in own)) for name in CostWeights._fields]
     table = markdown_table(("weight [1/s]", *ENVS), rows, right=range(1, 1 + len(own)))
     return (
         f"{table}\n\n`cap` is the largest sum, in v1 of all terms but frequency and load not served; `unserved` and "

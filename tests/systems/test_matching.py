@@ -12,11 +12,9 @@ from typing import Any, NamedTuple
 import numpy as np
 import pytest
 
-import wtg_gym.envs
 import wtg_gym.physics
+import wtg_gym.tasks
 from tests.systems.test_systems import Arranged
-from wtg_gym.envs.cost import CHARGE
-from wtg_gym.envs.observation import OBSERVE
 from wtg_gym.physics import step
 from wtg_gym.physics.layout import Layout, place_in
 from wtg_gym.physics.machine_models import CONTROLS
@@ -24,6 +22,7 @@ from wtg_gym.physics.units import ControlJoining, Joining
 from wtg_gym.systems.programs import Delay, Here, Product, Program, Repeat, When, build_table
 from wtg_gym.systems.routines import Routine
 from wtg_gym.systems.systems import Kind, System, system
+from wtg_gym.tasks import V0, V1
 
 
 class Pair(NamedTuple):
@@ -192,7 +191,7 @@ def test_a_number_that_is_written_by_another_name_than_it_is_read_by_is_read_fir
 
 def shipped() -> Iterator[System]:
     """Yield all systems of the simulator and of the task."""
-    for room in (wtg_gym.physics, wtg_gym.envs):
+    for room in (wtg_gym.physics, wtg_gym.tasks):
         for file in pkgutil.iter_modules(room.__path__, f"{room.__name__}."):
             yield from (each for each in vars(importlib.import_module(file.name)).values() if isinstance(each, System))
     for control in CONTROLS.values():
@@ -223,5 +222,5 @@ def test_there_is_a_list_for_every_place_where_systems_may_join() -> None:
         elif isinstance(entry, (When, Repeat)):
             yield from places(entry.entries)
 
-    found = places((*(each for each in vars(step).values() if isinstance(each, tuple)), CHARGE, OBSERVE))
+    found = places((*(each for each in vars(step).values() if isinstance(each, tuple)), V0.charge, V1.observe))
     assert set(found) == {*Joining, *ControlJoining}

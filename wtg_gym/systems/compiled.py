@@ -60,7 +60,7 @@ def digest_of(*parts: bytes) -> bytes:
 def source_hash() -> str:
     """Return the sha256 hex digest of every source file that compiled code lives in, and of the grids."""
     parts = []
-    for folder in ("systems", "physics", "scenarios", "envs", "gradients", "grids"):
+    for folder in ("systems", "physics", "tasks", "scenarios", "envs", "gradients", "grids"):
         for path in sorted(each for ending in ("py", "json") for each in (_PACKAGE / folder).glob(f"*.{ending}")):
             parts += [path.name.encode(), path.read_bytes()]
     return digest_of(*parts).hex()
