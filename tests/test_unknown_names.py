@@ -9,7 +9,7 @@ import pytest
 
 from wtg_gym.envs import EnvSettings
 from wtg_gym.physics.grid import get_grid
-from wtg_gym.physics.plant import plant_settings
+from wtg_gym.physics.plant import PlantSettings
 from wtg_gym.physics.tracking_law import get_law
 from wtg_gym.policies.load import load_entries
 from wtg_gym.ranges import ByName
@@ -23,8 +23,8 @@ from wtg_gym.scenarios import get_suite
         (lambda: EnvSettings(version="v1", suite="wek-grid-v1"), "weak-grid-v1"),
         (lambda: get_suite("standard").seeds("tests"), "test"),
         (lambda: EnvSettings(version="V1"), "v1"),
-        (lambda: EnvSettings(physics="extented"), "extended"),
-        (lambda: plant_settings("nrel_5mw"), "nrel-5mw"),
+        (lambda: EnvSettings(plant={"physics": "extented"}).resolved_plant, "extended"),
+        (lambda: PlantSettings().replaced(physics="nrel_5mw"), "nrel-5mw"),
         (lambda: EnvSettings(action_mode="k+taw"), "k+tau"),
         (lambda: EnvSettings(weights={"dutty": 0.0}).cost_weights(), "duty"),
         (lambda: get_grid("kundru"), "kundur"),

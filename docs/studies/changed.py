@@ -57,9 +57,9 @@ def played(
     scenarios = [change(scenario) for scenario in get_suite(suite).scenarios(seeds)]
     own = EnvSettings(suite=suite, split=split, **{"duration_s": scenarios[0].duration_s} | settings)
     if plant is not None:
-        own = dataclasses.replace(own, plant=plant(own.plant()))
+        own = dataclasses.replace(own, plant=plant(own.resolved_plant))
     shared = shared_settings(own)
-    scene = sha256(pickle.dumps([scenarios, by_centre]) + repr(own.plant()).encode())
+    scene = sha256(pickle.dumps([scenarios, by_centre]) + repr(own.resolved_plant).encode())
     store = PartialStore(partial, [scene, shared, sha256(Path(__file__).read_bytes())])
 
     def of_part(part: tuple[Entry, int]) -> list[Episode]:
@@ -86,7 +86,7 @@ def played(
         source_hash=source_hash(),
         seeds=tuple(seeds),
         draw=None,
-        environment={"id": own.benchmark().env_id, "fingerprint": environment_fingerprint(own)},
+        environment={"id": own.task.env_id, "fingerprint": environment_fingerprint(own)},
         settings=shared,
         versions=dict(versions()),
         entries=tuple(entry.to_dict() for entry in entries),

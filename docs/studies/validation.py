@@ -97,7 +97,7 @@ def samples(run, step_s):
     """
     environment, rng = EnvSettings(version=run[:2]), np.random.default_rng(0)
     suite = get_suite(environment.suite)
-    plant = dataclasses.replace(environment.plant(), simulation_dt=step_s)
+    plant = dataclasses.replace(environment.resolved_plant, simulation_dt=step_s)
     n_wtg, hertz = len(plant.groups), plant.case.frequency_hz
     seeds, sizes = list(suite.validation[:N_SCENARIOS]), [group.n_turbines for group in plant.groups]
     scenarios = suite.scenarios(seeds, n_wtg=n_wtg, n_turbines=sizes)

@@ -88,7 +88,7 @@ def test_a_failure_comes_gradually() -> None:
 
 def test_what_trips_or_is_shed_changes_the_gradient_alone() -> None:
     failures, alive, outputs, names = watched(V1)
-    stages = EnvSettings(**V1).plant().shedding
+    stages = EnvSettings(**V1).resolved_plant.shedding
 
     def slope(distance: float) -> float:
         safe = 1.0 / (1.0 + math.exp(1.0 - distance))

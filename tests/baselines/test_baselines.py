@@ -62,5 +62,7 @@ def test_mean_droop_acts_on_the_mean_deviation_and_spares_slow_rotors() -> None:
     assert policy.predict(observation)[0] == pytest.approx(np.array([[0.2, 0.2, -0.3, -1.0]]))
     # Arrays of numbers are several policies at once.
     own = np.repeat(observation.reshape(1, 1, 4, 7), 2, axis=1)
-    both = MeanDroop(np.array([[0.5], [1.0]]), np.array([[0.7], [0.5]]), np.array([[5.0], [1.0]])).act(own)
+    both = MeanDroop(np.array([[0.5], [1.0]]), np.array([[0.7], [0.5]]), np.array([[5.0], [1.0]])).act(
+        own[..., 0], own[..., 3]
+    )
     assert both == pytest.approx(np.array([[[0.2, 0.2, -0.3, -1.0], [0.1, 0.1, 0.1, -0.1]]]))

@@ -380,7 +380,7 @@ def test_the_gradient_goes_through_events_of_the_network(events: list[Any]) -> N
 def test_the_gradient_goes_through_secondary_control() -> None:
     step = LoadStep(time_s=1.0, bus=4, power_mw=30.0)
     with_it = EnvSettings(**V1)
-    without = dataclasses.replace(with_it, plant=dataclasses.replace(with_it.plant(), secondary_time_s=0.0))
+    without = dataclasses.replace(with_it, plant=dataclasses.replace(with_it.resolved_plant, secondary_time_s=0.0))
     found = []
     for settings in (with_it, without):
         tape = Tape(settings, N_LANES, 1)

@@ -22,7 +22,7 @@ Floats = npt.NDArray[np.float64]
 N_STEPS, N_LANES = 120, 3
 SETTINGS = EnvSettings(version="v0")
 #: At 0 the dead band is a corner.
-PLANT = with_parameters(SETTINGS.plant(), {"machines.1.governor.dead_band_pu": 2e-4})
+PLANT = with_parameters(SETTINGS.resolved_plant, {"machines.1.governor.dead_band_pu": 2e-4})
 KNOWN = known_parameters(PLANT)
 #: The condensers at buses 6 and 8 have nothing that the one at bus 3 has not.
 COMPARED = [name for name in KNOWN if not name.startswith(("machines.6.", "machines.8.")) or name.endswith("two_h_s")]

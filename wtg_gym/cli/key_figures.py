@@ -11,10 +11,10 @@ import numpy as np
 import numpy.typing as npt
 
 from wtg_gym.cli.output import print_table
-from wtg_gym.tasks.episode import ROCOF_WINDOW_S
 from wtg_gym.physics.layout import Floats
 from wtg_gym.physics.protection import Status
 from wtg_gym.physics.trajectory import Trajectory
+from wtg_gym.tasks.episode import ROCOF_WINDOW_S
 
 
 def key_figures(name: str, run: Trajectory) -> dict[str, Any]:
