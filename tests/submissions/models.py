@@ -196,6 +196,31 @@ def varint(number: int) -> bytes:
     return data + bytes([number])
 
 
+def field(number: int, data: bytes, kind: int = 2, *, far: bool = False) -> bytes:
+    """Return a field of a message; the key of a far one has a bit more than the 32 of a key."""
+    key = varint(number << 3 | kind | far << 32)
+    return key + (varint(len(data)) if kind == 2 else b"") + data
+
+
+def with_function(text: str, domain: str) -> ModelProto:
+    """A linear policy that calls a function of its own, which has the name of an operator of ONNX."""
+    content = after(f"action = {domain + '.' if domain else ''}Tanh(linear)")
+    imports = [helper.make_opsetid("", 17)]
+    content.functions.append(helper.make_function(domain, "Tanh", ["x"], ["y"], nodes_of(text), imports))
+    if domain:
+        content.opset_import.append(helper.make_opsetid(domain, 1))
+    return content
+
+
+def branch(text: str) -> ModelProto:
+    """A linear policy whose action is that of both branches of a condition."""
+    content = after("action = If(on)", on=True)
+    for name in ("then_branch", "else_branch"):
+        graph = helper.make_graph(nodes_of(text), name, [], [info("drawn", 1, M)])
+        content.graph.node[-1].attribute.append(helper.make_attribute(name, graph))
+    return content
+
+
 def nested(depth: int) -> bytes:
     """A graph in a node's attribute, in a graph in a node's attribute, and so on."""
     data = b""
