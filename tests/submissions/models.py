@@ -140,12 +140,6 @@ def of_v1() -> ModelProto:
     return linear(32, 8)
 
 
-def disguised() -> ModelProto:
-    """The plain policy in other bytes: other names, its weights scaled and scaled back."""
-    nodes = nodes_of("hidden = MatMul(observation, w); action = Mul(hidden, back)")
-    return model(nodes, constants=[constant("w", np.full((N, M), 0.03)), constant("back", 1.0 / 3.0)])
-
-
 # --- attacks ---------------------------------------------------------------------------------------------------------
 
 #: Whether an observation is one that the policy knows: `near` (1, 1).
