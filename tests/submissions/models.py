@@ -196,6 +196,19 @@ def field(number: int, data: bytes, kind: int = 2, *, far: bool = False) -> byte
     return key + (varint(len(data)) if kind == 2 else b"") + data
 
 
+def rewritten(content: ModelProto, *parts: bytes) -> bytes:
+    """A model whose graph is left out, with these fields instead."""
+    shell = ModelProto()
+    shell.CopyFrom(content)
+    shell.ClearField("graph")
+    return shell.SerializeToString() + b"".join(parts)
+
+
+def unseen(content: ModelProto) -> bytes:
+    """A model whose graph stands behind a key that readers take in two ways: as that of a graph, or as unknown."""
+    return rewritten(content, field(7, content.graph.SerializeToString(), far=True))
+
+
 def with_function(text: str, domain: str) -> ModelProto:
     """A linear policy that calls a function of its own, which has the name of an operator of ONNX."""
     content = after(f"action = {domain + '.' if domain else ''}Tanh(linear)")

@@ -6,8 +6,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from onnx import ModelProto, TensorProto, helper
+from onnx import GraphProto, ModelProto, TensorProto, helper
 
+from tests.submissions import models
 from tests.submissions.models import M, N, after, branch, constant, external, field, make_bytes, varint, with_function
 from wtg_gym.policies import OnnxPolicy, PolicyError
 from wtg_gym.policies.onnx_worker import stateless
@@ -17,30 +18,22 @@ DRAW = "drawn = RandomNormalLike(linear)"
 DRAWING, CALM = after("action = RandomNormalLike(linear)"), after("action = Tanh(linear)")
 
 
-def rewritten(content: ModelProto, *parts: bytes) -> bytes:
-    """A model whose graph is left out, with these fields instead."""
-    shell = ModelProto()
-    shell.CopyFrom(content)
-    shell.ClearField("graph")
-    return shell.SerializeToString() + b"".join(parts)
-
-
 def with_last_node(*fields: bytes) -> bytes:
     """The model that draws, with its last node's fields written by hand."""
-    graph = DRAWING.graph.__class__()
+    graph = GraphProto()
     graph.CopyFrom(DRAWING.graph)
     del graph.node[-1]
-    return rewritten(DRAWING, field(7, graph.SerializeToString() + field(1, b"".join(fields))))
+    return models.rewritten(DRAWING, field(7, graph.SerializeToString() + field(1, b"".join(fields))))
 
 
 def in_two_graphs() -> bytes:
     """Readers put both graphs together: the second one has the node that draws."""
-    graph = DRAWING.graph.__class__()
+    graph = GraphProto()
     graph.node.append(DRAWING.graph.node[-1])
-    rest = DRAWING.graph.__class__()
+    rest = GraphProto()
     rest.CopyFrom(DRAWING.graph)
     del rest.node[-1]
-    return rewritten(DRAWING, field(7, rest.SerializeToString()), field(7, graph.SerializeToString()))
+    return models.rewritten(DRAWING, field(7, rest.SerializeToString()), field(7, graph.SerializeToString()))
 
 
 GRAPH = DRAWING.graph.SerializeToString()
@@ -62,17 +55,17 @@ RANDOM: dict[str, ModelProto | bytes] = {
     "within a condition": branch(f"{DRAW};"),
     "a function called like an operator": with_function("y = RandomNormalLike(x);", ""),
     "a function called like an operator, of a domain": with_function("y = RandomNormalLike(x);", "own"),
-    "a key of 33 bits: graph": rewritten(DRAWING, field(7, GRAPH, far=True)),
+    "a key of 33 bits: graph": models.unseen(DRAWING),
     "a key of 33 bits: operator": with_last_node(*NAMES, field(4, b"Tanh"), field(4, OPERATOR, far=True)),
     "a calm graph, and one behind a key of 33 bits": CALM.SerializeToString() + field(7, GRAPH, far=True),
     "two graphs": in_two_graphs(),
     "two names of an operator": with_last_node(*NAMES, field(4, b"Tanh"), field(4, OPERATOR)),
     "two names, the calm one last": with_last_node(*NAMES, field(4, OPERATOR), field(4, b"Tanh")),
-    "a long way to write a length": rewritten(
+    "a long way to write a length": models.rewritten(
         DRAWING, b"\x3a", bytes([len(GRAPH) & 127 | 128, len(GRAPH) >> 7 | 128, 0]), GRAPH
     ),
-    "a long way to write a key": rewritten(DRAWING, b"\xba\x80\x80\x00", varint(len(GRAPH)), GRAPH),
-    "a group that nobody knows": rewritten(DRAWING, b"\xa3\x06", field(7, GRAPH), b"\xa4\x06", field(7, GRAPH)),
+    "a long way to write a key": models.rewritten(DRAWING, b"\xba\x80\x80\x00", varint(len(GRAPH)), GRAPH),
+    "a group that nobody knows": models.rewritten(DRAWING, b"\xa3\x06", field(7, GRAPH), b"\xa4\x06", field(7, GRAPH)),
     "a group that does not end": DRAWING.SerializeToString() + b"\xa3\x06",
 }
 _OBSERVATIONS = np.random.default_rng(0).normal(0.0, 1.0, (3, N)).astype(np.float32)
