@@ -47,7 +47,7 @@ VERIFICATION_SECRET := docs/verification/2026-11.txt
 .PHONY: verification
 verification: $(LEADERBOARD_READY) ## Score every entry of the last round on its fresh scenarios, and print the gap to the public ones
 	$(LEADERBOARD_VENV)/bin/wtg-gym leaderboard --suite standard --entries baselines policies --results results
-	@drawn=; folders=$$($(LEADERBOARD_VENV)/bin/python -c "from wtg_gym.policies.load import policy_folders as of; \
+	@drawn=; folders=$$($(LEADERBOARD_VENV)/bin/python -c "from wtg_gym.policies.entry_folder import policy_folders as of; \
 	    print(*(folder.relative_to('$(CURDIR)') for folder in of('GFMWTG-14bus-v0')))") || exit; \
 	if git cat-file -e '$(VERIFICATION_COMMIT)^{commit}' 2>/dev/null; then \
 	    for folder in $$folders; do \

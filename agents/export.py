@@ -12,9 +12,7 @@ from agents.folders import BEST, folders
 from agents.runs import Run
 from agents.training import entry_values
 from wtg_gym.files import markdown_table, sha256, write_together
-from wtg_gym.policies.entry_toml import parse_entry
-from wtg_gym.policies.load import ENTRY_FILE, POLICY_FILE
-from wtg_gym.policies.submission_folder import entry_text
+from wtg_gym.policies.entry_folder import ENTRY_FILE, POLICY_FILE, entry_text, parse_entry
 from wtg_gym.scenarios import get_suite
 
 _DESCRIPTION = """\
@@ -40,11 +38,12 @@ def export(
     if not best:
         raise ValueError(f"{run_folder} has no validated policy yet: go on with the run first")
     timesteps = int(best[-1].name)
-    entry = entry_values(settings, timesteps, name, description)
+    entry = entry_values(settings, name, description)
     if parse_entry((best[-1] / ENTRY_FILE).read_text(encoding="utf-8")).get("per_group"):
         entry["per_group"] = True
     content = (best[-1] / POLICY_FILE).read_bytes()
-    trained_on = f"{settings.suite}, split train, {timesteps} steps; chosen on split validation"
+    # The same for all training seeds, which share a row.
+    trained_on = f"{settings.suite}, split train, up to {settings.timesteps} steps; chosen on split validation"
     files: dict[str, str | bytes] = {
         POLICY_FILE: content,
         "README.md": _model_card(run, rows[timesteps], entry["name"], authors, content),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from wtg_gym.evaluation import load_entries
 from wtg_gym.files import sha256
-from wtg_gym.policies.load import policy_folders
+from wtg_gym.policies.entry_folder import policy_folders
 
 
 def test_every_trained_policy_is_there_and_its_card_has_its_command() -> None:

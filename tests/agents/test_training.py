@@ -144,7 +144,7 @@ def test_export_describes_the_policy_that_it_writes_and_replaces_nothing(
     assert export_command(command) == 0
     card = (entry / "README.md").read_text()
     assert f"| {run.curve[-1]['score']:.1f} on 2 scenarios (mppt 0, coordinated-piecewise 100)" in card
-    text = 'trained_on = "standard, split train, 768 steps; chosen on split validation"'
+    text = 'trained_on = "standard, split train, up to 768 steps; chosen on split validation"'
     assert text in (entry / "entry.toml").read_text()
     assert export_command(command) == 2 and "is there already" in capsys.readouterr().err
     for name in ("a|b", "Fast Droop"):

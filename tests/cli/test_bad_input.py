@@ -50,7 +50,7 @@ BAD = [
     ("simulate --wind-csv wind.csv --suite paper-v1 --duration 6", "wind for 2 WTG groups, paper-v1 has 4"),
     # Scores.
     ("evaluate --entries turbo", "'turbo'"),
-    ("evaluate --entries mppt mppt", "given more than once: ['mppt']"),
+    ("evaluate --entries mppt mppt", "the entry mppt is given twice"),
     ("evaluate --entries best", "the folder best holds no entry.toml; several folders are best/*"),
     ("evaluate --entries best/empty", "the folder best/empty holds no entry.toml"),
     ("evaluate --entries model.zip", "model.zip: an archive of Stable-Baselines3 is not opened"),

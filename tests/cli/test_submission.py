@@ -35,7 +35,7 @@ def test_template_beside_a_policy_is_accepted_once_it_is_filled_in(
     entry = target / "entry.toml"
     empty = entry.read_text(encoding="utf-8")
     assert main(["submission", "check", str(target)]) == 1
-    assert "authors must be a list of 1 … 40" in capsys.readouterr().out
+    assert "authors must be a list of 1 … 40 names" in capsys.readouterr().out
     filled = empty.replace("authors = []", 'authors = ["A"]').replace('name = ""', 'name = "Mine"')
     entry.write_text(filled, encoding="utf-8")
     assert main(["submission", "check", str(target)]) == 0
@@ -68,7 +68,7 @@ def test_score_ranks_what_is_not_refused(capsys: pytest.CaptureFixture[str], tmp
     twin = folder(tmp_path / "c")
     assert main(["submission", "score", str(good), str(twin), *_FEW, "--results", str(tmp_path / "s")]) == 1
     said = capsys.readouterr()
-    assert said.out == "" and "Mine, training seed 0 is given twice" in said.err
+    assert said.out == "" and "Mine (training seed 0) is given twice" in said.err
     assert not list((tmp_path / "s").glob("*.*"))
 
 
@@ -88,7 +88,7 @@ def test_score_plays_each_folder_on_the_standard_suite_of_its_version(
 
 
 def test_check_compares_with_the_entries_beside(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
-    old, mine = folder(tmp_path / "old"), folder(tmp_path / "new", models.disguised(), OTHER)
+    old, mine = folder(tmp_path / "old"), folder(tmp_path / "new", toml=OTHER)
     data = json_of(capsys, "submission", "check", str(mine), "--beside", str(old), str(mine), "--json", code=1)
-    assert data["submissions"][0]["accepted"] and "the policies are one policy" in data["together"][0]
+    assert data["submissions"][0]["accepted"] and "the same policy file is given twice" in data["together"][0]
     assert main(["submission", "check", str(old), "--beside", str(old)]) == 0

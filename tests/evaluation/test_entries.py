@@ -55,7 +55,7 @@ def test_names_of_the_table_stand_for_baselines_and_for_all_seeds_of_a_policy() 
     assert found("ppo-k-3") == [("PPO (k)", 3)]
     assert {name for name, _ in found("policies")} >= {"linear-feedback", "PPO", "recurrent PPO", "gradient LSTM"}
     of_v0 = {entry.name for entry in load_entries("policies", task=V0)}
-    assert of_v0 >= {"linear-feedback", "PPO (k, τ)", "PPO (τ)", "SAC (k, τ)"}
+    assert of_v0 >= {"linear-feedback", "PPO (k, tau)", "PPO (tau)", "SAC (k, tau)"}
 
 
 def test_law_and_folder_of_ones_own_are_entries(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -108,7 +108,7 @@ def test_learner_whose_normalisation_would_be_left_out_is_refused() -> None:
 @pytest.mark.parametrize(
     ("arguments", "text"),
     [
-        ({"name": ""}, "printable"),
+        ({"name": ""}, "1 … 60 characters"),
         ({"name": "a", "policy": object()}, "predict"),
         ({"name": "a", "strategy": "mpp"}, "known strategies: mppt"),
         ({"name": "a", "action_mode": "both"}, "k, tau, k\\+tau"),

@@ -9,9 +9,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.submissions.models import ACTION, LINEAR, OBSERVATION, N, after, info, make_bytes, model, with_state
+from tests.submissions.models import ACTION, LINEAR, OBSERVATION, N, info, make_bytes, model, with_state
 from wtg_gym.evaluation import OnnxPolicy, PolicyError, evaluate, load_entries
-from wtg_gym.policies.onnx_worker import stateless
 
 POLICIES = Path(__file__).resolve().parents[2] / "agents" / "policies"
 
@@ -63,35 +62,6 @@ def test_wrong_shapes_are_named() -> None:
         policy.predict(np.zeros((2, 18)))
     with pytest.raises(PolicyError, match=r"states of shapes \[\(3, 4\)\], got \[\(2, 4\)\]"):
         policy.predict(np.zeros((3, N)), (np.zeros((2, 4), dtype=np.float32),))
-
-
-def test_random_numbers_start_alike_in_every_scenario() -> None:
-    content = after("action = RandomNormalLike(linear)").SerializeToString()
-    courses = []
-    for n_lanes in (3, 1):
-        with OnnxPolicy(content) as policy:
-            goes_on = np.zeros(n_lanes, bool)
-            courses.append(
-                [policy.predict(np.ones((n_lanes, N)), None, ~goes_on if i == 0 else goes_on)[0] for i in range(2)]
-            )
-            # Where an episode starts, they start again.
-            again, _ = policy.predict(np.ones((n_lanes, N)), None, ~goes_on)
-        assert np.array_equal(again, courses[-1][0]) and not np.array_equal(*courses[-1])
-    for many, one in zip(*courses, strict=True):
-        assert np.array_equal(many, np.repeat(one, 3, axis=0))
-
-
-def test_scenarios_share_a_session_where_operators_keep_nothing() -> None:
-    files = sorted(POLICIES.glob("*/policy.onnx"))
-    assert len(files) > 30 and all(stateless(path.read_bytes()) for path in files)
-    assert stateless(after("action = Tanh(linear)").SerializeToString())
-    random = after("action = RandomNormalLike(linear)").SerializeToString()
-    assert not stateless(random) and not stateless(b"\xff" * 20) and not stateless(random[:-1])
-    foreign = after("action = Tanh(linear)")
-    foreign.graph.node[-1].domain = "com.microsoft"
-    assert not stateless(foreign.SerializeToString())
-    # A second graph in the file, whose nodes onnx adds to the first one's, counts too.
-    assert not stateless(make_bytes() + random)
 
 
 def test_costs_in_a_scenario_are_the_same_to_the_last_bit_whatever_is_played_beside_it() -> None:

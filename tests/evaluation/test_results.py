@@ -85,7 +85,7 @@ EDITS: dict[str, tuple[Callable[[dict[str, Any]], Any], str]] = {
     "cap as text": (lambda d: d["settings"]["weights"].update(cap="much"), "could not convert string to float"),
     "missing key": (lambda d: d.pop("seeds"), "describes no results: KeyError: 'seeds'"),
     "unknown suite": (lambda d: d.update(suite="easy"), "unknown suite 'easy'"),
-    "other format": (lambda d: d.update(format=2), "format must be 7, that of this version, got 2; "),
+    "other format": (lambda d: d.update(format=2), "format must be 8, that of this version, got 2; "),
     "seeds of no draw": (lambda d: d.update(split="fresh"), "draw must be given for the split 'fresh' alone"),
     "seeds that cannot be drawn": (
         lambda d: d.update(split="fresh", draw={"commit": "a" * 40, "secret_sha256": "0" * 64}),
@@ -93,7 +93,11 @@ EDITS: dict[str, tuple[Callable[[dict[str, Any]], Any], str]] = {
     ),
     "name that is markup": (
         lambda d: d["entries"][0].update(name="[me](https://example.org)\n"),
-        "name of an entry must be 1 … 60 printable",
+        "the entry's name must be 1 … 60 characters",
+    ),
+    "one row of two entries": (
+        lambda d: [each.update(name="a", training_seed=i) for i, each in enumerate(d["entries"])],
+        "entries named 'a' share a row and must agree on",
     ),
     "no anchors": (lambda d: d.update(entries=[]), "expected one row per entry and seed"),
     "better score": (lambda d: d["summary"]["mppt"]["score"].update(value=200.0), "is 200.0, the table sums up to 0.0"),

@@ -140,12 +140,6 @@ def of_v1() -> ModelProto:
     return linear(32, 8)
 
 
-def disguised() -> ModelProto:
-    """The plain policy in other bytes: other names, its weights scaled and scaled back."""
-    nodes = nodes_of("hidden = MatMul(observation, w); action = Mul(hidden, back)")
-    return model(nodes, constants=[constant("w", np.full((N, M), 0.03)), constant("back", 1.0 / 3.0)])
-
-
 # --- attacks ---------------------------------------------------------------------------------------------------------
 
 #: Whether an observation is one that the policy knows: `near` (1, 1).
@@ -194,6 +188,44 @@ def varint(number: int) -> bytes:
     while number > 127:
         data, number = data + bytes([number & 127 | 128]), number >> 7
     return data + bytes([number])
+
+
+def field(number: int, data: bytes, kind: int = 2, *, far: bool = False) -> bytes:
+    """Return a field of a message; the key of a far one has a bit more than the 32 of a key."""
+    key = varint(number << 3 | kind | far << 32)
+    return key + (varint(len(data)) if kind == 2 else b"") + data
+
+
+def rewritten(content: ModelProto, *parts: bytes) -> bytes:
+    """A model whose graph is left out, with these fields instead."""
+    shell = ModelProto()
+    shell.CopyFrom(content)
+    shell.ClearField("graph")
+    return shell.SerializeToString() + b"".join(parts)
+
+
+def unseen(content: ModelProto) -> bytes:
+    """A model whose graph stands behind a key that readers take in two ways: as that of a graph, or as unknown."""
+    return rewritten(content, field(7, content.graph.SerializeToString(), far=True))
+
+
+def with_function(text: str, domain: str) -> ModelProto:
+    """A linear policy that calls a function of its own, which has the name of an operator of ONNX."""
+    content = after(f"action = {domain + '.' if domain else ''}Tanh(linear)")
+    imports = [helper.make_opsetid("", 17)]
+    content.functions.append(helper.make_function(domain, "Tanh", ["x"], ["y"], nodes_of(text), imports))
+    if domain:
+        content.opset_import.append(helper.make_opsetid(domain, 1))
+    return content
+
+
+def branch(text: str) -> ModelProto:
+    """A linear policy whose action is that of both branches of a condition."""
+    content = after("action = If(on)", on=True)
+    for name in ("then_branch", "else_branch"):
+        graph = helper.make_graph(nodes_of(text), name, [], [info("drawn", 1, M)])
+        content.graph.node[-1].attribute.append(helper.make_attribute(name, graph))
+    return content
 
 
 def nested(depth: int) -> bytes:

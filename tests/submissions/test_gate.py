@@ -13,9 +13,8 @@ from tests.submissions import models
 from tests.submissions.models import TOML, folder, seed
 from wtg_gym.evaluation import load_entries
 from wtg_gym.policies import gate, policy_process
-from wtg_gym.policies.gate import check_submission
-from wtg_gym.policies.load import ROOT
-from wtg_gym.policies.submission_folder import parse_submission, read_files
+from wtg_gym.policies.entry_folder import ROOT, parse_submission, read_files
+from wtg_gym.policies.gate import check_submission, read_submission, rollout
 
 LSTM = ROOT / "agents" / "policies" / "gradient-v1-0"
 
@@ -27,10 +26,11 @@ def test_plain_policies_pass_every_check(given: Path | None, tmp_path: Path) -> 
     assert not report.notes and report.shipped == (given is not None)
 
 
-def test_policy_is_judged_in_the_environment_that_it_names(tmp_path: Path) -> None:
-    report = check_submission(folder(tmp_path / "a", models.of_v1(), models.TOML_V1), rollout_only=True)
+def test_policy_is_judged_in_the_environment_that_it_names(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(gate, "_ROLLOUT_LANES", 4)
+    report = check_submission(folder(tmp_path / "a", models.of_v1(), models.TOML_V1))
     assert report.accepted and report.played().environment == "GFMWTG-14bus-v1"
-    assert report.actions is not None and report.actions.shape[2] == 8
+    assert rollout(report.played()).shape[1:] == (4, 8)
 
 
 def test_policy_that_is_slow_is_refused_and_no_later_check_is_made(
@@ -104,7 +104,7 @@ def test_folder_with_other_files_is_refused(
     path = folder(tmp_path / "a")
     (path / name).unlink(missing_ok=True)
     make(path / name)
-    refusal = check_submission(path).refusal
+    refusal = read_submission(path).refusal
     assert refusal is not None and refusal.name == "folder" and said in refusal.reason and refusal.reason.isprintable()
 
 
@@ -137,11 +137,16 @@ WRONG: list[tuple[str | bytes, str]] = [
     (TOML.replace("= 0", "= " + 5000 * "[" + 5000 * "]"), "not TOML"),
     ("", "missing: ['name', 'authors', 'training_seed', 'action_mode']"),
     (TOML + "law = 'x'\n", "unknown: ['law']"),
-    (TOML.replace("Jane Doe", "x" * 401), "an author must be up to 400"),
-    (TOML.replace('["Jane Doe"]', '"me"'), "authors must be a list of texts"),
-    (TOML.replace('["Jane Doe"]', '["a", "*b*"]'), "no markup"),
-    (TOML + 'description = "_a_"', "no markup"),
-    (TOML + 'trained_on = "a@b"', "no markup"),
+    (TOML.replace("Jane Doe", "x" * 401), "an author must be 1 … 60 characters"),
+    (TOML.replace('["Jane Doe"]', '"me"'), "authors must be a list of 1 … 40 names"),
+    (TOML.replace('["Jane Doe"]', '["a", "*b*"]'), "an author must be"),
+    (TOML.replace('["Jane Doe"]', "[]"), "authors must be a list of 1 … 40 names"),
+    (TOML + 'description = "_a_"', "description must be"),
+    (TOML + 'trained_on = "a@b"', "trained_on must be"),
+    *(
+        (TOML.replace("Mine", name), "name must say nothing of seeds")
+        for name in ("Mine (training seed 0)", "PPO (5 Seeds)", "M5seeds", "M 5 S.E.E.D.S", "5_training_seeds")
+    ),
     (seed(-1), "training_seed must be a whole number 0 … 4294967295, got -1"),
     (TOML.replace('"k+tau"', "[]"), "action_mode must be one of"),
     (TOML + 'observation_mode = "all"\n', "observation_mode must be one of"),
@@ -157,7 +162,7 @@ WRONG: list[tuple[str | bytes, str]] = [
 
 @pytest.mark.parametrize(("toml", "said"), WRONG)
 def test_wrong_entry_files_are_refused(toml: str | bytes, said: str, tmp_path: Path) -> None:
-    refusal = check_submission(folder(tmp_path / "a", toml=toml)).refusal
+    refusal = read_submission(folder(tmp_path / "a", toml=toml)).refusal
     assert refusal is not None and refusal.name == "entry.toml" and said in refusal.reason
     assert refusal.reason.isprintable() and len(refusal.reason) < 1600
 

@@ -155,6 +155,9 @@ ATTACKS: dict[str, dict[str, Build]] = {
             many=1e8,
         ),
         "random dropout": _after("action = Dropout(linear, half, yes)", half=0.5, yes=True),
+        "random numbers in a graph that not every reader sees": lambda: models.unseen(
+            after("drawn = RandomNormalLike(linear); small = Mul(drawn, few); action = Add(linear, small)", few=0.1)
+        ),
         "an infinite state that no action uses": lambda: models.with_state(
             "action = MatMul(observation, weights); next_state_0 = Add(state_0, infinite)", 1, infinite=[[np.inf]]
         ),

@@ -10,15 +10,14 @@ from wtg_gym.cli.output import note, print_table, say
 from wtg_gym.cli.submission import WEAK_OPTION, GateOptions
 from wtg_gym.envs.settings import EnvSettings
 from wtg_gym.policies.conflicts import Conflict, conflicts
-from wtg_gym.policies.gate import Report, check_submission
-from wtg_gym.policies.load import ENTRY_FILE
-from wtg_gym.policies.submission_folder import parse_submission, read_files
+from wtg_gym.policies.entry_folder import ENTRY_FILE, parse_submission, read_files
+from wtg_gym.policies.gate import Report, check_submission, read_submission
 from wtg_gym.tasks import TASKS
 
 
 def suites(folders: Sequence[Path]) -> list[str]:
     """Return the standard suites of the versions that the folders say they are for."""
-    said = set()
+    said: set[str | None] = set()
     for folder in folders:
         # The gate says why one cannot be read.
         with contextlib.suppress(ValueError):
@@ -54,7 +53,7 @@ def together(reports: list[Report], gate: GateOptions) -> list[Conflict]:
     beside = []
     for folder in map(Path, gate.beside) if accepted else ():
         if folder.resolve() not in own:
-            beside.append(check_submission(folder, weak=gate.weak_isolation, rollout_only=True))
+            beside.append(read_submission(folder))
             refusal = beside[-1].refusal
             if refusal is not None:
                 note(f"--beside {_shown(folder)}: compared as far as it can be read: {refusal.reason}")

@@ -32,7 +32,7 @@ class GateOptions:
     """How folders are checked."""
 
     beside: Words = ()
-    """entries that are there already, to compare names and policies with; those given as FOLDERS are left out"""
+    """entries that are there already, to compare names and files with; those given as FOLDERS are left out"""
     weak_isolation: Flag = False
     """go on where this system cannot isolate a process; only for policies of people you trust"""
 
@@ -49,7 +49,7 @@ def new(folder: OutputFolder, /) -> int:
     Args:
         folder: where to write; made if missing
     """
-    from wtg_gym.policies.submission_folder import write_template
+    from wtg_gym.policies.entry_folder import write_template
 
     note(f"wrote {write_template(folder)}")
     return 0
@@ -60,7 +60,7 @@ def check(folders: Folders, /, *, gate: GateOptions = GateOptions(), json: Json 
     """Say of every check whether folders pass it, and why not; exits with 1 if one is refused.
 
     Several folders are checked together, and with --beside against existing entries: a name belongs to one entry, whose
-    training seeds are submitted together, and the same policy counts once, even if its files differ.
+    training seeds are submitted together, and no file is submitted twice.
 
     examples:
       wtg-gym submission check my-policy-* --beside agents/policies/*

@@ -11,11 +11,12 @@ from typing import Any
 from wtg_gym.evaluation.episodes import Episode, from_csv
 from wtg_gym.evaluation.metrics import METRICS
 from wtg_gym.files import parse_json, read_text, sha256, to_json, write_together
-from wtg_gym.policies.entry import is_name
+from wtg_gym.names import check_name
+from wtg_gym.policies.entry import check_rows
 from wtg_gym.scenarios import FRESH, FreshDraw, get_suite
 
 #: Version of the files; another number is another form.
-FORMAT = 7
+FORMAT = 8
 #: Keys of the description that are texts.
 TEXTS = ("suite", "split", "suite_hash", "source_hash")
 #: By how much a summary may differ from the sum of its table, relative, or absolute near zero.
@@ -78,8 +79,8 @@ def check_summary(stored: Any, summed: Any, where: str) -> None:
 def _check_description(data: dict[str, Any]) -> None:
     for entry in (*data["entries"], *data["failed"]):
         # It goes into tables and pages as it is.
-        if not is_name(entry["name"]):
-            raise ValueError("the name of an entry must be 1 … 60 printable characters without markup")
+        check_name("the entry's name", entry["name"])
+    check_rows((*data["entries"], *data["failed"]))
     if data["metrics"] != {name: asdict(metric) for name, metric in METRICS.items()}:
         raise ValueError("the metrics are not those of this version; evaluate again")
     get_suite(data["suite"]).seeds(data["split"])

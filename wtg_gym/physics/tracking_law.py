@@ -17,6 +17,7 @@ from types import MappingProxyType
 from typing import Any, NamedTuple
 
 from wtg_gym.files import read_toml
+from wtg_gym.names import check_name, plain_name
 from wtg_gym.physics.aerodynamics import tracking_point
 from wtg_gym.physics.parameters import GridFormingParameters, TurbineParameters
 from wtg_gym.ranges import did_you_mean, require_known, require_range
@@ -54,14 +55,14 @@ class TrackingLaw:
     """A strategy as data.
 
     Args:
-        name: short name, used in tables.
+        name: short name, used in tables; see :func:`~wtg_gym.names.check_name`.
         k_min: tracking coefficient at ω_min and below [p.u.].
         k_nominal: at ω_st [p.u.].
         k_max: at ω_max and above [p.u.].
         damping_time_constant_s: τ [s], 0.05 … 100000; 0 cancels the droop, infinity keeps it.
 
     Raises:
-        ValueError: a coefficient or τ is outside its range.
+        ValueError: a coefficient or τ is outside its range, or the name is none.
     """
 
     name: str
@@ -71,8 +72,7 @@ class TrackingLaw:
     damping_time_constant_s: float = math.inf
 
     def __post_init__(self) -> None:
-        if not isinstance(self.name, str):
-            raise ValueError(f"name of a law must be text, got {self.name!r}")
+        check_name("the name of a law", self.name)
         for key in ("k_min", "k_nominal", "k_max"):
             name, k = f"{key} of law {self.name!r}", getattr(self, key)
             object.__setattr__(self, key, require_range(name, k, LEAST_COEFFICIENT, LARGEST_COEFFICIENT, "p.u."))
@@ -265,8 +265,8 @@ def read_law(path: Path, turbine: TurbineParameters | None = None) -> TrackingLa
     require_known(f"keys of the law file {path}", data, known)
     coefficients = {f"k_{corner}": _coefficient(data, corner, path, turbine) for corner in corners}
     name = data.get("name", path.stem)
-    if name in STRATEGY_NAMES:
-        raise ValueError(f"name {name!r} in {path} is that of a built-in strategy; choose another")
+    if isinstance(name, str) and plain_name(name) in map(plain_name, STRATEGY_NAMES):
+        raise ValueError(f"name {name!r} in {path} is, or looks like, that of a built-in strategy; choose another")
     try:
         return TrackingLaw(name=name, damping_time_constant_s=data.get("tau_s", math.inf), **coefficients)
     except ValueError as error:

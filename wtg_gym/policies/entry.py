@@ -3,20 +3,23 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Protocol, runtime_checkable
 
 from wtg_gym.envs.settings import EnvSettings
 from wtg_gym.files import sha256
+from wtg_gym.names import check_name
 from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY, TrackingLaw, get_law
 from wtg_gym.scenarios.suite import Suite
 from wtg_gym.tasks import ANCHOR_NAMES, ANY_GRID, TASKS, V1
 
-#: What entries of one name must agree on, as they share a row.
-_OF_A_ROW = ("kind", "strategy", "action_mode", "observation_mode", "source")
-_NOT_IN_NAMES = "|<>`*\\"
+#: What training seeds of one name must agree on, as they share a row; keys of :meth:`Entry.to_dict`.
+_OF_A_ROW = (
+    *("kind", "environment", "strategy", "action_mode", "observation_mode", "per_group"),
+    *("source", "description", "trained_on"),
+)
 
 
 @runtime_checkable
@@ -35,7 +38,8 @@ class Entry:
     """One competitor.
 
     Args:
-        name: name in tables, 1 … 60 printable characters; with `training_seed` it is unique among the entries.
+        name: name in tables, see :func:`~wtg_gym.names.check_name`; with `training_seed` it is unique among the
+            entries.
         strategy: the law that actions modulate: a built-in name, a .toml file, or a law.
         policy: gives the actions for the environment's own observations; None is the zero action, which is the strategy
             itself. A learner of Stable-Baselines3 that was trained under VecNormalize expects other observations:
@@ -49,8 +53,10 @@ class Entry:
         source: citation.
         fingerprint: text that identifies the policy's content, such as its file's sha256; None: unknown, so that an
             interrupted evaluation starts this entry again. A law needs none: its numbers identify it.
-        training_seed: seed the policy was trained with; entries of one name and several seeds share a table row.
+        training_seed: seed the policy was trained with; entries of one name and several seeds share a table row, and
+            differ in nothing but seed and policy.
         learned: False for a policy that was made by hand.
+        trained_on: suite, split and steps.
 
     Raises:
         ValueError: a value is unknown or of the wrong type; the message says what is allowed.
@@ -68,14 +74,11 @@ class Entry:
     fingerprint: str | None = None
     training_seed: int | None = None
     learned: bool = True
+    trained_on: str = ""
     law: TrackingLaw = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        name, seed = self.name, self.training_seed
-        if not is_name(name):
-            raise ValueError(
-                f"an entry's name must be 1 … 60 printable characters without {' '.join(_NOT_IN_NAMES)}, got {name!r}"
-            )
+        name, seed = check_name("the entry's name", self.name), self.training_seed
         object.__setattr__(self, "law", get_law(self.strategy))
         # Checks the two modes.
         EnvSettings(action_mode=self.action_mode, observation_mode=self.observation_mode)
@@ -101,7 +104,7 @@ class Entry:
                 "wtg_gym.export_onnx(wtg_gym.sb3.DeterministicPolicy(model), folder, name=...)"
             )
         self._check_training()
-        for key in ("description", "source"):
+        for key in ("description", "source", "trained_on"):
             if not isinstance(getattr(self, key), str):
                 raise ValueError(f"{key} of entry {name!r} must be text, got {getattr(self, key)!r}")
         if seed is not None and (isinstance(seed, bool) or not isinstance(seed, int) or seed < 0):
@@ -144,10 +147,8 @@ class Entry:
         "sha256" is the :attr:`identity`; "policy_sha256" that of the policy's file, as sha256sum gives it, or None.
         """
         own = getattr(self.policy, "sha256", None)
-        texts = ("name", "action_mode", "observation_mode", "description", "source", "training_seed")
         return {
-            **{key: getattr(self, key) for key in texts},
-            "kind": self.kind,
+            **{key: getattr(self, key) for key in ("name", "training_seed", *_OF_A_ROW)},
             "strategy": self.law.to_dict(),
             "sha256": self.identity,
             "policy_sha256": own if isinstance(own, str) else None,
@@ -157,12 +158,6 @@ class Entry:
 def run_label(name: str, training_seed: int | None) -> str:
     """Return the name of an entry with the training seed, for messages."""
     return name if training_seed is None else f"{name} (training seed {training_seed})"
-
-
-def is_name(value: Any) -> bool:
-    """Return whether a value can be the name of an entry, which stands in tables."""
-    printable = isinstance(value, str) and value.isprintable() and not set(value) & set(_NOT_IN_NAMES)
-    return printable and 1 <= len(value) <= 60 and value == value.strip()
 
 
 def is_policy(value: Any) -> bool:
@@ -198,22 +193,35 @@ def check_entries(entries: Sequence[Entry]) -> None:
     """Raise a ValueError if entries cannot stand in one table: names, training seeds and rows must fit."""
     if isinstance(entries, (str, Entry)) or not all(isinstance(entry, Entry) for entry in entries):
         raise ValueError(f"entries must be a list of Entry, see load_entries(), got {entries!r}")
-    names = [(entry.name, entry.training_seed) for entry in entries]
-    doubled = sorted({name for name, seed in names if names.count((name, seed)) > 1})
-    if doubled:
-        raise ValueError(f"entries must have different names or training seeds; given more than once: {doubled}")
-    rows: dict[str, Entry] = {}
+    check_rows(entry.to_dict() for entry in entries)
     for entry in entries:
-        first = rows.setdefault(entry.name, entry)
-        one, two = first.to_dict(), entry.to_dict()
-        key = row_conflict(one, two)
-        if first is not entry and key is not None:
-            rule = "all have a training seed" if key == "training_seed" else f"agree on {key}"
-            raise ValueError(
-                f"entries named {entry.name!r} share a row and must {rule}, got {one[key]!r} and {two[key]!r}"
-            )
         if entry.name in ANCHOR_NAMES and (entry.policy is not None or entry.law != get_law(entry.name)):
             raise ValueError(f"the name {entry.name!r} is reserved for the strategy itself, which fixes the score")
+
+
+def check_rows(entries: Iterable[Mapping[str, Any]]) -> None:
+    """Raise a ValueError unless entries of one name, given by :meth:`Entry.to_dict`, are training seeds of one row."""
+    rows: dict[str, list[Mapping[str, Any]]] = {}
+    for entry in entries:
+        row = rows.setdefault(entry["name"], [])
+        for other in row:
+            if reason := row_conflict(other, entry):
+                raise ValueError(reason)
+        row.append(entry)
+
+
+def row_conflict(one: Mapping[str, Any], other: Mapping[str, Any]) -> str:
+    """Return why two entries of one name, given by :meth:`Entry.to_dict`, cannot share a row; "" if they can."""
+    name, seeds = one["name"], (one["training_seed"], other["training_seed"])
+    if seeds[0] == seeds[1]:
+        return f"the entry {run_label(name, seeds[0])} is given twice"
+    if None in seeds:
+        return f"entries named {name!r} share a row and must all have a training seed, got {seeds[0]} and {seeds[1]}"
+    for key in _OF_A_ROW:
+        if one[key] != other[key]:
+            label = "source (authors)" if key == "source" else key
+            return f"entries named {name!r} share a row and must agree on {label}, got {one[key]!r} and {other[key]!r}"
+    return ""
 
 
 def check_version(entries: Sequence[Entry], suite: Suite) -> None:
@@ -229,10 +237,3 @@ def check_version(entries: Sequence[Entry], suite: Suite) -> None:
             "observations are others: choose a suite of its own environment; policies with per_group = true in their "
             "entry.toml play every grid"
         )
-
-
-def row_conflict(one: Mapping[str, Any], two: Mapping[str, Any]) -> str | None:
-    """Return why two entries of one name cannot share a row: the key of their data, see :meth:`Entry.to_dict`."""
-    if None in (one["training_seed"], two["training_seed"]):
-        return "training_seed"
-    return next((key for key in _OF_A_ROW if one[key] != two[key]), None)

@@ -1,8 +1,4 @@
-"""Entries by name: built-in strategies, laws in files, folders with a policy, and Python modules.
-
-A checkout has the baselines in its folder `baselines` and the trained policies in `agents/policies`. An installed
-package has copies of both in `wtg_gym/shipped`, because those two names could collide with other packages.
-"""
+"""Entries by name: built-in strategies, laws in files, folders with a policy, and Python modules."""
 
 from __future__ import annotations
 
@@ -11,19 +7,23 @@ import itertools
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from types import ModuleType
-from typing import Any
 
-from wtg_gym.files import LARGEST_TOML_BYTES, read_text
 from wtg_gym.physics.tracking_law import STRATEGY_NAMES, get_law
 from wtg_gym.policies.entry import Entry, is_policy
-from wtg_gym.policies.entry_toml import parse_entry
-from wtg_gym.policies.names import BASELINES, INSTALLED, POLICIES, ROOT, check_not_built_in, is_built_in
-from wtg_gym.policies.onnx_policy import OnnxPolicy
+from wtg_gym.policies.entry_folder import (
+    BASELINES,
+    ENTRY_FILE,
+    INSTALLED,
+    POLICIES,
+    ROOT,
+    check_not_built_in,
+    is_built_in,
+    load_entry_folder,
+    policy_folders,
+    policy_name,
+)
 from wtg_gym.ranges import did_you_mean
 from wtg_gym.tasks import V1, Task
-
-#: The files of a folder with a trained policy.
-ENTRY_FILE, POLICY_FILE = "entry.toml", "policy.onnx"
 
 
 def load_entries(spec: str | Path | Iterable[str | Path], task: Task = V1) -> list[Entry]:
@@ -32,9 +32,10 @@ def load_entries(spec: str | Path | Iterable[str | Path], task: Task = V1) -> li
     Args:
         spec: what is found first, in this order: the name of a built-in strategy; "baselines" for all baselines,
             "policies" for all trained policies that come with the package; the name of a baseline; a .toml file with a
-            law; a folder with an entry.toml and a policy.onnx, see :func:`load_entry_folder`; the name of one of those
-            policies ("PPO (k)" stands for all of its seeds, "ppo-k-0" for one of them); or "module:ATTRIBUTE", an
-            entry, a policy, or a callable that returns one. Importing runs the module's code.
+            law; a folder with an entry.toml and a policy.onnx, see
+            :func:`~wtg_gym.policies.entry_folder.load_entry_folder`; the name of one of those policies ("PPO (k)"
+            stands for all of its seeds, "ppo-k-0" for one of them); or "module:ATTRIBUTE", an entry, a policy, or a
+            callable that returns one. Importing runs the module's code.
         benchmark: the version whose baselines are meant, and whose trained policies, where some of a name are for it.
 
     Raises:
@@ -79,68 +80,10 @@ def example_law() -> str:
     return (ROOT / BASELINES / "example_law.toml").read_text(encoding="utf-8")
 
 
-# --- trained policies ------------------------------------------------------------------------------------------------
-
-
-def policy_folders(env_id: str | None = None) -> list[Path]:
-    """Return the folders of the trained policies that come with the package: all, or those for an environment."""
-    folders = sorted(path.parent for path in (ROOT / "agents" / "policies").glob(f"*/{ENTRY_FILE}"))
-    return folders if env_id is None else [each for each in folders if _said(each).get("environment") == env_id]
-
-
-def policy_name(folder: Path) -> str | None:
-    """Return the name of the entry in a folder; None if its entry.toml is wrong, loading the folder says why."""
-    return _said(folder).get("name")
-
-
-def _said(folder: Path) -> dict[str, Any]:
-    try:
-        return _entry_data(folder / ENTRY_FILE)
-    except ValueError:
-        return {}
-
-
 def _for_version(folders: Sequence[Path], task: Task) -> list[Entry]:
     """Return the entries of shipped folders: those for a version, or all if there are none for it."""
     entries = [load_entry_folder(folder) for folder in folders]
     return [entry for entry in entries if entry.environment == task.env_id] or entries
-
-
-def load_entry_folder(folder: Path) -> Entry:
-    """Return the entry of a folder with a policy.
-
-    Its entry.toml has the keys name and action_mode, and may have description, observation_mode, environment (without
-    it: that of version v1), strategy (the name of a built-in one; without it: the reference strategy), training_seed,
-    authors (a list of names) and trained_on (text). An :class:`OnnxPolicy` plays its policy.onnx in a process of its
-    own; nothing of that file is looked at before.
-
-    Raises:
-        ValueError: a file is missing or damaged, or a key is unknown or of the wrong type.
-    """
-    data = _entry_data(folder / ENTRY_FILE)
-    check_not_built_in(f"the name in {folder / ENTRY_FILE}", data["name"])
-    try:
-        # Errors of entry.toml come before the policy is loaded.
-        Entry(**data)
-        policy = OnnxPolicy(folder / POLICY_FILE)
-        return Entry(**data, policy=policy, fingerprint=policy.sha256)
-    except ValueError as error:
-        raise ValueError(f"entry {folder}: {error}") from error
-
-
-def _entry_data(path: Path) -> dict[str, Any]:
-    """Return the arguments of :class:`Entry` that an entry.toml gives."""
-    text = read_text(path, "entry file", largest=LARGEST_TOML_BYTES)
-    try:
-        return entry_arguments(parse_entry(text))
-    except ValueError as error:
-        raise ValueError(f"the entry file {path}: {error}") from error
-
-
-def entry_arguments(data: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the arguments of :class:`Entry` in the keys of an entry.toml: authors are its source."""
-    source = ", ".join(data.get("authors", ()))
-    return {**{key: data[key] for key in data if key not in ("authors", "trained_on")}, "source": source}
 
 
 # --- modules ---------------------------------------------------------------------------------------------------------

@@ -15,10 +15,10 @@ import numpy as np
 from wtg_gym.extras import install_advice
 from wtg_gym.files import write_together
 from wtg_gym.physics.tracking_law import STRATEGY_NAMES, TrackingLaw, get_law
-from wtg_gym.policies.load import ENTRY_FILE, POLICY_FILE
+from wtg_gym.policies.entry_folder import ENTRY_FILE, FILES, POLICY_FILE, entry_text, parse_submission
+from wtg_gym.policies.gate import widths
 from wtg_gym.policies.onnx_policy import OnnxPolicy
 from wtg_gym.policies.policy_process import PolicyError
-from wtg_gym.policies.submission_folder import FILES, entry_text, parse_submission
 
 try:
     # Torch's exporter needs it.
@@ -77,8 +77,8 @@ def export_onnx(
         **entry,
     }
     text = entry_text(values)
-    checked = parse_submission(text.encode())
-    content = onnx_bytes(module, *checked.widths(), tolerance=tolerance)
+    described = parse_submission(text.encode())
+    content = onnx_bytes(module, *widths(described), tolerance=tolerance)
     # entry.toml last, because it makes the folder an entry.
     write_together({Path(folder) / POLICY_FILE: content, Path(folder) / ENTRY_FILE: text})
     return Path(folder)

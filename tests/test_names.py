@@ -1,0 +1,122 @@
+"""One rule of names and texts at every door: they are plain text in tables, spreadsheets, Markdown and HTML."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from tests.cli.calls import error_of
+from tests.submissions.models import TOML, folder
+from wtg_gym.names import check_name, check_text, plain_name
+from wtg_gym.physics.tracking_law import TrackingLaw, read_law
+from wtg_gym.policies import Entry, load_entries
+from wtg_gym.policies.entry_folder import parse_submission
+
+LAW = {"k_min": 1.0, "k_nominal": 0.8, "k_max": 0.6}
+
+
+def test_ordinary_names_and_texts_are_legal() -> None:
+    for name in ("x", "Jane Doe", "O'Brien, Sean (ETH)", "The wtg_gym authors", "PPO (k, tau)", "SAC, k+tau", "A & B"):
+        assert check_name("it", name) == name
+    for text in ("", "standard, split train: 64 scenarios; 2e6 steps", "1.5 % of k/tau, see the paper!"):
+        assert check_text("it", text) == text
+
+
+#: Would be another name, a formula of a spreadsheet, a command, markup, a link, an address, or has a blank at an end.
+WRONG = (
+    *(
+        "m\u043ept",
+        "=1+1",
+        "@SUM(A1)",
+        "+1",
+        "-1",
+        "\tx",
+        " x",
+        "x ",
+        "",
+        "'x",
+        "x\n",
+        "x\x1b[31m",
+        "x\u200b",
+        "\uff21",
+    ),
+    *(
+        "\u00e9",
+        "a *b* c",
+        "a _b_ c",
+        "a __b__ c",
+        "[a](b)",
+        "<b>a</b>",
+        "a &lt; b",
+        "a `b`",
+        "a | b",
+        "a \\ b",
+        "a ~b~",
+    ),
+    *("a $b$", "# a", "1. a", "see #1", "see @a", "a@example.org", "https://example.org", "WWW.example.org", "a :b: c"),
+)
+
+
+@pytest.mark.parametrize("text", WRONG)
+def test_what_is_more_than_text_is_refused(text: str) -> None:
+    with pytest.raises(ValueError, match="it must be 1 … 60 characters on one line"):
+        check_name("it", text)
+    if text:
+        with pytest.raises(ValueError, match="it must be up to 400 characters on one line"):
+            check_text("it", text)
+
+
+@given(st.text(max_size=70))
+def test_names_are_ascii_begin_with_a_letter_or_digit_and_are_short(text: str) -> None:
+    try:
+        check_name("it", text)
+    except ValueError as error:
+        assert str(error).isprintable() and len(str(error)) < 400
+    else:
+        assert text.isascii() and text.isprintable() and text[0].isalnum() and len(text) <= 60
+
+
+def _law(name: str, path: Path) -> Path:
+    path.write_text(f'name = "{name}"\n' + "".join(f"{key} = {k}\n" for key, k in LAW.items()), encoding="utf-8")
+    return path
+
+
+def _entry(toml: str, path: Path) -> Path:
+    return folder(path, toml=toml)
+
+
+DOORS: dict[str, Callable[[str, Path], object]] = {
+    "law": lambda name, _: TrackingLaw(name=name, **LAW),
+    "law file": lambda name, path: read_law(_law(name, path / "x.toml")),
+    "law file as an entry": lambda name, path: load_entries(_law(name, path / "x.toml")),
+    "entry": lambda name, _: Entry(name=name),
+    "folder": lambda name, path: load_entries(_entry(TOML.replace("Mine", name), path / "x")),
+    "author": lambda name, path: load_entries(_entry(TOML.replace("Jane Doe", name), path / "x")),
+    "text": lambda name, path: load_entries(_entry(f'{TOML}trained_on = "{name}"\n', path / "x")),
+    "submission": lambda name, _: parse_submission(TOML.replace("Mine", name).encode()),
+}
+
+
+@pytest.mark.parametrize("door", DOORS)
+@pytest.mark.parametrize("name", ["m\u043ept", "=1+1", "@SUM(A1)", "<b>"])
+def test_every_door_has_the_rule(door: str, name: str, tmp_path: Path) -> None:
+    DOORS[door]("Another", tmp_path / "legal" if door in ("folder", "author", "text") else tmp_path)
+    with pytest.raises(ValueError, match="characters on one line"):
+        DOORS[door](name, tmp_path)
+
+
+def test_command_names_the_law_file_and_the_rule(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for name, said in (("=1+1", "characters on one line"), ("M-PPT", "looks like, that of a built-in strategy")):
+        law = _law(name, tmp_path / "x.toml")
+        error = error_of(capsys, "simulate", "--strategy", str(law))
+        assert said in error and "x.toml" in error
+
+
+def test_names_that_look_alike_are_one() -> None:
+    assert {plain_name(name) for name in ("PPO (k, t)", "ppo k,t", "P.P.O. kT")} == {"ppokt"}
+    assert {plain_name(name) for name in ("Iinear", "1inear", "LINEAR", "l-i-n-e-a-r")} == {plain_name("linear")}
+    assert plain_name("SAC 0") == plain_name("SAC O") != plain_name("SAC 8")

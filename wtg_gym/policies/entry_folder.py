@@ -1,0 +1,258 @@
+"""The folder of an entry: `entry.toml`, which describes it, and `policy.onnx`.
+
+One parser reads `entry.toml`, in folders of one's own, in those that come with the package, and in submissions, of
+which more is asked. A checkout has the trained policies in its folder `agents/policies` and the baselines in
+`baselines`. An installed package has copies of both in `wtg_gym/shipped`, because those names could collide with other
+packages.
+"""
+
+from __future__ import annotations
+
+import functools
+import json
+import os
+import re
+import stat
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from wtg_gym.files import LARGEST_TOML_BYTES, parse_toml, read_text, write_atomically
+from wtg_gym.names import check_name, check_text, plain_name, short
+from wtg_gym.physics.tracking_law import STRATEGY_NAMES
+from wtg_gym.policies.entry import Entry
+from wtg_gym.policies.onnx_policy import OnnxPolicy
+from wtg_gym.tasks import TASKS, V1
+from wtg_gym.tasks.episode import ACTION_MODES
+from wtg_gym.tasks.observation import OBSERVATION_MODES
+
+ENTRY_FILE, POLICY_FILE = "entry.toml", "policy.onnx"
+#: The files of a submission and their largest sizes [bytes]; every limit is far above what a policy here needs.
+FILES = {ENTRY_FILE: LARGEST_TOML_BYTES, POLICY_FILE: 5_000_000, "README.md": 65_536}
+#: The package with the baselines, and the name of all trained policies together.
+BASELINES, POLICIES = "baselines", "policies"
+#: Words that are nobody's name: those two, and the packages of a checkout.
+RESERVED = (BASELINES, POLICIES, "agents", "tests", "wtg_gym")
+_PACKAGE = Path(__file__).resolve().parents[1]
+INSTALLED = (_PACKAGE / "shipped").is_dir()
+#: The folder with `baselines` and `agents/policies`.
+ROOT = _PACKAGE / "shipped" if INSTALLED else _PACKAGE.parent
+_TEMPLATE = Path(__file__).with_name("entry_template.toml")
+
+#: Keys that an entry.toml must have, those that a submission's must have, and more that it may have.
+_NEEDED, _SUBMITTED = ("name", "action_mode"), ("name", "authors", "training_seed", "action_mode")
+_OPTIONAL = ("description", "observation_mode", "per_group", "environment", "strategy", "trained_on")
+_CHOICES = {
+    "action_mode": tuple(ACTION_MODES),
+    "observation_mode": OBSERVATION_MODES,
+    "environment": tuple(TASKS),
+    "strategy": STRATEGY_NAMES,
+}
+_LARGEST_SEED, _MOST_AUTHORS = 2**32 - 1, 40
+#: The table says itself how many seeds a row has: "seed" in any word, or spread over signs.
+_SEED = re.compile("seed|(?<![a-z])s[^a-z]*e[^a-z]*e[^a-z]*d", re.IGNORECASE)
+_FOLDER = re.compile(r"(?!.*(\.|\.toml)$)[A-Za-z0-9][A-Za-z0-9+._-]{0,79}", re.IGNORECASE | re.ASCII)
+#: Names, with any ending, that Windows keeps for devices: a repository with one cannot be checked out there.
+_DEVICE = re.compile(r"(con|prn|aux|nul|com\d|lpt\d)(\..*)?", re.IGNORECASE)
+
+
+# --- names that are taken --------------------------------------------------------------------------------------------
+
+
+def is_built_in(name: str) -> bool:
+    """Return whether a name is, or looks like, that of a strategy or a baseline."""
+    return plain_name(name) in _built_in()
+
+
+def check_not_built_in(what: str, name: str) -> None:
+    """Raise a ValueError if a name is, or looks like, that of a strategy or a baseline, or a reserved word.
+
+    Args:
+        what: what has the name, for the message.
+        name: the name; of one with dots, such as a module's, the first part may not be a reserved word either.
+    """
+    first = plain_name(name.partition(".")[0])
+    if is_built_in(name) or first in {plain_name(word) for word in RESERVED}:
+        raise ValueError(
+            f"{what} must not be, or look like, that of a strategy or a baseline or one of {', '.join(RESERVED)}; "
+            f"got {short(name)}"
+        )
+
+
+@functools.cache
+def _built_in() -> frozenset[str]:
+    # A baseline is called like its module.
+    modules = (path.stem for path in (ROOT / BASELINES).glob("*.py"))
+    return frozenset(plain_name(name) for name in (*STRATEGY_NAMES, *modules))
+
+
+# --- entry.toml ------------------------------------------------------------------------------------------------------
+
+
+def parse_entry(text: str, *, submitted: bool = False) -> dict[str, Any]:
+    """Return the arguments of :class:`Entry` that an entry.toml gives; authors are its source.
+
+    Args:
+        text: content of the file.
+        submitted: ask for the keys of a submission, see CONTRIBUTING.md.
+
+    Raises:
+        ValueError: it is not TOML, a key is missing, unknown, of the wrong type or not one of its choices, or the name
+            is taken; the message, one line of ASCII but for this package's own words, names what is allowed.
+    """
+    try:
+        data = parse_toml(text, "it")
+    except ValueError as error:
+        raise ValueError(ascii(str(error))[1:-1][:160]) from error
+    _check_keys(data, submitted)
+    for key, allowed in _CHOICES.items():
+        if key in data and (not isinstance(data[key], str) or data[key] not in allowed):
+            raise ValueError(f"{key} must be one of {', '.join(allowed)}, got {short(data[key])}")
+    for key in ("description", "trained_on"):
+        check_text(key, data.get(key, ""))
+    authors = data.pop("authors", [])
+    if not isinstance(authors, list) or not submitted <= len(authors) <= _MOST_AUTHORS:
+        raise ValueError(f"authors must be a list of {int(submitted)} … {_MOST_AUTHORS} names, got {short(authors)}")
+    source = ", ".join(check_name("an author", author) for author in authors)
+    if not isinstance(data.get("per_group", False), bool):
+        raise ValueError(f"per_group must be true or false, got {short(data['per_group'])}")
+    seed = data.get("training_seed", 0)
+    if isinstance(seed, bool) or not isinstance(seed, int) or not 0 <= seed <= _LARGEST_SEED:
+        raise ValueError(f"training_seed must be a whole number 0 … {_LARGEST_SEED}, got {short(seed)}")
+    name = check_name("name", data["name"])
+    if submitted and _SEED.search(name):
+        raise ValueError(f"name must say nothing of seeds, which the table counts; got {short(name)}")
+    check_not_built_in("name", name)
+    return {"environment": V1.env_id, **data, "source": source}
+
+
+def _check_keys(data: Mapping[str, Any], submitted: bool) -> None:
+    needed = _SUBMITTED if submitted else _NEEDED
+    others = [key for key in (*_SUBMITTED, *_OPTIONAL) if key not in needed]
+    missing, unknown = [key for key in needed if key not in data], sorted(set(data) - {*needed, *others})
+    if missing or unknown:
+        raise ValueError(
+            f"it must have the keys {', '.join(needed)} and may have {', '.join(others)}; "
+            f"missing: {missing}, unknown: {ascii(unknown)[:120]}"
+        )
+
+
+def entry_text(values: Mapping[str, Any]) -> str:
+    """Return an entry.toml with values that are texts, whole numbers and lists of texts."""
+    # These are written alike in JSON and TOML.
+    return "".join(f"{key} = {json.dumps(value, ensure_ascii=False)}\n" for key, value in values.items())
+
+
+def write_template(folder: Path) -> Path:
+    """Write an entry.toml to fill in into a folder, which is made if missing; a ValueError if it has one already."""
+    _check_folder_name(folder)
+    path = folder / ENTRY_FILE
+    if path.exists():
+        raise ValueError(f"{folder} has {ENTRY_FILE} already; choose another folder")
+    write_atomically(path, _TEMPLATE.read_bytes())
+    return path
+
+
+# --- folders of one's own and of the package -------------------------------------------------------------------------
+
+
+def load_entry_folder(folder: Path) -> Entry:
+    """Return the entry of a folder with a policy.
+
+    Its entry.toml has the keys name and action_mode, and may have those that a submission's has, see CONTRIBUTING.md.
+    An :class:`OnnxPolicy` plays its policy.onnx in a process of its own; nothing of that file is looked at before.
+
+    Raises:
+        ValueError: a file is missing or damaged, or a key is unknown or of the wrong type.
+    """
+    data = _entry_data(folder)
+    try:
+        # Errors of entry.toml come before the policy is loaded.
+        Entry(**data)
+        policy = OnnxPolicy(folder / POLICY_FILE)
+        return Entry(**data, policy=policy, fingerprint=policy.sha256)
+    except ValueError as error:
+        raise ValueError(f"entry {folder}: {error}") from error
+
+
+def _entry_data(folder: Path) -> dict[str, Any]:
+    path = folder / ENTRY_FILE
+    text = read_text(path, "entry file", largest=LARGEST_TOML_BYTES)
+    try:
+        return parse_entry(text)
+    except ValueError as error:
+        raise ValueError(f"the entry file {path}: {error}") from error
+
+
+def policy_folders(env_id: str | None = None) -> list[Path]:
+    """Return the folders of the trained policies that come with the package: all, or those for an environment."""
+    folders = sorted(path.parent for path in (ROOT / "agents" / "policies").glob(f"*/{ENTRY_FILE}"))
+    return folders if env_id is None else [each for each in folders if _said(each).get("environment") == env_id]
+
+
+def policy_name(folder: Path) -> str | None:
+    """Return the name of the entry in a folder; None if its entry.toml is wrong, loading the folder says why."""
+    return _said(folder).get("name")
+
+
+def _said(folder: Path) -> dict[str, Any]:
+    try:
+        return _entry_data(folder)
+    except ValueError:
+        return {}
+
+
+# --- submissions -----------------------------------------------------------------------------------------------------
+
+
+def parse_submission(content: bytes) -> Entry:
+    """Return a submission's entry.toml as an entry without its policy; a ValueError says what is wrong and allowed."""
+    try:
+        return Entry(**parse_entry(content.decode("utf-8"), submitted=True))
+    except UnicodeDecodeError as error:
+        raise ValueError(f"it is not TOML in UTF-8: {error}") from error
+
+
+def read_files(folder: Path) -> dict[str, bytes]:
+    """Return the contents of a submission's files; a ValueError names one that is missing, too large or not allowed."""
+    _check_folder_name(folder)
+    if folder.is_symlink() or not folder.is_dir():
+        raise ValueError("it is not a folder, or a link to one")
+    names = []
+    with os.scandir(folder) as found:
+        for item in found:
+            names.append(item.name)
+            if item.name not in FILES:
+                raise ValueError(f"it holds {ascii(item.name)[:80]}; allowed are {', '.join(FILES)} and nothing else")
+    missing = [name for name in (ENTRY_FILE, POLICY_FILE) if name not in names]
+    if missing:
+        raise ValueError(f"it has no {' and no '.join(missing)}")
+    return {name: _read(folder / name, FILES[name]) for name in FILES if name in names}
+
+
+def _check_folder_name(folder: Path) -> None:
+    # It goes to shells and terminals, and into checkouts on systems that cannot have every name.
+    name = Path(os.path.abspath(folder)).name
+    if _FOLDER.fullmatch(name) is None or _DEVICE.fullmatch(name) is not None:
+        raise ValueError(
+            f"the folder's name must be 1 … 80 letters, digits and + . _ -, begin with a letter or digit, not end with "
+            f"a dot or .toml, and be no device of Windows; got {ascii(name)[:90]}"
+        )
+    check_not_built_in("the folder's name", name)
+
+
+def _read(path: Path, largest: int) -> bytes:
+    """Return the content of a plain file; a link, even one put there after the check, is refused."""
+    if path.is_symlink() or not path.is_file():
+        raise ValueError(f"{path.name} is not there, a link or something else that is not a plain file")
+    flags = os.O_RDONLY | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)
+    try:
+        with os.fdopen(os.open(path, flags), "rb") as file:
+            if not stat.S_ISREG(os.fstat(file.fileno()).st_mode):
+                raise ValueError(f"{path.name} is not a plain file")
+            content = file.read(largest + 1)
+    except OSError as error:
+        raise ValueError(f"cannot read {path.name}: {error.strerror}") from error
+    if len(content) > largest:
+        raise ValueError(f"{path.name} is larger than {largest} bytes")
+    return content
