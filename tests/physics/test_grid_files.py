@@ -93,7 +93,11 @@ def test_a_grid_that_is_an_object_plays_as_its_file_does() -> None:
     groups = [{"bus": group.bus, "n_turbines": group.n_turbines} for group in grid.groups]
     whole, parts = GFMWTGEnv(grid=grid), GFMWTGEnv(grid=grid.with_groups, groups=groups)
     assert whole.settings.plant() == parts.settings.plant()
-    assert read_grid(Path(whole.settings.suite)) == grid
+    path = Path(whole.settings.suite)
+    assert read_grid(path) == grid
+    # The file of its name counts only with what belongs into it.
+    path.write_text(grid_text(get_grid("ieee39")), encoding="utf-8")
+    assert GFMWTGEnv(grid=grid).settings.plant() == whole.settings.plant() and read_grid(path) == grid
     for env in (whole, parts):
         assert np.isfinite(env.reset(seed=1)[0]).all()
     for given in (None, 2):

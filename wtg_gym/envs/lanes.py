@@ -145,7 +145,7 @@ class TaskLanes:
             "groups": self.simulator.settings.groups,
             "duration_s": self.duration_s,
             "weights": self.settings.cost_weights(),
-            "plant": self.suite.plant,
+            "plant": self.suite.plant.to_dict(),
             "further": self.simulator.settings.further,
             **{name: getattr(self.settings, name) for name in shared},
         }

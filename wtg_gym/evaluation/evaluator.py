@@ -104,8 +104,8 @@ def evaluate(
     settings = EnvSettings(suite=suite, split=split, **env_arguments)
     competitors = _with_anchors(entries, get_suite(settings.suite))
     chosen, shared = chosen_seeds(settings.suite, split, seeds, draw), shared_settings(settings)
-    suite_hash = get_suite(settings.suite).hash
-    store = PartialStore(partial, [settings.suite, suite_hash, split, shared])
+    own_suite = get_suite(settings.suite)
+    store = PartialStore(partial, [own_suite.name, own_suite.hash, split, shared])
     parts = [part for entry in competitors for part in _parts(entry, chosen, batch)]
     needed = settings.benchmark().anchors if keep_going else [entry.name for entry in competitors]
     with contextlib.closing(_stored_and_played(store, parts, settings, n_threads, workers)) as batches:
@@ -113,7 +113,7 @@ def evaluate(
     return Results(
         suite=settings.suite,
         split=split,
-        suite_hash=suite_hash,
+        suite_hash=own_suite.hash,
         source_hash=source_hash(),
         seeds=tuple(chosen),
         draw=None if draw is None else {"commit": draw.commit, "secret_sha256": draw.secret_sha256},
@@ -162,7 +162,7 @@ def chosen_seeds(suite: str, split: str, seeds: Sequence[int] | None, draw: Fres
             f"split {split!r} and {'no draw' if draw is None else 'a draw'}"
         )
     if draw is not None:
-        if seeds is not None or draw.suite != suite:
+        if seeds is not None or get_suite(draw.suite).hash != get_suite(suite).hash:
             raise ValueError(
                 f"a draw gives all seeds, of its own suite {draw.suite!r}; got the suite {suite!r}"
                 f"{'' if seeds is None else ' and other seeds'}"
@@ -255,7 +255,7 @@ def _stored_and_played(
     workers: Workers | None,
 ) -> Generator[tuple[int, Played], None, None]:
     """Yield (index, episodes) of every batch: first the stored ones, then the others, which are stored too."""
-    missing = []
+    missing, suite = [], get_suite(settings.suite)
     for index, (entry, seeds) in enumerate(parts):
         rows = store.load(entry, seeds)
         if rows is None:
@@ -270,6 +270,8 @@ def _stored_and_played(
     )
     with contextlib.closing(playing) as batches:
         for number, played in batches:
+            if get_suite(settings.suite).hash != suite.hash:
+                raise ValueError(f"the suite {settings.suite} was written anew while it was played: evaluate again")
             if not isinstance(played, PolicyError):
                 store.save(*remaining[number], played)
             yield missing[number], played

@@ -5,10 +5,11 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
 from types import MappingProxyType
 from typing import Any
 
-from wtg_gym.physics.grid import DEFAULT_GRID, digest_of_grid, get_grid
+from wtg_gym.physics.grid import DEFAULT_GRID, Grid, digest_of_grid, get_grid
 from wtg_gym.physics.machine_parameters import GovernorParameters
 from wtg_gym.physics.parameters import WtgGroup, default_groups
 from wtg_gym.physics.plant import PlantSettings, plant_settings
@@ -67,6 +68,11 @@ class SuitePlant:
     condensers: bool = True  # whether the case's synchronous condensers are there
     simulation_dt: float = 0.025  # longest step that suits it, of those of longest_step [s]
 
+    @cached_property
+    def grid_data(self) -> Grid:
+        """The grid itself, read once: what is written to its file later does not change what was made of it."""
+        return get_grid(self.grid)
+
     def settings(
         self, *, groups: tuple[WtgGroup, ...] | None = None, physics: str | None = None, classical: bool, **steps: Any
     ) -> PlantSettings:
@@ -77,7 +83,7 @@ class SuitePlant:
             classical: whether machines are a constant voltage behind x'_d.
             steps: control_dt, simulation_dt and trips_groups of :class:`~wtg_gym.physics.plant.PlantSettings`.
         """
-        case = get_grid(self.grid).with_groups
+        case = self.grid_data.with_groups
         case = case.classical() if classical else case
         generator: dict[str, Any] = {"rating_mva": self.generator_mva, "governor": self.governor}
         changes = {name: value for name, value in generator.items() if value is not None}
@@ -106,19 +112,19 @@ class SuitePlant:
         """Rating of all machines with a governor [MVA]."""
         if self.generator_mva is not None:
             return self.generator_mva
-        return sum(m.rating_mva for m in get_grid(self.grid).with_groups.machines if m.governor is not None)
+        return sum(m.rating_mva for m in self.grid_data.with_groups.machines if m.governor is not None)
 
     @property
     def constant_mw(self) -> float:
         """What its machines without a governor give [MW]."""
-        machines = get_grid(self.grid).with_groups.machines
+        machines = self.grid_data.with_groups.machines
         return sum(machine.dispatch_mw for machine in machines if machine.governor is None)
 
     def to_dict(self) -> dict[str, Any]:
         """Return the plant as JSON-ready data; suites of the IEEE 14-bus system keep the hashes that they had."""
         data = {**dataclasses.asdict(self), "groups": [group.to_dict() for group in self.groups]}
         if self.grid != DEFAULT_GRID:
-            data["grid"] = digest_of_grid(self.grid)
+            data["grid"] = digest_of_grid(self.grid_data)
         later = {"grid": DEFAULT_GRID, "simulation_dt": SuitePlant.simulation_dt}
         return {key: value for key, value in data.items() if key not in later or value != later[key]}
 

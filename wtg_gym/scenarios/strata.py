@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Any
 
-from wtg_gym.physics.grid import DEFAULT_GRID, get_grid
+from wtg_gym.physics.grid import DEFAULT_GRID
 from wtg_gym.scenarios.benchmark import V1, Benchmark, SuitePlant
 from wtg_gym.scenarios.distribution import ScenarioDistribution
 from wtg_gym.scenarios.sensor_distribution import SensorDistribution
@@ -157,7 +157,7 @@ def suite_of_strata(
         own: what it has of its own in a stratum or a kind, by its name.
         settings: what it has of its own everywhere.
     """
-    size = event_size * (1.0 if plant.grid == DEFAULT_GRID else get_grid(plant.grid).case.load_mw / _LOAD_MW)
+    size = event_size * (1.0 if plant.grid == DEFAULT_GRID else plant.grid_data.case.load_mw / _LOAD_MW)
     of_grid: dict[str, Any] = {
         "load_noise_mw": round(size / event_size, 2),
         "load_buses": places.load_buses,

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from wtg_gym.physics.grid import DEFAULT_GRID, get_grid
+from wtg_gym.physics.grid import DEFAULT_GRID
 from wtg_gym.physics.parameters import TurbineParameters, WtgGroup
 from wtg_gym.physics.scenario import Event, Scenario, trusted
 from wtg_gym.ranges import is_whole, require_whole
@@ -103,7 +103,7 @@ class Suite:
     @property
     def nominal_hz(self) -> float:
         """Nominal frequency of its grid [Hz]."""
-        return get_grid(self.plant.grid).case.frequency_hz
+        return self.plant.grid_data.case.frequency_hz
 
     @property
     def distributions(self) -> tuple[ScenarioDistribution, ...]:
