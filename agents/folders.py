@@ -11,7 +11,7 @@ from pathlib import Path
 
 from filelock import FileLock, Timeout
 
-from wtg_gym.files import is_own
+from wtg_gym.files import is_trusted
 
 #: In the folder of a run: its last checkpoint and its best policy.
 CHECKPOINTS, BEST = "checkpoints", "best"
@@ -58,7 +58,7 @@ def loading(path: Path) -> Iterator[None]:
     is refused.
     """
     try:
-        if not is_own(path.lstat()):
+        if not is_trusted(path.lstat()):
             raise PermissionError(errno.EPERM, "another user could have written it, and loading it runs code")
         yield
     except Exception as error:

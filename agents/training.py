@@ -61,9 +61,9 @@ def last_checkpoint(run: Run, folder: Path) -> Path | None:
         raise ValueError(f"{folder} has validations, but no checkpoint to go on from; begin anew in another folder")
     if not saved:
         return None
-    of_checkpoint = Run.read(saved[-1])
-    step = of_checkpoint.curve[-1]["timesteps"] if of_checkpoint.curve else None
-    if not of_checkpoint.is_same(run) or step != int(saved[-1].name):
+    saved_run = Run.read(saved[-1])
+    step = saved_run.curve[-1]["timesteps"] if saved_run.curve else None
+    if not saved_run.is_same(run) or step != int(saved[-1].name):
         raise ValueError(f"{saved[-1]} is a checkpoint of another run or of step {step}; begin anew in another folder")
     return saved[-1]
 

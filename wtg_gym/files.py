@@ -1,4 +1,7 @@
-"""Files: written whole or not at all, JSON with the same bytes every time, and one guarded reader of JSON and TOML."""
+"""Files: written whole or not at all, JSON with the same bytes every time, one guarded reader of JSON and TOML.
+
+What is run, such as machine code, is read and written by :func:`read_trusted` and :func:`write_trusted`.
+"""
 
 from __future__ import annotations
 
@@ -97,7 +100,7 @@ def _naming(path: Path) -> Iterator[None]:
 # --- files whose content is run: no other user may have put or changed them ------------------------------------------
 
 
-def own_folder(path: Path, *, make: bool = False) -> Path:
+def trusted_folder(path: Path, *, make: bool = False) -> Path:
     """Return a folder, with all links followed, that no other user can put a file into or replace.
 
     It and every folder above it must belong to the user or to root. Others may write at most into folders above it, and
@@ -117,12 +120,12 @@ def own_folder(path: Path, *, make: bool = False) -> Path:
         if make:
             folder.mkdir(mode=0o700, exist_ok=True)
         status = folder.lstat()
-        if not stat.S_ISDIR(status.st_mode) or not is_own(status, or_sticky=folder != path):
+        if not stat.S_ISDIR(status.st_mode) or not is_trusted(status, or_sticky=folder != path):
             raise PermissionError(errno.EPERM, "another user could change it", str(folder))
     return path
 
 
-def is_own(status: os.stat_result, *, or_sticky: bool = False) -> bool:
+def is_trusted(status: os.stat_result, *, or_sticky: bool = False) -> bool:
     """Return whether something belongs to the user or to root, and nobody else may write it (or it is sticky)."""
     if not hasattr(os, "getuid"):
         return True
@@ -130,8 +133,8 @@ def is_own(status: os.stat_result, *, or_sticky: bool = False) -> bool:
     return status.st_uid in (0, os.getuid()) and not others_write
 
 
-def read_own(path: Path, largest: int = LARGEST_BYTES) -> bytes:
-    """Return the content of a file in an :func:`own_folder` that no other user can have written.
+def read_trusted(path: Path, largest: int = LARGEST_BYTES) -> bytes:
+    """Return the content of a file in an :func:`trusted_folder` that no other user can have written.
 
     Raises:
         OSError: it is missing, a link or not a regular file, larger than `largest` bytes, or another user could change
@@ -142,22 +145,22 @@ def read_own(path: Path, largest: int = LARGEST_BYTES) -> bytes:
         # What is no regular file is neither followed nor waited for.
         return os.open(name, flags | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0))
 
-    path = own_folder(path.parent) / path.name
+    path = trusted_folder(path.parent) / path.name
     with open(path, "rb", opener=opened) as file:
         # Of the open file: the name could stand for another one by now.
         status = os.fstat(file.fileno())
-        if not stat.S_ISREG(status.st_mode) or not is_own(status) or status.st_size > largest:
+        if not stat.S_ISREG(status.st_mode) or not is_trusted(status) or status.st_size > largest:
             raise PermissionError(errno.EPERM, f"not a file of at most {largest} bytes of this user alone", str(path))
         return file.read(largest)
 
 
-def write_own(path: Path, content: bytes) -> None:
-    """Write a file for :func:`read_own`, whole or not at all; only the user can read it.
+def write_trusted(path: Path, content: bytes) -> None:
+    """Write a file for :func:`read_trusted`, whole or not at all; only the user can read it.
 
     Raises:
         OSError: it cannot be written, or another user could change its folder.
     """
-    folder = own_folder(path.parent, make=True)
+    folder = trusted_folder(path.parent, make=True)
     descriptor, temporary = tempfile.mkstemp(dir=folder, suffix=".tmp")
     try:
         with open(descriptor, "wb") as file:

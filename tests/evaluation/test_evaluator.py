@@ -311,22 +311,21 @@ def test_parts_under_each_others_names_have_no_effect(
 def test_a_part_is_used_for_exactly_what_it_was_stored_for(
     results: Results, tmp_path: Path, change: dict[str, Any]
 ) -> None:
-    asked = {"name": "own", "policy": Linear(0.2), "fingerprint": "a policy", "training_seed": 1}
+    asked = {"name": "linear", "policy": Linear(0.2), "fingerprint": "a policy", "training_seed": 1}
     seeds = [20_000, 20_001]
-    row = dataclasses.replace(results.episodes[0], entry="own", training_seed=1)
+    row = dataclasses.replace(results.episodes[0], entry="linear", training_seed=1)
     rows = [dataclasses.replace(row, seed=seed) for seed in seeds]
     PartialStore(tmp_path, ["standard", "test"]).save(Entry(**asked), seeds, rows)
     (wanted,) = tmp_path.iterdir()
     wanted.unlink()
-    own = {**asked, **change.get("entry", {})}
-    given = [dataclasses.replace(each, **change.get("rows", {})) for each in rows]
-    PartialStore(tmp_path, change.get("context", ["standard", "test"])).save(
-        Entry(**own), change.get("seeds", seeds), given
-    )
+    stored_entry = Entry(**{**asked, **change.get("entry", {})})
+    stored_rows = [dataclasses.replace(row, **change.get("rows", {})) for row in rows]
+    store = PartialStore(tmp_path, change.get("context", ["standard", "test"]))
+    store.save(stored_entry, change.get("seeds", seeds), stored_rows)
     (stored,) = tmp_path.iterdir()
     stored.rename(wanted)
-    found = PartialStore(tmp_path, ["standard", "test"]).load(Entry(**asked), seeds)
-    assert found == (None if change else rows)
+    loaded = PartialStore(tmp_path, ["standard", "test"]).load(Entry(**asked), seeds)
+    assert loaded == (None if change else rows)
 
 
 def test_partial_of_other_settings_or_unknown_policy_is_not_used(entries: list[Entry], tmp_path: Path) -> None:

@@ -104,8 +104,8 @@ def evaluate(
     settings = EnvSettings(suite=suite, split=split, **env_arguments)
     competitors = _with_anchors(entries, get_suite(settings.suite))
     chosen, shared = chosen_seeds(settings.suite, split, seeds, draw), shared_settings(settings)
-    own_suite = get_suite(settings.suite)
-    store = PartialStore(partial, [own_suite.name, own_suite.hash, split, shared])
+    played_suite = get_suite(settings.suite)
+    store = PartialStore(partial, [played_suite.name, played_suite.hash, split, shared])
     parts = [part for entry in competitors for part in _parts(entry, chosen, batch)]
     needed = settings.benchmark().anchors if keep_going else [entry.name for entry in competitors]
     with contextlib.closing(_stored_and_played(store, parts, settings, n_threads, workers)) as batches:
@@ -113,7 +113,7 @@ def evaluate(
     return Results(
         suite=settings.suite,
         split=split,
-        suite_hash=own_suite.hash,
+        suite_hash=played_suite.hash,
         source_hash=source_hash(),
         seeds=tuple(chosen),
         draw=None if draw is None else {"commit": draw.commit, "secret_sha256": draw.secret_sha256},

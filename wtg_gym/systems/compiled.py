@@ -6,7 +6,7 @@ processes that compile at once can mix up its index. Here the folder is named af
 compiled code, so that an edit anywhere starts a new folder. It has one file for each function and types of arguments,
 which begins with a checksum over its key and its content. A file that is missing, damaged or of something else counts
 as missing: numba compiles again, and the file is replaced. Machine code is run, so files and folders that another user
-could have changed are not used either (:func:`wtg_gym.files.read_own`).
+could have changed are not used either (:func:`wtg_gym.files.read_trusted`).
 
 A wheel may bring machine code for a kind of processor, such as x86-64-v3, made by `.ci/machine_code`. Where this one is
 of that kind, and Python and numba are those that the code was made with, nothing is compiled; the bits are the same.
@@ -38,7 +38,7 @@ from numba.core.caching import NullCache
 from numba.core.compiler import CompileResult
 from numba.core.serialize import dumps
 
-from wtg_gym.files import own_folder, read_own, write_own
+from wtg_gym.files import read_trusted, trusted_folder, write_trusted
 
 F = TypeVar("F", bound=Callable[..., Any])
 
@@ -85,7 +85,7 @@ def cache_folder() -> Path | None:
     """Return the folder of this source version's machine code; None where none can be written by the user alone."""
     for place in _places():
         with contextlib.suppress(OSError):
-            folder = own_folder(place / "wtg_gym" / source_hash()[:16], make=True)
+            folder = trusted_folder(place / "wtg_gym" / source_hash()[:16], make=True)
             if os.access(folder, os.W_OK):
                 return folder
     return None
@@ -106,7 +106,7 @@ def kept(path: Path | None, key: bytes) -> bytes | None:
     """Return what was kept in a file; None if it is missing, not the user's own, damaged or kept under another key."""
     if path is not None:
         with contextlib.suppress(OSError):
-            content = read_own(path)
+            content = read_trusted(path)
             checksum, code = content[: len(key)], content[len(key) :]
             if checksum == digest_of(key, code):
                 return code
@@ -118,7 +118,7 @@ def keep(path: Path | None, key: bytes, code: bytes) -> None:
     if path is None:
         return
     try:
-        write_own(path, digest_of(key, code) + code)
+        write_trusted(path, digest_of(key, code) + code)
     except OSError as error:
         _warn_that_nothing_is_kept(path.parent, error.strerror)
 
