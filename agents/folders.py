@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 import contextlib
+import errno
 import shutil
+import tempfile
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
 from filelock import FileLock, Timeout
+
+from wtg_gym.files import is_trusted
 
 #: In the folder of a run: its last checkpoint and its best policy.
 CHECKPOINTS, BEST = "checkpoints", "best"
@@ -28,15 +32,15 @@ def save_folder(parent: Path, timesteps: int, write: Callable[[Path], object]) -
     """Write a folder that is named after a number of timesteps, then remove the older ones beside it.
 
     The folder gets its name when it is complete, so that a complete one remains after a kill at any moment. One of the
-    same name is complete and of the same step; it is kept.
+    same name is complete and of the same step; it is kept. Only the user can enter it.
     """
-    target, temporary = parent / f"{timesteps:012d}", parent / "incomplete"
+    target = parent / f"{timesteps:012d}"
     if not target.exists():
-        shutil.rmtree(temporary, ignore_errors=True)
-        temporary.mkdir(parents=True)
+        parent.mkdir(parents=True, exist_ok=True)
+        temporary = Path(tempfile.mkdtemp(prefix="incomplete-", dir=parent))
         write(temporary)
         temporary.rename(target)
-    for other in folders(parent):
+    for other in (*folders(parent), *parent.glob("incomplete-*")):
         if other != target:
             shutil.rmtree(other)
 
@@ -48,11 +52,14 @@ def folders(parent: Path) -> list[Path]:
 
 @contextlib.contextmanager
 def loading(path: Path) -> Iterator[None]:
-    """Turn any error while a file or folder is loaded into a ValueError that names it.
+    """Turn any error while a folder is loaded into a ValueError that names it.
 
-    Damaged pickles and archives raise errors of any kind.
+    Damaged pickles and archives raise errors of any kind. They also run code: a folder that other users can write into
+    is refused.
     """
     try:
+        if not is_trusted(path.lstat()):
+            raise PermissionError(errno.EPERM, "another user could have written it, and loading it runs code")
         yield
     except Exception as error:
         raise ValueError(f"{path} is missing, damaged or of another kind: {type(error).__name__}: {error}") from error

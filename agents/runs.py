@@ -88,6 +88,10 @@ class Run:
         """The row that ranks first: in v1 with the mark, then by its score; the first one of several."""
         return max(self.curve, key=lambda row: (row["marked"], row["score"]))
 
+    def is_same(self, other: Run) -> bool:
+        """Return whether another description is of the same run: its settings, and when it was begun."""
+        return self.settings == other.settings and self.provenance["started"] == other.provenance["started"]
+
     def is_due(self, timesteps: int) -> bool:
         """Return whether an interval has ended since the last validation."""
         interval = self.settings.interval or max(1, self.settings.timesteps // 20)

@@ -52,12 +52,18 @@ def last_checkpoint(run: Run, folder: Path) -> Path | None:
     """Return the folder that a run goes on from, named after its timesteps; None for a new run.
 
     Raises:
-        ValueError: the run has validations, but no checkpoint.
+        ValueError: the run has validations, but no checkpoint, or one of another run or step.
     """
     saved = folders(folder / CHECKPOINTS)
     if run.curve and not saved:
         raise ValueError(f"{folder} has validations, but no checkpoint to go on from; begin anew in another folder")
-    return saved[-1] if saved else None
+    if not saved:
+        return None
+    saved_run = Run.read(saved[-1])
+    step = saved_run.curve[-1]["timesteps"] if saved_run.curve else None
+    if not saved_run.is_same(run) or step != int(saved[-1].name):
+        raise ValueError(f"{saved[-1]} is a checkpoint of another run or of step {step}; begin anew in another folder")
+    return saved[-1]
 
 
 def draw(lanes: TaskLanes, rng: np.random.Generator, n_scenarios: int) -> list[Scenario]:
@@ -109,11 +115,16 @@ class Training:
         played = TorchPolicy(network), per_group(network)
         metrics = run.validate(*played, timesteps, time.monotonic() - self._began)
         # First, because one whose row is missing in run.json is validated again on resumption.
-        save_folder(self._folder / CHECKPOINTS, timesteps, learner.save)
+        save_folder(self._folder / CHECKPOINTS, timesteps, self._write_checkpoint)
         if run.best is run.curve[-1]:
             save_folder(self._folder / BEST, timesteps, self._write_best)
         run.write(self._folder)
         return metrics
+
+    def _write_checkpoint(self, folder: Path) -> None:
+        """Write the learner, and which run and step it is of."""
+        self._learner.save(folder)
+        self._run.write(folder)
 
     def _write_best(self, folder: Path) -> None:
         """Write the policy as an entry that `wtg-gym evaluate` plays."""

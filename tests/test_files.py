@@ -87,6 +87,15 @@ def test_missing_markers_are_named(tmp_path: Path, text: str) -> None:
     assert path.read_text() == text
 
 
+def test_temporary_names_do_not_follow_from_file_and_process(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    names: list[Path] = []
+    real = os.replace
+    monkeypatch.setattr(os, "replace", lambda one, other: [names.append(one), real(one, other)])
+    for _ in range(2):
+        write_together({tmp_path / "first": "new", tmp_path / "second": "new"})
+    assert len(set(names)) == 4 and len({path.name.rpartition(".tmp")[0][-16:] for path in names}) == 4
+
+
 @pytest.mark.parametrize("blocked", ["first", "second"])
 def test_files_that_belong_together_are_replaced_all_or_none(tmp_path: Path, blocked: str) -> None:
     first, second = tmp_path / "first", tmp_path / "second"

@@ -1,4 +1,7 @@
-"""Files: written whole or not at all, JSON with the same bytes every time, and one guarded reader of JSON and TOML."""
+"""Files: written whole or not at all, JSON with the same bytes every time, one guarded reader of JSON and TOML.
+
+What is run, such as machine code, is read and written by :func:`read_trusted` and :func:`write_trusted`.
+"""
 
 from __future__ import annotations
 
@@ -8,7 +11,10 @@ import hashlib
 import json
 import math
 import os
+import secrets
 import shutil
+import stat
+import tempfile
 import tomllib
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
@@ -67,9 +73,11 @@ def write_together(contents: Mapping[Path, str | bytes]) -> None:
                 target.parent.mkdir(parents=True, exist_ok=True)
                 if target.is_dir():
                     raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR))
-                temporary = target.with_name(f".{target.name}.{os.getpid()}.tmp")
+                # Random: processes on several machines or in several containers may have the same number.
+                temporary = target.with_name(f".{target.name}.{secrets.token_hex(8)}.tmp")
                 written.append((path, temporary, target))
-                temporary.write_bytes(content.encode("utf-8") if isinstance(content, str) else content)
+                with temporary.open("xb") as file:
+                    file.write(content.encode("utf-8") if isinstance(content, str) else content)
                 if target.exists():
                     shutil.copymode(target, temporary)
         for path, temporary, target in written:
@@ -87,6 +95,79 @@ def _naming(path: Path) -> Iterator[None]:
         yield
     except OSError as error:
         raise OSError(error.errno, error.strerror, str(path)) from error
+
+
+# --- files whose content is run: no other user may have put or changed them ------------------------------------------
+
+
+def trusted_folder(path: Path, *, make: bool = False) -> Path:
+    """Return a folder, with all links followed, that no other user can put a file into or replace.
+
+    It and every folder above it must belong to the user or to root. Others may write at most into folders above it, and
+    only where they cannot replace what belongs to somebody else (the sticky bit, as /tmp has). Where the system knows
+    no owners, as on Windows, every folder passes.
+
+    Args:
+        path: the folder.
+        make: whether to make missing folders, which only the user can read.
+
+    Raises:
+        OSError: it is missing, cannot be made, or another user could change it.
+    """
+    path = Path(os.path.realpath(path))
+    # From the top: once a folder has passed, nobody else can replace the next one.
+    for folder in (*reversed(path.parents), path):
+        if make:
+            folder.mkdir(mode=0o700, exist_ok=True)
+        status = folder.lstat()
+        if not stat.S_ISDIR(status.st_mode) or not is_trusted(status, or_sticky=folder != path):
+            raise PermissionError(errno.EPERM, "another user could change it", str(folder))
+    return path
+
+
+def is_trusted(status: os.stat_result, *, or_sticky: bool = False) -> bool:
+    """Return whether something belongs to the user or to root, and nobody else may write it (or it is sticky)."""
+    if not hasattr(os, "getuid"):
+        return True
+    others_write = status.st_mode & (stat.S_IWGRP | stat.S_IWOTH) and not (or_sticky and status.st_mode & stat.S_ISVTX)
+    return status.st_uid in (0, os.getuid()) and not others_write
+
+
+def read_trusted(path: Path, largest: int = LARGEST_BYTES) -> bytes:
+    """Return the content of a file in an :func:`trusted_folder` that no other user can have written.
+
+    Raises:
+        OSError: it is missing, a link or not a regular file, larger than `largest` bytes, or another user could change
+            it or its folder.
+    """
+
+    def opened(name: str, flags: int) -> int:
+        # What is no regular file is neither followed nor waited for.
+        return os.open(name, flags | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0))
+
+    path = trusted_folder(path.parent) / path.name
+    with open(path, "rb", opener=opened) as file:
+        # Of the open file: the name could stand for another one by now.
+        status = os.fstat(file.fileno())
+        if not stat.S_ISREG(status.st_mode) or not is_trusted(status) or status.st_size > largest:
+            raise PermissionError(errno.EPERM, f"not a file of at most {largest} bytes of this user alone", str(path))
+        return file.read(largest)
+
+
+def write_trusted(path: Path, content: bytes) -> None:
+    """Write a file for :func:`read_trusted`, whole or not at all; only the user can read it.
+
+    Raises:
+        OSError: it cannot be written, or another user could change its folder.
+    """
+    folder = trusted_folder(path.parent, make=True)
+    descriptor, temporary = tempfile.mkstemp(dir=folder, suffix=".tmp")
+    try:
+        with open(descriptor, "wb") as file:
+            file.write(content)
+        os.replace(temporary, folder / path.name)
+    finally:
+        Path(temporary).unlink(missing_ok=True)
 
 
 def markdown_table(header: Sequence[str], rows: Iterable[Sequence[str]], *, right: Sequence[int] = ()) -> str:

@@ -182,8 +182,11 @@ def test_folder_is_complete_or_not_there(tmp_path: Path) -> None:
         (path / "a").write_text("half")
         raise OSError("disk full")
 
-    with pytest.raises(OSError, match="disk full"):
-        save_folder(tmp_path, 2, fails)
+    names: set[str] = set()
+    for _ in range(2):
+        with pytest.raises(OSError, match="disk full"):
+            save_folder(tmp_path, 2, lambda path: [names.add(path.name), fails(path)])
+    assert len(names) == 2
     assert [path.name for path in folders(tmp_path)] == [f"{1:012d}"]
     save_folder(tmp_path, 3, lambda path: (path / "a").write_text("3"))
     assert {path.name for path in tmp_path.iterdir()} == {f"{3:012d}"}
@@ -198,6 +201,18 @@ def test_what_cannot_go_on_is_named(copied: Path, capsys: pytest.CaptureFixture[
     with held(copied):
         assert f"another process trains in {copied}" in error_of_resume()
     (checkpoint,) = folders(copied / "checkpoints")
+    checkpoint.chmod(0o777)
+    assert "another user could have written it" in error_of_resume()
+    checkpoint.chmod(0o700)
+    description = json.loads((checkpoint / "run.json").read_text())
+    for change in (
+        {"provenance": {**description["provenance"], "started": "1970-01-01T00:00:00Z"}},
+        {"settings": {**description["settings"], "seed": 5}},
+        {"curve": description["curve"][:-1]},
+    ):
+        (checkpoint / "run.json").write_text(json.dumps({**description, **change}))
+        assert f"{checkpoint} is a checkpoint of another run or" in error_of_resume()
+    (checkpoint / "run.json").write_text(json.dumps(description))
     for path in (*checkpoint.iterdir(), copied / "run.json"):
         intact = path.read_bytes()
         path.write_bytes(intact[: len(intact) // 2])

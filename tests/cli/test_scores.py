@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import re
 import signal
 import subprocess
@@ -15,6 +16,7 @@ import wtg_gym.cli.scoring
 from tests.cli.calls import error_of, start
 from tests.interruption import end
 from wtg_gym.cli import main
+from wtg_gym.cli.scoring import look_into_working_folder
 from wtg_gym.evaluation import Results, Workers, evaluator
 from wtg_gym.tasks import V1
 
@@ -116,7 +118,20 @@ def test_results_of_other_scenarios_or_settings_are_not_overwritten(
         said = error_of(capsys, *common, "--scenarios", *again.split())
         assert f"its standard-validation.json is of other {other} and would be lost; give another folder" in said
     assert _files(tmp_path) == stored
+    dataclasses.replace(Results.read(tmp_path / "standard-validation.json"), suite_hash="0" * 64).write(tmp_path)
+    assert "is of other suite_hash and would be lost" in error_of(capsys, *common, "--scenarios", "2")
     assert main([*common, "--scenarios", "2", "--split", "test"]) == 0
+
+
+def test_modules_of_the_working_folder_can_be_imported_only_where_an_entry_is_one(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "path", [path for path in sys.path if path != str(tmp_path)])
+    look_into_working_folder(["mppt", "law.toml"])
+    assert str(tmp_path) not in sys.path
+    look_into_working_folder(["mppt", "my_package.controller:make_policy"])
+    assert str(tmp_path) in sys.path
 
 
 def _files(folder: Path) -> dict[str, bytes]:

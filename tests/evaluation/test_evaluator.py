@@ -15,6 +15,7 @@ import pytest
 import wtg_gym
 from wtg_gym.evaluation import Entry, PolicyError, Results, evaluate, load_entries
 from wtg_gym.evaluation.evaluator import Progress
+from wtg_gym.evaluation.partial import PartialStore
 from wtg_gym.evaluation.recompute import departures, recompute
 from wtg_gym.physics.tracking_law import TrackingLaw
 from wtg_gym.policies.entry import check_entries
@@ -276,6 +277,55 @@ def test_damaged_part_is_played_again(results: Results, entries: list[Entry], tm
     cut.write_text("{")
     edited.write_text(edited.read_text().replace("standard/20000", "standard/20001"))
     assert evaluate(entries, "standard", "test", partial=tmp_path, **SHORT) == results
+
+
+def test_parts_under_each_others_names_have_no_effect(
+    results: Results, entries: list[Entry], tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    with pytest.raises(Killed):
+        evaluate(entries, "standard", "test", on_progress=killer(6), partial=tmp_path, **SHORT)
+    first, second = tmp_path.iterdir()
+    content = first.read_bytes()
+    first.write_bytes(second.read_bytes())
+    second.write_bytes(content)
+    assert evaluate(entries, "standard", "test", partial=tmp_path, **SHORT) == results
+    assert [record.getMessage().count("is played again") for record in caplog.records] == [1, 1]
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"context": ["gust", "test"]},
+        {"entry": {"name": "other"}},
+        {"entry": {"training_seed": 2}},
+        {"entry": {"fingerprint": "another policy"}},
+        {"seeds": [20_001, 20_000]},
+        {"seeds": [20_000]},
+        {"rows": {"entry": "other"}},
+        {"rows": {"training_seed": 2}},
+        {"rows": {"seed": 20_001}},
+        {},
+    ],
+    ids=str,
+)
+def test_a_part_is_used_for_exactly_what_it_was_stored_for(
+    results: Results, tmp_path: Path, change: dict[str, Any]
+) -> None:
+    asked = {"name": "linear", "policy": Linear(0.2), "fingerprint": "a policy", "training_seed": 1}
+    seeds = [20_000, 20_001]
+    row = dataclasses.replace(results.episodes[0], entry="linear", training_seed=1)
+    rows = [dataclasses.replace(row, seed=seed) for seed in seeds]
+    PartialStore(tmp_path, ["standard", "test"]).save(Entry(**asked), seeds, rows)
+    (wanted,) = tmp_path.iterdir()
+    wanted.unlink()
+    stored_entry = Entry(**{**asked, **change.get("entry", {})})
+    stored_rows = [dataclasses.replace(row, **change.get("rows", {})) for row in rows]
+    store = PartialStore(tmp_path, change.get("context", ["standard", "test"]))
+    store.save(stored_entry, change.get("seeds", seeds), stored_rows)
+    (stored,) = tmp_path.iterdir()
+    stored.rename(wanted)
+    loaded = PartialStore(tmp_path, ["standard", "test"]).load(Entry(**asked), seeds)
+    assert loaded == (None if change else rows)
 
 
 def test_partial_of_other_settings_or_unknown_policy_is_not_used(entries: list[Entry], tmp_path: Path) -> None:

@@ -13,11 +13,13 @@ import pytest
 
 from tests.cli.calls import json_of
 from tests.physics.test_grid_files import STRANGER
+from wtg_gym.envs import GFMWTGEnv
 from wtg_gym.envs.settings import EnvSettings
-from wtg_gym.evaluation import Entry, screening
+from wtg_gym.evaluation import Entry, evaluate, screening
+from wtg_gym.evaluation.evaluator import chosen_seeds
 from wtg_gym.physics.grid import data_of, get_grid, text_of
 from wtg_gym.policies.entry import check_version
-from wtg_gym.scenarios import get_suite
+from wtg_gym.scenarios import draw_seeds, get_suite
 from wtg_gym.scenarios.grid_suite import all_places, unscreened
 
 
@@ -36,9 +38,45 @@ def test_a_suite_is_what_is_in_its_files_wherever_they_lie(folder: Path) -> None
     one = get_suite("suites/mine.json")
     assert one.name == "my-ring-v1" and one.scenario(1_000_000).name.startswith("my-ring-v1/")
     assert one.hash == get_suite(str(folder / "suites" / ".." / "suites" / "mine.json")).hash
-    (folder / "ring.json").write_text(json.dumps({**STRANGER, "frequency_hz": 50.0}), encoding="utf-8")
-    os.utime(folder / "ring.json", ns=(1, 1))
-    assert get_suite("suites/mine.json").hash != one.hash and get_suite("suites/mine.json").nominal_hz == 50.0
+    seeds = draw_seeds("suites/mine.json", "0" * 40, b"sixteen bytes or more", 3).seeds
+    (folder / "link.json").symlink_to(folder / "suites" / "mine.json")
+    for path in ("./suites/mine.json", str(folder / "suites" / "mine.json"), "suites//../link.json"):
+        assert get_suite(path).hash == one.hash
+        assert draw_seeds(path, "0" * 40, b"sixteen bytes or more", 3).seeds == seeds
+    assert chosen_seeds("./link.json", "fresh", None, draw_seeds("suites/mine.json", "0" * 40, b"x" * 16, 1))
+
+
+def test_files_are_told_apart_by_what_is_in_them_not_by_name_or_time(folder: Path) -> None:
+    path, before = folder / "ring.json", (folder / "ring.json").stat()
+    one, env = get_suite("suites/mine.json"), GFMWTGEnv(grid="ring.json", strategy="coordinated-tuned")
+    env.reset(seed=1)
+    path.write_text(json.dumps({**STRANGER, "frequency_hz": 50.0}), encoding="utf-8")
+    os.utime(path, ns=(before.st_atime_ns, before.st_mtime_ns))
+    assert path.stat().st_size == before.st_size and path.stat().st_mtime_ns == before.st_mtime_ns
+    other = get_suite("suites/mine.json")
+    assert other.nominal_hz == 50.0 and other.hash != one.hash
+    # What was made before is of one piece: of what was in the file then.
+    assert one.nominal_hz == one.plant.case.frequency_hz == 60.0
+    with pytest.raises(ValueError, match="the snapshot is of an environment with other settings: plant"):
+        GFMWTGEnv(grid="ring.json", strategy="coordinated-tuned").restore(env.snapshot())
+    path.write_text(json.dumps({**STRANGER, "buses": STRANGER["buses"][:4]}), encoding="utf-8")
+    with pytest.raises(ValueError, match="unknown bus 12"):
+        get_suite("suites/mine.json")
+    # The places of a suite are looked for in the grid that is there now.
+    machines = [{**machine, "governor": None} for machine in STRANGER["machines"]]
+    path.write_text(json.dumps({**STRANGER, "machines": machines}), encoding="utf-8")
+    with pytest.raises(ValueError, match=r"mine\.json is no suite: generator_buses: there is no machine"):
+        get_suite("suites/mine.json")
+
+
+def test_an_evaluation_of_a_suite_that_is_written_anew_meanwhile_is_refused(folder: Path) -> None:
+    def change(*_: object) -> None:
+        (folder / "ring.json").write_text(json.dumps({**STRANGER, "frequency_hz": 50.0}), encoding="utf-8")
+
+    entries = [Entry(name="mppt", strategy="mppt")]
+    with pytest.raises(ValueError, match=r"ring\.json was written anew while it was played"):
+        evaluate(entries, "ring.json", seeds=[10_000], duration_s=5.0, partial="parts", on_progress=change)
+    assert len(list((folder / "parts").iterdir())) == 1
 
 
 def test_a_suite_whose_grid_is_missing_is_refused_in_a_line(folder: Path) -> None:

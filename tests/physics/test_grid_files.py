@@ -91,7 +91,11 @@ def test_a_strangers_grid_plays_without_any_code(stranger: Path) -> None:
 def test_a_grid_that_is_an_object_plays_as_its_file_does() -> None:
     grid = get_grid("kundur")
     env = GFMWTGEnv(grid=grid)
-    assert read_grid(Path(env.settings.suite_name)) == grid
+    path = Path(env.settings.suite_name)
+    assert read_grid(path) == grid
+    # The file of its name counts only with what belongs into it.
+    path.write_text(grid_text(get_grid("ieee39")), encoding="utf-8")
+    assert GFMWTGEnv(grid=grid).settings.resolved_plant == env.settings.resolved_plant and read_grid(path) == grid
     assert np.isfinite(env.reset(seed=1)[0]).all()
 
 

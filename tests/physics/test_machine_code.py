@@ -99,10 +99,47 @@ def test_a_wheels_code_for_a_kind_of_processor_is_used_by_those_of_that_kind(tmp
     assert outcome(run(program, tmp_path / "none")) == [*RESULT, "4"]
 
 
-@pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs a device that is full")
+@pytest.mark.skipif(not hasattr(os, "getuid"), reason="needs files that belong to users")
+def test_code_that_another_user_could_have_written_is_not_run(tmp_path: Path) -> None:
+    folder = tmp_path / "code"
+    assert outcome(run(PROGRAM, folder)) == [*RESULT, "4"]
+    shared, of_group, link, pipe = sorted(folder.iterdir())
+    shared.chmod(0o602)
+    of_group.chmod(0o620)
+    link.rename(tmp_path / "elsewhere")
+    link.symlink_to(tmp_path / "elsewhere")
+    pipe.unlink()
+    os.mkfifo(pipe)
+    assert outcome(run(PROGRAM, folder)) == [*RESULT, "4"]
+    assert {path.lstat().st_mode for path in folder.iterdir()} == {0o100600}
+    folder.chmod(0o777)
+    assert outcome(run(PROGRAM, folder)) == [*RESULT, "4"]
+
+
+@pytest.mark.skipif(not hasattr(os, "getuid"), reason="needs folders that belong to users")
+def test_machine_code_lies_in_the_first_place_that_only_the_user_can_write_to(tmp_path: Path) -> None:
+    shared, of_group, home = (tmp_path / name for name in ("shared", "of-group", "home"))
+    for place, mode in ((shared, 0o777), (of_group, 0o770), (home, 0o755)):
+        place.mkdir()
+        place.chmod(mode)
+    program = "from wtg_gym.systems.compiled import cache_folder\nprint(cache_folder())"
+    places = {"NUMBA_CACHE_DIR": str(shared), "XDG_CACHE_HOME": str(of_group), "HOME": str(home)}
+    (used,) = outcome(run(program, tmp_path, **places))
+    assert Path(used).is_relative_to(home / ".cache") and not [*shared.iterdir(), *of_group.iterdir()]
+    # A folder in a shared one is as good as any, as long as nobody else made it.
+    shared.chmod(0o1777)
+    (used,) = outcome(run(program, tmp_path, **places))
+    assert Path(used).is_relative_to(shared) and {path.stat().st_mode & 0o777 for path in shared.rglob("*")} == {0o700}
+    home.chmod(0o777)
+    shared.chmod(0o777)
+    assert outcome(run(program, tmp_path, **places, TMPDIR=str(of_group))) == ["None"]
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="needs limits of processes")
 def test_a_full_disk_stops_nothing(tmp_path: Path) -> None:
-    full = "Path.write_bytes = lambda path, content: open('/dev/full', 'wb').write(content)\nfolder = "
+    full = "import resource\nresource.setrlimit(resource.RLIMIT_FSIZE, (1000, 1000))\nfolder = "
     assert outcome(run(PROGRAM.replace("folder = ", full, 1), tmp_path / "code")) == [*RESULT, "4"]
+    assert list((tmp_path / "code").iterdir()) == []
 
 
 def test_editing_a_callee_in_another_file_is_never_ignored(tmp_path: Path) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import functools
 import html
 import json
@@ -63,9 +64,12 @@ def test_the_numbers_are_those_of_the_results() -> None:
 
 
 def test_what_cannot_be_ranked_and_what_is_given_twice_is_refused() -> None:
-    _, own, without_scale = all_results()
+    of_v0, own, without_scale = all_results()
     for results in ([], [without_scale]):
         with pytest.raises(ValueError, match="results with a score"):
             leaderboard_page(results)
+    changed = dataclasses.replace(own, suite_hash="0" * 64)
+    with pytest.raises(ValueError, match=f"'standard-v1' with the hash {'0' * 12}.* is {own.suite_hash[:12]} here"):
+        leaderboard_page([of_v0, changed])
     with pytest.raises(ValueError, match="standard-v1-validation"):
         leaderboard_page([own, own])

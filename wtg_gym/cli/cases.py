@@ -16,7 +16,7 @@ def play_cases(names: Sequence[str], specs: Sequence[str], *, json: bool) -> int
     """Play entries through tests, and print verdicts and figures; return 1 where one has failed, else 0."""
     expanded = [each for name in names for each in (GRID_TESTS if name == "all" else (name,))]
     tests = [get_grid_test(name) for name in dict.fromkeys(expanded)]
-    look_into_working_folder()
+    look_into_working_folder(specs)
     entries = load_entries(specs)
     rows: list[dict[str, Any]] = []
     with Progress("cases") as progress:

@@ -34,16 +34,19 @@ _LARGEST_SECRET = 4096
 
 def chosen_entries(specs: Sequence[str], suite: str) -> list[Entry]:
     """Return the entries of `--entries` for a suite."""
-    look_into_working_folder()
+    look_into_working_folder(specs)
     entries = load_entries(specs, get_suite(suite).task)
     # `evaluate` checks them too, but after the simulator was compiled.
     check_entries(entries)
     return entries
 
 
-def look_into_working_folder() -> None:
-    """Let modules there be entries, as `python -m` does and a console script does not."""
-    if os.getcwd() not in sys.path:
+def look_into_working_folder(specs: Sequence[str]) -> None:
+    """Let modules there be entries, as `python -m` does and a console script does not, where one is asked for.
+
+    Otherwise a file there of the name of a package that is not installed would be run.
+    """
+    if any(":" in spec for spec in specs) and os.getcwd() not in sys.path:
         sys.path.append(os.getcwd())
 
 
@@ -102,6 +105,7 @@ def check_stored(folder: Path | None, planned: Mapping[str, Any]) -> None:
     seeds, draw = planned.get("seeds"), planned.get("draw")
     settings = {key: value for key, value in planned.items() if key not in ("seeds", "draw")}
     now = {
+        "suite_hash": get_suite(suite).hash,
         "settings": shared_settings(EnvSettings(**settings)),
         "seeds": tuple(chosen_seeds(suite, split, seeds, draw)),
         "draw": None if draw is None else {"commit": draw.commit, "secret_sha256": draw.secret_sha256},

@@ -102,10 +102,10 @@ def evaluate(
     if workers is not None and n_threads not in (None, 1):
         raise ValueError(f"a worker steps with one thread; leave out the threads, got {n_threads!r}")
     settings = EnvSettings(suite=suite, split=split, **env_arguments)
-    competitors = _with_anchors(entries, settings.resolved_suite)
+    played_suite = settings.resolved_suite
+    competitors = _with_anchors(entries, played_suite)
     chosen, shared = chosen_seeds(settings.suite_name, split, seeds, draw), shared_settings(settings)
-    suite_hash = settings.resolved_suite.hash
-    store = PartialStore(partial, [settings.suite_name, suite_hash, split, shared])
+    store = PartialStore(partial, [played_suite.name, played_suite.hash, split, shared])
     parts = [part for entry in competitors for part in _parts(entry, chosen, batch)]
     needed = settings.task.anchors if keep_going else [entry.name for entry in competitors]
     with contextlib.closing(_stored_and_played(store, parts, settings, n_threads, workers)) as batches:
@@ -113,7 +113,7 @@ def evaluate(
     return Results(
         suite=settings.suite_name,
         split=split,
-        suite_hash=suite_hash,
+        suite_hash=played_suite.hash,
         source_hash=source_hash(),
         seeds=tuple(chosen),
         draw=None if draw is None else {"commit": draw.commit, "secret_sha256": draw.secret_sha256},
@@ -162,7 +162,7 @@ def chosen_seeds(suite: str, split: str, seeds: Sequence[int] | None, draw: Fres
             f"split {split!r} and {'no draw' if draw is None else 'a draw'}"
         )
     if draw is not None:
-        if seeds is not None or draw.suite != suite:
+        if seeds is not None or get_suite(draw.suite).hash != get_suite(suite).hash:
             raise ValueError(
                 f"a draw gives all seeds, of its own suite {draw.suite!r}; got the suite {suite!r}"
                 f"{'' if seeds is None else ' and other seeds'}"
@@ -255,7 +255,7 @@ def _stored_and_played(
     workers: Workers | None,
 ) -> Generator[tuple[int, Played], None, None]:
     """Yield (index, episodes) of every batch: first the stored ones, then the others, which are stored too."""
-    missing = []
+    missing, suite = [], settings.resolved_suite
     for index, (entry, seeds) in enumerate(parts):
         rows = store.load(entry, seeds)
         if rows is None:
@@ -270,6 +270,8 @@ def _stored_and_played(
     )
     with contextlib.closing(playing) as batches:
         for number, played in batches:
+            if settings.resolved_suite.hash != suite.hash:
+                raise ValueError(f"the suite {settings.suite} was written anew while it was played: evaluate again")
             if not isinstance(played, PolicyError):
                 store.save(*remaining[number], played)
             yield missing[number], played

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import json
+import logging
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +13,8 @@ from wtg_gym.evaluation.episodes import Episode, episode_from_cells
 from wtg_gym.files import read_json, sha256, to_json, write_atomically
 from wtg_gym.policies import Entry
 from wtg_gym.systems.compiled import source_hash
+
+_log = logging.getLogger("wtg_gym")
 
 
 class PartialStore:
@@ -36,20 +39,32 @@ class PartialStore:
         """Return the file of a batch; None where it cannot be stored: no folder, or an entry without identity."""
         if self._folder is None or entry.identity is None:
             return None
-        key = json.dumps([self._context, entry.to_dict(), seeds], sort_keys=True, allow_nan=False)
-        return self._folder / f"{sha256(key.encode())}.json"
+        return self._folder / f"{self._digest(entry, seeds)}.json"
+
+    def _digest(self, entry: Entry, seeds: list[int], rows: Any = None) -> str:
+        """Return a sha256 of what is asked for and, if given, of the rows that answer it."""
+        data = [self._context, entry.to_dict(), seeds, rows]
+        return sha256(json.dumps(data, sort_keys=True, allow_nan=False).encode())
 
     def load(self, entry: Entry, seeds: list[int]) -> list[Episode] | None:
-        """Return a stored batch; None where there is none, or it is damaged, which costs the time to play it again."""
+        """Return a stored batch.
+
+        None where there is none, or the file does not hold exactly what is asked for: it is damaged, or that of another
+        entry, training seed, suite, split or version under this name. That costs the time to play it again.
+        """
         path = self._path(entry, seeds)
+        if path is None or not path.exists():
+            return None
         try:
-            if path is None or not path.exists():
-                return None
             data = read_json(path, "finished batch")
-            if sha256(to_json(data["rows"]).encode()) != data["sha256"] or len(data["rows"]) != len(seeds):
-                return None
+            if data["sha256"] != self._digest(entry, seeds, data["rows"]):
+                raise ValueError("it is damaged, or of another entry, suite, split or version")
             episodes = [episode_from_cells(cells, str(path)) for cells in data["rows"]]
-        except (ValueError, KeyError, TypeError, AttributeError):
+            expected = [(entry.name, entry.training_seed, seed) for seed in seeds]
+            if [(*episode.run, episode.seed) for episode in episodes] != expected:
+                raise ValueError("its rows are of other entries, training seeds or scenarios")
+        except (ValueError, KeyError, TypeError, AttributeError) as error:
+            _log.warning("%s is not used, and %s is played again: %s", path, entry.label, error)
             return None
         self._used.append(path)
         return episodes
@@ -59,7 +74,7 @@ class PartialStore:
         path = self._path(entry, seeds)
         if path is not None:
             rows = [episode.cells() for episode in episodes]
-            write_atomically(path, to_json({"rows": rows, "sha256": sha256(to_json(rows).encode())}))
+            write_atomically(path, to_json({"rows": rows, "sha256": self._digest(entry, seeds, rows)}))
             self._used.append(path)
 
     def clear(self) -> None:

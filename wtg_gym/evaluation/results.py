@@ -19,7 +19,7 @@ from wtg_gym.evaluation.statistics import Floats, Groups, Interval
 from wtg_gym.evaluation.summary import EntrySummary, Runs, ranked
 from wtg_gym.evaluation.table import columns_of, markdown_table, notes_on_marks
 from wtg_gym.ranges import ByName
-from wtg_gym.scenarios import get_suite
+from wtg_gym.scenarios import FROZEN_HASHES, get_suite
 from wtg_gym.tasks import Task
 
 Value = TypeVar("Value")
@@ -163,6 +163,15 @@ class Results:
     def name(self) -> str:
         """Return the files' name without ending."""
         return f"{get_suite(self.suite).name}-{self.split}"
+
+    def check_suite(self) -> None:
+        """Raise a ValueError if the suite has changed since: only results of the same suite are comparable."""
+        now = FROZEN_HASHES.get(self.suite) or get_suite(self.suite).hash
+        if self.suite_hash != now:
+            raise ValueError(
+                f"the results {self.name} are of the suite {self.suite!r} with the hash {self.suite_hash[:12]}, that "
+                f"suite's hash is {now[:12]} here: evaluate again"
+            )
 
     def episodes_of(self, name: str) -> list[Episode]:
         """Return the episodes of an entry.

@@ -10,6 +10,7 @@ import contextlib
 import importlib.util
 import os
 import socket
+import tempfile
 from collections.abc import Callable, Generator, Iterator, Sequence
 from concurrent.futures import Future, as_completed
 from dataclasses import dataclass
@@ -167,7 +168,9 @@ def _dask(address: str | None, jobs: int) -> Iterator[_Submit]:
     with contextlib.ExitStack() as stack:
         target: Any = address
         if address is None:
-            options = {"threads_per_worker": 1, "dashboard_address": "127.0.0.1:0"}
+            # In a folder of its own: pickles are written there, and Dask's usual one is shared by all users.
+            folder = stack.enter_context(tempfile.TemporaryDirectory())
+            options = {"threads_per_worker": 1, "dashboard_address": "127.0.0.1:0", "local_directory": folder}
             target = stack.enter_context(distributed.LocalCluster(n_workers=jobs, **options))
         else:
             # A client that was made for an address that is none takes half a minute to go.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import functools
 import json
@@ -12,7 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, get_args, get_type_hints
 
-from wtg_gym.files import read_json, sha256, write_atomically
+from wtg_gym.files import parse_json, read_text, sha256, write_atomically
 from wtg_gym.physics.checked import Checked
 from wtg_gym.physics.machine_parameters import AnyExciter, AnyGovernor, AnyStabiliser
 from wtg_gym.physics.network import NetworkCase
@@ -83,27 +84,26 @@ def get_grid(name: str) -> Grid:
     if path.parent == FOLDER and not path.exists():
         known = f"{', '.join(known_grids())}, or the path of a .json file{did_you_mean(name, known_grids())}"
         raise ValueError(f"unknown grid {name!r}; known grids: {known}")
-    return read_grid(path.resolve(), modified(name))
+    return read_grid(path)
 
 
-def modified(name: str) -> int:
-    """Return when a file was changed last [ns], so that what is kept of it can be told from it; 0 for a name."""
-    path = Path(name)
-    return path.stat().st_mtime_ns if name.endswith(".json") and path.exists() else 0
+def read_grid(path: Path) -> Grid:
+    """Return the grid of a file; a ValueError says what is wrong with it."""
+    text = read_text(path, "grid")
+    try:
+        return _grid_of(text)
+    except (KeyError, TypeError, ValueError) as error:
+        raise ValueError(f"{path} is no grid: {error}") from error
 
 
 @functools.lru_cache(maxsize=64)
-def read_grid(path: Path, _changed: int = 0) -> Grid:
-    """Return the grid of a file; a ValueError says what is wrong with it."""
-    data = read_json(path, "grid")
-    try:
-        own = {field.name for field in dataclasses.fields(Grid)} - {"case"}
-        if not isinstance(data, dict):
-            raise ValueError("it must hold an object")
-        case = {key: value for key, value in data.items() if key not in own}
-        grid: Grid = record_of(Grid, {"case": case, **{key: value for key, value in data.items() if key in own}})
-    except (KeyError, TypeError, ValueError) as error:
-        raise ValueError(f"{path} is no grid: {error}") from error
+def _grid_of(text: str) -> Grid:
+    data = parse_json(text, "its text")
+    own = {field.name for field in dataclasses.fields(Grid)} - {"case"}
+    if not isinstance(data, dict):
+        raise ValueError("it must hold an object")
+    case = {key: value for key, value in data.items() if key not in own}
+    grid: Grid = record_of(Grid, {"case": case, **{key: value for key, value in data.items() if key in own}})
     return grid
 
 
@@ -148,14 +148,16 @@ def file_of(grid: Grid) -> str:
     """Return the path of a grid's file in the user's cache, so that it is one by its path as every other."""
     text = grid_text(grid)
     path = (cache_folder() or Path(tempfile.mkdtemp())) / f"grid-{sha256(text.encode())[:16]}.json"
-    if not path.exists():
-        write_atomically(path, text)
+    with contextlib.suppress(ValueError):
+        if read_text(path, "grid") == text:
+            return str(path)
+    write_atomically(path, text)
     return str(path)
 
 
-def digest_of_grid(name: str) -> str:
+def digest_of_grid(grid: Grid) -> str:
     """Return the sha256 of what is in a grid, so that a hash does not depend on where its file lies."""
-    return sha256(grid_text(get_grid(name)).encode())
+    return sha256(grid_text(grid).encode())
 
 
 def text_of(data: Mapping[str, Any]) -> str:

@@ -36,13 +36,15 @@ _LEAST_SHOWN = -100.0
 def leaderboard_page(results: Sequence[Results]) -> str:
     """Return the leaderboard as one HTML file: a tab per ranking, the suites of the latest version first.
 
-    Results of scenarios without a scale are left out. A ValueError says that none is left, or that scenarios are given
-    twice.
+    Results of scenarios without a scale are left out. A ValueError says that none is left, that scenarios are given
+    twice, or that a suite was another one when it was played.
     """
     from bokeh.embed import file_html
     from bokeh.models import TabPanel, Tabs
     from bokeh.resources import INLINE
 
+    for each in results:
+        each.check_suite()
     ranked = [each for each in results if each.has_scale]
     if not ranked:
         raise ValueError("the page needs results with a score")

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from wtg_gym.physics.checked import Checked, design, required
-from wtg_gym.physics.grid import DEFAULT_GRID, digest_of_grid, get_grid
+from wtg_gym.physics.grid import DEFAULT_GRID, Grid, digest_of_grid, get_grid
 from wtg_gym.physics.scenario import (
     LONGEST_RUN_S,
     SERIES_DT,
@@ -182,7 +182,7 @@ class ScenarioDistribution(Checked):
             require_range(f"largest load decrease at bus {bus}", decrease, 0.0, 1e4, "MW")
         if (self.load_trip_probability and not self.load_trip_buses) or not set(self.load_trip_buses) <= set(buses):
             raise ValueError(f"load_trip_buses must be one or more of the load buses {buses}: {self.load_trip_buses}")
-        case = get_grid(self.grid).case
+        case = self._grid_data.case
         for name, chance in (("line_trips", self.line_trip_probability), ("fault_lines", self.fault_probability)):
             lines = getattr(self, name)
             if (chance and not lines) or any(case.branch_index(*line) in case.bridges for line in lines):
@@ -204,7 +204,7 @@ class ScenarioDistribution(Checked):
         for name in names[names.index("wind_share") :]:
             if data[name] == getattr(type(self), name):
                 del data[name]
-        return data | {"grid": digest_of_grid(self.grid)} if "grid" in data else data
+        return data | {"grid": digest_of_grid(self._grid_data)} if "grid" in data else data
 
     def draw(self, seed: int, *given: Any) -> Scenario:
         """Draw the scenario of a seed; everything else as for :meth:`draw_many`."""
@@ -296,7 +296,12 @@ class ScenarioDistribution(Checked):
     @property
     def _load_mw(self) -> float:
         """Load of the grid [MW]."""
-        return get_grid(self.grid).case.load_mw
+        return self._grid_data.case.load_mw
+
+    @cached_property
+    def _grid_data(self) -> Grid:
+        """The grid itself, read once: what is written to its file later does not change what was made of it."""
+        return get_grid(self.grid)
 
     @cached_property
     def _load_rooms(self) -> tuple[dict[int, float], dict[int, float]]:

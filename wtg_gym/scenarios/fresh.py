@@ -84,7 +84,7 @@ def draw_seeds(suite: str, commit: str, secret: bytes, n: int | None = None) -> 
         if len(seeds) == n:
             break
         # The word is part of the rounds that are published.
-        message = f"wtg_gym verification\n{suite}\n{drawn.hash}\n{commit}\n{counter}"
+        message = f"wtg_gym verification\n{drawn.name}\n{drawn.hash}\n{commit}\n{counter}"
         digest = hmac.digest(secret, message.encode(), "sha256")
         seeds[allowed.start + int.from_bytes(digest[:8], "big") % len(allowed)] = None
     return FreshDraw(suite=suite, commit=commit, secret_sha256=hashlib.sha256(secret).hexdigest(), seeds=tuple(seeds))

@@ -10,9 +10,9 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
-from wtg_gym.files import read_json
+from wtg_gym.files import parse_json, read_text
 from wtg_gym.physics.checked import Checked, describe, design, required
-from wtg_gym.physics.grid import get_grid, modified, record_of
+from wtg_gym.physics.grid import Grid, get_grid, record_of
 from wtg_gym.physics.machine_parameters import SynchronousMachineParameters
 from wtg_gym.physics.network import LEAST_IMPEDANCE, NetworkCase
 from wtg_gym.physics.plant import SIMULATION_DT_RANGE
@@ -97,13 +97,14 @@ class GridSuite(Checked):
 
     @property
     def suite(self) -> Suite:
-        """The suite."""
-        case = get_grid(self.grid).case
+        """The suite; a ValueError if the grid has none of its places."""
+        grid = get_grid(self.grid)
+        check_places(self.places, grid.with_groups)
         # Where other machines stay, the loss of one asks for no more wind than other events.
         own = {"machine": {"mean_wind_m_s": WIND_SCENARIOS["mean_wind_m_s"]}}
         return suite_of_strata(
             self.name,
-            f"{case.name}.",
+            f"{grid.case.name}.",
             self.plant,
             self.places,
             event_size=self.event_size,
@@ -156,27 +157,33 @@ def check_places(places: Places, case: NetworkCase) -> None:
 
 def suite_of_file(path: str) -> Suite:
     """Return the suite of a file, or the :func:`unscreened` one of a grid's file; a ValueError says what is wrong."""
-    own = _read(Path(path).resolve(), modified(path))
-    return _made(own, modified(own.grid))
+    where = Path(path).resolve()
+    own = read_suite(where)
+    try:
+        return _made(own, get_grid(own.grid))
+    except ValueError as error:
+        raise ValueError(f"{where} is no suite: {error}") from error
 
 
+# Kept by what is in the files of suite and grid, not by when they were written.
 @lru_cache(maxsize=64)
-def _made(own: GridSuite, _grid_changed: int) -> Suite:
+def _made(own: GridSuite, _grid: Grid) -> Suite:
     return own.suite
 
 
-@lru_cache(maxsize=64)
-def _read(path: Path, _changed: int) -> GridSuite:
-    data = read_json(path, "suite or grid")
-    return unscreened(str(path)) if isinstance(data, dict) and "branches" in data else read_suite(path)
-
-
 def read_suite(path: Path) -> GridSuite:
-    """Return what the file of a suite says; a path of a grid counts from the file's folder."""
+    """Return what the file of a suite says, where the path of a grid counts from the file's folder, or of a grid."""
+    return _read(path, read_text(path, "suite or grid"))
+
+
+@lru_cache(maxsize=64)
+def _read(path: Path, text: str) -> GridSuite:
+    data = parse_json(text, f"the suite or grid {path}")
+    if isinstance(data, dict) and "branches" in data:
+        return unscreened(str(path))
     try:
-        found: GridSuite = record_of(GridSuite, read_json(path, "suite"))
+        found: GridSuite = record_of(GridSuite, data)
         grid = str((path.parent / found.grid).resolve()) if found.grid.endswith(".json") else found.grid
-        check_places(found.places, get_grid(grid).with_groups)
     except (TypeError, ValueError) as error:
         raise ValueError(f"{path} is no suite: {error}") from error
     return replace(found, grid=grid)

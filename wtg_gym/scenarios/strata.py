@@ -163,7 +163,8 @@ def wind_plant(
         condensers: whether machines without a governor are there.
         simulation_dt: step of the integration [s].
     """
-    case = get_grid(grid).with_groups
+    grid_data = get_grid(grid)
+    case = grid_data.with_groups
     governor = None if generator_mva is None else GovernorParameters(gate_max_pu=1.0)
     machines = [
         dataclasses.replace(m, rating_mva=generator_mva, governor=governor)
@@ -200,7 +201,7 @@ def wind_plant(
         "condensers": condensers,
     }
     if grid != DEFAULT_GRID:
-        data["grid"] = digest_of_grid(grid)
+        data["grid"] = digest_of_grid(grid_data)
     if simulation_dt != PlantSettings.simulation_dt:
         data["simulation_dt"] = simulation_dt
     plant = plant.replaced(physics="extended")

@@ -5,7 +5,8 @@ caller. It also trusts its files: a damaged one ends in a traceback or in code t
 processes that compile at once can mix up its index. Here the folder is named after a hash of every file that holds
 compiled code, so that an edit anywhere starts a new folder. It has one file for each function and types of arguments,
 which begins with a checksum over its key and its content. A file that is missing, damaged or of something else counts
-as missing: numba compiles again, and the file is replaced.
+as missing: numba compiles again, and the file is replaced. Machine code is run, so files and folders that another user
+could have changed are not used either (:func:`wtg_gym.files.read_trusted`).
 
 A wheel may bring machine code for a kind of processor, such as x86-64-v3, made by `.ci/machine_code`. Where this one is
 of that kind, and Python and numba are those that the code was made with, nothing is compiled; the bits are the same.
@@ -26,7 +27,6 @@ import pickle
 import sys
 import tempfile
 import time
-import uuid
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, TypeVar
@@ -38,9 +38,12 @@ from numba.core.caching import NullCache
 from numba.core.compiler import CompileResult
 from numba.core.serialize import dumps
 
+from wtg_gym.files import read_trusted, trusted_folder, write_trusted
+
 F = TypeVar("F", bound=Callable[..., Any])
 
 _PACKAGE = Path(__file__).resolve().parent.parent
+_WINDOWS = sys.platform == "win32"
 _log = logging.getLogger("wtg_gym")
 #: What machine code depends on besides the sources and the processor.
 VERSIONS = (numba.__version__, llvmlite.__version__, sys.implementation.cache_tag)
@@ -66,32 +69,23 @@ def source_hash() -> str:
     return digest_of(*parts).hex()
 
 
-def _users_folder() -> Path:
-    if numba.config.CACHE_DIR:
-        return Path(numba.config.CACHE_DIR)
-    if sys.platform == "win32":
-        return Path(os.environ.get("LOCALAPPDATA", str(Path.home())))
-    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
-
-
-def _temporary_folder() -> Path:
-    folder = Path(tempfile.gettempdir())
-    if hasattr(os, "getuid"):
-        # Everybody can write there, and the code is run: another user's folder is not taken.
-        folder /= f"wtg_gym-{os.getuid()}"
-        folder.mkdir(mode=0o700, exist_ok=True)
-        if folder.lstat().st_uid != os.getuid():
-            raise PermissionError(f"{folder} is another user's")
-    return folder
+def _places() -> Iterator[Path]:
+    """Yield the folders that machine code may lie in, the first choice first."""
+    for chosen in (numba.config.CACHE_DIR, os.environ.get("LOCALAPPDATA" if _WINDOWS else "XDG_CACHE_HOME")):
+        if chosen:
+            yield Path(chosen)
+    with contextlib.suppress(RuntimeError):
+        yield Path.home() / ".cache"
+    with contextlib.suppress(OSError):
+        yield Path(tempfile.gettempdir()) / f"wtg_gym-{'' if _WINDOWS else os.getuid()}"
 
 
 @functools.cache
 def cache_folder() -> Path | None:
-    """Return the folder of this source version's machine code, or None where nothing can be written."""
-    for base in (_users_folder, _temporary_folder):
-        with contextlib.suppress(OSError, RuntimeError):
-            folder = base() / "wtg_gym" / source_hash()[:16]
-            folder.mkdir(parents=True, exist_ok=True)
+    """Return the folder of this source version's machine code; None where none can be written by the user alone."""
+    for place in _places():
+        with contextlib.suppress(OSError):
+            folder = trusted_folder(place / "wtg_gym" / source_hash()[:16], make=True)
             if os.access(folder, os.W_OK):
                 return folder
     return None
@@ -109,10 +103,10 @@ def shipped_for(processor: Processor) -> list[Processor]:
 
 
 def kept(path: Path | None, key: bytes) -> bytes | None:
-    """Return what was kept in a file; None if it is missing, damaged or kept under another key."""
+    """Return what was kept in a file; None if it is missing, not the user's own, damaged or kept under another key."""
     if path is not None:
         with contextlib.suppress(OSError):
-            content = path.read_bytes()
+            content = read_trusted(path)
             checksum, code = content[: len(key)], content[len(key) :]
             if checksum == digest_of(key, code):
                 return code
@@ -123,14 +117,9 @@ def keep(path: Path | None, key: bytes, code: bytes) -> None:
     """Write a file whole, or not at all."""
     if path is None:
         return
-    temporary = path.with_name(f"{path.name}.{uuid.uuid4().hex[:8]}.tmp")
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        temporary.write_bytes(digest_of(key, code) + code)
-        os.replace(temporary, path)
+        write_trusted(path, digest_of(key, code) + code)
     except OSError as error:
-        with contextlib.suppress(OSError):
-            temporary.unlink()
         _warn_that_nothing_is_kept(path.parent, error.strerror)
 
 

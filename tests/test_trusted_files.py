@@ -1,0 +1,91 @@
+"""Facts about files whose content is run: another user can neither have put nor changed what is read."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from wtg_gym.files import read_trusted, trusted_folder, write_trusted
+
+pytestmark = pytest.mark.skipif(not hasattr(os, "getuid"), reason="needs files that belong to users")
+
+
+@pytest.fixture
+def path(tmp_path: Path) -> Path:
+    """A file of the user alone, two folders below a folder that everybody may write to, as /tmp is."""
+    shared = tmp_path / "shared"
+    shared.mkdir()
+    shared.chmod(0o1777)
+    path = shared / "user" / "code" / "file"
+    write_trusted(path, b"code")
+    return path
+
+
+def _is_a_link(path: Path) -> None:
+    path.rename(path.with_name("other"))
+    path.symlink_to("other")
+
+
+def _is_a_pipe(path: Path) -> None:
+    path.unlink()
+    os.mkfifo(path)
+
+
+SPOILED: dict[str, Callable[[Path], object]] = {
+    "a file that everybody writes": lambda path: path.chmod(0o602),
+    "a file that a group writes": lambda path: path.chmod(0o620),
+    "a link": _is_a_link,
+    "a pipe that nobody writes into": _is_a_pipe,
+    "a file larger than the most that is read": lambda path: path.write_bytes(bytes(1001)),
+    "a folder that everybody writes": lambda path: path.parent.chmod(0o703),
+    "a folder that a group writes": lambda path: path.parent.chmod(0o770),
+    "a folder for temporary files": lambda path: path.parent.chmod(0o1777),
+    "a folder within one that a group writes": lambda path: path.parent.parent.chmod(0o720),
+    "a folder within a link's that a group writes": lambda path: path.parents[2].chmod(0o770),
+}
+
+
+@pytest.mark.parametrize("spoil", SPOILED.values(), ids=list(SPOILED))
+def test_what_another_user_could_have_written_is_not_read(path: Path, spoil: Callable[[Path], object]) -> None:
+    link = path.parents[2].parent / "link"
+    link.symlink_to(path.parent)
+    for name in (path, link / path.name):
+        assert read_trusted(name, largest=1000) == b"code"
+    spoil(path)
+    for name in (path, link / path.name):
+        with pytest.raises(OSError, match=r"another user could change|not a file of at most|symbolic link"):
+            read_trusted(name, largest=1000)
+
+
+@pytest.mark.parametrize("level", range(4))
+def test_what_belongs_to_another_user_is_not_read(path: Path, level: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    foreign = (path, *path.parents)[level]
+    if os.getuid() == 0:
+        os.chown(foreign, 12345, 12345)
+    else:
+        user = os.getuid()
+        monkeypatch.setattr(os, "getuid", lambda: user + 1)
+    with pytest.raises(PermissionError):
+        read_trusted(path)
+
+
+def test_what_is_written_is_the_users_alone_and_replaces_whatever_is_there(path: Path) -> None:
+    assert path.stat().st_mode & 0o777 == 0o600
+    assert [folder.stat().st_mode & 0o777 for folder in path.parents[:2]] == [0o700, 0o700]
+    for spoil in (_is_a_pipe, _is_a_link, lambda path: path.chmod(0o666)):
+        spoil(path)
+        write_trusted(path, b"new")
+        assert read_trusted(path) == b"new" and not path.is_symlink() and path.stat().st_mode & 0o777 == 0o600
+    path.parent.chmod(0o777)
+    with pytest.raises(PermissionError, match="another user could change it"):
+        write_trusted(path, b"never")
+    assert path.read_bytes() == b"new" and {each.name for each in path.parent.iterdir()} == {"file", "other"}
+
+
+def test_a_folder_is_looked_at_without_being_made(tmp_path: Path) -> None:
+    with pytest.raises(FileNotFoundError):
+        trusted_folder(tmp_path / "none" / "code")
+    assert list(tmp_path.iterdir()) == []
