@@ -183,7 +183,6 @@ COMPILE = $(TEST_VENV)/bin/uv pip compile --quiet --universal --python-version 3
 pins: $(TEST_READY) ## Pin new dependencies of pyproject.toml, with hashes; UPGRADE=--upgrade pins the newest of all
 	$(TEST_VENV)/bin/python .ci/install.py --quiet uv
 	$(COMPILE) pyproject.toml --group release --extra browser --extra dev --extra docs --extra golden --extra notebooks --output-file constraints.txt
-	echo 'hypothesis pytest' | tr ' ' '\n' | $(COMPILE) pyproject.toml - --extra rllib --output-file constraints-rllib.txt
 	echo pip | $(COMPILE) - --output-file .ci/pip.txt
 
 .PHONY: format
