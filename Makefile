@@ -88,7 +88,7 @@ page-picture: page ## Take the picture of docs/leaderboard.html that docs/usage.
 
 .PHONY: live-picture
 live-picture: $(TEST_READY) ## Take the picture of the page of play that docs/howto/play.md shows; needs Chromium
-	PIP_CONSTRAINT=constraints.txt $(TEST_VENV)/bin/python -m pip install --quiet --editable '.[browser]'
+	$(TEST_VENV)/bin/python .ci/install.py --quiet --editable '.[browser]'
 	$(TEST_VENV)/bin/python docs/images/live.py docs/images/live-play.png
 
 # Which folder `make pictures` and `make studies` renew; `make docs-check` lets them renew a copy.
@@ -113,7 +113,7 @@ site: $(SITE_READY) ## Build the site of the documentation into build/site; brok
 # A notebook may rely on nothing but the wheel, so the checkout is not installed as editable, nor is it their folder.
 .PHONY: notebooks
 notebooks: $(NOTEBOOKS_READY) ## Run every notebook from the built wheel and keep what it shows (some minutes)
-	PIP_BUILD_CONSTRAINT=constraints.txt $(NOTEBOOKS_VENV)/bin/python -m pip install --quiet --no-deps --force-reinstall .
+	$(NOTEBOOKS_VENV)/bin/python .ci/install.py --quiet --no-deps --force-reinstall .
 	cd docs/notebooks && PATH="$(CURDIR)/$(NOTEBOOKS_VENV)/bin:$$PATH" jupyter nbconvert --to notebook --execute --inplace *.ipynb
 
 .PHONY: conditions
@@ -174,6 +174,17 @@ contracts: $(TEST_READY) ## Check that imports run one way
 pytest: $(TEST_READY) ## Run the tests, on two processes
 	env -u PYTHONHASHSEED OMP_NUM_THREADS=1 $(TEST_VENV)/bin/pytest -n 2 --dist worksteal
 
+# The builds of torch for processors alone, which PyTorch's own index has, are added to torch's hashes by hand; they stay
+# until its version changes.
+COMPILE = $(TEST_VENV)/bin/uv pip compile --quiet --universal --python-version 3.11 --generate-hashes --no-annotate \
+    --custom-compile-command 'make pins' $(UPGRADE)
+
+.PHONY: pins
+pins: $(TEST_READY) ## Pin new dependencies of pyproject.toml, with hashes; UPGRADE=--upgrade pins the newest of all
+	$(TEST_VENV)/bin/python .ci/install.py --quiet uv
+	$(COMPILE) pyproject.toml --group release --extra browser --extra dev --extra docs --extra golden --extra notebooks --output-file constraints.txt
+	echo pip | $(COMPILE) - --output-file .ci/pip.txt
+
 .PHONY: format
 format: $(TEST_READY) ## Format the code and mend what can be mended by itself
 	$(TEST_VENV)/bin/ruff check --fix .
@@ -192,19 +203,17 @@ $(SITE_READY): EXTRA := docs
 $(NOTEBOOKS_READY): EXTRA := notebooks
 $(RLLIB_READY): ALSO := hypothesis pytest
 
-$(LEADERBOARD_READY) $(TEST_READY) $(GOLDEN_READY) $(SITE_READY) $(NOTEBOOKS_READY): CONSTRAINTS := constraints.txt
+$(LEADERBOARD_READY) $(TEST_READY) $(GOLDEN_READY) $(SITE_READY) $(NOTEBOOKS_READY): PINS := constraints.txt
 $(LEADERBOARD_READY) $(TEST_READY) $(GOLDEN_READY) $(SITE_READY) $(NOTEBOOKS_READY): constraints.txt
-$(RLLIB_READY): CONSTRAINTS := constraints-rllib.txt
+$(RLLIB_READY): PINS := constraints-rllib.txt
 $(RLLIB_READY): constraints-rllib.txt
 
-# An environment whose stamp is merely out of date is brought up to date; any other is started over. The two
-# variables hold the build of the package itself to the constraints too, by either pip's way of saying so.
-$(LEADERBOARD_READY) $(TEST_READY) $(GOLDEN_READY) $(RLLIB_READY) $(SITE_READY) $(NOTEBOOKS_READY): pyproject.toml
+# An environment whose stamp is merely out of date is brought up to date; any other is started over.
+$(LEADERBOARD_READY) $(TEST_READY) $(GOLDEN_READY) $(RLLIB_READY) $(SITE_READY) $(NOTEBOOKS_READY): pyproject.toml .ci/install.py .ci/pip.txt
 	@case '$(PYTHON_VERSION)' in 3.11|3.12|3.13|3.14) ;; *) \
 	    echo 'wtg_gym needs Python 3.11, 3.12, 3.13 or 3.14, but $(PYTHON) is $(or $(PYTHON_VERSION),not found).' >&2; \
 	    echo 'Name another one: make $(MAKECMDGOALS) PYTHON=python3.12' >&2; exit 1;; esac
 	@echo 'Preparing $(@D) for Python $(PYTHON_VERSION) with the "$(EXTRA)" extra; the first time takes a few minutes.'
 	$(PYTHON) -m venv $(@D)$(if $(wildcard $@),, --clear)
-	PIP_CONSTRAINT=$(CONSTRAINTS) PIP_BUILD_CONSTRAINT=$(CONSTRAINTS) PIP_DISABLE_PIP_VERSION_CHECK=1 \
-	    $(@D)/bin/python -m pip install --quiet --editable '.[$(EXTRA)]' $(ALSO)
+	$(@D)/bin/python .ci/install.py --pins $(PINS) --quiet --editable '.[$(EXTRA)]' $(ALSO)
 	@touch $@

@@ -1,4 +1,4 @@
-"""Gradients of an episode's cost: the kernels', checked by central differences of the environment."""
+"""Gradients of an episode's cost: those of the compiled adjoint, checked by central differences of the environment."""
 
 from __future__ import annotations
 
@@ -231,7 +231,7 @@ def test_observations_have_gradients(settings: dict[str, Any]) -> None:
     way, weights = rng.normal(size=actions.shape), rng.normal(size=(60, N_LANES, tape.lanes.n_observation))
 
     def weighed(given: Floats) -> Floats:
-        # As the kernels know them, before they are rounded to 32 bits.
+        # As the simulator holds them, before they are rounded to 32 bits.
         tape.start(scenarios)
         found = []
         for own in given:

@@ -115,7 +115,7 @@ def measured(case: Case, what: str, way: Floats, h: float) -> Floats:
     for step, own in enumerate(actions):
         _, terms = tape.step(own + (h * way[step] if what == "actions" else 0.0))
         outputs, simulator = tape.outputs(), tape.lanes.simulator
-        # As the kernels know them, before they are rounded to 32 bits.
+        # As the simulator holds them, before they are rounded to 32 bits.
         shown = weights @ simulator.scratches[0].reshape(-1, simulator.width)[tape.lanes.task.observed, :N_LANES]
         values = [*(terms[:, COST_TERMS.index(term)] for term in TERMS)]
         values += [*(outputs[:, tape.output_names.index(name)] for name in OUTPUTS), shown]

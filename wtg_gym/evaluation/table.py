@@ -9,7 +9,7 @@ from wtg_gym import files
 from wtg_gym.evaluation.statistics import Interval
 from wtg_gym.evaluation.summary import REST, EntrySummary, place
 
-#: What an entry is marked with that sees the state of the grid, and what a page says about it.
+#: What follows the name of an entry that sees the state of the grid, and what a page says about it.
 _PRIVILEGED = "privileged"
 _PRIVILEGED_NOTE = f"{_PRIVILEGED}: sees the state of the whole grid, which no turbine measures"
 #: What :attr:`EntrySummary.marked` is shown by, and what a page says about it.
@@ -50,8 +50,8 @@ def _interval(interval: Interval) -> str:
 
 def _entry(row: EntrySummary) -> str:
     """Return the name, with the number of training seeds and whether it is privileged in brackets."""
-    marks = [f"{row.n_runs} seeds"] * (row.n_runs > 1) + [_PRIVILEGED] * row.privileged
-    return row.name + (f" ({', '.join(marks)})" if marks else "")
+    remarks = [f"{row.n_runs} seeds"] * (row.n_runs > 1) + [_PRIVILEGED] * row.privileged
+    return row.name + (f" ({', '.join(remarks)})" if remarks else "")
 
 
 def _score(row: EntrySummary) -> str:
@@ -166,6 +166,6 @@ def markdown_table(rows: Sequence[EntrySummary], columns: Sequence[str] | None =
 
 
 def notes_on_marks(rows: Sequence[EntrySummary]) -> list[str]:
-    """Return what the marks mean that rows have."""
-    marks = ((_has_mark, _MARK_NOTE), (lambda row: row.privileged, _PRIVILEGED_NOTE))
-    return [note for has_mark, note in marks if any(map(has_mark, rows))]
+    """Return what the mark and "privileged" mean, each if any row has it."""
+    notes = ((_has_mark, _MARK_NOTE), (lambda row: row.privileged, _PRIVILEGED_NOTE))
+    return [note for applies, note in notes if any(map(applies, rows))]

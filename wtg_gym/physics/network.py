@@ -1,7 +1,7 @@
 """Networks as data, admittances, power flow and transfer impedances.
 
-Everything here is dense and small: the kernels solve a 14-bus system in microseconds and allocate only on resets and
-network events.
+Everything here is dense and small: compiled functions solve a 14-bus system in microseconds and allocate only on
+resets and network events.
 """
 
 from __future__ import annotations

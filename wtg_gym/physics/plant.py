@@ -1,4 +1,4 @@
-"""From parameters to the tables the kernels read."""
+"""From parameters to the tables that compiled functions read."""
 
 from __future__ import annotations
 
