@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+import itertools
 import signal
 import threading
 import time
@@ -9,6 +11,7 @@ from collections.abc import Iterator
 
 import pytest
 
+from tests.interruption import interrupt_before
 from wtg_gym.physics.block_threads import BlockThreads
 from wtg_gym.signals import HeldSignals, undivided
 
@@ -52,6 +55,22 @@ def test_each_handler_runs_once_after_the_outermost_block_and_none_is_lost_where
     assert complete and sorted(handled) == sorted([FIRST, SECOND])
     with pytest.raises(FirstError):
         signal.raise_signal(FIRST)
+
+
+def test_a_signal_before_any_instruction_is_handled_once_and_leaves_every_handler_in_its_place(
+    handled: list[int],
+) -> None:
+    handlers = [signal.getsignal(number) for number in (FIRST, SECOND)]
+    entered = undivided(lambda: signal.raise_signal(SECOND))
+    for instruction in itertools.count(1):
+        handled.clear()
+        with contextlib.suppress(FirstError), interrupt_before(instruction) as instructions:
+            entered()
+        if instructions[0] < instruction:
+            break
+        assert handled.count(FIRST) == 1 and handled.count(SECOND) <= 1
+        assert [signal.getsignal(number) for number in (FIRST, SECOND)] == handlers and not HeldSignals._holds
+    assert instruction > 50
 
 
 def test_what_a_handler_raises_replaces_the_error_of_the_block(handled: list[int]) -> None:

@@ -172,8 +172,13 @@ def _lane_info(infos: Info, lane: int) -> Info:
 class _Monitor(VecMonitor):
     """The monitor of Stable-Baselines3, with sums that an interrupt leaves in step, and with copies."""
 
-    reset = undivided(VecMonitor.reset)
-    step_wait = undivided(VecMonitor.step_wait)
+    @undivided
+    def reset(self) -> Any:
+        return super().reset()
+
+    @undivided
+    def step_wait(self) -> Any:
+        return super().step_wait()
 
     def __getstate__(self) -> dict[str, Any]:
         # What belongs to the class cannot be copied, and need not.

@@ -41,31 +41,29 @@ class HeldSignals:
                 signal(number, self._note)
             HeldSignals._holds = bool(self._handlers)
         except BaseException:
-            # The handler of another signal has raised meanwhile.
-            self._release(list(self._handlers.items()))
+            # The handler of a signal that was not held yet has raised.
+            self.__exit__()
             raise
 
     def __exit__(self, *_: object) -> None:
         if self._handlers:
             HeldSignals._holds = False
-            self._release(list(self._handlers.items()))
+            self._release()
 
     def _note(self, number: int, frame: FrameType | None) -> None:
         self._arrived[number] = frame
 
-    def _release(self, handlers: list[tuple[int, Handler]]) -> None:
-        """Put handlers back and run those whose signal has arrived: all of them, even if one raises."""
-        if not handlers:
-            return
-        (number, handler), *others = handlers
+    def _release(self) -> None:
+        """Put handlers back and run those whose signal has arrived: all of them, even if some raise."""
         try:
-            signal(number, handler)
-        finally:
-            try:
-                self._release(others)
-            finally:
-                if number in self._arrived:
-                    handler(number, self._arrived[number])
+            for number, handler in self._handlers.items():
+                signal(number, handler)
+            while self._arrived:
+                number, frame = self._arrived.popitem()
+                self._handlers[number](number, frame)
+        except BaseException:
+            self._release()
+            raise
 
 
 def undivided(function: Callable[P, R]) -> Callable[P, R]:
