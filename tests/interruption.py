@@ -1,10 +1,14 @@
-"""Commands that are interrupted or killed in their middle, for the tests of what they leave and how they go on."""
+"""Commands and functions that are interrupted in their middle, for the tests of what they leave and how they go on."""
 
 from __future__ import annotations
 
+import contextlib
+import signal
 import subprocess
+import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from types import FrameType
 from typing import Any
 
 
@@ -27,3 +31,30 @@ def end(process: subprocess.Popen[Any], sign: int, when: Callable[[], bool]) -> 
         time.sleep(0.001)
     process.send_signal(sign)
     return process.communicate(timeout=100)[1] or ""
+
+
+@contextlib.contextmanager
+def interrupt_before(instruction: int) -> Iterator[list[int]]:
+    """Interrupt this thread, as Ctrl-C does, before an instruction of the functions that it calls in the block.
+
+    Instructions that draw scenarios, thousands for each, do not count. Yields a list of one number, how many there have
+    been so far.
+    """
+    seen = [0]
+
+    def trace(frame: FrameType, event: str, _: Any) -> Any:
+        if "/scenarios/" in frame.f_code.co_filename:
+            return None
+        frame.f_trace_opcodes = True
+        if event == "opcode":
+            seen[0] += 1
+            if seen[0] == instruction:
+                signal.raise_signal(signal.SIGINT)
+        return trace
+
+    before = sys.gettrace()
+    sys.settrace(trace)
+    try:
+        yield seen
+    finally:
+        sys.settrace(before)

@@ -12,7 +12,7 @@ from stable_baselines3 import PPO
 from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv
 
-from tests.envs.rollouts import actions_of, calm, rising
+from tests.envs.rollouts import actions_of, bits, calm, rising
 from wtg_gym import Entry, export_onnx
 from wtg_gym.evaluation import load_entries
 from wtg_gym.physics.tracking_law import get_law
@@ -38,11 +38,7 @@ def zeros(env: VecEnv) -> np.ndarray:
 
 def same(a: Any, b: Any) -> bool:
     """Whether two values are of the same kind and equal in every bit."""
-    if isinstance(a, dict):
-        return isinstance(b, dict) and set(a) == set(b) and all(same(a[key], b[key]) for key in a)
-    if isinstance(a, np.ndarray):
-        return a.dtype == b.dtype and a.shape == b.shape and a.tobytes() == b.tobytes()
-    return type(a) is type(b) and a == b
+    return bool(bits(a) == bits(b))
 
 
 def test_every_step_equals_that_of_single_environments_with_the_same_seeds():

@@ -20,6 +20,7 @@ from wtg_gym.envs.lanes import TaskLanes
 from wtg_gym.envs.settings import EnvSettings
 from wtg_gym.evaluation.score import score_scales
 from wtg_gym.physics.scenario import Scenario
+from wtg_gym.signals import undivided
 
 Floats = npt.NDArray[np.float64]
 
@@ -133,10 +134,8 @@ class Gains:
 
     def reference_costs(self) -> Floats:
         """Return the reference's costs in the step that each lane takes next, (n_lanes,)."""
-        simulator = self._lanes.simulator
-        steps = np.rint(simulator.lane_values("step") / simulator.plant.n_substeps).astype(np.int64)
         # An episode that is over takes no more.
-        costs: Floats = self._costs[np.arange(self._lanes.n_lanes), np.minimum(steps, self.n_steps - 1)]
+        costs: Floats = self._costs[np.arange(self._lanes.n_lanes), np.minimum(self._lanes.n_steps(), self.n_steps - 1)]
         return costs
 
     def of(self, reference_costs: Floats, rewards: Floats) -> Floats:
@@ -202,6 +201,7 @@ class GainEnvs(VectorWrapper):
         self._within_step = env.autoreset_mode == AutoresetMode.SAME_STEP
         self._ended = np.zeros(env.num_envs, dtype=np.bool_)
 
+    @undivided
     def reset(
         self, *, seed: Any = None, options: dict[str, Any] | None = None
     ) -> tuple[npt.NDArray[np.float32], dict[str, Any]]:
@@ -214,6 +214,7 @@ class GainEnvs(VectorWrapper):
         self.gains.follow(range(self.num_envs))
         return observations, {}
 
+    @undivided
     def step(self, actions: npt.NDArray[Any]) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
         """Step as the native one does, with other rewards."""
         beginning, references = self._ended, self.gains.reference_costs()

@@ -15,6 +15,7 @@ from wtg_gym.envs.rendering import Frame
 from wtg_gym.envs.settings import EnvArguments
 from wtg_gym.extras import install_advice
 from wtg_gym.ranges import ByName, require_known
+from wtg_gym.signals import undivided
 from wtg_gym.tasks.episode import ACTION_MODES
 from wtg_gym.tasks.observation import OBSERVATION_BOUND
 
@@ -91,6 +92,7 @@ class GFMWTGParallelEnv(ParallelEnv[str, Observation, Action]):  # type: ignore[
         """Return what an agent does: Box(-1, 1, (n_modes,))."""
         return self.action_spaces[agent]
 
+    @undivided
     def reset(
         self, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[dict[str, Observation], dict[str, dict[str, Any]]]:
@@ -120,6 +122,7 @@ class GFMWTGParallelEnv(ParallelEnv[str, Observation, Action]):  # type: ignore[
     def _parts(self, observation: Observation) -> dict[str, Observation]:
         return {agent: observation[self._seen[agent]].copy() for agent in self.agents}
 
+    @undivided
     def step(self, actions: Mapping[str, Action]) -> Step:
         """Hold the actions for one control interval.
 

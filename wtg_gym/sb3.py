@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 from collections.abc import Iterable
 from typing import Any
 
@@ -14,6 +15,7 @@ from wtg_gym.envs import GFMWTGVectorEnv
 from wtg_gym.extras import install_advice
 from wtg_gym.gains import GainEnvs
 from wtg_gym.policies.entry import learned_in
+from wtg_gym.signals import undivided
 
 try:
     import torch
@@ -65,6 +67,7 @@ class SB3VecEnv(VecEnv):
         # Without it VecVideoRecorder would play an episode three times as fast as it was.
         self.metadata["render_fps"] = env.metadata["render_fps"]
 
+    @undivided
     def reset(self) -> Observations:
         """Start an episode in every lane, with the seeds set before, which are used once.
 
@@ -87,6 +90,7 @@ class SB3VecEnv(VecEnv):
         """Take the actions (num_envs, n_action) of the step that :meth:`step_wait` does."""
         self._actions = actions
 
+    @undivided
     def step_wait(self) -> tuple[Observations, npt.NDArray[np.float32], npt.NDArray[np.bool_], list[Info]]:
         """Hold the actions for one control interval in every lane.
 
@@ -165,6 +169,25 @@ def _lane_info(infos: Info, lane: int) -> Info:
     }
 
 
+class _Monitor(VecMonitor):
+    """The monitor of Stable-Baselines3, with sums that an interrupt leaves in step, and with copies."""
+
+    @undivided
+    def reset(self) -> Any:
+        return super().reset()
+
+    @undivided
+    def step_wait(self) -> Any:
+        return super().step_wait()
+
+    def __getstate__(self) -> dict[str, Any]:
+        # What belongs to the class cannot be copied, and need not.
+        return {name: value for name, value in vars(self).items() if name != "class_attributes"}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        vars(self).update(state, class_attributes=dict(inspect.getmembers(type(self))))
+
+
 def make_sb3_vec_env(num_envs: int = 1, *, seed: int | None = None, **arguments: Any) -> VecMonitor:
     """Return a :class:`SB3VecEnv` that reports the returns and lengths of episodes to the learner.
 
@@ -173,7 +196,7 @@ def make_sb3_vec_env(num_envs: int = 1, *, seed: int | None = None, **arguments:
         seed: s seeds lane i with s + i at the first reset; a learner's own `seed` replaces it.
         arguments: as for :class:`SB3VecEnv`, with the same errors.
     """
-    env = VecMonitor(SB3VecEnv(num_envs, **arguments))
+    env = _Monitor(SB3VecEnv(num_envs, **arguments))
     if seed is not None:
         env.seed(seed)
     return env

@@ -27,7 +27,8 @@ SMALL += ["--timesteps", "6000", "--interval", "1200", "--validation-episodes", 
 def test_lanes_start_spread_none_is_over_and_the_reward_is_the_gain_over_the_reference() -> None:
     env = RunnerEnvs(8, version="v0", duration_s=4.0, n_threads=1)
     env.reset(seed=3)
-    assert sorted(env.env._n_steps.tolist()) == [0, 5, 10, 15, 20, 25, 30, 35] and not env.env._needs_reset.any()
+    assert sorted(env.env.lanes.n_steps().tolist()) == [0, 5, 10, 15, 20, 25, 30, 35]
+    assert not np.any(env.env.lanes.ended())
     for _ in range(45):
         _, rewards, *_ = env.step(np.zeros(env.action_space.shape, dtype=np.float32))
         assert rewards.tolist() == [0.0] * 8

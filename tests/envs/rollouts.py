@@ -71,6 +71,15 @@ def calm(wind: float = 9.0, duration_s: float = 4.0, n_wtg: int = 2, **changes: 
     return Scenario(name="calm", wind_speed=np.full((n_wtg, 1), wind), duration_s=duration_s, **changes)
 
 
+def bits(value: Any) -> Any:
+    """Return a value in a form that compares equal only where every bit and every type is."""
+    if isinstance(value, np.ndarray):
+        return value.dtype, value.shape, bits(value.tolist()) if value.dtype.kind == "O" else value.tobytes()
+    if isinstance(value, dict):
+        return {key: bits(each) for key, each in value.items()}
+    return [bits(each) for each in value] if isinstance(value, (list, tuple)) else (type(value), repr(value))
+
+
 def as_step(
     observation: np.ndarray, reward: float, terminated: bool, truncated: bool, info: dict[str, Any], final: Any = None
 ) -> Step:

@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import dataclasses
 import re
+import signal
 import sys
+import threading
+import time
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +16,7 @@ import numpy as np
 import pytest
 
 import wtg_gym
+from wtg_gym.envs.lanes import TaskLanes
 from wtg_gym.evaluation import Entry, PolicyError, Results, evaluate, load_entries
 from wtg_gym.evaluation.evaluator import Progress
 from wtg_gym.evaluation.partial import PartialStore
@@ -268,6 +272,29 @@ def test_killed_run_goes_on_and_keeps_its_parts_until_the_results_are_written(
     assert len(list(partial.iterdir())) == 3
     more.write(tmp_path / "d")
     assert [path.name for path in partial.iterdir()] == ["of another run"]
+
+
+@pytest.mark.skipif(not hasattr(signal, "pthread_kill"), reason="needs signals to a thread")
+def test_interrupted_evaluation_ends_its_threads_and_their_policies(monkeypatch: pytest.MonkeyPatch) -> None:
+    step, main, steps = TaskLanes.step, threading.get_ident(), []
+
+    def interrupting(lanes: TaskLanes, *arguments: Any) -> None:
+        if threading.get_ident() != main:
+            steps.append(arguments)
+            if len(steps) == 3:
+                signal.pthread_kill(main, signal.SIGINT)
+                # Between two answers, while the main thread closes the policy for the first time.
+                time.sleep(0.5)
+            time.sleep(0.02)
+        step(lanes, *arguments)
+
+    monkeypatch.setattr(TaskLanes, "step", interrupting)
+    with pytest.raises(KeyboardInterrupt):
+        evaluate("linear-feedback", seeds=[10_000], duration_s=10.0)
+    assert 3 <= len(steps) < 100, "the episodes were not played to their end"
+    n_steps = len(steps)
+    time.sleep(0.1)
+    assert len(steps) == n_steps, "no thread plays on"
 
 
 def test_damaged_part_is_played_again(results: Results, entries: list[Entry], tmp_path: Path) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from threading import get_ident
 from typing import TYPE_CHECKING, Any, Unpack
 
 import gymnasium as gym
@@ -17,6 +18,7 @@ from wtg_gym.envs.interface import (
     warn_of_no_render_mode,
 )
 from wtg_gym.envs.settings import EnvArguments, as_scenario
+from wtg_gym.signals import HeldSignals
 
 if TYPE_CHECKING:
     from wtg_gym.envs.rendering import Frame
@@ -88,7 +90,6 @@ class GFMWTGEnv(OverLanes, gym.Env[Observation, Action]):
     def __init__(self, *, render_mode: str | None = None, **arguments: Unpack[EnvArguments]) -> None:
         self.observation_space, self.action_space = self._open(arguments, render_mode)
         self._action_shape = (self._lanes.n_action,)
-        self._running = False
 
     @one_thread
     def reset(
@@ -110,7 +111,6 @@ class GFMWTGEnv(OverLanes, gym.Env[Observation, Action]):
         episodes = None if scenario is None else self._lanes.prepare([scenario], turning=True)
         super().reset(seed=seed)
         self._lanes.start([0], self._lanes.draw([self.np_random]) if episodes is None else episodes)
-        self._running = True
         if self._frames is not None:
             self._frames.sample()
             self._frames.show()
@@ -126,21 +126,24 @@ class GFMWTGEnv(OverLanes, gym.Env[Observation, Action]):
             ValueError: wrong shape, or a value that is not finite.
             RuntimeError: the episode is over, call reset(); or another thread is in this environment.
         """
-        if not self._running:
+        lanes, use, thread = self._lanes, self._use, get_ident()
+        outputs = lanes.outputs
+        if outputs.terminated[0] or outputs.truncated[0]:
             raise RuntimeError("the episode is over or was never started; call reset() before step()")
-        # As one_thread does; a decorator would add a fiftieth to the shortest step.
-        use = self._use
-        if not use.take(False):
+        # As one_thread does; a decorator would add a tenth to the shortest step. An interrupt comes before or after the
+        # one call that changes the episode.
+        if use.taken_by("thread", thread) != thread:
             raise in_use(self, "step")
         try:
-            lanes = self._lanes
-            lanes.step(as_actions(action, self._action_shape)[None, :])
-            outputs = lanes.outputs
-            terminated, truncated = bool(outputs.terminated[0]), bool(outputs.truncated[0])
-            self._running = not (terminated or truncated)
-            if self._frames is not None:
-                self._frames.sample()
+            actions = as_actions(action, self._action_shape)[None, :]
+            if self._frames is None:
+                lanes.step(actions)
+            else:
+                with HeldSignals():
+                    lanes.step(actions)
+                    self._frames.sample()
                 self._frames.show()
+            terminated, truncated = bool(outputs.terminated[0]), bool(outputs.truncated[0])
             return outputs.observations[0].copy(), float(outputs.rewards[0]), terminated, truncated, lanes.info()
         finally:
             use.give_back()
@@ -162,24 +165,6 @@ class GFMWTGEnv(OverLanes, gym.Env[Observation, Action]):
             self._frames.show()
             return None
         return self._frames.paint()[0]
-
-    @one_thread
-    def snapshot(self) -> Any:
-        """Return a copy of the episode's complete state, for :meth:`restore`; the generator is not part of it.
-
-        An environment that renders adds what it has drawn so far.
-        """
-        return self._snapshot(self._running)
-
-    @one_thread
-    def restore(self, snapshot: Any) -> None:
-        """Go back to a :meth:`snapshot`: what follows is then the same, bit for bit.
-
-        Raises:
-            ValueError: not a snapshot, or one of an environment whose settings, other than suite, split and scenario,
-                differ; nothing has changed then.
-        """
-        (self._running,) = self._restore(snapshot)
 
     def close(self) -> None:
         """Release the worker threads, and close the window; the environment can still be used."""

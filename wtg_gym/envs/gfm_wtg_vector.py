@@ -21,7 +21,6 @@ from wtg_gym.envs.interface import (
     one_thread,
     warn_of_no_render_mode,
 )
-from wtg_gym.envs.lanes import PreparedEpisodes
 from wtg_gym.envs.next_episodes import NextEpisodes
 from wtg_gym.envs.settings import EnvArguments, as_scenario
 from wtg_gym.physics.scenario import Scenario
@@ -81,8 +80,6 @@ class GFMWTGVectorEnv(OverLanes, gym.vector.VectorEnv[Observation, Action, npt.N
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
         self._next = NextEpisodes(self._lanes, [seeding.np_random()[0] for _ in range(num_envs)])
-        self._needs_reset = np.ones(num_envs, dtype=np.bool_)
-        self._n_steps = np.zeros(num_envs, dtype=np.int64)
         self._all_lanes = np.ones(num_envs, dtype=np.bool_)
         self._all_lanes.setflags(write=False)
 
@@ -110,7 +107,10 @@ class GFMWTGVectorEnv(OverLanes, gym.vector.VectorEnv[Observation, Action, npt.N
         if scenarios is not None:
             episodes = self._lanes.prepare([scenarios[lane] for lane in lanes], turning=True)
         self._next.reseed(generators)
-        self._start(lanes, episodes)
+        if episodes is None:
+            self._next.start(lanes)
+        else:
+            self._lanes.start(lanes, episodes)
         if self._frames is not None:
             self._frames.sample()
         return self._lanes.observations.copy(), self._infos(mask.copy())
@@ -145,15 +145,6 @@ class GFMWTGVectorEnv(OverLanes, gym.vector.VectorEnv[Observation, Action, npt.N
             seeds = seed
         return [None if each is None else require_whole("a seed", each, 0) for each in seeds]
 
-    def _start(self, lanes: list[int], episodes: PreparedEpisodes | None = None) -> None:
-        """Start episodes in lanes, by default the next ones that are drawn for them."""
-        if episodes is None:
-            self._next.start(lanes)
-        else:
-            self._lanes.start(lanes, episodes)
-        self._needs_reset[lanes] = False
-        self._n_steps[lanes] = 0
-
     @one_thread
     def step(
         self, actions: Action
@@ -169,7 +160,7 @@ class GFMWTGVectorEnv(OverLanes, gym.vector.VectorEnv[Observation, Action, npt.N
             RuntimeError: a lane was never started, or is over and resets are disabled; or another thread is in this
                 environment.
         """
-        waiting = self._needs_reset.copy()
+        waiting = np.logical_or(*self._lanes.ended())
         if waiting.any() and (self.autoreset_mode != AutoresetMode.NEXT_STEP or not self._started()):
             raise RuntimeError(
                 f"lanes {np.flatnonzero(waiting).tolist()} are over or were never started; call reset() before step()"
@@ -181,9 +172,8 @@ class GFMWTGVectorEnv(OverLanes, gym.vector.VectorEnv[Observation, Action, npt.N
             lambda: self._next.prepare(preparing),
             len(preparing),
         )
-        self._n_steps += 1
         if self._step_limit is not None:
-            self._lanes.stop(~waiting & (self._n_steps >= self._step_limit))
+            self._lanes.stop(~waiting & (self._lanes.n_steps() >= self._step_limit))
         terminated, truncated = self._lanes.ended()
         # A lane that waited for its reset has not been stepped: this step starts its next episode.
         terminated &= ~waiting
@@ -194,9 +184,8 @@ class GFMWTGVectorEnv(OverLanes, gym.vector.VectorEnv[Observation, Action, npt.N
         if self.autoreset_mode == AutoresetMode.SAME_STEP and done.any():
             infos = self._final_infos(done)
             beginning = np.flatnonzero(done).tolist()
-        self._needs_reset |= done
         if beginning:
-            self._start(beginning)
+            self._next.start(beginning)
         if self._frames is not None:
             self._frames.sample()
         infos.update(self._infos(self._all_lanes))
@@ -235,16 +224,6 @@ class GFMWTGVectorEnv(OverLanes, gym.vector.VectorEnv[Observation, Action, npt.N
             warn_of_no_render_mode()
             return None
         return self._frames.paint()
-
-    @one_thread
-    def snapshot(self) -> Any:
-        """Return a copy of every episode's complete state, for :meth:`restore`; the generators are not part of it."""
-        return self._snapshot(self._needs_reset.copy(), self._n_steps.copy())
-
-    @one_thread
-    def restore(self, snapshot: Any) -> None:
-        """Go back to a :meth:`snapshot`; errors as of :meth:`GFMWTGEnv.restore`."""
-        self._needs_reset[:], self._n_steps[:] = self._restore(snapshot)
 
     def close_extras(self, **kwargs: Any) -> None:
         """Release the worker threads."""

@@ -16,6 +16,7 @@ from gymnasium.envs.registration import EnvSpec
 from wtg_gym.envs.lanes import LanesSnapshot, TaskLanes
 from wtg_gym.envs.settings import EnvArguments, EnvSettings
 from wtg_gym.ranges import require_known
+from wtg_gym.signals import undivided
 from wtg_gym.tasks import TASKS
 from wtg_gym.tasks.observation import OBSERVATION_BOUND
 
@@ -33,15 +34,51 @@ Action = npt.NDArray[np.float32]
 
 
 class Use:
-    """Whether an environment is in use, by one thread at a time. A copy begins unused."""
+    """Which thread is within an environment, one at a time. A copy begins unused.
+
+    An interrupt just after :attr:`taken_by` leaves it with a thread that has left; the next call there gives it back.
+    """
 
     def __init__(self) -> None:
-        lock = threading.Lock()
-        # Methods of the lock itself: a call of a Python function would take longer than both together.
-        self.take, self.give_back = lock.acquire, lock.release
+        threads: dict[str, int] = {}
+        # Methods of the dictionary itself: a call of a Python function would take longer than both together.
+        self.taken_by, self.give_back = threads.setdefault, threads.clear
 
     def __reduce__(self) -> tuple[type[Use], tuple[()]]:
         return Use, ()
+
+
+Own = TypeVar("Own", bound="OverLanes")
+
+
+def one_thread(method: Callable[Concatenate[Own, P], R]) -> Callable[Concatenate[Own, P], R]:
+    """Let a method of an environment run whole or not at all, in one thread at a time.
+
+    Compiled code runs without the interpreter's lock: two threads in one environment would mix their numbers silently.
+    So the method raises a RuntimeError while another thread is within such a method. After an interrupt it has not
+    begun, or has changed all that it changes, and its result is lost.
+    """
+
+    @undivided
+    @functools.wraps(method)
+    def run(self: Own, /, *arguments: P.args, **keywords: P.kwargs) -> R:
+        use, thread = self._use, threading.get_ident()
+        if use.taken_by("thread", thread) != thread:
+            raise in_use(self, method.__name__)
+        try:
+            return method(self, *arguments, **keywords)
+        finally:
+            use.give_back()
+
+    return run
+
+
+def in_use(environment: OverLanes, method: str) -> RuntimeError:
+    """Return the error of a method that was called while another thread was within the environment."""
+    return RuntimeError(
+        f"{type(environment).__name__}.{method}() was called while another thread uses the same environment; "
+        "give every thread an environment of its own, or let a lock keep them apart"
+    )
 
 
 class Snapshot(NamedTuple):
@@ -49,7 +86,6 @@ class Snapshot(NamedTuple):
 
     of: str  # class of the environment
     lanes: LanesSnapshot
-    own: tuple[Any, ...]  # what the environment keeps itself
     frames: Any  # what it has drawn so far, None where it does not render
 
 
@@ -113,20 +149,29 @@ class OverLanes:
             spec = dataclasses.replace(spec, max_episode_steps=min(self._step_limit or n_steps, n_steps))
         self._spec = spec
 
-    def _snapshot(self, *own: Any) -> Snapshot:
-        """Return a copy of the episodes' state, with what the environment keeps itself."""
-        frames = None if self._frames is None else self._frames.snapshot()
-        return Snapshot(type(self).__name__, self._lanes.snapshot(), own, frames)
+    @one_thread
+    def snapshot(self) -> Any:
+        """Return a copy of every episode's complete state, for :meth:`restore`; the generators are not part of it.
 
-    def _restore(self, snapshot: Any) -> tuple[Any, ...]:
-        """Go back to a snapshot of an environment of this class, and return what that kept itself."""
+        An environment that renders adds what it has drawn so far.
+        """
+        frames = None if self._frames is None else self._frames.snapshot()
+        return Snapshot(type(self).__name__, self._lanes.snapshot(), frames)
+
+    @one_thread
+    def restore(self, snapshot: Any) -> None:
+        """Go back to a :meth:`snapshot`: what follows is then the same, bit for bit.
+
+        Raises:
+            ValueError: not a snapshot, or one of an environment whose settings, other than suite, split and scenario,
+                differ; nothing has changed then.
+        """
         name = type(self).__name__
         if not isinstance(snapshot, Snapshot) or snapshot.of != name:
             raise ValueError(f"restore() takes what snapshot() of a {name} returned, got {type(snapshot).__name__}")
         self._lanes.restore(snapshot.lanes)
         if self._frames is not None:
             self._frames.restore(snapshot.frames)
-        return snapshot.own
 
     @property
     def lanes(self) -> TaskLanes:
@@ -151,34 +196,4 @@ def warn_of_no_render_mode() -> None:
     """Warn that there is nothing to render with."""
     gym.logger.warn(
         'render() draws nothing, since the environment was made without a render_mode; give one, such as "rgb_array"'
-    )
-
-
-Own = TypeVar("Own", bound=OverLanes)
-
-
-def one_thread(method: Callable[Concatenate[Own, P], R]) -> Callable[Concatenate[Own, P], R]:
-    """Let a method of an environment raise a RuntimeError while another thread is within such a method.
-
-    Compiled code runs without the interpreter's lock: two threads in one environment would mix their numbers silently.
-    """
-
-    @functools.wraps(method)
-    def run(self: Own, /, *arguments: P.args, **keywords: P.kwargs) -> R:
-        use = self._use
-        if not use.take(False):
-            raise in_use(self, method.__name__)
-        try:
-            return method(self, *arguments, **keywords)
-        finally:
-            use.give_back()
-
-    return run
-
-
-def in_use(environment: OverLanes, method: str) -> RuntimeError:
-    """Return the error of a method that was called while another thread was within the environment."""
-    return RuntimeError(
-        f"{type(environment).__name__}.{method}() was called while another thread uses the same environment; "
-        "give every thread an environment of its own, or let a lock keep them apart"
     )

@@ -20,6 +20,7 @@ from wtg_gym.physics.sensors import SensorInput, delay_intervals, sensor_input
 from wtg_gym.physics.simulator import PreparedLanes, Simulator
 from wtg_gym.physics.start_errors import StartError
 from wtg_gym.ranges import whole_steps
+from wtg_gym.signals import undivided
 from wtg_gym.systems.records import flatten, size
 from wtg_gym.tasks.cost import COST, FILTERED_DUTY, CostTerms
 from wtg_gym.tasks.episode import ACTING, ACTION_MODES, HISTORY, TASK, TIME_CONSTANT_RATIO
@@ -103,6 +104,8 @@ class TaskLanes:
         self._check_draws()
         self.n_action = self.n_wtg * sum(ACTION_MODES[settings.action_mode])
         self.outputs = new_outputs(n_lanes, self.n_observation)
+        # A lane without an episode waits for a reset, as one whose episode is over.
+        self.outputs.truncated[:] = True
         #: Observations (n_lanes, n_observation) and rewards (n_lanes,): arrays that the next step writes into.
         self.observations, self.rewards = self.outputs.observations, self.outputs.rewards
         self.scenario_seeds = np.full(n_lanes, -1, dtype=np.int64)
@@ -250,6 +253,7 @@ class TaskLanes:
                 returns_at[event.group] = leaves_at[event.group] + after / dt
         return [*flatten(given), *biases, *leaves_at, *returns_at]
 
+    @undivided
     def start(
         self,
         lanes: Sequence[int],
@@ -327,8 +331,13 @@ class TaskLanes:
         return self.simulator.lane_values("status").astype(np.int64)
 
     def ended(self) -> tuple[npt.NDArray[np.bool_], npt.NDArray[np.bool_]]:
-        """Return (terminated, truncated) per lane: copies."""
+        """Return (terminated, truncated) per lane: copies. A lane that was never started is truncated."""
         return self.outputs.terminated.copy(), self.outputs.truncated.copy()
+
+    def n_steps(self) -> npt.NDArray[np.int64]:
+        """Return the control steps of each lane's episode so far, (n_lanes,); one that it ended within counts whole."""
+        steps = self.simulator.lane_values("step") / self.simulator.plant.n_substeps
+        return np.ceil(steps).astype(np.int64)
 
     def task_values(self, name: str) -> Floats:
         """Return a number of the task or the cost of every environment by its name, (n_lanes,)."""

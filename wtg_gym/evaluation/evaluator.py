@@ -9,7 +9,7 @@ import json
 import os
 from collections import Counter
 from collections.abc import Callable, Collection, Generator, Iterable, Iterator, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor, wait
 from pathlib import Path
 from typing import Any
 
@@ -30,6 +30,7 @@ from wtg_gym.policies.policy_process import NotIsolatedError
 from wtg_gym.ranges import is_whole, require_whole
 from wtg_gym.scenarios import DEFAULT_SUITE, FRESH, FreshDraw, get_suite
 from wtg_gym.scenarios.suite import Suite
+from wtg_gym.signals import HeldSignals
 from wtg_gym.systems.compiled import source_hash
 from wtg_gym.tasks import V0
 from wtg_gym.tasks.episode import TIME_CONSTANT_RATIO
@@ -40,6 +41,8 @@ _Part = tuple[Entry, list[int]]
 #: Scenarios of an ONNX policy that run side by side: each has its own session, and more of them than the processor's
 #: cache holds take three times as long a step.
 _ONNX_BATCH = 64
+#: How often the policies of an evaluation that ends early are closed until their threads have ended [s].
+_CLOSE_AGAIN_S = 0.05
 #: Settings that an entry or an argument of its own decides.
 _TAKEN = ("strategy", "action_mode", "observation_mode", "suite", "split", "scenario")
 #: More scenarios than this must be asked for by their seeds, and are not played side by side.
@@ -300,15 +303,19 @@ def _played_here(
     apart = [index for index, (entry, _) in enumerate(parts) if isinstance(entry.policy, OnnxPolicy)]
     for index in sorted(set(range(len(parts))) - set(apart)):
         yield played(index, n_threads)
-    pool = ThreadPoolExecutor(n_threads or os.cpu_count())
+    pool, futures = ThreadPoolExecutor(n_threads or os.cpu_count()), []
     try:
-        for future in [pool.submit(played, index, 1) for index in apart]:
+        with HeldSignals():
+            futures += [pool.submit(played, index, 1) for index in apart]
+        for future in futures:
             yield future.result()
     finally:
-        pool.shutdown(wait=False, cancel_futures=True)
-        for policy in playing:
-            policy.close()
-        pool.shutdown()
+        with HeldSignals():
+            pool.shutdown(wait=False, cancel_futures=True)
+            # A thread between two answers of its policy starts that one's process again.
+            while wait(futures, _CLOSE_AGAIN_S).not_done:
+                for policy in playing:
+                    policy.close()
 
 
 def _play(entry: Entry, settings: EnvSettings, seeds: Sequence[int], n_threads: int | None) -> Played:

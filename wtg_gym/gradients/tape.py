@@ -27,6 +27,7 @@ from wtg_gym.physics import integration
 from wtg_gym.physics.layout import Whole
 from wtg_gym.physics.plant import Arranged, Plant, arranged, build_plant, programs_of
 from wtg_gym.physics.scenario import Scenario
+from wtg_gym.signals import undivided
 from wtg_gym.systems.programs import Program, constant_places
 from wtg_gym.systems.routines import code_of
 from wtg_gym.tasks.cost import COST, COST_TERMS
@@ -220,6 +221,7 @@ class Tape:
         """How many numbers a lane carries from one step to the next, as far as cost and observations depend on them."""
         return self.lanes.simulator.layout.n_rows
 
+    @undivided
     def start(self, scenarios: Sequence[Scenario]) -> npt.NDArray[np.float32]:
         """Start an episode in every lane, of one scenario each, and return the first observations."""
         n_lanes = self.lanes.n_lanes
@@ -269,6 +271,7 @@ class Tape:
         width = view.shape[2]
         view[(own // width)[:, np.newaxis], rows.ravel(), (own % width)[:, np.newaxis]] = values.reshape(own.size, -1)
 
+    @undivided
     def step(self, actions: Floats) -> tuple[npt.NDArray[np.float32], Floats]:
         """Step every running lane.
 

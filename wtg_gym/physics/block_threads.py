@@ -7,6 +7,8 @@ from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor, wait
 from typing import Any
 
+from wtg_gym.signals import undivided
+
 #: A thread is worth its start only for this many blocks.
 _BLOCKS_PER_THREAD = 4
 
@@ -35,6 +37,7 @@ class BlockThreads:
     def _wanted(self) -> int:
         return max(1, min(self.n_blocks // _BLOCKS_PER_THREAD, self.n_threads or os.cpu_count() or 1))
 
+    @undivided
     def run(
         self,
         work: Callable[[int, int, int], Any],

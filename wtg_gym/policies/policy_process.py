@@ -71,8 +71,8 @@ class PolicyProcess:
         self._began, self._deadline, self._waited_s = 0.0, float("inf"), 0.0
         self._timed_out = self._has_answered = False
         self._process = _start(weak=not isolated)
-        threading.Thread(target=self._watch, daemon=True).start()
         try:
+            threading.Thread(target=self._watch, daemon=True).start()
             self._open(content, isolated)
         except BaseException:
             self.close()

@@ -53,12 +53,7 @@ class LaneFrames:
             if name not in self._samples:
                 shape = lanes.n_lanes, simulator.n_intervals + 1, values.shape[1]
                 self._samples[name] = np.full(shape, np.nan, dtype=np.float32)
-            self._samples[name][np.arange(lanes.n_lanes), self._places()] = values
-
-    def _places(self) -> npt.NDArray[np.int64]:
-        """Return the control step at which each lane stands (n_lanes,); an end within one counts as its end."""
-        simulator = self._lanes.simulator
-        return np.ceil(simulator.lane_values("step") / simulator.plant.n_substeps).astype(np.int64)
+            self._samples[name][np.arange(lanes.n_lanes), lanes.n_steps()] = values
 
     def paint(self) -> tuple[Frame, ...]:
         """Return the frame of every lane; a RuntimeError if an episode was never started."""
@@ -90,7 +85,7 @@ class LaneFrames:
             f"return {total:.2f}".replace("-", "−"),
             f"constraints violated in {lanes.task_values('constraint_sum')[lane]:.0f} steps",
         )
-        n_samples = int(self._places()[lane]) + 1
+        n_samples = int(lanes.n_steps()[lane]) + 1
         return painter.paint(scene, {name: values[lane, :n_samples] for name, values in self._samples.items()}, texts)
 
     def show(self) -> None:
