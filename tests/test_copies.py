@@ -16,7 +16,7 @@ from wtg_gym import evaluate
 from wtg_gym.envs import EnvSettings, GFMWTGEnv, GFMWTGVectorEnv
 from wtg_gym.gains import GainEnvs
 from wtg_gym.gradients import Tape
-from wtg_gym.physics.plant import PlantSettings
+from wtg_gym.physics.plant import Plant
 from wtg_gym.physics.scenario import Scenario
 from wtg_gym.physics.simulator import Simulator
 from wtg_gym.physics.tracking_law import get_law
@@ -44,7 +44,7 @@ def monitored() -> Any:
 
 
 def simulator() -> Simulator:
-    simulator = Simulator(PlantSettings())
+    simulator = Simulator(Plant())
     simulator.start(0, eventful(), [get_law("mppt")] * 2)
     return simulator
 
@@ -92,7 +92,7 @@ KINDS: dict[str, tuple[Callable[[], Any], Callable[[Any], Any]]] = {
     "scenario": (eventful, Scenario.to_dict),
     "suite": (lambda: STANDARD, lambda suite: (suite.hash, suite.scenario(SEED).to_dict())),
     "settings": (lambda: EnvSettings(**SHORT), repr),
-    "plant": (PlantSettings, repr),
+    "plant": (Plant, repr),
     "law": (lambda: get_law("coordinated-tuned"), repr),
     "simulator": (simulator, advanced),
     "tape": (lambda: Tape(EnvSettings(version="v0", duration_s=4.0), 2), gradient),

@@ -9,7 +9,7 @@ import pytest
 
 from wtg_gym.envs import EnvSettings
 from wtg_gym.physics.grid import get_grid
-from wtg_gym.physics.plant import PlantSettings
+from wtg_gym.physics.plant import Plant
 from wtg_gym.physics.tracking_law import get_law
 from wtg_gym.policies.load import load_entries
 from wtg_gym.ranges import ByName
@@ -24,7 +24,7 @@ from wtg_gym.scenarios import get_suite
         (lambda: get_suite("standard").seeds("tests"), "test"),
         (lambda: EnvSettings(version="V1"), "v1"),
         (lambda: EnvSettings(plant={"physics": "extented"}).resolved_plant, "extended"),
-        (lambda: PlantSettings().replaced(physics="nrel_5mw"), "nrel-5mw"),
+        (lambda: Plant().replaced(physics="nrel_5mw"), "nrel-5mw"),
         (lambda: EnvSettings(action_mode="k+taw"), "k+tau"),
         (lambda: EnvSettings(weights={"dutty": 0.0}).cost_weights(), "duty"),
         (lambda: get_grid("kundru"), "kundur"),

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from wtg_gym.evaluation import leaderboard_rows as leaderboard_rows
     from wtg_gym.evaluation import load_entries as load_entries
     from wtg_gym.evaluation import markdown_table as markdown_table
-    from wtg_gym.physics.plant import PlantSettings as PlantSettings
+    from wtg_gym.physics.plant import Plant as Plant
     from wtg_gym.physics.scenario import Fault as Fault
     from wtg_gym.physics.scenario import FrequencyRamp as FrequencyRamp
     from wtg_gym.physics.scenario import GovernorLoss as GovernorLoss
@@ -68,7 +68,7 @@ warnings.filterwarnings("ignore", rf".*The environment {ENV_IDS[0]} is out of da
 _PLACES = {
     "envs": "GFMWTGEnv GFMWTGVectorEnv",
     "evaluation": "Entry Results evaluate leaderboard_rows load_entries markdown_table",
-    "physics.plant": "PlantSettings",
+    "physics.plant": "Plant",
     "physics.scenario": "Fault FrequencyRamp GovernorLoss GroupTrip LineTrip LoadRamp LoadStep LoadTrip MachineOutage "
     "PhaseJump ReactanceStep Scenario",
     "physics.tracking_law": "TrackingLaw get_law",

@@ -21,7 +21,7 @@ from wtg_gym.evaluation.evaluator import shared_settings
 from wtg_gym.evaluation.metrics import Recorder, measure
 from wtg_gym.evaluation.partial import PartialStore
 from wtg_gym.files import sha256
-from wtg_gym.physics.plant import PlantSettings
+from wtg_gym.physics.plant import Plant
 from wtg_gym.physics.scenario import GovernorLoss, Scenario
 from wtg_gym.policies.play import play, started_lanes
 from wtg_gym.progress import Progress
@@ -40,7 +40,7 @@ def played(
     seeds: Sequence[int],
     *,
     change: Callable[[Scenario], Scenario] = lambda scenario: scenario,
-    plant: Callable[[PlantSettings], PlantSettings] | None = None,
+    plant: Callable[[Plant], Plant] | None = None,
     by_centre: bool = False,
     partial: Path | None = None,
     **settings: Any,

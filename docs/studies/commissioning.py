@@ -16,7 +16,7 @@ import numpy as np
 from wtg_gym.envs.lanes import TaskLanes
 from wtg_gym.envs.settings import EnvSettings
 from wtg_gym.physics.aerodynamics import tracking_point
-from wtg_gym.physics.plant import PlantSettings
+from wtg_gym.physics.plant import Plant
 from wtg_gym.physics.protection import Status
 from wtg_gym.physics.scenario import Event, GovernorLoss, GroupTrip, LoadStep, MachineOutage
 from wtg_gym.physics.tracking_law import TrackingLaw
@@ -50,7 +50,7 @@ class Statics:
     within: bool  # whether the limits of power, torque and rotor speed hold
 
 
-def settled(law: TrackingLaw, wind_m_s: float, frequency_hz: float, plant: PlantSettings) -> tuple[float, float]:
+def settled(law: TrackingLaw, wind_m_s: float, frequency_hz: float, plant: Plant) -> tuple[float, float]:
     """Return power and rotor speed of a turbine where it settles [p.u.], NaN where it does not."""
     of = {"turbine": plant.turbine, "control": plant.control}
     found = equilibria(frequency_hz / plant.case.frequency_hz, law, wind_m_s, **of)
@@ -66,13 +66,13 @@ def settled(law: TrackingLaw, wind_m_s: float, frequency_hz: float, plant: Plant
     return k * speed**3 + droop, speed
 
 
-def _coefficient(law: TrackingLaw, frequency_hz: float, plant: PlantSettings) -> float:
+def _coefficient(law: TrackingLaw, frequency_hz: float, plant: Plant) -> float:
     c = plant.control
     corners = (c.frequency_min_pu, c.frequency_setpoint_pu, c.frequency_max_pu)
     return float(np.interp(frequency_hz / plant.case.frequency_hz, corners, (law.k_min, law.k_nominal, law.k_max)))
 
 
-def statics(law: TrackingLaw, plant: PlantSettings, winds_m_s: Sequence[float] = WINDS_M_S) -> Statics:
+def statics(law: TrackingLaw, plant: Plant, winds_m_s: Sequence[float] = WINDS_M_S) -> Statics:
     """Return what a law's steady states in a plant with limits are like, at some winds and :data:`FREQUENCIES_HZ`."""
     points = np.array([[settled(law, wind, f, plant) for f in FREQUENCIES_HZ] for wind in winds_m_s])
     power, speed = points[..., 0], points[..., 1]

@@ -35,7 +35,7 @@ from wtg_gym.evaluation.summary import EntrySummary, lost_or_beyond, runs_by_nam
 from wtg_gym.evaluation.table import notes_on_marks
 from wtg_gym.files import markdown_table, sha256, update_between_markers
 from wtg_gym.physics.layout import Floats
-from wtg_gym.physics.plant import PlantSettings
+from wtg_gym.physics.plant import Plant
 from wtg_gym.physics.scenario import GroupTrip
 from wtg_gym.physics.tracking_law import get_law
 from wtg_gym.progress import Progress
@@ -399,7 +399,7 @@ def public_scores(laws: Sequence[Entry], size: Size) -> Condition:
     )
 
 
-def limits_of(**values: float) -> Callable[[PlantSettings], PlantSettings]:
+def limits_of(**values: float) -> Callable[[Plant], Plant]:
     return lambda plant: replace(plant, limits=replace(plant.limits, **values))
 
 

@@ -21,7 +21,7 @@ from wtg_gym.files import markdown_table, update_between_markers
 from wtg_gym.grids.describe import describe_equilibrium, describe_grid
 from wtg_gym.physics.grid import DEFAULT_GRID, get_grid, known_grids
 from wtg_gym.physics.parameters import TurbineParameters, WtgGroup
-from wtg_gym.physics.plant import PlantSettings
+from wtg_gym.physics.plant import Plant
 from wtg_gym.physics.scenario import LoadStep, Scenario
 from wtg_gym.physics.trajectory import simulate
 from wtg_gym.plotting import save_figure, style
@@ -82,7 +82,7 @@ def all_wind(duration_s: float = 60.0) -> Figure:
     """Draw a load step in IEEE 39 with turbines in the place of all machines: frequency, power and rotors over time."""
     case, turbine_mw = get_grid("ieee39").case, TurbineParameters().rated_power_mw
     groups = tuple(WtgGroup(bus=m.bus, n_turbines=round(RATING * m.rating_mva / turbine_mw)) for m in case.machines)
-    plant = PlantSettings().replaced(
+    plant = Plant().replaced(
         physics="extended", case=dataclasses.replace(case, machines=()), groups=groups, trips_groups=True
     )
     scenario = Scenario(

@@ -25,7 +25,7 @@ from wtg_gym.evaluation import Entry, evaluate
 from wtg_gym.evaluation.episodes import Episode
 from wtg_gym.evaluation.summary import DESIGN_DEVIATION_MHZ
 from wtg_gym.physics.layout import Floats
-from wtg_gym.physics.plant import PlantSettings
+from wtg_gym.physics.plant import Plant
 from wtg_gym.physics.scenario import Scenario
 from wtg_gym.plotting import save_figure, style
 from wtg_gym.plotting.event_marks import explain_events, mark_end, mark_instants
@@ -66,7 +66,7 @@ def recorded(lanes: TaskLanes, steps: Iterable[np.ndarray]) -> Recording:
 
 
 @style.printed
-def plot_one_event(scenario: Scenario, runs: Mapping[str, Recording], plant: PlantSettings) -> Figure:
+def plot_one_event(scenario: Scenario, runs: Mapping[str, Recording], plant: Plant) -> Figure:
     """Draw the worst unit's frequency, power of all turbines, slowest rotor and load not served over time.
 
     A cross marks where the grid was lost. Grey lines: limits, and where load is shed first.

@@ -22,7 +22,7 @@ from wtg_gym.physics.parameters import (
     VoltageControlParameters,
     nrel_5mw,
 )
-from wtg_gym.physics.plant import DEAD_BAND_PU, PlantSettings
+from wtg_gym.physics.plant import DEAD_BAND_PU, Plant
 from wtg_gym.physics.protection import Status
 from wtg_gym.physics.simulator import Simulator
 from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY, get_law, group_laws
@@ -62,7 +62,7 @@ def plants():
         power_gain=0.0,
         power_integral_gain=0.0,
     )
-    paper, extended = PlantSettings(limits=far), PlantSettings().replaced(physics="extended")
+    paper, extended = Plant(limits=far), Plant().replaced(physics="extended")
     limits = dataclasses.replace(ConverterLimitParameters(), power_min_pu=far.power_min_pu)
     hydro = get_grid("ieee14").case.with_governors(lambda steam: HydroGovernorParameters(droop_pu=steam.droop_pu))
     banded = get_grid("ieee14").case.with_governors(lambda steam: dataclasses.replace(steam, dead_band_pu=DEAD_BAND_PU))
@@ -78,13 +78,13 @@ def plants():
         "voltage control": dataclasses.replace(paper, voltage_control=extended.voltage_control),
         "dead band": dataclasses.replace(paper, case=banded),
         "condensers without D": dataclasses.replace(paper, case=undamped),
-        TOGETHER: PlantSettings().replaced(physics="extended", protection=untripped, shedding=()),
+        TOGETHER: Plant().replaced(physics="extended", protection=untripped, shedding=()),
         "under-speed trip": dataclasses.replace(paper, protection=extended.protection),
         "NREL 5 MW rotor": dataclasses.replace(paper, turbine=nrel_5mw(conserves_energy=False)),
         "hydro governor": dataclasses.replace(paper, case=hydro, shedding=idle),
-        HYDRO: PlantSettings().replaced(physics="extended", protection=untripped, case=hydro),
+        HYDRO: Plant().replaced(physics="extended", protection=untripped, case=hydro),
         "extended": extended,
-        "nrel-5mw": PlantSettings().replaced(physics="nrel-5mw"),
+        "nrel-5mw": Plant().replaced(physics="nrel-5mw"),
     }
 
 
@@ -109,12 +109,12 @@ class Run:
     @property
     def rocof(self):
         """Return the largest change of frequency within half a second, per second [Hz/s]."""
-        n = round(0.5 / PlantSettings().simulation_dt)
+        n = round(0.5 / Plant().simulation_dt)
         return np.abs(self.hertz[n:] - self.hertz[:-n]).max() / 0.5
 
     def until(self, time_s):
         """Return the run cut off at a time [s]."""
-        n = round(time_s / PlantSettings().simulation_dt)
+        n = round(time_s / Plant().simulation_dt)
         return dataclasses.replace(self, hertz=self.hertz[:n], rotor=self.rotor[:n], current=self.current[:n])
 
 
@@ -324,7 +324,7 @@ def start_at(bus_voltage_pu, turbine=None, voltage_control=None):
     turbine = turbine or TurbineParameters()
     case, law = get_grid("ieee14").case, get_law(REFERENCE_STRATEGY, turbine)
     buses = tuple(dataclasses.replace(bus, voltage_pu=bus_voltage_pu) if bus.number == 2 else bus for bus in case.buses)
-    plant = PlantSettings(case=dataclasses.replace(case, buses=buses), turbine=turbine, voltage_control=voltage_control)
+    plant = Plant(case=dataclasses.replace(case, buses=buses), turbine=turbine, voltage_control=voltage_control)
     simulator = Simulator(plant, duration_s=INCREASE.duration_s)
     simulator.start(0, INCREASE, (law,) * len(plant.groups))
     simulator.evaluate()
@@ -407,8 +407,8 @@ def play_with_loads(exponent, strategy):
     Returns:
         end [s], lowest and last frequency [Hz].
     """
-    step_s = PlantSettings().simulation_dt
-    plant = PlantSettings(control_dt=step_s)
+    step_s = Plant().simulation_dt
+    plant = Plant(control_dt=step_s)
     simulator = Simulator(plant, duration_s=INCREASE.duration_s)
     simulator.start(0, INCREASE, group_laws(strategy, plant.turbines))
     simulator.evaluate()

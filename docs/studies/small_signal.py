@@ -17,7 +17,7 @@ from wtg_gym.physics.linearisation import largest_stable_steps, moving_matrix
 from wtg_gym.physics.machine_parameters import classical_machine
 from wtg_gym.physics.network import Branch, Bus, NetworkCase
 from wtg_gym.physics.parameters import WtgGroup
-from wtg_gym.physics.plant import PlantSettings
+from wtg_gym.physics.plant import Plant
 from wtg_gym.physics.scenario import Scenario
 from wtg_gym.physics.simulator import Simulator
 from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY, STRATEGIES, group_laws
@@ -52,7 +52,7 @@ class Mode:
 
 def at_rest(scenario, laws, settings=None):
     """Return a simulator in the equilibrium that a scenario starts from; its events do not matter."""
-    settings = settings or PlantSettings()
+    settings = settings or Plant()
     duration_s = settings.control_dt * max(1, round(1.0 / settings.control_dt))
     simulator = Simulator(settings, duration_s=duration_s)
     laws = group_laws(laws, settings.turbines, settings.control)
@@ -128,7 +128,7 @@ def infinite_bus(reactance_pu=0.2):
         branches=(Branch(from_bus=1, to_bus=2, resistance=0.0, reactance=reactance_pu),),
         machines=(classical_machine(bus=1, rating_mva=INFINITE_MVA, two_h_s=1e3, damping_pu=0.0, x_d_transient=1e-3),),
     )
-    return PlantSettings(case=case, groups=(WtgGroup(bus=2, n_turbines=10.0),))
+    return Plant(case=case, groups=(WtgGroup(bus=2, n_turbines=10.0),))
 
 
 def compare(law, wind_m_s, side, settings):

@@ -15,14 +15,14 @@ from wtg_gym.cli import main as wtg_gym
 from wtg_gym.envs.settings import EnvSettings
 from wtg_gym.files import markdown_table, read_json, update_between_markers
 from wtg_gym.physics.aerodynamics import tracking_point
-from wtg_gym.physics.plant import PlantSettings
+from wtg_gym.physics.plant import Plant
 from wtg_gym.physics.protection import Status
 from wtg_gym.physics.simulator import Simulator
 from wtg_gym.physics.tracking_law import group_laws
 from wtg_gym.plotting import style
 from wtg_gym.scenarios import get_suite
 
-DEFAULT_S = PlantSettings().simulation_dt
+DEFAULT_S = Plant().simulation_dt
 FINE_S = 0.00125  # half of it changes a golden run by less than a tenth of its tolerance [s]
 
 STEPS_S = (0.0025, 0.005, 0.01, 0.02, DEFAULT_S, 0.1 / 3.0)  # each divides the control step of 0.1 s

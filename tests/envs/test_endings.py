@@ -8,7 +8,7 @@ import pytest
 from tests.envs.rollouts import N_WTG, VERSIONS, calm, episode, eventful, rising, sagging
 from wtg_gym.envs import GFMWTGEnv
 from wtg_gym.physics.parameters import ProtectionParameters
-from wtg_gym.physics.plant import PlantSettings
+from wtg_gym.physics.plant import Plant
 from wtg_gym.physics.protection import Status
 from wtg_gym.physics.scenario import LineTrip, LoadStep, Scenario
 from wtg_gym.physics.trajectory import simulate
@@ -80,13 +80,13 @@ def test_low_voltage_may_last_three_seconds():
     simulator = env.lanes.simulator
     assert simulator.scratches[0][simulator.layout.first_rows(ISLANDS, "least_squared_voltage")] < 0.85**2
     assert info["time_s"] == pytest.approx(1.0 + 3.0 + 0.1)
-    longer = PlantSettings(protection=ProtectionParameters(low_voltage_time_s=10.0))
+    longer = Plant(protection=ProtectionParameters(low_voltage_time_s=10.0))
     assert simulate(SAGGED, "coordinated-piecewise", longer).time_s[-1] == pytest.approx(1.0 + 10.0 + 0.1)
 
 
 @pytest.mark.parametrize(("scenario", "status"), [(sagging(), Status.STALL), (SAGGED, Status.VOLTAGE_COLLAPSE)])
 def test_run_ends_when_it_does_whatever_the_control_interval(scenario: Scenario, status: Status):
-    usual, *runs = (simulate(scenario, "mppt", PlantSettings(control_dt=dt)) for dt in (0.1, 0.05, 0.5, 10.0))
+    usual, *runs = (simulate(scenario, "mppt", Plant(control_dt=dt)) for dt in (0.1, 0.05, 0.5, 10.0))
     assert usual.status == status
     for run in runs:
         assert run.status == status

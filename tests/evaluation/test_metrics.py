@@ -10,7 +10,7 @@ import pytest
 
 from wtg_gym.evaluation import Results, evaluate
 from wtg_gym.evaluation.metrics import quasi_steady_deviation
-from wtg_gym.physics.plant import PlantSettings
+from wtg_gym.physics.plant import Plant
 from wtg_gym.physics.tracking_law import get_law
 from wtg_gym.physics.trajectory import simulate
 from wtg_gym.scenarios import get_suite
@@ -78,4 +78,4 @@ def test_tripped_groups_are_counted_where_the_run_goes_on() -> None:
     results = evaluate([], "low-wind", "test", seeds=range(20_000, 20_040), on_failure="trip")
     tripped = [e for e in results.episodes_of("mppt") if e.metrics["tripped_groups"] > 0.0]
     assert tripped and all(e.failure == "" and e.metrics["survived_s"] == pytest.approx(60.0) for e in tripped)
-    assert PlantSettings().trips_groups is False
+    assert Plant().trips_groups is False

@@ -10,7 +10,7 @@ from tests.golden.case import ROW_S, Case
 from tests.physics.extended import phasors
 from wtg_gym.physics.layout import Floats
 from wtg_gym.physics.parameters import ConverterLimitParameters, ProtectionParameters
-from wtg_gym.physics.plant import PlantSettings
+from wtg_gym.physics.plant import Plant
 from wtg_gym.physics.scenario import Event, LineTrip, Scenario
 from wtg_gym.physics.simulator import Simulator
 from wtg_gym.physics.units import UNITS
@@ -28,7 +28,7 @@ def replay(case: Case, events: Sequence[Event], time_s: Floats, step_s: float) -
     splits = len(case.network.parts_without(tuple(opened))) > 1
     returns = any(getattr(event, "returns_after_s", None) is not None for event in events)
     # The other simulators have no protection. Islands and returns need extended physics, which changes no machine.
-    settings = PlantSettings(
+    settings = Plant(
         case=case.network,
         groups=(),
         control_dt=ROW_S,

@@ -15,7 +15,7 @@ from tests.golden.replay import replay
 from tests.physics.extended import recorded
 from wtg_gym.physics.network import Branch, Bus, NetworkCase, Source
 from wtg_gym.physics.parameters import ConverterLimitParameters, ProtectionParameters, TurbineParameters, WtgGroup
-from wtg_gym.physics.plant import PlantSettings
+from wtg_gym.physics.plant import Plant
 from wtg_gym.physics.scenario import Event, FrequencyRamp, GovernorLoss, LineTrip, MachineOutage, PhaseJump, Scenario
 from wtg_gym.physics.simulator import Simulator
 from wtg_gym.physics.tracking_law import TrackingLaw
@@ -119,7 +119,7 @@ def test_limits_of_power_and_torque_and_the_chopper_agree_with_a_second_implemen
         machines=(),
         sources=(Source(bus=1, reactance=0.05),),
     )
-    settings = PlantSettings(
+    settings = Plant(
         case=network,
         groups=(WtgGroup(bus=2, n_turbines=20.0),),
         turbine=TurbineParameters(conserves_energy=True),

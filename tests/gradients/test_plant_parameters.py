@@ -14,7 +14,7 @@ from wtg_gym.envs.lanes import TaskLanes
 from wtg_gym.envs.settings import EnvSettings
 from wtg_gym.gradients.plant_parameters import known_parameters, with_parameters
 from wtg_gym.gradients.tape import Tape
-from wtg_gym.physics.plant import PlantSettings
+from wtg_gym.physics.plant import Plant
 from wtg_gym.physics.scenario import GovernorLoss, LoadStep, MachineOutage, Scenario
 from wtg_gym.tasks.cost import COST_TERMS
 
@@ -48,7 +48,7 @@ def given() -> tuple[list[Scenario], Floats, Floats]:
     return scenarios, actions, rng.normal(size=(N_STEPS, N_LANES, 8))
 
 
-def weighed(plant: PlantSettings, scenarios: list[Scenario], actions: Floats, weights: Floats) -> Floats:
+def weighed(plant: Plant, scenarios: list[Scenario], actions: Floats, weights: Floats) -> Floats:
     """Cost and weighed outputs of each episode (n_lanes,), in a plant built anew, by the environment alone."""
     lanes = TaskLanes(dataclasses.replace(SETTINGS, plant=plant), N_LANES, 1)
     lanes.start(list(range(N_LANES)), scenarios)

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import pytest
 
-from wtg_gym.physics.plant import PlantSettings
+from wtg_gym.physics.plant import Plant
 from wtg_gym.physics.simulator import Simulator
 
 
 @pytest.fixture(scope="session")
 def simulator() -> Simulator:
     """The paper's plant, one lane, two minutes at most."""
-    return Simulator(PlantSettings(), duration_s=120.0)
+    return Simulator(Plant(), duration_s=120.0)

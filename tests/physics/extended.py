@@ -26,7 +26,7 @@ from wtg_gym.physics.parameters import (
     european_shedding,
     nrel_5mw,
 )
-from wtg_gym.physics.plant import PlantSettings
+from wtg_gym.physics.plant import Plant
 from wtg_gym.physics.reduction import refresh_network
 from wtg_gym.physics.scenario import Event, LoadStep, Scenario
 from wtg_gym.physics.simulator import Simulator
@@ -53,7 +53,7 @@ def plant(
     energy: bool = True,
     dead_band: float = 0.0,
     **more: Any,
-) -> PlantSettings:
+) -> Plant:
     """One of the two plants, with its options."""
     kind = HydroGovernorParameters if table else GovernorParameters
     given = {
@@ -63,7 +63,7 @@ def plant(
         "voltage_control": VoltageControlParameters() if voltage is True else voltage or None,
         "shedding": european_shedding(),
     }
-    return PlantSettings(**{**given, **more})
+    return Plant(**{**given, **more})
 
 
 def with_machine(**changes: Any) -> NetworkCase:
@@ -76,7 +76,7 @@ def scenario(*events: Event, wind: Any = WIND, **more: Any) -> Scenario:
     return Scenario(name="x", wind_speed=np.asarray(wind, dtype=float), events=events, **more)
 
 
-def started(settings: PlantSettings, what: Scenario, law: str = LAW, duration_s: float = 60.0) -> Simulator:
+def started(settings: Plant, what: Scenario, law: str = LAW, duration_s: float = 60.0) -> Simulator:
     simulator = Simulator(settings, duration_s=duration_s)
     simulator.start(0, what, (get_law(law, settings.turbine),) * len(settings.groups))
     return simulator
@@ -151,7 +151,7 @@ def rough(seed: int) -> Scenario:
 
 
 def reference_run(
-    settings: PlantSettings, what: Scenario, seconds: float, method: str, rtol: float = 1e-9, shown: str = "current"
+    settings: Plant, what: Scenario, seconds: float, method: str, rtol: float = 1e-9, shown: str = "current"
 ) -> tuple[Floats, Floats]:
     """States and a number of the groups every 0.1 s, by scipy, which starts anew wherever the network changes."""
     simulator = started(settings, what)

@@ -26,7 +26,7 @@ from wtg_gym.physics.parameters import (
     WtgGroup,
     default_groups,
 )
-from wtg_gym.physics.plant import PlantSettings
+from wtg_gym.physics.plant import Plant
 from wtg_gym.physics.rotor_table import RotorTable, read_rotor_table
 from wtg_gym.physics.scenario import (
     Fault,
@@ -140,23 +140,23 @@ RECORDS: list[tuple[Call, str]] = [
     (lambda: get_law("magic"), "unknown strategy 'magic'; known strategies: mppt, deloaded-5"),
     (lambda: group_laws(["mppt"] * 3, TURBINES), "one for each of the 2 groups, got 3"),
     (lambda: simulate("load-increase", "mppt"), "scenario must be a Scenario, got str"),  # type: ignore[arg-type]
-    (of(PlantSettings, simulation_dt=0.03), "control_dt = 0.1 s is not a whole number of simulation steps of 0.03 s"),
-    (of(PlantSettings, groups=(WtgGroup(bus=99),)), r"unknown bus 99; .* has buses \[1, 2"),
+    (of(Plant, simulation_dt=0.03), "control_dt = 0.1 s is not a whole number of simulation steps of 0.03 s"),
+    (of(Plant, groups=(WtgGroup(bus=99),)), r"unknown bus 99; .* has buses \[1, 2"),
     (
-        lambda: PlantSettings(control=GridFormingParameters(frequency_setpoint_pu=0.998)),
+        lambda: Plant(control=GridFormingParameters(frequency_setpoint_pu=0.998)),
         "frequency_setpoint_pu must be 1 p.u., got 0.998 p.u.",
     ),
     (
-        lambda: PlantSettings(shedding=tuple(SheddingStage(frequency_pu=0.98, share=s) for s in (0.6, 0.5))),
+        lambda: Plant(shedding=tuple(SheddingStage(frequency_pu=0.98, share=s) for s in (0.6, 0.5))),
         "the shedding stages disconnect 110 % of the load",
     ),
     *(
-        (lambda n=n: Simulator(PlantSettings(), n_lanes=n), "number of lanes must be a whole number in 1")
+        (lambda n=n: Simulator(Plant(), n_lanes=n), "number of lanes must be a whole number in 1")
         for n in (0, 1.5, True)
     ),
-    (lambda: Simulator(PlantSettings(), duration_s=NAN), "duration_s = nan s is outside the allowed range 0 … 86400 s"),
+    (lambda: Simulator(Plant(), duration_s=NAN), "duration_s = nan s is outside the allowed range 0 … 86400 s"),
     (
-        lambda: Simulator(PlantSettings(groups=(WtgGroup(bus=2, n_turbines=0.01),) * 2)),
+        lambda: Simulator(Plant(groups=(WtgGroup(bus=2, n_turbines=0.01),) * 2)),
         "WTG group 0 at bus 2 needs an internal voltage of .* p.u. to hold 1.045 p.u. .* at most 2 p.u.",
     ),
 ]
@@ -165,7 +165,7 @@ RECORDS: list[tuple[Call, str]] = [
 def fit(*events: Any, **more: Any) -> Call:
     """A scenario that the usual plant prepares together with a good one."""
     what = scenario(), scenario(*events, **more)
-    return lambda: Simulator(PlantSettings(), duration_s=120.0).prepare(what, group_laws(LAW, TURBINES))
+    return lambda: Simulator(Plant(), duration_s=120.0).prepare(what, group_laws(LAW, TURBINES))
 
 
 def line(time_s: float, from_bus: int, to_bus: int, recloses_after_s: float | None = None) -> LineTrip:
@@ -224,11 +224,11 @@ GREEDY = TrackingLaw(name="greedy", k_min=3.0, k_nominal=3.0, k_max=3.0)
 LOW_GATE = with_machine(governor=HydroGovernorParameters(gate_max_pu=0.1))
 STARTS: list[tuple[Call, str]] = [
     (
-        lambda: Simulator(PlantSettings()).start(0, scenario(wind=[[8.0], [8.0]]), (GREEDY, GREEDY)),
+        lambda: Simulator(Plant()).start(0, scenario(wind=[[8.0], [8.0]]), (GREEDY, GREEDY)),
         "WTG group 0 at bus 2 has no equilibrium at a wind of 8 m/s with k = 3 p.u.",
     ),
     (
-        lambda: started(PlantSettings(groups=(WtgGroup(bus=2, n_turbines=40.0),) * 2), scenario(), "mppt"),
+        lambda: started(Plant(groups=(WtgGroup(bus=2, n_turbines=40.0),) * 2), scenario(), "mppt"),
         "machine at bus 1 would start at -.* p.u. of gate, beyond its gate limits 0 … 1.2 p.u.",
     ),
     (
@@ -241,7 +241,7 @@ STARTS: list[tuple[Call, str]] = [
     ),
     (
         lambda: started(
-            PlantSettings(protection=ProtectionParameters(internal_voltage_max_pu=1.45)),
+            Plant(protection=ProtectionParameters(internal_voltage_max_pu=1.45)),
             scenario(wind=[[11.4], [11.4]], load_level=1.5),
         ),
         "WTG group 0 at bus 2 needs .* at most 1.45",

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from tests.physics.extended import scenario, started
-from wtg_gym.physics.plant import PlantSettings
+from wtg_gym.physics.plant import Plant
 from wtg_gym.physics.protection import STAGES, Status
 from wtg_gym.physics.scenario import Event, GovernorLoss, GroupTrip, LineTrip, LoadStep, MachineOutage
 from wtg_gym.physics.simulator import Simulator
@@ -23,7 +23,7 @@ def cut(*lines: tuple[int, int], recloses_after_s: float) -> list[Event]:
 
 
 def played(
-    events: list[Event], wind: float = 9.0, plant: PlantSettings = V1, load_level: float = 1.0, seconds: float = 25.0
+    events: list[Event], wind: float = 9.0, plant: Plant = V1, load_level: float = 1.0, seconds: float = 25.0
 ) -> Simulator:
     what = scenario(*events, wind=np.full((4, 1), wind), load_level=load_level, duration_s=seconds)
     simulator = started(plant, what)
@@ -44,7 +44,7 @@ def played(
     ids=["generator", "group after the last generator", "group without machines", "islands", "islands, later"],
 )
 def test_what_comes_back_in_phase_has_not_lost_synchronism(
-    events: list[Event], wind: float, plant: PlantSettings, load_level: float
+    events: list[Event], wind: float, plant: Plant, load_level: float
 ) -> None:
     simulator = played(events, wind, plant, load_level)
     assert simulator.lane_values("status")[0] == Status.RUNNING

@@ -7,7 +7,7 @@ import pytest
 
 from tests.physics.extended import NO_SHEDDING, recorded, reference_run, scenario, started
 from wtg_gym.physics.parameters import ConverterLimitParameters
-from wtg_gym.physics.plant import PlantSettings
+from wtg_gym.physics.plant import Plant
 from wtg_gym.physics.protection import Status
 from wtg_gym.physics.scenario import (
     Event,
@@ -52,7 +52,7 @@ def test_load_noise_by_rank_one_update_equals_a_full_reduction(simulator: Simula
 def test_load_noise_ends_with_its_series_at_every_control_interval() -> None:
     noisy = scenario(duration_s=2.0, load_noise_mw=np.array([0.0, 0.0, 40.0, 40.0]))
     for control_dt in (0.05, 0.1, 0.2):
-        noise = started(PlantSettings(control_dt=control_dt), noisy, duration_s=2.0).data.noise[0]
+        noise = started(Plant(control_dt=control_dt), noisy, duration_s=2.0).data.noise[0]
         assert noise.sum() * control_dt == pytest.approx(2 * 40.0 * 0.1)
         assert (noise[round(0.4 / control_dt) :] == 0.0).all()
 
@@ -75,8 +75,8 @@ OUTAGES = (
 def test_default_step_agrees_with_tight_integration_through_every_kind_of_event(
     method: str, events: tuple[Event, ...]
 ) -> None:
-    expected, _ = reference_run(PlantSettings(), scenario(*events), 2.0, method, 1e-10, "power")
-    fixed = started(PlantSettings(), scenario(*events))
+    expected, _ = reference_run(Plant(), scenario(*events), 2.0, method, 1e-10, "power")
+    fixed = started(Plant(), scenario(*events))
     recorded(fixed, 2.0)
     error = dict(zip(fixed.layout.state_names, np.abs(fixed.state() - expected[-1]), strict=True))
     assert max(value for name, value in error.items() if name.endswith("speed")) < 2e-7
@@ -86,7 +86,7 @@ def test_default_step_agrees_with_tight_integration_through_every_kind_of_event(
 def test_error_falls_with_the_fourth_power_of_the_step() -> None:
     ends = {}
     for dt in (0.02, 0.01, 0.005, 0.00125):
-        run = started(PlantSettings(simulation_dt=dt), scenario(*EVENTS[:1]))
+        run = started(Plant(simulation_dt=dt), scenario(*EVENTS[:1]))
         recorded(run, 2.0)
         ends[dt] = run.wtg_values("speed")[0]
     errors = [np.abs(ends[dt] - ends[0.00125]).max() for dt in (0.02, 0.01, 0.005)]
@@ -96,7 +96,7 @@ def test_error_falls_with_the_fourth_power_of_the_step() -> None:
 
 @pytest.mark.parametrize("trips", [False, True])
 def test_a_stalled_group_ends_the_run_which_then_stands_still_or_is_tripped(trips: bool) -> None:
-    simulator = Simulator(PlantSettings(trips_groups=trips), duration_s=120.0)
+    simulator = Simulator(Plant(trips_groups=trips), duration_s=120.0)
     simulator.start(0, get_suite("paper").scenario(0), (STRATEGIES["mppt"],) * 2)
     recorded(simulator, 100.0)
     if trips:
@@ -118,7 +118,7 @@ FAR = ConverterLimitParameters(
     current_max_pu=10.0, power_max_pu=10.0, power_min_pu=-10.0, power_gain=0.0, power_integral_gain=0.0
 )
 #: With stages of shedding, as the other extended plants have, so that it is compiled already.
-UNLIMITED = PlantSettings(limits=FAR, shedding=NO_SHEDDING)
+UNLIMITED = Plant(limits=FAR, shedding=NO_SHEDDING)
 
 
 @pytest.mark.parametrize(
@@ -129,7 +129,7 @@ def test_limits_out_of_reach_leave_the_papers_plant_as_it_is(
     suite: str, seed: int, strategy: str, status: Status
 ) -> None:
     what = get_suite(suite).scenario(seed)
-    paper, unlimited = (started(plant, what, strategy, what.duration_s) for plant in (PlantSettings(), UNLIMITED))
+    paper, unlimited = (started(plant, what, strategy, what.duration_s) for plant in (Plant(), UNLIMITED))
     expected, found = (recorded(run, what.duration_s, "rotor_speed", "power", "emf") for run in (paper, unlimited))
     assert paper.lane_values("status")[0] == unlimited.lane_values("status")[0] == status
     assert all(found[name] == pytest.approx(values, rel=0.0, abs=1e-9) for name, values in expected.items())

@@ -21,7 +21,7 @@ from tests.physics.extended import (
 from wtg_gym.physics.grid import get_grid
 from wtg_gym.physics.linearisation import moving_states, state_matrix
 from wtg_gym.physics.parameters import VoltageControlParameters, WtgGroup
-from wtg_gym.physics.plant import PlantSettings
+from wtg_gym.physics.plant import Plant
 from wtg_gym.physics.simulator import Simulator
 from wtg_gym.physics.tracking_law import STRATEGIES, TrackingLaw, get_law
 from wtg_gym.scenarios import SUITES, Suite
@@ -61,13 +61,13 @@ def test_other_groups_machine_models_resistance_and_shared_buses_start_at_rest()
     groups = WtgGroup(bus=3), WtgGroup(bus=14, n_turbines=2.0)
     case = get_grid("ieee14").case
     for own in (case, case.classical()):
-        settings = PlantSettings(case=own, groups=groups)
+        settings = Plant(case=own, groups=groups)
         assert largest_rate(started(settings, scenario(wind=[[9.0], [9.0]]), "mppt")) <= LIMIT
     machines = [dataclasses.replace(machine, resistance=0.003) for machine in case.machines]
     # In the place of the last one: as many machines as usual, whose code is compiled already.
     case = dataclasses.replace(case, machines=(*machines[:-1], classical(bus=3, dispatch_mw=20.0)))
     assert len({machine.bus for machine in case.machines}) < len(case.machines)
-    found = started(PlantSettings(case=case), scenario(wind=[[9.0], [9.0]]), "coordinated-linear")
+    found = started(Plant(case=case), scenario(wind=[[9.0], [9.0]]), "coordinated-linear")
     assert largest_rate(found) <= LIMIT
 
 

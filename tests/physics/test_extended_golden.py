@@ -16,7 +16,7 @@ from wtg_gym.physics.aerodynamics import tracking_point
 from wtg_gym.physics.integration import PROGRAMS
 from wtg_gym.physics.layout import Floats
 from wtg_gym.physics.parameters import GridFormingParameters, SheddingStage
-from wtg_gym.physics.plant import arranged
+from wtg_gym.physics.plant import with_places
 from wtg_gym.physics.protection import STAGES
 from wtg_gym.physics.scenario import LoadStep
 from wtg_gym.physics.simulator import Simulator
@@ -54,7 +54,7 @@ def against_golden_trace(name: str, events: Sequence[LoadStep], **more: Any) -> 
     simulator = Simulator(settings, duration_s=60.0)
     turbine = simulator.plant.turbine.copy()
     turbine["rotor.inv_two_h"] = 0.0
-    simulator.plant = arranged(simulator.plant._replace(turbine=turbine), simulator.layout, PROGRAMS)
+    simulator.plant = with_places(simulator.plant._replace(turbine=turbine), simulator.layout, PROGRAMS)
     simulator.start(0, run, (law, law))
 
     def look(now: Simulator) -> Floats:

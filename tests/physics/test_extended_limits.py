@@ -26,7 +26,7 @@ from wtg_gym.physics.parameters import (
     WtgGroup,
     european_shedding,
 )
-from wtg_gym.physics.plant import PlantSettings, arranged, build_plant, layout_of
+from wtg_gym.physics.plant import Plant, layout_of, plant_tables, with_places
 from wtg_gym.physics.protection import STAGES, Status
 from wtg_gym.physics.scenario import GovernorLoss, LoadStep, Scenario
 from wtg_gym.physics.step import FREE_CURRENTS, LIMITS
@@ -131,9 +131,9 @@ _FIND_CURRENTS = Routine(CURRENTS[0])
     ids=["four buses", "a weak bus"],
 )
 def test_limited_currents_solve_their_equations(groups: tuple[WtgGroup, ...]) -> None:
-    built = build_plant(PlantSettings(groups=groups, limits=ConverterLimitParameters()))
+    built = plant_tables(Plant(groups=groups, limits=ConverterLimitParameters()))
     layout, rng = layout_of(built), np.random.default_rng(0)
-    built = arranged(built, layout, CURRENTS)
+    built = with_places(built, layout, CURRENTS)
     network = built.network
     unit_y, at, m = np.diag(network.unit_y), network.unit_bus, len(groups)
     n, largest = len(at), CURRENT_MAX * built.share
@@ -169,7 +169,7 @@ def test_limited_currents_solve_their_equations(groups: tuple[WtgGroup, ...]) ->
 # --- Integration
 
 
-def deviations(settings: PlantSettings, what: Scenario, expected: tuple[Floats, Floats]) -> tuple[float, float, float]:
+def deviations(settings: Plant, what: Scenario, expected: tuple[Floats, Floats]) -> tuple[float, float, float]:
     """Largest deviation of speeds [p.u.], angles [rad] and currents [p.u.] over a run."""
     simulator = started(settings, what)
     speed, angle, current = 0.0, 0.0, 0.0

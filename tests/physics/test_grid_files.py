@@ -23,7 +23,7 @@ from wtg_gym.physics.network import (
     solve_power_flow,
 )
 from wtg_gym.physics.parameters import TurbineParameters, WtgGroup, nrel_5mw
-from wtg_gym.physics.plant import PlantSettings
+from wtg_gym.physics.plant import Plant
 from wtg_gym.physics.scenario import LineTrip, Scenario
 from wtg_gym.physics.simulator import Simulator
 from wtg_gym.physics.sparse_flow import pattern_of, solve_sparse_flow
@@ -122,9 +122,7 @@ def test_a_file_with_a_mistake_is_refused_in_a_line(change: dict, words: str, tm
 
 def test_machines_share_what_the_wind_leaves_by_rating_and_gate() -> None:
     grid = get_grid("ieee39")
-    plant = PlantSettings().replaced(
-        physics="extended", case=grid.with_groups, groups=grid.groups, shares_dispatch=True
-    )
+    plant = Plant().replaced(physics="extended", case=grid.with_groups, groups=grid.groups, shares_dispatch=True)
     simulator, law = Simulator(plant, duration_s=1.0), get_law("coordinated-tuned")
     for wind in (9.5, 10.2):
         scenario = Scenario(name="wind", wind_speed=np.full((6, 1), wind), duration_s=1.0, load_noise_bus=39)
@@ -139,7 +137,7 @@ def test_turbines_alone_start_at_rest_or_not_at_all() -> None:
     law, started = get_law("coordinated-tuned"), []
     for rating in (1.2, 1.8, 2.5):
         groups = tuple(WtgGroup(bus=m.bus, n_turbines=round(rating * m.rating_mva / 5.0)) for m in case.machines)
-        plant = PlantSettings().replaced(physics="extended", case=dataclasses.replace(case, machines=()), groups=groups)
+        plant = Plant().replaced(physics="extended", case=dataclasses.replace(case, machines=()), groups=groups)
         simulator = Simulator(plant, duration_s=1.0)
         scenario = Scenario(name="still", wind_speed=np.full((10, 1), 8.5), duration_s=1.0, load_noise_bus=39)
         try:
@@ -164,7 +162,7 @@ def test_a_parallel_line_trips_by_its_circuit() -> None:
     trips = (LineTrip(time_s=0.1, from_bus=7, to_bus=8), LineTrip(time_s=0.2, from_bus=8, to_bus=7, circuit=2))
     still = dict(wind_speed=np.zeros((0, 1)), duration_s=1.0, load_noise_bus=7)
     with pytest.raises(ValueError, match="would split the network"):
-        Simulator(PlantSettings(case=case, groups=()), duration_s=1.0).prepare(
+        Simulator(Plant(case=case, groups=()), duration_s=1.0).prepare(
             [Scenario(name="both", events=trips, **still)], []
         )
 
@@ -213,7 +211,7 @@ def test_the_sparse_power_flow_finds_what_the_dense_one_finds(name: str) -> None
 def test_groups_have_turbines_of_their_own() -> None:
     small = TurbineParameters(rated_power_mw=2.0, blade_radius_m=40.0, nominal_rotor_speed_rad_s=1.8)
     groups = WtgGroup(bus=2, n_turbines=10.0), WtgGroup(bus=3, n_turbines=10.0, turbine=small)
-    plant = PlantSettings().replaced(physics="extended", groups=groups)
+    plant = Plant().replaced(physics="extended", groups=groups)
     simulator, laws = Simulator(plant, duration_s=1.0), group_laws("coordinated-piecewise", plant.turbines)
     assert laws[0].k_nominal != laws[1].k_nominal
     scenario = Scenario(name="wind", wind_speed=np.full((2, 1), 9.0), duration_s=1.0)
@@ -228,4 +226,4 @@ def test_groups_have_turbines_of_their_own() -> None:
     shares = [group.n_turbines * own.rated_power_mw / 100.0 for group, own in zip(groups, plant.turbines, strict=True)]
     assert simulator.plant.share.tolist() == shares == [0.5, 0.2]
     with pytest.raises(ValueError, match="must have one C_p curve"):
-        PlantSettings().replaced(physics="extended", groups=(groups[0], WtgGroup(bus=3, turbine=nrel_5mw())))
+        Plant().replaced(physics="extended", groups=(groups[0], WtgGroup(bus=3, turbine=nrel_5mw())))

@@ -23,7 +23,7 @@ from wtg_gym.physics.layout import Floats, n_rows_of
 from wtg_gym.physics.machine_unit import MACHINES
 from wtg_gym.physics.network import NetworkCase
 from wtg_gym.physics.parameters import WtgGroup
-from wtg_gym.physics.plant import PlantSettings
+from wtg_gym.physics.plant import Plant
 from wtg_gym.physics.protection import STAGES, Status
 from wtg_gym.physics.scenario import LineTrip, LoadStep, MachineOutage
 from wtg_gym.physics.simulator import Simulator
@@ -43,7 +43,7 @@ def cut(time_s: float, lines: tuple[tuple[int, int], ...] = CUT, again_s: float 
     return tuple(LineTrip(time_s=time_s, from_bus=f, to_bus=t, recloses_after_s=again_s) for f, t in lines)
 
 
-def parted(**more: object) -> PlantSettings:
+def parted(**more: object) -> Plant:
     return plant(**{"groups": PARTED, "shedding": NO_SHEDDING, **more})  # type: ignore[arg-type]
 
 
@@ -53,7 +53,7 @@ def rows_of(simulator: Simulator, kind: Kind, units: list[int]) -> np.ndarray:
     return simulator.layout.first[kind] + np.add.outer(np.array(units, dtype=int) * n, np.arange(n))
 
 
-def alone(settings: PlantSettings, buses: tuple[int, ...], slack: int, held: float | None = None) -> PlantSettings:
+def alone(settings: Plant, buses: tuple[int, ...], slack: int, held: float | None = None) -> Plant:
     """The plant of a part of the network."""
     case = settings.case
     return dataclasses.replace(
@@ -258,6 +258,6 @@ def test_too_little_wind_for_wind_turbines_alone_is_said_in_one_line() -> None:
 
 @pytest.mark.parametrize("physics", ["extended", "nrel-5mw"])
 def test_extended_physics_sheds_and_takes_damping_from_condensers_alone(physics: str) -> None:
-    settings = PlantSettings().replaced(physics=physics)
+    settings = Plant().replaced(physics=physics)
     assert [machine.damping_pu for machine in settings.case.machines] == [2.0, 0.0, 0.0, 0.0]
     assert [stage.share for stage in settings.shedding] == [0.05, 0.08, 0.08, 0.08, 0.08, 0.08]

@@ -14,7 +14,7 @@ from tests.physics.extended import plant, scenario, with_machine
 from wtg_gym.physics.grid import get_grid
 from wtg_gym.physics.linearisation import largest_stable_steps
 from wtg_gym.physics.parameters import ConverterLimitParameters, GridFormingParameters, VoltageControlParameters
-from wtg_gym.physics.plant import PlantSettings
+from wtg_gym.physics.plant import Plant
 from wtg_gym.physics.simulator import Simulator
 from wtg_gym.physics.tracking_law import STRATEGIES, TrackingLaw, get_law
 from wtg_gym.scenarios import get_suite
@@ -36,7 +36,7 @@ def test_a_mode_grows_just_beyond_its_largest_step_and_not_just_below(value: com
     ("settings", "message"),
     [
         (
-            PlantSettings(case=with_machine(t_d0_subtransient_s=0.009)),
+            Plant(case=with_machine(t_d0_subtransient_s=0.009)),
             r"eigenvalue -11\d.* 1/s \(mainly sync0.psi_1d\) .* at most 0.022\d s",
         ),
         (
@@ -47,13 +47,13 @@ def test_a_mode_grows_just_beyond_its_largest_step_and_not_just_below(value: com
         (plant(limits=ConverterLimitParameters(power_gain=1.0)), r"mainly wtg[01].angle\)"),
     ],
 )
-def test_a_plant_that_is_too_fast_for_the_step_is_refused(settings: PlantSettings, message: str) -> None:
+def test_a_plant_that_is_too_fast_for_the_step_is_refused(settings: Plant, message: str) -> None:
     with pytest.raises(ValueError, match=r"simulation_dt = 0.025 s is too long for this plant.*" + message):
         Simulator(settings)
 
 
 def test_an_inertia_that_is_too_small_for_the_step_is_refused_with_its_scenario() -> None:
-    simulator = Simulator(PlantSettings(case=with_machine(two_h_s=0.5)))
+    simulator = Simulator(Plant(case=with_machine(two_h_s=0.5)))
     light, lighter = (scenario(inertia_scale=scale) for scale in (0.3, 0.05))
     simulator.prepare([light], LAWS)
     for _ in range(2):
@@ -76,15 +76,15 @@ def test_a_law_that_is_too_steep_for_the_step_is_refused(
 ) -> None:
     law = TrackingLaw(name="steep", k_min=k_min, k_nominal=k_nominal, k_max=k_max)
     what = scenario(wind=np.full((2, 1), wind_m_s))
-    light = PlantSettings(control=GridFormingParameters(inertia_constant_s=inertia_s))
+    light = Plant(control=GridFormingParameters(inertia_constant_s=inertia_s))
     with pytest.raises(ValueError, match=r"\(mainly wtg[01].speed\) would grow without bound"):
         Simulator(light).prepare([what], (law,) * 2)
     Simulator(dataclasses.replace(light, simulation_dt=0.01)).prepare([what], (law,) * 2)
 
 
 def test_steps_and_inertias_that_are_allowed_suit_the_default_plant() -> None:
-    Simulator(PlantSettings(simulation_dt=0.04, control_dt=0.2)).prepare([scenario(inertia_scale=0.05)], LAWS)
-    Simulator(PlantSettings(simulation_dt=0.05)).prepare([scenario()], LAWS)
+    Simulator(Plant(simulation_dt=0.04, control_dt=0.2)).prepare([scenario(inertia_scale=0.05)], LAWS)
+    Simulator(Plant(simulation_dt=0.05)).prepare([scenario()], LAWS)
 
 
 # --- Modes
@@ -97,7 +97,7 @@ REFERENCE = STRATEGIES["coordinated-piecewise"]
 def test_small_motion_of_the_simulator_is_that_of_the_linear_model(side: str, classical: bool) -> None:
     """A push of 1e-6, let go for 0.1 s, before the WTGs' frequencies come back to the corner of g(ω)."""
     case = get_grid("ieee14").case
-    settings = PlantSettings(case=case.classical() if classical else case, simulation_dt=0.0025)
+    settings = Plant(case=case.classical() if classical else case, simulation_dt=0.0025)
     linear = linearise(PAPER, REFERENCE, settings, side=side)
     simulator = Simulator(settings)
     simulator.start(0, scenario(), (REFERENCE,) * 2)

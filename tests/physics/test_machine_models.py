@@ -39,7 +39,7 @@ from wtg_gym.physics.machine_parameters import (
 )
 from wtg_gym.physics.network import Branch, Bus, NetworkCase
 from wtg_gym.physics.parameters import ConverterLimitParameters, ProtectionParameters
-from wtg_gym.physics.plant import PlantSettings, build_plant, programs_of
+from wtg_gym.physics.plant import Plant, plant_tables, programs_of
 from wtg_gym.physics.saturation import saturated, saturation_constants
 from wtg_gym.physics.scenario import Event, GovernorLoss, LoadStep, MachineOutage
 from wtg_gym.physics.simulator import Simulator
@@ -124,7 +124,7 @@ def started(
         "protection": ProtectionParameters(frequency_min_pu=0.9, frequency_max_pu=1.1),
         "limits": ConverterLimitParameters(),
     }
-    simulator = Simulator(PlantSettings(**{**usual, **more}), duration_s=120.0)
+    simulator = Simulator(Plant(**{**usual, **more}), duration_s=120.0)
     what = scenario(*events, wind=np.zeros((0, 1)), duration_s=120.0, load_noise_bus=3, **(given or {}))
     simulator.start(0, what, ())
     return simulator
@@ -351,7 +351,7 @@ def test_secondary_control_keeps_the_references_within_the_limits_of_the_gates()
 def test_a_share_of_the_dispatch_counts_a_gate_up_to_nominal_power_only() -> None:
     governors = GovernorParameters(gate_max_pu=0.8), GovernorParameters(), BoilerGovernorParameters()
     machines = [machine(1, governor=own) for own in (*governors, GasGovernorParameters(load_limit_pu=0.7), None)]
-    plant = build_plant(PlantSettings(case=network(*machines), groups=(), shares_dispatch=True))
+    plant = plant_tables(Plant(case=network(*machines), groups=(), shares_dispatch=True))
     assert plant.participation == pytest.approx(np.array([0.8, 1.0, 1.0, 0.7, 0.0]) / 3.5)
 
 
@@ -385,7 +385,7 @@ def test_what_cannot_be_is_refused() -> None:
 
 
 def test_gradients_are_refused_by_the_names_of_the_models() -> None:
-    plant = PlantSettings(case=get_grid("ieee14").case)
+    plant = Plant(case=get_grid("ieee14").case)
     machines = (dataclasses.replace(plant.case.machines[0], stabiliser=STABILISER), *plant.case.machines[1:])
     changed = dataclasses.replace(plant, case=dataclasses.replace(plant.case, machines=machines))
     with pytest.raises(ValueError, match="gradients do not know these models of machines: stabilisers STAB1"):
@@ -405,8 +405,8 @@ def test_a_grid_file_names_every_model(tmp_path: Path) -> None:
 
 
 def test_a_plant_without_these_controls_runs_the_same_programs() -> None:
-    assert programs_of(build_plant(PlantSettings()), *PROGRAMS) == PROGRAMS
+    assert programs_of(plant_tables(Plant()), *PROGRAMS) == PROGRAMS
     saturating = network(machine(1), machine(2, dispatch_mw=80.0))
-    assert programs_of(build_plant(PlantSettings(case=saturating, groups=())), *PROGRAMS) == PROGRAMS
+    assert programs_of(plant_tables(Plant(case=saturating, groups=())), *PROGRAMS) == PROGRAMS
     controlled = network(FIRST, SECOND)
-    assert programs_of(build_plant(PlantSettings(case=controlled, groups=())), *PROGRAMS) != PROGRAMS
+    assert programs_of(plant_tables(Plant(case=controlled, groups=())), *PROGRAMS) != PROGRAMS

@@ -19,7 +19,7 @@ from wtg_gym.physics.network import (
     eliminate,
     solve_power_flow,
 )
-from wtg_gym.physics.plant import PlantSettings, build_plant
+from wtg_gym.physics.plant import Plant, plant_tables
 from wtg_gym.physics.units import BUSES
 
 # Solution of the IEEE 14-bus test case: voltage [p.u.] and angle [deg] of buses 1 … 14, as printed in the archive.
@@ -42,7 +42,7 @@ PUBLISHED = (
 
 
 def solve(case: NetworkCase, power: np.ndarray[Any, np.dtype[np.complex128]]) -> tuple[Any, Any, int]:
-    plant = build_plant(PlantSettings(case=case, groups=()))
+    plant = plant_tables(Plant(case=case, groups=()))
     buses, at = np.zeros((len(case.buses), n_rows_of(BUSES.scratch))), FLOW_COLUMNS
     buses[:, at.power] = power.real - plant.buses["load.re"]
     buses[:, at.power + 1] = power.imag - plant.buses["load.im"]

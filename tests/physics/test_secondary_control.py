@@ -11,7 +11,7 @@ from tests.physics.extended import scenario, with_machine
 from wtg_gym.physics.grid import get_grid
 from wtg_gym.physics.layout import Floats
 from wtg_gym.physics.machine_parameters import GovernorParameters
-from wtg_gym.physics.plant import PlantSettings
+from wtg_gym.physics.plant import Plant
 from wtg_gym.physics.scenario import Event, GovernorLoss, LoadStep, MachineOutage
 from wtg_gym.physics.simulator import Simulator
 from wtg_gym.scenarios import SUITES
@@ -29,7 +29,7 @@ def reference_and_speed(
 ) -> tuple[Floats, Floats]:
     """Gate reference and speed of the generator, from the start on, after each step."""
     case = with_machine(governor=governor)
-    settings = PlantSettings(case=case, groups=(), secondary_time_s=secondary_time_s, control_dt=DT, simulation_dt=DT)
+    settings = Plant(case=case, groups=(), secondary_time_s=secondary_time_s, control_dt=DT, simulation_dt=DT)
     simulator = Simulator(settings, duration_s=seconds)
     simulator.start(0, scenario(*events, wind=np.zeros((0, 1)), duration_s=seconds), ())
     names, found = ("gate_reference", "speed"), []
@@ -91,7 +91,7 @@ def test_a_lost_governor_or_a_machine_that_is_away_keeps_its_reference() -> None
 @pytest.mark.parametrize("wrong", [0.5, -30.0, 4000.0, float("nan"), "30"])
 def test_its_time_is_checked(wrong: float) -> None:
     with pytest.raises(ValueError, match="secondary_time_s"):
-        PlantSettings(secondary_time_s=wrong)
+        Plant(secondary_time_s=wrong)
 
 
 def test_plants_of_v0_have_none_and_those_of_v1_have_it() -> None:

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from wtg_gym.physics.aerodynamics import tracking_point
 from wtg_gym.physics.converter import Corners, tracking_coefficient
 from wtg_gym.physics.parameters import GridFormingParameters, TurbineParameters
-from wtg_gym.physics.plant import PlantSettings
+from wtg_gym.physics.plant import Plant
 from wtg_gym.physics.scenario import Scenario
 from wtg_gym.physics.tracking_law import (
     STRATEGIES,
@@ -70,7 +70,7 @@ def test_law_from_toml_by_deloading_equals_the_reference_of_its_turbine(tmp_path
 def test_a_strategy_captures_its_share_of_the_wind_on_any_turbine(
     strategy: str, deloading: float, turbine: TurbineParameters
 ) -> None:
-    start = simulate(CALM, strategy, PlantSettings(turbine=turbine))
+    start = simulate(CALM, strategy, Plant(turbine=turbine))
     captured = start.captured_power_pu[0] / (turbine.wind_power_pu_per_cubic_wind * 8.0**3)
     point = tracking_point(deloading, turbine)
     assert captured == pytest.approx([(1.0 - deloading) * tracking_point(0.0, turbine).power_coefficient] * 2, rel=1e-6)
@@ -83,7 +83,7 @@ def test_a_strategy_takes_its_numbers_from_the_control_of_the_plant() -> None:
         law = get_law(name, control=control)
         assert law.k_max == tracking_point(0.3).coefficient
         assert law.damping_time_constant_s == (0.0 if name == "coordinated-undamped" else 20.0)
-        run = simulate(CALM, name, PlantSettings(control=control))
+        run = simulate(CALM, name, Plant(control=control))
         assert run.coefficient_pu[0] == pytest.approx([law.k_nominal] * 2, rel=1e-9)
     assert get_law("coordinated-piecewise", control=control).k_nominal == tracking_point(0.2).coefficient
 
@@ -91,7 +91,7 @@ def test_a_strategy_takes_its_numbers_from_the_control_of_the_plant() -> None:
 @pytest.mark.parametrize("name", TUNED)
 def test_tuned_law_follows_the_turbine_as_its_equation_says(name: str) -> None:
     # The power curve of the last one is flat: its K_opt - K_pr is so large that the range of a law's k ends before.
-    for turbine in (None, LONG_BLADES, PlantSettings().replaced(physics="nrel-5mw").turbine):
+    for turbine in (None, LONG_BLADES, Plant().replaced(physics="nrel-5mw").turbine):
         paper, tuned = (get_law(each, turbine) for each in ("coordinated-piecewise", name))
         span = paper.k_min - paper.k_max
         for k, own, share in (

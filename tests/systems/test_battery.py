@@ -16,8 +16,8 @@ from wtg_gym.envs.lanes import TaskLanes
 from wtg_gym.envs.settings import EnvSettings
 from wtg_gym.gradients import check_by_differences
 from wtg_gym.gradients.tape import Tape
-from wtg_gym.physics.further_units import FurtherUnits
-from wtg_gym.physics.plant import PlantSettings
+from wtg_gym.physics.devices import Devices
+from wtg_gym.physics.plant import Plant
 from wtg_gym.physics.runge_kutta import moving
 from wtg_gym.physics.scenario import LoadStep
 from wtg_gym.physics.units import LANE, UNITS, Connection, Phasor, Terminal, quotient
@@ -112,11 +112,11 @@ def observe(output: BatteryOutput) -> BatteryOutput:
     return output
 
 
-def batteries(*buses: int, energy_time_s: float = 600.0, has: tuple[str, ...] = ("wears",)) -> FurtherUnits:
+def batteries(*buses: int, energy_time_s: float = 600.0, has: tuple[str, ...] = ("wears",)) -> Devices:
     """Batteries of 20 MVA, with a reactance of 0.2 p.u."""
     n, rating = len(buses), 0.2  # on the system's 100 MVA
     battery = Battery(1.0 / rating, 1.0 / energy_time_s, efficiency=0.95, droop=0.02, beyond=4.0)
-    return FurtherUnits(
+    return Devices(
         kind=BATTERIES,
         buses=buses,
         impedances=(0.2j / rating,) * n,
@@ -141,7 +141,7 @@ STEP = scenario(LoadStep(time_s=1.0, bus=9, power_mw=60.0), duration_s=20.0)
 
 def settings(version: str = "v0", **more: Any) -> EnvSettings:
     own = EnvSettings(version=version, action_mode="k+tau", duration_s=20.0)
-    given = PlantSettings(further=(batteries(9, 14, **more),), control_dt=own.control_dt)
+    given = Plant(devices=(batteries(9, 14, **more),), control_dt=own.control_dt)
     return dataclasses.replace(own, plant=given)
 
 
@@ -213,9 +213,7 @@ def test_bad_units_are_refused(changes: dict[str, Any], reason: str) -> None:
 
 def test_a_kind_that_is_there_already_is_refused() -> None:
     with pytest.raises(ValueError, match="units of a kind 'batteries' already"):
-        TaskLanes(
-            dataclasses.replace(EnvSettings(version="v0"), plant=PlantSettings(further=(batteries(9), batteries(14))))
-        )
+        TaskLanes(dataclasses.replace(EnvSettings(version="v0"), plant=Plant(devices=(batteries(9), batteries(14)))))
 
 
 def test_a_condition_that_no_kind_has_is_refused() -> None:

@@ -14,7 +14,7 @@ import pytest
 
 import wtg_gym.physics
 import wtg_gym.tasks
-from tests.systems.test_systems import Arranged
+from tests.systems.test_systems import PlantMap
 from wtg_gym.physics import step
 from wtg_gym.physics.layout import Layout, place_in
 from wtg_gym.physics.machine_models import CONTROLS
@@ -173,10 +173,10 @@ def ran(one: System, layout: Layout, block: list[float]) -> tuple[list[float], l
 
 def test_full_names_say_which() -> None:
     block = [*(1.0, 2.0), 30.0, *(0.0,) * 3, 4.0, *(5.0, 6.0)]
-    _, scratch = ran(function(of_two, "own_level")(), Arranged({GUESTS: 1, HOSTS: 1}, {}), block)
+    _, scratch = ran(function(of_two, "own_level")(), PlantMap({GUESTS: 1, HOSTS: 1}, {}), block)
     assert scratch[-2:] == [26.0, 0.0]
     of_record = named("own_state_im", writes=("host_level",))()
-    assert ran(of_record, Arranged({GUESTS: 1, HOSTS: 1}, {}), block)[1][-2:] == [0.0, 2.0]
+    assert ran(of_record, PlantMap({GUESTS: 1, HOSTS: 1}, {}), block)[1][-2:] == [0.0, 2.0]
 
 
 def test_a_number_that_is_written_by_another_name_than_it_is_read_by_is_read_first() -> None:
@@ -186,7 +186,7 @@ def test_a_number_that_is_written_by_another_name_than_it_is_read_by_is_read_fir
     def clear(pair: Pair) -> tuple[float, float]:
         return 0.0, pair.re + pair.im
 
-    assert ran(clear, Arranged({pairs: 1}, {}), [5.0, 7.0, 0.0])[0] == [0.0, 7.0, 12.0]
+    assert ran(clear, PlantMap({pairs: 1}, {}), [5.0, 7.0, 0.0])[0] == [0.0, 7.0, 12.0]
 
 
 def shipped() -> Iterator[System]:

@@ -51,7 +51,7 @@ FORWARD, BOTH_WAYS = in_one_table(FORWARD=SYSTEMS, BOTH_WAYS=SYSTEMS)
 POINTS = [(0.3, 0.8), (1.7, 0.4), (0.9, -1.3), (-0.6, 2.5)]
 
 
-class Arranged(Layout):
+class PlantMap(Layout):
     """Units without constants, or with a table."""
 
     def constants(self, kind: Kind, name: str) -> Any:
@@ -64,7 +64,7 @@ class Arranged(Layout):
 
 @pytest.mark.parametrize("width", [1, 16])
 def test_every_unit_of_every_lane_has_what_the_function_says(width: int) -> None:
-    layout = Arranged({UNITS: N_UNITS}, {})
+    layout = PlantMap({UNITS: N_UNITS}, {})
     tables = build_table((FORWARD, BOTH_WAYS), layout)
     rng = np.random.default_rng(0)
     block, scratch = rng.uniform(-2.0, 3.0, (layout.n_rows, width)), np.zeros((layout.n_scratch, width))
@@ -79,7 +79,7 @@ def test_every_unit_of_every_lane_has_what_the_function_says(width: int) -> None
 
 @pytest.mark.parametrize("point", POINTS)
 def test_what_comes_back_are_the_slopes(point: tuple[float, float]) -> None:
-    layout, h = Arranged({UNITS: 1}, {}), 1e-6
+    layout, h = PlantMap({UNITS: 1}, {}), 1e-6
     tables = build_table((FORWARD, BOTH_WAYS), layout, (BOTH_WAYS,))
     tape, scratch = np.zeros((BOTH_WAYS.tape_rows(layout), 16)), np.zeros((layout.n_scratch, 16))
     Routine(BOTH_WAYS, TapedWriter)((np.repeat([point], 16, axis=0).T.copy(), scratch, tape), tables)
@@ -118,7 +118,7 @@ def coefficient_of(ratio: float, pitch_deg: float, cells: ex.Cells, grid: Grid) 
 @pytest.mark.parametrize(("ratio", "pitch_deg"), [(7.3, 0.2), (5.1, 11.7), (1.2, 3.0), (40.0, 4.4)])
 def test_a_table_is_looked_up_and_has_the_slopes_of_its_surface(ratio: float, pitch_deg: float) -> None:
     (program,) = in_one_table(TABLE=(coefficient_of,))
-    layout = Arranged({ROTORS: 1}, {})
+    layout = PlantMap({ROTORS: 1}, {})
     tables = build_table((program,), layout, (program,))
     block, scratch, tape = np.array([[ratio], [pitch_deg]]), np.zeros((1, 1)), np.zeros((program.tape_rows(layout), 1))
     Routine(program, TapedWriter)((block, scratch, tape), tables)
@@ -165,7 +165,7 @@ def test_programs_that_differ_in_one_thing_have_machine_code_of_their_own() -> N
 
 
 def test_arrays_of_another_width_and_tables_without_the_code_are_refused() -> None:
-    layout = Arranged({UNITS: 1}, {})
+    layout = PlantMap({UNITS: 1}, {})
     tables, routine = build_table((FORWARD, BOTH_WAYS), layout), Routine(FORWARD)
     with pytest.raises(ValueError, match="1 or 16 columns"):
         routine((np.zeros((2, 4)), np.zeros((layout.n_scratch, 4))), tables)

@@ -16,7 +16,7 @@ from wtg_gym.cli.scenario_text import describe_scenario, scenario_summary
 from wtg_gym.cli.simulate import ScenarioOptions
 from wtg_gym.files import read_json
 from wtg_gym.physics.parameters import TurbineParameters
-from wtg_gym.physics.plant import PlantSettings
+from wtg_gym.physics.plant import Plant
 from wtg_gym.physics.protection import Status
 from wtg_gym.physics.scenario import Scenario
 from wtg_gym.physics.tracking_law import STRATEGIES, STRATEGY_NAMES, TrackingLaw, get_law
@@ -122,7 +122,7 @@ def _read_scenario(path: Path, suite: Suite) -> Scenario:
     return scenario
 
 
-def _plant_summary(options: PlantOptions, suite: Suite, plant: PlantSettings) -> dict[str, Any]:
+def _plant_summary(options: PlantOptions, suite: Suite, plant: Plant) -> dict[str, Any]:
     return {
         "groups": [dataclasses.asdict(group) for group in plant.groups],
         "control_dt_s": plant.control_dt,

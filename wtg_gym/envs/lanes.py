@@ -94,7 +94,7 @@ class TaskLanes:
             plant,
             n_lanes=n_lanes,
             duration_s=self.duration_s,
-            further=settings.task.further(settings.choices),
+            task=settings.task.units(settings.choices),
             n_threads=n_threads,
         )
         self.n_lanes = self.simulator.n_lanes
@@ -375,7 +375,7 @@ class TaskLanes:
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__.update(state)
-        self.simulator.link(self.settings.task.further(self.settings.choices))
+        self.simulator.link(self.settings.task.units(self.settings.choices))
 
     def snapshot(self) -> LanesSnapshot:
         """Return a copy of everything that changes."""

@@ -10,7 +10,7 @@ from typing import Any, TypedDict
 
 from wtg_gym.physics.grid import DEFAULT_GRID, Grid, file_of
 from wtg_gym.physics.parameters import WtgGroup
-from wtg_gym.physics.plant import PlantSettings
+from wtg_gym.physics.plant import Plant
 from wtg_gym.physics.scenario import SERIES_DT, Scenario
 from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY, TrackingLaw, group_laws
 from wtg_gym.ranges import require_choice, require_known, require_range, whole_steps
@@ -41,7 +41,7 @@ class EnvArguments(TypedDict, total=False):
     suite: str | None
     grid: str | PathLike[str] | Grid | None
     groups: int | Sequence[Mapping[str, Any] | WtgGroup] | None
-    plant: PlantSettings | Mapping[str, Any] | None
+    plant: Plant | Mapping[str, Any] | None
     split: str
     scenario: Scenario | Mapping[str, Any] | None
     duration_s: float | None
@@ -65,7 +65,7 @@ class EnvSettings:
         groups: number of turbine groups at the bus of the first one, or a list of `{"bus": …, "n_turbines": …}`, with a
             `"turbine"` (TurbineParameters) if it is not the suite's; None: the suite's own groups.
         plant: what else to replace in the suite's plant, such as `{"physics": "nrel-5mw", "simulation_dt": 0.02}`, see
-            :meth:`~wtg_gym.physics.plant.PlantSettings.replaced`; or another plant for the suite's scenarios.
+            :meth:`~wtg_gym.physics.plant.Plant.replaced`; or another plant for the suite's scenarios.
         split: `"train"`, `"validation"` or `"test"`, or `"fresh"`, with seeds that are in none of them.
         scenario: one scenario for every episode, a `Scenario` or its `to_dict()`.
         duration_s: length of an episode [s]; None: the suite's own, 180 s in v1, 120 s in both `paper`, else 60 s.
@@ -89,7 +89,7 @@ class EnvSettings:
     suite: str | None = None
     grid: str | PathLike[str] | Grid | None = None
     groups: int | Sequence[Mapping[str, Any] | WtgGroup] | None = None
-    plant: PlantSettings | Mapping[str, Any] | None = None
+    plant: Plant | Mapping[str, Any] | None = None
     split: str = "train"
     scenario: Scenario | Mapping[str, Any] | None = None
     duration_s: float | None = None
@@ -139,13 +139,13 @@ class EnvSettings:
         return suite
 
     @cached_property
-    def resolved_plant(self) -> PlantSettings:
+    def resolved_plant(self) -> Plant:
         """The plant: the suite's with what `plant` replaces, or `plant` itself."""
         failure = self.on_failure or self.task.on_failure
         arguments: dict[str, Any] = {"control_dt": self.control_dt, "trips_groups": failure == "trip"}
         if self.groups is not None:
             arguments["groups"] = self.groups
-        if isinstance(self.plant, PlantSettings):
+        if isinstance(self.plant, Plant):
             return self.plant.replaced(**arguments)
         if not isinstance(self.plant, Mapping | None):
             raise ValueError(f"plant must be a Plant or a dictionary of what to replace, got {self.plant!r:.80}")

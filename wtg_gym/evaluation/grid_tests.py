@@ -18,7 +18,7 @@ import numpy.typing as npt
 from wtg_gym.envs.settings import EnvSettings
 from wtg_gym.physics.layout import Floats
 from wtg_gym.physics.network import Branch, Bus, NetworkCase, Source
-from wtg_gym.physics.plant import PlantSettings
+from wtg_gym.physics.plant import Plant
 from wtg_gym.physics.protection import Status
 from wtg_gym.physics.scenario import (
     Event,
@@ -94,14 +94,14 @@ class GridTest:
     name: str
     source: str  # keys of SOURCES
     criterion: str
-    plant: Callable[[], PlantSettings]
+    plant: Callable[[], Plant]
     wind_m_s: float = 9.2  # gives half the rating
     load_level: float = 1.0
     duration_s: float = 30.0
     events: tuple[Event, ...]
     judge: Callable[[Recording], Verdict]
 
-    def scenario(self, settings: PlantSettings) -> Scenario:
+    def scenario(self, settings: Plant) -> Scenario:
         """Return what happens."""
         return Scenario(
             name=self.name,
@@ -113,19 +113,19 @@ class GridTest:
         )
 
 
-def _grid(**changes: Any) -> PlantSettings:
+def _grid(**changes: Any) -> Plant:
     """Return the plant of version v1; `changes` are of its network."""
     settings = get_suite(DEFAULT_SUITE).plant
     return dataclasses.replace(settings, case=dataclasses.replace(settings.case, **changes))
 
 
-def _one_machine() -> PlantSettings:
+def _one_machine() -> Plant:
     """Return v1's grid with its generator only."""
     case = _grid().case
     return _grid(machines=tuple(machine for machine in case.machines if machine.bus == case.slack_bus))
 
 
-def _bench(ratio: float) -> PlantSettings:
+def _bench(ratio: float) -> Plant:
     """Return the bench at a short-circuit ratio."""
     settings = _grid()
     case, mva = settings.case, sum(g.n_turbines for g in settings.groups) * settings.turbine.rated_power_mw
@@ -144,16 +144,16 @@ def _bench(ratio: float) -> PlantSettings:
     return dataclasses.replace(settings, case=bench)
 
 
-def _without_relays(ratio: float) -> PlantSettings:
+def _without_relays(ratio: float) -> Plant:
     """Return the bench without relays of load shedding, which would see the source's frequency."""
     return dataclasses.replace(_bench(ratio), shedding=())
 
 
-def _ratio_3() -> PlantSettings:
+def _ratio_3() -> Plant:
     return _without_relays(3.0)
 
 
-def _ratio_10() -> PlantSettings:
+def _ratio_10() -> Plant:
     return _without_relays(10.0)
 
 

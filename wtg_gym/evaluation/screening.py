@@ -13,7 +13,7 @@ import numpy.typing as npt
 
 from wtg_gym.physics.grid import get_grid
 from wtg_gym.physics.linearisation import moving_matrix, swing_modes
-from wtg_gym.physics.plant import PlantSettings
+from wtg_gym.physics.plant import Plant
 from wtg_gym.physics.protection import Status
 from wtg_gym.physics.scenario import (
     Event,
@@ -38,7 +38,7 @@ LAWS = ("coordinated-tuned", "coordinated-free", "coordinated-piecewise", "deloa
 _AT_ONCE = 64
 
 
-def survived(plant: PlantSettings, scenarios: Sequence[Scenario], laws: Sequence[str] = LAWS) -> Flags:
+def survived(plant: Plant, scenarios: Sequence[Scenario], laws: Sequence[str] = LAWS) -> Flags:
     """Return which scenarios every law survives, (n_laws, n_scenarios); one that cannot start is not survived."""
     found = np.zeros((len(laws), len(scenarios)), dtype=np.bool_)
     duration_s = max(scenario.duration_s for scenario in scenarios)

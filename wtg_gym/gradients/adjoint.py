@@ -32,7 +32,7 @@ from wtg_gym.physics.kernel_data import LaneData, Network
 from wtg_gym.physics.layout import Floats, Layout, Whole
 from wtg_gym.physics.units import PAIRS, UNITS
 from wtg_gym.systems.compiled import compiled, internal
-from wtg_gym.systems.programs import NONE, Arrangement, Program, in_one_table, unconditional
+from wtg_gym.systems.programs import NONE, MemoryMap, Program, in_one_table, unconditional
 from wtg_gym.systems.routines import Routine
 from wtg_gym.systems.systems import Kind, count
 from wtg_gym.systems.writers import BackWithoutConstants, BackWriter, NotingWriter, TapedWriter, Writer
@@ -118,7 +118,7 @@ class Rules(NamedTuple):
     gates: Whole
 
 
-def rules_of(layout: Layout, plant: Arrangement, taped: Sequence[Program]) -> Rules:
+def rules_of(layout: Layout, plant: MemoryMap, taped: Sequence[Program]) -> Rules:
     """Return what the rules read, for a plant and its programs that are taped."""
 
     def rows(kind: Kind, *parts: str) -> Whole:

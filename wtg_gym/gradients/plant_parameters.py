@@ -10,7 +10,7 @@ import numpy as np
 
 from wtg_gym.physics.layout import Floats
 from wtg_gym.physics.machine_parameters import ExciterParameters, GovernorParameters
-from wtg_gym.physics.plant import PlantSettings, build_plant
+from wtg_gym.physics.plant import Plant, plant_tables
 
 #: Fields of the parameter classes that act on a run, and neither on the equilibrium it starts from nor on a law.
 _OF_MACHINES = {
@@ -49,7 +49,7 @@ class Leaf(NamedTuple):
     name: str
 
 
-def known_parameters(plant: PlantSettings) -> dict[str, float]:
+def known_parameters(plant: Plant) -> dict[str, float]:
     """Return every parameter that gradients are known for, by name, with its value in a plant.
 
     A machine's is named by its bus ("machines.1.governor.droop_pu"), and is that of all machines there; the others are
@@ -79,7 +79,7 @@ def known_parameters(plant: PlantSettings) -> dict[str, float]:
     return found
 
 
-def with_parameters(plant: PlantSettings, values: Mapping[str, float]) -> PlantSettings:
+def with_parameters(plant: Plant, values: Mapping[str, float]) -> Plant:
     """Return a plant with other values of some parameters.
 
     Raises:
@@ -105,7 +105,7 @@ def _replaced(owner: Any, path: list[str], value: float) -> Any:
     return dataclasses.replace(owner, **{first: _replaced(getattr(owner, first), rest, value) if rest else value})
 
 
-def require_known_parameters(plant: PlantSettings, names: Iterable[str]) -> None:
+def require_known_parameters(plant: Plant, names: Iterable[str]) -> None:
     """Raise a ValueError for a name that is none of :func:`known_parameters`; it lists these."""
     known = known_parameters(plant)
     if unknown := sorted(set(names) - set(known)):
@@ -123,7 +123,7 @@ class Moved(NamedTuple):
     slopes: Floats  # derivatives with respect to the parameters (n_leaves, n_parameters)
 
 
-def moved_by(plant: PlantSettings, names: Sequence[str]) -> Moved:
+def moved_by(plant: Plant, names: Sequence[str]) -> Moved:
     """Return the constants that parameters move; which these are does not depend on the parameters' values."""
     values, slopes = _leaves_of(plant), [_slopes_of(plant, name) for name in names]
     leaves = tuple(sorted({leaf for each in slopes for leaf in each}))
@@ -131,9 +131,9 @@ def moved_by(plant: PlantSettings, names: Sequence[str]) -> Moved:
     return Moved(leaves, np.array([values[leaf] for leaf in leaves]), by_leaf.reshape(len(leaves), len(slopes)))
 
 
-def _leaves_of(plant: PlantSettings) -> dict[Leaf, float]:
+def _leaves_of(plant: Plant) -> dict[Leaf, float]:
     """Return the numbers of a plant's machines and of its turbine."""
-    built = build_plant(plant)
+    built = plant_tables(plant)
     found = {
         Leaf("machines", i, leaf): float(machine[leaf])
         for i, machine in enumerate(built.machines)
@@ -143,7 +143,7 @@ def _leaves_of(plant: PlantSettings) -> dict[Leaf, float]:
     return found | {Leaf("turbine", 0, leaf): float(turbine[leaf]) for leaf in turbine.dtype.names}
 
 
-def _slopes_of(plant: PlantSettings, name: str) -> dict[Leaf, float]:
+def _slopes_of(plant: Plant, name: str) -> dict[Leaf, float]:
     """Return the derivatives of those constants that a parameter moves."""
     value = known_parameters(plant)[name]
     step = _STEP * (abs(value) or 1.0)

@@ -25,7 +25,7 @@ from wtg_gym.gradients.plant_parameters import (
 )
 from wtg_gym.physics import integration
 from wtg_gym.physics.layout import Whole
-from wtg_gym.physics.plant import Arranged, Plant, arranged, build_plant, programs_of
+from wtg_gym.physics.plant import PlantMap, PlantTables, plant_tables, programs_of, with_places
 from wtg_gym.physics.scenario import Scenario
 from wtg_gym.signals import undivided
 from wtg_gym.systems.programs import Program, constant_places
@@ -117,7 +117,7 @@ class Tape:
     ) -> None:
         parameters = (parameters,) if isinstance(parameters, str) else tuple(parameters)
         plant = settings.resolved_plant
-        built = build_plant(plant)
+        built = plant_tables(plant)
         if built.controls or built.saturates:
             models = [*built.controls, *["saturation of machines"] * built.saturates]
             raise ValueError(f"gradients do not know these models of machines: {', '.join(models)}")
@@ -139,14 +139,14 @@ class Tape:
         """Take lanes whose steps are to be differentiated."""
         self.lanes = lanes
         simulator, settings, layout = lanes.simulator, lanes.settings, lanes.simulator.layout
-        task, built = settings.task, build_plant(simulator.settings)
-        further = task.further(settings.choices)
+        task, built = settings.task, plant_tables(simulator.settings)
+        units = task.units(settings.choices)
         programs = self._programs(built)
         taped = programs[-len(taped_programs(task)) :][:N_TAPED]
         #: The plant, with the table of the programs that go back.
-        self._plant = arranged(built, layout, programs, further, taped)
+        self._plant = with_places(built, layout, programs, units, taped)
         self._link(programs)
-        arrangement = Arranged(built, layout, further)
+        arrangement = PlantMap(built, layout, units)
         self._rules = rules_of(layout, arrangement, taped)
         self._works: dict[int, Work] = {}
         moved = moved_by(simulator.settings, self.parameters)
@@ -170,7 +170,7 @@ class Tape:
         self._term_rows, self._output_rows = terms, np.array(outputs, dtype=np.int64)
         self._scratch_outputs = Outputs._make(np.zeros_like(array) for array in lanes.outputs)
 
-    def _programs(self, plant: Plant) -> tuple[Program, ...]:
+    def _programs(self, plant: PlantTables) -> tuple[Program, ...]:
         """Return the programs of the physics, of the task and of the tape."""
         task = self.lanes.settings.task
         return programs_of(plant, *integration.PROGRAMS, *task.programs, *taped_programs(task))

@@ -9,7 +9,7 @@ import numpy as np
 
 from wtg_gym.physics.grid import Grid
 from wtg_gym.physics.linearisation import moving_matrix, swing_modes
-from wtg_gym.physics.plant import PlantSettings
+from wtg_gym.physics.plant import Plant
 from wtg_gym.physics.scenario import Scenario
 from wtg_gym.physics.simulator import Simulator, longest_step
 from wtg_gym.physics.tracking_law import group_laws
@@ -41,7 +41,7 @@ def describe_equilibrium(grid: Grid) -> Iterator[Line]:
     """Yield what a grid is at its loads and a steady wind, without its groups where it has none."""
     case = grid.with_groups if grid.groups else grid.case
     shares = sum(machine.governor is not None for machine in case.machines) > 1 and bool(grid.groups)
-    plant = PlantSettings().replaced(physics="extended", case=case, groups=grid.groups, shares_dispatch=shares)
+    plant = Plant().replaced(physics="extended", case=case, groups=grid.groups, shares_dispatch=shares)
     step = longest_step(plant)
     plant = dataclasses.replace(plant, simulation_dt=step)
     yield "step", f"{1000.0 * step:g} ms"

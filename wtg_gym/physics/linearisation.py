@@ -14,7 +14,7 @@ import numpy.typing as npt
 from wtg_gym.physics.converter import Corners
 from wtg_gym.physics.integration import PROGRAMS, evaluate_blocks
 from wtg_gym.physics.layout import Floats, Layout
-from wtg_gym.physics.plant import Plant, arranged, programs_of
+from wtg_gym.physics.plant import PlantTables, programs_of, with_places
 
 #: Step of the finite differences [p.u., rad]; truncation and rounding are both near 1e-9 of a rate.
 _DIFFERENCE = 2e-6
@@ -29,7 +29,7 @@ class StepError(ValueError):
     """A plant's modes are too fast for the step of the integration."""
 
 
-def state_matrix(rows: Floats, plant: Plant, layout: Layout, side: npt.ArrayLike) -> Floats:
+def state_matrix(rows: Floats, plant: PlantTables, layout: Layout, side: npt.ArrayLike) -> Floats:
     """Return A of ẋ = A x around the state that one lane's rows hold, shape (n, n) [1/s, with p.u. and rad].
 
     Central differences of the simulator's right-hand side; one-sided ones of the same order for the frequencies of the
@@ -78,7 +78,7 @@ def moving_states(matrix: Floats, rows: Floats, layout: Layout) -> npt.NDArray[n
 
 
 def moving_matrix(
-    rows: Floats, plant: Plant, layout: Layout, side: npt.ArrayLike
+    rows: Floats, plant: PlantTables, layout: Layout, side: npt.ArrayLike
 ) -> tuple[Floats, npt.NDArray[np.bool_]]:
     """Return the part of :func:`state_matrix` that takes part in the dynamics, and which states that are (n,)."""
     matrix = state_matrix(rows, plant, layout, side)
@@ -112,7 +112,7 @@ def largest_stable_steps(eigenvalues: npt.ArrayLike) -> Floats:
     return low
 
 
-def check_step(rows: Floats, plant: Plant, layout: Layout) -> None:
+def check_step(rows: Floats, plant: PlantTables, layout: Layout) -> None:
     """Refuse a plant whose modes are too fast for its integration step at the state of one lane's rows (n_rows,).
 
     Of the two slopes of each law's g(ω), the steeper is checked, that with which power rises more as the frequency
@@ -132,17 +132,17 @@ def check_step(rows: Floats, plant: Plant, layout: Layout) -> None:
         _check_modes(*_beyond_limits(rows, plant, layout), layout, side)
 
 
-def _beyond_limits(rows: Floats, plant: Plant, layout: Layout) -> tuple[Floats, Plant]:
+def _beyond_limits(rows: Floats, plant: PlantTables, layout: Layout) -> tuple[Floats, PlantTables]:
     """Return rows and plant with limits so narrow that the power limiters and the takeovers of reactive power act."""
     extension = plant.extension.copy()
     extension["limits.power_max"], extension["voltage.reactive_max"] = 0.0, -10.0
     beyond = rows.copy()
     beyond[layout.wtg("over_power")] = -0.01
     # Programs of a caller, which stand behind those of the physics in the table, are not run here.
-    return beyond, arranged(plant._replace(extension=extension), layout, programs_of(plant, *PROGRAMS))
+    return beyond, with_places(plant._replace(extension=extension), layout, programs_of(plant, *PROGRAMS))
 
 
-def _check_modes(rows: Floats, plant: Plant, layout: Layout, side: Floats) -> None:
+def _check_modes(rows: Floats, plant: PlantTables, layout: Layout, side: Floats) -> None:
     matrix, keep = moving_matrix(rows, plant, layout, side)
     steps = largest_stable_steps(np.linalg.eigvals(matrix))
     if steps.min(initial=np.inf) >= STEP_MARGIN * plant.simulation_dt:

@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping
 
 from wtg_gym.physics.kernel_data import NetworkEvent
-from wtg_gym.physics.plant import ISLANDS_AT_MOST, Plant, PlantSettings
+from wtg_gym.physics.plant import ISLANDS_AT_MOST, Plant, PlantTables
 from wtg_gym.physics.scenario import (
     Event,
     Fault,
@@ -25,7 +25,7 @@ from wtg_gym.physics.start_errors import unit_name
 from wtg_gym.ranges import whole_steps
 
 
-def network_events(scenario: Scenario, settings: PlantSettings, plant: Plant) -> list[NetworkEvent]:
+def network_events(scenario: Scenario, settings: Plant, plant: PlantTables) -> list[NetworkEvent]:
     """Return what a scenario's events change, one by one.
 
     Raises:
@@ -55,7 +55,7 @@ def network_events(scenario: Scenario, settings: PlantSettings, plant: Plant) ->
     return found
 
 
-def _check_lines(name: str, trips: list[NetworkEvent], settings: PlantSettings) -> None:
+def _check_lines(name: str, trips: list[NetworkEvent], settings: Plant) -> None:
     """Refuse a line that opens while it is open, and lines whose opening leaves islands that the plant cannot have."""
     case = settings.case
     most = ISLANDS_AT_MOST if settings.extended else 1
@@ -77,7 +77,7 @@ def _check_lines(name: str, trips: list[NetworkEvent], settings: PlantSettings) 
             raise ValueError(f"{name}: its line trips leave {live} islands with a unit; allowed: at most {most}")
 
 
-def _changes(event: Event, load_level: float, settings: PlantSettings, plant: Plant) -> list[NetworkEvent]:
+def _changes(event: Event, load_level: float, settings: Plant, plant: PlantTables) -> list[NetworkEvent]:
     """Return what an event changes, with its times in steps and its load as power [p.u.]."""
     case, dt = settings.case, settings.simulation_dt
     n_sync, n_wtg = len(case.machines), len(settings.groups)

@@ -15,8 +15,8 @@ import numpy.typing as npt
 
 from wtg_gym.physics.aerodynamics import surface_of
 from wtg_gym.physics.checked import Checked, design
+from wtg_gym.physics.devices import Devices, joining
 from wtg_gym.physics.extension_unit import COLUMNS, EXTENSIONS
-from wtg_gym.physics.further_units import FurtherUnits, joining
 from wtg_gym.physics.governor import gate_limits
 from wtg_gym.physics.grid import get_grid
 from wtg_gym.physics.hydro_unit import HYGOV
@@ -72,7 +72,7 @@ SIMULATION_DT_RANGE = (5e-5, 0.05)
 
 
 @dataclass(frozen=True, kw_only=True)
-class PlantSettings(Checked):
+class Plant(Checked):
     """A network, its WTG groups and the time steps.
 
     Args:
@@ -89,7 +89,7 @@ class PlantSettings(Checked):
         control_dt: control interval [s], a whole number of simulation steps.
         simulation_dt: step of the integration, 0.05 … 40 ms [s]; a simulator refuses one that is too long for the
             plant's fastest mode.
-        further: units of kinds of one's own. Those that see the task need :class:`~wtg_gym.envs.lanes.TaskLanes`; no
+        devices: user-defined devices. Those that see the task need :class:`~wtg_gym.envs.lanes.TaskLanes`; no
             argument of `gym.make` takes them.
         trips_groups: the failure of a rotor (:class:`~wtg_gym.physics.protection.Status`) disconnects its group instead
             of ending the run.
@@ -115,7 +115,7 @@ class PlantSettings(Checked):
     load_frequency_dependence: float = design(
         0.0, "p.u./p.u.", "change of every load's conductance with the frequency of its island", 0.0, 10.0
     )
-    further: tuple[FurtherUnits, ...] = ()
+    devices: tuple[Devices, ...] = ()
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -156,7 +156,7 @@ class PlantSettings(Checked):
         machine_model: str = "genrou",
         groups: int | Sequence[WtgGroup | Mapping[str, Any]] | None = None,
         **fields: Any,
-    ) -> PlantSettings:
+    ) -> Plant:
         """Return the plant with parts of it replaced, by name or as plain data.
 
         Args:
@@ -188,9 +188,9 @@ class PlantSettings(Checked):
         return dataclasses.replace(self, **{**changes, **fields})
 
     @property
-    def all_further(self) -> tuple[FurtherUnits, ...]:
-        """All units that are neither machines nor WTG groups: imposed sources of the network, then `further`."""
-        return (*source_units(self.case.sources), *self.further)
+    def all_devices(self) -> tuple[Devices, ...]:
+        """All units that are neither machines nor WTG groups: imposed sources of the network, then `devices`."""
+        return (*source_units(self.case.sources), *self.devices)
 
     @property
     def turbines(self) -> tuple[TurbineParameters, ...]:
@@ -239,7 +239,7 @@ def _extended(case: NetworkCase, turbine: TurbineParameters) -> dict[str, Any]:
     }
 
 
-def short_circuit_ratios(settings: PlantSettings, committed: float = 1.0) -> npt.NDArray[np.float64]:
+def short_circuit_ratios(settings: Plant, committed: float = 1.0) -> npt.NDArray[np.float64]:
     """Return the short-circuit ratio at each group's bus (n_group,): what the machines feed a fault, over its rating.
 
     Machines stand behind x''; loads and shunts do not count; groups at one bus share its short-circuit power.
@@ -263,7 +263,7 @@ def short_circuit_ratios(settings: PlantSettings, committed: float = 1.0) -> npt
     return ratios
 
 
-class Plant(NamedTuple):
+class PlantTables(NamedTuple):
     """Constants of a plant."""
 
     network: Network  # what compiled functions read
@@ -280,7 +280,7 @@ class Plant(NamedTuple):
     shedding: npt.NDArray[np.void]  # (n_stages,), of SheddingConstants
     buses: npt.NDArray[np.void]  # (n_bus,), of Bus
     of_lane: Mapping[str, Any]  # constants of every lane
-    further: tuple[FurtherUnits, ...]
+    devices: tuple[Devices, ...]
 
     @property
     def saturates(self) -> bool:
@@ -302,12 +302,12 @@ class Plant(NamedTuple):
         """Step of the integration [s]."""
         return self.network.facts.simulation_dt
 
-    def with_tables(self, tables: Tables) -> Plant:
+    def with_tables(self, tables: Tables) -> PlantTables:
         """Return the plant with other tables."""
         return self._replace(network=self.network._replace(tables=tables))
 
 
-def build_plant(settings: PlantSettings) -> Plant:
+def plant_tables(settings: Plant) -> PlantTables:
     """Return the constants of a plant; :func:`arranged` adds where its rows lie."""
     case, base = settings.case, settings.case.base_mva
     machines = [machine_constants(m, base) for m in case.machines]
@@ -315,9 +315,9 @@ def build_plant(settings: PlantSettings) -> Plant:
     turbines = [turbine_constants(t, settings.pitch, settings.control, settings.protection) for t in of_groups]
     turbine, pairs = turbines[0], zip(settings.groups, settings.turbines, strict=True)
     share = [group.n_turbines * own.rated_power_mw / base for group, own in pairs]
-    joined = settings.all_further
-    further = [bus for own in joined for bus in own.buses]
-    buses_of_units = (*(m.bus for m in case.machines), *(g.bus for g in settings.groups), *further)
+    joined = settings.all_devices
+    device_buses = [bus for own in joined for bus in own.buses]
+    buses_of_units = (*(m.bus for m in case.machines), *(g.bus for g in settings.groups), *device_buses)
     unit_bus = [case.bus_index(bus) for bus in buses_of_units]
     impedances = [complex(m.resistance, m.internal_reactance) for m in machines]
     impedances += [1j * turbine.converter.reactance / s for s in share]
@@ -372,7 +372,7 @@ def build_plant(settings: PlantSettings) -> Plant:
         shed_shares=np.array([stage.share for stage in stages], dtype=np.float64),
         tables=Tables(np.zeros(0, dtype=np.int64), np.zeros(0), np.zeros(0, dtype=np.int64)),
     )
-    return Plant(
+    return PlantTables(
         network=network,
         bus_y=bus_y,
         machines=structured(Machine, machines),
@@ -397,11 +397,11 @@ def build_plant(settings: PlantSettings) -> Plant:
             "voltage_gain": extension.voltage.gain,
             "secondary_gain": settings.simulation_dt / settings.secondary_time_s if settings.secondary_time_s else 0.0,
         },
-        further=joined,
+        devices=joined,
     )
 
 
-class Further(NamedTuple):
+class TaskUnits(NamedTuple):
     """What a caller adds to the physics: kinds of unit of its own, and programs over them."""
 
     n_units: Mapping[Kind, int]
@@ -413,8 +413,8 @@ class Further(NamedTuple):
     has: Collection[str] = ()  # conditions of its kinds that hold
 
 
-def layout_of(plant: Plant, further: Further | None = None) -> Layout:
-    """Return where the numbers of a plant's lanes lie, with those of further kinds of unit behind them."""
+def layout_of(plant: PlantTables, task: TaskUnits | None = None) -> Layout:
+    """Return where the numbers of a plant's lanes lie, with those of devices and of a task behind them."""
     n_sync, n_wtg = plant.machines.size, plant.share.size
     n_unit, n_extended = plant.network.unit_bus.size, n_wtg if plant.extension.size else 0
     groups = n_sync + np.arange(n_wtg)
@@ -469,8 +469,8 @@ def layout_of(plant: Plant, further: Further | None = None) -> Layout:
         kind, of_machine = CONTROLS[name].kind, constants["machine"]
         n_units[kind] = constants.size
         links |= {(kind, "machine"): of_machine, (kind, "unit"): of_machine}
-    first, added = n_sync + n_wtg, further or Further({})
-    for own in plant.further:
+    first, added = n_sync + n_wtg, task or TaskUnits({})
+    for own in plant.devices:
         if own.kind in n_units or own.kind in added.n_units:
             raise ValueError(f"there are units of a kind {own.kind.name!r} already")
         n_units[own.kind] = len(own.buses)
@@ -485,23 +485,23 @@ def layout_of(plant: Plant, further: Further | None = None) -> Layout:
     return Layout({**n_units, **added.n_units}, {**links, **added.links})
 
 
-def programs_of(plant: Plant, *programs: Program) -> tuple[Program, ...]:
-    """Return programs with the systems of a plant's further units, and of controls that only some machines have."""
-    return _joined(plant.further, tuple(plant.own_controls), programs)
+def programs_of(plant: PlantTables, *programs: Program) -> tuple[Program, ...]:
+    """Return programs with the systems of a plant's devices, and of controls that only some machines have."""
+    return _joined(plant.devices, tuple(plant.own_controls), programs)
 
 
 @functools.lru_cache(maxsize=64)
 def _joined(
-    further: tuple[FurtherUnits, ...], controls: tuple[str, ...], programs: tuple[Program, ...]
+    devices: tuple[Devices, ...], controls: tuple[str, ...], programs: tuple[Program, ...]
 ) -> tuple[Program, ...]:
-    found = joining(further) | joining_controls(controls)
+    found = joining(devices) | joining_controls(controls)
     return tuple(program.joined(found) for program in programs)
 
 
-class Arranged:
+class PlantMap:
     """A plant with its layout, as the table of programs asks for it."""
 
-    def __init__(self, plant: Plant, layout: Layout, further: Further) -> None:
+    def __init__(self, plant: PlantTables, layout: Layout, task: TaskUnits) -> None:
         self.n_units, self.first_rows, self.seen = layout.n_units, layout.first_rows, layout.seen
         n_wtg, network = plant.share.size, plant.network
         has = {
@@ -514,7 +514,7 @@ class Arranged:
             "saturates": plant.saturates,
             "secondary control": plant.of_lane["secondary_gain"] > 0.0,
         }
-        added = [*further.has, *(condition for own in plant.further for condition in own.has)]
+        added = [*task.has, *(condition for own in plant.devices for condition in own.has)]
         require_known("conditions", added, [condition for kind in layout.counts for condition in kind.conditions])
         self._has = {*(condition for condition, holds in has.items() if holds), *added}
         ratings, weights = plant.machines["rating"].tolist(), plant.machines["reactive_weight"].tolist()
@@ -522,7 +522,7 @@ class Arranged:
         sizes += [(0.0, 0.0, weight) for weight in plant.share.tolist()]
         sizes += [
             (weight, weight, 0.0) if own.balances else (0.0, 0.0, weight)
-            for own in plant.further
+            for own in plant.devices
             for weight in own.reactive_weights
         ]
         shares = [*plant.participation.tolist(), *[0.0] * (len(sizes) - plant.machines.size)]
@@ -547,8 +547,8 @@ class Arranged:
             (ISLANDS, "number"): np.arange(float(layout.n_units(ISLANDS))),
             **{(LANE, name): [value] for name, value in plant.of_lane.items()},
             **{(CONTROLS[name].kind, "model"): values for name, values in plant.own_controls.items()},
-            **{(own.kind, name): values for own in plant.further for name, values in own.constants.items()},
-            **further.constants,
+            **{(own.kind, name): values for own in plant.devices for name, values in own.constants.items()},
+            **task.constants,
         }
 
     def constants(self, kind: Kind, name: str) -> Any:
@@ -558,13 +558,13 @@ class Arranged:
         return what in self._has
 
 
-def arranged(
-    plant: Plant,
+def with_places(
+    plant: PlantTables,
     layout: Layout,
     programs: Sequence[Program],
-    further: Further | None = None,
+    task: TaskUnits | None = None,
     taped: Sequence[Program] = (),
-) -> Plant:
+) -> PlantTables:
     """Return a plant that knows where its rows lie, for programs that are to run; those `taped` have a way back."""
     kinds = dict(lane=LANE, machines=MACHINES, groups=GROUPS, units=UNITS, pairs=PAIRS, stages=STAGES, buses=BUSES)
     kinds |= dict(islands=ISLANDS, transfers=TRANSFERS, sources=SOURCES)
@@ -572,13 +572,13 @@ def arranged(
     first["n_islands"] = layout.n_units(ISLANDS)
     first["starts"] = int(layout.first_scratch[LANE])
     connected = [layout.machine("connected"), layout.wtg("connected")]
-    connected += [layout.rows_of(own.kind, "connected") for own in plant.further]
+    connected += [layout.rows_of(own.kind, "connected") for own in plant.devices]
     angles = [layout.machine("angle"), layout.wtg("angle")]
-    for own in plant.further:
+    for own in plant.devices:
         turns = place_in(own.kind, "angle") is not None
         angles.append(layout.rows_of(own.kind, "angle") if turns else np.full(len(own.buses), -1))
     facts = plant.network.facts._replace(**first)  # type: ignore[arg-type]
-    tables = build_table(programs, Arranged(plant, layout, further or Further({})), taped)
+    tables = build_table(programs, PlantMap(plant, layout, task or TaskUnits({})), taped)
     tables = tables._replace(code=plant.network.tables.code)
     return plant._replace(
         network=plant.network._replace(

@@ -18,7 +18,7 @@ from wtg_gym.physics.kernel_data import NO_EVENT, LaneData
 from wtg_gym.physics.layout import Floats
 from wtg_gym.physics.linearisation import StepError, check_step
 from wtg_gym.physics.network_events import network_events
-from wtg_gym.physics.plant import Further, PlantSettings, arranged, build_plant, layout_of, programs_of
+from wtg_gym.physics.plant import Plant, TaskUnits, layout_of, plant_tables, programs_of, with_places
 from wtg_gym.physics.reduction import assemble
 from wtg_gym.physics.scenario import LONGEST_RUN_S, SERIES_DT, Scenario
 from wtg_gym.physics.start_errors import (
@@ -44,7 +44,7 @@ def _copy(data: LaneData) -> LaneData:
 
 
 @functools.lru_cache(maxsize=64)
-def _checked_inertias(settings: PlantSettings) -> dict[tuple[TrackingLaw, ...], float]:
+def _checked_inertias(settings: Plant) -> dict[tuple[TrackingLaw, ...], float]:
     """Return, for the laws of a plant, the smallest inertia scale at which its integration step was checked."""
     return {}
 
@@ -87,7 +87,7 @@ class Simulator:
         settings: the plant and its time steps.
         n_lanes: number of runs side by side.
         duration_s: longest run it must hold [s].
-        further: the caller's own kinds of unit and programs.
+        task: kinds of unit and programs of a task.
         n_threads: threads that advance blocks; None for one per processor. Results do not depend on it.
 
     Raises:
@@ -97,31 +97,31 @@ class Simulator:
 
     def __init__(
         self,
-        settings: PlantSettings,
+        settings: Plant,
         *,
         n_lanes: int = 1,
         duration_s: float = 60.0,
-        further: Further | None = None,
+        task: TaskUnits | None = None,
         n_threads: int | None = None,
     ) -> None:
         self.n_lanes = require_whole("the number of lanes", n_lanes, 1, 1_000_000)
         if n_threads is not None:
             n_threads = require_whole("the number of threads", n_threads, 1)
         self.settings = settings
-        plant, further = build_plant(settings), further or Further({})
+        plant, task = plant_tables(settings), task or TaskUnits({})
         duration_s = require_range("duration_s", duration_s, 0.0, LONGEST_RUN_S, "s")
         self.n_intervals = whole_steps("duration_s", duration_s, settings.control_dt, "control step")
         self._shifts_phases = any(branch.phase_rad != 0.0 for branch in settings.case.branches)
         # Sample of the load noise in each control interval.
         samples = np.arange(self.n_intervals) * settings.control_dt / SERIES_DT + 1e-9
         self._noise_samples = samples.astype(np.int64)
-        self.layout = layout_of(plant, further)
+        self.layout = layout_of(plant, task)
         self._law_rows = np.stack([self.layout.wtg(name) for name in _OF_LAW])
         self._committed_rows = np.stack([self.layout.rows_of(UNITS, name) for name in ("committed", "inv_committed")])
         self._wind_rows = np.stack([self.layout.wtg(name) for name in ("wind_start", "wind_end")])
-        self.plant = arranged(plant, self.layout, programs_of(plant, *PROGRAMS, *further.programs), further)
+        self.plant = with_places(plant, self.layout, programs_of(plant, *PROGRAMS, *task.programs), task)
         self.width = 1 if n_lanes == 1 else WIDE
-        self.link(further)
+        self.link(task)
         n_blocks = -(-self.n_lanes // self.width)
         #: Rows of all lanes (n_blocks, n_rows, width).
         self.blocks = _aligned_zeros(n_blocks, self.layout.n_rows, self.width)
@@ -148,14 +148,14 @@ class Simulator:
             found[SPARSE_FLOW] = (self.plant.bus_y, 0, some, FLOW_COLUMNS, network.pattern)
         return found
 
-    def link(self, further: Further) -> None:
+    def link(self, task: TaskUnits) -> None:
         """Let the plant know where the machine code is in this process; a copy in another one needs it.
 
-        `further` is what the simulator was made with.
+        `task` is what the simulator was made with.
         """
-        routines: dict[int, tuple[Routine, ...]] = {1: (*STARTING, *further.starting)}
-        routines[self.width] = (*STEPPING, *further.stepping, *routines.get(self.width, ()))
-        programs = programs_of(self.plant, *PROGRAMS, *further.programs)
+        routines: dict[int, tuple[Routine, ...]] = {1: (*STARTING, *task.starting)}
+        routines[self.width] = (*STEPPING, *task.stepping, *routines.get(self.width, ()))
+        programs = programs_of(self.plant, *PROGRAMS, *task.programs)
         code = code_of(programs, routines, self.functions())
         self.plant = self.plant.with_tables(self.plant.network.tables._replace(code=code))
 
@@ -452,14 +452,14 @@ class Simulator:
         self.blocks[:] = state["blocks"]
         self.scratches = self.new_scratches(self.threads.n_workers, self.width)
         # Perhaps in another process.
-        self.link(Further({}))
+        self.link(TaskUnits({}))
 
 
 #: Steps of the integration that are tried, the longest first [s].
 STEPS_S = (0.025, 0.0125, 0.01, 0.005, 0.0025, 0.001)
 
 
-def longest_step(plant: PlantSettings) -> float:
+def longest_step(plant: Plant) -> float:
     """Return the longest of :data:`STEPS_S` that suits a plant's fastest mode; a StepError where none does."""
     refusal: StepError | None = None
     for step in STEPS_S:

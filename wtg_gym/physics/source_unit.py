@@ -12,7 +12,7 @@ import functools
 import math
 from typing import NamedTuple
 
-from wtg_gym.physics.further_units import FurtherUnits
+from wtg_gym.physics.devices import Devices
 from wtg_gym.physics.network import Source
 from wtg_gym.physics.runge_kutta import moving
 from wtg_gym.physics.units import LANE, UNITS, Connection, Joining, Phasor, Sample, Terminal, quotient
@@ -80,12 +80,12 @@ stage_of_source = moving(rates_of_source)
 
 
 @functools.lru_cache(maxsize=64)
-def source_units(sources: tuple[Source, ...]) -> tuple[FurtherUnits, ...]:
-    """Return the imposed sources of a network as further units."""
+def source_units(sources: tuple[Source, ...]) -> tuple[Devices, ...]:
+    """Return the imposed sources of a network as devices."""
     if not sources:
         return ()
     return (
-        FurtherUnits(
+        Devices(
             kind=SOURCES,
             buses=tuple(source.bus for source in sources),
             impedances=tuple(complex(source.resistance, source.reactance) for source in sources),

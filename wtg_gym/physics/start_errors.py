@@ -11,7 +11,7 @@ from wtg_gym.physics.layout import Floats, Layout
 from wtg_gym.physics.machine_models import controls_of
 from wtg_gym.physics.machine_parameters import ExciterParameters
 from wtg_gym.physics.parameters import ConverterLimitParameters, VoltageControlParameters
-from wtg_gym.physics.plant import PlantSettings
+from wtg_gym.physics.plant import Plant
 from wtg_gym.physics.scenario import Scenario
 from wtg_gym.physics.units import StartFailure
 
@@ -28,26 +28,24 @@ def scenario_name(scenario: Scenario) -> str:
     return scenario.name if scenario.name.startswith(NOMINAL) else f"scenario {scenario.name!r}"
 
 
-def bus_of_unit(settings: PlantSettings, unit: int) -> int:
-    """Return the bus number of a unit: machines, groups, further units."""
-    further = [bus for own in settings.all_further for bus in own.buses]
-    return [*(m.bus for m in settings.case.machines), *(group.bus for group in settings.groups), *further][unit]
+def bus_of_unit(settings: Plant, unit: int) -> int:
+    """Return the bus number of a unit: machines, groups, devices."""
+    devices = [bus for own in settings.all_devices for bus in own.buses]
+    return [*(m.bus for m in settings.case.machines), *(group.bus for group in settings.groups), *devices][unit]
 
 
-def unit_name(settings: PlantSettings, unit: int) -> str:
+def unit_name(settings: Plant, unit: int) -> str:
     """Return what an error calls a unit."""
     group = unit - len(settings.case.machines)
     kind = "the synchronous machine" if group < 0 else f"WTG group {group}"
     if group >= len(settings.groups):
-        kind = [f"a unit of {own.kind.name}" for own in settings.all_further for _ in own.buses][
+        kind = [f"a unit of {own.kind.name}" for own in settings.all_devices for _ in own.buses][
             group - len(settings.groups)
         ]
     return f"{kind} at bus {bus_of_unit(settings, unit)}"
 
 
-def check_internal_voltages(
-    rows: Floats, scenarios: Sequence[Scenario], settings: PlantSettings, layout: Layout
-) -> None:
+def check_internal_voltages(rows: Floats, scenarios: Sequence[Scenario], settings: Plant, layout: Layout) -> None:
     """Refuse a start that needs a larger voltage behind a reactance than anybody builds."""
     of_machines = np.hypot(rows[:, layout.machine("e_d")], rows[:, layout.machine("e_q")])
     voltages = np.concatenate([of_machines, rows[:, layout.wtg("emf")]], axis=1)
@@ -63,7 +61,7 @@ def check_internal_voltages(
     )
 
 
-def check_rotor_speeds(rows: Floats, scenarios: Sequence[Scenario], settings: PlantSettings, layout: Layout) -> None:
+def check_rotor_speeds(rows: Floats, scenarios: Sequence[Scenario], settings: Plant, layout: Layout) -> None:
     """Refuse a start with a rotor below the under-speed trip."""
     speeds, least = rows[:, layout.wtg("rotor_speed")], settings.protection.rotor_speed_min_pu
     for lane, group in np.argwhere(speeds < least):
@@ -76,7 +74,7 @@ def check_rotor_speeds(rows: Floats, scenarios: Sequence[Scenario], settings: Pl
 
 
 def start_failure(
-    failure: StartFailure, unit: int, rows: Floats, scenario: Scenario, settings: PlantSettings, layout: Layout
+    failure: StartFailure, unit: int, rows: Floats, scenario: Scenario, settings: Plant, layout: Layout
 ) -> str:
     """Say why a unit cannot start, with the numbers that its rows (n_rows,) hold."""
     if failure == StartFailure.POWER_FLOW_DIVERGED:
@@ -115,7 +113,7 @@ def start_failure(
 
 
 def _limited(
-    failure: StartFailure, unit: int, rows: Floats, settings: PlantSettings, layout: Layout
+    failure: StartFailure, unit: int, rows: Floats, settings: Plant, layout: Layout
 ) -> tuple[str, float, float, float]:
     """Return the quantity of a machine that starts beyond its limits, its value, and the limits [p.u.]."""
     machine = settings.case.machines[unit]

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from wtg_gym.physics.layout import Floats
-from wtg_gym.physics.plant import PlantSettings
+from wtg_gym.physics.plant import Plant
 from wtg_gym.physics.protection import Status
 from wtg_gym.physics.scenario import Scenario
 from wtg_gym.physics.simulator import Simulator
@@ -81,7 +81,7 @@ class Trajectory:
 def simulate(
     scenario: Scenario,
     laws: str | TrackingLaw | Sequence[str | TrackingLaw],
-    settings: PlantSettings | None = None,
+    settings: Plant | None = None,
 ) -> Trajectory:
     """Run a scenario under fixed laws and record it.
 
@@ -99,7 +99,7 @@ def simulate(
     """
     if not isinstance(scenario, Scenario):
         raise ValueError(f"scenario must be a Scenario, got {type(scenario).__name__}")
-    settings = settings or PlantSettings()
+    settings = settings or Plant()
     simulator = Simulator(settings, duration_s=scenario.duration_s)
     groups_laws = group_laws(laws, settings.turbines, settings.control)
     simulator.start(0, simulator.prepare([scenario], groups_laws, turning=True))

@@ -106,7 +106,7 @@ class StartFailure(IntEnum):
 
 
 class Joining(StrEnum):
-    """Where systems of further kinds of unit may join the lists of a step; the last two are lists of the task."""
+    """Where systems of devices may join the lists of a step; the last two are lists of the task."""
 
     PLAN = "plan"
     SETTLE = "settle"

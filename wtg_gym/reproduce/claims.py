@@ -18,7 +18,7 @@ from wtg_gym.files import read_toml
 from wtg_gym.physics.aerodynamics import available_power_pu, tracking_point
 from wtg_gym.physics.layout import Floats
 from wtg_gym.physics.parameters import GridFormingParameters
-from wtg_gym.physics.plant import PlantSettings
+from wtg_gym.physics.plant import Plant
 from wtg_gym.physics.protection import Status
 from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY, STRATEGIES
 from wtg_gym.physics.trajectory import Trajectory, simulate
@@ -177,7 +177,7 @@ def _compatibility() -> Iterator[Claim]:
             margins = single_machine(law, wind, side=side, control=control).margins()
             differences += [margins.phase_margin_deg - ideal] if margins.stable else []
         # The stiffest droop on the least inertia is too fast for steps of 25 ms.
-        run = simulate(scenario, law, PlantSettings(control=control, simulation_dt=0.005))
+        run = simulate(scenario, law, Plant(control=control, simulation_dt=0.005))
         n_completed += run.status == Status.RUNNING
     n_loops, n_runs = len(_CONTROLS) * len(winds) * len(SIDES), len(_CONTROLS)
     holds = worst < 1e-4 and len(differences) == n_loops and n_completed == n_runs

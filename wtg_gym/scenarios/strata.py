@@ -11,7 +11,7 @@ from typing import Any
 from wtg_gym.physics.grid import DEFAULT_GRID, digest_of_grid, get_grid
 from wtg_gym.physics.machine_parameters import GovernorParameters
 from wtg_gym.physics.parameters import GridFormingParameters, WtgGroup
-from wtg_gym.physics.plant import PlantSettings
+from wtg_gym.physics.plant import Plant
 from wtg_gym.scenarios.distribution import ScenarioDistribution
 from wtg_gym.scenarios.sensor_distribution import SensorDistribution
 from wtg_gym.scenarios.suite import Suite
@@ -177,7 +177,7 @@ def wind_plant(
         for b in case.branches
     ]
     governed = sum(machine.governor is not None for machine in machines)
-    plant = PlantSettings(
+    plant = Plant(
         case=dataclasses.replace(
             case,
             machines=tuple(m for m in machines if condensers or m.governor is not None),
@@ -202,18 +202,18 @@ def wind_plant(
     }
     if grid != DEFAULT_GRID:
         data["grid"] = digest_of_grid(grid_data)
-    if simulation_dt != PlantSettings.simulation_dt:
+    if simulation_dt != Plant.simulation_dt:
         data["simulation_dt"] = simulation_dt
     plant = plant.replaced(physics="extended")
     return {"grid": grid, "plant": plant, "plant_data": data, "described": plant}
 
 
-def governed_mva(plant: PlantSettings) -> float:
+def governed_mva(plant: Plant) -> float:
     """Return the rating of all machines with a governor [MVA]."""
     return sum(machine.rating_mva for machine in plant.case.machines if machine.governor is not None)
 
 
-def constant_mw(plant: PlantSettings) -> float:
+def constant_mw(plant: Plant) -> float:
     """Return what machines without a governor give [MW]."""
     return sum(machine.dispatch_mw for machine in plant.case.machines if machine.governor is None)
 

@@ -15,7 +15,7 @@ import numpy as np
 
 from wtg_gym.physics.grid import DEFAULT_GRID
 from wtg_gym.physics.parameters import TurbineParameters, WtgGroup
-from wtg_gym.physics.plant import PlantSettings
+from wtg_gym.physics.plant import Plant
 from wtg_gym.physics.scenario import Event, Scenario, trusted
 from wtg_gym.ranges import did_you_mean, is_whole, require_whole
 from wtg_gym.scenarios.distribution import ScenarioDistribution
@@ -79,9 +79,9 @@ class Suite:
     duration_s: float
     task: Task = V0
     grid: str = DEFAULT_GRID
-    plant: PlantSettings = field(default_factory=PlantSettings)
+    plant: Plant = field(default_factory=Plant)
     plant_data: Mapping[str, Any] = field(default_factory=dict)
-    described: PlantSettings | None = None
+    described: Plant | None = None
     sensors: SensorDistribution | None = None
     drawn_from: Mapping[str, tuple[ScenarioDistribution, ...]] = field(default_factory=dict)
     cases: tuple[FixedCase, ...] = ()

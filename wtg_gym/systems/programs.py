@@ -84,7 +84,7 @@ class Repeat(_Flagged):
 
 
 class Here(NamedTuple):
-    """Where the systems of further kinds of unit join a list, by the name that they call the place."""
+    """Where the systems of devices join a list, by the name that they call the place."""
 
     name: StrEnum
     otherwise: tuple[System, ...] = ()  # what stands there where none joins
@@ -135,7 +135,7 @@ class Tables(NamedTuple):
 NONE = (0.0, 0.0, 0.0, 0.0)
 
 
-class Arrangement(Protocol):
+class MemoryMap(Protocol):
     """Where a plant has its rows, and what is constant."""
 
     def n_units(self, kind: Kind) -> int:
@@ -166,7 +166,7 @@ def _flat(entries: Sequence[Any]) -> Iterator[Any]:
 
 
 def _with(entries: Sequence[Any], joining: Mapping[str, Sequence[System]]) -> Iterator[Any]:
-    """Yield entries, with the systems of further kinds of unit where they join."""
+    """Yield entries, with the systems of devices where they join."""
     for entry in entries:
         if isinstance(entry, Here):
             yield from joining.get(entry.name, entry.otherwise)
@@ -183,7 +183,7 @@ class Program:
         name: of the program.
         entries: systems and what is none.
         number: of the program among those that share a table.
-        joining: systems of further kinds of unit, by the places where they join.
+        joining: systems of devices, by the places where they join.
     """
 
     def __init__(
@@ -199,7 +199,7 @@ class Program:
             raise ValueError(f"a system stands in program {name!r} twice")
 
     def joined(self, joining: Mapping[str, Sequence[System]]) -> Program:
-        """Return the program with systems of further kinds of unit."""
+        """Return the program with systems of devices."""
         return Program(self.name, self._given, self.number, joining) if joining else self
 
     def digest(self, *, back: bool = False) -> str:
@@ -213,7 +213,7 @@ class Program:
             self._digests[back] = found.hexdigest()
         return self._digests[back]
 
-    def tape_rows(self, plant: Arrangement) -> int:
+    def tape_rows(self, plant: MemoryMap) -> int:
         """Return how many rows a run of the program notes."""
         return sum(_n_noted(entry) * _n_units(entry, plant) for entry in _flat(self.entries))
 
@@ -247,7 +247,7 @@ def _operations(one: System, *, back: bool) -> Iterator[Any]:
     yield [(at, order.get(value, value)) for at, value in stores]
 
 
-def _n_units(entry: Any, plant: Arrangement) -> int:
+def _n_units(entry: Any, plant: MemoryMap) -> int:
     """Return how many units an entry is for."""
     if isinstance(entry, System):
         return plant.n_units(entry.kind) if entry.when is None or plant.has(entry.when) else 0
@@ -259,7 +259,7 @@ def _n_noted(entry: Any) -> int:
     return len(entry.noted) if isinstance(entry, System) else 2 * isinstance(entry, Delay)
 
 
-def build_table(programs: Sequence[Program], plant: Arrangement, taped: Sequence[Program] = ()) -> Tables:
+def build_table(programs: Sequence[Program], plant: MemoryMap, taped: Sequence[Program] = ()) -> Tables:
     """Return the tables of programs for a plant.
 
     Args:
@@ -291,7 +291,7 @@ def build_table(programs: Sequence[Program], plant: Arrangement, taped: Sequence
 
 
 def constant_places(
-    programs: Sequence[Program], plant: Arrangement, tables: Tables, argument: str, leaf: str, unit: int | None
+    programs: Sequence[Program], plant: MemoryMap, tables: Tables, argument: str, leaf: str, unit: int | None
 ) -> list[int]:
     """Return where among its numbers a table has a constant.
 
@@ -316,14 +316,14 @@ def constant_places(
     return found
 
 
-def _product_rows(entry: Product, plant: Arrangement) -> list[int]:
+def _product_rows(entry: Product, plant: MemoryMap) -> list[int]:
     of = entry.of or entry.units
     parts = (entry.pairs, entry.matrix), (entry.units, entry.vector), (of, entry.result)
     places = [row for kind, part in parts for row in _stride(kind, part, plant)]
     return [*places, plant.n_units(of) if plant.n_units(entry.pairs) else 0]
 
 
-def _delay_rows(entry: Delay, plant: Arrangement) -> list[int]:
+def _delay_rows(entry: Delay, plant: MemoryMap) -> list[int]:
     """Return first rows and strides of both parts, the ring's first row, its turns, and the rows of turn and delay."""
     n = plant.n_units(entry.units)
     if n == 0:
@@ -334,13 +334,13 @@ def _delay_rows(entry: Delay, plant: Arrangement) -> list[int]:
     return [*_stride(entry.units, entry.part, plant), *_stride(entry.units, entry.delayed, plant), *ring, *numbers]
 
 
-def _stride(kind: Kind, part: str, plant: Arrangement) -> list[int]:
+def _stride(kind: Kind, part: str, plant: MemoryMap) -> list[int]:
     """Return the first row of a part of the first unit, and how many rows later that of the next is."""
     found = plant.first_rows(kind, part)
     return [int(found[0]) if found.size else 0, int(found[1] - found[0]) if found.size > 1 else 0]
 
 
-def _system_rows(one: System, plant: Arrangement, n: int) -> list[int]:
+def _system_rows(one: System, plant: MemoryMap, n: int) -> list[int]:
     """Return the first rows of a system's parts for each of n units."""
     if n == 0:
         return []
@@ -349,12 +349,12 @@ def _system_rows(one: System, plant: Arrangement, n: int) -> list[int]:
     return rows
 
 
-def _rows_of(kind: Kind, place: Place, plant: Arrangement) -> Whole:
+def _rows_of(kind: Kind, place: Place, plant: MemoryMap) -> Whole:
     found = plant.first_rows(place.kind, place.part) + place.offset
     return found if not place.seen else found[plant.seen(kind, place.seen)]
 
 
-def _constants_of(one: System, plant: Arrangement, n: int, numbers: list[float], cells: dict[Any, int]) -> list[float]:
+def _constants_of(one: System, plant: MemoryMap, n: int, numbers: list[float], cells: dict[Any, int]) -> list[float]:
     """Return the constants of a system for each of n units; what tables hold is added to `numbers`."""
     used = one.constants_used
     if n == 0 or not used:

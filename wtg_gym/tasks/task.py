@@ -13,7 +13,7 @@ import numpy as np
 from wtg_gym.physics import integration
 from wtg_gym.physics.grid import DEFAULT_GRID, get_grid
 from wtg_gym.physics.layout import Layout, Whole
-from wtg_gym.physics.plant import Further, PlantSettings
+from wtg_gym.physics.plant import Plant, TaskUnits
 from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY, group_laws
 from wtg_gym.systems.programs import Program, in_one_table
 from wtg_gym.systems.routines import Routine
@@ -44,7 +44,7 @@ Shown = tuple[Kind, str, str]
 class Choices(NamedTuple):
     """What an environment chooses of a task."""
 
-    plant: PlantSettings
+    plant: Plant
     weights: CostWeights
     action_mode: str
     privileged: bool
@@ -158,14 +158,14 @@ class Task:
             END=(end_episode,),
         )
 
-    def further(self, choices: Choices) -> Further:
+    def units(self, choices: Choices) -> TaskUnits:
         """Return the task's kinds of unit and programs, as a simulator takes them."""
         plant, sensors = choices.plant, int(self.has_sensors)
         n_wtg, n_sync, n_window = len(plant.groups), len(plant.case.machines), rocof_window(plant.control_dt)
         modulated = dict(zip(("modulates k", "modulates tau"), ACTION_MODES[choices.action_mode], strict=True))
         conditions = {**modulated, "privileged": choices.privileged}
         act, charge, start_sensors, measure, observe, end = map(Routine, self.programs)
-        return Further(
+        return TaskUnits(
             n_units={
                 TASK: 1,
                 HISTORY: n_window + 1,
@@ -224,7 +224,7 @@ class Task:
             duty_gain=-math.expm1(-control_dt / self.duty_time_s) if self.duty_time_s > 0.0 else 1.0,
         )
 
-    def _reaches(self, plant: PlantSettings) -> list[Reach]:
+    def _reaches(self, plant: Plant) -> list[Reach]:
         """Return what each group's turbine decides."""
         laws = group_laws(REFERENCE_STRATEGY, plant.turbines, plant.control)
         return [Reach(self.k_authority * (law.k_min - law.k_max), law.k_max, law.k_min - law.k_max) for law in laws]
@@ -247,7 +247,7 @@ class Task:
             ]
             shown.append((OBSERVED_GRID, "grid_observed", 0, "grid"))
             found += [Entries(*where, _fields(*where[:2])) for where in shown]
-        for units in choices.plant.further:
+        for units in choices.plant.devices:
             if units.shown is not None:
                 found += [
                     Entries(units.kind, units.shown, j, f"{units.kind.name}{j}", _fields(units.kind, units.shown))
@@ -291,7 +291,7 @@ def _fields(kind: Kind, part: str) -> tuple[str, ...]:
     return names
 
 
-def _inv_torque(plant: PlantSettings) -> float:
+def _inv_torque(plant: Plant) -> float:
     if plant.case.load_mw == get_grid(DEFAULT_GRID).case.load_mw:
         return 1.0
     return plant.case.base_mva / max(_TORQUE_SHARE * plant.case.load_mw, 1e-6)

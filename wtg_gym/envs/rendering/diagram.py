@@ -13,7 +13,7 @@ from gymnasium.error import DependencyNotInstalled
 from wtg_gym.envs.rendering.colours import EVENT, INK, PAGE, SOFT, group_colour
 from wtg_gym.extras import install_advice
 from wtg_gym.physics.network import NetworkCase
-from wtg_gym.physics.plant import PlantSettings
+from wtg_gym.physics.plant import Plant
 from wtg_gym.physics.scenario import Event, Fault, GovernorLoss, GroupTrip, LineTrip, MachineOutage, ReactanceStep
 
 if TYPE_CHECKING:
@@ -46,7 +46,7 @@ def bus_places(case: NetworkCase) -> Mapping[int, tuple[float, float]]:
     return {bus.number: (x, y) for bus, (x, y) in zip(case.buses, scaled, strict=True)}
 
 
-def draw_diagram(axes: Axes, plant: PlantSettings, events: Sequence[Event], over: Collection[Event] = ()) -> None:
+def draw_diagram(axes: Axes, plant: Plant, events: Sequence[Event], over: Collection[Event] = ()) -> None:
     """Draw the diagram into empty axes, with the events that have struck, numbered, of which some are undone."""
     group_buses, places = [group.bus for group in plant.groups], bus_places(plant.case)
     size = min(1.0, math.sqrt(_N_BUSES / len(places)))
@@ -78,7 +78,7 @@ def draw_diagram(axes: Axes, plant: PlantSettings, events: Sequence[Event], over
             words.set(fontsize=10, fontweight="bold")
 
 
-def _units(bus: int, plant: PlantSettings, events: Sequence[Event]) -> list[tuple[str, str, bool]]:
+def _units(bus: int, plant: Plant, events: Sequence[Event]) -> list[tuple[str, str, bool]]:
     """Return name, colour and whether it is disconnected of every unit of a bus."""
     units = []
     for machine in plant.case.machines:

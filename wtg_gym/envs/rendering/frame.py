@@ -13,7 +13,7 @@ from wtg_gym.envs.rendering.colours import BAND, EVENT, GRID, INK, LIMIT, LINE, 
 from wtg_gym.envs.rendering.diagram import draw_diagram
 from wtg_gym.envs.rendering.panels import Panel, Range
 from wtg_gym.extras import install_advice
-from wtg_gym.physics.plant import PlantSettings
+from wtg_gym.physics.plant import Plant
 from wtg_gym.physics.scenario import Event
 
 if TYPE_CHECKING:
@@ -43,7 +43,7 @@ class Scene(NamedTuple):
     env_id: str
     heading: str  # which episode it is
     duration_s: float  # of the episode if nothing ends it before [s]
-    plant: PlantSettings
+    plant: Plant
     panels: tuple[Panel, ...]
     events: tuple[Event, ...]  # those that have struck
     undone: tuple[Event, ...]  # those of them whose line is closed again, or whose unit is back

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 from wtg_gym.physics.aerodynamics import tracking_point
-from wtg_gym.physics.plant import PlantSettings
+from wtg_gym.physics.plant import Plant
 from wtg_gym.physics.tracking_law import coordinated_piecewise
 
 Range = tuple[float, float]
@@ -22,7 +22,7 @@ class Panel(NamedTuple):
     limits: tuple[float, ...] = ()  # beyond which a run fails, or that converters keep; with a coloured line
 
 
-def panels_of(plant: PlantSettings, *, limited: bool) -> tuple[Panel, ...]:
+def panels_of(plant: Plant, *, limited: bool) -> tuple[Panel, ...]:
     """Return the panels, from top to bottom, first the left column; with the plant's limits where `limited`."""
     nominal, law, protection = plant.case.frequency_hz, coordinated_piecewise(), plant.protection
     ratios = tracking_point().tip_speed_ratio, tracking_point(plant.control.deloading_limit).tip_speed_ratio

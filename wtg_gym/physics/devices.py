@@ -18,7 +18,7 @@ _NEEDED = (Joining.PLAN, Joining.SETTLE, Joining.VOLTAGES, Joining.MOVE, Joining
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class FurtherUnits:
+class Devices:
     """Units of a kind of one's own, each a voltage behind an impedance at a bus.
 
     Args:
@@ -30,7 +30,7 @@ class FurtherUnits:
         systems: by where they join the lists of a step, of :class:`~wtg_gym.physics.units.Joining`: "plan" writes
             `planned_power`, "settle" finds the equilibrium from `start`, "voltages" writes `voltage`, "move" has the
             stages of the integration and "rates" what they are made of; if wanted "start", "charge", "observe", and
-            "sample", which writes what protections compare. The centre of inertia does not see further units.
+            "sample", which writes what protections compare. The centre of inertia does not see devices.
         shown: a part in scratch that observations end with; None for none.
         has: conditions of the kind that hold.
         balances: whether they balance the power at their buses and hold the voltage without a limit, as machines do.
@@ -79,7 +79,7 @@ class FurtherUnits:
         return [f"{self.kind.name}{j}.{part}" for j in range(len(self.buses)) for part in parts]
 
 
-def joining(units: Sequence[FurtherUnits]) -> dict[str, tuple[System, ...]]:
-    """Return the systems of further units by the places where they join lists."""
+def joining(units: Sequence[Devices]) -> dict[str, tuple[System, ...]]:
+    """Return the systems of devices by the places where they join lists."""
     places = dict.fromkeys(place for own in units for place in own.systems)
     return {place: tuple(each for own in units for each in own.systems.get(place, ())) for place in places}
