@@ -135,8 +135,8 @@ performance: $(TEST_READY) ## Measure speed again; on a machine that does nothin
 	$(TEST_VENV)/bin/python docs/studies/performance.py --output $(DOCS)
 
 .PHONY: golden
-golden: $(GOLDEN_READY) ## Make the golden cases of ANDES again, in an environment of its own (half an hour)
-	$(GOLDEN_VENV)/bin/python docs/studies/make_andes_cases.py
+golden: $(GOLDEN_READY) ## Make the golden traces anew with ANDES, in an environment of its own (half an hour)
+	$(GOLDEN_VENV)/bin/python tests/golden/make.py
 
 .PHONY: rllib
 rllib: $(RLLIB_READY) ## Train with RLlib for a minute, in an environment of its own, and export the policy; runs/make-rllib is written anew

@@ -42,8 +42,7 @@ from wtg_gym.scenarios import get_suite
 from wtg_gym.scenarios.benchmark import V1
 
 DOCS = Path(__file__).parent.parent / "docs"
-#: But for the one that needs ANDES, which has an environment of its own.
-STUDIES = {path.stem for path in (DOCS / "studies").glob("*.py")} - {"make_andes_cases"}
+STUDIES = {path.stem for path in (DOCS / "studies").glob("*.py")}
 SUITE, SEEDS = "standard-v1", [10_000, 10_001, 10_002]
 
 
