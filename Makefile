@@ -116,10 +116,6 @@ notebooks: $(NOTEBOOKS_READY) ## Run every notebook from the built wheel and kee
 	PIP_BUILD_CONSTRAINT=constraints.txt $(NOTEBOOKS_VENV)/bin/python -m pip install --quiet --no-deps --force-reinstall .
 	cd docs/notebooks && PATH="$(CURDIR)/$(NOTEBOOKS_VENV)/bin:$$PATH" jupyter nbconvert --to notebook --execute --inplace *.ipynb
 
-.PHONY: conditions
-conditions: $(TEST_READY) ## Measure whether standard-v1 is a good problem, and put the tables into docs/benchmark.md (an hour)
-	$(TEST_VENV)/bin/python docs/studies/conditions.py
-
 .PHONY: docs-check
 docs-check: $(LEADERBOARD_READY) ## Draw the pictures into a copy of docs/ and name those that differ from the ones in docs/
 	rm -rf build/docs
