@@ -57,7 +57,7 @@ LINE_OFFSET_PU = 1e-8
 WRITTEN_PU = 1e-10
 QUANTITIES = ("w", "Pe", "V")
 #: Models that have a nominal voltage.
-AT_A_BUS = ("Bus", "PQ", "Shunt", "Slack", "PV", "GENROU", "GENCLS", "REGF1", "REGF2")
+AT_A_BUS = ("Bus", "PQ", "Shunt", "Slack", "PV", "GENROU", "GENCLS")
 
 
 class Run(NamedTuple):
