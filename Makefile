@@ -116,10 +116,6 @@ notebooks: $(NOTEBOOKS_READY) ## Run every notebook from the built wheel and kee
 	$(NOTEBOOKS_VENV)/bin/python .ci/install.py --quiet --no-deps --force-reinstall .
 	cd docs/notebooks && PATH="$(CURDIR)/$(NOTEBOOKS_VENV)/bin:$$PATH" jupyter nbconvert --to notebook --execute --inplace *.ipynb
 
-.PHONY: conditions
-conditions: $(TEST_READY) ## Measure whether standard-v1 is a good problem, and put the tables into docs/benchmark.md (an hour)
-	$(TEST_VENV)/bin/python docs/studies/conditions.py
-
 .PHONY: docs-check
 docs-check: $(LEADERBOARD_READY) ## Draw the pictures into a copy of docs/ and name those that differ from the ones in docs/
 	rm -rf build/docs
@@ -135,8 +131,8 @@ performance: $(TEST_READY) ## Measure speed again; on a machine that does nothin
 	$(TEST_VENV)/bin/python docs/studies/performance.py --output $(DOCS)
 
 .PHONY: golden
-golden: $(GOLDEN_READY) ## Make the golden cases of ANDES again, in an environment of its own (half an hour)
-	$(GOLDEN_VENV)/bin/python docs/studies/make_andes_cases.py
+golden: $(GOLDEN_READY) ## Make the golden traces anew with ANDES, in an environment of its own (half an hour)
+	$(GOLDEN_VENV)/bin/python tests/golden/make.py
 
 .PHONY: rllib
 rllib: $(RLLIB_READY) ## Train with RLlib for a minute, in an environment of its own, and export the policy; runs/make-rllib is written anew

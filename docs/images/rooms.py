@@ -20,7 +20,7 @@ from wtg_gym.plotting.style import PALETTE, figure_bytes, printed
 ROOT = Path(__file__).parents[2]
 ROOMS = (
     *("agents", "baselines"),
-    *(f"wtg_gym/{name}" for name in ("plotting", "cli", "evaluation", "reproduce")),
+    *(f"wtg_gym/{name}" for name in ("plotting", "cli", "evaluation")),
     *(
         f"wtg_gym/{name}"
         for name in ("sb3.py", "gains.py", "gradients", "pettingzoo.py", "policies", "envs", "scenarios", "tasks")

@@ -1,4 +1,4 @@
-"""How the laws made by hand, and the three numbers of mean-droop, were found: by CMA-ES on training scenarios of v1.
+"""How the tuned laws and the three numbers of mean-droop were found: by CMA-ES on training scenarios of v1.
 
     python docs/studies/policies.py
 
@@ -9,13 +9,15 @@ processors. The feedbacks of agents/policies come from agents.evolution.
 from __future__ import annotations
 
 import math
-from contextlib import closing
+from collections.abc import Callable, Sequence
 
 import numpy as np
-from rollouts import Rollouts
 
 from agents.evolution import Search
 from baselines.mean_droop import MeanDroop
+from wtg_gym.envs.lanes import TaskLanes
+from wtg_gym.envs.settings import EnvSettings
+from wtg_gym.gains import ScoreUnits
 from wtg_gym.physics.layout import Floats
 from wtg_gym.physics.tracking_law import (
     LARGEST_COEFFICIENT,
@@ -35,6 +37,50 @@ _LEAST_TRIED = 0.05
 _START, _BOUNDS = (0.5, 0.0, 0.8, -0.6), ((0.0, -0.8, -0.2, -2.7), (3.0, 0.8, 1.05, 2.0))
 #: A multiple of 15 consecutive seeds holds as many of each stratum, and of each kind of extreme event.
 N_SCENARIOS = 120
+
+
+class Population:
+    """Candidates that play the same training scenarios of a suite of v1 side by side; use it as a context.
+
+    Further arguments are settings of the environment.
+    """
+
+    def __init__(self, suite: str, n_scenarios: int, n_candidates: int, **settings) -> None:
+        seeds = get_suite(suite).train[:n_scenarios]
+        self.lanes = TaskLanes(EnvSettings(suite=suite, split="train", **settings), n_scenarios * n_candidates)
+        self._scenarios = self.lanes.scenarios(seeds)
+        self._offsets, self._scales = ScoreUnits(self.lanes.settings).of(seeds)
+
+    def __enter__(self) -> Population:
+        return self
+
+    def __exit__(self, *_error) -> None:
+        self.lanes.simulator.close()
+
+    def objectives(
+        self, laws: Sequence[TrackingLaw] | None = None, act: Callable[[Floats], Floats] | None = None
+    ) -> Floats:
+        """Return ln(J + J0) / Λ of each candidate, mean over the scenarios, (n_candidates,): it decides the score.
+
+        Args:
+            laws: the law of each candidate; None: that of the settings.
+            act: actions (n_candidates, n_scenarios, n_wtg, n_action) by the groups' observations
+                (n_candidates, n_scenarios, n_wtg, n_local + n_action); None: zeros.
+        """
+        lanes, n_scenarios = self.lanes, len(self._scenarios)
+        shape = lanes.n_lanes // n_scenarios, n_scenarios
+        for candidate in range(shape[0]):
+            if laws is not None:
+                lanes.laws = (laws[candidate],) * lanes.n_wtg
+            lanes.start(range(candidate * n_scenarios, (candidate + 1) * n_scenarios), self._scenarios)
+        actions = np.zeros((lanes.n_lanes, lanes.n_action))
+        for _ in range(round(lanes.duration_s / lanes.settings.control_dt)):
+            if act is not None:
+                seen = lanes.observations.reshape(*shape, lanes.n_wtg, -1).astype(np.float64)
+                actions = np.clip(act(seen), -1.0, 1.0).reshape(lanes.n_lanes, -1)
+            lanes.step(np.ascontiguousarray(actions))
+        costs = lanes.cost_sums().sum(axis=1).reshape(shape)
+        return (np.log(costs + self._offsets) / self._scales).mean(axis=1)
 
 
 def law_of(x: Floats) -> TrackingLaw:
@@ -72,11 +118,10 @@ def tune_law(
     """Return the law that scores most, by the scales that the present anchors have."""
     first = int(capped)
     search = Search(np.array(_START[first:]), 0.3, population, seed, bounds=[side[first:] for side in _BOUNDS])
-    train = get_suite(suite).train[:n_scenarios]
-    with Progress("generations") as progress, closing(Rollouts(suite, "train", train, population)) as rollouts:
+    with Progress("generations") as progress, Population(suite, n_scenarios, population) as candidates:
         for generation in range(generations):
             asked = search.ask()
-            costs = rollouts.objective(rollouts.play(laws=[law_of(x) for x in asked])).mean(axis=0)
+            costs = candidates.objectives(laws=[law_of(x) for x in asked])
             search.tell(asked, costs)
             progress.update(f"objective {costs.min():.4f}", generation + 1, generations)
     return law_of(search.mean)
@@ -84,7 +129,7 @@ def tune_law(
 
 def mean_droop_of(x: Floats) -> MeanDroop:
     """Return mean-droop of points (..., 3), each ln(F / 0.5 Hz), (ω_1 - 0.7 p.u.) / 0.1 and ln(G p.u. / 5)."""
-    full_action, slow_rotor, gain = np.moveaxis(np.asarray(x), -1, 0)[..., np.newaxis]
+    full_action, slow_rotor, gain = np.moveaxis(np.asarray(x), -1, 0)[..., np.newaxis, np.newaxis]
     return MeanDroop(0.5 * np.exp(full_action), 0.7 + 0.1 * slow_rotor, 5.0 * np.exp(gain))
 
 
@@ -98,12 +143,12 @@ def tune_mean_droop(
 ) -> tuple[MeanDroop, float]:
     """Return the three numbers that cost little on a law, and what they cost in the scales of the score."""
     search = Search(np.zeros(3), 0.4, population, seed)
-    train, how = get_suite(suite).train[:n_scenarios], {"strategy": strategy, "action_mode": "k"}
-    with Progress("generations") as progress, closing(Rollouts(suite, "train", train, population, **how)) as rollouts:
+    settings = {"strategy": strategy, "action_mode": "k"}
+    with Progress("generations") as progress, Population(suite, n_scenarios, population, **settings) as candidates:
 
         def costs_of(points: Floats) -> Floats:
             policy = mean_droop_of(points)
-            return rollouts.objective(rollouts.play(lambda _step, own: policy.act(own)[..., np.newaxis])).mean(axis=0)
+            return candidates.objectives(act=lambda seen: policy.act(seen)[..., np.newaxis])
 
         for generation in range(generations):
             asked = search.ask()

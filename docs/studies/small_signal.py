@@ -21,8 +21,8 @@ from wtg_gym.physics.plant import Plant
 from wtg_gym.physics.scenario import Scenario
 from wtg_gym.physics.simulator import Simulator
 from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY, STRATEGIES, group_laws
-from wtg_gym.reproduce.loops import single_machine
 from wtg_gym.scenarios import get_suite
+from wtg_gym.single_wtg import single_machine
 
 WINDS = (8.0, 11.4)
 INFINITE_MVA = 1e9  # so large a machine that nothing moves it

@@ -95,8 +95,10 @@ def test_leaderboard_plays_only_what_is_new(monkeypatch: pytest.MonkeyPatch, tmp
     assert main([*whole, "--results", str(tmp_path / "at-once")]) == 0
     assert main([*_PAPER, "--results", str(tmp_path)]) == 0
     played: list[str] = []
-    real = evaluator._play
-    monkeypatch.setattr(evaluator, "_play", lambda entry, *rest: [played.append(entry.name), real(entry, *rest)][1])
+    real = evaluator.play_batch
+    monkeypatch.setattr(
+        evaluator, "play_batch", lambda entry, *rest: [played.append(entry.name), real(entry, *rest)][1]
+    )
     assert main([*whole, "--results", str(tmp_path)]) == 0
     assert played == ["coordinated-linear"]
     assert _files(tmp_path) == _files(tmp_path / "at-once")

@@ -167,7 +167,9 @@ def test_law_without_an_equilibrium_is_left_out_and_that_of_an_anchor_is_an_erro
     with pytest.raises(PolicyError, match=text):
         evaluate([law, fine], "standard", "test", **SHORT)
     # Without its anchors there is no score.
-    monkeypatch.setattr("wtg_gym.evaluation.evaluator._play", lambda entry, *_: PolicyError(f"entry {entry.name!r}"))
+    monkeypatch.setattr(
+        "wtg_gym.evaluation.evaluator.play_batch", lambda entry, *_: PolicyError(f"entry {entry.name!r}")
+    )
     with pytest.raises(PolicyError, match="entry 'mppt'"):
         evaluate([], "standard", "test", keep_going=True, **SHORT)
 
@@ -255,8 +257,10 @@ def test_killed_run_goes_on_and_keeps_its_parts_until_the_results_are_written(
         evaluate(entries, "standard", "test", on_progress=killer(5), **arguments)
     assert len(list(partial.iterdir())) == 3
     played: list[str] = []
-    play = wtg_gym.evaluation.evaluator._play
-    monkeypatch.setattr("wtg_gym.evaluation.evaluator._play", lambda e, *rest: played.append(e.name) or play(e, *rest))
+    play = wtg_gym.evaluation.evaluator.play_batch
+    monkeypatch.setattr(
+        "wtg_gym.evaluation.evaluator.play_batch", lambda e, *rest: played.append(e.name) or play(e, *rest)
+    )
     again = evaluate(entries, "standard", "test", **arguments)
     assert played == ["deloaded-10", "coordinated-piecewise", "coordinated-piecewise"]
     # A run with more entries goes on from them as well.

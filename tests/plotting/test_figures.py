@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from wtg_gym.plotting import figure_bytes, save_figure
-from wtg_gym.reproduce.figures import plot_power_coefficient
+from wtg_gym.plotting.paper import plot_power_coefficient
 
 matplotlib = pytest.importorskip("matplotlib")
 
@@ -18,7 +18,7 @@ _PROGRAM = """
 import hashlib, sys
 from wtg_gym.plotting import figure_bytes
 assert "matplotlib" not in sys.modules
-from wtg_gym.reproduce.figures import plot_power_coefficient
+from wtg_gym.plotting.paper import plot_power_coefficient
 print(hashlib.sha256(figure_bytes(plot_power_coefficient(), "svg")).hexdigest(), "matplotlib.pyplot" in sys.modules)
 """
 

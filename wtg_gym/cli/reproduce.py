@@ -29,9 +29,9 @@ def reproduce(
     out.require_extra("matplotlib", "wtg-gym reproduce")
     from wtg_gym.files import to_json, write_atomically
     from wtg_gym.plotting import save_figure
+    from wtg_gym.plotting.paper import paper_figures
     from wtg_gym.progress import Progress
-    from wtg_gym.reproduce.claims import paper_claims, run_case
-    from wtg_gym.reproduce.figures import paper_figures
+    from wtg_gym.reproduce import paper_claims, run_case
 
     with Progress("steps") as progress:
         cases = tuple(run_case(seed, progress.update) for seed in range(2))

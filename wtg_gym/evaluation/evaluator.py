@@ -22,6 +22,7 @@ from wtg_gym.evaluation.metrics import Recorder, measure
 from wtg_gym.evaluation.partial import PartialStore
 from wtg_gym.evaluation.results import Results
 from wtg_gym.evaluation.workers import Played, Workers
+from wtg_gym.physics.scenario import Scenario
 from wtg_gym.policies import Entry, OnnxPolicy, PolicyError
 from wtg_gym.policies.entry import check_entries, check_version
 from wtg_gym.policies.load import load_entries
@@ -269,7 +270,7 @@ def _stored_and_played(
     playing = (
         _played_here(remaining, settings, n_threads)
         if workers is None or not remaining
-        else workers.play(_play, settings, remaining)
+        else workers.play(play_batch, settings, remaining)
     )
     with contextlib.closing(playing) as batches:
         for number, played in batches:
@@ -293,7 +294,7 @@ def _played_here(
             policy = copy.copy(entry.policy)
             entry = dataclasses.replace(entry, policy=policy)
             playing.append(policy)
-        rows = failures.get(entry.name) or _play(entry, settings, seeds, n_threads)
+        rows = failures.get(entry.name) or play_batch(entry, settings, seeds, n_threads)
         if isinstance(rows, PolicyError):
             # Its row is left out, so its other training seeds need not be played.
             failures[entry.name] = rows
@@ -318,10 +319,12 @@ def _played_here(
                     policy.close()
 
 
-def _play(entry: Entry, settings: EnvSettings, seeds: Sequence[int], n_threads: int | None) -> Played:
-    """Play and measure one batch from start to end."""
+def play_batch(
+    entry: Entry, settings: EnvSettings, scenarios: Sequence[int] | Sequence[Scenario], n_threads: int | None
+) -> Played:
+    """Play and measure one batch of scenarios, or of seeds of the settings' suite, from start to end."""
     try:
-        with started_lanes(entry, settings, seeds, n_threads) as (lanes, scenarios):
+        with started_lanes(entry, settings, scenarios, n_threads) as (lanes, drawn):
             recorder = Recorder(lanes)
             for stepped in play(entry, lanes):
                 recorder.record(stepped)
@@ -334,7 +337,7 @@ def _play(entry: Entry, settings: EnvSettings, seeds: Sequence[int], n_threads: 
                     duration_s=min(scenario.duration_s, lanes.duration_s),
                     **measure(lanes, recorder, lane),
                 )
-                for lane, scenario in enumerate(scenarios)
+                for lane, scenario in enumerate(drawn)
             ]
     except NotIsolatedError:
         raise

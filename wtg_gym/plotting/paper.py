@@ -8,16 +8,26 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from wtg_gym.physics.aerodynamics import available_power_pu, power_coefficient, tracking_point
-from wtg_gym.physics.parameters import GridFormingParameters, TurbineParameters
 from wtg_gym.physics.scenario import Scenario
 from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY, STRATEGIES, TrackingLaw
 from wtg_gym.physics.trajectory import Trajectory
 from wtg_gym.plotting import style
 from wtg_gym.plotting.trajectories import PANELS, Panel, plot_trajectories
-from wtg_gym.reproduce.claims import WINDS
-from wtg_gym.reproduce.loops import LINEAR_UNDAMPED, SIDES, SingleMachine, ideal_source_loop, single_machine
-from wtg_gym.reproduce.steady_states import OperatingPoint, critical_frequency_pu, equilibria, named_points
 from wtg_gym.scenarios import get_suite
+from wtg_gym.single_wtg import (
+    CONTROL,
+    LINEAR_UNDAMPED,
+    SIDES,
+    TURBINE,
+    WINDS,
+    OperatingPoint,
+    SingleMachine,
+    critical_frequency_pu,
+    equilibria,
+    ideal_source_loop,
+    named_points,
+    single_machine,
+)
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -95,10 +105,9 @@ def plot_characteristic(law: TrackingLaw) -> Figure:
     and `Proposed` (coordinated-piecewise), to scale. (a) captured power over rotor speed with the tracking curves
     k ω_m³, dotted what the law demands where the equilibrium is lost; (b) power and (c) rotor speed over frequency:
     stable equilibria solid, unstable ones dashed, frequencies without any shaded. For the points A_i … M_i at the i-th
-    wind see :func:`~wtg_gym.reproduce.steady_states.named_points`.
+    wind see :func:`~wtg_gym.single_wtg.named_points`.
     """
-    control = GridFormingParameters()
-    corners = (control.frequency_min_pu, control.frequency_setpoint_pu, control.frequency_max_pu)
+    corners = (CONTROL.frequency_min_pu, CONTROL.frequency_setpoint_pu, CONTROL.frequency_max_pu)
     low, high = corners[0] - _BEYOND, corners[2] + _BEYOND
     figure = style.new_figure(style.DOUBLE_COLUMN_MM, 74.0)
     panels = figure.subplots(1, 3, width_ratios=(1.1, 1.0, 1.0))
@@ -152,12 +161,12 @@ def _equilibria_between(
 
 def _draw_rotor_curve(axes: Axes, law: TrackingLaw, wind_m_s: float, critical_pu: float | None, colour: str) -> None:
     """Draw captured power over rotor speed, and the demand that touches it where the equilibrium is lost."""
-    turbine, control, speeds = TurbineParameters(), GridFormingParameters(), np.linspace(0.1, 1.4, 300)
-    ratios = turbine.tip_speed_ratio_per_speed_m_s * speeds / wind_m_s
-    captured = turbine.wind_power_pu_per_cubic_wind * wind_m_s**3 * power_coefficient(ratios)
+    speeds = np.linspace(0.1, 1.4, 300)
+    ratios = TURBINE.tip_speed_ratio_per_speed_m_s * speeds / wind_m_s
+    captured = TURBINE.wind_power_pu_per_cubic_wind * wind_m_s**3 * power_coefficient(ratios)
     axes.plot(speeds, captured, color=colour)
     if critical_pu is not None and np.isinf(law.damping_time_constant_s):
-        demand = law.k_nominal * speeds**3 + control.droop_gain_pu * (control.frequency_setpoint_pu - critical_pu)
+        demand = law.k_nominal * speeds**3 + CONTROL.droop_gain_pu * (CONTROL.frequency_setpoint_pu - critical_pu)
         axes.plot(speeds, demand, ":", color=colour, linewidth=0.9)
 
 
@@ -215,7 +224,7 @@ def plot_case_study(scenario: Scenario, runs: Mapping[str, Trajectory]) -> Figur
 def _panels(wind_m_s: float) -> tuple[Panel, ...]:
     """Return the panels of a group in a case study, from above; all reference lines are drawn."""
     law, available = STRATEGIES[REFERENCE_STRATEGY], float(available_power_pu(wind_m_s))
-    best_speed = tracking_point().tip_speed_ratio * wind_m_s / TurbineParameters().tip_speed_ratio_per_speed_m_s
+    best_speed = tracking_point().tip_speed_ratio * wind_m_s / TURBINE.tip_speed_ratio_per_speed_m_s
     powers = {r"$p_{avail}$": available, r"0.9 $p_{avail}$": 0.9 * available}
     coefficients = {r"$K_{opt}$": law.k_min, "$K_n$": law.k_nominal, r"$K_{pr}$": law.k_max}
     _, power, rotor, coefficient = PANELS

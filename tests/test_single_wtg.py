@@ -1,7 +1,8 @@
-"""Steady states: published critical frequencies, the balance of power, and the equilibrium that the simulator finds."""
+"""One WTG by itself: steady states, and single-machine loops with the published margins."""
 
 from __future__ import annotations
 
+import dataclasses
 import math
 
 import numpy as np
@@ -15,7 +16,14 @@ from wtg_gym.physics.parameters import GridFormingParameters, PitchParameters, T
 from wtg_gym.physics.scenario import Scenario
 from wtg_gym.physics.tracking_law import STRATEGIES, TrackingLaw
 from wtg_gym.physics.trajectory import simulate
-from wtg_gym.reproduce.steady_states import critical_frequency_pu, equilibria
+from wtg_gym.single_wtg import (
+    LINEAR_UNDAMPED,
+    SingleMachine,
+    critical_frequency_pu,
+    equilibria,
+    ideal_source_loop,
+    single_machine,
+)
 
 LAWS = st.builds(
     lambda k_min, k_nominal, k_max, tau: TrackingLaw(
@@ -87,9 +95,57 @@ def test_simulation_starts_in_the_stable_equilibrium(wind: float, strategy: str)
     assert run.power_pu[-1, 0] == pytest.approx(k * speed**3, abs=1e-8)
 
 
-def test_impossible_questions_are_named() -> None:
+def test_impossible_steady_states_are_named() -> None:
     with pytest.raises(ValueError, match=r"wind = -8 m/s is outside the allowed range 3 … 25 m/s"):
         critical_frequency_pu(STRATEGIES["mppt"], -8.0)
     greedy = TrackingLaw(name="greedy", k_min=3.0, k_nominal=3.0, k_max=3.0, damping_time_constant_s=0.8)
     with pytest.raises(ValueError, match=r"'greedy' has no equilibrium at 8 m/s at the set-point either"):
         critical_frequency_pu(greedy, 8.0)
+
+
+LINEAR = STRATEGIES["coordinated-linear"]
+
+
+@pytest.mark.parametrize(
+    ("loop", "margin_deg"),
+    [
+        (ideal_source_loop(), 48.8),
+        (single_machine(STRATEGIES["deloaded-5"], 11.4), 46.7),
+        (single_machine(STRATEGIES["deloaded-10"], 11.4), 46.9),
+        (single_machine(LINEAR_UNDAMPED, 11.4), 29.1),
+        (single_machine(LINEAR, 11.4), 55.4),
+        (single_machine(LINEAR_UNDAMPED, 8.0), 10.1),
+    ],
+    ids=["ideal", "deloaded-5", "deloaded-10", "undamped", "damped", "undamped at 8 m/s"],
+)
+def test_phase_margins_are_those_of_the_paper(loop: SingleMachine, margin_deg: float) -> None:
+    assert loop.margins().phase_margin_deg == pytest.approx(margin_deg, abs=0.05)
+
+
+@given(st.floats(4.0, 11.0), st.floats(0.2, 5.0), st.floats(0.05, 20.0), st.sampled_from(["under", "over"]))
+def test_margins_agree_with_a_fine_sweep_and_with_the_poles(wind: float, k_p: float, tau: float, side: str) -> None:
+    law = dataclasses.replace(STRATEGIES["coordinated-piecewise"], name="x", damping_time_constant_s=tau)
+    loop = single_machine(law, wind, k_p, side=side)  # type: ignore[arg-type]
+    found = loop.margins()
+    sweep = np.logspace(-4, 3, 20_001)
+    gain = np.abs(loop.response(sweep))
+    crossings = np.flatnonzero((gain[:-1] - 1.0) * (gain[1:] - 1.0) <= 0.0)
+    margins = [180.0 + np.degrees(np.unwrap(np.angle(loop.response(sweep))))[i] for i in crossings]
+    margins = [(margin + 180.0) % 360.0 - 180.0 for margin in margins]
+    if not found.stable:
+        assert math.isnan(found.phase_margin_deg) and loop.closed_loop_poles().real.max() >= 0.0
+        return
+    assert found.phase_margin_deg == pytest.approx(min(margins), abs=0.5)
+    assert abs(loop.response(found.crossover_rad_s)) == pytest.approx(1.0, abs=1e-9)
+    # One crossover and a rolling-off loop: Nyquist says the sign of the margin decides.
+    assert found.phase_margin_deg > 0.0
+
+
+def test_impossible_loops_are_named() -> None:
+    with pytest.raises(ValueError, match=r"synchronising coefficient = 0 p.u./rad is outside .* 0.01 … 100"):
+        single_machine(LINEAR, 11.4, 0.0)
+    with pytest.raises(ValueError, match=r"the pitch protection holds the rotor at 13 m/s"):
+        single_machine(LINEAR, 13.0)
+    greedy = TrackingLaw(name="greedy", k_min=3.0, k_nominal=3.0, k_max=3.0)
+    with pytest.raises(ValueError, match=r"'greedy' has no equilibrium at 8 m/s"):
+        single_machine(greedy, 8.0)

@@ -6,10 +6,10 @@ import pytest
 
 from wtg_gym.physics.tracking_law import STRATEGIES
 from wtg_gym.physics.trajectory import Trajectory
-from wtg_gym.reproduce.claims import Claim, load_increase, paper_claims, run_case
-from wtg_gym.reproduce.figures import plot_bode, plot_case_study, plot_characteristic
-from wtg_gym.reproduce.loops import ideal_source_loop, single_machine
+from wtg_gym.plotting.paper import plot_bode, plot_case_study, plot_characteristic
+from wtg_gym.reproduce import Claim, load_increase, paper_claims, run_case
 from wtg_gym.scenarios import get_suite
+from wtg_gym.single_wtg import ideal_source_loop, single_machine
 
 #: Drawn schematically in the paper; its own numbers say otherwise.
 NOT_WITH_THE_PAPERS_NUMBERS = {"high-deloading-high-wind"}
