@@ -29,6 +29,8 @@ from wtg_gym.physics.tracking_law import (
 from wtg_gym.progress import Progress
 from wtg_gym.scenarios import get_suite
 from wtg_gym.tasks import V1
+from wtg_gym.tasks.observation import of_groups
+from wtg_gym.tasks.sensing import MeasuredObservation
 
 #: Least coefficient that is tried [p.u.]: at 0 a group would give nothing.
 _LEAST_TRIED = 0.05
@@ -58,14 +60,14 @@ class Population:
         self.lanes.simulator.close()
 
     def objectives(
-        self, laws: Sequence[TrackingLaw] | None = None, act: Callable[[Floats], Floats] | None = None
+        self, laws: Sequence[TrackingLaw] | None = None, act: Callable[[MeasuredObservation], Floats] | None = None
     ) -> Floats:
         """Return ln(J + J0) / Λ of each candidate, mean over the scenarios, (n_candidates,): it decides the score.
 
         Args:
             laws: the law of each candidate; None: that of the settings.
-            act: actions (n_candidates, n_scenarios, n_wtg, n_action) by the groups' observations
-                (n_candidates, n_scenarios, n_wtg, n_local + n_action); None: zeros.
+            act: actions (n_candidates, n_scenarios, n_wtg, n_action) by what the groups observe, each number an array
+                (n_candidates, n_scenarios, n_wtg); None: zeros.
         """
         lanes, n_scenarios = self.lanes, len(self._scenarios)
         shape = lanes.n_lanes // n_scenarios, n_scenarios
@@ -76,8 +78,9 @@ class Population:
         actions = np.zeros((lanes.n_lanes, lanes.n_action))
         for _ in range(round(lanes.duration_s / lanes.settings.control_dt)):
             if act is not None:
-                seen = lanes.observations.reshape(*shape, lanes.n_wtg, -1).astype(np.float64)
-                actions = np.clip(act(seen), -1.0, 1.0).reshape(lanes.n_lanes, -1)
+                seen = lanes.observations.reshape(*shape, -1).astype(np.float64)
+                groups = of_groups(seen, MeasuredObservation, lanes.settings.action_mode)
+                actions = np.clip(act(groups), -1.0, 1.0).reshape(lanes.n_lanes, -1)
             lanes.step(np.ascontiguousarray(actions))
         costs = lanes.cost_sums().sum(axis=1).reshape(shape)
         return (np.log(costs + self._offsets) / self._scales).mean(axis=1)
@@ -148,7 +151,9 @@ def tune_mean_droop(
 
         def costs_of(points: Floats) -> Floats:
             policy = mean_droop_of(points)
-            return candidates.objectives(act=lambda seen: policy.act(seen)[..., np.newaxis])
+            return candidates.objectives(
+                act=lambda seen: policy.act(seen.frequency_deviation, seen.rotor_speed)[..., np.newaxis]
+            )
 
         for generation in range(generations):
             asked = search.ask()
