@@ -121,7 +121,7 @@ class Training:
         """Write the policy as an entry that `wtg-gym evaluate` plays."""
         settings = self._run.settings
         (folder / POLICY_FILE).write_bytes(_exported(self._learner, settings))
-        values = entry_values(settings, int(self._run.curve[-1]["timesteps"]))
+        values = entry_values(settings)
         if per_group(self._learner.network(settings)):
             values["per_group"] = True
         write_atomically(folder / ENTRY_FILE, entry_text(values))
@@ -160,14 +160,14 @@ def per_group(network: nn.Module) -> bool:
     return bool(getattr(network, "per_group", False))
 
 
-def entry_values(settings: RunSettings, timesteps: int, name: str = "", description: str = "") -> dict[str, Any]:
+def entry_values(settings: RunSettings, name: str = "", description: str = "") -> dict[str, Any]:
     """Return the keys and values of entry.toml for a run's policy; a ValueError if its name would be refused.
 
-    Without name or description they are made of algorithm, action mode and steps.
+    Without name or description they are made of algorithm and action mode.
     """
     values: dict[str, Any] = {
         "name": name or f"{settings.algo} {settings.action_mode}",
-        "description": description or f"Trained with {settings.algo} for {timesteps} steps.",
+        "description": description or f"Trained with {settings.algo}.",
         "action_mode": settings.action_mode,
         "observation_mode": settings.observation_mode,
         "training_seed": settings.seed,

@@ -142,9 +142,7 @@ def test_export_describes_the_policy_that_it_writes_and_replaces_nothing(
     run.curve[0]["score"] = run.curve[-1]["score"] + 1.0
     run.write(copied)
     assert export_command(command) == 0
-    card = (entry / "README.md").read_text()
-    assert f"| {run.curve[-1]['score']:.1f} on 2 scenarios (mppt 0, coordinated-piecewise 100)" in card
-    text = 'trained_on = "standard, split train, 768 steps; chosen on split validation"'
+    text = 'trained_on = "standard, split train, up to 768 steps; chosen on split validation"'
     assert text in (entry / "entry.toml").read_text()
     assert export_command(command) == 2 and "is there already" in capsys.readouterr().err
     for name in ("a|b", "Fast Droop"):
@@ -153,6 +151,17 @@ def test_export_describes_the_policy_that_it_writes_and_replaces_nothing(
     del run.curve[-1]
     run.write(copied)
     assert export_command([str(copied), *other]) == 2 and not (tmp_path / "other").exists()
+
+
+def test_exports_of_several_seeds_share_a_row_whatever_steps_were_best(copied: Path, tmp_path: Path) -> None:
+    export(copied, tmp_path / "seed-0")
+    run, (best,) = Run.read(copied), folders(copied / "best")
+    run.settings = dataclasses.replace(run.settings, seed=1)
+    run.write(copied)
+    best.rename(best.with_name(f"{512:012d}"))
+    export(copied, tmp_path / "seed-1")
+    first, second = ({*(tmp_path / name / "entry.toml").read_text().splitlines()} for name in ("seed-0", "seed-1"))
+    assert first ^ second == {"training_seed = 0", "training_seed = 1"}
 
 
 def test_other_versions_are_said_on_resumption_and_noted(copied: Path, capsys: pytest.CaptureFixture[str]) -> None:
