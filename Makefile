@@ -1,12 +1,11 @@
 # `make` alone lists the targets. Each one makes the virtual environment that it needs, once, and makes it anew
-# when pyproject.toml, its constraints or the Python version changes.
+# when pyproject.toml, constraints.txt or the Python version changes.
 
 PYTHON ?= python3
 
 LEADERBOARD_VENV := .venv
 TEST_VENV := .venv-test
 GOLDEN_VENV := .venv-golden
-RLLIB_VENV := .venv-rllib
 SITE_VENV := .venv-site
 NOTEBOOKS_VENV := .venv-notebooks
 
@@ -15,7 +14,6 @@ PYTHON_VERSION := $(shell $(PYTHON) -c 'import sys; print("%d.%d" % sys.version_
 LEADERBOARD_READY := $(LEADERBOARD_VENV)/ready-$(PYTHON_VERSION)
 TEST_READY := $(TEST_VENV)/ready-$(PYTHON_VERSION)
 GOLDEN_READY := $(GOLDEN_VENV)/ready-$(PYTHON_VERSION)
-RLLIB_READY := $(RLLIB_VENV)/ready-$(PYTHON_VERSION)
 SITE_READY := $(SITE_VENV)/ready-$(PYTHON_VERSION)
 NOTEBOOKS_READY := $(NOTEBOOKS_VENV)/ready-$(PYTHON_VERSION)
 
@@ -138,17 +136,6 @@ performance: $(TEST_READY) ## Measure speed again; on a machine that does nothin
 golden: $(GOLDEN_READY) ## Make the golden cases of ANDES again, in an environment of its own (half an hour)
 	$(GOLDEN_VENV)/bin/python docs/studies/make_andes_cases.py
 
-.PHONY: rllib
-rllib: $(RLLIB_READY) ## Train with RLlib for a minute, in an environment of its own, and export the policy; runs/make-rllib is written anew
-	rm -rf runs/make-rllib
-	$(RLLIB_VENV)/bin/python -m agents.rllib --suite standard --timesteps 500000 --interval 150000 --output runs/make-rllib
-	$(RLLIB_VENV)/bin/python -m agents.export runs/make-rllib --output runs/make-rllib/entry
-	$(RLLIB_VENV)/bin/wtg-gym evaluate --entries runs/make-rllib/entry --suite standard --split validation --results runs/make-rllib/results
-
-.PHONY: test-rllib
-test-rllib: $(RLLIB_READY) ## Run the tests that need Ray, which `make test` skips
-	$(RLLIB_VENV)/bin/python -m pytest tests/agents/test_rllib.py tests/evaluation/test_workers.py
-
 .PHONY: integrations
 integrations: $(TEST_READY) ## Run the programs of docs/integrations.md, each in an environment of its own (an hour)
 	$(TEST_VENV)/bin/python docs/studies/integrations.py
@@ -181,30 +168,23 @@ format: $(TEST_READY) ## Format the code and mend what can be mended by itself
 
 .PHONY: clean
 clean: ## Remove the environments, caches and built files; results stay
-	rm -rf $(LEADERBOARD_VENV) $(TEST_VENV) $(GOLDEN_VENV) $(RLLIB_VENV) $(SITE_VENV) $(NOTEBOOKS_VENV) .hypothesis .import_linter_cache .mypy_cache .pytest_cache .ruff_cache build dist
+	rm -rf $(LEADERBOARD_VENV) $(TEST_VENV) $(GOLDEN_VENV) $(SITE_VENV) $(NOTEBOOKS_VENV) .hypothesis .import_linter_cache .mypy_cache .pytest_cache .ruff_cache build dist
 	find wtg_gym baselines agents tests -type d -name __pycache__ -prune -exec rm -rf {} +
 
 $(LEADERBOARD_READY): EXTRA := leaderboard,agents
 $(TEST_READY): EXTRA := dev
 $(GOLDEN_READY): EXTRA := golden
-$(RLLIB_READY): EXTRA := rllib
 $(SITE_READY): EXTRA := docs
 $(NOTEBOOKS_READY): EXTRA := notebooks
-$(RLLIB_READY): ALSO := hypothesis pytest
-
-$(LEADERBOARD_READY) $(TEST_READY) $(GOLDEN_READY) $(SITE_READY) $(NOTEBOOKS_READY): CONSTRAINTS := constraints.txt
-$(LEADERBOARD_READY) $(TEST_READY) $(GOLDEN_READY) $(SITE_READY) $(NOTEBOOKS_READY): constraints.txt
-$(RLLIB_READY): CONSTRAINTS := constraints-rllib.txt
-$(RLLIB_READY): constraints-rllib.txt
 
 # An environment whose stamp is merely out of date is brought up to date; any other is started over. The two
 # variables hold the build of the package itself to the constraints too, by either pip's way of saying so.
-$(LEADERBOARD_READY) $(TEST_READY) $(GOLDEN_READY) $(RLLIB_READY) $(SITE_READY) $(NOTEBOOKS_READY): pyproject.toml
+$(LEADERBOARD_READY) $(TEST_READY) $(GOLDEN_READY) $(SITE_READY) $(NOTEBOOKS_READY): pyproject.toml constraints.txt
 	@case '$(PYTHON_VERSION)' in 3.11|3.12|3.13|3.14) ;; *) \
 	    echo 'wtg_gym needs Python 3.11, 3.12, 3.13 or 3.14, but $(PYTHON) is $(or $(PYTHON_VERSION),not found).' >&2; \
 	    echo 'Name another one: make $(MAKECMDGOALS) PYTHON=python3.12' >&2; exit 1;; esac
 	@echo 'Preparing $(@D) for Python $(PYTHON_VERSION) with the "$(EXTRA)" extra; the first time takes a few minutes.'
 	$(PYTHON) -m venv $(@D)$(if $(wildcard $@),, --clear)
-	PIP_CONSTRAINT=$(CONSTRAINTS) PIP_BUILD_CONSTRAINT=$(CONSTRAINTS) PIP_DISABLE_PIP_VERSION_CHECK=1 \
-	    $(@D)/bin/python -m pip install --quiet --editable '.[$(EXTRA)]' $(ALSO)
+	PIP_CONSTRAINT=constraints.txt PIP_BUILD_CONSTRAINT=constraints.txt PIP_DISABLE_PIP_VERSION_CHECK=1 \
+	    $(@D)/bin/python -m pip install --quiet --editable '.[$(EXTRA)]'
 	@touch $@

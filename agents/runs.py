@@ -24,7 +24,7 @@ from wtg_gym.systems.compiled import source_hash
 RUN_FILE = "run.json"
 #: What decides the weights besides the packages.
 _HASHES = ("source_hash", "suite_hash")
-_PACKAGES = ("gymnasium", "numba", "numpy", "ray", "stable-baselines3", "sb3-contrib", "torch")
+_PACKAGES = ("gymnasium", "numba", "numpy", "stable-baselines3", "sb3-contrib", "torch")
 
 
 @dataclass(frozen=True, kw_only=True)

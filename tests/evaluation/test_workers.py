@@ -1,6 +1,6 @@
 """Facts about evaluations that other processes play: the same bytes, whatever happens to a process.
 
-Those of Ray are skipped where it is not installed: `make test-rllib`.
+Those of Ray are skipped where it is not installed.
 """
 
 from __future__ import annotations
@@ -145,5 +145,5 @@ def test_workers_have_one_thread_each_and_their_package(monkeypatch: pytest.Monk
     with pytest.raises(ValueError, match="one thread"):
         evaluate([], "standard", "test", workers=Workers("loky"), n_threads=2, **SHORT)
     monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
-    with pytest.raises(ValueError, match=r"ray needs ray; in a checkout: pip install '\.\[rllib\]'"):
+    with pytest.raises(ValueError, match=r"ray needs ray; in a checkout: pip install '\.\[ray\]'"):
         Workers("ray")

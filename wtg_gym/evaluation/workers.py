@@ -25,7 +25,7 @@ from wtg_gym.policies import Entry, PolicyError
 from wtg_gym.ranges import require_whole
 
 #: Backends: the package each of them needs, and the extra of wtg-gym that brings it.
-BACKENDS = {"loky": ("joblib", "cluster"), "dask": ("distributed", "cluster"), "ray": ("ray", "rllib")}
+BACKENDS = {"loky": ("joblib", "cluster"), "dask": ("distributed", "cluster"), "ray": ("ray", "ray")}
 _LARGEST_JOBS = 10_000
 #: Time for a scheduler to answer [s].
 _CONNECT_S = 15
