@@ -76,7 +76,6 @@ page: matrix verification ## Rank every entry on all suites and on fresh scenari
 	$(LEADERBOARD_VENV)/bin/wtg-gym results page results/standard-v1-test.json $(MATRIX_SUITES:%=results/matrix/%-test.json) \
 	    $(PAGE_SUITES:%=results/%-test.json) results/standard-fresh.json --output docs/leaderboard.html
 
-# Its fonts and its browser are those of the machine: `make docs-check` leaves this picture out.
 CHROMIUM ?= $(firstword $(foreach name,chromium chromium-browser google-chrome,$(shell command -v $(name))) chromium)
 
 .PHONY: page-picture
@@ -89,20 +88,18 @@ live-picture: $(TEST_READY) ## Take the picture of the page of play that docs/ho
 	PIP_CONSTRAINT=constraints.txt $(TEST_VENV)/bin/python -m pip install --quiet --editable '.[browser]'
 	$(TEST_VENV)/bin/python docs/images/live.py docs/images/live-play.png
 
-# Which folder `make pictures` and `make studies` renew; `make docs-check` lets them renew a copy.
-DOCS := docs
 # Those that take minutes; other targets run most of the others.
 STUDIES := grid_forming physics validation small_signal reference one_event
 
 .PHONY: studies
 studies: $(TEST_READY) ## Run the studies of docs/studies and renew their tables and pictures (half an hour)
-	for study in $(STUDIES); do $(TEST_VENV)/bin/python docs/studies/$$study.py --output $(DOCS) || exit; done
+	for study in $(STUDIES); do $(TEST_VENV)/bin/python docs/studies/$$study.py || exit; done
 
 .PHONY: pictures
 pictures: $(LEADERBOARD_READY) studies ## Draw every picture of the README and of docs/ but the page's, and renew the tables beside them
-	$(LEADERBOARD_VENV)/bin/wtg-gym simulate --strategy mppt deloaded-5 deloaded-10 coordinated-piecewise --plot $(DOCS)/images/load-increase.png
-	$(LEADERBOARD_VENV)/bin/python docs/images/rooms.py $(DOCS)/images/rooms.svg
-	$(LEADERBOARD_VENV)/bin/python docs/images/render.py $(DOCS)/images/render.png $(DOCS)/images/render-v1.png
+	$(LEADERBOARD_VENV)/bin/wtg-gym simulate --strategy mppt deloaded-5 deloaded-10 coordinated-piecewise --plot docs/images/load-increase.png
+	$(LEADERBOARD_VENV)/bin/python docs/images/rooms.py docs/images/rooms.svg
+	$(LEADERBOARD_VENV)/bin/python docs/images/render.py docs/images/render.png docs/images/render-v1.png
 
 .PHONY: site
 site: $(SITE_READY) ## Build the site of the documentation into build/site; broken links and pages that nothing lists are errors
@@ -118,19 +115,10 @@ notebooks: $(NOTEBOOKS_READY) ## Run every notebook from the built wheel and kee
 conditions: $(TEST_READY) ## Measure whether standard-v1 is a good problem, and put the tables into docs/benchmark.md (an hour)
 	$(TEST_VENV)/bin/python docs/studies/conditions.py
 
-.PHONY: docs-check
-docs-check: $(LEADERBOARD_READY) ## Draw the pictures into a copy of docs/ and name those that differ from the ones in docs/
-	rm -rf build/docs
-	mkdir -p build
-	cp -R docs build/docs
-	find build/docs '(' -name '*.png' -o -name '*.svg' ')' -delete
-	$(MAKE) --no-print-directory pictures DOCS=build/docs
-	$(LEADERBOARD_VENV)/bin/python docs/images/compare.py docs build/docs
-
 .PHONY: performance
 performance: $(TEST_READY) ## Measure speed again; on a machine that does nothing else (ten minutes)
-	$(TEST_VENV)/bin/python docs/studies/first_step.py --output $(DOCS)
-	$(TEST_VENV)/bin/python docs/studies/performance.py --output $(DOCS)
+	$(TEST_VENV)/bin/python docs/studies/first_step.py
+	$(TEST_VENV)/bin/python docs/studies/performance.py
 
 .PHONY: golden
 golden: $(GOLDEN_READY) ## Make the golden cases of ANDES again, in an environment of its own (half an hour)
