@@ -37,30 +37,6 @@ leaderboard: $(LEADERBOARD_READY) ## Score every entry on the standard suites an
 	$(LEADERBOARD_VENV)/bin/wtg-gym leaderboard --suite standard-v1 --entries baselines policies --results results --readme README.md docs/leaderboard.md
 	$(LEADERBOARD_VENV)/bin/wtg-gym leaderboard --suite standard --entries baselines policies --results results --readme docs/benchmark.md
 
-# What the fresh scenarios of the last round were drawn from: the commit with the entries, and the published secret.
-VERIFICATION_COMMIT := 82f6cbcc21a2b949267e19126c0e7868f44b4e5d
-VERIFICATION_SECRET := docs/verification/2026-11.txt
-
-# Entries that the commit does not hold may be fitted to its fresh scenarios, once their secret is published.
-.PHONY: verification
-verification: $(LEADERBOARD_READY) ## Score every entry of the last round on its fresh scenarios, and print the gap to the public ones
-	$(LEADERBOARD_VENV)/bin/wtg-gym leaderboard --suite standard --entries baselines policies --results results
-	@drawn=; folders=$$($(LEADERBOARD_VENV)/bin/python -c "from wtg_gym.policies.load import policy_folders as of; \
-	    print(*(folder.relative_to('$(CURDIR)') for folder in of('GFMWTG-14bus-v0')))") || exit; \
-	if git cat-file -e '$(VERIFICATION_COMMIT)^{commit}' 2>/dev/null; then \
-	    for folder in $$folders; do \
-	        held=$$(git rev-parse --quiet --verify "$(VERIFICATION_COMMIT):$$folder/policy.onnx"); \
-	        if [ "$$held" = "$$(git hash-object "$$folder/policy.onnx")" ]; then drawn="$$drawn $$folder"; \
-	        else echo "left out, not in the commit that the fresh scenarios were drawn from: $$folder" >&2; fi; \
-	    done; \
-	else \
-	    echo 'The commit $(VERIFICATION_COMMIT) is not in this checkout: whether its entries are these is not known.' >&2; \
-	    drawn=$$folders; \
-	fi; \
-	$(LEADERBOARD_VENV)/bin/wtg-gym evaluate --suite standard --entries baselines $$drawn --results results \
-	    --split fresh --commit $(VERIFICATION_COMMIT) --secret-file $(VERIFICATION_SECRET)
-	$(LEADERBOARD_VENV)/bin/wtg-gym results gap results/standard-test.json results/standard-fresh.json
-
 PAGE_SUITES := standard weak-grid low-wind gust paper
 # `make matrix` plays these, and the first scenarios of standard-v1.
 MATRIX_SUITES := low-share-v1 high-share-v1 gusty-v1 no-wind-sensor-v1 faults-v1 weak-grid-v1
@@ -70,11 +46,11 @@ matrix: $(LEADERBOARD_READY) ## Play every entry of v1 on its drawn suites and w
 	$(LEADERBOARD_VENV)/bin/python docs/studies/matrix.py
 
 .PHONY: page
-page: matrix verification ## Rank every entry on all suites and on fresh scenarios, and show them in docs/leaderboard.html
+page: matrix ## Rank every entry on all suites, and show them in docs/leaderboard.html
 	for suite in standard-v1 $(PAGE_SUITES); do \
 	    $(LEADERBOARD_VENV)/bin/wtg-gym leaderboard --suite $$suite --entries baselines policies --results results || exit; done
 	$(LEADERBOARD_VENV)/bin/wtg-gym results page results/standard-v1-test.json $(MATRIX_SUITES:%=results/matrix/%-test.json) \
-	    $(PAGE_SUITES:%=results/%-test.json) results/standard-fresh.json --output docs/leaderboard.html
+	    $(PAGE_SUITES:%=results/%-test.json) --output docs/leaderboard.html
 
 CHROMIUM ?= $(firstword $(foreach name,chromium chromium-browser google-chrome,$(shell command -v $(name))) chromium)
 

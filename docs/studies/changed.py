@@ -85,7 +85,6 @@ def played(
         suite_hash=get_suite(suite).hash,
         source_hash=source_hash(),
         seeds=tuple(seeds),
-        draw=None,
         environment={"id": own.benchmark().env_id, "fingerprint": environment_fingerprint(own)},
         settings=shared,
         versions=dict(versions()),

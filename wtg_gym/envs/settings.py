@@ -18,7 +18,7 @@ from wtg_gym.physics.plant import PHYSICS, SIMULATION_DT_RANGE, PlantSettings
 from wtg_gym.physics.scenario import SERIES_DT, Scenario
 from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY, TrackingLaw, group_laws
 from wtg_gym.ranges import require_known, require_range, whole_steps
-from wtg_gym.scenarios import DEFAULT_SUITE, FRESH, SPLITS, SUITES, get_suite, suite_of_grid
+from wtg_gym.scenarios import DEFAULT_SUITE, SPLITS, SUITES, get_suite, suite_of_grid
 from wtg_gym.scenarios.benchmark import Benchmark
 from wtg_gym.scenarios.sensor_distribution import SensorDistribution
 
@@ -33,7 +33,7 @@ _CHOICES: dict[str, Sequence[str]] = {
     "machine_model": ("genrou", "classical"),
     "on_failure": ("terminate", "trip"),
     "physics": PHYSICS,
-    "split": (*SPLITS, FRESH),
+    "split": SPLITS,
 }
 
 
@@ -129,7 +129,7 @@ class EnvSettings:
         suite: name of the suite of scenarios, in v1 with or without `-v1`; None: the standard suite of the version.
         grid: name of a grid, or path of its file: its suite, instead of one by name. Or a `Grid`, or a `NetworkCase`
             as it is beside its `groups`.
-        split: `"train"`, `"validation"` or `"test"`, or `"fresh"`, with seeds that are in none of them.
+        split: `"train"`, `"validation"` or `"test"`.
         scenario: one scenario for every episode, a `Scenario` or its `to_dict()`.
         groups: number of turbine groups at the bus of the first one, or a list of `{"bus": …, "n_turbines": …}`, with a
             `"turbine"` (TurbineParameters) if it is not the suite's; None: the suite's own groups.

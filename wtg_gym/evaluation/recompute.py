@@ -12,7 +12,7 @@ from wtg_gym.evaluation.results import Results
 from wtg_gym.evaluation.workers import Workers
 from wtg_gym.policies import Entry
 from wtg_gym.policies.entry import run_label
-from wtg_gym.scenarios import FreshDraw, get_suite
+from wtg_gym.scenarios import get_suite
 
 #: The settings of results that are arguments of the environment, as they are called there.
 _ARGUMENTS = (
@@ -46,7 +46,6 @@ def recompute(
     stored: Results,
     entries: Sequence[Entry],
     *,
-    secret: bytes | None = None,
     n_threads: int | None = None,
     workers: Workers | None = None,
     on_progress: Callable[[str, int, int], None] | None = None,
@@ -56,20 +55,11 @@ def recompute(
     Args:
         stored: the results.
         entries: all of their entries, without the anchors; others are ignored.
-        secret: the one that the seeds of the split "fresh" were drawn with; None does not check them.
         n_threads, workers, on_progress: as for :func:`wtg_gym.evaluation.evaluate`.
 
     Raises:
-        ValueError: an entry is missing, a secret is too short or given for seeds that were not drawn, or the results
-            are of a suite, seeds or settings that no longer exist.
+        ValueError: an entry is missing, or the results are of a suite, seeds or settings that no longer exist.
     """
-    draw = None if stored.draw is None else FreshDraw(suite=stored.suite, seeds=stored.seeds, **stored.draw)
-    differences = []
-    if secret is not None:
-        if draw is None:
-            raise ValueError(f"the seeds of the split {stored.split!r} were not drawn: there is no secret to check")
-        if not draw.is_of(secret):
-            differences.append(Difference("seeds", f"those of {draw.secret_sha256[:12]}", "others: not of this secret"))
     given = {(entry.name, entry.training_seed): entry for entry in entries}
     wanted = [(entry["name"], entry["training_seed"]) for entry in (*stored.entries, *stored.failed)]
     missing = [name for name, seed in wanted if (name, seed) not in given and name not in stored.benchmark.anchors]
@@ -79,15 +69,14 @@ def recompute(
         [given[run] for run in wanted if run in given],
         stored.suite,
         stored.split,
-        seeds=stored.seeds if draw is None else None,
-        draw=draw,
+        seeds=stored.seeds,
         n_threads=n_threads,
         workers=workers,
         on_progress=on_progress,
         keep_going=True,
         **{name: stored.settings[name] for name in _ARGUMENTS if name in stored.settings},
     )
-    differences += _compared(_deciding(stored), _deciding(now))
+    differences = _compared(_deciding(stored), _deciding(now))
     cells, others = _cells(stored), _cells(now)
     # Where one side alone has an entry's episodes, that is the difference.
     shared = [where for where in cells if where in others]
@@ -104,7 +93,7 @@ def departures(stored: Results) -> list[str]:
     for key, value in usual.items():
         if own.get(key) != value:
             found.append(f"{key} is {own.get(key)}, that of the benchmark {value}")
-    n_all = len(get_suite(stored.suite).seeds(stored.split if stored.draw is None else "test"))
+    n_all = len(get_suite(stored.suite).seeds(stored.split))
     if len(stored.seeds) != n_all:
         found.append(f"{len(stored.seeds)} scenarios, those of the benchmark are {n_all}")
     return found
