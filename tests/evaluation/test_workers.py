@@ -107,6 +107,18 @@ def test_killed_worker_of_loky_is_named_and_the_run_goes_on_from_its_finished_ba
 
 
 @_backend("dask").marks[0]
+def test_worker_that_dask_gives_up_is_named(tmp_path: Path) -> None:
+    import dask
+
+    mortal = Entry(name="mortal", policy=Mortal(tmp_path / "killed"))
+    with (
+        dask.config.set({"distributed.scheduler.allowed-failures": 0}),
+        pytest.raises(ValueError, match="a dask worker was lost, KilledWorker"),
+    ):
+        evaluate([mortal], "standard", "test", workers=Workers("dask", jobs=2), **SHORT)
+
+
+@_backend("dask").marks[0]
 def test_dask_cluster_at_an_address_plays_or_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     import distributed
 
