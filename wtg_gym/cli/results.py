@@ -73,6 +73,7 @@ def recompute(
     """
     from wtg_gym.cli import scoring
     from wtg_gym.evaluation import Results
+    from wtg_gym.evaluation.episodes import COLUMNS
     from wtg_gym.evaluation.recompute import departures
     from wtg_gym.evaluation.recompute import recompute as compute_again
     from wtg_gym.progress import Progress
@@ -87,7 +88,7 @@ def recompute(
     for text in departures(stored):
         out.note(f"not the benchmark's own: {text}")
     if not found.differences:
-        out.say(f"identical: {found.n_numbers} values of {len(stored.episodes)} episodes")
+        out.say(f"identical: {len(COLUMNS) * len(stored.episodes)} values of {len(stored.episodes)} episodes")
         return 0
     shown = found.differences[:_SHOWN]
     out.say(f"not identical: {len(found.differences)} differences, the first {len(shown)}", "")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 from wtg_gym.envs.settings import EnvSettings
@@ -19,8 +19,8 @@ _ARGUMENTS = (
     *("duration_s", "control_dt", "simulation_dt", "weights", "groups"),
     *("machine_model", "on_failure", "physics", "sensors"),
 )
-#: Data of an entry that decide its numbers; the others are texts about it.
-_PLAYED = ("action_mode", "kind", "observation_mode", "policy_sha256", "sha256", "strategy")
+#: What need not change a number: the words of a failure, for example, may depend on the machine.
+_CIRCUMSTANCES = {"source_hash", "environment", "versions", "description", "source", "reason"}
 
 
 class Difference(NamedTuple):
@@ -31,15 +31,14 @@ class Difference(NamedTuple):
     now: str
 
 
-class Recomputed(NamedTuple):
-    """The findings of :func:`recompute`."""
+class Comparison(NamedTuple):
+    """The findings of :func:`compare`."""
 
-    #: Numbers, policies, seeds, suite and settings that differ; empty where the results are reproduced.
+    #: Numbers, policies, suite and settings that differ; empty where the results are reproduced.
     differences: list[Difference]
     #: Source code, versions, the environment's answers and texts about entries that differ; they need not change a
     #: number.
     circumstances: list[Difference]
-    n_numbers: int  # how many numbers were compared
 
 
 def recompute(
@@ -49,7 +48,7 @@ def recompute(
     n_threads: int | None = None,
     workers: Workers | None = None,
     on_progress: Callable[[str, int, int], None] | None = None,
-) -> Recomputed:
+) -> Comparison:
     """Evaluate the entries of stored results again, on the same scenarios with the same settings, and compare.
 
     Args:
@@ -60,13 +59,13 @@ def recompute(
     Raises:
         ValueError: an entry is missing, or the results are of a suite, seeds or settings that no longer exist.
     """
-    given = {(entry.name, entry.training_seed): entry for entry in entries}
+    by_run = {(entry.name, entry.training_seed): entry for entry in entries}
     wanted = [(entry["name"], entry["training_seed"]) for entry in (*stored.entries, *stored.failed)]
-    missing = [name for name, seed in wanted if (name, seed) not in given and name not in stored.benchmark.anchors]
+    missing = [name for name, seed in wanted if (name, seed) not in by_run and name not in stored.benchmark.anchors]
     if missing:
         raise ValueError(f"the results hold entries that were not given: {', '.join(dict.fromkeys(missing))}")
     now = evaluate(
-        [given[run] for run in wanted if run in given],
+        [by_run[run] for run in wanted if run in by_run],
         stored.suite,
         stored.split,
         seeds=stored.seeds,
@@ -76,12 +75,45 @@ def recompute(
         keep_going=True,
         **{name: stored.settings[name] for name in _ARGUMENTS if name in stored.settings},
     )
-    differences = _compared(_deciding(stored), _deciding(now))
+    return compare(stored, now)
+
+
+def compare(stored: Results, now: Results) -> Comparison:
+    """Compare two results on the same scenarios, to the last bit."""
+    found = Comparison([], [])
+    facts, later = _facts(stored), _facts(now)
     cells, others = _cells(stored), _cells(now)
-    # Where one side alone has an entry's episodes, that is the difference.
-    shared = [where for where in cells if where in others]
-    differences += [Difference(where, cells[where], others[where]) for where in shared if cells[where] != others[where]]
-    return Recomputed(differences, _compared(_circumstances(stored), _circumstances(now)), len(cells))
+    # Where one side alone has an entry's episodes, that it was not played to the end is the difference.
+    pairs = [(where, facts.get(where), later.get(where)) for where in {**facts, **later}]
+    pairs += [(where, cells[where], others[where]) for where in cells if where in others]
+    for where, one, other in pairs:
+        if one != other:
+            kind = found.circumstances if _CIRCUMSTANCES & {*where} else found.differences
+            kind.append(Difference(": ".join(where), str(one), str(other)))
+    return found
+
+
+def _facts(results: Results) -> dict[tuple[str, ...], Any]:
+    """Return what results say of themselves and of their entries, by where it stands."""
+    facts: dict[tuple[str, ...], Any] = {(key,): getattr(results, key) for key in ("suite_hash", "source_hash")}
+    for part in ("settings", "environment", "versions"):
+        facts |= {(part, key): value for key, value in getattr(results, part).items()}
+    for entry in (*results.entries, *results.failed):
+        label = f"entry {run_label(entry['name'], entry['training_seed'])}"
+        # The texts about an anchor depend on whether it was asked for.
+        left_out = _CIRCUMSTANCES if entry["name"] in results.benchmark.anchors else ()
+        facts |= {(label, key): value for key, value in entry.items() if key not in left_out}
+        facts[label, "played to the end"] = "reason" not in entry
+    return facts
+
+
+def _cells(results: Results) -> dict[tuple[str, ...], str]:
+    """Return every value of every episode, by where it stands."""
+    return {
+        (f"{run_label(*episode.run)}, seed {episode.seed}", column): cell
+        for episode in results.episodes
+        for column, cell in zip(COLUMNS, episode.cells(), strict=True)
+    }
 
 
 def departures(stored: Results) -> list[str]:
@@ -97,40 +129,3 @@ def departures(stored: Results) -> list[str]:
     if len(stored.seeds) != n_all:
         found.append(f"{len(stored.seeds)} scenarios, those of the benchmark are {n_all}")
     return found
-
-
-def _deciding(results: Results) -> dict[str, Any]:
-    """Return what decides the numbers, by where it stands."""
-    found = {"suite_hash": results.suite_hash, **{f"settings.{key}": value for key, value in results.settings.items()}}
-    for label, entry in _by_label(results).items():
-        found |= {f"{label}: {key}": entry[key] for key in _PLAYED}
-        found[f"{label}: played to the end"] = "reason" not in entry
-    return found
-
-
-def _cells(results: Results) -> dict[str, str]:
-    """Return every value of every episode, by where it stands."""
-    return {
-        f"{run_label(*episode.run)}, seed {episode.seed}: {column}": cell
-        for episode in results.episodes
-        for column, cell in zip(COLUMNS, episode.cells(), strict=True)
-    }
-
-
-def _circumstances(results: Results) -> dict[str, Any]:
-    """Return what need not change a number, by where it stands: the words of a failure may depend on the machine."""
-    found = {"source_hash": results.source_hash}
-    found |= {f"environment.{key}": value for key, value in results.environment.items()} | dict(results.versions)
-    for label, entry in _by_label(results).items():
-        if entry["name"] not in results.benchmark.anchors:
-            found |= {f"{label}: {key}": value for key, value in entry.items() if key not in _PLAYED}
-    return found
-
-
-def _compared(stored: Mapping[str, Any], now: Mapping[str, Any]) -> list[Difference]:
-    pairs = ((where, stored.get(where), now.get(where)) for where in {**stored, **now})
-    return [Difference(where, str(one), str(other)) for where, one, other in pairs if one != other]
-
-
-def _by_label(results: Results) -> dict[str, Mapping[str, Any]]:
-    return {run_label(each["name"], each["training_seed"]): each for each in (*results.entries, *results.failed)}
