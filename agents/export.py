@@ -5,20 +5,16 @@ from __future__ import annotations
 import sys
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Annotated
 
-from agents.command import make_parser, note, run_command
-from agents.folders import BEST, folders
-from agents.runs import Run
-from agents.training import entry_values
+from cyclopts import Parameter
+
+from agents.command import note, run_command
+from agents.run import BEST, Run, folders
 from wtg_gym.files import write_together
 from wtg_gym.policies.entry_toml import parse_entry
 from wtg_gym.policies.load import ENTRY_FILE, POLICY_FILE
 from wtg_gym.policies.submission_folder import entry_text
-
-_DESCRIPTION = """\
-Writes the best policy of a run, normalisation and clipping included, as policy.onnx, and an entry.toml
-that makes the folder an entry of the leaderboard. The file is the one that the training wrote."""
 
 
 def export(
@@ -32,41 +28,49 @@ def export(
     if output.exists():
         raise ValueError(f"{output} is there already; give a new folder")
     run = Run.read(run_folder)
-    settings = run.settings
     # A kill may leave a policy whose validation is not in run.json.
     validated = {int(row["timesteps"]) for row in run.curve}
     best = [folder for folder in folders(run_folder / BEST) if int(folder.name) in validated]
     if not best:
         raise ValueError(f"{run_folder} has no validated policy yet: go on with the run first")
-    entry = entry_values(settings, name, description)
+    entry = {**run.settings.entry(name, description), "authors": list(authors)}
     if parse_entry((best[-1] / ENTRY_FILE).read_text(encoding="utf-8")).get("per_group"):
         entry["per_group"] = True
     # The same for all training seeds, which share a row.
-    trained_on = f"{settings.suite}, split train, up to {settings.timesteps} steps; chosen on split validation"
-    files: dict[str, str | bytes] = {
-        POLICY_FILE: (best[-1] / POLICY_FILE).read_bytes(),
-        # Last, because it makes the folder an entry.
-        ENTRY_FILE: entry_text({**entry, "authors": list(authors), "trained_on": trained_on}),
-    }
-    write_together({output / name: data for name, data in files.items()})
+    steps = f"up to {run.settings.timesteps} steps"
+    entry["trained_on"] = f"{run.settings.suite}, split train, {steps}; chosen on split validation"
+    # The entry last, because it makes the folder one.
+    files: dict[str, str | bytes] = {POLICY_FILE: (best[-1] / POLICY_FILE).read_bytes(), ENTRY_FILE: entry_text(entry)}
+    write_together({output / file: content for file, content in files.items()})
+
+
+def command(
+    run: Path,
+    /,
+    *,
+    output: Path,
+    name: str = "",
+    description: str = "",
+    authors: Annotated[tuple[str, ...], Parameter(consume_multiple=1, negative="")] = (),
+) -> None:
+    """Write the best policy of a run as an entry of the leaderboard.
+
+    The folder has policy.onnx, normalisation and clipping included, as the training wrote it, and an entry.toml.
+
+    Args:
+        run: folder of the run
+        output: new folder to write to
+        name: of the entry; runs of one name and several seeds share a row of the table
+        description: one sentence on what it is
+        authors: who trained it; a submission needs them
+    """
+    export(run, output, name=name, description=description, authors=authors)
+    note(f"wrote {output}")
 
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command and return its exit code."""
-    parser = make_parser("agents.export", _DESCRIPTION)
-    parser.add_argument("run", metavar="RUN_FOLDER", help="folder of the run")
-    parser.add_argument("--output", required=True, metavar="FOLDER", help="new folder to write to")
-    parser.add_argument("--name", help="of the entry; runs of one name and several seeds share a row of the table")
-    parser.add_argument("--description", help="one sentence on what it is")
-    parser.add_argument("--authors", nargs="+", metavar="NAME", help="who trained it; a submission needs them")
-
-    def work() -> None:
-        given: dict[str, Any] = vars(parser.parse_args(argv))
-        output = Path(given.pop("output"))
-        export(Path(given.pop("run")), output, **given)
-        note(f"wrote {output}")
-
-    return run_command(work, "begin anew")
+    return run_command(command, "agents.export", argv, "begin anew")
 
 
 if __name__ == "__main__":

@@ -9,9 +9,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from agents.command import make_parser, note, run_command
-from agents.folders import BEST, folders
-from agents.runs import Run
+from agents.command import note, run_command
+from agents.run import BEST, Run, folders
 from wtg_gym.files import (
     markdown_table,
     read_json,
@@ -28,9 +27,6 @@ from wtg_gym.policies.load import ENTRY_FILE, POLICY_FILE, policy_folders
 RECORDS = Path(__file__).with_suffix(".json")
 PAGE = Path(__file__).parents[1] / "docs" / "agents.md"
 _COLUMNS = ("policy", "actions on", "seeds", "steps [million]", "validation score", "minutes", "command", "commit")
-_DESCRIPTION = """\
-Writes the table of shipped policies in docs/agents.md, from agents/shipped.json and the entry.toml of each. Runs whose
-best policy is a file of agents/policies are added to agents/shipped.json before."""
 
 
 def record(run_folder: Path) -> tuple[str, dict[str, Any]]:
@@ -94,19 +90,22 @@ def _without_seed(command: str) -> str:
     return re.sub(r" --(seed|output) \S+", "", command)
 
 
+def command(*runs: Path) -> None:
+    """Write the table of shipped policies in docs/agents.md, from agents/shipped.json and the entry.toml of each.
+
+    Args:
+        runs: folders of runs whose best policies are files of agents/policies, to add to agents/shipped.json first
+    """
+    records = read_json(RECORDS, "records of the trainings")
+    records |= dict(record(run) for run in runs)
+    write_atomically(RECORDS, to_json(records))
+    changed = update_between_markers(PAGE, table(), "shipped")
+    note(f"{PAGE}: {'updated' if changed else 'already up to date'}")
+
+
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command and return its exit code."""
-    parser = make_parser("agents.shipped", _DESCRIPTION)
-    parser.add_argument("runs", nargs="*", default=(), metavar="RUN_FOLDER", help="folder of a run to add")
-
-    def work() -> None:
-        records = read_json(RECORDS, "records of the trainings")
-        records |= dict(record(Path(folder)) for folder in parser.parse_args(argv).runs)
-        write_atomically(RECORDS, to_json(records))
-        changed = update_between_markers(PAGE, table(), "shipped")
-        note(f"{PAGE}: {'updated' if changed else 'already up to date'}")
-
-    return run_command(work, "nothing was written")
+    return run_command(command, "agents.shipped", argv, "run it again")
 
 
 if __name__ == "__main__":

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import dataclasses
 import json
 from pathlib import Path
 
 import pytest
 
 from agents import shipped
-from agents.runs import Run, RunSettings
+from agents.run import Run, RunSettings
 from wtg_gym.evaluation import load_entries
 from wtg_gym.files import sha256
 from wtg_gym.policies.load import policy_folders
@@ -37,9 +36,10 @@ def test_a_run_is_added_by_its_best_policy(tmp_path: Path, monkeypatch: pytest.M
     best = tmp_path / "run" / "best" / f"{2_150_400:012d}"
     best.mkdir(parents=True)
     (best / "policy.onnx").write_bytes((folder / "policy.onnx").read_bytes())
-    run = Run.new(RunSettings(algo="ppo", hyperparameters={}, timesteps=2_250_000, n_envs=512))
+    run = Run.new(tmp_path / "run", RunSettings(algo="ppo", hyperparameters={}, timesteps=2_250_000, n_envs=512))
     rows = [{"timesteps": 2_150_400, "score": 102.46, "wall_time_s": 60.0}, {"timesteps": 2_304_000, "score": 1.0}]
-    dataclasses.replace(run, curve=[*rows[:1], {**rows[1], "wall_time_s": 70.0}]).write(tmp_path / "run")
+    run.curve = [*rows[:1], {**rows[1], "wall_time_s": 70.0}]
+    run.write()
     for name in ("RECORDS", "PAGE"):
         copy = tmp_path / name
         copy.write_bytes(getattr(shipped, name).read_bytes())
