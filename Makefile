@@ -1,12 +1,11 @@
 # `make` alone lists the targets. Each one makes the virtual environment that it needs, once, and makes it anew
-# when pyproject.toml, its constraints or the Python version changes.
+# when pyproject.toml, constraints.txt or the Python version changes.
 
 PYTHON ?= python3
 
 LEADERBOARD_VENV := .venv
 TEST_VENV := .venv-test
 GOLDEN_VENV := .venv-golden
-RLLIB_VENV := .venv-rllib
 SITE_VENV := .venv-site
 NOTEBOOKS_VENV := .venv-notebooks
 
@@ -15,7 +14,6 @@ PYTHON_VERSION := $(shell $(PYTHON) -c 'import sys; print("%d.%d" % sys.version_
 LEADERBOARD_READY := $(LEADERBOARD_VENV)/ready-$(PYTHON_VERSION)
 TEST_READY := $(TEST_VENV)/ready-$(PYTHON_VERSION)
 GOLDEN_READY := $(GOLDEN_VENV)/ready-$(PYTHON_VERSION)
-RLLIB_READY := $(RLLIB_VENV)/ready-$(PYTHON_VERSION)
 SITE_READY := $(SITE_VENV)/ready-$(PYTHON_VERSION)
 NOTEBOOKS_READY := $(NOTEBOOKS_VENV)/ready-$(PYTHON_VERSION)
 
@@ -39,30 +37,6 @@ leaderboard: $(LEADERBOARD_READY) ## Score every entry on the standard suites an
 	$(LEADERBOARD_VENV)/bin/wtg-gym leaderboard --suite standard-v1 --entries baselines policies --results results --readme README.md docs/leaderboard.md
 	$(LEADERBOARD_VENV)/bin/wtg-gym leaderboard --suite standard --entries baselines policies --results results --readme docs/benchmark.md
 
-# What the fresh scenarios of the last round were drawn from: the commit with the entries, and the published secret.
-VERIFICATION_COMMIT := 82f6cbcc21a2b949267e19126c0e7868f44b4e5d
-VERIFICATION_SECRET := docs/verification/2026-11.txt
-
-# Entries that the commit does not hold may be fitted to its fresh scenarios, once their secret is published.
-.PHONY: verification
-verification: $(LEADERBOARD_READY) ## Score every entry of the last round on its fresh scenarios, and print the gap to the public ones
-	$(LEADERBOARD_VENV)/bin/wtg-gym leaderboard --suite standard --entries baselines policies --results results
-	@drawn=; folders=$$($(LEADERBOARD_VENV)/bin/python -c "from wtg_gym.policies.entry_folder import policy_folders as of; \
-	    print(*(folder.relative_to('$(CURDIR)') for folder in of('GFMWTG-14bus-v0')))") || exit; \
-	if git cat-file -e '$(VERIFICATION_COMMIT)^{commit}' 2>/dev/null; then \
-	    for folder in $$folders; do \
-	        held=$$(git rev-parse --quiet --verify "$(VERIFICATION_COMMIT):$$folder/policy.onnx"); \
-	        if [ "$$held" = "$$(git hash-object "$$folder/policy.onnx")" ]; then drawn="$$drawn $$folder"; \
-	        else echo "left out, not in the commit that the fresh scenarios were drawn from: $$folder" >&2; fi; \
-	    done; \
-	else \
-	    echo 'The commit $(VERIFICATION_COMMIT) is not in this checkout: whether its entries are these is not known.' >&2; \
-	    drawn=$$folders; \
-	fi; \
-	$(LEADERBOARD_VENV)/bin/wtg-gym evaluate --suite standard --entries baselines $$drawn --results results \
-	    --split fresh --commit $(VERIFICATION_COMMIT) --secret-file $(VERIFICATION_SECRET)
-	$(LEADERBOARD_VENV)/bin/wtg-gym results gap results/standard-test.json results/standard-fresh.json
-
 PAGE_SUITES := standard weak-grid low-wind gust paper
 # `make matrix` plays these, and the first scenarios of standard-v1.
 MATRIX_SUITES := low-share-v1 high-share-v1 gusty-v1 no-wind-sensor-v1 faults-v1 weak-grid-v1
@@ -72,13 +46,12 @@ matrix: $(LEADERBOARD_READY) ## Play every entry of v1 on its drawn suites and w
 	$(LEADERBOARD_VENV)/bin/python docs/studies/matrix.py
 
 .PHONY: page
-page: matrix verification ## Rank every entry on all suites and on fresh scenarios, and show them in docs/leaderboard.html
+page: matrix ## Rank every entry on all suites, and show them in docs/leaderboard.html
 	for suite in standard-v1 $(PAGE_SUITES); do \
 	    $(LEADERBOARD_VENV)/bin/wtg-gym leaderboard --suite $$suite --entries baselines policies --results results || exit; done
 	$(LEADERBOARD_VENV)/bin/wtg-gym results page results/standard-v1-test.json $(MATRIX_SUITES:%=results/matrix/%-test.json) \
-	    $(PAGE_SUITES:%=results/%-test.json) results/standard-fresh.json --output docs/leaderboard.html
+	    $(PAGE_SUITES:%=results/%-test.json) --output docs/leaderboard.html
 
-# Its fonts and its browser are those of the machine: `make docs-check` leaves this picture out.
 CHROMIUM ?= $(firstword $(foreach name,chromium chromium-browser google-chrome,$(shell command -v $(name))) chromium)
 
 .PHONY: page-picture
@@ -91,20 +64,18 @@ live-picture: $(TEST_READY) ## Take the picture of the page of play that docs/ho
 	$(TEST_VENV)/bin/python .ci/install.py --quiet --editable '.[browser]'
 	$(TEST_VENV)/bin/python docs/images/live.py docs/images/live-play.png
 
-# Which folder `make pictures` and `make studies` renew; `make docs-check` lets them renew a copy.
-DOCS := docs
 # Those that take minutes; other targets run most of the others.
 STUDIES := grid_forming physics validation small_signal reference one_event
 
 .PHONY: studies
 studies: $(TEST_READY) ## Run the studies of docs/studies and renew their tables and pictures (half an hour)
-	for study in $(STUDIES); do $(TEST_VENV)/bin/python docs/studies/$$study.py --output $(DOCS) || exit; done
+	for study in $(STUDIES); do $(TEST_VENV)/bin/python docs/studies/$$study.py || exit; done
 
 .PHONY: pictures
 pictures: $(LEADERBOARD_READY) studies ## Draw every picture of the README and of docs/ but the page's, and renew the tables beside them
-	$(LEADERBOARD_VENV)/bin/wtg-gym simulate --strategy mppt deloaded-5 deloaded-10 coordinated-piecewise --plot $(DOCS)/images/load-increase.png
-	$(LEADERBOARD_VENV)/bin/python docs/images/rooms.py $(DOCS)/images/rooms.svg
-	$(LEADERBOARD_VENV)/bin/python docs/images/render.py $(DOCS)/images/render.png $(DOCS)/images/render-v1.png
+	$(LEADERBOARD_VENV)/bin/wtg-gym simulate --strategy mppt deloaded-5 deloaded-10 coordinated-piecewise --plot docs/images/load-increase.png
+	$(LEADERBOARD_VENV)/bin/python docs/images/rooms.py docs/images/rooms.svg
+	$(LEADERBOARD_VENV)/bin/python docs/images/render.py docs/images/render.png docs/images/render-v1.png
 
 .PHONY: site
 site: $(SITE_READY) ## Build the site of the documentation into build/site; broken links and pages that nothing lists are errors
@@ -116,34 +87,15 @@ notebooks: $(NOTEBOOKS_READY) ## Run every notebook from the built wheel and kee
 	$(NOTEBOOKS_VENV)/bin/python .ci/install.py --quiet --no-deps --force-reinstall .
 	cd docs/notebooks && PATH="$(CURDIR)/$(NOTEBOOKS_VENV)/bin:$$PATH" jupyter nbconvert --to notebook --execute --inplace *.ipynb
 
-.PHONY: docs-check
-docs-check: $(LEADERBOARD_READY) ## Draw the pictures into a copy of docs/ and name those that differ from the ones in docs/
-	rm -rf build/docs
-	mkdir -p build
-	cp -R docs build/docs
-	find build/docs '(' -name '*.png' -o -name '*.svg' ')' -delete
-	$(MAKE) --no-print-directory pictures DOCS=build/docs
-	$(LEADERBOARD_VENV)/bin/python docs/images/compare.py docs build/docs
 
 .PHONY: performance
 performance: $(TEST_READY) ## Measure speed again; on a machine that does nothing else (ten minutes)
-	$(TEST_VENV)/bin/python docs/studies/first_step.py --output $(DOCS)
-	$(TEST_VENV)/bin/python docs/studies/performance.py --output $(DOCS)
+	$(TEST_VENV)/bin/python docs/studies/first_step.py
+	$(TEST_VENV)/bin/python docs/studies/performance.py
 
 .PHONY: golden
 golden: $(GOLDEN_READY) ## Make the golden traces anew with ANDES, in an environment of its own (half an hour)
 	$(GOLDEN_VENV)/bin/python tests/golden/make.py
-
-.PHONY: rllib
-rllib: $(RLLIB_READY) ## Train with RLlib for a minute, in an environment of its own, and export the policy; runs/make-rllib is written anew
-	rm -rf runs/make-rllib
-	$(RLLIB_VENV)/bin/python -m agents.rllib --suite standard --timesteps 500000 --interval 150000 --output runs/make-rllib
-	$(RLLIB_VENV)/bin/python -m agents.export runs/make-rllib --output runs/make-rllib/entry
-	$(RLLIB_VENV)/bin/wtg-gym evaluate --entries runs/make-rllib/entry --suite standard --split validation --results runs/make-rllib/results
-
-.PHONY: test-rllib
-test-rllib: $(RLLIB_READY) ## Run the tests that need Ray, which `make test` skips
-	$(RLLIB_VENV)/bin/python -m pytest tests/agents/test_rllib.py tests/evaluation/test_workers.py
 
 .PHONY: integrations
 integrations: $(TEST_READY) ## Run the programs of docs/integrations.md, each in an environment of its own (an hour)
@@ -188,28 +140,21 @@ format: $(TEST_READY) ## Format the code and mend what can be mended by itself
 
 .PHONY: clean
 clean: ## Remove the environments, caches and built files; results stay
-	rm -rf $(LEADERBOARD_VENV) $(TEST_VENV) $(GOLDEN_VENV) $(RLLIB_VENV) $(SITE_VENV) $(NOTEBOOKS_VENV) .hypothesis .import_linter_cache .mypy_cache .pytest_cache .ruff_cache build dist
+	rm -rf $(LEADERBOARD_VENV) $(TEST_VENV) $(GOLDEN_VENV) $(SITE_VENV) $(NOTEBOOKS_VENV) .hypothesis .import_linter_cache .mypy_cache .pytest_cache .ruff_cache build dist
 	find wtg_gym baselines agents tests -type d -name __pycache__ -prune -exec rm -rf {} +
 
 $(LEADERBOARD_READY): EXTRA := leaderboard,agents
 $(TEST_READY): EXTRA := dev
 $(GOLDEN_READY): EXTRA := golden
-$(RLLIB_READY): EXTRA := rllib
 $(SITE_READY): EXTRA := docs
 $(NOTEBOOKS_READY): EXTRA := notebooks
-$(RLLIB_READY): ALSO := hypothesis pytest
-
-$(LEADERBOARD_READY) $(TEST_READY) $(GOLDEN_READY) $(SITE_READY) $(NOTEBOOKS_READY): PINS := constraints.txt
-$(LEADERBOARD_READY) $(TEST_READY) $(GOLDEN_READY) $(SITE_READY) $(NOTEBOOKS_READY): constraints.txt
-$(RLLIB_READY): PINS := constraints-rllib.txt
-$(RLLIB_READY): constraints-rllib.txt
 
 # An environment whose stamp is merely out of date is brought up to date; any other is started over.
-$(LEADERBOARD_READY) $(TEST_READY) $(GOLDEN_READY) $(RLLIB_READY) $(SITE_READY) $(NOTEBOOKS_READY): pyproject.toml .ci/install.py .ci/pip.txt
+$(LEADERBOARD_READY) $(TEST_READY) $(GOLDEN_READY) $(SITE_READY) $(NOTEBOOKS_READY): pyproject.toml constraints.txt .ci/install.py .ci/pip.txt
 	@case '$(PYTHON_VERSION)' in 3.11|3.12|3.13|3.14) ;; *) \
 	    echo 'wtg_gym needs Python 3.11, 3.12, 3.13 or 3.14, but $(PYTHON) is $(or $(PYTHON_VERSION),not found).' >&2; \
 	    echo 'Name another one: make $(MAKECMDGOALS) PYTHON=python3.12' >&2; exit 1;; esac
 	@echo 'Preparing $(@D) for Python $(PYTHON_VERSION) with the "$(EXTRA)" extra; the first time takes a few minutes.'
 	$(PYTHON) -m venv $(@D)$(if $(wildcard $@),, --clear)
-	$(@D)/bin/python .ci/install.py --pins $(PINS) --quiet --editable '.[$(EXTRA)]' $(ALSO)
+	$(@D)/bin/python .ci/install.py --quiet --editable '.[$(EXTRA)]'
 	@touch $@

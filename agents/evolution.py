@@ -11,19 +11,19 @@ from __future__ import annotations
 import pickle
 import sys
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import Annotated
 
 import cma
 import numpy as np
 import numpy.typing as npt
 import torch
+from cyclopts import Parameter
 from torch import Tensor, nn
 
-from agents.command import training_command, training_parser
-from agents.folders import loading
-from agents.runs import Run, RunSettings
-from agents.training import draw, train_in_rounds
+from agents.command import RunOptions, Whole, begin_or_go_on, run_command
+from agents.run import Run, RunSettings, draw, loading, train_in_rounds
 from wtg_gym.envs import EnvSettings
 from wtg_gym.envs.lanes import TaskLanes
 from wtg_gym.gains import ScoreUnits
@@ -50,18 +50,27 @@ _LOW_COLUMNS = [0, 3]
 _LOW = [LOW_FREQUENCY_HZ / FREQUENCY_UNIT_HZ, (LOW_ROTOR_PU - 1.0) / ROTOR_SPEED_UNIT_PU]
 
 
+@Parameter(name="*")
 @dataclass(frozen=True)
 class Hyperparameters:
     """Hyperparameters; the first generations search the direct weights alone, which are few."""
 
-    hidden: int = 6
-    population: int = 20
-    first_share: float = 0.4  # of the generations
+    hidden: Whole = 6
+    """tanh units, or 0 for a linear policy"""
+    population: Whole = 20
+    """candidates of a generation"""
+    first_share: float = 0.4
+    """of the generations, for the direct weights alone"""
     first_spread: float = 0.15
+    """standard deviation of the first candidates' direct weights"""
     spread: float = 0.03
-    mean_weight: float = 0.0  # of J / J0 beside ln(J + J0)
-    mark_weight: float = 1.0  # of the share of runs with the grid lost or beyond the design deviation, see SOFT_HZ
-    history: bool = True  # whether a group sees what is below beside its own observation
+    """standard deviation of all weights, when they are searched first"""
+    mean_weight: float = 0.0
+    """weight of J / J0 beside ln(J + J0)"""
+    mark_weight: float = 1.0
+    """weight of the share of runs with the grid lost or beyond 0.8 Hz"""
+    history: Annotated[bool, Parameter(negative="--own-only")] = True
+    """a group sees slow copies and the mean frequency too, or its present observation alone"""
 
     def __post_init__(self) -> None:
         if self.hidden < 0 or self.population < 4:
@@ -200,7 +209,7 @@ class Search:
 
 
 class EvolutionLearner:
-    """A policy and the search for its weights, for :func:`agents.training.train_in_rounds`."""
+    """A policy and the search for its weights, for :func:`agents.run.train_in_rounds`."""
 
     def __init__(self, policy: GroupPolicy, seed: int, h: Hyperparameters) -> None:
         self.policy, self._seed, self._h = policy, seed, h
@@ -248,8 +257,8 @@ class EvolutionLearner:
             self.policy.weights.copy_(torch.from_numpy(self.average))
 
 
-def train(run: Run, folder: Path) -> None:
-    """Train from the last checkpoint, if there is one, to the end; checkpoints and run.json go to `folder`."""
+def train(run: Run) -> None:
+    """Train from the last checkpoint, if there is one, to the end; checkpoints and run.json go to the run's folder."""
     if run.finished:
         return
     settings, h = run.settings, Hyperparameters(**run.settings.hyperparameters)
@@ -271,21 +280,19 @@ def train(run: Run, folder: Path) -> None:
         learner.tell(candidates, objectives)
         return float(objectives.mean())
 
-    train_in_rounds(run, folder, learner, population.n_steps * settings.n_envs * h.population, learn)
+    train_in_rounds(run, learner, population.n_steps * settings.n_envs * h.population, learn)
+
+
+def command(*, options: RunOptions = RunOptions(), h: Hyperparameters = Hyperparameters()) -> None:
+    """Train a small policy by evolution, on what the score pays."""
+    begin_or_go_on(
+        options, (NAME,), lambda: options.settings(NAME, asdict(h), timesteps=_TIMESTEPS, n_envs=_N_ENVS), train
+    )
 
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command and return its exit code."""
-    parser = training_parser("agents.evolution", __doc__ or "", timesteps=str(_TIMESTEPS))
-    add = parser.add_argument
-    add("--n-envs", type=int, metavar="N", help=f"scenarios of a generation (default: {_N_ENVS})")
-    add("--hidden", type=int, metavar="N", help="tanh units, or 0 for a linear policy (default: 6)")
-    add("--population", type=int, metavar="N", help="candidates of a generation (default: 20)")
-    add("--own-only", dest="history", action="store_false", help="a group sees its present observation alone")
-    add("--mean-weight", type=float, metavar="W", help="weight of J / J0 beside ln(J + J0) (default: 0)")
-    add("--mark-weight", type=float, metavar="W", help="weight of the share lost or beyond 0.8 Hz (default: 1)")
-
-    return training_command(parser, argv, NAME, Hyperparameters, train, timesteps=_TIMESTEPS, n_envs=_N_ENVS)
+    return run_command(command, "agents.evolution", argv, "go on with --resume")
 
 
 if __name__ == "__main__":

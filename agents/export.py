@@ -1,29 +1,24 @@
-"""`python -m agents.export`: a trained policy as ONNX, with a model card and as an entry of the leaderboard."""
+"""`python -m agents.export`: a trained policy as ONNX, as an entry of the leaderboard."""
 
 from __future__ import annotations
 
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Annotated
 
-from agents.command import make_parser, note, run_command
-from agents.folders import BEST, folders
-from agents.runs import Run
-from agents.training import entry_values
-from wtg_gym.files import markdown_table, sha256, write_together
+from cyclopts import Parameter
+
+from agents.command import note, run_command
+from agents.run import BEST, Run, folders
+from wtg_gym.files import write_together
 from wtg_gym.policies.entry_folder import ENTRY_FILE, POLICY_FILE, entry_text, parse_entry
-from wtg_gym.scenarios import get_suite
-
-_DESCRIPTION = """\
-Writes the best policy of a run, normalisation and clipping included, as policy.onnx, a model card README.md, and an
-entry.toml that makes the folder an entry of the leaderboard. The file is the one that the training wrote."""
 
 
 def export(
     run_folder: Path, output: Path, *, name: str = "", description: str = "", authors: Sequence[str] = ()
 ) -> None:
-    """Write the best policy of a run into a new folder: policy.onnx, README.md and entry.toml.
+    """Write the best policy of a run into a new folder: policy.onnx and entry.toml.
 
     Without a name it is one made of algorithm and action mode. A ValueError says that the folder is there already, that
     there is no policy, or that the leaderboard would refuse the name.
@@ -31,78 +26,49 @@ def export(
     if output.exists():
         raise ValueError(f"{output} is there already; give a new folder")
     run = Run.read(run_folder)
-    settings = run.settings
     # A kill may leave a policy whose validation is not in run.json.
-    rows = {int(row["timesteps"]): row for row in run.curve}
-    best = [folder for folder in folders(run_folder / BEST) if int(folder.name) in rows]
+    validated = {int(row["timesteps"]) for row in run.curve}
+    best = [folder for folder in folders(run_folder / BEST) if int(folder.name) in validated]
     if not best:
         raise ValueError(f"{run_folder} has no validated policy yet: go on with the run first")
-    timesteps = int(best[-1].name)
-    entry = entry_values(settings, name, description)
+    entry = {**run.settings.entry(name, description), "authors": list(authors)}
     if parse_entry((best[-1] / ENTRY_FILE).read_text(encoding="utf-8")).get("per_group"):
         entry["per_group"] = True
-    content = (best[-1] / POLICY_FILE).read_bytes()
     # The same for all training seeds, which share a row.
-    trained_on = f"{settings.suite}, split train, up to {settings.timesteps} steps; chosen on split validation"
-    files: dict[str, str | bytes] = {
-        POLICY_FILE: content,
-        "README.md": _model_card(run, rows[timesteps], entry["name"], authors, content),
-        # Last, because it makes the folder an entry.
-        ENTRY_FILE: entry_text({**entry, "authors": list(authors), "trained_on": trained_on}),
-    }
-    write_together({output / name: data for name, data in files.items()})
+    steps = f"up to {run.settings.timesteps} steps"
+    entry["trained_on"] = f"{run.settings.suite}, split train, {steps}; chosen on split validation"
+    # The entry last, because it makes the folder one.
+    files: dict[str, str | bytes] = {POLICY_FILE: (best[-1] / POLICY_FILE).read_bytes(), ENTRY_FILE: entry_text(entry)}
+    write_together({output / file: content for file, content in files.items()})
 
 
-def _model_card(run: Run, best: Mapping[str, float], name: str, authors: Sequence[str], content: bytes) -> str:
-    """Return the README.md of an exported policy; `best` is its row of the run's curve, `content` its policy.onnx."""
-    settings, provenance = run.settings, run.provenance
-    suite = get_suite(settings.suite)
-    task = suite.task
-    changes = [change for process in run.resumptions for change in process["differences"]]
-    facts = {
-        "actions": f"`{settings.action_mode}` of `{settings.strategy}`, deterministic",
-        "observations": f"`{settings.observation_mode}` of `{suite.env_id}`, suite `{settings.suite}`",
-        "steps": f"{best['timesteps']:,} of {settings.timesteps:,}",
-        "changed by a resumption": "; ".join(changes) or "nothing",
-        "validation score": f"{best['score']:.1f} on {settings.validation_episodes} scenarios "
-        f"({task.zero} 0, {task.hundred} 100), chosen as the best of the curve: a little optimistic",
-        "authors": ", ".join(authors) or "not given",
-        "sha256 of policy.onnx": f"`{sha256(content)}`",
-        **{key: f"`{value}`" for key, value in sorted(settings.hyperparameters.items())},
-        "source hash": f"`{provenance['source_hash']}`",
-        **provenance["versions"],
-    }
-    return f"""\
-# {name}
+def command(
+    run: Path,
+    /,
+    *,
+    output: Path,
+    name: str = "",
+    description: str = "",
+    authors: Annotated[tuple[str, ...], Parameter(consume_multiple=1, negative="")] = (),
+) -> None:
+    """Write the best policy of a run as an entry of the leaderboard.
 
-A policy that modulates the grid-forming control of wind turbines on the IEEE 14-bus system.
+    The folder has policy.onnx, normalisation and clipping included, as the training wrote it, and an entry.toml.
 
-{markdown_table(["", ""], [[key, str(value)] for key, value in facts.items()])}
-
-In a checkout of commit `{provenance["git_commit"]}`, with these versions on a machine like {provenance["machine"]}:
-
-```
-{provenance["command"]}
-```
-"""
+    Args:
+        run: folder of the run
+        output: new folder to write to
+        name: of the entry; runs of one name and several seeds share a row of the table
+        description: one sentence on what it is
+        authors: who trained it; a submission needs them
+    """
+    export(run, output, name=name, description=description, authors=authors)
+    note(f"wrote {output}")
 
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command and return its exit code."""
-    parser = make_parser("agents.export", _DESCRIPTION)
-    parser.add_argument("run", metavar="RUN_FOLDER", help="folder of the run")
-    parser.add_argument("--output", required=True, metavar="FOLDER", help="new folder to write to")
-    parser.add_argument("--name", help="of the entry; runs of one name and several seeds share a row of the table")
-    parser.add_argument("--description", help="one sentence on what it is")
-    parser.add_argument("--authors", nargs="+", metavar="NAME", help="who trained it; a submission needs them")
-
-    def work() -> None:
-        given: dict[str, Any] = vars(parser.parse_args(argv))
-        output = Path(given.pop("output"))
-        export(Path(given.pop("run")), output, **given)
-        note(f"wrote {output}")
-
-    return run_command(work, "begin anew")
+    return run_command(command, "agents.export", argv, "begin anew")
 
 
 if __name__ == "__main__":

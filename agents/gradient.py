@@ -12,17 +12,17 @@ import itertools
 import math
 import sys
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
 import torch
+from cyclopts import Parameter
 from torch import Tensor, nn
 
-from agents.command import training_command, training_parser
-from agents.folders import loading
-from agents.runs import Run, RunSettings
-from agents.training import draw, train_in_rounds
+from agents.command import RunOptions, Whole, begin_or_go_on, run_command
+from agents.run import Run, RunSettings, draw, loading, train_in_rounds
 from wtg_gym.envs import EnvSettings
 from wtg_gym.evaluation.score import pinned_cost
 from wtg_gym.gains import ScoreUnits
@@ -46,18 +46,27 @@ MAX_ACTION_GRADIENT = 0.03
 STRAY_WEIGHT = 5.0
 
 
+@Parameter(name="*")
 @dataclass(frozen=True)
 class Hyperparameters:
     """Hyperparameters; the learning rate falls along half a cosine to `last_rate` of it."""
 
-    hidden: Sequence[int] = (64, 64)
-    lstm: int = 0
+    hidden: Annotated[tuple[Whole, ...], Parameter(consume_multiple=True, negative="")] = (64, 64)
+    """widths of the hidden layers, or none"""
+    lstm: Whole = 0
+    """width of an LSTM in front of the layers; 0: none"""
     learning_rate: float = 1e-2
+    """of Adam at the start"""
     last_rate: float = 0.05
-    betas: Sequence[float] = (0.9, 0.99)
+    """of the learning rate, at the end"""
+    betas: Annotated[tuple[float, float], Parameter(negative="")] = (0.9, 0.99)
+    """of Adam"""
     max_grad_norm: float = 1.0
-    mean_weight: float = 0.0  # of J / J0 in the loss, besides ln(J + J0)
-    per_group: bool = False  # whether the policy sees one group at a time
+    """largest norm of a gradient"""
+    mean_weight: float = 0.0
+    """weight of J / J0 in the loss, beside ln(J + J0)"""
+    per_group: Annotated[bool, Parameter(negative="")] = False
+    """the policy sees one group at a time, and plays any grid"""
 
     def __post_init__(self) -> None:
         if min(self.hidden, default=1) < 1 or self.lstm < 0:
@@ -209,8 +218,8 @@ class GradientLearner:
             self.optimizer.load_state_dict(state["optimizer"])
 
 
-def train(run: Run, folder: Path) -> None:
-    """Train from the last checkpoint, if there is one, to the end; checkpoints and run.json go to `folder`."""
+def train(run: Run) -> None:
+    """Train from the last checkpoint, if there is one, to the end; checkpoints and run.json go to the run's folder."""
     if run.finished:
         return
     settings, h = run.settings, Hyperparameters(**run.settings.hyperparameters)
@@ -234,21 +243,19 @@ def train(run: Run, folder: Path) -> None:
         costs, strays = costs_of(episodes, policy, scenarios, n_steps, failures)
         return descend(policy, optimizer, loss_of(costs, scenarios) + STRAY_WEIGHT * strays.mean(), h)
 
-    train_in_rounds(run, folder, learner, n_steps * settings.n_envs, learn)
+    train_in_rounds(run, learner, n_steps * settings.n_envs, learn)
+
+
+def command(*, options: RunOptions = RunOptions(), h: Hyperparameters = Hyperparameters()) -> None:
+    """Train a policy by back-propagation through whole episodes of the environment itself."""
+    begin_or_go_on(
+        options, (NAME,), lambda: options.settings(NAME, asdict(h), timesteps=_TIMESTEPS, n_envs=_N_ENVS), train
+    )
 
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command and return its exit code."""
-    parser = training_parser("agents.gradient", __doc__ or "", timesteps=str(_TIMESTEPS))
-    add = parser.add_argument
-    add("--n-envs", type=int, metavar="N", help=f"episodes per gradient (default: {_N_ENVS})")
-    add("--hidden", type=int, nargs="*", metavar="N", help="widths of the hidden layers, or none (default: 64 64)")
-    add("--learning-rate", type=float, metavar="R", help="of Adam at the start (default: 0.01)")
-    add("--mean-weight", type=float, metavar="W", help="weight of J / J0 beside ln(J + J0) in the loss (default: 0)")
-    add("--per-group", action="store_true", help="the policy sees one group at a time, and plays any grid")
-    add("--lstm", type=int, metavar="N", help="width of an LSTM in front of them (default: 0, none)")
-
-    return training_command(parser, argv, NAME, Hyperparameters, train, timesteps=_TIMESTEPS, n_envs=_N_ENVS)
+    return run_command(command, "agents.gradient", argv, "go on with --resume")
 
 
 if __name__ == "__main__":

@@ -1,40 +1,84 @@
-"""Learners of Stable-Baselines3: made, and saved with everything that they go on from.
+"""Learners of Stable-Baselines3: hyperparameters in the yml format of RL Zoo, and checkpoints.
 
-A checkpoint holds the learner with its optimisers, the replay buffer, the environments in the middle of their episodes,
-the normalisation and every random generator. It is made of pickles, which run code when they are loaded: load your own
-only.
+A checkpoint holds the learner with its optimisers, the normalisation and the replay buffer. It is made of pickles,
+which run code when they are loaded: load your own only.
 """
 
 from __future__ import annotations
 
-import pickle
-import random
+import copy
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
-import torch
+import yaml
+from sb3_contrib import RecurrentPPO
+from stable_baselines3 import PPO, SAC
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
-from stable_baselines3.common.vec_env import VecEnv, VecMonitor, VecNormalize, unwrap_vec_wrapper
+from stable_baselines3.common.utils import LinearSchedule
+from stable_baselines3.common.vec_env import VecEnv, VecMonitor, VecNormalize
 from torch import nn
 
-from agents.folders import loading
-from agents.hyperparameters import IPPO, TRAINED, algorithm_arguments, normalization_arguments
 from agents.multi_agent import SharedPolicy, agent_env
-from agents.runs import RunSettings
+from agents.run import RunSettings, loading
 from wtg_gym.envs import EnvSettings
+from wtg_gym.files import read_text
 from wtg_gym.sb3 import DeterministicPolicy, SB3VecEnv
 
-_MODEL = "model.zip"
-_NORMALIZE = "vec_normalize.pkl"
-_REPLAY_BUFFER = "replay_buffer.pkl"
-_STATE = "state.pkl"
+#: PPO of which one network acts for every WTG group.
+IPPO = "ippo"
+#: The algorithms by name; RL Zoo calls recurrent_ppo ppo_lstm.
+TRAINED: dict[str, type[BaseAlgorithm]] = {"ppo": PPO, "sac": SAC, "recurrent_ppo": RecurrentPPO, IPPO: PPO}
+CONFIG_FOLDER = Path(__file__).parent / "configs"
+#: A text that begins so is a schedule that falls linearly to zero.
+_LINEAR = "lin_"
+_OF_THE_RUN = ("n_timesteps", "n_envs", "normalize")
+_MODEL, _NORMALIZE, _REPLAY_BUFFER = "model.zip", "vec_normalize.pkl", "replay_buffer.pkl"
 #: Without it, a class that the learner chose for its n_steps counts as the user's choice, with a warning.
 CUSTOM_OBJECTS = {"replay_buffer_class": None}
 
 
+def read_config(path: Path, env_id: str) -> dict[str, Any]:
+    """Return the section of an environment in a yml file as it is written there.
+
+    Raises:
+        ValueError: the file cannot be read, is not YAML, or has no section for the environment.
+    """
+    try:
+        data = yaml.safe_load(read_text(path, "hyperparameter file"))
+    except yaml.YAMLError as error:
+        raise ValueError(f"the hyperparameter file {path} is not yml: {error}") from error
+    if not isinstance(data, dict) or not isinstance(data.get(env_id), dict):
+        raise ValueError(f"the hyperparameter file {path} must have a section {env_id!r} with keys and values")
+    return dict(data[env_id])
+
+
+def algorithm_arguments(raw: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the arguments of the algorithm, `policy` among them, that a section of a file means.
+
+    Dictionaries are written as such: RL Zoo evaluates texts in the place of them, which would run any code.
+    """
+    # The algorithms write into policy_kwargs.
+    arguments = copy.deepcopy({key: value for key, value in raw.items() if key not in _OF_THE_RUN})
+    for key, value in arguments.items():
+        if isinstance(value, str) and value.startswith(_LINEAR):
+            arguments[key] = LinearSchedule(float(value.removeprefix(_LINEAR)), 0.0, 1.0)
+    return arguments
+
+
+def normalization_arguments(raw: Mapping[str, Any]) -> dict[str, Any] | None:
+    """Return the arguments of VecNormalize that a section of a file means; None for no normalisation."""
+    given = raw.get("normalize", False)
+    if given is False:
+        return None
+    # Rewards are scaled by the spread of the returns that the learner sees.
+    return {**({} if given is True else given), **({"gamma": raw["gamma"]} if "gamma" in raw else {})}
+
+
 class SB3Learner:
-    """A learner of Stable-Baselines3, for :class:`agents.training.Training`."""
+    """A learner of Stable-Baselines3, for :class:`agents.run.Run`."""
 
     def __init__(self, model: BaseAlgorithm) -> None:
         self.model = model
@@ -47,40 +91,29 @@ class SB3Learner:
         return network
 
     def save(self, folder: Path) -> None:
-        """Write everything that training goes on from into an empty folder, between two rollouts of the learner."""
-        model = self.model
-        model.save(folder / _MODEL)
-        if isinstance(model, OffPolicyAlgorithm):
-            model.save_replay_buffer(folder / _REPLAY_BUFFER)
-        env, normalize = model.get_env(), model.get_vec_normalize_env()
-        assert env is not None
-        if normalize is not None:
+        """Write what training goes on from into an empty folder."""
+        self.model.save(folder / _MODEL)
+        if isinstance(self.model, OffPolicyAlgorithm):
+            self.model.save_replay_buffer(folder / _REPLAY_BUFFER)
+        if (normalize := self.model.get_vec_normalize_env()) is not None:
             normalize.save(str(folder / _NORMALIZE))
-        monitor = unwrap_vec_wrapper(env, VecMonitor)
-        assert isinstance(monitor, VecMonitor)
-        state = {
-            "environments": monitor.venv,
-            "monitor": (monitor.episode_returns, monitor.episode_lengths, monitor.episode_count),
-            # VecNormalize leaves it out of its own file.
-            "discounted_returns": None if normalize is None else normalize.returns,
-            "lstm_states": getattr(model, "_last_lstm_states", None),
-            "python": random.getstate(),
-            "numpy": np.random.get_state(),
-            "torch": torch.get_rng_state(),
-            "action_space": model.action_space.np_random.bit_generator.state,
-        }
-        (folder / _STATE).write_bytes(pickle.dumps(state))
+
+
+def _environments(settings: RunSettings) -> VecEnv:
+    """Return the environments that a run learns in, one for each agent of IPPO."""
+    single = settings.algo != IPPO
+    return VecMonitor(
+        SB3VecEnv(settings.n_envs, gains=True, **settings.env_arguments) if single else agent_env(settings)
+    )
 
 
 def new_model(settings: RunSettings) -> BaseAlgorithm:
-    """Return an untrained learner in its environments; lane i draws its scenarios from the run's seed plus i.
+    """Return an untrained learner in its environments; environment i draws its scenarios from the run's seed plus i.
 
     Raises:
         ValueError: the algorithm refuses a hyperparameter.
     """
-    single = settings.algo != IPPO
-    lanes = SB3VecEnv(settings.n_envs, gains=True, **settings.env_arguments) if single else agent_env(settings)
-    env: VecEnv = VecMonitor(lanes)
+    env = _environments(settings)
     try:
         arguments = algorithm_arguments(settings.hyperparameters)
         if (normalization := normalization_arguments(settings.hyperparameters)) is not None:
@@ -92,29 +125,18 @@ def new_model(settings: RunSettings) -> BaseAlgorithm:
 
 
 def load_model(folder: Path, settings: RunSettings) -> BaseAlgorithm:
-    """Return the learner of a checkpoint, in its environments and with every random generator as it was.
+    """Return the learner of a checkpoint, which begins new episodes of scenarios that it has not seen.
 
     Raises:
         ValueError: a file is missing or damaged.
     """
     with loading(folder):
-        state = pickle.loads((folder / _STATE).read_bytes())
-        monitor = VecMonitor(state["environments"])
-        monitor.episode_returns, monitor.episode_lengths, monitor.episode_count = state["monitor"]
-        env: VecEnv = monitor
-        if state["discounted_returns"] is not None:
-            env = normalize = VecNormalize.load(str(folder / _NORMALIZE), monitor)
-            normalize.returns = state["discounted_returns"]
-        model = TRAINED[settings.algo].load(
-            folder / _MODEL, env=env, device="cpu", custom_objects=CUSTOM_OBJECTS, force_reset=False
-        )
+        env = _environments(settings)
+        if normalization_arguments(settings.hyperparameters) is not None:
+            env = VecNormalize.load(str(folder / _NORMALIZE), env)
+        model = TRAINED[settings.algo].load(folder / _MODEL, env=env, device="cpu", custom_objects=CUSTOM_OBJECTS)
         if isinstance(model, OffPolicyAlgorithm):
             model.load_replay_buffer(folder / _REPLAY_BUFFER)
-        if state["lstm_states"] is not None:
-            model._last_lstm_states = state["lstm_states"]  # type: ignore[attr-defined]
-        # Last, because making the learner seeds the generators anew.
-        random.setstate(state["python"])
-        np.random.set_state(state["numpy"])
-        torch.set_rng_state(state["torch"])
-        model.action_space.np_random.bit_generator.state = state["action_space"]
+        (seed,) = np.random.SeedSequence((settings.seed, model.num_timesteps)).generate_state(1) >> 1
+        model.set_random_seed(int(seed))
     return model

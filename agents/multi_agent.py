@@ -18,7 +18,7 @@ from gymnasium.spaces import Box
 from stable_baselines3.common.vec_env import VecEnvWrapper
 from torch import Tensor, nn
 
-from agents.runs import RunSettings
+from agents.run import RunSettings
 from wtg_gym.envs import EnvSettings
 from wtg_gym.sb3 import SB3VecEnv
 from wtg_gym.tasks.episode import ACTION_MODES
@@ -85,13 +85,6 @@ class AgentVecEnv(VecEnvWrapper):
         if "terminal_observation" not in info:
             return [info] * self.n_wtg
         return [{**info, "terminal_observation": last} for last in self._split(info["terminal_observation"][None])]
-
-    def __getstate__(self) -> dict[str, Any]:
-        # It cannot be pickled; its class has it.
-        return {key: value for key, value in self.__dict__.items() if key != "class_attributes"}
-
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        self.__dict__.update(state, class_attributes={name: getattr(type(self), name) for name in dir(type(self))})
 
 
 class SharedPolicy(nn.Module):

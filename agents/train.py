@@ -4,52 +4,40 @@ from __future__ import annotations
 
 import itertools
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Literal
 
 import torch
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.logger import configure
 
-from agents.command import opened_run, run_command, settings_of, training_parser
-from agents.hyperparameters import CONFIG_FOLDER, TRAINED, read_config
-from agents.learners import SB3Learner, load_model, new_model
-from agents.runs import Run, RunSettings
-from agents.training import Training, last_checkpoint
+from agents.command import RunOptions, begin_or_go_on, run_command
+from agents.learners import CONFIG_FOLDER, TRAINED, SB3Learner, load_model, new_model, read_config
+from agents.run import Run, RunSettings
 from wtg_gym.progress import Progress
-from wtg_gym.scenarios import DEFAULT_SUITE, get_suite
-
-_DESCRIPTION = """\
-Trains a policy and writes everything about it to a folder: run.json, TensorBoard's files, the policy with the best
-validation score, and a checkpoint to go on from with --resume after an interruption of any kind.
-
-With "ippo" (independent PPO with shared parameters) every WTG group plays the same policy by itself, from what it
-measures itself. A lane is then one group of one episode: one step of an episode is as many steps as it has groups."""
+from wtg_gym.scenarios import get_suite
 
 
-def train(run: Run, folder: Path) -> None:
+def train(run: Run) -> None:
     """Train until the run's timesteps are done, from its last checkpoint on if there is one.
 
-    The curve, checkpoints, the best policy and TensorBoard's files go to `folder`. A wrong hyperparameter, or a
+    The curve, checkpoints, the best policy and TensorBoard's files go to the run's folder. A wrong hyperparameter, or a
     checkpoint that is gone or damaged, is a ValueError.
     """
     # Sums over several threads depend on which of them ends first, those that draw the first weights among them.
     torch.set_num_threads(1)
-    settings, saved = run.settings, last_checkpoint(run, folder)
+    settings, saved = run.settings, run.checkpoint
     model = load_model(saved, settings) if saved else new_model(settings)
     env = model.get_env()
     assert env is not None
     try:
-        training = Training(run, folder, SB3Learner(model))
-        model.set_logger(configure(str(folder / "tensorboard"), ["tensorboard"]))
+        run.begin(SB3Learner(model))
+        model.set_logger(configure(str(run.folder / "tensorboard"), ["tensorboard"]))
         with Progress("thousand steps") as progress:
-            restored_at = model.num_timesteps if saved else None
-            supervision = _Supervision(training, progress, settings.timesteps, restored_at)
+            supervision = _Supervision(run, progress, model.num_timesteps)
             supervision.init_callback(model)
-            left = settings.timesteps - model.num_timesteps
-            if left > 0:
-                # A new learner starts its environments all the same; one from a checkpoint, be it of step 0, goes on.
+            if (left := settings.timesteps - model.num_timesteps) > 0:
                 model.learn(left, callback=supervision, reset_num_timesteps=False)
             supervision.take_stock(finished=True)
             model.logger.dump(model.num_timesteps)
@@ -58,23 +46,18 @@ def train(run: Run, folder: Path) -> None:
 
 
 class _Supervision(BaseCallback):
-    """Measures, validates and saves while a learner learns.
+    """Measures, validates and saves while a learner learns; `first` is the step at which this process began."""
 
-    Args:
-        restored_at: timesteps of the checkpoint that the learner is from; None for a new one.
-    """
-
-    def __init__(self, training: Training, progress: Progress, timesteps: int, restored_at: int | None) -> None:
+    def __init__(self, run: Run, progress: Progress, first: int) -> None:
         super().__init__()
-        self._training, self._progress, self._timesteps = training, progress, timesteps
-        self._restored_at, self._first = restored_at, restored_at or 0
+        self._run, self._progress, self._first = run, progress, first
 
     def _on_step(self) -> bool:
         for info in itertools.compress(self.locals["infos"], self.locals["dones"]):
             self.logger.record_mean("episode/failure", float(info["termination_reason"] != ""))
-        # Counted from where this process began, so that the remaining time follows from its own speed.
-        done, total = self.num_timesteps - self._first, self._timesteps - self._first
-        self._progress.update(self._training.title, done / 1000, round(total / 1000))
+        # So that the remaining time follows from this process's own speed.
+        done, total = self.num_timesteps - self._first, self._run.settings.timesteps - self._first
+        self._progress.update(self._run.title, done / 1000, round(total / 1000))
         return True
 
     def _on_rollout_start(self) -> None:
@@ -83,40 +66,44 @@ class _Supervision(BaseCallback):
 
     def take_stock(self, *, finished: bool = False) -> None:
         """Validate, keep the best policy, and write a checkpoint, where it is time for it."""
-        model = self.model
-        metrics = self._training.take_stock(model.num_timesteps, finished=finished)
-        if metrics is None:
-            return
-        for key, value in metrics.items():
+        metrics = self._run.take_stock(SB3Learner(self.model), self.model.num_timesteps, finished=finished)
+        for key, value in (metrics or {}).items():
             self.logger.record(f"validation/{key}", value)
-        if model.num_timesteps != self._restored_at and getattr(model, "use_sde", False):
-            # A learner draws the noise of its next rollout before it calls us, and once more after a resumption.
-            actor: Any = model.policy
-            actor.reset_noise(model.n_envs)
 
 
-def sb3_settings(given: Mapping[str, Any]) -> RunSettings:
+def new_settings(options: RunOptions, algo: str | None, config: Path | None) -> RunSettings:
     """Return the settings that the options and the hyperparameter file ask for; a ValueError if one is wrong."""
-    if "algo" not in given:
+    if algo is None:
         raise ValueError(f"--algo is needed: {', '.join(TRAINED)}")
-    path = Path(given.get("config", CONFIG_FOLDER / f"{given['algo']}.yml"))
-    raw = read_config(path, get_suite(given.get("suite", DEFAULT_SUITE)).task.env_id)
-    return settings_of(given, given["algo"], raw, timesteps=raw.get("n_timesteps", 0), n_envs=raw.get("n_envs", 1))
+    raw = read_config(config or CONFIG_FOLDER / f"{algo}.yml", get_suite(options.suite).task.env_id)
+    return options.settings(algo, raw, timesteps=raw.get("n_timesteps", 0), n_envs=raw.get("n_envs", 1))
+
+
+def command(
+    *,
+    algo: Literal["ppo", "recurrent_ppo", "sac", "ippo"] | None = None,
+    config: Path | None = None,
+    options: RunOptions = RunOptions(),
+) -> None:
+    """Train a policy with Stable-Baselines3.
+
+    Everything about it is written to a folder: run.json, TensorBoard's files, the policy with the best validation
+    score, and a checkpoint to go on from with --resume after an interruption of any kind.
+
+    With "ippo" (independent PPO with shared parameters) every WTG group plays the same policy by itself, from what it
+    measures itself. An environment is then one group of one episode: one step of an episode is as many steps as it has
+    groups.
+
+    Args:
+        algo: the algorithm
+        config: hyperparameters; default: agents/configs/<algo>.yml
+    """
+    begin_or_go_on(options, TRAINED, lambda: new_settings(options, algo, config), train)
 
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command and return its exit code."""
-    parser = training_parser("agents.train", _DESCRIPTION, timesteps="the file's")
-    parser.add_argument("--algo", choices=tuple(TRAINED), help="the algorithm")
-    parser.add_argument("--n-envs", type=int, metavar="N", help="lanes side by side (default: the file's)")
-    parser.add_argument("--config", metavar="FILE", help="hyperparameters (default: agents/configs/<algo>.yml)")
-
-    def work() -> None:
-        given = vars(parser.parse_args(argv))
-        with opened_run(given, TRAINED, lambda: sb3_settings(given)) as (run, folder):
-            train(run, folder)
-
-    return run_command(work, "go on with --resume")
+    return run_command(command, "agents.train", argv, "go on with --resume")
 
 
 if __name__ == "__main__":

@@ -56,7 +56,7 @@ def pytest_collection_finish() -> None:
 def short_validations() -> Iterator[None]:
     """Training validates over six seconds instead of a minute, which most of a small run would go into."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("agents.runs.evaluate", functools.partial(evaluate, duration_s=6.0))
+        patch.setattr("agents.run.evaluate", functools.partial(evaluate, duration_s=6.0))
         yield
 
 

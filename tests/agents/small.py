@@ -10,10 +10,8 @@ import pytest
 import yaml
 from stable_baselines3.common.base_class import BaseAlgorithm
 
-from agents.folders import folders
-from agents.runs import Run, RunSettings
+from agents.run import Run, RunSettings, folders
 from agents.train import main, train
-from agents.training import Training
 from tests.interruption import interrupted
 from wtg_gym.envs import GFMWTGVectorEnv
 
@@ -63,8 +61,8 @@ def stopped_after(timesteps: int, like: Path, folder: Path) -> Path:
         return (folder / "checkpoints" / f"{timesteps:012d}").exists()
 
     with pytest.MonkeyPatch.context() as patch, pytest.raises(KeyboardInterrupt):
-        patch.setattr(Training, "take_stock", interrupted(Training.take_stock, when=is_there))
-        train(Run.new(Run.read(like).settings), folder)
+        patch.setattr(Run, "take_stock", interrupted(Run.take_stock, when=is_there))
+        train(Run.new(folder, Run.read(like).settings))
     assert [int(path.name) for path in folders(folder / "checkpoints")] == [timesteps]
     return folder
 

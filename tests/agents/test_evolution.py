@@ -11,8 +11,7 @@ import torch
 
 from agents.evolution import EvolutionLearner, GroupPolicy, Hyperparameters, Population, main
 from agents.export import export
-from agents.folders import folders
-from agents.runs import Run
+from agents.run import Run, folders
 from tests.agents.small import largest_difference
 from tests.interruption import interrupted
 from wtg_gym.envs import EnvSettings

@@ -13,7 +13,6 @@ import torch
 
 from agents import gradient
 from agents.export import export
-from agents.folders import folders
 from agents.gradient import (
     Failures,
     GradientLearner,
@@ -25,7 +24,7 @@ from agents.gradient import (
     draw,
     main,
 )
-from agents.runs import Run
+from agents.run import Run, folders
 from tests.agents.small import largest_difference
 from tests.interruption import interrupted
 from wtg_gym.envs import EnvSettings

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 import yaml
 
-from agents.hyperparameters import (
+from agents.learners import (
     CONFIG_FOLDER,
     TRAINED,
     algorithm_arguments,

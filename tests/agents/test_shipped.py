@@ -1,20 +1,50 @@
-"""The card of every shipped policy that a learner trained has its file's sha256 and its command."""
+"""Every shipped policy is as its training left it, and docs/agents.md says how it was trained."""
 
 from __future__ import annotations
 
+import json
+from pathlib import Path
+
+import pytest
+
+from agents import shipped
+from agents.run import Run, RunSettings
 from wtg_gym.evaluation import load_entries
 from wtg_gym.files import sha256
 from wtg_gym.policies.entry_folder import policy_folders
 
 
-def test_every_trained_policy_is_there_and_its_card_has_its_command() -> None:
-    n_cards = 0
+def test_every_trained_policy_is_the_one_of_its_record() -> None:
+    records = json.loads(shipped.RECORDS.read_text(encoding="utf-8"))
     for folder in policy_folders():
         (entry,) = load_entries(folder)
-        # A feedback is one run, not one of several seeds; policies of others may have any card.
-        if "feedback" in folder.name or entry.source != "The wtg_gym authors":
+        # One feedback is older than the records; policies of others have none.
+        if folder.name == "linear-feedback" or entry.source != "The wtg_gym authors":
             continue
-        card, n_cards = (folder / "README.md").read_text(encoding="utf-8"), n_cards + 1
-        assert (str(entry.training_seed), entry.kind) == (folder.name.rpartition("-")[2], "learned")
-        assert " -m agents." in card and sha256((folder / "policy.onnx").read_bytes()) in card
-    assert n_cards == 44
+        record = records.pop(folder.name)
+        assert record["policy_sha256"] == sha256((folder / "policy.onnx").read_bytes())
+        assert f"--seed {entry.training_seed} " in record["command"] and entry.kind == "learned"
+    assert not records
+
+
+def test_the_page_has_the_table_that_the_command_makes() -> None:
+    assert shipped.table() in shipped.PAGE.read_text(encoding="utf-8")
+
+
+def test_a_run_is_added_by_its_best_policy(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (folder,) = [folder for folder in policy_folders() if folder.name == "ppo-v1-2"]
+    best = tmp_path / "run" / "best" / f"{2_150_400:012d}"
+    best.mkdir(parents=True)
+    (best / "policy.onnx").write_bytes((folder / "policy.onnx").read_bytes())
+    run = Run.new(tmp_path / "run", RunSettings(algo="ppo", hyperparameters={}, timesteps=2_250_000, n_envs=512))
+    rows = [{"timesteps": 2_150_400, "score": 102.46, "wall_time_s": 60.0}, {"timesteps": 2_304_000, "score": 1.0}]
+    run.curve = [*rows[:1], {**rows[1], "wall_time_s": 70.0}]
+    run.write()
+    for name in ("RECORDS", "PAGE"):
+        copy = tmp_path / name
+        copy.write_bytes(getattr(shipped, name).read_bytes())
+        monkeypatch.setattr(shipped, name, copy)
+    assert shipped.main([str(tmp_path / "run")]) == 0
+    record = json.loads(shipped.RECORDS.read_text(encoding="utf-8"))["ppo-v1-2"]
+    assert (record["steps"], record["validation_score"], record["wall_time_s"]) == (2_150_400, 102.5, 70)
+    assert "| 1.2 |" in shipped.table()

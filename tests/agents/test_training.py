@@ -20,10 +20,8 @@ from tensorboard.backend.event_processing.event_accumulator import EventAccumula
 
 from agents.export import export
 from agents.export import main as export_command
-from agents.folders import folders, held, save_folder
-from agents.hyperparameters import TRAINED
-from agents.learners import CUSTOM_OBJECTS, load_model, new_model
-from agents.runs import Run
+from agents.learners import TRAINED, SB3Learner, load_model, new_model
+from agents.run import Run, folders, held, save_folder
 from agents.train import main
 from tests.agents.small import V0, Normalized, config_file, largest_difference, options, stopped_after, trained
 from tests.interruption import end
@@ -45,14 +43,6 @@ def copied(run_of: Callable[[str], Path], tmp_path: Path) -> Path:
     return Path(shutil.copytree(run_of("ppo"), tmp_path / "run"))
 
 
-def weights(folder: Path) -> Any:
-    """Networks and optimisers of a finished run's last checkpoint."""
-    (path,) = folders(folder / "checkpoints")
-    assert int(path.name) == 768
-    algorithm = TRAINED[Run.read(folder).settings.algo]
-    return algorithm.load(path / "model.zip", custom_objects=CUSTOM_OBJECTS).get_parameters()
-
-
 def same(a: Any, b: Any) -> bool:
     if isinstance(a, dict):
         return a.keys() == b.keys() and all(same(a[key], b[key]) for key in a)
@@ -61,19 +51,26 @@ def same(a: Any, b: Any) -> bool:
     return torch.equal(a, b) if isinstance(a, torch.Tensor) else a == b
 
 
-# Of "ppo" a process is killed, below.
-@pytest.mark.parametrize("algo", sorted(TRAINED.keys() - {"ppo"}))
-def test_interrupted_run_goes_on_to_the_weights_of_an_undisturbed_one(
+@pytest.mark.parametrize("algo", TRAINED)
+def test_interrupted_run_goes_on_from_its_checkpoint_in_other_scenarios(
     algo: str, run_of: Callable[[str], Path], tmp_path: Path
 ) -> None:
-    undisturbed = run_of(algo)
-    stopped = stopped_after(256, undisturbed, tmp_path / "stopped")
+    undisturbed = Run.read(run_of(algo))
+    stopped = stopped_after(256, run_of(algo), tmp_path / "stopped")
+    (checkpoint,), run = folders(stopped / "checkpoints"), Run.read(stopped)
+    first, restored = new_model(run.settings), load_model(checkpoint, run.settings)
+    assert restored.num_timesteps == 256
+    # Weights and normalisation are those that were validated.
+    assert run.validate(SB3Learner(restored), 256)["score"] == run.curve[-2]["score"]
+    starts = [torch.as_tensor(model.get_env().reset()) for model in (first, restored)]
+    assert not same(*starts)
+    if algo == "sac":
+        assert restored.replay_buffer.size() == 256 // 16
     assert main(["--resume", str(stopped)]) == 0
-    assert same(weights(stopped), weights(undisturbed))
-    runs = [Run.read(folder) for folder in (stopped, undisturbed)]
-    curves = [[{**row, "wall_time_s": 0.0} for row in run.curve] for run in runs]
-    assert curves[0] == curves[1] and [row["timesteps"] for row in curves[0]] == [0, 256, 512, 768]
-    assert [(run.finished, len(run.resumptions)) for run in runs] == [(True, 1), (True, 0)]
+    resumed = Run.read(stopped)
+    assert [row["timesteps"] for row in resumed.curve] == [0, 256, 512, 768]
+    assert [row["score"] for row in resumed.curve[:2]] == [row["score"] for row in undisturbed.curve[:2]]
+    assert resumed.finished and (len(resumed.resumptions), len(undisturbed.resumptions)) == (1, 0)
     # A finished run stays as it is.
     assert main(["--resume", str(stopped)]) == 0 and len(Run.read(stopped).resumptions) == 1
 
@@ -97,23 +94,22 @@ def test_export_plays_as_the_learner_and_passes_the_gate(
         model.get_env().close()
 
 
-def test_killed_process_leaves_a_run_that_goes_on_to_the_same_weights(
-    run_of: Callable[[str], Path], tmp_path: Path
-) -> None:
+def test_killed_process_leaves_a_run_that_goes_on_to_its_end(tmp_path: Path) -> None:
     killed = tmp_path / "killed"
     command = [sys.executable, "-m", "agents.train", *options(tmp_path, "ppo"), "--output", str(killed)]
     process = subprocess.Popen(command, cwd=ROOT)
     end(process, signal.SIGKILL, (killed / "checkpoints" / f"{0:012d}").exists)
     assert process.returncode == -signal.SIGKILL
     assert main(["--resume", str(killed)]) == 0
-    assert same(weights(killed), weights(run_of("ppo")))
+    run = Run.read(killed)
+    assert run.finished and [row["timesteps"] for row in run.curve] == [0, 256, 512, 768]
 
 
 @pytest.mark.parametrize("missing", ["row", "checkpoint"])
 def test_kill_between_two_files_is_mended(missing: str, copied: Path) -> None:
     complete, damaged = Run.read(copied), Run.read(copied)
     del damaged.curve[-1 if missing == "row" else 0 :]
-    damaged.write(copied)
+    damaged.write()
     if missing == "checkpoint":
         shutil.rmtree(copied / "checkpoints")
         shutil.rmtree(copied / "best")
@@ -140,10 +136,8 @@ def test_export_describes_the_policy_that_it_writes_and_replaces_nothing(
     run = Run.read(copied)
     # A row with a better score whose policy is not there, as an interruption may leave it.
     run.curve[0]["score"] = run.curve[-1]["score"] + 1.0
-    run.write(copied)
+    run.write()
     assert export_command(command) == 0
-    card = (entry / "README.md").read_text()
-    assert f"| {run.curve[-1]['score']:.1f} on 2 scenarios (mppt 0, coordinated-piecewise 100)" in card
     text = 'trained_on = "standard, split train, up to 768 steps; chosen on split validation"'
     assert text in (entry / "entry.toml").read_text()
     assert export_command(command) == 2 and "is there already" in capsys.readouterr().err
@@ -151,19 +145,19 @@ def test_export_describes_the_policy_that_it_writes_and_replaces_nothing(
         assert export_command([str(copied), *other, "--name", name]) == 2
         assert "entry's name must " in capsys.readouterr().err
     del run.curve[-1]
-    run.write(copied)
+    run.write()
     assert export_command([str(copied), *other]) == 2 and not (tmp_path / "other").exists()
 
 
-def test_other_versions_are_said_on_resumption_and_noted(copied: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    run = Run.read(copied)
-    versions = {**run.provenance["versions"], "torch": "0.1"}
-    run.provenance, run.finished = {**run.provenance, "source_hash": "0" * 64, "versions": versions}, False
-    run.write(copied)
-    assert main(["--resume", str(copied)]) == 0
-    error = capsys.readouterr().err
-    assert "source_hash was 000000000000" in error and "torch was 0.1" in error
-    assert len(Run.read(copied).resumptions[0]["differences"]) == 2
+def test_exports_of_several_seeds_share_a_row_whatever_steps_were_best(copied: Path, tmp_path: Path) -> None:
+    export(copied, tmp_path / "seed-0")
+    run, (best,) = Run.read(copied), folders(copied / "best")
+    run.settings = dataclasses.replace(run.settings, seed=1)
+    run.write()
+    best.rename(best.with_name(f"{512:012d}"))
+    export(copied, tmp_path / "seed-1")
+    first, second = ({*(tmp_path / name / "entry.toml").read_text().splitlines()} for name in ("seed-0", "seed-1"))
+    assert first ^ second == {"training_seed = 0", "training_seed = 1"}
 
 
 def test_run_describes_itself_and_tensorboard_shows_its_scores(run_of: Callable[[str], Path]) -> None:

@@ -14,9 +14,6 @@ from tests.cli.calls import error_of
 from wtg_gym.evaluation import evaluate
 from wtg_gym.scenarios import get_suite
 
-COMMIT = "0123456789abcdef0123456789abcdef01234567"
-_DRAW = f"evaluate --split fresh --commit {COMMIT} --secret-file"
-
 #: A command line, and what its error says.
 BAD = [
     ("fly", "fly"),
@@ -66,23 +63,14 @@ BAD = [
     ("evaluate --address tcp://head:8786", "--address is for workers: say which with --backend loky, dask, ray"),
     ("evaluate --backend loky --address tcp://head:8786", "loky has workers on this machine only"),
     ("evaluate --backend loky --threads 2", "--threads 2: a worker steps with one thread"),
-    # Scenarios that are drawn.
-    ("evaluate --split fresh", "missing: --commit, --secret-file"),
-    ("evaluate --split fresh --commit abc --secret-file secret.txt", "40 or 64 hexadecimal digits, got 'abc'"),
-    (f"{_DRAW} secret.txt --seeds 5", "without --seeds"),
-    (f"evaluate --commit {COMMIT}", "--commit: for --split fresh only, the split is validation"),
-    (f"{_DRAW} nowhere.txt", "cannot read the secret nowhere.txt: No such file"),
-    (f"{_DRAW} large.bin", "larger than 4096 bytes"),
     # Pages and results.
     ("leaderboard --suite paper --readme nowhere.md", "cannot read the file with the markers"),
     ("leaderboard --suite paper --readme file.txt", "must have the markers <!-- leaderboard:paper:start -->"),
     ("results recompute nowhere.json", "nowhere.json"),
     ("results recompute paper-test.json --entries no-such-thing", "unknown entry"),
     ("results recompute paper-test.json", "hold entries that were not given: deloaded-7"),
-    ("results recompute paper-test.json --entries seven.toml --secret-file secret.txt", "were not drawn"),
     ("results recompute old/paper-test.json --entries seven.toml", "got 2; evaluate again"),
     ("results page old/paper-test.json --output page.html", "got 2; evaluate again"),
-    ("results gap paper-test.json paper-test.json", "in this order; got 'test' and 'test'"),
     ("suites standard --seed 5", "seed 5 is in no split"),
     (
         "submission check best/1000 nowhere",
@@ -93,7 +81,7 @@ BAD = [
     ("play --seed -1", "is in no split of suite 'standard-v1'"),
     # Names of files are shown with escapes.
     ("simulate --scenario no-\x1b[31m-file.json", r"no-\x1b[31m-file.json"),
-    ("results gap no-\u202efile.json no-\u202efile.json", r"no-\u202efile.json"),
+    ("results recompute no-\u202efile.json", r"no-\u202efile.json"),
     ("evaluate --entries no-\x1b[31m-file", r"no-\x1b[31m-file"),
 ]
 
@@ -109,8 +97,6 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
         (root / name).mkdir(parents=True)
         (root / name / "entry.toml").write_text('name = "mine"\naction_mode = "k"\n')
     (root / "best/empty").mkdir()
-    (root / "secret.txt").write_text("a secret for these tests\n")
-    (root / "large.bin").write_bytes(bytes(5000))
     rows = "".join(f"{time},9.5,8.0\n" for time in range(8))
     (root / "wind.csv").write_text(f"time_s,wind_1_m_s,wind_2_m_s\n{rows}")
     (root / "broken.json").write_text('{"name": ')

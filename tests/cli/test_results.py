@@ -3,34 +3,23 @@
 from __future__ import annotations
 
 import dataclasses
-import json
 import re
 from pathlib import Path
 
 import pytest
 
-from tests.cli.calls import json_of
 from wtg_gym.cli import main
 from wtg_gym.evaluation import Results, load_entries
 from wtg_gym.evaluation.recompute import departures, recompute
 
-COMMIT = "0123456789abcdef0123456789abcdef01234567"
-SECRET = "a secret for these tests\n"
-
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Results of four public and four fresh scenarios of v0."""
+    """Results of four scenarios of v0."""
     folder = tmp_path_factory.mktemp("results")
-    (folder / "secret.txt").write_text(SECRET)
     short = ["evaluate", "--suite", "standard", "--entries", "deloaded-5", "--duration", "10"]
     assert main([*short, "--split", "test", "--scenarios", "4", "--results", str(folder)]) == 0
-    drawn = ["--split", "fresh", "--commit", COMMIT, "--secret-file", str(folder / "secret.txt")]
-    assert main([*short, *drawn, "--scenarios", "4", "--results", str(folder)]) == 0
     return folder
-
-
-# --- recompute -------------------------------------------------------------------------------------------------------
 
 
 def _recompute(path: Path, *options: str) -> int:
@@ -77,29 +66,4 @@ def test_made_up_claims_about_an_entry_are_differences_and_other_texts_none(
     entries = tuple({**entry, key: value} if entry["name"] == "deloaded-5" else entry for entry in results.entries)
     found = recompute(dataclasses.replace(results, entries=entries), load_entries("deloaded-5"))
     named = [difference.where for difference in (found.differences if differs else found.circumstances)]
-    assert named == [f"deloaded-5: {key}"] and bool(found.differences) == differs
-
-
-def test_fresh_seeds_are_checked_against_the_secret(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    fresh = folder / "standard-fresh.json"
-    text = fresh.read_text()
-    assert json.loads(text)["draw"]["commit"] == COMMIT and SECRET.strip() not in text
-    assert _recompute(fresh) == 0
-    assert "drawn or chosen is not known: check them with --secret-file" in capsys.readouterr().err
-    assert _recompute(fresh, "--secret-file", str(folder / "secret.txt")) == 0
-    (folder / "other.txt").write_text("another secret for these tests")
-    capsys.readouterr()
-    assert _recompute(fresh, "--secret-file", str(folder / "other.txt")) == 1
-    assert "not of this secret" in capsys.readouterr().out
-
-
-# --- gap -------------------------------------------------------------------------------------------------------------
-
-
-def test_gap_is_printed(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    files = [str(folder / f"standard-{split}.json") for split in ("test", "fresh")]
-    assert main(["results", "gap", *files]) == 0
-    out = capsys.readouterr().out
-    assert "4 public and 4 fresh scenarios" in out and "deloaded-5" in out
-    # The anchors fix the scale and have no gap.
-    assert [gap["name"] for gap in json_of(capsys, "results", "gap", *files, "--json")["gaps"]] == ["deloaded-5"]
+    assert named == [f"entry deloaded-5: {key}"] and bool(found.differences) == differs

@@ -196,7 +196,7 @@ def test_entry_that_fails_is_left_out_with_its_row_and_the_others_stand(tmp_path
     reasons = [entry["reason"] for entry in results.failed]
     assert reasons[0] == reasons[1] == reasons[2] and "entry 'nan (training seed 1)', step 7" in reasons[1]
     assert "raised RuntimeError: no idea \\x1b[2J (test_evaluator.py:" in reasons[3]
-    by_name = (results.scores, results.pinned_costs, results.gains)
+    by_name = (results.scores, results.pinned_costs)
     for look_up in (results.episodes_of, *(each.__getitem__ for each in by_name)):
         with pytest.raises(KeyError, match=r"unknown entry 'nan': entry 'nan .training seed 1.', step 7.*; choose one"):
             look_up("nan")

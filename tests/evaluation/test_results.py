@@ -86,11 +86,6 @@ EDITS: dict[str, tuple[Callable[[dict[str, Any]], Any], str]] = {
     "missing key": (lambda d: d.pop("seeds"), "describes no results: KeyError: 'seeds'"),
     "unknown suite": (lambda d: d.update(suite="easy"), "unknown suite 'easy'"),
     "other format": (lambda d: d.update(format=2), "format must be 8, that of this version, got 2; "),
-    "seeds of no draw": (lambda d: d.update(split="fresh"), "draw must be given for the split 'fresh' alone"),
-    "seeds that cannot be drawn": (
-        lambda d: d.update(split="fresh", draw={"commit": "a" * 40, "secret_sha256": "0" * 64}),
-        "seeds of a draw must be",
-    ),
     "name that is markup": (
         lambda d: d["entries"][0].update(name="[me](https://example.org)\n"),
         "the entry's name must be 1 … 60 characters",

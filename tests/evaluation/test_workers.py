@@ -1,6 +1,6 @@
 """Facts about evaluations that other processes play: the same bytes, whatever happens to a process.
 
-Those of Ray are skipped where it is not installed: `make test-rllib`.
+Those of Ray are skipped where it is not installed.
 """
 
 from __future__ import annotations
@@ -107,6 +107,18 @@ def test_killed_worker_of_loky_is_named_and_the_run_goes_on_from_its_finished_ba
 
 
 @_backend("dask").marks[0]
+def test_worker_that_dask_gives_up_is_named(tmp_path: Path) -> None:
+    import dask
+
+    mortal = Entry(name="mortal", policy=Mortal(tmp_path / "killed"))
+    with (
+        dask.config.set({"distributed.scheduler.allowed-failures": 0}),
+        pytest.raises(ValueError, match="a dask worker was lost, KilledWorker"),
+    ):
+        evaluate([mortal], "standard", "test", workers=Workers("dask", jobs=2), **SHORT)
+
+
+@_backend("dask").marks[0]
 def test_dask_cluster_at_an_address_plays_or_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     import distributed
 
@@ -145,5 +157,5 @@ def test_workers_have_one_thread_each_and_their_package(monkeypatch: pytest.Monk
     with pytest.raises(ValueError, match="one thread"):
         evaluate([], "standard", "test", workers=Workers("loky"), n_threads=2, **SHORT)
     monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
-    with pytest.raises(ValueError, match=r"ray needs ray; in a checkout: pip install '\.\[rllib\]'"):
+    with pytest.raises(ValueError, match=r"ray needs ray; in a checkout: pip install '\.\[ray\]'"):
         Workers("ray")

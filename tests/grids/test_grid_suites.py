@@ -16,10 +16,9 @@ from tests.physics.test_grid_files import STRANGER
 from wtg_gym.envs import GFMWTGEnv
 from wtg_gym.envs.settings import EnvSettings
 from wtg_gym.evaluation import Entry, evaluate, screening
-from wtg_gym.evaluation.evaluator import chosen_seeds
 from wtg_gym.physics.grid import data_of, get_grid, text_of
 from wtg_gym.policies.entry import check_version
-from wtg_gym.scenarios import draw_seeds, get_suite
+from wtg_gym.scenarios import get_suite
 from wtg_gym.scenarios.grid_suite import all_places, unscreened
 
 
@@ -38,12 +37,9 @@ def test_a_suite_is_what_is_in_its_files_wherever_they_lie(folder: Path) -> None
     one = get_suite("suites/mine.json")
     assert one.name == "my-ring-v1" and one.scenario(1_000_000).name.startswith("my-ring-v1/")
     assert one.hash == get_suite(str(folder / "suites" / ".." / "suites" / "mine.json")).hash
-    seeds = draw_seeds("suites/mine.json", "0" * 40, b"sixteen bytes or more", 3).seeds
     (folder / "link.json").symlink_to(folder / "suites" / "mine.json")
     for path in ("./suites/mine.json", str(folder / "suites" / "mine.json"), "suites//../link.json"):
         assert get_suite(path).hash == one.hash
-        assert draw_seeds(path, "0" * 40, b"sixteen bytes or more", 3).seeds == seeds
-    assert chosen_seeds("./link.json", "fresh", None, draw_seeds("suites/mine.json", "0" * 40, b"x" * 16, 1))
 
 
 def test_files_are_told_apart_by_what_is_in_them_not_by_name_or_time(folder: Path) -> None:

@@ -1,4 +1,4 @@
-"""What suites, distributions, sensors, draws and wind files refuse: one row for each rule."""
+"""What suites, distributions, sensors and wind files refuse: one row for each rule."""
 
 from __future__ import annotations
 
@@ -10,10 +10,9 @@ from typing import Any
 
 import pytest
 
-from wtg_gym.scenarios import FRESH, FreshDraw, ScenarioDistribution, Suite, draw_seeds, get_suite, read_wind_csv
+from wtg_gym.scenarios import ScenarioDistribution, Suite, get_suite, read_wind_csv
 from wtg_gym.scenarios.sensor_distribution import SensorDistribution
 
-COMMIT, SECRET = "0123456789abcdef0123456789abcdef01234567", b"sixteen bytes or more"
 STANDARD, SHARED = get_suite("standard"), get_suite("standard-v1").distributions[0]
 
 
@@ -23,10 +22,6 @@ def distribution(**changes: Any) -> Callable[[], Any]:
 
 def sensors(**changes: Any) -> Callable[[], Any]:
     return lambda: SensorDistribution().replaced(changes)
-
-
-def draw(**changes: Any) -> Callable[[], Any]:
-    return lambda: draw_seeds(**{"suite": "standard", "commit": COMMIT, "secret": SECRET, "n": 5, **changes})
 
 
 BAD: list[tuple[Callable[[], Any], str]] = [
@@ -52,18 +47,6 @@ BAD: list[tuple[Callable[[], Any], str]] = [
     (sensors(wind_bias=math.nan), "wind_bias = nan.*0 … 0.2"),
     (sensors(wind_sensor="no"), "wind_sensor must be bool"),
     (sensors(delay=0.1), "unknown values .*; known values of the sensors: .*, wind_sensor; did you mean 'delay_s'"),
-    (draw(suite="paper"), "suite 'paper' has fixed cases"),
-    (draw(commit="abc"), "full git hash of 40 or 64 hexadecimal digits, got 'abc'"),
-    (draw(secret=b"short"), "16 bytes or more, got 5"),
-    (draw(n=0), "1 … 100000, got 0"),
-    *(
-        (
-            lambda seeds=seeds: FreshDraw(suite="standard", commit=COMMIT, secret_sha256="0" * 64, seeds=seeds),
-            "seeds of a draw",
-        )
-        for seeds in ((), (2**40, 2**40), (20_000,), (2**53,), (2.0**40,))
-    ),
-    (lambda: get_suite("paper").seeds(FRESH), "there is nothing to draw"),
     (lambda: get_suite("storm"), "unknown suite 'storm'; known suites: paper, standard"),
     (lambda: STANDARD.seeds("dev"), "unknown split 'dev'; known splits: train, validation, test"),
     *(

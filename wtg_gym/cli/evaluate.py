@@ -26,7 +26,7 @@ def evaluate(
     *,
     entries: Entries = ("baselines",),
     suite: Suite = DEFAULT_SUITE,
-    split: Literal["train", "validation", "test", "fresh"] = "validation",
+    split: Literal["train", "validation", "test"] = "validation",
     duration: float | None = None,
     results: OutputFolder | None = None,
     threads: Threads = None,
@@ -45,7 +45,7 @@ def evaluate(
 
     With --results, every episode is written to <suite>-<split>.csv and the description and summary to
     <suite>-<split>.json; an interrupted evaluation goes on from its finished parts. A folder whose <suite>-<split>.json
-    is of other settings, seeds or another draw is refused; results of the same scenarios and settings are replaced,
+    is of other settings or seeds is refused; results of the same scenarios and settings are replaced,
     whatever their entries.
 
     An entry whose policy raises, ends, takes too long or gives no action, or whose law has no equilibrium in a
@@ -59,7 +59,7 @@ def evaluate(
       wtg-gym evaluate --entries policies --backend dask --address tcp://head:8786 --results my_results
 
     Args:
-        split: which seeds of the suite; fresh: seeds drawn from a commit and a secret
+        split: which seeds of the suite
         duration: length of an episode [s]; default: the suite's
         results: folder to write results to; made if missing
     """

@@ -100,11 +100,7 @@ class SeedOptions:
     seeds: Annotated[tuple[Whole, ...] | None, Parameter(consume_multiple=1, negative="")] = None
     """seeds of the split; in bash {20000..20009} is ten of them"""
     scenarios: Whole | None = None
-    """the first so many; of the split fresh how many to draw, by default as many as test has"""
-    commit: str | None = None
-    """for the split fresh: full hash of the git commit with the entries"""
-    secret_file: Path | None = None
-    """for the split fresh: file with the secret, 16 bytes or more"""
+    """the first so many"""
 
 
 @_group("Plant and time steps")

@@ -7,7 +7,7 @@ from pathlib import Path
 from cyclopts import App
 
 from wtg_gym.cli import output as out
-from wtg_gym.cli.options import Entries, HtmlFile, Json, Threads, WorkerOptions
+from wtg_gym.cli.options import Entries, HtmlFile, Threads, WorkerOptions
 
 #: Differences that are printed.
 _SHOWN = 20
@@ -52,7 +52,6 @@ def recompute(
     /,
     *,
     entries: Entries = ("baselines",),
-    secret_file: Path | None = None,
     threads: Threads = None,
     workers: WorkerOptions = WorkerOptions(),
 ) -> int:
@@ -69,70 +68,27 @@ def recompute(
 
     Args:
         results: JSON file of results, the CSV beside it
-        secret_file: also check that fresh seeds were drawn with this secret
     """
     from wtg_gym.cli import scoring
     from wtg_gym.evaluation import Results
+    from wtg_gym.evaluation.episodes import COLUMNS
     from wtg_gym.evaluation.recompute import departures
     from wtg_gym.evaluation.recompute import recompute as compute_again
     from wtg_gym.progress import Progress
 
     stored = Results.read(results)
-    secret = None if secret_file is None else scoring.read_secret(secret_file)
     processes = scoring.chosen_workers(workers, threads)
     chosen = scoring.chosen_entries(entries, stored.suite)
     with Progress("episodes") as progress:
-        found = compute_again(
-            stored, chosen, secret=secret, n_threads=threads, workers=processes, on_progress=progress.update
-        )
+        found = compute_again(stored, chosen, n_threads=threads, workers=processes, on_progress=progress.update)
     for difference in found.circumstances:
         out.note(f"{difference.where} was {difference.stored}, is {difference.now}")
     for text in departures(stored):
         out.note(f"not the benchmark's own: {text}")
-    if stored.draw is not None and secret is None:
-        out.note("whether these seeds were drawn or chosen is not known: check them with --secret-file")
     if not found.differences:
-        out.say(f"identical: {found.n_numbers} values of {len(stored.episodes)} episodes")
+        out.say(f"identical: {len(COLUMNS) * len(stored.episodes)} values of {len(stored.episodes)} episodes")
         return 0
     shown = found.differences[:_SHOWN]
     out.say(f"not identical: {len(found.differences)} differences, the first {len(shown)}", "")
     out.print_table(("where", "stored", "now"), shown, left=(0, 1, 2))
     return 1
-
-
-@app.command
-def gap(public: Path, fresh: Path, /, *, json: Json = False) -> int:
-    """Compare scores on public and on fresh scenarios.
-
-    Fresh scenarios were drawn after the entries were submitted. An entry that was fitted to the public scenarios, by
-    mistake or on purpose, is better there. All entries are a little better or worse by the luck of the draw: a set of
-    scenarios that suits one good controller suits the others. The gap is the public score minus the fresh one. A
-    learned entry has an excess too: the part of its gap that the controllers made by hand in the same results do not
-    share (by a regression on their gains). Both have a bootstrap 95 % interval over scenarios; that of the gap is over
-    training seeds too. An excess whose interval lies above zero is marked, which happens to one honest entry in forty
-    by chance.
-
-    Fresh scenarios are played by 'wtg-gym evaluate' or 'wtg-gym submission score' with --split fresh, --commit, the
-    full hash of the commit with the entries, and --secret-file. Publish the sha256 of the secret before anybody submits
-    and the secret afterwards: then 'wtg-gym results recompute --secret-file' shows that the seeds were not chosen.
-
-    examples:
-      wtg-gym results gap results/standard-test.json results/standard-fresh.json
-
-    Args:
-        public: JSON file of results on the test scenarios
-        fresh: JSON file of results on the split fresh
-    """
-    from wtg_gym.evaluation import Results, generalisation
-
-    first, second = Results.read(public), Results.read(fresh)
-    gaps = generalisation.generalisation_gaps(first, second)
-    missing = generalisation.left_out(first, second)
-    if json:
-        out.print_json({"draw": second.draw, "gaps": [gap.to_dict() for gap in gaps], "left_out": missing})
-    else:
-        out.say(generalisation.describe(first, second), "")
-        out.print_table(generalisation.COLUMNS, generalisation.gap_cells(gaps), left=(0, 5))
-    if missing:
-        out.note(f"left out, not the same policy in both results: {', '.join(missing)}")
-    return 0

@@ -16,17 +16,14 @@ from wtg_gym.evaluation import Entry, Results, evaluate, load_entries, table_cel
 from wtg_gym.evaluation.evaluator import chosen_seeds, shared_settings
 from wtg_gym.evaluation.table import columns_of, notes_on_marks, text_columns
 from wtg_gym.evaluation.workers import BACKENDS, Workers
-from wtg_gym.files import read_text
 from wtg_gym.policies.entry import check_entries, run_label
 from wtg_gym.progress import Progress
 from wtg_gym.ranges import require_range
-from wtg_gym.scenarios import FRESH, draw_seeds, get_suite
+from wtg_gym.scenarios import get_suite
 
 #: Heads of columns that are too wide for a terminal of 120 columns.
 _SHORT_HEADS = {"median deviation [mHz]": "Δf [mHz]", "lost or beyond 0.8 Hz [%]": "lost or > 0.8 Hz [%]"}
 _MOST_SCENARIOS = 100_000
-#: Largest file with a secret [B].
-_LARGEST_SECRET = 4096
 
 
 # --- values of options: a ValueError says what is wrong with one -----------------------------------------------------
@@ -51,20 +48,8 @@ def look_into_working_folder(specs: Sequence[str]) -> None:
 
 
 def chosen_scenarios(suite: str, split: str, given: SeedOptions) -> dict[str, Any]:
-    """Return the suite, the split, and the seeds or the draw of fresh ones, as arguments of `evaluate`."""
+    """Return the suite, the split and the seeds, as arguments of `evaluate`."""
     chosen = {"suite": suite, "split": split}
-    options = {"--commit": given.commit, "--secret-file": given.secret_file}
-    drawn = [option for option, value in options.items() if value is not None]
-    if split == FRESH:
-        if given.commit is None or given.secret_file is None or given.seeds is not None:
-            missing = [option for option in options if option not in drawn]
-            raise ValueError(
-                f"--split {FRESH} draws its seeds from --commit and --secret-file, without --seeds; "
-                f"missing: {', '.join(missing) or 'none'}"
-            )
-        return {**chosen, "draw": draw_seeds(suite, given.commit, read_secret(given.secret_file), given.scenarios)}
-    if drawn:
-        raise ValueError(f"{', '.join(drawn)}: for --split {FRESH} only, the split is {split}")
     if given.scenarios is None:
         return {**chosen, "seeds": given.seeds}
     if given.seeds is not None:
@@ -72,11 +57,6 @@ def chosen_scenarios(suite: str, split: str, given: SeedOptions) -> dict[str, An
     seeds = get_suite(suite).seeds(split)
     require_range("--scenarios", given.scenarios, 1, min(len(seeds), _MOST_SCENARIOS), "")
     return {**chosen, "seeds": list(seeds[: given.scenarios])}
-
-
-def read_secret(path: Path) -> bytes:
-    """Return the secret of `--secret-file`, without blanks around it."""
-    return read_text(path, "secret", largest=_LARGEST_SECRET).strip().encode()
 
 
 def chosen_workers(given: WorkerOptions, threads: int | None) -> Workers | None:
@@ -92,7 +72,7 @@ def chosen_workers(given: WorkerOptions, threads: int | None) -> Workers | None:
 
 
 def check_stored(folder: Path | None, planned: Mapping[str, Any]) -> None:
-    """Refuse a folder whose results of the same suite and split are of other settings, seeds or another draw."""
+    """Refuse a folder whose results of the same suite and split are of other settings or seeds."""
     suite, split = planned["suite"], planned["split"]
     path = Path(folder or "") / f"{get_suite(suite).name}-{split}.json"
     if folder is None or not path.exists():
@@ -102,13 +82,11 @@ def check_stored(folder: Path | None, planned: Mapping[str, Any]) -> None:
     except ValueError as error:
         note(f"will be replaced: {error}")
         return
-    seeds, draw = planned.get("seeds"), planned.get("draw")
-    settings = {key: value for key, value in planned.items() if key not in ("seeds", "draw")}
+    settings = {key: value for key, value in planned.items() if key != "seeds"}
     now = {
         "suite_hash": get_suite(suite).hash,
         "settings": shared_settings(EnvSettings(**settings)),
-        "seeds": tuple(chosen_seeds(suite, split, seeds, draw)),
-        "draw": None if draw is None else {"commit": draw.commit, "secret_sha256": draw.secret_sha256},
+        "seeds": tuple(chosen_seeds(suite, split, planned.get("seeds"))),
     }
     if other := [key for key, value in now.items() if getattr(stored, key) != value]:
         raise ValueError(

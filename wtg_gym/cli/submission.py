@@ -89,7 +89,7 @@ def score(
     /,
     *,
     gate: GateOptions = GateOptions(),
-    split: Literal["train", "validation", "test", "fresh"] = "test",
+    split: Literal["train", "validation", "test"] = "test",
     results: OutputFolder | None = None,
     threads: Threads = None,
     json: Json = False,
@@ -110,7 +110,7 @@ def score(
 
     Args:
         folders: folders with entry.toml, policy.onnx and, if there is one, README.md
-        split: which seeds of the suite; fresh: seeds drawn from a commit and a secret
+        split: which seeds of the suite
         results: folder to write results to; made if missing
     """
     from wtg_gym.cli import gate_reports, scoring

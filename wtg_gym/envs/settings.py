@@ -14,7 +14,7 @@ from wtg_gym.physics.plant import Plant
 from wtg_gym.physics.scenario import SERIES_DT, Scenario
 from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY, TrackingLaw, group_laws
 from wtg_gym.ranges import require_choice, require_known, require_range, whole_steps
-from wtg_gym.scenarios import DEFAULT_SUITE, FRESH, SPLITS, SUITES, Suite, get_suite, suite_of_grid
+from wtg_gym.scenarios import DEFAULT_SUITE, SPLITS, SUITES, Suite, get_suite, suite_of_grid
 from wtg_gym.scenarios.sensor_distribution import SensorDistribution
 from wtg_gym.tasks import TASKS, Task
 from wtg_gym.tasks.cost import CostWeights
@@ -28,7 +28,7 @@ _ON_FAILURE = ("terminate", "trip")
 _CHOICES: dict[str, Sequence[str]] = {
     "action_mode": tuple(ACTION_MODES),
     "observation_mode": OBSERVATION_MODES,
-    "split": (*SPLITS, FRESH),
+    "split": SPLITS,
 }
 
 
@@ -66,7 +66,7 @@ class EnvSettings:
             `"turbine"` (TurbineParameters) if it is not the suite's; None: the suite's own groups.
         plant: what else to replace in the suite's plant, such as `{"physics": "nrel-5mw", "simulation_dt": 0.02}`, see
             :meth:`~wtg_gym.physics.plant.Plant.replaced`; or another plant for the suite's scenarios.
-        split: `"train"`, `"validation"` or `"test"`, or `"fresh"`, with seeds that are in none of them.
+        split: `"train"`, `"validation"` or `"test"`.
         scenario: one scenario for every episode, a `Scenario` or its `to_dict()`.
         duration_s: length of an episode [s]; None: the suite's own, 180 s in v1, 120 s in both `paper`, else 60 s.
         control_dt: control interval, one step [s].

@@ -29,7 +29,7 @@ from wtg_gym.policies.load import load_entries
 from wtg_gym.policies.play import play, started_lanes
 from wtg_gym.policies.policy_process import NotIsolatedError
 from wtg_gym.ranges import is_whole, require_whole
-from wtg_gym.scenarios import DEFAULT_SUITE, FRESH, FreshDraw, get_suite
+from wtg_gym.scenarios import DEFAULT_SUITE, get_suite
 from wtg_gym.scenarios.suite import Suite
 from wtg_gym.signals import HeldSignals
 from wtg_gym.systems.compiled import source_hash
@@ -56,7 +56,6 @@ def evaluate(
     split: str = "validation",
     *,
     seeds: Sequence[int] | None = None,
-    draw: FreshDraw | None = None,
     batch: int = 256,
     n_threads: int | None = None,
     on_progress: Progress | None = None,
@@ -77,9 +76,8 @@ def evaluate(
         entries: competitors, each an :class:`Entry` or a name or path that :func:`load_entries` takes; names (with
             training seeds) must be unique.
         suite: name of the suite.
-        split: "train", "validation", "test" or "fresh".
+        split: "train", "validation" or "test".
         seeds: some of the split's seeds; None for all.
-        draw: the seeds of the split "fresh".
         batch: scenarios that run side by side, of an ONNX policy 64 at most.
         n_threads: threads to step with, and ONNX policies that play side by side; None for one per processor. Workers
             have one each.
@@ -108,7 +106,7 @@ def evaluate(
     settings = EnvSettings(suite=suite, split=split, **env_arguments)
     played_suite = settings.resolved_suite
     competitors = _with_anchors(entries, played_suite)
-    chosen, shared = chosen_seeds(settings.suite_name, split, seeds, draw), shared_settings(settings)
+    chosen, shared = chosen_seeds(settings.suite_name, split, seeds), shared_settings(settings)
     store = PartialStore(partial, [played_suite.name, played_suite.hash, split, shared])
     parts = [part for entry in competitors for part in _parts(entry, chosen, batch)]
     needed = settings.task.anchors if keep_going else [entry.name for entry in competitors]
@@ -120,7 +118,6 @@ def evaluate(
         suite_hash=played_suite.hash,
         source_hash=source_hash(),
         seeds=tuple(chosen),
-        draw=None if draw is None else {"commit": draw.commit, "secret_sha256": draw.secret_sha256},
         environment={"id": settings.env_id, "fingerprint": environment_fingerprint(settings)},
         settings=shared,
         versions=dict(versions()),
@@ -158,20 +155,8 @@ def _check_arguments(batch: int, env_arguments: dict[str, Any]) -> None:
     require_whole("batch", batch, 1, _LARGEST_SPLIT)
 
 
-def chosen_seeds(suite: str, split: str, seeds: Sequence[int] | None, draw: FreshDraw | None) -> list[int]:
+def chosen_seeds(suite: str, split: str, seeds: Sequence[int] | None) -> list[int]:
     """Return the seeds of the scenarios that :func:`evaluate` plays; arguments and errors as there."""
-    if (split == FRESH) != (draw is not None):
-        raise ValueError(
-            f"the split {FRESH!r}, and no other, is played on the seeds of a draw, see draw_seeds(); got the "
-            f"split {split!r} and {'no draw' if draw is None else 'a draw'}"
-        )
-    if draw is not None:
-        if seeds is not None or get_suite(draw.suite).hash != get_suite(suite).hash:
-            raise ValueError(
-                f"a draw gives all seeds, of its own suite {draw.suite!r}; got the suite {suite!r}"
-                f"{'' if seeds is None else ' and other seeds'}"
-            )
-        return list(draw.seeds)
     allowed = get_suite(suite).seeds(split)
     text = f"the {split} seeds of suite {suite!r} are {allowed.start} … {allowed.stop - 1}"
     if seeds is None:

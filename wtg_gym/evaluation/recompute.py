@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 from wtg_gym.envs.settings import EnvSettings
@@ -12,15 +12,15 @@ from wtg_gym.evaluation.results import Results
 from wtg_gym.evaluation.workers import Workers
 from wtg_gym.policies import Entry
 from wtg_gym.policies.entry import run_label
-from wtg_gym.scenarios import FreshDraw, get_suite
+from wtg_gym.scenarios import get_suite
 
 #: The settings of results that are arguments of the environment, as they are called there.
 _ARGUMENTS = {
     **{name: name for name in ("duration_s", "control_dt", "weights", "groups", "on_failure", "sensors")},
     "replaced": "plant",
 }
-#: Data of an entry that decide its numbers; the others are texts about it.
-_PLAYED = ("action_mode", "kind", "observation_mode", "policy_sha256", "sha256", "strategy")
+#: What need not change a number: the words of a failure, for example, may depend on the machine.
+_CIRCUMSTANCES = {"source_hash", "environment", "versions", "description", "source", "reason"}
 
 
 class Difference(NamedTuple):
@@ -31,68 +31,89 @@ class Difference(NamedTuple):
     now: str
 
 
-class Recomputed(NamedTuple):
-    """The findings of :func:`recompute`."""
+class Comparison(NamedTuple):
+    """The findings of :func:`compare`."""
 
-    #: Numbers, policies, seeds, suite and settings that differ; empty where the results are reproduced.
+    #: Numbers, policies, suite and settings that differ; empty where the results are reproduced.
     differences: list[Difference]
     #: Source code, versions, the environment's answers and texts about entries that differ; they need not change a
     #: number.
     circumstances: list[Difference]
-    n_numbers: int  # how many numbers were compared
 
 
 def recompute(
     stored: Results,
     entries: Sequence[Entry],
     *,
-    secret: bytes | None = None,
     n_threads: int | None = None,
     workers: Workers | None = None,
     on_progress: Callable[[str, int, int], None] | None = None,
-) -> Recomputed:
+) -> Comparison:
     """Evaluate the entries of stored results again, on the same scenarios with the same settings, and compare.
 
     Args:
         stored: the results.
         entries: all of their entries, without the anchors; others are ignored.
-        secret: the one that the seeds of the split "fresh" were drawn with; None does not check them.
         n_threads, workers, on_progress: as for :func:`wtg_gym.evaluation.evaluate`.
 
     Raises:
-        ValueError: an entry is missing, a secret is too short or given for seeds that were not drawn, or the results
-            are of a suite, seeds or settings that no longer exist.
+        ValueError: an entry is missing, or the results are of a suite, seeds or settings that no longer exist.
     """
-    draw = None if stored.draw is None else FreshDraw(suite=stored.suite, seeds=stored.seeds, **stored.draw)
-    differences = []
-    if secret is not None:
-        if draw is None:
-            raise ValueError(f"the seeds of the split {stored.split!r} were not drawn: there is no secret to check")
-        if not draw.is_of(secret):
-            differences.append(Difference("seeds", f"those of {draw.secret_sha256[:12]}", "others: not of this secret"))
-    given = {(entry.name, entry.training_seed): entry for entry in entries}
+    by_run = {(entry.name, entry.training_seed): entry for entry in entries}
     wanted = [(entry["name"], entry["training_seed"]) for entry in (*stored.entries, *stored.failed)]
-    missing = [name for name, seed in wanted if (name, seed) not in given and name not in stored.task.anchors]
+    missing = [name for name, seed in wanted if (name, seed) not in by_run and name not in stored.task.anchors]
     if missing:
         raise ValueError(f"the results hold entries that were not given: {', '.join(dict.fromkeys(missing))}")
     now = evaluate(
-        [given[run] for run in wanted if run in given],
+        [by_run[run] for run in wanted if run in by_run],
         stored.suite,
         stored.split,
-        seeds=stored.seeds if draw is None else None,
-        draw=draw,
+        seeds=stored.seeds,
         n_threads=n_threads,
         workers=workers,
         on_progress=on_progress,
         keep_going=True,
         **{argument: stored.settings[name] for name, argument in _ARGUMENTS.items() if name in stored.settings},
     )
-    differences += _compared(_deciding(stored), _deciding(now))
+    return compare(stored, now)
+
+
+def compare(stored: Results, now: Results) -> Comparison:
+    """Compare two results on the same scenarios, to the last bit."""
+    found = Comparison([], [])
+    facts, later = _facts(stored), _facts(now)
     cells, others = _cells(stored), _cells(now)
-    # Where one side alone has an entry's episodes, that is the difference.
-    shared = [where for where in cells if where in others]
-    differences += [Difference(where, cells[where], others[where]) for where in shared if cells[where] != others[where]]
-    return Recomputed(differences, _compared(_circumstances(stored), _circumstances(now)), len(cells))
+    # Where one side alone has an entry's episodes, that it was not played to the end is the difference.
+    pairs = [(where, facts.get(where), later.get(where)) for where in {**facts, **later}]
+    pairs += [(where, cells[where], others[where]) for where in cells if where in others]
+    for where, one, other in pairs:
+        if one != other:
+            kind = found.circumstances if _CIRCUMSTANCES & {*where} else found.differences
+            kind.append(Difference(": ".join(where), str(one), str(other)))
+    return found
+
+
+def _facts(results: Results) -> dict[tuple[str, ...], Any]:
+    """Return what results say of themselves and of their entries, by where it stands."""
+    facts: dict[tuple[str, ...], Any] = {(key,): getattr(results, key) for key in ("suite_hash", "source_hash")}
+    for part in ("settings", "environment", "versions"):
+        facts |= {(part, key): value for key, value in getattr(results, part).items()}
+    for entry in (*results.entries, *results.failed):
+        label = f"entry {run_label(entry['name'], entry['training_seed'])}"
+        # The texts about an anchor depend on whether it was asked for.
+        left_out = _CIRCUMSTANCES if entry["name"] in results.task.anchors else ()
+        facts |= {(label, key): value for key, value in entry.items() if key not in left_out}
+        facts[label, "played to the end"] = "reason" not in entry
+    return facts
+
+
+def _cells(results: Results) -> dict[tuple[str, ...], str]:
+    """Return every value of every episode, by where it stands."""
+    return {
+        (f"{run_label(*episode.run)}, seed {episode.seed}", column): cell
+        for episode in results.episodes
+        for column, cell in zip(COLUMNS, episode.cells(), strict=True)
+    }
 
 
 def departures(stored: Results) -> list[str]:
@@ -102,44 +123,7 @@ def departures(stored: Results) -> list[str]:
     for key in {**usual, **stored.settings}:
         if stored.settings.get(key) != usual.get(key):
             found.append(f"{key} is {stored.settings.get(key)}, that of the benchmark {usual.get(key)}")
-    n_all = len(get_suite(stored.suite).seeds(stored.split if stored.draw is None else "test"))
+    n_all = len(get_suite(stored.suite).seeds(stored.split))
     if len(stored.seeds) != n_all:
         found.append(f"{len(stored.seeds)} scenarios, those of the benchmark are {n_all}")
     return found
-
-
-def _deciding(results: Results) -> dict[str, Any]:
-    """Return what decides the numbers, by where it stands."""
-    found = {"suite_hash": results.suite_hash, **{f"settings.{key}": value for key, value in results.settings.items()}}
-    for label, entry in _by_label(results).items():
-        found |= {f"{label}: {key}": entry[key] for key in _PLAYED}
-        found[f"{label}: played to the end"] = "reason" not in entry
-    return found
-
-
-def _cells(results: Results) -> dict[str, str]:
-    """Return every value of every episode, by where it stands."""
-    return {
-        f"{run_label(*episode.run)}, seed {episode.seed}: {column}": cell
-        for episode in results.episodes
-        for column, cell in zip(COLUMNS, episode.cells(), strict=True)
-    }
-
-
-def _circumstances(results: Results) -> dict[str, Any]:
-    """Return what need not change a number, by where it stands: the words of a failure may depend on the machine."""
-    found = {"source_hash": results.source_hash}
-    found |= {f"environment.{key}": value for key, value in results.environment.items()} | dict(results.versions)
-    for label, entry in _by_label(results).items():
-        if entry["name"] not in results.task.anchors:
-            found |= {f"{label}: {key}": value for key, value in entry.items() if key not in _PLAYED}
-    return found
-
-
-def _compared(stored: Mapping[str, Any], now: Mapping[str, Any]) -> list[Difference]:
-    pairs = ((where, stored.get(where), now.get(where)) for where in {**stored, **now})
-    return [Difference(where, str(one), str(other)) for where, one, other in pairs if one != other]
-
-
-def _by_label(results: Results) -> dict[str, Mapping[str, Any]]:
-    return {run_label(each["name"], each["training_seed"]): each for each in (*results.entries, *results.failed)}

@@ -14,7 +14,7 @@ from wtg_gym.evaluation import results_file, summary
 from wtg_gym.evaluation.episodes import Episode, to_csv
 from wtg_gym.evaluation.metrics import METRICS
 from wtg_gym.evaluation.partial import PartialStore
-from wtg_gym.evaluation.score import NoScaleError, cost_offsets, gains, score_scales
+from wtg_gym.evaluation.score import NoScaleError, cost_offsets, score_scales
 from wtg_gym.evaluation.statistics import Floats, Groups, Interval
 from wtg_gym.evaluation.summary import EntrySummary, Runs, ranked
 from wtg_gym.evaluation.table import columns_of, markdown_table, notes_on_marks
@@ -35,7 +35,6 @@ class Results:
         suite_hash: the suite's own hash.
         source_hash: hash of the physics and environment that were run.
         seeds: seeds of the scenarios.
-        draw: commit and sha256 of the secret that the seeds of the split "fresh" were drawn from; None for the others.
         environment: its id, and the fingerprint of what it answers on this machine.
         settings: settings of the environment that all entries share.
         versions: of wtg_gym, Python and the packages that compute, and the kind of processor.
@@ -51,7 +50,6 @@ class Results:
     suite_hash: str
     source_hash: str
     seeds: tuple[int, ...]
-    draw: Mapping[str, str] | None
     environment: Mapping[str, str]
     settings: Mapping[str, Any]
     versions: Mapping[str, str]
@@ -135,14 +133,6 @@ class Results:
     def _runs(self) -> dict[str, Runs]:
         return summary.runs_by_name(self.episodes)
 
-    @property
-    def gains(self) -> dict[str, Floats]:
-        """Gains over the hundred by the entry's name, (n_runs, n_scenarios)."""
-        hundred = self.pinned_costs[self.task.hundred][0]
-        return self._by_entry(
-            {name: gains(costs, hundred, self.cost_offsets) for name, costs in self.pinned_costs.items()}
-        )
-
     @cached_property
     def groups(self) -> Groups:
         """The scenarios of each stratum that has some, as indices by its name; by "" where there are no strata."""
@@ -211,7 +201,6 @@ class Results:
             "format": results_file.FORMAT,
             **{key: getattr(self, key) for key in results_file.TEXTS},
             "seeds": list(self.seeds),
-            "draw": None if self.draw is None else dict(self.draw),
             **{key: dict(getattr(self, key)) for key in ("environment", "settings", "versions")},
             "entries": [dict(entry) for entry in self.entries],
             "failed": [dict(entry) for entry in self.failed],
@@ -250,7 +239,7 @@ class Results:
         try:
             data, episodes = results_file.read(Path(path))
             results = cls(
-                **{key: data[key] for key in (*results_file.TEXTS, "draw", "environment", "settings", "versions")},
+                **{key: data[key] for key in (*results_file.TEXTS, "environment", "settings", "versions")},
                 seeds=tuple(data["seeds"]),
                 entries=tuple(data["entries"]),
                 episodes=tuple(episodes),

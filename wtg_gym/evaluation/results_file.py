@@ -13,7 +13,7 @@ from wtg_gym.evaluation.metrics import METRICS
 from wtg_gym.files import parse_json, read_text, sha256, to_json, write_together
 from wtg_gym.names import check_name
 from wtg_gym.policies.entry import check_rows
-from wtg_gym.scenarios import FRESH, FreshDraw, get_suite
+from wtg_gym.scenarios import get_suite
 
 #: Version of the files; another number is another form.
 FORMAT = 8
@@ -86,7 +86,3 @@ def _check_description(data: dict[str, Any]) -> None:
     get_suite(data["suite"]).seeds(data["split"])
     if not data["seeds"] or any(type(seed) is not int for seed in data["seeds"]):
         raise ValueError("seeds must be a list of whole numbers")
-    if (data["split"] == FRESH) != (data["draw"] is not None):
-        raise ValueError(f"draw must be given for the split {FRESH!r} alone")
-    if data["draw"] is not None:
-        FreshDraw(suite=data["suite"], seeds=tuple(data["seeds"]), **data["draw"])

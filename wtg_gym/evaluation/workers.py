@@ -26,7 +26,7 @@ from wtg_gym.policies import Entry, PolicyError
 from wtg_gym.ranges import require_whole
 
 #: Backends: the package each of them needs, and the extra of wtg-gym that brings it.
-BACKENDS = {"loky": ("joblib", "cluster"), "dask": ("distributed", "cluster"), "ray": ("ray", "rllib")}
+BACKENDS = {"loky": ("joblib", "cluster"), "dask": ("distributed", "cluster"), "ray": ("ray", "ray")}
 _LARGEST_JOBS = 10_000
 #: Time for a scheduler to answer [s].
 _CONNECT_S = 15
@@ -92,7 +92,7 @@ class Workers:
         parcels = {key: _packed(entry, settings) for key, entry in entries.items()}
         with contextlib.ExitStack() as stack:
             try:
-                submit = stack.enter_context(_STARTS[self.backend](self.address, self.jobs or os.cpu_count() or 1))
+                submit = stack.enter_context(_submitter(self.backend, self.address, self.jobs or os.cpu_count() or 1))
             # Ray ends the process where a cluster that it remembers is gone.
             except (OSError, ValueError, SystemExit) as error:
                 raise ValueError(f"no {self.backend} cluster answers at {self.address}: {_in_short(error)}") from error
@@ -147,49 +147,42 @@ def _in_short(error: BaseException) -> str:
     return f"{type(error).__name__}: {str(error).strip().partition(chr(10))[0]}"
 
 
-# --- backends, which give a way to submit work to them ---------------------------------------------------------------
+# --- backends --------------------------------------------------------------------------------------------------------
 
 
 @contextlib.contextmanager
-def _loky(address: str | None, jobs: int) -> Iterator[_Submit]:
-    from joblib.externals.loky import ProcessPoolExecutor
+def _submitter(backend: str, address: str | None, jobs: int) -> Iterator[_Submit]:
+    """Give the function that hands work to a backend; processes and connections that are made for it end afterwards.
 
-    executor = ProcessPoolExecutor(jobs)
-    try:
-        yield executor.submit
-    finally:
-        executor.shutdown(kill_workers=True)
-
-
-@contextlib.contextmanager
-def _dask(address: str | None, jobs: int) -> Iterator[_Submit]:
-    import distributed
-
+    Not joblib's own interface to Dask and Ray (1.6): it waits for ever for a worker that Dask gives up, and has results
+    of Ray only when all of them are there.
+    """
     with contextlib.ExitStack() as stack:
-        target: Any = address
-        if address is None:
-            # In a folder of its own: pickles are written there, and Dask's usual one is shared by all users.
-            folder = stack.enter_context(tempfile.TemporaryDirectory())
-            options = {"threads_per_worker": 1, "dashboard_address": "127.0.0.1:0", "local_directory": folder}
-            target = stack.enter_context(distributed.LocalCluster(n_workers=jobs, **options))
+        if backend == "loky":
+            from joblib.externals.loky import ProcessPoolExecutor
+
+            executor = ProcessPoolExecutor(jobs)
+            stack.callback(executor.shutdown, kill_workers=True)
+            yield executor.submit
+        elif backend == "dask":
+            import distributed
+
+            options: dict[str, Any] = {}
+            if address is None:
+                # In a folder of its own: pickles are written there, and Dask's usual one is shared by all users.
+                folder = stack.enter_context(tempfile.TemporaryDirectory())
+                options = {"n_workers": jobs, "threads_per_worker": 1, "dashboard_address": "127.0.0.1:0"}
+                options["local_directory"] = folder
+            else:
+                # A client that was made for an address that is none takes half a minute to go.
+                distributed.comm.get_address_host_port(address, strict=True)
+            client = distributed.Client(address, timeout=_CONNECT_S, set_as_default=False, **options)
+            yield stack.enter_context(client).get_executor(pure=False).submit
         else:
-            # A client that was made for an address that is none takes half a minute to go.
-            distributed.comm.get_address_host_port(address, strict=True)
-        client = stack.enter_context(distributed.Client(target, timeout=_CONNECT_S, set_as_default=False))
-        yield client.get_executor(pure=False).submit
+            import ray
 
-
-@contextlib.contextmanager
-def _ray(address: str | None, jobs: int) -> Iterator[_Submit]:
-    import ray
-
-    os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
-    here = {"num_cpus": jobs, "include_dashboard": False} if address is None else {}
-    ray.init(address or "local", logging_level="ERROR", log_to_driver=False, **here)
-    try:
-        yield lambda work, *arguments: ray.remote(num_cpus=1)(work).remote(*arguments).future()
-    finally:
-        ray.shutdown()
-
-
-_STARTS = {"loky": _loky, "dask": _dask, "ray": _ray}
+            os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
+            own = {"num_cpus": jobs, "include_dashboard": False} if address is None else {}
+            ray.init(address or "local", logging_level="ERROR", log_to_driver=False, **own)
+            stack.callback(ray.shutdown)
+            yield lambda work, *arguments: ray.remote(num_cpus=1)(work).remote(*arguments).future()

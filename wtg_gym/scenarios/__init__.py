@@ -1,8 +1,7 @@
 """What happens in a run: random wind, load events and grid strength, frozen suites, and measured wind."""
 
 from wtg_gym.scenarios.distribution import ScenarioDistribution
-from wtg_gym.scenarios.fresh import FreshDraw, draw_seeds
-from wtg_gym.scenarios.suite import FRESH, SPLITS, FixedCase, Suite
+from wtg_gym.scenarios.suite import SPLITS, FixedCase, Suite
 from wtg_gym.scenarios.suites import DEFAULT_SUITE, FROZEN_HASHES, SUITES, get_suite, suite_of_grid
 from wtg_gym.scenarios.wind import DRAWN_WIND_RANGE, TURBULENCE_CLASSES
 from wtg_gym.scenarios.wind_csv import read_wind_csv
@@ -10,16 +9,13 @@ from wtg_gym.scenarios.wind_csv import read_wind_csv
 __all__ = [
     "DEFAULT_SUITE",
     "DRAWN_WIND_RANGE",
-    "FRESH",
     "FROZEN_HASHES",
     "SPLITS",
     "SUITES",
     "TURBULENCE_CLASSES",
     "FixedCase",
-    "FreshDraw",
     "ScenarioDistribution",
     "Suite",
-    "draw_seeds",
     "get_suite",
     "read_wind_csv",
     "suite_of_grid",

@@ -24,13 +24,9 @@ from wtg_gym.tasks import ANY_GRID, V0, Task
 
 #: Names of the frozen splits, in the order of the seeds' use.
 SPLITS = ("train", "validation", "test")
-#: The split of seeds that are drawn after a submission, see :mod:`wtg_gym.scenarios.fresh`.
-FRESH = "fresh"
 _TRAIN_SEEDS = range(1_000_000, 2**31)
 _VALIDATION_SEEDS = range(10_000, 10_100)
 _TEST_SEEDS = range(20_000, 20_200)
-#: Far beyond the other splits, and whole numbers in JavaScript too.
-_FRESH_SEEDS = range(2**32, 2**53)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -131,29 +127,21 @@ class Suite:
         kinds = list(self.drawn_from.values())[place]
         return kinds[turn % len(kinds)]
 
-    @property
-    def _splits(self) -> tuple[str, ...]:
-        return (*SPLITS, FRESH) if self.drawn_from else SPLITS
-
     def _split_text(self) -> str:
-        texts = ((split, self.seeds(split)) for split in self._splits)
+        texts = ((split, self.seeds(split)) for split in SPLITS)
         return ", ".join(f"{split} {seeds.start} … {seeds.stop - 1}" for split, seeds in texts)
 
     def seeds(self, split: str) -> range:
         """Return the seeds of a split.
 
         Args:
-            split: "train", "validation", "test" or "fresh".
+            split: "train", "validation" or "test".
 
         Raises:
             ValueError: the split is unknown; the message lists them.
         """
-        if split == FRESH and self.drawn_from:
-            return _FRESH_SEEDS
         if split not in SPLITS:
-            fixed = f"; suite {self.name!r} has fixed cases, there is nothing to draw"
-            why = fixed if split == FRESH else did_you_mean(split, self._splits)
-            raise ValueError(f"unknown split {split!r}; known splits: {', '.join(self._splits)}{why}")
+            raise ValueError(f"unknown split {split!r}; known splits: {', '.join(SPLITS)}{did_you_mean(split, SPLITS)}")
         seeds: range = getattr(self, split)
         return seeds
 
@@ -183,7 +171,7 @@ class Suite:
         Raises:
             ValueError: a seed is in no split, or an argument is out of range; the message says what is allowed.
         """
-        splits = [self.seeds(split) for split in self._splits]
+        splits = [self.seeds(split) for split in SPLITS]
         for seed in seeds:
             if not is_whole(seed) or not any(int(seed) in split for split in splits):
                 raise ValueError(f"seed {seed!r} is in no split of suite {self.name!r}: {self._split_text()}")

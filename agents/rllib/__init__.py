@@ -1,1 +1,0 @@
-"""PPO of Ray RLlib, on one machine or on a Ray cluster."""

@@ -1,0 +1,112 @@
+"""`python -m agents.shipped`: how the shipped policies were trained, as the table of docs/agents.md."""
+
+from __future__ import annotations
+
+import itertools
+import re
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from agents.command import note, run_command
+from agents.run import BEST, Run, folders
+from wtg_gym.files import (
+    markdown_table,
+    read_json,
+    read_toml,
+    sha256,
+    to_json,
+    update_between_markers,
+    write_atomically,
+)
+from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY
+from wtg_gym.policies.entry_folder import ENTRY_FILE, POLICY_FILE, policy_folders
+
+#: One record per folder of agents/policies that a command of `agents` trained.
+RECORDS = Path(__file__).with_suffix(".json")
+PAGE = Path(__file__).parents[1] / "docs" / "agents.md"
+_COLUMNS = ("policy", "actions on", "seeds", "steps [million]", "validation score", "minutes", "command", "commit")
+
+
+def record(run_folder: Path) -> tuple[str, dict[str, Any]]:
+    """Return the folder that holds the best policy of a run, and the record of its training.
+
+    Raises:
+        ValueError: the run has no policy yet, or it is not in agents/policies.
+    """
+    run = Run.read(run_folder)
+    rows = {int(row["timesteps"]): row for row in run.curve}
+    for best in folders(run_folder / BEST):
+        digest = sha256((best / POLICY_FILE).read_bytes())
+        for folder in policy_folders():
+            if sha256((folder / POLICY_FILE).read_bytes()) == digest:
+                return folder.name, {
+                    "command": run.provenance["command"],
+                    "git_commit": run.provenance["git_commit"],
+                    "policy_sha256": digest,
+                    "steps": int(best.name),
+                    "steps_of_run": run.settings.timesteps,
+                    "validation_scenarios": run.settings.validation_episodes,
+                    "validation_score": round(rows[int(best.name)]["score"], 1),
+                    "wall_time_s": round(run.curve[-1]["wall_time_s"]),
+                }
+    raise ValueError(f"the best policy of {run_folder} is not in agents/policies: export it first")
+
+
+def table() -> str:
+    """Return the table: a row per name of an entry and environment, its training seeds together."""
+    records = read_json(RECORDS, "records of the trainings")
+    entries = [(read_toml(folder / ENTRY_FILE, "entry file"), records.get(folder.name)) for folder in policy_folders()]
+    entries.sort(key=lambda each: each[0]["name"].casefold())
+    entries.sort(key=lambda each: each[0]["environment"], reverse=True)
+    groups = itertools.groupby(entries, key=lambda each: (each[0]["environment"], each[0]["name"]))
+    rows = []
+    for (environment, name), group in groups:
+        runs = list(group)
+        entry, trainings = runs[0][0], [training for _, training in runs if training]
+        version = environment.rpartition("-")[2]
+        rows.append(
+            [
+                f"{name} ({version})",
+                entry.get("strategy", REFERENCE_STRATEGY),
+                str(len(runs)),
+                _range([training["steps"] / 1e6 for training in trainings]),
+                _range([training["validation_score"] for training in trainings]),
+                _range([training["wall_time_s"] / 60 for training in trainings if "wall_time_s" in training]),
+                f"`{_without_seed(trainings[0]['command'])}`" if trainings else "",
+                ", ".join(dict.fromkeys(f"`{training['git_commit'][:8]}`" for training in trainings)),
+            ]
+        )
+    return markdown_table(_COLUMNS, rows, right=(2, 3, 4, 5))
+
+
+def _range(values: Sequence[float]) -> str:
+    """Return the least and the largest of some values, or the one that they are."""
+    return " … ".join(dict.fromkeys(f"{value:.1f}" for value in (min(values), max(values)))) if values else ""
+
+
+def _without_seed(command: str) -> str:
+    return re.sub(r" --(seed|output) \S+", "", command)
+
+
+def command(*runs: Path) -> None:
+    """Write the table of shipped policies in docs/agents.md, from agents/shipped.json and the entry.toml of each.
+
+    Args:
+        runs: folders of runs whose best policies are files of agents/policies, to add to agents/shipped.json first
+    """
+    records = read_json(RECORDS, "records of the trainings")
+    records |= dict(record(run) for run in runs)
+    write_atomically(RECORDS, to_json(records))
+    changed = update_between_markers(PAGE, table(), "shipped")
+    note(f"{PAGE}: {'updated' if changed else 'already up to date'}")
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run the command and return its exit code."""
+    return run_command(command, "agents.shipped", argv, "run it again")
+
+
+if __name__ == "__main__":
+    sys.exit(main())
