@@ -34,6 +34,12 @@ def blocks(page: str, language: str) -> list[str]:
     return re.findall(rf"^```{language}\n(.*?)^```", text, flags=re.MULTILINE | re.DOTALL)
 
 
+def files(page: str) -> dict[str, str]:
+    """Return the files that a page asks its reader to save, by name: blocks with a title."""
+    text = (ROOT / page).read_text(encoding="utf-8")
+    return dict(re.findall(r'^```python title="([\w.]+)"\n(.*?)^```', text, flags=re.MULTILINE | re.DOTALL))
+
+
 @pytest.fixture(scope="module")
 def plain(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
     """Environment variables under which Python finds the package as `pip install .` installs it, and no extra's."""
@@ -73,6 +79,8 @@ def test_commands_run_after_a_plain_install_in_an_empty_folder(plain: dict[str, 
 
 @pytest.mark.parametrize("page", ["README.md", *(page for page in DOCS if blocks(page, "python"))])
 def test_every_other_program_runs_as_printed(page: str, tmp_path: Path) -> None:
+    for name, content in files(page).items():
+        (tmp_path / name).write_text(content, encoding="utf-8")
     for program in blocks(page, "python")[1 if page == "README.md" else 0 :]:
         run([sys.executable, "-c", program], tmp_path)
 
