@@ -201,7 +201,7 @@ def shipped() -> Iterator[System]:
 def test_every_name_of_every_system_means_one_thing_and_is_annotated_with_it() -> None:
     systems = {id(one): one for one in shipped()}.values()
     for one in systems:
-        assert all(len(one.kind.names[name]) == 1 for name in (*one.arguments_named, *one.writes)), one.name
+        assert all(len(one.kind.meanings(name)) == 1 for name in (*one.arguments_named, *one.writes)), one.name
         if one.arguments:
             continue
         annotations = inspect.get_annotations(one.equation, eval_str=True)

@@ -75,7 +75,7 @@ class Kind:
 
     def __getstate__(self) -> dict[str, Any]:
         # A copy finds its names anew.
-        return {name: value for name, value in vars(self).items() if name != "names"}
+        return {name: value for name, value in vars(self).items() if name != "ends"}
 
     def record_of(self, part: str, *where: str) -> Any:
         """Return the record, or float, of a part in "rows" or "scratch"; a TypeError names the parts most like it."""
@@ -94,37 +94,46 @@ class Kind:
         Raises:
             TypeError: nothing has the name, or several places have it.
         """
-        places = self.names.get(name, [])
+        places = self.meanings(name)
         if len(places) == 1:
             return places[0]
         if not places:
             kinds = ", ".join(dict.fromkeys(kind.name for kind in self.sees.values())) or "nothing"
             nobody = f"is no part or constant of {self.name}, nor of what they see: {kinds}"
-            raise TypeError(f"{who or repr(name)} {nobody}{did_you_mean(name, self.names)}")
+            seen = {"own": self, **self.sees}.items()
+            known = [end for label, kind in seen if not label.endswith("_") for end in kind.ends]
+            parts = ((label, place) for label, kind in seen for places in kind.ends.values() for place in places)
+            known += [f"{label.removesuffix('_')}_{place.name}" for label, place in parts]
+            raise TypeError(f"{who or repr(name)} {nobody}{did_you_mean(name, known)}")
         several = " and ".join(f"{place.name!r} ({place.where} of {place.kind.name})" for place in places)
         raise TypeError(f"{who or repr(name)} can mean {several}: use one of these full names")
 
-    @functools.cached_property
-    def names(self) -> Mapping[str, list[Place]]:
-        """Places by all the names that systems of the kind may use."""
-        found = {name: [Place(self, "", name, float, "scalars", name=name)] for name in SCALARS}
+    def meanings(self, name: str) -> list[Place]:
+        """Return all places that systems of the kind might mean by a name."""
+        places = [Place(self, "", name, float, "scalars", name=name)] if name in SCALARS else []
         for label, kind in {"": self, **self.sees}.items():
-            for path, place in kind._places():
-                full = (label.removesuffix("_") or "own", *path)
-                seen = place._replace(seen=label, name="_".join(full))
-                for first in range(1 if label.endswith("_") else len(full)):
-                    found.setdefault("_".join(full[first:]), []).append(seen)
-        return found
+            prefix = f"{label.removesuffix('_') or 'own'}_"
+            rest = name.removeprefix(prefix)
+            ends = [] if label.endswith("_") else kind.ends.get(name, [])
+            full = [place for place in kind.ends.get(rest, []) if place.name == rest != name]
+            places += [place._replace(seen=label, name=prefix + place.name) for place in (*ends, *full)]
+        return places
 
-    def _places(self) -> Iterator[tuple[tuple[str, ...], Place]]:
-        """Yield parts, and numbers within records, with their names and those of what they are in."""
+    @functools.cached_property
+    def ends(self) -> dict[str, list[Place]]:
+        """The kind's own parts, and numbers within records, by all ends of their names without a label."""
+        found: dict[str, list[Place]] = {}
         of_states = {f"{state}_{what}" for state in self.states for what in _OF_STATES}
         for where in ("rows", "scratch", "constants"):
             for part, record in getattr(self, where).items():
-                yield (part,), Place(self, "", part, record, where)
+                paths = [((part,), record)]
                 if is_record(record) and where != "constants" and part not in of_states:
-                    for offset, leaf in enumerate(leaves(record)):
-                        yield (part, *leaf.split(".")), Place(self, "", part, float, where, offset)
+                    paths += [((part, *leaf.split(".")), float) for leaf in leaves(record)]
+                for at, (path, means) in enumerate(paths):
+                    place = Place(self, "", part, means, where, max(at - 1, 0), "_".join(path))
+                    for first in range(len(path)):
+                        found.setdefault("_".join(path[first:]), []).append(place)
+        return found
 
 
 class Place(NamedTuple):
@@ -199,8 +208,7 @@ class System:
         if self.when is not None and self.when not in known:
             nobody = f"is no condition of {self.kind.name} or of what they see: {', '.join(known) or 'none'}"
             raise TypeError(f"when={self.when!r} of system {self.name!r} {nobody}{did_you_mean(self.when, known)}")
-        back = tuple(inspect.signature(self.backward or self.equation).parameters)
-        if self.backward is not None and back != self.arguments_named:
+        if self.backward is not None and (back := _parameters(self.backward)) != self.arguments_named:
             raise TypeError(f"the way back of system {self.name!r} takes {back}, not {self.arguments_named}")
         for name in self.writes:
             if not self.places[name].has_rows:
@@ -255,7 +263,7 @@ class System:
     @functools.cached_property
     def arguments_named(self) -> tuple[str, ...]:
         """Names of the arguments."""
-        return self.arguments or tuple(inspect.signature(self.equation).parameters)
+        return self.arguments or _parameters(self.equation)
 
     @property
     def trace(self) -> Trace:
@@ -356,6 +364,10 @@ class System:
             symbol = ex.symbol(leaf)
             found.constants[symbol] = leaf
             yield symbol != 0.0 if kind is bool else symbol
+
+
+def _parameters(function: Callable[..., Any]) -> tuple[str, ...]:
+    return tuple(inspect.signature(function).parameters)
 
 
 def _of_module(module: str, name: str) -> Any:
