@@ -2,31 +2,37 @@
 
 usage: python .ci/install.py [--pins FILE] ARGUMENT [ARGUMENT ...]
 
-The arguments are those of `pip install`; without `--pins` the versions are those of constraints.txt.
+The arguments are those of `uv pip install`; without `--pins` the versions are those of constraints.txt.
 """
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
-INSTALL = [sys.executable, "-m", "pip", "install", "--disable-pip-version-check", "--only-binary", ":all:"]
+WHEELS = ["--only-binary", ":all:"]
 
 
 def main(arguments: list[str]) -> int:
-    """Install, and return pip's exit status."""
+    """Install, and return the exit status."""
     pins = ROOT / "constraints.txt"
     if arguments[:1] == ["--pins"]:
         pins, arguments = Path(arguments[1]), arguments[2:]
-    # pip before 26.3 either refuses folders beside hashes or does not check the hashes.
-    newest = subprocess.run([*INSTALL, "--quiet", "--require-hashes", "--requirement", ROOT / ".ci" / "pip.txt"])
-    if newest.returncode:
-        return newest.returncode
-    # The checkout itself has no hash, hence "no"; those of the pins are still checked, of its build's pins too.
-    pinned = ["--no-require-hashes", "--constraint", pins, "--build-constraint", ROOT / "constraints.txt"]
-    return subprocess.run([*INSTALL, *pinned, *arguments]).returncode
+    python = [sys.executable, "-m"]
+    # pip cannot check hashes of dependencies beside a checkout, which has none.
+    bring_uv = ["--quiet", "--disable-pip-version-check", "--require-hashes", "--requirement", ROOT / ".ci" / "uv.txt"]
+    failed = subprocess.run([*python, "pip", "install", *WHEELS, *bring_uv]).returncode
+    if failed:
+        return failed
+    pinned = ["--python", sys.executable, "--constraints", pins, "--build-constraints", ROOT / "constraints.txt"]
+    # Wheels that lie on a disk for pip, such as a build of torch for processors, are for uv too.
+    links = {"UV_FIND_LINKS": ",".join(os.environ.get("PIP_FIND_LINKS", "").split())}
+    return subprocess.run(
+        [*python, "uv", "pip", "install", *WHEELS, *pinned, *arguments], env=links | os.environ
+    ).returncode
 
 
 if __name__ == "__main__":
