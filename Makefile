@@ -129,9 +129,8 @@ COMPILE = $(TEST_VENV)/bin/uv pip compile --quiet --universal --python-version 3
 
 .PHONY: pins
 pins: $(TEST_READY) ## Pin new dependencies of pyproject.toml, with hashes; UPGRADE=--upgrade pins the newest of all
-	$(TEST_VENV)/bin/python .ci/install.py --quiet uv
 	$(COMPILE) pyproject.toml --group release --extra browser --extra dev --extra docs --extra golden --extra notebooks --output-file constraints.txt
-	echo pip | $(COMPILE) - --output-file .ci/pip.txt
+	echo uv | $(COMPILE) - --output-file .ci/uv.txt
 
 .PHONY: format
 format: $(TEST_READY) ## Format the code and mend what can be mended by itself
@@ -150,7 +149,7 @@ $(SITE_READY): EXTRA := docs
 $(NOTEBOOKS_READY): EXTRA := notebooks
 
 # An environment whose stamp is merely out of date is brought up to date; any other is started over.
-$(LEADERBOARD_READY) $(TEST_READY) $(GOLDEN_READY) $(SITE_READY) $(NOTEBOOKS_READY): pyproject.toml constraints.txt .ci/install.py .ci/pip.txt
+$(LEADERBOARD_READY) $(TEST_READY) $(GOLDEN_READY) $(SITE_READY) $(NOTEBOOKS_READY): pyproject.toml constraints.txt .ci/install.py .ci/uv.txt
 	@case '$(PYTHON_VERSION)' in 3.11|3.12|3.13|3.14) ;; *) \
 	    echo 'wtg_gym needs Python 3.11, 3.12, 3.13 or 3.14, but $(PYTHON) is $(or $(PYTHON_VERSION),not found).' >&2; \
 	    echo 'Name another one: make $(MAKECMDGOALS) PYTHON=python3.12' >&2; exit 1;; esac

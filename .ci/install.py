@@ -1,32 +1,37 @@
-"""Install packages in the versions and with the hashes of the pins, into the Python that runs this.
+"""Install packages in the versions and with the hashes of constraints.txt, into the Python that runs this.
 
-usage: python .ci/install.py [--pins FILE] ARGUMENT [ARGUMENT ...]
+usage: python .ci/install.py ARGUMENT [ARGUMENT ...]
 
-The arguments are those of `pip install`; without `--pins` the versions are those of constraints.txt.
+The arguments are those of `uv pip install`.
 """
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
-INSTALL = [sys.executable, "-m", "pip", "install", "--disable-pip-version-check", "--only-binary", ":all:"]
+PINS = ROOT / "constraints.txt"
+PIP = [sys.executable, "-m", "pip", "--disable-pip-version-check"]
+WHEELS = ["--only-binary", ":all:"]
 
 
 def main(arguments: list[str]) -> int:
-    """Install, and return pip's exit status."""
-    pins = ROOT / "constraints.txt"
-    if arguments[:1] == ["--pins"]:
-        pins, arguments = Path(arguments[1]), arguments[2:]
-    # pip before 26.3 either refuses folders beside hashes or does not check the hashes.
-    newest = subprocess.run([*INSTALL, "--quiet", "--require-hashes", "--requirement", ROOT / ".ci" / "pip.txt"])
-    if newest.returncode:
-        return newest.returncode
-    # The checkout itself has no hash, hence "no"; those of the pins are still checked, of its build's pins too.
-    pinned = ["--no-require-hashes", "--constraint", pins, "--build-constraint", ROOT / "constraints.txt"]
-    return subprocess.run([*INSTALL, *pinned, *arguments]).returncode
+    """Install, and return the exit status."""
+    # pip cannot check hashes of dependencies beside a checkout, which has none.
+    bring_uv = ["--quiet", "--require-hashes", "--requirement", ROOT / ".ci" / "uv.txt"]
+    failed = subprocess.run([*PIP, "install", *WHEELS, *bring_uv]).returncode
+    if failed:
+        return failed
+    # Wheels that lie on a disk for pip, such as a build of torch for processors, are for uv too.
+    configured = subprocess.run([*PIP, "config", "get", "global.find-links"], capture_output=True, text=True).stdout
+    folders = os.environ.get("PIP_FIND_LINKS") or configured
+    environment = {"UV_FIND_LINKS": ",".join(folders.split()), **os.environ}
+    pinned = ["--python", sys.executable, "--constraints", PINS, "--build-constraints", PINS]
+    install = [sys.executable, "-m", "uv", "pip", "install", *WHEELS, *pinned]
+    return subprocess.run([*install, *arguments], env=environment).returncode
 
 
 if __name__ == "__main__":

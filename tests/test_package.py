@@ -75,7 +75,7 @@ def test_nothing_that_is_made_anew_is_in_the_repository() -> None:
     assert done.stdout == ""
 
 
-@pytest.mark.parametrize("name", ["constraints.txt", ".ci/pip.txt"])
+@pytest.mark.parametrize("name", ["constraints.txt", ".ci/uv.txt"])
 def test_every_pin_is_one_version_with_its_hashes(name: str) -> None:
     for requirement, hashes in pins(name).items():
         assert re.fullmatch(r"[a-z0-9-]+==[a-z0-9.]+( ; .+)?", requirement)
@@ -83,8 +83,8 @@ def test_every_pin_is_one_version_with_its_hashes(name: str) -> None:
 
 
 def test_tools_of_the_release_and_all_that_tests_install_are_pinned() -> None:
-    pinned = {requirement.split("==")[0] for requirement in (*pins("constraints.txt"), *pins(".ci/pip.txt"))}
-    assert {"build", "editables", "hatchling", "pip", "twine", "uv"} <= pinned
+    pinned = {requirement.split("==")[0] for requirement in (*pins("constraints.txt"), *pins(".ci/uv.txt"))}
+    assert {"build", "editables", "hatchling", "twine", "uv"} <= pinned
     brought = {key.partition("[")[0] for key in installed(Requirement("wtg-gym[dev]"), set())}
     assert {"numpy", "pytest", "torch"} <= brought and brought - pinned == {"wtg-gym"}
 
