@@ -301,14 +301,7 @@ class TaskLanes:
         """
         simulator = self.simulator
         if self._bound is None:
-            self._bound = bind(
-                simulator.blocks,
-                simulator.scratches,
-                simulator.plant.network,
-                simulator.data,
-                self.task_data,
-                self.outputs,
-            )
+            self._bind()
         bound, alone = self._bound, simulator.threads.n_blocks == 1
         if alone:
             invalid = step_blocks(bound, actions, 0, 1, 0, False)
@@ -325,6 +318,14 @@ class TaskLanes:
             )
         elif meanwhile is not None:
             meanwhile()
+
+    @undivided
+    def _bind(self) -> None:
+        # What a handler raises within would become a SystemError of numba's.
+        simulator = self.simulator
+        self._bound = bind(
+            simulator.blocks, simulator.scratches, simulator.plant.network, simulator.data, self.task_data, self.outputs
+        )
 
     def statuses(self) -> npt.NDArray[np.int64]:
         """Return why each lane ended (:class:`Status`), RUNNING (0) where it did not or its time was over."""

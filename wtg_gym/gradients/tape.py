@@ -308,6 +308,7 @@ class Tape:
             self._replayed = place, found
         return self._replayed[1][offset]
 
+    @undivided
     def _again(self, blocks: Floats, actions: Floats) -> None:
         own = self.lanes.simulator
         bound = bind(blocks, own.scratches, own.plant.network, own.data, self.lanes.task_data, self._scratch_outputs)
