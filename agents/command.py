@@ -13,6 +13,7 @@ from typing import Any
 from agents.folders import held
 from agents.runs import RUN_FILE, Run, RunSettings
 from wtg_gym.envs.settings import ACTION_MODES, OBSERVATION_MODES
+from wtg_gym.files import one_line
 from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY
 from wtg_gym.scenarios import DEFAULT_SUITE
 
@@ -38,7 +39,7 @@ def run_command(work: Callable[[], None], after_interrupt: str) -> int:
     try:
         work()
     except (ValueError, OSError) as error:
-        note(f"error: {' '.join(str(error).split())}")
+        note(f"error: {one_line(error)}")
         return 2
     except KeyboardInterrupt:
         note(f"interrupted; {after_interrupt}")

@@ -28,8 +28,8 @@ from wtg_gym.envs import EnvSettings
 from wtg_gym.envs.lanes import TaskLanes
 from wtg_gym.envs.observation import FREQUENCY_UNIT_HZ, ROTOR_SPEED_UNIT_PU
 from wtg_gym.gains import ScoreUnits
+from wtg_gym.physics.checked import Checked, design
 from wtg_gym.physics.scenario import Scenario
-from wtg_gym.ranges import require_range
 
 Floats = npt.NDArray[np.float64]
 #: The algorithm's name in run.json.
@@ -51,23 +51,19 @@ _LOW = [LOW_FREQUENCY_HZ / FREQUENCY_UNIT_HZ, (LOW_ROTOR_PU - 1.0) / ROTOR_SPEED
 
 
 @dataclass(frozen=True)
-class Hyperparameters:
+class Hyperparameters(Checked):
     """Hyperparameters; the first generations search the direct weights alone, which are few."""
 
-    hidden: int = 6
-    population: int = 20
-    first_share: float = 0.4  # of the generations
-    first_spread: float = 0.15
-    spread: float = 0.03
-    mean_weight: float = 0.0  # of J / J0 beside ln(J + J0)
-    mark_weight: float = 1.0  # of the share of runs with the grid lost or beyond the design deviation, see SOFT_HZ
+    hidden: int = design(6, "-", "units of the layer of tanh", 0, 1000)
+    population: int = design(20, "-", "candidates of a generation", 4, 10_000)
+    first_share: float = design(0.4, "-", "of the generations", 0.0, 1.0)
+    first_spread: float = design(0.15, "-", "of the candidates in these", 1e-6, 100.0)
+    spread: float = design(0.03, "-", "and in the others", 1e-6, 100.0)
+    mean_weight: float = design(0.0, "-", "of J / J0 beside ln(J + J0)", 0.0, 100.0)
+    mark_weight: float = design(
+        1.0, "-", "of the share of runs with the grid lost or beyond the design deviation, see SOFT_HZ", 0.0, 100.0
+    )
     history: bool = True  # whether a group sees what is below beside its own observation
-
-    def __post_init__(self) -> None:
-        if self.hidden < 0 or self.population < 4:
-            raise ValueError(f"hidden must be 0 or more, population 4 or more, got {self.hidden}, {self.population}")
-        require_range("mean_weight", self.mean_weight, 0.0, 100.0, "")
-        require_range("mark_weight", self.mark_weight, 0.0, 100.0, "")
 
 
 class GroupPolicy(nn.Module):
@@ -252,7 +248,7 @@ def train(run: Run, folder: Path) -> None:
     """Train from the last checkpoint, if there is one, to the end; checkpoints and run.json go to `folder`."""
     if run.finished:
         return
-    settings, h = run.settings, Hyperparameters(**run.settings.hyperparameters)
+    settings, h = run.settings, run.hyperparameters(Hyperparameters, folder)
     if settings.observation_mode != "local":
         raise ValueError(f"observation_mode must be local, got {settings.observation_mode!r}: groups see their own")
     torch.set_num_threads(1)

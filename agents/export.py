@@ -9,11 +9,10 @@ from typing import Any
 
 from agents.command import make_parser, note, run_command
 from agents.folders import BEST, folders
-from agents.runs import Run
+from agents.runs import RUN_FILE, Run
 from agents.training import entry_values
-from wtg_gym.files import markdown_table, sha256, write_together
-from wtg_gym.policies.entry_toml import parse_entry
-from wtg_gym.policies.load import ENTRY_FILE, POLICY_FILE
+from wtg_gym.files import interpreting, markdown_table, read_bytes, sha256, write_together
+from wtg_gym.policies.load import ENTRY_FILE, POLICY_FILE, load_entry_folder
 from wtg_gym.policies.submission_folder import entry_text
 from wtg_gym.scenarios import get_suite
 
@@ -41,13 +40,15 @@ def export(
         raise ValueError(f"{run_folder} has no validated policy yet: go on with the run first")
     timesteps = int(best[-1].name)
     entry = entry_values(settings, timesteps, name, description)
-    if parse_entry((best[-1] / ENTRY_FILE).read_text(encoding="utf-8")).get("per_group"):
+    if load_entry_folder(best[-1]).per_group:
         entry["per_group"] = True
-    content = (best[-1] / POLICY_FILE).read_bytes()
+    content = read_bytes(best[-1] / POLICY_FILE, "policy")
     trained_on = f"{settings.suite}, split train, {timesteps} steps; chosen on split validation"
+    with interpreting(run_folder / RUN_FILE, "description of the run"):
+        card = _model_card(run, rows[timesteps], entry["name"], authors, content)
     files: dict[str, str | bytes] = {
         POLICY_FILE: content,
-        "README.md": _model_card(run, rows[timesteps], entry["name"], authors, content),
+        "README.md": card,
         # Last, because it makes the folder an entry.
         ENTRY_FILE: entry_text({**entry, "authors": list(authors), "trained_on": trained_on}),
     }

@@ -43,7 +43,7 @@ def save_folder(parent: Path, timesteps: int, write: Callable[[Path], object]) -
 
 def folders(parent: Path) -> list[Path]:
     """Return the complete folders in `parent`, the fewest timesteps first."""
-    return sorted(path for path in parent.glob("*") if path.name.isdigit())
+    return sorted(path for path in parent.glob("*") if path.name.isdecimal())
 
 
 @contextlib.contextmanager

@@ -28,6 +28,7 @@ from wtg_gym.envs.task_records import CostTerms
 from wtg_gym.evaluation.score import pinned_cost
 from wtg_gym.gains import ScoreUnits
 from wtg_gym.gradients.torch import TorchEpisodes
+from wtg_gym.physics.checked import Checked, design
 from wtg_gym.physics.scenario import Scenario
 
 #: The algorithm's name in run.json.
@@ -47,23 +48,17 @@ STRAY_WEIGHT = 5.0
 
 
 @dataclass(frozen=True)
-class Hyperparameters:
+class Hyperparameters(Checked):
     """Hyperparameters; the learning rate falls along half a cosine to `last_rate` of it."""
 
-    hidden: Sequence[int] = (64, 64)
-    lstm: int = 0
-    learning_rate: float = 1e-2
-    last_rate: float = 0.05
-    betas: Sequence[float] = (0.9, 0.99)
-    max_grad_norm: float = 1.0
-    mean_weight: float = 0.0  # of J / J0 in the loss, besides ln(J + J0)
+    hidden: tuple[int, ...] = design((64, 64), "-", "widths of the layers", 1, 10_000)
+    lstm: int = design(0, "-", "width of the LSTM; 0 for none", 0, 10_000)
+    learning_rate: float = design(1e-2, "-", "at the start", 0.0, 10.0)
+    last_rate: float = design(0.05, "-", "share of it that is left at the end", 0.0, 1.0)
+    betas: tuple[float, float] = design((0.9, 0.99), "-", "of Adam", 0.0, 1.0)
+    max_grad_norm: float = design(1.0, "-", "norm to which a gradient is cut", 0.0, 1e6)
+    mean_weight: float = design(0.0, "-", "of J / J0 in the loss, besides ln(J + J0)", 0.0, 100.0)
     per_group: bool = False  # whether the policy sees one group at a time
-
-    def __post_init__(self) -> None:
-        if min(self.hidden, default=1) < 1 or self.lstm < 0:
-            raise ValueError(f"layers must be 1 or more wide, got hidden {list(self.hidden)} and lstm {self.lstm}")
-        if not 0.0 <= self.mean_weight <= 100.0:
-            raise ValueError(f"mean_weight must be 0 … 100, got {self.mean_weight}")
 
 
 class GradientPolicy(nn.Module):
@@ -213,7 +208,7 @@ def train(run: Run, folder: Path) -> None:
     """Train from the last checkpoint, if there is one, to the end; checkpoints and run.json go to `folder`."""
     if run.finished:
         return
-    settings, h = run.settings, Hyperparameters(**run.settings.hyperparameters)
+    settings, h = run.settings, run.hyperparameters(Hyperparameters, folder)
     # Sums over several threads depend on which of them ends first.
     torch.set_num_threads(1)
     torch.manual_seed(settings.seed)

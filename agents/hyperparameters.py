@@ -13,7 +13,7 @@ from stable_baselines3 import PPO, SAC
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.utils import LinearSchedule
 
-from wtg_gym.files import read_text
+from wtg_gym.files import interpreting, read_text, require_plain
 
 #: PPO of which one network acts for every WTG group.
 IPPO = "ippo"
@@ -31,13 +31,28 @@ def read_config(path: Path, env_id: str) -> dict[str, Any]:
     Raises:
         ValueError: the file cannot be read, is not YAML, or has no section for the environment.
     """
-    try:
-        data = yaml.safe_load(read_text(path, "hyperparameter file"))
-    except yaml.YAMLError as error:
-        raise ValueError(f"the hyperparameter file {path} is not yml: {error}") from error
-    if not isinstance(data, dict) or not isinstance(data.get(env_id), dict):
-        raise ValueError(f"the hyperparameter file {path} must have a section {env_id!r} with keys and values")
+    text = read_text(path, "hyperparameter file")
+    with interpreting(path, "hyperparameter file"):
+        try:
+            data = yaml.load(text, _Loader)
+        except yaml.YAMLError as error:
+            raise ValueError(f"it is not yml: {error}") from error
+        require_plain(data, "it", len(text), infinite=False)
+        if not isinstance(data, dict) or not isinstance(data.get(env_id), dict):
+            raise ValueError(f"it must have a section {env_id!r} with keys and values")
     return dict(data[env_id])
+
+
+class _Loader(yaml.SafeLoader):
+    """Takes a key that is given twice for a mistake; two merges could double a section's length again and again."""
+
+    def flatten_mapping(self, node: yaml.MappingNode) -> None:
+        """Put merged sections into a section, each key of which must be there once before."""
+        keys = [key.value for key, _ in node.value]
+        merged = [value for key, value in node.value if key.tag == "tag:yaml.org,2002:merge"]
+        if len(set(map(str, keys))) < len(keys) or any(isinstance(value, yaml.SequenceNode) for value in merged):
+            raise ValueError(f"a section must have each key once, and merge one other at most, got {keys}")
+        super().flatten_mapping(node)
 
 
 def algorithm_arguments(raw: Mapping[str, Any]) -> dict[str, Any]:

@@ -11,15 +11,20 @@ import time
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from types import MappingProxyType
+from typing import Any, TypeVar
 
 from wtg_gym.envs import EnvSettings
 from wtg_gym.evaluation import Entry, Policy, evaluate
 from wtg_gym.evaluation.circumstances import installed
-from wtg_gym.files import read_json, to_json, write_atomically
+from wtg_gym.files import interpreting, read_json, to_json, write_atomically
+from wtg_gym.physics.checked import Checked, design, required
 from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY
+from wtg_gym.ranges import require_range, require_whole
 from wtg_gym.scenarios import DEFAULT_SUITE, get_suite
 from wtg_gym.systems.compiled import source_hash
+
+H = TypeVar("H")
 
 RUN_FILE = "run.json"
 #: What decides the weights besides the packages.
@@ -28,7 +33,7 @@ _PACKAGES = ("gymnasium", "numba", "numpy", "ray", "stable-baselines3", "sb3-con
 
 
 @dataclass(frozen=True, kw_only=True)
-class RunSettings:
+class RunSettings(Checked):
     """Settings of a run; all of them survive JSON; a ValueError if a value is unknown or out of range."""
 
     algo: str  # name of the algorithm
@@ -38,27 +43,22 @@ class RunSettings:
     observation_mode: str = "local"
     suite: str = DEFAULT_SUITE
     strategy: str = REFERENCE_STRATEGY
-    seed: int = 0  # seed of the weights, the exploration and the scenarios
-    timesteps: int  # steps of all lanes together
-    n_envs: int  # number of lanes
-    interval: int = 0  # steps between two validations with a checkpoint each; 0: a 20th of all
-    validation_episodes: int = 50  # scenarios of a validation, the first ones of the suite's validation split
+    seed: int = design(0, "-", "seed of the weights, the exploration and the scenarios", 0, 2**31 - 1)
+    timesteps: int = required("-", "design", "steps of all lanes together", 1, 10**12)
+    n_envs: int = required("-", "design", "number of lanes", 1, 100_000)
+    interval: int = design(0, "-", "steps between two validations with a checkpoint each; 0: a 20th of all", 0, 10**12)
+    validation_episodes: int = design(
+        50, "-", "scenarios of a validation, the first of the validation split", 1, 10_000
+    )
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         EnvSettings(**self.env_arguments)
         suite = get_suite(self.suite)
         if not suite.distributions:
             raise ValueError(f"suite {self.suite!r} is a fixed list of cases, nothing to train on")
-        for name, low, high in (
-            ("seed", 0, 2**31 - 1),
-            ("timesteps", 1, 10**12),
-            ("n_envs", 1, 100_000),
-            ("interval", 0, 10**12),
-            ("validation_episodes", max(1, len(suite.strata)), len(suite.seeds("validation"))),
-        ):
-            value = getattr(self, name)
-            if type(value) is not int or not low <= value <= high:
-                raise ValueError(f"{name} must be a whole number, {low} … {high}, got {value!r}")
+        fewest, most = max(1, len(suite.strata)), len(suite.seeds("validation"))
+        require_whole("validation_episodes", self.validation_episodes, fewest, most)
 
     @property
     def env_arguments(self) -> dict[str, Any]:
@@ -68,15 +68,33 @@ class RunSettings:
 
 
 @dataclass(kw_only=True)
-class Run:
+class Run(Checked):
     """A run as run.json describes it."""
+
+    MOST = MappingProxyType({"curve": 100_000})
 
     settings: RunSettings  # of the run
     provenance: Mapping[str, Any]  # command, versions, commit and start time of the process that began it
-    curve: list[dict[str, float]] = field(default_factory=list)  # one row per validation, see :meth:`validate`
+    curve: list[dict[str, Any]] = field(default_factory=list)  # one row per validation, see :meth:`validate`
     #: Provenance of the processes that went on, the latest last, each with the differences it found.
     resumptions: list[Mapping[str, Any]] = field(default_factory=list)
     finished: bool = False  # whether all timesteps are done
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        for row in self.curve:
+            for name in ("timesteps", "wall_time_s", "score", "marked"):
+                require_range(f"{name} of the curve", row[name], -1e12, 1e12, "")
+        for process in (self.provenance, *self.resumptions):
+            if not isinstance(process["versions"], Mapping) or not all(
+                isinstance(process[key], str) for key in _HASHES
+            ):
+                raise ValueError(f"provenance must have versions and hashes, got {process!r:.80}")
+
+    def hyperparameters(self, kind: type[H], folder: Path) -> H:
+        """Return the hyperparameters as a record; a ValueError names the run's file and the one that is wrong."""
+        with interpreting(folder / RUN_FILE, "description of the run"):
+            return kind(**self.settings.hyperparameters)
 
     @classmethod
     def new(cls, settings: RunSettings) -> Run:
@@ -148,10 +166,8 @@ class Run:
         """Read run.json; a ValueError if there is none, or it is damaged."""
         path = folder / RUN_FILE
         data = read_json(path, "description of the run")
-        try:
+        with interpreting(path, "description of the run"):
             return cls(**{**data, "settings": RunSettings(**data["settings"])})
-        except (KeyError, TypeError, ValueError) as error:
-            raise ValueError(f"{path} is no description of a training run: {error}") from error
 
 
 def _provenance(settings: RunSettings) -> dict[str, Any]:

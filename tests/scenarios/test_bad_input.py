@@ -44,7 +44,7 @@ BAD: list[tuple[Callable[[], Any], str]] = [
     (distribution(load_trip_buses=(7,)), r"load_trip_buses must be.*\(7,\)"),
     (distribution(load_noise_mw="loud"), "load_noise_mw must be a number.*'loud'"),
     (lambda: STANDARD.distributions[0].draw(-1), "a seed must be a whole number in 0 … [0-9]*, got -1"),
-    (lambda: STANDARD.distributions[0].draw(1, 0), "n_wtg must be a whole number of 1 or more, got 0"),
+    (lambda: STANDARD.distributions[0].draw(1, 0), "n_wtg must be a whole number in 1 … 100, got 0"),
     (lambda: STANDARD.distributions[0].draw(1, 2, [1.0]), r"one value per WTG group \(2\), got 1"),
     (lambda: SHARED.check_share([5.0, 5.0]), "10 turbines give .* % of the load .*wind_share .* is 40 … 78 %"),
     (lambda: SHARED.draw_many(range(20), 3, [90.0] * 3), "winds of 8.5 … 11 m/s hardly ever give"),
@@ -55,7 +55,7 @@ BAD: list[tuple[Callable[[], Any], str]] = [
     (draw(suite="paper"), "suite 'paper' has fixed cases"),
     (draw(commit="abc"), "full git hash of 40 or 64 hexadecimal digits, got 'abc'"),
     (draw(secret=b"short"), "16 bytes or more, got 5"),
-    (draw(n=0), "1 … 100000, got 0"),
+    (draw(n=0), "1 … 10000, got 0"),
     *(
         (
             lambda seeds=seeds: FreshDraw(suite="standard", commit=COMMIT, secret_sha256="0" * 64, seeds=seeds),

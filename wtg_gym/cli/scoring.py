@@ -21,12 +21,10 @@ from wtg_gym.policies.entry import check_entries, run_label
 from wtg_gym.progress import Progress
 from wtg_gym.ranges import require_range
 from wtg_gym.scenarios import FRESH, draw_seeds, get_suite
+from wtg_gym.scenarios.fresh import MOST_SCENARIOS
 
 #: Heads of columns that are too wide for a terminal of 120 columns.
 _SHORT_HEADS = {"median deviation [mHz]": "Δf [mHz]", "lost or beyond 0.8 Hz [%]": "lost or > 0.8 Hz [%]"}
-_MOST_SCENARIOS = 100_000
-#: Largest file with a secret [B].
-_LARGEST_SECRET = 4096
 
 
 # --- values of options: a ValueError says what is wrong with one -----------------------------------------------------
@@ -67,13 +65,13 @@ def chosen_scenarios(suite: str, split: str, given: SeedOptions) -> dict[str, An
     if given.seeds is not None:
         raise ValueError("--scenarios takes the first of the split, --seeds others: give one of the two")
     seeds = get_suite(suite).seeds(split)
-    require_range("--scenarios", given.scenarios, 1, min(len(seeds), _MOST_SCENARIOS), "")
+    require_range("--scenarios", given.scenarios, 1, min(len(seeds), MOST_SCENARIOS), "")
     return {**chosen, "seeds": list(seeds[: given.scenarios])}
 
 
 def read_secret(path: Path) -> bytes:
     """Return the secret of `--secret-file`, without blanks around it."""
-    return read_text(path, "secret", largest=_LARGEST_SECRET).strip().encode()
+    return read_text(path, "secret").strip().encode()
 
 
 def chosen_workers(given: WorkerOptions, threads: int | None) -> Workers | None:

@@ -9,7 +9,7 @@ from typing import Any
 
 from wtg_gym.evaluation.circumstances import measurement_hash, versions
 from wtg_gym.evaluation.episodes import Episode, episode_from_cells
-from wtg_gym.files import read_json, sha256, to_json, write_atomically
+from wtg_gym.files import interpreting, read_json, sha256, to_json, write_atomically
 from wtg_gym.policies import Entry
 from wtg_gym.systems.compiled import source_hash
 
@@ -46,10 +46,11 @@ class PartialStore:
             if path is None or not path.exists():
                 return None
             data = read_json(path, "finished batch")
-            if sha256(to_json(data["rows"]).encode()) != data["sha256"] or len(data["rows"]) != len(seeds):
-                return None
-            episodes = [episode_from_cells(cells, str(path)) for cells in data["rows"]]
-        except (ValueError, KeyError, TypeError, AttributeError):
+            with interpreting(path, "finished batch"):
+                if sha256(to_json(data["rows"]).encode()) != data["sha256"] or len(data["rows"]) != len(seeds):
+                    return None
+                episodes = [episode_from_cells(cells, str(path)) for cells in data["rows"]]
+        except ValueError:
             return None
         self._used.append(path)
         return episodes

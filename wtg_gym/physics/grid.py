@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import functools
 import json
+import os
 import tempfile
 import types
 from collections.abc import Mapping
@@ -12,18 +13,16 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, get_args, get_type_hints
 
-from wtg_gym.files import read_json, sha256, write_atomically
-from wtg_gym.physics.checked import Checked
+from wtg_gym.files import interpreting, read_json, sha256, write_atomically
+from wtg_gym.physics.checked import Checked, require_items
 from wtg_gym.physics.machine_parameters import AnyExciter, AnyGovernor, AnyStabiliser
-from wtg_gym.physics.network import NetworkCase
-from wtg_gym.physics.parameters import WtgGroup
+from wtg_gym.physics.network import MOST_UNITS, NetworkCase
+from wtg_gym.physics.parameters import MOST_GROUPS, WtgGroup
 from wtg_gym.ranges import require_known
 from wtg_gym.systems.compiled import cache_folder
 
 #: The grids that come with the package.
 FOLDER = Path(__file__).parents[1] / "grids"
-#: A batch of episodes of more would not fit into memory.
-MOST_BUSES = 500
 #: The one that is meant where none is named: the paper's.
 DEFAULT_GRID = "ieee14"
 #: Controls of a machine by the name that stands in a file.
@@ -46,6 +45,8 @@ class Grid(Checked):
         substitutions: what stands in place of a model that is not here, a sentence each.
     """
 
+    MOST = types.MappingProxyType({"groups": MOST_GROUPS, "replaced": MOST_UNITS})
+
     case: NetworkCase
     groups: tuple[WtgGroup, ...] = ()
     replaced: tuple[int, ...] = ()
@@ -56,8 +57,6 @@ class Grid(Checked):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if len(self.case.buses) > MOST_BUSES:
-            raise ValueError(f"a grid has at most {MOST_BUSES} buses, got {len(self.case.buses)}")
         for bus in (*self.replaced, *(group.bus for group in self.groups)):
             self.case.bus_index(bus)
 
@@ -82,7 +81,8 @@ def get_grid(name: str) -> Grid:
     path = Path(name) if name.endswith(".json") else FOLDER / f"{name}.json"
     if path.parent == FOLDER and not path.exists():
         raise ValueError(f"unknown grid {name!r}; known grids: {', '.join(known_grids())}, or the path of a .json file")
-    return read_grid(path.resolve(), modified(name))
+    # Of a link to itself, `Path.resolve` makes an error of its own.
+    return read_grid(Path(os.path.realpath(path)), modified(name))
 
 
 def modified(name: str) -> int:
@@ -95,14 +95,12 @@ def modified(name: str) -> int:
 def read_grid(path: Path, _changed: int = 0) -> Grid:
     """Return the grid of a file; a ValueError says what is wrong with it."""
     data = read_json(path, "grid")
-    try:
-        own = {field.name for field in dataclasses.fields(Grid)} - {"case"}
+    own = {field.name for field in dataclasses.fields(Grid)} - {"case"}
+    with interpreting(path, "grid"):
         if not isinstance(data, dict):
             raise ValueError("it must hold an object")
         case = {key: value for key, value in data.items() if key not in own}
         grid: Grid = record_of(Grid, {"case": case, **{key: value for key, value in data.items() if key in own}})
-    except (KeyError, TypeError, ValueError) as error:
-        raise ValueError(f"{path} is no grid: {error}") from error
     return grid
 
 
@@ -117,6 +115,8 @@ def record_of(kind: Any, data: Any) -> Any:
     needed = [each.name for each in dataclasses.fields(kind) if each.default is each.default_factory is nothing]
     if missing := [name for name in needed if name not in data]:
         raise ValueError(f"{kind.__name__} {dict(data)!r:.300} misses {', '.join(missing)}")
+    for name, value in data.items():
+        require_items(kind, name, value)
     return kind(**{name: _value(kinds[name], value) for name, value in data.items()})
 
 

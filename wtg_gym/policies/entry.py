@@ -16,6 +16,8 @@ from wtg_gym.scenarios.suite import Suite
 
 #: What entries of one name must agree on, as they share a row.
 _OF_A_ROW = ("kind", "strategy", "action_mode", "observation_mode", "source")
+#: Kinds of entries, see :attr:`Entry.kind`.
+KINDS = ("law", "feedback", "learned")
 _NOT_IN_NAMES = "|<>`*\\"
 
 

@@ -14,7 +14,7 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
-from wtg_gym.files import LARGEST_TOML_BYTES, read_text
+from wtg_gym.files import interpreting, read_text
 from wtg_gym.physics.tracking_law import STRATEGY_NAMES, get_law
 from wtg_gym.policies.entry import Entry, is_policy
 from wtg_gym.policies.entry_toml import parse_entry
@@ -130,11 +130,9 @@ def load_entry_folder(folder: Path) -> Entry:
 
 def _entry_data(path: Path) -> dict[str, Any]:
     """Return the arguments of :class:`Entry` that an entry.toml gives."""
-    text = read_text(path, "entry file", largest=LARGEST_TOML_BYTES)
-    try:
+    text = read_text(path, "entry file")
+    with interpreting(path, "entry file"):
         return entry_arguments(parse_entry(text))
-    except ValueError as error:
-        raise ValueError(f"the entry file {path}: {error}") from error
 
 
 def entry_arguments(data: Mapping[str, Any]) -> dict[str, Any]:

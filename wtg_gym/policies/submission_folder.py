@@ -13,7 +13,7 @@ from typing import Any
 
 from wtg_gym.envs.lanes import TaskLanes
 from wtg_gym.envs.settings import EnvSettings
-from wtg_gym.files import LARGEST_TOML_BYTES, write_atomically
+from wtg_gym.files import LARGEST_BYTES, write_atomically
 from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY
 from wtg_gym.policies.entry_toml import parse_entry
 from wtg_gym.policies.load import ENTRY_FILE, POLICY_FILE
@@ -22,7 +22,7 @@ from wtg_gym.policies.submission_texts import check_author, check_name, check_te
 from wtg_gym.scenarios.benchmark import BENCHMARKS
 
 #: The files of a folder and their largest sizes [bytes]; every limit is far above what a policy here needs.
-FILES = {ENTRY_FILE: LARGEST_TOML_BYTES, POLICY_FILE: 5_000_000, "README.md": 65_536}
+FILES = {ENTRY_FILE: LARGEST_BYTES["entry file"], POLICY_FILE: 5_000_000, "README.md": 65_536}
 _FOLDER = re.compile(r"(?!.*(\.|\.toml)$)[A-Za-z0-9][A-Za-z0-9+._-]{0,79}", re.IGNORECASE | re.ASCII)
 #: Names, with any ending, that Windows keeps for devices: a repository with one cannot be checked out there.
 _DEVICE = re.compile(r"(con|prn|aux|nul|com\d|lpt\d)(\..*)?", re.IGNORECASE)

@@ -18,7 +18,8 @@ from wtg_gym.ranges import require_whole
 from wtg_gym.scenarios.suite import FRESH
 from wtg_gym.scenarios.suites import get_suite
 
-_MOST_DRAWN = 100_000
+#: Scenarios of one evaluation at most: the intervals of its scores take memory in proportion.
+MOST_SCENARIOS = 10_000
 _SHORTEST_SECRET = 16
 _COMMIT = re.compile("[0-9a-f]{40}|[0-9a-f]{64}")
 _SHA256 = re.compile("[0-9a-f]{64}")
@@ -67,7 +68,7 @@ def draw_seeds(suite: str, commit: str, secret: bytes, n: int | None = None) -> 
         suite: name of a suite whose scenarios are drawn.
         commit: full hash of a git commit, 40 or 64 hexadecimal digits.
         secret: 16 bytes or more; as many as cannot be guessed.
-        n: how many, 1 … 100000, fewer seeds are the first of more; None: as many as the test split has.
+        n: how many, 1 … 10000, fewer seeds are the first of more; None: as many as the test split has.
 
     Raises:
         ValueError: an argument is out of range, or the suite has fixed cases only.
@@ -78,7 +79,7 @@ def draw_seeds(suite: str, commit: str, secret: bytes, n: int | None = None) -> 
     if len(secret) < _SHORTEST_SECRET:
         raise ValueError(f"the secret must have {_SHORTEST_SECRET} bytes or more, got {len(secret)}")
     n = len(drawn.test) if n is None else n
-    n = require_whole("the number of scenarios to draw", n, 1, _MOST_DRAWN)
+    n = require_whole("the number of scenarios to draw", n, 1, MOST_SCENARIOS)
     seeds: dict[int, None] = {}
     for counter in itertools.count():
         if len(seeds) == n:

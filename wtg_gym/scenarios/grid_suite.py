@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
@@ -10,7 +11,7 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
-from wtg_gym.files import read_json
+from wtg_gym.files import interpreting, read_json
 from wtg_gym.physics.checked import Checked, describe, design, required
 from wtg_gym.physics.grid import get_grid, modified, record_of
 from wtg_gym.physics.machine_parameters import SynchronousMachineParameters
@@ -130,9 +131,6 @@ def check_places(places: Places, case: NetworkCase) -> None:
         places: of the suite.
         case: the network with its groups.
     """
-    for entry in places.load_buses:
-        if not isinstance(entry, (tuple, list)) or len(entry) != 3:
-            raise ValueError(f"load_buses must be triples of a bus, an increase and a decrease [MW], got {entry!r}")
     buses = {
         "load_buses": (tuple(bus for bus, *_ in places.load_buses), case.bus_numbers, "bus"),
         "load_trip_buses": (places.load_trip_buses, case.bus_numbers, "bus"),
@@ -158,8 +156,9 @@ def check_places(places: Places, case: NetworkCase) -> None:
 
 def suite_of_file(path: str) -> Suite:
     """Return the suite of a file, or the :func:`unscreened` one of a grid's file; a ValueError says what is wrong."""
-    own = _read(Path(path).resolve(), modified(path))
-    return _made(own, modified(own.grid))
+    own = _read(Path(os.path.realpath(path)), modified(path))
+    with interpreting(Path(path), "suite"):
+        return _made(own, modified(own.grid))
 
 
 @lru_cache(maxsize=64)
@@ -169,19 +168,22 @@ def _made(own: GridSuite, _grid_changed: int) -> Suite:
 
 @lru_cache(maxsize=64)
 def _read(path: Path, _changed: int) -> GridSuite:
-    data = read_json(path, "suite or grid")
-    return unscreened(str(path)) if isinstance(data, dict) and "branches" in data else read_suite(path)
+    # Of the two kinds of file, a grid may be larger.
+    data = read_json(path, "grid")
+    if isinstance(data, dict) and "branches" in data:
+        with interpreting(path, "grid"):
+            return unscreened(str(path))
+    return read_suite(path)
 
 
 def read_suite(path: Path) -> GridSuite:
     """Return what the file of a suite says; a path of a grid counts from the file's folder."""
-    try:
-        found: GridSuite = record_of(GridSuite, read_json(path, "suite"))
-        grid = str((path.parent / found.grid).resolve()) if found.grid.endswith(".json") else found.grid
+    data = read_json(path, "suite")
+    with interpreting(path, "suite"):
+        found: GridSuite = record_of(GridSuite, data)
+        grid = os.path.realpath(path.parent / found.grid) if found.grid.endswith(".json") else found.grid
         check_places(found.places, get_grid(grid).with_groups)
-    except (TypeError, ValueError) as error:
-        raise ValueError(f"{path} is no suite: {error}") from error
-    return replace(found, grid=grid)
+        return replace(found, grid=grid)
 
 
 def unscreened(grid: str) -> GridSuite:

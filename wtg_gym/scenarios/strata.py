@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Any
 
+from wtg_gym.physics.checked import Checked
 from wtg_gym.physics.grid import DEFAULT_GRID, get_grid
 from wtg_gym.scenarios.benchmark import V1, Benchmark, SuitePlant
 from wtg_gym.scenarios.distribution import ScenarioDistribution
@@ -25,7 +26,7 @@ _CHANCES = {
 
 
 @dataclass(frozen=True, kw_only=True)
-class Places:
+class Places(Checked):
     """Where events may happen in a grid.
 
     Args:
