@@ -11,6 +11,7 @@ from typing import Annotated, Any, Literal
 from cyclopts import App, CycloptsError, Parameter, Token
 
 from agents.run import RUN_FILE, Run, RunSettings, held
+from wtg_gym.files import one_line
 from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY
 from wtg_gym.scenarios import DEFAULT_SUITE
 
@@ -75,7 +76,7 @@ def run_command(command: Callable[..., None], name: str, argv: Sequence[str] | N
             raise ValueError(f"--resume goes on with the run's own settings; leave out {', '.join(others)}")
         app(words, exit_on_error=False, print_error=False, result_action="return_value")
     except (CycloptsError, ValueError, OSError) as error:
-        note(f"error: {' '.join(str(error).split())}")
+        note(f"error: {one_line(error)}")
         return 2
     except KeyboardInterrupt:
         note(f"interrupted; {after_interrupt}")

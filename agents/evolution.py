@@ -28,7 +28,7 @@ from wtg_gym.envs import EnvSettings
 from wtg_gym.envs.lanes import TaskLanes
 from wtg_gym.gains import ScoreUnits
 from wtg_gym.physics.scenario import Scenario
-from wtg_gym.ranges import require_range
+from wtg_gym.ranges import require_range, require_whole
 from wtg_gym.tasks.observation import FREQUENCY_UNIT_HZ, ROTOR_SPEED_UNIT_PU
 
 Floats = npt.NDArray[np.float64]
@@ -73,10 +73,13 @@ class Hyperparameters:
     """a group sees slow copies and the mean frequency too, or its present observation alone"""
 
     def __post_init__(self) -> None:
-        if self.hidden < 0 or self.population < 4:
-            raise ValueError(f"hidden must be 0 or more, population 4 or more, got {self.hidden}, {self.population}")
-        require_range("mean_weight", self.mean_weight, 0.0, 100.0, "")
-        require_range("mark_weight", self.mark_weight, 0.0, 100.0, "")
+        require_whole("hidden", self.hidden, 0, 1000)
+        require_whole("population", self.population, 4, 10_000)
+        require_range("first_share", self.first_share, 0.0, 1.0, "")
+        for name in ("first_spread", "spread"):
+            require_range(name, getattr(self, name), 1e-6, 100.0, "")
+        for name in ("mean_weight", "mark_weight"):
+            require_range(name, getattr(self, name), 0.0, 100.0, "")
 
 
 class GroupPolicy(nn.Module):
@@ -261,7 +264,7 @@ def train(run: Run) -> None:
     """Train from the last checkpoint, if there is one, to the end; checkpoints and run.json go to the run's folder."""
     if run.finished:
         return
-    settings, h = run.settings, Hyperparameters(**run.settings.hyperparameters)
+    settings, h = run.settings, run.hyperparameters(Hyperparameters)
     if settings.observation_mode != "local":
         raise ValueError(f"observation_mode must be local, got {settings.observation_mode!r}: groups see their own")
     torch.set_num_threads(1)

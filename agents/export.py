@@ -11,8 +11,8 @@ from cyclopts import Parameter
 
 from agents.command import note, run_command
 from agents.run import BEST, Run, folders
-from wtg_gym.files import write_together
-from wtg_gym.policies.entry_folder import ENTRY_FILE, POLICY_FILE, entry_text, parse_entry
+from wtg_gym.files import read_bytes, write_together
+from wtg_gym.policies.entry_folder import ENTRY_FILE, POLICY_FILE, entry_text, load_entry_folder
 
 
 def export(
@@ -32,13 +32,16 @@ def export(
     if not best:
         raise ValueError(f"{run_folder} has no validated policy yet: go on with the run first")
     entry = {**run.settings.entry(name, description), "authors": list(authors)}
-    if parse_entry((best[-1] / ENTRY_FILE).read_text(encoding="utf-8")).get("per_group"):
+    if load_entry_folder(best[-1]).per_group:
         entry["per_group"] = True
     # The same for all training seeds, which share a row.
     steps = f"up to {run.settings.timesteps} steps"
     entry["trained_on"] = f"{run.settings.suite}, split train, {steps}; chosen on split validation"
     # The entry last, because it makes the folder one.
-    files: dict[str, str | bytes] = {POLICY_FILE: (best[-1] / POLICY_FILE).read_bytes(), ENTRY_FILE: entry_text(entry)}
+    files: dict[str, str | bytes] = {
+        POLICY_FILE: read_bytes(best[-1] / POLICY_FILE, "policy"),
+        ENTRY_FILE: entry_text(entry),
+    }
     write_together({output / file: content for file, content in files.items()})
 
 

@@ -28,6 +28,7 @@ from wtg_gym.evaluation.score import pinned_cost
 from wtg_gym.gains import ScoreUnits
 from wtg_gym.gradients.torch import TorchEpisodes
 from wtg_gym.physics.scenario import Scenario
+from wtg_gym.ranges import require_range, require_whole
 from wtg_gym.tasks.cost import CostTerms
 
 #: The algorithm's name in run.json.
@@ -69,10 +70,15 @@ class Hyperparameters:
     """the policy sees one group at a time, and plays any grid"""
 
     def __post_init__(self) -> None:
-        if min(self.hidden, default=1) < 1 or self.lstm < 0:
-            raise ValueError(f"layers must be 1 or more wide, got hidden {list(self.hidden)} and lstm {self.lstm}")
-        if not 0.0 <= self.mean_weight <= 100.0:
-            raise ValueError(f"mean_weight must be 0 … 100, got {self.mean_weight}")
+        for width in self.hidden:
+            require_whole("a width of hidden", width, 1, 10_000)
+        require_whole("lstm", self.lstm, 0, 10_000)
+        first, second = self.betas
+        ranges = {"learning_rate": 10.0, "last_rate": 1.0, "max_grad_norm": 1e6, "mean_weight": 100.0}
+        for name, most in ranges.items():
+            require_range(name, getattr(self, name), 0.0, most, "")
+        for beta in (first, second):
+            require_range("a beta", beta, 0.0, 1.0, "")
 
 
 class GradientPolicy(nn.Module):
@@ -222,7 +228,7 @@ def train(run: Run) -> None:
     """Train from the last checkpoint, if there is one, to the end; checkpoints and run.json go to the run's folder."""
     if run.finished:
         return
-    settings, h = run.settings, Hyperparameters(**run.settings.hyperparameters)
+    settings, h = run.settings, run.hyperparameters(Hyperparameters)
     # Sums over several threads depend on which of them ends first.
     torch.set_num_threads(1)
     torch.manual_seed(settings.seed)

@@ -24,7 +24,7 @@ from torch import nn
 from agents.multi_agent import SharedPolicy, agent_env
 from agents.run import RunSettings, loading
 from wtg_gym.envs import EnvSettings
-from wtg_gym.files import read_text
+from wtg_gym.files import interpreting, read_text, require_plain
 from wtg_gym.sb3 import DeterministicPolicy, SB3VecEnv
 
 #: PPO of which one network acts for every WTG group.
@@ -46,13 +46,28 @@ def read_config(path: Path, env_id: str) -> dict[str, Any]:
     Raises:
         ValueError: the file cannot be read, is not YAML, or has no section for the environment.
     """
-    try:
-        data = yaml.safe_load(read_text(path, "hyperparameter file"))
-    except yaml.YAMLError as error:
-        raise ValueError(f"the hyperparameter file {path} is not yml: {error}") from error
-    if not isinstance(data, dict) or not isinstance(data.get(env_id), dict):
-        raise ValueError(f"the hyperparameter file {path} must have a section {env_id!r} with keys and values")
+    text = read_text(path, "hyperparameter file")
+    with interpreting(path, "hyperparameter file"):
+        try:
+            data = yaml.load(text, _Loader)
+        except yaml.YAMLError as error:
+            raise ValueError(f"it is not yml: {error}") from error
+        require_plain(data, "it", len(text), infinite=False)
+        if not isinstance(data, dict) or not isinstance(data.get(env_id), dict):
+            raise ValueError(f"it must have a section {env_id!r} with keys and values")
     return dict(data[env_id])
+
+
+class _Loader(yaml.SafeLoader):  # type: ignore[misc]
+    """Takes a key that is given twice for a mistake; two merges could double a section's length again and again."""
+
+    def flatten_mapping(self, node: yaml.MappingNode) -> None:
+        """Put merged sections into a section, each key of which must be there once before."""
+        keys = [key.value for key, _ in node.value]
+        merged = [value for key, value in node.value if key.tag == "tag:yaml.org,2002:merge"]
+        if len(set(map(str, keys))) < len(keys) or any(isinstance(value, yaml.SequenceNode) for value in merged):
+            raise ValueError(f"a section must have each key once, and merge one other at most, got {keys}")
+        super().flatten_mapping(node)
 
 
 def algorithm_arguments(raw: Mapping[str, Any]) -> dict[str, Any]:
@@ -119,7 +134,8 @@ def new_model(settings: RunSettings) -> BaseAlgorithm:
         if (normalization := normalization_arguments(settings.hyperparameters)) is not None:
             env = VecNormalize(env, **normalization)
         return TRAINED[settings.algo](env=env, seed=settings.seed, device="cpu", **arguments)
-    except (AssertionError, AttributeError, KeyError, RuntimeError, TypeError, ValueError) as error:
+    # They are checked nowhere but in the algorithm, which raises errors of any kind.
+    except Exception as error:
         env.close()
         raise ValueError(f"{settings.algo} refuses {dict(settings.hyperparameters)}: {error}") from error
 

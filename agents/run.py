@@ -19,7 +19,8 @@ import time
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Protocol
+from types import MappingProxyType
+from typing import Any, Protocol, TypeVar
 
 import numpy as np
 from filelock import FileLock, Timeout
@@ -29,15 +30,18 @@ from wtg_gym.envs import EnvSettings
 from wtg_gym.envs.lanes import TaskLanes
 from wtg_gym.evaluation import Entry, evaluate
 from wtg_gym.evaluation.circumstances import installed
-from wtg_gym.files import is_trusted, read_json, to_json, write_atomically
+from wtg_gym.files import interpreting, is_trusted, read_json, to_json, write_atomically
+from wtg_gym.physics.checked import Checked, design, required
 from wtg_gym.physics.scenario import Scenario
 from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY
 from wtg_gym.policies.entry_folder import ENTRY_FILE, POLICY_FILE, check_not_built_in, entry_text
 from wtg_gym.policies.torch_export import TorchPolicy, onnx_bytes
 from wtg_gym.progress import Progress
+from wtg_gym.ranges import require_range, require_whole
 from wtg_gym.scenarios import DEFAULT_SUITE, get_suite
 from wtg_gym.systems.compiled import source_hash
 
+H = TypeVar("H")
 RUN_FILE = "run.json"
 #: In the folder of a run: its last checkpoint and its best policy.
 CHECKPOINTS, BEST = "checkpoints", "best"
@@ -70,7 +74,7 @@ class RoundLearner(Learner, Protocol):
 
 
 @dataclass(frozen=True, kw_only=True)
-class RunSettings:
+class RunSettings(Checked):
     """Settings of a run; all of them survive JSON; a ValueError if a value is unknown or out of range."""
 
     algo: str  # name of the algorithm
@@ -80,27 +84,22 @@ class RunSettings:
     observation_mode: str = "local"
     suite: str = DEFAULT_SUITE
     strategy: str = REFERENCE_STRATEGY
-    seed: int = 0  # seed of the weights, the exploration and the scenarios
-    timesteps: int  # steps of all environments together
-    n_envs: int  # number of environments
-    interval: int = 0  # steps between two validations with a checkpoint each; 0: a 20th of all
-    validation_episodes: int = 50  # scenarios of a validation, the first ones of the suite's validation split
+    seed: int = design(0, "-", "seed of the weights, the exploration and the scenarios", 0, 2**31 - 1)
+    timesteps: int = required("-", "design", "steps of all environments together", 1, 10**12)
+    n_envs: int = required("-", "design", "number of environments", 1, 100_000)
+    interval: int = design(0, "-", "steps between two validations with a checkpoint each; 0: a 20th of all", 0, 10**12)
+    validation_episodes: int = design(
+        50, "-", "scenarios of a validation, the first of the validation split", 1, 10_000
+    )
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         EnvSettings(**self.env_arguments)
         suite = get_suite(self.suite)
         if not suite.distributions:
             raise ValueError(f"suite {self.suite!r} is a fixed list of cases, nothing to train on")
-        for name, low, high in (
-            ("seed", 0, 2**31 - 1),
-            ("timesteps", 1, 10**12),
-            ("n_envs", 1, 100_000),
-            ("interval", 0, 10**12),
-            ("validation_episodes", max(1, len(suite.strata)), len(suite.seeds("validation"))),
-        ):
-            value = getattr(self, name)
-            if type(value) is not int or not low <= value <= high:
-                raise ValueError(f"{name} must be a whole number, {low} … {high}, got {value!r}")
+        fewest, most = max(1, len(suite.strata)), len(suite.seeds("validation"))
+        require_whole("validation_episodes", self.validation_episodes, fewest, most)
 
     @property
     def env_arguments(self) -> dict[str, Any]:
@@ -159,7 +158,7 @@ def save_folder(parent: Path, timesteps: int, write: Callable[[Path], object]) -
 
 def folders(parent: Path) -> list[Path]:
     """Return the complete folders in `parent`, the fewest timesteps first."""
-    return sorted(path for path in parent.glob("*") if path.name.isdigit())
+    return sorted(path for path in parent.glob("*") if path.name.isdecimal())
 
 
 @contextlib.contextmanager
@@ -181,17 +180,33 @@ def loading(path: Path) -> Iterator[None]:
 
 
 @dataclass(kw_only=True)
-class Run:
+class Run(Checked):
     """A run as run.json in its folder describes it."""
+
+    MOST = MappingProxyType({"curve": 100_000})
 
     folder: Path
     settings: RunSettings
     provenance: Mapping[str, Any]  # command, versions, commit and start time of the process that began it
-    curve: list[dict[str, float]] = field(default_factory=list)  # one row per validation
+    curve: list[dict[str, Any]] = field(default_factory=list)  # one row per validation
     #: Provenance of the processes that went on, the latest last.
     resumptions: list[Mapping[str, Any]] = field(default_factory=list)
     finished: bool = False  # whether all timesteps are done
     _began: float = field(default=0.0, init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        for row in self.curve:
+            for name in ("timesteps", "wall_time_s", "score", "marked"):
+                require_range(f"{name} of the curve", row[name], -1e12, 1e12, "")
+        for process in (self.provenance, *self.resumptions):
+            if not isinstance(process["versions"], Mapping) or not isinstance(process["started"], str):
+                raise ValueError(f"provenance must have versions and the time of the start, got {process!r:.80}")
+
+    def hyperparameters(self, kind: type[H]) -> H:
+        """Return the hyperparameters as a record; a ValueError names the run's file and the one that is wrong."""
+        with interpreting(self.folder / RUN_FILE, "description of the run"):
+            return kind(**self.settings.hyperparameters)
 
     @classmethod
     def new(cls, folder: Path, settings: RunSettings) -> Run:
@@ -203,10 +218,8 @@ class Run:
         """Read run.json; a ValueError if there is none, or it is damaged."""
         path = folder / RUN_FILE
         data = read_json(path, "description of the run")
-        try:
+        with interpreting(path, "description of the run"):
             return cls(**{**data, "folder": folder, "settings": RunSettings(**data["settings"])})
-        except (KeyError, TypeError, ValueError) as error:
-            raise ValueError(f"{path} is no description of a training run: {error}") from error
 
     def write(self, folder: Path | None = None) -> None:
         """Write run.json into the run's folder, or another, in one go."""

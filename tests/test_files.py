@@ -3,11 +3,20 @@
 from __future__ import annotations
 
 import os
+import re
 from pathlib import Path
 
 import pytest
 
-from wtg_gym.files import LARGEST_TOML_BYTES, read_json, read_toml, update_between_markers, write_together
+from wtg_gym.files import (
+    LARGEST_BYTES,
+    interpreting,
+    read_bytes,
+    read_json,
+    read_toml,
+    update_between_markers,
+    write_together,
+)
 
 REFUSED_JSON = (
     ("", "is not JSON, or was cut short"),
@@ -20,6 +29,10 @@ REFUSED_JSON = (
     ("[1e400]", "not a finite number"),
     (f"[{'9' * 400}]", "whole number outside the allowed range"),
     (f"[{'9' * 5000}]", "is not JSON, or was cut short"),
+    ('{"a": {"b": 1, "c": 2, "b": 1}}', "it gives the key 'b' more than once"),
+    ('["\\ud800"]', "holds a text with half a character"),
+    ('{"\\udfff": 1}', "holds a text with half a character"),
+    ("\ufeff[]", "is not JSON"),
 )
 REFUSED_TOML = (
     ("name = ", "is not TOML"),
@@ -27,7 +40,7 @@ REFUSED_TOML = (
     ("a." * 1000 + "a = 1", "is nested deeper than 20 levels"),
     ("a = " + "9" * 400, "whole number outside the allowed range"),
     ("a = " + "9" * 5000, "is not TOML"),
-    ("\n".join(f"a.b{i} = 1" for i in range(50_000)), "is larger than 16384 bytes"),
+    ("a = 2020-01-01", "holds a date; allowed: texts, numbers, lists and objects"),
 )
 CASES = [(f"data.{kind}", *case) for kind, cases in (("json", REFUSED_JSON), ("toml", REFUSED_TOML)) for case in cases]
 
@@ -37,30 +50,71 @@ def test_what_nothing_can_work_with_is_refused_with_the_name_of_the_file(
     tmp_path: Path, name: str, text: str, said: str
 ) -> None:
     (tmp_path / name).write_text(text)
-    with pytest.raises(ValueError, match=rf"the results .*{name} .*{said}"):
-        (read_json if name.endswith("json") else read_toml)(tmp_path / name, "results")
+    read, what = (read_json, "suite") if name.endswith("json") else (read_toml, "law file")
+    with pytest.raises(ValueError, match=rf"the {what} .*{name} .*{said}"):
+        read(tmp_path / name, what)
 
 
 def test_numbers_and_sizes_up_to_the_limits_are_read_as_they_are(tmp_path: Path) -> None:
     path = tmp_path / "data"
     path.write_text("[1e308, -1e308, 5e-324, 18446744073709551615, -0.0, 0]")
-    assert read_json(path, "results") == [1e308, -1e308, 5e-324, 2**64 - 1, 0, 0]
+    assert read_json(path, "suite") == [1e308, -1e308, 5e-324, 2**64 - 1, 0, 0]
     start = "a = 1 # "
-    path.write_text(start + "x" * (LARGEST_TOML_BYTES - len(start)))
+    path.write_text(start + "x" * (LARGEST_BYTES["law file"] - len(start)))
     assert read_toml(path, "law file") == {"a": 1}
 
 
-@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="needs files of no end")
-def test_a_file_without_end_is_not_read_to_the_end(tmp_path: Path) -> None:
-    (tmp_path / "law.toml").symlink_to("/dev/zero")
-    with pytest.raises(ValueError, match=r"law\.toml is larger than 16384 bytes"):
-        read_toml(tmp_path / "law.toml", "law file")
+@pytest.fixture
+def odd(tmp_path: Path) -> Path:
+    """A folder with what is no file, or too large a one."""
+    (tmp_path / "folder").mkdir()
+    (tmp_path / "loop").symlink_to(tmp_path / "loop")
+    if hasattr(os, "mkfifo"):
+        os.mkfifo(tmp_path / "pipe")
+        (tmp_path / "device").symlink_to("/dev/zero")
+    with (tmp_path / "large").open("wb") as file:
+        # Takes no space on the disk.
+        file.truncate(2**40)
+    return tmp_path
 
 
-@pytest.mark.parametrize("name", ["", "no/such/file.json", "with\0null.json"])
-def test_what_is_no_file_is_named(tmp_path: Path, name: str) -> None:
-    with pytest.raises(ValueError, match="cannot read the results"):
-        read_json(tmp_path / name, "results")
+@pytest.mark.parametrize("what", LARGEST_BYTES)
+@pytest.mark.parametrize(
+    ("name", "reason"),
+    [
+        ("", ""),
+        ("no/such/file", "No such file"),
+        ("with\0null", "null"),
+        ("folder", ""),
+        ("loop", "symbolic links"),
+        ("pipe", "it is no plain file"),
+        ("device", "it is no plain file"),
+        ("large", "it has 1099511627776 bytes; allowed: at most"),
+    ],
+)
+def test_what_is_no_file_or_too_large_is_named_at_once(odd: Path, what: str, name: str, reason: str) -> None:
+    with pytest.raises(ValueError, match=rf"^cannot read the {what} .*{re.escape(ascii(name)[1:-1])}.*: .*{reason}"):
+        read_bytes(odd / name, what)
+
+
+UNEXPECTED = [
+    (KeyError("wind"), "it misses 'wind'"),
+    (ValueError("k_min = 9\np.u."), "k_min = 9 p.u."),
+    (TypeError("no number"), r"it holds what cannot be used \(TypeError: no number\)"),
+    (RecursionError("deep"), r"it holds what cannot be used \(RecursionError: deep\)"),
+    (OSError(2, "No such file", "other.json"), "other.json: No such file"),
+]
+
+
+@pytest.mark.parametrize(("error", "said"), UNEXPECTED)
+def test_an_error_of_the_content_names_the_file_in_one_line(error: Exception, said: str) -> None:
+    with pytest.raises(ValueError, match=rf"^the grid a\\nb\.json: {said}$"), interpreting(Path("a\nb.json"), "grid"):
+        raise error
+
+
+def test_an_error_that_no_content_causes_stays_as_it_is() -> None:
+    with pytest.raises(AssertionError), interpreting(Path("a.json"), "grid"):
+        raise AssertionError
 
 
 START, END = "<!-- table:start -->", "<!-- table:end -->"

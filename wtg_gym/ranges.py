@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import difflib
 import math
+import os
 from collections.abc import Collection, Iterable, Mapping
 from typing import Any, TypeVar
 
@@ -71,6 +72,23 @@ def require_whole(name: str, value: Any, low: int, high: float = math.inf) -> in
         allowed = f"of {low} or more" if high == math.inf else f"in {low} … {high}"
         raise ValueError(f"{name} must be a whole number {allowed}, got {value!r}")
     return int(value)
+
+
+def require_count(name: str, count: int, most: int) -> None:
+    """Raise a ValueError that names how many items a list has, if there are more than allowed."""
+    if count > most:
+        raise ValueError(f"{name} has {count} items; allowed: at most {most}")
+
+
+def require_memory(what: str, n_bytes: int) -> None:
+    """Raise a ValueError if arrays would need more than the machine's memory, where the system tells how much it has.
+
+    It would give that much and end the process later, when the arrays are filled.
+    """
+    if hasattr(os, "sysconf"):
+        memory = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
+        if n_bytes > memory:
+            raise ValueError(f"{what} need {n_bytes / 2**30:.3g} GiB of memory; this machine has {memory / 2**30:.3g}")
 
 
 def require_known(what: str, given: Iterable[Any], known: Collection[str]) -> None:

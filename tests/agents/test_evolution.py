@@ -105,4 +105,4 @@ def test_run_repeats_also_after_an_interruption_and_is_exported(
 
 def test_widths_are_checked(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["--population", "3", "--output", str(tmp_path / "run")]) == 2
-    assert "population 4 or more" in capsys.readouterr().err
+    assert "population must be a whole number in 4 … 10000, got 3" in capsys.readouterr().err

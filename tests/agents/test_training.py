@@ -215,7 +215,7 @@ def test_what_cannot_go_on_is_named(copied: Path, capsys: pytest.CaptureFixture[
     shutil.rmtree(copied / "checkpoints")
     assert "no checkpoint to go on from" in error_of_resume()
     (copied / "run.json").write_text('{"settings": "ppo"}')
-    assert "no description of a training run" in error_of_resume()
+    assert "run.json: it holds what cannot be used" in error_of_resume()
 
 
 NEW = ("--output", "new")

@@ -58,6 +58,7 @@ BAD = [
     ("evaluate --scenarios 301", "--scenarios = 301 is outside the allowed range 1 … 300"),
     ("evaluate --seeds 20000-20010", '"20000-20010"'),
     ("evaluate --duration 0.2", "duration_s = 0.2 s is outside the allowed range 1 … 3600 s"),
+    (f"evaluate --seeds {' 1' * 2000}", "the command line has 2004 items; allowed: at most 2000"),
     ("evaluate --threads 0", "the number of threads must be a whole number of 1 or more, got 0"),
     ("evaluate --results file.txt", '"file.txt" is a file'),
     ("evaluate --address tcp://head:8786", "--address is for workers: say which with --backend loky, dask, ray"),

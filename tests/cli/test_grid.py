@@ -2,12 +2,18 @@
 
 from __future__ import annotations
 
+import json
+import sys
 from pathlib import Path
+from typing import Any
 
 import pandapower
 import pandapower.networks
 import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
 
+from tests.changes import changed, write
 from tests.cli.calls import error_of, json_of
 from wtg_gym.cli import main
 from wtg_gym.physics.grid import get_grid
@@ -62,3 +68,62 @@ def test_a_network_without_a_power_flow_is_refused_in_a_line(
     reads, refused = capsys.readouterr().err.splitlines()
     assert reads.startswith("pandapower reads") and "pandapower finds no power flow" in refused
     assert not (tmp_path / "grid.json").exists()
+
+
+def imported(path: Path, capsys: pytest.CaptureFixture[str]) -> tuple[int, str]:
+    """The exit code of an import, and the last line that it says."""
+    code = main(["grid", "import", str(path), "--output", str(path.parent / "out.json")])
+    return code, capsys.readouterr().err.splitlines()[-1]
+
+
+@pytest.fixture(scope="module")
+def nine() -> Any:
+    """A network of nine buses as data."""
+    return json.loads(pandapower.to_json(pandapower.networks.case9()))
+
+
+STRANGE = {"_module": "a_module_of_strangers", "_class": "Thing", "_object": "{}"}
+FRAME = {"_module": "pandas.core.frame", "_class": "DataFrame"}
+HOSTILE = [
+    STRANGE,
+    [STRANGE],
+    {"a": {"b": STRANGE}},
+    {**STRANGE, "_class": "function"},
+    {"_module": "pandapower.control", "_class": "ConstControl", "_object": "{}"},
+    {**FRAME, "_object": json.dumps({"columns": ["a"], "index": [0], "data": [[STRANGE]]})},
+    {**FRAME, "_object": json.dumps(STRANGE).replace("_module", "\\u005fmodule")},
+    {**FRAME, "_object": "/etc/another.json"},
+]
+
+
+@pytest.mark.parametrize("thing", HOSTILE, ids=str)
+def test_no_module_is_imported_because_a_file_names_it(
+    nine: Any, thing: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "a_module_of_strangers.py").write_text("")
+    monkeypatch.syspath_prepend(tmp_path)
+    path = tmp_path / "network.json"
+    path.write_text(json.dumps({**nine, "_object": {**nine["_object"], "thing": thing}}))
+    code, said = imported(path, capsys)
+    assert code == 2 and "network.json: " in said and ("only tables are read" in said or "is not JSON" in said)
+    assert "a_module_of_strangers" not in sys.modules
+
+
+def test_an_old_pandapower_is_refused(
+    network: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(pandapower, "__version__", "3.5.3")
+    code, said = imported(network, capsys)
+    assert code == 2 and "pandapower 3.5.3 runs code that a file names; 3.5.4 or later is needed" in said
+
+
+@settings(max_examples=25, deadline=None, suppress_health_check=list(HealthCheck))
+@given(data=st.data())
+def test_a_changed_network_is_imported_or_refused_in_a_line(
+    nine: Any, tmp_path: Path, data: st.DataObject, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "network.json"
+    # The mark of a network stands at its beginning.
+    write(path, json.dumps({**nine, "_object": data.draw(changed(nine["_object"]))}))
+    code, said = imported(path, capsys)
+    assert code == 0 or (code == 2 and said.startswith("wtg-gym: error: ") and "network.json" in said)

@@ -12,8 +12,11 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from tests.changes import changed, read_or_refused
 from wtg_gym.evaluation import Interval, Results
+from wtg_gym.evaluation.recompute import departures
 from wtg_gym.files import sha256, to_json
+from wtg_gym.plotting.page import leaderboard_page
 
 
 @pytest.fixture(scope="session")
@@ -78,12 +81,13 @@ def _sign(paths: tuple[Path, Path], data: dict[str, Any]) -> None:
     """Write a description whose hashes fit, as somebody with bad intentions would."""
     data["csv_sha256"] = sha256(paths[1].read_bytes())
     data.pop("sha256", None)
-    paths[0].write_text(to_json({**data, "sha256": sha256(to_json(data).encode())}), encoding="utf-8")
+    text = to_json({**data, "sha256": sha256(to_json(data).encode("utf-8", "surrogatepass"))})
+    paths[0].write_text(text, encoding="utf-8", errors="surrogatepass")
 
 
 EDITS: dict[str, tuple[Callable[[dict[str, Any]], Any], str]] = {
     "cap as text": (lambda d: d["settings"]["weights"].update(cap="much"), "could not convert string to float"),
-    "missing key": (lambda d: d.pop("seeds"), "describes no results: KeyError: 'seeds'"),
+    "missing key": (lambda d: d.pop("seeds"), "it misses the key 'seeds'"),
     "unknown suite": (lambda d: d.update(suite="easy"), "unknown suite 'easy'"),
     "other format": (lambda d: d.update(format=2), "format must be 8, that of this version, got 2; "),
     "name that is markup": (
@@ -109,9 +113,29 @@ def test_forged_description_is_refused(copies: tuple[Path, Path], case: str) -> 
         Results.read(copies[0])
 
 
+@settings(max_examples=100, deadline=None, suppress_health_check=list(HealthCheck))
+@given(data=st.data())
+def test_a_changed_description_whose_hashes_fit_is_shown_or_refused(
+    written: tuple[Path, Path], tmp_path: Path, data: st.DataObject
+) -> None:
+    path = tmp_path / written[0].name
+    path.with_suffix(".csv").write_bytes(written[1].read_bytes())
+    description = data.draw(changed(json.loads(written[0].read_text(encoding="utf-8"))))
+    # Numbers that are not finite have no hash.
+    _sign((path, path.with_suffix(".csv")), json.loads(json.dumps(description), parse_constant=lambda _: None))
+    read_or_refused(path, _shown)
+
+
+def _shown(path: Path) -> None:
+    results = Results.read(path)
+    departures(results)
+    if results.has_scale:
+        leaderboard_page([results])
+
+
 CELLS = {
-    "cost": ("cheap", "cost must be a finite number"),
-    "nadir_hz": ("nan", r"nadir_hz must be a finite number \[Hz\]"),
+    "cost": ("cheap", r"cost must be a number in -1e\+12 … 1e\+12 \[-\]"),
+    "nadir_hz": ("nan", r"nadir_hz must be a number in .* \[Hz\]"),
     "seed": ("-1", "seed must be a whole number"),
     "failure": ("bored", "failure must be empty or one of stall"),
 }

@@ -94,7 +94,7 @@ RECORDS: list[tuple[Call, str]] = [
     (of(GridFormingParameters, inertia_constant_s=-5.0), r"= -5 s is outside the allowed range 0.001 … 10000 s"),
     (of(GridFormingParameters, frequency_min_pu=1.004), r"< frequency_setpoint_pu < .* hold, got 1.004, 1, 1.008"),
     (of(ConverterLimitParameters, power_max_pu=1.3), r"= 1.3 p.u. exceeds current_max_pu = 1.2 p.u."),
-    *((lambda n=n: default_groups(n), "in 1 … 1024") for n in (0, 2.0, True, "2", 1025)),
+    *((lambda n=n: default_groups(n), "in 1 … 100") for n in (0, 2.0, True, "2", 101)),
     (lambda: power_coefficient(np.array([7.0, np.inf])), r"tip-speed ratio must be positive, got inf"),
     (lambda: available_power_pu(-5.0), r"wind speed must be 0 m/s or more, got -5 m/s"),
     (lambda: tracking_point(1.0), r"deloading = 1 is outside the allowed range 0 … 0.9"),
@@ -115,7 +115,7 @@ RECORDS: list[tuple[Call, str]] = [
     (lambda: IEEE14.branch_index(1, 14), "no branch 1-14 in .*; branches: 1-2, 1-5"),
     (given(wind_speed=np.array([[9.0, -1.0], [9.0, 9.0]])), "group 1 at t = 0.1 s is -1 m/s.* 3 … 25 m/s"),
     (given(load_noise_mw=np.array([1.0, 0.0])), "must start at 0 MW, got 1 MW"),
-    (given(events=LoadTrip(time_s=1.0, bus=3)), "events must be a tuple of events, got LoadTrip"),
+    (given(events=LoadTrip(time_s=1.0, bus=3)), "events must be tuple.*, got LoadTrip"),
     (
         lambda: Scenario.from_dict({"name": "x", "wind_speed": [[9.0]], "windd": 1}),
         r"unknown scenario keys \['windd'\]",
@@ -272,8 +272,8 @@ LAWS = [
     ("deloading_min = 0\ndeloading_nominal = 0.05\ndeloading_max = 10\n", "is in percent: write 5 for 5 %"),
 ]
 TABLES = [
-    ("0.020093", "hole", "the rotor table .*mine.toml cannot be used: .*'hole'"),
-    ("0.020093   ", "", "cannot be used: a rotor table of"),
+    ("0.020093", "hole", "the rotor table .*mine.toml: .*'hole'"),
+    ("0.020093   ", "", "mine.toml: a rotor table of"),
 ]
 
 

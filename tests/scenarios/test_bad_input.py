@@ -39,7 +39,7 @@ BAD: list[tuple[Callable[[], Any], str]] = [
     (distribution(load_trip_buses=(7,)), r"load_trip_buses must be.*\(7,\)"),
     (distribution(load_noise_mw="loud"), "load_noise_mw must be a number.*'loud'"),
     (lambda: STANDARD.distributions[0].draw(-1), "a seed must be a whole number in 0 … [0-9]*, got -1"),
-    (lambda: STANDARD.distributions[0].draw(1, 0), "n_wtg must be a whole number of 1 or more, got 0"),
+    (lambda: STANDARD.distributions[0].draw(1, 0), "n_wtg must be a whole number in 1 … 100, got 0"),
     (lambda: STANDARD.distributions[0].draw(1, 2, [1.0]), r"one value per WTG group \(2\), got 1"),
     (lambda: SHARED.check_share([5.0, 5.0]), "10 turbines give .* % of the load .*wind_share .* is 40 … 78 %"),
     (lambda: SHARED.draw_many(range(20), 3, [90.0] * 3), "winds of 8.5 … 11 m/s hardly ever give"),

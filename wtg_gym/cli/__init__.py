@@ -13,7 +13,9 @@ from collections.abc import Sequence
 from cyclopts import App, CycloptsError
 
 from wtg_gym import __version__
-from wtg_gym.cli.output import note, one_line
+from wtg_gym.cli.output import note
+from wtg_gym.files import one_line
+from wtg_gym.ranges import require_count
 
 #: The commands in the order of the help: where each is, and what it does.
 _COMMANDS = {
@@ -28,6 +30,9 @@ _COMMANDS = {
     "reproduce": ("reproduce:reproduce", "the paper's figures and claims, measured"),
     "warmup": ("warmup:warmup", "compile the simulator before its first use"),
 }
+
+#: Words of a command line at most; all scenarios of a split by their seeds are 300.
+_MOST_WORDS = 2000
 
 _DESCRIPTION = """\
 Primary frequency regulation with grid-forming wind turbine generators on the modified IEEE 14-bus system and other
@@ -75,6 +80,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Run the command line and return its exit code, see above."""
     words = sys.argv[1:] if argv is None else list(argv)
     try:
+        # Twice as many take four times as long.
+        require_count("the command line", len(words), _MOST_WORDS)
         code = build_app(words)(words, exit_on_error=False, print_error=False, result_action="return_value")
         sys.stdout.flush()
         return int(code or 0)

@@ -50,6 +50,7 @@ def import_grid(
       wtg-gym grid import network.json --output my_grid.json
       wtg-gym evaluate --suite ieee39.json                      score the laws on it
     """
+    from wtg_gym.files import interpreting
     from wtg_gym.grids.andes import convert, grid_of
     from wtg_gym.grids.describe import describe_equilibrium
     from wtg_gym.grids.pandapower import is_network, tables_of
@@ -58,8 +59,9 @@ def import_grid(
 
     pandapower = is_network(case)
     note(f"{'pandapower' if pandapower else 'ANDES'} reads {case}, for the first time within a minute or two")
-    tables = tables_of(case) if pandapower else convert(case, dynamic, andes)
-    grid = grid_of(tables, case.stem, substitute=substitute)
+    with interpreting(case, "case"):
+        tables = tables_of(case) if pandapower else convert(case, dynamic, andes)
+        grid = grid_of(tables, case.stem, substitute=substitute)
     for line in (*grid.repairs, *grid.substitutions):
         note(line)
     made = with_wind(grid, wind)

@@ -14,9 +14,6 @@ from typing import Any
 from wtg_gym.extras import install_advice
 from wtg_gym.files import find_markers, printable, read_text, write_atomically
 
-#: Most characters of an error's message.
-_LONGEST_ERROR = 1500
-
 
 def note(text: str) -> None:
     """Write a line to stderr, so that stdout carries results only."""
@@ -27,16 +24,6 @@ def say(*lines: str) -> None:
     """Write lines to stdout; no command prints past this, :func:`note` and :func:`print_json`."""
     for line in lines:
         print(printable(line))
-
-
-def one_line(error: Exception) -> str:
-    """Return the message of an error in one line, shortened where it quotes a whole file."""
-    if isinstance(error, OSError) and error.strerror:
-        text = f"{error.filename}: {error.strerror}" if error.filename else error.strerror
-    else:
-        text = " ".join(str(error).split()) or type(error).__name__
-    text = printable(text)
-    return text if len(text) <= _LONGEST_ERROR else f"{text[:_LONGEST_ERROR]} …"
 
 
 def require_extra(package: str, purpose: str) -> None:

@@ -20,10 +20,10 @@ from wtg_gym.policies.entry import check_entries, run_label
 from wtg_gym.progress import Progress
 from wtg_gym.ranges import require_range
 from wtg_gym.scenarios import get_suite
+from wtg_gym.scenarios.suite import MOST_SCENARIOS
 
 #: Heads of columns that are too wide for a terminal of 120 columns.
 _SHORT_HEADS = {"median deviation [mHz]": "Δf [mHz]", "lost or beyond 0.8 Hz [%]": "lost or > 0.8 Hz [%]"}
-_MOST_SCENARIOS = 100_000
 
 
 # --- values of options: a ValueError says what is wrong with one -----------------------------------------------------
@@ -55,7 +55,7 @@ def chosen_scenarios(suite: str, split: str, given: SeedOptions) -> dict[str, An
     if given.seeds is not None:
         raise ValueError("--scenarios takes the first of the split, --seeds others: give one of the two")
     seeds = get_suite(suite).seeds(split)
-    require_range("--scenarios", given.scenarios, 1, min(len(seeds), _MOST_SCENARIOS), "")
+    require_range("--scenarios", given.scenarios, 1, min(len(seeds), MOST_SCENARIOS), "")
     return {**chosen, "seeds": list(seeds[: given.scenarios])}
 
 

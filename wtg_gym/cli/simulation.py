@@ -14,7 +14,7 @@ from wtg_gym.cli.options import PlantOptions
 from wtg_gym.cli.output import print_json, require_extra, say, write_and_say
 from wtg_gym.cli.scenario_text import describe_scenario, scenario_summary
 from wtg_gym.cli.simulate import ScenarioOptions
-from wtg_gym.files import read_json
+from wtg_gym.files import interpreting, read_json
 from wtg_gym.physics.parameters import TurbineParameters
 from wtg_gym.physics.plant import Plant
 from wtg_gym.physics.protection import Status
@@ -93,7 +93,7 @@ def _scenario(given: ScenarioOptions, suite: Suite) -> Scenario:
         seed = suite.test[0] if given.seed is None else given.seed
         scenario = suite.scenario(seed, duration_s=given.duration)
     else:
-        scenario = _read_scenario(given.scenario, suite)
+        scenario = read_scenario(given.scenario, suite)
         if given.duration is not None:
             scenario = dataclasses.replace(scenario, duration_s=given.duration)
     wind_dt_s = scenario.wind_dt_s
@@ -109,12 +109,11 @@ def _scenario(given: ScenarioOptions, suite: Suite) -> Scenario:
     return dataclasses.replace(scenario, wind_speed=wind, wind_dt_s=wind_dt_s)
 
 
-def _read_scenario(path: Path, suite: Suite) -> Scenario:
+def read_scenario(path: Path, suite: Suite) -> Scenario:
+    """Return the scenario of a file; a ValueError says what is wrong with it, or that it is of another version."""
     data = read_json(path, "scenario file")
-    try:
+    with interpreting(path, "scenario file"):
         scenario = Scenario.from_dict(data)
-    except ValueError as error:
-        raise ValueError(f"scenario file {path}: {error}") from error
     if scenario.sensors is not None and not suite.task.has_sensors:
         raise ValueError(
             f"{path} has sensors, as scenarios of version v1: say with --suite whose grid it is, such as standard-v1"

@@ -15,6 +15,8 @@ from wtg_gym.evaluation.metrics import METRICS
 #: Columns before the metrics: which entry, which scenario, how long it should last [s], why it failed ("": it did not).
 _LEADING = ("entry", "training_seed", "seed", "scenario", "duration_s", "failure")
 COLUMNS = (*_LEADING, *METRICS)
+#: Largest number of a table; what is added up of it stays finite.
+_LARGEST = 1e12
 FAILURES = tuple(TERMINATION_REASONS.values())
 
 
@@ -80,7 +82,7 @@ def episode_from_cells(cells: Sequence[str], where: str) -> Episode:
 
     def whole(column: str) -> int:
         if not (row[column].isascii() and row[column].isdigit()):
-            raise ValueError(f"{where}: {column} must be a whole number from 0 on, got {row[column]!r}")
+            raise ValueError(f"{where}: {column} must be a whole number from 0 on, got {row[column]!r:.80}")
         return int(row[column])
 
     def number(column: str, unit: str) -> float:
@@ -88,12 +90,15 @@ def episode_from_cells(cells: Sequence[str], where: str) -> Episode:
             value = float(row[column])
         except ValueError:
             value = math.nan
-        if not math.isfinite(value):
-            raise ValueError(f"{where}: {column} must be a finite number [{unit}], got {row[column]!r}")
+        if not abs(value) <= _LARGEST:
+            allowed = f"a number in -{_LARGEST:g} … {_LARGEST:g} [{unit}]"
+            raise ValueError(f"{where}: {column} must be {allowed}, got {row[column]!r:.80}")
         return value
 
     if row["failure"] not in FAILURES:
-        raise ValueError(f"{where}: failure must be empty or one of {', '.join(FAILURES[1:])}, got {row['failure']!r}")
+        raise ValueError(
+            f"{where}: failure must be empty or one of {', '.join(FAILURES[1:])}, got {row['failure']!r:.80}"
+        )
     return Episode(
         entry=row["entry"],
         training_seed=None if row["training_seed"] == "" else whole("training_seed"),

@@ -28,9 +28,9 @@ from wtg_gym.policies.entry import check_entries, check_version
 from wtg_gym.policies.load import load_entries
 from wtg_gym.policies.play import play, started_lanes
 from wtg_gym.policies.policy_process import NotIsolatedError
-from wtg_gym.ranges import is_whole, require_whole
+from wtg_gym.ranges import is_whole, require_count, require_whole
 from wtg_gym.scenarios import DEFAULT_SUITE, get_suite
-from wtg_gym.scenarios.suite import Suite
+from wtg_gym.scenarios.suite import MOST_SCENARIOS, Suite
 from wtg_gym.signals import HeldSignals
 from wtg_gym.systems.compiled import source_hash
 from wtg_gym.tasks import V0
@@ -46,8 +46,6 @@ _ONNX_BATCH = 64
 _CLOSE_AGAIN_S = 0.05
 #: Settings that an entry or an argument of its own decides.
 _TAKEN = ("strategy", "action_mode", "observation_mode", "suite", "split", "scenario")
-#: More scenarios than this must be asked for by their seeds, and are not played side by side.
-_LARGEST_SPLIT = 100_000
 
 
 def evaluate(
@@ -152,7 +150,7 @@ def _check_arguments(batch: int, env_arguments: dict[str, Any]) -> None:
             f"unknown environment settings {unknown}; allowed here: {', '.join(known)} "
             f"({', '.join(_TAKEN)} are set by the entry or by an argument of its own, a scenario by its seed)"
         )
-    require_whole("batch", batch, 1, _LARGEST_SPLIT)
+    require_whole("batch", batch, 1, MOST_SCENARIOS)
 
 
 def chosen_seeds(suite: str, split: str, seeds: Sequence[int] | None) -> list[int]:
@@ -160,11 +158,12 @@ def chosen_seeds(suite: str, split: str, seeds: Sequence[int] | None) -> list[in
     allowed = get_suite(suite).seeds(split)
     text = f"the {split} seeds of suite {suite!r} are {allowed.start} … {allowed.stop - 1}"
     if seeds is None:
-        if len(allowed) > _LARGEST_SPLIT:
+        if len(allowed) > MOST_SCENARIOS:
             raise ValueError(f"{text}: too many to play them all; choose some with seeds=")
         return list(allowed)
     if isinstance(seeds, str) or not isinstance(seeds, (Sequence, np.ndarray)):
         raise ValueError(f"seeds must be a list of whole numbers, got {seeds!r}; {text}")
+    require_count("the list of seeds", len(seeds), MOST_SCENARIOS)
     wrong = [seed for seed in seeds if not is_whole(seed) or seed not in allowed]
     if wrong:
         raise ValueError(f"{text}; got {', '.join(map(repr, wrong[:5]))}{' …' if len(wrong) > 5 else ''}")

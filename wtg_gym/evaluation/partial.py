@@ -10,7 +10,7 @@ from typing import Any
 
 from wtg_gym.evaluation.circumstances import measurement_hash, versions
 from wtg_gym.evaluation.episodes import Episode, episode_from_cells
-from wtg_gym.files import read_json, sha256, to_json, write_atomically
+from wtg_gym.files import interpreting, read_json, sha256, to_json, write_atomically
 from wtg_gym.policies import Entry
 from wtg_gym.systems.compiled import source_hash
 
@@ -57,13 +57,14 @@ class PartialStore:
             return None
         try:
             data = read_json(path, "finished batch")
-            if data["sha256"] != self._digest(entry, seeds, data["rows"]):
-                raise ValueError("it is damaged, or of another entry, suite, split or version")
-            episodes = [episode_from_cells(cells, str(path)) for cells in data["rows"]]
-            expected = [(entry.name, entry.training_seed, seed) for seed in seeds]
-            if [(*episode.run, episode.seed) for episode in episodes] != expected:
-                raise ValueError("its rows are of other entries, training seeds or scenarios")
-        except (ValueError, KeyError, TypeError, AttributeError) as error:
+            with interpreting(path, "finished batch"):
+                if data["sha256"] != self._digest(entry, seeds, data["rows"]):
+                    raise ValueError("it is damaged, or of another entry, suite, split or version")
+                episodes = [episode_from_cells(cells, str(path)) for cells in data["rows"]]
+                expected = [(entry.name, entry.training_seed, seed) for seed in seeds]
+                if [(*episode.run, episode.seed) for episode in episodes] != expected:
+                    raise ValueError("its rows are of other entries, training seeds or scenarios")
+        except ValueError as error:
             _log.warning("%s is not used, and %s is played again: %s", path, entry.label, error)
             return None
         self._used.append(path)

@@ -18,6 +18,7 @@ from wtg_gym.evaluation.score import NoScaleError, cost_offsets, score_scales
 from wtg_gym.evaluation.statistics import Floats, Groups, Interval
 from wtg_gym.evaluation.summary import EntrySummary, Runs, ranked
 from wtg_gym.evaluation.table import columns_of, markdown_table, notes_on_marks
+from wtg_gym.files import interpreting
 from wtg_gym.ranges import ByName
 from wtg_gym.scenarios import FROZEN_HASHES, get_suite
 from wtg_gym.tasks import Task
@@ -236,7 +237,7 @@ class Results:
             ValueError: a file is missing, cut short, of another version, or was edited; the message names file, key
                 and what is expected.
         """
-        try:
+        with interpreting(Path(path), "description of the results"):
             data, episodes = results_file.read(Path(path))
             results = cls(
                 **{key: data[key] for key in (*results_file.TEXTS, "environment", "settings", "versions")},
@@ -246,10 +247,6 @@ class Results:
                 failed=tuple(data["failed"]),
             )
             results_file.check_summary(data["summary"], results.to_dict()["summary"], "summary")
-        except ValueError as error:
-            raise ValueError(f"{path}: {error}") from error
-        except (AttributeError, KeyError, TypeError) as error:
-            raise ValueError(f"{path} describes no results: {type(error).__name__}: {error}") from error
         return results
 
 

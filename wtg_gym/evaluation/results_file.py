@@ -12,13 +12,29 @@ from wtg_gym.evaluation.episodes import Episode, from_csv
 from wtg_gym.evaluation.metrics import METRICS
 from wtg_gym.files import parse_json, read_text, sha256, to_json, write_together
 from wtg_gym.names import check_name
-from wtg_gym.policies.entry import check_rows
+from wtg_gym.policies.entry import KINDS, check_rows
+from wtg_gym.ranges import require_count
 from wtg_gym.scenarios import get_suite
+from wtg_gym.scenarios.suite import MOST_SCENARIOS
 
 #: Version of the files; another number is another form.
 FORMAT = 8
 #: Keys of the description that are texts.
 TEXTS = ("suite", "split", "suite_hash", "source_hash")
+#: Types of the description's values, and of those of an entry, see :meth:`wtg_gym.policies.Entry.to_dict`.
+_DESCRIPTION = {
+    **dict.fromkeys(TEXTS, str),
+    **dict.fromkeys(("environment", "settings", "versions", "metrics", "summary"), dict),
+    **dict.fromkeys(("seeds", "entries", "failed"), list),
+    **{"format": int, "draw": dict | None, "csv_sha256": str, "sha256": str},
+}
+_ENTRY = {
+    **dict.fromkeys(("name", "kind", "action_mode", "observation_mode", "description", "source"), str),
+    **{"training_seed": int | None, "strategy": dict, "sha256": str | None, "policy_sha256": str | None},
+}
+_FAILED = {**_ENTRY, "reason": str}
+#: Entries, and rows of a table, at most.
+_MOST_ENTRIES, _MOST_ROWS = 1000, 250_000
 #: By how much a summary may differ from the sum of its table, relative, or absolute near zero.
 _ROUNDING = 1e-6
 
@@ -38,15 +54,13 @@ def read(json_path: Path) -> tuple[dict[str, Any], list[Episode]]:
 
     Raises:
         ValueError: a file is missing, cut short, of another version or was edited.
-        KeyError, TypeError: the description is none of results.
     """
     text = read_text(json_path, "description of the results")
     data = parse_json(text, "it")
-    if not isinstance(data, dict):
-        raise ValueError(f"expected an object that describes the results, got {type(data).__name__}")
-    if data.get("format") != FORMAT:
+    if isinstance(data, dict) and data.get("format") != FORMAT:
         got = repr(data.get("format"))[:80]
         raise ValueError(f"format must be {FORMAT}, that of this version, got {got}; evaluate again")
+    _require_form("it", data, _DESCRIPTION)
     content = {key: value for key, value in data.items() if key != "sha256"}
     if sha256(to_json(content).encode()) != data.get("sha256") or to_json(data) != text:
         raise ValueError("it was edited or damaged: its sha256 does not fit its content")
@@ -55,14 +69,28 @@ def read(json_path: Path) -> tuple[dict[str, Any], list[Episode]]:
     table = read_text(csv_path, "table of the results")
     if sha256(table.encode()) != data["csv_sha256"]:
         raise ValueError(f"{csv_path} is not its table: that was edited or belongs to another run")
-    episodes = from_csv(table, csv_path)
+    n_rows, n_lines = len(data["entries"]) * len(data["seeds"]), table.count("\n") - 1
+    require_count("the table that it describes", n_rows, _MOST_ROWS)
     expected = [(entry["name"], entry["training_seed"], seed) for entry in data["entries"] for seed in data["seeds"]]
-    if [(*episode.run, episode.seed) for episode in episodes] != expected:
+    episodes = from_csv(table, csv_path) if n_lines == n_rows else []
+    if n_lines != n_rows or [(*episode.run, episode.seed) for episode in episodes] != expected:
         raise ValueError(
             f"{csv_path}: expected one row per entry and seed, in the order of the JSON's entries and seeds "
-            f"({len(expected)} rows), got {len(episodes)} rows that differ"
+            f"({n_rows} rows), got {n_lines} rows that differ"
         )
     return data, episodes
+
+
+def _require_form(where: str, data: Any, form: Mapping[str, Any]) -> None:
+    """Raise a ValueError that names a key which is missing, or a value of another type."""
+    if not isinstance(data, dict):
+        raise ValueError(f"{where} must be an object, got {type(data).__name__}")
+    for key, kind in form.items():
+        if key not in data:
+            raise ValueError(f"{where} misses the key {key!r}")
+        if not isinstance(data[key], kind) or isinstance(data[key], bool):
+            name = getattr(kind, "__name__", str(kind))
+            raise ValueError(f"{key} of {where} must be {name}, got {data[key]!r:.80}")
 
 
 def check_summary(stored: Any, summed: Any, where: str) -> None:
@@ -77,12 +105,20 @@ def check_summary(stored: Any, summed: Any, where: str) -> None:
 
 
 def _check_description(data: dict[str, Any]) -> None:
-    for entry in (*data["entries"], *data["failed"]):
-        # It goes into tables and pages as it is.
-        check_name("the entry's name", entry["name"])
+    for key, form in (("entries", _ENTRY), ("failed", _FAILED)):
+        require_count(key, len(data[key]), _MOST_ENTRIES)
+        for entry in data[key]:
+            _require_form("an entry", entry, form)
+            # It goes into tables and pages as it is.
+            check_name("the entry's name", entry["name"])
+            if entry["kind"] not in KINDS:
+                raise ValueError(f"kind of an entry must be one of {', '.join(KINDS)}, got {entry['kind']!r:.80}")
     check_rows((*data["entries"], *data["failed"]))
     if data["metrics"] != {name: asdict(metric) for name, metric in METRICS.items()}:
         raise ValueError("the metrics are not those of this version; evaluate again")
-    get_suite(data["suite"]).seeds(data["split"])
-    if not data["seeds"] or any(type(seed) is not int for seed in data["seeds"]):
-        raise ValueError("seeds must be a list of whole numbers")
+    for key, names in (("environment", ("id", "fingerprint")), ("versions", data["versions"])):
+        _require_form(key, data[key], dict.fromkeys(names, str))
+    require_count("seeds", len(data["seeds"]), MOST_SCENARIOS)
+    allowed = get_suite(data["suite"]).seeds(data["split"])
+    if not data["seeds"] or any(type(seed) is not int or seed not in allowed for seed in data["seeds"]):
+        raise ValueError(f"seeds must be some of the split {data['split']!r}, {allowed.start} … {allowed.stop - 1}")

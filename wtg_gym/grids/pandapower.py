@@ -5,19 +5,33 @@ pandapower has no dynamics: every generator and external grid becomes a typical 
 
 from __future__ import annotations
 
+import io
 import json
 import math
+import re
 import warnings
 from pathlib import Path
 from typing import Any
 
 from wtg_gym.extras import install_advice
+from wtg_gym.files import parse_json, read_text
 from wtg_gym.grids.andes import Row, Tables
+from wtg_gym.physics.network import MOST_BUSES
+from wtg_gym.ranges import require_count
 
 #: What every file of a network says before its tables.
 _MARK, _MARK_WITHIN = "pandapowerNet", 300
 #: In place of a network's own base, which is 1 MVA as a rule.
 _BASE_MVA = 100.0
+#: The first version that does not run code which a file brings along.
+_OLDEST = (3, 5, 4)
+#: Module and class of what a network consists of.
+_CLASSES = {
+    ("pandapower.auxiliary", "pandapowerNet"),
+    *((module, "DataFrame") for module in ("pandas", "pandas.core.frame")),
+    *((module, "Series") for module in ("pandas", "pandas.core.series")),
+    ("numpy", "array"),
+}
 
 
 def is_network(path: Path) -> bool:
@@ -32,22 +46,35 @@ def tables_of(path: Path) -> Tables:
     """Return the tables of a network's file, with its solved power flow; a bus has pandapower's index plus one.
 
     Raises:
-        ValueError: pandapower is not installed, or finds no power flow.
+        ValueError: pandapower is not installed or too old, cannot read the file, or finds no power flow.
     """
     try:
         import pandapower
         from pandapower.pypower import idx_brch, idx_bus, idx_gen
     except ImportError as error:
-        raise ValueError(f"{path} needs pandapower; {install_advice('pandapower')}") from error
+        raise ValueError(f"it needs pandapower; {install_advice('pandapower')}") from error
+    if tuple(map(int, re.findall(r"\d+", pandapower.__version__)[:3])) < _OLDEST:
+        oldest = ".".join(map(str, _OLDEST))
+        raise ValueError(
+            f"pandapower {pandapower.__version__} runs code that a file names; {oldest} or later is needed: "
+            f"{install_advice('pandapower')}"
+        )
+    text = read_text(path, "network of pandapower")
+    _check_classes(parse_json(text, "it"))
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        net = pandapower.from_json(str(path))
-        net.sn_mva = _BASE_MVA
+        # Errors of pandapower are of any kind.
+        try:
+            net = pandapower.from_json(io.StringIO(text))
+            require_count("the table of buses", len(net.bus), MOST_BUSES)
+            net.sn_mva = _BASE_MVA
+        except Exception as error:
+            raise ValueError(f"pandapower cannot read it: {type(error).__name__}: {error}") from error
         try:
             # The shifts of vector groups are the same along every path between two voltages.
             pandapower.runpp(net, calculate_voltage_angles=False, numba=False)
         except Exception as error:
-            raise ValueError(f"{path}: pandapower finds no power flow: {error}") from error
+            raise ValueError(f"pandapower finds no power flow: {error}") from error
     solved = net._ppc
     base, own = _BASE_MVA, net._pd2ppc_lookups["bus"]
     # Closed switches make one bus of several, open ones at the end of a line add one.
@@ -79,6 +106,24 @@ def tables_of(path: Path) -> Tables:
         })  # fmt: skip
     system = {"mva": base, "freq": float(net.f_hz)}
     return {**rows, "_config": [{"section": "System", "key": key, "value": value} for key, value in system.items()]}
+
+
+def _check_classes(data: Any) -> None:
+    """Refuse every class but those of tables, because pandapower imports the module that a file names.
+
+    A table is a text of JSON in the file, whose cells may name classes too.
+    """
+    if isinstance(data, dict):
+        if "_module" in data:
+            module, name = data["_module"], data.get("_class")
+            if (module, name) not in _CLASSES:
+                raise ValueError(f"it names the class {name!r:.80} of module {module!r:.80}; only tables are read")
+            if isinstance(data.get("_object"), str):
+                _check_classes(parse_json(data["_object"], "a table of it"))
+        data = list(data.values())
+    if isinstance(data, list):
+        for each in data:
+            _check_classes(each)
 
 
 def _place(geo: Any) -> tuple[float | None, float | None]:

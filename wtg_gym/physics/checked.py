@@ -6,11 +6,16 @@ import dataclasses
 import functools
 import itertools
 import math
+import types
+from collections.abc import Mapping
 from typing import Any, ClassVar, get_args, get_origin, get_type_hints
 
 import numpy as np
 
-from wtg_gym.ranges import require_bus, require_range, require_whole
+from wtg_gym.ranges import require_bus, require_count, require_range, require_whole
+
+#: Most items of a list, where its record does not say otherwise.
+MOST_ITEMS = 2000
 
 
 def describe(unit: str, source: str, doc: str) -> dict[str, Any]:
@@ -50,11 +55,15 @@ class Checked:
 
     #: Fields whose values must rise from each one to the next.
     RISING: ClassVar[tuple[str, ...]] = ()
+    #: Most items of single fields; of the others :data:`MOST_ITEMS`.
+    MOST: ClassVar[Mapping[str, int]] = types.MappingProxyType({})
 
     def __post_init__(self) -> None:
         record: Any = type(self)
         for field in dataclasses.fields(record):
             value, kind = getattr(self, field.name), _kinds(record)[field.name]
+            if get_origin(kind) in (tuple, list):
+                require_items(record, field.name, value)
             checked = _checked(f"{record.__name__}.{field.name}", value, kind, field)
             if checked is not value:
                 object.__setattr__(self, field.name, checked)
@@ -64,8 +73,15 @@ class Checked:
             raise ValueError(f"{record.__name__}: {' < '.join(self.RISING)} must hold, got {given}")
 
 
-def _checked(name: str, value: Any, kind: Any, field: Any) -> Any:
-    """Return a field's value as its type says, or raise a ValueError."""
+def require_items(record: Any, name: str, value: Any) -> None:
+    """Raise a ValueError if a field of a record would have more items than it may, before anything is made of them."""
+    if isinstance(value, (tuple, list)):
+        most = getattr(record, "MOST", {}).get(name, MOST_ITEMS)
+        require_count(f"{record.__name__}.{name}", len(value), most)
+
+
+def _checked(name: str, value: Any, kind: Any, field: Any, *, is_item: bool = False) -> Any:
+    """Return the value of a field, or of an item of it, as its type says, or raise a ValueError."""
     kinds = get_args(kind)
     if type(None) in kinds and value is None:
         return None
@@ -77,20 +93,20 @@ def _checked(name: str, value: Any, kind: Any, field: Any) -> Any:
         return require_range(name, value, low, high, unit)
     if kind is int:
         return require_whole(name, value, low, high) if isinstance(low, int) else require_bus(name, value)
-    if kind in (tuple[float, float], tuple[int, int]):
+    if kind in (tuple[float, float], tuple[int, int]) and not is_item:
         return _span(name, value, get_args(kind)[0], low, high, unit)
-    if get_origin(kind) is tuple:
-        entry: Any = get_args(kind)[0]
-        of_records: bool = dataclasses.is_dataclass(entry)
-        items = value if isinstance(value, (tuple, list)) else (None,)
-        if (of_records or entry is str) and not all(isinstance(item, entry) for item in items):
-            raise ValueError(f"{name} must be {field.type}, got {value!r}")
-        if entry is int:
-            return tuple(require_bus(name, item) for item in items)
-        return tuple(value) if isinstance(value, list) else value
-    if get_origin(kind) is not np.ndarray and not isinstance(value, kind):
-        raise ValueError(f"{name} must be {field.type}, got {value!r}")
-    return value
+    origin = get_origin(kind)
+    if origin is tuple:
+        items = get_args(kind)
+        if isinstance(value, (tuple, list)):
+            if items[-1] is Ellipsis:
+                items = items[:1] * len(value)
+            if len(items) == len(value):
+                pairs = zip(value, items, strict=True)
+                return tuple(_checked(name, item, own, field, is_item=True) for item, own in pairs)
+    elif origin is np.ndarray or isinstance(value, kind if origin in (None, types.UnionType) else origin):
+        return value
+    raise ValueError(f"{name} must be {field.type}, got {value!r:.80}")
 
 
 def _span(name: str, value: Any, number: type, low: float, high: float, unit: str) -> tuple[float, float]:

@@ -13,18 +13,16 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, get_args, get_type_hints
 
-from wtg_gym.files import parse_json, read_text, sha256, write_atomically
-from wtg_gym.physics.checked import Checked
+from wtg_gym.files import interpreting, parse_json, read_text, sha256, write_atomically
+from wtg_gym.physics.checked import Checked, require_items
 from wtg_gym.physics.machine_parameters import AnyExciter, AnyGovernor, AnyStabiliser
-from wtg_gym.physics.network import NetworkCase
-from wtg_gym.physics.parameters import WtgGroup
+from wtg_gym.physics.network import MOST_UNITS, NetworkCase
+from wtg_gym.physics.parameters import MOST_GROUPS, WtgGroup
 from wtg_gym.ranges import did_you_mean, require_known
 from wtg_gym.systems.compiled import cache_folder
 
 #: The grids that come with the package.
 FOLDER = Path(__file__).parents[1] / "grids"
-#: A batch of episodes of more would not fit into memory.
-MOST_BUSES = 500
 #: The one that is meant where none is named: the paper's.
 DEFAULT_GRID = "ieee14"
 #: Controls of a machine by the name that stands in a file.
@@ -47,6 +45,8 @@ class Grid(Checked):
         substitutions: what stands in place of a model that is not here, a sentence each.
     """
 
+    MOST = types.MappingProxyType({"groups": MOST_GROUPS, "replaced": MOST_UNITS})
+
     case: NetworkCase
     groups: tuple[WtgGroup, ...] = ()
     replaced: tuple[int, ...] = ()
@@ -57,8 +57,6 @@ class Grid(Checked):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if len(self.case.buses) > MOST_BUSES:
-            raise ValueError(f"a grid has at most {MOST_BUSES} buses, got {len(self.case.buses)}")
         for bus in (*self.replaced, *(group.bus for group in self.groups)):
             self.case.bus_index(bus)
 
@@ -90,15 +88,13 @@ def get_grid(name: str) -> Grid:
 def read_grid(path: Path) -> Grid:
     """Return the grid of a file; a ValueError says what is wrong with it."""
     text = read_text(path, "grid")
-    try:
+    with interpreting(path, "grid"):
         return _grid_of(text)
-    except (KeyError, TypeError, ValueError) as error:
-        raise ValueError(f"{path} is no grid: {error}") from error
 
 
 @functools.lru_cache(maxsize=64)
 def _grid_of(text: str) -> Grid:
-    data = parse_json(text, "its text")
+    data = parse_json(text, "it")
     own = {field.name for field in dataclasses.fields(Grid)} - {"case"}
     if not isinstance(data, dict):
         raise ValueError("it must hold an object")
@@ -118,6 +114,8 @@ def record_of(kind: Any, data: Any) -> Any:
     needed = [each.name for each in dataclasses.fields(kind) if each.default is each.default_factory is nothing]
     if missing := [name for name in needed if name not in data]:
         raise ValueError(f"{kind.__name__} {dict(data)!r:.300} misses {', '.join(missing)}")
+    for name, value in data.items():
+        require_items(kind, name, value)
     return kind(**{name: _value(kinds[name], value) for name, value in data.items()})
 
 

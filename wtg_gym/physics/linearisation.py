@@ -18,6 +18,8 @@ from wtg_gym.physics.plant import PlantTables, programs_of, with_places
 
 #: Step of the finite differences [p.u., rad]; truncation and rounding are both near 1e-9 of a rate.
 _DIFFERENCE = 2e-6
+#: States that are evaluated side by side.
+_SIDE_BY_SIDE = 256
 #: The largest stable step must exceed the chosen one by this factor. Load, line trips, wind and governor droop move it
 #: by less than 1 % over the runs of the suites; the rest is for what lies beyond them.
 STEP_MARGIN = 1.05
@@ -45,12 +47,17 @@ def state_matrix(rows: Floats, plant: PlantTables, layout: Layout, side: npt.Arr
     speeds = np.flatnonzero(np.isin(states, layout.wtg("speed")))
     first, second = np.full(n, 1.0), np.full(n, -1.0)
     first[speeds], second[speeds] = sides, 2.0 * sides
-    blocks = np.repeat(rows[np.newaxis, :], 2 * n + 1, axis=0)
-    blocks[np.arange(n), states] += _DIFFERENCE * first
-    blocks[n + np.arange(n), states] += _DIFFERENCE * second
-    scratches = np.zeros((len(blocks), layout.n_scratch, 1))
-    evaluate_blocks(blocks[:, :, np.newaxis], scratches, plant.network)
-    rates = scratches[:, layout.rate_rows, 0]
+    moved = np.concatenate([states, states, states[:1]])
+    by = _DIFFERENCE * np.concatenate([first, second, [0.0]])
+    rates = np.empty((2 * n + 1, n))
+    # Not all at once: of a large plant they would not fit into memory.
+    for start in range(0, 2 * n + 1, _SIDE_BY_SIDE):
+        part = slice(start, start + _SIDE_BY_SIDE)
+        blocks = np.repeat(rows[np.newaxis, :], moved[part].size, axis=0)
+        blocks[np.arange(len(blocks)), moved[part]] += by[part]
+        scratches = np.zeros((len(blocks), layout.n_scratch, 1))
+        evaluate_blocks(blocks[:, :, np.newaxis], scratches, plant.network)
+        rates[part] = scratches[:, layout.rate_rows, 0]
     change = rates[:n] - rates[n : 2 * n]
     change[speeds] = sides[:, np.newaxis] * (-3.0 * rates[2 * n] + 4.0 * rates[speeds] - rates[n + speeds])
     matrix: Floats = change.T / (2.0 * _DIFFERENCE)

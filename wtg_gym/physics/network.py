@@ -9,6 +9,7 @@ from __future__ import annotations
 import dataclasses
 import functools
 import math
+import types
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -26,6 +27,8 @@ from wtg_gym.systems.compiled import compiled, inlined
 POWER_FLOW_TOLERANCE = 1e-12
 #: Impedance of a branch below which rounding keeps the power flow from its tolerance [p.u.].
 LEAST_IMPEDANCE = 1e-6
+#: Buses and machines or sources of a network at most: a batch of episodes of more would not fit into memory.
+MOST_BUSES, MOST_UNITS = 500, 100
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -75,6 +78,8 @@ class NetworkCase(Checked):
     Raises:
         ValueError: a bus is missing, doubled or not connected, nothing balances the power, or a value is out of range.
     """
+
+    MOST = types.MappingProxyType({"buses": MOST_BUSES, "machines": MOST_UNITS, "sources": MOST_UNITS})
 
     name: str
     base_mva: float = required("MVA", "IEEE 14", "system base", 1e-3, 1e9)

@@ -315,6 +315,10 @@ class ProtectionParameters(Checked):
     )
 
 
+#: WTG groups of a plant at most: memory grows with their square.
+MOST_GROUPS = 100
+
+
 @dataclass(frozen=True, kw_only=True)
 class WtgGroup(Checked):
     """Identical grid-forming WTGs at one bus, as one aggregate.
@@ -339,7 +343,7 @@ class WtgGroup(Checked):
 
 def default_groups(n_groups: int = 2, bus: int = 2) -> tuple[WtgGroup, ...]:
     """Return `n_groups` equal groups at a bus that share the paper's twenty turbines (100 MW)."""
-    n_groups = require_whole("the number of WTG groups", n_groups, 1, 1024)
+    n_groups = require_whole("the number of WTG groups", n_groups, 1, MOST_GROUPS)
     return tuple(WtgGroup(bus=bus, n_turbines=20.0 / n_groups) for _ in range(n_groups))
 
 

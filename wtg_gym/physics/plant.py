@@ -27,6 +27,7 @@ from wtg_gym.physics.machine_models import CONTROLS, control_constants, joining_
 from wtg_gym.physics.machine_unit import FIRST_MACHINE, MACHINES
 from wtg_gym.physics.network import NetworkCase, assemble_admittance, branch_admittances
 from wtg_gym.physics.parameters import (
+    MOST_GROUPS,
     ConverterLimitParameters,
     GridFormingParameters,
     PitchParameters,
@@ -97,6 +98,8 @@ class Plant(Checked):
     Raises:
         ValueError: a bus is unknown, a step does not divide, or a value is outside its range.
     """
+
+    MOST = MappingProxyType({"groups": MOST_GROUPS})
 
     case: NetworkCase = dataclasses.field(default_factory=lambda: get_grid("ieee14").case)
     groups: tuple[WtgGroup, ...] = dataclasses.field(default_factory=default_groups)

@@ -20,7 +20,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.interpolate import RectBivariateSpline
 
-from wtg_gym.files import read_text
+from wtg_gym.files import interpreting, read_text
 from wtg_gym.systems import expressions as ex
 from wtg_gym.systems.elementary import clip, fma
 
@@ -154,9 +154,7 @@ def read_rotor_table(path: Path) -> RotorTable:
         ValueError: the file is missing, is not of that form, or its table is not complete; the message names it.
     """
     lines = read_text(path, "rotor table").splitlines()
-    try:
+    with interpreting(path, "rotor table"):
         rows = [tuple(map(float, line.split())) for line in lines if line.strip() and not line.startswith("#")]
         pitch_deg, ratios, _, *power = rows
         return RotorTable(tip_speed_ratio=ratios, pitch_deg=pitch_deg, power_coefficient=tuple(power[: len(ratios)]))
-    except ValueError as error:
-        raise ValueError(f"the rotor table {path} cannot be used: {error}") from None

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import types
 from dataclasses import dataclass, field
 from typing import Any, TypeVar
 
@@ -15,9 +16,10 @@ import numpy as np
 import numpy.typing as npt
 
 from wtg_gym.files import parse_json
-from wtg_gym.physics.checked import Checked, design, required
+from wtg_gym.physics.checked import Checked, design, require_items, required
+from wtg_gym.physics.parameters import MOST_GROUPS
 from wtg_gym.physics.sensors import Sensors
-from wtg_gym.ranges import require_known
+from wtg_gym.ranges import require_count, require_known
 
 R = TypeVar("R")
 
@@ -27,6 +29,8 @@ WIND_SPEED_RANGE = (3.0, 25.0)
 LOAD_CHANGE_RANGE = (-1e4, 1e4)
 #: Latest instant of an event, and longest run: a day [s].
 LONGEST_RUN_S = 86400.0
+#: Events of one run at most.
+MOST_EVENTS = 200
 #: Step of every random wind and load-noise series [s].
 SERIES_DT = 0.1
 
@@ -46,6 +50,8 @@ def _series(name: str, values: Any) -> npt.NDArray[np.float64]:
 
 def _checked_wind(values: Any, dt_s: float) -> npt.NDArray[np.float64]:
     wind = _series("wind_speed", values)
+    if wind.ndim == 2:
+        require_count("wind_speed", len(wind), MOST_GROUPS)
     if wind.ndim != 2 or wind.shape[1] < 1:
         raise ValueError(f"wind_speed must have shape (n_wtg, n_samples), got shape {wind.shape}")
     low, high = WIND_SPEED_RANGE
@@ -366,6 +372,8 @@ class Scenario(Checked):
         ValueError: a value is missing, not finite or outside its range; the message names all three.
     """
 
+    MOST = types.MappingProxyType({"events": MOST_EVENTS})
+
     name: str
     wind_speed: npt.NDArray[np.float64]
     wind_dt_s: float = design(SERIES_DT, "s", "sampling step", 1e-3, 3600.0)
@@ -382,8 +390,6 @@ class Scenario(Checked):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if not isinstance(self.events, (tuple, list)):
-            raise ValueError(f"events must be a tuple of events, got {self.events!r}")
         for event in self.events:
             if type(event) not in _KIND_OF:
                 raise ValueError(f"unknown event {event!r}; known kinds: {', '.join(EVENT_KINDS)}")
@@ -393,7 +399,6 @@ class Scenario(Checked):
                 f"wind_bias of the sensors must have one number per WTG group ({wind.shape[0]}), "
                 f"got {len(self.sensors.wind_bias)}"
             )
-        object.__setattr__(self, "events", tuple(self.events))
         object.__setattr__(self, "wind_speed", wind)
         object.__setattr__(self, "load_noise_mw", _checked_noise(self.load_noise_mw))
 
@@ -428,7 +433,8 @@ class Scenario(Checked):
         """
         fields = _known(cls, data, "scenario")
         if not isinstance(fields.get("events", ()), (list, tuple)):
-            raise ValueError(f"events must be a list, got {data['events']!r}")
+            raise ValueError(f"events must be a list, got {data['events']!r:.80}")
+        require_items(cls, "events", fields.get("events", ()))
         try:
             fields["events"] = tuple(_event_from_dict(event) for event in fields.get("events", ()))
             if fields.get("sensors") is not None:
@@ -458,7 +464,7 @@ def _known(record: Any, data: Any, what: str) -> dict[str, Any]:
 def _event_from_dict(data: Any) -> Event:
     kind = data.get("kind") if isinstance(data, dict) else None
     if not isinstance(kind, str) or kind not in EVENT_KINDS:
-        raise ValueError(f"an event needs a kind out of {', '.join(EVENT_KINDS)}, got {data!r}")
+        raise ValueError(f"an event needs a kind out of {', '.join(EVENT_KINDS)}, got {data!r:.80}")
     fields = {key: value for key, value in data.items() if key != "kind"}
     event: Event = EVENT_KINDS[kind](**fields)
     return event

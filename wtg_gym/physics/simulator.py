@@ -31,7 +31,7 @@ from wtg_gym.physics.start_errors import (
 )
 from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY, TrackingLaw, group_laws
 from wtg_gym.physics.units import UNITS, StartFailure
-from wtg_gym.ranges import require_range, require_whole, whole_steps
+from wtg_gym.ranges import require_memory, require_range, require_whole, whole_steps
 from wtg_gym.systems.routines import WIDE, Function, Routine, code_of
 
 #: Winds at which the integration step is checked when a simulator is built: blades at rest, and turned by the pitch
@@ -123,6 +123,8 @@ class Simulator:
         self.width = 1 if n_lanes == 1 else WIDE
         self.link(task)
         n_blocks = -(-self.n_lanes // self.width)
+        of_lane = self.layout.n_rows + (self.layout.n_wtg + 1) * self.n_intervals
+        require_memory(f"{self.n_lanes} lanes of {duration_s:g} s", 8 * n_blocks * self.width * of_lane)
         #: Rows of all lanes (n_blocks, n_rows, width).
         self.blocks = _aligned_zeros(n_blocks, self.layout.n_rows, self.width)
         # A padded or not yet started lane must hold finite values: it is computed along with its neighbours.

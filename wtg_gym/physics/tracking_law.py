@@ -16,7 +16,7 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
-from wtg_gym.files import read_toml
+from wtg_gym.files import interpreting, read_toml
 from wtg_gym.names import check_name, plain_name
 from wtg_gym.physics.aerodynamics import tracking_point
 from wtg_gym.physics.parameters import GridFormingParameters, TurbineParameters
@@ -262,32 +262,29 @@ def read_law(path: Path, turbine: TurbineParameters | None = None) -> TrackingLa
     data = read_toml(path, "law file")
     corners = ("min", "nominal", "max")
     known = ["name", "tau_s", *(f"{kind}_{corner}" for kind in ("k", "deloading") for corner in corners)]
-    require_known(f"keys of the law file {path}", data, known)
-    coefficients = {f"k_{corner}": _coefficient(data, corner, path, turbine) for corner in corners}
-    name = data.get("name", path.stem)
-    if isinstance(name, str) and plain_name(name) in map(plain_name, STRATEGY_NAMES):
-        raise ValueError(f"name {name!r} in {path} is, or looks like, that of a built-in strategy; choose another")
-    try:
+    with interpreting(path, "law file"):
+        require_known("keys", data, known)
+        coefficients = {f"k_{corner}": _coefficient(data, corner, turbine) for corner in corners}
+        name = data.get("name", path.stem)
+        if isinstance(name, str) and plain_name(name) in map(plain_name, STRATEGY_NAMES):
+            raise ValueError(f"name {name!r} is, or looks like, that of a built-in strategy; choose another")
         return TrackingLaw(name=name, damping_time_constant_s=data.get("tau_s", math.inf), **coefficients)
-    except ValueError as error:
-        raise ValueError(f"the law file {path} cannot be used: {error}") from None
 
 
-def _coefficient(data: Mapping[str, Any], corner: str, path: Path, turbine: TurbineParameters | None) -> float:
+def _coefficient(data: Mapping[str, Any], corner: str, turbine: TurbineParameters | None) -> float:
     """Return the tracking coefficient that a law file gives at a corner, itself or by a deloading [p.u.]."""
     given = [key for key in (f"k_{corner}", f"deloading_{corner}") if key in data]
     if len(given) != 1:
         raise ValueError(
-            f"the law file {path} must give exactly one of k_{corner} [p.u.] and deloading_{corner} [%], "
-            f"got {given or 'neither'}"
+            f"it must give exactly one of k_{corner} [p.u.] and deloading_{corner} [%], got {given or 'neither'}"
         )
     value: float = data[given[0]]
     if given[0].startswith("k"):
         return value
-    percent = require_range(f"{given[0]} in {path}", value, 0.0, 90.0, "%")
+    percent = require_range(given[0], value, 0.0, 90.0, "%")
     if 0.0 < percent < _LEAST_PERCENT:
         raise ValueError(
-            f"{given[0]} = {percent:g} in {path} is in percent: write {100.0 * percent:g} for {100.0 * percent:g} %; "
+            f"{given[0]} = {percent:g} is in percent: write {100.0 * percent:g} for {100.0 * percent:g} %; "
             f"allowed: 0, or {_LEAST_PERCENT:g} … 90 %"
         )
     return tracking_point(percent / 100.0, turbine).coefficient

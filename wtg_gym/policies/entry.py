@@ -20,6 +20,8 @@ _OF_A_ROW = (
     *("kind", "environment", "strategy", "action_mode", "observation_mode", "per_group"),
     *("source", "description", "trained_on"),
 )
+#: Kinds of entries, see :attr:`Entry.kind`.
+KINDS = ("law", "feedback", "learned")
 
 
 @runtime_checkable

@@ -17,7 +17,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from wtg_gym.files import LARGEST_TOML_BYTES, parse_toml, read_text, write_atomically
+from wtg_gym.files import LARGEST_BYTES, parse_toml, read_text, write_atomically
 from wtg_gym.names import check_name, check_text, plain_name, short
 from wtg_gym.physics.tracking_law import STRATEGY_NAMES
 from wtg_gym.policies.entry import Entry
@@ -28,7 +28,7 @@ from wtg_gym.tasks.observation import OBSERVATION_MODES
 
 ENTRY_FILE, POLICY_FILE = "entry.toml", "policy.onnx"
 #: The files of a submission and their largest sizes [bytes]; every limit is far above what a policy here needs.
-FILES = {ENTRY_FILE: LARGEST_TOML_BYTES, POLICY_FILE: 5_000_000, "README.md": 65_536}
+FILES = {ENTRY_FILE: LARGEST_BYTES["entry file"], POLICY_FILE: 5_000_000, "README.md": 65_536}
 #: The package with the baselines, and the name of all trained policies together.
 BASELINES, POLICIES = "baselines", "policies"
 #: Words that are nobody's name: those two, and the packages of a checkout.
@@ -177,11 +177,9 @@ def load_entry_folder(folder: Path) -> Entry:
 
 def _entry_data(folder: Path) -> dict[str, Any]:
     path = folder / ENTRY_FILE
-    text = read_text(path, "entry file", largest=LARGEST_TOML_BYTES)
-    try:
+    text = read_text(path, "entry file")
+    with interpreting(path, "entry file"):
         return parse_entry(text)
-    except ValueError as error:
-        raise ValueError(f"the entry file {path}: {error}") from error
 
 
 def policy_folders(env_id: str | None = None) -> list[Path]:

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from wtg_gym.files import sha256
+from wtg_gym.files import read_bytes, sha256
 from wtg_gym.policies.onnx_worker import LENGTH
 from wtg_gym.policies.policy_process import PolicyError, PolicyProcess
 
@@ -38,7 +38,7 @@ class OnnxPolicy:
     """
 
     def __init__(self, file: str | Path | bytes, *, isolated: bool = False) -> None:
-        self.__setstate__((file if isinstance(file, bytes) else _content(Path(file)), isolated))
+        self.__setstate__((file if isinstance(file, bytes) else read_bytes(Path(file), "policy"), isolated))
 
     def __getstate__(self) -> tuple[bytes, bool]:
         return self._content, self._isolated
@@ -125,16 +125,6 @@ class OnnxPolicy:
 
     def __exit__(self, *_: object) -> None:
         self.close()
-
-
-def _content(path: Path) -> bytes:
-    # A pipe may never give anything, and a device never ends.
-    if path.exists() and not path.is_file():
-        raise ValueError(f"cannot read the policy {path}: it is no plain file")
-    try:
-        return path.read_bytes()
-    except OSError as error:
-        raise ValueError(f"cannot read the policy {path}: {error.strerror}") from error
 
 
 def _close_all(processes: list[PolicyProcess]) -> None:

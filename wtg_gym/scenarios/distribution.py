@@ -14,6 +14,7 @@ import numpy as np
 
 from wtg_gym.physics.checked import Checked, design, required
 from wtg_gym.physics.grid import DEFAULT_GRID, Grid, digest_of_grid, get_grid
+from wtg_gym.physics.parameters import MOST_GROUPS
 from wtg_gym.physics.scenario import (
     LONGEST_RUN_S,
     SERIES_DT,
@@ -29,7 +30,7 @@ from wtg_gym.physics.scenario import (
     Scenario,
     trusted,
 )
-from wtg_gym.ranges import require_bus, require_range, require_whole
+from wtg_gym.ranges import require_range, require_whole
 from wtg_gym.scenarios import wind
 from wtg_gym.scenarios.stream import FloatArray, Picker, Span, seed_streams
 
@@ -164,19 +165,9 @@ class ScenarioDistribution(Checked):
         self._check_places()
 
     def _check_places(self) -> None:
-        object.__setattr__(self, "load_buses", tuple((int(b), float(u), float(d)) for b, u, d in self.load_buses))
-        object.__setattr__(self, "load_trip_buses", tuple(int(bus) for bus in self.load_trip_buses))
-        for name in ("line_trips", "fault_lines"):
-            object.__setattr__(self, name, tuple((int(a), int(b)) for a, b in getattr(self, name)))
-        object.__setattr__(
-            self, "islandings", tuple(tuple((int(a), int(b)) for a, b in lines) for lines in self.islandings)
-        )
         buses = [bus for bus, _, _ in self.load_buses]
         if not buses or len(set(buses)) < len(buses):
             raise ValueError(f"load_buses needs at least one bus, and each bus once, got {buses}")
-        for name, given in (("load", buses), ("outage", self.machine_outage_buses)):
-            for bus in given:
-                require_bus(f"{name} bus", bus)
         for bus, increase, decrease in self.load_buses:
             require_range(f"largest load increase at bus {bus}", increase, 0.0, 1e4, "MW")
             require_range(f"largest load decrease at bus {bus}", decrease, 0.0, 1e4, "MW")
@@ -227,7 +218,7 @@ class ScenarioDistribution(Checked):
         """
         for seed in seeds:
             require_whole("a seed", seed, 0, 2**63 - 1)
-        n_wtg = require_whole("n_wtg", n_wtg, 1)
+        n_wtg = require_whole("n_wtg", n_wtg, 1, MOST_GROUPS)
         turbines = [self.n_turbines] * n_wtg if n_turbines is None else [float(n) for n in n_turbines]
         if len(turbines) != n_wtg:
             raise ValueError(f"n_turbines must have one value per WTG group ({n_wtg}), got {len(turbines)}")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
@@ -10,7 +11,7 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
-from wtg_gym.files import parse_json, read_text
+from wtg_gym.files import interpreting, parse_json, read_text
 from wtg_gym.physics.checked import Checked, describe, design, required
 from wtg_gym.physics.grid import Grid, get_grid, record_of
 from wtg_gym.physics.machine_parameters import SynchronousMachineParameters
@@ -129,9 +130,6 @@ def check_places(places: Places, case: NetworkCase) -> None:
         places: of the suite.
         case: the network with its groups.
     """
-    for entry in places.load_buses:
-        if not isinstance(entry, (tuple, list)) or len(entry) != 3:
-            raise ValueError(f"load_buses must be triples of a bus, an increase and a decrease [MW], got {entry!r}")
     buses = {
         "load_buses": (tuple(bus for bus, *_ in places.load_buses), case.bus_numbers, "bus"),
         "load_trip_buses": (places.load_trip_buses, case.bus_numbers, "bus"),
@@ -157,12 +155,10 @@ def check_places(places: Places, case: NetworkCase) -> None:
 
 def suite_of_file(path: str) -> Suite:
     """Return the suite of a file, or the :func:`unscreened` one of a grid's file; a ValueError says what is wrong."""
-    where = Path(path).resolve()
-    own = read_suite(where)
-    try:
+    # Of a link to itself, `Path.resolve` makes an error of its own.
+    own = read_suite(where := Path(os.path.realpath(path)))
+    with interpreting(where, "suite"):
         return _made(own, get_grid(own.grid))
-    except ValueError as error:
-        raise ValueError(f"{where} is no suite: {error}") from error
 
 
 # Kept by what is in the files of suite and grid, not by when they were written.
@@ -173,20 +169,20 @@ def _made(own: GridSuite, _grid: Grid) -> Suite:
 
 def read_suite(path: Path) -> GridSuite:
     """Return what the file of a suite says, where the path of a grid counts from the file's folder, or of a grid."""
-    return _read(path, read_text(path, "suite or grid"))
+    # Of the two kinds of file, a grid may be larger.
+    return _read(path, read_text(path, "grid"))
 
 
 @lru_cache(maxsize=64)
 def _read(path: Path, text: str) -> GridSuite:
     data = parse_json(text, f"the suite or grid {path}")
     if isinstance(data, dict) and "branches" in data:
-        return unscreened(str(path))
-    try:
+        with interpreting(path, "grid"):
+            return unscreened(str(path))
+    with interpreting(path, "suite"):
         found: GridSuite = record_of(GridSuite, data)
-        grid = str((path.parent / found.grid).resolve()) if found.grid.endswith(".json") else found.grid
-    except (TypeError, ValueError) as error:
-        raise ValueError(f"{path} is no suite: {error}") from error
-    return replace(found, grid=grid)
+        grid = os.path.realpath(path.parent / found.grid) if found.grid.endswith(".json") else found.grid
+        return replace(found, grid=grid)
 
 
 def unscreened(grid: str) -> GridSuite:

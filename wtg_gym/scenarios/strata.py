@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Any
 
+from wtg_gym.physics.checked import Checked
 from wtg_gym.physics.grid import DEFAULT_GRID, digest_of_grid, get_grid
 from wtg_gym.physics.machine_parameters import GovernorParameters
 from wtg_gym.physics.parameters import GridFormingParameters, WtgGroup
@@ -29,7 +30,7 @@ _CHANCES = {
 
 
 @dataclass(frozen=True, kw_only=True)
-class Places:
+class Places(Checked):
     """Where events may happen in a grid.
 
     Args:

@@ -24,6 +24,8 @@ from wtg_gym.tasks import ANY_GRID, V0, Task
 
 #: Names of the frozen splits, in the order of the seeds' use.
 SPLITS = ("train", "validation", "test")
+#: Scenarios of one evaluation at most: the intervals of its scores take memory in proportion.
+MOST_SCENARIOS = 10_000
 _TRAIN_SEEDS = range(1_000_000, 2**31)
 _VALIDATION_SEEDS = range(10_000, 10_100)
 _TEST_SEEDS = range(20_000, 20_200)
