@@ -5,6 +5,8 @@
 renews the tables between the markers of DOCS/grid-forming.md and draws DOCS/physics/grid-forming.svg.
 """
 
+from itertools import groupby
+
 import numpy as np
 from matplotlib.lines import Line2D
 from output import folder
@@ -23,22 +25,23 @@ DRAWN = ("deloaded-10", "coordinated-piecewise", "coordinated-tuned")
 
 
 def described():
-    """Return the table of tests, and the sources."""
-    rows = [(f"`{test.name}`", test.criterion, test.source) for test in GRID_TESTS.values()]
+    """Return the table of tests, neighbours with one criterion and source in a row, and the sources."""
+    groups = groupby(GRID_TESTS.values(), key=lambda test: (test.criterion, test.source))
+    rows = [(", ".join(f"`{test.name}`" for test in tests), *meaning) for meaning, tests in groups]
     keys = "\n".join(f"- **{key}**: {text}" for key, text in SOURCES.items())
-    return f"{markdown_table(('test', 'passed if', 'after'), rows)}\n\n{keys}"
+    return f"{markdown_table(('test', 'passed if', 'source'), rows)}\n\n{keys}"
 
 
 def verdicts(runs):
-    """Return the table of verdicts, a row for each entry, and that of the figures of two of them."""
-    header = ("entry", *(f"`{name}`" for name in GRID_TESTS), "passed")
+    """Return the table of verdicts, a row for each controller, and that of the figures of two of them."""
     rows = []
     for label, own in runs.items():
-        passed = [verdict[0] for _, verdict in own.values()]
-        rows.append((label, *("yes" if each else "**no**" for each in passed), f"{sum(passed)}/{len(passed)}"))
+        failed = [f"`{name}`" for name, (_, (passed, _)) in own.items() if not passed]
+        rows.append((label, f"{len(own) - len(failed)} of {len(own)}", ", ".join(failed)))
     shown = [label for label in runs if label in DRAWN[1:]]
     figures = [(f"`{name}`", *(runs[label][name][1][1] for label in shown)) for name in GRID_TESTS]
-    return f"{markdown_table(header, rows)}\n\n{markdown_table(('test', *shown), figures)}"
+    verdict_table = markdown_table(("controller", "passed", "failed"), rows)
+    return f"{verdict_table}\n\n{markdown_table(('test', *shown), figures)}"
 
 
 @style.printed

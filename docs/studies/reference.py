@@ -62,9 +62,9 @@ def observations():
     ]
     table = markdown_table(("v1", "v0", "observation", "counted in", "what it is"), rows, right=(0, 1))
     return (
-        "Places of the first group's entries; those of the next groups follow (`observation_names` lists all). In v1 "
-        "they are what sensors say, with noise and bias, 0.1 … 0.3 s late. In v0 they are exact and of this instant, "
-        f"RoCoF is that of the last step, and wind is averaged over the rotor.\n\n{table}"
+        "Indices of the first group's entries; the other groups follow (`observation_names` lists all). In v1 they are "
+        "measurements with noise and bias, 0.1 … 0.3 s late. In v0 they are exact and immediate, RoCoF is that of the "
+        f"last step, and wind is averaged over the rotor.\n\n{table}"
     )
 
 
@@ -75,8 +75,8 @@ def privileged():
     table = markdown_table(("of", "observation", "counted in", "what it is"), rows)
     exact = ", ".join(f"`{name}`" for name, *_ in (*declared(WtgObservation), ("mean_duty",)))
     return (
-        'With `observation_mode="privileged"` these follow, those of each machine together. In v1 they come after the '
-        f"exact values of each group, {exact}.\n\n{table}"
+        'With `observation_mode="privileged"` these follow, machine by machine, in v1 after the exact values of each '
+        f"group, {exact}.\n\n{table}"
     )
 
 
@@ -150,7 +150,11 @@ def class_list(title, fields, values):
 
 
 def parameters_page():
-    """Return a list for each class of parameters, one for the machines, and the sources."""
+    """Return a list for each class of parameters, one for the machines, and the sources.
+
+    Of the controls only the stabiliser of the grids that come with the package is listed; the API has the others, whose
+    numbers a grid's file gives.
+    """
     parts = []
     for module in (parameters, machine_parameters, control_parameters):
         for name, cls in vars(module).items():
@@ -159,8 +163,9 @@ def parameters_page():
             # What a class has from another one stands there.
             declared = [field for field in dataclasses.fields(cls) if field.name in cls.__annotations__]
             own = [field for field in declared if isinstance(field.default, float)]
-            # The environment's page has the groups; the machines have a table of their own.
-            if own and cls not in (WtgGroup, SynchronousMachineParameters):
+            elsewhere = cls in (WtgGroup, SynchronousMachineParameters)  # on the environment's page, or below
+            unused = module is control_parameters and cls is not control_parameters.SpeedStabiliserParameters
+            if own and not elsewhere and not unused:
                 parts.append(class_list(name, own, lambda field: [field.default]))
     kinds = {}
     for machine in get_grid("ieee14").case.machines:
@@ -169,8 +174,9 @@ def parameters_page():
     fields = [field for field in dataclasses.fields(SynchronousMachineParameters) if field.name in numbers]
     title = f"Synchronous machines at buses {' / '.join(', '.join(buses) for buses in kinds.values())}"
     parts.append(class_list(title, fields, lambda field: [dict(kind)[field.name] for kind in kinds]))
-    sources = "\n".join(f"- **{key}**: {text}" for key, text in SOURCES.items())
-    return "\n\n".join([*parts, f"## Sources\n\n{sources}"])
+    listed = "\n\n".join(parts)
+    sources = "\n".join(f"- **{key}**: {text}" for key, text in SOURCES.items() if f"({key})" in listed)
+    return f"{listed}\n\n## Sources\n\n{sources}"
 
 
 if __name__ == "__main__":

@@ -37,11 +37,11 @@ CAPTIONS = {
     "characteristic-mppt": "Power-frequency characteristic: maximum power point tracking.",
     "characteristic-deloaded-5": "Power-frequency characteristic: 5 % of deloading.",
     "characteristic-deloaded-10": "Power-frequency characteristic: 10 % of deloading.",
-    "characteristic-coordinated-piecewise": "Power-frequency characteristic: the coordinated strategy.",
-    "bode-comparison": "Open loops at 11.4 m/s, K_p = 1.45: an ideal DC source, the fixed strategies, and the linear "
+    "characteristic-coordinated-piecewise": "Power-frequency characteristic: the coordinated law.",
+    "bode-comparison": "Open loops at 11.4 m/s, K_p = 1.45: an ideal DC source, the fixed laws, and the linear "
     "law without transient damping.",
-    "bode-proposed": "Open loops of the coordinated strategy: the linear law with transient damping (τ = 0.8 s) and "
-    "without, and both slopes of the piecewise law with it.",
+    "bode-proposed": "Open loops of the coordinated law: linear with transient damping (τ = 0.8 s) and "
+    "without, and both slopes of the piecewise one with it.",
     "load-increase": "Load increase: +75 MW at bus 2 at 5 s and at bus 3 at 30 s; a cross marks a stall.",
     "load-decrease": "Load decrease: the loads of bus 4 (47.8 MW) at 5 s and bus 9 (29.5 MW) at 30 s are lost.",
 }
@@ -106,7 +106,7 @@ def samples(run, step_s):
     simulator.start(range(len(scenarios)), simulator.prepare(scenarios, laws))
     found = []
     rows = [simulator.layout.wtg(name) for name in ("k_offset", "inv_tau")]
-    authority = environment.task().k_authority * (tracking_point(0.0, plant.turbine).coefficient - laws[0].k_max)
+    authority = environment.task.k_authority * (tracking_point(0.0, plant.turbine).coefficient - laws[0].k_max)
     for _ in range(simulator.n_intervals):
         k, tau = RUNS[run] * rng.uniform(-1.0, 1.0, (2, *simulator.blocks[:, rows[0], :].shape))
         simulator.blocks[:, rows[0], :] = authority * k

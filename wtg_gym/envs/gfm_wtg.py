@@ -35,9 +35,9 @@ class GFMWTGEnv(OverLanes, gym.Env[Observation, Action]):
 
     ## Action Space
     `Box(-1, 1, (n_wtg · n_modes,), float32)`, per group: the offset on k (full action: half the regulation range
-    K_opt - K_pr, in v1 all of it, beyond K_opt too), then the scale of τ (full action: four times, or a quarter). Zero
-    action leaves the law `strategy` as it is, to the last bit; by default that is the reference controller. Actions
-    outside -1 … 1 are clipped; an action that is not finite raises a ValueError.
+    K_opt - K_pr, in v1 all of it, beyond K_opt too), then the scale of τ (full action: four times, or a quarter). An
+    action of zero leaves the control law `strategy` unchanged, to the last bit; its default is the published law.
+    Actions outside -1 … 1 are clipped; an action that is not finite raises a ValueError.
 
     ## Observation Space
     `Box(-5, 5, (n,), float32)`, per group what its own controller measures: frequency deviation and its rate of change
@@ -49,10 +49,9 @@ class GFMWTGEnv(OverLanes, gym.Env[Observation, Action]):
     noise and bias, 0.1 … 0.3 s late, and its last action. The privileged part begins with the exact values.
 
     ## Rewards
-    Minus the cost of the step: frequency deviation, in v1 of the worst unit, RoCoF, regulation duty, rotor range,
-    converter overload, actuator effort, and failure, in v1 with load that is not served; :class:`CostWeights` gives
-    v0's reasons. The terms are `info["cost_…"]`, whose sum is minus the reward. `info["cost"]` is not that sum, but 1
-    in a step that violates a constraint and else 0, for safe learning.
+    Minus the cost of the step, which is the sum of the terms `info["cost_…"]`: frequency deviation, RoCoF, power
+    tracking (`duty`), tip-speed ratio, converter overload, control effort, and failure, in v1 with load not served.
+    `info["cost"]` is not that sum: it is 1 in a step that violates a constraint, else 0, for safe learning.
 
     ## Starting State
     The exact equilibrium of the drawn scenario's wind, load and grid at nominal frequency.
@@ -60,9 +59,9 @@ class GFMWTGEnv(OverLanes, gym.Env[Observation, Action]):
     ## Episode End
     Terminated (`info["termination_reason"]`) at a "frequency limit" (outside 47.5 … 51.5 Hz), a "loss of synchronism"
     (two units more than 180° apart), a "voltage collapse" (a unit's terminal below 0.85 p.u. for more than 3 s), or a
-    "numerical failure"; with `on_failure="terminate"`, as in v0, at a "stall", an "over-speed" or, in extended physics,
-    an "under-speed" of a rotor too, which else disconnects its group. Protections sample the grid every 0.1 s, and at
-    the end of shorter control intervals. Truncated when the time is over.
+    "numerical failure". A "stall", an "over-speed" or, in extended physics, an "under-speed" of a rotor terminates too
+    with `on_failure="terminate"`, as in v0; otherwise it disconnects the rotor's group. Protections act every 0.1 s,
+    and at the end of shorter control intervals. Truncated when the time is over.
 
     ## Arguments
     `help(wtg_gym.envs.EnvSettings)` lists them; `render_mode` is one more. An unknown one raises a TypeError, a value
@@ -74,11 +73,11 @@ class GFMWTGEnv(OverLanes, gym.Env[Observation, Action]):
     Nothing of the simulation depends on it.
 
     ## Vectorized environment
-    `gym.make_vec("GFMWTG-14bus-v0", num_envs=…)` gives :class:`GFMWTGVectorEnv`; its lane i seeded with s equals this
-    environment seeded with s + i, bit for bit.
+    `gym.make_vec("GFMWTG-14bus-v0", num_envs=…)` gives :class:`GFMWTGVectorEnv`; its environment i seeded with s
+    equals this one seeded with s + i, bit for bit.
 
     ## Version History
-    * v1: a grid that needs the wind, extended physics, secondary control, sensors, outages, a score by strata.
+    * v1: a grid that needs the wind, extended physics, secondary control, sensors, a score by difficulty classes.
     * v0: first version, the paper's system.
     """
 

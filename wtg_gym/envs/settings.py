@@ -60,24 +60,24 @@ class EnvSettings:
         strategy: control law that the actions adjust: a name, a TOML file, a `TrackingLaw`, or one for each group.
         action_mode: what the actions adjust: `"k"`, `"tau"` or `"k+tau"`.
         observation_mode: `"local"`, what each group measures itself, or `"privileged"`, which adds the grid's state.
-        suite: name of the suite of scenarios, in v1 with or without `-v1`; None: the standard suite of the version.
+        suite: name of the suite of scenarios, in v1 with or without `-v1`. Default: the standard suite of the version.
         grid: name of a grid, path of its file, or a `Grid`: its suite, instead of one by name.
         groups: number of turbine groups at the bus of the first one, or a list of `{"bus": …, "n_turbines": …}`, with a
-            `"turbine"` (TurbineParameters) if it is not the suite's; None: the suite's own groups.
+            `"turbine"` (TurbineParameters) if it is not the suite's. Default: the suite's groups.
         plant: what else to replace in the suite's plant, such as `{"physics": "nrel-5mw", "simulation_dt": 0.02}`, see
-            :meth:`~wtg_gym.physics.plant.Plant.replaced`; or another plant for the suite's scenarios.
+            `Plant.replaced`; or another `Plant` for the suite's scenarios.
         split: `"train"`, `"validation"` or `"test"`.
         scenario: one scenario for every episode, a `Scenario` or its `to_dict()`.
-        duration_s: length of an episode [s]; None: the suite's own, 180 s in v1, 120 s in both `paper`, else 60 s.
+        duration_s: length of an episode [s]. Default: the suite's, 180 s in v1, 120 s in both `paper`, else 60 s.
         control_dt: control interval, one step [s].
         weights: replaces single weights of the cost, see :class:`CostWeights`.
-        on_failure: consequence of a rotor's failure (stall, over-speed, under-speed): `"terminate"` the episode, or
-            `"trip"` its group and go on; None: the version's own, in v0 the end.
-        sensors: of v1: `"exact"`, or values that replace those of the distribution of their errors
-            (:class:`~wtg_gym.scenarios.sensor_distribution.SensorDistribution`), such as
-            `{"delay_s": (0.2, 0.4), "wind_bias": 0.1}`. A delay is drawn between the two, in whole steps of 0.1 s up
-            to 1 s, and must be a whole number of `control_dt`. None: the suite's own; with a `scenario` its own.
-        version: of the benchmark, "v0" or "v1"; None: the suite's, without a suite v1. The environment's id sets it.
+        on_failure: consequence of a rotor's failure (stall, over-speed, under-speed): `"terminate"` the episode,
+            default of v0, or `"trip"` its group and go on, default of v1.
+        sensors: of v1: `"exact"`, or values of :class:`~wtg_gym.scenarios.sensor_distribution.SensorDistribution` to
+            replace, such as `{"delay_s": (0.2, 0.4), "wind_bias": 0.1}`. A delay is drawn between the two, in whole
+            steps of 0.1 s up to 1 s, and must be a whole number of `control_dt`. Default: those of the `scenario`, else
+            of the suite.
+        version: benchmark version, `"v0"` or `"v1"`. Default: that of `suite`, else v1. `gym.make` sets it from the id.
 
     Raises:
         ValueError: a value is unknown or out of range; the message lists what is allowed.

@@ -92,11 +92,10 @@ def _meant(leaf: Leaf) -> tuple[str, str, int | None]:
 class Tape:
     """Episodes side by side that can be differentiated, step by step in reverse.
 
-    :meth:`step` is that of the environment, to the last bit. :meth:`pull` goes back through one step: it needs the
-    derivatives of what is differentiated with respect to the step's outputs, and returns those with respect to its
-    inputs. Discrete times count as given: the end of an episode does not move, even where a protection brings it
-    forward. The gradient of an episode that ends early is that of its cost until then; the cost of its failure is
-    constant. At a corner of a law, a limit or a cost it is that of one of the branches that meet there.
+    :meth:`step` is that of the environment, to the last bit. :meth:`pull` is the vector–Jacobian product of one step.
+    Discrete times are constants: the end of an episode does not move, even where a protection brings it forward. The
+    gradient of an episode that ends early is that of its cost until then; the cost of its failure is constant. At a
+    corner of a law, a limit or a cost it is that of one of the branches that meet there.
 
     Args:
         settings: of the environment.

@@ -42,6 +42,6 @@ Machinery
     equilibrium, start_errors    the lists of the start around the power flow; why a run cannot start
     linearisation       the state matrix, and the step that its modes allow
 
-A run is *prepared*, its equilibrium found while no running lane is touched, and then *started* in a lane: every floor
-above, up to the environments, says it with these two words.
+A run is *prepared*, its equilibrium found while no running lane is touched, and then *started* in a lane. All higher
+layers use these two verbs.
 """

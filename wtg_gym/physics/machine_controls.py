@@ -1,9 +1,9 @@
 """Controls of machines as units of kinds of their own: what stabilisers, exciters and governors have in common.
 
-Only some machines have them, and a plant without them runs none of their systems. A control says what it does through
-rows that its machine has anyway, before the machine is moved: a stabiliser shifts the reference of its machine's
-exciter, an exciter sets the field voltage, a governor with its turbine the torque. The copies that the machine keeps of
-field voltage and torque follow from states of the control and are no states of the plant.
+Only some machines have them, and a plant without them runs none of their systems. Controls act by overwriting inputs of
+their machine before its integration step: a stabiliser shifts the reference of its machine's exciter, an exciter sets
+the field voltage, a governor with its turbine the torque. The copies that the machine keeps of field voltage and torque
+follow from states of the control and are no states of the plant.
 """
 
 from __future__ import annotations

@@ -311,7 +311,10 @@ def judge_rotor(
     active: float,
     trips_groups: bool,
 ) -> tuple[float, float, float, float]:
-    """Say whether a rotor has failed; its group trips, or the run has failed with it. A group falls with its island."""
+    """Detect stall, over- and under-speed. Depending on `trips_groups` the group is disconnected or the run ends.
+
+    A group is disconnected with its island too.
+    """
     limits = turbine.limits
     ratio = tip_speed_ratio(state.rotor_speed, output.wind, turbine.rotor)
     stalls = select(state.pitch.pitch < limits.stall_pitch, float(Status.STALL), 0.0)

@@ -17,7 +17,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from wtg_gym.files import LARGEST_BYTES, parse_toml, read_text, write_atomically
+from wtg_gym.files import LARGEST_BYTES, interpreting, parse_toml, read_text, write_atomically
 from wtg_gym.names import check_name, check_text, plain_name, short
 from wtg_gym.physics.tracking_law import STRATEGY_NAMES
 from wtg_gym.policies.entry import Entry

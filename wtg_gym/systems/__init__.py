@@ -5,7 +5,7 @@ In the order in which they are best read:
     records         named numbers that belong together
     elementary      functions without branches that equations use
     systems         kinds of unit, and systems: pure functions of one unit
-    programs        lists of systems and what is none, and the table that says where a plant has its rows
+    programs        ordered lists of equations and control blocks (if, loop, product, delay), and their memory map
     tracing, expressions    an equation becomes operations, and these pulled back
     vectors         operations become instructions on the lanes of a block
     writers         loops over units, the tape, the way back

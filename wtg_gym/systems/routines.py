@@ -80,7 +80,7 @@ class Routine:
     def address(self, program: Program, width: int) -> int:
         """Return where the machine code of a program for blocks of a width is in this process.
 
-        It is compiled at first. `program` is the routine's own, or that with systems of devices.
+        Compiles on first use. `program` may be extended by user-defined devices.
         """
         n_arrays, what = _OF_WRITER[self._writer]
         told = (program.digest(back=n_arrays > 2), what, width, sorted(self._known.items()), _writers_hash())

@@ -79,8 +79,8 @@ class CostWeights(NamedTuple):
     ] = 0.05
     cap: Annotated[
         float,
-        "largest cost rate while the episode goes on; a failure costs this for the rest of the episode and one "
-        "second more, so that going on is never dearer. In v1 it holds for all terms but frequency and load not served",
+        "upper limit of the cost rate. A failed episode pays it for the time that was left plus 1 s, so failing never "
+        "pays off. In v1 it limits all terms but frequency and load not served",
     ] = 50.0
     unserved: Annotated[
         float,
