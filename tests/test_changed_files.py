@@ -14,8 +14,8 @@ import yaml
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from agents.hyperparameters import CONFIG_FOLDER, read_config
-from agents.runs import RUN_FILE, Run, RunSettings
+from agents.learners import CONFIG_FOLDER, read_config
+from agents.run import RUN_FILE, Run, RunSettings
 from tests.changes import changed, read_or_refused, write
 from wtg_gym.cli import main
 from wtg_gym.cli.simulation import read_scenario
@@ -24,7 +24,7 @@ from wtg_gym.physics.grid import FOLDER, get_grid
 from wtg_gym.physics.parameters import ROTOR_TABLE
 from wtg_gym.physics.rotor_table import read_rotor_table
 from wtg_gym.physics.tracking_law import read_law
-from wtg_gym.policies.load import ENTRY_FILE, POLICY_FILE, load_entry_folder, policy_folders
+from wtg_gym.policies.entry_folder import ENTRY_FILE, POLICY_FILE, load_entry_folder, policy_folders
 from wtg_gym.scenarios import get_suite, read_wind_csv
 
 LAW = {"name": "mine", "k_min": 1.0, "k_nominal": 0.66, "deloading_max": 20.0, "tau_s": 0.2}
@@ -62,11 +62,12 @@ def entry_of_folder(path: Path) -> None:
 
 def a_run() -> dict[str, Any]:
     settings = RunSettings(algo="ppo", hyperparameters={"gamma": 0.99}, timesteps=100, n_envs=2)
-    run = Run.new(settings)
+    run = Run.new(Path(), settings)
     run.curve.append({"timesteps": 50, "wall_time_s": 1.0, "score": 3.0, "marked": 1.0})
     run.go_on()
-    data: dict[str, Any] = json.loads(to_json(dataclasses.asdict(run)))
-    return data
+    data = {name: value for name, value in dataclasses.asdict(run).items() if name not in ("folder", "_began")}
+    written: dict[str, Any] = json.loads(to_json(data))
+    return written
 
 
 @functools.cache

@@ -25,6 +25,7 @@ from typing import Any
 #: a grid of 500 buses has 0.2 MB, an hour of measured wind of eight groups 3 MB, the table of a hundred entries 10 MB.
 LARGEST_BYTES: Mapping[str, int] = MappingProxyType(
     {
+        "claims": 2**18,
         "description of the results": 2**24,
         "description of the run": 2**22,
         "entry file": 2**14,
@@ -35,9 +36,9 @@ LARGEST_BYTES: Mapping[str, int] = MappingProxyType(
         "law file": 2**14,
         "network of pandapower": 2**24,
         "policy": 2**26,
+        "records of the trainings": 2**20,
         "rotor table": 2**21,
         "scenario file": 2**24,
-        "secret": 2**12,
         "suite": 2**18,
         "table of claims": 2**14,
         "table of the results": 2**26,

@@ -37,8 +37,9 @@ def test_a_run_is_added_by_its_best_policy(tmp_path: Path, monkeypatch: pytest.M
     best.mkdir(parents=True)
     (best / "policy.onnx").write_bytes((folder / "policy.onnx").read_bytes())
     run = Run.new(tmp_path / "run", RunSettings(algo="ppo", hyperparameters={}, timesteps=2_250_000, n_envs=512))
-    rows = [{"timesteps": 2_150_400, "score": 102.46, "wall_time_s": 60.0}, {"timesteps": 2_304_000, "score": 1.0}]
-    run.curve = [*rows[:1], {**rows[1], "wall_time_s": 70.0}]
+    rows = ((2_150_400, 102.46, 60.0), (2_304_000, 1.0, 70.0))
+    names = ("timesteps", "score", "wall_time_s")
+    run.curve = [{**dict(zip(names, row, strict=True)), "marked": 1.0} for row in rows]
     run.write()
     for name in ("RECORDS", "PAGE"):
         copy = tmp_path / name

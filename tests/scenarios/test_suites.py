@@ -47,8 +47,8 @@ STANDARD, STANDARD_V1 = (
         (STANDARD_V1, {"plant": dataclasses.replace(STANDARD_V1.plant, secondary_time_s=31.0)}),
         (STANDARD_V1, {"sensors": SensorDistribution(delay_s=(0.1, 0.2))}),
         (STANDARD_V1, {"sensors": None}),
-        (STANDARD_V1, {"benchmark": dataclasses.replace(V1, weights=(("rotor", 21.0),))}),
-        (STANDARD_V1, {"benchmark": dataclasses.replace(V1, duty_time_s=20.0)}),
+        (STANDARD_V1, {"task": dataclasses.replace(V1, weights=V1.weights._replace(rotor=21.0))}),
+        (STANDARD_V1, {"task": dataclasses.replace(V1, duty_time_s=20.0)}),
     ],
     ids=str,
 )

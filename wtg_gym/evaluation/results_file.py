@@ -26,7 +26,7 @@ _DESCRIPTION = {
     **dict.fromkeys(TEXTS, str),
     **dict.fromkeys(("environment", "settings", "versions", "metrics", "summary"), dict),
     **dict.fromkeys(("seeds", "entries", "failed"), list),
-    **{"format": int, "draw": dict | None, "csv_sha256": str, "sha256": str},
+    **{"format": int, "csv_sha256": str, "sha256": str},
 }
 _ENTRY = {
     **dict.fromkeys(("name", "kind", "action_mode", "observation_mode", "description", "source"), str),
