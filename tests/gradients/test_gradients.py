@@ -36,9 +36,8 @@ V1 = {"version": "v1"}
 
 
 @functools.cache
-def tape_of(cap: float | None = None, **settings: Any) -> Tape:
-    weights = None if cap is None else {"cap": cap}
-    return Tape(EnvSettings(**{"version": "v0", "weights": weights, **settings}), N_LANES, 1)
+def tape_of(**settings: Any) -> Tape:
+    return Tape(EnvSettings(**{"version": "v0", **settings}), N_LANES, 1)
 
 
 def drawn(tape: Tape, first: int = 1_000_000) -> list[Scenario]:
@@ -265,15 +264,17 @@ def test_observations_have_gradients(settings: dict[str, Any]) -> None:
 
 def test_other_settings_have_gradients_of_their_own() -> None:
     """Ends within a control interval too: this one is longer than that of the protections."""
-    tape = tape_of(
-        machine_model="classical",
+    settings = EnvSettings(
+        version="v0",
+        plant={"machine_model": "classical"},
         action_mode="tau",
         observation_mode="privileged",
         strategy="coordinated-piecewise",
         control_dt=0.5,
-        # So high that the failing lanes' last costs are not cut.
-        cap=5000.0,
+        # So high that the last costs of those that fail are not cut.
+        weights={"cap": 5000.0},
     )
+    tape = Tape(settings, N_LANES, 1)
     scenarios = [given(2, LoadStep(time_s=1.0, bus=4, power_mw=power)) for power in (600.0, -300.0, 20.0)]
     actions = actions_of(tape, 40)
     found = tape.gradient(scenarios, actions)
@@ -340,7 +341,7 @@ ZEROS = np.zeros((5, N_LANES, 4))
         (lambda tape, scenarios: tape.gradient(scenarios, np.zeros((5, N_LANES, 9))), "shape"),
         (lambda tape, scenarios: tape.gradient(scenarios, ZEROS, {"duty": np.nan}), "finite"),
         # One would have been played in all lanes.
-        (lambda tape, scenarios: tape.start(scenarios[:1]), "3 scenarios, one per lane"),
+        (lambda tape, scenarios: tape.start(scenarios[:1]), "3 scenarios, one per environment"),
         *((lambda _, __, name=name: getattr(unused(), name)(), "start") for name in ("law", "outputs", "back")),
         (lambda tape, scenarios: unused().step(np.zeros((N_LANES, 4))), "start"),
         (lambda tape, scenarios: tape.set_law(tape.law()), "first step"),

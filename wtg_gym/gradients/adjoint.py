@@ -31,7 +31,7 @@ from wtg_gym.systems.writers import BackWithoutConstants, BackWriter, NotingWrit
 from wtg_gym.tasks import V1, Task
 
 #: The way back through the sweeps that hold currents ends where no cotangent changes by more than this share of the
-#: lane's largest. They come some thirty times at most; if ever this many were too few, not a number comes back.
+#: environment's largest. They come some thirty times at most; if ever this many were too few, not a number comes back.
 _SWEEPS = 1000
 _SETTLED = 1e-13
 
@@ -143,10 +143,10 @@ class Work(NamedTuple):
     scratch: Floats  # (n_scratch, width)
     bars: Floats  # cotangents of the scratch (n_scratch, width)
     before: Floats  # those before a sweep (n_scratch, width)
-    settled: npt.NDArray[np.bool_]  # lanes whose cotangents no sweep changes any more (width,)
+    settled: npt.NDArray[np.bool_]  # environments whose cotangents no sweep changes any more (width,)
     tape: Floats  # (any number, width)
     admittances: Floats  # of every simulation step (n_substeps, n_admittances, width)
-    limited: npt.NDArray[np.bool_]  # lanes with a limited current, at every evaluation (4 n_substeps + 1, width)
+    limited: npt.NDArray[np.bool_]  # environments with a limited current, at every evaluation (4 n_substeps + 1, width)
     lost: npt.NDArray[np.bool_]  # governors lost at the start of every simulation step (n_substeps, n_machines, width)
 
 
@@ -183,16 +183,10 @@ def _strike(
 ) -> None:
     """Let events strike; note the admittances that they leave, and which governors they take away."""
     rules, work = tape
-    for i in range(rules.droops.shape[0]):
-        for x in range(block.shape[1]):
-            work.lost[step, i, x] = block[rules.droops[i], x] > 0.0
+    governed = block[rules.droops] > 0.0
     strike(block, scratch, first, network, data, None, step)
-    for i in range(rules.droops.shape[0]):
-        for x in range(block.shape[1]):
-            work.lost[step, i, x] &= block[rules.droops[i], x] == 0.0
-    for i in range(rules.admittances.shape[0]):
-        for x in range(block.shape[1]):
-            work.admittances[step, i, x] = scratch[rules.admittances[i], x]
+    work.lost[step] = governed & (block[rules.droops] == 0.0)
+    work.admittances[step] = scratch[rules.admittances]
 
 
 @internal
@@ -202,10 +196,9 @@ def _find(block: Floats, scratch: Floats, network: Network, tape: tuple[Rules, W
     at, evaluation = _row(rules.noted, step, stage), N_STAGES * step + stage
     _flow((block, scratch, work.tape), network.tables, NONE, at)
     _hold((block, scratch), network.tables, NONE)
-    for x in range(scratch.shape[1]):
-        work.limited[evaluation, x] = False
-        for i in range(rules.reactances.shape[0]):
-            work.limited[evaluation, x] |= scratch[rules.reactances[i], x] > 0.0
+    work.limited[evaluation] = False
+    for i in range(rules.reactances.shape[0]):
+        work.limited[evaluation] |= scratch[rules.reactances[i]] > 0.0
     _sweep_once((block, scratch, work.tape), network.tables, NONE, at + rules.noted.flows)
 
 
@@ -246,7 +239,7 @@ def _pull_lost_governors(bars: Floats, rules: Rules, work: Work, step: int) -> N
 
 @internal
 def _settle(rules: Rules, work: Work) -> bool:
-    """Give lanes that had settled the cotangents from before a sweep; return whether all have settled now."""
+    """Give environments that had settled the cotangents from before a sweep; return whether all have settled now."""
     found, before, all_settled = work.bars, work.before, True
     for x in range(found.shape[1]):
         largest, change = 0.0, 0.0
@@ -264,28 +257,25 @@ def _settle(rules: Rules, work: Work) -> bool:
 def _pull_flows(bars: Floats, to: Floats, network: Network, rules: Rules, work: Work, step: int, stage: int) -> None:
     """Go back through the voltages and currents of a right-hand side.
 
-    First through the sweeps that held the currents of some lanes. As they end at a fixed point, each has the
-    derivatives of the last: this is the adjoint of that point, approached as the sweeps approached it. Lanes without a
-    limited current keep their bits.
+    First through the sweeps that held the currents of some. As they end at a fixed point, each has the
+    derivatives of the last: this is the adjoint of that point, approached as the sweeps approached it. Environments
+    without a limited current keep their bits.
     """
-    n_rows, width = work.bars.shape
+    width = work.bars.shape[1]
     at, evaluation, all_settled = _row(rules.noted, step, stage), N_STAGES * step + stage, True
     for x in range(width):
         work.settled[x] = not work.limited[evaluation, x]
         all_settled &= work.settled[x]
     sweeps = 0
     while not all_settled and sweeps < _SWEEPS:
-        for row in range(n_rows):
-            for x in range(width):
-                work.before[row, x] = work.bars[row, x]
+        work.before[:] = work.bars
         arrays = bars, work.bars, work.tape, work.scratch, to
         _sweep_back(arrays, network.tables, NONE, at + rules.noted.flows)
         all_settled = _settle(rules, work)
         sweeps += 1
     for x in range(width):
         if not work.settled[x]:
-            for row in range(n_rows):
-                work.bars[row, x] = math.nan
+            work.bars[:, x] = math.nan
     _flow_back((bars, work.bars, work.tape, work.scratch, to), network.tables, NONE, at)
 
 
@@ -298,8 +288,7 @@ def _pull_interval(bars: Floats, to: Floats, network: Network, rules: Rules, wor
     _pull_flows(bars, to, network, rules, work, n, 0)
     for step in range(n - 1, -1, -1):
         for i in range(rules.admittances.shape[0]):
-            for x in range(bars.shape[1]):
-                scratch[rules.admittances[i], x] = work.admittances[step, i, x]
+            scratch[rules.admittances[i]] = work.admittances[step, i]
         _moved_back(arrays, tables, NONE, _row(p, step, N_STAGES))
         for stage in range(N_STAGES - 1, -1, -1):
             _motion_back(arrays, tables, stage_scalars(facts, step, stage), _row(p, step, stage) + of_find)

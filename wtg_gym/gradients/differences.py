@@ -18,7 +18,7 @@ Floats = npt.NDArray[np.float64]
 
 
 class Difference(NamedTuple):
-    """Slopes of each lane's cost as something moves, by the gradient and by plays (n_lanes,).
+    """Slopes of each episode's cost as something moves, by the gradient and by plays (n_lanes,).
 
     Each is in the cost's unit per unit of what moves: of the direction through the actions, of a number of the law
     [p.u. or 1/s] in all groups alike, of a parameter of the plant in its own unit.
@@ -38,17 +38,17 @@ class Difference(NamedTuple):
 
 
 class Differences(tuple[Difference, ...]):
-    """One :class:`Difference` for each thing moved; printed, it is a table of the lane with the largest error."""
+    """One :class:`Difference` for each thing moved; printed, it is a table of the episode with the largest error."""
 
     __slots__ = ()
 
     def __str__(self) -> str:
         rows = []
         for own in self:
-            lane = int(np.argmax(own.error))
-            slopes = (own.gradient, own.central, own.below, own.above)
-            rows.append([own.name, str(lane), *(f"{each[lane]:.6g}" for each in slopes), f"{own.error[lane]:.1e}"])
-        header = ("moved", "lane", "gradient", "central difference", "slope below", "slope above", "error")
+            episode = int(np.argmax(own.error))
+            slopes = (f"{slope[episode]:.6g}" for slope in (own.gradient, own.central, own.below, own.above))
+            rows.append([own.name, str(episode), *slopes, f"{own.error[episode]:.1e}"])
+        header = ("moved", "episode", "gradient", "central difference", "slope below", "slope above", "error")
         return markdown_table(header, rows, right=range(1, len(header)))
 
 
@@ -126,4 +126,5 @@ class _Plays(NamedTuple):
             self.tape.set_parameters(parameters)
         self.tape.start(self.scenarios)
         self.tape.set_law(self.law)
-        return np.sum([self.tape.step(own)[1] @ self.weight for own in self.actions], axis=0)
+        costs: Floats = np.sum([self.tape.step(own)[1] @ self.weight for own in self.actions], axis=0)
+        return costs

@@ -134,7 +134,7 @@ class Tape:
 
     Args:
         settings: of the environment.
-        n_lanes: episodes side by side.
+        n_lanes: number of environments, side by side.
         n_threads: threads to step with; None for one per processor.
         parameters: of the plant that gradients are wanted for as well, by name; see :func:`known_parameters`.
 
@@ -166,7 +166,7 @@ class Tape:
         self._begin(started=False)
 
     def _open(self, lanes: TaskLanes) -> None:
-        """Take lanes whose steps are to be differentiated."""
+        """Take environments whose steps are to be differentiated."""
         self.lanes = lanes
         simulator, settings, layout = lanes.simulator, lanes.settings, lanes.simulator.layout
         task, built = settings.task, plant_tables(simulator.settings)
@@ -241,15 +241,15 @@ class Tape:
 
     @property
     def n_carried(self) -> int:
-        """How many numbers a lane carries from one step to the next, as far as cost and observations depend on them."""
+        """How many numbers each environment carries to the next step, of those that cost and observations depend on."""
         return self.lanes.simulator.layout.n_rows
 
     @undivided
     def start(self, scenarios: Sequence[Scenario]) -> npt.NDArray[np.float32]:
-        """Start an episode in every lane, of one scenario each, and return the first observations."""
+        """Start an episode in every environment, of one scenario each, and return the first observations."""
         n_lanes = self.lanes.n_lanes
         if len(scenarios) != n_lanes or not all(isinstance(scenario, Scenario) for scenario in scenarios):
-            raise ValueError(f"episodes need {n_lanes} scenarios, one per lane, got {scenarios!r:.60}")
+            raise ValueError(f"episodes need {n_lanes} scenarios, one per environment, got {scenarios!r:.60}")
         for event in (event for scenario in scenarios for event in scenario.events):
             if getattr(event, "returns_after_s", None) is not None:
                 raise ValueError(f"gradients do not go through the return of a unit: {event}")
@@ -286,14 +286,14 @@ class Tape:
 
     @undivided
     def step(self, actions: Floats) -> tuple[npt.NDArray[np.float32], Floats]:
-        """Step every running lane.
+        """Step every running environment.
 
         Args:
             actions: (n_lanes, n_action); clipped to [-1, 1].
 
         Returns:
             observations (n_lanes, n_observation) and the terms of the step's cost (n_lanes, n_terms), in the order of
-            `COST_TERMS`; zero for lanes that had ended.
+            `COST_TERMS`; zero for those that had ended.
         """
         self.require_started()
         simulator, actions = self.lanes.simulator, as_actions(actions, (self.lanes.n_lanes, self.lanes.n_action))
@@ -440,7 +440,7 @@ class Tape:
         """Play episodes with given actions and return their costs and the gradients of these.
 
         Args:
-            scenarios: one per lane.
+            scenarios: one per environment.
             actions: of as many steps as are to count (n_steps, n_lanes, n_action).
             weights: of the terms of the cost by name, those left out count nothing; None for the cost itself.
 

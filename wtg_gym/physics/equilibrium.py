@@ -8,17 +8,7 @@ import numba
 import numpy as np
 import numpy.typing as npt
 
-from wtg_gym.physics.integration import (
-    balance,
-    combine_load_noise,
-    find,
-    find_rates,
-    plan,
-    refresh,
-    release,
-    settle,
-    start,
-)
+from wtg_gym.physics import integration
 from wtg_gym.physics.layout import OF_LANE, OF_STARTING_BUS, OF_STARTING_LANE, Floats, Layout, units_of
 from wtg_gym.physics.network import POWER_FLOW_TOLERANCE, PowerFlow, solve_power_flow
 from wtg_gym.physics.network_data import LaneData, Network
@@ -61,7 +51,7 @@ def _plan_flow(arrays: tuple[Floats, Floats], buses: Floats, y: npt.NDArray[np.c
     """Solve the power flow of what all units plan; return what the slack bus lacks [p.u.], NaN where nothing starts."""
     facts, tables, scratch = network.facts, network.tables, arrays[1]
     lane = units_of(scratch, facts.starting)[0]
-    plan(arrays, tables, NONE)
+    integration.plan(arrays, tables, NONE)
     released = lane[OF_STARTING_LANE.start_failure, 0] == 0.0
     balances = facts.n_balances
     while released:
@@ -73,11 +63,11 @@ def _plan_flow(arrays: tuple[Floats, Floats], buses: Floats, y: npt.NDArray[np.c
             lane[OF_STARTING_LANE.start_failure, 0] = _DIVERGED
             break
         if balances:
-            balance(arrays, tables, NONE)
+            integration.balance(arrays, tables, NONE)
             balances -= 1
             continue
         # Each time at least one bus lets go, and no bus does twice.
-        release(arrays, tables, NONE)
+        integration.release(arrays, tables, NONE)
         released = lane[OF_STARTING_LANE.released, 0] > 0.0
     if lane[OF_STARTING_LANE.start_failure, 0] != 0.0:
         return math.nan
@@ -93,7 +83,7 @@ def _curtail(arrays: tuple[Floats, Floats], buses: Floats, y: npt.NDArray[np.com
     # Far from the balance there is no power flow: what all give without losses comes close.
     while high - low > _CLOSE and lane[failure, 0] == 0.0:
         lane[at, 0] = 0.5 * (low + high)
-        plan(arrays, network.tables, NONE)
+        integration.plan(arrays, network.tables, NONE)
         if lane[OF_STARTING_LANE.needed, 0] > 0.0:
             low = lane[at, 0]
         else:
@@ -152,7 +142,7 @@ def prepare_lanes(
         else:
             _plan_flow(arrays, buses, y, network)
         if starting[OF_STARTING_LANE.start_failure, 0] == 0.0:
-            settle(arrays, tables, NONE)
+            integration.settle(arrays, tables, NONE)
             run = units_of(block, facts.lane)[0]
             voltage = buses[int(run[OF_LANE.noise_bus, 0]), OF_STARTING_BUS.polar]
             run[OF_LANE.noise_per_mw, 0] = 1.0 / (facts.base_mva * voltage * voltage)
@@ -162,10 +152,10 @@ def prepare_lanes(
                     voltage = buses[events[e].bus, OF_STARTING_BUS.polar]
                     events[e].active /= voltage * voltage
                     events[e].reactive /= -(voltage * voltage)
-            refresh(tables, (block, 0, lane, network, data))
-            combine_load_noise(arrays, tables, NONE)
-            find(arrays, tables, NONE)
-            find_rates(arrays, tables, NONE)
-            start(arrays, tables, NONE)
+            integration.refresh(tables, (block, 0, lane, network, data))
+            integration.combine_load_noise(arrays, tables, NONE)
+            integration.find(arrays, tables, NONE)
+            integration.find_rates(arrays, tables, NONE)
+            integration.start(arrays, tables, NONE)
         failures[lane, 0] = int(starting[OF_STARTING_LANE.start_failure, 0])
         failures[lane, 1] = int(starting[OF_STARTING_LANE.failing_unit, 0])

@@ -74,12 +74,7 @@ COLUMNS = Kind(name="columns", sees={"entry": PAIRS, "unit": UNITS, "group": EXT
 
 
 def links_of_extensions(n_sync: int, n_wtg: int, unit_bus: Whole) -> dict[tuple[Kind, str], Whole]:
-    """Return which others each unit of these kinds sees, where all WTG groups are extended.
-
-    Args:
-        n_sync, n_wtg: numbers of machines and groups.
-        unit_bus: index of each unit's bus (n_unit,).
-    """
+    """Return which others each unit of these kinds sees, from the index of each unit's bus (n_unit,)."""
     n, groups = unit_bus.size, n_sync + np.arange(n_wtg)
     # One column after the other: its entries, the units of its rows, its group.
     group, unit = nested(n_wtg, n)

@@ -135,19 +135,16 @@ def interval_of(
 ) -> Callable[[Floats, Floats, int, Network, LaneData, Any], None]:
     """Return a function that advances every running environment of a block by one control interval.
 
-    This is the only place that knows the order within an interval; the parts say how each step of it is done: plainly,
-    or recorded on a tape.
-
-    The function's arguments are the rows of the block and of the thread's scratch (see :mod:`wtg_gym.physics.layout`),
-    the row of the block's first environment in `data`, constants, series and events, and what the parts take as `tape`.
-    Control inputs (k_offset, inv_tau) are rows of the block and hold over the interval. On return the rows hold powers
-    and coefficients at the interval's end, and the scratch the rates.
+    This alone knows the order within an interval; the parts do each thing plainly, or record it on a tape as well. The
+    function takes the rows of the block and of the thread's scratch (see :mod:`wtg_gym.physics.layout`), the row of the
+    block's first environment in `data`, and what its parts need of a tape. Control inputs (k_offset, inv_tau) are rows
+    of the block and hold over the interval. On return the rows hold powers and coefficients at the interval's end, and
+    the scratch the rates.
 
     Args:
-        strike: events of a step: (block, scratch, first_lane, network, data, tape, step).
-        find, move: a stage's evaluation, and its motion: (block, scratch, network, tape, step, stage).
-        finish: end of a step: (block, scratch, network, tape, step).
-        find_rates: rates and outputs at the interval's end, likewise.
+        strike: lets events strike: (block, scratch, first_lane, network, data, tape, step).
+        find, move: evaluation and motion of a stage: (block, scratch, network, tape, step, stage).
+        finish, find_rates: of a step, and at the interval's end: (block, scratch, network, tape, step).
     """
 
     @internal

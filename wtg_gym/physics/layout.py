@@ -1,6 +1,7 @@
 """Where every number of a simulation lies.
 
-A block holds what `width` lanes (runs side by side) keep, as rows (n_rows, width): each row has one number per lane.
+A block holds what `width` environments keep, as rows (n_rows, width): each row has one number per environment, in its
+"lane", a column of the block.
 The rows of a unit are neighbours, and so are the units of a kind, kind after kind. What lasts for a control step only
 has rows of the same form in a scratch that a thread shares between its blocks.
 """
@@ -163,8 +164,8 @@ class Layout:
         return _every(self.first[kind] + place_of(kind, name), n_rows_of(kind.rows), self.counts[kind])
 
     def lane(self, name: str) -> int:
-        """Return the row of the lane's number of this name."""
-        return int(self._named(name, "lane", (LANE,))[0])
+        """Return the row of an environment's number of this name."""
+        return int(self._named(name, "run", (LANE,))[0])
 
     def _named(self, name: str, what: str, kinds: Sequence[Kind]) -> Whole:
         if (name, what) not in self._found:

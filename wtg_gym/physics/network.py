@@ -344,13 +344,7 @@ def _write_jacobian(
     buses: npt.NDArray[np.float64],
     at: PowerFlow,
 ) -> float:
-    """Write sensitivities and mismatches of :func:`solve_power_flow`; return the largest mismatch [p.u.].
-
-    Args:
-        a: is written (n_unknown, n_unknown + 1).
-        turn: room for the rotations between buses (n_bus, n_bus).
-        y, slack, buses, at: as there.
-    """
+    """Write sensitivities and mismatches of :func:`solve_power_flow` to `a`; return the largest mismatch [p.u.]."""
     n, n_unknown = y.shape[0], a.shape[0]
     worst, q_row = 0.0, n - 1
     a[:] = 0.0

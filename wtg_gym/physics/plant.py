@@ -241,30 +241,6 @@ def _extended(case: NetworkCase, turbine: TurbineParameters) -> dict[str, Any]:
     }
 
 
-def short_circuit_ratios(settings: Plant, committed: float = 1.0) -> npt.NDArray[np.float64]:
-    """Return the short-circuit ratio at each group's bus (n_group,): what the machines feed a fault, over its rating.
-
-    Machines stand behind x''; loads and shunts do not count; groups at one bus share its short-circuit power.
-
-    Args:
-        settings: the plant; it needs a machine.
-        committed: share of the units that are on line of every machine with a governor.
-    """
-    case = settings.case
-    ends = np.array([[case.bus_index(b.from_bus), case.bus_index(b.to_bus)] for b in case.branches], dtype=np.int64)
-    machine_y = np.zeros(len(case.buses), dtype=np.complex128)
-    for machine in case.machines:
-        rating_mva = machine.rating_mva * (committed if machine.governor is not None else 1.0)
-        machine_y[case.bus_index(machine.bus)] += rating_mva / case.base_mva / (1j * machine.x_subtransient)
-    y: Any = assemble_admittance(ends, branch_admittances(case.branches), machine_y)
-    at = [case.bus_index(group.bus) for group in settings.groups]
-    sizes = zip(settings.groups, settings.turbines, strict=True)
-    rated_mw = np.bincount(at, [group.n_turbines * own.rated_power_mw for group, own in sizes])[at]
-    power_mva = case.base_mva / np.abs(np.linalg.inv(y)[at, at])
-    ratios: npt.NDArray[np.float64] = power_mva / rated_mw
-    return ratios
-
-
 class PlantTables(NamedTuple):
     """Constants of a plant."""
 
@@ -281,7 +257,7 @@ class PlantTables(NamedTuple):
     extension: npt.NDArray[np.void]  # likewise, of Extension; (0,) where the groups are not extended
     shedding: npt.NDArray[np.void]  # (n_stages,), of SheddingConstants
     buses: npt.NDArray[np.void]  # (n_bus,), of Bus
-    of_lane: Mapping[str, Any]  # constants of every lane
+    of_lane: Mapping[str, Any]  # constants of every environment
     devices: tuple[Devices, ...]
 
     @property
@@ -330,7 +306,7 @@ def plant_tables(settings: Plant) -> PlantTables:
     impedances += [impedance for device in settings.all_devices for impedance in device.impedances]
     stages = [SheddingConstants(stage.frequency_pu, stage.share, stage.delay_s) for stage in settings.shedding]
     participation = _participation(settings)
-    network = _network_of(settings, 1.0 / np.array(impedances, dtype=np.complex128), participation.any())
+    network = _network_of(settings, 1.0 / np.array(impedances, dtype=np.complex128), bool(participation.any()))
     return PlantTables(
         network=network,
         bus_y=assemble_admittance(network.branch_ends, network.branch_y, network.shunts),
@@ -426,7 +402,7 @@ class TaskUnits(NamedTuple):
     links: Mapping[tuple[Kind, str], npt.NDArray[np.int64]] = MappingProxyType({})
     programs: tuple[Program, ...] = ()
     stepping: tuple[Routine, ...] = ()  # that are called with blocks of the simulator's width
-    starting: tuple[Routine, ...] = ()  # and with blocks of one lane, to start runs
+    starting: tuple[Routine, ...] = ()  # and with blocks of one environment, to start runs
     constants: Mapping[tuple[Kind, str], Any] = MappingProxyType({})
     has: Collection[str] = ()  # conditions of its kinds that hold
 
@@ -560,7 +536,8 @@ def with_places(
     """Return a plant that knows where its rows lie, for programs that are to run; those `taped` have a way back."""
     kinds = dict(lane=LANE, machines=MACHINES, groups=GROUPS, units=UNITS, pairs=PAIRS, buses=BUSES)
     kinds |= dict(islands=ISLANDS, transfers=TRANSFERS, sources=SOURCES)
-    spans, n_islands = {name: layout.span(kind) for name, kind in kinds.items()}, layout.n_units(ISLANDS)
+    spans: dict[str, Any] = {name: layout.span(kind) for name, kind in kinds.items()}
+    n_islands = layout.n_units(ISLANDS)
     spans["stages"] = Span(layout.span(STAGES).first, n_islands, layout.n_units(STAGES) // n_islands)
     spans["starting"] = layout.span(LANE, scratch=True)
     connected = [layout.machine("connected"), layout.wtg("connected")]

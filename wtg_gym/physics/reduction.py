@@ -78,7 +78,7 @@ def refresh_network(block: Floats, x: int, lane: int, network: Network, data: La
     if facts.shares_frequency > 0.0:
         following = min(following, _next_interval(step, facts))
     rows.lane[OF_LANE.last_change], rows.lane[OF_LANE.next_change] = step, following
-    if facts.islands.n_units > 1 and _may_split(events):
+    if facts.islands.n_units > 1 and (events.branch >= 0).any():
         _find_islands(rows, network, events)
     if not again:
         _shed(rows, network, events)
@@ -173,15 +173,6 @@ def _ramped(event: Any, step: float, at: float) -> float:
 
 
 # --- islands --------------------------------------------------------------------------------------------------------
-
-
-@internal
-def _may_split(events: Any) -> bool:
-    """Return whether events open a line: else all is one island."""
-    found = False
-    for e in range(events.shape[0]):
-        found |= bool(events[e].branch >= 0)
-    return found
 
 
 @internal
@@ -345,7 +336,7 @@ def assemble(
         unit_y: is written (n_unit,).
         block: one block's rows (n_rows, width).
         x: the environment's column in the block.
-        lane: its row in `data`.
+        lane: the row of `data` with its series and events.
         network, data: constants, series and events.
     """
     rows, events, n = _rows_of(block, x, network.facts), data.events[lane], network.shunts.shape[0]

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import heapq
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -154,47 +154,30 @@ def solve_sparse_flow(
 
     The tolerance grows with the powers that meet at a bus, whose sum rounding limits.
     """
-    n, n_entries = y.shape[0], len(pattern.later)
-    room = _Room(
-        np.empty((n, 2, 2)),
-        np.empty((n_entries, 2, 2)),
-        np.empty((n_entries, 2, 2)),
-        np.empty((n, 2)),
-        np.empty(n, np.complex128),
-        np.empty(n),
-    )
+    n = y.shape[0]
+    own, x, flow, size = np.empty((n, 2, 2)), np.empty((n, 2)), np.empty(n, np.complex128), np.empty(n)
+    above, below = np.empty((len(pattern.later), 2, 2)), np.empty((len(pattern.later), 2, 2))
     for iteration in range(_STEPS):
-        _write_flows(room, y, buses, at, pattern)
-        worst = _write_rows(room, y, slack, buses, at, pattern)
+        _write_flows((above, below, flow, size), y, buses, at, pattern)
+        worst = _write_rows((own, above, below, x), (flow, size), y, slack, buses, at, pattern)
         if worst < _TOLERANCE:
             note_flow(y, buses, at)
             return iteration
-        if not math.isfinite(worst) or not solve_blocks(room.own, room.above, room.below, room.x, pattern):
+        if not math.isfinite(worst) or not solve_blocks(own, above, below, x, pattern):
             return -1
         for place in range(n):
             k = pattern.order[place]
-            buses[k, at.polar + 1] += room.x[place, 0]
-            buses[k, at.polar] *= 1.0 + room.x[place, 1]
+            buses[k, at.polar + 1] += x[place, 0]
+            buses[k, at.polar] *= 1.0 + x[place, 1]
     return -1
-
-
-class _Room(NamedTuple):
-    """What a Newton step works with; see :func:`solve_blocks`."""
-
-    own: npt.NDArray[np.float64]
-    above: npt.NDArray[np.float64]
-    below: npt.NDArray[np.float64]
-    x: npt.NDArray[np.float64]
-    flow: npt.NDArray[np.complex128]  # from each bus (n_bus,) [p.u.]
-    size: npt.NDArray[np.float64]  # sum of the powers that meet there (n_bus,) [p.u.]
 
 
 @internal
 def _write_flows(
-    room: _Room, y: npt.NDArray[np.complex128], buses: npt.NDArray[np.float64], at: PowerFlow, pattern: Pattern
+    arrays: Any, y: npt.NDArray[np.complex128], buses: npt.NDArray[np.float64], at: PowerFlow, pattern: Pattern
 ) -> None:
-    """Write the flows from all buses, and the blocks off the diagonal."""
-    above, below, flow, size = room.above, room.below, room.flow, room.size
+    """Write the blocks off the diagonal, the flow from each bus, and the sum of the powers that meet there."""
+    above, below, flow, size = arrays
     voltage = np.empty(y.shape[0], np.complex128)
     above[:], below[:] = 0.0, 0.0
     for k in range(y.shape[0]):
@@ -214,16 +197,9 @@ def _write_flows(
 
 
 @internal
-def _write_rows(
-    room: _Room,
-    y: npt.NDArray[np.complex128],
-    slack: int,
-    buses: npt.NDArray[np.float64],
-    at: PowerFlow,
-    pattern: Pattern,
-) -> float:
-    """Write mismatches and diagonal blocks, without what is held; return the largest mismatch, relative to `size`."""
-    own, above, below, x, flow, size = room
+def _write_rows(blocks: Any, flows: Any, y: Any, slack: int, buses: Any, at: PowerFlow, pattern: Pattern) -> float:
+    """Write mismatches and diagonal blocks, without what is held; return the largest mismatch, relative to the sum."""
+    (own, above, below, x), (flow, size) = blocks, flows
     worst = 0.0
     for place in range(y.shape[0]):
         k = pattern.order[place]

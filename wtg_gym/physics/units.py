@@ -1,4 +1,4 @@
-"""What all units share: the lane that they are in, and the network between them."""
+"""What all units share: the environment ("lane") that they are in, and the network between them."""
 
 from __future__ import annotations
 
@@ -96,7 +96,7 @@ class Back(NamedTuple):
 
 
 class StartFailure(IntEnum):
-    """Why a lane cannot start; 0 means it can."""
+    """Why a run cannot start; 0 means it can."""
 
     NONE = 0
     NO_TURBINE_EQUILIBRIUM = 1
@@ -132,7 +132,7 @@ class ControlJoining(StrEnum):
     START = "control start"
 
 
-#: A lane: a run. What is of one unit here is of the lane.
+#: The environment that a unit is in, a column of a block. What there is one of in a run is of the lane.
 LANE = Kind(
     name="lanes",
     rows={
@@ -303,10 +303,7 @@ def units_of_network(
 ) -> tuple[dict[Kind, int], dict[tuple[Kind, str], Whole]]:
     """Return how many units of each kind of this module there are, and which others each of them sees.
 
-    Args:
-        unit_bus: index of each unit's bus (n_unit,).
-        n_bus, n_islands: of the network; islands at most.
-        transfers: whether the plant has use for the voltages of buses.
+    `unit_bus` has the index of each unit's bus (n_unit,). Only a plant with `transfers` finds the voltages of buses.
     """
     n = unit_bus.size
     row, column = nested(n, n)
@@ -386,5 +383,5 @@ reference_stage = moving(reference_rate)
 
 @system(LANE, "step")
 def count_step(step: float, active: float) -> float:
-    """Count a simulation step of a running lane."""
+    """Count a simulation step of a running environment."""
     return step + select(active > 0.5, 1.0, 0.0)
