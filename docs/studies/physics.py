@@ -13,7 +13,6 @@ from small_signal import slope, synchronising_coefficients
 from wtg_gym.envs.lanes import TERMINATION_REASONS
 from wtg_gym.files import markdown_table, update_between_markers
 from wtg_gym.physics.grid import get_grid
-from wtg_gym.physics.kernel_data import EVENT
 from wtg_gym.physics.machine_parameters import HydroGovernorParameters
 from wtg_gym.physics.parameters import (
     ConverterLimitParameters,
@@ -422,8 +421,8 @@ def play_with_loads(exponent, strategy):
         for _ in range(20):
             before, factor = voltage, np.maximum(voltage / start, 0.7) ** -exponent
             rows[first], rows[first + 1] = loads * factor
-            powers = slice(EVENT.active, EVENT.reactive + 1)
-            data.events[0, :, powers] = events[:, powers] * factor[events[:, EVENT.bus].astype(int), np.newaxis]
+            for power in ("active", "reactive"):
+                data.events[power][0] = events[power] * factor[events["bus"]]
             voltage = np.abs(simulator.bus_voltages())
             if np.abs(voltage - before).max() < 1e-10:
                 break

@@ -116,7 +116,7 @@ def measured(case: Case, what: str, way: Floats, h: float) -> Floats:
         _, terms = tape.step(own + (h * way[step] if what == "actions" else 0.0))
         outputs, simulator = tape.outputs(), tape.lanes.simulator
         # As the simulator holds them, before they are rounded to 32 bits.
-        shown = weights @ simulator.scratches[0].reshape(-1, simulator.width)[tape.lanes.task.observed, :N_LANES]
+        shown = weights @ simulator.scratches[0].reshape(-1, simulator.width)[tape.lanes.task_data.observed, :N_LANES]
         values = [*(terms[:, COST_TERMS.index(term)] for term in TERMS)]
         values += [*(outputs[:, tape.output_names.index(name)] for name in OUTPUTS), shown]
         for lane in np.flatnonzero(np.array(case.at) == step):
@@ -184,7 +184,7 @@ def test_the_gradient_goes_through_shed_load_and_groups_that_their_rotor_trips()
     agrees(tape, scenarios, actions)
     played(tape, scenarios, actions)
     simulator = tape.lanes.simulator
-    shed = tape._take(tape.lanes.simulator.blocks, simulator.layout.first_rows(STAGES, "shed")) < 0.0
+    shed = tape._rows(simulator.layout.first_rows(STAGES, "shed")) < 0.0
     assert shed.any(axis=1)[[0, 2]].all() and (simulator.wtg_values("connected") == 0.0).any()
 
 

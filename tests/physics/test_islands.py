@@ -85,9 +85,10 @@ def test_an_island_runs_as_a_network_that_consists_of_it_alone(buses: tuple[int,
         into = rows_of(part, kind, list(range(len(own))))
         part.blocks[0, into, 0] = whole.blocks[0, rows_of(whole, kind, own), 0]
     if events:
-        part.data.events[0, 0] = whole.data.events[0, 0]
-        part.data.events[0, 0, :2] = 0.0
-        part.data.events[0, 0, 2] = buses.index(13)
+        event = part.data.events[0, :1]
+        event[:] = whole.data.events[0, 0]
+        event["start"] = event["end"] = 0.0
+        event["bus"] = buses.index(13)
     part.blocks[0, part.layout.first_rows(ISLANDS, "centre")] = whole.lane_values("coi")[0]
     part.blocks[0, part.layout.lane("next_change"), 0] = 0.0
     island = 0 if slack == 1 else 1
@@ -148,7 +149,7 @@ def test_parts_without_a_unit_are_dark_and_count_as_not_served() -> None:
     assert voltage[13] == 0.0 and island_of_buses(simulator)[13] == -1.0 and (voltage[:13] > 0.9).all()
     conductance = simulator.blocks[0, load, 0]
     unserved = simulator.lane_values("unserved")[0]
-    assert unserved == pytest.approx(conductance + simulator.data.events[0, 2, 3], abs=1e-15)
+    assert unserved == pytest.approx(conductance + simulator.data.events["active"][0, 2], abs=1e-15)
     assert simulator.lane_values("shed_energy")[0] == pytest.approx(0.5 * unserved, rel=1e-12)
     recorded(simulator, 1.0)
     assert abs(simulator.bus_voltages()[13]) > 0.9 and (island_of_buses(simulator) == 0.0).all()

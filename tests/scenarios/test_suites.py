@@ -4,12 +4,14 @@ import collections
 import dataclasses
 import pickle
 
+import numpy as np
 import pytest
 
 from wtg_gym.envs.lanes import TaskLanes
 from wtg_gym.envs.settings import EnvSettings
 from wtg_gym.physics.grid import DEFAULT_GRID
-from wtg_gym.physics.plant import short_circuit_ratios
+from wtg_gym.physics.network import assemble_admittance, branch_admittances
+from wtg_gym.physics.plant import Plant, plant_tables
 from wtg_gym.physics.scenario import Fault, GovernorLoss, GroupTrip, LineTrip, MachineOutage
 from wtg_gym.scenarios import FROZEN_HASHES, SUITES, Suite, get_suite
 from wtg_gym.scenarios.sensor_distribution import SensorDistribution
@@ -106,6 +108,21 @@ def test_suites_without_strata_say_so():
 def test_every_scenario_of_validation_and_test_starts(suite: Suite, law: str):
     lanes = TaskLanes(EnvSettings(suite=suite.name, strategy=law))
     lanes.prepare(lanes.scenarios([*suite.validation, *suite.test]))
+
+
+def short_circuit_ratios(plant: Plant, committed: float) -> np.ndarray:
+    """What the machines feed a fault at each group's bus, over the rating there (n_group,).
+
+    Machines stand behind x'', and a share of their units is committed; loads and shunts do not count.
+    """
+    case, tables = plant.case, plant_tables(plant)
+    shunts = np.zeros(len(case.buses), dtype=np.complex128)
+    for machine in case.machines:
+        rating_mva = machine.rating_mva * (committed if machine.governor is not None else 1.0)
+        shunts[case.bus_index(machine.bus)] += rating_mva / case.base_mva / (1j * machine.x_subtransient)
+    y = assemble_admittance(tables.network.branch_ends, branch_admittances(case.branches), shunts)
+    at = [case.bus_index(group.bus) for group in plant.groups]
+    return 1.0 / np.abs(np.linalg.inv(y)[at, at]) / np.bincount(at, tables.share)[at]
 
 
 def test_grid_of_the_weak_suite_is_weak_at_every_group_and_the_standard_one_is_not():

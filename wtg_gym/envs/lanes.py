@@ -12,8 +12,8 @@ import numpy.typing as npt
 
 from wtg_gym.envs.settings import EnvSettings
 from wtg_gym.envs.stepping import Outputs, bind, new_outputs, step_blocks, task_data
-from wtg_gym.physics.kernel_data import LaneData
 from wtg_gym.physics.linearisation import STEP_MARGIN, largest_stable_steps
+from wtg_gym.physics.network_data import LaneData
 from wtg_gym.physics.protection import Status
 from wtg_gym.physics.scenario import Event, GroupTrip, Scenario
 from wtg_gym.physics.sensors import SensorInput, delay_intervals, sensor_input

@@ -15,8 +15,8 @@ import numpy.typing as npt
 from numba.experimental import structref
 
 from wtg_gym.physics.integration import advance_interval
-from wtg_gym.physics.kernel_data import LaneData, Network
 from wtg_gym.physics.layout import Floats, Layout, Whole
+from wtg_gym.physics.network_data import LaneData, Network
 from wtg_gym.systems.compiled import compiled, internal
 from wtg_gym.systems.programs import NONE
 from wtg_gym.systems.routines import Routine
@@ -171,7 +171,7 @@ def step_blocks(bound: Any, actions: Floats, first: int, last: int, worker: int,
             if invalid >= 0:
                 return invalid
             _act(arrays, tables, NONE)
-            advance_interval(block, scratch, b * width, network, bound.data)
+            advance_interval(block, scratch, b * width, network, bound.data, None)
             _charge(arrays, tables, NONE)
         if starts:
             _start_sensors(arrays, tables, NONE)

@@ -19,17 +19,9 @@ from wtg_gym.envs.stepping import TaskData, read_actions
 from wtg_gym.physics import integration
 from wtg_gym.physics import step as of_step
 from wtg_gym.physics.extension_unit import EXTENSIONS
-from wtg_gym.physics.integration import (
-    AT_END,
-    apply_events,
-    combine_load_noise,
-    enter_interval,
-    protect,
-    stage_scalars,
-    steps_between_samples,
-)
-from wtg_gym.physics.kernel_data import LaneData, Network
+from wtg_gym.physics.integration import N_STAGES, interval_of, stage_scalars, strike
 from wtg_gym.physics.layout import Floats, Layout, Whole
+from wtg_gym.physics.network_data import LaneData, Network
 from wtg_gym.physics.units import PAIRS, UNITS
 from wtg_gym.systems.compiled import compiled, internal
 from wtg_gym.systems.programs import NONE, MemoryMap, Program, in_one_table, unconditional
@@ -39,7 +31,7 @@ from wtg_gym.systems.writers import BackWithoutConstants, BackWriter, NotingWrit
 from wtg_gym.tasks import V1, Task
 
 #: The way back through the sweeps that hold currents ends where no cotangent changes by more than this share of the
-#: lane's largest. They come some thirty times at most; if ever this many were too few, not a number comes back.
+#: environment's largest. They come some thirty times at most; if ever this many were too few, not a number comes back.
 _SWEEPS = 1000
 _SETTLED = 1e-13
 
@@ -75,16 +67,24 @@ _FORWARD = {
     for programs, writer in ((_TAPED, TapedWriter), ((_sweep,), NotingWriter), ((_limits, _rest), Writer))
     for program in programs
 }
-_act, _flow, _note_sweep, _move, _rate, _finish, _charge, _measure, _observe, _hold, _end_step = (
+_act, _flow, _sweep_once, _motion, _rates, _moved, _charge, _measure, _observe, _hold, _watch = (
     _FORWARD[program.name].call for program in _PROGRAMS
 )
 #: The ways back stand at one place, with cotangents of constants or without.
 _WITHOUT, _WITH = (
     tuple(Routine(program, writer, place=1) for program in _TAPED) for writer in (BackWithoutConstants, BackWriter)
 )
-_act_back, _flow_back, _sweep_back, _move_back, _rate_back, _finish_back, _charge_back, _measure_back, _observe_back = (
-    routine.call for routine in _WITH
-)
+(
+    _act_back,
+    _flow_back,
+    _sweep_back,
+    _motion_back,
+    _rates_back,
+    _moved_back,
+    _charge_back,
+    _measure_back,
+    _observe_back,
+) = (routine.call for routine in _WITH)
 
 
 def routines_of(*, constants: bool) -> tuple[Routine, ...]:
@@ -143,19 +143,17 @@ class Work(NamedTuple):
     scratch: Floats  # (n_scratch, width)
     bars: Floats  # cotangents of the scratch (n_scratch, width)
     before: Floats  # those before a sweep (n_scratch, width)
-    settled: npt.NDArray[np.bool_]  # lanes whose cotangents no sweep changes any more (width,)
+    settled: npt.NDArray[np.bool_]  # environments whose cotangents no sweep changes any more (width,)
     tape: Floats  # (any number, width)
     admittances: Floats  # of every simulation step (n_substeps, n_admittances, width)
-    limited: npt.NDArray[np.bool_]  # lanes with a limited current, at every evaluation (4 n_substeps + 1, width)
+    limited: npt.NDArray[np.bool_]  # environments with a limited current, at every evaluation (4 n_substeps + 1, width)
     lost: npt.NDArray[np.bool_]  # governors lost at the start of every simulation step (n_substeps, n_machines, width)
 
 
 def work_of(rules: Rules, layout: Layout, n_substeps: int, width: int) -> Work:
     """Return room for a thread."""
     p = rules.noted
-    rhs = p.flows + p.sweep
-    of_steps = n_substeps * (4 * (rhs + p.motion) + p.finished)
-    n_taped = p.acted + of_steps + rhs + p.rates + p.charged + p.measured + p.observed
+    n_taped = _row(p, n_substeps, 0) + p.flows + p.sweep + p.rates + p.charged + p.measured + p.observed
     scratch, bars, before = np.zeros((3, layout.n_scratch, width))
     return Work(
         scratch,
@@ -164,69 +162,68 @@ def work_of(rules: Rules, layout: Layout, n_substeps: int, width: int) -> Work:
         np.zeros(width, dtype=np.bool_),
         np.zeros((n_taped, width)),
         np.zeros((n_substeps, rules.admittances.size, width)),
-        np.zeros((4 * n_substeps + 1, width), dtype=np.bool_),
+        np.zeros((N_STAGES * n_substeps + 1, width), dtype=np.bool_),
         np.zeros((n_substeps, layout.n_sync, width), dtype=np.bool_),
     )
 
 
+@compiled
+def _row(noted: Noted, step: int, stage: int) -> int:
+    """Return the row of the tape where the notes of a stage begin; of stage `N_STAGES`, those of the step's end."""
+    of_stage = noted.flows + noted.sweep + noted.motion
+    return noted.acted + step * (N_STAGES * of_stage + noted.finished) + stage * of_stage
+
+
+# --- the parts of an interval, on tape ------------------------------------------------------------------------------
+
+
 @internal
-def _flow_and_hold(block: Floats, network: Network, rules: Rules, work: Work, at: int, evaluation: int) -> None:
+def _strike(
+    block: Floats, scratch: Floats, first: int, network: Network, data: LaneData, tape: tuple[Rules, Work], step: int
+) -> None:
+    """Let events strike; note the admittances that they leave, and which governors they take away."""
+    rules, work = tape
+    governed = block[rules.droops] > 0.0
+    strike(block, scratch, first, network, data, None, step)
+    work.lost[step] = governed & (block[rules.droops] == 0.0)
+    work.admittances[step] = scratch[rules.admittances]
+
+
+@internal
+def _find(block: Floats, scratch: Floats, network: Network, tape: tuple[Rules, Work], step: int, stage: int) -> None:
     """Find voltages and currents, hold these within their limits, and note the fixed point that the sweeps find."""
-    scratch, tables = work.scratch, network.tables
-    _flow((block, scratch, work.tape), tables, NONE, at)
-    _hold((block, scratch), tables, NONE)
-    for x in range(scratch.shape[1]):
-        work.limited[evaluation, x] = False
-        for i in range(rules.reactances.shape[0]):
-            work.limited[evaluation, x] |= scratch[rules.reactances[i], x] > 0.0
-    _note_sweep((block, scratch, work.tape), tables, NONE, at + rules.noted.flows)
+    rules, work = tape
+    at, evaluation = _row(rules.noted, step, stage), N_STAGES * step + stage
+    _flow((block, scratch, work.tape), network.tables, NONE, at)
+    _hold((block, scratch), network.tables, NONE)
+    work.limited[evaluation] = False
+    for i in range(rules.reactances.shape[0]):
+        work.limited[evaluation] |= scratch[rules.reactances[i]] > 0.0
+    _sweep_once((block, scratch, work.tape), network.tables, NONE, at + rules.noted.flows)
 
 
 @internal
-def _replay_events(
-    block: Floats, first: int, network: Network, data: LaneData, rules: Rules, work: Work, step: int
-) -> bool:
-    """Let events strike like :func:`~wtg_gym.physics.integration.apply_events`; note which governors they take away."""
-    for i in range(rules.droops.shape[0]):
-        for x in range(block.shape[1]):
-            work.lost[step, i, x] = block[rules.droops[i], x] > 0.0
-    changed = apply_events(block, first, network, data)
-    for i in range(rules.droops.shape[0]):
-        for x in range(block.shape[1]):
-            work.lost[step, i, x] &= block[rules.droops[i], x] == 0.0
-    return changed
+def _move(block: Floats, scratch: Floats, network: Network, tape: tuple[Rules, Work], step: int, stage: int) -> None:
+    rules, work = tape
+    at = _row(rules.noted, step, stage) + rules.noted.flows + rules.noted.sweep
+    _motion((block, scratch, work.tape), network.tables, stage_scalars(network.facts, step, stage), at)
 
 
 @internal
-def _replay(block: Floats, first: int, network: Network, data: LaneData, rules: Rules, work: Work, at: int) -> int:
-    """Advance a block by a control interval like :func:`~wtg_gym.physics.integration.advance_interval`, on tape.
+def _finish(block: Floats, scratch: Floats, network: Network, tape: tuple[Rules, Work], step: int) -> None:
+    rules, work = tape
+    _moved((block, scratch, work.tape), network.tables, NONE, _row(rules.noted, step, N_STAGES))
+    _watch((block, scratch), network.tables, NONE)
 
-    `at` is the row of the tape where its notes begin; returned is the row where they end.
-    """
-    tables, scratch, p, facts = network.tables, work.scratch, rules.noted, network.facts
-    n_substeps, h = facts.n_substeps, facts.simulation_dt
-    enter_interval(block, first, network, data)
-    combine_load_noise((block, scratch), tables, NONE)
-    for step in range(n_substeps):
-        if _replay_events(block, first, network, data, rules, work, step):
-            combine_load_noise((block, scratch), tables, NONE)
-        for i in range(rules.admittances.shape[0]):
-            for x in range(block.shape[1]):
-                work.admittances[step, i, x] = scratch[rules.admittances[i], x]
-        for stage in range(4):
-            _flow_and_hold(block, network, rules, work, at, 4 * step + stage)
-            at += p.flows + p.sweep
-            _move((block, scratch, work.tape), tables, stage_scalars(h, 1.0 / n_substeps, step, stage), at)
-            at += p.motion
-        _finish((block, scratch, work.tape), tables, NONE, at)
-        at += p.finished
-        _end_step((block, scratch), tables, NONE)
-        if (step + 1) % steps_between_samples(h) == 0 or step + 1 == n_substeps:
-            protect((block, scratch), tables, NONE)
-    _flow_and_hold(block, network, rules, work, at, 4 * n_substeps)
-    at += p.flows + p.sweep
-    _rate((block, scratch, work.tape), tables, AT_END, at)
-    return at + p.rates
+
+@internal
+def _find_rates(block: Floats, scratch: Floats, network: Network, tape: tuple[Rules, Work], step: int) -> None:
+    rules, work = tape
+    at = _row(rules.noted, step, 0) + rules.noted.flows + rules.noted.sweep
+    _rates((block, scratch, work.tape), network.tables, stage_scalars(network.facts, step, 0), at)
+
+
+_replay = interval_of(_strike, _find, _move, _finish, _find_rates)
 
 
 @internal
@@ -242,7 +239,7 @@ def _pull_lost_governors(bars: Floats, rules: Rules, work: Work, step: int) -> N
 
 @internal
 def _settle(rules: Rules, work: Work) -> bool:
-    """Give lanes that had settled the cotangents from before a sweep; return whether all have settled now."""
+    """Give environments that had settled the cotangents from before a sweep; return whether all have settled now."""
     found, before, all_settled = work.bars, work.before, True
     for x in range(found.shape[1]):
         largest, change = 0.0, 0.0
@@ -257,55 +254,45 @@ def _settle(rules: Rules, work: Work) -> bool:
 
 
 @internal
-def _pull_flows(bars: Floats, to: Floats, network: Network, rules: Rules, work: Work, at: int, evaluation: int) -> None:
-    """Go back through the voltages and currents of a right-hand side; `at` is their row on the tape.
+def _pull_flows(bars: Floats, to: Floats, network: Network, rules: Rules, work: Work, step: int, stage: int) -> None:
+    """Go back through the voltages and currents of a right-hand side.
 
-    First through the sweeps that held the currents of some lanes. As they end at a fixed point, each has the
-    derivatives of the last: this is the adjoint of that point, approached as the sweeps approached it. Lanes without a
-    limited current keep their bits.
+    First through the sweeps that held the currents of some. As they end at a fixed point, each has the
+    derivatives of the last: this is the adjoint of that point, approached as the sweeps approached it. Environments
+    without a limited current keep their bits.
     """
-    n_rows, width = work.bars.shape
-    all_settled = True
+    width = work.bars.shape[1]
+    at, evaluation, all_settled = _row(rules.noted, step, stage), N_STAGES * step + stage, True
     for x in range(width):
         work.settled[x] = not work.limited[evaluation, x]
         all_settled &= work.settled[x]
     sweeps = 0
     while not all_settled and sweeps < _SWEEPS:
-        for row in range(n_rows):
-            for x in range(width):
-                work.before[row, x] = work.bars[row, x]
+        work.before[:] = work.bars
         arrays = bars, work.bars, work.tape, work.scratch, to
         _sweep_back(arrays, network.tables, NONE, at + rules.noted.flows)
         all_settled = _settle(rules, work)
         sweeps += 1
     for x in range(width):
         if not work.settled[x]:
-            for row in range(n_rows):
-                work.bars[row, x] = math.nan
+            work.bars[:, x] = math.nan
     _flow_back((bars, work.bars, work.tape, work.scratch, to), network.tables, NONE, at)
 
 
 @internal
-def _pull_interval(bars: Floats, to: Floats, network: Network, rules: Rules, work: Work, at: int) -> None:
-    """Go back through a control interval; `at` is the row where its notes end on the tape."""
-    tables, scratch, given, p, facts = network.tables, work.scratch, work.bars, rules.noted, network.facts
-    n_substeps, h = facts.n_substeps, facts.simulation_dt
-    at -= p.rates
-    _rate_back((bars, given, work.tape, scratch, to), tables, AT_END, at)
-    at -= p.flows + p.sweep
-    _pull_flows(bars, to, network, rules, work, at, 4 * n_substeps)
-    for step in range(n_substeps - 1, -1, -1):
+def _pull_interval(bars: Floats, to: Floats, network: Network, rules: Rules, work: Work) -> None:
+    """Go back through a control interval, against the order of :func:`~wtg_gym.physics.integration.interval_of`."""
+    tables, scratch, facts, p = network.tables, work.scratch, network.facts, rules.noted
+    arrays, n, of_find = (bars, work.bars, work.tape, scratch, to), facts.n_substeps, p.flows + p.sweep
+    _rates_back(arrays, tables, stage_scalars(facts, n, 0), _row(p, n, 0) + of_find)
+    _pull_flows(bars, to, network, rules, work, n, 0)
+    for step in range(n - 1, -1, -1):
         for i in range(rules.admittances.shape[0]):
-            for x in range(bars.shape[1]):
-                scratch[rules.admittances[i], x] = work.admittances[step, i, x]
-        at -= p.finished
-        _finish_back((bars, given, work.tape, scratch, to), tables, NONE, at)
-        for stage in range(3, -1, -1):
-            at -= p.motion
-            scalars = stage_scalars(h, 1.0 / n_substeps, step, stage)
-            _move_back((bars, given, work.tape, scratch, to), tables, scalars, at)
-            at -= p.flows + p.sweep
-            _pull_flows(bars, to, network, rules, work, at, 4 * step + stage)
+            scratch[rules.admittances[i]] = work.admittances[step, i]
+        _moved_back(arrays, tables, NONE, _row(p, step, N_STAGES))
+        for stage in range(N_STAGES - 1, -1, -1):
+            _motion_back(arrays, tables, stage_scalars(facts, step, stage), _row(p, step, stage) + of_find)
+            _pull_flows(bars, to, network, rules, work, step, stage)
         _pull_lost_governors(bars, rules, work, step)
 
 
@@ -339,28 +326,28 @@ def pull(
     """
     tables, scratch, given, p = network.tables, work.scratch, work.bars, rules.noted
     width = blocks.shape[2]
+    of_charging = _row(p, network.facts.n_substeps, 0) + p.flows + p.sweep + p.rates
+    of_measuring, of_observing = of_charging + p.charged, of_charging + p.charged + p.measured
     for b in range(first, last):
         block, own, to, lane = blocks[b], bars[b], constant_bars[b], b * width
         read_actions(scratch, actions, lane, task)
-        _act((block, scratch, work.tape), tables, NONE, 0)
-        at = _replay(block, lane, network, data, rules, work, p.acted)
-        of_measuring, of_observing = at + p.charged, at + p.charged + p.measured
-        _charge((block, scratch, work.tape), tables, NONE, at)
-        _measure((block, scratch, work.tape), tables, NONE, of_measuring)
-        _observe((block, scratch, work.tape), tables, NONE, of_observing)
+        taped, back = (block, scratch, work.tape), (own, given, work.tape, scratch, to)
+        _act(taped, tables, NONE, 0)
+        _replay(block, scratch, lane, network, data, (rules, work))
+        _charge(taped, tables, NONE, of_charging)
+        _measure(taped, tables, NONE, of_measuring)
+        _observe(taped, tables, NONE, of_observing)
 
-        for row in range(given.shape[0]):
-            for x in range(width):
-                given[row, x] = 0.0
+        given[:] = 0.0
         n_own = min(width, actions.shape[0] - lane)
         for k in range(task.observed.shape[0]):
             for x in range(n_own):
                 given[task.observed[k], x] += observation_bars[lane + x, k]
-        _observe_back((own, given, work.tape, scratch, to), tables, NONE, of_observing)
-        _measure_back((own, given, work.tape, scratch, to), tables, NONE, of_measuring)
-        _charge_back((own, given, work.tape, scratch, to), tables, NONE, at)
-        _pull_interval(own, to, network, rules, work, at)
-        _act_back((own, given, work.tape, scratch, to), tables, NONE, 0)
+        _observe_back(back, tables, NONE, of_observing)
+        _measure_back(back, tables, NONE, of_measuring)
+        _charge_back(back, tables, NONE, of_charging)
+        _pull_interval(own, to, network, rules, work)
+        _act_back(back, tables, NONE, 0)
         for a in range(task.wanted.shape[0]):
             for x in range(n_own):
                 action_bars[lane + x, a] = given[task.wanted[a], x]

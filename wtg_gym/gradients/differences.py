@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
@@ -17,7 +18,7 @@ Floats = npt.NDArray[np.float64]
 
 
 class Difference(NamedTuple):
-    """Slopes of each lane's cost as something moves, by the gradient and by plays (n_lanes,).
+    """Slopes of each episode's cost as something moves, by the gradient and by plays (n_lanes,).
 
     Each is in the cost's unit per unit of what moves: of the direction through the actions, of a number of the law
     [p.u. or 1/s] in all groups alike, of a parameter of the plant in its own unit.
@@ -37,17 +38,17 @@ class Difference(NamedTuple):
 
 
 class Differences(tuple[Difference, ...]):
-    """One :class:`Difference` for each thing moved; printed, it is a table of the lane with the largest error."""
+    """One :class:`Difference` for each thing moved; printed, it is a table of the episode with the largest error."""
 
     __slots__ = ()
 
     def __str__(self) -> str:
         rows = []
         for own in self:
-            lane = int(np.argmax(own.error))
-            slopes = (own.gradient, own.central, own.below, own.above)
-            rows.append([own.name, str(lane), *(f"{each[lane]:.6g}" for each in slopes), f"{own.error[lane]:.1e}"])
-        header = ("moved", "lane", "gradient", "central difference", "slope below", "slope above", "error")
+            episode = int(np.argmax(own.error))
+            slopes = (f"{slope[episode]:.6g}" for slope in (own.gradient, own.central, own.below, own.above))
+            rows.append([own.name, str(episode), *slopes, f"{own.error[episode]:.1e}"])
+        header = ("moved", "episode", "gradient", "central difference", "slope below", "slope above", "error")
         return markdown_table(header, rows, right=range(1, len(header)))
 
 
@@ -83,37 +84,47 @@ def check_by_differences(
     way = np.random.default_rng(0).normal(size=actions.shape) if direction is None else np.asarray(direction, float)
     if way.shape != actions.shape or not np.isfinite(way).all():
         raise ValueError(f"direction must be finite numbers of the actions' shape {actions.shape}, got {way.shape}")
-    found = tape.gradient(scenarios, actions, weights)
+    gradient = tape.gradient(scenarios, actions, weights)
     tape.start(scenarios)
     law, values = tape.law(), tape.parameter_values()
+    plays = _Plays(tape, scenarios, actions, law, weight)
+    base = plays.cost()
 
-    def cost(moved_actions: Floats = actions, moved_law: Floats = law) -> Floats:
-        tape.start(scenarios)
-        tape.set_law(moved_law)
-        total: Floats = sum((tape.step(own)[1] @ weight for own in moved_actions), np.zeros(len(law)))
-        return total
-
-    def cost_of_parameter(name: str, value: float) -> Floats:
-        tape.set_parameters({name: value})
-        return cost()
-
-    base = cost()
-
-    def compared(name: str, gradient: Floats, up: Floats, down: Floats, h: float, h_below: float) -> Difference:
+    def compared(name: str, slope: Floats, up: Floats, down: Floats, h: float, h_below: float) -> Difference:
         below = (base - down) / h_below if h_below > 0.0 else np.full_like(base, math.nan)
-        return Difference(name, gradient, (up - down) / (h + h_below), below, (up - base) / h)
+        return Difference(name, slope, (up - down) / (h + h_below), below, (up - base) / h)
 
-    slope = np.einsum("kla,kla->l", found.actions, way)
-    rows = [compared("actions", slope, cost(actions + step * way), cost(actions - step * way), step, step)]
+    along = np.einsum("kla,kla->l", gradient.actions, way)
+    up, down = (plays._replace(actions=actions + h * way).cost() for h in (step, -step))
+    rows = [compared("actions", along, up, down, step, step)]
     for i, name in enumerate(LAW_PARAMETERS):
         one = step * (np.arange(len(LAW_PARAMETERS)) == i)
-        up, down = cost(moved_law=law + one), cost(moved_law=law - one)
-        rows.append(compared(name, found.law[:, :, i].sum(axis=1), up, down, step, step))
+        up, down = (plays._replace(law=moved).cost() for moved in (law + one, law - one))
+        rows.append(compared(name, gradient.law[:, :, i].sum(axis=1), up, down, step, step))
     for i, (name, value) in enumerate(values.items()):
         h = step * (abs(value) or 1.0)
         # Nothing lies below 0.
         h_below = h if value else 0.0
-        up, down = cost_of_parameter(name, value + h), cost_of_parameter(name, value - h_below)
-        rows.append(compared(name, found.parameters[:, i], up, down, h, h_below))
+        up, down = (plays.cost({name: moved}) for moved in (value + h, value - h_below))
+        rows.append(compared(name, gradient.parameters[:, i], up, down, h, h_below))
         tape.set_parameters({name: value})
     return Differences(rows)
+
+
+class _Plays(NamedTuple):
+    """What is played to find differences."""
+
+    tape: Tape
+    scenarios: Sequence[Scenario]
+    actions: Floats
+    law: Floats
+    weight: Floats
+
+    def cost(self, parameters: Mapping[str, float] = MappingProxyType({})) -> Floats:
+        """Return each episode's cost (n_lanes,), with other values of some parameters."""
+        if parameters:
+            self.tape.set_parameters(parameters)
+        self.tape.start(self.scenarios)
+        self.tape.set_law(self.law)
+        costs: Floats = np.sum([self.tape.step(own)[1] @ self.weight for own in self.actions], axis=0)
+        return costs

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from wtg_gym.physics.layout import Floats
+from wtg_gym.physics.layout import Floats, Layout, Whole, rows_of_lanes
 from wtg_gym.physics.machine_parameters import ExciterParameters, GovernorParameters
 from wtg_gym.physics.plant import Plant, plant_tables
 
@@ -37,6 +37,9 @@ _OF_GROUPS = {
     ),
     "control": ("inertia_constant_s", "droop_gain_pu"),
 }
+_DROOP = "governor.inv_droop"
+#: Constants of a machine that every environment has in a row of its own, since a scenario may replace them.
+_ROW_OF_LEAF = {"two_h": "inv_two_h", _DROOP: "inv_droop"}
 #: Share of its value by which a parameter is moved to see what it does to constants, which are its simple functions.
 _STEP = 1e-5
 
@@ -115,20 +118,64 @@ def require_known_parameters(plant: Plant, names: Iterable[str]) -> None:
         )
 
 
-class Moved(NamedTuple):
-    """The constants of a plant that some of its parameters move."""
+class Moved:
+    """The constants of a plant that some of its parameters move.
 
-    leaves: tuple[Leaf, ...]
-    values: Floats  # of them (n_leaves,)
-    slopes: Floats  # derivatives with respect to the parameters (n_leaves, n_parameters)
+    Args:
+        plant: the plant; which constants they are does not depend on its values.
+        names: of the parameters.
+        places_of: returns where among the numbers of a table a leaf is (see
+            :func:`~wtg_gym.systems.programs.constant_places`), from what systems call it: an argument and its number
+            there, and the unit whose it is.
+    """
 
+    def __init__(
+        self, plant: Plant, names: Sequence[str], layout: Layout, places_of: Callable[[str, str, int | None], list[int]]
+    ) -> None:
+        values, slopes = _leaves_of(plant), [_slopes_of(plant, name) for name in names]
+        leaves = sorted({leaf for slope in slopes for leaf in slope})
+        #: Derivatives of the constants with respect to the parameters (n_leaves, n_parameters).
+        self._slopes = np.array([[slope.get(leaf, 0.0) for slope in slopes] for leaf in leaves])
+        self._slopes = self._slopes.reshape(len(leaves), len(names))
+        #: The row in which every environment has a constant of its own (1,), with its value and name; or its places.
+        self._rows: dict[int, tuple[Whole, float, str]] = {}
+        self._places: dict[int, Whole] = {}
+        for i, leaf in enumerate(leaves):
+            if leaf.name in _ROW_OF_LEAF:
+                row = layout.machine(_ROW_OF_LEAF[leaf.name])[leaf.place : leaf.place + 1]
+                self._rows[i] = row, values[leaf], leaf.name
+            else:
+                meant = ("machine", leaf.name, leaf.place) if leaf.part == "machines" else ("turbine", leaf.name, None)
+                self._places[i] = np.array(places_of(*meant), dtype=np.int64)
 
-def moved_by(plant: Plant, names: Sequence[str]) -> Moved:
-    """Return the constants that parameters move; which these are does not depend on the parameters' values."""
-    values, slopes = _leaves_of(plant), [_slopes_of(plant, name) for name in names]
-    leaves = tuple(sorted({leaf for each in slopes for leaf in each}))
-    by_leaf = np.array([[each.get(leaf, 0.0) for each in slopes] for leaf in leaves])
-    return Moved(leaves, np.array([values[leaf] for leaf in leaves]), by_leaf.reshape(len(leaves), len(slopes)))
+    def in_force(self, blocks: Floats, n_lanes: int) -> Floats:
+        """Return how far an environment's own row follows each constant of the plant (n_lanes, n_leaves); else 1.
+
+        A scenario scales inertias, 1/2H = 1/(scale · 2H). Its droop takes the place of the plant's, which then means
+        the droop in force; a lost governor has none.
+        """
+        factors = np.ones((n_lanes, len(self._slopes)))
+        for i, (row, value, name) in self._rows.items():
+            ratio = rows_of_lanes(blocks, row, n_lanes)[:, 0] / value
+            factors[:, i] = ratio**2 if name == _DROOP else -ratio
+        return factors
+
+    def pull(self, bars: Floats, constants: Floats, in_force: Floats) -> Floats:
+        """Return cotangents of the parameters (n_lanes, n_parameters).
+
+        Args:
+            bars: of the blocks before a step; those of the constants that have rows there are taken out.
+            constants: of the table's numbers (n_blocks, n_numbers, width).
+            in_force: of :meth:`in_force` before the step.
+        """
+        n_lanes = len(in_force)
+        leaves = np.zeros_like(in_force)
+        for i, (row, *_) in self._rows.items():
+            leaves[:, i] = rows_of_lanes(bars, row, n_lanes)[:, 0]
+            bars[:, row] = 0.0
+        for i, places in self._places.items():
+            leaves[:, i] = rows_of_lanes(constants, places, n_lanes).sum(axis=1)
+        return np.asarray(leaves * in_force @ self._slopes)
 
 
 def _leaves_of(plant: Plant) -> dict[Leaf, float]:

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping, Sequence
+import functools
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -16,15 +17,13 @@ from wtg_gym.envs.stepping import Outputs, bind, step_blocks
 from wtg_gym.gradients.adjoint import N_TAPED, Work, pull, routines_of, rules_of, work_of
 from wtg_gym.gradients.adjoint import programs_of as taped_programs
 from wtg_gym.gradients.plant_parameters import (
-    Leaf,
     Moved,
     known_parameters,
-    moved_by,
     require_known_parameters,
     with_parameters,
 )
 from wtg_gym.physics import integration
-from wtg_gym.physics.layout import Whole
+from wtg_gym.physics.layout import Floats, Whole, put_rows, rows_of_lanes
 from wtg_gym.physics.plant import PlantMap, PlantTables, plant_tables, programs_of, with_places
 from wtg_gym.physics.scenario import Scenario
 from wtg_gym.signals import undivided
@@ -33,12 +32,9 @@ from wtg_gym.systems.routines import code_of
 from wtg_gym.tasks.cost import COST, COST_TERMS
 from wtg_gym.tasks.episode import ACTING, ACTION_MODES, TASK
 
-Floats = npt.NDArray[np.float64]
 #: Parameters of a tracking law that gradients are taken with respect to.
 LAW_PARAMETERS = ("k_min", "k_nominal", "k_max", "inverse_time_constant")
-#: Constants of a machine that every lane has in a row of its own, since a scenario may replace them.
-_ROW_OF_LEAF = {"two_h": "inv_two_h", "governor.inv_droop": "inv_droop"}
-#: A copy of all blocks takes 3 kB a lane, 5 in v1: kept at every step of a long run it would fill the memory.
+#: A copy of all blocks takes 3 kB an environment, 5 in v1: kept at every step of a long run it would fill the memory.
 _STEPS_PER_CHECKPOINT = 25
 
 
@@ -84,9 +80,47 @@ def term_weights(weights: Mapping[str, float] | None) -> Floats:
     return np.array([weights.get(term, 0.0) for term in COST_TERMS])
 
 
-def _meant(leaf: Leaf) -> tuple[str, str, int | None]:
-    """Return what systems call a constant, an argument and its number there, and whose it is."""
-    return ("machine", leaf.name, leaf.place) if leaf.part == "machines" else ("turbine", leaf.name, None)
+class _Recording:
+    """The steps of episodes since their start, and how the simulator's blocks stood before each of them.
+
+    Args:
+        step: advances blocks by a step with actions.
+    """
+
+    def __init__(self, step: Callable[[Floats, Floats], None]) -> None:
+        self._step = step
+        #: Actions of each step (n_lanes, n_action).
+        self.actions: list[Floats] = []
+        #: Blocks before every so many steps, and before each step from the latest of these asked for.
+        self._checkpoints: list[Floats] = []
+        self._replayed: tuple[int, list[Floats]] = -1, []
+
+    @property
+    def needs_blocks(self) -> bool:
+        """Whether the blocks before the next step are kept."""
+        return len(self.actions) % _STEPS_PER_CHECKPOINT == 0
+
+    def add(self, blocks: Floats | None, actions: Floats) -> None:
+        """Record a step with actions, and the blocks before it where they are needed."""
+        if blocks is not None:
+            self._checkpoints.append(blocks)
+        self.actions.append(actions.copy())
+        self._replayed = -1, []
+
+    def before(self, step: int) -> Floats:
+        """Return the blocks as they stood before a step, from the nearest checkpoint on."""
+        if not 0 <= step < len(self.actions):
+            taken = len(self.actions)
+            raise ValueError(f"there is no step {step}: since start() {taken} have been taken, the first is 0")
+        index, offset = divmod(step, _STEPS_PER_CHECKPOINT)
+        if self._replayed[0] != index:
+            blocks, replayed = self._checkpoints[index].copy(), []
+            first = index * _STEPS_PER_CHECKPOINT
+            for actions in self.actions[first : first + _STEPS_PER_CHECKPOINT]:
+                replayed.append(blocks.copy())
+                self._step(blocks, actions)
+            self._replayed = index, replayed
+        return self._replayed[1][offset]
 
 
 class Tape:
@@ -99,7 +133,7 @@ class Tape:
 
     Args:
         settings: of the environment.
-        n_lanes: episodes side by side.
+        n_lanes: number of environments, side by side.
         n_threads: threads to step with; None for one per processor.
         parameters: of the plant that gradients are wanted for as well, by name; see :func:`known_parameters`.
 
@@ -128,14 +162,10 @@ class Tape:
         self._open(TaskLanes(settings, n_lanes, n_threads))
         #: Counts what makes the tape forget its steps: starts, and other values of parameters.
         self.n_starts = 0
-        #: Blocks as they stood before every so many steps, and before each step from the latest of these asked for.
-        self._checkpoints: list[Floats]
-        self._replayed: tuple[int, list[Floats]]
-        self._actions: list[Floats]
         self._begin(started=False)
 
     def _open(self, lanes: TaskLanes) -> None:
-        """Take lanes whose steps are to be differentiated."""
+        """Take environments whose steps are to be differentiated."""
         self.lanes = lanes
         simulator, settings, layout = lanes.simulator, lanes.settings, lanes.simulator.layout
         task, built = settings.task, plant_tables(simulator.settings)
@@ -145,18 +175,11 @@ class Tape:
         #: The plant, with the table of the programs that go back.
         self._plant = with_places(built, layout, programs, units, taped)
         self._link(programs)
-        arrangement = PlantMap(built, layout, units)
-        self._rules = rules_of(layout, arrangement, taped)
+        plant_map, tables = PlantMap(built, layout, units), self._plant.network.tables
+        self._rules = rules_of(layout, plant_map, taped)
         self._works: dict[int, Work] = {}
-        moved = moved_by(simulator.settings, self.parameters)
-        self._moved = moved
-        #: Places of each moved constant among those of the table; none where every lane has it in a row of its own.
-        self._places = [
-            []
-            if leaf.name in _ROW_OF_LEAF
-            else constant_places(programs, arrangement, self._plant.network.tables, *_meant(leaf))
-            for leaf in moved.leaves
-        ]
+        places_of = functools.partial(constant_places, programs, plant_map, tables)
+        self._moved = Moved(simulator.settings, self.parameters, layout, places_of)
         inv_tau = layout.wtg("inv_tau")
         if ACTION_MODES[settings.action_mode][1]:
             # Where actions scale 1/τ, the law's own is kept beside them.
@@ -213,19 +236,19 @@ class Tape:
     @property
     def n_steps(self) -> int:
         """Steps taken since the start."""
-        return len(self._actions)
+        return len(self._recording.actions)
 
     @property
     def n_carried(self) -> int:
-        """How many numbers a lane carries from one step to the next, as far as cost and observations depend on them."""
+        """How many numbers each environment carries to the next step, of those that cost and observations depend on."""
         return self.lanes.simulator.layout.n_rows
 
     @undivided
     def start(self, scenarios: Sequence[Scenario]) -> npt.NDArray[np.float32]:
-        """Start an episode in every lane, of one scenario each, and return the first observations."""
+        """Start an episode in every environment, of one scenario each, and return the first observations."""
         n_lanes = self.lanes.n_lanes
         if len(scenarios) != n_lanes or not all(isinstance(scenario, Scenario) for scenario in scenarios):
-            raise ValueError(f"episodes need {n_lanes} scenarios, one per lane, got {scenarios!r:.60}")
+            raise ValueError(f"episodes need {n_lanes} scenarios, one per environment, got {scenarios!r:.60}")
         for event in (event for scenario in scenarios for event in scenario.events):
             if getattr(event, "returns_after_s", None) is not None:
                 raise ValueError(f"gradients do not go through the return of a unit: {event}")
@@ -234,7 +257,7 @@ class Tape:
         return self.lanes.observations.copy()
 
     def _begin(self, *, started: bool) -> None:
-        self._checkpoints, self._actions, self._replayed, self._started = [], [], (-1, []), started
+        self._recording, self._started = _Recording(self._again), started
         self.n_starts += 1
 
     def require_started(self) -> None:
@@ -248,75 +271,57 @@ class Tape:
         The episodes start where they would have started: a k_nominal other than the law's own is a change at time 0.
         """
         self.require_started()
-        if self._actions:
+        if self.n_steps:
             raise ValueError("the law can be replaced before the first step only")
         law = _shaped("law", law, (self.lanes.n_lanes, *self._law_rows.shape))
         if not np.isfinite(law).all():
             raise ValueError("the parameters of laws must be finite numbers")
-        self._put(self.lanes.simulator.blocks, self._law_rows, law)
+        put_rows(self.lanes.simulator.blocks, self._law_rows, law)
 
     def law(self) -> Floats:
         """Return the parameters of each group's law (n_lanes, n_wtg, 4), in the order of LAW_PARAMETERS."""
         self.require_started()
-        return self._take(self.lanes.simulator.blocks, self._law_rows)
-
-    def _take(self, view: Floats, rows: npt.NDArray[np.int64]) -> Floats:
-        """Return rows of every lane (n_lanes, …) of a view (n_blocks, n_rows, width)."""
-        found = view[:, rows.ravel(), :].transpose(0, 2, 1)
-        return found.reshape(view.shape[0] * view.shape[2], *rows.shape)[: self.lanes.n_lanes]
-
-    def _put(self, view: Floats, rows: npt.NDArray[np.int64], values: Floats) -> None:
-        own = np.arange(self.lanes.n_lanes)
-        width = view.shape[2]
-        view[(own // width)[:, np.newaxis], rows.ravel(), (own % width)[:, np.newaxis]] = values.reshape(own.size, -1)
+        return self._rows(self._law_rows)
 
     @undivided
     def step(self, actions: Floats) -> tuple[npt.NDArray[np.float32], Floats]:
-        """Step every running lane.
+        """Step every running environment.
 
         Args:
             actions: (n_lanes, n_action); clipped to [-1, 1].
 
         Returns:
             observations (n_lanes, n_observation) and the terms of the step's cost (n_lanes, n_terms), in the order of
-            `COST_TERMS`; zero for lanes that had ended.
+            `COST_TERMS`; zero for those that had ended.
         """
         self.require_started()
         simulator, actions = self.lanes.simulator, as_actions(actions, (self.lanes.n_lanes, self.lanes.n_action))
         running = simulator.lane_values("active") > 0.5
-        before = simulator.blocks.copy() if self.n_steps % _STEPS_PER_CHECKPOINT == 0 else None
+        before = simulator.blocks.copy() if self._recording.needs_blocks else None
         self.lanes.step(actions)
-        if before is not None:
-            self._checkpoints.append(before)
-        self._actions.append(actions.copy())
-        self._replayed = (-1, [])
-        terms = self._take(self.lanes.simulator.blocks, self._term_rows)
+        self._recording.add(before, actions)
+        terms = self._rows(self._term_rows)
         return self.lanes.observations.copy(), np.where(running[:, np.newaxis], terms, 0.0)
 
     def before(self, step: int) -> Floats:
-        """Return the simulator's blocks as they stood before a step, from the nearest checkpoint on."""
-        if not 0 <= step < self.n_steps:
-            raise ValueError(f"there is no step {step}: since start() {self.n_steps} have been taken, the first is 0")
-        place, offset = divmod(step, _STEPS_PER_CHECKPOINT)
-        if self._replayed[0] != place:
-            blocks, found = self._checkpoints[place].copy(), []
-            first = place * _STEPS_PER_CHECKPOINT
-            for own in self._actions[first : first + _STEPS_PER_CHECKPOINT]:
-                found.append(blocks.copy())
-                self._again(blocks, own)
-            self._replayed = place, found
-        return self._replayed[1][offset]
+        """Return the simulator's blocks as they stood before a step."""
+        return self._recording.before(step)
 
     @undivided
     def _again(self, blocks: Floats, actions: Floats) -> None:
+        """Step blocks as the environment did."""
         own = self.lanes.simulator
         bound = bind(blocks, own.scratches, own.plant.network, own.data, self.lanes.task_data, self._scratch_outputs)
         own.threads.run(lambda first, last, worker: step_blocks(bound, actions, first, last, worker, False))
 
+    def _rows(self, rows: Whole, blocks: Floats | None = None) -> Floats:
+        """Return rows of every environment (n_lanes, …), in blocks like those of the simulator; None for these."""
+        return rows_of_lanes(self.lanes.simulator.blocks if blocks is None else blocks, rows, self.lanes.n_lanes)
+
     def outputs(self) -> Floats:
         """Return the outputs at the end of the latest step (n_lanes, n_outputs), in the order of `output_names`."""
         self.require_started()
-        return self._take(self.lanes.simulator.blocks, self._output_rows)
+        return self._rows(self._output_rows)
 
     def pull(
         self,
@@ -339,88 +344,59 @@ class Tape:
         Raises:
             ValueError: the step does not exist, or derivatives have another shape.
         """
-        simulator, n_lanes = self.lanes.simulator, self.lanes.n_lanes
+        lanes, all_rows = self.lanes, np.arange(self.n_carried)
         blocks = self.before(step).copy()
-        running = self._take(blocks, np.array([simulator.layout.lane("active")])) > 0.5
-        in_force = self._in_force(blocks, self._moved)
-        bars = np.zeros_like(blocks)
-        given = {"carried": carried, "terms": terms, "outputs": outputs}
-        all_rows = np.arange(self.n_carried)
-        for (name, values), rows in zip(given.items(), (all_rows, self._term_rows, self._output_rows), strict=True):
-            if values is not None:
-                values = _shaped(name, values, (n_lanes, rows.size))
-                # Some rows are carried and shown too.
-                self._put(bars, rows, self._take(bars, rows) + values * running)
-        n_observation = self.lanes.n_observation
-        seen = np.zeros((n_lanes, n_observation))
-        if observations is not None:
-            seen = _shaped("observations", observations, (n_lanes, n_observation)) * running
-        of_actions = np.zeros((n_lanes, self.lanes.n_action))
-        n_constants = self._plant.network.tables.numbers.size if self.parameters else 0
-        constants = np.zeros((len(blocks), n_constants, simulator.width))
-        simulator.threads.run(
-            lambda first, last, worker: pull(
-                blocks,
-                bars,
-                seen,
-                of_actions,
-                constants,
-                first,
-                last,
-                self._plant.network,
-                simulator.data,
-                self.lanes.task_data,
-                self._actions[step],
-                self._rules,
-                self._work(worker),
-            )
+        running = self._rows(np.array([lanes.simulator.layout.lane("active")]), blocks) > 0.5
+        in_force, bars = self._moved.in_force(blocks, lanes.n_lanes), np.zeros_like(blocks)
+        cotangents = (
+            ("carried", carried, all_rows),
+            ("terms", terms, self._term_rows),
+            ("outputs", outputs, self._output_rows),
         )
-        leaves = self._leaves(bars, constants)
-        law = self._take(bars, self._law_rows)
+        for name, values, rows in cotangents:
+            if values is not None:
+                values = _shaped(name, values, (lanes.n_lanes, rows.size))
+                # Some rows are carried and shown too.
+                put_rows(bars, rows, self._rows(rows, bars) + values * running)
+        seen = np.zeros((lanes.n_lanes, lanes.n_observation))
+        if observations is not None:
+            seen = _shaped("observations", observations, seen.shape) * running
+        actions, constants = self._pull_blocks(step, blocks, bars, seen)
+        parameters = self._moved.pull(bars, constants, in_force)
+        law = self._rows(self._law_rows, bars)
         # The law's own are what each step adds, and are not carried.
         bars[:, self._law_rows.ravel()] = 0.0
-        # Of a lane that had ended nothing depends on anything, whatever its numbers.
-        carried, of_actions, law, leaves = (
-            np.where(running.reshape(-1, *(1,) * (own.ndim - 1)), own, 0.0)
-            for own in (self._take(bars, all_rows), of_actions, law, leaves)
+        # Of an environment that had ended nothing depends on anything, whatever its numbers.
+        return Pulled(
+            *(
+                np.where(running.reshape(-1, *(1,) * (array.ndim - 1)), array, 0.0)
+                for array in (self._rows(all_rows, bars), actions, law, parameters)
+            )
         )
-        return Pulled(carried, of_actions, law, leaves * in_force @ self._moved.slopes)
+
+    def _pull_blocks(self, step: int, blocks: Floats, bars: Floats, seen: Floats) -> tuple[Floats, Floats]:
+        """Go back through a step in all blocks; return cotangents of the actions and of the constants.
+
+        `blocks`, `bars` and `seen` are those of :func:`~wtg_gym.gradients.adjoint.pull`.
+        """
+        simulator, network = self.lanes.simulator, self._plant.network
+        actions = np.zeros((self.lanes.n_lanes, self.lanes.n_action))
+        n_constants = network.tables.numbers.size if self.parameters else 0
+        constants = np.zeros((len(blocks), n_constants, simulator.width))
+        arrays, data, task = (blocks, bars, seen, actions, constants), simulator.data, self.lanes.task_data
+        taken = self._recording.actions[step]
+        simulator.threads.run(
+            lambda first, last, worker: pull(
+                *arrays, first, last, network, data, task, taken, self._rules, self._work(worker)
+            )
+        )
+        return actions, constants
 
     def _work(self, worker: int) -> Work:
         if worker not in self._works:
             simulator = self.lanes.simulator
             self._works[worker] = work_of(self._rules, simulator.layout, self._plant.n_substeps, simulator.width)
         return self._works[worker]
-
-    def _leaves(self, bars: Floats, constants: Floats) -> Floats:
-        """Return cotangents of the moved constants (n_lanes, n_leaves); those of rows are taken out of `bars`."""
-        found = np.zeros((self.lanes.n_lanes, len(self._places)))
-        for i, (leaf, places) in enumerate(zip(self._moved.leaves, self._places, strict=True)):
-            if leaf.name in _ROW_OF_LEAF:
-                row = self._row_of(leaf)
-                found[:, i] = self._take(bars, row)[:, 0]
-                bars[:, row] = 0.0
-            else:
-                found[:, i] = self._take(constants, np.array(places, dtype=np.int64)).sum(axis=1)
-        return found
-
-    def _row_of(self, leaf: Leaf) -> Whole:
-        """Return the row (1,) in which every lane has a constant of a machine."""
-        return self.lanes.simulator.layout.machine(_ROW_OF_LEAF[leaf.name])[leaf.place : leaf.place + 1]
-
-    def _in_force(self, blocks: Floats, moved: Moved) -> Floats:
-        """Return how far a lane's own row follows each constant of the plant (n_lanes, n_leaves); 1 for the others.
-
-        A scenario scales inertias, 1/2H = 1/(scale · 2H). Its droop takes the place of the plant's, which then means
-        the droop in force; a lost governor has none.
-        """
-        found = np.ones((self.lanes.n_lanes, len(moved.leaves)))
-        for i, leaf in enumerate(moved.leaves):
-            if leaf.name in _ROW_OF_LEAF:
-                row = self._take(blocks, self._row_of(leaf))[:, 0]
-                square = _ROW_OF_LEAF[leaf.name] == "inv_droop"
-                found[:, i] = (row / moved.values[i]) ** 2 if square else -row / moved.values[i]
-        return found
 
     def play(self, scenarios: Sequence[Scenario], actions: Floats) -> Played:
         """Start episodes and step them with given actions (n_steps, n_lanes, n_action)."""
@@ -464,7 +440,7 @@ class Tape:
         """Play episodes with given actions and return their costs and the gradients of these.
 
         Args:
-            scenarios: one per lane.
+            scenarios: one per environment.
             actions: of as many steps as are to count (n_steps, n_lanes, n_action).
             weights: of the terms of the cost by name, those left out count nothing; None for the cost itself.
 

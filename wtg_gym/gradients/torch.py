@@ -71,10 +71,10 @@ class TorchEpisodes:
         self.outputs: Any = None
 
     def start(self, scenarios: Sequence[Scenario], law: Any = None) -> Any:
-        """Start an episode in every lane and return the first observations.
+        """Start an episode in every environment and return the first observations.
 
         Args:
-            scenarios: one per lane.
+            scenarios: one per environment.
             law: parameters of the groups' laws to differentiate with respect to (n_wtg, 4) or (n_lanes, n_wtg, 4), in
                 the order of `LAW_PARAMETERS`; None for those of the settings.
         """
@@ -85,7 +85,7 @@ class TorchEpisodes:
             law = torch.as_tensor(law)
             if law.shape not in (own.shape, own.shape[1:]):
                 raise ValueError(
-                    f"law must have the shape {tuple(own.shape[1:])}, or one more per lane, got {tuple(law.shape)}"
+                    f"law must have the shape {tuple(own.shape[1:])}, or one per environment, got {tuple(law.shape)}"
                 )
             self._law = law.expand(own.shape)
             self.tape.set_law(self._law.detach().to("cpu", torch.float64).numpy())
@@ -110,7 +110,7 @@ class TorchEpisodes:
         return self._observations
 
     def step(self, actions: Any) -> tuple[Any, Any]:
-        """Step every running lane with actions (n_lanes, n_action).
+        """Step every running environment with actions (n_lanes, n_action).
 
         Returns:
             observations (n_lanes, n_observation), floats of 32 bits, and terms of the cost (n_lanes, n_terms), of 64.

@@ -31,7 +31,7 @@ Network
 Data
     parameters, machine_parameters, control_parameters, checked    every number with unit, source and range
     ieee14, tables/     the network; the C_p of another turbine
-    plant, kernel_data  a network, its WTG groups and the time steps; constants, series and events as arrays
+    plant, network_data a network, its WTG groups and the time steps; constants, series and events as arrays
     scenario            what happens in a run
     tracking_law        the strategies
     trajectory          a recorded run

@@ -8,28 +8,17 @@ import numba
 import numpy as np
 import numpy.typing as npt
 
-from wtg_gym.physics.integration import (
-    balance,
-    combine_load_noise,
-    find,
-    find_rates,
-    plan,
-    refresh,
-    release,
-    settle,
-    start,
-)
-from wtg_gym.physics.kernel_data import EVENT, LaneData, Network
-from wtg_gym.physics.layout import OF_LANE, OF_STARTING_BUS, OF_STARTING_LANE, Floats, Layout, n_rows_of
+from wtg_gym.physics import integration
+from wtg_gym.physics.layout import OF_LANE, OF_STARTING_BUS, OF_STARTING_LANE, Floats, Layout, units_of
 from wtg_gym.physics.network import POWER_FLOW_TOLERANCE, PowerFlow, solve_power_flow
+from wtg_gym.physics.network_data import LaneData, Network
 from wtg_gym.physics.sparse_flow import solve_sparse_flow
 from wtg_gym.physics.units import BUSES, StartFailure
 from wtg_gym.systems.compiled import compiled, internal
 from wtg_gym.systems.programs import NONE
 from wtg_gym.systems.routines import Function
 
-#: Rows of a bus in scratch, which are columns of the power flow.
-_STRIDE = n_rows_of(BUSES.scratch)
+#: Rows of a bus in scratch, as columns of the power flow.
 FLOW_COLUMNS = PowerFlow(
     power=OF_STARTING_BUS.planned,
     polar=OF_STARTING_BUS.polar,
@@ -53,17 +42,17 @@ _DIVERGED = float(StartFailure.POWER_FLOW_DIVERGED)
 
 def rows_of_buses(scratch: Floats, layout: Layout) -> Floats:
     """Return a view of the rows of each bus (n_bus, n) in a scratch (n_scratch, 1)."""
-    first, n = layout.first_scratch[BUSES], layout.n_units(BUSES)
-    return scratch[first : first + n * _STRIDE].reshape(n, _STRIDE)
+    first, n, n_rows = layout.span(BUSES, scratch=True)
+    return scratch[first : first + n * n_rows].reshape(n, n_rows)
 
 
 @internal
 def _plan_flow(arrays: tuple[Floats, Floats], buses: Floats, y: npt.NDArray[np.complex128], network: Network) -> float:
     """Solve the power flow of what all units plan; return what the slack bus lacks [p.u.], NaN where nothing starts."""
     facts, tables, scratch = network.facts, network.tables, arrays[1]
-    own = facts.starts
-    plan(arrays, tables, NONE)
-    released = scratch[own + OF_STARTING_LANE.start_failure, 0] == 0.0
+    lane = units_of(scratch, facts.starting)[0]
+    integration.plan(arrays, tables, NONE)
+    released = lane[OF_STARTING_LANE.start_failure, 0] == 0.0
     balances = facts.n_balances
     while released:
         if facts.is_large:
@@ -71,16 +60,16 @@ def _plan_flow(arrays: tuple[Floats, Floats], buses: Floats, y: npt.NDArray[np.c
         else:
             steps = _flow(tables, (y, facts.slack, buses, FLOW_COLUMNS))
         if steps < 0:
-            scratch[own + OF_STARTING_LANE.start_failure, 0] = _DIVERGED
+            lane[OF_STARTING_LANE.start_failure, 0] = _DIVERGED
             break
         if balances:
-            balance(arrays, tables, NONE)
+            integration.balance(arrays, tables, NONE)
             balances -= 1
             continue
         # Each time at least one bus lets go, and no bus does twice.
-        release(arrays, tables, NONE)
-        released = scratch[own + OF_STARTING_LANE.released, 0] > 0.0
-    if scratch[own + OF_STARTING_LANE.start_failure, 0] != 0.0:
+        integration.release(arrays, tables, NONE)
+        released = lane[OF_STARTING_LANE.released, 0] > 0.0
+    if lane[OF_STARTING_LANE.start_failure, 0] != 0.0:
         return math.nan
     return float(buses[facts.slack, OF_STARTING_BUS.flow] - buses[facts.slack, OF_STARTING_BUS.planned])
 
@@ -88,39 +77,35 @@ def _plan_flow(arrays: tuple[Floats, Floats], buses: Floats, y: npt.NDArray[np.c
 @internal
 def _curtail(arrays: tuple[Floats, Floats], buses: Floats, y: npt.NDArray[np.complex128], network: Network) -> None:
     """Find the common factor on k with which the WTG groups alone meet the load, by halving its range."""
-    own, scratch = network.facts.starts, arrays[1]
-    at, failure, needed = (
-        own + OF_STARTING_LANE.curtailment,
-        own + OF_STARTING_LANE.start_failure,
-        own + OF_STARTING_LANE.needed,
-    )
+    lane = units_of(arrays[1], network.facts.starting)[0]
+    at, failure = OF_STARTING_LANE.curtailment, OF_STARTING_LANE.start_failure
     low, high = _LEAST_CURTAILMENT, 1.0
     # Far from the balance there is no power flow: what all give without losses comes close.
-    while high - low > _CLOSE and scratch[failure, 0] == 0.0:
-        scratch[at, 0] = 0.5 * (low + high)
-        plan(arrays, network.tables, NONE)
-        if scratch[needed, 0] > 0.0:
-            low = scratch[at, 0]
+    while high - low > _CLOSE and lane[failure, 0] == 0.0:
+        lane[at, 0] = 0.5 * (low + high)
+        integration.plan(arrays, network.tables, NONE)
+        if lane[OF_STARTING_LANE.needed, 0] > 0.0:
+            low = lane[at, 0]
         else:
-            high = scratch[at, 0]
+            high = lane[at, 0]
     low, high = max(low - _CLOSE, _LEAST_CURTAILMENT), min(high + _LOSSES, 1.0)
-    scratch[at, 0] = high
+    lane[at, 0] = high
     lacking = _plan_flow(arrays, buses, y, network)
-    if scratch[failure, 0] == 0.0 and lacking > POWER_FLOW_TOLERANCE:
-        scratch[failure, 0] = _SHORTAGE
+    if lane[failure, 0] == 0.0 and lacking > POWER_FLOW_TOLERANCE:
+        lane[failure, 0] = _SHORTAGE
     # The more the groups give, the less reactive power they have: without a power flow there is too much.
-    while scratch[failure, 0] in (0.0, _DIVERGED) and not abs(lacking) <= POWER_FLOW_TOLERANCE:
+    while lane[failure, 0] in (0.0, _DIVERGED) and not abs(lacking) <= POWER_FLOW_TOLERANCE:
         middle = 0.5 * (low + high)
         if middle in (low, high):
             break
-        scratch[at, 0], scratch[failure, 0] = middle, 0.0
+        lane[at, 0], lane[failure, 0] = middle, 0.0
         lacking = _plan_flow(arrays, buses, y, network)
         if lacking > 0.0:
             low = middle
         else:
             high = middle
-    if scratch[failure, 0] == 0.0 and not abs(lacking) <= _BALANCED:
-        scratch[failure, 0] = _DIVERGED
+    if lane[failure, 0] == 0.0 and not abs(lacking) <= _BALANCED:
+        lane[failure, 0] = _DIVERGED
 
 
 @compiled
@@ -147,31 +132,30 @@ def prepare_lanes(
         failures: takes why a lane cannot start, and the number of the unit that cannot, machines first (n, 2).
     """
     facts, tables = network.facts, network.tables
-    own = facts.starts
+    starting = units_of(scratch, facts.starting)[0]
     for lane in range(rows.shape[0]):
         block, arrays = rows[lane], (rows[lane], scratch)
-        scratch[own + OF_STARTING_LANE.load_level, 0] = load_levels[lane]
-        scratch[own + OF_STARTING_LANE.curtailment, 0] = 1.0
+        starting[OF_STARTING_LANE.load_level, 0] = load_levels[lane]
+        starting[OF_STARTING_LANE.curtailment, 0] = 1.0
         if facts.curtails:
             _curtail(arrays, buses, y, network)
         else:
             _plan_flow(arrays, buses, y, network)
-        if scratch[own + OF_STARTING_LANE.start_failure, 0] == 0.0:
-            settle(arrays, tables, NONE)
-            noise_bus = int(block[facts.lane + OF_LANE.noise_bus, 0])
-            voltage = buses[noise_bus, OF_STARTING_BUS.polar]
-            block[facts.lane + OF_LANE.noise_per_mw, 0] = 1.0 / (facts.base_mva * voltage * voltage)
+        if starting[OF_STARTING_LANE.start_failure, 0] == 0.0:
+            integration.settle(arrays, tables, NONE)
+            run = units_of(block, facts.lane)[0]
+            voltage = buses[int(run[OF_LANE.noise_bus, 0]), OF_STARTING_BUS.polar]
+            run[OF_LANE.noise_per_mw, 0] = 1.0 / (facts.base_mva * voltage * voltage)
             events = data.events[lane]
             for e in range(events.shape[0]):
-                bus = int(events[e, EVENT.bus])
-                if bus >= 0:
-                    square = buses[bus, OF_STARTING_BUS.polar] * buses[bus, OF_STARTING_BUS.polar]
-                    events[e, EVENT.active] /= square
-                    events[e, EVENT.reactive] /= -square
-            refresh(tables, (block, 0, lane, network, data))
-            combine_load_noise(arrays, tables, NONE)
-            find(arrays, tables, NONE)
-            find_rates(arrays, tables, NONE)
-            start(arrays, tables, NONE)
-        failures[lane, 0] = int(scratch[own + OF_STARTING_LANE.start_failure, 0])
-        failures[lane, 1] = int(scratch[own + OF_STARTING_LANE.failing_unit, 0])
+                if events[e].bus >= 0:
+                    voltage = buses[events[e].bus, OF_STARTING_BUS.polar]
+                    events[e].active /= voltage * voltage
+                    events[e].reactive /= -(voltage * voltage)
+            integration.refresh(tables, (block, 0, lane, network, data))
+            integration.combine_load_noise(arrays, tables, NONE)
+            integration.find(arrays, tables, NONE)
+            integration.find_rates(arrays, tables, NONE)
+            integration.start(arrays, tables, NONE)
+        failures[lane, 0] = int(starting[OF_STARTING_LANE.start_failure, 0])
+        failures[lane, 1] = int(starting[OF_STARTING_LANE.failing_unit, 0])

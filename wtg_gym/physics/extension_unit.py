@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 from wtg_gym.physics.extended_converter import (
     LimitState,
     VoltageInput,
@@ -20,6 +22,7 @@ from wtg_gym.physics.units import (
     Phasor,
     StartFailure,
     Terminal,
+    nested,
     noted,
     plus,
 )
@@ -42,6 +45,7 @@ from wtg_gym.physics.wind_turbine import (
 )
 from wtg_gym.physics.wtg_unit import GROUPS, power_of
 from wtg_gym.systems.elementary import fma, select
+from wtg_gym.systems.programs import Whole
 from wtg_gym.systems.records import each
 from wtg_gym.systems.systems import Kind, system
 
@@ -67,6 +71,21 @@ EXTENSIONS = Kind(
 )
 #: The column of each extended group in the admittance matrix: one entry for every unit.
 COLUMNS = Kind(name="columns", sees={"entry": PAIRS, "unit": UNITS, "group": EXTENSIONS})
+
+
+def links_of_extensions(n_sync: int, n_wtg: int, unit_bus: Whole) -> dict[tuple[Kind, str], Whole]:
+    """Return which others each unit of these kinds sees, from the index of each unit's bus (n_unit,)."""
+    n, groups = unit_bus.size, n_sync + np.arange(n_wtg)
+    # One column after the other: its entries, the units of its rows, its group.
+    group, unit = nested(n_wtg, n)
+    return {
+        (EXTENSIONS, "unit"): groups,
+        (EXTENSIONS, "bus_"): unit_bus[groups],
+        (EXTENSIONS, "own_entry_"): groups * (n + 1),
+        (COLUMNS, "entry"): unit * n + groups[group],
+        (COLUMNS, "unit"): unit,
+        (COLUMNS, "group"): group,
+    }
 
 
 @system(EXTENSIONS, "own", "references", "heat")
@@ -114,13 +133,13 @@ def voltage_of_extended(state: WtgState, own: ExtensionState) -> Phasor:
 
 
 @system(LANE, "exceeded")
-def none_exceeded() -> float:
+def reset_limit_count() -> float:
     """Begin to count groups whose current is too large."""
     return 0.0
 
 
 @system(EXTENSIONS, "reactance", "source", "exceeded")
-def begin_limits(
+def find_exceeded_limits(
     voltage: Phasor, unit_current: Phasor, extension: Extension, share: float, exceeded: float
 ) -> tuple[float, Phasor, float]:
     """Keep the voltage without a limit, and count groups whose current is too large."""
@@ -130,7 +149,7 @@ def begin_limits(
 
 
 @system(LANE, "unsettled")
-def all_settled() -> float:
+def reset_sweep_count() -> float:
     """Begin a sweep."""
     return 0.0
 

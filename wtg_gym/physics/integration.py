@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from typing import Any
+
 from wtg_gym.physics import step as systems
-from wtg_gym.physics.kernel_data import LaneData, Network
-from wtg_gym.physics.layout import N_WTG_ROWS, OF_LANE, Floats, place_of
+from wtg_gym.physics.layout import OF_LANE, Floats, place_of, units_of
+from wtg_gym.physics.network_data import Facts, LaneData, Network
 from wtg_gym.physics.protection import PROTECTION_INTERVAL_S
 from wtg_gym.physics.reduction import refresh_network
 from wtg_gym.physics.wtg_unit import GROUPS
@@ -34,103 +37,143 @@ _FIRST, _MIDDLE, _LAST = (
 EVALUATING = tuple(map(Routine, (_ADMITTANCES, _FIND, _RATES)))
 STEPPING = (*EVALUATING, *map(Routine, (_FINISH, _PROTECT)), _FIRST, _MIDDLE, _LAST)
 STARTING = (*EVALUATING, *map(Routine, _STARTING))
-combine_load_noise, find, find_rates, _finish, protect, _move_first, _move, _move_last = (r.call for r in STEPPING)
+combine_load_noise, find, find_rates, finish, protect, move_first, move_middle, move_last = (r.call for r in STEPPING)
 plan, balance, release, settle, start = (routine.call for routine in STARTING[3:])
-#: Scalars of an evaluation at an interval's end.
-AT_END = (1.0, 0.0, 0.0, 0.0)
+#: Stages of a step of the classical Runge-Kutta method.
+N_STAGES = 4
 REFRESH = Function(refresh_network, 0)
 refresh = REFRESH.call
 _WIND_START, _WIND_END = place_of(GROUPS, "wind_start"), place_of(GROUPS, "wind_end")
 
 
 @internal
-def enter_interval(block: Floats, first_lane: int, network: Network, data: LaneData) -> None:
-    """Read wind and load noise of the control interval that begins, for every lane of a block.
-
-    `first_lane` is the row of the block's first lane in `data`.
-    """
+def _enter_interval(block: Floats, first_lane: int, network: Network, data: LaneData) -> None:
+    """Read wind and load noise of the control interval that begins, for every environment of a block."""
     facts = network.facts
-    lane, groups, n_substeps = facts.lane, facts.groups, facts.n_substeps
+    lane, groups = units_of(block, facts.lane)[0], units_of(block, facts.groups)
     last, last_noise = data.wind.shape[2] - 1, data.noise.shape[1] - 1
     for x in range(block.shape[1]):
-        index = int(block[lane + OF_LANE.step, x]) // n_substeps
+        index = int(lane[OF_LANE.step, x]) // facts.n_substeps
         begin, end = index if index < last else last, index + 1 if index < last else last
         for j in range(data.wind.shape[1]):
-            group = groups + j * N_WTG_ROWS
-            block[group + _WIND_START, x] = data.wind[first_lane + x, j, begin]
-            block[group + _WIND_END, x] = data.wind[first_lane + x, j, end]
+            groups[j, _WIND_START, x] = data.wind[first_lane + x, j, begin]
+            groups[j, _WIND_END, x] = data.wind[first_lane + x, j, end]
         noise = data.noise[first_lane + x, index if index < last_noise else last_noise]
-        block[lane + OF_LANE.noise_y, x] = noise * block[lane + OF_LANE.noise_per_mw, x]
+        lane[OF_LANE.noise_y, x] = noise * lane[OF_LANE.noise_per_mw, x]
 
 
 @internal
-def apply_events(block: Floats, first_lane: int, network: Network, data: LaneData) -> bool:
-    """Let the events that are due at the present step change the networks of a block's lanes; return whether any is."""
-    lane, changed = network.facts.lane, False
+def _apply_events(block: Floats, first_lane: int, network: Network, data: LaneData) -> bool:
+    """Let the events that are due at the present step change the networks of a block; return whether any is."""
+    lane, changed = units_of(block, network.facts.lane)[0], False
     for x in range(block.shape[1]):
-        if block[lane + OF_LANE.step, x] >= block[lane + OF_LANE.next_change, x]:
+        if lane[OF_LANE.step, x] >= lane[OF_LANE.next_change, x]:
             refresh(network.tables, (block, x, first_lane + x, network, data))
             changed = True
     return changed
 
 
+@internal
+def strike(
+    block: Floats, scratch: Floats, first_lane: int, network: Network, data: LaneData, tape: Any, step: int
+) -> None:
+    """Let the events of a simulation step strike."""
+    # Again where units come back: they are synchronised first, then the network has them.
+    while _apply_events(block, first_lane, network, data):
+        # For the whole block: an environment without a change gets the same bits again.
+        combine_load_noise((block, scratch), network.tables, NONE)
+
+
 @inlined
-def stage_scalars(h: float, part: float, step: int, stage: int) -> tuple[float, float, float, float]:
-    """Return what a stage 0 … 3 is told: when in the interval, how far it goes [s], whether it is first or last.
+def stage_scalars(facts: Facts, step: int, stage: int) -> tuple[float, float, float, float]:
+    """Return the scalars of a stage: when in the interval, how far it goes [s], whether it is first or last.
 
     Args:
-        h: simulation step [s].
-        part: of the control interval that it takes.
-        step: its number within the interval.
-        stage: of the Runge-Kutta method.
+        facts: of the plant.
+        step: number of the simulation step within the interval; `n_substeps` for the interval's end.
+        stage: of the Runge-Kutta method, 0 … 3.
     """
+    if step == facts.n_substeps:
+        return 1.0, 0.0, 0.0, 0.0
     first, last = 1.0 if stage == 0 else 0.0, 1.0 if stage == 3 else 0.0
-    passed = step + 0.5 * (1.0 - first + last)
-    return passed * part, h / 6.0 if stage == 3 else h if stage == 2 else 0.5 * h, first, last
+    h, passed = facts.simulation_dt, step + 0.5 * (1.0 - first + last)
+    return passed * (1.0 / facts.n_substeps), h / 6.0 if stage == 3 else h if stage == 2 else 0.5 * h, first, last
 
 
 @internal
-def advance_interval(block: Floats, scratch: Floats, first_lane: int, network: Network, data: LaneData) -> None:
-    """Advance every running lane of a block by one control interval, with the classical Runge-Kutta method.
+def _find(block: Floats, scratch: Floats, network: Network, tape: Any, step: int, stage: int) -> None:
+    find((block, scratch), network.tables, stage_scalars(network.facts, step, stage))
 
-    The control inputs (k_offset, inv_tau) are rows of the block and hold over the interval. On return the rows hold
-    powers and coefficients at the interval's end, and the scratch the rates.
+
+@internal
+def _move(block: Floats, scratch: Floats, network: Network, tape: Any, step: int, stage: int) -> None:
+    arrays, scalars = (block, scratch), stage_scalars(network.facts, step, stage)
+    if stage == 0:
+        move_first(arrays, network.tables, scalars)
+    elif stage == 3:
+        move_last(arrays, network.tables, scalars)
+    else:
+        move_middle(arrays, network.tables, scalars)
+
+
+@internal
+def _finish(block: Floats, scratch: Floats, network: Network, tape: Any, step: int) -> None:
+    finish((block, scratch), network.tables, NONE)
+
+
+@internal
+def _find_rates(block: Floats, scratch: Floats, network: Network, tape: Any, step: int) -> None:
+    find_rates((block, scratch), network.tables, stage_scalars(network.facts, step, 0))
+
+
+def interval_of(
+    strike: Callable[..., None],
+    find: Callable[..., None],
+    move: Callable[..., None],
+    finish: Callable[..., None],
+    find_rates: Callable[..., None],
+) -> Callable[[Floats, Floats, int, Network, LaneData, Any], None]:
+    """Return a function that advances every running environment of a block by one control interval.
+
+    This alone knows the order within an interval; the parts do each thing plainly, or record it on a tape as well. The
+    function takes the rows of the block and of the thread's scratch (see :mod:`wtg_gym.physics.layout`), the row of the
+    block's first environment in `data`, and what its parts need of a tape. Control inputs (k_offset, inv_tau) are rows
+    of the block and hold over the interval. On return the rows hold powers and coefficients at the interval's end, and
+    the scratch the rates.
 
     Args:
-        block, scratch: rows of the block and of the thread (see :mod:`wtg_gym.physics.layout`).
-        first_lane: the row of the block's first lane in `data`.
-        network, data: constants, and what the lanes were given.
+        strike: lets events strike: (block, scratch, first_lane, network, data, tape, step).
+        find, move: evaluation and motion of a stage: (block, scratch, network, tape, step, stage).
+        finish, find_rates: of a step, and at the interval's end: (block, scratch, network, tape, step).
     """
-    arrays, tables, facts = (block, scratch), network.tables, network.facts
-    n_substeps, h = facts.n_substeps, facts.simulation_dt
-    part, between = 1.0 / n_substeps, steps_between_samples(h)
-    enter_interval(block, first_lane, network, data)
-    combine_load_noise(arrays, tables, NONE)
-    for step in range(n_substeps):
-        # Again where units come back: they are synchronised first, then the network has them.
-        while apply_events(block, first_lane, network, data):
-            # For the whole block: a lane without a change gets the same bits again.
-            combine_load_noise(arrays, tables, NONE)
-        for stage in range(4):
-            scalars = stage_scalars(h, part, step, stage)
-            find(arrays, tables, scalars)
-            if stage == 0:
-                _move_first(arrays, tables, scalars)
-            elif stage == 3:
-                _move_last(arrays, tables, scalars)
-            else:
-                _move(arrays, tables, scalars)
-        _finish(arrays, tables, NONE)
-        if (step + 1) % between == 0 or step + 1 == n_substeps:
-            protect(arrays, tables, NONE)
-    find(arrays, tables, AT_END)
-    find_rates(arrays, tables, AT_END)
+
+    @internal
+    def advance(block: Floats, scratch: Floats, first_lane: int, network: Network, data: LaneData, tape: Any) -> None:
+        n_substeps, between = network.facts.n_substeps, _steps_between_samples(network.facts.simulation_dt)
+        _enter_interval(block, first_lane, network, data)
+        combine_load_noise((block, scratch), network.tables, NONE)
+        for step in range(n_substeps):
+            strike(block, scratch, first_lane, network, data, tape, step)
+            for stage in range(N_STAGES):
+                find(block, scratch, network, tape, step, stage)
+                move(block, scratch, network, tape, step, stage)
+            finish(block, scratch, network, tape, step)
+            if (step + 1) % between == 0 or step + 1 == n_substeps:
+                protect((block, scratch), network.tables, NONE)
+        find(block, scratch, network, tape, n_substeps, 0)
+        find_rates(block, scratch, network, tape, n_substeps)
+
+    return advance
 
 
 @inlined
-def steps_between_samples(h: float) -> int:
+def _steps_between_samples(h: float) -> int:
     """Return after how many simulation steps of h [s] protections sample the grid, and at an interval's end."""
     return max(1, int(PROTECTION_INTERVAL_S / h + 1e-6))
+
+
+#: The plain step; it has no tape.
+advance_interval = interval_of(strike, _find, _move, _finish, _find_rates)
 
 
 @compiled
@@ -140,7 +183,7 @@ def advance_blocks(blocks: Floats, scratch: Floats, first: int, last: int, netwo
     `scratch` (n_scratch, width) is the caller's thread's own.
     """
     for b in range(first, last):
-        advance_interval(blocks[b], scratch, b * blocks.shape[2], network, data)
+        advance_interval(blocks[b], scratch, b * blocks.shape[2], network, data, None)
 
 
 def evaluate_blocks(blocks: Floats, scratches: Floats, network: Network) -> None:

@@ -1,6 +1,7 @@
 """Where every number of a simulation lies.
 
-A block holds what `width` lanes (runs side by side) keep, as rows (n_rows, width): each row has one number per lane.
+A block holds what `width` environments keep, as rows (n_rows, width): each row has one number per environment, in its
+"lane", a column of the block.
 The rows of a unit are neighbours, and so are the units of a kind, kind after kind. What lasts for a control step only
 has rows of the same form in a scratch that a thread shares between its blocks.
 """
@@ -11,7 +12,7 @@ import itertools
 from collections import namedtuple
 from collections.abc import Mapping, Sequence
 from functools import cached_property
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -22,6 +23,7 @@ from wtg_gym.physics.machine_unit import MACHINES
 from wtg_gym.physics.units import BUSES, LANE, UNITS
 from wtg_gym.physics.wtg_unit import GROUPS
 from wtg_gym.ranges import did_you_mean, require_known
+from wtg_gym.systems.compiled import internal
 from wtg_gym.systems.records import is_record, short_names
 from wtg_gym.systems.systems import Kind, count
 
@@ -60,6 +62,21 @@ def place_in(kind: Kind, name: str) -> int | None:
     if names.count(name) > 1:
         raise ValueError(f"{names.count(name)} numbers of {kind.name} have the name {name!r}")
     return names.index(name) if name in names else None
+
+
+class Span(NamedTuple):
+    """Where the units of a kind lie in a block or in scratch."""
+
+    first: int = 0  # row of the first unit
+    n_units: int = 0
+    n_rows: int = 0  # of each
+
+
+@internal
+def units_of(rows: Floats, span: Span) -> Floats:
+    """Return a view of each unit's rows (n_units, n_rows, width) in a block or a scratch (n, width)."""
+    end = span.first + span.n_units * span.n_rows
+    return rows[span.first : end].reshape(span.n_units, span.n_rows, rows.shape[1])
 
 
 class Layout:
@@ -110,6 +127,11 @@ class Layout:
         """Return how many units of a kind there are."""
         return self.counts.get(kind, 0)
 
+    def span(self, kind: Kind, *, scratch: bool = False) -> Span:
+        """Return where the units of a kind lie in the block, or in scratch."""
+        parts, first = (kind.scratch, self.first_scratch) if scratch else (kind.rows, self.first)
+        return Span(first.get(kind, 0), self.n_units(kind), n_rows_of(parts))
+
     def first_rows(self, kind: Kind, part: str) -> Whole:
         """Return the first row of a part of each unit, (n_units,), in the block or in scratch."""
         if (kind.name, part) not in self._found:
@@ -142,8 +164,8 @@ class Layout:
         return _every(self.first[kind] + place_of(kind, name), n_rows_of(kind.rows), self.counts[kind])
 
     def lane(self, name: str) -> int:
-        """Return the row of the lane's number of this name."""
-        return int(self._named(name, "lane", (LANE,))[0])
+        """Return the row of an environment's number of this name."""
+        return int(self._named(name, "run", (LANE,))[0])
 
     def _named(self, name: str, what: str, kinds: Sequence[Kind]) -> Whole:
         if (name, what) not in self._found:
@@ -187,6 +209,18 @@ class Layout:
         return tuple(names)
 
 
+def rows_of_lanes(blocks: Floats, rows: Whole, n_lanes: int) -> Floats:
+    """Return rows of every environment (n_lanes, …) of blocks (n_blocks, n_rows, width)."""
+    found = blocks[:, rows.ravel(), :].transpose(0, 2, 1)
+    return found.reshape(-1, *rows.shape)[:n_lanes]
+
+
+def put_rows(blocks: Floats, rows: Whole, values: Floats) -> None:
+    """Write rows of every environment, as :func:`rows_of_lanes` returns them."""
+    block, column = np.divmod(np.arange(len(values))[:, np.newaxis], blocks.shape[2])
+    blocks[block, rows.ravel(), column] = values.reshape(len(values), -1)
+
+
 def _every(first: int, stride: int, n: int) -> Whole:
     found: Whole = first + np.arange(n, dtype=np.int64) * stride
     # Everybody who asks gets the same array.
@@ -196,7 +230,6 @@ def _every(first: int, stride: int, n: int) -> Whole:
 
 OF_LANE = offsets_of(LANE)
 OF_STARTING_LANE, OF_STARTING_BUS = offsets_of(LANE, scratch=True), offsets_of(BUSES, scratch=True)
-N_MACHINE_ROWS, N_WTG_ROWS = n_rows_of(MACHINES.rows), n_rows_of(GROUPS.rows)
 
 
 def place_of(kind: Kind, name: str) -> int:

@@ -51,7 +51,7 @@ def turn_between(before: Phasor, now: Phasor) -> float:
 
 
 @system(LANE, "noise_voltage", when="extended")
-def begin_noise_voltage() -> Phasor:
+def reset_noise_voltage() -> Phasor:
     """Begin the voltage at the bus of the load noise."""
     return Phasor(0.0, 0.0)
 
@@ -76,7 +76,7 @@ def with_noise(now: Phasor, noise_voltage: Phasor, noise_transfer: Phasor) -> Ph
 
 #: Voltages of all buses, from those of all units.
 BUS_VOLTAGES = (
-    begin_noise_voltage,
+    reset_noise_voltage,
     add_noise_voltage,
     noise_current,
     Product(TRANSFERS, "share", UNITS, "voltage", "now", of=BUSES),
@@ -85,7 +85,7 @@ BUS_VOLTAGES = (
 
 
 @system(LANE, "lowest", "highest", "sampled", when="extended")
-def begin_sample(
+def reset_frequency_sample(
     angle: float, sampled_angle: float, step: float, sampled_step: float, omega_n: float, simulation_dt: float
 ) -> tuple[float, float, Sampled]:
     """Begin to look for the frequency that is farthest from nominal, and find how far the frame has turned."""
@@ -149,7 +149,7 @@ def note_worst(
     )
 
 
-LOCAL = (*BUS_VOLTAGES, begin_sample, sample_bus, sample_unit, note_worst)
+LOCAL = (*BUS_VOLTAGES, reset_frequency_sample, sample_bus, sample_unit, note_worst)
 
 
 @system(BUSES, "phasor", "magnitude", "frequency", when="extended")

@@ -15,11 +15,11 @@ from wtg_gym.physics.ieeeg1 import IEEEG1
 from wtg_gym.physics.ieeest import IEEEST
 from wtg_gym.physics.ieeex1 import IEEEX1
 from wtg_gym.physics.ieesgo import IEESGO
-from wtg_gym.physics.kernel_data import structured
 from wtg_gym.physics.machine_controls import Control
 from wtg_gym.physics.machine_parameters import SynchronousMachineParameters
 from wtg_gym.physics.stab1 import STAB1
 from wtg_gym.physics.units import ControlJoining
+from wtg_gym.systems.records import structured
 from wtg_gym.systems.systems import System
 
 #: By the names of their kinds. Stabilisers come before the exciters whose references they shift.

@@ -48,13 +48,13 @@ def reference(speed: float) -> float:
 
 
 @system(LANE, "reference_speed", when="no machine")
-def still_reference() -> float:
+def reset_reference_speed() -> float:
     """Return the speed of the frame where no machine turns it: nominal."""
     return 1.0
 
 
 @system(MACHINES, "needed")
-def need_less(needed: float, dispatch: float) -> float:
+def subtract_machine_power(needed: float, dispatch: float) -> float:
     """Take off what a machine gives in any wind."""
     return needed - dispatch
 
@@ -75,13 +75,13 @@ def start_machine(
 
 
 @system(LANE, "frame", when="no machine")
-def still_frame() -> float:
+def reset_frame() -> float:
     """Let all angles count from the network's frame where there is no machine."""
     return 0.0
 
 
 @system(FIRST_MACHINE, "frame")
-def take_frame(state: MachineState) -> float:
+def find_frame(state: MachineState) -> float:
     """Let all angles count from the first machine."""
     return state.angle
 

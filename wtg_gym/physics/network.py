@@ -21,7 +21,7 @@ from scipy.sparse.csgraph import connected_components
 
 from wtg_gym.physics.checked import Checked, design, parameter, required
 from wtg_gym.physics.machine_parameters import AnyGovernor, SynchronousMachineParameters
-from wtg_gym.systems.compiled import compiled, inlined
+from wtg_gym.systems.compiled import compiled, inlined, internal
 
 #: Largest power mismatch accepted as a power-flow solution [p.u.].
 POWER_FLOW_TOLERANCE = 1e-12
@@ -324,54 +324,7 @@ def solve_power_flow(y: npt.NDArray[np.complex128], slack: int, buses: npt.NDArr
     a = np.empty((n_unknown, n_unknown + 1))
     turn = np.empty((n, n), dtype=np.complex128)
     for iteration in range(30):
-        worst, q_row = 0.0, n - 1
-        for i in range(n_unknown):
-            for j in range(n_unknown + 1):
-                a[i, j] = 0.0
-        for i in range(n):
-            p_row = i - 1 if i > slack else i
-            sum_re, sum_im, own, size = 0.0, 0.0, 0j, buses[i, at.polar]
-            holds, m_col = buses[i, at.holds_voltage] > 0.5, n - 1
-            own_m = -1
-            for j in range(n):
-                # Sine and cosine of a pair of buses serve both ways round.
-                if j > i and (y[i, j] != 0.0 or y[j, i] != 0.0):
-                    d = buses[i, at.polar + 1] - buses[j, at.polar + 1]
-                    turn[i, j] = complex(math.cos(d), math.sin(d))
-                    turn[j, i] = turn[i, j].conjugate()
-                turned = turn[i, j] if j != i else 1.0 + 0j
-                varies = not buses[j, at.holds_voltage] > 0.5
-                if y[i, j] != 0.0:
-                    other = buses[j, at.polar]
-                    s = size * other * y[i, j].conjugate() * turned
-                    sum_re, sum_im = sum_re + s.real, sum_im + s.imag
-                    if j != i:
-                        a_col = j - 1 if j > slack else j
-                        if i != slack and j != slack:
-                            a[p_row, a_col] += s.imag
-                        if not holds and j != slack:
-                            a[q_row, a_col] -= s.real
-                        if i != slack and varies:
-                            a[p_row, m_col] += s.real / other
-                        if not holds and varies:
-                            a[q_row, m_col] += s.imag / other
-                if j == i:
-                    own, own_m = size**2 * y[i, i].conjugate(), m_col
-                if varies:
-                    m_col += 1
-            if i != slack:
-                a[p_row, p_row] += own.imag - sum_im
-                if not holds:
-                    a[p_row, own_m] += (sum_re + own.real) / size
-                a[p_row, n_unknown] = buses[i, at.power] - sum_re
-                worst = max(worst, abs(buses[i, at.power] - sum_re))
-            if not holds:
-                if i != slack:
-                    a[q_row, p_row] += sum_re - own.real
-                a[q_row, own_m] += (sum_im + own.imag) / size
-                a[q_row, n_unknown] = buses[i, at.power + 1] - sum_im
-                worst = max(worst, abs(buses[i, at.power + 1] - sum_im))
-                q_row += 1
+        worst = _write_jacobian(a, turn, y, slack, buses, at)
         if worst < POWER_FLOW_TOLERANCE:
             note_flow(y, buses, at)
             return iteration
@@ -385,6 +338,66 @@ def solve_power_flow(y: npt.NDArray[np.complex128], slack: int, buses: npt.NDArr
                 buses[k, at.polar] += a[row, n_unknown]
                 row += 1
     return -1
+
+
+@internal
+def _write_jacobian(
+    a: npt.NDArray[np.float64],
+    turn: npt.NDArray[np.complex128],
+    y: npt.NDArray[np.complex128],
+    slack: int,
+    buses: npt.NDArray[np.float64],
+    at: PowerFlow,
+) -> float:
+    """Write sensitivities and mismatches of :func:`solve_power_flow` to `a`; return the largest mismatch [p.u.]."""
+    n, n_unknown = y.shape[0], a.shape[0]
+    worst, q_row = 0.0, n - 1
+    a[:] = 0.0
+    for i in range(n):
+        p_row = i - 1 if i > slack else i
+        sum_re, sum_im, own, size = 0.0, 0.0, 0j, buses[i, at.polar]
+        holds, m_col = buses[i, at.holds_voltage] > 0.5, n - 1
+        own_m = -1
+        for j in range(n):
+            # Sine and cosine of a pair of buses serve both ways round.
+            if j > i and (y[i, j] != 0.0 or y[j, i] != 0.0):
+                d = buses[i, at.polar + 1] - buses[j, at.polar + 1]
+                turn[i, j] = complex(math.cos(d), math.sin(d))
+                turn[j, i] = turn[i, j].conjugate()
+            turned = turn[i, j] if j != i else 1.0 + 0j
+            varies = not buses[j, at.holds_voltage] > 0.5
+            if y[i, j] != 0.0:
+                other = buses[j, at.polar]
+                s = size * other * y[i, j].conjugate() * turned
+                sum_re, sum_im = sum_re + s.real, sum_im + s.imag
+                if j != i:
+                    a_col = j - 1 if j > slack else j
+                    if i != slack and j != slack:
+                        a[p_row, a_col] += s.imag
+                    if not holds and j != slack:
+                        a[q_row, a_col] -= s.real
+                    if i != slack and varies:
+                        a[p_row, m_col] += s.real / other
+                    if not holds and varies:
+                        a[q_row, m_col] += s.imag / other
+            if j == i:
+                own, own_m = size**2 * y[i, i].conjugate(), m_col
+            if varies:
+                m_col += 1
+        if i != slack:
+            a[p_row, p_row] += own.imag - sum_im
+            if not holds:
+                a[p_row, own_m] += (sum_re + own.real) / size
+            a[p_row, n_unknown] = buses[i, at.power] - sum_re
+            worst = max(worst, abs(buses[i, at.power] - sum_re))
+        if not holds:
+            if i != slack:
+                a[q_row, p_row] += sum_re - own.real
+            a[q_row, own_m] += (sum_im + own.imag) / size
+            a[q_row, n_unknown] = buses[i, at.power + 1] - sum_im
+            worst = max(worst, abs(buses[i, at.power + 1] - sum_im))
+            q_row += 1
+    return worst
 
 
 @inlined

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 
-from wtg_gym.physics.kernel_data import NetworkEvent
+from wtg_gym.physics.network_data import NetworkEvent
 from wtg_gym.physics.plant import ISLANDS_AT_MOST, Plant, PlantTables
 from wtg_gym.physics.scenario import (
     Event,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import functools
+import itertools
 import math
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
@@ -16,16 +17,16 @@ import numpy.typing as npt
 from wtg_gym.physics.aerodynamics import surface_of
 from wtg_gym.physics.checked import Checked, design
 from wtg_gym.physics.devices import Devices, joining
-from wtg_gym.physics.extension_unit import COLUMNS, EXTENSIONS
+from wtg_gym.physics.extension_unit import COLUMNS, EXTENSIONS, links_of_extensions
 from wtg_gym.physics.governor import gate_limits
 from wtg_gym.physics.grid import get_grid
 from wtg_gym.physics.hydro_unit import HYGOV
-from wtg_gym.physics.kernel_data import Facts, Network, structured
-from wtg_gym.physics.layout import Layout, place_in
+from wtg_gym.physics.layout import Layout, Span, place_in
 from wtg_gym.physics.machine import Machine, RotorSaturation, machine_constants, rotor_saturation
 from wtg_gym.physics.machine_models import CONTROLS, control_constants, joining_controls
 from wtg_gym.physics.machine_unit import FIRST_MACHINE, MACHINES
 from wtg_gym.physics.network import NetworkCase, assemble_admittance, branch_admittances
+from wtg_gym.physics.network_data import Facts, Network
 from wtg_gym.physics.parameters import (
     MOST_GROUPS,
     ConverterLimitParameters,
@@ -48,19 +49,20 @@ from wtg_gym.physics.units import (
     BUSES,
     ISLANDS,
     LANE,
-    MAIN,
-    MEMBERS,
     PAIRS,
     TRANSFERS,
     UNITS,
     Bus,
     Connection,
     Phasor,
+    nested,
+    units_of_network,
 )
 from wtg_gym.physics.wind_turbine import Extension, Turbine, extension_constants, turbine_constants
 from wtg_gym.physics.wtg_unit import GROUPS
 from wtg_gym.ranges import require_choice, require_known, require_range, whole_steps
 from wtg_gym.systems.programs import Program, Tables, build_table
+from wtg_gym.systems.records import structured
 from wtg_gym.systems.routines import Routine
 from wtg_gym.systems.systems import Kind
 
@@ -242,30 +244,6 @@ def _extended(case: NetworkCase, turbine: TurbineParameters) -> dict[str, Any]:
     }
 
 
-def short_circuit_ratios(settings: Plant, committed: float = 1.0) -> npt.NDArray[np.float64]:
-    """Return the short-circuit ratio at each group's bus (n_group,): what the machines feed a fault, over its rating.
-
-    Machines stand behind x''; loads and shunts do not count; groups at one bus share its short-circuit power.
-
-    Args:
-        settings: the plant; it needs a machine.
-        committed: share of the units that are on line of every machine with a governor.
-    """
-    case = settings.case
-    ends = np.array([[case.bus_index(b.from_bus), case.bus_index(b.to_bus)] for b in case.branches], dtype=np.int64)
-    machine_y = np.zeros(len(case.buses), dtype=np.complex128)
-    for machine in case.machines:
-        rating_mva = machine.rating_mva * (committed if machine.governor is not None else 1.0)
-        machine_y[case.bus_index(machine.bus)] += rating_mva / case.base_mva / (1j * machine.x_subtransient)
-    y: Any = assemble_admittance(ends, branch_admittances(case.branches), machine_y)
-    at = [case.bus_index(group.bus) for group in settings.groups]
-    sizes = zip(settings.groups, settings.turbines, strict=True)
-    rated_mw = np.bincount(at, [group.n_turbines * own.rated_power_mw for group, own in sizes])[at]
-    power_mva = case.base_mva / np.abs(np.linalg.inv(y)[at, at])
-    ratios: npt.NDArray[np.float64] = power_mva / rated_mw
-    return ratios
-
-
 class PlantTables(NamedTuple):
     """Constants of a plant."""
 
@@ -282,7 +260,7 @@ class PlantTables(NamedTuple):
     extension: npt.NDArray[np.void]  # likewise, of Extension; (0,) where the groups are not extended
     shedding: npt.NDArray[np.void]  # (n_stages,), of SheddingConstants
     buses: npt.NDArray[np.void]  # (n_bus,), of Bus
-    of_lane: Mapping[str, Any]  # constants of every lane
+    of_lane: Mapping[str, Any]  # constants of every environment
     devices: tuple[Devices, ...]
 
     @property
@@ -294,6 +272,12 @@ class PlantTables(NamedTuple):
     def controls(self) -> tuple[str, ...]:
         """Names of the kinds of controls that gradients do not know."""
         return tuple(name for name in self.own_controls if name != HYGOV.kind.name)
+
+    @property
+    def device_units(self) -> list[npt.NDArray[np.int64]]:
+        """Numbers of the units of each of `devices`; they come after the groups."""
+        edges = np.cumsum([self.machines.size + self.share.size, *(len(device.buses) for device in self.devices)])
+        return [np.arange(first, last) for first, last in itertools.pairwise(edges)]
 
     @property
     def n_substeps(self) -> int:
@@ -311,73 +295,24 @@ class PlantTables(NamedTuple):
 
 
 def plant_tables(settings: Plant) -> PlantTables:
-    """Return the constants of a plant; :func:`arranged` adds where its rows lie."""
+    """Return the constants of a plant; :func:`with_places` adds where its rows lie."""
     case, base = settings.case, settings.case.base_mva
-    machines = [machine_constants(m, base) for m in case.machines]
+    machines = [machine_constants(machine, base) for machine in case.machines]
     of_groups = settings.turbines or (settings.turbine,)
     turbines = [turbine_constants(t, settings.pitch, settings.control, settings.protection) for t in of_groups]
-    turbine, pairs = turbines[0], zip(settings.groups, settings.turbines, strict=True)
-    share = [group.n_turbines * own.rated_power_mw / base for group, own in pairs]
-    joined = settings.all_devices
-    device_buses = [bus for own in joined for bus in own.buses]
-    buses_of_units = (*(m.bus for m in case.machines), *(g.bus for g in settings.groups), *device_buses)
-    unit_bus = [case.bus_index(bus) for bus in buses_of_units]
-    impedances = [complex(m.resistance, m.internal_reactance) for m in machines]
-    impedances += [1j * turbine.converter.reactance / s for s in share]
-    impedances += [impedance for own in joined for impedance in own.impedances]
-    given = settings.limits, settings.voltage_control, settings.simulation_dt
-    extensions = [extension_constants(own, *given) for own in of_groups]
-    extension = extensions[0]
+    limits = settings.limits, settings.voltage_control, settings.simulation_dt
+    extensions = [extension_constants(turbine, *limits) for turbine in of_groups]
+    sizes = zip(settings.groups, settings.turbines, strict=True)
+    share = [group.n_turbines * turbine.rated_power_mw / base for group, turbine in sizes]
+    impedances = [complex(machine.resistance, machine.internal_reactance) for machine in machines]
+    impedances += [1j * turbines[0].converter.reactance / rating for rating in share]
+    impedances += [impedance for device in settings.all_devices for impedance in device.impedances]
     stages = [SheddingConstants(stage.frequency_pu, stage.share, stage.delay_s) for stage in settings.shedding]
-    # A gate beyond 1 p.u. says nothing about the power that a machine is meant for.
-    sharing = [
-        m.rating_mva * min(gate_limits(m.governor)[1], 1.0) if m.governor and settings.shares_dispatch else 0.0
-        for m in case.machines
-    ]
-    participation = np.array(sharing) / (sum(sharing) or 1.0)
-    slack = case.bus_index(case.slack_bus)
-    buses = [
-        Bus(
-            load=Phasor(bus.load_mw / base, bus.load_mvar / base),
-            voltage=1.0 if bus.voltage_pu is None else bus.voltage_pu,
-            holds_voltage=bus.voltage_pu is not None and index in unit_bus,
-            is_slack=index == slack,
-        )
-        for index, bus in enumerate(case.buses)
-    ]
-    ends = [(case.bus_index(branch.from_bus), case.bus_index(branch.to_bus)) for branch in case.branches]
-    branch_ends = np.array(ends, dtype=np.int64).reshape(-1, 2)
-    branch_y = np.ascontiguousarray(branch_admittances(case.branches))
-    series = tuple(dataclasses.replace(branch, charging=0.0) for branch in case.branches)
-    shunts = np.array([complex(bus.shunt_mw, bus.shunt_mvar) / base for bus in case.buses], dtype=np.complex128)
-    bus_y, is_large = assemble_admittance(branch_ends, branch_y, shunts), len(buses) >= SPARSE_FROM
-    facts: dict[str, Any] = dict.fromkeys(Facts._fields, 0) | {
-        "slack": slack,
-        "base_mva": base,
-        "simulation_dt": settings.simulation_dt,
-        "n_substeps": whole_steps("control_dt", settings.control_dt, settings.simulation_dt, "simulation step"),
-        "is_large": is_large,
-        "n_balances": _BALANCES if participation.any() else 0,
-        "curtails": bool(settings.groups) and not case.balanced,
-        "shares_frequency": settings.load_frequency_dependence,
-    }
-    network = Network(
-        facts=Facts(**facts),
-        branch_ends=branch_ends,
-        branch_y=branch_y,
-        branch_series=np.ascontiguousarray(branch_admittances(series)),
-        shunts=shunts,
-        unit_bus=np.array(unit_bus, dtype=np.int64),
-        unit_y=1.0 / np.array(impedances, dtype=np.complex128),
-        connected=np.zeros(len(unit_bus), dtype=np.int64),
-        angles=np.zeros(len(unit_bus), dtype=np.int64),
-        pattern=pattern_of(bus_y if is_large else bus_y[:0, :0]),
-        shed_shares=np.array([stage.share for stage in stages], dtype=np.float64),
-        tables=Tables(np.zeros(0, dtype=np.int64), np.zeros(0), np.zeros(0, dtype=np.int64)),
-    )
+    participation = _participation(settings)
+    network = _network_of(settings, 1.0 / np.array(impedances, dtype=np.complex128), bool(participation.any()))
     return PlantTables(
         network=network,
-        bus_y=bus_y,
+        bus_y=assemble_admittance(network.branch_ends, network.branch_y, network.shunts),
         machines=structured(Machine, machines),
         dispatch=np.where(participation > 0.0, 0.0, [m.dispatch_mw / base for m in case.machines]),
         participation=participation,
@@ -388,19 +323,78 @@ def plant_tables(settings: Plant) -> PlantTables:
         own_controls=control_constants(case.machines),
         extension=structured(Extension, extensions * settings.extended),
         shedding=structured(SheddingConstants, stages * (ISLANDS_AT_MOST if settings.extended else 1)),
-        buses=structured(Bus, buses),
+        buses=structured(Bus, _buses_of(case, network.unit_bus)),
         of_lane={
             "omega_n": 2.0 * math.pi * case.frequency_hz,
             "base_mva": base,
             "shedding_speed": max([stage.speed for stage in stages], default=0.0),
             "simulation_dt": settings.simulation_dt,
-            "limits": turbine.limits,
+            "limits": turbines[0].limits,
             "trips_groups": settings.trips_groups,
-            "reactive_max": extension.voltage.reactive_max,
-            "voltage_gain": extension.voltage.gain,
+            "reactive_max": extensions[0].voltage.reactive_max,
+            "voltage_gain": extensions[0].voltage.gain,
             "secondary_gain": settings.simulation_dt / settings.secondary_time_s if settings.secondary_time_s else 0.0,
         },
-        devices=joined,
+        devices=settings.all_devices,
+    )
+
+
+def _participation(settings: Plant) -> npt.NDArray[np.float64]:
+    """Return each machine's share of what loads need at the start (n_sync,); zeros where the case dispatches them."""
+    # A gate beyond 1 p.u. says nothing about the power that a machine is meant for.
+    sharing = [
+        m.rating_mva * min(gate_limits(m.governor)[1], 1.0) if m.governor and settings.shares_dispatch else 0.0
+        for m in settings.case.machines
+    ]
+    return np.array(sharing) / (sum(sharing) or 1.0)
+
+
+def _buses_of(case: NetworkCase, unit_bus: npt.NDArray[np.int64]) -> list[Bus]:
+    base = case.base_mva
+    return [
+        Bus(
+            load=Phasor(bus.load_mw / base, bus.load_mvar / base),
+            voltage=1.0 if bus.voltage_pu is None else bus.voltage_pu,
+            holds_voltage=bus.voltage_pu is not None and index in unit_bus,
+            is_slack=bus.number == case.slack_bus,
+        )
+        for index, bus in enumerate(case.buses)
+    ]
+
+
+def _network_of(settings: Plant, unit_y: npt.NDArray[np.complex128], shares_dispatch: bool) -> Network:
+    """Return what compiled functions read of a plant, from the internal admittances of its units on [p.u.]."""
+    case, base = settings.case, settings.case.base_mva
+    device_buses = [bus for device in settings.all_devices for bus in device.buses]
+    buses_of_units = (*(m.bus for m in case.machines), *(group.bus for group in settings.groups), *device_buses)
+    ends = [(case.bus_index(branch.from_bus), case.bus_index(branch.to_bus)) for branch in case.branches]
+    branch_ends, branch_y = np.array(ends, dtype=np.int64).reshape(-1, 2), branch_admittances(case.branches)
+    series = tuple(dataclasses.replace(branch, charging=0.0) for branch in case.branches)
+    shunts = np.array([complex(bus.shunt_mw, bus.shunt_mvar) / base for bus in case.buses], dtype=np.complex128)
+    bus_y, is_large = assemble_admittance(branch_ends, branch_y, shunts), len(case.buses) >= SPARSE_FROM
+    facts = Facts(
+        slack=case.bus_index(case.slack_bus),
+        base_mva=base,
+        simulation_dt=settings.simulation_dt,
+        n_substeps=whole_steps("control_dt", settings.control_dt, settings.simulation_dt, "simulation step"),
+        n_balances=_BALANCES if shares_dispatch else 0,
+        is_large=is_large,
+        curtails=bool(settings.groups) and not case.balanced,
+        shares_frequency=settings.load_frequency_dependence,
+    )
+    return Network(
+        facts=facts,
+        branch_ends=branch_ends,
+        branch_y=branch_y,
+        branch_series=branch_admittances(series),
+        shunts=shunts,
+        unit_bus=np.array([case.bus_index(bus) for bus in buses_of_units], dtype=np.int64),
+        unit_y=unit_y,
+        connected=np.zeros(unit_y.size, dtype=np.int64),
+        angles=np.zeros(unit_y.size, dtype=np.int64),
+        pattern=pattern_of(bus_y if is_large else bus_y[:0, :0]),
+        shed_shares=np.array([stage.share for stage in settings.shedding], dtype=np.float64),
+        tables=Tables(np.zeros(0, dtype=np.int64), np.zeros(0), np.zeros(0, dtype=np.int64)),
     )
 
 
@@ -411,80 +405,54 @@ class TaskUnits(NamedTuple):
     links: Mapping[tuple[Kind, str], npt.NDArray[np.int64]] = MappingProxyType({})
     programs: tuple[Program, ...] = ()
     stepping: tuple[Routine, ...] = ()  # that are called with blocks of the simulator's width
-    starting: tuple[Routine, ...] = ()  # and with blocks of one lane, to start runs
+    starting: tuple[Routine, ...] = ()  # and with blocks of one environment, to start runs
     constants: Mapping[tuple[Kind, str], Any] = MappingProxyType({})
     has: Collection[str] = ()  # conditions of its kinds that hold
 
 
 def layout_of(plant: PlantTables, task: TaskUnits | None = None) -> Layout:
-    """Return where the numbers of a plant's lanes lie, with those of devices and of a task behind them."""
-    n_sync, n_wtg = plant.machines.size, plant.share.size
-    n_unit, n_extended = plant.network.unit_bus.size, n_wtg if plant.extension.size else 0
-    groups = n_sync + np.arange(n_wtg)
-    row, column = np.divmod(np.arange(n_unit * n_unit), max(n_unit, 1))
-    extended, unit = np.divmod(np.arange(n_extended * n_unit), max(n_unit, 1))
-    n_bus, n_islands = plant.buses.size, ISLANDS_AT_MOST if plant.extension.size else 1
-    n_transfers = n_bus * n_unit if plant.extension.size else 0
-    n_stages = plant.shedding.size // n_islands
+    """Return where the numbers of a plant's environments lie, with those of devices and of a task behind them."""
+    n_sync, n_wtg, unit_bus = plant.machines.size, plant.share.size, plant.network.unit_bus
+    extended = plant.extension.size > 0
+    n_islands = ISLANDS_AT_MOST if extended else 1
+    network_units, network_links = units_of_network(unit_bus, plant.buses.size, n_islands, transfers=extended)
     n_units = {
         MACHINES: n_sync,
         GROUPS: n_wtg,
-        EXTENSIONS: n_extended,
-        LANE: 1,
-        BUSES: n_bus,
-        UNITS: n_unit,
-        ISLANDS: n_islands,
-        MEMBERS: (n_islands - 1) * n_unit,
-        MAIN: 1,
-        TRANSFERS: n_transfers,
-        PAIRS: n_unit * n_unit,
+        EXTENSIONS: n_wtg if extended else 0,
+        **network_units,
         STAGES: plant.shedding.size,
         FIRST_MACHINE: min(n_sync, 1),
-        COLUMNS: n_extended * n_unit,
+        COLUMNS: n_wtg * unit_bus.size if extended else 0,
         **dict.fromkeys((control.kind for control in CONTROLS.values()), 0),
     }
     links = {
-        (MACHINES, "unit"): np.arange(n_sync),
-        (EXTENSIONS, "bus_"): plant.network.unit_bus[groups[:n_extended]],
-        (MEMBERS, "unit_"): np.tile(np.arange(n_unit), n_islands - 1),
-        (MEMBERS, "island_"): np.repeat(np.arange(1, n_islands), n_unit),
-        (MAIN, "island"): np.zeros(1, dtype=np.int64),
+        # All of them are in the grid, or seen from there.
         (MACHINES, "island"): np.zeros(n_sync, dtype=np.int64),
         (GROUPS, "island"): np.zeros(n_wtg, dtype=np.int64),
-        (STAGES, "island"): np.repeat(np.arange(n_islands), n_stages),
-        (TRANSFERS, "unit_"): np.tile(np.arange(n_unit), n_bus)[:n_transfers],
-        (TRANSFERS, "bus_"): np.repeat(np.arange(n_bus), n_unit)[:n_transfers],
-        (UNITS, "bus"): plant.network.unit_bus,
-        (UNITS, "grid_"): np.zeros(n_unit, dtype=np.int64),
-        (GROUPS, "unit"): groups,
-        (EXTENSIONS, "unit"): groups[:n_extended],
-        (EXTENSIONS, "own_entry_"): (groups * (n_unit + 1))[:n_extended],
-        (EXTENSIONS, "group"): np.arange(n_extended),
-        (PAIRS, "row_"): row,
-        (PAIRS, "column_"): column,
-        # One column after the other: its entries, the units of its rows, its group.
-        (COLUMNS, "entry"): unit * n_unit + n_sync + extended,
-        (COLUMNS, "unit"): unit,
-        (COLUMNS, "group"): extended,
-        (FIRST_MACHINE, "machine"): np.zeros(min(n_sync, 1), dtype=np.int64),
+        (GROUPS, "unit"): n_sync + np.arange(n_wtg),
+        (STAGES, "island"): nested(n_islands, plant.shedding.size // n_islands)[0],
+        **network_links,
     }
+    if extended:
+        links |= links_of_extensions(n_sync, n_wtg, unit_bus)
     for name, constants in plant.own_controls.items():
         kind, of_machine = CONTROLS[name].kind, constants["machine"]
         n_units[kind] = constants.size
         links |= {(kind, "machine"): of_machine, (kind, "unit"): of_machine}
-    first, added = n_sync + n_wtg, task or TaskUnits({})
-    for own in plant.devices:
-        if own.kind in n_units or own.kind in added.n_units:
-            raise ValueError(f"there are units of a kind {own.kind.name!r} already")
-        n_units[own.kind] = len(own.buses)
-        units = first + np.arange(len(own.buses))
-        known = {UNITS: units, BUSES: plant.network.unit_bus[units]}
-        for label, kind in own.kind.sees.items():
+    added = task or TaskUnits({})
+    for units, device in zip(plant.device_units, plant.devices, strict=True):
+        if device.kind in n_units or device.kind in added.n_units:
+            raise ValueError(f"there are units of a kind {device.kind.name!r} already")
+        n_units[device.kind] = units.size
+        known = {UNITS: units, BUSES: unit_bus[units]}
+        for label, kind in device.kind.sees.items():
             if kind in known:
-                links[own.kind, label] = known[kind]
+                links[device.kind, label] = known[kind]
             elif {**n_units, **added.n_units}.get(kind) != 1:
-                raise ValueError(f"{own.kind.name} cannot see {kind.name}: nothing says which of them each one means")
-        first += len(own.buses)
+                raise ValueError(
+                    f"{device.kind.name} cannot see {kind.name}: nothing says which of them each one means"
+                )
     return Layout({**n_units, **added.n_units}, {**links, **added.links})
 
 
@@ -569,18 +537,19 @@ def with_places(
     taped: Sequence[Program] = (),
 ) -> PlantTables:
     """Return a plant that knows where its rows lie, for programs that are to run; those `taped` have a way back."""
-    kinds = dict(lane=LANE, machines=MACHINES, groups=GROUPS, units=UNITS, pairs=PAIRS, stages=STAGES, buses=BUSES)
+    kinds = dict(lane=LANE, machines=MACHINES, groups=GROUPS, units=UNITS, pairs=PAIRS, buses=BUSES)
     kinds |= dict(islands=ISLANDS, transfers=TRANSFERS, sources=SOURCES)
-    first = {name: int(layout.first[kind]) if layout.n_units(kind) else -1 for name, kind in kinds.items()}
-    first["n_islands"] = layout.n_units(ISLANDS)
-    first["starts"] = int(layout.first_scratch[LANE])
+    spans: dict[str, Any] = {name: layout.span(kind) for name, kind in kinds.items()}
+    n_islands = layout.n_units(ISLANDS)
+    spans["stages"] = Span(layout.span(STAGES).first, n_islands, layout.n_units(STAGES) // n_islands)
+    spans["starting"] = layout.span(LANE, scratch=True)
     connected = [layout.machine("connected"), layout.wtg("connected")]
     connected += [layout.rows_of(own.kind, "connected") for own in plant.devices]
     angles = [layout.machine("angle"), layout.wtg("angle")]
     for own in plant.devices:
         turns = place_in(own.kind, "angle") is not None
         angles.append(layout.rows_of(own.kind, "angle") if turns else np.full(len(own.buses), -1))
-    facts = plant.network.facts._replace(**first)  # type: ignore[arg-type]
+    facts = plant.network.facts._replace(**spans)
     tables = build_table(programs, PlantMap(plant, layout, task or TaskUnits({})), taped)
     tables = tables._replace(code=plant.network.tables.code)
     return plant._replace(

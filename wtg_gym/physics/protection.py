@@ -62,7 +62,7 @@ STAGES = Kind(
 
 
 @system(ISLANDS, "momentum", "inertia")
-def begin_coi() -> tuple[float, float]:
+def reset_inertia_sums() -> tuple[float, float]:
     """Begin the sums over all units."""
     return 0.0, 0.0
 
@@ -147,7 +147,7 @@ def track_extremes(
 
 
 @system(LANE, "alarm", "was_low")
-def no_alarm(was_low: float) -> tuple[float, float]:
+def reset_alarm(was_low: float) -> tuple[float, float]:
     """Look at the stages once more after a low frequency."""
     return was_low, 0.0
 
@@ -187,7 +187,7 @@ def count_shed_energy(shed_energy: float, unserved: float, active: float, simula
 
 
 @system(ISLANDS, "least_angle", "largest_angle", "least_squared_voltage")
-def begin_sample() -> tuple[float, float, float]:
+def reset_island_extremes() -> tuple[float, float, float]:
     """Begin to compare all connected units."""
     return math.inf, -math.inf, math.inf
 
@@ -341,7 +341,7 @@ def end_run(status: float, active: float, finding: float, finite: float) -> tupl
 
 
 @system(GROUPS, "wind_start", "wind_end")
-def still_wind(wind_start: float, wind_end: float, output: WtgOutput, stops: float) -> tuple[float, float]:
+def freeze_wind(wind_start: float, wind_end: float, output: WtgOutput, stops: float) -> tuple[float, float]:
     """Let nothing be added in what is left of a control interval once a run has ended, no wind either."""
     still = stops > 0.5
     return select(still, output.wind, wind_start), select(still, output.wind, wind_end)

@@ -3,195 +3,176 @@
 from __future__ import annotations
 
 import math
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from wtg_gym.physics.kernel_data import EVENT, LaneData, Network
-from wtg_gym.physics.layout import N_MACHINE_ROWS, OF_LANE, Floats, n_rows_of, offsets_of, place_of
+from wtg_gym.physics.layout import OF_LANE, Floats, Whole, offsets_of, place_of, units_of
 from wtg_gym.physics.machine_unit import MACHINES
 from wtg_gym.physics.network import eliminate
+from wtg_gym.physics.network_data import Facts, LaneData, Network
 from wtg_gym.physics.source_unit import SOURCES
 from wtg_gym.physics.units import BUSES, ISLANDS, UNITS
-from wtg_gym.systems.compiled import compiled, internal
+from wtg_gym.systems.compiled import compiled, inlined, internal
 
 _GATE, _REFERENCE, _DROOP = (place_of(MACHINES, name) for name in ("gate", "gate_reference", "inv_droop"))
 _OF_BUS, _OF_UNIT, _OF_ISLAND = offsets_of(BUSES), offsets_of(UNITS), offsets_of(ISLANDS)
-_N_BUS, _N_UNIT, _N_ISLAND = n_rows_of(BUSES.rows), n_rows_of(UNITS.rows), n_rows_of(ISLANDS.rows)
-_N_SOURCE, _SOURCE_ANGLE, _SOURCE_RAMP = n_rows_of(SOURCES.rows), place_of(SOURCES, "angle"), place_of(SOURCES, "ramp")
+_SOURCE_ANGLE, _SOURCE_RAMP = place_of(SOURCES, "angle"), place_of(SOURCES, "ramp")
+
+
+class _Rows(NamedTuple):
+    """Views of one environment's rows in a block: all of them, and those of each unit (n_units, n_rows)."""
+
+    all: Floats  # (n_rows,)
+    lane: Floats  # (n_rows,)
+    machines: Floats
+    units: Floats
+    pairs: Floats
+    stages: Floats  # of shedding (n_islands, n_stages)
+    buses: Floats
+    islands: Floats
+    transfers: Floats  # (0, n_rows) where the plant has none
+    sources: Floats
+
+
+@internal
+def _rows_of(block: Floats, x: int, facts: Facts) -> _Rows:
+    """Return the views of the environment in column x of a block."""
+    return _Rows(
+        block[:, x],
+        units_of(block, facts.lane)[0, :, x],
+        units_of(block, facts.machines)[:, :, x],
+        units_of(block, facts.units)[:, :, x],
+        units_of(block, facts.pairs)[:, :, x],
+        units_of(block, facts.stages)[:, :, x],
+        units_of(block, facts.buses)[:, :, x],
+        units_of(block, facts.islands)[:, :, x],
+        units_of(block, facts.transfers)[:, :, x],
+        units_of(block, facts.sources)[:, :, x],
+    )
+
+
+@inlined
+def _write(rows: Floats, at: int, value: complex) -> None:
+    """Write a complex number into two of a unit's rows."""
+    rows[at], rows[at + 1] = value.real, value.imag
 
 
 @compiled
 def refresh_network(block: Floats, x: int, lane: int, network: Network, data: LaneData) -> None:
-    """Kron-reduce the network of one lane as it is from its present step on, and note when it changes next.
+    """Kron-reduce the network of one environment as it is from its present step on, and note when it changes next.
 
     Units and governors that events take away are switched off, those that come back are marked for the systems that
     synchronise them, sources are moved. Load ramps are staircases: constant over a control interval at the value of its
     middle. So is the conductance of loads that depend on the frequency, at that of its beginning.
     """
-    facts = network.facts
-    step = block[facts.lane + OF_LANE.step, x]
+    facts, events, rows = network.facts, data.events[lane], _rows_of(block, x, network.facts)
+    step = rows.lane[OF_LANE.step]
     # A second time at the same step only the units that have come back are new.
-    again = block[facts.lane + OF_LANE.last_change, x] == step
-    following = _strike(block, x, lane, network, data, again)
+    again = rows.lane[OF_LANE.last_change] == step
+    following = math.inf
+    for e in range(events.shape[0]):
+        following = min(following, _next_change(events[e], step, facts))
+        _strike(events[e], step, rows, network, again)
     if facts.shares_frequency > 0.0:
-        following = min(following, (math.floor(step / facts.n_substeps) + 1.0) * facts.n_substeps)
-    own = facts.lane
-    block[own + OF_LANE.last_change, x], block[own + OF_LANE.next_change, x] = step, following
-    _find_islands(block, x, lane, network, data)
+        following = min(following, _next_interval(step, facts))
+    rows.lane[OF_LANE.last_change], rows.lane[OF_LANE.next_change] = step, following
+    if facts.islands.n_units > 1 and (events.branch >= 0).any():
+        _find_islands(rows, network, events)
     if not again:
-        _shed(block, x, network, data.events[lane])
-    noise_bus, n, n_bus = int(block[own + OF_LANE.noise_bus, x]), network.unit_y.shape[0], network.shunts.shape[0]
+        _shed(rows, network, events)
+    n, n_bus = network.unit_y.shape[0], network.shunts.shape[0]
     # Columns of the bus impedance matrix: of the units' buses, then of the load noise's.
     z, unit_y = np.empty((n_bus, n_bus + n + 1), dtype=np.complex128), np.empty(n, dtype=np.complex128)
     assemble(z, unit_y, block, x, lane, network, data)
+    _reduce(z, unit_y, rows, network)
+
+
+@internal
+def _reduce(z: npt.NDArray[np.complex128], unit_y: npt.NDArray[np.complex128], rows: _Rows, network: Network) -> None:
+    """Write Y_red = diag(y) - diag(y) Z diag(y), transfers u = diag(y) Z e to the noise bus e, and impedances there."""
+    noise_bus = int(rows.lane[OF_LANE.noise_bus])
+    n, n_bus = network.unit_y.shape[0], network.shunts.shape[0]
     for k in range(n_bus):
         for i in range(n):
             z[k, n_bus + i] = 1.0 if network.unit_bus[i] == k else 0.0
         z[k, n_bus + n] = 1.0 if k == noise_bus else 0.0
     eliminate(z)
-    # Y_red = diag(y) - diag(y) Z diag(y), the noise bus's transfer u = diag(y) Z e and its impedance.
-    row = facts.pairs
+    pair, transfer = 0, 0
     for i in range(n):
-        bus, at = network.unit_bus[i], facts.units + _N_UNIT * i + _OF_UNIT.transfer
+        bus = network.unit_bus[i]
         for j in range(n):
             value = -unit_y[i] * z[bus, n_bus + j] * unit_y[j]
             if i == j:
                 value += unit_y[i]
-            block[row, x], block[row + 1, x] = value.real, value.imag
-            row += 2
-        value = unit_y[i] * z[bus, n_bus + n]
-        block[at, x], block[at + 1, x] = value.real, value.imag
-    at = own + OF_LANE.noise_z
-    block[at, x], block[at + 1, x] = z[noise_bus, n_bus + n].real, z[noise_bus, n_bus + n].imag
+            _write(rows.pairs[pair], 0, value)
+            pair += 1
+        _write(rows.units[i], _OF_UNIT.transfer, unit_y[i] * z[bus, n_bus + n])
+    _write(rows.lane, OF_LANE.noise_z, z[noise_bus, n_bus + n])
     # What every unit's voltage brings to every bus, and what the load noise takes there.
-    row = facts.transfers
     for k in range(n_bus):
-        at = facts.buses + _N_BUS * k + _OF_BUS.noise_transfer
-        block[at, x], block[at + 1, x] = z[k, n_bus + n].real, z[k, n_bus + n].imag
-        for i in range(n if row > 0 else 0):
-            value = z[k, n_bus + i] * unit_y[i]
-            block[row, x], block[row + 1, x] = value.real, value.imag
-            row += 2
+        _write(rows.buses[k], _OF_BUS.noise_transfer, z[k, n_bus + n])
+        for i in range(n if rows.transfers.shape[0] > 0 else 0):
+            _write(rows.transfers[transfer], 0, z[k, n_bus + i] * unit_y[i])
+            transfer += 1
+
+
+# --- events ---------------------------------------------------------------------------------------------------------
 
 
 @internal
-def _strike(block: Floats, x: int, lane: int, network: Network, data: LaneData, again: bool) -> float:
-    """Let events act on units, governors and sources; return the step at which any event changes something next."""
-    facts, events, following = network.facts, data.events[lane], math.inf
-    step = block[facts.lane + OF_LANE.step, x]
-    for e in range(events.shape[0]):
-        start, end = events[e, EVENT.start], events[e, EVENT.end]
-        unit, governor, source = (
-            int(events[e, EVENT.unit]),
-            int(events[e, EVENT.governor]),
-            int(events[e, EVENT.source]),
-        )
-        if step < start:
-            following = min(following, start)
-        elif step < end:
-            boundary = (math.floor(step / facts.n_substeps) + 1.0) * facts.n_substeps
-            following = min(following, min(boundary, end) if events[e, EVENT.bus] >= 0.0 else end)
-        if unit >= 0:
-            # Once is enough: a protection may disconnect a unit that has come back.
-            if step == start and not again:
-                block[network.connected[unit], x] = 0.0
-            # A unit that finds no voltage at its bus does not try again.
-            if end > start and step == end and not again and block[network.connected[unit], x] < 0.5:
-                row = facts.units + _N_UNIT * unit
-                island = max(int(block[facts.buses + _N_BUS * network.unit_bus[unit] + _OF_BUS.island, x]), 0)
-                block[row + _OF_UNIT.returns, x] = 1.0
-                block[row + _OF_UNIT.turned, x] = block[facts.islands + _N_ISLAND * island + _OF_ISLAND.turned, x]
-                block[facts.lane + OF_LANE.returning, x] = 1.0
-        machine = facts.machines + governor * N_MACHINE_ROWS
-        if step >= start and governor >= 0 and block[machine + _DROOP, x] > 0.0:
+def _next_interval(step: float, facts: Facts) -> float:
+    """Return the simulation step at which the next control interval begins."""
+    return float((math.floor(step / facts.n_substeps) + 1.0) * facts.n_substeps)
+
+
+@internal
+def _next_change(event: Any, step: float, facts: Facts) -> float:
+    """Return the next simulation step at which an event changes something."""
+    if step < event.start:
+        return float(event.start)
+    if step < event.end:
+        return float(min(_next_interval(step, facts), event.end) if event.bus >= 0 else event.end)
+    return math.inf
+
+
+@internal
+def _strike(event: Any, step: float, rows: _Rows, network: Network, again: bool) -> None:
+    """Let an event act on units, governors and sources."""
+    begins, ends = step == event.start and not again, step == event.end and event.end > event.start and not again
+    if event.unit >= 0:
+        connected = network.connected[event.unit]
+        # Once is enough: a protection may disconnect a unit that has come back.
+        if begins:
+            rows.all[connected] = 0.0
+        # A unit that finds no voltage at its bus does not try again.
+        if ends and rows.all[connected] < 0.5:
+            island = max(int(rows.buses[network.unit_bus[event.unit], _OF_BUS.island]), 0)
+            rows.units[event.unit, _OF_UNIT.returns] = 1.0
+            rows.units[event.unit, _OF_UNIT.turned] = rows.islands[island, _OF_ISLAND.turned]
+            rows.lane[OF_LANE.returning] = 1.0
+    if event.governor >= 0 and step >= event.start:
+        machine = rows.machines[event.governor]
+        if machine[_DROOP] > 0.0:
             # The gate stays where it is, whatever the speed.
-            block[machine + _REFERENCE, x], block[machine + _DROOP, x] = block[machine + _GATE, x], 0.0
-        if source >= 0 and not again:
-            row = facts.sources + source * _N_SOURCE
-            if step == start:
-                block[row + _SOURCE_ANGLE, x] += events[e, EVENT.jump]
-                block[row + _SOURCE_RAMP, x] += events[e, EVENT.ramp]
-            if end > start and step == end:
-                block[row + _SOURCE_RAMP, x] -= events[e, EVENT.ramp]
-    return following
+            machine[_REFERENCE], machine[_DROOP] = machine[_GATE], 0.0
+    if event.source >= 0:
+        source = rows.sources[event.source]
+        if begins:
+            source[_SOURCE_ANGLE] += event.jump
+            source[_SOURCE_RAMP] += event.ramp
+        if ends:
+            source[_SOURCE_RAMP] -= event.ramp
 
 
-@internal
-def _find_islands(block: Floats, x: int, lane: int, network: Network, data: LaneData) -> None:
-    """Number the parts of the network that hang together and have a unit: by the load of the start, the most first.
-
-    What protections remember of an island goes with most of its load, when it falls apart and when parts join. Units of
-    a part that joins another are counted from the same turn.
-    """
-    facts, n_bus, n = network.facts, network.shunts.shape[0], network.unit_y.shape[0]
-    n_islands, n_stages = facts.n_islands, network.shed_shares.shape[0]
-    if n_islands == 1 or not _may_split(data.events[lane]):
-        return
-    part = np.arange(n_bus)
-    moved = True
-    while moved:
-        moved = False
-        for b in range(network.branch_ends.shape[0]):
-            if not _is_open(b, block[facts.lane + OF_LANE.step, x], data.events[lane]):
-                first, second = network.branch_ends[b]
-                lower = min(part[first], part[second])
-                moved |= part[first] != lower or part[second] != lower
-                part[first], part[second] = lower, lower
-    # Load of each part, and of what was each island in it; one without load counts a little.
-    loads, of_old, lives = np.zeros(n_bus), np.zeros((n_bus, n_islands)), np.zeros(n_bus)
-    for k in range(n_bus):
-        row = facts.buses + _N_BUS * k
-        old, load = int(block[row + _OF_BUS.island, x]), block[row + _OF_BUS.load, x]
-        loads[part[k]] += load
-        if old >= 0:
-            of_old[part[k], old] += load + 1e-9
-    for i in range(n):
-        if block[network.connected[i], x] > 0.5:
-            lives[part[network.unit_bus[i]]] = 1.0
-    number, remembered = np.full(n_bus, -1.0), np.zeros((n_islands, _N_ISLAND + n_stages))
-    for k in range(n_islands):
-        for r in range(_N_ISLAND):
-            remembered[k, r] = block[facts.islands + _N_ISLAND * k + r, x]
-        for r in range(n_stages):
-            remembered[k, _N_ISLAND + r] = block[facts.stages + n_stages * k + r, x]
-    for k in range(n_islands):
-        best = -1
-        for p in range(n_bus):
-            # The grid is that with the most load, dead or alive.
-            if (lives[p] > 0.5 or k == 0) and number[p] < 0.0 and (best < 0 or loads[p] > loads[best]):
-                best = p
-        if best < 0:
-            break
-        number[best] = k
-        block[facts.lane + OF_LANE.split, x] = 1.0 if k > 0 else 0.0
-        old = 0
-        for o in range(n_islands):
-            if of_old[best, o] > of_old[best, old]:
-                old = o
-        for r in range(_N_ISLAND):
-            block[facts.islands + _N_ISLAND * k + r, x] = remembered[old, r]
-        for r in range(n_stages):
-            block[facts.stages + n_stages * k + r, x] = remembered[old, _N_ISLAND + r]
-        for i in range(n):
-            own = int(block[facts.units + _N_UNIT * i + _OF_UNIT.island, x])
-            if part[network.unit_bus[i]] == best and own >= 0 and network.angles[i] >= 0:
-                behind = remembered[old, _OF_ISLAND.turned] - remembered[own, _OF_ISLAND.turned]
-                block[network.angles[i], x] += 2.0 * math.pi * math.floor(behind / (2.0 * math.pi) + 0.5)
-    for k in range(n_bus):
-        block[facts.buses + _N_BUS * k + _OF_BUS.island, x] = number[part[k]]
-    for i in range(n):
-        block[facts.units + _N_UNIT * i + _OF_UNIT.island, x] = number[part[network.unit_bus[i]]]
+@inlined
+def _ramped(event: Any, step: float, at: float) -> float:
+    """Return the share of its load that an event has reached at `at`, steps since the run's start, seen from `step`."""
+    return 1.0 if step >= event.end else (at - event.start) / (event.end - event.start)
 
 
-@internal
-def _may_split(events: Any) -> bool:
-    """Return whether events open a line: else all is one island."""
-    found = False
-    for e in range(events.shape[0]):
-        found |= bool(events[e, EVENT.branch] >= 0.0)
-    return found
+# --- islands --------------------------------------------------------------------------------------------------------
 
 
 @internal
@@ -199,29 +180,111 @@ def _is_open(branch: int, step: float, events: Any) -> bool:
     """Return whether an event holds a branch open at a step."""
     found = False
     for e in range(events.shape[0]):
-        start, end = events[e, EVENT.start], events[e, EVENT.end]
-        opens = events[e, EVENT.branch] == branch and events[e, EVENT.factor] == 0.0
-        found |= opens and step >= start and not (end > start and step >= end)
+        event = events[e]
+        opens = event.branch == branch and event.factor == 0.0
+        found |= opens and step >= event.start and not (event.end > event.start and step >= event.end)
     return found
 
 
 @internal
-def _shed(block: Floats, x: int, network: Network, events: Any) -> None:
+def _find_islands(rows: _Rows, network: Network, events: Any) -> None:
+    """Number the parts of the network that hang together and have a unit: by the load of the start, the most first.
+
+    What protections remember of an island goes with most of its load, when it falls apart and when parts join. Units of
+    a part that joins another are counted from the same turn.
+    """
+    part = _parts_of(rows.lane[OF_LANE.step], network, events)
+    number = _numbers_of(part, rows, network)
+    islands, stages = rows.islands.copy(), rows.stages.copy()
+    rows.lane[OF_LANE.split] = 0.0
+    for p in range(number.shape[0]):
+        if number[p] >= 0:
+            before = _island_before(part, p, rows)
+            rows.islands[number[p]], rows.stages[number[p]] = islands[before], stages[before]
+            _turn_units(part, p, islands[:, _OF_ISLAND.turned], before, rows, network)
+            if number[p] > 0:
+                rows.lane[OF_LANE.split] = 1.0
+    for k in range(part.shape[0]):
+        rows.buses[k, _OF_BUS.island] = number[part[k]]
+    for i in range(network.unit_bus.shape[0]):
+        rows.units[i, _OF_UNIT.island] = number[part[network.unit_bus[i]]]
+
+
+@internal
+def _parts_of(step: float, network: Network, events: Any) -> Whole:
+    """Return the first bus of the part of the network that each bus is in at a step (n_bus,)."""
+    part, moved = np.arange(network.shunts.shape[0]), True
+    while moved:
+        moved = False
+        for b in range(network.branch_ends.shape[0]):
+            if not _is_open(b, step, events):
+                first, second = network.branch_ends[b]
+                lower = min(part[first], part[second])
+                moved |= part[first] != lower or part[second] != lower
+                part[first], part[second] = lower, lower
+    return part
+
+
+@internal
+def _numbers_of(part: Whole, rows: _Rows, network: Network) -> Whole:
+    """Return the number of the island that each part is, at the place of its first bus (n_bus,); -1 for no island."""
+    loads, lives = np.zeros(part.shape[0]), np.zeros(part.shape[0], dtype=np.bool_)
+    for k in range(part.shape[0]):
+        loads[part[k]] += rows.buses[k, _OF_BUS.load]
+    for i in range(network.unit_bus.shape[0]):
+        lives[part[network.unit_bus[i]]] |= rows.all[network.connected[i]] > 0.5
+    number = np.full(part.shape[0], -1)
+    for island in range(rows.islands.shape[0]):
+        best = -1
+        for p in range(part.shape[0]):
+            # The grid is that with the most load, dead or alive.
+            if (lives[p] or island == 0) and number[p] < 0 and (best < 0 or loads[p] > loads[best]):
+                best = p
+        if best >= 0:
+            number[best] = island
+    return number
+
+
+@internal
+def _island_before(part: Whole, p: int, rows: _Rows) -> int:
+    """Return the island that most of a part's load was in; a bus without load counts a little."""
+    loads = np.zeros(rows.islands.shape[0])
+    for k in range(part.shape[0]):
+        island = int(rows.buses[k, _OF_BUS.island])
+        if part[k] == p and island >= 0:
+            loads[island] += rows.buses[k, _OF_BUS.load] + 1e-9
+    return int(loads.argmax())
+
+
+@internal
+def _turn_units(part: Whole, p: int, turned: Floats, before: int, rows: _Rows, network: Network) -> None:
+    """Count the angles of a part's units from the same turn as the island that most of it was."""
+    for i in range(network.unit_bus.shape[0]):
+        island = int(rows.units[i, _OF_UNIT.island])
+        if part[network.unit_bus[i]] == p and island >= 0 and network.angles[i] >= 0:
+            behind = turned[before] - turned[island]
+            rows.all[network.angles[i]] += 2.0 * math.pi * math.floor(behind / (2.0 * math.pi) + 0.5)
+
+
+# --- loads and admittances ------------------------------------------------------------------------------------------
+
+
+@internal
+def _shed(rows: _Rows, network: Network, events: Any) -> None:
     """Take from every bus what the stages of its island shed at this step, and sum what is not served."""
-    facts, n_stages, unserved = network.facts, network.shed_shares.shape[0], 0.0
-    step = block[facts.lane + OF_LANE.step, x]
+    step, unserved = rows.lane[OF_LANE.step], 0.0
     for k in range(network.shunts.shape[0]):
-        row = facts.buses + _N_BUS * k
-        island, load = int(block[row + _OF_BUS.island, x]), block[row + _OF_BUS.load, x]
+        bus = rows.buses[k]
+        island, load = int(bus[_OF_BUS.island]), bus[_OF_BUS.load]
         for e in range(events.shape[0]):
-            start, end = events[e, EVENT.start], events[e, EVENT.end]
-            if events[e, EVENT.bus] == k and step >= start:
-                load += events[e, EVENT.active] * (1.0 if step >= end else (step - start) / (end - start))
-        for s in range(n_stages if island >= 0 else 0):
-            if step >= 0.0 and -1.0 - block[facts.stages + n_stages * island + s, x] == step:
-                block[row + _OF_BUS.served, x] = max(block[row + _OF_BUS.served, x] - network.shed_shares[s], 0.0)
-        unserved += max(load, 0.0) * (1.0 - (block[row + _OF_BUS.served, x] if island >= 0 else 0.0))
-    block[facts.lane + OF_LANE.unserved, x] = unserved
+            event = events[e]
+            if event.bus == k and step >= event.start:
+                load += event.active * _ramped(event, step, step)
+        for s in range(network.shed_shares.shape[0] if island >= 0 else 0):
+            if step >= 0.0 and -1.0 - rows.stages[island, s] == step:
+                bus[_OF_BUS.served] = max(bus[_OF_BUS.served] - network.shed_shares[s], 0.0)
+        unserved += max(load, 0.0) * (1.0 - (bus[_OF_BUS.served] if island >= 0 else 0.0))
+    rows.lane[OF_LANE.unserved] = unserved
 
 
 @internal
@@ -232,14 +295,24 @@ def _add_branches(y: npt.NDArray[np.complex128], step: float, network: Network, 
             # Of several changes of its impedance the last one holds.
             factor, latest = 1.0, -1.0
             for e in range(events.shape[0]):
-                start = events[e, EVENT.start]
-                if events[e, EVENT.branch] == b and events[e, EVENT.factor] > 0.0 and latest <= start <= step:
-                    factor, latest = events[e, EVENT.factor], start
+                event = events[e]
+                if event.branch == b and event.factor > 0.0 and latest <= event.start <= step:
+                    factor, latest = event.factor, event.start
             for i in range(4):
                 value = network.branch_y[b, i]
                 if factor != 1.0:
                     value += (1.0 / factor - 1.0) * network.branch_series[b, i]
                 y[network.branch_ends[b, i // 2], network.branch_ends[b, i % 2]] += value
+
+
+@internal
+def _load_of(bus: Floats, rows: _Rows, facts: Facts) -> complex:
+    """Return the admittance of a bus's load, before shedding [p.u.]."""
+    load = complex(bus[_OF_BUS.load], bus[_OF_BUS.load + 1])
+    if facts.shares_frequency > 0.0:
+        deviation = rows.islands[max(int(bus[_OF_BUS.island]), 0), _OF_ISLAND.centre] - 1.0
+        load = complex(load.real * (1.0 + facts.shares_frequency * deviation), load.imag)
+    return load
 
 
 @compiled
@@ -252,7 +325,7 @@ def assemble(
     network: Network,
     data: LaneData,
 ) -> None:
-    """Write the internal admittance of every unit of a lane and its bus admittance matrix, without load noise [p.u.].
+    """Write the internal admittance of every unit of an environment and its bus admittances, without load noise [p.u.].
 
     A unit that is disconnected has none, from the instant on at which a protection trips it. Else the matrix is that of
     the network as it was last reduced, with its loads and events. The step of that decides which events have struck;
@@ -262,39 +335,30 @@ def assemble(
         y: its first n_bus columns are written (n_bus, n).
         unit_y: is written (n_unit,).
         block: one block's rows (n_rows, width).
-        x: the lane's column in the block.
-        lane: its row in `data`.
-        network, data: constants and what the lane was given.
+        x: the environment's column in the block.
+        lane: the row of `data` with its series and events.
+        network, data: constants, series and events.
     """
-    facts, events, n = network.facts, data.events[lane], network.shunts.shape[0]
-    step = block[facts.lane + OF_LANE.last_change, x]
-    ramp_step = 0.5 * (step + block[facts.lane + OF_LANE.next_change, x])
+    rows, events, n = _rows_of(block, x, network.facts), data.events[lane], network.shunts.shape[0]
+    step = rows.lane[OF_LANE.last_change]
+    middle = 0.5 * (step + rows.lane[OF_LANE.next_change])
+    y[:, :n] = 0.0
     for k in range(n):
-        for m in range(n):
-            y[k, m] = 0.0
-        row = facts.buses + _N_BUS * k
-        served = block[row + _OF_BUS.served, x]
-        load = complex(block[row + _OF_BUS.load, x], block[row + _OF_BUS.load + 1, x])
-        if facts.shares_frequency > 0.0:
-            island = max(int(block[row + _OF_BUS.island, x]), 0)
-            deviation = block[facts.islands + _N_ISLAND * island + _OF_ISLAND.centre, x] - 1.0
-            load = complex(load.real * (1.0 + facts.shares_frequency * deviation), load.imag)
-        y[k, k] = network.shunts[k] + served * load
+        y[k, k] = network.shunts[k] + rows.buses[k, _OF_BUS.served] * _load_of(rows.buses[k], rows, network.facts)
     for e in range(events.shape[0]):
-        start, end = events[e, EVENT.start], events[e, EVENT.end]
-        bus, fault = int(events[e, EVENT.bus]), int(events[e, EVENT.fault])
-        if step >= start and bus >= 0:
-            served = block[facts.buses + _N_BUS * bus + _OF_BUS.served, x]
-            level = 1.0 if step >= end else (ramp_step - start) / (end - start)
-            y[bus, bus] += served * level * complex(events[e, EVENT.active], events[e, EVENT.reactive])
-        if fault >= 0 and start <= step < end:
-            y[fault, fault] += complex(events[e, EVENT.active], events[e, EVENT.reactive])
+        event = events[e]
+        admittance = complex(event.active, event.reactive)
+        if event.bus >= 0 and step >= event.start:
+            served = rows.buses[event.bus, _OF_BUS.served]
+            y[event.bus, event.bus] += served * _ramped(event, step, middle) * admittance
+        if event.fault >= 0 and event.start <= step < event.end:
+            y[event.fault, event.fault] += admittance
     for i in range(unit_y.shape[0]):
-        committed = block[facts.units + _N_UNIT * i + _OF_UNIT.committed, x]
-        unit_y[i] = network.unit_y[i] * (committed * block[network.connected[i], x])
-        y[network.unit_bus[i], network.unit_bus[i]] += unit_y[i]
+        bus = network.unit_bus[i]
+        unit_y[i] = network.unit_y[i] * (rows.units[i, _OF_UNIT.committed] * rows.all[network.connected[i]])
+        y[bus, bus] += unit_y[i]
     _add_branches(y, step, network, events)
     for k in range(n):
-        if block[facts.buses + _N_BUS * k + _OF_BUS.island, x] < 0.0:
-            for m in range(n):
-                y[k, m] = 1.0 if m == k else 0.0
+        if rows.buses[k, _OF_BUS.island] < 0.0:
+            y[k, :n] = 0.0
+            y[k, k] = 1.0

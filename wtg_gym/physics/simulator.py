@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import functools
+import itertools
 import math
 from collections.abc import Sequence
 from typing import Any, NamedTuple
@@ -14,9 +15,9 @@ import numpy.typing as npt
 from wtg_gym.physics.block_threads import BlockThreads
 from wtg_gym.physics.equilibrium import FLOW_COLUMNS, POWER_FLOW, SPARSE_FLOW, prepare_lanes, rows_of_buses
 from wtg_gym.physics.integration import PROGRAMS, REFRESH, STARTING, STEPPING, advance_blocks, evaluate_blocks
-from wtg_gym.physics.kernel_data import NO_EVENT, LaneData
-from wtg_gym.physics.layout import Floats
+from wtg_gym.physics.layout import Floats, rows_of_lanes
 from wtg_gym.physics.linearisation import StepError, check_step
+from wtg_gym.physics.network_data import NO_EVENT, LaneData, NetworkEvent
 from wtg_gym.physics.network_events import network_events
 from wtg_gym.physics.plant import Plant, TaskUnits, layout_of, plant_tables, programs_of, with_places
 from wtg_gym.physics.reduction import assemble
@@ -32,6 +33,7 @@ from wtg_gym.physics.start_errors import (
 from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY, TrackingLaw, group_laws
 from wtg_gym.physics.units import UNITS, StartFailure
 from wtg_gym.ranges import require_memory, require_range, require_whole, whole_steps
+from wtg_gym.systems.records import structured
 from wtg_gym.systems.routines import WIDE, Function, Routine, code_of
 
 #: Winds at which the integration step is checked when a simulator is built: blades at rest, and turned by the pitch
@@ -194,7 +196,7 @@ class Simulator:
         return LaneData(
             wind=np.full((n, self.layout.n_wtg, self.n_intervals + 1), 8.0),
             noise=np.zeros((n, self.n_intervals)),
-            events=np.full((n, n_events, len(NO_EVENT)), NO_EVENT),
+            events=np.full((n, n_events), NO_EVENT),
         )
 
     def _pad(self) -> None:
@@ -228,8 +230,7 @@ class Simulator:
         return self._of_units(self.layout.wtg(name))
 
     def _of_units(self, rows: npt.NDArray[np.int64]) -> Floats:
-        blocks = self.blocks[:, rows, :].transpose(0, 2, 1)
-        return np.ascontiguousarray(blocks.reshape(blocks.shape[0] * self.width, rows.size)[: self.n_lanes])
+        return np.ascontiguousarray(rows_of_lanes(self.blocks, rows, self.n_lanes))
 
     def lane_values(self, name: str) -> Floats:
         """Return a number of every lane by its name, shape (n_lanes,)."""
@@ -276,7 +277,7 @@ class Simulator:
             self._write_series(data, lane, scenario)
         places = [(lane, place) for lane, own in enumerate(events) for place in range(len(own))]
         if places:
-            data.events[tuple(np.transpose(places))] = [event for own in events for event in own]
+            data.events[tuple(np.transpose(places))] = structured(NetworkEvent, itertools.chain(*events))
         rows = np.zeros((n, self.layout.n_rows))
         self._write_machine_inputs(rows, scenarios)
         rows[:, self._law_rows] = _law_numbers(tuple(laws))

@@ -9,13 +9,13 @@ from __future__ import annotations
 
 import heapq
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from wtg_gym.physics.network import PowerFlow, note_flow
-from wtg_gym.systems.compiled import compiled, inlined
+from wtg_gym.systems.compiled import compiled, inlined, internal
 
 Whole = npt.NDArray[np.int64]
 #: Buses from which on the sparse elimination is quicker than the dense one.
@@ -155,53 +155,11 @@ def solve_sparse_flow(
     The tolerance grows with the powers that meet at a bus, whose sum rounding limits.
     """
     n = y.shape[0]
-    own, x = np.empty((n, 2, 2)), np.empty((n, 2))
+    own, x, flow, size = np.empty((n, 2, 2)), np.empty((n, 2)), np.empty(n, np.complex128), np.empty(n)
     above, below = np.empty((len(pattern.later), 2, 2)), np.empty((len(pattern.later), 2, 2))
-    voltage, flow, size = np.empty(n, np.complex128), np.empty(n, np.complex128), np.empty(n)
     for iteration in range(_STEPS):
-        for k in range(n):
-            angle = buses[k, at.polar + 1]
-            voltage[k] = buses[k, at.polar] * complex(math.cos(angle), math.sin(angle))
-        above[:], below[:] = 0.0, 0.0
-        for k in range(n):
-            square = buses[k, at.polar] * buses[k, at.polar]
-            flow[k], size[k] = square * y[k, k].conjugate(), square * abs(y[k, k])
-        for p in range(len(pattern.pairs)):
-            a, b, e = pattern.pairs[p, 0], pattern.pairs[p, 1], pattern.entry_of[p]
-            there = voltage[a] * (y[a, b] * voltage[b]).conjugate()
-            back = voltage[b] * (y[b, a] * voltage[a]).conjugate()
-            flow[a], flow[b] = flow[a] + there, flow[b] + back
-            size[a], size[b] = size[a] + abs(there), size[b] + abs(back)
-            # Rows: P and Q of the bus; columns: angle and relative magnitude of the other.
-            _set(above[e], there.imag, there.real, -there.real, there.imag)
-            _set(below[e], back.imag, back.real, -back.real, back.imag)
-        worst = 0.0
-        for place in range(n):
-            k = pattern.order[place]
-            square = buses[k, at.polar] * buses[k, at.polar]
-            p, q = flow[k].real, flow[k].imag
-            g, b = square * y[k, k].real, -square * y[k, k].imag
-            own[place, 0, 0], own[place, 0, 1] = b - q, p + g
-            own[place, 1, 0], own[place, 1, 1] = p - g, q + b
-            x[place, 0], x[place, 1] = buses[k, at.power] - p, buses[k, at.power + 1] - q
-            if k == slack:
-                own[place, 0, 0], own[place, 0, 1], x[place, 0] = 1.0, 0.0, 0.0
-            else:
-                worst = max(worst, abs(x[place, 0]) / max(size[k], 1.0))
-            if buses[k, at.holds_voltage] > 0.5:
-                own[place, 1, 0], own[place, 1, 1], x[place, 1] = 0.0, 1.0, 0.0
-            else:
-                worst = max(worst, abs(x[place, 1]) / max(size[k], 1.0))
-            for e in range(pattern.first[place], pattern.first[place + 1]):
-                other = pattern.order[pattern.later[e]]
-                if k == slack:
-                    above[e, 0, 0], above[e, 0, 1] = 0.0, 0.0
-                if buses[k, at.holds_voltage] > 0.5:
-                    above[e, 1, 0], above[e, 1, 1] = 0.0, 0.0
-                if other == slack:
-                    below[e, 0, 0], below[e, 0, 1] = 0.0, 0.0
-                if buses[other, at.holds_voltage] > 0.5:
-                    below[e, 1, 0], below[e, 1, 1] = 0.0, 0.0
+        _write_flows((above, below, flow, size), y, buses, at, pattern)
+        worst = _write_rows((own, above, below, x), (flow, size), y, slack, buses, at, pattern)
         if worst < _TOLERANCE:
             note_flow(y, buses, at)
             return iteration
@@ -212,3 +170,60 @@ def solve_sparse_flow(
             buses[k, at.polar + 1] += x[place, 0]
             buses[k, at.polar] *= 1.0 + x[place, 1]
     return -1
+
+
+@internal
+def _write_flows(
+    arrays: Any, y: npt.NDArray[np.complex128], buses: npt.NDArray[np.float64], at: PowerFlow, pattern: Pattern
+) -> None:
+    """Write the blocks off the diagonal, the flow from each bus, and the sum of the powers that meet there."""
+    above, below, flow, size = arrays
+    voltage = np.empty(y.shape[0], np.complex128)
+    above[:], below[:] = 0.0, 0.0
+    for k in range(y.shape[0]):
+        angle = buses[k, at.polar + 1]
+        voltage[k] = buses[k, at.polar] * complex(math.cos(angle), math.sin(angle))
+        square = buses[k, at.polar] * buses[k, at.polar]
+        flow[k], size[k] = square * y[k, k].conjugate(), square * abs(y[k, k])
+    for p in range(len(pattern.pairs)):
+        a, b, e = pattern.pairs[p, 0], pattern.pairs[p, 1], pattern.entry_of[p]
+        there = voltage[a] * (y[a, b] * voltage[b]).conjugate()
+        back = voltage[b] * (y[b, a] * voltage[a]).conjugate()
+        flow[a], flow[b] = flow[a] + there, flow[b] + back
+        size[a], size[b] = size[a] + abs(there), size[b] + abs(back)
+        # Rows: P and Q of the bus; columns: angle and relative magnitude of the other.
+        _set(above[e], there.imag, there.real, -there.real, there.imag)
+        _set(below[e], back.imag, back.real, -back.real, back.imag)
+
+
+@internal
+def _write_rows(blocks: Any, flows: Any, y: Any, slack: int, buses: Any, at: PowerFlow, pattern: Pattern) -> float:
+    """Write mismatches and diagonal blocks, without what is held; return the largest mismatch, relative to the sum."""
+    (own, above, below, x), (flow, size) = blocks, flows
+    worst = 0.0
+    for place in range(y.shape[0]):
+        k = pattern.order[place]
+        square = buses[k, at.polar] * buses[k, at.polar]
+        p, q = flow[k].real, flow[k].imag
+        g, b = square * y[k, k].real, -square * y[k, k].imag
+        _set(own[place], b - q, p + g, p - g, q + b)
+        x[place, 0], x[place, 1] = buses[k, at.power] - p, buses[k, at.power + 1] - q
+        if k == slack:
+            own[place, 0, 0], own[place, 0, 1], x[place, 0] = 1.0, 0.0, 0.0
+        else:
+            worst = max(worst, abs(x[place, 0]) / max(size[k], 1.0))
+        if buses[k, at.holds_voltage] > 0.5:
+            own[place, 1, 0], own[place, 1, 1], x[place, 1] = 0.0, 1.0, 0.0
+        else:
+            worst = max(worst, abs(x[place, 1]) / max(size[k], 1.0))
+        for e in range(pattern.first[place], pattern.first[place + 1]):
+            other = pattern.order[pattern.later[e]]
+            if k == slack:
+                above[e, 0] = 0.0
+            if buses[k, at.holds_voltage] > 0.5:
+                above[e, 1] = 0.0
+            if other == slack:
+                below[e, 0] = 0.0
+            if buses[other, at.holds_voltage] > 0.5:
+                below[e, 1] = 0.0
+    return worst

@@ -29,37 +29,37 @@ from wtg_gym.systems.systems import system
 
 
 @system(LANE, "start_failure", "failing_unit")
-def begin_start() -> tuple[float, float]:
+def reset_start_failure() -> tuple[float, float]:
     """Begin to look for what cannot start."""
     return 0.0, 0.0
 
 
 @system(LANE, "needed")
-def nothing_needed() -> float:
+def reset_needed_power() -> float:
     """Begin to add up what machines have to give."""
     return 0.0
 
 
 @system(BUSES, "needed")
-def need_of_bus(needed: float, load_level: float, bus: Bus) -> float:
+def add_needed_load(needed: float, load_level: float, bus: Bus) -> float:
     """Add a load."""
     return needed + load_level * bus.load.re
 
 
 @system(GROUPS, "needed")
-def need_less(needed: float, planned_power: float) -> float:
+def subtract_group_power(needed: float, planned_power: float) -> float:
     """Take off what a group gives."""
     return needed - planned_power
 
 
 @system(LANE, "lacking")
-def nothing_lacks() -> float:
+def reset_slack_mismatch() -> float:
     """Begin to look for what the slack bus lacks."""
     return 0.0
 
 
 @system(BUSES, "lacking")
-def lack_of_bus(lacking: float, flow: Phasor, planned: Phasor, bus: Bus) -> float:
+def find_slack_mismatch(lacking: float, flow: Phasor, planned: Phasor, bus: Bus) -> float:
     """Note what the slack bus lacks."""
     return lacking + select(bus.is_slack, flow.re - planned.re, 0.0)
 
@@ -89,7 +89,7 @@ def plan_unit(planned: Phasor, planned_power: float, sizes: Sizes, connection: C
 
 
 @system(LANE, "released")
-def none_released() -> float:
+def reset_release_count() -> float:
     """Begin to count buses that let go of their voltage."""
     return 0.0
 
@@ -190,7 +190,7 @@ def start_unit() -> tuple[float, float]:
 
 
 @system(LANE, "next_change", "returning")
-def all_returned(next_change: float, step: float, returning: float) -> tuple[float, float]:
+def reset_returning(next_change: float, step: float, returning: float) -> tuple[float, float]:
     """Let the network change again, with the units that have come back."""
     return select(returning > 0.5, step, next_change), 0.0
 
@@ -210,12 +210,12 @@ def synchronise(
 
 
 @system(UNITS, "returns")
-def end_return() -> float:
+def reset_returns() -> float:
     """Let a unit come back once."""
     return 0.0
 
 
 @system(LANE, "step")
-def let_run() -> float:
+def reset_step_count() -> float:
     """Let the first step begin."""
     return 0.0

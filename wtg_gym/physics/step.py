@@ -28,7 +28,7 @@ from wtg_gym.systems.programs import Each, Here, Product, Repeat, When
 _SWEEPS = 100
 
 VOLTAGES = (
-    machine.still_reference,
+    machine.reset_reference_speed,
     machine.reference,
     machine.voltage_of_machine,
     machine.saturate_machine,
@@ -46,8 +46,8 @@ RETURN = (
     Here(ControlJoining.RETURN),
     wtg.return_group,
     extension.return_extension,
-    starting.all_returned,
-    starting.end_return,
+    starting.reset_returning,
+    starting.reset_returns,
 )
 
 ADMITTANCES = (units.load_noise, units.admittance_with_noise, When(LANE, "returning", RETURN))
@@ -55,12 +55,12 @@ ADMITTANCES = (units.load_noise, units.admittance_with_noise, When(LANE, "return
 #: Currents without a limit, and which of them are too large.
 FREE_CURRENTS = (
     Product(PAIRS, "admittance", UNITS, "voltage", "current"),
-    extension.none_exceeded,
-    extension.begin_limits,
+    extension.reset_limit_count,
+    extension.find_exceeded_limits,
 )
 
 #: A sweep over the groups: each finds its voltage with all others fixed, and all currents follow.
-SWEEP = (extension.all_settled, Each(extension.limit_current, extension.follow_change))
+SWEEP = (extension.reset_sweep_count, Each(extension.limit_current, extension.follow_change))
 
 LIMITS = (When(LANE, "exceeded", (Repeat(LANE, "unsettled", SWEEP, most=_SWEEPS),)),)
 
@@ -92,7 +92,7 @@ RATES = (
 )
 
 COI = (
-    protection.begin_coi,
+    protection.reset_inertia_sums,
     protection.add_machine,
     protection.add_group,
     When(LANE, "split", (protection.add_member,)),
@@ -107,7 +107,7 @@ MOVED = (extension.keep_energy, units.count_step, machine.restore_frequency, *CO
 WATCH = (
     protection.track_extremes,
     protection.count_shed_energy,
-    protection.no_alarm,
+    protection.reset_alarm,
     protection.alarm_island,
     When(LANE, "alarm", (protection.shed_load,)),
 )
@@ -115,7 +115,7 @@ FINISH = (*MOVED, *WATCH)
 
 PROTECT = (
     *local.LOCAL,
-    protection.begin_sample,
+    protection.reset_island_extremes,
     protection.sample_machine,
     protection.sample_group,
     Here(Joining.SAMPLE),
@@ -127,7 +127,7 @@ PROTECT = (
     protection.judge_rotor,
     extension.judge_chopper,
     protection.end_run,
-    protection.still_wind,
+    protection.freeze_wind,
 )
 
 #: Trials of the search for a turbine's equilibrium, at most: pitch steps of 0.02°, and bisections.
@@ -135,25 +135,25 @@ _TRIALS = 10_000
 
 #: What buses and units bring to the power flow.
 PLAN = (
-    starting.begin_start,
+    starting.reset_start_failure,
     starting.plan_bus,
-    wtg.begin_search,
-    Repeat(LANE, "searching", (*CAPTURE, wtg.nobody_searches, wtg.search_on), most=_TRIALS),
+    wtg.start_search,
+    Repeat(LANE, "searching", (*CAPTURE, wtg.reset_search_count, wtg.advance_search), most=_TRIALS),
     wtg.plan_group,
-    starting.nothing_needed,
-    starting.need_of_bus,
-    starting.need_less,
-    machine.need_less,
+    starting.reset_needed_power,
+    starting.add_needed_load,
+    starting.subtract_group_power,
+    machine.subtract_machine_power,
     machine.plan_machine,
     Here(Joining.PLAN),
     starting.plan_unit,
 )
 
 #: After a power flow: machines share what the slack bus lacks.
-BALANCE = (starting.nothing_lacks, starting.lack_of_bus, starting.balance_unit)
+BALANCE = (starting.reset_slack_mismatch, starting.find_slack_mismatch, starting.balance_unit)
 
 #: After a power flow: buses whose groups cannot hold the voltage let go of it.
-RELEASE = (starting.none_released, starting.release_voltage)
+RELEASE = (starting.reset_release_count, starting.release_voltage)
 
 #: After the last one: every unit finds its equilibrium, from what it delivers.
 SETTLE = (
@@ -161,8 +161,8 @@ SETTLE = (
     starting.share_flow,
     machine.start_machine,
     Here(ControlJoining.SETTLE),
-    machine.still_frame,
-    machine.take_frame,
+    machine.reset_frame,
+    machine.find_frame,
     machine.turn_machine,
     wtg.start_group,
     wtg.curtail_law,
@@ -176,12 +176,12 @@ SETTLE = (
 
 #: After the first evaluation of a run: its first outputs, and what is beyond its limits then.
 START = (
-    starting.let_run,
+    starting.reset_step_count,
     *local.BUS_VOLTAGES,
     local.start_bus,
     *COI,
     protection.track_extremes,
-    wtg.no_overload,
+    wtg.reset_overload_time,
     machine.check_machine,
     Here(ControlJoining.START),
     extension.check_extension,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -103,41 +103,48 @@ def simulate(
     simulator = Simulator(settings, duration_s=scenario.duration_s)
     groups_laws = group_laws(laws, settings.turbines, settings.control)
     simulator.start(0, simulator.prepare([scenario], groups_laws, turning=True))
-    nominal = settings.case.frequency_hz
-    names = ("speed", "rotor_speed", "power", "captured", "coefficient", "filter", "pitch", "wind", "shift")
-    buses = simulator.layout.rows_of(BUSES, "frequency")[: len(settings.case.buses) * settings.extended]
-    frequency, samples, others = list[float](), list[list[Floats]](), list[Floats]()
-    for step in range(simulator.n_intervals + 1):
-        frequency.append(nominal * simulator.lane_values("coi")[0])
-        samples.append([simulator.wtg_values(name)[0] for name in names])
-        local = [simulator.values(row)[0] for row in buses]
-        shed = simulator.lane_values("shed_energy")
-        others.append(np.concatenate([shed, simulator.machine_values("speed")[0], local]))
-        if step == simulator.n_intervals or simulator.lane_values("active")[0] < 0.5:
-            break
-        simulator.advance()
-    table, rest, n_sync = np.array(samples), np.array(others), 1 + simulator.layout.n_sync
-    time = np.arange(len(frequency), dtype=np.float64) * settings.control_dt
+    grid, groups, machines, buses = (np.array(samples) for samples in zip(*_samples(simulator), strict=True))
+    nominal, time = settings.case.frequency_hz, np.arange(len(grid), dtype=np.float64) * settings.control_dt
     status = Status(int(simulator.lane_values("status")[0]))
     if status != Status.RUNNING:
         # A protection may act within a control interval.
         time[-1] = min(time[-1], simulator.lane_values("step")[0] * settings.simulation_dt)
+    of_group = dict(zip(_OF_GROUPS, groups.swapaxes(0, 1), strict=True))
     tip_speed = np.array([turbine.tip_speed_ratio_per_speed_m_s for turbine in settings.turbines])
     return Trajectory(
         time_s=time,
-        frequency_hz=np.array(frequency),
-        wtg_frequency_hz=nominal * (table[:, 0] + table[:, 8]),
-        machine_frequency_hz=nominal * rest[:, 1:n_sync],
-        bus_frequency_hz=nominal * rest[:, n_sync:],
-        rotor_speed_pu=table[:, 1],
-        tip_speed_ratio=tip_speed * table[:, 1] / table[:, 7],
-        power_pu=table[:, 2],
-        captured_power_pu=table[:, 3],
-        coefficient_pu=table[:, 4],
-        filter_pu=table[:, 5],
-        pitch_deg=table[:, 6],
-        wind_m_s=table[:, 7],
-        shed_energy_mws=settings.case.base_mva * rest[:, 0],
+        frequency_hz=nominal * grid[:, 0],
+        wtg_frequency_hz=nominal * (of_group["speed"] + of_group["shift"]),
+        machine_frequency_hz=nominal * machines,
+        bus_frequency_hz=nominal * buses,
+        rotor_speed_pu=of_group["rotor_speed"],
+        tip_speed_ratio=tip_speed * of_group["rotor_speed"] / of_group["wind"],
+        power_pu=of_group["power"],
+        captured_power_pu=of_group["captured"],
+        coefficient_pu=of_group["coefficient"],
+        filter_pu=of_group["filter"],
+        pitch_deg=of_group["pitch"],
+        wind_m_s=of_group["wind"],
+        shed_energy_mws=settings.case.base_mva * grid[:, 1],
         status=status,
         nominal_frequency_hz=nominal,
     )
+
+
+#: What is recorded of a WTG group.
+_OF_GROUPS = ("speed", "rotor_speed", "power", "captured", "coefficient", "filter", "pitch", "wind", "shift")
+
+
+def _samples(simulator: Simulator) -> Iterator[tuple[Floats, list[Floats], Floats, Floats]]:
+    """Yield what is recorded of grid, WTG groups, machines and buses, until the run ends."""
+    rows = simulator.layout.rows_of(BUSES, "frequency")[: simulator.plant.buses.size * simulator.settings.extended]
+    for step in range(simulator.n_intervals + 1):
+        yield (
+            np.array([simulator.lane_values(name)[0] for name in ("coi", "shed_energy")]),
+            [simulator.wtg_values(name)[0] for name in _OF_GROUPS],
+            simulator.machine_values("speed")[0],
+            np.array([simulator.values(row)[0] for row in rows]),
+        )
+        if step == simulator.n_intervals or simulator.lane_values("active")[0] < 0.5:
+            break
+        simulator.advance()

@@ -1,4 +1,4 @@
-"""What all units share: the lane that they are in, and the network between them."""
+"""What all units share: the environment ("lane") that they are in, and the network between them."""
 
 from __future__ import annotations
 
@@ -6,9 +6,12 @@ import math
 from enum import IntEnum, StrEnum
 from typing import NamedTuple
 
+import numpy as np
+
 from wtg_gym.physics.runge_kutta import moving
 from wtg_gym.physics.wind_turbine import Limits
 from wtg_gym.systems.elementary import fma, select
+from wtg_gym.systems.programs import Whole
 from wtg_gym.systems.systems import Kind, system
 
 #: Voltage below which nothing measures a frequency or comes back [p.u.], by design.
@@ -93,7 +96,7 @@ class Back(NamedTuple):
 
 
 class StartFailure(IntEnum):
-    """Why a lane cannot start; 0 means it can."""
+    """Why a run cannot start; 0 means it can."""
 
     NONE = 0
     NO_TURBINE_EQUILIBRIUM = 1
@@ -129,7 +132,7 @@ class ControlJoining(StrEnum):
     START = "control start"
 
 
-#: A lane: a run. What is of one unit here is of the lane.
+#: The environment that a unit is in, a column of a block. What there is one of in a run is of the lane.
 LANE = Kind(
     name="lanes",
     rows={
@@ -289,6 +292,36 @@ PAIRS = Kind(
 )
 
 
+def nested(n_outer: int, n_inner: int) -> tuple[Whole, Whole]:
+    """Return the outer and the inner number of each pair, inner ones fastest (n_outer · n_inner,)."""
+    outer, inner = np.divmod(np.arange(n_outer * n_inner), max(n_inner, 1))
+    return outer, inner
+
+
+def units_of_network(
+    unit_bus: Whole, n_bus: int, n_islands: int, *, transfers: bool
+) -> tuple[dict[Kind, int], dict[tuple[Kind, str], Whole]]:
+    """Return how many units of each kind of this module there are, and which others each of them sees.
+
+    `unit_bus` has the index of each unit's bus (n_unit,). Only a plant with `transfers` finds the voltages of buses.
+    """
+    n = unit_bus.size
+    row, column = nested(n, n)
+    island, member = nested(n_islands - 1, n)
+    bus, unit = nested(n_bus if transfers else 0, n)
+    n_units = {LANE: 1, BUSES: n_bus, UNITS: n, ISLANDS: n_islands, MEMBERS: member.size, MAIN: 1}
+    return {**n_units, TRANSFERS: unit.size, PAIRS: row.size}, {
+        (UNITS, "bus"): unit_bus,
+        (UNITS, "grid_"): np.zeros(n, dtype=np.int64),
+        (MEMBERS, "unit_"): member,
+        (MEMBERS, "island_"): 1 + island,
+        (TRANSFERS, "unit_"): unit,
+        (TRANSFERS, "bus_"): bus,
+        (PAIRS, "row_"): row,
+        (PAIRS, "column_"): column,
+    }
+
+
 def nearest_turn(angle: float, turned: float) -> float:
     """Return an angle plus the whole turns that bring it nearest to another [rad]."""
     return angle + 2.0 * math.pi * math.floor((turned - angle) / (2.0 * math.pi) + 0.5)
@@ -350,5 +383,5 @@ reference_stage = moving(reference_rate)
 
 @system(LANE, "step")
 def count_step(step: float, active: float) -> float:
-    """Count a simulation step of a running lane."""
+    """Count a simulation step of a running environment."""
     return step + select(active > 0.5, 1.0, 0.0)

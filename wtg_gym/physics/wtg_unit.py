@@ -56,19 +56,19 @@ GROUPS = Kind(
 
 
 @system(GROUPS, "search", "rotor_speed", "pitch")
-def begin_search(given: WtgInput, curtailment: float, turbine: Turbine) -> tuple[Search, float, float]:
+def start_search(given: WtgInput, curtailment: float, turbine: Turbine) -> tuple[Search, float, float]:
     """Begin to look for the equilibrium of the turbine, which tries one state after the other."""
     return search_begun(given.wind_start, curtailment * given.law.k_nominal, turbine)
 
 
 @system(LANE, "searching")
-def nobody_searches() -> float:
+def reset_search_count() -> float:
     """Begin to count groups whose equilibrium is not found yet."""
     return 0.0
 
 
 @system(GROUPS, "search", "rotor_speed", "pitch", "searching")
-def search_on(
+def advance_search(
     search: Search,
     rotor_speed: float,
     pitch: float,
@@ -143,7 +143,7 @@ def return_group(
 
 
 @system(GROUPS, "overload_time")
-def no_overload() -> float:
+def reset_overload_time() -> float:
     """Let overload count from the first step on."""
     return 0.0
 

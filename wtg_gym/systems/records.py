@@ -65,6 +65,11 @@ def flatten(values: Any) -> tuple[Any, ...]:
     return tuple(flat)
 
 
+def structured(record: type, entries: Any) -> np.ndarray[Any, np.dtype[Any]]:
+    """Return entries of a record as a structured array."""
+    return np.array([flatten(entry) for entry in entries], dtype=dtype(record))
+
+
 def each(function: Callable[..., Any], *records: Any) -> Any:
     """Apply a function of numbers to every number of records of one class; return the record of the results."""
     if not is_record(type(records[0])):

@@ -1,4 +1,4 @@
-"""Arrays that compiled functions read: constants of a plant, which all lanes share; series and events of each lane."""
+"""Arrays of a network that compiled functions read: its constants, which all environments share; series and events."""
 
 from __future__ import annotations
 
@@ -7,34 +7,36 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from wtg_gym.physics.layout import Span
 from wtg_gym.physics.sparse_flow import Pattern
 from wtg_gym.systems.programs import Tables
-from wtg_gym.systems.records import dtype, flatten
+from wtg_gym.systems.records import structured
 
 
 class Facts(NamedTuple):
-    """Numbers of a plant, and the first rows of its kinds of unit in a block."""
+    """Numbers of a plant, and where its kinds of unit lie."""
 
     slack: int  # bus index
     base_mva: float
     simulation_dt: float  # [s]
     n_substeps: int  # simulation steps per control interval
-    lane: int
-    machines: int
-    groups: int
-    units: int
-    pairs: int
-    stages: int
-    buses: int
-    islands: int
-    transfers: int  # -1 for none
-    sources: int
-    n_islands: int
-    starts: int  # of the lane, in scratch
     n_balances: int  # power flows after which machines share what the slack bus lacks
     is_large: bool  # whether the power flow is solved by sparse elimination
     curtails: bool  # whether WTG groups alone balance the power
     shares_frequency: float  # change of a load's conductance with the frequency [p.u./p.u.]
+    # In a block:
+    lane: Span = Span()
+    machines: Span = Span()
+    groups: Span = Span()
+    units: Span = Span()
+    pairs: Span = Span()
+    stages: Span = Span()  # of shedding; those of an island are its rows
+    buses: Span = Span()
+    islands: Span = Span()
+    transfers: Span = Span()
+    sources: Span = Span()
+    # In scratch:
+    starting: Span = Span()  # of the lane
 
 
 class Network(NamedTuple):
@@ -63,7 +65,7 @@ class NetworkEvent(NamedTuple):
     start: float
     end: float  # later than start for a ramp, a fault, and for what comes back
     bus: int = -1  # of a load
-    active: float = 0.0  # the load's P and Q until the lane's start, then its admittance; a fault's admittance [p.u.]
+    active: float = 0.0  # the load's P and Q until the run's start, then its admittance; a fault's admittance [p.u.]
     reactive: float = 0.0
     branch: int = -1  # that opens, or whose impedance changes
     unit: int = -1  # that is disconnected; machines first
@@ -75,19 +77,12 @@ class NetworkEvent(NamedTuple):
     ramp: float = 0.0  # of its frequency [p.u./s]
 
 
-NO_EVENT = NetworkEvent(np.inf, np.inf)
-#: Columns of an event.
-EVENT = NetworkEvent(*range(len(NO_EVENT)))
+NO_EVENT = structured(NetworkEvent, [NetworkEvent(np.inf, np.inf)])
 
 
 class LaneData(NamedTuple):
-    """Series and events of each lane, constant while it runs."""
+    """Series and events of each environment, constant while it runs."""
 
     wind: npt.NDArray[np.float64]  # at the ends of control intervals (n_lanes, n_wtg, n_intervals + 1) [m/s]
     noise: npt.NDArray[np.float64]  # load noise per control interval (n_lanes, n_intervals) [MW]
-    events: npt.NDArray[np.float64]  # (n_lanes, n_events, 13), of NetworkEvent
-
-
-def structured(record: type, entries: Any) -> npt.NDArray[Any]:
-    """Return entries of a record as a structured array."""
-    return np.array([flatten(entry) for entry in entries], dtype=dtype(record))
+    events: npt.NDArray[Any]  # (n_lanes, n_events), of NetworkEvent
