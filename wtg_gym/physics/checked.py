@@ -87,10 +87,17 @@ def _checked(name: str, value: Any, kind: Any, field: Any) -> Any:
             raise ValueError(f"{name} must be {field.type}, got {value!r}")
         if entry is int:
             return tuple(require_bus(name, item) for item in items)
-        return tuple(value) if isinstance(value, list) else value
+        return _plain(value)
     if get_origin(kind) is not np.ndarray and not isinstance(value, kind):
         raise ValueError(f"{name} must be {field.type}, got {value!r}")
     return value
+
+
+def _plain(value: Any) -> Any:
+    """Return nested lists and tuples as tuples, with Python's numbers."""
+    if isinstance(value, (tuple, list)):
+        return tuple(_plain(item) for item in value)
+    return value.item() if isinstance(value, np.generic) else value
 
 
 def _span(name: str, value: Any, number: type, low: float, high: float, unit: str) -> tuple[float, float]:
