@@ -60,7 +60,7 @@ class Entries(NamedTuple):
     fields: tuple[str, ...]  # those of the record that are observed
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Task:
     """A version of the benchmark: its equations as lists, its weights, and what scores 0 and 100.
 
@@ -97,6 +97,9 @@ class Task:
 
     def __post_init__(self) -> None:
         _FIRST.setdefault(self.version, self)
+
+    def __repr__(self) -> str:
+        return f"<task {self.version}>"
 
     def __reduce__(self) -> Any:
         # A copy of a version is that version, in another process too.
