@@ -27,6 +27,7 @@ from wtg_gym.physics.trajectory import simulate
 from wtg_gym.plotting import save_figure, style
 from wtg_gym.progress import Progress
 from wtg_gym.scenarios import DEFAULT_SUITE, get_suite, suite_of_grid
+from wtg_gym.scenarios.draws import LineTrips, LoadEvents, Wind
 from wtg_gym.tasks import V1
 
 #: Of the grid without machines: rating of all turbines over that of the machines that they replace, and their wind.
@@ -43,10 +44,10 @@ def grids() -> str:
     for name, suite in zip(known_grids(), map(get_suite, SUITES), strict=True):
         grid = get_grid(name)
         lines = dict([*describe_grid(grid), *(() if name == DEFAULT_GRID else describe_equilibrium(grid))])
-        extreme = suite.drawn_from["extreme"]
-        lines["wind's share"] = "{:.0%} … {:.0%}".format(*suite.drawn_from["large"][0].wind_share)
-        lines["large load events"] = "{:.0f} … {:.0f} MW".format(*suite.drawn_from["large"][0].load_event_mw)
-        lines["lines that trip"] = str(len(suite.drawn_from["large"][0].line_trips))
+        extreme, (large,) = suite.drawn_from["extreme"], suite.drawn_from["large"]
+        lines["wind's share"] = "{:.0%} … {:.0%}".format(*large.find(Wind).penetration)
+        lines["large load events"] = "{:.0f} … {:.0f} MW".format(*large.find(LoadEvents).size_mw)
+        lines["lines that trip"] = str(len(large.find(LineTrips).lines))
         lines["kinds of extreme event"] = ", ".join(kind.name.rpartition("-")[2] for kind in extreme)
         columns.append(lines)
     rows = [key for key in columns[-1] if key not in ("repaired", "replaced", "mode", "equilibrium")]

@@ -61,7 +61,7 @@ SETTINGS: list[tuple[dict[str, Any], str]] = [
         {**V1, "scenario": {**CALM_V1.to_dict(), "sensors": {"seed": 1, "wind_bias": [0.0]}}},
         r"wind_bias of the sensors.*WTG group \(4\).*1",
     ),
-    ({**V1, "groups": 4}, "20 turbines.*% of the load.*wind_share of 'standard-v1/ordinary'.*40 … 78 %"),
+    ({**V1, "groups": 4}, "20 turbines give .* % of a load of 220 MW; allowed is a penetration of 40 … 78 %"),
 ]
 
 

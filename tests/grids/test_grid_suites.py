@@ -61,7 +61,7 @@ def test_files_are_told_apart_by_what_is_in_them_not_by_name_or_time(folder: Pat
     # The places of a suite are looked for in the grid that is there now.
     machines = [{**machine, "governor": None} for machine in STRANGER["machines"]]
     path.write_text(json.dumps({**STRANGER, "machines": machines}), encoding="utf-8")
-    with pytest.raises(ValueError, match=r"mine\.json is no suite: generator_buses: there is no machine"):
+    with pytest.raises(ValueError, match=r"mine\.json is no suite: GovernorLosses.buses: there is no machine"):
         get_suite("suites/mine.json")
 
 
@@ -93,9 +93,9 @@ def test_a_file_is_scored_by_the_command_and_its_results_stay_in_their_folder(
     ("change", "words"),
     [
         ({"name": "../elsewhere"}, "name must be letters"),
-        ({"places": {"load_noise_bus": 99}}, "load_noise_bus: there is no bus 99"),
-        ({"places": {"load_buses": [[5, 1.0]]}}, "load_buses must be triples"),
-        ({"places": {"governor_buses": [5]}}, "governor_buses: there is no machine with a governor"),
+        ({"places": {"load_noise_bus": 99}}, "LoadNoise.bus: there is no bus 99"),
+        ({"places": {"load_buses": [[5, 1.0]]}}, "LoadEvents.buses must be triples"),
+        ({"places": {"governor_buses": [5]}}, "GovernorLosses.buses: there is no machine with a governor"),
         ({"places": {"line_trips": [[5, 99]]}}, "unknown bus 5"),
     ],
     ids=str,

@@ -10,14 +10,15 @@ from typing import Any
 
 import pytest
 
-from wtg_gym.scenarios import ScenarioDistribution, Suite, get_suite, read_wind_csv
+from wtg_gym.scenarios import ScenarioDistribution, Suite, draws, get_suite, read_wind_csv
 from wtg_gym.scenarios.sensor_distribution import SensorDistribution
 
 STANDARD, SHARED = get_suite("standard"), get_suite("standard-v1").distributions[0]
+WIND = draws.Wind()
 
 
-def distribution(**changes: Any) -> Callable[[], Any]:
-    return lambda: ScenarioDistribution(**{"name": "mine", **changes})
+def drawn(*records: draws.Record, **settings: Any) -> ScenarioDistribution:
+    return ScenarioDistribution(name="mine", records=records, **settings)
 
 
 def sensors(**changes: Any) -> Callable[[], Any]:
@@ -25,23 +26,42 @@ def sensors(**changes: Any) -> Callable[[], Any]:
 
 
 BAD: list[tuple[Callable[[], Any], str]] = [
-    (distribution(mean_wind_m_s=(2.0, 9.0)), "mean_wind_m_s = 2 m/s.*4 … 20 m/s"),
-    (distribution(load_event_mw=(75.0, 15.0)), r"load_event_mw.*low <= high.*\(75, 15\) MW"),
-    (distribution(load_level=1.0), "load_level must be a pair"),
-    (distribution(gust_probability=0.7, wind_ramp_probability=0.7), "1.4.*at most 1"),
-    (distribution(n_load_events=(0.5, 2)), "n_load_events must be two whole numbers"),
-    (distribution(line_trips=((7, 8),)), r"line_trips must be.*\(7, 8\)"),
-    (distribution(fault_probability=0.1), r"fault_lines must be one or more lines that .*, got \(\)"),
-    (distribution(fault_lines=((8, 7),)), r"fault_lines must be.*\(8, 7\)"),
-    (distribution(fault_clearing_s=(0.05, 0.2)), "fault_clearing_s = 0.05 s.*0.1 … 1 s"),
-    (distribution(islandings=(((5, 6), (9, 10)),)), r"leave two parts of the network, got \(\(5, 6\), \(9, 10\)\)"),
-    (distribution(islandings=(((7, 8),),)), "islandings exclude line trips and faults"),
-    (distribution(load_trip_buses=(7,)), r"load_trip_buses must be.*\(7,\)"),
-    (distribution(load_noise_mw="loud"), "load_noise_mw must be a number.*'loud'"),
+    (lambda: draws.Wind(mean_m_s=(2.0, 9.0)), "mean_m_s = 2 m/s.*4 … 20 m/s"),
+    (lambda: draws.LoadEvents(size_mw=(75.0, 15.0)), r"size_mw.*low <= high.*\(75, 15\) MW"),
+    (lambda: draws.OperatingPoint(load_level=1.0), "load_level must be a pair"),
+    (lambda: draws.Wind(gust_probability=0.7, ramp_probability=0.7), "1.4.*at most 1"),
+    (lambda: draws.LoadEvents(number=(0.5, 2)), "number must be two whole numbers"),
+    (lambda: draws.LoadEvents(trip_buses=(7,)), r"trip_buses must be.*\(7,\)"),
+    (lambda: draws.LoadEvents(buses=[[5, 1.0]]), r"LoadEvents.buses must be triples .*\[MW\], got \(5, 1.0\)"),
+    (lambda: draws.LoadEvents(buses=[(5, 1.0, -2.0)]), "load change at bus 5 = -2 MW"),
+    (lambda: draws.LoadNoise(standard_deviation_mw="loud"), "standard_deviation_mw must be a number.*'loud'"),
+    (lambda: draws.Faults(probability=0.1), "Faults.lines must not be empty"),
+    (lambda: draws.MachineOutages(probability=0.1), "MachineOutages.buses must not be empty"),
+    (lambda: draws.Faults(probability=0.1, lines=((1, 2),), clearing_s=(0.05, 0.2)), "clearing_s = 0.05 s.*0.1 … 1 s"),
+    (lambda: drawn(draws.LineTrips(lines=((7, 8),)), WIND), r"LineTrips.lines must be.*\(7, 8\)"),
+    (
+        lambda: drawn(draws.LoadNoise(), WIND),
+        "records must be a Wind, .* LoadNoise, in this order, got LoadNoise, Wind",
+    ),
+    (lambda: drawn(WIND, WIND), "at most one each of .*, got Wind, Wind"),
+    (lambda: drawn(draws.LoadEvents()), "records must be a Wind"),
+    (lambda: drawn(WIND, grid="ieee15"), "unknown grid 'ieee15'"),
+    (lambda: drawn(WIND, draws.Faults(probability=0.0, lines=((8, 7),))), r"Faults.lines must be.*\(8, 7\)"),
+    (lambda: drawn(WIND, draws.LoadNoise(bus=99)), "LoadNoise.bus: there is no bus 99"),
+    (lambda: drawn(WIND, draws.MachineOutages(probability=0.1, buses=(5,))), "there is no machine at bus 5"),
+    (
+        lambda: drawn(WIND, draws.Islandings(line_sets=[[(5, 6), (9, 10)]])),
+        r"two parts .*, got \(\(5, 6\), \(9, 10\)\)",
+    ),
+    (lambda: drawn(WIND).changed({draws.Faults: {}}), "unknown records .*; known records: Wind"),
+    (
+        lambda: drawn(draws.LineTrips(), WIND, draws.Islandings(line_sets=(((7, 8),),))),
+        "Islandings exclude LineTrips and Faults",
+    ),
     (lambda: STANDARD.distributions[0].draw(-1), "a seed must be a whole number in 0 … [0-9]*, got -1"),
     (lambda: STANDARD.distributions[0].draw(1, 0), "n_wtg must be a whole number in 1 … 100, got 0"),
     (lambda: STANDARD.distributions[0].draw(1, 2, [1.0]), r"one value per WTG group \(2\), got 1"),
-    (lambda: SHARED.check_share([5.0, 5.0]), "10 turbines give .* % of the load .*wind_share .* is 40 … 78 %"),
+    (lambda: SHARED.check_turbines([5.0, 5.0]), "10 turbines give .* % of a load .* penetration of 40 … 78 %"),
     (lambda: SHARED.draw_many(range(20), 3, [90.0] * 3), "winds of 8.5 … 11 m/s hardly ever give"),
     (sensors(delay_s=(0.1, 0.25)), "whole numbers of 0.1 s"),
     (sensors(wind_bias=math.nan), "wind_bias = nan.*0 … 0.2"),

@@ -22,19 +22,31 @@ from wtg_gym.physics.scenario import (
     Scenario,
 )
 from wtg_gym.scenarios import DRAWN_WIND_RANGE, SUITES, ScenarioDistribution, Suite
+from wtg_gym.scenarios.draws import (
+    Faults,
+    GovernorLosses,
+    GroupTrips,
+    Islandings,
+    LineTrips,
+    LoadEvents,
+    LoadNoise,
+    MachineOutages,
+    OperatingPoint,
+    Wind,
+)
 
 DRAWN = [suite for suite in SUITES.values() if suite.distributions]
 #: With a share of the load few groups fit; those are in SHARED, with their suite's turbines. A suite without a wind
 #: sensor has the distributions of another.
 BY_NAME = {source.name: (suite, source) for suite in DRAWN for source in suite.distributions}
-DISTRIBUTIONS = [replace(source, wind_share=None) for _, source in BY_NAME.values()]
+DISTRIBUTIONS = [source.changed({Wind: {"penetration": None}}) for _, source in BY_NAME.values()]
 SHARED = [
     ([group.n_turbines for group in suite.plant.groups], source)
     for suite, source in BY_NAME.values()
-    if source.wind_share is not None
+    if source.wind.penetration is not None
 ]
 #: Twenty load events need more than one block of random numbers.
-BUSY = ScenarioDistribution(name="busy", n_load_events=(20, 20), load_event_mw=(0.0, 1.0))
+BUSY = ScenarioDistribution(name="busy").changed({LoadEvents: {"number": (20, 20), "size_mw": (0.0, 1.0)}})
 STANDARD = SUITES["standard"].distributions[0]
 #: Loads of the IEEE 14-bus system at load level 1 [MW].
 BUS_LOAD_MW = {
@@ -56,8 +68,12 @@ def check(scenario: Scenario, source: ScenarioDistribution, duration_s: float) -
     assert scenario.load_noise_mw[0] == 0.0
     low, high = DRAWN_WIND_RANGE
     assert low <= scenario.wind_speed.min() and scenario.wind_speed.max() <= high
+    point, loads, lines, islandings = (
+        source.find(kind) for kind in (OperatingPoint, LoadEvents, LineTrips, Islandings)
+    )
+    islanded = islandings is not None and islandings.line_sets
     for key in ("governor_droop", "inertia_scale", "load_level"):
-        first, last = getattr(source, key)
+        first, last = getattr(point, key)
         assert first <= getattr(scenario, key) <= last
     trips = [event for event in scenario.events if isinstance(event, LineTrip)]
     outages = [
@@ -66,10 +82,10 @@ def check(scenario: Scenario, source: ScenarioDistribution, duration_s: float) -
     load_events = [event for event in scenario.events if event not in trips and event not in outages]
     machines = [event for event in outages if isinstance(event, MachineOutage)]
     faults = [event for event in outages if isinstance(event, Fault)]
-    assert source.n_load_events[0] <= len(load_events) <= source.n_load_events[1]
+    assert loads.number[0] <= len(load_events) <= loads.number[1]
     assert len(machines) <= 1 and len(faults) <= 1 and len(outages) - len(machines) - len(faults) <= 1
-    if source.islandings:
-        assert tuple((trip.from_bus, trip.to_bus) for trip in trips) in source.islandings
+    if islanded:
+        assert tuple((trip.from_bus, trip.to_bus) for trip in trips) in islanded
         assert len({trip.time_s for trip in trips}) == 1
     else:
         assert len(trips) <= 1
@@ -89,39 +105,39 @@ def check(scenario: Scenario, source: ScenarioDistribution, duration_s: float) -
         assert event.time_s == round(event.time_s, 1)
         if isinstance(event, Fault):
             other = sum(event.opens) - event.bus
-            assert (event.bus, other) in source.fault_lines
-            low, high = source.fault_clearing_s
+            assert (event.bus, other) in source.find(Faults).lines
+            low, high = source.find(Faults).clearing_s
             assert low <= event.clears_after_s <= high and event.clears_after_s == round(event.clears_after_s, 1)
             assert event.opens not in [(trip.from_bus, trip.to_bus) for trip in trips]
         elif isinstance(event, LineTrip):
-            if source.islandings:
+            if islanded:
                 continue
-            assert (event.from_bus, event.to_bus) in source.line_trips
+            assert (event.from_bus, event.to_bus) in lines.lines
             after_s = event.recloses_after_s
-            assert (after_s is None) == (source.line_reclosing_s is None)
+            assert (after_s is None) == (lines.reclosing_s is None)
             if after_s is not None:
-                assert source.line_reclosing_s[0] <= after_s <= source.line_reclosing_s[1]
+                assert lines.reclosing_s[0] <= after_s <= lines.reclosing_s[1]
         elif isinstance(event, MachineOutage):
-            assert event.bus in source.machine_outage_buses
+            assert event.bus in source.find(MachineOutages).buses
         elif isinstance(event, GroupTrip):
             assert event.group < scenario.n_wtg
         elif isinstance(event, GovernorLoss):
-            assert event.bus in source.governor_loss_buses
+            assert event.bus in source.find(GovernorLosses).buses
         elif isinstance(event, LoadTrip):
-            assert event.bus in source.load_trip_buses
+            assert event.bus in loads.trip_buses
             load[event.bus] -= scenario.load_level * bus_load_mw[event.bus]
         else:
-            increase_mw, decrease_mw = {bus: limits for bus, *limits in source.load_buses}[event.bus]
+            increase_mw, decrease_mw = {bus: limits for bus, *limits in loads.buses}[event.bus]
             largest_mw = increase_mw if event.power_mw > 0.0 else decrease_mw
-            assert min(source.load_event_mw[0], largest_mw) <= abs(event.power_mw) + 0.01
-            assert abs(event.power_mw) <= min(source.load_event_mw[1], largest_mw) + 0.01
+            assert min(loads.size_mw[0], largest_mw) <= abs(event.power_mw) + 0.01
+            assert abs(event.power_mw) <= min(loads.size_mw[1], largest_mw) + 0.01
             load[event.bus] += min(event.power_mw, 0.0)
     # Buses that feed in are negative loads from the start.
     assert min(power for bus, power in load.items() if bus_load_mw[bus] >= 0.0) > -1e-9
     changes = [event.power_mw for event in load_events if isinstance(event, LoadStep)]
     # One disconnection counts too, so a limit met with it may be missed without it.
-    largest_mw = max((bus_load_mw[bus] for bus in source.load_trip_buses), default=0.0)
-    assert abs(sum(changes)) <= source.net_load_change_mw + 1.1 * largest_mw
+    largest_mw = max((bus_load_mw[bus] for bus in loads.trip_buses), default=0.0)
+    assert abs(sum(changes)) <= loads.net_change_mw + 1.1 * largest_mw
 
 
 @pytest.mark.parametrize("source", DISTRIBUTIONS, ids=lambda source: source.name)
@@ -154,8 +170,9 @@ def test_scenarios_of_the_suites_own_groups_keep_every_promise_and_their_share_o
         largest = max(range(len(turbines)), key=lambda group: (turbines[group], group))
         assert all(event.group != largest for event in scenario.events if isinstance(event, GroupTrip))
     # Without turbulence, gusts and ramps the wind is its mean; the numbers of the stream are the same.
-    still = replace(source, turbulence_intensity=(0.0, 0.0), gust_probability=0.0, wind_ramp_probability=0.0)
-    low, high = source.wind_share
+    calm = {"turbulence_intensity": (0.0, 0.0), "gust_probability": 0.0, "ramp_probability": 0.0}
+    still = source.changed({Wind: calm})
+    low, high = source.wind.penetration
     shares = []
     for scenario in still.draw_many(seeds, len(turbines), turbines):
         assert np.ptp(scenario.wind_speed, axis=1).max() < 1e-9
@@ -170,14 +187,14 @@ def test_scenarios_of_the_suites_own_groups_keep_every_promise_and_their_share_o
 
 
 def test_outages_are_as_likely_as_the_settings_say():
-    source = ScenarioDistribution(
-        name="faults",
-        governor_loss_probability=0.2,
-        group_trip_probability=0.3,
-        machine_outage_probability=0.4,
-        line_trip_probability=0.5,
-        line_reclosing_s=(1.0, 5.0),
+    records = (
+        LineTrips(probability=0.5, reclosing_s=(1.0, 5.0)),
+        Wind(),
+        GovernorLosses(probability=0.2, buses=(1,)),
+        GroupTrips(probability=0.3),
+        MachineOutages(probability=0.4, buses=(3, 6, 8)),
     )
+    source = ScenarioDistribution(name="faults", records=records)
     n = 3000
     events = [event for scenario in source.draw_many(range(n), 3, [3.0, 1.0, 2.0]) for event in scenario.events]
     lost = [event for event in events if isinstance(event, GovernorLoss)]
@@ -199,7 +216,7 @@ def test_turbines_that_pass_the_check_of_the_share_can_be_drawn_for(own: list[fl
     for factor in np.geomspace(0.4, 2.5, 15):
         turbines = [factor * n for n in own]
         try:
-            source.check_share(turbines)
+            source.check_turbines(turbines)
         except ValueError:
             continue
         checked += 1
@@ -246,10 +263,10 @@ def test_scenarios_drawn_together_equal_scenarios_drawn_alone_bit_for_bit(source
 def test_load_noise_has_the_standard_deviation_and_memory_of_an_ornstein_uhlenbeck_process():
     series = np.array([STANDARD.draw(seed).load_noise_mw for seed in range(400)])
     assert (series[:, 0] == 0.0).all()
-    settled = series[:, 150:]
-    assert settled.std() == pytest.approx(STANDARD.load_noise_mw, rel=0.05)
+    settled, noise = series[:, 150:], STANDARD.find(LoadNoise)
+    assert settled.std() == pytest.approx(noise.standard_deviation_mw, rel=0.05)
     lag = 20
     correlation = np.mean(settled[:, lag:] * settled[:, :-lag]) / settled.var()
-    assert correlation == pytest.approx(math.exp(-lag * 0.1 / STANDARD.load_noise_correlation_s), abs=0.04)
+    assert correlation == pytest.approx(math.exp(-lag * 0.1 / noise.correlation_s), abs=0.04)
     # From zero the variance grows as 1 - exp(-2 t/T).
     assert series[:, 5].var() == pytest.approx(1.0 - math.exp(-0.5), rel=0.25)

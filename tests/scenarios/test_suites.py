@@ -4,17 +4,21 @@ import collections
 import dataclasses
 import pickle
 
+import gymnasium as gym
 import numpy as np
 import pytest
 
 from wtg_gym.envs.lanes import TaskLanes
 from wtg_gym.envs.settings import EnvSettings
+from wtg_gym.evaluation import evaluate
 from wtg_gym.physics.grid import DEFAULT_GRID
 from wtg_gym.physics.network import assemble_admittance, branch_admittances
 from wtg_gym.physics.plant import Plant, plant_tables
 from wtg_gym.physics.scenario import Fault, GovernorLoss, GroupTrip, LineTrip, MachineOutage
-from wtg_gym.scenarios import FROZEN_HASHES, SUITES, Suite, get_suite
+from wtg_gym.scenarios import FROZEN_HASHES, SUITES, ScenarioDistribution, Suite, get_suite
+from wtg_gym.scenarios.draws import Draft, LoadEvents, LoadNoise, Record, Wind
 from wtg_gym.scenarios.sensor_distribution import SensorDistribution
+from wtg_gym.scenarios.stream import Picker
 from wtg_gym.tasks import V1
 
 FIRST = [name for name, suite in SUITES.items() if suite.task.version == "v0"]
@@ -43,7 +47,10 @@ STANDARD, STANDARD_V1 = (
 @pytest.mark.parametrize(
     ("suite", "change"),
     [
-        (STANDARD, {"drawn_from": {"": (dataclasses.replace(STANDARD.distributions[0], load_noise_mw=1.01),)}}),
+        (
+            STANDARD,
+            {"drawn_from": {"": (STANDARD.distributions[0].changed({LoadNoise: {"standard_deviation_mw": 1.01}}),)}},
+        ),
         (STANDARD, {"test": range(9, 99)}),
         (STANDARD_V1, {"drawn_from": dict(reversed(STANDARD_V1.drawn_from.items()))}),
         (STANDARD_V1, {"plant": dataclasses.replace(STANDARD_V1.plant, secondary_time_s=31.0)}),
@@ -58,6 +65,34 @@ def test_hash_sees_scenarios_plant_sensors_and_task_but_not_words_and_copies(sui
     assert dataclasses.replace(suite, **change).hash != suite.hash
     assert dataclasses.replace(suite, description="other words").hash == suite.hash
     assert pickle.loads(pickle.dumps(suite)).hash == suite.hash
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Blinks(Record):
+    """A kind of event that the package does not have: the first WTG group is away for some time."""
+
+    away_s: tuple[float, float] = (1.0, 2.0)
+
+    def draw(self, pick: Picker, draft: Draft) -> None:
+        away_s, time_s = pick.between(self.away_s), pick.instant(draft.window)
+        draft.events.append(GroupTrip(time_s=time_s, group=0, returns_after_s=away_s))
+
+
+def test_a_suite_of_ones_own_records_is_played_without_a_file() -> None:
+    drawn = ScenarioDistribution(name="mine", records=(LoadEvents(number=(2, 2)), Wind(), Blinks()))
+    suite = dataclasses.replace(STANDARD_V1, name="mine", drawn_from={"": (drawn,)})
+    other = dataclasses.replace(suite, drawn_from={"": (drawn.changed({Blinks: {"away_s": (1.0, 3.0)}}),)})
+    assert other.hash != suite.hash and drawn.to_dict()["records"]["Blinks"] == {"away_s": (1.0, 2.0)}
+    env = gym.make("wtg_gym:GFMWTG-14bus-v1", suite=suite)
+    env.reset(seed=1)
+    assert env.unwrapped.settings.resolved_suite is suite and env.unwrapped.settings.suite_name == "mine"
+    for scenario in suite.scenarios(range(10_000, 10_002)):
+        assert [type(event) for event in scenario.events[2:]] == [GroupTrip]
+        # Nothing else is drawn: droop, inertia, load and commitment are those of the grid.
+        assert (scenario.governor_droop, scenario.inertia_scale, scenario.load_level) == (None, 1.0, 1.0)
+        assert scenario.committed == 1.0 and scenario.load_noise_mw.size == 0
+    with pytest.raises(ValueError, match=r"suite must be a name or the path of a file, .*Suite"):
+        evaluate([], suite)
 
 
 DRAWN = [suite for suite in SECOND if suite.distributions]

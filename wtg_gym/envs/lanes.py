@@ -154,7 +154,7 @@ class TaskLanes:
         for delay_s in [] if sensors is None else sensors.delays_s():
             delay_intervals(delay_s, self.settings.control_dt)
         for distribution in self.suite.distributions:
-            distribution.check_share(self.n_turbines)
+            distribution.check_turbines(self.n_turbines)
 
     def draw(self, rngs: Sequence[np.random.Generator]) -> list[Scenario]:
         """Return the next episode's scenario of every generator."""

@@ -38,7 +38,7 @@ class EnvArguments(TypedDict, total=False):
     strategy: str | TrackingLaw | Sequence[str | TrackingLaw]
     action_mode: str
     observation_mode: str
-    suite: str | None
+    suite: str | Suite | None
     grid: str | PathLike[str] | Grid | None
     groups: int | Sequence[Mapping[str, Any] | WtgGroup] | None
     plant: Plant | Mapping[str, Any] | None
@@ -60,7 +60,8 @@ class EnvSettings:
         strategy: control law that the actions adjust: a name, a TOML file, a `TrackingLaw`, or one for each group.
         action_mode: what the actions adjust: `"k"`, `"tau"` or `"k+tau"`.
         observation_mode: `"local"`, what each group measures itself, or `"privileged"`, which adds the grid's state.
-        suite: name of the suite of scenarios, in v1 with or without `-v1`. Default: the standard suite of the version.
+        suite: name of the suite of scenarios, in v1 with or without `-v1`, or a `Suite`. Default: the standard suite of
+            the version.
         grid: name of a grid, path of its file, or a `Grid`: its suite, instead of one by name.
         groups: number of turbine groups at the bus of the first one, or a list of `{"bus": …, "n_turbines": …}`, with a
             `"turbine"` (TurbineParameters) if it is not the suite's. Default: the suite's groups.
@@ -86,7 +87,7 @@ class EnvSettings:
     strategy: str | TrackingLaw | Sequence[str | TrackingLaw] = REFERENCE_STRATEGY
     action_mode: str = "k+tau"
     observation_mode: str = "local"
-    suite: str | None = None
+    suite: str | Suite | None = None
     grid: str | PathLike[str] | Grid | None = None
     groups: int | Sequence[Mapping[str, Any] | WtgGroup] | None = None
     plant: Plant | Mapping[str, Any] | None = None
@@ -122,6 +123,8 @@ class EnvSettings:
             grid = file_of(self.grid) if isinstance(self.grid, Grid) else str(fspath(self.grid))
             if grid != DEFAULT_GRID:
                 return suite_of_grid(grid)
+        if isinstance(self.suite, Suite):
+            return self.suite.name
         suite = self.suite or (DEFAULT_SUITE if self.version is None else "standard")
         if isinstance(suite, str) and f"{suite}-{self.version}" in SUITES:
             return f"{suite}-{self.version}"
@@ -133,9 +136,10 @@ class EnvSettings:
     @cached_property
     def resolved_suite(self) -> Suite:
         """The suite."""
-        suite = get_suite(self.suite_name)
+        name = self.suite_name
+        suite = self.suite if isinstance(self.suite, Suite) else get_suite(name)
         if self.version not in (None, suite.task.version):
-            raise ValueError(f"suite {self.suite_name!r} is of version {suite.task.version}, not {self.version}")
+            raise ValueError(f"suite {name!r} is of version {suite.task.version}, not {self.version}")
         return suite
 
     @cached_property

@@ -98,7 +98,7 @@ def evaluate(
         ValueError: an entry is for another version, an argument is unknown or out of range, or the workers cannot be
             used; the message names them.
     """
-    _check_arguments(batch, env_arguments)
+    _check_arguments(suite, batch, env_arguments)
     if workers is not None and n_threads not in (None, 1):
         raise ValueError(f"a worker steps with one thread; leave out the threads, got {n_threads!r}")
     settings = EnvSettings(suite=suite, split=split, **env_arguments)
@@ -142,7 +142,7 @@ def _with_anchors(given: str | Path | Entry | Sequence[str | Path | Entry], suit
     return [*entries, *(Entry(name=name, strategy=name, description="Anchor of the score.") for name in missing)]
 
 
-def _check_arguments(batch: int, env_arguments: dict[str, Any]) -> None:
+def _check_arguments(suite: str, batch: int, env_arguments: dict[str, Any]) -> None:
     known = [field.name for field in dataclasses.fields(EnvSettings) if field.name not in _TAKEN]
     unknown = sorted(set(env_arguments) - set(known))
     if unknown:
@@ -151,6 +151,8 @@ def _check_arguments(batch: int, env_arguments: dict[str, Any]) -> None:
             f"({', '.join(_TAKEN)} are set by the entry or by an argument of its own, a scenario by its seed)"
         )
     require_whole("batch", batch, 1, MOST_SCENARIOS)
+    if not isinstance(suite, str):
+        raise ValueError(f"suite must be a name or the path of a file, by which results find it, got {suite!r:.80}")
 
 
 def chosen_seeds(suite: str, split: str, seeds: Sequence[int] | None) -> list[int]:

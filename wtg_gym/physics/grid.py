@@ -60,7 +60,7 @@ class Grid(Checked):
         for bus in (*self.replaced, *(group.bus for group in self.groups)):
             self.case.bus_index(bus)
 
-    @property
+    @functools.cached_property
     def with_groups(self) -> NetworkCase:
         """The network as it is with the groups, without the machines that they replace."""
         machines = tuple(machine for machine in self.case.machines if machine.bus not in self.replaced)

@@ -18,8 +18,8 @@ from wtg_gym.physics.machine_parameters import SynchronousMachineParameters
 from wtg_gym.physics.network import LEAST_IMPEDANCE, NetworkCase
 from wtg_gym.physics.plant import SIMULATION_DT_RANGE
 from wtg_gym.physics.simulator import longest_step
-from wtg_gym.scenarios.distribution import LOSSES
-from wtg_gym.scenarios.strata import WIND_SCENARIOS, Places, constant_mw, governed_mva, suite_of_strata, wind_plant
+from wtg_gym.scenarios.draws import LOSSES, OperatingPoint, Wind
+from wtg_gym.scenarios.strata import COMMON, Places, constant_mw, governed_mva, suite_of_strata, wind_plant
 from wtg_gym.scenarios.stream import Span
 from wtg_gym.scenarios.suite import Suite
 
@@ -100,18 +100,15 @@ class GridSuite(Checked):
     def suite(self) -> Suite:
         """The suite; a ValueError if the grid has none of its places."""
         grid = get_grid(self.grid)
-        check_places(self.places, grid.with_groups)
-        # Where other machines stay, the loss of one asks for no more wind than other events.
-        own = {"machine": {"mean_wind_m_s": WIND_SCENARIOS["mean_wind_m_s"]}}
         return suite_of_strata(
             self.name,
             f"{grid.case.name}.",
             self.plant,
             self.places,
             event_size=self.event_size,
-            own=own,
-            wind_share=self.wind_share,
-            load_level=self.load_level,
+            changes={Wind: {"penetration": self.wind_share}, OperatingPoint: {"load_level": self.load_level}},
+            # Where other machines stay, the loss of one asks for no more wind than other events.
+            changes_in={"machine": {Wind: {"mean_m_s": COMMON[Wind]["mean_m_s"]}}},
         )
 
     @property
@@ -121,36 +118,6 @@ class GridSuite(Checked):
         if not groups:
             raise ValueError(f"grid {self.grid!r} has no WTG groups; a suite needs some")
         return wind_plant(self.grid, groups, simulation_dt=self.simulation_dt)
-
-
-def check_places(places: Places, case: NetworkCase) -> None:
-    """Raise a ValueError for a place that is not in the network.
-
-    Args:
-        places: of the suite.
-        case: the network with its groups.
-    """
-    buses = {
-        "load_buses": (tuple(bus for bus, *_ in places.load_buses), case.bus_numbers, "bus"),
-        "load_trip_buses": (places.load_trip_buses, case.bus_numbers, "bus"),
-        "load_noise_bus": ((places.load_noise_bus,), case.bus_numbers, "bus"),
-    }
-    machines = {machine.bus for machine in case.machines}
-    governed = {machine.bus for machine in case.machines if machine.governor is not None}
-    for name, able, what in (
-        ("machine_buses", machines, "machine"),
-        ("generator_buses", governed, "machine with a governor"),
-        ("governor_buses", governed, "machine with a governor"),
-    ):
-        buses[name] = (getattr(places, name), tuple(able), f"{what} beside the groups at bus")
-    for name, (given, known, what) in buses.items():
-        for bus in given:
-            if bus not in known:
-                raise ValueError(f"{name}: there is no {what} {bus!r}")
-    for name in ("line_trips", "fault_lines"):
-        for ends in getattr(places, name):
-            if case.branch_index(*ends) in case.bridges:
-                raise ValueError(f"{name}: without line {ends[0]}-{ends[1]} the network falls apart")
 
 
 def suite_of_file(path: str) -> Suite:

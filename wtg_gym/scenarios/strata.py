@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Any
@@ -13,20 +13,11 @@ from wtg_gym.physics.grid import DEFAULT_GRID, digest_of_grid, get_grid
 from wtg_gym.physics.machine_parameters import GovernorParameters
 from wtg_gym.physics.parameters import GridFormingParameters, WtgGroup
 from wtg_gym.physics.plant import Plant
+from wtg_gym.scenarios import draws
 from wtg_gym.scenarios.distribution import ScenarioDistribution
 from wtg_gym.scenarios.sensor_distribution import SensorDistribution
 from wtg_gym.scenarios.suite import Suite
-from wtg_gym.tasks import V1, Task
-
-#: Load of the grid that the sizes below are for [MW].
-_LOAD_MW = 259.0
-
-
-_CHANCES = {
-    "load_trip_probability": "load_trip_buses",
-    "line_trip_probability": "line_trips",
-    "machine_outage_probability": "machine_outage_buses",
-}
+from wtg_gym.tasks import V1
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -48,92 +39,99 @@ class Places(Checked):
     load_buses: tuple[tuple[int, float, float], ...]
     load_trip_buses: tuple[int, ...]
     load_noise_bus: int
-    line_trips: tuple[tuple[int, int], ...]
-    fault_lines: tuple[tuple[int, int], ...] = ()
-    islandings: tuple[tuple[tuple[int, int], ...], ...] = ()
+    line_trips: tuple[draws.Line, ...]
+    fault_lines: tuple[draws.Line, ...] = ()
+    islandings: tuple[tuple[draws.Line, ...], ...] = ()
     machine_buses: tuple[int, ...] = ()
     generator_buses: tuple[int, ...] = ()
     governor_buses: tuple[int, ...] = ()
 
+    def of_kinds(self) -> dict[str, draws.Changes]:
+        """Return where each kind of extreme event may happen, by its name."""
+        return {
+            "governor": {draws.GovernorLosses: {"buses": self.governor_buses}},
+            "machine": {draws.MachineOutages: {"buses": self.generator_buses}},
+            "fault": {draws.Faults: {"lines": self.fault_lines}},
+            "island": {draws.Islandings: {"line_sets": self.islandings}},
+        }
 
-#: What the scenarios of version v1 have in common; a stratum, a suite or both replace some of it.
-WIND_SCENARIOS: Mapping[str, Any] = MappingProxyType(
+
+#: What scenarios of version v1 are drawn from, in the order of the draws; strata, kinds and suites replace some of it.
+COMMON: draws.Changes = MappingProxyType(
     {
-        "mean_wind_m_s": (8.5, 11.0),
-        "mean_wind_spread_m_s": 1.0,
-        "wind_share": (0.4, 0.78),
-        "wind_ramp_probability": 0.15,
-        "wind_ramp_m_s": (0.5, 1.8),
-        "load_trip_probability": 0.0,
-        "line_trip_probability": 0.1,
-        # Frequency and rotors have two minutes to come back: after one, entries still pay for what they have lent.
-        "last_event_s": 60.0,
-        "wind_ramp_s": (5.0, 10.0),
-        "governor_droop": (0.03, 0.08),
-        "inertia_scale": (1.0, 1.0),
-        "machine_loading": (0.5, 0.85),
+        draws.OperatingPoint: {"governor_droop": (0.03, 0.08), "inertia_scale": (1.0, 1.0)},
+        draws.LoadEvents: {"trip_probability": 0.0},
+        draws.LineTrips: {"probability": 0.1},
+        draws.Wind: {
+            "mean_m_s": (8.5, 11.0),
+            "mean_spread_m_s": 1.0,
+            "penetration": (0.4, 0.78),
+            "ramp_probability": 0.15,
+            "ramp_m_s": (0.5, 1.8),
+            "ramp_s": (5.0, 10.0),
+        },
+        draws.GovernorLosses: {"probability": 0.0},
+        draws.GroupTrips: {"probability": 0.0},
+        draws.MachineOutages: {"probability": 0.0},
+        draws.Faults: {"probability": 0.0, "lines": ()},
+        draws.Islandings: {},
+        draws.UnitCommitment: {"loading": (0.5, 0.85)},
+        draws.LoadNoise: {},
     }
 )
-_EXTREME: Mapping[str, Any] = MappingProxyType(
-    {
-        "n_load_events": (1, 2),
-        "load_event_mw": (25.0, 50.0),
-        "net_load_change_mw": 60.0,
-        "load_increase_probability": 0.65,
-        "wind_ramp_probability": 0.2,
-    }
-)
-#: What the strata of version v1, and the kinds of the extreme one, replace.
-STRATA: Mapping[str, Mapping[str, Mapping[str, Any]]] = MappingProxyType(
+#: Latest event [s]. Frequency and rotors need two minutes to come back: after one, entries still pay for what they
+#: lent.
+_LAST_EVENT_S = 60.0
+#: What the strata of version v1 replace.
+STRATA: Mapping[str, draws.Changes] = MappingProxyType(
     {
         "ordinary": {
-            "": {
-                "n_load_events": (2, 4),
-                "load_event_mw": (4.0, 16.0),
-                "net_load_change_mw": 20.0,
-                "machine_loading": (0.5, 0.75),
-                "wind_ramp_m_s": (0.2, 0.7),
-            }
+            draws.LoadEvents: {"number": (2, 4), "size_mw": (4.0, 16.0), "net_change_mw": 20.0},
+            draws.Wind: {"ramp_m_s": (0.2, 0.7)},
+            draws.UnitCommitment: {"loading": (0.5, 0.75)},
         },
         "large": {
-            "": {
-                "n_load_events": (2, 3),
-                "load_event_mw": (22.0, 40.0),
-                "net_load_change_mw": 50.0,
-                "load_increase_probability": 0.65,
-                "load_trip_probability": 0.15,
-                "line_trip_probability": 0.25,
-                "wind_ramp_probability": 0.25,
-                "wind_ramp_m_s": (0.5, 1.5),
-                "machine_outage_probability": 0.15,
-            }
+            draws.LoadEvents: {
+                "number": (2, 3),
+                "size_mw": (22.0, 40.0),
+                "net_change_mw": 50.0,
+                "increase_probability": 0.65,
+                "trip_probability": 0.15,
+            },
+            draws.LineTrips: {"probability": 0.25},
+            draws.Wind: {"ramp_probability": 0.25, "ramp_m_s": (0.5, 1.5)},
+            draws.MachineOutages: {"probability": 0.15},
         },
         "extreme": {
-            "governor": {**_EXTREME, "wind_share": (0.5, 0.8), "governor_loss_probability": 1.0},
-            # The wind has to carry what load shedding leaves.
-            "machine": {
-                **_EXTREME,
-                "mean_wind_m_s": (9.5, 12.0),
-                "wind_share": (0.7, 0.88),
-                "load_event_mw": (10.0, 30.0),
-                "net_load_change_mw": 30.0,
-                "load_increase_probability": 0.5,
-                "machine_outage_probability": 1.0,
+            draws.LoadEvents: {
+                "number": (1, 2),
+                "size_mw": (25.0, 50.0),
+                "net_change_mw": 60.0,
+                "increase_probability": 0.65,
             },
-            "group": {**_EXTREME, "wind_share": (0.5, 0.8), "group_trip_probability": 1.0},
-            "fault": {
-                **_EXTREME,
-                "line_trip_probability": 0.0,
-                "fault_probability": 1.0,
-                "fault_clearing_s": (0.15, 0.35),
-            },
-            # A part far from its balance would die whatever its groups do.
-            "island": {
-                **_EXTREME,
-                "mean_wind_m_s": (9.0, 12.0),
-                "wind_share": (0.55, 0.82),
-                "line_trip_probability": 0.0,
-            },
+            draws.Wind: {"ramp_probability": 0.2},
+        },
+    }
+)
+#: What the kinds of the stratum "extreme" replace besides.
+EXTREME_KINDS: Mapping[str, draws.Changes] = MappingProxyType(
+    {
+        "governor": {draws.Wind: {"penetration": (0.5, 0.8)}, draws.GovernorLosses: {"probability": 1.0}},
+        # The wind has to carry what load shedding leaves.
+        "machine": {
+            draws.LoadEvents: {"size_mw": (10.0, 30.0), "net_change_mw": 30.0, "increase_probability": 0.5},
+            draws.Wind: {"mean_m_s": (9.5, 12.0), "penetration": (0.7, 0.88)},
+            draws.MachineOutages: {"probability": 1.0},
+        },
+        "group": {draws.Wind: {"penetration": (0.5, 0.8)}, draws.GroupTrips: {"probability": 1.0}},
+        "fault": {
+            draws.LineTrips: {"probability": 0.0},
+            draws.Faults: {"probability": 1.0, "clearing_s": (0.15, 0.35)},
+        },
+        # A part far from its balance would die whatever its groups do.
+        "island": {
+            draws.LineTrips: {"probability": 0.0},
+            draws.Wind: {"mean_m_s": (9.0, 12.0), "penetration": (0.55, 0.82)},
         },
     }
 )
@@ -165,29 +163,20 @@ def wind_plant(
         simulation_dt: step of the integration [s].
     """
     grid_data = get_grid(grid)
-    case = grid_data.with_groups
     governor = None if generator_mva is None else GovernorParameters(gate_max_pu=1.0)
-    machines = [
-        dataclasses.replace(m, rating_mva=generator_mva, governor=governor)
-        if generator_mva is not None and m.bus == case.slack_bus
-        else m
-        for m in case.machines
-    ]
-    branches = [
-        dataclasses.replace(b, resistance=branch_scale * b.resistance, reactance=branch_scale * b.reactance)
-        for b in case.branches
-    ]
-    governed = sum(machine.governor is not None for machine in machines)
+    case = grid_data.with_groups
+    machines = [machine for machine in case.machines if condensers or machine.governor is not None]
+    if generator_mva is not None:
+        generator: dict[str, Any] = {"rating_mva": generator_mva, "governor": governor}
+        machines = [dataclasses.replace(m, **generator) if m.bus == case.slack_bus else m for m in machines]
+    scaled = [{name: branch_scale * getattr(b, name) for name in ("resistance", "reactance")} for b in case.branches]
+    branches = tuple(dataclasses.replace(b, **values) for b, values in zip(case.branches, scaled, strict=True))
     plant = Plant(
-        case=dataclasses.replace(
-            case,
-            machines=tuple(m for m in machines if condensers or m.governor is not None),
-            branches=tuple(branches),
-        ),
+        case=dataclasses.replace(case, machines=tuple(machines), branches=branches),
         groups=groups,
         control=GridFormingParameters(overload_limit_pu=_OVERLOAD_FROM_PU),
         secondary_time_s=_SECONDARY_TIME_S,
-        shares_dispatch=governed > 1,
+        shares_dispatch=sum(machine.governor is not None for machine in machines) > 1,
         simulation_dt=simulation_dt,
         trips_groups=True,
     )
@@ -219,6 +208,29 @@ def constant_mw(plant: Plant) -> float:
     return sum(machine.dispatch_mw for machine in plant.case.machines if machine.governor is None)
 
 
+#: Load of the grid that the sizes above are for [MW].
+_LOAD_MW = 259.0
+
+
+def _records(layers: Sequence[draws.Changes], size: float) -> tuple[draws.Record, ...]:
+    """Return the records that layers of values make, later ones first, with a factor on the load events' sizes [-]."""
+    values: dict[type[draws.Record], dict[str, Any]] = {}
+    for layer in layers:
+        for kind, fields in layer.items():
+            values.setdefault(kind, {}).update(fields)
+    loads = values[draws.LoadEvents]
+    least, most = loads["size_mw"]
+    loads["size_mw"] = (round(size * least, 2), round(size * most, 2))
+    loads["net_change_mw"] *= size
+    # What has no place does not happen.
+    if not loads["trip_buses"]:
+        loads["trip_probability"] = 0.0
+    for kind, fields in values.items():
+        if issubclass(kind, draws.RareEvent) and kind.WHERE and not fields[kind.WHERE]:
+            fields["probability"] = 0.0
+    return tuple(kind(**fields) for kind, fields in values.items())
+
+
 def suite_of_strata(
     name: str,
     description: str,
@@ -228,9 +240,8 @@ def suite_of_strata(
     sensors: SensorDistribution | None = None,
     scenarios_of: str | None = None,
     event_size: float = 1.0,
-    own: Mapping[str, Mapping[str, Any]] | None = None,
-    task: Task = V1,
-    **settings: Any,
+    changes: draws.Changes = MappingProxyType({}),
+    changes_in: Mapping[str, draws.Changes] = MappingProxyType({}),
 ) -> Suite:
     """Return a suite of version v1.
 
@@ -240,53 +251,46 @@ def suite_of_strata(
         places: where events may happen; a kind of extreme event without a place is left out.
         scenarios_of: another suite that it shares all but the sensors with.
         event_size: factor on the load events of every stratum, which are in per cent of the load [-].
-        own: what it has of its own in a stratum or a kind, by its name.
-        settings: what it has of its own everywhere.
+        changes: what it replaces everywhere.
+        changes_in: what it replaces in a stratum or a kind of extreme event, by its name.
     """
-    grid = plant["grid"]
-    size = event_size * (1.0 if grid == DEFAULT_GRID else plant["plant"].case.load_mw / _LOAD_MW)
-    of_grid: dict[str, Any] = {
-        "load_noise_mw": round(size / event_size, 2),
-        "load_buses": places.load_buses,
-        "load_trip_buses": places.load_trip_buses,
-        "load_noise_bus": places.load_noise_bus,
-        "line_trips": places.line_trips,
-        "machine_outage_buses": places.machine_buses,
-        "governor_loss_buses": places.governor_buses,
-        "grid": grid,
-        "constant_mw": constant_mw(plant["plant"]),
-    }
-    of_kinds: dict[str, dict[str, Any]] = {
-        "governor": {"governor_loss_buses": places.governor_buses},
-        "machine": {"machine_outage_buses": places.generator_buses},
-        "fault": {"fault_lines": places.fault_lines},
-        "island": {"islandings": places.islandings},
-    }
-    drawn_from: dict[str, tuple[ScenarioDistribution, ...]] = {}
-    for stratum, kinds in STRATA.items():
-        made = []
-        for kind, given in kinds.items():
-            if not all(of_kinds.get(kind, {"": True}).values()):
+    size = 1.0 if plant["grid"] == DEFAULT_GRID else plant["plant"].case.load_mw / _LOAD_MW
+    of_grid, where = _changes_of(plant["plant"], places, size), places.of_kinds()
+    drawn_from: dict[str, list[ScenarioDistribution]] = {stratum: [] for stratum in STRATA}
+    for stratum, of_stratum in STRATA.items():
+        for kind, of_kind in (EXTREME_KINDS if stratum == "extreme" else {"": {}}).items():
+            of_place = where.get(kind, {})
+            if not all(place for fields in of_place.values() for place in fields.values()):
                 continue
-            values = {**WIND_SCENARIOS, **of_grid, **given, **of_kinds.get(kind, {}), **settings}
-            values |= (own or {}).get(kind or stratum, {})
-            # What has no place does not happen.
-            values |= {chance: 0.0 for chance, where in _CHANCES.items() if not values[where]}
-            least, most = values["load_event_mw"]
-            values["load_event_mw"] = (round(size * least, 2), round(size * most, 2))
-            values["net_load_change_mw"] *= size
-            prefix = f"{scenarios_of or name}-v1/{stratum}"
-            prefix = f"{prefix}-{kind}" if kind else prefix
-            made.append(ScenarioDistribution(name=prefix, generator_mva=governed_mva(plant["plant"]), **values))
-        drawn_from[stratum] = tuple(made)
+            layers = (COMMON, of_grid, of_stratum, of_kind, of_place, changes, changes_in.get(kind or stratum, {}))
+            drawn_from[stratum].append(
+                ScenarioDistribution(
+                    name="-".join(filter(None, (f"{scenarios_of or name}-v1/{stratum}", kind))),
+                    records=_records(layers, event_size * size),
+                    grid=plant["grid"],
+                    last_event_s=_LAST_EVENT_S,
+                )
+            )
     return Suite(
         name=f"{name}-v1",
         description=description,
         duration_s=180.0,
-        task=task,
+        task=V1,
         sensors=sensors or SensorDistribution(),
-        drawn_from=drawn_from,
+        drawn_from={stratum: tuple(kinds) for stratum, kinds in drawn_from.items()},
         validation=range(10_000, 10_300),
         test=range(20_000, 20_900),
         **plant,
     )
+
+
+def _changes_of(plant: Plant, places: Places, size: float) -> draws.Changes:
+    """Return what the records hold of a plant and the places in it; `size` is a factor on the load noise [-]."""
+    return {
+        draws.LoadEvents: {"buses": places.load_buses, "trip_buses": places.load_trip_buses},
+        draws.LoadNoise: {"standard_deviation_mw": round(size, 2), "bus": places.load_noise_bus},
+        draws.LineTrips: {"lines": places.line_trips},
+        draws.GovernorLosses: {"buses": places.governor_buses},
+        draws.MachineOutages: {"buses": places.machine_buses},
+        draws.UnitCommitment: {"generator_mva": governed_mva(plant), "constant_mw": constant_mw(plant)},
+    }

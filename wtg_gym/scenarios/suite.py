@@ -73,7 +73,7 @@ class Suite:
     """
 
     name: str
-    description: str
+    description: str = ""
     duration_s: float
     task: Task = V0
     grid: str = DEFAULT_GRID
@@ -220,9 +220,9 @@ class Suite:
             for seed, case in zip(seeds, cases, strict=True)
         ]
 
-    def sources(self) -> dict[str, Any] | None:
-        """Return its distribution as JSON-ready data, or those of each stratum by its name; None for fixed cases."""
-        data = {stratum: [kind.to_dict() for kind in kinds] for stratum, kinds in self.drawn_from.items()}
+    def _hashed_sources(self) -> dict[str, Any] | None:
+        """Its distribution as it enters the hash, or those of each stratum by its name; None for fixed cases."""
+        data = {stratum: [kind.hashed() for kind in kinds] for stratum, kinds in self.drawn_from.items()}
         return data[""][0] if "" in data else data or None
 
     @cached_property
@@ -236,7 +236,7 @@ class Suite:
         data = {
             "name": self.name,
             "duration_s": self.duration_s,
-            "distribution": self.sources(),
+            "distribution": self._hashed_sources(),
             "cases": [asdict(case) for case in self.cases],
             "splits": {split: [s.start, s.stop, s.step] for split, s in seeds.items()},
             "drawn": drawn,

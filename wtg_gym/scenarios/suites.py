@@ -13,6 +13,7 @@ from wtg_gym.physics.grid import DEFAULT_GRID, FOLDER, get_grid
 from wtg_gym.physics.parameters import WtgGroup
 from wtg_gym.physics.scenario import LoadStep, LoadTrip
 from wtg_gym.ranges import did_you_mean
+from wtg_gym.scenarios import draws
 from wtg_gym.scenarios.distribution import ScenarioDistribution
 from wtg_gym.scenarios.grid_suite import read_suite, suite_of_file
 from wtg_gym.scenarios.sensor_distribution import SensorDistribution
@@ -39,8 +40,8 @@ _PAPER = Suite(
 )
 
 
-def _drawn(name: str, description: str, **settings: Any) -> Suite:
-    distribution = ScenarioDistribution(name=name, **settings)
+def _drawn(name: str, description: str, changes: draws.Changes = MappingProxyType({})) -> Suite:
+    distribution = ScenarioDistribution(name=name).changed(changes)
     return Suite(name=name, description=description, duration_s=60.0, drawn_from={"": (distribution,)})
 
 
@@ -62,11 +63,11 @@ _ISLANDINGS = (
     ((5, 6), (4, 7), (4, 9)),
 )
 _PLACES = Places(
-    load_buses=ScenarioDistribution.load_buses,
+    load_buses=draws.LoadEvents.buses,
     # The load of bus 4 is more than all other events together.
     load_trip_buses=(9, 14),
-    load_noise_bus=ScenarioDistribution.load_noise_bus,
-    line_trips=ScenarioDistribution.line_trips,
+    load_noise_bus=draws.LoadNoise.bus,
+    line_trips=draws.LineTrips.lines,
     fault_lines=_FAULT_LINES,
     islandings=_ISLANDINGS,
     machine_buses=(3, 6, 8),
@@ -81,12 +82,11 @@ def _drawn_v1(name: str, description: str, plant: Mapping[str, Any] = _WIND_PLAN
 
 
 #: What may fail in two strata of faults-v1.
-_FAULTS: Mapping[str, Any] = MappingProxyType(
+_FAULTS: draws.Changes = MappingProxyType(
     {
-        "line_trip_probability": 0.6,
-        "machine_outage_probability": 0.4,
-        "fault_probability": 0.3,
-        "fault_lines": _FAULT_LINES,
+        draws.LineTrips: {"probability": 0.6},
+        draws.MachineOutages: {"probability": 0.4},
+        draws.Faults: {"probability": 0.3, "lines": _FAULT_LINES},
     }
 )
 _PAPER_V1 = Suite(
@@ -108,30 +108,36 @@ SUITES: Mapping[str, Suite] = MappingProxyType(
             _drawn("standard", "Medium wind, one to three load events, grids from weak to strong."),
             _drawn(
                 "low-wind",
-                "Wind far below rated, where there is little reserve and a rotor stalls soonest.",
-                mean_wind_m_s=(6.0, 8.0),
-                gust_m_s=(1.5, 3.5),
-                wind_ramp_m_s=(0.5, 1.5),
+                "draws.Wind far below rated, where there is little reserve and a rotor stalls soonest.",
+                {draws.Wind: {"mean_m_s": (6.0, 8.0), "gust_m_s": (1.5, 3.5), "ramp_m_s": (0.5, 1.5)}},
             ),
             _drawn(
                 "gust",
                 "A gust on one group or a wind ramp on all in every run, in turbulence of class A.",
-                mean_wind_m_s=(7.0, 11.0),
-                turbulence_intensity=(0.16, 0.16),
-                gust_probability=0.6,
-                gust_m_s=(3.0, 6.0),
-                wind_ramp_probability=0.4,
-                wind_ramp_m_s=(2.0, 4.0),
-                n_load_events=(1, 2),
+                {
+                    draws.Wind: {
+                        "mean_m_s": (7.0, 11.0),
+                        "turbulence_intensity": (0.16, 0.16),
+                        "gust_probability": 0.6,
+                        "gust_m_s": (3.0, 6.0),
+                        "ramp_probability": 0.4,
+                        "ramp_m_s": (2.0, 4.0),
+                    },
+                    draws.LoadEvents: {"number": (1, 2)},
+                },
             ),
             _drawn(
                 "weak-grid",
                 "Half the inertia and governors with a high droop: the frequency falls fast and far.",
-                governor_droop=(0.04, 0.05),
-                inertia_scale=(0.5, 0.6),
-                load_level=(0.9, 1.1),
-                load_noise_mw=1.5,
-                line_trip_probability=0.3,
+                {
+                    draws.OperatingPoint: {
+                        "governor_droop": (0.04, 0.05),
+                        "inertia_scale": (0.5, 0.6),
+                        "load_level": (0.9, 1.1),
+                    },
+                    draws.LoadNoise: {"standard_deviation_mw": 1.5},
+                    draws.LineTrips: {"probability": 0.3},
+                },
             ),
             _drawn_v1("standard", "Three fifths of the power from wind beside one small generator: the wind decides."),
             _drawn_v1(
@@ -139,41 +145,45 @@ SUITES: Mapping[str, Suite] = MappingProxyType(
                 "Two fifths of the power from wind, and larger events.",
                 _wind_plant(300.0, 14.0, 10.0, 7.0, 5.0),
                 event_size=1.25,
-                own={
+                changes={draws.Wind: {"penetration": (0.25, 0.6)}},
+                changes_in={
                     "machine": {
-                        "mean_wind_m_s": (10.5, 13.0),
-                        "wind_share": (0.72, 0.77),
-                        "load_level": (0.85, 0.88),
-                        "load_event_mw": (6.0, 12.0),
-                        "net_load_change_mw": 12.0,
+                        draws.OperatingPoint: {"load_level": (0.85, 0.88)},
+                        draws.LoadEvents: {"size_mw": (6.0, 12.0), "net_change_mw": 12.0},
+                        draws.Wind: {"mean_m_s": (10.5, 13.0), "penetration": (0.72, 0.77)},
                     },
-                    "island": {"wind_share": (0.45, 0.65)},
+                    "island": {draws.Wind: {"penetration": (0.45, 0.65)}},
                 },
-                wind_share=(0.25, 0.6),
             ),
             _drawn_v1(
                 "high-share",
                 "Three quarters of the power from wind beside a generator of 150 MVA.",
                 _wind_plant(150.0, 26.0, 18.0, 13.0, 10.0),
                 event_size=0.7,
-                own={"machine": {"mean_wind_m_s": (8.5, 11.0), "wind_share": (0.74, 0.88)}},
-                wind_share=(0.6, 0.83),
+                changes={draws.Wind: {"penetration": (0.6, 0.83)}},
+                changes_in={"machine": {draws.Wind: {"mean_m_s": (8.5, 11.0), "penetration": (0.74, 0.88)}}},
             ),
             _drawn_v1(
                 "gusty",
                 "A gust on one group or a wind ramp on all in nearly every run, in turbulence of class A.",
                 event_size=0.9,
-                own={
-                    "machine": {"mean_wind_m_s": (9.5, 12.0), "wind_share": (0.7, 0.85), "wind_ramp_m_s": (0.5, 1.2)},
-                    "island": {"mean_wind_m_s": (9.0, 12.0), "wind_share": (0.55, 0.82)},
+                changes={
+                    draws.Wind: {
+                        "mean_m_s": (9.0, 11.5),
+                        "turbulence_intensity": (0.16, 0.16),
+                        "gust_probability": 0.5,
+                        "gust_m_s": (2.5, 4.0),
+                        "ramp_probability": 0.4,
+                        "ramp_m_s": (1.0, 1.8),
+                        "penetration": (0.4, 0.74),
+                    }
                 },
-                mean_wind_m_s=(9.0, 11.5),
-                turbulence_intensity=(0.16, 0.16),
-                gust_probability=0.5,
-                gust_m_s=(2.5, 4.0),
-                wind_ramp_probability=0.4,
-                wind_ramp_m_s=(1.0, 1.8),
-                wind_share=(0.4, 0.74),
+                changes_in={
+                    "machine": {
+                        draws.Wind: {"mean_m_s": (9.5, 12.0), "penetration": (0.7, 0.85), "ramp_m_s": (0.5, 1.2)}
+                    },
+                    "island": {draws.Wind: {"mean_m_s": (9.0, 12.0), "penetration": (0.55, 0.82)}},
+                },
             ),
             _drawn_v1(
                 "no-wind-sensor",
@@ -184,24 +194,27 @@ SUITES: Mapping[str, Suite] = MappingProxyType(
             _drawn_v1(
                 "faults",
                 "Short circuits, lines that open and close again, machines and groups that trip, in every stratum.",
-                own={
-                    "ordinary": _FAULTS,
-                    "large": {**_FAULTS, "group_trip_probability": 0.15},
-                },
-                line_reclosing_s=(1.0, 10.0),
+                changes={draws.LineTrips: {"reclosing_s": (1.0, 10.0)}},
+                changes_in={"ordinary": _FAULTS, "large": {**_FAULTS, draws.GroupTrips: {"probability": 0.15}}},
             ),
             _drawn_v1(
                 "weak-grid",
                 "Long lines and no condensers: a short-circuit ratio of 1.5 … 3 at every WTG group.",
                 _wind_plant(122.0, 20.0, 14.0, 10.0, 8.0, branch_scale=2.5, condensers=False),
                 event_size=0.8,
-                own={
-                    "large": {"machine_outage_probability": 0.0},
-                    "machine": {"wind_share": (0.74, 0.88), "load_level": (0.93, 1.0), "machine_loading": (0.3, 0.45)},
+                changes={
+                    draws.OperatingPoint: {"load_level": (0.85, 1.0)},
+                    draws.Wind: {"penetration": (0.69, 0.79)},
+                    draws.UnitCommitment: {"loading": (0.6, 0.8)},
                 },
-                wind_share=(0.69, 0.79),
-                load_level=(0.85, 1.0),
-                machine_loading=(0.6, 0.8),
+                changes_in={
+                    "large": {draws.MachineOutages: {"probability": 0.0}},
+                    "machine": {
+                        draws.OperatingPoint: {"load_level": (0.93, 1.0)},
+                        draws.Wind: {"penetration": (0.74, 0.88)},
+                        draws.UnitCommitment: {"loading": (0.3, 0.45)},
+                    },
+                },
             ),
             _PAPER_V1,
             # Made by `wtg-gym grid suite`.

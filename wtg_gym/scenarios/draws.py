@@ -1,0 +1,442 @@
+"""What scenarios are drawn from: records of wind, load, outages and operating point, each of which draws itself."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, ClassVar
+
+import numpy as np
+
+from wtg_gym.physics import scenario
+from wtg_gym.physics.checked import Checked, design, required
+from wtg_gym.physics.network import NetworkCase
+from wtg_gym.physics.scenario import SERIES_DT, Event, trusted
+from wtg_gym.ranges import require_range
+from wtg_gym.scenarios import wind
+from wtg_gym.scenarios.stream import FloatArray, Picker, Span
+
+Line = tuple[int, int]
+#: Lines of the IEEE 14-bus system that no part of it hangs on, without 1-2, which carries most of the output of bus 1:
+#: with a load event on top, no wind controller could save the run.
+_SURVIVABLE_LINES = (
+    (1, 5), (2, 3), (2, 4), (2, 5), (3, 4), (4, 5), (6, 11), (6, 12), (6, 13),
+    (9, 10), (9, 14), (10, 11), (12, 13), (13, 14),
+)  # fmt: skip
+#: Bus, largest load increase and largest decrease there [MW]: less at the buses behind weak lines; the
+#: decrease is the load the bus has at 85 % load level, so that no bus turns into a generator.
+_LOAD_BUSES = (
+    (2, 75.0, 18.0), (3, 75.0, 80.0), (4, 75.0, 40.0), (5, 75.0, 6.0),
+    (6, 50.0, 9.0), (9, 50.0, 25.0), (13, 30.0, 11.0), (14, 30.0, 12.0),
+)  # fmt: skip
+#: Least share of the generator's units that is on line, by design: one of five.
+LEAST_COMMITTED = 0.2
+#: Share of the load that the network loses, at most.
+LOSSES = 0.05
+#: Mean winds that are drawn for a penetration before it counts as impossible.
+_MOST_DRAWS = 1000
+
+
+@dataclass(kw_only=True)
+class Draft:
+    """What has been drawn of a scenario so far; a record reads what those before it have drawn.
+
+    Args:
+        n_turbines: turbines per WTG group.
+        case_load_mw: load of the grid at load level 1 [MW].
+        window: earliest and latest instant of an event [s].
+        n_samples: samples of the wind series.
+        wind_change: the groups that a gust or ramp reaches, and its change of wind [m/s].
+        machine_loading: load that the wind leaves, over the rating of the generator's units on line [-].
+    """
+
+    n_turbines: Sequence[float]
+    case_load_mw: float
+    window: Span
+    n_samples: int
+    governor_droop: float | None = None
+    inertia_scale: float = 1.0
+    load_level: float = 1.0
+    events: list[Event] = field(default_factory=list)
+    turbulence_intensity: float = 0.0
+    mean_winds_m_s: Sequence[float] = ()
+    wind_change: tuple[int | slice, FloatArray] | None = None
+    machine_loading: float | None = None
+
+    @property
+    def load_mw(self) -> float:
+        """Load of the grid at the load level that was drawn [MW]."""
+        return self.load_level * self.case_load_mw
+
+
+@dataclass(frozen=True, kw_only=True)
+class Record(Checked):
+    """A part of what scenarios are drawn from; a pair of numbers is the range of a uniform distribution.
+
+    The unit, the allowed range and the meaning of every value are its field's metadata.
+
+    Raises:
+        ValueError: a value is outside its allowed range; the message names value, unit and range.
+    """
+
+    def check(self, case: NetworkCase, records: Sequence[Record]) -> None:
+        """Refuse with a ValueError what does not fit the network with its groups, or the other records."""
+
+    def draw(self, pick: Picker, draft: Draft) -> None:
+        """Draw this part of a scenario into the draft."""
+
+
+#: New values of records' fields, by the type of the record.
+Changes = Mapping[type[Record], Mapping[str, Any]]
+
+
+def _require_buses(name: str, buses: Sequence[int], known: Sequence[int], what: str = "bus") -> None:
+    for bus in buses:
+        if bus not in known:
+            raise ValueError(f"{name}: there is no {what} {bus!r}")
+
+
+def _chance(default: float, doc: str) -> Any:
+    return design(default, "-", doc, 0.0, 1.0)
+
+
+@dataclass(frozen=True, kw_only=True)
+class OperatingPoint(Record):
+    """Droop, inertia and load that a run starts with."""
+
+    governor_droop: Span = design((0.02, 0.05), "p.u.", "droop of the governors", 0.005, 1.0)
+    inertia_scale: Span = design((0.5, 1.0), "-", "factor on the inertia of the synchronous machines", 0.05, 5.0)
+    load_level: Span = design((0.85, 1.1), "-", "factor on the loads of the case", 0.3, 1.5)
+
+    def draw(self, pick: Picker, draft: Draft) -> None:
+        draft.governor_droop = pick.between(self.governor_droop)
+        draft.inertia_scale = pick.between(self.inertia_scale)
+        draft.load_level = pick.between(self.load_level)
+
+
+@dataclass(frozen=True, kw_only=True)
+class LoadEvents(Record):
+    """Load steps and ramps, and at most one disconnection of a bus's load."""
+
+    number: tuple[int, int] = design((1, 3), "-", "number of load events", 0, 20)
+    size_mw: Span = design((15.0, 50.0), "MW", "size of a load event", 0.0, 1e5)
+    increase_probability: float = _chance(0.5, "chance that a load event is an increase")
+    net_change_mw: float = design(75.0, "MW", "a step or ramp changes its sign if their sum exceeds this", 0.0, 1e5)
+    buses: tuple[tuple[int, float, float], ...] = design(
+        _LOAD_BUSES, "-", "bus, largest increase and largest decrease there over a run [MW]"
+    )
+    ramp_probability: float = _chance(0.25, "chance that a load event is a ramp")
+    ramp_s: Span = design((2.0, 10.0), "s", "length of a load ramp", 0.1, 3600.0)
+    trip_probability: float = _chance(0.15, "chance that one load event is a disconnection")
+    trip_buses: tuple[int, ...] = design((4, 9, 14), "-", "buses whose load may be disconnected; out of buses")
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        for limits in self.buses:
+            if not isinstance(limits, tuple) or len(limits) != 3:
+                raise ValueError(f"LoadEvents.buses must be triples of a bus and two changes [MW], got {limits!r}")
+            for change_mw in limits[1:]:
+                require_range(f"largest load change at bus {limits[0]}", change_mw, 0.0, 1e4, "MW")
+        numbers = [bus for bus, _, _ in self.buses]
+        if not numbers or len(set(numbers)) < len(numbers):
+            raise ValueError(f"LoadEvents.buses needs at least one bus, and each bus once, got {numbers}")
+        if (self.trip_probability and not self.trip_buses) or not set(self.trip_buses) <= set(numbers):
+            raise ValueError(f"trip_buses must be one or more of the load buses {numbers}, got {self.trip_buses}")
+        object.__setattr__(self, "buses", tuple((bus, float(up), float(down)) for bus, up, down in self.buses))
+
+    def check(self, case: NetworkCase, records: Sequence[Record]) -> None:
+        _require_buses("LoadEvents.buses", [bus for bus, _, _ in self.buses], case.bus_numbers)
+
+    def draw(self, pick: Picker, draft: Draft) -> None:
+        n_events = pick.whole(*self.number)
+        times = sorted([pick.instant(draft.window) for _ in range(n_events)])
+        trip_index = pick.whole(0, n_events - 1) if n_events and pick.chance(self.trip_probability) else -1
+        increase_mw = {bus: limit for bus, limit, _ in self.buses}
+        decrease_mw = {bus: limit for bus, _, limit in self.buses}
+        trip_bus, trip_mw = 0, 0.0
+        if trip_index >= 0:
+            trip_bus = pick.choice(self.trip_buses)
+            trip_mw, decrease_mw[trip_bus] = decrease_mw[trip_bus], 0.0
+        net_mw = 0.0
+        for index, time_s in enumerate(times):
+            if index == trip_index:
+                draft.events.append(trusted(scenario.LoadTrip, time_s=time_s, bus=trip_bus))
+                net_mw -= trip_mw
+                continue
+            size = round(pick.between(self.size_mw), 2)
+            sign = 1 if pick.chance(self.increase_probability) else -1
+            if abs(net_mw + sign * size) > self.net_change_mw:
+                sign = -sign
+            left_mw = increase_mw if sign > 0 else decrease_mw
+            able = [bus for bus, limit in left_mw.items() if limit >= size]
+            bus = pick.choice(able) if able else max(left_mw, key=left_mw.__getitem__)
+            size = min(size, left_mw[bus])
+            left_mw[bus] = round(left_mw[bus] - size, 2)
+            net_mw += sign * size
+            step = {"time_s": time_s, "bus": bus, "power_mw": sign * size, "reactive_mvar": 0.0}
+            if pick.chance(self.ramp_probability):
+                draft.events.append(trusted(scenario.LoadRamp, **step, duration_s=round(pick.between(self.ramp_s), 1)))
+            else:
+                draft.events.append(trusted(scenario.LoadStep, **step))
+
+
+@dataclass(frozen=True, kw_only=True)
+class LoadNoise(Record):
+    """Random load at one bus, an Ornstein-Uhlenbeck process that starts at zero."""
+
+    standard_deviation_mw: float = design(1.0, "MW", "standard deviation, once its start has decayed", 0.0, 1e4)
+    correlation_s: float = design(2.0, "s", "correlation time", 0.1, 60.0)
+    bus: int = design(3, "-", "bus of the load")
+
+    def check(self, case: NetworkCase, records: Sequence[Record]) -> None:
+        _require_buses("LoadNoise.bus", [self.bus], case.bus_numbers)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Wind(Record):
+    """Mean wind and turbulence of every group, and at most one gust or wind ramp."""
+
+    mean_m_s: Span = design((6.5, 11.0), "m/s", "mean wind", 4.0, 20.0)
+    mean_spread_m_s: float | None = design(
+        None, "m/s", "largest difference of a group from a shared mean wind; None: independent means", 0.0, 5.0
+    )
+    turbulence_intensity: Span = design((0.12, 0.16), "-", "I_ref; classes C … A of IEC 61400-1", 0.0, 0.3)
+    n_turbines: float = design(10.0, "-", "turbines per group that the wind is averaged over", 1e-3, 1e4)
+    gust_probability: float = _chance(0.1, "chance of an extreme operating gust on one group")
+    gust_m_s: Span = design((2.0, 5.0), "m/s", "size of a gust", 0.0, 15.0)
+    ramp_probability: float = _chance(0.1, "chance of a wind ramp on all groups; excludes a gust")
+    ramp_m_s: Span = design((1.0, 3.0), "m/s", "size of a wind ramp; both signs", 0.0, 10.0)
+    ramp_s: Span = design((5.0, 20.0), "s", "length of a wind ramp", 0.1, 3600.0)
+    penetration: Span | None = design(
+        None, "-", "share of the load that turbines at nominal reserve cover in the mean winds; None: any", 0.0, 1.0
+    )
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if (total := self.gust_probability + self.ramp_probability) > 1.0:
+            raise ValueError(
+                f"gust_probability + ramp_probability = {total:g}, at most 1 is allowed: they exclude each other"
+            )
+
+    def draw(self, pick: Picker, draft: Draft) -> None:
+        draft.turbulence_intensity = pick.between(self.turbulence_intensity)
+        draft.mean_winds_m_s = self._mean_winds(pick, draft.n_turbines, draft.load_mw)
+        draft.wind_change = self._change(pick, draft)
+
+    def _mean_winds(self, pick: Picker, n_turbines: Sequence[float], load_mw: float) -> list[float]:
+        if self.penetration is None:
+            return self._any_mean_winds(pick, len(n_turbines))
+        low, high = self.penetration
+        for _ in range(_MOST_DRAWS):
+            winds = self._any_mean_winds(pick, len(n_turbines))
+            if low <= wind.share_of_load(winds, n_turbines, load_mw) <= high:
+                return winds
+        raise ValueError(
+            f"penetration: winds of {self.mean_m_s[0]:g} … {self.mean_m_s[1]:g} m/s hardly ever give these "
+            f"{sum(n_turbines):g} turbines {100.0 * low:g} … {100.0 * high:g} % of the load"
+        )
+
+    def _any_mean_winds(self, pick: Picker, n_groups: int) -> list[float]:
+        spread = self.mean_spread_m_s
+        if spread is None:
+            return [pick.between(self.mean_m_s) for _ in range(n_groups)]
+        low, high = wind.DRAWN_WIND_RANGE
+        shared = pick.between(self.mean_m_s)
+        return [min(max(shared + pick.between((-spread, spread)), low), high) for _ in range(n_groups)]
+
+    def _change(self, pick: Picker, draft: Draft) -> tuple[int | slice, FloatArray] | None:
+        """The groups that a gust or ramp reaches, and its change of wind [m/s]; None for neither."""
+        uniform = pick.uniform()
+        if uniform >= self.gust_probability + self.ramp_probability:
+            return None
+        start_s = pick.instant(draft.window)
+        time_s = SERIES_DT * np.arange(draft.n_samples, dtype=np.float64)
+        if uniform < self.gust_probability:
+            # A gust spans at most a few hundred metres; a front passes the whole plant.
+            group = pick.whole(0, len(draft.n_turbines) - 1)
+            return group, wind.extreme_operating_gust(time_s, start_s, pick.between(self.gust_m_s))
+        change = pick.between(self.ramp_m_s) * (1.0 if pick.chance(0.5) else -1.0)
+        return slice(None), wind.coherent_ramp(time_s, start_s, change, pick.between(self.ramp_s))
+
+    def check_turbines(self, n_turbines: Sequence[float], load_mw: float) -> None:
+        """Refuse turbines per group that hardly any mean winds let give the penetration of a load [MW]."""
+        if self.penetration is None:
+            return
+        low, high = self.mean_m_s
+        # A twentieth of the range at either end: that many draws at least must fit.
+        margin = 0.05 * (high - low)
+        least, most = (
+            wind.share_of_load([speed] * len(n_turbines), n_turbines, load_mw)
+            for speed in (low + margin, high - margin)
+        )
+        if most < self.penetration[0] or least > self.penetration[1]:
+            raise ValueError(
+                f"these {sum(n_turbines):g} turbines give {100.0 * least:.0f} … {100.0 * most:.0f} % of a load of "
+                f"{load_mw:.0f} MW; allowed is a penetration of {100.0 * self.penetration[0]:g} … "
+                f"{100.0 * self.penetration[1]:g} %: other groups or another suite are needed"
+            )
+
+
+@dataclass(frozen=True, kw_only=True)
+class RareEvent(Record):
+    """Something that happens once in a run, or not at all."""
+
+    #: Field that says where it may happen, if it may not happen anywhere.
+    WHERE: ClassVar[str] = ""
+    probability: float = required("-", "design", "chance that it happens in a run", 0.0, 1.0)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.probability and self.WHERE and not getattr(self, self.WHERE):
+            raise ValueError(f"{type(self).__name__}.{self.WHERE} must not be empty at a probability above 0")
+
+    def draw(self, pick: Picker, draft: Draft) -> None:
+        # What never happens takes no number from the stream.
+        if self.probability > 0.0 and pick.chance(self.probability):
+            draft.events += self.events(pick, draft)
+
+    def events(self, pick: Picker, draft: Draft) -> list[Event]:
+        """Draw what happens, where it does."""
+        raise NotImplementedError
+
+
+def _check_lines(name: str, lines: Sequence[Line], case: NetworkCase) -> None:
+    if any(case.branch_index(*line) in case.bridges for line in lines):
+        raise ValueError(f"{name} must be lines that no part of the network hangs on, got {lines}")
+
+
+def _line_trip(time_s: float, line: Line, recloses_after_s: float | None = None) -> Event:
+    ends = {"from_bus": line[0], "to_bus": line[1]}
+    return trusted(scenario.LineTrip, time_s=time_s, **ends, recloses_after_s=recloses_after_s, circuit=None)
+
+
+@dataclass(frozen=True, kw_only=True)
+class LineTrips(RareEvent):
+    """A line opens."""
+
+    WHERE = "lines"
+    probability: float = _chance(0.15, "chance that one line trips")
+    lines: tuple[Line, ...] = design(_SURVIVABLE_LINES, "-", "lines that may trip; no part of the network hangs on one")
+    reclosing_s: Span | None = design(None, "s", "time after which the line closes again; None: never", 0.1, 3600.0)
+
+    def check(self, case: NetworkCase, records: Sequence[Record]) -> None:
+        _check_lines("LineTrips.lines", self.lines, case)
+
+    def draw(self, pick: Picker, draft: Draft) -> None:
+        # Unlike others, it takes a number from the stream even at a probability of 0: frozen scenarios depend on it.
+        if pick.chance(self.probability):
+            draft.events += self.events(pick, draft)
+
+    def events(self, pick: Picker, draft: Draft) -> list[Event]:
+        line, time_s = pick.choice(self.lines), pick.instant(draft.window)
+        after_s = None if self.reclosing_s is None else round(pick.between(self.reclosing_s), 1)
+        return [_line_trip(time_s, line, after_s)]
+
+
+@dataclass(frozen=True, kw_only=True)
+class GovernorLosses(RareEvent):
+    """A machine loses its governor, every other time from the start."""
+
+    WHERE = "buses"
+    buses: tuple[int, ...] = design((), "-", "buses of machines of which one loses its governor")
+
+    def check(self, case: NetworkCase, records: Sequence[Record]) -> None:
+        governed = [machine.bus for machine in case.machines if machine.governor is not None]
+        _require_buses("GovernorLosses.buses", self.buses, governed, "machine with a governor at bus")
+
+    def events(self, pick: Picker, draft: Draft) -> list[Event]:
+        time_s = 0.0 if pick.chance(0.5) else pick.instant(draft.window)
+        # Of one there is nothing to draw.
+        bus = self.buses[0] if len(self.buses) == 1 else pick.choice(self.buses)
+        return [trusted(scenario.GovernorLoss, time_s=time_s, bus=bus)]
+
+
+@dataclass(frozen=True, kw_only=True)
+class GroupTrips(RareEvent):
+    """A WTG group but the largest trips."""
+
+    def events(self, pick: Picker, draft: Draft) -> list[Event]:
+        by_size = sorted(range(len(draft.n_turbines)), key=draft.n_turbines.__getitem__)
+        # Of one group there is no other.
+        group = pick.choice(by_size[:-1] or [0])
+        return [trusted(scenario.GroupTrip, time_s=pick.instant(draft.window), group=group, returns_after_s=None)]
+
+
+@dataclass(frozen=True, kw_only=True)
+class MachineOutages(RareEvent):
+    """A synchronous machine disconnects."""
+
+    WHERE = "buses"
+    buses: tuple[int, ...] = design((), "-", "buses whose machine may disconnect")
+
+    def check(self, case: NetworkCase, records: Sequence[Record]) -> None:
+        _require_buses("MachineOutages.buses", self.buses, [machine.bus for machine in case.machines], "machine at bus")
+
+    def events(self, pick: Picker, draft: Draft) -> list[Event]:
+        time_s, bus = pick.instant(draft.window), pick.choice(self.buses)
+        return [trusted(scenario.MachineOutage, time_s=time_s, bus=bus, returns_after_s=None)]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Faults(RareEvent):
+    """A short circuit at a line's first bus, which opens the line."""
+
+    WHERE = "lines"
+    lines: tuple[Line, ...] = design((), "-", "lines, the bus of the fault first; no part of the network hangs on one")
+    clearing_s: Span = design((0.1, 0.25), "s", "time until it is cleared; to a tenth of a second", 0.1, 1.0)
+
+    def check(self, case: NetworkCase, records: Sequence[Record]) -> None:
+        _check_lines("Faults.lines", self.lines, case)
+
+    def events(self, pick: Picker, draft: Draft) -> list[Event]:
+        # A line that is open already cannot clear it.
+        open_lines = [(event.from_bus, event.to_bus) for event in draft.events if isinstance(event, scenario.LineTrip)]
+        able = [line for line in self.lines if (min(line), max(line)) not in open_lines]
+        if not able:
+            return []
+        line = pick.choice(able)
+        time_s, clears_after_s = pick.instant(draft.window), pick.instant(self.clearing_s)
+        return [scenario.Fault(time_s=time_s, bus=line[0], clears_after_s=clears_after_s, opens=line)]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Islandings(Record):
+    """In every run, lines open at once and leave two parts of the network."""
+
+    line_sets: tuple[tuple[Line, ...], ...] = design((), "-", "sets of lines of which one opens; none: no islanding")
+
+    def check(self, case: NetworkCase, records: Sequence[Record]) -> None:
+        for lines in self.line_sets:
+            if len(case.parts_without(tuple(case.branch_index(*line) for line in lines))) != 2:
+                raise ValueError(f"line_sets of Islandings must each leave two parts of the network, got {lines}")
+        others = [record for record in records if isinstance(record, (LineTrips, Faults)) and record.probability > 0.0]
+        if self.line_sets and others:
+            raise ValueError("Islandings exclude LineTrips and Faults, which open lines too")
+
+    def draw(self, pick: Picker, draft: Draft) -> None:
+        if self.line_sets:
+            lines, time_s = pick.choice(self.line_sets), pick.instant(draft.window)
+            draft.events += [_line_trip(time_s, line) for line in lines]
+
+
+@dataclass(frozen=True, kw_only=True)
+class UnitCommitment(Record):
+    """As many of the generator's units are on line as a loading asks."""
+
+    generator_mva: float = required("MVA", "design", "rating of all units of the generator", 1.0, 1e5)
+    loading: Span = required("-", "design", "load that the wind leaves, over the rating of units on line", 0.05, 1.0)
+    constant_mw: float = design(0.0, "MW", "what machines without a governor give", 0.0, 1e6)
+
+    def draw(self, pick: Picker, draft: Draft) -> None:
+        draft.machine_loading = pick.between(self.loading)
+
+    def committed(self, draft: Draft, first_winds: Sequence[float]) -> float:
+        """Return the share of the generator's units on line: enough for what the wind leaves, on average and at first.
+
+        Where all of them do not suffice at the loading that was drawn, they carry more.
+        """
+        assert draft.machine_loading is not None
+        winds = (draft.mean_winds_m_s, first_winds)
+        least = min(wind.share_of_load(speeds, draft.n_turbines, draft.load_mw) for speeds in winds)
+        needed_mw = (1.0 + LOSSES - least) * draft.load_mw - self.constant_mw
+        return min(max(needed_mw / (draft.machine_loading * self.generator_mva), LEAST_COMMITTED), 1.0)
