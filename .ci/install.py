@@ -13,6 +13,7 @@ import sys
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
+#: To build from source would run what no hash covers.
 WHEELS = ["--only-binary", ":all:"]
 
 
@@ -23,16 +24,18 @@ def main(arguments: list[str]) -> int:
         pins, arguments = Path(arguments[1]), arguments[2:]
     python = [sys.executable, "-m"]
     # pip cannot check hashes of dependencies beside a checkout, which has none.
-    bring_uv = ["--quiet", "--disable-pip-version-check", "--require-hashes", "--requirement", ROOT / ".ci" / "uv.txt"]
-    failed = subprocess.run([*python, "pip", "install", *WHEELS, *bring_uv]).returncode
+    uv = ["--quiet", "--disable-pip-version-check", "--require-hashes", "--requirement", ROOT / ".ci" / "uv.txt"]
+    failed = subprocess.run([*python, "pip", "install", *WHEELS, *uv]).returncode
     if failed:
         return failed
     pinned = ["--python", sys.executable, "--constraints", pins, "--build-constraints", ROOT / "constraints.txt"]
+    if not arguments[-1].endswith(".whl"):
+        # The checkout and the sdist are built.
+        pinned += ["--no-binary", "wtg-gym"]
     # Wheels that lie on a disk for pip, such as a build of torch for processors, are for uv too.
     links = {"UV_FIND_LINKS": ",".join(os.environ.get("PIP_FIND_LINKS", "").split())}
-    return subprocess.run(
-        [*python, "uv", "pip", "install", *WHEELS, *pinned, *arguments], env=links | os.environ
-    ).returncode
+    install = [*python, "uv", "pip", "install", *WHEELS, *pinned, *arguments]
+    return subprocess.run(install, env=links | os.environ).returncode
 
 
 if __name__ == "__main__":
