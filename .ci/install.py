@@ -22,6 +22,8 @@ def main(arguments: list[str]) -> int:
     pins = ROOT / "constraints.txt"
     if arguments[:1] == ["--pins"]:
         pins, arguments = Path(arguments[1]), arguments[2:]
+    if not arguments:
+        sys.exit(__doc__)
     python = [sys.executable, "-m"]
     # pip cannot check hashes of dependencies beside a checkout, which has none.
     uv = ["--quiet", "--disable-pip-version-check", "--require-hashes", "--requirement", ROOT / ".ci" / "uv.txt"]
