@@ -15,11 +15,14 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[1]
 PINS = ROOT / "constraints.txt"
 PIP = [sys.executable, "-m", "pip", "--disable-pip-version-check"]
+#: To build a dependency from source would run what no hash covers.
 WHEELS = ["--only-binary", ":all:"]
 
 
 def main(arguments: list[str]) -> int:
     """Install, and return the exit status."""
+    if not arguments:
+        sys.exit(__doc__)
     # pip cannot check hashes of dependencies beside a checkout, which has none.
     bring_uv = ["--quiet", "--require-hashes", "--requirement", ROOT / ".ci" / "uv.txt"]
     failed = subprocess.run([*PIP, "install", *WHEELS, *bring_uv]).returncode
@@ -30,6 +33,9 @@ def main(arguments: list[str]) -> int:
     folders = os.environ.get("PIP_FIND_LINKS") or configured
     environment = {"UV_FIND_LINKS": ",".join(folders.split()), **os.environ}
     pinned = ["--python", sys.executable, "--constraints", PINS, "--build-constraints", PINS]
+    if not arguments[-1].endswith(".whl"):
+        # The checkout and the sdist are built.
+        pinned += ["--no-binary", "wtg-gym"]
     install = [sys.executable, "-m", "uv", "pip", "install", *WHEELS, *pinned]
     return subprocess.run([*install, *arguments], env=environment).returncode
 

@@ -74,7 +74,7 @@ class Blinks(Record):
     away_s: tuple[float, float] = (1.0, 2.0)
 
     def draw(self, pick: Picker, draft: Draft) -> None:
-        away_s, time_s = pick.between(self.away_s), pick.instant(draft.window)
+        away_s, time_s = pick.instant(self.away_s), pick.instant(draft.window)
         draft.events.append(GroupTrip(time_s=time_s, group=0, returns_after_s=away_s))
 
 
