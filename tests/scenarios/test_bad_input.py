@@ -32,7 +32,10 @@ BAD: list[tuple[Callable[[], Any], str]] = [
     (lambda: draws.Wind(gust_probability=0.7, ramp_probability=0.7), "1.4.*at most 1"),
     (lambda: draws.LoadEvents(number=(0.5, 2)), "number must be two whole numbers"),
     (lambda: draws.LoadEvents(trip_buses=(7,)), r"trip_buses must be.*\(7,\)"),
-    (lambda: draws.LoadEvents(buses=[[5, 1.0]]), r"LoadEvents.buses must be triples .*\[MW\], got \(5, 1.0\)"),
+    (
+        lambda: draws.LoadEvents(buses=[[5, 1.0]]),
+        r"LoadEvents.buses must be tuple.* decrease .*\[MW\]\), got \[5, 1.0\]",
+    ),
     (lambda: draws.LoadEvents(buses=[(5, 1.0, -2.0)]), "load change at bus 5 = -2 MW"),
     (lambda: draws.LoadNoise(standard_deviation_mw="loud"), "standard_deviation_mw must be a number.*'loud'"),
     (lambda: draws.Faults(probability=0.1), "Faults.lines must not be empty"),

@@ -5,16 +5,20 @@ from __future__ import annotations
 import csv
 import io
 import math
-from collections.abc import Mapping, Sequence
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 from wtg_gym.envs.lanes import TERMINATION_REASONS
 from wtg_gym.evaluation.metrics import METRICS
+from wtg_gym.ranges import require_count
 
 #: Columns before the metrics: which entry, which scenario, how long it should last [s], why it failed ("": it did not).
 _LEADING = ("entry", "training_seed", "seed", "scenario", "duration_s", "failure")
 COLUMNS = (*_LEADING, *METRICS)
+#: Rows of a table at most, and those of all training seeds of one entry, whose bootstrap takes 16 kB for each.
+MOST_ROWS, MOST_ROWS_OF_ENTRY = 100_000, 30_000
 #: Largest number of a table; what is added up of it stays finite.
 _LARGEST = 1e12
 FAILURES = tuple(TERMINATION_REASONS.values())
@@ -47,6 +51,14 @@ class Episode:
         training = "" if self.training_seed is None else str(self.training_seed)
         leading = [self.entry, training, str(self.seed), self.scenario, repr(float(self.duration_s)), self.failure]
         return leading + ["" if (value := self.metrics[name]) is None else repr(float(value)) for name in METRICS]
+
+
+def check_size(names: Iterable[str], n_scenarios: int) -> None:
+    """Raise a ValueError if the table of runs, by the names of their entries, would have too many rows."""
+    runs = Counter(names)
+    require_count("the table of the results", runs.total() * n_scenarios, MOST_ROWS)
+    for name, n_runs in runs.items():
+        require_count(f"the part of entry {name!r} of the table", n_runs * n_scenarios, MOST_ROWS_OF_ENTRY)
 
 
 def to_csv(episodes: Sequence[Episode]) -> str:

@@ -17,7 +17,7 @@ import numpy as np
 
 from wtg_gym.envs.settings import EnvSettings
 from wtg_gym.evaluation.circumstances import environment_fingerprint, versions
-from wtg_gym.evaluation.episodes import Episode
+from wtg_gym.evaluation.episodes import Episode, check_size
 from wtg_gym.evaluation.metrics import Recorder, measure
 from wtg_gym.evaluation.partial import PartialStore
 from wtg_gym.evaluation.results import Results
@@ -105,6 +105,7 @@ def evaluate(
     played_suite = settings.resolved_suite
     competitors = _with_anchors(entries, played_suite)
     chosen, shared = chosen_seeds(settings.suite_name, split, seeds), shared_settings(settings)
+    check_size((entry.name for entry in competitors), len(chosen))
     store = PartialStore(partial, [played_suite.name, played_suite.hash, split, shared])
     parts = [part for entry in competitors for part in _parts(entry, chosen, batch)]
     needed = settings.task.anchors if keep_going else [entry.name for entry in competitors]
@@ -260,8 +261,10 @@ def _stored_and_played(
     )
     with contextlib.closing(playing) as batches:
         for number, played in batches:
-            if settings.resolved_suite.hash != suite.hash:
-                raise ValueError(f"the suite {settings.suite} was written anew while it was played: evaluate again")
+            if get_suite(settings.suite_name).hash != suite.hash:
+                raise ValueError(
+                    f"the suite {settings.suite_name} was written anew while it was played: evaluate again"
+                )
             if not isinstance(played, PolicyError):
                 store.save(*remaining[number], played)
             yield missing[number], played

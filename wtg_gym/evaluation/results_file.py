@@ -8,7 +8,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from wtg_gym.evaluation.episodes import Episode, from_csv
+from wtg_gym.evaluation.episodes import Episode, check_size, from_csv
 from wtg_gym.evaluation.metrics import METRICS
 from wtg_gym.files import parse_json, read_text, sha256, to_json, write_together
 from wtg_gym.names import check_name
@@ -33,8 +33,8 @@ _ENTRY = {
     **{"training_seed": int | None, "strategy": dict, "sha256": str | None, "policy_sha256": str | None},
 }
 _FAILED = {**_ENTRY, "reason": str}
-#: Entries, and rows of a table, at most.
-_MOST_ENTRIES, _MOST_ROWS = 1000, 250_000
+#: Entries at most.
+_MOST_ENTRIES = 1000
 #: By how much a summary may differ from the sum of its table, relative, or absolute near zero.
 _ROUNDING = 1e-6
 
@@ -70,7 +70,7 @@ def read(json_path: Path) -> tuple[dict[str, Any], list[Episode]]:
     if sha256(table.encode()) != data["csv_sha256"]:
         raise ValueError(f"{csv_path} is not its table: that was edited or belongs to another run")
     n_rows, n_lines = len(data["entries"]) * len(data["seeds"]), table.count("\n") - 1
-    require_count("the table that it describes", n_rows, _MOST_ROWS)
+    check_size((entry["name"] for entry in data["entries"]), len(data["seeds"]))
     expected = [(entry["name"], entry["training_seed"], seed) for entry in data["entries"] for seed in data["seeds"]]
     episodes = from_csv(table, csv_path) if n_lines == n_rows else []
     if n_lines != n_rows or [(*episode.run, episode.seed) for episode in episodes] != expected:

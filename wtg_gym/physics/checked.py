@@ -106,7 +106,8 @@ def _checked(name: str, value: Any, kind: Any, field: Any, *, is_item: bool = Fa
                 return tuple(_checked(name, item, own, field, is_item=True) for item, own in pairs)
     elif origin is np.ndarray or isinstance(value, kind if origin in (None, types.UnionType) else origin):
         return value
-    raise ValueError(f"{name} must be {field.type}, got {value!r:.80}")
+    doc = field.metadata.get("doc")
+    raise ValueError(f"{name} must be {field.type}{f' ({doc})' if doc else ''}, got {value!r:.80}")
 
 
 def _span(name: str, value: Any, number: type, low: float, high: float, unit: str) -> tuple[float, float]:

@@ -133,8 +133,6 @@ class LoadEvents(Record):
     def __post_init__(self) -> None:
         super().__post_init__()
         for limits in self.buses:
-            if not isinstance(limits, tuple) or len(limits) != 3:
-                raise ValueError(f"LoadEvents.buses must be triples of a bus and two changes [MW], got {limits!r}")
             for change_mw in limits[1:]:
                 require_range(f"largest load change at bus {limits[0]}", change_mw, 0.0, 1e4, "MW")
         numbers = [bus for bus, _, _ in self.buses]
