@@ -15,8 +15,8 @@ _PRIVILEGED_NOTE = f"{_PRIVILEGED}: sees the state of the whole grid, which no t
 #: What :attr:`EntrySummary.marked` is shown by, and what a page says about it.
 _MARK = "✓"
 _MARK_NOTE = (
-    f"{_MARK}: at least as reliable as the reference at 100 (blackouts, |Δf| > 0.8 Hz). All others rank below, whatever "
-    "their score"
+    f"{_MARK}: at least as reliable as the reference at 100 (blackouts, |Δf| > 0.8 Hz). All others rank below, "
+    "whatever their score"
 )
 #: Columns of text; all others hold numbers.
 _TEXTS = ("entry", "kind")
