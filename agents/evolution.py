@@ -255,7 +255,7 @@ class EvolutionLearner:
 
     def load(self, folder: Path) -> None:
         """Go back to what :meth:`save` wrote; a ValueError names a folder that is damaged."""
-        with loading(folder):
+        with loading(folder) as folder:
             self.weights, self.average, self.places, self.search = pickle.loads((folder / _STATE).read_bytes())
             self.policy.weights.copy_(torch.from_numpy(self.average))
 

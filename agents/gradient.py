@@ -218,7 +218,7 @@ class GradientLearner:
 
     def load(self, folder: Path) -> None:
         """Go back to what :meth:`save` wrote; a ValueError names a folder that is damaged."""
-        with loading(folder):
+        with loading(folder) as folder:
             state = torch.load(folder / _STATE, weights_only=True)
             self.policy.load_state_dict(state["policy"])
             self.optimizer.load_state_dict(state["optimizer"])

@@ -146,7 +146,7 @@ def load_model(folder: Path, settings: RunSettings) -> BaseAlgorithm:
     Raises:
         ValueError: a file is missing or damaged.
     """
-    with loading(folder):
+    with loading(folder) as folder:
         env = _environments(settings)
         if normalization_arguments(settings.hyperparameters) is not None:
             env = VecNormalize.load(str(folder / _NORMALIZE), env)

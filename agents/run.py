@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
-import errno
 import platform
 import shlex
 import shutil
@@ -30,7 +29,7 @@ from wtg_gym.envs import EnvSettings
 from wtg_gym.envs.lanes import TaskLanes
 from wtg_gym.evaluation import Entry, evaluate
 from wtg_gym.evaluation.circumstances import installed
-from wtg_gym.files import interpreting, is_trusted, read_json, to_json, write_atomically
+from wtg_gym.files import interpreting, read_json, to_json, trusted_files, write_atomically
 from wtg_gym.physics.checked import Checked, design, required
 from wtg_gym.physics.scenario import Scenario
 from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY
@@ -150,6 +149,8 @@ def save_folder(parent: Path, timesteps: int, write: Callable[[Path], object]) -
         parent.mkdir(parents=True, exist_ok=True)
         temporary = Path(tempfile.mkdtemp(prefix="incomplete-", dir=parent))
         write(temporary)
+        for file in temporary.iterdir():
+            file.chmod(0o600)
         temporary.rename(target)
     for other in (*folders(parent), *parent.glob("incomplete-*")):
         if other != target:
@@ -162,16 +163,14 @@ def folders(parent: Path) -> list[Path]:
 
 
 @contextlib.contextmanager
-def loading(path: Path) -> Iterator[None]:
-    """Turn any error while a folder is loaded into a ValueError that names it.
+def loading(path: Path) -> Iterator[Path]:
+    """Return a folder to load from, and turn any error meanwhile into a ValueError that names it.
 
-    Damaged pickles and archives raise errors of any kind. They also run code: a folder that other users can write into
-    is refused.
+    Damaged pickles and archives raise errors of any kind. They also run code: what another user could have written is
+    refused, be it a file, the folder or one above it.
     """
     try:
-        if not is_trusted(path.lstat()):
-            raise PermissionError(errno.EPERM, "another user could have written it, and loading it runs code")
-        yield
+        yield trusted_files(path)
     except Exception as error:
         raise ValueError(f"{path} is missing, damaged or of another kind: {type(error).__name__}: {error}") from error
 

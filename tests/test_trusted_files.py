@@ -3,19 +3,25 @@
 from __future__ import annotations
 
 import os
+import pickle
+import stat
 from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
-from wtg_gym.files import read_trusted, trusted_folder, write_trusted
+from agents.run import loading
+from wtg_gym.evaluation.partial import PartialStore
+from wtg_gym.files import is_trusted, read_trusted, trusted_folder, write_trusted
+from wtg_gym.policies import Entry
 
 pytestmark = pytest.mark.skipif(not hasattr(os, "getuid"), reason="needs files that belong to users")
 
 
 @pytest.fixture
-def path(tmp_path: Path) -> Path:
+def path(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """A file of the user alone, two folders below a folder that everybody may write to, as /tmp is."""
+    monkeypatch.setattr(os, "getgid", lambda: os.getuid() + 1)
     shared = tmp_path / "shared"
     shared.mkdir()
     shared.chmod(0o1777)
@@ -89,3 +95,44 @@ def test_a_folder_is_looked_at_without_being_made(tmp_path: Path) -> None:
     with pytest.raises(FileNotFoundError):
         trusted_folder(tmp_path / "none" / "code")
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(("group", "is_private"), [(12345, True), (12346, False)])
+def test_a_group_with_the_number_of_its_user_has_this_user_alone(
+    group: int, is_private: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(os, "getuid", lambda: 12345)
+    monkeypatch.setattr(os, "getgid", lambda: 12345)
+    for mode, passes in ((0o770, is_private), (0o777, False), (0o700, True)):
+        assert is_trusted(os.stat_result((stat.S_IFDIR | mode, 0, 0, 1, 12345, group, 0, 0, 0, 0))) == passes
+
+
+SPOILED_CHECKPOINTS = {name: spoil for name, spoil in SPOILED.items() if "larger" not in name}
+
+
+@pytest.mark.parametrize("spoil", SPOILED_CHECKPOINTS.values(), ids=list(SPOILED_CHECKPOINTS))
+def test_a_checkpoint_that_another_user_could_have_written_is_not_loaded(
+    path: Path, spoil: Callable[[Path], object]
+) -> None:
+    write_trusted(path, pickle.dumps("state"))
+    with loading(path.parent) as folder:
+        assert pickle.loads((folder / path.name).read_bytes()) == "state"
+    spoil(path)
+    with pytest.raises(ValueError, match="another user could"), loading(path.parent):
+        pytest.fail("nothing is loaded")
+
+
+def test_finished_batches_of_another_user_are_played_again(path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    entry, folder = Entry(name="mppt", strategy="mppt"), path.parent / "batches"
+    store = PartialStore(folder, "context")
+    store.save(entry, [], [])
+    (batch,) = folder.iterdir()
+    assert PartialStore(folder, "context").load(entry, []) == []
+    batch.chmod(0o606)
+    assert PartialStore(folder, "context").load(entry, []) is None and "is not used" in caplog.text
+    batch.chmod(0o600)
+    folder.chmod(0o777)
+    store = PartialStore(folder, "context")
+    assert store.load(entry, []) is None and "another user could change it" in caplog.text
+    store.save(entry, [1], [])
+    assert list(folder.iterdir()) == [batch]

@@ -21,12 +21,12 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
-#: Largest file of each kind that is read [B], by what messages call it. Each leaves room for ten times what is in use:
+#: Largest file of each kind that is read [B], by what messages call it. Each leaves room for more than what is in use:
 #: a grid of 500 buses has 0.2 MB, an hour of measured wind of eight groups 3 MB, the table of a hundred entries 10 MB.
 LARGEST_BYTES: Mapping[str, int] = MappingProxyType(
     {
         "claims": 2**18,
-        "description of the results": 2**24,
+        "description of the results": 2**22,
         "description of the run": 2**22,
         "entry file": 2**14,
         "file with the markers": 2**22,
@@ -34,11 +34,11 @@ LARGEST_BYTES: Mapping[str, int] = MappingProxyType(
         "grid": 2**21,
         "hyperparameter file": 2**16,
         "law file": 2**14,
-        "network of pandapower": 2**24,
+        "network of pandapower": 2**23,
         "policy": 2**26,
         "records of the trainings": 2**20,
         "rotor table": 2**21,
-        "scenario file": 2**24,
+        "scenario file": 2**23,
         "suite": 2**18,
         "table of claims": 2**14,
         "table of the results": 2**26,
@@ -47,6 +47,8 @@ LARGEST_BYTES: Mapping[str, int] = MappingProxyType(
 )
 #: Deepest nest of objects and lists that is read; results have five levels.
 _DEEPEST = 20
+#: Most lists and objects of a JSON text: each takes a hundred times its two characters. The largest grids have a third.
+_MOST_INNER = 2**17
 #: Whole numbers from here on are refused; nothing that is read counts further.
 _LARGEST_WHOLE = 2**64
 #: Most characters of an error's message.
@@ -166,8 +168,26 @@ def is_trusted(status: os.stat_result, *, or_sticky: bool = False) -> bool:
     """Return whether something belongs to the user or to root, and nobody else may write it (or it is sticky)."""
     if not hasattr(os, "getuid"):
         return True
-    others_write = status.st_mode & (stat.S_IWGRP | stat.S_IWOTH) and not (or_sticky and status.st_mode & stat.S_ISVTX)
+    # By the convention of many systems, a group with the user's number has this user alone.
+    is_private = os.getuid() == os.getgid() == status.st_gid != 0
+    others = stat.S_IWOTH if is_private else stat.S_IWGRP | stat.S_IWOTH
+    others_write = status.st_mode & others and not (or_sticky and status.st_mode & stat.S_ISVTX)
     return status.st_uid in (0, os.getuid()) and not others_write
+
+
+def trusted_files(path: Path) -> Path:
+    """Return a :func:`trusted_folder` of regular files, none of which another user can have written.
+
+    Raises:
+        OSError: it is missing or a link, or another user could change it or something in it.
+    """
+    folder = trusted_folder(path.parent) / path.name
+    for inside in (folder, *folder.iterdir()):
+        status = inside.lstat()
+        is_kind = stat.S_ISDIR if inside == folder else stat.S_ISREG
+        if not is_kind(status.st_mode) or not is_trusted(status):
+            raise PermissionError(errno.EPERM, "another user could have written it", str(inside))
+    return folder
 
 
 def read_trusted(path: Path, largest: int = 2**28) -> bytes:
@@ -299,10 +319,13 @@ def parse_json(text: str, where: str) -> Any:
     """Return the data of a JSON text.
 
     Raises:
-        ValueError: it is not JSON, is cut short, gives a key twice, is nested deeper than 20 levels, or holds half a
-            character, a number that is not finite or a whole number of 2^64 or more; the message says `where` it is
-            from.
+        ValueError: it is not JSON, is cut short, gives a key twice, is nested deeper than 20 levels, has more than
+            131072 lists and objects, or holds half a character, a number that is not finite or a whole number of 2^64
+            or more; the message says `where` it is from.
     """
+
+    if text.count("[") + text.count("{") > _MOST_INNER:
+        raise ValueError(f"{where} has more than {_MOST_INNER} lists and objects")
 
     def refuse(name: str) -> Any:
         raise ValueError(f"{name} is not a finite number")

@@ -10,7 +10,17 @@ from typing import Any
 
 from wtg_gym.evaluation.circumstances import measurement_hash, versions
 from wtg_gym.evaluation.episodes import Episode, episode_from_cells
-from wtg_gym.files import interpreting, read_json, sha256, to_json, write_atomically
+from wtg_gym.files import (
+    LARGEST_BYTES,
+    interpreting,
+    one_line,
+    parse_json,
+    read_trusted,
+    sha256,
+    to_json,
+    trusted_folder,
+    write_trusted,
+)
 from wtg_gym.policies import Entry
 from wtg_gym.systems.compiled import source_hash
 
@@ -21,7 +31,7 @@ class PartialStore:
     """A folder of finished batches.
 
     Args:
-        folder: where they lie; None stores nothing.
+        folder: where they lie; None, or one that another user could change, stores nothing.
         context: data that all batches share, JSON-ready; a batch of another context is not found.
 
     Raises:
@@ -32,6 +42,12 @@ class PartialStore:
         self._folder = None if folder is None else Path(folder)
         if self._folder is not None and self._folder.exists() and not self._folder.is_dir():
             raise ValueError(f"partial must be a folder for finished batches, got the file {folder}")
+        if self._folder is not None:
+            try:
+                trusted_folder(next(each for each in (self._folder, *self._folder.parents) if each.exists()))
+            except OSError as error:
+                _log.warning("finished batches are not stored in %s: %s", self._folder, one_line(error))
+                self._folder = None
         self._context = [context, versions(), source_hash(), measurement_hash()]
         self._used: list[Path] = []
 
@@ -49,15 +65,16 @@ class PartialStore:
     def load(self, entry: Entry, seeds: list[int]) -> list[Episode] | None:
         """Return a stored batch.
 
-        None where there is none, or the file does not hold exactly what is asked for: it is damaged, or that of another
-        entry, training seed, suite, split or version under this name. That costs the time to play it again.
+        None where there is none, another user could have written it, or the file does not hold exactly what is asked
+        for: it is damaged, or that of another entry, training seed, suite, split or version under this name. That costs
+        the time to play it again.
         """
         path = self._path(entry, seeds)
         if path is None or not path.exists():
             return None
         try:
-            data = read_json(path, "finished batch")
             with interpreting(path, "finished batch"):
+                data = parse_json(read_trusted(path, LARGEST_BYTES["finished batch"]).decode(), "it")
                 if data["sha256"] != self._digest(entry, seeds, data["rows"]):
                     raise ValueError("it is damaged, or of another entry, suite, split or version")
                 episodes = [episode_from_cells(cells, str(path)) for cells in data["rows"]]
@@ -75,7 +92,7 @@ class PartialStore:
         path = self._path(entry, seeds)
         if path is not None:
             rows = [episode.cells() for episode in episodes]
-            write_atomically(path, to_json({"rows": rows, "sha256": self._digest(entry, seeds, rows)}))
+            write_trusted(path, to_json({"rows": rows, "sha256": self._digest(entry, seeds, rows)}).encode())
             self._used.append(path)
 
     def clear(self) -> None:
