@@ -108,3 +108,18 @@ def test_threads_have_ended_before_what_a_handler_raises_arrives(handled: list[i
         threads.run(work)
     assert sorted(ended) == [0, 1, 2, 3]
     threads.close()
+
+
+def test_a_block_may_be_entered_again_within_itself_and_keeps_handlers_that_it_sets(handled: list[int]) -> None:
+    held = HeldSignals()
+    before = signal.getsignal(SECOND)
+    for _ in range(2):
+        with held:
+            with held:
+                signal.raise_signal(SECOND)
+            assert handled == []
+        assert handled.pop() == SECOND and signal.getsignal(SECOND) == before
+    with held:
+        signal.signal(SECOND, signal.SIG_IGN)
+    assert signal.getsignal(SECOND) == signal.SIG_IGN
+    signal.signal(SECOND, before)

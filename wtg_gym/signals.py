@@ -30,8 +30,12 @@ class HeldSignals:
     #: Whether handlers wait now.
     _holds = False
 
-    def __enter__(self) -> None:
+    def __init__(self) -> None:
         self._handlers: dict[int, Handler] = {}
+        self._depth = 0
+
+    def __enter__(self) -> None:
+        self._depth += 1
         if HeldSignals._holds or threading.get_ident() != threading.main_thread().ident:
             return
         self._arrived: dict[int, FrameType | None] = {}
@@ -46,18 +50,24 @@ class HeldSignals:
             raise
 
     def __exit__(self, *_: object) -> None:
-        if self._handlers:
+        self._depth -= 1
+        if self._handlers and self._depth == 0:
             HeldSignals._holds = False
             self._release()
+            self._handlers = {}
 
     def _note(self, number: int, frame: FrameType | None) -> None:
         self._arrived[number] = frame
 
     def _release(self) -> None:
-        """Put handlers back and run those whose signal has arrived: all of them, even if some raise."""
+        """Put handlers back, but where the block has set others, and run those whose signal has arrived.
+
+        All of them run, even if some raise.
+        """
         try:
             for number, handler in self._handlers.items():
-                signal(number, handler)
+                if getsignal(number) == self._note:
+                    signal(number, handler)
             while self._arrived:
                 number, frame = self._arrived.popitem()
                 self._handlers[number](number, frame)
