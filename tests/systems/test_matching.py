@@ -134,6 +134,18 @@ REFUSED: dict[str, tuple[Callable[[], Any], str]] = {
     ),
     "state": (lambda: Kind(name="x", rows={"charge": float}, states=("charg",)), "part 'charg' .* mean 'charge'"),
     "two parts of a name": (lambda: Kind(name="x", rows={"a": float}, constants={"a": float}), "two parts .* 'a'"),
+    "two states of a name": (lambda: Kind(name="x", rows={"a": float}, states=("a", "a")), "a state twice: a, a"),
+    "part of the integration": (
+        lambda: Kind(name="x", rows={"a": float}, states=("a",), scratch={"a_base": Pair}),
+        "two parts with the name 'a_base'",
+    ),
+    "part and number": (
+        lambda: Kind(name="x", rows={"a_re": float, "a": Pair}),
+        "a part, and a number within another one, with the name 'a_re'",
+    ),
+    "label": (lambda: Kind(name="x", sees={"own": HOSTS}), "the label 'own' is that of the kind itself"),
+    "part written twice": (named("size", writes=("copy", "own_copy")), "writes a number twice: copy, own_copy"),
+    "part and number written": (named("size", writes=("copy", "own_copy_re")), "writes a number twice"),
     "flag": (lambda: When(HOSTS, "hot", ()), "'hot' is no part or constant of hosts, nor of what they see: nothing"),
     "flag of several numbers": (lambda: Repeat(HOSTS, "flow", (), most=2), "'flow' of hosts is no single number"),
     "matrix": (lambda: Product(HOSTS, "flaw", GUESTS, "copy", "copy"), "hosts have no part 'flaw' .* mean 'flow'"),

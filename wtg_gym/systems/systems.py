@@ -49,7 +49,7 @@ class Kind:
         conditions: what a plant may have or lack, so that systems of the kind, and of those that see it, act or not.
 
     Raises:
-        TypeError: a state is no part in rows, or two parts have one name.
+        TypeError: a state is no part in rows, two parts have one name, or a label is "own".
     """
 
     name: str
@@ -62,10 +62,18 @@ class Kind:
 
     def __post_init__(self) -> None:
         of_states = {f"{state}_{what}": self.record_of(state, "rows") for state in self.states for what in _OF_STATES}
+        # A copy of a kind has those of its states already.
+        scratch = (name for name, record in self.scratch.items() if record is not of_states.get(name))
+        names = [*self.rows, *of_states, *scratch, *self.constants]
         object.__setattr__(self, "scratch", {**of_states, **self.scratch})
-        names = [*self.rows, *self.scratch, *self.constants]
+        if len(set(self.states)) < len(self.states):
+            raise TypeError(f"{self.name} have a state twice: {', '.join(self.states)}")
         if twice := [name for name in names if names.count(name) > 1]:
             raise TypeError(f"{self.name} have two parts with the name {twice[0]!r}")
+        if "own" in (label.removesuffix("_") for label in self.sees):
+            raise TypeError(f"{self.name} see {self.sees}: the label 'own' is that of the kind itself")
+        if twice := [name for name, places in self.ends.items() if sum(place.name == name for place in places) > 1]:
+            raise TypeError(f"{self.name} have a part, and a number within another one, with the name {twice[0]!r}")
 
     def __eq__(self, other: object) -> bool:
         return isinstance(other, Kind) and self.name == other.name
@@ -148,6 +156,11 @@ class Place(NamedTuple):
     name: str = ""  # the full one
 
     @property
+    def numbers(self) -> range:
+        """Places of its numbers within the part."""
+        return range(self.offset, self.offset + count(self.record))
+
+    @property
     def in_scratch(self) -> bool:
         """Whether it lies in scratch."""
         return self.where == "scratch"
@@ -213,6 +226,10 @@ class System:
         for name in self.writes:
             if not self.places[name].has_rows:
                 raise TypeError(f"system {self.name!r} writes {name!r}, which is one of the {self.places[name].where}")
+        places = [self.places[name] for name in self.writes]
+        written = [(place.kind.name, place.seen, place.part, number) for place in places for number in place.numbers]
+        if len(set(written)) < len(written):
+            raise TypeError(f"system {self.name!r} writes a number twice: {', '.join(self.writes)}")
         for name, annotation in self._annotations().items():
             record = self.places[name].record
             if annotation not in (Any, record):
