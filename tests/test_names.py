@@ -28,36 +28,10 @@ def test_ordinary_names_and_texts_are_legal() -> None:
 
 #: Would be another name, a formula of a spreadsheet, a command, markup, a link, an address, or has a blank at an end.
 WRONG = (
-    *(
-        "m\u043ept",
-        "=1+1",
-        "@SUM(A1)",
-        "+1",
-        "-1",
-        "\tx",
-        " x",
-        "x ",
-        "",
-        "'x",
-        "x\n",
-        "x\x1b[31m",
-        "x\u200b",
-        "\uff21",
-    ),
-    *(
-        "\u00e9",
-        "a *b* c",
-        "a _b_ c",
-        "a __b__ c",
-        "[a](b)",
-        "<b>a</b>",
-        "a &lt; b",
-        "a `b`",
-        "a | b",
-        "a \\ b",
-        "a ~b~",
-    ),
-    *("a $b$", "# a", "1. a", "see #1", "see @a", "a@example.org", "https://example.org", "WWW.example.org", "a :b: c"),
+    *("m\u043ept", "\u00e9", "\uff21", "x\u200b", "=1+1", "@SUM(A1)", "+1", "-1", "a;=1+1", "a; -1"),
+    *("\tx", " x", "x ", "", "'x", "x\n", "x\x1b[31m", "a *b* c", "a _b_ c", "a __b__ c", "[a](b)", "<b>a</b>"),
+    *("a &lt; b", "a `b`", "a | b", "a \\ b", "a ~b~", "a $b$", "# a", "1. a", "see #1", "see GH-1", "see @a"),
+    *("a@example.org", "https://example.org", "WWW.example.org", "a :b: c"),
 )
 
 

@@ -14,8 +14,10 @@ _NAME_SIGNS = "'()+-.,=_&"
 _TEXT_SIGNS = f"{_NAME_SIGNS}/:;%!?"
 _LONGEST_NAME, _LONGEST_TEXT = 60, 400
 #: `_so_` would be set in italics, `a_b` is not; `:so:` is a picture, `so:so` may be an address, `&so` may be a sign;
-#: `1. ` begins a list.
-_MARKUP = re.compile(r"(?<![A-Za-z0-9])_|_(?![A-Za-z0-9])|[:&](?! )|www\.|^\d+[.)](?= |$)", re.IGNORECASE)
+#: `1. ` begins a list, `GH-1` is a link, and `; =` a formula where a spreadsheet separates by semicolons.
+_MARKUP = re.compile(
+    r"(?<![A-Za-z0-9])_|_(?![A-Za-z0-9])|[:&](?! )|www\.|^\d+[.)](?= |$)|\bGH-\d|; *[-=+]", re.IGNORECASE
+)
 #: Small letters and digits that are one line or one ring in many typefaces.
 _SAME = str.maketrans("1i0", "llo")
 
@@ -43,8 +45,9 @@ def _is_plain(text: str, signs: str) -> bool:
 
 def _error(what: str, value: Any, length: str, signs: str) -> ValueError:
     return ValueError(
-        f"{what} must be {length} characters on one line: letters and digits of ASCII, blanks and {signs}, with a "
-        f"letter or digit first, _ within words, : and & before a blank, no markup and no address; got {short(value)}"
+        f"{what} must be {length} characters on one line: letters and digits of ASCII, blanks and {signs}, a "
+        "letter or digit first, _ within words, : and & before a blank, no markup, formula or address; "
+        f"got {short(value)}"
     )
 
 

@@ -35,6 +35,10 @@ SLOW = Scenario(name="slow", wind_speed=np.array([[8.0], [4.5]]))
 SETTINGS: list[tuple[dict[str, Any], str]] = [
     ({"strategy": "x"}, "unknown strategy 'x'.*mppt.*coordinated-piecewise"),
     ({"action_mode": "x"}, "action_mode 'x'.*k, tau, k.tau"),
+    ({"suite": ""}, "unknown suite ''"),
+    ({"grid": 5}, "grid must be a name, the path of a file or a Grid, got 5"),
+    ({"plant": {"simulation_dt": NAN}}, "simulation_dt = nan s is outside the allowed range 5e-05 … 0.05 s"),
+    ({"plant": {1: 2}}, "unknown settings of a plant"),
     ({"suite": "x"}, "suite 'x'.*paper.*weak-grid"),
     ({"plant": {"physics": "x"}}, "physics 'x'.*paper, extended, nrel-5mw"),
     ({"groups": [{"buss": 2}]}, "buss"),

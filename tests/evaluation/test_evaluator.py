@@ -21,6 +21,7 @@ from wtg_gym.evaluation import Entry, PolicyError, Results, evaluate, load_entri
 from wtg_gym.evaluation.evaluator import Progress
 from wtg_gym.evaluation.partial import PartialStore
 from wtg_gym.evaluation.recompute import departures, recompute
+from wtg_gym.physics.parameters import TurbineParameters
 from wtg_gym.physics.tracking_law import TrackingLaw
 from wtg_gym.policies.entry import check_entries
 from wtg_gym.scenarios import get_suite
@@ -213,6 +214,8 @@ def test_entry_that_fails_is_left_out_with_its_row_and_the_others_stand(tmp_path
         ([], "standard", {"batch": 0}, "1 … 10000"),
         ([], "standard", {"strategy": "mppt"}, "set by the entry"),
         ([], "standard", {"partial": __file__}, "partial must be a folder"),
+        ([], "standard-v1", {"plant": {"turbine": TurbineParameters()}}, "in plant, give numbers and texts"),
+        ([], "standard-v1", {"plant": {1: 2}}, r"unknown settings of a plant \['1'\]"),
         ([3], "standard", {}, "list of Entry"),
         ([Entry(name="a"), Entry(name="a", training_seed=1)], "standard", {}, "all have a training seed"),
         ([Entry(name="mppt")], "standard", {}, "reserved"),
@@ -294,8 +297,8 @@ def test_interrupted_evaluation_ends_its_threads_and_their_policies(monkeypatch:
 
     monkeypatch.setattr(TaskLanes, "step", interrupting)
     with pytest.raises(KeyboardInterrupt):
-        evaluate("linear-feedback", seeds=[10_000], duration_s=10.0)
-    assert 3 <= len(steps) < 100, "the episodes were not played to their end"
+        evaluate("linear-feedback", seeds=[10_000], duration_s=100.0)
+    assert 3 <= len(steps) < 1000, "the episodes were not played to their end"
     n_steps = len(steps)
     time.sleep(0.1)
     assert len(steps) == n_steps, "no thread plays on"

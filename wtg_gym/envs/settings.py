@@ -120,12 +120,16 @@ class EnvSettings:
         if self.grid is not None:
             if self.suite is not None:
                 raise ValueError("a suite names its grid; give grid or suite, not both")
+            if not isinstance(self.grid, str | PathLike | Grid):
+                raise ValueError(f"grid must be a name, the path of a file or a Grid, got {self.grid!r:.80}")
             grid = file_of(self.grid) if isinstance(self.grid, Grid) else str(fspath(self.grid))
             if grid != DEFAULT_GRID:
                 return suite_of_grid(grid)
         if isinstance(self.suite, Suite):
             return self.suite.name
-        suite = self.suite or (DEFAULT_SUITE if self.version is None else "standard")
+        suite = self.suite
+        if suite is None:
+            suite = DEFAULT_SUITE if self.version is None else "standard"
         if isinstance(suite, str) and f"{suite}-{self.version}" in SUITES:
             return f"{suite}-{self.version}"
         if not str(suite).endswith(".json"):
@@ -154,6 +158,7 @@ class EnvSettings:
         if not isinstance(self.plant, Mapping | None):
             raise ValueError(f"plant must be a Plant or a dictionary of what to replace, got {self.plant!r:.80}")
         changes = dict(self.plant or {})
+        require_known("settings of a plant", changes, [*Plant.__dataclass_fields__, "physics", "machine_model"])
         if twice := sorted(set(arguments) & set(changes)):
             raise ValueError(f"{twice[0]} is no part of plant here: give the argument control_dt, on_failure or groups")
         return self.resolved_suite.plant.replaced(**changes, **arguments)

@@ -192,7 +192,10 @@ def shared_settings(settings: EnvSettings) -> dict[str, Any]:
     if settings.plant is not None:
         if not isinstance(settings.plant, Mapping):
             raise ValueError("results say which plant was played: plant must be a dictionary of what to replace")
-        found["replaced"] = dict(settings.plant)
+        try:
+            found["replaced"] = json.loads(json.dumps(dict(settings.plant)))
+        except TypeError as error:
+            raise ValueError(f"results hold what was played: in plant, give numbers and texts ({error})") from error
     if task is not V0:
         sensors = settings.sensor_distribution()
         found["version"] = task.version

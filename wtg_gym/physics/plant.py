@@ -115,7 +115,7 @@ class Plant(Checked):
     secondary_time_s: float = 0.0
     shares_dispatch: bool = False
     control_dt: float = 0.1
-    simulation_dt: float = 0.025
+    simulation_dt: float = design(0.025, "s", "step of the integration", *SIMULATION_DT_RANGE)
     trips_groups: bool = False
     load_frequency_dependence: float = design(
         0.0, "p.u./p.u.", "change of every load's conductance with the frequency of its island", 0.0, 10.0
@@ -124,7 +124,6 @@ class Plant(Checked):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        require_range("simulation_dt", self.simulation_dt, *SIMULATION_DT_RANGE, "s")
         if self.secondary_time_s:
             require_range("secondary_time_s", self.secondary_time_s, 1.0, 3600.0, "s")
         require_range("control_dt", self.control_dt, self.simulation_dt, 10.0, "s")
