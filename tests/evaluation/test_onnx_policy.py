@@ -82,3 +82,8 @@ def test_missing_policy_and_other_action_mode_are_named(tmp_path: Path) -> None:
     (entry,) = load_entries(tmp_path)
     with pytest.raises(PolicyError, match=r"entry 'still', step 0: .*trained with another action_mode"):
         evaluate([entry], "standard", "test", seeds=[20_000], duration_s=1.0)
+
+
+@pytest.mark.parametrize(("size", "most"), [(1, 64), (2**23, 64), (2**24, 32), (2**26, 8)])
+def test_large_policies_play_fewer_episodes_at_a_time(size: int, most: int) -> None:
+    assert OnnxPolicy(bytes(size)).most_episodes == most

@@ -39,9 +39,6 @@ from wtg_gym.tasks.episode import TIME_CONSTANT_RATIO
 Progress = Callable[[str, int, int], None]
 #: A batch: an entry, and the seeds of the scenarios that it plays at once.
 _Part = tuple[Entry, list[int]]
-#: Scenarios of an ONNX policy that run side by side: each has its own session, and more of them than the processor's
-#: cache holds take three times as long a step.
-_ONNX_BATCH = 64
 #: How often the policies of an evaluation that ends early are closed until their threads have ended [s].
 _CLOSE_AGAIN_S = 0.05
 #: Settings that an entry or an argument of its own decides.
@@ -209,7 +206,7 @@ def shared_settings(settings: EnvSettings) -> dict[str, Any]:
 
 def _parts(entry: Entry, seeds: Sequence[int], batch: int) -> Iterator[_Part]:
     """Cut an entry's scenarios into batches."""
-    size = min(batch, _ONNX_BATCH) if isinstance(entry.policy, OnnxPolicy) else batch
+    size = min(batch, entry.policy.most_episodes) if isinstance(entry.policy, OnnxPolicy) else batch
     for first in range(0, len(seeds), size):
         yield entry, list(seeds[first : first + size])
 
