@@ -92,6 +92,24 @@ def traced(made: Callable[[], System]) -> Callable[[], Any]:
 
 
 #: What is made, and the sentence that refuses it.
+def other_of_the_same_name() -> System:
+    class Pair(NamedTuple):
+        im: float
+        re: float
+
+    def system_of_pair(state: Pair) -> Any:
+        return Pair(state.re, state.im)
+
+    return System(GUESTS, system_of_pair, ("copy",))
+
+
+def unknown_annotation() -> System:
+    def system_of_none(state: Unheard) -> Any:  # type: ignore[name-defined]  # noqa: F821
+        return state
+
+    return System(GUESTS, system_of_none, ("copy",))
+
+
 REFUSED: dict[str, tuple[Callable[[], Any], str]] = {
     "argument": (
         named("host_haet"),
@@ -118,6 +136,11 @@ REFUSED: dict[str, tuple[Callable[[], Any], str]] = {
         function(record_for_float, "copy"),
         "'own_heat' .* means float, but is annotated with .*Pair",
     ),
+    "another record of the same name": (
+        other_of_the_same_name,
+        "'state' .* means .*Pair, but is annotated with .*Pair",
+    ),
+    "unknown annotation": (unknown_annotation, "an annotation of system 'system_of_none' is unknown: .*Unheard"),
     "result of another record": (traced(function(other_back, "copy")), "writes .*Other to 'copy', which is .*Pair"),
     "too few results": (
         traced(function(other_back, "other", "copy")),

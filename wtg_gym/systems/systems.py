@@ -242,12 +242,18 @@ class System:
         """Return what the arguments are annotated with, of those that are."""
         if self.arguments:
             return {}
+        function = inspect.unwrap(self.equation)
+        cells = zip(function.__code__.co_freevars, function.__closure__ or (), strict=True)
+        known = {name: cell.cell_contents for name, cell in cells}
         try:
-            hints = get_type_hints(self.equation)
+            hints = get_type_hints(self.equation, localns=known)
         except NameError:
-            # A class that is defined within a function is known by its name only.
-            records = (place.record for place in self.places.values())
-            hints = get_type_hints(self.equation, localns={record.__name__: record for record in records})
+            # A class that is defined within a function, and that the equation does not use, is known by its name only.
+            known |= {place.record.__name__: place.record for place in self.places.values()}
+            try:
+                hints = get_type_hints(self.equation, localns=known)
+            except NameError as error:
+                raise TypeError(f"an annotation of system {self.name!r} is unknown: {error}") from error
         return {name: hint for name, hint in hints.items() if name in self.arguments_named}
 
     def __reduce__(self) -> tuple[Any, ...]:
