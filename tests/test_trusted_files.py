@@ -123,10 +123,12 @@ def test_a_checkpoint_that_another_user_could_have_written_is_not_loaded(
 
 
 def test_finished_batches_of_another_user_are_played_again(path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    entry, folder = Entry(name="mppt", strategy="mppt"), path.parent / "batches"
+    # Beside a sticky folder of all users, as in /tmp, batches are the user's alone.
+    entry, folder = Entry(name="mppt", strategy="mppt"), path.parents[2] / "results" / "batches"
     store = PartialStore(folder, "context")
     store.save(entry, [], [])
     (batch,) = folder.iterdir()
+    assert folder.stat().st_mode & 0o777 == 0o700
     assert PartialStore(folder, "context").load(entry, []) == []
     batch.chmod(0o606)
     assert PartialStore(folder, "context").load(entry, []) is None and "is not used" in caplog.text

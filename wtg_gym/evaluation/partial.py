@@ -44,7 +44,8 @@ class PartialStore:
             raise ValueError(f"partial must be a folder for finished batches, got the file {folder}")
         if self._folder is not None:
             try:
-                trusted_folder(next(each for each in (self._folder, *self._folder.parents) if each.exists()))
+                self._folder.parent.mkdir(parents=True, exist_ok=True)
+                trusted_folder(self._folder, make=True)
             except OSError as error:
                 _log.warning("finished batches are not stored in %s: %s", self._folder, one_line(error))
                 self._folder = None
@@ -99,6 +100,6 @@ class PartialStore:
         """Remove the batches this run has used, and the folder if nothing else is in it."""
         for path in self._used:
             path.unlink(missing_ok=True)
-        if self._used and self._folder is not None:
+        if self._folder is not None:
             with contextlib.suppress(OSError):
                 self._folder.rmdir()
