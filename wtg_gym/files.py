@@ -341,8 +341,10 @@ def parse_json(text: str, where: str) -> Any:
 def _with_each_key_once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     data = dict(pairs)
     if len(data) < len(pairs):
-        keys = [key for key, _ in pairs]
-        raise ValueError(f"it gives the key {next(key for key in keys if keys.count(key) > 1)!r} more than once")
+        seen: set[str] = set()
+        # `add` returns None, so a key is looked up before it is there.
+        twice = next(key for key, _ in pairs if key in seen or seen.add(key))  # type: ignore[func-returns-value]
+        raise ValueError(f"it gives the key {twice!r} more than once")
     return data
 
 
