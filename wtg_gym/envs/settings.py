@@ -157,8 +157,7 @@ class EnvSettings:
             return self.plant.replaced(**arguments)
         if not isinstance(self.plant, Mapping | None):
             raise ValueError(f"plant must be a Plant or a dictionary of what to replace, got {self.plant!r:.80}")
-        changes = dict(self.plant or {})
-        require_known("settings of a plant", changes, [*Plant.__dataclass_fields__, "physics", "machine_model"])
+        changes = {str(name): value for name, value in (self.plant or {}).items()}
         if twice := sorted(set(arguments) & set(changes)):
             raise ValueError(f"{twice[0]} is no part of plant here: give the argument control_dt, on_failure or groups")
         return self.resolved_suite.plant.replaced(**changes, **arguments)

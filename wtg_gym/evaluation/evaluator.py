@@ -189,10 +189,7 @@ def shared_settings(settings: EnvSettings) -> dict[str, Any]:
     if settings.plant is not None:
         if not isinstance(settings.plant, Mapping):
             raise ValueError("results say which plant was played: plant must be a dictionary of what to replace")
-        try:
-            found["replaced"] = json.loads(json.dumps(dict(settings.plant)))
-        except TypeError as error:
-            raise ValueError(f"results hold what was played: in plant, give numbers and texts ({error})") from error
+        found["replaced"] = dict(settings.plant)
     if task is not V0:
         sensors = settings.sensor_distribution()
         found["version"] = task.version
@@ -200,7 +197,10 @@ def shared_settings(settings: EnvSettings) -> dict[str, Any]:
         found["sensors"] = "exact" if sensors is None else dataclasses.asdict(sensors)
         found["duty_time_s"] = task.duty_time_s
     # Lists, as files hold them, not tuples.
-    data: dict[str, Any] = json.loads(json.dumps(found))
+    try:
+        data: dict[str, Any] = json.loads(json.dumps(found))
+    except TypeError as error:
+        raise ValueError(f"results hold what was played: in plant, give numbers and texts ({error})") from error
     return data
 
 

@@ -174,7 +174,8 @@ class Plant(Checked):
         Raises:
             ValueError: a name is unknown, or a value is outside its range.
         """
-        require_known("settings of a plant", fields, [field.name for field in dataclasses.fields(self)])
+        known = [*(field.name for field in dataclasses.fields(self)), "physics", "machine_model"]
+        require_known("settings of a plant", fields, known)
         case = fields.pop("case", self.case)
         if not isinstance(case, NetworkCase):
             raise ValueError(f"case must be a NetworkCase, got {case!r:.80}")

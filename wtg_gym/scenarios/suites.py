@@ -108,7 +108,7 @@ SUITES: Mapping[str, Suite] = MappingProxyType(
             _drawn("standard", "Medium wind, one to three load events, grids from weak to strong."),
             _drawn(
                 "low-wind",
-                "draws.Wind far below rated, where there is little reserve and a rotor stalls soonest.",
+                "Wind far below rated, where there is little reserve and a rotor stalls soonest.",
                 {draws.Wind: {"mean_m_s": (6.0, 8.0), "gust_m_s": (1.5, 3.5), "ramp_m_s": (0.5, 1.5)}},
             ),
             _drawn(
