@@ -92,8 +92,7 @@ class Plant(Checked):
         control_dt: control interval [s], a whole number of simulation steps.
         simulation_dt: step of the integration, 0.05 … 40 ms [s]; a simulator refuses one that is too long for the
             plant's fastest mode.
-        devices: user-defined devices. Those that see the task need :class:`~wtg_gym.envs.lanes.TaskLanes`; no
-            argument of `gym.make` takes them.
+        devices: user-defined devices. Those that see the task need an environment.
         trips_groups: the failure of a rotor (:class:`~wtg_gym.physics.protection.Status`) disconnects its group instead
             of ending the run.
 
