@@ -153,7 +153,7 @@ class Population:
     def __init__(self, settings: EnvSettings, n_scenarios: int, n_candidates: int, h: Hyperparameters) -> None:
         self.lanes = TaskLanes(settings, n_scenarios * n_candidates)
         self._shape, self._h, self._units = (n_candidates, n_scenarios), h, ScoreUnits(settings)
-        self.n_steps = round(settings.episode_duration_s() / settings.control_dt)
+        self.n_steps = round(settings.episode_duration_s() / settings.step_s)
 
     def objectives(self, policy: GroupPolicy, candidates: Floats, scenarios: Sequence[Scenario]) -> Floats:
         """Return what each candidate (n_candidates, n_parameters) should lower, mean over the scenarios."""
@@ -270,7 +270,7 @@ def train(run: Run) -> None:
     torch.set_num_threads(1)
     population = Population(EnvSettings(**settings.env_arguments), settings.n_envs, h.population, h)
     lanes = population.lanes
-    control_dt, n_action = lanes.settings.control_dt, lanes.n_action // lanes.n_wtg
+    control_dt, n_action = lanes.settings.step_s, lanes.n_action // lanes.n_wtg
     policy = GroupPolicy(lanes.n_wtg, lanes.n_local + n_action, n_action, h.hidden, control_dt, h.history)
     learner = EvolutionLearner(policy, settings.seed, h)
 

@@ -240,7 +240,7 @@ def train(run: Run) -> None:
     policy.per_group = h.per_group
     learner = GradientLearner(policy, h)
     optimizer = learner.optimizer
-    n_steps = round(lanes.duration_s / lanes.settings.control_dt)
+    n_steps = round(lanes.duration_s / lanes.settings.step_s)
 
     def learn(index: int, n_batches: int) -> float:
         fallen = 0.5 + 0.5 * math.cos(math.pi * index / n_batches)

@@ -108,8 +108,8 @@ class SeedOptions:
 class PlantOptions:
     """The plant and its time steps."""
 
-    control_dt: float = 0.1
-    """control interval [s]"""
+    control_dt: float | None = None
+    """time for which an action is held [s]; default: 0.1 s, in version v1 0.5 s"""
     simulation_dt: float | None = None
     """integration step, at most 0.05 s; default: the suite's"""
     machine_model: Literal["genrou", "classical"] = "genrou"

@@ -43,7 +43,7 @@ def run(
     settings = suite.plant.replaced(
         # Another number of groups stands at bus 2.
         groups=None if scenario.n_wtg == len(suite.plant.groups) else scenario.n_wtg,
-        control_dt=plant.control_dt,
+        control_dt=plant.control_dt or suite.plant.control_dt,
         trips_groups=(plant.on_failure or suite.task.on_failure) == "trip",
         **plant.replaced(),
     )

@@ -120,7 +120,7 @@ class OverLanes:
         self._lanes = TaskLanes(self.settings, n_lanes, n_threads)
         self._use = Use()
         # In real time.
-        fps = max(1, round(1.0 / self.settings.control_dt))
+        fps = max(1, round(1.0 / self.settings.step_s))
         self.metadata = {**self.metadata, "render_fps": fps}
         self._frames: LaneFrames | None = None
         if render_mode is not None:
@@ -145,7 +145,7 @@ class OverLanes:
             )
         if spec is not None and spec.max_episode_steps is None:
             # Empty because the environment is registered without a time limit: it ends episodes itself.
-            n_steps = round(self._lanes.duration_s / self.settings.control_dt)
+            n_steps = round(self._lanes.duration_s / self.settings.step_s)
             spec = dataclasses.replace(spec, max_episode_steps=min(self._step_limit or n_steps, n_steps))
         self._spec = spec
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from functools import cached_property
 from typing import Any, NamedTuple
 
@@ -40,6 +41,8 @@ TERMINATION_REASONS = {
     Status.LOSS_OF_SYNCHRONISM: "loss of synchronism",
     Status.VOLTAGE_COLLAPSE: "voltage collapse",
 }
+#: Scenarios that the law that scores 100 plays at a time: as many as share a block of lanes.
+_REFERENCES_AT_ONCE = 16
 #: An episode takes as long to prepare (100 µs) as this many blocks to step (20 µs each).
 _BLOCKS_PER_EPISODE = 5
 
@@ -58,11 +61,10 @@ class PreparedEpisodes(NamedTuple):
     """Episodes that are ready to start; length and seed of each, (n,), and its events in their order."""
 
     lanes: PreparedLanes
-    n_intervals: npt.NDArray[np.int64]
+    n_steps: npt.NDArray[np.int64]
     scenario_seeds: npt.NDArray[np.int64]
     events: tuple[tuple[Event, ...], ...]
-    observations: npt.NDArray[np.float32]  # (n, n_observation)
-    infos: Floats  # (n, n_info)
+    outputs: Outputs  # what they begin with
 
 
 class TaskLanes:
@@ -99,11 +101,18 @@ class TaskLanes:
         )
         self.n_lanes = self.simulator.n_lanes
         self.nominal_hz = plant.case.frequency_hz
-        self.task_data = task_data(settings.task, settings.choices, self.simulator.layout)
+        points = 100.0 / settings.task.scale if settings.scores else 0.0
+        self.task_data = task_data(
+            settings.task, settings.choices, self.simulator.layout, settings.n_intervals, points
+        )
+        #: Control steps of an episode.
+        self.n_steps_of_episode = whole_steps("duration_s", self.duration_s, settings.step_s, "control step")
+        #: The law that scores 100, whose costs rewards are compared with.
+        self._reference: TaskLanes | None = None
         self._check_time_constants()
         self._check_draws()
         self.n_action = self.n_wtg * sum(ACTION_MODES[settings.action_mode])
-        self.outputs = new_outputs(n_lanes, self.n_observation)
+        self.outputs = self._new_outputs(n_lanes)
         # A lane without an episode waits for a reset, as one whose episode is over.
         self.outputs.truncated[:] = True
         #: Observations (n_lanes, n_observation) and rewards (n_lanes,): arrays that the next step writes into.
@@ -120,6 +129,11 @@ class TaskLanes:
             # A scenario that cannot start is refused here rather than at the first reset.
             self.prepare([self._fixed], turning=True)
 
+    @property
+    def n_substeps(self) -> int:
+        """Simulation steps of a control step."""
+        return self.settings.n_intervals * self.simulator.plant.n_substeps
+
     @cached_property
     def _of_episodes(self) -> dict[str, Any]:
         """Settings that a running episode depends on; where its scenario was drawn from is none of them."""
@@ -132,17 +146,20 @@ class TaskLanes:
             "version": self.suite.task.version,
             "action_mode": self.settings.action_mode,
             "observation_mode": self.settings.observation_mode,
+            "control_dt": self.settings.step_s,
+            "reward": self.settings.scores,
         }
 
     def _check_time_constants(self) -> None:
         """Refuse a law whose damping the actions can make faster than the integration step follows."""
-        fastest = TIME_CONSTANT_RATIO * max((law.inverse_time_constant for law in self.laws), default=0.0)
+        ratio = TIME_CONSTANT_RATIO**self.settings.task.tau_authority
+        fastest = ratio * max((law.inverse_time_constant for law in self.laws), default=0.0)
         allowed = float(largest_stable_steps(-fastest)) / STEP_MARGIN
         step_s = self.simulator.settings.simulation_dt
         if ACTION_MODES[self.settings.action_mode][1] and step_s > allowed:
             raise ValueError(
                 f"simulation_dt = {step_s:g} s is too long for the damping time constant of "
-                f"{TIME_CONSTANT_RATIO / fastest:g} s, which actions make {1.0 / fastest:g} s; "
+                f"{ratio / fastest:g} s, which actions make {1.0 / fastest:g} s; "
                 f"allowed: at most {allowed:.3g} s"
             )
 
@@ -152,7 +169,7 @@ class TaskLanes:
             return
         sensors = self.settings.sensor_distribution()
         for delay_s in [] if sensors is None else sensors.delays_s():
-            delay_intervals(delay_s, self.settings.control_dt)
+            delay_intervals(delay_s, self.settings.interval_s)
         for distribution in self.suite.distributions:
             distribution.check_turbines(self.n_turbines)
 
@@ -183,32 +200,52 @@ class TaskLanes:
             ValueError: a scenario does not fit the plant or the episode length, or has no such equilibrium.
         """
         try:
-            lanes, dt = self.simulator.prepare(scenarios, self.laws, turning=turning), self.settings.control_dt
+            lanes = self.simulator.prepare(scenarios, self.laws, turning=turning)
         except StartError as error:
             if self.settings.suite_name.endswith(".json"):
                 advice = "`wtg-gym grid suite` makes a suite whose scenarios start"
                 raise StartError(f"{error}; {advice}") from error
             raise
         durations = [min(scenario.duration_s, self.duration_s) for scenario in scenarios]
-        intervals = [whole_steps("scenario duration_s", length, dt, "control step") for length in durations]
+        step_s = self.settings.step_s
+        n_steps = np.array([whole_steps("scenario duration_s", each, step_s, "control step") for each in durations])
         seeds = [-1 if scenario.seed is None else scenario.seed for scenario in scenarios]
-        n_intervals = np.array(intervals, dtype=np.int64)
-        outputs = self._start_tasks(lanes, scenarios, n_intervals)
+        outputs = self._start_tasks(lanes, scenarios, n_steps)
+        if self.settings.scores:
+            outputs.reference[:] = self._reference_costs(scenarios)
+            outputs.offsets[:] = [self.suite.cost_offset(scenario) for scenario in scenarios]
         return PreparedEpisodes(
             lanes,
-            n_intervals,
+            n_steps,
             np.array(seeds, dtype=np.int64),
             tuple(tuple(sorted(scenario.events, key=lambda event: event.time_s)) for scenario in scenarios),
-            outputs.observations,
-            outputs.infos,
+            outputs,
         )
 
+    def _new_outputs(self, n_lanes: int) -> Outputs:
+        return new_outputs(n_lanes, self.n_observation, self.n_steps_of_episode if self.settings.scores else -1)
+
+    def _reference_costs(self, scenarios: Sequence[Scenario]) -> Floats:
+        """Return what the law that scores 100 has paid up to each control step of scenarios, (n, n_steps + 1)."""
+        if self._reference is None:
+            task = self.settings.task
+            settings = replace(
+                self.settings,
+                strategy=task.hundred,
+                observation_mode="local",
+                reward="cost",
+                scenario=None,
+                duration_s=self.duration_s,
+            )
+            self._reference = TaskLanes(settings, min(self.n_lanes, _REFERENCES_AT_ONCE), 1)
+        return paid(self._reference, scenarios)
+
     def _start_tasks(
-        self, lanes: PreparedLanes, scenarios: Sequence[Scenario], n_intervals: npt.NDArray[np.int64]
+        self, lanes: PreparedLanes, scenarios: Sequence[Scenario], n_steps: npt.NDArray[np.int64]
     ) -> Outputs:
         """Write the task's rows of prepared lanes; return what their episodes begin with."""
         simulator, layout, rows = self.simulator, self.simulator.layout, lanes.rows
-        rows[:, layout.first_rows(TASK, "end_step")[0]] = n_intervals * simulator.plant.n_substeps
+        rows[:, layout.first_rows(TASK, "end_step")[0]] = n_steps * self.n_substeps
         rows[:, layout.first_rows(HISTORY, "frequency")] = 1.0
         group = layout.first_rows(ACTING, "group")
         rows[:, group], rows[:, group + 1] = rows[:, layout.wtg("inv_tau")], rows[:, layout.wtg("speed")]
@@ -224,7 +261,7 @@ class TaskLanes:
         else:
             for scenario in scenarios:
                 self._sensor_numbers(scenario)
-        outputs = new_outputs(len(rows), self.n_observation)
+        outputs = self._new_outputs(len(rows))
         blocks, scratches = rows[:, :, np.newaxis], simulator.new_scratches(1, 1)
         bound = bind(blocks, scratches, simulator.plant.network, lanes.data, self.task_data, outputs)
         step_blocks(bound, np.zeros((0, self.n_action)), 0, len(rows), 0, True)
@@ -238,7 +275,7 @@ class TaskLanes:
                 version = self.suite.task.version
                 raise ValueError(f"scenario {scenario.name!r} has sensors; version {version} measures exactly")
             return []
-        given = sensor_input(sensors, self.settings.control_dt, self.nominal_hz)
+        given = sensor_input(sensors, self.settings.interval_s, self.nominal_hz)
         biases = (0.0,) * self.n_wtg if sensors is None else sensors.wind_bias
         # A group that leaves twice is charged from its first return on.
         leaves_at, returns_at, dt = (
@@ -276,7 +313,8 @@ class TaskLanes:
         taken = np.arange(index.size) if places is None else np.array(places, dtype=np.int64)
         simulator.start(index, episodes.lanes, places=taken)
         outputs = self.outputs
-        outputs.observations[index], outputs.infos[index] = episodes.observations[taken], episodes.infos[taken]
+        for array, first in zip(outputs, episodes.outputs, strict=True):
+            array[index] = first[taken]
         outputs.rewards[index], outputs.terminated[index], outputs.truncated[index] = 0.0, False, False
         self.scenario_seeds[index] = episodes.scenario_seeds[taken]
         for lane, place in zip(index.tolist(), taken.tolist(), strict=True):
@@ -337,7 +375,7 @@ class TaskLanes:
 
     def n_steps(self) -> npt.NDArray[np.int64]:
         """Return the control steps of each lane's episode so far, (n_lanes,); one that it ended within counts whole."""
-        steps = self.simulator.lane_values("step") / self.simulator.plant.n_substeps
+        steps = self.simulator.lane_values("step") / self.n_substeps
         return np.ceil(steps).astype(np.int64)
 
     def task_values(self, name: str) -> Floats:
@@ -400,3 +438,16 @@ class TaskLanes:
             own[:] = kept
         self.scenario_seeds[:] = seeds
         self.events[:] = events
+
+
+def paid(lanes: TaskLanes, scenarios: Sequence[Scenario]) -> Floats:
+    """Return what the law of lanes has paid up to each control step of scenarios, (n_scenarios, n_steps + 1)."""
+    costs = np.zeros((len(scenarios), lanes.n_steps_of_episode + 1))
+    zero = np.zeros((lanes.n_lanes, lanes.n_action))
+    for first in range(0, len(scenarios), lanes.n_lanes):
+        batch = scenarios[first : first + lanes.n_lanes]
+        lanes.start(range(len(batch)), batch)
+        for step in range(1, costs.shape[1]):
+            lanes.step(zero)
+            costs[first : first + len(batch), step] = lanes.cost_sums()[: len(batch)].sum(axis=1)
+    return costs

@@ -10,7 +10,7 @@ from typing import Any, TypedDict
 
 from wtg_gym.physics.grid import DEFAULT_GRID, Grid, file_of
 from wtg_gym.physics.parameters import WtgGroup
-from wtg_gym.physics.plant import Plant
+from wtg_gym.physics.plant import SIMULATION_DT_RANGE, Plant
 from wtg_gym.physics.scenario import SERIES_DT, Scenario
 from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY, TrackingLaw, group_laws
 from wtg_gym.ranges import require_choice, require_known, require_range, whole_steps
@@ -24,6 +24,7 @@ from wtg_gym.tasks.task import Choices
 
 VERSIONS = tuple(task.version for task in TASKS.values())
 _ON_FAILURE = ("terminate", "trip")
+_REWARDS = ("score", "cost")
 #: Settings that are one of some names.
 _CHOICES: dict[str, Sequence[str]] = {
     "action_mode": tuple(ACTION_MODES),
@@ -45,7 +46,8 @@ class EnvArguments(TypedDict, total=False):
     split: str
     scenario: Scenario | Mapping[str, Any] | None
     duration_s: float | None
-    control_dt: float
+    control_dt: float | None
+    reward: str | None
     weights: Mapping[str, float] | None
     on_failure: str | None
     sensors: str | Mapping[str, Any] | None
@@ -70,7 +72,10 @@ class EnvSettings:
         split: `"train"`, `"validation"` or `"test"`.
         scenario: one scenario for every episode, a `Scenario` or its `to_dict()`.
         duration_s: length of an episode [s]. Default: the suite's, 180 s in v1, 120 s in both `paper`, else 60 s.
-        control_dt: control interval, one step [s].
+        control_dt: time for which an action is held, one step [s]. In v1 sensors measure and costs are charged every
+            0.1 s within it, of which it is a whole number, or once in a shorter one. Default: 0.1 s, in v1 0.5 s.
+        reward: `"score"`: returns are points of the score above the law that scores 100, default of v1; `"cost"`:
+            minus the cost, default of v0.
         weights: replaces single weights of the cost, see :class:`CostWeights`.
         on_failure: consequence of a rotor's failure (stall, over-speed, under-speed): `"terminate"` the episode,
             default of v0, or `"trip"` its group and go on, default of v1.
@@ -94,7 +99,8 @@ class EnvSettings:
     split: str = "train"
     scenario: Scenario | Mapping[str, Any] | None = None
     duration_s: float | None = None
-    control_dt: float = 0.1
+    control_dt: float | None = None
+    reward: str | None = None
     weights: Mapping[str, float] | None = None
     on_failure: str | None = None
     sensors: str | Mapping[str, Any] | None = None
@@ -103,11 +109,14 @@ class EnvSettings:
     def __post_init__(self) -> None:
         for name, choices in _CHOICES.items():
             require_choice(name, getattr(self, name), choices)
-        for name, choices in (("version", VERSIONS), ("on_failure", _ON_FAILURE)):
+        for name, choices in (("version", VERSIONS), ("on_failure", _ON_FAILURE), ("reward", _REWARDS)):
             if getattr(self, name) is not None:
                 require_choice(name, getattr(self, name), choices)
         suite = self.resolved_suite
         self.sensor_distribution()
+        _ = self.n_intervals
+        if self.scores and self.task.scale is None:
+            raise ValueError(f'reward = "score" is not known for version {self.task.version}; allowed: "cost"')
         if self.duration_s is not None:
             require_range("duration_s", self.duration_s, 1.0, 3600.0, "s")
         if self.scenario is None and suite.distributions:
@@ -150,7 +159,7 @@ class EnvSettings:
     def resolved_plant(self) -> Plant:
         """The plant: the suite's with what `plant` replaces, or `plant` itself."""
         failure = self.on_failure or self.task.on_failure
-        arguments: dict[str, Any] = {"control_dt": self.control_dt, "trips_groups": failure == "trip"}
+        arguments: dict[str, Any] = {"control_dt": self.interval_s, "trips_groups": failure == "trip"}
         if self.groups is not None:
             arguments["groups"] = self.groups
         if isinstance(self.plant, Plant):
@@ -161,6 +170,27 @@ class EnvSettings:
         if twice := sorted(set(arguments) & set(changes)):
             raise ValueError(f"{twice[0]} is no part of plant here: give the argument control_dt, on_failure or groups")
         return self.resolved_suite.plant.replaced(**changes, **arguments)
+
+    @cached_property
+    def step_s(self) -> float:
+        """Time for which an action is held [s]."""
+        step_s = self.task.control_dt if self.control_dt is None else self.control_dt
+        return require_range("control_dt", step_s, SIMULATION_DT_RANGE[0], 10.0, "s")
+
+    @cached_property
+    def interval_s(self) -> float:
+        """Length of the intervals in which sensors measure and costs are charged [s]."""
+        return min(self.step_s, self.task.interval_s or self.step_s)
+
+    @cached_property
+    def n_intervals(self) -> int:
+        """Intervals in a control step."""
+        return whole_steps("control_dt", self.step_s, self.interval_s, "measuring interval")
+
+    @property
+    def scores(self) -> bool:
+        """Whether rewards are points of the score."""
+        return self.reward == "score" if self.reward else self.task.rewards_score
 
     @property
     def env_id(self) -> str:

@@ -22,13 +22,16 @@ from wtg_gym.systems.programs import NONE
 from wtg_gym.systems.routines import Routine
 from wtg_gym.systems.systems import count
 from wtg_gym.tasks import V1, Task
-from wtg_gym.tasks.cost import COST
+from wtg_gym.tasks.cost import COST, COST_TERMS
 from wtg_gym.tasks.episode import ACTING, ACTION_MODES, TASK
 from wtg_gym.tasks.observation import INFO, Info, LocalInfo
 from wtg_gym.tasks.task import Choices
 
 Observations = npt.NDArray[np.float32]
 N_INFO = len(Info._fields) + len(LocalInfo._fields)
+#: Places in `info` of the terms of the cost, and of the violated constraint.
+_N_TERMS = len(COST_TERMS)
+_FIRST_TERM, _CONSTRAINT = len(Info._fields) - _N_TERMS, Info._fields.index("cost")
 # Every task has its lists at the same places.
 _act, _charge, _start_sensors, _measure, _observe, _end = (Routine(program).call for program in V1.programs)
 
@@ -41,17 +44,23 @@ class Outputs(NamedTuple):
     infos: Floats  # (n_lanes, N_INFO)
     terminated: npt.NDArray[np.bool_]  # (n_lanes,)
     truncated: npt.NDArray[np.bool_]  # (n_lanes,)
+    #: Of rewards that are points of the score: the reference's costs up to each control step (n_lanes, n_steps + 1),
+    #: J0 (n_lanes,), and the points up to now, in units of Λ / 100 (n_lanes,).
+    reference: Floats
+    offsets: Floats
+    gained: Floats
 
 
-def new_outputs(n_lanes: int, n_observation: int) -> Outputs:
-    """Return outputs of zeros."""
+def new_outputs(n_lanes: int, n_observation: int, n_steps: int = -1) -> Outputs:
+    """Return outputs of zeros, for rewards that are points of the score in episodes of so many control steps."""
     flags = (np.zeros(n_lanes, dtype=np.bool_) for _ in range(2))
     observations = np.zeros((n_lanes, n_observation), dtype=np.float32)
-    return Outputs(observations, np.zeros(n_lanes), np.zeros((n_lanes, N_INFO)), *flags)
+    of_score = np.zeros((n_lanes, n_steps + 1)), np.ones(n_lanes), np.zeros(n_lanes)
+    return Outputs(observations, np.zeros(n_lanes), np.zeros((n_lanes, N_INFO)), *flags, *of_score)
 
 
 class TaskData(NamedTuple):
-    """Where the loops of the task find rows: in scratch, but for the last three."""
+    """Where the loops of the task find rows: in scratch up to `was_active`, then in blocks."""
 
     wanted: Whole  # actions (n_action,)
     observed: Whole  # entries of the observation (n_observation,)
@@ -60,10 +69,14 @@ class TaskData(NamedTuple):
     cost: int
     active: int
     status: int
+    step: int
+    sums: int  # the first term of the cost of an episode
+    n_intervals: int  # in a control step
+    points: float  # of the score per unit of the cost's logarithm; 0 where rewards are costs
 
 
-def task_data(task: Task, choices: Choices, layout: Layout) -> TaskData:
-    """Return where the loops of the task find rows."""
+def task_data(task: Task, choices: Choices, layout: Layout, n_intervals: int, points: float) -> TaskData:
+    """Return what the loops of the task need: rows, and the numbers that :class:`TaskData` describes."""
     modulated = np.array(ACTION_MODES[choices.action_mode])
     wanted = layout.first_rows(ACTING, "wanted")[:, np.newaxis] + np.arange(count(ACTING.scratch["wanted"]))
     return TaskData(
@@ -74,6 +87,10 @@ def task_data(task: Task, choices: Choices, layout: Layout) -> TaskData:
         cost=int(layout.first_rows(COST, "cost")[0]),
         active=layout.lane("active"),
         status=layout.lane("status"),
+        step=layout.lane("step"),
+        sums=int(layout.first_rows(COST, "sums")[0]),
+        n_intervals=n_intervals,
+        points=points,
     )
 
 
@@ -95,20 +112,48 @@ def read_actions(scratch: Floats, actions: Floats, first: int, task: TaskData) -
 
 
 @internal
-def _report(block: Floats, scratch: Floats, first: int, task: TaskData, outputs: Outputs) -> None:
-    """Copy what the lanes of a block, from `first` on, have observed, and say whether their episodes are over."""
+def _report(block: Floats, scratch: Floats, first: int, task: TaskData, outputs: Outputs, interval: int) -> None:
+    """Copy what the lanes of a block, from `first` on, have observed, and say whether their episodes are over.
+
+    Costs add up over the intervals of a control step, and one with a violated constraint is enough.
+    """
     for x in range(min(block.shape[1], outputs.rewards.shape[0] - first)):
         lane = first + x
-        outputs.rewards[lane] = 0.0
+        if interval == 0:
+            outputs.rewards[lane] = 0.0
         if scratch[task.was_active, x] > 0.5:
-            outputs.rewards[lane] = -block[task.cost, x]
+            # Not 0.0 - cost, of which the sign of zero would differ.
+            cost = block[task.cost, x]
+            outputs.rewards[lane] = -cost if interval == 0 else outputs.rewards[lane] - cost
             for k in range(task.observed.shape[0]):
                 outputs.observations[lane, k] = scratch[task.observed[k], x]
             for k in range(N_INFO):
-                outputs.infos[lane, k] = scratch[task.info + k, x]
+                value, before = scratch[task.info + k, x], outputs.infos[lane, k]
+                if interval > 0 and _FIRST_TERM <= k < _FIRST_TERM + _N_TERMS:
+                    value += before
+                elif interval > 0 and k == _CONSTRAINT:
+                    value = max(value, before)
+                outputs.infos[lane, k] = value
             failed = block[task.status, x] != 0.0
             outputs.terminated[lane] = failed
             outputs.truncated[lane] = not failed and block[task.active, x] < 0.5
+
+
+@internal
+def _score(block: Floats, first: int, n_substeps: int, task: TaskData, outputs: Outputs) -> None:
+    """Reward the lanes of a block, from `first` on, with what their score has gained in a control step.
+
+    gained = ln((C_ref + J0) / (C + J0)) of the costs up to now. An episode that is over has all of the reference's.
+    """
+    for x in range(min(block.shape[1], outputs.rewards.shape[0] - first)):
+        lane, cost = first + x, 0.0
+        for k in range(_N_TERMS):
+            cost += block[task.sums + k, x]
+        steps = int(math.ceil(block[task.step, x] / n_substeps)) if block[task.active, x] > 0.5 else -1
+        offset = outputs.offsets[lane]
+        gained = math.log((outputs.reference[lane, steps] + offset) / (cost + offset))
+        outputs.rewards[lane] = task.points * (gained - outputs.gained[lane])
+        outputs.gained[lane] = gained
 
 
 # A call into compiled code unpacks every array that it is given, which takes a third as long as the step of one
@@ -147,7 +192,7 @@ def bind(blocks: Floats, scratches: Floats, network: Network, data: LaneData, ta
 
 @compiled
 def step_blocks(bound: Any, actions: Floats, first: int, last: int, worker: int, starts: bool) -> int:
-    """Apply actions, advance one control interval, observe and charge, for the lanes of blocks first … last - 1.
+    """Apply actions, advance one control step, observe and charge, for the lanes of blocks first … last - 1.
 
     Args:
         bound: see :func:`bind`.
@@ -166,19 +211,21 @@ def step_blocks(bound: Any, actions: Floats, first: int, last: int, worker: int,
         if starts:
             for x in range(width):
                 scratch[task.was_active, x] = 1.0
-        else:
-            invalid = read_actions(scratch, actions, b * width, task)
-            if invalid >= 0:
-                return invalid
+            _start_sensors(arrays, tables, NONE)
+            _observe(arrays, tables, NONE)
+            _report(block, scratch, b * width, task, bound.outputs, 0)
+            continue
+        invalid = read_actions(scratch, actions, b * width, task)
+        if invalid >= 0:
+            return invalid
+        for interval in range(task.n_intervals):
             _act(arrays, tables, NONE)
             advance_interval(block, scratch, b * width, network, bound.data, None)
             _charge(arrays, tables, NONE)
-        if starts:
-            _start_sensors(arrays, tables, NONE)
-        else:
             _measure(arrays, tables, NONE)
-        _observe(arrays, tables, NONE)
-        if not starts:
+            _observe(arrays, tables, NONE)
             _end(arrays, tables, NONE)
-        _report(block, scratch, b * width, task, bound.outputs)
+            _report(block, scratch, b * width, task, bound.outputs, interval)
+        if task.points > 0.0:
+            _score(block, b * width, network.facts.n_substeps * task.n_intervals, task, bound.outputs)
     return -1

@@ -179,7 +179,7 @@ def shared_settings(settings: EnvSettings) -> dict[str, Any]:
     task, plant = settings.task, settings.resolved_plant
     found: dict[str, Any] = {
         "duration_s": settings.episode_duration_s(),
-        "control_dt": float(settings.control_dt),
+        "control_dt": float(settings.step_s),
         "simulation_dt": float(plant.simulation_dt),
         "weights": {key: float(value) for key, value in settings.cost_weights()._asdict().items()},
         "groups": [group.to_dict() for group in plant.groups],

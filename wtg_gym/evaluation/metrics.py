@@ -59,7 +59,7 @@ METRICS: Mapping[str, Metric] = MappingProxyType(
         "largest_tip_speed_ratio": Metric("-", "largest tip-speed ratio of any group"),
         "overload_time_s": Metric("s", "time above the converter's overload limit, of the group with most of it"),
         "peak_power_pu": Metric("p.u.", "largest delivered power of any group, on its own base"),
-        "constraint_time_s": Metric("s", "control steps with a constraint violated"),
+        "constraint_time_s": Metric("s", "time of the intervals with a constraint violated"),
         "tripped_groups": Metric(
             "-", "groups disconnected by an event, or by their protection where a failure trips instead of ends"
         ),
@@ -76,7 +76,7 @@ class Recorder:
 
     def __init__(self, lanes: TaskLanes) -> None:
         self._lanes = lanes
-        n_steps = int(lanes.task_values("end_step").max()) // lanes.simulator.plant.n_substeps
+        n_steps = int(lanes.task_values("end_step").max()) // lanes.n_substeps
         #: Frequency of the centre of inertia [Hz], shape (n_lanes, n_steps + 1).
         self.frequency_hz = np.zeros((lanes.n_lanes, n_steps + 1))
         #: Control steps each lane has made, shape (n_lanes,).
@@ -107,7 +107,7 @@ def measure(lanes: TaskLanes, recorder: Recorder, lane: int) -> dict[str, Any]:
     simulator = lanes.simulator
     status = Status(int(lanes.statuses()[lane]))
     terms = {f"cost_{t}": float(value) for t, value in zip(COST_TERMS, lanes.cost_sums()[lane], strict=True)}
-    n_steps, dt = int(recorder.n_steps[lane]), lanes.settings.control_dt
+    n_steps, dt = int(recorder.n_steps[lane]), lanes.settings.step_s
     frequency_hz = recorder.frequency_hz[lane, : n_steps + 1]
     steady = quasi_steady_deviation(frequency_hz, dt, lanes.nominal_hz) if status == Status.RUNNING else None
 
@@ -140,7 +140,7 @@ def measure(lanes: TaskLanes, recorder: Recorder, lane: int) -> dict[str, Any]:
         "largest_tip_speed_ratio": max(groups("largest_tsr")),
         "overload_time_s": max(groups("overload_time")),
         "peak_power_pu": max(groups("peak_power")),
-        "constraint_time_s": float(lanes.task_values("constraint_sum")[lane]) * dt,
+        "constraint_time_s": float(lanes.task_values("constraint_sum")[lane]) * lanes.settings.interval_s,
         "tripped_groups": float(sum(connected < 0.5 for connected in groups("connected"))),
         "shed_energy_mwh": shed_energy_mwh,
         "survived_s": float(simulator.lane_values("step")[lane]) * simulator.plant.simulation_dt,

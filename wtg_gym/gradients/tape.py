@@ -159,7 +159,7 @@ class Tape:
             raise ValueError("gradients do not know loads that depend on the frequency: load_frequency_dependence")
         #: Names of the plant's parameters that gradients are taken with respect to.
         self.parameters = parameters
-        self._open(TaskLanes(settings, n_lanes, n_threads))
+        self._open(TaskLanes(dataclasses.replace(settings, reward="cost"), n_lanes, n_threads))
         #: Counts what makes the tape forget its steps: starts, and other values of parameters.
         self.n_starts = 0
         self._begin(started=False)
@@ -167,6 +167,8 @@ class Tape:
     def _open(self, lanes: TaskLanes) -> None:
         """Take environments whose steps are to be differentiated."""
         self.lanes = lanes
+        # A step goes through its intervals one by one: each is recorded, and gone back through.
+        lanes.task_data = lanes.task_data._replace(n_intervals=1)
         simulator, settings, layout = lanes.simulator, lanes.settings, lanes.simulator.layout
         task, built = settings.task, plant_tables(simulator.settings)
         units = task.units(settings.choices)
@@ -236,7 +238,7 @@ class Tape:
     @property
     def n_steps(self) -> int:
         """Steps taken since the start."""
-        return len(self._recording.actions)
+        return len(self._recording.actions) // self.lanes.settings.n_intervals
 
     @property
     def n_carried(self) -> int:
@@ -296,16 +298,18 @@ class Tape:
         """
         self.require_started()
         simulator, actions = self.lanes.simulator, as_actions(actions, (self.lanes.n_lanes, self.lanes.n_action))
-        running = simulator.lane_values("active") > 0.5
-        before = simulator.blocks.copy() if self._recording.needs_blocks else None
-        self.lanes.step(actions)
-        self._recording.add(before, actions)
-        terms = self._rows(self._term_rows)
-        return self.lanes.observations.copy(), np.where(running[:, np.newaxis], terms, 0.0)
+        terms = np.zeros((self.lanes.n_lanes, len(COST_TERMS)))
+        for _ in range(self.lanes.settings.n_intervals):
+            running = simulator.lane_values("active") > 0.5
+            before = simulator.blocks.copy() if self._recording.needs_blocks else None
+            self.lanes.step(actions)
+            self._recording.add(before, actions)
+            terms += np.where(running[:, np.newaxis], self._rows(self._term_rows), 0.0)
+        return self.lanes.observations.copy(), terms
 
     def before(self, step: int) -> Floats:
         """Return the simulator's blocks as they stood before a step."""
-        return self._recording.before(step)
+        return self._recording.before(step * self.lanes.settings.n_intervals)
 
     @undivided
     def _again(self, blocks: Floats, actions: Floats) -> None:
@@ -344,8 +348,19 @@ class Tape:
         Raises:
             ValueError: the step does not exist, or derivatives have another shape.
         """
+        n = self.lanes.settings.n_intervals
+        pulled = self._pull_interval(n * step + n - 1, carried, terms, observations, outputs)
+        for interval in range(n * step + n - 2, n * step - 1, -1):
+            before = self._pull_interval(interval, pulled.carried, terms, None, None)
+            pulled = Pulled(before.carried, *(now + later for now, later in zip(before[1:], pulled[1:], strict=True)))
+        return pulled
+
+    def _pull_interval(
+        self, interval: int, carried: Floats, terms: Floats, observations: Floats | None, outputs: Floats | None
+    ) -> Pulled:
+        """Go back through an interval of a step; observations and outputs are those of its end."""
         lanes, all_rows = self.lanes, np.arange(self.n_carried)
-        blocks = self.before(step).copy()
+        blocks = self._recording.before(interval).copy()
         running = self._rows(np.array([lanes.simulator.layout.lane("active")]), blocks) > 0.5
         in_force, bars = self._moved.in_force(blocks, lanes.n_lanes), np.zeros_like(blocks)
         cotangents = (
@@ -361,7 +376,7 @@ class Tape:
         seen = np.zeros((lanes.n_lanes, lanes.n_observation))
         if observations is not None:
             seen = _shaped("observations", observations, seen.shape) * running
-        actions, constants = self._pull_blocks(step, blocks, bars, seen)
+        actions, constants = self._pull_blocks(interval, blocks, bars, seen)
         parameters = self._moved.pull(bars, constants, in_force)
         law = self._rows(self._law_rows, bars)
         # The law's own are what each step adds, and are not carried.
@@ -374,8 +389,8 @@ class Tape:
             )
         )
 
-    def _pull_blocks(self, step: int, blocks: Floats, bars: Floats, seen: Floats) -> tuple[Floats, Floats]:
-        """Go back through a step in all blocks; return cotangents of the actions and of the constants.
+    def _pull_blocks(self, interval: int, blocks: Floats, bars: Floats, seen: Floats) -> tuple[Floats, Floats]:
+        """Go back through an interval in all blocks; return cotangents of the actions and of the constants.
 
         `blocks`, `bars` and `seen` are those of :func:`~wtg_gym.gradients.adjoint.pull`.
         """
@@ -384,7 +399,7 @@ class Tape:
         n_constants = network.tables.numbers.size if self.parameters else 0
         constants = np.zeros((len(blocks), n_constants, simulator.width))
         arrays, data, task = (blocks, bars, seen, actions, constants), simulator.data, self.lanes.task_data
-        taken = self._recording.actions[step]
+        taken = self._recording.actions[interval]
         simulator.threads.run(
             lambda first, last, worker: pull(
                 *arrays, first, last, network, data, task, taken, self._rules, self._work(worker)

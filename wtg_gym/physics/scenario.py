@@ -366,6 +366,7 @@ class Scenario(Checked):
         inertia_scale: factor on the inertia of every synchronous machine.
         committed: share of the units of every machine with a governor that are on line: rating, inertia, admittance.
         sensors: errors of what the WTG groups measure; None: exact and at once.
+        reserve_margin: that which it was drawn with, see :mod:`wtg_gym.scenarios.margin` [-]; None: not known.
         seed: the seed it was drawn from, if any.
 
     Raises:
@@ -386,6 +387,7 @@ class Scenario(Checked):
     inertia_scale: float = design(1.0, "-", "factor on every inertia", 0.05, 5.0)
     committed: float = design(1.0, "-", "share of a machine's units on line", 0.05, 1.0)
     sensors: Sensors | None = None
+    reserve_margin: float | None = design(None, "-", "reserve margin that it was drawn with", -1e3, 1e3)
     seed: int | None = design(None, "-", "seed it was drawn from", 0, 2**63 - 1)
 
     def __post_init__(self) -> None:
@@ -415,9 +417,11 @@ class Scenario(Checked):
             {"kind": _KIND_OF[type(e)], **{key: value for key, value in vars(e).items() if value is not None}}
             for e in self.events
         ]
-        # Older scenarios know neither sensors nor commitment: their form, and its hash, stay.
+        # Older scenarios know neither sensors nor commitment nor margin: their form, and its hash, stay.
         if self.committed == 1.0:
             del data["committed"]
+        if self.reserve_margin is None:
+            del data["reserve_margin"]
         if self.sensors is None:
             del data["sensors"]
         else:

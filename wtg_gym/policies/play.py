@@ -30,7 +30,11 @@ def started_lanes(
     Yields the lanes and their scenarios. A scenario without an equilibrium under the law is a PolicyError.
     """
     own = dataclasses.replace(
-        settings, strategy=entry.law, action_mode=entry.action_mode, observation_mode=entry.observation_mode
+        settings,
+        strategy=entry.law,
+        action_mode=entry.action_mode,
+        observation_mode=entry.observation_mode,
+        reward="cost",
     )
     lanes = TaskLanes(own, len(given), n_threads)
     try:

@@ -118,7 +118,12 @@ class ScenarioDistribution(Checked):
         return self.draw_many([seed], *arguments)[0]
 
     def draw_many(
-        self, seeds: Sequence[int], n_wtg: int = 2, n_turbines: Sequence[float] | None = None, duration_s: float = 60.0
+        self,
+        seeds: Sequence[int],
+        n_wtg: int = 2,
+        n_turbines: Sequence[float] | None = None,
+        duration_s: float = 60.0,
+        attempt: int = 0,
     ) -> list[Scenario]:
         """Draw the scenarios of seeds, several quicker than one by one: the same seed always gives the same scenario.
 
@@ -128,6 +133,7 @@ class ScenarioDistribution(Checked):
             n_turbines: turbines per group for the averaging of wind, shape (n_wtg,); None: those of `Wind` each.
             duration_s: length of the run [s]; in a run too short for `first_event_s` and `quiet_end_s`, events
                 come no later than half-way.
+            attempt: another scenario of each seed, for suites that draw until a scenario suits them.
 
         Raises:
             ValueError: an argument is out of range; the message names it.
@@ -142,7 +148,7 @@ class ScenarioDistribution(Checked):
             require_range("n_turbines", number, 1e-3, 1e4, "")
         duration_s = require_range("duration_s", duration_s, SERIES_DT, LONGEST_RUN_S, "s")
         # The name is part of the seed, so that two suites share no scenario.
-        streams = seed_streams(seeds, zlib.crc32(self.name.encode()))
+        streams = seed_streams(seeds, zlib.crc32(self.name.encode()), attempt)
         drafts = [self._draft(stream, turbines, duration_s) for stream in streams]
         noise = self.find(draws.LoadNoise) or draws.LoadNoise(standard_deviation_mw=0.0)
         commitment = self.find(draws.UnitCommitment)
@@ -162,6 +168,7 @@ class ScenarioDistribution(Checked):
                 inertia_scale=draft.inertia_scale,
                 committed=1.0 if commitment is None else commitment.committed(draft, speed[:, 0].tolist()),
                 sensors=None,
+                reserve_margin=None,
                 seed=int(seed),
             )
             for seed, draft, speed, noise_mw in zip(seeds, drafts, speeds, noises, strict=True)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from types import MappingProxyType
@@ -15,6 +16,7 @@ from wtg_gym.physics.parameters import GridFormingParameters, WtgGroup
 from wtg_gym.physics.plant import Plant
 from wtg_gym.scenarios import draws
 from wtg_gym.scenarios.distribution import ScenarioDistribution
+from wtg_gym.scenarios.stream import Span
 from wtg_gym.scenarios.sensor_distribution import SensorDistribution
 from wtg_gym.scenarios.suite import Suite
 from wtg_gym.tasks import V1
@@ -47,7 +49,7 @@ class Places(Checked):
     governor_buses: tuple[int, ...] = ()
 
     def of_kinds(self) -> dict[str, draws.Changes]:
-        """Return where each kind of extreme event may happen, by its name."""
+        """Return where each kind of event that needs a place may happen, by its name."""
         return {
             "governor": {draws.GovernorLosses: {"buses": self.governor_buses}},
             "machine": {draws.MachineOutages: {"buses": self.generator_buses}},
@@ -79,18 +81,27 @@ COMMON: draws.Changes = MappingProxyType(
         draws.LoadNoise: {},
     }
 )
+#: The load events of kinds whose main event is another.
+_ONE_OR_TWO_LOADS: draws.Changes = {
+    draws.LoadEvents: {
+        "number": (1, 2),
+        "size_mw": (25.0, 50.0),
+        "net_change_mw": 60.0,
+        "increase_probability": 0.65,
+    },
+}
 #: Latest event [s]. Frequency and rotors need two minutes to come back: after one, entries still pay for what they
 #: lent.
 _LAST_EVENT_S = 60.0
-#: What the strata of version v1 replace.
-STRATA: Mapping[str, draws.Changes] = MappingProxyType(
+#: What the kinds of event replace.
+KINDS: Mapping[str, draws.Changes] = MappingProxyType(
     {
-        "ordinary": {
+        "loads": {
             draws.LoadEvents: {"number": (2, 4), "size_mw": (4.0, 16.0), "net_change_mw": 20.0},
             draws.Wind: {"ramp_m_s": (0.2, 0.7)},
             draws.UnitCommitment: {"loading": (0.5, 0.75)},
         },
-        "large": {
+        "large-loads": {
             draws.LoadEvents: {
                 "number": (2, 3),
                 "size_mw": (22.0, 40.0),
@@ -102,37 +113,57 @@ STRATA: Mapping[str, draws.Changes] = MappingProxyType(
             draws.Wind: {"ramp_probability": 0.25, "ramp_m_s": (0.5, 1.5)},
             draws.MachineOutages: {"probability": 0.15},
         },
-        "extreme": {
-            draws.LoadEvents: {
-                "number": (1, 2),
-                "size_mw": (25.0, 50.0),
-                "net_change_mw": 60.0,
-                "increase_probability": 0.65,
-            },
-            draws.Wind: {"ramp_probability": 0.2},
+        "governor": {
+            **_ONE_OR_TWO_LOADS,
+            draws.Wind: {"ramp_probability": 0.2, "penetration": (0.5, 0.8)},
+            draws.GovernorLosses: {"probability": 1.0},
         },
-    }
-)
-#: What the kinds of the stratum "extreme" replace besides.
-EXTREME_KINDS: Mapping[str, draws.Changes] = MappingProxyType(
-    {
-        "governor": {draws.Wind: {"penetration": (0.5, 0.8)}, draws.GovernorLosses: {"probability": 1.0}},
         # The wind has to carry what load shedding leaves.
         "machine": {
-            draws.LoadEvents: {"size_mw": (10.0, 30.0), "net_change_mw": 30.0, "increase_probability": 0.5},
-            draws.Wind: {"mean_m_s": (9.5, 12.0), "penetration": (0.7, 0.88)},
+            draws.LoadEvents: {
+                "number": (1, 2),
+                "size_mw": (10.0, 30.0),
+                "net_change_mw": 30.0,
+                "increase_probability": 0.5,
+            },
+            draws.Wind: {"ramp_probability": 0.2, "mean_m_s": (9.5, 12.0), "penetration": (0.7, 0.88)},
             draws.MachineOutages: {"probability": 1.0},
         },
-        "group": {draws.Wind: {"penetration": (0.5, 0.8)}, draws.GroupTrips: {"probability": 1.0}},
+        "group": {
+            **_ONE_OR_TWO_LOADS,
+            draws.Wind: {"ramp_probability": 0.2, "penetration": (0.5, 0.8)},
+            draws.GroupTrips: {"probability": 1.0},
+        },
         "fault": {
+            **_ONE_OR_TWO_LOADS,
             draws.LineTrips: {"probability": 0.0},
+            draws.Wind: {"ramp_probability": 0.2},
             draws.Faults: {"probability": 1.0, "clearing_s": (0.15, 0.35)},
         },
         # A part far from its balance would die whatever its groups do.
         "island": {
+            **_ONE_OR_TWO_LOADS,
             draws.LineTrips: {"probability": 0.0},
-            draws.Wind: {"mean_m_s": (9.0, 12.0), "penetration": (0.55, 0.82)},
+            draws.Wind: {"ramp_probability": 0.2, "mean_m_s": (9.0, 12.0), "penetration": (0.55, 0.82)},
         },
+    }
+)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Stratum:
+    """A range of the reserve margin [-], and the kinds of event that are tried in turn until a scenario falls in it."""
+
+    margin: Span
+    kinds: tuple[str, ...]
+
+
+#: The strata of version v1. Below -0.10 hardly anybody can save a run.
+STRATA: Mapping[str, Stratum] = MappingProxyType(
+    {
+        "ample": Stratum(margin=(0.10, math.inf), kinds=("loads", "large-loads", "fault", "group")),
+        "tight": Stratum(margin=(0.0, 0.10), kinds=("large-loads", "governor", "group", "fault", "island")),
+        "short": Stratum(margin=(-0.10, 0.0), kinds=("large-loads", "governor", "group", "fault", "machine", "island")),
     }
 )
 
@@ -248,28 +279,24 @@ def suite_of_strata(
     Args:
         name: without "-v1".
         plant: what :func:`wind_plant` returns.
-        places: where events may happen; a kind of extreme event without a place is left out.
+        places: where events may happen; a kind of event without a place is left out.
         scenarios_of: another suite that it shares all but the sensors with.
         event_size: factor on the load events of every stratum, which are in per cent of the load [-].
         changes: what it replaces everywhere.
-        changes_in: what it replaces in a stratum or a kind of extreme event, by its name.
+        changes_in: what it replaces in a kind of event, by its name.
     """
     size = 1.0 if plant["grid"] == DEFAULT_GRID else plant["plant"].case.load_mw / _LOAD_MW
     of_grid, where = _changes_of(plant["plant"], places, size), places.of_kinds()
-    drawn_from: dict[str, list[ScenarioDistribution]] = {stratum: [] for stratum in STRATA}
-    for stratum, of_stratum in STRATA.items():
-        for kind, of_kind in (EXTREME_KINDS if stratum == "extreme" else {"": {}}).items():
-            of_place = where.get(kind, {})
-            if not all(place for fields in of_place.values() for place in fields.values()):
-                continue
-            layers = (COMMON, of_grid, of_stratum, of_kind, of_place, changes, changes_in.get(kind or stratum, {}))
-            drawn_from[stratum].append(
-                ScenarioDistribution(
-                    name="-".join(filter(None, (f"{scenarios_of or name}-v1/{stratum}", kind))),
-                    records=_records(layers, event_size * size),
-                    grid=plant["grid"],
-                    last_event_s=_LAST_EVENT_S,
-                )
+    kinds = {}
+    for kind, of_kind in KINDS.items():
+        of_place = where.get(kind, {})
+        if all(place for fields in of_place.values() for place in fields.values()):
+            layers = (COMMON, of_grid, of_kind, of_place, changes, changes_in.get(kind, {}))
+            kinds[kind] = ScenarioDistribution(
+                name=f"{scenarios_of or name}-v1/{kind}",
+                records=_records(layers, event_size * size),
+                grid=plant["grid"],
+                last_event_s=_LAST_EVENT_S,
             )
     return Suite(
         name=f"{name}-v1",
@@ -277,7 +304,10 @@ def suite_of_strata(
         duration_s=180.0,
         task=V1,
         sensors=sensors or SensorDistribution(),
-        drawn_from={stratum: tuple(kinds) for stratum, kinds in drawn_from.items()},
+        drawn_from={
+            name: tuple(kinds[kind] for kind in stratum.kinds if kind in kinds) for name, stratum in STRATA.items()
+        },
+        margins={name: stratum.margin for name, stratum in STRATA.items()},
         validation=range(10_000, 10_300),
         test=range(20_000, 20_900),
         **plant,

@@ -15,9 +15,10 @@ T = TypeVar("T")
 _N_UNIFORMS = 64
 
 
-def seed_streams(seeds: Sequence[int], key: int) -> list[np.random.Generator]:
-    """Return one stream per seed; another key gives others."""
-    return [np.random.default_rng([seed, key]) for seed in seeds]
+def seed_streams(seeds: Sequence[int], key: int, attempt: int = 0) -> list[np.random.Generator]:
+    """Return one stream per seed; another key or attempt gives others."""
+    more = [attempt] if attempt else []
+    return [np.random.default_rng([seed, key, *more]) for seed in seeds]
 
 
 class Picker:

@@ -19,13 +19,17 @@ from wtg_gym.physics.plant import Plant
 from wtg_gym.physics.scenario import Event, Scenario, trusted
 from wtg_gym.ranges import did_you_mean, is_whole, require_whole
 from wtg_gym.scenarios.distribution import ScenarioDistribution
+from wtg_gym.scenarios.margin import reserve_margin
 from wtg_gym.scenarios.sensor_distribution import SensorDistribution
+from wtg_gym.scenarios.stream import Span
 from wtg_gym.tasks import ANY_GRID, V0, Task
 
 #: Names of the frozen splits, in the order of the seeds' use.
 SPLITS = ("train", "validation", "test")
 #: Scenarios of one evaluation at most: the intervals of its scores take memory in proportion.
 MOST_SCENARIOS = 10_000
+#: Scenarios of a seed that are drawn at most until one has the reserve margin of its stratum.
+_MOST_ATTEMPTS = 1000
 _TRAIN_SEEDS = range(1_000_000, 2**31)
 _VALIDATION_SEEDS = range(10_000, 10_100)
 _TEST_SEEDS = range(20_000, 20_200)
@@ -62,6 +66,8 @@ class Suite:
         sensors: distribution of the measurements' errors; None for exact measurements.
         drawn_from: distributions of its scenarios by the name of their stratum, "" where there is only one. The first
             of n strata has the seeds with seed % n = 0, of its m distributions the first those with seed // n % m = 0.
+        margins: range of the :func:`~wtg_gym.scenarios.margin.reserve_margin` of each stratum [-]; its distributions are
+            tried in turn, from a seed's own on, until a scenario falls in it.
         cases: the fixed cases, case i having the seed i in every split; empty with distributions.
         train: seeds to train on.
         validation: seeds to select on.
@@ -82,6 +88,7 @@ class Suite:
     described: Plant | None = None
     sensors: SensorDistribution | None = None
     drawn_from: Mapping[str, tuple[ScenarioDistribution, ...]] = field(default_factory=dict)
+    margins: Mapping[str, Span] = field(default_factory=dict)
     cases: tuple[FixedCase, ...] = ()
     train: range = _TRAIN_SEEDS
     validation: range = _VALIDATION_SEEDS
@@ -124,10 +131,20 @@ class Suite:
         """Return the name of a seed's stratum, "" where there are none."""
         return self.strata[seed % len(self.strata)] if self.strata else ""
 
-    def _distribution(self, seed: int) -> ScenarioDistribution:
+    def cost_offset(self, scenario: Scenario) -> float:
+        """Return J0 of the score in a scenario: that of its stratum, of one of a user's by its reserve margin."""
+        if not self.margins:
+            return self.task.cost_offsets[""]
+        margin = scenario.reserve_margin
+        if margin is None:
+            margin = reserve_margin(scenario, self.plant)
+        strata = [name for name, (low, _) in self.margins.items() if margin >= low]
+        return self.task.cost_offsets[strata[0] if strata else list(self.margins)[-1]]
+
+    def _distribution(self, seed: int, attempt: int) -> ScenarioDistribution:
         turn, place = divmod(int(seed), len(self.drawn_from))
         kinds = list(self.drawn_from.values())[place]
-        return kinds[turn % len(kinds)]
+        return kinds[(turn + attempt) % len(kinds)]
 
     def _split_text(self) -> str:
         texts = ((split, self.seeds(split)) for split in SPLITS)
@@ -181,26 +198,53 @@ class Suite:
         if n_wtg is None:
             n_wtg = len(self.plant.groups)
             n_turbines = [_default_turbines(group) for group in self.plant.groups] if n_turbines is None else n_turbines
+        if self.drawn_from:
+            scenarios = self._drawn_scenarios(seeds, n_wtg, n_turbines, duration)
+        else:
+            scenarios = self._fixed_scenarios(seeds, n_wtg, n_turbines, duration)
         measuring = self.sensors if sensors is ... else sensors
-        found: dict[int, Scenario] = {}
-        # Seeds of a distribution are drawn together.
-        places: dict[str, list[int]] = {}
-        for place, seed in enumerate(seeds):
-            places.setdefault(self._distribution(seed).name if self.drawn_from else self.name, []).append(place)
-        for name, taken in places.items():
-            own = [seeds[place] for place in taken]
-            if self.drawn_from:
-                drawn = self._distribution(own[0]).draw_many(own, n_wtg, n_turbines, duration)
-            else:
-                drawn = self._fixed_scenarios(own, n_wtg, n_turbines, duration)
-            if measuring is not None:
-                errors = measuring.draw_many(name, own, n_wtg)
-                drawn = [
-                    trusted(Scenario, **{**vars(scenario), "sensors": error})
-                    for scenario, error in zip(drawn, errors, strict=True)
-                ]
-            found.update(zip(taken, drawn, strict=True))
-        return [found[place] for place in range(len(seeds))]
+        if measuring is None:
+            return scenarios
+        # Suites that share all but the sensors draw the errors alike.
+        name = self.name if self.cases else self.distributions[0].name.partition("/")[0]
+        errors = measuring.draw_many(name, seeds, n_wtg)
+        return [
+            trusted(Scenario, **{**vars(scenario), "sensors": error})
+            for scenario, error in zip(scenarios, errors, strict=True)
+        ]
+
+    def _drawn_scenarios(
+        self, seeds: Sequence[int], n_wtg: int, n_turbines: Sequence[float] | None, duration_s: float
+    ) -> list[Scenario]:
+        """Draw scenarios, those of a distribution together, until all fall in the margins of their strata."""
+        accepted: dict[int, Scenario] = {}
+        missing = list(range(len(seeds)))
+        for attempt in range(_MOST_ATTEMPTS):
+            by_distribution: dict[str, list[int]] = {}
+            for place in missing:
+                by_distribution.setdefault(self._distribution(seeds[place], attempt).name, []).append(place)
+            for places in by_distribution.values():
+                of_places = [seeds[place] for place in places]
+                distribution = self._distribution(of_places[0], attempt)
+                drawn = distribution.draw_many(of_places, n_wtg, n_turbines, duration_s, attempt)
+                accepted.update((place, s) for place, each in zip(places, drawn, strict=True) if (s := self._suits(each)))
+            missing = [place for place in missing if place not in accepted]
+            if not missing:
+                return [accepted[place] for place in range(len(seeds))]
+        seed = seeds[missing[0]]
+        raise ValueError(
+            f"suite {self.name!r}: none of {_MOST_ATTEMPTS} scenarios of seed {seed} has the reserve margin of its "
+            f"stratum {self.stratum(seed)!r}, {self.margins[self.stratum(seed)]}"
+        )
+
+    def _suits(self, scenario: Scenario) -> Scenario | None:
+        """Return a drawn scenario with its margin, None where that is not one of its stratum."""
+        if not self.margins:
+            return scenario
+        assert scenario.seed is not None
+        margin = reserve_margin(scenario, self.plant)
+        low, high = self.margins[self.stratum(scenario.seed)]
+        return trusted(Scenario, **{**vars(scenario), "reserve_margin": margin}) if low <= margin < high else None
 
     def _fixed_scenarios(
         self, seeds: Sequence[int], n_wtg: int, n_turbines: Sequence[float] | None, duration_s: float

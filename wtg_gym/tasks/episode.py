@@ -17,7 +17,7 @@ from wtg_gym.systems.systems import Kind, system
 
 #: Action modes and which of (k, τ) each of them modulates.
 ACTION_MODES: dict[str, tuple[bool, bool]] = {"k": (True, False), "tau": (False, True), "k+tau": (True, True)}
-#: Full action multiplies or divides the damping time constant by this.
+#: Full action multiplies or divides the damping time constant by this to the power of the task's `tau_authority`.
 TIME_CONSTANT_RATIO = 4.0
 #: Window of the rate of change of frequency [s].
 ROCOF_WINDOW_S = 0.5
@@ -47,6 +47,7 @@ class TaskConstants(NamedTuple):
     n_actions: int  # of all groups
     n_substeps: int  # simulation steps per control interval
     duty_gain: float  # of the filter that the duty is charged behind, 1 - exp(-Δt / T) [-]
+    tau_authority: float
 
 
 class Reach(NamedTuple):
@@ -120,10 +121,10 @@ def act_on_k(wanted_on_k: float, reach: Reach) -> tuple[float, float]:
 
 
 @system(ACTING, "action_tau", "inv_tau", when="modulates tau")
-def act_on_tau(wanted_on_tau: float, base_inv_tau: float) -> tuple[float, float]:
+def act_on_tau(wanted_on_tau: float, base_inv_tau: float, task: TaskConstants) -> tuple[float, float]:
     """Turn an action into a scale on τ; zero leaves the law to the last bit."""
     action = clip(wanted_on_tau, -1.0, 1.0)
-    return action, base_inv_tau * TIME_CONSTANT_RATIO**-action
+    return action, base_inv_tau * TIME_CONSTANT_RATIO ** -(task.tau_authority * action)
 
 
 @system(TASK, "was_active")

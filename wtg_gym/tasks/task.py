@@ -67,20 +67,29 @@ class Task:
     Args:
         version: "v0", "v1".
         k_authority: offset on k at full action, as a share of K_opt - K_pr [-].
+        tau_authority: full action multiplies or divides τ by :data:`TIME_CONSTANT_RATIO` to this power [-].
+        control_dt: time for which an action is held, unless an environment is asked for another [s].
+        interval_s: sensors measure and costs are charged in intervals of this length, several in a control step; None:
+            once in every control step [s].
         act, charge, start_sensors, measure, observe: the lists of a step, in their order around the physics.
         of_groups: what every WTG group shows, before its last actions.
         privileged: what it shows besides in the privileged observation.
+        rewards_score: whether rewards are points of the score, unless an environment is asked for the cost.
         weights: of the terms of the cost.
         duty_time_s: time constant of the filter behind which the duty is charged; 0 for none [s].
         on_failure: what the failure of a rotor does, unless an environment is asked for the other.
         failure_costs_whole_episode: whether a failed episode costs what one costs in which no load is served; else it
             costs the cap for the time that was left. Where it does, entries are marked for their reliability.
+        scale: Λ of the score; None: from the anchors in the scenarios that are scored.
         cost_offsets: stratum, "" where there are none, and J0 of the score in it, in units of the cost.
         anchors: names of the entries that score 0 and 100.
     """
 
     version: str
     k_authority: float
+    tau_authority: float = 1.0
+    control_dt: float = 0.1
+    interval_s: float | None = None
     act: tuple[Any, ...]
     charge: tuple[Any, ...]
     start_sensors: tuple[Any, ...] = ()
@@ -88,10 +97,12 @@ class Task:
     observe: tuple[Any, ...]
     of_groups: Shown
     privileged: tuple[Shown, ...] = ()
+    rewards_score: bool = False
     weights: CostWeights = CostWeights()
     duty_time_s: float = 0.0
     on_failure: str = "terminate"
     failure_costs_whole_episode: bool = False
+    scale: float | None = None
     cost_offsets: Mapping[str, float] = field(default_factory=lambda: {"": 5.0})
     anchors: tuple[str, str]
 
@@ -137,6 +148,9 @@ class Task:
         return {
             "version": self.version,
             "k_authority": self.k_authority,
+            "tau_authority": self.tau_authority,
+            "control_dt": self.control_dt,
+            "interval_s": self.interval_s,
             "sensed": self.has_sensors,
             "duty_time_s": self.duty_time_s,
             "on_failure": self.on_failure,
@@ -225,6 +239,7 @@ class Task:
             n_actions=n_wtg * (modulates_k + modulates_tau),
             n_substeps=round(control_dt / plant.simulation_dt),
             duty_gain=-math.expm1(-control_dt / self.duty_time_s) if self.duty_time_s > 0.0 else 1.0,
+            tau_authority=self.tau_authority,
         )
 
     def _reaches(self, plant: Plant) -> list[Reach]:

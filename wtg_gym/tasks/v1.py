@@ -11,7 +11,13 @@ from wtg_gym.tasks.task import Task
 #: 0 is the paper's law, 100 the same law tuned to this grid.
 V1 = Task(
     version="v1",
-    k_authority=1.0,
+    # The best courses of actions with foresight stay within these: k moves by half the regulation range, τ by a factor
+    # of two.
+    k_authority=0.5,
+    tau_authority=0.5,
+    control_dt=0.5,
+    interval_s=0.1,
+    rewards_score=True,
     act=(episode.act_on_k, episode.act_on_tau, episode.note_active),
     charge=(
         episode.count_interval,
@@ -48,11 +54,13 @@ V1 = Task(
     privileged=((observation.OBSERVED, "observed", "exact"), (observation.OBSERVED_DUTY, "shown_duty", "exact")),
     # Duty weighs as much as frequency, since the wind is most of the power; RoCoF five times as much as in v0, since
     # the synchronous machines have less than a third of v0's inertia: 0.82 instead of 2.86 GWs on average.
-    weights=CostWeights(rocof=20.0, duty=0.3, rotor=20.0, cap=15.0),
+    # The effort is that of the physical change, as in v0.
+    weights=CostWeights(rocof=20.0, duty=0.3, rotor=20.0, cap=15.0, effort=0.0125),
     duty_time_s=15.0,
     on_failure="trip",
     failure_costs_whole_episode=True,
+    scale=0.42,
     # Of the size of what an episode costs under the hundred: below that a cost counts almost as in a mean.
-    cost_offsets={"ordinary": 40.0, "large": 300.0, "extreme": 3000.0, "": 300.0},
+    cost_offsets={"ample": 40.0, "tight": 200.0, "short": 1000.0, "": 300.0},
     anchors=("coordinated-piecewise", "coordinated-tuned"),
 )

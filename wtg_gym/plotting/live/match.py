@@ -39,7 +39,7 @@ class Match:
         self.duration_s = settings.episode_duration_s()
         self._lanes = TaskLanes(settings, 2, 1)
         self._lanes.start([OWN, REFERENCE], self._lanes.scenarios([seed, seed]))
-        self.n_groups, self.control_dt = self._lanes.n_wtg, settings.control_dt
+        self.n_groups, self.control_dt = self._lanes.n_wtg, settings.step_s
         self.nominal_hz = self._lanes.nominal_hz
         self._actions: list[npt.NDArray[np.float64]] = []
 
