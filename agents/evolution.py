@@ -11,7 +11,7 @@ from __future__ import annotations
 import pickle
 import sys
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Annotated
 
@@ -26,7 +26,6 @@ from agents.command import RunOptions, Whole, begin_or_go_on, run_command
 from agents.run import Run, RunSettings, draw, loading, train_in_rounds
 from wtg_gym.envs import EnvSettings
 from wtg_gym.envs.lanes import TaskLanes
-from wtg_gym.gains import ScoreUnits
 from wtg_gym.physics.scenario import Scenario
 from wtg_gym.ranges import require_range, require_whole
 from wtg_gym.tasks.observation import FREQUENCY_UNIT_HZ, ROTOR_SPEED_UNIT_PU
@@ -151,8 +150,8 @@ class Population:
     """Candidates that play the same training scenarios side by side."""
 
     def __init__(self, settings: EnvSettings, n_scenarios: int, n_candidates: int, h: Hyperparameters) -> None:
-        self.lanes = TaskLanes(settings, n_scenarios * n_candidates)
-        self._shape, self._h, self._units = (n_candidates, n_scenarios), h, ScoreUnits(settings)
+        self.lanes = TaskLanes(replace(settings, reward="cost"), n_scenarios * n_candidates)
+        self._shape, self._h = (n_candidates, n_scenarios), h
         self.n_steps = round(settings.episode_duration_s() / settings.step_s)
 
     def objectives(self, policy: GroupPolicy, candidates: Floats, scenarios: Sequence[Scenario]) -> Floats:
@@ -169,12 +168,12 @@ class Population:
                 actions, *states = policy.act(weights, seen, *states)
                 clipped = actions.reshape(lanes.n_lanes, -1).clamp(-1.0, 1.0)
                 lanes.step(np.ascontiguousarray(clipped.numpy().astype(np.float64)))
-        offsets, scales = self._units.of(scenario.seed or 0 for scenario in scenarios)
+        offsets = np.array([lanes.suite.cost_offset(scenario) for scenario in scenarios])
         costs = lanes.cost_sums().sum(axis=1).reshape(self._shape)
         lowest, highest = (lanes.nominal_hz * lanes.simulator.lane_values(name) for name in ("coi_min", "coi_max"))
         largest_hz = np.maximum(lanes.nominal_hz - lowest, highest - lanes.nominal_hz)
         bad = np.where(lanes.statuses() != 0, 1.0, np.interp(largest_hz, SOFT_HZ, (0.0, 1.0))).reshape(self._shape)
-        paid = (np.log(costs + offsets) + self._h.mean_weight * costs / offsets) / scales
+        paid = (np.log(costs + offsets) + self._h.mean_weight * costs / offsets) / (lanes.suite.task.scale or 1.0)
         found: Floats = paid.mean(axis=1) + self._h.mark_weight * bad.mean(axis=1)
         return found
 

@@ -1,7 +1,7 @@
 """`python -m agents.gradient`: trains a policy by back-propagation through whole episodes of the environment itself.
 
 The gradients are those of wtg_gym.gradients. Nothing is explored and no value function is learned: Adam lowers what the
-score pays, the mean over training scenarios of ln(J + J0), in every stratum in units of its Λ, and if you like the mean
+score pays, the mean over training scenarios of ln(J + J0), in units of Λ where it is a number, and if you like the mean
 cost besides, which the worst scenarios decide. Failures by slow rotors or low frequency are steps without a gradient:
 in the loss they come gradually.
 """
@@ -25,7 +25,6 @@ from agents.command import RunOptions, Whole, begin_or_go_on, run_command
 from agents.run import Run, RunSettings, draw, loading, train_in_rounds
 from wtg_gym.envs import EnvSettings
 from wtg_gym.evaluation.score import pinned_cost
-from wtg_gym.gains import ScoreUnits
 from wtg_gym.gradients.torch import TorchEpisodes
 from wtg_gym.physics.scenario import Scenario
 from wtg_gym.ranges import require_range, require_whole
@@ -180,16 +179,16 @@ def costs_of(
 
 
 class Loss:
-    """What the score pays for, to be lowered: the mean over scenarios of ln(J + J0), in units of Λ of their strata."""
+    """What the score pays for, to be lowered: the mean over scenarios of ln(J + J0), in units of Λ."""
 
     def __init__(self, settings: EnvSettings, mean_weight: float = 0.0) -> None:
-        self._units, self._mean_weight = ScoreUnits(settings), mean_weight
+        self._suite, self._mean_weight = settings.resolved_suite, mean_weight
 
     def __call__(self, costs: Tensor, scenarios: Sequence[Scenario]) -> Tensor:
         """Return the loss of episodes from their costs (n_lanes,)."""
-        units = self._units.of(scenario.seed or 0 for scenario in scenarios)
-        offsets, scales = (torch.from_numpy(each).to(costs.dtype) for each in units)
-        return ((torch.log(costs + offsets) + self._mean_weight * costs / offsets) / scales).mean()
+        offsets = torch.tensor([self._suite.cost_offset(scenario) for scenario in scenarios], dtype=costs.dtype)
+        loss = torch.log(costs + offsets) + self._mean_weight * costs / offsets
+        return loss.mean() / (self._suite.task.scale or 1.0)
 
 
 def descend(policy: nn.Module, optimizer: torch.optim.Optimizer, loss: Tensor, h: Hyperparameters) -> float:

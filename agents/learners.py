@@ -118,7 +118,7 @@ def _environments(settings: RunSettings) -> VecEnv:
     """Return the environments that a run learns in, one for each agent of IPPO."""
     single = settings.algo != IPPO
     return VecMonitor(
-        SB3VecEnv(settings.n_envs, gains=True, **settings.env_arguments) if single else agent_env(settings)
+        SB3VecEnv(settings.n_envs, reward="score", **settings.env_arguments) if single else agent_env(settings)
     )
 
 

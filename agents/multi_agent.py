@@ -42,13 +42,13 @@ def agent_env(settings: RunSettings) -> AgentVecEnv:
     n_wtg = group_sizes(EnvSettings(**settings.env_arguments)).size
     if settings.n_envs % n_wtg:
         raise ValueError(f"n_envs must be a whole multiple of the {n_wtg} WTG groups, got {settings.n_envs}")
-    return AgentVecEnv(SB3VecEnv(settings.n_envs // n_wtg, gains=True, **settings.env_arguments))
+    return AgentVecEnv(SB3VecEnv(settings.n_envs // n_wtg, reward="score", **settings.env_arguments))
 
 
 class AgentVecEnv(VecEnvWrapper):
     """A batch of episodes with a lane for every agent: lane i is WTG group i % n_wtg of episode i // n_wtg.
 
-    All agents of an episode earn its gain and end together.
+    All agents of an episode earn its reward and end together.
     """
 
     def __init__(self, venv: SB3VecEnv) -> None:

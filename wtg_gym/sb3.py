@@ -13,7 +13,6 @@ from gymnasium.vector import AutoresetMode
 
 from wtg_gym.envs import GFMWTGVectorEnv
 from wtg_gym.extras import install_advice
-from wtg_gym.gains import GainEnvs
 from wtg_gym.policies.entry import learned_in
 from wtg_gym.signals import undivided
 
@@ -45,8 +44,6 @@ class SB3VecEnv(VecEnv):
 
     Args:
         num_envs: number of episodes side by side.
-        gains: rewards are gains over the law that scores 100, see :class:`wtg_gym.gains.GainEnvs`; the first episode
-            that a lane reports is then what spreading has left of it, and its `reset_infos` is empty until then.
         arguments: as for :class:`wtg_gym.envs.GFMWTGVectorEnv`, but `autoreset_mode`.
 
     Raises:
@@ -54,12 +51,11 @@ class SB3VecEnv(VecEnv):
         ValueError: an argument is out of range.
     """
 
-    def __init__(self, num_envs: int = 1, *, gains: bool = False, **arguments: Any) -> None:
+    def __init__(self, num_envs: int = 1, **arguments: Any) -> None:
         if "autoreset_mode" in arguments:
             raise TypeError("autoreset_mode cannot be chosen: Stable-Baselines3 needs resets within the same step")
-        env = GFMWTGVectorEnv(num_envs, autoreset_mode=AutoresetMode.SAME_STEP, **arguments)
         #: The batch that does the work.
-        self.vector_env: GFMWTGVectorEnv | GainEnvs = GainEnvs(env) if gains else env
+        self.vector_env = env = GFMWTGVectorEnv(num_envs, autoreset_mode=AutoresetMode.SAME_STEP, **arguments)
         #: Its lanes: states, and every number of `info` by `info_arrays()`.
         self.lanes = env.lanes
         self._actions: npt.NDArray[Any] | None = None

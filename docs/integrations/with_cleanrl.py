@@ -15,7 +15,6 @@ from torch import nn
 from torch.distributions import Normal
 
 from wtg_gym import export_onnx
-from wtg_gym.gains import GainEnvs
 
 seconds, seed = map(int, sys.argv[1:]) if sys.argv[1:] else (5, 0)
 torch.set_num_threads(1)
@@ -23,7 +22,7 @@ torch.manual_seed(seed)
 N_ENVS, N_STEPS, GAMMA, LAMBDA = 64, 64, 0.998, 0.95
 task = {"strategy": "coordinated-tuned", "autoreset_mode": AutoresetMode.SAME_STEP}
 lanes = gym.make_vec("wtg_gym:GFMWTG-14bus-v1", num_envs=N_ENVS, n_threads=1, **task)
-envs = NormalizeReward(GainEnvs(lanes), gamma=GAMMA)
+envs = NormalizeReward(lanes, gamma=GAMMA)
 n_observation, n_action = envs.single_observation_space.shape[0], envs.single_action_space.shape[0]
 
 

@@ -18,14 +18,13 @@ from torch import nn
 
 from wtg_gym import export_onnx
 from wtg_gym.envs import GFMWTGVectorEnv
-from wtg_gym.gains import GainEnvs
 
 
 class Lanes(NormalizeReward):
     """The native batch; RLlib takes infos apart for every lane and step, which takes longer than all the rest."""
 
     def __init__(self, num_envs=1, **arguments):
-        super().__init__(GainEnvs(GFMWTGVectorEnv(num_envs, **arguments)), gamma=0.998)
+        super().__init__(GFMWTGVectorEnv(num_envs, **arguments), gamma=0.998)
 
     def reset(self, *, seed=None, options=None):
         # RLlib gives runner w the seed s + w: without this, its lanes would play the scenarios of the next runner.

@@ -14,7 +14,7 @@ from wtg_gym.sb3 import DeterministicPolicy, make_sb3_vec_env
 
 torch.set_num_threads(1)
 seconds, seed = map(int, sys.argv[1:]) if sys.argv[1:] else (5, 0)
-lanes = make_sb3_vec_env(64, seed=seed, gains=True, n_threads=1, strategy="coordinated-tuned")
+lanes = make_sb3_vec_env(64, seed=seed, n_threads=1, strategy="coordinated-tuned")
 envs = VecNormalize(lanes, norm_obs=False, gamma=0.998)
 ppo = PPO(
     "MlpPolicy",

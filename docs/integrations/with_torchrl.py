@@ -7,7 +7,7 @@ import time
 
 import gymnasium as gym
 import torch
-from gymnasium.vector import AutoresetMode
+from gymnasium.vector import AutoresetMode, VectorWrapper
 from tensordict.nn import AddStateIndependentNormalScale, TensorDictModule
 from torch import nn
 from torchrl.collectors import Collector
@@ -17,14 +17,13 @@ from torchrl.objectives import ClipPPOLoss
 from torchrl.objectives.value import GAE
 
 from wtg_gym import export_onnx
-from wtg_gym.gains import GainEnvs
 
 seconds, seed = map(int, sys.argv[1:]) if sys.argv[1:] else (5, 0)
 torch.set_num_threads(1)
 torch.manual_seed(seed)
 
 
-class Lanes(GainEnvs):
+class Lanes(VectorWrapper):
     """The native batch; TorchRL takes numbers alone in the infos, and asks for the mode."""
 
     autoreset_mode = AutoresetMode.SAME_STEP

@@ -17,7 +17,6 @@ from agents.evolution import Search
 from baselines.mean_droop import MeanDroop
 from wtg_gym.envs.lanes import TaskLanes
 from wtg_gym.envs.settings import EnvSettings
-from wtg_gym.gains import ScoreUnits
 from wtg_gym.physics.layout import Floats
 from wtg_gym.physics.tracking_law import (
     LARGEST_COEFFICIENT,
@@ -49,9 +48,9 @@ class Population:
 
     def __init__(self, suite: str, n_scenarios: int, n_candidates: int, **settings) -> None:
         seeds = get_suite(suite).train[:n_scenarios]
-        self.lanes = TaskLanes(EnvSettings(suite=suite, split="train", **settings), n_scenarios * n_candidates)
+        self.lanes = TaskLanes(EnvSettings(suite=suite, split="train", reward="cost", **settings), n_scenarios * n_candidates)
         self._scenarios = self.lanes.scenarios(seeds)
-        self._offsets, self._scales = ScoreUnits(self.lanes.settings).of(seeds)
+        self._offsets = np.array([self.lanes.suite.cost_offset(scenario) for scenario in self._scenarios])
 
     def __enter__(self) -> Population:
         return self
@@ -76,14 +75,14 @@ class Population:
                 lanes.laws = (laws[candidate],) * lanes.n_wtg
             lanes.start(range(candidate * n_scenarios, (candidate + 1) * n_scenarios), self._scenarios)
         actions = np.zeros((lanes.n_lanes, lanes.n_action))
-        for _ in range(round(lanes.duration_s / lanes.settings.control_dt)):
+        for _ in range(round(lanes.duration_s / lanes.settings.step_s)):
             if act is not None:
                 seen = lanes.observations.reshape(*shape, -1).astype(np.float64)
                 groups = of_groups(seen, MeasuredObservation, lanes.settings.action_mode)
                 actions = np.clip(act(groups), -1.0, 1.0).reshape(lanes.n_lanes, -1)
             lanes.step(np.ascontiguousarray(actions))
         costs = lanes.cost_sums().sum(axis=1).reshape(shape)
-        return (np.log(costs + self._offsets) / self._scales).mean(axis=1)
+        return np.log(costs + self._offsets).mean(axis=1)
 
 
 def law_of(x: Floats) -> TrackingLaw:
@@ -118,7 +117,7 @@ def tune_law(
     population: int = 12,
     seed: int = 1,
 ) -> TrackingLaw:
-    """Return the law that scores most, by the scales that the present anchors have."""
+    """Return the law that scores most."""
     first = int(capped)
     search = Search(np.array(_START[first:]), 0.3, population, seed, bounds=[side[first:] for side in _BOUNDS])
     with Progress("generations") as progress, Population(suite, n_scenarios, population) as candidates:
@@ -144,7 +143,7 @@ def tune_mean_droop(
     population: int = 12,
     seed: int = 1,
 ) -> tuple[MeanDroop, float]:
-    """Return the three numbers that cost little on a law, and what they cost in the scales of the score."""
+    """Return the three numbers that cost little on a law, and what they cost in the logarithm of the score."""
     search = Search(np.zeros(3), 0.4, population, seed)
     settings = {"strategy": strategy, "action_mode": "k"}
     with Progress("generations") as progress, Population(suite, n_scenarios, population, **settings) as candidates:
