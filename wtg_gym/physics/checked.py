@@ -11,6 +11,7 @@ from collections.abc import Mapping
 from typing import Any, ClassVar, get_args, get_origin, get_type_hints
 
 import numpy as np
+import numpy.typing as npt
 
 from wtg_gym.ranges import require_bus, require_count, require_range, require_whole
 
@@ -104,7 +105,7 @@ def _checked(name: str, value: Any, kind: Any, field: Any, *, is_item: bool = Fa
             if len(items) == len(value):
                 pairs = zip(value, items, strict=True)
                 return tuple(_checked(name, item, own, field, is_item=True) for item, own in pairs)
-    elif origin is np.ndarray or isinstance(value, kind if origin in (None, types.UnionType) else origin):
+    elif origin in (np.ndarray, npt.NDArray) or isinstance(value, kind if origin in (None, types.UnionType) else origin):
         return value
     doc = field.metadata.get("doc")
     raise ValueError(f"{name} must be {field.type}{f' ({doc})' if doc else ''}, got {value!r:.80}")
