@@ -19,10 +19,12 @@ from tests.physics.extended import (
     started,
 )
 from wtg_gym.physics.extension_unit import EXTENSIONS
+from wtg_gym.physics.grid import get_grid
 from wtg_gym.physics.layout import Floats
 from wtg_gym.physics.network import assemble_admittance
 from wtg_gym.physics.parameters import (
     ConverterLimitParameters,
+    VoltageControlParameters,
     WtgGroup,
     european_shedding,
 )
@@ -74,6 +76,27 @@ def test_the_reactive_limit_takes_over_and_gives_back() -> None:
     held = found[40 + 20 : 600]
     assert held.max() < 0.3305
     assert found[-1] == pytest.approx(before, abs=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("mvar", "above_pu", "stays_s"),
+    [(-150.0, 1.1, 29.0), (-190.0, 1.15, 20.0), (-230.0, 1.2, 2.0), (-330.0, 1.25, 0.2)],
+)
+def test_a_group_stays_through_the_over_voltages_it_must_and_no_longer(
+    mvar: float, above_pu: float, stays_s: float
+) -> None:
+    # A capacitor far too large, where no machine and hardly any group controls its voltage.
+    capacitor = LoadStep(time_s=1.0, bus=2, power_mw=0.0, reactive_mvar=mvar)
+    case, slow = get_grid("ieee14").case.classical(), VoltageControlParameters(integral_gain=0.01)
+    found = recorded(
+        started(plant(control_dt=0.1, voltage=slow, case=case), scenario(capacitor)),
+        30.0,
+        *("terminal_voltage", "connected", "largest_voltage"),
+    )
+    voltage, there = found["terminal_voltage"][:, 0], found["connected"][:, 0] > 0.5
+    assert 0.1 * there.sum() - 1.0 == pytest.approx(stays_s)
+    assert above_pu < voltage[there][10:].min() and voltage[there].max() < above_pu + 0.05
+    assert found["largest_voltage"][-1, 0] == pytest.approx(voltage.max(), rel=1e-3)
 
 
 @pytest.mark.parametrize("table", [False, True])

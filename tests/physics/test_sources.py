@@ -79,6 +79,16 @@ def test_units_follow_the_frequency_that_a_source_imposes_and_the_centre_of_iner
     assert local(simulator) == pytest.approx(0.994, abs=1e-9)
 
 
+@pytest.mark.parametrize(("deviation_hz", "power"), [(-0.4, 1.05), (-0.2, 1.02375), (0.0, 0.9975), (0.2, 0.97125)])
+def test_above_rated_wind_a_group_holds_its_reserve_and_gives_it(deviation_hz: float, power: float) -> None:
+    ramp = FrequencyRamp(time_s=1.0, bus=1, rocof_hz_s=deviation_hz / 4.0, duration_s=4.0)
+    settings = plant(case=with_source(), shedding=NO_SHEDDING)
+    simulator = started(settings, scenario(ramp, wind=[[14.0], [8.0]], duration_s=120.0), duration_s=120.0)
+    recorded(simulator, 120.0)
+    assert simulator.wtg_values("captured")[0, 0] == pytest.approx(power, abs=1e-6)
+    assert simulator.wtg_values("power")[0, 0] == pytest.approx(power, abs=1e-6)
+
+
 def test_a_phase_jump_turns_the_voltage_of_the_source_and_the_units_follow() -> None:
     settings = plant(case=with_source(), control_dt=0.025, shedding=NO_SHEDDING)
     simulator = started(settings, scenario(PhaseJump(time_s=1.0, bus=1, angle_deg=-20.0), wind=[[8.0], [8.0]]))

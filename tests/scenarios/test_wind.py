@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from wtg_gym.physics.scenario import SERIES_DT
-from wtg_gym.scenarios import wind
+from wtg_gym.scenarios import draws, wind
+from wtg_gym.scenarios.distribution import ScenarioDistribution
 
 N_SAMPLES = 601
 N_PERIOD = wind.period_length(N_SAMPLES)
@@ -68,3 +69,12 @@ def test_gust_dips_peaks_and_leaves_no_trace():
     assert time_s[change.argmax()] == pytest.approx(20.0 + 0.5 * wind.GUST_DURATION_S, abs=0.02)
     assert change.max() == pytest.approx(0.74 * 5.0, rel=1e-4)
     assert change.max() - change.min() == pytest.approx(5.0, rel=0.02)
+
+
+def test_a_group_feels_a_gust_at_one_turbine_divided_by_the_root_of_their_number():
+    assert [wind.gust_share(9.0, n) for n in (1.0, 4.0, 16.0)] == pytest.approx([1.0, 0.5, 0.25], rel=1e-3)
+    changes = {"turbulence_intensity": (0.0, 0.0), "gust_probability": 1.0, "ramp_probability": 0.0}
+    distribution = ScenarioDistribution(name="x", records=(draws.Wind(**changes),))
+    averaged = distribution.changed({draws.Wind: {"gust_averaged": True}})
+    at_one, of_group = (np.ptp(drawn.draw(1, 1, [16.0]).wind_speed) for drawn in (distribution, averaged))
+    assert 2.0 <= at_one <= 5.1 and of_group == pytest.approx(0.25 * at_one, rel=1e-3)

@@ -14,7 +14,8 @@ with I_0 the current without the limit. Power. A frequency is added to the angle
 p_top is also the most that k ω_m³ can be. ω + Δω is the frequency of the voltage, and what everything that measures one
 sees; ω is that of the swing equation, whose droop keeps it near the set-point while the limiter acts. Rotor. It gives
 max(p, p_min): a chopper burns what the grid presses into the converter. Its heat cools with a time constant; once it
-exceeds what the chopper stands, the group disconnects. It also disconnects beyond OVER_VOLTAGES. Voltage. Droop, reactive limits and one integrator,
+exceeds what the chopper stands, the group disconnects. So it does beyond OVER_VOLTAGES. Voltage. Droop, reactive limits
+and one integrator,
 
     Ė = K_iv e,    e = max(min(V_ref - V - m_q (q - q_ref), K_q (q_max - q)), K_q (-q_max - q)),    E_min ≤ E ≤ E_max
 

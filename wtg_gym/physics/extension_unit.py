@@ -96,7 +96,7 @@ def links_of_extensions(n_sync: int, n_wtg: int, unit_bus: Whole) -> dict[tuple[
 def start_extension(
     start: Terminal, emf: float, share: float
 ) -> tuple[ExtensionState, VoltageInput, float, OverVoltage, float]:
-    """Return the equilibrium of the internal voltage, the references that keep it, a cold chopper, and no over-voltage."""
+    """Return the equilibrium of the internal voltage, the references that keep it, and a cold chopper."""
     own = ExtensionState(LimitState(0.0, 0.0, 0.0), emf)
     references = VoltageInput(start.magnitude, start.reactive / share)
     return own, references, 0.0, OverVoltage(0.0, 0.0, 0.0, 0.0, 0.0), start.magnitude

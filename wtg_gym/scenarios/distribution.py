@@ -51,7 +51,7 @@ _UNMENTIONED: Mapping[str, Any] = MappingProxyType({
     "wind_share": None, "last_event_s": None, "line_reclosing_s": None, "constant_mw": 0.0, "islandings": (),
     "governor_loss_probability": 0.0, "governor_loss_buses": (1,), "group_trip_probability": 0.0,
     "machine_outage_probability": 0.0, "machine_outage_buses": (3, 6, 8),
-    "fault_probability": 0.0, "fault_lines": (), "fault_clearing_s": (0.1, 0.25),
+    "fault_probability": 0.0, "fault_lines": (), "fault_clearing_s": (0.1, 0.25), "gust_averaged": False,
 })  # fmt: skip
 
 

@@ -202,6 +202,7 @@ class Wind(Record):
     n_turbines: float = design(10.0, "-", "turbines per group that the wind is averaged over", 1e-3, 1e4)
     gust_probability: float = _chance(0.1, "chance of an extreme operating gust on one group")
     gust_m_s: Span = design((2.0, 5.0), "m/s", "size of a gust", 0.0, 15.0)
+    gust_averaged: bool = design(False, "-", "whether a gust is at one turbine, and the group feels an average")
     ramp_probability: float = _chance(0.1, "chance of a wind ramp on all groups; excludes a gust")
     ramp_m_s: Span = design((1.0, 3.0), "m/s", "size of a wind ramp; both signs", 0.0, 10.0)
     ramp_s: Span = design((5.0, 20.0), "s", "length of a wind ramp", 0.1, 3600.0)
@@ -252,7 +253,10 @@ class Wind(Record):
         if uniform < self.gust_probability:
             # A gust spans at most a few hundred metres; a front passes the whole plant.
             group = pick.whole(0, len(draft.n_turbines) - 1)
-            return group, wind.extreme_operating_gust(time_s, start_s, pick.between(self.gust_m_s))
+            size = pick.between(self.gust_m_s)
+            if self.gust_averaged:
+                size *= wind.gust_share(draft.mean_winds_m_s[group], draft.n_turbines[group])
+            return group, wind.extreme_operating_gust(time_s, start_s, size)
         change = pick.between(self.ramp_m_s) * (1.0 if pick.chance(0.5) else -1.0)
         return slice(None), wind.coherent_ramp(time_s, start_s, change, pick.between(self.ramp_s))
 

@@ -68,6 +68,7 @@ COMMON: draws.Changes = MappingProxyType(
             "mean_m_s": (8.5, 11.0),
             "mean_spread_m_s": 1.0,
             "penetration": (0.4, 0.78),
+            "gust_averaged": True,
             "ramp_probability": 0.15,
             "ramp_m_s": (0.5, 1.8),
             "ramp_s": (5.0, 10.0),

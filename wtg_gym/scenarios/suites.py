@@ -172,7 +172,8 @@ SUITES: Mapping[str, Suite] = MappingProxyType(
                         "mean_m_s": (9.0, 11.5),
                         "turbulence_intensity": (0.16, 0.16),
                         "gust_probability": 0.5,
-                        "gust_m_s": (2.5, 4.0),
+                        # V_gust of class A in these winds (IEC 61400-1 ed. 3, eq. 17).
+                        "gust_m_s": (4.5, 6.0),
                         "ramp_probability": 0.4,
                         "ramp_m_s": (1.0, 1.8),
                         "penetration": (0.4, 0.74),

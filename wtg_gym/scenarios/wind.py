@@ -178,6 +178,15 @@ def extreme_operating_gust(time_s: FloatArray, start_s: float, size_m_s: float) 
     return -0.37 * size_m_s * np.sin(3.0 * phase) * (1.0 - np.cos(2.0 * phase))
 
 
+def gust_share(mean_wind_m_s: float, n_turbines: float) -> float:
+    """Return the size of an extreme gust in the mean over a group's turbines, as a share of that at one of them [-].
+
+    The extremes of the mean are to those at one turbine as the spectrum's roots at the gust's frequency: |G(1/T)|, here
+    close to 1/√n, since turbines `TURBINE_SPACING_M` apart do not see one gust together.
+    """
+    return math.sqrt(float(group_filter(np.array(1.0 / GUST_DURATION_S), mean_wind_m_s, n_turbines)))
+
+
 def coherent_ramp(time_s: FloatArray, start_s: float, change_m_s: float, ramp_s: float) -> FloatArray:
     """Return a change of wind that grows linearly to `change_m_s` and then stays [m/s], at instants of any shape."""
     return change_m_s * np.clip((time_s - start_s) / ramp_s, 0.0, 1.0)
