@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from functools import cached_property
@@ -131,13 +132,17 @@ class Suite:
         """Return the name of a seed's stratum, "" where there are none."""
         return self.strata[seed % len(self.strata)] if self.strata else ""
 
+    def margin(self, scenario: Scenario) -> float:
+        """Return the reserve margin of a scenario in the suite's plant, NaN where strata do not follow from it."""
+        if not self.margins:
+            return math.nan
+        return reserve_margin(scenario, self.plant) if scenario.reserve_margin is None else scenario.reserve_margin
+
     def cost_offset(self, scenario: Scenario) -> float:
-        """Return J0 of the score in a scenario: that of its stratum, of one of a user's by its reserve margin."""
+        """Return J0 of the score in a scenario, by its reserve margin; below all strata that of the last."""
         if not self.margins:
             return self.task.cost_offsets[""]
-        margin = scenario.reserve_margin
-        if margin is None:
-            margin = reserve_margin(scenario, self.plant)
+        margin = self.margin(scenario)
         strata = [name for name, (low, _) in self.margins.items() if margin >= low]
         return self.task.cost_offsets[strata[0] if strata else list(self.margins)[-1]]
 
