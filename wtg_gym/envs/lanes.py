@@ -59,7 +59,7 @@ class LanesSnapshot(NamedTuple):
 
 
 class PreparedEpisodes(NamedTuple):
-    """Episodes that are ready to start; length, seed and reserve margin of each, (n,), and its events in their order."""
+    """Episodes that are ready to start; length, seed and reserve margin of each, (n,), and its events in order."""
 
     lanes: PreparedLanes
     n_steps: npt.NDArray[np.int64]
@@ -103,10 +103,8 @@ class TaskLanes:
         )
         self.n_lanes = self.simulator.n_lanes
         self.nominal_hz = plant.case.frequency_hz
-        points = 100.0 / settings.task.scale if settings.scores else 0.0
-        self.task_data = task_data(
-            settings.task, settings.choices, self.simulator.layout, settings.n_intervals, points
-        )
+        points = 100.0 / (settings.task.scale or 1.0) if settings.scores else 0.0
+        self.task_data = task_data(settings.task, settings.choices, self.simulator.layout, settings.n_intervals, points)
         #: Control steps of an episode.
         self.n_steps_of_episode = whole_steps("duration_s", self.duration_s, settings.step_s, "control step")
         #: The law that scores 100, whose costs rewards are compared with.
@@ -318,6 +316,7 @@ class TaskLanes:
         taken = np.arange(index.size) if places is None else np.array(places, dtype=np.int64)
         simulator.start(index, episodes.lanes, places=taken)
         outputs = self.outputs
+        array: Any
         for array, first in zip(outputs, episodes.outputs, strict=True):
             array[index] = first[taken]
         outputs.rewards[index], outputs.terminated[index], outputs.truncated[index] = 0.0, False, False

@@ -3,8 +3,8 @@
     margin = (wind + machines - 1.03 · load) / load, at its least over the start and all events
 
 - wind: what the groups in service could give at most, in the mean wind of the 30 s from there on;
-- machines: their power at the start, and what droop adds at 0.8 Hz below nominal, up to the gate's limit; a machine that
-  has lost its governor stays where it was;
+- machines: their power at the start, and what droop adds at 0.8 Hz below nominal, up to the gate's limit; one that has
+  lost its governor stays where it was;
 - load: at nominal voltage and frequency, before any is shed; losses are 3 % of it.
 
 Where the network has fallen apart, the part with the least margin counts, of those that anything feeds. Grid planners
@@ -15,17 +15,24 @@ from __future__ import annotations
 
 import functools
 import math
-from collections.abc import Iterator
 from typing import NamedTuple
 
-import numpy as np
-
-from wtg_gym.physics import scenario as events
 from wtg_gym.physics.aerodynamics import available_power_pu
 from wtg_gym.physics.governor import gate_limits
 from wtg_gym.physics.network import NetworkCase
 from wtg_gym.physics.plant import Plant
-from wtg_gym.physics.scenario import Scenario
+from wtg_gym.physics.scenario import (
+    Event,
+    Fault,
+    GovernorLoss,
+    GroupTrip,
+    LineTrip,
+    LoadRamp,
+    LoadStep,
+    LoadTrip,
+    MachineOutage,
+    Scenario,
+)
 
 #: Deviation of the frequency at which governors are counted [Hz]: the largest that continental Europe's grid is
 #: designed for.
@@ -86,16 +93,15 @@ def reserve_margin(scenario: Scenario, plant: Plant) -> float:
     """Return the reserve margin of a scenario in a plant, as a share of the load [-]."""
     facts = _facts(plant)
     at_start_mw = _machines_at_start(facts, scenario)
-    instants = [0.0, *(event.time_s for event in scenario.events)]
-    return min(_margin_at(time_s, scenario, facts, at_start_mw) for time_s in sorted(set(instants)))
+    instants = {0.0, *(event.time_s for event in scenario.events)}
+    return min(_margin_at(time_s, scenario, facts, at_start_mw) for time_s in instants)
 
 
 def _wind_mw(facts: _Facts, scenario: Scenario, first_s: float, last_s: float) -> list[float]:
-    """Return what each group could give in the mean wind of a time."""
-    first, last = (int(time_s / scenario.wind_dt_s) for time_s in (first_s, last_s))
-    n = scenario.wind_speed.shape[1]
-    first = min(first, n - 1)
-    means = scenario.wind_speed[:, first : max(last, first + 1)].mean(axis=1).tolist()
+    """Return what each group could give in the mean wind of a time [MW]."""
+    first = min(int(first_s / scenario.wind_dt_s), scenario.wind_speed.shape[1] - 1)
+    last = max(int(last_s / scenario.wind_dt_s), first + 1)
+    means = scenario.wind_speed[:, first:last].mean(axis=1).tolist()
     return [rated * min(cubic * mean**3, 1.0) for (_, rated, cubic), mean in zip(facts.groups, means, strict=True)]
 
 
@@ -108,69 +114,48 @@ def _machines_at_start(facts: _Facts, scenario: Scenario) -> list[float]:
 
 
 def _margin_at(time_s: float, scenario: Scenario, facts: _Facts, at_start_mw: list[float]) -> float:
-    loads = {bus: scenario.load_level * load_mw for bus, load_mw in facts.loads_mw.items()}
-    stuck, gone, away, opened = set[int](), set[int](), set[int](), set[int]()
-    for event in scenario.events:
-        if event.time_s > time_s:
-            continue
-        if isinstance(event, (events.LoadStep, events.LoadRamp)):
-            loads[event.bus] += event.power_mw
-        elif isinstance(event, events.LoadTrip):
-            loads[event.bus] = 0.0
-        elif isinstance(event, events.GovernorLoss):
-            stuck.add(event.bus)
-        elif isinstance(event, events.MachineOutage):
-            if not event.returns_after_s or time_s < event.end_s:
-                gone.add(event.bus)
-        elif isinstance(event, events.GroupTrip):
-            if not event.returns_after_s or time_s < event.end_s:
-                away.add(event.group)
-        else:
-            opened.update(_opened(event, time_s, facts.case))
-    wind_mw = _wind_mw(facts, scenario, time_s, time_s + WIND_S)
-    margins = [
-        (power_mw - (1.0 + _LOSSES) * load_mw) / load_mw
-        for power_mw, load_mw in _parts(facts, scenario, loads, wind_mw, at_start_mw, (stuck, gone, away, opened))
-        if load_mw > 0.0
+    """Return the least margin of all parts of the network, infinite if nothing feeds any."""
+    past = [event for event in scenario.events if event.time_s <= time_s]
+    gone = [event for event in past if not (getattr(event, "returns_after_s", None) and time_s >= event.end_s)]
+    lost = {event.bus for event in gone if isinstance(event, MachineOutage)}
+    away = {event.group for event in gone if isinstance(event, GroupTrip)}
+    stuck = {event.bus for event in past if isinstance(event, GovernorLoss)}
+    loads_mw = {bus: scenario.load_level * load_mw for bus, load_mw in facts.loads_mw.items()}
+    for event in past:
+        if isinstance(event, LoadStep | LoadRamp):
+            loads_mw[event.bus] += event.power_mw
+        elif isinstance(event, LoadTrip):
+            loads_mw[event.bus] = 0.0
+    opened = tuple(sorted({branch for event in past for branch in _opened(event, time_s, facts.case)}))
+    fall = DEVIATION_HZ / facts.case.frequency_hz
+    supplies = [
+        (bus, power_mw)
+        for j, ((bus, _, _), power_mw) in enumerate(
+            zip(facts.groups, _wind_mw(facts, scenario, time_s, time_s + WIND_S), strict=True)
+        )
+        if j not in away
     ]
+    for machine, power_mw in zip(facts.machines, at_start_mw, strict=True):
+        if machine.bus in lost:
+            continue
+        rating_mw = machine.rating_mw * scenario.committed
+        raised_mw = power_mw + fall / (scenario.governor_droop or machine.droop) * rating_mw
+        governed = machine.limit > 0.0 and machine.bus not in stuck
+        supplies.append(
+            (machine.bus, max(power_mw, min(raised_mw, machine.limit * rating_mw)) if governed else power_mw)
+        )
+    margins = []
+    for part in facts.case.parts_without(opened) if opened else [set(loads_mw)]:
+        power_mw = sum(power for bus, power in supplies if bus in part)
+        load_mw = sum(load for bus, load in loads_mw.items() if bus in part)
+        if power_mw > 0.0 and load_mw > 0.0:
+            margins.append(power_mw / load_mw - (1.0 + _LOSSES))
     return min(margins, default=math.inf)
 
 
-def _opened(event: events.Event, time_s: float, case: NetworkCase) -> list[int]:
-    """Return the branches that an event holds open at an instant."""
-    if isinstance(event, events.LineTrip):
+def _opened(event: Event, time_s: float, case: NetworkCase) -> list[int]:
+    """Return the branches that an event holds open at an instant; the line with a fault opens when it is cleared."""
+    if isinstance(event, LineTrip):
         closed = event.recloses_after_s is not None and time_s >= event.time_s + event.recloses_after_s
         return [] if closed else [case.branch_index(event.from_bus, event.to_bus)]
-    if isinstance(event, events.Fault) and event.opens is not None:
-        return [case.branch_index(*event.opens)]
-    return []
-
-
-def _parts(
-    facts: _Facts,
-    scenario: Scenario,
-    loads: dict[int, float],
-    wind_mw: list[float],
-    at_start_mw: list[float],
-    out: tuple[set[int], set[int], set[int], set[int]],
-) -> Iterator[tuple[float, float]]:
-    """Yield the most that each part of the network can be given, and its load [MW]."""
-    stuck, gone, away, opened = out
-    parts = facts.case.parts_without(tuple(sorted(opened))) if opened else [set(loads)]
-    fall = DEVIATION_HZ / facts.case.frequency_hz
-    for part in parts:
-        supplies = [
-            power for j, ((bus, _, _), power) in enumerate(zip(facts.groups, wind_mw, strict=True)) if bus in part and j not in away
-        ]
-        for machine, power_mw in zip(facts.machines, at_start_mw, strict=True):
-            if machine.bus not in part or machine.bus in gone:
-                continue
-            if math.isfinite(machine.droop) and machine.bus not in stuck:
-                rating_mw = machine.rating_mw * scenario.committed
-                droop = scenario.governor_droop or machine.droop
-                power_mw = max(power_mw, min(machine.limit * rating_mw, power_mw + fall / droop * rating_mw))
-                supplies.append(power_mw)
-            elif power_mw:
-                supplies.append(power_mw)
-        if supplies:
-            yield sum(supplies), sum(loads[bus] for bus in part)
+    return [case.branch_index(*event.opens)] if isinstance(event, Fault) and event.opens is not None else []

@@ -67,8 +67,8 @@ class Suite:
         sensors: distribution of the measurements' errors; None for exact measurements.
         drawn_from: distributions of its scenarios by the name of their stratum, "" where there is only one. The first
             of n strata has the seeds with seed % n = 0, of its m distributions the first those with seed // n % m = 0.
-        margins: range of the :func:`~wtg_gym.scenarios.margin.reserve_margin` of each stratum [-]; its distributions are
-            tried in turn, from a seed's own on, until a scenario falls in it.
+        margins: range of the :func:`~wtg_gym.scenarios.margin.reserve_margin` of each stratum [-]; its distributions
+            are tried in turn, from a seed's own on, until a scenario falls in it.
         cases: the fixed cases, case i having the seed i in every split; empty with distributions.
         train: seeds to train on.
         validation: seeds to select on.
@@ -232,7 +232,8 @@ class Suite:
                 of_places = [seeds[place] for place in places]
                 distribution = self._distribution(of_places[0], attempt)
                 drawn = distribution.draw_many(of_places, n_wtg, n_turbines, duration_s, attempt)
-                accepted.update((place, s) for place, each in zip(places, drawn, strict=True) if (s := self._suits(each)))
+                suited = zip(places, map(self._suits, drawn), strict=True)
+                accepted.update((place, scenario) for place, scenario in suited if scenario is not None)
             missing = [place for place in missing if place not in accepted]
             if not missing:
                 return [accepted[place] for place in range(len(seeds))]
