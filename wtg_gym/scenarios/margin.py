@@ -140,10 +140,9 @@ def _margin_at(time_s: float, scenario: Scenario, facts: _Facts, at_start_mw: li
             continue
         rating_mw = machine.rating_mw * scenario.committed
         raised_mw = power_mw + fall / (scenario.governor_droop or machine.droop) * rating_mw
-        governed = machine.limit > 0.0 and machine.bus not in stuck
-        supplies.append(
-            (machine.bus, max(power_mw, min(raised_mw, machine.limit * rating_mw)) if governed else power_mw)
-        )
+        if machine.limit > 0.0 and machine.bus not in stuck:
+            power_mw = max(power_mw, min(raised_mw, machine.limit * rating_mw))
+        supplies.append((machine.bus, power_mw))
     margins = []
     for part in facts.case.parts_without(opened) if opened else [set(loads_mw)]:
         power_mw = sum(power for bus, power in supplies if bus in part)
