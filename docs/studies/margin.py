@@ -7,6 +7,7 @@ draws DOCS/images/margin.svg and puts the table of the strata into DOCS/benchmar
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Mapping
 
 import numpy as np
@@ -47,7 +48,7 @@ def plot_over_margin(entries: Mapping[str, tuple[np.ndarray, np.ndarray, np.ndar
     style.letter_panel(panels[1], "b", "runs lost or beyond 0.8 Hz [%]")
     for name, (margins, costs, bad) in entries.items():
         ratios, shares, middles = [], [], []
-        for low, high in zip(EDGES[:-1], EDGES[1:], strict=True):
+        for low, high in itertools.pairwise(EDGES):
             chosen = (margins >= low) & (margins < high)
             if chosen.any():
                 middles.append(100.0 * float(margins[chosen].mean()))
