@@ -44,6 +44,9 @@ METRICS: Mapping[str, Metric] = MappingProxyType(
         "worst_zenith_hz": Metric(
             "Hz", "highest frequency of any bus or unit; in extended physics only", optional=True
         ),
+        "largest_voltage_pu": Metric(
+            "p.u.", "highest terminal voltage of any connected group; in extended physics only", optional=True
+        ),
         "largest_rocof_hz_s": Metric(
             "Hz/s", "largest absolute rate of change of the centre of inertia's frequency over 500 ms"
         ),
@@ -121,9 +124,10 @@ def measure(lanes: TaskLanes, recorder: Recorder, lane: int) -> dict[str, Any]:
     )
     # What extended physics alone computes.
     worst_hz: list[float | None] = [None, None]
-    shed_energy_mwh = None
+    shed_energy_mwh = largest_voltage_pu = None
     if simulator.settings.extended:
         worst_hz = [lanes.nominal_hz * float(simulator.lane_values(f"worst_{end}")[lane]) for end in ("min", "max")]
+        largest_voltage_pu = max(groups("largest_voltage"))
         shed_energy_mwh = float(simulator.lane_values("shed_energy")[lane]) * simulator.settings.case.base_mva / 3600.0
     metrics: dict[str, float | None] = {
         "cost": math.fsum(terms.values()),
@@ -132,6 +136,7 @@ def measure(lanes: TaskLanes, recorder: Recorder, lane: int) -> dict[str, Any]:
         "zenith_hz": lanes.nominal_hz * float(simulator.lane_values("coi_max")[lane]),
         "worst_nadir_hz": worst_hz[0],
         "worst_zenith_hz": worst_hz[1],
+        "largest_voltage_pu": largest_voltage_pu,
         "largest_rocof_hz_s": float(lanes.task_values("largest_rocof")[lane]),
         "quasi_steady_deviation_hz": steady,
         "energy_mwh": captured * simulator.settings.case.base_mva / 3600.0,

@@ -14,7 +14,7 @@ with I_0 the current without the limit. Power. A frequency is added to the angle
 p_top is also the most that k ω_m³ can be. ω + Δω is the frequency of the voltage, and what everything that measures one
 sees; ω is that of the swing equation, whose droop keeps it near the set-point while the limiter acts. Rotor. It gives
 max(p, p_min): a chopper burns what the grid presses into the converter. Its heat cools with a time constant; once it
-exceeds what the chopper stands, the group disconnects. Voltage. Droop, reactive limits and one integrator,
+exceeds what the chopper stands, the group disconnects. It also disconnects beyond OVER_VOLTAGES. Voltage. Droop, reactive limits and one integrator,
 
     Ė = K_iv e,    e = max(min(V_ref - V - m_q (q - q_ref), K_q (q_max - q)), K_q (-q_max - q)),    E_min ≤ E ≤ E_max
 
@@ -37,6 +37,9 @@ from wtg_gym.systems.elementary import clip, fma, limited_rate, select
 
 #: Stands for no limit where infinity would make 0 · ∞ [p.u.].
 _UNLIMITED = 1e9
+#: Voltage above which a group stays connected for a time only [p.u.], and that time [s]. Source: Australian National
+#: Electricity Rules, S5.2.5.4, automatic access standard. (IEEE 2800-2022 asks for 1 s above 1.1 p.u.)
+OVER_VOLTAGES = ((1.10, 1200.0), (1.15, 20.0), (1.20, 2.0), (1.25, 0.2), (1.30, 0.02))
 #: Voltage that the current limiter takes from E, from which on E does not rise [p.u.]; a design value.
 CUT_FULL = 0.02
 
@@ -76,6 +79,16 @@ def converter_limits(p: ConverterLimitParameters | None, simulation_dt: float) -
         chopper_energy=p.chopper_energy_pu_s,
         heat_kept=math.exp(-simulation_dt / p.chopper_cooling_s),
     )
+
+
+class OverVoltage(NamedTuple):
+    """The simulation steps at which the voltage was last below each of `OVER_VOLTAGES`."""
+
+    step_110: float
+    step_115: float
+    step_120: float
+    step_125: float
+    step_130: float
 
 
 def most_power(rotor_speed: float, c: ConverterLimits) -> float:

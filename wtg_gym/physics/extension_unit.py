@@ -5,7 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from wtg_gym.physics.extended_converter import (
+    OVER_VOLTAGES,
     LimitState,
+    OverVoltage,
     VoltageInput,
     limiting_reactance,
     most_power,
@@ -59,6 +61,8 @@ EXTENSIONS = Kind(
         "references": VoltageInput,
         "terminal": ExtensionOutput,
         "heat": float,  # of the chopper [p.u. s]
+        "over_voltage": OverVoltage,
+        "largest_voltage": float,  # at the terminal while connected, as protections sample it [p.u.]
     },
     scratch={
         "reactance": float,  # X_v that limits the current [p.u. of the system]
@@ -88,11 +92,14 @@ def links_of_extensions(n_sync: int, n_wtg: int, unit_bus: Whole) -> dict[tuple[
     }
 
 
-@system(EXTENSIONS, "own", "references", "heat")
-def start_extension(start: Terminal, emf: float, share: float) -> tuple[ExtensionState, VoltageInput, float]:
-    """Return the equilibrium of the internal voltage, the references that keep it, and a cold chopper."""
+@system(EXTENSIONS, "own", "references", "heat", "over_voltage", "largest_voltage")
+def start_extension(
+    start: Terminal, emf: float, share: float
+) -> tuple[ExtensionState, VoltageInput, float, OverVoltage, float]:
+    """Return the equilibrium of the internal voltage, the references that keep it, a cold chopper, and no over-voltage."""
     own = ExtensionState(LimitState(0.0, 0.0, 0.0), emf)
-    return own, VoltageInput(start.magnitude, start.reactive / share), 0.0
+    references = VoltageInput(start.magnitude, start.reactive / share)
+    return own, references, 0.0, OverVoltage(0.0, 0.0, 0.0, 0.0, 0.0), start.magnitude
 
 
 @system(EXTENSIONS, "own", "heat")
@@ -288,3 +295,29 @@ def judge_chopper(
     """Disconnect a group whose chopper is full: its DC voltage would rise without an end."""
     full = (heat > extension.limits.chopper_energy) & (given.connected > 0.5) & (active > 0.5)
     return select(full, 0.0, given.connected), select(full, step, next_change)
+
+
+@system(EXTENSIONS, "connected", "next_change", "over_voltage", "largest_voltage")
+def judge_over_voltage(
+    terminal_voltage: float,
+    given: WtgInput,
+    over_voltage: OverVoltage,
+    largest_voltage: float,
+    next_change: float,
+    step: float,
+    active: float,
+    simulation_dt: float,
+) -> tuple[float, float, OverVoltage, float]:
+    """Disconnect a group whose voltage has been above one of `OVER_VOLTAGES` for longer than it has to stay."""
+    there, trips = (given.connected > 0.5) & (active > 0.5), given.connected < 0.0
+    steps = []
+    for (level, time_s), last in zip(OVER_VOLTAGES, over_voltage, strict=True):
+        last_below = select((terminal_voltage > level) & there, last, step)
+        trips = trips | ((step - last_below) * simulation_dt > time_s)
+        steps.append(last_below)
+    return (
+        select(trips, 0.0, given.connected),
+        select(trips, step, next_change),
+        OverVoltage(*steps),
+        select(there, max(largest_voltage, terminal_voltage), largest_voltage),
+    )

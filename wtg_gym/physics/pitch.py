@@ -2,7 +2,9 @@
 
     e = max(p_w - p_max, K_ω (ω_m - ω_m,max)) / (1 + β/β_K),    İ = K_βI e,    T_β β̇ = I + K_βP e - β
 
-with limits on I, on the demand and on β̇. Like WECC's pitch controller WTGPT_A it acts on speed and power, but with one
+with limits on I, on the demand and on β̇. In an extended group p_max depends on the frequency as the prescribed power
+does: its shares at ω_min, ω_st and ω_max are 1, 1 - d_n and 1 - d_pr, so that a group holds its reserve above rated
+wind too. Like WECC's pitch controller WTGPT_A it acts on speed and power, but with one
 PI. Source of gain schedule and rate limit: J. Jonkman et al.: Definition of a 5-MW Reference Wind Turbine,
 NREL/TP-500-38060.
 """
@@ -18,7 +20,9 @@ from wtg_gym.systems.elementary import clip, limited_rate
 class Pitch(NamedTuple):
     """Constants."""
 
-    power_limit: float  # p_max [p.u.]
+    power_limit: float  # p_max at ω_st [p.u.]
+    power_limit_low: float  # at ω_min
+    power_limit_high: float  # at ω_max
     rotor_limit: float  # ω_m,max [p.u.]
     speed_weight: float  # K_ω [p.u./p.u.]
     gain_p: float  # K_βP [deg/p.u.]
@@ -36,10 +40,13 @@ class PitchState(NamedTuple):
     pitch: float  # β [deg]
 
 
-def pitch_constants(p: PitchParameters) -> Pitch:
-    """Return the constants."""
+def pitch_constants(p: PitchParameters, shares: tuple[float, float, float] = (1.0, 1.0, 1.0)) -> Pitch:
+    """Return the constants; `shares` of the largest captured power are the limits at ω_min, ω_st and ω_max."""
+    low, nominal, high = (p.captured_power_limit_pu * share for share in shares)
     return Pitch(
-        power_limit=p.captured_power_limit_pu,
+        power_limit=nominal,
+        power_limit_low=low,
+        power_limit_high=high,
         rotor_limit=p.rotor_speed_limit_pu,
         speed_weight=p.speed_weight,
         gain_p=p.proportional_gain_deg,
@@ -51,12 +58,12 @@ def pitch_constants(p: PitchParameters) -> Pitch:
     )
 
 
-def pitch_rates(s: PitchState, captured: float, rotor_speed: float, c: Pitch) -> PitchState:
-    """Return the rates [deg/s] at a captured power and a rotor speed [p.u.].
+def pitch_rates(s: PitchState, captured: float, rotor_speed: float, power_limit: float, c: Pitch) -> PitchState:
+    """Return the rates [deg/s] at a captured power, a rotor speed and a limit p_max [p.u.].
 
     The integral has non-windup limits, so that it and the blades stay exactly at zero while there is no excess.
     """
-    excess = max(captured - c.power_limit, c.speed_weight * (rotor_speed - c.rotor_limit))
+    excess = max(captured - power_limit, c.speed_weight * (rotor_speed - c.rotor_limit))
     scheduled = excess / (1.0 + s.pitch * c.inv_schedule)
     demand = clip(s.pitch_integral + c.gain_p * scheduled, 0.0, c.angle_max)
     return PitchState(

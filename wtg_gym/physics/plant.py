@@ -298,7 +298,8 @@ def plant_tables(settings: Plant) -> PlantTables:
     case, base = settings.case, settings.case.base_mva
     machines = [machine_constants(machine, base) for machine in case.machines]
     of_groups = settings.turbines or (settings.turbine,)
-    turbines = [turbine_constants(t, settings.pitch, settings.control, settings.protection) for t in of_groups]
+    of_all = settings.pitch, settings.control, settings.protection, settings.extended
+    turbines = [turbine_constants(turbine, *of_all) for turbine in of_groups]
     limits = settings.limits, settings.voltage_control, settings.simulation_dt
     extensions = [extension_constants(turbine, *limits) for turbine in of_groups]
     sizes = zip(settings.groups, settings.turbines, strict=True)

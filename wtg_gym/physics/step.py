@@ -126,6 +126,7 @@ PROTECT = (
     When(LANE, "split", (protection.fall_member, protection.trip_machine)),
     protection.judge_rotor,
     extension.judge_chopper,
+    extension.judge_over_voltage,
     protection.end_run,
     protection.freeze_wind,
 )

@@ -19,7 +19,14 @@ from wtg_gym.physics.aerodynamics import (
     surface_of,
     tracking_point,
 )
-from wtg_gym.physics.converter import Converter, ConverterState, Law, converter_constants, converter_rates
+from wtg_gym.physics.converter import (
+    Converter,
+    ConverterState,
+    Law,
+    converter_constants,
+    converter_rates,
+    tracking_coefficient,
+)
 from wtg_gym.physics.extended_converter import (
     ConverterLimits,
     LimitState,
@@ -199,7 +206,11 @@ def wtg_rates(
     converter, k = converter_rates(
         s.converter, s.rotor_speed, power, u.law, c.converter, reference_speed, omega_n, limiter
     )
-    pitch = pitch_rates(s.pitch, captured, s.rotor_speed, c.pitch)
+    power_limit = c.pitch.power_limit
+    if limiter is not None:
+        at_corners = c.pitch.power_limit_low, power_limit, c.pitch.power_limit_high
+        power_limit = tracking_coefficient(s.converter.speed + limiter[0], *at_corners, c.converter.corners)
+    pitch = pitch_rates(s.pitch, captured, s.rotor_speed, power_limit, c.pitch)
     rates = WtgState(
         converter=ConverterState(
             u.connected * converter.angle, u.connected * converter.speed, u.connected * converter.filter
@@ -353,9 +364,14 @@ def searched(
 
 
 def turbine_constants(
-    turbine: TurbineParameters, pitch: PitchParameters, control: GridFormingParameters, protection: ProtectionParameters
+    turbine: TurbineParameters,
+    pitch: PitchParameters,
+    control: GridFormingParameters,
+    protection: ProtectionParameters,
+    extended: bool,
 ) -> Turbine:
-    """Return the constants of a turbine, its controls and its protections."""
+    """Return the constants of a turbine, extended or not, its controls and its protections."""
+    reserve = (1.0, 1.0 - control.deloading_nominal, 1.0 - control.deloading_limit) if extended else (1.0, 1.0, 1.0)
     best = tracking_point(0.0, turbine)
     rotor = Rotor(
         curve=curve_constants(turbine.power_coefficient),
@@ -378,7 +394,7 @@ def turbine_constants(
         low_voltage=protection.low_voltage_pu,
         low_voltage_time=protection.low_voltage_time_s,
     )
-    return Turbine(rotor, pitch_constants(pitch), converter_constants(control), limits)
+    return Turbine(rotor, pitch_constants(pitch, reserve), converter_constants(control), limits)
 
 
 def extension_constants(
