@@ -44,11 +44,12 @@ def grids() -> str:
     for name, suite in zip(known_grids(), map(get_suite, SUITES), strict=True):
         grid = get_grid(name)
         lines = dict([*describe_grid(grid), *(() if name == DEFAULT_GRID else describe_equilibrium(grid))])
-        extreme, (large,) = suite.drawn_from["extreme"], suite.drawn_from["large"]
+        kinds = {kind.name.rpartition("/")[2]: kind for kinds in suite.drawn_from.values() for kind in kinds}
+        large = kinds["large-loads"]
         lines["wind's share"] = "{:.0%} … {:.0%}".format(*large.find(Wind).penetration)
         lines["large load events"] = "{:.0f} … {:.0f} MW".format(*large.find(LoadEvents).size_mw)
         lines["lines that trip"] = str(len(large.find(LineTrips).lines))
-        lines["kinds of extreme event"] = ", ".join(kind.name.rpartition("-")[2] for kind in extreme)
+        lines["kinds of event"] = ", ".join(kinds)
         columns.append(lines)
     rows = [key for key in columns[-1] if key not in ("repaired", "replaced", "mode", "equilibrium")]
     cells = [[row, *(lines.get(row, "–") for lines in columns)] for row in rows]

@@ -57,11 +57,11 @@ def recorded(lanes: TaskLanes, steps: Iterable[np.ndarray]) -> Recording:
         return np.concatenate([lanes.nominal_hz * simulator.lane_values("worst"), *groups, unserved])
 
     samples = [sample(), *(sample() for made in steps if made[0])]
-    n = 1 + round(lanes.duration_s / lanes.settings.control_dt)
+    n = 1 + round(lanes.duration_s / lanes.settings.step_s)
     samples += [np.full_like(samples[0], np.nan)] * (n - len(samples))
     places = [1, 1 + lanes.n_wtg, 1 + 2 * lanes.n_wtg]
     frequency_hz, power_pu, rotor_speed_pu, unserved_mw = np.split(np.array(samples), places, axis=1)
-    time_s = np.arange(n) * lanes.settings.control_dt
+    time_s = np.arange(n) * lanes.settings.step_s
     return Recording(time_s, frequency_hz[:, 0], power_pu, rotor_speed_pu, unserved_mw[:, 0])
 
 

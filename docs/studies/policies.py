@@ -48,7 +48,8 @@ class Population:
 
     def __init__(self, suite: str, n_scenarios: int, n_candidates: int, **settings) -> None:
         seeds = get_suite(suite).train[:n_scenarios]
-        self.lanes = TaskLanes(EnvSettings(suite=suite, split="train", reward="cost", **settings), n_scenarios * n_candidates)
+        settings_of_env = EnvSettings(suite=suite, split="train", reward="cost", **settings)
+        self.lanes = TaskLanes(settings_of_env, n_scenarios * n_candidates)
         self._scenarios = self.lanes.scenarios(seeds)
         self._offsets = np.array([self.lanes.suite.cost_offset(scenario) for scenario in self._scenarios])
 

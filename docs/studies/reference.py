@@ -39,7 +39,7 @@ def overview():
     header = ("", "Action space", "Observation space", "Groups of turbines", "Step, episode", "Suites")
     columns = [header]
     for version in NEWEST_FIRST:
-        env, step_s = ENVS[version.version], ENVS[version.version].settings.control_dt
+        env, step_s = ENVS[version.version], ENVS[version.version].settings.step_s
         groups = [f"{group.n_turbines:g} at bus {group.bus}" for group in env.settings.resolved_plant.groups]
         suites = [f"`{suite.name}`" for suite in SUITES.values() if suite.task == version]
         episode = env.settings.episode_duration_s()

@@ -34,6 +34,8 @@ def describe_scenario(scenario: Scenario) -> list[str]:
         f"inertia of each {100.0 * scenario.inertia_scale:.3g} %, load {100.0 * scenario.load_level:.3g} %",
         f"  load noise   {noise}",
     ]
+    if scenario.reserve_margin is not None:
+        lines.append(f"  reserve      {100.0 * scenario.reserve_margin:.1f} % of the load, at its least")
     events = sorted(scenario.events, key=lambda event: event.time_s)
     for head, event in zip(["events", *[""] * len(events)], events, strict=False):
         late = " (after the end of the run)" if event.time_s >= scenario.duration_s else ""

@@ -58,6 +58,7 @@ def _summary(suite: Suite) -> dict[str, Any]:
         "duration_s": suite.duration_s,
         "splits": {split: [suite.seeds(split).start, suite.seeds(split).stop - 1] for split in SPLITS},
         "cases": [case.name for case in suite.cases],
+        "margins": dict(suite.margins),
         "drawn_from": {name: [one.to_dict() for one in kinds] for name, kinds in suite.drawn_from.items()},
         "benchmark": suite.task.to_dict(),
         "plant": {"groups": [group.to_dict() for group in suite.plant.groups], **suite.plant_data},

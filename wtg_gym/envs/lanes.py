@@ -54,15 +54,17 @@ class LanesSnapshot(NamedTuple):
     physics: tuple[Floats, LaneData]
     outputs: Outputs
     scenario_seeds: npt.NDArray[np.int64]
+    reserve_margins: Floats
     events: list[tuple[Event, ...]]
 
 
 class PreparedEpisodes(NamedTuple):
-    """Episodes that are ready to start; length and seed of each, (n,), and its events in their order."""
+    """Episodes that are ready to start; length, seed and reserve margin of each, (n,), and its events in order."""
 
     lanes: PreparedLanes
     n_steps: npt.NDArray[np.int64]
     scenario_seeds: npt.NDArray[np.int64]
+    reserve_margins: Floats
     events: tuple[tuple[Event, ...], ...]
     outputs: Outputs  # what they begin with
 
@@ -101,10 +103,8 @@ class TaskLanes:
         )
         self.n_lanes = self.simulator.n_lanes
         self.nominal_hz = plant.case.frequency_hz
-        points = 100.0 / settings.task.scale if settings.scores else 0.0
-        self.task_data = task_data(
-            settings.task, settings.choices, self.simulator.layout, settings.n_intervals, points
-        )
+        points = 100.0 / (settings.task.scale or 1.0) if settings.scores else 0.0
+        self.task_data = task_data(settings.task, settings.choices, self.simulator.layout, settings.n_intervals, points)
         #: Control steps of an episode.
         self.n_steps_of_episode = whole_steps("duration_s", self.duration_s, settings.step_s, "control step")
         #: The law that scores 100, whose costs rewards are compared with.
@@ -118,6 +118,8 @@ class TaskLanes:
         #: Observations (n_lanes, n_observation) and rewards (n_lanes,): arrays that the next step writes into.
         self.observations, self.rewards = self.outputs.observations, self.outputs.rewards
         self.scenario_seeds = np.full(n_lanes, -1, dtype=np.int64)
+        #: Of each lane's episode, see :mod:`wtg_gym.scenarios.margin`; NaN where the suite has no margins.
+        self.reserve_margins = np.full(n_lanes, np.nan)
         #: Events of each lane's episode, in their order.
         self.events: list[tuple[Event, ...]] = [()] * n_lanes
         self._bound: Any = None
@@ -218,6 +220,7 @@ class TaskLanes:
             lanes,
             n_steps,
             np.array(seeds, dtype=np.int64),
+            np.array([self.suite.margin(scenario) for scenario in scenarios]),
             tuple(tuple(sorted(scenario.events, key=lambda event: event.time_s)) for scenario in scenarios),
             outputs,
         )
@@ -313,10 +316,12 @@ class TaskLanes:
         taken = np.arange(index.size) if places is None else np.array(places, dtype=np.int64)
         simulator.start(index, episodes.lanes, places=taken)
         outputs = self.outputs
+        array: Any
         for array, first in zip(outputs, episodes.outputs, strict=True):
             array[index] = first[taken]
         outputs.rewards[index], outputs.terminated[index], outputs.truncated[index] = 0.0, False, False
         self.scenario_seeds[index] = episodes.scenario_seeds[taken]
+        self.reserve_margins[index] = episodes.reserve_margins[taken]
         for lane, place in zip(index.tolist(), taken.tolist(), strict=True):
             self.events[lane] = episodes.events[place]
 
@@ -392,6 +397,8 @@ class TaskLanes:
         """Return every key of `info` as an array over lanes: copies, except the reasons while no lane has failed."""
         arrays: dict[str, npt.NDArray[Any]] = dict(zip(self.info_names, self.outputs.infos.T.copy(), strict=False))
         arrays["scenario_seed"] = self.scenario_seeds.copy()
+        if self.suite.margins:
+            arrays["reserve_margin"] = self.reserve_margins.copy()
         arrays["termination_reason"] = self._no_reasons
         if self.outputs.terminated.any():
             reasons = [TERMINATION_REASONS[Status(status)] for status in self.statuses()]
@@ -404,6 +411,8 @@ class TaskLanes:
         # To have it checked that there are values enough takes a tenth of the shortest step.
         info: dict[str, Any] = dict(zip(self.info_names, self.outputs.infos[0], strict=False))
         info["scenario_seed"] = int(self.scenario_seeds[0])
+        if self.suite.margins:
+            info["reserve_margin"] = self.reserve_margins[0]
         failed = self.outputs.terminated[0]
         info["termination_reason"] = TERMINATION_REASONS[Status(int(self.statuses()[0]))] if failed else ""
         return info
@@ -423,12 +432,13 @@ class TaskLanes:
             self.simulator.snapshot(),
             Outputs._make(array.copy() for array in self.outputs),
             self.scenario_seeds.copy(),
+            self.reserve_margins.copy(),
             list(self.events),
         )
 
     def restore(self, snapshot: LanesSnapshot) -> None:
         """Go back to a :meth:`snapshot`; a ValueError refuses that of an environment with other settings."""
-        given, physics, outputs, seeds, events = snapshot
+        given, physics, outputs, seeds, margins, events = snapshot
         if other := [name for name, value in self._of_episodes.items() if given[name] != value]:
             raise ValueError(f"the snapshot is of an environment with other settings: {', '.join(other)}")
         self._bound = None
@@ -436,7 +446,7 @@ class TaskLanes:
         own: Any
         for own, kept in zip(self.outputs, outputs, strict=True):
             own[:] = kept
-        self.scenario_seeds[:] = seeds
+        self.scenario_seeds[:], self.reserve_margins[:] = seeds, margins
         self.events[:] = events
 
 

@@ -74,8 +74,8 @@ class EnvSettings:
         duration_s: length of an episode [s]. Default: the suite's, 180 s in v1, 120 s in both `paper`, else 60 s.
         control_dt: time for which an action is held, one step [s]. In v1 sensors measure and costs are charged every
             0.1 s within it, of which it is a whole number, or once in a shorter one. Default: 0.1 s, in v1 0.5 s.
-        reward: `"score"`: returns are points of the score above the law that scores 100, default of v1; `"cost"`:
-            minus the cost, default of v0.
+        reward: `"score"`, default of v1: the return of an episode is its score less 100, in v0, which has no scale of
+            its own, 100 · ln((C_100 + J0) / (C + J0)); `"cost"`, default of v0: minus the cost.
         weights: replaces single weights of the cost, see :class:`CostWeights`.
         on_failure: consequence of a rotor's failure (stall, over-speed, under-speed): `"terminate"` the episode,
             default of v0, or `"trip"` its group and go on, default of v1.
@@ -115,8 +115,6 @@ class EnvSettings:
         suite = self.resolved_suite
         self.sensor_distribution()
         _ = self.n_intervals
-        if self.scores and self.task.scale is None:
-            raise ValueError(f'reward = "score" is not known for version {self.task.version}; allowed: "cost"')
         if self.duration_s is not None:
             require_range("duration_s", self.duration_s, 1.0, 3600.0, "s")
         if self.scenario is None and suite.distributions:

@@ -53,10 +53,16 @@ class Outputs(NamedTuple):
 
 def new_outputs(n_lanes: int, n_observation: int, n_steps: int = -1) -> Outputs:
     """Return outputs of zeros, for rewards that are points of the score in episodes of so many control steps."""
-    flags = (np.zeros(n_lanes, dtype=np.bool_) for _ in range(2))
-    observations = np.zeros((n_lanes, n_observation), dtype=np.float32)
-    of_score = np.zeros((n_lanes, n_steps + 1)), np.ones(n_lanes), np.zeros(n_lanes)
-    return Outputs(observations, np.zeros(n_lanes), np.zeros((n_lanes, N_INFO)), *flags, *of_score)
+    return Outputs(
+        observations=np.zeros((n_lanes, n_observation), dtype=np.float32),
+        rewards=np.zeros(n_lanes),
+        infos=np.zeros((n_lanes, N_INFO)),
+        terminated=np.zeros(n_lanes, dtype=np.bool_),
+        truncated=np.zeros(n_lanes, dtype=np.bool_),
+        reference=np.zeros((n_lanes, n_steps + 1)),
+        offsets=np.ones(n_lanes),
+        gained=np.zeros(n_lanes),
+    )
 
 
 class TaskData(NamedTuple):
@@ -149,7 +155,7 @@ def _score(block: Floats, first: int, n_substeps: int, task: TaskData, outputs: 
         lane, cost = first + x, 0.0
         for k in range(_N_TERMS):
             cost += block[task.sums + k, x]
-        steps = int(math.ceil(block[task.step, x] / n_substeps)) if block[task.active, x] > 0.5 else -1
+        steps = math.ceil(block[task.step, x] / n_substeps) if block[task.active, x] > 0.5 else -1
         offset = outputs.offsets[lane]
         gained = math.log((outputs.reference[lane, steps] + offset) / (cost + offset))
         outputs.rewards[lane] = task.points * (gained - outputs.gained[lane])

@@ -70,6 +70,7 @@ METRICS: Mapping[str, Metric] = MappingProxyType(
             "MWh", "load not served, at 1 p.u. of voltage; in extended physics only", optional=True
         ),
         "survived_s": Metric("s", "simulated time until the end or the failure"),
+        "reserve_margin": Metric("-", "reserve margin of the scenario; in version v1 only", optional=True),
     }
 )
 
@@ -149,5 +150,6 @@ def measure(lanes: TaskLanes, recorder: Recorder, lane: int) -> dict[str, Any]:
         "tripped_groups": float(sum(connected < 0.5 for connected in groups("connected"))),
         "shed_energy_mwh": shed_energy_mwh,
         "survived_s": float(simulator.lane_values("step")[lane]) * simulator.plant.simulation_dt,
+        "reserve_margin": float(lanes.reserve_margins[lane]) if lanes.suite.margins else None,
     }
     return {"metrics": metrics, "failure": TERMINATION_REASONS[status]}

@@ -82,7 +82,7 @@ def survivable(own: GridSuite, on_progress: Callable[[str, float, int], object])
     """Return the places of a suite's events that some law survives at every operating point tried."""
     suite = own.suite
     plant = suite.plant
-    drawn = suite.scenarios([seed for seed in suite.validation if suite.stratum(seed) == "ordinary"][:_N_POINTS])
+    drawn = suite.scenarios([seed for seed in suite.validation if suite.stratum(seed) == "ample"][:_N_POINTS])
     length: dict[str, Any] = {"duration_s": _STRIKES_S + _AFTERWARDS_S}
     points = [dataclasses.replace(scenario, events=(), **length) for scenario in drawn]
 

@@ -105,7 +105,10 @@ def _checked(name: str, value: Any, kind: Any, field: Any, *, is_item: bool = Fa
             if len(items) == len(value):
                 pairs = zip(value, items, strict=True)
                 return tuple(_checked(name, item, own, field, is_item=True) for item, own in pairs)
-    elif origin in (np.ndarray, npt.NDArray) or isinstance(value, kind if origin in (None, types.UnionType) else origin):
+    # The origin of an array's annotation is its alias from numpy 2.5 on.
+    elif origin in (np.ndarray, npt.NDArray) or isinstance(
+        value, kind if origin in (None, types.UnionType) else origin
+    ):
         return value
     doc = field.metadata.get("doc")
     raise ValueError(f"{name} must be {field.type}{f' ({doc})' if doc else ''}, got {value!r:.80}")

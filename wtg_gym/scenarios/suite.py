@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from functools import cached_property
@@ -19,7 +20,7 @@ from wtg_gym.physics.plant import Plant
 from wtg_gym.physics.scenario import Event, Scenario, trusted
 from wtg_gym.ranges import did_you_mean, is_whole, require_whole
 from wtg_gym.scenarios.distribution import ScenarioDistribution
-from wtg_gym.scenarios.margin import reserve_margin
+from wtg_gym.scenarios.margin import ReserveMargin
 from wtg_gym.scenarios.sensor_distribution import SensorDistribution
 from wtg_gym.scenarios.stream import Span
 from wtg_gym.tasks import ANY_GRID, V0, Task
@@ -66,8 +67,8 @@ class Suite:
         sensors: distribution of the measurements' errors; None for exact measurements.
         drawn_from: distributions of its scenarios by the name of their stratum, "" where there is only one. The first
             of n strata has the seeds with seed % n = 0, of its m distributions the first those with seed // n % m = 0.
-        margins: range of the :func:`~wtg_gym.scenarios.margin.reserve_margin` of each stratum [-]; its distributions are
-            tried in turn, from a seed's own on, until a scenario falls in it.
+        margins: range of the :class:`~wtg_gym.scenarios.margin.ReserveMargin` of each stratum [-]; its distributions
+            are tried in turn, from a seed's own on, until a scenario falls in it.
         cases: the fixed cases, case i having the seed i in every split; empty with distributions.
         train: seeds to train on.
         validation: seeds to select on.
@@ -131,13 +132,21 @@ class Suite:
         """Return the name of a seed's stratum, "" where there are none."""
         return self.strata[seed % len(self.strata)] if self.strata else ""
 
+    def margin(self, scenario: Scenario) -> float:
+        """Return the reserve margin of a scenario in the suite's plant, NaN where strata do not follow from it."""
+        if not self.margins:
+            return math.nan
+        return self._reserve_margin.of(scenario) if scenario.reserve_margin is None else scenario.reserve_margin
+
+    @cached_property
+    def _reserve_margin(self) -> ReserveMargin:
+        return ReserveMargin(self.plant)
+
     def cost_offset(self, scenario: Scenario) -> float:
-        """Return J0 of the score in a scenario: that of its stratum, of one of a user's by its reserve margin."""
+        """Return J0 of the score in a scenario, by its reserve margin; below all strata that of the last."""
         if not self.margins:
             return self.task.cost_offsets[""]
-        margin = scenario.reserve_margin
-        if margin is None:
-            margin = reserve_margin(scenario, self.plant)
+        margin = self.margin(scenario)
         strata = [name for name, (low, _) in self.margins.items() if margin >= low]
         return self.task.cost_offsets[strata[0] if strata else list(self.margins)[-1]]
 
@@ -227,7 +236,8 @@ class Suite:
                 of_places = [seeds[place] for place in places]
                 distribution = self._distribution(of_places[0], attempt)
                 drawn = distribution.draw_many(of_places, n_wtg, n_turbines, duration_s, attempt)
-                accepted.update((place, s) for place, each in zip(places, drawn, strict=True) if (s := self._suits(each)))
+                suited = zip(places, map(self._suits, drawn), strict=True)
+                accepted.update((place, scenario) for place, scenario in suited if scenario is not None)
             missing = [place for place in missing if place not in accepted]
             if not missing:
                 return [accepted[place] for place in range(len(seeds))]
@@ -242,7 +252,7 @@ class Suite:
         if not self.margins:
             return scenario
         assert scenario.seed is not None
-        margin = reserve_margin(scenario, self.plant)
+        margin = self._reserve_margin.of(scenario)
         low, high = self.margins[self.stratum(scenario.seed)]
         return trusted(Scenario, **{**vars(scenario), "reserve_margin": margin}) if low <= margin < high else None
 

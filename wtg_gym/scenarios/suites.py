@@ -81,7 +81,7 @@ def _drawn_v1(name: str, description: str, plant: Mapping[str, Any] = _WIND_PLAN
     return suite_of_strata(name, description, plant, _PLACES, **settings)
 
 
-#: What may fail in two strata of faults-v1.
+#: What may fail besides load events in faults-v1.
 _FAULTS: draws.Changes = MappingProxyType(
     {
         draws.LineTrips: {"probability": 0.6},
@@ -196,7 +196,7 @@ SUITES: Mapping[str, Suite] = MappingProxyType(
                 "faults",
                 "Short circuits, lines that open and close again, machines and groups that trip, in every stratum.",
                 changes={draws.LineTrips: {"reclosing_s": (1.0, 10.0)}},
-                changes_in={"ordinary": _FAULTS, "large": {**_FAULTS, draws.GroupTrips: {"probability": 0.15}}},
+                changes_in={"loads": _FAULTS, "large-loads": {**_FAULTS, draws.GroupTrips: {"probability": 0.15}}},
             ),
             _drawn_v1(
                 "weak-grid",
@@ -209,7 +209,7 @@ SUITES: Mapping[str, Suite] = MappingProxyType(
                     draws.UnitCommitment: {"loading": (0.6, 0.8)},
                 },
                 changes_in={
-                    "large": {draws.MachineOutages: {"probability": 0.0}},
+                    "large-loads": {draws.MachineOutages: {"probability": 0.0}},
                     "machine": {
                         draws.OperatingPoint: {"load_level": (0.93, 1.0)},
                         draws.Wind: {"penetration": (0.74, 0.88)},
