@@ -80,7 +80,6 @@ class Task:
         on_failure: what the failure of a rotor does, unless an environment is asked for the other.
         failure_costs_whole_episode: whether a failed episode costs what one costs in which no load is served; else it
             costs the cap for the time that was left. Where it does, entries are marked for their reliability.
-        scale: Λ of the score; None: from the anchors in the scenarios that are scored.
         cost_offsets: stratum, "" where there are none, and J0 of the score in it, in units of the cost.
         anchors: names of the entries that score 0 and 100.
         scale: Λ of the score, what the entry at 100 gains on that at 0; None: from the scenarios that are played.
@@ -105,7 +104,6 @@ class Task:
     duty_time_s: float = 0.0
     on_failure: str = "terminate"
     failure_costs_whole_episode: bool = False
-    scale: float | None = None
     cost_offsets: Mapping[str, float] = field(default_factory=lambda: {"": 5.0})
     anchors: tuple[str, str]
     scale: float | None = None
