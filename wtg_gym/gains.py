@@ -57,6 +57,8 @@ def stratum_scales(settings: EnvSettings) -> dict[str, float]:
     """
     task, suite, costs = settings.task, settings.resolved_suite, []
     names = suite.strata or ("",)
+    if task.scale is not None:
+        return dict.fromkeys(names, task.scale)
     seeds = [
         list(itertools.islice((seed for seed in suite.train if suite.stratum(seed) == name), _PER_STRATUM))
         for name in names
