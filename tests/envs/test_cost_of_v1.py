@@ -22,7 +22,7 @@ TERMS = [f"cost_{name}" for name in COST_TERMS]
 def steps(*events: Event, duration_s: float = 12.0, action: float = 0.0, **settings: Any) -> Iterator[Any]:
     """Play a scenario of v1; yield environment, reward and terms of the cost after each step."""
     scenario = calm(wind=10.0, n_wtg=4, duration_s=duration_s, events=events)
-    env = GFMWTGEnv(version="v1", scenario=scenario, **settings)
+    env = GFMWTGEnv(version="v1", scenario=scenario, **{"control_dt": 0.1, "reward": "cost", **settings})
     env.reset(seed=0)
     over = False
     while not over:
@@ -88,7 +88,7 @@ def test_a_group_that_its_protection_has_tripped_owes_its_power_at_the_frequency
         LoadStep(time_s=4.0, bus=3, power_mw=40.0),
     )
     before = 0.0
-    for env, _, _ in steps(capacitor, load, control_dt=0.1):
+    for env, _, _ in steps(capacitor, load):
         simulator = env.lanes.simulator
         now = simulator.values(simulator.layout.rows_of(FILTERED_DUTY, "mean_duty")[3])[0]
         # The available power of a calm wind, of which 0.05 are a unit.
