@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from typing import Any
 
@@ -11,7 +12,7 @@ import pytest
 from tests.envs.rollouts import calm
 from wtg_gym.envs import GFMWTGEnv
 from wtg_gym.physics.scenario import Event, Fault, GroupTrip, LineTrip, LoadStep, MachineOutage
-from wtg_gym.tasks.cost import COST_TERMS
+from wtg_gym.tasks.cost import COST_TERMS, FILTERED_DUTY
 
 #: Lines whose opening leaves the groups at buses 6 and 8 to themselves.
 CUT = [LineTrip(time_s=1.0, from_bus=a, to_bus=b) for a, b in ((5, 6), (4, 7), (4, 9))]
@@ -21,7 +22,7 @@ TERMS = [f"cost_{name}" for name in COST_TERMS]
 def steps(*events: Event, duration_s: float = 12.0, action: float = 0.0, **settings: Any) -> Iterator[Any]:
     """Play a scenario of v1; yield environment, reward and terms of the cost after each step."""
     scenario = calm(wind=10.0, n_wtg=4, duration_s=duration_s, events=events)
-    env = GFMWTGEnv(version="v1", scenario=scenario, **settings)
+    env = GFMWTGEnv(version="v1", scenario=scenario, **{"control_dt": 0.1, "reward": "cost", **settings})
     env.reset(seed=0)
     over = False
     while not over:
@@ -78,6 +79,25 @@ def test_the_cap_holds_for_the_other_terms_together() -> None:
         assert [held[name] for name in others] == pytest.approx([share * free[name] for name in others], rel=1e-9)
         n_capped += share < 1.0
     assert 0 < n_capped < len(played[0])
+
+
+def test_a_group_that_its_protection_has_tripped_owes_its_power_at_the_frequency_of_the_grid() -> None:
+    # Over-voltage disconnects the group at bus 8, then a load lowers the frequency.
+    capacitor, load = (
+        LoadStep(time_s=1.0, bus=8, power_mw=0.0, reactive_mvar=-120.0),
+        LoadStep(time_s=4.0, bus=3, power_mw=40.0),
+    )
+    before = 0.0
+    for env, _, _ in steps(capacitor, load):
+        simulator = env.lanes.simulator
+        now = simulator.values(simulator.layout.rows_of(FILTERED_DUTY, "mean_duty")[3])[0]
+        # The available power of a calm wind, of which 0.05 are a unit.
+        owed, before = (now - before) / -math.expm1(-0.1 / 15.0) + before, now
+        gone, centre = simulator.wtg_values("connected")[0, 3] < 0.5, simulator.lane_values("coi")[0]
+        if gone:
+            share = np.interp(centre, [0.992, 1.0, 1.008], [1.0, 0.95, 0.9])
+            assert owed == pytest.approx(-share / 0.05, rel=1e-9)
+    assert gone and abs(simulator.wtg_values("speed")[0, 3] - centre) > 0.002
 
 
 def test_load_that_is_shed_is_charged_by_its_share() -> None:

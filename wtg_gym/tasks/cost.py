@@ -290,11 +290,10 @@ def charge_largest_deviation(
     return term_rates._replace(frequency=weights.frequency * frequency_cost(largest_deviation * task.nominal_hz))
 
 
-@system(GROUP_COST, "deviations", "charged_duty", "there")
-def find_deviations(
-    state: WtgState, output: WtgOutput, turbine: Turbine, task: TaskConstants
-) -> tuple[GroupDeviations, float, float]:
-    """Find the deviations of a WTG group.
+def _deviations(
+    frequency: float, state: WtgState, output: WtgOutput, turbine: Turbine, task: TaskConstants
+) -> GroupDeviations:
+    """Return the deviations of a WTG group.
 
     The prescribed power is a share of the usable power. Usable is the available power, up to that of which a rotor with
     its nominal reserve captures as much as the pitch protection allows. A group that a protection has tripped captures
@@ -304,19 +303,37 @@ def find_deviations(
     available = turbine.rotor.available_per_cubic_wind * wind * wind * wind
     usable = min(available, turbine.pitch.power_limit / task.share_nominal)
     prescribed = usable * tracking_coefficient(
-        frequency_of(state, output), task.share_min, task.share_nominal, task.share_max, turbine.converter.corners
+        frequency, task.share_min, task.share_nominal, task.share_max, turbine.converter.corners
     )
     ratio = tip_speed_ratio(state.rotor_speed, wind, turbine.rotor)
     best = turbine.rotor.tip_speed_ratio_opt
     low, high = 0.9 * best - ratio, ratio - 1.1 * turbine.rotor.tip_speed_ratio_limit
     # Above rated the pitch, not the rotor, keeps the tip-speed ratio low.
     low = select(state.pitch.pitch > turbine.limits.stall_pitch, 0.0, low)
-    deviations = GroupDeviations(
+    return GroupDeviations(
         duty=(output.captured - prescribed) / (0.05 * available),
         rotor=max(0.0, max(low, high)) / (0.1 * best),
         overload=max(0.0, output.power - turbine.converter.overload) / 0.1,
         available=available,
     )
+
+
+@system(GROUP_COST, "deviations", "charged_duty", "there")
+def find_deviations(
+    state: WtgState, output: WtgOutput, turbine: Turbine, task: TaskConstants
+) -> tuple[GroupDeviations, float, float]:
+    """Find the deviations of a WTG group at its own frequency."""
+    deviations = _deviations(frequency_of(state, output), state, output, turbine, task)
+    return deviations, deviations.duty, 1.0
+
+
+@system(GROUP_COST, "deviations", "charged_duty", "there")
+def find_deviations_at_grid_frequency(
+    state: WtgState, given: WtgInput, output: WtgOutput, coi: float, turbine: Turbine, task: TaskConstants
+) -> tuple[GroupDeviations, float, float]:
+    """Find them at the grid's frequency where the group is disconnected: its own no longer moves."""
+    frequency = select(given.connected > 0.5, frequency_of(state, output), coi)
+    deviations = _deviations(frequency, state, output, turbine, task)
     return deviations, deviations.duty, 1.0
 
 

@@ -28,7 +28,7 @@ V1 = Task(
         cost.compare_machine,
         cost.compare_group,
         cost.charge_largest_deviation,
-        cost.find_deviations,
+        cost.find_deviations_at_grid_frequency,
         cost.filter_duty,
         cost.charge_group,
         episode.remember_group,
