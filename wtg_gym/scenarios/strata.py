@@ -310,7 +310,7 @@ def suite_of_strata(
         },
         margins={name: stratum.margin for name, stratum in STRATA.items()},
         validation=range(10_000, 10_300),
-        test=range(20_000, 20_900),
+        test=range(20_000, 20_450),
         **plant,
     )
 
