@@ -25,9 +25,9 @@ from wtg_gym.tasks.sensing import MeasuredObservation
 from . import COORDINATED_SOURCE
 
 #: F: mean deviation of the frequency that takes the whole authority [Hz].
-FULL_ACTION_HZ = 0.76
+FULL_ACTION_HZ = 0.53
 #: ω_1: rotor speed below which a group gives less [p.u.], and G: how much less [1/p.u.].
-SLOW_ROTOR_PU, ROTOR_GAIN = 0.73, 1.1
+SLOW_ROTOR_PU, ROTOR_GAIN = 0.67, 3.3
 
 
 class MeanDroop:
