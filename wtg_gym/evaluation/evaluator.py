@@ -186,7 +186,7 @@ def shared_settings(settings: EnvSettings) -> dict[str, Any]:
         "simulation_dt": float(plant.simulation_dt),
         "weights": {key: float(value) for key, value in settings.cost_weights()._asdict().items()},
         "groups": [group.to_dict() for group in plant.groups],
-        "authority": {"k": task.k_authority, "tau": TIME_CONSTANT_RATIO},
+        "authority": {"k": task.k_authority, "tau": TIME_CONSTANT_RATIO**task.tau_authority},
         "on_failure": "trip" if plant.trips_groups else "terminate",
     }
     if settings.plant is not None:
