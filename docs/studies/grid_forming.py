@@ -36,17 +36,14 @@ def described():
 
 
 def verdicts(runs):
-    """Return the table of verdicts, controllers with equal ones in a row, and that of the figures of two of them."""
+    """Return the table of verdicts, controllers with equal ones in a row."""
     alike = {}
     for label, own in runs.items():
         failed = tuple(f"`{name}`" for name, (_, (passed, _)) in own.items() if not passed)
         alike.setdefault(failed, []).append(label)
     n = len(GRID_TESTS)
     rows = [(", ".join(labels), f"{n - len(failed)} of {n}", ", ".join(failed)) for failed, labels in alike.items()]
-    shown = [label for label in runs if label in DRAWN[1:]]
-    figures = [(f"`{name}`", *(runs[label][name][1][1] for label in shown)) for name in GRID_TESTS]
-    verdict_table = markdown_table(("controllers", "passed", "failed"), rows)
-    return f"{verdict_table}\n\n{markdown_table(('test', *shown), figures)}"
+    return markdown_table(("controllers", "passed", "failed"), rows)
 
 
 @style.printed

@@ -144,8 +144,8 @@ def class_list(title, fields, values):
         unit = "" if meta["unit"] == "-" or field.name.endswith(ending) else f" {meta['unit']}"
         source = "" if meta["source"] == usual else f" ({meta['source']})"
         numbers = [f"{value:g}" for value in values(field)]
-        shown = numbers[0] if len(set(numbers)) == 1 else " / ".join(numbers)
-        lines.append(f"- `{field.name}` = {shown}{unit}: {meta['doc']}{source}")
+        shown = numbers[0] if len(set(numbers)) == 1 else "/".join(numbers)
+        lines.append(f"- `{field.name}`: {shown}{unit}, {meta['doc']}{source}")
     return "\n".join(lines)
 
 
@@ -172,7 +172,7 @@ def parameters_page():
         numbers = {key: value for key, value in vars(machine).items() if type(value) in (int, float) and key != "bus"}
         kinds.setdefault(tuple(numbers.items()), []).append(str(machine.bus))
     fields = [field for field in dataclasses.fields(SynchronousMachineParameters) if field.name in numbers]
-    title = f"Synchronous machines at buses {' / '.join(', '.join(buses) for buses in kinds.values())}"
+    title = f"Synchronous machines at buses {'/'.join(' and '.join(buses) for buses in kinds.values())}"
     parts.append(class_list(title, fields, lambda field: [dict(kind)[field.name] for kind in kinds]))
     listed = "\n\n".join(parts)
     sources = "\n".join(f"- **{key}**: {text}" for key, text in SOURCES.items() if f"({key})" in listed)
