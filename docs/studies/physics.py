@@ -280,36 +280,6 @@ def draw_increase(increase):
     return figure
 
 
-@style.printed
-def draw_parts(increase, failures):
-    """Draw, for each plant, when the load increase ends in a failure, and the failures in suites."""
-    figure = style.new_figure(style.DOUBLE_COLUMN_MM, 112.0)
-    left, right = figure.subplots(1, 2, sharey=True)
-    places, duration_s = np.arange(len(increase)), INCREASE.duration_s
-    for index, strategy in enumerate(STRATEGIES):
-        look = {"color": style.STRATEGY_LOOKS[strategy].colour, "marker": style.MARKERS[index], "linestyle": "none"}
-        at = places + 0.2 * (index - 1.5)
-        runs = [increase[plant][strategy] for plant in increase]
-        lasts = np.array([not run.failed for run in runs])
-        left.plot([run.end_s for run in runs if run.failed], at[~lasts], label=strategy, **look)
-        left.plot(np.full(lasts.sum(), duration_s), at[lasts], **{**look, "markerfacecolor": "none"})
-        counts = [sum(len(failures[plant, suite, strategy]) for suite in SUITES) for plant in increase]
-        right.plot(100.0 * np.array(counts) / (len(SUITES) * N_SCENARIOS), at, **look)
-    titles = "failure in the load increase", f"failures in {' and '.join(SUITES)}"
-    for panel, letter, title in zip((left, right), "ab", titles, strict=True):
-        style.letter_panel(panel, letter, title)
-        for place in places[:-1]:
-            panel.axhline(place + 0.5, color="0.9", linewidth=0.5)
-        panel.grid(axis="y", visible=False)
-    left.set_yticks(places, list(increase))
-    left.set_ylim(places.size - 0.5, -0.5)
-    left.set_xlabel("time [s]; hollow: none")
-    left.set_xlim(0.0, 1.06 * duration_s)
-    right.set_xlabel("share of runs [%]")
-    figure.legend(loc="outside lower center", ncols=len(STRATEGIES))
-    return figure
-
-
 # --- how stiffly a group holds to the grid ----------------------------------------------------------------------------
 
 
@@ -448,7 +418,6 @@ def main(docs):
     """Renew the page and its pictures."""
     increase, decrease, failures = measure()
     style.save_figure(draw_increase(increase), docs / "physics" / "load-increase", ["svg"])
-    style.save_figure(draw_parts(increase, failures), docs / "physics" / "parts", ["svg"])
     sections = {
         "survival": survival_table(increase, decrease, failures),
         "parts": parts_table(increase, failures),
