@@ -36,8 +36,7 @@ _EMBEDDED = f"""
 """
 #: Code, or a link or picture with its text, file and anchor; a link in code is left alone.
 _LINK = re.compile(
-    r"^```.*?^```|`[^`\n]+`|(!?)\[((?:`[^`]*`|[^\[\]`])*)\]\(([^()\s:#]*)(#[^()\s]*)?\)",
-    flags=re.MULTILINE | re.DOTALL,
+    r"^```.*?^```|`[^`\n]+`|(!?)\[((?:`[^`]*`|[^\[\]`])*)\]\(([^()\s:#]*)(#[^()\s]*)?\)", flags=re.MULTILINE | re.DOTALL
 )
 _INCLUDED = re.compile(r"^.*\]\(\.\./README\.md#([\w-]+)\) *<!-- include -->$", flags=re.MULTILINE)
 

@@ -111,12 +111,7 @@ def tuning_of(law: TrackingLaw) -> Tuning:
 
 
 def tune_law(
-    suite: str,
-    capped: bool,
-    n_scenarios: int = N_SCENARIOS,
-    generations: int = 18,
-    population: int = 12,
-    seed: int = 1,
+    suite: str, capped: bool, n_scenarios: int = N_SCENARIOS, generations: int = 18, population: int = 12, seed: int = 1
 ) -> TrackingLaw:
     """Return the law that scores most, by the scales that the present anchors have."""
     first = int(capped)

@@ -101,7 +101,7 @@ def test_a_machine_that_comes_back_agrees_with_a_second_implementation() -> None
         MachineOutage(time_s=1.0, bus=2, returns_after_s=1.5): [
             {"t": 1.0, "bus": 2, "outage": True},
             {"t": 2.5, "bus": 2, "returns": True},
-        ],
+        ]
     }
     # With the speed, angle and voltage that it finds at its bus: the frequency is not nominal.
     expected = compare(data, [{"t": 0.5, "bus": 9, "dG_pu": 0.4}], others, 8.0, left_out="w2")

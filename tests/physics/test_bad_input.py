@@ -194,10 +194,7 @@ UNFIT: list[tuple[Call, str]] = [
     (fit(*(GroupTrip(time_s=t, group=1) for t in (1.0, 2.0))), "disconnects WTG group 1 at bus 2 twice"),
     (fit(GovernorLoss(time_s=1.0, bus=3)), r"no machine with a governor at bus 3; buses with one: \[1\]"),
     (fit(MachineOutage(time_s=1.0, bus=2)), r"no synchronous machine at bus 2; buses with one: \[1, 3, 6, 8\]"),
-    (
-        fit(MachineOutage(time_s=1.0, bus=3, returns_after_s=1.0)),
-        "brings back .* at bus 3, which needs extended",
-    ),
+    (fit(MachineOutage(time_s=1.0, bus=3, returns_after_s=1.0)), "brings back .* at bus 3, which needs extended"),
     (fit(GroupTrip(time_s=1.0, group=0, returns_after_s=1.0)), "brings back WTG group 0 .* needs extended physics"),
     (fit(Fault(time_s=1.0, bus=99, clears_after_s=0.1)), r"unknown bus 99; .* has buses \[1, 2"),
     (fit(Fault(time_s=1.0, bus=4, clears_after_s=0.1, opens=(1, 9))), "no branch 1-9 in .*; branches: 1-2"),

@@ -7,17 +7,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from tests.physics.extended import (
-    CURRENT_MAX,
-    LAW,
-    OPTIONS,
-    classical,
-    largest_rate,
-    plant,
-    rough,
-    scenario,
-    started,
-)
+from tests.physics.extended import CURRENT_MAX, LAW, OPTIONS, classical, largest_rate, plant, rough, scenario, started
 from wtg_gym.physics.grid import get_grid
 from wtg_gym.physics.linearisation import moving_states, state_matrix
 from wtg_gym.physics.parameters import VoltageControlParameters, WtgGroup

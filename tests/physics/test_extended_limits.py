@@ -21,11 +21,7 @@ from tests.physics.extended import (
 from wtg_gym.physics.extension_unit import EXTENSIONS
 from wtg_gym.physics.layout import Floats
 from wtg_gym.physics.network import assemble_admittance
-from wtg_gym.physics.parameters import (
-    ConverterLimitParameters,
-    WtgGroup,
-    european_shedding,
-)
+from wtg_gym.physics.parameters import ConverterLimitParameters, WtgGroup, european_shedding
 from wtg_gym.physics.plant import Plant, layout_of, plant_tables, with_places
 from wtg_gym.physics.protection import STAGES, Status
 from wtg_gym.physics.scenario import GovernorLoss, LoadStep, Scenario

@@ -7,16 +7,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from tests.physics.extended import (
-    LAW,
-    NO_SHEDDING,
-    largest_rate,
-    phasors,
-    plant,
-    recorded,
-    scenario,
-    started,
-)
+from tests.physics.extended import LAW, NO_SHEDDING, largest_rate, phasors, plant, recorded, scenario, started
 from wtg_gym.physics.extension_unit import EXTENSIONS
 from wtg_gym.physics.grid import get_grid
 from wtg_gym.physics.layout import Floats, n_rows_of

@@ -32,11 +32,7 @@ from wtg_gym.physics.ieeex1 import IEEEX1, ieeex1_rates, ieeex1_start
 from wtg_gym.physics.ieesgo import IEESGO, ieesgo_rates, ieesgo_start
 from wtg_gym.physics.integration import PROGRAMS
 from wtg_gym.physics.linearisation import moving_states, state_matrix
-from wtg_gym.physics.machine_parameters import (
-    GovernorParameters,
-    HydroGovernorParameters,
-    SynchronousMachineParameters,
-)
+from wtg_gym.physics.machine_parameters import GovernorParameters, HydroGovernorParameters, SynchronousMachineParameters
 from wtg_gym.physics.network import Branch, Bus, NetworkCase
 from wtg_gym.physics.parameters import ConverterLimitParameters, ProtectionParameters
 from wtg_gym.physics.plant import Plant, plant_tables, programs_of
@@ -112,10 +108,7 @@ def network(*machines: SynchronousMachineParameters) -> NetworkCase:
 
 
 def started(
-    machines: Sequence[SynchronousMachineParameters],
-    *events: Event,
-    given: dict[str, Any] | None = None,
-    **more: Any,
+    machines: Sequence[SynchronousMachineParameters], *events: Event, given: dict[str, Any] | None = None, **more: Any
 ) -> Simulator:
     usual: dict[str, Any] = {
         "case": network(*machines),

@@ -8,16 +8,7 @@ import math
 import numpy as np
 import pytest
 
-from tests.physics.extended import (
-    LAW,
-    NO_SHEDDING,
-    largest_rate,
-    plant,
-    recorded,
-    scenario,
-    started,
-    with_machine,
-)
+from tests.physics.extended import LAW, NO_SHEDDING, largest_rate, plant, recorded, scenario, started, with_machine
 from tests.physics.test_faults import bus_matrix
 from tests.physics.test_islands import PARTED_WIND, cut, parted
 from wtg_gym.physics.grid import get_grid

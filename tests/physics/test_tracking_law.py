@@ -16,13 +16,7 @@ from wtg_gym.physics.converter import Corners, tracking_coefficient
 from wtg_gym.physics.parameters import GridFormingParameters, TurbineParameters
 from wtg_gym.physics.plant import Plant
 from wtg_gym.physics.scenario import Scenario
-from wtg_gym.physics.tracking_law import (
-    STRATEGIES,
-    STRATEGY_NAMES,
-    TUNED,
-    TrackingLaw,
-    get_law,
-)
+from wtg_gym.physics.tracking_law import STRATEGIES, STRATEGY_NAMES, TUNED, TrackingLaw, get_law
 from wtg_gym.physics.trajectory import simulate
 
 LONG_BLADES = TurbineParameters(blade_radius_m=70.0)

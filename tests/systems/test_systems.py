@@ -94,10 +94,7 @@ def test_what_comes_back_are_the_slopes(point: tuple[float, float]) -> None:
             function = FUNCTIONS["product"]
             expected = [4.0 * (function(a + h, b) - function(a - h, b)) / (2.0 * h), 2.0 * a]
         else:
-            expected = [
-                (function(a + h, b) - function(a - h, b)) / h,
-                (function(a, b + h) - function(a, b - h)) / h,
-            ]
+            expected = [(function(a + h, b) - function(a - h, b)) / h, (function(a, b + h) - function(a, b - h)) / h]
         assert bars[:, 0].tolist() == pytest.approx(expected, rel=1e-8, abs=1e-8), name
 
 
