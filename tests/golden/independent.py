@@ -1,4 +1,4 @@
-"""A WTG group with power and torque limits and a chopper, written a second time from the equations with numpy and scipy.
+"""A WTG group with power and torque limits and a chopper, written again from the equations, with numpy and scipy.
 
 Shares nothing with the package.
 """

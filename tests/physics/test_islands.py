@@ -246,10 +246,3 @@ def test_too_little_wind_for_wind_turbines_alone_is_said_in_one_line() -> None:
     with pytest.raises(ValueError, match="WTG groups alone cannot meet the load at a level of 1;") as refused:
         started(settings, scenario(wind=[[7.0], [6.0]], load_noise_bus=2))
     assert "\n" not in str(refused.value)
-
-
-@pytest.mark.parametrize("physics", ["extended", "nrel-5mw"])
-def test_extended_physics_sheds_and_takes_damping_from_condensers_alone(physics: str) -> None:
-    settings = Plant().replaced(physics=physics)
-    assert [machine.damping_pu for machine in settings.case.machines] == [2.0, 0.0, 0.0, 0.0]
-    assert [stage.share for stage in settings.shedding] == [0.05, 0.08, 0.08, 0.08, 0.08, 0.08]

@@ -30,12 +30,11 @@ from wtg_gym.physics.ieeeg1 import IEEEG1, ieeeg1_rates, ieeeg1_start
 from wtg_gym.physics.ieeest import IEEEST, ieeest_rates, ieeest_start
 from wtg_gym.physics.ieeex1 import IEEEX1, ieeex1_rates, ieeex1_start
 from wtg_gym.physics.ieesgo import IEESGO, ieesgo_rates, ieesgo_start
-from wtg_gym.physics.integration import PROGRAMS
 from wtg_gym.physics.linearisation import moving_states, state_matrix
 from wtg_gym.physics.machine_parameters import GovernorParameters, HydroGovernorParameters, SynchronousMachineParameters
 from wtg_gym.physics.network import Branch, Bus, NetworkCase
 from wtg_gym.physics.parameters import ConverterLimitParameters, ProtectionParameters
-from wtg_gym.physics.plant import Plant, plant_tables, programs_of
+from wtg_gym.physics.plant import Plant, plant_tables
 from wtg_gym.physics.saturation import saturated, saturation_constants
 from wtg_gym.physics.scenario import Event, GovernorLoss, LoadStep, MachineOutage
 from wtg_gym.physics.simulator import Simulator
@@ -395,11 +394,3 @@ def test_a_grid_file_names_every_model(tmp_path: Path) -> None:
     path.write_text(text.replace("IEESGO", "IEEEX1"), encoding="utf-8")
     with pytest.raises(ValueError, match="unknown model 'IEEEX1'; known here: TGOV1, HYGOV, IEEEG1, IEESGO, GAST"):
         get_grid(str(path))
-
-
-def test_a_plant_without_these_controls_runs_the_same_programs() -> None:
-    assert programs_of(plant_tables(Plant()), *PROGRAMS) == PROGRAMS
-    saturating = network(machine(1), machine(2, dispatch_mw=80.0))
-    assert programs_of(plant_tables(Plant(case=saturating, groups=())), *PROGRAMS) == PROGRAMS
-    controlled = network(FIRST, SECOND)
-    assert programs_of(plant_tables(Plant(case=controlled, groups=())), *PROGRAMS) != PROGRAMS
