@@ -50,7 +50,9 @@ def grids() -> str:
         lines["lines that trip"] = str(len(large.find(LineTrips).lines))
         lines["kinds of extreme event"] = ", ".join(kind.name.rpartition("-")[2] for kind in extreme)
         columns.append(lines)
-    rows = [key for key in columns[-1] if key not in ("repaired", "replaced", "mode", "equilibrium")]
+    same = ("step", "state below", "stable")  # the page says it once
+    assert all(len({lines[key] for lines in columns if key in lines}) == 1 for key in same)
+    rows = [key for key in columns[-1] if key not in ("repaired", "replaced", "mode", "equilibrium", *same)]
     cells = [[row, *(lines.get(row, "–") for lines in columns)] for row in rows]
     return markdown_table(("", *(f"`{name}`" for name in known_grids())), cells)
 

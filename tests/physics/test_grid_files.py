@@ -10,24 +10,14 @@ import numpy as np
 import pytest
 
 from wtg_gym.envs import GFMWTGEnv
+from wtg_gym.physics import network
 from wtg_gym.physics.aerodynamics import available_power_pu
 from wtg_gym.physics.grid import FOLDER, Grid, get_grid, grid_text, known_grids, read_grid
-from wtg_gym.physics.linearisation import moving_states, state_matrix
-from wtg_gym.physics.network import (
-    Branch,
-    Bus,
-    NetworkCase,
-    PowerFlow,
-    assemble_admittance,
-    branch_admittances,
-    solve_power_flow,
-)
 from wtg_gym.physics.parameters import TurbineParameters, WtgGroup, nrel_5mw
 from wtg_gym.physics.plant import Plant
 from wtg_gym.physics.scenario import LineTrip, Scenario
 from wtg_gym.physics.simulator import Simulator
 from wtg_gym.physics.sparse_flow import pattern_of, solve_sparse_flow
-from wtg_gym.physics.start_errors import StartError
 from wtg_gym.physics.tracking_law import get_law, group_laws
 
 #: A grid that nobody has seen: two machines, a ring of five buses at 60 Hz, on 250 MVA.
@@ -129,28 +119,6 @@ def test_machines_share_what_the_wind_leaves_by_rating_and_gate() -> None:
         assert np.ptp(gates) < 2e-3
 
 
-def test_turbines_alone_start_at_rest_or_not_at_all() -> None:
-    case = get_grid("ieee39").case
-    law, started = get_law("coordinated-tuned"), []
-    for rating in (1.2, 1.8, 2.5):
-        groups = tuple(WtgGroup(bus=m.bus, n_turbines=round(rating * m.rating_mva / 5.0)) for m in case.machines)
-        plant = Plant().replaced(physics="extended", case=dataclasses.replace(case, machines=()), groups=groups)
-        simulator = Simulator(plant, duration_s=1.0)
-        scenario = Scenario(name="still", wind_speed=np.full((10, 1), 8.5), duration_s=1.0, load_noise_bus=39)
-        try:
-            simulator.start(0, scenario, [law] * 10)
-        except StartError:
-            # With so little reactive power the voltages collapse.
-            started.append(False)
-            continue
-        started.append(True)
-        simulator.evaluate()
-        rows, layout = simulator.blocks[0, :, 0], simulator.layout
-        keep = moving_states(state_matrix(rows, simulator.plant, layout, -1.0), rows, layout)
-        assert np.abs(simulator.rates()[keep]).max() < 1e-9
-    assert started == [False, True, True]
-
-
 def test_a_parallel_line_trips_by_its_circuit() -> None:
     case = get_grid("kundur").case
     assert case.branch_index(7, 8) == case.branch_index(8, 7, 1) != case.branch_index(7, 8, 2)
@@ -170,10 +138,10 @@ def test_bridges_are_what_takes_the_network_apart() -> None:
         n = int(rng.integers(2, 12))
         ends = [(int(rng.integers(1, k)), k) for k in range(2, n + 1)]
         ends += [(int(a), int(b)) for a, b in rng.integers(1, n + 1, (int(rng.integers(0, 6)), 2)) if a != b]
-        case = NetworkCase(
+        case = network.NetworkCase(
             name="random", base_mva=1.0, frequency_hz=50.0, slack_bus=1, machines=(),
-            buses=tuple(Bus(number=k, voltage_pu=1.0) for k in range(1, n + 1)),
-            branches=tuple(Branch(from_bus=a, to_bus=b, resistance=0.0, reactance=0.1) for a, b in ends),
+            buses=tuple(network.Bus(number=k, voltage_pu=1.0) for k in range(1, n + 1)),
+            branches=tuple(network.Branch(from_bus=a, to_bus=b, resistance=0.0, reactance=0.1) for a, b in ends),
         )  # fmt: skip
         apart = {index for index in range(len(ends)) if len(case.parts_without((index,))) > 1}
         assert case.bridges == apart
@@ -189,10 +157,13 @@ def test_a_grid_names_what_its_groups_replace() -> None:
 
 @pytest.mark.parametrize("name", ["ieee14", "ieee39", "kundur", "nordic45"])
 def test_the_sparse_power_flow_finds_what_the_dense_one_finds(name: str) -> None:
-    case, at = get_grid(name).case, PowerFlow(power=0, polar=2, holds_voltage=4, flow=5, voltage=7)
+    case, at = get_grid(name).case, network.PowerFlow(power=0, polar=2, holds_voltage=4, flow=5, voltage=7)
     ends = np.array([[case.bus_index(b.from_bus), case.bus_index(b.to_bus)] for b in case.branches])
     shunts = np.array([complex(bus.shunt_mw, bus.shunt_mvar) / case.base_mva for bus in case.buses])
-    y, slack = assemble_admittance(ends, branch_admittances(case.branches), shunts), case.bus_index(case.slack_bus)
+    y, slack = (
+        network.assemble_admittance(ends, network.branch_admittances(case.branches), shunts),
+        case.bus_index(case.slack_bus),
+    )
     dense = np.zeros((len(case.buses), 9))
     for row, bus in zip(dense, case.buses, strict=True):
         row[0], row[1] = -bus.load_mw / case.base_mva, -bus.load_mvar / case.base_mva
@@ -200,7 +171,7 @@ def test_the_sparse_power_flow_finds_what_the_dense_one_finds(name: str) -> None
     for machine in case.machines:
         dense[case.bus_index(machine.bus), 0] += machine.dispatch_mw / case.base_mva
     sparse = dense.copy()
-    assert solve_power_flow(y, slack, dense, at) > 0
+    assert network.solve_power_flow(y, slack, dense, at) > 0
     assert solve_sparse_flow(y, slack, sparse, at, pattern_of(y)) > 0
     assert np.abs(dense - sparse).max() < 1e-10
 

@@ -15,15 +15,7 @@ import pytest
 from tests.physics.extended import largest_rate, scenario
 from wtg_gym.envs.settings import EnvSettings
 from wtg_gym.gradients.tape import Tape
-from wtg_gym.physics.control_parameters import (
-    BoilerGovernorParameters,
-    FilterStabiliserParameters,
-    GasGovernorParameters,
-    LeadLagExciterParameters,
-    ReheatGovernorParameters,
-    SaturatingExciterParameters,
-    SpeedStabiliserParameters,
-)
+from wtg_gym.physics import control_parameters as controls
 from wtg_gym.physics.gast import GAST, gast_rates, gast_start
 from wtg_gym.physics.grid import Grid, get_grid, grid_text
 from wtg_gym.physics.ieeeg1 import IEEEG1, ieeeg1_rates, ieeeg1_start
@@ -31,7 +23,12 @@ from wtg_gym.physics.ieeest import IEEEST, ieeest_rates, ieeest_start
 from wtg_gym.physics.ieeex1 import IEEEX1, ieeex1_rates, ieeex1_start
 from wtg_gym.physics.ieesgo import IEESGO, ieesgo_rates, ieesgo_start
 from wtg_gym.physics.linearisation import moving_states, state_matrix
-from wtg_gym.physics.machine_parameters import GovernorParameters, HydroGovernorParameters, SynchronousMachineParameters
+from wtg_gym.physics.machine_parameters import (
+    ExciterParameters,
+    GovernorParameters,
+    HydroGovernorParameters,
+    SynchronousMachineParameters,
+)
 from wtg_gym.physics.network import Branch, Bus, NetworkCase
 from wtg_gym.physics.parameters import ConverterLimitParameters, ProtectionParameters
 from wtg_gym.physics.plant import Plant, plant_tables
@@ -43,67 +40,44 @@ from wtg_gym.physics.stab1 import STAB1, stab1_rates, stab1_start
 Complex = npt.NDArray[np.complex128]
 S = 2j * np.pi * np.array([0.05, 0.4, 1.5, 6.0])
 
-STABILISER = SpeedStabiliserParameters(signal_limit_pu=0.05)
-FILTER = FilterStabiliserParameters(
+STABILISER = controls.SpeedStabiliserParameters(signal_limit_pu=0.05)
+FILTER = controls.FilterStabiliserParameters(
     filter_a1_s=0.1, filter_a2_s2=0.005, filter_a3_s=0.08, filter_a4_s2=0.002, filter_a5_s=0.05, filter_a6_s2=0.001
 )
-EXCITER = LeadLagExciterParameters(
-    regulator_gain=40.0,
-    lead_time_s=0.5,
-    lag_time_s=1.5,
-    saturation_voltage_1_pu=1.5,
-    saturation_1=0.06,
-    saturation_voltage_2_pu=3.0,
-    saturation_2=0.3,
+SATURATION = {"saturation_voltage_1_pu": 1.5, "saturation_1": 0.06, "saturation_voltage_2_pu": 3.0, "saturation_2": 0.3}
+EXCITER = controls.LeadLagExciterParameters(regulator_gain=40.0, lead_time_s=0.5, lag_time_s=1.5, **SATURATION)
+BOILER = controls.BoilerGovernorParameters(
+    lag_time_s=0.2, lead_time_s=0.5, fraction_1=0.3, fraction_2=0.2, fraction_3=0.5
 )
-BOILER = BoilerGovernorParameters(lag_time_s=0.2, lead_time_s=0.5, fraction_1=0.3, fraction_2=0.2, fraction_3=0.5)
 
 
 def machine(bus: int, **changes: Any) -> SynchronousMachineParameters:
-    usual: dict[str, Any] = {
-        "rating_mva": 200.0,
-        "two_h_s": 8.0,
-        "x_d": 1.8,
-        "x_q": 1.7,
-        "x_d_transient": 0.3,
-        "x_q_transient": 0.55,
-        "x_subtransient": 0.25,
-        "x_leakage": 0.2,
-        "t_d0_transient_s": 8.0,
-        "t_d0_subtransient_s": 0.03,
-        "t_q0_transient_s": 0.4,
-        "t_q0_subtransient_s": 0.05,
-        "damping_pu": 0.0,
-        "saturation_1_0": 0.1,
-        "saturation_1_2": 0.4,
-    }
-    return SynchronousMachineParameters(**{**usual, "bus": bus, **changes})
+    """Kundur's machine with saturation, without governor and stabiliser."""
+    without: dict[str, Any] = {"exciter": ExciterParameters(), "stabiliser": None, "governor": None}
+    usual = {"rating_mva": 200.0, "two_h_s": 8.0, "damping_pu": 0.0, "saturation_1_0": 0.1, "saturation_1_2": 0.4}
+    given = {**without, **usual, "bus": bus, "dispatch_mw": 0.0, **changes}
+    return dataclasses.replace(get_grid("kundur").case.machines[0], **given)
 
 
 #: Every model, on two machines.
 FIRST = machine(1, exciter=EXCITER, stabiliser=FILTER, governor=BOILER)
-SECOND = machine(2, dispatch_mw=80.0, stabiliser=STABILISER, governor=GasGovernorParameters())
+SECOND = machine(2, dispatch_mw=80.0, stabiliser=STABILISER, governor=controls.GasGovernorParameters())
 OTHERS = (
-    dataclasses.replace(FIRST, exciter=SaturatingExciterParameters(regulator_gain=40.0), stabiliser=STABILISER),
-    dataclasses.replace(SECOND, governor=ReheatGovernorParameters(), saturation_1_0=0.0, saturation_1_2=0.0),
+    dataclasses.replace(
+        FIRST, exciter=controls.SaturatingExciterParameters(regulator_gain=40.0), stabiliser=STABILISER
+    ),
+    dataclasses.replace(SECOND, governor=controls.ReheatGovernorParameters(), saturation_1_0=0.0, saturation_1_2=0.0),
 )
 
 
 def network(*machines: SynchronousMachineParameters) -> NetworkCase:
+    """Two machines and a load."""
     lines = ((1, 3, 0.005, 0.05), (2, 3, 0.005, 0.06), (1, 2, 0.01, 0.1))
-    return NetworkCase(
-        name="two machines",
-        base_mva=100.0,
-        frequency_hz=50.0,
-        slack_bus=1,
-        buses=(
-            Bus(number=1, voltage_pu=1.03),
-            Bus(number=2, voltage_pu=1.01),
-            Bus(number=3, load_mw=200.0, load_mvar=60.0),
-        ),
-        branches=tuple(Branch(from_bus=a, to_bus=b, resistance=r, reactance=x) for a, b, r, x in lines),
-        machines=machines,
-    )
+    branches = tuple(Branch(from_bus=a, to_bus=b, resistance=r, reactance=x) for a, b, r, x in lines)
+    load = Bus(number=3, load_mw=200.0, load_mvar=60.0)
+    buses = Bus(number=1, voltage_pu=1.03), Bus(number=2, voltage_pu=1.01), load
+    base: dict[str, Any] = {"base_mva": 100.0, "frequency_hz": 50.0, "slack_bus": 1}
+    return NetworkCase(name="two machines", buses=buses, branches=branches, machines=machines, **base)
 
 
 def started(
@@ -240,7 +214,7 @@ def test_steam_and_gas_governors_have_their_transfer_functions() -> None:
     fractions = np.array([b.fraction_1, b.fraction_2, b.fraction_3, b.fraction_4])
     assert found == pytest.approx(wanted * (fractions @ passes), rel=1e-6)
 
-    r = ReheatGovernorParameters()
+    r = controls.ReheatGovernorParameters()
     reheat = IEESGO.constants(0, r)
     found = response(lambda s, u: ieesgo_rates(s, u, 0.5, INV_DROOP, reheat), ieesgo_start(0.5, reheat), 1.0)
     order = -INV_DROOP * (1.0 + S * r.lead_time_s) * _lags(r.lag_time_s, r.governor_time_s, r.inlet_time_s)
@@ -248,7 +222,7 @@ def test_steam_and_gas_governors_have_their_transfer_functions() -> None:
     shares = 1.0 - r.fraction_2 + r.fraction_2 * _lags(r.reheat_time_s) * behind
     assert found == pytest.approx(order * shares, rel=1e-6)
 
-    g = dataclasses.replace(GasGovernorParameters(), turbine_damping_pu=0.5)
+    g = dataclasses.replace(controls.GasGovernorParameters(), turbine_damping_pu=0.5)
     gas = GAST.constants(0, g)
     found = response(lambda s, u: gast_rates(s, u, 0.5, INV_DROOP, gas), gast_start(0.5, gas), 1.0)
     wanted = -INV_DROOP * _lags(g.valve_time_s, g.turbine_time_s) - g.turbine_damping_pu
@@ -256,7 +230,7 @@ def test_steam_and_gas_governors_have_their_transfer_functions() -> None:
 
 
 def test_a_hot_exhaust_holds_the_gas_turbine_at_its_load_limit() -> None:
-    c = GAST.constants(0, GasGovernorParameters(load_limit_pu=0.7))
+    c = GAST.constants(0, controls.GasGovernorParameters(load_limit_pu=0.7))
     hot = gast_start(0.7, c)
     assert max(np.abs(gast_rates(hot, 0.9, 0.5, INV_DROOP, c)[0])) < 1e-12
 
@@ -289,10 +263,10 @@ def test_runs_start_in_an_exact_equilibrium_and_settle(
 
 
 def test_time_constants_of_zero_take_their_blocks_away() -> None:
-    exciter = LeadLagExciterParameters(
+    exciter = controls.LeadLagExciterParameters(
         sensing_time_s=0.0, regulator_time_s=0.0, lead_time_s=0.0, lag_time_s=0.0, regulator_gain=40.0
     )
-    governor = BoilerGovernorParameters(
+    governor = controls.BoilerGovernorParameters(
         lag_time_s=0.0, lead_time_s=0.0, pass_time_3_s=0.0, pass_time_4_s=0.0, fraction_3=0.1, fraction_2=0.4
     )
     simulator = started((dataclasses.replace(FIRST, exciter=exciter, governor=governor), SECOND))
@@ -325,7 +299,7 @@ def test_secondary_control_moves_the_references_of_all_governors() -> None:
 
 
 def test_secondary_control_keeps_the_references_within_the_limits_of_the_gates() -> None:
-    hydro, gas = HydroGovernorParameters(gate_max_pu=0.66), GasGovernorParameters(load_limit_pu=0.45)
+    hydro, gas = HydroGovernorParameters(gate_max_pu=0.66), controls.GasGovernorParameters(load_limit_pu=0.45)
     machines = (
         machine(1, governor=hydro, damping_pu=10.0),
         machine(2, governor=gas, damping_pu=10.0, dispatch_mw=80.0),
@@ -341,8 +315,10 @@ def test_secondary_control_keeps_the_references_within_the_limits_of_the_gates()
 
 
 def test_a_share_of_the_dispatch_counts_a_gate_up_to_nominal_power_only() -> None:
-    governors = GovernorParameters(gate_max_pu=0.8), GovernorParameters(), BoilerGovernorParameters()
-    machines = [machine(1, governor=own) for own in (*governors, GasGovernorParameters(load_limit_pu=0.7), None)]
+    governors = GovernorParameters(gate_max_pu=0.8), GovernorParameters(), controls.BoilerGovernorParameters()
+    machines = [
+        machine(1, governor=own) for own in (*governors, controls.GasGovernorParameters(load_limit_pu=0.7), None)
+    ]
     plant = plant_tables(Plant(case=network(*machines), groups=(), shares_dispatch=True))
     assert plant.participation == pytest.approx(np.array([0.8, 1.0, 1.0, 0.7, 0.0]) / 3.5)
 
@@ -351,7 +327,10 @@ def test_a_share_of_the_dispatch_counts_a_gate_up_to_nominal_power_only() -> Non
     ("changes", "message"),
     [
         ({"governor": dataclasses.replace(BOILER, gate_max_pu=0.2)}, "p.u. of valve, beyond its valve limits 0 … 0.2"),
-        ({"governor": GasGovernorParameters(load_limit_pu=0.3)}, "p.u. of valve, beyond its valve limits 0 … 0.3"),
+        (
+            {"governor": controls.GasGovernorParameters(load_limit_pu=0.3)},
+            "p.u. of valve, beyond its valve limits 0 … 0.3",
+        ),
         (
             {"exciter": dataclasses.replace(EXCITER, regulator_max_pu=1.0)},
             "p.u. of regulator, beyond its regulator limits -7.3 … 1 p.u.",

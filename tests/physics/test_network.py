@@ -12,7 +12,7 @@ from tests.physics.extended import classical
 from wtg_gym.physics.equilibrium import FLOW_COLUMNS
 from wtg_gym.physics.grid import get_grid
 from wtg_gym.physics.layout import n_rows_of
-from wtg_gym.physics.network import Branch, NetworkCase, branch_admittances, eliminate, solve_power_flow
+from wtg_gym.physics.network import Branch, NetworkCase, branch_admittances, solve_power_flow
 from wtg_gym.physics.plant import Plant, plant_tables
 from wtg_gym.physics.units import BUSES
 
@@ -46,18 +46,6 @@ def test_impossible_power_flow_is_reported() -> None:
     power = np.zeros(14, dtype=np.complex128)
     power[13] = -30.0
     assert solve(get_grid("ieee14").case, power)[2] == -1
-
-
-@pytest.mark.parametrize("dtype", [np.float64, np.complex128])
-def test_linear_solver_agrees_with_lapack_and_reports_a_singular_matrix(dtype: type) -> None:
-    rng = np.random.default_rng(0)
-    for n in (1, 2, 7, 22):
-        # Two numbers for each complex one.
-        a, b = rng.normal(size=(n, 2 * n)).view(dtype)[:, :n].copy(), rng.normal(size=(n, 6)).view(dtype)
-        both = np.concatenate([a, b], axis=1)
-        assert eliminate(both)
-        assert np.allclose(both[:, n:], np.linalg.solve(a, b), rtol=1e-10, atol=1e-12)
-    assert not eliminate(np.ones((3, 4), dtype=dtype))
 
 
 def test_off_nominal_tap_and_phase_follow_the_pi_model() -> None:

@@ -129,16 +129,6 @@ def test_a_table_is_looked_up_and_has_the_slopes_of_its_surface(ratio: float, pi
     assert bars[:, 0] == pytest.approx(expected, rel=1e-7, abs=1e-9)
 
 
-def test_nothing_is_worked_out_twice() -> None:
-    with ex.making():
-        a, b = ex.symbol("a"), ex.symbol("b")
-        # To the last bit a product with zero is not zero: of what is not finite it is none.
-        assert isinstance(0.0 * a, ex.Number) and isinstance(a + 0.0, ex.Number)
-        with ex.simplifying_zeros():
-            assert a * b + 1.0 is a * b + 1.0
-            assert 0.0 * b == 0.0 and b + 0.0 is b and 1.0 * a is a and ex.select(a > b, a, a) is a
-
-
 def test_a_branch_on_a_traced_number_is_refused() -> None:
     with pytest.raises(TypeError, match="select"):
         bool(ex.symbol("a") > 1.0)
