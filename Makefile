@@ -84,7 +84,6 @@ notebooks: $(NOTEBOOKS_READY) ## Run every notebook from the built wheel and kee
 
 .PHONY: performance
 performance: $(TEST_READY) ## Measure speed again; on a machine that does nothing else (ten minutes)
-	$(TEST_VENV)/bin/python docs/studies/first_step.py
 	$(TEST_VENV)/bin/python docs/studies/performance.py
 
 .PHONY: golden

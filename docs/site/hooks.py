@@ -121,7 +121,6 @@ def on_page_markdown(text: str, page: Any, config: Any, files: Any) -> str:
         parts[0] = parts[0].replace("\n## ", f"\n[Source code]({repository}){{ .md-button }}\n\n## ", 1)
     if here == "leaderboard.md":
         parts.append(_EMBEDDED)
-    if here == "leaderboard.md":
         page.meta["hide"] = ["navigation", "toc"]  # the table has the whole width
     elif page.parent is None:
         page.meta["hide"] = ["navigation"]  # there is no other page beside it

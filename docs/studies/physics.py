@@ -12,19 +12,14 @@ from wtg_gym.envs.lanes import TERMINATION_REASONS
 from wtg_gym.files import markdown_table, update_between_markers
 from wtg_gym.physics.grid import get_grid
 from wtg_gym.physics.machine_parameters import HydroGovernorParameters
-from wtg_gym.physics.parameters import (
-    ConverterLimitParameters,
-    ProtectionParameters,
-    nrel_5mw,
-)
+from wtg_gym.physics.parameters import ConverterLimitParameters, ProtectionParameters, nrel_5mw
 from wtg_gym.physics.plant import DEAD_BAND_PU, Plant
 from wtg_gym.physics.protection import Status
 from wtg_gym.physics.simulator import Simulator
-from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY, get_law, group_laws
+from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY, group_laws
 from wtg_gym.plotting import style
 from wtg_gym.plotting.event_marks import mark_end, mark_instants
 from wtg_gym.scenarios import get_suite
-from wtg_gym.single_wtg import equilibria
 
 STRATEGIES = (REFERENCE_STRATEGY, "mppt", "deloaded-5", "deloaded-10")  # the reference first
 OTHERS = STRATEGIES[1:]
@@ -229,21 +224,6 @@ def parts_table(increase, failures):
     return markdown_table(header, rows, right=range(1, len(header)))
 
 
-def rotor_energy(increase):
-    """Return how much more energy the paper's rotor releases than a real one, at several winds, as a sentence."""
-    settled_pu = increase[PAPER][REFERENCE_STRATEGY].hertz[-1] / get_grid("ieee14").case.frequency_hz
-    winds, excess = (6.0, 8.0, 10.0, 11.4), []
-    for wind in winds:
-        law = get_law(REFERENCE_STRATEGY)
-        before, after = (equilibria(pu, law, wind)[-1].rotor_speed_pu for pu in (1.0, settled_pu))
-        excess.append(100.0 * (2.0 * (before - after) / (before**2 - after**2) - 1.0))
-    shares = "/".join(f"{value:+.0f}" for value in excess).replace("-", "−")
-    return (
-        f"From nominal frequency to where the load increase settles the paper's rotor releases {shares} % more at "
-        f"{'/'.join(f'{wind:g}' for wind in winds)} m/s."
-    )
-
-
 # --- pictures ---------------------------------------------------------------------------------------------------------
 
 
@@ -279,11 +259,7 @@ def main(docs):
     """Renew the page and its pictures."""
     increase, decrease, failures = measure()
     style.save_figure(draw_increase(increase), docs / "physics" / "load-increase", ["svg"])
-    sections = {
-        "survival": survival_table(increase, decrease, failures),
-        "parts": parts_table(increase, failures),
-        "rotor-energy": rotor_energy(increase),
-    }
+    sections = {"survival": survival_table(increase, decrease, failures), "parts": parts_table(increase, failures)}
     for name, text in sections.items():
         update_between_markers(docs / "physics.md", text, name)
 
