@@ -32,7 +32,7 @@ from wtg_gym.tasks import V1
 
 #: Of the grid without machines: rating of all turbines over that of the machines that they replace, and their wind.
 RATING, WIND_M_S = 1.8, 8.0
-#: What happens to it, and the laws that are drawn.
+#: Its event, and the laws drawn.
 STEP, LAWS = LoadStep(time_s=5.0, bus=8, power_mw=300.0), ("coordinated-tuned", "coordinated-piecewise", "mppt")
 SUITES = tuple(suite_of_grid(name) for name in known_grids())
 N_SCENARIOS = 300

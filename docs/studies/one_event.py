@@ -4,7 +4,7 @@
 
 draws DOCS/images/one-event.svg: plain droop on a reserve of 5 %, the published law, that law tuned and the agent with
 the best score. Of the first validation scenarios in which droop stalls a rotor and the others lose neither grid nor
-load, it is that in which the published law lets the frequency fall lowest. What droop sheds is printed.
+load, it is that in which the published law lets the frequency fall lowest. Prints the load that droop sheds.
 """
 
 from __future__ import annotations
@@ -133,6 +133,6 @@ if __name__ == "__main__":
         with started_lanes(entry, settings, scenarios) as (lanes, _):
             runs[entry.name] = recorded(lanes, play(entry, lanes))
         print(f"{entry.name}: {runs[entry.name][:, 3].max():.0f} MW not served at most")
-    # Beside the events there is no room for the suite's name.
+    # The list of events fills the line: without the suite's name.
     scenario = replace(scenarios[0], name=scenarios[0].name.partition("/")[2])
     save_figure(plot_one_event(scenario, runs, settings.resolved_plant), docs / "images" / "one-event", ["svg"])

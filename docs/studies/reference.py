@@ -114,7 +114,7 @@ def arguments():
 def environment_page():
     """Return the environment's docstring, a chapter for each of Gymnasium's headings, with the tables in it.
 
-    What other pages or the tables say is left out.
+    Chapters that other pages cover are left out.
     """
     tables = {
         "Observation Space": [observations(), privileged()],
@@ -160,7 +160,7 @@ def parameters_page():
         for name, cls in vars(module).items():
             if not dataclasses.is_dataclass(cls) or getattr(cls, "__module__", "") != module.__name__:
                 continue
-            # What a class has from another one stands there.
+            # Inherited parameters are listed with their own class.
             declared = [field for field in dataclasses.fields(cls) if field.name in cls.__annotations__]
             own = [field for field in declared if isinstance(field.default, float)]
             elsewhere = cls in (WtgGroup, SynchronousMachineParameters)  # on the environment's page, or below
