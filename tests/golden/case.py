@@ -13,24 +13,22 @@ from typing import Any
 
 import numpy as np
 
-from wtg_gym.physics.control_parameters import (
+from wtg_gym.physics.grid import Branch, Bus, NetworkCase, Source
+from wtg_gym.physics.layout import Floats
+from wtg_gym.physics.machine_parameters import (
     BoilerGovernorParameters,
+    ExciterParameters,
     FilterStabiliserParameters,
     GasGovernorParameters,
+    GovernorParameters,
+    HydroGovernorParameters,
     LeadLagExciterParameters,
     ReheatGovernorParameters,
     SaturatingExciterParameters,
     SpeedStabiliserParameters,
-)
-from wtg_gym.physics.layout import Floats
-from wtg_gym.physics.machine_parameters import (
-    ExciterParameters,
-    GovernorParameters,
-    HydroGovernorParameters,
     SynchronousMachineParameters,
     classical_machine,
 )
-from wtg_gym.physics.network import Branch, Bus, NetworkCase, Source
 from wtg_gym.physics.scenario import EVENT_KINDS, Event, LoadStep
 
 GOLDEN = Path(__file__).parent

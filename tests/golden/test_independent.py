@@ -13,7 +13,7 @@ from tests.golden.case import ROW_S, case_of, read_data
 from tests.golden.independent import Independent, IndependentConverter
 from tests.golden.replay import replay
 from tests.physics.extended import recorded
-from wtg_gym.physics.network import Branch, Bus, NetworkCase, Source
+from wtg_gym.physics.grid import Branch, Bus, NetworkCase, Source
 from wtg_gym.physics.parameters import ConverterLimitParameters, ProtectionParameters, TurbineParameters, WtgGroup
 from wtg_gym.physics.plant import Plant
 from wtg_gym.physics.scenario import Event, FrequencyRamp, GovernorLoss, LineTrip, MachineOutage, PhaseJump, Scenario

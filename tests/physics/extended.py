@@ -15,10 +15,9 @@ import numpy as np
 import numpy.typing as npt
 from scipy.integrate import solve_ivp
 
-from wtg_gym.physics.grid import get_grid
+from wtg_gym.physics.grid import NetworkCase, get_grid
 from wtg_gym.physics.layout import Floats
 from wtg_gym.physics.machine_parameters import GovernorParameters, HydroGovernorParameters, classical_machine
-from wtg_gym.physics.network import NetworkCase
 from wtg_gym.physics.parameters import (
     ConverterLimitParameters,
     TurbineParameters,

@@ -11,23 +11,21 @@ import pytest
 
 from wtg_gym.envs import GFMWTGEnv
 from wtg_gym.physics.aerodynamics import available_power_pu
-from wtg_gym.physics.grid import FOLDER, Grid, get_grid, grid_text, known_grids, read_grid
+from wtg_gym.physics.equilibrium import StartError
+from wtg_gym.physics.grid import FOLDER, Branch, Bus, Grid, NetworkCase, get_grid, grid_text, known_grids, read_grid
 from wtg_gym.physics.linearisation import moving_states, state_matrix
 from wtg_gym.physics.network import (
-    Branch,
-    Bus,
-    NetworkCase,
     PowerFlow,
     assemble_admittance,
     branch_admittances,
+    pattern_of,
     solve_power_flow,
+    solve_sparse_flow,
 )
 from wtg_gym.physics.parameters import TurbineParameters, WtgGroup, nrel_5mw
 from wtg_gym.physics.plant import Plant
 from wtg_gym.physics.scenario import LineTrip, Scenario
 from wtg_gym.physics.simulator import Simulator
-from wtg_gym.physics.sparse_flow import pattern_of, solve_sparse_flow
-from wtg_gym.physics.start_errors import StartError
 from wtg_gym.physics.tracking_law import get_law, group_laws
 
 #: A grid that nobody has seen: two machines, a ring of five buses at 60 Hz, on 250 MVA.

@@ -15,35 +15,46 @@ import pytest
 from tests.physics.extended import largest_rate, scenario
 from wtg_gym.envs.settings import EnvSettings
 from wtg_gym.gradients.tape import Tape
-from wtg_gym.physics.control_parameters import (
+from wtg_gym.physics.grid import Branch, Bus, Grid, NetworkCase, get_grid, grid_text
+from wtg_gym.physics.integration import PROGRAMS
+from wtg_gym.physics.linearisation import moving_states, state_matrix
+from wtg_gym.physics.machine import saturated, saturation_constants
+from wtg_gym.physics.machine_models import (
+    GAST,
+    IEEEG1,
+    IEEEST,
+    IEEEX1,
+    IEESGO,
+    STAB1,
+    gast_rates,
+    gast_start,
+    ieeeg1_rates,
+    ieeeg1_start,
+    ieeest_rates,
+    ieeest_start,
+    ieeex1_rates,
+    ieeex1_start,
+    ieesgo_rates,
+    ieesgo_start,
+    stab1_rates,
+    stab1_start,
+)
+from wtg_gym.physics.machine_parameters import (
     BoilerGovernorParameters,
     FilterStabiliserParameters,
     GasGovernorParameters,
+    GovernorParameters,
+    HydroGovernorParameters,
     LeadLagExciterParameters,
     ReheatGovernorParameters,
     SaturatingExciterParameters,
     SpeedStabiliserParameters,
-)
-from wtg_gym.physics.gast import GAST, gast_rates, gast_start
-from wtg_gym.physics.grid import Grid, get_grid, grid_text
-from wtg_gym.physics.ieeeg1 import IEEEG1, ieeeg1_rates, ieeeg1_start
-from wtg_gym.physics.ieeest import IEEEST, ieeest_rates, ieeest_start
-from wtg_gym.physics.ieeex1 import IEEEX1, ieeex1_rates, ieeex1_start
-from wtg_gym.physics.ieesgo import IEESGO, ieesgo_rates, ieesgo_start
-from wtg_gym.physics.integration import PROGRAMS
-from wtg_gym.physics.linearisation import moving_states, state_matrix
-from wtg_gym.physics.machine_parameters import (
-    GovernorParameters,
-    HydroGovernorParameters,
     SynchronousMachineParameters,
 )
-from wtg_gym.physics.network import Branch, Bus, NetworkCase
 from wtg_gym.physics.parameters import ConverterLimitParameters, ProtectionParameters
 from wtg_gym.physics.plant import Plant, plant_tables, programs_of
-from wtg_gym.physics.saturation import saturated, saturation_constants
 from wtg_gym.physics.scenario import Event, GovernorLoss, LoadStep, MachineOutage
 from wtg_gym.physics.simulator import Simulator
-from wtg_gym.physics.stab1 import STAB1, stab1_rates, stab1_start
 
 Complex = npt.NDArray[np.complex128]
 S = 2j * np.pi * np.array([0.05, 0.4, 1.5, 6.0])

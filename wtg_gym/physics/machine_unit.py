@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from wtg_gym.physics.exciter import exciter_start
-from wtg_gym.physics.governor import GovernorState
 from wtg_gym.physics.machine import (
+    GovernorState,
     Machine,
     MachineInput,
     MachineOutput,
@@ -13,18 +12,17 @@ from wtg_gym.physics.machine import (
     RotorSaturation,
     Saturating,
     driven_by,
+    exciter_start,
     machine_limited,
     machine_rates,
     machine_start,
     machine_voltage,
+    saturated,
     saturation_factor,
 )
-from wtg_gym.physics.runge_kutta import moving
-from wtg_gym.physics.saturation import saturated
-from wtg_gym.physics.units import ISLANDS, LANE, UNITS, Back, Connection, Phasor, StartFailure, Terminal, noted
+from wtg_gym.physics.units import ISLANDS, LANE, UNITS, Back, Connection, Phasor, StartFailure, Terminal, moving, noted
 from wtg_gym.systems.elementary import clip, select
-from wtg_gym.systems.records import each
-from wtg_gym.systems.systems import Kind, system
+from wtg_gym.systems.systems import Kind, each, system
 
 MACHINES = Kind(
     name="machines",

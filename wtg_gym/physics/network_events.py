@@ -5,7 +5,8 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 
-from wtg_gym.physics.network_data import NetworkEvent
+from wtg_gym.physics.equilibrium import unit_name
+from wtg_gym.physics.layout import NetworkEvent
 from wtg_gym.physics.plant import ISLANDS_AT_MOST, Plant, PlantTables
 from wtg_gym.physics.scenario import (
     Event,
@@ -21,7 +22,6 @@ from wtg_gym.physics.scenario import (
     ReactanceStep,
     Scenario,
 )
-from wtg_gym.physics.start_errors import unit_name
 from wtg_gym.ranges import whole_steps
 
 

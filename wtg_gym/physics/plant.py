@@ -16,17 +16,13 @@ import numpy.typing as npt
 
 from wtg_gym.physics.aerodynamics import surface_of
 from wtg_gym.physics.checked import Checked, design
-from wtg_gym.physics.devices import Devices, joining
-from wtg_gym.physics.extension_unit import COLUMNS, EXTENSIONS, links_of_extensions
-from wtg_gym.physics.governor import gate_limits
-from wtg_gym.physics.grid import get_grid
-from wtg_gym.physics.hydro_unit import HYGOV
-from wtg_gym.physics.layout import Layout, Span, place_in
-from wtg_gym.physics.machine import Machine, RotorSaturation, machine_constants, rotor_saturation
-from wtg_gym.physics.machine_models import CONTROLS, control_constants, joining_controls
+from wtg_gym.physics.devices import SOURCES, Devices, joining, source_units
+from wtg_gym.physics.grid import NetworkCase, get_grid
+from wtg_gym.physics.layout import Facts, Layout, Network, Span, place_in
+from wtg_gym.physics.machine import Machine, RotorSaturation, gate_limits, machine_constants, rotor_saturation
+from wtg_gym.physics.machine_models import CONTROLS, HYGOV, control_constants, joining_controls
 from wtg_gym.physics.machine_unit import FIRST_MACHINE, MACHINES
-from wtg_gym.physics.network import NetworkCase, assemble_admittance, branch_admittances
-from wtg_gym.physics.network_data import Facts, Network
+from wtg_gym.physics.network import SPARSE_FROM, assemble_admittance, branch_admittances, pattern_of
 from wtg_gym.physics.parameters import (
     MOST_GROUPS,
     ConverterLimitParameters,
@@ -43,8 +39,6 @@ from wtg_gym.physics.parameters import (
     nrel_5mw,
 )
 from wtg_gym.physics.protection import STAGES, SheddingConstants
-from wtg_gym.physics.source_unit import SOURCES, source_units
-from wtg_gym.physics.sparse_flow import SPARSE_FROM, pattern_of
 from wtg_gym.physics.units import (
     BUSES,
     ISLANDS,
@@ -59,12 +53,11 @@ from wtg_gym.physics.units import (
     units_of_network,
 )
 from wtg_gym.physics.wind_turbine import Extension, Turbine, extension_constants, turbine_constants
-from wtg_gym.physics.wtg_unit import GROUPS
+from wtg_gym.physics.wtg_unit import COLUMNS, EXTENSIONS, GROUPS, links_of_extensions
 from wtg_gym.ranges import require_choice, require_known, require_range, whole_steps
 from wtg_gym.systems.programs import Program, Tables, build_table
-from wtg_gym.systems.records import structured
 from wtg_gym.systems.routines import Routine
-from wtg_gym.systems.systems import Kind
+from wtg_gym.systems.systems import Kind, structured
 
 #: Islands that a network may fall into, of those with a unit.
 ISLANDS_AT_MOST = 4

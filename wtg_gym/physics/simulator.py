@@ -6,35 +6,124 @@ import dataclasses
 import functools
 import itertools
 import math
-from collections.abc import Sequence
+import os
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor, wait
 from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from wtg_gym.physics.block_threads import BlockThreads
-from wtg_gym.physics.equilibrium import FLOW_COLUMNS, POWER_FLOW, SPARSE_FLOW, prepare_lanes, rows_of_buses
+from wtg_gym.physics.equilibrium import (
+    FLOW_COLUMNS,
+    NOMINAL,
+    POWER_FLOW,
+    SPARSE_FLOW,
+    StartError,
+    check_internal_voltages,
+    check_rotor_speeds,
+    prepare_lanes,
+    rows_of_buses,
+    scenario_name,
+    start_failure,
+)
 from wtg_gym.physics.integration import PROGRAMS, REFRESH, STARTING, STEPPING, advance_blocks, evaluate_blocks
-from wtg_gym.physics.layout import Floats, rows_of_lanes
+from wtg_gym.physics.layout import NO_EVENT, Floats, LaneData, NetworkEvent, rows_of_lanes
 from wtg_gym.physics.linearisation import StepError, check_step
-from wtg_gym.physics.network_data import NO_EVENT, LaneData, NetworkEvent
 from wtg_gym.physics.network_events import network_events
 from wtg_gym.physics.plant import Plant, TaskUnits, layout_of, plant_tables, programs_of, with_places
 from wtg_gym.physics.reduction import assemble
 from wtg_gym.physics.scenario import LONGEST_RUN_S, SERIES_DT, Scenario
-from wtg_gym.physics.start_errors import (
-    NOMINAL,
-    StartError,
-    check_internal_voltages,
-    check_rotor_speeds,
-    scenario_name,
-    start_failure,
-)
 from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY, TrackingLaw, group_laws
 from wtg_gym.physics.units import UNITS, StartFailure
 from wtg_gym.ranges import require_memory, require_range, require_whole, whole_steps
-from wtg_gym.systems.records import structured
+from wtg_gym.signals import undivided
 from wtg_gym.systems.routines import WIDE, Function, Routine, code_of
+from wtg_gym.systems.systems import structured
+
+#: A thread is worth its start only for this many blocks.
+_BLOCKS_PER_THREAD = 4
+
+
+class BlockThreads:
+    """Threads that work on blocks.
+
+    Args:
+        n_blocks: number of blocks.
+        n_threads: threads, at most; None for one per processor.
+    """
+
+    def __init__(self, n_blocks: int, n_threads: int | None = None) -> None:
+        self.n_blocks = n_blocks
+        self.n_threads = n_threads
+        #: Never more than when this was made, or copied to this machine: what each worker needs was made then.
+        self._most = self._wanted()
+        self._pool: ThreadPoolExecutor | None = None
+        self._pool_process = 0
+
+    @property
+    def n_workers(self) -> int:
+        """Threads that work on blocks at once."""
+        return min(self._most, self._wanted())
+
+    def _wanted(self) -> int:
+        return max(1, min(self.n_blocks // _BLOCKS_PER_THREAD, self.n_threads or os.cpu_count() or 1))
+
+    @undivided
+    def run(
+        self,
+        work: Callable[[int, int, int], Any],
+        meanwhile: Callable[[], Any] | None = None,
+        meanwhile_blocks: int = 0,
+    ) -> None:
+        """Call `work(first, last, worker)` for ranges that cover all blocks, each with a worker's number of its own.
+
+        Args:
+            work: compiled with nogil, so that it releases the interpreter's lock.
+            meanwhile: called once, by this thread, while others work.
+            meanwhile_blocks: how many blocks take as long as that call.
+        """
+        n_blocks = self.n_blocks
+        n_threads = self.n_workers
+        futures, own = [], n_blocks
+        if n_threads > 1:
+            own = max(0, (n_blocks + meanwhile_blocks) // n_threads - meanwhile_blocks)
+            edges = [own + (n_blocks - own) * i // (n_threads - 1) for i in range(n_threads)]
+            pool = self._workers(n_threads)
+            futures = [pool.submit(work, edges[i], edges[i + 1], i + 1) for i in range(n_threads - 1)]
+        # Whatever happens meanwhile, no block may be left a step behind the others.
+        try:
+            if meanwhile is not None:
+                meanwhile()
+        finally:
+            try:
+                work(0, own, 0)
+            finally:
+                wait(futures)
+        for done in futures:
+            done.result()
+
+    def _workers(self, n_threads: int) -> ThreadPoolExecutor:
+        # A forked process inherits the pool, but not its threads.
+        if self._pool is None or self._pool_process != os.getpid():
+            self._pool = ThreadPoolExecutor(n_threads, thread_name_prefix="wtg_gym")
+            self._pool_process = os.getpid()
+        return self._pool
+
+    def close(self) -> None:
+        """Stop the threads."""
+        if self._pool is not None:
+            self._pool.shutdown()
+            self._pool = None
+
+    def __getstate__(self) -> dict[str, Any]:
+        # A thread pool cannot be copied.
+        return {**self.__dict__, "_pool": None}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state)
+        self._most = self._wanted()
+
 
 #: Winds at which the integration step is checked when a simulator is built: blades at rest, and turned by the pitch
 #: protection [m/s].

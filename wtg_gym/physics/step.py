@@ -9,14 +9,12 @@ The start of a run (:mod:`wtg_gym.physics.equilibrium`):
     plan → power flow, balance, release until none → settle → reduction → admittances → find → rates → start
 
 Each name is a list of systems over all units of a kind; what is no map over units stands in the same lists. Kinds of
-unit that a plant has besides (:mod:`wtg_gym.physics.further_units`), and controls that only some machines have
+unit that a plant has besides (:mod:`wtg_gym.physics.devices`), and controls that only some machines have
 (:mod:`wtg_gym.physics.machine_models`), join where it says `Here`.
 """
 
 from __future__ import annotations
 
-from wtg_gym.physics import extension_unit as extension
-from wtg_gym.physics import local_frequency as local
 from wtg_gym.physics import machine_unit as machine
 from wtg_gym.physics import protection, starting, units
 from wtg_gym.physics import wtg_unit as wtg
@@ -33,19 +31,19 @@ VOLTAGES = (
     machine.voltage_of_machine,
     machine.saturate_machine,
     wtg.voltage_of_group,
-    extension.voltage_of_extended,
+    wtg.voltage_of_extended,
     Here(Joining.VOLTAGES),
 )
 
 #: Units that an event brings back are synchronised, with the network as it is without them.
 RETURN = (
     *VOLTAGES,
-    *local.BUS_VOLTAGES,
+    *protection.BUS_VOLTAGES,
     starting.synchronise,
     machine.return_machine,
     Here(ControlJoining.RETURN),
     wtg.return_group,
-    extension.return_extension,
+    wtg.return_extension,
     starting.reset_returning,
     starting.reset_returns,
 )
@@ -55,12 +53,12 @@ ADMITTANCES = (units.load_noise, units.admittance_with_noise, When(LANE, "return
 #: Currents without a limit, and which of them are too large.
 FREE_CURRENTS = (
     Product(PAIRS, "admittance", UNITS, "voltage", "current"),
-    extension.reset_limit_count,
-    extension.find_exceeded_limits,
+    wtg.reset_limit_count,
+    wtg.find_exceeded_limits,
 )
 
 #: A sweep over the groups: each finds its voltage with all others fixed, and all currents follow.
-SWEEP = (extension.reset_sweep_count, Each(extension.limit_current, extension.follow_change))
+SWEEP = (wtg.reset_sweep_count, Each(wtg.limit_current, wtg.follow_change))
 
 LIMITS = (When(LANE, "exceeded", (Repeat(LANE, "unsettled", SWEEP, most=_SWEEPS),)),)
 
@@ -76,7 +74,7 @@ MOVE = (
     Here(ControlJoining.MOVE),
     machine.stage_of_machine,
     wtg.stage_of_group,
-    extension.stage_of_extended,
+    wtg.stage_of_extended,
     Here(Joining.MOVE),
     units.reference_stage,
 )
@@ -86,7 +84,7 @@ RATES = (
     Here(ControlJoining.RATES),
     machine.rates_of_machine,
     wtg.rates_of_group,
-    extension.rates_of_extended,
+    wtg.rates_of_extended,
     Here(Joining.RATES),
     units.reference_rate,
 )
@@ -103,7 +101,7 @@ COI = (
 
 #: After a simulation step.
 #: The part with a way back comes first.
-MOVED = (extension.keep_energy, units.count_step, machine.restore_frequency, *COI)
+MOVED = (wtg.keep_energy, units.count_step, machine.restore_frequency, *COI)
 WATCH = (
     protection.track_extremes,
     protection.count_shed_energy,
@@ -114,7 +112,7 @@ WATCH = (
 FINISH = (*MOVED, *WATCH)
 
 PROTECT = (
-    *local.LOCAL,
+    *protection.LOCAL,
     protection.reset_island_extremes,
     protection.sample_machine,
     protection.sample_group,
@@ -125,7 +123,7 @@ PROTECT = (
     protection.judge_grid,
     When(LANE, "split", (protection.fall_member, protection.trip_machine)),
     protection.judge_rotor,
-    extension.judge_chopper,
+    wtg.judge_chopper,
     protection.end_run,
     protection.freeze_wind,
 )
@@ -166,7 +164,7 @@ SETTLE = (
     machine.turn_machine,
     wtg.start_group,
     wtg.curtail_law,
-    extension.start_extension,
+    wtg.start_extension,
     Here(Joining.SETTLE),
     starting.start_clock,
     starting.start_worst,
@@ -177,13 +175,13 @@ SETTLE = (
 #: After the first evaluation of a run: its first outputs, and what is beyond its limits then.
 START = (
     starting.reset_step_count,
-    *local.BUS_VOLTAGES,
-    local.start_bus,
+    *protection.BUS_VOLTAGES,
+    protection.start_bus,
     *COI,
     protection.track_extremes,
     wtg.reset_overload_time,
     machine.check_machine,
     Here(ControlJoining.START),
-    extension.check_extension,
+    wtg.check_extension,
     Here(Joining.START),
 )

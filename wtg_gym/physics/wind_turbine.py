@@ -3,8 +3,8 @@
     2H_m ω̇_m = p_w - p,    p_w = ρ π R² v³ C_p(λ, β) / (2 S_n),    λ = ω_tn R ω_m / v
 
 Source: paper, equations (1)-(5). After a trip the states of a group keep their last values; it feeds in nothing. An
-*extended* group has some of these: the limits and the voltage control of :mod:`~wtg_gym.physics.extended_converter`, a
-rotor that keeps its energy H_m ω_m²: 2H_m ω_m ω̇_m = p_w - max(p, p_min).
+*extended* group has some of these: limits and voltage control (:mod:`~wtg_gym.physics.converter`), a rotor that keeps
+its energy H_m ω_m²: 2H_m ω_m ω̇_m = p_w - max(p, p_min).
 """
 
 from __future__ import annotations
@@ -19,13 +19,17 @@ from wtg_gym.physics.aerodynamics import (
     surface_of,
     tracking_point,
 )
-from wtg_gym.physics.converter import Converter, ConverterState, Law, converter_constants, converter_rates
-from wtg_gym.physics.extended_converter import (
+from wtg_gym.physics.converter import (
+    Converter,
     ConverterLimits,
+    ConverterState,
+    Law,
     LimitState,
     VoltageControl,
     VoltageInput,
+    converter_constants,
     converter_limits,
+    converter_rates,
     emf_limited,
     emf_rate,
     limit_state_limited,
@@ -39,11 +43,71 @@ from wtg_gym.physics.parameters import (
     TurbineParameters,
     VoltageControlParameters,
 )
-from wtg_gym.physics.pitch import Pitch, PitchState, pitch_constants, pitch_limited, pitch_rates
 from wtg_gym.physics.rotor_table import Grid, tabulated_power_coefficient
 from wtg_gym.systems import expressions as ex
-from wtg_gym.systems.elementary import fma, select, sine_cosine
-from wtg_gym.systems.records import each
+from wtg_gym.systems.elementary import clip, fma, limited_rate, select, sine_cosine
+from wtg_gym.systems.systems import each
+
+
+class Pitch(NamedTuple):
+    """Constants of the pitch protection."""
+
+    power_limit: float  # p_max [p.u.]
+    rotor_limit: float  # ω_m,max [p.u.]
+    speed_weight: float  # K_ω [p.u./p.u.]
+    gain_p: float  # K_βP [deg/p.u.]
+    gain_i: float  # K_βI [deg/(p.u. s)]
+    inv_schedule: float  # 1/β_K [1/deg]
+    inv_actuator: float  # 1/T_β [1/s]
+    rate_limit: float  # [deg/s]
+    angle_max: float  # [deg]
+
+
+class PitchState(NamedTuple):
+    """States of the pitch protection."""
+
+    pitch_integral: float  # I [deg]
+    pitch: float  # β [deg]
+
+
+def pitch_constants(p: PitchParameters) -> Pitch:
+    """Return the constants."""
+    return Pitch(
+        power_limit=p.captured_power_limit_pu,
+        rotor_limit=p.rotor_speed_limit_pu,
+        speed_weight=p.speed_weight,
+        gain_p=p.proportional_gain_deg,
+        gain_i=p.integral_gain_deg_s,
+        inv_schedule=1.0 / p.gain_schedule_deg,
+        inv_actuator=1.0 / p.actuator_time_s,
+        rate_limit=p.rate_limit_deg_s,
+        angle_max=p.largest_angle_deg,
+    )
+
+
+def pitch_rates(s: PitchState, captured: float, rotor_speed: float, c: Pitch) -> PitchState:
+    """Return the rates [deg/s] at a captured power and a rotor speed [p.u.].
+
+    A PI controller on the larger of the power and the speed excess, with a lagging, slow drive:
+
+        e = max(p_w - p_max, K_ω (ω_m - ω_m,max)) / (1 + β/β_K),    İ = K_βI e,    T_β β̇ = I + K_βP e - β
+
+    with limits on I, on the demand and on β̇; I and β stay exactly at zero while there is no excess. Like WECC's pitch
+    controller WTGPT_A it acts on speed and power, but with one PI. Source of gain schedule and rate limit: J. Jonkman
+    et al.: Definition of a 5-MW Reference Wind Turbine, NREL/TP-500-38060.
+    """
+    excess = max(captured - c.power_limit, c.speed_weight * (rotor_speed - c.rotor_limit))
+    scheduled = excess / (1.0 + s.pitch * c.inv_schedule)
+    demand = clip(s.pitch_integral + c.gain_p * scheduled, 0.0, c.angle_max)
+    return PitchState(
+        pitch_integral=limited_rate(c.gain_i * scheduled, s.pitch_integral, 0.0, c.angle_max),
+        pitch=clip((demand - s.pitch) * c.inv_actuator, -c.rate_limit, c.rate_limit),
+    )
+
+
+def pitch_limited(s: PitchState, c: Pitch) -> PitchState:
+    """Return the states, held within their limits."""
+    return PitchState(clip(s.pitch_integral, 0.0, c.angle_max), clip(s.pitch, 0.0, c.angle_max))
 
 
 class Rotor(NamedTuple):
@@ -96,7 +160,7 @@ class Extension(NamedTuple):
 
 
 class WtgState(NamedTuple):
-    """States."""
+    """States of a group."""
 
     converter: ConverterState
     rotor_speed: float  # ω_m [p.u.]

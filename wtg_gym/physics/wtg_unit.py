@@ -1,34 +1,54 @@
-"""Groups of wind turbine generators as units: their parts, and the systems that move them."""
+"""Groups of wind turbine generators as units, and what extended ones have besides: the limits of their currents."""
 
 from __future__ import annotations
 
 import math
 
-from wtg_gym.physics.converter import ConverterState
-from wtg_gym.physics.pitch import PitchState
-from wtg_gym.physics.runge_kutta import moving
+import numpy as np
+
+from wtg_gym.physics.converter import (
+    ConverterState,
+    LimitState,
+    VoltageInput,
+    limiting_reactance,
+    most_power,
+    power_limiter,
+)
 from wtg_gym.physics.units import (
+    BUSES,
     ISLANDS,
     LANE,
+    PAIRS,
     UNITS,
     Back,
     Connection,
     Phasor,
     StartFailure,
     Terminal,
+    moving,
+    nested,
     noted,
+    plus,
     quotient,
 )
 from wtg_gym.physics.wind_turbine import (
     FOUND,
+    Extension,
+    ExtensionOutput,
+    ExtensionState,
+    PitchState,
     Search,
     Turbine,
     WtgExtremes,
     WtgInput,
     WtgOutput,
     WtgState,
+    at_terminal,
     captured_by_curve,
     captured_by_table,
+    extended_rates,
+    extension_limited,
+    rotor_of_energy,
     search_begun,
     searched,
     wind_at,
@@ -37,9 +57,9 @@ from wtg_gym.physics.wind_turbine import (
     wtg_voltage,
 )
 from wtg_gym.systems import expressions as ex
-from wtg_gym.systems.elementary import select
-from wtg_gym.systems.records import each
-from wtg_gym.systems.systems import Kind, system
+from wtg_gym.systems.elementary import fma, select
+from wtg_gym.systems.programs import Whole
+from wtg_gym.systems.systems import Kind, each, system
 
 GROUPS = Kind(
     name="WTG groups",
@@ -190,3 +210,241 @@ def rates_of_group(
 
 
 stage_of_group = moving(rates_of_group, wtg_limited, constants=["turbine"])
+#: A voltage that moves by less than this in a sweep has settled [p.u.]; the squares are compared.
+_SETTLED = 1e-12 * 1e-12
+EXTENSIONS = Kind(
+    name="extensions",
+    rows={
+        "own": ExtensionState,
+        "references": VoltageInput,
+        "terminal": ExtensionOutput,
+        "heat": float,  # of the chopper [p.u. s]
+    },
+    scratch={
+        "reactance": float,  # X_v that limits the current [p.u. of the system]
+        "source": Phasor,  # voltage behind X_g before its current is limited [p.u.]
+        "change": Phasor,  # of the voltage behind X_g in the latest sweep [p.u.]
+    },
+    constants={"extension": Extension},
+    sees={"group": GROUPS, "unit": UNITS, "bus_": BUSES, "own_entry_": PAIRS, "lane": LANE},
+    states=("own",),
+)
+#: The column of each extended group in the admittance matrix: one entry for every unit.
+COLUMNS = Kind(name="columns", sees={"entry": PAIRS, "unit": UNITS, "group": EXTENSIONS})
+
+
+def links_of_extensions(n_sync: int, n_wtg: int, unit_bus: Whole) -> dict[tuple[Kind, str], Whole]:
+    """Return which others each unit of these kinds sees, from the index of each unit's bus (n_unit,)."""
+    n, groups = unit_bus.size, n_sync + np.arange(n_wtg)
+    # One column after the other: its entries, the units of its rows, its group.
+    group, unit = nested(n_wtg, n)
+    return {
+        (EXTENSIONS, "unit"): groups,
+        (EXTENSIONS, "bus_"): unit_bus[groups],
+        (EXTENSIONS, "own_entry_"): groups * (n + 1),
+        (COLUMNS, "entry"): unit * n + groups[group],
+        (COLUMNS, "unit"): unit,
+        (COLUMNS, "group"): group,
+    }
+
+
+@system(EXTENSIONS, "own", "references", "heat")
+def start_extension(start: Terminal, emf: float, share: float) -> tuple[ExtensionState, VoltageInput, float]:
+    """Return the equilibrium of the internal voltage, the references that keep it, and a cold chopper."""
+    own = ExtensionState(LimitState(0.0, 0.0, 0.0), emf)
+    return own, VoltageInput(start.magnitude, start.reactive / share), 0.0
+
+
+@system(EXTENSIONS, "own", "heat")
+def return_extension(own: ExtensionState, heat: float, returns: float, back: Back) -> tuple[ExtensionState, float]:
+    """Return the voltage of its bus and a limiter at rest for a group that comes back, with a cold chopper."""
+    comes = returns > 0.5
+    found = ExtensionState(LimitState(0.0, 0.0, own.limits.energy_chopped), back.bus_voltage)
+    return each(lambda new, old: select(comes, new, old), found, own), select(comes, 0.0, heat)
+
+
+@system(EXTENSIONS, "start_failure", "failing_unit")
+def check_extension(
+    own: ExtensionState,
+    terminal: ExtensionOutput,
+    output: WtgOutput,
+    rotor_speed: float,
+    extension: Extension,
+    connection: Connection,
+    start_failure: float,
+    failing_unit: float,
+) -> tuple[float, float]:
+    """Note a group that would start beyond the limits of its converter or of its internal voltage."""
+    limits, control, power = extension.limits, extension.voltage, output.power
+    fits = (
+        (terminal.limiting_reactance <= 0.0) & (limits.power_min <= power) & (power <= most_power(rotor_speed, limits))
+    )
+    start_failure, failing_unit = noted(
+        fits, StartFailure.CONVERTER_LIMIT, connection.number, start_failure, failing_unit
+    )
+    fits = (control.emf_min <= own.internal_voltage) & (own.internal_voltage <= control.emf_max)
+    return noted(fits, StartFailure.INTERNAL_VOLTAGE_LIMIT, connection.number, start_failure, failing_unit)
+
+
+@system(EXTENSIONS, "voltage")
+def voltage_of_extended(state: WtgState, own: ExtensionState) -> Phasor:
+    """Return the voltage behind the reactance."""
+    return Phasor(*wtg_voltage(state, own.internal_voltage))
+
+
+@system(LANE, "exceeded")
+def reset_limit_count() -> float:
+    """Begin to count groups whose current is too large."""
+    return 0.0
+
+
+@system(EXTENSIONS, "reactance", "source", "exceeded")
+def find_exceeded_limits(
+    voltage: Phasor, unit_current: Phasor, extension: Extension, share: float, exceeded: float
+) -> tuple[float, Phasor, float]:
+    """Keep the voltage without a limit, and count groups whose current is too large."""
+    largest = (extension.limits.current_max * share) * (extension.limits.current_max * share)
+    too_large = fma(unit_current.re, unit_current.re, unit_current.im * unit_current.im) > largest
+    return 0.0, voltage, exceeded + select(too_large, 1.0, 0.0)
+
+
+@system(LANE, "unsettled")
+def reset_sweep_count() -> float:
+    """Begin a sweep."""
+    return 0.0
+
+
+def _limit(
+    own_entry_admittance: Phasor,
+    source: Phasor,
+    voltage: Phasor,
+    unit_current: Phasor,
+    extension: Extension,
+    share: float,
+    unsettled: float,
+    settled: float,
+) -> tuple[float, Phasor, Phasor, float]:
+    y, e = own_entry_admittance, voltage
+    free = plus(unit_current, y, Phasor(source.re - e.re, source.im - e.im))
+    reactance = limiting_reactance(free.re, free.im, y.re, y.im, extension.limits.current_max * share)
+    # E' = E - jX_v I, and I = I_0 / (1 + jX_v Y).
+    d_re, d_im = 1.0 - reactance * y.im, reactance * y.re
+    size = reactance / fma(d_re, d_re, d_im * d_im)
+    drop_re = size * fma(free.re, d_re, free.im * d_im)
+    drop_im = size * fma(free.im, d_re, -(free.re * d_im))
+    change = Phasor(source.re + drop_im - e.re, source.im - drop_re - e.im)
+    moves = fma(change.re, change.re, change.im * change.im) > settled
+    change = Phasor(select(moves, change.re, 0.0), select(moves, change.im, 0.0))
+    moved = Phasor(e.re + change.re, e.im + change.im)
+    return reactance, moved, change, unsettled + select(moves, 1.0, 0.0)
+
+
+def _limit_that_moves(
+    own_entry_admittance: Phasor,
+    source: Phasor,
+    voltage: Phasor,
+    unit_current: Phasor,
+    extension: Extension,
+    share: float,
+    unsettled: float,
+) -> tuple[float, Phasor, Phasor, float]:
+    # However little a voltage moves: where it stands is where the limit holds.
+    return _limit(own_entry_admittance, source, voltage, unit_current, extension, share, unsettled, -1.0)
+
+
+@system(EXTENSIONS, "reactance", "voltage", "change", "unsettled", backward=_limit_that_moves)
+def limit_current(
+    own_entry_admittance: Phasor,
+    source: Phasor,
+    voltage: Phasor,
+    unit_current: Phasor,
+    extension: Extension,
+    share: float,
+    unsettled: float,
+) -> tuple[float, Phasor, Phasor, float]:
+    """Find the limiting reactance with all other voltages fixed, and the voltage behind it.
+
+    A lane without such a group, or one that has settled, keeps its bits, whatever its neighbours do.
+    """
+    return _limit(own_entry_admittance, source, voltage, unit_current, extension, share, unsettled, _SETTLED)
+
+
+@system(COLUMNS, "unit_current")
+def follow_change(unit_current: Phasor, admittance: Phasor, change: Phasor) -> Phasor:
+    """Return the current of a unit after the voltage of a group has changed."""
+    return plus(unit_current, admittance, change)
+
+
+@system(EXTENSIONS, "state_rates", "own_rates", "output", "terminal")
+def rates_of_extended(
+    state: WtgState,
+    own: ExtensionState,
+    voltage: Phasor,
+    unit_current: Phasor,
+    reactance: float,
+    bus_magnitude: float,
+    given: WtgInput,
+    references: VoltageInput,
+    group_captured: float,
+    turbine: Turbine,
+    extension: Extension,
+    share: float,
+    inv_share: float,
+    reference_speed: float,
+    omega_n: float,
+    fraction: float,
+) -> tuple[WtgState, ExtensionState, WtgOutput, ExtensionOutput]:
+    """Return the rates of both kinds of state, and the outputs."""
+    power, most = power_of(voltage, unit_current, inv_share), most_power(state.rotor_speed, extension.limits)
+    limit_rates, shift, drawn = power_limiter(own.limits, power, most, extension.limits)
+    rates, output = wtg_rates(
+        state,
+        power,
+        group_captured,
+        wind_at(given, fraction),
+        given,
+        turbine,
+        reference_speed,
+        omega_n,
+        limiter=(shift, most),
+    )
+    i_re, i_im = inv_share * unit_current.re, inv_share * unit_current.im
+    terminal = at_terminal(voltage.re, voltage.im, i_re, i_im, reactance, share, turbine.converter)
+    # A group that is disconnected measures its bus.
+    seen = select(given.connected > 0.5, terminal.terminal_voltage, bus_magnitude)
+    terminal = terminal._replace(terminal_voltage=seen)
+    rates, own_rates = extended_rates(
+        rates, state, own, (limit_rates, drawn), terminal, given, references, turbine, extension
+    )
+    return rates, own_rates, output, terminal
+
+
+stage_of_extended = moving(rates_of_extended, wtg_limited, extension_limited, constants=["turbine", "extension"])
+
+
+@system(EXTENSIONS, "rotor_speed", "heat")
+def keep_energy(
+    state: WtgState,
+    state_base: WtgState,
+    own: ExtensionState,
+    own_base: ExtensionState,
+    heat: float,
+    turbine: Turbine,
+    extension: Extension,
+    active: float,
+) -> tuple[float, float]:
+    """Return the rotor speed that follows from the energies of a step of a running lane, and the chopper's heat."""
+    chopped, runs = own.limits.energy_chopped - own_base.limits.energy_chopped, active > 0.5
+    return (
+        select(runs, rotor_of_energy(state_base, state, chopped, turbine, extension), state.rotor_speed),
+        select(runs, fma(extension.limits.heat_kept, heat, chopped), heat),
+    )
+
+
+@system(EXTENSIONS, "connected", "next_change")
+def judge_chopper(
+    heat: float, given: WtgInput, extension: Extension, next_change: float, step: float, active: float
+) -> tuple[float, float]:
+    """Disconnect a group whose chopper is full: its DC voltage would rise without an end."""
+    full = (heat > extension.limits.chopper_energy) & (given.connected > 0.5) & (active > 0.5)
+    return select(full, 0.0, given.connected), select(full, step, next_change)
