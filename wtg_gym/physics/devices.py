@@ -14,7 +14,7 @@ from wtg_gym.physics.layout import place_in
 from wtg_gym.physics.units import LANE, UNITS, Connection, Joining, Phasor, Sample, Terminal, moving, quotient
 from wtg_gym.ranges import did_you_mean, require_range
 from wtg_gym.systems.elementary import sine_cosine
-from wtg_gym.systems.systems import Kind, System, is_record, short_names, system
+from wtg_gym.systems.systems import Kind, System, is_record, setting, short_names, system
 
 #: Where systems have to join.
 _NEEDED = (Joining.PLAN, Joining.SETTLE, Joining.VOLTAGES, Joining.MOVE, Joining.RATES)
@@ -111,12 +111,6 @@ SOURCES = Kind(
 )
 
 
-@system(SOURCES, "planned_power")
-def plan_source() -> float:
-    """Return the power before the balance's share."""
-    return 0.0
-
-
 @system(SOURCES, "state", "given")
 def start_source(start: Terminal, connection: Connection, frame: float) -> tuple[SourceState, SourceInput]:
     """Return the voltage that gives what the power flow asks for, at nominal frequency."""
@@ -161,7 +155,7 @@ def source_units(sources: tuple[Source, ...]) -> tuple[Devices, ...]:
             balances=True,
             constants={},
             systems={
-                Joining.PLAN: (plan_source,),
+                Joining.PLAN: (setting(SOURCES, planned_power=0.0),),
                 Joining.SETTLE: (start_source,),
                 Joining.VOLTAGES: (voltage_of_source,),
                 Joining.MOVE: (stage_of_source,),

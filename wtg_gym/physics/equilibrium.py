@@ -181,7 +181,7 @@ def _plan_flow(arrays: tuple[Floats, Floats], buses: Floats, y: npt.NDArray[np.c
     facts, tables, scratch = network.facts, network.tables, arrays[1]
     lane = units_of(scratch, facts.starting)[0]
     integration.plan(arrays, tables, NONE)
-    released = lane[OF_STARTING_LANE.start_failure, 0] == 0.0
+    released = lane[OF_STARTING_LANE.failure, 0] == 0.0
     balances = facts.n_balances
     while released:
         if facts.is_large:
@@ -189,7 +189,7 @@ def _plan_flow(arrays: tuple[Floats, Floats], buses: Floats, y: npt.NDArray[np.c
         else:
             steps = _flow(tables, (y, facts.slack, buses, FLOW_COLUMNS))
         if steps < 0:
-            lane[OF_STARTING_LANE.start_failure, 0] = _DIVERGED
+            lane[OF_STARTING_LANE.failure, 0] = _DIVERGED
             break
         if balances:
             integration.balance(arrays, tables, NONE)
@@ -198,7 +198,7 @@ def _plan_flow(arrays: tuple[Floats, Floats], buses: Floats, y: npt.NDArray[np.c
         # Each time at least one bus lets go, and no bus does twice.
         integration.release(arrays, tables, NONE)
         released = lane[OF_STARTING_LANE.released, 0] > 0.0
-    if lane[OF_STARTING_LANE.start_failure, 0] != 0.0:
+    if lane[OF_STARTING_LANE.failure, 0] != 0.0:
         return math.nan
     return float(buses[facts.slack, OF_STARTING_BUS.flow] - buses[facts.slack, OF_STARTING_BUS.planned])
 
@@ -207,7 +207,7 @@ def _plan_flow(arrays: tuple[Floats, Floats], buses: Floats, y: npt.NDArray[np.c
 def _curtail(arrays: tuple[Floats, Floats], buses: Floats, y: npt.NDArray[np.complex128], network: Network) -> None:
     """Find the common factor on k with which the WTG groups alone meet the load, by halving its range."""
     lane = units_of(arrays[1], network.facts.starting)[0]
-    at, failure = OF_STARTING_LANE.curtailment, OF_STARTING_LANE.start_failure
+    at, failure = OF_STARTING_LANE.curtailment, OF_STARTING_LANE.failure
     low, high = _LEAST_CURTAILMENT, 1.0
     # Far from the balance there is no power flow: what all give without losses comes close.
     while high - low > _CLOSE and lane[failure, 0] == 0.0:
@@ -270,7 +270,7 @@ def prepare_lanes(
             _curtail(arrays, buses, y, network)
         else:
             _plan_flow(arrays, buses, y, network)
-        if starting[OF_STARTING_LANE.start_failure, 0] == 0.0:
+        if starting[OF_STARTING_LANE.failure, 0] == 0.0:
             integration.settle(arrays, tables, NONE)
             run = units_of(block, facts.lane)[0]
             voltage = buses[int(run[OF_LANE.noise_bus, 0]), OF_STARTING_BUS.polar]
@@ -286,5 +286,5 @@ def prepare_lanes(
             integration.find(arrays, tables, NONE)
             integration.find_rates(arrays, tables, NONE)
             integration.start(arrays, tables, NONE)
-        failures[lane, 0] = int(starting[OF_STARTING_LANE.start_failure, 0])
-        failures[lane, 1] = int(starting[OF_STARTING_LANE.failing_unit, 0])
+        failures[lane, 0] = int(starting[OF_STARTING_LANE.failure, 0])
+        failures[lane, 1] = int(starting[OF_STARTING_LANE.failure + 1, 0])

@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 
 from wtg_gym.physics.machine import Machine, MachineInput, MachineVoltage, gate_limits, terminal_voltage
 from wtg_gym.physics.machine_unit import MACHINES
-from wtg_gym.physics.units import LANE, UNITS, Back, ControlJoining, Phasor, StartFailure, moving, noted
+from wtg_gym.physics.units import LANE, UNITS, Back, ControlJoining, Failure, Phasor, StartFailure, moving, noted
 from wtg_gym.systems.elementary import clip, limited_rate, select
 from wtg_gym.systems.systems import Kind, System, each, system
 
@@ -154,12 +154,11 @@ def _checked(
 ) -> Control:
     """Return a control that cannot start beyond its limits."""
 
-    @system(kind, "start_failure", "failing_unit")
-    def check_control(control: Any, model: Any, start_failure: float, failing_unit: float) -> tuple[float, float]:
+    @system(kind, "lane_failure")
+    def check_control(control: Any, model: Any, lane_failure: Failure) -> Failure:
         low, high = limits(model)
         value = getattr(control, limited)
-        fits = (low <= value) & (value <= high)
-        return noted(fits, failure, model.machine, start_failure, failing_unit)
+        return noted((low <= value) & (value <= high), failure, model.machine, lane_failure)
 
     return Control(
         kind=kind,

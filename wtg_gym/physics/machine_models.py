@@ -14,19 +14,10 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from wtg_gym.physics import machine_controls as controls
 from wtg_gym.physics import machine_parameters as parameters
 from wtg_gym.physics.machine import beyond_dead_band, saturated, saturation_constants
-from wtg_gym.physics.machine_controls import (
-    Constants,
-    Control,
-    exciter,
-    governor,
-    inverse,
-    lag,
-    lead_lag,
-    limited_lag,
-    stabiliser,
-)
+from wtg_gym.physics.machine_controls import lag, lead_lag
 from wtg_gym.physics.units import ControlJoining
 from wtg_gym.systems.elementary import clip, limited_rate, select
 from wtg_gym.systems.systems import System, structured
@@ -63,7 +54,9 @@ def stab1_start(deviation: float, c: Any) -> Stab1State:
     return Stab1State(deviation, 0.0, 0.0)
 
 
-STAB1 = stabiliser(Constants(parameters.SpeedStabiliserParameters), Stab1State, stab1_rates, stab1_start)
+STAB1 = controls.stabiliser(
+    controls.Constants(parameters.SpeedStabiliserParameters), Stab1State, stab1_rates, stab1_start
+)
 
 
 class Denominator(NamedTuple):
@@ -87,7 +80,7 @@ class IeeestState(NamedTuple):
 
 
 def _denominator(linear: float, square: float) -> Denominator:
-    return Denominator(linear, 0.0 if square else inverse(linear), inverse(square))
+    return Denominator(linear, 0.0 if square else controls.inverse(linear), controls.inverse(square))
 
 
 def _filters(p: parameters.FilterStabiliserParameters) -> dict[str, Any]:
@@ -143,8 +136,8 @@ def ieeest_start(deviation: float, c: Any) -> IeeestState:
     return IeeestState(0.0, deviation, 0.0, deviation, deviation, deviation, c.gain * deviation)
 
 
-IEEEST = stabiliser(
-    Constants(parameters.FilterStabiliserParameters, besides=_filters), IeeestState, ieeest_rates, ieeest_start
+IEEEST = controls.stabiliser(
+    controls.Constants(parameters.FilterStabiliserParameters, besides=_filters), IeeestState, ieeest_rates, ieeest_start
 )
 
 # --- exciters ---------------------------------------------------------------------------------------------------------
@@ -180,7 +173,7 @@ def ieeex1_rates(s: Ieeex1State, reference: float, voltage: float, c: Any) -> Ie
     slope, _ = lag(s.feedback, s.excitation, c.inv_feedback_time)
     error = reference - measured - c.feedback_gain_s * slope
     lead, led = lead_lag(s.lead_lag, error, c.lead_time_s, c.inv_lag_time)
-    regulator, driving = limited_lag(
+    regulator, driving = controls.limited_lag(
         s.regulator, c.regulator_gain * led, c.inv_regulator_time, c.regulator_min_pu, c.regulator_max_pu
     )
     needed = c.exciter_gain * s.excitation + saturated(s.excitation, c.saturation)
@@ -194,8 +187,10 @@ def ieeex1_start(field_voltage: float, voltage: float, c: Any) -> tuple[Ieeex1St
     return Ieeex1State(voltage, error, regulator, field_voltage, field_voltage), error
 
 
-IEEEX1 = exciter(
-    Constants(parameters.SaturatingExciterParameters, parameters.LeadLagExciterParameters, besides=_saturation),
+IEEEX1 = controls.exciter(
+    controls.Constants(
+        parameters.SaturatingExciterParameters, parameters.LeadLagExciterParameters, besides=_saturation
+    ),
     Ieeex1State,
     ieeex1_rates,
     ieeex1_start,
@@ -253,10 +248,10 @@ def hydro_start(torque: float, c: Any) -> HydroState:
     return HydroState(0.0, gate, gate, gate)
 
 
-hydro_constants = Constants(
+hydro_constants = controls.Constants(
     parameters.HydroGovernorParameters, besides=lambda p: {"inv_temporary_droop": 1.0 / p.temporary_droop_pu}
 )
-HYGOV = governor(hydro_constants, HydroState, hydro_rates, hydro_start, "hydro_gate", hydro_limited)
+HYGOV = controls.governor(hydro_constants, HydroState, hydro_rates, hydro_start, "hydro_gate", hydro_limited)
 HYDRO = HYGOV.kind
 
 
@@ -293,7 +288,7 @@ def gast_start(torque: float, c: Any) -> GastState:
     return GastState(torque, torque, torque)
 
 
-GAST = governor(Constants(parameters.GasGovernorParameters), GastState, gast_rates, gast_start)
+GAST = controls.governor(controls.Constants(parameters.GasGovernorParameters), GastState, gast_rates, gast_start)
 
 
 class Ieeeg1State(NamedTuple):
@@ -341,7 +336,9 @@ def ieeeg1_start(torque: float, c: Any) -> Ieeeg1State:
     return Ieeeg1State(0.0, valve, valve, valve, valve, valve)
 
 
-IEEEG1 = governor(Constants(parameters.BoilerGovernorParameters), Ieeeg1State, ieeeg1_rates, ieeeg1_start)
+IEEEG1 = controls.governor(
+    controls.Constants(parameters.BoilerGovernorParameters), Ieeeg1State, ieeeg1_rates, ieeeg1_start
+)
 
 
 class IeesgoState(NamedTuple):
@@ -383,18 +380,20 @@ def ieesgo_start(torque: float, c: Any) -> IeesgoState:
     return IeesgoState(0.0, 0.0, torque, torque, torque)
 
 
-IEESGO = governor(Constants(parameters.ReheatGovernorParameters), IeesgoState, ieesgo_rates, ieesgo_start)
+IEESGO = controls.governor(
+    controls.Constants(parameters.ReheatGovernorParameters), IeesgoState, ieesgo_rates, ieesgo_start
+)
 
 # --- all of them ------------------------------------------------------------------------------------------------------
 
 #: By the names of their kinds. Stabilisers come before the exciters whose references they shift.
-CONTROLS: Mapping[str, Control] = types.MappingProxyType(
+CONTROLS: Mapping[str, controls.Control] = types.MappingProxyType(
     {control.kind.name: control for control in (STAB1, IEEEST, IEEEX1, HYGOV, IEEEG1, IEESGO, GAST)}
 )
 _BY_PARAMETERS = {record: control for control in CONTROLS.values() for record in control.constants.parameters}
 
 
-def controls_of(machine: parameters.SynchronousMachineParameters) -> list[tuple[Control, Any]]:
+def controls_of(machine: parameters.SynchronousMachineParameters) -> list[tuple[controls.Control, Any]]:
     """Return the controls of a machine that are units of their own, each with its parameters."""
     electric = () if machine.classical else (machine.stabiliser, machine.exciter)
     own = (*electric, machine.governor)

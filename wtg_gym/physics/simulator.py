@@ -14,19 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from wtg_gym.physics.equilibrium import (
-    FLOW_COLUMNS,
-    NOMINAL,
-    POWER_FLOW,
-    SPARSE_FLOW,
-    StartError,
-    check_internal_voltages,
-    check_rotor_speeds,
-    prepare_lanes,
-    rows_of_buses,
-    scenario_name,
-    start_failure,
-)
+from wtg_gym.physics import equilibrium
 from wtg_gym.physics.integration import PROGRAMS, REFRESH, STARTING, STEPPING, advance_blocks, evaluate_blocks
 from wtg_gym.physics.layout import NO_EVENT, Floats, LaneData, NetworkEvent, rows_of_lanes
 from wtg_gym.physics.linearisation import StepError, check_step
@@ -235,10 +223,10 @@ class Simulator:
         network, some = self.plant.network, np.zeros((1, 1))
         found: dict[Function, tuple[Any, ...]] = {
             REFRESH: (some, 0, 0, network, self._allocate_data(1, 1)),
-            POWER_FLOW: (self.plant.bus_y, 0, some, FLOW_COLUMNS),
+            equilibrium.POWER_FLOW: (self.plant.bus_y, 0, some, equilibrium.FLOW_COLUMNS),
         }
         if network.facts.is_large:
-            found[SPARSE_FLOW] = (self.plant.bus_y, 0, some, FLOW_COLUMNS, network.pattern)
+            found[equilibrium.SPARSE_FLOW] = (self.plant.bus_y, 0, some, equilibrium.FLOW_COLUMNS, network.pattern)
         return found
 
     def link(self, task: TaskUnits) -> None:
@@ -257,7 +245,7 @@ class Simulator:
         found = False
         for wind in _CHECKED_WINDS:
             nominal = Scenario(
-                name=f"{NOMINAL}{wind:g} m/s and nominal load",
+                name=f"{equilibrium.NOMINAL}{wind:g} m/s and nominal load",
                 wind_speed=np.full((self.layout.n_wtg, 1), wind),
                 duration_s=self.n_intervals * self.settings.control_dt,
                 load_noise_bus=self.settings.case.slack_bus,
@@ -268,7 +256,7 @@ class Simulator:
                 rows = self._equilibria([nominal], laws).rows
             except ValueError:
                 continue
-            check_internal_voltages(rows, [nominal], self.settings, self.layout)
+            equilibrium.check_internal_voltages(rows, [nominal], self.settings, self.layout)
             self._check_step(rows[0], nominal)
             found = True
         return found
@@ -278,7 +266,7 @@ class Simulator:
             check_step(rows, self.plant, self.layout)
         except ValueError as error:
             raise ValueError(
-                f"{scenario_name(scenario)}, inertia_scale = {scenario.inertia_scale:g}: {error}"
+                f"{equilibrium.scenario_name(scenario)}, inertia_scale = {scenario.inertia_scale:g}: {error}"
             ) from None
 
     def _allocate_data(self, n: int, n_events: int) -> LaneData:
@@ -340,7 +328,7 @@ class Simulator:
                 there; or a unit would need a larger internal voltage than allowed, or a rotor would not turn.
         """
         prepared = self._equilibria(scenarios, laws)
-        check_internal_voltages(prepared.rows, scenarios, self.settings, self.layout)
+        equilibrium.check_internal_voltages(prepared.rows, scenarios, self.settings, self.layout)
         scales = ((scenario.inertia_scale * scenario.committed, lane) for lane, scenario in enumerate(scenarios))
         (scale, lightest), of_laws = min(scales, default=(math.inf, 0)), tuple(laws)
         if scale < self._checked.get(of_laws, math.inf):
@@ -349,7 +337,7 @@ class Simulator:
             self._check_nominal(of_laws, scenarios[lightest].inertia_scale, scenarios[lightest].committed)
             self._checked[of_laws] = scale
         if turning:
-            check_rotor_speeds(prepared.rows, scenarios, self.settings, self.layout)
+            equilibrium.check_rotor_speeds(prepared.rows, scenarios, self.settings, self.layout)
         return prepared
 
     def _equilibria(self, scenarios: Sequence[Scenario], laws: Sequence[TrackingLaw]) -> PreparedLanes:
@@ -375,12 +363,14 @@ class Simulator:
         failures = np.zeros((n, 2), dtype=np.int64)
         levels = np.array([scenario.load_level for scenario in scenarios])
         plant, blocks, scratch = self.plant, rows[:, :, np.newaxis], self.new_scratches(1, 1)[0]
-        buses = rows_of_buses(scratch, self.layout)
-        prepare_lanes(blocks, scratch, buses, plant.bus_y, plant.network, data, levels, failures)
+        buses = equilibrium.rows_of_buses(scratch, self.layout)
+        equilibrium.prepare_lanes(blocks, scratch, buses, plant.bus_y, plant.network, data, levels, failures)
         for scenario, (failure, unit), row in zip(scenarios, failures.tolist(), rows, strict=True):
             if failure:
-                reason = start_failure(StartFailure(failure), unit, row, scenario, self.settings, self.layout)
-                raise StartError(f"scenario {scenario.name!r} cannot start: {reason}")
+                reason = equilibrium.start_failure(
+                    StartFailure(failure), unit, row, scenario, self.settings, self.layout
+                )
+                raise equilibrium.StartError(f"scenario {scenario.name!r} cannot start: {reason}")
         return PreparedLanes(rows, data)
 
     def start(

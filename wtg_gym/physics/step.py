@@ -15,18 +15,22 @@ unit that a plant has besides (:mod:`wtg_gym.physics.devices`), and controls tha
 
 from __future__ import annotations
 
+import math
+
 from wtg_gym.physics import machine_unit as machine
 from wtg_gym.physics import protection, starting, units
 from wtg_gym.physics import wtg_unit as wtg
-from wtg_gym.physics.units import LANE, PAIRS, UNITS, ControlJoining, Joining
+from wtg_gym.physics.units import ISLANDS, LANE, PAIRS, UNITS, ControlJoining, Joining
+from wtg_gym.physics.wtg_unit import GROUPS
 from wtg_gym.systems.programs import Each, Here, Product, Repeat, When
+from wtg_gym.systems.systems import setting
 
 #: Gauss-Seidel sweeps over the groups whose current is limited, at most: a few, but some thirty for large groups at a
 #: weak bus. They end once no voltage moves.
 _SWEEPS = 100
 
 VOLTAGES = (
-    machine.reset_reference_speed,
+    setting(LANE, "no machine", reference_speed=1.0),
     machine.reference,
     machine.voltage_of_machine,
     machine.saturate_machine,
@@ -45,7 +49,7 @@ RETURN = (
     wtg.return_group,
     wtg.return_extension,
     starting.reset_returning,
-    starting.reset_returns,
+    setting(UNITS, returns=0.0),
 )
 
 ADMITTANCES = (units.load_noise, units.admittance_with_noise, When(LANE, "returning", RETURN))
@@ -53,12 +57,12 @@ ADMITTANCES = (units.load_noise, units.admittance_with_noise, When(LANE, "return
 #: Currents without a limit, and which of them are too large.
 FREE_CURRENTS = (
     Product(PAIRS, "admittance", UNITS, "voltage", "current"),
-    wtg.reset_limit_count,
+    setting(LANE, exceeded=0.0),
     wtg.find_exceeded_limits,
 )
 
 #: A sweep over the groups: each finds its voltage with all others fixed, and all currents follow.
-SWEEP = (wtg.reset_sweep_count, Each(wtg.limit_current, wtg.follow_change))
+SWEEP = (setting(LANE, unsettled=0.0), Each(wtg.limit_current, wtg.follow_change))
 
 LIMITS = (When(LANE, "exceeded", (Repeat(LANE, "unsettled", SWEEP, most=_SWEEPS),)),)
 
@@ -90,7 +94,7 @@ RATES = (
 )
 
 COI = (
-    protection.reset_inertia_sums,
+    setting(ISLANDS, sums=units.Sums(0.0, 0.0)),
     protection.add_machine,
     protection.add_group,
     When(LANE, "split", (protection.add_member,)),
@@ -113,7 +117,7 @@ FINISH = (*MOVED, *WATCH)
 
 PROTECT = (
     *protection.LOCAL,
-    protection.reset_island_extremes,
+    setting(ISLANDS, spread=units.Spread(math.inf, -math.inf, math.inf)),
     protection.sample_machine,
     protection.sample_group,
     Here(Joining.SAMPLE),
@@ -133,12 +137,12 @@ _TRIALS = 10_000
 
 #: What buses and units bring to the power flow.
 PLAN = (
-    starting.reset_start_failure,
+    setting(LANE, failure=units.Failure(0.0, 0.0)),
     starting.plan_bus,
     wtg.start_search,
-    Repeat(LANE, "searching", (*CAPTURE, wtg.reset_search_count, wtg.advance_search), most=_TRIALS),
+    Repeat(LANE, "searching", (*CAPTURE, setting(LANE, searching=0.0), wtg.advance_search), most=_TRIALS),
     wtg.plan_group,
-    starting.reset_needed_power,
+    setting(LANE, needed=0.0),
     starting.add_needed_load,
     starting.subtract_group_power,
     machine.subtract_machine_power,
@@ -148,10 +152,10 @@ PLAN = (
 )
 
 #: After a power flow: machines share what the slack bus lacks.
-BALANCE = (starting.reset_slack_mismatch, starting.find_slack_mismatch, starting.balance_unit)
+BALANCE = (setting(LANE, lacking=0.0), starting.find_slack_mismatch, starting.balance_unit)
 
 #: After a power flow: buses whose groups cannot hold the voltage let go of it.
-RELEASE = (starting.reset_release_count, starting.release_voltage)
+RELEASE = (setting(LANE, released=0.0), starting.release_voltage)
 
 #: After the last one: every unit finds its equilibrium, from what it delivers.
 SETTLE = (
@@ -159,7 +163,7 @@ SETTLE = (
     starting.share_flow,
     machine.start_machine,
     Here(ControlJoining.SETTLE),
-    machine.reset_frame,
+    setting(LANE, "no machine", frame=0.0),
     machine.find_frame,
     machine.turn_machine,
     wtg.start_group,
@@ -168,18 +172,18 @@ SETTLE = (
     Here(Joining.SETTLE),
     starting.start_clock,
     starting.start_worst,
-    starting.start_island,
-    starting.start_unit,
+    setting(ISLANDS, healthy_step=0.0, centre=1.0, turned=0.0),
+    setting(UNITS, own_island=0.0, returns=0.0),
 )
 
 #: After the first evaluation of a run: its first outputs, and what is beyond its limits then.
 START = (
-    starting.reset_step_count,
+    setting(LANE, step=0.0),
     *protection.BUS_VOLTAGES,
     protection.start_bus,
     *COI,
     protection.track_extremes,
-    wtg.reset_overload_time,
+    setting(GROUPS, overload_time=0.0),
     machine.check_machine,
     Here(ControlJoining.START),
     wtg.check_extension,

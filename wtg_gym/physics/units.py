@@ -154,6 +154,28 @@ class Back(NamedTuple):
     bus_voltage: float  # [p.u.]
 
 
+class Failure(NamedTuple):
+    """Why a run cannot start, of :class:`StartFailure`, and the number of the unit that cannot."""
+
+    start_failure: float
+    failing_unit: float
+
+
+class Sums(NamedTuple):
+    """Sums over the connected units of an island."""
+
+    momentum: float  # Σ 2H (ω - 1) [s]
+    inertia: float  # Σ 2H [s]
+
+
+class Spread(NamedTuple):
+    """Extremes of the connected units of an island."""
+
+    least_angle: float  # [rad]
+    largest_angle: float
+    least_squared_voltage: float  # at the terminals [p.u.²]
+
+
 class StartFailure(IntEnum):
     """Why a run cannot start; 0 means it can."""
 
@@ -239,8 +261,7 @@ LANE = Kind(
         "lacking": float,  # what the slack bus lacks [p.u.]
         "curtailment": float,  # common factor on k by which groups share the balance
         "frame": float,  # angle of the first unit against the network's frame [rad]
-        "start_failure": float,  # why the run cannot start, of StartFailure
-        "failing_unit": float,  # number of the unit that cannot
+        "failure": Failure,
     },
     constants={
         "omega_n": float,
@@ -273,11 +294,8 @@ ISLANDS = Kind(
         "turned": float,  # angle of one of its units when the protections last sampled [rad]
     },
     scratch={
-        "momentum": float,  # Σ 2H (ω - 1) of connected units [s]
-        "inertia": float,  # Σ 2H [s]
-        "least_angle": float,  # of all connected units [rad]
-        "largest_angle": float,
-        "least_squared_voltage": float,  # at the terminals of all connected units, squared [p.u.²]
+        "sums": Sums,
+        "spread": Spread,
         "found": float,  # status that the protections find now
     },
     constants={"number": float},
@@ -386,10 +404,10 @@ def plus(total: Phasor, a: Phasor, b: Phasor) -> Phasor:
     return Phasor(total.re + fma(a.re, b.re, -(a.im * b.im)), total.im + fma(a.re, b.im, a.im * b.re))
 
 
-def noted(fits: bool, why: int, number: float, start_failure: float, failing_unit: float) -> tuple[float, float]:
+def noted(fits: bool, why: int, number: float, failure: Failure) -> Failure:
     """Return why a run cannot start and the number of the unit that cannot, unless another was found before."""
-    known = fits | (start_failure != 0.0)
-    return select(known, start_failure, float(why)), select(known, failing_unit, number)
+    known = fits | (failure.start_failure != 0.0)
+    return Failure(select(known, failure.start_failure, float(why)), select(known, failure.failing_unit, number))
 
 
 def quotient(a: Phasor, b: Phasor) -> Phasor:

@@ -342,6 +342,8 @@ def retargeted(function: Any, done: dict[Any, Any] | None = None) -> Callable[..
     def converted(value: Any) -> Any:
         if isinstance(getattr(value, "py_func", value), types.FunctionType):
             return retargeted(value, done)
+        if isinstance(value, types.ModuleType):
+            return _Retargeted(value, converted)
         return tuple(map(converted, value)) if type(value) is tuple else value
 
     for cell in cells:
@@ -350,6 +352,17 @@ def retargeted(function: Any, done: dict[Any, Any] | None = None) -> Callable[..
         if name in ARITHMETIC or name in names:
             names[name] = ARITHMETIC[name] if name in ARITHMETIC else converted(names[name])
     return copy
+
+
+class _Retargeted:
+    """A module whose functions are retargeted."""
+
+    def __init__(self, module: types.ModuleType, converted: Callable[[Any], Any]) -> None:
+        self._module, self._converted = module, converted
+
+    def __getattr__(self, name: str) -> Any:
+        known = self._module is elementary and name in ARITHMETIC
+        return ARITHMETIC[name] if known else self._converted(getattr(self._module, name))
 
 
 def _names_in(code: types.CodeType) -> Iterator[str]:

@@ -469,6 +469,17 @@ def system(
     return lambda equation: System(kind, equation, writes, when, backward)
 
 
+def setting(kind: Kind, when: str | None = None, **values: Any) -> System:
+    """Return a system that sets parts of every unit of a kind to given values: numbers, or records."""
+    found = tuple(values.values())
+
+    def set_values() -> Any:
+        return found
+
+    origin = functools.partial(setting, kind, when, **values), ()
+    return System(kind, set_values, tuple(values), when, origin=origin)
+
+
 def count(record: Any) -> int:
     """Return how many numbers a part has: a record, or a single number."""
     return size(record) if is_record(record) else 1
