@@ -39,7 +39,7 @@ class Bus(Checked):
     shunt_mw: float = parameter(0.0, "MW", "IEEE 14", "active shunt at 1 p.u. of voltage", -1e9, 1e9)
     shunt_mvar: float = parameter(0.0, "Mvar", "IEEE 14", "capacitive shunt at 1 p.u. of voltage", -1e9, 1e9)
     voltage_pu: float | None = parameter(
-        None, "p.u.", "IEEE 14", "voltage that the bus's units hold, None for none", 0.1, 10.0
+        None, "p.u.", "IEEE 14", "voltage that its units hold, None for none", 0.1, 10.0
     )
     x: float | None = design(None, "-", "where pictures show it, from the left; None: laid out", -1e6, 1e6)
     y: float | None = design(None, "-", "and from below", -1e6, 1e6)

@@ -49,9 +49,7 @@ class GovernorParameters(Checked):
     MODEL = "TGOV1"
     RISING = ("gate_min_pu", "gate_max_pu")
 
-    droop_pu: float = parameter(
-        0.018, "p.u.", "calibrated", "droop R on the machine base (Milano: 0.02); settles the paper's 0.996", 1e-4, 1e3
-    )
+    droop_pu: float = parameter(0.018, "p.u.", "calibrated", "droop R on the machine base (Milano: 0.02)", 1e-4, 1e3)
     gate_time_s: float = parameter(0.1, "s", "Milano", "T_1", 1e-4, 1e4)
     lead_time_s: float = parameter(2.1, "s", "Kundur", "T_2; T_2/T_3 is the share of the high-pressure part", 0.0, 1e4)
     reheat_time_s: float = parameter(7.0, "s", "Kundur", "T_3", 1e-4, 1e4)
@@ -124,12 +122,8 @@ class FilterStabiliserParameters(Checked):
     gain: float = parameter(1.0, "p.u./p.u.", "ANDES", "gain K_S", -1e4, 1e4)
     signal_min_pu: float = parameter(-0.3, "p.u.", "ANDES", "lower limit L_Smin of the signal", -1e3, 1e3)
     signal_max_pu: float = parameter(0.3, "p.u.", "ANDES", "upper limit L_Smax of the signal", -1e3, 1e3)
-    voltage_min_pu: float = design(
-        0.0, "p.u.", "terminal voltage V_CL at and below which it gives no signal; 0 for none", 0.0, 10.0
-    )
-    voltage_max_pu: float = design(
-        0.0, "p.u.", "terminal voltage V_CU at and above which it gives no signal; 0 for none", 0.0, 10.0
-    )
+    voltage_min_pu: float = design(0.0, "p.u.", "terminal voltage V_CL below which it gives no signal", 0.0, 10.0)
+    voltage_max_pu: float = design(0.0, "p.u.", "terminal voltage V_CU above which it gives none; 0: none", 0.0, 10.0)
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -285,31 +279,18 @@ class SynchronousMachineParameters(Checked):
     two_h_s: float = required("s", "Milano", "starting time 2H", 1e-3, 1e9)
     x_d: float = required("p.u.", "Milano", "synchronous reactance, d axis", 1e-6, 1e6)
     x_d_transient: float = required("p.u.", "Milano", "transient reactance, d axis", 1e-6, 1e6)
-    x_subtransient: float = required(
-        "p.u.", "Milano", "subtransient reactance of both axes; Milano's x''_q at bus 1 is 0.4", 1e-6, 1e6
-    )
+    x_subtransient: float = required("p.u.", "Milano", "subtransient reactance of both axes", 1e-6, 1e6)
     x_q: float = required("p.u.", "Milano", "synchronous reactance, q axis", 1e-6, 1e6)
     x_q_transient: float = required("p.u.", "Milano", "transient reactance, q axis", 1e-6, 1e6)
     t_d0_transient_s: float = required("s", "Milano", "open-circuit transient time constant, d axis", 1e-4, 1e6)
     t_d0_subtransient_s: float = required("s", "Milano", "open-circuit subtransient time constant, d axis", 1e-4, 1e6)
-    t_q0_transient_s: float = parameter(
-        1.0,
-        "s",
-        "Milano",
-        "open-circuit transient time constant, q axis; Milano: 0 at bus 1, without effect there because x'_q = x_q",
-        1e-4,
-        1e6,
-    )
+    t_q0_transient_s: float = parameter(1.0, "s", "Milano", "open-circuit transient time constant, q axis", 1e-4, 1e6)
     t_q0_subtransient_s: float = required("s", "Milano", "open-circuit subtransient time constant, q axis", 1e-4, 1e6)
-    x_leakage: float = design(
-        0.1, "p.u.", "leakage reactance; Milano's exceeds x''_d at buses 1, 6 and 8 and is 0 at bus 3", 0.0, 1e6
-    )
+    x_leakage: float = design(0.1, "p.u.", "leakage reactance; Milano's exceeds x''_d or is 0", 0.0, 1e6)
     resistance: float = design(0.0, "p.u.", "armature resistance, neglected (Milano: at most 0.0031)", 0.0, 1e3)
     damping_pu: float = parameter(2.0, "p.u./p.u.", "Milano", "damping D", 0.0, 1e6)
     dispatch_mw: float = design(0.0, "MW", "power in the initial power flow; slack machines balance", -1e9, 1e9)
-    reactive_weight: float | None = design(
-        None, "MVA", "weight in sharing its bus's initial reactive power; None: its rating", 0.0, 1e12
-    )
+    reactive_weight: float | None = design(None, "MVA", "weight at its bus's reactive power; None: rating", 0.0, 1e12)
     saturation_1_0: float = design(0.0, "-", "saturation S(1.0)", 0.0, 10.0)
     saturation_1_2: float = design(0.0, "-", "saturation S(1.2); 0 for none", 0.0, 10.0)
     exciter: AnyExciter | None = dataclasses.field(

@@ -97,7 +97,7 @@ class Plant(Checked):
     simulation_dt: float = design(0.025, "s", "step of the integration", *SIMULATION_DT_RANGE)
     trips_groups: bool = False
     load_frequency_dependence: float = design(
-        0.0, "p.u./p.u.", "change of every load's conductance with the frequency of its island", 0.0, 10.0
+        0.0, "p.u./p.u.", "change of a load's conductance with frequency", 0.0, 10.0
     )
     devices: tuple[Devices, ...] = ()
 
