@@ -10,7 +10,7 @@ from output import folder
 
 from wtg_gym.envs import EnvSettings, GFMWTGEnv
 from wtg_gym.files import markdown_table, update_between_markers
-from wtg_gym.physics import control_parameters, machine_parameters, parameters
+from wtg_gym.physics import machine_parameters, parameters
 from wtg_gym.physics.grid import get_grid
 from wtg_gym.physics.machine_parameters import SynchronousMachineParameters
 from wtg_gym.physics.parameters import SOURCES, WtgGroup
@@ -156,7 +156,7 @@ def parameters_page():
     numbers a grid's file gives.
     """
     parts = []
-    for module in (parameters, machine_parameters, control_parameters):
+    for module in (parameters, machine_parameters):
         for name, cls in vars(module).items():
             if not dataclasses.is_dataclass(cls) or getattr(cls, "__module__", "") != module.__name__:
                 continue
@@ -164,7 +164,7 @@ def parameters_page():
             declared = [field for field in dataclasses.fields(cls) if field.name in cls.__annotations__]
             own = [field for field in declared if isinstance(field.default, float)]
             elsewhere = cls in (WtgGroup, SynchronousMachineParameters)  # on the environment's page, or below
-            unused = module is control_parameters and cls is not control_parameters.SpeedStabiliserParameters
+            unused = hasattr(cls, "MODEL") and cls.MODEL not in ("SEXS", "TGOV1", "HYGOV", "STAB1")
             if own and not elsewhere and not unused:
                 parts.append(class_list(name, own, lambda field: [field.default]))
     kinds = {}

@@ -13,9 +13,9 @@ import numpy as np
 from output import folder as output_folder
 
 from wtg_gym.files import markdown_table, update_between_markers
+from wtg_gym.physics.grid import Branch, Bus, NetworkCase
 from wtg_gym.physics.linearisation import largest_stable_steps, moving_matrix
 from wtg_gym.physics.machine_parameters import classical_machine
-from wtg_gym.physics.network import Branch, Bus, NetworkCase
 from wtg_gym.physics.parameters import WtgGroup
 from wtg_gym.physics.plant import Plant
 from wtg_gym.physics.scenario import Scenario

@@ -13,10 +13,9 @@ from typing import Any
 
 import numpy as np
 
-from wtg_gym.physics.grid import MODELS
+from wtg_gym.physics.grid import MODELS, Branch, Bus, NetworkCase, Source
 from wtg_gym.physics.layout import Floats
 from wtg_gym.physics.machine_parameters import SynchronousMachineParameters, classical_machine
-from wtg_gym.physics.network import Branch, Bus, NetworkCase, Source
 from wtg_gym.physics.scenario import EVENT_KINDS, Event, LoadStep
 
 GOLDEN = Path(__file__).parent

@@ -8,7 +8,7 @@ import numpy as np
 
 from tests.golden.independent import IndependentConverter
 from tests.physics.extended import recorded
-from wtg_gym.physics.network import Branch, Bus, NetworkCase, Source
+from wtg_gym.physics.grid import Branch, Bus, NetworkCase, Source
 from wtg_gym.physics.parameters import ConverterLimitParameters, ProtectionParameters, TurbineParameters, WtgGroup
 from wtg_gym.physics.plant import Plant
 from wtg_gym.physics.scenario import FrequencyRamp, PhaseJump, Scenario

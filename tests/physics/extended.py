@@ -16,10 +16,9 @@ import numpy.typing as npt
 from scipy.integrate import solve_ivp
 
 from wtg_gym.physics import parameters
-from wtg_gym.physics.grid import get_grid
+from wtg_gym.physics.grid import NetworkCase, get_grid
 from wtg_gym.physics.layout import Floats
 from wtg_gym.physics.machine_parameters import GovernorParameters, HydroGovernorParameters, classical_machine
-from wtg_gym.physics.network import NetworkCase
 from wtg_gym.physics.plant import Plant
 from wtg_gym.physics.reduction import refresh_network
 from wtg_gym.physics.scenario import Event, LoadStep, Scenario

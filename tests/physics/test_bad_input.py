@@ -13,9 +13,8 @@ import pytest
 from tests.physics.extended import LAW, classical, plant, scenario, started, with_machine
 from wtg_gym.physics import scenario as sc
 from wtg_gym.physics.aerodynamics import available_power_pu, power_coefficient, tracking_point
-from wtg_gym.physics.grid import get_grid
+from wtg_gym.physics.grid import Branch, Bus, NetworkCase, get_grid
 from wtg_gym.physics.machine_parameters import HydroGovernorParameters
-from wtg_gym.physics.network import Branch, Bus, NetworkCase
 from wtg_gym.physics.parameters import (
     ROTOR_TABLE,
     ConverterLimitParameters,

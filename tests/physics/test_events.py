@@ -146,6 +146,6 @@ def test_a_condenser_after_its_outage_feeds_in_nothing_and_counts_nowhere(simula
             weights @ (speed - 1.0) / weights.sum(), abs=1e-14
         )
         angles = np.concatenate([simulator.machine_values("angle")[0, stays], simulator.wtg_values("angle")[0]])
-        for name, angle in (("least_angle", angles.min()), ("largest_angle", angles.max())):
-            assert simulator.scratches[0][layout.first_rows(ISLANDS, name)[0]] == [angle]
+        for place, angle in enumerate((angles.min(), angles.max())):
+            assert simulator.scratches[0][layout.first_rows(ISLANDS, "spread")[0] + place] == [angle]
     assert np.ptp(speeds) > 1e-6

@@ -18,7 +18,6 @@ from tests.physics.extended import (
     scenario,
     started,
 )
-from wtg_gym.physics.extension_unit import EXTENSIONS
 from wtg_gym.physics.layout import Floats
 from wtg_gym.physics.network import assemble_admittance
 from wtg_gym.physics.parameters import ConverterLimitParameters, WtgGroup, european_shedding
@@ -28,6 +27,7 @@ from wtg_gym.physics.scenario import GovernorLoss, LoadStep, Scenario
 from wtg_gym.physics.step import FREE_CURRENTS, LIMITS
 from wtg_gym.physics.tracking_law import get_law
 from wtg_gym.physics.units import PAIRS, UNITS
+from wtg_gym.physics.wtg_unit import EXTENSIONS
 from wtg_gym.systems.programs import in_one_table
 from wtg_gym.systems.routines import Routine
 

@@ -12,12 +12,11 @@ import pytest
 from wtg_gym.envs import GFMWTGEnv
 from wtg_gym.physics import network
 from wtg_gym.physics.aerodynamics import available_power_pu
-from wtg_gym.physics.grid import FOLDER, Grid, get_grid, grid_text, known_grids, read_grid
+from wtg_gym.physics.grid import FOLDER, Branch, Bus, Grid, NetworkCase, get_grid, grid_text, known_grids, read_grid
 from wtg_gym.physics.parameters import TurbineParameters, WtgGroup, nrel_5mw
 from wtg_gym.physics.plant import Plant
 from wtg_gym.physics.scenario import LineTrip, Scenario
 from wtg_gym.physics.simulator import Simulator
-from wtg_gym.physics.sparse_flow import pattern_of, solve_sparse_flow
 from wtg_gym.physics.tracking_law import get_law, group_laws
 
 #: A grid that nobody has seen: two machines, a ring of five buses at 60 Hz, on 250 MVA.
@@ -138,10 +137,10 @@ def test_bridges_are_what_takes_the_network_apart() -> None:
         n = int(rng.integers(2, 12))
         ends = [(int(rng.integers(1, k)), k) for k in range(2, n + 1)]
         ends += [(int(a), int(b)) for a, b in rng.integers(1, n + 1, (int(rng.integers(0, 6)), 2)) if a != b]
-        case = network.NetworkCase(
+        case = NetworkCase(
             name="random", base_mva=1.0, frequency_hz=50.0, slack_bus=1, machines=(),
-            buses=tuple(network.Bus(number=k, voltage_pu=1.0) for k in range(1, n + 1)),
-            branches=tuple(network.Branch(from_bus=a, to_bus=b, resistance=0.0, reactance=0.1) for a, b in ends),
+            buses=tuple(Bus(number=k, voltage_pu=1.0) for k in range(1, n + 1)),
+            branches=tuple(Branch(from_bus=a, to_bus=b, resistance=0.0, reactance=0.1) for a, b in ends),
         )  # fmt: skip
         apart = {index for index in range(len(ends)) if len(case.parts_without((index,))) > 1}
         assert case.bridges == apart
@@ -172,7 +171,7 @@ def test_the_sparse_power_flow_finds_what_the_dense_one_finds(name: str) -> None
         dense[case.bus_index(machine.bus), 0] += machine.dispatch_mw / case.base_mva
     sparse = dense.copy()
     assert network.solve_power_flow(y, slack, dense, at) > 0
-    assert solve_sparse_flow(y, slack, sparse, at, pattern_of(y)) > 0
+    assert network.solve_sparse_flow(y, slack, sparse, at, network.pattern_of(y)) > 0
     assert np.abs(dense - sparse).max() < 1e-10
 
 

@@ -8,11 +8,9 @@ import numpy as np
 import pytest
 
 from tests.physics.extended import LAW, NO_SHEDDING, largest_rate, phasors, plant, recorded, scenario, started
-from wtg_gym.physics.extension_unit import EXTENSIONS
-from wtg_gym.physics.grid import get_grid
+from wtg_gym.physics.grid import NetworkCase, get_grid
 from wtg_gym.physics.layout import Floats, n_rows_of
 from wtg_gym.physics.machine_unit import MACHINES
-from wtg_gym.physics.network import NetworkCase
 from wtg_gym.physics.parameters import WtgGroup
 from wtg_gym.physics.plant import Plant
 from wtg_gym.physics.protection import STAGES, Status
@@ -20,7 +18,7 @@ from wtg_gym.physics.scenario import LineTrip, LoadStep, MachineOutage
 from wtg_gym.physics.simulator import Simulator
 from wtg_gym.physics.tracking_law import get_law
 from wtg_gym.physics.units import BUSES, ISLANDS, PAIRS, UNITS
-from wtg_gym.physics.wtg_unit import GROUPS
+from wtg_gym.physics.wtg_unit import EXTENSIONS, GROUPS
 from wtg_gym.systems.systems import Kind
 
 #: Lines between buses 1 … 5, which have the more load, and 6 … 14; a group lives in either part.

@@ -15,27 +15,21 @@ import pytest
 from tests.physics.extended import largest_rate, scenario
 from wtg_gym.envs.settings import EnvSettings
 from wtg_gym.gradients.tape import Tape
-from wtg_gym.physics import control_parameters as controls
-from wtg_gym.physics.gast import GAST, gast_rates, gast_start
-from wtg_gym.physics.grid import Grid, get_grid, grid_text
-from wtg_gym.physics.ieeeg1 import IEEEG1, ieeeg1_rates, ieeeg1_start
-from wtg_gym.physics.ieeest import IEEEST, ieeest_rates, ieeest_start
-from wtg_gym.physics.ieeex1 import IEEEX1, ieeex1_rates, ieeex1_start
-from wtg_gym.physics.ieesgo import IEESGO, ieesgo_rates, ieesgo_start
+from wtg_gym.physics import machine_models as models
+from wtg_gym.physics import machine_parameters as controls
+from wtg_gym.physics.grid import Branch, Bus, Grid, NetworkCase, get_grid, grid_text
 from wtg_gym.physics.linearisation import moving_states, state_matrix
+from wtg_gym.physics.machine import saturated, saturation_constants
 from wtg_gym.physics.machine_parameters import (
     ExciterParameters,
     GovernorParameters,
     HydroGovernorParameters,
     SynchronousMachineParameters,
 )
-from wtg_gym.physics.network import Branch, Bus, NetworkCase
 from wtg_gym.physics.parameters import ConverterLimitParameters, ProtectionParameters
 from wtg_gym.physics.plant import Plant, plant_tables
-from wtg_gym.physics.saturation import saturated, saturation_constants
 from wtg_gym.physics.scenario import Event, GovernorLoss, LoadStep, MachineOutage
 from wtg_gym.physics.simulator import Simulator
-from wtg_gym.physics.stab1 import STAB1, stab1_rates, stab1_start
 
 Complex = npt.NDArray[np.complex128]
 S = 2j * np.pi * np.array([0.05, 0.4, 1.5, 6.0])
@@ -130,13 +124,13 @@ def test_the_parabola_of_saturation_goes_through_both_points_and_begins_between(
 
 def test_stab1_has_its_transfer_function_and_its_limit() -> None:
     p = STABILISER
-    c = STAB1.constants(0, p)
-    found = response(lambda s, u: stab1_rates(s, u, 1.0, c), stab1_start(0.0, c), 0.0)
+    c = models.STAB1.constants(0, p)
+    found = response(lambda s, u: models.stab1_rates(s, u, 1.0, c), models.stab1_start(0.0, c), 0.0)
     wanted = p.gain * S * p.washout_time_s / (1.0 + S * p.washout_time_s)
     wanted = wanted * (1.0 + S * p.lead_time_1_s) / (1.0 + S * p.lag_time_1_s)
     wanted = wanted * (1.0 + S * p.lead_time_2_s) / (1.0 + S * p.lag_time_2_s)
     assert found == pytest.approx(wanted, rel=1e-7)
-    assert stab1_rates(stab1_start(0.0, c), 0.1, 1.0, c)[1] == p.signal_limit_pu
+    assert models.stab1_rates(models.stab1_start(0.0, c), 0.1, 1.0, c)[1] == p.signal_limit_pu
 
 
 @pytest.mark.parametrize(
@@ -154,8 +148,8 @@ def test_stab1_has_its_transfer_function_and_its_limit() -> None:
 )
 def test_ieeest_has_its_transfer_function_with_any_part_left_out(changes: dict[str, float]) -> None:
     p = dataclasses.replace(FILTER, **{"gain": 7.0, "lead_time_2_s": 0.3, **changes})
-    c = IEEEST.constants(0, p)
-    found = response(lambda s, u: ieeest_rates(s, u, 1.0, c), ieeest_start(0.0, c), 0.0)
+    c = models.IEEEST.constants(0, p)
+    found = response(lambda s, u: models.ieeest_rates(s, u, 1.0, c), models.ieeest_start(0.0, c), 0.0)
     wanted = (1.0 + p.filter_a5_s * S + p.filter_a6_s2 * S**2) / (1.0 + p.filter_a1_s * S + p.filter_a2_s2 * S**2)
     wanted = wanted / (1.0 + p.filter_a3_s * S + p.filter_a4_s2 * S**2)
     wanted = wanted * (1.0 + S * p.lead_time_1_s) / (1.0 + S * p.lag_time_1_s)
@@ -165,18 +159,18 @@ def test_ieeest_has_its_transfer_function_with_any_part_left_out(changes: dict[s
 
 
 def test_ieeest_gives_no_signal_beyond_its_voltages() -> None:
-    c = IEEEST.constants(0, dataclasses.replace(FILTER, voltage_min_pu=0.8, voltage_max_pu=1.2))
-    start = ieeest_start(0.0, c)._replace(washout=-0.01)
-    assert [ieeest_rates(start, 0.0, v, c)[1] != 0.0 for v in (0.7, 1.0, 1.3)] == [False, True, False]
+    c = models.IEEEST.constants(0, dataclasses.replace(FILTER, voltage_min_pu=0.8, voltage_max_pu=1.2))
+    start = models.ieeest_start(0.0, c)._replace(washout=-0.01)
+    assert [models.ieeest_rates(start, 0.0, v, c)[1] != 0.0 for v in (0.7, 1.0, 1.3)] == [False, True, False]
 
 
 def test_the_dc_exciter_is_linear_beside_its_saturation() -> None:
     p = dataclasses.replace(EXCITER, saturation_1=0.0, saturation_2=0.0)
-    c = IEEEX1.constants(0, p)
-    start, error = ieeex1_start(2.0, 1.0, c)
+    c = models.IEEEX1.constants(0, p)
+    start, error = models.ieeex1_start(2.0, 1.0, c)
 
     def rates(s: Any, u: float) -> tuple[Any, float]:
-        return ieeex1_rates(s, u, 1.0, c), s.excitation
+        return models.ieeex1_rates(s, u, 1.0, c), s.excitation
 
     forward = p.regulator_gain * (1.0 + S * p.lead_time_s) / (1.0 + S * p.lag_time_s)
     forward = forward / (1.0 + S * p.regulator_time_s) / (p.exciter_gain + S * p.exciter_time_s)
@@ -185,15 +179,15 @@ def test_the_dc_exciter_is_linear_beside_its_saturation() -> None:
 
 
 def test_a_regulator_leaves_its_limit_as_soon_as_the_error_asks_for_it() -> None:
-    c = IEEEX1.constants(0, EXCITER)
-    held = ieeex1_start(2.0, 1.0, c)[0]._replace(regulator=EXCITER.regulator_max_pu, lead_lag=1.0)
-    assert ieeex1_rates(held, 2.0, 1.0, c).regulator == 0.0
-    assert ieeex1_rates(held, -2.0, 1.0, c).regulator == pytest.approx(
+    c = models.IEEEX1.constants(0, EXCITER)
+    held = models.ieeex1_start(2.0, 1.0, c)[0]._replace(regulator=EXCITER.regulator_max_pu, lead_lag=1.0)
+    assert models.ieeex1_rates(held, 2.0, 1.0, c).regulator == 0.0
+    assert models.ieeex1_rates(held, -2.0, 1.0, c).regulator == pytest.approx(
         (c.regulator_gain * (1.0 - c.lead_time_s * 4.0 / c.lag_time_s) - c.regulator_max_pu) / c.regulator_time_s
     )
     # What drives the exciter is never beyond the limit.
     beyond = held._replace(regulator=2.0 * c.regulator_max_pu)
-    assert ieeex1_rates(beyond, 2.0, 1.0, c).excitation == ieeex1_rates(held, 2.0, 1.0, c).excitation
+    assert models.ieeex1_rates(beyond, 2.0, 1.0, c).excitation == models.ieeex1_rates(held, 2.0, 1.0, c).excitation
 
 
 INV_DROOP = 20.0
@@ -204,8 +198,10 @@ def _lags(*times: float) -> Complex:
 
 
 def test_steam_and_gas_governors_have_their_transfer_functions() -> None:
-    boiler = IEEEG1.constants(0, dataclasses.replace(BOILER, opening_rate_pu_s=10.0, closing_rate_pu_s=-10.0))
-    found = response(lambda s, u: ieeeg1_rates(s, u, 0.5, INV_DROOP, boiler), ieeeg1_start(0.5, boiler), 1.0)
+    boiler = models.IEEEG1.constants(0, dataclasses.replace(BOILER, opening_rate_pu_s=10.0, closing_rate_pu_s=-10.0))
+    found = response(
+        lambda s, u: models.ieeeg1_rates(s, u, 0.5, INV_DROOP, boiler), models.ieeeg1_start(0.5, boiler), 1.0
+    )
     b = BOILER
     passes = np.cumprod(
         [_lags(t) for t in (b.pass_time_1_s, b.pass_time_2_s, b.pass_time_3_s, b.pass_time_4_s)], axis=0
@@ -215,24 +211,26 @@ def test_steam_and_gas_governors_have_their_transfer_functions() -> None:
     assert found == pytest.approx(wanted * (fractions @ passes), rel=1e-6)
 
     r = controls.ReheatGovernorParameters()
-    reheat = IEESGO.constants(0, r)
-    found = response(lambda s, u: ieesgo_rates(s, u, 0.5, INV_DROOP, reheat), ieesgo_start(0.5, reheat), 1.0)
+    reheat = models.IEESGO.constants(0, r)
+    found = response(
+        lambda s, u: models.ieesgo_rates(s, u, 0.5, INV_DROOP, reheat), models.ieesgo_start(0.5, reheat), 1.0
+    )
     order = -INV_DROOP * (1.0 + S * r.lead_time_s) * _lags(r.lag_time_s, r.governor_time_s, r.inlet_time_s)
     behind = 1.0 - r.fraction_3 + r.fraction_3 * _lags(r.crossover_time_s)
     shares = 1.0 - r.fraction_2 + r.fraction_2 * _lags(r.reheat_time_s) * behind
     assert found == pytest.approx(order * shares, rel=1e-6)
 
     g = dataclasses.replace(controls.GasGovernorParameters(), turbine_damping_pu=0.5)
-    gas = GAST.constants(0, g)
-    found = response(lambda s, u: gast_rates(s, u, 0.5, INV_DROOP, gas), gast_start(0.5, gas), 1.0)
+    gas = models.GAST.constants(0, g)
+    found = response(lambda s, u: models.gast_rates(s, u, 0.5, INV_DROOP, gas), models.gast_start(0.5, gas), 1.0)
     wanted = -INV_DROOP * _lags(g.valve_time_s, g.turbine_time_s) - g.turbine_damping_pu
     assert found == pytest.approx(wanted, rel=1e-6)
 
 
 def test_a_hot_exhaust_holds_the_gas_turbine_at_its_load_limit() -> None:
-    c = GAST.constants(0, controls.GasGovernorParameters(load_limit_pu=0.7))
-    hot = gast_start(0.7, c)
-    assert max(np.abs(gast_rates(hot, 0.9, 0.5, INV_DROOP, c)[0])) < 1e-12
+    c = models.GAST.constants(0, controls.GasGovernorParameters(load_limit_pu=0.7))
+    hot = models.gast_start(0.7, c)
+    assert max(np.abs(models.gast_rates(hot, 0.9, 0.5, INV_DROOP, c)[0])) < 1e-12
 
 
 @pytest.mark.parametrize("machines", [(FIRST, SECOND), OTHERS], ids=["first", "others"])

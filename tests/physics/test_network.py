@@ -10,9 +10,9 @@ import pytest
 
 from tests.physics.extended import classical
 from wtg_gym.physics.equilibrium import FLOW_COLUMNS
-from wtg_gym.physics.grid import get_grid
+from wtg_gym.physics.grid import Branch, NetworkCase, get_grid
 from wtg_gym.physics.layout import n_rows_of
-from wtg_gym.physics.network import Branch, NetworkCase, branch_admittances, solve_power_flow
+from wtg_gym.physics.network import branch_admittances, solve_power_flow
 from wtg_gym.physics.plant import Plant, plant_tables
 from wtg_gym.physics.units import BUSES
 

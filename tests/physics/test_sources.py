@@ -12,13 +12,11 @@ from tests.physics.extended import LAW, NO_SHEDDING, largest_rate, plant, record
 from tests.physics.test_faults import bus_matrix
 from tests.physics.test_islands import PARTED_WIND, cut, parted
 from wtg_gym.physics import scenario as sc
-from wtg_gym.physics.grid import get_grid
-from wtg_gym.physics.local_frequency import FILTER_S, turn_between
-from wtg_gym.physics.network import NetworkCase, Source
+from wtg_gym.physics.devices import SOURCES
+from wtg_gym.physics.grid import NetworkCase, Source, get_grid
 from wtg_gym.physics.parameters import TurbineParameters
-from wtg_gym.physics.protection import Status
+from wtg_gym.physics.protection import FILTER_S, Status, turn_between
 from wtg_gym.physics.simulator import Simulator
-from wtg_gym.physics.source_unit import SOURCES
 from wtg_gym.physics.tracking_law import group_laws
 from wtg_gym.physics.units import BUSES, ISLANDS, Phasor
 

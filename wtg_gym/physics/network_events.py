@@ -5,23 +5,11 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 
-from wtg_gym.physics.network_data import NetworkEvent
+from wtg_gym.physics import scenario as events
+from wtg_gym.physics.equilibrium import unit_name
+from wtg_gym.physics.layout import NetworkEvent
 from wtg_gym.physics.plant import ISLANDS_AT_MOST, Plant, PlantTables
-from wtg_gym.physics.scenario import (
-    Event,
-    Fault,
-    FrequencyRamp,
-    GovernorLoss,
-    GroupTrip,
-    LineTrip,
-    LoadRamp,
-    LoadTrip,
-    MachineOutage,
-    PhaseJump,
-    ReactanceStep,
-    Scenario,
-)
-from wtg_gym.physics.start_errors import unit_name
+from wtg_gym.physics.scenario import Scenario
 from wtg_gym.ranges import whole_steps
 
 
@@ -32,7 +20,7 @@ def network_events(scenario: Scenario, settings: Plant, plant: PlantTables) -> l
         ValueError: an event does not fit the plant, or the events do not fit each other.
     """
     name = f"scenario {scenario.name!r}"
-    lost = [event.bus for event in scenario.events if isinstance(event, LoadTrip)]
+    lost = [event.bus for event in scenario.events if isinstance(event, events.LoadTrip)]
     if len(set(lost)) < len(lost):
         raise ValueError(f"{name} disconnects a load twice; load trips at buses {lost}")
     found = [each for event in scenario.events for each in _changes(event, scenario.load_level, settings, plant)]
@@ -77,7 +65,7 @@ def _check_lines(name: str, trips: list[NetworkEvent], settings: Plant) -> None:
             raise ValueError(f"{name}: its line trips leave {live} islands with a unit; allowed: at most {most}")
 
 
-def _changes(event: Event, load_level: float, settings: Plant, plant: PlantTables) -> list[NetworkEvent]:
+def _changes(event: events.Event, load_level: float, settings: Plant, plant: PlantTables) -> list[NetworkEvent]:
     """Return what an event changes, with its times in steps and its load as power [p.u.]."""
     case, dt = settings.case, settings.simulation_dt
     n_sync, n_wtg = len(case.machines), len(settings.groups)
@@ -86,33 +74,33 @@ def _changes(event: Event, load_level: float, settings: Plant, plant: PlantTable
     def later(name: str, after_s: float | None) -> float:
         return start if after_s is None else start + whole_steps(name, after_s, dt, "simulation step")
 
-    if isinstance(event, GroupTrip):
+    if isinstance(event, events.GroupTrip):
         if event.group >= n_wtg:
             raise ValueError(f"unknown WTG group {event.group}; the plant has {n_wtg}, counted from 0")
         end = later("returns_after_s", event.returns_after_s)
         return [NetworkEvent(start, end, unit=n_sync + event.group)]
-    if isinstance(event, LineTrip):
+    if isinstance(event, events.LineTrip):
         end = later("recloses_after_s", event.recloses_after_s)
         return [NetworkEvent(start, end, branch=case.branch_index(event.from_bus, event.to_bus, event.circuit))]
-    if isinstance(event, ReactanceStep):
+    if isinstance(event, events.ReactanceStep):
         branch = case.branch_index(event.from_bus, event.to_bus, event.circuit)
         return [NetworkEvent(start, start, branch=branch, factor=event.factor)]
     bus = case.bus_index(event.bus)
-    if isinstance(event, Fault):
+    if isinstance(event, events.Fault):
         end = later("clears_after_s", event.clears_after_s)
         y = 1.0 / complex(event.resistance_pu, event.reactance_pu)
         cleared = []
         if event.opens is not None:
             cleared = [NetworkEvent(end, end, branch=case.branch_index(*event.opens, event.circuit))]
         return [NetworkEvent(start, end, active=y.real, reactive=y.imag, fault=bus), *cleared]
-    if isinstance(event, (PhaseJump, FrequencyRamp)):
+    if isinstance(event, (events.PhaseJump, events.FrequencyRamp)):
         sources = {number: source.bus for number, source in enumerate(case.sources)}
         source = _units_at(event.bus, "imposed source", sources)[0]
-        if isinstance(event, PhaseJump):
+        if isinstance(event, events.PhaseJump):
             return [NetworkEvent(start, start, source=source, jump=math.radians(event.angle_deg))]
         end = later("duration_s", event.duration_s)
         return [NetworkEvent(start, end, source=source, ramp=event.rocof_hz_s / case.frequency_hz)]
-    if isinstance(event, MachineOutage):
+    if isinstance(event, events.MachineOutage):
         end = later("returns_after_s", event.returns_after_s)
         found = _units_at(event.bus, "synchronous machine", dict(enumerate(case.unit_buses)))
         if found[0] >= n_sync:
@@ -121,15 +109,15 @@ def _changes(event: Event, load_level: float, settings: Plant, plant: PlantTable
             # Sources come after the groups.
             return [NetworkEvent(start, end, unit=unit + n_wtg) for unit in found]
         return [NetworkEvent(start, end, unit=unit) for unit in found if unit < n_sync]
-    if isinstance(event, GovernorLoss):
+    if isinstance(event, events.GovernorLoss):
         governed = {number: m.bus for number, m in enumerate(case.machines) if m.governor is not None}
         machines = _units_at(event.bus, "machine with a governor", governed)
         return [NetworkEvent(start, end, governor=machine) for machine in machines]
-    if isinstance(event, LoadTrip):
+    if isinstance(event, events.LoadTrip):
         power = -load_level * complex(plant.buses["load.re"][bus], plant.buses["load.im"][bus])
     else:
         power = complex(event.power_mw, event.reactive_mvar) / case.base_mva
-    if isinstance(event, LoadRamp):
+    if isinstance(event, events.LoadRamp):
         end = start + whole_steps("ramp duration", event.duration_s, dt, "simulation step")
     return [NetworkEvent(start, end, bus, power.real, power.imag)]
 

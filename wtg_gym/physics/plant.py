@@ -14,37 +14,18 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from wtg_gym.physics import parameters
 from wtg_gym.physics.aerodynamics import surface_of
 from wtg_gym.physics.checked import Checked, design
-from wtg_gym.physics.devices import Devices, joining
-from wtg_gym.physics.extension_unit import COLUMNS, EXTENSIONS, links_of_extensions
-from wtg_gym.physics.governor import gate_limits
-from wtg_gym.physics.grid import get_grid
-from wtg_gym.physics.hydro_unit import HYGOV
-from wtg_gym.physics.layout import Layout, Span, place_in
-from wtg_gym.physics.machine import Machine, RotorSaturation, machine_constants, rotor_saturation
-from wtg_gym.physics.machine_models import CONTROLS, control_constants, joining_controls
+from wtg_gym.physics.devices import SOURCES, Devices, joining, source_units
+from wtg_gym.physics.grid import NetworkCase, get_grid
+from wtg_gym.physics.layout import Facts, Layout, Network, Span, place_in
+from wtg_gym.physics.machine import Machine, RotorSaturation, gate_limits, machine_constants, rotor_saturation
+from wtg_gym.physics.machine_models import CONTROLS, HYGOV, control_constants, joining_controls
 from wtg_gym.physics.machine_unit import FIRST_MACHINE, MACHINES
-from wtg_gym.physics.network import NetworkCase, assemble_admittance, branch_admittances
-from wtg_gym.physics.network_data import Facts, Network
-from wtg_gym.physics.parameters import (
-    MOST_GROUPS,
-    ConverterLimitParameters,
-    GridFormingParameters,
-    PitchParameters,
-    ProtectionParameters,
-    SheddingStage,
-    TurbineParameters,
-    VoltageControlParameters,
-    WtgGroup,
-    default_groups,
-    european_shedding,
-    groups_of,
-    nrel_5mw,
-)
+from wtg_gym.physics.network import SPARSE_FROM, assemble_admittance, branch_admittances, pattern_of
+from wtg_gym.physics.parameters import TurbineParameters, WtgGroup
 from wtg_gym.physics.protection import STAGES, SheddingConstants
-from wtg_gym.physics.source_unit import SOURCES, source_units
-from wtg_gym.physics.sparse_flow import SPARSE_FROM, pattern_of
 from wtg_gym.physics.units import (
     BUSES,
     ISLANDS,
@@ -59,12 +40,11 @@ from wtg_gym.physics.units import (
     units_of_network,
 )
 from wtg_gym.physics.wind_turbine import Extension, Turbine, extension_constants, turbine_constants
-from wtg_gym.physics.wtg_unit import GROUPS
+from wtg_gym.physics.wtg_unit import COLUMNS, EXTENSIONS, GROUPS, links_of_extensions
 from wtg_gym.ranges import require_choice, require_known, require_range, whole_steps
 from wtg_gym.systems.programs import Program, Tables, build_table
-from wtg_gym.systems.records import structured
 from wtg_gym.systems.routines import Routine
-from wtg_gym.systems.systems import Kind
+from wtg_gym.systems.systems import Kind, structured
 
 #: Islands that a network may fall into, of those with a unit.
 ISLANDS_AT_MOST = 4
@@ -100,24 +80,24 @@ class Plant(Checked):
         ValueError: a bus is unknown, a step does not divide, or a value is outside its range.
     """
 
-    MOST = MappingProxyType({"groups": MOST_GROUPS})
+    MOST = MappingProxyType({"groups": parameters.MOST_GROUPS})
 
     case: NetworkCase = dataclasses.field(default_factory=lambda: get_grid("ieee14").case)
-    groups: tuple[WtgGroup, ...] = dataclasses.field(default_factory=default_groups)
+    groups: tuple[WtgGroup, ...] = dataclasses.field(default_factory=parameters.default_groups)
     turbine: TurbineParameters = dataclasses.field(default_factory=TurbineParameters)
-    pitch: PitchParameters = dataclasses.field(default_factory=PitchParameters)
-    control: GridFormingParameters = dataclasses.field(default_factory=GridFormingParameters)
-    protection: ProtectionParameters = dataclasses.field(default_factory=ProtectionParameters)
-    limits: ConverterLimitParameters | None = None
-    voltage_control: VoltageControlParameters | None = None
-    shedding: tuple[SheddingStage, ...] = ()
+    pitch: parameters.PitchParameters = dataclasses.field(default_factory=parameters.PitchParameters)
+    control: parameters.GridFormingParameters = dataclasses.field(default_factory=parameters.GridFormingParameters)
+    protection: parameters.ProtectionParameters = dataclasses.field(default_factory=parameters.ProtectionParameters)
+    limits: parameters.ConverterLimitParameters | None = None
+    voltage_control: parameters.VoltageControlParameters | None = None
+    shedding: tuple[parameters.SheddingStage, ...] = ()
     secondary_time_s: float = 0.0
     shares_dispatch: bool = False
     control_dt: float = 0.1
     simulation_dt: float = design(0.025, "s", "step of the integration", *SIMULATION_DT_RANGE)
     trips_groups: bool = False
     load_frequency_dependence: float = design(
-        0.0, "p.u./p.u.", "change of every load's conductance with the frequency of its island", 0.0, 10.0
+        0.0, "p.u./p.u.", "change of a load's conductance with frequency", 0.0, 10.0
     )
     devices: tuple[Devices, ...] = ()
 
@@ -183,12 +163,12 @@ class Plant(Checked):
         if physics is not None:
             require_choice("physics", physics, PHYSICS)
             if physics != "paper":
-                turbine = nrel_5mw() if physics == "nrel-5mw" else TurbineParameters(conserves_energy=True)
+                turbine = parameters.nrel_5mw() if physics == "nrel-5mw" else TurbineParameters(conserves_energy=True)
                 changes = _extended(changes["case"], turbine)
             elif self.extended:
                 raise ValueError("an extended plant cannot go back to the physics of the paper; start from Plant()")
         if groups is not None:
-            changes["groups"] = groups_of(groups, self.groups[0].bus if self.groups else self.case.slack_bus)
+            changes["groups"] = parameters.groups_of(groups, self.groups[0].bus if self.groups else self.case.slack_bus)
         return dataclasses.replace(self, **{**changes, **fields})
 
     @property
@@ -236,10 +216,10 @@ def _extended(case: NetworkCase, turbine: TurbineParameters) -> dict[str, Any]:
     return {
         "case": dataclasses.replace(case, machines=tuple(machines)),
         "turbine": turbine,
-        "limits": ConverterLimitParameters(),
-        "voltage_control": VoltageControlParameters(),
-        "protection": ProtectionParameters(rotor_speed_min_pu=ROTOR_SPEED_MIN_PU),
-        "shedding": european_shedding(),
+        "limits": parameters.ConverterLimitParameters(),
+        "voltage_control": parameters.VoltageControlParameters(),
+        "protection": parameters.ProtectionParameters(rotor_speed_min_pu=ROTOR_SPEED_MIN_PU),
+        "shedding": parameters.european_shedding(),
     }
 
 

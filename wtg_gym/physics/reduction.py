@@ -8,11 +8,10 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from wtg_gym.physics.layout import OF_LANE, Floats, Whole, offsets_of, place_of, units_of
+from wtg_gym.physics.devices import SOURCES
+from wtg_gym.physics.layout import OF_LANE, Facts, Floats, LaneData, Network, Whole, offsets_of, place_of, units_of
 from wtg_gym.physics.machine_unit import MACHINES
 from wtg_gym.physics.network import eliminate
-from wtg_gym.physics.network_data import Facts, LaneData, Network
-from wtg_gym.physics.source_unit import SOURCES
 from wtg_gym.physics.units import BUSES, ISLANDS, UNITS
 from wtg_gym.systems.compiled import compiled, inlined, internal
 

@@ -25,7 +25,7 @@ class Trajectory:
         frequency_hz: centre of inertia (n,) [Hz].
         wtg_frequency_hz: of each group's voltage (n, n_wtg) [Hz].
         machine_frequency_hz: of each synchronous machine (n, n_sync) [Hz].
-        bus_frequency_hz: local (n, n_bus), see :mod:`~wtg_gym.physics.local_frequency`; (n, 0) where the physics is the
+        bus_frequency_hz: local (n, n_bus), see :mod:`~wtg_gym.physics.protection`; (n, 0) where the physics is the
             paper's [Hz].
         rotor_speed_pu: (n, n_wtg) [p.u.].
         tip_speed_ratio: (n, n_wtg) [-].

@@ -17,8 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from wtg_gym.systems import expressions as ex
-from wtg_gym.systems.records import flatten
-from wtg_gym.systems.systems import Kind, Place, System, constants_of, count
+from wtg_gym.systems.systems import Kind, Place, System, constants_of, count, flatten
 
 Floats = npt.NDArray[np.float64]
 Whole = npt.NDArray[np.int64]
