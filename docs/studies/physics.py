@@ -25,8 +25,7 @@ STRATEGIES = (REFERENCE_STRATEGY, "mppt", "deloaded-5", "deloaded-10")  # the re
 OTHERS = STRATEGIES[1:]
 INCREASE, DECREASE = get_suite("paper").scenarios([0, 1])
 N_SCENARIOS = 100
-#: Suites that the reference plays in the plants that the conclusions are checked in; every strategy plays the last one in
-#: every plant.
+#: Suites of the reference in the plants that the conclusions are checked in; every strategy plays the last one in all.
 SUITES = ("standard", "gust", "weak-grid", "low-wind")
 SECOND_STEP_S = 30.0  # of the load increase; the claims on nadir and RoCoF are about the first step [s]
 FAST, SLOW = 0, 1  # the paper's groups: at 11.4 m/s, whose current is largest, and at 8 m/s, which stalls
