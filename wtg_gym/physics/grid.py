@@ -19,10 +19,9 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from wtg_gym.files import interpreting, parse_json, read_text, sha256, write_atomically
-from wtg_gym.physics.checked import Checked, design, parameter, require_items, required
 from wtg_gym.physics.machine_parameters import AnyExciter, AnyGovernor, AnyStabiliser, SynchronousMachineParameters
 from wtg_gym.physics.parameters import MOST_GROUPS, WtgGroup
-from wtg_gym.ranges import did_you_mean, require_known
+from wtg_gym.ranges import Checked, design, did_you_mean, parameter, require_items, require_known, required
 from wtg_gym.systems.compiled import cache_folder
 
 #: Buses and machines or sources of a network at most: a batch of episodes of more would not fit into memory.

@@ -14,9 +14,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from wtg_gym.physics.checked import Checked, describe, design, parameter
 from wtg_gym.physics.rotor_table import RotorTable, read_rotor_table
-from wtg_gym.ranges import is_whole, require_whole
+from wtg_gym.ranges import Checked, describe, design, is_whole, parameter, require_whole
 
 #: What the short keys in each field's `source` stand for.
 SOURCES = {

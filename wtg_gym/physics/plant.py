@@ -16,7 +16,6 @@ import numpy.typing as npt
 
 from wtg_gym.physics import parameters
 from wtg_gym.physics.aerodynamics import surface_of
-from wtg_gym.physics.checked import Checked, design
 from wtg_gym.physics.devices import SOURCES, Devices, joining, source_units
 from wtg_gym.physics.grid import NetworkCase, get_grid
 from wtg_gym.physics.layout import Facts, Layout, Network, Span, place_in
@@ -30,18 +29,18 @@ from wtg_gym.physics.units import (
     BUSES,
     ISLANDS,
     LANE,
+    MAIN,
+    MEMBERS,
     PAIRS,
     TRANSFERS,
     UNITS,
     Bus,
     Connection,
     Phasor,
-    nested,
-    units_of_network,
 )
 from wtg_gym.physics.wind_turbine import Extension, Turbine, extension_constants, turbine_constants
-from wtg_gym.physics.wtg_unit import COLUMNS, EXTENSIONS, GROUPS, links_of_extensions
-from wtg_gym.ranges import require_choice, require_known, require_range, whole_steps
+from wtg_gym.physics.wtg_unit import COLUMNS, EXTENSIONS, GROUPS
+from wtg_gym.ranges import Checked, design, require_choice, require_known, require_range, whole_steps
 from wtg_gym.systems.programs import Program, Tables, build_table
 from wtg_gym.systems.routines import Routine
 from wtg_gym.systems.systems import Kind, structured
@@ -389,32 +388,69 @@ class TaskUnits(NamedTuple):
     has: Collection[str] = ()  # conditions of its kinds that hold
 
 
-def layout_of(plant: PlantTables, task: TaskUnits | None = None) -> Layout:
-    """Return where the numbers of a plant's environments lie, with those of devices and of a task behind them."""
+def _nested(n_outer: int, n_inner: int) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
+    """Return the outer and the inner number of each pair, inner ones fastest (n_outer · n_inner,)."""
+    outer, inner = np.divmod(np.arange(n_outer * n_inner), max(n_inner, 1))
+    return outer, inner
+
+
+def _units_of(plant: PlantTables) -> tuple[dict[Kind, int], dict[tuple[Kind, str], Any]]:
+    """Return how many units of each kind there are, and which others each of them sees."""
     n_sync, n_wtg, unit_bus = plant.machines.size, plant.share.size, plant.network.unit_bus
-    extended = plant.extension.size > 0
-    n_islands = ISLANDS_AT_MOST if extended else 1
-    network_units, network_links = units_of_network(unit_bus, plant.buses.size, n_islands, transfers=extended)
+    extended, n_bus, n = plant.extension.size > 0, plant.buses.size, unit_bus.size
+    n_islands, groups = ISLANDS_AT_MOST if extended else 1, n_sync + np.arange(n_wtg)
+    limited = groups if extended else groups[:0]
+    # Numbers of the units of every pair, of those on other islands, and at every bus; only an extended plant finds the
+    # voltages of buses.
+    row, column = _nested(n, n)
+    island, member = _nested(n_islands - 1, n)
+    bus, unit = _nested(n_bus if extended else 0, n)
+    # One column of the admittances after the other: its group, the units of its rows.
+    of_group, of_column = _nested(limited.size, n)
     n_units = {
         MACHINES: n_sync,
         GROUPS: n_wtg,
-        EXTENSIONS: n_wtg if extended else 0,
-        **network_units,
+        EXTENSIONS: limited.size,
+        LANE: 1,
+        BUSES: n_bus,
+        UNITS: n,
+        ISLANDS: n_islands,
+        MEMBERS: member.size,
+        MAIN: 1,
+        TRANSFERS: unit.size,
+        PAIRS: row.size,
         STAGES: plant.shedding.size,
         FIRST_MACHINE: min(n_sync, 1),
-        COLUMNS: n_wtg * unit_bus.size if extended else 0,
+        COLUMNS: of_column.size,
         **dict.fromkeys((control.kind for control in CONTROLS.values()), 0),
     }
     links = {
         # All of them are in the grid, or seen from there.
         (MACHINES, "island"): np.zeros(n_sync, dtype=np.int64),
         (GROUPS, "island"): np.zeros(n_wtg, dtype=np.int64),
-        (GROUPS, "unit"): n_sync + np.arange(n_wtg),
-        (STAGES, "island"): nested(n_islands, plant.shedding.size // n_islands)[0],
-        **network_links,
+        (GROUPS, "unit"): groups,
+        (STAGES, "island"): _nested(n_islands, plant.shedding.size // n_islands)[0],
+        (UNITS, "bus"): unit_bus,
+        (UNITS, "grid_"): np.zeros(n, dtype=np.int64),
+        (MEMBERS, "unit_"): member,
+        (MEMBERS, "island_"): 1 + island,
+        (TRANSFERS, "unit_"): unit,
+        (TRANSFERS, "bus_"): bus,
+        (PAIRS, "row_"): row,
+        (PAIRS, "column_"): column,
+        (EXTENSIONS, "unit"): limited,
+        (EXTENSIONS, "bus_"): unit_bus[limited],
+        (EXTENSIONS, "own_entry_"): limited * (n + 1),
+        (COLUMNS, "entry"): of_column * n + limited[of_group],
+        (COLUMNS, "unit"): of_column,
+        (COLUMNS, "group"): of_group,
     }
-    if extended:
-        links |= links_of_extensions(n_sync, n_wtg, unit_bus)
+    return n_units, links
+
+
+def layout_of(plant: PlantTables, task: TaskUnits | None = None) -> Layout:
+    """Return where the numbers of a plant's environments lie, with those of devices and of a task behind them."""
+    n_units, links = _units_of(plant)
     for name, constants in plant.own_controls.items():
         kind, of_machine = CONTROLS[name].kind, constants["machine"]
         n_units[kind] = constants.size
@@ -424,7 +460,7 @@ def layout_of(plant: PlantTables, task: TaskUnits | None = None) -> Layout:
         if device.kind in n_units or device.kind in added.n_units:
             raise ValueError(f"there are units of a kind {device.kind.name!r} already")
         n_units[device.kind] = units.size
-        known = {UNITS: units, BUSES: unit_bus[units]}
+        known = {UNITS: units, BUSES: plant.network.unit_bus[units]}
         for label, kind in device.kind.sees.items():
             if kind in known:
                 links[device.kind, label] = known[kind]

@@ -16,10 +16,9 @@ import numpy as np
 import numpy.typing as npt
 
 from wtg_gym.files import parse_json
-from wtg_gym.physics.checked import Checked, design, require_items, required
 from wtg_gym.physics.parameters import MOST_GROUPS
 from wtg_gym.physics.sensors import Sensors
-from wtg_gym.ranges import require_count, require_known
+from wtg_gym.ranges import Checked, design, require_count, require_items, require_known, required
 
 R = TypeVar("R")
 

@@ -15,10 +15,10 @@ import numpy as np
 import numpy.typing as npt
 
 from wtg_gym.physics import equilibrium
+from wtg_gym.physics.equilibrium import network_events
 from wtg_gym.physics.integration import PROGRAMS, REFRESH, STARTING, STEPPING, advance_blocks, evaluate_blocks
 from wtg_gym.physics.layout import NO_EVENT, Floats, LaneData, NetworkEvent, rows_of_lanes
 from wtg_gym.physics.linearisation import StepError, check_step
-from wtg_gym.physics.network_events import network_events
 from wtg_gym.physics.plant import Plant, TaskUnits, layout_of, plant_tables, programs_of, with_places
 from wtg_gym.physics.reduction import assemble
 from wtg_gym.physics.scenario import LONGEST_RUN_S, SERIES_DT, Scenario
