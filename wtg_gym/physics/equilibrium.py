@@ -7,7 +7,6 @@ from collections.abc import Mapping, Sequence
 
 import numba
 import numpy as np
-import numpy.typing as npt
 
 from wtg_gym.physics import integration
 from wtg_gym.physics import scenario as events
@@ -32,7 +31,7 @@ from wtg_gym.physics.scenario import Scenario
 from wtg_gym.physics.units import BUSES, StartFailure
 from wtg_gym.ranges import whole_steps
 from wtg_gym.systems.compiled import compiled, internal
-from wtg_gym.systems.programs import NONE
+from wtg_gym.systems.programs import NONE, Complex, Whole
 from wtg_gym.systems.routines import Function
 
 #: Beginning of the names of scenarios that a simulator makes for itself.
@@ -179,7 +178,7 @@ def rows_of_buses(scratch: Floats, layout: Layout) -> Floats:
 
 
 @internal
-def _plan_flow(arrays: tuple[Floats, Floats], buses: Floats, y: npt.NDArray[np.complex128], network: Network) -> float:
+def _plan_flow(arrays: tuple[Floats, Floats], buses: Floats, y: Complex, network: Network) -> float:
     """Solve the power flow of what all units plan; return what the slack bus lacks [p.u.], NaN where nothing starts."""
     facts, tables, scratch = network.facts, network.tables, arrays[1]
     lane = units_of(scratch, facts.starting)[0]
@@ -207,7 +206,7 @@ def _plan_flow(arrays: tuple[Floats, Floats], buses: Floats, y: npt.NDArray[np.c
 
 
 @internal
-def _curtail(arrays: tuple[Floats, Floats], buses: Floats, y: npt.NDArray[np.complex128], network: Network) -> None:
+def _curtail(arrays: tuple[Floats, Floats], buses: Floats, y: Complex, network: Network) -> None:
     """Find the common factor on k with which the WTG groups alone meet the load, by halving its range."""
     lane = units_of(arrays[1], network.facts.starting)[0]
     at, failure = OF_STARTING_LANE.curtailment, OF_STARTING_LANE.failure
@@ -245,11 +244,11 @@ def prepare_lanes(
     rows: Floats,
     scratch: Floats,
     buses: Floats,
-    y: npt.NDArray[np.complex128],
+    y: Complex,
     network: Network,
     data: LaneData,
     load_levels: Floats,
-    failures: npt.NDArray[np.int64],
+    failures: Whole,
 ) -> None:
     """Put lanes into the equilibrium of their wind, law and load, at nominal frequency.
 

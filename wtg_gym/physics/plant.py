@@ -25,23 +25,11 @@ from wtg_gym.physics.machine_unit import FIRST_MACHINE, MACHINES
 from wtg_gym.physics.network import SPARSE_FROM, assemble_admittance, branch_admittances, pattern_of
 from wtg_gym.physics.parameters import TurbineParameters, WtgGroup
 from wtg_gym.physics.protection import STAGES, SheddingConstants
-from wtg_gym.physics.units import (
-    BUSES,
-    ISLANDS,
-    LANE,
-    MAIN,
-    MEMBERS,
-    PAIRS,
-    TRANSFERS,
-    UNITS,
-    Bus,
-    Connection,
-    Phasor,
-)
+from wtg_gym.physics.units import BUSES, ISLANDS, LANE, MAIN, MEMBERS, PAIRS, TRANSFERS, UNITS, Bus, Connection, Phasor
 from wtg_gym.physics.wind_turbine import Extension, Turbine, extension_constants, turbine_constants
 from wtg_gym.physics.wtg_unit import COLUMNS, EXTENSIONS, GROUPS
 from wtg_gym.ranges import Checked, design, require_choice, require_known, require_range, whole_steps
-from wtg_gym.systems.programs import Program, Tables, build_table
+from wtg_gym.systems.programs import Complex, Floats, Program, Tables, Whole, build_table
 from wtg_gym.systems.routines import Routine
 from wtg_gym.systems.systems import Kind, structured
 
@@ -226,13 +214,13 @@ class PlantTables(NamedTuple):
     """Constants of a plant."""
 
     network: Network  # what compiled functions read
-    bus_y: npt.NDArray[np.complex128]  # bus admittance matrix without loads and units (n_bus, n_bus) [p.u.]
+    bus_y: Complex  # bus admittance matrix without loads and units (n_bus, n_bus) [p.u.]
     machines: npt.NDArray[np.void]  # (n_sync,), of Machine
-    dispatch: npt.NDArray[np.float64]  # power of each machine before the slack's share (n_sync,) [p.u.]
-    participation: npt.NDArray[np.float64]  # its share of what loads need at the start (n_sync,)
+    dispatch: Floats  # power of each machine before the slack's share (n_sync,) [p.u.]
+    participation: Floats  # its share of what loads need at the start (n_sync,)
     turbine: npt.NDArray[np.void]  # of each WTG group, or one where there is none (n_wtg,), of Turbine
-    share: npt.NDArray[np.float64]  # rating of each WTG group on the system base (n_wtg,)
-    cells: npt.NDArray[np.float64]  # of the rotor's C_p table (n, m, 16)
+    share: Floats  # rating of each WTG group on the system base (n_wtg,)
+    cells: Floats  # of the rotor's C_p table (n, m, 16)
     saturation: tuple[RotorSaturation, ...]  # of each machine (n_sync,)
     own_controls: Mapping[str, npt.NDArray[np.void]]  # constants of those that are units, by the names of kinds
     extension: npt.NDArray[np.void]  # likewise, of Extension; (0,) where the groups are not extended
@@ -252,7 +240,7 @@ class PlantTables(NamedTuple):
         return tuple(name for name in self.own_controls if name != HYGOV.kind.name)
 
     @property
-    def device_units(self) -> list[npt.NDArray[np.int64]]:
+    def device_units(self) -> list[Whole]:
         """Numbers of the units of each of `devices`; they come after the groups."""
         edges = np.cumsum([self.machines.size + self.share.size, *(len(device.buses) for device in self.devices)])
         return [np.arange(first, last) for first, last in itertools.pairwise(edges)]
@@ -317,7 +305,7 @@ def plant_tables(settings: Plant) -> PlantTables:
     )
 
 
-def _participation(settings: Plant) -> npt.NDArray[np.float64]:
+def _participation(settings: Plant) -> Floats:
     """Return each machine's share of what loads need at the start (n_sync,); zeros where the case dispatches them."""
     # A gate beyond 1 p.u. says nothing about the power that a machine is meant for.
     sharing = [
@@ -327,7 +315,7 @@ def _participation(settings: Plant) -> npt.NDArray[np.float64]:
     return np.array(sharing) / (sum(sharing) or 1.0)
 
 
-def _buses_of(case: NetworkCase, unit_bus: npt.NDArray[np.int64]) -> list[Bus]:
+def _buses_of(case: NetworkCase, unit_bus: Whole) -> list[Bus]:
     base = case.base_mva
     return [
         Bus(
@@ -340,7 +328,7 @@ def _buses_of(case: NetworkCase, unit_bus: npt.NDArray[np.int64]) -> list[Bus]:
     ]
 
 
-def _network_of(settings: Plant, unit_y: npt.NDArray[np.complex128], shares_dispatch: bool) -> Network:
+def _network_of(settings: Plant, unit_y: Complex, shares_dispatch: bool) -> Network:
     """Return what compiled functions read of a plant, from the internal admittances of its units on [p.u.]."""
     case, base = settings.case, settings.case.base_mva
     device_buses = [bus for device in settings.all_devices for bus in device.buses]
@@ -380,7 +368,7 @@ class TaskUnits(NamedTuple):
     """What a caller adds to the physics: kinds of unit of its own, and programs over them."""
 
     n_units: Mapping[Kind, int]
-    links: Mapping[tuple[Kind, str], npt.NDArray[np.int64]] = MappingProxyType({})
+    links: Mapping[tuple[Kind, str], Whole] = MappingProxyType({})
     programs: tuple[Program, ...] = ()
     stepping: tuple[Routine, ...] = ()  # that are called with blocks of the simulator's width
     starting: tuple[Routine, ...] = ()  # and with blocks of one environment, to start runs
@@ -388,7 +376,7 @@ class TaskUnits(NamedTuple):
     has: Collection[str] = ()  # conditions of its kinds that hold
 
 
-def _nested(n_outer: int, n_inner: int) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
+def _nested(n_outer: int, n_inner: int) -> tuple[Whole, Whole]:
     """Return the outer and the inner number of each pair, inner ones fastest (n_outer · n_inner,)."""
     outer, inner = np.divmod(np.arange(n_outer * n_inner), max(n_inner, 1))
     return outer, inner

@@ -40,10 +40,7 @@ class Tuning(NamedTuple):
 #: The laws tuned to a grid that needs the wind; docs/studies/policies.py finds them. A law that asks for more than
 #: K_opt slows the rotor past the top of its power curve: in the end it gives less the lower the frequency is.
 TUNED: Mapping[str, Tuning] = MappingProxyType(
-    {
-        "coordinated-tuned": Tuning(0.0, -0.018, 0.95, 0.2),
-        "coordinated-free": Tuning(0.63, -0.018, 0.98, 0.2),
-    }
+    {"coordinated-tuned": Tuning(0.0, -0.018, 0.95, 0.2), "coordinated-free": Tuning(0.63, -0.018, 0.98, 0.2)}
 )
 
 #: A smaller deloading in a law file is taken for a fraction that was meant [%].

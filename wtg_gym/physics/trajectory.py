@@ -79,9 +79,7 @@ class Trajectory:
 
 
 def simulate(
-    scenario: Scenario,
-    laws: str | TrackingLaw | Sequence[str | TrackingLaw],
-    settings: Plant | None = None,
+    scenario: Scenario, laws: str | TrackingLaw | Sequence[str | TrackingLaw], settings: Plant | None = None
 ) -> Trajectory:
     """Run a scenario under fixed laws and record it.
 
