@@ -97,31 +97,13 @@ class Layout:
         self.counts, self._links = dict(n_units), dict(links)
         self.first, self.n_rows = self._firsts([n_rows_of(kind.rows) for kind in n_units])
         self.first_scratch, self.n_scratch = self._firsts([n_rows_of(kind.scratch) for kind in n_units])
+        #: Number of synchronous machines, WTG groups, units of the network, and extended WTG groups.
+        self.n_sync, self.n_wtg, self.n_unit, self.n_extended = map(self.n_units, (MACHINES, GROUPS, UNITS, EXTENSIONS))
         self._found: dict[tuple[str, str], Whole] = {}
 
     def _firsts(self, strides: Sequence[int]) -> tuple[dict[Kind, int], int]:
         edges = np.cumsum([0, *(n * stride for n, stride in zip(self.counts.values(), strides, strict=True))]).tolist()
         return dict(zip(self.counts, edges, strict=False)), edges[-1]
-
-    @property
-    def n_sync(self) -> int:
-        """Number of synchronous machines."""
-        return self.counts[MACHINES]
-
-    @property
-    def n_wtg(self) -> int:
-        """Number of WTG groups."""
-        return self.counts[GROUPS]
-
-    @property
-    def n_unit(self) -> int:
-        """Number of units of the network: synchronous machines and WTG groups."""
-        return self.counts[UNITS]
-
-    @property
-    def n_extended(self) -> int:
-        """Number of extended WTG groups."""
-        return self.counts[EXTENSIONS]
 
     def n_units(self, kind: Kind) -> int:
         """Return how many units of a kind there are."""
