@@ -310,8 +310,7 @@ class Scenario(Checked):
         name: free text, used in tables and plots.
         wind_speed: rotor-effective wind per WTG group and sample, shape (n_wtg, n_samples) [m/s], n_wtg = 0 for a
             grid without any; linear between samples, the last one holds.
-        wind_dt_s: sampling step of `wind_speed` [s].
-        duration_s: length of the run [s].
+        wind_dt_s, duration_s: sampling step of `wind_speed` and length of the run [s].
         events: of the kinds above, in any order; those after the end of the run do not happen.
         load_noise_mw: extra resistive load at `load_noise_bus`, one value per `SERIES_DT` [MW], 0 after the last.
             The first value must be zero, so that the run starts in equilibrium.
