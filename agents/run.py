@@ -30,13 +30,12 @@ from wtg_gym.envs.lanes import TaskLanes
 from wtg_gym.evaluation import Entry, evaluate
 from wtg_gym.evaluation.circumstances import installed
 from wtg_gym.files import interpreting, read_json, to_json, trusted_files, write_atomically
-from wtg_gym.physics.checked import Checked, design, required
 from wtg_gym.physics.scenario import Scenario
 from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY
 from wtg_gym.policies.entry_folder import ENTRY_FILE, POLICY_FILE, check_not_built_in, entry_text
 from wtg_gym.policies.torch_export import TorchPolicy, onnx_bytes
 from wtg_gym.progress import Progress
-from wtg_gym.ranges import require_range, require_whole
+from wtg_gym.ranges import Checked, design, require_range, require_whole, required
 from wtg_gym.scenarios import DEFAULT_SUITE, get_suite
 from wtg_gym.systems.compiled import source_hash
 

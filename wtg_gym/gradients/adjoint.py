@@ -73,17 +73,8 @@ _act, _flow, _sweep_once, _motion, _rates, _moved, _charge, _measure, _observe, 
 _WITHOUT, _WITH = (
     tuple(Routine(program, writer, place=1) for program in _TAPED) for writer in (BackWithoutConstants, BackWriter)
 )
-(
-    _act_back,
-    _flow_back,
-    _sweep_back,
-    _motion_back,
-    _rates_back,
-    _moved_back,
-    _charge_back,
-    _measure_back,
-    _observe_back,
-) = (routine.call for routine in _WITH)
+_act_back, _flow_back, _sweep_back, _motion_back, _rates_back, *_ending_back = (routine.call for routine in _WITH)
+_moved_back, _charge_back, _measure_back, _observe_back = _ending_back
 
 
 def routines_of(*, constants: bool) -> tuple[Routine, ...]:

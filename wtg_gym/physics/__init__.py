@@ -21,10 +21,9 @@ Equations
 Network
     network             admittances, power flow
     reduction           Kron reduction, what events and islands change in it
-    network_events      the table of what events change in the network and its units
 
 Data
-    parameters, machine_parameters, checked    every number with unit, source and range
+    parameters, machine_parameters    every number with unit, source and range
     grid, tables/       networks, and their files; the C_p of another turbine
     plant               a network, its WTG groups and the time steps
     scenario            what happens in a run
@@ -34,7 +33,7 @@ Data
 Machinery
     simulator, integration    runs side by side, on threads; one control interval
     layout              rows of a block; constants, series and events as arrays
-    equilibrium         the lists of the start around the power flow; why a run cannot start
+    equilibrium         what events change; the lists of the start around the power flow; why a run cannot start
     linearisation       the state matrix, and the step that its modes allow
 
 A run is *prepared*, its equilibrium found while no running lane is touched, and then *started* in a lane. All higher

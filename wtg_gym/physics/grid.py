@@ -19,10 +19,9 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from wtg_gym.files import interpreting, parse_json, read_text, sha256, write_atomically
-from wtg_gym.physics.checked import Checked, design, parameter, require_items, required
 from wtg_gym.physics.machine_parameters import AnyExciter, AnyGovernor, AnyStabiliser, SynchronousMachineParameters
 from wtg_gym.physics.parameters import MOST_GROUPS, WtgGroup
-from wtg_gym.ranges import did_you_mean, require_known
+from wtg_gym.ranges import Checked, design, did_you_mean, parameter, require_items, require_known, required
 from wtg_gym.systems.compiled import cache_folder
 
 #: Buses and machines or sources of a network at most: a batch of episodes of more would not fit into memory.
@@ -175,37 +174,8 @@ class NetworkCase(Checked):
 
     @functools.cached_property
     def bridges(self) -> frozenset[int]:
-        """Return the indices of the branches any one of which splits the network when it opens.
-
-        A depth-first search meets every branch once: what hangs below a bridge reaches nothing above it otherwise.
-        Source: R. Tarjan, "A note on finding the bridges of a graph", 1974.
-        """
-        beside: dict[int, list[tuple[int, int]]] = {number: [] for number in self.bus_numbers}
-        for index, branch in enumerate(self.branches):
-            beside[branch.from_bus].append((branch.to_bus, index))
-            beside[branch.to_bus].append((branch.from_bus, index))
-        root = self.bus_numbers[0]
-        # The order in which buses are met, and the earliest that what lies below them reaches.
-        met, reaches, found = {root: 0}, {root: 0}, set[int]()
-        path = [(root, -1, iter(beside[root]))]
-        while path:
-            bus, came_by, others = path[-1]
-            for other, index in others:
-                if index == came_by:
-                    continue
-                if other not in met:
-                    met[other] = reaches[other] = len(met)
-                    path.append((other, index, iter(beside[other])))
-                    break
-                reaches[bus] = min(reaches[bus], met[other])
-            else:
-                path.pop()
-                if path:
-                    above = path[-1][0]
-                    reaches[above] = min(reaches[above], reaches[bus])
-                    if reaches[bus] > met[above]:
-                        found.add(came_by)
-        return frozenset(found)
+        """Return the indices of the branches any one of which splits the network when it opens."""
+        return frozenset(index for index in range(len(self.branches)) if len(self.parts_without((index,))) > 1)
 
     def classical(self) -> NetworkCase:
         """Return the network with a constant voltage behind x'_d in place of every machine and its exciter."""

@@ -24,7 +24,7 @@ from wtg_gym.physics.units import BUSES, LANE, UNITS
 from wtg_gym.physics.wtg_unit import EXTENSIONS, GROUPS
 from wtg_gym.ranges import did_you_mean, require_known
 from wtg_gym.systems.compiled import internal
-from wtg_gym.systems.programs import Tables
+from wtg_gym.systems.programs import Complex, Tables
 from wtg_gym.systems.systems import Kind, count, is_record, short_names, structured
 
 Floats = npt.NDArray[np.float64]
@@ -97,31 +97,13 @@ class Layout:
         self.counts, self._links = dict(n_units), dict(links)
         self.first, self.n_rows = self._firsts([n_rows_of(kind.rows) for kind in n_units])
         self.first_scratch, self.n_scratch = self._firsts([n_rows_of(kind.scratch) for kind in n_units])
+        #: Number of synchronous machines, WTG groups, units of the network, and extended WTG groups.
+        self.n_sync, self.n_wtg, self.n_unit, self.n_extended = map(self.n_units, (MACHINES, GROUPS, UNITS, EXTENSIONS))
         self._found: dict[tuple[str, str], Whole] = {}
 
     def _firsts(self, strides: Sequence[int]) -> tuple[dict[Kind, int], int]:
         edges = np.cumsum([0, *(n * stride for n, stride in zip(self.counts.values(), strides, strict=True))]).tolist()
         return dict(zip(self.counts, edges, strict=False)), edges[-1]
-
-    @property
-    def n_sync(self) -> int:
-        """Number of synchronous machines."""
-        return self.counts[MACHINES]
-
-    @property
-    def n_wtg(self) -> int:
-        """Number of WTG groups."""
-        return self.counts[GROUPS]
-
-    @property
-    def n_unit(self) -> int:
-        """Number of units of the network: synchronous machines and WTG groups."""
-        return self.counts[UNITS]
-
-    @property
-    def n_extended(self) -> int:
-        """Number of extended WTG groups."""
-        return self.counts[EXTENSIONS]
 
     def n_units(self, kind: Kind) -> int:
         """Return how many units of a kind there are."""
@@ -273,15 +255,15 @@ class Network(NamedTuple):
     """
 
     facts: Facts
-    branch_ends: npt.NDArray[np.int64]  # bus indices of each branch (n_branch, 2)
-    branch_y: npt.NDArray[np.complex128]  # its admittances ff, ft, tf, tt (n_branch, 4) [p.u.]
-    branch_series: npt.NDArray[np.complex128]  # the part of its series impedance in them (n_branch, 4) [p.u.]
-    shunts: npt.NDArray[np.complex128]  # admittance at each bus (n_bus,) [p.u.]
-    unit_bus: npt.NDArray[np.int64]  # bus index of each unit, machines first (n_unit,)
-    unit_y: npt.NDArray[np.complex128]  # internal admittance of each unit (n_unit,) [p.u.]
-    connected: npt.NDArray[np.int64]  # the row that says whether each unit is connected (n_unit,)
-    angles: npt.NDArray[np.int64]  # the row of each unit's angle, -1 for none (n_unit,)
-    shed_shares: npt.NDArray[np.float64]  # of the load, by each stage of shedding (n_stages,)
+    branch_ends: Whole  # bus indices of each branch (n_branch, 2)
+    branch_y: Complex  # its admittances ff, ft, tf, tt (n_branch, 4) [p.u.]
+    branch_series: Complex  # the part of its series impedance in them (n_branch, 4) [p.u.]
+    shunts: Complex  # admittance at each bus (n_bus,) [p.u.]
+    unit_bus: Whole  # bus index of each unit, machines first (n_unit,)
+    unit_y: Complex  # internal admittance of each unit (n_unit,) [p.u.]
+    connected: Whole  # the row that says whether each unit is connected (n_unit,)
+    angles: Whole  # the row of each unit's angle, -1 for none (n_unit,)
+    shed_shares: Floats  # of the load, by each stage of shedding (n_stages,)
     pattern: Pattern  # of the power flow of a large network
     tables: Tables
 
@@ -310,6 +292,6 @@ NO_EVENT = structured(NetworkEvent, [NetworkEvent(np.inf, np.inf)])
 class LaneData(NamedTuple):
     """Series and events of each environment, constant while it runs."""
 
-    wind: npt.NDArray[np.float64]  # at the ends of control intervals (n_lanes, n_wtg, n_intervals + 1) [m/s]
-    noise: npt.NDArray[np.float64]  # load noise per control interval (n_lanes, n_intervals) [MW]
+    wind: Floats  # at the ends of control intervals (n_lanes, n_wtg, n_intervals + 1) [m/s]
+    noise: Floats  # load noise per control interval (n_lanes, n_intervals) [MW]
     events: npt.NDArray[Any]  # (n_lanes, n_events), of NetworkEvent

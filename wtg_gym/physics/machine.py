@@ -365,31 +365,13 @@ def machine_rates(
 
 def driven_by(torque: float, rates: MachineState, output: MachineOutput, u: MachineInput) -> MachineState:
     """Return the rates with another mechanical torque [p.u.] than the governor's."""
-    speed = rates.speed + u.inv_two_h * (torque - output.torque)
-    return MachineState(
-        rates.angle,
-        speed,
-        rates.e_q_transient,
-        rates.e_d_transient,
-        rates.psi_1d,
-        rates.psi_2q,
-        rates.exciter,
-        rates.governor,
-    )
+    return rates._replace(speed=rates.speed + u.inv_two_h * (torque - output.torque))
 
 
 def machine_limited(s: MachineState, c: Machine) -> MachineState:
     """Return the states, held within their limits."""
-    return MachineState(
-        s.angle,
-        s.speed,
-        s.e_q_transient,
-        s.e_d_transient,
-        s.psi_1d,
-        s.psi_2q,
-        exciter_limited(s.exciter, c.exciter),
-        governor_limited(s.governor, c.governor),
-    )
+    governor = governor_limited(s.governor, c.governor)
+    return s._replace(exciter=exciter_limited(s.exciter, c.exciter), governor=governor)
 
 
 def machine_start(

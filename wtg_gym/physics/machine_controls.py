@@ -116,43 +116,39 @@ def _kind(what: str, constants: Constants, state: type, **rows: Any) -> Kind:
     )
 
 
-def _systems(
+def _control(
+    kind: Kind,
+    constants: Constants,
     start: System,
     rates: System,
     comes_back: Callable[[Back, float, Any], Any],
     limit: Callable[[Any, Any], Any] | None = None,
-) -> dict[ControlJoining, tuple[System, ...]]:
-    """Return the systems of a control: its start, its rates, and what follows from them.
+    checked: tuple[StartFailure, str, Callable[[Any], tuple[float, float]]] | None = None,
+) -> Control:
+    """Return a control: its start, its rates, and what follows from them.
 
     Args:
-        start, rates: the systems.
+        kind, constants, start, rates: its kind, constants and systems.
         comes_back: its states where its machine comes back, from what that comes back to, its field voltage [p.u.] and
             the constants.
         limit: the states, held within their limits, from them and the constants.
+        checked: `failure`, `limited` and `limits` of a control that cannot start beyond its limits.
     """
 
-    @system(rates.kind, "control", when="extended")
+    @system(kind, "control", when="extended")
     def return_control(control: Any, field_voltage: float, returns: float, back: Back, model: Any) -> Any:
         found = comes_back(back, field_voltage, model)
         return each(lambda new, old: select(returns > 0.5, new, old), found, control)
 
-    return {
+    systems: dict[ControlJoining, tuple[System, ...]] = {
         ControlJoining.SETTLE: (start,),
         ControlJoining.MOVE: (moving(rates, limit, constants=["model"]),),
         ControlJoining.RATES: (rates,),
         ControlJoining.RETURN: (return_control,),
     }
-
-
-def _checked(
-    kind: Kind,
-    constants: Constants,
-    systems: Mapping[ControlJoining, tuple[System, ...]],
-    failure: StartFailure,
-    limited: str,
-    limits: Callable[[Any], tuple[float, float]],
-) -> Control:
-    """Return a control that cannot start beyond its limits."""
+    if checked is None:
+        return Control(kind=kind, constants=constants, systems=systems)
+    failure, limited, limits = checked
 
     @system(kind, "lane_failure")
     def check_control(control: Any, model: Any, lane_failure: Failure) -> Failure:
@@ -160,14 +156,8 @@ def _checked(
         value = getattr(control, limited)
         return noted((low <= value) & (value <= high), failure, model.machine, lane_failure)
 
-    return Control(
-        kind=kind,
-        constants=constants,
-        systems={**systems, ControlJoining.START: (check_control,)},
-        failure=failure,
-        limited=limited,
-        limits=limits,
-    )
+    systems[ControlJoining.START] = (check_control,)
+    return Control(kind=kind, constants=constants, systems=systems, failure=failure, limited=limited, limits=limits)
 
 
 def stabiliser(
@@ -206,8 +196,10 @@ def stabiliser(
         found, signal = rates(control, speed - 1.0, voltage, model)
         return each(lambda rate: given.connected * rate, found), set_point + signal
 
-    systems = _systems(start_stabiliser, rates_of_stabiliser, lambda back, _, model: start(back.bus_speed - 1.0, model))
-    return Control(kind=kind, constants=constants, systems=systems)
+    def comes_back(back: Back, _: float, model: Any) -> Any:
+        return start(back.bus_speed - 1.0, model)
+
+    return _control(kind, constants, start_stabiliser, rates_of_stabiliser, comes_back)
 
 
 def exciter(
@@ -249,13 +241,15 @@ def exciter(
     def limits(c: Any) -> tuple[float, float]:
         return c.regulator_min_pu, c.regulator_max_pu
 
-    systems = _systems(
+    return _control(
+        kind,
+        constants,
         start_exciter,
         rates_of_exciter,
         lambda back, field_voltage, model: start(field_voltage, back.bus_voltage, model)[0],
         lambda s, c: s._replace(regulator=clip(s.regulator, *limits(c))),
+        (StartFailure.EXCITER_LIMIT, "regulator", limits),
     )
-    return _checked(kind, constants, systems, StartFailure.EXCITER_LIMIT, "regulator", limits)
 
 
 def governor(
@@ -291,5 +285,7 @@ def governor(
         found, torque = rates(control, speed, given.gate_reference, given.inv_droop, model)
         return each(lambda rate: given.connected * rate, found), machine.rating * torque
 
-    systems = _systems(start_governor, rates_of_governor, lambda _, __, model: start(0.0, model), limit)
-    return _checked(kind, constants, systems, StartFailure.GOVERNOR_LIMIT, gate, gate_limits)
+    checked = StartFailure.GOVERNOR_LIMIT, gate, gate_limits
+    return _control(
+        kind, constants, start_governor, rates_of_governor, lambda _, __, model: start(0.0, model), limit, checked
+    )

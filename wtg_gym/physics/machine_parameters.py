@@ -9,7 +9,7 @@ import dataclasses
 from dataclasses import dataclass
 from typing import Any
 
-from wtg_gym.physics.checked import Checked, describe, design, parameter, required
+from wtg_gym.ranges import Checked, describe, design, parameter, required
 
 
 def _requires_lag(record: Checked, *pairs: tuple[str, str]) -> None:

@@ -11,6 +11,7 @@ import numpy.typing as npt
 
 from wtg_gym.physics.grid import Branch
 from wtg_gym.systems.compiled import compiled, inlined, internal
+from wtg_gym.systems.programs import Complex, Floats
 
 #: Largest power mismatch accepted as a power-flow solution [p.u.].
 POWER_FLOW_TOLERANCE = 1e-12
@@ -18,7 +19,7 @@ POWER_FLOW_TOLERANCE = 1e-12
 LEAST_IMPEDANCE = 1e-6
 
 
-def branch_admittances(branches: tuple[Branch, ...]) -> npt.NDArray[np.complex128]:
+def branch_admittances(branches: tuple[Branch, ...]) -> Complex:
     """Return (y_ff, y_ft, y_tf, y_tt) of every branch, shape (n_branch, 4) [p.u.]."""
     rows = np.zeros((len(branches), 4), dtype=np.complex128)
     for row, branch in zip(rows, branches, strict=True):
@@ -69,9 +70,7 @@ def eliminate(a: npt.NDArray) -> bool:  # type: ignore[type-arg]
     return True
 
 
-def assemble_admittance(
-    ends: npt.NDArray[np.int64], branch_y: npt.NDArray[np.complex128], bus_y: npt.NDArray[np.complex128]
-) -> npt.NDArray[np.complex128]:
+def assemble_admittance(ends: Whole, branch_y: Complex, bus_y: Complex) -> Complex:
     """Return the bus admittance matrix (n_bus, n_bus) [p.u.] of closed branches plus `bus_y` on the diagonal.
 
     Args:
@@ -96,7 +95,7 @@ class PowerFlow(NamedTuple):
 
 
 @compiled
-def solve_power_flow(y: npt.NDArray[np.complex128], slack: int, buses: npt.NDArray[np.float64], at: PowerFlow) -> int:
+def solve_power_flow(y: Complex, slack: int, buses: Floats, at: PowerFlow) -> int:
     """Solve the power flow by Newton's method in polar form.
 
     Args:
@@ -134,14 +133,7 @@ def solve_power_flow(y: npt.NDArray[np.complex128], slack: int, buses: npt.NDArr
 
 
 @internal
-def _write_jacobian(
-    a: npt.NDArray[np.float64],
-    turn: npt.NDArray[np.complex128],
-    y: npt.NDArray[np.complex128],
-    slack: int,
-    buses: npt.NDArray[np.float64],
-    at: PowerFlow,
-) -> float:
+def _write_jacobian(a: Floats, turn: Complex, y: Complex, slack: int, buses: Floats, at: PowerFlow) -> float:
     """Write sensitivities and mismatches of :func:`solve_power_flow` to `a`; return the largest mismatch [p.u.]."""
     n, n_unknown = y.shape[0], a.shape[0]
     worst, q_row = 0.0, n - 1
@@ -194,7 +186,7 @@ def _write_jacobian(
 
 
 @inlined
-def note_flow(y: npt.NDArray[np.complex128], buses: npt.NDArray[np.float64], at: PowerFlow) -> None:
+def note_flow(y: Complex, buses: Floats, at: PowerFlow) -> None:
     """Write voltages and flows of a solved power flow."""
     n = y.shape[0]
     for k in range(n):
@@ -230,7 +222,7 @@ class Pattern(NamedTuple):
     pairs: Whole  # the buses' indices of each pair with an admittance (n_pairs, 2), the earlier one first
 
 
-def pattern_of(y: npt.NDArray[np.complex128]) -> Pattern:
+def pattern_of(y: Complex) -> Pattern:
     """Return the pattern of a bus admittance matrix (n_bus, n_bus)."""
     n = len(y)
     beside = [set(np.flatnonzero((y[k] != 0.0) | (y[:, k] != 0.0)).tolist()) - {k} for k in range(n)]
@@ -272,7 +264,7 @@ def pattern_of(y: npt.NDArray[np.complex128]) -> Pattern:
 
 
 @inlined
-def _less_product(block: npt.NDArray[np.float64], a: npt.NDArray[np.float64], b: npt.NDArray[np.float64]) -> None:
+def _less_product(block: Floats, a: Floats, b: Floats) -> None:
     """Subtract the product of two blocks from a third."""
     block[0, 0] -= a[0, 0] * b[0, 0] + a[0, 1] * b[1, 0]
     block[0, 1] -= a[0, 0] * b[0, 1] + a[0, 1] * b[1, 1]
@@ -281,18 +273,12 @@ def _less_product(block: npt.NDArray[np.float64], a: npt.NDArray[np.float64], b:
 
 
 @inlined
-def _set(block: npt.NDArray[np.float64], a: float, b: float, c: float, d: float) -> None:
+def _set(block: Floats, a: float, b: float, c: float, d: float) -> None:
     block[0, 0], block[0, 1], block[1, 0], block[1, 1] = a, b, c, d
 
 
 @compiled
-def solve_blocks(
-    own: npt.NDArray[np.float64],
-    above: npt.NDArray[np.float64],
-    below: npt.NDArray[np.float64],
-    x: npt.NDArray[np.float64],
-    pattern: Pattern,
-) -> bool:
+def solve_blocks(own: Floats, above: Floats, below: Floats, x: Floats, pattern: Pattern) -> bool:
     """Solve a block matrix with symmetric pattern by elimination, in place; False where a diagonal block is singular.
 
     Args:
@@ -339,9 +325,7 @@ def solve_blocks(
 
 
 @compiled
-def solve_sparse_flow(
-    y: npt.NDArray[np.complex128], slack: int, buses: npt.NDArray[np.float64], at: PowerFlow, pattern: Pattern
-) -> int:
+def solve_sparse_flow(y: Complex, slack: int, buses: Floats, at: PowerFlow, pattern: Pattern) -> int:
     """Solve the power flow of a large network; arguments and result are those of `solve_power_flow`.
 
     The tolerance grows with the powers that meet at a bus, whose sum rounding limits.
@@ -365,9 +349,7 @@ def solve_sparse_flow(
 
 
 @internal
-def _write_flows(
-    arrays: Any, y: npt.NDArray[np.complex128], buses: npt.NDArray[np.float64], at: PowerFlow, pattern: Pattern
-) -> None:
+def _write_flows(arrays: Any, y: Complex, buses: Floats, at: PowerFlow, pattern: Pattern) -> None:
     """Write the blocks off the diagonal, the flow from each bus, and the sum of the powers that meet there."""
     above, below, flow, size = arrays
     voltage = np.empty(y.shape[0], np.complex128)

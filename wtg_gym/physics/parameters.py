@@ -14,9 +14,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from wtg_gym.physics.checked import Checked, describe, design, parameter
 from wtg_gym.physics.rotor_table import RotorTable, read_rotor_table
-from wtg_gym.ranges import is_whole, require_whole
+from wtg_gym.ranges import Checked, describe, design, is_whole, parameter, require_whole
 
 #: What the short keys in each field's `source` stand for.
 SOURCES = {
@@ -75,9 +74,7 @@ class TurbineParameters(Checked):
     nominal_rotor_speed_rad_s: float = parameter(1.27, "rad/s", "paper", "nominal rotor speed ω_tn", 1e-3, 1e3)
     inertia_constant_s: float = parameter(6.5, "s", "paper", "mechanical inertia constant H_m", 0.01, 1e4)
     conserves_energy: bool = design(
-        False,
-        "-",
-        "rotor keeps H_m ω_m²: ω_m in the rotor equation, which the paper's lacks",
+        False, "-", "rotor keeps H_m ω_m²: ω_m in the rotor equation, which the paper's lacks"
     )
     power_coefficient: PowerCoefficientParameters | RotorTable = dataclasses.field(
         default_factory=PowerCoefficientParameters,
@@ -244,19 +241,10 @@ class ProtectionParameters(Checked):
     frequency_min_pu: float = parameter(0.95, "p.u.", "ENTSO-E", "lower end of the range to ride through", 0.0, 1.0)
     frequency_max_pu: float = parameter(1.03, "p.u.", "ENTSO-E", "upper end of the range to ride through", 1.0, 10.0)
     angle_spread_max_deg: float = design(
-        180.0,
-        "deg",
-        "difference of two units' angles at which synchronism is lost",
-        1.0,
-        1e9,
+        180.0, "deg", "difference of two units' angles at which synchronism is lost", 1.0, 1e9
     )
     low_voltage_pu: float = parameter(
-        0.85,
-        "p.u.",
-        "ENTSO-E",
-        "terminal voltage to ride through for a time only",
-        0.0,
-        2.0,
+        0.85, "p.u.", "ENTSO-E", "terminal voltage to ride through for a time only", 0.0, 2.0
     )
     low_voltage_time_s: float = parameter(
         3.0,

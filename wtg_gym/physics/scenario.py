@@ -13,13 +13,12 @@ from dataclasses import dataclass, field
 from typing import Any, ClassVar, TypeVar
 
 import numpy as np
-import numpy.typing as npt
 
 from wtg_gym.files import parse_json
-from wtg_gym.physics.checked import Checked, design, require_items, required
 from wtg_gym.physics.parameters import MOST_GROUPS
 from wtg_gym.physics.sensors import Sensors
-from wtg_gym.ranges import require_count, require_known
+from wtg_gym.ranges import Checked, design, require_count, require_items, require_known, required
+from wtg_gym.systems.programs import Floats
 
 R = TypeVar("R")
 
@@ -35,7 +34,7 @@ MOST_EVENTS = 200
 SERIES_DT = 0.1
 
 
-def _series(name: str, values: Any) -> npt.NDArray[np.float64]:
+def _series(name: str, values: Any) -> Floats:
     try:
         kind = np.asarray(values).dtype.kind
         series = np.array(values, dtype=np.float64) if kind != "c" else np.zeros(0)
@@ -48,7 +47,7 @@ def _series(name: str, values: Any) -> npt.NDArray[np.float64]:
         raise ValueError(f"{name} must be numbers in a regular array: {error}") from error
 
 
-def _checked_wind(values: Any, dt_s: float) -> npt.NDArray[np.float64]:
+def _checked_wind(values: Any, dt_s: float) -> Floats:
     wind = _series("wind_speed", values)
     if wind.ndim == 2:
         require_count("wind_speed", len(wind), MOST_GROUPS)
@@ -63,7 +62,7 @@ def _checked_wind(values: Any, dt_s: float) -> npt.NDArray[np.float64]:
     return wind
 
 
-def _checked_noise(values: Any) -> npt.NDArray[np.float64]:
+def _checked_noise(values: Any) -> Floats:
     noise = _series("load_noise_mw", values)
     if noise.ndim != 1:
         raise ValueError(f"load_noise_mw must have shape (n_samples,), got shape {noise.shape}")
@@ -311,8 +310,7 @@ class Scenario(Checked):
         name: free text, used in tables and plots.
         wind_speed: rotor-effective wind per WTG group and sample, shape (n_wtg, n_samples) [m/s], n_wtg = 0 for a
             grid without any; linear between samples, the last one holds.
-        wind_dt_s: sampling step of `wind_speed` [s].
-        duration_s: length of the run [s].
+        wind_dt_s, duration_s: sampling step of `wind_speed` and length of the run [s].
         events: of the kinds above, in any order; those after the end of the run do not happen.
         load_noise_mw: extra resistive load at `load_noise_bus`, one value per `SERIES_DT` [MW], 0 after the last.
             The first value must be zero, so that the run starts in equilibrium.
@@ -331,11 +329,11 @@ class Scenario(Checked):
     MOST = types.MappingProxyType({"events": MOST_EVENTS})
 
     name: str
-    wind_speed: npt.NDArray[np.float64]
+    wind_speed: Floats
     wind_dt_s: float = design(SERIES_DT, "s", "sampling step", 1e-3, 3600.0)
     duration_s: float = design(60.0, "s", "length of the run", 0.1, LONGEST_RUN_S)
     events: tuple[Event, ...] = ()
-    load_noise_mw: npt.NDArray[np.float64] = field(default_factory=lambda: np.zeros(0))
+    load_noise_mw: Floats = field(default_factory=lambda: np.zeros(0))
     load_noise_bus: int = 3
     load_level: float = design(1.0, "-", "factor on every load", 0.3, 1.5)
     governor_droop: float | None = design(None, "p.u.", "droop of every governor", 0.005, 1.0)

@@ -13,8 +13,7 @@ import math
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from wtg_gym.physics.checked import Checked, design, required
-from wtg_gym.ranges import require_range, whole_steps
+from wtg_gym.ranges import Checked, design, require_range, required, whole_steps
 from wtg_gym.systems.elementary import noise
 
 #: Longest delay [s].

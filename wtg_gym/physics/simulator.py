@@ -12,13 +12,12 @@ from concurrent.futures import ThreadPoolExecutor, wait
 from typing import Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from wtg_gym.physics import equilibrium
+from wtg_gym.physics.equilibrium import network_events
 from wtg_gym.physics.integration import PROGRAMS, REFRESH, STARTING, STEPPING, advance_blocks, evaluate_blocks
 from wtg_gym.physics.layout import NO_EVENT, Floats, LaneData, NetworkEvent, rows_of_lanes
 from wtg_gym.physics.linearisation import StepError, check_step
-from wtg_gym.physics.network_events import network_events
 from wtg_gym.physics.plant import Plant, TaskUnits, layout_of, plant_tables, programs_of, with_places
 from wtg_gym.physics.reduction import assemble
 from wtg_gym.physics.scenario import LONGEST_RUN_S, SERIES_DT, Scenario
@@ -26,6 +25,7 @@ from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY, TrackingLaw, group_
 from wtg_gym.physics.units import UNITS, StartFailure
 from wtg_gym.ranges import require_memory, require_range, require_whole, whole_steps
 from wtg_gym.signals import undivided
+from wtg_gym.systems.programs import Complex, Whole
 from wtg_gym.systems.routines import WIDE, Function, Routine, code_of
 from wtg_gym.systems.systems import structured
 
@@ -306,7 +306,7 @@ class Simulator:
         """Return a number of every lane and WTG group by its name, shape (n_lanes, n_wtg)."""
         return self._of_units(self.layout.wtg(name))
 
-    def _of_units(self, rows: npt.NDArray[np.int64]) -> Floats:
+    def _of_units(self, rows: Whole) -> Floats:
         return np.ascontiguousarray(rows_of_lanes(self.blocks, rows, self.n_lanes))
 
     def lane_values(self, name: str) -> Floats:
@@ -375,10 +375,10 @@ class Simulator:
 
     def start(
         self,
-        lanes: int | Sequence[int] | npt.NDArray[np.int64],
+        lanes: int | Sequence[int] | Whole,
         runs: Scenario | PreparedLanes,
         laws: Sequence[TrackingLaw] = (),
-        places: npt.NDArray[np.int64] | None = None,
+        places: Whole | None = None,
     ) -> None:
         """Start runs in lanes, one each.
 
@@ -473,7 +473,7 @@ class Simulator:
         evaluate_blocks(blocks, scratches, self.plant.network)
         return scratches
 
-    def bus_voltages(self, lane: int = 0) -> npt.NDArray[np.complex128]:
+    def bus_voltages(self, lane: int = 0) -> Complex:
         """Return the bus voltages at the present state of a lane, shape (n_bus,) [p.u.].
 
         Angles count from the rotor of the first machine, which goes on at its last speed after an outage.
@@ -488,7 +488,7 @@ class Simulator:
         y[noise_bus, noise_bus] += self.lane_values("noise_y")[lane]
         injected = np.zeros(len(y), dtype=np.complex128)
         np.add.at(injected, network.unit_bus, unit_y * internal)
-        found: npt.NDArray[np.complex128] = np.linalg.solve(y, injected).astype(np.complex128)
+        found: Complex = np.linalg.solve(y, injected).astype(np.complex128)
         return found
 
     def state(self, lane: int = 0) -> Floats:

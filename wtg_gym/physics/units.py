@@ -8,11 +8,8 @@ from collections.abc import Callable, Sequence
 from enum import IntEnum, StrEnum
 from typing import Any, NamedTuple
 
-import numpy as np
-
 from wtg_gym.physics.wind_turbine import Limits
 from wtg_gym.systems.elementary import fma, select
-from wtg_gym.systems.programs import Whole
 from wtg_gym.systems.systems import Kind, System, each, system
 
 _OF_STAGE = ("active", "ahead", "first", "last")
@@ -362,36 +359,6 @@ PAIRS = Kind(
     scratch={"admittance": Phasor},
     sees={"row_": UNITS, "column_": UNITS, "lane": LANE},
 )
-
-
-def nested(n_outer: int, n_inner: int) -> tuple[Whole, Whole]:
-    """Return the outer and the inner number of each pair, inner ones fastest (n_outer · n_inner,)."""
-    outer, inner = np.divmod(np.arange(n_outer * n_inner), max(n_inner, 1))
-    return outer, inner
-
-
-def units_of_network(
-    unit_bus: Whole, n_bus: int, n_islands: int, *, transfers: bool
-) -> tuple[dict[Kind, int], dict[tuple[Kind, str], Whole]]:
-    """Return how many units of each kind of this module there are, and which others each of them sees.
-
-    `unit_bus` has the index of each unit's bus (n_unit,). Only a plant with `transfers` finds the voltages of buses.
-    """
-    n = unit_bus.size
-    row, column = nested(n, n)
-    island, member = nested(n_islands - 1, n)
-    bus, unit = nested(n_bus if transfers else 0, n)
-    n_units = {LANE: 1, BUSES: n_bus, UNITS: n, ISLANDS: n_islands, MEMBERS: member.size, MAIN: 1}
-    return {**n_units, TRANSFERS: unit.size, PAIRS: row.size}, {
-        (UNITS, "bus"): unit_bus,
-        (UNITS, "grid_"): np.zeros(n, dtype=np.int64),
-        (MEMBERS, "unit_"): member,
-        (MEMBERS, "island_"): 1 + island,
-        (TRANSFERS, "unit_"): unit,
-        (TRANSFERS, "bus_"): bus,
-        (PAIRS, "row_"): row,
-        (PAIRS, "column_"): column,
-    }
 
 
 def nearest_turn(angle: float, turned: float) -> float:

@@ -235,15 +235,8 @@ def wtg_rates(
         s.converter, s.rotor_speed, power, u.law, c.converter, reference_speed, omega_n, limiter
     )
     pitch = pitch_rates(s.pitch, captured, s.rotor_speed, c.pitch)
-    rates = WtgState(
-        converter=gfm.ConverterState(
-            u.connected * converter.angle, u.connected * converter.speed, u.connected * converter.filter
-        ),
-        rotor_speed=u.connected * c.rotor.inv_two_h * (captured - power),
-        pitch=PitchState(u.connected * pitch.pitch_integral, u.connected * pitch.pitch),
-        energy_captured=u.connected * captured,
-        energy_delivered=u.connected * power,
-    )
+    free = WtgState(converter, c.rotor.inv_two_h * (captured - power), pitch, captured, power)
+    rates = each(lambda rate: u.connected * rate, free)
     shift = 0.0 if limiter is None else u.connected * limiter[0]
     return rates, WtgOutput(wind, power, u.connected * captured, k, shift)
 
@@ -290,14 +283,8 @@ def extended_rates(
     of_limits, drawn = limits
     emf = gfm.emf_rate(x.internal_voltage, terminal.terminal_voltage, terminal.reactive, terminal.cut, given, e.voltage)
     speed = select(e.conserves_energy > 0.5, max(s.rotor_speed, 0.01), 1.0)
-    captured = rates.energy_captured
-    extended = WtgState(
-        rates.converter,
-        c.rotor.inv_two_h * (captured - u.connected * drawn) / speed,
-        rates.pitch,
-        captured,
-        rates.energy_delivered,
-    )
+    rotor_speed = c.rotor.inv_two_h * (rates.energy_captured - u.connected * drawn) / speed
+    extended = rates._replace(rotor_speed=rotor_speed)
     return extended, ExtensionState(each(lambda rate: u.connected * rate, of_limits), u.connected * emf)
 
 
@@ -325,8 +312,7 @@ def extension_limited(x: ExtensionState, e: Extension) -> ExtensionState:
 
 def wtg_limited(s: WtgState, c: Turbine) -> WtgState:
     """Return the states, held within their limits."""
-    pitch = pitch_limited(s.pitch, c.pitch)
-    return WtgState(s.converter, s.rotor_speed, pitch, s.energy_captured, s.energy_delivered)
+    return s._replace(pitch=pitch_limited(s.pitch, c.pitch))
 
 
 #: Phases of a search: both ends, the rotor speed between them, pitch steps at the limit, the pitch angle between two.

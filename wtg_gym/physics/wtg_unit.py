@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-
 from wtg_gym.physics import converter as gfm
 from wtg_gym.physics import units
 from wtg_gym.physics import wind_turbine as equations
@@ -13,7 +11,6 @@ from wtg_gym.physics.units import LANE, UNITS, Connection, Failure, Phasor
 from wtg_gym.physics.wind_turbine import Extension, ExtensionState, Search, Turbine, WtgInput, WtgState
 from wtg_gym.systems import expressions as ex
 from wtg_gym.systems.elementary import fma, select
-from wtg_gym.systems.programs import Whole
 from wtg_gym.systems.systems import Kind, each, system
 
 GROUPS = Kind(
@@ -184,21 +181,6 @@ EXTENSIONS = Kind(
 )
 #: The column of each extended group in the admittance matrix: one entry for every unit.
 COLUMNS = Kind(name="columns", sees={"entry": units.PAIRS, "unit": UNITS, "group": EXTENSIONS})
-
-
-def links_of_extensions(n_sync: int, n_wtg: int, unit_bus: Whole) -> dict[tuple[Kind, str], Whole]:
-    """Return which others each unit of these kinds sees, from the index of each unit's bus (n_unit,)."""
-    n, groups = unit_bus.size, n_sync + np.arange(n_wtg)
-    # One column after the other: its entries, the units of its rows, its group.
-    group, unit = units.nested(n_wtg, n)
-    return {
-        (EXTENSIONS, "unit"): groups,
-        (EXTENSIONS, "bus_"): unit_bus[groups],
-        (EXTENSIONS, "own_entry_"): groups * (n + 1),
-        (COLUMNS, "entry"): unit * n + groups[group],
-        (COLUMNS, "unit"): unit,
-        (COLUMNS, "group"): group,
-    }
 
 
 @system(EXTENSIONS, "own", "references", "heat")
