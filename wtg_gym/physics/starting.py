@@ -123,20 +123,10 @@ def share_flow(
     return units.Terminal(power, reactive, at_bus, math.hypot(at_bus.re, at_bus.im), Phasor(current.re, -current.im))
 
 
-@system(
-    LANE,
-    *("active", "status", "noise_y", "step", "last_change", "coi_min", "coi_max", "angle"),
-    *("shed_energy", "was_low", "split", "returning"),
-)
-def start_clock(frame: float) -> tuple[float, ...]:
-    """Return clock, statistics and frame of a run; an event at t = 0 strikes in its first step, not before."""
-    return 1.0, 0.0, 0.0, -1.0, -2.0, math.inf, -math.inf, frame, 0.0, 0.0, 0.0, 0.0
-
-
-@system(LANE, "worst", "worst_min", "worst_max", "sampled_angle", "sampled_step")
-def start_worst(frame: float) -> tuple[float, float, float, float, float]:
-    """Let the extremes of all frequencies begin at nominal."""
-    return 1.0, 1.0, 1.0, frame, 0.0
+@system(LANE, "angle", "sampled_angle")
+def start_angle(frame: float) -> tuple[float, float]:
+    """Let the angle of the first unit begin where the network's frame is."""
+    return frame, frame
 
 
 @system(LANE, "next_change", "returning")

@@ -170,8 +170,11 @@ SETTLE = (
     wtg.curtail_law,
     wtg.start_extension,
     Here(Joining.SETTLE),
-    starting.start_clock,
-    starting.start_worst,
+    starting.start_angle,
+    # An event at t = 0 strikes in the first step, not before.
+    setting(LANE, active=1.0, status=0.0, noise_y=0.0, step=-1.0, last_change=-2.0, split=0.0, returning=0.0),
+    setting(LANE, coi_min=math.inf, coi_max=-math.inf, shed_energy=0.0, was_low=0.0),
+    setting(LANE, worst=1.0, worst_min=1.0, worst_max=1.0, sampled_step=0.0),
     setting(ISLANDS, healthy_step=0.0, centre=1.0, turned=0.0),
     setting(UNITS, own_island=0.0, returns=0.0),
 )
