@@ -197,18 +197,7 @@ def read_trusted(path: Path, largest: int = 2**28) -> bytes:
         OSError: it is missing, a link or not a regular file, larger than `largest` bytes, or another user could change
             it or its folder.
     """
-
-    def opened(name: str, flags: int) -> int:
-        # What is no regular file is neither followed nor waited for.
-        return os.open(name, flags | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0))
-
-    path = trusted_folder(path.parent) / path.name
-    with open(path, "rb", opener=opened) as file:
-        # Of the open file: the name could stand for another one by now.
-        status = os.fstat(file.fileno())
-        if not stat.S_ISREG(status.st_mode) or not is_trusted(status) or status.st_size > largest:
-            raise PermissionError(errno.EPERM, f"not a file of at most {largest} bytes of this user alone", str(path))
-        return file.read(largest)
+    return read_plain(trusted_folder(path.parent) / path.name, largest, links=False, trusted=True)
 
 
 def write_trusted(path: Path, content: bytes) -> None:
@@ -277,29 +266,51 @@ def interpreting(path: Path, what: str) -> Iterator[None]:
         raise ValueError(reason if name in reason else f"the {what} {name}: {reason}") from error
 
 
+def read_plain(path: Path, largest: int, *, links: bool = True, trusted: bool = False) -> bytes:
+    """Return the content of a plain file, without waiting for a pipe.
+
+    Args:
+        path: the file.
+        largest: size [bytes].
+        links: whether to follow a link.
+        trusted: whether to refuse what another user can write.
+
+    Raises:
+        OSError: it cannot be read, is a folder, a pipe, a device or a refused link, or larger.
+        ValueError: the path holds a null byte.
+    """
+
+    def opened(name: str, flags: int) -> int:
+        flags |= 0 if links else getattr(os, "O_NOFOLLOW", 0)
+        return os.open(name, flags | getattr(os, "O_NONBLOCK", 0))
+
+    if path.is_socket() or (path.is_symlink() and not links):
+        raise OSError(errno.EINVAL, "it is no plain file", str(path))
+    with open(path, "rb", opener=opened) as file:
+        # Of the open file: the name could stand for another one by now.
+        status = os.fstat(file.fileno())
+        if not stat.S_ISREG(status.st_mode):
+            raise OSError(errno.EINVAL, "it is no plain file", str(path))
+        if trusted and not is_trusted(status):
+            raise PermissionError(errno.EPERM, "another user could change it", str(path))
+        # It may grow meanwhile.
+        content = file.read(largest + 1) if status.st_size <= largest else b""
+    if (size := max(status.st_size, len(content))) > largest:
+        raise OSError(errno.EFBIG, f"it has {size} bytes; allowed: at most {largest}", str(path))
+    return content
+
+
 def read_bytes(path: Path, what: str) -> bytes:
     """Return the content of a plain file of a kind in :data:`LARGEST_BYTES`; links are followed.
 
     Raises:
         ValueError: the file cannot be read, is a folder, a pipe or a device, or is larger than its kind may be.
     """
-    largest = LARGEST_BYTES[what]
     try:
-        # A pipe that nobody writes to would hold the opening up.
-        descriptor = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0))
-        with os.fdopen(descriptor, "rb") as file:
-            status = os.fstat(descriptor)
-            if not stat.S_ISREG(status.st_mode):
-                raise ValueError("it is no plain file")
-            if status.st_size > largest:
-                raise ValueError(f"it has {status.st_size} bytes; allowed: at most {largest}")
-            # It may grow meanwhile.
-            content = file.read(largest + 1)[:largest]
+        return read_plain(path, LARGEST_BYTES[what])
     except (OSError, ValueError) as error:
-        # A path with a null byte is a ValueError.
         reason = getattr(error, "strerror", None) or error
         raise ValueError(f"cannot read the {what} {printable(str(path))}: {reason}") from error
-    return content
 
 
 def read_text(path: Path, what: str) -> str:

@@ -12,12 +12,11 @@ import functools
 import json
 import os
 import re
-import stat
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from wtg_gym.files import LARGEST_BYTES, interpreting, parse_toml, read_text, write_atomically
+from wtg_gym.files import LARGEST_BYTES, interpreting, parse_toml, read_plain, read_text, write_atomically
 from wtg_gym.names import check_name, check_text, plain_name, short
 from wtg_gym.physics.tracking_law import STRATEGY_NAMES
 from wtg_gym.policies.entry import Entry
@@ -225,7 +224,14 @@ def read_files(folder: Path) -> dict[str, bytes]:
     missing = [name for name in (ENTRY_FILE, POLICY_FILE) if name not in names]
     if missing:
         raise ValueError(f"it has no {' and no '.join(missing)}")
-    return {name: _read(folder / name, FILES[name]) for name in FILES if name in names}
+    contents = {}
+    for name in FILES:
+        if name in names:
+            try:
+                contents[name] = read_plain(folder / name, FILES[name], links=False)
+            except OSError as error:
+                raise ValueError(f"{name}: {error.strerror}") from error
+    return contents
 
 
 def _check_folder_name(folder: Path) -> None:
@@ -237,20 +243,3 @@ def _check_folder_name(folder: Path) -> None:
             f"a dot or .toml, and be no device of Windows; got {ascii(name)[:90]}"
         )
     check_not_built_in("the folder's name", name)
-
-
-def _read(path: Path, largest: int) -> bytes:
-    """Return the content of a plain file; a link, even one put there after the check, is refused."""
-    if path.is_symlink() or not path.is_file():
-        raise ValueError(f"{path.name} is not there, a link or something else that is not a plain file")
-    flags = os.O_RDONLY | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)
-    try:
-        with os.fdopen(os.open(path, flags), "rb") as file:
-            if not stat.S_ISREG(os.fstat(file.fileno()).st_mode):
-                raise ValueError(f"{path.name} is not a plain file")
-            content = file.read(largest + 1)
-    except OSError as error:
-        raise ValueError(f"cannot read {path.name}: {error.strerror}") from error
-    if len(content) > largest:
-        raise ValueError(f"{path.name} is larger than {largest} bytes")
-    return content
