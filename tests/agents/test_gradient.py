@@ -30,7 +30,7 @@ from tests.interruption import interrupted
 from wtg_gym.envs import EnvSettings
 from wtg_gym.envs.lanes import TaskLanes
 from wtg_gym.gradients.torch import TorchEpisodes
-from wtg_gym.policies.load import load_entries
+from wtg_gym.policies.entry_folder import load_entries
 from wtg_gym.policies.torch_export import TorchPolicy
 from wtg_gym.scenarios import get_suite
 

@@ -8,7 +8,7 @@ from typing import Any
 from wtg_gym.cli.output import print_json, print_table
 from wtg_gym.cli.scoring import look_into_working_folder
 from wtg_gym.evaluation.grid_tests import GRID_TESTS, get_grid_test, run_grid_test
-from wtg_gym.policies.load import load_entries
+from wtg_gym.policies.entry_folder import load_entries
 from wtg_gym.progress import Progress
 
 

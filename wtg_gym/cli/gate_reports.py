@@ -9,9 +9,8 @@ from pathlib import Path
 from wtg_gym.cli.output import note, print_table, say
 from wtg_gym.cli.submission import WEAK_OPTION, GateOptions
 from wtg_gym.envs.settings import EnvSettings
-from wtg_gym.policies.conflicts import Conflict, conflicts
 from wtg_gym.policies.entry_folder import ENTRY_FILE, parse_submission, read_files
-from wtg_gym.policies.gate import Report, check_submission, read_submission
+from wtg_gym.policies.gate import Conflict, Report, check_submission, conflicts, read_submission
 from wtg_gym.tasks import TASKS
 
 

@@ -82,7 +82,7 @@ def simulate_scenario(
         csv: write every sample of every run, units in the header: .csv
     """
     if example_law:
-        from wtg_gym.policies.load import example_law as law_file
+        from wtg_gym.policies.entry_folder import example_law as law_file
 
         say(*law_file().splitlines())
         return 0
