@@ -91,7 +91,7 @@ def simulate_scenario(
     if case:
         if (given, plant, strategy, plot, csv) != (ScenarioOptions(), PlantOptions(), _REFERENCE, None, None):
             raise ValueError("a case has its own scenario and grid, and is played by --entry: only --json goes with it")
-        from wtg_gym.cli.cases import play_cases
+        from wtg_gym.cli.simulation import play_cases
 
         return play_cases(case, entry or _REFERENCE, json=json)
     from wtg_gym.cli.simulation import run

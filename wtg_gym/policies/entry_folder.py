@@ -22,7 +22,7 @@ from wtg_gym.files import LARGEST_BYTES, interpreting, parse_toml, read_plain, r
 from wtg_gym.names import check_name, check_text, plain_name, short
 from wtg_gym.physics.tracking_law import STRATEGY_NAMES, get_law
 from wtg_gym.policies.entry import Entry, is_policy
-from wtg_gym.policies.onnx_policy import OnnxPolicy
+from wtg_gym.policies.policy_process import OnnxPolicy
 from wtg_gym.ranges import did_you_mean, is_whole
 from wtg_gym.tasks import TASKS, V1, Task
 from wtg_gym.tasks.episode import ACTION_MODES

@@ -27,9 +27,8 @@ from wtg_gym.policies.entry_folder import (
     policy_name,
     read_files,
 )
-from wtg_gym.policies.onnx_policy import OnnxPolicy
 from wtg_gym.policies.play import play, started_lanes
-from wtg_gym.policies.policy_process import NotIsolatedError
+from wtg_gym.policies.policy_process import NotIsolatedError, OnnxPolicy
 from wtg_gym.tasks import TASKS, V1
 
 #: All checks in their order.

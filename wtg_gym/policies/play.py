@@ -17,8 +17,7 @@ from wtg_gym.envs.settings import EnvSettings
 from wtg_gym.files import printable
 from wtg_gym.physics.scenario import Scenario
 from wtg_gym.policies.entry import Entry, Policy
-from wtg_gym.policies.onnx_policy import OnnxPolicy
-from wtg_gym.policies.policy_process import NotIsolatedError, PolicyError
+from wtg_gym.policies.policy_process import NotIsolatedError, OnnxPolicy, PolicyError
 
 
 @contextlib.contextmanager

@@ -17,8 +17,7 @@ from wtg_gym.files import write_together
 from wtg_gym.physics.tracking_law import STRATEGY_NAMES, TrackingLaw, get_law
 from wtg_gym.policies.entry_folder import ENTRY_FILE, FILES, POLICY_FILE, entry_text, parse_submission
 from wtg_gym.policies.gate import widths
-from wtg_gym.policies.onnx_policy import OnnxPolicy
-from wtg_gym.policies.policy_process import PolicyError
+from wtg_gym.policies.policy_process import OnnxPolicy, PolicyError
 
 try:
     # Torch's exporter needs it.
