@@ -35,8 +35,6 @@ _CONNECT_S = 15
 Played = list[Episode] | PolicyError
 #: Plays one batch: entry, settings, seeds, number of threads.
 Play = Callable[[Entry, EnvSettings, Sequence[int], int | None], Played]
-#: Hands a function and its arguments to a worker.
-_Submit = Callable[..., Future[Any]]
 
 
 @dataclass(frozen=True)
@@ -88,8 +86,14 @@ class Workers:
             ValueError: an entry cannot travel or be played there, the cluster does not answer, a worker has other code,
                 packages or processor, or is lost for good.
         """
-        wanted, entries = circumstances(), {id(entry): entry for entry, _ in parts}
-        parcels = {key: _packed(entry, settings) for key, entry in entries.items()}
+        wanted, parcels = circumstances(), dict[int, bytes]()
+        for entry, _ in parts:
+            try:
+                # As bytes: objects that Dask spreads out are lost with the worker that has them.
+                parcels[id(entry)] = parcels.get(id(entry)) or cloudpickle.dumps((entry, settings))
+            # Pickling runs code of the policy.
+            except Exception as error:
+                raise ValueError(f"entry {entry.label!r} cannot be sent to other processes: {error}") from error
         with contextlib.ExitStack() as stack:
             try:
                 submit = stack.enter_context(_submitter(self.backend, self.address, self.jobs or os.cpu_count() or 1))
@@ -109,23 +113,6 @@ class Workers:
                 if isinstance(played, str):
                     raise ValueError(played)
                 yield indices[future], played
-
-
-# --- what travels ----------------------------------------------------------------------------------------------------
-
-
-def _packed(entry: Entry, settings: EnvSettings) -> bytes:
-    """Return an entry and the settings as bytes: objects that Dask spreads out are lost with the worker that has them.
-
-    Raises:
-        ValueError: the entry cannot be pickled.
-    """
-    try:
-        packed: bytes = cloudpickle.dumps((entry, settings))
-        return packed
-    # Pickling runs code of the policy.
-    except Exception as error:
-        raise ValueError(f"entry {entry.label!r} cannot be sent to other processes: {error}") from error
 
 
 def _work(play: Play, parcel: bytes, seeds: list[int], wanted: dict[str, str]) -> Played | str:
@@ -151,7 +138,7 @@ def _in_short(error: BaseException) -> str:
 
 
 @contextlib.contextmanager
-def _submitter(backend: str, address: str | None, jobs: int) -> Iterator[_Submit]:
+def _submitter(backend: str, address: str | None, jobs: int) -> Iterator[Callable[..., Future[Any]]]:
     """Give the function that hands work to a backend; processes and connections that are made for it end afterwards.
 
     Not joblib's own interface to Dask and Ray (1.6): it waits for ever for a worker that Dask gives up, and has results
