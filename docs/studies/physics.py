@@ -27,7 +27,7 @@ from wtg_gym.physics.simulator import Simulator
 from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY, get_law, group_laws
 from wtg_gym.physics.units import BUSES
 from wtg_gym.plotting import style
-from wtg_gym.plotting.event_marks import mark_end, mark_instants
+from wtg_gym.plotting.trajectories import mark_end, mark_instants
 from wtg_gym.scenarios import get_suite
 from wtg_gym.single_wtg import PAPER_SYNCHRONISING_COEFFICIENT, equilibria, single_machine
 
