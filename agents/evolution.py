@@ -22,8 +22,8 @@ import torch
 from cyclopts import Parameter
 from torch import Tensor, nn
 
-from agents.command import RunOptions, Whole, begin_or_go_on, run_command
-from agents.run import Run, RunSettings, draw, loading, train_in_rounds
+from agents import run as runs
+from agents.run import Run, RunOptions, RunSettings, Whole
 from wtg_gym.envs import EnvSettings
 from wtg_gym.envs.lanes import TaskLanes
 from wtg_gym.gains import ScoreUnits
@@ -255,7 +255,7 @@ class EvolutionLearner:
 
     def load(self, folder: Path) -> None:
         """Go back to what :meth:`save` wrote; a ValueError names a folder that is damaged."""
-        with loading(folder) as folder:
+        with runs.loading(folder) as folder:
             self.weights, self.average, self.places, self.search = pickle.loads((folder / _STATE).read_bytes())
             self.policy.weights.copy_(torch.from_numpy(self.average))
 
@@ -278,24 +278,24 @@ def train(run: Run) -> None:
         if index == round(h.first_share * n_generations) and h.hidden:
             learner.begin(np.arange(policy.n_parameters), h.spread)
         candidates = learner.ask()
-        scenarios = draw(lanes, np.random.default_rng((settings.seed, index)), settings.n_envs)
+        scenarios = runs.draw(lanes, np.random.default_rng((settings.seed, index)), settings.n_envs)
         objectives = population.objectives(policy, candidates, scenarios)
         learner.tell(candidates, objectives)
         return float(objectives.mean())
 
-    train_in_rounds(run, learner, population.n_steps * settings.n_envs * h.population, learn)
+    runs.train_in_rounds(run, learner, population.n_steps * settings.n_envs * h.population, learn)
 
 
 def command(*, options: RunOptions = RunOptions(), h: Hyperparameters = Hyperparameters()) -> None:
     """Train a small policy by evolution, on what the score pays."""
-    begin_or_go_on(
+    runs.begin_or_go_on(
         options, (NAME,), lambda: options.settings(NAME, asdict(h), timesteps=_TIMESTEPS, n_envs=_N_ENVS), train
     )
 
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command and return its exit code."""
-    return run_command(command, "agents.evolution", argv, "go on with --resume")
+    return runs.run_command(command, "agents.evolution", argv, "go on with --resume")
 
 
 if __name__ == "__main__":

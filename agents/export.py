@@ -9,8 +9,7 @@ from typing import Annotated
 
 from cyclopts import Parameter
 
-from agents.command import note, run_command
-from agents.run import BEST, Run, folders
+from agents.run import BEST, Run, folders, note, run_command
 from wtg_gym.files import read_bytes, write_together
 from wtg_gym.policies.entry_folder import ENTRY_FILE, POLICY_FILE, entry_text, load_entry_folder
 

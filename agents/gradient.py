@@ -21,8 +21,8 @@ import torch
 from cyclopts import Parameter
 from torch import Tensor, nn
 
-from agents.command import RunOptions, Whole, begin_or_go_on, run_command
-from agents.run import Run, RunSettings, draw, loading, train_in_rounds
+from agents import run as runs
+from agents.run import Run, RunOptions, RunSettings, Whole
 from wtg_gym.envs import EnvSettings
 from wtg_gym.evaluation.score import pinned_cost
 from wtg_gym.gains import ScoreUnits
@@ -202,7 +202,7 @@ def descend(policy: nn.Module, optimizer: torch.optim.Optimizer, loss: Tensor, h
 
 
 class GradientLearner:
-    """A policy and its optimiser, for :func:`agents.training.train_in_rounds`."""
+    """A policy and its optimiser, for :func:`agents.run.train_in_rounds`."""
 
     def __init__(self, policy: GradientPolicy, h: Hyperparameters) -> None:
         self.policy = policy
@@ -218,7 +218,7 @@ class GradientLearner:
 
     def load(self, folder: Path) -> None:
         """Go back to what :meth:`save` wrote; a ValueError names a folder that is damaged."""
-        with loading(folder) as folder:
+        with runs.loading(folder) as folder:
             state = torch.load(folder / _STATE, weights_only=True)
             self.policy.load_state_dict(state["policy"])
             self.optimizer.load_state_dict(state["optimizer"])
@@ -245,23 +245,23 @@ def train(run: Run) -> None:
     def learn(index: int, n_batches: int) -> float:
         fallen = 0.5 + 0.5 * math.cos(math.pi * index / n_batches)
         optimizer.param_groups[0]["lr"] = h.learning_rate * (h.last_rate + (1.0 - h.last_rate) * fallen)
-        scenarios = draw(lanes, np.random.default_rng((settings.seed, index)), settings.n_envs)
+        scenarios = runs.draw(lanes, np.random.default_rng((settings.seed, index)), settings.n_envs)
         costs, strays = costs_of(episodes, policy, scenarios, n_steps, failures)
         return descend(policy, optimizer, loss_of(costs, scenarios) + STRAY_WEIGHT * strays.mean(), h)
 
-    train_in_rounds(run, learner, n_steps * settings.n_envs, learn)
+    runs.train_in_rounds(run, learner, n_steps * settings.n_envs, learn)
 
 
 def command(*, options: RunOptions = RunOptions(), h: Hyperparameters = Hyperparameters()) -> None:
     """Train a policy by back-propagation through whole episodes of the environment itself."""
-    begin_or_go_on(
+    runs.begin_or_go_on(
         options, (NAME,), lambda: options.settings(NAME, asdict(h), timesteps=_TIMESTEPS, n_envs=_N_ENVS), train
     )
 
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command and return its exit code."""
-    return run_command(command, "agents.gradient", argv, "go on with --resume")
+    return runs.run_command(command, "agents.gradient", argv, "go on with --resume")
 
 
 if __name__ == "__main__":

@@ -9,8 +9,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from agents.command import note, run_command
-from agents.run import BEST, Run, folders
+from agents.run import BEST, Run, folders, note, run_command
 from wtg_gym.files import (
     markdown_table,
     read_json,
