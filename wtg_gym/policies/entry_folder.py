@@ -93,8 +93,7 @@ def parse_entry(text: str, *, submitted: bool = False) -> dict[str, Any]:
         submitted: ask for the keys of a submission, see CONTRIBUTING.md.
 
     Raises:
-        ValueError: it is not TOML, a key is missing, unknown, of the wrong type or not one of its choices, or the name
-            is taken; the message, one line of ASCII but for this package's own words, names what is allowed.
+        ValueError: what is wrong and allowed, in one line of ASCII but for this package's own words.
     """
     try:
         data = parse_toml(text, "it")
@@ -152,10 +151,7 @@ def load_entry_folder(folder: Path) -> Entry:
     """Return the entry of a folder with a policy.
 
     Its entry.toml has the keys name and action_mode, and may have those that a submission's has, see CONTRIBUTING.md.
-    An :class:`OnnxPolicy` plays its policy.onnx in a process of its own; nothing of that file is looked at before.
-
-    Raises:
-        ValueError: a file is missing or damaged, or a key is unknown or of the wrong type.
+    Nothing of policy.onnx is looked at before it is played. A ValueError names what is missing, damaged or unknown.
     """
     data = _entry_data(folder)
     try:

@@ -59,10 +59,7 @@ def play(
         while running.any():
             actions = np.zeros((lanes.n_lanes, lanes.n_action))
             if entry.policy is not None:
-                actions, state = _answer(entry, lanes, state, step)
-                # The action of an episode that is over has no effect.
-                actions[~running] = 0.0
-                _check_finite(actions, entry, lanes, step)
+                actions, state = _answer(entry, lanes, state, step, running)
             if taken is not None:
                 taken.append(actions)
             lanes.step(actions)
@@ -72,8 +69,10 @@ def play(
             step += 1
 
 
-def _answer(entry: Entry, lanes: TaskLanes, state: Any, step: int) -> tuple[npt.NDArray[np.float64], Any]:
-    """Return the policy's actions (n_lanes, n_action) in a step, and its next recurrent state."""
+def _answer(
+    entry: Entry, lanes: TaskLanes, state: Any, step: int, running: npt.NDArray[np.bool_]
+) -> tuple[npt.NDArray[np.float64], Any]:
+    """Return the policy's checked actions (n_lanes, n_action) in a step, and its next recurrent state."""
     # For a policy of one group, each is a lane: local observations are those of one group after the other.
     n_parts = lanes.n_wtg if entry.per_group else 1
     policy, shape = cast(Policy, entry.policy), (lanes.n_lanes * n_parts, lanes.n_action // n_parts)
@@ -96,15 +95,13 @@ def _answer(entry: Entry, lanes: TaskLanes, state: Any, step: int) -> tuple[npt.
         raise _complaint(entry, step, "actions must be an array of numbers", f"one of {actions.dtype}")
     if actions.shape != shape:
         raise _complaint(entry, step, f"actions must have shape {shape} (lanes, values)", f"shape {actions.shape}")
-    return actions.astype(np.float64).reshape(lanes.n_lanes, lanes.n_action), answer[1]
-
-
-def _check_finite(actions: npt.NDArray[np.float64], entry: Entry, lanes: TaskLanes, step: int) -> None:
-    if not np.isfinite(actions).all():
-        lane = int(np.flatnonzero(~np.isfinite(actions).all(axis=1))[0])
-        wanted = f"actions of shape {actions.shape} must be finite, -1 … 1"
-        got = f"{actions[lane].tolist()} in the scenario of seed {lanes.scenario_seeds[lane]}"
-        raise _complaint(entry, step, wanted, got)
+    actions = actions.astype(np.float64).reshape(lanes.n_lanes, lanes.n_action)
+    # The action of an episode that is over has no effect.
+    actions[~running] = 0.0
+    for lane in np.flatnonzero(~np.isfinite(actions).all(axis=1))[:1]:
+        scenario = f"{actions[lane].tolist()} in the scenario of seed {lanes.scenario_seeds[lane]}"
+        raise _complaint(entry, step, f"actions of shape {actions.shape} must be finite, -1 … 1", scenario)
+    return actions, answer[1]
 
 
 def _complaint(entry: Entry, step: int, wanted: str, got: str) -> PolicyError:

@@ -110,7 +110,7 @@ class OnnxPolicy:
             state: the states that the last call returned; None at the beginning.
             episode_start: lanes where an episode starts, (n_lanes,) bool: their state is zero, and their session a new
                 one; None for none.
-            deterministic: the file holds the deterministic action only; the argument is there for the protocol.
+            deterministic: for the protocol; the file holds the deterministic action only.
 
         Raises:
             NotIsolatedError: this system cannot isolate the process, and `isolated` was set.
