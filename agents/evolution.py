@@ -180,10 +180,7 @@ class Population:
 
 
 class Search:
-    """CMA-ES (N. Hansen, "The CMA evolution strategy: a tutorial", 2016) that draws from a generator of its own.
-
-    By itself cma draws from numpy's one generator for everybody: searches would depend on those beside them.
-    """
+    """CMA-ES that draws from a generator of its own: cma's is numpy's one for everybody."""
 
     def __init__(
         self, start: Floats, spread: float, population: int, *seed: int, bounds: Sequence[Sequence[float]] | None = None

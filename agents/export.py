@@ -19,8 +19,7 @@ def export(
 ) -> None:
     """Write the best policy of a run into a new folder: policy.onnx and entry.toml.
 
-    Without a name it is one made of algorithm and action mode. A ValueError says that the folder is there already, that
-    there is no policy, or that the leaderboard would refuse the name.
+    Without a name it is one made of algorithm and action mode. A ValueError says what cannot be read or written.
     """
     if output.exists():
         raise ValueError(f"{output} is there already; give a new folder")

@@ -142,8 +142,8 @@ def held(folder: Path) -> Iterator[None]:
 def save_folder(parent: Path, timesteps: int, write: Callable[[Path], object]) -> None:
     """Write a folder that is named after a number of timesteps, then remove the older ones beside it.
 
-    The folder gets its name when it is complete, so that a complete one remains after a kill at any moment. One of the
-    same name is complete and of the same step; it is kept. Only the user can enter it.
+    It gets its name when it is complete, so that a complete one remains after a kill at any moment; only the user can
+    enter it. One of the same name is of the same step, and is kept.
     """
     target = parent / f"{timesteps:012d}"
     if not target.exists():
@@ -243,11 +243,7 @@ class Run(Checked):
 
     @property
     def checkpoint(self) -> Path | None:
-        """The folder that the run goes on from, named after its timesteps; None for a new run.
-
-        Raises:
-            ValueError: the run has validations, but no checkpoint, or one of another run or step.
-        """
+        """The folder to go on from; None for a new run. A ValueError if it is gone or of another run."""
         saved = folders(self.folder / CHECKPOINTS)
         if self.curve and not saved:
             raise ValueError(f"{self.folder} has validations, but no checkpoint to go on from; begin anew in another")
@@ -269,8 +265,7 @@ class Run(Checked):
     def begin(self, learner: Learner) -> None:
         """Write run.json before the first step, so that the run can go on whenever it is interrupted.
 
-        Raises:
-            ValueError: the policy of a new run could not be exported, which is better known now than in the end.
+        A ValueError says that the policy could not be exported, which is better known now than in the end.
         """
         if not self.curve:
             _exported(learner, self.settings)
@@ -278,11 +273,7 @@ class Run(Checked):
         self._began = time.monotonic() - (self.curve[-1]["wall_time_s"] if self.curve else 0.0)
 
     def take_stock(self, learner: Learner, timesteps: int, *, finished: bool = False) -> dict[str, float] | None:
-        """Validate, keep the best policy and write a checkpoint, if an interval has ended or the training has.
-
-        Returns:
-            the metrics of the validation; None where there was none.
-        """
+        """Validate, keep the best policy and write a checkpoint, where it is time for it; return the metrics."""
         self.finished = finished
         interval = self.settings.interval or max(1, self.settings.timesteps // 20)
         last = int(self.curve[-1]["timesteps"]) if self.curve else -interval
@@ -374,10 +365,7 @@ def _git_commit() -> str | None:
 
 
 def draw(lanes: TaskLanes, rng: np.random.Generator, n_scenarios: int) -> list[Scenario]:
-    """Return training scenarios.
-
-    Where there are strata, the seeds follow one another: a multiple of 15 holds as many of each stratum and kind.
-    """
+    """Return training scenarios; of strata their seeds follow one another: 15 hold as many of each stratum and kind."""
     if not lanes.suite.strata:
         return lanes.draw([rng] * n_scenarios)
     seeds = lanes.suite.train
@@ -480,14 +468,8 @@ def begin_or_go_on(
 ) -> None:
     """Train in the folder that the options name, which is held meanwhile, and say how it ended.
 
-    Args:
-        options: those of the command.
-        algos: what the command trains.
-        settings: returns the settings of a new run.
-        train: trains a run to its end.
-
-    Raises:
-        ValueError: the folder cannot be used.
+    `algos` are what the command trains, and `settings` returns those of a new run. A ValueError says why the folder
+    cannot be used.
     """
     if options.resume is not None:
         folder, algo = options.resume, Run.read(options.resume).settings.algo

@@ -29,11 +29,7 @@ _COLUMNS = ("policy", "actions on", "seeds", "steps [million]", "validation scor
 
 
 def record(run_folder: Path) -> tuple[str, dict[str, Any]]:
-    """Return the folder that holds the best policy of a run, and the record of its training.
-
-    Raises:
-        ValueError: the run has no policy yet, or it is not in agents/policies.
-    """
+    """Return the folder in agents/policies with the best policy of a run, and the record of its training."""
     run = Run.read(run_folder)
     rows = {int(row["timesteps"]): row for row in run.curve}
     for best in folders(run_folder / BEST):

@@ -47,11 +47,7 @@ CUSTOM_OBJECTS = {"replay_buffer_class": None}
 
 
 def read_config(path: Path, env_id: str) -> dict[str, Any]:
-    """Return the section of an environment in a yml file as it is written there.
-
-    Raises:
-        ValueError: the file cannot be read, is not YAML, or has no section for the environment.
-    """
+    """Return the section of an environment in a yml file as it is written there; a ValueError if there is none."""
     text = read_text(path, "hyperparameter file")
     with interpreting(path, "hyperparameter file"):
         try:
@@ -130,8 +126,7 @@ def _environments(settings: RunSettings) -> VecEnv:
 def new_model(settings: RunSettings) -> BaseAlgorithm:
     """Return an untrained learner in its environments; environment i draws its scenarios from the run's seed plus i.
 
-    Raises:
-        ValueError: the algorithm refuses a hyperparameter.
+    A ValueError says that the algorithm refuses a hyperparameter.
     """
     env = _environments(settings)
     try:
@@ -146,11 +141,7 @@ def new_model(settings: RunSettings) -> BaseAlgorithm:
 
 
 def load_model(folder: Path, settings: RunSettings) -> BaseAlgorithm:
-    """Return the learner of a checkpoint, which begins new episodes of scenarios that it has not seen.
-
-    Raises:
-        ValueError: a file is missing or damaged.
-    """
+    """Return the learner of a checkpoint, which begins new episodes; a ValueError if a file is missing or damaged."""
     with loading(folder) as folder:
         env = _environments(settings)
         if normalization_arguments(settings.hyperparameters) is not None:

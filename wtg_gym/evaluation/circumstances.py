@@ -58,11 +58,7 @@ def environment_fingerprint(settings: EnvSettings) -> str:
     """Return a sha256 over everything that the environment answers to a fixed course of actions.
 
     Machines with the same fingerprint compute the same benchmark, bit for bit. The first validation scenarios are
-    played for 15 s at control steps of 0.1 s, under the reference strategy with all actions and observations. The hash
-    covers the names of the observations and every bit of observations, rewards, terms of the cost and ends.
-
-    Args:
-        settings: of the environment; strategy and modes are replaced.
+    played for 15 s under the reference strategy with all actions and observations, whatever the settings say of these.
     """
     probed = dataclasses.replace(
         settings, strategy=REFERENCE_STRATEGY, action_mode="k+tau", observation_mode="privileged"

@@ -18,14 +18,9 @@ _log = logging.getLogger("wtg_gym")
 
 
 class PartialStore:
-    """A folder of finished batches.
+    """A folder of finished batches, JSON-ready; one of another `context` is not found.
 
-    Args:
-        folder: where they lie; None, or one that another user could change, stores nothing.
-        context: data that all batches share, JSON-ready; a batch of another context is not found.
-
-    Raises:
-        ValueError: the folder is something else.
+    None, or a folder that another user could change, stores nothing. A ValueError says that it is no folder.
     """
 
     def __init__(self, folder: str | Path | None, context: Any) -> None:

@@ -48,13 +48,8 @@ def recompute(
 ) -> Comparison:
     """Evaluate the entries of stored results again, on the same scenarios with the same settings, and compare.
 
-    Args:
-        stored: the results.
-        entries: all of their entries, without the anchors; others are ignored.
-        n_threads, workers, on_progress: as for :func:`wtg_gym.evaluation.evaluate`.
-
-    Raises:
-        ValueError: an entry is missing, or the results are of a suite, seeds or settings that no longer exist.
+    Entries that the results do not hold are ignored; a ValueError names one that is missing. The other arguments are
+    those of :func:`wtg_gym.evaluation.evaluate`.
     """
     by_run = {(entry.name, entry.training_seed): entry for entry in entries}
     wanted = [(entry["name"], entry["training_seed"]) for entry in (*stored.entries, *stored.failed)]

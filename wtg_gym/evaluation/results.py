@@ -111,12 +111,7 @@ class Results:
 
     @cached_property
     def summaries(self) -> list[EntrySummary]:
-        """Summary of every entry, in the order of the entries.
-
-        Raises:
-            NoScaleError: there is no score: on these scenarios the zero is not worse than the hundred, or a stratum has
-                none.
-        """
+        """Summary of every entry, in the order of the entries; a NoScaleError if there is no score."""
         self._check_strata()
         return summary.scored(self._measured, self._runs, self.pinned_costs, self.task, self.groups)
 
@@ -126,10 +121,7 @@ class Results:
 
     @property
     def ranking(self) -> list[EntrySummary]:
-        """The :attr:`summaries`, the best first; where there is no score, the least mean cost first.
-
-        In v1 the marked entries come first.
-        """
+        """The :attr:`summaries`, the best first, in v1 the marked ones; without a score, the least mean cost first."""
         return ranked(self.summaries if self.has_scale else self._measured)
 
     @cached_property
@@ -187,11 +179,7 @@ class Results:
             )
 
     def episodes_of(self, name: str) -> list[Episode]:
-        """Return the episodes of an entry.
-
-        Raises:
-            KeyError: the entry is unknown; the message lists the entries, and says how this one failed if it did.
-        """
+        """Return the episodes of an entry; the KeyError of an unknown one lists entries, and how this one failed."""
         return [episode for run in self._by_entry(self._runs)[name] for episode in run]
 
     def _by_entry(self, values: Mapping[str, Value]) -> dict[str, Value]:
@@ -278,19 +266,12 @@ class Results:
 
 
 def leaderboard_rows(results: Results) -> list[EntrySummary]:
-    """Return the entries' summaries, the best first, in v1 the marked ones, equal ones by name.
-
-    Raises:
-        NoScaleError: the results have no score, see :attr:`Results.summaries`.
-    """
+    """Return the entries' summaries, the best first, in v1 the marked ones; a NoScaleError if there is no score."""
     return ranked(results.summaries)
 
 
 def markdown_section(results: Results, *, details: bool = False) -> str:
-    """Return the ranking for a Markdown page, in detail or in short.
-
-    In short, since v1, a sentence on the frequency comes first, and entries below the entry at 0 are only named.
-    """
+    """Return the ranking for a page: in detail, or with a sentence on the frequency and without what scores below 0."""
     rows = results.ranking
     short = not details and results.task.version != "v0"
     below = [row for row in rows if short and row.score is not None and row.score.value < 0.0]

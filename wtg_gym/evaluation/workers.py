@@ -75,16 +75,10 @@ class Workers:
     def play(
         self, play: Play, settings: EnvSettings, parts: Sequence[tuple[Entry, list[int]]]
     ) -> Generator[tuple[int, Played], None, None]:
-        """Yield (index, episodes or the policy's failure) of every part as soon as it is finished.
+        """Yield (index, episodes or the policy's failure) of every part, (entry, seeds), as soon as it is finished.
 
-        Args:
-            play: plays a batch; a function of this package.
-            settings: settings of the environment.
-            parts: (entry, seeds) of the batches.
-
-        Raises:
-            ValueError: an entry cannot travel or be played there, the cluster does not answer, a worker has other code,
-                packages or processor, or is lost for good.
+        `play` plays a batch; a function of this package. A ValueError says that an entry cannot travel, that the
+        cluster does not answer, or that a worker has other code, packages or processor, or is lost for good.
         """
         wanted, parcels = circumstances(), dict[int, bytes]()
         for entry, _ in parts:

@@ -95,10 +95,7 @@ def _by_instant(scenario: Scenario) -> list[list[Event]]:
 
 
 def mark_instants(axes: Axes, scenario: Scenario, *, numbered: bool) -> None:
-    """Draw a dotted line at every instant with an event, with its number above where `numbered`.
-
-    One without a number is where a line closes again.
-    """
+    """Draw a dotted line at every event, with its number above if `numbered`, and where a line closes again."""
     instants = [events[0].time_s for events in _by_instant(scenario)]
     for instant in (*instants, *(event.end_s for event in undone(scenario.events, scenario.duration_s))):
         axes.axvline(instant, color=style.REFERENCE_GREY, linewidth=0.7, linestyle=style.DOTS, zorder=1)

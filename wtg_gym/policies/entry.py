@@ -138,10 +138,7 @@ class Entry:
         return sha256(json.dumps(data, sort_keys=True).encode())
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the entry as JSON-ready data.
-
-        "sha256" is the :attr:`identity`; "policy_sha256" that of the policy's file, as sha256sum gives it, or None.
-        """
+        """Return the entry as JSON-ready data: "sha256" is the :attr:`identity`, "policy_sha256" that of the file."""
         own = getattr(self.policy, "sha256", None)
         return {
             **{key: getattr(self, key) for key in ("name", "training_seed", *_OF_A_ROW)},

@@ -71,9 +71,7 @@ def _built_in() -> frozenset[str]:
 def check_not_built_in(what: str, name: str) -> None:
     """Raise a ValueError if a name is, or looks like, that of a strategy or a baseline, or a reserved word.
 
-    Args:
-        what: what has the name, for the message.
-        name: the name; of one with dots, such as a module's, the first part may not be a reserved word either.
+    Of a name with dots, such as a module's, the first part may not be a reserved word either. `what` has the name.
     """
     if plain_name(name) in _built_in() or plain_name(name.partition(".")[0]) in map(plain_name, RESERVED):
         raise ValueError(
@@ -88,12 +86,8 @@ def check_not_built_in(what: str, name: str) -> None:
 def parse_entry(text: str, *, submitted: bool = False) -> dict[str, Any]:
     """Return the arguments of :class:`Entry` that an entry.toml gives; authors are its source.
 
-    Args:
-        text: content of the file.
-        submitted: ask for the keys of a submission, see CONTRIBUTING.md.
-
-    Raises:
-        ValueError: what is wrong and allowed, in one line of ASCII but for this package's own words.
+    `submitted` asks for the keys of a submission, see CONTRIBUTING.md. A ValueError says what is wrong and allowed, in
+    one line of ASCII but for this package's own words.
     """
     try:
         data = parse_toml(text, "it")

@@ -139,12 +139,7 @@ def read_submission(folder: Path) -> Report:
 def check_submission(folder: Path, *, weak: bool = False) -> Report:
     """Return the gate's report on a folder; its policy is played in a process of its own.
 
-    Args:
-        folder: with entry.toml and policy.onnx.
-        weak: go on where this system cannot isolate a process completely.
-
-    Raises:
-        NotIsolatedError: this system cannot, and `weak` is not set.
+    Where this system cannot isolate that process, it is a NotIsolatedError; with `weak` it goes on all the same.
     """
     report = read_submission(folder)
     if not report.accepted:
@@ -249,8 +244,7 @@ class Conflict:
 def conflicts(reports: Sequence[Report], beside: Sequence[Report] = ()) -> list[Conflict]:
     """Return the conflicts of accepted submissions with each other and with entries that are there already.
 
-    Each names the folders of `reports` it concerns; conflicts among those `beside`, and among folders that come with
-    the package, are not looked for.
+    Conflicts among those `beside`, and among folders that come with the package, are not looked for.
     """
     found = []
     for one, other in itertools.combinations(reports, 2):

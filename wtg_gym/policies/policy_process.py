@@ -108,14 +108,12 @@ class OnnxPolicy:
         Args:
             observation: one row per lane.
             state: the states that the last call returned; None at the beginning.
-            episode_start: lanes where an episode starts, (n_lanes,) bool: their state is zero, and their session a new
-                one; None for none.
+            episode_start: lanes where an episode starts, (n_lanes,) bool: their state is zero; None for none.
             deterministic: for the protocol; the file holds the deterministic action only.
 
         Raises:
             NotIsolatedError: this system cannot isolate the process, and `isolated` was set.
-            PolicyError: the file is no policy, the observations or states are of another shape, the process ended or
-                took too long, or the answer is of another form.
+            PolicyError: the file is no policy, shapes do not fit, or the process ended or took too long.
         """
         n_observation, n_action, *widths = self.widths
         observations = np.ascontiguousarray(observation, dtype=np.float32)
@@ -231,10 +229,7 @@ class PolicyProcess:
     def ask(self, request: bytes, sizes: list[int], *, starts: bool) -> list[bytes]:
         """Send observations and states; return as many bytes of actions and next states as `sizes` say.
 
-        Sessions are opened first in the first step, and where episodes start.
-
-        Raises:
-            PolicyError: the process ended, took too long, or the policy cannot answer.
+        Sessions are opened in the first step and where episodes start. A policy that cannot answer is a PolicyError.
         """
         self._begin(LOAD_S if starts or not self._has_answered else STEP_S)
         self._write(request)
