@@ -73,11 +73,10 @@ class Hyperparameters:
         for width in self.hidden:
             require_whole("a width of hidden", width, 1, 10_000)
         require_whole("lstm", self.lstm, 0, 10_000)
-        first, second = self.betas
         ranges = {"learning_rate": 10.0, "last_rate": 1.0, "max_grad_norm": 1e6, "mean_weight": 100.0}
         for name, most in ranges.items():
             require_range(name, getattr(self, name), 0.0, most, "")
-        for beta in (first, second):
+        for beta in self.betas:
             require_range("a beta", beta, 0.0, 1.0, "")
 
 
@@ -239,15 +238,14 @@ def train(run: Run) -> None:
     policy = GradientPolicy(lanes.n_observation // n_parts, lanes.n_action // n_parts, h.hidden, h.lstm)
     policy.per_group = h.per_group
     learner = GradientLearner(policy, h)
-    optimizer = learner.optimizer
     n_steps = round(lanes.duration_s / lanes.settings.control_dt)
 
     def learn(index: int, n_batches: int) -> float:
         fallen = 0.5 + 0.5 * math.cos(math.pi * index / n_batches)
-        optimizer.param_groups[0]["lr"] = h.learning_rate * (h.last_rate + (1.0 - h.last_rate) * fallen)
+        learner.optimizer.param_groups[0]["lr"] = h.learning_rate * (h.last_rate + (1.0 - h.last_rate) * fallen)
         scenarios = runs.draw(lanes, np.random.default_rng((settings.seed, index)), settings.n_envs)
         costs, strays = costs_of(episodes, policy, scenarios, n_steps, failures)
-        return descend(policy, optimizer, loss_of(costs, scenarios) + STRAY_WEIGHT * strays.mean(), h)
+        return descend(policy, learner.optimizer, loss_of(costs, scenarios) + STRAY_WEIGHT * strays.mean(), h)
 
     runs.train_in_rounds(run, learner, n_steps * settings.n_envs, learn)
 

@@ -227,10 +227,6 @@ class Run(Checked):
         del data["folder"], data["_began"]
         write_atomically((folder or self.folder) / RUN_FILE, to_json(data))
 
-    def is_same(self, other: Run) -> bool:
-        """Return whether another description is of the same run: its settings, and when it was begun."""
-        return self.settings == other.settings and self.provenance["started"] == other.provenance["started"]
-
     @property
     def best(self) -> dict[str, float]:
         """The row that ranks first: in v1 with the mark, then by its score; the first one of several."""
@@ -245,13 +241,16 @@ class Run(Checked):
     def checkpoint(self) -> Path | None:
         """The folder to go on from; None for a new run. A ValueError if it is gone or of another run."""
         saved = folders(self.folder / CHECKPOINTS)
-        if self.curve and not saved:
-            raise ValueError(f"{self.folder} has validations, but no checkpoint to go on from; begin anew in another")
         if not saved:
+            if self.curve:
+                raise ValueError(
+                    f"{self.folder} has validations, but no checkpoint to go on from; begin anew elsewhere"
+                )
             return None
         run = Run.read(saved[-1])
         step = run.curve[-1]["timesteps"] if run.curve else None
-        if not run.is_same(self) or step != int(saved[-1].name):
+        is_same = run.settings == self.settings and run.provenance["started"] == self.provenance["started"]
+        if not is_same or step != int(saved[-1].name):
             raise ValueError(
                 f"{saved[-1]} is a checkpoint of another run or of step {step}; begin anew in another folder"
             )
@@ -281,25 +280,30 @@ class Run(Checked):
             if finished:
                 self.write()
             return None
+
+        def write_checkpoint(folder: Path) -> None:
+            learner.save(folder)
+            self.write(folder)
+
+        def write_best(folder: Path) -> None:
+            (folder / POLICY_FILE).write_bytes(_exported(learner, self.settings))
+            per_group = {"per_group": True} if _per_group(learner.network(self.settings)) else {}
+            write_atomically(folder / ENTRY_FILE, entry_text({**self.settings.entry(), **per_group}))
+
         metrics = self.validate(learner, timesteps)
         # First, because one whose row is missing in run.json is validated again on resumption.
-        save_folder(self.folder / CHECKPOINTS, timesteps, lambda folder: self._write_checkpoint(folder, learner))
+        save_folder(self.folder / CHECKPOINTS, timesteps, write_checkpoint)
         if self.best is self.curve[-1]:
-            save_folder(self.folder / BEST, timesteps, lambda folder: self._write_best(folder, learner))
+            save_folder(self.folder / BEST, timesteps, write_best)
         self.write()
         return metrics
 
     def validate(self, learner: Learner, timesteps: int) -> dict[str, float]:
         """Play the validation scenarios, add a row with score and metrics to the curve, and return the metrics."""
         s, network = self.settings, learner.network(self.settings)
-        entry = Entry(
-            name="policy",
-            policy=TorchPolicy(network),
-            strategy=s.strategy,
-            action_mode=s.action_mode,
-            observation_mode=s.observation_mode,
-            per_group=_per_group(network),
-        )
+        modes: dict[str, Any] = {"action_mode": s.action_mode, "observation_mode": s.observation_mode}
+        policy, per_group = TorchPolicy(network), _per_group(network)
+        entry = Entry(name="policy", policy=policy, strategy=s.strategy, per_group=per_group, **modes)
         seeds = get_suite(s.suite).seeds("validation")[: s.validation_episodes]
         results = evaluate([entry], s.suite, "validation", seeds=seeds)
         (summary,) = (summary for summary in results.summaries if summary.name == entry.name)
@@ -318,17 +322,6 @@ class Run(Checked):
         wall_time_s = round(time.monotonic() - self._began, 2)
         self.curve.append({"timesteps": timesteps, "wall_time_s": wall_time_s, **metrics})
         return metrics
-
-    def _write_checkpoint(self, folder: Path, learner: Learner) -> None:
-        """Write the learner, and which run and step it is of."""
-        learner.save(folder)
-        self.write(folder)
-
-    def _write_best(self, folder: Path, learner: Learner) -> None:
-        """Write the policy as an entry that `wtg-gym evaluate` plays."""
-        (folder / POLICY_FILE).write_bytes(_exported(learner, self.settings))
-        per_group = {"per_group": True} if _per_group(learner.network(self.settings)) else {}
-        write_atomically(folder / ENTRY_FILE, entry_text({**self.settings.entry(), **per_group}))
 
 
 def _exported(learner: Learner, settings: RunSettings) -> bytes:
