@@ -21,10 +21,9 @@ from agents.gradient import (
     Loss,
     costs_of,
     descend,
-    draw,
     main,
 )
-from agents.run import Run, folders
+from agents.run import Run, draw, folders
 from tests.agents.small import largest_difference
 from tests.interruption import interrupted
 from wtg_gym.envs import EnvSettings

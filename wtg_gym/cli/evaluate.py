@@ -8,32 +8,22 @@ from typing import Annotated, Literal
 
 from cyclopts import Parameter
 
-from wtg_gym.cli.options import (
-    DEFAULT_SUITE,
-    Entries,
-    Json,
-    OutputFolder,
-    PlantOptions,
-    SeedOptions,
-    Suite,
-    Threads,
-    WorkerOptions,
-)
+from wtg_gym.cli import options
 from wtg_gym.cli.output import check_page, note
 
 
 def evaluate(
     *,
-    entries: Entries = ("baselines",),
-    suite: Suite = DEFAULT_SUITE,
+    entries: options.Entries = ("baselines",),
+    suite: options.Suite = options.DEFAULT_SUITE,
     split: Literal["train", "validation", "test"] = "validation",
     duration: float | None = None,
-    results: OutputFolder | None = None,
-    threads: Threads = None,
-    json: Json = False,
-    seeds: SeedOptions = SeedOptions(),
-    plant: PlantOptions = PlantOptions(),
-    workers: WorkerOptions = WorkerOptions(),
+    results: options.OutputFolder | None = None,
+    threads: options.Threads = None,
+    json: options.Json = False,
+    seeds: options.SeedOptions = options.SeedOptions(),
+    plant: options.PlantOptions = options.PlantOptions(),
+    workers: options.WorkerOptions = options.WorkerOptions(),
 ) -> int:
     """Play entries through the scenarios of a suite, many at a time, and score them.
 
@@ -83,13 +73,13 @@ def evaluate(
 
 def leaderboard(
     *,
-    entries: Entries = ("baselines",),
-    suite: Suite = DEFAULT_SUITE,
-    results: OutputFolder = Path("results"),
+    entries: options.Entries = ("baselines",),
+    suite: options.Suite = options.DEFAULT_SUITE,
+    results: options.OutputFolder = Path("results"),
     readme: Annotated[tuple[Path, ...], Parameter(consume_multiple=True)] = (),
-    threads: Threads = None,
-    json: Json = False,
-    workers: WorkerOptions = WorkerOptions(),
+    threads: options.Threads = None,
+    json: options.Json = False,
+    workers: options.WorkerOptions = options.WorkerOptions(),
 ) -> int:
     """Rank entries on all test scenarios of a suite.
 
