@@ -112,9 +112,9 @@ class GroupPolicy(nn.Module):
 
     def forward(self, observations: Tensor, *states: Tensor) -> tuple[Tensor, ...]:
         """Return the actions (n_lanes, n_action) and the next states; zeros are given before the first step."""
-        given = states or [observations.new_zeros(len(observations), width) for width in self.state_widths]
-        found = self.act(self.weights[None], observations[None], *(each[None] for each in given))
-        return tuple(each[0] for each in found)
+        before = states or [observations.new_zeros(len(observations), width) for width in self.state_widths]
+        answer = self.act(self.weights[None], observations[None], *(each[None] for each in before))
+        return tuple(each[0] for each in answer)
 
     def act(self, weights: Tensor, observations: Tensor, *states: Tensor) -> tuple[Tensor, ...]:
         """Return the actions of candidates (n, n_lanes, n_action), and the next states.
@@ -126,15 +126,15 @@ class GroupPolicy(nn.Module):
         """
         # The number of lanes stands nowhere: in an exported graph, what depends on it takes longer than all else.
         n, n_wtg = len(weights), self._n_wtg
-        own = observations.reshape(n, -1, n_wtg, self._n_own)
-        parts, following = [own], list[Tensor]()
+        observed = observations.reshape(n, -1, n_wtg, self._n_own)
+        parts, following = [observed], list[Tensor]()
         if states:
             slow, started = states
-            now = own[..., list(SLOW_COLUMNS)]
+            now = observed[..., list(SLOW_COLUMNS)]
             before = torch.where(started[..., None] > 0.5, slow.reshape(n, -1, n_wtg, len(SLOW_COLUMNS)), now)
             copies = before + self._filters * (now - before)
-            low = torch.clamp(own[..., _LOW_COLUMNS] - self._low, max=0.0)
-            frequency = own[..., :1]
+            low = torch.clamp(observed[..., _LOW_COLUMNS] - self._low, max=0.0)
+            frequency = observed[..., :1]
             parts += [copies, low, frequency.mean(dim=2, keepdim=True) + 0.0 * frequency]
             following = [copies.reshape(n, -1, self.state_widths[0]), 0.0 * started + 1.0]
         (a, b), (_, n_action) = self._shapes
@@ -175,8 +175,8 @@ class Population:
         largest_hz = np.maximum(lanes.nominal_hz - lowest, highest - lanes.nominal_hz)
         bad = np.where(lanes.statuses() != 0, 1.0, np.interp(largest_hz, SOFT_HZ, (0.0, 1.0))).reshape(self._shape)
         paid = (np.log(costs + offsets) + self._h.mean_weight * costs / offsets) / scales
-        found: Floats = paid.mean(axis=1) + self._h.mark_weight * bad.mean(axis=1)
-        return found
+        values: Floats = paid.mean(axis=1) + self._h.mark_weight * bad.mean(axis=1)
+        return values
 
 
 class Search:

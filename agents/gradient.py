@@ -104,8 +104,8 @@ class GradientPolicy(nn.Module):
         """Return the actions (n_lanes, n_action) and the next states; none are given before the first step."""
         if self.lstm is None:
             return (self.layers(observations),)
-        given = tuple(each[None] for each in states) or None
-        (seen,), (hidden, cell) = self.lstm(observations[None], given)
+        before = tuple(each[None] for each in states) or None
+        (seen,), (hidden, cell) = self.lstm(observations[None], before)
         return self.layers(seen), hidden[0], cell[0]
 
 
@@ -167,8 +167,8 @@ def costs_of(
     served, strays = torch.ones(len(scenarios), dtype=torch.bool), torch.zeros(len(scenarios))
     n_rows = len(scenarios) * (episodes.tape.lanes.n_wtg if policy.per_group else 1)
     for _ in range(n_steps):
-        given, *states = policy(observations.reshape(n_rows, -1), *states)
-        actions = given.reshape(len(scenarios), -1)
+        answer, *states = policy(observations.reshape(n_rows, -1), *states)
+        actions = answer.reshape(len(scenarios), -1)
         actions.register_hook(lambda gradient: gradient.clamp(-most, most))
         observations, terms = episodes.step(actions)
         strays = strays + torch.where(served, 0.0, actions.square().mean(dim=1)) / n_steps

@@ -102,6 +102,6 @@ class SharedPolicy(nn.Module):
         """Return the joint actions (batch, n_action) for the joint local observations (batch, n_observation)."""
         sizes: Any = self._sizes
         measured = observation.reshape(observation.shape[0], sizes.shape[0], -1)
-        own = torch.cat([measured, sizes.expand(observation.shape[0], -1, -1)], dim=2)
-        actions: Tensor = self._agent(own.flatten(0, 1))[0]
+        of_agents = torch.cat([measured, sizes.expand(observation.shape[0], -1, -1)], dim=2)
+        actions: Tensor = self._agent(of_agents.flatten(0, 1))[0]
         return actions.reshape(-1, self._n_action)

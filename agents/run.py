@@ -203,10 +203,10 @@ class Run(Checked):
             if not isinstance(process["versions"], Mapping) or not isinstance(process["started"], str):
                 raise ValueError(f"provenance must have versions and the time of the start, got {process!r:.80}")
 
-    def hyperparameters(self, kind: type[H]) -> H:
+    def hyperparameters(self, record: type[H]) -> H:
         """Return the hyperparameters as a record; a ValueError names the run's file and the one that is wrong."""
         with interpreting(self.folder / RUN_FILE, "description of the run"):
-            return kind(**self.settings.hyperparameters)
+            return record(**self.settings.hyperparameters)
 
     @classmethod
     def new(cls, folder: Path, settings: RunSettings) -> Run:

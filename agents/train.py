@@ -87,11 +87,11 @@ def algorithm_arguments(raw: Mapping[str, Any]) -> dict[str, Any]:
 
 def normalization_arguments(raw: Mapping[str, Any]) -> dict[str, Any] | None:
     """Return the arguments of VecNormalize that a section of a file means; None for no normalisation."""
-    given = raw.get("normalize", False)
-    if given is False:
+    arguments = raw.get("normalize", False)
+    if arguments is False:
         return None
     # Rewards are scaled by the spread of the returns that the learner sees.
-    return {**({} if given is True else given), **({"gamma": raw["gamma"]} if "gamma" in raw else {})}
+    return {**({} if arguments is True else arguments), **({"gamma": raw["gamma"]} if "gamma" in raw else {})}
 
 
 class SB3Learner:

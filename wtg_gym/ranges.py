@@ -85,9 +85,9 @@ def require_memory(what: str, n_bytes: int) -> None:
             raise ValueError(f"{what} need {n_bytes / 2**30:.3g} GiB of memory; this machine has {memory / 2**30:.3g}")
 
 
-def require_known(what: str, given: Iterable[Any], known: Collection[str]) -> None:
+def require_known(what: str, names: Iterable[Any], known: Collection[str]) -> None:
     """Raise a ValueError that names what is given and not known, and what is known."""
-    if unknown := sorted(map(str, set(given) - set(known))):
+    if unknown := sorted(map(str, set(names) - set(known))):
         raise ValueError(f"unknown {what} {unknown}; known {what}: {', '.join(known)}{did_you_mean(unknown[0], known)}")
 
 

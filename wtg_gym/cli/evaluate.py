@@ -67,8 +67,8 @@ def evaluate(
     with scoring.kept_parts(results) as partial:
         # Last, because it takes longest, and may run code.
         chosen = scoring.chosen_entries(entries, suite)
-        found = scoring.run_evaluation(chosen, **planned, partial=partial, n_threads=threads, workers=processes)
-    return scoring.finish(found, results, as_json=json)
+        scores = scoring.run_evaluation(chosen, **planned, partial=partial, n_threads=threads, workers=processes)
+    return scoring.finish(scores, results, as_json=json)
 
 
 def leaderboard(
@@ -109,12 +109,12 @@ def leaderboard(
     with scoring.kept_parts(results) as partial:
         chosen = scoring.chosen_entries(entries, suite)
         check_version(chosen, get_suite(suite))
-        found = scoring.run_evaluation(
+        ranking = scoring.run_evaluation(
             chosen, suite=suite, split="test", partial=partial, n_threads=threads, workers=processes
         )
     # Without its parts, which would be removed once the results are written.
-    code = scoring.finish(dataclasses.replace(found, parts=None), results, as_json=json)
-    for page, own in pages:
-        changed = update_between_markers(page, markdown_section(found, details=own == sections[1]), own)
+    code = scoring.finish(dataclasses.replace(ranking, parts=None), results, as_json=json)
+    for page, section in pages:
+        changed = update_between_markers(page, markdown_section(ranking, details=section == sections[1]), section)
         note(f"{page}: {'updated' if changed else 'already up to date'}")
     return code

@@ -53,7 +53,7 @@ def play_cases(names: Sequence[str], specs: Sequence[str], *, json: bool) -> int
 
 
 def run(
-    given: ScenarioOptions,
+    options: ScenarioOptions,
     plant: PlantOptions,
     strategies: Sequence[str],
     *,
@@ -64,8 +64,8 @@ def run(
     """Simulate a scenario under laws, write what was asked for, and return the exit code."""
     if plot is not None:
         require_extra("matplotlib", "--plot")
-    suite = get_suite(given.suite)
-    scenario = _scenario(given, suite)
+    suite = get_suite(options.suite)
+    scenario = _scenario(options, suite)
     settings = suite.plant.replaced(
         # Another number of groups stands at bus 2.
         groups=None if scenario.n_wtg == len(suite.plant.groups) else scenario.n_wtg,
@@ -112,23 +112,23 @@ def run(
     return int(any(trajectory.status == Status.NUMERICAL_FAILURE for trajectory in runs.values()))
 
 
-def _scenario(given: ScenarioOptions, suite: Suite) -> Scenario:
+def _scenario(options: ScenarioOptions, suite: Suite) -> Scenario:
     """Return the scenario that was asked for, with its wind replaced."""
-    if given.scenario is None:
-        seed = suite.test[0] if given.seed is None else given.seed
-        scenario = suite.scenario(seed, duration_s=given.duration)
+    if options.scenario is None:
+        seed = suite.test[0] if options.seed is None else options.seed
+        scenario = suite.scenario(seed, duration_s=options.duration)
     else:
-        scenario = read_scenario(given.scenario, suite)
-        if given.duration is not None:
-            scenario = dataclasses.replace(scenario, duration_s=given.duration)
+        scenario = read_scenario(options.scenario, suite)
+        if options.duration is not None:
+            scenario = dataclasses.replace(scenario, duration_s=options.duration)
     wind_dt_s = scenario.wind_dt_s
-    if given.wind_csv is not None:
-        wind, wind_dt_s = read_wind_csv(given.wind_csv, duration_s=scenario.duration_s)
-    elif given.wind is None:
+    if options.wind_csv is not None:
+        wind, wind_dt_s = read_wind_csv(options.wind_csv, duration_s=scenario.duration_s)
+    elif options.wind is None:
         wind = scenario.wind_speed
     else:
-        n_groups = scenario.n_wtg if len(given.wind) == 1 else len(given.wind)
-        wind = np.resize(np.array(given.wind), (n_groups, 1))
+        n_groups = scenario.n_wtg if len(options.wind) == 1 else len(options.wind)
+        wind = np.resize(np.array(options.wind), (n_groups, 1))
     if suite.task is not V0 and len(wind) != len(suite.plant.groups):
         raise ValueError(f"there is wind for {len(wind)} WTG groups, {suite.name} has {len(suite.plant.groups)}")
     return dataclasses.replace(scenario, wind_speed=wind, wind_dt_s=wind_dt_s)

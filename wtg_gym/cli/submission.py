@@ -71,18 +71,18 @@ def check(folders: Folders, /, *, gate: GateOptions = GateOptions(), json: Json 
     Args:
         folders: folders with entry.toml, policy.onnx and, if there is one, README.md
     """
-    reports, found = _judged(folders, gate)
+    reports, clashes = _judged(folders, gate)
     if json:
-        together = [conflict.reason for conflict in found]
+        together = [conflict.reason for conflict in clashes]
         print_json({"submissions": [report.to_dict() for report in reports], "together": together})
     else:
         for report in reports:
             name, checks = _shown(report.folder), [(each.name, each.verdict, each.reason) for each in report.checks]
             print_table((name, "verdict", "reason"), checks, left=(0, 1, 2))
             say(f"{name}: {f'accepted, sha256 {report.sha256}' if report.accepted else 'refused'}", "")
-        for conflict in found:
+        for conflict in clashes:
             say(f"refused: {conflict.reason}")
-    return int(bool(found) or not all(report.accepted for report in reports))
+    return int(bool(clashes) or not all(report.accepted for report in reports))
 
 
 @app.command
@@ -124,15 +124,15 @@ def score(
     for scenarios in planned.values():
         scoring.check_stored(results, scenarios)
     with scoring.kept_parts(results) as partial:
-        reports, found = _judged(folders, gate)
-        why = _why_left_out(reports, found)
+        reports, clashes = _judged(folders, gate)
+        why = _why_left_out(reports, clashes)
         for reason in dict.fromkeys(why.values()):
             note(f"left out: {reason}")
         entries = [report.played(weak=gate.weak_isolation) for report in reports if report.folder not in why]
         codes = [int(bool(why))]
         for name, scenarios in planned.items():
-            if own := [entry for entry in entries if entry.environment == get_suite(name).env_id]:
-                played = scoring.run_evaluation(own, partial=partial, n_threads=threads, **scenarios)
+            if of_suite := [entry for entry in entries if entry.environment == get_suite(name).env_id]:
+                played = scoring.run_evaluation(of_suite, partial=partial, n_threads=threads, **scenarios)
                 codes.append(scoring.finish(played, results, as_json=json))
     return max(codes)
 
@@ -167,9 +167,9 @@ def _judged(folders: Sequence[Path], gate: GateOptions) -> tuple[list[Report], l
     return reports, conflicts(accepted, beside)
 
 
-def _why_left_out(reports: Sequence[Report], found: Sequence[Conflict]) -> dict[Path, str]:
+def _why_left_out(reports: Sequence[Report], clashes: Sequence[Conflict]) -> dict[Path, str]:
     """Return why folders are not ranked: authors cannot choose the seeds of a row, so all of a name go together."""
-    why = {folder: conflict.reason for conflict in found for folder in conflict.folders}
+    why = {folder: conflict.reason for conflict in clashes for folder in conflict.folders}
     for report in reports:
         if report.refusal is not None:
             why[report.folder] = f"{_shown(report.folder)}: {report.refusal.name}: {report.refusal.reason}"

@@ -84,8 +84,8 @@ def compare(stored: Results, now: Results) -> Comparison:
     for where in (*{**one, **other}, *common):
         values = [each.get(where) for each in ((cells, others) if where in cells else (one, other))]
         if values[0] != values[1]:
-            kind = comparison.circumstances if _CIRCUMSTANCES & {*where} else comparison.differences
-            kind.append(Difference(": ".join(where), *map(str, values)))
+            differences = comparison.circumstances if _CIRCUMSTANCES & {*where} else comparison.differences
+            differences.append(Difference(": ".join(where), *map(str, values)))
     return comparison
 
 

@@ -157,8 +157,8 @@ class Results:
     def groups(self) -> Groups:
         """The scenarios of each stratum that has some, as indices by its name; by "" where there are no strata."""
         suite = get_suite(self.suite)
-        own = np.array([suite.stratum(seed) for seed in self.seeds])
-        return {name: np.flatnonzero(own == name) for name in suite.strata or ("",) if name in own}
+        strata = np.array([suite.stratum(seed) for seed in self.seeds])
+        return {name: np.flatnonzero(strata == name) for name in suite.strata or ("",) if name in strata}
 
     @property
     def _cap(self) -> float | None:
@@ -292,10 +292,10 @@ def _frequency_sentence(results: Results) -> str:
     if learned is not None:
         who[learned.name] = f"`{learned.name}`, the best learned entry"
     deviations = {row.name: row.median_deviation_mhz for row in rows}
-    said = [f"{deviations[name]:.0f} mHz with {words}" for name, words in who.items()]
+    parts = [f"{deviations[name]:.0f} mHz with {words}" for name, words in who.items()]
     return (
         f"Median over {len(results.seeds)} {results.split} scenarios of the largest deviation of the frequency: "
-        f"{', '.join(said)}."
+        f"{', '.join(parts)}."
     )
 
 
@@ -334,11 +334,11 @@ def _require_form(where: str, data: Any, form: Mapping[str, Any]) -> None:
     """Raise a ValueError that names a key which is missing, or a value of another type."""
     if not isinstance(data, dict):
         raise ValueError(f"{where} must be an object, got {type(data).__name__}")
-    for key, kind in form.items():
+    for key, expected in form.items():
         if key not in data:
             raise ValueError(f"{where} misses the key {key!r}")
-        if not isinstance(data[key], kind) or isinstance(data[key], bool):
-            name = getattr(kind, "__name__", str(kind))
+        if not isinstance(data[key], expected) or isinstance(data[key], bool):
+            name = getattr(expected, "__name__", str(expected))
             raise ValueError(f"{key} of {where} must be {name}, got {data[key]!r:.80}")
 
 

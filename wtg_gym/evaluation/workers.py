@@ -111,10 +111,10 @@ class Workers:
 
 def _work(play: Play, parcel: bytes, seeds: list[int], wanted: dict[str, str]) -> Played | str:
     """Play a batch in a worker, or say why not: where the circumstances are others than those wanted, too."""
-    worker, own = f"worker {socket.gethostname()}:{os.getpid()}", circumstances()
-    differing = [key for key in sorted({*wanted, *own}) if wanted.get(key) != own.get(key)]
+    worker, here = f"worker {socket.gethostname()}:{os.getpid()}", circumstances()
+    differing = [key for key in sorted({*wanted, *here}) if wanted.get(key) != here.get(key)]
     if differing:
-        listed = "; ".join(f"{key} is {own.get(key, 'unknown')}, here {wanted.get(key)}" for key in differing)
+        listed = "; ".join(f"{key} is {here.get(key, 'unknown')}, here {wanted.get(key)}" for key in differing)
         return f"{worker} could give other numbers: {listed}"
     try:
         entry, settings = cloudpickle.loads(parcel)
@@ -163,7 +163,7 @@ def _submitter(backend: str, address: str | None, jobs: int) -> Iterator[Callabl
             import ray
 
             os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
-            own = {"num_cpus": jobs, "include_dashboard": False} if address is None else {}
-            ray.init(address or "local", logging_level="ERROR", log_to_driver=False, **own)
+            local = {"num_cpus": jobs, "include_dashboard": False} if address is None else {}
+            ray.init(address or "local", logging_level="ERROR", log_to_driver=False, **local)
             stack.callback(ray.shutdown)
             yield lambda work, *arguments: ray.remote(num_cpus=1)(work).remote(*arguments).future()

@@ -125,12 +125,12 @@ def new_figure(width_mm: float = SINGLE_COLUMN_MM, height_mm: float = 65.0) -> F
 
 def figure_bytes(figure: Figure, suffix: str) -> bytes:
     """Return a figure as a file, the same bytes on each run; a ValueError if the suffix is none of png, svg, pdf."""
-    kind = suffix.lower().removeprefix(".")
-    if kind not in _METADATA:
+    ending = suffix.lower().removeprefix(".")
+    if ending not in _METADATA:
         raise ValueError(f"a figure is written as {', '.join(_METADATA)}, got {suffix!r}")
     picture = io.BytesIO()
     with print_style():
-        figure.savefig(picture, format=kind, dpi=PRINT_DPI, metadata=_METADATA[kind])
+        figure.savefig(picture, format=ending, dpi=PRINT_DPI, metadata=_METADATA[ending])
     return picture.getvalue()
 
 

@@ -139,12 +139,12 @@ class Entry:
 
     def to_dict(self) -> dict[str, Any]:
         """Return the entry as JSON-ready data: "sha256" is the :attr:`identity`, "policy_sha256" that of the file."""
-        own = getattr(self.policy, "sha256", None)
+        file_hash = getattr(self.policy, "sha256", None)
         return {
             **{key: getattr(self, key) for key in ("name", "training_seed", *_OF_A_ROW)},
             "strategy": self.law.to_dict(),
             "sha256": self.identity,
-            "policy_sha256": own if isinstance(own, str) else None,
+            "policy_sha256": file_hash if isinstance(file_hash, str) else None,
         }
 
 
@@ -176,8 +176,8 @@ def learned_in(policy: Any) -> dict[str, Any]:
         return {}
     if not isinstance(settings, EnvSettings):
         return {}
-    given = settings.strategy
-    laws = [get_law(each) for each in ([given] if isinstance(given, (str, Path, TrackingLaw)) else given)]
+    strategy = settings.strategy
+    laws = [get_law(each) for each in ([strategy] if isinstance(strategy, (str, Path, TrackingLaw)) else strategy)]
     law = laws[0] if all(each == laws[0] for each in laws) else ", ".join(each.name for each in laws)
     return {"strategy": law, "action_mode": settings.action_mode, "observation_mode": settings.observation_mode}
 

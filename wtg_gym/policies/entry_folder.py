@@ -193,8 +193,8 @@ def read_files(folder: Path) -> dict[str, bytes]:
     if folder.is_symlink() or not folder.is_dir():
         raise ValueError("it is not a folder, or a link to one")
     names = []
-    with os.scandir(folder) as found:
-        for item in found:
+    with os.scandir(folder) as items:
+        for item in items:
             names.append(item.name)
             if item.name not in FILES:
                 raise ValueError(f"it holds {ascii(item.name)[:80]}; allowed are {', '.join(FILES)} and nothing else")
@@ -320,14 +320,14 @@ def _entry_of(module: ModuleType, attribute: str, spec: str) -> Entry:
     if not hasattr(module, attribute):
         names = ", ".join(sorted(name for name in vars(module) if not name.startswith("_")))
         raise ValueError(f"entry {spec!r}: module {module.__name__!r} has no {attribute!r}; it has {names}")
-    found = getattr(module, attribute)
-    if callable(found) and not is_policy(found):
-        found = found()
-    if isinstance(found, Entry):
-        return found
-    if is_policy(found):
-        return Entry(name=attribute, policy=found)
+    value = getattr(module, attribute)
+    if callable(value) and not is_policy(value):
+        value = value()
+    if isinstance(value, Entry):
+        return value
+    if is_policy(value):
+        return Entry(name=attribute, policy=value)
     raise ValueError(
         f"entry {spec!r} must be an Entry, an object with predict(), or a callable that returns one, "
-        f"got {type(found).__name__}"
+        f"got {type(value).__name__}"
     )

@@ -161,8 +161,8 @@ def check_submission(folder: Path, *, weak: bool = False) -> Report:
 
 def _holds(folder: Path, files: Mapping[str, bytes]) -> bool:
     """Return whether a folder holds the same entry and policy."""
-    own = ((folder / name, files[name]) for name in (ENTRY_FILE, POLICY_FILE))
-    return all(path.is_file() and path.read_bytes() == content for path, content in own)
+    contents = ((folder / name, files[name]) for name in (ENTRY_FILE, POLICY_FILE))
+    return all(path.is_file() and path.read_bytes() == content for path, content in contents)
 
 
 def _check_not_found(what: str, name: str, folders: Sequence[Path]) -> None:
@@ -246,15 +246,15 @@ def conflicts(reports: Sequence[Report], beside: Sequence[Report] = ()) -> list[
 
     Conflicts among those `beside`, and among folders that come with the package, are not looked for.
     """
-    found = []
+    conflicts_found = []
     for one, other in itertools.combinations(reports, 2):
         if reason := _why_not_both(one, other, taken=False):
-            found.append(Conflict((one.folder, other.folder), reason))
+            conflicts_found.append(Conflict((one.folder, other.folder), reason))
     for new in reports:
         # One reason is enough, however many seeds have the name.
         if reason := next(filter(None, (_why_not_both(new, old, taken=True) for old in beside)), ""):
-            found.append(Conflict((new.folder,), reason))
-    return found
+            conflicts_found.append(Conflict((new.folder,), reason))
+    return conflicts_found
 
 
 def _why_not_both(one: Report, other: Report, *, taken: bool) -> str:

@@ -121,17 +121,17 @@ def _model_class() -> Any:
     from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
 
     field = descriptor_pb2.FieldDescriptorProto
-    scalars = {kind: getattr(field, f"TYPE_{kind.upper()}") for kind in ("bytes", "float", "int32", "int64")}
+    scalars = {typed: getattr(field, f"TYPE_{typed.upper()}") for typed in ("bytes", "float", "int32", "int64")}
     file = descriptor_pb2.FileDescriptorProto(name="policy", package="policy")
     for name, fields in _MESSAGES.items():
         message = file.message_type.add(name=name)
         for text in fields.split(","):
-            label, number, kind = text.split()
+            label, number, typed = text.split()
             repeats = field.LABEL_REPEATED if label.endswith("*") else field.LABEL_OPTIONAL
             added = message.field.add(name=label.rstrip("*"), number=int(number), label=repeats)
-            added.type = scalars.get(kind, field.TYPE_MESSAGE)
-            if kind not in scalars:
-                added.type_name = f".policy.{kind}"
+            added.type = scalars.get(typed, field.TYPE_MESSAGE)
+            if typed not in scalars:
+                added.type_name = f".policy.{typed}"
     pool = descriptor_pool.DescriptorPool()
     pool.Add(file)
     return message_factory.GetMessageClass(pool.FindMessageTypeByName("policy.Model"))
@@ -339,8 +339,8 @@ def lock(source: int, sink: int) -> str:
     if machine not in _MACHINES or sys.maxsize < 2**32:
         return f"no filter of system calls: there is none for {machine}"
     column = list(_MACHINES).index(machine)
-    kind, seccomp = _MACHINES[machine]
-    lines = _filter(kind, column, source, sink)
+    machine_id, seccomp = _MACHINES[machine]
+    lines = _filter(machine_id, column, source, sink)
     instructions = (_Instruction * len(lines))(*(_Instruction(*line) for line in lines))
     program = _Program(len(lines), instructions)
     libc = ctypes.CDLL(None, use_errno=True)
@@ -352,9 +352,9 @@ def lock(source: int, sink: int) -> str:
     return ""
 
 
-def _filter(kind: int, column: int, source: int, sink: int) -> list[tuple[int, int, int, int]]:
+def _filter(machine_id: int, column: int, source: int, sink: int) -> list[tuple[int, int, int, int]]:
     """Return the filter as instructions (code, lines to skip if true, if false, value)."""
-    lines = [(_LOAD, 0, 0, _MACHINE), (_EQUAL, 1, 0, kind), (_RETURN, 0, 0, _KILL), (_LOAD, 0, 0, _NUMBER)]
+    lines = [(_LOAD, 0, 0, _MACHINE), (_EQUAL, 1, 0, machine_id), (_RETURN, 0, 0, _KILL), (_LOAD, 0, 0, _NUMBER)]
     # Memory only, never a file seen as memory.
     for numbers, argument, test, value in (
         (_READ, _FIRST, _EQUAL, source),

@@ -28,10 +28,10 @@ def started_lanes(
 
     Yields the lanes and their scenarios. A scenario without an equilibrium under the law is a PolicyError.
     """
-    own = dataclasses.replace(
+    entry_settings = dataclasses.replace(
         settings, strategy=entry.law, action_mode=entry.action_mode, observation_mode=entry.observation_mode
     )
-    lanes = TaskLanes(own, len(given), n_threads)
+    lanes = TaskLanes(entry_settings, len(given), n_threads)
     try:
         scenarios: Any = given if isinstance(given[0], Scenario) else lanes.scenarios(cast(Sequence[int], given))
         try:
@@ -82,8 +82,8 @@ def _answer(
     except NotIsolatedError:
         raise
     except (Exception, SystemExit) as error:
-        said = str(error) if isinstance(error, PolicyError) else f"predict() raised {_described(error)}"
-        raise PolicyError(f"entry {entry.label!r}, step {step}: {said}") from error
+        reason = str(error) if isinstance(error, PolicyError) else f"predict() raised {_described(error)}"
+        raise PolicyError(f"entry {entry.label!r}, step {step}: {reason}") from error
     if not isinstance(answer, tuple) or len(answer) != 2:
         raise _complaint(entry, step, "predict() must return (actions, state)", type(answer).__name__)
     try:
@@ -111,5 +111,5 @@ def _complaint(entry: Entry, step: int, wanted: str, got: str) -> PolicyError:
 def _described(error: BaseException) -> str:
     """Return an exception on one line, with the place in the code that raised it."""
     place = traceback.extract_tb(error.__traceback__)[-1]
-    said = printable(" ".join(str(error).split())[:200])
-    return f"{type(error).__name__}: {said} ({Path(place.filename).name}:{place.lineno})"
+    message = printable(" ".join(str(error).split())[:200])
+    return f"{type(error).__name__}: {message} ({Path(place.filename).name}:{place.lineno})"
