@@ -18,13 +18,7 @@ Value = TypeVar("Value")
 
 
 class ByName(dict[str, Value]):
-    """A dictionary whose KeyError lists the keys that there are.
-
-    Args:
-        kind: the noun for a key, in the error.
-        values: by name.
-        missing: why a name has no value, for the names of which that is known.
-    """
+    """A dictionary of a `kind` of things by name, whose KeyError lists the names, or says why one is `missing`."""
 
     def __init__(self, kind: str, values: Mapping[str, Value], missing: Mapping[str, str] | None = None) -> None:
         super().__init__(values)
@@ -95,9 +89,9 @@ def require_memory(what: str, n_bytes: int) -> None:
             raise ValueError(f"{what} need {n_bytes / 2**30:.3g} GiB of memory; this machine has {memory / 2**30:.3g}")
 
 
-def require_known(what: str, given: Iterable[Any], known: Collection[str]) -> None:
+def require_known(what: str, names: Iterable[Any], known: Collection[str]) -> None:
     """Raise a ValueError that names what is given and not known, and what is known."""
-    if unknown := sorted(map(str, set(given) - set(known))):
+    if unknown := sorted(map(str, set(names) - set(known))):
         raise ValueError(f"unknown {what} {unknown}; known {what}: {', '.join(known)}{did_you_mean(unknown[0], known)}")
 
 
@@ -116,11 +110,7 @@ def require_bus(name: str, bus: Any) -> int:
 
 
 def whole_steps(name: str, interval: float, step: float, step_name: str) -> int:
-    """Return how many steps make up an interval [s].
-
-    Raises:
-        ValueError: it is not a whole number of steps (within a rounding of 1e-6 steps); the message names both.
-    """
+    """Return how many steps make up an interval [s]; a ValueError if that is no whole number to 1e-6 steps."""
     count = round(interval / step)
     if abs(count * step - interval) > 1e-6 * step:
         raise ValueError(f"{name} = {interval:g} s is not a whole number of {step_name}s of {step:g} s")

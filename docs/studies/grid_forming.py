@@ -14,7 +14,7 @@ from output import folder
 from wtg_gym.evaluation.grid_tests import GRID_TESTS, SOURCES, run_grid_test
 from wtg_gym.files import markdown_table, update_between_markers
 from wtg_gym.plotting import save_figure, style
-from wtg_gym.policies.load import load_entries
+from wtg_gym.policies.entry_folder import load_entries
 
 LAWS = ("mppt", "deloaded-5", "deloaded-10", "coordinated-linear", "coordinated-undamped", "coordinated-piecewise")
 TUNED = (

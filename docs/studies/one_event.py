@@ -27,7 +27,7 @@ from wtg_gym.physics.layout import Floats
 from wtg_gym.physics.plant import Plant
 from wtg_gym.physics.scenario import Scenario
 from wtg_gym.plotting import save_figure, style
-from wtg_gym.plotting.event_marks import explain_events, mark_end, mark_instants
+from wtg_gym.plotting.trajectories import explain_events, mark_end, mark_instants
 from wtg_gym.policies.play import play, started_lanes
 from wtg_gym.scenarios import get_suite
 

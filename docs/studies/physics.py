@@ -18,7 +18,7 @@ from wtg_gym.physics.protection import Status
 from wtg_gym.physics.simulator import Simulator
 from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY, group_laws
 from wtg_gym.plotting import style
-from wtg_gym.plotting.event_marks import mark_end, mark_instants
+from wtg_gym.plotting.trajectories import mark_end, mark_instants
 from wtg_gym.scenarios import get_suite
 
 STRATEGIES = (REFERENCE_STRATEGY, "mppt", "deloaded-5", "deloaded-10")  # the reference first
