@@ -59,11 +59,6 @@ page-picture: page ## Take the picture of docs/leaderboard.html that docs/usage.
 	$(CHROMIUM) --headless $(if $(filter 0,$(shell id -u)),--no-sandbox) --hide-scrollbars --window-size=1760,1330 \
 	    --virtual-time-budget=20000 --screenshot=$(CURDIR)/docs/images/leaderboard-page.png file://$(CURDIR)/docs/leaderboard.html
 
-.PHONY: live-picture
-live-picture: $(TEST_READY) ## Take the picture of the page of play that docs/howto/play.md shows; needs Chromium
-	$(TEST_VENV)/bin/python .ci/install.py --quiet --editable '.[browser]'
-	$(TEST_VENV)/bin/python docs/images/live.py docs/images/live-play.png
-
 # Those that take minutes; other targets run most of the others.
 STUDIES := grid_forming physics validation small_signal reference one_event
 
@@ -74,7 +69,6 @@ studies: $(TEST_READY) ## Run the studies of docs/studies and renew their tables
 .PHONY: pictures
 pictures: $(LEADERBOARD_READY) studies ## Draw every picture of the README and of docs/ but the page's, and renew the tables beside them
 	$(LEADERBOARD_VENV)/bin/wtg-gym simulate --strategy mppt deloaded-5 deloaded-10 coordinated-piecewise --plot docs/images/load-increase.png
-	$(LEADERBOARD_VENV)/bin/python docs/images/rooms.py docs/images/rooms.svg
 	$(LEADERBOARD_VENV)/bin/python docs/images/render.py docs/images/render.png docs/images/render-v1.png
 
 .PHONY: site
@@ -90,7 +84,6 @@ notebooks: $(NOTEBOOKS_READY) ## Run every notebook from the built wheel and kee
 
 .PHONY: performance
 performance: $(TEST_READY) ## Measure speed again; on a machine that does nothing else (ten minutes)
-	$(TEST_VENV)/bin/python docs/studies/first_step.py
 	$(TEST_VENV)/bin/python docs/studies/performance.py
 
 .PHONY: golden
@@ -129,7 +122,7 @@ COMPILE = $(TEST_VENV)/bin/uv pip compile --quiet --universal --python-version 3
 
 .PHONY: pins
 pins: $(TEST_READY) ## Pin new dependencies of pyproject.toml, with hashes; UPGRADE=--upgrade pins the newest of all
-	$(COMPILE) pyproject.toml --group release --extra browser --extra dev --extra docs --extra golden --extra notebooks --output-file constraints.txt
+	$(COMPILE) pyproject.toml --group release --extra dev --extra docs --extra golden --extra notebooks --output-file constraints.txt
 	echo uv | $(COMPILE) - --output-file .ci/uv.txt
 
 .PHONY: format

@@ -22,8 +22,8 @@ import torch
 from cyclopts import Parameter
 from torch import Tensor, nn
 
-from agents.command import RunOptions, Whole, begin_or_go_on, run_command
-from agents.run import Run, RunSettings, draw, loading, train_in_rounds
+from agents import run as runs
+from agents.run import Run, RunOptions, RunSettings, Whole
 from wtg_gym.envs import EnvSettings
 from wtg_gym.envs.lanes import TaskLanes
 from wtg_gym.physics.scenario import Scenario
@@ -111,9 +111,9 @@ class GroupPolicy(nn.Module):
 
     def forward(self, observations: Tensor, *states: Tensor) -> tuple[Tensor, ...]:
         """Return the actions (n_lanes, n_action) and the next states; zeros are given before the first step."""
-        given = states or [observations.new_zeros(len(observations), width) for width in self.state_widths]
-        found = self.act(self.weights[None], observations[None], *(each[None] for each in given))
-        return tuple(each[0] for each in found)
+        before = states or [observations.new_zeros(len(observations), width) for width in self.state_widths]
+        answer = self.act(self.weights[None], observations[None], *(each[None] for each in before))
+        return tuple(each[0] for each in answer)
 
     def act(self, weights: Tensor, observations: Tensor, *states: Tensor) -> tuple[Tensor, ...]:
         """Return the actions of candidates (n, n_lanes, n_action), and the next states.
@@ -125,15 +125,15 @@ class GroupPolicy(nn.Module):
         """
         # The number of lanes stands nowhere: in an exported graph, what depends on it takes longer than all else.
         n, n_wtg = len(weights), self._n_wtg
-        own = observations.reshape(n, -1, n_wtg, self._n_own)
-        parts, following = [own], list[Tensor]()
+        observed = observations.reshape(n, -1, n_wtg, self._n_own)
+        parts, following = [observed], list[Tensor]()
         if states:
             slow, started = states
-            now = own[..., list(SLOW_COLUMNS)]
+            now = observed[..., list(SLOW_COLUMNS)]
             before = torch.where(started[..., None] > 0.5, slow.reshape(n, -1, n_wtg, len(SLOW_COLUMNS)), now)
             copies = before + self._filters * (now - before)
-            low = torch.clamp(own[..., _LOW_COLUMNS] - self._low, max=0.0)
-            frequency = own[..., :1]
+            low = torch.clamp(observed[..., _LOW_COLUMNS] - self._low, max=0.0)
+            frequency = observed[..., :1]
             parts += [copies, low, frequency.mean(dim=2, keepdim=True) + 0.0 * frequency]
             following = [copies.reshape(n, -1, self.state_widths[0]), 0.0 * started + 1.0]
         (a, b), (_, n_action) = self._shapes
@@ -174,15 +174,12 @@ class Population:
         largest_hz = np.maximum(lanes.nominal_hz - lowest, highest - lanes.nominal_hz)
         bad = np.where(lanes.statuses() != 0, 1.0, np.interp(largest_hz, SOFT_HZ, (0.0, 1.0))).reshape(self._shape)
         paid = (np.log(costs + offsets) + self._h.mean_weight * costs / offsets) / (lanes.suite.task.scale or 1.0)
-        found: Floats = paid.mean(axis=1) + self._h.mark_weight * bad.mean(axis=1)
-        return found
+        values: Floats = paid.mean(axis=1) + self._h.mark_weight * bad.mean(axis=1)
+        return values
 
 
 class Search:
-    """CMA-ES (N. Hansen, "The CMA evolution strategy: a tutorial", 2016) that draws from a generator of its own.
-
-    By itself cma draws from numpy's one generator for everybody: searches would depend on those beside them.
-    """
+    """CMA-ES that draws from a generator of its own: cma's is numpy's one for everybody."""
 
     def __init__(
         self, start: Floats, spread: float, population: int, *seed: int, bounds: Sequence[Sequence[float]] | None = None
@@ -254,7 +251,7 @@ class EvolutionLearner:
 
     def load(self, folder: Path) -> None:
         """Go back to what :meth:`save` wrote; a ValueError names a folder that is damaged."""
-        with loading(folder) as folder:
+        with runs.loading(folder) as folder:
             self.weights, self.average, self.places, self.search = pickle.loads((folder / _STATE).read_bytes())
             self.policy.weights.copy_(torch.from_numpy(self.average))
 
@@ -277,24 +274,24 @@ def train(run: Run) -> None:
         if index == round(h.first_share * n_generations) and h.hidden:
             learner.begin(np.arange(policy.n_parameters), h.spread)
         candidates = learner.ask()
-        scenarios = draw(lanes, np.random.default_rng((settings.seed, index)), settings.n_envs)
+        scenarios = runs.draw(lanes, np.random.default_rng((settings.seed, index)), settings.n_envs)
         objectives = population.objectives(policy, candidates, scenarios)
         learner.tell(candidates, objectives)
         return float(objectives.mean())
 
-    train_in_rounds(run, learner, population.n_steps * settings.n_envs * h.population, learn)
+    runs.train_in_rounds(run, learner, population.n_steps * settings.n_envs * h.population, learn)
 
 
 def command(*, options: RunOptions = RunOptions(), h: Hyperparameters = Hyperparameters()) -> None:
     """Train a small policy by evolution, on what the score pays."""
-    begin_or_go_on(
+    runs.begin_or_go_on(
         options, (NAME,), lambda: options.settings(NAME, asdict(h), timesteps=_TIMESTEPS, n_envs=_N_ENVS), train
     )
 
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command and return its exit code."""
-    return run_command(command, "agents.evolution", argv, "go on with --resume")
+    return runs.run_command(command, "agents.evolution", argv, "go on with --resume")
 
 
 if __name__ == "__main__":

@@ -9,8 +9,7 @@ from typing import Annotated
 
 from cyclopts import Parameter
 
-from agents.command import note, run_command
-from agents.run import BEST, Run, folders
+from agents.run import BEST, Run, folders, note, run_command
 from wtg_gym.files import read_bytes, write_together
 from wtg_gym.policies.entry_folder import ENTRY_FILE, POLICY_FILE, entry_text, load_entry_folder
 
@@ -20,8 +19,7 @@ def export(
 ) -> None:
     """Write the best policy of a run into a new folder: policy.onnx and entry.toml.
 
-    Without a name it is one made of algorithm and action mode. A ValueError says that the folder is there already, that
-    there is no policy, or that the leaderboard would refuse the name.
+    Without a name it is one made of algorithm and action mode. A ValueError says what cannot be read or written.
     """
     if output.exists():
         raise ValueError(f"{output} is there already; give a new folder")

@@ -1,7 +1,7 @@
 """`python -m agents.gradient`: trains a policy by back-propagation through whole episodes of the environment itself.
 
 The gradients are those of wtg_gym.gradients. Nothing is explored and no value function is learned: Adam lowers what the
-score pays, the mean over training scenarios of ln(J + J0), in units of Λ where it is a number, and if you like the mean
+score pays, the mean over training scenarios of ln(J + J0), in every stratum in units of its Λ, and if you like the mean
 cost besides, which the worst scenarios decide. Failures by slow rotors or low frequency are steps without a gradient:
 in the loss they come gradually.
 """
@@ -21,8 +21,8 @@ import torch
 from cyclopts import Parameter
 from torch import Tensor, nn
 
-from agents.command import RunOptions, Whole, begin_or_go_on, run_command
-from agents.run import Run, RunSettings, draw, loading, train_in_rounds
+from agents import run as runs
+from agents.run import Run, RunOptions, RunSettings, Whole
 from wtg_gym.envs import EnvSettings
 from wtg_gym.evaluation.score import pinned_cost
 from wtg_gym.gradients.torch import TorchEpisodes
@@ -72,11 +72,10 @@ class Hyperparameters:
         for width in self.hidden:
             require_whole("a width of hidden", width, 1, 10_000)
         require_whole("lstm", self.lstm, 0, 10_000)
-        first, second = self.betas
         ranges = {"learning_rate": 10.0, "last_rate": 1.0, "max_grad_norm": 1e6, "mean_weight": 100.0}
         for name, most in ranges.items():
             require_range(name, getattr(self, name), 0.0, most, "")
-        for beta in (first, second):
+        for beta in self.betas:
             require_range("a beta", beta, 0.0, 1.0, "")
 
 
@@ -104,8 +103,8 @@ class GradientPolicy(nn.Module):
         """Return the actions (n_lanes, n_action) and the next states; none are given before the first step."""
         if self.lstm is None:
             return (self.layers(observations),)
-        given = tuple(each[None] for each in states) or None
-        (seen,), (hidden, cell) = self.lstm(observations[None], given)
+        before = tuple(each[None] for each in states) or None
+        (seen,), (hidden, cell) = self.lstm(observations[None], before)
         return self.layers(seen), hidden[0], cell[0]
 
 
@@ -167,8 +166,8 @@ def costs_of(
     served, strays = torch.ones(len(scenarios), dtype=torch.bool), torch.zeros(len(scenarios))
     n_rows = len(scenarios) * (episodes.tape.lanes.n_wtg if policy.per_group else 1)
     for _ in range(n_steps):
-        given, *states = policy(observations.reshape(n_rows, -1), *states)
-        actions = given.reshape(len(scenarios), -1)
+        answer, *states = policy(observations.reshape(n_rows, -1), *states)
+        actions = answer.reshape(len(scenarios), -1)
         actions.register_hook(lambda gradient: gradient.clamp(-most, most))
         observations, terms = episodes.step(actions)
         strays = strays + torch.where(served, 0.0, actions.square().mean(dim=1)) / n_steps
@@ -201,7 +200,7 @@ def descend(policy: nn.Module, optimizer: torch.optim.Optimizer, loss: Tensor, h
 
 
 class GradientLearner:
-    """A policy and its optimiser, for :func:`agents.training.train_in_rounds`."""
+    """A policy and its optimiser, for :func:`agents.run.train_in_rounds`."""
 
     def __init__(self, policy: GradientPolicy, h: Hyperparameters) -> None:
         self.policy = policy
@@ -217,7 +216,7 @@ class GradientLearner:
 
     def load(self, folder: Path) -> None:
         """Go back to what :meth:`save` wrote; a ValueError names a folder that is damaged."""
-        with loading(folder) as folder:
+        with runs.loading(folder) as folder:
             state = torch.load(folder / _STATE, weights_only=True)
             self.policy.load_state_dict(state["policy"])
             self.optimizer.load_state_dict(state["optimizer"])
@@ -238,29 +237,28 @@ def train(run: Run) -> None:
     policy = GradientPolicy(lanes.n_observation // n_parts, lanes.n_action // n_parts, h.hidden, h.lstm)
     policy.per_group = h.per_group
     learner = GradientLearner(policy, h)
-    optimizer = learner.optimizer
     n_steps = round(lanes.duration_s / lanes.settings.step_s)
 
     def learn(index: int, n_batches: int) -> float:
         fallen = 0.5 + 0.5 * math.cos(math.pi * index / n_batches)
-        optimizer.param_groups[0]["lr"] = h.learning_rate * (h.last_rate + (1.0 - h.last_rate) * fallen)
-        scenarios = draw(lanes, np.random.default_rng((settings.seed, index)), settings.n_envs)
+        learner.optimizer.param_groups[0]["lr"] = h.learning_rate * (h.last_rate + (1.0 - h.last_rate) * fallen)
+        scenarios = runs.draw(lanes, np.random.default_rng((settings.seed, index)), settings.n_envs)
         costs, strays = costs_of(episodes, policy, scenarios, n_steps, failures)
-        return descend(policy, optimizer, loss_of(costs, scenarios) + STRAY_WEIGHT * strays.mean(), h)
+        return descend(policy, learner.optimizer, loss_of(costs, scenarios) + STRAY_WEIGHT * strays.mean(), h)
 
-    train_in_rounds(run, learner, n_steps * settings.n_envs, learn)
+    runs.train_in_rounds(run, learner, n_steps * settings.n_envs, learn)
 
 
 def command(*, options: RunOptions = RunOptions(), h: Hyperparameters = Hyperparameters()) -> None:
     """Train a policy by back-propagation through whole episodes of the environment itself."""
-    begin_or_go_on(
+    runs.begin_or_go_on(
         options, (NAME,), lambda: options.settings(NAME, asdict(h), timesteps=_TIMESTEPS, n_envs=_N_ENVS), train
     )
 
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command and return its exit code."""
-    return run_command(command, "agents.gradient", argv, "go on with --resume")
+    return runs.run_command(command, "agents.gradient", argv, "go on with --resume")
 
 
 if __name__ == "__main__":

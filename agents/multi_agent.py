@@ -1,10 +1,8 @@
 """Independent PPO with shared parameters, "ippo" of `agents.train`: an agent per WTG group, one policy for all of them.
 
-De Witt et al., "Is Independent Learning All You Need in the StarCraft Multi-Agent Challenge?", 2020. Stable-Baselines3
-knows single agents alone: here every agent is a lane of its own.
-
-An agent sees what its group measures, its last action, and its size: every group's duty counts alike in the cost, but a
-large one moves the frequency by more, so that one policy for all must tell them apart.
+De Witt et al., "Is Independent Learning All You Need in the StarCraft Multi-Agent Challenge?", 2020. Every agent is a
+lane of its own for Stable-Baselines3, which knows single agents alone. It sees what its group measures, its last
+action, and its size: every group's duty counts alike in the cost, but a large one moves the frequency by more.
 """
 
 from __future__ import annotations
@@ -88,11 +86,9 @@ class AgentVecEnv(VecEnvWrapper):
 
 
 class SharedPolicy(nn.Module):
-    """The joint policy of agents with shared parameters, for any number of them.
+    """The joint policy of agents with shared parameters, for any number of them, in an environment with `settings`.
 
-    Args:
-        agent: takes the observations of agents (n, width) and returns a tuple that begins with their actions.
-        settings: of the environment whose groups act.
+    `agent` takes observations of agents (n, width) and returns a tuple that begins with their actions.
     """
 
     def __init__(self, agent: nn.Module, settings: EnvSettings) -> None:
@@ -106,6 +102,6 @@ class SharedPolicy(nn.Module):
         """Return the joint actions (batch, n_action) for the joint local observations (batch, n_observation)."""
         sizes: Any = self._sizes
         measured = observation.reshape(observation.shape[0], sizes.shape[0], -1)
-        own = torch.cat([measured, sizes.expand(observation.shape[0], -1, -1)], dim=2)
-        actions: Tensor = self._agent(own.flatten(0, 1))[0]
+        of_agents = torch.cat([measured, sizes.expand(observation.shape[0], -1, -1)], dim=2)
+        actions: Tensor = self._agent(of_agents.flatten(0, 1))[0]
         return actions.reshape(-1, self._n_action)

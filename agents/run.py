@@ -1,4 +1,4 @@
-"""A training run: its settings, its folder, its validations.
+"""A training run: its settings and options, its folder, its validations, and the command that begins it or goes on.
 
 A run's folder holds run.json (settings, provenance, curve), checkpoints/, from which it goes on after an interruption
 of any kind, and best/, the policy with the best validation score as an entry that `wtg-gym evaluate` plays.
@@ -15,13 +15,14 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Container, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, Protocol, TypeVar
+from typing import Annotated, Any, Literal, Protocol, TypeVar
 
 import numpy as np
+from cyclopts import App, CycloptsError, Parameter, Token
 from filelock import FileLock, Timeout
 from torch import nn
 
@@ -29,14 +30,13 @@ from wtg_gym.envs import EnvSettings
 from wtg_gym.envs.lanes import TaskLanes
 from wtg_gym.evaluation import Entry, evaluate
 from wtg_gym.evaluation.circumstances import installed
-from wtg_gym.files import interpreting, read_json, to_json, trusted_files, write_atomically
-from wtg_gym.physics.checked import Checked, design, required
+from wtg_gym.files import interpreting, one_line, read_json, to_json, trusted_files, write_atomically
 from wtg_gym.physics.scenario import Scenario
 from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY
 from wtg_gym.policies.entry_folder import ENTRY_FILE, POLICY_FILE, check_not_built_in, entry_text
 from wtg_gym.policies.torch_export import TorchPolicy, onnx_bytes
 from wtg_gym.progress import Progress
-from wtg_gym.ranges import require_range, require_whole
+from wtg_gym.ranges import Checked, design, require_range, require_whole, required
 from wtg_gym.scenarios import DEFAULT_SUITE, get_suite
 from wtg_gym.systems.compiled import source_hash
 
@@ -141,8 +141,8 @@ def held(folder: Path) -> Iterator[None]:
 def save_folder(parent: Path, timesteps: int, write: Callable[[Path], object]) -> None:
     """Write a folder that is named after a number of timesteps, then remove the older ones beside it.
 
-    The folder gets its name when it is complete, so that a complete one remains after a kill at any moment. One of the
-    same name is complete and of the same step; it is kept. Only the user can enter it.
+    It gets its name when it is complete, so that a complete one remains after a kill at any moment; only the user can
+    enter it. One of the same name is of the same step, and is kept.
     """
     target = parent / f"{timesteps:012d}"
     if not target.exists():
@@ -202,10 +202,10 @@ class Run(Checked):
             if not isinstance(process["versions"], Mapping) or not isinstance(process["started"], str):
                 raise ValueError(f"provenance must have versions and the time of the start, got {process!r:.80}")
 
-    def hyperparameters(self, kind: type[H]) -> H:
+    def hyperparameters(self, record: type[H]) -> H:
         """Return the hyperparameters as a record; a ValueError names the run's file and the one that is wrong."""
         with interpreting(self.folder / RUN_FILE, "description of the run"):
-            return kind(**self.settings.hyperparameters)
+            return record(**self.settings.hyperparameters)
 
     @classmethod
     def new(cls, folder: Path, settings: RunSettings) -> Run:
@@ -226,10 +226,6 @@ class Run(Checked):
         del data["folder"], data["_began"]
         write_atomically((folder or self.folder) / RUN_FILE, to_json(data))
 
-    def is_same(self, other: Run) -> bool:
-        """Return whether another description is of the same run: its settings, and when it was begun."""
-        return self.settings == other.settings and self.provenance["started"] == other.provenance["started"]
-
     @property
     def best(self) -> dict[str, float]:
         """The row that ranks first: in v1 with the mark, then by its score; the first one of several."""
@@ -242,19 +238,18 @@ class Run(Checked):
 
     @property
     def checkpoint(self) -> Path | None:
-        """The folder that the run goes on from, named after its timesteps; None for a new run.
-
-        Raises:
-            ValueError: the run has validations, but no checkpoint, or one of another run or step.
-        """
+        """The folder to go on from; None for a new run. A ValueError if it is gone or of another run."""
         saved = folders(self.folder / CHECKPOINTS)
-        if self.curve and not saved:
-            raise ValueError(f"{self.folder} has validations, but no checkpoint to go on from; begin anew in another")
         if not saved:
+            if self.curve:
+                raise ValueError(
+                    f"{self.folder} has validations, but no checkpoint to go on from; begin anew elsewhere"
+                )
             return None
         run = Run.read(saved[-1])
         step = run.curve[-1]["timesteps"] if run.curve else None
-        if not run.is_same(self) or step != int(saved[-1].name):
+        is_same = run.settings == self.settings and run.provenance["started"] == self.provenance["started"]
+        if not is_same or step != int(saved[-1].name):
             raise ValueError(
                 f"{saved[-1]} is a checkpoint of another run or of step {step}; begin anew in another folder"
             )
@@ -268,8 +263,7 @@ class Run(Checked):
     def begin(self, learner: Learner) -> None:
         """Write run.json before the first step, so that the run can go on whenever it is interrupted.
 
-        Raises:
-            ValueError: the policy of a new run could not be exported, which is better known now than in the end.
+        A ValueError says that the policy could not be exported, which is better known now than in the end.
         """
         if not self.curve:
             _exported(learner, self.settings)
@@ -277,11 +271,7 @@ class Run(Checked):
         self._began = time.monotonic() - (self.curve[-1]["wall_time_s"] if self.curve else 0.0)
 
     def take_stock(self, learner: Learner, timesteps: int, *, finished: bool = False) -> dict[str, float] | None:
-        """Validate, keep the best policy and write a checkpoint, if an interval has ended or the training has.
-
-        Returns:
-            the metrics of the validation; None where there was none.
-        """
+        """Validate, keep the best policy and write a checkpoint, where it is time for it; return the metrics."""
         self.finished = finished
         interval = self.settings.interval or max(1, self.settings.timesteps // 20)
         last = int(self.curve[-1]["timesteps"]) if self.curve else -interval
@@ -289,25 +279,30 @@ class Run(Checked):
             if finished:
                 self.write()
             return None
+
+        def write_checkpoint(folder: Path) -> None:
+            learner.save(folder)
+            self.write(folder)
+
+        def write_best(folder: Path) -> None:
+            (folder / POLICY_FILE).write_bytes(_exported(learner, self.settings))
+            per_group = {"per_group": True} if _per_group(learner.network(self.settings)) else {}
+            write_atomically(folder / ENTRY_FILE, entry_text({**self.settings.entry(), **per_group}))
+
         metrics = self.validate(learner, timesteps)
         # First, because one whose row is missing in run.json is validated again on resumption.
-        save_folder(self.folder / CHECKPOINTS, timesteps, lambda folder: self._write_checkpoint(folder, learner))
+        save_folder(self.folder / CHECKPOINTS, timesteps, write_checkpoint)
         if self.best is self.curve[-1]:
-            save_folder(self.folder / BEST, timesteps, lambda folder: self._write_best(folder, learner))
+            save_folder(self.folder / BEST, timesteps, write_best)
         self.write()
         return metrics
 
     def validate(self, learner: Learner, timesteps: int) -> dict[str, float]:
         """Play the validation scenarios, add a row with score and metrics to the curve, and return the metrics."""
         s, network = self.settings, learner.network(self.settings)
-        entry = Entry(
-            name="policy",
-            policy=TorchPolicy(network),
-            strategy=s.strategy,
-            action_mode=s.action_mode,
-            observation_mode=s.observation_mode,
-            per_group=_per_group(network),
-        )
+        modes: dict[str, Any] = {"action_mode": s.action_mode, "observation_mode": s.observation_mode}
+        policy, per_group = TorchPolicy(network), _per_group(network)
+        entry = Entry(name="policy", policy=policy, strategy=s.strategy, per_group=per_group, **modes)
         seeds = get_suite(s.suite).seeds("validation")[: s.validation_episodes]
         results = evaluate([entry], s.suite, "validation", seeds=seeds)
         (summary,) = (summary for summary in results.summaries if summary.name == entry.name)
@@ -326,17 +321,6 @@ class Run(Checked):
         wall_time_s = round(time.monotonic() - self._began, 2)
         self.curve.append({"timesteps": timesteps, "wall_time_s": wall_time_s, **metrics})
         return metrics
-
-    def _write_checkpoint(self, folder: Path, learner: Learner) -> None:
-        """Write the learner, and which run and step it is of."""
-        learner.save(folder)
-        self.write(folder)
-
-    def _write_best(self, folder: Path, learner: Learner) -> None:
-        """Write the policy as an entry that `wtg-gym evaluate` plays."""
-        (folder / POLICY_FILE).write_bytes(_exported(learner, self.settings))
-        per_group = {"per_group": True} if _per_group(learner.network(self.settings)) else {}
-        write_atomically(folder / ENTRY_FILE, entry_text({**self.settings.entry(), **per_group}))
 
 
 def _exported(learner: Learner, settings: RunSettings) -> bytes:
@@ -373,10 +357,7 @@ def _git_commit() -> str | None:
 
 
 def draw(lanes: TaskLanes, rng: np.random.Generator, n_scenarios: int) -> list[Scenario]:
-    """Return training scenarios.
-
-    Where there are strata, the seeds follow one another: a multiple of 15 holds as many of each stratum and kind.
-    """
+    """Return training scenarios; of strata their seeds follow one another: 15 hold as many of each stratum and kind."""
     if not lanes.suite.strata:
         return lanes.draw([rng] * n_scenarios)
     seeds = lanes.suite.train
@@ -401,3 +382,102 @@ def train_in_rounds(run: Run, learner: RoundLearner, timesteps: int, learn: Call
             value = learn(index, n_rounds)
             progress.update(f"objective {value:.3f}, {run.title}", index + 1 - first, n_rounds - first)
     run.take_stock(learner, n_rounds * timesteps, finished=True)
+
+
+# --- the command -----------------------------------------------------------------------------------------------------
+
+
+def _whole(_: Any, tokens: Sequence[Token]) -> int:
+    # Without this, 2.5 would be rounded.
+    return int(tokens[0].value)
+
+
+Whole = Annotated[int, Parameter(converter=_whole)]
+
+
+@Parameter(name="*")
+@dataclass(frozen=True, kw_only=True)
+class RunOptions:
+    """The options that every training shares; those beside the folders are of :class:`RunSettings`."""
+
+    output: Path | None = None
+    """folder of the new run"""
+    resume: Path | None = None
+    """go on with the run in this folder, with its own settings"""
+    action_mode: Literal["k", "tau", "k+tau"] = "k+tau"
+    """what the policy modulates"""
+    observation_mode: Literal["local", "privileged"] = "local"
+    """what it sees"""
+    suite: str = DEFAULT_SUITE
+    """suite to train and validate on"""
+    strategy: str = REFERENCE_STRATEGY
+    """law that the actions modulate"""
+    seed: Whole = 0
+    """seed of everything random"""
+    timesteps: Whole | None = None
+    """steps of all environments together; default: the learner's"""
+    n_envs: Whole | None = None
+    """environments side by side, or scenarios of a generation; default: the learner's"""
+    interval: Whole = 0
+    """steps between validations; 0: a 20th of all"""
+    validation_episodes: Whole = 50
+    """scenarios of a validation"""
+
+    def settings(self, algo: str, hyperparameters: Mapping[str, Any], *, timesteps: int, n_envs: int) -> RunSettings:
+        """Return the settings of a new run; `timesteps` and `n_envs` are used where no option gives them."""
+        options = {key: value for key, value in vars(self).items() if key in RunSettings.__dataclass_fields__}
+        named = {key: value for key, value in options.items() if value is not None}
+        defaults = {"timesteps": timesteps, "n_envs": n_envs}
+        return RunSettings(**{**defaults, **named, "algo": algo, "hyperparameters": hyperparameters})
+
+
+def note(text: str) -> None:
+    """Print a line that is no result: on stderr."""
+    print(text, file=sys.stderr)
+
+
+def run_command(command: Callable[..., None], name: str, argv: Sequence[str] | None, after_interrupt: str) -> int:
+    """Run the command `python -m NAME` and return its exit code: 0 fine, 2 bad input, 130 interrupted."""
+    words = sys.argv[1:] if argv is None else list(argv)
+    app = App(name=f"python -m {name}", help_format="plaintext", version_flags=(), suppress_keyboard_interrupt=False)
+    app.default(command)
+    try:
+        options = {word.partition("=")[0] for word in words if word.startswith("--")}
+        if "--resume" in options and (others := sorted(options - {"--resume"})):
+            raise ValueError(f"--resume goes on with the run's own settings; leave out {', '.join(others)}")
+        app(words, exit_on_error=False, print_error=False, result_action="return_value")
+    except (CycloptsError, ValueError, OSError) as error:
+        note(f"error: {one_line(error)}")
+        return 2
+    except KeyboardInterrupt:
+        note(f"interrupted; {after_interrupt}")
+        return 130
+    return 0
+
+
+def begin_or_go_on(
+    options: RunOptions, algos: Container[str], settings: Callable[[], RunSettings], train: Callable[[Run], None]
+) -> None:
+    """Train in the folder that the options name, which is held meanwhile, and say how it ended.
+
+    `algos` are what the command trains, and `settings` returns those of a new run. A ValueError says why the folder
+    cannot be used.
+    """
+    if options.resume is not None:
+        folder, algo = options.resume, Run.read(options.resume).settings.algo
+        if algo not in algos:
+            raise ValueError(f"{folder} is a run of {algo}: go on with it by the command that began it")
+    elif options.output is not None:
+        folder, run = options.output, Run.new(options.output, settings())
+        if (folder / RUN_FILE).exists():
+            raise ValueError(f"{folder} holds a run already; give a new folder, or --resume {folder}")
+        folder.mkdir(parents=True, exist_ok=True)
+    else:
+        raise ValueError("--output FOLDER is needed, or --resume FOLDER")
+    with held(folder):
+        if options.resume is not None:
+            # Read again, now that no other process can change it.
+            run = Run.read(folder)
+            run.go_on()
+        train(run)
+    note(f"best validation score {run.best['score']:.1f} at step {run.best['timesteps']}; wrote {folder}")

@@ -9,8 +9,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from agents.command import note, run_command
-from agents.run import BEST, Run, folders
+from agents.run import BEST, Run, folders, note, run_command
 from wtg_gym.files import (
     markdown_table,
     read_json,
@@ -30,11 +29,7 @@ _COLUMNS = ("policy", "actions on", "seeds", "steps [million]", "validation scor
 
 
 def record(run_folder: Path) -> tuple[str, dict[str, Any]]:
-    """Return the folder that holds the best policy of a run, and the record of its training.
-
-    Raises:
-        ValueError: the run has no policy yet, or it is not in agents/policies.
-    """
+    """Return the folder in agents/policies with the best policy of a run, and the record of its training."""
     run = Run.read(run_folder)
     rows = {int(row["timesteps"]): row for row in run.curve}
     for best in folders(run_folder / BEST):

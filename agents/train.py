@@ -1,29 +1,163 @@
-"""`python -m agents.train`: trains a policy with Stable-Baselines3 on the native vector environment."""
+"""`python -m agents.train`: trains a policy with Stable-Baselines3 on the native vector environment.
+
+Hyperparameters are in the yml format of RL Zoo. A checkpoint holds the learner with its optimisers, the normalisation
+and the replay buffer. It is made of pickles, which run code when they are loaded: load your own only.
+"""
 
 from __future__ import annotations
 
+import copy
 import itertools
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
+import numpy as np
 import torch
+import yaml
+from sb3_contrib import RecurrentPPO
+from stable_baselines3 import PPO, SAC
+from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.logger import configure
+from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
+from stable_baselines3.common.utils import LinearSchedule
+from stable_baselines3.common.vec_env import VecEnv, VecMonitor, VecNormalize
 
-from agents.command import RunOptions, begin_or_go_on, run_command
-from agents.learners import CONFIG_FOLDER, TRAINED, SB3Learner, load_model, new_model, read_config
-from agents.run import Run, RunSettings
+from agents.multi_agent import SharedPolicy, agent_env
+from agents.run import Run, RunOptions, RunSettings, begin_or_go_on, loading, run_command
+from wtg_gym.envs import EnvSettings
+from wtg_gym.files import interpreting, read_text, require_plain
 from wtg_gym.progress import Progress
+from wtg_gym.sb3 import DeterministicPolicy, SB3VecEnv
 from wtg_gym.scenarios import get_suite
+
+#: PPO of which one network acts for every WTG group.
+IPPO = "ippo"
+#: The algorithms by name; RL Zoo calls recurrent_ppo ppo_lstm.
+TRAINED: dict[str, type[BaseAlgorithm]] = {"ppo": PPO, "sac": SAC, "recurrent_ppo": RecurrentPPO, IPPO: PPO}
+CONFIG_FOLDER = Path(__file__).parent / "configs"
+#: A text that begins so is a schedule that falls linearly to zero.
+_LINEAR = "lin_"
+_OF_THE_RUN = ("n_timesteps", "n_envs", "normalize")
+_MODEL, _NORMALIZE, _REPLAY_BUFFER = "model.zip", "vec_normalize.pkl", "replay_buffer.pkl"
+#: Without it, a class that the learner chose for its n_steps counts as the user's choice, with a warning.
+CUSTOM_OBJECTS = {"replay_buffer_class": None}
+
+
+def read_config(path: Path, env_id: str) -> dict[str, Any]:
+    """Return the section of an environment in a yml file as it is written there; a ValueError if there is none."""
+    text = read_text(path, "hyperparameter file")
+    with interpreting(path, "hyperparameter file"):
+        try:
+            data = yaml.load(text, _Loader)
+        except yaml.YAMLError as error:
+            raise ValueError(f"it is not yml: {error}") from error
+        require_plain(data, "it", len(text), infinite=False)
+        if not isinstance(data, dict) or not isinstance(data.get(env_id), dict):
+            raise ValueError(f"it must have a section {env_id!r} with keys and values")
+    return dict(data[env_id])
+
+
+class _Loader(yaml.SafeLoader):  # type: ignore[misc]
+    """Takes a key that is given twice for a mistake; two merges could double a section's length again and again."""
+
+    def flatten_mapping(self, node: yaml.MappingNode) -> None:
+        """Put merged sections into a section, each key of which must be there once before."""
+        keys = [key.value for key, _ in node.value]
+        merged = [value for key, value in node.value if key.tag == "tag:yaml.org,2002:merge"]
+        if len(set(map(str, keys))) < len(keys) or any(isinstance(value, yaml.SequenceNode) for value in merged):
+            raise ValueError(f"a section must have each key once, and merge one other at most, got {keys}")
+        super().flatten_mapping(node)
+
+
+def algorithm_arguments(raw: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the arguments of the algorithm, `policy` among them, that a section of a file means.
+
+    Dictionaries are written as such: RL Zoo evaluates texts in the place of them, which would run any code.
+    """
+    # The algorithms write into policy_kwargs.
+    arguments = copy.deepcopy({key: value for key, value in raw.items() if key not in _OF_THE_RUN})
+    for key, value in arguments.items():
+        if isinstance(value, str) and value.startswith(_LINEAR):
+            arguments[key] = LinearSchedule(float(value.removeprefix(_LINEAR)), 0.0, 1.0)
+    return arguments
+
+
+def normalization_arguments(raw: Mapping[str, Any]) -> dict[str, Any] | None:
+    """Return the arguments of VecNormalize that a section of a file means; None for no normalisation."""
+    arguments = raw.get("normalize", False)
+    if arguments is False:
+        return None
+    # Rewards are scaled by the spread of the returns that the learner sees.
+    return {**({} if arguments is True else arguments), **({"gamma": raw["gamma"]} if "gamma" in raw else {})}
+
+
+class SB3Learner:
+    """A learner of Stable-Baselines3, for :class:`agents.run.Run`."""
+
+    def __init__(self, model: BaseAlgorithm) -> None:
+        self.model = model
+
+    def network(self, settings: RunSettings) -> torch.nn.Module:
+        """Return the deterministic policy for the environment of a run."""
+        network = DeterministicPolicy(self.model)
+        if settings.algo == IPPO:
+            return SharedPolicy(network, EnvSettings(**settings.env_arguments))
+        return network
+
+    def save(self, folder: Path) -> None:
+        """Write what training goes on from into an empty folder."""
+        self.model.save(folder / _MODEL)
+        if isinstance(self.model, OffPolicyAlgorithm):
+            self.model.save_replay_buffer(folder / _REPLAY_BUFFER)
+        if (normalize := self.model.get_vec_normalize_env()) is not None:
+            normalize.save(str(folder / _NORMALIZE))
+
+
+def _environments(settings: RunSettings) -> VecEnv:
+    """Return the environments that a run learns in, one for each agent of IPPO."""
+    if settings.algo == IPPO:
+        return VecMonitor(agent_env(settings))
+    return VecMonitor(SB3VecEnv(settings.n_envs, reward="score", **settings.env_arguments))
+
+
+def new_model(settings: RunSettings) -> BaseAlgorithm:
+    """Return an untrained learner in its environments; environment i draws its scenarios from the run's seed plus i.
+
+    A ValueError says that the algorithm refuses a hyperparameter.
+    """
+    env = _environments(settings)
+    try:
+        arguments = algorithm_arguments(settings.hyperparameters)
+        if (normalization := normalization_arguments(settings.hyperparameters)) is not None:
+            env = VecNormalize(env, **normalization)
+        return TRAINED[settings.algo](env=env, seed=settings.seed, device="cpu", **arguments)
+    # They are checked nowhere but in the algorithm, which raises errors of any kind.
+    except Exception as error:
+        env.close()
+        raise ValueError(f"{settings.algo} refuses {dict(settings.hyperparameters)}: {error}") from error
+
+
+def load_model(folder: Path, settings: RunSettings) -> BaseAlgorithm:
+    """Return the learner of a checkpoint, which begins new episodes; a ValueError if a file is missing or damaged."""
+    with loading(folder) as folder:
+        env = _environments(settings)
+        if normalization_arguments(settings.hyperparameters) is not None:
+            env = VecNormalize.load(str(folder / _NORMALIZE), env)
+        model = TRAINED[settings.algo].load(folder / _MODEL, env=env, device="cpu", custom_objects=CUSTOM_OBJECTS)
+        if isinstance(model, OffPolicyAlgorithm):
+            model.load_replay_buffer(folder / _REPLAY_BUFFER)
+        (seed,) = np.random.SeedSequence((settings.seed, model.num_timesteps)).generate_state(1) >> 1
+        model.set_random_seed(int(seed))
+    return model
 
 
 def train(run: Run) -> None:
-    """Train until the run's timesteps are done, from its last checkpoint on if there is one.
+    """Train to the end, from the last checkpoint on if there is one; all files go to the run's folder.
 
-    The curve, checkpoints, the best policy and TensorBoard's files go to the run's folder. A wrong hyperparameter, or a
-    checkpoint that is gone or damaged, is a ValueError.
+    A wrong hyperparameter, or a checkpoint that is gone or damaged, is a ValueError.
     """
     # Sums over several threads depend on which of them ends first, those that draw the first weights among them.
     torch.set_num_threads(1)

@@ -26,12 +26,7 @@ gc.disable()
 
 #: Tests that need no machine code of the usual plant: of none, of other numbers of machines, or in processes that
 #: compile for themselves.
-_WITHOUT_THE_USUAL_PLANT = (
-    "golden/",
-    "physics/test_machine_code",
-    "physics/test_components",
-    "scenarios/",
-)
+_WITHOUT_THE_USUAL_PLANT = ("golden/", "physics/test_machine_code", "scenarios/")
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:

@@ -14,8 +14,8 @@ import yaml
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from agents.learners import CONFIG_FOLDER, read_config
 from agents.run import RUN_FILE, Run, RunSettings
+from agents.train import CONFIG_FOLDER, read_config
 from tests.changes import changed, read_or_refused, write
 from wtg_gym.cli import main
 from wtg_gym.cli.simulation import read_scenario

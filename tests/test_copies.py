@@ -20,7 +20,7 @@ from wtg_gym.physics.plant import Plant
 from wtg_gym.physics.scenario import Scenario
 from wtg_gym.physics.simulator import Simulator
 from wtg_gym.physics.tracking_law import get_law
-from wtg_gym.policies.load import load_entries
+from wtg_gym.policies.entry_folder import load_entries
 from wtg_gym.sb3 import make_sb3_vec_env
 from wtg_gym.scenarios import get_suite
 from wtg_gym.tasks.cost import COST_TERMS

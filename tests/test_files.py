@@ -8,15 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from wtg_gym.files import (
-    LARGEST_BYTES,
-    interpreting,
-    read_bytes,
-    read_json,
-    read_toml,
-    update_between_markers,
-    write_together,
-)
+from wtg_gym import files
 
 REFUSED_JSON = (
     ("", "is not JSON, or was cut short"),
@@ -50,26 +42,26 @@ def test_what_nothing_can_work_with_is_refused_with_the_name_of_the_file(
     tmp_path: Path, name: str, text: str, said: str
 ) -> None:
     (tmp_path / name).write_text(text)
-    read, what = (read_json, "suite") if name.endswith("json") else (read_toml, "law file")
+    read, what = (files.read_json, "suite") if name.endswith("json") else (files.read_toml, "law file")
     with pytest.raises(ValueError, match=rf"the {what} .*{name} .*{said}"):
         read(tmp_path / name, what)
 
 
 def test_lists_and_objects_are_counted_before_any_is_made(tmp_path: Path) -> None:
     (tmp_path / "data.json").write_text("[" + "{}," * (2**17 - 1) + "0]")
-    assert len(read_json(tmp_path / "data.json", "grid")) == 2**17
+    assert len(files.read_json(tmp_path / "data.json", "grid")) == 2**17
     (tmp_path / "data.json").write_text("[" + "{}," * 2**17 + "0]")
     with pytest.raises(ValueError, match=r"the grid .*data\.json has more than 131072 lists and objects"):
-        read_json(tmp_path / "data.json", "grid")
+        files.read_json(tmp_path / "data.json", "grid")
 
 
 def test_numbers_and_sizes_up_to_the_limits_are_read_as_they_are(tmp_path: Path) -> None:
     path = tmp_path / "data"
     path.write_text("[1e308, -1e308, 5e-324, 18446744073709551615, -0.0, 0]")
-    assert read_json(path, "suite") == [1e308, -1e308, 5e-324, 2**64 - 1, 0, 0]
+    assert files.read_json(path, "suite") == [1e308, -1e308, 5e-324, 2**64 - 1, 0, 0]
     start = "a = 1 # "
-    path.write_text(start + "x" * (LARGEST_BYTES["law file"] - len(start)))
-    assert read_toml(path, "law file") == {"a": 1}
+    path.write_text(start + "x" * (files.LARGEST_BYTES["law file"] - len(start)))
+    assert files.read_toml(path, "law file") == {"a": 1}
 
 
 @pytest.fixture
@@ -86,7 +78,7 @@ def odd(tmp_path: Path) -> Path:
     return tmp_path
 
 
-@pytest.mark.parametrize("what", LARGEST_BYTES)
+@pytest.mark.parametrize("what", files.LARGEST_BYTES)
 @pytest.mark.parametrize(
     ("name", "reason"),
     [
@@ -102,7 +94,7 @@ def odd(tmp_path: Path) -> Path:
 )
 def test_what_is_no_file_or_too_large_is_named_at_once(odd: Path, what: str, name: str, reason: str) -> None:
     with pytest.raises(ValueError, match=rf"^cannot read the {what} .*{re.escape(ascii(name)[1:-1])}.*: .*{reason}"):
-        read_bytes(odd / name, what)
+        files.read_bytes(odd / name, what)
 
 
 UNEXPECTED = [
@@ -116,12 +108,15 @@ UNEXPECTED = [
 
 @pytest.mark.parametrize(("error", "said"), UNEXPECTED)
 def test_an_error_of_the_content_names_the_file_in_one_line(error: Exception, said: str) -> None:
-    with pytest.raises(ValueError, match=rf"^the grid a\\nb\.json: {said}$"), interpreting(Path("a\nb.json"), "grid"):
+    with (
+        pytest.raises(ValueError, match=rf"^the grid a\\nb\.json: {said}$"),
+        files.interpreting(Path("a\nb.json"), "grid"),
+    ):
         raise error
 
 
 def test_an_error_that_no_content_causes_stays_as_it_is() -> None:
-    with pytest.raises(AssertionError), interpreting(Path("a.json"), "grid"):
+    with pytest.raises(AssertionError), files.interpreting(Path("a.json"), "grid"):
         raise AssertionError
 
 
@@ -134,9 +129,9 @@ def test_only_what_is_between_the_markers_changes_through_links_too(tmp_path: Pa
     path.write_bytes(newline.join(["# Title ä", START, "old", "older", END, "end  "]).encode())
     path.chmod(0o640)
     link.symlink_to(path)
-    assert update_between_markers(link, "| a |\n| b |", "table")
+    assert files.update_between_markers(link, "| a |\n| b |", "table")
     assert path.read_bytes() == newline.join(["# Title ä", START, "| a |", "| b |", END, "end  "]).encode()
-    assert not update_between_markers(path, "| a |\n| b |", "table")
+    assert not files.update_between_markers(path, "| a |\n| b |", "table")
     assert link.is_symlink() and path.stat().st_mode & 0o777 == 0o640
 
 
@@ -145,7 +140,7 @@ def test_missing_markers_are_named(tmp_path: Path, text: str) -> None:
     path = tmp_path / "README.md"
     path.write_text(text)
     with pytest.raises(ValueError, match=r"README.md must have the markers <!-- table:start --> and"):
-        update_between_markers(path, "table", "table")
+        files.update_between_markers(path, "table", "table")
     assert path.read_text() == text
 
 
@@ -154,18 +149,18 @@ def test_temporary_names_do_not_follow_from_file_and_process(tmp_path: Path, mon
     real = os.replace
     monkeypatch.setattr(os, "replace", lambda one, other: [names.append(one), real(one, other)])
     for _ in range(2):
-        write_together({tmp_path / "first": "new", tmp_path / "second": "new"})
+        files.write_together({tmp_path / "first": "new", tmp_path / "second": "new"})
     assert len(set(names)) == 4 and len({path.name.rpartition(".tmp")[0][-16:] for path in names}) == 4
 
 
 @pytest.mark.parametrize("blocked", ["first", "second"])
 def test_files_that_belong_together_are_replaced_all_or_none(tmp_path: Path, blocked: str) -> None:
     first, second = tmp_path / "first", tmp_path / "second"
-    write_together({first: "old", second: b"old too"})
+    files.write_together({first: "old", second: b"old too"})
     (tmp_path / blocked).unlink()
     (tmp_path / blocked).mkdir()
     left = {path: path.is_dir() or path.read_bytes() for path in tmp_path.iterdir()}
     with pytest.raises(IsADirectoryError, match="directory") as caught:
-        write_together({first: "new", second: "new"})
+        files.write_together({first: "new", second: "new"})
     assert caught.value.filename == str(tmp_path / blocked)
     assert {path: path.is_dir() or path.read_bytes() for path in tmp_path.iterdir()} == left

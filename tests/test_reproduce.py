@@ -35,10 +35,7 @@ def test_every_claim_holds_but_the_known_one(claims: dict[str, Claim]) -> None:
 
 def test_claims_are_measured_not_written(increase: Runs) -> None:
     """Exchange the runs of two strategies: the claims about them fall."""
-    runs = increase | {
-        "coordinated-piecewise": increase["deloaded-5"],
-        "deloaded-5": increase["coordinated-piecewise"],
-    }
+    runs = increase | {"coordinated-piecewise": increase["deloaded-5"], "deloaded-5": increase["coordinated-piecewise"]}
     fallen = {claim.key for claim in load_increase(runs) if not claim.holds}
     assert fallen >= {"stays-stable", "stalls", "larger-step", "faster-rotor", "rocof", "nadir", "narrow-range"}
 

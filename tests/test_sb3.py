@@ -16,7 +16,7 @@ from tests.envs.rollouts import actions_of, bits, calm, rising
 from wtg_gym import Entry, export_onnx
 from wtg_gym.evaluation import load_entries
 from wtg_gym.physics.tracking_law import get_law
-from wtg_gym.policies.load import example_law
+from wtg_gym.policies.entry_folder import example_law
 from wtg_gym.sb3 import DeterministicPolicy, SB3VecEnv, make_sb3_vec_env
 
 ENV_ID = "GFMWTG-14bus-v0"

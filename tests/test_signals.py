@@ -12,7 +12,7 @@ from collections.abc import Iterator
 import pytest
 
 from tests.interruption import interrupt_before
-from wtg_gym.physics.block_threads import BlockThreads
+from wtg_gym.physics.simulator import BlockThreads
 from wtg_gym.signals import HeldSignals, undivided
 
 #: Signals of every system with handlers of the test's own, and one that is left alone.

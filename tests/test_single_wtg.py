@@ -10,20 +10,13 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
+from wtg_gym import single_wtg
 from wtg_gym.physics.aerodynamics import power_coefficient
 from wtg_gym.physics.layout import Floats
 from wtg_gym.physics.parameters import GridFormingParameters, PitchParameters, TurbineParameters
 from wtg_gym.physics.scenario import Scenario
 from wtg_gym.physics.tracking_law import STRATEGIES, TrackingLaw
 from wtg_gym.physics.trajectory import simulate
-from wtg_gym.single_wtg import (
-    LINEAR_UNDAMPED,
-    SingleMachine,
-    critical_frequency_pu,
-    equilibria,
-    ideal_source_loop,
-    single_machine,
-)
 
 LAWS = st.builds(
     lambda k_min, k_nominal, k_max, tau: TrackingLaw(
@@ -57,12 +50,12 @@ def margin_pu(frequency: float, law: TrackingLaw, wind: float) -> float:
     ("strategy", "frequency_pu"), [("mppt", 0.99787), ("deloaded-5", 0.99698), ("deloaded-10", 0.99662)]
 )
 def test_fixed_strategies_lose_their_equilibrium_where_theory_says(strategy: str, frequency_pu: float) -> None:
-    assert critical_frequency_pu(STRATEGIES[strategy], 8.0) == pytest.approx(frequency_pu, abs=5e-6)
+    assert single_wtg.critical_frequency_pu(STRATEGIES[strategy], 8.0) == pytest.approx(frequency_pu, abs=5e-6)
 
 
 @pytest.mark.parametrize("wind", [3.0, 8.0, 11.4, 25.0])
 def test_coordinated_laws_keep_theirs_at_every_wind(wind: float) -> None:
-    assert critical_frequency_pu(STRATEGIES["coordinated-piecewise"], wind) is None
+    assert single_wtg.critical_frequency_pu(STRATEGIES["coordinated-piecewise"], wind) is None
 
 
 @given(LAWS, st.floats(3.0, 25.0), st.floats(0.98, 1.02))
@@ -70,7 +63,7 @@ def test_coordinated_laws_keep_theirs_at_every_wind(wind: float) -> None:
 def test_every_equilibrium_balances_and_stable_and_unstable_ones_take_turns(
     law: TrackingLaw, wind: float, frequency: float
 ) -> None:
-    found = equilibria(frequency, law, wind)
+    found = single_wtg.equilibria(frequency, law, wind)
     for point in found:
         assert float(surplus_pu(frequency, law, wind, np.array(point.rotor_speed_pu))) == pytest.approx(0.0, abs=1e-6)
         # A stable rotor that turns too fast has a deficit.
@@ -90,17 +83,17 @@ def test_simulation_starts_in_the_stable_equilibrium(wind: float, strategy: str)
     run = simulate(Scenario(name="x", wind_speed=np.array([[wind], [8.0]]), duration_s=5.0), STRATEGIES[strategy])
     pitch, k = PitchParameters(), STRATEGIES[strategy].k_nominal
     limits = pitch.rotor_speed_limit_pu, (pitch.captured_power_limit_pu / k) ** (1.0 / 3.0)
-    speed = min(equilibria(1.0, STRATEGIES[strategy], wind)[-1].rotor_speed_pu, *limits)
+    speed = min(single_wtg.equilibria(1.0, STRATEGIES[strategy], wind)[-1].rotor_speed_pu, *limits)
     assert run.rotor_speed_pu[-1, 0] == pytest.approx(speed, abs=1e-8)
     assert run.power_pu[-1, 0] == pytest.approx(k * speed**3, abs=1e-8)
 
 
 def test_impossible_steady_states_are_named() -> None:
     with pytest.raises(ValueError, match=r"wind = -8 m/s is outside the allowed range 3 … 25 m/s"):
-        critical_frequency_pu(STRATEGIES["mppt"], -8.0)
+        single_wtg.critical_frequency_pu(STRATEGIES["mppt"], -8.0)
     greedy = TrackingLaw(name="greedy", k_min=3.0, k_nominal=3.0, k_max=3.0, damping_time_constant_s=0.8)
     with pytest.raises(ValueError, match=r"'greedy' has no equilibrium at 8 m/s at the set-point either"):
-        critical_frequency_pu(greedy, 8.0)
+        single_wtg.critical_frequency_pu(greedy, 8.0)
 
 
 LINEAR = STRATEGIES["coordinated-linear"]
@@ -109,23 +102,23 @@ LINEAR = STRATEGIES["coordinated-linear"]
 @pytest.mark.parametrize(
     ("loop", "margin_deg"),
     [
-        (ideal_source_loop(), 48.8),
-        (single_machine(STRATEGIES["deloaded-5"], 11.4), 46.7),
-        (single_machine(STRATEGIES["deloaded-10"], 11.4), 46.9),
-        (single_machine(LINEAR_UNDAMPED, 11.4), 29.1),
-        (single_machine(LINEAR, 11.4), 55.4),
-        (single_machine(LINEAR_UNDAMPED, 8.0), 10.1),
+        (single_wtg.ideal_source_loop(), 48.8),
+        (single_wtg.single_machine(STRATEGIES["deloaded-5"], 11.4), 46.7),
+        (single_wtg.single_machine(STRATEGIES["deloaded-10"], 11.4), 46.9),
+        (single_wtg.single_machine(single_wtg.LINEAR_UNDAMPED, 11.4), 29.1),
+        (single_wtg.single_machine(LINEAR, 11.4), 55.4),
+        (single_wtg.single_machine(single_wtg.LINEAR_UNDAMPED, 8.0), 10.1),
     ],
     ids=["ideal", "deloaded-5", "deloaded-10", "undamped", "damped", "undamped at 8 m/s"],
 )
-def test_phase_margins_are_those_of_the_paper(loop: SingleMachine, margin_deg: float) -> None:
+def test_phase_margins_are_those_of_the_paper(loop: single_wtg.SingleMachine, margin_deg: float) -> None:
     assert loop.margins().phase_margin_deg == pytest.approx(margin_deg, abs=0.05)
 
 
 @given(st.floats(4.0, 11.0), st.floats(0.2, 5.0), st.floats(0.05, 20.0), st.sampled_from(["under", "over"]))
 def test_margins_agree_with_a_fine_sweep_and_with_the_poles(wind: float, k_p: float, tau: float, side: str) -> None:
     law = dataclasses.replace(STRATEGIES["coordinated-piecewise"], name="x", damping_time_constant_s=tau)
-    loop = single_machine(law, wind, k_p, side=side)  # type: ignore[arg-type]
+    loop = single_wtg.single_machine(law, wind, k_p, side=side)  # type: ignore[arg-type]
     found = loop.margins()
     sweep = np.logspace(-4, 3, 20_001)
     gain = np.abs(loop.response(sweep))
@@ -143,9 +136,9 @@ def test_margins_agree_with_a_fine_sweep_and_with_the_poles(wind: float, k_p: fl
 
 def test_impossible_loops_are_named() -> None:
     with pytest.raises(ValueError, match=r"synchronising coefficient = 0 p.u./rad is outside .* 0.01 … 100"):
-        single_machine(LINEAR, 11.4, 0.0)
+        single_wtg.single_machine(LINEAR, 11.4, 0.0)
     with pytest.raises(ValueError, match=r"the pitch protection holds the rotor at 13 m/s"):
-        single_machine(LINEAR, 13.0)
+        single_wtg.single_machine(LINEAR, 13.0)
     greedy = TrackingLaw(name="greedy", k_min=3.0, k_nominal=3.0, k_max=3.0)
     with pytest.raises(ValueError, match=r"'greedy' has no equilibrium at 8 m/s"):
-        single_machine(greedy, 8.0)
+        single_wtg.single_machine(greedy, 8.0)

@@ -8,9 +8,11 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import minari
 import numpy as np
 import pytest
 from matrix import CHANGES, FAULTS, OWN, played, section, with_fault, with_faults, without_governor
+from minari_datasets import make_dataset
 from policies import Population, law_of, tune_law, tune_mean_droop, tuning_of
 from reference import environment_page, parameters_page
 
@@ -112,3 +114,22 @@ def test_without_governor_no_scenario_has_one_lost_later() -> None:
     suite = get_suite(OWN)
     events = [event for seed in suite.validation[:15] for event in without_governor(suite.scenario(seed)).events]
     assert [event.time_s for event in events if type(event).__name__ == "GovernorLoss"] == [0.0] * 15
+
+
+def test_episodes_of_a_dataset_are_those_of_their_players_and_play_again_to_the_bit(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path))
+    make_dataset("v1", "mixed", 3)
+    with pytest.raises(ValueError, match="is there already"):
+        make_dataset("v1", "mixed", 3)
+    dataset = minari.load_dataset("gfmwtg/v1/mixed-v0")
+    episodes, env = list(dataset.iterate_episodes()), dataset.recover_environment()
+    assert [bool(np.abs(each.actions).max()) for each in episodes] == [False, True, True]
+    for seed, episode in enumerate(episodes):
+        assert all(int(own) in get_suite("standard-v1").train for own in episode.infos["scenario_seed"])
+        observation, _ = env.reset(seed=seed)
+        assert np.array_equal(observation, episode.observations[0])
+        for action, expected, reward in zip(episode.actions, episode.observations[1:], episode.rewards, strict=True):
+            observation, earned, *_ = env.step(action)
+            assert np.array_equal(observation, expected) and earned == reward

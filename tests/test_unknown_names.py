@@ -11,7 +11,7 @@ from wtg_gym.envs import EnvSettings
 from wtg_gym.physics.grid import get_grid
 from wtg_gym.physics.plant import Plant
 from wtg_gym.physics.tracking_law import get_law
-from wtg_gym.policies.load import load_entries
+from wtg_gym.policies.entry_folder import load_entries
 from wtg_gym.ranges import ByName
 from wtg_gym.scenarios import get_suite
 

@@ -63,11 +63,7 @@ def sha256(data: bytes) -> str:
 
 
 def to_json(data: Any) -> str:
-    """Return `data` as JSON with sorted keys and a line feed at the end.
-
-    Raises:
-        ValueError: a number is not finite.
-    """
+    """Return `data` as JSON with sorted keys and a line feed at the end; a ValueError if a number is not finite."""
     return json.dumps(data, sort_keys=True, indent=1, ensure_ascii=False, allow_nan=False) + "\n"
 
 
@@ -176,11 +172,7 @@ def is_trusted(status: os.stat_result, *, or_sticky: bool = False) -> bool:
 
 
 def trusted_files(path: Path) -> Path:
-    """Return a :func:`trusted_folder` of regular files, none of which another user can have written.
-
-    Raises:
-        OSError: it is missing or a link, or another user could change it or something in it.
-    """
+    """Return a :func:`trusted_folder` of files, none of which another user can have written; else an OSError."""
     folder = trusted_folder(path.parent) / path.name
     for inside in (folder, *folder.iterdir()):
         status = inside.lstat()
@@ -191,32 +183,12 @@ def trusted_files(path: Path) -> Path:
 
 
 def read_trusted(path: Path, largest: int = 2**28) -> bytes:
-    """Return the content of a file in an :func:`trusted_folder` that no other user can have written.
-
-    Raises:
-        OSError: it is missing, a link or not a regular file, larger than `largest` bytes, or another user could change
-            it or its folder.
-    """
-
-    def opened(name: str, flags: int) -> int:
-        # What is no regular file is neither followed nor waited for.
-        return os.open(name, flags | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0))
-
-    path = trusted_folder(path.parent) / path.name
-    with open(path, "rb", opener=opened) as file:
-        # Of the open file: the name could stand for another one by now.
-        status = os.fstat(file.fileno())
-        if not stat.S_ISREG(status.st_mode) or not is_trusted(status) or status.st_size > largest:
-            raise PermissionError(errno.EPERM, f"not a file of at most {largest} bytes of this user alone", str(path))
-        return file.read(largest)
+    """Return the content of a file of at most `largest` bytes that no other user can have written; else an OSError."""
+    return read_plain(trusted_folder(path.parent) / path.name, largest, links=False, trusted=True)
 
 
 def write_trusted(path: Path, content: bytes) -> None:
-    """Write a file for :func:`read_trusted`, whole or not at all; only the user can read it.
-
-    Raises:
-        OSError: it cannot be written, or another user could change its folder.
-    """
+    """Write a file for :func:`read_trusted`, whole or not at all; only the user can read it. Else an OSError."""
     folder = trusted_folder(path.parent, make=True)
     descriptor, temporary = tempfile.mkstemp(dir=folder, suffix=".tmp")
     try:
@@ -237,8 +209,7 @@ def markdown_table(header: Sequence[str], rows: Iterable[Sequence[str]], *, righ
 def update_between_markers(path: str | Path, content: str, name: str) -> bool:
     """Put text between `<!-- NAME:start -->` and `<!-- NAME:end -->` of a file; return whether the file has changed.
 
-    Raises:
-        ValueError: the file cannot be read, or does not have each marker once, the start before the end.
+    A ValueError says that it cannot be read, or does not have each marker once, the start before the end.
     """
     path = Path(path)
     text, start, end = find_markers(path, name)
@@ -277,29 +248,40 @@ def interpreting(path: Path, what: str) -> Iterator[None]:
         raise ValueError(reason if name in reason else f"the {what} {name}: {reason}") from error
 
 
-def read_bytes(path: Path, what: str) -> bytes:
-    """Return the content of a plain file of a kind in :data:`LARGEST_BYTES`; links are followed.
+def read_plain(path: Path, largest: int, *, links: bool = True, trusted: bool = False) -> bytes:
+    """Return the content of a plain file, without waiting for a pipe.
 
-    Raises:
-        ValueError: the file cannot be read, is a folder, a pipe or a device, or is larger than its kind may be.
+    It has at most `largest` bytes, is a link only where `links` are followed, and, where it must be `trusted`, is
+    nothing that another user can write. Else it is an OSError, or a ValueError if the path holds a null byte.
     """
-    largest = LARGEST_BYTES[what]
+
+    def opened(name: str, flags: int) -> int:
+        flags |= 0 if links else getattr(os, "O_NOFOLLOW", 0)
+        return os.open(name, flags | getattr(os, "O_NONBLOCK", 0))
+
+    if path.is_socket() or (path.is_symlink() and not links):
+        raise OSError(errno.EINVAL, "it is no plain file", str(path))
+    with open(path, "rb", opener=opened) as file:
+        # Of the open file: the name could stand for another one by now.
+        status = os.fstat(file.fileno())
+        if not stat.S_ISREG(status.st_mode):
+            raise OSError(errno.EINVAL, "it is no plain file", str(path))
+        if trusted and not is_trusted(status):
+            raise PermissionError(errno.EPERM, "another user could change it", str(path))
+        # It may grow meanwhile.
+        content = file.read(largest + 1) if status.st_size <= largest else b""
+    if (size := max(status.st_size, len(content))) > largest:
+        raise OSError(errno.EFBIG, f"it has {size} bytes; allowed: at most {largest}", str(path))
+    return content
+
+
+def read_bytes(path: Path, what: str) -> bytes:
+    """Return the content of a plain file of a kind in :data:`LARGEST_BYTES`; a ValueError says why it is not read."""
     try:
-        # A pipe that nobody writes to would hold the opening up.
-        descriptor = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0))
-        with os.fdopen(descriptor, "rb") as file:
-            status = os.fstat(descriptor)
-            if not stat.S_ISREG(status.st_mode):
-                raise ValueError("it is no plain file")
-            if status.st_size > largest:
-                raise ValueError(f"it has {status.st_size} bytes; allowed: at most {largest}")
-            # It may grow meanwhile.
-            content = file.read(largest + 1)[:largest]
+        return read_plain(path, LARGEST_BYTES[what])
     except (OSError, ValueError) as error:
-        # A path with a null byte is a ValueError.
         reason = getattr(error, "strerror", None) or error
         raise ValueError(f"cannot read the {what} {printable(str(path))}: {reason}") from error
-    return content
 
 
 def read_text(path: Path, what: str) -> str:
@@ -316,12 +298,10 @@ def read_json(path: Path, what: str) -> Any:
 
 
 def parse_json(text: str, where: str) -> Any:
-    """Return the data of a JSON text.
+    """Return the data of a JSON text; `where` it is from, for the message.
 
-    Raises:
-        ValueError: it is not JSON, is cut short, gives a key twice, is nested deeper than 20 levels, has more than
-            131072 lists and objects, or holds half a character, a number that is not finite or a whole number of 2^64
-            or more; the message says `where` it is from.
+    A ValueError says that it is not JSON, gives a key twice, is nested deeper than 20 levels, has more than 131072
+    lists and objects, or holds half a character, a number that is not finite or a whole number of 2^64 or more.
     """
 
     if text.count("[") + text.count("{") > _MOST_INNER:
@@ -356,8 +336,7 @@ def read_toml(path: Path, what: str) -> dict[str, Any]:
 def parse_toml(text: str, where: str) -> dict[str, Any]:
     """Return the data of a TOML text of up to 16 KiB: the time for dotted keys grows with the square of their length.
 
-    Raises:
-        ValueError: it is not TOML, is nested deeper than 20 levels, or holds a whole number of 2^64 or more.
+    A ValueError says that it is not TOML, is nested deeper than 20 levels, or holds a whole number of 2^64 or more.
     """
     try:
         data = tomllib.loads(text)

@@ -14,11 +14,7 @@ _PROGRESS_INTERVAL_S = 5.0
 
 
 class Progress:
-    """Progress on stderr: a bar with the remaining time in a terminal, a line now and then elsewhere.
-
-    Args:
-        unit: what is counted, in the plural.
-    """
+    """Progress on stderr, in `unit`s: a bar with the remaining time in a terminal, a line now and then elsewhere."""
 
     def __init__(self, unit: str) -> None:
         self._unit = unit

@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from wtg_gym import single_wtg as wtg
 from wtg_gym.files import read_toml
 from wtg_gym.physics.aerodynamics import available_power_pu, tracking_point
 from wtg_gym.physics.layout import Floats
@@ -21,16 +22,6 @@ from wtg_gym.physics.protection import Status
 from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY, STRATEGIES
 from wtg_gym.physics.trajectory import Trajectory, simulate
 from wtg_gym.scenarios import get_suite
-from wtg_gym.single_wtg import (
-    CONTROL,
-    LINEAR_UNDAMPED,
-    SIDES,
-    WINDS,
-    equilibria,
-    ideal_source_loop,
-    named_points,
-    single_machine,
-)
 
 #: The strategies that the paper compares; the reference comes first in all comparisons.
 _COMPARED = (REFERENCE_STRATEGY, "deloaded-5", "deloaded-10")
@@ -100,34 +91,34 @@ def paper_claims(increase: Runs, decrease: Runs) -> Iterator[Claim]:
 
 def _fixed_strategies() -> Iterator[Claim]:
     laws = (STRATEGIES[name] for name in ("mppt", *_COMPARED[1:]))
-    mppt, five, ten = ([named_points(law, wind) for wind in WINDS] for law in laws)
+    mppt, five, ten = ([wtg.named_points(law, wind) for wind in wtg.WINDS] for law in laws)
     powers, limits = [p["B"].power_pu / p["A"].power_pu for p in mppt], [p["B"].frequency_pu for p in mppt]
-    inverse = max(powers) < 1.0 and CONTROL.frequency_min_pu < limits[0] < limits[1]
+    inverse = max(powers) < 1.0 and wtg.CONTROL.frequency_min_pu < limits[0] < limits[1]
     yield _claim("inverse-droop", inverse, {"power_ratio": powers, "critical_frequency_pu": limits})
-    shares = [p["C"].power_pu / float(available_power_pu(wind)) for p, wind in zip(mppt, WINDS, strict=True)]
+    shares = [p["C"].power_pu / float(available_power_pu(wind)) for p, wind in zip(mppt, wtg.WINDS, strict=True)]
     falls = all(p["C"].power_pu < p["A"].power_pu and p["C"].rotor_speed_pu > p["A"].rotor_speed_pu for p in mppt)
-    unequal = min(shares) < 1.0 - CONTROL.deloading_limit < max(shares)
+    unequal = min(shares) < 1.0 - wtg.CONTROL.deloading_limit < max(shares)
     percent = [100.0 * share for share in shares]
     yield _claim("over-frequency", falls and unequal, {"share_at_frequency_max": shares}, percent=percent)
     rises = all(max(p["A"].power_pu, p["B"].power_pu) < p["M"].power_pu for p in five)
-    lost, holds = five[1]["B"].frequency_pu, rises and five[1]["B"].frequency_pu > CONTROL.frequency_min_pu
+    lost, holds = five[1]["B"].frequency_pu, rises and five[1]["B"].frequency_pu > wtg.CONTROL.frequency_min_pu
     yield _claim("low-deloading", holds, {"critical_frequency_pu": lost}, high=five[0], low=five[1])
     ratio, crossing = ten[0]["B"].tip_speed_ratio, ten[0]["M"].frequency_pu if "M" in ten[0] else 0.0
     values = {"tip_speed_ratio": ratio, "crossing_frequency_pu": crossing}
     yield _claim("high-deloading-high-wind", ratio > tracking_point(0.0).tip_speed_ratio, values)
     lost, crossing = ten[1]["B"].frequency_pu, ten[1]["M"].frequency_pu
-    values, holds = {"critical_frequency_pu": lost}, lost > CONTROL.frequency_min_pu
+    values, holds = {"critical_frequency_pu": lost}, lost > wtg.CONTROL.frequency_min_pu
     yield _claim("high-deloading-low-wind", holds, values, crossing_frequency_pu=crossing)
 
 
 def _coordination() -> Iterator[Claim]:
     # Above these winds the pitch protection sets in.
     law, winds = STRATEGIES[REFERENCE_STRATEGY], np.arange(4.0, 11.51, 0.5).tolist()
-    worst = max(_share_error(CONTROL, wind) for wind in winds)
+    worst = max(_share_error(wtg.CONTROL, wind) for wind in winds)
     yield _claim("coordination", worst < 1e-4, {"largest_deviation": worst}, percent=100.0 * worst)
-    monotonic, frequencies = True, np.linspace(CONTROL.frequency_min_pu, CONTROL.frequency_max_pu, 33).tolist()
+    monotonic, frequencies = True, np.linspace(wtg.CONTROL.frequency_min_pu, wtg.CONTROL.frequency_max_pu, 33).tolist()
     for wind in winds:
-        points = [equilibria(frequency, law, wind)[-1] for frequency in frequencies]
+        points = [wtg.equilibria(frequency, law, wind)[-1] for frequency in frequencies]
         power, rotor = np.array([(point.power_pu, point.rotor_speed_pu) for point in points]).T
         # At ω_min itself p has its maximum, so that its slope is zero there.
         monotonic &= bool((np.diff(power) < 0.0).all() and (np.diff(rotor) > 0.0).all())
@@ -139,26 +130,28 @@ def _share_error(control: GridFormingParameters, wind_m_s: float) -> float:
     """Return how far the captured shares at ω_min, ω_st and ω_max are from 100, 95 and 90 % [-]."""
     law, available = STRATEGIES[REFERENCE_STRATEGY], float(available_power_pu(wind_m_s))
     wanted = {control.frequency_min_pu: 1.0, control.frequency_setpoint_pu: 0.95, control.frequency_max_pu: 0.90}
-    powers = {frequency: equilibria(frequency, law, wind_m_s, control=control)[-1].power_pu for frequency in wanted}
+    powers = {frequency: wtg.equilibria(frequency, law, wind_m_s, control=control)[-1].power_pu for frequency in wanted}
     return max(abs(powers[frequency] / available - share) for frequency, share in wanted.items())
 
 
 def _stability() -> Iterator[Claim]:
-    laws = (*(STRATEGIES[name] for name in (*_COMPARED[1:], "coordinated-linear")), LINEAR_UNDAMPED)
-    ideal = ideal_source_loop().margins().phase_margin_deg
-    *deloaded, damped, undamped = (single_machine(law, WINDS[0]).margins().phase_margin_deg for law in laws)
+    laws = (*(STRATEGIES[name] for name in (*_COMPARED[1:], "coordinated-linear")), wtg.LINEAR_UNDAMPED)
+    ideal = wtg.ideal_source_loop().margins().phase_margin_deg
+    *deloaded, damped, undamped = (wtg.single_machine(law, wtg.WINDS[0]).margins().phase_margin_deg for law in laws)
     yield _near("pm-ideal", "pm_deg", ideal)
     yield _claim("pm-deloaded", max(abs(margin - ideal) for margin in deloaded) <= 3.0, {"pm_deg": deloaded})
     yield _near("pm-undamped", "pm_deg", undamped)
     yield _near("pm-damped", "pm_deg", damped)
     # The coordinated law on droops of 8 … 0.8 % with other virtual inertia: statics, margins, and the load increase.
-    law, winds, differences, errors, completed = STRATEGIES[REFERENCE_STRATEGY], (6.0, *WINDS), [], [], []
+    law, winds, differences, errors, completed = STRATEGIES[REFERENCE_STRATEGY], (6.0, *wtg.WINDS), [], [], []
     for gain, inertia in itertools.product((12.5, 25.0, 62.5, 125.0), (0.5, 2.0, 5.0, 10.0)):
         control = GridFormingParameters(droop_gain_pu=gain, inertia_constant_s=inertia)
         errors += [_share_error(control, wind) for wind in winds]
-        ideal = ideal_source_loop(control).margins().phase_margin_deg
-        for wind, side in itertools.product(winds, SIDES):
-            differences.append(single_machine(law, wind, side=side, control=control).margins().phase_margin_deg - ideal)
+        ideal = wtg.ideal_source_loop(control).margins().phase_margin_deg
+        for wind, side in itertools.product(winds, wtg.SIDES):
+            differences.append(
+                wtg.single_machine(law, wind, side=side, control=control).margins().phase_margin_deg - ideal
+            )
         # The stiffest droop on the least inertia is too fast for steps of 25 ms.
         run = simulate(get_suite("paper").scenario(0), law, Plant(control=control, simulation_dt=0.005))
         completed.append(run.status == Status.RUNNING)
@@ -216,7 +209,7 @@ def _settling() -> Claim:
 
 
 def _load_decrease(runs: Runs) -> Iterator[Claim]:
-    available = np.array([float(available_power_pu(wind)) for wind in WINDS])
+    available = np.array([float(available_power_pu(wind)) for wind in wtg.WINDS])
     floor, compared = 0.9 * available, [runs[name] for name in _COMPARED]
     yield _smaller("rotor-rise", [run.rotor_speed_pu.max(axis=0) - run.rotor_speed_pu[0] for run in compared])
     inside, five, ten = (run.power_pu[-1] for run in compared)

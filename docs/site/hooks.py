@@ -36,8 +36,7 @@ _EMBEDDED = f"""
 """
 #: Code, or a link or picture with its text, file and anchor; a link in code is left alone.
 _LINK = re.compile(
-    r"^```.*?^```|`[^`\n]+`|(!?)\[((?:`[^`]*`|[^\[\]`])*)\]\(([^()\s:#]*)(#[^()\s]*)?\)",
-    flags=re.MULTILINE | re.DOTALL,
+    r"^```.*?^```|`[^`\n]+`|(!?)\[((?:`[^`]*`|[^\[\]`])*)\]\(([^()\s:#]*)(#[^()\s]*)?\)", flags=re.MULTILINE | re.DOTALL
 )
 _INCLUDED = re.compile(r"^.*\]\(\.\./README\.md#([\w-]+)\) *<!-- include -->$", flags=re.MULTILINE)
 
@@ -122,7 +121,6 @@ def on_page_markdown(text: str, page: Any, config: Any, files: Any) -> str:
         parts[0] = parts[0].replace("\n## ", f"\n[Source code]({repository}){{ .md-button }}\n\n## ", 1)
     if here == "leaderboard.md":
         parts.append(_EMBEDDED)
-    if here == "leaderboard.md":
         page.meta["hide"] = ["navigation", "toc"]  # the table has the whole width
     elif page.parent is None:
         page.meta["hide"] = ["navigation"]  # there is no other page beside it

@@ -14,34 +14,36 @@ from output import folder
 from wtg_gym.evaluation.grid_tests import GRID_TESTS, SOURCES, run_grid_test
 from wtg_gym.files import markdown_table, update_between_markers
 from wtg_gym.plotting import save_figure, style
-from wtg_gym.policies.load import load_entries
+from wtg_gym.policies.entry_folder import load_entries
 
 LAWS = ("mppt", "deloaded-5", "deloaded-10", "coordinated-linear", "coordinated-undamped", "coordinated-piecewise")
 TUNED = (
     *("coordinated-tuned", "coordinated-free", "fast-droop", "mean-droop", "linear-feedback-v1"),
     *("history-feedback-v1", "evolution-v1-0", "ppo-v1-0", "recurrent-ppo-v1-0", "gradient-v1-0"),
 )
+#: The end of every criterion, which the page says once.
+STAY = "; all groups stay"
 DRAWN = ("deloaded-10", "coordinated-piecewise", "coordinated-tuned")
 
 
 def described():
     """Return the table of tests, neighbours with one criterion and source in a row, and the sources."""
-    groups = groupby(GRID_TESTS.values(), key=lambda test: (test.criterion, test.source))
+    groups = groupby(GRID_TESTS.values(), key=lambda test: (test.criterion.removesuffix(STAY), test.source))
     rows = [(", ".join(f"`{test.name}`" for test in tests), *meaning) for meaning, tests in groups]
     keys = "\n".join(f"- **{key}**: {text}" for key, text in SOURCES.items())
-    return f"{markdown_table(('test', 'passed if', 'source'), rows)}\n\n{keys}"
+    table = markdown_table(("test", "passed if", "source"), rows)
+    return f"In every test all groups stay connected.\n\n{table}\n\n{keys}"
 
 
 def verdicts(runs):
-    """Return the table of verdicts, a row for each controller, and that of the figures of two of them."""
-    rows = []
+    """Return the table of verdicts, controllers with equal ones in a row."""
+    alike = {}
     for label, own in runs.items():
-        failed = [f"`{name}`" for name, (_, (passed, _)) in own.items() if not passed]
-        rows.append((label, f"{len(own) - len(failed)} of {len(own)}", ", ".join(failed)))
-    shown = [label for label in runs if label in DRAWN[1:]]
-    figures = [(f"`{name}`", *(runs[label][name][1][1] for label in shown)) for name in GRID_TESTS]
-    verdict_table = markdown_table(("controller", "passed", "failed"), rows)
-    return f"{verdict_table}\n\n{markdown_table(('test', *shown), figures)}"
+        failed = tuple(f"`{name}`" for name, (_, (passed, _)) in own.items() if not passed)
+        alike.setdefault(failed, []).append(label)
+    n = len(GRID_TESTS)
+    rows = [(", ".join(labels), f"{n - len(failed)} of {n}", ", ".join(failed)) for failed, labels in alike.items()]
+    return markdown_table(("controllers", "passed", "failed"), rows)
 
 
 @style.printed

@@ -32,7 +32,7 @@ from wtg_gym.tasks import V1
 
 #: Of the grid without machines: rating of all turbines over that of the machines that they replace, and their wind.
 RATING, WIND_M_S = 1.8, 8.0
-#: What happens to it, and the laws that are drawn.
+#: Its event, and the laws drawn.
 STEP, LAWS = LoadStep(time_s=5.0, bus=8, power_mw=300.0), ("coordinated-tuned", "coordinated-piecewise", "mppt")
 SUITES = tuple(suite_of_grid(name) for name in known_grids())
 N_SCENARIOS = 300
@@ -51,7 +51,9 @@ def grids() -> str:
         lines["lines that trip"] = str(len(large.find(LineTrips).lines))
         lines["kinds of event"] = ", ".join(kinds)
         columns.append(lines)
-    rows = [key for key in columns[-1] if key not in ("repaired", "replaced", "mode", "equilibrium")]
+    same = ("step", "state below", "stable")  # the page says it once
+    assert all(len({lines[key] for lines in columns if key in lines}) == 1 for key in same)
+    rows = [key for key in columns[-1] if key not in ("repaired", "replaced", "mode", "equilibrium", *same)]
     cells = [[row, *(lines.get(row, "–") for lines in columns)] for row in rows]
     return markdown_table(("", *(f"`{name}`" for name in known_grids())), cells)
 

@@ -16,15 +16,14 @@ from typing import Any
 
 from wtg_gym.files import write_atomically
 from wtg_gym.grids.wind import with_wind
-from wtg_gym.physics.control_parameters import SpeedStabiliserParameters
-from wtg_gym.physics.grid import FOLDER, Grid, grid_text
+from wtg_gym.physics.grid import FOLDER, Branch, Bus, Grid, NetworkCase, grid_text
 from wtg_gym.physics.machine_parameters import (
     ExciterParameters,
     GovernorParameters,
     HydroGovernorParameters,
+    SpeedStabiliserParameters,
     SynchronousMachineParameters,
 )
-from wtg_gym.physics.network import Branch, Bus, NetworkCase
 
 BASE_MVA = 100.0
 #: Of x'': the tables have no leakage reactance.

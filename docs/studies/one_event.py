@@ -4,14 +4,13 @@
 
 draws DOCS/images/one-event.svg: plain droop on a reserve of 5 %, the published law, that law tuned and the agent with
 the best score. Of the first validation scenarios in which droop stalls a rotor and the others lose neither grid nor
-load, it is that in which the published law lets the frequency fall lowest. What droop sheds is printed.
+load, it is that in which the published law lets the frequency fall lowest. Prints the load that droop sheds.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
-from typing import NamedTuple
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -28,7 +27,7 @@ from wtg_gym.physics.layout import Floats
 from wtg_gym.physics.plant import Plant
 from wtg_gym.physics.scenario import Scenario
 from wtg_gym.plotting import save_figure, style
-from wtg_gym.plotting.event_marks import explain_events, mark_end, mark_instants
+from wtg_gym.plotting.trajectories import explain_events, mark_end, mark_instants
 from wtg_gym.policies.play import play, started_lanes
 from wtg_gym.scenarios import get_suite
 
@@ -37,43 +36,30 @@ SUITE, N_SCENARIOS = "standard-v1", 60
 DROOP = "deloaded-5"
 
 
-class Recording(NamedTuple):
-    """An episode, a sample at the start and one per control step; not a number after an early end."""
+def recorded(lanes: TaskLanes, steps: Iterable[np.ndarray]) -> Floats:
+    """Record one started episode while `steps` plays it, which yields after every step whether it was made.
 
-    time_s: Floats  # (n,)
-    frequency_hz: Floats  # of the bus or unit that is farthest from nominal (n,)
-    power_pu: Floats  # on each group's base (n, n_wtg)
-    rotor_speed_pu: Floats  # (n, n_wtg)
-    unserved_mw: Floats  # (n,)
+    Returns:
+        a row at the start and one per control step until the end: frequency of the worst bus or unit [Hz], power of all
+        turbines [MW], slowest rotor [p.u.] and load not served [MW].
+    """
+    simulator, base_mw = lanes.simulator, lanes.simulator.settings.case.base_mva
 
+    def sample() -> list[float]:
+        power, rotors = (simulator.wtg_values(name)[0] for name in ("power", "rotor_speed"))
+        worst, unserved = (simulator.lane_values(name)[0] for name in ("worst", "unserved"))
+        return [lanes.nominal_hz * worst, base_mw * (power @ simulator.plant.share), rotors.min(), base_mw * unserved]
 
-def recorded(lanes: TaskLanes, steps: Iterable[np.ndarray]) -> Recording:
-    """Record one started episode while `steps` plays it, which yields after every step whether it was made."""
-
-    def sample() -> Floats:
-        simulator, base_mw = lanes.simulator, lanes.simulator.settings.case.base_mva
-        groups = [simulator.wtg_values(name)[0] for name in ("power", "rotor_speed")]
-        unserved = base_mw * simulator.lane_values("unserved")
-        return np.concatenate([lanes.nominal_hz * simulator.lane_values("worst"), *groups, unserved])
-
-    samples = [sample(), *(sample() for made in steps if made[0])]
-    n = 1 + round(lanes.duration_s / lanes.settings.step_s)
-    samples += [np.full_like(samples[0], np.nan)] * (n - len(samples))
-    places = [1, 1 + lanes.n_wtg, 1 + 2 * lanes.n_wtg]
-    frequency_hz, power_pu, rotor_speed_pu, unserved_mw = np.split(np.array(samples), places, axis=1)
-    time_s = np.arange(n) * lanes.settings.step_s
-    return Recording(time_s, frequency_hz[:, 0], power_pu, rotor_speed_pu, unserved_mw[:, 0])
+    return np.array([sample(), *(sample() for made in steps if made[0])])
 
 
 @style.printed
-def plot_one_event(scenario: Scenario, runs: Mapping[str, Recording], plant: Plant) -> Figure:
+def plot_one_event(scenario: Scenario, runs: Mapping[str, Floats], plant: Plant) -> Figure:
     """Draw the worst unit's frequency, power of all turbines, slowest rotor and load not served over time.
 
     A cross marks where the grid was lost. Grey lines: limits, and where load is shed first.
     """
-    looks = style.strategy_looks(runs)
-    rated_mw = np.array([group.n_turbines * plant.turbine.rated_power_mw for group in plant.groups])
-    nominal_hz, protection = plant.case.frequency_hz, plant.protection
+    looks, nominal_hz, protection = style.strategy_looks(runs), plant.case.frequency_hz, plant.protection
     design_hz = DESIGN_DEVIATION_MHZ / 1000.0
     limits_hz = {
         "grid lost": nominal_hz * protection.frequency_min_pu,
@@ -83,25 +69,21 @@ def plot_one_event(scenario: Scenario, runs: Mapping[str, Recording], plant: Pla
         "grid lost ": nominal_hz * protection.frequency_max_pu,
     }
     panels = {
-        "frequency of the worst bus or unit [Hz]": (lambda run: run.frequency_hz, limits_hz),
-        "power of all turbines [MW]": (lambda run: run.power_pu @ rated_mw, {}),
-        "slowest rotor [p.u.]": (
-            lambda run: run.rotor_speed_pu.min(axis=1),
-            {"group trips": protection.rotor_speed_min_pu},
-        ),
-        "load not served [MW]": (lambda run: run.unserved_mw, {}),
+        "frequency of the worst bus or unit [Hz]": limits_hz,
+        "power of all turbines [MW]": {},
+        "slowest rotor [p.u.]": {"group trips": protection.rotor_speed_min_pu},
+        "load not served [MW]": {},
     }
     figure = style.new_figure(style.DOUBLE_COLUMN_MM, 110.0)
-    for axes, letter, (label, (quantity, limits)) in zip(
-        figure.subplots(2, 2, sharex=True).flat, "abcd", panels.items(), strict=True
+    for k, (axes, (label, limits)) in enumerate(
+        zip(figure.subplots(2, 2, sharex=True).flat, panels.items(), strict=True)
     ):
-        style.letter_panel(axes, letter, label)
+        style.letter_panel(axes, "abcd"[k], label)
         for name, run in runs.items():
-            values = quantity(run)
-            axes.plot(run.time_s, values, color=looks[name].colour, linestyle=looks[name].dashes)
-            last = int(np.flatnonzero(np.isfinite(values))[-1])
-            if last < run.time_s.size - 1:
-                mark_end(axes, float(run.time_s[last]), float(values[last]), looks[name].colour)
+            time_s = plant.control_dt * np.arange(len(run))
+            axes.plot(time_s, run[:, k], color=looks[name].colour, linestyle=looks[name].dashes)
+            if time_s[-1] < scenario.duration_s - 0.5 * plant.control_dt:
+                mark_end(axes, float(time_s[-1]), float(run[-1, k]), looks[name].colour)
         # A run that fails ends a step before the limit.
         axes.margins(y=0.12)
         low, high = axes.get_ylim()
@@ -111,10 +93,8 @@ def plot_one_event(scenario: Scenario, runs: Mapping[str, Recording], plant: Pla
         mark_instants(axes, scenario, numbered=True)
         axes.set_xlim(0.0, scenario.duration_s)
         axes.set_xlabel("time [s]")
-    handles = [
-        Line2D([], [], color=looks[name].colour, linestyle=looks[name].dashes, linewidth=1.6, label=name)
-        for name in runs
-    ]
+    look = {"linewidth": 1.6}
+    handles = [Line2D([], [], color=looks[n].colour, linestyle=looks[n].dashes, label=n, **look) for n in runs]
     figure.legend(handles=handles, loc="outside lower center", ncols=min(4, len(handles)), handlelength=3.0)
     explain_events(figure, scenario)
     return figure
@@ -152,7 +132,7 @@ if __name__ == "__main__":
     for entry in entries:
         with started_lanes(entry, settings, scenarios) as (lanes, _):
             runs[entry.name] = recorded(lanes, play(entry, lanes))
-        print(f"{entry.name}: {np.nanmax(runs[entry.name].unserved_mw):.0f} MW not served at most")
-    # Beside the events there is no room for the suite's name.
+        print(f"{entry.name}: {runs[entry.name][:, 3].max():.0f} MW not served at most")
+    # The list of events fills the line: without the suite's name.
     scenario = replace(scenarios[0], name=scenarios[0].name.partition("/")[2])
     save_figure(plot_one_event(scenario, runs, settings.resolved_plant), docs / "images" / "one-event", ["svg"])

@@ -111,23 +111,25 @@ def tuning_of(law: TrackingLaw) -> Tuning:
 
 
 def tune_law(
-    suite: str,
-    capped: bool,
-    n_scenarios: int = N_SCENARIOS,
-    generations: int = 18,
-    population: int = 12,
-    seed: int = 1,
+    suite: str, capped: bool, n_scenarios: int = N_SCENARIOS, generations: int = 18, population: int = 12, seed: int = 1
 ) -> TrackingLaw:
     """Return the law that scores most."""
     first = int(capped)
     search = Search(np.array(_START[first:]), 0.3, population, seed, bounds=[side[first:] for side in _BOUNDS])
-    with Progress("generations") as progress, Population(suite, n_scenarios, population) as candidates:
+    with Population(suite, n_scenarios, population) as candidates:
+        mean = run_search(search, generations, lambda xs: candidates.objectives(laws=[law_of(x) for x in xs]))
+        return law_of(mean)
+
+
+def run_search(search: Search, generations: int, costs_of: Callable[[Floats], Floats]) -> Floats:
+    """Return where a search ends after some generations."""
+    with Progress("generations") as progress:
         for generation in range(generations):
             asked = search.ask()
-            costs = candidates.objectives(laws=[law_of(x) for x in asked])
+            costs = costs_of(asked)
             search.tell(asked, costs)
             progress.update(f"objective {costs.min():.4f}", generation + 1, generations)
-    return law_of(search.mean)
+    return search.mean
 
 
 def mean_droop_of(x: Floats) -> MeanDroop:
@@ -147,7 +149,7 @@ def tune_mean_droop(
     """Return the three numbers that cost little on a law, and what they cost in the logarithm of the score."""
     search = Search(np.zeros(3), 0.4, population, seed)
     settings = {"strategy": strategy, "action_mode": "k"}
-    with Progress("generations") as progress, Population(suite, n_scenarios, population, **settings) as candidates:
+    with Population(suite, n_scenarios, population, **settings) as candidates:
 
         def costs_of(points: Floats) -> Floats:
             policy = mean_droop_of(points)
@@ -155,12 +157,8 @@ def tune_mean_droop(
                 act=lambda seen: policy.act(seen.frequency_deviation, seen.rotor_speed)[..., np.newaxis]
             )
 
-        for generation in range(generations):
-            asked = search.ask()
-            costs = costs_of(asked)
-            search.tell(asked, costs)
-            progress.update(f"mean-droop, objective {costs.min():.4f}", generation + 1, generations)
-        return mean_droop_of(search.mean), float(costs_of(np.tile(search.mean, (population, 1)))[0])
+        mean = run_search(search, generations, costs_of)
+        return mean_droop_of(mean), float(costs_of(np.tile(mean, (population, 1)))[0])
 
 
 if __name__ == "__main__":

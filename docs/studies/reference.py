@@ -10,7 +10,7 @@ from output import folder
 
 from wtg_gym.envs import EnvSettings, GFMWTGEnv
 from wtg_gym.files import markdown_table, update_between_markers
-from wtg_gym.physics import control_parameters, machine_parameters, parameters
+from wtg_gym.physics import machine_parameters, parameters
 from wtg_gym.physics.grid import get_grid
 from wtg_gym.physics.machine_parameters import SynchronousMachineParameters
 from wtg_gym.physics.parameters import SOURCES, WtgGroup
@@ -114,7 +114,7 @@ def arguments():
 def environment_page():
     """Return the environment's docstring, a chapter for each of Gymnasium's headings, with the tables in it.
 
-    What other pages or the tables say is left out.
+    Chapters that other pages cover are left out.
     """
     tables = {
         "Observation Space": [observations(), privileged()],
@@ -144,8 +144,8 @@ def class_list(title, fields, values):
         unit = "" if meta["unit"] == "-" or field.name.endswith(ending) else f" {meta['unit']}"
         source = "" if meta["source"] == usual else f" ({meta['source']})"
         numbers = [f"{value:g}" for value in values(field)]
-        shown = numbers[0] if len(set(numbers)) == 1 else " / ".join(numbers)
-        lines.append(f"- `{field.name}` = {shown}{unit}: {meta['doc']}{source}")
+        shown = numbers[0] if len(set(numbers)) == 1 else "/".join(numbers)
+        lines.append(f"- `{field.name}`: {shown}{unit}, {meta['doc']}{source}")
     return "\n".join(lines)
 
 
@@ -156,15 +156,15 @@ def parameters_page():
     numbers a grid's file gives.
     """
     parts = []
-    for module in (parameters, machine_parameters, control_parameters):
+    for module in (parameters, machine_parameters):
         for name, cls in vars(module).items():
             if not dataclasses.is_dataclass(cls) or getattr(cls, "__module__", "") != module.__name__:
                 continue
-            # What a class has from another one stands there.
+            # Inherited parameters are listed with their own class.
             declared = [field for field in dataclasses.fields(cls) if field.name in cls.__annotations__]
             own = [field for field in declared if isinstance(field.default, float)]
             elsewhere = cls in (WtgGroup, SynchronousMachineParameters)  # on the environment's page, or below
-            unused = module is control_parameters and cls is not control_parameters.SpeedStabiliserParameters
+            unused = hasattr(cls, "MODEL") and cls.MODEL not in ("SEXS", "TGOV1", "HYGOV", "STAB1")
             if own and not elsewhere and not unused:
                 parts.append(class_list(name, own, lambda field: [field.default]))
     kinds = {}
@@ -172,7 +172,7 @@ def parameters_page():
         numbers = {key: value for key, value in vars(machine).items() if type(value) in (int, float) and key != "bus"}
         kinds.setdefault(tuple(numbers.items()), []).append(str(machine.bus))
     fields = [field for field in dataclasses.fields(SynchronousMachineParameters) if field.name in numbers]
-    title = f"Synchronous machines at buses {' / '.join(', '.join(buses) for buses in kinds.values())}"
+    title = f"Synchronous machines at buses {'/'.join(' and '.join(buses) for buses in kinds.values())}"
     parts.append(class_list(title, fields, lambda field: [dict(kind)[field.name] for kind in kinds]))
     listed = "\n\n".join(parts)
     sources = "\n".join(f"- **{key}**: {text}" for key, text in SOURCES.items() if f"({key})" in listed)

@@ -13,9 +13,9 @@ import numpy as np
 from output import folder as output_folder
 
 from wtg_gym.files import markdown_table, update_between_markers
+from wtg_gym.physics.grid import Branch, Bus, NetworkCase
 from wtg_gym.physics.linearisation import largest_stable_steps, moving_matrix
 from wtg_gym.physics.machine_parameters import classical_machine
-from wtg_gym.physics.network import Branch, Bus, NetworkCase
 from wtg_gym.physics.parameters import WtgGroup
 from wtg_gym.physics.plant import Plant
 from wtg_gym.physics.scenario import Scenario
@@ -45,9 +45,15 @@ class Mode:
     """An eigenvalue, or a conjugate pair of them."""
 
     eigenvalue: complex  # with the imaginary part of the pair that is not negative [1/s]
-    frequency_hz: float  # of the oscillation, 0 for a real eigenvalue [Hz]
-    damping_ratio: float  # ζ = -Re λ/|λ| [-]
-    participation: dict[str, float]  # share of each state in the mode, by name, largest first; their sum is 1 [-]
+    state: str  # that takes the largest part in it
+
+    @property
+    def frequency_hz(self):
+        return self.eigenvalue.imag / (2.0 * np.pi)
+
+    @property
+    def damping_ratio(self):
+        return -self.eigenvalue.real / abs(self.eigenvalue)
 
 
 def at_rest(scenario, laws, settings=None):
@@ -73,20 +79,11 @@ def linearise(scenario, laws, settings=None, *, side="under"):
 
 
 def modes(model):
-    """Return the modes of a linear model, the least damped first (by real part)."""
+    """Return the modes of a linear model."""
     values, right = np.linalg.eig(model.matrix)
-    left = np.linalg.inv(right)
-    found = []
-    for i in np.argsort(-values.real):
-        value = complex(values[i])
-        if value.imag < 0.0:
-            continue
-        share = np.abs(left[i] * right[:, i])
-        share /= share.sum()
-        shares = {model.state_names[k]: float(share[k]) for k in np.argsort(-share)}
-        damping_ratio = -value.real / abs(value) if value != 0.0 else 0.0
-        found.append(Mode(value, value.imag / (2.0 * np.pi), damping_ratio, shares))
-    return found
+    largest = np.abs(np.linalg.inv(right) * right.T).argmax(axis=1)
+    pairs = zip(values, largest, strict=True)
+    return [Mode(complex(value), model.state_names[k]) for value, k in pairs if value.imag >= 0.0]
 
 
 def synchronising_coefficients(scenario, laws, settings=None):
@@ -200,18 +197,13 @@ def names_of(plant):
 
 
 def modes_of_v1():
-    """Return the extremes of the modes of v1's grids, on both slopes of g(ω), in words."""
-    models = []
+    """Return extremes of the modes of v1's grids, on both slopes of g(ω), and the largest step at which all decay."""
+    found = []
     for suite in map(get_suite, ("standard-v1", "low-share-v1", "high-share-v1")):
-        plant = suite.plant
         for scenario in suite.scenarios(suite.validation[:20]):
-            models += [linearise(scenario, REFERENCE_STRATEGY, plant, side=side) for side in ("under", "over")]
-    return extremes(models, plant)
-
-
-def extremes(models, plant):
-    """Return the extremes of the modes of some models, and the largest step at which all of them decay."""
-    named, found = names_of(plant), [mode for model in models for mode in modes(model)]
+            for side in ("under", "over"):
+                found += modes(linearise(scenario, REFERENCE_STRATEGY, suite.plant, side=side))
+    named = names_of(suite.plant)
     oscillating = [mode for mode in found if mode.frequency_hz > 0.0]
     chosen = {
         "least damped": min(oscillating, key=lambda mode: mode.damping_ratio),
@@ -226,14 +218,9 @@ def extremes(models, plant):
             value += f" ± j{mode.eigenvalue.imag:.3f}/s, {mode.frequency_hz:.2f} Hz, ζ = {mode.damping_ratio:.2f}"
         else:
             value += "/s"
-        lines.append(f"- {what}: {minus(value)} ({named(next(iter(mode.participation)))})")
+        lines.append(f"- {what}: {value.replace('-', '−')} ({named(mode.state)})")
     step_s = min(largest_stable_steps([mode.eigenvalue for mode in found]))
     return "\n".join((*lines, f"- largest stable step: {1e3 * step_s:.0f} ms"))
-
-
-def minus(text):
-    """Return a number as text with the sign of print."""
-    return text.replace("-", "−")
 
 
 if __name__ == "__main__":

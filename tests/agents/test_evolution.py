@@ -16,7 +16,7 @@ from tests.agents.small import largest_difference
 from tests.interruption import interrupted
 from wtg_gym.envs import EnvSettings
 from wtg_gym.gains import ScoreUnits
-from wtg_gym.policies.load import load_entries
+from wtg_gym.policies.entry_folder import load_entries
 from wtg_gym.policies.torch_export import TorchPolicy, onnx_bytes
 
 #: Four generations, the last two of all weights, with a validation before, between and after them.

@@ -21,16 +21,15 @@ from agents.gradient import (
     Loss,
     costs_of,
     descend,
-    draw,
     main,
 )
-from agents.run import Run, folders
+from agents.run import Run, draw, folders
 from tests.agents.small import largest_difference
 from tests.interruption import interrupted
 from wtg_gym.envs import EnvSettings
 from wtg_gym.envs.lanes import TaskLanes
 from wtg_gym.gradients.torch import TorchEpisodes
-from wtg_gym.policies.load import load_entries
+from wtg_gym.policies.entry_folder import load_entries
 from wtg_gym.policies.torch_export import TorchPolicy
 from wtg_gym.scenarios import get_suite
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 import yaml
 
-from agents.learners import (
+from agents.train import (
     CONFIG_FOLDER,
     TRAINED,
     algorithm_arguments,

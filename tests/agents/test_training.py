@@ -20,9 +20,8 @@ from tensorboard.backend.event_processing.event_accumulator import EventAccumula
 
 from agents.export import export
 from agents.export import main as export_command
-from agents.learners import TRAINED, SB3Learner, load_model, new_model
 from agents.run import Run, folders, held, save_folder
-from agents.train import main
+from agents.train import TRAINED, SB3Learner, load_model, main, new_model
 from tests.agents.small import V0, Normalized, config_file, largest_difference, options, stopped_after, trained
 from tests.interruption import end
 from wtg_gym.evaluation import OnnxPolicy, load_entries

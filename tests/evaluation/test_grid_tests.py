@@ -7,7 +7,7 @@ import pytest
 
 from wtg_gym.evaluation.grid_tests import GRID_TESTS, SOURCES, Recording, _longest_beyond, run_grid_test
 from wtg_gym.physics.protection import Status
-from wtg_gym.policies.load import load_entries
+from wtg_gym.policies.entry_folder import load_entries
 
 
 def played(name: str, law: str) -> tuple[Recording, bool]:

@@ -14,8 +14,8 @@ from torch import nn
 
 from wtg_gym import export_onnx
 from wtg_gym.evaluation import OnnxPolicy
+from wtg_gym.policies.entry_folder import load_entries
 from wtg_gym.policies.gate import check_submission
-from wtg_gym.policies.load import load_entries
 
 M = 8
 ENTRY: dict[str, Any] = {"name": "mine", "authors": ["Jane Doe"], "environment": "GFMWTG-14bus-v1"}

@@ -13,24 +13,9 @@ from typing import Any
 
 import numpy as np
 
-from wtg_gym.physics.control_parameters import (
-    BoilerGovernorParameters,
-    FilterStabiliserParameters,
-    GasGovernorParameters,
-    LeadLagExciterParameters,
-    ReheatGovernorParameters,
-    SaturatingExciterParameters,
-    SpeedStabiliserParameters,
-)
+from wtg_gym.physics.grid import MODELS, Branch, Bus, NetworkCase, Source
 from wtg_gym.physics.layout import Floats
-from wtg_gym.physics.machine_parameters import (
-    ExciterParameters,
-    GovernorParameters,
-    HydroGovernorParameters,
-    SynchronousMachineParameters,
-    classical_machine,
-)
-from wtg_gym.physics.network import Branch, Bus, NetworkCase, Source
+from wtg_gym.physics.machine_parameters import SynchronousMachineParameters, classical_machine
 from wtg_gym.physics.scenario import EVENT_KINDS, Event, LoadStep
 
 GOLDEN = Path(__file__).parent
@@ -39,155 +24,44 @@ ROW_S = 1.0 / 16.0
 #: Every trace.
 TRACES = sorted(GOLDEN.glob("*/*.csv"))
 
-#: What the file, as ANDES, calls what a record has, in the order of the file.
-BRANCH = {"resistance": "r", "reactance": "x", "charging": "b", "tap": "tap", "phase_rad": "phi"}
-MACHINE = {"rating_mva": "Sn", "two_h_s": "M", "x_d_transient": "xd1", "damping_pu": "D", "resistance": "ra"}
-GENROU = {
-    "x_d": "xd",
-    "x_q": "xq",
-    "x_q_transient": "xq1",
-    "x_subtransient": "xd2",
-    "x_leakage": "xl",
-    "t_d0_transient_s": "Td10",
-    "t_d0_subtransient_s": "Td20",
-    "t_q0_transient_s": "Tq10",
-    "t_q0_subtransient_s": "Tq20",
-    "saturation_1_0": "S10",
-    "saturation_1_2": "S12",
-}
-EXCITER = {
-    "lead_lag_ratio": "TATB",
-    "lag_time_s": "TB",
-    "gain": "K",
-    "exciter_time_s": "TE",
-    "field_min_pu": "EMIN",
-    "field_max_pu": "EMAX",
-}
-GOVERNOR = {
-    "droop_pu": "R",
-    "gate_time_s": "T1",
-    "lead_time_s": "T2",
-    "reheat_time_s": "T3",
-    "gate_min_pu": "VMIN",
-    "gate_max_pu": "VMAX",
-    "turbine_damping_pu": "Dt",
-    "dead_band_pu": "db",
-}
-HYDRO_GOVERNOR = {
-    "droop_pu": "R",
-    "temporary_droop_pu": "r",
-    "reset_time_s": "Tr",
-    "filter_time_s": "Tf",
-    "gate_time_s": "Tg",
-    "gate_rate_limit_pu_s": "VELM",
-    "gate_min_pu": "GMIN",
-    "gate_max_pu": "GMAX",
-    "water_time_s": "Tw",
-    "turbine_gain": "At",
-    "turbine_damping_pu": "Dt",
-    "no_load_flow_pu": "qNL",
-    "dead_band_pu": "db",
-}
-IEEET1 = {
-    "sensing_time_s": "TR",
-    "regulator_gain": "KA",
-    "regulator_time_s": "TA",
-    "regulator_min_pu": "VRMIN",
-    "regulator_max_pu": "VRMAX",
-    "exciter_gain": "KE",
-    "exciter_time_s": "TE",
-    "feedback_gain_s": "KF",
-    "feedback_time_s": "TF",
-    "saturation_voltage_1_pu": "E1",
-    "saturation_1": "SE1",
-    "saturation_voltage_2_pu": "E2",
-    "saturation_2": "SE2",
-}
-IEEEX1 = {**IEEET1, "lead_time_s": "TC", "lag_time_s": "TB"}
-IEEEG1 = {
-    "droop_pu": "R",
-    "lag_time_s": "T1",
-    "lead_time_s": "T2",
-    "valve_time_s": "T3",
-    "opening_rate_pu_s": "UO",
-    "closing_rate_pu_s": "UC",
-    "gate_min_pu": "PMIN",
-    "gate_max_pu": "PMAX",
-    "pass_time_1_s": "T4",
-    "fraction_1": "K1",
-    "pass_time_2_s": "T5",
-    "fraction_2": "K3",
-    "pass_time_3_s": "T6",
-    "fraction_3": "K5",
-    "pass_time_4_s": "T7",
-    "fraction_4": "K7",
-}
-IEESGO = {
-    "droop_pu": "R",
-    "lag_time_s": "T1",
-    "lead_time_s": "T2",
-    "governor_time_s": "T3",
-    "inlet_time_s": "T4",
-    "reheat_time_s": "T5",
-    "crossover_time_s": "T6",
-    "fraction_2": "K2",
-    "fraction_3": "K3",
-    "gate_min_pu": "PMIN",
-    "gate_max_pu": "PMAX",
-}
-GAST = {
-    "droop_pu": "R",
-    "valve_time_s": "T1",
-    "turbine_time_s": "T2",
-    "exhaust_time_s": "T3",
-    "load_limit_pu": "AT",
-    "temperature_gain": "KT",
-    "gate_min_pu": "VMIN",
-    "gate_max_pu": "VMAX",
-    "turbine_damping_pu": "Dt",
-}
-STAB1 = {
-    "gain": "K",
-    "washout_time_s": "T",
-    "lead_time_1_s": "T1",
-    "lag_time_1_s": "T3",
-    "lead_time_2_s": "T2",
-    "lag_time_2_s": "T4",
-    "signal_limit_pu": "HLIM",
-}
-IEEEST = {
-    "filter_a1_s": "A1",
-    "filter_a2_s2": "A2",
-    "filter_a3_s": "A3",
-    "filter_a4_s2": "A4",
-    "filter_a5_s": "A5",
-    "filter_a6_s2": "A6",
-    "lead_time_1_s": "T1",
-    "lag_time_1_s": "T2",
-    "lead_time_2_s": "T3",
-    "lag_time_2_s": "T4",
-    "washout_gain_s": "T5",
-    "washout_time_s": "T6",
-    "gain": "KS",
-    "signal_min_pu": "LSMIN",
-    "signal_max_pu": "LSMAX",
-}
-#: Record and names of each model, by what the file calls it.
+# What the file, as ANDES, calls the fields of a record.
+BRANCH = "resistance=r reactance=x charging=b tap=tap phase_rad=phi"
+MACHINE = "rating_mva=Sn two_h_s=M x_d_transient=xd1 damping_pu=D resistance=ra"
+GENROU = (
+    "x_d=xd x_q=xq x_q_transient=xq1 x_subtransient=xd2 x_leakage=xl t_d0_transient_s=Td10 t_d0_subtransient_s=Td20 "
+    "t_q0_transient_s=Tq10 t_q0_subtransient_s=Tq20 saturation_1_0=S10 saturation_1_2=S12"
+)
+IEEET1 = (
+    "sensing_time_s=TR regulator_gain=KA regulator_time_s=TA regulator_min_pu=VRMIN regulator_max_pu=VRMAX "
+    "exciter_gain=KE exciter_time_s=TE feedback_gain_s=KF feedback_time_s=TF saturation_voltage_1_pu=E1 "
+    "saturation_1=SE1 saturation_voltage_2_pu=E2 saturation_2=SE2"
+)
+#: Of each kind of control the names by model, those first that are looked for first.
 GOVERNORS = {
-    "tgov1": (GovernorParameters, GOVERNOR),
-    "hygov": (HydroGovernorParameters, HYDRO_GOVERNOR),
-    "ieeeg1": (BoilerGovernorParameters, IEEEG1),
-    "ieesgo": (ReheatGovernorParameters, IEESGO),
-    "gast": (GasGovernorParameters, GAST),
+    "tgov1": "droop_pu=R gate_time_s=T1 lead_time_s=T2 reheat_time_s=T3 gate_min_pu=VMIN gate_max_pu=VMAX "
+    "turbine_damping_pu=Dt dead_band_pu=db",
+    "hygov": "droop_pu=R temporary_droop_pu=r reset_time_s=Tr filter_time_s=Tf gate_time_s=Tg "
+    "gate_rate_limit_pu_s=VELM gate_min_pu=GMIN gate_max_pu=GMAX water_time_s=Tw turbine_gain=At turbine_damping_pu=Dt "
+    "no_load_flow_pu=qNL dead_band_pu=db",
+    "ieeeg1": "droop_pu=R lag_time_s=T1 lead_time_s=T2 valve_time_s=T3 opening_rate_pu_s=UO closing_rate_pu_s=UC "
+    "gate_min_pu=PMIN gate_max_pu=PMAX pass_time_1_s=T4 fraction_1=K1 pass_time_2_s=T5 fraction_2=K3 pass_time_3_s=T6 "
+    "fraction_3=K5 pass_time_4_s=T7 fraction_4=K7",
+    "ieesgo": "droop_pu=R lag_time_s=T1 lead_time_s=T2 governor_time_s=T3 inlet_time_s=T4 reheat_time_s=T5 "
+    "crossover_time_s=T6 fraction_2=K2 fraction_3=K3 gate_min_pu=PMIN gate_max_pu=PMAX",
+    "gast": "droop_pu=R valve_time_s=T1 turbine_time_s=T2 exhaust_time_s=T3 load_limit_pu=AT temperature_gain=KT "
+    "gate_min_pu=VMIN gate_max_pu=VMAX turbine_damping_pu=Dt",
 }
 EXCITERS = {
-    "sexs": (ExciterParameters, EXCITER),
-    "ieeet1": (SaturatingExciterParameters, IEEET1),
-    "ieeex1": (LeadLagExciterParameters, IEEEX1),
+    "sexs": "lead_lag_ratio=TATB lag_time_s=TB gain=K exciter_time_s=TE field_min_pu=EMIN field_max_pu=EMAX",
+    "ieeet1": IEEET1,
+    "ieeex1": f"{IEEET1} lead_time_s=TC lag_time_s=TB",
 }
 STABILISERS = {
-    "stab1": (SpeedStabiliserParameters, STAB1),
-    "ieeest": (FilterStabiliserParameters, IEEEST),
+    "stab1": "gain=K washout_time_s=T lead_time_1_s=T1 lag_time_1_s=T3 lead_time_2_s=T2 lag_time_2_s=T4 "
+    "signal_limit_pu=HLIM",
+    "ieeest": "filter_a1_s=A1 filter_a2_s2=A2 filter_a3_s=A3 filter_a4_s2=A4 filter_a5_s=A5 filter_a6_s2=A6 "
+    "lead_time_1_s=T1 lag_time_1_s=T2 lead_time_2_s=T3 lag_time_2_s=T4 washout_gain_s=T5 washout_time_s=T6 gain=KS "
+    "signal_min_pu=LSMIN signal_max_pu=LSMAX",
 }
 
 
@@ -274,17 +148,18 @@ def case_of(name: str, data: Mapping[str, Any]) -> Case:
     )
 
 
-def _named(names: Mapping[str, str], given: Mapping[str, Any]) -> dict[str, Any]:
-    return {name: float(given[key]) for name, key in names.items() if key in given}
+def _named(names: str, given: Mapping[str, Any]) -> dict[str, Any]:
+    pairs = (pair.split("=") for pair in names.split())
+    return {name: float(given[key]) for name, key in pairs if key in given}
 
 
-def _control(data: Mapping[str, Any], key: str, kinds: Mapping[str, tuple[Any, Mapping[str, str]]]) -> Any:
-    """Return the control of a machine, of the first of these kinds of which the file has one, or None."""
-    for kind, (record, names) in kinds.items():
-        entries = data.get(kind, [])
+def _control(data: Mapping[str, Any], key: str, models: Mapping[str, str]) -> Any:
+    """Return the control of a machine, of the first of these models of which the file has one, or None."""
+    for model, names in models.items():
+        entries = data.get(model, [])
         for entry in [entries] if isinstance(entries, dict) else entries:
             if entry["gen"] == key:
-                return record(**_named(names, entry))
+                return MODELS[model.upper()](**_named(names, entry))
     return None
 
 

@@ -15,17 +15,10 @@ import numpy as np
 import numpy.typing as npt
 from scipy.integrate import solve_ivp
 
-from wtg_gym.physics.grid import get_grid
+from wtg_gym.physics import parameters
+from wtg_gym.physics.grid import NetworkCase, get_grid
 from wtg_gym.physics.layout import Floats
 from wtg_gym.physics.machine_parameters import GovernorParameters, HydroGovernorParameters, classical_machine
-from wtg_gym.physics.network import NetworkCase
-from wtg_gym.physics.parameters import (
-    ConverterLimitParameters,
-    TurbineParameters,
-    VoltageControlParameters,
-    european_shedding,
-    nrel_5mw,
-)
 from wtg_gym.physics.plant import Plant
 from wtg_gym.physics.reduction import refresh_network
 from wtg_gym.physics.scenario import Event, LoadStep, Scenario
@@ -37,10 +30,10 @@ from wtg_gym.systems.systems import Kind
 #: Limits, voltage control, rotor that keeps its energy: all but none of them.
 OPTIONS = [options for options in itertools.product((False, True), repeat=3) if any(options)]
 #: As many stages as Europe's, so that the plant is compiled once; without an effect.
-NO_SHEDDING = tuple(dataclasses.replace(stage, share=0.0) for stage in european_shedding())
+NO_SHEDDING = tuple(dataclasses.replace(stage, share=0.0) for stage in parameters.european_shedding())
 LAW = "coordinated-piecewise"
 WIND = np.array([[11.4], [8.0]])
-CURRENT_MAX = ConverterLimitParameters().current_max_pu
+CURRENT_MAX = parameters.ConverterLimitParameters().current_max_pu
 #: A constant voltage behind a reactance of ordinary size, at a bus.
 classical = functools.partial(classical_machine, rating_mva=100.0, dispatch_mw=0.0, two_h_s=10.0, x_d_transient=0.2)
 
@@ -48,8 +41,8 @@ classical = functools.partial(classical_machine, rating_mva=100.0, dispatch_mw=0
 def plant(
     *,
     table: bool = False,
-    limits: bool | ConverterLimitParameters = True,
-    voltage: bool | VoltageControlParameters = True,
+    limits: bool | parameters.ConverterLimitParameters = True,
+    voltage: bool | parameters.VoltageControlParameters = True,
     energy: bool = True,
     dead_band: float = 0.0,
     **more: Any,
@@ -58,10 +51,12 @@ def plant(
     kind = HydroGovernorParameters if table else GovernorParameters
     given = {
         "case": with_machine(governor=kind(dead_band_pu=dead_band)),
-        "turbine": nrel_5mw(conserves_energy=energy) if table else TurbineParameters(conserves_energy=energy),
-        "limits": ConverterLimitParameters() if limits is True else limits or None,
-        "voltage_control": VoltageControlParameters() if voltage is True else voltage or None,
-        "shedding": european_shedding(),
+        "turbine": parameters.nrel_5mw(conserves_energy=energy)
+        if table
+        else parameters.TurbineParameters(conserves_energy=energy),
+        "limits": parameters.ConverterLimitParameters() if limits is True else limits or None,
+        "voltage_control": parameters.VoltageControlParameters() if voltage is True else voltage or None,
+        "shedding": parameters.european_shedding(),
     }
     return Plant(**{**given, **more})
 

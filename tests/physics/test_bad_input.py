@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 
 from tests.physics.extended import LAW, classical, plant, scenario, started, with_machine
+from wtg_gym.physics import scenario as sc
 from wtg_gym.physics.aerodynamics import available_power_pu, power_coefficient, tracking_point
-from wtg_gym.physics.grid import get_grid
+from wtg_gym.physics.grid import Branch, Bus, NetworkCase, get_grid
 from wtg_gym.physics.machine_parameters import HydroGovernorParameters
-from wtg_gym.physics.network import Branch, Bus, NetworkCase
 from wtg_gym.physics.parameters import (
     ROTOR_TABLE,
     ConverterLimitParameters,
@@ -28,19 +28,6 @@ from wtg_gym.physics.parameters import (
 )
 from wtg_gym.physics.plant import Plant
 from wtg_gym.physics.rotor_table import RotorTable, read_rotor_table
-from wtg_gym.physics.scenario import (
-    Fault,
-    FrequencyRamp,
-    GovernorLoss,
-    GroupTrip,
-    LineTrip,
-    LoadStep,
-    LoadTrip,
-    MachineOutage,
-    PhaseJump,
-    ReactanceStep,
-    Scenario,
-)
 from wtg_gym.physics.sensors import Sensors
 from wtg_gym.physics.simulator import Simulator
 from wtg_gym.physics.tracking_law import TrackingLaw, get_law, group_laws, read_law
@@ -81,13 +68,13 @@ def sensors(**changes: Any) -> Call:
 
 
 def given(**changes: Any) -> Call:
-    return of(Scenario, **{"name": "x", "wind_speed": np.full((2, 11), 9.0), **changes})
+    return of(sc.Scenario, **{"name": "x", "wind_speed": np.full((2, 11), 9.0), **changes})
 
 
 def event(**changes: Any) -> Call:
     """A scenario as JSON has it, with one event."""
     step = {"kind": "load_step", "time_s": 1.0, "bus": 2, "power_mw": 5.0}
-    return lambda: Scenario.from_dict({"name": "x", "wind_speed": [[9.0]], "events": [{**step, **changes}]})
+    return lambda: sc.Scenario.from_dict({"name": "x", "wind_speed": [[9.0]], "events": [{**step, **changes}]})
 
 
 RECORDS: list[tuple[Call, str]] = [
@@ -115,32 +102,33 @@ RECORDS: list[tuple[Call, str]] = [
     (lambda: IEEE14.branch_index(1, 14), "no branch 1-14 in .*; branches: 1-2, 1-5"),
     (given(wind_speed=np.array([[9.0, -1.0], [9.0, 9.0]])), "group 1 at t = 0.1 s is -1 m/s.* 3 … 25 m/s"),
     (given(load_noise_mw=np.array([1.0, 0.0])), "must start at 0 MW, got 1 MW"),
-    (given(events=LoadTrip(time_s=1.0, bus=3)), "events must be tuple.*, got LoadTrip"),
+    (given(events=sc.LoadTrip(time_s=1.0, bus=3)), "events must be tuple.*, got LoadTrip"),
     (
-        lambda: Scenario.from_dict({"name": "x", "wind_speed": [[9.0]], "windd": 1}),
+        lambda: sc.Scenario.from_dict({"name": "x", "wind_speed": [[9.0]], "windd": 1}),
         r"unknown scenario keys \['windd'\]",
     ),
-    (of(Fault, time_s=1.0, bus=4, clears_after_s=0.1, reactance_pu=0.0), "reactance_pu = 0 p.u. is outside"),
-    (of(Fault, time_s=1.0, bus=4, clears_after_s=0.0), "clears_after_s = 0 s is outside"),
+    (of(sc.Fault, time_s=1.0, bus=4, clears_after_s=0.1, reactance_pu=0.0), "reactance_pu = 0 p.u. is outside"),
+    (of(sc.Fault, time_s=1.0, bus=4, clears_after_s=0.0), "clears_after_s = 0 s is outside"),
     *(
-        (of(Fault, time_s=1.0, bus=4, clears_after_s=0.1, opens=opens), "opens must be the two buses of a line, got")
+        (of(sc.Fault, time_s=1.0, bus=4, clears_after_s=0.1, opens=opens), "opens must be the two buses of a line, got")
         for opens in ((1,), (1, 2, 3), 5, "24", (2.5, 4), (True, 2))
     ),
-    (of(ReactanceStep, time_s=1.0, from_bus=1, to_bus=2, factor=0.0), "factor = 0 is outside"),
-    (of(PhaseJump, time_s=1.0, bus=1, angle_deg=181.0), "angle_deg = 181 deg is outside"),
+    (of(sc.ReactanceStep, time_s=1.0, from_bus=1, to_bus=2, factor=0.0), "factor = 0 is outside"),
+    (of(sc.PhaseJump, time_s=1.0, bus=1, angle_deg=181.0), "angle_deg = 181 deg is outside"),
     (given(committed=0.0), "committed = 0 is outside"),
     (event(kind="quake"), "needs a kind out of load_step"),
     (event(time_s=-1.0), "time_s = -1 s is outside"),
     (event(kind="machine_outage"), "unexpected keyword argument 'power_mw'"),
-    *((of(GroupTrip, time_s=1.0, group=group), "group must be a whole number") for group in (-1, 1.0, True)),
+    *((of(sc.GroupTrip, time_s=1.0, group=group), "group must be a whole number") for group in (-1, 1.0, True)),
     *(
-        (of(LineTrip, time_s=1.0, from_bus=1, to_bus=2, recloses_after_s=after_s), "recloses_after_s")
+        (of(sc.LineTrip, time_s=1.0, from_bus=1, to_bus=2, recloses_after_s=after_s), "recloses_after_s")
         for after_s in (-0.5, 0.0, NAN, "soon")
     ),
     (lambda: get_law("magic"), "unknown strategy 'magic'; known strategies: mppt, deloaded-5"),
     (lambda: group_laws(["mppt"] * 3, TURBINES), "one for each of the 2 groups, got 3"),
     (lambda: simulate("load-increase", "mppt"), "scenario must be a Scenario, got str"),  # type: ignore[arg-type]
     (of(Plant, simulation_dt=0.03), "control_dt = 0.1 s is not a whole number of simulation steps of 0.03 s"),
+    *((of(Plant, secondary_time_s=time_s), "secondary_time_s") for time_s in (0.5, -30.0, 4000.0, NAN, "30")),
     (of(Plant, groups=(WtgGroup(bus=99),)), r"unknown bus 99; .* has buses \[1, 2"),
     (
         lambda: Plant(control=GridFormingParameters(frequency_setpoint_pu=0.998)),
@@ -168,8 +156,8 @@ def fit(*events: Any, **more: Any) -> Call:
     return lambda: Simulator(Plant(), duration_s=120.0).prepare(what, group_laws(LAW, TURBINES))
 
 
-def line(time_s: float, from_bus: int, to_bus: int, recloses_after_s: float | None = None) -> LineTrip:
-    return LineTrip(time_s=time_s, from_bus=from_bus, to_bus=to_bus, recloses_after_s=recloses_after_s)
+def line(time_s: float, from_bus: int, to_bus: int, recloses_after_s: float | None = None) -> sc.LineTrip:
+    return sc.LineTrip(time_s=time_s, from_bus=from_bus, to_bus=to_bus, recloses_after_s=recloses_after_s)
 
 
 def extended(*events: Any) -> Call:
@@ -184,34 +172,31 @@ FIVE = tuple(
 
 
 UNFIT: list[tuple[Call, str]] = [
-    (fit(LoadStep(time_s=1.003, bus=2, power_mw=1.0)), "event time = 1.003 s is not a whole number"),
+    (fit(sc.LoadStep(time_s=1.003, bus=2, power_mw=1.0)), "event time = 1.003 s is not a whole number"),
     (fit(line(1.0, 7, 8, 0.5)), "would split the network"),
     (fit(line(1.0, 1, 2), line(1.0, 1, 5)), "would split the network"),
-    (fit(*(LoadTrip(time_s=t, bus=9) for t in (1.0, 2.0))), r"disconnects a load twice; .*\[9, 9\]"),
+    (fit(*(sc.LoadTrip(time_s=t, bus=9) for t in (1.0, 2.0))), r"disconnects a load twice; .*\[9, 9\]"),
     (fit(line(1.0, 1, 2), line(2.0, 1, 2)), "opens the line 1-2 twice"),
     (fit(line(0.5, 1, 2, 0.525), line(1.0, 1, 2, 0.525)), "opens the line 1-2 twice"),
-    (fit(GroupTrip(time_s=1.0, group=2)), "unknown WTG group 2; the plant has 2, counted from 0"),
-    (fit(*(GroupTrip(time_s=t, group=1) for t in (1.0, 2.0))), "disconnects WTG group 1 at bus 2 twice"),
-    (fit(GovernorLoss(time_s=1.0, bus=3)), r"no machine with a governor at bus 3; buses with one: \[1\]"),
-    (fit(MachineOutage(time_s=1.0, bus=2)), r"no synchronous machine at bus 2; buses with one: \[1, 3, 6, 8\]"),
-    (
-        fit(MachineOutage(time_s=1.0, bus=3, returns_after_s=1.0)),
-        "brings back .* at bus 3, which needs extended",
-    ),
-    (fit(GroupTrip(time_s=1.0, group=0, returns_after_s=1.0)), "brings back WTG group 0 .* needs extended physics"),
-    (fit(Fault(time_s=1.0, bus=99, clears_after_s=0.1)), r"unknown bus 99; .* has buses \[1, 2"),
-    (fit(Fault(time_s=1.0, bus=4, clears_after_s=0.1, opens=(1, 9))), "no branch 1-9 in .*; branches: 1-2"),
-    (fit(Fault(time_s=1.0, bus=4, clears_after_s=0.101)), "clears_after_s = 0.101 s is not a whole number"),
-    (fit(ReactanceStep(time_s=1.0, from_bus=1, to_bus=4, factor=2.0)), "no branch 1-4 in .*; branches: 1-2"),
-    (fit(PhaseJump(time_s=1.0, bus=1, angle_deg=5.0)), r"no imposed source at bus 1; buses with one: \[\]"),
-    (fit(FrequencyRamp(time_s=1.0, bus=1, rocof_hz_s=1.0, duration_s=1.0)), "no imposed source at bus 1;"),
+    (fit(sc.GroupTrip(time_s=1.0, group=2)), "unknown WTG group 2; the plant has 2, counted from 0"),
+    (fit(*(sc.GroupTrip(time_s=t, group=1) for t in (1.0, 2.0))), "disconnects WTG group 1 at bus 2 twice"),
+    (fit(sc.GovernorLoss(time_s=1.0, bus=3)), r"no machine with a governor at bus 3; buses with one: \[1\]"),
+    (fit(sc.MachineOutage(time_s=1.0, bus=2)), r"no synchronous machine at bus 2; buses with one: \[1, 3, 6, 8\]"),
+    (fit(sc.MachineOutage(time_s=1.0, bus=3, returns_after_s=1.0)), "brings back .* at bus 3, which needs extended"),
+    (fit(sc.GroupTrip(time_s=1.0, group=0, returns_after_s=1.0)), "brings back WTG group 0 .* needs extended physics"),
+    (fit(sc.Fault(time_s=1.0, bus=99, clears_after_s=0.1)), r"unknown bus 99; .* has buses \[1, 2"),
+    (fit(sc.Fault(time_s=1.0, bus=4, clears_after_s=0.1, opens=(1, 9))), "no branch 1-9 in .*; branches: 1-2"),
+    (fit(sc.Fault(time_s=1.0, bus=4, clears_after_s=0.101)), "clears_after_s = 0.101 s is not a whole number"),
+    (fit(sc.ReactanceStep(time_s=1.0, from_bus=1, to_bus=4, factor=2.0)), "no branch 1-4 in .*; branches: 1-2"),
+    (fit(sc.PhaseJump(time_s=1.0, bus=1, angle_deg=5.0)), r"no imposed source at bus 1; buses with one: \[\]"),
+    (fit(sc.FrequencyRamp(time_s=1.0, bus=1, rocof_hz_s=1.0, duration_s=1.0)), "no imposed source at bus 1;"),
     (extended(*FIVE), "its line trips leave 5 islands with a unit; allowed: at most 4"),
     (
-        extended(*(GroupTrip(time_s=t, group=1, returns_after_s=2.0) for t in (1.0, 2.975))),
+        extended(*(sc.GroupTrip(time_s=t, group=1, returns_after_s=2.0) for t in (1.0, 2.975))),
         "disconnects WTG group 1 at bus 2 twice",
     ),
     (
-        extended(*(MachineOutage(time_s=t, bus=3, returns_after_s=2.0) for t in (1.0, 2.975))),
+        extended(*(sc.MachineOutage(time_s=t, bus=3, returns_after_s=2.0) for t in (1.0, 2.975))),
         "disconnects the synchronous machine at bus 3 twice",
     ),
     (fit(duration_s=300.0), "lasts 300 s, longer than the 120 s held here"),

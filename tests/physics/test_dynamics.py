@@ -6,19 +6,10 @@ import numpy as np
 import pytest
 
 from tests.physics.extended import NO_SHEDDING, recorded, reference_run, scenario, started
+from wtg_gym.physics import scenario as sc
 from wtg_gym.physics.parameters import ConverterLimitParameters
 from wtg_gym.physics.plant import Plant
 from wtg_gym.physics.protection import Status
-from wtg_gym.physics.scenario import (
-    Event,
-    GovernorLoss,
-    GroupTrip,
-    LineTrip,
-    LoadRamp,
-    LoadStep,
-    LoadTrip,
-    MachineOutage,
-)
 from wtg_gym.physics.simulator import Simulator
 from wtg_gym.physics.tracking_law import STRATEGIES
 from wtg_gym.scenarios import get_suite
@@ -40,7 +31,7 @@ def test_load_noise_by_rank_one_update_equals_a_full_reduction(simulator: Simula
     # 12 MW of noise at bus 9 from t = 0.1 s on, against the same as a load step of 12 MW.
     results = []
     for what in (
-        scenario(LoadStep(time_s=0.1, bus=9, power_mw=12.0)),
+        scenario(sc.LoadStep(time_s=0.1, bus=9, power_mw=12.0)),
         scenario(load_noise_mw=np.concatenate([[0.0], np.full(40, 12.0)]), load_noise_bus=9),
     ):
         simulator.start(0, what, (LAW, LAW))
@@ -58,22 +49,22 @@ def test_load_noise_ends_with_its_series_at_every_control_interval() -> None:
 
 
 EVENTS = (
-    LoadStep(time_s=0.2, bus=2, power_mw=75.0, reactive_mvar=20.0),
-    LoadTrip(time_s=0.5, bus=9),
-    LineTrip(time_s=0.8, from_bus=2, to_bus=4),
-    LoadRamp(time_s=1.0, bus=3, power_mw=30.0, duration_s=0.5),
+    sc.LoadStep(time_s=0.2, bus=2, power_mw=75.0, reactive_mvar=20.0),
+    sc.LoadTrip(time_s=0.5, bus=9),
+    sc.LineTrip(time_s=0.8, from_bus=2, to_bus=4),
+    sc.LoadRamp(time_s=1.0, bus=3, power_mw=30.0, duration_s=0.5),
 )
 OUTAGES = (
-    LineTrip(time_s=0.2, from_bus=2, to_bus=4, recloses_after_s=0.5),
-    MachineOutage(time_s=0.5, bus=6),
-    GovernorLoss(time_s=1.0, bus=1),
-    GroupTrip(time_s=1.3, group=1),
+    sc.LineTrip(time_s=0.2, from_bus=2, to_bus=4, recloses_after_s=0.5),
+    sc.MachineOutage(time_s=0.5, bus=6),
+    sc.GovernorLoss(time_s=1.0, bus=1),
+    sc.GroupTrip(time_s=1.3, group=1),
 )
 
 
 @pytest.mark.parametrize(("method", "events"), [("DOP853", EVENTS), ("Radau", OUTAGES)], ids=["loads", "outages"])
 def test_default_step_agrees_with_tight_integration_through_every_kind_of_event(
-    method: str, events: tuple[Event, ...]
+    method: str, events: tuple[sc.Event, ...]
 ) -> None:
     expected, _ = reference_run(Plant(), scenario(*events), 2.0, method, 1e-10, "power")
     fixed = started(Plant(), scenario(*events))

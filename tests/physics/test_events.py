@@ -8,19 +8,10 @@ import numpy as np
 import pytest
 
 from tests.physics.extended import phasors, recorded, scenario
+from wtg_gym.physics import scenario as sc
 from wtg_gym.physics.grid import get_grid
 from wtg_gym.physics.network import assemble_admittance
 from wtg_gym.physics.protection import Status
-from wtg_gym.physics.scenario import (
-    GovernorLoss,
-    GroupTrip,
-    LineTrip,
-    LoadRamp,
-    LoadStep,
-    LoadTrip,
-    MachineOutage,
-    Scenario,
-)
 from wtg_gym.physics.simulator import Simulator
 from wtg_gym.physics.tracking_law import STRATEGIES
 from wtg_gym.physics.units import BUSES, ISLANDS, PAIRS, UNITS
@@ -28,19 +19,19 @@ from wtg_gym.physics.units import BUSES, ISLANDS, PAIRS, UNITS
 LAWS = (STRATEGIES["coordinated-piecewise"],) * 2
 CASE = get_grid("ieee14").case
 ALL = (
-    LoadStep(time_s=0.5, bus=3, power_mw=20.0, reactive_mvar=5.0),
-    LineTrip(time_s=1.0, from_bus=2, to_bus=4, recloses_after_s=0.75),
-    MachineOutage(time_s=1.25, bus=6),
-    GovernorLoss(time_s=2.0, bus=1),
-    LoadRamp(time_s=2.1, bus=9, power_mw=-15.0, duration_s=0.5),
-    GroupTrip(time_s=2.525, group=1),
-    LineTrip(time_s=3.0, from_bus=4, to_bus=5),
-    LineTrip(time_s=3.0, from_bus=2, to_bus=4, recloses_after_s=0.025),
-    LoadTrip(time_s=3.5, bus=14),
+    sc.LoadStep(time_s=0.5, bus=3, power_mw=20.0, reactive_mvar=5.0),
+    sc.LineTrip(time_s=1.0, from_bus=2, to_bus=4, recloses_after_s=0.75),
+    sc.MachineOutage(time_s=1.25, bus=6),
+    sc.GovernorLoss(time_s=2.0, bus=1),
+    sc.LoadRamp(time_s=2.1, bus=9, power_mw=-15.0, duration_s=0.5),
+    sc.GroupTrip(time_s=2.525, group=1),
+    sc.LineTrip(time_s=3.0, from_bus=4, to_bus=5),
+    sc.LineTrip(time_s=3.0, from_bus=2, to_bus=4, recloses_after_s=0.025),
+    sc.LoadTrip(time_s=3.5, bus=14),
 )
 
 
-def whole_network(simulator: Simulator, what: Scenario, now_s: float) -> tuple[np.ndarray, list[int]]:
+def whole_network(simulator: Simulator, what: sc.Scenario, now_s: float) -> tuple[np.ndarray, list[int]]:
     """The admittance matrix of loads, shunts and closed branches during the step that ends now, and who is connected.
 
     From the scenario itself, without the simulator's own table of events.
@@ -59,19 +50,19 @@ def whole_network(simulator: Simulator, what: Scenario, now_s: float) -> tuple[n
     for event in what.events:
         if event.time_s > at:
             continue
-        if isinstance(event, LineTrip):
+        if isinstance(event, sc.LineTrip):
             if event.recloses_after_s is None or at < event.time_s + event.recloses_after_s:
                 opened[case.branch_index(event.from_bus, event.to_bus)] = True
-        elif isinstance(event, GroupTrip):
+        elif isinstance(event, sc.GroupTrip):
             connected.remove(simulator.layout.n_sync + event.group)
-        elif isinstance(event, MachineOutage):
+        elif isinstance(event, sc.MachineOutage):
             connected = [u for u in connected if u >= len(case.machines) or case.machines[u].bus != event.bus]
-        elif isinstance(event, LoadTrip):
+        elif isinstance(event, sc.LoadTrip):
             bus = case.bus_index(event.bus)
             loads[bus] -= held_load[bus]
-        elif isinstance(event, LoadStep):
+        elif isinstance(event, sc.LoadStep):
             share = 1.0
-            if isinstance(event, LoadRamp):
+            if isinstance(event, sc.LoadRamp):
                 # A staircase: the value of the middle, until the control interval ends or something happens.
                 interval = np.floor(at / control_s + 1e-9) * control_s
                 changes = [interval, interval + control_s, *(t for e in what.events for t in (e.time_s, e.end_s))]
@@ -93,7 +84,7 @@ def reduced(simulator: Simulator, passive: np.ndarray, connected: list[int]) -> 
     return found
 
 
-def check_network(simulator: Simulator, what: Scenario, now_s: float) -> None:
+def check_network(simulator: Simulator, what: sc.Scenario, now_s: float) -> None:
     """Reduced admittance, currents, bus voltages and power balance are those of the whole network."""
     passive, connected = whole_network(simulator, what, now_s)
     expected, n, plant = reduced(simulator, passive, connected), simulator.layout.n_unit, simulator.plant
@@ -131,7 +122,7 @@ def test_a_lane_that_starts_again_has_all_its_units_and_governors(simulator: Sim
 
 @pytest.mark.parametrize("bus", [3, 8])
 def test_a_condenser_after_its_outage_feeds_in_nothing_and_counts_nowhere(simulator: Simulator, bus: int) -> None:
-    simulator.start(0, scenario(MachineOutage(time_s=1.0, bus=bus)), LAWS)
+    simulator.start(0, scenario(sc.MachineOutage(time_s=1.0, bus=bus)), LAWS)
     recorded(simulator, 1.0)
     out = [machine.bus for machine in CASE.machines].index(bus)
     stays = [i for i in range(4) if i != out]
@@ -155,6 +146,6 @@ def test_a_condenser_after_its_outage_feeds_in_nothing_and_counts_nowhere(simula
             weights @ (speed - 1.0) / weights.sum(), abs=1e-14
         )
         angles = np.concatenate([simulator.machine_values("angle")[0, stays], simulator.wtg_values("angle")[0]])
-        for name, angle in (("least_angle", angles.min()), ("largest_angle", angles.max())):
-            assert simulator.scratches[0][layout.first_rows(ISLANDS, name)[0]] == [angle]
+        for place, angle in enumerate((angles.min(), angles.max())):
+            assert simulator.scratches[0][layout.first_rows(ISLANDS, "spread")[0] + place] == [angle]
     assert np.ptp(speeds) > 1e-6

@@ -5,77 +5,22 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from tests.physics.extended import (
-    CURRENT_MAX,
-    LAW,
-    NO_SHEDDING,
-    distance,
-    fault,
-    plant,
-    pulse,
-    recorded,
-    reference_run,
-    scenario,
-    started,
-)
-from wtg_gym.physics.extension_unit import EXTENSIONS
-from wtg_gym.physics.grid import get_grid
+from tests.physics import extended
+from wtg_gym.physics import grid
 from wtg_gym.physics.layout import Floats
 from wtg_gym.physics.network import assemble_admittance
-from wtg_gym.physics.parameters import (
-    ConverterLimitParameters,
-    VoltageControlParameters,
-    WtgGroup,
-    european_shedding,
-)
+from wtg_gym.physics.parameters import ConverterLimitParameters, VoltageControlParameters, WtgGroup, european_shedding
 from wtg_gym.physics.plant import Plant, layout_of, plant_tables, with_places
 from wtg_gym.physics.protection import STAGES, Status
 from wtg_gym.physics.scenario import GovernorLoss, LoadStep, Scenario
 from wtg_gym.physics.step import FREE_CURRENTS, LIMITS
 from wtg_gym.physics.tracking_law import get_law
 from wtg_gym.physics.units import PAIRS, UNITS
+from wtg_gym.physics.wtg_unit import EXTENSIONS
 from wtg_gym.systems.programs import in_one_table
 from wtg_gym.systems.routines import Routine
 
 # --- Limits
-
-
-@pytest.mark.parametrize("table", [False, True])
-@pytest.mark.parametrize("disturbance", ["fault", "load"])
-def test_limits_are_held_and_left_without_wind_up(table: bool, disturbance: str) -> None:
-    # The hydro governor is slow: under more load the groups lose synchronism.
-    load = pulse(2, 160.0, until_s=5.0) if table else pulse(2, 200.0, until_s=11.0)
-    events = fault() if disturbance == "fault" else load
-    settings = plant(table=table, control_dt=0.025, shedding=NO_SHEDDING)
-    simulator = started(settings, scenario(*events, duration_s=180.0), duration_s=180.0)
-    start = simulator.state()
-    names = ("current", "limiting_reactance", "over_power", "under_power", "internal_voltage", "power")
-    found = recorded(simulator, 180.0, *names)
-    assert simulator.lane_values("status")[0] == Status.RUNNING
-    assert (found["limiting_reactance"] > 0.0).any()
-    assert found["current"].max() <= CURRENT_MAX * (1.0 + 1e-9)
-    control = settings.voltage_control
-    assert control is not None
-    assert found["internal_voltage"].max() <= control.internal_voltage_max_pu
-    assert found["internal_voltage"].min() >= control.internal_voltage_min_pu
-    for name in ("over_power", "under_power"):
-        assert np.abs(found[name]).max() < 0.03
-        assert (found[name][-1] == 0.0).all()
-    # Left at once: no sample later than 0.1 s after the disturbance is limited.
-    last = 0.025 * (np.flatnonzero(found["limiting_reactance"].max(axis=1) > 0.0).max() + 1)
-    assert last < events[-1].time_s + 0.1
-    assert distance(simulator, start) < 5e-5
-
-
-def test_the_reactive_limit_takes_over_and_gives_back() -> None:
-    simulator = started(plant(control_dt=0.025), scenario(*pulse(4, reactive_mvar=60.0, until_s=16.0)))
-    before = simulator.wtg_values("reactive")[0]
-    found = recorded(simulator, 60.0, "reactive", "terminal_voltage")["reactive"]
-    assert before == pytest.approx([0.33, 0.33], abs=1e-9)
-    assert found.max() > 0.36
-    held = found[40 + 20 : 600]
-    assert held.max() < 0.3305
-    assert found[-1] == pytest.approx(before, abs=1e-5)
 
 
 @pytest.mark.parametrize(
@@ -87,9 +32,9 @@ def test_a_group_stays_through_the_over_voltages_it_must_and_no_longer(
 ) -> None:
     # A capacitor far too large, where no machine and hardly any group controls its voltage.
     capacitor = LoadStep(time_s=1.0, bus=2, power_mw=0.0, reactive_mvar=mvar)
-    case, slow = get_grid("ieee14").case.classical(), VoltageControlParameters(integral_gain=0.01)
-    found = recorded(
-        started(plant(control_dt=0.1, voltage=slow, case=case), scenario(capacitor)),
+    case, slow = grid.get_grid("ieee14").case.classical(), VoltageControlParameters(integral_gain=0.01)
+    found = extended.recorded(
+        extended.started(extended.plant(control_dt=0.1, voltage=slow, case=case), extended.scenario(capacitor)),
         30.0,
         *("terminal_voltage", "connected", "largest_voltage"),
     )
@@ -100,26 +45,66 @@ def test_a_group_stays_through_the_over_voltages_it_must_and_no_longer(
 
 
 @pytest.mark.parametrize("table", [False, True])
+@pytest.mark.parametrize("disturbance", ["fault", "load"])
+def test_limits_are_held_and_left_without_wind_up(table: bool, disturbance: str) -> None:
+    # The hydro governor is slow: under more load the groups lose synchronism.
+    load = extended.pulse(2, 160.0, until_s=5.0) if table else extended.pulse(2, 200.0, until_s=11.0)
+    events = extended.fault() if disturbance == "fault" else load
+    settings = extended.plant(table=table, control_dt=0.025, shedding=extended.NO_SHEDDING)
+    simulator = extended.started(settings, extended.scenario(*events, duration_s=180.0), duration_s=180.0)
+    start = simulator.state()
+    names = ("current", "limiting_reactance", "over_power", "under_power", "internal_voltage", "power")
+    found = extended.recorded(simulator, 180.0, *names)
+    assert simulator.lane_values("status")[0] == Status.RUNNING
+    assert (found["limiting_reactance"] > 0.0).any()
+    assert found["current"].max() <= extended.CURRENT_MAX * (1.0 + 1e-9)
+    control = settings.voltage_control
+    assert control is not None
+    assert found["internal_voltage"].max() <= control.internal_voltage_max_pu
+    assert found["internal_voltage"].min() >= control.internal_voltage_min_pu
+    for name in ("over_power", "under_power"):
+        assert np.abs(found[name]).max() < 0.03
+        assert (found[name][-1] == 0.0).all()
+    # Left at once: no sample later than 0.1 s after the disturbance is limited.
+    last = 0.025 * (np.flatnonzero(found["limiting_reactance"].max(axis=1) > 0.0).max() + 1)
+    assert last < events[-1].time_s + 0.1
+    assert extended.distance(simulator, start) < 5e-5
+
+
+def test_the_reactive_limit_takes_over_and_gives_back() -> None:
+    simulator = extended.started(
+        extended.plant(control_dt=0.025), extended.scenario(*extended.pulse(4, reactive_mvar=60.0, until_s=16.0))
+    )
+    before = simulator.wtg_values("reactive")[0]
+    found = extended.recorded(simulator, 60.0, "reactive", "terminal_voltage")["reactive"]
+    assert before == pytest.approx([0.33, 0.33], abs=1e-9)
+    assert found.max() > 0.36
+    held = found[40 + 20 : 600]
+    assert held.max() < 0.3305
+    assert found[-1] == pytest.approx(before, abs=1e-5)
+
+
+@pytest.mark.parametrize("table", [False, True])
 def test_a_lost_governor_keeps_its_gate_to_the_bit_whatever_its_kind(table: bool) -> None:
     gate = "hydro_gate" if table else "gate"
     events = (LoadStep(time_s=1.0, bus=3, power_mw=30.0), GovernorLoss(time_s=3.0, bus=1))
-    simulator = started(plant(table=table), scenario(*events))
+    simulator = extended.started(extended.plant(table=table), extended.scenario(*events))
     start = simulator.machine_values(gate)[0, 0]
-    recorded(simulator, 3.0)
+    extended.recorded(simulator, 3.0)
     held = simulator.machine_values(gate)[0, 0]
     assert abs(held - start) > 1e-3
     for _ in range(200):
         simulator.advance()
         assert simulator.machine_values(gate)[0, 0] == held
-    simulator.start(0, scenario(events[0]), (get_law(LAW, simulator.settings.turbine),) * 2)
-    recorded(simulator, 23.0)
+    simulator.start(0, extended.scenario(events[0]), (get_law(extended.LAW, simulator.settings.turbine),) * 2)
+    extended.recorded(simulator, 23.0)
     assert abs(simulator.machine_values(gate)[0, 0] - held) > 1e-3
 
 
 def test_shedding_stages_act_in_their_order_at_their_time_with_their_share() -> None:
     stages = european_shedding()
     step = LoadStep(time_s=1.0, bus=3, power_mw=150.0)
-    simulator = started(plant(control_dt=0.025), scenario(step, governor_droop=0.2))
+    simulator = extended.started(extended.plant(control_dt=0.025), extended.scenario(step, governor_droop=0.2))
     shed = simulator.layout.first_rows(STAGES, "shed")
     below, acted = {}, {}
     for instant in range(1, 1200):
@@ -159,7 +144,7 @@ def test_limited_currents_solve_their_equations(groups: tuple[WtgGroup, ...]) ->
     built = with_places(built, layout, CURRENTS)
     network = built.network
     unit_y, at, m = np.diag(network.unit_y), network.unit_bus, len(groups)
-    n, largest = len(at), CURRENT_MAX * built.share
+    n, largest = len(at), extended.CURRENT_MAX * built.share
     n_limited = []
     for _ in range(40):
         bus_y = network.shunts + built.buses["load.re"] - 1j * built.buses["load.im"]
@@ -194,7 +179,7 @@ def test_limited_currents_solve_their_equations(groups: tuple[WtgGroup, ...]) ->
 
 def deviations(settings: Plant, what: Scenario, expected: tuple[Floats, Floats]) -> tuple[float, float, float]:
     """Largest deviation of speeds [p.u.], angles [rad] and currents [p.u.] over a run."""
-    simulator = started(settings, what)
+    simulator = extended.started(settings, what)
     speed, angle, current = 0.0, 0.0, 0.0
     names = simulator.layout.state_names
     speeds = [i for i, name in enumerate(names) if name.endswith(".speed")]
@@ -207,12 +192,14 @@ def deviations(settings: Plant, what: Scenario, expected: tuple[Floats, Floats])
     return float(speed), float(angle), current
 
 
-@pytest.mark.parametrize("events", [fault(duration_s=0.2), pulse(2, 200.0, until_s=11.0)], ids=["fault", "load"])
+@pytest.mark.parametrize(
+    "events", [extended.fault(duration_s=0.2), extended.pulse(2, 200.0, until_s=11.0)], ids=["fault", "load"]
+)
 def test_the_default_step_follows_tight_integration_while_limits_bind(events: tuple[LoadStep, ...]) -> None:
-    what = scenario(*events)
-    expected = reference_run(plant(shedding=NO_SHEDDING), what, 20.0, "DOP853")
-    assert (expected[1] > CURRENT_MAX * (1.0 - 1e-9)).any()
-    speed, angle, current = deviations(plant(shedding=NO_SHEDDING), what, expected)
+    what = extended.scenario(*events)
+    expected = extended.reference_run(extended.plant(shedding=extended.NO_SHEDDING), what, 20.0, "DOP853")
+    assert (expected[1] > extended.CURRENT_MAX * (1.0 - 1e-9)).any()
+    speed, angle, current = deviations(extended.plant(shedding=extended.NO_SHEDDING), what, expected)
     assert speed < 5e-6
     assert angle < 5e-4
     assert current < 1e-3

@@ -11,15 +11,7 @@ from wtg_gym.physics.layout import Floats
 from wtg_gym.physics.parameters import ConverterLimitParameters, WtgGroup
 from wtg_gym.physics.protection import Status
 from wtg_gym.physics.reduction import assemble, refresh_network
-from wtg_gym.physics.scenario import (
-    Event,
-    Fault,
-    GroupTrip,
-    LineTrip,
-    LoadStep,
-    MachineOutage,
-    ReactanceStep,
-)
+from wtg_gym.physics.scenario import Event, Fault, GroupTrip, LineTrip, LoadStep, MachineOutage, ReactanceStep
 from wtg_gym.physics.simulator import Simulator
 from wtg_gym.physics.tracking_law import get_law
 from wtg_gym.physics.trajectory import simulate

@@ -8,14 +8,8 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from wtg_gym.physics.governor import (
-    HydroState,
-    hydro_constants,
-    hydro_limited,
-    hydro_rates,
-    hydro_start,
-)
 from wtg_gym.physics.layout import Floats
+from wtg_gym.physics.machine_models import HydroState, hydro_constants, hydro_limited, hydro_rates, hydro_start
 from wtg_gym.physics.machine_parameters import HydroGovernorParameters
 
 P = HydroGovernorParameters()

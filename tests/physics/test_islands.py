@@ -7,21 +7,10 @@ import dataclasses
 import numpy as np
 import pytest
 
-from tests.physics.extended import (
-    LAW,
-    NO_SHEDDING,
-    largest_rate,
-    phasors,
-    plant,
-    recorded,
-    scenario,
-    started,
-)
-from wtg_gym.physics.extension_unit import EXTENSIONS
-from wtg_gym.physics.grid import get_grid
+from tests.physics.extended import LAW, NO_SHEDDING, largest_rate, phasors, plant, recorded, scenario, started
+from wtg_gym.physics.grid import NetworkCase, get_grid
 from wtg_gym.physics.layout import Floats, n_rows_of
 from wtg_gym.physics.machine_unit import MACHINES
-from wtg_gym.physics.network import NetworkCase
 from wtg_gym.physics.parameters import WtgGroup
 from wtg_gym.physics.plant import Plant
 from wtg_gym.physics.protection import STAGES, Status
@@ -29,7 +18,7 @@ from wtg_gym.physics.scenario import LineTrip, LoadStep, MachineOutage
 from wtg_gym.physics.simulator import Simulator
 from wtg_gym.physics.tracking_law import get_law
 from wtg_gym.physics.units import BUSES, ISLANDS, PAIRS, UNITS
-from wtg_gym.physics.wtg_unit import GROUPS
+from wtg_gym.physics.wtg_unit import EXTENSIONS, GROUPS
 from wtg_gym.systems.systems import Kind
 
 #: Lines between buses 1 … 5, which have the more load, and 6 … 14; a group lives in either part.
@@ -255,10 +244,3 @@ def test_too_little_wind_for_wind_turbines_alone_is_said_in_one_line() -> None:
     with pytest.raises(ValueError, match="WTG groups alone cannot meet the load at a level of 1;") as refused:
         started(settings, scenario(wind=[[7.0], [6.0]], load_noise_bus=2))
     assert "\n" not in str(refused.value)
-
-
-@pytest.mark.parametrize("physics", ["extended", "nrel-5mw"])
-def test_extended_physics_sheds_and_takes_damping_from_condensers_alone(physics: str) -> None:
-    settings = Plant().replaced(physics=physics)
-    assert [machine.damping_pu for machine in settings.case.machines] == [2.0, 0.0, 0.0, 0.0]
-    assert [stage.share for stage in settings.shedding] == [0.05, 0.08, 0.08, 0.08, 0.08, 0.08]

@@ -15,107 +15,67 @@ import pytest
 from tests.physics.extended import largest_rate, scenario
 from wtg_gym.envs.settings import EnvSettings
 from wtg_gym.gradients.tape import Tape
-from wtg_gym.physics.control_parameters import (
-    BoilerGovernorParameters,
-    FilterStabiliserParameters,
-    GasGovernorParameters,
-    LeadLagExciterParameters,
-    ReheatGovernorParameters,
-    SaturatingExciterParameters,
-    SpeedStabiliserParameters,
-)
-from wtg_gym.physics.gast import GAST, gast_rates, gast_start
-from wtg_gym.physics.grid import Grid, get_grid, grid_text
-from wtg_gym.physics.ieeeg1 import IEEEG1, ieeeg1_rates, ieeeg1_start
-from wtg_gym.physics.ieeest import IEEEST, ieeest_rates, ieeest_start
-from wtg_gym.physics.ieeex1 import IEEEX1, ieeex1_rates, ieeex1_start
-from wtg_gym.physics.ieesgo import IEESGO, ieesgo_rates, ieesgo_start
-from wtg_gym.physics.integration import PROGRAMS
+from wtg_gym.physics import machine_models as models
+from wtg_gym.physics import machine_parameters as controls
+from wtg_gym.physics.grid import Branch, Bus, Grid, NetworkCase, get_grid, grid_text
 from wtg_gym.physics.linearisation import moving_states, state_matrix
+from wtg_gym.physics.machine import saturated, saturation_constants
 from wtg_gym.physics.machine_parameters import (
+    ExciterParameters,
     GovernorParameters,
     HydroGovernorParameters,
     SynchronousMachineParameters,
 )
-from wtg_gym.physics.network import Branch, Bus, NetworkCase
 from wtg_gym.physics.parameters import ConverterLimitParameters, ProtectionParameters
-from wtg_gym.physics.plant import Plant, plant_tables, programs_of
-from wtg_gym.physics.saturation import saturated, saturation_constants
+from wtg_gym.physics.plant import Plant, plant_tables
 from wtg_gym.physics.scenario import Event, GovernorLoss, LoadStep, MachineOutage
 from wtg_gym.physics.simulator import Simulator
-from wtg_gym.physics.stab1 import STAB1, stab1_rates, stab1_start
 
 Complex = npt.NDArray[np.complex128]
 S = 2j * np.pi * np.array([0.05, 0.4, 1.5, 6.0])
 
-STABILISER = SpeedStabiliserParameters(signal_limit_pu=0.05)
-FILTER = FilterStabiliserParameters(
+STABILISER = controls.SpeedStabiliserParameters(signal_limit_pu=0.05)
+FILTER = controls.FilterStabiliserParameters(
     filter_a1_s=0.1, filter_a2_s2=0.005, filter_a3_s=0.08, filter_a4_s2=0.002, filter_a5_s=0.05, filter_a6_s2=0.001
 )
-EXCITER = LeadLagExciterParameters(
-    regulator_gain=40.0,
-    lead_time_s=0.5,
-    lag_time_s=1.5,
-    saturation_voltage_1_pu=1.5,
-    saturation_1=0.06,
-    saturation_voltage_2_pu=3.0,
-    saturation_2=0.3,
+SATURATION = {"saturation_voltage_1_pu": 1.5, "saturation_1": 0.06, "saturation_voltage_2_pu": 3.0, "saturation_2": 0.3}
+EXCITER = controls.LeadLagExciterParameters(regulator_gain=40.0, lead_time_s=0.5, lag_time_s=1.5, **SATURATION)
+BOILER = controls.BoilerGovernorParameters(
+    lag_time_s=0.2, lead_time_s=0.5, fraction_1=0.3, fraction_2=0.2, fraction_3=0.5
 )
-BOILER = BoilerGovernorParameters(lag_time_s=0.2, lead_time_s=0.5, fraction_1=0.3, fraction_2=0.2, fraction_3=0.5)
 
 
 def machine(bus: int, **changes: Any) -> SynchronousMachineParameters:
-    usual: dict[str, Any] = {
-        "rating_mva": 200.0,
-        "two_h_s": 8.0,
-        "x_d": 1.8,
-        "x_q": 1.7,
-        "x_d_transient": 0.3,
-        "x_q_transient": 0.55,
-        "x_subtransient": 0.25,
-        "x_leakage": 0.2,
-        "t_d0_transient_s": 8.0,
-        "t_d0_subtransient_s": 0.03,
-        "t_q0_transient_s": 0.4,
-        "t_q0_subtransient_s": 0.05,
-        "damping_pu": 0.0,
-        "saturation_1_0": 0.1,
-        "saturation_1_2": 0.4,
-    }
-    return SynchronousMachineParameters(**{**usual, "bus": bus, **changes})
+    """Kundur's machine with saturation, without governor and stabiliser."""
+    without: dict[str, Any] = {"exciter": ExciterParameters(), "stabiliser": None, "governor": None}
+    usual = {"rating_mva": 200.0, "two_h_s": 8.0, "damping_pu": 0.0, "saturation_1_0": 0.1, "saturation_1_2": 0.4}
+    given = {**without, **usual, "bus": bus, "dispatch_mw": 0.0, **changes}
+    return dataclasses.replace(get_grid("kundur").case.machines[0], **given)
 
 
 #: Every model, on two machines.
 FIRST = machine(1, exciter=EXCITER, stabiliser=FILTER, governor=BOILER)
-SECOND = machine(2, dispatch_mw=80.0, stabiliser=STABILISER, governor=GasGovernorParameters())
+SECOND = machine(2, dispatch_mw=80.0, stabiliser=STABILISER, governor=controls.GasGovernorParameters())
 OTHERS = (
-    dataclasses.replace(FIRST, exciter=SaturatingExciterParameters(regulator_gain=40.0), stabiliser=STABILISER),
-    dataclasses.replace(SECOND, governor=ReheatGovernorParameters(), saturation_1_0=0.0, saturation_1_2=0.0),
+    dataclasses.replace(
+        FIRST, exciter=controls.SaturatingExciterParameters(regulator_gain=40.0), stabiliser=STABILISER
+    ),
+    dataclasses.replace(SECOND, governor=controls.ReheatGovernorParameters(), saturation_1_0=0.0, saturation_1_2=0.0),
 )
 
 
 def network(*machines: SynchronousMachineParameters) -> NetworkCase:
+    """Two machines and a load."""
     lines = ((1, 3, 0.005, 0.05), (2, 3, 0.005, 0.06), (1, 2, 0.01, 0.1))
-    return NetworkCase(
-        name="two machines",
-        base_mva=100.0,
-        frequency_hz=50.0,
-        slack_bus=1,
-        buses=(
-            Bus(number=1, voltage_pu=1.03),
-            Bus(number=2, voltage_pu=1.01),
-            Bus(number=3, load_mw=200.0, load_mvar=60.0),
-        ),
-        branches=tuple(Branch(from_bus=a, to_bus=b, resistance=r, reactance=x) for a, b, r, x in lines),
-        machines=machines,
-    )
+    branches = tuple(Branch(from_bus=a, to_bus=b, resistance=r, reactance=x) for a, b, r, x in lines)
+    load = Bus(number=3, load_mw=200.0, load_mvar=60.0)
+    buses = Bus(number=1, voltage_pu=1.03), Bus(number=2, voltage_pu=1.01), load
+    base: dict[str, Any] = {"base_mva": 100.0, "frequency_hz": 50.0, "slack_bus": 1}
+    return NetworkCase(name="two machines", buses=buses, branches=branches, machines=machines, **base)
 
 
 def started(
-    machines: Sequence[SynchronousMachineParameters],
-    *events: Event,
-    given: dict[str, Any] | None = None,
-    **more: Any,
+    machines: Sequence[SynchronousMachineParameters], *events: Event, given: dict[str, Any] | None = None, **more: Any
 ) -> Simulator:
     usual: dict[str, Any] = {
         "case": network(*machines),
@@ -164,13 +124,13 @@ def test_the_parabola_of_saturation_goes_through_both_points_and_begins_between(
 
 def test_stab1_has_its_transfer_function_and_its_limit() -> None:
     p = STABILISER
-    c = STAB1.constants(0, p)
-    found = response(lambda s, u: stab1_rates(s, u, 1.0, c), stab1_start(0.0, c), 0.0)
+    c = models.STAB1.constants(0, p)
+    found = response(lambda s, u: models.stab1_rates(s, u, 1.0, c), models.stab1_start(0.0, c), 0.0)
     wanted = p.gain * S * p.washout_time_s / (1.0 + S * p.washout_time_s)
     wanted = wanted * (1.0 + S * p.lead_time_1_s) / (1.0 + S * p.lag_time_1_s)
     wanted = wanted * (1.0 + S * p.lead_time_2_s) / (1.0 + S * p.lag_time_2_s)
     assert found == pytest.approx(wanted, rel=1e-7)
-    assert stab1_rates(stab1_start(0.0, c), 0.1, 1.0, c)[1] == p.signal_limit_pu
+    assert models.stab1_rates(models.stab1_start(0.0, c), 0.1, 1.0, c)[1] == p.signal_limit_pu
 
 
 @pytest.mark.parametrize(
@@ -188,8 +148,8 @@ def test_stab1_has_its_transfer_function_and_its_limit() -> None:
 )
 def test_ieeest_has_its_transfer_function_with_any_part_left_out(changes: dict[str, float]) -> None:
     p = dataclasses.replace(FILTER, **{"gain": 7.0, "lead_time_2_s": 0.3, **changes})
-    c = IEEEST.constants(0, p)
-    found = response(lambda s, u: ieeest_rates(s, u, 1.0, c), ieeest_start(0.0, c), 0.0)
+    c = models.IEEEST.constants(0, p)
+    found = response(lambda s, u: models.ieeest_rates(s, u, 1.0, c), models.ieeest_start(0.0, c), 0.0)
     wanted = (1.0 + p.filter_a5_s * S + p.filter_a6_s2 * S**2) / (1.0 + p.filter_a1_s * S + p.filter_a2_s2 * S**2)
     wanted = wanted / (1.0 + p.filter_a3_s * S + p.filter_a4_s2 * S**2)
     wanted = wanted * (1.0 + S * p.lead_time_1_s) / (1.0 + S * p.lag_time_1_s)
@@ -199,18 +159,18 @@ def test_ieeest_has_its_transfer_function_with_any_part_left_out(changes: dict[s
 
 
 def test_ieeest_gives_no_signal_beyond_its_voltages() -> None:
-    c = IEEEST.constants(0, dataclasses.replace(FILTER, voltage_min_pu=0.8, voltage_max_pu=1.2))
-    start = ieeest_start(0.0, c)._replace(washout=-0.01)
-    assert [ieeest_rates(start, 0.0, v, c)[1] != 0.0 for v in (0.7, 1.0, 1.3)] == [False, True, False]
+    c = models.IEEEST.constants(0, dataclasses.replace(FILTER, voltage_min_pu=0.8, voltage_max_pu=1.2))
+    start = models.ieeest_start(0.0, c)._replace(washout=-0.01)
+    assert [models.ieeest_rates(start, 0.0, v, c)[1] != 0.0 for v in (0.7, 1.0, 1.3)] == [False, True, False]
 
 
 def test_the_dc_exciter_is_linear_beside_its_saturation() -> None:
     p = dataclasses.replace(EXCITER, saturation_1=0.0, saturation_2=0.0)
-    c = IEEEX1.constants(0, p)
-    start, error = ieeex1_start(2.0, 1.0, c)
+    c = models.IEEEX1.constants(0, p)
+    start, error = models.ieeex1_start(2.0, 1.0, c)
 
     def rates(s: Any, u: float) -> tuple[Any, float]:
-        return ieeex1_rates(s, u, 1.0, c), s.excitation
+        return models.ieeex1_rates(s, u, 1.0, c), s.excitation
 
     forward = p.regulator_gain * (1.0 + S * p.lead_time_s) / (1.0 + S * p.lag_time_s)
     forward = forward / (1.0 + S * p.regulator_time_s) / (p.exciter_gain + S * p.exciter_time_s)
@@ -219,15 +179,15 @@ def test_the_dc_exciter_is_linear_beside_its_saturation() -> None:
 
 
 def test_a_regulator_leaves_its_limit_as_soon_as_the_error_asks_for_it() -> None:
-    c = IEEEX1.constants(0, EXCITER)
-    held = ieeex1_start(2.0, 1.0, c)[0]._replace(regulator=EXCITER.regulator_max_pu, lead_lag=1.0)
-    assert ieeex1_rates(held, 2.0, 1.0, c).regulator == 0.0
-    assert ieeex1_rates(held, -2.0, 1.0, c).regulator == pytest.approx(
+    c = models.IEEEX1.constants(0, EXCITER)
+    held = models.ieeex1_start(2.0, 1.0, c)[0]._replace(regulator=EXCITER.regulator_max_pu, lead_lag=1.0)
+    assert models.ieeex1_rates(held, 2.0, 1.0, c).regulator == 0.0
+    assert models.ieeex1_rates(held, -2.0, 1.0, c).regulator == pytest.approx(
         (c.regulator_gain * (1.0 - c.lead_time_s * 4.0 / c.lag_time_s) - c.regulator_max_pu) / c.regulator_time_s
     )
     # What drives the exciter is never beyond the limit.
     beyond = held._replace(regulator=2.0 * c.regulator_max_pu)
-    assert ieeex1_rates(beyond, 2.0, 1.0, c).excitation == ieeex1_rates(held, 2.0, 1.0, c).excitation
+    assert models.ieeex1_rates(beyond, 2.0, 1.0, c).excitation == models.ieeex1_rates(held, 2.0, 1.0, c).excitation
 
 
 INV_DROOP = 20.0
@@ -238,8 +198,10 @@ def _lags(*times: float) -> Complex:
 
 
 def test_steam_and_gas_governors_have_their_transfer_functions() -> None:
-    boiler = IEEEG1.constants(0, dataclasses.replace(BOILER, opening_rate_pu_s=10.0, closing_rate_pu_s=-10.0))
-    found = response(lambda s, u: ieeeg1_rates(s, u, 0.5, INV_DROOP, boiler), ieeeg1_start(0.5, boiler), 1.0)
+    boiler = models.IEEEG1.constants(0, dataclasses.replace(BOILER, opening_rate_pu_s=10.0, closing_rate_pu_s=-10.0))
+    found = response(
+        lambda s, u: models.ieeeg1_rates(s, u, 0.5, INV_DROOP, boiler), models.ieeeg1_start(0.5, boiler), 1.0
+    )
     b = BOILER
     passes = np.cumprod(
         [_lags(t) for t in (b.pass_time_1_s, b.pass_time_2_s, b.pass_time_3_s, b.pass_time_4_s)], axis=0
@@ -248,25 +210,27 @@ def test_steam_and_gas_governors_have_their_transfer_functions() -> None:
     fractions = np.array([b.fraction_1, b.fraction_2, b.fraction_3, b.fraction_4])
     assert found == pytest.approx(wanted * (fractions @ passes), rel=1e-6)
 
-    r = ReheatGovernorParameters()
-    reheat = IEESGO.constants(0, r)
-    found = response(lambda s, u: ieesgo_rates(s, u, 0.5, INV_DROOP, reheat), ieesgo_start(0.5, reheat), 1.0)
+    r = controls.ReheatGovernorParameters()
+    reheat = models.IEESGO.constants(0, r)
+    found = response(
+        lambda s, u: models.ieesgo_rates(s, u, 0.5, INV_DROOP, reheat), models.ieesgo_start(0.5, reheat), 1.0
+    )
     order = -INV_DROOP * (1.0 + S * r.lead_time_s) * _lags(r.lag_time_s, r.governor_time_s, r.inlet_time_s)
     behind = 1.0 - r.fraction_3 + r.fraction_3 * _lags(r.crossover_time_s)
     shares = 1.0 - r.fraction_2 + r.fraction_2 * _lags(r.reheat_time_s) * behind
     assert found == pytest.approx(order * shares, rel=1e-6)
 
-    g = dataclasses.replace(GasGovernorParameters(), turbine_damping_pu=0.5)
-    gas = GAST.constants(0, g)
-    found = response(lambda s, u: gast_rates(s, u, 0.5, INV_DROOP, gas), gast_start(0.5, gas), 1.0)
+    g = dataclasses.replace(controls.GasGovernorParameters(), turbine_damping_pu=0.5)
+    gas = models.GAST.constants(0, g)
+    found = response(lambda s, u: models.gast_rates(s, u, 0.5, INV_DROOP, gas), models.gast_start(0.5, gas), 1.0)
     wanted = -INV_DROOP * _lags(g.valve_time_s, g.turbine_time_s) - g.turbine_damping_pu
     assert found == pytest.approx(wanted, rel=1e-6)
 
 
 def test_a_hot_exhaust_holds_the_gas_turbine_at_its_load_limit() -> None:
-    c = GAST.constants(0, GasGovernorParameters(load_limit_pu=0.7))
-    hot = gast_start(0.7, c)
-    assert max(np.abs(gast_rates(hot, 0.9, 0.5, INV_DROOP, c)[0])) < 1e-12
+    c = models.GAST.constants(0, controls.GasGovernorParameters(load_limit_pu=0.7))
+    hot = models.gast_start(0.7, c)
+    assert max(np.abs(models.gast_rates(hot, 0.9, 0.5, INV_DROOP, c)[0])) < 1e-12
 
 
 @pytest.mark.parametrize("machines", [(FIRST, SECOND), OTHERS], ids=["first", "others"])
@@ -297,10 +261,10 @@ def test_runs_start_in_an_exact_equilibrium_and_settle(
 
 
 def test_time_constants_of_zero_take_their_blocks_away() -> None:
-    exciter = LeadLagExciterParameters(
+    exciter = controls.LeadLagExciterParameters(
         sensing_time_s=0.0, regulator_time_s=0.0, lead_time_s=0.0, lag_time_s=0.0, regulator_gain=40.0
     )
-    governor = BoilerGovernorParameters(
+    governor = controls.BoilerGovernorParameters(
         lag_time_s=0.0, lead_time_s=0.0, pass_time_3_s=0.0, pass_time_4_s=0.0, fraction_3=0.1, fraction_2=0.4
     )
     simulator = started((dataclasses.replace(FIRST, exciter=exciter, governor=governor), SECOND))
@@ -333,7 +297,7 @@ def test_secondary_control_moves_the_references_of_all_governors() -> None:
 
 
 def test_secondary_control_keeps_the_references_within_the_limits_of_the_gates() -> None:
-    hydro, gas = HydroGovernorParameters(gate_max_pu=0.66), GasGovernorParameters(load_limit_pu=0.45)
+    hydro, gas = HydroGovernorParameters(gate_max_pu=0.66), controls.GasGovernorParameters(load_limit_pu=0.45)
     machines = (
         machine(1, governor=hydro, damping_pu=10.0),
         machine(2, governor=gas, damping_pu=10.0, dispatch_mw=80.0),
@@ -349,8 +313,10 @@ def test_secondary_control_keeps_the_references_within_the_limits_of_the_gates()
 
 
 def test_a_share_of_the_dispatch_counts_a_gate_up_to_nominal_power_only() -> None:
-    governors = GovernorParameters(gate_max_pu=0.8), GovernorParameters(), BoilerGovernorParameters()
-    machines = [machine(1, governor=own) for own in (*governors, GasGovernorParameters(load_limit_pu=0.7), None)]
+    governors = GovernorParameters(gate_max_pu=0.8), GovernorParameters(), controls.BoilerGovernorParameters()
+    machines = [
+        machine(1, governor=own) for own in (*governors, controls.GasGovernorParameters(load_limit_pu=0.7), None)
+    ]
     plant = plant_tables(Plant(case=network(*machines), groups=(), shares_dispatch=True))
     assert plant.participation == pytest.approx(np.array([0.8, 1.0, 1.0, 0.7, 0.0]) / 3.5)
 
@@ -359,7 +325,10 @@ def test_a_share_of_the_dispatch_counts_a_gate_up_to_nominal_power_only() -> Non
     ("changes", "message"),
     [
         ({"governor": dataclasses.replace(BOILER, gate_max_pu=0.2)}, "p.u. of valve, beyond its valve limits 0 … 0.2"),
-        ({"governor": GasGovernorParameters(load_limit_pu=0.3)}, "p.u. of valve, beyond its valve limits 0 … 0.3"),
+        (
+            {"governor": controls.GasGovernorParameters(load_limit_pu=0.3)},
+            "p.u. of valve, beyond its valve limits 0 … 0.3",
+        ),
         (
             {"exciter": dataclasses.replace(EXCITER, regulator_max_pu=1.0)},
             "p.u. of regulator, beyond its regulator limits -7.3 … 1 p.u.",
@@ -402,11 +371,3 @@ def test_a_grid_file_names_every_model(tmp_path: Path) -> None:
     path.write_text(text.replace("IEESGO", "IEEEX1"), encoding="utf-8")
     with pytest.raises(ValueError, match="unknown model 'IEEEX1'; known here: TGOV1, HYGOV, IEEEG1, IEESGO, GAST"):
         get_grid(str(path))
-
-
-def test_a_plant_without_these_controls_runs_the_same_programs() -> None:
-    assert programs_of(plant_tables(Plant()), *PROGRAMS) == PROGRAMS
-    saturating = network(machine(1), machine(2, dispatch_mw=80.0))
-    assert programs_of(plant_tables(Plant(case=saturating, groups=())), *PROGRAMS) == PROGRAMS
-    controlled = network(FIRST, SECOND)
-    assert programs_of(plant_tables(Plant(case=controlled, groups=())), *PROGRAMS) != PROGRAMS

@@ -10,35 +10,15 @@ import pytest
 
 from tests.physics.extended import classical
 from wtg_gym.physics.equilibrium import FLOW_COLUMNS
-from wtg_gym.physics.grid import get_grid
+from wtg_gym.physics.grid import Branch, NetworkCase, get_grid
 from wtg_gym.physics.layout import n_rows_of
-from wtg_gym.physics.network import (
-    Branch,
-    NetworkCase,
-    branch_admittances,
-    eliminate,
-    solve_power_flow,
-)
+from wtg_gym.physics.network import branch_admittances, solve_power_flow
 from wtg_gym.physics.plant import Plant, plant_tables
 from wtg_gym.physics.units import BUSES
 
 # Solution of the IEEE 14-bus test case: voltage [p.u.] and angle [deg] of buses 1 … 14, as printed in the archive.
-PUBLISHED = (
-    (1.060, 0.0),
-    (1.045, -4.98),
-    (1.010, -12.72),
-    (1.019, -10.33),
-    (1.020, -8.78),
-    (1.070, -14.22),
-    (1.062, -13.37),
-    (1.090, -13.36),
-    (1.056, -14.94),
-    (1.051, -15.10),
-    (1.057, -14.79),
-    (1.055, -15.07),
-    (1.050, -15.16),
-    (1.036, -16.04),
-)
+VOLTAGES = (1.060, 1.045, 1.010, 1.019, 1.020, 1.070, 1.062, 1.090, 1.056, 1.051, 1.057, 1.055, 1.050, 1.036)
+ANGLES = (0.0, -4.98, -12.72, -10.33, -8.78, -14.22, -13.37, -13.36, -14.94, -15.10, -14.79, -15.07, -15.16, -16.04)
 
 
 def solve(case: NetworkCase, power: np.ndarray[Any, np.dtype[np.complex128]]) -> tuple[Any, Any, int]:
@@ -58,27 +38,14 @@ def test_power_flow_meets_the_published_solution_of_the_ieee_14_bus_system() -> 
     power[1] = 0.4
     magnitude, angle, iterations = solve(original, power)
     assert 0 < iterations <= 6
-    voltages, angles = zip(*PUBLISHED, strict=True)
-    assert magnitude == pytest.approx(voltages, abs=1.5e-3)
-    assert np.degrees(angle) == pytest.approx(angles, abs=0.03)
+    assert magnitude == pytest.approx(VOLTAGES, abs=1.5e-3)
+    assert np.degrees(angle) == pytest.approx(ANGLES, abs=0.03)
 
 
 def test_impossible_power_flow_is_reported() -> None:
     power = np.zeros(14, dtype=np.complex128)
     power[13] = -30.0
     assert solve(get_grid("ieee14").case, power)[2] == -1
-
-
-@pytest.mark.parametrize("dtype", [np.float64, np.complex128])
-def test_linear_solver_agrees_with_lapack_and_reports_a_singular_matrix(dtype: type) -> None:
-    rng = np.random.default_rng(0)
-    for n in (1, 2, 7, 22):
-        # Two numbers for each complex one.
-        a, b = rng.normal(size=(n, 2 * n)).view(dtype)[:, :n].copy(), rng.normal(size=(n, 6)).view(dtype)
-        both = np.concatenate([a, b], axis=1)
-        assert eliminate(both)
-        assert np.allclose(both[:, n:], np.linalg.solve(a, b), rtol=1e-10, atol=1e-12)
-    assert not eliminate(np.ones((3, 4), dtype=dtype))
 
 
 def test_off_nominal_tap_and_phase_follow_the_pi_model() -> None:

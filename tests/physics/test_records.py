@@ -8,9 +8,9 @@ import math
 import pytest
 
 from wtg_gym.physics import machine_parameters, parameters
-from wtg_gym.physics.checked import Checked
 from wtg_gym.physics.grid import get_grid
 from wtg_gym.physics.parameters import SOURCES
+from wtg_gym.ranges import Checked
 
 CASE = get_grid("ieee14").case
 MACHINE = CASE.machines[0]

@@ -14,8 +14,6 @@ from wtg_gym.physics.machine_parameters import GovernorParameters
 from wtg_gym.physics.plant import Plant
 from wtg_gym.physics.scenario import Event, GovernorLoss, LoadStep, MachineOutage
 from wtg_gym.physics.simulator import Simulator
-from wtg_gym.scenarios import SUITES
-from wtg_gym.tasks import V0
 
 TIME_S = 30.0
 GOVERNOR = GovernorParameters(droop_pu=0.05, gate_max_pu=1.0)
@@ -86,14 +84,3 @@ def test_a_lost_governor_or_a_machine_that_is_away_keeps_its_reference() -> None
         assert reference[last] > reference[0] and (speed[last + 1 :] != 1.0).all()
         # The gate stays where a lost governor leaves it; the reference of a machine that trips, where it was.
         assert (reference[last + 1 :] == reference[last + 1]).all()
-
-
-@pytest.mark.parametrize("wrong", [0.5, -30.0, 4000.0, float("nan"), "30"])
-def test_its_time_is_checked(wrong: float) -> None:
-    with pytest.raises(ValueError, match="secondary_time_s"):
-        Plant(secondary_time_s=wrong)
-
-
-def test_plants_of_v0_have_none_and_those_of_v1_have_it() -> None:
-    for suite in SUITES.values():
-        assert suite.plant.secondary_time_s == (0.0 if suite.task == V0 else TIME_S)

@@ -8,36 +8,15 @@ import math
 import numpy as np
 import pytest
 
-from tests.physics.extended import (
-    LAW,
-    NO_SHEDDING,
-    largest_rate,
-    plant,
-    recorded,
-    scenario,
-    started,
-    with_machine,
-)
+from tests.physics.extended import LAW, NO_SHEDDING, largest_rate, plant, recorded, scenario, started, with_machine
 from tests.physics.test_faults import bus_matrix
 from tests.physics.test_islands import PARTED_WIND, cut, parted
-from wtg_gym.physics.grid import get_grid
-from wtg_gym.physics.local_frequency import FILTER_S, turn_between
-from wtg_gym.physics.network import NetworkCase, Source
+from wtg_gym.physics import scenario as sc
+from wtg_gym.physics.devices import SOURCES
+from wtg_gym.physics.grid import NetworkCase, Source, get_grid
 from wtg_gym.physics.parameters import TurbineParameters
-from wtg_gym.physics.protection import Status
-from wtg_gym.physics.scenario import (
-    Fault,
-    FrequencyRamp,
-    GroupTrip,
-    LineTrip,
-    LoadStep,
-    MachineOutage,
-    PhaseJump,
-    ReactanceStep,
-    Scenario,
-)
+from wtg_gym.physics.protection import FILTER_S, Status, turn_between
 from wtg_gym.physics.simulator import Simulator
-from wtg_gym.physics.source_unit import SOURCES
 from wtg_gym.physics.tracking_law import group_laws
 from wtg_gym.physics.units import BUSES, ISLANDS, Phasor
 
@@ -54,7 +33,7 @@ def local(simulator: Simulator) -> np.ndarray:
 
 def test_units_follow_the_frequency_that_a_source_imposes_and_the_centre_of_inertia_leaves_it_out() -> None:
     settings = plant(case=with_source(), shedding=NO_SHEDDING)
-    ramp = FrequencyRamp(time_s=1.0, bus=1, rocof_hz_s=-0.05, duration_s=6.0)
+    ramp = sc.FrequencyRamp(time_s=1.0, bus=1, rocof_hz_s=-0.05, duration_s=6.0)
     simulator = started(settings, scenario(ramp, wind=[[8.0], [8.0]], duration_s=200.0), duration_s=200.0)
     assert largest_rate(simulator) < 1e-10
     row = simulator.layout.rows_of(SOURCES, "speed")[0]
@@ -81,7 +60,7 @@ def test_units_follow_the_frequency_that_a_source_imposes_and_the_centre_of_iner
 
 @pytest.mark.parametrize(("deviation_hz", "power"), [(-0.4, 1.05), (-0.2, 1.02375), (0.0, 0.9975), (0.2, 0.97125)])
 def test_above_rated_wind_a_group_holds_its_reserve_and_gives_it(deviation_hz: float, power: float) -> None:
-    ramp = FrequencyRamp(time_s=1.0, bus=1, rocof_hz_s=deviation_hz / 4.0, duration_s=4.0)
+    ramp = sc.FrequencyRamp(time_s=1.0, bus=1, rocof_hz_s=deviation_hz / 4.0, duration_s=4.0)
     settings = plant(case=with_source(), shedding=NO_SHEDDING)
     simulator = started(settings, scenario(ramp, wind=[[14.0], [8.0]], duration_s=120.0), duration_s=120.0)
     recorded(simulator, 120.0)
@@ -91,7 +70,7 @@ def test_above_rated_wind_a_group_holds_its_reserve_and_gives_it(deviation_hz: f
 
 def test_a_phase_jump_turns_the_voltage_of_the_source_and_the_units_follow() -> None:
     settings = plant(case=with_source(), control_dt=0.025, shedding=NO_SHEDDING)
-    simulator = started(settings, scenario(PhaseJump(time_s=1.0, bus=1, angle_deg=-20.0), wind=[[8.0], [8.0]]))
+    simulator = started(settings, scenario(sc.PhaseJump(time_s=1.0, bus=1, angle_deg=-20.0), wind=[[8.0], [8.0]]))
     recorded(simulator, 1.0)
     row, before = simulator.layout.rows_of(SOURCES, "angle")[0], simulator.state()
     angle, names = simulator.blocks[0, row, 0], simulator.layout.state_names
@@ -122,7 +101,7 @@ def test_the_angle_between_two_voltages_is_exact_near_half_a_turn_too(at: float,
 
 
 def test_a_local_frequency_is_the_filtered_turn_of_the_voltage() -> None:
-    simulator = started(plant(simulation_dt=0.0025), scenario(LoadStep(time_s=1.0, bus=9, power_mw=60.0)))
+    simulator = started(plant(simulation_dt=0.0025), scenario(sc.LoadStep(time_s=1.0, bus=9, power_mw=60.0)))
     expected, before = np.ones(14), simulator.bus_voltages() * np.exp(1j * simulator.lane_values("angle")[0])
     lowest = 1.0
     for _ in range(60):
@@ -146,7 +125,7 @@ def test_a_local_frequency_is_the_filtered_turn_of_the_voltage() -> None:
 def test_half_the_units_of_a_machine_are_a_machine_of_half_the_rating() -> None:
     case = get_grid("ieee14").case
     half = with_machine(rating_mva=0.5 * case.machines[0].rating_mva)
-    step = LoadStep(time_s=1.0, bus=3, power_mw=30.0)
+    step = sc.LoadStep(time_s=1.0, bus=3, power_mw=30.0)
     some, small = started(plant(), scenario(step, committed=0.5)), started(plant(case=half), scenario(step))
     for _ in range(100):
         some.advance()
@@ -162,11 +141,11 @@ def test_half_the_units_of_a_machine_are_a_machine_of_half_the_rating() -> None:
 
 
 def test_a_run_has_the_same_bits_among_neighbours_with_islands_faults_and_returns() -> None:
-    own = scenario(LoadStep(time_s=0.5, bus=9, power_mw=20.0), wind=PARTED_WIND)
+    own = scenario(sc.LoadStep(time_s=0.5, bus=9, power_mw=20.0), wind=PARTED_WIND)
     others = [
-        scenario(*cut(0.5, again_s=0.7), GroupTrip(time_s=0.2, group=0, returns_after_s=0.6), wind=PARTED_WIND),
-        scenario(Fault(time_s=0.3, bus=4, clears_after_s=0.1, opens=(2, 4)), wind=PARTED_WIND),
-        scenario(MachineOutage(time_s=0.1, bus=3, returns_after_s=0.5), wind=PARTED_WIND),
+        scenario(*cut(0.5, again_s=0.7), sc.GroupTrip(time_s=0.2, group=0, returns_after_s=0.6), wind=PARTED_WIND),
+        scenario(sc.Fault(time_s=0.3, bus=4, clears_after_s=0.1, opens=(2, 4)), wind=PARTED_WIND),
+        scenario(sc.MachineOutage(time_s=0.1, bus=3, returns_after_s=0.5), wind=PARTED_WIND),
     ]
     laws = group_laws(LAW, (TurbineParameters(),) * 2)
     for what in (own, others[0]):
@@ -206,20 +185,20 @@ def test_conductances_follow_the_frequency_of_their_island() -> None:
 # --- Events as text, and bad ones
 
 EVERY = (
-    Fault(time_s=1.0, bus=4, clears_after_s=0.15, resistance_pu=0.01, reactance_pu=0.02, opens=(2, 4)),
-    Fault(time_s=2.0, bus=4, clears_after_s=0.15),
-    LineTrip(time_s=1.0, from_bus=4, to_bus=5, recloses_after_s=1.5),
-    ReactanceStep(time_s=1.0, from_bus=1, to_bus=2, factor=2.0),
-    PhaseJump(time_s=1.0, bus=1, angle_deg=-30.0),
-    FrequencyRamp(time_s=1.0, bus=1, rocof_hz_s=1.0, duration_s=2.0),
-    MachineOutage(time_s=1.0, bus=3, returns_after_s=2.0),
-    MachineOutage(time_s=1.0, bus=6),
-    GroupTrip(time_s=1.0, group=0, returns_after_s=2.0),
+    sc.Fault(time_s=1.0, bus=4, clears_after_s=0.15, resistance_pu=0.01, reactance_pu=0.02, opens=(2, 4)),
+    sc.Fault(time_s=2.0, bus=4, clears_after_s=0.15),
+    sc.LineTrip(time_s=1.0, from_bus=4, to_bus=5, recloses_after_s=1.5),
+    sc.ReactanceStep(time_s=1.0, from_bus=1, to_bus=2, factor=2.0),
+    sc.PhaseJump(time_s=1.0, bus=1, angle_deg=-30.0),
+    sc.FrequencyRamp(time_s=1.0, bus=1, rocof_hz_s=1.0, duration_s=2.0),
+    sc.MachineOutage(time_s=1.0, bus=3, returns_after_s=2.0),
+    sc.MachineOutage(time_s=1.0, bus=6),
+    sc.GroupTrip(time_s=1.0, group=0, returns_after_s=2.0),
 )
 
 
 def test_every_event_and_the_commitment_come_back_from_text() -> None:
     what = scenario(*EVERY, committed=0.5)
-    again = Scenario.from_json(what.to_json())
+    again = sc.Scenario.from_json(what.to_json())
     assert again.events == EVERY and again.committed == 0.5
     assert again.to_json() == what.to_json()

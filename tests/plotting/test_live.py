@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from wtg_gym.evaluation import Entry, evaluate
-from wtg_gym.plotting.live.match import OWN, REFERENCE, Match
+from wtg_gym.plotting.live import OWN, REFERENCE, Match
 from wtg_gym.scenarios import Suite, get_suite
 
 _LENGTH_S = 12.0

@@ -79,7 +79,7 @@ def _link(target: str) -> Callable[[Path], object]:
     return lambda path: path.symlink_to(target)
 
 
-_NO_FILE = "not a plain file"
+_NO_FILE = "no plain file"
 #: A file of a sound submission, what makes another thing of it, and what the refusal says.
 FOLDERS: list[tuple[str, Callable[[Path], object], str]] = [
     ("policy.onnx", os.mkfifo, _NO_FILE),
@@ -87,9 +87,9 @@ FOLDERS: list[tuple[str, Callable[[Path], object], str]] = [
     ("policy.onnx", _link("/dev/zero"), _NO_FILE),
     ("entry.toml", _link("/etc/passwd"), _NO_FILE),
     ("README.md", _link("/proc/self/mem"), _NO_FILE),
-    ("entry.toml", _file(bytes(16_385)), "entry.toml is larger than 16384 bytes"),
-    ("policy.onnx", _file(bytes(5_000_001)), "policy.onnx is larger than 5000000 bytes"),
-    ("README.md", _file(bytes(65_537)), "README.md is larger than 65536 bytes"),
+    ("entry.toml", _file(bytes(16_385)), "entry.toml: it has 16385 bytes; allowed: at most 16384"),
+    ("policy.onnx", _file(bytes(5_000_001)), "policy.onnx: it has 5000001 bytes; allowed: at most 5000000"),
+    ("README.md", _file(bytes(65_537)), "README.md: it has 65537 bytes; allowed: at most 65536"),
     ("policy.onnx", lambda path: None, "it has no policy.onnx"),
     ("numpy.py", _file(b"import os"), "it holds 'numpy.py'; allowed are entry.toml, policy.onnx, README.md"),
     (".gitattributes", _file(b"* filter=evil"), "it holds '.gitattributes'"),

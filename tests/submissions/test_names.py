@@ -10,9 +10,8 @@ import pytest
 from tests.submissions.models import TOML, folder
 from wtg_gym.evaluation import load_entries
 from wtg_gym.physics.tracking_law import STRATEGY_NAMES
-from wtg_gym.policies.conflicts import conflicts
 from wtg_gym.policies.entry_folder import ROOT, policy_folders, policy_name
-from wtg_gym.policies.gate import read_submission
+from wtg_gym.policies.gate import conflicts, read_submission
 from wtg_gym.tasks import V0, V1
 
 POLICIES = ROOT / "agents" / "policies"

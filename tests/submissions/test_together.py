@@ -11,8 +11,7 @@ from onnx import ModelProto
 from tests.submissions import models
 from tests.submissions.models import TOML, folder, seed
 from wtg_gym.evaluation import evaluate, load_entries
-from wtg_gym.policies.conflicts import conflicts
-from wtg_gym.policies.gate import Report, read_submission
+from wtg_gym.policies.gate import Report, conflicts, read_submission
 
 
 def report(path: Path, content: ModelProto | None = None, toml: str = TOML) -> Report:

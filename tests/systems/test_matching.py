@@ -142,10 +142,7 @@ REFUSED: dict[str, tuple[Callable[[], Any], str]] = {
     ),
     "unknown annotation": (unknown_annotation, "an annotation of system 'system_of_none' is unknown: .*Unheard"),
     "result of another record": (traced(function(other_back, "copy")), "writes .*Other to 'copy', which is .*Pair"),
-    "too few results": (
-        traced(function(other_back, "other", "copy")),
-        "writes other, copy, but returns 1 values",
-    ),
+    "too few results": (traced(function(other_back, "other", "copy")), "writes other, copy, but returns 1 values"),
     "way back": (
         function(of_two, "own_level", backward=of_two_the_other_way_round),
         "the way back of system 'of_two' takes ('host_heat', 'own_heat'), not ('own_heat', 'host_heat')",

@@ -8,32 +8,22 @@ from typing import Annotated, Literal
 
 from cyclopts import Parameter
 
-from wtg_gym.cli.options import (
-    DEFAULT_SUITE,
-    Entries,
-    Json,
-    OutputFolder,
-    PlantOptions,
-    SeedOptions,
-    Suite,
-    Threads,
-    WorkerOptions,
-)
+from wtg_gym.cli import options
 from wtg_gym.cli.output import check_page, note
 
 
 def evaluate(
     *,
-    entries: Entries = ("baselines",),
-    suite: Suite = DEFAULT_SUITE,
+    entries: options.Entries = ("baselines",),
+    suite: options.Suite = options.DEFAULT_SUITE,
     split: Literal["train", "validation", "test"] = "validation",
     duration: float | None = None,
-    results: OutputFolder | None = None,
-    threads: Threads = None,
-    json: Json = False,
-    seeds: SeedOptions = SeedOptions(),
-    plant: PlantOptions = PlantOptions(),
-    workers: WorkerOptions = WorkerOptions(),
+    results: options.OutputFolder | None = None,
+    threads: options.Threads = None,
+    json: options.Json = False,
+    seeds: options.SeedOptions = options.SeedOptions(),
+    plant: options.PlantOptions = options.PlantOptions(),
+    workers: options.WorkerOptions = options.WorkerOptions(),
 ) -> int:
     """Play entries through the scenarios of a suite, many at a time, and score them.
 
@@ -77,19 +67,19 @@ def evaluate(
     with scoring.kept_parts(results) as partial:
         # Last, because it takes longest, and may run code.
         chosen = scoring.chosen_entries(entries, suite)
-        found = scoring.run_evaluation(chosen, **planned, partial=partial, n_threads=threads, workers=processes)
-    return scoring.finish(found, results, as_json=json)
+        scores = scoring.run_evaluation(chosen, **planned, partial=partial, n_threads=threads, workers=processes)
+    return scoring.finish(scores, results, as_json=json)
 
 
 def leaderboard(
     *,
-    entries: Entries = ("baselines",),
-    suite: Suite = DEFAULT_SUITE,
-    results: OutputFolder = Path("results"),
+    entries: options.Entries = ("baselines",),
+    suite: options.Suite = options.DEFAULT_SUITE,
+    results: options.OutputFolder = Path("results"),
     readme: Annotated[tuple[Path, ...], Parameter(consume_multiple=True)] = (),
-    threads: Threads = None,
-    json: Json = False,
-    workers: WorkerOptions = WorkerOptions(),
+    threads: options.Threads = None,
+    json: options.Json = False,
+    workers: options.WorkerOptions = options.WorkerOptions(),
 ) -> int:
     """Rank entries on all test scenarios of a suite.
 
@@ -119,12 +109,12 @@ def leaderboard(
     with scoring.kept_parts(results) as partial:
         chosen = scoring.chosen_entries(entries, suite)
         check_version(chosen, get_suite(suite))
-        found = scoring.run_evaluation(
+        ranking = scoring.run_evaluation(
             chosen, suite=suite, split="test", partial=partial, n_threads=threads, workers=processes
         )
     # Without its parts, which would be removed once the results are written.
-    code = scoring.finish(dataclasses.replace(found, parts=None), results, as_json=json)
-    for page, own in pages:
-        changed = update_between_markers(page, markdown_section(found, details=own == sections[1]), own)
+    code = scoring.finish(dataclasses.replace(ranking, parts=None), results, as_json=json)
+    for page, section in pages:
+        changed = update_between_markers(page, markdown_section(ranking, details=section == sections[1]), section)
         note(f"{page}: {'updated' if changed else 'already up to date'}")
     return code

@@ -84,8 +84,8 @@ def check(grid: str, /) -> int:
     from wtg_gym.grids.describe import describe_equilibrium, describe_grid
     from wtg_gym.physics.grid import get_grid
 
-    found = get_grid(grid)
-    rows = [*describe_grid(found), *describe_equilibrium(found)]
+    network = get_grid(grid)
+    rows = [*describe_grid(network), *describe_equilibrium(network)]
     print_table(("", ""), rows, left=(0, 1))
     return 0
 
@@ -108,6 +108,6 @@ def suite(grid: str, /, *, output: JsonFile) -> int:
     with Progress("rounds") as progress:
         made = screened(grid, output.stem, progress.update)
     # A file of a grid is looked for from the suite's folder.
-    own = Path(os.path.relpath(grid, output.parent)).as_posix() if grid.endswith(".json") else grid
-    write_and_say(output, text_of(data_of(replace(made, grid=own))))
+    grid_name = Path(os.path.relpath(grid, output.parent)).as_posix() if grid.endswith(".json") else grid
+    write_and_say(output, text_of(data_of(replace(made, grid=grid_name))))
     return 0

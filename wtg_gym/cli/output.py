@@ -41,11 +41,7 @@ def write_and_say(path: Path, content: str | bytes) -> None:
 
 
 def check_page(option: str, path: Path, sections: Sequence[str]) -> str:
-    """Return which of some sections a file has markers of, the first if it has none of the others.
-
-    Raises:
-        ValueError: it has no markers, or cannot be written.
-    """
+    """Return which of some sections a page has markers of; a ValueError if it has none, or cannot be written."""
     try:
         text = read_text(path, "file with the markers")
         section = next((each for each in sections if f"<!-- {each}:start -->" in text), sections[0])

@@ -39,7 +39,7 @@ def play(
         port: port at localhost; 0: any that is free
         no_browser: do not open a browser, only say the address
     """
-    from wtg_gym.plotting.live.match import Match
+    from wtg_gym.plotting.live import Match, PlayPage
     from wtg_gym.scenarios import get_suite
 
     chosen = get_suite(suite)
@@ -47,8 +47,6 @@ def play(
     match = Match(chosen, chosen.validation[0] if seed is None else seed, duration)
     require_extra("bokeh", "wtg-gym play")
     from bokeh.server.server import Server
-
-    from wtg_gym.plotting.live.play_page import PlayPage
 
     def fill(document: Any) -> None:
         PlayPage(document, match, speed)

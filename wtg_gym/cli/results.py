@@ -80,15 +80,15 @@ def recompute(
     processes = scoring.chosen_workers(workers, threads)
     chosen = scoring.chosen_entries(entries, stored.suite)
     with Progress("episodes") as progress:
-        found = compute_again(stored, chosen, n_threads=threads, workers=processes, on_progress=progress.update)
-    for difference in found.circumstances:
+        comparison = compute_again(stored, chosen, n_threads=threads, workers=processes, on_progress=progress.update)
+    for difference in comparison.circumstances:
         out.note(f"{difference.where} was {difference.stored}, is {difference.now}")
     for text in departures(stored):
         out.note(f"not the benchmark's own: {text}")
-    if not found.differences:
+    if not comparison.differences:
         out.say(f"identical: {len(COLUMNS) * len(stored.episodes)} values of {len(stored.episodes)} episodes")
         return 0
-    shown = found.differences[:_SHOWN]
-    out.say(f"not identical: {len(found.differences)} differences, the first {len(shown)}", "")
+    shown = comparison.differences[:_SHOWN]
+    out.say(f"not identical: {len(comparison.differences)} differences, the first {len(shown)}", "")
     out.print_table(("where", "stored", "now"), shown, left=(0, 1, 2))
     return 1

@@ -47,26 +47,26 @@ def look_into_working_folder(specs: Sequence[str]) -> None:
         sys.path.append(os.getcwd())
 
 
-def chosen_scenarios(suite: str, split: str, given: SeedOptions) -> dict[str, Any]:
+def chosen_scenarios(suite: str, split: str, options: SeedOptions) -> dict[str, Any]:
     """Return the suite, the split and the seeds, as arguments of `evaluate`."""
     chosen = {"suite": suite, "split": split}
-    if given.scenarios is None:
-        return {**chosen, "seeds": given.seeds}
-    if given.seeds is not None:
+    if options.scenarios is None:
+        return {**chosen, "seeds": options.seeds}
+    if options.seeds is not None:
         raise ValueError("--scenarios takes the first of the split, --seeds others: give one of the two")
     seeds = get_suite(suite).seeds(split)
-    require_range("--scenarios", given.scenarios, 1, min(len(seeds), MOST_SCENARIOS), "")
-    return {**chosen, "seeds": list(seeds[: given.scenarios])}
+    require_range("--scenarios", options.scenarios, 1, min(len(seeds), MOST_SCENARIOS), "")
+    return {**chosen, "seeds": list(seeds[: options.scenarios])}
 
 
-def chosen_workers(given: WorkerOptions, threads: int | None) -> Workers | None:
+def chosen_workers(options: WorkerOptions, threads: int | None) -> Workers | None:
     """Return the workers of `--backend`."""
-    if given.backend is not None:
+    if options.backend is not None:
         if threads not in (None, 1):
             raise ValueError(f"--threads {threads}: a worker steps with one thread; say how many with --jobs")
-        return Workers(given.backend, given.address, given.jobs)
+        return Workers(options.backend, options.address, options.jobs)
     for option in ("address", "jobs"):
-        if getattr(given, option) is not None:
+        if getattr(options, option) is not None:
             raise ValueError(f"--{option} is for workers: say which with --backend {', '.join(BACKENDS)}")
     return None
 

@@ -42,7 +42,7 @@ class ScenarioOptions:
 
 def simulate_scenario(
     *,
-    given: ScenarioOptions = ScenarioOptions(),
+    chosen: ScenarioOptions = ScenarioOptions(),
     plant: PlantOptions = PlantOptions(),
     strategy: Words = _REFERENCE,
     case: Words = (),
@@ -82,18 +82,18 @@ def simulate_scenario(
         csv: write every sample of every run, units in the header: .csv
     """
     if example_law:
-        from wtg_gym.policies.load import example_law as law_file
+        from wtg_gym.policies.entry_folder import example_law as law_file
 
         say(*law_file().splitlines())
         return 0
     if entry and not case:
         raise ValueError("--entry belongs to --case; a scenario is played by laws: --strategy")
     if case:
-        if (given, plant, strategy, plot, csv) != (ScenarioOptions(), PlantOptions(), _REFERENCE, None, None):
+        if (chosen, plant, strategy, plot, csv) != (ScenarioOptions(), PlantOptions(), _REFERENCE, None, None):
             raise ValueError("a case has its own scenario and grid, and is played by --entry: only --json goes with it")
-        from wtg_gym.cli.cases import play_cases
+        from wtg_gym.cli.simulation import play_cases
 
         return play_cases(case, entry or _REFERENCE, json=json)
     from wtg_gym.cli.simulation import run
 
-    return run(given, plant, strategy, plot=plot, csv=csv, json=json)
+    return run(chosen, plant, strategy, plot=plot, csv=csv, json=json)

@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+import contextlib
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 from cyclopts import App, Parameter, validators
 
 from wtg_gym.cli.options import Flag, Json, OutputFolder, SeedOptions, Threads, Words
-from wtg_gym.cli.output import note, print_json, say
+from wtg_gym.cli.output import note, print_json, print_table, say
 
-WEAK_OPTION = "--weak-isolation"
+if TYPE_CHECKING:
+    from wtg_gym.policies.gate import Conflict, Report
 
 Folders = tuple[Annotated[Path, Parameter(validator=validators.Path(exists=True))], ...]
 
@@ -68,19 +71,18 @@ def check(folders: Folders, /, *, gate: GateOptions = GateOptions(), json: Json 
     Args:
         folders: folders with entry.toml, policy.onnx and, if there is one, README.md
     """
-    from wtg_gym.cli import gate_reports
-
-    reports = gate_reports.reports(folders, gate)
-    wrong = gate_reports.together(reports, gate)
+    reports, clashes = _judged(folders, gate)
     if json:
-        together = [conflict.reason for conflict in wrong]
+        together = [conflict.reason for conflict in clashes]
         print_json({"submissions": [report.to_dict() for report in reports], "together": together})
     else:
         for report in reports:
-            gate_reports.print_report(report)
-        for conflict in wrong:
+            name, checks = _shown(report.folder), [(each.name, each.verdict, each.reason) for each in report.checks]
+            print_table((name, "verdict", "reason"), checks, left=(0, 1, 2))
+            say(f"{name}: {f'accepted, sha256 {report.sha256}' if report.accepted else 'refused'}", "")
+        for conflict in clashes:
             say(f"refused: {conflict.reason}")
-    return int(bool(wrong) or not all(report.accepted for report in reports))
+    return int(bool(clashes) or not all(report.accepted for report in reports))
 
 
 @app.command
@@ -113,23 +115,71 @@ def score(
         split: which seeds of the suite
         results: folder to write results to; made if missing
     """
-    from wtg_gym.cli import gate_reports, scoring
+    from wtg_gym.cli import scoring
     from wtg_gym.scenarios import get_suite
 
-    planned = {suite: scoring.chosen_scenarios(suite, split, seeds) for suite in gate_reports.suites(folders)}
+    planned = {suite: scoring.chosen_scenarios(suite, split, seeds) for suite in _suites(folders)}
     if json and len(planned) > 1:
         raise ValueError(f"--json prints one suite, the folders are for those of {', '.join(planned)}")
     for scenarios in planned.values():
         scoring.check_stored(results, scenarios)
     with scoring.kept_parts(results) as partial:
-        reports = gate_reports.reports(folders, gate)
-        why = gate_reports.why_left_out(reports, gate_reports.together(reports, gate))
+        reports, clashes = _judged(folders, gate)
+        why = _why_left_out(reports, clashes)
         for reason in dict.fromkeys(why.values()):
             note(f"left out: {reason}")
         entries = [report.played(weak=gate.weak_isolation) for report in reports if report.folder not in why]
         codes = [int(bool(why))]
         for name, scenarios in planned.items():
-            if own := [entry for entry in entries if entry.environment == get_suite(name).env_id]:
-                found = scoring.run_evaluation(own, partial=partial, n_threads=threads, **scenarios)
-                codes.append(scoring.finish(found, results, as_json=json))
+            if of_suite := [entry for entry in entries if entry.environment == get_suite(name).env_id]:
+                played = scoring.run_evaluation(of_suite, partial=partial, n_threads=threads, **scenarios)
+                codes.append(scoring.finish(played, results, as_json=json))
     return max(codes)
+
+
+def _suites(folders: Sequence[Path]) -> list[str]:
+    """Return the standard suites of the versions that the folders say they are for."""
+    from wtg_gym.envs.settings import EnvSettings
+    from wtg_gym.policies.entry_folder import ENTRY_FILE, parse_submission, read_files
+    from wtg_gym.tasks import TASKS
+
+    environments: set[str | None] = set()
+    for folder in folders:
+        # The gate says why one cannot be read.
+        with contextlib.suppress(ValueError):
+            environments.add(parse_submission(read_files(folder)[ENTRY_FILE]).environment)
+    return [EnvSettings(version=each.version).suite_name for each in TASKS.values() if each.env_id in environments]
+
+
+def _judged(folders: Sequence[Path], gate: GateOptions) -> tuple[list[Report], list[Conflict]]:
+    """Return the gate's reports, and conflicts of accepted submissions with each other and with those there are."""
+    from wtg_gym.policies.gate import check_submission, conflicts, read_submission
+
+    reports, beside = [check_submission(folder, weak=gate.weak_isolation) for folder in folders], []
+    for text in dict.fromkeys(text for report in reports for text in report.notes):
+        note(f"not isolated, as --weak-isolation allows: {text}")
+    accepted, resolved = [report for report in reports if report.accepted], [each.resolve() for each in folders]
+    for folder in map(Path, gate.beside) if accepted else ():
+        if folder.resolve() not in resolved:
+            beside.append(read_submission(folder))
+            if refusal := beside[-1].refusal:
+                note(f"--beside {_shown(folder)}: compared as far as it can be read: {refusal.reason}")
+    return reports, conflicts(accepted, beside)
+
+
+def _why_left_out(reports: Sequence[Report], clashes: Sequence[Conflict]) -> dict[Path, str]:
+    """Return why folders are not ranked: authors cannot choose the seeds of a row, so all of a name go together."""
+    why = {folder: conflict.reason for conflict in clashes for folder in conflict.folders}
+    for report in reports:
+        if report.refusal is not None:
+            why[report.folder] = f"{_shown(report.folder)}: {report.refusal.name}: {report.refusal.reason}"
+    names = {report.entry.name for report in reports if report.folder in why and report.entry is not None}
+    for report in reports:
+        if report.entry is not None and report.entry.name in names:
+            why.setdefault(report.folder, f"{_shown(report.folder)}, as another folder of its name is refused")
+    return why
+
+
+def _shown(folder: Path) -> str:
+    # One line, and no command to a terminal.
+    return ascii(str(folder))[1:-1]

@@ -1,4 +1,4 @@
-"""`wtg-gym suites`: the suites and their scenarios."""
+"""`wtg-gym suites`: the suites and their scenarios, the latter in words too."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from wtg_gym.cli.options import Json, SuiteName, Whole
 from wtg_gym.cli.output import print_json, print_table, say
 
 if TYPE_CHECKING:
+    from wtg_gym.physics.scenario import Scenario
     from wtg_gym.scenarios import Suite
 
 
@@ -28,7 +29,6 @@ def suites(name: SuiteName | None = None, /, *, seed: Whole | None = None, json:
         name: one suite; default: all
         seed: show the scenario of this seed of the suite
     """
-    from wtg_gym.cli.scenario_text import describe_scenario
     from wtg_gym.scenarios import SUITES, get_suite
 
     chosen = list(SUITES.values()) if name is None else [get_suite(name)]
@@ -78,3 +78,30 @@ def _print_suites(suites: list[Suite]) -> None:
     say("")
     width = max(len(suite.name) for suite in suites)
     say(*(f"{suite.name:<{width}} {suite.description}" for suite in suites))
+
+
+def describe_scenario(scenario: Scenario) -> list[str]:
+    """Return a scenario in words: wind, grid strength and events, with units."""
+    winds = [
+        f"{wind.mean():.4g}" + (f" ({wind.min():.3g} … {wind.max():.3g})" if wind.size > 1 else "")
+        for wind in scenario.wind_speed[:4]
+    ]
+    more = f" and {scenario.n_wtg - 4} more" if scenario.n_wtg > 4 else ""
+    droop = "of the case" if scenario.governor_droop is None else f"{scenario.governor_droop:.3g} p.u."
+    noise = "none"
+    if scenario.load_noise_mw.any():
+        noise = f"{scenario.load_noise_mw.std():.2g} MW rms at bus {scenario.load_noise_bus}"
+    lines = [
+        f"scenario {scenario.name}: {scenario.duration_s:g} s",
+        f"  mean wind    {', '.join(winds)}{more} m/s",
+        f"  grid         governor droop {droop}, {100.0 * scenario.committed:.3g} % of the machines' units on line, "
+        f"inertia of each {100.0 * scenario.inertia_scale:.3g} %, load {100.0 * scenario.load_level:.3g} %",
+        f"  load noise   {noise}",
+    ]
+    if scenario.reserve_margin is not None:
+        lines.append(f"  reserve      {100.0 * scenario.reserve_margin:.1f} % of the load, at its least")
+    events = sorted(scenario.events, key=lambda event: event.time_s)
+    for head, event in zip(["events", *[""] * len(events)], events, strict=False):
+        late = " (after the end of the run)" if event.time_s >= scenario.duration_s else ""
+        lines.append(f"  {head:<12} {event.time_s:g} s: {event.words}{late}")
+    return lines if events else [*lines, "  events       none"]

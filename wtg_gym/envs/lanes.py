@@ -13,16 +13,16 @@ import numpy.typing as npt
 
 from wtg_gym.envs.settings import EnvSettings
 from wtg_gym.envs.stepping import Outputs, bind, new_outputs, step_blocks, task_data
+from wtg_gym.physics.equilibrium import StartError
+from wtg_gym.physics.layout import LaneData
 from wtg_gym.physics.linearisation import STEP_MARGIN, largest_stable_steps
-from wtg_gym.physics.network_data import LaneData
 from wtg_gym.physics.protection import Status
 from wtg_gym.physics.scenario import Event, GroupTrip, Scenario
 from wtg_gym.physics.sensors import SensorInput, delay_intervals, sensor_input
 from wtg_gym.physics.simulator import PreparedLanes, Simulator
-from wtg_gym.physics.start_errors import StartError
 from wtg_gym.ranges import whole_steps
 from wtg_gym.signals import undivided
-from wtg_gym.systems.records import flatten, size
+from wtg_gym.systems.systems import flatten, size
 from wtg_gym.tasks.cost import COST, FILTERED_DUTY, CostTerms
 from wtg_gym.tasks.episode import ACTING, ACTION_MODES, HISTORY, TASK, TIME_CONSTANT_RATIO
 from wtg_gym.tasks.observation import Info, LocalInfo
@@ -316,7 +316,7 @@ class TaskLanes:
         taken = np.arange(index.size) if places is None else np.array(places, dtype=np.int64)
         simulator.start(index, episodes.lanes, places=taken)
         outputs = self.outputs
-        array: Any
+        first: Any
         for array, first in zip(outputs, episodes.outputs, strict=True):
             array[index] = first[taken]
         outputs.rewards[index], outputs.terminated[index], outputs.truncated[index] = 0.0, False, False

@@ -15,8 +15,7 @@ import numpy.typing as npt
 from numba.experimental import structref
 
 from wtg_gym.physics.integration import advance_interval
-from wtg_gym.physics.layout import Floats, Layout, Whole
-from wtg_gym.physics.network_data import LaneData, Network
+from wtg_gym.physics.layout import Floats, LaneData, Layout, Network, Whole
 from wtg_gym.systems.compiled import compiled, internal
 from wtg_gym.systems.programs import NONE
 from wtg_gym.systems.routines import Routine

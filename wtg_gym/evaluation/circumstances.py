@@ -34,11 +34,11 @@ def versions() -> dict[str, str]:
 
 def installed(packages: Iterable[str]) -> dict[str, str]:
     """Return the versions of wtg_gym, Python, and those of the packages that are installed."""
-    found = {"wtg_gym": __version__, "python": platform.python_version()}
+    numbers = {"wtg_gym": __version__, "python": platform.python_version()}
     for package in packages:
         with contextlib.suppress(importlib.metadata.PackageNotFoundError):
-            found[package] = importlib.metadata.version(package)
-    return found
+            numbers[package] = importlib.metadata.version(package)
+    return numbers
 
 
 @functools.cache
@@ -58,11 +58,7 @@ def environment_fingerprint(settings: EnvSettings) -> str:
     """Return a sha256 over everything that the environment answers to a fixed course of actions.
 
     Machines with the same fingerprint compute the same benchmark, bit for bit. The first validation scenarios are
-    played for 15 s at control steps of 0.1 s, under the reference strategy with all actions and observations. The hash
-    covers the names of the observations and every bit of observations, rewards, terms of the cost and ends.
-
-    Args:
-        settings: of the environment; strategy and modes are replaced.
+    played for 15 s under the reference strategy with all actions and observations, whatever the settings say of these.
     """
     probed = dataclasses.replace(
         settings, strategy=REFERENCE_STRATEGY, action_mode="k+tau", observation_mode="privileged"
@@ -71,15 +67,15 @@ def environment_fingerprint(settings: EnvSettings) -> str:
     lanes = TaskLanes(probed, len(seeds), 1)
     try:
         lanes.start(range(len(seeds)), lanes.scenarios(seeds))
-        found = hashlib.sha256("\n".join(lanes.observation_names).encode())
-        found.update(lanes.observations.tobytes())
+        digest = hashlib.sha256("\n".join(lanes.observation_names).encode())
+        digest.update(lanes.observations.tobytes())
         for step in range(_N_STEPS):
             if np.logical_or(*lanes.ended()).all():
                 break
             lanes.step(_actions(step, len(seeds), lanes.n_action))
             for values in lanes.outputs:
-                found.update(values.tobytes())
-        return found.hexdigest()
+                digest.update(values.tobytes())
+        return digest.hexdigest()
     finally:
         lanes.simulator.close()
 

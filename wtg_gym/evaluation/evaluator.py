@@ -25,7 +25,7 @@ from wtg_gym.evaluation.workers import Played, Workers
 from wtg_gym.physics.scenario import Scenario
 from wtg_gym.policies import Entry, OnnxPolicy, PolicyError
 from wtg_gym.policies.entry import check_entries, check_version
-from wtg_gym.policies.load import load_entries
+from wtg_gym.policies.entry_folder import load_entries
 from wtg_gym.policies.play import play, started_lanes
 from wtg_gym.policies.policy_process import NotIsolatedError
 from wtg_gym.ranges import is_whole, require_count, require_whole

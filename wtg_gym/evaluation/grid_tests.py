@@ -16,8 +16,8 @@ import numpy as np
 import numpy.typing as npt
 
 from wtg_gym.envs.settings import EnvSettings
+from wtg_gym.physics.grid import Branch, Bus, NetworkCase, Source
 from wtg_gym.physics.layout import Floats
-from wtg_gym.physics.network import Branch, Bus, NetworkCase, Source
 from wtg_gym.physics.plant import Plant
 from wtg_gym.physics.protection import Status
 from wtg_gym.physics.scenario import (

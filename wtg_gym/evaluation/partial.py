@@ -8,19 +8,9 @@ import logging
 from pathlib import Path
 from typing import Any
 
+from wtg_gym import files
 from wtg_gym.evaluation.circumstances import measurement_hash, versions
 from wtg_gym.evaluation.episodes import Episode, episode_from_cells
-from wtg_gym.files import (
-    LARGEST_BYTES,
-    interpreting,
-    one_line,
-    parse_json,
-    read_trusted,
-    sha256,
-    to_json,
-    trusted_folder,
-    write_trusted,
-)
 from wtg_gym.policies import Entry
 from wtg_gym.systems.compiled import source_hash
 
@@ -28,14 +18,9 @@ _log = logging.getLogger("wtg_gym")
 
 
 class PartialStore:
-    """A folder of finished batches.
+    """A folder of finished batches, JSON-ready; one of another `context` is not found.
 
-    Args:
-        folder: where they lie; None, or one that another user could change, stores nothing.
-        context: data that all batches share, JSON-ready; a batch of another context is not found.
-
-    Raises:
-        ValueError: the folder is something else.
+    None, or a folder that another user could change, stores nothing. A ValueError says that it is no folder.
     """
 
     def __init__(self, folder: str | Path | None, context: Any) -> None:
@@ -45,9 +30,9 @@ class PartialStore:
         if self._folder is not None:
             try:
                 self._folder.parent.mkdir(parents=True, exist_ok=True)
-                trusted_folder(self._folder, make=True)
+                files.trusted_folder(self._folder, make=True)
             except OSError as error:
-                _log.warning("finished batches are not stored in %s: %s", self._folder, one_line(error))
+                _log.warning("finished batches are not stored in %s: %s", self._folder, files.one_line(error))
                 self._folder = None
         self._context = [context, versions(), source_hash(), measurement_hash()]
         self._used: list[Path] = []
@@ -61,27 +46,21 @@ class PartialStore:
     def _digest(self, entry: Entry, seeds: list[int], rows: Any = None) -> str:
         """Return a sha256 of what is asked for and, if given, of the rows that answer it."""
         data = [self._context, entry.to_dict(), seeds, rows]
-        return sha256(json.dumps(data, sort_keys=True, allow_nan=False).encode())
+        return files.sha256(json.dumps(data, sort_keys=True, allow_nan=False).encode())
 
     def load(self, entry: Entry, seeds: list[int]) -> list[Episode] | None:
-        """Return a stored batch.
-
-        None where there is none, another user could have written it, or the file does not hold exactly what is asked
-        for: it is damaged, or that of another entry, training seed, suite, split or version under this name. That costs
-        the time to play it again.
-        """
+        """Return a stored batch; None where there is none, another user could have written it, or it is another."""
         path = self._path(entry, seeds)
         if path is None or not path.exists():
             return None
         try:
-            with interpreting(path, "finished batch"):
-                data = parse_json(read_trusted(path, LARGEST_BYTES["finished batch"]).decode(), "it")
-                if data["sha256"] != self._digest(entry, seeds, data["rows"]):
-                    raise ValueError("it is damaged, or of another entry, suite, split or version")
+            with files.interpreting(path, "finished batch"):
+                data = files.parse_json(files.read_trusted(path, files.LARGEST_BYTES["finished batch"]).decode(), "it")
                 episodes = [episode_from_cells(cells, str(path)) for cells in data["rows"]]
+                played = [(*episode.run, episode.seed) for episode in episodes]
                 expected = [(entry.name, entry.training_seed, seed) for seed in seeds]
-                if [(*episode.run, episode.seed) for episode in episodes] != expected:
-                    raise ValueError("its rows are of other entries, training seeds or scenarios")
+                if data["sha256"] != self._digest(entry, seeds, data["rows"]) or played != expected:
+                    raise ValueError("it is damaged, or of another entry, scenario, suite, split or version")
         except ValueError as error:
             _log.warning("%s is not used, and %s is played again: %s", path, entry.label, error)
             return None
@@ -93,7 +72,9 @@ class PartialStore:
         path = self._path(entry, seeds)
         if path is not None:
             rows = [episode.cells() for episode in episodes]
-            write_trusted(path, to_json({"rows": rows, "sha256": self._digest(entry, seeds, rows)}).encode())
+            files.write_trusted(
+                path, files.to_json({"rows": rows, "sha256": self._digest(entry, seeds, rows)}).encode()
+            )
             self._used.append(path)
 
     def clear(self) -> None:

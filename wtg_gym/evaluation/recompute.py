@@ -14,11 +14,8 @@ from wtg_gym.policies import Entry
 from wtg_gym.policies.entry import run_label
 from wtg_gym.scenarios import get_suite
 
-#: The settings of results that are arguments of the environment, as they are called there.
-_ARGUMENTS = {
-    **{name: name for name in ("duration_s", "control_dt", "weights", "groups", "on_failure", "sensors")},
-    "replaced": "plant",
-}
+#: The settings of results that are arguments of the environment.
+_ARGUMENTS = ("duration_s", "control_dt", "weights", "groups", "on_failure", "sensors", "replaced")
 #: What need not change a number: the words of a failure, for example, may depend on the machine.
 _CIRCUMSTANCES = {"source_hash", "environment", "versions", "description", "source", "reason"}
 
@@ -51,13 +48,8 @@ def recompute(
 ) -> Comparison:
     """Evaluate the entries of stored results again, on the same scenarios with the same settings, and compare.
 
-    Args:
-        stored: the results.
-        entries: all of their entries, without the references; others are ignored.
-        n_threads, workers, on_progress: as for :func:`wtg_gym.evaluation.evaluate`.
-
-    Raises:
-        ValueError: an entry is missing, or the results are of a suite, seeds or settings that no longer exist.
+    Entries that the results do not hold are ignored; a ValueError names one that is missing. The other arguments are
+    those of :func:`wtg_gym.evaluation.evaluate`.
     """
     by_run = {(entry.name, entry.training_seed): entry for entry in entries}
     wanted = [(entry["name"], entry["training_seed"]) for entry in (*stored.entries, *stored.failed)]
@@ -73,24 +65,28 @@ def recompute(
         workers=workers,
         on_progress=on_progress,
         keep_going=True,
-        **{argument: stored.settings[name] for name, argument in _ARGUMENTS.items() if name in stored.settings},
+        **{
+            "plant" if name == "replaced" else name: value
+            for name, value in stored.settings.items()
+            if name in _ARGUMENTS
+        },
     )
     return compare(stored, now)
 
 
 def compare(stored: Results, now: Results) -> Comparison:
     """Compare two results on the same scenarios, to the last bit."""
-    found = Comparison([], [])
-    facts, later = _facts(stored), _facts(now)
+    comparison = Comparison([], [])
+    one, other = _facts(stored), _facts(now)
     cells, others = _cells(stored), _cells(now)
     # Where one side alone has an entry's episodes, that it was not played to the end is the difference.
-    pairs = [(where, facts.get(where), later.get(where)) for where in {**facts, **later}]
-    pairs += [(where, cells[where], others[where]) for where in cells if where in others]
-    for where, one, other in pairs:
-        if one != other:
-            kind = found.circumstances if _CIRCUMSTANCES & {*where} else found.differences
-            kind.append(Difference(": ".join(where), str(one), str(other)))
-    return found
+    common = [where for where in cells if where in others]
+    for where in (*{**one, **other}, *common):
+        values = [each.get(where) for each in ((cells, others) if where in cells else (one, other))]
+        if values[0] != values[1]:
+            differences = comparison.circumstances if _CIRCUMSTANCES & {*where} else comparison.differences
+            differences.append(Difference(": ".join(where), *map(str, values)))
+    return comparison
 
 
 def _facts(results: Results) -> dict[tuple[str, ...], Any]:
@@ -118,12 +114,13 @@ def _cells(results: Results) -> dict[tuple[str, ...], str]:
 
 def departures(stored: Results) -> list[str]:
     """Return how results depart from the benchmark's own: other settings, or not as many scenarios."""
-    found = []
     usual = shared_settings(EnvSettings(suite=stored.suite, split=stored.split))
-    for key in {**usual, **stored.settings}:
-        if stored.settings.get(key) != usual.get(key):
-            found.append(f"{key} is {stored.settings.get(key)}, that of the benchmark {usual.get(key)}")
+    departures = [
+        f"{key} is {stored.settings.get(key)}, that of the benchmark {usual.get(key)}"
+        for key in {**usual, **stored.settings}
+        if stored.settings.get(key) != usual.get(key)
+    ]
     n_all = len(get_suite(stored.suite).seeds(stored.split))
     if len(stored.seeds) != n_all:
-        found.append(f"{len(stored.seeds)} scenarios, those of the benchmark are {n_all}")
-    return found
+        departures.append(f"{len(stored.seeds)} scenarios, those of the benchmark are {n_all}")
+    return departures

@@ -1,7 +1,11 @@
-"""The results of an evaluation: every episode, the scores, what is needed to repeat it, and the ranking for a page."""
+"""The results of an evaluation: every episode, scores, what repeats it, their two files, the ranking for a page.
+
+The files are a JSON that describes and a CSV with the table of episodes.
+"""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
@@ -10,21 +14,44 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from wtg_gym.evaluation import results_file, summary
+from wtg_gym.evaluation import summary
 from wtg_gym.evaluation.adjusted import LEAST_SCENARIOS, Adjusted, ControlVariates, KnownMeans, known_means
-from wtg_gym.evaluation.episodes import Episode, to_csv
+from wtg_gym.evaluation.episodes import Episode, check_size, from_csv, to_csv
 from wtg_gym.evaluation.metrics import METRICS
 from wtg_gym.evaluation.partial import PartialStore
 from wtg_gym.evaluation.score import NoScaleError, cost_offsets, gains, score_scales
 from wtg_gym.evaluation.statistics import Bootstrap, Floats, Groups, Interval
 from wtg_gym.evaluation.summary import EntrySummary, Runs, ranked
 from wtg_gym.evaluation.table import columns_of, markdown_table, notes_on_marks
-from wtg_gym.files import interpreting
-from wtg_gym.ranges import ByName
+from wtg_gym.files import interpreting, parse_json, read_text, sha256, to_json, write_together
+from wtg_gym.names import check_name
+from wtg_gym.policies.entry import KINDS, check_rows
+from wtg_gym.ranges import ByName, require_count
 from wtg_gym.scenarios import FROZEN_HASHES, get_suite
+from wtg_gym.scenarios.suite import MOST_SCENARIOS
 from wtg_gym.tasks import Task
 
 Value = TypeVar("Value")
+#: Version of the files; another number is another form.
+FORMAT = 8
+#: Keys of the description that are texts.
+_TEXTS = ("suite", "split", "suite_hash", "source_hash")
+#: Types of the description's values, and of those of an entry, see :meth:`wtg_gym.policies.Entry.to_dict`.
+_DESCRIPTION = {
+    **dict.fromkeys(_TEXTS, str),
+    **dict.fromkeys(("environment", "settings", "versions", "metrics", "summary"), dict),
+    **dict.fromkeys(("seeds", "entries", "failed"), list),
+    **{"format": int, "csv_sha256": str, "sha256": str},
+}
+_ENTRY = {
+    **dict.fromkeys(("name", "kind", "action_mode", "observation_mode", "description", "source"), str),
+    **{"training_seed": int | None, "strategy": dict, "sha256": str | None, "policy_sha256": str | None},
+}
+_FAILED = {**_ENTRY, "reason": str}
+#: Entries at most.
+_MOST_ENTRIES = 1000
+#: By how much a summary may differ from the sum of its table, relative, or absolute near zero.
+_ROUNDING = 1e-6
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)
@@ -174,8 +201,8 @@ class Results:
     def groups(self) -> Groups:
         """The scenarios of each stratum that has some, as indices by its name; by "" where there are no strata."""
         suite = get_suite(self.suite)
-        own = np.array([suite.stratum(seed) for seed in self.seeds])
-        return {name: np.flatnonzero(own == name) for name in suite.strata or ("",) if name in own}
+        strata = np.array([suite.stratum(seed) for seed in self.seeds])
+        return {name: np.flatnonzero(strata == name) for name in suite.strata or ("",) if name in strata}
 
     @property
     def cost_offsets(self) -> Floats:
@@ -201,11 +228,7 @@ class Results:
             )
 
     def episodes_of(self, name: str) -> list[Episode]:
-        """Return the episodes of an entry.
-
-        Raises:
-            KeyError: the entry is unknown; the message lists the entries, and says how this one failed if it did.
-        """
+        """Return the episodes of an entry; the KeyError of an unknown one lists entries, and how this one failed."""
         return [episode for run in self._by_entry(self._runs)[name] for episode in run]
 
     def _by_entry(self, values: Mapping[str, Value]) -> dict[str, Value]:
@@ -235,8 +258,8 @@ class Results:
     def to_dict(self) -> dict[str, Any]:
         """Return the description and the :attr:`ranking` as JSON-ready data."""
         return {
-            "format": results_file.FORMAT,
-            **{key: getattr(self, key) for key in results_file.TEXTS},
+            "format": FORMAT,
+            **{key: getattr(self, key) for key in _TEXTS},
             "seeds": list(self.seeds),
             **{key: dict(getattr(self, key)) for key in ("environment", "settings", "versions")},
             "entries": [dict(entry) for entry in self.entries],
@@ -256,11 +279,16 @@ class Results:
         Raises:
             OSError: a file cannot be written; the old ones are still there.
         """
-        paths = results_file.write(Path(folder) / self.name, self.to_dict(), to_csv(self.episodes))
+        json_path, csv_path = (Path(folder) / f"{self.name}.{ending}" for ending in ("json", "csv"))
+        table = to_csv(self.episodes)
+        data = {**self.to_dict(), "csv_sha256": sha256(table.encode())}
+        data["sha256"] = sha256(to_json(data).encode())
+        # The JSON last, so that it never describes a table that is not there yet.
+        write_together({csv_path: table, json_path: to_json(data)})
         if self.parts is not None:
             # Not before: an interruption would lose what was played.
             self.parts.clear()
-        return paths
+        return json_path, csv_path
 
     @classmethod
     def read(cls, path: str | Path) -> Results:
@@ -274,39 +302,33 @@ class Results:
                 and what is expected.
         """
         with interpreting(Path(path), "description of the results"):
-            data, episodes = results_file.read(Path(path))
+            data, episodes = _read(Path(path))
             results = cls(
-                **{key: data[key] for key in (*results_file.TEXTS, "environment", "settings", "versions")},
+                **{key: data[key] for key in (*_TEXTS, "environment", "settings", "versions")},
                 seeds=tuple(data["seeds"]),
                 entries=tuple(data["entries"]),
                 episodes=tuple(episodes),
                 failed=tuple(data["failed"]),
             )
-            results_file.check_summary(data["summary"], results.to_dict()["summary"], "summary")
+            _check_summary(data["summary"], results.to_dict()["summary"], "summary")
         return results
 
 
 def leaderboard_rows(results: Results) -> list[EntrySummary]:
-    """Return the entries' summaries, the best first, in v1 the marked ones, equal ones by name.
-
-    Raises:
-        NoScaleError: the results have no score, see :attr:`Results.summaries`.
-    """
+    """Return the entries' summaries, the best first, in v1 the marked ones; a NoScaleError if there is no score."""
     return ranked(results.summaries)
 
 
 def markdown_section(results: Results, *, details: bool = False) -> str:
-    """Return the ranking for a Markdown page, in detail or in short.
-
-    In short, since v1, a sentence on the frequency comes first, and entries below the entry at 0 are only named.
-    """
+    """Return the ranking for a page: in detail, or with a sentence on the frequency and without what scores below 0."""
     rows = results.ranking
     short = not details and results.task.version != "v0"
-    least = min((row.score.value for row in rows if row.name == results.task.zero and row.score), default=0.0)
-    below = [row for row in rows if short and row.score is not None and row.score.value < least]
+    below = [row for row in rows if short and row.score is not None and row.score.value < 0.0]
     shown = [row for row in rows if row not in below]
     named = f"below {results.task.zero}: {', '.join(f'`{row.name}`' for row in below)}" if below else ""
-    notes = " ".join(f"{note[0].upper()}{note[1:]}." for note in (*results.notes, named) if note)
+    notes = " ".join(
+        f"{note[0].upper()}{note[1:]}." for note in (results.no_score, *notes_on_marks(rows), named) if note
+    )
     table = markdown_table(shown, columns_of("details", rows) if details else None)
     return "\n\n".join(part for part in (_frequency_sentence(results) if short else "", table, notes) if part)
 
@@ -319,8 +341,82 @@ def _frequency_sentence(results: Results) -> str:
     if learned is not None:
         who[learned.name] = f"`{learned.name}`, the best learned entry"
     deviations = {row.name: row.median_deviation_mhz for row in rows}
-    said = [f"{deviations[name]:.0f} mHz with {words}" for name, words in who.items()]
+    parts = [f"{deviations[name]:.0f} mHz with {words}" for name, words in who.items()]
     return (
         f"Median over {len(results.seeds)} {results.split} scenarios of the largest deviation of the frequency: "
-        f"{', '.join(said)}."
+        f"{', '.join(parts)}."
     )
+
+
+# --- the files --------------------------------------------------------------------------------------------------------
+
+
+def _read(json_path: Path) -> tuple[dict[str, Any], list[Episode]]:
+    """Return the checked description and the episodes of results; errors as of :meth:`Results.read`."""
+    text = read_text(json_path, "description of the results")
+    data = parse_json(text, "it")
+    if isinstance(data, dict) and data.get("format") != FORMAT:
+        got = repr(data.get("format"))[:80]
+        raise ValueError(f"format must be {FORMAT}, that of this version, got {got}; evaluate again")
+    _require_form("it", data, _DESCRIPTION)
+    content = {key: value for key, value in data.items() if key != "sha256"}
+    if sha256(to_json(content).encode()) != data["sha256"] or to_json(data) != text:
+        raise ValueError("it was edited or damaged: its sha256 does not fit its content")
+    _check_description(data)
+    csv_path = json_path.with_suffix(".csv")
+    table = read_text(csv_path, "table of the results")
+    if sha256(table.encode()) != data["csv_sha256"]:
+        raise ValueError(f"{csv_path} is not its table: that was edited or belongs to another run")
+    n_rows, n_lines = len(data["entries"]) * len(data["seeds"]), table.count("\n") - 1
+    check_size((entry["name"] for entry in data["entries"]), len(data["seeds"]))
+    expected = [(entry["name"], entry["training_seed"], seed) for entry in data["entries"] for seed in data["seeds"]]
+    episodes = from_csv(table, csv_path) if n_lines == n_rows else []
+    if n_lines != n_rows or [(*episode.run, episode.seed) for episode in episodes] != expected:
+        raise ValueError(
+            f"{csv_path}: expected one row per entry and seed, in the order of the JSON's entries and seeds "
+            f"({n_rows} rows), got {n_lines} rows that differ"
+        )
+    return data, episodes
+
+
+def _require_form(where: str, data: Any, form: Mapping[str, Any]) -> None:
+    """Raise a ValueError that names a key which is missing, or a value of another type."""
+    if not isinstance(data, dict):
+        raise ValueError(f"{where} must be an object, got {type(data).__name__}")
+    for key, expected in form.items():
+        if key not in data:
+            raise ValueError(f"{where} misses the key {key!r}")
+        if not isinstance(data[key], expected) or isinstance(data[key], bool):
+            name = getattr(expected, "__name__", str(expected))
+            raise ValueError(f"{key} of {where} must be {name}, got {data[key]!r:.80}")
+
+
+def _check_summary(stored: Any, summed: Any, where: str) -> None:
+    """Raise a ValueError if a stored summary differs from the sum of its table by more than rounding."""
+    if isinstance(stored, dict) and isinstance(summed, dict) and set(stored) == set(summed):
+        for key in summed:
+            _check_summary(stored[key], summed[key], f"{where}.{key}")
+        return
+    numbers = all(isinstance(value, (int, float)) and not isinstance(value, bool) for value in (stored, summed))
+    if not (math.isclose(stored, summed, rel_tol=_ROUNDING, abs_tol=_ROUNDING) if numbers else stored == summed):
+        raise ValueError(f"{where} is {str(stored)[:80]}, the table sums up to {str(summed)[:80]}; evaluate again")
+
+
+def _check_description(data: dict[str, Any]) -> None:
+    for key, form in (("entries", _ENTRY), ("failed", _FAILED)):
+        require_count(key, len(data[key]), _MOST_ENTRIES)
+        for entry in data[key]:
+            _require_form("an entry", entry, form)
+            # It goes into tables and pages as it is.
+            check_name("the entry's name", entry["name"])
+            if entry["kind"] not in KINDS:
+                raise ValueError(f"kind of an entry must be one of {', '.join(KINDS)}, got {entry['kind']!r:.80}")
+    check_rows((*data["entries"], *data["failed"]))
+    if data["metrics"] != {name: asdict(metric) for name, metric in METRICS.items()}:
+        raise ValueError("the metrics are not those of this version; evaluate again")
+    for key, names in (("environment", ("id", "fingerprint")), ("versions", data["versions"])):
+        _require_form(key, data[key], dict.fromkeys(names, str))
+    require_count("seeds", len(data["seeds"]), MOST_SCENARIOS)
+    allowed = get_suite(data["suite"]).seeds(data["split"])
+    if not data["seeds"] or any(type(seed) is not int or seed not in allowed for seed in data["seeds"]):
+        raise ValueError(f"seeds must be some of the split {data['split']!r}, {allowed.start} … {allowed.stop - 1}")

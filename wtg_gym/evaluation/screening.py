@@ -11,6 +11,7 @@ from typing import Any, TypeVar
 import numpy as np
 import numpy.typing as npt
 
+from wtg_gym.physics.equilibrium import StartError
 from wtg_gym.physics.grid import get_grid
 from wtg_gym.physics.linearisation import moving_matrix, swing_modes
 from wtg_gym.physics.plant import Plant
@@ -25,7 +26,6 @@ from wtg_gym.physics.scenario import (
     Scenario,
 )
 from wtg_gym.physics.simulator import Simulator
-from wtg_gym.physics.start_errors import StartError
 from wtg_gym.physics.tracking_law import group_laws
 from wtg_gym.scenarios.grid_suite import GridSuite, all_places, unscreened
 from wtg_gym.scenarios.strata import Places

@@ -35,8 +35,6 @@ _CONNECT_S = 15
 Played = list[Episode] | PolicyError
 #: Plays one batch: entry, settings, seeds, number of threads.
 Play = Callable[[Entry, EnvSettings, Sequence[int], int | None], Played]
-#: Hands a function and its arguments to a worker.
-_Submit = Callable[..., Future[Any]]
 
 
 @dataclass(frozen=True)
@@ -77,19 +75,19 @@ class Workers:
     def play(
         self, play: Play, settings: EnvSettings, parts: Sequence[tuple[Entry, list[int]]]
     ) -> Generator[tuple[int, Played], None, None]:
-        """Yield (index, episodes or the policy's failure) of every part as soon as it is finished.
+        """Yield (index, episodes or the policy's failure) of every part, (entry, seeds), as soon as it is finished.
 
-        Args:
-            play: plays a batch; a function of this package.
-            settings: settings of the environment.
-            parts: (entry, seeds) of the batches.
-
-        Raises:
-            ValueError: an entry cannot travel or be played there, the cluster does not answer, a worker has other code,
-                packages or processor, or is lost for good.
+        `play` plays a batch; a function of this package. A ValueError says that an entry cannot travel, that the
+        cluster does not answer, or that a worker has other code, packages or processor, or is lost for good.
         """
-        wanted, entries = circumstances(), {id(entry): entry for entry, _ in parts}
-        parcels = {key: _packed(entry, settings) for key, entry in entries.items()}
+        wanted, parcels = circumstances(), dict[int, bytes]()
+        for entry, _ in parts:
+            try:
+                # As bytes: objects that Dask spreads out are lost with the worker that has them.
+                parcels[id(entry)] = parcels.get(id(entry)) or cloudpickle.dumps((entry, settings))
+            # Pickling runs code of the policy.
+            except Exception as error:
+                raise ValueError(f"entry {entry.label!r} cannot be sent to other processes: {error}") from error
         with contextlib.ExitStack() as stack:
             try:
                 submit = stack.enter_context(_submitter(self.backend, self.address, self.jobs or os.cpu_count() or 1))
@@ -111,29 +109,12 @@ class Workers:
                 yield indices[future], played
 
 
-# --- what travels ----------------------------------------------------------------------------------------------------
-
-
-def _packed(entry: Entry, settings: EnvSettings) -> bytes:
-    """Return an entry and the settings as bytes: objects that Dask spreads out are lost with the worker that has them.
-
-    Raises:
-        ValueError: the entry cannot be pickled.
-    """
-    try:
-        packed: bytes = cloudpickle.dumps((entry, settings))
-        return packed
-    # Pickling runs code of the policy.
-    except Exception as error:
-        raise ValueError(f"entry {entry.label!r} cannot be sent to other processes: {error}") from error
-
-
 def _work(play: Play, parcel: bytes, seeds: list[int], wanted: dict[str, str]) -> Played | str:
     """Play a batch in a worker, or say why not: where the circumstances are others than those wanted, too."""
-    worker, own = f"worker {socket.gethostname()}:{os.getpid()}", circumstances()
-    differing = [key for key in sorted({*wanted, *own}) if wanted.get(key) != own.get(key)]
+    worker, here = f"worker {socket.gethostname()}:{os.getpid()}", circumstances()
+    differing = [key for key in sorted({*wanted, *here}) if wanted.get(key) != here.get(key)]
     if differing:
-        listed = "; ".join(f"{key} is {own.get(key, 'unknown')}, here {wanted.get(key)}" for key in differing)
+        listed = "; ".join(f"{key} is {here.get(key, 'unknown')}, here {wanted.get(key)}" for key in differing)
         return f"{worker} could give other numbers: {listed}"
     try:
         entry, settings = cloudpickle.loads(parcel)
@@ -151,7 +132,7 @@ def _in_short(error: BaseException) -> str:
 
 
 @contextlib.contextmanager
-def _submitter(backend: str, address: str | None, jobs: int) -> Iterator[_Submit]:
+def _submitter(backend: str, address: str | None, jobs: int) -> Iterator[Callable[..., Future[Any]]]:
     """Give the function that hands work to a backend; processes and connections that are made for it end afterwards.
 
     Not joblib's own interface to Dask and Ray (1.6): it waits for ever for a worker that Dask gives up, and has results
@@ -182,7 +163,7 @@ def _submitter(backend: str, address: str | None, jobs: int) -> Iterator[_Submit
             import ray
 
             os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
-            own = {"num_cpus": jobs, "include_dashboard": False} if address is None else {}
-            ray.init(address or "local", logging_level="ERROR", log_to_driver=False, **own)
+            local = {"num_cpus": jobs, "include_dashboard": False} if address is None else {}
+            ray.init(address or "local", logging_level="ERROR", log_to_driver=False, **local)
             stack.callback(ray.shutdown)
             yield lambda work, *arguments: ray.remote(num_cpus=1)(work).remote(*arguments).future()

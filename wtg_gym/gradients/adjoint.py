@@ -18,11 +18,10 @@ import numpy.typing as npt
 from wtg_gym.envs.stepping import TaskData, read_actions
 from wtg_gym.physics import integration
 from wtg_gym.physics import step as of_step
-from wtg_gym.physics.extension_unit import EXTENSIONS
 from wtg_gym.physics.integration import N_STAGES, interval_of, stage_scalars, strike
-from wtg_gym.physics.layout import Floats, Layout, Whole
-from wtg_gym.physics.network_data import LaneData, Network
+from wtg_gym.physics.layout import Floats, LaneData, Layout, Network, Whole
 from wtg_gym.physics.units import PAIRS, UNITS
+from wtg_gym.physics.wtg_unit import EXTENSIONS
 from wtg_gym.systems.compiled import compiled, internal
 from wtg_gym.systems.programs import NONE, MemoryMap, Program, in_one_table, unconditional
 from wtg_gym.systems.routines import Routine
@@ -74,17 +73,8 @@ _act, _flow, _sweep_once, _motion, _rates, _moved, _charge, _measure, _observe, 
 _WITHOUT, _WITH = (
     tuple(Routine(program, writer, place=1) for program in _TAPED) for writer in (BackWithoutConstants, BackWriter)
 )
-(
-    _act_back,
-    _flow_back,
-    _sweep_back,
-    _motion_back,
-    _rates_back,
-    _moved_back,
-    _charge_back,
-    _measure_back,
-    _observe_back,
-) = (routine.call for routine in _WITH)
+_act_back, _flow_back, _sweep_back, _motion_back, _rates_back, *_ending_back = (routine.call for routine in _WITH)
+_moved_back, _charge_back, _measure_back, _observe_back = _ending_back
 
 
 def routines_of(*, constants: bool) -> tuple[Routine, ...]:

@@ -14,14 +14,7 @@ from wtg_gym.physics.plant import Plant, plant_tables
 
 #: Fields of the parameter classes that act on a run, and neither on the equilibrium it starts from nor on a law.
 _OF_MACHINES = {
-    "": (
-        "two_h_s",
-        "damping_pu",
-        "t_d0_transient_s",
-        "t_d0_subtransient_s",
-        "t_q0_transient_s",
-        "t_q0_subtransient_s",
-    ),
+    "": ("two_h_s", "damping_pu", "t_d0_transient_s", "t_d0_subtransient_s", "t_q0_transient_s", "t_q0_subtransient_s"),
     "governor": ("droop_pu", "gate_time_s", "lead_time_s", "reheat_time_s", "turbine_damping_pu", "dead_band_pu"),
     "exciter": ("lead_lag_ratio", "lag_time_s", "exciter_time_s"),
 }

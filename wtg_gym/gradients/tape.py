@@ -16,12 +16,7 @@ from wtg_gym.envs.settings import EnvSettings
 from wtg_gym.envs.stepping import Outputs, bind, step_blocks
 from wtg_gym.gradients.adjoint import N_TAPED, Work, pull, routines_of, rules_of, work_of
 from wtg_gym.gradients.adjoint import programs_of as taped_programs
-from wtg_gym.gradients.plant_parameters import (
-    Moved,
-    known_parameters,
-    require_known_parameters,
-    with_parameters,
-)
+from wtg_gym.gradients.plant_parameters import Moved, known_parameters, require_known_parameters, with_parameters
 from wtg_gym.physics import integration
 from wtg_gym.physics.layout import Floats, Whole, put_rows, rows_of_lanes
 from wtg_gym.physics.plant import PlantMap, PlantTables, plant_tables, programs_of, with_places
@@ -142,11 +137,7 @@ class Tape:
     """
 
     def __init__(
-        self,
-        settings: EnvSettings,
-        n_lanes: int = 1,
-        n_threads: int | None = None,
-        parameters: Sequence[str] = (),
+        self, settings: EnvSettings, n_lanes: int = 1, n_threads: int | None = None, parameters: Sequence[str] = ()
     ) -> None:
         parameters = (parameters,) if isinstance(parameters, str) else tuple(parameters)
         plant = settings.resolved_plant

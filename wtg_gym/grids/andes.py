@@ -18,10 +18,10 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from wtg_gym.grids.typical import TYPICAL_EXCITER, TYPICAL_GOVERNOR, typical_machine
-from wtg_gym.physics.grid import MODELS, Grid
+from wtg_gym.physics.grid import MODELS, Branch, Bus, Grid, NetworkCase
+from wtg_gym.physics.machine import saturation_constants
 from wtg_gym.physics.machine_parameters import SynchronousMachineParameters, classical_machine
-from wtg_gym.physics.network import LEAST_IMPEDANCE, Branch, Bus, NetworkCase
-from wtg_gym.physics.saturation import saturation_constants
+from wtg_gym.physics.network import LEAST_IMPEDANCE
 from wtg_gym.ranges import require_range
 
 Row = Mapping[str, Any]

@@ -16,7 +16,7 @@ from typing import Any
 from wtg_gym.extras import install_advice
 from wtg_gym.files import parse_json, read_text
 from wtg_gym.grids.andes import Row, Tables
-from wtg_gym.physics.network import MOST_BUSES
+from wtg_gym.physics.grid import MOST_BUSES
 from wtg_gym.ranges import require_count
 
 #: What every file of a network says before its tables.

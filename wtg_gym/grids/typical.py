@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
-from wtg_gym.physics.control_parameters import SpeedStabiliserParameters
-from wtg_gym.physics.machine_parameters import ExciterParameters, GovernorParameters, SynchronousMachineParameters
+from wtg_gym.physics.machine_parameters import (
+    ExciterParameters,
+    GovernorParameters,
+    SpeedStabiliserParameters,
+    SynchronousMachineParameters,
+)
 
 #: Rating over the apparent power that a machine gives, and the least one [MVA]: a power flow may ask a small condenser
 #: for more reactive power than its limits allow.

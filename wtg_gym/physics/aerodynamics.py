@@ -7,12 +7,12 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 from scipy.optimize import brentq, minimize_scalar
 
 from wtg_gym.physics.parameters import PowerCoefficientParameters, TurbineParameters
 from wtg_gym.physics.rotor_table import Cells, Grid, RotorTable, tabulated_power_coefficient
 from wtg_gym.systems.elementary import exponential, fma
+from wtg_gym.systems.programs import Floats
 
 
 class CurveConstants(NamedTuple):
@@ -54,10 +54,10 @@ def surface_of(parameters: PowerCoefficientParameters | RotorTable) -> tuple[Gri
 
 
 def power_coefficient(
-    tip_speed_ratio: float | npt.NDArray[np.float64],
+    tip_speed_ratio: float | Floats,
     pitch_deg: float = 0.0,
     parameters: PowerCoefficientParameters | RotorTable | None = None,
-) -> npt.NDArray[np.float64]:
+) -> Floats:
     """Return C_p(λ, β) of a curve or a table, by default of the paper's curve.
 
     Args:
@@ -141,9 +141,7 @@ def _tracking_point(deloading: float, turbine: TurbineParameters) -> TrackingPoi
     return TrackingPoint(ratio, value, turbine.wind_power_pu_per_cubic_wind * value * speed**3)
 
 
-def available_power_pu(
-    wind_m_s: float | npt.NDArray[np.float64], turbine: TurbineParameters | None = None
-) -> npt.NDArray[np.float64]:
+def available_power_pu(wind_m_s: float | Floats, turbine: TurbineParameters | None = None) -> Floats:
     """Return the largest power a rotor can capture at β = 0 [p.u. of its rating], for wind speeds from 0 m/s on."""
     turbine = turbine or TurbineParameters()
     wind = np.asarray(wind_m_s, dtype=np.float64)

@@ -1,20 +1,47 @@
-"""The grid-forming converter: tracking law, transient damping and swing equation, on the base of its turbine.
+"""The grid-forming converter on the base of its turbine, and what an extended one has besides.
 
     δ̇ = ω_n (ω - ω_ref),    2H ω̇ = P_st - p - D_p (ω - ω_st),    τ ẋ = (ω - ω_st) - x
     P_st = max(g(ω) + Δk, 0) ω_m³ + D_p x
 
-g is piecewise linear through (ω_min, k_min), (ω_st, k_nominal), (ω_max, k_max) and constant outside; a policy adds Δk.
-In an extended converter g sees ω + Δω, and P_st has a limit (:mod:`~wtg_gym.physics.extended_converter`).
-1/τ = 0 leaves the plain droop (x ≡ 0); τ = 0 puts ω - ω_st in the place of x (the state stays 0) and cancels the droop.
+are tracking law, transient damping and swing equation. g is piecewise linear through (ω_min, k_min), (ω_st, k_nominal),
+(ω_max, k_max) and constant outside; a policy adds Δk. 1/τ = 0 leaves the plain droop (x ≡ 0); τ = 0 puts ω - ω_st in
+the place of x (the state stays 0) and cancels the droop. In an extended converter g sees ω + Δω, and P_st has a limit.
 Source: paper, equations (6), (7), (35)-(37).
+
+An extended converter. Current. (E - V)/(jX_g) keeps its angle, and its size is cut to I_max: the voltage behind X_g
+becomes E' = E - jX_v I with the smallest X_v ≥ 0 that holds |I| ≤ I_max. Seen from the unit the rest of the network is
+a voltage behind an impedance Z that includes X_g, so
+
+    X_v = sqrt(max((|ΔE|/I_max)² - R², 0)) - X,    ΔE = I_0 Z,    Z = R + jX,    I = ΔE/(Z + jX_v)
+
+with I_0 the current without the limit. Power. A frequency is added to the angle's equation,
+
+    δ̇ = ω_n (ω + Δω - ω_ref),    Δω = min(k_p (p_top - p) + x_o, 0) + max(k_p (p_min - p) + x_u, 0)
+    ẋ_o = k_i (p_top - p), x_o ≤ 0,    ẋ_u = k_i (p_min - p), x_u ≥ 0,    p_top = min(p_max, T_max ω_m)
+
+p_top is also the most that k ω_m³ can be. ω + Δω is the frequency of the voltage, and what everything that measures one
+sees; ω is that of the swing equation, whose droop keeps it near the set-point while the limiter acts. Rotor. It gives
+max(p, p_min): a chopper burns what the grid presses into the converter. Its heat cools with a time constant; once it
+exceeds what the chopper stands, the group disconnects. Voltage. Droop, reactive limits and one integrator,
+
+    Ė = K_iv e,    e = max(min(V_ref - V - m_q (q - q_ref), K_q (q_max - q)), K_q (-q_max - q)),    E_min ≤ E ≤ E_max
+
+E is the voltage behind X_g, V and q are those of the terminal. Where a reactive limit is exceeded its own error takes
+over, so that one integrator serves both and nothing winds up. While the current is limited E rises less, and not at all
+where the limiter takes CUT_FULL or more from the voltage: Ė ≤ (1 - X_v |I| / CUT_FULL) K_iv e for e > 0.
+
+Source: REGFM_A1 (W. Du et al., PNNL-32278), its current limiter and its active power limiters; there the terminal
+voltage is the last iterate's, here the limit holds with the network's solution. Its voltage control, with the takeover
+of IEEE 421.5's excitation limiters in place of two integrators more, and without the filters of its measurements.
 """
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
-from wtg_gym.physics.parameters import GridFormingParameters
-from wtg_gym.systems.elementary import fma, select
+from wtg_gym.physics.parameters import ConverterLimitParameters, GridFormingParameters, VoltageControlParameters
+from wtg_gym.systems.elementary import clip, fma, limited_rate, select
 
 
 class Corners(NamedTuple):
@@ -114,3 +141,153 @@ def converter_rates(
         filter=law.inv_tau * (deviation - s.filter),
     )
     return rates, k
+
+
+#: Stands for no limit where infinity would make 0 · ∞ [p.u.].
+_UNLIMITED = 1e9
+#: Voltage that the current limiter takes from E, from which on E does not rise [p.u.]; a design value.
+CUT_FULL = 0.02
+
+
+class ConverterLimits(NamedTuple):
+    """Constants of current and power limits and of the chopper."""
+
+    current_max: float  # I_max [p.u.]
+    power_max: float  # p_max [p.u.]
+    power_min: float  # p_min ≤ 0 [p.u.]
+    torque_max: float  # T_max [p.u.]
+    gain_p: float  # k_p [p.u. of frequency per p.u. of power]
+    gain_i: float  # k_i [1/s]
+    chopper_energy: float  # that the chopper stands [p.u. s]
+    heat_kept: float  # share of its heat that is left after a simulation step
+
+
+class LimitState(NamedTuple):
+    """States of the power limiters and the chopper."""
+
+    over_power: float  # x_o [p.u.]
+    under_power: float  # x_u [p.u.]
+    energy_chopped: float  # ∫ (max(p, p_min) - p) dt [p.u. s]
+
+
+def converter_limits(p: ConverterLimitParameters | None, simulation_dt: float) -> ConverterLimits:
+    """Return the constants for a simulation step [s]; None for a converter without limits."""
+    if p is None:
+        return ConverterLimits(_UNLIMITED, _UNLIMITED, -_UNLIMITED, _UNLIMITED, 0.0, 0.0, _UNLIMITED, 0.0)
+    return ConverterLimits(
+        current_max=p.current_max_pu,
+        power_max=p.power_max_pu,
+        power_min=p.power_min_pu,
+        torque_max=p.torque_max_pu,
+        gain_p=p.power_gain,
+        gain_i=p.power_integral_gain,
+        chopper_energy=p.chopper_energy_pu_s,
+        heat_kept=math.exp(-simulation_dt / p.chopper_cooling_s),
+    )
+
+
+#: Voltage above which a group stays connected for a time only [p.u.], and that time [s]. Source: Australian National
+#: Electricity Rules, S5.2.5.4, automatic access standard. (IEEE 2800-2022 asks for 1 s above 1.1 p.u.)
+OVER_VOLTAGES = ((1.10, 1200.0), (1.15, 20.0), (1.20, 2.0), (1.25, 0.2), (1.30, 0.02))
+
+
+class OverVoltage(NamedTuple):
+    """The simulation steps at which the voltage was last below each of `OVER_VOLTAGES`."""
+
+    step_110: float
+    step_115: float
+    step_120: float
+    step_125: float
+    step_130: float
+
+
+def most_power(rotor_speed: float, c: ConverterLimits) -> float:
+    """Return p_top, the most that a turbine gives for long at a rotor speed [p.u.]."""
+    return min(c.power_max, c.torque_max * rotor_speed)
+
+
+def limiting_reactance(current_re: float, current_im: float, y_re: float, y_im: float, current_max: float) -> float:
+    """Return X_v [p.u.], 0 where nothing is to be limited.
+
+    Args:
+        current_re, current_im: I_0, the unit's current without its limit, all other units as they are [p.u.].
+        y_re, y_im: 1/Z, the unit's own entry of the reduced admittance matrix; 0 of a group that has tripped [p.u.].
+        current_max: I_max, on the base of the others [p.u.].
+    """
+    inverse = 1.0 / max(fma(y_re, y_re, y_im * y_im), 1e-20)
+    r, x = y_re * inverse, -y_im * inverse
+    current, largest = fma(current_re, current_re, current_im * current_im), current_max * current_max
+    wanted = math.sqrt(max(current * inverse / largest - r * r, 0.0)) - x
+    # Exactly zero without an excess, whatever the rounding of the root.
+    return select(current > largest, max(wanted, 0.0), 0.0)
+
+
+def power_limiter(s: LimitState, power: float, most: float, c: ConverterLimits) -> tuple[LimitState, float, float]:
+    """Return the rates, Δω and the power that the rotor gives [p.u.], at a power into the grid and with its limit."""
+    over, under = most - power, c.power_min - power
+    shift = min(fma(c.gain_p, over, s.over_power), 0.0) + max(fma(c.gain_p, under, s.under_power), 0.0)
+    drawn = max(power, c.power_min)
+    rates = LimitState(
+        over_power=limited_rate(c.gain_i * over, s.over_power, -_UNLIMITED, 0.0),
+        under_power=limited_rate(c.gain_i * under, s.under_power, 0.0, _UNLIMITED),
+        energy_chopped=drawn - power,
+    )
+    return rates, shift, drawn
+
+
+def limit_state_limited(s: LimitState) -> LimitState:
+    """Return the states, held within their limits."""
+    return LimitState(min(s.over_power, 0.0), max(s.under_power, 0.0), s.energy_chopped)
+
+
+class VoltageControl(NamedTuple):
+    """Constants of voltage control."""
+
+    gain: float  # K_iv [1/s]; 0 for a constant voltage behind X_g
+    droop: float  # m_q [p.u./p.u.]
+    reactive_max: float  # q_max [p.u.]
+    takeover_gain: float  # K_q [p.u./p.u.]
+    emf_min: float  # E_min [p.u.]
+    emf_max: float  # E_max [p.u.]
+
+
+class VoltageInput(NamedTuple):
+    """Constant over a run."""
+
+    voltage_reference: float  # V_ref [p.u.]
+    reactive_reference: float  # q_ref [p.u.]
+
+
+def voltage_control(p: VoltageControlParameters | None) -> VoltageControl:
+    """Return the constants; None for a constant voltage behind X_g."""
+    if p is None:
+        return VoltageControl(0.0, 0.0, 0.0, 0.0, 0.0, math.inf)
+    return VoltageControl(
+        gain=p.integral_gain,
+        droop=p.droop_pu,
+        reactive_max=p.reactive_max_pu,
+        takeover_gain=p.takeover_gain,
+        emf_min=p.internal_voltage_min_pu,
+        emf_max=p.internal_voltage_max_pu,
+    )
+
+
+def emf_rate(emf: float, voltage: float, reactive: float, cut: float, u: VoltageInput, c: VoltageControl) -> float:
+    """Return Ė [p.u./s].
+
+    Args:
+        emf: E [p.u.].
+        voltage, reactive: V and q at the terminal [p.u.].
+        cut: X_v |I|, what the current limiter takes from E [p.u.].
+        u, c: references, constants.
+    """
+    error = u.voltage_reference - voltage - c.droop * (reactive - u.reactive_reference)
+    error = min(error, c.takeover_gain * (c.reactive_max - reactive))
+    error = max(error, c.takeover_gain * (-c.reactive_max - reactive))
+    rate = limited_rate(c.gain * error, emf, c.emf_min, c.emf_max)
+    return select(rate > 0.0, rate * max(1.0 - cut * (1.0 / CUT_FULL), 0.0), rate)
+
+
+def emf_limited(emf: float, c: VoltageControl) -> float:
+    """Return E, held within its limits."""
+    return clip(emf, c.emf_min, c.emf_max)

@@ -1,22 +1,153 @@
-"""The exact equilibrium a lane starts from: turbines, power flow, then every unit backwards from its terminal."""
+"""From a scenario to a run: what its events change, the exact equilibrium it starts from, and why it cannot start."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping, Sequence
 
 import numba
 import numpy as np
-import numpy.typing as npt
 
 from wtg_gym.physics import integration
-from wtg_gym.physics.layout import OF_LANE, OF_STARTING_BUS, OF_STARTING_LANE, Floats, Layout, units_of
-from wtg_gym.physics.network import POWER_FLOW_TOLERANCE, PowerFlow, solve_power_flow
-from wtg_gym.physics.network_data import LaneData, Network
-from wtg_gym.physics.sparse_flow import solve_sparse_flow
+from wtg_gym.physics import scenario as events
+from wtg_gym.physics.layout import (
+    OF_LANE,
+    OF_STARTING_BUS,
+    OF_STARTING_LANE,
+    Floats,
+    LaneData,
+    Layout,
+    Network,
+    NetworkEvent,
+    units_of,
+)
+from wtg_gym.physics.machine import gate_limits
+from wtg_gym.physics.machine_models import controls_of
+from wtg_gym.physics.machine_parameters import ExciterParameters
+from wtg_gym.physics.network import POWER_FLOW_TOLERANCE, PowerFlow, solve_power_flow, solve_sparse_flow
+from wtg_gym.physics.parameters import ConverterLimitParameters, VoltageControlParameters
+from wtg_gym.physics.plant import ISLANDS_AT_MOST, Plant, PlantTables
+from wtg_gym.physics.scenario import Scenario
 from wtg_gym.physics.units import BUSES, StartFailure
+from wtg_gym.ranges import whole_steps
 from wtg_gym.systems.compiled import compiled, internal
-from wtg_gym.systems.programs import NONE
+from wtg_gym.systems.programs import NONE, Complex, Whole
 from wtg_gym.systems.routines import Function
+
+#: Beginning of the names of scenarios that a simulator makes for itself.
+NOMINAL = "the plant at "
+
+
+class StartError(ValueError):
+    """There is no equilibrium to start a scenario from."""
+
+
+def scenario_name(scenario: Scenario) -> str:
+    """Return what an error calls a scenario."""
+    return scenario.name if scenario.name.startswith(NOMINAL) else f"scenario {scenario.name!r}"
+
+
+def bus_of_unit(settings: Plant, unit: int) -> int:
+    """Return the bus number of a unit: machines, groups, devices."""
+    devices = [bus for own in settings.all_devices for bus in own.buses]
+    return [*(m.bus for m in settings.case.machines), *(group.bus for group in settings.groups), *devices][unit]
+
+
+def unit_name(settings: Plant, unit: int) -> str:
+    """Return what an error calls a unit."""
+    group = unit - len(settings.case.machines)
+    kind = "the synchronous machine" if group < 0 else f"WTG group {group}"
+    if group >= len(settings.groups):
+        kind = [f"a unit of {own.kind.name}" for own in settings.all_devices for _ in own.buses][
+            group - len(settings.groups)
+        ]
+    return f"{kind} at bus {bus_of_unit(settings, unit)}"
+
+
+def check_internal_voltages(rows: Floats, scenarios: Sequence[Scenario], settings: Plant, layout: Layout) -> None:
+    """Refuse a start that needs a larger voltage behind a reactance than anybody builds."""
+    of_machines = np.hypot(rows[:, layout.machine("e_d")], rows[:, layout.machine("e_q")])
+    voltages = np.concatenate([of_machines, rows[:, layout.wtg("emf")]], axis=1)
+    limit = settings.protection.internal_voltage_max_pu
+    if (voltages <= limit).all():
+        return
+    lane, unit = np.argwhere(~(voltages <= limit))[0]
+    bus = settings.case.buses[settings.case.bus_index(bus_of_unit(settings, int(unit)))]
+    task = "for its share of the power" if bus.voltage_pu is None else f"to hold {bus.voltage_pu:g} p.u. there"
+    raise StartError(
+        f"{scenario_name(scenarios[lane])} cannot start: {unit_name(settings, int(unit))} needs an internal voltage of "
+        f"{voltages[lane, unit]:.3g} p.u. {task}; allowed: at most {limit:g} p.u. (a larger rating needs less)"
+    )
+
+
+def check_rotor_speeds(rows: Floats, scenarios: Sequence[Scenario], settings: Plant, layout: Layout) -> None:
+    """Refuse a start with a rotor below the under-speed trip."""
+    speeds, least = rows[:, layout.wtg("rotor_speed")], settings.protection.rotor_speed_min_pu
+    for lane, group in np.argwhere(speeds < least):
+        scenario = scenarios[lane]
+        raise StartError(
+            f"scenario {scenario.name!r} cannot start: the rotor of {unit_name(settings, layout.n_sync + group)} would "
+            f"start at {speeds[lane, group]:.3g} p.u. in a wind of {scenario.wind_speed[group, 0]:.3g} m/s, below the "
+            f"under-speed trip at {least:g} p.u."
+        )
+
+
+def start_failure(
+    failure: StartFailure, unit: int, rows: Floats, scenario: Scenario, settings: Plant, layout: Layout
+) -> str:
+    """Say why a unit cannot start, with the numbers that its rows (n_rows,) hold."""
+    if failure == StartFailure.POWER_FLOW_DIVERGED:
+        return f"the power flow has no solution at a load level of {scenario.load_level:g} and this wind"
+    if failure == StartFailure.WIND_SHORTAGE:
+        return (
+            f"in this wind the WTG groups alone cannot meet the load at a level of {scenario.load_level:g}; "
+            "more wind or turbines, or less load, are needed"
+        )
+    name = unit_name(settings, unit)
+    if unit < layout.n_sync:
+        quantity, value, low, high = _limited(failure, unit, rows, settings, layout)
+        what = quantity.replace("_", " ")
+        return (
+            f"{name} would start at {value:.4g} p.u. of {what}, beyond its {what} "
+            f"limits {low:g} … {high:g} p.u.; change wind or load level"
+        )
+    j = unit - layout.n_sync
+    if j >= layout.n_wtg:
+        return f"{name} finds no equilibrium within its limits"
+    if failure == StartFailure.NO_TURBINE_EQUILIBRIUM:
+        k = rows[layout.wtg("k_nominal")[j]]
+        return f"{name} has no equilibrium at a wind of {scenario.wind_speed[j, 0]:g} m/s with k = {k:g} p.u."
+    if failure == StartFailure.CONVERTER_LIMIT:
+        limits = settings.limits or ConverterLimitParameters()
+        return (
+            f"{name} would start with {rows[layout.wtg('power')[j]]:.4g} p.u. of power, beyond its converter's limits: "
+            f"power {limits.power_min_pu:g} … {limits.power_max_pu:g} p.u., current at most "
+            f"{limits.current_max_pu:g} p.u."
+        )
+    control, emf = settings.voltage_control or VoltageControlParameters(), rows[layout.wtg("internal_voltage")[j]]
+    return (
+        f"{name} would start with {emf:.4g} p.u. behind X_g, beyond the limits {control.internal_voltage_min_pu:g} … "
+        f"{control.internal_voltage_max_pu:g} p.u. of its voltage control"
+    )
+
+
+def _limited(
+    failure: StartFailure, unit: int, rows: Floats, settings: Plant, layout: Layout
+) -> tuple[str, float, float, float]:
+    """Return the quantity of a machine that starts beyond its limits, its value, and the limits [p.u.]."""
+    machine = settings.case.machines[unit]
+    for own, parameters in controls_of(machine):
+        if own.limits is not None and own.failure == failure:
+            place = np.flatnonzero(layout.seen(own.kind, "machine") == unit)[0]
+            value = rows[layout.rows_of(own.kind, own.limited)[place]]
+            return own.limited, float(value), *own.limits(parameters)
+    if failure == StartFailure.GOVERNOR_LIMIT:
+        return "gate", float(rows[layout.machine("gate")[unit]]), *gate_limits(machine.governor)
+    exciter = machine.exciter
+    assert isinstance(exciter, ExciterParameters)
+    value = rows[layout.machine("field_voltage")[unit]]
+    return "field_voltage", float(value), exciter.field_min_pu, exciter.field_max_pu
+
 
 #: Rows of a bus in scratch, as columns of the power flow.
 FLOW_COLUMNS = PowerFlow(
@@ -47,12 +178,12 @@ def rows_of_buses(scratch: Floats, layout: Layout) -> Floats:
 
 
 @internal
-def _plan_flow(arrays: tuple[Floats, Floats], buses: Floats, y: npt.NDArray[np.complex128], network: Network) -> float:
+def _plan_flow(arrays: tuple[Floats, Floats], buses: Floats, y: Complex, network: Network) -> float:
     """Solve the power flow of what all units plan; return what the slack bus lacks [p.u.], NaN where nothing starts."""
     facts, tables, scratch = network.facts, network.tables, arrays[1]
     lane = units_of(scratch, facts.starting)[0]
     integration.plan(arrays, tables, NONE)
-    released = lane[OF_STARTING_LANE.start_failure, 0] == 0.0
+    released = lane[OF_STARTING_LANE.failure, 0] == 0.0
     balances = facts.n_balances
     while released:
         if facts.is_large:
@@ -60,7 +191,7 @@ def _plan_flow(arrays: tuple[Floats, Floats], buses: Floats, y: npt.NDArray[np.c
         else:
             steps = _flow(tables, (y, facts.slack, buses, FLOW_COLUMNS))
         if steps < 0:
-            lane[OF_STARTING_LANE.start_failure, 0] = _DIVERGED
+            lane[OF_STARTING_LANE.failure, 0] = _DIVERGED
             break
         if balances:
             integration.balance(arrays, tables, NONE)
@@ -69,16 +200,16 @@ def _plan_flow(arrays: tuple[Floats, Floats], buses: Floats, y: npt.NDArray[np.c
         # Each time at least one bus lets go, and no bus does twice.
         integration.release(arrays, tables, NONE)
         released = lane[OF_STARTING_LANE.released, 0] > 0.0
-    if lane[OF_STARTING_LANE.start_failure, 0] != 0.0:
+    if lane[OF_STARTING_LANE.failure, 0] != 0.0:
         return math.nan
     return float(buses[facts.slack, OF_STARTING_BUS.flow] - buses[facts.slack, OF_STARTING_BUS.planned])
 
 
 @internal
-def _curtail(arrays: tuple[Floats, Floats], buses: Floats, y: npt.NDArray[np.complex128], network: Network) -> None:
+def _curtail(arrays: tuple[Floats, Floats], buses: Floats, y: Complex, network: Network) -> None:
     """Find the common factor on k with which the WTG groups alone meet the load, by halving its range."""
     lane = units_of(arrays[1], network.facts.starting)[0]
-    at, failure = OF_STARTING_LANE.curtailment, OF_STARTING_LANE.start_failure
+    at, failure = OF_STARTING_LANE.curtailment, OF_STARTING_LANE.failure
     low, high = _LEAST_CURTAILMENT, 1.0
     # Far from the balance there is no power flow: what all give without losses comes close.
     while high - low > _CLOSE and lane[failure, 0] == 0.0:
@@ -113,11 +244,11 @@ def prepare_lanes(
     rows: Floats,
     scratch: Floats,
     buses: Floats,
-    y: npt.NDArray[np.complex128],
+    y: Complex,
     network: Network,
     data: LaneData,
     load_levels: Floats,
-    failures: npt.NDArray[np.int64],
+    failures: Whole,
 ) -> None:
     """Put lanes into the equilibrium of their wind, law and load, at nominal frequency.
 
@@ -141,7 +272,7 @@ def prepare_lanes(
             _curtail(arrays, buses, y, network)
         else:
             _plan_flow(arrays, buses, y, network)
-        if starting[OF_STARTING_LANE.start_failure, 0] == 0.0:
+        if starting[OF_STARTING_LANE.failure, 0] == 0.0:
             integration.settle(arrays, tables, NONE)
             run = units_of(block, facts.lane)[0]
             voltage = buses[int(run[OF_LANE.noise_bus, 0]), OF_STARTING_BUS.polar]
@@ -157,5 +288,122 @@ def prepare_lanes(
             integration.find(arrays, tables, NONE)
             integration.find_rates(arrays, tables, NONE)
             integration.start(arrays, tables, NONE)
-        failures[lane, 0] = int(starting[OF_STARTING_LANE.start_failure, 0])
-        failures[lane, 1] = int(starting[OF_STARTING_LANE.failing_unit, 0])
+        failures[lane, 0] = int(starting[OF_STARTING_LANE.failure, 0])
+        failures[lane, 1] = int(starting[OF_STARTING_LANE.failure + 1, 0])
+
+
+def network_events(scenario: Scenario, settings: Plant, plant: PlantTables) -> list[NetworkEvent]:
+    """Return what a scenario's events change, one by one.
+
+    Raises:
+        ValueError: an event does not fit the plant, or the events do not fit each other.
+    """
+    name = f"scenario {scenario.name!r}"
+    lost = [event.bus for event in scenario.events if isinstance(event, events.LoadTrip)]
+    if len(set(lost)) < len(lost):
+        raise ValueError(f"{name} disconnects a load twice; load trips at buses {lost}")
+    found = [each for event in scenario.events for each in _changes(event, scenario.load_level, settings, plant)]
+    _check_lines(name, [event for event in found if event.branch >= 0 and event.factor == 0.0], settings)
+    returns = [event.unit for event in found if event.unit >= 0 and event.end > event.start]
+    if returns and not settings.extended:
+        raise ValueError(f"{name} brings back {unit_name(settings, returns[0])}, which needs extended physics")
+    for verb, given in (
+        ("disconnects", [(event.unit, event.start, event.end) for event in found if event.unit >= 0]),
+        (
+            "loses the governor of",
+            [(event.governor, event.start, event.start) for event in found if event.governor >= 0],
+        ),
+    ):
+        away: dict[int, float] = {}
+        for unit, start, end in sorted(given, key=lambda one: one[1]):
+            if start <= away.get(unit, -math.inf):
+                raise ValueError(f"{name} {verb} {unit_name(settings, unit)} twice")
+            away[unit] = end if end > start else math.inf
+    return found
+
+
+def _check_lines(name: str, trips: list[NetworkEvent], settings: Plant) -> None:
+    """Refuse a line that opens while it is open, and lines whose opening leaves islands that the plant cannot have."""
+    case = settings.case
+    most = ISLANDS_AT_MOST if settings.extended else 1
+    with_unit = {*case.unit_buses, *(group.bus for group in settings.groups)}
+    trips = sorted(trips, key=lambda trip: trip.start)
+    for place, trip in enumerate(trips):
+        opened = [before.branch for before in trips[:place] if before.end == before.start or trip.start < before.end]
+        if trip.branch in opened:
+            ends = case.branches[trip.branch]
+            raise ValueError(f"{name} opens the line {ends.from_bus}-{ends.to_bus} twice")
+        opened.append(trip.branch)
+        if len(opened) == 1 and trip.branch not in case.bridges:
+            continue
+        parts = case.parts_without(tuple(opened))
+        if len(parts) > 1 and most == 1:
+            raise ValueError(f"{name}: its line trips would split the network, which needs extended physics")
+        live = sum(not part.isdisjoint(with_unit) for part in parts)
+        if live > most:
+            raise ValueError(f"{name}: its line trips leave {live} islands with a unit; allowed: at most {most}")
+
+
+def _changes(event: events.Event, load_level: float, settings: Plant, plant: PlantTables) -> list[NetworkEvent]:
+    """Return what an event changes, with its times in steps and its load as power [p.u.]."""
+    case, dt = settings.case, settings.simulation_dt
+    n_sync, n_wtg = len(case.machines), len(settings.groups)
+    start = end = float(whole_steps("event time", event.time_s, dt, "simulation step"))
+
+    def later(name: str, after_s: float | None) -> float:
+        return start if after_s is None else start + whole_steps(name, after_s, dt, "simulation step")
+
+    if isinstance(event, events.GroupTrip):
+        if event.group >= n_wtg:
+            raise ValueError(f"unknown WTG group {event.group}; the plant has {n_wtg}, counted from 0")
+        end = later("returns_after_s", event.returns_after_s)
+        return [NetworkEvent(start, end, unit=n_sync + event.group)]
+    if isinstance(event, events.LineTrip):
+        end = later("recloses_after_s", event.recloses_after_s)
+        return [NetworkEvent(start, end, branch=case.branch_index(event.from_bus, event.to_bus, event.circuit))]
+    if isinstance(event, events.ReactanceStep):
+        branch = case.branch_index(event.from_bus, event.to_bus, event.circuit)
+        return [NetworkEvent(start, start, branch=branch, factor=event.factor)]
+    bus = case.bus_index(event.bus)
+    if isinstance(event, events.Fault):
+        end = later("clears_after_s", event.clears_after_s)
+        y = 1.0 / complex(event.resistance_pu, event.reactance_pu)
+        cleared = []
+        if event.opens is not None:
+            cleared = [NetworkEvent(end, end, branch=case.branch_index(*event.opens, event.circuit))]
+        return [NetworkEvent(start, end, active=y.real, reactive=y.imag, fault=bus), *cleared]
+    if isinstance(event, (events.PhaseJump, events.FrequencyRamp)):
+        sources = {number: source.bus for number, source in enumerate(case.sources)}
+        source = _units_at(event.bus, "imposed source", sources)[0]
+        if isinstance(event, events.PhaseJump):
+            return [NetworkEvent(start, start, source=source, jump=math.radians(event.angle_deg))]
+        end = later("duration_s", event.duration_s)
+        return [NetworkEvent(start, end, source=source, ramp=event.rocof_hz_s / case.frequency_hz)]
+    if isinstance(event, events.MachineOutage):
+        end = later("returns_after_s", event.returns_after_s)
+        found = _units_at(event.bus, "synchronous machine", dict(enumerate(case.unit_buses)))
+        if found[0] >= n_sync:
+            if end > start:
+                raise ValueError(f"the imposed source at bus {event.bus} does not come back: leave out returns_after_s")
+            # Sources come after the groups.
+            return [NetworkEvent(start, end, unit=unit + n_wtg) for unit in found]
+        return [NetworkEvent(start, end, unit=unit) for unit in found if unit < n_sync]
+    if isinstance(event, events.GovernorLoss):
+        governed = {number: m.bus for number, m in enumerate(case.machines) if m.governor is not None}
+        machines = _units_at(event.bus, "machine with a governor", governed)
+        return [NetworkEvent(start, end, governor=machine) for machine in machines]
+    if isinstance(event, events.LoadTrip):
+        power = -load_level * complex(plant.buses["load.re"][bus], plant.buses["load.im"][bus])
+    else:
+        power = complex(event.power_mw, event.reactive_mvar) / case.base_mva
+    if isinstance(event, events.LoadRamp):
+        end = start + whole_steps("ramp duration", event.duration_s, dt, "simulation step")
+    return [NetworkEvent(start, end, bus, power.real, power.imag)]
+
+
+def _units_at(bus: int, what: str, buses: Mapping[int, int]) -> list[int]:
+    """Return the numbers of the units at a bus, of those whose buses are given by their numbers."""
+    found = [number for number, at in buses.items() if at == bus]
+    if not found:
+        raise ValueError(f"no {what} at bus {bus}; buses with one: {sorted(set(buses.values()))}")
+    return found

@@ -1,4 +1,4 @@
-"""A grid as data: network, machines, WTG groups and where its numbers come from, in one JSON file."""
+"""Networks as data, and a grid: a network with its machines and WTG groups in one JSON file."""
 
 from __future__ import annotations
 
@@ -6,20 +6,192 @@ import contextlib
 import dataclasses
 import functools
 import json
+import math
 import tempfile
 import types
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, get_args, get_type_hints
 
+import numpy as np
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+
 from wtg_gym.files import interpreting, parse_json, read_text, sha256, write_atomically
-from wtg_gym.physics.checked import Checked, require_items
-from wtg_gym.physics.machine_parameters import AnyExciter, AnyGovernor, AnyStabiliser
-from wtg_gym.physics.network import MOST_UNITS, NetworkCase
+from wtg_gym.physics.machine_parameters import AnyExciter, AnyGovernor, AnyStabiliser, SynchronousMachineParameters
 from wtg_gym.physics.parameters import MOST_GROUPS, WtgGroup
-from wtg_gym.ranges import did_you_mean, require_known
+from wtg_gym.ranges import Checked, design, did_you_mean, parameter, require_items, require_known, required
 from wtg_gym.systems.compiled import cache_folder
+
+#: Buses and machines or sources of a network at most: a batch of episodes of more would not fit into memory.
+MOST_BUSES, MOST_UNITS = 500, 100
+
+
+@dataclass(frozen=True, kw_only=True)
+class Bus(Checked):
+    """A bus: number, constant-impedance load and shunt, and the voltage its units hold."""
+
+    number: int = required("-", "IEEE 14", "bus number")
+    load_mw: float = parameter(0.0, "MW", "IEEE 14", "active load at the initial voltage", -1e9, 1e9)
+    load_mvar: float = parameter(0.0, "Mvar", "IEEE 14", "reactive load at the initial voltage", -1e9, 1e9)
+    shunt_mw: float = parameter(0.0, "MW", "IEEE 14", "active shunt at 1 p.u. of voltage", -1e9, 1e9)
+    shunt_mvar: float = parameter(0.0, "Mvar", "IEEE 14", "capacitive shunt at 1 p.u. of voltage", -1e9, 1e9)
+    voltage_pu: float | None = parameter(
+        None, "p.u.", "IEEE 14", "voltage that its units hold, None for none", 0.1, 10.0
+    )
+    x: float | None = design(None, "-", "where pictures show it, from the left; None: laid out", -1e6, 1e6)
+    y: float | None = design(None, "-", "and from below", -1e6, 1e6)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Branch(Checked):
+    """A line or transformer as a π section; the tap is on the `from_bus` side. Values in p.u. of the system base."""
+
+    from_bus: int = required("-", "IEEE 14", "bus at the tap's side")
+    to_bus: int = required("-", "IEEE 14", "bus at the other end")
+    resistance: float = required("p.u.", "IEEE 14", "series resistance", -1e6, 1e6)
+    reactance: float = required("p.u.", "IEEE 14", "series reactance", -1e6, 1e6)
+    charging: float = parameter(0.0, "p.u.", "IEEE 14", "charging susceptance of the whole line", -1e6, 1e6)
+    tap: float = parameter(1.0, "-", "IEEE 14", "tap ratio", 0.01, 100.0)
+    phase_rad: float = parameter(0.0, "rad", "IEEE 14", "phase shift", -2.0 * math.pi, 2.0 * math.pi)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Source(Checked):
+    """An imposed source: a voltage behind an impedance, whose frequency and angle events prescribe."""
+
+    bus: int = required("-", "design", "bus number")
+    resistance: float = design(0.0, "p.u.", "resistance behind which it stands, on the system base", 0.0, 1e3)
+    reactance: float = design(1e-3, "p.u.", "reactance behind which it stands, on the system base", 1e-6, 1e3)
+
+
+@dataclass(frozen=True, kw_only=True)
+class NetworkCase(Checked):
+    """A network with its synchronous machines, as data.
+
+    The voltage angle at `slack_bus` is zero. Its machines or sources balance the power; without any, all WTG groups do.
+
+    Raises:
+        ValueError: a bus is missing, doubled or not connected, nothing balances the power, or a value is out of range.
+    """
+
+    MOST = types.MappingProxyType({"buses": MOST_BUSES, "machines": MOST_UNITS, "sources": MOST_UNITS})
+
+    name: str
+    base_mva: float = required("MVA", "IEEE 14", "system base", 1e-3, 1e9)
+    frequency_hz: float = required("Hz", "IEEE 14", "nominal frequency", 1.0, 1000.0)
+    slack_bus: int
+    buses: tuple[Bus, ...]
+    branches: tuple[Branch, ...]
+    machines: tuple[SynchronousMachineParameters, ...]
+    sources: tuple[Source, ...] = ()
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        numbers = self.bus_numbers
+        if len(set(numbers)) != len(numbers):
+            raise ValueError(f"{self.name}: bus numbers must be unique, got {list(numbers)}")
+        for branch in self.branches:
+            self.bus_index(branch.from_bus)
+            self.bus_index(branch.to_bus)
+            if branch.from_bus == branch.to_bus:
+                raise ValueError(f"{self.name}: a branch goes from bus {branch.from_bus} to itself")
+            if branch.resistance == 0.0 and branch.reactance == 0.0:
+                raise ValueError(f"{self.name}: branch {branch.from_bus}-{branch.to_bus} has no impedance")
+        for bus in self.unit_buses:
+            self.bus_index(bus)
+        if self.machines and not self.balanced:
+            raise ValueError(
+                f"{self.name}: no synchronous machine or source at the slack bus {self.slack_bus} balances the power"
+            )
+        if len(self.parts_without(())) > 1:
+            raise ValueError(f"{self.name}: the network is not connected")
+        if self.buses[self.bus_index(self.slack_bus)].voltage_pu is None:
+            raise ValueError(f"{self.name}: the slack bus {self.slack_bus} must hold a voltage; its voltage_pu is None")
+
+    @functools.cached_property
+    def bus_numbers(self) -> tuple[int, ...]:
+        """Return the bus numbers in order of the index."""
+        return tuple(bus.number for bus in self.buses)
+
+    @property
+    def unit_buses(self) -> tuple[int, ...]:
+        """Bus of each machine, then of each source."""
+        return (*(machine.bus for machine in self.machines), *(source.bus for source in self.sources))
+
+    @property
+    def balanced(self) -> bool:
+        """Whether a machine or a source balances the power at the slack bus."""
+        return self.slack_bus in self.unit_buses
+
+    @functools.cached_property
+    def load_mw(self) -> float:
+        """Load of all buses [MW]."""
+        return sum(bus.load_mw for bus in self.buses)
+
+    def bus_index(self, number: int) -> int:
+        """Return the index of a bus number; a ValueError lists the buses there are."""
+        if isinstance(number, bool) or number not in self.bus_numbers:
+            raise ValueError(f"unknown bus {number!r}; {self.name} has buses {list(self.bus_numbers)}")
+        return self.bus_numbers.index(number)
+
+    def branch_index(self, from_bus: int, to_bus: int, circuit: int | None = None) -> int:
+        """Return the index of the branch between two buses, either way round; a ValueError lists the branches.
+
+        Args:
+            from_bus, to_bus: numbers of the buses.
+            circuit: which of parallel branches, counted from 1; None: the first.
+        """
+        self.bus_index(from_bus)
+        self.bus_index(to_bus)
+        found = self._branches_by_ends.get(frozenset((from_bus, to_bus)), [])
+        if 0 < (circuit or 1) <= len(found):
+            return found[(circuit or 1) - 1]
+        if found:
+            raise ValueError(f"no circuit {circuit} between buses {from_bus} and {to_bus}; there are {len(found)}")
+        known = ", ".join(f"{b.from_bus}-{b.to_bus}" for b in self.branches)
+        raise ValueError(f"no branch {from_bus}-{to_bus} in {self.name}; branches: {known}")
+
+    @functools.cached_property
+    def _branches_by_ends(self) -> dict[frozenset[int], list[int]]:
+        found: dict[frozenset[int], list[int]] = {}
+        for index, branch in enumerate(self.branches):
+            found.setdefault(frozenset((branch.from_bus, branch.to_bus)), []).append(index)
+        return found
+
+    def parts_without(self, branches: tuple[int, ...]) -> list[set[int]]:
+        """Return the buses of each part that hangs together when the branches of these indices are open."""
+        at = {number: place for place, number in enumerate(self.bus_numbers)}
+        closed = [(at[b.from_bus], at[b.to_bus]) for index, b in enumerate(self.branches) if index not in branches]
+        ends = np.array(closed, dtype=np.int64).reshape(-1, 2).T
+        shape = (len(at), len(at))
+        n, part_of = connected_components(coo_array((np.ones(ends.shape[1]), ends), shape=shape), directed=False)
+        parts: list[set[int]] = [set() for _ in range(n)]
+        for number, part in zip(self.bus_numbers, part_of.tolist(), strict=True):
+            parts[part].add(number)
+        return parts
+
+    @functools.cached_property
+    def bridges(self) -> frozenset[int]:
+        """Return the indices of the branches any one of which splits the network when it opens."""
+        return frozenset(index for index in range(len(self.branches)) if len(self.parts_without((index,))) > 1)
+
+    def classical(self) -> NetworkCase:
+        """Return the network with a constant voltage behind x'_d in place of every machine and its exciter."""
+        machines = (
+            dataclasses.replace(machine, classical=True, exciter=None, stabiliser=None) for machine in self.machines
+        )
+        return dataclasses.replace(self, machines=tuple(machines))
+
+    def with_governors(self, change: Callable[[AnyGovernor], AnyGovernor]) -> NetworkCase:
+        """Return the network with other governors: `change` turns the one of each machine that has one into its own."""
+        machines = tuple(
+            machine if machine.governor is None else dataclasses.replace(machine, governor=change(machine.governor))
+            for machine in self.machines
+        )
+        return dataclasses.replace(self, machines=machines)
+
 
 #: The grids that come with the package.
 FOLDER = Path(__file__).parents[1] / "grids"

@@ -6,8 +6,7 @@ from collections.abc import Callable
 from typing import Any
 
 from wtg_gym.physics import step as systems
-from wtg_gym.physics.layout import OF_LANE, Floats, place_of, units_of
-from wtg_gym.physics.network_data import Facts, LaneData, Network
+from wtg_gym.physics.layout import OF_LANE, Facts, Floats, LaneData, Network, place_of, units_of
 from wtg_gym.physics.protection import PROTECTION_INTERVAL_S
 from wtg_gym.physics.reduction import refresh_network
 from wtg_gym.physics.wtg_unit import GROUPS

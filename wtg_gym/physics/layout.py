@@ -17,15 +17,15 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from wtg_gym.physics.extension_unit import EXTENSIONS
-from wtg_gym.physics.hydro_unit import HYDRO
+from wtg_gym.physics.machine_models import HYDRO
 from wtg_gym.physics.machine_unit import MACHINES
+from wtg_gym.physics.network import Pattern
 from wtg_gym.physics.units import BUSES, LANE, UNITS
-from wtg_gym.physics.wtg_unit import GROUPS
+from wtg_gym.physics.wtg_unit import EXTENSIONS, GROUPS
 from wtg_gym.ranges import did_you_mean, require_known
 from wtg_gym.systems.compiled import internal
-from wtg_gym.systems.records import is_record, short_names
-from wtg_gym.systems.systems import Kind, count
+from wtg_gym.systems.programs import Complex, Tables
+from wtg_gym.systems.systems import Kind, count, is_record, short_names, structured
 
 Floats = npt.NDArray[np.float64]
 Whole = npt.NDArray[np.int64]
@@ -97,31 +97,13 @@ class Layout:
         self.counts, self._links = dict(n_units), dict(links)
         self.first, self.n_rows = self._firsts([n_rows_of(kind.rows) for kind in n_units])
         self.first_scratch, self.n_scratch = self._firsts([n_rows_of(kind.scratch) for kind in n_units])
+        #: Number of synchronous machines, WTG groups, units of the network, and extended WTG groups.
+        self.n_sync, self.n_wtg, self.n_unit, self.n_extended = map(self.n_units, (MACHINES, GROUPS, UNITS, EXTENSIONS))
         self._found: dict[tuple[str, str], Whole] = {}
 
     def _firsts(self, strides: Sequence[int]) -> tuple[dict[Kind, int], int]:
         edges = np.cumsum([0, *(n * stride for n, stride in zip(self.counts.values(), strides, strict=True))]).tolist()
         return dict(zip(self.counts, edges, strict=False)), edges[-1]
-
-    @property
-    def n_sync(self) -> int:
-        """Number of synchronous machines."""
-        return self.counts[MACHINES]
-
-    @property
-    def n_wtg(self) -> int:
-        """Number of WTG groups."""
-        return self.counts[GROUPS]
-
-    @property
-    def n_unit(self) -> int:
-        """Number of units of the network: synchronous machines and WTG groups."""
-        return self.counts[UNITS]
-
-    @property
-    def n_extended(self) -> int:
-        """Number of extended WTG groups."""
-        return self.counts[EXTENSIONS]
 
     def n_units(self, kind: Kind) -> int:
         """Return how many units of a kind there are."""
@@ -238,3 +220,78 @@ def place_of(kind: Kind, name: str) -> int:
     if place is None:
         raise KeyError(f"{name!r} is no number of {kind.name}{did_you_mean(name, names_of(kind))}")
     return place
+
+
+class Facts(NamedTuple):
+    """Numbers of a plant, and where its kinds of unit lie."""
+
+    slack: int  # bus index
+    base_mva: float
+    simulation_dt: float  # [s]
+    n_substeps: int  # simulation steps per control interval
+    n_balances: int  # power flows after which machines share what the slack bus lacks
+    is_large: bool  # whether the power flow is solved by sparse elimination
+    curtails: bool  # whether WTG groups alone balance the power
+    shares_frequency: float  # change of a load's conductance with the frequency [p.u./p.u.]
+    # In a block:
+    lane: Span = Span()
+    machines: Span = Span()
+    groups: Span = Span()
+    units: Span = Span()
+    pairs: Span = Span()
+    stages: Span = Span()  # of shedding; those of an island are its rows
+    buses: Span = Span()
+    islands: Span = Span()
+    transfers: Span = Span()
+    sources: Span = Span()
+    # In scratch:
+    starting: Span = Span()  # of the lane
+
+
+class Network(NamedTuple):
+    """What compiled functions read of a plant; the types are the same for every plant.
+
+    The tables say where the systems of a step find rows and constants: see :mod:`wtg_gym.systems.programs`.
+    """
+
+    facts: Facts
+    branch_ends: Whole  # bus indices of each branch (n_branch, 2)
+    branch_y: Complex  # its admittances ff, ft, tf, tt (n_branch, 4) [p.u.]
+    branch_series: Complex  # the part of its series impedance in them (n_branch, 4) [p.u.]
+    shunts: Complex  # admittance at each bus (n_bus,) [p.u.]
+    unit_bus: Whole  # bus index of each unit, machines first (n_unit,)
+    unit_y: Complex  # internal admittance of each unit (n_unit,) [p.u.]
+    connected: Whole  # the row that says whether each unit is connected (n_unit,)
+    angles: Whole  # the row of each unit's angle, -1 for none (n_unit,)
+    shed_shares: Floats  # of the load, by each stage of shedding (n_stages,)
+    pattern: Pattern  # of the power flow of a large network
+    tables: Tables
+
+
+class NetworkEvent(NamedTuple):
+    """A change of the network; times in simulation steps, indices -1 for none."""
+
+    start: float
+    end: float  # later than start for a ramp, a fault, and for what comes back
+    bus: int = -1  # of a load
+    active: float = 0.0  # the load's P and Q until the run's start, then its admittance; a fault's admittance [p.u.]
+    reactive: float = 0.0
+    branch: int = -1  # that opens, or whose impedance changes
+    unit: int = -1  # that is disconnected; machines first
+    governor: int = -1  # that stops acting: its machine
+    fault: int = -1  # bus of a fault
+    factor: float = 0.0  # on the branch's series impedance; 0: it opens
+    source: int = -1  # that an event moves
+    jump: float = 0.0  # of its angle [rad]
+    ramp: float = 0.0  # of its frequency [p.u./s]
+
+
+NO_EVENT = structured(NetworkEvent, [NetworkEvent(np.inf, np.inf)])
+
+
+class LaneData(NamedTuple):
+    """Series and events of each environment, constant while it runs."""
+
+    wind: Floats  # at the ends of control intervals (n_lanes, n_wtg, n_intervals + 1) [m/s]
+    noise: Floats  # load noise per control interval (n_lanes, n_intervals) [MW]
+    events: npt.NDArray[Any]  # (n_lanes, n_events), of NetworkEvent

@@ -11,29 +11,203 @@
 
 with γ_d = (x'' - x_l)/(x'_d - x_l), γ_d2 = (x'_d - x'')/(x'_d - x_l)², and γ_q, γ_q2 alike; x''_q = x''_d = x''.
 S is saturation by the flux ψ of the air gap, in plants that have any: A and B are those of the parabola through S(1.0)
-and S(1.2), see :mod:`wtg_gym.physics.saturation`. Neglected are stator transients and the effect of speed on voltages;
-so the electrical torque T_e equals the air-gap power p [p.u.]. All values are on the system base, those of the governor
-on the machine's. Source: P. Sauer, M. Pai: Power System Dynamics and Stability, chapter 3 (subtransient model);
+and S(1.2), see :func:`saturated`. Neglected are stator transients and the effect of speed on voltages; so the
+electrical torque T_e equals the air-gap power p [p.u.]. All values are on the system base, those of the governor on the
+machine's. Source: P. Sauer, M. Pai: Power System Dynamics and Stability, chapter 3 (subtransient model);
 P. Kundur: Power System Stability and Control, chapter 3; saturation: GENROU of PSS/E, as ANDES defines it.
 """
 
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
-from wtg_gym.physics.exciter import (
-    Exciter,
-    ExciterState,
-    exciter_constants,
-    exciter_limited,
-    exciter_rates,
-    exciter_start,
+from wtg_gym.physics.machine_parameters import (
+    AnyExciter,
+    AnyGovernor,
+    ExciterParameters,
+    GovernorParameters,
+    SynchronousMachineParameters,
 )
-from wtg_gym.physics.governor import Governor, GovernorState, governor_constants, governor_limited, governor_rates
-from wtg_gym.physics.machine_parameters import SynchronousMachineParameters
-from wtg_gym.physics.saturation import Saturation, saturated, saturation_constants
-from wtg_gym.systems.elementary import sine_cosine
+from wtg_gym.systems.elementary import clip, limited_rate, select, sine_cosine
+
+
+class Saturation(NamedTuple):
+    """Constants of a saturation curve."""
+
+    threshold: float  # A [p.u.]
+    gain: float  # B [1/p.u.]; 0 for no saturation
+
+
+def saturation_constants(what: str, first: tuple[float, float], second: tuple[float, float]) -> Saturation:
+    """Return the parabola through two points (E, S); none where both S, or the second, are 0.
+
+    Raises:
+        ValueError: E, or E S, does not rise from the first point to the second; the message names `what` it is of.
+    """
+    (e_1, s_1), (e_2, s_2) = first, second
+    if s_1 == 0.0 and s_2 == 0.0:
+        return Saturation(0.0, 0.0)
+    if not (e_1 < e_2 and e_1 * s_1 < e_2 * s_2):
+        raise ValueError(
+            f"{what}: saturation must rise from S({e_1:g} p.u.) = {s_1:g} to S({e_2:g} p.u.) = {s_2:g}, times the "
+            "voltage too"
+        )
+    ratio = math.sqrt(e_1 * s_1 / (e_2 * s_2))
+    threshold = (e_1 - ratio * e_2) / (1.0 - ratio)
+    return Saturation(threshold, e_2 * s_2 / (e_2 - threshold) ** 2)
+
+
+def saturated(value: float, c: Saturation) -> float:
+    """Return E S(E) [p.u.] of saturation of iron at a value E [p.u.], by a parabola.
+
+        E S(E) = B (E - A)²  for E > A,  else 0
+
+    through two given points (E_1, S_1) and (E_2, S_2): with a = √(E_1 S_1 / (E_2 S_2)),
+
+        A = (E_1 - a E_2) / (1 - a),    B = E_2 S_2 / (E_2 - A)²
+
+    Source: PSS/E and ANDES, for GENROU as for exciters. Where S_1 is 0, A is E_1, and saturation begins there; ANDES
+    has none then.
+    """
+    excess = max(value - c.threshold, 0.0)
+    return c.gain * (excess * excess)
+
+
+class Exciter(NamedTuple):
+    """Constants of SEXS."""
+
+    gain: float  # K [p.u./p.u.]; 0 without an exciter
+    lead_lag_ratio: float  # T_A / T_B
+    inv_lag_time: float  # 1 / T_B [1/s]
+    inv_exciter_time: float  # 1 / T_E [1/s]
+    field_min: float  # [p.u.]
+    field_max: float
+
+
+class ExciterState(NamedTuple):
+    """States of SEXS."""
+
+    lead_lag: float  # x [p.u.]
+    field_voltage: float  # E_fd [p.u.]
+
+
+def exciter_constants(parameters: AnyExciter | None) -> Exciter:
+    """Return the constants of an exciter; without one the field voltage stays, unless another model sets it."""
+    if not isinstance(parameters, ExciterParameters):
+        return Exciter(0.0, 0.0, 0.0, 0.0, -float("inf"), float("inf"))
+    return Exciter(
+        gain=parameters.gain,
+        lead_lag_ratio=parameters.lead_lag_ratio,
+        inv_lag_time=1.0 / parameters.lag_time_s,
+        inv_exciter_time=1.0 / parameters.exciter_time_s,
+        field_min=parameters.field_min_pu,
+        field_max=parameters.field_max_pu,
+    )
+
+
+def exciter_rates(s: ExciterState, voltage_error: float, c: Exciter) -> ExciterState:
+    """Return the rates [p.u./s] of the exciter SEXS at a voltage error ΔV = V_ref - V [p.u.].
+
+        T_B ẋ = ΔV - x,    T_E Ė_fd = K (x + (T_A/T_B)(ΔV - x)) - E_fd  with non-windup limits
+
+    Source: the standard model SEXS, as PSS/E and ANDES define it.
+    """
+    error = voltage_error - s.lead_lag
+    lead = s.lead_lag + c.lead_lag_ratio * error
+    field_rate = c.inv_exciter_time * (c.gain * lead - s.field_voltage)
+    return ExciterState(
+        lead_lag=c.inv_lag_time * error,
+        field_voltage=limited_rate(field_rate, s.field_voltage, c.field_min, c.field_max),
+    )
+
+
+def exciter_limited(s: ExciterState, c: Exciter) -> ExciterState:
+    """Return the states, held within their limits."""
+    return ExciterState(s.lead_lag, clip(s.field_voltage, c.field_min, c.field_max))
+
+
+def exciter_start(field_voltage: float, c: Exciter) -> tuple[ExciterState, float]:
+    """Return the equilibrium that gives a field voltage [p.u.], and the voltage error that it needs [p.u.]."""
+    error = select(c.gain > 0.0, field_voltage / c.gain, 0.0)
+    return ExciterState(error, field_voltage), error
+
+
+class Governor(NamedTuple):
+    """Constants of TGOV1, on the base of the machine."""
+
+    inv_droop: float  # 1/R of the case [p.u./p.u.], 0 without a governor; a scenario may replace it, see MachineInput
+    inv_gate_time: float  # 1 / T_1 [1/s]
+    lead_reheat_ratio: float  # T_2 / T_3
+    inv_reheat_time: float  # 1 / T_3 [1/s]
+    gate_min: float  # [p.u.]; of a governor that is a unit of its own, of its reference
+    gate_max: float
+    turbine_damping: float  # D_t [p.u./p.u.]
+    dead_band: float  # [p.u.]
+    is_unit: float  # 1 where the torque is that of a governor that is a unit of its own
+
+
+class GovernorState(NamedTuple):
+    """States of TGOV1."""
+
+    gate: float  # g [p.u.]
+    reheat: float  # x [p.u.]
+
+
+def gate_limits(p: Any) -> tuple[float, float]:
+    """Return the limits of a gate at rest [p.u.], from parameters or constants."""
+    # Of a gas turbine the temperature allows as much as the ambient one.
+    return p.gate_min_pu, min(p.gate_max_pu, getattr(p, "load_limit_pu", math.inf))
+
+
+def governor_constants(parameters: AnyGovernor | None) -> Governor:
+    """Return the constants of a governor; without one, or with one that is a unit of its own, its gate stands still."""
+    if not isinstance(parameters, GovernorParameters):
+        inv_droop, is_unit = (0.0, 0.0) if parameters is None else (1.0 / parameters.droop_pu, 1.0)
+        limits = (-math.inf, math.inf) if parameters is None else gate_limits(parameters)
+        return Governor(inv_droop, 0.0, 0.0, 0.0, *limits, 0.0, 0.0, is_unit)
+    return Governor(
+        inv_droop=1.0 / parameters.droop_pu,
+        inv_gate_time=1.0 / parameters.gate_time_s,
+        lead_reheat_ratio=parameters.lead_time_s / parameters.reheat_time_s,
+        inv_reheat_time=1.0 / parameters.reheat_time_s,
+        gate_min=parameters.gate_min_pu,
+        gate_max=parameters.gate_max_pu,
+        turbine_damping=parameters.turbine_damping_pu,
+        dead_band=parameters.dead_band_pu,
+        is_unit=0.0,
+    )
+
+
+def beyond_dead_band(deviation: float, dead_band: float) -> float:
+    """Return how far a deviation lies beyond a dead band, without a step at its edge."""
+    # Its slope without a dead band is 1 everywhere, at a deviation of exactly zero too.
+    edge = select(deviation < 0.0, -dead_band, dead_band)
+    return select(abs(deviation) < dead_band, 0.0, deviation - edge)
+
+
+def governor_rates(
+    s: GovernorState, speed: float, reference: float, inv_droop: float, c: Governor
+) -> tuple[GovernorState, float]:
+    """Return the rates [p.u./s] and the torque [p.u.] of TGOV1, a droop, a gate with non-windup limits, a reheater.
+
+        T_1 ġ = g_ref - Δω/R - g,    T_3 ẋ = g - x,    T_m = x + (T_2/T_3)(g - x) - D_t (ω - 1)
+
+    Δω is the deviation of the speed ω [p.u.] beyond the dead band, g_ref the reference of the gate [p.u.], and 1/R that
+    in use. Source: the standard model TGOV1; the output is taken as torque, as in ANDES.
+    """
+    demand = reference - inv_droop * beyond_dead_band(speed - 1.0, c.dead_band)
+    held = clip(s.gate, c.gate_min, c.gate_max)
+    rates = GovernorState(
+        gate=limited_rate(c.inv_gate_time * (demand - s.gate), s.gate, c.gate_min, c.gate_max),
+        reheat=c.inv_reheat_time * (held - s.reheat),
+    )
+    return rates, s.reheat + c.lead_reheat_ratio * (held - s.reheat) - c.turbine_damping * (speed - 1.0)
+
+
+def governor_limited(s: GovernorState, c: Governor) -> GovernorState:
+    """Return the states, held within their limits."""
+    return GovernorState(clip(s.gate, c.gate_min, c.gate_max), s.reheat)
 
 
 class Machine(NamedTuple):
@@ -191,31 +365,13 @@ def machine_rates(
 
 def driven_by(torque: float, rates: MachineState, output: MachineOutput, u: MachineInput) -> MachineState:
     """Return the rates with another mechanical torque [p.u.] than the governor's."""
-    speed = rates.speed + u.inv_two_h * (torque - output.torque)
-    return MachineState(
-        rates.angle,
-        speed,
-        rates.e_q_transient,
-        rates.e_d_transient,
-        rates.psi_1d,
-        rates.psi_2q,
-        rates.exciter,
-        rates.governor,
-    )
+    return rates._replace(speed=rates.speed + u.inv_two_h * (torque - output.torque))
 
 
 def machine_limited(s: MachineState, c: Machine) -> MachineState:
     """Return the states, held within their limits."""
-    return MachineState(
-        s.angle,
-        s.speed,
-        s.e_q_transient,
-        s.e_d_transient,
-        s.psi_1d,
-        s.psi_2q,
-        exciter_limited(s.exciter, c.exciter),
-        governor_limited(s.governor, c.governor),
-    )
+    governor = governor_limited(s.governor, c.governor)
+    return s._replace(exciter=exciter_limited(s.exciter, c.exciter), governor=governor)
 
 
 def machine_start(

@@ -11,17 +11,65 @@ from __future__ import annotations
 import importlib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
-from wtg_gym.physics.control_blocks import Constants
-from wtg_gym.physics.governor import gate_limits
-from wtg_gym.physics.machine import Machine, MachineInput, MachineVoltage, terminal_voltage
+from wtg_gym.physics.machine import Machine, MachineInput, MachineVoltage, gate_limits, terminal_voltage
 from wtg_gym.physics.machine_unit import MACHINES
-from wtg_gym.physics.runge_kutta import moving
-from wtg_gym.physics.units import LANE, UNITS, Back, ControlJoining, Phasor, StartFailure, noted
-from wtg_gym.systems.elementary import clip, select
-from wtg_gym.systems.records import each
-from wtg_gym.systems.systems import Kind, System, system
+from wtg_gym.physics.units import LANE, UNITS, Back, ControlJoining, Failure, Phasor, StartFailure, moving, noted
+from wtg_gym.systems.elementary import clip, limited_rate, select
+from wtg_gym.systems.systems import Kind, System, each, system
+
+
+def inverse(time_s: float) -> float:
+    """Return 1/T of a time constant [1/s], 0 for none."""
+    return 1.0 / time_s if time_s > 0.0 else 0.0
+
+
+class Constants:
+    """What makes the constants of a control: a record of its machine's number and of all parameters by their names.
+
+    With each time constant `x_time_s` comes its inverse `inv_x_time` [1/s], 0 for none.
+
+    Args:
+        parameters: classes of parameters; what the last has and another one lacks is 0.
+        besides: further constants, from the parameters.
+    """
+
+    def __init__(self, *parameters: type[Any], besides: Callable[[Any], Mapping[str, Any]] = lambda _: {}) -> None:
+        self.parameters, self._besides = parameters, besides
+        named: Callable[..., Any] = NamedTuple  # with fields that are not known before
+        usual = self._values(0, parameters[-1]())
+        self.record = named(parameters[-1].MODEL, [(name, type(value)) for name, value in usual.items()])
+
+    def __call__(self, machine: int, given: Any) -> Any:
+        """Return the constants of the control of a machine, given by its index."""
+        return self.record(**self._values(machine, given))
+
+    def _values(self, machine: int, given: Any) -> dict[str, Any]:
+        own = dict.fromkeys(vars(self.parameters[-1]()), 0.0) | vars(given)
+        inverses = {f"inv_{name.removesuffix('_s')}": inverse(own[name]) for name in own if "_time" in name}
+        return {"machine": machine, **own, **inverses, **self._besides(given)}
+
+
+# Blocks: state, input and constants give the rate of the state and the output. Where the inverse of a time constant is
+# 0 there is none: its state stands still, and its output is its input.
+
+
+def lag(state: float, given: float, inv_time: float) -> tuple[float, float]:
+    """Return rate and output of 1/(1 + s T)."""
+    return inv_time * (given - state), select(inv_time > 0.0, state, given)
+
+
+def lead_lag(state: float, given: float, lead_time: float, inv_lag_time: float) -> tuple[float, float]:
+    """Return rate and output of (1 + s T_lead)/(1 + s T_lag)."""
+    rate, output = lag(state, given, inv_lag_time)
+    return rate, output + lead_time * rate
+
+
+def limited_lag(state: float, given: float, inv_time: float, low: float, high: float) -> tuple[float, float]:
+    """Return rate and output of 1/(1 + s T) with non-windup limits."""
+    rate = limited_rate(inv_time * (given - state), state, low, high)
+    return rate, clip(select(inv_time > 0.0, state, given), low, high)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -68,59 +116,48 @@ def _kind(what: str, constants: Constants, state: type, **rows: Any) -> Kind:
     )
 
 
-def _systems(
+def _control(
+    kind: Kind,
+    constants: Constants,
     start: System,
     rates: System,
     comes_back: Callable[[Back, float, Any], Any],
     limit: Callable[[Any, Any], Any] | None = None,
-) -> dict[ControlJoining, tuple[System, ...]]:
-    """Return the systems of a control: its start, its rates, and what follows from them.
+    checked: tuple[StartFailure, str, Callable[[Any], tuple[float, float]]] | None = None,
+) -> Control:
+    """Return a control: its start, its rates, and what follows from them.
 
     Args:
-        start, rates: the systems.
+        kind, constants, start, rates: its kind, constants and systems.
         comes_back: its states where its machine comes back, from what that comes back to, its field voltage [p.u.] and
             the constants.
         limit: the states, held within their limits, from them and the constants.
+        checked: `failure`, `limited` and `limits` of a control that cannot start beyond its limits.
     """
 
-    @system(rates.kind, "control", when="extended")
+    @system(kind, "control", when="extended")
     def return_control(control: Any, field_voltage: float, returns: float, back: Back, model: Any) -> Any:
         found = comes_back(back, field_voltage, model)
         return each(lambda new, old: select(returns > 0.5, new, old), found, control)
 
-    return {
+    systems: dict[ControlJoining, tuple[System, ...]] = {
         ControlJoining.SETTLE: (start,),
         ControlJoining.MOVE: (moving(rates, limit, constants=["model"]),),
         ControlJoining.RATES: (rates,),
         ControlJoining.RETURN: (return_control,),
     }
+    if checked is None:
+        return Control(kind=kind, constants=constants, systems=systems)
+    failure, limited, limits = checked
 
-
-def _checked(
-    kind: Kind,
-    constants: Constants,
-    systems: Mapping[ControlJoining, tuple[System, ...]],
-    failure: StartFailure,
-    limited: str,
-    limits: Callable[[Any], tuple[float, float]],
-) -> Control:
-    """Return a control that cannot start beyond its limits."""
-
-    @system(kind, "start_failure", "failing_unit")
-    def check_control(control: Any, model: Any, start_failure: float, failing_unit: float) -> tuple[float, float]:
+    @system(kind, "lane_failure")
+    def check_control(control: Any, model: Any, lane_failure: Failure) -> Failure:
         low, high = limits(model)
         value = getattr(control, limited)
-        fits = (low <= value) & (value <= high)
-        return noted(fits, failure, model.machine, start_failure, failing_unit)
+        return noted((low <= value) & (value <= high), failure, model.machine, lane_failure)
 
-    return Control(
-        kind=kind,
-        constants=constants,
-        systems={**systems, ControlJoining.START: (check_control,)},
-        failure=failure,
-        limited=limited,
-        limits=limits,
-    )
+    systems[ControlJoining.START] = (check_control,)
+    return Control(kind=kind, constants=constants, systems=systems, failure=failure, limited=limited, limits=limits)
 
 
 def stabiliser(
@@ -159,8 +196,10 @@ def stabiliser(
         found, signal = rates(control, speed - 1.0, voltage, model)
         return each(lambda rate: given.connected * rate, found), set_point + signal
 
-    systems = _systems(start_stabiliser, rates_of_stabiliser, lambda back, _, model: start(back.bus_speed - 1.0, model))
-    return Control(kind=kind, constants=constants, systems=systems)
+    def comes_back(back: Back, _: float, model: Any) -> Any:
+        return start(back.bus_speed - 1.0, model)
+
+    return _control(kind, constants, start_stabiliser, rates_of_stabiliser, comes_back)
 
 
 def exciter(
@@ -202,13 +241,15 @@ def exciter(
     def limits(c: Any) -> tuple[float, float]:
         return c.regulator_min_pu, c.regulator_max_pu
 
-    systems = _systems(
+    return _control(
+        kind,
+        constants,
         start_exciter,
         rates_of_exciter,
         lambda back, field_voltage, model: start(field_voltage, back.bus_voltage, model)[0],
         lambda s, c: s._replace(regulator=clip(s.regulator, *limits(c))),
+        (StartFailure.EXCITER_LIMIT, "regulator", limits),
     )
-    return _checked(kind, constants, systems, StartFailure.EXCITER_LIMIT, "regulator", limits)
 
 
 def governor(
@@ -244,5 +285,7 @@ def governor(
         found, torque = rates(control, speed, given.gate_reference, given.inv_droop, model)
         return each(lambda rate: given.connected * rate, found), machine.rating * torque
 
-    systems = _systems(start_governor, rates_of_governor, lambda _, __, model: start(0.0, model), limit)
-    return _checked(kind, constants, systems, StartFailure.GOVERNOR_LIMIT, gate, gate_limits)
+    checked = StartFailure.GOVERNOR_LIMIT, gate, gate_limits
+    return _control(
+        kind, constants, start_governor, rates_of_governor, lambda _, __, model: start(0.0, model), limit, checked
+    )

@@ -2,39 +2,22 @@
 
 from __future__ import annotations
 
-from wtg_gym.physics.exciter import exciter_start
-from wtg_gym.physics.governor import GovernorState
-from wtg_gym.physics.machine import (
-    Machine,
-    MachineInput,
-    MachineOutput,
-    MachineState,
-    MachineVoltage,
-    RotorSaturation,
-    Saturating,
-    driven_by,
-    machine_limited,
-    machine_rates,
-    machine_start,
-    machine_voltage,
-    saturation_factor,
-)
-from wtg_gym.physics.runge_kutta import moving
-from wtg_gym.physics.saturation import saturated
-from wtg_gym.physics.units import ISLANDS, LANE, UNITS, Back, Connection, Phasor, StartFailure, Terminal, noted
+from wtg_gym.physics import machine as equations
+from wtg_gym.physics import units
+from wtg_gym.physics.machine import Machine, MachineInput, MachineState, MachineVoltage, Saturating
+from wtg_gym.physics.units import LANE, Connection, Failure, Phasor
 from wtg_gym.systems.elementary import clip, select
-from wtg_gym.systems.records import each
-from wtg_gym.systems.systems import Kind, system
+from wtg_gym.systems.systems import Kind, each, system
 
 MACHINES = Kind(
     name="machines",
-    rows={"state": MachineState, "given": MachineInput, "emf": MachineVoltage, "output": MachineOutput},
+    rows={"state": MachineState, "given": MachineInput, "emf": MachineVoltage, "output": equations.MachineOutput},
     scratch={
         "turbine_torque": float,  # of its governor, where that is a unit of its own [p.u.]
         "iron": Saturating,  # zero where no machine saturates
     },
-    constants={"machine": Machine, "dispatch": float, "saturation": RotorSaturation},
-    sees={"unit": UNITS, "island": ISLANDS, "lane": LANE},
+    constants={"machine": Machine, "dispatch": float, "saturation": equations.RotorSaturation},
+    sees={"unit": units.UNITS, "island": units.ISLANDS, "lane": LANE},
     states=("state",),
 )
 #: The first machine: its speed turns the frame of all angles, after an outage too.
@@ -45,12 +28,6 @@ FIRST_MACHINE = Kind(name="first machine", sees={"machine": MACHINES, "lane": LA
 def reference(speed: float) -> float:
     """Return the speed of the frame of all angles."""
     return speed
-
-
-@system(LANE, "reference_speed", when="no machine")
-def reset_reference_speed() -> float:
-    """Return the speed of the frame where no machine turns it: nominal."""
-    return 1.0
 
 
 @system(MACHINES, "needed")
@@ -67,17 +44,13 @@ def plan_machine(dispatch: float, needed: float, connection: Connection) -> floa
 
 @system(MACHINES, "state", "voltage_reference", "gate_reference")
 def start_machine(
-    start: Terminal, inv_committed: float, machine: Machine, saturation: RotorSaturation
+    start: units.Terminal, inv_committed: float, machine: Machine, saturation: equations.RotorSaturation
 ) -> tuple[MachineState, float, float]:
     """Return the equilibrium that a run starts from; angles count from the network's frame."""
     v, i_re, i_im = start.voltage, inv_committed * start.current.re, inv_committed * start.current.im
-    return machine_start(inv_committed * start.power, v.re, v.im, start.magnitude, i_re, i_im, machine, saturation)
-
-
-@system(LANE, "frame", when="no machine")
-def reset_frame() -> float:
-    """Let all angles count from the network's frame where there is no machine."""
-    return 0.0
+    return equations.machine_start(
+        inv_committed * start.power, v.re, v.im, start.magnitude, i_re, i_im, machine, saturation
+    )
 
 
 @system(FIRST_MACHINE, "frame")
@@ -92,31 +65,27 @@ def turn_machine(state: MachineState, frame: float) -> MachineState:
     return state._replace(angle=state.angle - frame)
 
 
-@system(MACHINES, "start_failure", "failing_unit")
-def check_machine(
-    state: MachineState, machine: Machine, connection: Connection, start_failure: float, failing_unit: float
-) -> tuple[float, float]:
+@system(MACHINES, "failure")
+def check_machine(state: MachineState, machine: Machine, connection: Connection, failure: Failure) -> Failure:
     """Note a machine that would start beyond the limits of its governor or its exciter, but for units of their own."""
     gate, field, c = state.governor.gate, state.exciter.field_voltage, machine
     fits = (c.governor.is_unit > 0.5) | (c.governor.gate_min <= gate) & (gate <= c.governor.gate_max)
-    start_failure, failing_unit = noted(
-        fits, StartFailure.GOVERNOR_LIMIT, connection.number, start_failure, failing_unit
-    )
+    failure = units.noted(fits, units.StartFailure.GOVERNOR_LIMIT, connection.number, failure)
     fits = (c.exciter.field_min <= field) & (field <= c.exciter.field_max)
-    return noted(fits, StartFailure.EXCITER_LIMIT, connection.number, start_failure, failing_unit)
+    return units.noted(fits, units.StartFailure.EXCITER_LIMIT, connection.number, failure)
 
 
 @system(MACHINES, "emf", "unit_voltage")
 def voltage_of_machine(state: MachineState, machine: Machine) -> tuple[MachineVoltage, Phasor]:
     """Return the voltage behind x'', in the frames of rotor and network."""
-    emf, re, im = machine_voltage(state, machine)
+    emf, re, im = equations.machine_voltage(state, machine)
     return emf, Phasor(re, im)
 
 
 @system(MACHINES, "iron", when="saturates")
-def saturate_machine(emf: MachineVoltage, saturation: RotorSaturation) -> Saturating:
+def saturate_machine(emf: MachineVoltage, saturation: equations.RotorSaturation) -> Saturating:
     """Return what saturation takes; a plant in which no machine saturates does without."""
-    factor = saturation_factor(emf.e_d, emf.e_q, saturation)
+    factor = equations.saturation_factor(emf.e_d, emf.e_q, saturation)
     return Saturating(factor * emf.e_q, factor * saturation.q_weight * emf.e_d)
 
 
@@ -133,17 +102,19 @@ def rates_of_machine(
     machine: Machine,
     reference_speed: float,
     omega_n: float,
-) -> tuple[MachineState, MachineOutput]:
+) -> tuple[MachineState, equations.MachineOutput]:
     """Return rates and outputs; the torque is that of its governor, where that is a unit of its own.
 
     Of its equal parts a share is committed: the equations are those of all parts, of which each gives as much. After an
     outage a machine keeps its states.
     """
     i_re, i_im = inv_committed * current.re, inv_committed * current.im
-    rates, output = machine_rates(state, emf, i_re, i_im, given, machine, iron, reference_speed, omega_n)
+    rates, output = equations.machine_rates(state, emf, i_re, i_im, given, machine, iron, reference_speed, omega_n)
     torque = select(machine.governor.is_unit > 0.5, turbine_torque, output.torque)
-    rates = each(lambda rate: given.connected * rate, driven_by(torque, rates, output, given))
-    return rates, MachineOutput(committed * output.power, output.voltage, committed * (given.connected * torque))
+    rates = each(lambda rate: given.connected * rate, equations.driven_by(torque, rates, output, given))
+    return rates, equations.MachineOutput(
+        committed * output.power, output.voltage, committed * (given.connected * torque)
+    )
 
 
 @system(MACHINES, "gate_reference", when="secondary control")
@@ -162,12 +133,17 @@ def restore_frequency(
 
 @system(MACHINES, "state", "connected", "gate_reference", when="extended")
 def return_machine(
-    state: MachineState, given: MachineInput, returns: float, back: Back, machine: Machine, saturation: RotorSaturation
+    state: MachineState,
+    given: MachineInput,
+    returns: float,
+    back: units.Back,
+    machine: Machine,
+    saturation: equations.RotorSaturation,
 ) -> tuple[MachineState, float, float]:
     """Synchronise a machine that comes back, without load and with its gate closed; a lost governor leaves it so."""
     comes, v = returns > 0.5, back.bus_voltage
-    exciter, _ = exciter_start(v + saturated(v, saturation.curve), machine.exciter)
-    found = MachineState(back.bus_angle, back.bus_speed, v, 0.0, v, 0.0, exciter, GovernorState(0.0, 0.0))
+    exciter, _ = equations.exciter_start(v + equations.saturated(v, saturation.curve), machine.exciter)
+    found = MachineState(back.bus_angle, back.bus_speed, v, 0.0, v, 0.0, exciter, equations.GovernorState(0.0, 0.0))
     lost = comes & (machine.governor.inv_droop > 0.0) & (given.inv_droop == 0.0)
     return (
         each(lambda new, old: select(comes, new, old), found, state),
@@ -176,4 +152,4 @@ def return_machine(
     )
 
 
-stage_of_machine = moving(rates_of_machine, machine_limited, constants=["machine"])
+stage_of_machine = units.moving(rates_of_machine, equations.machine_limited, constants=["machine"])

@@ -1,231 +1,25 @@
-"""Networks as data, admittances, power flow and transfer impedances.
-
-Everything here is dense and small: compiled functions solve a 14-bus system in microseconds and allocate only on
-resets and network events.
-"""
+"""Admittances and power flow, dense and sparse."""
 
 from __future__ import annotations
 
-import dataclasses
-import functools
+import heapq
 import math
-import types
-from collections.abc import Callable
-from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
-from wtg_gym.physics.checked import Checked, design, parameter, required
-from wtg_gym.physics.machine_parameters import AnyGovernor, SynchronousMachineParameters
+from wtg_gym.physics.grid import Branch
 from wtg_gym.systems.compiled import compiled, inlined, internal
+from wtg_gym.systems.programs import Complex, Floats
 
 #: Largest power mismatch accepted as a power-flow solution [p.u.].
 POWER_FLOW_TOLERANCE = 1e-12
 #: Impedance of a branch below which rounding keeps the power flow from its tolerance [p.u.].
 LEAST_IMPEDANCE = 1e-6
-#: Buses and machines or sources of a network at most: a batch of episodes of more would not fit into memory.
-MOST_BUSES, MOST_UNITS = 500, 100
 
 
-@dataclass(frozen=True, kw_only=True)
-class Bus(Checked):
-    """A bus: number, constant-impedance load and shunt, and the voltage its units hold."""
-
-    number: int = required("-", "IEEE 14", "bus number")
-    load_mw: float = parameter(0.0, "MW", "IEEE 14", "active load at the initial voltage", -1e9, 1e9)
-    load_mvar: float = parameter(0.0, "Mvar", "IEEE 14", "reactive load at the initial voltage", -1e9, 1e9)
-    shunt_mw: float = parameter(0.0, "MW", "IEEE 14", "active shunt at 1 p.u. of voltage", -1e9, 1e9)
-    shunt_mvar: float = parameter(0.0, "Mvar", "IEEE 14", "capacitive shunt at 1 p.u. of voltage", -1e9, 1e9)
-    voltage_pu: float | None = parameter(
-        None, "p.u.", "IEEE 14", "voltage that the bus's units hold, None for none", 0.1, 10.0
-    )
-    x: float | None = design(None, "-", "where pictures show it, from the left; None: laid out", -1e6, 1e6)
-    y: float | None = design(None, "-", "and from below", -1e6, 1e6)
-
-
-@dataclass(frozen=True, kw_only=True)
-class Branch(Checked):
-    """A line or transformer as a π section; the tap is on the `from_bus` side. Values in p.u. of the system base."""
-
-    from_bus: int = required("-", "IEEE 14", "bus at the tap's side")
-    to_bus: int = required("-", "IEEE 14", "bus at the other end")
-    resistance: float = required("p.u.", "IEEE 14", "series resistance", -1e6, 1e6)
-    reactance: float = required("p.u.", "IEEE 14", "series reactance", -1e6, 1e6)
-    charging: float = parameter(0.0, "p.u.", "IEEE 14", "charging susceptance of the whole line", -1e6, 1e6)
-    tap: float = parameter(1.0, "-", "IEEE 14", "tap ratio", 0.01, 100.0)
-    phase_rad: float = parameter(0.0, "rad", "IEEE 14", "phase shift", -2.0 * math.pi, 2.0 * math.pi)
-
-
-@dataclass(frozen=True, kw_only=True)
-class Source(Checked):
-    """An imposed source: a voltage behind an impedance, whose frequency and angle events prescribe."""
-
-    bus: int = required("-", "design", "bus number")
-    resistance: float = design(0.0, "p.u.", "resistance behind which it stands, on the system base", 0.0, 1e3)
-    reactance: float = design(1e-3, "p.u.", "reactance behind which it stands, on the system base", 1e-6, 1e3)
-
-
-@dataclass(frozen=True, kw_only=True)
-class NetworkCase(Checked):
-    """A network with its synchronous machines, as data.
-
-    The voltage angle at `slack_bus` is zero. Its machines or sources balance the power; without any, all WTG groups do.
-
-    Raises:
-        ValueError: a bus is missing, doubled or not connected, nothing balances the power, or a value is out of range.
-    """
-
-    MOST = types.MappingProxyType({"buses": MOST_BUSES, "machines": MOST_UNITS, "sources": MOST_UNITS})
-
-    name: str
-    base_mva: float = required("MVA", "IEEE 14", "system base", 1e-3, 1e9)
-    frequency_hz: float = required("Hz", "IEEE 14", "nominal frequency", 1.0, 1000.0)
-    slack_bus: int
-    buses: tuple[Bus, ...]
-    branches: tuple[Branch, ...]
-    machines: tuple[SynchronousMachineParameters, ...]
-    sources: tuple[Source, ...] = ()
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        numbers = self.bus_numbers
-        if len(set(numbers)) != len(numbers):
-            raise ValueError(f"{self.name}: bus numbers must be unique, got {list(numbers)}")
-        for branch in self.branches:
-            self.bus_index(branch.from_bus)
-            self.bus_index(branch.to_bus)
-            if branch.from_bus == branch.to_bus:
-                raise ValueError(f"{self.name}: a branch goes from bus {branch.from_bus} to itself")
-            if branch.resistance == 0.0 and branch.reactance == 0.0:
-                raise ValueError(f"{self.name}: branch {branch.from_bus}-{branch.to_bus} has no impedance")
-        for bus in self.unit_buses:
-            self.bus_index(bus)
-        if self.machines and not self.balanced:
-            raise ValueError(
-                f"{self.name}: no synchronous machine or source at the slack bus {self.slack_bus} balances the power"
-            )
-        if len(self.parts_without(())) > 1:
-            raise ValueError(f"{self.name}: the network is not connected")
-        if self.buses[self.bus_index(self.slack_bus)].voltage_pu is None:
-            raise ValueError(f"{self.name}: the slack bus {self.slack_bus} must hold a voltage; its voltage_pu is None")
-
-    @functools.cached_property
-    def bus_numbers(self) -> tuple[int, ...]:
-        """Return the bus numbers in order of the index."""
-        return tuple(bus.number for bus in self.buses)
-
-    @property
-    def unit_buses(self) -> tuple[int, ...]:
-        """Bus of each machine, then of each source."""
-        return (*(machine.bus for machine in self.machines), *(source.bus for source in self.sources))
-
-    @property
-    def balanced(self) -> bool:
-        """Whether a machine or a source balances the power at the slack bus."""
-        return self.slack_bus in self.unit_buses
-
-    @functools.cached_property
-    def load_mw(self) -> float:
-        """Load of all buses [MW]."""
-        return sum(bus.load_mw for bus in self.buses)
-
-    def bus_index(self, number: int) -> int:
-        """Return the index of a bus number; a ValueError lists the buses there are."""
-        if isinstance(number, bool) or number not in self.bus_numbers:
-            raise ValueError(f"unknown bus {number!r}; {self.name} has buses {list(self.bus_numbers)}")
-        return self.bus_numbers.index(number)
-
-    def branch_index(self, from_bus: int, to_bus: int, circuit: int | None = None) -> int:
-        """Return the index of the branch between two buses, either way round; a ValueError lists the branches.
-
-        Args:
-            from_bus, to_bus: numbers of the buses.
-            circuit: which of parallel branches, counted from 1; None: the first.
-        """
-        self.bus_index(from_bus)
-        self.bus_index(to_bus)
-        found = self._branches_by_ends.get(frozenset((from_bus, to_bus)), [])
-        if 0 < (circuit or 1) <= len(found):
-            return found[(circuit or 1) - 1]
-        if found:
-            raise ValueError(f"no circuit {circuit} between buses {from_bus} and {to_bus}; there are {len(found)}")
-        known = ", ".join(f"{b.from_bus}-{b.to_bus}" for b in self.branches)
-        raise ValueError(f"no branch {from_bus}-{to_bus} in {self.name}; branches: {known}")
-
-    @functools.cached_property
-    def _branches_by_ends(self) -> dict[frozenset[int], list[int]]:
-        found: dict[frozenset[int], list[int]] = {}
-        for index, branch in enumerate(self.branches):
-            found.setdefault(frozenset((branch.from_bus, branch.to_bus)), []).append(index)
-        return found
-
-    def parts_without(self, branches: tuple[int, ...]) -> list[set[int]]:
-        """Return the buses of each part that hangs together when the branches of these indices are open."""
-        at = {number: place for place, number in enumerate(self.bus_numbers)}
-        closed = [(at[b.from_bus], at[b.to_bus]) for index, b in enumerate(self.branches) if index not in branches]
-        ends = np.array(closed, dtype=np.int64).reshape(-1, 2).T
-        shape = (len(at), len(at))
-        n, part_of = connected_components(coo_array((np.ones(ends.shape[1]), ends), shape=shape), directed=False)
-        parts: list[set[int]] = [set() for _ in range(n)]
-        for number, part in zip(self.bus_numbers, part_of.tolist(), strict=True):
-            parts[part].add(number)
-        return parts
-
-    @functools.cached_property
-    def bridges(self) -> frozenset[int]:
-        """Return the indices of the branches any one of which splits the network when it opens.
-
-        A depth-first search meets every branch once: what hangs below a bridge reaches nothing above it otherwise.
-        Source: R. Tarjan, "A note on finding the bridges of a graph", 1974.
-        """
-        beside: dict[int, list[tuple[int, int]]] = {number: [] for number in self.bus_numbers}
-        for index, branch in enumerate(self.branches):
-            beside[branch.from_bus].append((branch.to_bus, index))
-            beside[branch.to_bus].append((branch.from_bus, index))
-        root = self.bus_numbers[0]
-        # The order in which buses are met, and the earliest that what lies below them reaches.
-        met, reaches, found = {root: 0}, {root: 0}, set[int]()
-        path = [(root, -1, iter(beside[root]))]
-        while path:
-            bus, came_by, others = path[-1]
-            for other, index in others:
-                if index == came_by:
-                    continue
-                if other not in met:
-                    met[other] = reaches[other] = len(met)
-                    path.append((other, index, iter(beside[other])))
-                    break
-                reaches[bus] = min(reaches[bus], met[other])
-            else:
-                path.pop()
-                if path:
-                    above = path[-1][0]
-                    reaches[above] = min(reaches[above], reaches[bus])
-                    if reaches[bus] > met[above]:
-                        found.add(came_by)
-        return frozenset(found)
-
-    def classical(self) -> NetworkCase:
-        """Return the network with a constant voltage behind x'_d in place of every machine and its exciter."""
-        machines = (
-            dataclasses.replace(machine, classical=True, exciter=None, stabiliser=None) for machine in self.machines
-        )
-        return dataclasses.replace(self, machines=tuple(machines))
-
-    def with_governors(self, change: Callable[[AnyGovernor], AnyGovernor]) -> NetworkCase:
-        """Return the network with other governors: `change` turns the one of each machine that has one into its own."""
-        machines = tuple(
-            machine if machine.governor is None else dataclasses.replace(machine, governor=change(machine.governor))
-            for machine in self.machines
-        )
-        return dataclasses.replace(self, machines=machines)
-
-
-def branch_admittances(branches: tuple[Branch, ...]) -> npt.NDArray[np.complex128]:
+def branch_admittances(branches: tuple[Branch, ...]) -> Complex:
     """Return (y_ff, y_ft, y_tf, y_tt) of every branch, shape (n_branch, 4) [p.u.]."""
     rows = np.zeros((len(branches), 4), dtype=np.complex128)
     for row, branch in zip(rows, branches, strict=True):
@@ -276,9 +70,7 @@ def eliminate(a: npt.NDArray) -> bool:  # type: ignore[type-arg]
     return True
 
 
-def assemble_admittance(
-    ends: npt.NDArray[np.int64], branch_y: npt.NDArray[np.complex128], bus_y: npt.NDArray[np.complex128]
-) -> npt.NDArray[np.complex128]:
+def assemble_admittance(ends: Whole, branch_y: Complex, bus_y: Complex) -> Complex:
     """Return the bus admittance matrix (n_bus, n_bus) [p.u.] of closed branches plus `bus_y` on the diagonal.
 
     Args:
@@ -303,7 +95,7 @@ class PowerFlow(NamedTuple):
 
 
 @compiled
-def solve_power_flow(y: npt.NDArray[np.complex128], slack: int, buses: npt.NDArray[np.float64], at: PowerFlow) -> int:
+def solve_power_flow(y: Complex, slack: int, buses: Floats, at: PowerFlow) -> int:
     """Solve the power flow by Newton's method in polar form.
 
     Args:
@@ -341,14 +133,7 @@ def solve_power_flow(y: npt.NDArray[np.complex128], slack: int, buses: npt.NDArr
 
 
 @internal
-def _write_jacobian(
-    a: npt.NDArray[np.float64],
-    turn: npt.NDArray[np.complex128],
-    y: npt.NDArray[np.complex128],
-    slack: int,
-    buses: npt.NDArray[np.float64],
-    at: PowerFlow,
-) -> float:
+def _write_jacobian(a: Floats, turn: Complex, y: Complex, slack: int, buses: Floats, at: PowerFlow) -> float:
     """Write sensitivities and mismatches of :func:`solve_power_flow` to `a`; return the largest mismatch [p.u.]."""
     n, n_unknown = y.shape[0], a.shape[0]
     worst, q_row = 0.0, n - 1
@@ -401,7 +186,7 @@ def _write_jacobian(
 
 
 @inlined
-def note_flow(y: npt.NDArray[np.complex128], buses: npt.NDArray[np.float64], at: PowerFlow) -> None:
+def note_flow(y: Complex, buses: Floats, at: PowerFlow) -> None:
     """Write voltages and flows of a solved power flow."""
     n = y.shape[0]
     for k in range(n):
@@ -414,3 +199,205 @@ def note_flow(y: npt.NDArray[np.complex128], buses: npt.NDArray[np.float64], at:
             injected += y[k, m] * complex(buses[m, at.voltage], buses[m, at.voltage + 1])
         flow = complex(buses[k, at.voltage], buses[k, at.voltage + 1]) * injected.conjugate()
         buses[k, at.flow], buses[k, at.flow + 1] = flow.real, flow.imag
+
+
+Whole = npt.NDArray[np.int64]
+#: Buses from which on the sparse elimination is quicker than the dense one.
+SPARSE_FROM = 20
+#: Largest mismatch accepted, over the sum of the powers that meet at the bus.
+_TOLERANCE = 1e-14
+#: Newton steps at most.
+_STEPS = 30
+
+
+class Pattern(NamedTuple):
+    """Where numbers stand in the elimination; buses are counted in its order."""
+
+    order: Whole  # bus index of each (n_bus,)
+    first: Whole  # first entry of each, (n_bus + 1,)
+    later: Whole  # the later bus of each entry (n_entries,)
+    first_target: Whole  # of each entry (n_entries + 1,)
+    target: Whole  # entry that a pair of entries changes, below zero -1 - bus for one on the diagonal (n_targets,)
+    entry_of: Whole  # by branch of the pattern: entry (n_pairs,)
+    pairs: Whole  # the buses' indices of each pair with an admittance (n_pairs, 2), the earlier one first
+
+
+def pattern_of(y: Complex) -> Pattern:
+    """Return the pattern of a bus admittance matrix (n_bus, n_bus)."""
+    n = len(y)
+    beside = [set(np.flatnonzero((y[k] != 0.0) | (y[:, k] != 0.0)).tolist()) - {k} for k in range(n)]
+    pairs = [(a, b) for a in range(n) for b in beside[a] if a < b]
+    queue = [(len(own), k) for k, own in enumerate(beside)]
+    heapq.heapify(queue)
+    place, order, rows = np.full(n, -1), list[int](), list[list[int]]()
+    while queue:
+        degree, bus = heapq.heappop(queue)
+        if place[bus] >= 0 or degree != len(beside[bus]):
+            continue
+        place[bus] = len(order)
+        order.append(bus)
+        others = sorted(beside[bus])
+        rows.append(others)
+        for other in others:
+            beside[other] |= set(others)
+            beside[other] -= {other, bus}
+            heapq.heappush(queue, (len(beside[other]), other))
+    later = [sorted(int(place[other]) for other in own) for own in rows]
+    first = np.cumsum([0, *map(len, later)])
+    at = {(k, j): int(first[k]) + i for k, own in enumerate(later) for i, j in enumerate(own)}
+    targets, first_target = list[int](), [0]
+    for own in later:
+        for j in own:
+            for m in own:
+                targets.append(-1 - j if j == m else at[min(j, m), max(j, m)])
+            first_target.append(len(targets))
+    sorted_pairs = [sorted((int(place[a]), int(place[b]))) for a, b in pairs]
+    return Pattern(
+        order=np.array(order, dtype=np.int64),
+        first=np.array(first, dtype=np.int64),
+        later=np.array([j for own in later for j in own], dtype=np.int64),
+        first_target=np.array(first_target, dtype=np.int64),
+        target=np.array(targets, dtype=np.int64),
+        entry_of=np.array([at[a, b] for a, b in sorted_pairs], dtype=np.int64),
+        pairs=np.array([(order[a], order[b]) for a, b in sorted_pairs], dtype=np.int64).reshape(-1, 2),
+    )
+
+
+@inlined
+def _less_product(block: Floats, a: Floats, b: Floats) -> None:
+    """Subtract the product of two blocks from a third."""
+    block[0, 0] -= a[0, 0] * b[0, 0] + a[0, 1] * b[1, 0]
+    block[0, 1] -= a[0, 0] * b[0, 1] + a[0, 1] * b[1, 1]
+    block[1, 0] -= a[1, 0] * b[0, 0] + a[1, 1] * b[1, 0]
+    block[1, 1] -= a[1, 0] * b[0, 1] + a[1, 1] * b[1, 1]
+
+
+@inlined
+def _set(block: Floats, a: float, b: float, c: float, d: float) -> None:
+    block[0, 0], block[0, 1], block[1, 0], block[1, 1] = a, b, c, d
+
+
+@compiled
+def solve_blocks(own: Floats, above: Floats, below: Floats, x: Floats, pattern: Pattern) -> bool:
+    """Solve a block matrix with symmetric pattern by elimination, in place; False where a diagonal block is singular.
+
+    Args:
+        own: blocks on the diagonal (n_bus, 2, 2), in the pattern's order; their inverses on return.
+        above, below: blocks of the entries, right of the diagonal and below it (n_entries, 2, 2).
+        x: right-hand side, then the solution (n_bus, 2).
+        pattern: of the matrix.
+    """
+    inverse = np.empty((2, 2))
+    for k in range(len(own)):
+        d = own[k]
+        det = d[0, 0] * d[1, 1] - d[0, 1] * d[1, 0]
+        if not abs(det) > 1e-30:
+            return False
+        inverse[0, 0], inverse[0, 1] = d[1, 1] / det, -d[0, 1] / det
+        inverse[1, 0], inverse[1, 1] = -d[1, 0] / det, d[0, 0] / det
+        d[:] = inverse
+        begin, end = pattern.first[k], pattern.first[k + 1]
+        for e in range(begin, end):
+            j, low = pattern.later[e], below[e]
+            for r in range(2):
+                one, two = low[r, 0], low[r, 1]
+                low[r, 0] = one * d[0, 0] + two * d[1, 0]
+                low[r, 1] = one * d[0, 1] + two * d[1, 1]
+            x[j, 0] -= low[0, 0] * x[k, 0] + low[0, 1] * x[k, 1]
+            x[j, 1] -= low[1, 0] * x[k, 0] + low[1, 1] * x[k, 1]
+            for i in range(end - begin):
+                target = pattern.target[pattern.first_target[e] + i]
+                if target < 0:
+                    _less_product(own[-1 - target], low, above[begin + i])
+                elif j < pattern.later[begin + i]:
+                    _less_product(above[target], low, above[begin + i])
+                else:
+                    _less_product(below[target], low, above[begin + i])
+    for k in range(len(own) - 1, -1, -1):
+        for e in range(pattern.first[k], pattern.first[k + 1]):
+            j = pattern.later[e]
+            x[k, 0] -= above[e, 0, 0] * x[j, 0] + above[e, 0, 1] * x[j, 1]
+            x[k, 1] -= above[e, 1, 0] * x[j, 0] + above[e, 1, 1] * x[j, 1]
+        one, two = x[k, 0], x[k, 1]
+        x[k, 0] = own[k, 0, 0] * one + own[k, 0, 1] * two
+        x[k, 1] = own[k, 1, 0] * one + own[k, 1, 1] * two
+    return True
+
+
+@compiled
+def solve_sparse_flow(y: Complex, slack: int, buses: Floats, at: PowerFlow, pattern: Pattern) -> int:
+    """Solve the power flow of a large network; arguments and result are those of `solve_power_flow`.
+
+    The tolerance grows with the powers that meet at a bus, whose sum rounding limits.
+    """
+    n = y.shape[0]
+    own, x, flow, size = np.empty((n, 2, 2)), np.empty((n, 2)), np.empty(n, np.complex128), np.empty(n)
+    above, below = np.empty((len(pattern.later), 2, 2)), np.empty((len(pattern.later), 2, 2))
+    for iteration in range(_STEPS):
+        _write_flows((above, below, flow, size), y, buses, at, pattern)
+        worst = _write_rows((own, above, below, x), (flow, size), y, slack, buses, at, pattern)
+        if worst < _TOLERANCE:
+            note_flow(y, buses, at)
+            return iteration
+        if not math.isfinite(worst) or not solve_blocks(own, above, below, x, pattern):
+            return -1
+        for place in range(n):
+            k = pattern.order[place]
+            buses[k, at.polar + 1] += x[place, 0]
+            buses[k, at.polar] *= 1.0 + x[place, 1]
+    return -1
+
+
+@internal
+def _write_flows(arrays: Any, y: Complex, buses: Floats, at: PowerFlow, pattern: Pattern) -> None:
+    """Write the blocks off the diagonal, the flow from each bus, and the sum of the powers that meet there."""
+    above, below, flow, size = arrays
+    voltage = np.empty(y.shape[0], np.complex128)
+    above[:], below[:] = 0.0, 0.0
+    for k in range(y.shape[0]):
+        angle = buses[k, at.polar + 1]
+        voltage[k] = buses[k, at.polar] * complex(math.cos(angle), math.sin(angle))
+        square = buses[k, at.polar] * buses[k, at.polar]
+        flow[k], size[k] = square * y[k, k].conjugate(), square * abs(y[k, k])
+    for p in range(len(pattern.pairs)):
+        a, b, e = pattern.pairs[p, 0], pattern.pairs[p, 1], pattern.entry_of[p]
+        there = voltage[a] * (y[a, b] * voltage[b]).conjugate()
+        back = voltage[b] * (y[b, a] * voltage[a]).conjugate()
+        flow[a], flow[b] = flow[a] + there, flow[b] + back
+        size[a], size[b] = size[a] + abs(there), size[b] + abs(back)
+        # Rows: P and Q of the bus; columns: angle and relative magnitude of the other.
+        _set(above[e], there.imag, there.real, -there.real, there.imag)
+        _set(below[e], back.imag, back.real, -back.real, back.imag)
+
+
+@internal
+def _write_rows(blocks: Any, flows: Any, y: Any, slack: int, buses: Any, at: PowerFlow, pattern: Pattern) -> float:
+    """Write mismatches and diagonal blocks, without what is held; return the largest mismatch, relative to the sum."""
+    (own, above, below, x), (flow, size) = blocks, flows
+    worst = 0.0
+    for place in range(y.shape[0]):
+        k = pattern.order[place]
+        square = buses[k, at.polar] * buses[k, at.polar]
+        p, q = flow[k].real, flow[k].imag
+        g, b = square * y[k, k].real, -square * y[k, k].imag
+        _set(own[place], b - q, p + g, p - g, q + b)
+        x[place, 0], x[place, 1] = buses[k, at.power] - p, buses[k, at.power + 1] - q
+        if k == slack:
+            own[place, 0, 0], own[place, 0, 1], x[place, 0] = 1.0, 0.0, 0.0
+        else:
+            worst = max(worst, abs(x[place, 0]) / max(size[k], 1.0))
+        if buses[k, at.holds_voltage] > 0.5:
+            own[place, 1, 0], own[place, 1, 1], x[place, 1] = 0.0, 1.0, 0.0
+        else:
+            worst = max(worst, abs(x[place, 1]) / max(size[k], 1.0))
+        for e in range(pattern.first[place], pattern.first[place + 1]):
+            other = pattern.order[pattern.later[e]]
+            if k == slack:
+                above[e, 0] = 0.0
+            if buses[k, at.holds_voltage] > 0.5:
+                above[e, 1] = 0.0
+            if other == slack:
+                below[e, 0] = 0.0
+            if buses[other, at.holds_voltage] > 0.5:
+                below[e, 1] = 0.0
+    return worst

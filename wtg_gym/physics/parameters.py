@@ -14,9 +14,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from wtg_gym.physics.checked import Checked, describe, design, parameter
 from wtg_gym.physics.rotor_table import RotorTable, read_rotor_table
-from wtg_gym.ranges import is_whole, require_whole
+from wtg_gym.ranges import Checked, describe, design, is_whole, parameter, require_whole
 
 #: What the short keys in each field's `source` stand for.
 SOURCES = {
@@ -75,9 +74,7 @@ class TurbineParameters(Checked):
     nominal_rotor_speed_rad_s: float = parameter(1.27, "rad/s", "paper", "nominal rotor speed ω_tn", 1e-3, 1e3)
     inertia_constant_s: float = parameter(6.5, "s", "paper", "mechanical inertia constant H_m", 0.01, 1e4)
     conserves_energy: bool = design(
-        False,
-        "-",
-        "rotor equation 2H_m ω_m dω_m/dt = p_w - p, whose energy is H_m ω_m², instead of the paper's without ω_m",
+        False, "-", "rotor keeps H_m ω_m²: ω_m in the rotor equation, which the paper's lacks"
     )
     power_coefficient: PowerCoefficientParameters | RotorTable = dataclasses.field(
         default_factory=PowerCoefficientParameters,
@@ -130,12 +127,8 @@ class PitchParameters(Checked):
     """
 
     captured_power_limit_pu: float = design(1.05, "p.u.", "captured power held above rated", 0.01, 100.0)
-    rotor_speed_limit_pu: float = design(
-        1.27, "p.u.", "rotor speed the pitch defends, 1.6 rad/s; the like number of ω_tn is chance", 0.01, 100.0
-    )
-    speed_weight: float = design(
-        4.0, "p.u./p.u.", "p.u. of power excess that 1 p.u. of speed excess counts as", 0.0, 1e4
-    )
+    rotor_speed_limit_pu: float = design(1.27, "p.u.", "rotor speed the pitch defends, 1.6 rad/s", 0.01, 100.0)
+    speed_weight: float = design(4.0, "p.u./p.u.", "power excess that 1 p.u. of speed excess counts as", 0.0, 1e4)
     proportional_gain_deg: float = design(6.0, "deg/p.u.", "gain on the excess", 0.0, 1e5)
     integral_gain_deg_s: float = design(10.0, "deg/(p.u. s)", "integral gain on the excess", 0.0, 1e5)
     gain_schedule_deg: float = parameter(6.302336, "deg", "NREL 5 MW", "pitch at which the gains halve", 1e-3, 1e6)
@@ -173,29 +166,18 @@ class GridFormingParameters(Checked):
 class ConverterLimitParameters(Checked):
     """What a converter and its turbine can give, on its own base: REGFM_A1's current and power limiters, a chopper."""
 
-    current_max_pu: float = parameter(
-        1.2, "p.u.", "REGFM_A1", "largest current; its size is cut, its angle kept", 0.05, 10.0
-    )
+    current_max_pu: float = parameter(1.2, "p.u.", "REGFM_A1", "largest current; it keeps its angle", 0.05, 10.0)
     power_max_pu: float = design(1.1, "p.u.", "power that the converter stands for long", 0.05, 10.0)
-    torque_max_pu: float = parameter(
-        1.1,
-        "p.u.",
-        "NREL 5 MW",
-        "torque of the generator that is held for long: 47 402.91 of 43 093.55 N m",
-        0.05,
-        10.0,
-    )
+    torque_max_pu: float = parameter(1.1, "p.u.", "NREL 5 MW", "lasting torque: 47 402.91 of 43 093.55 N m", 0.05, 10.0)
     power_min_pu: float = design(
-        0.0, "p.u.", "least power; what the grid presses in beyond it the chopper burns, not the rotor", -10.0, 0.0
+        0.0, "p.u.", "least power; the chopper burns what the grid presses in beyond", -10.0, 0.0
     )
     power_gain: float = parameter(
-        0.01, "p.u./p.u.", "REGFM_A1", "proportional gain k_ppmax of the power limiter, frequency per power", 0.0, 10.0
+        0.01, "p.u./p.u.", "REGFM_A1", "proportional gain k_ppmax of the power limiter", 0.0, 10.0
     )
-    power_integral_gain: float = parameter(
-        0.1, "p.u./(p.u. s)", "REGFM_A1", "integral gain k_ipmax of the power limiter", 0.0, 100.0
-    )
+    power_integral_gain: float = parameter(0.1, "p.u./(p.u. s)", "REGFM_A1", "its integral gain k_ipmax", 0.0, 100.0)
     chopper_energy_pu_s: float = design(
-        2.0, "p.u. s", "heat that the chopper stands, 2 s of rated power; beyond it the group disconnects", 1e-3, 1e6
+        2.0, "p.u. s", "heat of the chopper beyond which the group disconnects", 1e-3, 1e6
     )
     chopper_cooling_s: float = design(60.0, "s", "time constant with which it cools", 1e-2, 1e6)
 
@@ -212,17 +194,13 @@ class ConverterLimitParameters(Checked):
 class VoltageControlParameters(Checked):
     """Voltage control of a converter with reactive droop, on its own base: REGFM_A1's with one integrator."""
 
-    integral_gain: float = parameter(
-        5.86, "p.u./(p.u. s)", "REGFM_A1", "integral gain k_iv of the voltage error", 1e-3, 1e3
-    )
-    droop_pu: float = parameter(
-        0.05, "p.u./p.u.", "REGFM_A1", "reactive droop m_q: voltage per reactive power", 0.0, 1.0
-    )
+    integral_gain: float = parameter(5.86, "p.u./(p.u. s)", "REGFM_A1", "integral gain k_iv", 1e-3, 1e3)
+    droop_pu: float = parameter(0.05, "p.u./p.u.", "REGFM_A1", "reactive droop m_q, voltage per power", 0.0, 1.0)
     reactive_max_pu: float = parameter(
-        0.33, "p.u.", "FERC 827", "largest reactive power either way: a power factor of 0.95 at rated power", 0.0, 10.0
+        0.33, "p.u.", "FERC 827", "largest reactive power: a power factor of 0.95", 0.0, 10.0
     )
     takeover_gain: float = design(
-        1.0, "p.u./p.u.", "weight of the reactive excess where it takes over from the voltage error", 0.0, 100.0
+        1.0, "p.u./p.u.", "weight of the reactive excess against the voltage error", 0.0, 100.0
     )
     internal_voltage_min_pu: float = design(0.5, "p.u.", "least voltage behind X_g", 0.0, 1.0)
     internal_voltage_max_pu: float = design(
@@ -239,17 +217,8 @@ class VoltageControlParameters(Checked):
 class SheddingStage(Checked):
     """A stage of under-frequency load shedding: a share of every load is disconnected for the rest of the run."""
 
-    frequency_pu: float = parameter(
-        0.98, "p.u.", "ENTSO-E defence", "frequency of the centre of inertia at which it acts", 0.5, 1.0
-    )
-    share: float = parameter(
-        0.05,
-        "-",
-        "ENTSO-E defence",
-        "share of every load that it disconnects, of loads switched on by events too",
-        0.0,
-        1.0,
-    )
+    frequency_pu: float = parameter(0.98, "p.u.", "ENTSO-E defence", "frequency at which it acts", 0.5, 1.0)
+    share: float = parameter(0.05, "-", "ENTSO-E defence", "share of every load, of events' too", 0.0, 1.0)
     delay_s: float = design(0.2, "s", "time below that frequency before it acts", 0.0, 60.0)
 
 
@@ -264,37 +233,18 @@ class ProtectionParameters(Checked):
     """What refuses a start, ends a run, or trips a group."""
 
     stall_tip_speed_ratio: float = design(
-        3.5, "-", "a rotor at fine pitch and below this tip-speed ratio has stalled", 0.0, 100.0
+        3.5, "-", "tip-speed ratio below which a rotor at fine pitch has stalled", 0.0, 100.0
     )
     stall_pitch_deg: float = design(0.5, "deg", "pitch up to which a low tip-speed ratio counts as a stall", 0.0, 90.0)
     over_speed_pu: float = design(1.4, "p.u.", "rotor over-speed trip", 0.1, 1e6)
-    rotor_speed_min_pu: float = design(
-        0.0,
-        "p.u.",
-        "rotor under-speed trip; 0 for none. The NREL 5 MW turbine operates from 6.9 rpm on, 0.57 p.u.",
-        0.0,
-        1.0,
-    )
-    frequency_min_pu: float = parameter(
-        0.95, "p.u.", "ENTSO-E", "lower end of the range units must ride through, 47.5 Hz", 0.0, 1.0
-    )
-    frequency_max_pu: float = parameter(
-        1.03, "p.u.", "ENTSO-E", "upper end of the range units must ride through, 51.5 Hz", 1.0, 10.0
-    )
+    rotor_speed_min_pu: float = design(0.0, "p.u.", "rotor under-speed trip; 0 for none", 0.0, 1.0)
+    frequency_min_pu: float = parameter(0.95, "p.u.", "ENTSO-E", "lower end of the range to ride through", 0.0, 1.0)
+    frequency_max_pu: float = parameter(1.03, "p.u.", "ENTSO-E", "upper end of the range to ride through", 1.0, 10.0)
     angle_spread_max_deg: float = design(
-        180.0,
-        "deg",
-        "largest difference of two units' angles; beyond, nothing pulls them together again: synchronism is lost",
-        1.0,
-        1e9,
+        180.0, "deg", "difference of two units' angles at which synchronism is lost", 1.0, 1e9
     )
     low_voltage_pu: float = parameter(
-        0.85,
-        "p.u.",
-        "ENTSO-E",
-        "terminal voltage below which a unit must stay connected for low_voltage_time_s only",
-        0.0,
-        2.0,
+        0.85, "p.u.", "ENTSO-E", "terminal voltage to ride through for a time only", 0.0, 2.0
     )
     low_voltage_time_s: float = parameter(
         3.0,

@@ -14,57 +14,24 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from wtg_gym.physics import parameters
 from wtg_gym.physics.aerodynamics import surface_of
-from wtg_gym.physics.checked import Checked, design
-from wtg_gym.physics.devices import Devices, joining
-from wtg_gym.physics.extension_unit import COLUMNS, EXTENSIONS, links_of_extensions
-from wtg_gym.physics.governor import gate_limits
-from wtg_gym.physics.grid import get_grid
-from wtg_gym.physics.hydro_unit import HYGOV
-from wtg_gym.physics.layout import Layout, Span, place_in
-from wtg_gym.physics.machine import Machine, RotorSaturation, machine_constants, rotor_saturation
-from wtg_gym.physics.machine_models import CONTROLS, control_constants, joining_controls
+from wtg_gym.physics.devices import SOURCES, Devices, joining, source_units
+from wtg_gym.physics.grid import NetworkCase, get_grid
+from wtg_gym.physics.layout import Facts, Layout, Network, Span, place_in
+from wtg_gym.physics.machine import Machine, RotorSaturation, gate_limits, machine_constants, rotor_saturation
+from wtg_gym.physics.machine_models import CONTROLS, HYGOV, control_constants, joining_controls
 from wtg_gym.physics.machine_unit import FIRST_MACHINE, MACHINES
-from wtg_gym.physics.network import NetworkCase, assemble_admittance, branch_admittances
-from wtg_gym.physics.network_data import Facts, Network
-from wtg_gym.physics.parameters import (
-    MOST_GROUPS,
-    ConverterLimitParameters,
-    GridFormingParameters,
-    PitchParameters,
-    ProtectionParameters,
-    SheddingStage,
-    TurbineParameters,
-    VoltageControlParameters,
-    WtgGroup,
-    default_groups,
-    european_shedding,
-    groups_of,
-    nrel_5mw,
-)
+from wtg_gym.physics.network import SPARSE_FROM, assemble_admittance, branch_admittances, pattern_of
+from wtg_gym.physics.parameters import TurbineParameters, WtgGroup
 from wtg_gym.physics.protection import STAGES, SheddingConstants
-from wtg_gym.physics.source_unit import SOURCES, source_units
-from wtg_gym.physics.sparse_flow import SPARSE_FROM, pattern_of
-from wtg_gym.physics.units import (
-    BUSES,
-    ISLANDS,
-    LANE,
-    PAIRS,
-    TRANSFERS,
-    UNITS,
-    Bus,
-    Connection,
-    Phasor,
-    nested,
-    units_of_network,
-)
+from wtg_gym.physics.units import BUSES, ISLANDS, LANE, MAIN, MEMBERS, PAIRS, TRANSFERS, UNITS, Bus, Connection, Phasor
 from wtg_gym.physics.wind_turbine import Extension, Turbine, extension_constants, turbine_constants
-from wtg_gym.physics.wtg_unit import GROUPS
-from wtg_gym.ranges import require_choice, require_known, require_range, whole_steps
-from wtg_gym.systems.programs import Program, Tables, build_table
-from wtg_gym.systems.records import structured
+from wtg_gym.physics.wtg_unit import COLUMNS, EXTENSIONS, GROUPS
+from wtg_gym.ranges import Checked, design, require_choice, require_known, require_range, whole_steps
+from wtg_gym.systems.programs import Complex, Floats, Program, Tables, Whole, build_table
 from wtg_gym.systems.routines import Routine
-from wtg_gym.systems.systems import Kind
+from wtg_gym.systems.systems import Kind, structured
 
 #: Islands that a network may fall into, of those with a unit.
 ISLANDS_AT_MOST = 4
@@ -100,24 +67,24 @@ class Plant(Checked):
         ValueError: a bus is unknown, a step does not divide, or a value is outside its range.
     """
 
-    MOST = MappingProxyType({"groups": MOST_GROUPS})
+    MOST = MappingProxyType({"groups": parameters.MOST_GROUPS})
 
     case: NetworkCase = dataclasses.field(default_factory=lambda: get_grid("ieee14").case)
-    groups: tuple[WtgGroup, ...] = dataclasses.field(default_factory=default_groups)
+    groups: tuple[WtgGroup, ...] = dataclasses.field(default_factory=parameters.default_groups)
     turbine: TurbineParameters = dataclasses.field(default_factory=TurbineParameters)
-    pitch: PitchParameters = dataclasses.field(default_factory=PitchParameters)
-    control: GridFormingParameters = dataclasses.field(default_factory=GridFormingParameters)
-    protection: ProtectionParameters = dataclasses.field(default_factory=ProtectionParameters)
-    limits: ConverterLimitParameters | None = None
-    voltage_control: VoltageControlParameters | None = None
-    shedding: tuple[SheddingStage, ...] = ()
+    pitch: parameters.PitchParameters = dataclasses.field(default_factory=parameters.PitchParameters)
+    control: parameters.GridFormingParameters = dataclasses.field(default_factory=parameters.GridFormingParameters)
+    protection: parameters.ProtectionParameters = dataclasses.field(default_factory=parameters.ProtectionParameters)
+    limits: parameters.ConverterLimitParameters | None = None
+    voltage_control: parameters.VoltageControlParameters | None = None
+    shedding: tuple[parameters.SheddingStage, ...] = ()
     secondary_time_s: float = 0.0
     shares_dispatch: bool = False
     control_dt: float = 0.1
     simulation_dt: float = design(0.025, "s", "step of the integration", *SIMULATION_DT_RANGE)
     trips_groups: bool = False
     load_frequency_dependence: float = design(
-        0.0, "p.u./p.u.", "change of every load's conductance with the frequency of its island", 0.0, 10.0
+        0.0, "p.u./p.u.", "change of a load's conductance with frequency", 0.0, 10.0
     )
     devices: tuple[Devices, ...] = ()
 
@@ -183,12 +150,12 @@ class Plant(Checked):
         if physics is not None:
             require_choice("physics", physics, PHYSICS)
             if physics != "paper":
-                turbine = nrel_5mw() if physics == "nrel-5mw" else TurbineParameters(conserves_energy=True)
+                turbine = parameters.nrel_5mw() if physics == "nrel-5mw" else TurbineParameters(conserves_energy=True)
                 changes = _extended(changes["case"], turbine)
             elif self.extended:
                 raise ValueError("an extended plant cannot go back to the physics of the paper; start from Plant()")
         if groups is not None:
-            changes["groups"] = groups_of(groups, self.groups[0].bus if self.groups else self.case.slack_bus)
+            changes["groups"] = parameters.groups_of(groups, self.groups[0].bus if self.groups else self.case.slack_bus)
         return dataclasses.replace(self, **{**changes, **fields})
 
     @property
@@ -236,10 +203,10 @@ def _extended(case: NetworkCase, turbine: TurbineParameters) -> dict[str, Any]:
     return {
         "case": dataclasses.replace(case, machines=tuple(machines)),
         "turbine": turbine,
-        "limits": ConverterLimitParameters(),
-        "voltage_control": VoltageControlParameters(),
-        "protection": ProtectionParameters(rotor_speed_min_pu=ROTOR_SPEED_MIN_PU),
-        "shedding": european_shedding(),
+        "limits": parameters.ConverterLimitParameters(),
+        "voltage_control": parameters.VoltageControlParameters(),
+        "protection": parameters.ProtectionParameters(rotor_speed_min_pu=ROTOR_SPEED_MIN_PU),
+        "shedding": parameters.european_shedding(),
     }
 
 
@@ -247,13 +214,13 @@ class PlantTables(NamedTuple):
     """Constants of a plant."""
 
     network: Network  # what compiled functions read
-    bus_y: npt.NDArray[np.complex128]  # bus admittance matrix without loads and units (n_bus, n_bus) [p.u.]
+    bus_y: Complex  # bus admittance matrix without loads and units (n_bus, n_bus) [p.u.]
     machines: npt.NDArray[np.void]  # (n_sync,), of Machine
-    dispatch: npt.NDArray[np.float64]  # power of each machine before the slack's share (n_sync,) [p.u.]
-    participation: npt.NDArray[np.float64]  # its share of what loads need at the start (n_sync,)
+    dispatch: Floats  # power of each machine before the slack's share (n_sync,) [p.u.]
+    participation: Floats  # its share of what loads need at the start (n_sync,)
     turbine: npt.NDArray[np.void]  # of each WTG group, or one where there is none (n_wtg,), of Turbine
-    share: npt.NDArray[np.float64]  # rating of each WTG group on the system base (n_wtg,)
-    cells: npt.NDArray[np.float64]  # of the rotor's C_p table (n, m, 16)
+    share: Floats  # rating of each WTG group on the system base (n_wtg,)
+    cells: Floats  # of the rotor's C_p table (n, m, 16)
     saturation: tuple[RotorSaturation, ...]  # of each machine (n_sync,)
     own_controls: Mapping[str, npt.NDArray[np.void]]  # constants of those that are units, by the names of kinds
     extension: npt.NDArray[np.void]  # likewise, of Extension; (0,) where the groups are not extended
@@ -273,7 +240,7 @@ class PlantTables(NamedTuple):
         return tuple(name for name in self.own_controls if name != HYGOV.kind.name)
 
     @property
-    def device_units(self) -> list[npt.NDArray[np.int64]]:
+    def device_units(self) -> list[Whole]:
         """Numbers of the units of each of `devices`; they come after the groups."""
         edges = np.cumsum([self.machines.size + self.share.size, *(len(device.buses) for device in self.devices)])
         return [np.arange(first, last) for first, last in itertools.pairwise(edges)]
@@ -339,7 +306,7 @@ def plant_tables(settings: Plant) -> PlantTables:
     )
 
 
-def _participation(settings: Plant) -> npt.NDArray[np.float64]:
+def _participation(settings: Plant) -> Floats:
     """Return each machine's share of what loads need at the start (n_sync,); zeros where the case dispatches them."""
     # A gate beyond 1 p.u. says nothing about the power that a machine is meant for.
     sharing = [
@@ -349,7 +316,7 @@ def _participation(settings: Plant) -> npt.NDArray[np.float64]:
     return np.array(sharing) / (sum(sharing) or 1.0)
 
 
-def _buses_of(case: NetworkCase, unit_bus: npt.NDArray[np.int64]) -> list[Bus]:
+def _buses_of(case: NetworkCase, unit_bus: Whole) -> list[Bus]:
     base = case.base_mva
     return [
         Bus(
@@ -362,7 +329,7 @@ def _buses_of(case: NetworkCase, unit_bus: npt.NDArray[np.int64]) -> list[Bus]:
     ]
 
 
-def _network_of(settings: Plant, unit_y: npt.NDArray[np.complex128], shares_dispatch: bool) -> Network:
+def _network_of(settings: Plant, unit_y: Complex, shares_dispatch: bool) -> Network:
     """Return what compiled functions read of a plant, from the internal admittances of its units on [p.u.]."""
     case, base = settings.case, settings.case.base_mva
     device_buses = [bus for device in settings.all_devices for bus in device.buses]
@@ -402,7 +369,7 @@ class TaskUnits(NamedTuple):
     """What a caller adds to the physics: kinds of unit of its own, and programs over them."""
 
     n_units: Mapping[Kind, int]
-    links: Mapping[tuple[Kind, str], npt.NDArray[np.int64]] = MappingProxyType({})
+    links: Mapping[tuple[Kind, str], Whole] = MappingProxyType({})
     programs: tuple[Program, ...] = ()
     stepping: tuple[Routine, ...] = ()  # that are called with blocks of the simulator's width
     starting: tuple[Routine, ...] = ()  # and with blocks of one environment, to start runs
@@ -410,32 +377,69 @@ class TaskUnits(NamedTuple):
     has: Collection[str] = ()  # conditions of its kinds that hold
 
 
-def layout_of(plant: PlantTables, task: TaskUnits | None = None) -> Layout:
-    """Return where the numbers of a plant's environments lie, with those of devices and of a task behind them."""
+def _nested(n_outer: int, n_inner: int) -> tuple[Whole, Whole]:
+    """Return the outer and the inner number of each pair, inner ones fastest (n_outer · n_inner,)."""
+    outer, inner = np.divmod(np.arange(n_outer * n_inner), max(n_inner, 1))
+    return outer, inner
+
+
+def _units_of(plant: PlantTables) -> tuple[dict[Kind, int], dict[tuple[Kind, str], Any]]:
+    """Return how many units of each kind there are, and which others each of them sees."""
     n_sync, n_wtg, unit_bus = plant.machines.size, plant.share.size, plant.network.unit_bus
-    extended = plant.extension.size > 0
-    n_islands = ISLANDS_AT_MOST if extended else 1
-    network_units, network_links = units_of_network(unit_bus, plant.buses.size, n_islands, transfers=extended)
+    extended, n_bus, n = plant.extension.size > 0, plant.buses.size, unit_bus.size
+    n_islands, groups = ISLANDS_AT_MOST if extended else 1, n_sync + np.arange(n_wtg)
+    limited = groups if extended else groups[:0]
+    # Numbers of the units of every pair, of those on other islands, and at every bus; only an extended plant finds the
+    # voltages of buses.
+    row, column = _nested(n, n)
+    island, member = _nested(n_islands - 1, n)
+    bus, unit = _nested(n_bus if extended else 0, n)
+    # One column of the admittances after the other: its group, the units of its rows.
+    of_group, of_column = _nested(limited.size, n)
     n_units = {
         MACHINES: n_sync,
         GROUPS: n_wtg,
-        EXTENSIONS: n_wtg if extended else 0,
-        **network_units,
+        EXTENSIONS: limited.size,
+        LANE: 1,
+        BUSES: n_bus,
+        UNITS: n,
+        ISLANDS: n_islands,
+        MEMBERS: member.size,
+        MAIN: 1,
+        TRANSFERS: unit.size,
+        PAIRS: row.size,
         STAGES: plant.shedding.size,
         FIRST_MACHINE: min(n_sync, 1),
-        COLUMNS: n_wtg * unit_bus.size if extended else 0,
+        COLUMNS: of_column.size,
         **dict.fromkeys((control.kind for control in CONTROLS.values()), 0),
     }
     links = {
         # All of them are in the grid, or seen from there.
         (MACHINES, "island"): np.zeros(n_sync, dtype=np.int64),
         (GROUPS, "island"): np.zeros(n_wtg, dtype=np.int64),
-        (GROUPS, "unit"): n_sync + np.arange(n_wtg),
-        (STAGES, "island"): nested(n_islands, plant.shedding.size // n_islands)[0],
-        **network_links,
+        (GROUPS, "unit"): groups,
+        (STAGES, "island"): _nested(n_islands, plant.shedding.size // n_islands)[0],
+        (UNITS, "bus"): unit_bus,
+        (UNITS, "grid_"): np.zeros(n, dtype=np.int64),
+        (MEMBERS, "unit_"): member,
+        (MEMBERS, "island_"): 1 + island,
+        (TRANSFERS, "unit_"): unit,
+        (TRANSFERS, "bus_"): bus,
+        (PAIRS, "row_"): row,
+        (PAIRS, "column_"): column,
+        (EXTENSIONS, "unit"): limited,
+        (EXTENSIONS, "bus_"): unit_bus[limited],
+        (EXTENSIONS, "own_entry_"): limited * (n + 1),
+        (COLUMNS, "entry"): of_column * n + limited[of_group],
+        (COLUMNS, "unit"): of_column,
+        (COLUMNS, "group"): of_group,
     }
-    if extended:
-        links |= links_of_extensions(n_sync, n_wtg, unit_bus)
+    return n_units, links
+
+
+def layout_of(plant: PlantTables, task: TaskUnits | None = None) -> Layout:
+    """Return where the numbers of a plant's environments lie, with those of devices and of a task behind them."""
+    n_units, links = _units_of(plant)
     for name, constants in plant.own_controls.items():
         kind, of_machine = CONTROLS[name].kind, constants["machine"]
         n_units[kind] = constants.size
@@ -445,7 +449,7 @@ def layout_of(plant: PlantTables, task: TaskUnits | None = None) -> Layout:
         if device.kind in n_units or device.kind in added.n_units:
             raise ValueError(f"there are units of a kind {device.kind.name!r} already")
         n_units[device.kind] = units.size
-        known = {UNITS: units, BUSES: unit_bus[units]}
+        known = {UNITS: units, BUSES: plant.network.unit_bus[units]}
         for label, kind in device.kind.sees.items():
             if kind in known:
                 links[device.kind, label] = known[kind]

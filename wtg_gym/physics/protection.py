@@ -1,4 +1,13 @@
-"""Protections: extremes, angles and voltages are watched; a run ends, a group trips, or a load is shed."""
+"""Protections: frequencies, angles and voltages are watched; a run ends, a group trips, or a load is shed.
+
+The local frequency of every bus follows from the angle of its voltage,
+
+    f += (1 - exp(-Δ / T)) (Δθ / (ω_n Δ) - f)        whenever protections sample, Δ after the last time
+
+which is the angle's derivative behind a low-pass filter T, exact for an angle that turns evenly in between; Δθ is taken
+between -π and π in the frame of the angles. It starts at nominal frequency, and waits while the voltage is below
+0.2 p.u., as a relay does, after which it begins with the grid's.
+"""
 
 from __future__ import annotations
 
@@ -6,22 +15,151 @@ import math
 from enum import IntEnum
 from typing import NamedTuple
 
+from wtg_gym.physics import units, wind_turbine
 from wtg_gym.physics.machine import MachineInput, MachineOutput, MachineState
 from wtg_gym.physics.machine_unit import MACHINES
-from wtg_gym.physics.units import ISLANDS, LANE, MAIN, MEMBERS, UNITS, Phasor, Sample
-from wtg_gym.physics.wind_turbine import (
-    Limits,
-    Turbine,
-    WtgExtremes,
-    WtgInput,
-    WtgOutput,
-    WtgState,
-    frequency_of,
-    tip_speed_ratio,
-)
+from wtg_gym.physics.units import BUSES, ISLANDS, LANE, UNITS, Phasor, Sample, Spread, Sums, plus
+from wtg_gym.physics.wind_turbine import Turbine, WtgInput, WtgOutput, WtgState
 from wtg_gym.physics.wtg_unit import GROUPS
-from wtg_gym.systems.elementary import select
-from wtg_gym.systems.systems import Kind, system
+from wtg_gym.systems.elementary import exponential, fma, select
+from wtg_gym.systems.programs import Product
+from wtg_gym.systems.systems import Kind, setting, system
+
+#: Time constant T of the filter [s]: a design value, the length of the shortest window of loss-of-mains relays.
+FILTER_S = 0.1
+#: arctan t = t P(t²) for |t| ≤ 1, interpolated at the Chebyshev nodes of t² in 0 … 1.
+_ARCTAN = (
+    0.999999999998197,
+    -0.33333333262482967,
+    0.19999995340490048,
+    -0.14285592395639787,
+    0.11109428372711115,
+    -0.09076798900548438,
+    0.07614250202479768,
+    -0.06366092036692635,
+    0.05045557051279092,
+    -0.03526770820050834,
+    0.01993742902003464,
+    -0.008241890713208962,
+    0.0021627909862173417,
+    -0.00026660141018806016,
+)
+
+
+def turn_between(before: Phasor, now: Phasor) -> float:
+    """Return the angle from one voltage to another [rad]: twice the arctangent of the tangent of its half."""
+    re = fma(now.re, before.re, now.im * before.im)
+    im = fma(now.im, before.re, -(now.re * before.im))
+    opposite, adjacent = abs(im), math.sqrt(fma(re, re, im * im)) + re
+    t = min(opposite, adjacent) / max(max(opposite, adjacent), 1e-300)
+    square, total = t * t, _ARCTAN[-1]
+    for coefficient in _ARCTAN[-2::-1]:
+        total = fma(total, square, coefficient)
+    size = select(opposite > adjacent, math.pi - 2.0 * (t * total), 2.0 * (t * total))
+    return select(im < 0.0, -size, size)
+
+
+@system(UNITS, "noise_voltage", when="extended")
+def add_noise_voltage(transfer: Phasor, voltage: Phasor, noise_voltage: Phasor) -> Phasor:
+    """Add what a unit brings to it."""
+    return plus(noise_voltage, transfer, voltage)
+
+
+@system(LANE, "noise_voltage", when="extended")
+def noise_current(noise_voltage: Phasor, noise_factor: Phasor) -> Phasor:
+    """Turn it into the current of the load noise [p.u.]."""
+    return plus(Phasor(0.0, 0.0), noise_voltage, noise_factor)
+
+
+@system(BUSES, "now", when="extended")
+def with_noise(now: Phasor, noise_voltage: Phasor, noise_transfer: Phasor) -> Phasor:
+    """Take from the voltage of a bus what the load noise draws."""
+    return plus(now, Phasor(-noise_voltage.re, -noise_voltage.im), noise_transfer)
+
+
+#: Voltages of all buses, from those of all units.
+BUS_VOLTAGES = (
+    setting(LANE, "extended", noise_voltage=Phasor(0.0, 0.0)),
+    add_noise_voltage,
+    noise_current,
+    Product(units.TRANSFERS, "share", UNITS, "voltage", "now", of=BUSES),
+    with_noise,
+)
+
+
+@system(LANE, "lowest", "highest", "sampled", when="extended")
+def reset_frequency_sample(
+    angle: float, sampled_angle: float, step: float, sampled_step: float, omega_n: float, simulation_dt: float
+) -> tuple[float, float, units.Sampled]:
+    """Begin to look for the frequency that is farthest from nominal, and find how far the frame has turned."""
+    passed = max(step - sampled_step, 1.0) * simulation_dt
+    gain = 1.0 - exponential(passed * (-1.0 / FILTER_S))
+    return math.inf, -math.inf, units.Sampled(1.0 / (omega_n * passed), angle - sampled_angle, gain)
+
+
+@system(BUSES, "phasor", "magnitude", "frequency", "lowest", "highest", when="extended")
+def sample_bus(
+    phasor: Phasor,
+    now: Phasor,
+    magnitude: float,
+    frequency: float,
+    island: float,
+    sampled: units.Sampled,
+    lowest: float,
+    highest: float,
+    coi: float,
+    active: float,
+) -> tuple[Phasor, float, float, float, float]:
+    """Return the new voltage, the frequency that its turn shows, and the extremes with it."""
+    measured = 1.0 + (sampled.turn + turn_between(phasor, now)) * sampled.per_turn
+    live, runs = island >= 0.0, active > 0.5
+    size = math.sqrt(fma(now.re, now.re, now.im * now.im))
+    seen = runs & live & (size > units.LOW_VOLTAGE)
+    # A bus that had no voltage begins with the grid's frequency.
+    moved = select(magnitude > units.LOW_VOLTAGE, frequency + sampled.gain * (measured - frequency), coi)
+    found = select(seen, moved, frequency)
+    held = Phasor(select(runs, now.re, phasor.re), select(runs, now.im, phasor.im))
+    size = select(runs, size, magnitude)
+    return held, size, found, min(lowest, select(live, found, lowest)), max(highest, select(live, found, highest))
+
+
+@system(UNITS, "lowest", "highest", when="extended")
+def sample_unit(omega: float, weight: float, lowest: float, highest: float) -> tuple[float, float]:
+    """Compare a connected unit."""
+    counts = weight > 0.0
+    return min(lowest, select(counts, omega, lowest)), max(highest, select(counts, omega, highest))
+
+
+@system(LANE, "worst", "worst_min", "worst_max", "sampled_angle", "sampled_step", when="extended")
+def note_worst(
+    lowest: float,
+    highest: float,
+    worst: float,
+    worst_min: float,
+    worst_max: float,
+    angle: float,
+    step: float,
+    active: float,
+) -> tuple[float, float, float, float, float]:
+    """Note the worst frequency now, the extremes since the start, and when this was."""
+    runs, farther = active > 0.5, select(1.0 - lowest > highest - 1.0, lowest, highest)
+    return (
+        select(runs, farther, worst),
+        select(runs, min(worst_min, lowest), worst_min),
+        select(runs, max(worst_max, highest), worst_max),
+        angle,
+        step,
+    )
+
+
+LOCAL = (*BUS_VOLTAGES, reset_frequency_sample, sample_bus, sample_unit, note_worst)
+
+
+@system(BUSES, "phasor", "magnitude", "frequency", when="extended")
+def start_bus(now: Phasor) -> tuple[Phasor, float, float]:
+    """Return the voltage that a run starts with, at nominal frequency."""
+    return now, math.hypot(now.re, now.im), 1.0
+
 
 #: Protections sample the grid at the end of every control interval, and at least this often within a longer one [s].
 PROTECTION_INTERVAL_S = 0.1
@@ -61,64 +199,46 @@ STAGES = Kind(
 # --- after every simulation step --------------------------------------------------------------------------------------
 
 
-@system(ISLANDS, "momentum", "inertia")
-def reset_inertia_sums() -> tuple[float, float]:
-    """Begin the sums over all units."""
-    return 0.0, 0.0
-
-
-def _added(two_h: float, omega: float, counts: bool, momentum: float, inertia: float) -> tuple[float, float]:
+def _added(two_h: float, omega: float, counts: bool, sums: Sums) -> Sums:
     """Return the sums of an island with a unit that counts there."""
     own = select(counts, two_h, 0.0)
-    return momentum + own * (omega - 1.0), inertia + own
+    return Sums(sums.momentum + own * (omega - 1.0), sums.inertia + own)
 
 
-@system(MACHINES, "momentum", "inertia", "weight", "omega")
+@system(MACHINES, "sums", "weight", "omega")
 def add_machine(
-    state: MachineState, given: MachineInput, committed: float, island: float, momentum: float, inertia: float
-) -> tuple[float, float, float, float]:
+    state: MachineState, given: MachineInput, committed: float, island: float, sums: Sums
+) -> tuple[Sums, float, float]:
     """Add a machine to the sums of the grid; return its inertia and frequency, for those of other islands."""
     two_h, omega = committed * (given.connected / given.inv_two_h), state.speed
-    return *_added(two_h, omega, island == 0.0, momentum, inertia), two_h, omega
+    return _added(two_h, omega, island == 0.0, sums), two_h, omega
 
 
-@system(GROUPS, "momentum", "inertia", "weight", "omega")
+@system(GROUPS, "sums", "weight", "omega")
 def add_group(
-    state: WtgState,
-    given: WtgInput,
-    output: WtgOutput,
-    turbine: Turbine,
-    share: float,
-    island: float,
-    momentum: float,
-    inertia: float,
-) -> tuple[float, float, float, float]:
+    state: WtgState, given: WtgInput, output: WtgOutput, turbine: Turbine, share: float, island: float, sums: Sums
+) -> tuple[Sums, float, float]:
     """Add a WTG group to the sums of the grid; return its inertia and frequency, for those of other islands."""
     two_h = turbine.converter.two_h * share * given.connected
-    omega = frequency_of(state, output)
-    return *_added(two_h, omega, island == 0.0, momentum, inertia), two_h, omega
+    omega = wind_turbine.frequency_of(state, output)
+    return _added(two_h, omega, island == 0.0, sums), two_h, omega
 
 
-@system(MEMBERS, "island_momentum", "island_inertia")
+@system(units.MEMBERS, "island_sums")
 def add_member(
-    unit_weight: float,
-    unit_omega: float,
-    unit_island: float,
-    island_number: float,
-    island_momentum: float,
-    island_inertia: float,
-) -> tuple[float, float]:
+    unit_weight: float, unit_omega: float, unit_island: float, island_number: float, island_sums: Sums
+) -> Sums:
     """Add a unit to the sums of its island, if that is not the grid."""
-    return _added(unit_weight, unit_omega, unit_island == island_number, island_momentum, island_inertia)
+    return _added(unit_weight, unit_omega, unit_island == island_number, island_sums)
 
 
 @system(ISLANDS, "centre")
-def centre_of_inertia(momentum: float, inertia: float, centre: float) -> float:
+def centre_of_inertia(sums: Sums, centre: float) -> float:
     """Return the frequency of the centre of inertia; an island that has lost its last unit keeps it."""
-    return select(inertia > 0.0, 1.0 + momentum / inertia, centre)
+    return select(sums.inertia > 0.0, 1.0 + sums.momentum / sums.inertia, centre)
 
 
-@system(MAIN, "coi", "coi_min", "coi_max")
+@system(units.MAIN, "coi", "coi_min", "coi_max")
 def centre_of_grid(centre: float, coi_min: float, coi_max: float) -> tuple[float, float, float]:
     """Return the frequency of the grid's centre of inertia, and its extremes."""
     return centre, min(coi_min, centre), max(coi_max, centre)
@@ -129,16 +249,16 @@ def track_extremes(
     state: WtgState,
     given: WtgInput,
     output: WtgOutput,
-    extremes: WtgExtremes,
+    extremes: wind_turbine.WtgExtremes,
     turbine: Turbine,
     active: float,
     simulation_dt: float,
-) -> WtgExtremes:
+) -> wind_turbine.WtgExtremes:
     """Return a group's extremes; its power is that of the step's last stage, which lies at the step's end."""
-    ratio = tip_speed_ratio(state.rotor_speed, output.wind, turbine.rotor)
+    ratio = wind_turbine.tip_speed_ratio(state.rotor_speed, output.wind, turbine.rotor)
     turning = (active > 0.5) & (given.connected > 0.5)
     overloaded = turning & (output.power > turbine.converter.overload)
-    return WtgExtremes(
+    return wind_turbine.WtgExtremes(
         peak_power=select(turning, max(extremes.peak_power, output.power), extremes.peak_power),
         least_tsr=select(turning, min(extremes.least_tsr, ratio), extremes.least_tsr),
         largest_tsr=select(turning, max(extremes.largest_tsr, ratio), extremes.largest_tsr),
@@ -186,12 +306,6 @@ def count_shed_energy(shed_energy: float, unserved: float, active: float, simula
 # --- when the protections sample the grid -----------------------------------------------------------------------------
 
 
-@system(ISLANDS, "least_angle", "largest_angle", "least_squared_voltage")
-def reset_island_extremes() -> tuple[float, float, float]:
-    """Begin to compare all connected units."""
-    return math.inf, -math.inf, math.inf
-
-
 @system(MACHINES, "sample")
 def sample_machine(state: MachineState, given: MachineInput, output: MachineOutput) -> Sample:
     """Return what is compared of a machine; its terminal is a bus of the network."""
@@ -208,42 +322,26 @@ def sample_group(
     return Sample(state.converter.angle, v_re * v_re + v_im * v_im, given.connected, 0.0)
 
 
-def _compared(
-    sample: Sample, counts: bool, least_angle: float, largest_angle: float, least_squared_voltage: float
-) -> tuple[float, float, float]:
+def _compared(sample: Sample, counts: bool, spread: Spread) -> Spread:
     """Return the extremes of an island with a unit that counts there."""
     counts = counts & (sample.there > 0.5)
-    return (
-        min(least_angle, select(counts, sample.turn, math.inf)),
-        max(largest_angle, select(counts, sample.turn, -math.inf)),
-        min(least_squared_voltage, select(counts, sample.squared_voltage, math.inf)),
+    return Spread(
+        min(spread.least_angle, select(counts, sample.turn, math.inf)),
+        max(spread.largest_angle, select(counts, sample.turn, -math.inf)),
+        min(spread.least_squared_voltage, select(counts, sample.squared_voltage, math.inf)),
     )
 
 
-@system(UNITS, "grid_least_angle", "grid_largest_angle", "grid_least_squared_voltage")
-def compare_unit(
-    sample: Sample,
-    own_island: float,
-    grid_least_angle: float,
-    grid_largest_angle: float,
-    grid_least_squared_voltage: float,
-) -> tuple[float, float, float]:
+@system(UNITS, "grid_spread")
+def compare_unit(sample: Sample, own_island: float, grid_spread: Spread) -> Spread:
     """Compare a unit with the others of the grid."""
-    return _compared(sample, own_island == 0.0, grid_least_angle, grid_largest_angle, grid_least_squared_voltage)
+    return _compared(sample, own_island == 0.0, grid_spread)
 
 
-@system(MEMBERS, "island_least_angle", "island_largest_angle", "island_least_squared_voltage")
-def compare_member(
-    unit_sample: Sample,
-    unit_island: float,
-    island_number: float,
-    island_least_angle: float,
-    island_largest_angle: float,
-    island_least_squared_voltage: float,
-) -> tuple[float, float, float]:
+@system(units.MEMBERS, "island_spread")
+def compare_member(unit_sample: Sample, unit_island: float, island_number: float, island_spread: Spread) -> Spread:
     """Compare a unit with the others of its island, if that is not the grid."""
-    counts = unit_island == island_number
-    return _compared(unit_sample, counts, island_least_angle, island_largest_angle, island_least_squared_voltage)
+    return _compared(unit_sample, unit_island == island_number, island_spread)
 
 
 @system(ISLANDS, "found", "healthy_step", "turned")
@@ -251,13 +349,11 @@ def judge_island(
     active: float,
     centre: float,
     step: float,
-    least_angle: float,
-    largest_angle: float,
-    least_squared_voltage: float,
+    spread: Spread,
     healthy_step: float,
     turned: float,
     simulation_dt: float,
-    limits: Limits,
+    limits: wind_turbine.Limits,
 ) -> tuple[float, float, float]:
     """Say whether an island has failed.
 
@@ -266,23 +362,23 @@ def judge_island(
     it. An island without a unit has no voltage.
     """
     found = select((centre < limits.coi_min) | (centre > limits.coi_max), float(Status.FREQUENCY_LIMIT), 0.0)
-    empty = least_angle > largest_angle
-    healthy = least_squared_voltage >= limits.low_voltage * limits.low_voltage
+    empty = spread.least_angle > spread.largest_angle
+    healthy = spread.least_squared_voltage >= limits.low_voltage * limits.low_voltage
     healthy_step = select(active > 0.5, select(healthy, step, healthy_step), healthy_step)
     low = ((step - healthy_step) * simulation_dt > limits.low_voltage_time) | empty
     found = select(low, float(Status.VOLTAGE_COLLAPSE), found)
-    apart = largest_angle - least_angle > limits.angle_spread
-    turned = select(empty, turned, least_angle)
+    apart = spread.largest_angle - spread.least_angle > limits.angle_spread
+    turned = select(empty, turned, spread.least_angle)
     return select(apart, float(Status.LOSS_OF_SYNCHRONISM), found), healthy_step, turned
 
 
-@system(MAIN, "finding", "finite")
+@system(units.MAIN, "finding", "finite")
 def judge_grid(found: float, centre: float) -> tuple[float, float]:
     """Say whether the grid has failed."""
     return found, select(math.isfinite(centre), 1.0, 0.0)
 
 
-@system(MEMBERS, "unit_sample_falls")
+@system(units.MEMBERS, "unit_sample_falls")
 def fall_member(unit_sample_falls: float, unit_island: float, island_number: float, island_found: float) -> float:
     """Let the units of an island that is not the grid fall with it."""
     return select((unit_island == island_number) & (island_found > 0.0), 1.0, unit_sample_falls)
@@ -316,7 +412,7 @@ def judge_rotor(
     A group is disconnected with its island too.
     """
     limits = turbine.limits
-    ratio = tip_speed_ratio(state.rotor_speed, output.wind, turbine.rotor)
+    ratio = wind_turbine.tip_speed_ratio(state.rotor_speed, output.wind, turbine.rotor)
     stalls = select(state.pitch.pitch < limits.stall_pitch, float(Status.STALL), 0.0)
     races = select(state.rotor_speed > limits.over_speed, float(Status.OVER_SPEED), 0.0)
     failure = select(ratio < limits.stall_tip_speed_ratio, stalls, races)

@@ -6,15 +6,14 @@ import math
 from typing import Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
-from wtg_gym.physics.layout import OF_LANE, Floats, Whole, offsets_of, place_of, units_of
+from wtg_gym.physics.devices import SOURCES
+from wtg_gym.physics.layout import OF_LANE, Facts, Floats, LaneData, Network, Whole, offsets_of, place_of, units_of
 from wtg_gym.physics.machine_unit import MACHINES
 from wtg_gym.physics.network import eliminate
-from wtg_gym.physics.network_data import Facts, LaneData, Network
-from wtg_gym.physics.source_unit import SOURCES
 from wtg_gym.physics.units import BUSES, ISLANDS, UNITS
 from wtg_gym.systems.compiled import compiled, inlined, internal
+from wtg_gym.systems.programs import Complex
 
 _GATE, _REFERENCE, _DROOP = (place_of(MACHINES, name) for name in ("gate", "gate_reference", "inv_droop"))
 _OF_BUS, _OF_UNIT, _OF_ISLAND = offsets_of(BUSES), offsets_of(UNITS), offsets_of(ISLANDS)
@@ -90,7 +89,7 @@ def refresh_network(block: Floats, x: int, lane: int, network: Network, data: La
 
 
 @internal
-def _reduce(z: npt.NDArray[np.complex128], unit_y: npt.NDArray[np.complex128], rows: _Rows, network: Network) -> None:
+def _reduce(z: Complex, unit_y: Complex, rows: _Rows, network: Network) -> None:
     """Write Y_red = diag(y) - diag(y) Z diag(y), transfers u = diag(y) Z e to the noise bus e, and impedances there."""
     noise_bus = int(rows.lane[OF_LANE.noise_bus])
     n, n_bus = network.unit_y.shape[0], network.shunts.shape[0]
@@ -288,7 +287,7 @@ def _shed(rows: _Rows, network: Network, events: Any) -> None:
 
 
 @internal
-def _add_branches(y: npt.NDArray[np.complex128], step: float, network: Network, events: Any) -> None:
+def _add_branches(y: Complex, step: float, network: Network, events: Any) -> None:
     """Add the branches that are closed at a step, with the impedances that they have then, to an admittance matrix."""
     for b in range(network.branch_ends.shape[0]):
         if not _is_open(b, step, events):
@@ -316,15 +315,7 @@ def _load_of(bus: Floats, rows: _Rows, facts: Facts) -> complex:
 
 
 @compiled
-def assemble(
-    y: npt.NDArray[np.complex128],
-    unit_y: npt.NDArray[np.complex128],
-    block: Floats,
-    x: int,
-    lane: int,
-    network: Network,
-    data: LaneData,
-) -> None:
+def assemble(y: Complex, unit_y: Complex, block: Floats, x: int, lane: int, network: Network, data: LaneData) -> None:
     """Write the internal admittance of every unit of an environment and its bus admittances, without load noise [p.u.].
 
     A unit that is disconnected has none, from the instant on at which a protection trips it. Else the matrix is that of

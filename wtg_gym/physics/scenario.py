@@ -10,16 +10,15 @@ import dataclasses
 import json
 import types
 from dataclasses import dataclass, field
-from typing import Any, TypeVar
+from typing import Any, ClassVar, TypeVar
 
 import numpy as np
-import numpy.typing as npt
 
 from wtg_gym.files import parse_json
-from wtg_gym.physics.checked import Checked, design, require_items, required
 from wtg_gym.physics.parameters import MOST_GROUPS
 from wtg_gym.physics.sensors import Sensors
-from wtg_gym.ranges import require_count, require_known
+from wtg_gym.ranges import Checked, design, require_count, require_items, require_known, required
+from wtg_gym.systems.programs import Floats
 
 R = TypeVar("R")
 
@@ -35,7 +34,7 @@ MOST_EVENTS = 200
 SERIES_DT = 0.1
 
 
-def _series(name: str, values: Any) -> npt.NDArray[np.float64]:
+def _series(name: str, values: Any) -> Floats:
     try:
         kind = np.asarray(values).dtype.kind
         series = np.array(values, dtype=np.float64) if kind != "c" else np.zeros(0)
@@ -48,7 +47,7 @@ def _series(name: str, values: Any) -> npt.NDArray[np.float64]:
         raise ValueError(f"{name} must be numbers in a regular array: {error}") from error
 
 
-def _checked_wind(values: Any, dt_s: float) -> npt.NDArray[np.float64]:
+def _checked_wind(values: Any, dt_s: float) -> Floats:
     wind = _series("wind_speed", values)
     if wind.ndim == 2:
         require_count("wind_speed", len(wind), MOST_GROUPS)
@@ -63,7 +62,7 @@ def _checked_wind(values: Any, dt_s: float) -> npt.NDArray[np.float64]:
     return wind
 
 
-def _checked_noise(values: Any) -> npt.NDArray[np.float64]:
+def _checked_noise(values: Any) -> Floats:
     noise = _series("load_noise_mw", values)
     if noise.ndim != 1:
         raise ValueError(f"load_noise_mw must have shape (n_samples,), got shape {noise.shape}")
@@ -88,25 +87,34 @@ def trusted(record: type[R], **values: Any) -> R:
     return made
 
 
-def _for(time_s: float | None) -> str:
-    return "" if time_s is None else f" for {time_s:g} s"
-
-
 @dataclass(frozen=True, kw_only=True)
 class _At(Checked):
     """Something that happens at `time_s` [s]."""
 
+    #: The event in words: of itself, of its circuit, and of how long it lasts.
+    WORDS: ClassVar[str]
+    #: The field that says after how long it is complete.
+    LASTS: ClassVar[str] = ""
+
     time_s: float = required("s", "design", "instant of the event", 0.0, LONGEST_RUN_S)
 
     @property
+    def _lasts_s(self) -> float | None:
+        lasts_s: float | None = getattr(self, self.LASTS, None)
+        return lasts_s
+
+    @property
     def end_s(self) -> float:
-        """When the event is complete [s]."""
-        return self.time_s
+        """When the event is complete: it is over, or what it took comes back, if ever [s]."""
+        return self.time_s + (self._lasts_s or 0.0)
 
     @property
     def words(self) -> str:
         """The event in words, with its units, without its instant; WTG groups count from 1."""
-        raise NotImplementedError
+        circuit = getattr(self, "circuit", None)
+        of_several = "" if circuit is None else f" (circuit {circuit})"
+        lasts = "" if self._lasts_s is None else f" for {self._lasts_s:g} s"
+        return self.WORDS.format(self, of_several=of_several, lasts=lasts).replace("-", "−")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -128,7 +136,6 @@ class LoadStep(_AtBus):
 
     @property
     def words(self) -> str:
-        """The event in words."""
         reactive = f", {self.reactive_mvar:+g} Mvar" if self.reactive_mvar else ""
         return f"{self.power_mw:+g} MW{reactive}".replace("-", "−") + f" at bus {self.bus}"
 
@@ -137,16 +144,12 @@ class LoadStep(_AtBus):
 class LoadRamp(LoadStep):
     """A :class:`LoadStep` that grows linearly over `duration_s` [s] from `time_s` on."""
 
+    LASTS = "duration_s"
+
     duration_s: float = required("s", "design", "length of the ramp", 0.1, 3600.0)
 
     @property
-    def end_s(self) -> float:
-        """When the ramp is complete [s]."""
-        return self.time_s + self.duration_s
-
-    @property
     def words(self) -> str:
-        """The event in words."""
         return f"{super().words} over {self.duration_s:g} s"
 
 
@@ -154,10 +157,7 @@ class LoadRamp(LoadStep):
 class LoadTrip(_AtBus):
     """The whole initial load of a bus is disconnected at `time_s` [s]."""
 
-    @property
-    def words(self) -> str:
-        """The event in words."""
-        return f"load of bus {self.bus} lost"
+    WORDS = "load of bus {0.bus} lost"
 
 
 def _circuit() -> Any:
@@ -165,35 +165,27 @@ def _circuit() -> Any:
     return design(None, "-", doc, 1, 99)
 
 
-def _of_several(circuit: int | None) -> str:
-    return "" if circuit is None else f" (circuit {circuit})"
+def _after(what: str) -> Any:
+    return design(None, "s", f"time after which {what}; None: never", 1e-3, LONGEST_RUN_S)
 
 
 @dataclass(frozen=True, kw_only=True)
 class LineTrip(_At):
     """The branch between two buses opens at both ends at `time_s` [s]."""
 
+    WORDS, LASTS = "line {0.from_bus}–{0.to_bus}{of_several} opens{lasts}", "recloses_after_s"
+
     from_bus: int
     to_bus: int
-    recloses_after_s: float | None = design(
-        None, "s", "time after which it closes again; None: never", 1e-3, LONGEST_RUN_S
-    )
+    recloses_after_s: float | None = _after("it closes again")
     circuit: int | None = _circuit()
-
-    @property
-    def end_s(self) -> float:
-        """When the line closes again, or opens for good [s]."""
-        return self.time_s + (self.recloses_after_s or 0.0)
-
-    @property
-    def words(self) -> str:
-        """The event in words."""
-        return f"line {self.from_bus}–{self.to_bus}{_of_several(self.circuit)} opens{_for(self.recloses_after_s)}"
 
 
 @dataclass(frozen=True, kw_only=True)
 class Fault(_AtBus):
     """A three-phase fault at a bus from `time_s` [s] on; a line that clears it opens then and stays open."""
+
+    WORDS, LASTS = "fault at bus {0.bus}{lasts}", "clears_after_s"
 
     clears_after_s: float = required("s", "design", "time until it is cleared", 1e-3, 10.0)
     resistance_pu: float = design(0.0, "p.u.", "resistance to ground, on the system base", 0.0, 1e3)
@@ -212,125 +204,75 @@ class Fault(_AtBus):
         super().__post_init__()
 
     @property
-    def end_s(self) -> float:
-        """When it is cleared [s]."""
-        return self.time_s + self.clears_after_s
-
-    @property
     def words(self) -> str:
-        """The event in words."""
-        ends = "" if self.opens is None else f"{self.opens[0]}–{self.opens[1]}{_of_several(self.circuit)}"
-        opens = f", then line {ends} opens" if ends else ""
-        return f"fault at bus {self.bus}{_for(self.clears_after_s)}{opens}"
+        if self.opens is None:
+            return super().words
+        circuit = "" if self.circuit is None else f" (circuit {self.circuit})"
+        return f"{super().words}, then line {self.opens[0]}–{self.opens[1]}{circuit} opens"
 
 
 @dataclass(frozen=True, kw_only=True)
 class ReactanceStep(_At):
     """The impedance of the branch between two buses becomes `factor` times that of the case at `time_s` [s]."""
 
+    WORDS = "impedance {0.from_bus}–{0.to_bus} × {0.factor:g}"
+
     from_bus: int
     to_bus: int
     factor: float = required("-", "design", "on resistance and reactance of the case", 1e-2, 1e3)
     circuit: int | None = _circuit()
-
-    @property
-    def words(self) -> str:
-        """The event in words."""
-        return f"impedance {self.from_bus}–{self.to_bus} × {self.factor:g}"
 
 
 @dataclass(frozen=True, kw_only=True)
 class PhaseJump(_AtBus):
     """The angle of the imposed source at a bus jumps at `time_s` [s]."""
 
-    angle_deg: float = required("deg", "design", "size, positive ahead", -180.0, 180.0)
+    WORDS = "source at bus {0.bus} jumps by {0.angle_deg:+g}°"
 
-    @property
-    def words(self) -> str:
-        """The event in words."""
-        return f"source at bus {self.bus} jumps by {self.angle_deg:+g}°".replace("-", "−")
+    angle_deg: float = required("deg", "design", "size, positive ahead", -180.0, 180.0)
 
 
 @dataclass(frozen=True, kw_only=True)
 class FrequencyRamp(_AtBus):
     """The frequency of the imposed source at a bus moves for `duration_s` [s] from `time_s` on, and stays there."""
 
+    WORDS, LASTS = "source at bus {0.bus} moves at {0.rocof_hz_s:+g} Hz/s{lasts}", "duration_s"
+
     rocof_hz_s: float = required("Hz/s", "design", "rate of change", -100.0, 100.0)
     duration_s: float = required("s", "design", "length of the ramp", 1e-3, 3600.0)
-
-    @property
-    def end_s(self) -> float:
-        """When the ramp is complete [s]."""
-        return self.time_s + self.duration_s
-
-    @property
-    def words(self) -> str:
-        """The event in words."""
-        return f"source at bus {self.bus} moves at {self.rocof_hz_s:+g} Hz/s".replace("-", "−") + _for(self.duration_s)
 
 
 @dataclass(frozen=True, kw_only=True)
 class GovernorLoss(_AtBus):
     """The governors at a bus stop acting at `time_s` [s]: gates stay where they are, and droop no longer acts."""
 
-    @property
-    def words(self) -> str:
-        """The event in words."""
-        return f"governor at bus {self.bus} lost"
+    WORDS = "governor at bus {0.bus} lost"
 
 
 @dataclass(frozen=True, kw_only=True)
 class MachineOutage(_AtBus):
     """All synchronous machines, or else the imposed source, at a bus are disconnected at `time_s` [s]."""
 
-    returns_after_s: float | None = design(
-        None, "s", "time after which they are synchronised again, without load; None: never", 1e-3, LONGEST_RUN_S
-    )
+    WORDS, LASTS = "machine at bus {0.bus} disconnected{lasts}", "returns_after_s"
 
-    @property
-    def end_s(self) -> float:
-        """When they come back, or leave for good [s]."""
-        return self.time_s + (self.returns_after_s or 0.0)
-
-    @property
-    def words(self) -> str:
-        """The event in words."""
-        return f"machine at bus {self.bus} disconnected{_for(self.returns_after_s)}"
+    returns_after_s: float | None = _after("they are synchronised again, without load")
 
 
 @dataclass(frozen=True, kw_only=True)
 class GroupTrip(_At):
     """A WTG group is disconnected at `time_s` [s]; the run goes on."""
 
+    WORDS, LASTS = "WTG group {0.number} disconnected{lasts}", "returns_after_s"
+
     group: int = required("-", "design", "its index, the row of the scenario's wind", 0)
-    returns_after_s: float | None = design(
-        None, "s", "time after which it is synchronised again; None: never", 1e-3, LONGEST_RUN_S
-    )
+    returns_after_s: float | None = _after("it is synchronised again")
 
     @property
-    def end_s(self) -> float:
-        """When it comes back, or leaves for good [s]."""
-        return self.time_s + (self.returns_after_s or 0.0)
-
-    @property
-    def words(self) -> str:
-        """The event in words."""
-        return f"WTG group {self.group + 1} disconnected{_for(self.returns_after_s)}"
+    def number(self) -> int:
+        """Number of the group, counted from 1."""
+        return self.group + 1
 
 
-Event = (
-    LoadStep
-    | LoadRamp
-    | LoadTrip
-    | LineTrip
-    | ReactanceStep
-    | Fault
-    | GovernorLoss
-    | MachineOutage
-    | GroupTrip
-    | PhaseJump
-    | FrequencyRamp
-)
 EVENT_KINDS: dict[str, type[Any]] = {
     "load_step": LoadStep,
     "load_ramp": LoadRamp,
@@ -344,6 +286,19 @@ EVENT_KINDS: dict[str, type[Any]] = {
     "phase_jump": PhaseJump,
     "frequency_ramp": FrequencyRamp,
 }
+Event = (
+    LoadStep
+    | LoadRamp
+    | LoadTrip
+    | LineTrip
+    | ReactanceStep
+    | Fault
+    | GovernorLoss
+    | MachineOutage
+    | GroupTrip
+    | PhaseJump
+    | FrequencyRamp
+)
 _KIND_OF = {cls: kind for kind, cls in EVENT_KINDS.items()}
 
 
@@ -355,8 +310,7 @@ class Scenario(Checked):
         name: free text, used in tables and plots.
         wind_speed: rotor-effective wind per WTG group and sample, shape (n_wtg, n_samples) [m/s], n_wtg = 0 for a
             grid without any; linear between samples, the last one holds.
-        wind_dt_s: sampling step of `wind_speed` [s].
-        duration_s: length of the run [s].
+        wind_dt_s, duration_s: sampling step of `wind_speed` and length of the run [s].
         events: of the kinds above, in any order; those after the end of the run do not happen.
         load_noise_mw: extra resistive load at `load_noise_bus`, one value per `SERIES_DT` [MW], 0 after the last.
             The first value must be zero, so that the run starts in equilibrium.
@@ -376,11 +330,11 @@ class Scenario(Checked):
     MOST = types.MappingProxyType({"events": MOST_EVENTS})
 
     name: str
-    wind_speed: npt.NDArray[np.float64]
+    wind_speed: Floats
     wind_dt_s: float = design(SERIES_DT, "s", "sampling step", 1e-3, 3600.0)
     duration_s: float = design(60.0, "s", "length of the run", 0.1, LONGEST_RUN_S)
     events: tuple[Event, ...] = ()
-    load_noise_mw: npt.NDArray[np.float64] = field(default_factory=lambda: np.zeros(0))
+    load_noise_mw: Floats = field(default_factory=lambda: np.zeros(0))
     load_noise_bus: int = 3
     load_level: float = design(1.0, "-", "factor on every load", 0.3, 1.5)
     governor_droop: float | None = design(None, "p.u.", "droop of every governor", 0.005, 1.0)

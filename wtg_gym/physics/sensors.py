@@ -13,8 +13,7 @@ import math
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from wtg_gym.physics.checked import Checked, design, required
-from wtg_gym.ranges import require_range, whole_steps
+from wtg_gym.ranges import Checked, design, require_range, required, whole_steps
 from wtg_gym.systems.elementary import noise
 
 #: Longest delay [s].
@@ -31,9 +30,7 @@ class Sensors(Checked):
 
     seed: int = required("-", "design", "seed of the noise", 0, 2**31 - 1)
     wind_bias: tuple[float, ...]
-    delay_s: float = design(
-        0.0, "s", "age of the newest measurement, a whole number of control intervals", 0.0, DELAY_MAX_S
-    )
+    delay_s: float = design(0.0, "s", "age of the newest measurement, in whole control intervals", 0.0, DELAY_MAX_S)
     frequency_filter_s: float = design(0.0, "s", "time constant of the frequency's filter, 0 for none", 0.0, 10.0)
     frequency_noise_hz: float = design(0.0, "Hz", "its standard deviation", 0.0, 1.0)
     rocof_filter_s: float = design(0.0, "s", "time constant of the filter of its rate of change", 0.0, 10.0)

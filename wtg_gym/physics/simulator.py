@@ -6,35 +6,112 @@ import dataclasses
 import functools
 import itertools
 import math
-from collections.abc import Sequence
+import os
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor, wait
 from typing import Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
-from wtg_gym.physics.block_threads import BlockThreads
-from wtg_gym.physics.equilibrium import FLOW_COLUMNS, POWER_FLOW, SPARSE_FLOW, prepare_lanes, rows_of_buses
+from wtg_gym.physics import equilibrium
+from wtg_gym.physics.equilibrium import network_events
 from wtg_gym.physics.integration import PROGRAMS, REFRESH, STARTING, STEPPING, advance_blocks, evaluate_blocks
-from wtg_gym.physics.layout import Floats, rows_of_lanes
+from wtg_gym.physics.layout import NO_EVENT, Floats, LaneData, NetworkEvent, rows_of_lanes
 from wtg_gym.physics.linearisation import StepError, check_step
-from wtg_gym.physics.network_data import NO_EVENT, LaneData, NetworkEvent
-from wtg_gym.physics.network_events import network_events
 from wtg_gym.physics.plant import Plant, TaskUnits, layout_of, plant_tables, programs_of, with_places
 from wtg_gym.physics.reduction import assemble
 from wtg_gym.physics.scenario import LONGEST_RUN_S, SERIES_DT, Scenario
-from wtg_gym.physics.start_errors import (
-    NOMINAL,
-    StartError,
-    check_internal_voltages,
-    check_rotor_speeds,
-    scenario_name,
-    start_failure,
-)
 from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY, TrackingLaw, group_laws
 from wtg_gym.physics.units import UNITS, StartFailure
 from wtg_gym.ranges import require_memory, require_range, require_whole, whole_steps
-from wtg_gym.systems.records import structured
+from wtg_gym.signals import undivided
+from wtg_gym.systems.programs import Complex, Whole
 from wtg_gym.systems.routines import WIDE, Function, Routine, code_of
+from wtg_gym.systems.systems import structured
+
+#: A thread is worth its start only for this many blocks.
+_BLOCKS_PER_THREAD = 4
+
+
+class BlockThreads:
+    """Threads that work on blocks.
+
+    Args:
+        n_blocks: number of blocks.
+        n_threads: threads, at most; None for one per processor.
+    """
+
+    def __init__(self, n_blocks: int, n_threads: int | None = None) -> None:
+        self.n_blocks = n_blocks
+        self.n_threads = n_threads
+        #: Never more than when this was made, or copied to this machine: what each worker needs was made then.
+        self._most = self._wanted()
+        self._pool: ThreadPoolExecutor | None = None
+        self._pool_process = 0
+
+    @property
+    def n_workers(self) -> int:
+        """Threads that work on blocks at once."""
+        return min(self._most, self._wanted())
+
+    def _wanted(self) -> int:
+        return max(1, min(self.n_blocks // _BLOCKS_PER_THREAD, self.n_threads or os.cpu_count() or 1))
+
+    @undivided
+    def run(
+        self,
+        work: Callable[[int, int, int], Any],
+        meanwhile: Callable[[], Any] | None = None,
+        meanwhile_blocks: int = 0,
+    ) -> None:
+        """Call `work(first, last, worker)` for ranges that cover all blocks, each with a worker's number of its own.
+
+        Args:
+            work: compiled with nogil, so that it releases the interpreter's lock.
+            meanwhile: called once, by this thread, while others work.
+            meanwhile_blocks: how many blocks take as long as that call.
+        """
+        n_blocks = self.n_blocks
+        n_threads = self.n_workers
+        futures, own = [], n_blocks
+        if n_threads > 1:
+            own = max(0, (n_blocks + meanwhile_blocks) // n_threads - meanwhile_blocks)
+            edges = [own + (n_blocks - own) * i // (n_threads - 1) for i in range(n_threads)]
+            pool = self._workers(n_threads)
+            futures = [pool.submit(work, edges[i], edges[i + 1], i + 1) for i in range(n_threads - 1)]
+        # Whatever happens meanwhile, no block may be left a step behind the others.
+        try:
+            if meanwhile is not None:
+                meanwhile()
+        finally:
+            try:
+                work(0, own, 0)
+            finally:
+                wait(futures)
+        for done in futures:
+            done.result()
+
+    def _workers(self, n_threads: int) -> ThreadPoolExecutor:
+        # A forked process inherits the pool, but not its threads.
+        if self._pool is None or self._pool_process != os.getpid():
+            self._pool = ThreadPoolExecutor(n_threads, thread_name_prefix="wtg_gym")
+            self._pool_process = os.getpid()
+        return self._pool
+
+    def close(self) -> None:
+        """Stop the threads."""
+        if self._pool is not None:
+            self._pool.shutdown()
+            self._pool = None
+
+    def __getstate__(self) -> dict[str, Any]:
+        # A thread pool cannot be copied.
+        return {**self.__dict__, "_pool": None}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state)
+        self._most = self._wanted()
+
 
 #: Winds at which the integration step is checked when a simulator is built: blades at rest, and turned by the pitch
 #: protection [m/s].
@@ -146,10 +223,10 @@ class Simulator:
         network, some = self.plant.network, np.zeros((1, 1))
         found: dict[Function, tuple[Any, ...]] = {
             REFRESH: (some, 0, 0, network, self._allocate_data(1, 1)),
-            POWER_FLOW: (self.plant.bus_y, 0, some, FLOW_COLUMNS),
+            equilibrium.POWER_FLOW: (self.plant.bus_y, 0, some, equilibrium.FLOW_COLUMNS),
         }
         if network.facts.is_large:
-            found[SPARSE_FLOW] = (self.plant.bus_y, 0, some, FLOW_COLUMNS, network.pattern)
+            found[equilibrium.SPARSE_FLOW] = (self.plant.bus_y, 0, some, equilibrium.FLOW_COLUMNS, network.pattern)
         return found
 
     def link(self, task: TaskUnits) -> None:
@@ -168,7 +245,7 @@ class Simulator:
         found = False
         for wind in _CHECKED_WINDS:
             nominal = Scenario(
-                name=f"{NOMINAL}{wind:g} m/s and nominal load",
+                name=f"{equilibrium.NOMINAL}{wind:g} m/s and nominal load",
                 wind_speed=np.full((self.layout.n_wtg, 1), wind),
                 duration_s=self.n_intervals * self.settings.control_dt,
                 load_noise_bus=self.settings.case.slack_bus,
@@ -179,7 +256,7 @@ class Simulator:
                 rows = self._equilibria([nominal], laws).rows
             except ValueError:
                 continue
-            check_internal_voltages(rows, [nominal], self.settings, self.layout)
+            equilibrium.check_internal_voltages(rows, [nominal], self.settings, self.layout)
             self._check_step(rows[0], nominal)
             found = True
         return found
@@ -189,7 +266,7 @@ class Simulator:
             check_step(rows, self.plant, self.layout)
         except ValueError as error:
             raise ValueError(
-                f"{scenario_name(scenario)}, inertia_scale = {scenario.inertia_scale:g}: {error}"
+                f"{equilibrium.scenario_name(scenario)}, inertia_scale = {scenario.inertia_scale:g}: {error}"
             ) from None
 
     def _allocate_data(self, n: int, n_events: int) -> LaneData:
@@ -229,7 +306,7 @@ class Simulator:
         """Return a number of every lane and WTG group by its name, shape (n_lanes, n_wtg)."""
         return self._of_units(self.layout.wtg(name))
 
-    def _of_units(self, rows: npt.NDArray[np.int64]) -> Floats:
+    def _of_units(self, rows: Whole) -> Floats:
         return np.ascontiguousarray(rows_of_lanes(self.blocks, rows, self.n_lanes))
 
     def lane_values(self, name: str) -> Floats:
@@ -251,7 +328,7 @@ class Simulator:
                 there; or a unit would need a larger internal voltage than allowed, or a rotor would not turn.
         """
         prepared = self._equilibria(scenarios, laws)
-        check_internal_voltages(prepared.rows, scenarios, self.settings, self.layout)
+        equilibrium.check_internal_voltages(prepared.rows, scenarios, self.settings, self.layout)
         scales = ((scenario.inertia_scale * scenario.committed, lane) for lane, scenario in enumerate(scenarios))
         (scale, lightest), of_laws = min(scales, default=(math.inf, 0)), tuple(laws)
         if scale < self._checked.get(of_laws, math.inf):
@@ -260,7 +337,7 @@ class Simulator:
             self._check_nominal(of_laws, scenarios[lightest].inertia_scale, scenarios[lightest].committed)
             self._checked[of_laws] = scale
         if turning:
-            check_rotor_speeds(prepared.rows, scenarios, self.settings, self.layout)
+            equilibrium.check_rotor_speeds(prepared.rows, scenarios, self.settings, self.layout)
         return prepared
 
     def _equilibria(self, scenarios: Sequence[Scenario], laws: Sequence[TrackingLaw]) -> PreparedLanes:
@@ -286,20 +363,22 @@ class Simulator:
         failures = np.zeros((n, 2), dtype=np.int64)
         levels = np.array([scenario.load_level for scenario in scenarios])
         plant, blocks, scratch = self.plant, rows[:, :, np.newaxis], self.new_scratches(1, 1)[0]
-        buses = rows_of_buses(scratch, self.layout)
-        prepare_lanes(blocks, scratch, buses, plant.bus_y, plant.network, data, levels, failures)
+        buses = equilibrium.rows_of_buses(scratch, self.layout)
+        equilibrium.prepare_lanes(blocks, scratch, buses, plant.bus_y, plant.network, data, levels, failures)
         for scenario, (failure, unit), row in zip(scenarios, failures.tolist(), rows, strict=True):
             if failure:
-                reason = start_failure(StartFailure(failure), unit, row, scenario, self.settings, self.layout)
-                raise StartError(f"scenario {scenario.name!r} cannot start: {reason}")
+                reason = equilibrium.start_failure(
+                    StartFailure(failure), unit, row, scenario, self.settings, self.layout
+                )
+                raise equilibrium.StartError(f"scenario {scenario.name!r} cannot start: {reason}")
         return PreparedLanes(rows, data)
 
     def start(
         self,
-        lanes: int | Sequence[int] | npt.NDArray[np.int64],
+        lanes: int | Sequence[int] | Whole,
         runs: Scenario | PreparedLanes,
         laws: Sequence[TrackingLaw] = (),
-        places: npt.NDArray[np.int64] | None = None,
+        places: Whole | None = None,
     ) -> None:
         """Start runs in lanes, one each.
 
@@ -394,7 +473,7 @@ class Simulator:
         evaluate_blocks(blocks, scratches, self.plant.network)
         return scratches
 
-    def bus_voltages(self, lane: int = 0) -> npt.NDArray[np.complex128]:
+    def bus_voltages(self, lane: int = 0) -> Complex:
         """Return the bus voltages at the present state of a lane, shape (n_bus,) [p.u.].
 
         Angles count from the rotor of the first machine, which goes on at its last speed after an outage.
@@ -409,7 +488,7 @@ class Simulator:
         y[noise_bus, noise_bus] += self.lane_values("noise_y")[lane]
         injected = np.zeros(len(y), dtype=np.complex128)
         np.add.at(injected, network.unit_bus, unit_y * internal)
-        found: npt.NDArray[np.complex128] = np.linalg.solve(y, injected).astype(np.complex128)
+        found: Complex = np.linalg.solve(y, injected).astype(np.complex128)
         return found
 
     def state(self, lane: int = 0) -> Floats:

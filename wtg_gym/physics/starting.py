@@ -7,37 +7,11 @@ from __future__ import annotations
 
 import math
 
-from wtg_gym.physics.units import (
-    BUSES,
-    ISLANDS,
-    LANE,
-    LOW_VOLTAGE,
-    UNITS,
-    Back,
-    Bus,
-    Connection,
-    Phasor,
-    Polar,
-    Sizes,
-    Terminal,
-    nearest_turn,
-    quotient,
-)
+from wtg_gym.physics import units
+from wtg_gym.physics.units import BUSES, LANE, UNITS, Bus, Connection, Phasor, Sizes
 from wtg_gym.physics.wtg_unit import GROUPS
 from wtg_gym.systems.elementary import select
 from wtg_gym.systems.systems import system
-
-
-@system(LANE, "start_failure", "failing_unit")
-def reset_start_failure() -> tuple[float, float]:
-    """Begin to look for what cannot start."""
-    return 0.0, 0.0
-
-
-@system(LANE, "needed")
-def reset_needed_power() -> float:
-    """Begin to add up what machines have to give."""
-    return 0.0
 
 
 @system(BUSES, "needed")
@@ -50,12 +24,6 @@ def add_needed_load(needed: float, load_level: float, bus: Bus) -> float:
 def subtract_group_power(needed: float, planned_power: float) -> float:
     """Take off what a group gives."""
     return needed - planned_power
-
-
-@system(LANE, "lacking")
-def reset_slack_mismatch() -> float:
-    """Begin to look for what the slack bus lacks."""
-    return 0.0
 
 
 @system(BUSES, "lacking")
@@ -72,10 +40,10 @@ def balance_unit(planned: Phasor, planned_power: float, lacking: float, connecti
 
 
 @system(BUSES, "planned", "polar", "holds", "sizes")
-def plan_bus(load_level: float, bus: Bus) -> tuple[Phasor, Polar, float, Sizes]:
+def plan_bus(load_level: float, bus: Bus) -> tuple[Phasor, units.Polar, float, Sizes]:
     """Return what a bus takes without units, and where its power flow starts."""
     planned = Phasor(-load_level * bus.load.re, -load_level * bus.load.im)
-    return planned, Polar(bus.voltage, 0.0), select(bus.holds_voltage, 1.0, 0.0), Sizes(0.0, 0.0, 0.0)
+    return planned, units.Polar(bus.voltage, 0.0), select(bus.holds_voltage, 1.0, 0.0), Sizes(0.0, 0.0, 0.0)
 
 
 @system(UNITS, "planned", "sizes")
@@ -86,12 +54,6 @@ def plan_unit(planned: Phasor, planned_power: float, sizes: Sizes, connection: C
         sizes.machine_weights + connection.machine_weight,
         sizes.group_weights + connection.group_weight,
     )
-
-
-@system(LANE, "released")
-def reset_release_count() -> float:
-    """Begin to count buses that let go of their voltage."""
-    return 0.0
 
 
 @system(BUSES, "holds", "planned", "released")
@@ -122,7 +84,7 @@ def release_voltage(
 
 
 @system(BUSES, "load", "served", "island")
-def load_at_bus(load_level: float, polar: Polar, bus: Bus) -> tuple[Phasor, float, float]:
+def load_at_bus(load_level: float, polar: units.Polar, bus: Bus) -> tuple[Phasor, float, float]:
     """Turn a load from power at the initial voltage into an admittance; all of it is served, in one island."""
     square = polar.size * polar.size
     return Phasor(load_level * bus.load.re / square, load_level * -bus.load.im / square), 1.0, 0.0
@@ -140,7 +102,7 @@ def share_flow(
     load_level: float,
     reactive_max: float,
     voltage_gain: float,
-) -> Terminal:
+) -> units.Terminal:
     """Share a bus's power among its units.
 
     Reactive power goes by the units' weights; beside machines, WTG groups with voltage control give no more than their
@@ -157,36 +119,14 @@ def share_flow(
     reactive = select(mixed, limited, reactive)
     gives_slack = bus.is_slack & (own.rating > 0.0)
     power = planned_power + select(gives_slack, (flow.re - planned.re) * own.rating / sizes.ratings, 0.0)
-    current = quotient(Phasor(power, reactive), at_bus)
-    return Terminal(power, reactive, at_bus, math.hypot(at_bus.re, at_bus.im), Phasor(current.re, -current.im))
+    current = units.quotient(Phasor(power, reactive), at_bus)
+    return units.Terminal(power, reactive, at_bus, math.hypot(at_bus.re, at_bus.im), Phasor(current.re, -current.im))
 
 
-@system(
-    LANE,
-    *("active", "status", "noise_y", "step", "last_change", "coi_min", "coi_max", "angle"),
-    *("shed_energy", "was_low", "split", "returning"),
-)
-def start_clock(frame: float) -> tuple[float, ...]:
-    """Return clock, statistics and frame of a run; an event at t = 0 strikes in its first step, not before."""
-    return 1.0, 0.0, 0.0, -1.0, -2.0, math.inf, -math.inf, frame, 0.0, 0.0, 0.0, 0.0
-
-
-@system(LANE, "worst", "worst_min", "worst_max", "sampled_angle", "sampled_step")
-def start_worst(frame: float) -> tuple[float, float, float, float, float]:
-    """Let the extremes of all frequencies begin at nominal."""
-    return 1.0, 1.0, 1.0, frame, 0.0
-
-
-@system(ISLANDS, "healthy_step", "centre", "turned")
-def start_island() -> tuple[float, float, float]:
-    """Let an island begin healthy, at nominal frequency."""
-    return 0.0, 1.0, 0.0
-
-
-@system(UNITS, "own_island", "returns")
-def start_unit() -> tuple[float, float]:
-    """Let every unit begin in one island."""
-    return 0.0, 0.0
+@system(LANE, "angle", "sampled_angle")
+def start_angle(frame: float) -> tuple[float, float]:
+    """Let the angle of the first unit begin where the network's frame is."""
+    return frame, frame
 
 
 @system(LANE, "next_change", "returning")
@@ -198,24 +138,12 @@ def reset_returning(next_change: float, step: float, returning: float) -> tuple[
 @system(UNITS, "returns", "back")
 def synchronise(
     returns: float, turned: float, now: Phasor, bus_magnitude: float, frequency: float, coi: float
-) -> tuple[float, Back]:
+) -> tuple[float, units.Back]:
     """Find what a unit comes back to: at its bus's voltage and frequency, within whole turns of its island.
 
     None comes back to a bus without voltage. Where there was none before, the grid's frequency counts.
     """
     size = math.hypot(now.re, now.im)
-    angle = nearest_turn(math.atan2(now.im, now.re), turned)
-    back = Back(angle, select(bus_magnitude > LOW_VOLTAGE, frequency, coi), size)
-    return select(size > LOW_VOLTAGE, returns, 0.0), back
-
-
-@system(UNITS, "returns")
-def reset_returns() -> float:
-    """Let a unit come back once."""
-    return 0.0
-
-
-@system(LANE, "step")
-def reset_step_count() -> float:
-    """Let the first step begin."""
-    return 0.0
+    angle = units.nearest_turn(math.atan2(now.im, now.re), turned)
+    back = units.Back(angle, select(bus_magnitude > units.LOW_VOLTAGE, frequency, coi), size)
+    return select(size > units.LOW_VOLTAGE, returns, 0.0), back

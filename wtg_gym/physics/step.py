@@ -9,45 +9,47 @@ The start of a run (:mod:`wtg_gym.physics.equilibrium`):
     plan → power flow, balance, release until none → settle → reduction → admittances → find → rates → start
 
 Each name is a list of systems over all units of a kind; what is no map over units stands in the same lists. Kinds of
-unit that a plant has besides (:mod:`wtg_gym.physics.further_units`), and controls that only some machines have
+unit that a plant has besides (:mod:`wtg_gym.physics.devices`), and controls that only some machines have
 (:mod:`wtg_gym.physics.machine_models`), join where it says `Here`.
 """
 
 from __future__ import annotations
 
-from wtg_gym.physics import extension_unit as extension
-from wtg_gym.physics import local_frequency as local
+import math
+
 from wtg_gym.physics import machine_unit as machine
 from wtg_gym.physics import protection, starting, units
 from wtg_gym.physics import wtg_unit as wtg
-from wtg_gym.physics.units import LANE, PAIRS, UNITS, ControlJoining, Joining
+from wtg_gym.physics.units import ISLANDS, LANE, PAIRS, UNITS, ControlJoining, Joining
+from wtg_gym.physics.wtg_unit import GROUPS
 from wtg_gym.systems.programs import Each, Here, Product, Repeat, When
+from wtg_gym.systems.systems import setting
 
 #: Gauss-Seidel sweeps over the groups whose current is limited, at most: a few, but some thirty for large groups at a
 #: weak bus. They end once no voltage moves.
 _SWEEPS = 100
 
 VOLTAGES = (
-    machine.reset_reference_speed,
+    setting(LANE, "no machine", reference_speed=1.0),
     machine.reference,
     machine.voltage_of_machine,
     machine.saturate_machine,
     wtg.voltage_of_group,
-    extension.voltage_of_extended,
+    wtg.voltage_of_extended,
     Here(Joining.VOLTAGES),
 )
 
 #: Units that an event brings back are synchronised, with the network as it is without them.
 RETURN = (
     *VOLTAGES,
-    *local.BUS_VOLTAGES,
+    *protection.BUS_VOLTAGES,
     starting.synchronise,
     machine.return_machine,
     Here(ControlJoining.RETURN),
     wtg.return_group,
-    extension.return_extension,
+    wtg.return_extension,
     starting.reset_returning,
-    starting.reset_returns,
+    setting(UNITS, returns=0.0),
 )
 
 ADMITTANCES = (units.load_noise, units.admittance_with_noise, When(LANE, "returning", RETURN))
@@ -55,12 +57,12 @@ ADMITTANCES = (units.load_noise, units.admittance_with_noise, When(LANE, "return
 #: Currents without a limit, and which of them are too large.
 FREE_CURRENTS = (
     Product(PAIRS, "admittance", UNITS, "voltage", "current"),
-    extension.reset_limit_count,
-    extension.find_exceeded_limits,
+    setting(LANE, exceeded=0.0),
+    wtg.find_exceeded_limits,
 )
 
 #: A sweep over the groups: each finds its voltage with all others fixed, and all currents follow.
-SWEEP = (extension.reset_sweep_count, Each(extension.limit_current, extension.follow_change))
+SWEEP = (setting(LANE, unsettled=0.0), Each(wtg.limit_current, wtg.follow_change))
 
 LIMITS = (When(LANE, "exceeded", (Repeat(LANE, "unsettled", SWEEP, most=_SWEEPS),)),)
 
@@ -76,7 +78,7 @@ MOVE = (
     Here(ControlJoining.MOVE),
     machine.stage_of_machine,
     wtg.stage_of_group,
-    extension.stage_of_extended,
+    wtg.stage_of_extended,
     Here(Joining.MOVE),
     units.reference_stage,
 )
@@ -86,13 +88,13 @@ RATES = (
     Here(ControlJoining.RATES),
     machine.rates_of_machine,
     wtg.rates_of_group,
-    extension.rates_of_extended,
+    wtg.rates_of_extended,
     Here(Joining.RATES),
     units.reference_rate,
 )
 
 COI = (
-    protection.reset_inertia_sums,
+    setting(ISLANDS, sums=units.Sums(0.0, 0.0)),
     protection.add_machine,
     protection.add_group,
     When(LANE, "split", (protection.add_member,)),
@@ -103,7 +105,7 @@ COI = (
 
 #: After a simulation step.
 #: The part with a way back comes first.
-MOVED = (extension.keep_energy, units.count_step, machine.restore_frequency, *COI)
+MOVED = (wtg.keep_energy, units.count_step, machine.restore_frequency, *COI)
 WATCH = (
     protection.track_extremes,
     protection.count_shed_energy,
@@ -114,8 +116,8 @@ WATCH = (
 FINISH = (*MOVED, *WATCH)
 
 PROTECT = (
-    *local.LOCAL,
-    protection.reset_island_extremes,
+    *protection.LOCAL,
+    setting(ISLANDS, spread=units.Spread(math.inf, -math.inf, math.inf)),
     protection.sample_machine,
     protection.sample_group,
     Here(Joining.SAMPLE),
@@ -125,8 +127,8 @@ PROTECT = (
     protection.judge_grid,
     When(LANE, "split", (protection.fall_member, protection.trip_machine)),
     protection.judge_rotor,
-    extension.judge_chopper,
-    extension.judge_over_voltage,
+    wtg.judge_chopper,
+    wtg.judge_over_voltage,
     protection.end_run,
     protection.freeze_wind,
 )
@@ -136,12 +138,12 @@ _TRIALS = 10_000
 
 #: What buses and units bring to the power flow.
 PLAN = (
-    starting.reset_start_failure,
+    setting(LANE, failure=units.Failure(0.0, 0.0)),
     starting.plan_bus,
     wtg.start_search,
-    Repeat(LANE, "searching", (*CAPTURE, wtg.reset_search_count, wtg.advance_search), most=_TRIALS),
+    Repeat(LANE, "searching", (*CAPTURE, setting(LANE, searching=0.0), wtg.advance_search), most=_TRIALS),
     wtg.plan_group,
-    starting.reset_needed_power,
+    setting(LANE, needed=0.0),
     starting.add_needed_load,
     starting.subtract_group_power,
     machine.subtract_machine_power,
@@ -151,10 +153,10 @@ PLAN = (
 )
 
 #: After a power flow: machines share what the slack bus lacks.
-BALANCE = (starting.reset_slack_mismatch, starting.find_slack_mismatch, starting.balance_unit)
+BALANCE = (setting(LANE, lacking=0.0), starting.find_slack_mismatch, starting.balance_unit)
 
 #: After a power flow: buses whose groups cannot hold the voltage let go of it.
-RELEASE = (starting.reset_release_count, starting.release_voltage)
+RELEASE = (setting(LANE, released=0.0), starting.release_voltage)
 
 #: After the last one: every unit finds its equilibrium, from what it delivers.
 SETTLE = (
@@ -162,29 +164,32 @@ SETTLE = (
     starting.share_flow,
     machine.start_machine,
     Here(ControlJoining.SETTLE),
-    machine.reset_frame,
+    setting(LANE, "no machine", frame=0.0),
     machine.find_frame,
     machine.turn_machine,
     wtg.start_group,
     wtg.curtail_law,
-    extension.start_extension,
+    wtg.start_extension,
     Here(Joining.SETTLE),
-    starting.start_clock,
-    starting.start_worst,
-    starting.start_island,
-    starting.start_unit,
+    starting.start_angle,
+    # An event at t = 0 strikes in the first step, not before.
+    setting(LANE, active=1.0, status=0.0, noise_y=0.0, step=-1.0, last_change=-2.0, split=0.0, returning=0.0),
+    setting(LANE, coi_min=math.inf, coi_max=-math.inf, shed_energy=0.0, was_low=0.0),
+    setting(LANE, worst=1.0, worst_min=1.0, worst_max=1.0, sampled_step=0.0),
+    setting(ISLANDS, healthy_step=0.0, centre=1.0, turned=0.0),
+    setting(UNITS, own_island=0.0, returns=0.0),
 )
 
 #: After the first evaluation of a run: its first outputs, and what is beyond its limits then.
 START = (
-    starting.reset_step_count,
-    *local.BUS_VOLTAGES,
-    local.start_bus,
+    setting(LANE, step=0.0),
+    *protection.BUS_VOLTAGES,
+    protection.start_bus,
     *COI,
     protection.track_extremes,
-    wtg.reset_overload_time,
+    setting(GROUPS, overload_time=0.0),
     machine.check_machine,
     Here(ControlJoining.START),
-    extension.check_extension,
+    wtg.check_extension,
     Here(Joining.START),
 )

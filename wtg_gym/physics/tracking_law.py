@@ -22,6 +22,8 @@ from wtg_gym.physics.aerodynamics import tracking_point
 from wtg_gym.physics.parameters import GridFormingParameters, TurbineParameters
 from wtg_gym.ranges import did_you_mean, require_known, require_range
 
+_Turbine = TurbineParameters | None
+_Control = GridFormingParameters | None
 #: Smallest and largest tracking coefficient a law may ask for [p.u.]: nearly no power, and three times K_opt.
 LEAST_COEFFICIENT, LARGEST_COEFFICIENT = 1e-3, 3.0
 #: Damping time constants of a law besides 0 and ∞ [s]; a slower filter is plain droop for as long as an episode takes.
@@ -40,10 +42,7 @@ class Tuning(NamedTuple):
 #: The laws tuned to a grid that needs the wind; docs/studies/policies.py finds them. A law that asks for more than
 #: K_opt slows the rotor past the top of its power curve: in the end it gives less the lower the frequency is.
 TUNED: Mapping[str, Tuning] = MappingProxyType(
-    {
-        "coordinated-tuned": Tuning(0.0, -0.05, 1.0, 0.2),
-        "coordinated-free": Tuning(0.55, -0.06, 1.0, 0.25),
-    }
+    {"coordinated-tuned": Tuning(0.0, -0.05, 1.0, 0.2), "coordinated-free": Tuning(0.55, -0.06, 1.0, 0.25)}
 )
 
 #: A smaller deloading in a law file is taken for a fraction that was meant [%].
@@ -102,23 +101,19 @@ class TrackingLaw:
         return 1.0 if self.damping_time_constant_s == 0.0 else 0.0
 
 
-def mppt(turbine: TurbineParameters | None = None, control: GridFormingParameters | None = None) -> TrackingLaw:
+def mppt(turbine: _Turbine = None, control: _Control = None) -> TrackingLaw:
     """Return maximum power point tracking: K_opt at every frequency, plain droop (paper, equation (9))."""
     k = tracking_point(0.0, turbine).coefficient
     return TrackingLaw(name="mppt", k_min=k, k_nominal=k, k_max=k)
 
 
-def deloaded(
-    deloading: float, turbine: TurbineParameters | None = None, control: GridFormingParameters | None = None
-) -> TrackingLaw:
+def deloaded(deloading: float, turbine: _Turbine = None, control: _Control = None) -> TrackingLaw:
     """Return the fixed deloaded law K_d with plain droop (paper, equation (12)); `deloading` is d [-]."""
     k = tracking_point(deloading, turbine).coefficient
     return TrackingLaw(name=f"deloaded-{100.0 * deloading:g}", k_min=k, k_nominal=k, k_max=k)
 
 
-def coordinated_piecewise(
-    turbine: TurbineParameters | None = None, control: GridFormingParameters | None = None
-) -> TrackingLaw:
+def coordinated_piecewise(turbine: _Turbine = None, control: _Control = None) -> TrackingLaw:
     """Return the reference: K_opt / K_n / K_pr with transient damping (paper, equations (35)-(37))."""
     p = control or GridFormingParameters()
     return TrackingLaw(
@@ -130,9 +125,7 @@ def coordinated_piecewise(
     )
 
 
-def coordinated_linear(
-    turbine: TurbineParameters | None = None, control: GridFormingParameters | None = None
-) -> TrackingLaw:
+def coordinated_linear(turbine: _Turbine = None, control: _Control = None) -> TrackingLaw:
     """Return the straight g(ω) from K_opt to K_pr with transient damping (paper, equations (21) and (35))."""
     p, law = control or GridFormingParameters(), coordinated_piecewise(turbine, control)
     share = (p.frequency_setpoint_pu - p.frequency_min_pu) / (p.frequency_max_pu - p.frequency_min_pu)
@@ -140,17 +133,13 @@ def coordinated_linear(
     return dataclasses.replace(law, name="coordinated-linear", k_nominal=k_nominal)
 
 
-def coordinated_undamped(
-    turbine: TurbineParameters | None = None, control: GridFormingParameters | None = None
-) -> TrackingLaw:
+def coordinated_undamped(turbine: _Turbine = None, control: _Control = None) -> TrackingLaw:
     """Return the piecewise law without transient damping: the droop is cancelled (paper, equations (33) and (37))."""
     law = coordinated_piecewise(turbine, control)
     return dataclasses.replace(law, name="coordinated-undamped", damping_time_constant_s=0.0)
 
 
-def tuned(
-    name: str, turbine: TurbineParameters | None = None, control: GridFormingParameters | None = None
-) -> TrackingLaw:
+def tuned(name: str, turbine: _Turbine = None, control: _Control = None) -> TrackingLaw:
     """Return the piecewise law with the slopes and the filter of :data:`TUNED`.
 
     They were tuned with the paper's turbine; on one with a flatter power curve k ends where a law's range does.
@@ -170,7 +159,7 @@ def tuned(
 REFERENCE_STRATEGY = "coordinated-piecewise"
 
 #: How each strategy's law is made for a turbine and its control.
-_BUILDERS: dict[str, Callable[[TurbineParameters | None, GridFormingParameters | None], TrackingLaw]] = {
+_BUILDERS: dict[str, Callable[[_Turbine, _Control], TrackingLaw]] = {
     "mppt": mppt,
     "deloaded-5": functools.partial(deloaded, 0.05),
     "deloaded-10": functools.partial(deloaded, 0.10),
@@ -185,7 +174,7 @@ _PAPER_NAMES = STRATEGY_NAMES[: -len(TUNED)]
 
 
 @functools.lru_cache(maxsize=64)
-def _strategy(name: str, turbine: TurbineParameters | None, control: GridFormingParameters | None) -> TrackingLaw:
+def _strategy(name: str, turbine: _Turbine, control: _Control) -> TrackingLaw:
     return _BUILDERS[name](turbine, control)
 
 
@@ -208,11 +197,7 @@ class _PaperStrategies(Mapping[str, TrackingLaw]):
 STRATEGIES: Mapping[str, TrackingLaw] = _PaperStrategies()
 
 
-def get_law(
-    strategy: str | Path | TrackingLaw,
-    turbine: TurbineParameters | None = None,
-    control: GridFormingParameters | None = None,
-) -> TrackingLaw:
+def get_law(strategy: str | Path | TrackingLaw, turbine: _Turbine = None, control: _Control = None) -> TrackingLaw:
     """Return a law by strategy name, for a turbine and its control, or from a TOML file, or as given.
 
     Raises:
@@ -233,7 +218,7 @@ def get_law(
 def group_laws(
     strategies: str | Path | TrackingLaw | Sequence[str | Path | TrackingLaw],
     turbines: Sequence[TurbineParameters],
-    control: GridFormingParameters | None = None,
+    control: _Control = None,
 ) -> tuple[TrackingLaw, ...]:
     """Return one law per WTG group, (n_groups,), for its turbine: the given one for all, or the one given for each.
 
@@ -251,7 +236,7 @@ def group_laws(
     return tuple(get_law(own, turbine, control) for own, turbine in zip(strategies, turbines, strict=True))
 
 
-def read_law(path: Path, turbine: TurbineParameters | None = None) -> TrackingLaw:
+def read_law(path: Path, turbine: _Turbine = None) -> TrackingLaw:
     """Read a law from TOML: `name`, then either k_min, k_nominal, k_max [p.u.] or deloading_min, … [%], and tau_s [s].
 
     Deloadings are those of the turbine.
@@ -271,7 +256,7 @@ def read_law(path: Path, turbine: TurbineParameters | None = None) -> TrackingLa
         return TrackingLaw(name=name, damping_time_constant_s=data.get("tau_s", math.inf), **coefficients)
 
 
-def _coefficient(data: Mapping[str, Any], corner: str, turbine: TurbineParameters | None) -> float:
+def _coefficient(data: Mapping[str, Any], corner: str, turbine: _Turbine) -> float:
     """Return the tracking coefficient that a law file gives at a corner, itself or by a deloading [p.u.]."""
     given = [key for key in (f"k_{corner}", f"deloading_{corner}") if key in data]
     if len(given) != 1:

@@ -18,44 +18,24 @@ from wtg_gym.physics.units import BUSES
 
 @dataclass(frozen=True, kw_only=True)
 class Trajectory:
-    """A recorded run, one sample per control interval and one at the start.
+    """A recorded run, one sample per control interval and one at the start."""
 
-    Args:
-        time_s: (n,) [s].
-        frequency_hz: centre of inertia (n,) [Hz].
-        wtg_frequency_hz: of each group's voltage (n, n_wtg) [Hz].
-        machine_frequency_hz: of each synchronous machine (n, n_sync) [Hz].
-        bus_frequency_hz: local (n, n_bus), see :mod:`~wtg_gym.physics.local_frequency`; (n, 0) where the physics is the
-            paper's [Hz].
-        rotor_speed_pu: (n, n_wtg) [p.u.].
-        tip_speed_ratio: (n, n_wtg) [-].
-        power_pu: delivered, on each group's base (n, n_wtg) [p.u.].
-        captured_power_pu: (n, n_wtg) [p.u.].
-        coefficient_pu: tracking coefficient k (n, n_wtg) [p.u.].
-        filter_pu: state x of the transient damping, 0 where τ is 0 or infinite (n, n_wtg) [p.u.].
-        pitch_deg: (n, n_wtg) [deg].
-        wind_m_s: (n, n_wtg) [m/s].
-        shed_energy_mws: load not served since the start, at 1 p.u. of voltage (n,) [MW s].
-        status: why the run ended before its time, or RUNNING.
-        nominal_frequency_hz: [Hz].
-    """
-
-    time_s: Floats
-    frequency_hz: Floats
-    wtg_frequency_hz: Floats
-    machine_frequency_hz: Floats
-    bus_frequency_hz: Floats
-    rotor_speed_pu: Floats
-    tip_speed_ratio: Floats
-    power_pu: Floats
-    captured_power_pu: Floats
-    coefficient_pu: Floats
-    filter_pu: Floats
-    pitch_deg: Floats
-    wind_m_s: Floats
-    shed_energy_mws: Floats
-    status: Status
-    nominal_frequency_hz: float
+    time_s: Floats  # (n,) [s]
+    frequency_hz: Floats  # centre of inertia (n,) [Hz]
+    wtg_frequency_hz: Floats  # of each group's voltage (n, n_wtg) [Hz]
+    machine_frequency_hz: Floats  # of each synchronous machine (n, n_sync) [Hz]
+    bus_frequency_hz: Floats  # local (n, n_bus); (n, 0) where the physics is the paper's [Hz]
+    rotor_speed_pu: Floats  # (n, n_wtg) [p.u.]
+    tip_speed_ratio: Floats  # (n, n_wtg) [-]
+    power_pu: Floats  # delivered, on each group's base (n, n_wtg) [p.u.]
+    captured_power_pu: Floats  # (n, n_wtg) [p.u.]
+    coefficient_pu: Floats  # tracking coefficient k (n, n_wtg) [p.u.]
+    filter_pu: Floats  # state x of the transient damping, 0 where τ is 0 or infinite (n, n_wtg) [p.u.]
+    pitch_deg: Floats  # (n, n_wtg) [deg]
+    wind_m_s: Floats  # (n, n_wtg) [m/s]
+    shed_energy_mws: Floats  # load not served since the start, at 1 p.u. of voltage (n,) [MW s]
+    status: Status  # why the run ended before its time, or RUNNING
+    nominal_frequency_hz: float  # [Hz]
 
     @property
     def local_frequency_hz(self) -> Floats:
@@ -79,9 +59,7 @@ class Trajectory:
 
 
 def simulate(
-    scenario: Scenario,
-    laws: str | TrackingLaw | Sequence[str | TrackingLaw],
-    settings: Plant | None = None,
+    scenario: Scenario, laws: str | TrackingLaw | Sequence[str | TrackingLaw], settings: Plant | None = None
 ) -> Trajectory:
     """Run a scenario under fixed laws and record it.
 
@@ -94,8 +72,7 @@ def simulate(
         the recorded run. If a protection ends it, the last sample is of that instant.
 
     Raises:
-        ValueError: scenario, laws and plant do not fit, there is no equilibrium to start from, or a rotor would start
-            below the under-speed trip.
+        ValueError: scenario, laws and plant do not fit, or the run cannot start.
     """
     if not isinstance(scenario, Scenario):
         raise ValueError(f"scenario must be a Scenario, got {type(scenario).__name__}")

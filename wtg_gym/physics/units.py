@@ -2,17 +2,73 @@
 
 from __future__ import annotations
 
+import functools
 import math
+from collections.abc import Callable, Sequence
 from enum import IntEnum, StrEnum
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
-import numpy as np
-
-from wtg_gym.physics.runge_kutta import moving
 from wtg_gym.physics.wind_turbine import Limits
 from wtg_gym.systems.elementary import fma, select
-from wtg_gym.systems.programs import Whole
-from wtg_gym.systems.systems import Kind, system
+from wtg_gym.systems.systems import Kind, System, each, system
+
+_OF_STAGE = ("active", "ahead", "first", "last")
+
+
+def moving(rates: System, *limits: Callable[..., Any] | None, constants: Sequence[str] = ()) -> System:
+    """Return the system that moves the states whose rates another system finds, by a stage of the method.
+
+    It is told how far the stage goes (`ahead` [s], a sixth of the step for the last) and whether it is the first or the
+    last one.
+
+    Args:
+        rates: writes "x_rates" of states "x" first, then other parts.
+        limits: for each of these states the function of it and of some constants that holds it within its limits, which
+            it does at the end of a step; None where there are none.
+        constants: names of those that each limit depends on.
+    """
+    states = tuple(name.removesuffix("_rates") for name in rates.writes if name.endswith("_rates"))
+    own = tuple(f"{state}_{what}" for state in states for what in ("base", "sum"))
+    given_to_rates, equation = rates.arguments_named, rates.equation
+    arguments = tuple(dict.fromkeys((*given_to_rates, *states, *own, *constants, *_OF_STAGE)))
+
+    def stage(*values: Any) -> tuple[Any, ...]:
+        given = dict(zip(arguments, values, strict=True))
+        found = equation(*(given[name] for name in given_to_rates))
+        found = found if type(found) is tuple else (found,)
+        active, ahead, first, last = (given[name] for name in _OF_STAGE)
+        moved: list[Any] = []
+        for i, state in enumerate(states):
+            base, total = given[f"{state}_base"], given[f"{state}_sum"]
+            free, base, total = _moved(given[state], base, total, found[i], ahead, first, last)
+            limit = limits[i] if limits else None
+            within = free if limit is None else limit(free, given[constants[i]])
+            moved += (_kept(free, within, base, last, active), base, total)
+        return (*moved, *found[len(states) :])
+
+    writes = [name for state in states for name in (state, f"{state}_base", f"{state}_sum")]
+    origin = functools.partial(moving, constants=constants), (rates, *limits)
+    written = (*writes, *rates.writes[len(states) :])
+    return System(rates.kind, stage, written, rates.when, arguments=arguments, origin=origin)
+
+
+def _moved(
+    state: Any, base: Any, total: Any, rates: Any, ahead: float, first: float, last: float
+) -> tuple[Any, Any, Any]:
+    """Return states that a stage has moved, their base and the sum of their rates."""
+    base = each(lambda now, before: select(first > 0.5, now, before), state, base)
+    # The last stage goes along the sum of all rates, k1 + 2 k2 + 2 k3 + k4; after it nobody reads that sum.
+    along = each(lambda rate, so_far: select(last > 0.5, so_far + rate, rate), rates, total)
+    moved = each(lambda way, start: fma(ahead, way, start), along, base)
+    more = each(lambda rate, so_far: select(first > 0.5, rate, fma(2.0, rate, so_far)), rates, total)
+    return moved, base, each(lambda new, so_far: select(last > 0.5, so_far, new), more, total)
+
+
+def _kept(moved: Any, within: Any, base: Any, last: float, active: float) -> Any:
+    """Return states after a stage; an ended lane keeps its base exactly, to which not even a rounding is added."""
+    held = each(lambda free, limited: select(last > 0.5, limited, free), moved, within)
+    return each(lambda new, old: select(active > 0.5, new, old), held, base)
+
 
 #: Voltage below which nothing measures a frequency or comes back [p.u.], by design.
 LOW_VOLTAGE = 0.2
@@ -93,6 +149,28 @@ class Back(NamedTuple):
     bus_angle: float  # [rad]
     bus_speed: float  # frequency [p.u.]
     bus_voltage: float  # [p.u.]
+
+
+class Failure(NamedTuple):
+    """Why a run cannot start, of :class:`StartFailure`, and the number of the unit that cannot."""
+
+    start_failure: float
+    failing_unit: float
+
+
+class Sums(NamedTuple):
+    """Sums over the connected units of an island."""
+
+    momentum: float  # Σ 2H (ω - 1) [s]
+    inertia: float  # Σ 2H [s]
+
+
+class Spread(NamedTuple):
+    """Extremes of the connected units of an island."""
+
+    least_angle: float  # [rad]
+    largest_angle: float
+    least_squared_voltage: float  # at the terminals [p.u.²]
 
 
 class StartFailure(IntEnum):
@@ -180,8 +258,7 @@ LANE = Kind(
         "lacking": float,  # what the slack bus lacks [p.u.]
         "curtailment": float,  # common factor on k by which groups share the balance
         "frame": float,  # angle of the first unit against the network's frame [rad]
-        "start_failure": float,  # why the run cannot start, of StartFailure
-        "failing_unit": float,  # number of the unit that cannot
+        "failure": Failure,
     },
     constants={
         "omega_n": float,
@@ -204,7 +281,6 @@ LANE = Kind(
         "secondary control",
     ),
 )
-
 #: Parts of the network that hang together; the first has the most of the load that a run starts with, and is the grid,
 #: whose end is the run's.
 ISLANDS = Kind(
@@ -215,11 +291,8 @@ ISLANDS = Kind(
         "turned": float,  # angle of one of its units when the protections last sampled [rad]
     },
     scratch={
-        "momentum": float,  # Σ 2H (ω - 1) of connected units [s]
-        "inertia": float,  # Σ 2H [s]
-        "least_angle": float,  # of all connected units [rad]
-        "largest_angle": float,
-        "least_squared_voltage": float,  # at the terminals of all connected units, squared [p.u.²]
+        "sums": Sums,
+        "spread": Spread,
         "found": float,  # status that the protections find now
     },
     constants={"number": float},
@@ -249,7 +322,6 @@ BUSES = Kind(
     constants={"bus": Bus},
     sees={"lane": LANE},
 )
-
 #: All units as the network sees them, machines first.
 UNITS = Kind(
     name="units",
@@ -274,15 +346,12 @@ UNITS = Kind(
     constants={"connection": Connection},
     sees={"lane": LANE, "bus": BUSES, "grid_": ISLANDS},
 )
-
 #: Every unit with every island but the grid, island after island.
 MEMBERS = Kind(name="members", sees={"unit_": UNITS, "island_": ISLANDS, "lane": LANE})
 #: The first island.
 MAIN = Kind(name="main island", sees={"island": ISLANDS, "lane": LANE})
-
 #: Every unit's effect on every bus, bus after bus.
 TRANSFERS = Kind(name="transfers", rows={"share": Phasor}, sees={"bus_": BUSES, "unit_": UNITS})
-
 #: Pairs of units, row by row of the reduced admittance matrix.
 PAIRS = Kind(
     name="pairs",
@@ -290,36 +359,6 @@ PAIRS = Kind(
     scratch={"admittance": Phasor},
     sees={"row_": UNITS, "column_": UNITS, "lane": LANE},
 )
-
-
-def nested(n_outer: int, n_inner: int) -> tuple[Whole, Whole]:
-    """Return the outer and the inner number of each pair, inner ones fastest (n_outer · n_inner,)."""
-    outer, inner = np.divmod(np.arange(n_outer * n_inner), max(n_inner, 1))
-    return outer, inner
-
-
-def units_of_network(
-    unit_bus: Whole, n_bus: int, n_islands: int, *, transfers: bool
-) -> tuple[dict[Kind, int], dict[tuple[Kind, str], Whole]]:
-    """Return how many units of each kind of this module there are, and which others each of them sees.
-
-    `unit_bus` has the index of each unit's bus (n_unit,). Only a plant with `transfers` finds the voltages of buses.
-    """
-    n = unit_bus.size
-    row, column = nested(n, n)
-    island, member = nested(n_islands - 1, n)
-    bus, unit = nested(n_bus if transfers else 0, n)
-    n_units = {LANE: 1, BUSES: n_bus, UNITS: n, ISLANDS: n_islands, MEMBERS: member.size, MAIN: 1}
-    return {**n_units, TRANSFERS: unit.size, PAIRS: row.size}, {
-        (UNITS, "bus"): unit_bus,
-        (UNITS, "grid_"): np.zeros(n, dtype=np.int64),
-        (MEMBERS, "unit_"): member,
-        (MEMBERS, "island_"): 1 + island,
-        (TRANSFERS, "unit_"): unit,
-        (TRANSFERS, "bus_"): bus,
-        (PAIRS, "row_"): row,
-        (PAIRS, "column_"): column,
-    }
 
 
 def nearest_turn(angle: float, turned: float) -> float:
@@ -332,10 +371,10 @@ def plus(total: Phasor, a: Phasor, b: Phasor) -> Phasor:
     return Phasor(total.re + fma(a.re, b.re, -(a.im * b.im)), total.im + fma(a.re, b.im, a.im * b.re))
 
 
-def noted(fits: bool, why: int, number: float, start_failure: float, failing_unit: float) -> tuple[float, float]:
+def noted(fits: bool, why: int, number: float, failure: Failure) -> Failure:
     """Return why a run cannot start and the number of the unit that cannot, unless another was found before."""
-    known = fits | (start_failure != 0.0)
-    return select(known, start_failure, float(why)), select(known, failing_unit, number)
+    known = fits | (failure.start_failure != 0.0)
+    return Failure(select(known, failure.start_failure, float(why)), select(known, failure.failing_unit, number))
 
 
 def quotient(a: Phasor, b: Phasor) -> Phasor:

@@ -3,8 +3,8 @@
     2H_m ω̇_m = p_w - p,    p_w = ρ π R² v³ C_p(λ, β) / (2 S_n),    λ = ω_tn R ω_m / v
 
 Source: paper, equations (1)-(5). After a trip the states of a group keep their last values; it feeds in nothing. An
-*extended* group has some of these: the limits and the voltage control of :mod:`~wtg_gym.physics.extended_converter`, a
-rotor that keeps its energy H_m ω_m²: 2H_m ω_m ω̇_m = p_w - max(p, p_min).
+*extended* group has some of these: limits and voltage control (:mod:`~wtg_gym.physics.converter`), a rotor that keeps
+its energy H_m ω_m²: 2H_m ω_m ω̇_m = p_w - max(p, p_min).
 """
 
 from __future__ import annotations
@@ -12,51 +12,86 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from wtg_gym.physics.aerodynamics import (
-    CurveConstants,
-    curve_constants,
-    power_coefficient_at,
-    surface_of,
-    tracking_point,
-)
-from wtg_gym.physics.converter import (
-    Converter,
-    ConverterState,
-    Law,
-    converter_constants,
-    converter_rates,
-    tracking_coefficient,
-)
-from wtg_gym.physics.extended_converter import (
-    ConverterLimits,
-    LimitState,
-    VoltageControl,
-    VoltageInput,
-    converter_limits,
-    emf_limited,
-    emf_rate,
-    limit_state_limited,
-    voltage_control,
-)
-from wtg_gym.physics.parameters import (
-    ConverterLimitParameters,
-    GridFormingParameters,
-    PitchParameters,
-    ProtectionParameters,
-    TurbineParameters,
-    VoltageControlParameters,
-)
-from wtg_gym.physics.pitch import Pitch, PitchState, pitch_constants, pitch_limited, pitch_rates
+from wtg_gym.physics import aerodynamics, parameters
+from wtg_gym.physics import converter as gfm
 from wtg_gym.physics.rotor_table import Grid, tabulated_power_coefficient
 from wtg_gym.systems import expressions as ex
-from wtg_gym.systems.elementary import fma, select, sine_cosine
-from wtg_gym.systems.records import each
+from wtg_gym.systems.elementary import clip, fma, limited_rate, select, sine_cosine
+from wtg_gym.systems.systems import each
+
+
+class Pitch(NamedTuple):
+    """Constants of the pitch protection."""
+
+    power_limit: float  # p_max at ω_st [p.u.]
+    power_limit_low: float  # at ω_min
+    power_limit_high: float  # at ω_max
+    rotor_limit: float  # ω_m,max [p.u.]
+    speed_weight: float  # K_ω [p.u./p.u.]
+    gain_p: float  # K_βP [deg/p.u.]
+    gain_i: float  # K_βI [deg/(p.u. s)]
+    inv_schedule: float  # 1/β_K [1/deg]
+    inv_actuator: float  # 1/T_β [1/s]
+    rate_limit: float  # [deg/s]
+    angle_max: float  # [deg]
+
+
+class PitchState(NamedTuple):
+    """States of the pitch protection."""
+
+    pitch_integral: float  # I [deg]
+    pitch: float  # β [deg]
+
+
+def pitch_constants(p: parameters.PitchParameters, shares: tuple[float, float, float] = (1.0, 1.0, 1.0)) -> Pitch:
+    """Return the constants; `shares` of the largest captured power are the limits at ω_min, ω_st and ω_max."""
+    low, nominal, high = (p.captured_power_limit_pu * share for share in shares)
+    return Pitch(
+        power_limit=nominal,
+        power_limit_low=low,
+        power_limit_high=high,
+        rotor_limit=p.rotor_speed_limit_pu,
+        speed_weight=p.speed_weight,
+        gain_p=p.proportional_gain_deg,
+        gain_i=p.integral_gain_deg_s,
+        inv_schedule=1.0 / p.gain_schedule_deg,
+        inv_actuator=1.0 / p.actuator_time_s,
+        rate_limit=p.rate_limit_deg_s,
+        angle_max=p.largest_angle_deg,
+    )
+
+
+def pitch_rates(s: PitchState, captured: float, rotor_speed: float, power_limit: float, c: Pitch) -> PitchState:
+    """Return the rates [deg/s] at a captured power, a rotor speed and a limit p_max [p.u.].
+
+    A PI controller on the larger of the power and the speed excess, with a lagging, slow drive:
+
+        e = max(p_w - p_max, K_ω (ω_m - ω_m,max)) / (1 + β/β_K),    İ = K_βI e,    T_β β̇ = I + K_βP e - β
+
+    with limits on I, on the demand and on β̇; I and β stay exactly at zero while there is no excess. In an extended
+    group p_max depends on the frequency as the prescribed power does: its shares at ω_min, ω_st and ω_max are 1,
+    1 - d_n and 1 - d_pr, so that a group holds its reserve above rated wind too. Like WECC's pitch
+    controller WTGPT_A it acts on speed and power, but with one PI. Source of gain schedule and rate limit: J. Jonkman
+    et al.: Definition of a 5-MW Reference Wind Turbine, NREL/TP-500-38060.
+    """
+    excess = max(captured - power_limit, c.speed_weight * (rotor_speed - c.rotor_limit))
+    scheduled = excess / (1.0 + s.pitch * c.inv_schedule)
+    demand = clip(s.pitch_integral + c.gain_p * scheduled, 0.0, c.angle_max)
+    return PitchState(
+        pitch_integral=limited_rate(c.gain_i * scheduled, s.pitch_integral, 0.0, c.angle_max),
+        pitch=clip((demand - s.pitch) * c.inv_actuator, -c.rate_limit, c.rate_limit),
+    )
+
+
+def pitch_limited(s: PitchState, c: Pitch) -> PitchState:
+    """Return the states, held within their limits."""
+    return PitchState(clip(s.pitch_integral, 0.0, c.angle_max), clip(s.pitch, 0.0, c.angle_max))
 
 
 class Rotor(NamedTuple):
     """Constants of the rotor."""
 
-    curve: CurveConstants
+    curve: aerodynamics.CurveConstants
     grid: Grid
     tip_speed: float  # ω_tn R [m/s]
     wind_power: float  # ρ π R² / (2 S_n) [p.u. s³/m³]
@@ -90,22 +125,22 @@ class Turbine(NamedTuple):
 
     rotor: Rotor
     pitch: Pitch
-    converter: Converter
+    converter: gfm.Converter
     limits: Limits
 
 
 class Extension(NamedTuple):
     """Constants of an extended group."""
 
-    limits: ConverterLimits
-    voltage: VoltageControl
+    limits: gfm.ConverterLimits
+    voltage: gfm.VoltageControl
     conserves_energy: float  # 1 for the rotor that keeps its energy, else 0
 
 
 class WtgState(NamedTuple):
-    """States."""
+    """States of a group."""
 
-    converter: ConverterState
+    converter: gfm.ConverterState
     rotor_speed: float  # ω_m [p.u.]
     pitch: PitchState
     energy_captured: float  # ∫ p_w dt [p.u. s]
@@ -116,7 +151,7 @@ class WtgInput(NamedTuple):
     """Constant over a control interval."""
 
     emf: float  # voltage behind the reactance [p.u.]
-    law: Law
+    law: gfm.Law
     connected: float  # 1, or 0 after a trip
     wind_start: float  # at the ends of the interval [m/s]
     wind_end: float
@@ -144,7 +179,7 @@ class WtgExtremes(NamedTuple):
 class ExtensionState(NamedTuple):
     """States of an extended group, besides its others."""
 
-    limits: LimitState
+    limits: gfm.LimitState
     internal_voltage: float  # E, instead of the constant `emf` [p.u.]
 
 
@@ -167,7 +202,7 @@ def wtg_voltage(s: WtgState, emf: float) -> tuple[float, float]:
 def captured_by_curve(rotor_speed: float, wind: float, pitch: float, c: Rotor) -> float:
     """Return p_w [p.u.] at a rotor speed [p.u.], a wind speed [m/s] and a pitch angle [deg], by the curve of C_p."""
     tip = c.tip_speed * max(rotor_speed, 1e-3)
-    return c.wind_power * wind * wind * wind * power_coefficient_at(tip, wind, pitch, c.curve)
+    return c.wind_power * wind * wind * wind * aerodynamics.power_coefficient_at(tip, wind, pitch, c.curve)
 
 
 def captured_by_table(rotor_speed: float, wind: float, pitch: float, c: Rotor, cells: ex.Cells) -> float:
@@ -203,23 +238,16 @@ def wtg_rates(
         omega_n: nominal angular frequency ω_n [rad/s].
         limiter: of an extended group: Δω [p.u.], and the most that P_st can be [p.u.].
     """
-    converter, k = converter_rates(
+    converter, k = gfm.converter_rates(
         s.converter, s.rotor_speed, power, u.law, c.converter, reference_speed, omega_n, limiter
     )
     power_limit = c.pitch.power_limit
     if limiter is not None:
         at_corners = c.pitch.power_limit_low, power_limit, c.pitch.power_limit_high
-        power_limit = tracking_coefficient(s.converter.speed + limiter[0], *at_corners, c.converter.corners)
+        power_limit = gfm.tracking_coefficient(s.converter.speed + limiter[0], *at_corners, c.converter.corners)
     pitch = pitch_rates(s.pitch, captured, s.rotor_speed, power_limit, c.pitch)
-    rates = WtgState(
-        converter=ConverterState(
-            u.connected * converter.angle, u.connected * converter.speed, u.connected * converter.filter
-        ),
-        rotor_speed=u.connected * c.rotor.inv_two_h * (captured - power),
-        pitch=PitchState(u.connected * pitch.pitch_integral, u.connected * pitch.pitch),
-        energy_captured=u.connected * captured,
-        energy_delivered=u.connected * power,
-    )
+    free = WtgState(converter, c.rotor.inv_two_h * (captured - power), pitch, captured, power)
+    rates = each(lambda rate: u.connected * rate, free)
     shift = 0.0 if limiter is None else u.connected * limiter[0]
     return rates, WtgOutput(wind, power, u.connected * captured, k, shift)
 
@@ -230,7 +258,7 @@ def frequency_of(s: WtgState, output: WtgOutput) -> float:
 
 
 def at_terminal(
-    e_re: float, e_im: float, i_re: float, i_im: float, limiting_reactance: float, share: float, c: Converter
+    e_re: float, e_im: float, i_re: float, i_im: float, limiting_reactance: float, share: float, c: gfm.Converter
 ) -> ExtensionOutput:
     """Return what a group measures at its terminal, given the voltage behind X_g and the current on its base."""
     v_re, v_im = e_re + c.reactance * i_im, e_im - c.reactance * i_re
@@ -248,10 +276,10 @@ def extended_rates(
     rates: WtgState,
     s: WtgState,
     x: ExtensionState,
-    limits: tuple[LimitState, float],
+    limits: tuple[gfm.LimitState, float],
     terminal: ExtensionOutput,
     u: WtgInput,
-    given: VoltageInput,
+    given: gfm.VoltageInput,
     c: Turbine,
     e: Extension,
 ) -> tuple[WtgState, ExtensionState]:
@@ -264,16 +292,10 @@ def extended_rates(
         terminal: voltage, reactive power, and what the current limiter takes.
     """
     of_limits, drawn = limits
-    emf = emf_rate(x.internal_voltage, terminal.terminal_voltage, terminal.reactive, terminal.cut, given, e.voltage)
+    emf = gfm.emf_rate(x.internal_voltage, terminal.terminal_voltage, terminal.reactive, terminal.cut, given, e.voltage)
     speed = select(e.conserves_energy > 0.5, max(s.rotor_speed, 0.01), 1.0)
-    captured = rates.energy_captured
-    extended = WtgState(
-        rates.converter,
-        c.rotor.inv_two_h * (captured - u.connected * drawn) / speed,
-        rates.pitch,
-        captured,
-        rates.energy_delivered,
-    )
+    rotor_speed = c.rotor.inv_two_h * (rates.energy_captured - u.connected * drawn) / speed
+    extended = rates._replace(rotor_speed=rotor_speed)
     return extended, ExtensionState(each(lambda rate: u.connected * rate, of_limits), u.connected * emf)
 
 
@@ -296,13 +318,12 @@ def rotor_of_energy(before: WtgState, after: WtgState, chopped: float, c: Turbin
 
 def extension_limited(x: ExtensionState, e: Extension) -> ExtensionState:
     """Return the further states of an extended group, held within their limits."""
-    return ExtensionState(limit_state_limited(x.limits), emf_limited(x.internal_voltage, e.voltage))
+    return ExtensionState(gfm.limit_state_limited(x.limits), gfm.emf_limited(x.internal_voltage, e.voltage))
 
 
 def wtg_limited(s: WtgState, c: Turbine) -> WtgState:
     """Return the states, held within their limits."""
-    pitch = pitch_limited(s.pitch, c.pitch)
-    return WtgState(s.converter, s.rotor_speed, pitch, s.energy_captured, s.energy_delivered)
+    return s._replace(pitch=pitch_limited(s.pitch, c.pitch))
 
 
 #: Phases of a search: both ends, the rotor speed between them, pitch steps at the limit, the pitch angle between two.
@@ -364,23 +385,23 @@ def searched(
 
 
 def turbine_constants(
-    turbine: TurbineParameters,
-    pitch: PitchParameters,
-    control: GridFormingParameters,
-    protection: ProtectionParameters,
+    turbine: parameters.TurbineParameters,
+    pitch: parameters.PitchParameters,
+    control: parameters.GridFormingParameters,
+    protection: parameters.ProtectionParameters,
     extended: bool,
 ) -> Turbine:
     """Return the constants of a turbine, extended or not, its controls and its protections."""
     reserve = (1.0, 1.0 - control.deloading_nominal, 1.0 - control.deloading_limit) if extended else (1.0, 1.0, 1.0)
-    best = tracking_point(0.0, turbine)
+    best = aerodynamics.tracking_point(0.0, turbine)
     rotor = Rotor(
-        curve=curve_constants(turbine.power_coefficient),
-        grid=surface_of(turbine.power_coefficient)[0],
+        curve=aerodynamics.curve_constants(turbine.power_coefficient),
+        grid=aerodynamics.surface_of(turbine.power_coefficient)[0],
         tip_speed=turbine.tip_speed_ratio_per_speed_m_s,
         wind_power=turbine.wind_power_pu_per_cubic_wind,
         inv_two_h=0.5 / turbine.inertia_constant_s,
         tip_speed_ratio_opt=best.tip_speed_ratio,
-        tip_speed_ratio_limit=tracking_point(control.deloading_limit, turbine).tip_speed_ratio,
+        tip_speed_ratio_limit=aerodynamics.tracking_point(control.deloading_limit, turbine).tip_speed_ratio,
         available_per_cubic_wind=turbine.wind_power_pu_per_cubic_wind * best.power_coefficient,
     )
     limits = Limits(
@@ -394,14 +415,16 @@ def turbine_constants(
         low_voltage=protection.low_voltage_pu,
         low_voltage_time=protection.low_voltage_time_s,
     )
-    return Turbine(rotor, pitch_constants(pitch, reserve), converter_constants(control), limits)
+    return Turbine(rotor, pitch_constants(pitch, reserve), gfm.converter_constants(control), limits)
 
 
 def extension_constants(
-    turbine: TurbineParameters,
-    limits: ConverterLimitParameters | None,
-    control: VoltageControlParameters | None,
+    turbine: parameters.TurbineParameters,
+    limits: parameters.ConverterLimitParameters | None,
+    control: parameters.VoltageControlParameters | None,
     simulation_dt: float,
 ) -> Extension:
     """Return the constants of an extended group, for a simulation step [s]."""
-    return Extension(converter_limits(limits, simulation_dt), voltage_control(control), float(turbine.conserves_energy))
+    return Extension(
+        gfm.converter_limits(limits, simulation_dt), gfm.voltage_control(control), float(turbine.conserves_energy)
+    )

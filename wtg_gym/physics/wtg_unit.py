@@ -1,56 +1,28 @@
-"""Groups of wind turbine generators as units: their parts, and the systems that move them."""
+"""Groups of wind turbine generators as units, and what extended ones have besides: the limits of their currents."""
 
 from __future__ import annotations
 
 import math
 
-from wtg_gym.physics.converter import ConverterState
-from wtg_gym.physics.pitch import PitchState
-from wtg_gym.physics.runge_kutta import moving
-from wtg_gym.physics.units import (
-    ISLANDS,
-    LANE,
-    UNITS,
-    Back,
-    Connection,
-    Phasor,
-    StartFailure,
-    Terminal,
-    noted,
-    quotient,
-)
-from wtg_gym.physics.wind_turbine import (
-    FOUND,
-    Search,
-    Turbine,
-    WtgExtremes,
-    WtgInput,
-    WtgOutput,
-    WtgState,
-    captured_by_curve,
-    captured_by_table,
-    search_begun,
-    searched,
-    wind_at,
-    wtg_limited,
-    wtg_rates,
-    wtg_voltage,
-)
+from wtg_gym.physics import converter as gfm
+from wtg_gym.physics import units
+from wtg_gym.physics import wind_turbine as equations
+from wtg_gym.physics.units import LANE, UNITS, Connection, Failure, Phasor
+from wtg_gym.physics.wind_turbine import Extension, ExtensionState, Search, Turbine, WtgInput, WtgState
 from wtg_gym.systems import expressions as ex
-from wtg_gym.systems.elementary import select
-from wtg_gym.systems.records import each
-from wtg_gym.systems.systems import Kind, system
+from wtg_gym.systems.elementary import fma, select
+from wtg_gym.systems.systems import Kind, each, system
 
 GROUPS = Kind(
     name="WTG groups",
-    rows={"state": WtgState, "given": WtgInput, "output": WtgOutput, "extremes": WtgExtremes},
+    rows={"state": WtgState, "given": WtgInput, "output": equations.WtgOutput, "extremes": equations.WtgExtremes},
     scratch={
         "captured": float,  # power from the wind, connected or not [p.u.]
         "search": Search,  # for the equilibrium
     },
     # The share is the rating on the base of the system.
     constants={"turbine": Turbine, "cells": ex.Cells, "share": float, "inv_share": float},
-    sees={"unit": UNITS, "island": ISLANDS, "lane": LANE},
+    sees={"unit": UNITS, "island": units.ISLANDS, "lane": LANE},
     states=("state",),
 )
 
@@ -58,13 +30,7 @@ GROUPS = Kind(
 @system(GROUPS, "search", "rotor_speed", "pitch")
 def start_search(given: WtgInput, curtailment: float, turbine: Turbine) -> tuple[Search, float, float]:
     """Begin to look for the equilibrium of the turbine, which tries one state after the other."""
-    return search_begun(given.wind_start, curtailment * given.law.k_nominal, turbine)
-
-
-@system(LANE, "searching")
-def reset_search_count() -> float:
-    """Begin to count groups whose equilibrium is not found yet."""
-    return 0.0
+    return equations.search_begun(given.wind_start, curtailment * given.law.k_nominal, turbine)
 
 
 @system(GROUPS, "search", "rotor_speed", "pitch", "searching")
@@ -79,11 +45,13 @@ def advance_search(
     searching: float,
 ) -> tuple[Search, float, float, float]:
     """Judge the state that was tried by the power that it captures, and choose the next."""
-    search, rotor_speed, pitch = searched(search, rotor_speed, pitch, own_captured, curtailment * k_nominal, turbine)
-    return search, rotor_speed, pitch, searching + select(search.phase < FOUND, 1.0, 0.0)
+    search, rotor_speed, pitch = equations.searched(
+        search, rotor_speed, pitch, own_captured, curtailment * k_nominal, turbine
+    )
+    return search, rotor_speed, pitch, searching + select(search.phase < equations.FOUND, 1.0, 0.0)
 
 
-@system(GROUPS, "planned_power", "start_failure", "failing_unit")
+@system(GROUPS, "planned_power", "failure")
 def plan_group(
     search: Search,
     rotor_speed: float,
@@ -91,25 +59,27 @@ def plan_group(
     curtailment: float,
     share: float,
     connection: Connection,
-    start_failure: float,
-    failing_unit: float,
-) -> tuple[float, float, float]:
+    failure: Failure,
+) -> tuple[float, Failure]:
     """Return what a group feeds in before any policy has acted, and note one without an equilibrium."""
     power = share * (curtailment * k_nominal) * (rotor_speed * (rotor_speed * rotor_speed))
-    fits = search.phase == FOUND
-    return power, *noted(fits, StartFailure.NO_TURBINE_EQUILIBRIUM, connection.number, start_failure, failing_unit)
+    return power, units.noted(
+        search.phase == equations.FOUND, units.StartFailure.NO_TURBINE_EQUILIBRIUM, connection.number, failure
+    )
 
 
 @system(GROUPS, "state", "emf", "connected", "extremes")
 def start_group(
-    start: Terminal, connection: Connection, rotor_speed: float, pitch: float, frame: float
-) -> tuple[WtgState, float, float, WtgExtremes]:
+    start: units.Terminal, connection: Connection, rotor_speed: float, pitch: float, frame: float
+) -> tuple[WtgState, float, float, equations.WtgExtremes]:
     """Return the state of a group in the equilibrium that the search has found, and its internal voltage."""
-    drop = quotient(start.current, connection.y)
+    drop = units.quotient(start.current, connection.y)
     emf = Phasor(start.voltage.re + drop.re, start.voltage.im + drop.im)
-    converter = ConverterState(angle=math.atan2(emf.im, emf.re) - frame, speed=1.0, filter=0.0)
-    state = WtgState(converter, rotor_speed, PitchState(pitch, pitch), energy_captured=0.0, energy_delivered=0.0)
-    return state, math.hypot(emf.re, emf.im), 1.0, WtgExtremes(-math.inf, math.inf, -math.inf, 0.0)
+    converter = gfm.ConverterState(angle=math.atan2(emf.im, emf.re) - frame, speed=1.0, filter=0.0)
+    state = WtgState(
+        converter, rotor_speed, equations.PitchState(pitch, pitch), energy_captured=0.0, energy_delivered=0.0
+    )
+    return state, math.hypot(emf.re, emf.im), 1.0, equations.WtgExtremes(-math.inf, math.inf, -math.inf, 0.0)
 
 
 @system(GROUPS, "k_min", "k_nominal", "k_max", when="no machine")
@@ -126,13 +96,13 @@ def return_group(
     inv_tau: float,
     connected: float,
     returns: float,
-    back: Back,
+    back: units.Back,
     turbine: Turbine,
 ) -> tuple[WtgState, float, float, float]:
     """Synchronise a group that comes back; rotor and blades are as they stood."""
     comes = returns > 0.5
     deviation = select(inv_tau > 0.0, back.bus_speed - turbine.converter.corners.frequency_setpoint, 0.0)
-    found = ConverterState(back.bus_angle, back.bus_speed, deviation)
+    found = gfm.ConverterState(back.bus_angle, back.bus_speed, deviation)
     converter = each(lambda new, old: select(comes, new, old), found, state.converter)
     return (
         state._replace(converter=converter),
@@ -142,28 +112,26 @@ def return_group(
     )
 
 
-@system(GROUPS, "overload_time")
-def reset_overload_time() -> float:
-    """Let overload count from the first step on."""
-    return 0.0
-
-
 @system(GROUPS, "voltage", when="constant voltage")
 def voltage_of_group(state: WtgState, given: WtgInput) -> Phasor:
     """Return the voltage behind the reactance."""
-    return Phasor(*wtg_voltage(state, given.emf))
+    return Phasor(*equations.wtg_voltage(state, given.emf))
 
 
 @system(GROUPS, "own_captured", when="curve")
 def capture_by_curve(state: WtgState, given: WtgInput, turbine: Turbine, fraction: float) -> float:
     """Return the power from the wind."""
-    return captured_by_curve(state.rotor_speed, wind_at(given, fraction), state.pitch.pitch, turbine.rotor)
+    return equations.captured_by_curve(
+        state.rotor_speed, equations.wind_at(given, fraction), state.pitch.pitch, turbine.rotor
+    )
 
 
 @system(GROUPS, "own_captured", when="table")
 def capture_by_table(state: WtgState, given: WtgInput, turbine: Turbine, cells: ex.Cells, fraction: float) -> float:
     """Return the power from the wind."""
-    return captured_by_table(state.rotor_speed, wind_at(given, fraction), state.pitch.pitch, turbine.rotor, cells)
+    return equations.captured_by_table(
+        state.rotor_speed, equations.wind_at(given, fraction), state.pitch.pitch, turbine.rotor, cells
+    )
 
 
 def power_of(voltage: Phasor, current: Phasor, inv_share: float) -> float:
@@ -183,10 +151,257 @@ def rates_of_group(
     reference_speed: float,
     omega_n: float,
     fraction: float,
-) -> tuple[WtgState, WtgOutput]:
+) -> tuple[WtgState, equations.WtgOutput]:
     """Return rates and outputs of a group that is not extended."""
     power = power_of(voltage, current, inv_share)
-    return wtg_rates(state, power, own_captured, wind_at(given, fraction), given, turbine, reference_speed, omega_n)
+    return equations.wtg_rates(
+        state, power, own_captured, equations.wind_at(given, fraction), given, turbine, reference_speed, omega_n
+    )
 
 
-stage_of_group = moving(rates_of_group, wtg_limited, constants=["turbine"])
+stage_of_group = units.moving(rates_of_group, equations.wtg_limited, constants=["turbine"])
+#: A voltage that moves by less than this in a sweep has settled [p.u.]; the squares are compared.
+_SETTLED = 1e-12 * 1e-12
+EXTENSIONS = Kind(
+    name="extensions",
+    rows={
+        "own": ExtensionState,
+        "references": gfm.VoltageInput,
+        "terminal": equations.ExtensionOutput,
+        "heat": float,  # of the chopper [p.u. s]
+        "over_voltage": gfm.OverVoltage,
+        "largest_voltage": float,  # at the terminal while connected, as protections sample it [p.u.]
+    },
+    scratch={
+        "reactance": float,  # X_v that limits the current [p.u. of the system]
+        "source": Phasor,  # voltage behind X_g before its current is limited [p.u.]
+        "change": Phasor,  # of the voltage behind X_g in the latest sweep [p.u.]
+    },
+    constants={"extension": Extension},
+    sees={"group": GROUPS, "unit": UNITS, "bus_": units.BUSES, "own_entry_": units.PAIRS, "lane": LANE},
+    states=("own",),
+)
+#: The column of each extended group in the admittance matrix: one entry for every unit.
+COLUMNS = Kind(name="columns", sees={"entry": units.PAIRS, "unit": UNITS, "group": EXTENSIONS})
+
+
+@system(EXTENSIONS, "own", "references", "heat", "over_voltage", "largest_voltage")
+def start_extension(
+    start: units.Terminal, emf: float, share: float
+) -> tuple[ExtensionState, gfm.VoltageInput, float, gfm.OverVoltage, float]:
+    """Return the equilibrium of the internal voltage, the references that keep it, and a cold chopper."""
+    own = ExtensionState(gfm.LimitState(0.0, 0.0, 0.0), emf)
+    references = gfm.VoltageInput(start.magnitude, start.reactive / share)
+    return own, references, 0.0, gfm.OverVoltage(0.0, 0.0, 0.0, 0.0, 0.0), start.magnitude
+
+
+@system(EXTENSIONS, "own", "heat")
+def return_extension(
+    own: ExtensionState, heat: float, returns: float, back: units.Back
+) -> tuple[ExtensionState, float]:
+    """Return the voltage of its bus and a limiter at rest for a group that comes back, with a cold chopper."""
+    comes = returns > 0.5
+    found = ExtensionState(gfm.LimitState(0.0, 0.0, own.limits.energy_chopped), back.bus_voltage)
+    return each(lambda new, old: select(comes, new, old), found, own), select(comes, 0.0, heat)
+
+
+@system(EXTENSIONS, "failure")
+def check_extension(
+    own: ExtensionState,
+    terminal: equations.ExtensionOutput,
+    output: equations.WtgOutput,
+    rotor_speed: float,
+    extension: Extension,
+    connection: Connection,
+    failure: Failure,
+) -> Failure:
+    """Note a group that would start beyond the limits of its converter or of its internal voltage."""
+    limits, control, power = extension.limits, extension.voltage, output.power
+    fits = (
+        (terminal.limiting_reactance <= 0.0)
+        & (limits.power_min <= power)
+        & (power <= gfm.most_power(rotor_speed, limits))
+    )
+    failure = units.noted(fits, units.StartFailure.CONVERTER_LIMIT, connection.number, failure)
+    fits = (control.emf_min <= own.internal_voltage) & (own.internal_voltage <= control.emf_max)
+    return units.noted(fits, units.StartFailure.INTERNAL_VOLTAGE_LIMIT, connection.number, failure)
+
+
+@system(EXTENSIONS, "voltage")
+def voltage_of_extended(state: WtgState, own: ExtensionState) -> Phasor:
+    """Return the voltage behind the reactance."""
+    return Phasor(*equations.wtg_voltage(state, own.internal_voltage))
+
+
+@system(EXTENSIONS, "reactance", "source", "exceeded")
+def find_exceeded_limits(
+    voltage: Phasor, unit_current: Phasor, extension: Extension, share: float, exceeded: float
+) -> tuple[float, Phasor, float]:
+    """Keep the voltage without a limit, and count groups whose current is too large."""
+    largest = (extension.limits.current_max * share) * (extension.limits.current_max * share)
+    too_large = fma(unit_current.re, unit_current.re, unit_current.im * unit_current.im) > largest
+    return 0.0, voltage, exceeded + select(too_large, 1.0, 0.0)
+
+
+def _limit(
+    own_entry_admittance: Phasor,
+    source: Phasor,
+    voltage: Phasor,
+    unit_current: Phasor,
+    extension: Extension,
+    share: float,
+    unsettled: float,
+    settled: float,
+) -> tuple[float, Phasor, Phasor, float]:
+    y, e = own_entry_admittance, voltage
+    free = units.plus(unit_current, y, Phasor(source.re - e.re, source.im - e.im))
+    reactance = gfm.limiting_reactance(free.re, free.im, y.re, y.im, extension.limits.current_max * share)
+    # E' = E - jX_v I, and I = I_0 / (1 + jX_v Y).
+    d_re, d_im = 1.0 - reactance * y.im, reactance * y.re
+    size = reactance / fma(d_re, d_re, d_im * d_im)
+    drop_re = size * fma(free.re, d_re, free.im * d_im)
+    drop_im = size * fma(free.im, d_re, -(free.re * d_im))
+    change = Phasor(source.re + drop_im - e.re, source.im - drop_re - e.im)
+    moves = fma(change.re, change.re, change.im * change.im) > settled
+    change = Phasor(select(moves, change.re, 0.0), select(moves, change.im, 0.0))
+    moved = Phasor(e.re + change.re, e.im + change.im)
+    return reactance, moved, change, unsettled + select(moves, 1.0, 0.0)
+
+
+def _limit_that_moves(
+    own_entry_admittance: Phasor,
+    source: Phasor,
+    voltage: Phasor,
+    unit_current: Phasor,
+    extension: Extension,
+    share: float,
+    unsettled: float,
+) -> tuple[float, Phasor, Phasor, float]:
+    # However little a voltage moves: where it stands is where the limit holds.
+    return _limit(own_entry_admittance, source, voltage, unit_current, extension, share, unsettled, -1.0)
+
+
+@system(EXTENSIONS, "reactance", "voltage", "change", "unsettled", backward=_limit_that_moves)
+def limit_current(
+    own_entry_admittance: Phasor,
+    source: Phasor,
+    voltage: Phasor,
+    unit_current: Phasor,
+    extension: Extension,
+    share: float,
+    unsettled: float,
+) -> tuple[float, Phasor, Phasor, float]:
+    """Find the limiting reactance with all other voltages fixed, and the voltage behind it.
+
+    A lane without such a group, or one that has settled, keeps its bits, whatever its neighbours do.
+    """
+    return _limit(own_entry_admittance, source, voltage, unit_current, extension, share, unsettled, _SETTLED)
+
+
+@system(COLUMNS, "unit_current")
+def follow_change(unit_current: Phasor, admittance: Phasor, change: Phasor) -> Phasor:
+    """Return the current of a unit after the voltage of a group has changed."""
+    return units.plus(unit_current, admittance, change)
+
+
+@system(EXTENSIONS, "state_rates", "own_rates", "output", "terminal")
+def rates_of_extended(
+    state: WtgState,
+    own: ExtensionState,
+    voltage: Phasor,
+    unit_current: Phasor,
+    reactance: float,
+    bus_magnitude: float,
+    given: WtgInput,
+    references: gfm.VoltageInput,
+    group_captured: float,
+    turbine: Turbine,
+    extension: Extension,
+    share: float,
+    inv_share: float,
+    reference_speed: float,
+    omega_n: float,
+    fraction: float,
+) -> tuple[WtgState, ExtensionState, equations.WtgOutput, equations.ExtensionOutput]:
+    """Return the rates of both kinds of state, and the outputs."""
+    power, most = power_of(voltage, unit_current, inv_share), gfm.most_power(state.rotor_speed, extension.limits)
+    limit_rates, shift, drawn = gfm.power_limiter(own.limits, power, most, extension.limits)
+    rates, output = equations.wtg_rates(
+        state,
+        power,
+        group_captured,
+        equations.wind_at(given, fraction),
+        given,
+        turbine,
+        reference_speed,
+        omega_n,
+        limiter=(shift, most),
+    )
+    i_re, i_im = inv_share * unit_current.re, inv_share * unit_current.im
+    terminal = equations.at_terminal(voltage.re, voltage.im, i_re, i_im, reactance, share, turbine.converter)
+    # A group that is disconnected measures its bus.
+    seen = select(given.connected > 0.5, terminal.terminal_voltage, bus_magnitude)
+    terminal = terminal._replace(terminal_voltage=seen)
+    rates, own_rates = equations.extended_rates(
+        rates, state, own, (limit_rates, drawn), terminal, given, references, turbine, extension
+    )
+    return rates, own_rates, output, terminal
+
+
+stage_of_extended = units.moving(
+    rates_of_extended, equations.wtg_limited, equations.extension_limited, constants=["turbine", "extension"]
+)
+
+
+@system(EXTENSIONS, "rotor_speed", "heat")
+def keep_energy(
+    state: WtgState,
+    state_base: WtgState,
+    own: ExtensionState,
+    own_base: ExtensionState,
+    heat: float,
+    turbine: Turbine,
+    extension: Extension,
+    active: float,
+) -> tuple[float, float]:
+    """Return the rotor speed that follows from the energies of a step of a running lane, and the chopper's heat."""
+    chopped, runs = own.limits.energy_chopped - own_base.limits.energy_chopped, active > 0.5
+    return (
+        select(runs, equations.rotor_of_energy(state_base, state, chopped, turbine, extension), state.rotor_speed),
+        select(runs, fma(extension.limits.heat_kept, heat, chopped), heat),
+    )
+
+
+@system(EXTENSIONS, "connected", "next_change")
+def judge_chopper(
+    heat: float, given: WtgInput, extension: Extension, next_change: float, step: float, active: float
+) -> tuple[float, float]:
+    """Disconnect a group whose chopper is full: its DC voltage would rise without an end."""
+    full = (heat > extension.limits.chopper_energy) & (given.connected > 0.5) & (active > 0.5)
+    return select(full, 0.0, given.connected), select(full, step, next_change)
+
+
+@system(EXTENSIONS, "connected", "next_change", "over_voltage", "largest_voltage")
+def judge_over_voltage(
+    terminal_voltage: float,
+    given: WtgInput,
+    over_voltage: gfm.OverVoltage,
+    largest_voltage: float,
+    next_change: float,
+    step: float,
+    active: float,
+    simulation_dt: float,
+) -> tuple[float, float, gfm.OverVoltage, float]:
+    """Disconnect a group whose voltage has been above one of `OVER_VOLTAGES` for longer than it has to stay."""
+    there, trips = (given.connected > 0.5) & (active > 0.5), given.connected < 0.0
+    steps = []
+    for (level, time_s), last in zip(gfm.OVER_VOLTAGES, over_voltage, strict=True):
+        last_below = select((terminal_voltage > level) & there, last, step)
+        trips = trips | ((step - last_below) * simulation_dt > time_s)
+        steps.append(last_below)
+    return (
+        select(trips, 0.0, given.connected),
+        select(trips, step, next_change),
+        gfm.OverVoltage(*steps),
+        select(there, max(largest_voltage, terminal_voltage), largest_voltage),
+    )

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from wtg_gym import single_wtg as wtg
 from wtg_gym.physics.aerodynamics import available_power_pu, power_coefficient, tracking_point
 from wtg_gym.physics.scenario import Scenario
 from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY, STRATEGIES, TrackingLaw
@@ -14,20 +15,6 @@ from wtg_gym.physics.trajectory import Trajectory
 from wtg_gym.plotting import style
 from wtg_gym.plotting.trajectories import PANELS, Panel, plot_trajectories
 from wtg_gym.scenarios import get_suite
-from wtg_gym.single_wtg import (
-    CONTROL,
-    LINEAR_UNDAMPED,
-    SIDES,
-    TURBINE,
-    WINDS,
-    OperatingPoint,
-    SingleMachine,
-    critical_frequency_pu,
-    equilibria,
-    ideal_source_loop,
-    named_points,
-    single_machine,
-)
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -50,16 +37,18 @@ def paper_figures(
     increase: Mapping[str, Trajectory], decrease: Mapping[str, Trajectory]
 ) -> Iterator[tuple[str, Figure]]:
     """Draw the paper's figures one by one: name of the file, figure. The runs are the case studies'."""
-    wind, reference, suite = WINDS[0], STRATEGIES[REFERENCE_STRATEGY], get_suite("paper")
+    wind, reference, suite = wtg.WINDS[0], STRATEGIES[REFERENCE_STRATEGY], get_suite("paper")
     fixed = ("mppt", "deloaded-5", "deloaded-10")
     yield "power-coefficient", plot_power_coefficient()
     for name in (*fixed, reference.name):
         yield f"characteristic-{name}", plot_characteristic(STRATEGIES[name])
-    loops = {name: single_machine(STRATEGIES[name], wind) for name in fixed}
-    linear = {"coordinated-linear": single_machine(STRATEGIES["coordinated-linear"], wind)}
-    undamped = {LINEAR_UNDAMPED.name: single_machine(LINEAR_UNDAMPED, wind)}
-    slopes = {f"{reference.name}, {side}-frequency": single_machine(reference, wind, side=side) for side in SIDES}
-    yield "bode-comparison", plot_bode({"ideal-source": ideal_source_loop(), **loops, **undamped})
+    loops = {name: wtg.single_machine(STRATEGIES[name], wind) for name in fixed}
+    linear = {"coordinated-linear": wtg.single_machine(STRATEGIES["coordinated-linear"], wind)}
+    undamped = {wtg.LINEAR_UNDAMPED.name: wtg.single_machine(wtg.LINEAR_UNDAMPED, wind)}
+    slopes = {
+        f"{reference.name}, {side}-frequency": wtg.single_machine(reference, wind, side=side) for side in wtg.SIDES
+    }
+    yield "bode-comparison", plot_bode({"ideal-source": wtg.ideal_source_loop(), **loops, **undamped})
     yield "bode-proposed", plot_bode({**linear, **undamped, **slopes})
     yield "load-increase", plot_case_study(suite.scenario(0), increase)
     yield "load-decrease", plot_case_study(suite.scenario(1), decrease)
@@ -107,12 +96,12 @@ def plot_characteristic(law: TrackingLaw) -> Figure:
     stable equilibria solid, unstable ones dashed, frequencies without any shaded. For the points A_i … M_i at the i-th
     wind see :func:`~wtg_gym.single_wtg.named_points`.
     """
-    corners = (CONTROL.frequency_min_pu, CONTROL.frequency_setpoint_pu, CONTROL.frequency_max_pu)
+    corners = (wtg.CONTROL.frequency_min_pu, wtg.CONTROL.frequency_setpoint_pu, wtg.CONTROL.frequency_max_pu)
     low, high = corners[0] - _BEYOND, corners[2] + _BEYOND
     figure = style.new_figure(style.DOUBLE_COLUMN_MM, 74.0)
     panels = figure.subplots(1, 3, width_ratios=(1.1, 1.0, 1.0))
-    for number, (wind, colour) in enumerate(zip(WINDS, style.PALETTE, strict=False), start=1):
-        critical = critical_frequency_pu(law, wind, lowest_pu=low)
+    for number, (wind, colour) in enumerate(zip(wtg.WINDS, style.PALETTE, strict=False), start=1):
+        critical = wtg.critical_frequency_pu(law, wind, lowest_pu=low)
         _draw_rotor_curve(panels[0], law, wind, critical, colour)
         points = _equilibria_between(low, high, law, wind, critical)
         stable, unstable = ([p for p in points if p.stable == wanted] for wanted in (True, False))
@@ -123,7 +112,7 @@ def plot_characteristic(law: TrackingLaw) -> Figure:
                 text = f"no equilibrium at {wind:g} m/s"
                 axes.axvspan(low, critical, color=colour, alpha=0.1, linewidth=0.0, label=text)
         for axes, (x, y) in zip(panels, _PANELS, strict=True):
-            for name, point in named_points(law, wind).items():
+            for name, point in wtg.named_points(law, wind).items():
                 place = getattr(point, x), getattr(point, y)
                 axes.plot(*place, "o", color=colour, zorder=5)
                 text = rf"$\mathregular{{{name}_{number}}}$"
@@ -143,30 +132,32 @@ def plot_characteristic(law: TrackingLaw) -> Figure:
     return figure
 
 
-def _values(points: Iterable[OperatingPoint], *names: str) -> list[list[float]]:
+def _values(points: Iterable[wtg.OperatingPoint], *names: str) -> list[list[float]]:
     return [[getattr(point, name) for point in points] for name in names]
 
 
 def _equilibria_between(
     low_pu: float, high_pu: float, law: TrackingLaw, wind_m_s: float, critical_pu: float | None
-) -> list[OperatingPoint]:
+) -> list[wtg.OperatingPoint]:
     """Return the stable and the unstable equilibria over a range of frequencies, from where they are lost if so."""
     frequencies = np.linspace(low_pu, high_pu, 126)
     if critical_pu is not None:
         # Both branches leave the point where they meet like a square root of the distance.
         near = critical_pu + np.geomspace(1e-9, 1e-3, 40)
         frequencies = np.unique(np.append(frequencies[frequencies > critical_pu], near))
-    return [point for frequency in frequencies for point in equilibria(float(frequency), law, wind_m_s)[-2:]]
+    return [point for frequency in frequencies for point in wtg.equilibria(float(frequency), law, wind_m_s)[-2:]]
 
 
 def _draw_rotor_curve(axes: Axes, law: TrackingLaw, wind_m_s: float, critical_pu: float | None, colour: str) -> None:
     """Draw captured power over rotor speed, and the demand that touches it where the equilibrium is lost."""
     speeds = np.linspace(0.1, 1.4, 300)
-    ratios = TURBINE.tip_speed_ratio_per_speed_m_s * speeds / wind_m_s
-    captured = TURBINE.wind_power_pu_per_cubic_wind * wind_m_s**3 * power_coefficient(ratios)
+    ratios = wtg.TURBINE.tip_speed_ratio_per_speed_m_s * speeds / wind_m_s
+    captured = wtg.TURBINE.wind_power_pu_per_cubic_wind * wind_m_s**3 * power_coefficient(ratios)
     axes.plot(speeds, captured, color=colour)
     if critical_pu is not None and np.isinf(law.damping_time_constant_s):
-        demand = law.k_nominal * speeds**3 + CONTROL.droop_gain_pu * (CONTROL.frequency_setpoint_pu - critical_pu)
+        demand = law.k_nominal * speeds**3 + wtg.CONTROL.droop_gain_pu * (
+            wtg.CONTROL.frequency_setpoint_pu - critical_pu
+        )
         axes.plot(speeds, demand, ":", color=colour, linewidth=0.9)
 
 
@@ -180,7 +171,7 @@ def _draw_tracking_curves(axes: Axes, law: TrackingLaw) -> None:
 
 
 @style.printed
-def plot_bode(loops: Mapping[str, SingleMachine]) -> Figure:
+def plot_bode(loops: Mapping[str, wtg.SingleMachine]) -> Figure:
     """Draw the open loops of strategies over angular frequency, with crossovers and phase margins.
 
     The paper's figures `BodeComparison` and `BodeProposed`. A dot marks the gain crossover; a line from -180° up to
@@ -217,14 +208,14 @@ def plot_case_study(scenario: Scenario, runs: Mapping[str, Trajectory]) -> Figur
     The paper's figures `SimulationLoadIncrease` and `SimulationLoadShed`. Grey lines: available power and 90 % of it,
     rotor speed of maximum power, K_opt, K_n and K_pr.
     """
-    columns = {f"GFM-WTG {group} ({wind:g} m/s)": _panels(wind) for group, wind in enumerate(WINDS, start=1)}
+    columns = {f"GFM-WTG {group} ({wind:g} m/s)": _panels(wind) for group, wind in enumerate(wtg.WINDS, start=1)}
     return plot_trajectories(runs, scenario, columns)
 
 
 def _panels(wind_m_s: float) -> tuple[Panel, ...]:
     """Return the panels of a group in a case study, from above; all reference lines are drawn."""
     law, available = STRATEGIES[REFERENCE_STRATEGY], float(available_power_pu(wind_m_s))
-    best_speed = tracking_point().tip_speed_ratio * wind_m_s / TURBINE.tip_speed_ratio_per_speed_m_s
+    best_speed = tracking_point().tip_speed_ratio * wind_m_s / wtg.TURBINE.tip_speed_ratio_per_speed_m_s
     powers = {r"$p_{avail}$": available, r"0.9 $p_{avail}$": 0.9 * available}
     coefficients = {r"$K_{opt}$": law.k_min, "$K_n$": law.k_nominal, r"$K_{pr}$": law.k_max}
     _, power, rotor, coefficient = PANELS

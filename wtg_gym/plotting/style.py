@@ -124,26 +124,18 @@ def new_figure(width_mm: float = SINGLE_COLUMN_MM, height_mm: float = 65.0) -> F
 
 
 def figure_bytes(figure: Figure, suffix: str) -> bytes:
-    """Return a figure as a file, the same bytes on each run; with print's fonts, and text as text in SVG and PDF.
-
-    Raises:
-        ValueError: the suffix is another one.
-    """
-    kind = suffix.lower().removeprefix(".")
-    if kind not in _METADATA:
+    """Return a figure as a file, the same bytes on each run; a ValueError if the suffix is none of png, svg, pdf."""
+    ending = suffix.lower().removeprefix(".")
+    if ending not in _METADATA:
         raise ValueError(f"a figure is written as {', '.join(_METADATA)}, got {suffix!r}")
     picture = io.BytesIO()
     with print_style():
-        figure.savefig(picture, format=kind, dpi=PRINT_DPI, metadata=_METADATA[kind])
+        figure.savefig(picture, format=ending, dpi=PRINT_DPI, metadata=_METADATA[ending])
     return picture.getvalue()
 
 
 def save_figure(figure: Figure, path_without_suffix: Path, suffixes: Iterable[str] = ("svg", "png")) -> list[Path]:
-    """Write a figure in several formats next to each other; return the paths.
-
-    Raises:
-        ValueError: a suffix is another one; nothing has been written then.
-    """
+    """Write a figure in several formats next to each other, all or none; return the paths."""
     folder, name = path_without_suffix.parent, path_without_suffix.name
     contents = {
         folder / f"{name}.{suffix.lower().removeprefix('.')}": figure_bytes(figure, suffix) for suffix in suffixes
@@ -158,10 +150,7 @@ def letter_panel(axes: Axes, letter: str, text: str = "") -> None:
 
 
 def draw_reference(axes: Axes, y: float, name: str, *, below: bool = False) -> None:
-    """Draw a thin dashed line at height y in data units, and its name right of the panel, where the layout has room.
-
-    With `below` the name stands below the line's height, for one that another line is near to.
-    """
+    """Draw a thin dashed line at height y in data units; its name stands right of the panel, or `below` that height."""
     side = "top" if below else "center"
     axes.axhline(y, linewidth=0.7, zorder=1, **REFERENCE)
     at_right = axes.get_yaxis_transform()

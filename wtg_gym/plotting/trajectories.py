@@ -1,22 +1,29 @@
-"""The figure of recorded runs of one scenario under several strategies."""
+"""The figure of recorded runs of one scenario under several strategies; marks of events and ends over time."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from typing import TYPE_CHECKING, NamedTuple
+import itertools
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from typing import TYPE_CHECKING, Any, NamedTuple
 
+from wtg_gym.envs.rendering.diagram import undone
 from wtg_gym.physics.layout import Floats
-from wtg_gym.physics.scenario import Scenario
+from wtg_gym.physics.protection import Status
+from wtg_gym.physics.scenario import Event, Scenario
 from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY
 from wtg_gym.physics.trajectory import Trajectory
 from wtg_gym.plotting import style
-from wtg_gym.plotting.event_marks import draw_run, endings, explain_events, mark_instants
 
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 #: Most WTG groups that are drawn, and the width of a column at the least [mm].
 _MOST_COLUMNS, _COLUMN_MM = 4, 70.0
+#: Instants closer than this, as a share of the time axis, share a label, for theirs would overprint.
+_LABEL_WIDTH = 0.05
+#: Most characters of a line of events.
+_LINE_LENGTH = 100
 
 
 class Panel(NamedTuple):
@@ -76,3 +83,61 @@ def plot_trajectories(
     figure.legend(handles, labels, loc="outside lower center", ncols=min(4, len(labels)), handlelength=3.6)
     explain_events(figure, scenario)
     return figure
+
+
+# --- events and ends over time ----------------------------------------------------------------------------------------
+
+
+def _by_instant(scenario: Scenario) -> list[list[Event]]:
+    """Return the events of a run, those of an instant together."""
+    events = sorted((e for e in scenario.events if e.time_s <= scenario.duration_s), key=lambda e: e.time_s)
+    return [list(group) for _, group in itertools.groupby(events, key=lambda e: e.time_s)]
+
+
+def mark_instants(axes: Axes, scenario: Scenario, *, numbered: bool) -> None:
+    """Draw a dotted line at every event, with its number above if `numbered`, and where a line closes again."""
+    instants = [events[0].time_s for events in _by_instant(scenario)]
+    for instant in (*instants, *(event.end_s for event in undone(scenario.events, scenario.duration_s))):
+        axes.axvline(instant, color=style.REFERENCE_GREY, linewidth=0.7, linestyle=style.DOTS, zorder=1)
+    groups: list[list[int]] = []
+    for index, instant in enumerate(instants) if numbered else ():
+        if groups and instant - instants[groups[-1][-1]] < _LABEL_WIDTH * scenario.duration_s:
+            groups[-1].append(index)
+        else:
+            groups.append([index])
+    for group in groups:
+        place, numbers = sum(instants[i] for i in group) / len(group), ", ".join(str(1 + i) for i in group)
+        above = axes.get_xaxis_transform()
+        axes.text(place, 1.01, f"({numbers})", transform=above, fontsize=style.SMALL_PT, ha="center")
+
+
+def explain_events(figure: Figure, scenario: Scenario) -> None:
+    """Write the scenario's name at the top left of a figure and its numbered events at the top right."""
+    lines: list[str] = []
+    for number, events in enumerate(_by_instant(scenario), start=1):
+        text = f"({number}) {events[0].time_s:g} s: " + " and ".join(event.words for event in events)
+        if lines and len(lines[-1]) + len(text) < _LINE_LENGTH:
+            # SVG shows several blanks in a row as one.
+            text = f"{lines.pop()};  {text}"
+        lines.append(text)
+    # The layout makes room for the title only: it gets as many lines as the events beside it.
+    figure.suptitle("\n".join([scenario.name, *[""] * (len(lines) - 1)]), x=0.01, ha="left")
+    figure.text(0.99, 0.993, "\n".join(lines), ha="right", va="top", fontsize=style.SMALL_PT)
+
+
+def draw_run(axes: Axes, run: Trajectory, values: Floats, colour: str, **line: Any) -> None:
+    """Draw a quantity (n,) of a run over time, with a cross at its end where that came before its time."""
+    axes.plot(run.time_s, values, color=colour, **line)
+    if run.status != Status.RUNNING:
+        mark_end(axes, float(run.time_s[-1]), float(values[-1]), colour)
+
+
+def mark_end(axes: Axes, time_s: float, value: float, colour: str) -> None:
+    """Draw a cross where a run ended before its time."""
+    axes.plot(time_s, value, "x", color=colour, markersize=5.5, markeredgewidth=1.4, zorder=4)
+
+
+def endings(runs: Iterable[Trajectory]) -> str:
+    """Return why runs ended before their time: "stall", "stall or over speed"; empty where none did."""
+    reasons = {run.status for run in runs} - {Status.RUNNING}
+    return " or ".join(reason.name.lower().replace("_", " ") for reason in sorted(reasons))

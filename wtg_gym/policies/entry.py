@@ -84,16 +84,6 @@ class Entry:
         object.__setattr__(self, "law", get_law(self.strategy))
         # Checks the two modes.
         EnvSettings(action_mode=self.action_mode, observation_mode=self.observation_mode)
-        if not isinstance(self.per_group, bool) or (self.per_group and self.observation_mode != "local"):
-            raise ValueError(
-                f"per_group of entry {name!r} must be true or false, and true with local observations alone, got "
-                f"{self.per_group!r}"
-            )
-        if self.environment not in (None, ANY_GRID, *TASKS):
-            raise ValueError(
-                f"environment of entry {name!r} must be one of {', '.join((*TASKS, ANY_GRID))}, got "
-                f"{self.environment!r}"
-            )
         if self.policy is not None and not is_policy(self.policy):
             raise ValueError(
                 f"the policy of entry {name!r} must have predict(observation, state, episode_start, deterministic), "
@@ -105,23 +95,27 @@ class Entry:
                 "predict() leaves out; export both with "
                 "wtg_gym.export_onnx(wtg_gym.sb3.DeterministicPolicy(model), folder, name=...)"
             )
-        self._check_training()
-        for key in ("description", "source", "trained_on"):
-            if not isinstance(getattr(self, key), str):
-                raise ValueError(f"{key} of entry {name!r} must be text, got {getattr(self, key)!r}")
-        if seed is not None and (isinstance(seed, bool) or not isinstance(seed, int) or seed < 0):
-            raise ValueError(f"training_seed of entry {name!r} must be a whole number from 0 on, got {seed!r}")
-
-    def _check_training(self) -> None:
-        """Raise a ValueError if a learner's own environment says that it learned on another law or in other modes."""
         for key, value in learned_in(self.policy).items():
-            own = self.law if key == "strategy" else getattr(self, key)
-            if own != value:
-                told = [each.name if isinstance(each, TrackingLaw) else each for each in (own, value)]
+            entry_value = self.law if key == "strategy" else getattr(self, key)
+            if entry_value != value:
+                labels = [each.name if isinstance(each, TrackingLaw) else each for each in (value, entry_value)]
                 raise ValueError(
-                    f"the policy of entry {self.name!r} learned with {key} {told[1]!r}, the entry has {told[0]!r}: "
+                    f"the policy of entry {name!r} learned with {key} {labels[0]!r}, the entry has {labels[1]!r}: "
                     f"give it the {key} of its training"
                 )
+        allowed = {
+            "per_group": "true or false, and true with local observations alone",
+            "environment": f"one of {', '.join((*TASKS, ANY_GRID))}",
+            **dict.fromkeys(("description", "source", "trained_on"), "text"),
+            "training_seed": "a whole number from 0 on",
+        }
+        fits = {key: isinstance(getattr(self, key), str) for key in allowed}
+        fits["per_group"] = self.per_group is False or (self.per_group is True and self.observation_mode == "local")
+        fits["environment"] = self.environment in (None, ANY_GRID, *TASKS)
+        fits["training_seed"] = seed is None or (type(seed) is int and seed >= 0)
+        for key, words in allowed.items():
+            if not fits[key]:
+                raise ValueError(f"{key} of entry {name!r} must be {words}, got {getattr(self, key)!r}")
 
     @property
     def kind(self) -> str:
@@ -144,16 +138,13 @@ class Entry:
         return sha256(json.dumps(data, sort_keys=True).encode())
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the entry as JSON-ready data.
-
-        "sha256" is the :attr:`identity`; "policy_sha256" that of the policy's file, as sha256sum gives it, or None.
-        """
-        own = getattr(self.policy, "sha256", None)
+        """Return the entry as JSON-ready data: "sha256" is the :attr:`identity`, "policy_sha256" that of the file."""
+        file_hash = getattr(self.policy, "sha256", None)
         return {
             **{key: getattr(self, key) for key in ("name", "training_seed", *_OF_A_ROW)},
             "strategy": self.law.to_dict(),
             "sha256": self.identity,
-            "policy_sha256": own if isinstance(own, str) else None,
+            "policy_sha256": file_hash if isinstance(file_hash, str) else None,
         }
 
 
@@ -185,8 +176,8 @@ def learned_in(policy: Any) -> dict[str, Any]:
         return {}
     if not isinstance(settings, EnvSettings):
         return {}
-    given = settings.strategy
-    laws = [get_law(each) for each in ([given] if isinstance(given, (str, Path, TrackingLaw)) else given)]
+    strategy = settings.strategy
+    laws = [get_law(each) for each in ([strategy] if isinstance(strategy, (str, Path, TrackingLaw)) else strategy)]
     law = laws[0] if all(each == laws[0] for each in laws) else ", ".join(each.name for each in laws)
     return {"strategy": law, "action_mode": settings.action_mode, "observation_mode": settings.observation_mode}
 

@@ -1,28 +1,30 @@
-"""The folder of an entry: `entry.toml`, which describes it, and `policy.onnx`.
+"""Entries by name: built-in strategies, laws in files, folders with a policy, submissions, and Python modules.
 
-One parser reads `entry.toml`, in folders of one's own, in those that come with the package, and in submissions, of
-which more is asked. A checkout has the trained policies in its folder `agents/policies` and the baselines in
-`baselines`. An installed package has copies of both in `wtg_gym/shipped`, because those names could collide with other
-packages.
+A policy's folder holds `entry.toml`, which describes it, and `policy.onnx`. A checkout has the trained policies in
+`agents/policies` and the baselines in `baselines`; an installed package has copies of both in `wtg_gym/shipped`,
+because those names could collide with other packages.
 """
 
 from __future__ import annotations
 
 import functools
+import importlib
+import itertools
 import json
 import os
 import re
-import stat
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
-from wtg_gym.files import LARGEST_BYTES, interpreting, parse_toml, read_text, write_atomically
+from wtg_gym.files import LARGEST_BYTES, interpreting, parse_toml, read_plain, read_text, write_atomically
 from wtg_gym.names import check_name, check_text, plain_name, short
-from wtg_gym.physics.tracking_law import STRATEGY_NAMES
-from wtg_gym.policies.entry import Entry
-from wtg_gym.policies.onnx_policy import OnnxPolicy
-from wtg_gym.tasks import TASKS, V1
+from wtg_gym.physics.tracking_law import STRATEGY_NAMES, get_law
+from wtg_gym.policies.entry import Entry, is_policy
+from wtg_gym.policies.policy_process import OnnxPolicy
+from wtg_gym.ranges import did_you_mean, is_whole
+from wtg_gym.tasks import TASKS, V1, Task
 from wtg_gym.tasks.episode import ACTION_MODES
 from wtg_gym.tasks.observation import OBSERVATION_MODES
 
@@ -59,31 +61,23 @@ _DEVICE = re.compile(r"(con|prn|aux|nul|com\d|lpt\d)(\..*)?", re.IGNORECASE)
 # --- names that are taken --------------------------------------------------------------------------------------------
 
 
-def is_built_in(name: str) -> bool:
-    """Return whether a name is, or looks like, that of a strategy or a baseline."""
-    return plain_name(name) in _built_in()
+@functools.cache
+def _built_in() -> frozenset[str]:
+    """Return the plain names of the strategies and the baselines, each of which is called like its module."""
+    modules = (path.stem for path in (ROOT / BASELINES).glob("*.py"))
+    return frozenset(map(plain_name, (*STRATEGY_NAMES, *modules)))
 
 
 def check_not_built_in(what: str, name: str) -> None:
     """Raise a ValueError if a name is, or looks like, that of a strategy or a baseline, or a reserved word.
 
-    Args:
-        what: what has the name, for the message.
-        name: the name; of one with dots, such as a module's, the first part may not be a reserved word either.
+    Of a name with dots, such as a module's, the first part may not be a reserved word either. `what` has the name.
     """
-    first = plain_name(name.partition(".")[0])
-    if is_built_in(name) or first in {plain_name(word) for word in RESERVED}:
+    if plain_name(name) in _built_in() or plain_name(name.partition(".")[0]) in map(plain_name, RESERVED):
         raise ValueError(
             f"{what} must not be, or look like, that of a strategy or a baseline or one of {', '.join(RESERVED)}; "
             f"got {short(name)}"
         )
-
-
-@functools.cache
-def _built_in() -> frozenset[str]:
-    # A baseline is called like its module.
-    modules = (path.stem for path in (ROOT / BASELINES).glob("*.py"))
-    return frozenset(plain_name(name) for name in (*STRATEGY_NAMES, *modules))
 
 
 # --- entry.toml ------------------------------------------------------------------------------------------------------
@@ -92,21 +86,23 @@ def _built_in() -> frozenset[str]:
 def parse_entry(text: str, *, submitted: bool = False) -> dict[str, Any]:
     """Return the arguments of :class:`Entry` that an entry.toml gives; authors are its source.
 
-    Args:
-        text: content of the file.
-        submitted: ask for the keys of a submission, see CONTRIBUTING.md.
-
-    Raises:
-        ValueError: it is not TOML, a key is missing, unknown, of the wrong type or not one of its choices, or the name
-            is taken; the message, one line of ASCII but for this package's own words, names what is allowed.
+    `submitted` asks for the keys of a submission, see CONTRIBUTING.md. A ValueError says what is wrong and allowed, in
+    one line of ASCII but for this package's own words.
     """
     try:
         data = parse_toml(text, "it")
     except ValueError as error:
         raise ValueError(ascii(str(error))[1:-1][:160]) from error
-    _check_keys(data, submitted)
+    needed = _SUBMITTED if submitted else _NEEDED
+    others = [key for key in (*_SUBMITTED, *_OPTIONAL) if key not in needed]
+    missing, unknown = [key for key in needed if key not in data], sorted(set(data) - {*needed, *others})
+    if missing or unknown:
+        raise ValueError(
+            f"it must have the keys {', '.join(needed)} and may have {', '.join(others)}; "
+            f"missing: {missing}, unknown: {ascii(unknown)[:120]}"
+        )
     for key, allowed in _CHOICES.items():
-        if key in data and (not isinstance(data[key], str) or data[key] not in allowed):
+        if key in data and not (isinstance(data[key], str) and data[key] in allowed):
             raise ValueError(f"{key} must be one of {', '.join(allowed)}, got {short(data[key])}")
     for key in ("description", "trained_on"):
         check_text(key, data.get(key, ""))
@@ -117,24 +113,13 @@ def parse_entry(text: str, *, submitted: bool = False) -> dict[str, Any]:
     if not isinstance(data.get("per_group", False), bool):
         raise ValueError(f"per_group must be true or false, got {short(data['per_group'])}")
     seed = data.get("training_seed", 0)
-    if isinstance(seed, bool) or not isinstance(seed, int) or not 0 <= seed <= _LARGEST_SEED:
+    if not is_whole(seed) or not 0 <= seed <= _LARGEST_SEED:
         raise ValueError(f"training_seed must be a whole number 0 … {_LARGEST_SEED}, got {short(seed)}")
     name = check_name("name", data["name"])
     if submitted and _SEED.search(name):
         raise ValueError(f"name must say nothing of seeds, which the table counts; got {short(name)}")
     check_not_built_in("name", name)
     return {"environment": V1.env_id, **data, "source": source}
-
-
-def _check_keys(data: Mapping[str, Any], submitted: bool) -> None:
-    needed = _SUBMITTED if submitted else _NEEDED
-    others = [key for key in (*_SUBMITTED, *_OPTIONAL) if key not in needed]
-    missing, unknown = [key for key in needed if key not in data], sorted(set(data) - {*needed, *others})
-    if missing or unknown:
-        raise ValueError(
-            f"it must have the keys {', '.join(needed)} and may have {', '.join(others)}; "
-            f"missing: {missing}, unknown: {ascii(unknown)[:120]}"
-        )
 
 
 def entry_text(values: Mapping[str, Any]) -> str:
@@ -160,10 +145,7 @@ def load_entry_folder(folder: Path) -> Entry:
     """Return the entry of a folder with a policy.
 
     Its entry.toml has the keys name and action_mode, and may have those that a submission's has, see CONTRIBUTING.md.
-    An :class:`OnnxPolicy` plays its policy.onnx in a process of its own; nothing of that file is looked at before.
-
-    Raises:
-        ValueError: a file is missing or damaged, or a key is unknown or of the wrong type.
+    Nothing of policy.onnx is looked at before it is played. A ValueError names what is missing, damaged or unknown.
     """
     data = _entry_data(folder)
     try:
@@ -176,28 +158,22 @@ def load_entry_folder(folder: Path) -> Entry:
 
 
 def _entry_data(folder: Path) -> dict[str, Any]:
-    path = folder / ENTRY_FILE
-    text = read_text(path, "entry file")
-    with interpreting(path, "entry file"):
+    text = read_text(folder / ENTRY_FILE, "entry file")
+    with interpreting(folder / ENTRY_FILE, "entry file"):
         return parse_entry(text)
 
 
-def policy_folders(env_id: str | None = None) -> list[Path]:
-    """Return the folders of the trained policies that come with the package: all, or those for an environment."""
-    folders = sorted(path.parent for path in (ROOT / "agents" / "policies").glob(f"*/{ENTRY_FILE}"))
-    return folders if env_id is None else [each for each in folders if _said(each).get("environment") == env_id]
+def policy_folders() -> list[Path]:
+    """Return the folders of the trained policies that come with the package."""
+    return sorted(path.parent for path in (ROOT / "agents" / "policies").glob(f"*/{ENTRY_FILE}"))
 
 
 def policy_name(folder: Path) -> str | None:
     """Return the name of the entry in a folder; None if its entry.toml is wrong, loading the folder says why."""
-    return _said(folder).get("name")
-
-
-def _said(folder: Path) -> dict[str, Any]:
     try:
-        return _entry_data(folder)
+        return str(_entry_data(folder)["name"])
     except ValueError:
-        return {}
+        return None
 
 
 # --- submissions -----------------------------------------------------------------------------------------------------
@@ -217,15 +193,22 @@ def read_files(folder: Path) -> dict[str, bytes]:
     if folder.is_symlink() or not folder.is_dir():
         raise ValueError("it is not a folder, or a link to one")
     names = []
-    with os.scandir(folder) as found:
-        for item in found:
+    with os.scandir(folder) as items:
+        for item in items:
             names.append(item.name)
             if item.name not in FILES:
                 raise ValueError(f"it holds {ascii(item.name)[:80]}; allowed are {', '.join(FILES)} and nothing else")
     missing = [name for name in (ENTRY_FILE, POLICY_FILE) if name not in names]
     if missing:
         raise ValueError(f"it has no {' and no '.join(missing)}")
-    return {name: _read(folder / name, FILES[name]) for name in FILES if name in names}
+    contents = {}
+    for name in FILES:
+        if name in names:
+            try:
+                contents[name] = read_plain(folder / name, FILES[name], links=False)
+            except OSError as error:
+                raise ValueError(f"{name}: {error.strerror}") from error
+    return contents
 
 
 def _check_folder_name(folder: Path) -> None:
@@ -239,18 +222,112 @@ def _check_folder_name(folder: Path) -> None:
     check_not_built_in("the folder's name", name)
 
 
-def _read(path: Path, largest: int) -> bytes:
-    """Return the content of a plain file; a link, even one put there after the check, is refused."""
-    if path.is_symlink() or not path.is_file():
-        raise ValueError(f"{path.name} is not there, a link or something else that is not a plain file")
-    flags = os.O_RDONLY | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)
+# --- by name ---------------------------------------------------------------------------------------------------------
+
+
+def load_entries(spec: str | Path | Iterable[str | Path], task: Task = V1) -> list[Entry]:
+    """Return the entries that a text or several name.
+
+    Args:
+        spec: what is found first, in this order: "baselines" for all baselines, "policies" for all trained policies
+            that come with the package; the name of a strategy or a baseline; a .toml file with a law; a folder with an
+            entry.toml and a policy.onnx; the name of one of those policies ("PPO (k)" stands for all of its seeds,
+            "ppo-k-0" for one of them); or "module:ATTRIBUTE", an entry, a policy, or a callable that returns one.
+            Importing runs the module's code.
+        task: the version whose baselines are meant, and whose trained policies, where some of a name are for it.
+
+    Raises:
+        ValueError: nothing of that name, or it holds no entry; the message says what is allowed.
+    """
+    if not isinstance(spec, (str, Path, Iterable)):
+        raise ValueError(f"load_entries() takes names and paths, got {spec!r}")
+    if not isinstance(spec, (str, Path)):
+        return [entry for each in spec for entry in load_entries(each, task)]
+    text = str(spec)
+    if text == BASELINES:
+        return _baselines(task.version)
+    if text == POLICIES:
+        return _for_version(policy_folders(), task)
+    baselines = _baselines() if plain_name(text) in _built_in() else []
+    if named := [entry for entry in baselines if entry.name == text]:
+        return named
+    if text.endswith(".toml"):
+        law = get_law(text)
+        check_not_built_in(f"the name of the law in {text}", law.name)
+        return [Entry(name=law.name, strategy=law, description="A law read from a file.")]
+    if (Path(text) / ENTRY_FILE).is_file():
+        return [load_entry_folder(Path(text))]
+    if text.endswith(".zip"):
+        raise ValueError(
+            f"entry {text}: an archive of Stable-Baselines3 is not opened, because loading it runs the code in it; "
+            "in Python, play its model with Entry(policy=model), or export it with "
+            "wtg_gym.export_onnx(wtg_gym.sb3.DeterministicPolicy(model), folder, name=...)"
+        )
+    if shipped := [folder for folder in policy_folders() if text in (folder.name, policy_name(folder))]:
+        return _for_version(shipped, task)
+    module_name, colon, attribute = text.partition(":")
+    if not colon and Path(text or "no folder").is_dir():
+        raise ValueError(f"the folder {text} holds no {ENTRY_FILE}; several folders are {text.rstrip('/')}/*")
+    if not colon or not all(part.isidentifier() for part in module_name.split(".")):
+        raise ValueError(f"unknown entry {text!r}{_allowed(text)}")
+    return [_entry_of(_import(module_name, text), attribute, text)]
+
+
+def example_law() -> str:
+    """Return the text of a file with a law, for users to change."""
+    return (ROOT / BASELINES / "example_law.toml").read_text(encoding="utf-8")
+
+
+def _for_version(folders: Sequence[Path], task: Task) -> list[Entry]:
+    """Return the entries of shipped folders: those for a version, or all if there are none for it."""
+    entries = [load_entry_folder(folder) for folder in folders]
+    return [entry for entry in entries if entry.environment == task.env_id] or entries
+
+
+# --- Python modules --------------------------------------------------------------------------------------------------
+
+
+def _import(name: str, spec: str) -> ModuleType:
+    if name.partition(".")[0] == BASELINES and INSTALLED:
+        name = f"wtg_gym.shipped.{name}"
     try:
-        with os.fdopen(os.open(path, flags), "rb") as file:
-            if not stat.S_ISREG(os.fstat(file.fileno()).st_mode):
-                raise ValueError(f"{path.name} is not a plain file")
-            content = file.read(largest + 1)
-    except OSError as error:
-        raise ValueError(f"cannot read {path.name}: {error.strerror}") from error
-    if len(content) > largest:
-        raise ValueError(f"{path.name} is larger than {largest} bytes")
-    return content
+        return importlib.import_module(name)
+    except ImportError as error:
+        missing = error.name if isinstance(error, ModuleNotFoundError) else None
+        if missing is not None and (name == missing or name.startswith(missing + ".")):
+            raise ValueError(f"unknown entry {spec!r}: there is no module {missing!r}{_allowed(spec)}") from error
+        raise ValueError(f"entry {spec!r} cannot be imported: {error}") from error
+
+
+def _allowed(text: str) -> str:
+    """Return the end of an error about a wrong entry: the names like it, or all."""
+    shipped = (name for folder in policy_folders() if (name := policy_name(folder)))
+    baselines = (entry.name for entry in _baselines())
+    names = (*STRATEGY_NAMES, *baselines, BASELINES, *shipped, POLICIES)
+    known = f'{", ".join(map(repr, names))}, a .toml file with a law, a folder with {ENTRY_FILE}, or "module:ATTRIBUTE"'
+    return did_you_mean(text, names) or f"; allowed are {known}"
+
+
+def _baselines(version: str | None = None) -> list[Entry]:
+    """Return the baselines of a version in the order of its table; None: those of all versions."""
+    order: Mapping[str, Sequence[Entry | str]] = _import(BASELINES, BASELINES).ORDER
+    named = order[version] if version else dict.fromkeys(itertools.chain(*order.values()))
+    # A feedback is named by its module.
+    return [_import(f"{BASELINES}.{each}", BASELINES).ENTRY if isinstance(each, str) else each for each in named]
+
+
+def _entry_of(module: ModuleType, attribute: str, spec: str) -> Entry:
+    if not hasattr(module, attribute):
+        names = ", ".join(sorted(name for name in vars(module) if not name.startswith("_")))
+        raise ValueError(f"entry {spec!r}: module {module.__name__!r} has no {attribute!r}; it has {names}")
+    value = getattr(module, attribute)
+    if callable(value) and not is_policy(value):
+        value = value()
+    if isinstance(value, Entry):
+        return value
+    if is_policy(value):
+        return Entry(name=attribute, policy=value)
+    raise ValueError(
+        f"entry {spec!r} must be an Entry, an object with predict(), or a callable that returns one, "
+        f"got {type(value).__name__}"
+    )

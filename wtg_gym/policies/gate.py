@@ -1,9 +1,10 @@
-"""The gate of submissions: every check of a folder, in order, up to the first that it does not pass."""
+"""The gate of submissions: every check of a folder, up to the first that it does not pass, and of several together."""
 
 from __future__ import annotations
 
 import contextlib
 import dataclasses
+import itertools
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -17,7 +18,7 @@ from wtg_gym.envs.lanes import TaskLanes
 from wtg_gym.envs.settings import EnvSettings
 from wtg_gym.files import sha256
 from wtg_gym.names import plain_name
-from wtg_gym.policies.entry import Entry
+from wtg_gym.policies.entry import Entry, row_conflict
 from wtg_gym.policies.entry_folder import (
     ENTRY_FILE,
     POLICY_FILE,
@@ -26,12 +27,10 @@ from wtg_gym.policies.entry_folder import (
     policy_name,
     read_files,
 )
-from wtg_gym.policies.onnx_policy import OnnxPolicy
 from wtg_gym.policies.play import play, started_lanes
-from wtg_gym.policies.policy_process import NotIsolatedError
+from wtg_gym.policies.policy_process import NotIsolatedError, OnnxPolicy
 from wtg_gym.tasks import TASKS, V1
 
-Floats = npt.NDArray[np.float64]
 #: All checks in their order.
 CHECKS = ("folder", "entry.toml", "loading", "speed", "rollout", "repeated")
 PASSED, REFUSED, NOT_REACHED = "passed", "refused", "not reached"
@@ -140,12 +139,7 @@ def read_submission(folder: Path) -> Report:
 def check_submission(folder: Path, *, weak: bool = False) -> Report:
     """Return the gate's report on a folder; its policy is played in a process of its own.
 
-    Args:
-        folder: with entry.toml and policy.onnx.
-        weak: go on where this system cannot isolate a process completely.
-
-    Raises:
-        NotIsolatedError: this system cannot, and `weak` is not set.
+    Where this system cannot isolate that process, it is a NotIsolatedError; with `weak` it goes on all the same.
     """
     report = read_submission(folder)
     if not report.accepted:
@@ -167,8 +161,8 @@ def check_submission(folder: Path, *, weak: bool = False) -> Report:
 
 def _holds(folder: Path, files: Mapping[str, bytes]) -> bool:
     """Return whether a folder holds the same entry and policy."""
-    own = ((folder / name, files[name]) for name in (ENTRY_FILE, POLICY_FILE))
-    return all(path.is_file() and path.read_bytes() == content for path, content in own)
+    contents = ((folder / name, files[name]) for name in (ENTRY_FILE, POLICY_FILE))
+    return all(path.is_file() and path.read_bytes() == content for path, content in contents)
 
 
 def _check_not_found(what: str, name: str, folders: Sequence[Path]) -> None:
@@ -219,7 +213,7 @@ def check_speed(policy: OnnxPolicy) -> str:
     return f"{taken_ms:.3f} ms for an action, allowed are {allowed_ms:g}"
 
 
-def rollout(entry: Entry, *, backwards: bool = False) -> Floats:
+def rollout(entry: Entry, *, backwards: bool = False) -> npt.NDArray[np.float64]:
     """Return the actions of an entry's policy in validation scenarios, within ±1, (steps, lanes, n_action).
 
     The scenarios are those of the standard suite. An :class:`OnnxPolicy` plays in a new process. A lane's actions are
@@ -229,8 +223,64 @@ def rollout(entry: Entry, *, backwards: bool = False) -> Floats:
     settings = EnvSettings(version=TASKS[entry.environment or V1.env_id].version, split="validation")
     order = -1 if backwards else 1
     seeds = settings.resolved_suite.validation[:_ROLLOUT_LANES][::order]
-    actions: list[Floats] = []
+    actions: list[npt.NDArray[np.float64]] = []
     with started_lanes(entry, settings, seeds) as (lanes, _):
         for _step in play(entry, lanes, actions):
             pass
     return np.clip(np.stack(actions), -1.0, 1.0)[:, ::order]
+
+
+# --- several submissions ---------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Conflict:
+    """Submissions that cannot all be accepted: their folders, and why."""
+
+    folders: tuple[Path, ...]
+    reason: str
+
+
+def conflicts(reports: Sequence[Report], beside: Sequence[Report] = ()) -> list[Conflict]:
+    """Return the conflicts of accepted submissions with each other and with entries that are there already.
+
+    Conflicts among those `beside`, and among folders that come with the package, are not looked for.
+    """
+    conflicts_found = []
+    for one, other in itertools.combinations(reports, 2):
+        if reason := _why_not_both(one, other, taken=False):
+            conflicts_found.append(Conflict((one.folder, other.folder), reason))
+    for new in reports:
+        # One reason is enough, however many seeds have the name.
+        if reason := next(filter(None, (_why_not_both(new, old, taken=True) for old in beside)), ""):
+            conflicts_found.append(Conflict((new.folder,), reason))
+    return conflicts_found
+
+
+def _why_not_both(one: Report, other: Report, *, taken: bool) -> str:
+    """Return why two folders cannot both be accepted, or the first not if the other one is there; "" if they can."""
+    if one.shipped and other.shipped:
+        return ""
+    folders, new, old = f"{one.folder} and {other.folder}", one.entry, other.entry
+    first, second = one.folder.resolve().name, other.folder.resolve().name
+    if first != second and first.casefold() == second.casefold():
+        return f"the names of the folders {folders} differ in capitals alone"
+    if new and old and plain_name(new.name) == plain_name(old.name):
+        # Folders with one name must be seeds of one entry, which come together: a row that is there does not change.
+        if taken:
+            return f"the name {new.name} of {one.folder} is taken by {old.name} of {other.folder}"
+        if new.name != old.name:
+            return f"the names {new.name} and {old.name} look alike: {folders}"
+        if reason := row_conflict(new.to_dict(), old.to_dict()):
+            return f"{reason}: {folders}"
+    else:
+        # A name finds a folder by the folder's name or the entry's.
+        names, others = (
+            {plain_name(name): name for name in (folder, *([entry.name] if entry else []))}
+            for folder, entry in ((first, new), (second, old))
+        )
+        for plain in names.keys() & others.keys():
+            return f"{names[plain]}, of {one.folder}, looks like {others[plain]}, of {other.folder}"
+    if one.sha256 is not None and one.sha256 == other.sha256:
+        return f"the same policy file is given twice: {folders}"
+    return ""

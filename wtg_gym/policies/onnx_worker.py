@@ -121,17 +121,17 @@ def _model_class() -> Any:
     from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
 
     field = descriptor_pb2.FieldDescriptorProto
-    scalars = {kind: getattr(field, f"TYPE_{kind.upper()}") for kind in ("bytes", "float", "int32", "int64")}
+    scalars = {typed: getattr(field, f"TYPE_{typed.upper()}") for typed in ("bytes", "float", "int32", "int64")}
     file = descriptor_pb2.FileDescriptorProto(name="policy", package="policy")
     for name, fields in _MESSAGES.items():
         message = file.message_type.add(name=name)
         for text in fields.split(","):
-            label, number, kind = text.split()
+            label, number, typed = text.split()
             repeats = field.LABEL_REPEATED if label.endswith("*") else field.LABEL_OPTIONAL
             added = message.field.add(name=label.rstrip("*"), number=int(number), label=repeats)
-            added.type = scalars.get(kind, field.TYPE_MESSAGE)
-            if kind not in scalars:
-                added.type_name = f".policy.{kind}"
+            added.type = scalars.get(typed, field.TYPE_MESSAGE)
+            if typed not in scalars:
+                added.type_name = f".policy.{typed}"
     pool = descriptor_pool.DescriptorPool()
     pool.Add(file)
     return message_factory.GetMessageClass(pool.FindMessageTypeByName("policy.Model"))
@@ -301,27 +301,13 @@ def _limit(wanted: dict[str, Any]) -> str:
 
 #: How the kernel calls a kind of processor, and the number of `seccomp` there.
 _MACHINES = {"x86_64": (0xC000_003E, 317), "aarch64": (0xC000_00B7, 277)}
-#: Numbers of what is allowed, on both.
-_ALLOWED = {
-    "brk": (12, 214),
-    "clock_gettime": (228, 113),
-    "clock_nanosleep": (230, 115),
-    "exit": (60, 93),
-    "exit_group": (231, 94),
-    "futex": (202, 98),
-    "getpid": (39, 172),
-    "getrandom": (318, 278),
-    "madvise": (28, 233),
-    "mprotect": (10, 226),
-    "mremap": (25, 216),
-    "munmap": (11, 215),
-    "restart_syscall": (219, 128),
-    "rt_sigaction": (13, 134),
-    "rt_sigprocmask": (14, 135),
-    "rt_sigreturn": (15, 139),
-    "sched_getaffinity": (204, 123),
-    "sched_yield": (24, 124),
-}
+#: What is allowed, with its number on each.
+_ALLOWED = (
+    "brk 12 214, clock_gettime 228 113, clock_nanosleep 230 115, exit 60 93, exit_group 231 94, futex 202 98, "
+    "getpid 39 172, getrandom 318 278, madvise 28 233, mprotect 10 226, mremap 25 216, munmap 11 215, "
+    "restart_syscall 219 128, rt_sigaction 13 134, rt_sigprocmask 14 135, rt_sigreturn 15 139, "
+    "sched_getaffinity 204 123, sched_yield 24 124"
+)
 _READ, _WRITE, _MMAP = (0, 63), (1, 64), (9, 222)
 _MAP_ANONYMOUS = 0x20
 #: Classic BPF: load a word of the call's description, compare it, test its bits, return a verdict.
@@ -353,8 +339,8 @@ def lock(source: int, sink: int) -> str:
     if machine not in _MACHINES or sys.maxsize < 2**32:
         return f"no filter of system calls: there is none for {machine}"
     column = list(_MACHINES).index(machine)
-    kind, seccomp = _MACHINES[machine]
-    lines = _filter(kind, column, source, sink)
+    machine_id, seccomp = _MACHINES[machine]
+    lines = _filter(machine_id, column, source, sink)
     instructions = (_Instruction * len(lines))(*(_Instruction(*line) for line in lines))
     program = _Program(len(lines), instructions)
     libc = ctypes.CDLL(None, use_errno=True)
@@ -366,9 +352,9 @@ def lock(source: int, sink: int) -> str:
     return ""
 
 
-def _filter(kind: int, column: int, source: int, sink: int) -> list[tuple[int, int, int, int]]:
+def _filter(machine_id: int, column: int, source: int, sink: int) -> list[tuple[int, int, int, int]]:
     """Return the filter as instructions (code, lines to skip if true, if false, value)."""
-    lines = [(_LOAD, 0, 0, _MACHINE), (_EQUAL, 1, 0, kind), (_RETURN, 0, 0, _KILL), (_LOAD, 0, 0, _NUMBER)]
+    lines = [(_LOAD, 0, 0, _MACHINE), (_EQUAL, 1, 0, machine_id), (_RETURN, 0, 0, _KILL), (_LOAD, 0, 0, _NUMBER)]
     # Memory only, never a file seen as memory.
     for numbers, argument, test, value in (
         (_READ, _FIRST, _EQUAL, source),
@@ -377,8 +363,8 @@ def _filter(kind: int, column: int, source: int, sink: int) -> list[tuple[int, i
     ):
         lines += [(_EQUAL, 0, 4, numbers[column]), (_LOAD, 0, 0, argument), (test, 0, 1, value)]
         lines += [(_RETURN, 0, 0, _ALLOW), (_RETURN, 0, 0, _REFUSE)]
-    for numbers in _ALLOWED.values():
-        lines += [(_EQUAL, 0, 1, numbers[column]), (_RETURN, 0, 0, _ALLOW)]
+    for call in _ALLOWED.split(", "):
+        lines += [(_EQUAL, 0, 1, int(call.split()[1 + column])), (_RETURN, 0, 0, _ALLOW)]
     return [*lines, (_RETURN, 0, 0, _REFUSE)]
 
 

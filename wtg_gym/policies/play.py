@@ -17,8 +17,7 @@ from wtg_gym.envs.settings import EnvSettings
 from wtg_gym.files import printable
 from wtg_gym.physics.scenario import Scenario
 from wtg_gym.policies.entry import Entry, Policy
-from wtg_gym.policies.onnx_policy import OnnxPolicy
-from wtg_gym.policies.policy_process import NotIsolatedError, PolicyError
+from wtg_gym.policies.policy_process import NotIsolatedError, OnnxPolicy, PolicyError
 
 
 @contextlib.contextmanager
@@ -29,14 +28,14 @@ def started_lanes(
 
     Yields the lanes and their scenarios. A scenario without an equilibrium under the law is a PolicyError.
     """
-    own = dataclasses.replace(
+    entry_settings = dataclasses.replace(
         settings,
         strategy=entry.law,
         action_mode=entry.action_mode,
         observation_mode=entry.observation_mode,
         reward="cost",
     )
-    lanes = TaskLanes(own, len(given), n_threads)
+    lanes = TaskLanes(entry_settings, len(given), n_threads)
     try:
         scenarios: Any = given if isinstance(given[0], Scenario) else lanes.scenarios(cast(Sequence[int], given))
         try:
@@ -64,10 +63,7 @@ def play(
         while running.any():
             actions = np.zeros((lanes.n_lanes, lanes.n_action))
             if entry.policy is not None:
-                actions, state = _answer(entry, lanes, state, step)
-                # The action of an episode that is over has no effect.
-                actions[~running] = 0.0
-                _check_finite(actions, entry, lanes, step)
+                actions, state = _answer(entry, lanes, state, step, running)
             if taken is not None:
                 taken.append(actions)
             lanes.step(actions)
@@ -77,8 +73,10 @@ def play(
             step += 1
 
 
-def _answer(entry: Entry, lanes: TaskLanes, state: Any, step: int) -> tuple[npt.NDArray[np.float64], Any]:
-    """Return the policy's actions (n_lanes, n_action) in a step, and its next recurrent state."""
+def _answer(
+    entry: Entry, lanes: TaskLanes, state: Any, step: int, running: npt.NDArray[np.bool_]
+) -> tuple[npt.NDArray[np.float64], Any]:
+    """Return the policy's checked actions (n_lanes, n_action) in a step, and its next recurrent state."""
     # For a policy of one group, each is a lane: local observations are those of one group after the other.
     n_parts = lanes.n_wtg if entry.per_group else 1
     policy, shape = cast(Policy, entry.policy), (lanes.n_lanes * n_parts, lanes.n_action // n_parts)
@@ -88,8 +86,8 @@ def _answer(entry: Entry, lanes: TaskLanes, state: Any, step: int) -> tuple[npt.
     except NotIsolatedError:
         raise
     except (Exception, SystemExit) as error:
-        said = str(error) if isinstance(error, PolicyError) else f"predict() raised {_described(error)}"
-        raise PolicyError(f"entry {entry.label!r}, step {step}: {said}") from error
+        reason = str(error) if isinstance(error, PolicyError) else f"predict() raised {_described(error)}"
+        raise PolicyError(f"entry {entry.label!r}, step {step}: {reason}") from error
     if not isinstance(answer, tuple) or len(answer) != 2:
         raise _complaint(entry, step, "predict() must return (actions, state)", type(answer).__name__)
     try:
@@ -101,15 +99,13 @@ def _answer(entry: Entry, lanes: TaskLanes, state: Any, step: int) -> tuple[npt.
         raise _complaint(entry, step, "actions must be an array of numbers", f"one of {actions.dtype}")
     if actions.shape != shape:
         raise _complaint(entry, step, f"actions must have shape {shape} (lanes, values)", f"shape {actions.shape}")
-    return actions.astype(np.float64).reshape(lanes.n_lanes, lanes.n_action), answer[1]
-
-
-def _check_finite(actions: npt.NDArray[np.float64], entry: Entry, lanes: TaskLanes, step: int) -> None:
-    if not np.isfinite(actions).all():
-        lane = int(np.flatnonzero(~np.isfinite(actions).all(axis=1))[0])
-        wanted = f"actions of shape {actions.shape} must be finite, -1 … 1"
-        got = f"{actions[lane].tolist()} in the scenario of seed {lanes.scenario_seeds[lane]}"
-        raise _complaint(entry, step, wanted, got)
+    actions = actions.astype(np.float64).reshape(lanes.n_lanes, lanes.n_action)
+    # The action of an episode that is over has no effect.
+    actions[~running] = 0.0
+    for lane in np.flatnonzero(~np.isfinite(actions).all(axis=1))[:1]:
+        scenario = f"{actions[lane].tolist()} in the scenario of seed {lanes.scenario_seeds[lane]}"
+        raise _complaint(entry, step, f"actions of shape {actions.shape} must be finite, -1 … 1", scenario)
+    return actions, answer[1]
 
 
 def _complaint(entry: Entry, step: int, wanted: str, got: str) -> PolicyError:
@@ -119,5 +115,5 @@ def _complaint(entry: Entry, step: int, wanted: str, got: str) -> PolicyError:
 def _described(error: BaseException) -> str:
     """Return an exception on one line, with the place in the code that raised it."""
     place = traceback.extract_tb(error.__traceback__)[-1]
-    said = printable(" ".join(str(error).split())[:200])
-    return f"{type(error).__name__}: {said} ({Path(place.filename).name}:{place.lineno})"
+    message = printable(" ".join(str(error).split())[:200])
+    return f"{type(error).__name__}: {message} ({Path(place.filename).name}:{place.lineno})"

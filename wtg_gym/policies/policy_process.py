@@ -1,6 +1,9 @@
-"""Starts the process that plays a policy, and holds it to limits of memory and time.
+"""Policies as ONNX files, which onnxruntime plays one scenario at a time, in a process of its own with limits.
 
-The scenarios, the simulation and the score stay here, so a policy can neither see the scenario nor forge a result.
+A policy's graph has the batch as the first axis of everything: inputs `observation` (batch, n_observation) and, for a
+policy with memory, `state_0`, `state_1`, … (batch, n); outputs `action` (batch, n_action) and as many `next_state_0`, …
+of the same widths. All are float32, all states are zero at the start of an episode. The batch is always 1, so no graph
+sees two scenarios at once. Scenarios, simulation and score stay here: a policy can neither see nor forge them.
 """
 
 from __future__ import annotations
@@ -14,11 +17,20 @@ import sys
 import threading
 import time
 import warnings
+import weakref
+from pathlib import Path
 from typing import IO, Any, cast
 
-from wtg_gym.files import printable
+import numpy as np
+import numpy.typing as npt
+
+from wtg_gym.files import printable, read_bytes, sha256
 from wtg_gym.policies import onnx_worker
 from wtg_gym.policies.onnx_worker import ACTIONS, LENGTH
+
+Floats = npt.NDArray[np.float32]
+#: The recurrent states, (n_lanes, n) each.
+States = tuple[Floats, ...]
 
 #: Address space [bytes] and processor time [s] of the process; it plays a batch of scenarios and then ends.
 MEMORY_BYTES = 4 * 2**30
@@ -37,6 +49,11 @@ _LONGEST_MESSAGE = 65_536
 MOST_STATES, WIDEST = 16, 65_536
 #: Has malloc fill memory with one byte and keep no caches, so that no call finds what another one left there.
 _MALLOC = "glibc.malloc.tcache_count=0:glibc.malloc.perturb=165"
+#: Most episodes side by side: each has its own session, and more of them than the processor's cache holds take three
+#: times as long a step.
+_MOST_EPISODES = 64
+#: Bytes of files that many sessions hold; the memory of the process is eight times as large.
+_MEMORY_OF_FILES = 2**29
 _SIGNALS = {
     "SIGXCPU": f"more than {CPU_S} s of processor time",
     "SIGFPE": "an error of arithmetic, such as the division of whole numbers by zero",
@@ -49,6 +66,110 @@ class PolicyError(ValueError):
 
 class NotIsolatedError(PolicyError):
     """This system cannot start or isolate the process of a policy; the policy did not fail."""
+
+
+class OnnxPolicy:
+    """A policy in an .onnx file. Its process starts with the first observation; end it with :meth:`close`.
+
+    As a context manager it begins with a new process, and ends it. It travels to other processes as its bytes.
+
+    Args:
+        file: the path of the file, weights included, or its content.
+        isolated: refuse to play where this system cannot isolate the process, as Linux can; else that is a warning.
+
+    Raises:
+        ValueError: the file cannot be read.
+    """
+
+    def __init__(self, file: str | Path | bytes, *, isolated: bool = False) -> None:
+        self.__setstate__((file if isinstance(file, bytes) else read_bytes(Path(file), "policy"), isolated))
+
+    def __getstate__(self) -> tuple[bytes, bool]:
+        return self._content, self._isolated
+
+    def __setstate__(self, state: tuple[bytes, bool]) -> None:
+        self._content, self._isolated = state
+        #: sha256 of the file.
+        self.sha256 = sha256(self._content)
+        #: The process that plays it, while there is one.
+        self._processes: list[PolicyProcess] = []
+        weakref.finalize(self, _close_all, self._processes)
+
+    @property
+    def most_episodes(self) -> int:
+        """How many episodes it plays at a time: each may need a session, so the memory of the file, of its own."""
+        return min(_MOST_EPISODES, max(1, _MEMORY_OF_FILES // len(self._content)))
+
+    def predict(
+        self, observation: Any, state: States | None = None, episode_start: Any = None, deterministic: bool = True
+    ) -> tuple[Floats, States | None]:
+        """Return (actions (n_lanes, n_action), next states) for observations (n_lanes, n_observation).
+
+        Args:
+            observation: one row per lane.
+            state: the states that the last call returned; None at the beginning.
+            episode_start: lanes where an episode starts, (n_lanes,) bool: their state is zero; None for none.
+            deterministic: for the protocol; the file holds the deterministic action only.
+
+        Raises:
+            NotIsolatedError: this system cannot isolate the process, and `isolated` was set.
+            PolicyError: the file is no policy, shapes do not fit, or the process ended or took too long.
+        """
+        n_observation, n_action, *widths = self.widths
+        observations = np.ascontiguousarray(observation, dtype=np.float32)
+        if observations.ndim != 2 or observations.shape[1] != n_observation:
+            raise PolicyError(
+                f"the policy takes observations of shape (lanes, {n_observation}), got {observations.shape}: was it "
+                "trained with another action_mode, observation_mode or groups?"
+            )
+        n_lanes = len(observations)
+        expected = [(n_lanes, width) for width in widths]
+        states = tuple(np.zeros(shape, dtype=np.float32) for shape in expected) if state is None else state
+        if [values.shape for values in states] != expected:
+            raise PolicyError(f"the policy has states of shapes {expected}, got {[values.shape for values in states]}")
+        starts = np.zeros(n_lanes, np.bool_) if episode_start is None else np.asarray(episode_start, dtype=np.bool_)
+        states = tuple(np.where(starts[:, None], np.float32(0.0), values) for values in states)
+        try:
+            request = [LENGTH.pack(n_lanes), *(values.tobytes() for values in (starts, observations, *states))]
+            sizes = [4 * n_lanes * width for width in (n_action, *widths)]
+            answers = self._running().ask(b"".join(request), sizes, starts=bool(starts.any()))
+        except BaseException:
+            # The rest of an answer that was not read to its end would be taken for the next one.
+            self.close()
+            raise
+        action, *following = (np.frombuffer(each, dtype=np.float32).reshape(n_lanes, -1).copy() for each in answers)
+        return action, tuple(following) if following else None
+
+    def _running(self) -> PolicyProcess:
+        if not self._processes:
+            self._processes.append(PolicyProcess(self._content, isolated=self._isolated))
+        return self._processes[0]
+
+    @property
+    def widths(self) -> tuple[int, ...]:
+        """Widths of the observations, the actions, and each state; errors as those of :meth:`predict`."""
+        return tuple(self._running().widths)
+
+    @property
+    def not_isolated(self) -> tuple[str, ...]:
+        """Limits that this system does not enforce; empty where it isolates. Errors as of :meth:`predict`."""
+        return tuple(self._running().missing)
+
+    def close(self) -> None:
+        """End the process; the next observation starts another one."""
+        _close_all(self._processes)
+
+    def __enter__(self) -> OnnxPolicy:
+        self.close()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+
+def _close_all(processes: list[PolicyProcess]) -> None:
+    while processes:
+        processes.pop().close()
 
 
 class PolicyProcess:
@@ -108,10 +229,7 @@ class PolicyProcess:
     def ask(self, request: bytes, sizes: list[int], *, starts: bool) -> list[bytes]:
         """Send observations and states; return as many bytes of actions and next states as `sizes` say.
 
-        Sessions are opened first in the first step, and where episodes start.
-
-        Raises:
-            PolicyError: the process ended, took too long, or the policy cannot answer.
+        Sessions are opened in the first step and where episodes start. A policy that cannot answer is a PolicyError.
         """
         self._begin(LOAD_S if starts or not self._has_answered else STEP_S)
         self._write(request)

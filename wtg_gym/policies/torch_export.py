@@ -1,7 +1,4 @@
-"""Any policy of PyTorch as an entry: `policy.onnx` with its weights inside, and `entry.toml`; needs torch and onnx.
-
-Torch's exporter of traced graphs writes the file: it needs no onnxscript, and the weights are in the file itself.
-"""
+"""Any policy of PyTorch as an entry: `policy.onnx` with its weights inside, and `entry.toml`; needs torch and onnx."""
 
 from __future__ import annotations
 
@@ -17,8 +14,7 @@ from wtg_gym.files import write_together
 from wtg_gym.physics.tracking_law import STRATEGY_NAMES, TrackingLaw, get_law
 from wtg_gym.policies.entry_folder import ENTRY_FILE, FILES, POLICY_FILE, entry_text, parse_submission
 from wtg_gym.policies.gate import widths
-from wtg_gym.policies.onnx_policy import OnnxPolicy
-from wtg_gym.policies.policy_process import PolicyError
+from wtg_gym.policies.policy_process import OnnxPolicy, PolicyError
 
 try:
     # Torch's exporter needs it.
@@ -68,17 +64,9 @@ def export_onnx(
         raise ValueError(f"export_onnx() takes a torch.nn.Module, got {type(module).__name__}")
     if (learned := getattr(module, "learned_in", None)) is not None:
         entry = _of_training(learned, entry)
-    values = {
-        "name": name,
-        "environment": "GFMWTG-14bus-v1",
-        "action_mode": "k+tau",
-        "training_seed": 0,
-        "authors": ["unnamed"],
-        **entry,
-    }
-    text = entry_text(values)
-    described = parse_submission(text.encode())
-    content = onnx_bytes(module, *widths(described), tolerance=tolerance)
+    defaults = {"environment": "GFMWTG-14bus-v1", "action_mode": "k+tau", "training_seed": 0, "authors": ["unnamed"]}
+    text = entry_text({"name": name, **defaults, **entry})
+    content = onnx_bytes(module, *widths(parse_submission(text.encode())), tolerance=tolerance)
     # entry.toml last, because it makes the folder an entry.
     write_together({Path(folder) / POLICY_FILE: content, Path(folder) / ENTRY_FILE: text})
     return Path(folder)
@@ -159,21 +147,15 @@ class _Playable(nn.Module):
 @torch.no_grad()
 def _check_form(playable: _Playable, n_observation: int, n_action: int) -> None:
     """Raise a ValueError if the module cannot answer observations, or answers in another form."""
-    given = [torch.zeros(2, width) for width in (n_observation, *playable.state_widths)]
-    shapes = ", ".join(str(tuple(each.shape)) for each in given)
+    inputs = [torch.zeros(2, width) for width in (n_observation, *playable.state_widths)]
+    label = f"the {playable.label} %s inputs of shapes {', '.join(str(tuple(each.shape)) for each in inputs)}"
     try:
-        answer = playable(*given)
+        shapes = [tuple(each.shape) for each in playable(*inputs)]
     except Exception as error:
-        raise ValueError(
-            f"the {playable.label} cannot answer inputs of shapes {shapes}: {_first_line(error)}"
-        ) from error
-    wanted = [(2, width) for width in (n_action, *playable.state_widths)]
-    got = [tuple(each.shape) for each in answer]
-    if got != wanted:
-        raise ValueError(
-            f"the {playable.label} must answer inputs of shapes {shapes} by actions and next states of shapes "
-            f"{wanted}, got {got}"
-        )
+        raise ValueError(f"{label % 'cannot answer'}: {_first_line(error)}") from error
+    expected = [(2, width) for width in (n_action, *playable.state_widths)]
+    if shapes != expected:
+        raise ValueError(f"{label % 'must answer'} by actions and next states of shapes {expected}, got {shapes}")
 
 
 def _exported(playable: _Playable, n_observation: int) -> bytes:
@@ -181,21 +163,15 @@ def _exported(playable: _Playable, n_observation: int) -> bytes:
     states = [f"state_{index}" for index in range(len(playable.state_widths))]
     inputs, outputs = ["observation", *states], ["action", *(f"next_{name}" for name in states)]
     # It is always played one scenario at a time: without another size of the batch onnxruntime simplifies more.
-    given = tuple(torch.zeros(1, width) for width in (n_observation, *playable.state_widths))
+    example = tuple(torch.zeros(1, width) for width in (n_observation, *playable.state_widths))
     try:
         with tempfile.TemporaryDirectory() as folder, warnings.catch_warnings(), torch.no_grad():
             file = Path(folder) / POLICY_FILE
             # Traced branches are found by comparing the actions; that this exporter is the older one is known.
             warnings.simplefilter("ignore")
-            torch.onnx.export(
-                playable,
-                given,
-                file,
-                dynamo=False,
-                opset_version=_OPSET,
-                input_names=inputs,
-                output_names=outputs,
-            )
+            # The exporter of traced graphs needs no onnxscript, and puts the weights into the file itself.
+            options: dict[str, Any] = {"dynamo": False, "opset_version": _OPSET}
+            torch.onnx.export(playable, example, file, input_names=inputs, output_names=outputs, **options)
             return file.read_bytes()
     except Exception as error:
         raise ValueError(f"torch cannot export the {playable.label}: {_first_line(error)}") from error

@@ -13,11 +13,10 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from wtg_gym.physics.checked import Checked, describe, design, required
 from wtg_gym.physics.grid import DEFAULT_GRID, Grid, digest_of_grid, get_grid
 from wtg_gym.physics.parameters import MOST_GROUPS
 from wtg_gym.physics.scenario import LONGEST_RUN_S, SERIES_DT, Scenario, trusted
-from wtg_gym.ranges import require_known, require_range, require_whole
+from wtg_gym.ranges import Checked, describe, design, require_known, require_range, require_whole, required
 from wtg_gym.scenarios import draws, wind
 from wtg_gym.scenarios.stream import FloatArray, Picker, seed_streams
 

@@ -9,10 +9,9 @@ from typing import Any, ClassVar
 import numpy as np
 
 from wtg_gym.physics import scenario
-from wtg_gym.physics.checked import Checked, design, required
-from wtg_gym.physics.network import NetworkCase
+from wtg_gym.physics.grid import NetworkCase
 from wtg_gym.physics.scenario import SERIES_DT, Event, trusted
-from wtg_gym.ranges import require_range
+from wtg_gym.ranges import Checked, design, require_range, required
 from wtg_gym.scenarios import wind
 from wtg_gym.scenarios.stream import FloatArray, Picker, Span
 

@@ -12,12 +12,12 @@ from pathlib import Path
 from typing import Any
 
 from wtg_gym.files import interpreting, parse_json, read_text
-from wtg_gym.physics.checked import Checked, describe, design, required
-from wtg_gym.physics.grid import Grid, get_grid, record_of
+from wtg_gym.physics.grid import Grid, NetworkCase, get_grid, record_of
 from wtg_gym.physics.machine_parameters import SynchronousMachineParameters
-from wtg_gym.physics.network import LEAST_IMPEDANCE, NetworkCase
+from wtg_gym.physics.network import LEAST_IMPEDANCE
 from wtg_gym.physics.plant import SIMULATION_DT_RANGE
 from wtg_gym.physics.simulator import longest_step
+from wtg_gym.ranges import Checked, describe, design, required
 from wtg_gym.scenarios.draws import LOSSES, OperatingPoint, Wind
 from wtg_gym.scenarios.strata import COMMON, Places, constant_mw, governed_mva, suite_of_strata, wind_plant
 from wtg_gym.scenarios.stream import Span

@@ -10,10 +10,9 @@ from typing import Any
 
 import numpy as np
 
-from wtg_gym.physics.checked import Checked, design
 from wtg_gym.physics.scenario import trusted
 from wtg_gym.physics.sensors import DELAY_MAX_S, Sensors
-from wtg_gym.ranges import require_known
+from wtg_gym.ranges import Checked, design, require_known
 from wtg_gym.scenarios.stream import seed_streams
 
 #: The delay is drawn from whole numbers of these [s].

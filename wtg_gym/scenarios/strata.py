@@ -9,11 +9,11 @@ from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Any
 
-from wtg_gym.physics.checked import Checked
 from wtg_gym.physics.grid import DEFAULT_GRID, digest_of_grid, get_grid
 from wtg_gym.physics.machine_parameters import GovernorParameters
 from wtg_gym.physics.parameters import GridFormingParameters, WtgGroup
 from wtg_gym.physics.plant import Plant
+from wtg_gym.ranges import Checked
 from wtg_gym.scenarios import draws
 from wtg_gym.scenarios.distribution import ScenarioDistribution
 from wtg_gym.scenarios.sensor_distribution import SensorDistribution

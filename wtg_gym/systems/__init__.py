@@ -2,11 +2,10 @@
 
 In the order in which they are best read:
 
-    records         named numbers that belong together
     elementary      functions without branches that equations use
-    systems         kinds of unit, and systems: pure functions of one unit
+    systems         records of named numbers; kinds of unit, and systems: pure functions of one unit
     programs        ordered lists of equations and control blocks (if, loop, product, delay), and their memory map
-    tracing, expressions    an equation becomes operations, and these pulled back
+    expressions     an equation becomes operations, and these pulled back
     vectors         operations become instructions on the lanes of a block
     writers         loops over units, the tape, the way back
     routines        programs become machine code, kept on disk and called at an address

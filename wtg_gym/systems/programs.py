@@ -17,11 +17,11 @@ import numpy as np
 import numpy.typing as npt
 
 from wtg_gym.systems import expressions as ex
-from wtg_gym.systems.records import flatten
-from wtg_gym.systems.systems import Kind, Place, System, constants_of, count
+from wtg_gym.systems.systems import Kind, Place, System, constants_of, count, flatten
 
 Floats = npt.NDArray[np.float64]
 Whole = npt.NDArray[np.int64]
+Complex = npt.NDArray[np.complex128]
 #: Numbers in a table's head for each entry: how many units, the places of its first row and its first constant, and of
 #: its first row on the program's tape.
 HEAD = 4

@@ -19,10 +19,75 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple, get_type_hints
 
+import numpy as np
+
 from wtg_gym.ranges import did_you_mean
 from wtg_gym.systems import expressions as ex
-from wtg_gym.systems.records import flatten, is_record, kinds_of, leaves, size
-from wtg_gym.systems.tracing import retargeted
+from wtg_gym.systems.expressions import retargeted
+
+_DTYPES = {float: np.float64, int: np.int64, bool: np.bool_, complex: np.complex128}
+
+
+def is_record(kind: Any) -> bool:
+    return isinstance(kind, type) and hasattr(kind, "_fields")
+
+
+@functools.cache
+def leaves(record: Any) -> tuple[str, ...]:
+    """Return the dotted names of a record's numbers, in their order: ("angle", …, "exciter.lead_lag", …)."""
+    names: list[str] = []
+    for name, kind in get_type_hints(record).items():
+        names += [f"{name}.{leaf}" for leaf in leaves(kind)] if is_record(kind) else [name]
+    return tuple(names)
+
+
+def size(record: Any) -> int:
+    """Return how many numbers a record has."""
+    return len(leaves(record))
+
+
+@functools.cache
+def short_names(record: Any) -> tuple[str, ...]:
+    """Return the last part of each of :func:`leaves`' names: "lead_lag" of "exciter.lead_lag"."""
+    return tuple(leaf.rpartition(".")[2] for leaf in leaves(record))
+
+
+@functools.cache
+def dtype(record: type) -> np.dtype[Any]:
+    """Return the data type of a record of constants, with :func:`leaves` as names; floats, whole numbers and flags."""
+    return np.dtype(
+        [(leaf, _DTYPES[kind]) for leaf, kind in zip(leaves(record), kinds_of(record), strict=True)], align=True
+    )
+
+
+def kinds_of(record: type) -> Iterator[Any]:
+    """Yield the types of a record's numbers, in the order of :func:`leaves`."""
+    for kind in get_type_hints(record).values():
+        if is_record(kind):
+            yield from kinds_of(kind)
+        else:
+            yield kind
+
+
+def flatten(values: Any) -> tuple[Any, ...]:
+    """Return the numbers of a record's values, in the order of :func:`leaves`."""
+    flat: list[Any] = []
+    for value in values:
+        flat += flatten(value) if is_record(type(value)) else [value]
+    return tuple(flat)
+
+
+def structured(record: type, entries: Any) -> np.ndarray[Any, np.dtype[Any]]:
+    """Return entries of a record as a structured array."""
+    return np.array([flatten(entry) for entry in entries], dtype=dtype(record))
+
+
+def each(function: Callable[..., Any], *records: Any) -> Any:
+    """Apply a function of numbers to every number of records of one class; return the record of the results."""
+    if not is_record(type(records[0])):
+        return function(*records)
+    return type(records[0])(*(each(function, *values) for values in zip(*records, strict=True)))
+
 
 #: What a state "x" has in scratch besides: "x_rates", and the integration's own "x_base" and "x_sum".
 _OF_STATES = ("rates", "base", "sum")
@@ -402,6 +467,17 @@ def system(
 ) -> Callable[[Callable[..., Any]], System]:
     """Return a decorator that makes a :class:`System` of a function."""
     return lambda equation: System(kind, equation, writes, when, backward)
+
+
+def setting(kind: Kind, when: str | None = None, **values: Any) -> System:
+    """Return a system that sets parts of every unit of a kind to given values: numbers, or records."""
+    found = tuple(values.values())
+
+    def set_values() -> Any:
+        return found
+
+    origin = functools.partial(setting, kind, when, **values), ()
+    return System(kind, set_values, tuple(values), when, origin=origin)
 
 
 def count(record: Any) -> int:

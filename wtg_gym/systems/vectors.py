@@ -15,7 +15,7 @@ from numba.core import cgutils
 
 from wtg_gym.systems import elementary
 from wtg_gym.systems import expressions as ex
-from wtg_gym.systems.tracing import retargeted
+from wtg_gym.systems.expressions import retargeted
 
 _DOUBLE, _WHOLE, _BIT = ir.DoubleType(), ir.IntType(64), ir.IntType(1)
 #: Operations that are polynomials of others, and what they are applied to.

@@ -18,8 +18,7 @@ from wtg_gym.physics.wind_turbine import Turbine, WtgInput, WtgOutput, WtgState,
 from wtg_gym.physics.wtg_unit import GROUPS
 from wtg_gym.ranges import require_range
 from wtg_gym.systems.elementary import select
-from wtg_gym.systems.records import each
-from wtg_gym.systems.systems import Kind, system
+from wtg_gym.systems.systems import Kind, each, system
 from wtg_gym.tasks.episode import ACTING, TASK, GroupRows, TaskConstants
 
 #: Frequency deviation beyond which the constraint cost counts [Hz]: ENTSO-E's steady-state limit is 0.2, its

@@ -15,8 +15,7 @@ from wtg_gym.physics.units import LANE
 from wtg_gym.physics.wind_turbine import Rotor, Turbine, WtgOutput, WtgState, frequency_of, tip_speed_ratio
 from wtg_gym.physics.wtg_unit import GROUPS
 from wtg_gym.systems.elementary import clip
-from wtg_gym.systems.records import each
-from wtg_gym.systems.systems import Kind, system
+from wtg_gym.systems.systems import Kind, each, system
 from wtg_gym.tasks.cost import COST, FILTERED_DUTY, CostTerms
 from wtg_gym.tasks.episode import ACTING, ACTION_MODES, TASK, GroupRows, Reach, TaskConstants
 

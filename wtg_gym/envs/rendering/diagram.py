@@ -12,7 +12,7 @@ from gymnasium.error import DependencyNotInstalled
 
 from wtg_gym.envs.rendering.colours import EVENT, INK, PAGE, SOFT, group_colour
 from wtg_gym.extras import install_advice
-from wtg_gym.physics.network import NetworkCase
+from wtg_gym.physics.grid import NetworkCase
 from wtg_gym.physics.plant import Plant
 from wtg_gym.physics.scenario import Event, Fault, GovernorLoss, GroupTrip, LineTrip, MachineOutage, ReactanceStep
 

@@ -1,0 +1,263 @@
+"""The page of `wtg-gym play`: your actions against the reference in one scenario, and the cost of both at the end."""
+
+from __future__ import annotations
+
+import html
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from wtg_gym.envs.lanes import TaskLanes
+from wtg_gym.envs.rendering.colours import EVENT, INK, SOFT, group_colour
+from wtg_gym.envs.settings import EnvSettings
+from wtg_gym.evaluation import Entry, evaluate
+from wtg_gym.scenarios import SPLITS, Suite
+
+if TYPE_CHECKING:
+    from bokeh.document import Document
+
+#: Lanes of the two: you, and the reference.
+OWN, REFERENCE = 0, 1
+#: How often the page is brought up to date [ms]; a slow machine plays more slowly.
+_TICK_MS = 50
+_CHARTS = {"frequency": "frequency [Hz]", "rotor": "rotor speed [p.u.]", "power": "power of each group [p.u.]"}
+_INTRODUCTION = """<h2>Hold the frequency by hand</h2>
+Keep {nominal:g} Hz with the wind turbines, and let no rotor stall. The reference (dashed) plays the same scenario
+beside you and never acts. k up: the groups give more power and their rotors slow down; k down: they save. τ up: slower
+damping. Events are not announced. The arrow keys move the slider that was clicked last."""
+
+
+class Verdict(NamedTuple):
+    """What you or an anchor made of the scenario."""
+
+    name: str  # of who played
+    cost: float  # as it was paid
+    deviation_hz: float  # largest deviation of the frequency, up or down [Hz]
+    failure: str  # why it ended before its time; empty where it did not
+
+
+class Match:
+    """You against the reference, which never acts, in one scenario of a suite; a ValueError if the seed is in no split.
+
+    Both run the reference's law; your actions come on top of it, as an agent's do.
+    """
+
+    def __init__(self, suite: Suite, seed: int, duration_s: float | None = None) -> None:
+        splits = {split: suite.seeds(split) for split in SPLITS}
+        self._split = next((split for split, seeds in splits.items() if seed in seeds), "")
+        if not self._split:
+            known = ", ".join(f"{split} {seeds.start} … {seeds.stop - 1}" for split, seeds in splits.items())
+            raise ValueError(f"seed {seed} is in no split of suite {suite.name!r} that can be played: {known}")
+        self.suite, self.seed = suite, seed
+        settings = EnvSettings(suite=suite.name, duration_s=duration_s)
+        self.duration_s = settings.episode_duration_s()
+        self._lanes = TaskLanes(settings, 2, 1)
+        self._lanes.start([OWN, REFERENCE], self._lanes.scenarios([seed, seed]))
+        self.n_groups, self.control_dt = self._lanes.n_wtg, settings.step_s
+        self.nominal_hz = self._lanes.nominal_hz
+        self._actions: list[npt.NDArray[np.float64]] = []
+
+    @property
+    def over(self) -> bool:
+        """Whether your run has ended."""
+        return self.has_ended(OWN)
+
+    def has_ended(self, lane: int) -> bool:
+        """Whether the run of a lane has ended."""
+        return bool(self._lanes.outputs.terminated[lane] or self._lanes.outputs.truncated[lane])
+
+    @property
+    def time_s(self) -> float:
+        """Time since your start [s]; of a failure its instant."""
+        return float(self._lanes.simulator.lane_values("step")[OWN]) * self._lanes.simulator.settings.simulation_dt
+
+    def step(self, k: float, tau: float) -> list[tuple[float, str]]:
+        """Hold your action on k and τ of all groups for a control interval; return times [s] and words of events."""
+        # An event at the very start is one too.
+        before_s = self.time_s if self._actions else -1.0
+        # Group after group, as the environment takes them.
+        self._actions.append(np.tile([k, tau], self.n_groups))
+        self._lanes.step(np.stack([self._actions[-1], np.zeros(self._lanes.n_action)]))
+        events = sorted(self._lanes.events[OWN], key=lambda event: event.time_s)
+        return [(e.time_s, e.words) for e in events if before_s < e.time_s <= self.time_s]
+
+    def sample(self) -> dict[str, npt.NDArray[np.float64]]:
+        """Return where both stand: frequency (2,) [Hz]; rotor speed and power (2, n_groups) [p.u.]."""
+        simulator = self._lanes.simulator
+        return {
+            "frequency": self.nominal_hz * simulator.lane_values("coi"),
+            "rotor": simulator.wtg_values("rotor_speed"),
+            "power": simulator.wtg_values("power"),
+        }
+
+    def verdicts(self) -> list[Verdict]:
+        """Play your actions and the suite's anchors again, and return what the evaluator says, yours first."""
+        you = Entry(name="you", policy=_Played(self._actions))
+        options: dict[str, Any] = {"seeds": [self.seed], "duration_s": self.duration_s, "n_threads": 1}
+        results = evaluate([you], self.suite.name, self._split, **options)
+        verdicts = []
+        for name in (you.name, *results.task.anchors):
+            (episode,) = results.episodes_of(name)
+            metrics = {key: float(value) for key, value in episode.metrics.items() if value is not None}
+            deviation = max(self.nominal_hz - metrics["nadir_hz"], metrics["zenith_hz"] - self.nominal_hz)
+            verdicts.append(Verdict(name, metrics["cost"], deviation, episode.failure))
+        return verdicts
+
+    def next_seed(self) -> int:
+        """Return the seed after this one in its split; after the last one the first."""
+        seeds = self.suite.seeds(self._split)
+        return seeds[(seeds.index(self.seed) + 1) % len(seeds)]
+
+
+class _Played:
+    """A policy that repeats the actions of one episode; its state is the number of steps."""
+
+    def __init__(self, actions: list[npt.NDArray[np.float64]]) -> None:
+        self._actions = actions
+
+    def predict(
+        self, observation: Any, state: Any = None, episode_start: Any = None, deterministic: bool = True
+    ) -> Any:
+        step = state or 0
+        return self._actions[step][np.newaxis], step + 1
+
+
+class PlayPage:
+    """One visitor's page: sliders for your actions, and both runs as they go; it needs Bokeh."""
+
+    def __init__(self, document: Document, match: Match, speed: float) -> None:
+        from bokeh.layouts import column, row
+        from bokeh.models import Button, ColumnDataSource, Div, Slider
+
+        def text(name: str, content: str = "") -> Div:
+            return Div(name=name, text=content, sizing_mode="stretch_width", styles={"font-size": "14px"})
+
+        def button(name: str, label: str, act: Any) -> Button:
+            made = Button(name=name, label=label, width=110)
+            made.on_click(act)
+            return made
+
+        self._match, self._speed = match, speed
+        self._running = False
+        #: Control steps that are still to be made, a fraction of one between two ticks.
+        self._due = 0.0
+        self._traces, self._strikes = ColumnDataSource(name="traces"), ColumnDataSource(name="strikes")
+        self._start = button("start", "Start", self._toggle)
+        self._status, self._verdict, self._events = (text(name) for name in ("status", "verdict", "events"))
+        self._sliders = [
+            Slider(name=name, title=name, start=-1.0, end=1.0, step=0.05, value=0.0, width=300) for name in ("k", "τ")
+        ]
+        self._play(match.seed)
+        buttons = (
+            self._start,
+            button("again", "Again", lambda: self._play(self._match.seed)),
+            button("next", "Next scenario", lambda: self._play(self._match.next_seed())),
+            button("zero", "All to zero", self._zero),
+        )
+        charts = column(*(self._chart(name) for name in _CHARTS), sizing_mode="stretch_width")
+        main = row(charts, column(*self._sliders, self._events), sizing_mode="stretch_width")
+        introduction = text("introduction", _INTRODUCTION.format(nominal=self._match.nominal_hz))
+        whole = column(introduction, row(*buttons), self._status, self._verdict, main, sizing_mode="stretch_width")
+        whole.styles = {"padding": "0 1rem"}
+        document.title = "wtg_gym: hold the frequency by hand"
+        document.add_root(whole)
+        document.add_periodic_callback(self._tick, _TICK_MS)
+
+    def _chart(self, name: str) -> Any:
+        from bokeh.models import Range1d
+        from bokeh.plotting import figure
+
+        span = Range1d(0.0, self._match.duration_s)
+        made = figure(name=name, title=_CHARTS[name], height=190, x_range=span, tools="")
+        made.update(toolbar_location=None, sizing_mode="stretch_width", lod_threshold=None)
+        made.update(min_border_left=60, min_border_right=20)
+        made.axis.minor_tick_line_color = None
+        made.xaxis.axis_label = "time [s]" if name == "power" else None
+        if name == "frequency":
+            nominal = self._match.nominal_hz
+            # Keeps this range in view.
+            made.scatter([0.0, 0.0], [nominal - 0.25, nominal + 0.25], alpha=0.0)
+            made.hspan([nominal - 0.2, nominal + 0.2], line_color=SOFT, line_dash="dotted")
+        made.vspan("x", source=self._strikes, line_color=EVENT, line_dash="dashed")
+        for j in range(1 if name == "frequency" else self._match.n_groups):
+            colour = INK if name == "frequency" else group_colour(j)
+            yours = {"line_width": 2.2, **({"legend_label": f"group {j + 1}"} if name == "rotor" else {})}
+            for lane, style in ((REFERENCE, {"line_dash": [6, 3]}), (OWN, yours)):
+                made.line("t", f"{name}-{lane}-{j}", source=self._traces, color=colour, **style)
+        if name == "rotor":
+            made.legend.update(location="bottom_right", orientation="horizontal", padding=2, background_fill_alpha=0.7)
+        return made
+
+    def _zero(self) -> None:
+        for slider in self._sliders:
+            slider.value = 0.0
+
+    def _toggle(self) -> None:
+        if self._match.over:
+            self._play(self._match.seed)
+        self._running = not self._running
+        self._show()
+
+    def _play(self, seed: int) -> None:
+        """Put a scenario at its start, paused."""
+        self._match = Match(self._match.suite, seed, self._match.duration_s)
+        self._running, self._due, self._seen = False, 0.0, list[tuple[float, str]]()
+        self._zero()
+        self._traces.data = {name: [value] for name, value in self._now().items()}
+        self._strikes.data = {"x": []}
+        self._verdict.text = ""
+        self._show()
+
+    def _now(self) -> dict[str, float]:
+        """Return where both stand, as a row of the traces; the line of a reference that failed ends."""
+        gone = self._match.has_ended(REFERENCE) and not self._match.over
+        now = {"t": self._match.time_s}
+        for name, values in self._match.sample().items():
+            for (lane, j), value in np.ndenumerate(values.reshape(2, -1)):
+                now[f"{name}-{lane}-{j}"] = np.nan if gone and lane == REFERENCE else float(value)
+        return now
+
+    def _tick(self) -> None:
+        """Make the control steps that are due."""
+        if not self._running:
+            return
+        self._due += self._speed * _TICK_MS / 1000.0 / self._match.control_dt
+        rows, struck = list[dict[str, float]](), list[tuple[float, str]]()
+        while self._due >= 1.0 and not self._match.over:
+            self._due -= 1.0
+            struck += self._match.step(*(slider.value for slider in self._sliders))
+            rows.append(self._now())
+        if rows:
+            self._traces.stream({name: [each[name] for each in rows] for name in rows[0]})
+        if struck:
+            self._seen += struck
+            self._strikes.stream({"x": [time_s for time_s, _ in struck]})
+        if self._match.over:
+            self._running = False
+            self._verdict.text = verdict_text(self._match.verdicts(), self._match.time_s)
+        self._show()
+
+    def _show(self) -> None:
+        """Bring status and events up to date."""
+        match = self._match
+        state = "over" if match.over else "running" if self._running else "paused" if match.time_s else "ready"
+        self._start.label = "Pause" if self._running else "Start"
+        frequency = match.sample()["frequency"][OWN]
+        lost = "" if match.over or not match.has_ended(REFERENCE) else " The reference has failed."
+        self._status.text = (
+            f"<b>{match.time_s:.1f} s</b> of {self._match.duration_s:g} s, <b>{frequency:.2f} Hz</b>, {state}. "
+            f"{match.suite.name}, scenario {match.seed}.{lost}"
+        )
+        lines = (f"<b>{time_s:.1f} s</b> {html.escape(words)}" for time_s, words in reversed(self._seen))
+        self._events.text = "<br>".join(lines) or "Nothing has happened yet."
+
+
+def verdict_text(verdicts: list[Verdict], end_s: float) -> str:
+    """Return the end of a run as HTML: your cost, failure, and a table of everybody's."""
+    you = verdicts[0]
+    failed = f"<h2>Your run failed after {end_s:.1f} s: {you.failure}</h2>" if you.failure else ""
+    rows = [("", "cost", "largest deviation", "failure")]
+    rows += [(v.name, f"{v.cost:.1f}", f"{1000.0 * v.deviation_hz:.0f} mHz", v.failure) for v in verdicts]
+    table = "".join("<tr><td>" + "<td style='padding-left:2em'>".join(row) for row in rows)
+    return f"{failed}<h2>Your cost: {you.cost:.1f}</h2><table>{table}</table>"
