@@ -67,7 +67,7 @@ def test_searches_for_laws_and_numbers_run() -> None:
 
 @pytest.fixture(scope="module")
 def players() -> list[Any]:
-    return [each for name in (*V1.anchors, "fast-droop") for each in load_entries(name)]
+    return [each for name in (*V1.references, "fast-droop") for each in load_entries(name)]
 
 
 @pytest.fixture(scope="module")

@@ -22,10 +22,11 @@ from wtg_gym.evaluation import (
     summary,
     table_cells,
 )
+from wtg_gym.evaluation.adjusted import Adjusted, known_means
 from wtg_gym.evaluation.results import markdown_section
 from wtg_gym.evaluation.table import columns_of
 from wtg_gym.scenarios import get_suite
-from wtg_gym.tasks import V1
+from wtg_gym.tasks import V0, V1
 
 
 def test_table_has_the_best_first_and_equal_scores_share_a_rank(results: Results) -> None:
@@ -57,8 +58,8 @@ def changed(results: Results, changes: Mapping[int, Mapping[str, Any]]) -> tuple
 
 
 def without_scale(results: Results) -> Results:
-    """Return results of v1 in which the anchors have changed places."""
-    other = {V1.zero: V1.hundred, V1.hundred: V1.zero}
+    """Return results of v0 in which the anchors have changed places."""
+    other = {V0.zero: V0.hundred, V0.hundred: V0.zero}
     metrics = {(e.entry, e.seed): e.metrics for e in results.episodes}
     episodes = [dataclasses.replace(e, metrics=metrics[other.get(e.entry, e.entry), e.seed]) for e in results.episodes]
     return dataclasses.replace(results, episodes=tuple(episodes))
@@ -99,38 +100,42 @@ def test_entries_that_leave_0_8_hz_more_often_than_the_anchor_rank_behind_it(res
         dataclasses.replace(e, failure="", metrics={**e.metrics, "nadir_hz": 49.9, "zenith_hz": 50.1})
         for e in results_v1.episodes_of(V1.hundred)
     ]
-    wild = [dataclasses.replace(quiet[0], failure="frequency limit"), *quiet[1:]]
-    runs = {V1.zero: [quiet], V1.hundred: [quiet], "wild": [wild], "fine": [quiet]}
+
+    def wild(n_lost: int) -> list[Any]:
+        return [*(dataclasses.replace(e, failure="frequency limit") for e in quiet[:n_lost]), *quiet[n_lost:]]
+
+    # Four scenarios of four may be chance, p = 1 / 16; five are not.
+    runs = {V1.zero: [quiet], V1.hundred: [quiet], "wild": [wild(5)], "fine": [wild(4)]}
     base = np.arange(10.0, 22.0)
     costs = {
         name: base[np.newaxis] * factor
         for name, factor in ((V1.zero, 2.0), (V1.hundred, 1.0), ("wild", 0.5), ("fine", 1.1))
     }
     entries = [{"name": name, "kind": "law", "observation_mode": "measured"} for name in runs]
-    rows = summary.ranked(
-        summary.scored(
-            summary.measured(entries, runs, costs, get_suite("standard-v1"), groups), runs, costs, V1, groups
-        )
-    )
+    offsets = np.where(np.arange(12) % 2, 3000.0, 40.0)
+    scoring = Adjusted(0.3, groups)
+    measured = summary.measured(entries, runs, costs, get_suite("standard-v1"), groups, scoring)
+    rows = summary.ranked(summary.scored(measured, runs, costs, V1, offsets, scoring))
     assert [row.name for row in rows] == [V1.hundred, "fine", V1.zero, "wild"]
     assert [row.marked for row in rows] == [True, True, True, False]
-    # Of each stratum the logarithms, behind its J0.
-    of = {"ordinary": 40.0, "extreme": 3000.0}
-    logs = {n: np.array([np.log(own[0, groups[s]] + j0).mean() for s, j0 in of.items()]) for n, own in costs.items()}
-    scale = logs[V1.zero] - logs[V1.hundred]
+    logs = {name: np.log(own[0] + offsets) for name, own in costs.items()}
     for row in rows:
-        expected = 100.0 * np.mean((logs[V1.zero] - logs[row.name]) / scale)
-        assert row.score.value == pytest.approx(expected)
-    for row in rows:
-        assert list(row.strata) == list(groups)
-        assert np.mean([own.value for own in row.strata.values()]) == pytest.approx(row.score.value)
+        gained = logs[V1.hundred] - logs[row.name]
+        expected = [100.0 + 100.0 / 0.3 * gained[at].mean() for at in groups.values()]
+        assert row.score.value == pytest.approx(np.mean(expected))
+        assert {name: own.value for name, own in row.strata.items()} == pytest.approx(
+            dict(zip(groups, expected, strict=True))
+        )
+        assert sum(row.points_by_term.values()) == pytest.approx(row.score.value - 100.0)
     anchor, fine, _, last = rows
     nought = Interval(0.0, 0.0, 0.0)
     assert anchor.lost_or_beyond_to_hundred == anchor.worst_decile_to_hundred == nought
-    assert fine.lost_or_beyond_to_hundred == nought and fine.worst_decile_to_hundred.value == pytest.approx(10.0)
-    assert last.lost_or_beyond_to_hundred.value == pytest.approx(100.0 / 12.0)
-    text = markdown_table(rows, columns_of("details", rows))
-    assert "| 0.0 ✓ | 0.0 | +10.0 |" in text and "| 8.3 | +8.3 (0.0 … " in text and " large " not in text
+    assert fine.worst_decile_to_hundred.value == pytest.approx(10.0)
+    assert last.lost_or_beyond_to_hundred.value == pytest.approx(100.0 * 5 / 12)
+    heads = columns_of("details", rows)
+    assert heads[2:5] == ["score", *groups]
+    text = markdown_table(rows, heads)
+    assert "| 0.0 ✓ | 0.0 | 0.0 |" in text and "| 41.7 | +41.7 (+2.2 … +81.2)" in text
     assert [cells[0] for cells in table_cells(rows)] == ["1", "2", "3", "4"]
 
 
@@ -143,44 +148,53 @@ def test_entries_that_lose_grids_that_the_anchor_only_bends_have_no_mark(results
     runs = {V1.hundred: [bent], "loses": [lost], "loses one": [[*lost[:1], *bent[1:]]]}
     costs = {name: np.full((1, 12), 10.0) for name in runs}
     entries = [{"name": name, "kind": "law", "observation_mode": "measured"} for name in runs]
-    rows = summary.measured(
-        entries, runs, costs, get_suite("standard-v1"), {"ordinary": np.arange(6), "large": np.arange(6, 12)}
-    )
+    groups = {"ordinary": np.arange(6), "large": np.arange(6, 12)}
+    rows = summary.measured(entries, runs, costs, get_suite("standard-v1"), groups, Adjusted(0.3, groups))
     assert [row.lost_or_beyond_to_hundred.value for row in rows] == [0.0, 0.0, 0.0]
     # One lost grid may be chance.
     assert [row.marked for row in rows] == [True, False, True]
 
 
-def test_as_many_bad_runs_in_other_strata_keep_the_mark(results_v1: Results) -> None:
-    def beyond(*places: int) -> list[Any]:
-        return [
-            dataclasses.replace(e, failure="", metrics={**e.metrics, "nadir_hz": 49.1 if i in places else 49.9})
-            for i, e in enumerate(results_v1.episodes_of(V1.hundred))
-        ]
-
-    # The mean of 0 and 5 of 6 is larger than that of 1 and 4 of 6, in its last bit.
-    runs = {V1.hundred: [beyond(0, 6, 7, 8, 9)], "other": [beyond(6, 7, 8, 9, 10)]}
-    costs = {name: np.full((1, 12), 10.0) for name in runs}
-    entries = [{"name": name, "kind": "law", "observation_mode": "measured"} for name in runs]
-    rows = summary.measured(
-        entries, runs, costs, get_suite("standard-v1"), {"ordinary": np.arange(6), "large": np.arange(6, 12)}
-    )
-    assert rows[1].lost_or_beyond_to_hundred.value > 0.0 and [row.marked for row in rows] == [True, True]
+def test_scores_that_are_not_adjusted_say_why(results_v1: Results) -> None:
+    few = evaluate("fast-droop", "standard-v1", seeds=[10_000, 10_002], duration_s=1.0)
+    assert "their mean gains are not known for this suite with these settings" in few.unadjusted
+    assert list(few.summaries[0].strata) == ["ordinary", "large"] and few.has_scale
+    whole = get_suite("standard-v1").duration_s
+    own = dataclasses.replace(results_v1, settings={**results_v1.settings, "duration_s": whole})
+    assert "they need 30 scenarios of each stratum" in own.unadjusted
+    assert f"{own.unadjusted[0].upper()}{own.unadjusted[1:]}." in markdown_section(own)
+    assert own.unadjusted in own._repr_markdown_()
 
 
-def test_without_a_scenario_of_every_stratum_there_is_no_score() -> None:
-    results = evaluate("fast-droop", "standard-v1", seeds=[10_000, 10_002], duration_s=1.0)
-    assert "none of the 2 scenarios is of the stratum 'extreme'" in results.no_score
-    with pytest.raises(NoScaleError, match="stratum 'extreme'"):
-        results.summaries  # noqa: B018
+def test_scores_of_many_scenarios_are_adjusted(results_v1: Results) -> None:
+    """Results of the same episodes over and over, as if they were of 96 scenarios of whole length."""
+    seeds = range(10_000, 10_096)
+    episodes = [
+        dataclasses.replace(e, seed=seed)
+        for entry in results_v1.entries
+        for i, seed in enumerate(seeds)
+        for e in [results_v1.episodes_of(entry["name"])[i % 12]]
+    ]
+    settings = {**results_v1.settings, "duration_s": get_suite("standard-v1").duration_s}
+    many = dataclasses.replace(results_v1, seeds=tuple(seeds), episodes=tuple(episodes), settings=settings)
+    assert many.unadjusted == "" and many.scores[V1.hundred] == Interval(100.0, 100.0, 100.0)
+    # A control variate has its known score, and the interval of that.
+    known = known_means("standard-v1", many.suite_hash, settings, V1.variates)
+    for i, name in enumerate(V1.variates):
+        score = many.scores[name]
+        assert score.value == pytest.approx(
+            100.0 + 100.0 / V1.scale * np.mean([each.mean[i] for each in known.values()])
+        )
+        error = np.sqrt(sum(each.covariance[i][i] / each.n for each in known.values())) / len(known)
+        assert score.high - score.value == pytest.approx(1.96 * 100.0 / V1.scale * error, rel=1e-3)
 
 
 def test_without_a_score_the_mean_pinned_cost_ranks(tmp_path: Path) -> None:
-    results = without_scale(evaluate("fast-droop", "paper-v1", "test"))
+    results = without_scale(evaluate("deloaded-10", "paper", "test"))
     rows = results.ranking
     columns = columns_of("terminal", rows)
     assert not results.has_scale and len(rows) == 3
-    with pytest.raises(NoScaleError, match=r"piecewise \(mean cost .*\) is not worse than coordinated-tuned"):
+    with pytest.raises(NoScaleError, match=r"mppt \(mean cost .*\) is not worse than coordinated-piecewise"):
         leaderboard_rows(results)
     assert Results.read(results.write(tmp_path)[0]) == results
     costs = {name: float(np.mean(costs)) for name, costs in results.pinned_costs.items()}
@@ -189,6 +203,6 @@ def test_without_a_score_the_mean_pinned_cost_ranks(tmp_path: Path) -> None:
     assert [each["rank"] for each in cells] == ["1", "2", "3"] and {each["score"] for each in cells} == {"none"}
     assert [each["mean cost"] for each in cells] == [f"{costs[row.name]:.1f}" for row in rows]
     for text in (markdown_section(results), results._repr_markdown_()):
-        assert "anked by mean cost, as there is no score: on these 2 scenarios coordinated-piecewise" in text
+        assert "anked by mean cost, as there is no score: on these 2 scenarios mppt" in text
         assert "[points]" not in text and f"{costs[rows[0].name]:.1f}" in text
-    assert results.to_dict()["summary"]["fast-droop"]["mean_pinned_cost"] == pytest.approx(costs["fast-droop"])
+    assert results.to_dict()["summary"]["deloaded-10"]["mean_pinned_cost"] == pytest.approx(costs["deloaded-10"])

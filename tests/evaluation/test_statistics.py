@@ -12,12 +12,12 @@ from hypothesis.extra.numpy import arrays
 from scipy import stats
 
 from wtg_gym.evaluation import score, statistics
-from wtg_gym.evaluation.statistics import Groups
-from wtg_gym.tasks import V0, V1, Task
+from wtg_gym.evaluation.adjusted import Adjusted
+from wtg_gym.evaluation.statistics import Bootstrap, Groups
+from wtg_gym.tasks import V0
 
 COSTS = arrays(np.float64, 7, elements=st.floats(0.0, 3050.0))
-#: Seven scenarios of three strata, and J0 of each.
-STRATA: Groups = {"ordinary": np.array([0, 3, 6]), "large": np.array([1, 4]), "extreme": np.array([2, 5])}
+#: J0 of seven scenarios of three strata.
 OFFSETS = np.array([40.0, 300.0, 3000.0, 40.0, 300.0, 3000.0, 40.0])
 
 
@@ -30,43 +30,28 @@ def test_score_is_the_written_formula() -> None:
     scale = (math.log(105.0 / 15.0) + math.log(45.0 / 25.0)) / 2.0
     expected = [100.0 * (1.0 + math.log(15.0 / 10.0) / scale), 100.0 * (1.0 + math.log(25.0 / 85.0) / scale)]
     offsets = score.cost_offsets(whole(2), V0)
-    scales = score.score_scales(mppt, reference, V0, whole(2))
-    assert scales == pytest.approx([scale], rel=1e-14)
-    gains = score.gains(costs[np.newaxis], reference, offsets)
-    assert score.mean_score(gains, scales, whole(2)) == pytest.approx(sum(expected) / 2.0, rel=1e-14)
+    assert score.score_scales(mppt, reference, V0, whole(2)) == pytest.approx([scale], rel=1e-14)
+    gains, zero = score.gains(np.array([costs, mppt]), reference, offsets)
+    scoring = Bootstrap(zero)
+    assert scoring.score(gains[np.newaxis]).value == pytest.approx(sum(expected) / 2.0, rel=1e-14)
+    assert scoring.points(gains[np.newaxis]) == pytest.approx(sum(expected) / 2.0 - 100.0, rel=1e-14)
+    with pytest.raises(
+        score.NoScaleError, match=r"on these 2 scenarios mppt .* is not worse than coordinated-piecewise"
+    ):
+        score.score_scales(reference, mppt, V0, whole(2))
 
 
-def test_score_of_strata_is_the_mean_of_theirs_each_with_its_offset_and_scale() -> None:
-    rng = np.random.default_rng(3)
-    zero, hundred, costs = rng.uniform(50.0, 60.0, 7), rng.uniform(10.0, 20.0, 7), rng.uniform(5.0, 90.0, (2, 7))
-    assert np.array_equal(score.cost_offsets(STRATA, V1), OFFSETS)
-    scales = score.score_scales(zero, hundred, V1, STRATA)
-    own = score.gains(costs, hundred, OFFSETS)
-    expected = []
-    for offset, at in zip((40.0, 300.0, 3000.0), STRATA.values(), strict=True):
-        z, h, c = (np.log(each[..., at] + offset).mean() for each in (zero, hundred, costs))
-        expected.append(100.0 * (z - c) / (z - h))
-        assert score.mean_score(own, [z - h], {"": at}) == pytest.approx(expected[-1])
-    assert score.mean_score(own, scales, STRATA) == pytest.approx(np.mean(expected))
-    zero[STRATA["large"]] = hundred[STRATA["large"]]
-    with pytest.raises(score.NoScaleError, match="on these 2 scenarios of the stratum 'large' coordinated-piecewise"):
-        score.score_scales(zero, hundred, V1, STRATA)
-
-
-@given(COSTS, COSTS, st.sampled_from([(V0, whole(7)), (V1, STRATA)]))
-def test_anchors_score_exactly_0_and_100(one: np.ndarray, other: np.ndarray, version: tuple[Task, Groups]) -> None:
-    task, groups = version
-    offsets = score.cost_offsets(groups, task)
+@given(COSTS, COSTS)
+def test_anchors_score_exactly_0_and_100(one: np.ndarray, other: np.ndarray) -> None:
+    offsets = score.cost_offsets(whole(7), V0)
     reference, zero = sorted((one, other), key=lambda c: float(np.log(c + offsets).sum()))
     try:
-        scales = score.score_scales(zero, reference, task, groups)
+        score.score_scales(zero, reference, V0, whole(7))
     except score.NoScaleError:
         return
-    for costs, points in ((zero, 0.0), (reference, 100.0)):
-        gains = score.gains(costs[np.newaxis], reference, offsets)
-        assert score.mean_score(gains, scales, groups) == points
-        for at, scale in zip(groups.values(), scales, strict=True):
-            assert score.mean_score(gains, [scale], {"": at}) == points
+    gains = score.gains(np.array([zero, reference]), reference, offsets)
+    for own, points in zip(gains, (0.0, 100.0), strict=True):
+        assert Bootstrap(gains[0]).score(own[np.newaxis]).value == points
 
 
 @pytest.mark.parametrize("bad", [-1.0, math.nan, math.inf])
@@ -86,7 +71,7 @@ def test_interval_of_several_seeds_covers_the_truth_as_often_as_it_says() -> Non
     for _ in range(200):
         # As trained policies are: hard and easy scenarios for all of them, better and worse seeds, and the rest.
         values = 20.0 * rng.normal(size=(1, 100)) + 3.0 * rng.normal(size=(5, 1)) + 2.0 * rng.normal(size=(5, 100))
-        interval = statistics.score_interval(values, np.full(100, -1.0), whole(100))
+        interval = Bootstrap(np.full(100, -1.0)).score(values)
         covered.append(interval.low <= 100.0 <= interval.high)
     assert 0.89 <= np.mean(covered) <= 0.99
 
@@ -103,7 +88,7 @@ def test_score_interval_agrees_with_scipys_paired_bootstrap_of_the_ratio() -> No
     def score(own: np.ndarray, scale: np.ndarray, axis: int) -> np.ndarray:
         return 100.0 * (1.0 - own.mean(axis=axis) / scale.mean(axis=axis))
 
-    interval = statistics.score_interval(gains, mppt, whole(120))
+    interval = Bootstrap(mppt).score(gains)
     expected = stats.bootstrap(
         (gains[0], mppt), score, paired=True, n_resamples=20_000, method="percentile", rng=11
     ).confidence_interval
@@ -116,11 +101,11 @@ def test_score_interval_agrees_with_scipys_paired_bootstrap_of_the_ratio() -> No
 def test_difference_of_two_entries_is_paired() -> None:
     gains, mppt = _gains(np.random.default_rng(13), 1, 200)
     better = gains + 0.01
-    difference = statistics.score_difference(better, gains, mppt, whole(200))
+    difference = Bootstrap(mppt).score_difference(better, gains)
     assert difference.value == pytest.approx(100.0 * 0.01 / -mppt.mean())
-    alone = statistics.score_interval(better, mppt, whole(200))
+    alone = Bootstrap(mppt).score(better)
     assert difference.low > 0.0 and difference.high - difference.low < 0.1 * (alone.high - alone.low)
-    other_way = statistics.score_difference(gains, better, mppt, whole(200))
+    other_way = Bootstrap(mppt).score_difference(gains, better)
     assert (other_way.value, other_way.low, other_way.high) == pytest.approx(
         (-difference.value, -difference.high, -difference.low)
     )
@@ -129,60 +114,78 @@ def test_difference_of_two_entries_is_paired() -> None:
 def test_seeds_of_two_entries_are_drawn_independently() -> None:
     # Two rows of equal seeds, good and bad: were they drawn together, the difference would always be nought.
     gains = np.repeat([[0.0], [1.0]], 30, axis=1)
-    difference = statistics.score_difference(gains, gains, np.full(30, -1.0), whole(30))
+    difference = Bootstrap(np.full(30, -1.0)).score_difference(gains, gains)
     assert (difference.value, difference.low, difference.high) == pytest.approx((0.0, -100.0, 100.0))
 
 
-def test_interval_of_strata_covers_the_truth_and_is_narrower_than_without_them() -> None:
-    rng = np.random.default_rng(7)
-    groups = {str(i): np.arange(i, 90, 3) for i in range(3)}
-    covered, widths = [], []
-    for _ in range(200):
-        # Strata differ by far more than the scenarios in one.
-        values = 10.0 * rng.normal(size=(1, 90)) + np.resize([0.0, 100.0, -100.0], 90)
-        own, one = (statistics.score_interval(values, np.full(90, -1.0), each) for each in (groups, whole(90)))
-        covered.append(own.low <= 100.0 <= own.high)
-        widths.append((own.high - own.low) / (one.high - one.low))
-    assert 0.89 <= np.mean(covered) <= 0.99 and max(widths) < 0.3
-
-
-def test_differences_to_another_entry_are_paired() -> None:
+@pytest.mark.parametrize("version", ["v0", "v1"])
+def test_differences_to_another_entry_are_paired(version: str) -> None:
     rng = np.random.default_rng(12)
     costs, happened = rng.lognormal(3.0, 1.0, (1, 70)), (rng.random((1, 70)) < 0.2).astype(float)
-    groups = {name: np.concatenate([at + 7 * i for i in range(10)]) for name, at in STRATA.items()}
+    differences = Bootstrap(np.full(70, -1.0)) if version == "v0" else Adjusted(0.4, whole(70))
     for difference in (
-        statistics.share_difference(happened, happened, groups),
-        statistics.worst_tenth_difference(costs, costs, groups),
+        differences.share_difference(happened, happened),
+        differences.worst_tenth_difference(costs, costs),
     ):
         assert (difference.value, difference.low, difference.high) == (0.0, 0.0, 0.0)
-    dearer = statistics.worst_tenth_difference(1.25 * costs, costs, groups)
+    dearer = differences.worst_tenth_difference(1.25 * costs, costs)
     assert (dearer.value, dearer.low, dearer.high) == pytest.approx((25.0, 25.0, 25.0))
     more = happened.copy()
     more[0, np.flatnonzero(happened[0] == 0.0)[:7]] = 1.0
-    share = statistics.share_difference(more, happened, groups)
+    share = differences.share_difference(more, happened)
     assert share.value == pytest.approx(10.0) and 0.0 < share.low < 10.0 < share.high
+
+
+def test_intervals_of_differences_agree_with_the_bootstrap() -> None:
+    rng = np.random.default_rng(14)
+    costs = rng.lognormal(3.0, 1.0, 600) * np.exp(0.3 * rng.normal(size=(2, 1, 600)))
+    linear, bootstrap = Adjusted(0.4, whole(600)), Bootstrap(np.full(600, -1.0))
+    for name, one, other in (
+        ("worst_tenth_difference", *costs),
+        ("share_difference", *(costs > 60.0).astype(float)),
+    ):
+        own, base = (getattr(each, name)(one, other) for each in (linear, bootstrap))
+        width = base.high - base.low
+        assert own.value == pytest.approx(base.value)
+        assert (own.low, own.high) == pytest.approx((base.low, base.high), abs=0.15 * width)
 
 
 @given(
     arrays(np.float64, (3, 2, 7), elements=st.floats(0.0, 1000.0)),
     arrays(np.float64, (3, 7), elements=st.floats(0.0, 1000.0)),
-    st.sampled_from([(V0, whole(7), [0.7]), (V1, STRATA, [0.7, 5.0, 80.0])]),
 )
-def test_points_by_term_add_up_to_the_score(
-    terms: np.ndarray, reference_terms: np.ndarray, version: tuple[Task, Groups, list[float]]
-) -> None:
-    task, groups, scales = version
+def test_parts_of_terms_add_up_to_the_gains(terms: np.ndarray, reference_terms: np.ndarray) -> None:
     costs, reference = terms.sum(axis=0), reference_terms.sum(axis=0)
-    offsets = score.cost_offsets(groups, task)
-    points = score.points_by_term(costs, reference, terms, reference_terms, scales, groups, offsets)
-    total = score.mean_score(score.gains(costs, reference, offsets), scales, groups) - 100.0
-    assert math.fsum(points) == pytest.approx(total, rel=1e-9, abs=1e-9 * np.abs(points).max() + 1e-9)
+    parts = score.gains_by_term(costs, reference, terms, reference_terms, OFFSETS)
+    gains = score.gains(costs, reference, OFFSETS)
+    assert parts.sum(axis=0) == pytest.approx(gains, rel=1e-9, abs=1e-9 * np.abs(parts).max() + 1e-9)
 
 
-def test_points_by_term_are_the_logarithmic_mean_written_out() -> None:
+def test_parts_of_terms_are_the_logarithmic_mean_written_out() -> None:
     terms, reference_terms = np.array([[[4.0]], [[1.0]]]), np.array([[2.0], [8.0]])
     # ln(15 / 10) is the gain of ten against five, and L(15, 10) = 5 / ln(15 / 10).
-    expected = [100.0 * (2.0 - 4.0) * math.log(1.5) / 5.0 / 0.5, 100.0 * (8.0 - 1.0) * math.log(1.5) / 5.0 / 0.5]
+    expected = [(2.0 - 4.0) * math.log(1.5) / 5.0, (8.0 - 1.0) * math.log(1.5) / 5.0]
     costs = np.array([[5.0]]), np.array([10.0])
-    points = score.points_by_term(*costs, terms, reference_terms, [0.5], whole(1), np.array([5.0]))
-    assert points.tolist() == pytest.approx(expected)
+    parts = score.gains_by_term(*costs, terms, reference_terms, np.array([5.0]))
+    assert parts.ravel().tolist() == pytest.approx(expected)
+
+
+@pytest.mark.parametrize(("n_more", "n_less"), [(0, 0), (5, 0), (4, 0), (9, 2), (3, 8), (120, 100)])
+def test_of_one_run_the_test_of_bad_runs_is_mcnemars(n_more: int, n_less: int) -> None:
+    happened, other = np.zeros((2, 1, 400))
+    happened[0, :n_more], other[0, n_more : n_more + n_less] = 1.0, 1.0
+    # What happens to both says nothing.
+    happened[0, 300:], other[0, 300:] = 1.0, 1.0
+    chance = statistics.sign_test(happened, other)
+    n = n_more + n_less
+    assert chance == pytest.approx(stats.binomtest(n_more, n, 0.5, alternative="greater").pvalue if n else 1.0)
+
+
+def test_training_seeds_that_go_bad_in_the_same_scenarios_are_no_further_evidence() -> None:
+    happened, other = np.zeros((1, 40)), np.zeros((1, 40))
+    happened[0, :4] = 1.0
+    alone = statistics.sign_test(happened, other)
+    assert statistics.sign_test(np.repeat(happened, 3, axis=0), other) == pytest.approx(alone) == 1.0 / 16.0
+    # Signs of 3, 1 and -1: a sum of 3 or 5 of the eight.
+    mixed = np.array([[1.0, 0.0, 0.0], [1.0, 1.0, 1.0], [1.0, 0.0, 1.0]])
+    assert statistics.sign_test(mixed, np.array([[0.0, 0.0, 1.0]])) == pytest.approx(3.0 / 8.0)

@@ -136,6 +136,6 @@ def finish(results: Results, folder: Path | None, *, as_json: bool) -> int:
         "", "in brackets: 95 % interval; Δf: largest deviation of a run's frequency, the median; lost: runs that failed"
     )
     say(*notes_on_marks(rows))
-    if results.no_score:
-        note(results.no_score)
+    for text in filter(None, (results.no_score, results.unadjusted)):
+        note(text)
     return code

@@ -59,7 +59,9 @@ def evaluate(
     keep_going: bool = False,
     **env_arguments: Any,
 ) -> Results:
-    """Play entries, and the two anchors of the suite's version, through scenarios of a suite, and score them.
+    """Play entries, and the references of the suite's version, through scenarios of a suite, and score them.
+
+    References are the two anchors, and the laws that scores are adjusted by, :attr:`Task.references`.
 
     `evaluate("linear-feedback").scores["linear-feedback"]` is a score with its 95 % interval.
 
@@ -82,7 +84,7 @@ def evaluate(
         workers: other processes that play the batches; None plays them here, one after the other.
         keep_going: leave out an entry whose policy fails, or whose law has no equilibrium in a scenario, with all
             training seeds of its name, and name it in :attr:`Results.failed`; the others' results do not change. False
-            raises the failure. That of an anchor is always raised: there is no score without it.
+            raises the failure. That of a reference is always raised: there is no score without it.
         env_arguments: further settings of the environment, such as `duration_s`, the length of the episodes [s], see
             :class:`wtg_gym.envs.settings.EnvSettings`.
 
@@ -100,12 +102,12 @@ def evaluate(
         raise ValueError(f"a worker steps with one thread; leave out the threads, got {n_threads!r}")
     settings = EnvSettings(suite=suite, split=split, **env_arguments)
     played_suite = settings.resolved_suite
-    competitors = _with_anchors(entries, played_suite)
+    competitors = _with_references(entries, played_suite)
     chosen, shared = chosen_seeds(settings.suite_name, split, seeds), shared_settings(settings)
     check_size((entry.name for entry in competitors), len(chosen))
     store = PartialStore(partial, [played_suite.name, played_suite.hash, split, shared])
     parts = [part for entry in competitors for part in _parts(entry, chosen, batch)]
-    needed = settings.task.anchors if keep_going else [entry.name for entry in competitors]
+    needed = settings.task.references if keep_going else [entry.name for entry in competitors]
     with contextlib.closing(_stored_and_played(store, parts, settings, n_threads, workers)) as batches:
         episodes, failures = _collected(batches, parts, on_progress, needed)
     return Results(
@@ -126,8 +128,8 @@ def evaluate(
 # --- arguments -------------------------------------------------------------------------------------------------------
 
 
-def _with_anchors(given: str | Path | Entry | Sequence[str | Path | Entry], suite: Suite) -> list[Entry]:
-    """Return the entries, and the version's anchors that are not among them."""
+def _with_references(given: str | Path | Entry | Sequence[str | Path | Entry], suite: Suite) -> list[Entry]:
+    """Return the entries, and the version's references that are not among them."""
     entries: list[Any] = []
     task = suite.task
     if not isinstance(given, (str, Path, Entry, Sequence)):
@@ -136,8 +138,9 @@ def _with_anchors(given: str | Path | Entry | Sequence[str | Path | Entry], suit
         entries += load_entries(each, task=task) if isinstance(each, (str, Path)) else [each]
     check_entries(entries)
     check_version(entries, suite)
-    missing = [name for name in task.anchors if name not in {entry.name for entry in entries}]
-    return [*entries, *(Entry(name=name, strategy=name, description="Anchor of the score.") for name in missing)]
+    missing = [name for name in task.references if name not in {entry.name for entry in entries}]
+    texts = {name: f"{'Anchor' if name in task.anchors else 'Control variate'} of the score." for name in missing}
+    return [*entries, *(Entry(name=name, strategy=name, description=text) for name, text in texts.items())]
 
 
 def _check_arguments(suite: str, batch: int, env_arguments: dict[str, Any]) -> None:

@@ -53,7 +53,7 @@ def recompute(
 
     Args:
         stored: the results.
-        entries: all of their entries, without the anchors; others are ignored.
+        entries: all of their entries, without the references; others are ignored.
         n_threads, workers, on_progress: as for :func:`wtg_gym.evaluation.evaluate`.
 
     Raises:
@@ -61,7 +61,7 @@ def recompute(
     """
     by_run = {(entry.name, entry.training_seed): entry for entry in entries}
     wanted = [(entry["name"], entry["training_seed"]) for entry in (*stored.entries, *stored.failed)]
-    missing = [name for name, seed in wanted if (name, seed) not in by_run and name not in stored.task.anchors]
+    missing = [name for name, seed in wanted if (name, seed) not in by_run and name not in stored.task.references]
     if missing:
         raise ValueError(f"the results hold entries that were not given: {', '.join(dict.fromkeys(missing))}")
     now = evaluate(
@@ -100,8 +100,8 @@ def _facts(results: Results) -> dict[tuple[str, ...], Any]:
         facts |= {(part, key): value for key, value in getattr(results, part).items()}
     for entry in (*results.entries, *results.failed):
         label = f"entry {run_label(entry['name'], entry['training_seed'])}"
-        # The texts about an anchor depend on whether it was asked for.
-        left_out = _CIRCUMSTANCES if entry["name"] in results.task.anchors else ()
+        # The texts about a reference depend on whether it was asked for.
+        left_out = _CIRCUMSTANCES if entry["name"] in results.task.references else ()
         facts |= {(label, key): value for key, value in entry.items() if key not in left_out}
         facts[label, "played to the end"] = "reason" not in entry
     return facts

@@ -11,11 +11,12 @@ from typing import Any, TypeVar
 import numpy as np
 
 from wtg_gym.evaluation import results_file, summary
+from wtg_gym.evaluation.adjusted import LEAST_SCENARIOS, Adjusted, ControlVariates, KnownMeans, known_means
 from wtg_gym.evaluation.episodes import Episode, to_csv
 from wtg_gym.evaluation.metrics import METRICS
 from wtg_gym.evaluation.partial import PartialStore
-from wtg_gym.evaluation.score import NoScaleError, cost_offsets, score_scales
-from wtg_gym.evaluation.statistics import Floats, Groups, Interval
+from wtg_gym.evaluation.score import NoScaleError, cost_offsets, gains, score_scales
+from wtg_gym.evaluation.statistics import Bootstrap, Floats, Groups, Interval
 from wtg_gym.evaluation.summary import EntrySummary, Runs, ranked
 from wtg_gym.evaluation.table import columns_of, markdown_table, notes_on_marks
 from wtg_gym.files import interpreting
@@ -69,8 +70,7 @@ class Results:
     def _repr_markdown_(self) -> str:
         """Return the ranking as a table, which notebooks show."""
         scenarios = f"{self.suite}, {self.split}: {len(self.seeds)} scenarios"
-        notes = (scenarios, self.no_score, *notes_on_marks(self.ranking))
-        return f"{'; '.join(filter(None, notes))}\n\n{markdown_table(self.ranking)}"
+        return f"{'; '.join([scenarios, *self.notes])}\n\n{markdown_table(self.ranking)}"
 
     @property
     def task(self) -> Task:
@@ -87,15 +87,53 @@ class Results:
         """Summary of every entry, in the order of the entries.
 
         Raises:
-            NoScaleError: there is no score: on these scenarios the zero is not worse than the hundred, or a stratum has
-                none.
+            NoScaleError: in v0, the zero is not worse than the hundred on these scenarios.
         """
-        self._check_strata()
-        return summary.scored(self._measured, self._runs, self.pinned_costs, self.task, self.groups)
+        self._check_scale()
+        runs, costs = self._runs, self.pinned_costs
+        return summary.scored(self._measured, runs, costs, self.task, self.cost_offsets, self._scoring)
 
     @cached_property
     def _measured(self) -> list[EntrySummary]:
-        return summary.measured(self.entries, self._runs, self.pinned_costs, get_suite(self.suite), self.groups)
+        costs, suite = self.pinned_costs, get_suite(self.suite)
+        return summary.measured(self.entries, self._runs, costs, suite, self.groups, self._scoring)
+
+    @cached_property
+    def _scoring(self) -> Bootstrap | Adjusted:
+        if self.task.scale is None:
+            return Bootstrap(self._gains(self.task.zero))
+        variates = None
+        if not self.unadjusted:
+            variates = ControlVariates(np.stack([*map(self._gains, self.task.variates)], axis=1), self._known_means)
+        return Adjusted(self.task.scale, self.groups, variates)
+
+    def _gains(self, law: str) -> Floats:
+        hundred = self.pinned_costs[self.task.hundred][0]
+        gained: Floats = gains(self.pinned_costs[law], hundred, self.cost_offsets)[0]
+        return gained
+
+    @cached_property
+    def _known_means(self) -> dict[str, KnownMeans]:
+        return known_means(get_suite(self.suite).name, self.suite_hash, self.settings, self.task.variates)
+
+    @cached_property
+    def unadjusted(self) -> str:
+        """Why scores are not adjusted by the control variates of the version; "" where they are, or in v0."""
+        why = ""
+        if not self.task.variates:
+            return ""
+        if not self._known_means:
+            why = "their mean gains are not known for this suite with these settings"
+        elif missing := [name for name in self._known_means if name not in self.groups]:
+            why = f"none of the {len(self.seeds)} scenarios is of the stratum {missing[0]!r}"
+        elif min(at.size for at in self.groups.values()) < LEAST_SCENARIOS:
+            why = f"they need {LEAST_SCENARIOS} scenarios of each stratum"
+        return f"scored without control variates: {why}" if why else ""
+
+    @property
+    def notes(self) -> list[str]:
+        """What a reader of the ranking has to know: why there is no score, how it was made, what its marks mean."""
+        return [note for note in (self.no_score, self.unadjusted, *notes_on_marks(self.ranking)) if note]
 
     @property
     def ranking(self) -> list[EntrySummary]:
@@ -108,21 +146,19 @@ class Results:
     @cached_property
     def no_score(self) -> str:
         """Why there is no score, and what ranks instead; "" where there is a score."""
-        zero, hundred = (self.pinned_costs[name][0] for name in self.task.anchors)
         try:
-            self._check_strata()
-            score_scales(zero, hundred, self.task, self.groups)
+            self._check_scale()
         except NoScaleError as error:
             return f"ranked by mean cost, as there is no score: {error}"
         return ""
 
-    def _check_strata(self) -> None:
-        if missing := [name for name in get_suite(self.suite).strata if name not in self.groups]:
-            raise NoScaleError(f"none of the {len(self.seeds)} scenarios is of the stratum {missing[0]!r}")
+    def _check_scale(self) -> None:
+        zero, hundred = (self.pinned_costs[name][0] for name in self.task.anchors)
+        score_scales(zero, hundred, self.task, self.groups)
 
     @property
     def has_scale(self) -> bool:
-        """Whether the zero is worse than the hundred, so that there is a score."""
+        """Whether there is a score: in v0, whether the zero is worse than the hundred."""
         return not self.no_score
 
     @cached_property
@@ -266,12 +302,11 @@ def markdown_section(results: Results, *, details: bool = False) -> str:
     """
     rows = results.ranking
     short = not details and results.task.version != "v0"
-    below = [row for row in rows if short and row.score is not None and row.score.value < 0.0]
+    least = min((row.score.value for row in rows if row.name == results.task.zero and row.score), default=0.0)
+    below = [row for row in rows if short and row.score is not None and row.score.value < least]
     shown = [row for row in rows if row not in below]
     named = f"below {results.task.zero}: {', '.join(f'`{row.name}`' for row in below)}" if below else ""
-    notes = " ".join(
-        f"{note[0].upper()}{note[1:]}." for note in (results.no_score, *notes_on_marks(rows), named) if note
-    )
+    notes = " ".join(f"{note[0].upper()}{note[1:]}." for note in (*results.notes, named) if note)
     table = markdown_table(shown, columns_of("details", rows) if details else None)
     return "\n\n".join(part for part in (_frequency_sentence(results) if short else "", table, notes) if part)
 

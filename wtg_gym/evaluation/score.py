@@ -3,13 +3,19 @@
 Pinned cost of scenario i: J_i is the episode's total cost; in v0 that of a failed episode is cap · (duration + 1 s), as
 if it had failed at once, which is the worst any episode can cost.
 
-Gain of scenario i: ln((J_100,i + J0) / (J_i + J0)), where J0 is the offset of its stratum. Up to J0 a cost counts
-almost as in a mean, beyond by its ratio, so that a few failures do not decide alone. J_100 and J_0 are the pinned costs
-of the two anchors of the benchmark's version, the hundred and the zero. Λ, the scale, is the mean over the scenarios of
-ln((J_0,i + J0) / (J_100,i + J0)).
+Gain of scenario i: g_i = ln((J_100,i + J0) / (J_i + J0)), where J0 is the offset of its stratum. Up to J0 a cost counts
+almost as in a mean, beyond by its ratio, so that a few failures do not decide alone. J_100 is the pinned cost of the
+law that scores 100.
 
-Score: 100 · (1 + mean gain / Λ), so that on the same scenarios the zero has 0 and the hundred 100. Where the suite
-draws strata, each has a score with a Λ of its own, and their mean is the score.
+Score: 100 + 100 / Λ · the mean over strata of the mean gain of each, over training seeds and scenarios. So a point is
+the same share of the cost, Λ per cent of J + J0, in every stratum and suite.
+
+- v1: the scale Λ is a number, :attr:`Task.scale`. The mean gain of a stratum is adjusted by control variates, laws
+  whose mean gain over the whole distribution is known: mean(g) - β · (mean(x) - μ), see
+  :mod:`wtg_gym.evaluation.adjusted`, which has the intervals too.
+- v0 has no strata. Λ is the mean over the same scenarios of ln((J_0,i + J0) / (J_100,i + J0)), J_0 being the cost of
+  the law that scores 0, so that this one has exactly 0. Intervals are those of a bootstrap, see
+  :class:`wtg_gym.evaluation.statistics.Bootstrap`.
 
 Arrays of one entry have the shape (n_runs, n_scenarios): one run per training seed, a single one for a law.
 """
@@ -17,12 +23,11 @@ Arrays of one entry have the shape (n_runs, n_scenarios): one run per training s
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 
 import numpy as np
 
 from wtg_gym.evaluation.episodes import Episode
-from wtg_gym.evaluation.statistics import Floats, Groups, mean, mean_over_groups
+from wtg_gym.evaluation.statistics import Floats, Groups, mean
 from wtg_gym.tasks import Task
 
 
@@ -81,46 +86,29 @@ def gains(costs: Floats, hundred: Floats, offsets: Floats) -> Floats:
 
 
 def score_scales(zero: Floats, hundred: Floats, task: Task, groups: Groups) -> list[float]:
-    """Return Λ of every group of scenarios, from the pinned costs of the two anchors, each of shape (n_scenarios,).
+    """Return Λ of every stratum: the task's, or without strata from the anchors' pinned costs, (n_scenarios,) each.
 
     Raises:
         NoScaleError: a Λ is not positive, so that there is no scale to score on.
     """
-    lost = gains(zero[np.newaxis], hundred, cost_offsets(groups, task))[0]
-    scales = [-mean(lost[group]) for group in groups.values()]
-    for (name, group), scale in zip(groups.items(), scales, strict=True):
-        if not scale > 0.0:
-            stratum = f" of the stratum {name!r}" if name else ""
-            raise NoScaleError(
-                f"on these {group.size} scenarios{stratum} {task.zero} (mean cost {mean(zero[group]):.4g}) is not "
-                f"worse than {task.hundred} (mean cost {mean(hundred[group]):.4g}): Λ = {scale:.3g} must be "
-                "positive to score with"
-            )
-    return scales
+    if task.scale is not None:
+        return [task.scale] * len(groups)
+    scale = -mean(gains(zero[np.newaxis], hundred, cost_offsets(groups, task)))
+    if not scale > 0.0:
+        raise NoScaleError(
+            f"on these {zero.size} scenarios {task.zero} (mean cost {mean(zero):.4g}) is not worse than {task.hundred} "
+            f"(mean cost {mean(hundred):.4g}): Λ = {scale:.3g} must be positive to score with"
+        )
+    return [scale]
 
 
-def mean_score(own: Floats, scales: Sequence[float], groups: Groups) -> float:
-    """Return the score from the :func:`gains` and every Λ; exactly 0 for the zero and 100 for the hundred."""
-    return mean_over_groups(
-        100.0 * (1.0 + mean(own[:, group]) / scale) for group, scale in zip(groups.values(), scales, strict=True)
-    )
-
-
-def points_by_term(
-    costs: Floats,
-    hundred: Floats,
-    terms: Floats,
-    hundred_terms: Floats,
-    scales: Sequence[float],
-    groups: Groups,
-    offsets: Floats,
-) -> Floats:
-    """Return how many points of the score above 100 come from each term of the cost, (n_terms,).
+def gains_by_term(costs: Floats, hundred: Floats, terms: Floats, hundred_terms: Floats, offsets: Floats) -> Floats:
+    """Return the part of each term of the cost in the gains, (n_terms, n_runs, n_scenarios).
 
     A logarithm of a ratio is a difference divided by its logarithmic mean, ln(A / B) = (A - B) / L(A, B), and the
-    difference of two costs is the sum of the differences of their terms. So each term gets the share
-    100 · (J_100,term - J_term) / L(J_100 + J0, J + J0) / Λ of its scenario. Shares of terms that add up to the pinned
-    costs add up to the score minus 100, without a remainder.
+    difference of two costs is the sum of the differences of their terms. So each term has the part
+    (J_100,term - J_term) / L(J_100 + J0, J + J0) of its scenario. Parts of terms that add up to the pinned costs add up
+    to the gains, without a remainder.
 
     Source: the logarithmic mean Divisia index (LMDI) of B. W. Ang, Energy Policy 32 (2004) 1131-1139 and 33 (2005)
     867-871.
@@ -130,19 +118,14 @@ def points_by_term(
         hundred: pinned costs of the hundred (n_scenarios,).
         terms: parts of `costs` (n_terms, n_runs, n_scenarios).
         hundred_terms: parts of `hundred` (n_terms, n_scenarios).
-        scales: Λ of every group.
-        groups: of the scenarios.
         offsets: J0 of each scenario (n_scenarios,).
     """
-    shares = hundred_terms[:, np.newaxis] - terms
-    shares *= [
+    parts = hundred_terms[:, np.newaxis] - terms
+    parts *= [
         [_inverse_log_mean(*each) for each in zip(hundred.tolist(), run, offsets.tolist(), strict=True)]
         for run in costs.tolist()
     ]
-    each = list(zip(groups.values(), scales, strict=True))
-    return np.array(
-        [mean_over_groups(100.0 * mean(share[:, group]) / scale for group, scale in each) for share in shares]
-    )
+    return parts
 
 
 def _inverse_log_mean(hundred: float, cost: float, offset: float) -> float:

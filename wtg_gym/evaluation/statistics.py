@@ -1,8 +1,8 @@
-"""Means over scenarios and training seeds, with their bootstrap intervals.
+"""Means over scenarios and training seeds, and the bootstrap intervals of version v0.
 
-Arrays of one entry have the shape (n_runs, n_scenarios): one run per training seed, a single one for a law. The score,
-see :mod:`wtg_gym.evaluation.score`, holds a ratio of two means over the same scenarios: the bootstrap resamples both.
-Where the scenarios are of strata, they are resampled within each.
+Arrays of one entry have the shape (n_runs, n_scenarios): one run per training seed, a single one for a law. The score
+of v0, see :mod:`wtg_gym.evaluation.score`, holds a ratio of two means over the same scenarios: the bootstrap resamples
+both.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
+from scipy import special
 
 Floats = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int64]
@@ -30,7 +31,7 @@ _WORST = 0.1
 
 @dataclass(frozen=True)
 class Interval:
-    """A value and its 95 % bootstrap interval."""
+    """A value and its 95 % interval."""
 
     value: float
     low: float
@@ -49,16 +50,9 @@ def mean_over_groups(values: Iterable[float]) -> float:
 
 
 @functools.lru_cache(maxsize=4)
-def _drawn(sizes: tuple[int, ...]) -> list[Indices]:
-    """Return the draws of every resample, (N_RESAMPLES, size), from groups of scenarios."""
-    rng = np.random.default_rng(BOOTSTRAP_SEED)
-    return [rng.integers(0, size, size=(N_RESAMPLES, size)) for size in sizes]
-
-
-def _drawn_scenarios(groups: Groups) -> list[Indices]:
-    """Return the scenarios of every resample, (N_RESAMPLES, n), of each group."""
-    drawn = _drawn(tuple(group.size for group in groups.values()))
-    return [group[own] for group, own in zip(groups.values(), drawn, strict=True)]
+def _drawn_scenarios(n: int) -> Indices:
+    """Return the scenarios of every resample, (N_RESAMPLES, n)."""
+    return np.random.default_rng(BOOTSTRAP_SEED).integers(0, n, size=(N_RESAMPLES, n))
 
 
 def _drawn_runs(n_runs: int, side: int) -> Indices:
@@ -66,9 +60,7 @@ def _drawn_runs(n_runs: int, side: int) -> Indices:
     return np.random.default_rng([BOOTSTRAP_SEED, side]).integers(0, n_runs, size=(N_RESAMPLES, n_runs))
 
 
-def _resampled(
-    values: Floats, scenarios: Indices, side: int, chosen: Callable[[Floats], Floats] | None = None
-) -> Floats:
+def _resampled(values: Floats, side: int = 0, chosen: Callable[[Floats], Floats] | None = None) -> Floats:
     """Return the mean over (n_runs, n_scenarios) in every resample of the bootstrap, (N_RESAMPLES,).
 
     Scenarios and training seeds are both drawn with replacement, and every drawn seed plays the same drawn scenarios
@@ -78,64 +70,21 @@ def _resampled(
 
     Args:
         values: (n_runs, n_scenarios).
-        scenarios: those of every resample (N_RESAMPLES, n).
         side: 0 or 1, which draws of the training seeds are taken.
         chosen: which of the values drawn count, (n_runs, N_RESAMPLES, n); None for all.
     """
     # All runs at once: the order of the numbers in memory decides the last bits of their mean.
-    drawn = values[:, scenarios]
+    drawn = values[:, _drawn_scenarios(values.shape[1])]
     means = (drawn if chosen is None else chosen(drawn)).mean(axis=2)
     resampled: Floats = np.take_along_axis(means.T, _drawn_runs(values.shape[0], side), axis=1).mean(axis=1)
     return resampled
 
 
-def percentile_interval(value: float, samples: Floats) -> Interval:
+def _percentile_interval(value: float, samples: Floats) -> Interval:
     """Return a value with the percentile interval of its bootstrap samples (n,)."""
     tail = 50.0 * (1.0 - CONFIDENCE)
     low, high = np.percentile(samples, [tail, 100.0 - tail])
     return Interval(value, float(low), float(high))
-
-
-def resampled_scores(gains: Floats, zero: Floats, groups: Groups, side: int = 0) -> Floats:
-    """Return the score in every resample of the bootstrap.
-
-    Λ is a mean over the same scenarios as the gains, so it is computed anew from the scenarios of each resample: with a
-    fixed Λ the intervals have the wrong width. A resample in which a group's Λ is not positive has no score and is left
-    out; these are the same for every entry.
-
-    Args:
-        gains: :func:`wtg_gym.evaluation.score.gains` of the entry (n_runs, n_scenarios).
-        zero: gains of the zero (n_scenarios,).
-        groups: of the scenarios.
-        side: 0 or 1. The training seeds of two different entries are drawn independently if their sides differ.
-    """
-    drawn = _drawn_scenarios(groups)
-    scales = np.array([-_resampled(zero[np.newaxis], own, 0) for own in drawn])
-    means = np.array([_resampled(gains, own, side) for own in drawn])
-    scored = (scales > 0.0).all(axis=0)
-    scores: Floats = (100.0 * (1.0 + means[:, scored] / scales[:, scored])).mean(axis=0)
-    return scores
-
-
-def score_interval(gains: Floats, zero: Floats, groups: Groups) -> Interval:
-    """Return the score with its bootstrap interval, see :func:`resampled_scores`."""
-    value = mean_over_groups(100.0 * (1.0 + mean(gains[:, own]) / -mean(zero[own])) for own in groups.values())
-    return percentile_interval(value, resampled_scores(gains, zero, groups))
-
-
-def score_difference(gains: Floats, other: Floats, zero: Floats, groups: Groups) -> Interval:
-    """Return the score of one entry minus that of another, with the interval of the paired difference.
-
-    Args:
-        gains, other: gains of the two entries, (n_runs, n_scenarios) each.
-        zero: gains of the zero (n_scenarios,).
-        groups: of the scenarios.
-    """
-    value = mean_over_groups(
-        100.0 * (mean(gains[:, own]) - mean(other[:, own])) / -mean(zero[own]) for own in groups.values()
-    )
-    scores = resampled_scores(gains, zero, groups), resampled_scores(other, zero, groups, side=1)
-    return percentile_interval(value, scores[0] - scores[1])
 
 
 def share(happened: Floats, groups: Groups) -> float:
@@ -143,17 +92,24 @@ def share(happened: Floats, groups: Groups) -> float:
     return 100.0 * mean_over_groups(mean(happened[:, own]) for own in groups.values())
 
 
-def share_difference(happened: Floats, other: Floats, groups: Groups) -> Interval:
-    """Return the :func:`share` minus that of another entry [percentage points], paired.
+def sign_test(happened: Floats, other: Floats) -> float:
+    """Return the chance that something happens this much more often than to another entry, were both equally prone.
+
+    That is the one-sided exact test of Q. McNemar (Psychometrika 12, 1947, 153-157): only scenarios in which the two
+    differ count, each as likely for one as for the other. Several training seeds stand or fall together: a scenario
+    counts the sum of their differences, because what makes it hard is the same for all of them.
 
     Args:
-        happened, other: 1 where it happened and 0 where not, (n_runs, n_scenarios) each.
-        groups: of the scenarios.
+        happened, other: 1 where it happened and 0 where not, (n_runs, n_scenarios) each; other has one run.
     """
-    drawn = _drawn_scenarios(groups)
-    differences = [_resampled(happened, own, 0) - _resampled(other, own, 1) for own in drawn]
-    value = share(happened, groups) - share(other, groups)
-    return percentile_interval(value, 100.0 * np.mean(differences, axis=0))
+    differences = np.rint(happened.sum(axis=0) - len(happened) * other[0]).astype(np.int64)
+    # Chances of every sum of the differences with random signs; index i is the sum i - (len - 1) / 2.
+    chances = np.ones(1)
+    for size, n in zip(*np.unique(np.abs(differences[differences != 0]), return_counts=True), strict=True):
+        signs = np.zeros(2 * size * n + 1)
+        signs[:: 2 * size] = np.diff(special.bdtr(np.arange(n + 1), n, 0.5), prepend=0.0)
+        chances = np.convolve(chances, signs)
+    return min(1.0, float(chances[(chances.size - 1) // 2 + differences.sum() :].sum()))
 
 
 def worst_tenth(costs: Floats) -> Floats:
@@ -162,14 +118,58 @@ def worst_tenth(costs: Floats) -> Floats:
     return np.partition(costs, -n, axis=-1)[..., -n:]
 
 
-def worst_tenth_difference(costs: Floats, other: Floats, groups: Groups) -> Interval:
-    """Return how much more the :func:`worst_tenth` costs than that of another entry [%], paired.
+class Bootstrap:
+    """Scores, and differences between entries, of v0: Λ from the scenarios played, percentile bootstrap intervals.
+
+    There are no strata; every array of an entry is (n_runs, n_scenarios). In each resample Λ is computed anew from its
+    scenarios: with a fixed Λ the intervals have the wrong width. A resample in which Λ is not positive has no score and
+    is left out; these are the same for every entry.
 
     Args:
-        costs, other: (n_runs, n_scenarios) each.
-        groups: of the scenarios.
+        zero: gains of the zero (n_scenarios,).
     """
-    scenarios = np.concatenate(_drawn_scenarios(groups), axis=1)
-    own, base = (_resampled(each, scenarios, side, worst_tenth) for side, each in enumerate((costs, other)))
-    value = 100.0 * (mean(worst_tenth(costs)) / mean(worst_tenth(other)) - 1.0)
-    return percentile_interval(value, 100.0 * (own / base - 1.0))
+
+    def __init__(self, zero: Floats) -> None:
+        self._zero = zero
+
+    @functools.cached_property
+    def _scale(self) -> float:
+        return -mean(self._zero)
+
+    @functools.cached_property
+    def _scales(self) -> Floats:
+        return -_resampled(self._zero[np.newaxis])
+
+    def points(self, gains: Floats) -> float:
+        """Return the points above 100 that gains make."""
+        return 100.0 * mean(gains) / self._scale
+
+    def score(self, gains: Floats) -> Interval:
+        """Return the score with its interval."""
+        value = 100.0 * (1.0 + mean(gains) / self._scale)
+        return _percentile_interval(value, self._resampled_scores(gains, 0))
+
+    def strata(self, gains: Floats) -> dict[str, Interval]:
+        """Return nothing."""
+        return {}
+
+    def score_difference(self, gains: Floats, other: Floats) -> Interval:
+        """Return the score of one entry minus that of another; their training seeds are drawn independently."""
+        value = 100.0 * (mean(gains) - mean(other)) / self._scale
+        return _percentile_interval(value, self._resampled_scores(gains, 0) - self._resampled_scores(other, 1))
+
+    def share_difference(self, happened: Floats, other: Floats) -> Interval:
+        """Return how much more often something happened than under another entry [percentage points], paired."""
+        value = 100.0 * mean(happened) - 100.0 * mean(other)
+        return _percentile_interval(value, 100.0 * (_resampled(happened, 0) - _resampled(other, 1)))
+
+    def worst_tenth_difference(self, costs: Floats, other: Floats) -> Interval:
+        """Return how much more the :func:`worst_tenth` costs than that of another entry [%], paired."""
+        own, base = (_resampled(each, side, worst_tenth) for side, each in enumerate((costs, other)))
+        value = 100.0 * (mean(worst_tenth(costs)) / mean(worst_tenth(other)) - 1.0)
+        return _percentile_interval(value, 100.0 * (own / base - 1.0))
+
+    def _resampled_scores(self, gains: Floats, side: int) -> Floats:
+        scored = self._scales > 0.0
+        scores: Floats = 100.0 * (1.0 + _resampled(gains, side)[scored] / self._scales[scored])
+        return scores

@@ -12,9 +12,10 @@ from typing import Any
 import numpy as np
 
 from wtg_gym.evaluation import statistics
+from wtg_gym.evaluation.adjusted import Adjusted
 from wtg_gym.evaluation.episodes import Episode
-from wtg_gym.evaluation.score import cost_offsets, gains, pinned, points_by_term, score_scales
-from wtg_gym.evaluation.statistics import Floats, Groups, Interval
+from wtg_gym.evaluation.score import gains, gains_by_term, pinned
+from wtg_gym.evaluation.statistics import Bootstrap, Floats, Groups, Interval
 from wtg_gym.scenarios.suite import Suite
 from wtg_gym.tasks import Task
 
@@ -27,6 +28,8 @@ POINTS: Mapping[str, tuple[str, ...]] = MappingProxyType(
 REST = "rest"
 #: Largest deviation that the grid of Continental Europe is designed for, 0.8 Hz; a run beyond it counts with the lost.
 DESIGN_DEVIATION_MHZ = 800.0
+#: Chance of so many more bad runs than the hundred's below which an entry has no mark.
+_SIGNIFICANT = 0.05
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -45,7 +48,8 @@ class EntrySummary:
     lost_or_beyond_percent: float
     #: That minus the hundred's [percentage points].
     lost_or_beyond_to_hundred: Interval
-    #: Whether that is not above the hundred's, and no more episodes failed, beyond chance; in v0 always.
+    #: Whether neither these nor the failures are significantly more than the hundred's, see :func:`sign_test`; in v0
+    #: always.
     marked: bool
     mean_pinned_cost: float  # [-]
     worst_decile_cost: float  # mean pinned cost of the worst tenth of the scenarios of each training seed [-]
@@ -72,13 +76,14 @@ def measured(
     costs: Mapping[str, Floats],
     suite: Suite,
     groups: Groups,
+    differences: Bootstrap | Adjusted,
 ) -> list[EntrySummary]:
     """Return the row of every name without its score, in the order of the entries.
 
     All runs are on the same scenarios in the same order, those of `groups`; costs are pinned, (n_runs, n_scenarios).
     """
     described = {entry["name"]: entry for entry in entries}
-    return [_measured(each, runs, costs, suite, groups) for each in described.values()]
+    return [_measured(each, runs, costs, suite, groups, differences) for each in described.values()]
 
 
 def scored(
@@ -86,30 +91,29 @@ def scored(
     runs: Mapping[str, Runs],
     costs: Mapping[str, Floats],
     task: Task,
-    groups: Groups,
+    offsets: Floats,
+    scoring: Bootstrap | Adjusted,
 ) -> list[EntrySummary]:
-    """Return the :func:`measured` rows with their scores; a NoScaleError if the zero is not worse than the hundred."""
+    """Return the :func:`measured` rows with their scores; `offsets` is J0 of every scenario, (n_scenarios,)."""
     hundred = costs[task.hundred][0]
-    scales = score_scales(costs[task.zero][0], hundred, task, groups)
-    offsets = cost_offsets(groups, task)
     gained = {name: gains(own, hundred, offsets) for name, own in costs.items()}
-    zero = gained[task.zero][0]
     terms = {row.name: parts_of_costs(runs[row.name], costs[row.name]) for row in rows}
     hundred_terms = terms[task.hundred][:, 0]
 
     def with_score(row: EntrySummary) -> EntrySummary:
         own = gained[row.name]
-        points = points_by_term(costs[row.name], hundred, terms[row.name], hundred_terms, scales, groups, offsets)
+        parts = gains_by_term(costs[row.name], hundred, terms[row.name], hundred_terms, offsets)
+        points = [scoring.points(part) for part in parts]
         return replace(
             row,
-            score=statistics.score_interval(own, zero, groups),
-            strata={name: statistics.score_interval(own, zero, {name: at}) for name, at in groups.items() if name},
-            points_by_term=dict(zip((*POINTS, REST), points.tolist(), strict=True)),
+            score=scoring.score(own),
+            strata=scoring.strata(own),
+            points_by_term=dict(zip((*POINTS, REST), points, strict=True)),
         )
 
     rows = [with_score(row) for row in rows]
     above = {
-        row.name: statistics.score_difference(gained[row.name], gained[better.name], zero, groups)
+        row.name: scoring.score_difference(gained[row.name], gained[better.name])
         for better, row in itertools.pairwise(ranked(rows))
     }
     return [replace(row, difference_to_above=above.get(row.name)) for row in rows]
@@ -175,6 +179,7 @@ def _measured(
     all_costs: Mapping[str, Floats],
     suite: Suite,
     groups: Groups,
+    differences: Bootstrap | Adjusted,
 ) -> EntrySummary:
     runs, costs, task, nominal_hz = (
         all_runs[entry["name"]],
@@ -183,12 +188,9 @@ def _measured(
         suite.nominal_hz,
     )
     hundred = all_runs[task.hundred]
-    lost, bad = _lost(runs), lost_or_beyond(runs, nominal_hz)
-    more = statistics.share_difference(bad, lost_or_beyond(hundred, nominal_hz), groups)
-    # Of equal counts in other strata the shares differ in their last bits.
-    marked = not task.failure_costs_whole_episode or (
-        round(more.value, 9) <= 0.0 and statistics.share_difference(lost, _lost(hundred), groups).low <= 0.0
-    )
+    lost, bad, bad_of_hundred = _lost(runs), lost_or_beyond(runs, nominal_hz), lost_or_beyond(hundred, nominal_hz)
+    more = ((bad, bad_of_hundred), (lost, _lost(hundred)))
+    marked = not task.failure_costs_whole_episode or all(statistics.sign_test(*each) >= _SIGNIFICANT for each in more)
     worst = float(np.median(_deviations(runs, "worst_nadir_hz", "worst_zenith_hz", nominal_hz)))
     return EntrySummary(
         name=entry["name"],
@@ -200,11 +202,11 @@ def _measured(
         n_lost=int(lost.sum()),
         failures_percent=statistics.share(lost, groups),
         lost_or_beyond_percent=statistics.share(bad, groups),
-        lost_or_beyond_to_hundred=more,
+        lost_or_beyond_to_hundred=differences.share_difference(bad, bad_of_hundred),
         marked=marked,
         mean_pinned_cost=statistics.mean(costs),
         worst_decile_cost=statistics.mean(statistics.worst_tenth(costs)),
-        worst_decile_to_hundred=statistics.worst_tenth_difference(costs, all_costs[task.hundred], groups),
+        worst_decile_to_hundred=differences.worst_tenth_difference(costs, all_costs[task.hundred]),
         median_deviation_mhz=float(np.median(_deviations(runs, "nadir_hz", "zenith_hz", nominal_hz))),
         median_worst_deviation_mhz=None if math.isnan(worst) else worst,
         median_nadir_hz=float(np.median(_values(runs, "nadir_hz"))),

@@ -15,8 +15,8 @@ _PRIVILEGED_NOTE = f"{_PRIVILEGED}: sees the state of the whole grid, which no t
 #: What :attr:`EntrySummary.marked` is shown by, and what a page says about it.
 _MARK = "✓"
 _MARK_NOTE = (
-    f"{_MARK}: at least as reliable as the reference at 100 (blackouts, |Δf| > 0.8 Hz). All others rank below, "
-    "whatever their score"
+    f"{_MARK}: not significantly less reliable than the reference at 100 (blackouts, |Δf| > 0.8 Hz). All others rank "
+    "below, whatever their score"
 )
 #: Columns of text; all others hold numbers.
 _TEXTS = ("entry", "kind")
@@ -87,12 +87,11 @@ class _Column(NamedTuple):
     tables: str  # which show it: "terminal"; "v0" and "v1", Markdown of that version; "details", more; "whole", all
 
 
-#: In the order of every table.
+#: In the order of every table, that of each stratum behind the score.
 _COLUMNS = (
     _Column("rank", lambda row: "", "terminal v0 v1 details whole"),
     _Column("entry", _entry, "terminal v0 v1 details whole"),
     _Column("score", _score, "terminal v0 v1 details whole"),
-    *(_Column(name, _stratum(name), "terminal details whole") for name in ("ordinary", "large", "extreme")),
     _Column(
         "to the entry above",
         lambda row: signed_interval(row.difference_to_above) if row.difference_to_above else "",
@@ -117,9 +116,16 @@ _COLUMNS = (
 )
 
 
+def _columns(rows: Sequence[EntrySummary]) -> list[_Column]:
+    strata = dict.fromkeys(name for row in rows for name in row.strata)
+    of_strata = (_Column(name, _stratum(name), "terminal details whole") for name in strata)
+    behind = 1 + [column.heading for column in _COLUMNS].index("score")
+    return [*_COLUMNS[:behind], *of_strata, *_COLUMNS[behind:]]
+
+
 def columns_of(table: str, rows: Sequence[EntrySummary]) -> list[str]:
     """Return the headings of a table, see :class:`_Column`, but for columns that no row fills."""
-    columns = [column for column in _COLUMNS if table in column.tables.split()]
+    columns = [column for column in _columns(rows) if table in column.tables.split()]
     return [own.heading for own in columns if own.heading == "rank" or any(map(own.text, rows))]
 
 
@@ -143,7 +149,7 @@ def table_cells(rows: Sequence[EntrySummary], columns: Sequence[str] | None = No
         rows: of one version, as :func:`leaderboard_rows` or :attr:`Results.ranking` gives them.
         columns: headings; None for those of the whole table that these rows fill.
     """
-    texts = {column.heading: column.text for column in _COLUMNS}
+    texts = {column.heading: column.text for column in _columns(rows)}
     places = [place(row) for row in rows]
     columns = columns or columns_of("whole", rows)
     ranks = [str(1 + sum(other < own for other in places)) for own in places]

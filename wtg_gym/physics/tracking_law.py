@@ -41,8 +41,8 @@ class Tuning(NamedTuple):
 #: K_opt slows the rotor past the top of its power curve: in the end it gives less the lower the frequency is.
 TUNED: Mapping[str, Tuning] = MappingProxyType(
     {
-        "coordinated-tuned": Tuning(0.0, -0.018, 0.95, 0.2),
-        "coordinated-free": Tuning(0.63, -0.018, 0.98, 0.2),
+        "coordinated-tuned": Tuning(0.0, -0.05, 1.0, 0.2),
+        "coordinated-free": Tuning(0.55, -0.06, 1.0, 0.25),
     }
 )
 

@@ -11,7 +11,7 @@ from typing import Any
 
 from wtg_gym.envs.rendering.colours import GROUPS, LINE
 from wtg_gym.evaluation import Results, leaderboard_rows, table_cells
-from wtg_gym.evaluation.table import columns_of, notes_on_marks
+from wtg_gym.evaluation.table import columns_of
 
 #: A colour per kind of entry.
 _COLOURS = {"law": GROUPS[1], "feedback": GROUPS[2], "learned": GROUPS[0]}
@@ -91,7 +91,7 @@ def _ranking(results: Results) -> Any:
         text=f"<b>{escape(results.environment['id'])}</b>, suite {escape(results.suite)}: {len(results.seeds)} "
         f"{escape(results.split)} scenarios. Score 0 is {zero}, 100 is {hundred}; in brackets are 95 % intervals. "
         "Points say which terms of the cost a score above or below 100 comes from. A click on a heading sorts; rows "
-        f"that are chosen stand out in the charts. {escape('. '.join(notes_on_marks(rows)))}",
+        f"that are chosen stand out in the charts. {escape('. '.join(results.notes))}",
         width=1200,
     )
     charts = row(_score_chart(source, view), _deviation_chart(source, view))

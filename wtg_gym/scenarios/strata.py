@@ -159,12 +159,12 @@ class Stratum:
     kinds: tuple[str, ...]
 
 
-#: The strata of version v1. Below -0.10 hardly anybody can save a run.
+#: The strata of version v1. Below -0.06 many runs are lost whatever is done.
 STRATA: Mapping[str, Stratum] = MappingProxyType(
     {
         "ample": Stratum(margin=(0.10, math.inf), kinds=("loads", "large-loads", "fault", "group")),
         "tight": Stratum(margin=(0.0, 0.10), kinds=("large-loads", "governor", "group", "fault", "island")),
-        "short": Stratum(margin=(-0.10, 0.0), kinds=("large-loads", "governor", "group", "fault", "machine", "island")),
+        "short": Stratum(margin=(-0.06, 0.0), kinds=("large-loads", "governor", "group", "fault", "machine", "island")),
     }
 )
 
@@ -310,7 +310,7 @@ def suite_of_strata(
         },
         margins={name: stratum.margin for name, stratum in STRATA.items()},
         validation=range(10_000, 10_300),
-        test=range(20_000, 20_900),
+        test=range(20_000, 20_450),
         **plant,
     )
 

@@ -15,7 +15,7 @@ from wtg_gym.tasks.v1 import V1
 ANY_GRID = "GFMWTG-v1"
 #: The tasks by the id of their environment.
 TASKS: Mapping[str, Task] = MappingProxyType({task.env_id: task for task in (V0, V1)})
-#: Names that an entry fixes the scale with in some version; no other entry can have one.
-ANCHOR_NAMES = tuple(dict.fromkeys(name for task in TASKS.values() for name in task.anchors))
+#: Names of entries that scores depend on in some version; no other entry can have one.
+ANCHOR_NAMES = tuple(dict.fromkeys(name for task in TASKS.values() for name in task.references))
 
 __all__ = ["ANCHOR_NAMES", "ANY_GRID", "TASKS", "V0", "V1", "Task"]

@@ -80,9 +80,11 @@ class Task:
         on_failure: what the failure of a rotor does, unless an environment is asked for the other.
         failure_costs_whole_episode: whether a failed episode costs what one costs in which no load is served; else it
             costs the cap for the time that was left. Where it does, entries are marked for their reliability.
-        scale: Λ of the score; None: from the anchors in the scenarios that are scored.
         cost_offsets: stratum, "" where there are none, and J0 of the score in it, in units of the cost.
         anchors: names of the entries that score 0 and 100.
+        scale: Λ of the score, what the entry at 100 gains on that at 0; None: from the scenarios that are played.
+        variates: names of laws that scores are adjusted by where their means are known, see
+            :mod:`wtg_gym.evaluation.adjusted`.
     """
 
     version: str
@@ -102,9 +104,10 @@ class Task:
     duty_time_s: float = 0.0
     on_failure: str = "terminate"
     failure_costs_whole_episode: bool = False
-    scale: float | None = None
     cost_offsets: Mapping[str, float] = field(default_factory=lambda: {"": 5.0})
     anchors: tuple[str, str]
+    scale: float | None = None
+    variates: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         _FIRST.setdefault(self.version, self)
@@ -130,6 +133,11 @@ class Task:
     def hundred(self) -> str:
         """Name of the entry that scores 100, with which all others are compared."""
         return self.anchors[1]
+
+    @property
+    def references(self) -> tuple[str, ...]:
+        """Names of the entries that every evaluation plays: the anchors and the control variates."""
+        return tuple(dict.fromkeys((*self.anchors, *self.variates)))
 
     @property
     def has_sensors(self) -> bool:

@@ -59,8 +59,9 @@ V1 = Task(
     duty_time_s=15.0,
     on_failure="trip",
     failure_costs_whole_episode=True,
-    scale=0.42,
     # Of the size of what an episode costs under the hundred: below that a cost counts almost as in a mean.
     cost_offsets={"ample": 40.0, "tight": 200.0, "short": 1000.0, "": 300.0},
     anchors=("coordinated-piecewise", "coordinated-tuned"),
+    scale=0.42,
+    variates=("coordinated-piecewise", "coordinated-free"),
 )

@@ -1,0 +1,96 @@
+"""Mean gains of the control variates over the distribution of every suite of v1, which scores are adjusted by.
+
+    python docs/studies/law_means.py [SUITE …] [--scenarios N]
+
+plays the laws of `Task.variates` and the one that scores 100 on the last N training scenarios of each suite (default:
+all drawn suites of v1, 60,000 each), one process per processor, and writes wtg_gym/evaluation/law_means.json. Means of
+suites that are not named stay, where their laws are the same.
+"""
+
+from __future__ import annotations
+
+import argparse
+import itertools
+import json
+from concurrent.futures import ProcessPoolExecutor, as_completed
+
+import numpy as np
+
+from wtg_gym.envs.settings import EnvSettings
+from wtg_gym.evaluation.adjusted import LAW_MEANS, settings_hash
+from wtg_gym.evaluation.evaluator import play_batch, shared_settings
+from wtg_gym.evaluation.score import gains
+from wtg_gym.evaluation.summary import pinned_costs
+from wtg_gym.files import to_json, write_atomically
+from wtg_gym.policies import Entry, PolicyError
+from wtg_gym.progress import Progress
+from wtg_gym.scenarios import SUITES, get_suite
+from wtg_gym.tasks import V1
+
+N_SCENARIOS = 60_000
+#: Scenarios that a process plays at a time.
+_AT_ONCE = 120
+
+
+def gains_of(name, seeds):
+    """Return the gains of the variates over the law that scores 100, (n_scenarios, n_laws)."""
+    settings, suite = EnvSettings(suite=name, split="train"), get_suite(name)
+    costs = {}
+    for law in dict.fromkeys((suite.task.hundred, *suite.task.variates)):
+        episodes = play_batch(Entry(name=law, strategy=law), settings, seeds, 1)
+        if isinstance(episodes, PolicyError):
+            raise episodes
+        costs[law] = pinned_costs([episodes], None)[0]
+    offsets = np.array([suite.task.cost_offsets[suite.stratum(seed)] for seed in seeds])
+    return gains(np.array([costs[law] for law in suite.task.variates]), costs[suite.task.hundred], offsets).T
+
+
+def law_means(name, n_scenarios=N_SCENARIOS):
+    """Return what :data:`LAW_MEANS` holds of a suite."""
+    suite = get_suite(name)
+    # The first ones are what entries train on.
+    seeds = suite.train[-n_scenarios:]
+    parts = {first: seeds[first : first + _AT_ONCE] for first in range(0, len(seeds), _AT_ONCE)}
+    with ProcessPoolExecutor() as pool, Progress("scenarios") as progress:
+        futures = {pool.submit(gains_of, name, list(part)): first for first, part in parts.items()}
+        done = (_AT_ONCE * n for n in itertools.count(1))
+        for future, n_done in zip(as_completed(futures), done, strict=False):
+            future.result()
+            progress.update(name, min(n_done, len(seeds)), len(seeds))
+    x = np.concatenate([future.result() for future in futures])
+    of = np.array([suite.stratum(seed) for seed in seeds])
+    return {
+        "suite_hash": suite.hash,
+        "settings": settings_hash(shared_settings(EnvSettings(suite=name))),
+        "laws": list(suite.task.variates),
+        "strata": {
+            stratum: {
+                "n": int((of == stratum).sum()),
+                "mean": x[of == stratum].mean(axis=0).tolist(),
+                "covariance": np.atleast_2d(np.cov(x[of == stratum].T)).tolist(),
+            }
+            for stratum in suite.strata
+        },
+    }
+
+
+def main():
+    """Play the suites that are named."""
+    suites = [name for name, suite in SUITES.items() if suite.task is V1 and suite.strata]
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("suites", nargs="*", default=suites, metavar="SUITE")
+    parser.add_argument("--scenarios", type=int, default=N_SCENARIOS, metavar="N", help="(default: %(default)s)")
+    arguments = parser.parse_args()
+    for name in arguments.suites:
+        found = law_means(name, arguments.scenarios)
+        stored = json.loads(LAW_MEANS.read_text(encoding="utf-8"))
+        kept = {suite: values for suite, values in stored.items() if values["laws"] == list(V1.variates)}
+        write_atomically(LAW_MEANS, to_json({**kept, name: found}))
+        for stratum, values in found["strata"].items():
+            errors = np.sqrt(np.diag(values["covariance"]) / values["n"])
+            laws = zip(found["laws"], values["mean"], errors, strict=True)
+            print(name, stratum, values["n"], *(f"{law} {mean:.4f} ± {error:.4f}" for law, mean, error in laws))
+
+
+if __name__ == "__main__":
+    main()
