@@ -97,7 +97,7 @@ def samples(run, step_s):
     and the status of every run.
     """
     environment, rng = EnvSettings(version=run[:2]), np.random.default_rng(0)
-    suite = get_suite(environment.suite)
+    suite = get_suite(environment.suite_name)
     plant = dataclasses.replace(environment.resolved_plant, simulation_dt=step_s)
     n_wtg, hertz = len(plant.groups), plant.case.frequency_hz
     seeds, sizes = list(suite.validation[:N_SCENARIOS]), [group.n_turbines for group in plant.groups]

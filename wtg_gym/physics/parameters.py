@@ -129,7 +129,13 @@ class PitchParameters(Checked):
     11.4 m/s, rotor at most 1.23 p.u.), so that the blades stay at rest there.
     """
 
-    captured_power_limit_pu: float = design(1.05, "p.u.", "captured power held above rated", 0.01, 100.0)
+    captured_power_limit_pu: float = design(
+        1.05,
+        "p.u.",
+        "captured power held above rated; in extended physics times the share that the frequency prescribes",
+        0.01,
+        100.0,
+    )
     rotor_speed_limit_pu: float = design(
         1.27, "p.u.", "rotor speed the pitch defends, 1.6 rad/s; the like number of ω_tn is chance", 0.01, 100.0
     )
