@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import pytest
 
@@ -40,6 +42,34 @@ def test_the_current_limit_is_reached_held_and_left() -> None:
     assert passed
     assert found.current_pu.max() == pytest.approx(1.2, abs=1e-6)
     assert found.limited.any() and not found.limited[found.at(3.0) :].any()
+
+
+@pytest.mark.parametrize(
+    ("name", "power"), [("angle-step", 0.181), ("angle-step-30", 0.511), ("angle-step-forward", -0.54)]
+)
+def test_an_angle_step_is_measured_one_simulation_step_after_it(name: str, power: float) -> None:
+    found, _ = played(name, "coordinated-piecewise")
+    total, before = found.total(), found.at(2.0)
+    assert found.time_s[before + 1] == pytest.approx(2.025)
+    assert total[before + 1] - total[before] == pytest.approx(power, abs=0.005)
+
+
+def test_the_last_machine_is_lost_in_balance_and_with_more_load_than_the_groups_can_carry() -> None:
+    balanced, passed = played("last-machine-balance", "coordinated-piecewise")
+    assert passed and np.ptp(balanced.frequency_hz) < 0.2 and balanced.shed_mws == 0.0
+    loaded, passed = played("last-machine-limit", "coordinated-piecewise")
+    assert passed and loaded.shed_mws > 0.0 and loaded.total()[0] == pytest.approx(0.9975, abs=1e-3)
+
+
+def test_a_voltage_above_the_ride_through_curve_fails_a_test_at_any_bus() -> None:
+    found, passed = played("current-limit", "coordinated-tuned")
+    assert passed and 1.2 < found.voltage_pu.max() < 1.25
+    voltage = found.voltage_pu.copy()
+    voltage[found.at(5.0) : found.at(8.0), 0] = 1.21
+    assert GRID_TESTS["current-limit"].judge(dataclasses.replace(found, voltage_pu=voltage)) == (
+        False,
+        "above 1.2 p.u. for 3.0 s",
+    )
 
 
 def test_the_time_beyond_a_limit_is_that_of_the_longest_stretch() -> None:

@@ -212,15 +212,15 @@ class TaskLanes:
         step_s = self.settings.step_s
         n_steps = np.array([whole_steps("scenario duration_s", each, step_s, "control step") for each in durations])
         seeds = [-1 if scenario.seed is None else scenario.seed for scenario in scenarios]
-        outputs = self._start_tasks(lanes, scenarios, n_steps)
+        outputs, plant = self._start_tasks(lanes, scenarios, n_steps), self.simulator.settings
         if self.settings.scores:
             outputs.reference[:] = self._reference_costs(scenarios)
-            outputs.offsets[:] = [self.suite.cost_offset(scenario) for scenario in scenarios]
+            outputs.offsets[:] = [self.suite.cost_offset(scenario, plant) for scenario in scenarios]
         return PreparedEpisodes(
             lanes,
             n_steps,
             np.array(seeds, dtype=np.int64),
-            np.array([self.suite.margin(scenario) for scenario in scenarios]),
+            np.array([self.suite.margin(scenario, plant) for scenario in scenarios]),
             tuple(tuple(sorted(scenario.events, key=lambda event: event.time_s)) for scenario in scenarios),
             outputs,
         )

@@ -17,9 +17,9 @@ import math
 from typing import NamedTuple
 
 from wtg_gym.physics.aerodynamics import available_power_pu
+from wtg_gym.physics.grid import NetworkCase
 from wtg_gym.physics.machine import gate_limits
 from wtg_gym.physics.machine_parameters import SynchronousMachineParameters
-from wtg_gym.physics.grid import NetworkCase
 from wtg_gym.physics.plant import Plant
 from wtg_gym.physics.scenario import (
     Event,

@@ -132,21 +132,24 @@ class Suite:
         """Return the name of a seed's stratum, "" where there are none."""
         return self.strata[seed % len(self.strata)] if self.strata else ""
 
-    def margin(self, scenario: Scenario) -> float:
-        """Return the reserve margin of a scenario in the suite's plant, NaN where strata do not follow from it."""
+    def margin(self, scenario: Scenario, plant: Plant | None = None) -> float:
+        """Return a scenario's reserve margin, maybe in another plant; NaN where strata do not follow from it."""
         if not self.margins:
             return math.nan
-        return self._reserve_margin.of(scenario) if scenario.reserve_margin is None else scenario.reserve_margin
+        if scenario.reserve_margin is not None:
+            return scenario.reserve_margin
+        measured = self._reserve_margin if plant is None or plant == self.plant else ReserveMargin(plant)
+        return measured.of(scenario)
 
     @cached_property
     def _reserve_margin(self) -> ReserveMargin:
         return ReserveMargin(self.plant)
 
-    def cost_offset(self, scenario: Scenario) -> float:
+    def cost_offset(self, scenario: Scenario, plant: Plant | None = None) -> float:
         """Return J0 of the score in a scenario, by its reserve margin; below all strata that of the last."""
         if not self.margins:
             return self.task.cost_offsets[""]
-        margin = self.margin(scenario)
+        margin = self.margin(scenario, plant)
         strata = [name for name, (low, _) in self.margins.items() if margin >= low]
         return self.task.cost_offsets[strata[0] if strata else list(self.margins)[-1]]
 
