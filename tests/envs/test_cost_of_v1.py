@@ -21,7 +21,7 @@ TERMS = [f"cost_{name}" for name in COST_TERMS]
 def steps(*events: Event, duration_s: float = 12.0, action: float = 0.0, **settings: Any) -> Iterator[Any]:
     """Play a scenario of v1; yield environment, reward and terms of the cost after each step."""
     scenario = calm(wind=10.0, n_wtg=4, duration_s=duration_s, events=events)
-    env = GFMWTGEnv(version="v1", scenario=scenario, **settings)
+    env = GFMWTGEnv(version="v1", scenario=scenario, control_dt=0.1, reward="cost", **settings)
     env.reset(seed=0)
     over = False
     while not over:
