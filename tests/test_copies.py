@@ -14,7 +14,6 @@ import pytest
 from tests.envs.rollouts import actions_of, bits, eventful
 from wtg_gym import evaluate
 from wtg_gym.envs import EnvSettings, GFMWTGEnv, GFMWTGVectorEnv
-from wtg_gym.gains import GainEnvs
 from wtg_gym.gradients import Tape
 from wtg_gym.physics.plant import Plant
 from wtg_gym.physics.scenario import Scenario
@@ -38,7 +37,7 @@ def parallel_env() -> Any:
 
 
 def monitored() -> Any:
-    env = make_sb3_vec_env(3, seed=0, gains=True, **SHORT)
+    env = make_sb3_vec_env(3, seed=0, reward="score", **SHORT)
     env.reset()
     return env
 
@@ -80,7 +79,7 @@ KINDS: dict[str, tuple[Callable[[], Any], Callable[[Any], Any]]] = {
     "single": (lambda: started(GFMWTGEnv(**SHORT)), single_steps),
     "gym.make": (lambda: started(gym.make("wtg_gym:GFMWTG-14bus-v1", duration_s=2.0, action_mode="k")), single_steps),
     "batch": (lambda: started(GFMWTGVectorEnv(3, **SHORT)), batch_steps),
-    "gains": (lambda: started(GainEnvs(GFMWTGVectorEnv(3, **SHORT))), batch_steps),
+    "score": (lambda: started(GFMWTGVectorEnv(3, reward="score", **SHORT)), batch_steps),
     "agents": (parallel_env, joint_steps),
     "Stable-Baselines3": (monitored, batch_steps),
     "entry": (lambda: load_entries("linear-feedback")[0], lambda entry: entry.to_dict()),

@@ -18,7 +18,7 @@ SHORT: dict[str, Any] = {"version": "v0", "duration_s": 5.0, "strategy": "mppt"}
 
 def test_lanes_are_the_groups_of_the_episodes() -> None:
     arguments = {**SHORT, "groups": 3}
-    episodes, groups = SB3VecEnv(2, gains=True, **arguments), AgentVecEnv(SB3VecEnv(2, gains=True, **arguments))
+    episodes, groups = SB3VecEnv(2, reward="score", **arguments), AgentVecEnv(SB3VecEnv(2, reward="score", **arguments))
     for env in (episodes, groups):
         env.seed(3)
     seen, split = episodes.reset(), groups.reset()
@@ -33,9 +33,9 @@ def test_lanes_are_the_groups_of_the_episodes() -> None:
             assert split[lane].tolist() == [*seen[episode, own], 1.0]
             assert groups.observation_space.contains(split[lane])
         actions = rng.uniform(-1.0, 1.0, (6, 2)).astype(np.float32)
-        seen, gains, dones, infos = episodes.step(actions.reshape(2, 6))
+        seen, rewards, dones, infos = episodes.step(actions.reshape(2, 6))
         split, each, ended, own_infos = groups.step(actions)
-        assert each.tolist() == np.repeat(gains, 3).tolist() and ended.tolist() == np.repeat(dones, 3).tolist()
+        assert each.tolist() == np.repeat(rewards, 3).tolist() and ended.tolist() == np.repeat(dones, 3).tolist()
         for lane in np.flatnonzero(ended):
             episode, group = divmod(int(lane), 3)
             ends += 1

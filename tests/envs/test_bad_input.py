@@ -59,7 +59,9 @@ SETTINGS: list[tuple[dict[str, Any], str]] = [
     ({"sensors": "exact"}, "sensors.*v1.*v0 measures exactly"),
     ({**V1, "suite": "low-wind"}, "suite 'low-wind'.*standard-v1"),
     ({**V1, "sensors": {"noise": 1.0}}, "sensors.*'noise'.*delay_s"),
-    ({**V1, "control_dt": 0.2}, "delay_s of the sensors = 0.1 s.*control steps of 0.2 s"),
+    ({**V1, "control_dt": 0.075}, "delay_s of the sensors = 0.1 s.*control steps of 0.075 s"),
+    ({**V1, "control_dt": 0.25}, "control_dt.*0.25.*0.1 s"),
+    ({"reward": "gain"}, "reward 'gain'.*score, cost"),
     ({**V1, "sensors": "exact", "scenario": CALM_V1}, "sensors.*scenario.*leave out one"),
     (
         {**V1, "scenario": {**CALM_V1.to_dict(), "sensors": {"seed": 1, "wind_bias": [0.0]}}},
@@ -249,7 +251,7 @@ def test_step_of_a_batch_whose_lanes_were_not_all_reset_is_a_runtime_error(mode:
     [
         ({"weights": {"duty": 0.0}, "on_failure": "trip"}, "weights, plant"),
         ({"strategy": "mppt"}, "strategy"),
-        (V1, "strategy, weights, plant, version"),
+        (V1, "strategy, weights, plant, version, control_dt, reward"),
     ],
     ids=str,
 )

@@ -32,8 +32,8 @@ def batch(n_threads: int, **arguments: Any) -> GFMWTGVectorEnv:
     return env
 
 
-def monitored(n_threads: int, *, gains: bool = False) -> Any:
-    env = make_sb3_vec_env(N * n_threads if n_threads > 1 else 3, seed=0, n_threads=n_threads, gains=gains, **SHORT)
+def monitored(n_threads: int, **more: Any) -> Any:
+    env = make_sb3_vec_env(N * n_threads if n_threads > 1 else 3, seed=0, n_threads=n_threads, **more, **SHORT)
     env.reset()
     return env
 
@@ -88,7 +88,7 @@ CASES: dict[str, tuple[Callable[[int], Any], Call]] = {
     "reset": (batch, reset),
     "reset of some": (batch, reset_some),
     "Stable-Baselines3": (monitored, step),
-    "gains": (lambda _: monitored(1, gains=True), step),
+    "score": (lambda _: monitored(1, reward="score"), step),
     "single": (single, step_or_reset),
     "rendering": (lambda n: single(n, "rgb_array"), step_or_reset),
     "PettingZoo": (agents, step_or_reset),

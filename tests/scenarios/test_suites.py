@@ -1,7 +1,8 @@
 """Facts about the frozen suites."""
 
-import collections
 import dataclasses
+import functools
+import math
 import pickle
 
 import gymnasium as gym
@@ -14,10 +15,12 @@ from wtg_gym.evaluation import evaluate
 from wtg_gym.physics.grid import DEFAULT_GRID
 from wtg_gym.physics.network import assemble_admittance, branch_admittances
 from wtg_gym.physics.plant import Plant, plant_tables
-from wtg_gym.physics.scenario import Fault, GovernorLoss, GroupTrip, LineTrip, MachineOutage
+from wtg_gym.physics.scenario import Fault, GovernorLoss, GroupTrip, LineTrip, MachineOutage, Scenario
 from wtg_gym.scenarios import FROZEN_HASHES, SUITES, ScenarioDistribution, Suite, get_suite
 from wtg_gym.scenarios.draws import Draft, LoadEvents, LoadNoise, Record, Wind
+from wtg_gym.scenarios.margin import reserve_margin
 from wtg_gym.scenarios.sensor_distribution import SensorDistribution
+from wtg_gym.scenarios.strata import STRATA
 from wtg_gym.scenarios.stream import Picker
 from wtg_gym.tasks import V1
 
@@ -96,7 +99,7 @@ def test_a_suite_of_ones_own_records_is_played_without_a_file() -> None:
 
 
 DRAWN = [suite for suite in SECOND if suite.distributions]
-#: What happens in every run of a kind of the stratum "extreme".
+#: What happens in every run of a kind.
 EVENT_OF = {
     "governor": (GovernorLoss, 1),
     "machine": (MachineOutage, 1),
@@ -106,31 +109,39 @@ EVENT_OF = {
 }
 
 
+@functools.cache
+def frozen(name: str) -> list[Scenario]:
+    """Return the scenarios of the validation and test splits of a suite."""
+    return get_suite(name).scenarios([*get_suite(name).validation, *get_suite(name).test])
+
+
 @pytest.mark.parametrize("suite", DRAWN, ids=lambda suite: suite.name)
-def test_strata_and_kinds_are_as_frequent_and_follow_from_the_seed(suite: Suite):
-    assert suite.strata == ("ordinary", "large", "extreme")
-    seeds = range(20_100, 20_190)
-    scenarios = suite.scenarios(seeds)
+def test_scenarios_have_the_margin_of_their_stratum_and_its_kinds_of_event(suite: Suite):
+    assert suite.strata == ("ample", "tight", "short")
+    scenarios = frozen(suite.name)
+    seeds = [*suite.validation, *suite.test]
     assert [scenario.seed for scenario in scenarios] == list(seeds)
     assert [suite.stratum(seed) for seed in seeds] == [suite.strata[seed % 3] for seed in seeds]
     named = "standard-v1" if suite.name == "no-wind-sensor-v1" else suite.name
     parts = [scenario.name.split("/") for scenario in scenarios]
     assert all(own == named and int(seed) in seeds for own, _, seed in parts)
-    assert all(part[1].split("-")[0] == suite.stratum(int(part[2])) for part in parts)
-    count = collections.Counter(part[1] for part in parts)
-    assert count["ordinary"] == count["large"] == 30
-    # No other grid than that of 14 buses has lines that leave groups without machines.
-    kinds = [f"extreme-{kind}" for kind in EVENT_OF if kind != "island" or suite.grid == DEFAULT_GRID]
-    assert {name for name in count if "-" in name} == set(kinds)
-    assert max(count[kind] for kind in kinds) - min(count[kind] for kind in kinds) <= 1
-    for (_, stratum, _), scenario in zip(parts, scenarios, strict=True):
-        event, least = EVENT_OF.get(stratum.removeprefix("extreme-"), (LineTrip, 0))
+    for stratum, (low, high) in zip(suite.strata, ((0.1, math.inf), (0.0, 0.1), (-0.1, 0.0)), strict=True):
+        of_stratum = [scenario for scenario in scenarios if suite.stratum(scenario.seed) == stratum]
+        assert all(low <= scenario.reserve_margin < high for scenario in of_stratum)
+        kinds = {scenario.name.split("/")[1] for scenario in of_stratum}
+        # No other grid than that of 14 buses has lines that leave groups without machines.
+        assert kinds == set(STRATA[stratum].kinds) - ({"island"} if suite.grid != DEFAULT_GRID else set())
+    for scenario in scenarios[::30]:
+        assert scenario.reserve_margin == reserve_margin(scenario, suite.plant)
+    for (_, kind, _), scenario in zip(parts, scenarios, strict=True):
+        event, least = EVENT_OF.get(kind, (LineTrip, 0))
         assert sum(isinstance(own, event) for own in scenario.events) >= least
         assert scenario.duration_s == 180.0
         lost_at_start = [own for own in scenario.events if isinstance(own, GovernorLoss) and own.time_s == 0.0]
         assert all(3.0 <= own.time_s <= 60.0 for own in scenario.events if own not in lost_at_start)
     # Alone or in any order, a seed gives the same scenario.
-    assert [own.to_json() for own in suite.scenarios(seeds[::-7])] == [own.to_json() for own in scenarios[::-7]]
+    assert [own.to_json() for own in suite.scenarios(seeds[::-70])] == [own.to_json() for own in scenarios[::-70]]
+    assert [suite.scenario(seed).to_json() for seed in seeds[:3]] == [own.to_json() for own in scenarios[:3]]
 
 
 def test_suites_without_strata_say_so():
@@ -139,10 +150,9 @@ def test_suites_without_strata_say_so():
 
 
 @pytest.mark.parametrize("suite", DRAWN, ids=lambda suite: suite.name)
-@pytest.mark.parametrize("law", ["mppt", "deloaded-10", "coordinated-piecewise"])
-def test_every_scenario_of_validation_and_test_starts(suite: Suite, law: str):
-    lanes = TaskLanes(EnvSettings(suite=suite.name, strategy=law))
-    lanes.prepare(lanes.scenarios([*suite.validation, *suite.test]))
+def test_every_scenario_of_validation_and_test_starts(suite: Suite):
+    for law in ("mppt", "deloaded-10", "coordinated-piecewise"):
+        TaskLanes(EnvSettings(suite=suite.name, strategy=law, reward="cost")).prepare(frozen(suite.name))
 
 
 def short_circuit_ratios(plant: Plant, committed: float) -> np.ndarray:
@@ -163,7 +173,7 @@ def short_circuit_ratios(plant: Plant, committed: float) -> np.ndarray:
 def test_grid_of_the_weak_suite_is_weak_at_every_group_and_the_standard_one_is_not():
     weak, standard = get_suite("weak-grid-v1"), get_suite("standard-v1")
     plant = weak.plant
-    ratios = [short_circuit_ratios(plant, scenario.committed) for scenario in weak.scenarios(weak.test)]
+    ratios = [short_circuit_ratios(plant, scenario.committed) for scenario in frozen(weak.name)]
     assert min(own.min() for own in ratios) >= 1.5 and max(own.max() for own in ratios) <= 3.0
     assert short_circuit_ratios(standard.plant, 0.2).min() > 6.0
 

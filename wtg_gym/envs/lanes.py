@@ -189,6 +189,7 @@ class TaskLanes:
             n_turbines=self.n_turbines,
             duration_s=self.duration_s,
             sensors=self.settings.sensor_distribution(),
+            plant=self.settings.resolved_plant,
         )
 
     def prepare(self, scenarios: Sequence[Scenario], *, turning: bool = False) -> PreparedEpisodes:
@@ -212,15 +213,15 @@ class TaskLanes:
         step_s = self.settings.step_s
         n_steps = np.array([whole_steps("scenario duration_s", each, step_s, "control step") for each in durations])
         seeds = [-1 if scenario.seed is None else scenario.seed for scenario in scenarios]
-        outputs, plant = self._start_tasks(lanes, scenarios, n_steps), self.simulator.settings
+        outputs = self._start_tasks(lanes, scenarios, n_steps)
         if self.settings.scores:
             outputs.reference[:] = self._reference_costs(scenarios)
-            outputs.offsets[:] = [self.suite.cost_offset(scenario, plant) for scenario in scenarios]
+            outputs.offsets[:] = [self.suite.cost_offset(each, self.settings.resolved_plant) for each in scenarios]
         return PreparedEpisodes(
             lanes,
             n_steps,
             np.array(seeds, dtype=np.int64),
-            np.array([self.suite.margin(scenario, plant) for scenario in scenarios]),
+            np.array([self.suite.margin(scenario, self.settings.resolved_plant) for scenario in scenarios]),
             tuple(tuple(sorted(scenario.events, key=lambda event: event.time_s)) for scenario in scenarios),
             outputs,
         )
@@ -237,7 +238,6 @@ class TaskLanes:
                 strategy=task.hundred,
                 observation_mode="local",
                 reward="cost",
-                scenario=None,
                 duration_s=self.duration_s,
             )
             self._reference = TaskLanes(settings, min(self.n_lanes, _REFERENCES_AT_ONCE), 1)
@@ -327,7 +327,11 @@ class TaskLanes:
 
     def stop(self, lanes: npt.NDArray[np.bool_]) -> None:
         """End the episodes of a mask's lanes, as if their time were over; shape (n_lanes,)."""
+        steps = self.n_steps()
         for lane in np.flatnonzero(lanes):
+            if self.settings.scores and not (self.outputs.terminated[lane] or self.outputs.truncated[lane]):
+                # What the other law has yet to pay does not count.
+                self.outputs.reference[lane, -1] = self.outputs.reference[lane, steps[lane]]
             self.simulator.stop(int(lane))
             self.outputs.truncated[lane] = not self.outputs.terminated[lane]
 

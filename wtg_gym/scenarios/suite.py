@@ -133,20 +133,26 @@ class Suite:
         return self.strata[seed % len(self.strata)] if self.strata else ""
 
     def margin(self, scenario: Scenario, plant: Plant | None = None) -> float:
-        """Return a scenario's reserve margin, maybe in another plant; NaN where strata do not follow from it."""
+        """Return the reserve margin of a scenario, NaN where strata do not follow from it.
+
+        It is that which the scenario was drawn with, else that in a plant, None for the suite's.
+        """
         if not self.margins:
             return math.nan
-        if scenario.reserve_margin is not None:
-            return scenario.reserve_margin
-        measured = self._reserve_margin if plant is None or plant == self.plant else ReserveMargin(plant)
-        return measured.of(scenario)
+        return self._margins_in(plant).of(scenario) if scenario.reserve_margin is None else scenario.reserve_margin
+
+    def _margins_in(self, plant: Plant | None) -> ReserveMargin:
+        """Return what finds margins: in the suite's plant, whatever else is changed, but with a plant's groups."""
+        if plant is None or plant.groups == self.plant.groups:
+            return self._own_margins
+        return ReserveMargin(plant)
 
     @cached_property
-    def _reserve_margin(self) -> ReserveMargin:
+    def _own_margins(self) -> ReserveMargin:
         return ReserveMargin(self.plant)
 
     def cost_offset(self, scenario: Scenario, plant: Plant | None = None) -> float:
-        """Return J0 of the score in a scenario, by its reserve margin; below all strata that of the last."""
+        """Return J0 of the score in a scenario, by its :meth:`margin`; below all strata that of the last."""
         if not self.margins:
             return self.task.cost_offsets[""]
         margin = self.margin(scenario, plant)
@@ -188,6 +194,7 @@ class Suite:
         n_turbines: Sequence[float] | None = None,
         duration_s: float | None = None,
         sensors: SensorDistribution | EllipsisType | None = ...,
+        plant: Plant | None = None,
     ) -> list[Scenario]:
         """Return the scenarios of seeds.
 
@@ -198,6 +205,8 @@ class Suite:
                 no turbulence to average.
             duration_s: length of the run [s]; None: the suite's own.
             sensors: replaces the suite's own; None measures exactly.
+            plant: with the WTG groups, where they are not the suite's: reserve margins are theirs then; None: so many
+                groups at the bus of the first.
 
         Raises:
             ValueError: a seed is in no split, or an argument is out of range; the message says what is allowed.
@@ -211,7 +220,9 @@ class Suite:
             n_wtg = len(self.plant.groups)
             n_turbines = [_default_turbines(group) for group in self.plant.groups] if n_turbines is None else n_turbines
         if self.drawn_from:
-            scenarios = self._drawn_scenarios(seeds, n_wtg, n_turbines, duration)
+            if plant is None and n_wtg != len(self.plant.groups):
+                plant = self.plant.replaced(groups=n_wtg)
+            scenarios = self._drawn_scenarios(seeds, n_wtg, n_turbines, duration, self._margins_in(plant))
         else:
             scenarios = self._fixed_scenarios(seeds, n_wtg, n_turbines, duration)
         measuring = self.sensors if sensors is ... else sensors
@@ -226,7 +237,12 @@ class Suite:
         ]
 
     def _drawn_scenarios(
-        self, seeds: Sequence[int], n_wtg: int, n_turbines: Sequence[float] | None, duration_s: float
+        self,
+        seeds: Sequence[int],
+        n_wtg: int,
+        n_turbines: Sequence[float] | None,
+        duration_s: float,
+        margins: ReserveMargin,
     ) -> list[Scenario]:
         """Draw scenarios, those of a distribution together, until all fall in the margins of their strata."""
         accepted: dict[int, Scenario] = {}
@@ -239,7 +255,7 @@ class Suite:
                 of_places = [seeds[place] for place in places]
                 distribution = self._distribution(of_places[0], attempt)
                 drawn = distribution.draw_many(of_places, n_wtg, n_turbines, duration_s, attempt)
-                suited = zip(places, map(self._suits, drawn), strict=True)
+                suited = zip(places, (self._suits(scenario, margins) for scenario in drawn), strict=True)
                 accepted.update((place, scenario) for place, scenario in suited if scenario is not None)
             missing = [place for place in missing if place not in accepted]
             if not missing:
@@ -250,12 +266,12 @@ class Suite:
             f"stratum {self.stratum(seed)!r}, {self.margins[self.stratum(seed)]}"
         )
 
-    def _suits(self, scenario: Scenario) -> Scenario | None:
+    def _suits(self, scenario: Scenario, margins: ReserveMargin) -> Scenario | None:
         """Return a drawn scenario with its margin, None where that is not one of its stratum."""
         if not self.margins:
             return scenario
         assert scenario.seed is not None
-        margin = self._reserve_margin.of(scenario)
+        margin = margins.of(scenario)
         low, high = self.margins[self.stratum(scenario.seed)]
         return trusted(Scenario, **{**vars(scenario), "reserve_margin": margin}) if low <= margin < high else None
 
