@@ -7,7 +7,7 @@ import pytest
 
 from tests.physics.extended import NO_SHEDDING, recorded, reference_run, scenario, started
 from wtg_gym.physics import scenario as sc
-from wtg_gym.physics.parameters import ConverterLimitParameters
+from wtg_gym.physics.parameters import ConverterLimitParameters, PitchParameters
 from wtg_gym.physics.plant import Plant
 from wtg_gym.physics.protection import Status
 from wtg_gym.physics.simulator import Simulator
@@ -108,8 +108,10 @@ def test_a_stalled_group_ends_the_run_which_then_stands_still_or_is_tripped(trip
 FAR = ConverterLimitParameters(
     current_max_pu=10.0, power_max_pu=10.0, power_min_pu=-10.0, power_gain=0.0, power_integral_gain=0.0
 )
+#: Out of reach is the pitch's limit too, which an extended plant lowers by its reserve.
+NO_PITCH = PitchParameters(captured_power_limit_pu=10.0)
 #: With stages of shedding, as the other extended plants have, so that it is compiled already.
-UNLIMITED = Plant(limits=FAR, shedding=NO_SHEDDING)
+UNLIMITED = Plant(limits=FAR, shedding=NO_SHEDDING, pitch=NO_PITCH)
 
 
 @pytest.mark.parametrize(
@@ -120,7 +122,7 @@ def test_limits_out_of_reach_leave_the_papers_plant_as_it_is(
     suite: str, seed: int, strategy: str, status: Status
 ) -> None:
     what = get_suite(suite).scenario(seed)
-    paper, unlimited = (started(plant, what, strategy, what.duration_s) for plant in (Plant(), UNLIMITED))
+    paper, unlimited = (started(plant, what, strategy, what.duration_s) for plant in (Plant(pitch=NO_PITCH), UNLIMITED))
     expected, found = (recorded(run, what.duration_s, "rotor_speed", "power", "emf") for run in (paper, unlimited))
     assert paper.lane_values("status")[0] == unlimited.lane_values("status")[0] == status
     assert all(found[name] == pytest.approx(values, rel=0.0, abs=1e-9) for name, values in expected.items())
