@@ -36,8 +36,8 @@ class GFMWTGEnv(OverLanes, gym.Env[Observation, Action]):
     ## Action Space
     `Box(-1, 1, (n_wtg · n_modes,), float32)`, per group: the offset on k (full action: half the regulation range
     K_opt - K_pr), then the scale of τ (full action: four times or a quarter, in v1 twice or half). It is held for
-    0.1 s, in v1 for 0.5 s. An action of zero leaves the control law `strategy` unchanged, to the last bit; its default is the published law.
-    Actions outside -1 … 1 are clipped; an action that is not finite raises a ValueError.
+    0.1 s, in v1 for 0.5 s. An action of zero leaves the control law `strategy` unchanged, to the last bit; its default
+    is the published law. Actions outside -1 … 1 are clipped; an action that is not finite raises a ValueError.
 
     ## Observation Space
     `Box(-5, 5, (n,), float32)`, per group what its own controller measures: frequency deviation and its rate of change
