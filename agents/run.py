@@ -375,7 +375,7 @@ def _git_commit() -> str | None:
 def draw(lanes: TaskLanes, rng: np.random.Generator, n_scenarios: int) -> list[Scenario]:
     """Return training scenarios.
 
-    Where there are strata, the seeds follow one another: a multiple of 15 holds as many of each stratum and kind.
+    Where there are strata, the seeds follow one another: a multiple of three holds as many of each stratum.
     """
     if not lanes.suite.strata:
         return lanes.draw([rng] * n_scenarios)
