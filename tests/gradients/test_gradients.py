@@ -166,9 +166,8 @@ def test_the_gradient_with_respect_to_the_law_is_that_of_central_differences(set
 
 
 def test_a_held_step_has_the_gradient_of_its_intervals() -> None:
-    held, fine = (
-        tape_of(version="v1", suite="faults", on_failure="terminate", **dt) for dt in ({}, {"control_dt": 0.1})
-    )
+    settings = {"version": "v1", "suite": "faults", "on_failure": "terminate"}
+    held, fine = tape_of(**settings), tape_of(**settings, control_dt=0.1)
     # The first two episodes end within a step: a rotor is too slow, and the frequency too high.
     falling, at = np.maximum(9.0 - 0.12 * np.arange(121), 3.0), LoadStep(time_s=2.1, bus=3, power_mw=-150.0)
     scenarios = [
