@@ -357,7 +357,7 @@ def _git_commit() -> str | None:
 
 
 def draw(lanes: TaskLanes, rng: np.random.Generator, n_scenarios: int) -> list[Scenario]:
-    """Return training scenarios; of strata their seeds follow one another: 15 hold as many of each stratum and kind."""
+    """Return training scenarios; of strata their seeds follow one another: three hold one of each."""
     if not lanes.suite.strata:
         return lanes.draw([rng] * n_scenarios)
     seeds = lanes.suite.train

@@ -77,7 +77,7 @@ STANDARD = get_suite("standard")
 SEED = STANDARD.seeds("validation").start
 KINDS: dict[str, tuple[Callable[[], Any], Callable[[Any], Any]]] = {
     "single": (lambda: started(GFMWTGEnv(**SHORT)), single_steps),
-    "gym.make": (lambda: started(gym.make("wtg_gym:GFMWTG-14bus-v1", duration_s=2.0, action_mode="k")), single_steps),
+    "gym.make": (lambda: started(gym.make("wtg_gym:GFMWTG-14bus-v1", duration_s=10.0, action_mode="k")), single_steps),
     "batch": (lambda: started(GFMWTGVectorEnv(3, **SHORT)), batch_steps),
     "score": (lambda: started(GFMWTGVectorEnv(3, reward="score", **SHORT)), batch_steps),
     "agents": (parallel_env, joint_steps),

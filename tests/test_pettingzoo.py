@@ -77,7 +77,7 @@ def test_joint_run_is_that_of_the_single_environment_bit_for_bit(name: str) -> N
 
 def test_agents_leave_one_by_one_as_events_take_their_groups_away_and_come_back_with_the_next_episode() -> None:
     events = tuple(GroupTrip(time_s=0.5 + 0.3 * group, group=group) for group in (2, 0))
-    env = parallel_env(version="v1", scenario=calm(n_wtg=4, events=events))
+    env = parallel_env(version="v1", control_dt=0.1, scenario=calm(n_wtg=4, events=events))
     for _ in range(2):
         env.reset()
         there = []

@@ -17,7 +17,6 @@ from policies import Population, law_of, tune_law, tune_mean_droop, tuning_of
 from reference import environment_page, parameters_page
 
 from wtg_gym.evaluation import Results, evaluate, load_entries
-from wtg_gym.gains import stratum_scales
 from wtg_gym.physics.aerodynamics import tracking_point
 from wtg_gym.physics.tracking_law import TUNED, tuned
 from wtg_gym.scenarios import get_suite
@@ -48,14 +47,14 @@ def test_points_of_a_search_are_laws_and_laws_are_tunings() -> None:
     assert capped.k_min == tracking_point(0.0).coefficient > capped.k_nominal > capped.k_max
 
 
-def test_the_objective_of_a_search_is_the_logarithm_in_scales_of_the_stratum() -> None:
+def test_the_objective_of_a_search_is_the_logarithm_of_cost_and_offset() -> None:
     n_scenarios, laws = 6, [tuned("coordinated-tuned"), tuned("coordinated-free")]
     with Population(OWN, n_scenarios, len(laws), duration_s=12.0) as candidates:
         objectives, lanes = candidates.objectives(laws), candidates.lanes
         costs = lanes.cost_sums().sum(axis=1).reshape(len(laws), n_scenarios)
-        scales, offsets = stratum_scales(lanes.settings), dict(V1.cost_offsets)
+        offsets = dict(V1.cost_offsets)
         strata = [lanes.suite.stratum(seed) for seed in lanes.suite.train[:n_scenarios]]
-    wanted = [[np.log(cost + offsets[s]) / scales[s] for cost, s in zip(row, strata, strict=True)] for row in costs]
+    wanted = [[np.log(cost + offsets[s]) for cost, s in zip(row, strata, strict=True)] for row in costs]
     assert objectives == pytest.approx(np.mean(wanted, axis=1), rel=1e-12) and objectives[0] != objectives[1]
 
 

@@ -15,9 +15,9 @@ from agents.run import Run, folders
 from tests.agents.small import largest_difference
 from tests.interruption import interrupted
 from wtg_gym.envs import EnvSettings
-from wtg_gym.gains import ScoreUnits
 from wtg_gym.policies.entry_folder import load_entries
 from wtg_gym.policies.torch_export import TorchPolicy, onnx_bytes
+from wtg_gym.tasks import V1
 
 #: Four generations, the last two of all weights, with a validation before, between and after them.
 OPTIONS = ["--suite", "standard", "--n-envs", "2", "--population", "4", "--hidden", "3"]
@@ -68,14 +68,16 @@ def test_what_is_lowered_is_minus_the_score_in_hundreds_and_what_the_mark_asks()
     plain, weighed = (
         Population(settings, 3, 4, Hyperparameters(population=4, mean_weight=w, mark_weight=w)) for w in (0.0, 1.0)
     )
-    policy, scenarios = policy_of(0), plain.lanes.scenarios(range(1_000_055, 1_000_058))
+    policy, scenarios = policy_of(0), plain.lanes.scenarios(range(1_000_057, 1_000_060))
     found = [each.objectives(policy, np.zeros((4, policy.n_parameters)), scenarios) for each in (plain, weighed)]
     costs = plain.lanes.cost_sums().sum(axis=1)[:3]
-    offsets, scales = ScoreUnits(settings).of(scenario.seed or 0 for scenario in scenarios)
-    assert found[0] == pytest.approx(np.mean(np.log(costs + offsets) / scales))
+    strata = [plain.lanes.suite.stratum(scenario.seed or 0) for scenario in scenarios]
+    # J0 of the strata, and Λ.
+    offsets, scale = np.array([{"ample": 40.0, "tight": 200.0, "short": 1000.0}[name] for name in strata]), V1.scale
+    assert found[0] == pytest.approx(np.mean(np.log(costs + offsets) / scale))
     largest_hz = 50.0 * (1.0 - weighed.lanes.simulator.lane_values("coi_min")[:3])
     bad = np.clip((largest_hz - 0.6) / 0.3, 0.0, 1.0)
-    assert found[1] - found[0] == pytest.approx(np.mean(costs / offsets / scales + bad)) and bad.any()
+    assert found[1] - found[0] == pytest.approx(np.mean(costs / offsets / scale + bad)) and bad.any()
 
 
 def test_run_repeats_also_after_an_interruption_and_is_exported(

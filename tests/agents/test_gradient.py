@@ -52,9 +52,9 @@ def test_loss_falls_on_the_scenarios_that_it_is_of(
     policy = GradientPolicy(lanes.n_observation, lanes.n_action, hidden, lstm)
     optimizer = torch.optim.Adam(policy.parameters(), lr=h.learning_rate)
     scenarios = lanes.scenarios(range(1_000_000, 1_000_004))
-    losses = []
+    losses, n_steps = [], round(20.0 / lanes.settings.step_s)
     for _ in range(10):
-        loss = loss_of(costs_of(episodes, policy, scenarios, 200, failures)[0], scenarios)
+        loss = loss_of(costs_of(episodes, policy, scenarios, n_steps, failures)[0], scenarios)
         losses.append(descend(policy, optimizer, loss, h))
     assert losses[-1] < losses[0] - 0.01
 
@@ -115,16 +115,14 @@ def test_a_slow_rotor_ends_the_episode_where_rotors_do() -> None:
     assert found == pytest.approx(40.0 + SHARE * (250.0 * 181.0 - 40.0))
 
 
-def test_the_loss_counts_every_stratum_by_its_offset_and_scale(monkeypatch: pytest.MonkeyPatch) -> None:
-    scales = {"ordinary": 0.2, "large": 0.5, "extreme": 0.25}
-    monkeypatch.setattr("wtg_gym.gains.stratum_scales", lambda _settings: scales)
+def test_the_loss_counts_every_stratum_by_its_offset_and_all_by_one_scale() -> None:
     costs = torch.tensor([30.0, 400.0, 2000.0], dtype=torch.float64)
     scenarios = get_suite("standard-v1").scenarios([1_000_002, 1_000_000, 1_000_001], duration_s=1.0)
-    offsets = (40.0, 300.0, 3000.0)
+    offsets, scale = (40.0, 200.0, 1000.0), EnvSettings(**V1).task.scale or 1.0
     for weight in (0.0, 0.5):
         parts = [
             (math.log(cost + offset) + weight * cost / offset) / scale
-            for cost, offset, scale in zip(costs.tolist(), offsets, scales.values(), strict=True)
+            for cost, offset in zip(costs.tolist(), offsets, strict=True)
         ]
         assert Loss(EnvSettings(**V1), weight)(costs, scenarios).item() == pytest.approx(sum(parts) / 3.0)
     # v0 has one offset, and no scale.
@@ -132,12 +130,11 @@ def test_the_loss_counts_every_stratum_by_its_offset_and_scale(monkeypatch: pyte
     assert Loss(EnvSettings(version="v0"))(costs[:1], own).item() == pytest.approx(math.log(35.0))
 
 
-def test_a_batch_of_v1_holds_as_many_of_each_stratum_and_kind() -> None:
+def test_a_batch_of_v1_holds_as_many_of_each_stratum() -> None:
     lanes = TaskLanes(EnvSettings(**V1, duration_s=1.0), 30)
     scenarios = draw(lanes, np.random.default_rng(0), 30)
-    names = Counter(scenario.name.split("/")[1] for scenario in scenarios)
-    kinds = {f"extreme-{kind}" for kind in ("governor", "machine", "group", "fault", "island")}
-    assert names == {"ordinary": 10, "large": 10, **dict.fromkeys(kinds, 2)}
+    strata = Counter(lanes.suite.stratum(scenario.seed or 0) for scenario in scenarios)
+    assert strata == {"ample": 10, "tight": 10, "short": 10}
     assert all(scenario.seed in lanes.suite.train for scenario in scenarios)
     same, other = (draw(lanes, np.random.default_rng(seed), 30)[0].seed for seed in (0, 1))
     assert same == scenarios[0].seed != other

@@ -73,7 +73,7 @@ def test_snapshot_branches_as_often_as_asked_whatever_is_played_between(n_lanes:
 
 
 def test_snapshot_leaves_the_stream_of_scenarios_alone_and_keeps_what_is_on_its_way_to_the_controllers():
-    env, twin = (GFMWTGEnv(**DELAYED, duration_s=4.0, suite="faults") for _ in range(2))
+    env, twin = (GFMWTGEnv(**DELAYED, control_dt=0.1, duration_s=4.0, suite="faults") for _ in range(2))
     for each in (env, twin):
         steps_of(each, BEFORE, seed=3)
     start = env.snapshot()

@@ -30,7 +30,8 @@ SAGGED = calm(duration_s=20.0, events=(LoadStep(time_s=1.0, bus=2, power_mw=0.0,
 
 def play(scenario: Scenario, action=0.0, **settings):
     """Return the rewards, the last step and the environment of an episode."""
-    env = GFMWTGEnv(**{"version": "v0", "scenario": scenario.to_dict(), **settings})
+    arguments = {"version": "v0", "scenario": scenario.to_dict(), "control_dt": 0.1, "reward": "cost", **settings}
+    env = GFMWTGEnv(**arguments)
     steps = list(episode(env, action, seed=0))
     return np.array([step[0] for step in steps]), steps[-1], env
 
@@ -141,5 +142,6 @@ def test_scenario_shorter_than_the_episode_is_cut_at_its_end(version: str):
     env = GFMWTGEnv(version=version, duration_s=5.0)
     short = eventful(duration_s=2.0, n_wtg=N_WTG[version])
     steps = list(episode(env, seed=0, options={"scenario": short}))
-    assert len(steps) == 20 and steps[-1][2] and steps[-1][3]["time_s"] == pytest.approx(2.0)
-    assert len(list(episode(env))) == 50
+    per_s = {"v0": 10, "v1": 2}[version]
+    assert len(steps) == 2 * per_s and steps[-1][2] and steps[-1][3]["time_s"] == pytest.approx(2.0)
+    assert len(list(episode(env))) == 5 * per_s

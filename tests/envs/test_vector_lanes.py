@@ -43,7 +43,9 @@ ROOT = Path(__file__).resolve().parents[2]
 @pytest.mark.parametrize("version", VERSIONS)
 @pytest.mark.parametrize("mode", MODES)
 def test_lane_equals_the_single_environment_with_its_seed_through_resets(mode: AutoresetMode, version: str):
-    actions, given = actions_of(3, 50, 33, 2 * N_WTG[version]), {"version": version, "duration_s": 2.0}
+    # Episodes of twenty steps.
+    given = {"version": version, "duration_s": {"v0": 2.0, "v1": 10.0}[version]}
+    actions = actions_of(3, 50, 33, 2 * N_WTG[version])
     env = GFMWTGEnv(**given)
     expected = [single_steps(env, actions[:, lane], mode, seed=40 + lane) for lane in range(33)]
     assert {n_resets(steps) for steps in expected} == {2}
@@ -78,7 +80,8 @@ def failing(version: str) -> dict[str, Any]:
     events = (GroupTrip(time_s=1.025, group=2), LoadStep(time_s=2.0, bus=3, power_mw=60.0))
     sensors = SensorDistribution().draw_many("x", [1], 4)[0]
     course = calm(8.0, 30.0, 4, events=events, sensors=sensors, inertia_scale=0.3, governor_droop=0.08)
-    return {"version": "v1", "strategy": "mppt", "on_failure": "terminate", "scenario": course.to_dict()}
+    settings = {"version": "v1", "control_dt": 0.1, "strategy": "mppt", "on_failure": "terminate"}
+    return {**settings, "scenario": course.to_dict()}
 
 
 @pytest.mark.parametrize(("version", "n_steps", "reason"), [("v0", 420, "stall"), ("v1", 200, "under-speed")])
