@@ -17,10 +17,7 @@ from wtg_gym.plotting import save_figure, style
 from wtg_gym.policies.entry_folder import load_entries
 
 LAWS = ("mppt", "deloaded-5", "deloaded-10", "coordinated-linear", "coordinated-undamped", "coordinated-piecewise")
-TUNED = (
-    *("coordinated-tuned", "coordinated-free", "fast-droop", "mean-droop", "linear-feedback-v1"),
-    *("history-feedback-v1", "evolution-v1-0", "ppo-v1-0", "recurrent-ppo-v1-0", "gradient-v1-0"),
-)
+TUNED = ("coordinated-tuned", "coordinated-free", "fast-droop", "mean-droop", "ppo-v1-0")
 #: The end of every criterion, which the page says once.
 STAY = "; all groups stay"
 DRAWN = ("deloaded-10", "coordinated-piecewise", "coordinated-tuned")

@@ -95,6 +95,7 @@ def info():
     """Return the keys of `info`."""
     rows = [(f"`{key}`", *rest) for key, *rest in (*declared(Info), *declared(LocalInfo))]
     rows.append(("`scenario_seed`", "-", "−1 for a scenario without a seed"))
+    rows.append(("`reserve_margin`", "-", "[reserve margin](benchmark.md#strata); in drawn suites of v1"))
     rows.append(("`termination_reason`", "text", "why the episode ended before its time, else empty"))
     return "### `info`\n\n" + markdown_table(("key of `info`", "unit", "meaning"), rows)
 

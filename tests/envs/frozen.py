@@ -22,8 +22,9 @@ from wtg_gym.envs import GFMWTGEnv, GFMWTGVectorEnv
 from wtg_gym.evaluation.circumstances import versions
 from wtg_gym.scenarios import SUITES
 
-#: Longer than an episode of every drawn suite, so that lanes start again.
-_N_STEPS, _N_LANES = 640, 17
+#: Longer than an episode, so that lanes start again; episodes of v1 are cut to a minute.
+_N_STEPS, _N_LANES = {"v0": 640, "v1": 130}, 17
+_LENGTHS: dict[str, dict[str, Any]] = {"v0": {}, "v1": {"duration_s": 60.0}}
 #: Settings besides the modes under which a suite is played once more.
 _VARIANTS: dict[str, dict[str, dict[str, Any]]] = {}
 _VARIANTS["v0"] = {
@@ -71,11 +72,11 @@ class _Answers:
         return {"sha256": self._hash.hexdigest(), "n_ends": self._n_ends, "sums": self._sums.tolist()}
 
 
-def _batched(mode: AutoresetMode, n_threads: int, **settings: Any) -> dict[str, Any]:
+def _batched(mode: AutoresetMode, n_threads: int, n_steps: int, **settings: Any) -> dict[str, Any]:
     env = GFMWTGVectorEnv(_N_LANES, autoreset_mode=mode, n_threads=n_threads, **settings)
     rng, answers = np.random.default_rng(7), _Answers()
     answers.add(env.reset(seed=3)[0])
-    for _ in range(_N_STEPS):
+    for _ in range(n_steps):
         observations, rewards, terminated, truncated, _ = env.step(rng.uniform(-1.1, 1.1, env.action_space.shape))
         answers.add(observations, rewards, terminated, truncated)
         over = terminated | truncated
@@ -106,10 +107,10 @@ def cases(version: str) -> dict[str, Callable[[], dict[str, Any]]]:
     autoresets, threads = itertools.cycle(MODES), itertools.cycle((1, 2))
 
     def add(name: str, settings: dict[str, Any]) -> None:
-        settings = {"split": next(splits), **settings}
+        settings = {"split": next(splits), **_LENGTHS[version], **settings}
         mode, n_threads = next(autoresets), next(threads)
         found[f"{name}, single"] = lambda: _single(**settings)
-        found[f"{name}, batched"] = lambda: _batched(mode, n_threads, **settings)
+        found[f"{name}, batched"] = lambda: _batched(mode, n_threads, _N_STEPS[version], **settings)
 
     suites = [name for name, suite in SUITES.items() if suite.env_id == f"GFMWTG-14bus-{version}"]
     for suite, (action, observation) in itertools.product(suites, modes):

@@ -22,8 +22,8 @@ from wtg_gym.tasks.cost import COST_TERMS
 
 Floats = npt.NDArray[np.float64]
 N_LANES = 3
-#: As the programs of docs/gradients.md have it, whose machine code is shared.
-V1 = {"version": "v1"}
+#: Their machine code is that of the programs of docs/gradients.md, whose actions are held.
+V1 = {"version": "v1", "control_dt": 0.1}
 
 
 @functools.cache
@@ -154,6 +154,37 @@ def test_the_gradient_with_respect_to_the_law_is_that_of_central_differences(set
         up, down = (played(tape, scenarios, actions, law + sign * step).sum(axis=1) for sign in (1.0, -1.0))
         expected = (up - down) / (2.0 * h)
         assert found.law[:, *place] == pytest.approx(expected, rel=1e-5, abs=1e-5 * np.abs(expected).max())
+
+
+def test_a_held_step_has_the_gradient_of_its_intervals() -> None:
+    held, fine = (
+        tape_of(version="v1", suite="faults", on_failure="terminate", **dt) for dt in ({}, {"control_dt": 0.1})
+    )
+    # The first two episodes end within a step: a rotor is too slow, and the frequency too high.
+    falling, at = np.maximum(9.0 - 0.12 * np.arange(121), 3.0), sc.LoadStep(time_s=2.1, bus=3, power_mw=-150.0)
+    scenarios = [
+        sc.Scenario(name="falling", wind_speed=np.tile(falling, (4, 1))),
+        dataclasses.replace(given(4, at), inertia_scale=0.3),
+        *drawn(held, 1_000_047)[:1],
+    ]
+    actions = actions_of(held, 24)
+    found, intervals = agrees(held, scenarios, actions), fine.gradient(scenarios, actions.repeat(5, axis=0))
+    ended = held.lanes.simulator.lane_values("step") / 4
+    assert held.lanes.statuses().tolist()[2] == 0 and (ended % 5.0 > 0.0).tolist() == [True, True, False]
+    assert found.terms == pytest.approx(intervals.terms, rel=1e-12)
+    assert found.law == pytest.approx(intervals.law, rel=1e-9)
+    assert found.actions == pytest.approx(intervals.actions.reshape(24, 5, *actions.shape[1:]).sum(axis=1), rel=1e-9)
+    # What a step shows is what its last interval does, and that of an episode's end.
+    shown = np.random.default_rng(4).normal(size=(24, N_LANES, len(held.output_names)))
+    parts = np.zeros((120, N_LANES, shown.shape[2]))
+    last = np.minimum(5 * np.arange(24)[:, np.newaxis] + 4, np.ceil(ended).astype(int) - 1)
+    for lane in range(N_LANES):
+        for step in range(24):
+            if 5 * step <= last[step, lane]:
+                parts[last[step, lane], lane] = shown[step, lane]
+    held.play(scenarios, actions)
+    for ours, theirs in zip(held.back(None, shown)[1:], fine.back(None, parts)[1:], strict=True):
+        assert ours == pytest.approx(theirs, rel=1e-9)
 
 
 STEP = sc.LoadStep(time_s=0.525, bus=4, power_mw=15.0)

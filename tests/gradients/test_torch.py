@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.gradients.test_gradients import N_LANES, V1, actions_of, drawn, tape_of
+from tests.gradients.test_gradients import N_LANES, actions_of, drawn, tape_of
 from wtg_gym.physics.scenario import Scenario
 
 torch = pytest.importorskip("torch", reason="PyTorch is not installed here")
@@ -96,7 +96,7 @@ def test_a_policy_trains_by_backward() -> None:
         episodes_of().step(torch.zeros(N_LANES, 4))
 
 
-@pytest.mark.parametrize("settings", [{}, V1])
+@pytest.mark.parametrize("settings", [{}, {"version": "v1"}])
 def test_torch_and_numpy_agree_to_the_last_bit(settings: dict[str, Any]) -> None:
     episodes = episodes_of(**settings)
     scenarios, actions = drawn(episodes.tape), actions_of(episodes.tape, 20)

@@ -35,9 +35,9 @@ class GFMWTGEnv(OverLanes, gym.Env[Observation, Action]):
 
     ## Action Space
     `Box(-1, 1, (n_wtg · n_modes,), float32)`, per group: the offset on k (full action: half the regulation range
-    K_opt - K_pr, in v1 all of it, beyond K_opt too), then the scale of τ (full action: four times, or a quarter). An
-    action of zero leaves the control law `strategy` unchanged, to the last bit; its default is the published law.
-    Actions outside -1 … 1 are clipped; an action that is not finite raises a ValueError.
+    K_opt - K_pr), then the scale of τ (full action: four times or a quarter, in v1 twice or half). It is held for
+    0.1 s, in v1 for 0.5 s. An action of zero leaves the control law `strategy` unchanged, to the last bit; its default
+    is the published law. Actions outside -1 … 1 are clipped; an action that is not finite raises a ValueError.
 
     ## Observation Space
     `Box(-5, 5, (n,), float32)`, per group what its own controller measures: frequency deviation and its rate of change
@@ -49,7 +49,8 @@ class GFMWTGEnv(OverLanes, gym.Env[Observation, Action]):
     noise and bias, 0.1 … 0.3 s late, and its last action. The privileged part begins with the exact values.
 
     ## Rewards
-    Minus the cost of the step, which is the sum of the terms `info["cost_…"]`: frequency deviation, RoCoF, power
+    In v1 what the score gains in the step, so that the return of an episode is its score less 100; see `reward`. In v0
+    minus the cost of the step. The cost is the sum of the terms `info["cost_…"]`: frequency deviation, RoCoF, power
     tracking (`duty`), tip-speed ratio, converter overload, control effort, and failure, in v1 with load not served.
     `info["cost"]` is not that sum: it is 1 in a step that violates a constraint, else 0, for safe learning.
 

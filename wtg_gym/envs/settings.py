@@ -81,7 +81,7 @@ class EnvSettings:
             default of v0, or `"trip"` its group and go on, default of v1.
         sensors: of v1: `"exact"`, or values of :class:`~wtg_gym.scenarios.sensor_distribution.SensorDistribution` to
             replace, such as `{"delay_s": (0.2, 0.4), "wind_bias": 0.1}`. A delay is drawn between the two, in whole
-            steps of 0.1 s up to 1 s, and must be a whole number of `control_dt`. Default: those of the `scenario`, else
+            steps of 0.1 s up to 1 s. Default: those of the `scenario`, else
             of the suite.
         version: benchmark version, `"v0"` or `"v1"`. Default: that of `suite`, else v1. `gym.make` sets it from the id.
 

@@ -340,16 +340,19 @@ class Tape:
             ValueError: the step does not exist, or derivatives have another shape.
         """
         n = self.lanes.settings.n_intervals
-        pulled = self._pull_interval(n * step + n - 1, carried, terms, observations, outputs)
+        pulled, ran = self._pull_interval(n * step + n - 1, carried, terms, observations, outputs)
         for interval in range(n * step + n - 2, n * step - 1, -1):
-            before = self._pull_interval(interval, pulled.carried, terms, None, None)
+            # An episode that ends within the step leaves and shows what it did in its last interval.
+            left = np.where(ran, pulled.carried, carried)
+            shown = (None if each is None else np.where(ran, 0.0, each) for each in (observations, outputs))
+            before, ran = self._pull_interval(interval, left, terms, *shown)
             pulled = Pulled(before.carried, *(now + later for now, later in zip(before[1:], pulled[1:], strict=True)))
         return pulled
 
     def _pull_interval(
         self, interval: int, carried: Floats, terms: Floats, observations: Floats | None, outputs: Floats | None
-    ) -> Pulled:
-        """Go back through an interval of a step; observations and outputs are those of its end."""
+    ) -> tuple[Pulled, npt.NDArray[np.bool_]]:
+        """Go back through an interval of a step, and say which environments ran in it, (n_lanes, 1)."""
         lanes, all_rows = self.lanes, np.arange(self.n_carried)
         blocks = self._recording.before(interval).copy()
         running = self._rows(np.array([lanes.simulator.layout.lane("active")]), blocks) > 0.5
@@ -378,7 +381,7 @@ class Tape:
                 np.where(running.reshape(-1, *(1,) * (array.ndim - 1)), array, 0.0)
                 for array in (self._rows(all_rows, bars), actions, law, parameters)
             )
-        )
+        ), running
 
     def _pull_blocks(self, interval: int, blocks: Floats, bars: Floats, seen: Floats) -> tuple[Floats, Floats]:
         """Go back through an interval in all blocks; return cotangents of the actions and of the constants.

@@ -33,10 +33,10 @@ class MeasuredObservation(NamedTuple):
 
     frequency_deviation: Annotated[float, "0.5 Hz", "filtered frequency of the converter minus the nominal one"]
     rocof: Annotated[float, "Hz/s", "rate of change of the frequency, filtered"]
-    tip_speed_ratio: Annotated[float, "0 at λ_opt, 1 at λ_pr", "measured speed of the blade tips over measured wind"]
+    tip_speed_ratio: Annotated[float, "0 at λ_opt, 1 at λ_pr", "measured speed of the blade tips over that wind"]
     rotor_speed: Annotated[float, "0.25 p.u. from 1 p.u.", "rotor speed; the nominal one is 1 p.u."]
     power: Annotated[float, "p.u.", "power into the grid, of the group's rating"]
-    wind: Annotated[float, "5 m/s from 10 m/s", "wind, with a constant and a slow error"]
+    wind: Annotated[float, "5 m/s from 10 m/s", "the turbine's own estimate of the rotor-effective wind"]
 
 
 #: The sensors that all WTG groups of an environment have.
