@@ -142,8 +142,9 @@ class Suite:
         return self._margins_in(plant).of(scenario) if scenario.reserve_margin is None else scenario.reserve_margin
 
     def _margins_in(self, plant: Plant | None) -> ReserveMargin:
-        """Return what finds margins: in the suite's plant, whatever else is changed, but with a plant's groups."""
-        if plant is None or plant.groups == self.plant.groups:
+        """Return what finds margins: in the suite's plant, whatever is changed but its groups and buses."""
+        own = self.plant
+        if plant is None or (plant.groups, plant.case.bus_numbers) == (own.groups, own.case.bus_numbers):
             return self._own_margins
         return ReserveMargin(plant)
 
