@@ -59,7 +59,7 @@ class Mode:
 def at_rest(scenario, laws, settings=None):
     """Return a simulator in the equilibrium that a scenario starts from; its events do not matter."""
     settings = settings or Plant()
-    duration_s = settings.step_s * max(1, round(1.0 / settings.step_s))
+    duration_s = settings.control_dt * max(1, round(1.0 / settings.control_dt))
     simulator = Simulator(settings, duration_s=duration_s)
     laws = group_laws(laws, settings.turbines, settings.control)
     simulator.start(0, dataclasses.replace(scenario, events=(), duration_s=duration_s), laws)
