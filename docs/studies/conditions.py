@@ -8,6 +8,8 @@ training scenarios, scores validation scenarios.
 
 from __future__ import annotations
 
+import functools
+import itertools
 from collections.abc import Callable, Sequence
 
 import numpy as np
@@ -16,7 +18,9 @@ from output import folder as output_folder
 from agents.evolution import Search
 from wtg_gym.envs.lanes import TaskLanes, paid
 from wtg_gym.envs.settings import EnvSettings
-from wtg_gym.evaluation import evaluate
+from wtg_gym.evaluation import Results, evaluate
+from wtg_gym.evaluation.statistics import sign_test
+from wtg_gym.evaluation.summary import lost_or_beyond, runs_by_name
 from wtg_gym.files import markdown_table, update_between_markers
 from wtg_gym.physics.layout import Floats
 from wtg_gym.physics.scenario import Scenario
@@ -26,6 +30,7 @@ SUITE = "standard-v1"
 #: The best fixed law, on which searches act.
 LAW = "coordinated-free"
 LAWS = ("deloaded-10", "coordinated-piecewise", "coordinated-tuned", "coordinated-free", "fast-droop", "mean-droop")
+POLICIES = ("ppo-v1-0", "ppo-v1-1", "ppo-v1-2")
 #: Training scenarios of a search: as many of each stratum.
 N_SCENARIOS = 90
 #: Knots of a course of actions, evenly over the episode and then linear in between, and candidates of a search.
@@ -148,17 +153,33 @@ def winnable() -> Row:
     )
 
 
-def paid_in_full() -> Row:
+def paid_in_full(results: Results) -> Row:
     """Score entries in episodes that last a minute longer."""
-    scores = [evaluate(list(LAWS), SUITE, "validation", duration_s=length).scores for length in (180.0, 240.0)]
-    changes = {name: scores[1][name].value - scores[0][name].value for name in LAWS if scores[0][name].value > 0.0}
+    longer = evaluate(list(LAWS), SUITE, "validation", duration_s=240.0).scores
+    changes = {name: longer[name].value - results.scores[name].value for name in LAWS if results.scores[name].value > 0}
     name = max(changes, key=lambda name: abs(changes[name]))
-    return (
-        "paid in full",
-        "a minute more moves no entry above 0 by 2 points",
-        f"{name} {changes[name]:+.1f}",
-        verdict(abs(changes[name]) < 2.0),
-    )
+    demand = "a minute more moves no law above 0 by 2 points"
+    return "paid in full", demand, f"{name} {changes[name]:+.1f}", verdict(abs(changes[name]) < 2.0)
+
+
+def operator_agrees(results: Results) -> Row:
+    """Compare bad runs of every two entries, of the first training seed."""
+    runs = {name: runs[:1] for name, runs in runs_by_name(results.episodes).items()}
+    bad = {name: lost_or_beyond(own, get_suite(SUITE).nominal_hz) for name, own in runs.items()}
+    pairs = [
+        f"{above.name} over {below.name}"
+        for above, below in itertools.combinations(results.ranking, 2)
+        if sign_test(bad[above.name], bad[below.name]) < 0.05
+    ]
+    demand = "of two entries whose bad runs differ significantly, the worse one is not ranked above"
+    return "an operator agrees", demand, ", ".join(pairs) or "no such pair", verdict(not pairs)
+
+
+def sharp(results: Results) -> Row:
+    """Measure the widest interval of networks."""
+    widths = {row.name: 0.5 * (row.score.high - row.score.low) for row in results.ranking if row.kind == "learned"}
+    said = ", ".join(f"{name} ± {width:.1f}" for name, width in widths.items())
+    return "sharp", "intervals of ± 1 for networks of three seeds", said, verdict(max(widths.values()) <= 1.0)
 
 
 def verdict(holds: bool) -> str:
@@ -168,7 +189,9 @@ def verdict(holds: bool) -> str:
 def main() -> None:
     docs = output_folder(__doc__)
     rows = []
-    for condition in (no_shortcut, winnable, paid_in_full):
+    results = evaluate([*LAWS, *POLICIES], SUITE, "validation")
+    of_results = (functools.partial(each, results) for each in (paid_in_full, operator_agrees, sharp))
+    for condition in (no_shortcut, winnable, *of_results):
         rows.append(condition())
         print(*rows[-1], sep=" | ", flush=True)
     update_between_markers(

@@ -22,7 +22,7 @@ from wtg_gym.scenarios import get_suite
 
 SUITE = "standard-v1"
 #: Laws, and the policies whose first training seed is shown, if they are shipped.
-ENTRIES = ("deloaded-5", "coordinated-piecewise", "coordinated-tuned", "coordinated-free", "PPO")
+ENTRIES = ("deloaded-10", "coordinated-piecewise", "coordinated-tuned", "coordinated-free", "ppo-v1-0")
 #: Edges of the bins [-]; the last one holds all beyond.
 EDGES = (-0.10, -0.05, 0.0, 0.05, 0.10, 0.15, 0.20, 0.30, 0.50)
 
