@@ -75,7 +75,8 @@ def test_what_is_lowered_is_minus_the_score_in_hundreds_and_what_the_mark_asks()
     # J0 of the strata, and Λ.
     offsets, scale = np.array([{"ample": 40.0, "tight": 200.0, "short": 1000.0}[name] for name in strata]), V1.scale
     assert found[0] == pytest.approx(np.mean(np.log(costs + offsets) / scale))
-    largest_hz = 50.0 * (1.0 - weighed.lanes.simulator.lane_values("coi_min")[:3])
+    extremes = [weighed.lanes.simulator.lane_values(name)[:3] for name in ("coi_min", "coi_max")]
+    largest_hz = 50.0 * np.abs(np.array(extremes) - 1.0).max(axis=0)
     bad = np.clip((largest_hz - 0.6) / 0.3, 0.0, 1.0)
     assert found[1] - found[0] == pytest.approx(np.mean(costs / offsets / scale + bad)) and bad.any()
 

@@ -16,8 +16,8 @@ import pytest
 from tests.envs.rollouts import calm
 from wtg_gym.envs import GFMWTGEnv
 from wtg_gym.physics.aerodynamics import available_power_pu
+from wtg_gym.physics.grid import Branch, Bus, NetworkCase
 from wtg_gym.physics.machine_parameters import GovernorParameters
-from wtg_gym.physics.network import Branch, Bus, NetworkCase
 from wtg_gym.physics.parameters import WtgGroup
 from wtg_gym.physics.plant import Plant
 from wtg_gym.physics.scenario import (
