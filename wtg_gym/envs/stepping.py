@@ -1,4 +1,4 @@
-"""One step of a task over the environments of a block: actions, physics, cost, observation, information.
+"""One step of a task over the environments of a block: actions, physics, cost, observation, information, reward.
 
 One compiled call does it all: act → the physics' step → charge → measure → observe → end. The lists of systems are
 those of a :class:`~wtg_gym.tasks.task.Task`.

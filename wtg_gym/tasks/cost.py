@@ -44,7 +44,7 @@ COST_TERMS = CostTerms._fields
 class CostWeights(NamedTuple):
     """Weights of the cost's terms. Each is a rate [1/s] at the deviation that its text names as one unit.
 
-    The reward is minus the cost. The terms' equations are in :mod:`wtg_gym.tasks.cost`.
+    The terms' equations are in :mod:`wtg_gym.tasks.cost`, the reward is in :mod:`wtg_gym.envs.stepping`.
     """
 
     frequency: Annotated[

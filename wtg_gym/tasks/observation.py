@@ -1,6 +1,7 @@
 """Observations and `info`: records, their equations, and the names of an observation's entries.
 
-A new entry is a field of a record here, with its unit, and a line in the equation below it.
+A new entry is a field of a record here, with its unit, and a line in the equation below it. What a group sees through
+sensors, as in v1, is in :mod:`wtg_gym.tasks.sensing`.
 """
 
 from __future__ import annotations
