@@ -130,7 +130,9 @@ def test_scenarios_have_the_margin_of_their_stratum_and_its_kinds_of_event(suite
         assert all(low <= scenario.reserve_margin < high for scenario in of_stratum)
         kinds = {scenario.name.split("/")[1] for scenario in of_stratum}
         # No other grid than that of 14 buses has lines that leave groups without machines.
-        assert kinds == set(STRATA[stratum].kinds) - ({"island"} if suite.grid != DEFAULT_GRID else set())
+        possible = set(STRATA[stratum].kinds) - ({"island"} if suite.grid != DEFAULT_GRID else set())
+        # Where there is little wind, the loss of a generator leaves less than any stratum asks.
+        assert kinds in (possible, possible - {"machine"})
     for scenario in scenarios[::30]:
         assert scenario.reserve_margin == reserve_margin(scenario, suite.plant)
     for (_, kind, _), scenario in zip(parts, scenarios, strict=True):

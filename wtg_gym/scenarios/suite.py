@@ -273,7 +273,8 @@ class Suite:
             return scenario
         assert scenario.seed is not None
         margin = margins.of(scenario)
-        low, high = self.margins[self.stratum(scenario.seed)]
+        # A stratum of a user's own need not have a range.
+        low, high = self.margins.get(self.stratum(scenario.seed), (-math.inf, math.inf))
         return trusted(Scenario, **{**vars(scenario), "reserve_margin": margin}) if low <= margin < high else None
 
     def _fixed_scenarios(
