@@ -48,33 +48,9 @@ def tables_of(path: Path) -> Tables:
     Raises:
         ValueError: pandapower is not installed or too old, cannot read the file, or finds no power flow.
     """
-    try:
-        import pandapower
-        from pandapower.pypower import idx_brch, idx_bus, idx_gen
-    except ImportError as error:
-        raise ValueError(f"it needs pandapower; {install_advice('pandapower')}") from error
-    if tuple(map(int, re.findall(r"\d+", pandapower.__version__)[:3])) < _OLDEST:
-        oldest = ".".join(map(str, _OLDEST))
-        raise ValueError(
-            f"pandapower {pandapower.__version__} runs code that a file names; {oldest} or later is needed: "
-            f"{install_advice('pandapower')}"
-        )
-    text = read_text(path, "network of pandapower")
-    _check_classes(parse_json(text, "it"))
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        # Errors of pandapower are of any kind.
-        try:
-            net = pandapower.from_json(io.StringIO(text))
-            require_count("the table of buses", len(net.bus), MOST_BUSES)
-            net.sn_mva = _BASE_MVA
-        except Exception as error:
-            raise ValueError(f"pandapower cannot read it: {type(error).__name__}: {error}") from error
-        try:
-            # The shifts of vector groups are the same along every path between two voltages.
-            pandapower.runpp(net, calculate_voltage_angles=False, numba=False)
-        except Exception as error:
-            raise ValueError(f"pandapower finds no power flow: {error}") from error
+    net = _solved_network(path)
+    from pandapower.pypower import idx_brch, idx_bus, idx_gen
+
     solved = net._ppc
     base, own = _BASE_MVA, net._pd2ppc_lookups["bus"]
     # Closed switches make one bus of several, open ones at the end of a line add one.
@@ -106,6 +82,37 @@ def tables_of(path: Path) -> Tables:
         })  # fmt: skip
     system = {"mva": base, "freq": float(net.f_hz)}
     return {**rows, "_config": [{"section": "System", "key": key, "value": value} for key, value in system.items()]}
+
+
+def _solved_network(path: Path) -> Any:
+    """Return pandapower's network of a file with its power flow; errors as of :func:`tables_of`."""
+    try:
+        import pandapower
+    except ImportError as error:
+        raise ValueError(f"it needs pandapower; {install_advice('pandapower')}") from error
+    if tuple(map(int, re.findall(r"\d+", pandapower.__version__)[:3])) < _OLDEST:
+        oldest = ".".join(map(str, _OLDEST))
+        raise ValueError(
+            f"pandapower {pandapower.__version__} runs code that a file names; {oldest} or later is needed: "
+            f"{install_advice('pandapower')}"
+        )
+    text = read_text(path, "network of pandapower")
+    _check_classes(parse_json(text, "it"))
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        # Errors of pandapower are of any kind.
+        try:
+            net = pandapower.from_json(io.StringIO(text))
+            require_count("the table of buses", len(net.bus), MOST_BUSES)
+            net.sn_mva = _BASE_MVA
+        except Exception as error:
+            raise ValueError(f"pandapower cannot read it: {type(error).__name__}: {error}") from error
+        try:
+            # The shifts of vector groups are the same along every path between two voltages.
+            pandapower.runpp(net, calculate_voltage_angles=False, numba=False)
+        except Exception as error:
+            raise ValueError(f"pandapower finds no power flow: {error}") from error
+    return net
 
 
 def _check_classes(data: Any) -> None:
