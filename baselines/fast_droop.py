@@ -1,6 +1,6 @@
 """The coordinated law with a fast proportional droop on k: one gain, of the measured frequency.
 
-    P_st = (g(ω) + A (K_opt - K_pr) u) ω_m³ + D_p x,    u = -Δf / 0.8 Hz in -1 … 1
+    P_st = (g(ω) + A (K_opt - K_pr) u) ω_m³ + D_p x,    u = -Δf / 0.25 Hz in -1 … 1
 
 A is the authority of the action. A turbine gives more than the law asks for when the frequency is low, at once and for
 as long as it is low, even beyond K_opt, which the rotor pays for, and less when it is high.
@@ -24,7 +24,7 @@ from wtg_gym.tasks.sensing import MeasuredObservation
 from . import COORDINATED_SOURCE
 
 #: Deviation of the frequency that takes the whole authority [Hz].
-FULL_ACTION_HZ = 0.8
+FULL_ACTION_HZ = 0.25
 
 
 class FastDroop:

@@ -16,10 +16,10 @@ from wtg_gym.policies import gate, policy_process
 from wtg_gym.policies.entry_folder import ROOT, parse_submission, read_files
 from wtg_gym.policies.gate import check_submission, read_submission, rollout
 
-LSTM = ROOT / "agents" / "policies" / "gradient-v1-0"
+SHIPPED = ROOT / "agents" / "policies" / "ppo-v1-0"
 
 
-@pytest.mark.parametrize("given", [None, LSTM], ids=["linear", "LSTM"])
+@pytest.mark.parametrize("given", [None, SHIPPED], ids=["linear", "shipped"])
 def test_plain_policies_pass_every_check(given: Path | None, tmp_path: Path) -> None:
     report = check_submission(folder(tmp_path / "a") if given is None else given)
     assert report.accepted and all(check.verdict == "passed" and check.reason for check in report.checks)
