@@ -156,9 +156,10 @@ def winnable() -> Row:
 def paid_in_full(results: Results) -> Row:
     """Score entries in episodes that last a minute longer."""
     longer = evaluate(list(LAWS), SUITE, "validation", duration_s=240.0).scores
-    changes = {name: longer[name].value - results.scores[name].value for name in LAWS if results.scores[name].value > 0}
+    marked = [row.name for row in results.ranking if row.marked and row.name in LAWS]
+    changes = {name: longer[name].value - results.scores[name].value for name in marked}
     name = max(changes, key=lambda name: abs(changes[name]))
-    demand = "a minute more moves no law above 0 by 2 points"
+    demand = "a minute more moves no law with ✓ by 2 points"
     return "paid in full", demand, f"{name} {changes[name]:+.1f}", verdict(abs(changes[name]) < 2.0)
 
 
@@ -195,7 +196,7 @@ def main() -> None:
         rows.append(condition())
         print(*rows[-1], sep=" | ", flush=True)
     update_between_markers(
-        docs / "benchmark.md", "conditions", markdown_table(("condition", "demand", "measured", ""), rows)
+        docs / "benchmark.md", markdown_table(("condition", "demand", "measured", ""), rows), "conditions"
     )
 
 

@@ -88,9 +88,9 @@ def main() -> None:
     suite = get_suite(SUITE)
     results = evaluate(list(ENTRIES), SUITE, "validation")
     entries = by_entry(results)
-    save_figure(plot_over_margin(entries, suite.task.hundred), docs / "images/margin.svg")
+    save_figure(plot_over_margin(entries, suite.task.hundred), docs / "images/margin", ["svg"])
     table = strata(entries, list(results.seeds), suite.task.hundred)
-    update_between_markers(docs / "benchmark.md", "strata", table)
+    update_between_markers(docs / "benchmark.md", table, "strata")
 
 
 if __name__ == "__main__":
