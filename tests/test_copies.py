@@ -83,7 +83,7 @@ KINDS: dict[str, tuple[Callable[[], Any], Callable[[Any], Any]]] = {
     "agents": (parallel_env, joint_steps),
     "Stable-Baselines3": (monitored, batch_steps),
     "entry": (lambda: load_entries("linear-feedback")[0], lambda entry: entry.to_dict()),
-    "policy": (lambda: load_entries("linear-feedback")[0].policy, lambda policy: policy.predict(np.ones((2, 8)))),
+    "policy": (lambda: load_entries("linear-feedback")[0].policy, lambda policy: policy.predict(np.ones((2, 20)))),
     "results": (
         lambda: evaluate("mppt", "standard", seeds=[SEED], duration_s=2.0),
         lambda results: (results.entries, results.episodes, results.scores),

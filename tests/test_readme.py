@@ -66,7 +66,7 @@ def test_first_program_runs_after_a_plain_install_in_an_empty_folder_and_prints(
     assert Path(said.strip()) == installed / "wtg_gym" / "__init__.py"
     assert not (installed / "baselines").exists() and not (installed / "agents").exists()
     said = run([sys.executable, "-c", blocks("README.md", "python")[0]], tmp_path, plain)
-    assert re.fullmatch(r"cost \d+\.\d, \d\d\.\d\d … \d\d\.\d\d Hz, no failure\n", said)
+    assert re.fullmatch(r"score -?\d+\.\d, \d\d\.\d\d … \d\d\.\d\d Hz, no failure\n", said)
     assert said in blocks("docs/start.md", "text")
 
 

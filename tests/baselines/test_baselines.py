@@ -50,7 +50,7 @@ def test_fast_droop_is_one_gain_of_each_groups_own_measured_frequency() -> None:
     deviations_hz = np.array([-0.3, 0.1, 0.0, 2.0])
     observation[0, ::7] = deviations_hz / 0.5
     action, _ = FastDroop().predict(observation)
-    assert action == pytest.approx(np.array([[0.6, -0.2, 0.0, -1.0]]))
+    assert action == pytest.approx(np.array([[1.0, -0.4, 0.0, -1.0]]))
 
 
 def test_mean_droop_acts_on_the_mean_deviation_and_spares_slow_rotors() -> None:

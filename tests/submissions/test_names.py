@@ -29,7 +29,7 @@ FOLDERS = """
 baselines Baselines base-lines baselines.fast_droop policies po1icies POLICIES. agents agents.train tests wtg_gym
 wtg-gym.evaluation mppt MPPT coordinated-tuned coordinated_tuned deloaded5 fast-droop fast_droop FastDroop
 tip-speed-feedback tip.speed.feedback T1p-Speed-Feedback ppo-k-0 PPO-K-0 ppo-k-O ppo-k ppo-ktau-0 linear-feedback
-linear_feedback gradient-LSTM \u017fac-v1-0 ppo-\u212a-0
+linear_feedback Gradient-0 \u017fac-v1-0 ppo-\u212a-0
 """
 NAMES = """
 baselines; policies; Policies; b a s e l i n e s; baselines.mppt; Coordinated-Piecewise; coordinated piecewise;

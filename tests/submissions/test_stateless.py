@@ -90,7 +90,7 @@ def test_answers_repeat_in_every_order_and_batch_or_the_file_is_refused(content:
 
 def test_shipped_policies_are_proven_and_played_as_they_are() -> None:
     files = sorted(POLICIES.glob("*/policy.onnx"))
-    assert len(files) > 30 and all(stateless(path.read_bytes()) == path.read_bytes() for path in files)
+    assert len(files) > 25 and all(stateless(path.read_bytes()) == path.read_bytes() for path in files)
 
 
 def test_what_is_played_is_what_was_judged() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
@@ -58,7 +59,7 @@ def _summary(suite: Suite) -> dict[str, Any]:
         "duration_s": suite.duration_s,
         "splits": {split: [suite.seeds(split).start, suite.seeds(split).stop - 1] for split in SPLITS},
         "cases": [case.name for case in suite.cases],
-        "margins": dict(suite.margins),
+        "margins": {name: [low, None if math.isinf(high) else high] for name, (low, high) in suite.margins.items()},
         "drawn_from": {name: [one.to_dict() for one in kinds] for name, kinds in suite.drawn_from.items()},
         "benchmark": suite.task.to_dict(),
         "plant": {"groups": [group.to_dict() for group in suite.plant.groups], **suite.plant_data},

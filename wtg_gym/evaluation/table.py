@@ -15,8 +15,7 @@ _PRIVILEGED_NOTE = f"{_PRIVILEGED}: sees the state of the whole grid, which no t
 #: What :attr:`EntrySummary.marked` is shown by, and what a page says about it.
 _MARK = "✓"
 _MARK_NOTE = (
-    f"{_MARK}: not significantly less reliable than the reference at 100 (blackouts, |Δf| > 0.8 Hz). All others rank "
-    "below, whatever their score"
+    f"{_MARK}: beyond chance no less reliable than the reference at 100 (blackouts, |Δf| > 0.8 Hz); others rank below"
 )
 #: Columns of text; all others hold numbers.
 _TEXTS = ("entry", "kind")
