@@ -14,9 +14,7 @@ _PRIVILEGED = "privileged"
 _PRIVILEGED_NOTE = f"{_PRIVILEGED}: sees the state of the whole grid, which no turbine measures"
 #: What :attr:`EntrySummary.marked` is shown by, and what a page says about it.
 _MARK = "✓"
-_MARK_NOTE = (
-    f"{_MARK}: beyond chance no less reliable than the reference at 100 (blackouts, |Δf| > 0.8 Hz); others rank below"
-)
+_MARK_NOTE = f"{_MARK}: no less reliable than the reference at 100 (blackouts, |Δf| > 0.8 Hz) beyond chance"
 #: Columns of text; all others hold numbers.
 _TEXTS = ("entry", "kind")
 
