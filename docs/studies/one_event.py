@@ -32,6 +32,7 @@ from wtg_gym.policies.play import play, started_lanes
 from wtg_gym.scenarios import get_suite
 
 SUITE, N_SCENARIOS = "standard-v1", 60
+STEP_S = EnvSettings(suite=SUITE).step_s
 #: A law whose support ends where its rotor stalls.
 DROOP = "deloaded-5"
 
@@ -80,9 +81,9 @@ def plot_one_event(scenario: Scenario, runs: Mapping[str, Floats], plant: Plant)
     ):
         style.letter_panel(axes, "abcd"[k], label)
         for name, run in runs.items():
-            time_s = plant.control_dt * np.arange(len(run))
+            time_s = STEP_S * np.arange(len(run))
             axes.plot(time_s, run[:, k], color=looks[name].colour, linestyle=looks[name].dashes)
-            if time_s[-1] < scenario.duration_s - 0.5 * plant.control_dt:
+            if time_s[-1] < scenario.duration_s - 0.5 * STEP_S:
                 mark_end(axes, float(time_s[-1]), float(run[-1, k]), looks[name].colour)
         # A run that fails ends a step before the limit.
         axes.margins(y=0.12)
