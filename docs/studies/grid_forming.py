@@ -48,7 +48,7 @@ def picture(runs):
     """Draw the mean power of all groups and the frequency in every test."""
     figure = style.new_figure(style.DOUBLE_COLUMN_MM, 230.0)
     looks = style.strategy_looks(runs)
-    rows = 2 * (len(GRID_TESTS) // 3)
+    rows = 2 * -(-len(GRID_TESTS) // 3)
     axes = figure.subplots(rows, 3)
     for k, name in enumerate(GRID_TESTS):
         column, row = k % 3, 2 * (k // 3)
@@ -70,6 +70,9 @@ def picture(runs):
             of_power.set_ylabel("p [p.u.]")
         if row + 2 == rows:
             of_power.set_xlabel("time [s]")
+    for k in range(len(GRID_TESTS), 3 * rows // 2):
+        for unused in axes[2 * (k // 3) : 2 * (k // 3) + 2, k % 3]:
+            unused.set_axis_off()
     handles = [Line2D([], [], color=looks[n].colour, linestyle=looks[n].dashes, label=n) for n in runs]
     handles.append(Line2D([], [], color="0.4", marker="x", linestyle="", label="lost, or a group tripped"))
     figure.legend(handles=handles, loc="outside upper center", ncols=4)
