@@ -159,11 +159,15 @@ def test_exports_of_several_seeds_share_a_row_whatever_steps_were_best(copied: P
     assert first ^ second == {"training_seed = 0", "training_seed = 1"}
 
 
-def test_run_describes_itself_and_tensorboard_shows_its_scores(run_of: Callable[[str], Path]) -> None:
-    data = json.loads((run_of("ppo") / "run.json").read_text())
+def test_run_describes_itself_and_tensorboard_shows_its_scores(tmp_path: Path) -> None:
+    # Episodes of 600 steps come to their end.
+    config, folder = config_file(tmp_path, "ppo", n_envs=8, n_timesteps=8 * 608), tmp_path / "run"
+    command = [*V0, "--algo", "ppo", "--config", config, "--validation-episodes", "2", "--output", str(folder)]
+    assert main([*command, "--interval", "4864"]) == 0
+    data = json.loads((folder / "run.json").read_text())
     assert data["settings"]["action_mode"] == "k+tau" and data["settings"]["hyperparameters"]["n_steps"] == 8
     assert {"command", "git_commit", "suite_hash", "source_hash", "versions"} <= data["provenance"].keys()
-    events = EventAccumulator(str(run_of("ppo") / "tensorboard"))
+    events = EventAccumulator(str(folder / "tensorboard"))
     events.Reload()
     assert {"rollout/ep_rew_mean", "episode/failure", "validation/score"} <= set(events.Tags()["scalars"])
 

@@ -77,7 +77,7 @@ def failing(version: str) -> dict[str, Any]:
     """Return settings under which lanes with different actions end at different times."""
     if version == "v0":
         return {"version": "v0", "strategy": "mppt", "scenario": sagging(7.6, 45.0).to_dict()}
-    events = (GroupTrip(time_s=1.025, group=2), LoadStep(time_s=2.0, bus=3, power_mw=60.0))
+    events = (GroupTrip(time_s=1.025, group=2), LoadStep(time_s=2.0, bus=3, power_mw=40.0))
     sensors = SensorDistribution().draw_many("x", [1], 4)[0]
     course = calm(8.0, 30.0, 4, events=events, sensors=sensors, inertia_scale=0.3, governor_droop=0.08)
     settings = {"version": "v1", "control_dt": 0.1, "strategy": "mppt", "on_failure": "terminate"}

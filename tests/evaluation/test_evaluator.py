@@ -297,7 +297,7 @@ def test_interrupted_evaluation_ends_its_threads_and_their_policies(monkeypatch:
 
     monkeypatch.setattr(TaskLanes, "step", interrupting)
     with pytest.raises(KeyboardInterrupt):
-        evaluate("linear-feedback", seeds=[10_000], duration_s=100.0)
+        evaluate("linear-feedback", "standard", seeds=[10_000], duration_s=100.0)
     assert 3 <= len(steps) < 1000, "the episodes were not played to their end"
     n_steps = len(steps)
     time.sleep(0.1)

@@ -158,7 +158,7 @@ def test_entries_that_lose_grids_that_the_anchor_only_bends_have_no_mark(results
 def test_scores_that_are_not_adjusted_say_why(results_v1: Results) -> None:
     few = evaluate("fast-droop", "standard-v1", seeds=[10_000, 10_002], duration_s=1.0)
     assert "their mean gains are not known for this suite with these settings" in few.unadjusted
-    assert list(few.summaries[0].strata) == ["ordinary", "large"] and few.has_scale
+    assert list(few.summaries[0].strata) == ["ample", "tight"] and few.has_scale
     whole = get_suite("standard-v1").duration_s
     own = dataclasses.replace(results_v1, settings={**results_v1.settings, "duration_s": whole})
     assert "they need 30 scenarios of each stratum" in own.unadjusted

@@ -71,7 +71,8 @@ def tape_of(name: str) -> Tape:
 def case_of(name: str) -> Case:
     tape = tape_of(name)
     scenarios = calms(tape.lanes.n_wtg)
-    actions = actions_of(tape, 200, 0.1)
+    # v1 charges a change of actions less: larger ones let its slope show.
+    actions = actions_of(tape, 200, {"v1": 0.2}.get(name, 0.1))
     at = trips(tape, scenarios, actions)
     plant = tape.lanes.simulator.settings
     last = [(step + 1) * plant.control_dt - plant.simulation_dt for step in at]

@@ -326,9 +326,7 @@ def markdown_section(results: Results, *, details: bool = False) -> str:
     below = [row for row in rows if short and row.score is not None and row.score.value < 0.0]
     shown = [row for row in rows if row not in below]
     named = f"below {results.task.zero}: {', '.join(f'`{row.name}`' for row in below)}" if below else ""
-    notes = " ".join(
-        f"{note[0].upper()}{note[1:]}." for note in (results.no_score, *notes_on_marks(rows), named) if note
-    )
+    notes = " ".join(f"{note[0].upper()}{note[1:]}." for note in (*results.notes, named) if note)
     table = markdown_table(shown, columns_of("details", rows) if details else None)
     return "\n\n".join(part for part in (_frequency_sentence(results) if short else "", table, notes) if part)
 
