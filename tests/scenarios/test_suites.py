@@ -152,7 +152,7 @@ def test_suites_without_strata_say_so():
         assert get_suite(name).strata == () and get_suite(name).stratum(0) == ""
 
 
-#: The one scenario of all that a law cannot start in: without a reserve, a machine needs 2.01 p.u. behind its reactance.
+#: The one scenario that a law cannot start in: without a reserve, a machine needs 2.01 p.u. behind its reactance.
 UNABLE = {("nordic45-v1/governor/20135", "mppt")}
 
 
