@@ -75,7 +75,7 @@ def strata(entries: Mapping[str, tuple[np.ndarray, np.ndarray, np.ndarray]], see
     for name, (low, high) in suite.margins.items():
         chosen = np.array([suite.stratum(seed) == name for seed in seeds])
         offset = suite.task.cost_offsets[name]
-        upper = f"… {100.0 * high:.0f} %" if np.isfinite(high) else "and more"
+        upper = f"… {100.0 * high:.0f} %" if np.isfinite(high) else "% and more"
         median = float(np.median(costs[chosen])) - offset
         kinds = ", ".join(kind.name.rpartition("/")[2] for kind in suite.drawn_from[name])
         share = f"{100.0 * float(bad[chosen].mean()):.0f} %"
