@@ -80,11 +80,6 @@ def course(knots: Floats) -> Callable[[float], Floats]:
     return act
 
 
-def of_all_groups(numbers: Floats, n_wtg: int) -> Floats:
-    """Return actions (…, 2 n_wtg) that are alike for all groups, from those on k and τ (…, 2)."""
-    return np.tile(numbers, n_wtg)
-
-
 def no_shortcut() -> Row:
     """Search for the best constant, and for the best course that is the same in every scenario."""
     scenarios = training()
@@ -102,11 +97,12 @@ def no_shortcut() -> Row:
         search = Search(np.zeros(2 * n_knots), 0.15, POPULATION, 1)
         for _ in range(12 if n_knots == 1 else 25):
             asked = search.ask()
-            knots = of_all_groups(asked.reshape(POPULATION, 1, n_knots, 2), lanes.n_wtg)
+            # Actions on k and τ are alike for all groups.
+            knots = np.tile(asked.reshape(POPULATION, 1, n_knots, 2), lanes.n_wtg)
             spread = np.broadcast_to(knots, (POPULATION, N_SCENARIOS, n_knots, knots.shape[-1]))
             costs, _ = played(lanes, scenarios * POPULATION, course(spread.reshape(-1, n_knots, knots.shape[-1])))
             search.tell(asked, -points(costs.reshape(POPULATION, -1), base, scenarios).mean(axis=1))
-        knots = of_all_groups(search.mean.reshape(n_knots, 2), lanes.n_wtg)
+        knots = np.tile(search.mean.reshape(n_knots, 2), lanes.n_wtg)
         validation = lanes_of(N_SCENARIOS, split="validation")
         costs, _ = played(validation, fresh, course(np.tile(knots, (N_SCENARIOS, 1, 1))))
         best[name] = points(costs, hundred, fresh).mean() - with_law

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from functools import cached_property
 from typing import Any, NamedTuple
@@ -316,8 +316,8 @@ class TaskLanes:
         taken = np.arange(index.size) if places is None else np.array(places, dtype=np.int64)
         simulator.start(index, episodes.lanes, places=taken)
         outputs = self.outputs
-        first: Any
-        for array, first in zip(outputs, episodes.outputs, strict=True):
+        pairs: Iterable[tuple[Any, Any]] = zip(outputs, episodes.outputs, strict=True)
+        for array, first in pairs:
             array[index] = first[taken]
         outputs.rewards[index], outputs.terminated[index], outputs.truncated[index] = 0.0, False, False
         self.scenario_seeds[index] = episodes.scenario_seeds[taken]

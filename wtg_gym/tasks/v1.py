@@ -11,8 +11,7 @@ from wtg_gym.tasks.task import Task
 #: 0 is the paper's law, 100 the same law tuned to this grid.
 V1 = Task(
     version="v1",
-    # The best courses of actions with foresight stay within these: k moves by half the regulation range, τ by a factor
-    # of two.
+    # Half of what a search with foresight was given: its actions had a standard deviation of 0.2 there.
     k_authority=0.5,
     tau_authority=0.5,
     control_dt=0.5,
