@@ -62,8 +62,8 @@ def claims_table(claims):
     fitted = [claim["fitted"] for claim in claims if claim["fitted"] and claim["holds"]]
     by = ", ".join(f"{name} to {fitted.count(name)}" for name in dict.fromkeys(fitted))
     count = (
-        f"{n_held} of {len(claims)} claims hold, {n_held - len(fitted)} without a fit. Parameters of this model were fitted to "
-        f"{len(fitted)} numbers ({by})."
+        f"{n_held} of {len(claims)} claims hold, {n_held - len(fitted)} without a fit. Parameters of this model were "
+        f"fitted to {len(fitted)} numbers ({by})."
     )
     table = markdown_table(("the paper says", "expected", "measured"), rows)
     return "\n\n".join((count, table, "\n".join(notes)))
