@@ -370,7 +370,7 @@ GRID_TESTS: dict[str, GridTest] = {
         GridTest(
             name="current-limit",
             source="AEMO, GC0137, NER",
-            criterion="500 ms near bus 2: 1.2 p.u. held, left within 0.5 s; over-voltages as NER allows; all groups stay",
+            criterion="500 ms near bus 2: 1.2 p.u. held, left within 0.5 s; over-voltages as in NER; all groups stay",
             plant=_grid,
             wind_m_s=11.0,
             events=(Fault(time_s=2.0, bus=2, clears_after_s=0.5, reactance_pu=0.05),),
