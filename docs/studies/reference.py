@@ -162,7 +162,7 @@ def parameters_page():
             declared = [field for field in dataclasses.fields(cls) if field.name in cls.__annotations__]
             own = [field for field in declared if isinstance(field.default, float)]
             elsewhere = cls in (WtgGroup, SynchronousMachineParameters)  # on the environment's page, or below
-            unused = hasattr(cls, "MODEL") and cls.MODEL not in ("SEXS", "TGOV1", "HYGOV", "STAB1")
+            unused = hasattr(cls, "MODEL") and cls.MODEL not in ("SEXS", "TGOV1")
             if own and not elsewhere and not unused:
                 parts.append(class_list(name, own, lambda field: [field.default]))
     kinds = {}
