@@ -116,7 +116,7 @@ class GFMWTGEnv(OverLanes, gym.Env[Observation, Action]):
         return self._lanes.observations[0].copy(), self._lanes.info()
 
     def step(self, action: Action) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
-        """Hold the action for one control interval.
+        """Hold the action for one control step.
 
         Args:
             action: (n_action,), clipped to [-1, 1].
