@@ -74,8 +74,9 @@ def simulate_scenario(
 
     Args:
         strategy: strategies by name, 'all', or .toml files with a law; default: the paper's coordinated-piecewise
-        case: tests by name, or 'all': last-machine, rocof-up, rocof-down, rocof-up-2, rocof-down-2, angle-step,
-            angle-step-30, dip, ratio-steps, island-surplus, island-deficit, current-limit
+        case: tests by name, or 'all': last-machine, last-machine-limit, last-machine-balance, rocof-up, rocof-down,
+            rocof-up-2, rocof-down-2, angle-step, angle-step-30, angle-step-60, angle-step-forward,
+            angle-step-forward-60, dip, ratio-steps, island-surplus, island-deficit, current-limit
         entry: entries that play the tests, as for `wtg-gym evaluate`; default: coordinated-piecewise
         example_law: print a law file to start from, and do nothing else: --example-law > my_law.toml
         plot: write a figure of the runs: .png, .svg or .pdf
