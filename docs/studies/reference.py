@@ -167,7 +167,8 @@ def parameters_page():
                 parts.append(class_list(name, own, lambda field: [field.default]))
     kinds = {}
     for machine in get_grid("ieee14").case.machines:
-        numbers = {key: value for key, value in vars(machine).items() if type(value) in (int, float) and key != "bus"}
+        # What is 0 is left out.
+        numbers = {key: n for key, n in vars(machine).items() if type(n) in (int, float) and n != 0 and key != "bus"}
         kinds.setdefault(tuple(numbers.items()), []).append(str(machine.bus))
     fields = [field for field in dataclasses.fields(SynchronousMachineParameters) if field.name in numbers]
     title = f"Synchronous machines at buses {'/'.join(' and '.join(buses) for buses in kinds.values())}"
