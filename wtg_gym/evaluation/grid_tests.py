@@ -1,8 +1,8 @@
 """Tests that operators ask of grid-forming plants, as named cases: each has a grid, events, a criterion and a figure.
 
-They follow the frameworks in :data:`SOURCES`, which are written for batteries and inverters. Here power is what the
-wind leaves, a phasor model knows nothing faster than 25 ms, and faults are three-phase. The bench is the grid of v1
-without machines: an imposed source at bus 1, behind the reactance of a short-circuit ratio on the rating of all groups.
+They follow the frameworks in :data:`SOURCES`, which are written for batteries and inverters. Here the wind limits the
+power, a phasor model shows nothing faster than 25 ms, and faults are three-phase. The bench is the grid of v1 without
+machines: an imposed source at bus 1, behind the reactance of a short-circuit ratio on the rating of all groups.
 """
 
 from __future__ import annotations
