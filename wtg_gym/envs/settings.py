@@ -65,9 +65,9 @@ class EnvSettings:
         suite: a `Suite` or its name, in v1 with or without `-v1`. Default: the standard suite of the version.
         grid: a `Grid`, its name or the path of its file. Its suite is played, so give no `suite`.
         groups: number of turbine groups at the bus of the first one, or a list of `{"bus": …, "n_turbines": …}`,
-            optionally with a `"turbine"` (TurbineParameters). Default: the suite's groups.
-        plant: replaces parts of the suite's plant, such as `{"physics": "nrel-5mw", "simulation_dt": 0.02}` (see
-            `Plant.replaced`), or the whole by another `Plant`.
+            optionally with a `"turbine"` (TurbineParameters). Default: the suite's.
+        plant: replaces parts of the suite's plant, such as `{"physics": "nrel-5mw"}` (see `Plant.replaced`), or the
+            whole by another `Plant`.
         split: `"train"`, `"validation"` or `"test"`.
         scenario: one scenario for every episode, a `Scenario` or its `to_dict()`.
         duration_s: length of an episode [s]. Default: the suite's, 180 s in v1, 120 s in both `paper`, else 60 s.
