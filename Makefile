@@ -37,20 +37,13 @@ leaderboard: $(LEADERBOARD_READY) ## Score every entry on the standard suites an
 	$(LEADERBOARD_VENV)/bin/wtg-gym leaderboard --suite standard-v1 --entries baselines policies --results results --readme README.md docs/leaderboard.md
 	$(LEADERBOARD_VENV)/bin/wtg-gym leaderboard --suite standard --entries baselines policies --results results --readme docs/benchmark.md
 
-PAGE_SUITES := standard weak-grid low-wind gust paper
-# `make matrix` plays these, and the first scenarios of standard-v1.
-MATRIX_SUITES := low-share-v1 high-share-v1 gusty-v1 no-wind-sensor-v1 faults-v1 weak-grid-v1
+.PHONY: page
+page: leaderboard ## Show the rankings of both standard suites in docs/leaderboard.html, with filters and charts
+	$(LEADERBOARD_VENV)/bin/wtg-gym results page results/standard-v1-test.json results/standard-test.json --output docs/leaderboard.html
 
 .PHONY: matrix
 matrix: $(LEADERBOARD_READY) ## Play every entry of v1 on its drawn suites and with faults, and put the scores into docs/benchmark.md (half an hour)
 	$(LEADERBOARD_VENV)/bin/python docs/studies/matrix.py
-
-.PHONY: page
-page: matrix ## Rank every entry on all suites, and show them in docs/leaderboard.html
-	for suite in standard-v1 $(PAGE_SUITES); do \
-	    $(LEADERBOARD_VENV)/bin/wtg-gym leaderboard --suite $$suite --entries baselines policies --results results || exit; done
-	$(LEADERBOARD_VENV)/bin/wtg-gym results page results/standard-v1-test.json $(MATRIX_SUITES:%=results/matrix/%-test.json) \
-	    $(PAGE_SUITES:%=results/%-test.json) --output docs/leaderboard.html
 
 CHROMIUM ?= $(firstword $(foreach name,chromium chromium-browser google-chrome,$(shell command -v $(name))) chromium)
 
