@@ -26,7 +26,6 @@ import math
 
 import numpy as np
 
-from wtg_gym.evaluation.episodes import Episode
 from wtg_gym.evaluation.statistics import Floats, Groups, mean
 from wtg_gym.tasks import Task
 
@@ -45,13 +44,6 @@ def pinned_cost(cost: float, *, failed: bool, duration_s: float, cap: float) -> 
         cap: largest cost rate [1/s].
     """
     return cap * (duration_s + 1.0) if failed else cost
-
-
-def pinned(episode: Episode, cap: float | None) -> float:
-    """Return the pinned cost of an episode, with the largest cost rate `cap` [1/s]; None: as charged."""
-    cost = episode.metrics["cost"]
-    assert cost is not None
-    return cost if cap is None else pinned_cost(cost, failed=episode.failed, duration_s=episode.duration_s, cap=cap)
 
 
 def cost_offsets(groups: Groups, task: Task) -> Floats:
@@ -85,21 +77,21 @@ def gains(costs: Floats, hundred: Floats, offsets: Floats) -> Floats:
     return np.array([base - logarithms(run) for run in costs])
 
 
-def score_scales(zero: Floats, hundred: Floats, task: Task, groups: Groups) -> list[float]:
-    """Return Λ of every stratum: the task's, or without strata from the anchors' pinned costs, (n_scenarios,) each.
+def score_scale(zero: Floats, hundred: Floats, task: Task, groups: Groups) -> float:
+    """Return Λ: the task's, or of a version without one that from the anchors' pinned costs, (n_scenarios,) each.
 
     Raises:
-        NoScaleError: a Λ is not positive, so that there is no scale to score on.
+        NoScaleError: Λ is not positive, so that there is no scale to score on.
     """
     if task.scale is not None:
-        return [task.scale] * len(groups)
+        return task.scale
     scale = -mean(gains(zero[np.newaxis], hundred, cost_offsets(groups, task)))
     if not scale > 0.0:
         raise NoScaleError(
             f"on these {zero.size} scenarios {task.zero} (mean cost {mean(zero):.4g}) is not worse than {task.hundred} "
             f"(mean cost {mean(hundred):.4g}): Λ = {scale:.3g} must be positive to score with"
         )
-    return [scale]
+    return scale
 
 
 def gains_by_term(costs: Floats, hundred: Floats, terms: Floats, hundred_terms: Floats, offsets: Floats) -> Floats:
