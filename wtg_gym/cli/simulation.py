@@ -15,7 +15,7 @@ from wtg_gym.cli.options import PlantOptions
 from wtg_gym.cli.output import print_json, print_table, require_extra, say, write_and_say
 from wtg_gym.cli.scoring import look_into_working_folder
 from wtg_gym.cli.suites import describe_scenario
-from wtg_gym.evaluation.grid_tests import GRID_TESTS, get_grid_test, run_grid_test
+from wtg_gym.evaluation.grid_tests import GRID_TESTS, run_grid_test
 from wtg_gym.files import interpreting, read_json
 from wtg_gym.physics.layout import Floats
 from wtg_gym.physics.protection import Status
@@ -24,6 +24,7 @@ from wtg_gym.physics.tracking_law import STRATEGIES, STRATEGY_NAMES, get_law
 from wtg_gym.physics.trajectory import Trajectory, simulate
 from wtg_gym.policies import load_entries
 from wtg_gym.progress import Progress
+from wtg_gym.ranges import require_choice
 from wtg_gym.scenarios import Suite, get_suite, read_wind_csv
 from wtg_gym.tasks import V0
 from wtg_gym.tasks.episode import ROCOF_WINDOW_S
@@ -35,7 +36,9 @@ if TYPE_CHECKING:
 def play_cases(names: Sequence[str], specs: Sequence[str], *, json: bool) -> int:
     """Play entries through tests, and print verdicts and figures; return 1 where one has failed, else 0."""
     expanded = dict.fromkeys(each for word in names for each in (GRID_TESTS if word == "all" else (word,)))
-    tests = [get_grid_test(name) for name in expanded]
+    for name in expanded:
+        require_choice("case", name, GRID_TESTS)
+    tests = [GRID_TESTS[name] for name in expanded]
     look_into_working_folder(specs)
     entries = load_entries(specs)
     rows: list[dict[str, Any]] = []
