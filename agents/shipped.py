@@ -18,14 +18,13 @@ from wtg_gym.files import (
     update_between_markers,
     write_atomically,
 )
-from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY
 from wtg_gym.policies.entry_folder import ENTRY_FILE, POLICY_FILE, policy_folders
 
 #: One record per folder of agents/policies that a command of `agents` trained.
 RECORDS = Path(__file__).with_suffix(".json")
 PAGE = Path(__file__).parents[1] / "docs" / "agents.md"
 _SEED_AND_FOLDER = re.compile(r" --(seed|output) \S+")
-_COLUMNS = ("policy", "actions on", "seeds", "steps [million]", "validation score", "minutes", "command", "commit")
+_COLUMNS = ("policy", "seeds", "steps [million]", "validation score", "minutes", "command", "commit")
 
 
 def record(run_folder: Path) -> tuple[str, dict[str, Any]]:
@@ -63,7 +62,6 @@ def table() -> str:
         rows.append(
             [
                 f"{name} ({environment.rpartition('-')[2]})",
-                entries[seeds[0]].get("strategy", REFERENCE_STRATEGY),
                 str(len(seeds)),
                 _range([training["steps"] / 1e6 for training in trainings]),
                 _range([training["validation_score"] for training in trainings]),
@@ -72,7 +70,7 @@ def table() -> str:
                 ", ".join(dict.fromkeys(f"`{training['git_commit'][:8]}`" for training in trainings)),
             ]
         )
-    return markdown_table(_COLUMNS, rows, right=(2, 3, 4, 5))
+    return markdown_table(_COLUMNS, rows, right=(1, 2, 3, 4))
 
 
 def _range(values: Sequence[float]) -> str:

@@ -405,26 +405,26 @@ def load_decrease(runs):
 
 
 def claims_table(claims):
-    """Return the claims with their verdicts, remarks below the table."""
+    """Return the claims, marked where they do not hold or were fitted, with remarks below the table."""
     notes, rows = [], []
     for source, section in itertools.groupby(claims, key=lambda each: each["source"]):
-        rows.append((f"**{source}**", "", "", ""))
+        rows.append((f"**{source}**", "", ""))
         for each in section:
-            verdict = ("holds" if each["holds"] else "**does not hold**") + (", fitted" if each["fitted"] else "")
+            measured = each["measured"] + ("" if each["holds"] else ", **does not hold**")
+            measured += ", *fitted*" if each["fitted"] else ""
             if each["remark"]:
                 notes.append(f"({len(notes) + 1}) {each['remark']}  ")
-                verdict += f" ({len(notes)})"
-            rows.append((each["says"], each["expected"], each["measured"], verdict))
+                measured += f" ({len(notes)})"
+            rows.append((each["says"], each["expected"], measured))
     n_held = sum(each["holds"] for each in claims)
     fitted = [each["fitted"] for each in claims if each["fitted"] and each["holds"]]
     by = ", ".join(f"{name} to {fitted.count(name)}" for name in dict.fromkeys(fitted))
     count = (
-        f"{n_held} of {len(claims)} claims hold: {n_held - len(fitted)} without a fit, and {len(fitted)} numbers that "
-        f"parameters of this model were fitted to ({by})."
+        f"{n_held} of {len(claims)} claims hold, {n_held - len(fitted)} without a fit. Parameters of this model were "
+        f"fitted to {len(fitted)} numbers ({by})."
     )
-    return "\n\n".join(
-        (count, markdown_table(("the paper says", "expected", "measured", "verdict"), rows), "\n".join(notes))
-    )
+    table = markdown_table(("the paper says", "expected", "measured"), rows)
+    return "\n\n".join((count, table, "\n".join(notes)))
 
 
 # --- figures ----------------------------------------------------------------------------------------------------------

@@ -38,9 +38,9 @@ def import_grid(
     """Turn a case of another program into a grid's file.
 
     ANDES reads it (https://docs.andes.app; `pip install andes`, in an environment of its own if you like): RAW of
-    versions 32 to 34 with DYR, xlsx, json, and MATPOWER's .m, whose machines are typical ones. What was repaired or
-    replaced is said, and stands in the file; so are the numbers of buses that have names. A phase shifter counts as a
-    model that is not here, and is taken as none when that is asked for.
+    versions 32 to 34 with DYR, xlsx, json, and MATPOWER's .m, which gets typical machines. Repairs, replaced models and
+    the numbers of named buses are printed and kept in the file. A phase shifter is an unknown model: it is refused, or
+    left out with --substitute.
 
     A network of pandapower, as its `to_json` writes it, is read by pandapower and gets typical machines.
 
@@ -94,8 +94,8 @@ def check(grid: str, /) -> int:
 def suite(grid: str, /, *, output: JsonFile) -> int:
     """Make a suite of scenarios of version v1 for a grid, by simulation.
 
-    Kept are events that some law survives at every operating point tried, and sizes at which at most one scenario in a
-    hundred is lost under every law. The suite's file names the grid's.
+    The suite keeps events that some law survives at every operating point tried, in sizes at which at most one scenario
+    in a hundred is lost under every law. Its file names the grid's file.
 
     examples:
       wtg-gym grid suite my_grid.json --output my_suite.json
