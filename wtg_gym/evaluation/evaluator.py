@@ -8,7 +8,7 @@ import dataclasses
 import json
 import os
 from collections import Counter
-from collections.abc import Callable, Collection, Generator, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Generator, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor, wait
 from pathlib import Path
 from typing import Any
@@ -108,8 +108,13 @@ def evaluate(
     store = PartialStore(partial, [played_suite.name, played_suite.hash, split, shared])
     parts = [part for entry in competitors for part in _parts(entry, chosen, batch)]
     needed = settings.task.references if keep_going else [entry.name for entry in competitors]
-    with contextlib.closing(_stored_and_played(store, parts, settings, n_threads, workers)) as batches:
-        episodes, failures = _collected(batches, parts, on_progress, needed)
+
+    def playing(missing: Sequence[_Part]) -> Generator[tuple[int, Played], None, None]:
+        if workers is None or not missing:
+            return _played_here(missing, settings, n_threads)
+        return workers.play(play_batch, settings, missing)
+
+    episodes, failures = _episodes(store, parts, settings, playing, on_progress, needed)
     return Results(
         suite=settings.suite_name,
         split=split,
@@ -217,60 +222,51 @@ def _parts(entry: Entry, seeds: Sequence[int], batch: int) -> Iterator[_Part]:
 # --- batches ---------------------------------------------------------------------------------------------------------
 
 
-def _collected(
-    batches: Iterable[tuple[int, Played]], parts: Sequence[_Part], on_progress: Progress | None, needed: Collection[str]
-) -> tuple[list[Episode], dict[tuple[str, int | None], str]]:
-    """Return the episodes in the order of the parts, and how entries failed, by name and training seed.
-
-    The failure of an entry that is needed is raised.
-    """
-    played: dict[int, list[Episode]] = {}
-    failures: dict[tuple[str, int | None], str] = {}
-    n_done, n_all = 0, sum(len(seeds) for _, seeds in parts)
-    for index, rows in batches:
-        entry, seeds = parts[index]
-        if isinstance(rows, PolicyError):
-            if entry.name in needed:
-                raise rows
-            failures.setdefault((entry.name, entry.training_seed), str(rows))
-        else:
-            played[index] = rows
-        n_done += len(seeds)
-        if on_progress is not None:
-            on_progress(entry.name, n_done, n_all)
-    return [episode for index in sorted(played) for episode in played[index]], failures
-
-
-def _stored_and_played(
+def _episodes(
     store: PartialStore,
     parts: Sequence[_Part],
     settings: EnvSettings,
-    n_threads: int | None,
-    workers: Workers | None,
-) -> Generator[tuple[int, Played], None, None]:
-    """Yield (index, episodes) of every batch: first the stored ones, then the others, which are stored too."""
-    missing, suite = [], settings.resolved_suite
-    for index, (entry, seeds) in enumerate(parts):
-        rows = store.load(entry, seeds)
-        if rows is None:
+    playing: Callable[[Sequence[_Part]], Generator[tuple[int, Played], None, None]],
+    on_progress: Progress | None,
+    needed: Collection[str],
+) -> tuple[list[Episode], dict[tuple[str, int | None], str]]:
+    """Return the episodes in the order of the parts, and how entries failed, by name and training seed.
+
+    Stored parts are read, the others are played and stored. The failure of an entry that is needed is raised.
+    """
+    found: dict[int, list[Episode]] = {}
+    failures: dict[tuple[str, int | None], str] = {}
+    n_done, n_all, suite_hash = 0, sum(len(seeds) for _, seeds in parts), settings.resolved_suite.hash
+
+    def take(index: int, played: Played) -> None:
+        nonlocal n_done
+        entry, seeds = parts[index]
+        if not isinstance(played, PolicyError):
+            found[index] = played
+        elif entry.name in needed:
+            raise played
+        else:
+            failures.setdefault((entry.name, entry.training_seed), str(played))
+        n_done += len(seeds)
+        if on_progress is not None:
+            on_progress(entry.name, n_done, n_all)
+
+    missing = []
+    for index, part in enumerate(parts):
+        if (stored := store.load(*part)) is None:
             missing.append(index)
         else:
-            yield index, rows
-    remaining = [parts[index] for index in missing]
-    playing = (
-        _played_here(remaining, settings, n_threads)
-        if workers is None or not remaining
-        else workers.play(play_batch, settings, remaining)
-    )
-    with contextlib.closing(playing) as batches:
+            take(index, stored)
+    with contextlib.closing(playing([parts[index] for index in missing])) as batches:
         for number, played in batches:
-            if get_suite(settings.suite_name).hash != suite.hash:
+            if get_suite(settings.suite_name).hash != suite_hash:
                 raise ValueError(
                     f"the suite {settings.suite_name} was written anew while it was played: evaluate again"
                 )
             if not isinstance(played, PolicyError):
-                store.save(*remaining[number], played)
-            yield missing[number], played
+                store.save(*parts[missing[number]], played)
+            take(missing[number], played)
+    return [episode for index in sorted(found) for episode in found[index]], failures
 
 
 def _played_here(
