@@ -1,21 +1,13 @@
 """The score: from the costs of episodes to points.
 
-Pinned cost of scenario i: J_i is the total cost of the episode. In v0 a failed episode has cap · (duration + 1 s), the
-largest cost, as if it had failed at once.
+- **Pinned cost** J of a scenario: the episode's total cost; in v0 that of a failed one is cap · (duration + 1 s), as if
+  it had failed at once.
+- **Gain**: g = ln((J_100 + J0) / (J + J0)), with the offset J0 of its stratum and J_100 of the law that scores 100. Up
+  to J0 a cost counts almost as in a mean, beyond by its ratio, so that a few failures do not decide alone.
+- **Score**: 100 + 100 / Λ · the mean over strata of their mean gains. A point is Λ per cent of J + J0 everywhere.
 
-Gain of scenario i: g_i = ln((J_100,i + J0) / (J_i + J0)), with the offset J0 of its stratum and the pinned cost J_100
-of the law that scores 100. Below J0 costs count almost as in a mean, beyond it by their ratio, so that a few failures
-do not decide alone.
-
-Score: 100 + 100 / Λ · the mean over strata of the mean gain of each, over training seeds and scenarios. So a point is
-the same share of the cost, Λ per cent of J + J0, in every stratum and suite.
-
-- v1: the scale Λ is a number, :attr:`Task.scale`. The mean gain of a stratum is adjusted by control variates, laws
-  whose mean gain over the whole distribution is known: mean(g) - β · (mean(x) - μ), see
-  :mod:`wtg_gym.evaluation.adjusted`, which has the intervals too.
-- v0 has no strata. Λ is the mean over the same scenarios of ln((J_0,i + J0) / (J_100,i + J0)), J_0 being the cost of
-  the law that scores 0, so that this one has exactly 0. Intervals are those of a bootstrap, see
-  :class:`wtg_gym.evaluation.statistics.Bootstrap`.
+In v1 Λ is :attr:`Task.scale`, and mean gains are adjusted, see :mod:`wtg_gym.evaluation.adjusted`. v0 has no strata; Λ
+is the mean of ln((J_0 + J0) / (J_100 + J0)) over the same scenarios, J_0 of the law that scores 0.
 
 Arrays of one entry have the shape (n_runs, n_scenarios): one run per training seed, a single one for a law.
 """
