@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from wtg_gym.cli.options import PlantOptions
 from wtg_gym.cli.output import print_json, print_table, require_extra, say, write_and_say
 from wtg_gym.cli.scoring import look_into_working_folder
 from wtg_gym.cli.suites import describe_scenario
@@ -57,7 +56,6 @@ def play_cases(names: Sequence[str], specs: Sequence[str], *, json: bool) -> int
 
 def run(
     options: ScenarioOptions,
-    plant: PlantOptions,
     strategies: Sequence[str],
     *,
     plot: Path | None,
@@ -72,9 +70,7 @@ def run(
     settings = suite.plant.replaced(
         # Another number of groups stands at bus 2.
         groups=None if scenario.n_wtg == len(suite.plant.groups) else scenario.n_wtg,
-        control_dt=plant.control_dt or suite.plant.control_dt,
-        trips_groups=(plant.on_failure or suite.task.on_failure) == "trip",
-        **plant.replaced(),
+        trips_groups=suite.task.on_failure == "trip",
     )
     everything = STRATEGIES if suite.task is V0 else STRATEGY_NAMES
     laws = {}
@@ -104,9 +100,8 @@ def run(
             "groups": [dataclasses.asdict(group) for group in settings.groups],
             "control_dt_s": settings.control_dt,
             "simulation_dt_s": settings.simulation_dt,
-            "machine_model": plant.machine_model,
             "on_failure": "trip" if settings.trips_groups else "terminate",
-            "physics": plant.physics or ("extended" if suite.plant.extended else "paper"),
+            "physics": "extended" if settings.extended else "paper",
         }
         print_json({"scenario": data, "plant": plant_data, "runs": figures})
     else:
