@@ -61,39 +61,29 @@ def evaluate(
 ) -> Results:
     """Play entries, and the references of the suite's version, through scenarios of a suite, and score them.
 
-    References are the laws that score 0 and 100, and those that scores are adjusted by, :attr:`Task.references`.
-
-    `evaluate("linear-feedback").scores["linear-feedback"]` is a score with its 95 % interval.
+    `evaluate("linear-feedback").scores["linear-feedback"]` is a score with its 95 % interval. References are the laws
+    that score 0 and 100, and those that scores are adjusted by, :attr:`Task.references`.
 
     The numbers of a law and of an :class:`OnnxPolicy` depend neither on `batch` nor on `n_threads`, to the last bit.
-    Any other policy is called once per control step for a whole batch; its own rounding may depend on the batch's size.
-    The batches, and so the numbers, are the same with any `workers`.
+    Any other policy is called once per control step for a whole batch, whose size its rounding may depend on.
 
     Args:
-        entries: each an :class:`Entry`, or a name or path that :func:`load_entries` takes; names (with training seeds)
-            must be unique.
+        entries: each an :class:`Entry`, or a name or path that :func:`load_entries` takes.
         suite: name of the suite.
         split: "train", "validation" or "test".
         seeds: some of the split's seeds; None for all.
         batch: scenarios that run side by side, of an ONNX policy 64 at most.
-        n_threads: threads to step with, and ONNX policies that play side by side; None for one per processor. Workers
-            have one each.
+        n_threads: threads to step with, and ONNX policies that play side by side; None for one per processor.
         on_progress: called with (name of the entry, episodes done, episodes in all) after every batch.
         partial: folder for finished batches, from which an interrupted run continues; :meth:`Results.write` removes
             them.
-        workers: other processes that play the batches; None plays them here, one after the other.
+        workers: other processes that play the same batches, on one thread each.
         keep_going: an entry whose policy fails, or whose law has no equilibrium in a scenario, is left out with all
-            training seeds of its name and listed in :attr:`Results.failed`; the others' results do not change. False
-            raises the failure. The failure of a reference is always raised.
-        env_arguments: further settings of the environment, such as `duration_s`, the length of the episodes [s], see
-            :class:`wtg_gym.envs.settings.EnvSettings`.
-
-    Returns:
-        every episode with its metrics; :attr:`Results.scores` are the scores, :attr:`Results.summaries` whole rows.
+            training seeds of its name and listed in :attr:`Results.failed`, unless it is a reference.
+        env_arguments: further fields of :class:`wtg_gym.envs.settings.EnvSettings`, such as `duration_s`.
 
     Raises:
-        PolicyError: a policy raises, ends, takes too long or returns no action, or a scenario has no equilibrium under
-            an entry's law; a ValueError that names entry and step or scenario.
+        PolicyError: an entry fails; a ValueError that names entry and step or scenario.
         ValueError: an entry is for another version, an argument is unknown or out of range, or the workers cannot be
             used; the message names them.
     """
@@ -108,13 +98,7 @@ def evaluate(
     store = PartialStore(partial, [played_suite.name, played_suite.hash, split, shared])
     parts = [part for entry in competitors for part in _parts(entry, chosen, batch)]
     needed = settings.task.references if keep_going else [entry.name for entry in competitors]
-
-    def playing(missing: Sequence[_Part]) -> Generator[tuple[int, Played], None, None]:
-        if workers is None or not missing:
-            return _played_here(missing, settings, n_threads)
-        return workers.play(play_batch, settings, missing)
-
-    episodes, failures = _episodes(store, parts, settings, playing, on_progress, needed)
+    episodes, failures = _episodes(store, parts, settings, n_threads, workers, on_progress, needed)
     return Results(
         suite=settings.suite_name,
         split=split,
@@ -226,7 +210,8 @@ def _episodes(
     store: PartialStore,
     parts: Sequence[_Part],
     settings: EnvSettings,
-    playing: Callable[[Sequence[_Part]], Generator[tuple[int, Played], None, None]],
+    n_threads: int | None,
+    workers: Workers | None,
     on_progress: Progress | None,
     needed: Collection[str],
 ) -> tuple[list[Episode], dict[tuple[str, int | None], str]]:
@@ -257,14 +242,19 @@ def _episodes(
             missing.append(index)
         else:
             take(index, stored)
-    with contextlib.closing(playing([parts[index] for index in missing])) as batches:
+    remaining = [parts[index] for index in missing]
+    if workers is None or not remaining:
+        playing = _played_here(remaining, settings, n_threads)
+    else:
+        playing = workers.play(play_batch, settings, remaining)
+    with contextlib.closing(playing) as batches:
         for number, played in batches:
             if get_suite(settings.suite_name).hash != suite_hash:
                 raise ValueError(
                     f"the suite {settings.suite_name} was written anew while it was played: evaluate again"
                 )
             if not isinstance(played, PolicyError):
-                store.save(*parts[missing[number]], played)
+                store.save(*remaining[number], played)
             take(missing[number], played)
     return [episode for index in sorted(found) for episode in found[index]], failures
 
