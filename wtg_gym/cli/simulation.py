@@ -54,14 +54,7 @@ def play_cases(names: Sequence[str], specs: Sequence[str], *, json: bool) -> int
     return int(not all(row["passed"] for row in rows))
 
 
-def run(
-    options: ScenarioOptions,
-    strategies: Sequence[str],
-    *,
-    plot: Path | None,
-    csv: Path | None,
-    json: bool,
-) -> int:
+def run(options: ScenarioOptions, strategies: Sequence[str], *, plot: Path | None, csv: Path | None, json: bool) -> int:
     """Simulate a scenario under laws, write what was asked for, and return the exit code."""
     if plot is not None:
         require_extra("matplotlib", "--plot")
@@ -239,21 +232,18 @@ def _digits(value: float | None, digits: int = 3) -> str:
 
 def traces_csv(runs: Mapping[str, Trajectory]) -> str:
     """Return every sample of every run as CSV: one row per run and instant, units in the header, all from 1."""
-    first = next(iter(runs.values()))
-    others = ("machine_frequency_hz", "bus_frequency_hz")
-    per_group = [name for name, values in vars(first).items() if getattr(values, "ndim", 0) == 2 and name not in others]
-    n_groups = first.power_pu.shape[1]
     text = io.StringIO()
     writer = csv_format.writer(text, lineterminator="\n")
-    names = [f"group_{group}_{name}" for group in range(1, n_groups + 1) for name in per_group]
-    names += [
-        f"{name.split('_')[0]}_{i + 1}_frequency_hz" for name in others for i in range(getattr(first, name).shape[1])
-    ]
-    writer.writerow(["strategy", "time_s", "frequency_hz", "rocof_hz_s", "shed_energy_mws", *names])
     for label, run in runs.items():
-        series = [run.time_s, run.frequency_hz, run.rocof_hz_s(), run.shed_energy_mws]
-        series += [getattr(run, name)[:, group] for group in range(n_groups) for name in per_group]
-        series += [column for name in others for column in getattr(run, name).T]
-        for row in zip(*series, strict=True):
+        columns = {name: getattr(run, name) for name in ("time_s", "frequency_hz", "shed_energy_mws")}
+        columns["rocof_hz_s"] = run.rocof_hz_s()
+        for name, values in vars(run).items():
+            if getattr(values, "ndim", 0) == 2:
+                kind, _, rest = name.partition("_")
+                unit, quantity = (kind, rest) if kind in ("machine", "bus") else ("group", name)
+                columns |= {f"{unit}_{i}_{quantity}": column for i, column in enumerate(values.T, start=1)}
+        if not text.tell():
+            writer.writerow(["strategy", *columns])
+        for row in zip(*columns.values(), strict=True):
             writer.writerow([label, *(f"{value:.9g}" for value in row)])
     return text.getvalue()
