@@ -53,7 +53,7 @@ page-picture: page ## Take the picture of docs/leaderboard.html that docs/usage.
 	    --virtual-time-budget=20000 --screenshot=$(CURDIR)/docs/images/leaderboard-page.png file://$(CURDIR)/docs/leaderboard.html
 
 # Those that take minutes; other targets run most of the others.
-STUDIES := grid_forming physics validation small_signal reference one_event
+STUDIES := paper grid_forming physics validation small_signal reference one_event
 
 .PHONY: studies
 studies: $(TEST_READY) ## Run the studies of docs/studies and renew their tables and pictures (half an hour)
@@ -68,7 +68,8 @@ pictures: $(LEADERBOARD_READY) studies ## Draw every picture of the README and o
 site: $(SITE_READY) ## Build the site of the documentation into build/site; broken links and pages that nothing lists are errors
 	NO_MKDOCS_2_WARNING=1 $(SITE_VENV)/bin/mkdocs build --strict
 
-# A notebook may rely on nothing but the wheel, so the checkout is not installed as editable, nor is it their folder.
+# A notebook may rely on nothing but the wheel and docs/studies: the checkout is not installed as editable, nor is it
+# their folder.
 .PHONY: notebooks
 notebooks: $(NOTEBOOKS_READY) ## Run every notebook from the built wheel and keep what it shows (some minutes)
 	$(NOTEBOOKS_VENV)/bin/python .ci/install.py --quiet --no-deps --force-reinstall .

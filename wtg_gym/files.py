@@ -25,7 +25,6 @@ from typing import Any
 #: a grid of 500 buses has 0.2 MB, an hour of measured wind of eight groups 3 MB, the table of a hundred entries 10 MB.
 LARGEST_BYTES: Mapping[str, int] = MappingProxyType(
     {
-        "claims": 2**18,
         "description of the results": 2**22,
         "description of the run": 2**22,
         "entry file": 2**14,
@@ -40,7 +39,6 @@ LARGEST_BYTES: Mapping[str, int] = MappingProxyType(
         "rotor table": 2**21,
         "scenario file": 2**23,
         "suite": 2**18,
-        "table of claims": 2**14,
         "table of the results": 2**26,
         "wind series": 2**24,
     }
