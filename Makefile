@@ -82,7 +82,7 @@ performance: $(TEST_READY) ## Measure speed again; on a machine that does nothin
 
 .PHONY: golden
 golden: $(GOLDEN_READY) ## Make the golden traces anew with ANDES, in an environment of its own (half an hour)
-	$(GOLDEN_VENV)/bin/python tests/golden/make.py
+	$(GOLDEN_VENV)/bin/python -m tests.golden.make
 
 .PHONY: integrations
 integrations: $(TEST_READY) ## Run the programs of docs/integrations.md, each in an environment of its own (an hour)

@@ -154,10 +154,6 @@ class Tape:
     ) -> None:
         parameters = (parameters,) if isinstance(parameters, str) else tuple(parameters)
         plant = settings.resolved_plant
-        built = plant_tables(plant)
-        if built.controls or built.saturates:
-            models = [*built.controls, *["saturation of machines"] * built.saturates]
-            raise ValueError(f"gradients do not know these models of machines: {', '.join(models)}")
         require_known_parameters(plant, parameters)
         if plant.load_frequency_dependence:
             raise ValueError("gradients do not know loads that depend on the frequency: load_frequency_dependence")
