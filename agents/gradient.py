@@ -11,10 +11,10 @@ from __future__ import annotations
 import itertools
 import math
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import numpy as np
 import torch
@@ -209,7 +209,8 @@ class GradientLearner:
     def __init__(self, policy: GradientPolicy, h: Hyperparameters) -> None:
         self.policy = policy
         #: Every update pulls towards its own scenarios; their average does not.
-        self.average = AveragedModel(policy, multi_avg_fn=get_ema_multi_avg_fn(1.0 - 1.0 / h.averaged))
+        mean: Callable[..., None] = get_ema_multi_avg_fn(1.0 - 1.0 / h.averaged)  # type: ignore[no-untyped-call]
+        self.average = AveragedModel(policy, multi_avg_fn=mean)
         self.optimizer = torch.optim.Adam(policy.parameters(), lr=h.learning_rate, betas=(h.betas[0], h.betas[1]))
 
     def network(self, _settings: RunSettings) -> nn.Module:
@@ -219,7 +220,7 @@ class GradientLearner:
 
     def save(self, folder: Path) -> None:
         """Write everything that training goes on from."""
-        parts = {"policy": self.policy, "average": self.average, "optimizer": self.optimizer}
+        parts: dict[str, Any] = {"policy": self.policy, "average": self.average, "optimizer": self.optimizer}
         torch.save({name: part.state_dict() for name, part in parts.items()}, folder / _STATE)
 
     def load(self, folder: Path) -> None:

@@ -356,17 +356,17 @@ class Tape:
         shown = _shaped("outputs", shown, (lanes.n_lanes, self._output_rows.size))
         seen = np.zeros((lanes.n_lanes, lanes.n_observation)) if observations is None else observations
         seen = _shaped("observations", seen, (lanes.n_lanes, lanes.n_observation))
-        sums = (0.0, 0.0, 0.0)
+        sums: list[Floats] = []
         for interval in range(n * (step + 1) - 1, n * step - 1, -1):
             bars, running, added = self._pull_interval(interval, bars, terms, seen, shown)
-            sums = tuple(total + now for total, now in zip(sums, added, strict=True))
+            sums = [total + now for total, now in zip(sums, added, strict=True)] if sums else added
             # An episode that ends within the step leaves and shows what it did in its last interval.
             seen, shown = (np.where(running, 0.0, array) for array in (seen, shown))
         return Pulled(np.where(running, _all_rows(bars, lanes.n_lanes), 0.0), *sums)
 
     def _pull_interval(
         self, interval: int, after: Floats, terms: Floats, seen: Floats, shown: Floats
-    ) -> tuple[Floats, npt.NDArray[np.bool_], tuple[Floats, Floats, Floats]]:
+    ) -> tuple[Floats, npt.NDArray[np.bool_], list[Floats]]:
         """Go back through an interval of a step.
 
         Returns:
@@ -386,8 +386,8 @@ class Tape:
         # The law's own are what each step adds, and are not carried.
         bars[:, self._law_rows.ravel()] = 0.0
         # Of an environment that had ended nothing depends on anything, whatever its numbers.
-        added = (np.where(running.reshape(-1, *(1,) * (a.ndim - 1)), a, 0.0) for a in (actions, law, parameters))
-        return np.where(in_blocks, bars, after), running, tuple(added)
+        added = [np.where(running.reshape(-1, *(1,) * (a.ndim - 1)), a, 0.0) for a in (actions, law, parameters)]
+        return np.where(in_blocks, bars, after), running, added
 
     def _pull_blocks(self, interval: int, blocks: Floats, bars: Floats, seen: Floats) -> tuple[Floats, Floats]:
         """Go back through an interval in all blocks; return cotangents of the actions and of the constants.
