@@ -90,6 +90,9 @@ class Dynamics:
                 self._add(fields)
 
     def _add(self, fields: list[str]) -> None:
+        if not fields[0].isdigit():
+            self.notes.append(f"a record of the DYR file that is no machine's is left out: {' '.join(fields)[:40]}")
+            return
         try:
             (bus, model, machine), numbers = fields[:3], fields[3:]
             key, name = (int(bus), machine.strip("' ")), model.strip("' ").upper()

@@ -95,12 +95,17 @@ def read_powsybl(path: Path, frequency_hz: float | None, drop: Collection[str]) 
         which = "" if raw is None else f" as RAW of version {raw.version:g} (32, 33 and 35 are read)"
         raise ValueError(f"pypowsybl cannot read it{which}: {error}") from error
     unread = {} if raw is None else {kind: (n, 0.0) for kind, n in raw.passed_over()}
-    for kind, (table, column) in _UNREAD.items():
-        rows = getattr(net, f"get_{table}")()
+    for kind, (name, column) in _UNREAD.items():
+        rows = getattr(net, f"get_{name}")()
         on = rows[rows[[c for c in rows if c.startswith("connected")]].all(axis=1)] if len(rows) else rows
         unread[kind] = len(on), float(abs(on[column]).sum()) if column else 0.0
         if kind in drop and len(rows):
-            net.remove_elements(list(rows.index))
+            ends = (net.get_lcc_converter_stations(), net.get_vsc_converter_stations()) if kind == "dc-line" else ()
+            stations = [each for table in ends for each in table.index]
+            try:
+                net.remove_elements([*rows.index, *stations])
+            except Exception as error:
+                raise ValueError(f"pypowsybl cannot leave out {kind}: {error}") from error
     refuse_unread(unread, drop, notes)
     refuse_large(len(net.get_buses()))
     try:
@@ -350,7 +355,7 @@ class _Tables:
                 continue
             key = f"boundary of {row.tie_line_id or name}"
             self.volts[key] = self.volts[row.bus_id]
-            self.out.voltages.setdefault(key, cmath.rect(1.0, 0.0))
+            self.out.voltages.setdefault(key, complex(math.nan, 0.0))
             half = complex(row.g, row.b)
             self._add_branch(str(name), (row.bus_id, key), complex(row.r, row.x), (half, 0j))
             if not row.tie_line_id:

@@ -133,8 +133,9 @@ def grid_of(case: SolvedCase, dynamics: Any = None, drop: Collection[str] = ()) 
     records = _machines(case, numbers, dynamics)
     wind = {numbers[infeed.bus] for infeed in case.infeeds if infeed.role == "wind"}
     made_of = _network_case(case, numbers, records)
+    differences = _compare(made_of, case, numbers, turned)
+    case.notes.append(f"its power flow is that of {case.library}; largest differences [p.u., rad]: {differences}")
     grid = Grid(case=made_of, replaced=tuple(sorted(wind)), substitutions=tuple(dict.fromkeys(case.notes)))
-    _compare(grid.case, case, numbers, turned)
     return grid
 
 
@@ -346,28 +347,33 @@ def power_flow(case: NetworkCase) -> tuple[np.ndarray, np.ndarray]:
     return rows[:, 7] + 1j * rows[:, 8], rows[:, 5] + 1j * rows[:, 6] + loads
 
 
-def _compare(own: NetworkCase, case: SolvedCase, numbers: dict[Key, int], turned: dict[Key, float]) -> None:
-    """Refuse a grid whose power flow differs from the library's."""
+def _compare(own: NetworkCase, case: SolvedCase, numbers: dict[Key, int], turned: dict[Key, float]) -> str:
+    """Refuse a grid whose power flow differs from the library's; say how near they are."""
     voltages, powers = power_flow(own)
-    theirs, given = list(case.voltages.values()), defaultdict[Key, complex](complex)
+    given, largest = defaultdict[Key, complex](complex), defaultdict[str, float](float)
     for infeed in case.infeeds:
-        given[infeed.bus] += infeed.power if infeed.role != "load" else 0j
+        given[infeed.bus] += infeed.power / BASE_MVA if infeed.role != "load" else 0j
     reference = cmath.phase(case.voltages[case.slack])
-    for place, key in enumerate(case.voltages):
-        voltage, number = voltages[place], numbers[key]
-        angle = math.remainder(cmath.phase(theirs[place]) - reference - turned[key], 2.0 * math.pi)
-        power = given[key] / BASE_MVA
-        pairs = [("voltage", abs(voltage), abs(theirs[place]), "p.u."), ("angle", cmath.phase(voltage), angle, "rad")]
+    for place, (key, theirs) in enumerate(case.voltages.items()):
+        if cmath.isnan(theirs):
+            # The library does not say.
+            continue
+        angle = cmath.phase(theirs) - reference - turned[key]
+        pairs = {"voltage": (abs(voltages[place]), abs(theirs)), "angle": (cmath.phase(voltages[place]), angle)}
         if own.buses[place].voltage_pu is not None:
-            pairs += [("power", powers[place].real, power.real, "p.u."),
-                      ("reactive power", powers[place].imag, power.imag, "p.u.")]  # fmt: skip
-        for what, here, there, unit in pairs:
-            difference = math.remainder(here - there, 2.0 * math.pi) if what == "angle" else here - there
-            if not abs(difference) <= TOLERANCE * max(1.0, abs(there)):
+            pairs["power"] = powers[place].real, given[key].real
+            pairs["reactive power"] = powers[place].imag, given[key].imag
+        for what, (here, there) in pairs.items():
+            difference = abs(math.remainder(here - there, 2.0 * math.pi) if what == "angle" else here - there)
+            difference /= max(1.0, abs(there))
+            largest[what] = max(largest[what], difference)
+            if not difference <= TOLERANCE:
+                unit = "rad" if what == "angle" else "p.u."
                 raise ValueError(
-                    f"bus {number}: {what} {here:.9g} {unit} here, {there:.9g} {unit} in {case.library}; the grid "
-                    "would not be the one of the file"
+                    f"bus {numbers[key]}: {what} {here:.9g} {unit} here, {there:.9g} {unit} in {case.library}; "
+                    "the grid would not be the one of the file"
                 )
+    return ", ".join(f"{what} {difference:.1e}" for what, difference in largest.items())
 
 
 def made(what: str, record: Callable[..., Record], **values: Any) -> Record:
