@@ -19,13 +19,12 @@ from wtg_gym.files import (
     update_between_markers,
     write_atomically,
 )
-from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY
 from wtg_gym.policies.entry_folder import ENTRY_FILE, POLICY_FILE, policy_folders
 
 #: One record per folder of agents/policies that a command of `agents` trained.
 RECORDS = Path(__file__).with_suffix(".json")
 PAGE = Path(__file__).parents[1] / "docs" / "agents.md"
-_COLUMNS = ("policy", "actions on", "seeds", "steps [million]", "validation score", "minutes", "command", "commit")
+_COLUMNS = ("policy", "seeds", "steps [million]", "validation score", "minutes", "command", "commit")
 
 
 def record(run_folder: Path) -> tuple[str, dict[str, Any]]:
@@ -59,12 +58,11 @@ def table() -> str:
     rows = []
     for (environment, name), group in groups:
         runs = list(group)
-        entry, trainings = runs[0][0], [training for _, training in runs if training]
+        trainings = [training for _, training in runs if training]
         version = environment.rpartition("-")[2]
         rows.append(
             [
                 f"{name} ({version})",
-                entry.get("strategy", REFERENCE_STRATEGY),
                 str(len(runs)),
                 _range([training["steps"] / 1e6 for training in trainings]),
                 _range([training["validation_score"] for training in trainings]),
@@ -73,7 +71,7 @@ def table() -> str:
                 ", ".join(dict.fromkeys(f"`{training['git_commit'][:8]}`" for training in trainings)),
             ]
         )
-    return markdown_table(_COLUMNS, rows, right=(2, 3, 4, 5))
+    return markdown_table(_COLUMNS, rows, right=(1, 2, 3, 4))
 
 
 def _range(values: Sequence[float]) -> str:

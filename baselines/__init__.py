@@ -1,9 +1,8 @@
-"""The conventional strategies, in the order in which the paper leads from one to the next, and feedbacks made by hand.
+"""The conventional control laws, in the order of the paper, and feedbacks designed by hand.
 
-A strategy is a tracking law P_st = k ω_m³ + D_p x with k = g(ω), see :mod:`wtg_gym.physics.tracking_law`; zero action
-leaves it as it is. Each is an entry here; a feedback is a module with an `ENTRY`.
-`wtg_gym.evaluation.load_entries("baselines")` finds them.
-A law of one's own needs no module: `example_law.toml` shows the file that does.
+A law is P_st = k ω_m³ + D_p x with k = g(ω), see :mod:`wtg_gym.physics.tracking_law`; zero action leaves it unchanged.
+Each law is an entry here; a feedback is a module with an `ENTRY`. `wtg_gym.evaluation.load_entries("baselines")` finds
+them. Your own law needs no module but a TOML file (`wtg-gym simulate --example-law`).
 """
 
 from wtg_gym.evaluation import Entry
@@ -22,7 +21,7 @@ def _baseline(law: tracking_law.TrackingLaw, description: str, source: str) -> E
     return Entry(name=law.name, strategy=law, description=description, source=source)
 
 
-#: The score's zero in version v0: P_st = K_opt ω_m³ in 2H ω̇ = P_st - p - D_p (ω - ω_st). At K_opt the rotor sits on
+#: The reference at 0 in version v0: P_st = K_opt ω_m³ in 2H ω̇ = P_st - p - D_p (ω - ω_st). At K_opt the rotor sits on
 #: the top of the power curve. When the frequency falls, the droop takes energy from the rotor, the slower rotor
 #: captures less, and in the end the turbine gives less than before, or stalls.
 MPPT = _baseline(
@@ -55,7 +54,7 @@ COORDINATED_LINEAR = _baseline(
 )
 #: The paper's law: g through (ω_min, K_opt), (ω_st, K_n), (ω_max, K_pr), constant outside. K_n is the coefficient of
 #: 5 % deloading, K_pr that of 10 %: 5 % of the available power are ready upwards and downwards. Zero action of the
-#: environment, with its default strategy, is exactly this law. It is the score's hundred in v0 and its zero in v1.
+#: environment, with its default strategy, is exactly this law. It scores 100 in v0 and 0 in v1.
 COORDINATED_PIECEWISE = _baseline(
     tracking_law.coordinated_piecewise(),
     "The reference: k passes through K_opt, K_n and K_pr; transient damping.",
@@ -68,10 +67,9 @@ COORDINATED_UNDAMPED = _baseline(
     "The reference's g(ω) without any droop: fast swings are hardly damped.",
     f"{COORDINATED_SOURCE}, open loop of the proposed law",
 )
-#: The score's hundred in version v1: the piecewise law as it would be commissioned in a grid that needs the wind. g
-#: still begins at K_opt, so that no steady state gives less at a lower frequency, and ends far below K_pr; the filter
-#: is faster, so that the droop leaves the steady state to g sooner. The numbers are the benchmark's own, tuned on
-#: training scenarios.
+#: The reference at 100 in version v1: the piecewise law tuned to a grid that needs the wind, on training scenarios. g
+#: still begins at K_opt, so that no steady state gives less power at a lower frequency. It ends far below K_pr, and the
+#: filter is faster, so that g takes over from the droop sooner.
 COORDINATED_TUNED = _baseline(
     tracking_law.get_law("coordinated-tuned"),
     "The piecewise law tuned to a grid that needs the wind; k is never beyond K_opt.",
@@ -86,15 +84,15 @@ COORDINATED_FREE = _baseline(
 )
 
 _LAWS = (MPPT, DELOADED_5, DELOADED_10, COORDINATED_LINEAR, COORDINATED_PIECEWISE)
-#: Entries, and names of modules with one, by the version of the benchmark whose baseline it is, in the order of tables.
-#: A law plays in every version. In v1 they show:
+#: Baselines of each version, in the order of tables: entries, and names of modules with one. A law plays in every
+#: version. The effects that v1's show:
 #:
-#: - mppt, deloaded-5, deloaded-10: what a grid that needs the wind has from turbines with plain droop;
-#: - coordinated-linear, coordinated-piecewise: what the published law adds;
-#: - coordinated-tuned: what three numbers of the same law add;
-#: - coordinated-free: what it is worth to borrow from the rotors beyond K_opt;
-#: - fast-droop: what one gain of a group's own frequency is worth;
-#: - mean-droop: what it is worth that groups know of each other, and that slow rotors are spared.
+#: - mppt, deloaded-5, deloaded-10: plain droop;
+#: - coordinated-linear, coordinated-piecewise: the published law;
+#: - coordinated-tuned: three numbers of that law;
+#: - coordinated-free: kinetic energy borrowed beyond K_opt;
+#: - fast-droop: one gain on a group's own frequency;
+#: - mean-droop: the mean frequency of all groups, and a protection of slow rotors.
 ORDER = {
     "v0": (*_LAWS, COORDINATED_UNDAMPED, "tip_speed_feedback"),
     "v1": (*_LAWS, COORDINATED_TUNED, COORDINATED_FREE, "fast_droop", "mean_droop"),

@@ -47,7 +47,7 @@ except PackageNotFoundError:  # a checkout that was not installed
 
 #: Ids of the environments: the paper's system, and the grid that needs the wind.
 ENV_IDS = ("GFMWTG-14bus-v0", "GFMWTG-14bus-v1")
-#: The one that is meant where no version is named.
+#: The default version.
 ENV_ID = ENV_IDS[1]
 
 # The last one is version v1 with any grid, by the argument `grid`.

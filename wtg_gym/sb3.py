@@ -31,16 +31,16 @@ class SB3VecEnv(VecEnv):
     """:class:`wtg_gym.envs.GFMWTGVectorEnv` as a vector environment of Stable-Baselines3.
 
     Observations, rewards and episode ends equal those of a `DummyVecEnv` of single environments with the same seeds,
-    bit for bit. A lane whose episode ends starts the next one within the same step.
+    bit for bit. An environment whose episode ends starts the next one within the same step.
 
     Every step gives a list of `num_envs` infos:
 
-    - While its episode runs, a lane's info holds `TimeLimit.truncated` (False) and nothing else: learners need no more,
-      and writing every key for every lane slows a large batch down. `lanes.info_arrays()` has the others.
+    - While an episode runs, its info holds `TimeLimit.truncated` (False) only: learners need no more, and writing every
+      key slows a large batch down. `lanes.info_arrays()` has the others.
     - At its end it holds every key of the single environment's info for the last step, `terminal_observation`
       (n_observation,) float32, and `TimeLimit.truncated`: True where time was over without a failure.
 
-    `reset_infos` holds every lane's info of its episode's start.
+    `reset_infos` holds the info of every episode's start.
 
     Args:
         num_envs: number of episodes side by side.
@@ -65,7 +65,7 @@ class SB3VecEnv(VecEnv):
 
     @undivided
     def reset(self) -> Observations:
-        """Start an episode in every lane, with the seeds set before, which are used once.
+        """Start an episode in every environment, with the seeds set before, which are used once.
 
         Returns:
             The observations (num_envs, n_observation).
@@ -88,7 +88,7 @@ class SB3VecEnv(VecEnv):
 
     @undivided
     def step_wait(self) -> tuple[Observations, npt.NDArray[np.float32], npt.NDArray[np.bool_], list[Info]]:
-        """Hold the actions for one control interval in every lane.
+        """Hold the actions for one control step in every environment.
 
         Returns:
             observations (num_envs, n_observation) float32, rewards (num_envs,) float32, dones (num_envs,) and infos.
@@ -189,7 +189,7 @@ def make_sb3_vec_env(num_envs: int = 1, *, seed: int | None = None, **arguments:
 
     Args:
         num_envs: number of episodes side by side.
-        seed: s seeds lane i with s + i at the first reset; a learner's own `seed` replaces it.
+        seed: s seeds environment i with s + i at the first reset; a learner's own `seed` replaces it.
         arguments: as for :class:`SB3VecEnv`, with the same errors.
     """
     env = _Monitor(SB3VecEnv(num_envs, **arguments))

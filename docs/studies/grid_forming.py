@@ -5,8 +5,6 @@
 renews the tables between the markers of DOCS/grid-forming.md and draws DOCS/physics/grid-forming.svg.
 """
 
-from itertools import groupby
-
 import numpy as np
 from matplotlib.lines import Line2D
 from output import folder
@@ -24,9 +22,13 @@ DRAWN = ("deloaded-10", "coordinated-piecewise", "coordinated-tuned")
 
 
 def described():
-    """Return the table of tests, neighbours with one criterion and source in a row, and the sources."""
-    groups = groupby(GRID_TESTS.values(), key=lambda test: (test.criterion.removesuffix(STAY), test.source))
-    rows = [(", ".join(f"`{test.name}`" for test in tests), *meaning) for meaning, tests in groups]
+    """Return the table of tests, those with one criterion in a row, and the sources."""
+    tests_of, sources_of = {}, {}
+    for test in GRID_TESTS.values():
+        criterion = test.criterion.removesuffix(STAY)
+        tests_of.setdefault(criterion, []).append(f"`{test.name}`")
+        sources_of.setdefault(criterion, {}).update(dict.fromkeys(test.source.split(", ")))
+    rows = [(", ".join(tests), criterion, ", ".join(sources_of[criterion])) for criterion, tests in tests_of.items()]
     keys = "\n".join(f"- **{key}**: {text}" for key, text in SOURCES.items())
     table = markdown_table(("test", "passed if", "source"), rows)
     return f"In every test all groups stay connected.\n\n{table}\n\n{keys}"

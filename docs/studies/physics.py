@@ -1,7 +1,4 @@
-"""For docs/physics.md: the paper's conclusions in its own plant, and in plants that add what it leaves out.
-
-Some ten minutes, most of which the plants take that are compiled for the first time.
-"""
+"""For docs/physics.md: the paper's conclusions in its own plant, and in plants with more physics; some minutes."""
 
 import dataclasses
 
@@ -10,10 +7,8 @@ from output import folder
 
 from wtg_gym.envs.lanes import TERMINATION_REASONS
 from wtg_gym.files import markdown_table, update_between_markers
-from wtg_gym.physics.grid import get_grid
-from wtg_gym.physics.machine_parameters import HydroGovernorParameters
-from wtg_gym.physics.parameters import ConverterLimitParameters, ProtectionParameters, nrel_5mw
-from wtg_gym.physics.plant import DEAD_BAND_PU, Plant
+from wtg_gym.physics.parameters import ConverterLimitParameters, ProtectionParameters
+from wtg_gym.physics.plant import Plant
 from wtg_gym.physics.protection import Status
 from wtg_gym.physics.simulator import Simulator
 from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY, group_laws
@@ -25,12 +20,12 @@ STRATEGIES = (REFERENCE_STRATEGY, "mppt", "deloaded-5", "deloaded-10")  # the re
 OTHERS = STRATEGIES[1:]
 INCREASE, DECREASE = get_suite("paper").scenarios([0, 1])
 N_SCENARIOS = 100
-#: Suites of the reference in the plants that the conclusions are checked in; every strategy plays the last one in all.
+#: Suites of the reference in the plants that the conclusions are checked in.
 SUITES = ("standard", "gust", "weak-grid", "low-wind")
 SECOND_STEP_S = 30.0  # of the load increase; the claims on nadir and RoCoF are about the first step [s]
 FAST, SLOW = 0, 1  # the paper's groups: at 11.4 m/s, whose current is largest, and at 8 m/s, which stalls
 
-PAPER, TOGETHER, HYDRO = "the paper's", "all together", "all, hydro and shedding"
+PAPER, TOGETHER = "the paper's", "all together"
 CHECKED = (PAPER, "extended", "nrel-5mw")
 
 
@@ -38,7 +33,7 @@ CHECKED = (PAPER, "extended", "nrel-5mw")
 
 
 def plants():
-    """Return the plants by name: the paper's, it with one part more each, with parts together, and those of users.
+    """Return the plants by name.
 
     The paper's has limits out of reach: it does what the paper's plant does, and tells its currents too.
     """
@@ -50,30 +45,9 @@ def plants():
         power_gain=0.0,
         power_integral_gain=0.0,
     )
-    paper, extended = Plant(limits=far), Plant().replaced(physics="extended")
-    limits = dataclasses.replace(ConverterLimitParameters(), power_min_pu=far.power_min_pu)
-    hydro = get_grid("ieee14").case.with_governors(lambda steam: HydroGovernorParameters(droop_pu=steam.droop_pu))
-    banded = get_grid("ieee14").case.with_governors(lambda steam: dataclasses.replace(steam, dead_band_pu=DEAD_BAND_PU))
-    undamped = extended.case.with_governors(lambda steam: dataclasses.replace(steam, dead_band_pu=0.0))
-    # The stages are there, and shed nothing: a plant without them would be compiled for itself.
-    idle = tuple(dataclasses.replace(stage, share=0.0) for stage in extended.shedding)
-    untripped = ProtectionParameters()
-    return {
-        PAPER: paper,
-        "rotor energy": dataclasses.replace(paper, turbine=extended.turbine),
-        "current and power limits": dataclasses.replace(paper, limits=limits),
-        "chopper": dataclasses.replace(paper, limits=dataclasses.replace(far, power_min_pu=0.0)),
-        "voltage control": dataclasses.replace(paper, voltage_control=extended.voltage_control),
-        "dead band": dataclasses.replace(paper, case=banded),
-        "condensers without D": dataclasses.replace(paper, case=undamped),
-        TOGETHER: Plant().replaced(physics="extended", protection=untripped, shedding=()),
-        "under-speed trip": dataclasses.replace(paper, protection=extended.protection),
-        "NREL 5 MW rotor": dataclasses.replace(paper, turbine=nrel_5mw(conserves_energy=False)),
-        "hydro governor": dataclasses.replace(paper, case=hydro, shedding=idle),
-        HYDRO: Plant().replaced(physics="extended", protection=untripped, case=hydro),
-        "extended": extended,
-        "nrel-5mw": Plant().replaced(physics="nrel-5mw"),
-    }
+    together = Plant().replaced(physics="extended", protection=ProtectionParameters(), shedding=())
+    users = {physics: Plant().replaced(physics=physics) for physics in CHECKED[1:]}
+    return {PAPER: Plant(limits=far), TOGETHER: together, **users}
 
 
 @dataclasses.dataclass
@@ -130,18 +104,16 @@ def play(plant, scenarios, strategy):
 
 
 def measure():
-    """Return the runs of the paper's cases by plant and strategy, and why suites' runs fail by plant and those."""
+    """Return the runs of the paper's cases by plant and strategy, and why the reference's runs of suites fail."""
     increase, decrease, failures = {}, {}, {}
     for name, plant in plants().items():
         both = {strategy: play(plant, [INCREASE, DECREASE], strategy) for strategy in STRATEGIES}
         increase[name] = {strategy: runs[0] for strategy, runs in both.items()}
         decrease[name] = {strategy: runs[1] for strategy, runs in both.items()}
-        chosen = [(SUITES[-1], strategy) for strategy in STRATEGIES]
-        chosen += [(suite, REFERENCE_STRATEGY) for suite in SUITES[:-1]] if name in CHECKED else []
-        for suite, strategy in chosen:
+        for suite in SUITES if name in CHECKED else ():
             scenarios = get_suite(suite).scenarios(list(get_suite(suite).validation[:N_SCENARIOS]))
-            runs = play(plant, scenarios, strategy)
-            failures[name, suite, strategy] = [TERMINATION_REASONS[run.status] for run in runs if run.failed]
+            runs = play(plant, scenarios, REFERENCE_STRATEGY)
+            failures[name, suite] = [TERMINATION_REASONS[run.status] for run in runs if run.failed]
         print(f"{name}: done", flush=True)
     return increase, decrease, failures
 
@@ -179,7 +151,7 @@ def survival_table(increase, decrease, failures):
         return {strategy: run.until(end_s) for strategy, run in runs.items()}, note
 
     for plant in CHECKED:
-        lost = {suite: failures[plant, suite, REFERENCE_STRATEGY] for suite in SUITES}
+        lost = {suite: failures[plant, suite] for suite in SUITES}
         assert not increase[plant][REFERENCE_STRATEGY].failed and not decrease[plant][REFERENCE_STRATEGY].failed
         n_lost = sum(len(reasons) for reasons in lost.values())
         where = [f"{suite}: {len(reasons)} {reasons[0]}" for suite, reasons in lost.items() if reasons]
@@ -206,22 +178,6 @@ def survival_table(increase, decrease, failures):
         for conclusion, verdicts in rows.items()
     ]
     return markdown_table(("the paper concludes", *CHECKED), cells)
-
-
-def parts_table(increase, failures):
-    """Return what each part does to the load increase and to the failures in a suite."""
-    suite = SUITES[-1]
-    rows = [
-        (
-            plant,
-            f"{runs[REFERENCE_STRATEGY].nadir:.3f}",
-            ends_of([runs[strategy] for strategy in OTHERS]),
-            "/".join(str(len(failures[plant, suite, strategy])) for strategy in STRATEGIES),
-        )
-        for plant, runs in increase.items()
-    ]
-    header = ("plant", "nadir [Hz]", "fail at [s]", suite)
-    return markdown_table(header, rows, right=range(1, len(header)))
 
 
 # --- pictures ---------------------------------------------------------------------------------------------------------
@@ -259,9 +215,7 @@ def main(docs):
     """Renew the page and its pictures."""
     increase, decrease, failures = measure()
     style.save_figure(draw_increase(increase), docs / "physics" / "load-increase", ["svg"])
-    sections = {"survival": survival_table(increase, decrease, failures), "parts": parts_table(increase, failures)}
-    for name, text in sections.items():
-        update_between_markers(docs / "physics.md", text, name)
+    update_between_markers(docs / "physics.md", survival_table(increase, decrease, failures), "survival")
 
 
 if __name__ == "__main__":

@@ -14,7 +14,6 @@ from wtg_gym.physics import machine_parameters, parameters
 from wtg_gym.physics.grid import get_grid
 from wtg_gym.physics.machine_parameters import SynchronousMachineParameters
 from wtg_gym.physics.parameters import SOURCES, WtgGroup
-from wtg_gym.scenarios import SUITES
 from wtg_gym.tasks import TASKS
 from wtg_gym.tasks.cost import CostWeights
 from wtg_gym.tasks.observation import GridObservation, Info, LocalInfo, MachineObservation, WtgObservation
@@ -36,22 +35,21 @@ def declared(record):
 
 def overview():
     """Return the versions side by side."""
-    header = ("", "Action space", "Observation space", "Groups of turbines", "Step, episode", "Suites")
+    header = ("", "Action space", "Observation space", "Groups of turbines", "Step, episode")
     columns = [header]
     for version in NEWEST_FIRST:
         env, step_s = ENVS[version.version], ENVS[version.version].settings.step_s
         groups = [f"{group.n_turbines:g} at bus {group.bus}" for group in env.settings.resolved_plant.groups]
-        suites = [f"`{suite.name}`" for suite in SUITES.values() if suite.task == version]
         episode = env.settings.episode_duration_s()
         spaces = f"`{env.action_space}`", f"`{env.observation_space}`"
         time = f"{step_s} s, {round(episode / step_s)} steps"
-        columns.append((f"`{version.env_id}`", *spaces, ", ".join(groups), time, ", ".join(suites)))
+        columns.append((f"`{version.env_id}`", *spaces, ", ".join(groups), time))
     rows = list(zip(*columns, strict=True))
     return markdown_table(rows[0], rows[1:])
 
 
 def observations():
-    """Return what a group sees: the entries of both versions, in the sensors' words where v1 has the entry."""
+    """Return the observation of a group in both versions, with v1's meaning of a number if it has one."""
     last = [(f"last_action_{name}", "-", f"last action on {sign}") for name, sign in (("k", "k"), ("tau", "τ"))]
     exact, measured = ([*declared(record), *last] for record in (WtgObservation, MeasuredObservation))
     meant = {row[0]: row for row in (*exact[:-2], *measured)}
@@ -62,9 +60,9 @@ def observations():
     ]
     table = markdown_table(("v1", "v0", "observation", "counted in", "what it is"), rows, right=(0, 1))
     return (
-        "Indices of the first group's entries; the other groups follow (`observation_names` lists all). In v1 they are "
-        "measurements with noise and bias, 0.1 … 0.3 s late. In v0 they are exact and immediate, RoCoF is that of the "
-        f"last step, and wind is averaged over the rotor.\n\n{table}"
+        "Indices of the first group's numbers; the other groups follow (`observation_names` lists all). In v1 they are "
+        "measurements with noise and bias, 0.1 … 0.3 s late. In v0 they are exact; RoCoF is that of the last step.\n\n"
+        f"{table}"
     )
 
 
@@ -75,8 +73,8 @@ def privileged():
     table = markdown_table(("of", "observation", "counted in", "what it is"), rows)
     exact = ", ".join(f"`{name}`" for name, *_ in (*declared(WtgObservation), ("mean_duty",)))
     return (
-        'With `observation_mode="privileged"` these follow, machine by machine, in v1 after the exact values of each '
-        f"group, {exact}.\n\n{table}"
+        'With `observation_mode="privileged"` these follow, machine by machine; in v1 the exact values of each group '
+        f"come first: {exact}.\n\n{table}"
     )
 
 
@@ -86,17 +84,17 @@ def weights():
     rows = [(f"`{name}`", *(f"{getattr(weights, name):g}" for weights in own)) for name in CostWeights._fields]
     table = markdown_table(("weight [1/s]", *ENVS), rows, right=range(1, 1 + len(own)))
     return (
-        f"{table}\n\n`cap` is the largest sum, in v1 of all terms but frequency and load not served; `unserved` and "
-        "`failure` count in v1 alone: [the equations and the reasons](benchmark.md#the-cost)."
+        f"{table}\n\n`cap` limits the sum, in v1 without frequency and load not served. `unserved` and `failure` count "
+        "in v1 only ([equations and reasons](benchmark.md#the-cost))."
     )
 
 
 def info():
     """Return the keys of `info`."""
     rows = [(f"`{key}`", *rest) for key, *rest in (*declared(Info), *declared(LocalInfo))]
-    rows.append(("`scenario_seed`", "-", "−1 for a scenario without a seed"))
+    rows.append(("`scenario_seed`", "-", "its seed, else −1"))
     rows.append(("`reserve_margin`", "-", "[reserve margin](benchmark.md#strata); in drawn suites of v1"))
-    rows.append(("`termination_reason`", "text", "why the episode ended before its time, else empty"))
+    rows.append(("`termination_reason`", "text", "why the episode was terminated, else empty"))
     return "### `info`\n\n" + markdown_table(("key of `info`", "unit", "meaning"), rows)
 
 
@@ -153,8 +151,7 @@ def class_list(title, fields, values):
 def parameters_page():
     """Return a list for each class of parameters, one for the machines, and the sources.
 
-    Of the controls only the stabiliser of the grids that come with the package is listed; the API has the others, whose
-    numbers a grid's file gives.
+    Controls that only a grid's file uses are in the API.
     """
     parts = []
     for module in (parameters, machine_parameters):
@@ -165,12 +162,13 @@ def parameters_page():
             declared = [field for field in dataclasses.fields(cls) if field.name in cls.__annotations__]
             own = [field for field in declared if isinstance(field.default, float)]
             elsewhere = cls in (WtgGroup, SynchronousMachineParameters)  # on the environment's page, or below
-            unused = hasattr(cls, "MODEL") and cls.MODEL not in ("SEXS", "TGOV1", "HYGOV", "STAB1")
+            unused = hasattr(cls, "MODEL") and cls.MODEL not in ("SEXS", "TGOV1")
             if own and not elsewhere and not unused:
                 parts.append(class_list(name, own, lambda field: [field.default]))
     kinds = {}
     for machine in get_grid("ieee14").case.machines:
-        numbers = {key: value for key, value in vars(machine).items() if type(value) in (int, float) and key != "bus"}
+        # What is 0 is left out.
+        numbers = {key: n for key, n in vars(machine).items() if type(n) in (int, float) and n != 0 and key != "bus"}
         kinds.setdefault(tuple(numbers.items()), []).append(str(machine.bus))
     fields = [field for field in dataclasses.fields(SynchronousMachineParameters) if field.name in numbers]
     title = f"Synchronous machines at buses {'/'.join(' and '.join(buses) for buses in kinds.values())}"

@@ -47,24 +47,25 @@ CAPTIONS = {
 
 
 def claims_table(claims):
-    """Return the claims with their verdicts, remarks below the table."""
+    """Return the claims, marked where they do not hold or were fitted, with remarks below the table."""
     notes, rows = [], []
     for source, section in itertools.groupby(claims, key=lambda claim: claim["source"]):
-        rows.append((f"**{source}**", "", "", ""))
+        rows.append((f"**{source}**", "", ""))
         for claim in section:
-            verdict = ("holds" if claim["holds"] else "**does not hold**") + (", fitted" if claim["fitted"] else "")
+            measured = claim["measured"] + ("" if claim["holds"] else ", **does not hold**")
+            measured += ", *fitted*" if claim["fitted"] else ""
             if claim["remark"]:
                 notes.append(f"({len(notes) + 1}) {claim['remark']}  ")
-                verdict += f" ({len(notes)})"
-            rows.append((claim["says"], claim["expected"], claim["measured"], verdict))
+                measured += f" ({len(notes)})"
+            rows.append((claim["says"], claim["expected"], measured))
     n_held = sum(claim["holds"] for claim in claims)
     fitted = [claim["fitted"] for claim in claims if claim["fitted"] and claim["holds"]]
     by = ", ".join(f"{name} to {fitted.count(name)}" for name in dict.fromkeys(fitted))
     count = (
-        f"{n_held} of {len(claims)} claims hold: {n_held - len(fitted)} without a fit, and {len(fitted)} numbers that "
-        f"parameters of this model were fitted to ({by})."
+        f"{n_held} of {len(claims)} claims hold, {n_held - len(fitted)} without a fit. Parameters of this model were "
+        f"fitted to {len(fitted)} numbers ({by})."
     )
-    table = markdown_table(("the paper says", "expected", "measured", "verdict"), rows)
+    table = markdown_table(("the paper says", "expected", "measured"), rows)
     return "\n\n".join((count, table, "\n".join(notes)))
 
 

@@ -27,21 +27,18 @@ def evaluate(
 ) -> int:
     """Play entries through the scenarios of a suite, many at a time, and score them.
 
-    In suites of version v0, 0 is maximum power point tracking (mppt) and 100 the reference strategy
-    (coordinated-piecewise); in those of v1, 0 is the reference strategy and 100 the same law tuned to that grid
-    (coordinated-tuned). Both are always played too, because they fix the scale. A policy plays in the version whose
-    observations it takes. The default split is the one to choose policies on; 'wtg-gym leaderboard' and 'wtg-gym
-    submission score' play the test scenarios.
+    In version v0 a score of 0 is maximum power point tracking (mppt) and 100 the paper's law (coordinated-piecewise).
+    In v1, 0 is the paper's law and 100 the same law tuned to that grid (coordinated-tuned). Both are always played,
+    because they fix the scale. A policy plays in the version whose observations it takes. The default split is for
+    choosing policies; 'wtg-gym leaderboard' and 'wtg-gym submission score' play the test scenarios.
 
-    With --results, every episode is written to <suite>-<split>.csv and the description and summary to
-    <suite>-<split>.json; an interrupted evaluation goes on from its finished parts. A folder whose <suite>-<split>.json
-    is of other settings or seeds is refused; results of the same scenarios and settings are replaced,
-    whatever their entries.
+    With --results, every episode is written to <suite>-<split>.csv, description and summary to <suite>-<split>.json,
+    and an interrupted evaluation continues from its finished parts. Earlier results of the same scenarios and settings
+    are replaced. A folder with results of other settings or seeds is refused.
 
-    An entry whose policy raises, ends, takes too long or gives no action, or whose law has no equilibrium in a
-    scenario, is named with its reason and left out with all training seeds of its name; the others are ranked, and the
-    exit code is 1. A policy.onnx plays one scenario at a time, in a process of its own that can only compute and
-    answer.
+    An entry fails if its policy raises, ends, takes too long or gives no action, or if its law has no equilibrium in a
+    scenario. It is named with the reason and left out with all training seeds of its name. The others are ranked, and
+    the exit code is 1. A policy.onnx plays one scenario at a time, in an isolated process.
 
     examples:
       wtg-gym evaluate --entries coordinated-piecewise fast-droop --suite standard-v1 --scenarios 20
@@ -83,10 +80,10 @@ def leaderboard(
 ) -> int:
     """Rank entries on all test scenarios of a suite.
 
-    What an entry did is kept in the folder partial beside the results, so that the next call plays new entries alone;
-    with other source code, packages or another processor, or another policy, it is played again. An entry that fails is
-    named with its reason and left out with all training seeds of its name; the exit code is 1 then. Where the entry at
-    100 is no better than that at 0, the mean cost ranks.
+    Episodes are kept in the folder partial beside the results, so that the next call plays only new entries, and those
+    whose policy, source code, packages or processor differ. An entry that fails is named with its reason and left out
+    with all training seeds of its name; the exit code is then 1. If the entry at 100 is no better than the entry at 0,
+    the mean cost ranks.
 
     examples:
       wtg-gym leaderboard --suite standard --results results --readme README.md
@@ -94,8 +91,8 @@ def leaderboard(
 
     Args:
         results: folder of the results; made if missing
-        readme: put the table between <!-- leaderboard:SUITE:start --> and <!-- leaderboard:SUITE:end --> of these
-            files, one with more columns between those of leaderboard:SUITE:details
+        readme: files to update: the table goes between <!-- leaderboard:SUITE:start --> and
+            <!-- leaderboard:SUITE:end -->, a wider one between the same markers of leaderboard:SUITE:details
     """
     from wtg_gym.cli import scoring
     from wtg_gym.evaluation.results import markdown_section

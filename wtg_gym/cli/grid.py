@@ -92,8 +92,8 @@ def check(grid: str, /) -> int:
 def suite(grid: str, /, *, output: JsonFile) -> int:
     """Make a suite of scenarios of version v1 for a grid, by simulation.
 
-    Kept are events that some law survives at every operating point tried, and sizes at which at most one scenario in a
-    hundred is lost under every law. The suite's file names the grid's.
+    The suite keeps events that some law survives at every operating point tried, in sizes at which at most one scenario
+    in a hundred is lost under every law. Its file names the grid's file.
 
     examples:
       wtg-gym grid suite my_grid.json --output my_suite.json

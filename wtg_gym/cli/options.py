@@ -1,7 +1,7 @@
 """Options that several commands share.
 
-What a command runs is imported when it runs, so that its help is there at once: modules of commands import no more than
-this one, `output` and the standard library.
+Modules of commands import only this one, `output` and the standard library. A command imports the rest when it runs, so
+that its help appears at once.
 """
 
 from __future__ import annotations

@@ -22,9 +22,9 @@ def play(
 ) -> int:
     """Open a page in the browser on which you hold the frequency by hand, in real time.
 
-    Two sliders set k and τ of all WTG groups, as an agent's actions do. The reference, which never acts, plays the
-    same scenario beside you. Events are shown as they happen. At the end your cost stands beside those of the anchors.
-    The page is served on this machine only.
+    Two sliders set k and τ of all WTG groups, as an agent's actions do. The reference plays the same scenario with zero
+    actions. Events are shown as they happen. At the end your cost is compared with those of both reference laws. The
+    page is served on this machine only.
 
     examples:
       wtg-gym play
@@ -37,7 +37,7 @@ def play(
         duration: length of a run [s]; default: the suite's
         speed: simulated seconds per second, 0.1 … 20
         port: port at localhost; 0: any that is free
-        no_browser: do not open a browser, only say the address
+        no_browser: do not open a browser, only print the address
     """
     from wtg_gym.plotting.live import Match, PlayPage
     from wtg_gym.scenarios import get_suite

@@ -14,7 +14,7 @@ def reproduce(
     output: OutputFolder = Path("reproduction"),
     json: Json = False,
 ) -> int:
-    """Run the paper's analysis and case studies on the simulator, and write within two minutes
+    """Run the paper's analysis and case studies on the simulator (two minutes), and write
 
       claims.json   every claim of the paper with its tolerance, measurement and verdict
       figures/*     the paper's figures as SVG

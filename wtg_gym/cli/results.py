@@ -19,9 +19,9 @@ app = App(name="results", help="Work with the stored results of 'wtg-gym evaluat
 def page(results: tuple[Path, ...], /, *, output: HtmlFile) -> int:
     """Show stored results as one HTML file with charts.
 
-    It needs nothing but a browser, offline too: each suite's ranking with its intervals, to sort, the scores as a
-    chart, and the deviation of the frequency against the share of runs that were lost or beyond 0.8 Hz. Suites of the
-    latest version of the benchmark come first.
+    The page works offline in any browser. It has each suite's ranking with intervals, which can be sorted, the scores
+    as a chart, and the deviation of the frequency against the share of runs lost or beyond 0.8 Hz. Suites of the latest
+    version come first.
 
     examples:
       wtg-gym results page results/standard-test.json --output leaderboard.html
@@ -58,10 +58,10 @@ def recompute(
     """Compute results again, and say whether they are identical.
 
     Plays the same scenarios with the same settings, and compares every number of every episode to the last bit, the
-    policies' sha256, kinds and laws, and the suite's hash. Says what differs; the exit code is then 1. Other versions
-    of source code or packages, and other texts about an entry, are named, but are no difference by themselves: laws
-    give the same bits on one kind of processor, a policy's last digits may depend on onnxruntime. What departs from the
-    benchmark's own scenarios, lengths and weights is named too.
+    policies' sha256, kinds and laws, and the suite's hash. If anything differs, it is printed, and the exit code is 1.
+    Other versions of source code or packages and other texts about an entry are printed but do not count as
+    differences: laws give the same bits on one type of processor, a policy's last digits may depend on onnxruntime.
+    Scenarios, lengths and weights that are not the benchmark's are printed too.
 
     examples:
       wtg-gym results recompute results/standard-test.json --entries baselines policies

@@ -54,14 +54,14 @@ def simulate_scenario(
 ) -> int:
     """Simulate one scenario under each of the given strategies and print the key figures.
 
-    These are the frequency's nadir and zenith, the largest rate of change of frequency over 500 ms, and where
-    frequency, rotor speeds and powers end. The scenario is a seed of a suite or a file; its wind can be replaced. A run
-    ends early at a frequency outside 47.5 … 51.5 Hz, lost synchronism or a voltage collapse, in version v0 at a stall,
-    an over-speed or, in extended physics, an under-speed too. In the paper's grid, wind for another
-    number of WTG groups than two puts as many at bus 2.
+    These are the lowest and highest frequency, the largest rate of change of frequency over 500 ms, and the final
+    frequency, rotor speeds and powers. The scenario is a seed of a suite or a file; its wind can be replaced. A run
+    ends early at a frequency outside 47.5 … 51.5 Hz, lost synchronism or a voltage collapse; in version v0 also at a
+    stall, an over-speed or, in extended physics, an under-speed. In the paper's grid the number of winds is the number
+    of WTG groups at bus 2.
 
-    With --case, laws and policies play tests that operators ask of grid-forming plants instead, each in its own grid;
-    what is printed is passed or failed, with the figure. The exit code is 1 where one has failed.
+    With --case, laws and policies play the tests that operators ask of grid-forming plants, each in its own grid. The
+    command prints passed or failed with the measured value, and exits with 1 if one has failed.
 
     examples:
       wtg-gym simulate --case dip last-machine --entry coordinated-piecewise mppt
@@ -74,9 +74,10 @@ def simulate_scenario(
 
     Args:
         strategy: strategies by name, 'all', or .toml files with a law; default: the paper's coordinated-piecewise
-        case: tests by name, or 'all': last-machine, rocof-up, rocof-down, rocof-up-2, rocof-down-2, angle-step,
-            angle-step-30, dip, ratio-steps, island-surplus, island-deficit, current-limit
-        entry: what plays them, as for `wtg-gym evaluate`; default: coordinated-piecewise
+        case: tests by name, or 'all': last-machine, last-machine-limit, last-machine-balance, rocof-up, rocof-down,
+            rocof-up-2, rocof-down-2, angle-step, angle-step-30, angle-step-60, angle-step-forward,
+            angle-step-forward-60, dip, ratio-steps, island-surplus, island-deficit, current-limit
+        entry: entries that play the tests, as for `wtg-gym evaluate`; default: coordinated-piecewise
         example_law: print a law file to start from, and do nothing else: --example-law > my_law.toml
         plot: write a figure of the runs: .png, .svg or .pdf
         csv: write every sample of every run, units in the header: .csv

@@ -60,7 +60,7 @@ def new(folder: OutputFolder, /) -> int:
 
 @app.command
 def check(folders: Folders, /, *, gate: GateOptions = GateOptions(), json: Json = False) -> int:
-    """Say of every check whether folders pass it, and why not; exits with 1 if one is refused.
+    """Run every check on folders, and print its verdict and reason; exits with 1 if a folder is refused.
 
     Several folders are checked together, and with --beside against existing entries: a name belongs to one entry, whose
     training seeds are submitted together, and no file is submitted twice.
@@ -100,11 +100,11 @@ def score(
     """Check folders, then play them in isolation and rank them.
 
     Checks submissions, plays each on the standard suite of the version that it is for, and prints their rows of the
-    leaderboard with those of both anchors. One that is refused, or whose policy crashes, takes too long or gives no
-    action in a scenario, is named with its reason and left out with all folders of its name; the others are ranked, and
-    the exit code is 1. Scenarios, simulation and score stay in this process; the policy's gets observations and gives
-    actions, within limits of memory, of processor time and of time a step that docs/submissions.md lists. With
-    --results, an interrupted command goes on from its finished parts. 'wtg-gym evaluate' plays other suites.
+    leaderboard with those of both reference laws. A submission that is refused, crashes, takes too long or gives no
+    action is named with its reason and left out with all folders of its name. The others are ranked, and the exit code
+    is 1. The policy runs in a process of its own that only gets observations and returns actions; docs/submissions.md
+    lists its limits. With --results, an interrupted command continues from its finished parts. 'wtg-gym evaluate' plays
+    other suites.
 
     examples:
       wtg-gym submission score my-policy

@@ -17,8 +17,8 @@ if TYPE_CHECKING:
 def suites(name: SuiteName | None = None, /, *, seed: Whole | None = None, json: Json = False) -> int:
     """List the frozen suites of scenarios, or show one of them or one scenario.
 
-    Train on the seeds of the split "train", select on "validation", rank on "test". A suite never changes; another hash
-    means another version of the benchmark. Suites of version v1 have a grid, sensors and a cost of their own.
+    Train on the seeds of the split "train", select on "validation", rank on "test". A suite never changes: another hash
+    is another version of the benchmark.
 
     examples:
       wtg-gym suites                                       all suites

@@ -6,9 +6,9 @@ from wtg_gym.cli.output import say
 
 
 def warmup() -> int:
-    """Compile the simulator to machine code, which the first use of a version does otherwise.
+    """Compile the simulator to machine code now rather than at the first use.
 
-    It takes half a minute. The machine code is kept, so that every later start is quick, of other plants too.
+    It takes half a minute. The machine code is kept and serves every plant.
 
     examples:
       wtg-gym warmup

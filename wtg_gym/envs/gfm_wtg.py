@@ -29,15 +29,15 @@ class GFMWTGEnv(OverLanes, gym.Env[Observation, Action]):
 
     ## Description
     Groups of grid-forming wind turbines feed a transmission grid with one synchronous generator and three condensers.
-    Loads switch on and off, lines trip, the wind blows as it likes. Each group runs the power-tracking-coefficient
-    droop of Chen et al. (2026): P_st = k ω_m³ + D_p x with k = g(ω) and transient damping τ. The agent modulates k, τ
-    or both on top of it, so that the frequency is held and no rotor is slowed down to a stall.
+    Loads switch on and off, lines trip, the wind varies. Each group runs the control law of Chen et al. (2026):
+    P_st = k ω_m³ + D_p x with k = g(ω) and transient damping τ. The agent adjusts k, τ or both, to hold the frequency
+    without stalling a rotor.
 
     ## Action Space
-    `Box(-1, 1, (n_wtg · n_modes,), float32)`, per group: the offset on k (full action: half the regulation range
-    K_opt - K_pr), then the scale of τ (full action: four times or a quarter, in v1 twice or half). It is held for
-    0.1 s, in v1 for 0.5 s. An action of zero leaves the control law `strategy` unchanged, to the last bit; its default
-    is the published law. Actions outside -1 … 1 are clipped; an action that is not finite raises a ValueError.
+    `Box(-1, 1, (n_wtg · n_modes,), float32)`, per group an offset on k (at ±1 half of K_opt - K_pr), then a factor on
+    τ (at ±1 four times or a quarter, in v1 twice or half). Zero leaves the control law `strategy` unchanged, to the
+    last bit; its default is the published law. Actions outside -1 … 1 are clipped; an action that is not finite raises
+    a ValueError.
 
     ## Observation Space
     `Box(-5, 5, (n,), float32)`, per group what its own controller measures: frequency deviation and its rate of change
@@ -45,33 +45,32 @@ class GFMWTGEnv(OverLanes, gym.Env[Observation, Action]):
     action. With `observation_mode="privileged"` the grid follows: speed, power and voltage of each synchronous machine,
     then frequency deviation, RoCoF and the machines' torque. `observation_names` lists every entry with its unit.
 
-    In v1 a group sees what its sensors say: frequency deviation, RoCoF, tip-speed ratio, rotor speed, power, wind, with
-    noise and bias, 0.1 … 0.3 s late, and its last action. The privileged part begins with the exact values.
+    In v1 a group observes frequency deviation, RoCoF, tip-speed ratio, rotor speed, power and wind through sensors with
+    noise, bias and a delay of 0.1 … 0.3 s, and its last action. The privileged part begins with the exact values.
 
     ## Rewards
-    In v1 what the score gains in the step, so that the return of an episode is its score less 100; see `reward`. In v0
-    minus the cost of the step. The cost is the sum of the terms `info["cost_…"]`: frequency deviation, RoCoF, power
-    tracking (`duty`), tip-speed ratio, converter overload, control effort, and failure, in v1 with load not served.
-    `info["cost"]` is not that sum: it is 1 in a step that violates a constraint, else 0, for safe learning.
+    In v1 the change of the score in the step, so that the return of an episode is its score minus 100; in v0 minus the
+    cost of the step; see `reward`. The cost is the sum of the terms `info["cost_…"]`. `info["cost"]` is another number,
+    for safe reinforcement learning: 1 in a step that violates a constraint, else 0.
 
     ## Starting State
-    The exact equilibrium of the drawn scenario's wind, load and grid at nominal frequency.
+    The exact equilibrium of the scenario's wind, load and grid at nominal frequency.
 
     ## Episode End
     Terminated (`info["termination_reason"]`) at a "frequency limit" (outside 47.5 … 51.5 Hz), a "loss of synchronism"
     (two units more than 180° apart), a "voltage collapse" (a unit's terminal below 0.85 p.u. for more than 3 s), or a
-    "numerical failure". A "stall", an "over-speed" or, in extended physics, an "under-speed" of a rotor terminates too
-    with `on_failure="terminate"`, as in v0; otherwise it disconnects the rotor's group. Protections act every 0.1 s,
-    and at the end of shorter control intervals. Truncated when the time is over.
+    "numerical failure". A rotor's "stall", "over-speed" or, in extended physics, "under-speed" terminates in v0 and
+    disconnects its group in v1 (`on_failure`). Protections act every 0.1 s, or once in a shorter control interval.
+    Truncated when the time is over.
 
     ## Arguments
-    `help(wtg_gym.envs.EnvSettings)` lists them; `render_mode` is one more. An unknown one raises a TypeError, a value
-    that is not allowed a ValueError. `reset(options={"scenario": …})` plays a scenario of your own.
+    Those of `wtg_gym.envs.EnvSettings`, and `render_mode`. An unknown one raises a TypeError, a value that is not
+    allowed a ValueError. `reset(options={"scenario": …})` plays a scenario of your own.
 
     ## Rendering
-    `render_mode="rgb_array"` gives frames of 960 × 540 pixels: the grid with the events so far, and what frequency and
-    turbines have done. `render_mode="human"` shows them in a window, in real time. Both need the `render` extra.
-    Nothing of the simulation depends on it.
+    `render_mode="rgb_array"` gives frames of 960 × 540 pixels: the grid with the events so far, and curves of frequency
+    and turbines. `render_mode="human"` shows them in a window, in real time. Both need the `render` extra. Rendering
+    does not change the simulation.
 
     ## Vectorized environment
     `gym.make_vec("GFMWTG-14bus-v0", num_envs=…)` gives :class:`GFMWTGVectorEnv`; its environment i seeded with s
@@ -98,7 +97,7 @@ class GFMWTGEnv(OverLanes, gym.Env[Observation, Action]):
         """Start an episode.
 
         Args:
-            seed: seeds the generator that scenarios are drawn with; None goes on with it.
+            seed: seeds the generator that draws scenarios; None continues with it.
             options: {"scenario": Scenario or its to_dict()} plays that scenario.
 
         Raises:
@@ -117,7 +116,7 @@ class GFMWTGEnv(OverLanes, gym.Env[Observation, Action]):
         return self._lanes.observations[0].copy(), self._lanes.info()
 
     def step(self, action: Action) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
-        """Hold the action for one control interval.
+        """Hold the action for one control step.
 
         Args:
             action: (n_action,), clipped to [-1, 1].
@@ -152,8 +151,8 @@ class GFMWTGEnv(OverLanes, gym.Env[Observation, Action]):
         """Draw the episode up to now.
 
         Returns:
-            With "rgb_array" the frame (540, 960, 3) uint8; with "human", where :meth:`reset` and :meth:`step` draw by
-            themselves, None; without a render mode None and a warning.
+            The frame (540, 960, 3) uint8 with "rgb_array", else None. With "human" :meth:`reset` and :meth:`step` draw
+            by themselves; without a render mode there is a warning.
 
         Raises:
             RuntimeError: no episode was started; or "human" finds no display.

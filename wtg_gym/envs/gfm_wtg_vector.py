@@ -36,11 +36,11 @@ class GFMWTGVectorEnv(OverLanes, gym.vector.VectorEnv[Observation, Action, npt.N
     """Many :class:`GFMWTGEnv` episodes in one compiled call.
 
     Args:
-        num_envs: number of episodes side by side.
+        num_envs: number of environments.
         autoreset_mode: NEXT_STEP (Gymnasium's default), SAME_STEP or DISABLED.
         max_episode_steps: cuts episodes off after this many steps; scenarios stay those of `duration_s`.
-        n_threads: threads to step with; None for one per processor. Results do not depend on it.
-        render_mode: "rgb_array" lets :meth:`render` draw a frame per lane.
+        n_threads: threads; None for one per processor. Results do not depend on it.
+        render_mode: "rgb_array" lets :meth:`render` draw a frame of each environment.
         arguments: as for :class:`GFMWTGEnv`.
 
     Raises:
@@ -87,11 +87,12 @@ class GFMWTGVectorEnv(OverLanes, gym.vector.VectorEnv[Observation, Action, npt.N
     def reset(
         self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Observation, dict[str, Any]]:
-        """Start an episode in every lane, or in those of a mask.
+        """Start an episode in every environment, or in those of a mask.
 
         Args:
-            seed: s seeds lane i with s + i; or one seed per lane.
-            options: {"scenarios": one per lane} plays those; {"reset_mask": (num_envs,) bool} restarts only these.
+            seed: s seeds environment i with s + i; or one seed per environment.
+            options: {"scenarios": one per environment} plays those; {"reset_mask": (num_envs,) bool} restarts only
+                these environments.
 
         Raises:
             ValueError: unknown options, wrong lengths, or scenarios that do not fit.
@@ -138,9 +139,9 @@ class GFMWTGVectorEnv(OverLanes, gym.vector.VectorEnv[Observation, Action, npt.N
         elif isinstance(seed, (int, np.integer)) and is_whole(seed):
             seeds = [int(seed) + lane for lane in range(self.num_envs)]
         elif not isinstance(seed, (Sequence, np.ndarray)) or isinstance(seed, str):
-            raise ValueError(f"seed must be a whole number, or one per lane, got {seed!r}")
+            raise ValueError(f"seed must be a whole number, or one per environment, got {seed!r}")
         elif len(seed) != self.num_envs:
-            raise ValueError(f"one seed per lane is needed ({self.num_envs}), got {len(seed)}")
+            raise ValueError(f"one seed per environment is needed ({self.num_envs}), got {len(seed)}")
         else:
             seeds = seed
         return [None if each is None else require_whole("a seed", each, 0) for each in seeds]
@@ -149,16 +150,16 @@ class GFMWTGVectorEnv(OverLanes, gym.vector.VectorEnv[Observation, Action, npt.N
     def step(
         self, actions: Action
     ) -> tuple[Observation, npt.NDArray[Any], npt.NDArray[Any], npt.NDArray[Any], dict[str, Any]]:
-        """Hold the actions for one control interval in every lane.
+        """Hold the actions for one control step in every environment.
 
         Args:
             actions: (num_envs, n_action), clipped to [-1, 1].
 
         Raises:
-            ValueError: wrong shape, or a value that is not finite; nothing has been stepped then. Or a drawn scenario
-                cannot start; every running lane has been stepped then, and that one still waits for its reset.
-            RuntimeError: a lane was never started, or is over and resets are disabled; or another thread is in this
-                environment.
+            ValueError: wrong shape or a value that is not finite, and nothing has been stepped. Or a drawn scenario
+                cannot start: every running environment has been stepped, and that one still waits for its reset.
+            RuntimeError: an environment was never started, or is over and resets are disabled; or another thread is in
+                this object.
         """
         waiting = np.logical_or(*self._lanes.ended())
         if waiting.any() and (self.autoreset_mode != AutoresetMode.NEXT_STEP or not self._started()):
@@ -213,12 +214,12 @@ class GFMWTGVectorEnv(OverLanes, gym.vector.VectorEnv[Observation, Action, npt.N
         }
 
     def render(self) -> tuple[Frame, ...] | None:
-        """Draw every lane's episode up to now: a frame (540, 960, 3) uint8 per lane.
+        """Draw every episode up to now: a frame (540, 960, 3) uint8 per environment.
 
         Without a render mode: None and a warning.
 
         Raises:
-            RuntimeError: a lane was never started.
+            RuntimeError: an environment was never started.
         """
         if self._frames is None:
             warn_of_no_render_mode()

@@ -1,4 +1,4 @@
-"""What the single and the vector environment share: how they are made, their spec, and who may use them."""
+"""Common part of the single and the vector environment: construction, spec, and one thread at a time."""
 
 from __future__ import annotations
 
@@ -86,7 +86,7 @@ class Snapshot(NamedTuple):
 
     of: str  # class of the environment
     lanes: LanesSnapshot
-    frames: Any  # what it has drawn so far, None where it does not render
+    frames: Any  # what it has drawn so far; None without rendering
 
 
 class OverLanes:

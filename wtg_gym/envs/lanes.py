@@ -50,7 +50,7 @@ _BLOCKS_PER_EPISODE = 5
 
 
 class LanesSnapshot(NamedTuple):
-    """Everything that changes in lanes, and the settings without which these numbers mean nothing."""
+    """All state of lanes, and the settings that it belongs to."""
 
     settings: dict[str, Any]
     physics: tuple[Floats, LaneData]
@@ -201,7 +201,7 @@ class TaskLanes:
 
         Args:
             scenarios: one per episode.
-            turning: refuse a rotor that would start below the under-speed trip, in scenarios that somebody chose.
+            turning: refuse a rotor that would start below the under-speed trip; for scenarios given by the user.
 
         Raises:
             ValueError: a scenario does not fit the plant or the episode length, or has no such equilibrium.
@@ -336,7 +336,7 @@ class TaskLanes:
         if not isinstance(episodes, PreparedEpisodes):
             episodes = self.prepare(episodes)
         simulator = self.simulator
-        # More events than ever before, or a snapshot, bring new arrays.
+        # The arrays are new after a snapshot, or with more events than before.
         self._bound = None
         index = np.array(lanes, dtype=np.int64)
         taken = np.arange(index.size) if places is None else np.array(places, dtype=np.int64)
@@ -356,7 +356,7 @@ class TaskLanes:
         steps = self.n_steps()
         for lane in np.flatnonzero(lanes):
             if self.settings.scores and not (self.outputs.terminated[lane] or self.outputs.truncated[lane]):
-                # What the other law has yet to pay does not count.
+                # Later costs of the reference do not count.
                 self.outputs.reference[lane, -1] = self.outputs.reference[lane, steps[lane]]
             self.simulator.stop(int(lane))
             self.outputs.truncated[lane] = not self.outputs.terminated[lane]
@@ -394,7 +394,7 @@ class TaskLanes:
 
     @undivided
     def _bind(self) -> None:
-        # What a handler raises within would become a SystemError of numba's.
+        # numba would turn the exception of a signal handler into a SystemError.
         simulator = self.simulator
         self._bound = bind(
             simulator.blocks, simulator.scratches, simulator.plant.network, simulator.data, self.task_data, self.outputs
@@ -440,7 +440,7 @@ class TaskLanes:
     def info(self) -> dict[str, Any]:
         """Return `info` of the first lane as numpy's floats, a whole number and text."""
         # numpy.float64 is a subclass of float, and has the dtype that TorchRL asks for.
-        # To have it checked that there are values enough takes a tenth of the shortest step.
+        # strict=True would take a tenth of the shortest step.
         info: dict[str, Any] = dict(zip(self.info_names, self.outputs.infos[0], strict=False))
         info["scenario_seed"] = int(self.scenario_seeds[0])
         if self.suite.margins:

@@ -1,4 +1,4 @@
-"""What an environment can be asked for, checked once for the single and the batched one."""
+"""The arguments of an environment, checked once for the single and the vector environment."""
 
 from __future__ import annotations
 
@@ -56,34 +56,32 @@ class EnvArguments(TypedDict, total=False):
 
 @dataclass(frozen=True, kw_only=True)
 class EnvSettings:
-    """Arguments of the environment; all but objects of this package can be written as JSON.
+    """Arguments of the environment. All of them can be written as JSON, except objects of this package.
 
     Args:
         strategy: control law that the actions adjust: a name, a TOML file, a `TrackingLaw`, or one for each group.
-        action_mode: what the actions adjust: `"k"`, `"tau"` or `"k+tau"`.
-        observation_mode: `"local"`, what each group measures itself, or `"privileged"`, which adds the grid's state.
-        suite: name of the suite of scenarios, in v1 with or without `-v1`, or a `Suite`. Default: the standard suite of
-            the version.
-        grid: name of a grid, path of its file, or a `Grid`: its suite, instead of one by name.
-        groups: number of turbine groups at the bus of the first one, or a list of `{"bus": …, "n_turbines": …}`, with a
-            `"turbine"` (TurbineParameters) if it is not the suite's. Default: the suite's groups.
-        plant: what else to replace in the suite's plant, such as `{"physics": "nrel-5mw", "simulation_dt": 0.02}`, see
-            `Plant.replaced`; or another `Plant` for the suite's scenarios.
+        action_mode: `"k"`, `"tau"` or `"k+tau"`: what the actions adjust.
+        observation_mode: `"local"`, measurements of each group, or `"privileged"`, with the grid's state too.
+        suite: a `Suite` or its name, in v1 with or without `-v1`. Default: the standard suite of the version.
+        grid: a `Grid`, its name or the path of its file. Its suite is played, so give no `suite`.
+        groups: number of turbine groups at the bus of the first one, or a list of `{"bus": …, "n_turbines": …}`,
+            optionally with a `"turbine"` (TurbineParameters). Default: the suite's.
+        plant: replaces parts of the suite's plant, such as `{"physics": "nrel-5mw"}` (see `Plant.replaced`), or the
+            whole by another `Plant`.
         split: `"train"`, `"validation"` or `"test"`.
         scenario: one scenario for every episode, a `Scenario` or its `to_dict()`.
         duration_s: length of an episode [s]. Default: the suite's, 180 s in v1, 120 s in both `paper`, else 60 s.
-        control_dt: time for which an action is held, one step [s]. In v1 sensors measure and costs are charged every
-            0.1 s within it, of which it is a whole number, or once in a shorter one. Default: 0.1 s, in v1 0.5 s.
-        reward: `"score"`, default of v1: the return of an episode is its score less 100, in v0, which has no scale of
-            its own, 100 · ln((C_100 + J0) / (C + J0)); `"cost"`, default of v0: minus the cost.
+        control_dt: time for which an action is held, one step [s]. In v1 a multiple of 0.1 s, the interval of sensors
+            and costs, or shorter. Default: 0.1 s, in v1 0.5 s.
+        reward: `"score"`, default of v1: an episode returns its score minus 100, in v0
+            100 · ln((C_100 + J0) / (C + J0)). `"cost"`, default of v0: minus the cost.
         weights: replaces single weights of the cost, see :class:`CostWeights`.
-        on_failure: consequence of a rotor's failure (stall, over-speed, under-speed): `"terminate"` the episode,
-            default of v0, or `"trip"` its group and go on, default of v1.
-        sensors: of v1: `"exact"`, or values of :class:`~wtg_gym.scenarios.sensor_distribution.SensorDistribution` to
-            replace, such as `{"delay_s": (0.2, 0.4), "wind_bias": 0.1}`. A delay is drawn between the two, in whole
-            steps of 0.1 s up to 1 s. Default: those of the `scenario`, else
-            of the suite.
-        version: benchmark version, `"v0"` or `"v1"`. Default: that of `suite`, else v1. `gym.make` sets it from the id.
+        on_failure: what a stall, over- or under-speed of a rotor does: `"terminate"` the episode, default of v0, or
+            `"trip"` its group, default of v1.
+        sensors: v1 only. `"exact"`, or values of :class:`~wtg_gym.scenarios.sensor_distribution.SensorDistribution` to
+            replace, such as `{"delay_s": (0.2, 0.4), "wind_bias": 0.1}`; delays are multiples of 0.1 s up to 1 s.
+            Default: those of the `scenario`, else of the suite.
+        version: `"v0"` or `"v1"`. Default: that of `suite`, else v1. `gym.make` sets it from the id.
 
     Raises:
         ValueError: a value is unknown or out of range; the message lists what is allowed.
@@ -126,7 +124,7 @@ class EnvSettings:
         """Name of the suite, or path of the file that stands for one; "standard" of version v1 is "standard-v1"."""
         if self.grid is not None:
             if self.suite is not None:
-                raise ValueError("a suite names its grid; give grid or suite, not both")
+                raise ValueError("a suite has a grid of its own; give grid or suite, not both")
             if not isinstance(self.grid, str | PathLike | Grid):
                 raise ValueError(f"grid must be a name, the path of a file or a Grid, got {self.grid!r:.80}")
             grid = file_of(self.grid) if isinstance(self.grid, Grid) else str(fspath(self.grid))

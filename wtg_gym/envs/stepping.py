@@ -127,7 +127,7 @@ def _report(block: Floats, scratch: Floats, first: int, task: TaskData, outputs:
         if interval == 0:
             outputs.rewards[lane] = 0.0
         if scratch[task.was_active, x] > 0.5:
-            # Not 0.0 - cost, of which the sign of zero would differ.
+            # 0.0 - cost would give another sign of zero.
             cost = block[task.cost, x]
             outputs.rewards[lane] = -cost if interval == 0 else outputs.rewards[lane] - cost
             for k in range(task.observed.shape[0]):

@@ -61,7 +61,7 @@ def evaluate(
 ) -> Results:
     """Play entries, and the references of the suite's version, through scenarios of a suite, and score them.
 
-    References are the two anchors, and the laws that scores are adjusted by, :attr:`Task.references`.
+    References are the laws that score 0 and 100, and those that scores are adjusted by, :attr:`Task.references`.
 
     `evaluate("linear-feedback").scores["linear-feedback"]` is a score with its 95 % interval.
 
@@ -70,8 +70,8 @@ def evaluate(
     The batches, and so the numbers, are the same with any `workers`.
 
     Args:
-        entries: competitors, each an :class:`Entry` or a name or path that :func:`load_entries` takes; names (with
-            training seeds) must be unique.
+        entries: each an :class:`Entry`, or a name or path that :func:`load_entries` takes; names (with training seeds)
+            must be unique.
         suite: name of the suite.
         split: "train", "validation" or "test".
         seeds: some of the split's seeds; None for all.
@@ -79,12 +79,12 @@ def evaluate(
         n_threads: threads to step with, and ONNX policies that play side by side; None for one per processor. Workers
             have one each.
         on_progress: called with (name of the entry, episodes done, episodes in all) after every batch.
-        partial: folder for finished batches, from which a run that was killed goes on; :meth:`Results.write` removes
+        partial: folder for finished batches, from which an interrupted run continues; :meth:`Results.write` removes
             them.
         workers: other processes that play the batches; None plays them here, one after the other.
-        keep_going: leave out an entry whose policy fails, or whose law has no equilibrium in a scenario, with all
-            training seeds of its name, and name it in :attr:`Results.failed`; the others' results do not change. False
-            raises the failure. That of a reference is always raised: there is no score without it.
+        keep_going: an entry whose policy fails, or whose law has no equilibrium in a scenario, is left out with all
+            training seeds of its name and listed in :attr:`Results.failed`; the others' results do not change. False
+            raises the failure. The failure of a reference is always raised.
         env_arguments: further settings of the environment, such as `duration_s`, the length of the episodes [s], see
             :class:`wtg_gym.envs.settings.EnvSettings`.
 

@@ -64,14 +64,14 @@ class Results:
         suite_hash: the suite's own hash.
         source_hash: hash of the physics and environment that were run.
         seeds: seeds of the scenarios.
-        environment: its id, and the fingerprint of what it answers on this machine.
+        environment: its id, and a fingerprint of its outputs on this machine.
         settings: settings of the environment that all entries share.
         versions: of wtg_gym, Python and the packages that compute, and the kind of processor.
-        entries: data of every entry, the score's anchors among them.
+        entries: data of every entry, including the references.
         episodes: one row per entry and scenario, in the order of `entries` and `seeds`.
-        failed: data of every entry that is left out, and "reason": how its policy failed, or that of another training
-            seed of its name, as a row has all of them or none.
-        parts: the finished batches that they were put together from, which :meth:`write` removes; None for none.
+        failed: data of every entry that is left out, with the "reason": its own failure, or that of another training
+            seed of its name.
+        parts: folder of the finished batches, which :meth:`write` removes; None for none.
     """
 
     suite: str
@@ -114,7 +114,7 @@ class Results:
         """Summary of every entry, in the order of the entries.
 
         Raises:
-            NoScaleError: in v0, the zero is not worse than the hundred on these scenarios.
+            NoScaleError: in v0, the entry at 0 is not worse than the entry at 100 on these scenarios.
         """
         self._check_scale()
         runs, costs = self._runs, self.pinned_costs
@@ -159,12 +159,12 @@ class Results:
 
     @property
     def notes(self) -> list[str]:
-        """What a reader of the ranking has to know: why there is no score, how it was made, what its marks mean."""
+        """Notes to a ranking: why there is no score, how scores are adjusted, what the mark means."""
         return [note for note in (self.no_score, self.unadjusted, *notes_on_marks(self.ranking)) if note]
 
     @property
     def ranking(self) -> list[EntrySummary]:
-        """The :attr:`summaries`, the best first; where there is no score, the least mean cost first.
+        """The :attr:`summaries`, the best first; without a score, the least mean cost first.
 
         In v1 the marked entries come first.
         """
@@ -172,7 +172,7 @@ class Results:
 
     @cached_property
     def no_score(self) -> str:
-        """Why there is no score, and what ranks instead; "" where there is a score."""
+        """The reason why there is no score, and the number that ranks instead; "" if there is a score."""
         try:
             self._check_scale()
         except NoScaleError as error:
@@ -185,7 +185,7 @@ class Results:
 
     @property
     def has_scale(self) -> bool:
-        """Whether there is a score: in v0, whether the zero is worse than the hundred."""
+        """Whether there is a score: in v0, whether the entry at 0 is worse than the entry at 100."""
         return not self.no_score
 
     @cached_property
@@ -315,7 +315,7 @@ class Results:
 
 
 def leaderboard_rows(results: Results) -> list[EntrySummary]:
-    """Return the entries' summaries, the best first, in v1 the marked ones; a NoScaleError if there is no score."""
+    """Return the entries' summaries, the best first, in v1 entries with ✓ first; a NoScaleError without a score."""
     return ranked(results.summaries)
 
 

@@ -1,11 +1,11 @@
 """The score: from the costs of episodes to points.
 
-Pinned cost of scenario i: J_i is the episode's total cost; in v0 that of a failed episode is cap · (duration + 1 s), as
-if it had failed at once, which is the worst any episode can cost.
+Pinned cost of scenario i: J_i is the total cost of the episode. In v0 a failed episode has cap · (duration + 1 s), the
+largest cost, as if it had failed at once.
 
-Gain of scenario i: g_i = ln((J_100,i + J0) / (J_i + J0)), where J0 is the offset of its stratum. Up to J0 a cost counts
-almost as in a mean, beyond by its ratio, so that a few failures do not decide alone. J_100 is the pinned cost of the
-law that scores 100.
+Gain of scenario i: g_i = ln((J_100,i + J0) / (J_i + J0)), with the offset J0 of its stratum and the pinned cost J_100
+of the law that scores 100. Below J0 costs count almost as in a mean, beyond it by their ratio, so that a few failures
+do not decide alone.
 
 Score: 100 + 100 / Λ · the mean over strata of the mean gain of each, over training seeds and scenarios. So a point is
 the same share of the cost, Λ per cent of J + J0, in every stratum and suite.
@@ -32,7 +32,7 @@ from wtg_gym.tasks import Task
 
 
 class NoScaleError(ValueError):
-    """On these scenarios the zero is not worse than the hundred, so that there is no scale."""
+    """The entry at 0 is not worse than the entry at 100 on these scenarios: there is no scale for scores."""
 
 
 def pinned_cost(cost: float, *, failed: bool, duration_s: float, cap: float) -> float:

@@ -24,7 +24,7 @@ def _requires_lag(record: Checked, *pairs: tuple[str, str]) -> None:
 
 def dead_band() -> Any:
     """Return the field that every governor has."""
-    return design(0.0, "p.u.", "speed deviation that the governor does not see, without a step at its edge", 0.0, 0.5)
+    return design(0.0, "p.u.", "dead band of the speed, without a step at its edge", 0.0, 0.5)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -51,7 +51,7 @@ class GovernorParameters(Checked):
 
     droop_pu: float = parameter(0.018, "p.u.", "calibrated", "droop R on the machine base (Milano: 0.02)", 1e-4, 1e3)
     gate_time_s: float = parameter(0.1, "s", "Milano", "T_1", 1e-4, 1e4)
-    lead_time_s: float = parameter(2.1, "s", "Kundur", "T_2; T_2/T_3 is the share of the high-pressure part", 0.0, 1e4)
+    lead_time_s: float = parameter(2.1, "s", "Kundur", "T_2", 0.0, 1e4)
     reheat_time_s: float = parameter(7.0, "s", "Kundur", "T_3", 1e-4, 1e4)
     gate_min_pu: float = design(0.0, "p.u.", "lower gate limit", -1e6, 1e6)
     gate_max_pu: float = parameter(1.2, "p.u.", "Milano", "upper gate limit", -1e6, 1e6)
@@ -87,7 +87,7 @@ class SpeedStabiliserParameters(Checked):
 
     MODEL = "STAB1"
 
-    gain: float = design(20.0, "p.u./p.u.", "gain K of the washed out speed; K/T in the data of PSS/E", 0.0, 1e4)
+    gain: float = design(20.0, "p.u./p.u.", "gain K; K/T in data of PSS/E", 0.0, 1e4)
     washout_time_s: float = design(10.0, "s", "T of the washout", 1e-3, 1e4)
     lead_time_1_s: float = design(0.05, "s", "T_1 of the first lead-lag", 0.0, 1e4)
     lag_time_1_s: float = design(0.02, "s", "T_3 of the first lead-lag", 0.0, 1e4)

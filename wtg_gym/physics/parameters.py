@@ -20,26 +20,20 @@ from wtg_gym.ranges import Checked, describe, design, is_whole, parameter, requi
 #: What the short keys in each field's `source` stand for.
 SOURCES = {
     "paper": "Chen, Xi, Cheng, Dörfler, Lestas: Coordinated Primary Frequency Regulation and Grid-Forming Control "
-    "for Wind Turbine Generators (2026): table of parameters, equation of C_p, case studies",
-    "inferred": "the only round set found that meets λ_opt, C_popt, λ_n and λ_pr of the paper's table to every "
-    "printed digit; the paper prints no c_1 … c_6",
-    "Heier": "S. Heier: Grid Integration of Wind Energy, the exponential C_p form and its pitch term",
+    "for Wind Turbine Generators (2026)",
+    "inferred": "the only round set found that meets λ_opt, C_popt, λ_n and λ_pr of the paper's table to every digit",
+    "Heier": "S. Heier: Grid Integration of Wind Energy",
     "Milano": "F. Milano: IEEE 14-bus dynamic data as distributed with PSAT (d_014_dyn_l14)",
     "IEEE 14": "IEEE 14-bus power-flow test case, University of Washington archive; the same numbers as MATPOWER's "
     "case14. Voltages of machine buses are its scheduled ones",
     "NREL 5 MW": "J. Jonkman et al.: Definition of a 5-MW Reference Wind Turbine, NREL/TP-500-38060 (2009)",
-    "calibrated": "chosen so that the paper's settled frequency (0.996 p.u.) and the final power of WTG 2 below 0.3 "
-    "p.u. both come out",
-    "ENTSO-E": "Commission Regulation (EU) 2016/631 (requirements for generators), article 13, continental Europe; "
-    "voltages: article 16",
+    "calibrated": "chosen for the paper's settled frequency (0.996 p.u.) and final power of WTG 2 (below 0.3 p.u.)",
+    "ENTSO-E": "Commission Regulation (EU) 2016/631, articles 13 and 16, continental Europe",
     "REGFM_A1": "W. Du et al.: Model Specification of Droop-Controlled, Grid-Forming Inverters (REGFM_A1), Pacific "
-    "Northwest National Laboratory, PNNL-32278 (2021), approved by WECC",
-    "ENTSO-E defence": "Commission Regulation (EU) 2017/2196 (emergency and restoration), annex: automatic low "
-    "frequency demand disconnection, continental Europe",
-    "FERC 827": "Federal Energy Regulatory Commission, Order 827 (2016): reactive power requirements for "
-    "non-synchronous generation",
-    "Kundur": "P. Kundur: Power System Stability and Control: F_HP = 0.3, T_RH = 7 s of a steam turbine with reheat; "
-    "as TGOV1 in the data of his two-area system that ANDES distributes",
+    "Northwest National Laboratory, PNNL-32278 (2021)",
+    "ENTSO-E defence": "Commission Regulation (EU) 2017/2196, annex, continental Europe",
+    "FERC 827": "Federal Energy Regulatory Commission, Order 827 (2016)",
+    "Kundur": "P. Kundur: Power System Stability and Control: F_HP = 0.3, T_RH = 7 s",
     "ANDES": "default of the model of the same name in ANDES 2.0.0; H. Cui et al.: Hybrid Symbolic-Numeric Framework "
     "for Power System Modeling and Analysis, IEEE Transactions on Power Systems, 2021",
     "HYGOV": "typical data of the hydro governor HYGOV of PSS/E; P. Kundur: Power System Stability and Control, 9.1",
@@ -126,9 +120,9 @@ class PitchParameters(Checked):
     11.4 m/s, rotor at most 1.23 p.u.), so that the blades stay at rest there.
     """
 
-    captured_power_limit_pu: float = design(1.05, "p.u.", "captured power held above rated", 0.01, 100.0)
-    rotor_speed_limit_pu: float = design(1.27, "p.u.", "rotor speed the pitch defends, 1.6 rad/s", 0.01, 100.0)
-    speed_weight: float = design(4.0, "p.u./p.u.", "power excess that 1 p.u. of speed excess counts as", 0.0, 1e4)
+    captured_power_limit_pu: float = design(1.05, "p.u.", "highest captured power", 0.01, 100.0)
+    rotor_speed_limit_pu: float = design(1.27, "p.u.", "highest rotor speed, 1.6 rad/s", 0.01, 100.0)
+    speed_weight: float = design(4.0, "p.u./p.u.", "weight of speed against power excess", 0.0, 1e4)
     proportional_gain_deg: float = design(6.0, "deg/p.u.", "gain on the excess", 0.0, 1e5)
     integral_gain_deg_s: float = design(10.0, "deg/(p.u. s)", "integral gain on the excess", 0.0, 1e5)
     gain_schedule_deg: float = parameter(6.302336, "deg", "NREL 5 MW", "pitch at which the gains halve", 1e-3, 1e6)
@@ -151,35 +145,30 @@ class GridFormingParameters(Checked):
     reactance_pu: float = design(
         0.55,
         "p.u.",
-        "X_g behind the voltage; with 0.1 p.u. more to a stiff bus K_p ≈ 1.5 (the paper's margins need 1.45), at a "
-        "stiff bus 1.8, in this system 2.2",
+        "X_g behind the voltage: K_p ≈ 1.5 with 0.1 p.u. more to a stiff bus (the paper's margins need 1.45)",
         1e-4,
         100.0,
     )
     damping_time_constant_s: float = parameter(0.8, "s", "paper", "transient damping time constant τ", 0.0, 1e5)
     deloading_nominal: float = parameter(0.05, "-", "paper", "deloading d_n at ω_st", 0.0, 0.9)
     deloading_limit: float = parameter(0.10, "-", "paper", "deloading limit d_pr at ω_max", 0.0, 0.9)
-    overload_limit_pu: float = design(1.1, "p.u.", "power above which the converter counts as overloaded", 0.01, 100.0)
+    overload_limit_pu: float = design(1.1, "p.u.", "power above which it is overloaded", 0.01, 100.0)
 
 
 @dataclass(frozen=True, kw_only=True)
 class ConverterLimitParameters(Checked):
     """What a converter and its turbine can give, on its own base: REGFM_A1's current and power limiters, a chopper."""
 
-    current_max_pu: float = parameter(1.2, "p.u.", "REGFM_A1", "largest current; it keeps its angle", 0.05, 10.0)
-    power_max_pu: float = design(1.1, "p.u.", "power that the converter stands for long", 0.05, 10.0)
+    current_max_pu: float = parameter(1.2, "p.u.", "REGFM_A1", "largest current", 0.05, 10.0)
+    power_max_pu: float = design(1.1, "p.u.", "lasting power", 0.05, 10.0)
     torque_max_pu: float = parameter(1.1, "p.u.", "NREL 5 MW", "lasting torque: 47 402.91 of 43 093.55 N m", 0.05, 10.0)
-    power_min_pu: float = design(
-        0.0, "p.u.", "least power; the chopper burns what the grid presses in beyond", -10.0, 0.0
-    )
+    power_min_pu: float = design(0.0, "p.u.", "least power; a chopper burns less", -10.0, 0.0)
     power_gain: float = parameter(
         0.01, "p.u./p.u.", "REGFM_A1", "proportional gain k_ppmax of the power limiter", 0.0, 10.0
     )
     power_integral_gain: float = parameter(0.1, "p.u./(p.u. s)", "REGFM_A1", "its integral gain k_ipmax", 0.0, 100.0)
-    chopper_energy_pu_s: float = design(
-        2.0, "p.u. s", "heat of the chopper beyond which the group disconnects", 1e-3, 1e6
-    )
-    chopper_cooling_s: float = design(60.0, "s", "time constant with which it cools", 1e-2, 1e6)
+    chopper_energy_pu_s: float = design(2.0, "p.u. s", "chopper heat that disconnects the group", 1e-3, 1e6)
+    chopper_cooling_s: float = design(60.0, "s", "its cooling time constant", 1e-2, 1e6)
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -199,15 +188,12 @@ class VoltageControlParameters(Checked):
     reactive_max_pu: float = parameter(
         0.33, "p.u.", "FERC 827", "largest reactive power: a power factor of 0.95", 0.0, 10.0
     )
-    takeover_gain: float = design(
-        1.0, "p.u./p.u.", "weight of the reactive excess against the voltage error", 0.0, 100.0
-    )
+    takeover_gain: float = design(1.0, "p.u./p.u.", "weight of reactive excess against voltage error", 0.0, 100.0)
     internal_voltage_min_pu: float = design(0.5, "p.u.", "least voltage behind X_g", 0.0, 1.0)
     internal_voltage_max_pu: float = design(
         1.4,
         "p.u.",
-        "largest voltage behind X_g, most of which is virtual: behind a filter of 0.15 p.u. (REGFM_A1) the bridge then "
-        "gives at most 1.13 p.u.",
+        "largest voltage behind X_g: at most 1.13 p.u. behind REGFM_A1's filter of 0.15 p.u.",
         1.0,
         10.0,
     )
@@ -218,7 +204,7 @@ class SheddingStage(Checked):
     """A stage of under-frequency load shedding: a share of every load is disconnected for the rest of the run."""
 
     frequency_pu: float = parameter(0.98, "p.u.", "ENTSO-E defence", "frequency at which it acts", 0.5, 1.0)
-    share: float = parameter(0.05, "-", "ENTSO-E defence", "share of every load, of events' too", 0.0, 1.0)
+    share: float = parameter(0.05, "-", "ENTSO-E defence", "share of every load that it sheds", 0.0, 1.0)
     delay_s: float = design(0.2, "s", "time below that frequency before it acts", 0.0, 60.0)
 
 
@@ -232,34 +218,27 @@ def european_shedding() -> tuple[SheddingStage, ...]:
 class ProtectionParameters(Checked):
     """What refuses a start, ends a run, or trips a group."""
 
-    stall_tip_speed_ratio: float = design(
-        3.5, "-", "tip-speed ratio below which a rotor at fine pitch has stalled", 0.0, 100.0
-    )
-    stall_pitch_deg: float = design(0.5, "deg", "pitch up to which a low tip-speed ratio counts as a stall", 0.0, 90.0)
+    stall_tip_speed_ratio: float = design(3.5, "-", "tip-speed ratio below which a rotor stalls", 0.0, 100.0)
+    stall_pitch_deg: float = design(0.5, "deg", "pitch up to which it does", 0.0, 90.0)
     over_speed_pu: float = design(1.4, "p.u.", "rotor over-speed trip", 0.1, 1e6)
     rotor_speed_min_pu: float = design(0.0, "p.u.", "rotor under-speed trip; 0 for none", 0.0, 1.0)
     frequency_min_pu: float = parameter(0.95, "p.u.", "ENTSO-E", "lower end of the range to ride through", 0.0, 1.0)
     frequency_max_pu: float = parameter(1.03, "p.u.", "ENTSO-E", "upper end of the range to ride through", 1.0, 10.0)
-    angle_spread_max_deg: float = design(
-        180.0, "deg", "difference of two units' angles at which synchronism is lost", 1.0, 1e9
-    )
-    low_voltage_pu: float = parameter(
-        0.85, "p.u.", "ENTSO-E", "terminal voltage to ride through for a time only", 0.0, 2.0
-    )
+    angle_spread_max_deg: float = design(180.0, "deg", "angle of two units at which synchronism is lost", 1.0, 1e9)
+    low_voltage_pu: float = parameter(0.85, "p.u.", "ENTSO-E", "terminal voltage to ride through for a time", 0.0, 2.0)
     low_voltage_time_s: float = parameter(
         3.0,
         "s",
         "ENTSO-E",
-        "time below low_voltage_pu after which the voltage has collapsed: upper end of 1.5 … 3.0 s for power park "
-        "modules at their connection point; taken at the terminals here",
+        "that time, upper end of 1.5 … 3.0 s for power park modules; then a voltage collapse ends the run",
         0.0,
         1e9,
     )
     internal_voltage_max_pu: float = design(
         2.0,
         "p.u.",
-        "largest voltage behind the internal reactance that a unit may start with: through X_g = 0.55 p.u. it drives "
-        "1.6 p.u. of reactive current at 1.1 p.u. of terminal voltage, and converters end at about 1.2",
+        "largest voltage behind the internal reactance at the start; behind X_g it drives 1.6 p.u. of reactive current "
+        "at 1.1 p.u. of terminal voltage",
         0.1,
         1e9,
     )

@@ -49,13 +49,12 @@ class Plant(Checked):
         case: the network with its synchronous machines.
         groups: the WTG groups; may be empty.
         turbine, pitch, control, protection: parameters of every WTG, and what ends a run.
-        limits: current and power limits of every converter, and its chopper; None for the paper's, which has none.
+        limits: current and power limits of every converter, and its chopper; None for none, as in the paper.
         voltage_control: of every WTG; None for the paper's constant voltage behind X_g.
         shedding: stages of under-frequency load shedding, which every island has.
-        secondary_time_s: integration time of secondary control: the gate reference of a governor moves by its droop's
-            share of a lasting deviation within this time; 0 for none [s].
-        shares_dispatch: machines with a governor share at the start what the loads need, by rating and largest gate, of
-            which 1 p.u. counts at most, instead of their `dispatch_mw`.
+        secondary_time_s: integration time of secondary control, against each governor's own droop; 0 for none [s].
+        shares_dispatch: whether machines with a governor share the initial load by rating and largest gate (1 p.u. at
+            most), instead of their `dispatch_mw`.
         control_dt: control interval [s], a whole number of simulation steps.
         simulation_dt: step of the integration, 0.05 … 40 ms [s]; a simulator refuses one that is too long for the
             plant's fastest mode.
@@ -131,7 +130,7 @@ class Plant(Checked):
 
         Args:
             physics: "extended", the physics of version v1; "nrel-5mw", the same with the NREL 5 MW turbine and its C_p
-                table; or "paper", which an extended plant cannot go back to. A governor keeps its own dead band.
+                table; or "paper", which is refused for an extended plant. A governor keeps its own dead band.
             machine_model: "classical" puts a constant voltage behind x'_d in place of every synchronous machine and its
                 exciter; "genrou" leaves them as they are.
             groups: the WTG groups, their data, or how many share the paper's twenty turbines at the bus of the first.

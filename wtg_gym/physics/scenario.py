@@ -105,7 +105,7 @@ class _At(Checked):
 
     @property
     def end_s(self) -> float:
-        """When the event is complete: it is over, or what it took comes back, if ever [s]."""
+        """When the event is over, or the disconnected unit or line returns [s]."""
         return self.time_s + (self._lasts_s or 0.0)
 
     @property
@@ -319,8 +319,8 @@ class Scenario(Checked):
         governor_droop: droop R of every governor on its machine's base [p.u.]; None keeps the case's.
         inertia_scale: factor on the inertia of every synchronous machine.
         committed: share of the units of every machine with a governor that are on line: rating, inertia, admittance.
-        sensors: errors of what the WTG groups measure; None: exact and at once.
-        reserve_margin: that which it was drawn with, see :mod:`wtg_gym.scenarios.margin` [-]; None: not known.
+        sensors: errors of the WTG groups' measurements; None: exact and immediate.
+        reserve_margin: reserve margin, see :mod:`wtg_gym.scenarios.margin` [-]; None: unknown.
         seed: the seed it was drawn from, if any.
 
     Raises:

@@ -51,7 +51,7 @@ _LEAST_PERCENT = 0.5
 
 @dataclass(frozen=True, kw_only=True)
 class TrackingLaw:
-    """A strategy as data.
+    """A control law as data.
 
     Args:
         name: short name, used in tables; see :func:`~wtg_gym.names.check_name`.

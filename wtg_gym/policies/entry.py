@@ -37,27 +37,27 @@ class Policy(Protocol):
 
 @dataclass(frozen=True, kw_only=True)
 class Entry:
-    """One competitor.
+    """A controller that is scored: a control law, with or without a policy on top.
 
     Args:
         name: name in tables, see :func:`~wtg_gym.names.check_name`; with `training_seed` it is unique among the
             entries.
         strategy: the law that actions modulate: a built-in name, a .toml file, or a law.
-        policy: gives the actions for the environment's own observations; None is the zero action, which is the strategy
-            itself. A learner of Stable-Baselines3 that was trained under VecNormalize expects other observations:
-            export both with :func:`~wtg_gym.export_onnx`.
+        policy: maps the environment's observations to actions; None: zero action, which is the strategy itself. A
+            learner of Stable-Baselines3 that was trained under VecNormalize expects normalised observations: export
+            both with :func:`~wtg_gym.export_onnx`.
         action_mode: "k", "tau" or "k+tau".
         observation_mode: "local" or "privileged".
-        per_group: whether the policy answers for one group at a time, by its own observation: then it plays any number
-            of groups, on any grid.
-        environment: id of the environment whose observations the policy takes; None: those of any that it is played in.
-        description: one sentence on what it is.
+        per_group: whether the policy acts for one group at a time from the group's observation. It then plays any
+            number of groups, on any grid.
+        environment: id of the environment whose observations the policy takes; None: any.
+        description: one sentence.
         source: citation.
-        fingerprint: text that identifies the policy's content, such as its file's sha256; None: unknown, so that an
-            interrupted evaluation starts this entry again. A law needs none: its numbers identify it.
-        training_seed: seed the policy was trained with; entries of one name and several seeds share a table row, and
-            differ in nothing but seed and policy.
-        learned: False for a policy that was made by hand.
+        fingerprint: text that identifies the policy's content, such as its file's sha256. Without one an interrupted
+            evaluation starts this entry again. A law needs none.
+        training_seed: seed the policy was trained with. Entries of one name and several seeds share a table row; only
+            seed and policy differ.
+        learned: False for a policy that was designed by hand.
         trained_on: suite, split and steps.
 
     Raises:

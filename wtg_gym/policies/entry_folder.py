@@ -229,12 +229,11 @@ def load_entries(spec: str | Path | Iterable[str | Path], task: Task = V1) -> li
     """Return the entries that a text or several name.
 
     Args:
-        spec: what is found first, in this order: "baselines" for all baselines, "policies" for all trained policies
-            that come with the package; the name of a strategy or a baseline; a .toml file with a law; a folder with an
-            entry.toml and a policy.onnx; the name of one of those policies ("PPO (k)" stands for all of its seeds,
-            "ppo-k-0" for one of them); or "module:ATTRIBUTE", an entry, a policy, or a callable that returns one.
-            Importing runs the module's code.
-        task: the version whose baselines are meant, and whose trained policies, where some of a name are for it.
+        spec: one of these; the first that exists counts. "baselines" or "policies" for all baselines or all trained
+            policies of the package. The name of a law or a baseline. A .toml file with a law. A folder with entry.toml
+            and policy.onnx. The name of a trained policy ("PPO (k)" for all its seeds, "ppo-k-0" for one).
+            "module:ATTRIBUTE" for an entry, a policy, or a callable that returns one; importing runs the module's code.
+        task: the version of the baselines, and of trained policies if some of the name are for it.
 
     Raises:
         ValueError: nothing of that name, or it holds no entry; the message says what is allowed.

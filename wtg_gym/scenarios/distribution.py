@@ -45,7 +45,7 @@ _HASHED: Mapping[type[draws.Record], Mapping[str, str]] = MappingProxyType({
         "standard_deviation_mw": "load_noise_mw", "correlation_s": "load_noise_correlation_s", "bus": "load_noise_bus",
     },
 })  # fmt: skip
-#: Values that the data of a hash do not mention, because suites were frozen before they could be chosen.
+#: Values that are left out of the data of a hash: suites were frozen before these fields existed.
 _UNMENTIONED: Mapping[str, Any] = MappingProxyType({
     "wind_share": None, "last_event_s": None, "line_reclosing_s": None, "constant_mw": 0.0, "islandings": (),
     "governor_loss_probability": 0.0, "governor_loss_buses": (1,), "group_trip_probability": 0.0,
@@ -181,7 +181,7 @@ class ScenarioDistribution(Checked):
 
     @property
     def wind(self) -> draws.Wind:
-        """What mean wind, turbulence, gusts and ramps are drawn from."""
+        """The record of mean wind, turbulence, gusts and ramps."""
         found = self.find(draws.Wind)
         assert found is not None
         return found
@@ -204,7 +204,7 @@ class ScenarioDistribution(Checked):
 
     @cached_property
     def _grid_data(self) -> Grid:
-        """The grid itself, read once: what is written to its file later does not change what was made of it."""
+        """The grid, read once: later changes of its file have no effect."""
         return get_grid(self.grid)
 
 

@@ -16,8 +16,8 @@ from wtg_gym.scenarios import wind
 from wtg_gym.scenarios.stream import FloatArray, Picker, Span
 
 Line = tuple[int, int]
-#: Lines of the IEEE 14-bus system that no part of it hangs on, without 1-2, which carries most of the output of bus 1:
-#: with a load event on top, no wind controller could save the run.
+#: Lines of the IEEE 14-bus system whose loss leaves it connected, without 1-2, which carries most of the output of bus
+#: 1: its loss together with a load event ends the run under every controller.
 _SURVIVABLE_LINES = (
     (1, 5), (2, 3), (2, 4), (2, 5), (3, 4), (4, 5), (6, 11), (6, 12), (6, 13),
     (9, 10), (9, 14), (10, 11), (12, 13), (13, 14),
@@ -38,7 +38,7 @@ _MOST_DRAWS = 1000
 
 @dataclass(kw_only=True)
 class Draft:
-    """What has been drawn of a scenario so far; a record reads what those before it have drawn.
+    """The part of a scenario that is drawn so far; records read values of earlier ones.
 
     Args:
         n_turbines: turbines per WTG group.
@@ -292,7 +292,7 @@ class RareEvent(Record):
             raise ValueError(f"{type(self).__name__}.{self.WHERE} must not be empty at a probability above 0")
 
     def draw(self, pick: Picker, draft: Draft) -> None:
-        # What never happens takes no number from the stream.
+        # An event of probability 0 takes no number from the stream.
         if self.probability > 0.0 and pick.chance(self.probability):
             draft.events += self.events(pick, draft)
 
@@ -303,7 +303,7 @@ class RareEvent(Record):
 
 def _check_lines(name: str, lines: Sequence[Line], case: NetworkCase) -> None:
     if any(case.branch_index(*line) in case.bridges for line in lines):
-        raise ValueError(f"{name} must be lines that no part of the network hangs on, got {lines}")
+        raise ValueError(f"{name} must be lines whose loss leaves the network connected, got {lines}")
 
 
 def _line_trip(time_s: float, line: Line, recloses_after_s: float | None = None) -> Event:
@@ -358,7 +358,7 @@ class GroupTrips(RareEvent):
 
     def events(self, pick: Picker, draft: Draft) -> list[Event]:
         by_size = sorted(range(len(draft.n_turbines)), key=draft.n_turbines.__getitem__)
-        # Of one group there is no other.
+        # The largest group stays, unless it is the only one.
         group = pick.choice(by_size[:-1] or [0])
         return [trusted(scenario.GroupTrip, time_s=pick.instant(draft.window), group=group, returns_after_s=None)]
 
@@ -422,7 +422,7 @@ class Islandings(Record):
 
 @dataclass(frozen=True, kw_only=True)
 class UnitCommitment(Record):
-    """As many of the generator's units are on line as a loading asks."""
+    """The number of the generator's units on line follows from a loading."""
 
     generator_mva: float = required("MVA", "design", "rating of all units of the generator", 1.0, 1e5)
     loading: Span = required("-", "design", "load that the wind leaves, over the rating of units on line", 0.05, 1.0)
@@ -432,9 +432,9 @@ class UnitCommitment(Record):
         draft.machine_loading = pick.between(self.loading)
 
     def committed(self, draft: Draft, first_winds: Sequence[float]) -> float:
-        """Return the share of the generator's units on line: enough for what the wind leaves, on average and at first.
+        """Return the share of the generator's units on line, for the load that the wind leaves on average and at first.
 
-        Where all of them do not suffice at the loading that was drawn, they carry more.
+        If all units are too few at the drawn loading, they are loaded more.
         """
         assert draft.machine_loading is not None
         winds = (draft.mean_winds_m_s, first_winds)

@@ -25,7 +25,7 @@ from wtg_gym.scenarios.suite import Suite
 
 #: Largest increase of a bus's load, as a share of its own and, for small ones, of the grid's.
 _INCREASE, _LEAST_INCREASE = 1.0, 0.05
-#: What a decrease leaves at the least load level, as a share of the bus's load.
+#: Load of a bus that a decrease leaves at the least load level, as a share.
 _LEFT = 0.01
 #: Loads that change, the largest ones.
 _N_LOADS = 20
@@ -107,7 +107,7 @@ class GridSuite(Checked):
             self.places,
             event_size=self.event_size,
             changes={Wind: {"penetration": self.wind_share}, OperatingPoint: {"load_level": self.load_level}},
-            # Where other machines stay, the loss of one asks for no more wind than other events.
+            # With other machines left, the loss of one needs no more wind than other events.
             changes_in={"machine": {Wind: {"mean_m_s": COMMON[Wind]["mean_m_s"]}}},
         )
 
@@ -122,7 +122,7 @@ class GridSuite(Checked):
 
 def suite_of_file(path: str) -> Suite:
     """Return the suite of a file, or the :func:`unscreened` one of a grid's file; a ValueError says what is wrong."""
-    # Of a link to itself, `Path.resolve` makes an error of its own.
+    # `Path.resolve` raises another error for a link to itself.
     own = read_suite(where := Path(os.path.realpath(path)))
     with interpreting(where, "suite"):
         return _made(own, get_grid(own.grid))
@@ -166,10 +166,10 @@ def unscreened(grid: str) -> GridSuite:
     own = GridSuite(name=Path(grid).stem, grid=grid, places=all_places(found.with_groups))
     plant = own.plant["plant"]
     own = replace(own, simulation_dt=longest_step(plant))
-    # The machines give what the wind leaves, with losses.
+    # The machines supply the load that the wind leaves, and the losses.
     load_mw = own.load_level[1] * found.case.load_mw
     machines = (governed_mva(plant) + constant_mw(plant)) / load_mw
-    # Turbines give some of what they are rated for.
+    # Turbines give a part of their rating.
     sizes = zip(found.groups, plant.turbines, strict=True)
     rated_mw = sum(group.n_turbines * turbine.rated_power_mw for group, turbine in sizes)
     given = (round(part * rated_mw / found.case.load_mw, 2) for part in _OF_RATED)

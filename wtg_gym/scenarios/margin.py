@@ -1,4 +1,4 @@
-"""The reserve margin: whether wind and governors can carry the load after every event of a scenario, whoever controls.
+"""The reserve margin: the power of wind and governors beyond the load after an event, under any controller.
 
     margin = (wind + machines - 1.03 · load) / load, at its least over the start and all events
 
@@ -47,7 +47,7 @@ class _Machine(NamedTuple):
     rating_mw: float
     limit: float  # largest gate [p.u.]; 0 without a governor
     droop: float  # [p.u.]; infinite without
-    share: float  # of what the loads need at the start; 0 where the case says what it gives
+    share: float  # of the load at the start; 0 if the case has its dispatch
     dispatch_mw: float
 
 

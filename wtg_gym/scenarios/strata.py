@@ -58,7 +58,7 @@ class Places(Checked):
         }
 
 
-#: What scenarios of version v1 are drawn from, in the order of the draws; strata, kinds and suites replace some of it.
+#: Records that scenarios of version v1 are drawn from, in this order; strata, kinds and suites replace some fields.
 COMMON: draws.Changes = MappingProxyType(
     {
         draws.OperatingPoint: {"governor_droop": (0.03, 0.08), "inertia_scale": (1.0, 1.0)},
@@ -91,10 +91,9 @@ _ONE_OR_TWO_LOADS: draws.Changes = {
         "increase_probability": 0.65,
     },
 }
-#: Latest event [s]. Frequency and rotors need two minutes to come back: after one, entries still pay for what they
-#: lent.
+#: Latest event [s]. Frequency and rotors need two minutes to recover, and energy that rotors lent is still paid for.
 _LAST_EVENT_S = 60.0
-#: What the kinds of event replace.
+#: Fields that the kinds of event replace.
 KINDS: Mapping[str, draws.Changes] = MappingProxyType(
     {
         "loads": {
@@ -119,7 +118,7 @@ KINDS: Mapping[str, draws.Changes] = MappingProxyType(
             draws.Wind: {"ramp_probability": 0.2, "penetration": (0.5, 0.8)},
             draws.GovernorLosses: {"probability": 1.0},
         },
-        # The wind has to carry what load shedding leaves.
+        # The wind has to supply the load that is left after shedding.
         "machine": {
             draws.LoadEvents: {
                 "number": (1, 2),
@@ -141,7 +140,7 @@ KINDS: Mapping[str, draws.Changes] = MappingProxyType(
             draws.Wind: {"ramp_probability": 0.2},
             draws.Faults: {"probability": 1.0, "clearing_s": (0.15, 0.35)},
         },
-        # A part far from its balance would die whatever its groups do.
+        # An island far from its balance would be lost under every controller.
         "island": {
             **_ONE_OR_TWO_LOADS,
             draws.LineTrips: {"probability": 0.0},
@@ -159,7 +158,7 @@ class Stratum:
     kinds: tuple[str, ...]
 
 
-#: The strata of version v1. Below -0.06 many runs are lost whatever is done.
+#: The strata of version v1. Below -0.06 many runs are lost under every controller.
 STRATA: Mapping[str, Stratum] = MappingProxyType(
     {
         "ample": Stratum(margin=(0.10, math.inf), kinds=("loads", "large-loads", "fault", "group")),
@@ -254,7 +253,7 @@ def _records(layers: Sequence[draws.Changes], size: float) -> tuple[draws.Record
     least, most = loads["size_mw"]
     loads["size_mw"] = (round(size * least, 2), round(size * most, 2))
     loads["net_change_mw"] *= size
-    # What has no place does not happen.
+    # Events without a bus or line get probability 0.
     if not loads["trip_buses"]:
         loads["trip_probability"] = 0.0
     for kind, fields in values.items():

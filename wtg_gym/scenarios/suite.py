@@ -206,8 +206,8 @@ class Suite:
                 no turbulence to average.
             duration_s: length of the run [s]; None: the suite's own.
             sensors: replaces the suite's own; None measures exactly.
-            plant: with the WTG groups, where they are not the suite's: reserve margins are theirs then; None: so many
-                groups at the bus of the first.
+            plant: plant whose WTG groups reserve margins are computed for; None: the suite's, with `n_wtg` groups at
+                the bus of the first.
 
         Raises:
             ValueError: a seed is in no split, or an argument is out of range; the message says what is allowed.

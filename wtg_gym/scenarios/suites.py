@@ -1,4 +1,4 @@
-"""Frozen suites of scenarios: what is trained on, selected on and ranked on, each with a hash.
+"""Frozen suites of scenarios to train, select and rank on, each with a hash.
 
 A change of anything here, or of what is drawn, changes the hash. It is then a new version of the benchmark.
 """
@@ -51,7 +51,7 @@ def _wind_plant(generator_mva: float, *turbines: float, **network: Any) -> dict[
     return wind_plant(DEFAULT_GRID, groups, generator_mva=generator_mva, **network)
 
 
-#: Lines with a short circuit at their first bus: one of 0.4 s next to the generator can cost it its synchronism.
+#: Lines with a short circuit at their first bus; a fault of 0.4 s next to the generator can end its synchronism.
 _FAULT_LINES = (
     (1, 2), (1, 5), (2, 1), (2, 3), (2, 4), (2, 5), (3, 2), (3, 4), (4, 5), (5, 1), (6, 13), (9, 14),
 )  # fmt: skip
@@ -81,7 +81,7 @@ def _drawn_v1(name: str, description: str, plant: Mapping[str, Any] = _WIND_PLAN
     return suite_of_strata(name, description, plant, _PLACES, **settings)
 
 
-#: What may fail besides load events in faults-v1.
+#: Failures besides load events in faults-v1.
 _FAULTS: draws.Changes = MappingProxyType(
     {
         draws.LineTrips: {"probability": 0.6},
@@ -224,9 +224,9 @@ SUITES: Mapping[str, Suite] = MappingProxyType(
     }
 )
 
-#: The suite that is meant where neither a suite nor a version is named.
+#: The default suite.
 DEFAULT_SUITE = "standard-v1"
-#: What the hashes of the suites must be.
+#: The hashes that the suites must have.
 FROZEN_HASHES: Mapping[str, str] = MappingProxyType(
     {
         "paper": "7aaa8a1c75a47f259104b4d8d5b94a7e1b9e51f918aa5e1a5e5dff708b7ed360",

@@ -2,7 +2,7 @@
 
 The cost is a rate [1/s] times the time that passed. A term is a field of :class:`CostTerms`, a weight in
 :class:`CostWeights`, and an equation. Version v0 charges the frequency of the centre of inertia and caps the cost;
-version v1 charges that of the unit that is farthest from nominal and load that is not served.
+version v1 charges that of the unit with the largest deviation, and load that is not served.
 """
 
 from __future__ import annotations

@@ -73,11 +73,11 @@ def of_groups(observation: npt.NDArray[Any], record: type[R], action_mode: str) 
 class WtgObservation(NamedTuple):
     """Local measurements of a WTG group, each with its unit and meaning."""
 
-    frequency_deviation: Annotated[float, "0.5 Hz", "frequency of the converter minus the nominal one"]
-    rocof: Annotated[float, "Hz/s", "rate of change of that frequency over the last control interval"]
+    frequency_deviation: Annotated[float, "0.5 Hz", "frequency of the converter, minus nominal"]
+    rocof: Annotated[float, "Hz/s", "rate of change of that frequency over the last step"]
     tip_speed_ratio: Annotated[float, "0 at λ_opt, 1 at λ_pr", "speed of the blade tips over wind speed"]
-    rotor_speed: Annotated[float, "0.25 p.u. from 1 p.u.", "rotor speed; the nominal one is 1 p.u."]
-    power: Annotated[float, "p.u.", "power into the grid, of the group's rating"]
+    rotor_speed: Annotated[float, "0.25 p.u. from 1 p.u.", "rotor speed"]
+    power: Annotated[float, "p.u.", "power into the grid"]
     wind: Annotated[float, "5 m/s from 10 m/s", "wind, averaged over the rotor"]
     coefficient: Annotated[float, "0 at K_pr, 1 at K_opt", "k in use"]
     filter_state: Annotated[float, "0.5 Hz", "state of the damping filter"]
@@ -158,7 +158,7 @@ def show_duty(filtered_mean_duty: float) -> DutyObservation:
 class MachineObservation(NamedTuple):
     """A synchronous machine, in the privileged observation."""
 
-    speed: Annotated[float, "0.5 Hz", "speed as a frequency, minus the nominal one"]
+    speed: Annotated[float, "0.5 Hz", "speed as a frequency, minus nominal"]
     power: Annotated[float, "rating", "power into the grid"]
     voltage: Annotated[float, "0.1 p.u. from 1 p.u.", "voltage at the terminal"]
 
@@ -166,9 +166,9 @@ class MachineObservation(NamedTuple):
 class GridObservation(NamedTuple):
     """The grid, in the privileged observation."""
 
-    frequency_deviation: Annotated[float, "0.5 Hz", "frequency of the centre of inertia minus the nominal one"]
-    rocof: Annotated[float, "Hz/s", "rate of change of the frequency of the centre of inertia over 0.5 s"]
-    torque: Annotated[float, "100 MVA", "mechanical torque of all machines; on other grids in 39 % of the load"]
+    frequency_deviation: Annotated[float, "0.5 Hz", "frequency of the centre of inertia, minus nominal"]
+    rocof: Annotated[float, "Hz/s", "rate of change of that frequency over 0.5 s"]
+    torque: Annotated[float, "100 MVA", "mechanical torque of all machines; elsewhere in 39 % of the load"]
 
 
 OBSERVED_GRID = Kind(
@@ -228,26 +228,26 @@ class Info(NamedTuple):
 
     time_s: Annotated[float, "s", "time since the start of the episode"]
     frequency_hz: Annotated[float, "Hz", "frequency of the centre of inertia"]
-    rocof_hz_s: Annotated[float, "Hz/s", "rate of change of the frequency of the centre of inertia over 0.5 s"]
+    rocof_hz_s: Annotated[float, "Hz/s", "rate of change of that frequency over 0.5 s"]
     cost: Annotated[
         float,
         "-",
         "1 for a step with a failure, an overload, a frequency beyond 50 ± 0.8 Hz or a tip-speed ratio outside its "
-        "range, else 0: the cost of safe reinforcement learning",
+        "range, else 0",
     ]
-    cost_frequency: Annotated[float, "-", "terms of the cost of this step: frequency deviation, in v1 the worst unit's"]
+    cost_frequency: Annotated[float, "-", "cost of this step: frequency deviation, in v1 the largest of any unit"]
     cost_rocof: Annotated[float, "-", "rate of change of frequency"]
-    cost_duty: Annotated[float, "-", "captured power away from the prescribed power; in v1 filtered with 15 s"]
+    cost_duty: Annotated[float, "-", "captured minus prescribed power, in v1 filtered with 15 s"]
     cost_rotor: Annotated[float, "-", "tip-speed ratio outside its range"]
     cost_overload: Annotated[float, "-", "power above 1.05 p.u., in v0 1.1 p.u."]
     cost_effort: Annotated[float, "-", "actions and their changes"]
-    cost_failure: Annotated[float, "-", "what a failure costs at the end, in v1 also load that is not served"]
+    cost_failure: Annotated[float, "-", "failure at the end; in v1 also load not served"]
 
 
 class LocalInfo(NamedTuple):
-    """What `info` has besides in extended physics."""
+    """Further numbers of `info`, in extended physics."""
 
-    worst_frequency_hz: Annotated[float, "Hz", "frequency of the bus or unit that is farthest from nominal"]
+    worst_frequency_hz: Annotated[float, "Hz", "frequency with the largest deviation of any bus or unit"]
     shed_energy_mws: Annotated[float, "MW s", "load not served since the start, at 1 p.u. of voltage"]
 
 
@@ -274,5 +274,5 @@ def inform(
 
 @system(INFO, "local_info", when="extended")
 def inform_of_places(worst: float, shed_energy: float, base_mva: float, task: TaskConstants) -> LocalInfo:
-    """Return what `info` has besides in extended physics."""
+    """Return the further numbers of `info`, in extended physics."""
     return LocalInfo(task.nominal_hz * worst, base_mva * shed_energy)

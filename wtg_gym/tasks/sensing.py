@@ -31,12 +31,12 @@ from wtg_gym.tasks.observation import FREQUENCY_UNIT_HZ, bounded, scaled_ratio, 
 class MeasuredObservation(NamedTuple):
     """Measurements of the sensors of a WTG group."""
 
-    frequency_deviation: Annotated[float, "0.5 Hz", "filtered frequency of the converter minus the nominal one"]
-    rocof: Annotated[float, "Hz/s", "rate of change of the frequency, filtered"]
-    tip_speed_ratio: Annotated[float, "0 at λ_opt, 1 at λ_pr", "measured speed of the blade tips over that wind"]
-    rotor_speed: Annotated[float, "0.25 p.u. from 1 p.u.", "rotor speed; the nominal one is 1 p.u."]
-    power: Annotated[float, "p.u.", "power into the grid, of the group's rating"]
-    wind: Annotated[float, "5 m/s from 10 m/s", "the turbine's own estimate of the rotor-effective wind"]
+    frequency_deviation: Annotated[float, "0.5 Hz", "frequency of the converter, minus nominal; in v1 filtered"]
+    rocof: Annotated[float, "Hz/s", "its rate of change; in v1 filtered"]
+    tip_speed_ratio: Annotated[float, "0 at λ_opt, 1 at λ_pr", "speed of the blade tips over wind speed"]
+    rotor_speed: Annotated[float, "0.25 p.u. from 1 p.u.", "rotor speed"]
+    power: Annotated[float, "p.u.", "power into the grid"]
+    wind: Annotated[float, "5 m/s from 10 m/s", "rotor-effective wind, in v1 an estimate"]
 
 
 #: The sensors that all WTG groups of an environment have.

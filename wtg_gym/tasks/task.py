@@ -1,4 +1,4 @@
-"""A task: what an environment acts on, charges and observes, and the scale of its score."""
+"""A task: actions, costs and observations of an environment, and the scale of its score."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ Shown = tuple[Kind, str, str]
 
 
 class Choices(NamedTuple):
-    """What an environment chooses of a task."""
+    """Settings of an environment that change its task."""
 
     plant: Plant
     weights: CostWeights
@@ -68,21 +68,22 @@ class Task:
         version: "v0", "v1".
         k_authority: offset on k at full action, as a share of K_opt - K_pr [-].
         tau_authority: full action multiplies or divides τ by :data:`TIME_CONSTANT_RATIO` to this power [-].
-        control_dt: time for which an action is held, unless an environment is asked for another [s].
+        control_dt: default time for which an action is held [s].
         interval_s: sensors measure and costs are charged in intervals of this length, several in a control step; None:
             once in every control step [s].
         act, charge, start_sensors, measure, observe: the lists of a step, in their order around the physics.
         of_groups: what every WTG group shows, before its last actions.
         privileged: what it shows besides in the privileged observation.
-        rewards_score: whether rewards are points of the score, unless an environment is asked for the cost.
+        rewards_score: whether rewards are points of the score by default, else minus the cost.
         weights: of the terms of the cost.
         duty_time_s: time constant of the filter behind which the duty is charged; 0 for none [s].
-        on_failure: what the failure of a rotor does, unless an environment is asked for the other.
-        failure_costs_whole_episode: whether a failed episode costs what one costs in which no load is served; else it
-            costs the cap for the time that was left. Where it does, entries are marked for their reliability.
-        cost_offsets: stratum, "" where there are none, and J0 of the score in it, in units of the cost.
+        on_failure: default consequence of a rotor's failure: "terminate" or "trip".
+        failure_costs_whole_episode: whether a failed episode costs the largest rate for its whole length; else the cap
+            for the time that was left. If so, entries get the mark of reliability.
+        cost_offsets: J0 of the score in each stratum ("" without strata), in units of the cost.
         anchors: names of the entries that score 0 and 100.
-        scale: Λ of the score, what the entry at 100 gains on that at 0; None: from the scenarios that are played.
+        scale: Λ of the score, the mean improvement of the entry at 100 on that at 0; None: computed from the scenarios
+            played.
         variates: names of laws that scores are adjusted by where their means are known, see
             :mod:`wtg_gym.evaluation.adjusted`.
     """

@@ -1,4 +1,4 @@
-"""Version v1: the grid that needs the wind, seen through sensors."""
+"""Version v1: a grid that depends on the wind, observed through sensors."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from wtg_gym.tasks.task import Task
 #: 0 is the paper's law, 100 the same law tuned to this grid.
 V1 = Task(
     version="v1",
-    # Half of what a search with foresight was given: its actions had a standard deviation of 0.2 there.
+    # Half of the range of a search with foresight, whose actions had a standard deviation of 0.2 in it.
     k_authority=0.5,
     tau_authority=0.5,
     control_dt=0.5,
@@ -51,17 +51,17 @@ V1 = Task(
     ),
     of_groups=(sensing.SENSED, "shown", "wtg"),
     privileged=((observation.OBSERVED, "observed", "exact"), (observation.OBSERVED_DUTY, "shown_duty", "exact")),
-    # Duty weighs as much as frequency, since the wind is most of the power; RoCoF five times as much as in v0, since
-    # the synchronous machines have less than a third of v0's inertia: 0.82 instead of 2.86 GWs on average.
-    # The effort is that of the physical change, as in v0.
+    # Duty costs as much as frequency, since the wind is most of the power. RoCoF weighs five times as much as in v0,
+    # since the synchronous machines have 0.82 instead of 2.86 GWs of inertia on average. The effort weighs as much per
+    # change of k and τ as in v0.
     weights=CostWeights(rocof=20.0, duty=0.3, rotor=20.0, cap=15.0, effort=0.0125),
     duty_time_s=15.0,
     on_failure="trip",
     failure_costs_whole_episode=True,
-    # Of the size of what an episode costs under the hundred: below that a cost counts almost as in a mean.
+    # About the cost of an episode under the reference at 100: smaller costs count almost as in a mean.
     cost_offsets={"ample": 40.0, "tight": 200.0, "short": 1000.0, "": 300.0},
     anchors=("coordinated-piecewise", "coordinated-tuned"),
-    # What the published law loses against the hundred, in the mean over the strata of standard-v1 (law_means.json).
+    # Mean loss of the published law against the reference at 100 over the strata of standard-v1 (law_means.json).
     scale=0.5854,
     variates=("coordinated-piecewise", "coordinated-free"),
 )

@@ -1,4 +1,4 @@
-"""Frames of an episode: what changes seldom is drawn once and kept, lines and numbers on top of it every time."""
+"""Frames of an episode: the background is drawn once and kept, lines and numbers are drawn in every frame."""
 
 from __future__ import annotations
 
