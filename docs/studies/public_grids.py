@@ -1,8 +1,8 @@
 """Public grid files, brought in: how near their power flow is to the library's, and whether they stand still and start.
 
-    python docs/studies/public_grids.py FILE ... [--output DOCS]
+    python docs/studies/public_grids.py FILE ...
 
-puts a table of networks of pandapower and of files (RAW, MATPOWER; a .dyr of the same name is used) into DOCS/grids.md.
+prints a table of networks of pandapower and of files (RAW, MATPOWER; a .dyr of the same name is used).
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ import numpy as np
 import pandapower
 import pandapower.networks
 
-from wtg_gym.files import markdown_table, update_between_markers
+from wtg_gym.files import markdown_table
 from wtg_gym.grids.reading import read_case
 from wtg_gym.grids.wind import with_wind
 from wtg_gym.physics.equilibrium import StartError
@@ -75,7 +75,6 @@ def main() -> None:
     """Make the table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("files", type=Path, nargs="*")
-    parser.add_argument("--output", type=Path, default=Path("docs"))
     options = parser.parse_args()
     files = list(options.files)
     with tempfile.TemporaryDirectory() as folder:
@@ -85,7 +84,7 @@ def main() -> None:
             files.append(path)
         rows = [row(path) for path in files]
     header = "file", "buses", "load [MW]", "largest differences [p.u., rad]", "20 s at rest", "resets"
-    update_between_markers(options.output / "grids.md", markdown_table(header, rows), "public")
+    print(markdown_table(header, rows))
 
 
 if __name__ == "__main__":
