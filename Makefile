@@ -37,20 +37,13 @@ leaderboard: $(LEADERBOARD_READY) ## Score every entry on the standard suites an
 	$(LEADERBOARD_VENV)/bin/wtg-gym leaderboard --suite standard-v1 --entries baselines policies --results results --readme README.md docs/leaderboard.md
 	$(LEADERBOARD_VENV)/bin/wtg-gym leaderboard --suite standard --entries baselines policies --results results --readme docs/benchmark.md
 
-PAGE_SUITES := standard weak-grid low-wind gust paper
-# `make matrix` plays these, and the first scenarios of standard-v1.
-MATRIX_SUITES := low-share-v1 high-share-v1 gusty-v1 no-wind-sensor-v1 faults-v1 weak-grid-v1
+.PHONY: page
+page: leaderboard ## Show the rankings of both standard suites in docs/leaderboard.html, with filters and charts
+	$(LEADERBOARD_VENV)/bin/wtg-gym results page results/standard-v1-test.json results/standard-test.json --output docs/leaderboard.html
 
 .PHONY: matrix
 matrix: $(LEADERBOARD_READY) ## Play every entry of v1 on its drawn suites and with faults, and put the scores into docs/benchmark.md (half an hour)
 	$(LEADERBOARD_VENV)/bin/python docs/studies/matrix.py
-
-.PHONY: page
-page: matrix ## Rank every entry on all suites, and show them in docs/leaderboard.html
-	for suite in standard-v1 $(PAGE_SUITES); do \
-	    $(LEADERBOARD_VENV)/bin/wtg-gym leaderboard --suite $$suite --entries baselines policies --results results || exit; done
-	$(LEADERBOARD_VENV)/bin/wtg-gym results page results/standard-v1-test.json $(MATRIX_SUITES:%=results/matrix/%-test.json) \
-	    $(PAGE_SUITES:%=results/%-test.json) --output docs/leaderboard.html
 
 CHROMIUM ?= $(firstword $(foreach name,chromium chromium-browser google-chrome,$(shell command -v $(name))) chromium)
 
@@ -60,7 +53,7 @@ page-picture: page ## Take the picture of docs/leaderboard.html that docs/usage.
 	    --virtual-time-budget=20000 --screenshot=$(CURDIR)/docs/images/leaderboard-page.png file://$(CURDIR)/docs/leaderboard.html
 
 # Those that take minutes; other targets run most of the others.
-STUDIES := grid_forming physics validation small_signal reference one_event
+STUDIES := paper grid_forming physics validation small_signal reference one_event
 
 .PHONY: studies
 studies: $(TEST_READY) ## Run the studies of docs/studies and renew their tables and pictures (half an hour)
@@ -75,7 +68,8 @@ pictures: $(LEADERBOARD_READY) studies ## Draw every picture of the README and o
 site: $(SITE_READY) ## Build the site of the documentation into build/site; broken links and pages that nothing lists are errors
 	NO_MKDOCS_2_WARNING=1 $(SITE_VENV)/bin/mkdocs build --strict
 
-# A notebook may rely on nothing but the wheel, so the checkout is not installed as editable, nor is it their folder.
+# A notebook may rely on nothing but the wheel and docs/studies: the checkout is not installed as editable, nor is it
+# their folder.
 .PHONY: notebooks
 notebooks: $(NOTEBOOKS_READY) ## Run every notebook from the built wheel and keep what it shows (some minutes)
 	$(NOTEBOOKS_VENV)/bin/python .ci/install.py --quiet --no-deps --force-reinstall .
@@ -88,7 +82,7 @@ performance: $(TEST_READY) ## Measure speed again; on a machine that does nothin
 
 .PHONY: golden
 golden: $(GOLDEN_READY) ## Make the golden traces anew with ANDES, in an environment of its own (half an hour)
-	$(GOLDEN_VENV)/bin/python tests/golden/make.py
+	$(GOLDEN_VENV)/bin/python -m tests.golden.make
 
 .PHONY: integrations
 integrations: $(TEST_READY) ## Run the programs of docs/integrations.md, each in an environment of its own (an hour)

@@ -11,15 +11,16 @@ from __future__ import annotations
 import itertools
 import math
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import numpy as np
 import torch
 from cyclopts import Parameter
 from torch import Tensor, nn
+from torch.optim.swa_utils import AveragedModel, get_ema_multi_avg_fn
 
 from agents import run as runs
 from agents.run import Run, RunOptions, RunSettings, Whole
@@ -65,6 +66,8 @@ class Hyperparameters:
     """largest norm of a gradient"""
     mean_weight: float = 0.0
     """weight of J / J0 in the loss, beside ln(J + J0)"""
+    averaged: Whole = 30
+    """updates over which the weights that are validated and exported are averaged, exponentially"""
     per_group: Annotated[bool, Parameter(negative="")] = False
     """the policy sees one group at a time, and plays any grid"""
 
@@ -72,6 +75,7 @@ class Hyperparameters:
         for width in self.hidden:
             require_whole("a width of hidden", width, 1, 10_000)
         require_whole("lstm", self.lstm, 0, 10_000)
+        require_whole("averaged", self.averaged, 1, 100_000)
         ranges = {"learning_rate": 10.0, "last_rate": 1.0, "max_grad_norm": 1e6, "mean_weight": 100.0}
         for name, most in ranges.items():
             require_range(name, getattr(self, name), 0.0, most, "")
@@ -200,25 +204,31 @@ def descend(policy: nn.Module, optimizer: torch.optim.Optimizer, loss: Tensor, h
 
 
 class GradientLearner:
-    """A policy and its optimiser, for :func:`agents.run.train_in_rounds`."""
+    """A policy, its average and its optimiser, for :func:`agents.run.train_in_rounds`."""
 
     def __init__(self, policy: GradientPolicy, h: Hyperparameters) -> None:
         self.policy = policy
+        #: Every update pulls towards its own scenarios; their average does not.
+        mean: Callable[..., None] = get_ema_multi_avg_fn(1.0 - 1.0 / h.averaged)  # type: ignore[no-untyped-call]
+        self.average = AveragedModel(policy, multi_avg_fn=mean)
         self.optimizer = torch.optim.Adam(policy.parameters(), lr=h.learning_rate, betas=(h.betas[0], h.betas[1]))
 
     def network(self, _settings: RunSettings) -> nn.Module:
-        """Return the policy."""
-        return self.policy
+        """Return the average."""
+        policy: nn.Module = self.average.module
+        return policy
 
     def save(self, folder: Path) -> None:
         """Write everything that training goes on from."""
-        torch.save({"policy": self.policy.state_dict(), "optimizer": self.optimizer.state_dict()}, folder / _STATE)
+        parts: dict[str, Any] = {"policy": self.policy, "average": self.average, "optimizer": self.optimizer}
+        torch.save({name: part.state_dict() for name, part in parts.items()}, folder / _STATE)
 
     def load(self, folder: Path) -> None:
         """Go back to what :meth:`save` wrote; a ValueError names a folder that is damaged."""
         with runs.loading(folder) as folder:
             state = torch.load(folder / _STATE, weights_only=True)
             self.policy.load_state_dict(state["policy"])
+            self.average.load_state_dict(state["average"])
             self.optimizer.load_state_dict(state["optimizer"])
 
 
@@ -244,7 +254,9 @@ def train(run: Run) -> None:
         learner.optimizer.param_groups[0]["lr"] = h.learning_rate * (h.last_rate + (1.0 - h.last_rate) * fallen)
         scenarios = runs.draw(lanes, np.random.default_rng((settings.seed, index)), settings.n_envs)
         costs, strays = costs_of(episodes, policy, scenarios, n_steps, failures)
-        return descend(policy, learner.optimizer, loss_of(costs, scenarios) + STRAY_WEIGHT * strays.mean(), h)
+        loss = descend(policy, learner.optimizer, loss_of(costs, scenarios) + STRAY_WEIGHT * strays.mean(), h)
+        learner.average.update_parameters(policy)
+        return loss
 
     runs.train_in_rounds(run, learner, n_steps * settings.n_envs, learn)
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import re
 import sys
 from collections.abc import Sequence
@@ -24,50 +23,50 @@ from wtg_gym.policies.entry_folder import ENTRY_FILE, POLICY_FILE, policy_folder
 #: One record per folder of agents/policies that a command of `agents` trained.
 RECORDS = Path(__file__).with_suffix(".json")
 PAGE = Path(__file__).parents[1] / "docs" / "agents.md"
+_SEED_AND_FOLDER = re.compile(r" --(seed|output) \S+")
 _COLUMNS = ("policy", "seeds", "steps [million]", "validation score", "minutes", "command", "commit")
 
 
 def record(run_folder: Path) -> tuple[str, dict[str, Any]]:
     """Return the folder in agents/policies with the best policy of a run, and the record of its training."""
     run = Run.read(run_folder)
+    shipped = {sha256((folder / POLICY_FILE).read_bytes()): folder.name for folder in policy_folders()}
     rows = {int(row["timesteps"]): row for row in run.curve}
     for best in folders(run_folder / BEST):
         digest = sha256((best / POLICY_FILE).read_bytes())
-        for folder in policy_folders():
-            if sha256((folder / POLICY_FILE).read_bytes()) == digest:
-                return folder.name, {
-                    "command": run.provenance["command"],
-                    "git_commit": run.provenance["git_commit"],
-                    "policy_sha256": digest,
-                    "steps": int(best.name),
-                    "steps_of_run": run.settings.timesteps,
-                    "validation_scenarios": run.settings.validation_episodes,
-                    "validation_score": round(rows[int(best.name)]["score"], 1),
-                    "wall_time_s": round(run.curve[-1]["wall_time_s"]),
-                }
+        if digest in shipped:
+            return shipped[digest], {
+                "command": run.provenance["command"],
+                "git_commit": run.provenance["git_commit"],
+                "policy_sha256": digest,
+                "steps": int(best.name),
+                "steps_of_run": run.settings.timesteps,
+                "validation_scenarios": run.settings.validation_episodes,
+                "validation_score": round(rows[int(best.name)]["score"], 1),
+                "wall_time_s": round(run.curve[-1]["wall_time_s"]),
+            }
     raise ValueError(f"the best policy of {run_folder} is not in agents/policies: export it first")
 
 
 def table() -> str:
     """Return the table: a row per name of an entry and environment, its training seeds together."""
     records = read_json(RECORDS, "records of the trainings")
-    entries = [(read_toml(folder / ENTRY_FILE, "entry file"), records.get(folder.name)) for folder in policy_folders()]
-    entries.sort(key=lambda each: each[0]["name"].casefold())
-    entries.sort(key=lambda each: each[0]["environment"], reverse=True)
-    groups = itertools.groupby(entries, key=lambda each: (each[0]["environment"], each[0]["name"]))
+    groups: dict[tuple[str, str], list[Path]] = {}
+    entries = {folder: read_toml(folder / ENTRY_FILE, "entry file") for folder in policy_folders()}
+    for folder, entry in entries.items():
+        groups.setdefault((entry["environment"], entry["name"]), []).append(folder)
     rows = []
-    for (environment, name), group in groups:
-        runs = list(group)
-        trainings = [training for _, training in runs if training]
-        version = environment.rpartition("-")[2]
+    for environment, name in sorted(groups, key=lambda key: (-int(key[0][-1]), key[1].casefold())):
+        seeds = groups[environment, name]
+        trainings = [records[folder.name] for folder in seeds if folder.name in records]
         rows.append(
             [
-                f"{name} ({version})",
-                str(len(runs)),
+                f"{name} ({environment.rpartition('-')[2]})",
+                str(len(seeds)),
                 _range([training["steps"] / 1e6 for training in trainings]),
                 _range([training["validation_score"] for training in trainings]),
                 _range([training["wall_time_s"] / 60 for training in trainings if "wall_time_s" in training]),
-                f"`{_without_seed(trainings[0]['command'])}`" if trainings else "",
+                f"`{_SEED_AND_FOLDER.sub('', trainings[0]['command'])}`" if trainings else "",
                 ", ".join(dict.fromkeys(f"`{training['git_commit'][:8]}`" for training in trainings)),
             ]
         )
@@ -77,10 +76,6 @@ def table() -> str:
 def _range(values: Sequence[float]) -> str:
     """Return the least and the largest of some values, or the one that they are."""
     return " … ".join(dict.fromkeys(f"{value:.1f}" for value in (min(values), max(values)))) if values else ""
-
-
-def _without_seed(command: str) -> str:
-    return re.sub(r" --(seed|output) \S+", "", command)
 
 
 def command(*runs: Path) -> None:

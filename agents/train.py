@@ -51,25 +51,13 @@ def read_config(path: Path, env_id: str) -> dict[str, Any]:
     text = read_text(path, "hyperparameter file")
     with interpreting(path, "hyperparameter file"):
         try:
-            data = yaml.load(text, _Loader)
+            data = yaml.safe_load(text)
         except yaml.YAMLError as error:
             raise ValueError(f"it is not yml: {error}") from error
         require_plain(data, "it", len(text), infinite=False)
         if not isinstance(data, dict) or not isinstance(data.get(env_id), dict):
             raise ValueError(f"it must have a section {env_id!r} with keys and values")
     return dict(data[env_id])
-
-
-class _Loader(yaml.SafeLoader):  # type: ignore[misc]
-    """Takes a key that is given twice for a mistake; two merges could double a section's length again and again."""
-
-    def flatten_mapping(self, node: yaml.MappingNode) -> None:
-        """Put merged sections into a section, each key of which must be there once before."""
-        keys = [key.value for key, _ in node.value]
-        merged = [value for key, value in node.value if key.tag == "tag:yaml.org,2002:merge"]
-        if len(set(map(str, keys))) < len(keys) or any(isinstance(value, yaml.SequenceNode) for value in merged):
-            raise ValueError(f"a section must have each key once, and merge one other at most, got {keys}")
-        super().flatten_mapping(node)
 
 
 def algorithm_arguments(raw: Mapping[str, Any]) -> dict[str, Any]:

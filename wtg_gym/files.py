@@ -26,7 +26,6 @@ from typing import Any
 LARGEST_BYTES: Mapping[str, int] = MappingProxyType(
     {
         "case": 2**25,
-        "claims": 2**18,
         "description of the results": 2**22,
         "description of the run": 2**22,
         "entry file": 2**14,
@@ -41,7 +40,6 @@ LARGEST_BYTES: Mapping[str, int] = MappingProxyType(
         "rotor table": 2**21,
         "scenario file": 2**23,
         "suite": 2**18,
-        "table of claims": 2**14,
         "table of the results": 2**26,
         "wind series": 2**24,
     }

@@ -21,7 +21,7 @@ OUTSIDE = {
     "CHANGELOG.md": "changelog.md",
     "agents/README.md": "training.md",
 }
-#: What `make page` writes.
+#: What `make page` writes; without it the site shows the table alone.
 LEADERBOARD = "leaderboard.html"
 # A page of the site is a folder, so its files are one level up. The frame is as tall as what it shows, which by Bokeh's
 # own style would be as tall as the frame.
@@ -120,7 +120,7 @@ def on_page_markdown(text: str, page: Any, config: Any, files: Any) -> str:
         # Above the first heading, that of the installation.
         parts[0] = parts[0].replace("\n## ", f"\n[Source code]({repository}){{ .md-button }}\n\n## ", 1)
     if here == "leaderboard.md":
-        parts.append(_EMBEDDED)
+        parts += [_EMBEDDED] * (LEADERBOARD in known)
         page.meta["hide"] = ["navigation", "toc"]  # the table has the whole width
     elif page.parent is None:
         page.meta["hide"] = ["navigation"]  # there is no other page beside it

@@ -1,6 +1,6 @@
 """The grids of wtg_gym/grids that come from TOPS, from its tables.
 
-    pip install tops
+    pip install git+https://github.com/hallvar-h/TOPS
     python docs/studies/make_grids.py
 
 TOPS (H. Haugdal, K. Uhlen, SINTEF, MIT licence) distributes them as tables of PowerFactory's models. Groups of turbines
@@ -28,6 +28,10 @@ from wtg_gym.physics.machine_parameters import (
 BASE_MVA = 100.0
 #: Of x'': the tables have no leakage reactance.
 LEAKAGE = 0.8
+#: Of stabilisers of New England.
+GAIN = 20.0
+#: The largest unit of the Nordic grid, Oskarshamn 3, which its reserves are dimensioned for [MW].
+NORDIC_INCIDENT_MW = 1450.0
 
 
 def rows(table: list[list[Any]]) -> Iterator[dict[str, Any]]:
@@ -94,12 +98,33 @@ def governor_of(row: Mapping[str, Any] | None) -> GovernorParameters | HydroGove
     )  # fmt: skip
 
 
+def controls(data: Mapping[str, Any]) -> list[dict[str, Any]]:
+    """Return governors, exciters and stabilisers by the names of their generators.
+
+    Those of generators that the table does not have are those of generators that have none.
+    """
+    kinds = [
+        {row["gen"]: row for t in data.get(kind, {}).values() for row in rows(t)} for kind in ("gov", "avr", "pss")
+    ]
+    for kind in kinds:
+        for lost, name in zip([name for name in kind if name not in names(data)], bare_machines(data), strict=False):
+            kind[name] = kind[lost]
+    return kinds
+
+
+def names(data: Mapping[str, Any]) -> list[str]:
+    return [row["name"] for row in rows(data["generators"]["GEN"])]
+
+
+def bare_machines(data: Mapping[str, Any]) -> list[str]:
+    """Return the names of generators for which the tables have no control at all."""
+    named = {row["gen"] for kind in ("gov", "avr") for table in data.get(kind, {}).values() for row in rows(table)}
+    return [name for name in names(data) if name not in named]
+
+
 def machines(data: Mapping[str, Any]) -> list[SynchronousMachineParameters]:
     """Return the machines; those at a bus that are equal but for rating and power are one."""
-    governors, exciters, stabilisers = (
-        {row["gen"]: row for table in data.get(kind, {}).values() for row in rows(table)}
-        for kind in ("gov", "avr", "pss")
-    )
+    governors, exciters, stabilisers = controls(data)
     found: dict[SynchronousMachineParameters, tuple[float, float]] = {}
     for row in rows(data["generators"]["GEN"]):
         e, n = exciters.get(row["name"]), int(row.get("N_par", 1))
@@ -127,25 +152,56 @@ def machines(data: Mapping[str, Any]) -> list[SynchronousMachineParameters]:
     ]
 
 
-def grid_of(name: str, title: str) -> Grid:
-    """Return a grid without groups of turbines."""
+def grid_of(name: str, title: str, **values: Any) -> Grid:
+    """Return a grid without groups of turbines; with some values of the case in place of the table's."""
     data = importlib.import_module(f"tops.ps_models.{name}").load()
-    case = NetworkCase(
-        name=title, base_mva=BASE_MVA, frequency_hz=float(data["f"]), slack_bus=number(data["slack_bus"]),
-        buses=tuple(buses(data)), branches=tuple(branches(data)), machines=tuple(machines(data)),
-    )  # fmt: skip
-    replaced = [f"leakage reactances are {LEAKAGE:g} of x'': the table has none"]
-    if "HYGOV_simple" in data.get("gov", {}):
-        replaced.append("HYGOV with typical data and the table's droop in place of linear hydro governors")
+    usual = {
+        "name": title, "base_mva": BASE_MVA, "frequency_hz": float(data["f"]), "slack_bus": number(data["slack_bus"]),
+        "buses": tuple(buses(data)), "branches": tuple(branches(data)), "machines": tuple(machines(data)),
+    }  # fmt: skip
+    replaced = (f"leakage reactances are {LEAKAGE:g} of x'': the table has none",)
     source = f"TOPS (H. Haugdal, SINTEF), tops/ps_models/{name}.py"
-    return Grid(case=case, source=source, licence="MIT", substitutions=tuple(replaced))
+    return Grid(case=NetworkCase(**usual | values), source=source, licence="MIT", substitutions=replaced)
+
+
+def said(grid: Grid, *sentences: str, **values: Any) -> Grid:
+    """Return a grid with further substitutions and other values."""
+    return dataclasses.replace(grid, substitutions=(*grid.substitutions, *sentences), **values)
+
+
+def new_england() -> Grid:
+    grid = with_wind(grid_of("ieee39", "IEEE 39-bus system (New England)"), (32, 33, 35, 36, 38, 39), 1.25)
+    machines = tuple(
+        dataclasses.replace(machine, stabiliser=dataclasses.replace(machine.stabiliser, gain=GAIN))
+        if machine.bus not in grid.replaced
+        else machine
+        for machine in grid.case.machines
+    )
+    return said(
+        grid,
+        f"stabilisers of the machines that stay have a gain of {GAIN:g}, not 50, which damps a mode of 2.4 Hz beside "
+        "the groups by 0.1 % in some operating points",
+        case=dataclasses.replace(grid.case, machines=machines),
+    )
+
+
+def kundur() -> Grid:
+    grid = with_wind(grid_of("k2a", "Kundur's two areas", frequency_hz=60.0), (2, 4), 1.1)
+    return said(grid, "60 Hz as in Kundur's Power System Stability and Control, example 12.6: the table has 50 Hz")
+
+
+def nordic() -> Grid:
+    grid = with_wind(grid_of("n45_tuned", "Nordic 45"), (), 1.25)
+    return said(
+        grid,
+        "HYGOV with typical data and the table's droop in place of linear hydro governors",
+        "the table has governors and exciters of six machines that it lacks (5410-1, 5435-1, 5510-3, 5610-1, 5610-2, "
+        "5620-1), and none of six others (5320-2, 5320-3, 5520-1, 5520-2, 5551-1, 5560-1): these have those",
+        "the machines at bus 3000 have a constant field voltage: the table has no exciter of theirs",
+        incident_mw=NORDIC_INCIDENT_MW,
+    )
 
 
 if __name__ == "__main__":
-    for name, table, title, buses_with_wind, rating in (
-        ("ieee39", "ieee39", "IEEE 39-bus system (New England)", (32, 33, 35, 36, 38, 39), 1.25),
-        ("kundur", "k2a", "Kundur's two areas", (2, 4), 1.1),
-        ("nordic45", "n45_tuned", "Nordic 45", (), 1.25),
-    ):
-        grid = with_wind(grid_of(table, title), buses_with_wind, rating)
+    for name, grid in (("ieee39", new_england()), ("kundur", kundur()), ("nordic45", nordic())):
         write_atomically(FOLDER / f"{name}.json", grid_text(grid))

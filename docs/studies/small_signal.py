@@ -11,6 +11,7 @@ import dataclasses
 
 import numpy as np
 from output import folder as output_folder
+from paper import single_machine
 
 from wtg_gym.files import markdown_table, update_between_markers
 from wtg_gym.physics.grid import Branch, Bus, NetworkCase
@@ -22,7 +23,6 @@ from wtg_gym.physics.scenario import Scenario
 from wtg_gym.physics.simulator import Simulator
 from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY, STRATEGIES, group_laws
 from wtg_gym.scenarios import get_suite
-from wtg_gym.single_wtg import single_machine
 
 WINDS = (8.0, 11.4)
 INFINITE_MVA = 1e9  # so large a machine that nothing moves it
@@ -135,7 +135,7 @@ def compare(law, wind_m_s, side, settings):
     """
     scenario = Scenario(name="infinite bus", wind_speed=np.array([[wind_m_s]]), load_noise_bus=1)
     k_p = float(synchronising_coefficients(scenario, law, settings)[0, 0])
-    loop = single_machine(law, wind_m_s, k_p, side=side, turbine=settings.turbine)
+    loop = single_machine(law, wind_m_s, k_p, side, turbine=settings.turbine)
     poles = loop.closed_loop_poles()
     eigenvalues = np.linalg.eigvals(linearise(scenario, law, settings, side=side).matrix)
     nearest = np.array([eigenvalues[np.argmin(np.abs(eigenvalues - pole))] for pole in poles])

@@ -1,19 +1,17 @@
-"""For docs/validation.md: the paper's claims and figures, other simulators' traces, the error of the integration step.
+"""For docs/validation.md: other simulators' traces, and the error of the integration step.
 
 Three minutes. The golden cases are described in tests/golden/README.md.
 """
 
 import dataclasses
-import itertools
 
 import numpy as np
 from output import folder
 
 from tests.golden.case import TRACES, read_case, read_trace
 from tests.golden.replay import differences, replay
-from wtg_gym.cli import main as wtg_gym
 from wtg_gym.envs.settings import EnvSettings
-from wtg_gym.files import markdown_table, read_json, update_between_markers
+from wtg_gym.files import markdown_table, update_between_markers
 from wtg_gym.physics.aerodynamics import tracking_point
 from wtg_gym.physics.plant import Plant
 from wtg_gym.physics.protection import Status
@@ -31,42 +29,6 @@ EXACT_S = 0.0005  # the run that the others are compared with [s]
 N_SCENARIOS = 100
 RUNS = {"v0": 0.0, "v1": 0.0, "v1, random actions": 1.0}  # and how far actions go to either side
 QUANTITIES = {"frequency": "Hz", "rotor speed": "p.u.", "power": "p.u."}
-
-CAPTIONS = {
-    "power-coefficient": "Power coefficient, with the deloading points λ_opt, λ_n (5 %) and λ_pr (10 %)",
-    "characteristic-mppt": "MPPT",
-    "characteristic-deloaded-5": "5 % of deloading",
-    "characteristic-deloaded-10": "10 % of deloading",
-    "characteristic-coordinated-piecewise": "The coordinated law",
-    "bode-comparison": "Open loops at K_p = 1.45: ideal DC source, fixed laws, linear law without transient damping",
-    "bode-proposed": "Open loops of the coordinated law: linear with (τ = 0.8 s) and without transient damping"
-    ", and both slopes of the piecewise one",
-    "load-increase": "+75 MW at bus 2 at 5 s and at bus 3 at 30 s; a cross marks a stall",
-    "load-decrease": "The loads of bus 4 (47.8 MW) at 5 s and bus 9 (29.5 MW) at 30 s are lost",
-}
-
-
-def claims_table(claims):
-    """Return the claims, marked where they do not hold or were fitted, with remarks below the table."""
-    notes, rows = [], []
-    for source, section in itertools.groupby(claims, key=lambda claim: claim["source"]):
-        rows.append((f"**{source}**", "", ""))
-        for claim in section:
-            measured = claim["measured"] + ("" if claim["holds"] else ", **does not hold**")
-            measured += ", *fitted*" if claim["fitted"] else ""
-            if claim["remark"]:
-                notes.append(f"({len(notes) + 1}) {claim['remark']}  ")
-                measured += f" ({len(notes)})"
-            rows.append((claim["says"], claim["expected"], measured))
-    n_held = sum(claim["holds"] for claim in claims)
-    fitted = [claim["fitted"] for claim in claims if claim["fitted"] and claim["holds"]]
-    by = ", ".join(f"{name} to {fitted.count(name)}" for name in dict.fromkeys(fitted))
-    count = (
-        f"{n_held} of {len(claims)} claims hold, {n_held - len(fitted)} without a fit. Parameters of this model were "
-        f"fitted to {len(fitted)} numbers ({by})."
-    )
-    table = markdown_table(("the paper says", "expected", "measured"), rows)
-    return "\n\n".join((count, table, "\n".join(notes)))
 
 
 def golden_summary():
@@ -181,11 +143,6 @@ def draw(found):
 
 def main(docs):
     """Renew the page and its pictures."""
-    wtg_gym(["reproduce", "--output", str(docs / "validation")])
-    claims = read_json(docs / "validation" / "claims.json", "claims")["claims"]
-    gallery = "\n\n".join(f"![{name}](validation/figures/{name}.svg)\n\n*{text}*" for name, text in CAPTIONS.items())
-    update_between_markers(docs / "validation.md", claims_table(claims), "claims")
-    update_between_markers(docs / "validation.md", gallery, "figures")
     found = {run: errors(run) for run in RUNS}
     style.save_figure(draw(found), docs / "validation" / "accuracy", ["svg"])
     update_between_markers(docs / "validation.md", step_table(found), "accuracy")

@@ -116,7 +116,7 @@ def test_results_of_other_scenarios_or_settings_are_not_overwritten(
     assert main([*common, "--scenarios", "2"]) == 0
     stored = _files(tmp_path)
     capsys.readouterr()
-    for again, other in (("3", "seeds"), ("1 --machine-model classical", "settings and seeds")):
+    for again, other in (("3", "seeds"), ("1 --duration 10", "settings and seeds")):
         said = error_of(capsys, *common, "--scenarios", *again.split())
         assert f"its standard-validation.json is of other {other} and would be lost; give another folder" in said
     assert _files(tmp_path) == stored

@@ -33,8 +33,8 @@ def test_strategy_all_is_every_built_in_one_once(capsys: pytest.CaptureFixture[s
     assert names[0] == "mppt" and len(names) == len(set(names)) == 6
 
 
-def test_on_failure_trip_names_the_group_that_tripped(capsys: pytest.CaptureFixture[str]) -> None:
-    arguments = ("simulate", "--strategy", "mppt", "--on-failure", "trip")
+def test_the_group_that_tripped_is_named(capsys: pytest.CaptureFixture[str]) -> None:
+    arguments = ("simulate", "--suite", "standard-v1", "--seed", "10029", "--strategy", "mppt")
     (run,) = json_of(capsys, *arguments, "--json")["runs"]
     assert run["status"] == "completed"
     assert [trip["group"] for trip in run["tripped_groups"]] == [2]

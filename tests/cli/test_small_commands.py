@@ -1,12 +1,10 @@
-"""`wtg-gym suites`, `warmup` and `reproduce` as a user calls them."""
+"""`wtg-gym suites` and `warmup` as a user calls them."""
 
 from __future__ import annotations
 
-import json
 import os
 import subprocess
 import sys
-from pathlib import Path
 
 import pytest
 
@@ -59,13 +57,3 @@ def test_after_a_warmup_nothing_is_compiled_and_nothing_said() -> None:
     assert done.returncode == 0, done.stderr
     assert done.stdout.startswith(f"nothing to compile: all machine code is in {cache_folder()}\n")
     assert "compile" not in done.stderr
-
-
-def test_reproduce_writes_claims_and_every_figure(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
-    assert main(["reproduce", "--output", str(tmp_path)]) == 0
-    said = capsys.readouterr().out
-    claims = json.loads((tmp_path / "claims.json").read_text(encoding="utf-8"))["claims"]
-    assert len(claims) == said.count(" holds\n") + said.count("DOES NOT HOLD\n") == 30
-    assert all(claim["measured"] in said for claim in claims)
-    figures = {path.stem for path in (tmp_path / "figures").iterdir()}
-    assert len(figures) == 9 and {"bode-proposed", "load-increase", "power-coefficient"} <= figures

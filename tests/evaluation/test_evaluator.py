@@ -23,7 +23,6 @@ from wtg_gym.evaluation.partial import PartialStore
 from wtg_gym.evaluation.recompute import departures, recompute
 from wtg_gym.physics.parameters import TurbineParameters
 from wtg_gym.physics.tracking_law import TrackingLaw
-from wtg_gym.policies.entry import check_entries
 from wtg_gym.scenarios import get_suite
 
 SHORT = {"seeds": (20_002, 20_000, 20_005), "duration_s": 10.0}
@@ -219,24 +218,15 @@ def test_entry_that_fails_is_left_out_with_its_row_and_the_others_stand(tmp_path
         ([3], "standard", {}, "list of Entry"),
         ([Entry(name="a"), Entry(name="a", training_seed=1)], "standard", {}, "all have a training seed"),
         ([Entry(name="mppt")], "standard", {}, "reserved"),
+        (
+            [Entry(name="a", policy=Linear(1.0), training_seed=seed, learned=seed == 0) for seed in (0, 1)],
+            *("standard", {}, "entries named 'a' share a row and must agree on kind, got"),
+        ),
     ],
 )
 def test_wrong_argument_is_refused(entries: Any, suite: str, arguments: dict, text: str) -> None:
     with pytest.raises(ValueError, match=text):
         evaluate(entries, suite, **{"split": "test", "seeds": [20_000], "duration_s": 2.0, **arguments})
-
-
-def test_entry_does_not_join_the_row_of_another() -> None:
-    own = {"name": "a", "source": "Jane Doe", "policy": Linear(1.0)}
-    check_entries([Entry(**own, training_seed=0), Entry(**own, training_seed=1)])
-    for key, other in (
-        ("source", {"source": "John Roe"}),
-        ("action_mode", {"action_mode": "k"}),
-        ("strategy", {"strategy": "deloaded-5"}),
-        ("kind", {"learned": False}),
-    ):
-        with pytest.raises(ValueError, match=f"entries named 'a' share a row and must agree on {key}.*, got"):
-            check_entries([Entry(**own, training_seed=0), Entry(**{**own, **other}, training_seed=1)])
 
 
 class Killed(Exception):
@@ -304,26 +294,19 @@ def test_interrupted_evaluation_ends_its_threads_and_their_policies(monkeypatch:
     assert len(steps) == n_steps, "no thread plays on"
 
 
-def test_damaged_part_is_played_again(results: Results, entries: list[Entry], tmp_path: Path) -> None:
-    with pytest.raises(Killed):
-        evaluate(entries, "standard", "test", on_progress=killer(6), partial=tmp_path, **SHORT)
-    cut, edited = tmp_path.iterdir()
-    cut.write_text("{")
-    edited.write_text(edited.read_text().replace("standard/20000", "standard/20001"))
-    assert evaluate(entries, "standard", "test", partial=tmp_path, **SHORT) == results
-
-
-def test_parts_under_each_others_names_have_no_effect(
+def test_damaged_and_exchanged_parts_are_played_again(
     results: Results, entries: list[Entry], tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     with pytest.raises(Killed):
-        evaluate(entries, "standard", "test", on_progress=killer(6), partial=tmp_path, **SHORT)
-    first, second = tmp_path.iterdir()
+        evaluate(entries, "standard", "test", on_progress=killer(9), batch=2, partial=tmp_path, **SHORT)
+    cut, edited, first, second, *_ = tmp_path.iterdir()
+    cut.write_text("{")
+    edited.write_text(edited.read_text().replace("standard/20000", "standard/20001").replace("20005", "20006"))
     content = first.read_bytes()
     first.write_bytes(second.read_bytes())
     second.write_bytes(content)
-    assert evaluate(entries, "standard", "test", partial=tmp_path, **SHORT) == results
-    assert [record.getMessage().count("is played again") for record in caplog.records] == [1, 1]
+    assert evaluate(entries, "standard", "test", batch=2, partial=tmp_path, **SHORT) == results
+    assert [record.getMessage().count("is played again") for record in caplog.records] == [1] * 4
 
 
 @pytest.mark.parametrize(

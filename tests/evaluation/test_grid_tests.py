@@ -66,7 +66,7 @@ def test_a_voltage_above_the_ride_through_curve_fails_a_test_at_any_bus() -> Non
     assert passed and 1.2 < found.voltage_pu.max() < 1.25
     voltage = found.voltage_pu.copy()
     voltage[found.at(5.0) : found.at(8.0), 0] = 1.21
-    assert GRID_TESTS["current-limit"].judge(dataclasses.replace(found, voltage_pu=voltage)) == (
+    assert GRID_TESTS["current-limit"].verdict(dataclasses.replace(found, voltage_pu=voltage)) == (
         False,
         "above 1.2 p.u. for 3.0 s",
     )

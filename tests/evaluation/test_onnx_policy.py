@@ -9,7 +9,19 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.submissions.models import ACTION, LINEAR, OBSERVATION, N, info, make_bytes, model, with_state
+from tests.submissions.models import (
+    ACTION,
+    LINEAR,
+    OBSERVATION,
+    N,
+    after,
+    branch,
+    info,
+    make_bytes,
+    model,
+    with_function,
+    with_state,
+)
 from wtg_gym.evaluation import OnnxPolicy, PolicyError, evaluate, load_entries
 
 POLICIES = Path(__file__).resolve().parents[2] / "agents" / "policies"
@@ -82,6 +94,33 @@ def test_missing_policy_and_other_action_mode_are_named(tmp_path: Path) -> None:
     (entry,) = load_entries(tmp_path)
     with pytest.raises(PolicyError, match=r"entry 'still', step 0: .*trained with another action_mode"):
         evaluate([entry], "standard", "test", seeds=[20_000], duration_s=1.0)
+
+
+#: Models that draw random numbers.
+RANDOM = {
+    "normal": after("action = RandomNormalLike(linear)"),
+    "uniform, with a seed": after("action = RandomUniformLike<seed = 1.0>(linear)"),
+    "without input": after("drawn = RandomNormal<shape = [1, 4]>(); action = Add(linear, drawn)"),
+    "Bernoulli": after("chance = Sigmoid(linear); action = Bernoulli(chance)"),
+    "Multinomial": after("drawn = Multinomial<sample_size = 4>(linear); action = Cast<to = 1>(drawn)"),
+    "dropout": after("action = Dropout(linear, half, yes)", half=0.5, yes=True),
+    "within a condition": branch("drawn = RandomNormalLike(linear);"),
+    "a function called like an operator": with_function("y = RandomNormalLike(x);", "own"),
+}
+
+
+@pytest.mark.parametrize("content", RANDOM.values(), ids=RANDOM)
+def test_random_answers_repeat_in_every_order_and_batch(content: Any) -> None:
+    """A scenario's first two answers are the same, whatever was played before and is played beside it."""
+    answers: dict[int, set[bytes]] = {0: set(), 1: set(), 2: set()}
+    observations = np.random.default_rng(0).normal(0.0, 1.0, (3, N)).astype(np.float32)
+    with OnnxPolicy(content.SerializeToString()) as policy:
+        for order in ([0, 1, 2], [0, 1, 2], [2, 0, 1], [1], [0], [2, 1]):
+            first, _ = policy.predict(observations[order], None, np.ones(len(order), bool))
+            second, _ = policy.predict(observations[order], None, np.zeros(len(order), bool))
+            for index, scenario in enumerate(order):
+                answers[scenario].add(first[index].tobytes() + second[index].tobytes())
+    assert [len(played) for played in answers.values()] == [1, 1, 1]
 
 
 @pytest.mark.parametrize(("size", "most"), [(1, 64), (2**23, 64), (2**24, 32), (2**26, 8)])

@@ -30,7 +30,7 @@ def test_score_is_the_written_formula() -> None:
     scale = (math.log(105.0 / 15.0) + math.log(45.0 / 25.0)) / 2.0
     expected = [100.0 * (1.0 + math.log(15.0 / 10.0) / scale), 100.0 * (1.0 + math.log(25.0 / 85.0) / scale)]
     offsets = score.cost_offsets(whole(2), V0)
-    assert score.score_scales(mppt, reference, V0, whole(2)) == pytest.approx([scale], rel=1e-14)
+    assert score.score_scale(mppt, reference, V0, whole(2)) == pytest.approx(scale, rel=1e-14)
     gains, zero = score.gains(np.array([costs, mppt]), reference, offsets)
     scoring = Bootstrap(zero)
     assert scoring.score(gains[np.newaxis]).value == pytest.approx(sum(expected) / 2.0, rel=1e-14)
@@ -38,7 +38,7 @@ def test_score_is_the_written_formula() -> None:
     with pytest.raises(
         score.NoScaleError, match=r"on these 2 scenarios mppt .* is not worse than coordinated-piecewise"
     ):
-        score.score_scales(reference, mppt, V0, whole(2))
+        score.score_scale(reference, mppt, V0, whole(2))
 
 
 @given(COSTS, COSTS)
@@ -46,7 +46,7 @@ def test_anchors_score_exactly_0_and_100(one: np.ndarray, other: np.ndarray) -> 
     offsets = score.cost_offsets(whole(7), V0)
     reference, zero = sorted((one, other), key=lambda c: float(np.log(c + offsets).sum()))
     try:
-        score.score_scales(zero, reference, V0, whole(7))
+        score.score_scale(zero, reference, V0, whole(7))
     except score.NoScaleError:
         return
     gains = score.gains(np.array([zero, reference]), reference, offsets)

@@ -84,7 +84,11 @@ class Case:
 
 
 def read_data(name: str) -> dict[str, Any]:
-    """Return what the `params.json` of a golden case holds."""
+    """Return what the `params.json` of a golden case holds, or would hold of a grid that comes with the package."""
+    from tests.golden import shipped
+
+    if name in shipped.EVENTS:
+        return shipped.data_of_grid(name)
     data: dict[str, Any] = json.loads((GOLDEN / name / "params.json").read_text(encoding="utf-8"))
     return data
 
@@ -148,9 +152,13 @@ def case_of(name: str, data: Mapping[str, Any]) -> Case:
     )
 
 
+def field_names(names: str) -> list[list[str]]:
+    """Return the names of fields, and what the file calls each."""
+    return [pair.split("=") for pair in names.split()]
+
+
 def _named(names: str, given: Mapping[str, Any]) -> dict[str, Any]:
-    pairs = (pair.split("=") for pair in names.split())
-    return {name: float(given[key]) for name, key in pairs if key in given}
+    return {name: float(given[key]) for name, key in field_names(names) if key in given}
 
 
 def _control(data: Mapping[str, Any], key: str, models: Mapping[str, str]) -> Any:

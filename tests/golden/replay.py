@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
+import numpy.typing as npt
 
 from tests.golden.case import ROW_S, Case
 from tests.physics.extended import phasors
@@ -87,13 +88,19 @@ def _require_power_flow(case: Case, simulator: Simulator) -> None:
         assert abs(complex(found[f"Pe{key}"], found[f"Qe{key}"]) - power) < 1e-4, f"machine {key}: other power"
 
 
+def machine_powers(simulator: Simulator) -> npt.NDArray[np.complex128]:
+    """Return P + jQ of every machine as it is now [p.u.]."""
+    machines, n = simulator.plant.machines, simulator.layout.n_sync
+    emf, current = (phasors(simulator, UNITS, part)[:n] for part in ("voltage", "current"))
+    powers: npt.NDArray[np.complex128] = current.conj() * (
+        emf - (machines["resistance"] + 1j * machines["internal_reactance"]) * current
+    )
+    return powers
+
+
 def _columns(simulator: Simulator) -> Floats:
     """Return all columns of a trace as they are now."""
-    machines, n = simulator.plant.machines, simulator.layout.n_sync
-    reference = simulator.lane_values("angle")
-    emf, current = (phasors(simulator, UNITS, part)[:n] for part in ("voltage", "current"))
-    power = (emf - (machines["resistance"] + 1j * machines["internal_reactance"]) * current) * current.conj()
-    voltage = simulator.bus_voltages()
+    reference, power, voltage = simulator.lane_values("angle"), machine_powers(simulator), simulator.bus_voltages()
     return np.concatenate(
         [
             simulator.machine_values("speed")[0],

@@ -24,6 +24,8 @@ Floats = npt.NDArray[np.float64]
 N_LANES = 3
 #: Their machine code is that of the programs of docs/gradients.md, whose actions are held.
 V1 = {"version": "v1", "control_dt": 0.1}
+#: Two machines with stabilisers.
+KUNDUR = {**V1, "grid": "kundur"}
 
 
 @functools.cache
@@ -81,7 +83,8 @@ RETURNS = (
 
 
 @pytest.mark.parametrize(
-    ("settings", "events"), [({}, ()), ({**V1, "suite": "faults"}, ()), ({**V1, "suite": "faults"}, RETURNS)]
+    ("settings", "events"),
+    [({}, ()), ({**V1, "suite": "faults"}, ()), ({**V1, "suite": "faults"}, RETURNS), (KUNDUR, ())],
 )
 def test_a_step_is_replayed_to_the_last_bit(
     settings: dict[str, Any], events: tuple[Any, ...], monkeypatch: pytest.MonkeyPatch
@@ -207,6 +210,24 @@ CUT = [sc.LineTrip(time_s=1.0, from_bus=a, to_bus=b) for a, b in ((5, 6), (4, 7)
 def test_the_gradient_goes_through_events(settings: dict[str, Any], events: list[Any]) -> None:
     tape = tape_of(**settings)
     agrees(tape, [given(tape.lanes.n_wtg, *events)] * N_LANES, actions_of(tape, 60))
+
+
+def test_the_gradient_goes_through_the_stabilisers_of_another_grid() -> None:
+    tape, steps = (
+        tape_of(**KUNDUR),
+        [sc.LoadStep(time_s=at, bus=9, power_mw=mw) for at, mw in ((0.5, 150.0), (2.0, -99.0))],
+    )
+    scenarios = [dataclasses.replace(given(2, *steps, wind=wind), load_noise_bus=9) for wind in (8.5, 9.0, 10.0)]
+    actions = actions_of(tape, 60)
+    with_them = agrees(tape, scenarios, actions).actions
+    plant = tape.lanes.settings.resolved_plant
+    machines = tuple(dataclasses.replace(machine, stabiliser=None) for machine in plant.case.machines)
+    bare = dataclasses.replace(plant, case=dataclasses.replace(plant.case, machines=machines))
+    without = (
+        Tape(dataclasses.replace(tape.lanes.settings, plant=bare), N_LANES, 1).gradient(scenarios, actions).actions
+    )
+    # What they add is far more than the tolerance.
+    assert np.abs(with_them - without).max() > 1e-2 * np.abs(without).max()
 
 
 def test_the_gradient_goes_through_the_limits_of_the_pitch() -> None:

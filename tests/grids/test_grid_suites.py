@@ -145,8 +145,7 @@ def test_a_policy_of_all_groups_stays_in_its_grid_and_one_of_a_group_moves() -> 
 
 def test_places_name_every_bus_once_and_lines_that_are_no_bridges() -> None:
     for name in ("ieee39", "nordic45"):
-        case = get_grid(name).with_groups
-        places = all_places(case)
+        case, places = get_grid(name).with_groups, all_places(get_grid(name))
         for buses in (places.machine_buses, places.generator_buses, places.governor_buses):
             assert len(set(buses)) == len(buses)
         assert not {case.branch_index(*line) for line in places.line_trips} & case.bridges

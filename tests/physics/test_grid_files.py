@@ -13,6 +13,7 @@ from wtg_gym.envs import GFMWTGEnv
 from wtg_gym.physics import network
 from wtg_gym.physics.aerodynamics import available_power_pu
 from wtg_gym.physics.grid import FOLDER, Branch, Bus, Grid, NetworkCase, get_grid, grid_text, known_grids, read_grid
+from wtg_gym.physics.linearisation import moving_matrix, swing_modes
 from wtg_gym.physics.parameters import TurbineParameters, WtgGroup, nrel_5mw
 from wtg_gym.physics.plant import Plant
 from wtg_gym.physics.scenario import LineTrip, Scenario
@@ -116,6 +117,18 @@ def test_machines_share_what_the_wind_leaves_by_rating_and_gate() -> None:
         # A slack machine that is left with the losses' rest deviates by that alone.
         gates = simulator.machine_values("gate")[0]
         assert np.ptp(gates) < 2e-3
+
+
+def test_kundurs_areas_swing_as_in_the_book() -> None:
+    case = get_grid("kundur").case
+    bare = {"exciter": None, "stabiliser": None, "governor": None}
+    machines = tuple(dataclasses.replace(machine, **bare) for machine in case.machines)
+    simulator = Simulator(Plant(case=dataclasses.replace(case, machines=machines), groups=()))
+    simulator.start(0, Scenario(name="rest", wind_speed=np.zeros((0, 1)), load_noise_bus=7), ())
+    simulator.evaluate()
+    matrix, _ = moving_matrix(simulator.blocks[0, :, 0], simulator.plant, simulator.layout, -1.0)
+    # Kundur: Power System Stability and Control, example 12.6, with manual excitation, saturation and other loads.
+    assert sorted(hertz for _, hertz in swing_modes(matrix)) == pytest.approx([0.545, 1.087, 1.117], rel=0.01)
 
 
 def test_a_parallel_line_trips_by_its_circuit() -> None:

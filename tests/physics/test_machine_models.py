@@ -14,7 +14,7 @@ import pytest
 
 from tests.physics.extended import largest_rate, scenario
 from wtg_gym.envs.settings import EnvSettings
-from wtg_gym.gradients.tape import Tape
+from wtg_gym.gradients import Tape, check_by_differences
 from wtg_gym.physics import machine_models as models
 from wtg_gym.physics import machine_parameters as controls
 from wtg_gym.physics.grid import Branch, Bus, Grid, NetworkCase, get_grid, grid_text
@@ -26,7 +26,7 @@ from wtg_gym.physics.machine_parameters import (
     HydroGovernorParameters,
     SynchronousMachineParameters,
 )
-from wtg_gym.physics.parameters import ConverterLimitParameters, ProtectionParameters
+from wtg_gym.physics.parameters import ConverterLimitParameters, ProtectionParameters, WtgGroup
 from wtg_gym.physics.plant import Plant, plant_tables
 from wtg_gym.physics.scenario import Event, GovernorLoss, LoadStep, MachineOutage
 from wtg_gym.physics.simulator import Simulator
@@ -353,12 +353,17 @@ def test_what_cannot_be_is_refused() -> None:
     assert all(m.stabiliser is None and m.exciter is None for m in classical)
 
 
-def test_gradients_are_refused_by_the_names_of_the_models() -> None:
-    plant = Plant(case=get_grid("ieee14").case)
-    machines = (dataclasses.replace(plant.case.machines[0], stabiliser=STABILISER), *plant.case.machines[1:])
-    changed = dataclasses.replace(plant, case=dataclasses.replace(plant.case, machines=machines))
-    with pytest.raises(ValueError, match="gradients do not know these models of machines: stabilisers STAB1"):
-        Tape(dataclasses.replace(EnvSettings(version="v0"), plant=changed))
+@pytest.mark.parametrize("machines", [(FIRST, SECOND), OTHERS], ids=["first", "others"])
+def test_every_model_has_gradients(machines: Sequence[SynchronousMachineParameters]) -> None:
+    groups = (WtgGroup(bus=3, n_turbines=10.0),)
+    plant = Plant(case=network(*machines), groups=groups, protection=ProtectionParameters(frequency_max_pu=1.1))
+    tape = Tape(dataclasses.replace(EnvSettings(version="v0", duration_s=10.0), plant=plant), 2, 1)
+    steps = (LoadStep(time_s=1.0, bus=3, power_mw=20.0), LoadStep(time_s=2.0, bus=3, power_mw=-15.0))
+    given = {"wind": np.full((1, 1), 9.0), "duration_s": 10.0, "load_noise_bus": 3}
+    scenarios = [scenario(*events, **given) for events in (steps, steps[::-1][1:])]
+    actions = np.random.default_rng(0).uniform(-0.3, 0.3, (60, 2, tape.lanes.n_action))
+    for found in check_by_differences(tape, scenarios, actions)[:1]:
+        assert found.error.max() <= 1e-5, found.name
 
 
 def test_a_grid_file_names_every_model(tmp_path: Path) -> None:

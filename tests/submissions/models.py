@@ -190,23 +190,15 @@ def varint(number: int) -> bytes:
     return data + bytes([number])
 
 
-def field(number: int, data: bytes, kind: int = 2, *, far: bool = False) -> bytes:
-    """Return a field of a message; the key of a far one has a bit more than the 32 of a key."""
-    key = varint(number << 3 | kind | far << 32)
-    return key + (varint(len(data)) if kind == 2 else b"") + data
+def unseen(content: ModelProto) -> bytes:
+    """A model whose graph stands behind a key that readers take in two ways: as that of a graph, or as unknown.
 
-
-def rewritten(content: ModelProto, *parts: bytes) -> bytes:
-    """A model whose graph is left out, with these fields instead."""
-    shell = ModelProto()
+    Such a key has a bit more than 32.
+    """
+    shell, graph = ModelProto(), content.graph.SerializeToString()
     shell.CopyFrom(content)
     shell.ClearField("graph")
-    return shell.SerializeToString() + b"".join(parts)
-
-
-def unseen(content: ModelProto) -> bytes:
-    """A model whose graph stands behind a key that readers take in two ways: as that of a graph, or as unknown."""
-    return rewritten(content, field(7, content.graph.SerializeToString(), far=True))
+    return shell.SerializeToString() + varint(7 << 3 | 2 | 1 << 32) + varint(len(graph)) + graph
 
 
 def with_function(text: str, domain: str) -> ModelProto:

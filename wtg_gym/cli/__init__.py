@@ -27,7 +27,6 @@ _COMMANDS = {
     "submission": ("submission:app", "policies of others: write a template, check a folder, score it in isolation"),
     "suites": ("suites:suites", "the suites of scenarios, or one scenario"),
     "grid": ("grid:app", "grids of your own: bring one in, check it, make a suite for it"),
-    "reproduce": ("reproduce:reproduce", "the paper's figures and claims, measured"),
     "warmup": ("warmup:warmup", "compile the simulator before its first use"),
 }
 
@@ -46,7 +45,6 @@ first steps:
   wtg-gym suites                                the suites of scenarios
   wtg-gym evaluate --suite standard-v1          score the baselines of v1
   wtg-gym leaderboard --suite paper             rank them on the paper's cases
-  wtg-gym reproduce                             the paper's figures and claims
 
 'wtg-gym COMMAND --help' explains a command and gives examples.
 exit codes: 0 fine, 1 a check failed, 2 bad input, 130 interrupted, 141 the

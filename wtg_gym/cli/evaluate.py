@@ -22,7 +22,6 @@ def evaluate(
     threads: options.Threads = None,
     json: options.Json = False,
     seeds: options.SeedOptions = options.SeedOptions(),
-    plant: options.PlantOptions = options.PlantOptions(),
     workers: options.WorkerOptions = options.WorkerOptions(),
 ) -> int:
     """Play entries through the scenarios of a suite, many at a time, and score them.
@@ -56,9 +55,6 @@ def evaluate(
     planned = {
         **scoring.chosen_scenarios(suite, split, seeds),
         "duration_s": duration,
-        "control_dt": plant.control_dt,
-        "on_failure": plant.on_failure,
-        "plant": plant.replaced() or None,
     }
     scoring.check_stored(results, planned)
     with scoring.kept_parts(results) as partial:

@@ -101,27 +101,3 @@ class SeedOptions:
     """seeds of the split; in bash {20000..20009} is ten of them"""
     scenarios: Whole | None = None
     """the first so many"""
-
-
-@_group("Plant and time steps")
-@dataclass(frozen=True, kw_only=True)
-class PlantOptions:
-    """The plant and its time steps."""
-
-    control_dt: float | None = None
-    """time for which an action is held [s]; default: 0.1 s, in version v1 0.5 s"""
-    simulation_dt: float | None = None
-    """integration step, at most 0.05 s; default: the suite's"""
-    machine_model: Literal["genrou", "classical"] = "genrou"
-    """synchronous machines: genrou with exciters, or classical"""
-    on_failure: Literal["terminate", "trip"] | None = None
-    """the failure of a rotor (stall, over-speed, under-speed) ends the run, or disconnects its group; default: in
-    version v0 the end, in v1 the group"""
-    physics: Literal["paper", "extended", "nrel-5mw"] | None = None
-    """the paper's model; extended by what it leaves out; or that with the NREL 5 MW turbine; default: the suite's"""
-
-    def replaced(self) -> dict[str, Any]:
-        """Return what is replaced in the suite's plant."""
-        options = {"physics": self.physics, "simulation_dt": self.simulation_dt}
-        model = {} if self.machine_model == "genrou" else {"machine_model": self.machine_model}
-        return {**{name: value for name, value in options.items() if value is not None}, **model}

@@ -8,7 +8,7 @@ from typing import Annotated
 
 from cyclopts import Group, Parameter
 
-from wtg_gym.cli.options import CsvFile, FigureFile, Flag, Json, PlantOptions, SuiteName, Whole, Words
+from wtg_gym.cli.options import CsvFile, FigureFile, Flag, Json, SuiteName, Whole, Words
 from wtg_gym.cli.output import say
 
 #: The paper's law, which is played where no other is named.
@@ -43,7 +43,6 @@ class ScenarioOptions:
 def simulate_scenario(
     *,
     chosen: ScenarioOptions = ScenarioOptions(),
-    plant: PlantOptions = PlantOptions(),
     strategy: Words = _REFERENCE,
     case: Words = (),
     entry: Words = (),
@@ -90,11 +89,11 @@ def simulate_scenario(
     if entry and not case:
         raise ValueError("--entry belongs to --case; a scenario is played by laws: --strategy")
     if case:
-        if (chosen, plant, strategy, plot, csv) != (ScenarioOptions(), PlantOptions(), _REFERENCE, None, None):
+        if (chosen, strategy, plot, csv) != (ScenarioOptions(), _REFERENCE, None, None):
             raise ValueError("a case has its own scenario and grid, and is played by --entry: only --json goes with it")
         from wtg_gym.cli.simulation import play_cases
 
         return play_cases(case, entry or _REFERENCE, json=json)
     from wtg_gym.cli.simulation import run
 
-    return run(chosen, plant, strategy, plot=plot, csv=csv, json=json)
+    return run(chosen, strategy, plot=plot, csv=csv, json=json)

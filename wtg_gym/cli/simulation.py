@@ -11,11 +11,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from wtg_gym.cli.options import PlantOptions
 from wtg_gym.cli.output import print_json, print_table, require_extra, say, write_and_say
 from wtg_gym.cli.scoring import look_into_working_folder
 from wtg_gym.cli.suites import describe_scenario
-from wtg_gym.evaluation.grid_tests import GRID_TESTS, get_grid_test, run_grid_test
+from wtg_gym.evaluation.grid_tests import GRID_TESTS, run_grid_test
 from wtg_gym.files import interpreting, read_json
 from wtg_gym.physics.layout import Floats
 from wtg_gym.physics.protection import Status
@@ -24,6 +23,7 @@ from wtg_gym.physics.tracking_law import STRATEGIES, STRATEGY_NAMES, get_law
 from wtg_gym.physics.trajectory import Trajectory, simulate
 from wtg_gym.policies import load_entries
 from wtg_gym.progress import Progress
+from wtg_gym.ranges import require_choice
 from wtg_gym.scenarios import Suite, get_suite, read_wind_csv
 from wtg_gym.tasks import V0
 from wtg_gym.tasks.episode import ROCOF_WINDOW_S
@@ -35,7 +35,9 @@ if TYPE_CHECKING:
 def play_cases(names: Sequence[str], specs: Sequence[str], *, json: bool) -> int:
     """Play entries through tests, and print verdicts and figures; return 1 where one has failed, else 0."""
     expanded = dict.fromkeys(each for word in names for each in (GRID_TESTS if word == "all" else (word,)))
-    tests = [get_grid_test(name) for name in expanded]
+    for name in expanded:
+        require_choice("case", name, GRID_TESTS)
+    tests = [GRID_TESTS[name] for name in expanded]
     look_into_working_folder(specs)
     entries = load_entries(specs)
     rows: list[dict[str, Any]] = []
@@ -52,15 +54,7 @@ def play_cases(names: Sequence[str], specs: Sequence[str], *, json: bool) -> int
     return int(not all(row["passed"] for row in rows))
 
 
-def run(
-    options: ScenarioOptions,
-    plant: PlantOptions,
-    strategies: Sequence[str],
-    *,
-    plot: Path | None,
-    csv: Path | None,
-    json: bool,
-) -> int:
+def run(options: ScenarioOptions, strategies: Sequence[str], *, plot: Path | None, csv: Path | None, json: bool) -> int:
     """Simulate a scenario under laws, write what was asked for, and return the exit code."""
     if plot is not None:
         require_extra("matplotlib", "--plot")
@@ -69,9 +63,7 @@ def run(
     settings = suite.plant.replaced(
         # Another number of groups stands at bus 2.
         groups=None if scenario.n_wtg == len(suite.plant.groups) else scenario.n_wtg,
-        control_dt=plant.control_dt or suite.plant.control_dt,
-        trips_groups=(plant.on_failure or suite.task.on_failure) == "trip",
-        **plant.replaced(),
+        trips_groups=suite.task.on_failure == "trip",
     )
     everything = STRATEGIES if suite.task is V0 else STRATEGY_NAMES
     laws = {}
@@ -101,9 +93,8 @@ def run(
             "groups": [dataclasses.asdict(group) for group in settings.groups],
             "control_dt_s": settings.control_dt,
             "simulation_dt_s": settings.simulation_dt,
-            "machine_model": plant.machine_model,
             "on_failure": "trip" if settings.trips_groups else "terminate",
-            "physics": plant.physics or ("extended" if suite.plant.extended else "paper"),
+            "physics": "extended" if settings.extended else "paper",
         }
         print_json({"scenario": data, "plant": plant_data, "runs": figures})
     else:
@@ -241,21 +232,18 @@ def _digits(value: float | None, digits: int = 3) -> str:
 
 def traces_csv(runs: Mapping[str, Trajectory]) -> str:
     """Return every sample of every run as CSV: one row per run and instant, units in the header, all from 1."""
-    first = next(iter(runs.values()))
-    others = ("machine_frequency_hz", "bus_frequency_hz")
-    per_group = [name for name, values in vars(first).items() if getattr(values, "ndim", 0) == 2 and name not in others]
-    n_groups = first.power_pu.shape[1]
     text = io.StringIO()
     writer = csv_format.writer(text, lineterminator="\n")
-    names = [f"group_{group}_{name}" for group in range(1, n_groups + 1) for name in per_group]
-    names += [
-        f"{name.split('_')[0]}_{i + 1}_frequency_hz" for name in others for i in range(getattr(first, name).shape[1])
-    ]
-    writer.writerow(["strategy", "time_s", "frequency_hz", "rocof_hz_s", "shed_energy_mws", *names])
     for label, run in runs.items():
-        series = [run.time_s, run.frequency_hz, run.rocof_hz_s(), run.shed_energy_mws]
-        series += [getattr(run, name)[:, group] for group in range(n_groups) for name in per_group]
-        series += [column for name in others for column in getattr(run, name).T]
-        for row in zip(*series, strict=True):
+        columns = {name: getattr(run, name) for name in ("time_s", "frequency_hz", "shed_energy_mws")}
+        columns["rocof_hz_s"] = run.rocof_hz_s()
+        for name, values in vars(run).items():
+            if getattr(values, "ndim", 0) == 2:
+                kind, _, rest = name.partition("_")
+                unit, quantity = (kind, rest) if kind in ("machine", "bus") else ("group", name)
+                columns |= {f"{unit}_{i}_{quantity}": column for i, column in enumerate(values.T, start=1)}
+        if not text.tell():
+            writer.writerow(["strategy", *columns])
+        for row in zip(*columns.values(), strict=True):
             writer.writerow([label, *(f"{value:.9g}" for value in row)])
     return text.getvalue()

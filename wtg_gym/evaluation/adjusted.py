@@ -22,7 +22,6 @@ import json
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -69,15 +68,9 @@ def settings_hash(settings: Mapping[str, Any]) -> str:
     return sha256(to_json(dict(settings)).encode())
 
 
-@cache
-def _law_means() -> dict[str, Any]:
-    data: dict[str, Any] = json.loads(LAW_MEANS.read_text(encoding="utf-8"))
-    return data
-
-
 def known_means(suite: str, suite_hash: str, settings: Mapping[str, Any], laws: Sequence[str]) -> dict[str, KnownMeans]:
     """Return the known means of the laws in each stratum of a suite; empty where there are none."""
-    stored = _law_means().get(suite, {})
+    stored = json.loads(LAW_MEANS.read_text(encoding="utf-8")).get(suite, {})
     expected = {"suite_hash": suite_hash, "settings": settings_hash(settings), "laws": list(laws)}
     if not laws or {key: stored.get(key) for key in expected} != expected:
         return {}
@@ -123,8 +116,8 @@ class _Stratum:
 class Adjusted:
     """Scores, and differences between entries, with one scale and with control variates; see the module.
 
-    Gains are those of :func:`wtg_gym.evaluation.score.gains`; every array of an entry is (n_runs, n_scenarios). A
-    stratum of a single scenario adds nothing to the width of an interval.
+    Methods are those of :class:`~wtg_gym.evaluation.statistics.Bootstrap`. A stratum of a single scenario adds nothing
+    to the width of an interval.
 
     Args:
         scale: Λ, the gain that 100 points are.
@@ -158,11 +151,7 @@ class Adjusted:
         return _interval([self._points * gains, -self._points * other], self._strata)
 
     def share_difference(self, happened: Floats, other: Floats) -> Interval:
-        """Return how much more often something happened than under another entry [percentage points], paired.
-
-        Args:
-            happened, other: 1 where it happened and 0 where not.
-        """
+        """Return how much more often something happened than under another entry [percentage points], paired."""
         return _interval([100.0 * happened, -100.0 * other], self._plain)
 
     def worst_tenth_difference(self, costs: Floats, other: Floats) -> Interval:

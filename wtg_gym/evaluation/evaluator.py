@@ -8,7 +8,7 @@ import dataclasses
 import json
 import os
 from collections import Counter
-from collections.abc import Callable, Collection, Generator, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Generator, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor, wait
 from pathlib import Path
 from typing import Any
@@ -61,39 +61,29 @@ def evaluate(
 ) -> Results:
     """Play entries, and the references of the suite's version, through scenarios of a suite, and score them.
 
-    References are the laws that score 0 and 100, and those that scores are adjusted by, :attr:`Task.references`.
-
-    `evaluate("linear-feedback").scores["linear-feedback"]` is a score with its 95 % interval.
+    `evaluate("linear-feedback").scores["linear-feedback"]` is a score with its 95 % interval. References are the laws
+    that score 0 and 100, and those that scores are adjusted by, :attr:`Task.references`.
 
     The numbers of a law and of an :class:`OnnxPolicy` depend neither on `batch` nor on `n_threads`, to the last bit.
-    Any other policy is called once per control step for a whole batch; its own rounding may depend on the batch's size.
-    The batches, and so the numbers, are the same with any `workers`.
+    Any other policy is called once per control step for a whole batch, whose size its rounding may depend on.
 
     Args:
-        entries: each an :class:`Entry`, or a name or path that :func:`load_entries` takes; names (with training seeds)
-            must be unique.
+        entries: each an :class:`Entry`, or a name or path that :func:`load_entries` takes.
         suite: name of the suite.
         split: "train", "validation" or "test".
         seeds: some of the split's seeds; None for all.
         batch: scenarios that run side by side, of an ONNX policy 64 at most.
-        n_threads: threads to step with, and ONNX policies that play side by side; None for one per processor. Workers
-            have one each.
+        n_threads: threads to step with, and ONNX policies that play side by side; None for one per processor.
         on_progress: called with (name of the entry, episodes done, episodes in all) after every batch.
         partial: folder for finished batches, from which an interrupted run continues; :meth:`Results.write` removes
             them.
-        workers: other processes that play the batches; None plays them here, one after the other.
+        workers: other processes that play the same batches, on one thread each.
         keep_going: an entry whose policy fails, or whose law has no equilibrium in a scenario, is left out with all
-            training seeds of its name and listed in :attr:`Results.failed`; the others' results do not change. False
-            raises the failure. The failure of a reference is always raised.
-        env_arguments: further settings of the environment, such as `duration_s`, the length of the episodes [s], see
-            :class:`wtg_gym.envs.settings.EnvSettings`.
-
-    Returns:
-        every episode with its metrics; :attr:`Results.scores` are the scores, :attr:`Results.summaries` whole rows.
+            training seeds of its name and listed in :attr:`Results.failed`, unless it is a reference.
+        env_arguments: further fields of :class:`wtg_gym.envs.settings.EnvSettings`, such as `duration_s`.
 
     Raises:
-        PolicyError: a policy raises, ends, takes too long or returns no action, or a scenario has no equilibrium under
-            an entry's law; a ValueError that names entry and step or scenario.
+        PolicyError: an entry fails; a ValueError that names entry and step or scenario.
         ValueError: an entry is for another version, an argument is unknown or out of range, or the workers cannot be
             used; the message names them.
     """
@@ -108,8 +98,7 @@ def evaluate(
     store = PartialStore(partial, [played_suite.name, played_suite.hash, split, shared])
     parts = [part for entry in competitors for part in _parts(entry, chosen, batch)]
     needed = settings.task.references if keep_going else [entry.name for entry in competitors]
-    with contextlib.closing(_stored_and_played(store, parts, settings, n_threads, workers)) as batches:
-        episodes, failures = _collected(batches, parts, on_progress, needed)
+    episodes, failures = _episodes(store, parts, settings, n_threads, workers, on_progress, needed)
     return Results(
         suite=settings.suite_name,
         split=split,
@@ -217,60 +206,57 @@ def _parts(entry: Entry, seeds: Sequence[int], batch: int) -> Iterator[_Part]:
 # --- batches ---------------------------------------------------------------------------------------------------------
 
 
-def _collected(
-    batches: Iterable[tuple[int, Played]], parts: Sequence[_Part], on_progress: Progress | None, needed: Collection[str]
-) -> tuple[list[Episode], dict[tuple[str, int | None], str]]:
-    """Return the episodes in the order of the parts, and how entries failed, by name and training seed.
-
-    The failure of an entry that is needed is raised.
-    """
-    played: dict[int, list[Episode]] = {}
-    failures: dict[tuple[str, int | None], str] = {}
-    n_done, n_all = 0, sum(len(seeds) for _, seeds in parts)
-    for index, rows in batches:
-        entry, seeds = parts[index]
-        if isinstance(rows, PolicyError):
-            if entry.name in needed:
-                raise rows
-            failures.setdefault((entry.name, entry.training_seed), str(rows))
-        else:
-            played[index] = rows
-        n_done += len(seeds)
-        if on_progress is not None:
-            on_progress(entry.name, n_done, n_all)
-    return [episode for index in sorted(played) for episode in played[index]], failures
-
-
-def _stored_and_played(
+def _episodes(
     store: PartialStore,
     parts: Sequence[_Part],
     settings: EnvSettings,
     n_threads: int | None,
     workers: Workers | None,
-) -> Generator[tuple[int, Played], None, None]:
-    """Yield (index, episodes) of every batch: first the stored ones, then the others, which are stored too."""
-    missing, suite = [], settings.resolved_suite
-    for index, (entry, seeds) in enumerate(parts):
-        rows = store.load(entry, seeds)
-        if rows is None:
+    on_progress: Progress | None,
+    needed: Collection[str],
+) -> tuple[list[Episode], dict[tuple[str, int | None], str]]:
+    """Return the episodes in the order of the parts, and how entries failed, by name and training seed.
+
+    Stored parts are read, the others are played and stored. The failure of an entry that is needed is raised.
+    """
+    found: dict[int, list[Episode]] = {}
+    failures: dict[tuple[str, int | None], str] = {}
+    n_done, n_all, suite_hash = 0, sum(len(seeds) for _, seeds in parts), settings.resolved_suite.hash
+
+    def take(index: int, played: Played) -> None:
+        nonlocal n_done
+        entry, seeds = parts[index]
+        if not isinstance(played, PolicyError):
+            found[index] = played
+        elif entry.name in needed:
+            raise played
+        else:
+            failures.setdefault((entry.name, entry.training_seed), str(played))
+        n_done += len(seeds)
+        if on_progress is not None:
+            on_progress(entry.name, n_done, n_all)
+
+    missing = []
+    for index, part in enumerate(parts):
+        if (stored := store.load(*part)) is None:
             missing.append(index)
         else:
-            yield index, rows
+            take(index, stored)
     remaining = [parts[index] for index in missing]
-    playing = (
-        _played_here(remaining, settings, n_threads)
-        if workers is None or not remaining
-        else workers.play(play_batch, settings, remaining)
-    )
+    if workers is None or not remaining:
+        playing = _played_here(remaining, settings, n_threads)
+    else:
+        playing = workers.play(play_batch, settings, remaining)
     with contextlib.closing(playing) as batches:
         for number, played in batches:
-            if get_suite(settings.suite_name).hash != suite.hash:
+            if get_suite(settings.suite_name).hash != suite_hash:
                 raise ValueError(
                     f"the suite {settings.suite_name} was written anew while it was played: evaluate again"
                 )
             if not isinstance(played, PolicyError):
                 store.save(*remaining[number], played)
-            yield missing[number], played
+            take(missing[number], played)
+    return [episode for index in sorted(found) for episode in found[index]], failures
 
 
 def _played_here(

@@ -89,7 +89,7 @@ Verdict = tuple[bool, str]
 
 @dataclass(frozen=True, kw_only=True)
 class GridTest:
-    """A named case."""
+    """A named case; `judge` says of a run that went on with all groups whether it has passed."""
 
     name: str
     source: str  # keys of SOURCES
@@ -101,34 +101,39 @@ class GridTest:
     events: tuple[Event, ...]
     judge: Callable[[Recording], Verdict]
 
-    def scenario(self, settings: Plant) -> Scenario:
+    def scenario(self, plant: Plant) -> Scenario:
         """Return what happens."""
         return Scenario(
             name=self.name,
-            wind_speed=np.full((len(settings.groups), 1), self.wind_m_s),
+            wind_speed=np.full((len(plant.groups), 1), self.wind_m_s),
             duration_s=self.duration_s,
             events=self.events,
             load_level=self.load_level,
             load_noise_bus=1,
         )
 
+    def verdict(self, run: Recording) -> Verdict:
+        """Return whether a run has passed, and the figure or what went wrong."""
+        lost = _lost(run)
+        return (False, lost) if lost else self.judge(run)
 
-def _grid(**changes: Any) -> Plant:
-    """Return the plant of version v1; `changes` are of its network."""
-    settings = get_suite(DEFAULT_SUITE).plant
-    return dataclasses.replace(settings, case=dataclasses.replace(settings.case, **changes))
+
+def _grid() -> Plant:
+    """Return the plant of version v1."""
+    return get_suite(DEFAULT_SUITE).plant
 
 
 def _one_machine() -> Plant:
     """Return v1's grid with its generator only."""
-    case = _grid().case
-    return _grid(machines=tuple(machine for machine in case.machines if machine.bus == case.slack_bus))
+    plant = _grid()
+    machines = tuple(machine for machine in plant.case.machines if machine.bus == plant.case.slack_bus)
+    return dataclasses.replace(plant, case=dataclasses.replace(plant.case, machines=machines))
 
 
-def _bench(ratio: float) -> Plant:
-    """Return the bench at a short-circuit ratio."""
-    settings = _grid()
-    case, mva = settings.case, sum(g.n_turbines for g in settings.groups) * settings.turbine.rated_power_mw
+def _bench(ratio: float, **changes: Any) -> Plant:
+    """Return the bench at a short-circuit ratio; without relays of load shedding (`shedding=()`) or with them."""
+    plant = _grid()
+    case, mva = plant.case, sum(g.n_turbines for g in plant.groups) * plant.turbine.rated_power_mw
     reactance = case.base_mva / (ratio * mva)
     line = Branch(from_bus=_SOURCE_BUS, to_bus=1, resistance=reactance / _X_TO_R, reactance=reactance)
     bench = NetworkCase(
@@ -141,20 +146,16 @@ def _bench(ratio: float) -> Plant:
         machines=(),
         sources=(Source(bus=_SOURCE_BUS),),
     )
-    return dataclasses.replace(settings, case=bench)
+    return dataclasses.replace(plant, case=bench, **changes)
 
 
-def _without_relays(ratio: float) -> Plant:
-    """Return the bench without relays of load shedding, which would see the source's frequency."""
-    return dataclasses.replace(_bench(ratio), shedding=())
+def _strong() -> Plant:
+    # Relays would see the source's frequency.
+    return _bench(10.0, shedding=())
 
 
-def _ratio_3() -> Plant:
-    return _without_relays(3.0)
-
-
-def _ratio_10() -> Plant:
-    return _without_relays(10.0)
+def _weak() -> Plant:
+    return _bench(3.0, shedding=())
 
 
 # --- criteria ---------------------------------------------------------------------------------------------------------
@@ -171,32 +172,23 @@ def _longest_beyond(time_s: Floats, beyond: npt.NDArray[np.bool_]) -> float:
     return longest
 
 
-def _survives(found: Recording) -> str:
+def _lost(run: Recording) -> str:
     """Return why a run did not go on with all groups, or nothing."""
-    if found.status is not Status.RUNNING:
-        return f"grid lost after {found.time_s[-1]:.1f} s: {found.status.name.lower().replace('_', ' ')}"
-    if not found.connected[-1].all():
-        groups = ", ".join(str(1 + group) for group in np.flatnonzero(~found.connected[-1]))
-        return f"group {groups} tripped"
+    if run.status is not Status.RUNNING:
+        return f"grid lost after {run.time_s[-1]:.1f} s: {run.status.name.lower().replace('_', ' ')}"
+    if not run.connected[-1].all():
+        return f"group {', '.join(str(1 + group) for group in np.flatnonzero(~run.connected[-1]))} tripped"
     for level, longest_s in OVER_VOLTAGES:
-        if (beyond := _longest_beyond(found.time_s, found.voltage_pu > level)) > longest_s + 0.1:
+        if (beyond := _longest_beyond(run.time_s, run.voltage_pu > level)) > longest_s + 0.1:
             return f"above {level:g} p.u. for {beyond:.1f} s"
     return ""
 
 
-def _settles(found: Recording) -> float:
-    """Return by how much the frequency moves in the last 5 s [Hz]."""
-    return float(np.ptp(found.frequency_hz[found.at(found.time_s[-1] - 5.0) :]))
-
-
-def _takes_over(found: Recording) -> Verdict:
-    """After losing the grid: voltages 0.8 … 1.1 p.u. but for 0.1 s, the frequency within 47.5 … 51.5 Hz and at rest."""
-    if lost := _survives(found):
-        return False, lost
-    beyond = _longest_beyond(found.time_s, (found.voltage_pu < 0.8) | (found.voltage_pu > 1.1))
-    moves = _settles(found)
-    extreme = found.frequency_hz[np.abs(found.frequency_hz - 50.0).argmax()]
-    figure = f"{extreme:.2f} Hz, then {found.frequency_hz[-1]:.2f} Hz, {found.shed_mws:.0f} MW s shed"
+def _takes_over(run: Recording) -> Verdict:
+    beyond = _longest_beyond(run.time_s, (run.voltage_pu < 0.8) | (run.voltage_pu > 1.1))
+    moves = float(np.ptp(run.frequency_hz[run.at(run.time_s[-1] - 5.0) :]))
+    extreme = run.frequency_hz[np.abs(run.frequency_hz - 50.0).argmax()]
+    figure = f"{extreme:.2f} Hz, then {run.frequency_hz[-1]:.2f} Hz, {run.shed_mws:.0f} MW s shed"
     if beyond > 0.1 + 1e-9:
         return False, f"{figure}; voltage beyond its range for {beyond:.1f} s"
     if moves > 0.1:
@@ -204,52 +196,40 @@ def _takes_over(found: Recording) -> Verdict:
     return True, figure
 
 
-def _follows(found: Recording) -> Verdict:
-    """While the source's frequency moves, power moves against it; once it is back, power is back within 5 %."""
-    if lost := _survives(found):
-        return False, lost
-    power, before = found.total(), found.at(2.0)
-    moved = power[before : found.at(3.0) + 1] - power[before]
+def _follows(run: Recording) -> Verdict:
+    power, before = run.total(), run.at(2.0)
+    moved = power[before : run.at(3.0) + 1] - power[before]
     peak, rest = moved[np.abs(moved).argmax()], abs(power[-1] - power[before])
-    against = peak * (found.frequency_hz[found.at(6.0)] - 50.0) < 0.0
+    against = peak * (run.frequency_hz[run.at(6.0)] - 50.0) < 0.0
     return bool(against and rest <= 0.05), f"ΔP {peak:+.2f} p.u., back within {rest:.3f} p.u."
 
 
-def _opposes(found: Recording, forward: bool) -> Verdict:
-    """The angle's step is opposed by at least 0.2 p.u. of power, which is back within 5 % after 5 s."""
-    if lost := _survives(found):
-        return False, lost
-    power, before = found.total(), found.at(2.0)
+def _opposes(run: Recording, forward: bool) -> Verdict:
+    power, before = run.total(), run.at(2.0)
     # At the end of the first simulation step with the new angle.
     first = float(power[before + 1] - power[before])
-    rest = abs(power[found.at(7.0)] - power[before])
+    rest = abs(power[run.at(7.0)] - power[before])
     opposes = (-first if forward else first) >= 0.2
     return bool(opposes and rest <= 0.05), f"ΔP {first:+.2f} p.u., back within {rest:.3f} p.u."
 
 
-def _recovers(found: Recording, cleared_s: Sequence[float]) -> Verdict:
-    """After each clearing voltages reach 0.9 p.u. within 1.5 s, and power its value before within 5 % in 3 s."""
-    if lost := _survives(found):
-        return False, lost
-    power, slowest, farthest = found.total(), 0.0, 0.0
+def _recovers(run: Recording, cleared_s: Sequence[float]) -> Verdict:
+    power, slowest, farthest = run.total(), 0.0, 0.0
     for at in cleared_s:
-        after = slice(found.at(at) + 1, found.at(at + 3.0) + 1)
-        times, low = found.time_s[after], (found.voltage_pu[after] < 0.9).any(axis=1)
+        after = slice(run.at(at) + 1, run.at(at + 3.0) + 1)
+        times, low = run.time_s[after], (run.voltage_pu[after] < 0.9).any(axis=1)
         slowest = max(slowest, float(times[min(int(np.flatnonzero(low).max(initial=-1)) + 1, low.size - 1)] - at))
-        farthest = max(farthest, abs(power[found.at(at + 3.0)] - power[0]))
+        farthest = max(farthest, abs(power[run.at(at + 3.0)] - power[0]))
     figure = f"0.9 p.u. within {slowest:.1f} s, power within {farthest:.3f} p.u."
     return bool(slowest <= 1.5 and farthest <= 0.05), figure
 
 
-def _leaves_limit(found: Recording) -> Verdict:
-    """The current limit is reached and held, and no group is limited any more 0.5 s after its cause is gone."""
-    if lost := _survives(found):
-        return False, lost
-    largest, limited = float(found.current_pu.max()), found.limited.max(axis=1)
-    reached = limited[found.at(2.0) : found.at(2.5) + 1].any()
-    after = max(float(found.time_s[limited].max()) - 2.5, 0.0) if limited.any() else 0.0
+def _leaves_limit(run: Recording) -> Verdict:
+    largest, limited = float(run.current_pu.max()), run.limited.max(axis=1)
+    reached = limited[run.at(2.0) : run.at(2.5) + 1].any()
+    after = max(float(run.time_s[limited].max()) - 2.5, 0.0) if limited.any() else 0.0
     figure = f"{largest:.3f} p.u., {'left' if reached else 'never reached, left'} after {after:.1f} s"
-    figure += f", then {found.voltage_pu.max():.2f} p.u. of voltage"
+    figure += f", then {run.voltage_pu.max():.2f} p.u. of voltage"
     return bool(reached and largest <= 1.2 + 1e-6 and after <= 0.5), figure
 
 
@@ -284,7 +264,7 @@ def _ramp(name: str, source: str, rocof_hz_s: float) -> GridTest:
         FrequencyRamp(time_s=at, bus=_SOURCE_BUS, rocof_hz_s=rate, duration_s=length)
         for at, rate in ((2.0, rocof_hz_s), (7.0 + length, -rocof_hz_s))
     )
-    return GridTest(name=name, source=source, criterion=_FOLLOWS, plant=_ratio_10, events=events, judge=_follows)
+    return GridTest(name=name, source=source, criterion=_FOLLOWS, plant=_strong, events=events, judge=_follows)
 
 
 def _jump(name: str, source: str, angle_deg: float) -> GridTest:
@@ -293,10 +273,10 @@ def _jump(name: str, source: str, angle_deg: float) -> GridTest:
         name=name,
         source=source,
         criterion=_RESISTS,
-        plant=_ratio_3,
+        plant=_weak,
         duration_s=15.0,
         events=(PhaseJump(time_s=2.0, bus=_SOURCE_BUS, angle_deg=angle_deg),),
-        judge=lambda found: _opposes(found, angle_deg > 0.0),
+        judge=lambda run: _opposes(run, angle_deg > 0.0),
     )
 
 
@@ -350,20 +330,20 @@ GRID_TESTS: dict[str, GridTest] = {
             name="dip",
             source="FNN, SJV2024",
             criterion="150 ms near bus 1; 0.9 p.u. within 1.5 s, power within 0.05 p.u. in 3 s; all groups stay",
-            plant=_ratio_3,
+            plant=_weak,
             duration_s=15.0,
             events=(Fault(time_s=2.0, bus=1, clears_after_s=0.15, reactance_pu=0.02),),
-            judge=lambda found: _recovers(found, (2.15,)),
+            judge=lambda run: _recovers(run, (2.15,)),
         ),
         GridTest(
             name="ratio-steps",
             source="AEMO, MISO",
             criterion="ratio 20 → 10, 3, 2, 1.5, 1.25 at the clearing of faults; each time as for the dip",
-            plant=lambda: _without_relays(20.0),
+            plant=lambda: _bench(20.0, shedding=()),
             wind_m_s=11.4,
             duration_s=45.0,
             events=_STEPS,
-            judge=lambda found: _recovers(found, [2.125 + 8.0 * k for k in range(len(_RATIOS))]),
+            judge=lambda run: _recovers(run, [2.125 + 8.0 * k for k in range(len(_RATIOS))]),
         ),
         _island("island-surplus", wind_m_s=11.4, load_level=0.9),
         _island("island-deficit", wind_m_s=11.0),
@@ -378,17 +358,6 @@ GRID_TESTS: dict[str, GridTest] = {
         ),
     )
 }
-
-
-def get_grid_test(name: str) -> GridTest:
-    """Return a test by its name.
-
-    Raises:
-        ValueError: the test is unknown; the message lists the known ones.
-    """
-    if name not in GRID_TESTS:
-        raise ValueError(f"unknown case {name!r}; known cases: {', '.join(GRID_TESTS)}")
-    return GRID_TESTS[name]
 
 
 def run_grid_test(test: GridTest, entry: Entry) -> tuple[Recording, Verdict]:
@@ -432,7 +401,7 @@ def run_grid_test(test: GridTest, entry: Entry) -> tuple[Recording, Verdict]:
         status = Status(int(simulator.lane_values("status")[0]))
         shed = simulator.lane_values("shed_energy")[0] * plant.case.base_mva
     time_s, coi, voltages, power, current, cut, connected = (np.array(column) for column in zip(*samples, strict=True))
-    found = Recording(
+    run = Recording(
         time_s=time_s,
         frequency_hz=plant.case.frequency_hz * coi,
         voltage_pu=voltages,
@@ -443,4 +412,4 @@ def run_grid_test(test: GridTest, entry: Entry) -> tuple[Recording, Verdict]:
         status=status,
         shed_mws=float(shed),
     )
-    return found, test.judge(found)
+    return run, test.verdict(run)

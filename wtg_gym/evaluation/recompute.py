@@ -78,14 +78,14 @@ def compare(stored: Results, now: Results) -> Comparison:
     """Compare two results on the same scenarios, to the last bit."""
     comparison = Comparison([], [])
     one, other = _facts(stored), _facts(now)
-    cells, others = _cells(stored), _cells(now)
     # Where one side alone has an entry's episodes, that it was not played to the end is the difference.
-    common = [where for where in cells if where in others]
-    for where in (*{**one, **other}, *common):
-        values = [each.get(where) for each in ((cells, others) if where in cells else (one, other))]
-        if values[0] != values[1]:
+    cells, others = _cells(stored), _cells(now)
+    one |= {where: cells[where] for where in cells if where in others}
+    other |= {where: others[where] for where in others if where in cells}
+    for where in {**one, **other}:
+        if one.get(where) != other.get(where):
             differences = comparison.circumstances if _CIRCUMSTANCES & {*where} else comparison.differences
-            differences.append(Difference(": ".join(where), *map(str, values)))
+            differences.append(Difference(": ".join(where), str(one.get(where)), str(other.get(where))))
     return comparison
 
 

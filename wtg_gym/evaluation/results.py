@@ -19,7 +19,7 @@ from wtg_gym.evaluation.adjusted import LEAST_SCENARIOS, Adjusted, ControlVariat
 from wtg_gym.evaluation.episodes import Episode, check_size, from_csv, to_csv
 from wtg_gym.evaluation.metrics import METRICS
 from wtg_gym.evaluation.partial import PartialStore
-from wtg_gym.evaluation.score import NoScaleError, cost_offsets, gains, score_scales
+from wtg_gym.evaluation.score import NoScaleError, cost_offsets, gains, score_scale
 from wtg_gym.evaluation.statistics import Bootstrap, Floats, Groups, Interval
 from wtg_gym.evaluation.summary import EntrySummary, Runs, ranked
 from wtg_gym.evaluation.table import columns_of, markdown_table, notes_on_marks
@@ -117,13 +117,13 @@ class Results:
             NoScaleError: in v0, the entry at 0 is not worse than the entry at 100 on these scenarios.
         """
         self._check_scale()
-        runs, costs = self._runs, self.pinned_costs
-        return summary.scored(self._measured, runs, costs, self.task, self.cost_offsets, self._scoring)
+        offsets = cost_offsets(self.groups, self.task)
+        return summary.scored(self._measured, self._runs, self.pinned_costs, self.task, offsets, self._scoring)
 
     @cached_property
     def _measured(self) -> list[EntrySummary]:
-        costs, suite = self.pinned_costs, get_suite(self.suite)
-        return summary.measured(self.entries, self._runs, costs, suite, self.groups, self._scoring)
+        suite = get_suite(self.suite)
+        return summary.measured(self.entries, self._runs, self.pinned_costs, suite, self.groups, self._scoring)
 
     @cached_property
     def _scoring(self) -> Bootstrap | Adjusted:
@@ -135,9 +135,8 @@ class Results:
         return Adjusted(self.task.scale, self.groups, variates)
 
     def _gains(self, law: str) -> Floats:
-        hundred = self.pinned_costs[self.task.hundred][0]
-        gained: Floats = gains(self.pinned_costs[law], hundred, self.cost_offsets)[0]
-        return gained
+        hundred, offsets = self.pinned_costs[self.task.hundred][0], cost_offsets(self.groups, self.task)
+        return np.asarray(gains(self.pinned_costs[law], hundred, offsets)[0])
 
     @cached_property
     def _known_means(self) -> dict[str, KnownMeans]:
@@ -179,19 +178,20 @@ class Results:
             return f"ranked by mean cost, as there is no score: {error}"
         return ""
 
-    def _check_scale(self) -> None:
-        zero, hundred = (self.pinned_costs[name][0] for name in self.task.anchors)
-        score_scales(zero, hundred, self.task, self.groups)
-
     @property
     def has_scale(self) -> bool:
         """Whether there is a score: in v0, whether the entry at 0 is worse than the entry at 100."""
         return not self.no_score
 
+    def _check_scale(self) -> None:
+        zero, hundred = (self.pinned_costs[name][0] for name in self.task.anchors)
+        score_scale(zero, hundred, self.task, self.groups)
+
     @cached_property
     def pinned_costs(self) -> dict[str, Floats]:
         """Pinned costs by the entry's name, (n_runs, n_scenarios), in the order of training seeds and scenarios."""
-        return self._by_entry({name: summary.pinned_costs(runs, self._cap) for name, runs in self._runs.items()})
+        cap = None if self.task.failure_costs_whole_episode else float(self.settings["weights"]["cap"])
+        return self._by_entry({name: summary.pinned_costs(runs, cap) for name, runs in self._runs.items()})
 
     @cached_property
     def _runs(self) -> dict[str, Runs]:
@@ -203,15 +203,6 @@ class Results:
         suite = get_suite(self.suite)
         strata = np.array([suite.stratum(seed) for seed in self.seeds])
         return {name: np.flatnonzero(strata == name) for name in suite.strata or ("",) if name in strata}
-
-    @property
-    def cost_offsets(self) -> Floats:
-        """J0 of every scenario, (n_scenarios,)."""
-        return cost_offsets(self.groups, self.task)
-
-    @property
-    def _cap(self) -> float | None:
-        return None if self.task.failure_costs_whole_episode else float(self.settings["weights"]["cap"])
 
     @property
     def name(self) -> str:

@@ -1,21 +1,13 @@
 """The score: from the costs of episodes to points.
 
-Pinned cost of scenario i: J_i is the total cost of the episode. In v0 a failed episode has cap · (duration + 1 s), the
-largest cost, as if it had failed at once.
+- **Pinned cost** J of a scenario: the episode's total cost; in v0 that of a failed one is cap · (duration + 1 s), as if
+  it had failed at once.
+- **Gain**: g = ln((J_100 + J0) / (J + J0)), with the offset J0 of its stratum and J_100 of the law that scores 100. Up
+  to J0 a cost counts almost as in a mean, beyond by its ratio, so that a few failures do not decide alone.
+- **Score**: 100 + 100 / Λ · the mean over strata of their mean gains. A point is Λ per cent of J + J0 everywhere.
 
-Gain of scenario i: g_i = ln((J_100,i + J0) / (J_i + J0)), with the offset J0 of its stratum and the pinned cost J_100
-of the law that scores 100. Below J0 costs count almost as in a mean, beyond it by their ratio, so that a few failures
-do not decide alone.
-
-Score: 100 + 100 / Λ · the mean over strata of the mean gain of each, over training seeds and scenarios. So a point is
-the same share of the cost, Λ per cent of J + J0, in every stratum and suite.
-
-- v1: the scale Λ is a number, :attr:`Task.scale`. The mean gain of a stratum is adjusted by control variates, laws
-  whose mean gain over the whole distribution is known: mean(g) - β · (mean(x) - μ), see
-  :mod:`wtg_gym.evaluation.adjusted`, which has the intervals too.
-- v0 has no strata. Λ is the mean over the same scenarios of ln((J_0,i + J0) / (J_100,i + J0)), J_0 being the cost of
-  the law that scores 0, so that this one has exactly 0. Intervals are those of a bootstrap, see
-  :class:`wtg_gym.evaluation.statistics.Bootstrap`.
+In v1 Λ is :attr:`Task.scale`, and mean gains are adjusted, see :mod:`wtg_gym.evaluation.adjusted`. v0 has no strata; Λ
+is the mean of ln((J_0 + J0) / (J_100 + J0)) over the same scenarios, J_0 of the law that scores 0.
 
 Arrays of one entry have the shape (n_runs, n_scenarios): one run per training seed, a single one for a law.
 """
@@ -26,7 +18,6 @@ import math
 
 import numpy as np
 
-from wtg_gym.evaluation.episodes import Episode
 from wtg_gym.evaluation.statistics import Floats, Groups, mean
 from wtg_gym.tasks import Task
 
@@ -45,13 +36,6 @@ def pinned_cost(cost: float, *, failed: bool, duration_s: float, cap: float) -> 
         cap: largest cost rate [1/s].
     """
     return cap * (duration_s + 1.0) if failed else cost
-
-
-def pinned(episode: Episode, cap: float | None) -> float:
-    """Return the pinned cost of an episode, with the largest cost rate `cap` [1/s]; None: as charged."""
-    cost = episode.metrics["cost"]
-    assert cost is not None
-    return cost if cap is None else pinned_cost(cost, failed=episode.failed, duration_s=episode.duration_s, cap=cap)
 
 
 def cost_offsets(groups: Groups, task: Task) -> Floats:
@@ -85,21 +69,21 @@ def gains(costs: Floats, hundred: Floats, offsets: Floats) -> Floats:
     return np.array([base - logarithms(run) for run in costs])
 
 
-def score_scales(zero: Floats, hundred: Floats, task: Task, groups: Groups) -> list[float]:
-    """Return Λ of every stratum: the task's, or without strata from the anchors' pinned costs, (n_scenarios,) each.
+def score_scale(zero: Floats, hundred: Floats, task: Task, groups: Groups) -> float:
+    """Return Λ: the task's, or of a version without one that from the anchors' pinned costs, (n_scenarios,) each.
 
     Raises:
-        NoScaleError: a Λ is not positive, so that there is no scale to score on.
+        NoScaleError: Λ is not positive, so that there is no scale to score on.
     """
     if task.scale is not None:
-        return [task.scale] * len(groups)
+        return task.scale
     scale = -mean(gains(zero[np.newaxis], hundred, cost_offsets(groups, task)))
     if not scale > 0.0:
         raise NoScaleError(
             f"on these {zero.size} scenarios {task.zero} (mean cost {mean(zero):.4g}) is not worse than {task.hundred} "
             f"(mean cost {mean(hundred):.4g}): Λ = {scale:.3g} must be positive to score with"
         )
-    return [scale]
+    return scale
 
 
 def gains_by_term(costs: Floats, hundred: Floats, terms: Floats, hundred_terms: Floats, offsets: Floats) -> Floats:

@@ -128,13 +128,12 @@ def screened(grid: str, name: str, on_progress: Callable[[str, float, int], obje
         ValueError: no load or no size is small enough, or a mode is hardly damped.
     """
     own = dataclasses.replace(unscreened(grid), name=name)
-    case = get_grid(grid).with_groups
     while not _starts(own):
         high = round(own.load_level[1] - _LESS_LOAD, 2)
         low = min(own.load_level[0], round(high - _LEAST_RANGE, 2))
         if low < _LEAST_LOAD:
             raise ValueError(f"grid {grid!r} has no equilibrium in some winds at {100.0 * low:.0f} % of its load too")
-        own = dataclasses.replace(own, load_level=(low, high), places=all_places(case, low))
+        own = dataclasses.replace(own, load_level=(low, high), places=all_places(get_grid(grid), low))
         on_progress(f"load level at most {high:g}", 1, 1)
     damping, hertz = _least_damped(own)
     on_progress(f"least damped mode: {hertz:.2f} Hz by {100.0 * damping:.1f} %", 1, 1)

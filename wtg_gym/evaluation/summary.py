@@ -14,7 +14,7 @@ import numpy as np
 from wtg_gym.evaluation import statistics
 from wtg_gym.evaluation.adjusted import Adjusted
 from wtg_gym.evaluation.episodes import Episode
-from wtg_gym.evaluation.score import gains, gains_by_term, pinned
+from wtg_gym.evaluation.score import gains, gains_by_term, pinned_cost
 from wtg_gym.evaluation.statistics import Bootstrap, Floats, Groups, Interval
 from wtg_gym.scenarios.suite import Suite
 from wtg_gym.tasks import Task
@@ -76,14 +76,43 @@ def measured(
     costs: Mapping[str, Floats],
     suite: Suite,
     groups: Groups,
-    differences: Bootstrap | Adjusted,
+    scoring: Bootstrap | Adjusted,
 ) -> list[EntrySummary]:
     """Return the row of every name without its score, in the order of the entries.
 
     All runs are on the same scenarios in the same order, those of `groups`; costs are pinned, (n_runs, n_scenarios).
     """
-    described = {entry["name"]: entry for entry in entries}
-    return [_measured(each, runs, costs, suite, groups, differences) for each in described.values()]
+    task, nominal_hz = suite.task, suite.nominal_hz
+    lost = {name: _lost(own) for name, own in runs.items()}
+    bad = {name: lost_or_beyond(own, nominal_hz) for name, own in runs.items()}
+
+    def row(name: str, entry: Mapping[str, Any]) -> EntrySummary:
+        episodes, paid = runs[name], costs[name]
+        reliable = (statistics.sign_test(each[name], each[task.hundred]) >= _SIGNIFICANT for each in (bad, lost))
+        worst = float(np.median(_deviations(episodes, "worst_nadir_hz", "worst_zenith_hz", nominal_hz)))
+        return EntrySummary(
+            name=name,
+            kind=str(entry["kind"]),
+            privileged=entry["observation_mode"] == "privileged",
+            version=task.version,
+            n_runs=paid.shape[0],
+            n_episodes=paid.size,
+            n_lost=int(lost[name].sum()),
+            failures_percent=statistics.share(lost[name], groups),
+            lost_or_beyond_percent=statistics.share(bad[name], groups),
+            lost_or_beyond_to_hundred=scoring.share_difference(bad[name], bad[task.hundred]),
+            marked=not task.failure_costs_whole_episode or all(reliable),
+            mean_pinned_cost=statistics.mean(paid),
+            worst_decile_cost=statistics.mean(statistics.worst_tenth(paid)),
+            worst_decile_to_hundred=scoring.worst_tenth_difference(paid, costs[task.hundred]),
+            median_deviation_mhz=float(np.median(_deviations(episodes, "nadir_hz", "zenith_hz", nominal_hz))),
+            median_worst_deviation_mhz=None if math.isnan(worst) else worst,
+            median_nadir_hz=float(np.median(_values(episodes, "nadir_hz"))),
+            mean_duty_error_percent=statistics.mean(_values(episodes, "duty_error_percent")),
+            mean_energy_share_percent=statistics.mean(_values(episodes, "energy_share_percent")),
+        )
+
+    return [row(name, entry) for name, entry in {entry["name"]: entry for entry in entries}.items()]
 
 
 def scored(
@@ -96,19 +125,16 @@ def scored(
 ) -> list[EntrySummary]:
     """Return the :func:`measured` rows with their scores; `offsets` is J0 of every scenario, (n_scenarios,)."""
     hundred = costs[task.hundred][0]
-    gained = {name: gains(own, hundred, offsets) for name, own in costs.items()}
+    gained = {name: gains(paid, hundred, offsets) for name, paid in costs.items()}
     terms = {row.name: parts_of_costs(runs[row.name], costs[row.name]) for row in rows}
-    hundred_terms = terms[task.hundred][:, 0]
 
     def with_score(row: EntrySummary) -> EntrySummary:
-        own = gained[row.name]
-        parts = gains_by_term(costs[row.name], hundred, terms[row.name], hundred_terms, offsets)
-        points = [scoring.points(part) for part in parts]
+        parts = gains_by_term(costs[row.name], hundred, terms[row.name], terms[task.hundred][:, 0], offsets)
         return replace(
             row,
-            score=scoring.score(own),
-            strata=scoring.strata(own),
-            points_by_term=dict(zip((*POINTS, REST), points, strict=True)),
+            score=scoring.score(gained[row.name]),
+            strata=scoring.strata(gained[row.name]),
+            points_by_term=dict(zip((*POINTS, REST), map(scoring.points, parts), strict=True)),
         )
 
     rows = [with_score(row) for row in rows]
@@ -138,8 +164,15 @@ def runs_by_name(episodes: Sequence[Episode]) -> dict[str, Runs]:
 
 
 def pinned_costs(runs: Runs, cap: float | None) -> Floats:
-    """Return the pinned costs, (n_runs, n_scenarios), with the largest cost rate `cap` [1/s], see :func:`pinned`."""
-    return np.array([[pinned(episode, cap) for episode in run] for run in runs])
+    """Return the pinned costs, (n_runs, n_scenarios), with the largest cost rate `cap` [1/s]; None: as charged."""
+    costs = _values(runs, "cost").reshape(len(runs), -1)
+    if cap is None:
+        return costs
+    pinned = [
+        [pinned_cost(cost, failed=e.failed, duration_s=e.duration_s, cap=cap) for cost, e in zip(*pair, strict=True)]
+        for pair in zip(costs.tolist(), runs, strict=True)
+    ]
+    return np.array(pinned)
 
 
 def _values(runs: Runs, metric: str) -> Floats:
@@ -171,45 +204,3 @@ def lost_or_beyond(runs: Runs, nominal_hz: float) -> Floats:
     """Return 1 where an episode failed or was beyond the design deviation, (n_runs, n_scenarios), else 0."""
     beyond = _deviations(runs, "nadir_hz", "zenith_hz", nominal_hz) > DESIGN_DEVIATION_MHZ
     return np.maximum(_lost(runs), beyond)
-
-
-def _measured(
-    entry: Mapping[str, Any],
-    all_runs: Mapping[str, Runs],
-    all_costs: Mapping[str, Floats],
-    suite: Suite,
-    groups: Groups,
-    differences: Bootstrap | Adjusted,
-) -> EntrySummary:
-    runs, costs, task, nominal_hz = (
-        all_runs[entry["name"]],
-        all_costs[entry["name"]],
-        suite.task,
-        suite.nominal_hz,
-    )
-    hundred = all_runs[task.hundred]
-    lost, bad, bad_of_hundred = _lost(runs), lost_or_beyond(runs, nominal_hz), lost_or_beyond(hundred, nominal_hz)
-    more = ((bad, bad_of_hundred), (lost, _lost(hundred)))
-    marked = not task.failure_costs_whole_episode or all(statistics.sign_test(*each) >= _SIGNIFICANT for each in more)
-    worst = float(np.median(_deviations(runs, "worst_nadir_hz", "worst_zenith_hz", nominal_hz)))
-    return EntrySummary(
-        name=entry["name"],
-        kind=str(entry["kind"]),
-        privileged=entry["observation_mode"] == "privileged",
-        version=task.version,
-        n_runs=costs.shape[0],
-        n_episodes=costs.size,
-        n_lost=int(lost.sum()),
-        failures_percent=statistics.share(lost, groups),
-        lost_or_beyond_percent=statistics.share(bad, groups),
-        lost_or_beyond_to_hundred=differences.share_difference(bad, bad_of_hundred),
-        marked=marked,
-        mean_pinned_cost=statistics.mean(costs),
-        worst_decile_cost=statistics.mean(statistics.worst_tenth(costs)),
-        worst_decile_to_hundred=differences.worst_tenth_difference(costs, all_costs[task.hundred]),
-        median_deviation_mhz=float(np.median(_deviations(runs, "nadir_hz", "zenith_hz", nominal_hz))),
-        median_worst_deviation_mhz=None if math.isnan(worst) else worst,
-        median_nadir_hz=float(np.median(_values(runs, "nadir_hz"))),
-        mean_duty_error_percent=statistics.mean(_values(runs, "duty_error_percent")),
-        mean_energy_share_percent=statistics.mean(_values(runs, "energy_share_percent")),
-    )

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from wtg_gym import files
 from wtg_gym.evaluation.statistics import Interval
@@ -19,30 +19,26 @@ _MARK_NOTE = f"{_MARK}: no less reliable than the reference at 100 (blackouts, |
 _TEXTS = ("entry", "kind")
 
 
-# --- texts of cells --------------------------------------------------------------------------------------------------
-
-
-def signed_interval(interval: Interval) -> str:
-    """Return a difference and its interval, with their signs."""
-    if interval.low == interval.high:
-        return _signed(interval.value)
-    return f"{_signed(interval.value)} ({_signed(interval.low)} … {_signed(interval.high)})"
+def _plain(value: float) -> str:
+    # Adding 0.0 turns -0.0 into 0.0.
+    return f"{round(value, 1) + 0.0:.1f}"
 
 
 def _signed(value: float) -> str:
     return f"{value:+.1f}" if round(value, 1) else "0.0"
 
 
-def _plain(value: float) -> str:
-    # Adding 0.0 turns -0.0 into 0.0.
-    return f"{round(value, 1) + 0.0:.1f}"
+def _interval(interval: Interval | None, text: Callable[[float], str]) -> str:
+    """Return a value with its interval; without one where there is no spread, as of an anchor or a single scenario."""
+    if interval is None:
+        return ""
+    value = text(interval.value)
+    return value if interval.low == interval.high else f"{value} ({text(interval.low)} … {text(interval.high)})"
 
 
-def _interval(interval: Interval) -> str:
-    if interval.low == interval.high:
-        # No spread: an anchor, whose score is fixed, or a single scenario.
-        return _plain(interval.value)
-    return f"{_plain(interval.value)} ({_plain(interval.low)} … {_plain(interval.high)})"
+def signed_interval(interval: Interval | None) -> str:
+    """Return a difference and its interval, with their signs."""
+    return _interval(interval, _signed)
 
 
 def _entry(row: EntrySummary) -> str:
@@ -51,36 +47,21 @@ def _entry(row: EntrySummary) -> str:
     return row.name + (f" ({', '.join(remarks)})" if remarks else "")
 
 
-def _score(row: EntrySummary) -> str:
-    return "none" if row.score is None else _interval(row.score)
+def _has_mark(row: EntrySummary) -> bool:
+    return row.marked and row.version != "v0"
 
 
 def _stratum(name: str) -> Callable[[EntrySummary], str]:
     return lambda row: _plain(row.strata[name].value) if name in row.strata else ""
 
 
-def _lost_or_beyond(row: EntrySummary) -> str:
-    return f"{row.lost_or_beyond_percent:.1f}" + (f" {_MARK}" if _has_mark(row) else "")
-
-
-def _has_mark(row: EntrySummary) -> bool:
-    return row.marked and row.version != "v0"
-
-
-def _worst_deviation(row: EntrySummary) -> str:
-    return "" if row.median_worst_deviation_mhz is None else f"{row.median_worst_deviation_mhz:.0f}"
-
-
 def _points(term: str) -> Callable[[EntrySummary], str]:
     return lambda row: _signed(row.points_by_term[term]) if row.points_by_term else "none"
 
 
-# --- columns ---------------------------------------------------------------------------------------------------------
-
-
 class _Column(NamedTuple):
     heading: str
-    text: Callable[[Any], str]  # of a row
+    text: Callable[[EntrySummary], str]
     tables: str  # which show it: "terminal"; "v0" and "v1", Markdown of that version; "details", more; "whole", all
 
 
@@ -88,12 +69,8 @@ class _Column(NamedTuple):
 _COLUMNS = (
     _Column("rank", lambda row: "", "terminal v0 v1 details whole"),
     _Column("entry", _entry, "terminal v0 v1 details whole"),
-    _Column("score", _score, "terminal v0 v1 details whole"),
-    _Column(
-        "to the entry above",
-        lambda row: signed_interval(row.difference_to_above) if row.difference_to_above else "",
-        "whole",
-    ),
+    _Column("score", lambda row: _interval(row.score, _plain) or "none", "terminal v0 v1 details whole"),
+    _Column("to the entry above", lambda row: signed_interval(row.difference_to_above), "whole"),
     _Column("frequency, RoCoF [points]", _points("frequency_rocof"), "v0 whole"),
     _Column("duty [points]", _points("duty"), "v0 whole"),
     _Column("overload [points]", _points("overload"), "v0 whole"),
@@ -101,8 +78,16 @@ _COLUMNS = (
     _Column("kind", lambda row: row.kind, "whole"),
     _Column("failures [%]", lambda row: f"{row.failures_percent:.1f}", "v0 details whole"),
     _Column("median deviation [mHz]", lambda row: f"{row.median_deviation_mhz:.0f}", "terminal v1 whole"),
-    _Column("worst unit's [mHz]", _worst_deviation, "whole"),
-    _Column("lost or beyond 0.8 Hz [%]", _lost_or_beyond, "terminal v1 details whole"),
+    _Column(
+        "worst unit's [mHz]",
+        lambda row: "" if row.median_worst_deviation_mhz is None else f"{row.median_worst_deviation_mhz:.0f}",
+        "whole",
+    ),
+    _Column(
+        "lost or beyond 0.8 Hz [%]",
+        lambda row: f"{row.lost_or_beyond_percent:.1f}" + f" {_MARK}" * _has_mark(row),
+        "terminal v1 details whole",
+    ),
     _Column("to the anchor [%-points]", lambda row: signed_interval(row.lost_or_beyond_to_hundred), "details whole"),
     _Column("worst tenth", lambda row: f"{row.worst_decile_cost:.0f}", "whole"),
     _Column("worst tenth to the anchor [%]", lambda row: signed_interval(row.worst_decile_to_hundred), "details whole"),
@@ -131,14 +116,6 @@ def text_columns(columns: Sequence[str]) -> list[int]:
     return [index for index, column in enumerate(columns) if column in _TEXTS]
 
 
-def _short_columns(rows: Sequence[EntrySummary]) -> list[str]:
-    """Return the columns of a page: without a score they are those of a terminal, with the cost that ranks."""
-    return columns_of("terminal" if rows[0].score is None else rows[0].version, rows)
-
-
-# --- tables ----------------------------------------------------------------------------------------------------------
-
-
 def table_cells(rows: Sequence[EntrySummary], columns: Sequence[str] | None = None) -> list[list[str]]:
     """Return the texts of the table, one list per row, in the order of the columns; equal entries share a rank.
 
@@ -163,7 +140,8 @@ def markdown_table(rows: Sequence[EntrySummary], columns: Sequence[str] | None =
         rows: of one version, as :func:`leaderboard_rows` gives them.
         columns: headings; None for the few of the version that a page shows.
     """
-    columns = columns or _short_columns(rows)
+    # Without a score they are those of a terminal, with the cost that ranks.
+    columns = columns or columns_of("terminal" if rows[0].score is None else rows[0].version, rows)
     numbers = sorted(set(range(len(columns))) - set(text_columns(columns)))
     return files.markdown_table(columns, table_cells(rows, columns), right=numbers)
 

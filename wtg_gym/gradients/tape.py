@@ -75,6 +75,19 @@ def term_weights(weights: Mapping[str, float] | None) -> Floats:
     return np.array([weights.get(term, 0.0) for term in COST_TERMS])
 
 
+def _all_rows(blocks: Floats, n_lanes: int) -> Floats:
+    """Return all rows of every environment (n_lanes, n_rows) of blocks (n_blocks, n_rows, width)."""
+    return blocks.transpose(0, 2, 1).reshape(-1, blocks.shape[1])[:n_lanes]
+
+
+def _put_all_rows(blocks: Floats, values: Floats) -> None:
+    """Write all rows of every environment, as :func:`_all_rows` returns them."""
+    n_blocks, n_rows, width = blocks.shape
+    padded = np.zeros((n_blocks * width, n_rows))
+    padded[: len(values)] = values
+    blocks[:] = padded.reshape(n_blocks, width, n_rows).transpose(0, 2, 1)
+
+
 class _Recording:
     """The steps of episodes since their start, and how the simulator's blocks stood before each of them.
 
@@ -141,10 +154,6 @@ class Tape:
     ) -> None:
         parameters = (parameters,) if isinstance(parameters, str) else tuple(parameters)
         plant = settings.resolved_plant
-        built = plant_tables(plant)
-        if built.controls or built.saturates:
-            models = [*built.controls, *["saturation of machines"] * built.saturates]
-            raise ValueError(f"gradients do not know these models of machines: {', '.join(models)}")
         require_known_parameters(plant, parameters)
         if plant.load_frequency_dependence:
             raise ValueError("gradients do not know loads that depend on the frequency: load_frequency_dependence")
@@ -339,49 +348,46 @@ class Tape:
         Raises:
             ValueError: the step does not exist, or derivatives have another shape.
         """
-        n = self.lanes.settings.n_intervals
-        pulled, ran = self._pull_interval(n * step + n - 1, carried, terms, observations, outputs)
-        for interval in range(n * step + n - 2, n * step - 1, -1):
+        lanes, n = self.lanes, self.lanes.settings.n_intervals
+        bars = np.zeros_like(self._recording.before(n * step))
+        _put_all_rows(bars, _shaped("carried", carried, (lanes.n_lanes, self.n_carried)))
+        terms = _shaped("terms", terms, (lanes.n_lanes, self._term_rows.size))
+        shown = np.zeros((lanes.n_lanes, self._output_rows.size)) if outputs is None else outputs
+        shown = _shaped("outputs", shown, (lanes.n_lanes, self._output_rows.size))
+        seen = np.zeros((lanes.n_lanes, lanes.n_observation)) if observations is None else observations
+        seen = _shaped("observations", seen, (lanes.n_lanes, lanes.n_observation))
+        sums: list[Floats] = []
+        for interval in range(n * (step + 1) - 1, n * step - 1, -1):
+            bars, running, added = self._pull_interval(interval, bars, terms, seen, shown)
+            sums = [total + now for total, now in zip(sums, added, strict=True)] if sums else added
             # An episode that ends within the step leaves and shows what it did in its last interval.
-            left = np.where(ran, pulled.carried, carried)
-            shown = (None if each is None else np.where(ran, 0.0, each) for each in (observations, outputs))
-            before, ran = self._pull_interval(interval, left, terms, *shown)
-            pulled = Pulled(before.carried, *(now + later for now, later in zip(before[1:], pulled[1:], strict=True)))
-        return pulled
+            seen, shown = (np.where(running, 0.0, array) for array in (seen, shown))
+        return Pulled(np.where(running, _all_rows(bars, lanes.n_lanes), 0.0), *sums)
 
     def _pull_interval(
-        self, interval: int, carried: Floats, terms: Floats, observations: Floats | None, outputs: Floats | None
-    ) -> tuple[Pulled, npt.NDArray[np.bool_]]:
-        """Go back through an interval of a step, and say which environments ran in it, (n_lanes, 1)."""
-        lanes, all_rows = self.lanes, np.arange(self.n_carried)
-        blocks = self._recording.before(interval).copy()
-        running = self._rows(np.array([lanes.simulator.layout.lane("active")]), blocks) > 0.5
-        in_force, bars = self._moved.in_force(blocks, lanes.n_lanes), np.zeros_like(blocks)
-        cotangents = (
-            ("carried", carried, all_rows),
-            ("terms", terms, self._term_rows),
-            ("outputs", outputs, self._output_rows),
-        )
-        for name, values, rows in cotangents:
-            if values is not None:
-                values = _shaped(name, values, (lanes.n_lanes, rows.size))
-                # Some rows are carried and shown too.
-                put_rows(bars, rows, self._rows(rows, bars) + values * running)
-        seen = np.zeros((lanes.n_lanes, lanes.n_observation))
-        if observations is not None:
-            seen = _shaped("observations", observations, seen.shape) * running
-        actions, constants = self._pull_blocks(interval, blocks, bars, seen)
+        self, interval: int, after: Floats, terms: Floats, seen: Floats, shown: Floats
+    ) -> tuple[Floats, npt.NDArray[np.bool_], list[Floats]]:
+        """Go back through an interval of a step.
+
+        Returns:
+            cotangents before it, in blocks like those after it; those of environments that had ended are unchanged;
+            which environments ran in it (n_lanes, 1); and what it adds to cotangents of actions, laws and parameters.
+        """
+        lanes, blocks = self.lanes, self._recording.before(interval).copy()
+        in_blocks = blocks[:, lanes.simulator.layout.lane("active"), np.newaxis] > 0.5
+        running = in_blocks.reshape(-1, 1)[: lanes.n_lanes]
+        in_force, bars = self._moved.in_force(blocks, lanes.n_lanes), np.where(in_blocks, after, 0.0)
+        for values, rows in ((terms, self._term_rows), (shown, self._output_rows)):
+            # Some rows are carried and shown too.
+            put_rows(bars, rows, self._rows(rows, bars) + values * running)
+        actions, constants = self._pull_blocks(interval, blocks, bars, seen * running)
         parameters = self._moved.pull(bars, constants, in_force)
         law = self._rows(self._law_rows, bars)
         # The law's own are what each step adds, and are not carried.
         bars[:, self._law_rows.ravel()] = 0.0
         # Of an environment that had ended nothing depends on anything, whatever its numbers.
-        return Pulled(
-            *(
-                np.where(running.reshape(-1, *(1,) * (array.ndim - 1)), array, 0.0)
-                for array in (self._rows(all_rows, bars), actions, law, parameters)
-            )
-        ), running
+        added = [np.where(running.reshape(-1, *(1,) * (a.ndim - 1)), a, 0.0) for a in (actions, law, parameters)]
+        return np.where(in_blocks, bars, after), running, added
 
     def _pull_blocks(self, interval: int, blocks: Floats, bars: Floats, seen: Floats) -> tuple[Floats, Floats]:
         """Go back through an interval in all blocks; return cotangents of the actions and of the constants.

@@ -217,6 +217,7 @@ class Grid(Checked):
         licence: of the source.
         repairs: what was changed because it contradicted itself, a sentence each.
         substitutions: what stands in place of a model that is not here, a sentence each.
+        incident_mw: the largest loss that the grid is planned for [MW]; None: all that the machines at a bus give.
     """
 
     MOST = types.MappingProxyType({"groups": MOST_GROUPS, "replaced": MOST_UNITS})
@@ -228,11 +229,25 @@ class Grid(Checked):
     licence: str = ""
     repairs: tuple[str, ...] = ()
     substitutions: tuple[str, ...] = ()
+    incident_mw: float | None = design(None, "MW", "largest loss that the grid is planned for", 1e-3, 1e6)
 
     def __post_init__(self) -> None:
         super().__post_init__()
         for bus in (*self.replaced, *(group.bus for group in self.groups)):
             self.case.bus_index(bus)
+
+    @functools.cached_property
+    def infeeds_mw(self) -> Mapping[int, float]:
+        """What the machines at each bus give together, those included that groups replace [MW]."""
+        found = dict.fromkeys((machine.bus for machine in self.case.machines), 0.0)
+        for machine in self.case.machines:
+            found[machine.bus] += machine.dispatch_mw
+        return types.MappingProxyType(found)
+
+    @property
+    def largest_loss_mw(self) -> float:
+        """The loss that the grid is planned for [MW]."""
+        return max(self.infeeds_mw.values(), default=0.0) if self.incident_mw is None else self.incident_mw
 
     @functools.cached_property
     def with_groups(self) -> NetworkCase:

@@ -20,7 +20,7 @@ from wtg_gym.physics.devices import SOURCES, Devices, joining, source_units
 from wtg_gym.physics.grid import NetworkCase, get_grid
 from wtg_gym.physics.layout import Facts, Layout, Network, Span, place_in
 from wtg_gym.physics.machine import Machine, RotorSaturation, gate_limits, machine_constants, rotor_saturation
-from wtg_gym.physics.machine_models import CONTROLS, HYGOV, control_constants, joining_controls
+from wtg_gym.physics.machine_models import CONTROLS, control_constants, joining_controls
 from wtg_gym.physics.machine_unit import FIRST_MACHINE, MACHINES
 from wtg_gym.physics.network import SPARSE_FROM, assemble_admittance, branch_admittances, pattern_of
 from wtg_gym.physics.parameters import TurbineParameters, WtgGroup
@@ -232,11 +232,6 @@ class PlantTables(NamedTuple):
     def saturates(self) -> bool:
         """Whether the rotor of any machine saturates."""
         return any(own.curve.gain > 0.0 for own in self.saturation)
-
-    @property
-    def controls(self) -> tuple[str, ...]:
-        """Names of the kinds of controls that gradients do not know."""
-        return tuple(name for name in self.own_controls if name != HYGOV.kind.name)
 
     @property
     def device_units(self) -> list[Whole]:

@@ -1,4 +1,4 @@
-"""Figures for screen and print: recorded runs, policies, and studies; the paper's are in `wtg_gym.plotting.paper`.
+"""Figures for screen and print: recorded runs, and the page of the leaderboard.
 
 Needs matplotlib of the `leaderboard` extra once something is drawn; importing the package does not. Every function
 returns a matplotlib figure, built without pyplot; :func:`figure_bytes` turns one into a file.

@@ -31,18 +31,13 @@ PALETTE = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#0
 MARKERS = ("o", "s", "^", "D", "v", "P", "X", "*")
 #: Widths of one and of two columns of an IEEE journal [mm].
 SINGLE_COLUMN_MM, DOUBLE_COLUMN_MM = 88.9, 181.9
-#: Dashes of thin reference lines, and of those at instants.
-THIN_DASHES: Dashes = (0.0, (5.0, 2.0))
+#: Dashes of lines at instants.
 DOTS: Dashes = (0.0, (1.0, 1.5))
-#: Resolution of pixel files [dots per inch].
-PRINT_DPI = 300
-#: Grey of reference lines and their names.
+#: Grey of reference lines and their names, and colour and dashes of most of them.
 REFERENCE_GREY = "0.4"
-#: Colour and dashes of most of them.
-REFERENCE: dict[str, Any] = {"color": REFERENCE_GREY, "linestyle": THIN_DASHES}
+REFERENCE: dict[str, Any] = {"color": REFERENCE_GREY, "linestyle": (0.0, (5.0, 2.0))}
 SMALL_PT = 7.0
-
-_MM_PER_INCH = 25.4
+_DPI, _MM_PER_INCH = 300, 25.4
 
 
 @dataclass(frozen=True)
@@ -84,13 +79,11 @@ def strategy_looks(labels: Iterable[str]) -> dict[str, Look]:
     return {name: next(others) if look is None else look for name, look in looks.items()}
 
 
-def print_style() -> AbstractContextManager[None]:
+def _print_style() -> AbstractContextManager[None]:
     """Draw in the style of print inside the `with` block; the user's matplotlib settings have no effect."""
     import matplotlib.style
 
-    context: Any = matplotlib.style.context
-    block: AbstractContextManager[None] = context(["default", _STYLE])
-    return block
+    return matplotlib.style.context(["default", _STYLE])
 
 
 def printed(draw: Callable[Parameters, Figure]) -> Callable[Parameters, Figure]:
@@ -98,7 +91,7 @@ def printed(draw: Callable[Parameters, Figure]) -> Callable[Parameters, Figure]:
 
     @functools.wraps(draw)
     def drawn(*args: Parameters.args, **kwargs: Parameters.kwargs) -> Figure:
-        with print_style():
+        with _print_style():
             figure = draw(*args, **kwargs)
             # The second pass starts from the tick labels of the first. After it places are fixed, without the last
             # digits, which differ from run to run: each format and each repetition gets the same ones.
@@ -129,17 +122,16 @@ def figure_bytes(figure: Figure, suffix: str) -> bytes:
     if ending not in _METADATA:
         raise ValueError(f"a figure is written as {', '.join(_METADATA)}, got {suffix!r}")
     picture = io.BytesIO()
-    with print_style():
-        figure.savefig(picture, format=ending, dpi=PRINT_DPI, metadata=_METADATA[ending])
+    with _print_style():
+        figure.savefig(picture, format=ending, dpi=_DPI, metadata=_METADATA[ending])
     return picture.getvalue()
 
 
 def save_figure(figure: Figure, path_without_suffix: Path, suffixes: Iterable[str] = ("svg", "png")) -> list[Path]:
     """Write a figure in several formats next to each other, all or none; return the paths."""
     folder, name = path_without_suffix.parent, path_without_suffix.name
-    contents = {
-        folder / f"{name}.{suffix.lower().removeprefix('.')}": figure_bytes(figure, suffix) for suffix in suffixes
-    }
+    endings = [suffix.lower().removeprefix(".") for suffix in suffixes]
+    contents = {folder / f"{name}.{ending}": figure_bytes(figure, ending) for ending in endings}
     write_together(contents)
     return list(contents)
 

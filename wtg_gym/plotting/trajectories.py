@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from typing import TYPE_CHECKING, Any, NamedTuple
+from collections.abc import Callable, Mapping
+from typing import TYPE_CHECKING
 
 from wtg_gym.envs.rendering.diagram import undone
 from wtg_gym.physics.layout import Floats
@@ -26,27 +26,18 @@ _LABEL_WIDTH = 0.05
 _LINE_LENGTH = 100
 
 
-class Panel(NamedTuple):
-    """One quantity of the WTG groups."""
-
-    label: str
-    values: Callable[[Trajectory], Floats]  # (n, n_wtg)
-    references: Mapping[str, float] = {}  # dashed lines by their names
-
-
-PANELS = (
-    Panel("frequency [Hz]", lambda run: run.wtg_frequency_hz),
-    Panel("power [p.u.]", lambda run: run.power_pu),
-    Panel("rotor speed [p.u.]", lambda run: run.rotor_speed_pu),
-    Panel("coefficient k [p.u.]", lambda run: run.coefficient_pu),
-)
+#: What is drawn of the WTG groups, each (n, n_wtg), by its label.
+_PANELS: Mapping[str, Callable[[Trajectory], Floats]] = {
+    "frequency [Hz]": lambda run: run.wtg_frequency_hz,
+    "power [p.u.]": lambda run: run.power_pu,
+    "rotor speed [p.u.]": lambda run: run.rotor_speed_pu,
+    "coefficient k [p.u.]": lambda run: run.coefficient_pu,
+}
 
 
 @style.printed
-def plot_trajectories(
-    runs: Mapping[str, Trajectory], scenario: Scenario, columns: Mapping[str, Sequence[Panel]] | None = None
-) -> Figure:
-    """Draw frequency, power, rotor speed and tracking coefficient of the WTG groups, one column per group.
+def plot_trajectories(runs: Mapping[str, Trajectory], scenario: Scenario) -> Figure:
+    """Draw frequency, power, rotor speed and tracking coefficient of the first four WTG groups, a column each.
 
     The reference strategy is drawn on top and thick; a cross marks where a run ended before its time; events are
     numbered and explained above.
@@ -54,30 +45,30 @@ def plot_trajectories(
     Args:
         runs: recorded runs of the scenario by label, at least one.
         scenario: what happened in them.
-        columns: four panels by the title of each group's column; None for those of the first four groups.
     """
-    n_groups = next(iter(runs.values())).power_pu.shape[1]
-    columns = columns or {f"WTG group {1 + group}": PANELS for group in range(min(n_groups, _MOST_COLUMNS))}
-    figure = style.new_figure(max(style.DOUBLE_COLUMN_MM, _COLUMN_MM * len(columns)), 178.0)
-    grid = figure.subplots(4, len(columns), sharex=True, squeeze=False, height_ratios=(1.0, 1.15, 1.15, 0.85))
+    n_columns = min(next(iter(runs.values())).power_pu.shape[1], _MOST_COLUMNS)
+    figure = style.new_figure(max(style.DOUBLE_COLUMN_MM, _COLUMN_MM * n_columns), 178.0)
+    grid = figure.subplots(4, n_columns, sharex=True, squeeze=False, height_ratios=(1.0, 1.15, 1.15, 0.85))
     looks = style.strategy_looks(runs)
-    for group, (title, panels) in enumerate(columns.items()):
-        style.letter_panel(grid[0, group], "abcd"[group], title)
-        for axes, panel in zip(grid[:, group], panels, strict=True):
+    for group in range(n_columns):
+        style.letter_panel(grid[0, group], "abcd"[group], f"WTG group {1 + group}")
+        for axes, (label, values) in zip(grid[:, group], _PANELS.items(), strict=True):
             for name, run in runs.items():
                 width, order = (1.7, 3.5) if name == REFERENCE_STRATEGY else (1.0, 3.0)
                 line = {"label": name, "linewidth": width, "zorder": order, "linestyle": looks[name].dashes}
-                draw_run(axes, run, panel.values(run)[:, group], looks[name].colour, **line)
-            for text, value in panel.references.items():
-                style.draw_reference(axes, value, text)
+                series, colour = values(run)[:, group], looks[name].colour
+                axes.plot(run.time_s, series, color=colour, **line)
+                if run.status != Status.RUNNING:
+                    mark_end(axes, float(run.time_s[-1]), float(series[-1]), colour)
             mark_instants(axes, scenario, numbered=axes is grid[0, group])
             if group == 0:
-                axes.set_ylabel(panel.label)
+                axes.set_ylabel(label)
         grid[3, group].set_xlabel("time [s]")
     grid[0, 0].set_xlim(0.0, scenario.duration_s)
     for row in (grid[0], grid[3]):
         style.share_limits(row)
-    if reasons := endings(runs.values()):
+    statuses = sorted({run.status for run in runs.values()} - {Status.RUNNING})
+    if reasons := " or ".join(status.name.lower().replace("_", " ") for status in statuses):
         grid[0, 0].plot([], [], "x", color="0.25", markeredgewidth=1.4, label=reasons)
     handles, labels = grid[0, 0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower center", ncols=min(4, len(labels)), handlelength=3.6)
@@ -125,19 +116,6 @@ def explain_events(figure: Figure, scenario: Scenario) -> None:
     figure.text(0.99, 0.993, "\n".join(lines), ha="right", va="top", fontsize=style.SMALL_PT)
 
 
-def draw_run(axes: Axes, run: Trajectory, values: Floats, colour: str, **line: Any) -> None:
-    """Draw a quantity (n,) of a run over time, with a cross at its end where that came before its time."""
-    axes.plot(run.time_s, values, color=colour, **line)
-    if run.status != Status.RUNNING:
-        mark_end(axes, float(run.time_s[-1]), float(values[-1]), colour)
-
-
 def mark_end(axes: Axes, time_s: float, value: float, colour: str) -> None:
     """Draw a cross where a run ended before its time."""
     axes.plot(time_s, value, "x", color=colour, markersize=5.5, markeredgewidth=1.4, zorder=4)
-
-
-def endings(runs: Iterable[Trajectory]) -> str:
-    """Return why runs ended before their time: "stall", "stall or over speed"; empty where none did."""
-    reasons = {run.status for run in runs} - {Status.RUNNING}
-    return " or ".join(reason.name.lower().replace("_", " ") for reason in sorted(reasons))

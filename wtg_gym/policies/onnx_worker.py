@@ -2,15 +2,13 @@
 
 :mod:`wtg_gym.policies.policy_process` runs this file as a script, so it imports nothing of the package. It loads its
 libraries, has the kernel take everything else away, and only then reads the policy and hands it to onnxruntime, which
-gets a batch of one. Scenarios share a session where :func:`stateless` proves that the model keeps nothing between
-calls; else each has a session of its own, with three times the time for a call. The process never learns which scenario
-is played, and its answers are all that comes out of it.
+gets a batch of one. Each scenario has a session of its own, so that nothing goes from one to another. The process
+never learns which scenario is played, and its answers are all that comes out of it.
 """
 
 from __future__ import annotations
 
 import ctypes
-import functools
 import io
 import json
 import os
@@ -29,37 +27,6 @@ _EXAMPLE = bytes.fromhex(
     "080112080a0208010a02080142040a00100d"
 )
 _PR_SET_PDEATHSIG = 1
-#: The messages that a provably stateless model may have, with all their fields as `name number type`, and a star where
-#: one repeats; source: onnx.proto. Texts are bytes, as nothing says that they are UTF-8; enumerations are int32.
-_MESSAGES = {
-    "Model": "ir 1 int64, producer 2 bytes, producer_version 3 bytes, domain 4 bytes, version 5 int64, doc 6 bytes, "
-    "graph 7 Graph, opset* 8 Opset, metadata* 14 bytes",
-    "Opset": "domain 1 bytes, version 2 int64",
-    "Graph": "node* 1 Node, name 2 bytes, initializer* 5 Tensor, doc 10 bytes, input* 11 Value, output* 12 Value, "
-    "value* 13 Value, metadata* 16 bytes",
-    "Node": "input* 1 bytes, output* 2 bytes, name 3 bytes, op_type 4 bytes, attribute* 5 Attribute, doc 6 bytes, "
-    "domain 7 bytes, metadata* 9 bytes",
-    "Attribute": "name 1 bytes, f 2 float, i 3 int64, s 4 bytes, t 5 Tensor, floats* 7 float, ints* 8 int64, "
-    "strings* 9 bytes, doc 13 bytes, type 20 int32",
-    "Tensor": "dims* 1 int64, data_type 2 int32, floats* 4 float, int32s* 5 int32, int64s* 7 int64, name 8 bytes, "
-    "raw 9 bytes, doc 12 bytes",
-    "Value": "name 1 bytes, type 2 Type, doc 3 bytes",
-    "Type": "tensor 1 TensorType",
-    "TensorType": "element 1 int32, shape 2 Shape",
-    "Shape": "dim* 1 Dim",
-    "Dim": "value 1 int64, name 2 bytes",
-}
-#: Operators of ONNX that keep nothing between calls, draw no random numbers and hold no graph.
-_STATELESS = b"""
-Abs Add And ArgMax ArgMin AveragePool Cast Ceil Celu Clip Concat Constant ConstantOfShape Conv Cos CumSum Div Einsum Elu
-Equal Erf Exp Expand Flatten Floor GRU Gather GatherElements GatherND Gelu Gemm GlobalAveragePool Greater GreaterOrEqual
-HardSigmoid HardSwish Identity InstanceNormalization LSTM LayerNormalization LeakyRelu Less LessOrEqual Log LogSoftmax
-MatMul Max MaxPool Mean Min Mish Mod Mul Neg Not Or PRelu Pad Pow RNN Range Reciprocal ReduceL2 ReduceMax ReduceMean
-ReduceMin ReduceProd ReduceSum ReduceSumSquare Relu Reshape Round Selu Shape Sigmoid Sign Sin Slice Softmax Softplus
-Softsign Split Sqrt Squeeze Sub Sum Tan Tanh Tile TopK Transpose Trilu Unsqueeze Where Xor
-"""
-#: The attribute of Cast that makes texts of numbers.
-_TO_TEXT = (b"to", 8)
 
 
 def main() -> None:
@@ -115,65 +82,12 @@ def _open_session(content: bytes) -> Any:
     return onnxruntime.InferenceSession(content, options, providers=["CPUExecutionProvider"])
 
 
-@functools.cache
-def _model_class() -> Any:
-    """Return protobuf's class of the messages in :data:`_MESSAGES`."""
-    from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
-
-    field = descriptor_pb2.FieldDescriptorProto
-    scalars = {typed: getattr(field, f"TYPE_{typed.upper()}") for typed in ("bytes", "float", "int32", "int64")}
-    file = descriptor_pb2.FileDescriptorProto(name="policy", package="policy")
-    for name, fields in _MESSAGES.items():
-        message = file.message_type.add(name=name)
-        for text in fields.split(","):
-            label, number, typed = text.split()
-            repeats = field.LABEL_REPEATED if label.endswith("*") else field.LABEL_OPTIONAL
-            added = message.field.add(name=label.rstrip("*"), number=int(number), label=repeats)
-            added.type = scalars.get(typed, field.TYPE_MESSAGE)
-            if typed not in scalars:
-                added.type_name = f".policy.{typed}"
-    pool = descriptor_pool.DescriptorPool()
-    pool.Add(file)
-    return message_factory.GetMessageClass(pool.FindMessageTypeByName("policy.Model"))
-
-
-def stateless(content: bytes) -> bytes | None:
-    """Return a model as protobuf writes it again, if it provably keeps nothing between calls; else None.
-
-    It is proven if the file says nothing but what is listed in :data:`_MESSAGES`, and every operator is one of
-    :data:`_STATELESS`, as ONNX defines it, on numbers and booleans. So there are no functions, no graphs within the
-    graph, no sequences, no texts and no weights elsewhere. With a batch of one, an answer then depends on nothing but
-    the scenario's own observation and states.
-
-    Readers of Protocol Buffers may disagree on a file that is not written plainly, so onnxruntime must get the bytes
-    that are returned, which hold what was judged here and no more.
-    """
-    from google.protobuf.message import DecodeError
-
-    try:
-        model, whole = (_model_class().FromString(content) for _ in range(2))
-    except DecodeError:
-        return None
-    model.DiscardUnknownFields()
-    if model.ByteSize() != whole.ByteSize() or not all(map(_is_stateless, model.graph.node)):
-        return None
-    return bytes(model.SerializeToString())
-
-
-def _is_stateless(node: Any) -> bool:
-    """Return whether a node's operator is one of :data:`_STATELESS` and makes no texts."""
-    texts = any(each.name.startswith(b"value_string") or (each.name, each.i) == _TO_TEXT for each in node.attribute)
-    return node.domain in (b"", b"ai.onnx") and node.op_type in _STATELESS.split() and not texts
-
-
 class _Served:
     """A policy's sessions, each scenario with a row of the arrays that they read and write."""
 
     def __init__(self, content: bytes) -> None:
-        judged = stateless(content)
-        self._content = judged or content
-        session = _open_session(self._content)
-        self._shared = session if judged else None
+        self._content = content
+        session = _open_session(content)
         inputs, outputs = _widths(session.get_inputs()), _widths(session.get_outputs())
         self.n_states = len(inputs) - 1
         self._inputs = ["observation", *(f"state_{i}" for i in range(self.n_states))]
@@ -206,12 +120,11 @@ class _Served:
         for values in self.outputs:
             values.fill(np.nan)
         for index, start in enumerate(starts):
-            if self._bound[index] is None or (start and self._shared is None):
+            if self._bound[index] is None or start:
                 self._bound[index] = self._bind(index)
             run, binding = self._bound[index]
             # All sessions share one generator of random numbers: no scenario sees how many another one drew.
-            if self._shared is None:
-                set_seed(0)
+            set_seed(0)
             run(binding, None)
 
     def _bind(self, index: int) -> tuple[Any, Any]:
@@ -219,11 +132,9 @@ class _Served:
         import numpy as np
         import onnxruntime
 
-        session = self._shared
-        if session is None:
-            # A session's own generators begin alike.
-            onnxruntime.set_seed(0)
-            session = _open_session(self._content)
+        # A session's own generators begin alike.
+        onnxruntime.set_seed(0)
+        session = _open_session(self._content)
         binding = session.io_binding()
         for bind, names, arrays in (
             (binding.bind_input, self._inputs, self._given),

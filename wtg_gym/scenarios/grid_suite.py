@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from wtg_gym.files import interpreting, parse_json, read_text
-from wtg_gym.physics.grid import Grid, NetworkCase, get_grid, record_of
+from wtg_gym.physics.grid import Grid, get_grid, record_of
 from wtg_gym.physics.machine_parameters import SynchronousMachineParameters
 from wtg_gym.physics.network import LEAST_IMPEDANCE
 from wtg_gym.physics.plant import SIMULATION_DT_RANGE
@@ -40,21 +40,25 @@ _NAME = re.compile(r"[^\W_][\w .()+-]{0,80}")
 _OF_RATED = 0.32, 0.72
 
 
-def all_places(case: NetworkCase, least_level: float = _LOAD_LEVEL[0]) -> Places:
+def all_places(grid: Grid, least_level: float = _LOAD_LEVEL[0]) -> Places:
     """Return every place where something may happen without taking the network apart.
 
-    Branches with a tap or without charging count as transformers, which do not trip.
+    Branches with a tap or without charging count as transformers, which do not trip. Loads, machines and groups are not
+    lost where that is more than the grid is planned for; a group counts as the machines that it replaces.
 
     Args:
-        case: the network.
+        grid: the network with its groups.
         least_level: least factor on its loads that a decrease may start from [-].
     """
+    case, most_mw = grid.with_groups, grid.largest_loss_mw
     large = sorted(case.buses, key=lambda bus: -bus.load_mw)[:_N_LOADS]
     loads = [bus for bus in case.buses if bus in large and bus.load_mw > 0.0]
     meshed = [b for index, b in enumerate(case.branches) if index not in case.bridges]
     lines = [(b.from_bus, b.to_bus) for b in meshed if b.tap == 1.0 and b.charging > 0.0]
     governed = sorted((m for m in case.machines if m.governor is not None), key=lambda m: m.rating_mva)
     others = [m for m in case.machines if m.governor is None]
+    small = [bus for bus, mw in grid.infeeds_mw.items() if mw <= most_mw]
+    trips_mw = _TRIPPED[0] * case.load_mw, min(_TRIPPED[1] * case.load_mw, most_mw)
     least = _LEAST_INCREASE * case.load_mw
     return Places(
         load_buses=tuple(
@@ -65,13 +69,14 @@ def all_places(case: NetworkCase, least_level: float = _LOAD_LEVEL[0]) -> Places
             )
             for bus in loads
         ),
-        load_trip_buses=tuple(bus.number for bus in loads if _TRIPPED[0] <= bus.load_mw / case.load_mw <= _TRIPPED[1]),
+        load_trip_buses=tuple(bus.number for bus in loads if trips_mw[0] <= bus.load_mw <= trips_mw[1]),
         load_noise_bus=large[0].number,
         line_trips=tuple(dict.fromkeys(lines)),
         fault_lines=tuple(dict.fromkeys(end for a, b in lines for end in ((a, b), (b, a)))),
-        machine_buses=_buses(others or governed[:-1]),
-        generator_buses=_buses(governed),
+        machine_buses=tuple(bus for bus in _buses(others or governed[:-1]) if bus in small),
+        generator_buses=tuple(bus for bus in _buses(governed) if bus in small),
         governor_buses=_buses(governed),
+        group_trips=all(bus in small for bus in grid.replaced),
     )
 
 
@@ -163,7 +168,7 @@ def unscreened(grid: str) -> GridSuite:
         ends = f"branch {branch.from_bus}-{branch.to_bus}"
         if math.hypot(branch.resistance, branch.reactance) < LEAST_IMPEDANCE:
             raise ValueError(f"{ends} has an impedance below {LEAST_IMPEDANCE:g} p.u., too little for the power flow")
-    own = GridSuite(name=Path(grid).stem, grid=grid, places=all_places(found.with_groups))
+    own = GridSuite(name=Path(grid).stem, grid=grid, places=all_places(found))
     plant = own.plant["plant"]
     own = replace(own, simulation_dt=longest_step(plant))
     # The machines supply the load that the wind leaves, and the losses.

@@ -36,6 +36,7 @@ class Places(Checked):
         machine_buses: buses of machines that may be lost in large events.
         generator_buses: and in extreme ones.
         governor_buses: buses of machines that may lose their governor.
+        group_trips: whether a WTG group may trip.
     """
 
     load_buses: tuple[tuple[int, float, float], ...]
@@ -47,12 +48,14 @@ class Places(Checked):
     machine_buses: tuple[int, ...] = ()
     generator_buses: tuple[int, ...] = ()
     governor_buses: tuple[int, ...] = ()
+    group_trips: bool = True
 
     def of_kinds(self) -> dict[str, draws.Changes]:
         """Return where each kind of event that needs a place may happen, by its name."""
         return {
             "governor": {draws.GovernorLosses: {"buses": self.governor_buses}},
             "machine": {draws.MachineOutages: {"buses": self.generator_buses}},
+            "group": {draws.GroupTrips: {"probability": float(self.group_trips)}},
             "fault": {draws.Faults: {"lines": self.fault_lines}},
             "island": {draws.Islandings: {"line_sets": self.islandings}},
         }
@@ -239,8 +242,8 @@ def constant_mw(plant: Plant) -> float:
     return sum(machine.dispatch_mw for machine in plant.case.machines if machine.governor is None)
 
 
-#: Load of the grid that the sizes above are for [MW].
-_LOAD_MW = 259.0
+#: Load of the grid that the sizes above are for, and the largest of them [MW].
+_LOAD_MW, _LARGEST_MW = 259.0, 50.0
 
 
 def _records(layers: Sequence[draws.Changes], size: float) -> tuple[draws.Record, ...]:
@@ -281,11 +284,15 @@ def suite_of_strata(
         plant: what :func:`wind_plant` returns.
         places: where events may happen; a kind of event without a place is left out.
         scenarios_of: another suite that it shares all but the sensors with.
-        event_size: factor on the load events of every stratum, which are in per cent of the load [-].
+        event_size: factor on the load events of every stratum [-]. On other grids these are in per cent of the load,
+            the largest at most the loss that the grid is planned for.
         changes: what it replaces everywhere.
         changes_in: what it replaces in a kind of event, by its name.
     """
-    size = 1.0 if plant["grid"] == DEFAULT_GRID else plant["plant"].case.load_mw / _LOAD_MW
+    size, of_events = 1.0, 1.0
+    if plant["grid"] != DEFAULT_GRID:
+        size = plant["plant"].case.load_mw / _LOAD_MW
+        of_events = min(size, get_grid(plant["grid"]).largest_loss_mw / _LARGEST_MW)
     of_grid, where = _changes_of(plant["plant"], places, size), places.of_kinds()
     kinds = {}
     for kind, of_kind in KINDS.items():
@@ -294,7 +301,7 @@ def suite_of_strata(
             layers = (COMMON, of_grid, of_kind, of_place, changes, changes_in.get(kind, {}))
             kinds[kind] = ScenarioDistribution(
                 name=f"{scenarios_of or name}-v1/{kind}",
-                records=_records(layers, event_size * size),
+                records=_records(layers, event_size * of_events),
                 grid=plant["grid"],
                 last_event_s=_LAST_EVENT_S,
             )

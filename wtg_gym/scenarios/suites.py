@@ -242,9 +242,9 @@ FROZEN_HASHES: Mapping[str, str] = MappingProxyType(
         "faults-v1": "4ed94ee528d477517637f0a6e14b8c529cab7d2daae4c885a9c4109a66274e6e",
         "weak-grid-v1": "71a6b47ecba4dfd488e7cceca4fc68851c953c27b77475f449634df64af0dbee",
         "paper-v1": "74c85e2c9ee800fb57b0f1c0cf134d62604664c4547946bbac86386aa7a50192",
-        "ieee39-v1": "f59301c6a4775f455820bcb1e61da9c3a223e4fafa0f671c273b3d7590207a52",
-        "kundur-v1": "f12e91f1a2c43b73d6b92b75170250d7bfe4cf08f7c63e717cae8ab225cb78de",
-        "nordic45-v1": "7467f56fd605dc748832c01120e21497ce9e56144eda342a6b4753fb4bd70e1a",
+        "ieee39-v1": "cc0b753739973f54f558af7843894bc5fb133277f3a1b20256a361b4bade472d",
+        "kundur-v1": "5a2926dfd5dae362bd5f8d1fb1dda90e1d982e5cf02cd8313db5e3f54b74176a",
+        "nordic45-v1": "1d6a72d8629b75f1ed54e60415701f15dc9cd08077e64b0f14fd1e233eb8f35c",
     }
 )
 

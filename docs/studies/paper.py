@@ -1,0 +1,573 @@
+"""The paper reproduced, for docs/validation.md: every claim measured, every figure drawn. Two minutes.
+
+    python docs/studies/paper.py [--output FOLDER]        FOLDER holds the page; docs by default
+
+renews the page, validation/claims.json with every claim's tolerance, measurement and verdict, and validation/figures.
+Texts of the claims are in paper.toml.
+
+In steady state a rotor captures what its law delivers, p_w(ω_m) = g(ω) ω_m³ - D_p (ω - ω_st), the last term only where
+the law keeps its droop (τ = ∞). Blades are at fine pitch. On an infinite bus the open loop is (paper, (31)-(34))
+
+    G(s) = ω_n K_p (2H_m s + B1 - A) / (s [2H s - B2 + D(s)] (2H_m s - A)),    D(s) = D_p τ s/(τ s + 1)
+
+with D = D_p for τ = ∞, D = 0 for τ = 0, and A = B1 = B2 = 0 on an ideal DC source.
+"""
+
+import dataclasses
+import itertools
+import math
+import tomllib
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from numpy.polynomial import Polynomial
+from output import folder
+from scipy.optimize import brentq, minimize_scalar
+
+from wtg_gym.files import markdown_table, to_json, update_between_markers, write_atomically
+from wtg_gym.physics.aerodynamics import available_power_pu, power_coefficient, tracking_point
+from wtg_gym.physics.converter import converter_constants, tracking_coefficient
+from wtg_gym.physics.parameters import GridFormingParameters, TurbineParameters
+from wtg_gym.physics.plant import Plant
+from wtg_gym.physics.protection import Status
+from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY, STRATEGIES
+from wtg_gym.physics.trajectory import simulate
+from wtg_gym.plotting import plot_trajectories, save_figure, style
+from wtg_gym.scenarios import get_suite
+
+TURBINE, CONTROL = TurbineParameters(), GridFormingParameters()
+CORNERS = (CONTROL.frequency_min_pu, CONTROL.frequency_setpoint_pu, CONTROL.frequency_max_pu)
+WINDS = (11.4, 8.0)  # of the two groups of the case studies [m/s]
+K_P = 1.45  # synchronising coefficient at which the paper's margins come out [p.u./rad]
+LINEAR = STRATEGIES["coordinated-linear"]
+#: The loop whose margin the paper gives as about 28°.
+UNDAMPED = dataclasses.replace(LINEAR, name="coordinated-linear-undamped", damping_time_constant_s=0.0)
+SIDES = ("under", "over")  # of ω_st, where the slopes of g(ω) differ
+COMPARED = (REFERENCE_STRATEGY, "deloaded-5", "deloaded-10")
+LEAST_RATIO, RATIO_STEP = 1.0, 0.1  # tip-speed ratios of the search for equilibria [-]
+ANGULAR_FREQUENCY = 100.0 * math.pi
+TEXTS = tomllib.loads(Path(__file__).with_suffix(".toml").read_text(encoding="utf-8"))
+
+
+# --- steady states ----------------------------------------------------------------------------------------------------
+
+
+class OperatingPoint(NamedTuple):
+    """A steady state of one WTG."""
+
+    frequency_pu: float
+    rotor_speed_pu: float
+    tip_speed_ratio: float
+    power_pu: float
+    stable: bool  # a faster rotor captures less than it delivers, so that it comes back
+
+
+class Balance:
+    """Captured minus delivered power over the rotor speed, at one frequency, law and wind."""
+
+    def __init__(self, frequency_pu, law, wind_m_s, turbine=TURBINE, control=CONTROL):
+        self.frequency_pu, self.curve = frequency_pu, turbine.power_coefficient
+        corners = converter_constants(control).corners
+        self.k = tracking_coefficient(frequency_pu, law.k_min, law.k_nominal, law.k_max, corners)
+        deviation = frequency_pu - control.frequency_setpoint_pu
+        self.droop = control.droop_gain_pu * deviation if math.isinf(law.damping_time_constant_s) else 0.0
+        self.in_wind = turbine.wind_power_pu_per_cubic_wind * wind_m_s**3
+        self.ratio_per_speed = turbine.tip_speed_ratio_per_speed_m_s / wind_m_s
+        # A rotor so fast that the law takes more than the wind holds leaves a deficit for certain.
+        most = (max(self.droop, 0.0) + float(available_power_pu(wind_m_s, turbine))) / self.k
+        self.slowest = LEAST_RATIO / self.ratio_per_speed
+        self.fastest = max(self.slowest, 1.01 * most ** (1.0 / 3.0))
+
+    def surplus(self, speed):
+        captured = self.in_wind * power_coefficient(self.ratio_per_speed * np.asarray(speed), 0.0, self.curve)
+        return captured - (self.k * np.asarray(speed) ** 3 - self.droop)
+
+    def samples(self):
+        """Return rotor speeds that tell all equilibria apart, that of the largest surplus among them."""
+        n = 2 + int((self.fastest - self.slowest) * self.ratio_per_speed / RATIO_STEP)
+        speeds = np.linspace(self.slowest, self.fastest, n)
+        peak = int(np.argmax(self.surplus(speeds)))
+        bounds, options = (speeds[max(peak - 1, 0)], speeds[min(peak + 1, n - 1)]), {"xatol": 1e-11}
+        best = minimize_scalar(lambda x: -float(self.surplus(x)), bounds=bounds, method="bounded", options=options)
+        return np.unique(np.append(speeds, best.x))
+
+    def at(self, speed, stable=True):
+        power = self.k * speed**3 - self.droop
+        return OperatingPoint(self.frequency_pu, speed, self.ratio_per_speed * speed, power, stable)
+
+
+def equilibria(frequency_pu, law, wind_m_s, turbine=TURBINE, control=CONTROL):
+    """Return every steady state of a WTG by rising rotor speed; that of a running WTG is the last."""
+    balance = Balance(frequency_pu, law, wind_m_s, turbine, control)
+    speeds = balance.samples()
+    positive = balance.surplus(speeds) > 0.0
+    points = []
+    for i in np.flatnonzero(positive[:-1] != positive[1:]):
+        root = brentq(lambda x: float(balance.surplus(x)), speeds[i], speeds[i + 1], xtol=1e-14, rtol=1e-14)
+        points.append(balance.at(float(root), bool(positive[i])))
+    return points
+
+
+def critical_frequency_pu(law, wind_m_s, lowest_pu=0.9):
+    """Return the frequency at which a WTG loses its equilibrium, from the set-point down to `lowest_pu`, or None."""
+
+    def margin(frequency):
+        balance = Balance(frequency, law, wind_m_s)
+        return float(balance.surplus(balance.samples()).max())
+
+    if margin(CORNERS[1]) < 0.0:
+        raise ValueError(f"law {law.name!r} has no equilibrium at {wind_m_s:g} m/s at the set-point either")
+    return None if margin(lowest_pu) >= 0.0 else float(brentq(margin, lowest_pu, CORNERS[1], xtol=1e-13))
+
+
+def named_points(law, wind_m_s):
+    """Return the points that the paper names on a power-frequency characteristic, those that exist.
+
+    A: at ω_st. B: at ω_min, or where the equilibrium is lost if that comes first. C: at ω_max. M: where the stable
+    branch passes the maximum power point on the way from A to B.
+    """
+    lowest, nominal, highest = CORNERS
+    corners = {"A": nominal, "B": lowest, "C": highest}
+    points = {name: states[-1] for name, f in corners.items() if (states := equilibria(f, law, wind_m_s))}
+    critical = critical_frequency_pu(law, wind_m_s, lowest)
+    if critical is not None:
+        # The two branches meet there, so that neither has a root; the surplus has its maximum at that speed.
+        lost = Balance(critical, law, wind_m_s)
+        points["B"] = lost.at(float(max(lost.samples(), key=lost.surplus)))
+    best_speed = tracking_point().tip_speed_ratio * wind_m_s / TURBINE.tip_speed_ratio_per_speed_m_s
+
+    def surplus(frequency):
+        return float(Balance(frequency, law, wind_m_s).surplus(best_speed))
+
+    # A rotor with a surplus at λ_opt stands above it, one with a deficit below.
+    if surplus(nominal) > 1e-12 and surplus(lowest) <= -1e-12:
+        crossing = float(brentq(surplus, lowest, nominal, xtol=1e-14))
+        points["M"] = Balance(crossing, law, wind_m_s).at(best_speed)
+    return points
+
+
+# --- single-machine loops ---------------------------------------------------------------------------------------------
+
+
+class Margins(NamedTuple):
+    """Stability of a closed loop."""
+
+    phase_margin_deg: float  # smallest over all gain crossovers; NaN where the loop is unstable
+    crossover_rad_s: float  # the gain crossover at which it is found
+    stable: bool  # all poles of the closed loop lie in the left half plane
+
+
+class Loop(NamedTuple):
+    """An open loop G(s)."""
+
+    numerator: Polynomial
+    denominator: Polynomial
+    synchronising_coefficient: float = K_P  # K_p = V V_g cos δ_0/X_g [p.u./rad]
+
+    def response(self, angular_frequency):
+        """Return G(jΩ)."""
+        s = 1j * np.asarray(angular_frequency, dtype=np.float64)
+        return np.asarray(self.numerator(s) / self.denominator(s))
+
+    def closed_loop_poles(self):
+        """Return the zeros of 1 + G(s) [1/s]."""
+        return (self.numerator + self.denominator).roots().astype(np.complex128)
+
+    def margins(self):
+        """Return the stability margins; crossovers are roots of a polynomial, so that none is missed."""
+        numerator, denominator = (squared(part) for part in (self.numerator, self.denominator))
+        roots = (numerator - denominator).trim().roots().astype(np.complex128)
+        real = (np.abs(roots.imag) < 1e-7 * np.maximum(np.abs(roots), 1e-12)) & (roots.real > 1e-9)
+        crossovers = np.sort(roots.real[real])
+        # The loop's phase lies between -90° and -270° there: measured from -180°, upwards.
+        phases = np.degrees(np.angle(-self.response(crossovers)))
+        margin, crossover = min(zip(phases.tolist(), crossovers.tolist(), strict=True), default=(math.inf, math.nan))
+        stable = bool((self.closed_loop_poles().real < 0.0).all())
+        return Margins(margin if stable else math.nan, crossover, stable)
+
+
+def squared(part):
+    """Return |P(jΩ)|² of a polynomial P(s), as a polynomial in Ω."""
+    on_axis = np.asarray(part.coef, dtype=np.complex128) * 1j ** np.arange(part.coef.size)
+    return Polynomial((Polynomial(on_axis) * Polynomial(on_axis.conj())).coef.real)
+
+
+def single_machine(law, wind_m_s, k_p=K_P, side="under", control=CONTROL, turbine=TURBINE):
+    """Return the linearised loop of a strategy at 50 Hz, where the pitch protection does not act.
+
+    A rotor that keeps its energy has 2H_m ω_m in place of 2H_m.
+    """
+    setpoint = control.frequency_setpoint_pu
+    point = equilibria(setpoint, law, wind_m_s, turbine, control)[-1]
+    rotor, step = point.rotor_speed_pu, 1e-5
+    low, high = power_coefficient(
+        point.tip_speed_ratio * np.array([1.0 - step, 1.0 + step]), 0.0, turbine.power_coefficient
+    )
+    slopes = {
+        "under": (law.k_nominal - law.k_min) / (setpoint - control.frequency_min_pu),
+        "over": (law.k_max - law.k_nominal) / (control.frequency_max_pu - setpoint),
+    }
+    # A = ∂p_w/∂ω_m, B1 = ∂P_st/∂ω_m and B2 = ∂P_st/∂ω [p.u./p.u.].
+    a = turbine.wind_power_pu_per_cubic_wind * wind_m_s**3 * float(high - low) / (2.0 * step * rotor)
+    b1, b2 = 3.0 * law.k_nominal * rotor**2, slopes[side] * rotor**3
+    s, tau = Polynomial([0.0, 1.0]), law.damping_time_constant_s
+    rotor_dynamics = 2.0 * turbine.inertia_constant_s * (rotor if turbine.conserves_energy else 1.0) * s - a
+    swing = 2.0 * control.inertia_constant_s * s - b2
+    if math.isinf(tau):
+        swing, filtered = swing + control.droop_gain_pu, Polynomial([1.0])
+    else:
+        filtered = tau * s + 1.0
+        swing = swing * filtered + control.droop_gain_pu * tau * s
+    numerator = ANGULAR_FREQUENCY * k_p * (rotor_dynamics + b1) * filtered
+    return Loop(numerator.trim(), (s * swing * rotor_dynamics).trim(), k_p)
+
+
+def ideal_source_loop(control=CONTROL):
+    """Return the loop of grid-forming control on an ideal DC source, without rotor and wind (paper, G_GFM)."""
+    numerator = Polynomial([ANGULAR_FREQUENCY * K_P])
+    return Loop(numerator, Polynomial([0.0, control.droop_gain_pu, 2.0 * control.inertia_constant_s]))
+
+
+# --- claims -----------------------------------------------------------------------------------------------------------
+
+
+def claim(key, holds, values, **further):
+    """Return a claim as it was measured; its texts name `values`, and `further` numbers that are not kept."""
+    empty = {"fitted": "", "target": None, "tolerance": None}
+    texts = {name: TEXTS[key].get(name, "").format(**values, **further) for name in ("measured", "remark")}
+    # The last digits depend on the machine.
+    kept = {name: np.vectorize(lambda x: float(f"{x:.6g}"))(value).tolist() for name, value in values.items()}
+    return {"key": key, **empty, **TEXTS[key], **texts, "values": kept, "holds": bool(holds)}
+
+
+def near(key, name, value):
+    """Return the claim that a value is the paper's number within its tolerance; `name` ends in the unit."""
+    return claim(key, abs(value - TEXTS[key]["target"]) <= TEXTS[key]["tolerance"], {name: float(value)})
+
+
+def smaller(key, changes, **further):
+    """Return the claim that the reference changes a quantity of both groups less than the deloaded strategies."""
+    values = dict(zip(COMPARED, map(np.ndarray.tolist, changes), strict=True))
+    return claim(key, (changes[0] < np.minimum(*changes[1:])).all(), values, **further)
+
+
+def run_case(seed):
+    """Run a case study under every strategy: 0 is the load increase, 1 the load decrease."""
+    return {name: simulate(get_suite("paper").scenario(seed), law) for name, law in STRATEGIES.items()}
+
+
+def paper_claims(increase, decrease):
+    """Measure every claim of the paper, those on the case studies on their runs."""
+    for name, deloading in (("opt", 0.0), ("n", 0.05), ("pr", 0.10)):
+        yield near(f"lambda-{name}", f"lambda_{name}", tracking_point(deloading).tip_speed_ratio)
+    yield near("cp-opt", "cp_opt", tracking_point(0.0).power_coefficient)
+    yield from fixed_strategies()
+    yield from coordination()
+    yield from stability()
+    yield from load_increase(increase)
+    yield settling()
+    yield from load_decrease(decrease)
+
+
+def fixed_strategies():
+    laws = (STRATEGIES[name] for name in ("mppt", *COMPARED[1:]))
+    mppt, five, ten = ([named_points(law, wind) for wind in WINDS] for law in laws)
+    powers, limits = [p["B"].power_pu / p["A"].power_pu for p in mppt], [p["B"].frequency_pu for p in mppt]
+    inverse = max(powers) < 1.0 and CORNERS[0] < limits[0] < limits[1]
+    yield claim("inverse-droop", inverse, {"power_ratio": powers, "critical_frequency_pu": limits})
+    shares = [p["C"].power_pu / float(available_power_pu(wind)) for p, wind in zip(mppt, WINDS, strict=True)]
+    falls = all(p["C"].power_pu < p["A"].power_pu and p["C"].rotor_speed_pu > p["A"].rotor_speed_pu for p in mppt)
+    unequal = min(shares) < 1.0 - CONTROL.deloading_limit < max(shares)
+    percent = [100.0 * share for share in shares]
+    yield claim("over-frequency", falls and unequal, {"share_at_frequency_max": shares}, percent=percent)
+    rises = all(max(p["A"].power_pu, p["B"].power_pu) < p["M"].power_pu for p in five)
+    lost = five[1]["B"].frequency_pu
+    yield claim(
+        "low-deloading", rises and lost > CORNERS[0], {"critical_frequency_pu": lost}, high=five[0], low=five[1]
+    )
+    ratio, crossing = ten[0]["B"].tip_speed_ratio, ten[0]["M"].frequency_pu if "M" in ten[0] else 0.0
+    values = {"tip_speed_ratio": ratio, "crossing_frequency_pu": crossing}
+    yield claim("high-deloading-high-wind", ratio > tracking_point(0.0).tip_speed_ratio, values)
+    lost, crossing = ten[1]["B"].frequency_pu, ten[1]["M"].frequency_pu
+    values = {"critical_frequency_pu": lost}
+    yield claim("high-deloading-low-wind", lost > CORNERS[0], values, crossing_frequency_pu=crossing)
+
+
+def coordination():
+    # Above these winds the pitch protection sets in.
+    law, winds = STRATEGIES[REFERENCE_STRATEGY], np.arange(4.0, 11.51, 0.5).tolist()
+    worst = max(share_error(CONTROL, wind) for wind in winds)
+    yield claim("coordination", worst < 1e-4, {"largest_deviation": worst}, percent=100.0 * worst)
+    monotonic, frequencies = True, np.linspace(CORNERS[0], CORNERS[2], 33).tolist()
+    for wind in winds:
+        points = [equilibria(frequency, law, wind)[-1] for frequency in frequencies]
+        power, rotor = np.array([(point.power_pu, point.rotor_speed_pu) for point in points]).T
+        # At ω_min itself p has its maximum, so that its slope is zero there.
+        monotonic &= bool((np.diff(power) < 0.0).all() and (np.diff(rotor) > 0.0).all())
+    words = "strictly monotonic" if monotonic else "not monotonic"
+    yield claim("monotonic", monotonic, {"monotonic": float(monotonic)}, words=words)
+
+
+def share_error(control, wind_m_s):
+    """Return how far the captured shares at ω_min, ω_st and ω_max are from 100, 95 and 90 %."""
+    law, available = STRATEGIES[REFERENCE_STRATEGY], float(available_power_pu(wind_m_s))
+    wanted = zip(CORNERS, (1.0, 0.95, 0.90), strict=True)
+    return max(
+        abs(equilibria(frequency, law, wind_m_s, control=control)[-1].power_pu / available - share)
+        for frequency, share in wanted
+    )
+
+
+def stability():
+    laws = (*(STRATEGIES[name] for name in COMPARED[1:]), LINEAR, UNDAMPED)
+    ideal = ideal_source_loop().margins().phase_margin_deg
+    *deloaded, damped, undamped = (single_machine(law, WINDS[0]).margins().phase_margin_deg for law in laws)
+    yield near("pm-ideal", "pm_deg", ideal)
+    yield claim("pm-deloaded", max(abs(margin - ideal) for margin in deloaded) <= 3.0, {"pm_deg": deloaded})
+    yield near("pm-undamped", "pm_deg", undamped)
+    yield near("pm-damped", "pm_deg", damped)
+    # The coordinated law on droops of 8 … 0.8 % with other virtual inertia: statics, margins, and the load increase.
+    law, winds, differences, errors, completed = STRATEGIES[REFERENCE_STRATEGY], (6.0, *WINDS), [], [], []
+    for gain, inertia in itertools.product((12.5, 25.0, 62.5, 125.0), (0.5, 2.0, 5.0, 10.0)):
+        control = GridFormingParameters(droop_gain_pu=gain, inertia_constant_s=inertia)
+        errors += [share_error(control, wind) for wind in winds]
+        ideal = ideal_source_loop(control).margins().phase_margin_deg
+        for wind, side in itertools.product(winds, SIDES):
+            margins = single_machine(law, wind, side=side, control=control).margins()
+            differences.append(margins.phase_margin_deg - ideal)
+        # The stiffest droop on the least inertia is too fast for steps of 25 ms.
+        run = simulate(get_suite("paper").scenario(0), law, Plant(control=control, simulation_dt=0.005))
+        completed.append(run.status == Status.RUNNING)
+    stable, worst, n_loops = [each for each in differences if not math.isnan(each)], max(errors), len(differences)
+    values = {"margin_difference_deg": stable, "largest_deviation": worst, "completed_runs": float(sum(completed))}
+    counts = {"n_stable": len(stable), "n_loops": n_loops, "n_runs": len(completed), "percent": 100.0 * worst}
+    holds = worst < 1e-4 and len(stable) == n_loops and all(completed)
+    yield claim("compatible", holds, values, **counts, least_deg=min(stable), most_deg=max(stable))
+
+
+def load_increase(runs):
+    """Measure the claims on the load increase, without the settling times."""
+    reference, compared, deloaded = runs[REFERENCE_STRATEGY], [runs[name] for name in COMPARED], COMPARED[1:]
+    yield near("settles", "frequency_pu", float(reference.frequency_hz[-1] / reference.nominal_frequency_hz))
+    rotors, ratios = reference.rotor_speed_pu[-1], reference.tip_speed_ratio[-1]
+    least, most = (tracking_point(d).tip_speed_ratio for d in (0.0, 0.10))
+    drift = float(np.ptp(reference.rotor_speed_pu[-200:], axis=0).max())
+    stays = reference.status == Status.RUNNING and ((least <= ratios) & (ratios <= most)).all() and drift < 1e-4
+    yield claim("stays-stable", stays, {"tip_speed_ratio": ratios, "rotor_speed_pu": rotors}, drift_pu=drift)
+    ended = {f"{name}_s": runs[name] for name in ("mppt", *deloaded)}
+    times = {name: float(run.time_s[-1]) for name, run in ended.items()}
+    second = all(run.status == Status.STALL and np.argmin(run.tip_speed_ratio[-1]) == 1 for run in ended.values())
+    yield claim("stalls", second and (np.diff([30.0, *times.values()]) > 0.0).all(), times)
+    high = [float(runs[name].rotor_speed_pu[-1, 0]) for name in deloaded]
+    yield claim("right-of-mpp", min(high) > 1.0, {"rotor_speed_pu": high})
+    # The first event comes at 5 s, the second at 30 s.
+    n = [int((run.time_s < 30.0).sum()) for run in compared]
+    rotor = [run.rotor_speed_pu[:end] for run, end in zip(compared, n, strict=True)]
+    peak = [float(run.power_pu[:end, 0].max()) for run, end in zip(compared, n, strict=True)]
+    fall = [float(run.rotor_speed_pu[0, 0] - np.interp(6.0, run.time_s, run.rotor_speed_pu[:, 0])) for run in compared]
+    rocof = [-float(np.interp(5.5, run.time_s, run.rocof_hz_s(0.5))) for run in compared]
+    nadir = [float(run.frequency_hz[:end].min()) for run, end in zip(compared, n, strict=True)]
+    yield claim("larger-step", peak[0] > max(peak[1:]), {"peak_power_pu": peak})
+    yield claim("faster-rotor", fall[0] > max(fall[1:]), {"fall_pu": fall})
+    yield claim("rocof", rocof[0] < min(rocof[1:]), {"rocof_hz_s": rocof})
+    yield claim("nadir", all(0.0 < other - nadir[0] < 0.01 for other in nadir[1:]), {"nadir_hz": nadir})
+    dips = [float(np.ptp(speed[:, 0])) for speed in rotor]
+    yield smaller("narrow-range", [speed[0] - speed[-1] for speed in rotor], dip_pu=dips)
+
+
+def settling():
+    """Measure how long power and rotor of WTG 1 take to settle after the first event, at 5 s, of the load increase."""
+    scenario = get_suite("paper").scenario(0)
+    scenario = dataclasses.replace(scenario, events=scenario.events[:1], duration_s=300.0)
+    runs, values, sooner = {name: simulate(scenario, STRATEGIES[name]) for name in COMPARED}, {}, True
+    for quantity in ("power_pu", "rotor_speed_pu"):
+        times = []
+        for name, run in runs.items():
+            series = getattr(run, quantity)[:, 0]
+            outside = run.time_s[np.abs(series / series[-1] - 1.0) > 0.02]
+            times.append(float(outside.max(initial=5.0)) - 5.0)
+            values[f"{name}_{quantity}_settling_s"] = times[-1]
+        sooner &= times[0] < min(times[1:])
+    return claim("settles-sooner", sooner, values)
+
+
+def load_decrease(runs):
+    available = np.array([float(available_power_pu(wind)) for wind in WINDS])
+    floor, compared = 0.9 * available, [runs[name] for name in COMPARED]
+    yield smaller("rotor-rise", [run.rotor_speed_pu.max(axis=0) - run.rotor_speed_pu[0] for run in compared])
+    inside, five, ten = (run.power_pu[-1] for run in compared)
+    yield claim("decrease-10", (ten < floor).all(), {"power_pu": ten})
+    yield claim("decrease-5", five[0] > floor[0] and five[1] < 0.3, {"power_pu": five})
+    stays = compared[0].power_pu[-200:].min(axis=0) > floor
+    together = stays.all() and np.ptp(inside / floor) < 1e-3
+    yield claim("decrease-coordinated", together, {"power_pu": inside}, percent=100.0 * inside / available)
+
+
+def claims_table(claims):
+    """Return the claims, marked where they do not hold or were fitted, with remarks below the table."""
+    notes, rows = [], []
+    for source, section in itertools.groupby(claims, key=lambda each: each["source"]):
+        rows.append((f"**{source}**", "", ""))
+        for each in section:
+            measured = each["measured"] + ("" if each["holds"] else ", **does not hold**")
+            measured += ", *fitted*" if each["fitted"] else ""
+            if each["remark"]:
+                notes.append(f"({len(notes) + 1}) {each['remark']}  ")
+                measured += f" ({len(notes)})"
+            rows.append((each["says"], each["expected"], measured))
+    n_held = sum(each["holds"] for each in claims)
+    fitted = [each["fitted"] for each in claims if each["fitted"] and each["holds"]]
+    by = ", ".join(f"{name} to {fitted.count(name)}" for name in dict.fromkeys(fitted))
+    count = (
+        f"{n_held} of {len(claims)} claims hold, {n_held - len(fitted)} without a fit. Parameters of this model were "
+        f"fitted to {len(fitted)} numbers ({by})."
+    )
+    table = markdown_table(("the paper says", "expected", "measured"), rows)
+    return "\n\n".join((count, table, "\n".join(notes)))
+
+
+# --- figures ----------------------------------------------------------------------------------------------------------
+
+
+@style.printed
+def plot_power_coefficient():
+    """Draw C_p(λ) at β = 0 with the points of 0, 5 and 10 % deloading (a), and the range between them (b)."""
+    levels, names, corners = (0.0, 0.05, 0.10), ("opt", "n", "pr"), ("min", "st", "max")
+    points = [tracking_point(level) for level in levels]
+    ratios, values = [p.tip_speed_ratio for p in points], [p.power_coefficient for p in points]
+    figure = style.new_figure(style.DOUBLE_COLUMN_MM, 66.0)
+    whole, part = figure.subplots(1, 2)
+    for axes, low, high in ((whole, 2.0, 13.0), (part, 6.6, 8.8)):
+        x = np.unique(np.append(np.linspace(low, high, 400), ratios))
+        axes.plot(x, power_coefficient(x), color="0.15", linewidth=1.3)
+        axes.plot(ratios, values, "o", color="0.15", zorder=4)
+        axes.set(xlim=(low, high), xlabel=r"tip-speed ratio $\lambda$ [–]", ylabel=r"power coefficient $C_p$ [–]")
+    whole.set_ylim(0.0, 0.51)
+    part.set_ylim(values[2] - 0.035, values[0] + 0.02)
+    for name, level, value in zip(names, levels, values, strict=True):
+        part.axhline(value, linewidth=0.7, zorder=1, **style.REFERENCE)
+        part.annotate(rf"$C_{{p,{name}}}$ = {value:.3f}, deloaded by {100 * level:.0f} %", (6.62, value + 0.001))
+    ticks = zip(ratios, names, corners, strict=True)
+    part.set_xticks(ratios, [f"{x:.2f}\n$\\lambda_{{{n}}}$\nat $\\omega_{{{c}}}$" for x, n, c in ticks])
+    style.letter_panel(whole, "a", "power coefficient and reserve")
+    style.letter_panel(part, "b", r"operating range over $\omega_{min}$ … $\omega_{max}$")
+    return figure
+
+
+@style.printed
+def plot_characteristic(law):
+    """Draw what a strategy does in steady state.
+
+    (a) captured power over rotor speed with the tracking curves k ω_m³; (b) power and (c) rotor speed over frequency:
+    stable equilibria solid, unstable ones dashed, frequencies without any shaded. Dots are the points of
+    :func:`named_points`.
+    """
+    low, high = CORNERS[0] - 0.0025, CORNERS[2] + 0.0025
+    labels = {
+        "frequency_pu": r"frequency $\omega$ [p.u.]",
+        "power_pu": "power p [p.u.]",
+        "rotor_speed_pu": r"rotor speed $\omega_m$ [p.u.]",
+    }
+    shown = (("rotor_speed_pu", "power_pu"), ("frequency_pu", "power_pu"), ("frequency_pu", "rotor_speed_pu"))
+    figure = style.new_figure(style.DOUBLE_COLUMN_MM, 74.0)
+    panels = figure.subplots(1, 3)
+    speeds = np.linspace(0.1, 1.4, 300)
+    for k in {law.k_min, law.k_nominal, law.k_max}:
+        panels[0].plot(speeds, k * speeds**3, color=style.REFERENCE_GREY, linewidth=0.8)
+    for number, (wind, colour) in enumerate(zip(WINDS, style.PALETTE, strict=False), start=1):
+        critical = critical_frequency_pu(law, wind, low)
+        ratios = TURBINE.tip_speed_ratio_per_speed_m_s * speeds / wind
+        captured = TURBINE.wind_power_pu_per_cubic_wind * wind**3 * power_coefficient(ratios)
+        panels[0].plot(speeds, captured, color=colour)
+        frequencies = np.linspace(low, high, 126)
+        if critical is not None:
+            # Both branches leave the point where they meet like a square root of the distance.
+            near_it = critical + np.geomspace(1e-9, 1e-3, 40)
+            frequencies = np.unique(np.append(frequencies[frequencies > critical], near_it))
+        points = [point for frequency in frequencies for point in equilibria(float(frequency), law, wind)[-2:]]
+        for axes, (x, y) in zip(panels, shown, strict=True):
+            for stable, dashes in ((True, "-"), (False, "--")) if axes is not panels[0] else ():
+                branch = [(getattr(p, x), getattr(p, y)) for p in points if p.stable == stable]
+                label = f"{number}: {wind:g} m/s" if stable else None
+                axes.plot(*np.reshape(branch, (-1, 2)).T, dashes, color=colour, label=label)
+            if critical is not None and axes is not panels[0]:
+                label = f"no equilibrium at {wind:g} m/s"
+                axes.axvspan(low, critical, color=colour, alpha=0.1, linewidth=0.0, label=label)
+            for name, point in named_points(law, wind).items():
+                place = getattr(point, x), getattr(point, y)
+                axes.plot(*place, "o", color=colour, zorder=5)
+                text = rf"$\mathregular{{{name}_{number}}}$"
+                axes.annotate(text, place, (2.0, 4.0), textcoords="offset points", color=colour)
+    panels[0].set_ylim(0.0, 1.35)
+    for axes in panels[1:]:
+        axes.set_xticks(
+            CORNERS, [f"{x:.3f}\n$\\omega_{{{name}}}$" for x, name in zip(CORNERS, ("min", "st", "max"), strict=True)]
+        )
+        axes.set_xlim(low, high)
+    for axes, letter, (x, y) in zip(panels, "abc", shown, strict=True):
+        axes.set(xlabel=labels[x], ylabel=labels[y])
+        style.letter_panel(axes, letter)
+    figure.legend(*panels[1].get_legend_handles_labels(), loc="outside lower center", ncols=4)
+    figure.suptitle(law.name, x=0.01, ha="left")
+    return figure
+
+
+@style.printed
+def plot_bode(loops):
+    """Draw open loops by their names over angular frequency; dots are gain crossovers, lines phase margins."""
+    figure = style.new_figure(style.SINGLE_COLUMN_MM, 92.0 + 3.5 * len(loops))
+    magnitude, phase = figure.subplots(2, 1, sharex=True)
+    angular = np.geomspace(1e-2, 1e2, 600)
+    for (label, loop), look in zip(loops.items(), style.strategy_looks(loops).values(), strict=True):
+        margins, response = loop.margins(), loop.response(angular)
+        line = {"color": look.colour, "linestyle": look.dashes}
+        text = f"{label}: {margins.phase_margin_deg:.1f}° at {margins.crossover_rad_s:.2f} rad/s"
+        magnitude.plot(angular, 20.0 * np.log10(np.abs(response)), label=text, **line)
+        # About -180°, since the phase stays within 180° of that, it never jumps.
+        phase.plot(angular, np.degrees(np.angle(-response)) - 180.0, **line)
+        crossover, top = margins.crossover_rad_s, margins.phase_margin_deg - 180.0
+        magnitude.plot(crossover, 0.0, "o", color=look.colour, zorder=4)
+        phase.plot(crossover, top, "o", color=look.colour, zorder=4)
+        phase.vlines(crossover, -180.0, top, color=look.colour, linewidth=0.8, zorder=3)
+    magnitude.axhline(0.0, color=style.REFERENCE_GREY, linewidth=0.8, zorder=1)
+    phase.axhline(-180.0, color=style.REFERENCE_GREY, linewidth=0.8, zorder=1)
+    magnitude.set_ylabel("magnitude [dB]")
+    phase.set_yticks(np.arange(-270.0, -89.0, 30.0))
+    phase.set(xscale="log", xlim=(angular[0], angular[-1]), ylim=(-275.0, -85.0), ylabel="phase [°]")
+    phase.set_xlabel(r"angular frequency $\Omega$ [rad/s]")
+    figure.legend(loc="outside lower left", ncols=1, title="phase margin at gain crossover", alignment="left")
+    return figure
+
+
+def paper_figures(increase, decrease):
+    """Draw the paper's figures one by one: name of the file, figure. The runs are the case studies'."""
+    reference, suite, fixed = STRATEGIES[REFERENCE_STRATEGY], get_suite("paper"), ("mppt", "deloaded-5", "deloaded-10")
+    yield "power-coefficient", plot_power_coefficient()
+    for name in (*fixed, reference.name):
+        yield f"characteristic-{name}", plot_characteristic(STRATEGIES[name])
+    loops = {name: single_machine(STRATEGIES[name], WINDS[0]) for name in fixed}
+    linear = {law.name: single_machine(law, WINDS[0]) for law in (LINEAR, UNDAMPED)}
+    slopes = {f"{reference.name}, {side}-frequency": single_machine(reference, WINDS[0], side=side) for side in SIDES}
+    undamped = {UNDAMPED.name: linear[UNDAMPED.name]}
+    yield "bode-comparison", plot_bode({"ideal-source": ideal_source_loop(), **loops, **undamped})
+    yield "bode-proposed", plot_bode({**linear, **slopes})
+    yield "load-increase", plot_trajectories(increase, suite.scenario(0))
+    yield "load-decrease", plot_trajectories(decrease, suite.scenario(1))
+
+
+def main(docs):
+    """Renew the page, its claims and its pictures."""
+    cases = [run_case(seed) for seed in range(2)]
+    claims = list(paper_claims(*cases))
+    write_atomically(docs / "validation" / "claims.json", to_json({"claims": claims}))
+    for name, figure in paper_figures(*cases):
+        save_figure(figure, docs / "validation" / "figures" / name, ("svg",))
+    if (page := docs / "validation.md").exists():
+        update_between_markers(page, claims_table(claims), "claims")
+    for each in claims:
+        print(f"{'holds' if each['holds'] else 'DOES NOT HOLD'}  {each['key']}: {each['measured']}")
+
+
+if __name__ == "__main__":
+    main(folder(__doc__))
