@@ -13,12 +13,9 @@ from wtg_gym.grids.typical import TYPICAL_EXCITER, TYPICAL_GOVERNOR, typical_mac
 from wtg_gym.physics.grid import MODELS
 from wtg_gym.physics.machine import saturation_constants
 from wtg_gym.physics.machine_parameters import SynchronousMachineParameters, classical_machine
-from wtg_gym.ranges import require_range
 
 #: Share of x'' that a leakage reactance has at most, so that the order x'' > x_l holds.
 _LEAKAGE = 0.8
-#: Largest saturation that is taken: data beyond it are no machine's.
-_LARGEST_SATURATION = 10.0
 #: Limit where the data say none [p.u.].
 _NO_LIMIT = 999.0
 _IEEET = "exciter_gain exciter_time_s"
@@ -50,12 +47,8 @@ _NUMBERS = {
     "lead_time_1_s lag_time_1_s lead_time_2_s lag_time_2_s washout_gain_s washout_time_s gain signal_max_pu "
     "signal_min_pu voltage_max_pu voltage_min_pu",
 }  # fmt: skip
-#: Models that are read as another one, with what is different.
-_READ_AS = {
-    "GENROE": ("GENROU", "whose saturation is quadratic"),
-    "GENSAE": ("GENSAL", "whose saturation is quadratic"),
-    "TGOV1N": ("TGOV1", ""),
-}
+#: Models that are read as another one.
+_READ_AS = {**{name: name for name in _NUMBERS}, "GENROE": "GENROU", "GENSAE": "GENSAL", "TGOV1N": "TGOV1"}
 _MACHINES = ("GENROU", "GENSAL", "GENCLS")
 #: Beginnings of names of PSS/E's models by what they are; others are left out.
 _FAMILIES = {
@@ -106,20 +99,16 @@ class Dynamics:
     def require_known(self) -> None:
         """Refuse models of the machines made that are not here, unless they may be replaced."""
         if self._unknown and not self._substitute:
-            found = ", ".join(f"{model} ({n})" for model, n in self._unknown.items())
+            listed = ", ".join(f"{model} ({n})" for model, n in self._unknown.items())
             raise ValueError(
-                f"models that are not here: {found}; --substitute leaves them out, or puts typical ones there"
+                f"models that are not here: {listed}; --substitute leaves them out, or puts typical ones there"
             )
-
-    def _known(self, model: str) -> str | None:
-        name = _READ_AS.get(model, (model, ""))[0]
-        return name if name in _NUMBERS else None
 
     def machine(self, number: int, infeed: Infeed, slack: bool) -> SynchronousMachineParameters | None:
         """Return the machine of an infeed, None where the file has none for it."""
         at, records = f"machine {infeed.machine_id} at bus {number}", self._records.get((number, infeed.machine_id), {})
         controls = self._controls(at, records)
-        model = next((name for name in records if self._known(name) in _MACHINES), None)
+        model = next((name for name in records if _READ_AS.get(name) in _MACHINES), None)
         if model is None:
             return None
         values = self._values(at, model, records[model])
@@ -127,13 +116,13 @@ class Dynamics:
             "bus": number, "rating_mva": infeed.rating_mva or abs(infeed.power), "two_h_s": 2.0 * values.pop("_h"),
             "dispatch_mw": infeed.power.real, "resistance": infeed.impedance.real,
         }  # fmt: skip
-        if self._known(model) == "GENCLS":
+        if _READ_AS.get(model) == "GENCLS":
             for kind in sorted(controls.keys() - {"governor"}):
                 self.notes.append(f"{at} is a constant voltage: its {kind} is left out")
                 del controls[kind]
             values |= {"x_d_transient": infeed.impedance.imag, "x_leakage": 0.0}
             return made(at, classical_machine, **common, **values, **controls)
-        if self._known(model) == "GENSAL":
+        if _READ_AS.get(model) == "GENSAL":
             values |= {"x_q_transient": values["x_q"], "t_q0_transient_s": 1.0}
             self.notes.append(f"{at}: {model} is a GENROU with x'_q = x_q")
         if "stabiliser" in controls and "exciter" not in controls:
@@ -143,10 +132,9 @@ class Dynamics:
         return made(at, SynchronousMachineParameters, **{"exciter": None, **common, **values, **controls})
 
     def _values(self, at: str, model: str, numbers: list[float]) -> dict[str, float]:
-        known = self._known(model)
-        assert known is not None
-        if model != known and _READ_AS[model][1]:
-            self.notes.append(f"{at}: {model} is read as {known}, {_READ_AS[model][1]}")
+        known = _READ_AS[model]
+        if model in ("GENROE", "GENSAE"):
+            self.notes.append(f"{at}: {model} is read as {known}, whose saturation is quadratic")
         names = _NUMBERS[known].split()
         if len(numbers) < len(names):
             raise ValueError(f"{at}: {model} has {len(numbers)} numbers, not {len(names)}")
@@ -174,17 +162,16 @@ class Dynamics:
         first, second = sorted(points)
         try:
             saturation_constants(at, first, second)
-            require_range(f"{at}: saturation", second[1], 0.0, _LARGEST_SATURATION, "")
-            return [first, second]
         except ValueError as error:
             self.notes.append(f"{error}; it is left out")
-        return [(0.0, 0.0), (1.0, 0.0)]
+            return [(0.0, 0.0), (1.0, 0.0)]
+        return [first, second]
 
     def _controls(self, at: str, records: dict[str, list[float]]) -> dict[str, Any]:
         """Return exciter, governor and stabiliser of a machine."""
         found: dict[str, Any] = {}
         for model, numbers in records.items():
-            known, what = self._known(model), f"{at}: {model}"
+            known, what = _READ_AS.get(model), f"{at}: {model}"
             if known in _MACHINES:
                 continue
             kind = next((kind for kind, names in _FAMILIES.items() if re.match(names, model)), "")

@@ -21,7 +21,15 @@ import numpy as np
 
 from wtg_gym.extras import install_advice
 from wtg_gym.files import parse_json, read_text
-from wtg_gym.grids.solved_case import BASE_MVA, Infeed, SolvedCase, TwoPort, refuse_large, refuse_unread
+from wtg_gym.grids.solved_case import (
+    BASE_MVA,
+    UNLIMITED,
+    Infeed,
+    SolvedCase,
+    TwoPort,
+    refuse_large,
+    refuse_unread,
+)
 
 #: What every file of a network of pandapower says before its tables.
 _MARK, _MARK_WITHIN = "pandapowerNet", 300
@@ -35,19 +43,12 @@ _CLASSES = {
     ("numpy", "array"),
 }
 #: Tables of pandapower that its own power flow turns into MATPOWER's without loss.
-_READ = frozenset(
-    (
-        *("bus", "load", "sgen", "motor", "asymmetric_load", "asymmetric_sgen", "storage", "gen", "ext_grid", "shunt"),
-        *("ward", "line", "trafo", "trafo3w", "impedance", "switch"),
-    )
+_READ = (
+    "bus load sgen motor asymmetric_load asymmetric_sgen storage gen ext_grid shunt ward line trafo trafo3w impedance "
+    "switch"
 )
 #: Tables of a .m file that say nothing about the power flow.
-_SILENT = frozenset(
-    (
-        *("version", "baseMVA", "bus", "gen", "branch", "gencost", "bus_name", "branch_name", "gen_name", "genfuel"),
-        *("gentype", "areas"),
-    )
-)
+_SILENT = "version baseMVA bus gen branch gencost bus_name branch_name gen_name genfuel gentype areas"
 #: Columns of MATPOWER's tables, and those that pandapower adds to the branches.
 _BUS, _TYPE, _PD, _QD, _GS, _BS, _VM, _VA = 0, 1, 2, 3, 4, 5, 7, 8
 _GEN, _PG, _QG, _QMAX, _QMIN, _GEN_STATUS, _PMAX = 0, 1, 2, 3, 4, 7, 8
@@ -55,8 +56,6 @@ _FROM, _TO, _R, _X, _B, _TAP, _SHIFT, _STATUS = 0, 1, 2, 3, 4, 8, 9, 10
 _PF, _QF, _PT, _QT = 13, 14, 15, 16
 _R_ASYM, _X_ASYM, _G, _G_ASYM, _B_ASYM = 21, 22, 23, 24, 25
 _REFERENCE, _ISOLATED = 3, 4
-#: Power from which on a limit means none [MW, Mvar].
-_UNLIMITED = 9000.0
 #: Difference between a load and what the solution takes that rounding makes [MVA].
 _NO_CHANGE_MVA = 1e-4
 
@@ -67,22 +66,18 @@ def is_network(path: Path) -> bool:
         return _MARK in file.read(_MARK_WITHIN)
 
 
-# --- MATPOWER's own files ---------------------------------------------------------------------------------------------
-
-
 def read_matpower(path: Path, frequency_hz: float | None, drop: Collection[str]) -> SolvedCase:
     """Return the case of a .m or .mat file, as PYPOWER solves it.
 
     Raises:
-        ValueError: the extra is missing, the file has statements besides its tables, or there is no power flow.
+        ImportError: matpowercaseframes or PYPOWER is missing.
+        ValueError: the file has statements besides its tables, or there is no power flow.
     """
-    try:
-        from matpowercaseframes import CaseFrames
-        from pypower.api import ppoption, runpf
-    except ImportError as error:
-        raise ValueError(f"it needs matpowercaseframes and PYPOWER; {install_advice('grids')}") from error
-    fuels: list[str] = []
-    if path.suffix == ".mat":
+    from matpowercaseframes import CaseFrames
+    from pypower.api import ppoption, runpf
+
+    fuels: dict[int, str] = {}
+    if path.suffix.lower() == ".mat":
         frames = CaseFrames(str(path), allow_any_keys=True)
     else:
         text, fuels = _plain(read_text(path, "case"))
@@ -92,7 +87,7 @@ def read_matpower(path: Path, frequency_hz: float | None, drop: Collection[str])
             frames = CaseFrames(str(plain), allow_any_keys=True)
     tables = {name: np.array(getattr(frames, name), dtype=float) for name in ("bus", "gen", "branch")}
     notes: list[str] = []
-    more = {name: (len(getattr(frames, name)), 0.0) for name in frames.attributes if name not in _SILENT}
+    more = {name: (len(getattr(frames, name)), 0.0) for name in frames.attributes if name not in _SILENT.split()}
     if "dcline" in more:
         lines = np.array(frames.dcline, dtype=float)
         more["dcline"] = int(lines[:, 2].sum()), float((lines[:, 2] * abs(lines[:, 3])).sum())
@@ -100,49 +95,46 @@ def read_matpower(path: Path, frequency_hz: float | None, drop: Collection[str])
     refuse_large(len(tables["bus"]))
     for name, columns in (("bus", 13), ("gen", 21), ("branch", 13)):
         # Limits may be infinite or none.
-        rows = np.nan_to_num(tables[name], posinf=_UNLIMITED, neginf=-_UNLIMITED)
+        rows = np.nan_to_num(tables[name], posinf=UNLIMITED, neginf=-UNLIMITED)
         tables[name] = np.pad(rows, ((0, 0), (0, max(columns - rows.shape[1], 0))))
-    given = {"version": "2", "baseMVA": float(frames.baseMVA), **{name: rows.copy() for name, rows in tables.items()}}
+    unsolved = {"version": "2", "baseMVA": float(frames.baseMVA), **tables}
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        solved, converged = runpf(given, ppoption(VERBOSE=0, OUT_ALL=0, PF_TOL=1e-11))
+        solved, converged = runpf(unsolved, ppoption(VERBOSE=0, OUT_ALL=0, PF_TOL=1e-11))
     if not converged:
         raise ValueError("PYPOWER finds no power flow")
     if frequency_hz is None:
         notes.append("the nominal frequency is taken as 60 Hz, which a MATPOWER case does not say (--frequency)")
-    case = _case_of(solved, path.stem, "PYPOWER", frequency_hz or 60.0, {int(n): int(n) for n in tables["bus"][:, 0]})
-    case.notes = notes + case.notes
+    numbers = {int(number): int(number) for number in solved["bus"][:, _BUS]}
+    case = _case_of(solved, path.stem, "PYPOWER", frequency_hz or 60.0, numbers, notes)
+    roles = dict.fromkeys(("wind", "WT", "W"), "wind") | dict.fromkeys(("solar", "PV"), "static")
     for infeed in case.infeeds:
-        row = int(infeed.machine_id) - 1
-        if row < len(fuels) and fuels[row] in ("wind", "WT", "W"):
-            infeed.role = "wind"
-        elif row < len(fuels) and fuels[row] in ("solar", "PV"):
-            infeed.role = "static"
+        infeed.role = roles.get(fuels.get(int(infeed.machine_id), ""), "machine")
     return case
 
 
-def _plain(text: str) -> tuple[str, list[str]]:
-    """Return a .m file with a row a line and blanks between numbers, and the fuels of its generators.
+def _plain(text: str) -> tuple[str, dict[int, str]]:
+    """Return a .m file with a row a line and blanks between numbers, and the fuels of its generators from 1 on.
 
     matpowercaseframes reads only this form, and passes over statements, which are refused here.
     """
     lines = [re.sub(r"%.*", "", line) for line in re.sub(r"(?s)%\{.*?%\}", "", text).splitlines()]
     text = re.sub(r"\.\.\.[^\n]*\n", " ", "\n".join(lines))
     found = re.search(r"mpc\.genfuel\s*=\s*\{(.*?)\}", text, re.DOTALL)
-    fuels = re.findall(r"'([^']*)'", found[1]) if found else []
+    fuels = dict(enumerate(re.findall(r"'([^']*)'", found[1]), start=1)) if found else {}
     tables = re.findall(r"mpc\.(\w+)\s*=\s*\[(.*?)\]", text, re.DOTALL)
     scalars = re.findall(r"mpc\.(version|baseMVA)\s*=\s*([^;\n]+)", text)
-    left = re.sub(r"mpc\.\w+\s*=\s*(?:\[.*?\]|\{.*?\})\s*;?", "", text, flags=re.DOTALL)
-    left = re.sub(r"mpc\.(?:version|baseMVA)\s*=\s*[^;\n]+;?|function\s+[^\n]*|^\s*(?:end|return)\s*;?\s*$", "", left,
-                  flags=re.MULTILINE)  # fmt: skip
+    left = re.sub(r"(?s)mpc\.\w+\s*=\s*(?:\[.*?\]|\{.*?\})\s*;?", "", text)
+    left = re.sub(r"mpc\.(?:version|baseMVA)\s*=\s*[^;\n]+;?", "", left)
+    left = re.sub(r"(?m)function\s+[^\n]*|^\s*(?:end|return)\s*;?\s*$", "", left)
     if statements := [line.strip() for line in left.splitlines() if line.strip(" ;\t\r")]:
         raise ValueError(
             f"besides its tables it has statements, such as {statements[0]!r:.80}, which only MATLAB or Octave "
             "can run: save the case there as a .mat file or by savecase"
         )
-    doubled = sorted({name for name, _ in tables if [other for other, _ in tables].count(name) > 1})
-    if doubled or not {"bus", "gen", "branch"} <= {name for name, _ in tables}:
-        raise ValueError(f"it must have the tables bus, gen and branch once each, twice are {doubled}")
+    names = [name for name, _ in tables]
+    if len(set(names)) < len(names) or not {"bus", "gen", "branch"} <= set(names):
+        raise ValueError(f"it must have the tables bus, gen and branch, and each table once, got {names}")
     written = ["function mpc = case", *(f"mpc.{name} = {value.strip()};" for name, value in scalars)]
     for name, body in tables:
         rows = [re.sub(r"[,\s]+", "\t", row.strip(" ,\t\r")) for row in re.split(r"[;\n]", body)]
@@ -150,14 +142,12 @@ def _plain(text: str) -> tuple[str, list[str]]:
     return "\n".join(written) + "\n", fuels
 
 
-# --- networks of pandapower -------------------------------------------------------------------------------------------
-
-
 def read_pandapower(path: Path, frequency_hz: float | None, drop: Collection[str]) -> SolvedCase:
     """Return the case of a network's file, as pandapower solves it; a bus has pandapower's index plus one.
 
     Raises:
-        ValueError: pandapower is not installed or too old, cannot read the file, or finds no power flow.
+        ImportError: pandapower is missing.
+        ValueError: it is too old, cannot read the file, or finds no power flow.
     """
     notes: list[str] = []
     net = _solved_network(path, drop, notes)
@@ -166,12 +156,10 @@ def read_pandapower(path: Path, frequency_hz: float | None, drop: Collection[str
     numbers = {int(place_of[bus]): int(bus) + 1 for bus in sorted(net.bus.index, reverse=True) if place_of[bus] >= 0}
     for bus in range(len(tables["bus"])):
         numbers.setdefault(bus, max(*numbers.values(), int(net.bus.index.max()) + 1) + 1)
-    solved = {name: tables[name].real.copy() for name in ("bus", "gen", "branch")}
-    _take_references(solved)
-    case = _case_of(
-        {"baseMVA": tables["baseMVA"], **solved}, path.stem, "pandapower", frequency_hz or float(net.f_hz), numbers
-    )
-    case.notes = notes + case.notes
+    solved = {name: tables[name].real.copy() for name in ("bus", "gen", "branch")} | {"baseMVA": tables["baseMVA"]}
+    # The first of several external grids is the slack: each has what the solution gives it.
+    solved["bus"][np.flatnonzero(solved["bus"][:, _TYPE] == _REFERENCE)[1:], _TYPE] = 2
+    case = _case_of(solved, path.stem, "pandapower", frequency_hz or float(net.f_hz), numbers, notes)
     for index, row in net.sgen[net.sgen.in_service].iterrows():
         bus, power = int(place_of[row.bus]), complex(*net.res_sgen.loc[index, ["p_mw", "q_mvar"]])
         if bus in case.voltages and power:
@@ -187,24 +175,14 @@ def read_pandapower(path: Path, frequency_hz: float | None, drop: Collection[str
     return case
 
 
-def _take_references(solved: dict[str, Any]) -> None:
-    """Let the first of several external grids be the slack: each has what the solution gives it."""
-    references = np.flatnonzero(solved["bus"][:, _TYPE] == _REFERENCE)
-    solved["bus"][references[1:], _TYPE] = 2
-
-
 def _solved_network(path: Path, drop: Collection[str], notes: list[str]) -> Any:
     """Return pandapower's network of a file with its power flow; errors as of :func:`read_pandapower`."""
-    try:
-        import pandapower
-    except ImportError as error:
-        raise ValueError(f"it needs pandapower; {install_advice('grids')}") from error
-    if tuple(map(int, re.findall(r"\d+", pandapower.__version__)[:3])) < _OLDEST:
-        oldest = ".".join(map(str, _OLDEST))
-        raise ValueError(
-            f"pandapower {pandapower.__version__} runs code that a file names; {oldest} or later is needed: "
-            f"{install_advice('grids')}"
-        )
+    import pandapower
+
+    version = pandapower.__version__
+    if tuple(map(int, re.findall(r"\d+", version)[:3])) < _OLDEST:
+        oldest = f"{'.'.join(map(str, _OLDEST))} or later is needed: {install_advice('grids')}"
+        raise ValueError(f"pandapower {version} runs code that a file names; {oldest}")
     text = read_text(path, "network of pandapower")
     _check_classes(parse_json(text, "it"))
     with warnings.catch_warnings():
@@ -228,7 +206,7 @@ def _drop_unread(net: Any, drop: Collection[str], notes: list[str]) -> None:
     """Refuse elements that have no place in MATPOWER's tables, or put them out of service where `drop` says so."""
     unread = {}
     for name, table in net.items():
-        if name in _READ or name.startswith(("_", "res_")) or "in_service" not in getattr(table, "columns", ()):
+        if name in _READ.split() or name.startswith(("_", "res_")) or "in_service" not in getattr(table, "columns", ()):
             continue
         able = table[table.in_service.astype(bool)]
         power = [abs(able[column]).sum() for column in ("p_mw", "ps_mw") if column in able]
@@ -256,10 +234,9 @@ def _check_classes(data: Any) -> None:
             _check_classes(each)
 
 
-# --- both -------------------------------------------------------------------------------------------------------------
-
-
-def _case_of(solved: Any, name: str, library: str, frequency_hz: float, numbers: dict[int, int]) -> SolvedCase:
+def _case_of(
+    solved: Any, name: str, library: str, frequency_hz: float, numbers: dict[int, int], notes: list[str]
+) -> SolvedCase:
     """Return the case of solved tables, whose loads are what the solution takes at each bus."""
     scale = BASE_MVA / float(solved["baseMVA"])
     rows = solved["bus"][solved["bus"][:, _TYPE] != _ISOLATED]
@@ -271,9 +248,9 @@ def _case_of(solved: Any, name: str, library: str, frequency_hz: float, numbers:
     case = SolvedCase(
         name=name, library=library, frequency_hz=frequency_hz, slack=slacks[0],
         voltages=dict(zip(keys, map(complex, polar), strict=True)), numbers={key: numbers[key] for key in keys},
+        notes=notes,
     )  # fmt: skip
-    off = solved["bus"][solved["bus"][:, _TYPE] == _ISOLATED]
-    if len(off):
+    if len(off := solved["bus"][solved["bus"][:, _TYPE] == _ISOLATED]):
         what = ", ".join(str(numbers[int(row[_BUS])]) for row in off)
         case.notes.append(f"buses out of service with {off[:, _PD].sum():.6g} MW of load: {what}")
     taken = _taken(solved)
@@ -290,7 +267,7 @@ def _case_of(solved: Any, name: str, library: str, frequency_hz: float, numbers:
             least = [row[_QMAX], row[_PMAX] if key == case.slack else 0.0]
             case.infeeds.append(Infeed(
                 name=f"generator {place + 1}", bus=key, power=complex(row[_PG], row[_QG]), machine_id=str(place + 1),
-                least_mva=max([v for v in least if v < _UNLIMITED], default=0.0),
+                least_mva=max([v for v in least if v < UNLIMITED], default=0.0),
             ))  # fmt: skip
     case.branches = [
         _two_port(row, scale, numbers)

@@ -1,4 +1,4 @@
-"""Cases that pypowsybl (https://powsybl.org) reads and solves: RAW, RAWX, CGMES, UCTE, IEEE-CDF, PowerFactory, XIIDM.
+"""Cases that pypowsybl (https://powsybl.org) reads and solves: RAW, CGMES, UCTE, IEEE-CDF, PowerFactory, XIIDM.
 
 What its reader of RAW passes over is looked for in the file's sections: tables of impedance correction, devices that no
 section of it knows, the initial susceptance of switched shunts, which it rounds to a step, and the bases of machines.
@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import cmath
 import csv
-import json
 import math
 import re
 import tempfile
@@ -18,9 +17,16 @@ from typing import Any
 
 import numpy as np
 
-from wtg_gym.extras import install_advice
 from wtg_gym.files import read_text
-from wtg_gym.grids.solved_case import BASE_MVA, Infeed, SolvedCase, TwoPort, refuse_large, refuse_unread
+from wtg_gym.grids.solved_case import (
+    BASE_MVA,
+    UNLIMITED,
+    Infeed,
+    SolvedCase,
+    TwoPort,
+    refuse_large,
+    refuse_unread,
+)
 from wtg_gym.physics.network import LEAST_IMPEDANCE
 
 #: Sections of RAW 32 and 33 in their order, and those of 35.
@@ -34,23 +40,10 @@ _PASSED_OVER = {
     "impcor": "impedance-correction", "ntermdc": "multi-terminal-dc", "gne": "gne-device",
     "indmach": "induction-machine",
 }  # fmt: skip
-#: Places of numbers in the records of RAW 33 and 35.
-_FIELDS = {
-    33: {
-        "mbase": 8,
-        "zr": 9,
-        "zx": 10,
-        "wmod": 26,
-        "binit": 9,
-    },
-    35: {
-        "mbase": 9,
-        "zr": 10,
-        "zx": 11,
-        "wmod": 28,
-        "binit": 11,
-    },
-}
+#: Places of numbers in the records of RAW 33 and of 35.
+_PLACES = {"mbase": (8, 9), "zr": (9, 10), "zx": (10, 11), "wmod": (26, 28), "binit": (9, 11)}
+#: What a generator of a RAW file has where it does not say.
+_MACHINE = {"mbase": 0.0, "zr": 0.0, "zx": 1.0, "wmod": 0.0}
 #: Tables of pypowsybl that have no place in a grid, with the column of their power.
 _UNREAD = {
     "dc-line": ("hvdc_lines", "target_p"), "svc": ("static_var_compensators", ""),
@@ -73,27 +66,29 @@ def read_powsybl(path: Path, frequency_hz: float | None, drop: Collection[str]) 
     """Return the case of a file, as pypowsybl solves it.
 
     Raises:
-        ValueError: pypowsybl is missing, cannot read the file, or finds no power flow; or the file has elements that a
-            grid does not, and `drop` does not name their type.
+        ImportError: pypowsybl is missing.
+        ValueError: it cannot read the file, or finds no power flow; or the file has elements that a grid does not, and
+            `drop` does not name their type.
     """
-    try:
-        import pypowsybl
-    except ImportError as error:
-        raise ValueError(f"it needs pypowsybl; {install_advice('grids')}") from error
+    import pypowsybl
+
     notes: list[str] = []
-    raw = _Raw(path) if path.suffix.lower() in (".raw", ".rawx") else None
+    raw = _Raw(path) if path.suffix.lower() == ".raw" else None
     # Errors of pypowsybl are of any kind.
     try:
         if raw is None:
             net = pypowsybl.network.load(str(path))
         else:
             with tempfile.TemporaryDirectory() as folder:
-                copy = Path(folder) / path.name.replace(path.suffix, path.suffix.lower())
+                copy = Path(folder) / f"{path.stem}.raw"
                 copy.write_text(raw.text)
                 net = pypowsybl.network.load(str(copy))
     except Exception as error:
         which = "" if raw is None else f" as RAW of version {raw.version:g} (32, 33 and 35 are read)"
         raise ValueError(f"pypowsybl cannot read it{which}: {error}") from error
+    if raw is None and net.source_format == "PSS/E" and "iidm" not in path.suffix.lower():
+        # What pypowsybl passes over would not be seen.
+        raise ValueError("a case of PSS/E is read from its .raw file only: no RAWX, no archive")
     unread = {} if raw is None else {kind: (n, 0.0) for kind, n in raw.passed_over()}
     for kind, (name, column) in _UNREAD.items():
         rows = getattr(net, f"get_{name}")()
@@ -115,22 +110,13 @@ def read_powsybl(path: Path, frequency_hz: float | None, drop: Collection[str]) 
 
 
 class _Raw:
-    """The sections of a RAW or RAWX file, with what pypowsybl passes over, and its text as pypowsybl should read it."""
+    """The sections of a RAW file, with what pypowsybl passes over, and its text as pypowsybl should read it."""
 
     def __init__(self, path: Path) -> None:
         self.text = read_text(path, "case")
-        self.records: dict[str, list[list[Any]]] = {}
-        self.version, self.frequency_hz = 0.0, 0.0
-        self._columns: dict[str, list[str]] = {}
-        if path.suffix.lower() == ".rawx":
-            self._read_rawx()
-        else:
-            self._read_raw()
-
-    def _read_raw(self) -> None:
+        self.records: dict[str, list[list[str]]] = {}
         lines = self.text.splitlines()
-        remarks = ("@!",)
-        starts = [place for place, line in enumerate(lines) if not line.startswith(remarks)]
+        starts = [place for place, line in enumerate(lines) if not line.startswith("@!")]
         header = _fields(lines[starts[0]]) if starts else []
         try:
             self.version = float(header[2])
@@ -140,7 +126,7 @@ class _Raw:
         queue = iter(_SECTIONS_35 if self.version >= 34 else _SECTIONS)
         section, written = next(queue), lines[: starts[2] + 1] if len(starts) > 2 else lines
         for line in lines[len(written) :]:
-            if line.startswith(remarks):
+            if line.startswith("@!"):
                 continue
             if re.match(r"\s*Q\s*$", line):
                 break
@@ -161,45 +147,21 @@ class _Raw:
         kept = [*fields[: place + 1], *steps] if _number(fields, place) else [*fields[:3], "0", *fields[4:]]
         return ",".join(f"'{each}'" if re.search(r"[A-Za-z ]", each) or not each else each for each in kept)
 
-    def _read_rawx(self) -> None:
-        try:
-            data = json.loads(self.text)
-            network = data["network"]
-            case = dict(zip(network["caseid"]["fields"], network["caseid"]["data"], strict=False))
-            self.version, self.frequency_hz = float(case.get("rev", 35)), float(case.get("basfrq", 0.0))
-            for name, table in network.items():
-                if table["data"] and isinstance(table["data"][0], list):
-                    self.records[name] = table["data"]
-            self._columns = {name: list(table["fields"]) for name, table in network.items()}
-            for row in self.records.get("swshunt", []):
-                at = {name: place for place, name in enumerate(self._columns["swshunt"])}
-                steps = {"n1": 1, "b1": row[at["binit"]]}
-                for name in [name for name in at if re.fullmatch(r"[nb]\d", name)]:
-                    row[at[name]] = steps.get(name, 0)
-            self.text = json.dumps(data)
-        except (AttributeError, KeyError, TypeError, ValueError) as error:
-            raise ValueError(f"it is no RAWX file: {error}") from error
-
     def _place(self, name: str) -> int:
-        if columns := self._columns.get("generator"):
-            return columns.index(name) if name in columns else len(columns)
-        return _FIELDS[35 if self.version >= 34 else 33][name]
+        return _PLACES[name][self.version >= 34]
 
     def passed_over(self) -> Iterator[tuple[str, int]]:
         """Yield what pypowsybl passes over: type and number."""
         for section, kind in _PASSED_OVER.items():
             yield kind, len({fields[0] for fields in self.records.get(section, [])})
-        series = [row for row in self.records.get("facts", []) if str(row[2]).strip("' ") not in ("0", "", "None")]
-        yield "facts-series", len(series)
+        yield "facts-series", sum(row[2] not in ("0", "") for row in self.records.get("facts", []))
 
     def machines(self) -> dict[tuple[str, str], dict[str, float]]:
         """Return rating [MVA], source impedance [p.u.] and kind of wind machine by bus and id."""
-        found, names = {}, ("mbase", "zr", "zx", "wmod")
-        default = {"mbase": 0.0, "zr": 0.0, "zx": 1.0, "wmod": 0.0}
-        for row in self.records.get("generator", []):
-            values = {name: _number(row, self._place(name), default[name]) for name in names}
-            found[str(row[0]).strip(), str(row[1]).strip("' ")] = values
-        return found
+        return {
+            (row[0], row[1]): {name: _number(row, self._place(name), value) for name, value in _MACHINE.items()}
+            for row in self.records.get("generator", [])
+        }
 
 
 def _fields(line: str) -> list[str]:
@@ -208,10 +170,10 @@ def _fields(line: str) -> list[str]:
     return [each.strip() for each in (fields if len(fields) > 1 else line.replace("'", " ").split())]
 
 
-def _number(fields: list[Any], place: int, default: float = 0.0) -> float:
+def _number(fields: list[str], place: int, default: float = 0.0) -> float:
     try:
         return float(fields[place])
-    except (IndexError, TypeError, ValueError):
+    except (IndexError, ValueError):
         return default
 
 
@@ -234,7 +196,7 @@ class _Tables:
             return str(slacks[0])
         generators = self.net.get_generators()
         able = generators[generators["connected"] & generators["voltage_regulator_on"]]
-        if not len(able):
+        if able.empty:
             raise ValueError("no generator in service holds a voltage")
         bus = str(able.loc[able["max_p"].idxmax(), "bus_id"])
         self.notes.append(f"the case names no slack bus; the one of the largest generator is taken: {bus}")
@@ -258,22 +220,22 @@ class _Tables:
 
     def case(self, frequency_hz: float | None) -> SolvedCase:
         """Return the case."""
-        buses, known = self.buses, self.buses["synchronous_component"]
-        part = known[self.slack]
+        part = self.buses.loc[self.slack, "synchronous_component"]
         frequency = frequency_hz or (self.raw.frequency_hz if self.raw is not None else 0.0)
         if not frequency:
             frequency = 60.0 if self.net.source_format in ("IEEE-CDF", "PSS/E") else 50.0
             self.notes.append(f"the nominal frequency is taken as {frequency:g} Hz, which the file does not say")
         voltages = {
-            key: cmath.rect(row.v_mag / self.volts[key], math.radians(row.v_angle)) if known[key] == part else 0j
-            for key, row in zip(buses.index, buses.itertuples(), strict=True)
+            key: cmath.rect(row.v_mag / self.volts[key], math.radians(row.v_angle))
+            if row.synchronous_component == part
+            else 0j
+            for key, row in self.buses.iterrows()
         }
         self.out = SolvedCase(
             name=self.name, library="pypowsybl", frequency_hz=frequency, slack=self.slack, voltages=voltages,
             numbers=self._numbers(), notes=self.notes,
         )  # fmt: skip
-        self._add_lines()
-        self._add_transformers()
+        self._add_branches()
         self._add_boundaries()
         self._add_injections()
         self._add_generators()
@@ -292,17 +254,8 @@ class _Tables:
             numbers[key] = min(numbers.get(key, 10**9), int(found[1]))
         return numbers if len(set(numbers.values())) == len(numbers) else {}
 
-    def _admittance(self, siemens: complex, key: Any, other: Any = None) -> complex:
-        """Return an admittance or, between two buses, a transfer [p.u.]."""
-        return siemens * self.volts[key] * self.volts[key if other is None else other] / BASE_MVA
-
     def _add_branch(
-        self,
-        name: str,
-        ends: tuple[Any, Any],
-        ohms: complex,
-        siemens: tuple[complex, complex],
-        ratio: complex = 1.0 + 0j,
+        self, name: str, ends: tuple[Any, Any], ohms: complex, siemens: tuple[complex, complex], ratio: complex = 1.0
     ) -> None:
         """Add a branch: impedance and shunts [Ω, S] behind an ideal transformer, where V_1 · ratio is."""
         one, other = ends
@@ -311,10 +264,8 @@ class _Tables:
         if not one or not other:
             # The open end leaves the shunt there behind the impedance.
             near, far = siemens if one else siemens[::-1]
-            behind = far / (1.0 + ohms * far)
-            self.out.shunts[one or other] += self._admittance(
-                (near + behind) * (abs(ratio) ** 2 if one else 1.0), one or other
-            )
+            shunt = (near + far / (1.0 + ohms * far)) * (abs(ratio) ** 2 if one else 1.0)
+            self.out.shunts[one or other] += shunt * self.volts[one or other] ** 2 / BASE_MVA
             return
         base = self.volts[other] ** 2 / BASE_MVA
         tap = self.volts[other] / (self.volts[one] * ratio)
@@ -323,13 +274,11 @@ class _Tables:
             shunts=(siemens[0] * base, siemens[1] * base), tap=abs(tap), phase_rad=cmath.phase(tap),
         ))  # fmt: skip
 
-    def _add_lines(self) -> None:
+    def _add_branches(self) -> None:
         for name, row in self.net.get_lines().iterrows():
             ends = row.bus1_id if row.connected1 else "", row.bus2_id if row.connected2 else ""
             shunts = complex(row.g1, row.b1), complex(row.g2, row.b2)
             self._add_branch(str(name), ends, complex(row.r, row.x), shunts)
-
-    def _add_transformers(self) -> None:
         for name, row in self.net.get_2_windings_transformers(all_attributes=True).iterrows():
             ends = row.bus1_id if row.connected1 else "", row.bus2_id if row.connected2 else ""
             ohms = complex(row.r_at_current_tap, row.x_at_current_tap)
@@ -362,44 +311,36 @@ class _Tables:
                 self.out.loads[key] += complex(row.p0, row.q0)
 
     def _add_injections(self) -> None:
-        for _, row in self.net.get_loads().iterrows():
-            if not row.connected or not row.bus_id:
-                continue
+        loads, shunts = self.net.get_loads(), self.net.get_shunt_compensators()
+        for _, row in loads[loads["connected"] & (loads["bus_id"] != "")].iterrows():
             taken, load = complex(row.p, row.q), complex(row.p0, row.q0)
-            changed = cmath.isfinite(taken) and abs(taken - load) > 1e-4
-            self.out.loads[row.bus_id] += taken if changed else load
-            if changed:
-                self.notes.append(
-                    f"the load at {row.bus_id} is no constant power: {taken:.6g} MVA are taken, not {load:.6g}"
-                )
+            if cmath.isfinite(taken) and abs(taken - load) > 1e-4:
+                what = f"the load at {row.bus_id} is no constant power"
+                self.notes.append(f"{what}: {taken:.6g} MVA are taken, not {load:.6g}")
+                load = taken
+            self.out.loads[row.bus_id] += load
         for key, row in self.buses.iterrows():
             self.out.loads[key] += complex(row.get("fictitious_p0", 0.0), row.get("fictitious_q0", 0.0))
-        for _, row in self.net.get_shunt_compensators().iterrows():
-            if row.connected and row.bus_id:
-                self.out.shunts[row.bus_id] += self._admittance(complex(row.g, row.b), row.bus_id)
+        for _, row in shunts[shunts["connected"] & (shunts["bus_id"] != "")].iterrows():
+            self.out.shunts[row.bus_id] += complex(row.g, row.b) * self.volts[row.bus_id] ** 2 / BASE_MVA
 
     def _add_generators(self) -> None:
         of_raw = {} if self.raw is None else self.raw.machines()
-        tables = [("", self.net.get_generators()), ("static", self.net.get_batteries())]
-        for role, table in tables:
-            for name, row in table.iterrows():
-                if not row.connected or not row.bus_id:
-                    continue
+        for role, table in (("machine", self.net.get_generators()), ("static", self.net.get_batteries())):
+            for name, row in table[table["connected"] & (table["bus_id"] != "")].iterrows():
                 found = re.fullmatch(r"B(\d+)-G(.*)", str(name))
                 place = (found[1], found[2].strip()) if found else ("", "1")
-                data = of_raw.get(place, {"mbase": 0.0, "zr": 0.0, "zx": 1.0, "wmod": 0.0})
-                source = "WIND" if data["wmod"] else row.get("energy_source", "OTHER")
-                known = {"WIND": "wind", "SOLAR": "static"}
-                taken = complex(row.p, row.q)
+                data = of_raw.get(place, _MACHINE)
+                source = "WIND" if data["wmod"] else row.get("energy_source", "")
                 limits = row.max_q, row.max_p if row.bus_id == self.slack else 0.0
-                rating = data["mbase"] or (
-                    float(row.get("rated_s", 0.0)) if np.isfinite(row.get("rated_s", np.nan)) else 0.0
-                )
+                taken = complex(row.p, row.q)
                 self.out.infeeds.append(Infeed(
-                    name=str(name), bus=row.bus_id, machine_id=place[1], role=role or known.get(source, "machine"),
+                    name=str(name), bus=row.bus_id, machine_id=place[1],
+                    role={"WIND": "wind", "SOLAR": "static"}.get(source, role),
                     power=-taken if cmath.isfinite(taken) else complex(row.target_p, row.target_q),
-                    rating_mva=rating or None, impedance=complex(data["zr"], data["zx"]),
-                    least_mva=max([float(v) for v in limits if v < 9000.0], default=0.0),
+                    rating_mva=data["mbase"] or float(np.nan_to_num(row.get("rated_s", 0.0))) or None,
+                    impedance=complex(data["zr"], data["zx"]),
+                    least_mva=max([float(v) for v in limits if v < UNLIMITED], default=0.0),
                 ))  # fmt: skip
         slack = [each for each in self.out.infeeds if each.bus == self.slack and each.role == "machine"]
         for each in slack:

@@ -6,6 +6,7 @@ from collections.abc import Collection
 from dataclasses import replace
 from pathlib import Path
 
+from wtg_gym.extras import install_advice
 from wtg_gym.files import interpreting
 from wtg_gym.grids import matpower, powsybl
 from wtg_gym.grids.dyr import Dynamics
@@ -37,13 +38,15 @@ def read_case(
     for each in (path, dynamic):
         if each is not None and not each.is_file():
             raise ValueError(f"there is no file {each}")
+    if path.suffix.lower() in (".m", ".mat"):
+        read = matpower.read_matpower
+    else:
+        read = matpower.read_pandapower if matpower.is_network(path) else powsybl.read_powsybl
     with interpreting(path, "case"):
-        if path.suffix.lower() in (".m", ".mat"):
-            case = matpower.read_matpower(path, frequency_hz, drop)
-        elif matpower.is_network(path):
-            case = matpower.read_pandapower(path, frequency_hz, drop)
-        else:
-            case = powsybl.read_powsybl(path, frequency_hz, drop)
+        try:
+            case = read(path, frequency_hz, drop)
+        except ImportError as error:
+            raise ValueError(f"it needs {error.name}; {install_advice('grids')}") from error
         dynamics = None if dynamic is None else Dynamics(dynamic, case.notes, substitute=substitute)
         grid = grid_of(case, dynamics, drop)
     return replace(grid, source=f"{path.name}, read by {case.library}")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import cmath
+import itertools
 import math
 from collections import defaultdict
 from collections.abc import Callable, Collection, Hashable, Iterable
@@ -25,7 +26,7 @@ TOLERANCE = 1e-6
 #: Phase shift around a loop that counts as one [rad].
 _LEAST_SHIFT = 1e-9
 #: Power from which on a limit means none [MW, Mvar]: files have 9900 or 9999.
-_UNLIMITED = 9000.0
+UNLIMITED = 9000.0
 
 
 @dataclass(kw_only=True)
@@ -77,7 +78,6 @@ class SolvedCase:
         loads: as they are in the solution [MVA].
         shunts: admittances [p.u. of :data:`BASE_MVA`].
         numbers: of the buses, where the file has some.
-        unread: what is not taken over: number and power [MW] by type.
         notes: what was assumed or changed.
     """
 
@@ -103,11 +103,10 @@ def refuse_unread(unread: dict[str, tuple[int, float]], drop: Collection[str], n
         drop: types that are left out.
         notes: takes what was left out.
     """
-    found = {kind: (n, power) for kind, (n, power) in unread.items() if n}
-    texts = {kind: f"{n} {kind} of {power:.6g} MW" for kind, (n, power) in found.items()}
-    if left := [text for kind, text in texts.items() if kind not in drop]:
-        names = " ".join(kind for kind in found if kind not in drop)
-        raise ValueError(f"it has what no grid here has: {', '.join(left)}; --drop {names} leaves that out")
+    texts = {kind: f"{n} {kind} of {power:.6g} MW" for kind, (n, power) in unread.items() if n}
+    if left := {kind: text for kind, text in texts.items() if kind not in drop}:
+        listed = ", ".join(left.values())
+        raise ValueError(f"it has what no grid here has: {listed}; --drop {' '.join(left)} leaves that out")
     notes += [f"left out: {text}" for text in texts.values()]
 
 
@@ -135,8 +134,7 @@ def grid_of(case: SolvedCase, dynamics: Any = None, drop: Collection[str] = ()) 
     made_of = _network_case(case, numbers, records)
     differences = _compare(made_of, case, numbers, turned)
     case.notes.append(f"its power flow is that of {case.library}; largest differences [p.u., rad]: {differences}")
-    grid = Grid(case=made_of, replaced=tuple(sorted(wind)), substitutions=tuple(dict.fromkeys(case.notes)))
-    return grid
+    return Grid(case=made_of, replaced=tuple(sorted(wind)), substitutions=tuple(dict.fromkeys(case.notes)))
 
 
 def refuse_large(n_buses: int) -> None:
@@ -147,16 +145,10 @@ def refuse_large(n_buses: int) -> None:
 
 def _merge_buses(case: SolvedCase) -> None:
     """Make one bus of those that branches without impedance join, and take these branches away."""
-    joined: dict[Key, Key] = {}
+    import networkx
 
-    def first(key: Key) -> Key:
-        while key in joined:
-            key = joined[key]
-        return key
-
-    kept = []
+    joined, kept = networkx.Graph(), []
     for branch in case.branches:
-        one, other = (first(end) for end in branch.ends)
         if abs(branch.impedance) >= network.LEAST_IMPEDANCE:
             kept.append(branch)
             continue
@@ -164,43 +156,48 @@ def _merge_buses(case: SolvedCase) -> None:
             raise ValueError(f"{branch.name} is a transformer without impedance")
         for end, shunt in zip(branch.ends, branch.shunts, strict=True):
             case.shunts[end] += shunt
-        if one == other:
-            continue
-        if other == case.slack:
-            one, other = other, one
-        joined[other] = one
+        joined.add_edge(*branch.ends)
         case.notes.append(f"{branch.name} has no impedance: its buses are one")
-    case.branches = [replace(b, ends=(first(b.ends[0]), first(b.ends[1]))) for b in kept]
+    bus_of = {key: key for key in case.voltages}
+    for part in networkx.connected_components(joined):
+        first = case.slack if case.slack in part else next(key for key in joined if key in part)
+        for other in part - {first}:
+            bus_of[other] = first
+            for values in (case.loads, case.shunts):
+                values[first] += values.pop(other, 0j)
+            case.voltages.pop(other)
+    case.branches = [replace(branch, ends=(bus_of[branch.ends[0]], bus_of[branch.ends[1]])) for branch in kept]
     case.branches = [branch for branch in case.branches if branch.ends[0] != branch.ends[1]]
-    for other in joined:
-        for values in (case.loads, case.shunts):
-            values[first(other)] += values.pop(other, 0j)
-        case.voltages.pop(other)
     for infeed in case.infeeds:
-        infeed.bus = first(infeed.bus)
+        infeed.bus = bus_of[infeed.bus]
+
+
+def _graph(case: SolvedCase) -> Any:
+    """Return buses and branches as a graph, whose lines weigh less than its phase shifts."""
+    import networkx
+
+    graph = networkx.MultiGraph()
+    graph.add_nodes_from(case.voltages)
+    for branch in case.branches:
+        graph.add_edge(*branch.ends, branch=branch, weight=float(branch.phase_rad != 0.0))
+    return graph
 
 
 def _take_connected(case: SolvedCase, drop: Collection[str]) -> None:
     """Take away the buses that no branch joins to the slack bus, and refuse those that have power."""
-    beside = defaultdict[Key, list[Key]](list)
-    for branch in case.branches:
-        for one, other in (branch.ends, branch.ends[::-1]):
-            beside[one].append(other)
-    reached, queue = {case.slack}, [case.slack]
-    while queue:
-        new = [other for other in beside[queue.pop()] if other not in reached]
-        reached.update(new)
-        queue += new
-    apart = [key for key in case.voltages if key not in reached]
+    import networkx
+
+    connected = networkx.node_connected_component(_graph(case), case.slack)
+    apart = [key for key in case.voltages if key not in connected]
     power = sum(abs(case.loads.get(key, 0j).real) for key in apart)
-    power += sum(abs(infeed.power.real) for infeed in case.infeeds if infeed.bus not in reached)
+    power += sum(abs(infeed.power.real) for infeed in case.infeeds if infeed.bus not in connected)
     refuse_unread({"island": (len(apart) if power else 0, power)}, drop, case.notes)
     if apart and not power:
         case.notes.append(f"buses without connection to the slack bus are left out: {_listed(apart)}")
-    case.branches = [branch for branch in case.branches if branch.ends[0] in reached]
-    case.infeeds = [infeed for infeed in case.infeeds if infeed.bus in reached]
+    case.branches = [branch for branch in case.branches if branch.ends[0] in connected]
+    case.infeeds = [infeed for infeed in case.infeeds if infeed.bus in connected]
     for values in (case.voltages, case.loads, case.shunts):
-        for key in [key for key in values if key not in reached]:
+        for key in values.keys() - connected:
             del values[key]
 
 
@@ -212,27 +209,17 @@ def _listed(keys: Iterable[Key]) -> str:
 def _without_common_shifts(case: SolvedCase) -> dict[Key, float]:
     """Take away phase shifts that are the same along every path; return the angle that each bus turns by [rad].
 
-    Vector groups are such shifts. What remains around a loop is a phase shifter.
+    Vector groups are such shifts. What remains around a loop is a phase shifter; a tree of as few shifts as possible
+    lets one beside lines keep its own.
     """
-    beside = defaultdict[Key, list[tuple[Key, float]]](list)
-    for branch in case.branches:
-        one, other = branch.ends
-        beside[one].append((other, -branch.phase_rad))
-        beside[other].append((one, branch.phase_rad))
-    turned, queue, waiting = {case.slack: 0.0}, [case.slack], list[tuple[Key, float]]()
-    # Branches without a shift come first, so that a phase shifter beside lines keeps its own.
-    while queue or waiting:
-        bus, angle = (queue.pop(), None) if queue else waiting.pop(0)
-        if angle is not None:
-            if bus in turned:
-                continue
-            turned[bus] = angle
-        for other, shift in beside[bus]:
-            if other not in turned and shift == 0.0:
-                turned[other] = turned[bus]
-                queue.append(other)
-            elif other not in turned:
-                waiting.append((other, turned[bus] + shift))
+    import networkx
+
+    tree = networkx.minimum_spanning_tree(_graph(case))
+    turned = {case.slack: 0.0}
+    for one, other in networkx.bfs_edges(tree, case.slack):
+        (edge,) = tree[one][other].values()
+        shift = edge["branch"].phase_rad
+        turned[other] = turned[one] + (-shift if edge["branch"].ends == (one, other) else shift)
     for branch in case.branches:
         one, other = branch.ends
         rest = math.remainder(branch.phase_rad - turned[one] + turned[other], 2.0 * math.pi)
@@ -246,12 +233,9 @@ def _without_common_shifts(case: SolvedCase) -> dict[Key, float]:
 
 def _numbers(case: SolvedCase) -> dict[Key, int]:
     """Return the number of each bus: the file's, or its place, which a note says."""
-    numbers, named = {key: case.numbers[key] for key in case.voltages if key in case.numbers}, True
-    if not numbers:
-        named = False
-    for key in case.voltages:
-        if key not in numbers:
-            numbers[key] = max([*numbers.values(), *case.numbers.values()], default=0) + 1
+    named = {key: case.numbers[key] for key in case.voltages if key in case.numbers}
+    unused = itertools.count(max(case.numbers.values(), default=0) + 1)
+    numbers = {key: named[key] if key in named else next(unused) for key in case.voltages}
     if not named:
         case.notes.append("bus numbers: " + ", ".join(f"{key} = {number}" for key, number in numbers.items()))
     return numbers
@@ -284,7 +268,7 @@ def _machines(case: SolvedCase, numbers: dict[Key, int], dynamics: Any) -> list[
 
 def typical(number: int, infeed: Infeed, slack: bool) -> SynchronousMachineParameters:
     """Return a typical machine for an infeed."""
-    least = infeed.rating_mva or (infeed.least_mva if infeed.least_mva < _UNLIMITED else 0.0)
+    least = infeed.rating_mva or (infeed.least_mva if infeed.least_mva < UNLIMITED else 0.0)
     return typical_machine(number, infeed.power, least, slack=slack)
 
 
