@@ -25,15 +25,16 @@ from typing import Any
 #: a grid of 500 buses has 0.2 MB, an hour of measured wind of eight groups 3 MB, the table of a hundred entries 10 MB.
 LARGEST_BYTES: Mapping[str, int] = MappingProxyType(
     {
+        "case": 2**25,
         "description of the results": 2**22,
         "description of the run": 2**22,
         "entry file": 2**14,
         "file with the markers": 2**22,
         "finished batch": 2**22,
-        "grid": 2**21,
+        "grid": 2**22,
         "hyperparameter file": 2**16,
         "law file": 2**14,
-        "network of pandapower": 2**23,
+        "network of pandapower": 2**25,
         "policy": 2**26,
         "records of the trainings": 2**20,
         "rotor table": 2**21,

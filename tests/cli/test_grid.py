@@ -65,8 +65,7 @@ def test_a_network_without_a_power_flow_is_refused_in_a_line(
     path = tmp_path / "heavy.json"
     pandapower.to_json(network, str(path))
     assert main(["grid", "import", str(path), "--output", str(tmp_path / "grid.json")]) == 2
-    reads, refused = capsys.readouterr().err.splitlines()
-    assert reads.startswith("pandapower reads") and "pandapower finds no power flow" in refused
+    assert "pandapower finds no power flow" in capsys.readouterr().err
     assert not (tmp_path / "grid.json").exists()
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -27,9 +29,13 @@ def test_kinetic_energy_is_what_was_captured_and_not_delivered(simulator: Simula
     assert (captured > 5.0).all()
 
 
-def test_load_noise_by_rank_one_update_equals_a_full_reduction(simulator: Simulator) -> None:
+@pytest.mark.parametrize("shift", [0.0, 0.1])
+def test_load_noise_by_rank_one_update_equals_a_full_reduction(simulator: Simulator, shift: float) -> None:
     # 12 MW of noise at bus 9 from t = 0.1 s on, against the same as a load step of 12 MW.
-    results = []
+    results, settings = [], simulator.settings
+    first, *others = settings.case.branches
+    shifted = replace(settings.case, branches=(replace(first, phase_rad=shift), *others))
+    simulator = Simulator(replace(settings, case=shifted))
     for what in (
         scenario(sc.LoadStep(time_s=0.1, bus=9, power_mw=12.0)),
         scenario(load_noise_mw=np.concatenate([[0.0], np.full(40, 12.0)]), load_noise_bus=9),

@@ -26,23 +26,25 @@ def import_grid(
         tuple[int, ...],
         Parameter(
             consume_multiple=True,
-            help="buses whose machines turbines of 5 MW replace, rated for 2.1 times what these give; default: the "
-            "largest, up to 60 % of the power (turbines of up to 1.25 times the load)",
+            help="buses whose machines turbines of 5 MW replace, rated for 2.1 times what these give, besides the wind "
+            "parks of the case; default: the largest, up to 60 % of the power (turbines of up to 1.25 times the load)",
         ),
+    ] = (),
+    frequency: Annotated[float | None, Parameter(help="nominal frequency [Hz]; default: the file's")] = None,
+    drop: Annotated[
+        tuple[str, ...],
+        Parameter(consume_multiple=True, help="types of element to leave out, as the refusal calls them"),
     ] = (),
     substitute: Annotated[
         Flag, Parameter(help="put typical controls in the place of models that are not here, or leave those out")
     ] = False,
-    andes: Annotated[str, Parameter(help="the command of ANDES")] = "andes",
 ) -> int:
     """Turn a case of another program into a grid's file.
 
-    ANDES reads it (https://docs.andes.app; `pip install andes`, in an environment of its own if you like): RAW of
-    versions 32 to 34 with DYR, xlsx, json, and MATPOWER's .m, which gets typical machines. Repairs, replaced models and
-    the numbers of named buses are printed and kept in the file. A phase shifter is an unknown model: it is refused, or
-    left out with --substitute.
-
-    A network of pandapower, as its `to_json` writes it, is read by pandapower and gets typical machines.
+    RAW of PSS/E (with DYR), CGMES, UCTE, IEEE-CDF, PowerFactory and XIIDM are read by pypowsybl, MATPOWER's .m
+    and .mat by matpowercaseframes, and networks that pandapower's `to_json` wrote by pandapower: extra `grids`. Without
+    DYR every machine is a typical one. The grid's own power flow must be that of the library; what a grid does not have
+    is refused, or left out if --drop says so. What was assumed is said, and stands in the file.
 
     examples:
       wtg-gym grid import ieee39.raw --dynamic ieee39.dyr --output ieee39.json
@@ -50,18 +52,12 @@ def import_grid(
       wtg-gym grid import network.json --output my_grid.json
       wtg-gym evaluate --suite ieee39.json                      score the laws on it
     """
-    from wtg_gym.files import interpreting
-    from wtg_gym.grids.andes import convert, grid_of
     from wtg_gym.grids.describe import describe_equilibrium
-    from wtg_gym.grids.pandapower import is_network, tables_of
+    from wtg_gym.grids.reading import read_case
     from wtg_gym.grids.wind import with_wind
     from wtg_gym.physics.grid import grid_text
 
-    pandapower = is_network(case)
-    note(f"{'pandapower' if pandapower else 'ANDES'} reads {case}, for the first time within a minute or two")
-    with interpreting(case, "case"):
-        tables = tables_of(case) if pandapower else convert(case, dynamic, andes)
-        grid = grid_of(tables, case.stem, substitute=substitute)
+    grid = read_case(case, dynamic, frequency_hz=frequency, drop=drop, substitute=substitute)
     for line in (*grid.repairs, *grid.substitutions):
         note(line)
     made = with_wind(grid, wind)
@@ -75,18 +71,20 @@ def import_grid(
 
 @app.command
 def check(grid: str, /) -> int:
-    """Look at a grid: power flow, equilibrium, least damped modes, and the longest step of the integration.
+    """Look at a grid: power flow, equilibrium, least damped modes, step, and whether its scenarios start.
 
     examples:
       wtg-gym grid check ieee39
       wtg-gym grid check my_grid.json
     """
-    from wtg_gym.grids.describe import describe_equilibrium, describe_grid
+    from wtg_gym.grids.describe import describe_equilibrium, describe_grid, describe_starts
     from wtg_gym.physics.grid import get_grid
 
     network = get_grid(grid)
     rows = [*describe_grid(network), *describe_equilibrium(network)]
     print_table(("", ""), rows, left=(0, 1))
+    if network.groups:
+        print_table(("", ""), describe_starts(network), left=(0, 1))
     return 0
 
 

@@ -109,7 +109,7 @@ class GFMWTGEnv(OverLanes, gym.Env[Observation, Action]):
         scenario = as_scenario('options["scenario"]', given["scenario"]) if "scenario" in given else None
         episodes = None if scenario is None else self._lanes.prepare([scenario], turning=True)
         super().reset(seed=seed)
-        self._lanes.start([0], self._lanes.draw([self.np_random]) if episodes is None else episodes)
+        self._lanes.start([0], self._lanes.next_episode(self.np_random, 0) if episodes is None else episodes)
         if self._frames is not None:
             self._frames.sample()
             self._frames.show()

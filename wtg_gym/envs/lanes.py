@@ -15,7 +15,7 @@ from wtg_gym.envs.settings import EnvSettings
 from wtg_gym.envs.stepping import Outputs, bind, new_outputs, step_blocks, task_data
 from wtg_gym.physics.equilibrium import StartError
 from wtg_gym.physics.layout import LaneData
-from wtg_gym.physics.linearisation import STEP_MARGIN, largest_stable_steps
+from wtg_gym.physics.linearisation import STEP_MARGIN, StepError, largest_stable_steps
 from wtg_gym.physics.protection import Status
 from wtg_gym.physics.scenario import Event, GroupTrip, Scenario
 from wtg_gym.physics.sensors import SensorInput, delay_intervals, sensor_input
@@ -43,6 +43,8 @@ TERMINATION_REASONS = {
 }
 #: Scenarios that the law that scores 100 plays at a time: as many as share a block of lanes.
 _REFERENCES_AT_ONCE = 16
+#: Scenarios drawn for an episode before a reset gives up.
+_MOST_DRAWS = 200
 #: An episode takes as long to prepare (100 µs) as this many blocks to step (20 µs each).
 _BLOCKS_PER_EPISODE = 5
 
@@ -118,6 +120,8 @@ class TaskLanes:
         #: Observations (n_lanes, n_observation) and rewards (n_lanes,): arrays that the next step writes into.
         self.observations, self.rewards = self.outputs.observations, self.outputs.rewards
         self.scenario_seeds = np.full(n_lanes, -1, dtype=np.int64)
+        #: Scenarios that were drawn for each lane and could not start.
+        self.redrawn = np.zeros(n_lanes, dtype=np.int64)
         #: Of each lane's episode, see :mod:`wtg_gym.scenarios.margin`; NaN where the suite has no margins.
         self.reserve_margins = np.full(n_lanes, np.nan)
         #: Events of each lane's episode, in their order.
@@ -205,7 +209,7 @@ class TaskLanes:
         try:
             lanes = self.simulator.prepare(scenarios, self.laws, turning=turning)
         except StartError as error:
-            if self.settings.suite_name.endswith(".json"):
+            if self.settings.draws_again:
                 advice = "`wtg-gym grid suite` makes a suite whose scenarios start"
                 raise StartError(f"{error}; {advice}") from error
             raise
@@ -225,6 +229,28 @@ class TaskLanes:
             tuple(tuple(sorted(scenario.events, key=lambda event: event.time_s)) for scenario in scenarios),
             outputs,
         )
+
+    def next_episode(self, rng: np.random.Generator, lane: int, scenario: Scenario | None = None) -> PreparedEpisodes:
+        """Return a lane's next episode: the first that starts of the scenarios that its generator draws.
+
+        Args:
+            rng: of the lane.
+            lane: where those are counted that do not start.
+            scenario: the first one, if it is drawn already.
+
+        Raises:
+            ValueError: the environment's one scenario, or none of many drawn ones, starts.
+        """
+        refusal: Exception | None = None
+        for _ in range(_MOST_DRAWS):
+            try:
+                return self.prepare([scenario or self.draw([rng])[0]])
+            except (StartError, StepError) as error:
+                if self._fixed is not None:
+                    raise
+                refusal, scenario = error, None
+                self.redrawn[lane] += 1
+        raise StartError(f"none of {_MOST_DRAWS} drawn scenarios starts; of the last one: {refusal}") from refusal
 
     def _new_outputs(self, n_lanes: int) -> Outputs:
         return new_outputs(n_lanes, self.n_observation, self.n_steps_of_episode if self.settings.scores else -1)
@@ -403,6 +429,8 @@ class TaskLanes:
         arrays["scenario_seed"] = self.scenario_seeds.copy()
         if self.suite.margins:
             arrays["reserve_margin"] = self.reserve_margins.copy()
+        if self.settings.draws_again:
+            arrays["redrawn"] = self.redrawn.copy()
         arrays["termination_reason"] = self._no_reasons
         if self.outputs.terminated.any():
             reasons = [TERMINATION_REASONS[Status(status)] for status in self.statuses()]
@@ -417,6 +445,8 @@ class TaskLanes:
         info["scenario_seed"] = int(self.scenario_seeds[0])
         if self.suite.margins:
             info["reserve_margin"] = self.reserve_margins[0]
+        if self.settings.draws_again:
+            info["redrawn"] = int(self.redrawn[0])
         failed = self.outputs.terminated[0]
         info["termination_reason"] = TERMINATION_REASONS[Status(int(self.statuses()[0]))] if failed else ""
         return info

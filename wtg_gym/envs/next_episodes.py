@@ -52,7 +52,7 @@ class NextEpisodes:
             except ValueError:
                 for lane, scenario in zip(group, scenarios, strict=True):
                     try:
-                        self._put([lane], self._lanes.prepare([scenario]))
+                        self._put([lane], self._lanes.next_episode(self._generators[lane], lane, scenario))
                     except ValueError as error:
                         self._refused[lane] = error
 
@@ -70,8 +70,8 @@ class NextEpisodes:
         """Start the next episode of lanes.
 
         Raises:
-            ValueError: the scenario of one of them cannot start. None has been started, and that lane goes on to the
-                scenario after it.
+            ValueError: none of the scenarios drawn for one of them starts. None has been started, and that lane goes
+                on to the scenario after them.
         """
         self.prepare(self.choose(wanted))
         for lane in wanted:

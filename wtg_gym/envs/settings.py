@@ -184,6 +184,11 @@ class EnvSettings:
         return whole_steps("control_dt", self.step_s, self.interval_s, "measuring interval")
 
     @property
+    def draws_again(self) -> bool:
+        """Whether its suite is of a file, whose scenarios nobody has tried: those that cannot start are counted."""
+        return self.suite_name.endswith(".json")
+
+    @property
     def scores(self) -> bool:
         """Whether rewards are points of the score."""
         return self.reward == "score" if self.reward else self.task.rewards_score

@@ -3,12 +3,18 @@
 from __future__ import annotations
 
 import dataclasses
+import re
+import time
+from collections import Counter
 from collections.abc import Iterator
 
 import numpy as np
 
+from wtg_gym.envs.lanes import TaskLanes
+from wtg_gym.envs.settings import EnvSettings
+from wtg_gym.physics.equilibrium import StartError
 from wtg_gym.physics.grid import Grid
-from wtg_gym.physics.linearisation import moving_matrix, swing_modes
+from wtg_gym.physics.linearisation import StepError, moving_matrix, swing_modes
 from wtg_gym.physics.plant import Plant
 from wtg_gym.physics.scenario import Scenario
 from wtg_gym.physics.simulator import Simulator, longest_step
@@ -16,6 +22,11 @@ from wtg_gym.physics.tracking_law import group_laws
 
 #: Wind at which all groups stand, and the law under which they do.
 WIND_M_S, LAW = 10.0, "coordinated-tuned"
+
+#: Scenarios that are tried, and how many must start: then 200 draws find one.
+TRIED, LEAST_STARTS = 100, 15
+#: Moving numbers up to which modes are computed: eigenvalues take their cube.
+_MOST_MOVING, _PER_MACHINE = 2500, 15
 
 Line = tuple[str, str]
 
@@ -54,9 +65,48 @@ def describe_equilibrium(grid: Grid) -> Iterator[Line]:
     yield "state below", f"{WIND_M_S:g} m/s, all groups under {LAW}"
     yield "voltages", f"{voltages.min():.3f} … {voltages.max():.3f} p.u."
     rows, layout = simulator.blocks[0, :, 0], simulator.layout
+    if layout.n_sync * _PER_MACHINE > _MOST_MOVING:
+        yield "modes", "not computed for so many machines"
+        return
     matrix, keep = moving_matrix(rows, simulator.plant, layout, -1.0)
     yield "equilibrium", f"largest rate {np.abs(simulator.rates()[keep]).max():.1e} p.u./s"
     for damping, hertz in swing_modes(matrix)[:3]:
         yield "mode", f"{hertz:.2f} Hz, damped by {100.0 * damping:.1f} %"
     growing = [value for value in np.linalg.eigvals(matrix) if value.real > 1e-6]
     yield "stable", "yes" if not growing else f"no: {len(growing)} modes grow"
+
+
+def describe_starts(grid: Grid) -> Iterator[Line]:
+    """Yield how many of a grid's scenarios start, why others do not, and what reset and step take.
+
+    Raises:
+        ValueError: too few of them start to train on.
+    """
+    # Whether a scenario starts does not depend on what its rewards are compared with, which takes most of a reset.
+    lanes = TaskLanes(EnvSettings(grid=grid, version="v1", reward="cost"))
+    seeds = range(lanes.suite.seeds("train").start, lanes.suite.seeds("train").start + TRIED)
+    reasons, starts = Counter[str](), list[Scenario]()
+    for scenario in lanes.scenarios(seeds):
+        try:
+            lanes.prepare([scenario])
+            starts.append(scenario)
+        except (StartError, StepError) as error:
+            reason = re.sub(r"^.*? cannot start: |; `.*", "", str(error))
+            # The same reason at another operating point.
+            reasons[re.sub(r"-?\d+(\.\d+)?(e-?\d+)?", "…", reason)] += 1
+    n = len(starts)
+    if n < LEAST_STARTS:
+        texts = "; ".join(f"{times} do not: {reason}" for reason, times in reasons.most_common(2))
+        raise ValueError(f"{n} of {TRIED} scenarios start, too few to train on; {texts}")
+    yield "scenarios", f"{n} of {TRIED} start; others are drawn again"
+    for reason, times in reasons.most_common(3):
+        yield f"{times} do not", reason
+    lanes = TaskLanes(EnvSettings(grid=grid, version="v1"))
+    lanes.start([0], starts[:1])
+    begun = time.perf_counter()
+    lanes.start([0], starts[-1:])
+    began = time.perf_counter()
+    for _ in range(steps := 10):
+        lanes.step(np.zeros((1, lanes.n_action)))
+    step = (time.perf_counter() - began) / steps
+    yield "cost", f"a reset takes {1e3 * (began - begun):.3g} ms, a step {1e3 * step:.3g} ms"

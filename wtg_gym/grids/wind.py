@@ -19,39 +19,40 @@ OVER = 1.25 / SHARE
 def with_wind(grid: Grid, buses: Sequence[int] = (), rating: float | None = None) -> Grid:
     """Return a grid with a WTG group in the place of the machines at each of some buses.
 
+    At the slack bus turbines stand beside the machines, and are rated for :data:`SHARE` of what those give.
+
     Args:
-        grid: without groups.
-        buses: where; none: the machines that give most, until they give :data:`SHARE` of the power.
+        grid: without groups; the buses that it calls replaced are wind parks, which get groups in any case.
+        buses: where else; none: the machines that give most, until all give :data:`SHARE` of the power, or where that
+            is none, the slack bus.
         rating: of all turbines together, over the load [-]; each group's is in proportion to what its machines gave.
             None: :data:`OVER` times that.
 
     Raises:
-        ValueError: no bus is given or found, one has no machine that gives power, or no machine with a governor is
-            left.
+        ValueError: a bus has no machine that gives power, or no machine with a governor is left.
     """
     case, given = grid.case, dict[int, float]()
     for machine in case.machines:
         given[machine.bus] = given.get(machine.bus, 0.0) + max(machine.dispatch_mw, 0.0)
+    total, slack = sum(given.values()), case.slack_bus
     able = sorted(bus for bus, mw in given.items() if mw > 0.0)
-    if not buses:
-        total, taken = sum(given.values()), 0.0
-        chosen = list[int]()
-        for bus in sorted(given, key=given.__getitem__, reverse=True):
-            if bus != case.slack_bus and 0.0 < given[bus] <= SHARE * total - taken and len(chosen) < MOST_GROUPS:
-                chosen.append(bus)
-                taken += given[bus]
-        if not chosen:
-            raise ValueError(
-                f"no bus but the slack bus has machines that give power, at most {100.0 * SHARE:g} % of it: name the "
-                f"buses where turbines replace them; machines give power at {able}"
-            )
-        buses = chosen
     if wrong := [bus for bus in buses if bus not in able]:
         raise ValueError(f"no machine gives power at bus {wrong[0]}; those that do are at {able}")
-    left = [machine for machine in case.machines if machine.bus not in buses and machine.governor is not None]
-    if not left or not any(machine.bus == case.slack_bus for machine in case.machines if machine.bus not in buses):
-        raise ValueError("a machine with a governor has to stay, and one at the slack bus")
-    total, turbine_mw = sum(given[bus] for bus in buses), TurbineParameters().rated_power_mw
-    over = OVER if rating is None else rating * case.load_mw / total
-    groups = tuple(WtgGroup(bus=bus, n_turbines=max(1.0, round(over * given[bus] / turbine_mw))) for bus in buses)
-    return dataclasses.replace(grid, groups=groups, replaced=tuple(buses))
+    chosen = list(dict.fromkeys((*grid.replaced, *buses)))
+    if not buses:
+        taken = sum(given[bus] for bus in chosen)
+        for bus in sorted(given, key=given.__getitem__, reverse=True):
+            fits = bus not in (slack, *chosen) and 0.0 < given[bus] <= SHARE * total - taken
+            if fits and len(chosen) < MOST_GROUPS:
+                chosen.append(bus)
+                taken += given[bus]
+        chosen = chosen or [slack]
+    replaced = tuple(bus for bus in chosen if bus != slack)
+    left = [machine for machine in case.machines if machine.bus not in replaced and machine.governor is not None]
+    if not left:
+        raise ValueError("a machine with a governor has to stay")
+    given[slack] *= SHARE
+    turbine_mw = TurbineParameters().rated_power_mw
+    over = OVER if rating is None else rating * case.load_mw / sum(given[bus] for bus in chosen)
+    groups = tuple(WtgGroup(bus=bus, n_turbines=max(1.0, round(over * given[bus] / turbine_mw))) for bus in chosen)
+    return dataclasses.replace(grid, groups=groups, replaced=replaced)

@@ -25,7 +25,7 @@ from wtg_gym.ranges import Checked, design, did_you_mean, parameter, require_ite
 from wtg_gym.systems.compiled import cache_folder
 
 #: Buses and machines or sources of a network at most: a batch of episodes of more would not fit into memory.
-MOST_BUSES, MOST_UNITS = 500, 100
+MOST_BUSES, MOST_UNITS = 2000, 600
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -76,7 +76,9 @@ class NetworkCase(Checked):
         ValueError: a bus is missing, doubled or not connected, nothing balances the power, or a value is out of range.
     """
 
-    MOST = types.MappingProxyType({"buses": MOST_BUSES, "machines": MOST_UNITS, "sources": MOST_UNITS})
+    MOST = types.MappingProxyType(
+        {"buses": MOST_BUSES, "branches": 2 * MOST_BUSES, "machines": MOST_UNITS, "sources": MOST_UNITS}
+    )
 
     name: str
     base_mva: float = required("MVA", "IEEE 14", "system base", 1e-3, 1e9)

@@ -232,6 +232,7 @@ class Facts(NamedTuple):
     n_balances: int  # power flows after which machines share what the slack bus lacks
     is_large: bool  # whether the power flow is solved by sparse elimination
     curtails: bool  # whether WTG groups alone balance the power
+    shifts_phases: bool  # whether a branch does, so that the admittance matrix is not symmetric
     shares_frequency: float  # change of a load's conductance with the frequency [p.u./p.u.]
     # In a block:
     lane: Span = Span()

@@ -341,6 +341,7 @@ def _network_of(settings: Plant, unit_y: Complex, shares_dispatch: bool) -> Netw
         n_balances=_BALANCES if shares_dispatch else 0,
         is_large=is_large,
         curtails=bool(settings.groups) and not case.balanced,
+        shifts_phases=any(branch.phase_rad != 0.0 for branch in case.branches),
         shares_frequency=settings.load_frequency_dependence,
     )
     return Network(

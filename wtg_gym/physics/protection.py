@@ -60,9 +60,9 @@ def turn_between(before: Phasor, now: Phasor) -> float:
 
 
 @system(UNITS, "noise_voltage", when="extended")
-def add_noise_voltage(transfer: Phasor, voltage: Phasor, noise_voltage: Phasor) -> Phasor:
+def add_noise_voltage(transfer_back: Phasor, voltage: Phasor, noise_voltage: Phasor) -> Phasor:
     """Add what a unit brings to it."""
-    return plus(noise_voltage, transfer, voltage)
+    return plus(noise_voltage, transfer_back, voltage)
 
 
 @system(LANE, "noise_voltage", when="extended")

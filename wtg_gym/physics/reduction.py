@@ -90,7 +90,7 @@ def refresh_network(block: Floats, x: int, lane: int, network: Network, data: La
 
 @internal
 def _reduce(z: Complex, unit_y: Complex, rows: _Rows, network: Network) -> None:
-    """Write Y_red = diag(y) - diag(y) Z diag(y), transfers u = diag(y) Z e to the noise bus e, and impedances there."""
+    """Write Y_red = diag(y) - diag(y) Z diag(y), transfers to and from the noise bus, impedances there."""
     noise_bus = int(rows.lane[OF_LANE.noise_bus])
     n, n_bus = network.unit_y.shape[0], network.shunts.shape[0]
     for k in range(n_bus):
@@ -107,7 +107,11 @@ def _reduce(z: Complex, unit_y: Complex, rows: _Rows, network: Network) -> None:
                 value += unit_y[i]
             _write(rows.pairs[pair], 0, value)
             pair += 1
-        _write(rows.units[i], _OF_UNIT.transfer, unit_y[i] * z[bus, n_bus + n])
+        there = back = unit_y[i] * z[bus, n_bus + n]
+        if network.facts.shifts_phases:
+            back = unit_y[i] * z[noise_bus, n_bus + i]
+        _write(rows.units[i], _OF_UNIT.transfer, there)
+        _write(rows.units[i], _OF_UNIT.transfer_back, back)
     _write(rows.lane, OF_LANE.noise_z, z[noise_bus, n_bus + n])
     # What every unit's voltage brings to every bus, and what the load noise takes there.
     for k in range(n_bus):

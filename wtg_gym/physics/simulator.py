@@ -190,7 +190,6 @@ class Simulator:
         plant, task = plant_tables(settings), task or TaskUnits({})
         duration_s = require_range("duration_s", duration_s, 0.0, LONGEST_RUN_S, "s")
         self.n_intervals = whole_steps("duration_s", duration_s, settings.control_dt, "control step")
-        self._shifts_phases = any(branch.phase_rad != 0.0 for branch in settings.case.branches)
         # Sample of the load noise in each control interval.
         samples = np.arange(self.n_intervals) * settings.control_dt / SERIES_DT + 1e-9
         self._noise_samples = samples.astype(np.int64)
@@ -423,11 +422,6 @@ class Simulator:
             for j in range(wind.shape[0]):
                 target[j] = np.interp(wanted, instants, wind[j])
         noise = scenario.load_noise_mw
-        if self._shifts_phases and noise.any():
-            raise ValueError(
-                f"scenario {scenario.name!r}: load noise needs a network without phase shifters: its update assumes a "
-                "symmetric admittance matrix"
-            )
         if noise.size:
             given = self._noise_samples
             if given.size and given[-1] >= noise.size:

@@ -326,7 +326,8 @@ BUSES = Kind(
 UNITS = Kind(
     name="units",
     rows={
-        "transfer": Phasor,  # y_i Z_in to the bus of the load noise
+        "transfer": Phasor,  # y_i Z_in to the bus n of the load noise
+        "transfer_back": Phasor,  # Z_ni y_i from it: the same where no branch shifts the phase
         "island": float,  # number of the island that it is in
         "committed": float,  # share of a machine's rating that is on line; 1 for others
         "inv_committed": float,
@@ -398,15 +399,15 @@ def load_noise(noise_y: float, noise_z: Phasor) -> Phasor:
 
 @system(PAIRS, "admittance")
 def admittance_with_noise(
-    row_transfer: Phasor, column_transfer: Phasor, noise_factor: Phasor, fixed_admittance: Phasor
+    row_transfer: Phasor, column_transfer_back: Phasor, noise_factor: Phasor, fixed_admittance: Phasor
 ) -> Phasor:
     """Put the load noise into the reduced admittance by a rank-one update.
 
-    Y = Y0 + Δy/(1 + Δy z) u uᵀ (Sherman-Morrison): exact for one bus of a network without phase shifters, whose Z is
-    symmetric, and cheap enough for every control interval.
+    Y = Y0 + Δy/(1 + Δy z) u wᵀ (Sherman-Morrison): exact for one bus, and cheap enough for every control interval.
     """
-    v_re = row_transfer.re * column_transfer.re - row_transfer.im * column_transfer.im
-    v_im = row_transfer.re * column_transfer.im + row_transfer.im * column_transfer.re
+    column = column_transfer_back
+    v_re = row_transfer.re * column.re - row_transfer.im * column.im
+    v_im = row_transfer.re * column.im + row_transfer.im * column.re
     f, y0 = noise_factor, fixed_admittance
     return Phasor(y0.re + f.re * v_re - f.im * v_im, y0.im + f.re * v_im + f.im * v_re)
 

@@ -1,0 +1,257 @@
+"""Facts about cases of other programs: what is brought in, what is refused, and that both power flows are the same."""
+
+from __future__ import annotations
+
+import math
+import zipfile
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandapower
+import pandapower.networks
+import pypowsybl
+import pytest
+
+from wtg_gym.grids import solved_case
+from wtg_gym.grids.reading import read_case
+from wtg_gym.grids.solved_case import power_flow
+from wtg_gym.grids.wind import with_wind
+from wtg_gym.physics.grid import Grid
+
+_SECTIONS = [
+    *("BUS", "LOAD", "FIXSHUNT", "GENERATOR", "BRANCH", "TRANSFORMER", "AREA", "DC", "VSC", "IMPCOR"),
+    *("NTERM", "MSLINE", "ZONE", "IATRANS", "OWNER", "FACTS"),
+]
+_BASE = {
+    "BUS": "1,'ONE',220,3,1,1,1,1.02,0\n2,'TWO',220,2,1,1,1,1.01,0\n3,'THREE',220,1,1,1,1,1,0\n",
+    "LOAD": "2,'1',1,1,1,20,5,0,0,0,0,1,1,0\n3,'1',1,1,1,90,30,0,0,0,0,1,1,0\n",
+    "GENERATOR": "1,'1',60,0,100,-100,1.02,0,150,0.001,0.3,0,0,1,1,100,200,0,1,1\n"
+    "2,'A',55,10,60,-60,1.01,0,100,0,1,0,0,1,1,100,200,0,1,1\n",
+    "BRANCH": "1,2,'1',0.01,0.1,0.02,0,0,0,0,0,0,0,1,1,0,1,1\n2,3,'1',0.02,0.12,0.03,0,0,0,0,0,0,0,1,1,0,1,1\n"
+    "1,3,'1',0.015,0.11,0.02,0,0,0,0,0,0,0,1,1,0,1,1\n",
+}
+_GENROU = "8 0.03 0.4 0.05 4.5 0.5 1.8 1.7 0.3 0.55 0.25 {} 0.05 0.3 /\n"
+_DYR = (
+    f"1 'GENROU' 1 {_GENROU.format(0.06)}2, 'GENSAL', A, 8 0.03 0.05 3 0 1.1 0.7 0.3 0.25 0.3 0 0 /\n"
+    "1 'SEXS' 1 0.2 5 50 0.1 -4 5 /\n2 'IEEET1' 'A' 0 50 0.1 0 -2 0 0.5 0.1 1 0 4 0.6 3 0.2 /\n"
+    "1 'TGOV1' 1 0.05 0.2 1 0 1.5 5 0 /  a remark\n2 'STAB1' 'A' 2 10 2.5 0.02 0.5 5.4 0.03 /\n"
+)
+
+
+def raw(tmp_path: Path, version: int = 33, dynamic: str = "", **more: str) -> tuple[Path, Path]:
+    """A RAW file of three buses with more records, and its DYR file."""
+    lines = [f"0,100,{version},0,1,50", "a", "b"]
+    for section in (*_SECTIONS, "SWSHUNT", "GNE"):
+        lines += [*(_BASE.get(section, "") + more.get(section, "")).splitlines(), f"0 / END OF {section}"]
+    path, dyr = tmp_path / "three.raw", tmp_path / "three.dyr"
+    path.write_text("\n".join([*lines, "Q", ""]))
+    dyr.write_text(dynamic)
+    return path, dyr
+
+
+def mpc(tmp_path: Path, base: float = 100.0, bus: str = "", branch: str = "", after: str = "") -> Path:
+    """The same three buses in MATPOWER's form."""
+    k = base / 100.0
+    lines = [f"{a},{b} {r * k} {x * k} {c / k} 0 0 0 0 0 1;" for a, b, r, x, c in
+             ((1, 2, 0.01, 0.1, 0.02), (2, 3, 0.02, 0.12, 0.03), (1, 3, 0.015, 0.11, 0.02))]  # fmt: skip
+    path = tmp_path / "three.m"
+    path.write_text(
+        f"function mpc = three\nmpc.version = '2';\nmpc.baseMVA = {base}; % MVA\n"
+        "mpc.bus = [1 3 0 0 0 0 1 1.02 0 220 1 1.1 0.9; 2 2 20 5 0 0 1 1.01 0 220 1 1.1 0.9;\n"
+        f"3 1 90 30 0 0 1 1 0 220 1 1.1 0.9\n{bus}];\n"
+        "mpc.gen = [\n1 60 0 Inf -Inf 1.02 100 1 0 0;\n2 55 10 60 -60 1.01 100 1 200 0;\n];\n"
+        f"mpc.branch = [\n{chr(10).join(lines)}\n{branch}];\nmpc.genfuel = {{'coal'; 'wind'}};\n{after}\n"
+    )
+    return path
+
+
+@pytest.fixture
+def net() -> Any:
+    """A network of pandapower: three buses, a triangle of lines."""
+    net = pandapower.create_empty_network(f_hz=50.0)
+    for _ in range(3):
+        pandapower.create_bus(net, 220.0)
+    pandapower.create_ext_grid(net, 0, vm_pu=1.02)
+    pandapower.create_gen(net, 1, p_mw=55.0, vm_pu=1.01)
+    pandapower.create_load(net, 2, 90.0, 30.0)
+    for a, b, km in ((0, 1, 80.0), (1, 2, 100.0), (0, 2, 90.0)):
+        pandapower.create_line_from_parameters(net, a, b, km, 0.06, 0.4, 9.0, 1.0)
+    return net
+
+
+def read(net: Any, tmp_path: Path, **options: Any) -> Grid:
+    pandapower.to_json(net, str(tmp_path / "net.json"))
+    return read_case(tmp_path / "net.json", **options)
+
+
+def notes(grid: Grid) -> str:
+    return "\n".join(grid.substitutions)
+
+
+def test_the_same_grid_comes_from_RAW_and_from_MATPOWER_on_any_base(tmp_path: Path) -> None:
+    grids = [read_case(raw(tmp_path)[0]), read_case(mpc(tmp_path)), read_case(mpc(tmp_path, 10.0), frequency_hz=50.0)]
+    flows = [np.concatenate(power_flow(grid.case)) for grid in grids]
+    assert flows[0] == pytest.approx(flows[1], abs=1e-9) and flows[1] == pytest.approx(flows[2], abs=1e-12)
+    assert [grid.case.frequency_hz for grid in grids] == [50.0, 60.0, 50.0] and "60 Hz" in notes(grids[1])
+    assert all(grid.case.load_mw == 110.0 for grid in grids)
+    # MBASE, and the fuel of a generator.
+    assert grids[0].case.machines[0].rating_mva == 150.0 and grids[1].replaced == (2,)
+
+
+def test_machines_of_a_DYR_file_and_what_was_changed_about_them(tmp_path: Path) -> None:
+    path, dynamic = raw(tmp_path, dynamic=_DYR)
+    grid = read_case(path, dynamic)
+    first, second = grid.case.machines
+    assert (first.two_h_s, first.resistance, first.x_d, first.saturation_1_2) == (9.0, 0.001, 1.8, 0.3)
+    assert first.exciter is not None and first.exciter.gain == 50.0
+    assert first.governor is not None and (first.governor.droop_pu, first.governor.gate_max_pu) == (0.05, 1.0)
+    assert second.x_q_transient == second.x_q == 0.7 and second.x_leakage == pytest.approx(0.2)
+    assert second.exciter is not None and second.exciter.saturation_voltage_1_pu == 3.0
+    assert second.exciter.regulator_max_pu == 999.0
+    assert second.stabiliser is not None and (second.stabiliser.gain, second.stabiliser.lead_time_1_s) == (20.0, 0.05)
+    for text in ("GENSAL is a GENROU", "leakage reactance 0.3 p.u.", "VRMAX = 0 means no limit"):
+        assert text in notes(grid)
+
+
+def test_models_that_are_not_here_are_refused_or_replaced_when_asked(tmp_path: Path) -> None:
+    path, dynamic = raw(tmp_path, dynamic=_DYR.replace("SEXS", "EXDC2").replace("STAB1", "PSS9"))
+    with pytest.raises(
+        ValueError, match=r"three\.raw: models that are not here: EXDC2 \(1\), PSS9 \(1\); --substitute"
+    ):
+        read_case(path, dynamic)
+    grid = read_case(path, dynamic, substitute=True)
+    assert grid.case.machines[0].exciter is not None and grid.case.machines[1].stabiliser is None
+    assert "a typical exciter stands in its place" in notes(grid)
+    dynamic.write_text("1 'GENCLS' 1 4 0 /\n")
+    grid = read_case(path, dynamic)
+    assert grid.case.machines[0].classical and "B2-GA at bus 2 is a negative load: -55 MW" in notes(grid)
+    dynamic.write_text("1 'GENROU' 1 4 0 /\n")
+    with pytest.raises(ValueError, match="machine 1 at bus 1: GENROU has 2 numbers, not 14"):
+        read_case(path, dynamic)
+
+
+_ENDS = "".join(f"{b},1,90,15,0,5,220,1,1,1.5,0.5,0.00625,0,0,0,'1',0\n" for b in (1, 3))
+
+
+@pytest.mark.parametrize(
+    ("section", "records", "kind", "text"),
+    [
+        ("DC", "'D',1,10,30,220,0,0,0.1,'R',0,20,1\n" + _ENDS, "dc-line", "1 dc-line of 30 MW"),
+        ("FACTS", "'F',1,3,1,20,0,1,50,100,0.9,1.1,1,0,0.05,100,1,0,0,0\n", "facts-series", "1 facts-series"),
+        ("IMPCOR", "1,0.9,2,1,2,1.1,2\n", "impedance-correction", "1 impedance-correction"),
+        ("BUS", "4,'FOUR',220,1,1,1,1,1,0\n", "island", "1 island of 7 MW"),
+    ],
+)
+def test_what_a_grid_has_not_is_refused_by_name_and_left_out_when_asked(
+    section: str, records: str, kind: str, text: str, tmp_path: Path
+) -> None:
+    more = {"LOAD": "4,'1',1,1,1,7,0,0,0,0,0,1,1,0\n"} if kind == "island" else {}
+    path, _ = raw(tmp_path, **{section: records}, **more)
+    with pytest.raises(ValueError, match=f"{text}.*--drop {kind}"):
+        read_case(path)
+    grid = read_case(path, drop=(kind,))
+    assert f"left out: {text}" in notes(grid) and len(grid.case.buses) == 3
+
+
+def test_a_switched_shunt_stands_at_its_initial_value_and_a_winding_without_impedance_joins_its_buses(
+    tmp_path: Path,
+) -> None:
+    more = {
+        "TRANSFORMER": "1,2,3,'1',1,1,1,0,0,2,'T',1,1,1\n0,0.1,100,0,0.2,100,0,0.1,100,1,0\n" + 3 * "1,0,0\n",
+        "SWSHUNT": "3,0,0,1,1.1,0.9,0,100,'',15,1,20\n2,0,0,0,1.1,0.9,0,100,'',15,1,20\n",
+    }  # fmt: skip
+    case = read_case(raw(tmp_path, **more)[0]).case
+    assert case.buses[2].shunt_mvar == pytest.approx(15.0) and case.buses[1].shunt_mvar == 0.0
+    assert case.bus_numbers == (1, 2, 3) and len(case.branches) == 5
+
+
+@pytest.mark.parametrize("country", ["be", "nl"])
+def test_a_network_of_pypowsybl_with_boundary_lines_is_read_and_a_case_of_PSSE_but_a_RAW_file_is_not(
+    country: str, tmp_path: Path
+) -> None:
+    net = getattr(pypowsybl.network, f"create_micro_grid_{country}_network")()
+    net.save(tmp_path / "micro.xiidm", format="XIIDM")
+    grid = read_case(tmp_path / "micro.xiidm")
+    assert "power flow is that of pypowsybl" in notes(grid) and grid.case.branches
+    path, _ = raw(tmp_path)
+    with zipfile.ZipFile(tmp_path / "three.zip", "w") as archive:
+        archive.write(path, path.name)
+    with pytest.raises(ValueError, match=r"read from its \.raw file only"):
+        read_case(tmp_path / "three.zip")
+
+
+@pytest.mark.parametrize("version", [30, 34, 35])
+def test_RAW_of_another_version_is_refused_by_its_number(version: int, tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match=f"as RAW of version {version}"):
+        read_case(raw(tmp_path, version)[0])
+
+
+def test_statements_and_unknown_tables_of_MATPOWER_are_refused_and_a_bus_of_type_4_is_out(tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match=r"statements, such as 'mpc\.bus\(:, 3\) = 1;'"):
+        read_case(mpc(tmp_path, after="mpc.bus(:, 3) = 1;"))
+    with pytest.raises(ValueError, match="1 dcline of 30 MW; --drop dcline"):
+        read_case(mpc(tmp_path, after="mpc.dcline = [\n1 3 1 30 29 0 0 1 1 0 100 -9 9 -9 9 1 0;\n];"))
+    case = mpc(tmp_path, bus="4 4 40 0 0 0 1 1 0 220 1 1.1 0.9;\n", branch="3 4 0 0.1 0 0 0 0 0 0 1;\n")
+    grid = read_case(case)
+    assert grid.case.load_mw == 110.0 and "out of service with 40 MW of load: 4" in notes(grid)
+
+
+def test_phase_shifts_along_every_path_are_left_out_and_a_phase_shifter_stays(net: Any, tmp_path: Path) -> None:
+    bus = pandapower.create_bus(net, 110.0)
+    values = {"sn_mva": 200.0, "vkr_percent": 0.2, "vk_percent": 10.0, "pfe_kw": 50.0, "i0_percent": 0.1}
+    values["vn_hv_kv"] = 220.0
+    pandapower.create_transformer_from_parameters(net, 0, bus, vn_lv_kv=110.0, shift_degree=150.0, **values)
+    pandapower.create_load(net, bus, 10.0)
+    grid = read(net, tmp_path)
+    assert "1 buses turn" in notes(grid) and not any(branch.phase_rad for branch in grid.case.branches)
+    pandapower.create_transformer_from_parameters(net, 0, 2, vn_lv_kv=220.0, shift_degree=8.0, **values)
+    grid = read(net, tmp_path)
+    shifts = [branch.phase_rad for branch in grid.case.branches if branch.phase_rad]
+    assert shifts == pytest.approx([math.radians(8.0)]) and "phase shifters" in notes(grid)
+
+
+def test_wind_parks_get_turbines_and_other_static_generators_are_negative_loads(net: Any, tmp_path: Path) -> None:
+    pandapower.create_sgen(net, 2, 40.0, type="WP")
+    pandapower.create_sgen(net, 0, 6.0, type="PV")
+    pandapower.create_load(net, 1, 20.0, const_z_p_percent=100.0)
+    pandapower.create_storage(net, 2, 2.0, 10.0)
+    grid = read(net, tmp_path)
+    assert grid.replaced == (3,) and "wind park of 40 MW" in notes(grid) and "negative load: -6 MW" in notes(grid)
+    assert "constant impedance" in notes(grid) and grid.case.load_mw == pytest.approx(92.0 - 6.0 + 20.0 * 1.01**2)
+    assert {group.bus for group in with_wind(grid, [2]).groups} == {2, 3}
+    pandapower.create_dcline(net, 1, 2, 30.0, 0.0, 0.0, 1.01, 1.0)
+    with pytest.raises(ValueError, match="1 dcline of 30 MW"):
+        read(net, tmp_path)
+
+
+def test_turbines_stand_beside_a_lone_machine_and_one_with_a_governor_stays(net: Any, tmp_path: Path) -> None:
+    grid = read(net, tmp_path)
+    with pytest.raises(ValueError, match=r"no machine gives power at bus 3; those that do are at \[1, 2\]"):
+        with_wind(grid, [3])
+    net.gen.in_service = False
+    alone = with_wind(read(net, tmp_path))
+    assert alone.groups[0].bus == 1 and alone.replaced == () and len(alone.with_groups.machines) == 1
+
+
+def test_a_grid_that_is_not_the_one_of_the_file_is_refused_with_bus_and_both_values(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = mpc(tmp_path)
+    right = solved_case.Branch
+    monkeypatch.setattr(solved_case, "Branch", lambda **values: right(**values | {"charging": 0.0}))
+    with pytest.raises(ValueError, match=r"three\.m: bus \d: .* p\.u\. here, .* p\.u\. in PYPOWER"):
+        read_case(path)
+
+
+def test_every_bus_of_a_network_has_the_voltage_that_pandapower_finds(tmp_path: Path) -> None:
+    net = pandapower.networks.case30()
+    pandapower.runpp(net, numba=False)
+    voltages, _ = power_flow(read(net, tmp_path).case)
+    assert abs(voltages) == pytest.approx(net.res_bus.vm_pu.to_numpy(), abs=1e-6)
+
+
+def test_too_many_buses_are_refused_before_anything_is_solved(net: Any, tmp_path: Path) -> None:
+    pandapower.create_buses(net, 2000, 220.0)
+    with pytest.raises(ValueError, match="2003 buses; a grid has at most 2000"):
+        read(net, tmp_path)

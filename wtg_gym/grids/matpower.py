@@ -1,0 +1,304 @@
+"""Tables of MATPOWER's form, from its own files and from networks of pandapower, as a solved case.
+
+A .m file is read by matpowercaseframes and solved by PYPOWER, a network of pandapower by pandapower. pypowsybl reads
+MATPOWER's binary form too, but takes a bus of type 4 as in service, lets a generator at a bus of type 1 hold its
+voltage, and puts all charging of a transformer at one end; its converter from pandapower is up to 0.007 p.u. off.
+"""
+
+from __future__ import annotations
+
+import io
+import json
+import math
+import re
+import tempfile
+import warnings
+from collections.abc import Collection, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from wtg_gym.extras import install_advice
+from wtg_gym.files import parse_json, read_text
+from wtg_gym.grids.solved_case import (
+    BASE_MVA,
+    UNLIMITED,
+    Infeed,
+    SolvedCase,
+    TwoPort,
+    refuse_large,
+    refuse_unread,
+)
+
+#: What every file of a network of pandapower says before its tables.
+_MARK, _MARK_WITHIN = "pandapowerNet", 300
+#: The first version of pandapower that does not run code which a file brings along.
+_OLDEST = (3, 5, 4)
+#: Module and class of what a network consists of.
+_CLASSES = {
+    ("pandapower.auxiliary", "pandapowerNet"),
+    *((module, "DataFrame") for module in ("pandas", "pandas.core.frame")),
+    *((module, "Series") for module in ("pandas", "pandas.core.series")),
+    ("numpy", "array"),
+}
+#: Tables of pandapower that its own power flow turns into MATPOWER's without loss.
+_READ = (
+    "bus load sgen motor asymmetric_load asymmetric_sgen storage gen ext_grid shunt ward line trafo trafo3w impedance "
+    "switch"
+)
+#: Tables of a .m file that say nothing about the power flow.
+_SILENT = "version baseMVA bus gen branch gencost bus_name branch_name gen_name genfuel gentype areas"
+#: Columns of MATPOWER's tables, and those that pandapower adds to the branches.
+_BUS, _TYPE, _PD, _QD, _GS, _BS, _VM, _VA = 0, 1, 2, 3, 4, 5, 7, 8
+_GEN, _PG, _QG, _QMAX, _QMIN, _GEN_STATUS, _PMAX = 0, 1, 2, 3, 4, 7, 8
+_FROM, _TO, _R, _X, _B, _TAP, _SHIFT, _STATUS = 0, 1, 2, 3, 4, 8, 9, 10
+_PF, _QF, _PT, _QT = 13, 14, 15, 16
+_R_ASYM, _X_ASYM, _G, _G_ASYM, _B_ASYM = 21, 22, 23, 24, 25
+_REFERENCE, _ISOLATED = 3, 4
+#: Difference between a load and what the solution takes that rounding makes [MVA].
+_NO_CHANGE_MVA = 1e-4
+
+
+def is_network(path: Path) -> bool:
+    """Return whether a file holds a network of pandapower, as `pandapower.to_json` writes it."""
+    with path.open(errors="replace") as file:
+        return _MARK in file.read(_MARK_WITHIN)
+
+
+def read_matpower(path: Path, frequency_hz: float | None, drop: Collection[str]) -> SolvedCase:
+    """Return the case of a .m or .mat file, as PYPOWER solves it.
+
+    Raises:
+        ImportError: matpowercaseframes or PYPOWER is missing.
+        ValueError: the file has statements besides its tables, or there is no power flow.
+    """
+    from matpowercaseframes import CaseFrames
+    from pypower.api import ppoption, runpf
+
+    fuels: dict[int, str] = {}
+    if path.suffix.lower() == ".mat":
+        frames = CaseFrames(str(path), allow_any_keys=True)
+    else:
+        text, fuels = _plain(read_text(path, "case"))
+        with tempfile.TemporaryDirectory() as folder:
+            plain = Path(folder) / "case.m"
+            plain.write_text(text)
+            frames = CaseFrames(str(plain), allow_any_keys=True)
+    tables = {name: np.array(getattr(frames, name), dtype=float) for name in ("bus", "gen", "branch")}
+    notes: list[str] = []
+    more = {name: (len(getattr(frames, name)), 0.0) for name in frames.attributes if name not in _SILENT.split()}
+    if "dcline" in more:
+        lines = np.array(frames.dcline, dtype=float)
+        more["dcline"] = int(lines[:, 2].sum()), float((lines[:, 2] * abs(lines[:, 3])).sum())
+    refuse_unread(more, drop, notes)
+    refuse_large(len(tables["bus"]))
+    for name, columns in (("bus", 13), ("gen", 21), ("branch", 13)):
+        # Limits may be infinite or none.
+        rows = np.nan_to_num(tables[name], posinf=UNLIMITED, neginf=-UNLIMITED)
+        tables[name] = np.pad(rows, ((0, 0), (0, max(columns - rows.shape[1], 0))))
+    unsolved = {"version": "2", "baseMVA": float(frames.baseMVA), **tables}
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        solved, converged = runpf(unsolved, ppoption(VERBOSE=0, OUT_ALL=0, PF_TOL=1e-11))
+    if not converged:
+        raise ValueError("PYPOWER finds no power flow")
+    if frequency_hz is None:
+        notes.append("the nominal frequency is taken as 60 Hz, which a MATPOWER case does not say (--frequency)")
+    numbers = {int(number): int(number) for number in solved["bus"][:, _BUS]}
+    case = _case_of(solved, path.stem, "PYPOWER", frequency_hz or 60.0, numbers, notes)
+    roles = dict.fromkeys(("wind", "WT", "W"), "wind") | dict.fromkeys(("solar", "PV"), "static")
+    for infeed in case.infeeds:
+        infeed.role = roles.get(fuels.get(int(infeed.machine_id), ""), "machine")
+    return case
+
+
+def _plain(text: str) -> tuple[str, dict[int, str]]:
+    """Return a .m file with a row a line and blanks between numbers, and the fuels of its generators from 1 on.
+
+    matpowercaseframes reads only this form, and passes over statements, which are refused here.
+    """
+    lines = [re.sub(r"%.*", "", line) for line in re.sub(r"(?s)%\{.*?%\}", "", text).splitlines()]
+    text = re.sub(r"\.\.\.[^\n]*\n", " ", "\n".join(lines))
+    found = re.search(r"mpc\.genfuel\s*=\s*\{(.*?)\}", text, re.DOTALL)
+    fuels = dict(enumerate(re.findall(r"'([^']*)'", found[1]), start=1)) if found else {}
+    tables = re.findall(r"mpc\.(\w+)\s*=\s*\[(.*?)\]", text, re.DOTALL)
+    scalars = re.findall(r"mpc\.(version|baseMVA)\s*=\s*([^;\n]+)", text)
+    left = re.sub(r"(?s)mpc\.\w+\s*=\s*(?:\[.*?\]|\{.*?\})\s*;?", "", text)
+    left = re.sub(r"mpc\.(?:version|baseMVA)\s*=\s*[^;\n]+;?", "", left)
+    left = re.sub(r"(?m)function\s+[^\n]*|^\s*(?:end|return)\s*;?\s*$", "", left)
+    if statements := [line.strip() for line in left.splitlines() if line.strip(" ;\t\r")]:
+        raise ValueError(
+            f"besides its tables it has statements, such as {statements[0]!r:.80}, which only MATLAB or Octave "
+            "can run: save the case there as a .mat file or by savecase"
+        )
+    names = [name for name, _ in tables]
+    if len(set(names)) < len(names) or not {"bus", "gen", "branch"} <= set(names):
+        raise ValueError(f"it must have the tables bus, gen and branch, and each table once, got {names}")
+    written = ["function mpc = case", *(f"mpc.{name} = {value.strip()};" for name, value in scalars)]
+    for name, body in tables:
+        rows = [re.sub(r"[,\s]+", "\t", row.strip(" ,\t\r")) for row in re.split(r"[;\n]", body)]
+        written += [f"mpc.{name} = [", *(f"{row};" for row in rows if row), "];"]
+    return "\n".join(written) + "\n", fuels
+
+
+def read_pandapower(path: Path, frequency_hz: float | None, drop: Collection[str]) -> SolvedCase:
+    """Return the case of a network's file, as pandapower solves it; a bus has pandapower's index plus one.
+
+    Raises:
+        ImportError: pandapower is missing.
+        ValueError: it is too old, cannot read the file, or finds no power flow.
+    """
+    notes: list[str] = []
+    net = _solved_network(path, drop, notes)
+    tables, place_of = net._ppc, net._pd2ppc_lookups["bus"]
+    # Closed switches make one bus of several, open ones at the end of a line add one.
+    numbers = {int(place_of[bus]): int(bus) + 1 for bus in sorted(net.bus.index, reverse=True) if place_of[bus] >= 0}
+    for bus in range(len(tables["bus"])):
+        numbers.setdefault(bus, max(*numbers.values(), int(net.bus.index.max()) + 1) + 1)
+    solved = {name: tables[name].real.copy() for name in ("bus", "gen", "branch")} | {"baseMVA": tables["baseMVA"]}
+    # The first of several external grids is the slack: each has what the solution gives it.
+    solved["bus"][np.flatnonzero(solved["bus"][:, _TYPE] == _REFERENCE)[1:], _TYPE] = 2
+    case = _case_of(solved, path.stem, "pandapower", frequency_hz or float(net.f_hz), numbers, notes)
+    for index, row in net.sgen[net.sgen.in_service].iterrows():
+        bus, power = int(place_of[row.bus]), complex(*net.res_sgen.loc[index, ["p_mw", "q_mvar"]])
+        if bus in case.voltages and power:
+            wind = str(row.type).lower() in ("wp", "wind", "wt") or str(row["name"]).lower().startswith("wind")
+            case.loads[bus] += power
+            name = f"static generator {index}"
+            case.infeeds.append(Infeed(name=name, bus=bus, power=power, role="wind" if wind else "static"))
+    for bus, number in numbers.items():
+        place = net.bus.geo.get(number - 1) if "geo" in net.bus else None
+        if isinstance(place, str) and place:
+            x, y, *_ = json.loads(place)["coordinates"]
+            case.places[bus] = float(x), float(y)
+    return case
+
+
+def _solved_network(path: Path, drop: Collection[str], notes: list[str]) -> Any:
+    """Return pandapower's network of a file with its power flow; errors as of :func:`read_pandapower`."""
+    import pandapower
+
+    version = pandapower.__version__
+    if tuple(map(int, re.findall(r"\d+", version)[:3])) < _OLDEST:
+        oldest = f"{'.'.join(map(str, _OLDEST))} or later is needed: {install_advice('grids')}"
+        raise ValueError(f"pandapower {version} runs code that a file names; {oldest}")
+    text = read_text(path, "network of pandapower")
+    _check_classes(parse_json(text, "it"))
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        # Errors of pandapower are of any kind.
+        try:
+            net = pandapower.from_json(io.StringIO(text))
+            net.sn_mva = BASE_MVA
+        except Exception as error:
+            raise ValueError(f"pandapower cannot read it: {type(error).__name__}: {error}") from error
+        refuse_large(len(net.bus))
+        _drop_unread(net, drop, notes)
+        try:
+            pandapower.runpp(net, calculate_voltage_angles=True, numba=False, tolerance_mva=1e-8)
+        except Exception as error:
+            raise ValueError(f"pandapower finds no power flow: {error}") from error
+    return net
+
+
+def _drop_unread(net: Any, drop: Collection[str], notes: list[str]) -> None:
+    """Refuse elements that have no place in MATPOWER's tables, or put them out of service where `drop` says so."""
+    unread = {}
+    for name, table in net.items():
+        if name in _READ.split() or name.startswith(("_", "res_")) or "in_service" not in getattr(table, "columns", ()):
+            continue
+        able = table[table.in_service.astype(bool)]
+        power = [abs(able[column]).sum() for column in ("p_mw", "ps_mw") if column in able]
+        unread[name] = len(able), float(sum(power))
+        if name in drop:
+            net[name]["in_service"] = False
+    refuse_unread(unread, drop, notes)
+
+
+def _check_classes(data: Any) -> None:
+    """Refuse every class but those of tables, because pandapower imports the module that a file names.
+
+    A table is a text of JSON in the file, whose cells may name classes too.
+    """
+    if isinstance(data, dict):
+        if "_module" in data:
+            module, name = data["_module"], data.get("_class")
+            if (module, name) not in _CLASSES:
+                raise ValueError(f"it names the class {name!r:.80} of module {module!r:.80}; only tables are read")
+            if isinstance(data.get("_object"), str):
+                _check_classes(parse_json(data["_object"], "a table of it"))
+        data = list(data.values())
+    if isinstance(data, list):
+        for each in data:
+            _check_classes(each)
+
+
+def _case_of(
+    solved: Any, name: str, library: str, frequency_hz: float, numbers: dict[int, int], notes: list[str]
+) -> SolvedCase:
+    """Return the case of solved tables, whose loads are what the solution takes at each bus."""
+    scale = BASE_MVA / float(solved["baseMVA"])
+    rows = solved["bus"][solved["bus"][:, _TYPE] != _ISOLATED]
+    keys = rows[:, _BUS].astype(int).tolist()
+    slacks = [key for key, row in zip(keys, rows, strict=True) if row[_TYPE] == _REFERENCE]
+    if len(slacks) != 1:
+        raise ValueError(f"the case must have one slack bus, got {[numbers[key] for key in slacks]}")
+    polar = rows[:, _VM] * np.exp(1j * np.radians(rows[:, _VA]))
+    case = SolvedCase(
+        name=name, library=library, frequency_hz=frequency_hz, slack=slacks[0],
+        voltages=dict(zip(keys, map(complex, polar), strict=True)), numbers={key: numbers[key] for key in keys},
+        notes=notes,
+    )  # fmt: skip
+    if len(off := solved["bus"][solved["bus"][:, _TYPE] == _ISOLATED]):
+        what = ", ".join(str(numbers[int(row[_BUS])]) for row in off)
+        case.notes.append(f"buses out of service with {off[:, _PD].sum():.6g} MW of load: {what}")
+    taken = _taken(solved)
+    for key, row in zip(keys, rows, strict=True):
+        case.shunts[key] += complex(row[_GS], row[_BS]) / BASE_MVA
+        case.loads[key] += (load := complex(row[_PD], row[_QD]))
+        if abs(taken[key] - load) > _NO_CHANGE_MVA:
+            case.loads[key] = taken[key]
+            what = f"the load at bus {numbers[key]} is no constant power (constant impedance or current)"
+            case.notes.append(f"{what}: {taken[key]:.6g} MVA are taken, not {load:.6g}")
+    for place, row in enumerate(solved["gen"]):
+        key = int(row[_GEN])
+        if row[_GEN_STATUS] > 0.0 and key in case.voltages:
+            least = [row[_QMAX], row[_PMAX] if key == case.slack else 0.0]
+            case.infeeds.append(Infeed(
+                name=f"generator {place + 1}", bus=key, power=complex(row[_PG], row[_QG]), machine_id=str(place + 1),
+                least_mva=max([v for v in least if v < UNLIMITED], default=0.0),
+            ))  # fmt: skip
+    case.branches = [
+        _two_port(row, scale, numbers)
+        for row in solved["branch"]
+        if row[_STATUS] > 0.0 and int(row[_FROM]) in case.voltages and int(row[_TO]) in case.voltages
+    ]
+    return case
+
+
+def _taken(solved: Any) -> dict[int, complex]:
+    """Return what the solution takes from each bus [MVA]: what generators give, less what branches and shunts take."""
+    bus, gen, branch = (solved[name] for name in ("bus", "gen", "branch"))
+    on, closed = gen[gen[:, _GEN_STATUS] > 0.0], branch[branch[:, _STATUS] > 0.0]
+    taken = dict(zip(bus[:, _BUS].astype(int), -(bus[:, _GS] - 1j * bus[:, _BS]) * bus[:, _VM] ** 2, strict=True))
+    for rows, key, p, q, sign in ((on, _GEN, _PG, _QG, 1), (closed, _FROM, _PF, _QF, -1), (closed, _TO, _PT, _QT, -1)):
+        for row in rows:
+            taken[int(row[key])] += sign * complex(row[p], row[q])
+    return taken
+
+
+def _two_port(row: Sequence[float], scale: float, numbers: dict[int, int]) -> TwoPort:
+    ends = int(row[_FROM]), int(row[_TO])
+    name = f"branch {numbers[ends[0]]}-{numbers[ends[1]]}"
+    near = far = complex(0.0, row[_B])
+    if len(row) > _B_ASYM:
+        if row[_R_ASYM] or row[_X_ASYM]:
+            raise ValueError(f"{name} has another impedance from each side")
+        near += row[_G]
+        far = near + complex(row[_G_ASYM], row[_B_ASYM])
+    return TwoPort(
+        name=name, ends=ends, impedance=complex(row[_R], row[_X]) * scale,
+        shunts=(0.5 * near / scale, 0.5 * far / scale), tap=float(row[_TAP]) or 1.0,
+        phase_rad=math.radians(row[_SHIFT]),
+    )  # fmt: skip

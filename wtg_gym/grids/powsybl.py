@@ -1,0 +1,347 @@
+"""Cases that pypowsybl (https://powsybl.org) reads and solves: RAW, CGMES, UCTE, IEEE-CDF, PowerFactory, XIIDM.
+
+What its reader of RAW passes over is looked for in the file's sections: tables of impedance correction, devices that no
+section of it knows, the initial susceptance of switched shunts, which it rounds to a step, and the bases of machines.
+"""
+
+from __future__ import annotations
+
+import cmath
+import csv
+import math
+import re
+import tempfile
+from collections.abc import Collection, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from wtg_gym.files import read_text
+from wtg_gym.grids.solved_case import (
+    BASE_MVA,
+    UNLIMITED,
+    Infeed,
+    SolvedCase,
+    TwoPort,
+    refuse_large,
+    refuse_unread,
+)
+from wtg_gym.physics.network import LEAST_IMPEDANCE
+
+#: Sections of RAW 32 and 33 in their order, and those of 35.
+_SECTIONS = [
+    *("bus", "load", "fixshunt", "generator", "acline", "transformer", "area", "twotermdc", "vscdc", "impcor"),
+    *("ntermdc", "msline", "zone", "iatrans", "owner", "facts", "swshunt", "gne", "indmach"),
+]
+_SECTIONS_35 = ["system", *_SECTIONS[:5], "sysswd", *_SECTIONS[5:], "substation"]
+#: Those that pypowsybl passes over, as messages call them.
+_PASSED_OVER = {
+    "impcor": "impedance-correction", "ntermdc": "multi-terminal-dc", "gne": "gne-device",
+    "indmach": "induction-machine",
+}  # fmt: skip
+#: Places of numbers in the records of RAW 33 and of 35.
+_PLACES = {"mbase": (8, 9), "zr": (9, 10), "zx": (10, 11), "wmod": (26, 28), "binit": (9, 11)}
+#: What a generator of a RAW file has where it does not say.
+_MACHINE = {"mbase": 0.0, "zr": 0.0, "zx": 1.0, "wmod": 0.0}
+#: Tables of pypowsybl that have no place in a grid, with the column of their power.
+_UNREAD = {
+    "dc-line": ("hvdc_lines", "target_p"), "svc": ("static_var_compensators", ""),
+    "dc-grid-line": ("dc_lines", ""), "voltage-source-converter": ("voltage_source_converters", "target_p"),
+}  # fmt: skip
+#: Whatever else may move in its power flow stands still.
+_FLOW = {
+    "distributed_slack": False, "use_reactive_limits": False, "transformer_voltage_control_on": False,
+    "shunt_compensator_voltage_control_on": False, "phase_shifter_regulation_on": False, "hvdc_ac_emulation": False,
+}  # fmt: skip
+_OF_PROVIDER = {
+    "newtonRaphsonConvEpsPerEq": "1e-10", "lowImpedanceThreshold": str(LEAST_IMPEDANCE), "useLoadModel": "true",
+    "generatorsWithZeroMwTargetAreNotStarted": "false", "minPlausibleTargetVoltage": "0.1",
+    "maxPlausibleTargetVoltage": "10", "minRealisticVoltage": "0.1", "maxRealisticVoltage": "10",
+    "maxNewtonRaphsonIterations": "30", "plausibleActivePowerLimit": "1e9",
+}  # fmt: skip
+
+
+def read_powsybl(path: Path, frequency_hz: float | None, drop: Collection[str]) -> SolvedCase:
+    """Return the case of a file, as pypowsybl solves it.
+
+    Raises:
+        ImportError: pypowsybl is missing.
+        ValueError: it cannot read the file, or finds no power flow; or the file has elements that a grid does not, and
+            `drop` does not name their type.
+    """
+    import pypowsybl
+
+    notes: list[str] = []
+    raw = _Raw(path) if path.suffix.lower() == ".raw" else None
+    # Errors of pypowsybl are of any kind.
+    try:
+        if raw is None:
+            net = pypowsybl.network.load(str(path))
+        else:
+            with tempfile.TemporaryDirectory() as folder:
+                copy = Path(folder) / f"{path.stem}.raw"
+                copy.write_text(raw.text)
+                net = pypowsybl.network.load(str(copy))
+    except Exception as error:
+        which = "" if raw is None else f" as RAW of version {raw.version:g} (32, 33 and 35 are read)"
+        raise ValueError(f"pypowsybl cannot read it{which}: {error}") from error
+    if raw is None and net.source_format == "PSS/E" and "iidm" not in path.suffix.lower():
+        # What pypowsybl passes over would not be seen.
+        raise ValueError("a case of PSS/E is read from its .raw file only: no RAWX, no archive")
+    unread = {} if raw is None else {kind: (n, 0.0) for kind, n in raw.passed_over()}
+    for kind, (name, column) in _UNREAD.items():
+        rows = getattr(net, f"get_{name}")()
+        on = rows[rows[[c for c in rows if c.startswith("connected")]].all(axis=1)] if len(rows) else rows
+        unread[kind] = len(on), float(abs(on[column]).sum()) if column else 0.0
+        if kind in drop and len(rows):
+            ends = (net.get_lcc_converter_stations(), net.get_vsc_converter_stations()) if kind == "dc-line" else ()
+            stations = [each for table in ends for each in table.index]
+            try:
+                net.remove_elements([*rows.index, *stations])
+            except Exception as error:
+                raise ValueError(f"pypowsybl cannot leave out {kind}: {error}") from error
+    refuse_unread(unread, drop, notes)
+    refuse_large(len(net.get_buses()))
+    try:
+        return _Tables(pypowsybl, net, path.stem, raw, notes).case(frequency_hz)
+    except ValueError as error:
+        raise ValueError(f"as RAW of version {raw.version:g}, {error}" if raw is not None else str(error)) from error
+
+
+class _Raw:
+    """The sections of a RAW file, with what pypowsybl passes over, and its text as pypowsybl should read it."""
+
+    def __init__(self, path: Path) -> None:
+        self.text = read_text(path, "case")
+        self.records: dict[str, list[list[str]]] = {}
+        lines = self.text.splitlines()
+        starts = [place for place, line in enumerate(lines) if not line.startswith("@!")]
+        header = _fields(lines[starts[0]]) if starts else []
+        try:
+            self.version = float(header[2])
+        except (IndexError, ValueError) as error:
+            raise ValueError("it is no RAW file: its first line must have three numbers or more") from error
+        self.frequency_hz = _number(header, 5)
+        queue = iter(_SECTIONS_35 if self.version >= 34 else _SECTIONS)
+        section, written = next(queue), lines[: starts[2] + 1] if len(starts) > 2 else lines
+        for line in lines[len(written) :]:
+            if line.startswith("@!"):
+                continue
+            if re.match(r"\s*Q\s*$", line):
+                break
+            if re.match(r"\s*0\s*($|/|[A-Za-z])", line):
+                section = next(queue, "")
+            elif line.strip():
+                fields = _fields(line)
+                self.records.setdefault(section, []).append(fields)
+                if section == "swshunt":
+                    line = self._at_initial(fields)
+            written.append(line)
+        self.text = "\n".join([*written, "Q", ""])
+
+    def _at_initial(self, fields: list[str]) -> str:
+        """Return the record of a switched shunt with its initial susceptance as its only step."""
+        place = self._place("binit")
+        steps = ["1", "1", fields[place]] if self.version >= 34 else ["1", fields[place]]
+        kept = [*fields[: place + 1], *steps] if _number(fields, place) else [*fields[:3], "0", *fields[4:]]
+        return ",".join(f"'{each}'" if re.search(r"[A-Za-z ]", each) or not each else each for each in kept)
+
+    def _place(self, name: str) -> int:
+        return _PLACES[name][self.version >= 34]
+
+    def passed_over(self) -> Iterator[tuple[str, int]]:
+        """Yield what pypowsybl passes over: type and number."""
+        for section, kind in _PASSED_OVER.items():
+            yield kind, len({fields[0] for fields in self.records.get(section, [])})
+        yield "facts-series", sum(row[2] not in ("0", "") for row in self.records.get("facts", []))
+
+    def machines(self) -> dict[tuple[str, str], dict[str, float]]:
+        """Return rating [MVA], source impedance [p.u.] and kind of wind machine by bus and id."""
+        return {
+            (row[0], row[1]): {name: _number(row, self._place(name), value) for name, value in _MACHINE.items()}
+            for row in self.records.get("generator", [])
+        }
+
+
+def _fields(line: str) -> list[str]:
+    line = re.sub(r"^((?:[^'/]|'[^']*')*)/.*", r"\1", line)
+    fields = next(csv.reader([line], quotechar="'", skipinitialspace=True), [])
+    return [each.strip() for each in (fields if len(fields) > 1 else line.replace("'", " ").split())]
+
+
+def _number(fields: list[str], place: int, default: float = 0.0) -> float:
+    try:
+        return float(fields[place])
+    except (IndexError, ValueError):
+        return default
+
+
+class _Tables:
+    """A network of pypowsybl, solved, whose tables become a case."""
+
+    def __init__(self, library: Any, net: Any, name: str, raw: _Raw | None, notes: list[str]) -> None:
+        self.net, self.name, self.raw, self.notes = net, name, raw, notes
+        self.slack = self._slack()
+        self._solve(library)
+        levels = net.get_voltage_levels()["nominal_v"]
+        self.buses = net.get_buses()
+        self.volts = {key: float(levels[level]) for key, level in self.buses["voltage_level_id"].items()}
+
+    def _slack(self) -> str:
+        slacks = sorted(set(self.net.get_extensions("slackTerminal").get("bus_id", [])) - {"", None})
+        if len(slacks) > 1:
+            raise ValueError(f"the case must have one slack bus, got {slacks}")
+        if slacks:
+            return str(slacks[0])
+        generators = self.net.get_generators()
+        able = generators[generators["connected"] & generators["voltage_regulator_on"]]
+        if able.empty:
+            raise ValueError("no generator in service holds a voltage")
+        bus = str(able.loc[able["max_p"].idxmax(), "bus_id"])
+        self.notes.append(f"the case names no slack bus; the one of the largest generator is taken: {bus}")
+        return bus
+
+    def _solve(self, library: Any) -> None:
+        provider = {**_OF_PROVIDER, "slackBusSelectionMode": "NAME", "slackBusesIds": self.slack}
+        statuses = []
+        for start in ("UNIFORM_VALUES", "DC_VALUES", "PREVIOUS_VALUES"):
+            mode = library.loadflow.VoltageInitMode.__members__[start]
+            flow = library.loadflow.Parameters(
+                voltage_init_mode=mode, read_slack_bus=False, provider_parameters=provider, **_FLOW
+            )
+            results = library.loadflow.run_ac(self.net, flow)
+            statuses += [result.status_text for result in results[:1]]
+            if results and results[0].status_text == "Converged":
+                # Power that the slack bus gives beside what the case says of its generators [MW].
+                self.missing_mw = float(results[0].slack_bus_results[0].active_power_mismatch)
+                return
+        raise ValueError(f"pypowsybl finds no power flow: {', '.join(dict.fromkeys(statuses))}")
+
+    def case(self, frequency_hz: float | None) -> SolvedCase:
+        """Return the case."""
+        part = self.buses.loc[self.slack, "synchronous_component"]
+        frequency = frequency_hz or (self.raw.frequency_hz if self.raw is not None else 0.0)
+        if not frequency:
+            frequency = 60.0 if self.net.source_format in ("IEEE-CDF", "PSS/E") else 50.0
+            self.notes.append(f"the nominal frequency is taken as {frequency:g} Hz, which the file does not say")
+        voltages = {
+            key: cmath.rect(row.v_mag / self.volts[key], math.radians(row.v_angle))
+            if row.synchronous_component == part
+            else 0j
+            for key, row in self.buses.iterrows()
+        }
+        self.out = SolvedCase(
+            name=self.name, library="pypowsybl", frequency_hz=frequency, slack=self.slack, voltages=voltages,
+            numbers=self._numbers(), notes=self.notes,
+        )  # fmt: skip
+        self._add_branches()
+        self._add_boundaries()
+        self._add_injections()
+        self._add_generators()
+        return self.out
+
+    def _numbers(self) -> dict[Any, int]:
+        """Return the numbers in the names of buses, the least where several are one; none where one has no number."""
+        views = self.net.get_bus_breaker_view_buses(all_attributes=True)
+        numbers: dict[Any, int] = {}
+        for name, key in views["bus_id"].items():
+            if key not in self.volts:
+                continue
+            found = re.fullmatch(r"[A-Za-z]*-?0*(\d{1,9})", str(name))
+            if not found or int(found[1]) < 1:
+                return {}
+            numbers[key] = min(numbers.get(key, 10**9), int(found[1]))
+        return numbers if len(set(numbers.values())) == len(numbers) else {}
+
+    def _add_branch(
+        self, name: str, ends: tuple[Any, Any], ohms: complex, siemens: tuple[complex, complex], ratio: complex = 1.0
+    ) -> None:
+        """Add a branch: impedance and shunts [Ω, S] behind an ideal transformer, where V_1 · ratio is."""
+        one, other = ends
+        if not one and not other:
+            return
+        if not one or not other:
+            # The open end leaves the shunt there behind the impedance.
+            near, far = siemens if one else siemens[::-1]
+            shunt = (near + far / (1.0 + ohms * far)) * (abs(ratio) ** 2 if one else 1.0)
+            self.out.shunts[one or other] += shunt * self.volts[one or other] ** 2 / BASE_MVA
+            return
+        base = self.volts[other] ** 2 / BASE_MVA
+        tap = self.volts[other] / (self.volts[one] * ratio)
+        self.out.branches.append(TwoPort(
+            name=" ".join(name.split()), ends=ends, impedance=ohms / base,
+            shunts=(siemens[0] * base, siemens[1] * base), tap=abs(tap), phase_rad=cmath.phase(tap),
+        ))  # fmt: skip
+
+    def _add_branches(self) -> None:
+        for name, row in self.net.get_lines().iterrows():
+            ends = row.bus1_id if row.connected1 else "", row.bus2_id if row.connected2 else ""
+            shunts = complex(row.g1, row.b1), complex(row.g2, row.b2)
+            self._add_branch(str(name), ends, complex(row.r, row.x), shunts)
+        for name, row in self.net.get_2_windings_transformers(all_attributes=True).iterrows():
+            ends = row.bus1_id if row.connected1 else "", row.bus2_id if row.connected2 else ""
+            ohms = complex(row.r_at_current_tap, row.x_at_current_tap)
+            shunts = complex(row.g_at_current_tap, row.b_at_current_tap), 0j
+            self._add_branch(str(name), ends, ohms, shunts, cmath.rect(row.rho, math.radians(row.alpha)))
+        for name, row in self.net.get_3_windings_transformers(all_attributes=True).iterrows():
+            if not any(row[f"connected{leg}"] for leg in (1, 2, 3)):
+                continue
+            star = f"star of {name}"
+            self.volts[star] = float(row.rated_u0)
+            self.out.voltages[star] = cmath.rect(float(row.v) / row.rated_u0, math.radians(float(row.angle)))
+            for leg in (1, 2, 3):
+                values = {each: row[f"{each}{leg}_at_current_tap"] for each in "rxgb"}
+                ratio = cmath.rect(row[f"rho{leg}"], math.radians(row[f"alpha{leg}"]))
+                end = row[f"bus{leg}_id"] if row[f"connected{leg}"] else ""
+                shunts = complex(values["g"], values["b"]), 0j
+                self._add_branch(f"{name} winding {leg}", (end, star), complex(values["r"], values["x"]), shunts, ratio)
+
+    def _add_boundaries(self) -> None:
+        """Add lines to boundaries, which a tie line joins, and where one ends what it carries is a load."""
+        for name, row in self.net.get_boundary_lines(all_attributes=True).iterrows():
+            if not row.connected:
+                continue
+            key = f"boundary of {row.tie_line_id or name}"
+            self.volts[key] = self.volts[row.bus_id]
+            self.out.voltages.setdefault(key, complex(math.nan, 0.0))
+            half = complex(row.g, row.b)
+            self._add_branch(str(name), (row.bus_id, key), complex(row.r, row.x), (half, 0j))
+            if not row.tie_line_id:
+                self.out.loads[key] += complex(row.p0, row.q0)
+
+    def _add_injections(self) -> None:
+        loads, shunts = self.net.get_loads(), self.net.get_shunt_compensators()
+        for _, row in loads[loads["connected"] & (loads["bus_id"] != "")].iterrows():
+            taken, load = complex(row.p, row.q), complex(row.p0, row.q0)
+            if cmath.isfinite(taken) and abs(taken - load) > 1e-4:
+                what = f"the load at {row.bus_id} is no constant power"
+                self.notes.append(f"{what}: {taken:.6g} MVA are taken, not {load:.6g}")
+                load = taken
+            self.out.loads[row.bus_id] += load
+        for key, row in self.buses.iterrows():
+            self.out.loads[key] += complex(row.get("fictitious_p0", 0.0), row.get("fictitious_q0", 0.0))
+        for _, row in shunts[shunts["connected"] & (shunts["bus_id"] != "")].iterrows():
+            self.out.shunts[row.bus_id] += complex(row.g, row.b) * self.volts[row.bus_id] ** 2 / BASE_MVA
+
+    def _add_generators(self) -> None:
+        of_raw = {} if self.raw is None else self.raw.machines()
+        for role, table in (("machine", self.net.get_generators()), ("static", self.net.get_batteries())):
+            for name, row in table[table["connected"] & (table["bus_id"] != "")].iterrows():
+                found = re.fullmatch(r"B(\d+)-G(.*)", str(name))
+                place = (found[1], found[2].strip()) if found else ("", "1")
+                data = of_raw.get(place, _MACHINE)
+                source = "WIND" if data["wmod"] else row.get("energy_source", "")
+                limits = row.max_q, row.max_p if row.bus_id == self.slack else 0.0
+                taken = complex(row.p, row.q)
+                self.out.infeeds.append(Infeed(
+                    name=str(name), bus=row.bus_id, machine_id=place[1],
+                    role={"WIND": "wind", "SOLAR": "static"}.get(source, role),
+                    power=-taken if cmath.isfinite(taken) else complex(row.target_p, row.target_q),
+                    rating_mva=data["mbase"] or float(np.nan_to_num(row.get("rated_s", 0.0))) or None,
+                    impedance=complex(data["zr"], data["zx"]),
+                    least_mva=max([float(v) for v in limits if v < UNLIMITED], default=0.0),
+                ))  # fmt: skip
+        slack = [each for each in self.out.infeeds if each.bus == self.slack and each.role == "machine"]
+        for each in slack:
+            each.power += self.missing_mw / len(slack)

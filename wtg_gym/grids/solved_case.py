@@ -1,0 +1,368 @@
+"""A power-flow case as a library reads and solves it, made into a grid whose own power flow must be the same."""
+
+from __future__ import annotations
+
+import cmath
+import itertools
+import math
+from collections import defaultdict
+from collections.abc import Callable, Collection, Hashable, Iterable
+from dataclasses import dataclass, field, replace
+from typing import Any, TypeVar
+
+import numpy as np
+
+from wtg_gym.grids.typical import typical_machine
+from wtg_gym.physics import network
+from wtg_gym.physics.grid import MOST_BUSES, Branch, Bus, Grid, NetworkCase
+from wtg_gym.physics.machine_parameters import SynchronousMachineParameters
+
+Key = Hashable
+Record = TypeVar("Record")
+#: System base of every grid that is read [MVA].
+BASE_MVA = 100.0
+#: Largest difference from the library's solution [p.u., rad].
+TOLERANCE = 1e-6
+#: Phase shift around a loop that counts as one [rad].
+_LEAST_SHIFT = 1e-9
+#: Power from which on a limit means none [MW, Mvar]: files have 9900 or 9999.
+UNLIMITED = 9000.0
+
+
+@dataclass(kw_only=True)
+class TwoPort:
+    """A branch: admittances and a ratio, all in p.u. of :data:`BASE_MVA` and the nominal voltages of its buses.
+
+    Args:
+        name: what messages call it.
+        ends: buses; the ideal transformer of ratio `tap` and shift `phase_rad` is at the first.
+        impedance: between them.
+        shunts: admittance to earth at either end, behind the ideal transformer.
+    """
+
+    name: str
+    ends: tuple[Key, Key]
+    impedance: complex
+    shunts: tuple[complex, complex] = (0j, 0j)
+    tap: float = 1.0
+    phase_rad: float = 0.0
+
+
+@dataclass(kw_only=True)
+class Infeed:
+    """A generator in service: what it gives [MVA], as what it counts, and what is known of its size.
+
+    Args:
+        role: "machine", "wind" for a wind park, "static" for what becomes a negative load, "load" once it is one.
+        rating_mva: MBASE of a RAW file, None where the file does not say.
+        least_mva: rating that its limits ask for.
+        impedance: ZSORCE of a RAW file [p.u. of the rating].
+    """
+
+    name: str
+    bus: Key
+    power: complex
+    machine_id: str = "1"
+    role: str = "machine"
+    rating_mva: float | None = None
+    least_mva: float = 0.0
+    impedance: complex = 1j
+
+
+@dataclass(kw_only=True)
+class SolvedCase:
+    """What a library says of a case, with its own solution of the power flow.
+
+    Args:
+        voltages: of every bus [p.u.], as complex numbers.
+        loads: as they are in the solution [MVA].
+        shunts: admittances [p.u. of :data:`BASE_MVA`].
+        numbers: of the buses, where the file has some.
+        notes: what was assumed or changed.
+    """
+
+    name: str
+    library: str
+    frequency_hz: float
+    slack: Key
+    voltages: dict[Key, complex]
+    places: dict[Key, tuple[float, float]] = field(default_factory=dict)
+    numbers: dict[Key, int] = field(default_factory=dict)
+    branches: list[TwoPort] = field(default_factory=list)
+    loads: dict[Key, complex] = field(default_factory=lambda: defaultdict(complex))
+    shunts: dict[Key, complex] = field(default_factory=lambda: defaultdict(complex))
+    infeeds: list[Infeed] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)
+
+
+def refuse_unread(unread: dict[str, tuple[int, float]], drop: Collection[str], notes: list[str]) -> None:
+    """Refuse elements that are not taken over, unless `drop` names their type; then note them.
+
+    Args:
+        unread: number and active power [MW] by type.
+        drop: types that are left out.
+        notes: takes what was left out.
+    """
+    texts = {kind: f"{n} {kind} of {power:.6g} MW" for kind, (n, power) in unread.items() if n}
+    if left := {kind: text for kind, text in texts.items() if kind not in drop}:
+        listed = ", ".join(left.values())
+        raise ValueError(f"it has what no grid here has: {listed}; --drop {' '.join(left)} leaves that out")
+    notes += [f"left out: {text}" for text in texts.values()]
+
+
+def grid_of(case: SolvedCase, dynamics: Any = None, drop: Collection[str] = ()) -> Grid:
+    """Return the grid of a case, without WTG groups, after its own power flow has met the library's.
+
+    Args:
+        case: a solved case; it is changed.
+        dynamics: the :class:`~wtg_gym.grids.dyr.Dynamics` of its machines; None: all are typical ones.
+        drop: types of element that are left out.
+
+    Returns:
+        the grid; what it calls replaced are its wind parks, which are typical machines.
+
+    Raises:
+        ValueError: the grid is not the case, by the bus and both values; or a value is out of its range.
+    """
+    _merge_buses(case)
+    _take_connected(case, drop)
+    refuse_large(len(case.voltages))
+    turned = _without_common_shifts(case)
+    numbers = _numbers(case)
+    records = _machines(case, numbers, dynamics)
+    wind = {numbers[infeed.bus] for infeed in case.infeeds if infeed.role == "wind"}
+    made_of = _network_case(case, numbers, records)
+    differences = _compare(made_of, case, numbers, turned)
+    case.notes.append(f"its power flow is that of {case.library}; largest differences [p.u., rad]: {differences}")
+    return Grid(case=made_of, replaced=tuple(sorted(wind)), substitutions=tuple(dict.fromkeys(case.notes)))
+
+
+def refuse_large(n_buses: int) -> None:
+    """Refuse a case with more buses than a grid has."""
+    if n_buses > MOST_BUSES:
+        raise ValueError(f"it has {n_buses} buses; a grid has at most {MOST_BUSES}")
+
+
+def _merge_buses(case: SolvedCase) -> None:
+    """Make one bus of those that branches without impedance join, and take these branches away."""
+    import networkx
+
+    joined, kept = networkx.Graph(), []
+    for branch in case.branches:
+        if abs(branch.impedance) >= network.LEAST_IMPEDANCE:
+            kept.append(branch)
+            continue
+        if abs(branch.tap - 1.0) > 1e-9 or branch.phase_rad:
+            raise ValueError(f"{branch.name} is a transformer without impedance")
+        for end, shunt in zip(branch.ends, branch.shunts, strict=True):
+            case.shunts[end] += shunt
+        joined.add_edge(*branch.ends)
+        case.notes.append(f"{branch.name} has no impedance: its buses are one")
+    bus_of = {key: key for key in case.voltages}
+    for part in networkx.connected_components(joined):
+        first = case.slack if case.slack in part else next(key for key in joined if key in part)
+        for other in part - {first}:
+            bus_of[other] = first
+            for values in (case.loads, case.shunts):
+                values[first] += values.pop(other, 0j)
+            case.voltages.pop(other)
+    case.branches = [replace(branch, ends=(bus_of[branch.ends[0]], bus_of[branch.ends[1]])) for branch in kept]
+    case.branches = [branch for branch in case.branches if branch.ends[0] != branch.ends[1]]
+    for infeed in case.infeeds:
+        infeed.bus = bus_of[infeed.bus]
+
+
+def _graph(case: SolvedCase) -> Any:
+    """Return buses and branches as a graph, whose lines weigh less than its phase shifts."""
+    import networkx
+
+    graph = networkx.MultiGraph()
+    graph.add_nodes_from(case.voltages)
+    for branch in case.branches:
+        graph.add_edge(*branch.ends, branch=branch, weight=float(branch.phase_rad != 0.0))
+    return graph
+
+
+def _take_connected(case: SolvedCase, drop: Collection[str]) -> None:
+    """Take away the buses that no branch joins to the slack bus, and refuse those that have power."""
+    import networkx
+
+    connected = networkx.node_connected_component(_graph(case), case.slack)
+    apart = [key for key in case.voltages if key not in connected]
+    power = sum(abs(case.loads.get(key, 0j).real) for key in apart)
+    power += sum(abs(infeed.power.real) for infeed in case.infeeds if infeed.bus not in connected)
+    refuse_unread({"island": (len(apart) if power else 0, power)}, drop, case.notes)
+    if apart and not power:
+        case.notes.append(f"buses without connection to the slack bus are left out: {_listed(apart)}")
+    case.branches = [branch for branch in case.branches if branch.ends[0] in connected]
+    case.infeeds = [infeed for infeed in case.infeeds if infeed.bus in connected]
+    for values in (case.voltages, case.loads, case.shunts):
+        for key in values.keys() - connected:
+            del values[key]
+
+
+def _listed(keys: Iterable[Key]) -> str:
+    texts = [str(key) for key in keys]
+    return ", ".join(texts[:20]) + (f" and {len(texts) - 20} more" if len(texts) > 20 else "")
+
+
+def _without_common_shifts(case: SolvedCase) -> dict[Key, float]:
+    """Take away phase shifts that are the same along every path; return the angle that each bus turns by [rad].
+
+    Vector groups are such shifts. What remains around a loop is a phase shifter; a tree of as few shifts as possible
+    lets one beside lines keep its own.
+    """
+    import networkx
+
+    tree = networkx.minimum_spanning_tree(_graph(case))
+    turned = {case.slack: 0.0}
+    for one, other in networkx.bfs_edges(tree, case.slack):
+        (edge,) = tree[one][other].values()
+        shift = edge["branch"].phase_rad
+        turned[other] = turned[one] + (-shift if edge["branch"].ends == (one, other) else shift)
+    for branch in case.branches:
+        one, other = branch.ends
+        rest = math.remainder(branch.phase_rad - turned[one] + turned[other], 2.0 * math.pi)
+        branch.phase_rad = 0.0 if abs(rest) < _LEAST_SHIFT else rest
+    if n := sum(angle != 0.0 for angle in turned.values()):
+        case.notes.append(f"phase shifts that are the same along every path are left out: {n} buses turn with them")
+    if shifters := [branch.name for branch in case.branches if branch.phase_rad]:
+        case.notes.append(f"phase shifters, at a constant shift: {_listed(shifters)}")
+    return turned
+
+
+def _numbers(case: SolvedCase) -> dict[Key, int]:
+    """Return the number of each bus: the file's, or its place, which a note says."""
+    named = {key: case.numbers[key] for key in case.voltages if key in case.numbers}
+    unused = itertools.count(max(case.numbers.values(), default=0) + 1)
+    numbers = {key: named[key] if key in named else next(unused) for key in case.voltages}
+    if not named:
+        case.notes.append("bus numbers: " + ", ".join(f"{key} = {number}" for key, number in numbers.items()))
+    return numbers
+
+
+def _machines(case: SolvedCase, numbers: dict[Key, int], dynamics: Any) -> list[SynchronousMachineParameters]:
+    """Return the machines, and turn the infeeds that are none into loads."""
+    records = list[SynchronousMachineParameters]()
+    buses = {infeed.bus for infeed in case.infeeds if infeed.role == "machine"}
+    for infeed in case.infeeds:
+        number, slack, record = numbers[infeed.bus], infeed.bus == case.slack, None
+        if infeed.role == "machine":
+            record = typical(number, infeed, slack) if dynamics is None else dynamics.machine(number, infeed, slack)
+        elif infeed.role == "wind" and infeed.power.real > 0.0 and infeed.bus not in buses:
+            record = typical_machine(number, infeed.power, infeed.least_mva)
+            case.notes.append(f"{infeed.name} at bus {number} is a wind park of {infeed.power.real:.6g} MW")
+        if record is not None:
+            records.append(record)
+            continue
+        infeed.role, case.loads[infeed.bus] = "load", case.loads[infeed.bus] - infeed.power
+        if infeed.power:
+            what = f"{infeed.name} at bus {number} is a negative load"
+            case.notes.append(f"{what}: {-infeed.power.real:.6g} MW, {-infeed.power.imag:.6g} Mvar")
+    if dynamics is not None:
+        dynamics.require_known()
+    elif records:
+        case.notes.append(f"the case has no machines; all {len(records)} are typical ones")
+    return records
+
+
+def typical(number: int, infeed: Infeed, slack: bool) -> SynchronousMachineParameters:
+    """Return a typical machine for an infeed."""
+    least = infeed.rating_mva or (infeed.least_mva if infeed.least_mva < UNLIMITED else 0.0)
+    return typical_machine(number, infeed.power, least, slack=slack)
+
+
+def _network_case(
+    case: SolvedCase, numbers: dict[Key, int], machines: list[SynchronousMachineParameters]
+) -> NetworkCase:
+    held = {machine.bus for machine in machines}
+    if numbers[case.slack] not in held:
+        raise ValueError(f"no machine is at the slack bus {numbers[case.slack]}")
+    branches = []
+    for branch in case.branches:
+        (one, other), (near, far) = branch.ends, branch.shunts
+        charging = 2.0 * far.imag
+        case.shunts[one] += (near - 0.5j * charging) / branch.tap**2
+        case.shunts[other] += far.real
+        branches.append(made(
+            branch.name, Branch, from_bus=numbers[one], to_bus=numbers[other], resistance=branch.impedance.real,
+            reactance=branch.impedance.imag, charging=charging, tap=branch.tap, phase_rad=branch.phase_rad,
+        ))  # fmt: skip
+    buses = []
+    for key, voltage in case.voltages.items():
+        load, shunt, number = case.loads.get(key, 0j), BASE_MVA * case.shunts.get(key, 0j), numbers[key]
+        x, y = case.places.get(key, (None, None))
+        buses.append(made(
+            f"bus {number}", Bus, number=number, load_mw=load.real, load_mvar=load.imag, shunt_mw=shunt.real,
+            shunt_mvar=shunt.imag, voltage_pu=round(abs(voltage), 9) if number in held else None, x=x, y=y,
+        ))  # fmt: skip
+    return NetworkCase(
+        name=case.name, base_mva=BASE_MVA, frequency_hz=case.frequency_hz, slack_bus=numbers[case.slack],
+        buses=tuple(buses), branches=tuple(branches), machines=tuple(machines),
+    )  # fmt: skip
+
+
+def power_flow(case: NetworkCase) -> tuple[np.ndarray, np.ndarray]:
+    """Return voltages (n_bus,) and what units give to each bus (n_bus,), both complex [p.u.], from a flat start.
+
+    Raises:
+        ValueError: there is no solution.
+    """
+    index = {number: place for place, number in enumerate(case.bus_numbers)}
+    ends = np.array([(index[b.from_bus], index[b.to_bus]) for b in case.branches], dtype=np.int64).reshape(-1, 2)
+    shunts = np.array([complex(bus.shunt_mw, bus.shunt_mvar) / case.base_mva for bus in case.buses])
+    loads = np.array([complex(bus.load_mw, bus.load_mvar) / case.base_mva for bus in case.buses])
+    y = network.assemble_admittance(ends, network.branch_admittances(case.branches), shunts)
+    given = -loads
+    for machine in case.machines:
+        given[index[machine.bus]] += machine.dispatch_mw / case.base_mva
+    at = network.PowerFlow(power=0, polar=2, holds_voltage=4, flow=5, voltage=7)
+    rows = np.zeros((len(index), 9))
+    rows[:, 0], rows[:, 1] = given.real, given.imag
+    rows[:, 2] = [1.0 if bus.voltage_pu is None else bus.voltage_pu for bus in case.buses]
+    rows[:, 4] = [bus.voltage_pu is not None for bus in case.buses]
+    slack = index[case.slack_bus]
+    if len(index) < network.SPARSE_FROM:
+        steps = network.solve_power_flow(y, slack, rows, at)
+    else:
+        steps = network.solve_sparse_flow(y, slack, rows, at, network.pattern_of(y))
+    if steps < 0:
+        raise ValueError("its power flow has no solution from a flat start, from which every scenario starts")
+    return rows[:, 7] + 1j * rows[:, 8], rows[:, 5] + 1j * rows[:, 6] + loads
+
+
+def _compare(own: NetworkCase, case: SolvedCase, numbers: dict[Key, int], turned: dict[Key, float]) -> str:
+    """Refuse a grid whose power flow differs from the library's; say how near they are."""
+    voltages, powers = power_flow(own)
+    given, largest = defaultdict[Key, complex](complex), defaultdict[str, float](float)
+    for infeed in case.infeeds:
+        given[infeed.bus] += infeed.power / BASE_MVA if infeed.role != "load" else 0j
+    reference = cmath.phase(case.voltages[case.slack])
+    for place, (key, theirs) in enumerate(case.voltages.items()):
+        if cmath.isnan(theirs):
+            # The library does not say.
+            continue
+        angle = cmath.phase(theirs) - reference - turned[key]
+        pairs = {"voltage": (abs(voltages[place]), abs(theirs)), "angle": (cmath.phase(voltages[place]), angle)}
+        if own.buses[place].voltage_pu is not None:
+            pairs["power"] = powers[place].real, given[key].real
+            pairs["reactive power"] = powers[place].imag, given[key].imag
+        for what, (here, there) in pairs.items():
+            difference = abs(math.remainder(here - there, 2.0 * math.pi) if what == "angle" else here - there)
+            difference /= max(1.0, abs(there))
+            largest[what] = max(largest[what], difference)
+            if not difference <= TOLERANCE:
+                unit = "rad" if what == "angle" else "p.u."
+                raise ValueError(
+                    f"bus {numbers[key]}: {what} {here:.9g} {unit} here, {there:.9g} {unit} in {case.library}; "
+                    "the grid would not be the one of the file"
+                )
+    return ", ".join(f"{what} {difference:.1e}" for what, difference in largest.items())
+
+
+def made(what: str, record: Callable[..., Record], **values: Any) -> Record:
+    """Return a record of checked values; its error says what it is of."""
+    try:
+        return record(**values)
+    except ValueError as error:
+        raise ValueError(f"{what}: {str(error).partition(': ')[2] or error}") from error
