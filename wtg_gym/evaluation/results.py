@@ -323,9 +323,9 @@ def markdown_section(results: Results, *, details: bool = False) -> str:
 
 
 def _frequency_sentence(results: Results) -> str:
-    """Return what the anchors and the best learned entry do for the frequency [mHz]."""
+    """Return what the anchors and the best learned entry without privileges do for the frequency [mHz]."""
     task, rows = results.task, results.ranking
-    learned = next((row for row in rows if row.kind == "learned"), None)
+    learned = next((row for row in rows if row.kind == "learned" and not row.privileged), None)
     who = {task.zero: "the published law", task.hundred: "that law tuned to this grid"}
     if learned is not None:
         who[learned.name] = f"`{learned.name}`, the best learned entry"
