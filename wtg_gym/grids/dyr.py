@@ -13,9 +13,12 @@ from wtg_gym.grids.typical import TYPICAL_EXCITER, TYPICAL_GOVERNOR, typical_mac
 from wtg_gym.physics.grid import MODELS
 from wtg_gym.physics.machine import saturation_constants
 from wtg_gym.physics.machine_parameters import SynchronousMachineParameters, classical_machine
+from wtg_gym.ranges import require_range
 
 #: Share of x'' that a leakage reactance has at most, so that the order x'' > x_l holds.
 _LEAKAGE = 0.8
+#: Largest saturation that is taken: data beyond it are no machine's.
+_LARGEST_SATURATION = 10.0
 #: Limit where the data say none [p.u.].
 _NO_LIMIT = 999.0
 _IEEET = "exciter_gain exciter_time_s"
@@ -162,6 +165,7 @@ class Dynamics:
         first, second = sorted(points)
         try:
             saturation_constants(at, first, second)
+            require_range(f"{at}: saturation", second[1], 0.0, _LARGEST_SATURATION, "")
         except ValueError as error:
             self.notes.append(f"{error}; it is left out")
             return [(0.0, 0.0), (1.0, 0.0)]
