@@ -167,7 +167,8 @@ def test_run_repeats_also_after_an_interruption_and_is_exported(
     lanes = TaskLanes(EnvSettings(**runs[0].settings.env_arguments), 1, 1)
     learner = GradientLearner(GradientPolicy(lanes.n_observation, lanes.n_action, h.hidden, h.lstm), h)
     learner.load(saved[0])
-    assert largest_difference(TorchPolicy(learner.policy), entry.policy, runs[0].settings) <= 1e-6
+    network = learner.network(runs[0].settings)
+    assert largest_difference(TorchPolicy(network), entry.policy, runs[0].settings) <= 1e-6
 
 
 def test_layers_without_width_are_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -245,7 +245,10 @@ class Suite:
         duration_s: float,
         margins: ReserveMargin,
     ) -> list[Scenario]:
-        """Draw scenarios, those of a distribution together, until all fall in the margins of their strata."""
+        """Draw scenarios, those of a distribution together, until all fall in the margins of their strata.
+
+        Episodes shorter than the suite's may end before any event can leave so little: then the last draw counts.
+        """
         accepted: dict[int, Scenario] = {}
         missing = list(range(len(seeds)))
         for attempt in range(_MOST_ATTEMPTS):
@@ -256,6 +259,9 @@ class Suite:
                 of_places = [seeds[place] for place in places]
                 distribution = self._distribution(of_places[0], attempt)
                 drawn = distribution.draw_many(of_places, n_wtg, n_turbines, duration_s, attempt)
+                if attempt == _MOST_ATTEMPTS - 1 and duration_s < self.duration_s:
+                    last = [_with_margin(scenario, margins.of(scenario)) for scenario in drawn]
+                    accepted.update(zip(places, last, strict=True))
                 suited = zip(places, (self._suits(scenario, margins) for scenario in drawn), strict=True)
                 accepted.update((place, scenario) for place, scenario in suited if scenario is not None)
             missing = [place for place in missing if place not in accepted]
@@ -275,7 +281,7 @@ class Suite:
         margin = margins.of(scenario)
         # A stratum of a user's own need not have a range.
         low, high = self.margins.get(self.stratum(scenario.seed), (-math.inf, math.inf))
-        return trusted(Scenario, **{**vars(scenario), "reserve_margin": margin}) if low <= margin < high else None
+        return _with_margin(scenario, margin) if low <= margin < high else None
 
     def _fixed_scenarios(
         self, seeds: Sequence[int], n_wtg: int, n_turbines: Sequence[float] | None, duration_s: float
@@ -322,6 +328,10 @@ class Suite:
             data["sensors"] = None if self.sensors is None else asdict(self.sensors)
         text = json.dumps(data, sort_keys=True, separators=(",", ":"), allow_nan=False)
         return hashlib.sha256(text.encode()).hexdigest()
+
+
+def _with_margin(scenario: Scenario, margin: float) -> Scenario:
+    return trusted(Scenario, **{**vars(scenario), "reserve_margin": margin})
 
 
 def _default_turbines(group: WtgGroup) -> float:
