@@ -119,10 +119,3 @@ def test_dumped_scenario_can_be_edited_and_simulated(capsys: pytest.CaptureFixtu
     result = json_of(capsys, "simulate", *_QUICK, "--scenario", str(path), "--json")
     assert [event["power_mw"] for event in result["scenario"]["events"]] == [30.0]
     assert result["runs"][0]["end_time_s"] == 6.0
-
-
-def test_cases_say_passed_or_failed_with_the_figure(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["simulate", "--case", "dip", "--entry", "mppt"]) == 0
-    assert "dip" in (said := capsys.readouterr().out) and "passed" in said and "p.u." in said
-    (row,) = json_of(capsys, "simulate", "--case", "angle-step-30", "--json")
-    assert row["case"] == "angle-step-30" and row["entry"] == "coordinated-piecewise" and row["passed"] is True

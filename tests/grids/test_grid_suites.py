@@ -15,7 +15,7 @@ from tests.cli.calls import json_of
 from tests.physics.test_grid_files import STRANGER
 from wtg_gym.envs import GFMWTGEnv
 from wtg_gym.envs.settings import EnvSettings
-from wtg_gym.evaluation import Entry, evaluate, screening
+from wtg_gym.evaluation import Entry, evaluate
 from wtg_gym.physics.grid import data_of, get_grid, text_of
 from wtg_gym.policies.entry import check_version
 from wtg_gym.scenarios import get_suite
@@ -149,15 +149,3 @@ def test_places_name_every_bus_once_and_lines_that_are_no_bridges() -> None:
         for buses in (places.machine_buses, places.generator_buses, places.governor_buses):
             assert len(set(buses)) == len(buses)
         assert not {case.branch_index(*line) for line in places.line_trips} & case.bridges
-
-
-def test_what_no_law_survives_is_left_out(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(screening, "_N_TRIED", 30)
-    monkeypatch.setattr(screening, "_N_POINTS", 2)
-    said: list[str] = []
-    made = screening.screened("ring.json", "ring", lambda words, *_: said.append(words))
-    every = unscreened("ring.json").places
-    assert set(made.places.line_trips) <= set(every.line_trips) and made.event_size <= 1.0
-    plant = made.suite.plant
-    drawn = made.suite.scenarios(made.suite.validation[:30])
-    assert screening.survived(plant, drawn).any(axis=0).all() and said

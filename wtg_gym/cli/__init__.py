@@ -26,7 +26,7 @@ _COMMANDS = {
     "results": ("results:app", "stored results: show them, compute them again, compare"),
     "submission": ("submission:app", "policies of others: write a template, check a folder, score it in isolation"),
     "suites": ("suites:suites", "the suites of scenarios, or one scenario"),
-    "grid": ("grid:app", "grids of your own: bring one in, check it, make a suite for it"),
+    "grid": ("grid:app", "grids of your own: bring one in, check it"),
     "warmup": ("warmup:warmup", "compile the simulator before its first use"),
 }
 

@@ -1,9 +1,7 @@
-"""`wtg-gym grid`: grids of one's own: bring one in, look at it, and make a suite of scenarios for it."""
+"""`wtg-gym grid`: grids of one's own: bring one in and look at it."""
 
 from __future__ import annotations
 
-import os
-from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
@@ -12,7 +10,7 @@ from cyclopts import App, Parameter
 from wtg_gym.cli.options import Flag, JsonFile
 from wtg_gym.cli.output import note, print_table, write_and_say
 
-app = App(name="grid", help="grids of your own: bring one in, check it, make a suite of scenarios for it")
+app = App(name="grid", help="grids of your own: bring one in, check it")
 
 
 @app.command(name="import")
@@ -85,27 +83,4 @@ def check(grid: str, /) -> int:
     print_table(("", ""), rows, left=(0, 1))
     if network.groups:
         print_table(("", ""), describe_starts(network), left=(0, 1))
-    return 0
-
-
-@app.command
-def suite(grid: str, /, *, output: JsonFile) -> int:
-    """Make a suite of scenarios of version v1 for a grid, by simulation.
-
-    The suite keeps events that some law survives at every operating point tried, in sizes at which at most one scenario
-    in a hundred is lost under every law. Its file names the grid's file.
-
-    examples:
-      wtg-gym grid suite my_grid.json --output my_suite.json
-      wtg-gym evaluate --suite my_suite.json
-    """
-    from wtg_gym.evaluation.screening import screened
-    from wtg_gym.physics.grid import data_of, text_of
-    from wtg_gym.progress import Progress
-
-    with Progress("rounds") as progress:
-        made = screened(grid, output.stem, progress.update)
-    # A file of a grid is looked for from the suite's folder.
-    grid_name = Path(os.path.relpath(grid, output.parent)).as_posix() if grid.endswith(".json") else grid
-    write_and_say(output, text_of(data_of(replace(made, grid=grid_name))))
     return 0

@@ -11,9 +11,6 @@ from cyclopts import Group, Parameter
 from wtg_gym.cli.options import CsvFile, FigureFile, Flag, Json, SuiteName, Whole, Words
 from wtg_gym.cli.output import say
 
-#: The paper's law, which is played where no other is named.
-_REFERENCE = ("coordinated-piecewise",)
-
 
 @Parameter(name="*", group=Group("Scenario", sort_key=1))
 @dataclass(frozen=True, kw_only=True)
@@ -43,9 +40,7 @@ class ScenarioOptions:
 def simulate_scenario(
     *,
     chosen: ScenarioOptions = ScenarioOptions(),
-    strategy: Words = _REFERENCE,
-    case: Words = (),
-    entry: Words = (),
+    strategy: Words = ("coordinated-piecewise",),
     example_law: Flag = False,
     plot: FigureFile | None = None,
     csv: CsvFile | None = None,
@@ -59,11 +54,7 @@ def simulate_scenario(
     stall, an over-speed or, in extended physics, an under-speed. In the paper's grid the number of winds is the number
     of WTG groups at bus 2.
 
-    With --case, laws and policies play the tests that operators ask of grid-forming plants, each in its own grid. The
-    command prints passed or failed with the measured value, and exits with 1 if one has failed.
-
     examples:
-      wtg-gym simulate --case dip last-machine --entry coordinated-piecewise mppt
       wtg-gym simulate --strategy mppt deloaded-5 coordinated-piecewise --plot run.png
       wtg-gym simulate --suite standard-v1 --seed 10003 --strategy coordinated-piecewise coordinated-tuned
       wtg-gym simulate --suite paper --seed 1 --wind 9 7.5 --duration 60
@@ -73,10 +64,6 @@ def simulate_scenario(
 
     Args:
         strategy: strategies by name, 'all', or .toml files with a law; default: the paper's coordinated-piecewise
-        case: tests by name, or 'all': last-machine, last-machine-limit, last-machine-balance, rocof-up, rocof-down,
-            rocof-up-2, rocof-down-2, angle-step, angle-step-30, angle-step-60, angle-step-forward,
-            angle-step-forward-60, dip, ratio-steps, island-surplus, island-deficit, current-limit
-        entry: entries that play the tests, as for `wtg-gym evaluate`; default: coordinated-piecewise
         example_law: print a law file to start from, and do nothing else: --example-law > my_law.toml
         plot: write a figure of the runs: .png, .svg or .pdf
         csv: write every sample of every run, units in the header: .csv
@@ -86,14 +73,6 @@ def simulate_scenario(
 
         say(*law_file().splitlines())
         return 0
-    if entry and not case:
-        raise ValueError("--entry belongs to --case; a scenario is played by laws: --strategy")
-    if case:
-        if (chosen, strategy, plot, csv) != (ScenarioOptions(), _REFERENCE, None, None):
-            raise ValueError("a case has its own scenario and grid, and is played by --entry: only --json goes with it")
-        from wtg_gym.cli.simulation import play_cases
-
-        return play_cases(case, entry or _REFERENCE, json=json)
     from wtg_gym.cli.simulation import run
 
     return run(chosen, strategy, plot=plot, csv=csv, json=json)

@@ -1,4 +1,4 @@
-"""What `wtg-gym simulate` runs and prints: scenarios under laws with their key figures, and grid operators' tests."""
+"""What `wtg-gym simulate` runs and prints: scenarios under laws, with their key figures."""
 
 from __future__ import annotations
 
@@ -12,46 +12,20 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from wtg_gym.cli.output import print_json, print_table, require_extra, say, write_and_say
-from wtg_gym.cli.scoring import look_into_working_folder
 from wtg_gym.cli.suites import describe_scenario
-from wtg_gym.evaluation.grid_tests import GRID_TESTS, run_grid_test
 from wtg_gym.files import interpreting, read_json
 from wtg_gym.physics.layout import Floats
 from wtg_gym.physics.protection import Status
 from wtg_gym.physics.scenario import Scenario
 from wtg_gym.physics.tracking_law import STRATEGIES, STRATEGY_NAMES, get_law
 from wtg_gym.physics.trajectory import Trajectory, simulate
-from wtg_gym.policies import load_entries
 from wtg_gym.progress import Progress
-from wtg_gym.ranges import require_choice
 from wtg_gym.scenarios import Suite, get_suite, read_wind_csv
 from wtg_gym.tasks import V0
 from wtg_gym.tasks.episode import ROCOF_WINDOW_S
 
 if TYPE_CHECKING:
     from wtg_gym.cli.simulate import ScenarioOptions
-
-
-def play_cases(names: Sequence[str], specs: Sequence[str], *, json: bool) -> int:
-    """Play entries through tests, and print verdicts and figures; return 1 where one has failed, else 0."""
-    expanded = dict.fromkeys(each for word in names for each in (GRID_TESTS if word == "all" else (word,)))
-    for name in expanded:
-        require_choice("case", name, GRID_TESTS)
-    tests = [GRID_TESTS[name] for name in expanded]
-    look_into_working_folder(specs)
-    entries = load_entries(specs)
-    rows: list[dict[str, Any]] = []
-    with Progress("cases") as progress:
-        for done, (test, entry) in enumerate((test, entry) for test in tests for entry in entries):
-            progress.update(f"{test.name} {entry.label}", done, len(tests) * len(entries))
-            _, (passed, figure) = run_grid_test(test, entry)
-            rows.append({"case": test.name, "entry": entry.label, "passed": passed, "figure": figure})
-    if json:
-        print_json(rows)
-    else:
-        cells = [(row["case"], row["entry"], "passed" if row["passed"] else "failed", row["figure"]) for row in rows]
-        print_table(("case", "entry", "verdict", "figure"), cells, left=(0, 1, 2, 3))
-    return int(not all(row["passed"] for row in rows))
 
 
 def run(options: ScenarioOptions, strategies: Sequence[str], *, plot: Path | None, csv: Path | None, json: bool) -> int:

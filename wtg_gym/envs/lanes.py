@@ -210,7 +210,7 @@ class TaskLanes:
             lanes = self.simulator.prepare(scenarios, self.laws, turning=turning)
         except StartError as error:
             if self.settings.draws_again:
-                advice = "`wtg-gym grid suite` makes a suite whose scenarios start"
+                advice = "`wtg-gym grid check` says how many of its scenarios start"
                 raise StartError(f"{error}; {advice}") from error
             raise
         durations = [min(scenario.duration_s, self.duration_s) for scenario in scenarios]

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import collections
 import dataclasses
+import functools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -74,8 +75,7 @@ class Recording:
 
     def total(self) -> Floats:
         """Return the mean power of the groups, on their base, (n,)."""
-        mean: Floats = self.power_pu.mean(axis=1)
-        return mean
+        return np.asarray(self.power_pu.mean(axis=1))
 
     @property
     def lives(self) -> bool:
@@ -87,7 +87,7 @@ class Recording:
 Verdict = tuple[bool, str]
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class GridTest:
     """A named case; `judge` says of a run that went on with all groups whether it has passed."""
 
@@ -95,22 +95,17 @@ class GridTest:
     source: str  # keys of SOURCES
     criterion: str
     plant: Callable[[], Plant]
+    judge: Callable[[Recording], Verdict]
+    events: tuple[Event, ...]
+    duration_s: float = 30.0
     wind_m_s: float = 9.2  # gives half the rating
     load_level: float = 1.0
-    duration_s: float = 30.0
-    events: tuple[Event, ...]
-    judge: Callable[[Recording], Verdict]
 
     def scenario(self, plant: Plant) -> Scenario:
         """Return what happens."""
-        return Scenario(
-            name=self.name,
-            wind_speed=np.full((len(plant.groups), 1), self.wind_m_s),
-            duration_s=self.duration_s,
-            events=self.events,
-            load_level=self.load_level,
-            load_noise_bus=1,
-        )
+        wind = np.full((len(plant.groups), 1), self.wind_m_s)
+        values = {key: getattr(self, key) for key in ("name", "duration_s", "events", "load_level")}
+        return Scenario(wind_speed=wind, load_noise_bus=1, **values)
 
     def verdict(self, run: Recording) -> Verdict:
         """Return whether a run has passed, and the figure or what went wrong."""
@@ -131,7 +126,7 @@ def _one_machine() -> Plant:
 
 
 def _bench(ratio: float, **changes: Any) -> Plant:
-    """Return the bench at a short-circuit ratio; without relays of load shedding (`shedding=()`) or with them."""
+    """Return the bench at a short-circuit ratio; its relays of load shedding would see the source's frequency."""
     plant = _grid()
     case, mva = plant.case, sum(g.n_turbines for g in plant.groups) * plant.turbine.rated_power_mw
     reactance = case.base_mva / (ratio * mva)
@@ -146,16 +141,19 @@ def _bench(ratio: float, **changes: Any) -> Plant:
         machines=(),
         sources=(Source(bus=_SOURCE_BUS),),
     )
-    return dataclasses.replace(plant, case=bench, **changes)
-
-
-def _strong() -> Plant:
-    # Relays would see the source's frequency.
-    return _bench(10.0, shedding=())
+    return dataclasses.replace(plant, case=bench, **{"shedding": (), **changes})
 
 
 def _weak() -> Plant:
-    return _bench(3.0, shedding=())
+    return _bench(3.0)
+
+
+def _bench_20() -> Plant:
+    return _bench(20.0)
+
+
+def _shedding() -> Plant:
+    return _bench(10.0, shedding=_grid().shedding)
 
 
 # --- criteria ---------------------------------------------------------------------------------------------------------
@@ -213,6 +211,11 @@ def _opposes(run: Recording, forward: bool) -> Verdict:
     return bool(opposes and rest <= 0.05), f"ΔP {first:+.2f} p.u., back within {rest:.3f} p.u."
 
 
+def _recovers_at(*cleared_s: float) -> Callable[[Recording], Verdict]:
+    """Return the criterion for faults that clear at some instants [s]."""
+    return lambda run: _recovers(run, cleared_s)
+
+
 def _recovers(run: Recording, cleared_s: Sequence[float]) -> Verdict:
     power, slowest, farthest = run.total(), 0.0, 0.0
     for at in cleared_s:
@@ -236,16 +239,31 @@ def _leaves_limit(run: Recording) -> Verdict:
 # --- the tests --------------------------------------------------------------------------------------------------------
 
 
+def _fault(bus: int, length_s: float, reactance_pu: float, time_s: float = 2.0) -> tuple[Event, ...]:
+    return (Fault(time_s=time_s, bus=bus, clears_after_s=length_s, reactance_pu=reactance_pu),)
+
+
 _RATIOS = (10.0, 3.0, 2.0, 1.5, 1.25)
-#: A fault of 125 ms, some six cycles, before each step of the ratio, which happens at its clearing.
-_STEPS = tuple(
+#: When faults of 125 ms, some six cycles, clear, and the ratio steps.
+_CLEARED_S = tuple(2.125 + 8.0 * k for k in range(len(_RATIOS)))
+_RATIO_STEPS = tuple(
     event
-    for k, ratio in enumerate(_RATIOS)
+    for at, ratio in zip(_CLEARED_S, _RATIOS, strict=True)
     for event in (
-        Fault(time_s=2.0 + 8.0 * k, bus=1, clears_after_s=0.125, reactance_pu=0.05),
-        ReactanceStep(time_s=2.125 + 8.0 * k, from_bus=_SOURCE_BUS, to_bus=1, factor=20.0 / ratio),
+        *_fault(1, 0.125, 0.05, at - 0.125),
+        ReactanceStep(time_s=at, from_bus=_SOURCE_BUS, to_bus=1, factor=20.0 / ratio),
     )
 )
+
+
+def _to_and_fro(rocof_hz_s: float) -> tuple[Event, ...]:
+    """Return a move of the source's frequency by 1 Hz, and, 5 s later, back."""
+    length = 1.0 / abs(rocof_hz_s)
+    return tuple(
+        FrequencyRamp(time_s=at, bus=_SOURCE_BUS, rocof_hz_s=rate, duration_s=length)
+        for at, rate in ((2.0, rocof_hz_s), (7.0 + length, -rocof_hz_s))
+    )
+
 
 _TAKES_OVER = (
     "0.8 … 1.1 p.u. at every bus except for 0.1 s, 47.5 … 51.5 Hz, in the last 5 s within 0.1 Hz; all groups stay"
@@ -255,107 +273,55 @@ _RESISTS = (
     "the grid's angle steps back by 10°, forward by 30°, or as named: at least 0.2 p.u. more power at once (forward: "
     "less), within 0.05 p.u. after 5 s; all groups stay"
 )
-
-
-def _ramp(name: str, source: str, rocof_hz_s: float) -> GridTest:
-    """Return a test in which the source's frequency moves by 1 Hz, stays for 5 s, and comes back."""
-    length = 1.0 / abs(rocof_hz_s)
-    events = tuple(
-        FrequencyRamp(time_s=at, bus=_SOURCE_BUS, rocof_hz_s=rate, duration_s=length)
-        for at, rate in ((2.0, rocof_hz_s), (7.0 + length, -rocof_hz_s))
-    )
-    return GridTest(name=name, source=source, criterion=_FOLLOWS, plant=_strong, events=events, judge=_follows)
-
-
-def _jump(name: str, source: str, angle_deg: float) -> GridTest:
-    """Return a test in which the source's angle steps forward, or back by a negative one."""
-    return GridTest(
-        name=name,
-        source=source,
-        criterion=_RESISTS,
-        plant=_weak,
-        duration_s=15.0,
-        events=(PhaseJump(time_s=2.0, bus=_SOURCE_BUS, angle_deg=angle_deg),),
-        judge=lambda run: _opposes(run, angle_deg > 0.0),
-    )
-
-
-def _last_machine(name: str, wind_m_s: float, load_level: float) -> GridTest:
-    """Return a test in which the last machine is lost."""
-    return GridTest(
-        name=name,
-        source="AEMO, MISO, EU 2016/631",
-        criterion=_TAKES_OVER,
-        plant=_one_machine,
-        wind_m_s=wind_m_s,
-        load_level=load_level,
-        duration_s=60.0,
-        events=(MachineOutage(time_s=2.0, bus=1),),
-        judge=_takes_over,
-    )
-
-
-def _island(name: str, **more: Any) -> GridTest:
-    """Return a test in which all groups and loads lose the source."""
-    return GridTest(
-        name=name,
-        source="AEMO, FNN, EU 2016/631",
-        criterion=_TAKES_OVER,
-        plant=lambda: _bench(10.0),
-        duration_s=60.0,
-        events=(LineTrip(time_s=2.0, from_bus=_SOURCE_BUS, to_bus=1),),
-        judge=_takes_over,
-        **more,
-    )
-
+_DIP = "150 ms near bus 1; 0.9 p.u. within 1.5 s, power within 0.05 p.u. in 3 s; all groups stay"
+_STEPS = "ratio 20 → 10, 3, 2, 1.5, 1.25 at the clearing of faults; each time as for the dip"
+_LIMIT = "500 ms near bus 2: 1.2 p.u. held, left within 0.5 s; over-voltages as in NER; all groups stay"
 
 GRID_TESTS: dict[str, GridTest] = {
     test.name: test
     for test in (
-        _last_machine("last-machine", 11.0, 0.92),
-        # Near their limit the groups get more load than they can carry.
-        _last_machine("last-machine-limit", 14.0, 1.1),
-        # The wind gives what is needed, whatever the law, and the machine next to nothing.
-        _last_machine("last-machine-balance", 14.0, 1.0),
-        _ramp("rocof-up", "AEMO, MISO", 4.0),
-        _ramp("rocof-down", "AEMO, MISO", -4.0),
-        _ramp("rocof-up-2", "FNN, SJV2024", 2.0),
-        _ramp("rocof-down-2", "FNN, SJV2024", -2.0),
-        _jump("angle-step", "AEMO, MISO, GC0137", -10.0),
-        _jump("angle-step-30", "AEMO, FNN", -30.0),
-        _jump("angle-step-60", "AEMO", -60.0),
-        _jump("angle-step-forward", "AEMO, FNN", 30.0),
-        _jump("angle-step-forward-60", "AEMO", 60.0),
-        GridTest(
-            name="dip",
-            source="FNN, SJV2024",
-            criterion="150 ms near bus 1; 0.9 p.u. within 1.5 s, power within 0.05 p.u. in 3 s; all groups stay",
-            plant=_weak,
-            duration_s=15.0,
-            events=(Fault(time_s=2.0, bus=1, clears_after_s=0.15, reactance_pu=0.02),),
-            judge=lambda run: _recovers(run, (2.15,)),
+        # The last machine is lost. Near their limit the groups get more load than they can carry. In balance the wind
+        # gives what is needed, whatever the law, and the machine next to nothing.
+        *(
+            GridTest(name, "AEMO, MISO, EU 2016/631", _TAKES_OVER, _one_machine, _takes_over, events, 60.0, wind, load)
+            for events in ((MachineOutage(time_s=2.0, bus=1),),)
+            for name, wind, load in (
+                ("last-machine", 11.0, 0.92),
+                ("last-machine-limit", 14.0, 1.1),
+                ("last-machine-balance", 14.0, 1.0),
+            )
         ),
-        GridTest(
-            name="ratio-steps",
-            source="AEMO, MISO",
-            criterion="ratio 20 → 10, 3, 2, 1.5, 1.25 at the clearing of faults; each time as for the dip",
-            plant=lambda: _bench(20.0, shedding=()),
-            wind_m_s=11.4,
-            duration_s=45.0,
-            events=_STEPS,
-            judge=lambda run: _recovers(run, [2.125 + 8.0 * k for k in range(len(_RATIOS))]),
+        *(
+            GridTest(name, source, _FOLLOWS, lambda: _bench(10.0), _follows, _to_and_fro(rocof_hz_s))
+            for name, source, rocof_hz_s in (
+                ("rocof-up", "AEMO, MISO", 4.0),
+                ("rocof-down", "AEMO, MISO", -4.0),
+                ("rocof-up-2", "FNN, SJV2024", 2.0),
+                ("rocof-down-2", "FNN, SJV2024", -2.0),
+            )
         ),
-        _island("island-surplus", wind_m_s=11.4, load_level=0.9),
-        _island("island-deficit", wind_m_s=11.0),
-        GridTest(
-            name="current-limit",
-            source="AEMO, GC0137, NER",
-            criterion="500 ms near bus 2: 1.2 p.u. held, left within 0.5 s; over-voltages as in NER; all groups stay",
-            plant=_grid,
-            wind_m_s=11.0,
-            events=(Fault(time_s=2.0, bus=2, clears_after_s=0.5, reactance_pu=0.05),),
-            judge=_leaves_limit,
+        *(
+            GridTest(
+                name, source, _RESISTS, _weak, functools.partial(_opposes, forward=jump.angle_deg > 0), (jump,), 15.0
+            )
+            for name, source, angle_deg in (
+                ("angle-step", "AEMO, MISO, GC0137", -10.0),
+                ("angle-step-30", "AEMO, FNN", -30.0),
+                ("angle-step-60", "AEMO", -60.0),
+                ("angle-step-forward", "AEMO, FNN", 30.0),
+                ("angle-step-forward-60", "AEMO", 60.0),
+            )
+            for jump in (PhaseJump(time_s=2.0, bus=_SOURCE_BUS, angle_deg=angle_deg),)
         ),
+        GridTest("dip", "FNN, SJV2024", _DIP, _weak, _recovers_at(2.15), _fault(1, 0.15, 0.02), 15.0),
+        GridTest("ratio-steps", "AEMO, MISO", _STEPS, _bench_20, _recovers_at(*_CLEARED_S), _RATIO_STEPS, 45.0, 11.4),
+        *(
+            GridTest(name, "AEMO, FNN, EU 2016/631", _TAKES_OVER, _shedding, _takes_over, events, 60.0, wind, load)
+            # All groups and loads lose the source.
+            for events in ((LineTrip(time_s=2.0, from_bus=_SOURCE_BUS, to_bus=1),),)
+            for name, wind, load in (("island-surplus", 11.4, 0.9), ("island-deficit", 11.0, 1.0))
+        ),
+        GridTest("current-limit", "AEMO, GC0137, NER", _LIMIT, _grid, _leaves_limit, _fault(2, 0.5, 0.05), 30.0, 11.0),
     )
 }
 
@@ -384,25 +350,20 @@ def run_grid_test(test: GridTest, entry: Entry) -> tuple[Recording, Verdict]:
     with started_lanes(entry, finest, [test.scenario(plant)], 1) as (lanes, _):
         simulator = lanes.simulator
         magnitudes = simulator.layout.rows_of(BUSES, "magnitude")
-        names = ("power", "current", "cut", "connected")
-
-        def sample() -> None:
-            time_s = simulator.lane_values("step")[0] * plant.simulation_dt
-            groups = [simulator.wtg_values(name)[0] for name in names]
-            voltages = np.array([simulator.values(row)[0] for row in magnitudes])
-            samples.append((time_s, simulator.lane_values("coi")[0], voltages, *groups))
-
-        sample()
-        for step in range(round(test.duration_s / plant.simulation_dt)):
-            lanes.step(actions[min(step // n_held, len(actions) - 1)] if actions else np.zeros((1, lanes.n_action)))
-            sample()
+        for step in range(1 + round(test.duration_s / plant.simulation_dt)):
+            if step:
+                at = min((step - 1) // n_held, len(actions) - 1)
+                lanes.step(actions[at] if actions else np.zeros((1, lanes.n_action)))
+            time_s, coi = (simulator.lane_values(name)[0] for name in ("step", "coi"))
+            groups = (simulator.wtg_values(name)[0] for name in ("power", "current", "cut", "connected"))
+            samples.append((time_s, coi, np.array([simulator.values(row)[0] for row in magnitudes]), *groups))
             if lanes.ended()[0].any():
                 break
         status = Status(int(simulator.lane_values("status")[0]))
         shed = simulator.lane_values("shed_energy")[0] * plant.case.base_mva
-    time_s, coi, voltages, power, current, cut, connected = (np.array(column) for column in zip(*samples, strict=True))
+    steps, coi, voltages, power, current, cut, connected = (np.array(column) for column in zip(*samples, strict=True))
     run = Recording(
-        time_s=time_s,
+        time_s=plant.simulation_dt * steps,
         frequency_hz=plant.case.frequency_hz * coi,
         voltage_pu=voltages,
         power_pu=power,

@@ -218,7 +218,7 @@ SUITES: Mapping[str, Suite] = MappingProxyType(
                 },
             ),
             _PAPER_V1,
-            # Made by `wtg-gym grid suite`.
+            # Without events that no law survives in simulation.
             *(read_suite(path).suite for path in sorted((FOLDER / "suites").glob("*.json"))),
         )
     }
