@@ -1,21 +1,15 @@
-"""For docs/performance.md: environment steps per second, of ours and of others, with gradients, and while training.
+"""For docs/performance.md: environment steps per second, with gradients, and while training.
 
 Ten minutes on a machine that does nothing else. Every case runs several times, in turns, so that a busy spell slows all
-of them alike; the median counts, and its ratio to Pendulum-v1 can be compared with other machines'. Other projects'
-environments are measured where they are installed, in the same virtual environment:
-
-    pip install gym-electric-motor gym-anm grid2op lightsim2grid envpool andes
+of them alike; the median counts, and its ratio to Pendulum-v1 can be compared with other machines'.
 """
 
 import functools
-import importlib.util
-import logging
 import os
 import platform
 import re
 import statistics
 import time
-import warnings
 from pathlib import Path
 
 import gymnasium as gym
@@ -94,62 +88,6 @@ def dummies(n_envs):
     return DummyVecEnv([functools.partial(gym.make, OURS["v0"])] * n_envs)
 
 
-def electric_motor():
-    import gym_electric_motor
-
-    # It reports observations out of its own space.
-    warnings.simplefilter("ignore")
-    return single(gym_electric_motor.make("Cont-CC-PMSM-v0"))
-
-
-def grid2op(backend=None):
-    """Step Grid2Op's power flow without actions: random topologies would end episodes at once."""
-    import grid2op
-
-    settings = {}
-    if backend is not None:
-        from lightsim2grid import LightSimBackend
-
-        settings["backend"] = LightSimBackend()
-    warnings.simplefilter("ignore")
-    env = grid2op.make("l2rpn_case14_sandbox", test=True, **settings)
-    nothing = env.action_space({})
-    env.reset()
-
-    def step():
-        if env.step(nothing)[2]:
-            env.reset()
-
-    return step, 1
-
-
-def envpool(name):
-    import envpool
-
-    envs = envpool.make(name, env_type="gymnasium", num_envs=1024)
-    envs.reset()
-    return batch(envs, envs.action_space, 1024)
-
-
-def andes():
-    """Step ANDES' own environment on its 14-bus case: five GENROU machines with governors and exciters, 0.1 s."""
-    import andes
-    from andes.rl import AndesEnv
-
-    logging.getLogger("andes").setLevel(logging.ERROR)
-    env = AndesEnv(
-        case=andes.get_case("ieee14/ieee14_full.xlsx"),
-        obs=[("GENROU", "omega")],
-        acts=[("SynGen", "paux")],
-        reward_fn=lambda observation, action, env: -float(sum((observation - 1.0) ** 2)),
-        dt=0.1,
-        tf=20.0,
-        action_low=-0.01,
-        action_high=0.01,
-    )
-    return single(env)
-
-
 def cases():
     """Return what prepares each case, by its name; the yardstick first."""
     found = {YARDSTICK: functools.partial(single, gym.make(YARDSTICK))}
@@ -164,19 +102,6 @@ def cases():
         found[f"{version}, gradients of 64"] = functools.partial(gradients, version, 64)
     found["v0, PPO on the SB3 adapter of 1024"] = lambda: training(SB3VecEnv(1024), 1024)
     found["v0, PPO on DummyVecEnv of 8"] = lambda: training(dummies(8), 8)
-    peers = {
-        "gym_electric_motor": {"Gym Electric Motor, Cont-CC-PMSM-v0": electric_motor},
-        "gym_anm": {"Gym-ANM, ANM6Easy-v0": lambda: single(gym.make("gym_anm:ANM6Easy-v0"))},
-        "grid2op": {"Grid2Op, l2rpn_case14_sandbox": grid2op},
-        "lightsim2grid": {"Grid2Op with lightsim2grid": lambda: grid2op("lightsim2grid")},
-        "envpool": {"EnvPool, Pendulum-v1, batch of 1024": functools.partial(envpool, YARDSTICK)},
-        "andes": {"ANDES, andes.rl, ieee14_full": andes},
-    }
-    for package, own in peers.items():
-        if importlib.util.find_spec(package) is not None:
-            found |= own
-        else:
-            print(f"left out, not installed: {package}")
     return found
 
 

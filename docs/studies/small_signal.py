@@ -1,10 +1,9 @@
-"""Small signal, for docs/validation.md and docs/model.md: the paper's loop against the simulator, margins, modes.
+"""Small signal, for docs/validation.md: the paper's loop against the simulator, and margins.
 
-    python docs/studies/small_signal.py [--output FOLDER]        FOLDER holds both pages; docs by default
+    python docs/studies/small_signal.py [--output FOLDER]        FOLDER holds the page; docs by default
 
 The paper's transfer functions describe one WTG on an infinite bus. The simulator, linearised numerically from the
-right-hand side that it integrates, must have the same poles there. Source for participation factors: P. Kundur: Power
-System Stability and Control, section 12.2.
+right-hand side that it integrates, must have the same poles there.
 """
 
 import dataclasses
@@ -15,13 +14,13 @@ from paper import single_machine
 
 from wtg_gym.files import markdown_table, update_between_markers
 from wtg_gym.physics.grid import Branch, Bus, NetworkCase
-from wtg_gym.physics.linearisation import largest_stable_steps, moving_matrix
+from wtg_gym.physics.linearisation import moving_matrix
 from wtg_gym.physics.machine_parameters import classical_machine
 from wtg_gym.physics.parameters import WtgGroup
 from wtg_gym.physics.plant import Plant
 from wtg_gym.physics.scenario import Scenario
 from wtg_gym.physics.simulator import Simulator
-from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY, STRATEGIES, group_laws
+from wtg_gym.physics.tracking_law import STRATEGIES, group_laws
 from wtg_gym.scenarios import get_suite
 
 WINDS = (8.0, 11.4)
@@ -30,30 +29,6 @@ DIFFERENCE = 2e-6  # of a state [rad, p.u.]; truncation and rounding are both ne
 
 
 # --- the linearised system --------------------------------------------------------------------------------------------
-
-
-@dataclasses.dataclass
-class LinearModel:
-    """ẋ = A x around an equilibrium."""
-
-    matrix: np.ndarray  # A (n, n) [1/s, with p.u. and rad]
-    state_names: list[str]  # such as wtg1.rotor_speed, counted from 0
-
-
-@dataclasses.dataclass
-class Mode:
-    """An eigenvalue, or a conjugate pair of them."""
-
-    eigenvalue: complex  # with the imaginary part of the pair that is not negative [1/s]
-    state: str  # that takes the largest part in it
-
-    @property
-    def frequency_hz(self):
-        return self.eigenvalue.imag / (2.0 * np.pi)
-
-    @property
-    def damping_ratio(self):
-        return -self.eigenvalue.real / abs(self.eigenvalue)
 
 
 def at_rest(scenario, laws, settings=None):
@@ -67,23 +42,15 @@ def at_rest(scenario, laws, settings=None):
 
 
 def linearise(scenario, laws, settings=None, *, side="under"):
-    """Linearise a plant around the equilibrium that a scenario starts from; `side` is the slope of g(ω) at ω_st.
+    """Return A of ẋ = A x around the equilibrium that a scenario starts from, and the names of the states.
 
-    `laws` are one law or strategy name for all WTG groups or one for each. The pitch protection at rest takes no part,
-    since it only acts upwards.
+    `laws` are one law or strategy name for all WTG groups or one for each. `side` is the slope of g(ω) at ω_st. The
+    pitch protection at rest takes no part, since it only acts upwards.
     """
     simulator = at_rest(scenario, laws, settings)
     rows, layout = simulator.blocks[0, :, 0], simulator.layout
     matrix, keep = moving_matrix(rows, simulator.plant, layout, {"under": -1.0, "over": 1.0}[side])
-    return LinearModel(matrix, np.array(layout.state_names)[keep].tolist())
-
-
-def modes(model):
-    """Return the modes of a linear model."""
-    values, right = np.linalg.eig(model.matrix)
-    largest = np.abs(np.linalg.inv(right) * right.T).argmax(axis=1)
-    pairs = zip(values, largest, strict=True)
-    return [Mode(complex(value), model.state_names[k]) for value, k in pairs if value.imag >= 0.0]
+    return matrix, np.array(layout.state_names)[keep].tolist()
 
 
 def synchronising_coefficients(scenario, laws, settings=None):
@@ -137,7 +104,7 @@ def compare(law, wind_m_s, side, settings):
     k_p = float(synchronising_coefficients(scenario, law, settings)[0, 0])
     loop = single_machine(law, wind_m_s, k_p, side, turbine=settings.turbine)
     poles = loop.closed_loop_poles()
-    eigenvalues = np.linalg.eigvals(linearise(scenario, law, settings, side=side).matrix)
+    eigenvalues = np.linalg.eigvals(linearise(scenario, law, settings, side=side)[0])
     nearest = np.array([eigenvalues[np.argmin(np.abs(eigenvalues - pole))] for pole in poles])
     return loop, float((np.abs(nearest - poles) / np.abs(poles)).max())
 
@@ -171,57 +138,6 @@ def margins_table():
     )
 
 
-def modes_of_v0():
-    """Return the least damped oscillation of the paper's system, with and without transient damping, as a sentence."""
-    scenario, found = get_suite("paper").scenario(0), []
-    for law in (REFERENCE_STRATEGY, "coordinated-undamped"):
-        oscillating = [mode for mode in modes(linearise(scenario, law)) if mode.frequency_hz > 0.0]
-        mode = min(oscillating, key=lambda mode: mode.damping_ratio)
-        found.append(f"ζ = {mode.damping_ratio:.2f} at {mode.frequency_hz:.2f} Hz")
-    return f"The least damped oscillation of the 14-bus system has {found[0]}, without transient damping {found[1]}."
-
-
-def names_of(plant):
-    """Return a function that names states for people: machines by their bus, WTG groups counted from 1."""
-    units = {f"sync{i}": f"bus{machine.bus}" for i, machine in enumerate(plant.case.machines)}
-    units.update({f"wtg{j}": f"wtg{j + 1}" for j in range(len(plant.groups))})
-
-    def named(state):
-        unit, _, rest = state.partition(".")
-        return f"{units.get(unit, unit)}.{rest}"
-
-    return named
-
-
-def modes_of_v1():
-    """Return extremes of the modes of v1's grids, on both slopes of g(ω), and the largest step at which all decay."""
-    found = []
-    for suite in map(get_suite, ("standard-v1", "low-share-v1", "high-share-v1")):
-        for scenario in suite.scenarios(suite.validation[:20]):
-            for side in ("under", "over"):
-                found += modes(linearise(scenario, REFERENCE_STRATEGY, suite.plant, side=side))
-    named = names_of(suite.plant)
-    oscillating = [mode for mode in found if mode.frequency_hz > 0.0]
-    chosen = {
-        "least damped": min(oscillating, key=lambda mode: mode.damping_ratio),
-        "fastest oscillation": max(oscillating, key=lambda mode: mode.frequency_hz),
-        "fastest": max(found, key=lambda mode: abs(mode.eigenvalue)),
-        "slowest": min(found, key=lambda mode: abs(mode.eigenvalue)),
-    }
-    lines = []
-    for what, mode in chosen.items():
-        value = f"{mode.eigenvalue.real:.3f}"
-        if mode.frequency_hz > 0.0:
-            value += f" ± j{mode.eigenvalue.imag:.3f}/s, {mode.frequency_hz:.2f} Hz, ζ = {mode.damping_ratio:.2f}"
-        else:
-            value += "/s"
-        lines.append(f"- {what}: {value.replace('-', '−')} ({named(mode.state)})")
-    step_s = min(largest_stable_steps([mode.eigenvalue for mode in found]))
-    return "\n".join((*lines, f"- largest stable step: {1e3 * step_s:.0f} ms"))
-
-
 if __name__ == "__main__":
     folder = output_folder(__doc__)
-    for section, text in (("small-signal", margins_table()), ("modes", modes_of_v0())):
-        update_between_markers(folder / "validation.md", text, section)
-    update_between_markers(folder / "model.md", modes_of_v1(), "modes-v1")
+    update_between_markers(folder / "validation.md", margins_table(), "small-signal")

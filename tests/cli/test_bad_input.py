@@ -61,7 +61,7 @@ BAD = [
     (f"evaluate --seeds {' 1' * 2000}", "the command line has 2004 items; allowed: at most 2000"),
     ("evaluate --threads 0", "the number of threads must be a whole number of 1 or more, got 0"),
     ("evaluate --results file.txt", '"file.txt" is a file'),
-    ("evaluate --address tcp://head:8786", "--address is for workers: say which with --backend loky, dask, ray"),
+    ("evaluate --address tcp://head:8786", "--address is for workers: say which with --backend loky, dask"),
     ("evaluate --backend loky --address tcp://head:8786", "loky has workers on this machine only"),
     ("evaluate --backend loky --threads 2", "--threads 2: a worker steps with one thread"),
     # Pages and results.

@@ -65,5 +65,5 @@ def test_made_up_claims_about_an_entry_are_differences_and_other_texts_none(
     results = Results.read(folder / "standard-test.json")
     entries = tuple({**entry, key: value} if entry["name"] == "deloaded-5" else entry for entry in results.entries)
     found = recompute(dataclasses.replace(results, entries=entries), load_entries("deloaded-5"))
-    named = [difference.where for difference in (found.differences if differs else found.circumstances)]
+    named = [where for where, *_ in (found.differences if differs else found.circumstances)]
     assert named == [f"entry deloaded-5: {key}"] and bool(found.differences) == differs

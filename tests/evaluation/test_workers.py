@@ -1,7 +1,4 @@
-"""Facts about evaluations that other processes play: the same bytes, whatever happens to a process.
-
-Those of Ray are skipped where it is not installed.
-"""
+"""Facts about evaluations that other processes play: the same bytes, whatever happens to a process."""
 
 from __future__ import annotations
 
@@ -27,12 +24,6 @@ ROOT = Path(__file__).resolve().parents[2]
 SHORT: dict[str, Any] = {"seeds": (20_002, 20_000, 20_005, 20_001, 20_007), "duration_s": 2.0, "batch": 2}
 
 
-def _backend(name: str) -> Any:
-    missing = importlib.util.find_spec(workers.BACKENDS[name][0]) is None
-    return pytest.param(name, marks=pytest.mark.skipif(missing, reason=f"{name} is missing"))
-
-
-BACKENDS = [_backend(name) for name in workers.BACKENDS]
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="processes are killed with signals")
 
 
@@ -68,7 +59,7 @@ class Failing(Linear):
         raise ZeroDivisionError("no action from me")
 
 
-@pytest.mark.parametrize("backend", BACKENDS)
+@pytest.mark.parametrize("backend", workers.BACKENDS)
 def test_workers_give_the_same_bytes_and_failures(backend: str, tmp_path: Path) -> None:
     entries = [*load_entries("tip-speed-feedback"), *load_entries(ROOT / "agents/policies/ppo-k-0")]
     entries.append(Entry(name="failing", policy=Failing()))
@@ -106,7 +97,6 @@ def test_killed_worker_of_loky_is_named_and_the_run_goes_on_from_its_finished_ba
     assert evaluate([Entry(name="mortal", policy=Failing(), fingerprint="1")], "standard", "test", **arguments) == again
 
 
-@_backend("dask").marks[0]
 def test_worker_that_dask_gives_up_is_named(tmp_path: Path) -> None:
     import dask
 
@@ -118,7 +108,6 @@ def test_worker_that_dask_gives_up_is_named(tmp_path: Path) -> None:
         evaluate([mortal], "standard", "test", workers=Workers("dask", jobs=2), **SHORT)
 
 
-@_backend("dask").marks[0]
 def test_dask_cluster_at_an_address_plays_or_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     import distributed
 
@@ -130,12 +119,6 @@ def test_dask_cluster_at_an_address_plays_or_is_named(monkeypatch: pytest.Monkey
     for address in ("tcp://127.0.0.1:1", "nowhere"):
         with pytest.raises(ValueError, match=f"no dask cluster answers at {address}"):
             evaluate([], "standard", "test", workers=Workers("dask", address), **SHORT)
-
-
-@_backend("ray").marks[0]
-def test_ray_cluster_that_does_not_answer_is_named() -> None:
-    with pytest.raises(ValueError, match="no ray cluster answers at auto"):
-        evaluate([], "standard", "test", workers=Workers("ray", "auto"), **SHORT)
 
 
 def test_worker_with_other_code_plays_nothing() -> None:
@@ -157,5 +140,5 @@ def test_workers_have_one_thread_each_and_their_package(monkeypatch: pytest.Monk
     with pytest.raises(ValueError, match="one thread"):
         evaluate([], "standard", "test", workers=Workers("loky"), n_threads=2, **SHORT)
     monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
-    with pytest.raises(ValueError, match=r"ray needs ray; in a checkout: pip install '\.\[ray\]'"):
-        Workers("ray")
+    with pytest.raises(ValueError, match=r"dask needs distributed; in a checkout: pip install '\.\[cluster\]'"):
+        Workers("dask")

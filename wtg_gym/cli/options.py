@@ -84,10 +84,10 @@ def _group(title: str, text: str = "") -> Callable[[type], type]:
 class WorkerOptions:
     """The processes that play."""
 
-    backend: Literal["loky", "dask", "ray"] | None = None
-    """loky's on this machine, or those of Dask or Ray; default: this process"""
+    backend: Literal["loky", "dask"] | None = None
+    """loky's on this machine, or those of Dask; default: this process"""
     address: str | None = None
-    """of a cluster: tcp://host:8786 for dask, host:6379 or auto for ray; default: workers on this machine"""
+    """of Dask's scheduler, such as tcp://host:8786; default: workers on this machine"""
     jobs: Whole | None = None
     """number of workers; default: one per processor"""
 

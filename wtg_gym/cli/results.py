@@ -81,8 +81,8 @@ def recompute(
     chosen = scoring.chosen_entries(entries, stored.suite)
     with Progress("episodes") as progress:
         comparison = compute_again(stored, chosen, n_threads=threads, workers=processes, on_progress=progress.update)
-    for difference in comparison.circumstances:
-        out.note(f"{difference.where} was {difference.stored}, is {difference.now}")
+    for where, before, now in comparison.circumstances:
+        out.note(f"{where} was {before}, is {now}")
     for text in departures(stored):
         out.note(f"not the benchmark's own: {text}")
     if not comparison.differences:

@@ -39,14 +39,18 @@ from wtg_gym.tasks.episode import TIME_CONSTANT_RATIO
 Progress = Callable[[str, int, int], None]
 #: A batch: an entry, and the seeds of the scenarios that it plays at once.
 _Part = tuple[Entry, list[int]]
+#: What :func:`evaluate` plays: names, paths or entries, one or several.
+Entries = str | Path | Entry | Sequence[str | Path | Entry]
 #: How often the policies of an evaluation that ends early are closed until their threads have ended [s].
 _CLOSE_AGAIN_S = 0.05
+#: What finished batches belong to.
+_OF_PARTS = ("suite_hash", "split", "settings")
 #: Settings that an entry or an argument of its own decides.
 _TAKEN = ("strategy", "action_mode", "observation_mode", "suite", "split", "scenario")
 
 
 def evaluate(
-    entries: str | Path | Entry | Sequence[str | Path | Entry],
+    entries: Entries,
     suite: str = DEFAULT_SUITE,
     split: str = "validation",
     *,
@@ -69,7 +73,7 @@ def evaluate(
 
     Args:
         entries: each an :class:`Entry`, or a name or path that :func:`load_entries` takes.
-        suite: name of the suite.
+        suite: its name.
         split: "train", "validation" or "test".
         seeds: some of the split's seeds; None for all.
         batch: scenarios that run side by side, of an ONNX policy 64 at most.
@@ -91,38 +95,40 @@ def evaluate(
     if workers is not None and n_threads not in (None, 1):
         raise ValueError(f"a worker steps with one thread; leave out the threads, got {n_threads!r}")
     settings = EnvSettings(suite=suite, split=split, **env_arguments)
-    played_suite = settings.resolved_suite
-    competitors = _with_references(entries, played_suite)
-    chosen, shared = chosen_seeds(settings.suite_name, split, seeds), shared_settings(settings)
-    check_size((entry.name for entry in competitors), len(chosen))
-    store = PartialStore(partial, [played_suite.name, played_suite.hash, split, shared])
-    parts = [part for entry in competitors for part in _parts(entry, chosen, batch)]
+    competitors = _with_references(entries, settings.resolved_suite)
+    description = _description(settings, chosen_seeds(settings.suite_name, split, seeds), competitors)
+    store = PartialStore(partial, [settings.resolved_suite.name, *map(description.get, _OF_PARTS)])
+    parts = [part for entry in competitors for part in _parts(entry, description["seeds"], batch)]
     needed = settings.task.references if keep_going else [entry.name for entry in competitors]
     episodes, failures = _episodes(store, parts, settings, n_threads, workers, on_progress, needed)
-    return Results(
-        suite=settings.suite_name,
-        split=split,
-        suite_hash=played_suite.hash,
-        source_hash=source_hash(),
-        seeds=tuple(chosen),
-        environment={"id": settings.env_id, "fingerprint": environment_fingerprint(settings)},
-        settings=shared,
-        versions=dict(versions()),
-        entries=tuple(entry.to_dict() for entry in competitors),
-        episodes=tuple(episodes),
-        parts=store,
-    ).without(failures)
+    return Results(**description, episodes=tuple(episodes), parts=store).without(failures)
+
+
+def _description(settings: EnvSettings, seeds: Sequence[int], entries: Sequence[Entry]) -> dict[str, Any]:
+    """Return what results hold beside their episodes."""
+    check_size((entry.name for entry in entries), len(seeds))
+    return {
+        "suite": settings.suite_name,
+        "split": settings.split,
+        "suite_hash": settings.resolved_suite.hash,
+        "source_hash": source_hash(),
+        "seeds": tuple(seeds),
+        "environment": {"id": settings.env_id, "fingerprint": environment_fingerprint(settings)},
+        "settings": shared_settings(settings),
+        "versions": dict(versions()),
+        "entries": tuple(entry.to_dict() for entry in entries),
+    }
 
 
 # --- arguments -------------------------------------------------------------------------------------------------------
 
 
-def _with_references(given: str | Path | Entry | Sequence[str | Path | Entry], suite: Suite) -> list[Entry]:
+def _with_references(given: Entries, suite: Suite) -> list[Entry]:
     """Return the entries, and the version's references that are not among them."""
-    entries: list[Any] = []
-    task = suite.task
     if not isinstance(given, (str, Path, Entry, Sequence)):
         raise ValueError(f"entries must be names, paths or Entry, one or a list of them, got {given!r}")
+    entries: list[Any] = []
+    task = suite.task
     for each in [given] if isinstance(given, (str, Path, Entry)) else given:
         entries += load_entries(each, task=task) if isinstance(each, (str, Path)) else [each]
     check_entries(entries)

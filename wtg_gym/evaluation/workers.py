@@ -1,4 +1,4 @@
-"""Batches played by other processes, here or on a cluster: joblib's loky, Dask's or Ray's.
+"""Batches played by other processes: joblib's loky on this machine, or Dask's, here or on a cluster.
 
 A cluster plays the batches of a worker that is lost again. A worker whose code, packages or processor could round
 otherwise than those here is refused.
@@ -25,8 +25,8 @@ from wtg_gym.extras import install_advice
 from wtg_gym.policies import Entry, PolicyError
 from wtg_gym.ranges import require_whole
 
-#: Backends: the package each of them needs, and the extra of wtg-gym that brings it.
-BACKENDS = {"loky": ("joblib", "cluster"), "dask": ("distributed", "cluster"), "ray": ("ray", "ray")}
+#: Backends, and the package each of them needs.
+BACKENDS = {"loky": "joblib", "dask": "distributed"}
 _LARGEST_JOBS = 10_000
 #: Time for a scheduler to answer [s].
 _CONNECT_S = 15
@@ -45,9 +45,8 @@ class Workers:
     that `predict` returns, and its module must be there on every machine.
 
     Args:
-        backend: "loky" for processes of this machine; "dask" or "ray" for a cluster, or for one of their own here.
-        address: of Dask's scheduler, as in "tcp://host:8786", or of a Ray cluster, as in "host:6379" or "auto"; None
-            starts workers on this machine.
+        backend: "loky" for processes of this machine; "dask" for a cluster, or for one of its own here.
+        address: of Dask's scheduler, as in "tcp://host:8786"; None starts workers on this machine.
         jobs: number of workers, 2 or more; None for one per processor. A cluster at an address uses all it has.
 
     Raises:
@@ -63,14 +62,13 @@ class Workers:
         if backend not in BACKENDS:
             raise ValueError(f"unknown backend {backend!r}; allowed are {', '.join(BACKENDS)}")
         if address is not None and backend == "loky":
-            raise ValueError(f"an address is for dask and ray, loky has workers on this machine only; got {address!r}")
+            raise ValueError(f"an address is for dask, loky has workers on this machine only; got {address!r}")
         if jobs is not None:
             require_whole("jobs", jobs, 2, _LARGEST_JOBS)
         if jobs is not None and address is not None:
             raise ValueError(f"a cluster at an address uses all of its workers; leave out jobs, got {jobs}")
-        package, extra = BACKENDS[backend]
-        if importlib.util.find_spec(package) is None:
-            raise ValueError(f"backend {backend} needs {package}; {install_advice(extra)}")
+        if importlib.util.find_spec(BACKENDS[backend]) is None:
+            raise ValueError(f"backend {backend} needs {BACKENDS[backend]}; {install_advice('cluster')}")
 
     def play(
         self, play: Play, settings: EnvSettings, parts: Sequence[tuple[Entry, list[int]]]
@@ -91,8 +89,7 @@ class Workers:
         with contextlib.ExitStack() as stack:
             try:
                 submit = stack.enter_context(_submitter(self.backend, self.address, self.jobs or os.cpu_count() or 1))
-            # Ray ends the process where a cluster that it remembers is gone.
-            except (OSError, ValueError, SystemExit) as error:
+            except (OSError, ValueError) as error:
                 raise ValueError(f"no {self.backend} cluster answers at {self.address}: {_in_short(error)}") from error
             indices = {
                 submit(_work, play, parcels[id(entry)], seeds, wanted): index
@@ -128,15 +125,11 @@ def _in_short(error: BaseException) -> str:
     return f"{type(error).__name__}: {str(error).strip().partition(chr(10))[0]}"
 
 
-# --- backends --------------------------------------------------------------------------------------------------------
-
-
 @contextlib.contextmanager
 def _submitter(backend: str, address: str | None, jobs: int) -> Iterator[Callable[..., Future[Any]]]:
     """Give the function that hands work to a backend; processes and connections that are made for it end afterwards.
 
-    Not joblib's own interface to Dask and Ray (1.6): it waits for ever for a worker that Dask gives up, and has results
-    of Ray only when all of them are there.
+    Not joblib's own interface to Dask (1.6), which waits for ever for a worker that Dask gives up.
     """
     with contextlib.ExitStack() as stack:
         if backend == "loky":
@@ -145,25 +138,17 @@ def _submitter(backend: str, address: str | None, jobs: int) -> Iterator[Callabl
             executor = ProcessPoolExecutor(jobs)
             stack.callback(executor.shutdown, kill_workers=True)
             yield executor.submit
-        elif backend == "dask":
-            import distributed
+            return
+        import distributed
 
-            options: dict[str, Any] = {}
-            if address is None:
-                # In a folder of its own: pickles are written there, and Dask's usual one is shared by all users.
-                folder = stack.enter_context(tempfile.TemporaryDirectory())
-                options = {"n_workers": jobs, "threads_per_worker": 1, "dashboard_address": "127.0.0.1:0"}
-                options["local_directory"] = folder
-            else:
-                # A client that was made for an address that is none takes half a minute to go.
-                distributed.comm.get_address_host_port(address, strict=True)
-            client = distributed.Client(address, timeout=_CONNECT_S, set_as_default=False, **options)
-            yield stack.enter_context(client).get_executor(pure=False).submit
+        options: dict[str, Any] = {}
+        if address is None:
+            # In a folder of its own: pickles are written there, and Dask's usual one is shared by all users.
+            folder = stack.enter_context(tempfile.TemporaryDirectory())
+            options = {"n_workers": jobs, "threads_per_worker": 1, "dashboard_address": "127.0.0.1:0"}
+            options["local_directory"] = folder
         else:
-            import ray
-
-            os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
-            local = {"num_cpus": jobs, "include_dashboard": False} if address is None else {}
-            ray.init(address or "local", logging_level="ERROR", log_to_driver=False, **local)
-            stack.callback(ray.shutdown)
-            yield lambda work, *arguments: ray.remote(num_cpus=1)(work).remote(*arguments).future()
+            # A client that was made for an address that is none takes half a minute to go.
+            distributed.comm.get_address_host_port(address, strict=True)
+        client = distributed.Client(address, timeout=_CONNECT_S, set_as_default=False, **options)
+        yield stack.enter_context(client).get_executor(pure=False).submit
