@@ -8,6 +8,7 @@ generation has other scenarios.
 
 from __future__ import annotations
 
+import functools
 import pickle
 import sys
 from collections.abc import Sequence
@@ -27,7 +28,7 @@ from agents.run import Run, RunOptions, RunSettings, Whole
 from wtg_gym.envs import EnvSettings
 from wtg_gym.envs.lanes import TaskLanes
 from wtg_gym.physics.scenario import Scenario
-from wtg_gym.ranges import require_range, require_whole
+from wtg_gym.ranges import Checked, design
 from wtg_gym.tasks.observation import FREQUENCY_UNIT_HZ, ROTOR_SPEED_UNIT_PU
 
 Floats = npt.NDArray[np.float64]
@@ -51,34 +52,25 @@ _LOW = [LOW_FREQUENCY_HZ / FREQUENCY_UNIT_HZ, (LOW_ROTOR_PU - 1.0) / ROTOR_SPEED
 
 @Parameter(name="*")
 @dataclass(frozen=True)
-class Hyperparameters:
+class Hyperparameters(Checked):
     """Hyperparameters; the first generations search the direct weights alone, which are few."""
 
-    hidden: Whole = 6
+    hidden: Whole = design(6, "-", "", 0, 1000)
     """tanh units, or 0 for a linear policy"""
-    population: Whole = 20
+    population: Whole = design(20, "-", "", 4, 10_000)
     """candidates of a generation"""
-    first_share: float = 0.4
+    first_share: float = design(0.4, "-", "", 0.0, 1.0)
     """of the generations, for the direct weights alone"""
-    first_spread: float = 0.15
+    first_spread: float = design(0.15, "-", "", 1e-6, 100.0)
     """standard deviation of the first candidates' direct weights"""
-    spread: float = 0.03
+    spread: float = design(0.03, "-", "", 1e-6, 100.0)
     """standard deviation of all weights, when they are searched first"""
-    mean_weight: float = 0.0
+    mean_weight: float = design(0.0, "-", "", 0.0, 100.0)
     """weight of J / J0 beside ln(J + J0)"""
-    mark_weight: float = 1.0
+    mark_weight: float = design(1.0, "-", "", 0.0, 100.0)
     """weight of the share of runs with the grid lost or beyond 0.8 Hz"""
     history: Annotated[bool, Parameter(negative="--own-only")] = True
     """a group sees slow copies and the mean frequency too, or its present observation alone"""
-
-    def __post_init__(self) -> None:
-        require_whole("hidden", self.hidden, 0, 1000)
-        require_whole("population", self.population, 4, 10_000)
-        require_range("first_share", self.first_share, 0.0, 1.0, "")
-        for name in ("first_spread", "spread"):
-            require_range(name, getattr(self, name), 1e-6, 100.0, "")
-        for name in ("mean_weight", "mark_weight"):
-            require_range(name, getattr(self, name), 0.0, 100.0, "")
 
 
 class GroupPolicy(nn.Module):
@@ -289,10 +281,8 @@ def command(*, options: RunOptions = RunOptions(), h: Hyperparameters = Hyperpar
     )
 
 
-def main(argv: Sequence[str] | None = None) -> int:
-    """Run the command and return its exit code."""
-    return runs.run_command(command, "agents.evolution", argv, "go on with --resume")
-
+#: Runs the command with some words, by default those of the command line, and returns its exit code.
+main = functools.partial(runs.run_command, command, "agents.evolution", "go on with --resume")
 
 if __name__ == "__main__":
     sys.exit(main())

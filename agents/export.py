@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -67,10 +68,8 @@ def command(
     note(f"wrote {output}")
 
 
-def main(argv: Sequence[str] | None = None) -> int:
-    """Run the command and return its exit code."""
-    return run_command(command, "agents.export", argv, "begin anew")
-
+#: Runs the command with some words, by default those of the command line, and returns its exit code.
+main = functools.partial(run_command, command, "agents.export", "begin anew")
 
 if __name__ == "__main__":
     sys.exit(main())

@@ -8,6 +8,7 @@ in the loss they come gradually.
 
 from __future__ import annotations
 
+import functools
 import itertools
 import math
 import sys
@@ -28,7 +29,7 @@ from wtg_gym.envs import EnvSettings
 from wtg_gym.evaluation.score import pinned_cost
 from wtg_gym.gradients.torch import TorchEpisodes
 from wtg_gym.physics.scenario import Scenario
-from wtg_gym.ranges import require_range, require_whole
+from wtg_gym.ranges import Checked, design
 from wtg_gym.tasks.cost import CostTerms
 
 #: The algorithm's name in run.json.
@@ -49,38 +50,29 @@ STRAY_WEIGHT = 5.0
 
 @Parameter(name="*")
 @dataclass(frozen=True)
-class Hyperparameters:
+class Hyperparameters(Checked):
     """Hyperparameters; the learning rate falls along half a cosine to `last_rate` of it."""
 
-    hidden: Annotated[tuple[Whole, ...], Parameter(consume_multiple=True, negative="")] = (64, 64)
+    hidden: Annotated[tuple[Whole, ...], Parameter(consume_multiple=True, negative="")] = design(
+        (64, 64), "-", "", 1, 10_000
+    )
     """widths of the hidden layers, or none"""
-    lstm: Whole = 0
+    lstm: Whole = design(0, "-", "", 0, 10_000)
     """width of an LSTM in front of the layers; 0: none"""
-    learning_rate: float = 1e-2
+    learning_rate: float = design(1e-2, "-", "", 0.0, 10.0)
     """of Adam at the start"""
-    last_rate: float = 0.05
+    last_rate: float = design(0.05, "-", "", 0.0, 1.0)
     """of the learning rate, at the end"""
-    betas: Annotated[tuple[float, float], Parameter(negative="")] = (0.9, 0.99)
+    betas: Annotated[tuple[float, float], Parameter(negative="")] = design((0.9, 0.99), "-", "", 0.0, 1.0)
     """of Adam"""
-    max_grad_norm: float = 1.0
+    max_grad_norm: float = design(1.0, "-", "", 0.0, 1e6)
     """largest norm of a gradient"""
-    mean_weight: float = 0.0
+    mean_weight: float = design(0.0, "-", "", 0.0, 100.0)
     """weight of J / J0 in the loss, beside ln(J + J0)"""
-    averaged: Whole = 30
+    averaged: Whole = design(30, "-", "", 1, 100_000)
     """updates over which the weights that are validated and exported are averaged, exponentially"""
     per_group: Annotated[bool, Parameter(negative="")] = False
     """the policy sees one group at a time, and plays any grid"""
-
-    def __post_init__(self) -> None:
-        for width in self.hidden:
-            require_whole("a width of hidden", width, 1, 10_000)
-        require_whole("lstm", self.lstm, 0, 10_000)
-        require_whole("averaged", self.averaged, 1, 100_000)
-        ranges = {"learning_rate": 10.0, "last_rate": 1.0, "max_grad_norm": 1e6, "mean_weight": 100.0}
-        for name, most in ranges.items():
-            require_range(name, getattr(self, name), 0.0, most, "")
-        for beta in self.betas:
-            require_range("a beta", beta, 0.0, 1.0, "")
 
 
 class GradientPolicy(nn.Module):
@@ -268,10 +260,8 @@ def command(*, options: RunOptions = RunOptions(), h: Hyperparameters = Hyperpar
     )
 
 
-def main(argv: Sequence[str] | None = None) -> int:
-    """Run the command and return its exit code."""
-    return runs.run_command(command, "agents.gradient", argv, "go on with --resume")
-
+#: Runs the command with some words, by default those of the command line, and returns its exit code.
+main = functools.partial(runs.run_command, command, "agents.gradient", "go on with --resume")
 
 if __name__ == "__main__":
     sys.exit(main())

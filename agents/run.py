@@ -53,23 +53,21 @@ _TOLERANCE = 1e-4
 
 
 class Learner(Protocol):
-    """What is trained."""
+    """What is trained.
 
-    def network(self, settings: RunSettings) -> nn.Module:
-        """Return the deterministic policy for the environment of a run, in the form of `wtg_gym.export_onnx`."""
-        ...
+    `network` returns the deterministic policy for the environment of a run, in the form of `wtg_gym.export_onnx`, and
+    `save` writes everything that training goes on from.
+    """
 
-    def save(self, folder: Path) -> object:
-        """Write everything that training goes on from."""
-        ...
+    def network(self, settings: RunSettings) -> nn.Module: ...
+
+    def save(self, folder: Path) -> object: ...
 
 
 class RoundLearner(Learner, Protocol):
-    """A learner for :func:`train_in_rounds`."""
+    """A learner for :func:`train_in_rounds`; `load` goes back to what was saved, or names a damaged folder."""
 
-    def load(self, folder: Path) -> None:
-        """Go back to what :meth:`save` wrote; a ValueError names a folder that is damaged."""
-        ...
+    def load(self, folder: Path) -> None: ...
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -427,7 +425,9 @@ def note(text: str) -> None:
     print(text, file=sys.stderr)
 
 
-def run_command(command: Callable[..., None], name: str, argv: Sequence[str] | None, after_interrupt: str) -> int:
+def run_command(
+    command: Callable[..., None], name: str, after_interrupt: str, argv: Sequence[str] | None = None
+) -> int:
     """Run the command `python -m NAME` and return its exit code: 0 fine, 2 bad input, 130 interrupted."""
     words = sys.argv[1:] if argv is None else list(argv)
     app = App(name=f"python -m {name}", help_format="plaintext", version_flags=(), suppress_keyboard_interrupt=False)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import re
 import sys
 from collections.abc import Sequence
@@ -91,10 +92,8 @@ def command(*runs: Path) -> None:
     note(f"{PAGE}: {'updated' if changed else 'already up to date'}")
 
 
-def main(argv: Sequence[str] | None = None) -> int:
-    """Run the command and return its exit code."""
-    return run_command(command, "agents.shipped", argv, "run it again")
-
+#: Runs the command with some words, by default those of the command line, and returns its exit code.
+main = functools.partial(run_command, command, "agents.shipped", "run it again")
 
 if __name__ == "__main__":
     sys.exit(main())

@@ -7,9 +7,10 @@ and the replay buffer. It is made of pickles, which run code when they are loade
 from __future__ import annotations
 
 import copy
+import functools
 import itertools
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Literal
 
@@ -223,10 +224,8 @@ def command(
     begin_or_go_on(options, TRAINED, lambda: new_settings(options, algo, config), train)
 
 
-def main(argv: Sequence[str] | None = None) -> int:
-    """Run the command and return its exit code."""
-    return run_command(command, "agents.train", argv, "go on with --resume")
-
+#: Runs the command with some words, by default those of the command line, and returns its exit code.
+main = functools.partial(run_command, command, "agents.train", "go on with --resume")
 
 if __name__ == "__main__":
     sys.exit(main())

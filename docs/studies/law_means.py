@@ -12,7 +12,7 @@ from __future__ import annotations
 import argparse
 import itertools
 import json
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures import ProcessPoolExecutor
 
 import numpy as np
 
@@ -23,7 +23,6 @@ from wtg_gym.evaluation.score import gains
 from wtg_gym.evaluation.summary import pinned_costs
 from wtg_gym.files import to_json, write_atomically
 from wtg_gym.policies import Entry, PolicyError
-from wtg_gym.progress import Progress
 from wtg_gym.scenarios import SUITES, get_suite
 from wtg_gym.tasks import V1
 
@@ -50,14 +49,9 @@ def law_means(name, n_scenarios=N_SCENARIOS):
     suite = get_suite(name)
     # The first ones are what entries train on.
     seeds = suite.train[-n_scenarios:]
-    parts = {first: seeds[first : first + _AT_ONCE] for first in range(0, len(seeds), _AT_ONCE)}
-    with ProcessPoolExecutor() as pool, Progress("scenarios") as progress:
-        futures = {pool.submit(gains_of, name, list(part)): first for first, part in parts.items()}
-        done = (_AT_ONCE * n for n in itertools.count(1))
-        for future, n_done in zip(as_completed(futures), done, strict=False):
-            future.result()
-            progress.update(name, min(n_done, len(seeds)), len(seeds))
-    x = np.concatenate([future.result() for future in futures])
+    parts = [list(seeds[first : first + _AT_ONCE]) for first in range(0, len(seeds), _AT_ONCE)]
+    with ProcessPoolExecutor() as pool:
+        x = np.concatenate(list(pool.map(gains_of, itertools.repeat(name), parts)))
     of = np.array([suite.stratum(seed) for seed in seeds])
     return {
         "suite_hash": suite.hash,

@@ -209,7 +209,7 @@ def test_entry_that_fails_is_left_out_with_its_row_and_the_others_stand(tmp_path
     [
         ([], "standard", {"split": "tests", "seeds": None}, "unknown split"),
         ([], "standard", {"split": "train", "seeds": None}, "too many"),
-        ([], "standard", {"seeds": []}, "no seeds were given; .*20000 … 20199"),
+        ([], "standard", {"seeds": []}, "seeds must be a list of whole numbers, one or more, got .*20000 … 20199"),
         ([], "standard", {"batch": 0}, "1 … 10000"),
         ([], "standard", {"strategy": "mppt"}, "set by the entry"),
         ([], "standard", {"partial": __file__}, "partial must be a folder"),

@@ -78,11 +78,7 @@ def from_csv(text: str, path: Path) -> list[Episode]:
         raise ValueError(f"the episodes in {path} are not CSV: {error}") from error
     header = rows[0] if rows else []
     if tuple(header) != COLUMNS:
-        unknown, missing = [c for c in header if c not in COLUMNS], [c for c in COLUMNS if c not in header]
-        raise ValueError(
-            f"the header of {path} is not that of this version: unknown columns {unknown}, missing columns {missing}; "
-            f"expected, in this order, {', '.join(COLUMNS)}"
-        )
+        raise ValueError(f"the header of {path} must be {', '.join(COLUMNS)}, as of this version; got {header!r:.500}")
     return [episode_from_cells(cells, f"{path}, line {line}") for line, cells in enumerate(rows[1:], start=2)]
 
 

@@ -159,14 +159,11 @@ def chosen_seeds(suite: str, split: str, seeds: Sequence[int] | None) -> list[in
         if len(allowed) > MOST_SCENARIOS:
             raise ValueError(f"{text}: too many to play them all; choose some with seeds=")
         return list(allowed)
-    if isinstance(seeds, str) or not isinstance(seeds, (Sequence, np.ndarray)):
-        raise ValueError(f"seeds must be a list of whole numbers, got {seeds!r}; {text}")
+    if isinstance(seeds, str) or not isinstance(seeds, (Sequence, np.ndarray)) or len(seeds) == 0:
+        raise ValueError(f"seeds must be a list of whole numbers, one or more, got {seeds!r}; {text}")
     require_count("the list of seeds", len(seeds), MOST_SCENARIOS)
-    wrong = [seed for seed in seeds if not is_whole(seed) or seed not in allowed]
-    if wrong:
+    if wrong := [seed for seed in seeds if not is_whole(seed) or seed not in allowed]:
         raise ValueError(f"{text}; got {', '.join(map(repr, wrong[:5]))}{' …' if len(wrong) > 5 else ''}")
-    if len(seeds) == 0:
-        raise ValueError(f"no seeds were given; {text}")
     if twice := [seed for seed, times in Counter(seeds).items() if times > 1]:
         raise ValueError(f"every seed may be given once; given more often: {', '.join(map(str, twice[:5]))}")
     return [int(seed) for seed in seeds]

@@ -7,6 +7,7 @@ because those names could collide with other packages.
 
 from __future__ import annotations
 
+import dataclasses
 import functools
 import importlib
 import itertools
@@ -150,9 +151,8 @@ def load_entry_folder(folder: Path) -> Entry:
     data = _entry_data(folder)
     try:
         # Errors of entry.toml come before the policy is loaded.
-        Entry(**data)
-        policy = OnnxPolicy(folder / POLICY_FILE)
-        return Entry(**data, policy=policy, fingerprint=policy.sha256)
+        entry, policy = Entry(**data), OnnxPolicy(folder / POLICY_FILE)
+        return dataclasses.replace(entry, policy=policy, fingerprint=policy.sha256)
     except ValueError as error:
         raise ValueError(f"entry {folder}: {error}") from error
 
@@ -192,22 +192,19 @@ def read_files(folder: Path) -> dict[str, bytes]:
     _check_folder_name(folder)
     if folder.is_symlink() or not folder.is_dir():
         raise ValueError("it is not a folder, or a link to one")
-    names = []
+    # No list of a folder that may hold millions.
     with os.scandir(folder) as items:
-        for item in items:
-            names.append(item.name)
-            if item.name not in FILES:
-                raise ValueError(f"it holds {ascii(item.name)[:80]}; allowed are {', '.join(FILES)} and nothing else")
-    missing = [name for name in (ENTRY_FILE, POLICY_FILE) if name not in names]
-    if missing:
+        names = [item.name for item in itertools.islice(items, 1 + len(FILES))]
+    if others := [name for name in names if name not in FILES]:
+        raise ValueError(f"it holds {ascii(others[0])[:80]}; allowed are {', '.join(FILES)} and nothing else")
+    if missing := [name for name in (ENTRY_FILE, POLICY_FILE) if name not in names]:
         raise ValueError(f"it has no {' and no '.join(missing)}")
     contents = {}
-    for name in FILES:
-        if name in names:
-            try:
-                contents[name] = read_plain(folder / name, FILES[name], links=False)
-            except OSError as error:
-                raise ValueError(f"{name}: {error.strerror}") from error
+    for name in filter(names.__contains__, FILES):
+        try:
+            contents[name] = read_plain(folder / name, FILES[name], links=False)
+        except OSError as error:
+            raise ValueError(f"{name}: {error.strerror}") from error
     return contents
 
 

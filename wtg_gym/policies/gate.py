@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import collections
 import contextlib
 import dataclasses
 import itertools
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -120,8 +121,10 @@ def read_submission(folder: Path) -> Report:
     with report.refusing():
         files = read_files(folder)
         name = folder.resolve().name
-        others = policy_folders()
-        report.shipped = any(each.name == name and _holds(each, files) for each in others)
+        others, own = policy_folders(), {file: files[file] for file in (ENTRY_FILE, POLICY_FILE)}
+        report.shipped = any(
+            each.name == name and {file: (each / file).read_bytes() for file in own} == own for each in others
+        )
         if report.shipped:
             # Itself, and the seeds of its row.
             others = [each for each in others if policy_name(each) != policy_name(folder)]
@@ -149,7 +152,11 @@ def check_submission(folder: Path, *, weak: bool = False) -> Report:
     with report.refusing():
         with entry.policy as policy:
             report.notes = policy.not_isolated
-            report.passed(_check_widths(policy, entry))
+            seen, acts, *states = policy.widths
+            if (seen, acts) != (wanted := widths(entry)):
+                modes = f"in its modes there are {wanted[0]} and {wanted[1]}"
+                raise ValueError(f"it takes {seen} observations and gives {acts} actions; {modes}")
+            report.passed(f"onnxruntime runs it, {seen} observations, {acts} actions, states {states}")
             report.passed(check_speed(policy))
         actions = rollout(entry)
         report.passed(f"{_ROLLOUT_LANES} scenarios of the validation split, up to {len(actions)} steps")
@@ -157,12 +164,6 @@ def check_submission(folder: Path, *, weak: bool = False) -> Report:
             raise ValueError("the same scenarios in another order, in another process, give other actions")
         report.passed("the same actions to the last bit, in another order")
     return report
-
-
-def _holds(folder: Path, files: Mapping[str, bytes]) -> bool:
-    """Return whether a folder holds the same entry and policy."""
-    contents = ((folder / name, files[name]) for name in (ENTRY_FILE, POLICY_FILE))
-    return all(path.is_file() and path.read_bytes() == content for path, content in contents)
 
 
 def _check_not_found(what: str, name: str, folders: Sequence[Path]) -> None:
@@ -185,18 +186,6 @@ def widths(entry: Entry) -> tuple[int, int]:
     return lanes.n_observation // n_parts, lanes.n_action // n_parts
 
 
-def _check_widths(policy: OnnxPolicy, entry: Entry) -> str:
-    """Compare a policy's widths with those of the benchmark's plant in its modes."""
-    wanted = widths(entry)
-    n_observation, n_action, *states = policy.widths
-    if (n_observation, n_action) != wanted:
-        raise ValueError(
-            f"it takes {n_observation} observations and gives {n_action} actions; in its modes there are "
-            f"{wanted[0]} and {wanted[1]}"
-        )
-    return f"onnxruntime runs it, {n_observation} observations, {n_action} actions, states {states}"
-
-
 def check_speed(policy: OnnxPolicy) -> str:
     """Return in words how long a policy takes for a scenario's step; a ValueError if that is too long."""
     observations = np.random.default_rng(0).uniform(-1.0, 1.0, (_TIMED_LANES, policy.widths[0]))
@@ -216,17 +205,15 @@ def check_speed(policy: OnnxPolicy) -> str:
 def rollout(entry: Entry, *, backwards: bool = False) -> npt.NDArray[np.float64]:
     """Return the actions of an entry's policy in validation scenarios, within ±1, (steps, lanes, n_action).
 
-    The scenarios are those of the standard suite. An :class:`OnnxPolicy` plays in a new process. A lane's actions are
-    zero once its episode is over. `backwards` plays the last scenario first; the actions come in the usual order all
-    the same. An action that is not finite, or a policy that cannot answer, is a ValueError.
+    An :class:`OnnxPolicy` plays in a new process. Actions are zero once an episode is over. `backwards` plays the last
+    scenario first, and returns the usual order. A policy that cannot answer, or not by finite actions, is a ValueError.
     """
     settings = EnvSettings(version=TASKS[entry.environment or V1.env_id].version, split="validation")
     order = -1 if backwards else 1
     seeds = settings.resolved_suite.validation[:_ROLLOUT_LANES][::order]
     actions: list[npt.NDArray[np.float64]] = []
     with started_lanes(entry, settings, seeds) as (lanes, _):
-        for _step in play(entry, lanes, actions):
-            pass
+        collections.deque(play(entry, lanes, actions), maxlen=0)
     return np.clip(np.stack(actions), -1.0, 1.0)[:, ::order]
 
 
@@ -246,15 +233,15 @@ def conflicts(reports: Sequence[Report], beside: Sequence[Report] = ()) -> list[
 
     Conflicts among those `beside`, and among folders that come with the package, are not looked for.
     """
-    conflicts_found = []
-    for one, other in itertools.combinations(reports, 2):
-        if reason := _why_not_both(one, other, taken=False):
-            conflicts_found.append(Conflict((one.folder, other.folder), reason))
+    conflicts_found = [
+        Conflict((one.folder, other.folder), _why_not_both(one, other, taken=False))
+        for one, other in itertools.combinations(reports, 2)
+    ]
     for new in reports:
         # One reason is enough, however many seeds have the name.
-        if reason := next(filter(None, (_why_not_both(new, old, taken=True) for old in beside)), ""):
-            conflicts_found.append(Conflict((new.folder,), reason))
-    return conflicts_found
+        reason = next(filter(None, (_why_not_both(new, old, taken=True) for old in beside)), "")
+        conflicts_found.append(Conflict((new.folder,), reason))
+    return [conflict for conflict in conflicts_found if conflict.reason]
 
 
 def _why_not_both(one: Report, other: Report, *, taken: bool) -> str:
