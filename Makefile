@@ -42,7 +42,7 @@ page: leaderboard ## Show the rankings of both standard suites in docs/leaderboa
 	$(LEADERBOARD_VENV)/bin/wtg-gym results page results/standard-v1-test.json results/standard-test.json --output docs/leaderboard.html
 
 .PHONY: matrix
-matrix: $(LEADERBOARD_READY) ## Play every entry of v1 on its drawn suites and in changed scenarios, and put the scores into docs/benchmark.md (half an hour)
+matrix: $(LEADERBOARD_READY) ## Play every entry of v1 on its drawn suites and with faults, and put the scores into docs/benchmark.md (half an hour)
 	$(LEADERBOARD_VENV)/bin/python docs/studies/matrix.py
 
 CHROMIUM ?= $(firstword $(foreach name,chromium chromium-browser google-chrome,$(shell command -v $(name))) chromium)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import importlib
 from collections.abc import Callable
 from pathlib import Path
@@ -10,7 +11,7 @@ from typing import Any
 import minari
 import numpy as np
 import pytest
-from matrix import CHANGES, OWN, played, section, with_changes, without_governor
+from matrix import CHANGES, FAULTS, OWN, played, section, with_fault, with_faults, without_governor
 from minari_datasets import make_dataset
 from policies import Population, law_of, tune_law, tune_mean_droop, tuning_of
 from reference import environment_page, parameters_page
@@ -79,9 +80,29 @@ def test_unchanged_scenarios_cost_what_they_cost_in_an_evaluation(known: Results
     assert played(players, known).episodes == known.episodes
 
 
-def test_the_matrix_has_a_column_for_every_change(known: Results, players: list[Any]) -> None:
-    results = with_changes(players, known)
-    assert set(results) == set(CHANGES)
+def test_a_hanging_sensor_shows_what_it_showed_last() -> None:
+    seen = []
+
+    class Watching:
+        def predict(self, observation, state=None, episode_start=None, deterministic=False):
+            seen.append(observation)
+            return np.zeros((len(observation), 4)), (state or 0) + 1
+
+    entry = dataclasses.replace(load_entries("fast-droop")[0], policy=Watching())
+    for fault, since in FAULTS.values():
+        policy, state = with_fault(entry, fault, since).policy, None
+        shown = np.random.default_rng(0).normal(size=(since + 2, 1, 28))
+        seen.clear()
+        for row in shown:
+            _, state = policy.predict(row, state=state)
+        assert (np.array(seen)[:since] == shown[:since]).all() and state[2] == since + 2
+        assert (seen[-1][:, 7:] == shown[-1][:, 7:]).all()
+        assert seen[-1][0, 0] == (shown[since, 0, 0] if fault.__name__ == "hanging" else 0.0)
+
+
+def test_the_matrix_has_a_column_for_every_change_and_fault(known: Results, players: list[Any]) -> None:
+    results = with_faults(players, known)
+    assert set(results) == {*CHANGES, *FAULTS}
     laws = {name: {key: own.pinned_costs[name] for key, own in results.items()} for name in V1.anchors}
     assert all((laws[name]["delay +0.5 s"] == laws[name]["wind bias × 4"]).all() for name in laws)
     assert (laws["coordinated-tuned"]["no governor"] != laws["coordinated-tuned"]["delay +0.5 s"]).any()
