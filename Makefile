@@ -60,7 +60,7 @@ studies: $(TEST_READY) ## Run the studies of docs/studies and renew their tables
 	for study in $(STUDIES); do $(TEST_VENV)/bin/python docs/studies/$$study.py || exit; done
 
 .PHONY: pictures
-pictures: $(LEADERBOARD_READY) studies ## Draw every picture of the README and of docs/ but the page's, and renew the tables beside them
+pictures: $(LEADERBOARD_READY) studies ## Draw the pictures of the README and of docs/ that programs draw, and renew the tables beside them
 	$(LEADERBOARD_VENV)/bin/wtg-gym simulate --strategy mppt deloaded-5 deloaded-10 coordinated-piecewise --plot docs/images/load-increase.png
 	$(LEADERBOARD_VENV)/bin/python docs/images/render.py docs/images/render.png docs/images/render-v1.png
 
@@ -68,8 +68,8 @@ pictures: $(LEADERBOARD_READY) studies ## Draw every picture of the README and o
 site: $(SITE_READY) ## Build the site of the documentation into build/site; broken links and pages that nothing lists are errors
 	NO_MKDOCS_2_WARNING=1 $(SITE_VENV)/bin/mkdocs build --strict
 
-# A notebook may rely on nothing but the wheel and docs/studies: the checkout is not installed as editable, nor is it
-# their folder.
+# A notebook may rely on nothing but the wheel and docs/: the checkout is not installed as editable, nor is it their
+# folder.
 .PHONY: notebooks
 notebooks: $(NOTEBOOKS_READY) ## Run every notebook from the built wheel and keep what it shows (some minutes)
 	$(NOTEBOOKS_VENV)/bin/python .ci/install.py --quiet --no-deps --force-reinstall .

@@ -167,11 +167,4 @@ def test_the_pages_claims_and_figures_are_the_studys(written: Path) -> None:
     page = (ROOT / "docs/validation.md").read_text(encoding="utf-8")
     assert all(claim["measured"] in page for claim in claims if claim["key"] not in LAST_DIGITS)
     figures = {path.name for path in (written / "figures").iterdir()}
-    assert len(figures) == 9 and all(f"validation/figures/{name}" in page for name in figures)
-
-
-@pytest.mark.filterwarnings("error")
-def test_the_loops_figure_states_the_margins() -> None:
-    loops = {"ideal-source": paper.ideal_source_loop(), "linear": paper.single_machine(paper.LINEAR, 11.4)}
-    legend = [text.get_text() for text in paper.plot_bode(loops).legends[0].get_texts()]
-    assert legend[0].startswith("ideal-source: 48.8° at ") and legend[1].startswith("linear: 55.4° at ")
+    assert len(figures) == 2 and all(f"validation/figures/{name}" in page for name in figures)

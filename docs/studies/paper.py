@@ -1,4 +1,4 @@
-"""The paper reproduced, for docs/validation.md: every claim measured, every figure drawn. Two minutes.
+"""The paper reproduced, for docs/validation.md: every claim measured, both case studies drawn. Two minutes.
 
     python docs/studies/paper.py [--output FOLDER]        FOLDER holds the page; docs by default
 
@@ -33,7 +33,7 @@ from wtg_gym.physics.plant import Plant
 from wtg_gym.physics.protection import Status
 from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY, STRATEGIES
 from wtg_gym.physics.trajectory import simulate
-from wtg_gym.plotting import plot_trajectories, save_figure, style
+from wtg_gym.plotting import plot_trajectories, save_figure
 from wtg_gym.scenarios import get_suite
 
 TURBINE, CONTROL = TurbineParameters(), GridFormingParameters()
@@ -427,141 +427,13 @@ def claims_table(claims):
     return "\n\n".join((count, table, "\n".join(notes)))
 
 
-# --- figures ----------------------------------------------------------------------------------------------------------
-
-
-@style.printed
-def plot_power_coefficient():
-    """Draw C_p(λ) at β = 0 with the points of 0, 5 and 10 % deloading (a), and the range between them (b)."""
-    levels, names, corners = (0.0, 0.05, 0.10), ("opt", "n", "pr"), ("min", "st", "max")
-    points = [tracking_point(level) for level in levels]
-    ratios, values = [p.tip_speed_ratio for p in points], [p.power_coefficient for p in points]
-    figure = style.new_figure(style.DOUBLE_COLUMN_MM, 66.0)
-    whole, part = figure.subplots(1, 2)
-    for axes, low, high in ((whole, 2.0, 13.0), (part, 6.6, 8.8)):
-        x = np.unique(np.append(np.linspace(low, high, 400), ratios))
-        axes.plot(x, power_coefficient(x), color="0.15", linewidth=1.3)
-        axes.plot(ratios, values, "o", color="0.15", zorder=4)
-        axes.set(xlim=(low, high), xlabel=r"tip-speed ratio $\lambda$ [–]", ylabel=r"power coefficient $C_p$ [–]")
-    whole.set_ylim(0.0, 0.51)
-    part.set_ylim(values[2] - 0.035, values[0] + 0.02)
-    for name, level, value in zip(names, levels, values, strict=True):
-        part.axhline(value, linewidth=0.7, zorder=1, **style.REFERENCE)
-        part.annotate(rf"$C_{{p,{name}}}$ = {value:.3f}, deloaded by {100 * level:.0f} %", (6.62, value + 0.001))
-    ticks = zip(ratios, names, corners, strict=True)
-    part.set_xticks(ratios, [f"{x:.2f}\n$\\lambda_{{{n}}}$\nat $\\omega_{{{c}}}$" for x, n, c in ticks])
-    style.letter_panel(whole, "a", "power coefficient and reserve")
-    style.letter_panel(part, "b", r"operating range over $\omega_{min}$ … $\omega_{max}$")
-    return figure
-
-
-@style.printed
-def plot_characteristic(law):
-    """Draw what a strategy does in steady state.
-
-    (a) captured power over rotor speed with the tracking curves k ω_m³; (b) power and (c) rotor speed over frequency:
-    stable equilibria solid, unstable ones dashed, frequencies without any shaded. Dots are the points of
-    :func:`named_points`.
-    """
-    low, high = CORNERS[0] - 0.0025, CORNERS[2] + 0.0025
-    labels = {
-        "frequency_pu": r"frequency $\omega$ [p.u.]",
-        "power_pu": "power p [p.u.]",
-        "rotor_speed_pu": r"rotor speed $\omega_m$ [p.u.]",
-    }
-    shown = (("rotor_speed_pu", "power_pu"), ("frequency_pu", "power_pu"), ("frequency_pu", "rotor_speed_pu"))
-    figure = style.new_figure(style.DOUBLE_COLUMN_MM, 74.0)
-    panels = figure.subplots(1, 3)
-    speeds = np.linspace(0.1, 1.4, 300)
-    for k in {law.k_min, law.k_nominal, law.k_max}:
-        panels[0].plot(speeds, k * speeds**3, color=style.REFERENCE_GREY, linewidth=0.8)
-    for number, (wind, colour) in enumerate(zip(WINDS, style.PALETTE, strict=False), start=1):
-        critical = critical_frequency_pu(law, wind, low)
-        ratios = TURBINE.tip_speed_ratio_per_speed_m_s * speeds / wind
-        captured = TURBINE.wind_power_pu_per_cubic_wind * wind**3 * power_coefficient(ratios)
-        panels[0].plot(speeds, captured, color=colour)
-        frequencies = np.linspace(low, high, 126)
-        if critical is not None:
-            # Both branches leave the point where they meet like a square root of the distance.
-            near_it = critical + np.geomspace(1e-9, 1e-3, 40)
-            frequencies = np.unique(np.append(frequencies[frequencies > critical], near_it))
-        points = [point for frequency in frequencies for point in equilibria(float(frequency), law, wind)[-2:]]
-        for axes, (x, y) in zip(panels, shown, strict=True):
-            for stable, dashes in ((True, "-"), (False, "--")) if axes is not panels[0] else ():
-                branch = [(getattr(p, x), getattr(p, y)) for p in points if p.stable == stable]
-                label = f"{number}: {wind:g} m/s" if stable else None
-                axes.plot(*np.reshape(branch, (-1, 2)).T, dashes, color=colour, label=label)
-            if critical is not None and axes is not panels[0]:
-                label = f"no equilibrium at {wind:g} m/s"
-                axes.axvspan(low, critical, color=colour, alpha=0.1, linewidth=0.0, label=label)
-            for name, point in named_points(law, wind).items():
-                place = getattr(point, x), getattr(point, y)
-                axes.plot(*place, "o", color=colour, zorder=5)
-                text = rf"$\mathregular{{{name}_{number}}}$"
-                axes.annotate(text, place, (2.0, 4.0), textcoords="offset points", color=colour)
-    panels[0].set_ylim(0.0, 1.35)
-    for axes in panels[1:]:
-        axes.set_xticks(
-            CORNERS, [f"{x:.3f}\n$\\omega_{{{name}}}$" for x, name in zip(CORNERS, ("min", "st", "max"), strict=True)]
-        )
-        axes.set_xlim(low, high)
-    for axes, letter, (x, y) in zip(panels, "abc", shown, strict=True):
-        axes.set(xlabel=labels[x], ylabel=labels[y])
-        style.letter_panel(axes, letter)
-    figure.legend(*panels[1].get_legend_handles_labels(), loc="outside lower center", ncols=4)
-    figure.suptitle(law.name, x=0.01, ha="left")
-    return figure
-
-
-@style.printed
-def plot_bode(loops):
-    """Draw open loops by their names over angular frequency; dots are gain crossovers, lines phase margins."""
-    figure = style.new_figure(style.SINGLE_COLUMN_MM, 92.0 + 3.5 * len(loops))
-    magnitude, phase = figure.subplots(2, 1, sharex=True)
-    angular = np.geomspace(1e-2, 1e2, 600)
-    for (label, loop), look in zip(loops.items(), style.strategy_looks(loops).values(), strict=True):
-        margins, response = loop.margins(), loop.response(angular)
-        line = {"color": look.colour, "linestyle": look.dashes}
-        text = f"{label}: {margins.phase_margin_deg:.1f}° at {margins.crossover_rad_s:.2f} rad/s"
-        magnitude.plot(angular, 20.0 * np.log10(np.abs(response)), label=text, **line)
-        # About -180°, since the phase stays within 180° of that, it never jumps.
-        phase.plot(angular, np.degrees(np.angle(-response)) - 180.0, **line)
-        crossover, top = margins.crossover_rad_s, margins.phase_margin_deg - 180.0
-        magnitude.plot(crossover, 0.0, "o", color=look.colour, zorder=4)
-        phase.plot(crossover, top, "o", color=look.colour, zorder=4)
-        phase.vlines(crossover, -180.0, top, color=look.colour, linewidth=0.8, zorder=3)
-    magnitude.axhline(0.0, color=style.REFERENCE_GREY, linewidth=0.8, zorder=1)
-    phase.axhline(-180.0, color=style.REFERENCE_GREY, linewidth=0.8, zorder=1)
-    magnitude.set_ylabel("magnitude [dB]")
-    phase.set_yticks(np.arange(-270.0, -89.0, 30.0))
-    phase.set(xscale="log", xlim=(angular[0], angular[-1]), ylim=(-275.0, -85.0), ylabel="phase [°]")
-    phase.set_xlabel(r"angular frequency $\Omega$ [rad/s]")
-    figure.legend(loc="outside lower left", ncols=1, title="phase margin at gain crossover", alignment="left")
-    return figure
-
-
-def paper_figures(increase, decrease):
-    """Draw the paper's figures one by one: name of the file, figure. The runs are the case studies'."""
-    reference, suite, fixed = STRATEGIES[REFERENCE_STRATEGY], get_suite("paper"), ("mppt", "deloaded-5", "deloaded-10")
-    yield "power-coefficient", plot_power_coefficient()
-    for name in (*fixed, reference.name):
-        yield f"characteristic-{name}", plot_characteristic(STRATEGIES[name])
-    loops = {name: single_machine(STRATEGIES[name], WINDS[0]) for name in fixed}
-    linear = {law.name: single_machine(law, WINDS[0]) for law in (LINEAR, UNDAMPED)}
-    slopes = {f"{reference.name}, {side}-frequency": single_machine(reference, WINDS[0], side=side) for side in SIDES}
-    undamped = {UNDAMPED.name: linear[UNDAMPED.name]}
-    yield "bode-comparison", plot_bode({"ideal-source": ideal_source_loop(), **loops, **undamped})
-    yield "bode-proposed", plot_bode({**linear, **slopes})
-    yield "load-increase", plot_trajectories(increase, suite.scenario(0))
-    yield "load-decrease", plot_trajectories(decrease, suite.scenario(1))
-
-
 def main(docs):
     """Renew the page, its claims and its pictures."""
     cases = [run_case(seed) for seed in range(2)]
     claims = list(paper_claims(*cases))
     write_atomically(docs / "validation" / "claims.json", to_json({"claims": claims}))
-    for name, figure in paper_figures(*cases):
+    for seed, name in enumerate(("load-increase", "load-decrease")):
+        figure = plot_trajectories(cases[seed], get_suite("paper").scenario(seed))
         save_figure(figure, docs / "validation" / "figures" / name, ("svg",))
     if (page := docs / "validation.md").exists():
         update_between_markers(page, claims_table(claims), "claims")

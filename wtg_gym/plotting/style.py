@@ -56,12 +56,9 @@ STRATEGY_LOOKS = {
     "coordinated-linear": Look("#009E73", (0.0, (6.0, 1.3, 1.2, 1.3, 1.2, 1.3))),
     "coordinated-piecewise": Look("#0072B2"),
     "coordinated-undamped": Look("#56B4E9", (0.0, (1.2, 1.2))),
-    "ideal-source": Look("#000000"),
-    # Not in the palette: tells itself from the damped linear law beside which it is drawn.
-    "coordinated-linear-undamped": Look("#882255", (0.0, (1.2, 1.2))),
 }
-# Black first, which no simulated strategy has; yellow, weak on white, last.
-_FREE_COLOURS = ("#000000", "#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#F0E442")
+# Black first, which no strategy has; yellow, weak on white, last.
+_FREE_COLOURS = ("#000000", *PALETTE[:6], PALETTE[7])
 _FREE_DASHES: tuple[Dashes, ...] = ("-", (0.0, (4.0, 1.5)), (0.0, (1.2, 1.2)), (0.0, (5.0, 1.4, 1.2, 1.4)))
 
 #: Widths, sizes and fonts of print, for matplotlib.
