@@ -244,11 +244,6 @@ class Run(Checked):
             )
         return saved[-1]
 
-    def go_on(self) -> None:
-        """Note that this process goes on with the run; a finished run stays as it is."""
-        if not self.finished:
-            self.resumptions.append(_provenance(self.settings))
-
     def begin(self, learner: Learner) -> None:
         """Write run.json before the first step, so that the run can go on whenever it is interrupted.
 
@@ -469,6 +464,7 @@ def begin_or_go_on(
         if options.resume is not None:
             # Read again, now that no other process can change it.
             run = Run.read(folder)
-            run.go_on()
+            if not run.finished:
+                run.resumptions.append(_provenance(run.settings))
         train(run)
     note(f"best validation score {run.best['score']:.1f} at step {run.best['timesteps']}; wrote {folder}")

@@ -64,7 +64,7 @@ def a_run() -> dict[str, Any]:
     settings = RunSettings(algo="ppo", hyperparameters={"gamma": 0.99}, timesteps=100, n_envs=2)
     run = Run.new(Path(), settings)
     run.curve.append({"timesteps": 50, "wall_time_s": 1.0, "score": 3.0, "marked": 1.0})
-    run.go_on()
+    run.resumptions.append(run.provenance)
     data = {name: value for name, value in dataclasses.asdict(run).items() if name not in ("folder", "_began")}
     written: dict[str, Any] = json.loads(to_json(data))
     return written

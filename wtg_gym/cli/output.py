@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import importlib
 import json
-import math
 import os
 import sys
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -51,19 +50,6 @@ def check_page(option: str, path: Path, sections: Sequence[str]) -> str:
     if not os.access(path, os.W_OK) or not os.access(path.resolve().parent, os.W_OK):
         raise ValueError(f"{option} {path} is not writable")
     return section
-
-
-def plain_json(value: Any) -> Any:
-    """Return data as JSON has it: arrays as lists, null for what is not finite."""
-    if hasattr(value, "tolist"):
-        return plain_json(value.tolist())
-    if isinstance(value, Mapping):
-        return {key: plain_json(item) for key, item in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [plain_json(item) for item in value]
-    if isinstance(value, float) and not math.isfinite(value):
-        return None
-    return value
 
 
 def print_json(data: Any) -> None:

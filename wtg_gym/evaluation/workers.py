@@ -22,6 +22,7 @@ from wtg_gym.envs.settings import EnvSettings
 from wtg_gym.evaluation.circumstances import circumstances
 from wtg_gym.evaluation.episodes import Episode
 from wtg_gym.extras import install_advice
+from wtg_gym.files import one_line
 from wtg_gym.policies import Entry, PolicyError
 from wtg_gym.ranges import require_whole
 
@@ -90,7 +91,7 @@ class Workers:
             try:
                 submit = stack.enter_context(_submitter(self.backend, self.address, self.jobs or os.cpu_count() or 1))
             except (OSError, ValueError) as error:
-                raise ValueError(f"no {self.backend} cluster answers at {self.address}: {_in_short(error)}") from error
+                raise ValueError(f"no {self.backend} cluster answers at {self.address}: {one_line(error)}") from error
             indices = {
                 submit(_work, play, parcels[id(entry)], seeds, wanted): index
                 for index, (entry, seeds) in enumerate(parts)
@@ -100,7 +101,8 @@ class Workers:
                     played = future.result()
                 # What a policy raises comes as a result; this is the error of a worker that is lost.
                 except Exception as error:
-                    raise ValueError(f"a {self.backend} worker was lost, {_in_short(error)}") from error
+                    lost = f"a {self.backend} worker was lost, {type(error).__name__}"
+                    raise ValueError(f"{lost}: {one_line(error)}") from error
                 if isinstance(played, str):
                     raise ValueError(played)
                 yield indices[future], played
@@ -119,10 +121,6 @@ def _work(play: Play, parcel: bytes, seeds: list[int], wanted: dict[str, str]) -
     # Loading and playing run code of the policy.
     except Exception as error:
         return f"{worker} cannot play an entry: {type(error).__name__}: {error}"
-
-
-def _in_short(error: BaseException) -> str:
-    return f"{type(error).__name__}: {str(error).strip().partition(chr(10))[0]}"
 
 
 @contextlib.contextmanager
