@@ -3,37 +3,22 @@
     python docs/studies/grids.py [--output DOCS]
 
 puts into DOCS/grids.md what is in each grid and its suite, and scores: laws, and the shipped policies with per_group =
-true, which were trained on 14 buses; and draws DOCS/images/all-wind.svg, IEEE 39 with turbines alone. It takes five
-minutes on two processors.
+true, which were trained on 14 buses. It takes five minutes on two processors.
 """
 
 from __future__ import annotations
 
-import dataclasses
-
-import numpy as np
-from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
 from output import folder as output_folder
 
 from wtg_gym.evaluation import Results, evaluate, load_entries
 from wtg_gym.files import markdown_table, update_between_markers
 from wtg_gym.grids.describe import describe_equilibrium, describe_grid
 from wtg_gym.physics.grid import DEFAULT_GRID, get_grid, known_grids
-from wtg_gym.physics.parameters import TurbineParameters, WtgGroup
-from wtg_gym.physics.plant import Plant
-from wtg_gym.physics.scenario import LoadStep, Scenario
-from wtg_gym.physics.trajectory import simulate
-from wtg_gym.plotting import save_figure, style
 from wtg_gym.progress import Progress
 from wtg_gym.scenarios import DEFAULT_SUITE, get_suite, suite_of_grid
 from wtg_gym.scenarios.draws import LineTrips, LoadEvents, Wind
 from wtg_gym.tasks import V1
 
-#: Of the grid without machines: rating of all turbines over that of the machines that they replace, and their wind.
-RATING, WIND_M_S = 1.8, 8.0
-#: Its event, and the laws drawn.
-STEP, LAWS = LoadStep(time_s=5.0, bus=8, power_mw=300.0), ("coordinated-tuned", "coordinated-piecewise", "mppt")
 SUITES = tuple(suite_of_grid(name) for name in known_grids())
 N_SCENARIOS = 300
 
@@ -81,37 +66,7 @@ def transfer(columns: dict[str, Results]) -> str:
     return markdown_table(("entry", *columns), cells, right=range(1, 1 + len(columns)))
 
 
-@style.printed
-def all_wind(duration_s: float = 60.0) -> Figure:
-    """Draw a load step in IEEE 39 with turbines in the place of all machines: frequency, power and rotors over time."""
-    case, turbine_mw = get_grid("ieee39").case, TurbineParameters().rated_power_mw
-    groups = tuple(WtgGroup(bus=m.bus, n_turbines=round(RATING * m.rating_mva / turbine_mw)) for m in case.machines)
-    plant = Plant().replaced(
-        physics="extended", case=dataclasses.replace(case, machines=()), groups=groups, trips_groups=True
-    )
-    scenario = Scenario(
-        name="ieee39/all-wind", wind_speed=np.full((len(groups), 1), WIND_M_S), duration_s=duration_s, events=(STEP,),
-        load_noise_bus=STEP.bus,
-    )  # fmt: skip
-    rated_mw, looks = turbine_mw * np.array([group.n_turbines for group in groups]), style.strategy_looks(LAWS)
-    figure = style.new_figure(style.DOUBLE_COLUMN_MM, 62.0)
-    panels = figure.subplots(1, 3)
-    labels = ("frequency of each group [Hz]", "power of all turbines [GW]", "slowest rotor [p.u.]")
-    for axes, letter, label in zip(panels, "abc", labels, strict=True):
-        style.letter_panel(axes, letter, label)
-        axes.set(xlim=(0.0, duration_s), xlabel="time [s]")
-    for law in LAWS:
-        run, look = simulate(scenario, law, plant), looks[law]
-        values = run.wtg_frequency_hz, run.power_pu @ rated_mw / 1000.0, run.rotor_speed_pu.min(axis=1)
-        for axes, value in zip(panels, values, strict=True):
-            axes.plot(run.time_s, value, color=look.colour, linestyle=look.dashes, linewidth=0.8)
-    handles = [Line2D([], [], color=looks[law].colour, linestyle=looks[law].dashes, label=law) for law in LAWS]
-    figure.legend(handles=handles, loc="outside lower center", ncols=len(LAWS), handlelength=3.0)
-    return figure
-
-
 if __name__ == "__main__":
     docs = output_folder(__doc__)
-    save_figure(all_wind(), docs / "images" / "all-wind", ["svg"])
     update_between_markers(docs / "grids.md", grids(), "grids")
     update_between_markers(docs / "grids.md", transfer({suite: played(suite) for suite in SUITES}), "transfer")
