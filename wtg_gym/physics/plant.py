@@ -293,7 +293,7 @@ def plant_tables(settings: Plant) -> PlantTables:
             "limits": turbines[0].limits,
             "trips_groups": settings.trips_groups,
             "reactive_max": extensions[0].voltage.reactive_max,
-            "voltage_gain": extensions[0].voltage.gain,
+            "voltage_gain": extensions[0].voltage.integral_gain,
             "secondary_gain": settings.simulation_dt / settings.secondary_time_s if settings.secondary_time_s else 0.0,
         },
         devices=settings.all_devices,

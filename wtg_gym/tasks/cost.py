@@ -240,7 +240,7 @@ def _deviations(
     low = select(state.pitch.pitch > turbine.limits.stall_pitch, 0.0, low)
     duty = (output.captured - prescribed) / (0.05 * available)
     rotor = max(0.0, max(low, high)) / (0.1 * best)
-    overload = max(0.0, output.power - turbine.converter.overload) / 0.1
+    overload = max(0.0, output.power - turbine.converter.overload_limit) / 0.1
     return GroupDeviations(duty, rotor, overload, available, charged=duty, there=1.0)
 
 
