@@ -77,11 +77,8 @@ def with_parameters(plant: Plant, values: Mapping[str, float]) -> Plant:
         part, *path = name.split(".")
         if part == "machines":
             bus, *path = path
-            machines = tuple(
-                _replaced(machine, path, value) if str(machine.bus) == bus else machine
-                for machine in plant.case.machines
-            )
-            plant = dataclasses.replace(plant, case=dataclasses.replace(plant.case, machines=machines))
+            machines = (_replaced(m, path, value) if str(m.bus) == bus else m for m in plant.case.machines)
+            plant = dataclasses.replace(plant, case=dataclasses.replace(plant.case, machines=tuple(machines)))
         else:
             plant = dataclasses.replace(plant, **{part: _replaced(getattr(plant, part), path, value)})
     return plant
