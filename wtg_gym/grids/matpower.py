@@ -18,6 +18,7 @@ from typing import Any
 
 import numpy as np
 from scipy.io import loadmat
+from scipy.io.matlab import MatReadError
 
 from wtg_gym.extras import install_advice
 from wtg_gym.files import parse_json, read_text
@@ -77,7 +78,10 @@ def read_matpower(path: Path, frequency_hz: float | None, drop: Collection[str])
 
     fuels: dict[int, str] = {}
     if path.suffix.lower() == ".mat":
-        given = loadmat(path, simplify_cells=True)["mpc"]
+        try:
+            given = loadmat(path, simplify_cells=True)["mpc"]
+        except MatReadError as error:
+            raise ValueError(f"it is no .mat file: {error}") from error
     else:
         given, fuels = _written_tables(read_text(path, "case"))
     tables = {name: np.atleast_2d(np.array(given[name], dtype=float)) for name in ("bus", "gen", "branch")}
