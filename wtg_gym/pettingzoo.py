@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from wtg_gym.envs import GFMWTGEnv
-from wtg_gym.envs.actions import as_actions
+from wtg_gym.envs.interface import as_actions
 from wtg_gym.envs.rendering import Frame
 from wtg_gym.envs.settings import EnvArguments
 from wtg_gym.extras import install_advice

@@ -7,11 +7,11 @@ from typing import TYPE_CHECKING, Any, Unpack
 
 import gymnasium as gym
 
-from wtg_gym.envs.actions import as_actions
 from wtg_gym.envs.interface import (
     Action,
     Observation,
     OverLanes,
+    as_actions,
     check_options,
     in_use,
     one_thread,

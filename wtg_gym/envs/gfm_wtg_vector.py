@@ -12,11 +12,11 @@ from gymnasium.utils import seeding
 from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space
 
-from wtg_gym.envs.actions import as_actions
 from wtg_gym.envs.interface import (
     Action,
     Observation,
     OverLanes,
+    as_actions,
     check_options,
     one_thread,
     warn_of_no_render_mode,

@@ -1,9 +1,10 @@
-"""Common part of the single and the vector environment: construction, spec, and one thread at a time."""
+"""Common part of the single and the vector environment: construction, spec, actions, and one thread at a time."""
 
 from __future__ import annotations
 
 import dataclasses
 import functools
+import numbers
 import threading
 from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Concatenate, NamedTuple, ParamSpec, TypeVar
@@ -15,6 +16,7 @@ from gymnasium.envs.registration import EnvSpec
 
 from wtg_gym.envs.lanes import LanesSnapshot, TaskLanes
 from wtg_gym.envs.settings import EnvArguments, EnvSettings
+from wtg_gym.physics.layout import Floats
 from wtg_gym.ranges import require_known
 from wtg_gym.signals import undivided
 from wtg_gym.tasks import TASKS
@@ -182,6 +184,24 @@ class OverLanes:
     def observation_names(self) -> list[str]:
         """Names and units of the entries of one episode's observation."""
         return self._lanes.observation_names
+
+
+def as_actions(given: Any, shape: tuple[int, ...]) -> Floats:
+    """Return actions as floats of a shape; anything but that many real numbers raises a ValueError."""
+    if type(given) is np.ndarray and given.dtype == np.float32 and given.shape == shape:
+        return given.astype(np.float64, order="C")
+    allowed = f"the action must be real numbers in -1 … 1 of shape {shape}"
+    try:
+        array = np.asarray(given)
+        if array.dtype.kind == "O" and all(isinstance(value, numbers.Real) for value in array.flat):
+            array = array.astype(np.float64)
+    except (TypeError, ValueError, OverflowError) as error:
+        raise ValueError(f"{allowed}: {error}") from error
+    if array.dtype.kind not in "biuf":
+        raise ValueError(f"{allowed}, got {array.dtype} values: {given!r:.60}")
+    if array.shape != shape:
+        raise ValueError(f"{allowed}, got shape {array.shape}")
+    return np.ascontiguousarray(array, dtype=np.float64)
 
 
 def check_options(options: dict[str, Any] | None, allowed: Sequence[str]) -> dict[str, Any]:

@@ -278,6 +278,7 @@ class TaskLanes:
         rows[:, layout.first_rows(HISTORY, "frequency")] = 1.0
         group = layout.first_rows(ACTING, "group")
         rows[:, group], rows[:, group + 1] = rows[:, layout.wtg("inv_tau")], rows[:, layout.wtg("speed")]
+        numbers = [self._sensor_numbers(scenario) for scenario in scenarios]
         if self.suite.task.has_sensors:
             first = layout.first_rows(SENSORS, "sensor_input")[0]
             places = [
@@ -286,10 +287,7 @@ class TaskLanes:
                 *layout.first_rows(FILTERED_DUTY, "leaves_at"),
                 *layout.first_rows(FILTERED_DUTY, "returns_at"),
             ]
-            rows[:, places] = [self._sensor_numbers(scenario) for scenario in scenarios]
-        else:
-            for scenario in scenarios:
-                self._sensor_numbers(scenario)
+            rows[:, places] = numbers
         outputs = self._new_outputs(len(rows))
         blocks, scratches = rows[:, :, np.newaxis], simulator.new_scratches(1, 1)
         bound = bind(blocks, scratches, simulator.plant.network, lanes.data, self.task_data, outputs)
@@ -307,11 +305,8 @@ class TaskLanes:
         given = sensor_input(sensors, self.settings.interval_s, self.nominal_hz)
         biases = (0.0,) * self.n_wtg if sensors is None else sensors.wind_bias
         # A group that leaves twice is charged from its first return on.
-        leaves_at, returns_at, dt = (
-            [math.inf] * self.n_wtg,
-            [math.inf] * self.n_wtg,
-            self.simulator.settings.simulation_dt,
-        )
+        leaves_at, returns_at = [math.inf] * self.n_wtg, [math.inf] * self.n_wtg
+        dt = self.simulator.settings.simulation_dt
         for event in scenario.events:
             if isinstance(event, GroupTrip) and event.time_s < leaves_at[event.group] * dt:
                 leaves_at[event.group] = float(round(event.time_s / dt))

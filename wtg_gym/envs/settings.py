@@ -23,13 +23,14 @@ from wtg_gym.tasks.observation import OBSERVATION_MODES
 from wtg_gym.tasks.task import Choices
 
 VERSIONS = tuple(task.version for task in TASKS.values())
-_ON_FAILURE = ("terminate", "trip")
-_REWARDS = ("score", "cost")
-#: Settings that are one of some names.
+#: Settings that are one of some names, or their default.
 _CHOICES: dict[str, Sequence[str]] = {
     "action_mode": tuple(ACTION_MODES),
     "observation_mode": OBSERVATION_MODES,
     "split": SPLITS,
+    "version": VERSIONS,
+    "on_failure": ("terminate", "trip"),
+    "reward": ("score", "cost"),
 }
 
 
@@ -106,9 +107,7 @@ class EnvSettings:
 
     def __post_init__(self) -> None:
         for name, choices in _CHOICES.items():
-            require_choice(name, getattr(self, name), choices)
-        for name, choices in (("version", VERSIONS), ("on_failure", _ON_FAILURE), ("reward", _REWARDS)):
-            if getattr(self, name) is not None:
+            if getattr(self, name) is not getattr(EnvSettings, name):
                 require_choice(name, getattr(self, name), choices)
         suite = self.resolved_suite
         self.sensor_distribution()

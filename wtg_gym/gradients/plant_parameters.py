@@ -14,21 +14,17 @@ from wtg_gym.physics.plant import Plant, plant_tables
 
 #: Fields of the parameter classes that act on a run, and neither on the equilibrium it starts from nor on a law.
 _OF_MACHINES = {
-    "": ("two_h_s", "damping_pu", "t_d0_transient_s", "t_d0_subtransient_s", "t_q0_transient_s", "t_q0_subtransient_s"),
-    "governor": ("droop_pu", "gate_time_s", "lead_time_s", "reheat_time_s", "turbine_damping_pu", "dead_band_pu"),
-    "exciter": ("lead_lag_ratio", "lag_time_s", "exciter_time_s"),
+    "": "two_h_s damping_pu t_d0_transient_s t_d0_subtransient_s t_q0_transient_s t_q0_subtransient_s",
+    "governor": "droop_pu gate_time_s lead_time_s reheat_time_s turbine_damping_pu dead_band_pu",
+    "exciter": "lead_lag_ratio lag_time_s exciter_time_s",
 }
+#: Models whose parameters these are.
+_MODELS = {"governor": GovernorParameters, "exciter": ExciterParameters}
 _OF_GROUPS = {
-    "turbine": ("inertia_constant_s",),
-    "pitch": (
-        "speed_weight",
-        "proportional_gain_deg",
-        "integral_gain_deg_s",
-        "gain_schedule_deg",
-        "actuator_time_s",
-        "rate_limit_deg_s",
-    ),
-    "control": ("inertia_constant_s", "droop_gain_pu"),
+    "turbine": "inertia_constant_s",
+    "pitch": "speed_weight proportional_gain_deg integral_gain_deg_s gain_schedule_deg actuator_time_s "
+    "rate_limit_deg_s",
+    "control": "inertia_constant_s droop_gain_pu",
 }
 _DROOP = "governor.inv_droop"
 #: Constants of a machine that every environment has in a row of its own, since a scenario may replace them.
@@ -56,22 +52,17 @@ def known_parameters(plant: Plant) -> dict[str, float]:
         machines = [machine for machine in plant.case.machines if machine.bus == bus]
         for part, fields in _OF_MACHINES.items():
             owners = [getattr(machine, part) if part else machine for machine in machines]
-            if part == "governor" and not all(isinstance(owner, GovernorParameters) for owner in owners):
+            if not all(isinstance(owner, _MODELS.get(part, object)) for owner in owners):
                 continue
-            if part == "exciter" and not all(isinstance(owner, ExciterParameters) for owner in owners):
-                continue
-            if any(owner is None for owner in owners):
-                continue
-            for field in fields:
+            is_classical = any(machine.classical for machine in machines)
+            for field in fields.split():
                 values = {getattr(owner, field) for owner in owners}
-                classical = any(machine.classical for machine in machines) and (
-                    part == "exciter" or field.startswith("t_")
-                )
-                if len(values) == 1 and not classical:
+                of_rotor = part == "exciter" or field.startswith("t_")
+                if len(values) == 1 and not (is_classical and of_rotor):
                     found[".".join(filter(None, ("machines", str(bus), part, field)))] = float(values.pop())
     if plant.groups:
         for part, fields in _OF_GROUPS.items():
-            found |= {f"{part}.{field}": float(getattr(getattr(plant, part), field)) for field in fields}
+            found |= {f"{part}.{field}": float(getattr(getattr(plant, part), field)) for field in fields.split()}
     return found
 
 
@@ -86,11 +77,8 @@ def with_parameters(plant: Plant, values: Mapping[str, float]) -> Plant:
         part, *path = name.split(".")
         if part == "machines":
             bus, *path = path
-            machines = tuple(
-                _replaced(machine, path, value) if str(machine.bus) == bus else machine
-                for machine in plant.case.machines
-            )
-            plant = dataclasses.replace(plant, case=dataclasses.replace(plant.case, machines=machines))
+            machines = (_replaced(m, path, value) if str(m.bus) == bus else m for m in plant.case.machines)
+            plant = dataclasses.replace(plant, case=dataclasses.replace(plant.case, machines=tuple(machines)))
         else:
             plant = dataclasses.replace(plant, **{part: _replaced(getattr(plant, part), path, value)})
     return plant

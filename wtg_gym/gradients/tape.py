@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from wtg_gym.envs.actions import as_actions
+from wtg_gym.envs.interface import as_actions
 from wtg_gym.envs.lanes import TaskLanes
 from wtg_gym.envs.settings import EnvSettings
 from wtg_gym.envs.stepping import Outputs, bind, step_blocks
@@ -73,19 +73,6 @@ def term_weights(weights: Mapping[str, float] | None) -> Floats:
     if unknown := [term for term in weights if term not in COST_TERMS]:
         raise ValueError(f"unknown terms {unknown} of the cost; known: {', '.join(COST_TERMS)}")
     return np.array([weights.get(term, 0.0) for term in COST_TERMS])
-
-
-def _all_rows(blocks: Floats, n_lanes: int) -> Floats:
-    """Return all rows of every environment (n_lanes, n_rows) of blocks (n_blocks, n_rows, width)."""
-    return blocks.transpose(0, 2, 1).reshape(-1, blocks.shape[1])[:n_lanes]
-
-
-def _put_all_rows(blocks: Floats, values: Floats) -> None:
-    """Write all rows of every environment, as :func:`_all_rows` returns them."""
-    n_blocks, n_rows, width = blocks.shape
-    padded = np.zeros((n_blocks * width, n_rows))
-    padded[: len(values)] = values
-    blocks[:] = padded.reshape(n_blocks, width, n_rows).transpose(0, 2, 1)
 
 
 class _Recording:
@@ -349,8 +336,8 @@ class Tape:
             ValueError: the step does not exist, or derivatives have another shape.
         """
         lanes, n = self.lanes, self.lanes.settings.n_intervals
-        bars = np.zeros_like(self._recording.before(n * step))
-        _put_all_rows(bars, _shaped("carried", carried, (lanes.n_lanes, self.n_carried)))
+        bars, all_rows = np.zeros_like(self._recording.before(n * step)), np.arange(self.n_carried)
+        put_rows(bars, all_rows, _shaped("carried", carried, (lanes.n_lanes, self.n_carried)))
         terms = _shaped("terms", terms, (lanes.n_lanes, self._term_rows.size))
         shown = np.zeros((lanes.n_lanes, self._output_rows.size)) if outputs is None else outputs
         shown = _shaped("outputs", shown, (lanes.n_lanes, self._output_rows.size))
@@ -362,7 +349,7 @@ class Tape:
             sums = [total + now for total, now in zip(sums, added, strict=True)] if sums else added
             # An episode that ends within the step leaves and shows what it did in its last interval.
             seen, shown = (np.where(running, 0.0, array) for array in (seen, shown))
-        return Pulled(np.where(running, _all_rows(bars, lanes.n_lanes), 0.0), *sums)
+        return Pulled(np.where(running, self._rows(all_rows, bars), 0.0), *sums)
 
     def _pull_interval(
         self, interval: int, after: Floats, terms: Floats, seen: Floats, shown: Floats

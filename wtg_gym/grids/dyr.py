@@ -8,8 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from wtg_gym.files import read_text
-from wtg_gym.grids.solved_case import Infeed, made
-from wtg_gym.grids.typical import TYPICAL_EXCITER, TYPICAL_GOVERNOR, typical_machine
+from wtg_gym.grids.solved_case import TYPICAL_EXCITER, TYPICAL_GOVERNOR, Infeed, made, typical_machine
 from wtg_gym.physics.grid import MODELS
 from wtg_gym.physics.machine import saturation_constants
 from wtg_gym.physics.machine_parameters import SynchronousMachineParameters, classical_machine
@@ -49,7 +48,7 @@ _NUMBERS = {
     "IEEEST": "_input _remote_bus filter_a1_s filter_a2_s2 filter_a3_s filter_a4_s2 filter_a5_s filter_a6_s2 "
     "lead_time_1_s lag_time_1_s lead_time_2_s lag_time_2_s washout_gain_s washout_time_s gain signal_max_pu "
     "signal_min_pu voltage_max_pu voltage_min_pu",
-}  # fmt: skip
+}
 #: Models that are read as another one.
 _READ_AS = {**{name: name for name in _NUMBERS}, "GENROE": "GENROU", "GENSAE": "GENSAL", "TGOV1N": "TGOV1"}
 _MACHINES = ("GENROU", "GENSAL", "GENCLS")
@@ -116,9 +115,12 @@ class Dynamics:
             return None
         values = self._values(at, model, records[model])
         common = {
-            "bus": number, "rating_mva": infeed.rating_mva or abs(infeed.power), "two_h_s": 2.0 * values.pop("_h"),
-            "dispatch_mw": infeed.power.real, "resistance": infeed.impedance.real,
-        }  # fmt: skip
+            "bus": number,
+            "rating_mva": infeed.rating_mva or abs(infeed.power),
+            "two_h_s": 2.0 * values.pop("_h"),
+            "dispatch_mw": infeed.power.real,
+            "resistance": infeed.impedance.real,
+        }
         if _READ_AS.get(model) == "GENCLS":
             for kind in sorted(controls.keys() - {"governor"}):
                 self.notes.append(f"{at} is a constant voltage: its {kind} is left out")

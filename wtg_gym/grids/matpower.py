@@ -1,6 +1,6 @@
 """Tables of MATPOWER's form, from its own files and from networks of pandapower, as a solved case.
 
-A .m file is read by matpowercaseframes and solved by PYPOWER, a network of pandapower by pandapower. pypowsybl reads
+A .m file is solved by PYPOWER, a network of pandapower by pandapower. pypowsybl reads
 MATPOWER's binary form too, but takes a bus of type 4 as in service, lets a generator at a bus of type 1 hold its
 voltage, and puts all charging of a transformer at one end; its converter from pandapower is up to 0.007 p.u. off.
 """
@@ -11,13 +11,14 @@ import io
 import json
 import math
 import re
-import tempfile
 import warnings
 from collections.abc import Collection, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.io import loadmat
+from scipy.io.matlab import MatReadError
 
 from wtg_gym.extras import install_advice
 from wtg_gym.files import parse_json, read_text
@@ -70,26 +71,24 @@ def read_matpower(path: Path, frequency_hz: float | None, drop: Collection[str])
     """Return the case of a .m or .mat file, as PYPOWER solves it.
 
     Raises:
-        ImportError: matpowercaseframes or PYPOWER is missing.
+        ImportError: PYPOWER is missing.
         ValueError: the file has statements besides its tables, or there is no power flow.
     """
-    from matpowercaseframes import CaseFrames
     from pypower.api import ppoption, runpf
 
     fuels: dict[int, str] = {}
     if path.suffix.lower() == ".mat":
-        frames = CaseFrames(str(path), allow_any_keys=True)
+        try:
+            given = loadmat(path, simplify_cells=True)["mpc"]
+        except MatReadError as error:
+            raise ValueError(f"it is no .mat file: {error}") from error
     else:
-        text, fuels = _plain(read_text(path, "case"))
-        with tempfile.TemporaryDirectory() as folder:
-            plain = Path(folder) / "case.m"
-            plain.write_text(text)
-            frames = CaseFrames(str(plain), allow_any_keys=True)
-    tables = {name: np.array(getattr(frames, name), dtype=float) for name in ("bus", "gen", "branch")}
+        given, fuels = _written_tables(read_text(path, "case"))
+    tables = {name: np.atleast_2d(np.array(given[name], dtype=float)) for name in ("bus", "gen", "branch")}
     notes: list[str] = []
-    more = {name: (len(getattr(frames, name)), 0.0) for name in frames.attributes if name not in _SILENT.split()}
+    more = {name: (len(np.atleast_2d(given[name])), 0.0) for name in given if name not in _SILENT.split()}
     if "dcline" in more:
-        lines = np.array(frames.dcline, dtype=float)
+        lines = np.atleast_2d(np.array(given["dcline"], dtype=float))
         more["dcline"] = int(lines[:, 2].sum()), float((lines[:, 2] * abs(lines[:, 3])).sum())
     refuse_unread(more, drop, notes)
     refuse_large(len(tables["bus"]))
@@ -97,7 +96,7 @@ def read_matpower(path: Path, frequency_hz: float | None, drop: Collection[str])
         # Limits may be infinite or none.
         rows = np.nan_to_num(tables[name], posinf=UNLIMITED, neginf=-UNLIMITED)
         tables[name] = np.pad(rows, ((0, 0), (0, max(columns - rows.shape[1], 0))))
-    unsolved = {"version": "2", "baseMVA": float(frames.baseMVA), **tables}
+    unsolved = {"version": "2", "baseMVA": float(given["baseMVA"]), **tables}
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         solved, converged = runpf(unsolved, ppoption(VERBOSE=0, OUT_ALL=0, PF_TOL=1e-11))
@@ -113,11 +112,8 @@ def read_matpower(path: Path, frequency_hz: float | None, drop: Collection[str])
     return case
 
 
-def _plain(text: str) -> tuple[str, dict[int, str]]:
-    """Return a .m file with a row a line and blanks between numbers, and the fuels of its generators from 1 on.
-
-    matpowercaseframes reads only this form, and passes over statements, which are refused here.
-    """
+def _written_tables(text: str) -> tuple[dict[str, Any], dict[int, str]]:
+    """Return what a .m file says by name, and the fuels of its generators from 1 on; statements are refused."""
     lines = [re.sub(r"%.*", "", line) for line in re.sub(r"(?s)%\{.*?%\}", "", text).splitlines()]
     text = re.sub(r"\.\.\.[^\n]*\n", " ", "\n".join(lines))
     found = re.search(r"mpc\.genfuel\s*=\s*\{(.*?)\}", text, re.DOTALL)
@@ -132,14 +128,11 @@ def _plain(text: str) -> tuple[str, dict[int, str]]:
             f"besides its tables it has statements, such as {statements[0]!r:.80}, which only MATLAB or Octave "
             "can run: save the case there as a .mat file or by savecase"
         )
-    names = [name for name, _ in tables]
-    if len(set(names)) < len(names) or not {"bus", "gen", "branch"} <= set(names):
-        raise ValueError(f"it must have the tables bus, gen and branch, and each table once, got {names}")
-    written = ["function mpc = case", *(f"mpc.{name} = {value.strip()};" for name, value in scalars)]
-    for name, body in tables:
-        rows = [re.sub(r"[,\s]+", "\t", row.strip(" ,\t\r")) for row in re.split(r"[;\n]", body)]
-        written += [f"mpc.{name} = [", *(f"{row};" for row in rows if row), "];"]
-    return "\n".join(written) + "\n", fuels
+    names = [name for name, _ in (*tables, *scalars)]
+    if len(set(names)) < len(names) or not {"bus", "gen", "branch", "baseMVA"} <= set(names):
+        raise ValueError(f"it must have baseMVA and the tables bus, gen and branch, and each once, got {names}")
+    rows = {name: [row.replace(",", " ").split() for row in re.split(r"[;\n]", body)] for name, body in tables}
+    return {**dict(scalars), **{name: [row for row in body if row] for name, body in rows.items()}}, fuels
 
 
 def read_pandapower(path: Path, frequency_hz: float | None, drop: Collection[str]) -> SolvedCase:
@@ -245,11 +238,9 @@ def _case_of(
     if len(slacks) != 1:
         raise ValueError(f"the case must have one slack bus, got {[numbers[key] for key in slacks]}")
     polar = rows[:, _VM] * np.exp(1j * np.radians(rows[:, _VA]))
-    case = SolvedCase(
-        name=name, library=library, frequency_hz=frequency_hz, slack=slacks[0],
-        voltages=dict(zip(keys, map(complex, polar), strict=True)), numbers={key: numbers[key] for key in keys},
-        notes=notes,
-    )  # fmt: skip
+    voltages = dict(zip(keys, map(complex, polar), strict=True))
+    case = SolvedCase(name, library, frequency_hz, slacks[0], voltages)
+    case.numbers, case.notes = {key: numbers[key] for key in keys}, notes
     if len(off := solved["bus"][solved["bus"][:, _TYPE] == _ISOLATED]):
         what = ", ".join(str(numbers[int(row[_BUS])]) for row in off)
         case.notes.append(f"buses out of service with {off[:, _PD].sum():.6g} MW of load: {what}")
@@ -265,10 +256,15 @@ def _case_of(
         key = int(row[_GEN])
         if row[_GEN_STATUS] > 0.0 and key in case.voltages:
             least = [row[_QMAX], row[_PMAX] if key == case.slack else 0.0]
-            case.infeeds.append(Infeed(
-                name=f"generator {place + 1}", bus=key, power=complex(row[_PG], row[_QG]), machine_id=str(place + 1),
-                least_mva=max([v for v in least if v < UNLIMITED], default=0.0),
-            ))  # fmt: skip
+            case.infeeds.append(
+                Infeed(
+                    name=f"generator {place + 1}",
+                    bus=key,
+                    power=complex(row[_PG], row[_QG]),
+                    machine_id=str(place + 1),
+                    least_mva=max([v for v in least if v < UNLIMITED], default=0.0),
+                )
+            )
     case.branches = [
         _two_port(row, scale, numbers)
         for row in solved["branch"]
@@ -297,8 +293,5 @@ def _two_port(row: Sequence[float], scale: float, numbers: dict[int, int]) -> Tw
             raise ValueError(f"{name} has another impedance from each side")
         near += row[_G]
         far = near + complex(row[_G_ASYM], row[_B_ASYM])
-    return TwoPort(
-        name=name, ends=ends, impedance=complex(row[_R], row[_X]) * scale,
-        shunts=(0.5 * near / scale, 0.5 * far / scale), tap=float(row[_TAP]) or 1.0,
-        phase_rad=math.radians(row[_SHIFT]),
-    )  # fmt: skip
+    impedance, shunts = complex(row[_R], row[_X]) * scale, (0.5 * near / scale, 0.5 * far / scale)
+    return TwoPort(name, ends, impedance, shunts, float(row[_TAP]) or 1.0, math.radians(row[_SHIFT]))

@@ -37,29 +37,31 @@ _SECTIONS = [
 _SECTIONS_35 = ["system", *_SECTIONS[:5], "sysswd", *_SECTIONS[5:], "substation"]
 #: Those that pypowsybl passes over, as messages call them.
 _PASSED_OVER = {
-    "impcor": "impedance-correction", "ntermdc": "multi-terminal-dc", "gne": "gne-device",
+    "impcor": "impedance-correction",
+    "ntermdc": "multi-terminal-dc",
+    "gne": "gne-device",
     "indmach": "induction-machine",
-}  # fmt: skip
+}
 #: Places of numbers in the records of RAW 33 and of 35.
 _PLACES = {"mbase": (8, 9), "zr": (9, 10), "zx": (10, 11), "wmod": (26, 28), "binit": (9, 11)}
 #: What a generator of a RAW file has where it does not say.
 _MACHINE = {"mbase": 0.0, "zr": 0.0, "zx": 1.0, "wmod": 0.0}
 #: Tables of pypowsybl that have no place in a grid, with the column of their power.
 _UNREAD = {
-    "dc-line": ("hvdc_lines", "target_p"), "svc": ("static_var_compensators", ""),
-    "dc-grid-line": ("dc_lines", ""), "voltage-source-converter": ("voltage_source_converters", "target_p"),
-}  # fmt: skip
+    "dc-line": ("hvdc_lines", "target_p"),
+    "svc": ("static_var_compensators", ""),
+    "dc-grid-line": ("dc_lines", ""),
+    "voltage-source-converter": ("voltage_source_converters", "target_p"),
+}
 #: Whatever else may move in its power flow stands still.
-_FLOW = {
-    "distributed_slack": False, "use_reactive_limits": False, "transformer_voltage_control_on": False,
-    "shunt_compensator_voltage_control_on": False, "phase_shifter_regulation_on": False, "hvdc_ac_emulation": False,
-}  # fmt: skip
+_STILL = "transformer_voltage_control_on shunt_compensator_voltage_control_on phase_shifter_regulation_on"
+_FLOW = dict.fromkeys(f"distributed_slack use_reactive_limits hvdc_ac_emulation {_STILL}".split(), False)
 _OF_PROVIDER = {
-    "newtonRaphsonConvEpsPerEq": "1e-10", "lowImpedanceThreshold": str(LEAST_IMPEDANCE), "useLoadModel": "true",
-    "generatorsWithZeroMwTargetAreNotStarted": "false", "minPlausibleTargetVoltage": "0.1",
-    "maxPlausibleTargetVoltage": "10", "minRealisticVoltage": "0.1", "maxRealisticVoltage": "10",
-    "maxNewtonRaphsonIterations": "30", "plausibleActivePowerLimit": "1e9",
-}  # fmt: skip
+    **{"newtonRaphsonConvEpsPerEq": "1e-10", "maxNewtonRaphsonIterations": "30", "useLoadModel": "true"},
+    **{"minPlausibleTargetVoltage": "0.1", "maxPlausibleTargetVoltage": "10", "plausibleActivePowerLimit": "1e9"},
+    **{"minRealisticVoltage": "0.1", "maxRealisticVoltage": "10", "lowImpedanceThreshold": str(LEAST_IMPEDANCE)},
+    "generatorsWithZeroMwTargetAreNotStarted": "false",
+}
 
 
 def read_powsybl(path: Path, frequency_hz: float | None, drop: Collection[str]) -> SolvedCase:
@@ -231,10 +233,8 @@ class _Tables:
             else 0j
             for key, row in self.buses.iterrows()
         }
-        self.out = SolvedCase(
-            name=self.name, library="pypowsybl", frequency_hz=frequency, slack=self.slack, voltages=voltages,
-            numbers=self._numbers(), notes=self.notes,
-        )  # fmt: skip
+        self.out = SolvedCase(self.name, "pypowsybl", frequency, self.slack, voltages)
+        self.out.numbers, self.out.notes = self._numbers(), self.notes
         self._add_branches()
         self._add_boundaries()
         self._add_injections()
@@ -269,10 +269,8 @@ class _Tables:
             return
         base = self.volts[other] ** 2 / BASE_MVA
         tap = self.volts[other] / (self.volts[one] * ratio)
-        self.out.branches.append(TwoPort(
-            name=" ".join(name.split()), ends=ends, impedance=ohms / base,
-            shunts=(siemens[0] * base, siemens[1] * base), tap=abs(tap), phase_rad=cmath.phase(tap),
-        ))  # fmt: skip
+        shunts, title = (siemens[0] * base, siemens[1] * base), " ".join(name.split())
+        self.out.branches.append(TwoPort(title, ends, ohms / base, shunts, abs(tap), cmath.phase(tap)))
 
     def _add_branches(self) -> None:
         for name, row in self.net.get_lines().iterrows():
@@ -334,14 +332,18 @@ class _Tables:
                 source = "WIND" if data["wmod"] else row.get("energy_source", "")
                 limits = row.max_q, row.max_p if row.bus_id == self.slack else 0.0
                 taken = complex(row.p, row.q)
-                self.out.infeeds.append(Infeed(
-                    name=str(name), bus=row.bus_id, machine_id=place[1],
-                    role={"WIND": "wind", "SOLAR": "static"}.get(source, role),
-                    power=-taken if cmath.isfinite(taken) else complex(row.target_p, row.target_q),
-                    rating_mva=data["mbase"] or float(np.nan_to_num(row.get("rated_s", 0.0))) or None,
-                    impedance=complex(data["zr"], data["zx"]),
-                    least_mva=max([float(v) for v in limits if v < UNLIMITED], default=0.0),
-                ))  # fmt: skip
+                self.out.infeeds.append(
+                    Infeed(
+                        name=str(name),
+                        bus=row.bus_id,
+                        machine_id=place[1],
+                        role={"WIND": "wind", "SOLAR": "static"}.get(source, role),
+                        power=-taken if cmath.isfinite(taken) else complex(row.target_p, row.target_q),
+                        rating_mva=data["mbase"] or float(np.nan_to_num(row.get("rated_s", 0.0))) or None,
+                        impedance=complex(data["zr"], data["zx"]),
+                        least_mva=max([float(v) for v in limits if v < UNLIMITED], default=0.0),
+                    )
+                )
         slack = [each for each in self.out.infeeds if each.bus == self.slack and each.role == "machine"]
         for each in slack:
             each.power += self.missing_mw / len(slack)

@@ -12,10 +12,14 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from wtg_gym.grids.typical import typical_machine
 from wtg_gym.physics import network
 from wtg_gym.physics.grid import MOST_BUSES, Branch, Bus, Grid, NetworkCase
-from wtg_gym.physics.machine_parameters import SynchronousMachineParameters
+from wtg_gym.physics.machine_parameters import (
+    ExciterParameters,
+    GovernorParameters,
+    SpeedStabiliserParameters,
+    SynchronousMachineParameters,
+)
 
 Key = Hashable
 Record = TypeVar("Record")
@@ -29,7 +33,7 @@ _LEAST_SHIFT = 1e-9
 UNLIMITED = 9000.0
 
 
-@dataclass(kw_only=True)
+@dataclass
 class TwoPort:
     """A branch: admittances and a ratio, all in p.u. of :data:`BASE_MVA` and the nominal voltages of its buses.
 
@@ -69,7 +73,7 @@ class Infeed:
     impedance: complex = 1j
 
 
-@dataclass(kw_only=True)
+@dataclass
 class SolvedCase:
     """What a library says of a case, with its own solution of the power flow.
 
@@ -248,7 +252,11 @@ def _machines(case: SolvedCase, numbers: dict[Key, int], dynamics: Any) -> list[
     for infeed in case.infeeds:
         number, slack, record = numbers[infeed.bus], infeed.bus == case.slack, None
         if infeed.role == "machine":
-            record = typical(number, infeed, slack) if dynamics is None else dynamics.machine(number, infeed, slack)
+            least = infeed.rating_mva or (infeed.least_mva if infeed.least_mva < UNLIMITED else 0.0)
+            if dynamics is None:
+                record = typical_machine(number, infeed.power, least, slack=slack)
+            else:
+                record = dynamics.machine(number, infeed, slack)
         elif infeed.role == "wind" and infeed.power.real > 0.0 and infeed.bus not in buses:
             record = typical_machine(number, infeed.power, infeed.least_mva)
             case.notes.append(f"{infeed.name} at bus {number} is a wind park of {infeed.power.real:.6g} MW")
@@ -266,10 +274,31 @@ def _machines(case: SolvedCase, numbers: dict[Key, int], dynamics: Any) -> list[
     return records
 
 
-def typical(number: int, infeed: Infeed, slack: bool) -> SynchronousMachineParameters:
-    """Return a typical machine for an infeed."""
-    least = infeed.rating_mva or (infeed.least_mva if infeed.least_mva < UNLIMITED else 0.0)
-    return typical_machine(number, infeed.power, least, slack=slack)
+#: Rating over the apparent power that a machine gives, and the least one [MVA]: a power flow may ask a small condenser
+#: for more reactive power than its limits allow.
+_MARGIN, _LEAST_MVA = 1.3, 50.0
+#: A large round-rotor machine; source: P. Kundur: Power System Stability and Control, table 4.2.
+_REACTANCES = dict(x_d=1.8, x_q=1.7, x_d_transient=0.3, x_q_transient=0.55, x_subtransient=0.25, x_leakage=0.15)
+_TIMES = dict(t_d0_transient_s=8.0, t_q0_transient_s=0.4, t_d0_subtransient_s=0.03, t_q0_subtransient_s=0.05)
+TYPICAL_EXCITER, TYPICAL_GOVERNOR = ExciterParameters(), GovernorParameters(droop_pu=0.05)
+
+
+def typical_machine(
+    bus: int, power: complex = 0j, least: float = _LEAST_MVA, *, slack: bool = False
+) -> SynchronousMachineParameters:
+    """Return a machine that gives a power [MW + j Mvar], of a least rating [MVA]; without active power a condenser."""
+    governed = power.real > 0.0 or slack
+    values: dict[str, Any] = {"dispatch_mw": power.real, "damping_pu": 0.0, **_REACTANCES, **_TIMES}
+    return SynchronousMachineParameters(
+        **values,
+        bus=bus,
+        rating_mva=max(_MARGIN * abs(power), least, _LEAST_MVA),
+        two_h_s=8.0 if governed else 3.0,
+        exciter=TYPICAL_EXCITER,
+        governor=TYPICAL_GOVERNOR if governed else None,
+        # All of the machines have fast exciters, under which they would swing against each other.
+        stabiliser=SpeedStabiliserParameters() if governed else None,
+    )
 
 
 def _network_case(
@@ -284,22 +313,46 @@ def _network_case(
         charging = 2.0 * far.imag
         case.shunts[one] += (near - 0.5j * charging) / branch.tap**2
         case.shunts[other] += far.real
-        branches.append(made(
-            branch.name, Branch, from_bus=numbers[one], to_bus=numbers[other], resistance=branch.impedance.real,
-            reactance=branch.impedance.imag, charging=charging, tap=branch.tap, phase_rad=branch.phase_rad,
-        ))  # fmt: skip
+        branches.append(
+            made(
+                branch.name,
+                Branch,
+                from_bus=numbers[one],
+                to_bus=numbers[other],
+                resistance=branch.impedance.real,
+                reactance=branch.impedance.imag,
+                charging=charging,
+                tap=branch.tap,
+                phase_rad=branch.phase_rad,
+            )
+        )
     buses = []
     for key, voltage in case.voltages.items():
         load, shunt, number = case.loads.get(key, 0j), BASE_MVA * case.shunts.get(key, 0j), numbers[key]
         x, y = case.places.get(key, (None, None))
-        buses.append(made(
-            f"bus {number}", Bus, number=number, load_mw=load.real, load_mvar=load.imag, shunt_mw=shunt.real,
-            shunt_mvar=shunt.imag, voltage_pu=round(abs(voltage), 9) if number in held else None, x=x, y=y,
-        ))  # fmt: skip
+        buses.append(
+            made(
+                f"bus {number}",
+                Bus,
+                number=number,
+                load_mw=load.real,
+                load_mvar=load.imag,
+                shunt_mw=shunt.real,
+                shunt_mvar=shunt.imag,
+                voltage_pu=round(abs(voltage), 9) if number in held else None,
+                x=x,
+                y=y,
+            )
+        )
     return NetworkCase(
-        name=case.name, base_mva=BASE_MVA, frequency_hz=case.frequency_hz, slack_bus=numbers[case.slack],
-        buses=tuple(buses), branches=tuple(branches), machines=tuple(machines),
-    )  # fmt: skip
+        name=case.name,
+        base_mva=BASE_MVA,
+        frequency_hz=case.frequency_hz,
+        slack_bus=numbers[case.slack],
+        buses=tuple(buses),
+        branches=tuple(branches),
+        machines=tuple(machines),
+    )
 
 
 def power_flow(case: NetworkCase) -> tuple[np.ndarray, np.ndarray]:

@@ -40,8 +40,13 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from wtg_gym.physics.parameters import ConverterLimitParameters, GridFormingParameters, VoltageControlParameters
-from wtg_gym.systems.elementary import clip, fma, limited_rate, select
+from wtg_gym.physics.parameters import (
+    ConverterLimitParameters,
+    GridFormingParameters,
+    VoltageControlParameters,
+    constants_of,
+)
+from wtg_gym.systems.elementary import fma, limited_rate, select
 
 
 class Corners(NamedTuple):
@@ -60,7 +65,7 @@ class Converter(NamedTuple):
     droop_gain: float  # D_p [p.u./p.u.]
     corners: Corners
     reactance: float  # X_g between its voltage and the bus [p.u.]
-    overload: float  # power above which it is overloaded [p.u.]
+    overload_limit: float  # power above which it is overloaded [p.u.]
 
 
 class ConverterState(NamedTuple):
@@ -84,14 +89,8 @@ class Law(NamedTuple):
 
 def converter_constants(p: GridFormingParameters) -> Converter:
     """Return the constants."""
-    return Converter(
-        two_h=2.0 * p.inertia_constant_s,
-        inv_two_h=0.5 / p.inertia_constant_s,
-        droop_gain=p.droop_gain_pu,
-        corners=Corners(p.frequency_min_pu, p.frequency_setpoint_pu, p.frequency_max_pu),
-        reactance=p.reactance_pu,
-        overload=p.overload_limit_pu,
-    )
+    h, corners = p.inertia_constant_s, constants_of(Corners, p)
+    return constants_of(Converter, p, two_h=2.0 * h, inv_two_h=0.5 / h, corners=corners)
 
 
 def tracking_coefficient(speed: float, k_min: float, k_nominal: float, k_max: float, c: Corners) -> float:
@@ -156,8 +155,8 @@ class ConverterLimits(NamedTuple):
     power_max: float  # p_max [p.u.]
     power_min: float  # p_min ≤ 0 [p.u.]
     torque_max: float  # T_max [p.u.]
-    gain_p: float  # k_p [p.u. of frequency per p.u. of power]
-    gain_i: float  # k_i [1/s]
+    power_gain: float  # k_p [p.u. of frequency per p.u. of power]
+    power_integral_gain: float  # k_i [1/s]
     chopper_energy: float  # that the chopper stands [p.u. s]
     heat_kept: float  # share of its heat that is left after a simulation step
 
@@ -174,16 +173,7 @@ def converter_limits(p: ConverterLimitParameters | None, simulation_dt: float) -
     """Return the constants for a simulation step [s]; None for a converter without limits."""
     if p is None:
         return ConverterLimits(_UNLIMITED, _UNLIMITED, -_UNLIMITED, _UNLIMITED, 0.0, 0.0, _UNLIMITED, 0.0)
-    return ConverterLimits(
-        current_max=p.current_max_pu,
-        power_max=p.power_max_pu,
-        power_min=p.power_min_pu,
-        torque_max=p.torque_max_pu,
-        gain_p=p.power_gain,
-        gain_i=p.power_integral_gain,
-        chopper_energy=p.chopper_energy_pu_s,
-        heat_kept=math.exp(-simulation_dt / p.chopper_cooling_s),
-    )
+    return constants_of(ConverterLimits, p, heat_kept=math.exp(-simulation_dt / p.chopper_cooling_s))
 
 
 #: Voltage above which a group stays connected for a time only [p.u.], and that time [s]. Source: Australian National
@@ -225,30 +215,25 @@ def limiting_reactance(current_re: float, current_im: float, y_re: float, y_im: 
 def power_limiter(s: LimitState, power: float, most: float, c: ConverterLimits) -> tuple[LimitState, float, float]:
     """Return the rates, Δω and the power that the rotor gives [p.u.], at a power into the grid and with its limit."""
     over, under = most - power, c.power_min - power
-    shift = min(fma(c.gain_p, over, s.over_power), 0.0) + max(fma(c.gain_p, under, s.under_power), 0.0)
+    shift = min(fma(c.power_gain, over, s.over_power), 0.0) + max(fma(c.power_gain, under, s.under_power), 0.0)
     drawn = max(power, c.power_min)
     rates = LimitState(
-        over_power=limited_rate(c.gain_i * over, s.over_power, -_UNLIMITED, 0.0),
-        under_power=limited_rate(c.gain_i * under, s.under_power, 0.0, _UNLIMITED),
+        over_power=limited_rate(c.power_integral_gain * over, s.over_power, -_UNLIMITED, 0.0),
+        under_power=limited_rate(c.power_integral_gain * under, s.under_power, 0.0, _UNLIMITED),
         energy_chopped=drawn - power,
     )
     return rates, shift, drawn
 
 
-def limit_state_limited(s: LimitState) -> LimitState:
-    """Return the states, held within their limits."""
-    return LimitState(min(s.over_power, 0.0), max(s.under_power, 0.0), s.energy_chopped)
-
-
 class VoltageControl(NamedTuple):
     """Constants of voltage control."""
 
-    gain: float  # K_iv [1/s]; 0 for a constant voltage behind X_g
+    integral_gain: float  # K_iv [1/s]; 0 for a constant voltage behind X_g
     droop: float  # m_q [p.u./p.u.]
     reactive_max: float  # q_max [p.u.]
     takeover_gain: float  # K_q [p.u./p.u.]
-    emf_min: float  # E_min [p.u.]
-    emf_max: float  # E_max [p.u.]
+    internal_voltage_min: float  # E_min [p.u.]
+    internal_voltage_max: float  # E_max [p.u.]
 
 
 class VoltageInput(NamedTuple):
@@ -262,14 +247,7 @@ def voltage_control(p: VoltageControlParameters | None) -> VoltageControl:
     """Return the constants; None for a constant voltage behind X_g."""
     if p is None:
         return VoltageControl(0.0, 0.0, 0.0, 0.0, 0.0, math.inf)
-    return VoltageControl(
-        gain=p.integral_gain,
-        droop=p.droop_pu,
-        reactive_max=p.reactive_max_pu,
-        takeover_gain=p.takeover_gain,
-        emf_min=p.internal_voltage_min_pu,
-        emf_max=p.internal_voltage_max_pu,
-    )
+    return constants_of(VoltageControl, p)
 
 
 def emf_rate(emf: float, voltage: float, reactive: float, cut: float, u: VoltageInput, c: VoltageControl) -> float:
@@ -284,10 +262,5 @@ def emf_rate(emf: float, voltage: float, reactive: float, cut: float, u: Voltage
     error = u.voltage_reference - voltage - c.droop * (reactive - u.reactive_reference)
     error = min(error, c.takeover_gain * (c.reactive_max - reactive))
     error = max(error, c.takeover_gain * (-c.reactive_max - reactive))
-    rate = limited_rate(c.gain * error, emf, c.emf_min, c.emf_max)
+    rate = limited_rate(c.integral_gain * error, emf, c.internal_voltage_min, c.internal_voltage_max)
     return select(rate > 0.0, rate * max(1.0 - cut * (1.0 / CUT_FULL), 0.0), rate)
-
-
-def emf_limited(emf: float, c: VoltageControl) -> float:
-    """Return E, held within its limits."""
-    return clip(emf, c.emf_min, c.emf_max)

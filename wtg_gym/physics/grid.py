@@ -179,20 +179,15 @@ class NetworkCase(Checked):
         """Return the indices of the branches any one of which splits the network when it opens."""
         return frozenset(index for index in range(len(self.branches)) if len(self.parts_without((index,))) > 1)
 
+    def with_machines(
+        self, change: Callable[[SynchronousMachineParameters], SynchronousMachineParameters]
+    ) -> NetworkCase:
+        """Return the network with other machines: `change` turns each into its own."""
+        return dataclasses.replace(self, machines=tuple(map(change, self.machines)))
+
     def classical(self) -> NetworkCase:
         """Return the network with a constant voltage behind x'_d in place of every machine and its exciter."""
-        machines = (
-            dataclasses.replace(machine, classical=True, exciter=None, stabiliser=None) for machine in self.machines
-        )
-        return dataclasses.replace(self, machines=tuple(machines))
-
-    def with_governors(self, change: Callable[[AnyGovernor], AnyGovernor]) -> NetworkCase:
-        """Return the network with other governors: `change` turns the one of each machine that has one into its own."""
-        machines = tuple(
-            machine if machine.governor is None else dataclasses.replace(machine, governor=change(machine.governor))
-            for machine in self.machines
-        )
-        return dataclasses.replace(self, machines=machines)
+        return self.with_machines(lambda m: dataclasses.replace(m, classical=True, exciter=None, stabiliser=None))
 
 
 #: The grids that come with the package.

@@ -29,7 +29,8 @@ from wtg_gym.physics.machine_parameters import (
     GovernorParameters,
     SynchronousMachineParameters,
 )
-from wtg_gym.systems.elementary import clip, limited_rate, select, sine_cosine
+from wtg_gym.physics.parameters import constants_of
+from wtg_gym.systems.elementary import clip, limited_rate, select
 
 
 class Saturation(NamedTuple):
@@ -96,14 +97,7 @@ def exciter_constants(parameters: AnyExciter | None) -> Exciter:
     """Return the constants of an exciter; without one the field voltage stays, unless another model sets it."""
     if not isinstance(parameters, ExciterParameters):
         return Exciter(0.0, 0.0, 0.0, 0.0, -float("inf"), float("inf"))
-    return Exciter(
-        gain=parameters.gain,
-        lead_lag_ratio=parameters.lead_lag_ratio,
-        inv_lag_time=1.0 / parameters.lag_time_s,
-        inv_exciter_time=1.0 / parameters.exciter_time_s,
-        field_min=parameters.field_min_pu,
-        field_max=parameters.field_max_pu,
-    )
+    return constants_of(Exciter, parameters)
 
 
 def exciter_rates(s: ExciterState, voltage_error: float, c: Exciter) -> ExciterState:
@@ -120,11 +114,6 @@ def exciter_rates(s: ExciterState, voltage_error: float, c: Exciter) -> ExciterS
         lead_lag=c.inv_lag_time * error,
         field_voltage=limited_rate(field_rate, s.field_voltage, c.field_min, c.field_max),
     )
-
-
-def exciter_limited(s: ExciterState, c: Exciter) -> ExciterState:
-    """Return the states, held within their limits."""
-    return ExciterState(s.lead_lag, clip(s.field_voltage, c.field_min, c.field_max))
 
 
 def exciter_start(field_voltage: float, c: Exciter) -> tuple[ExciterState, float]:
@@ -166,17 +155,8 @@ def governor_constants(parameters: AnyGovernor | None) -> Governor:
         inv_droop, is_unit = (0.0, 0.0) if parameters is None else (1.0 / parameters.droop_pu, 1.0)
         limits = (-math.inf, math.inf) if parameters is None else gate_limits(parameters)
         return Governor(inv_droop, 0.0, 0.0, 0.0, *limits, 0.0, 0.0, is_unit)
-    return Governor(
-        inv_droop=1.0 / parameters.droop_pu,
-        inv_gate_time=1.0 / parameters.gate_time_s,
-        lead_reheat_ratio=parameters.lead_time_s / parameters.reheat_time_s,
-        inv_reheat_time=1.0 / parameters.reheat_time_s,
-        gate_min=parameters.gate_min_pu,
-        gate_max=parameters.gate_max_pu,
-        turbine_damping=parameters.turbine_damping_pu,
-        dead_band=parameters.dead_band_pu,
-        is_unit=0.0,
-    )
+    ratio = parameters.lead_time_s / parameters.reheat_time_s
+    return constants_of(Governor, parameters, lead_reheat_ratio=ratio, is_unit=0.0)
 
 
 def beyond_dead_band(deviation: float, dead_band: float) -> float:
@@ -203,11 +183,6 @@ def governor_rates(
         reheat=c.inv_reheat_time * (held - s.reheat),
     )
     return rates, s.reheat + c.lead_reheat_ratio * (held - s.reheat) - c.turbine_damping * (speed - 1.0)
-
-
-def governor_limited(s: GovernorState, c: Governor) -> GovernorState:
-    """Return the states, held within their limits."""
-    return GovernorState(clip(s.gate, c.gate_min, c.gate_max), s.reheat)
 
 
 class Machine(NamedTuple):
@@ -289,14 +264,6 @@ class MachineOutput(NamedTuple):
     torque: float  # mechanical [p.u.]
 
 
-def machine_voltage(s: MachineState, c: Machine) -> tuple[MachineVoltage, float, float]:
-    """Return the voltage behind x'', and its real and imaginary part in the network's frame [p.u.]."""
-    sine, cosine = sine_cosine(s.angle)
-    e_d = c.gamma_q * s.e_d_transient - (1.0 - c.gamma_q) * s.psi_2q
-    e_q = c.gamma_d * s.e_q_transient + (1.0 - c.gamma_d) * s.psi_1d
-    return MachineVoltage(sine, cosine, e_d, e_q), e_d * sine + e_q * cosine, e_q * sine - e_d * cosine
-
-
 def terminal_voltage(e: MachineVoltage, i_re: float, i_im: float, c: Machine) -> float:
     """Return the voltage at the terminal [p.u.], at a current into the network in its frame [p.u.]."""
     return _stator(e, *_in_rotor(e, i_re, i_im), c)
@@ -363,67 +330,11 @@ def machine_rates(
     return rates, MachineOutput(power, voltage, torque)
 
 
-def driven_by(torque: float, rates: MachineState, output: MachineOutput, u: MachineInput) -> MachineState:
-    """Return the rates with another mechanical torque [p.u.] than the governor's."""
-    return rates._replace(speed=rates.speed + u.inv_two_h * (torque - output.torque))
-
-
 def machine_limited(s: MachineState, c: Machine) -> MachineState:
     """Return the states, held within their limits."""
-    governor = governor_limited(s.governor, c.governor)
-    return s._replace(exciter=exciter_limited(s.exciter, c.exciter), governor=governor)
-
-
-def machine_start(
-    power: float,
-    v_re: float,
-    v_im: float,
-    magnitude: float,
-    i_re: float,
-    i_im: float,
-    c: Machine,
-    saturation: RotorSaturation,
-) -> tuple[MachineState, float, float]:
-    """Return the equilibrium at a terminal, its V_ref and its gate reference.
-
-    The rotor's angle counts from the network's frame. Source: Kundur, section 3.6.
-
-    Args:
-        power: [p.u.].
-        v_re, v_im, magnitude: of the voltage [p.u.].
-        i_re, i_im: of the current into the network [p.u.].
-        c, saturation: constants.
-    """
-    # x'_d - x'' = (x'_d - x_l)(1 - γ_d), and likewise on the q axis.
-    x_d_transient = c.internal_reactance + c.x_d_leak * (1.0 - c.gamma_d)
-    x_q = c.internal_reactance + c.x_q_leak * (1.0 - c.gamma_q) + c.x_q_field
-    axis_re, axis_im = v_re + (c.resistance * i_re - x_q * i_im), v_im + (c.resistance * i_im + x_q * i_re)
-    # Saturation is that of the voltage behind x'', whose size the rotor's frame does not change.
-    r, x = c.resistance, c.internal_reactance
-    e_re, e_im = v_re + (r * i_re - x * i_im), v_im + (r * i_im + x * i_re)
-    on_d = saturation_factor(e_re, e_im, saturation)
-    on_q = on_d * saturation.q_weight
-    delta = math.atan2(axis_im + on_q * e_im, axis_re + on_q * e_re)
-    sine, cosine = math.sin(delta), math.cos(delta)
-    i_d, i_q = i_re * sine - i_im * cosine, i_re * cosine + i_im * sine
-    v_q = v_re * cosine + v_im * sine
-    e_q_transient = v_q + c.resistance * i_q + x_d_transient * i_d
-    e_d_transient = c.x_q_field * i_q - on_q * (e_re * sine - e_im * cosine)
-    field_voltage = e_q_transient + c.x_d_field * i_d + on_d * (e_re * cosine + e_im * sine)
-    exciter, error = exciter_start(field_voltage, c.exciter)
-    torque = power + c.resistance * (i_d * i_d + i_q * i_q)
-    gate = torque / c.rating
-    state = MachineState(
-        angle=delta,
-        speed=1.0,
-        e_q_transient=e_q_transient,
-        e_d_transient=e_d_transient,
-        psi_1d=e_q_transient - c.x_d_leak * i_d,
-        psi_2q=-e_d_transient - c.x_q_leak * i_q,
-        exciter=exciter,
-        governor=GovernorState(gate, gate),
-    )
-    return state, magnitude + error, gate
+    field_voltage = clip(s.exciter.field_voltage, c.exciter.field_min, c.exciter.field_max)
+    gate = clip(s.governor.gate, c.governor.gate_min, c.governor.gate_max)
+    return s._replace(exciter=s.exciter._replace(field_voltage=field_voltage), governor=s.governor._replace(gate=gate))
 
 
 def machine_constants(m: SynchronousMachineParameters, base_mva: float) -> Machine:

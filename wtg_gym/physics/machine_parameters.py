@@ -316,13 +316,6 @@ def classical_machine(**values: Any) -> SynchronousMachineParameters:
     Args:
         values: of :class:`SynchronousMachineParameters`; those of a round rotor have no effect and need not be given.
     """
-    unused = {
-        "x_d": 1.0,
-        "x_subtransient": 0.15,
-        "x_q": 1.0,
-        "x_q_transient": 1.0,
-        "t_d0_transient_s": 1.0,
-        "t_d0_subtransient_s": 1.0,
-        "t_q0_subtransient_s": 1.0,
-    }
+    transient = ("x_q_transient", "t_d0_transient_s", "t_d0_subtransient_s", "t_q0_subtransient_s")
+    unused = {**dict.fromkeys(("x_d", "x_q", *transient), 1.0), "x_subtransient": 0.15}
     return SynchronousMachineParameters(**{**unused, "exciter": None, **values, "classical": True})

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import math
+
 from wtg_gym.physics import machine as equations
 from wtg_gym.physics import units
 from wtg_gym.physics.machine import Machine, MachineInput, MachineState, MachineVoltage, Saturating
 from wtg_gym.physics.units import LANE, Connection, Failure, Phasor
-from wtg_gym.systems.elementary import clip, select
+from wtg_gym.systems.elementary import clip, select, sine_cosine
 from wtg_gym.systems.systems import Kind, each, system
 
 MACHINES = Kind(
@@ -46,11 +48,39 @@ def plan_machine(dispatch: float, needed: float, connection: Connection) -> floa
 def start_machine(
     start: units.Terminal, inv_committed: float, machine: Machine, saturation: equations.RotorSaturation
 ) -> tuple[MachineState, float, float]:
-    """Return the equilibrium that a run starts from; angles count from the network's frame."""
-    v, i_re, i_im = start.voltage, inv_committed * start.current.re, inv_committed * start.current.im
-    return equations.machine_start(
-        inv_committed * start.power, v.re, v.im, start.magnitude, i_re, i_im, machine, saturation
+    """Return the equilibrium that a run starts from; angles count from the network's frame. Source: Kundur, 3.6."""
+    c, v, power = machine, start.voltage, inv_committed * start.power
+    i_re, i_im = inv_committed * start.current.re, inv_committed * start.current.im
+    # x'_d - x'' = (x'_d - x_l)(1 - γ_d), and likewise on the q axis.
+    x_d_transient = c.internal_reactance + c.x_d_leak * (1.0 - c.gamma_d)
+    x_q = c.internal_reactance + c.x_q_leak * (1.0 - c.gamma_q) + c.x_q_field
+    axis_re, axis_im = v.re + (c.resistance * i_re - x_q * i_im), v.im + (c.resistance * i_im + x_q * i_re)
+    # Saturation is that of the voltage behind x'', whose size the rotor's frame does not change.
+    r, x = c.resistance, c.internal_reactance
+    e_re, e_im = v.re + (r * i_re - x * i_im), v.im + (r * i_im + x * i_re)
+    on_d = equations.saturation_factor(e_re, e_im, saturation)
+    on_q = on_d * saturation.q_weight
+    delta = math.atan2(axis_im + on_q * e_im, axis_re + on_q * e_re)
+    sine, cosine = math.sin(delta), math.cos(delta)
+    i_d, i_q = i_re * sine - i_im * cosine, i_re * cosine + i_im * sine
+    v_q = v.re * cosine + v.im * sine
+    e_q_transient = v_q + c.resistance * i_q + x_d_transient * i_d
+    e_d_transient = c.x_q_field * i_q - on_q * (e_re * sine - e_im * cosine)
+    field_voltage = e_q_transient + c.x_d_field * i_d + on_d * (e_re * cosine + e_im * sine)
+    exciter, error = equations.exciter_start(field_voltage, c.exciter)
+    torque = power + c.resistance * (i_d * i_d + i_q * i_q)
+    gate = torque / c.rating
+    state = MachineState(
+        angle=delta,
+        speed=1.0,
+        e_q_transient=e_q_transient,
+        e_d_transient=e_d_transient,
+        psi_1d=e_q_transient - c.x_d_leak * i_d,
+        psi_2q=-e_d_transient - c.x_q_leak * i_q,
+        exciter=exciter,
+        governor=equations.GovernorState(gate, gate),
     )
+    return state, start.magnitude + error, gate
 
 
 @system(FIRST_MACHINE, "frame")
@@ -78,8 +108,10 @@ def check_machine(state: MachineState, machine: Machine, connection: Connection,
 @system(MACHINES, "emf", "unit_voltage")
 def voltage_of_machine(state: MachineState, machine: Machine) -> tuple[MachineVoltage, Phasor]:
     """Return the voltage behind x'', in the frames of rotor and network."""
-    emf, re, im = equations.machine_voltage(state, machine)
-    return emf, Phasor(re, im)
+    c, (sine, cosine) = machine, sine_cosine(state.angle)
+    e_d = c.gamma_q * state.e_d_transient - (1.0 - c.gamma_q) * state.psi_2q
+    e_q = c.gamma_d * state.e_q_transient + (1.0 - c.gamma_d) * state.psi_1d
+    return MachineVoltage(sine, cosine, e_d, e_q), Phasor(e_d * sine + e_q * cosine, e_q * sine - e_d * cosine)
 
 
 @system(MACHINES, "iron", when="saturates")
@@ -111,10 +143,9 @@ def rates_of_machine(
     i_re, i_im = inv_committed * current.re, inv_committed * current.im
     rates, output = equations.machine_rates(state, emf, i_re, i_im, given, machine, iron, reference_speed, omega_n)
     torque = select(machine.governor.is_unit > 0.5, turbine_torque, output.torque)
-    rates = each(lambda rate: given.connected * rate, equations.driven_by(torque, rates, output, given))
-    return rates, equations.MachineOutput(
-        committed * output.power, output.voltage, committed * (given.connected * torque)
-    )
+    rates = rates._replace(speed=rates.speed + given.inv_two_h * (torque - output.torque))
+    power, torque = committed * output.power, committed * (given.connected * torque)
+    return each(lambda rate: given.connected * rate, rates), output._replace(power=power, torque=torque)
 
 
 @system(MACHINES, "gate_reference", when="secondary control")

@@ -9,14 +9,17 @@ from __future__ import annotations
 import dataclasses
 import functools
 import math
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from wtg_gym.physics.rotor_table import RotorTable, read_rotor_table
 from wtg_gym.ranges import Checked, describe, design, is_whole, parameter, require_whole
 
+R = TypeVar("R", bound=tuple[Any, ...])
+_UNIT = re.compile(r"(_(pu|deg|s))+$")
 #: What the short keys in each field's `source` stand for.
 SOURCES = {
     "paper": "Chen, Xi, Cheng, Dörfler, Lestas: Coordinated Primary Frequency Regulation and Grid-Forming Control "
@@ -39,6 +42,19 @@ SOURCES = {
     "HYGOV": "typical data of the hydro governor HYGOV of PSS/E; P. Kundur: Power System Stability and Control, 9.1",
     "design": "a design value of this benchmark",
 }
+
+
+def constants_of(record: type[R], parameters: Any, **others: Any) -> R:
+    """Return constants as a record (NamedTuple): each is the parameter of its name, which has its unit behind that.
+
+    "inv_gate_time" is the inverse of `gate_time_s`. `others` are given, and what is neither is a KeyError.
+    """
+    values = {_UNIT.sub("", field.name): getattr(parameters, field.name) for field in dataclasses.fields(parameters)}
+    for name in record._fields:  # type: ignore[attr-defined]
+        if name not in others:
+            given = values[name.removeprefix("inv_")]
+            others[name] = 1.0 / given if name.startswith("inv_") else given
+    return record(**others)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -21,6 +21,7 @@ from wtg_gym.physics.grid import NetworkCase, get_grid
 from wtg_gym.physics.layout import Facts, Layout, Network, Span, place_in
 from wtg_gym.physics.machine import Machine, RotorSaturation, gate_limits, machine_constants, rotor_saturation
 from wtg_gym.physics.machine_models import CONTROLS, control_constants, joining_controls
+from wtg_gym.physics.machine_parameters import SynchronousMachineParameters
 from wtg_gym.physics.machine_unit import FIRST_MACHINE, MACHINES
 from wtg_gym.physics.network import SPARSE_FROM, assemble_admittance, branch_admittances, pattern_of
 from wtg_gym.physics.parameters import TurbineParameters, WtgGroup
@@ -197,10 +198,15 @@ def _extended(case: NetworkCase, turbine: TurbineParameters) -> dict[str, Any]:
     continental Europe asks for. It takes from machines without a governor their damping D, which would be power without
     a source.
     """
-    case = case.with_governors(lambda g: g if g.dead_band_pu else dataclasses.replace(g, dead_band_pu=DEAD_BAND_PU))
-    machines = (m if m.governor is not None else dataclasses.replace(m, damping_pu=0.0) for m in case.machines)
+
+    def changed(m: SynchronousMachineParameters) -> SynchronousMachineParameters:
+        if m.governor is None:
+            return dataclasses.replace(m, damping_pu=0.0)
+        dead_band = m.governor.dead_band_pu or DEAD_BAND_PU
+        return dataclasses.replace(m, governor=dataclasses.replace(m.governor, dead_band_pu=dead_band))
+
     return {
-        "case": dataclasses.replace(case, machines=tuple(machines)),
+        "case": case.with_machines(changed),
         "turbine": turbine,
         "limits": parameters.ConverterLimitParameters(),
         "voltage_control": parameters.VoltageControlParameters(),
@@ -293,7 +299,7 @@ def plant_tables(settings: Plant) -> PlantTables:
             "limits": turbines[0].limits,
             "trips_groups": settings.trips_groups,
             "reactive_max": extensions[0].voltage.reactive_max,
-            "voltage_gain": extensions[0].voltage.gain,
+            "voltage_gain": extensions[0].voltage.integral_gain,
             "secondary_gain": settings.simulation_dt / settings.secondary_time_s if settings.secondary_time_s else 0.0,
         },
         devices=settings.all_devices,

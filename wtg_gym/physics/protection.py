@@ -257,7 +257,7 @@ def track_extremes(
     """Return a group's extremes; its power is that of the step's last stage, which lies at the step's end."""
     ratio = wind_turbine.tip_speed_ratio(state.rotor_speed, output.wind, turbine.rotor)
     turning = (active > 0.5) & (given.connected > 0.5)
-    overloaded = turning & (output.power > turbine.converter.overload)
+    overloaded = turning & (output.power > turbine.converter.overload_limit)
     return wind_turbine.WtgExtremes(
         peak_power=select(turning, max(extremes.peak_power, output.power), extremes.peak_power),
         least_tsr=select(turning, min(extremes.least_tsr, ratio), extremes.least_tsr),
@@ -361,7 +361,9 @@ def judge_island(
     over-speed of the last such group; loss of synchronism; voltage collapse; frequency limit. The others follow from
     it. An island without a unit has no voltage.
     """
-    found = select((centre < limits.coi_min) | (centre > limits.coi_max), float(Status.FREQUENCY_LIMIT), 0.0)
+    found = select(
+        (centre < limits.frequency_min) | (centre > limits.frequency_max), float(Status.FREQUENCY_LIMIT), 0.0
+    )
     empty = spread.least_angle > spread.largest_angle
     healthy = spread.least_squared_voltage >= limits.low_voltage * limits.low_voltage
     healthy_step = select(active > 0.5, select(healthy, step, healthy_step), healthy_step)

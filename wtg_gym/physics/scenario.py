@@ -8,9 +8,10 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import re
 import types
 from dataclasses import dataclass, field
-from typing import Any, ClassVar, TypeVar
+from typing import Any, ClassVar, TypeVar, get_args
 
 import numpy as np
 
@@ -273,32 +274,23 @@ class GroupTrip(_At):
         return self.group + 1
 
 
-EVENT_KINDS: dict[str, type[Any]] = {
-    "load_step": LoadStep,
-    "load_ramp": LoadRamp,
-    "load_trip": LoadTrip,
-    "line_trip": LineTrip,
-    "governor_loss": GovernorLoss,
-    "machine_outage": MachineOutage,
-    "group_trip": GroupTrip,
-    "fault": Fault,
-    "reactance_step": ReactanceStep,
-    "phase_jump": PhaseJump,
-    "frequency_ramp": FrequencyRamp,
-}
 Event = (
     LoadStep
     | LoadRamp
     | LoadTrip
     | LineTrip
-    | ReactanceStep
-    | Fault
     | GovernorLoss
     | MachineOutage
     | GroupTrip
+    | Fault
+    | ReactanceStep
     | PhaseJump
     | FrequencyRamp
 )
+#: Events by the names of their kinds in data: LoadStep is "load_step".
+EVENT_KINDS: dict[str, type[Any]] = {
+    re.sub(r"\B(?=[A-Z])", "_", event.__name__).lower(): event for event in get_args(Event)
+}
 _KIND_OF = {cls: kind for kind, cls in EVENT_KINDS.items()}
 
 

@@ -14,9 +14,8 @@ from typing import NamedTuple
 
 from wtg_gym.physics import aerodynamics, parameters
 from wtg_gym.physics import converter as gfm
-from wtg_gym.physics.rotor_table import Grid, tabulated_power_coefficient
-from wtg_gym.systems import expressions as ex
-from wtg_gym.systems.elementary import clip, fma, limited_rate, select, sine_cosine
+from wtg_gym.physics.rotor_table import Grid
+from wtg_gym.systems.elementary import clip, limited_rate, sine_cosine
 from wtg_gym.systems.systems import each
 
 
@@ -26,14 +25,14 @@ class Pitch(NamedTuple):
     power_limit: float  # p_max at ω_st [p.u.]
     power_limit_low: float  # at ω_min
     power_limit_high: float  # at ω_max
-    rotor_limit: float  # ω_m,max [p.u.]
+    rotor_speed_limit: float  # ω_m,max [p.u.]
     speed_weight: float  # K_ω [p.u./p.u.]
-    gain_p: float  # K_βP [deg/p.u.]
-    gain_i: float  # K_βI [deg/(p.u. s)]
-    inv_schedule: float  # 1/β_K [1/deg]
-    inv_actuator: float  # 1/T_β [1/s]
+    proportional_gain: float  # K_βP [deg/p.u.]
+    integral_gain: float  # K_βI [deg/(p.u. s)]
+    inv_gain_schedule: float  # 1/β_K [1/deg]
+    inv_actuator_time: float  # 1/T_β [1/s]
     rate_limit: float  # [deg/s]
-    angle_max: float  # [deg]
+    largest_angle: float  # [deg]
 
 
 class PitchState(NamedTuple):
@@ -46,19 +45,7 @@ class PitchState(NamedTuple):
 def pitch_constants(p: parameters.PitchParameters, shares: tuple[float, float, float] = (1.0, 1.0, 1.0)) -> Pitch:
     """Return the constants; `shares` of the largest captured power are the limits at ω_min, ω_st and ω_max."""
     low, nominal, high = (p.captured_power_limit_pu * share for share in shares)
-    return Pitch(
-        power_limit=nominal,
-        power_limit_low=low,
-        power_limit_high=high,
-        rotor_limit=p.rotor_speed_limit_pu,
-        speed_weight=p.speed_weight,
-        gain_p=p.proportional_gain_deg,
-        gain_i=p.integral_gain_deg_s,
-        inv_schedule=1.0 / p.gain_schedule_deg,
-        inv_actuator=1.0 / p.actuator_time_s,
-        rate_limit=p.rate_limit_deg_s,
-        angle_max=p.largest_angle_deg,
-    )
+    return parameters.constants_of(Pitch, p, power_limit=nominal, power_limit_low=low, power_limit_high=high)
 
 
 def pitch_rates(s: PitchState, captured: float, rotor_speed: float, power_limit: float, c: Pitch) -> PitchState:
@@ -74,18 +61,13 @@ def pitch_rates(s: PitchState, captured: float, rotor_speed: float, power_limit:
     controller WTGPT_A it acts on speed and power, but with one PI. Source of gain schedule and rate limit: J. Jonkman
     et al.: Definition of a 5-MW Reference Wind Turbine, NREL/TP-500-38060.
     """
-    excess = max(captured - power_limit, c.speed_weight * (rotor_speed - c.rotor_limit))
-    scheduled = excess / (1.0 + s.pitch * c.inv_schedule)
-    demand = clip(s.pitch_integral + c.gain_p * scheduled, 0.0, c.angle_max)
+    excess = max(captured - power_limit, c.speed_weight * (rotor_speed - c.rotor_speed_limit))
+    scheduled = excess / (1.0 + s.pitch * c.inv_gain_schedule)
+    demand = clip(s.pitch_integral + c.proportional_gain * scheduled, 0.0, c.largest_angle)
     return PitchState(
-        pitch_integral=limited_rate(c.gain_i * scheduled, s.pitch_integral, 0.0, c.angle_max),
-        pitch=clip((demand - s.pitch) * c.inv_actuator, -c.rate_limit, c.rate_limit),
+        pitch_integral=limited_rate(c.integral_gain * scheduled, s.pitch_integral, 0.0, c.largest_angle),
+        pitch=clip((demand - s.pitch) * c.inv_actuator_time, -c.rate_limit, c.rate_limit),
     )
-
-
-def pitch_limited(s: PitchState, c: Pitch) -> PitchState:
-    """Return the states, held within their limits."""
-    return PitchState(clip(s.pitch_integral, 0.0, c.angle_max), clip(s.pitch, 0.0, c.angle_max))
 
 
 class Rotor(NamedTuple):
@@ -113,8 +95,8 @@ class Limits(NamedTuple):
     stall_pitch: float  # [deg]
     over_speed: float  # [p.u.]
     rotor_speed_min: float  # [p.u.]
-    coi_min: float  # frequency of the centre of inertia [p.u.]
-    coi_max: float
+    frequency_min: float  # frequency of the centre of inertia [p.u.]
+    frequency_max: float
     angle_spread: float  # largest difference of the units' angles [rad]
     low_voltage: float  # [p.u.]
     low_voltage_time: float  # [s]
@@ -199,18 +181,6 @@ def wtg_voltage(s: WtgState, emf: float) -> tuple[float, float]:
     return emf * cosine, emf * sine
 
 
-def captured_by_curve(rotor_speed: float, wind: float, pitch: float, c: Rotor) -> float:
-    """Return p_w [p.u.] at a rotor speed [p.u.], a wind speed [m/s] and a pitch angle [deg], by the curve of C_p."""
-    tip = c.tip_speed * max(rotor_speed, 1e-3)
-    return c.wind_power * wind * wind * wind * aerodynamics.power_coefficient_at(tip, wind, pitch, c.curve)
-
-
-def captured_by_table(rotor_speed: float, wind: float, pitch: float, c: Rotor, cells: ex.Cells) -> float:
-    """Return what :func:`captured_by_curve` does, by the table of C_p."""
-    ratio = c.tip_speed * max(rotor_speed, 1e-3) / wind
-    return c.wind_power * wind * wind * wind * tabulated_power_coefficient(ratio, pitch, cells, c.grid)
-
-
 def wind_at(u: WtgInput, fraction: float) -> float:
     """Return the wind [m/s] when a fraction 0 … 1 of the control interval has passed: linear between its ends."""
     return u.wind_start + fraction * (u.wind_end - u.wind_start)
@@ -257,131 +227,17 @@ def frequency_of(s: WtgState, output: WtgOutput) -> float:
     return s.converter.speed + output.shift
 
 
-def at_terminal(
-    e_re: float, e_im: float, i_re: float, i_im: float, limiting_reactance: float, share: float, c: gfm.Converter
-) -> ExtensionOutput:
-    """Return what a group measures at its terminal, given the voltage behind X_g and the current on its base."""
-    v_re, v_im = e_re + c.reactance * i_im, e_im - c.reactance * i_re
-    current = math.sqrt(i_re * i_re + i_im * i_im)
-    return ExtensionOutput(
-        limiting_reactance,
-        math.sqrt(v_re * v_re + v_im * v_im),
-        v_im * i_re - v_re * i_im,
-        current,
-        limiting_reactance * (current * share),
-    )
-
-
-def extended_rates(
-    rates: WtgState,
-    s: WtgState,
-    x: ExtensionState,
-    limits: tuple[gfm.LimitState, float],
-    terminal: ExtensionOutput,
-    u: WtgInput,
-    given: gfm.VoltageInput,
-    c: Turbine,
-    e: Extension,
-) -> tuple[WtgState, ExtensionState]:
-    """Return the rates of an extended group, and those of its further states.
-
-    Args:
-        rates: of :func:`wtg_rates`.
-        s, x, u, given, c, e: states, further states, inputs, references, constants, further constants.
-        limits: rates of the power limiter, and the power that the rotor gives [p.u.].
-        terminal: voltage, reactive power, and what the current limiter takes.
-    """
-    of_limits, drawn = limits
-    emf = gfm.emf_rate(x.internal_voltage, terminal.terminal_voltage, terminal.reactive, terminal.cut, given, e.voltage)
-    speed = select(e.conserves_energy > 0.5, max(s.rotor_speed, 0.01), 1.0)
-    rotor_speed = c.rotor.inv_two_h * (rates.energy_captured - u.connected * drawn) / speed
-    extended = rates._replace(rotor_speed=rotor_speed)
-    return extended, ExtensionState(each(lambda rate: u.connected * rate, of_limits), u.connected * emf)
-
-
-def rotor_of_energy(before: WtgState, after: WtgState, chopped: float, c: Turbine, e: Extension) -> float:
-    """Return the rotor speed after a step [p.u.]; where the rotor keeps its energy, that which follows from H_m ω_m².
-
-    A Runge-Kutta method conserves sums of rates up to rounding, but a square only up to its truncation error. As in the
-    rate, a speed below 0.01 p.u. counts as 0.01.
-
-    Args:
-        before, after: states at both ends of the step.
-        chopped: energy burnt in the step [p.u. s].
-        c, e: constants, further constants.
-    """
-    captured = after.energy_captured - before.energy_captured
-    kept = captured - (after.energy_delivered - before.energy_delivered) - chopped
-    square = fma(2.0 * c.rotor.inv_two_h, kept, before.rotor_speed * before.rotor_speed)
-    return select(e.conserves_energy > 0.5, math.sqrt(max(square, 1e-4)), after.rotor_speed)
-
-
 def extension_limited(x: ExtensionState, e: Extension) -> ExtensionState:
     """Return the further states of an extended group, held within their limits."""
-    return ExtensionState(gfm.limit_state_limited(x.limits), gfm.emf_limited(x.internal_voltage, e.voltage))
+    low, high = e.voltage.internal_voltage_min, e.voltage.internal_voltage_max
+    limits = x.limits._replace(over_power=min(x.limits.over_power, 0.0), under_power=max(x.limits.under_power, 0.0))
+    return ExtensionState(limits, clip(x.internal_voltage, low, high))
 
 
 def wtg_limited(s: WtgState, c: Turbine) -> WtgState:
     """Return the states, held within their limits."""
-    return s._replace(pitch=pitch_limited(s.pitch, c.pitch))
-
-
-#: Phases of a search: both ends, the rotor speed between them, pitch steps at the limit, the pitch angle between two.
-_LOW, _HIGH, _ROTOR, _NO_PITCH, _PITCH_STEPS, _PITCH, FOUND, _NONE = map(float, range(8))
-_PITCH_STEP = 0.02  # [deg]
-
-
-class Search(NamedTuple):
-    """A search for the state at which a turbine's captured power equals k ω_m³, and falls faster."""
-
-    phase: float
-    low: float  # rotor speed [p.u.], then pitch angle [deg]
-    high: float
-    before: float  # power captured at `low`, in pitch steps [p.u.]
-
-
-def search_begun(wind: float, k: float, c: Turbine) -> tuple[Search, float, float]:
-    """Return a search at a tip-speed ratio of 3.5 … 20 outside the stall; rotor speed [p.u.] and pitch [deg] to try."""
-    scale = wind / c.rotor.tip_speed
-    low, high = max(3.5, c.limits.stall_tip_speed_ratio) * scale, 20.0 * scale
-    return Search(_LOW, low, high, 0.0), low, 0.0
-
-
-def searched(
-    s: Search, rotor_speed: float, pitch: float, captured: float, k: float, c: Turbine
-) -> tuple[Search, float, float]:
-    """Return a search that has seen what a trial captures [p.u.], and what it tries next.
-
-    It ends at the root of p_w(ω_m) = k ω_m³ at β = 0, unless captured power or rotor speed would exceed the pitch
-    protection's limits: then at the limit, and at the smallest pitch angle that holds it on a falling branch of C_p.
-    """
-    target = k * (rotor_speed * (rotor_speed * rotor_speed))
-    above, falls = captured > target, captured <= target
-    limit = min((c.pitch.power_limit / k) ** (1.0 / 3.0), c.pitch.rotor_limit)
-    tries_rotor, steps, tries_pitch = s.phase == _ROTOR, s.phase == _PITCH_STEPS, s.phase == _PITCH
-    # The power falls through the target between the last pitch angle and this one.
-    crossed = steps & (s.before > target) & falls
-    trial = select(tries_rotor, rotor_speed, pitch)
-    halves = tries_rotor | tries_pitch
-    low = select(crossed, s.low, select((halves & above) | steps, trial, s.low))
-    high = select((halves & falls) | crossed, trial, s.high)
-    middle = 0.5 * (low + high)
-    settled = (middle == low) | (middle == high)
-    # Each phase in its turn; a phase that goes on keeps its number.
-    phase = select(s.phase == _LOW, select(above, _HIGH, _NONE), s.phase)
-    enters_rotor = (s.phase == _HIGH) & (captured < target)
-    phase = select(s.phase == _HIGH, select(enters_rotor, _ROTOR, _NONE), phase)
-    ends_rotor = (tries_rotor | enters_rotor) & settled
-    phase = select(ends_rotor, select(middle <= limit, FOUND, _NO_PITCH), phase)
-    phase = select(s.phase == _NO_PITCH, _PITCH_STEPS, phase)
-    phase = select(crossed, _PITCH, select(steps & (low >= c.pitch.angle_max), _NONE, phase))
-    phase = select((phase == _PITCH) & settled, FOUND, phase)
-    low = select(phase == _NO_PITCH, 0.0, low)
-    rotor = select((phase == _ROTOR) | ((phase == FOUND) & ends_rotor), middle, rotor_speed)
-    rotor = select(phase == _HIGH, high, select(phase == _NO_PITCH, limit, rotor))
-    angle = select((phase == _PITCH) | ((phase == FOUND) & (s.phase == _PITCH)), middle, pitch)
-    angle = select(phase == _PITCH_STEPS, low + _PITCH_STEP, angle)
-    return Search(phase, low, high, captured), rotor, angle
+    most = c.pitch.largest_angle
+    return s._replace(pitch=PitchState(clip(s.pitch.pitch_integral, 0.0, most), clip(s.pitch.pitch, 0.0, most)))
 
 
 def turbine_constants(
@@ -404,17 +260,8 @@ def turbine_constants(
         tip_speed_ratio_limit=aerodynamics.tracking_point(control.deloading_limit, turbine).tip_speed_ratio,
         available_per_cubic_wind=turbine.wind_power_pu_per_cubic_wind * best.power_coefficient,
     )
-    limits = Limits(
-        stall_tip_speed_ratio=protection.stall_tip_speed_ratio,
-        stall_pitch=protection.stall_pitch_deg,
-        over_speed=protection.over_speed_pu,
-        rotor_speed_min=protection.rotor_speed_min_pu,
-        coi_min=protection.frequency_min_pu,
-        coi_max=protection.frequency_max_pu,
-        angle_spread=math.radians(protection.angle_spread_max_deg),
-        low_voltage=protection.low_voltage_pu,
-        low_voltage_time=protection.low_voltage_time_s,
-    )
+    spread = math.radians(protection.angle_spread_max_deg)
+    limits = parameters.constants_of(Limits, protection, angle_spread=spread)
     return Turbine(rotor, pitch_constants(pitch, reserve), gfm.converter_constants(control), limits)
 
 

@@ -3,15 +3,32 @@
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 from wtg_gym.physics import converter as gfm
 from wtg_gym.physics import units
 from wtg_gym.physics import wind_turbine as equations
+from wtg_gym.physics.aerodynamics import power_coefficient_at
+from wtg_gym.physics.rotor_table import tabulated_power_coefficient
 from wtg_gym.physics.units import LANE, UNITS, Connection, Failure, Phasor
-from wtg_gym.physics.wind_turbine import Extension, ExtensionState, Search, Turbine, WtgInput, WtgState
+from wtg_gym.physics.wind_turbine import Extension, ExtensionState, Turbine, WtgInput, WtgState
 from wtg_gym.systems import expressions as ex
 from wtg_gym.systems.elementary import fma, select
 from wtg_gym.systems.systems import Kind, each, system
+
+#: Phases of a search: both ends, the rotor speed between them, pitch steps at the limit, the pitch angle between two.
+_LOW, _HIGH, _ROTOR, _NO_PITCH, _PITCH_STEPS, _PITCH, _FOUND, _NONE = map(float, range(8))
+_PITCH_STEP = 0.02  # [deg]
+
+
+class Search(NamedTuple):
+    """A search for the state at which a turbine's captured power equals k ω_m³, and falls faster."""
+
+    phase: float
+    low: float  # rotor speed [p.u.], then pitch angle [deg]
+    high: float
+    before: float  # power captured at `low`, in pitch steps [p.u.]
+
 
 GROUPS = Kind(
     name="WTG groups",
@@ -28,9 +45,11 @@ GROUPS = Kind(
 
 
 @system(GROUPS, "search", "rotor_speed", "pitch")
-def start_search(given: WtgInput, curtailment: float, turbine: Turbine) -> tuple[Search, float, float]:
-    """Begin to look for the equilibrium of the turbine, which tries one state after the other."""
-    return equations.search_begun(given.wind_start, curtailment * given.law.k_nominal, turbine)
+def start_search(given: WtgInput, turbine: Turbine) -> tuple[Search, float, float]:
+    """Begin to look for the equilibrium of the turbine at a tip-speed ratio of 3.5 … 20 outside the stall."""
+    scale = given.wind_start / turbine.rotor.tip_speed
+    low = max(3.5, turbine.limits.stall_tip_speed_ratio) * scale
+    return Search(_LOW, low, 20.0 * scale, 0.0), low, 0.0
 
 
 @system(GROUPS, "search", "rotor_speed", "pitch", "searching")
@@ -44,11 +63,41 @@ def advance_search(
     turbine: Turbine,
     searching: float,
 ) -> tuple[Search, float, float, float]:
-    """Judge the state that was tried by the power that it captures, and choose the next."""
-    search, rotor_speed, pitch = equations.searched(
-        search, rotor_speed, pitch, own_captured, curtailment * k_nominal, turbine
-    )
-    return search, rotor_speed, pitch, searching + select(search.phase < equations.FOUND, 1.0, 0.0)
+    """Judge the state that was tried by the power that it captures, and choose the next.
+
+    The search ends at the root of p_w(ω_m) = k ω_m³ at β = 0, unless captured power or rotor speed would exceed the
+    pitch protection's limits: then at the limit, and at the smallest pitch angle that holds it on a falling branch of
+    C_p.
+    """
+    k = curtailment * k_nominal
+    target = k * (rotor_speed * (rotor_speed * rotor_speed))
+    above, falls = own_captured > target, own_captured <= target
+    limit = min((turbine.pitch.power_limit / k) ** (1.0 / 3.0), turbine.pitch.rotor_speed_limit)
+    tries_rotor, steps, tries_pitch = search.phase == _ROTOR, search.phase == _PITCH_STEPS, search.phase == _PITCH
+    # The power falls through the target between the last pitch angle and this one.
+    crossed = steps & (search.before > target) & falls
+    trial = select(tries_rotor, rotor_speed, pitch)
+    halves = tries_rotor | tries_pitch
+    low = select(crossed, search.low, select((halves & above) | steps, trial, search.low))
+    high = select((halves & falls) | crossed, trial, search.high)
+    middle = 0.5 * (low + high)
+    settled = (middle == low) | (middle == high)
+    # Each phase in its turn; a phase that goes on keeps its number.
+    phase = select(search.phase == _LOW, select(above, _HIGH, _NONE), search.phase)
+    enters_rotor = (search.phase == _HIGH) & (own_captured < target)
+    phase = select(search.phase == _HIGH, select(enters_rotor, _ROTOR, _NONE), phase)
+    ends_rotor = (tries_rotor | enters_rotor) & settled
+    phase = select(ends_rotor, select(middle <= limit, _FOUND, _NO_PITCH), phase)
+    phase = select(search.phase == _NO_PITCH, _PITCH_STEPS, phase)
+    phase = select(crossed, _PITCH, select(steps & (low >= turbine.pitch.largest_angle), _NONE, phase))
+    phase = select((phase == _PITCH) & settled, _FOUND, phase)
+    low = select(phase == _NO_PITCH, 0.0, low)
+    rotor = select((phase == _ROTOR) | ((phase == _FOUND) & ends_rotor), middle, rotor_speed)
+    rotor = select(phase == _HIGH, high, select(phase == _NO_PITCH, limit, rotor))
+    angle = select((phase == _PITCH) | ((phase == _FOUND) & (search.phase == _PITCH)), middle, pitch)
+    angle = select(phase == _PITCH_STEPS, low + _PITCH_STEP, angle)
+    unsettled = searching + select(phase < _FOUND, 1.0, 0.0)
+    return Search(phase, low, high, own_captured), rotor, angle, unsettled
 
 
 @system(GROUPS, "planned_power", "failure")
@@ -64,7 +113,7 @@ def plan_group(
     """Return what a group feeds in before any policy has acted, and note one without an equilibrium."""
     power = share * (curtailment * k_nominal) * (rotor_speed * (rotor_speed * rotor_speed))
     return power, units.noted(
-        search.phase == equations.FOUND, units.StartFailure.NO_TURBINE_EQUILIBRIUM, connection.number, failure
+        search.phase == _FOUND, units.StartFailure.NO_TURBINE_EQUILIBRIUM, connection.number, failure
     )
 
 
@@ -121,17 +170,17 @@ def voltage_of_group(state: WtgState, given: WtgInput) -> Phasor:
 @system(GROUPS, "own_captured", when="curve")
 def capture_by_curve(state: WtgState, given: WtgInput, turbine: Turbine, fraction: float) -> float:
     """Return the power from the wind."""
-    return equations.captured_by_curve(
-        state.rotor_speed, equations.wind_at(given, fraction), state.pitch.pitch, turbine.rotor
-    )
+    wind, c = equations.wind_at(given, fraction), turbine.rotor
+    tip = c.tip_speed * max(state.rotor_speed, 1e-3)
+    return c.wind_power * wind * wind * wind * power_coefficient_at(tip, wind, state.pitch.pitch, c.curve)
 
 
 @system(GROUPS, "own_captured", when="table")
 def capture_by_table(state: WtgState, given: WtgInput, turbine: Turbine, cells: ex.Cells, fraction: float) -> float:
     """Return the power from the wind."""
-    return equations.captured_by_table(
-        state.rotor_speed, equations.wind_at(given, fraction), state.pitch.pitch, turbine.rotor, cells
-    )
+    wind, c = equations.wind_at(given, fraction), turbine.rotor
+    ratio = c.tip_speed * max(state.rotor_speed, 1e-3) / wind
+    return c.wind_power * wind * wind * wind * tabulated_power_coefficient(ratio, state.pitch.pitch, cells, c.grid)
 
 
 def power_of(voltage: Phasor, current: Phasor, inv_share: float) -> float:
@@ -216,14 +265,11 @@ def check_extension(
     failure: Failure,
 ) -> Failure:
     """Note a group that would start beyond the limits of its converter or of its internal voltage."""
-    limits, control, power = extension.limits, extension.voltage, output.power
-    fits = (
-        (terminal.limiting_reactance <= 0.0)
-        & (limits.power_min <= power)
-        & (power <= gfm.most_power(rotor_speed, limits))
-    )
+    limits, control, emf = extension.limits, extension.voltage, own.internal_voltage
+    fits = (limits.power_min <= output.power) & (output.power <= gfm.most_power(rotor_speed, limits))
+    fits = fits & (terminal.limiting_reactance <= 0.0)
     failure = units.noted(fits, units.StartFailure.CONVERTER_LIMIT, connection.number, failure)
-    fits = (control.emf_min <= own.internal_voltage) & (own.internal_voltage <= control.emf_max)
+    fits = (control.internal_voltage_min <= emf) & (emf <= control.internal_voltage_max)
     return units.noted(fits, units.StartFailure.INTERNAL_VOLTAGE_LIMIT, connection.number, failure)
 
 
@@ -324,28 +370,24 @@ def rates_of_extended(
     fraction: float,
 ) -> tuple[WtgState, ExtensionState, equations.WtgOutput, equations.ExtensionOutput]:
     """Return the rates of both kinds of state, and the outputs."""
-    power, most = power_of(voltage, unit_current, inv_share), gfm.most_power(state.rotor_speed, extension.limits)
-    limit_rates, shift, drawn = gfm.power_limiter(own.limits, power, most, extension.limits)
+    limits, converter, connected = extension.limits, turbine.converter, given.connected
+    power, most = power_of(voltage, unit_current, inv_share), gfm.most_power(state.rotor_speed, limits)
+    limit_rates, shift, drawn = gfm.power_limiter(own.limits, power, most, limits)
+    wind, of_frame = equations.wind_at(given, fraction), (reference_speed, omega_n)
     rates, output = equations.wtg_rates(
-        state,
-        power,
-        group_captured,
-        equations.wind_at(given, fraction),
-        given,
-        turbine,
-        reference_speed,
-        omega_n,
-        limiter=(shift, most),
+        state, power, group_captured, wind, given, turbine, *of_frame, limiter=(shift, most)
     )
     i_re, i_im = inv_share * unit_current.re, inv_share * unit_current.im
-    terminal = equations.at_terminal(voltage.re, voltage.im, i_re, i_im, reactance, share, turbine.converter)
+    v_re, v_im = voltage.re + converter.reactance * i_im, voltage.im - converter.reactance * i_re
+    size = math.sqrt(i_re * i_re + i_im * i_im)
     # A group that is disconnected measures its bus.
-    seen = select(given.connected > 0.5, terminal.terminal_voltage, bus_magnitude)
-    terminal = terminal._replace(terminal_voltage=seen)
-    rates, own_rates = equations.extended_rates(
-        rates, state, own, (limit_rates, drawn), terminal, given, references, turbine, extension
-    )
-    return rates, own_rates, output, terminal
+    seen = select(connected > 0.5, math.sqrt(v_re * v_re + v_im * v_im), bus_magnitude)
+    terminal = equations.ExtensionOutput(reactance, seen, v_im * i_re - v_re * i_im, size, reactance * (size * share))
+    emf = gfm.emf_rate(own.internal_voltage, seen, terminal.reactive, terminal.cut, references, extension.voltage)
+    speed = select(extension.conserves_energy > 0.5, max(state.rotor_speed, 0.01), 1.0)
+    rotor_speed = turbine.rotor.inv_two_h * (rates.energy_captured - connected * drawn) / speed
+    own_rates = ExtensionState(each(lambda rate: connected * rate, limit_rates), connected * emf)
+    return rates._replace(rotor_speed=rotor_speed), own_rates, output, terminal
 
 
 stage_of_extended = units.moving(
@@ -364,12 +406,17 @@ def keep_energy(
     extension: Extension,
     active: float,
 ) -> tuple[float, float]:
-    """Return the rotor speed that follows from the energies of a step of a running lane, and the chopper's heat."""
+    """Return the rotor speed that follows from H_m ω_m² in a step of a running environment, and the chopper's heat.
+
+    A Runge-Kutta method conserves sums of rates up to rounding, but a square only up to its truncation error. As in the
+    rate, a speed below 0.01 p.u. counts as 0.01.
+    """
     chopped, runs = own.limits.energy_chopped - own_base.limits.energy_chopped, active > 0.5
-    return (
-        select(runs, equations.rotor_of_energy(state_base, state, chopped, turbine, extension), state.rotor_speed),
-        select(runs, fma(extension.limits.heat_kept, heat, chopped), heat),
-    )
+    captured = state.energy_captured - state_base.energy_captured
+    kept = captured - (state.energy_delivered - state_base.energy_delivered) - chopped
+    square = fma(2.0 * turbine.rotor.inv_two_h, kept, state_base.rotor_speed * state_base.rotor_speed)
+    speed = select(extension.conserves_energy > 0.5, math.sqrt(max(square, 1e-4)), state.rotor_speed)
+    return select(runs, speed, state.rotor_speed), select(runs, fma(extension.limits.heat_kept, heat, chopped), heat)
 
 
 @system(EXTENSIONS, "connected", "next_change")

@@ -22,36 +22,35 @@ from wtg_gym.scenarios.stream import FloatArray, Picker, seed_streams
 
 R = TypeVar("R", bound=draws.Record)
 
-#: Fields of records that have another name in the data of a hash, on which frozen suites depend.
-_HASHED: Mapping[type[draws.Record], Mapping[str, str]] = MappingProxyType({
-    draws.OperatingPoint: {},
-    draws.LoadEvents: {
-        "number": "n_load_events", "size_mw": "load_event_mw", "increase_probability": "load_increase_probability",
-        "net_change_mw": "net_load_change_mw", "buses": "load_buses", "ramp_probability": "load_ramp_probability",
-        "ramp_s": "load_ramp_s", "trip_probability": "load_trip_probability", "trip_buses": "load_trip_buses",
-    },
-    draws.LineTrips: {"probability": "line_trip_probability", "lines": "line_trips", "reclosing_s": "line_reclosing_s"},
-    draws.Wind: {
-        "mean_m_s": "mean_wind_m_s", "mean_spread_m_s": "mean_wind_spread_m_s", "penetration": "wind_share",
-        "ramp_probability": "wind_ramp_probability", "ramp_m_s": "wind_ramp_m_s", "ramp_s": "wind_ramp_s",
-    },
-    draws.GovernorLosses: {"probability": "governor_loss_probability", "buses": "governor_loss_buses"},
-    draws.GroupTrips: {"probability": "group_trip_probability"},
-    draws.MachineOutages: {"probability": "machine_outage_probability", "buses": "machine_outage_buses"},
-    draws.Faults: {"probability": "fault_probability", "lines": "fault_lines", "clearing_s": "fault_clearing_s"},
-    draws.Islandings: {"line_sets": "islandings"},
-    draws.UnitCommitment: {"loading": "machine_loading"},
-    draws.LoadNoise: {
-        "standard_deviation_mw": "load_noise_mw", "correlation_s": "load_noise_correlation_s", "bus": "load_noise_bus",
-    },
-})  # fmt: skip
+#: Names of the fields of records, in their order, in the data of a hash, on which frozen suites depend.
+_HASHED: Mapping[type[draws.Record], str] = MappingProxyType(
+    {
+        draws.OperatingPoint: "governor_droop inertia_scale load_level",
+        draws.LoadEvents: "n_load_events load_event_mw load_increase_probability net_load_change_mw load_buses "
+        "load_ramp_probability load_ramp_s load_trip_probability load_trip_buses",
+        draws.LineTrips: "line_trip_probability line_trips line_reclosing_s",
+        draws.Wind: "mean_wind_m_s mean_wind_spread_m_s turbulence_intensity n_turbines gust_probability gust_m_s "
+        "gust_averaged wind_ramp_probability wind_ramp_m_s wind_ramp_s wind_share",
+        draws.GovernorLosses: "governor_loss_probability governor_loss_buses",
+        draws.GroupTrips: "group_trip_probability",
+        draws.MachineOutages: "machine_outage_probability machine_outage_buses",
+        draws.Faults: "fault_probability fault_lines fault_clearing_s",
+        draws.Islandings: "islandings",
+        draws.UnitCommitment: "generator_mva machine_loading constant_mw",
+        draws.LoadNoise: "load_noise_mw load_noise_correlation_s load_noise_bus",
+    }
+)
+_NO_CHANCES = ("governor_loss_probability", "group_trip_probability", "machine_outage_probability", "fault_probability")
 #: Values that are left out of the data of a hash: suites were frozen before these fields existed.
-_UNMENTIONED: Mapping[str, Any] = MappingProxyType({
-    "wind_share": None, "last_event_s": None, "line_reclosing_s": None, "constant_mw": 0.0, "islandings": (),
-    "governor_loss_probability": 0.0, "governor_loss_buses": (1,), "group_trip_probability": 0.0,
-    "machine_outage_probability": 0.0, "machine_outage_buses": (3, 6, 8),
-    "fault_probability": 0.0, "fault_lines": (), "fault_clearing_s": (0.1, 0.25), "gust_averaged": False,
-})  # fmt: skip
+_UNMENTIONED: Mapping[str, Any] = MappingProxyType(
+    {
+        **dict.fromkeys(("wind_share", "last_event_s", "line_reclosing_s")),
+        **dict.fromkeys(("constant_mw", *_NO_CHANCES), 0.0),
+        **dict.fromkeys(("islandings", "fault_lines"), ()),
+        **{"governor_loss_buses": (1,), "machine_outage_buses": (3, 6, 8), "fault_clearing_s": (0.1, 0.25)},
+        "gust_averaged": False,
+    }
+)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -107,7 +106,8 @@ class ScenarioDistribution(Checked):
         data = {name: getattr(self, name) for name in ("name", "first_event_s", "last_event_s", "quiet_end_s")}
         for record in self.records:
             values, names = dataclasses.asdict(record), _HASHED.get(type(record))
-            data |= {type(record).__name__: values} if names is None else {names.get(k, k): values[k] for k in values}
+            named = names and dict(zip(names.split(), values.values(), strict=True))
+            data |= named or {type(record).__name__: values}
         if self.grid != DEFAULT_GRID:
             data["grid"] = digest_of_grid(self._grid_data)
         return {name: value for name, value in data.items() if name not in _UNMENTIONED or value != _UNMENTIONED[name]}

@@ -16,18 +16,22 @@ from wtg_gym.scenarios import wind
 from wtg_gym.scenarios.stream import FloatArray, Picker, Span
 
 Line = tuple[int, int]
+
+
+def lines_of(text: str) -> tuple[Line, ...]:
+    """Return the lines of a text such as "1-5 2-3": the buses at both ends of each."""
+    pairs = (line.split("-") for line in text.split())
+    return tuple((int(one), int(other)) for one, other in pairs)
+
+
 #: Lines of the IEEE 14-bus system whose loss leaves it connected, without 1-2, which carries most of the output of bus
 #: 1: its loss together with a load event ends the run under every controller.
-_SURVIVABLE_LINES = (
-    (1, 5), (2, 3), (2, 4), (2, 5), (3, 4), (4, 5), (6, 11), (6, 12), (6, 13),
-    (9, 10), (9, 14), (10, 11), (12, 13), (13, 14),
-)  # fmt: skip
+_SURVIVABLE_LINES = lines_of("1-5 2-3 2-4 2-5 3-4 4-5 6-11 6-12 6-13 9-10 9-14 10-11 12-13 13-14")
+_BUSES, _INCREASES_MW = (2, 3, 4, 5, 6, 9, 13, 14), (75.0, 75.0, 75.0, 75.0, 50.0, 50.0, 30.0, 30.0)
+_DECREASES_MW = (18.0, 80.0, 40.0, 6.0, 9.0, 25.0, 11.0, 12.0)
 #: Bus, largest load increase and largest decrease there [MW]: less at the buses behind weak lines; the
 #: decrease is the load the bus has at 85 % load level, so that no bus turns into a generator.
-_LOAD_BUSES = (
-    (2, 75.0, 18.0), (3, 75.0, 80.0), (4, 75.0, 40.0), (5, 75.0, 6.0),
-    (6, 50.0, 9.0), (9, 50.0, 25.0), (13, 30.0, 11.0), (14, 30.0, 12.0),
-)  # fmt: skip
+_LOAD_BUSES = tuple(zip(_BUSES, _INCREASES_MW, _DECREASES_MW, strict=True))
 #: Least share of the generator's units that is on line, by design: one of five.
 LEAST_COMMITTED = 0.2
 #: Share of the load that the network loses, at most.

@@ -16,23 +16,13 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
+from wtg_gym.physics import scenario as events
 from wtg_gym.physics.aerodynamics import available_power_pu
 from wtg_gym.physics.grid import NetworkCase
 from wtg_gym.physics.machine import gate_limits
 from wtg_gym.physics.machine_parameters import SynchronousMachineParameters
 from wtg_gym.physics.plant import Plant
-from wtg_gym.physics.scenario import (
-    Event,
-    Fault,
-    GovernorLoss,
-    GroupTrip,
-    LineTrip,
-    LoadRamp,
-    LoadStep,
-    LoadTrip,
-    MachineOutage,
-    Scenario,
-)
+from wtg_gym.physics.scenario import Event, Scenario
 
 #: Deviation of the frequency at which governors are counted [Hz]: the largest that continental Europe's grid is
 #: designed for.
@@ -109,14 +99,14 @@ class ReserveMargin:
         """Return the least margin of all parts of the network from an instant on."""
         past = [event for event in scenario.events if event.time_s <= time_s]
         gone = [event for event in past if not (getattr(event, "returns_after_s", None) and time_s >= event.end_s)]
-        lost = {event.bus for event in gone if isinstance(event, MachineOutage)}
-        away = {event.group for event in gone if isinstance(event, GroupTrip)}
-        stuck = {event.bus for event in past if isinstance(event, GovernorLoss)}
+        lost = {event.bus for event in gone if isinstance(event, events.MachineOutage)}
+        away = {event.group for event in gone if isinstance(event, events.GroupTrip)}
+        stuck = {event.bus for event in past if isinstance(event, events.GovernorLoss)}
         loads_mw = {bus: scenario.load_level * load_mw for bus, load_mw in self._loads_mw.items()}
         for event in past:
-            if isinstance(event, LoadStep | LoadRamp):
+            if isinstance(event, events.LoadStep | events.LoadRamp):
                 loads_mw[event.bus] += event.power_mw
-            elif isinstance(event, LoadTrip):
+            elif isinstance(event, events.LoadTrip):
                 loads_mw[event.bus] = 0.0
         wind_mw = zip(self._groups, self._wind_mw(scenario, time_s, time_s + WIND_S), strict=True)
         supplies = [(bus, power_mw) for j, ((bus, _, _), power_mw) in enumerate(wind_mw) if j not in away]
@@ -152,7 +142,7 @@ def _size(machine: SynchronousMachineParameters) -> float:
 
 def _opened(event: Event, time_s: float, case: NetworkCase) -> list[int]:
     """Return the branches that an event holds open at an instant; the line with a fault opens when it is cleared."""
-    if isinstance(event, LineTrip):
+    if isinstance(event, events.LineTrip):
         closed = event.recloses_after_s is not None and time_s >= event.time_s + event.recloses_after_s
         return [] if closed else [case.branch_index(event.from_bus, event.to_bus)]
-    return [case.branch_index(*event.opens)] if isinstance(event, Fault) and event.opens is not None else []
+    return [case.branch_index(*event.opens)] if isinstance(event, events.Fault) and event.opens is not None else []

@@ -62,95 +62,86 @@ class Places(Checked):
 
 
 #: Records that scenarios of version v1 are drawn from, in this order; strata, kinds and suites replace some fields.
-COMMON: draws.Changes = MappingProxyType(
-    {
-        draws.OperatingPoint: {"governor_droop": (0.03, 0.08), "inertia_scale": (1.0, 1.0)},
-        draws.LoadEvents: {"trip_probability": 0.0},
-        draws.LineTrips: {"probability": 0.1},
-        draws.Wind: {
-            "mean_m_s": (8.5, 11.0),
-            "mean_spread_m_s": 1.0,
-            "penetration": (0.4, 0.78),
-            "gust_averaged": True,
-            "ramp_probability": 0.15,
-            "ramp_m_s": (0.5, 1.8),
-            "ramp_s": (5.0, 10.0),
-        },
-        draws.GovernorLosses: {"probability": 0.0},
-        draws.GroupTrips: {"probability": 0.0},
-        draws.MachineOutages: {"probability": 0.0},
-        draws.Faults: {"probability": 0.0, "lines": ()},
-        draws.Islandings: {},
-        draws.UnitCommitment: {"loading": (0.5, 0.85)},
-        draws.LoadNoise: {},
-    }
-)
+COMMON: draws.Changes = {
+    draws.OperatingPoint: {"governor_droop": (0.03, 0.08), "inertia_scale": (1.0, 1.0)},
+    draws.LoadEvents: {"trip_probability": 0.0},
+    draws.LineTrips: {"probability": 0.1},
+    draws.Wind: {
+        "mean_m_s": (8.5, 11.0),
+        "mean_spread_m_s": 1.0,
+        "penetration": (0.4, 0.78),
+        "gust_averaged": True,
+        "ramp_probability": 0.15,
+        "ramp_m_s": (0.5, 1.8),
+        "ramp_s": (5.0, 10.0),
+    },
+    draws.GovernorLosses: {"probability": 0.0},
+    draws.GroupTrips: {"probability": 0.0},
+    draws.MachineOutages: {"probability": 0.0},
+    draws.Faults: {"probability": 0.0, "lines": ()},
+    draws.Islandings: {},
+    draws.UnitCommitment: {"loading": (0.5, 0.85)},
+    draws.LoadNoise: {},
+}
 #: The load events of kinds whose main event is another.
 _ONE_OR_TWO_LOADS: draws.Changes = {
-    draws.LoadEvents: {
-        "number": (1, 2),
-        "size_mw": (25.0, 50.0),
-        "net_change_mw": 60.0,
-        "increase_probability": 0.65,
-    },
+    draws.LoadEvents: {"number": (1, 2), "size_mw": (25.0, 50.0), "net_change_mw": 60.0, "increase_probability": 0.65}
 }
 #: Latest event [s]. Frequency and rotors need two minutes to recover, and energy that rotors lent is still paid for.
 _LAST_EVENT_S = 60.0
 #: Fields that the kinds of event replace.
-KINDS: Mapping[str, draws.Changes] = MappingProxyType(
-    {
-        "loads": {
-            draws.LoadEvents: {"number": (2, 4), "size_mw": (4.0, 16.0), "net_change_mw": 20.0},
-            draws.Wind: {"ramp_m_s": (0.2, 0.7)},
-            draws.UnitCommitment: {"loading": (0.5, 0.75)},
+KINDS: Mapping[str, draws.Changes] = {
+    "loads": {
+        draws.LoadEvents: {"number": (2, 4), "size_mw": (4.0, 16.0), "net_change_mw": 20.0},
+        draws.Wind: {"ramp_m_s": (0.2, 0.7)},
+        draws.UnitCommitment: {"loading": (0.5, 0.75)},
+    },
+    "large-loads": {
+        draws.LoadEvents: {
+            "number": (2, 3),
+            "size_mw": (22.0, 40.0),
+            "net_change_mw": 50.0,
+            "increase_probability": 0.65,
+            "trip_probability": 0.15,
         },
-        "large-loads": {
-            draws.LoadEvents: {
-                "number": (2, 3),
-                "size_mw": (22.0, 40.0),
-                "net_change_mw": 50.0,
-                "increase_probability": 0.65,
-                "trip_probability": 0.15,
-            },
-            draws.LineTrips: {"probability": 0.25},
-            draws.Wind: {"ramp_probability": 0.25, "ramp_m_s": (0.5, 1.5)},
-            draws.MachineOutages: {"probability": 0.15},
+        draws.LineTrips: {"probability": 0.25},
+        draws.Wind: {"ramp_probability": 0.25, "ramp_m_s": (0.5, 1.5)},
+        draws.MachineOutages: {"probability": 0.15},
+    },
+    "governor": {
+        **_ONE_OR_TWO_LOADS,
+        draws.Wind: {"ramp_probability": 0.2, "penetration": (0.5, 0.8)},
+        draws.GovernorLosses: {"probability": 1.0},
+    },
+    # The wind has to supply the load that is left after shedding.
+    "machine": {
+        draws.LoadEvents: {
+            "number": (1, 2),
+            "size_mw": (10.0, 30.0),
+            "net_change_mw": 30.0,
+            "increase_probability": 0.5,
         },
-        "governor": {
-            **_ONE_OR_TWO_LOADS,
-            draws.Wind: {"ramp_probability": 0.2, "penetration": (0.5, 0.8)},
-            draws.GovernorLosses: {"probability": 1.0},
-        },
-        # The wind has to supply the load that is left after shedding.
-        "machine": {
-            draws.LoadEvents: {
-                "number": (1, 2),
-                "size_mw": (10.0, 30.0),
-                "net_change_mw": 30.0,
-                "increase_probability": 0.5,
-            },
-            draws.Wind: {"ramp_probability": 0.2, "mean_m_s": (9.5, 12.0), "penetration": (0.7, 0.88)},
-            draws.MachineOutages: {"probability": 1.0},
-        },
-        "group": {
-            **_ONE_OR_TWO_LOADS,
-            draws.Wind: {"ramp_probability": 0.2, "penetration": (0.5, 0.8)},
-            draws.GroupTrips: {"probability": 1.0},
-        },
-        "fault": {
-            **_ONE_OR_TWO_LOADS,
-            draws.LineTrips: {"probability": 0.0},
-            draws.Wind: {"ramp_probability": 0.2},
-            draws.Faults: {"probability": 1.0, "clearing_s": (0.15, 0.35)},
-        },
-        # An island far from its balance would be lost under every controller.
-        "island": {
-            **_ONE_OR_TWO_LOADS,
-            draws.LineTrips: {"probability": 0.0},
-            draws.Wind: {"ramp_probability": 0.2, "mean_m_s": (9.0, 12.0), "penetration": (0.55, 0.82)},
-        },
-    }
-)
+        draws.Wind: {"ramp_probability": 0.2, "mean_m_s": (9.5, 12.0), "penetration": (0.7, 0.88)},
+        draws.MachineOutages: {"probability": 1.0},
+    },
+    "group": {
+        **_ONE_OR_TWO_LOADS,
+        draws.Wind: {"ramp_probability": 0.2, "penetration": (0.5, 0.8)},
+        draws.GroupTrips: {"probability": 1.0},
+    },
+    "fault": {
+        **_ONE_OR_TWO_LOADS,
+        draws.LineTrips: {"probability": 0.0},
+        draws.Wind: {"ramp_probability": 0.2},
+        draws.Faults: {"probability": 1.0, "clearing_s": (0.15, 0.35)},
+    },
+    # An island far from its balance would be lost under every controller.
+    "island": {
+        **_ONE_OR_TWO_LOADS,
+        draws.LineTrips: {"probability": 0.0},
+        draws.Wind: {"ramp_probability": 0.2, "mean_m_s": (9.0, 12.0), "penetration": (0.55, 0.82)},
+    },
+}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -162,13 +153,11 @@ class Stratum:
 
 
 #: The strata of version v1. Below -0.06 many runs are lost under every controller.
-STRATA: Mapping[str, Stratum] = MappingProxyType(
-    {
-        "ample": Stratum(margin=(0.10, math.inf), kinds=("loads", "large-loads", "fault", "group")),
-        "tight": Stratum(margin=(0.0, 0.10), kinds=("large-loads", "governor", "group", "fault", "island")),
-        "short": Stratum(margin=(-0.06, 0.0), kinds=("large-loads", "governor", "group", "fault", "machine", "island")),
-    }
-)
+STRATA: Mapping[str, Stratum] = {
+    "ample": Stratum(margin=(0.10, math.inf), kinds=("loads", "large-loads", "fault", "group")),
+    "tight": Stratum(margin=(0.0, 0.10), kinds=("large-loads", "governor", "group", "fault", "island")),
+    "short": Stratum(margin=(-0.06, 0.0), kinds=("large-loads", "governor", "group", "fault", "machine", "island")),
+}
 
 
 #: Power above which a converter counts as overloaded in version v1 [p.u.].

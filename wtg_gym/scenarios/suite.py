@@ -232,10 +232,7 @@ class Suite:
         # Suites that share all but the sensors draw the errors alike.
         name = self.name if self.cases else self.distributions[0].name.partition("/")[0]
         errors = measuring.draw_many(name, seeds, n_wtg)
-        return [
-            trusted(Scenario, **{**vars(scenario), "sensors": error})
-            for scenario, error in zip(scenarios, errors, strict=True)
-        ]
+        return [_with(scenario, sensors=error) for scenario, error in zip(scenarios, errors, strict=True)]
 
     def _drawn_scenarios(
         self,
@@ -260,7 +257,7 @@ class Suite:
                 distribution = self._distribution(of_places[0], attempt)
                 drawn = distribution.draw_many(of_places, n_wtg, n_turbines, duration_s, attempt)
                 if attempt == _MOST_ATTEMPTS - 1 and duration_s < self.duration_s:
-                    last = [_with_margin(scenario, margins.of(scenario)) for scenario in drawn]
+                    last = [_with(scenario, reserve_margin=margins.of(scenario)) for scenario in drawn]
                     accepted.update(zip(places, last, strict=True))
                 suited = zip(places, (self._suits(scenario, margins) for scenario in drawn), strict=True)
                 accepted.update((place, scenario) for place, scenario in suited if scenario is not None)
@@ -281,7 +278,7 @@ class Suite:
         margin = margins.of(scenario)
         # A stratum of a user's own need not have a range.
         low, high = self.margins.get(self.stratum(scenario.seed), (-math.inf, math.inf))
-        return _with_margin(scenario, margin) if low <= margin < high else None
+        return _with(scenario, reserve_margin=margin) if low <= margin < high else None
 
     def _fixed_scenarios(
         self, seeds: Sequence[int], n_wtg: int, n_turbines: Sequence[float] | None, duration_s: float
@@ -330,8 +327,8 @@ class Suite:
         return hashlib.sha256(text.encode()).hexdigest()
 
 
-def _with_margin(scenario: Scenario, margin: float) -> Scenario:
-    return trusted(Scenario, **{**vars(scenario), "reserve_margin": margin})
+def _with(scenario: Scenario, **values: Any) -> Scenario:
+    return trusted(Scenario, **{**vars(scenario), **values})
 
 
 def _default_turbines(group: WtgGroup) -> float:

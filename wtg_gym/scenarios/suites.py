@@ -52,16 +52,9 @@ def _wind_plant(generator_mva: float, *turbines: float, **network: Any) -> dict[
 
 
 #: Lines with a short circuit at their first bus; a fault of 0.4 s next to the generator can end its synchronism.
-_FAULT_LINES = (
-    (1, 2), (1, 5), (2, 1), (2, 3), (2, 4), (2, 5), (3, 2), (3, 4), (4, 5), (5, 1), (6, 13), (9, 14),
-)  # fmt: skip
+_FAULT_LINES = draws.lines_of("1-2 1-5 2-1 2-3 2-4 2-5 3-2 3-4 4-5 5-1 6-13 9-14")
 #: Lines whose opening leaves a part of the network to the group at bus 6, or to those at 6 and 8.
-_ISLANDINGS = (
-    ((5, 6), (10, 11), (13, 14)),
-    ((5, 6), (9, 10), (13, 14)),
-    ((5, 6), (9, 10), (9, 14)),
-    ((5, 6), (4, 7), (4, 9)),
-)
+_ISLANDINGS = tuple(map(draws.lines_of, ("5-6 10-11 13-14", "5-6 9-10 13-14", "5-6 9-10 9-14", "5-6 4-7 4-9")))
 _PLACES = Places(
     load_buses=draws.LoadEvents.buses,
     # The load of bus 4 is more than all other events together.
@@ -82,13 +75,11 @@ def _drawn_v1(name: str, description: str, plant: Mapping[str, Any] = _WIND_PLAN
 
 
 #: Failures besides load events in faults-v1.
-_FAULTS: draws.Changes = MappingProxyType(
-    {
-        draws.LineTrips: {"probability": 0.6},
-        draws.MachineOutages: {"probability": 0.4},
-        draws.Faults: {"probability": 0.3, "lines": _FAULT_LINES},
-    }
-)
+_FAULTS: draws.Changes = {
+    draws.LineTrips: {"probability": 0.6},
+    draws.MachineOutages: {"probability": 0.4},
+    draws.Faults: {"probability": 0.3, "lines": _FAULT_LINES},
+}
 _PAPER_V1 = Suite(
     name="paper-v1",
     description="The paper's cases in this grid: 35 MW more at bus 2 and at bus 3; the loads of buses 4 and 9 lost.",
@@ -99,130 +90,124 @@ _PAPER_V1 = Suite(
     **_WIND_PLANT,
 )
 
-#: Every suite by its name.
-SUITES: Mapping[str, Suite] = MappingProxyType(
-    {
-        suite.name: suite
-        for suite in (
-            _PAPER,
-            _drawn("standard", "Medium wind, one to three load events, grids from weak to strong."),
-            _drawn(
-                "low-wind",
-                "Wind far below rated, where there is little reserve and a rotor stalls soonest.",
-                {draws.Wind: {"mean_m_s": (6.0, 8.0), "gust_m_s": (1.5, 3.5), "ramp_m_s": (0.5, 1.5)}},
-            ),
-            _drawn(
-                "gust",
-                "A gust on one group or a wind ramp on all in every run, in turbulence of class A.",
-                {
-                    draws.Wind: {
-                        "mean_m_s": (7.0, 11.0),
-                        "turbulence_intensity": (0.16, 0.16),
-                        "gust_probability": 0.6,
-                        "gust_m_s": (3.0, 6.0),
-                        "ramp_probability": 0.4,
-                        "ramp_m_s": (2.0, 4.0),
-                    },
-                    draws.LoadEvents: {"number": (1, 2)},
-                },
-            ),
-            _drawn(
-                "weak-grid",
-                "Half the inertia and governors with a high droop: the frequency falls fast and far.",
-                {
-                    draws.OperatingPoint: {
-                        "governor_droop": (0.04, 0.05),
-                        "inertia_scale": (0.5, 0.6),
-                        "load_level": (0.9, 1.1),
-                    },
-                    draws.LoadNoise: {"standard_deviation_mw": 1.5},
-                    draws.LineTrips: {"probability": 0.3},
-                },
-            ),
-            _drawn_v1("standard", "Three fifths of the power from wind beside one small generator: the wind decides."),
-            _drawn_v1(
-                "low-share",
-                "Two fifths of the power from wind, and larger events.",
-                _wind_plant(300.0, 14.0, 10.0, 7.0, 5.0),
-                event_size=1.25,
-                changes={draws.Wind: {"penetration": (0.25, 0.6)}},
-                changes_in={
-                    "machine": {
-                        draws.OperatingPoint: {"load_level": (0.85, 0.88)},
-                        draws.LoadEvents: {"size_mw": (6.0, 12.0), "net_change_mw": 12.0},
-                        draws.Wind: {"mean_m_s": (10.5, 13.0), "penetration": (0.72, 0.77)},
-                    },
-                    "island": {draws.Wind: {"penetration": (0.45, 0.65)}},
-                },
-            ),
-            _drawn_v1(
-                "high-share",
-                "Three quarters of the power from wind beside a generator of 150 MVA.",
-                _wind_plant(150.0, 26.0, 18.0, 13.0, 10.0),
-                event_size=0.7,
-                changes={draws.Wind: {"penetration": (0.6, 0.83)}},
-                changes_in={"machine": {draws.Wind: {"mean_m_s": (8.5, 11.0), "penetration": (0.74, 0.88)}}},
-            ),
-            _drawn_v1(
-                "gusty",
-                "A gust on one group or a wind ramp on all in nearly every run, in turbulence of class A.",
-                event_size=0.9,
-                changes={
-                    draws.Wind: {
-                        "mean_m_s": (9.0, 11.5),
-                        "turbulence_intensity": (0.16, 0.16),
-                        "gust_probability": 0.5,
-                        # V_gust of class A in these winds (IEC 61400-1 ed. 3, eq. 17).
-                        "gust_m_s": (4.5, 6.0),
-                        "ramp_probability": 0.4,
-                        "ramp_m_s": (1.0, 1.8),
-                        "penetration": (0.4, 0.74),
-                    }
-                },
-                changes_in={
-                    "machine": {
-                        draws.Wind: {"mean_m_s": (9.5, 12.0), "penetration": (0.7, 0.85), "ramp_m_s": (0.5, 1.2)}
-                    },
-                    "island": {draws.Wind: {"mean_m_s": (9.0, 12.0), "penetration": (0.55, 0.82)}},
-                },
-            ),
-            _drawn_v1(
-                "no-wind-sensor",
-                "The scenarios of standard-v1, but nobody measures the wind.",
-                sensors=SensorDistribution(wind_sensor=False),
-                scenarios_of="standard",
-            ),
-            _drawn_v1(
-                "faults",
-                "Short circuits, lines that open and close again, machines and groups that trip, in every stratum.",
-                changes={draws.LineTrips: {"reclosing_s": (1.0, 10.0)}},
-                changes_in={"loads": _FAULTS, "large-loads": {**_FAULTS, draws.GroupTrips: {"probability": 0.15}}},
-            ),
-            _drawn_v1(
-                "weak-grid",
-                "Long lines and no condensers: a short-circuit ratio of 1.5 … 3 at every WTG group.",
-                _wind_plant(122.0, 20.0, 14.0, 10.0, 8.0, branch_scale=2.5, condensers=False),
-                event_size=0.8,
-                changes={
-                    draws.OperatingPoint: {"load_level": (0.85, 1.0)},
-                    draws.Wind: {"penetration": (0.69, 0.79)},
-                    draws.UnitCommitment: {"loading": (0.6, 0.8)},
-                },
-                changes_in={
-                    "large-loads": {draws.MachineOutages: {"probability": 0.0}},
-                    "machine": {
-                        draws.OperatingPoint: {"load_level": (0.93, 1.0)},
-                        draws.Wind: {"penetration": (0.74, 0.88)},
-                        draws.UnitCommitment: {"loading": (0.3, 0.45)},
-                    },
-                },
-            ),
-            _PAPER_V1,
-            # Without events that no law survives in simulation.
-            *(read_suite(path).suite for path in sorted((FOLDER / "suites").glob("*.json"))),
-        )
-    }
+_SUITES = (
+    _PAPER,
+    _drawn("standard", "Medium wind, one to three load events, grids from weak to strong."),
+    _drawn(
+        "low-wind",
+        "Wind far below rated, where there is little reserve and a rotor stalls soonest.",
+        {draws.Wind: {"mean_m_s": (6.0, 8.0), "gust_m_s": (1.5, 3.5), "ramp_m_s": (0.5, 1.5)}},
+    ),
+    _drawn(
+        "gust",
+        "A gust on one group or a wind ramp on all in every run, in turbulence of class A.",
+        {
+            draws.Wind: {
+                "mean_m_s": (7.0, 11.0),
+                "turbulence_intensity": (0.16, 0.16),
+                "gust_probability": 0.6,
+                "gust_m_s": (3.0, 6.0),
+                "ramp_probability": 0.4,
+                "ramp_m_s": (2.0, 4.0),
+            },
+            draws.LoadEvents: {"number": (1, 2)},
+        },
+    ),
+    _drawn(
+        "weak-grid",
+        "Half the inertia and governors with a high droop: the frequency falls fast and far.",
+        {
+            draws.OperatingPoint: {
+                "governor_droop": (0.04, 0.05),
+                "inertia_scale": (0.5, 0.6),
+                "load_level": (0.9, 1.1),
+            },
+            draws.LoadNoise: {"standard_deviation_mw": 1.5},
+            draws.LineTrips: {"probability": 0.3},
+        },
+    ),
+    _drawn_v1("standard", "Three fifths of the power from wind beside one small generator: the wind decides."),
+    _drawn_v1(
+        "low-share",
+        "Two fifths of the power from wind, and larger events.",
+        _wind_plant(300.0, 14.0, 10.0, 7.0, 5.0),
+        event_size=1.25,
+        changes={draws.Wind: {"penetration": (0.25, 0.6)}},
+        changes_in={
+            "machine": {
+                draws.OperatingPoint: {"load_level": (0.85, 0.88)},
+                draws.LoadEvents: {"size_mw": (6.0, 12.0), "net_change_mw": 12.0},
+                draws.Wind: {"mean_m_s": (10.5, 13.0), "penetration": (0.72, 0.77)},
+            },
+            "island": {draws.Wind: {"penetration": (0.45, 0.65)}},
+        },
+    ),
+    _drawn_v1(
+        "high-share",
+        "Three quarters of the power from wind beside a generator of 150 MVA.",
+        _wind_plant(150.0, 26.0, 18.0, 13.0, 10.0),
+        event_size=0.7,
+        changes={draws.Wind: {"penetration": (0.6, 0.83)}},
+        changes_in={"machine": {draws.Wind: {"mean_m_s": (8.5, 11.0), "penetration": (0.74, 0.88)}}},
+    ),
+    _drawn_v1(
+        "gusty",
+        "A gust on one group or a wind ramp on all in nearly every run, in turbulence of class A.",
+        event_size=0.9,
+        changes={
+            draws.Wind: {
+                "mean_m_s": (9.0, 11.5),
+                "turbulence_intensity": (0.16, 0.16),
+                "gust_probability": 0.5,
+                # V_gust of class A in these winds (IEC 61400-1 ed. 3, eq. 17).
+                "gust_m_s": (4.5, 6.0),
+                "ramp_probability": 0.4,
+                "ramp_m_s": (1.0, 1.8),
+                "penetration": (0.4, 0.74),
+            }
+        },
+        changes_in={
+            "machine": {draws.Wind: {"mean_m_s": (9.5, 12.0), "penetration": (0.7, 0.85), "ramp_m_s": (0.5, 1.2)}},
+            "island": {draws.Wind: {"mean_m_s": (9.0, 12.0), "penetration": (0.55, 0.82)}},
+        },
+    ),
+    _drawn_v1(
+        "no-wind-sensor",
+        "The scenarios of standard-v1, but nobody measures the wind.",
+        sensors=SensorDistribution(wind_sensor=False),
+        scenarios_of="standard",
+    ),
+    _drawn_v1(
+        "faults",
+        "Short circuits, lines that open and close again, machines and groups that trip, in every stratum.",
+        changes={draws.LineTrips: {"reclosing_s": (1.0, 10.0)}},
+        changes_in={"loads": _FAULTS, "large-loads": {**_FAULTS, draws.GroupTrips: {"probability": 0.15}}},
+    ),
+    _drawn_v1(
+        "weak-grid",
+        "Long lines and no condensers: a short-circuit ratio of 1.5 … 3 at every WTG group.",
+        _wind_plant(122.0, 20.0, 14.0, 10.0, 8.0, branch_scale=2.5, condensers=False),
+        event_size=0.8,
+        changes={
+            draws.OperatingPoint: {"load_level": (0.85, 1.0)},
+            draws.Wind: {"penetration": (0.69, 0.79)},
+            draws.UnitCommitment: {"loading": (0.6, 0.8)},
+        },
+        changes_in={
+            "large-loads": {draws.MachineOutages: {"probability": 0.0}},
+            "machine": {
+                draws.OperatingPoint: {"load_level": (0.93, 1.0)},
+                draws.Wind: {"penetration": (0.74, 0.88)},
+                draws.UnitCommitment: {"loading": (0.3, 0.45)},
+            },
+        },
+    ),
+    _PAPER_V1,
+    # Without events that no law survives in simulation.
+    *(read_suite(path).suite for path in sorted((FOLDER / "suites").glob("*.json"))),
 )
+#: Every suite by its name.
+SUITES: Mapping[str, Suite] = MappingProxyType({suite.name: suite for suite in _SUITES})
 
 #: The default suite.
 DEFAULT_SUITE = "standard-v1"

@@ -70,15 +70,6 @@ def coherence_decay(frequency_hz: FloatArray, mean_wind_m_s: float) -> FloatArra
     return _COHERENCE_DECAY * np.hypot(frequency_hz / mean_wind_m_s, _COHERENCE_OFFSET / LENGTH_SCALE_M)
 
 
-def disk_distance_density(distance: FloatArray) -> FloatArray:
-    """Return the density of the distance s in 0 … 2, of any shape, between two random points of a disk of radius 1.
-
-    Source: disk line picking, p(s) = (4s/π) arccos(s/2) - (2s²/π) sqrt(1 - s²/4).
-    """
-    half = distance / 2.0
-    return (4.0 * distance * np.arccos(half) - 2.0 * distance**2 * np.sqrt(1.0 - half**2)) / math.pi
-
-
 @lru_cache(maxsize=1)
 def _disk_table() -> tuple[FloatArray, FloatArray]:
     """Logarithms of a R and of the mean of exp(-a r) over the pairs of points of a disk."""
@@ -86,7 +77,11 @@ def _disk_table() -> tuple[FloatArray, FloatArray]:
     root = 0.5 * (node + 1.0)
     # s = 2 u² crowds the nodes at short distances, where all the weight is when a R is large.
     distance = 2.0 * root**2
-    weight = weight * 2.0 * root * disk_distance_density(distance)
+    # The density of the distance s in 0 … 2 between two random points of a disk of radius 1 is disk line picking's
+    # p(s) = (4s/π) arccos(s/2) - (2s²/π) sqrt(1 - s²/4).
+    half = distance / 2.0
+    density = (4.0 * distance * np.arccos(half) - 2.0 * distance**2 * np.sqrt(1.0 - half**2)) / math.pi
+    weight = weight * 2.0 * root * density
     decay = np.geomspace(1e-4, 1e4, 1601)
     return np.log(decay), np.log(np.exp(-decay[:, None] * distance) @ weight)
 

@@ -42,10 +42,7 @@ COST_TERMS = CostTerms._fields
 
 
 class CostWeights(NamedTuple):
-    """Weights of the cost's terms. Each is a rate [1/s] at the deviation that its text names as one unit.
-
-    The terms' equations are in :mod:`wtg_gym.tasks.cost`, the reward is in :mod:`wtg_gym.envs.stepping`.
-    """
+    """Weights of the cost's terms. Each is a rate [1/s] at the deviation that its text names as one unit."""
 
     frequency: Annotated[
         float,
@@ -107,6 +104,8 @@ class GroupDeviations(NamedTuple):
     rotor: float  # tip-speed ratio outside its band, 0.1 λ_opt
     overload: float  # power beyond the converter's limit, 0.1 p.u.
     available: float
+    charged: float  # the duty that is charged, in v1 filtered
+    there: float  # 0 for a group that an event has disconnected, else 1
 
 
 #: The cost of an environment.
@@ -135,11 +134,7 @@ COST = Kind(
 #: The part of a WTG group in the cost.
 GROUP_COST = Kind(
     name="costs of groups",
-    scratch={
-        "deviations": GroupDeviations,
-        "charged_duty": float,  # in v1 filtered
-        "there": float,  # 0 for a group that an event has disconnected, else 1
-    },
+    scratch={"deviations": GroupDeviations},
     sees={"acting": ACTING, "group": GROUPS, "cost": COST, "task": TASK, "lane": LANE},
 )
 #: The part of a synchronous machine in the cost.
@@ -156,91 +151,29 @@ FILTERED_DUTY = Kind(
 )
 
 
-def frequency_cost(deviation_hz: float) -> float:
-    """Return the cost of a frequency deviation [Hz]: quadratic within 0.2 Hz, linear and steeper outside."""
-    ratio = deviation_hz / 0.2
-    return select(ratio < 1.0, ratio * ratio, 1.0 + 8.0 * (ratio - 1.0))
+def _frequency_cost(deviation: float, task: TaskConstants, weights: CostWeights) -> float:
+    """Return the rate of a frequency deviation [p.u.]: quadratic within 0.2 Hz, linear and steeper outside."""
+    ratio = deviation * task.nominal_hz / 0.2
+    return weights.frequency * select(ratio < 1.0, ratio * ratio, 1.0 + 8.0 * (ratio - 1.0))
 
 
-def rocof_cost(rocof_hz_s: float) -> float:
-    """Return the cost of a rate of change of frequency [Hz/s]."""
-    ratio = rocof_hz_s / 0.2
-    return ratio * ratio
-
-
-def duty_cost(duty: float) -> float:
-    """Return the cost of a duty error: quadratic within one unit, linear outside (Huber)."""
-    size = abs(duty)
-    return select(size < 1.0, size * size, 2.0 * size - 1.0)
-
-
-def filtered_duty(mean: float, duty: float, ran: bool, task: TaskConstants) -> float:
-    """Return the duty error behind its filter, one control interval later; an early end counts as a whole interval.
-
-    Args:
-        mean: the filtered error before.
-        duty: the duty error now.
-        ran: whether the lane ran in that interval.
-        task: constants.
-    """
-    return mean + select(ran, task.duty_gain, 0.0) * (duty - mean)
-
-
-def effort(action: float, last: float) -> float:
+def _effort(action: float, last: float) -> float:
     """Return the cost of an action and of its change."""
     change = action - last
     return action * action + 4.0 * change * change
 
 
-def interval_cost(terms: CostTerms, elapsed: float, left: float, failed: bool, weights: CostWeights) -> CostTerms:
-    """Return the terms of the cost of an interval.
-
-    Args:
-        terms: rates of all terms but failure [1/s].
-        elapsed: time that passed [s].
-        left: time that a failed episode leaves [s]; a failure costs the cap for this time and 1 s more.
-        failed: whether the episode has failed.
-        weights: of the terms. The cap scales all terms alike, so that they still add up to the cost.
-    """
-    charged = _capped(terms, elapsed, weights.cap)
-    return charged._replace(failure=select(failed, weights.cap * (left + 1.0), 0.0))
-
-
-def open_cost(
-    terms: CostTerms, elapsed: float, spent: float, unserved: float, duration: float, failed: bool, weights: CostWeights
-) -> CostTerms:
-    """Return the terms of the cost of an interval in which the cap is not for the frequency and load not served.
-
-    Args:
-        terms: rates of all terms but failure [1/s].
-        elapsed: time that passed [s].
-        spent: cost of the episode before.
-        unserved: load that is not served, as a share of the case's load.
-        duration: of the whole episode [s]. A failed one costs the largest rate there is for 1 s more than that.
-        failed: whether the episode has failed.
-        weights: of the terms. The cap scales all terms but frequency alike, the largest rate all of them.
-
-    In the interval of a failure, which may be a numerical one, nothing else is charged.
-    """
-    rates = _capped(terms._replace(frequency=0.0), 1.0, weights.cap)
-    rates = rates._replace(frequency=terms.frequency, failure=weights.unserved * min(unserved, 1.0))
-    charged = _capped(rates, elapsed, weights.failure)
-    missing = weights.failure * (duration + 1.0) - spent
-    kept: CostTerms = each(lambda term: select(failed, 0.0, term), charged)
-    return kept._replace(failure=select(failed, missing, charged.failure))
-
-
 def _capped(terms: CostTerms, elapsed: float, most: float) -> CostTerms:
-    """Return what rates cost in a time that passed [s], their sum held at the most that it may be [1/s]."""
-    total = _total_of_rates(terms) + terms.failure
+    """Return what rates cost in a time that passed [s], all scaled alike so that their sum is at most `most` [1/s]."""
+    total = _total(terms)
     factor = elapsed * select(total > 0.0, min(total, most) / total, 1.0)
     charged: CostTerms = each(lambda rate: rate * factor, terms)
     return charged
 
 
-def _total_of_rates(terms: CostTerms) -> float:
-    """Return the sum of all terms but failure."""
-    return terms.frequency + terms.rocof + terms.duty + terms.rotor + terms.overload + terms.effort
+def _total(terms: CostTerms) -> float:
+    """Return the sum of all terms."""
+    return terms.frequency + terms.rocof + terms.duty + terms.rotor + terms.overload + terms.effort + terms.failure
 
 
 # --- the systems: over environments, WTG groups and machines ---------------------------------------------------------
@@ -251,16 +184,12 @@ def charge_frequency(
     step: float, coi: float, task_rocof: float, task: TaskConstants, weights: CostWeights, simulation_dt: float
 ) -> tuple[CostTerms, float, float, float]:
     """Begin the rates of the cost with those of the frequency, and find how long the interval lasted."""
-    deviation = abs(coi - 1.0) * task.nominal_hz
-    frequency, on_rocof = weights.frequency * frequency_cost(deviation), weights.rocof * rocof_cost(task_rocof)
+    deviation, ratio = abs(coi - 1.0), task_rocof / 0.2
+    rates = CostTerms(_frequency_cost(deviation, task, weights), weights.rocof * (ratio * ratio), *[0.0] * 5)
     # A run can end within the interval: the time after that is the failure's.
     unspent = math.ceil(step / task.n_substeps) * task.n_substeps - step
-    return (
-        CostTerms(frequency, on_rocof, 0.0, 0.0, 0.0, 0.0, 0.0),
-        task.control_dt - unspent * simulation_dt,
-        select(deviation > CONSTRAINT_FREQUENCY_HZ, 1.0, 0.0),
-        0.0,
-    )
+    violated = select(deviation * task.nominal_hz > CONSTRAINT_FREQUENCY_HZ, 1.0, 0.0)
+    return rates, task.control_dt - unspent * simulation_dt, violated, 0.0
 
 
 @system(COST, "largest_deviation")
@@ -286,7 +215,7 @@ def charge_largest_deviation(
     term_rates: CostTerms, largest_deviation: float, task: TaskConstants, weights: CostWeights
 ) -> CostTerms:
     """Charge that deviation in place of the centre of inertia's."""
-    return term_rates._replace(frequency=weights.frequency * frequency_cost(largest_deviation * task.nominal_hz))
+    return term_rates._replace(frequency=_frequency_cost(largest_deviation, task, weights))
 
 
 def _deviations(
@@ -309,34 +238,28 @@ def _deviations(
     low, high = 0.9 * best - ratio, ratio - 1.1 * turbine.rotor.tip_speed_ratio_limit
     # Above rated the pitch, not the rotor, keeps the tip-speed ratio low.
     low = select(state.pitch.pitch > turbine.limits.stall_pitch, 0.0, low)
-    return GroupDeviations(
-        duty=(output.captured - prescribed) / (0.05 * available),
-        rotor=max(0.0, max(low, high)) / (0.1 * best),
-        overload=max(0.0, output.power - turbine.converter.overload) / 0.1,
-        available=available,
-    )
+    duty = (output.captured - prescribed) / (0.05 * available)
+    rotor = max(0.0, max(low, high)) / (0.1 * best)
+    overload = max(0.0, output.power - turbine.converter.overload_limit) / 0.1
+    return GroupDeviations(duty, rotor, overload, available, charged=duty, there=1.0)
 
 
-@system(GROUP_COST, "deviations", "charged_duty", "there")
-def find_deviations(
-    state: WtgState, output: WtgOutput, turbine: Turbine, task: TaskConstants
-) -> tuple[GroupDeviations, float, float]:
+@system(GROUP_COST, "deviations")
+def find_deviations(state: WtgState, output: WtgOutput, turbine: Turbine, task: TaskConstants) -> GroupDeviations:
     """Find the deviations of a WTG group at its own frequency."""
-    deviations = _deviations(frequency_of(state, output), state, output, turbine, task)
-    return deviations, deviations.duty, 1.0
+    return _deviations(frequency_of(state, output), state, output, turbine, task)
 
 
-@system(GROUP_COST, "deviations", "charged_duty", "there")
+@system(GROUP_COST, "deviations")
 def find_deviations_at_grid_frequency(
     state: WtgState, given: WtgInput, output: WtgOutput, coi: float, turbine: Turbine, task: TaskConstants
-) -> tuple[GroupDeviations, float, float]:
+) -> GroupDeviations:
     """Find them at the grid's frequency where the group is disconnected: its own no longer moves."""
     frequency = select(given.connected > 0.5, frequency_of(state, output), coi)
-    deviations = _deviations(frequency, state, output, turbine, task)
-    return deviations, deviations.duty, 1.0
+    return _deviations(frequency, state, output, turbine, task)
 
 
-@system(FILTERED_DUTY, "deviations", "charged_duty", "there", "mean_duty")
+@system(FILTERED_DUTY, "deviations", "mean_duty")
 def filter_duty(
     deviations: GroupDeviations,
     mean_duty: float,
@@ -345,12 +268,15 @@ def filter_duty(
     step: float,
     was_active: float,
     task: TaskConstants,
-) -> tuple[GroupDeviations, float, float, float]:
-    """Charge the duty behind its filter, and a group that an event has disconnected nothing."""
+) -> tuple[GroupDeviations, float]:
+    """Charge the duty behind its filter, and a group that an event has disconnected nothing.
+
+    An interval that ends early counts as a whole one.
+    """
     there = select((step <= leaves_at) | (step > returns_at), 1.0, 0.0)
     exempt: GroupDeviations = each(lambda deviation: there * deviation, deviations)
-    duty = there * filtered_duty(mean_duty, exempt.duty, was_active > 0.5, task)
-    return exempt, duty, there, duty
+    duty = there * (mean_duty + select(was_active > 0.5, task.duty_gain, 0.0) * (exempt.duty - mean_duty))
+    return exempt._replace(charged=duty, there=there), duty
 
 
 @system(GROUP_COST, "term_rates", "violated", "error", "available_energy")
@@ -360,8 +286,6 @@ def charge_group(
     error: float,
     available_energy: float,
     deviations: GroupDeviations,
-    charged_duty: float,
-    there: float,
     group: GroupRows,
     share: float,
     elapsed: float,
@@ -369,22 +293,25 @@ def charge_group(
     task: TaskConstants,
     weights: CostWeights,
 ) -> tuple[CostTerms, float, float, float]:
-    """Add the rates of a WTG group to those of the lane; actions of one that is not there cost nothing."""
-    w, n_wtg = weights, task.n_groups
-    on_k = there * w.effort * effort(group.action_k, group.last_action_k) / task.n_actions
-    on_tau = there * w.effort * effort(group.action_tau, group.last_action_tau) / task.n_actions
+    """Add the rates of a WTG group to those of the environment; actions of one that is not there cost nothing.
+
+    The cost of duty is quadratic within one unit, linear outside (Huber).
+    """
+    d, w, n_wtg, size = deviations, weights, task.n_groups, abs(deviations.charged)
+    on_k = d.there * w.effort * _effort(group.action_k, group.last_action_k) / task.n_actions
+    on_tau = d.there * w.effort * _effort(group.action_tau, group.last_action_tau) / task.n_actions
     acted = term_rates.effort + select(task.modulates_k, on_k, 0.0)
     rates = term_rates._replace(
-        duty=term_rates.duty + w.duty * duty_cost(charged_duty) / n_wtg,
-        rotor=term_rates.rotor + w.rotor * deviations.rotor * deviations.rotor / n_wtg,
-        overload=term_rates.overload + w.overload * deviations.overload * deviations.overload / n_wtg,
+        duty=term_rates.duty + w.duty * select(size < 1.0, size * size, 2.0 * size - 1.0) / n_wtg,
+        rotor=term_rates.rotor + w.rotor * d.rotor * d.rotor / n_wtg,
+        overload=term_rates.overload + w.overload * d.overload * d.overload / n_wtg,
         effort=acted + select(task.modulates_tau, on_tau, 0.0),
     )
     return (
         rates,
-        select((deviations.rotor > 0.0) | (deviations.overload > 0.0), 1.0, violated),
-        error + 0.05 * abs(deviations.duty) / n_wtg,
-        available_energy + select(was_active > 0.5, share * deviations.available * elapsed, 0.0),
+        select((d.rotor > 0.0) | (d.overload > 0.0), 1.0, violated),
+        error + 0.05 * abs(d.duty) / n_wtg,
+        available_energy + select(was_active > 0.5, share * d.available * elapsed, 0.0),
     )
 
 
@@ -398,8 +325,9 @@ def charge_interval(
     weights: CostWeights,
     simulation_dt: float,
 ) -> CostTerms:
-    """Find what the last control interval cost."""
-    return interval_cost(term_rates, elapsed, (end_step - step) * simulation_dt, status != 0.0, weights)
+    """Find what the last control interval cost; a failure costs the cap for the time that is left and 1 s more."""
+    failure = weights.cap * ((end_step - step) * simulation_dt + 1.0)
+    return _capped(term_rates, elapsed, weights.cap)._replace(failure=select(status != 0.0, failure, 0.0))
 
 
 @system(COST, "new_terms")
@@ -414,10 +342,17 @@ def charge_open_interval(
     weights: CostWeights,
     simulation_dt: float,
 ) -> CostTerms:
-    """Find what the last control interval cost."""
-    spent = _total_of_rates(sums) + sums.failure
-    share = unserved * task.inv_load
-    return open_cost(term_rates, elapsed, spent, share, end_step * simulation_dt, status != 0.0, weights)
+    """Find what the last control interval cost, where the cap is not for the frequency and load not served.
+
+    The largest rate scales all terms alike. A failed episode costs that for its whole duration and 1 s more; in the
+    interval of a failure, which may be a numerical one, nothing else is charged.
+    """
+    rates = _capped(term_rates._replace(frequency=0.0), 1.0, weights.cap)
+    missed = weights.unserved * min(unserved * task.inv_load, 1.0)
+    charged = _capped(rates._replace(frequency=term_rates.frequency, failure=missed), elapsed, weights.failure)
+    missing, failed = weights.failure * (end_step * simulation_dt + 1.0) - _total(sums), status != 0.0
+    kept: CostTerms = each(lambda term: select(failed, 0.0, term), charged)
+    return kept._replace(failure=select(failed, missing, charged.failure))
 
 
 @system(COST, "terms", "sums", "own_cost", "constraint", "constraint_sum", "duty_error")
@@ -434,13 +369,12 @@ def charge_lane(
     status: float,
     was_active: float,
 ) -> tuple[CostTerms, CostTerms, float, float, float, float]:
-    """Charge a lane that ran for the last control interval."""
-    ran, failed, new = was_active > 0.5, status != 0.0, new_terms
-    now = select(failed, 1.0, violated)
+    """Charge an environment that ran for the last control interval."""
+    ran, now = was_active > 0.5, select(status != 0.0, 1.0, violated)
     return (
-        each(lambda charged, before: select(ran, charged, before), new, terms),
-        each(lambda charged, total: total + select(ran, charged, 0.0), new, sums),
-        _total_of_rates(new) + new.failure,
+        each(lambda charged, before: select(ran, charged, before), new_terms, terms),
+        each(lambda charged, total: total + select(ran, charged, 0.0), new_terms, sums),
+        _total(new_terms),
         select(ran, now, constraint),
         constraint_sum + select(ran, now, 0.0),
         duty_error + select(ran, error * elapsed, 0.0),

@@ -8,17 +8,8 @@ from __future__ import annotations
 import math
 from typing import Annotated, NamedTuple
 
-from wtg_gym.physics.sensors import (
-    DELAY_MAX_S,
-    Measurement,
-    Noise,
-    SensorInput,
-    SensorState,
-    drawn,
-    measured,
-    sensors_advanced,
-    sensors_started,
-)
+from wtg_gym.physics import sensors as equations
+from wtg_gym.physics.sensors import Noise, SensorInput, SensorState
 from wtg_gym.physics.units import LANE
 from wtg_gym.physics.wind_turbine import Turbine, WtgOutput, WtgState, frequency_of
 from wtg_gym.physics.wtg_unit import GROUPS
@@ -59,38 +50,24 @@ RING = Kind(name="ring", rows={"measurement": MeasuredObservation})
 
 def n_delayed(control_dt: float) -> int:
     """Return how many measurements an environment keeps for the longest delay."""
-    return math.ceil(DELAY_MAX_S / control_dt - 1e-9) + 1
+    return math.ceil(equations.DELAY_MAX_S / control_dt - 1e-9) + 1
 
 
-def observe_measured(m: Measurement, wind_sensor: float, t: Turbine, task: TaskConstants) -> MeasuredObservation:
-    """Return the observation of what a WTG group measures; without a wind sensor, wind and ratio are 0."""
-    return bounded(
-        MeasuredObservation(
-            frequency_deviation=(m.frequency - 1.0) * task.nominal_hz / FREQUENCY_UNIT_HZ,
-            rocof=m.rocof,
-            tip_speed_ratio=wind_sensor * scaled_ratio(m.rotor_speed, m.wind, t.rotor),
-            rotor_speed=scaled_rotor_speed(m.rotor_speed),
-            power=m.power,
-            wind=wind_sensor * scaled_wind(m.wind),
-        )
-    )
-
-
-def _exact(state: WtgState, output: WtgOutput, group: GroupRows) -> Measurement:
+def _exact(state: WtgState, output: WtgOutput, group: GroupRows) -> equations.Measurement:
     """Return what a WTG group would measure without errors."""
-    return Measurement(frequency_of(state, output), group.rocof, state.rotor_speed, output.power, output.wind)
+    return equations.Measurement(frequency_of(state, output), group.rocof, state.rotor_speed, output.power, output.wind)
 
 
 @system(SENSED, "noise")
 def draw_noise(sensor_input: SensorInput, interval: float, group_number: float) -> Noise:
     """Draw the random numbers of the present interval's measurements."""
-    return drawn(sensor_input.seed, interval, group_number)
+    return equations.drawn(sensor_input.seed, interval, group_number)
 
 
 @system(SENSED, "sensors")
 def start_sensors(state: WtgState, output: WtgOutput, group: GroupRows, noise: Noise) -> SensorState:
     """Begin a run with what is measured first."""
-    return sensors_started(_exact(state, output, group), noise)
+    return equations.sensors_started(_exact(state, output, group), noise)
 
 
 @system(SENSED, "sensors")
@@ -98,7 +75,7 @@ def advance_sensors(
     sensors: SensorState, state: WtgState, output: WtgOutput, group: GroupRows, noise: Noise, sensor_input: SensorInput
 ) -> SensorState:
     """Move filters and slow errors on to the end of a control interval."""
-    return sensors_advanced(sensors, _exact(state, output, group), noise, sensor_input)
+    return equations.sensors_advanced(sensors, _exact(state, output, group), noise, sensor_input)
 
 
 @system(SENSED, "seen")
@@ -113,9 +90,18 @@ def measure_group(
     turbine: Turbine,
     task: TaskConstants,
 ) -> MeasuredObservation:
-    """Take the measurement of a WTG group."""
-    value = measured(sensors, _exact(state, output, group), wind_bias, noise, sensor_input)
-    return observe_measured(value, sensor_input.wind_sensor, turbine, task)
+    """Take the measurement of a WTG group; without a wind sensor, wind and ratio are 0."""
+    m = equations.measured(sensors, _exact(state, output, group), wind_bias, noise, sensor_input)
+    return bounded(
+        MeasuredObservation(
+            frequency_deviation=(m.frequency - 1.0) * task.nominal_hz / FREQUENCY_UNIT_HZ,
+            rocof=m.rocof,
+            tip_speed_ratio=sensor_input.wind_sensor * scaled_ratio(m.rotor_speed, m.wind, turbine.rotor),
+            rotor_speed=scaled_rotor_speed(m.rotor_speed),
+            power=m.power,
+            wind=sensor_input.wind_sensor * scaled_wind(m.wind),
+        )
+    )
 
 
 #: Measurements are shown late.

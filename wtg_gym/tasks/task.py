@@ -262,24 +262,25 @@ class Task:
         """Return the entries of an observation: groups, then what is privileged, then devices."""
         n_wtg, modulated = len(choices.plant.groups), ACTION_MODES[choices.action_mode]
         actions = tuple(name for name, used in zip(_fields(OBSERVED, "shown_actions"), modulated, strict=True) if used)
+        machines = range(len(choices.plant.case.machines))
+
+        def entry(kind: Kind, part: str, unit: int, prefix: str) -> Entries:
+            return Entries(kind, part, unit, prefix, _fields(kind, part))
+
         found = []
         for j in range(n_wtg):
             kind, part, prefix = self.of_groups
-            found.append(Entries(kind, part, j, f"{prefix}{j}", _fields(kind, part)))
+            found.append(entry(kind, part, j, f"{prefix}{j}"))
             found.append(Entries(OBSERVED, "shown_actions", j, f"{prefix}{j}", actions))
         if choices.privileged:
-            shown = [(kind, part, j, f"{prefix}{j}") for j in range(n_wtg) for kind, part, prefix in self.privileged]
-            shown += [
-                (OBSERVED_MACHINES, "machine_observed", i, f"sync{i}") for i in range(len(choices.plant.case.machines))
+            found += [
+                entry(kind, part, j, f"{prefix}{j}") for j in range(n_wtg) for kind, part, prefix in self.privileged
             ]
-            shown.append((OBSERVED_GRID, "grid_observed", 0, "grid"))
-            found += [Entries(*where, _fields(*where[:2])) for where in shown]
-        for units in choices.plant.devices:
-            if units.shown is not None:
-                found += [
-                    Entries(units.kind, units.shown, j, f"{units.kind.name}{j}", _fields(units.kind, units.shown))
-                    for j in range(len(units.buses))
-                ]
+            found += [entry(OBSERVED_MACHINES, "machine_observed", i, f"sync{i}") for i in machines]
+            found.append(entry(OBSERVED_GRID, "grid_observed", 0, "grid"))
+        for own in choices.plant.devices:
+            if own.shown is not None:
+                found += [entry(own.kind, own.shown, j, f"{own.kind.name}{j}") for j in range(len(own.buses))]
         return found
 
     def observation_names(self, choices: Choices) -> list[str]:

@@ -9,8 +9,7 @@ import numpy.typing as npt
 
 from wtg_gym.envs.lanes import TERMINATION_REASONS, TaskLanes
 from wtg_gym.envs.rendering.diagram import undone
-from wtg_gym.envs.rendering.frame import Frame, FramePainter, Scene
-from wtg_gym.envs.rendering.panels import panels_of
+from wtg_gym.envs.rendering.frame import Frame, FramePainter, Scene, panels_of
 from wtg_gym.envs.rendering.window import Window
 from wtg_gym.physics.protection import Status
 
