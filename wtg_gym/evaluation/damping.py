@@ -96,7 +96,7 @@ def damping(entry: Entry, wind_m_s: float = WIND_M_S, plant: Mapping[str, Any] |
     Raises:
         PolicyError: the policy fails, its memory is not arrays, or the loop loses the grid.
     """
-    loop = _Loop(entry, wind_m_s, plant)
+    loop = Loop(entry, wind_m_s, plant)
     rests: list[Damping] = []
     with entry.policy if isinstance(entry.policy, OnnxPolicy) else contextlib.nullcontext():
         for slope in SLOPES if entry.law.k_min != entry.law.k_max else SLOPES[:1]:
@@ -109,7 +109,7 @@ def damping(entry: Entry, wind_m_s: float = WIND_M_S, plant: Mapping[str, Any] |
     return dataclasses.replace(max(rests, key=lambda rest: rest.moves_hz), modes=found, largest_rate=largest)
 
 
-class _Loop:
+class Loop:
     """An entry in the loop with the grid, one measuring interval a step of the tape."""
 
     def __init__(self, entry: Entry, wind_m_s: float, plant: Mapping[str, Any] | None) -> None:
