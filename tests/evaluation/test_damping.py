@@ -20,7 +20,7 @@ def test_a_law_alone_has_the_modes_of_the_linearised_plant(law: str) -> None:
     found, scenario, step_s = damping(entry, plant=PLANT), Loop(entry, WIND_M_S, PLANT).scenario, plant.simulation_dt
     assert found.rests and found.largest_action == 0.0 and found.largest_rate < 0.0
     for slope, side in zip(SLOPES, ("under", "over"), strict=True):
-        if not (seen := np.array([mode.eigenvalue for mode in found.modes if mode.slope == slope])).size:
+        if not (seen := np.array([mode.eigenvalue for mode in found.modes if mode.slope in (slope, "both")])).size:
             continue
         linear = [mode.eigenvalue for mode in modes(linearise(scenario, entry.law, plant, side=side))]
         steps = step_s * np.array([value for value in linear if value.imag > 0.0 and value.real > -9.0])

@@ -56,7 +56,7 @@ class Mode(NamedTuple):
     """An oscillation of the loop, and on which slope of the law."""
 
     eigenvalue: complex  # s, with a positive imaginary part [1/s]
-    slope: str  # of g(ω): "below" or "above" the nominal frequency
+    slope: str  # of g(ω): "below" or "above" the nominal frequency, or "both" where they are one
 
     @property
     def frequency_hz(self) -> float:
@@ -99,10 +99,13 @@ def damping(entry: Entry, wind_m_s: float = WIND_M_S, plant: Mapping[str, Any] |
     loop = Loop(entry, wind_m_s, plant)
     rests: list[Damping] = []
     with entry.policy if isinstance(entry.policy, OnnxPolicy) else contextlib.nullcontext():
-        for slope in SLOPES if entry.law.k_min != entry.law.k_max else SLOPES[:1]:
+        has_corner = entry.law.k_min != entry.law.k_max
+        for slope in SLOPES if has_corner else SLOPES[:1]:
             rest = loop.settle(slope)
             values = loop.eigenvalues()
-            modes = [Mode(complex(value), slope) for value in values if value.imag > _LEAST_RATE]
+            modes = [
+                Mode(complex(value), slope if has_corner else "both") for value in values if value.imag > _LEAST_RATE
+            ]
             rests.append(dataclasses.replace(rest, modes=modes, largest_rate=float(values.real.max())))
     found = sorted((mode for rest in rests for mode in rest.modes), key=lambda mode: mode.damping_ratio)
     largest = max(rest.largest_rate for rest in rests)

@@ -15,7 +15,7 @@ import numpy as np
 
 from wtg_gym.evaluation.damping import GRID, WIND_M_S, Damping
 from wtg_gym.evaluation.grid_tests import GRID_TESTS
-from wtg_gym.evaluation.report import SUITE, DrawnScenario, Recorded, Report
+from wtg_gym.evaluation.report import N_OF_ENERGY, SUITE, DrawnScenario, Recorded, Report
 from wtg_gym.evaluation.statistics import Interval
 from wtg_gym.evaluation.table import signed_interval
 from wtg_gym.files import markdown_table
@@ -173,6 +173,10 @@ def _interval(value: Interval, digits: int = 1) -> tuple[str, str]:
     return texts[0], "" if value.low == value.high else f"{texts[1]} … {texts[2]}"
 
 
+def _chance(value: float) -> str:
+    return f"{value:.2g}" if value >= 0.001 else "below 0.001"
+
+
 def _score(report: Report) -> Section:
     row, results = report.row, report.results
     assert row.score is not None
@@ -185,8 +189,8 @@ def _score(report: Report) -> Section:
     else:
         bad = report.bad
         mark = (
-            f"No ✓: less reliable than {hundred}: were both equally prone, so many more bad runs had the chance "
-            f"{bad.chance:.2g}, and so many more lost runs {bad.chance_lost:.2g}; below 0.05 the mark is withheld."
+            f"No ✓: less reliable than {hundred}: were both equally prone, so many more bad runs had a chance of "
+            f"{_chance(bad.chance)}, and so many more lost runs one of {_chance(bad.chance_lost)}; below 0.05 the mark is withheld."
         )
     return Section(
         heading="Score",
@@ -226,7 +230,7 @@ def _bad_runs(report: Report) -> Section:
         rows=[(who, str(count), _percent(count, bad.n)) for who, count in counts.items()],
         numbers=(1, 2),
         note=f"Difference to {hundred}: {signed_interval(bad.difference)} percentage points, strata counting alike. "
-        f"Were both equally prone, so many more bad runs than {hundred}'s had a chance of {bad.chance:.2g} (McNemar's "
+        f"Were both equally prone, so many more bad runs than {hundred}'s had a chance of {_chance(bad.chance)} (McNemar's "
         "paired exact test, one side).",
     )
 
@@ -314,7 +318,7 @@ def _faults(report: Report) -> Section:
 
 
 def _energy(report: Report) -> Section:
-    most = report.energy.get("mppt")
+    most, n = report.energy.get("mppt"), min(N_OF_ENERGY, len(report.results.seeds))
     rows = [
         (
             name,
@@ -329,7 +333,7 @@ def _energy(report: Report) -> Section:
     return Section(
         heading="Energy",
         sentence="Power and energy of all turbines into the grid, and the kinetic energy that their rotors lent and "
-        f"got back, means over {report.n_of_energy} scenarios of three minutes in which nobody here lost a group.",
+        f"got back, means over the {report.n_of_energy} of the first {n} scenarios, of three minutes each, in which all kept all groups.",
         header=("entry", "power [MW]", "energy [MWh]", "against mppt [%]", "borrowed [MJ]", "repaid [MJ]"),
         rows=rows,
         numbers=(1, 2, 3, 4, 5),
@@ -348,7 +352,7 @@ def _damping(report: Report) -> Section:
     if isinstance(report.damping, str):
         return Section(heading="Damping", sentence=sentence, note=f"There is none: {report.damping}")
     rows = [
-        (name, f"{mode.frequency_hz:.2f}", f"{mode.damping_ratio:.3f}", f"{mode.eigenvalue.real:.2f}", mode.slope)
+        (name, f"{mode.frequency_hz:.2f}", f"{mode.damping_ratio:.3f}", f"{mode.eigenvalue.real:.3f}", mode.slope)
         for name, found in report.damping.items()
         for mode in found.modes[:_N_MODES]
     ]
