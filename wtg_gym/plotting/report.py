@@ -30,6 +30,7 @@ if TYPE_CHECKING:
 _N_MODES = 5
 #: Damping ratio below which an oscillation is weakly damped.
 _WEAK = 0.05
+_MARGIN_CAPTION = "Cost (J + J0, relative) and share of bad runs over the reserve margin"
 #: What is drawn of a scenario, by its label.
 _PANELS: Mapping[str, Callable[[Recorded], np.ndarray]] = {
     "frequency [Hz]": lambda run: run.frequency_hz,
@@ -190,7 +191,8 @@ def _score(report: Report) -> Section:
         bad = report.bad
         mark = (
             f"No ✓: less reliable than {hundred}: were both equally prone, so many more bad runs had a chance of "
-            f"{_chance(bad.chance)}, and so many more lost runs one of {_chance(bad.chance_lost)}; below 0.05 the mark is withheld."
+            f"{_chance(bad.chance)}, and so many more lost runs one of {_chance(bad.chance_lost)}; "
+            "below 0.05 the mark is withheld."
         )
     return Section(
         heading="Score",
@@ -209,7 +211,9 @@ def _over_margin(report: Report) -> Section:
         heading="Where control decides",
         sentence="Cost and bad runs over the reserve margin, the power that turbines and machines could still add in "
         f"per cent of the load: below 1, an entry pays less than {hundred}.",
-        pictures=[Picture(name="margin", figure=plot_over_margin(entries, hundred, stacked=True), caption="")],
+        pictures=[
+            Picture(name="margin", figure=plot_over_margin(entries, hundred, stacked=True), caption=_MARGIN_CAPTION)
+        ],
     )
 
 
@@ -230,8 +234,8 @@ def _bad_runs(report: Report) -> Section:
         rows=[(who, str(count), _percent(count, bad.n)) for who, count in counts.items()],
         numbers=(1, 2),
         note=f"Difference to {hundred}: {signed_interval(bad.difference)} percentage points, strata counting alike. "
-        f"Were both equally prone, so many more bad runs than {hundred}'s had a chance of {_chance(bad.chance)} (McNemar's "
-        "paired exact test, one side).",
+        f"Were both equally prone, so many more bad runs than {hundred}'s had a chance of {_chance(bad.chance)} "
+        "(McNemar's paired exact test, one side).",
     )
 
 
@@ -333,7 +337,8 @@ def _energy(report: Report) -> Section:
     return Section(
         heading="Energy",
         sentence="Power and energy of all turbines into the grid, and the kinetic energy that their rotors lent and "
-        f"got back, means over the {report.n_of_energy} of the first {n} scenarios, of three minutes each, in which all kept all groups.",
+        f"got back, means over the {report.n_of_energy} of the first {n} scenarios, of three minutes each, "
+        "in which all kept all groups.",
         header=("entry", "power [MW]", "energy [MWh]", "against mppt [%]", "borrowed [MJ]", "repaid [MJ]"),
         rows=rows,
         numbers=(1, 2, 3, 4, 5),
