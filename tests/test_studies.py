@@ -11,12 +11,13 @@ from typing import Any
 import minari
 import numpy as np
 import pytest
-from matrix import CHANGES, FAULTS, OWN, played, section, with_fault, with_faults, without_governor
+from matrix import CHANGES, OWN, played, section, with_faults, without_governor
 from minari_datasets import make_dataset
 from policies import Population, law_of, tune_law, tune_mean_droop, tuning_of
 from reference import environment_page, parameters_page
 
 from wtg_gym.evaluation import Results, evaluate, load_entries
+from wtg_gym.evaluation.faults import SENSOR_FAULTS, with_fault
 from wtg_gym.physics.aerodynamics import tracking_point
 from wtg_gym.physics.tracking_law import TUNED, tuned
 from wtg_gym.scenarios import get_suite
@@ -89,7 +90,7 @@ def test_a_hanging_sensor_shows_what_it_showed_last() -> None:
             return np.zeros((len(observation), 4)), (state or 0) + 1
 
     entry = dataclasses.replace(load_entries("fast-droop")[0], policy=Watching())
-    for fault, since in FAULTS.values():
+    for fault, since in SENSOR_FAULTS.values():
         policy, state = with_fault(entry, fault, since).policy, None
         shown = np.random.default_rng(0).normal(size=(since + 2, 1, 28))
         seen.clear()
@@ -102,7 +103,7 @@ def test_a_hanging_sensor_shows_what_it_showed_last() -> None:
 
 def test_the_matrix_has_a_column_for_every_change_and_fault(known: Results, players: list[Any]) -> None:
     results = with_faults(players, known)
-    assert set(results) == {*CHANGES, *FAULTS}
+    assert set(results) == {*CHANGES, *SENSOR_FAULTS}
     laws = {name: {key: own.pinned_costs[name] for key, own in results.items()} for name in V1.anchors}
     assert all((laws[name]["delay +0.5 s"] == laws[name]["wind bias × 4"]).all() for name in laws)
     assert (laws["coordinated-tuned"]["no governor"] != laws["coordinated-tuned"]["delay +0.5 s"]).any()

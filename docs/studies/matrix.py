@@ -12,11 +12,9 @@ import copy
 import os
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
-import numpy as np
 from output import folder as output_folder
 
 from wtg_gym.cli.scoring import chosen_entries, run_evaluation
@@ -24,13 +22,11 @@ from wtg_gym.envs.settings import EnvSettings
 from wtg_gym.evaluation import Entry, EntrySummary, Results, leaderboard_rows, table_cells
 from wtg_gym.evaluation.episodes import Episode
 from wtg_gym.evaluation.evaluator import play_batch
+from wtg_gym.evaluation.faults import SENSOR_FAULTS, WORSE_SENSORS, with_fault
 from wtg_gym.files import markdown_table, update_between_markers
-from wtg_gym.physics.layout import Floats
 from wtg_gym.physics.scenario import GovernorLoss, Scenario
 from wtg_gym.policies import PolicyError
 from wtg_gym.scenarios import get_suite
-from wtg_gym.tasks import V1
-from wtg_gym.tasks.episode import ACTION_MODES
 
 OWN, FOLDER, PARTIAL = "standard-v1", Path("results/matrix"), Path("results/partial")
 SUITES = tuple(
@@ -40,13 +36,6 @@ SUITES = tuple(
 N_SCENARIOS = 300
 #: Those that are played side by side.
 BATCH = 64
-#: The frequency sensor hangs from this step on.
-HANGS_AT = 100
-
-
-def measured(scenario: Scenario, **sensors: Any) -> Scenario:
-    """Return a scenario with other sensors."""
-    return replace(scenario, sensors=replace(scenario.sensors, **sensors))
 
 
 def without_governor(scenario: Scenario) -> Scenario:
@@ -55,57 +44,12 @@ def without_governor(scenario: Scenario) -> Scenario:
     return replace(scenario, events=(GovernorLoss(time_s=0.0, bus=1), *events))
 
 
-def hanging(seen: Floats, kept: Floats) -> None:
-    """Let the frequency stay at its last value: it does not change."""
-    seen[:, 0], seen[:, 1] = kept[:, 0], 0.0
-
-
-def silent(seen: Floats, _kept: Floats) -> None:
-    """Let every entry of the observation be 0, as of a turbine at rated speed, 50 Hz and 10 m/s."""
-    seen[:, : V1.n_local] = 0.0
-
-
-#: By the heading of their columns: changes of the scenario, and, with the step from which on, faults of the sensors of
-#: the first group, the largest.
+#: Changes of the scenario by the heading of their columns.
 CHANGES: dict[str, Callable[[Scenario], Scenario]] = {
-    "delay +0.5 s": lambda drawn: measured(drawn, delay_s=round(drawn.sensors.delay_s + 0.5, 9)),
-    "wind bias × 4": lambda drawn: measured(drawn, wind_bias=tuple(4.0 * bias for bias in drawn.sensors.wind_bias)),
+    **WORSE_SENSORS,
     "half the inertia": lambda drawn: replace(drawn, inertia_scale=0.5 * drawn.inertia_scale),
     "no governor": without_governor,
 }
-FAULTS = {"a frequency sensor hangs": (hanging, HANGS_AT), "a group's observation is 0": (silent, 0)}
-
-
-@dataclass
-class FaultyPolicy:
-    """A policy that sees what failing sensors say; its state is the step, what they said last, and its own state."""
-
-    policy: Any
-    width: int  # numbers of the first group in an observation
-    fault: Callable[[Floats, Floats], None]
-    since: int  # step
-
-    def predict(self, observation, state=None, episode_start=None, deterministic=False):
-        step, kept, own = (0, None, None) if state is None else state
-        seen = np.array(observation)
-        if step <= self.since:
-            kept = seen[:, : self.width].copy()
-        if step >= self.since:
-            self.fault(seen[:, : self.width], kept)
-        actions, own = self.policy.predict(seen, state=own, episode_start=episode_start, deterministic=deterministic)
-        return actions, (step + 1, kept, own)
-
-    def close(self) -> None:
-        """End the policy's process, where it has one."""
-        getattr(self.policy, "close", lambda: None)()
-
-
-def with_fault(entry: Entry, fault: Callable[[Floats, Floats], None], since: int) -> Entry:
-    """Return an entry with failing sensors; a law has none."""
-    if entry.policy is None:
-        return entry
-    width = V1.n_local + sum(ACTION_MODES[entry.action_mode])
-    return replace(entry, policy=FaultyPolicy(entry.policy, width, fault, since))
 
 
 def entries_of(suite: str) -> list[Entry]:
@@ -157,7 +101,8 @@ def with_faults(entries: Sequence[Entry], results: Results) -> dict[str, Results
         for heading, change in CHANGES.items()
     }
     failing = {
-        heading: played([with_fault(entry, *fault) for entry in entries], results) for heading, fault in FAULTS.items()
+        heading: played([with_fault(entry, *fault) for entry in entries], results)
+        for heading, fault in SENSOR_FAULTS.items()
     }
     return changed | failing
 

@@ -54,7 +54,7 @@ def test_help_of_every_command_teaches_by_examples_that_it_takes(
     for name in ("my-policy", "my-policy-*"):
         (tmp_path / name).mkdir()
     names = [name for name in build_app([]) if not name.startswith("-")]
-    assert len(names) == 9
+    assert len(names) == 10
     for name in names:
         own = [part for part in build_app([name])[name] if not part.startswith("-")]
         for command in [(name, part) for part in own] or [(name,)]:
@@ -69,10 +69,21 @@ def test_help_of_every_command_teaches_by_examples_that_it_takes(
 def test_help_is_there_before_the_simulator_and_before_other_commands() -> None:
     """Importing all packages takes a second or two."""
     code = "import sys; from wtg_gym.cli import main\n"
-    for command in ("", "evaluate", "grid", "leaderboard", "play", "results", "simulate", "submission", "suites"):
+    for command in (
+        "",
+        "evaluate",
+        "grid",
+        "leaderboard",
+        "play",
+        "report",
+        "results",
+        "simulate",
+        "submission",
+        "suites",
+    ):
         code += f"main({[*command.split(), '--help']}); print({{'numba', 'scipy'}} & set(sys.modules))\n"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=ROOT, timeout=100)
-    assert done.stdout.splitlines().count("set()") == 9, done.stderr
+    assert done.stdout.splitlines().count("set()") == 10, done.stderr
     code = "import sys; from wtg_gym.cli import main; main(['suites', 'paper'])\n"
     code += "print('wtg_gym.cli.simulate' in sys.modules)"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=ROOT, timeout=100)

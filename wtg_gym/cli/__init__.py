@@ -23,6 +23,7 @@ _COMMANDS = {
     "play": ("play:play", "hold the frequency by hand, in the browser, against the reference"),
     "evaluate": ("evaluate:evaluate", "score entries on scenarios of a suite"),
     "leaderboard": ("evaluate:leaderboard", "rank entries on a suite and write the table to a README"),
+    "report": ("report:report", "one page about one entry: score, worst scenarios, operators' tests, damping"),
     "results": ("results:app", "stored results: show them, compute them again, compare"),
     "submission": ("submission:app", "policies of others: write a template, check a folder, score it in isolation"),
     "suites": ("suites:suites", "the suites of scenarios, or one scenario"),

@@ -57,6 +57,7 @@ CsvFile = Annotated[Path, _output_file("csv")]
 FigureFile = Annotated[Path, _output_file("png", "svg", "pdf")]
 JsonFile = Annotated[Path, _output_file("json")]
 HtmlFile = Annotated[Path, _output_file("html", "htm")]
+PageFile = Annotated[Path, _output_file("html", "htm", "md")]
 
 Threads = Annotated[Whole | None, Parameter(help="threads to step with; default: one per processor")]
 Json = Annotated[bool, Parameter(negative="", show_default=False, help="print JSON, and nothing else, on stdout")]

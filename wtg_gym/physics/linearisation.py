@@ -13,7 +13,7 @@ import numpy.typing as npt
 
 from wtg_gym.physics.converter import Corners
 from wtg_gym.physics.integration import PROGRAMS, evaluate_blocks
-from wtg_gym.physics.layout import Floats, Layout
+from wtg_gym.physics.layout import Floats, Layout, Whole
 from wtg_gym.physics.plant import PlantTables, programs_of, with_places
 
 #: Step of the finite differences [p.u., rad]; truncation and rounding are both near 1e-9 of a rate.
@@ -64,17 +64,20 @@ def state_matrix(rows: Floats, plant: PlantTables, layout: Layout, side: npt.Arr
     return matrix
 
 
+def one_way_limits(rows: Floats, layout: Layout) -> Whole:
+    """Return the rows of pitch protections and power limiters at rest: they act one way only and have no slope."""
+    names = ("pitch_integral", "pitch", *(("over_power", "under_power") if layout.n_extended else ()))
+    limits = np.concatenate([layout.wtg(name) for name in names])
+    at_rest: Whole = limits[np.abs(rows[limits]) < 4.0 * _DIFFERENCE]
+    return at_rest
+
+
 def moving_states(matrix: Floats, rows: Floats, layout: Layout) -> npt.NDArray[np.bool_]:
     """Return which states take part in the dynamics, (n,).
 
     Left out are constants, states that nothing depends on, and states that nothing else drives, which stay at rest.
-    The pitch protection and the power limiters at rest act one way only, so a difference across that limit gives no
-    slope.
     """
-    keep = np.ones(matrix.shape[0], dtype=np.bool_)
-    for name in ("pitch_integral", "pitch", *(("over_power", "under_power") if layout.n_extended else ())):
-        wtgs = layout.wtg(name)
-        keep[np.isin(layout.state_rows, wtgs[np.abs(rows[wtgs]) < 4.0 * _DIFFERENCE])] = False
+    keep = ~np.isin(layout.state_rows, one_way_limits(rows, layout))
     while True:
         rest = np.where(np.outer(keep, keep), matrix, 0.0)
         driven = (rest - np.diag(np.diag(rest))).any(axis=1)

@@ -63,7 +63,7 @@ def play(
         while running.any():
             actions = np.zeros((lanes.n_lanes, lanes.n_action))
             if entry.policy is not None:
-                actions, state = _answer(entry, lanes, state, step, running)
+                actions, state = answer(entry, lanes, state, step, running)
             if taken is not None:
                 taken.append(actions)
             lanes.step(actions)
@@ -73,7 +73,7 @@ def play(
             step += 1
 
 
-def _answer(
+def answer(
     entry: Entry, lanes: TaskLanes, state: Any, step: int, running: npt.NDArray[np.bool_]
 ) -> tuple[npt.NDArray[np.float64], Any]:
     """Return the policy's checked actions (n_lanes, n_action) in a step, and its next recurrent state."""

@@ -1,0 +1,82 @@
+"""`wtg-gym report` as a user calls it."""
+
+from __future__ import annotations
+
+from html.parser import HTMLParser
+from pathlib import Path
+
+import pytest
+
+from tests.cli.calls import error_of
+from wtg_gym.cli import main
+
+pytest.importorskip("matplotlib")
+
+HEADINGS = [
+    "Score",
+    "Where control decides",
+    "Bad runs",
+    "Scenarios",
+    "Operators' tests",
+    "Faults of sensors",
+    "Energy",
+    "Damping",
+]
+NAME = "a & b"
+LAW = f'name = "{NAME}"\nk_min = 0.75\nk_nominal = 0.7\nk_max = 0.6\ntau_s = 0.8\n'
+
+
+class _Page(HTMLParser):
+    """Headings, texts, and where pictures come from; tags must close in turn."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__()
+        self.open: list[str] = []
+        self.headings: list[str] = []
+        self.sources: list[str] = []
+        self.feed(text)
+        assert not self.open
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        if tag not in ("meta", "br", "img"):
+            self.open.append(tag)
+        self.sources += [value or "" for key, value in attrs if key in ("src", "href")]
+
+    def handle_endtag(self, tag: str) -> None:
+        assert self.open.pop() == tag
+
+    def handle_data(self, data: str) -> None:
+        if self.open[-1:] == ["h2"]:
+            self.headings.append(data)
+
+
+def test_a_page_has_every_section_loads_nothing_and_escapes_names(tmp_path: Path) -> None:
+    law = tmp_path / "law.toml"
+    law.write_text(LAW, encoding="utf-8")
+    page = tmp_path / "page.html"
+    assert main(["report", str(law), "--episodes", "3", "--seed", "20000", "--output", str(page)]) == 0
+    text = page.read_text(encoding="utf-8")
+    parsed = _Page(text)
+    assert parsed.headings == HEADINGS
+    assert len(parsed.sources) == 2 and all(source.startswith("data:image/") for source in parsed.sources)
+    assert "a &amp; b" in text and NAME not in text
+    assert f"--seeds 20000 --entries {law}" in text
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        ("turbo", "unknown entry 'turbo'"),
+        ("baselines", "a report is about one entry"),
+        ("gradient-0", "is for GFMWTG-14bus-v0"),
+        ("mppt --seed 3", "the test seeds of suite 'standard-v1' are 20000"),
+        ("mppt --episodes 0", "--scenarios = 0 is outside the allowed range"),
+        ("mppt --output page.pdf", 'supported extensions {"html", "htm", "md"}'),
+    ],
+)
+def test_bad_input_is_refused_before_anything_is_played(
+    arguments: str, said: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert said in error_of(capsys, "report", *arguments.split())
+    assert not list(tmp_path.iterdir())

@@ -1,0 +1,73 @@
+"""`wtg-gym report`: one page about one entry."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+from cyclopts import Parameter
+
+from wtg_gym.cli.options import OutputFolder, PageFile, SeedOptions, Threads, Whole
+from wtg_gym.cli.output import note, require_extra
+
+
+def report(
+    entry: str,
+    /,
+    *,
+    output: PageFile = Path("report.html"),
+    episodes: Whole | None = None,
+    seed: Annotated[tuple[Whole, ...], Parameter(consume_multiple=1, negative="")] = (),
+    results: OutputFolder = Path("results"),
+    threads: Threads = None,
+) -> int:
+    """Write one page about one entry of version v1: what it does, where it fails, and why.
+
+    The page has the score by stratum, cost over the reserve margin, bad runs against the reference at 100, the worst
+    scenarios drawn, grid operators' tests, faults of sensors, energy, and the damping of the grid with the entry in the
+    loop. HTML holds its pictures and loads nothing; Markdown, for a pull request, has them beside. Scores are read from
+    stored results of the same policy, or played on the test scenarios of standard-v1.
+
+    examples:
+      wtg-gym report coordinated-tuned
+      wtg-gym report my-policy --output my-policy.md
+      wtg-gym report fast-droop --episodes 30 --seed 20003 20017      a quick look, with two scenarios of your choice
+
+    Args:
+        entry: an entry, as for 'wtg-gym evaluate'; of several training seeds the first
+        output: the page: .html or .md
+        episodes: play the first so many test scenarios; default: all
+        seed: test scenarios to draw; default: the three that cost most
+        results: folder that may have results of 'wtg-gym leaderboard'
+    """
+    require_extra("matplotlib", "wtg-gym report")
+    from wtg_gym.cli import scoring
+    from wtg_gym.evaluation.evaluator import chosen_seeds
+    from wtg_gym.evaluation.report import SPLIT, SUITE, make_report
+    from wtg_gym.files import write_together
+    from wtg_gym.plotting.report import report_html, report_markdown
+    from wtg_gym.policies.entry import check_version
+    from wtg_gym.progress import Progress
+    from wtg_gym.scenarios import get_suite
+
+    suite = get_suite(SUITE)
+    seeds = scoring.chosen_scenarios(SUITE, SPLIT, SeedOptions(scenarios=episodes))["seeds"]
+    drawn = chosen_seeds(SUITE, SPLIT, seed) if seed else ()
+    chosen = scoring.chosen_entries([entry], SUITE)
+    if len({each.name for each in chosen}) > 1:
+        raise ValueError(f"a report is about one entry, {entry!r} are {len(chosen)}")
+    check_version(chosen[:1], suite)
+    with Progress("parts") as progress:
+        made = make_report(
+            chosen[0],
+            entry,
+            seeds=seeds,
+            drawn=drawn,
+            stored=results,
+            n_threads=threads,
+            on_progress=progress.update,
+        )
+    files = {output.name: report_html(made)} if output.suffix != ".md" else report_markdown(made, output.stem)
+    write_together({output.with_name(name): content for name, content in files.items()})
+    note(f"wrote {', '.join(str(output.with_name(name)) for name in files)}")
+    return 0

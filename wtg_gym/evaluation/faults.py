@@ -1,0 +1,99 @@
+"""Faults of sensors: measurements that come late, are wrong, hang or stay away.
+
+A law has no sensors: nothing changes for it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+
+from wtg_gym.physics.layout import Floats
+from wtg_gym.physics.scenario import Scenario
+from wtg_gym.policies.entry import Entry
+from wtg_gym.scenarios.suites import DEFAULT_SUITE, get_suite
+from wtg_gym.tasks import V1
+from wtg_gym.tasks.episode import ACTION_MODES
+
+#: The frequency sensor hangs from this step on.
+HANGS_AT = 100
+
+
+def measured(scenario: Scenario, **sensors: Any) -> Scenario:
+    """Return a scenario of version v1 with other sensors."""
+    assert scenario.sensors is not None
+    return replace(scenario, sensors=replace(scenario.sensors, **sensors))
+
+
+def _late(scenario: Scenario) -> Scenario:
+    assert scenario.sensors is not None
+    return measured(scenario, delay_s=round(scenario.sensors.delay_s + 0.5, 9))
+
+
+def _biased(scenario: Scenario) -> Scenario:
+    assert scenario.sensors is not None
+    return measured(scenario, wind_bias=tuple(4.0 * bias for bias in scenario.sensors.wind_bias))
+
+
+def hanging(seen: Floats, kept: Floats) -> None:
+    """Let the frequency stay at its last value: it does not change."""
+    seen[:, 0], seen[:, 1] = kept[:, 0], 0.0
+
+
+def silent(seen: Floats, _kept: Floats) -> None:
+    """Let every entry of the observation be 0, as of a turbine at rated speed, 50 Hz and 10 m/s."""
+    seen[:, : V1.n_local] = 0.0
+
+
+#: Changes of a scenario's sensors, by what is said of them.
+WORSE_SENSORS: Mapping[str, Callable[[Scenario], Scenario]] = MappingProxyType(
+    {"delay +0.5 s": _late, "wind bias × 4": _biased}
+)
+#: Faults of the sensors of the first group, the largest, with the step from which on.
+SENSOR_FAULTS: Mapping[str, tuple[Callable[[Floats, Floats], None], int]] = MappingProxyType(
+    {"a frequency sensor hangs": (hanging, HANGS_AT), "a group's observation is 0": (silent, 0)}
+)
+
+
+@dataclass
+class FaultyPolicy:
+    """A policy that sees what failing sensors say; its state is the step, what they said last, and its own state."""
+
+    policy: Any
+    width: int  # numbers of the first group in an observation
+    fault: Callable[[Floats, Floats], None]
+    since: int  # step
+    n_parts: int = 1  # parts that each environment's observation is given in: its groups, of a policy for one group
+
+    def predict(
+        self, observation: Any, state: Any = None, episode_start: Any = None, deterministic: bool = False
+    ) -> tuple[Any, Any]:
+        """Return (actions (n_lanes, n_action), next state)."""
+        seen = np.array(observation)
+        first = seen[:: self.n_parts, : self.width]
+        step, kept, memory = (0, first, None) if state is None else state
+        if step <= self.since:
+            kept = first.copy()
+        if step >= self.since:
+            self.fault(first, kept)
+        actions, memory = self.policy.predict(
+            seen, state=memory, episode_start=episode_start, deterministic=deterministic
+        )
+        return actions, (step + 1, kept, memory)
+
+    def close(self) -> None:
+        """End the policy's process, where it has one."""
+        getattr(self.policy, "close", lambda: None)()
+
+
+def with_fault(entry: Entry, fault: Callable[[Floats, Floats], None], since: int) -> Entry:
+    """Return an entry of v1's own grid with failing sensors in the first group; a law has none."""
+    if entry.policy is None:
+        return entry
+    width = V1.n_local + sum(ACTION_MODES[entry.action_mode])
+    n_parts = len(get_suite(DEFAULT_SUITE).plant.groups) if entry.per_group else 1
+    return replace(entry, policy=FaultyPolicy(entry.policy, width, fault, since, n_parts))
