@@ -84,8 +84,8 @@ def test_an_episode_returns_its_score_less_a_hundred(name: str) -> None:
     # v0 has no scale of its own.
     points = 100.0 / (V1.scale or 1.0) if name != "v0" else 100.0
     assert failed == (name == "blackout") and len(rewards) == len(paid) <= len(hundred)
-    # Up to every step, but the last is compared with all that the other pays.
-    expected = points * np.log((hundred[: len(paid)] + offset) / (paid + offset))
+    # Up to every step but the last, which makes up for the logarithm.
+    expected = points * (hundred[: len(paid)] - paid) / (hundred[-1] + offset)
     expected[-1] = points * math.log((hundred[-1] + offset) / (paid[-1] + offset))
     assert np.cumsum(rewards) == pytest.approx(expected, rel=1e-9, abs=1e-9)
 

@@ -351,8 +351,12 @@ class TaskLanes:
         steps = self.n_steps()
         for lane in np.flatnonzero(lanes):
             if self.settings.scores and not (self.outputs.terminated[lane] or self.outputs.truncated[lane]):
-                # Later costs of the reference do not count.
-                self.outputs.reference[lane, -1] = self.outputs.reference[lane, steps[lane]]
+                # Later costs of the reference do not count; what counts makes up for the logarithm now.
+                out, paid_so_far = self.outputs, float(self.cost_sums()[lane].sum())
+                out.reference[lane, -1] = out.reference[lane, steps[lane]]
+                gained = math.log((out.reference[lane, -1] + out.offsets[lane]) / (paid_so_far + out.offsets[lane]))
+                out.rewards[lane] += self.task_data.points * (gained - out.gained[lane])
+                out.gained[lane] = gained
             self.simulator.stop(int(lane))
             self.outputs.truncated[lane] = not self.outputs.terminated[lane]
 

@@ -77,7 +77,7 @@ class TaskData(NamedTuple):
     step: int
     sums: int  # the first term of the cost of an episode
     n_intervals: int  # in a control step
-    points: float  # of the score per unit of the cost's logarithm; 0 where rewards are costs
+    points: float  # of the score per unit of what is gained; 0 where rewards are costs
 
 
 def task_data(task: Task, choices: Choices, layout: Layout, n_intervals: int, points: float) -> TaskData:
@@ -148,15 +148,19 @@ def _report(block: Floats, scratch: Floats, first: int, task: TaskData, outputs:
 def _score(block: Floats, first: int, n_substeps: int, task: TaskData, outputs: Outputs) -> None:
     """Reward the lanes of a block, from `first` on, with what their score has gained in a control step.
 
-    gained = ln((C_ref + J0) / (C + J0)) of the costs up to now. An episode that is over has all of the reference's.
+    On the way gained = (C_ref - C) / (C_ref at the end + J0) of the costs C up to now: what a mistake costs does not
+    depend on what was paid before, which no sensor shows to a critic. At the end it is what the score counts,
+    ln((C_ref + J0) / (C + J0)), to which the former is close unless the costs differ much.
     """
     for x in range(min(block.shape[1], outputs.rewards.shape[0] - first)):
         lane, cost = first + x, 0.0
         for k in range(_N_TERMS):
             cost += block[task.sums + k, x]
         steps = math.ceil(block[task.step, x] / n_substeps) if block[task.active, x] > 0.5 else -1
-        offset = outputs.offsets[lane]
-        gained = math.log((outputs.reference[lane, steps] + offset) / (cost + offset))
+        whole, offset = outputs.reference[lane, -1], outputs.offsets[lane]
+        gained = (outputs.reference[lane, steps] - cost) / (whole + offset)
+        if steps == -1:
+            gained = math.log((whole + offset) / (cost + offset))
         outputs.rewards[lane] = task.points * (gained - outputs.gained[lane])
         outputs.gained[lane] = gained
 
