@@ -1,7 +1,5 @@
 """Data that somebody has changed at random, and what has to become of files with it."""
 
-from __future__ import annotations
-
 import copy
 import math
 from collections.abc import Callable, Iterator

@@ -1,11 +1,8 @@
 """What all tests share."""
 
-from __future__ import annotations
-
 import functools
 import gc
 import signal
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -48,7 +45,7 @@ def pytest_collection_finish() -> None:
 
 
 @pytest.fixture(scope="module")
-def short_validations() -> Iterator[None]:
+def short_validations():
     """Training validates over six seconds instead of a minute, which most of a small run would go into."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("agents.run.evaluate", functools.partial(evaluate, duration_s=6.0))
@@ -56,7 +53,7 @@ def short_validations() -> Iterator[None]:
 
 
 @pytest.fixture
-def one_thread() -> Iterator[None]:
+def one_thread():
     """Torch on one thread; the number of before is taken back."""
     import torch
 

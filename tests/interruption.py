@@ -1,7 +1,5 @@
 """Commands and functions that are interrupted in their middle, for the tests of what they leave and how they go on."""
 
-from __future__ import annotations
-
 import contextlib
 import signal
 import subprocess

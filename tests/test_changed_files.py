@@ -1,7 +1,5 @@
 """Facts about files that somebody has changed: read all the same, or refused in one line that names them."""
 
-from __future__ import annotations
-
 import dataclasses
 import functools
 import json
@@ -106,7 +104,7 @@ KINDS: dict[str, tuple[str, Callable[[Any], str], Callable[[Path], object]]] = {
 @pytest.mark.parametrize("kind", KINDS)
 @settings(max_examples=100, deadline=None, suppress_health_check=list(HealthCheck))
 @given(data=st.data())
-def test_a_changed_file_is_read_or_refused_in_a_line_with_its_name(tmp_path: Path, kind: str, data: st.DataObject):
+def test_a_changed_file_is_read_or_refused_in_a_line_with_its_name(tmp_path, kind, data):
     name, text_of, read = KINDS[kind]
     path = tmp_path / name
     write(path, text_of(original(kind)))
@@ -127,9 +125,7 @@ COMMANDS = {
 @pytest.mark.parametrize("kind", COMMANDS)
 @settings(max_examples=20, deadline=None, suppress_health_check=list(HealthCheck))
 @given(data=st.data())
-def test_a_command_works_with_a_changed_file_or_ends_in_a_line(
-    tmp_path: Path, kind: str, data: st.DataObject, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-):
+def test_a_command_works_with_a_changed_file_or_ends_in_a_line(tmp_path, kind, data, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
     name, text_of, _ = KINDS[kind]
     write(tmp_path / name, text_of(data.draw(changed(original(kind)))))

@@ -1,7 +1,5 @@
 """Whatever a user holds can be pickled and copied, and the copies do the same to the last bit."""
 
-from __future__ import annotations
-
 import copy
 import pickle
 from collections.abc import Callable
@@ -99,7 +97,7 @@ KINDS: dict[str, tuple[Callable[[], Any], Callable[[Any], Any]]] = {
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_pickles_and_copies_do_the_same_to_the_last_bit(kind: str) -> None:
+def test_pickles_and_copies_do_the_same_to_the_last_bit(kind):
     make, outcome = KINDS[kind]
     original = make()
     copies = [pickle.loads(pickle.dumps(original)), copy.deepcopy(original)]

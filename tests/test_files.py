@@ -1,7 +1,5 @@
 """Facts about files: read or refused in one sentence that names them, and written whole."""
 
-from __future__ import annotations
-
 import os
 import re
 from pathlib import Path
@@ -38,16 +36,14 @@ CASES = [(f"data.{kind}", *case) for kind, cases in (("json", REFUSED_JSON), ("t
 
 
 @pytest.mark.parametrize(("name", "text", "said"), CASES, ids=lambda value: value[:20])
-def test_what_nothing_can_work_with_is_refused_with_the_name_of_the_file(
-    tmp_path: Path, name: str, text: str, said: str
-) -> None:
+def test_what_nothing_can_work_with_is_refused_with_the_name_of_the_file(tmp_path, name, text, said):
     (tmp_path / name).write_text(text)
     read, what = (files.read_json, "suite") if name.endswith("json") else (files.read_toml, "law file")
     with pytest.raises(ValueError, match=rf"the {what} .*{name} .*{said}"):
         read(tmp_path / name, what)
 
 
-def test_lists_and_objects_are_counted_before_any_is_made(tmp_path: Path) -> None:
+def test_lists_and_objects_are_counted_before_any_is_made(tmp_path):
     (tmp_path / "data.json").write_text("[" + "{}," * (2**17 - 1) + "0]")
     assert len(files.read_json(tmp_path / "data.json", "grid")) == 2**17
     (tmp_path / "data.json").write_text("[" + "{}," * 2**17 + "0]")
@@ -55,7 +51,7 @@ def test_lists_and_objects_are_counted_before_any_is_made(tmp_path: Path) -> Non
         files.read_json(tmp_path / "data.json", "grid")
 
 
-def test_numbers_and_sizes_up_to_the_limits_are_read_as_they_are(tmp_path: Path) -> None:
+def test_numbers_and_sizes_up_to_the_limits_are_read_as_they_are(tmp_path):
     path = tmp_path / "data"
     path.write_text("[1e308, -1e308, 5e-324, 18446744073709551615, -0.0, 0]")
     assert files.read_json(path, "suite") == [1e308, -1e308, 5e-324, 2**64 - 1, 0, 0]
@@ -65,7 +61,7 @@ def test_numbers_and_sizes_up_to_the_limits_are_read_as_they_are(tmp_path: Path)
 
 
 @pytest.fixture
-def odd(tmp_path: Path) -> Path:
+def odd(tmp_path):
     """A folder with what is no file, or too large a one."""
     (tmp_path / "folder").mkdir()
     (tmp_path / "loop").symlink_to(tmp_path / "loop")
@@ -92,7 +88,7 @@ def odd(tmp_path: Path) -> Path:
         ("large", "it has 1099511627776 bytes; allowed: at most"),
     ],
 )
-def test_what_is_no_file_or_too_large_is_named_at_once(odd: Path, what: str, name: str, reason: str) -> None:
+def test_what_is_no_file_or_too_large_is_named_at_once(odd, what, name, reason):
     with pytest.raises(ValueError, match=rf"^cannot read the {what} .*{re.escape(ascii(name)[1:-1])}.*: .*{reason}"):
         files.read_bytes(odd / name, what)
 
@@ -107,7 +103,7 @@ UNEXPECTED = [
 
 
 @pytest.mark.parametrize(("error", "said"), UNEXPECTED)
-def test_an_error_of_the_content_names_the_file_in_one_line(error: Exception, said: str) -> None:
+def test_an_error_of_the_content_names_the_file_in_one_line(error, said):
     with (
         pytest.raises(ValueError, match=rf"^the grid a\\nb\.json: {said}$"),
         files.interpreting(Path("a\nb.json"), "grid"),
@@ -115,7 +111,7 @@ def test_an_error_of_the_content_names_the_file_in_one_line(error: Exception, sa
         raise error
 
 
-def test_an_error_that_no_content_causes_stays_as_it_is() -> None:
+def test_an_error_that_no_content_causes_stays_as_it_is():
     with pytest.raises(AssertionError), files.interpreting(Path("a.json"), "grid"):
         raise AssertionError
 
@@ -124,7 +120,7 @@ START, END = "<!-- table:start -->", "<!-- table:end -->"
 
 
 @pytest.mark.parametrize("newline", ["\n", "\r\n"])
-def test_only_what_is_between_the_markers_changes_through_links_too(tmp_path: Path, newline: str) -> None:
+def test_only_what_is_between_the_markers_changes_through_links_too(tmp_path, newline):
     path, link = tmp_path / "README.md", tmp_path / "link.md"
     path.write_bytes(newline.join(["# Title ä", START, "old", "older", END, "end  "]).encode())
     path.chmod(0o640)
@@ -136,7 +132,7 @@ def test_only_what_is_between_the_markers_changes_through_links_too(tmp_path: Pa
 
 
 @pytest.mark.parametrize("text", ["", START, f"{END}\n{START}", f"{START}\n{START}\n{END}"])
-def test_missing_markers_are_named(tmp_path: Path, text: str) -> None:
+def test_missing_markers_are_named(tmp_path, text):
     path = tmp_path / "README.md"
     path.write_text(text)
     with pytest.raises(ValueError, match=r"README.md must have the markers <!-- table:start --> and"):
@@ -144,7 +140,7 @@ def test_missing_markers_are_named(tmp_path: Path, text: str) -> None:
     assert path.read_text() == text
 
 
-def test_temporary_names_do_not_follow_from_file_and_process(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_temporary_names_do_not_follow_from_file_and_process(tmp_path, monkeypatch):
     names: list[Path] = []
     real = os.replace
     monkeypatch.setattr(os, "replace", lambda one, other: [names.append(one), real(one, other)])
@@ -154,7 +150,7 @@ def test_temporary_names_do_not_follow_from_file_and_process(tmp_path: Path, mon
 
 
 @pytest.mark.parametrize("blocked", ["first", "second"])
-def test_files_that_belong_together_are_replaced_all_or_none(tmp_path: Path, blocked: str) -> None:
+def test_files_that_belong_together_are_replaced_all_or_none(tmp_path, blocked):
     first, second = tmp_path / "first", tmp_path / "second"
     files.write_together({first: "old", second: b"old too"})
     (tmp_path / blocked).unlink()

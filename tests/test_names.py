@@ -1,7 +1,5 @@
 """One rule of names and texts at every door: they are plain text in tables, spreadsheets, Markdown and HTML."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 
@@ -19,7 +17,7 @@ from wtg_gym.policies.entry_folder import parse_submission
 LAW = {"k_min": 1.0, "k_nominal": 0.8, "k_max": 0.6}
 
 
-def test_ordinary_names_and_texts_are_legal() -> None:
+def test_ordinary_names_and_texts_are_legal():
     for name in ("x", "Jane Doe", "O'Brien, Sean (ETH)", "The wtg_gym authors", "PPO (k, tau)", "SAC, k+tau", "A & B"):
         assert check_name("it", name) == name
     for text in ("", "standard, split train: 64 scenarios; 2e6 steps", "1.5 % of k/tau, see the paper!"):
@@ -36,7 +34,7 @@ WRONG = (
 
 
 @pytest.mark.parametrize("text", WRONG)
-def test_what_is_more_than_text_is_refused(text: str) -> None:
+def test_what_is_more_than_text_is_refused(text):
     with pytest.raises(ValueError, match="it must be 1 … 60 characters on one line"):
         check_name("it", text)
     if text:
@@ -45,7 +43,7 @@ def test_what_is_more_than_text_is_refused(text: str) -> None:
 
 
 @given(st.text(max_size=70))
-def test_names_are_ascii_begin_with_a_letter_or_digit_and_are_short(text: str) -> None:
+def test_names_are_ascii_begin_with_a_letter_or_digit_and_are_short(text):
     try:
         check_name("it", text)
     except ValueError as error:
@@ -77,20 +75,20 @@ DOORS: dict[str, Callable[[str, Path], object]] = {
 
 @pytest.mark.parametrize("door", DOORS)
 @pytest.mark.parametrize("name", ["m\u043ept", "=1+1", "@SUM(A1)", "<b>"])
-def test_every_door_has_the_rule(door: str, name: str, tmp_path: Path) -> None:
+def test_every_door_has_the_rule(door, name, tmp_path):
     DOORS[door]("Another", tmp_path / "legal" if door in ("folder", "author", "text") else tmp_path)
     with pytest.raises(ValueError, match="characters on one line"):
         DOORS[door](name, tmp_path)
 
 
-def test_command_names_the_law_file_and_the_rule(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_command_names_the_law_file_and_the_rule(tmp_path, capsys):
     for name, said in (("=1+1", "characters on one line"), ("M-PPT", "looks like, that of a built-in strategy")):
         law = _law(name, tmp_path / "x.toml")
         error = error_of(capsys, "simulate", "--strategy", str(law))
         assert said in error and "x.toml" in error
 
 
-def test_names_that_look_alike_are_one() -> None:
+def test_names_that_look_alike_are_one():
     assert {plain_name(name) for name in ("PPO (k, t)", "ppo k,t", "P.P.O. kT")} == {"ppokt"}
     assert {plain_name(name) for name in ("Iinear", "1inear", "LINEAR", "l-i-n-e-a-r")} == {plain_name("linear")}
     assert plain_name("SAC 0") == plain_name("SAC O") != plain_name("SAC 8")

@@ -1,7 +1,5 @@
 """The paper reproduced: steady states and loops of one WTG, claims that hold, figures drawn without a warning."""
 
-from __future__ import annotations
-
 import dataclasses
 import json
 import math
@@ -54,20 +52,18 @@ def margin_pu(frequency: float, law: TrackingLaw, wind: float) -> float:
 @pytest.mark.parametrize(
     ("strategy", "frequency_pu"), [("mppt", 0.99787), ("deloaded-5", 0.99698), ("deloaded-10", 0.99662)]
 )
-def test_fixed_strategies_lose_their_equilibrium_where_theory_says(strategy: str, frequency_pu: float) -> None:
+def test_fixed_strategies_lose_their_equilibrium_where_theory_says(strategy, frequency_pu):
     assert paper.critical_frequency_pu(STRATEGIES[strategy], 8.0) == pytest.approx(frequency_pu, abs=5e-6)
 
 
 @pytest.mark.parametrize("wind", [3.0, 8.0, 11.4, 25.0])
-def test_coordinated_laws_keep_theirs_at_every_wind(wind: float) -> None:
+def test_coordinated_laws_keep_theirs_at_every_wind(wind):
     assert paper.critical_frequency_pu(STRATEGIES["coordinated-piecewise"], wind) is None
 
 
 @given(LAWS, st.floats(3.0, 25.0), st.floats(0.98, 1.02))
 @example(TrackingLaw(name="x", k_min=1.0, k_nominal=1.0, k_max=0.25), 3.0, 1.015625)
-def test_every_equilibrium_balances_and_stable_and_unstable_ones_take_turns(
-    law: TrackingLaw, wind: float, frequency: float
-) -> None:
+def test_every_equilibrium_balances_and_stable_and_unstable_ones_take_turns(law, wind, frequency):
     found = paper.equilibria(frequency, law, wind)
     for point in found:
         assert float(surplus_pu(frequency, law, wind, np.array(point.rotor_speed_pu))) == pytest.approx(0.0, abs=1e-6)
@@ -83,7 +79,7 @@ def test_every_equilibrium_balances_and_stable_and_unstable_ones_take_turns(
 
 @pytest.mark.parametrize("wind", [8.0, 13.0, 20.0])
 @pytest.mark.parametrize("strategy", ["mppt", "coordinated-piecewise"])
-def test_simulation_starts_in_the_stable_equilibrium(wind: float, strategy: str) -> None:
+def test_simulation_starts_in_the_stable_equilibrium(wind, strategy):
     """At 13 and 20 m/s the pitch protection holds the rotor where captured power or rotor speed reaches its limit."""
     run = simulate(Scenario(name="x", wind_speed=np.array([[wind], [8.0]]), duration_s=5.0), STRATEGIES[strategy])
     pitch, k = PitchParameters(), STRATEGIES[strategy].k_nominal
@@ -93,7 +89,7 @@ def test_simulation_starts_in_the_stable_equilibrium(wind: float, strategy: str)
     assert run.power_pu[-1, 0] == pytest.approx(k * speed**3, abs=1e-8)
 
 
-def test_a_law_without_an_equilibrium_is_named() -> None:
+def test_a_law_without_an_equilibrium_is_named():
     greedy = TrackingLaw(name="greedy", k_min=3.0, k_nominal=3.0, k_max=3.0, damping_time_constant_s=0.8)
     with pytest.raises(ValueError, match=r"'greedy' has no equilibrium at 8 m/s at the set-point either"):
         paper.critical_frequency_pu(greedy, 8.0)
@@ -111,12 +107,12 @@ def test_a_law_without_an_equilibrium_is_named() -> None:
     ],
     ids=["ideal", "deloaded-5", "deloaded-10", "undamped", "damped", "undamped at 8 m/s"],
 )
-def test_phase_margins_are_those_of_the_paper(loop: paper.Loop, margin_deg: float) -> None:
+def test_phase_margins_are_those_of_the_paper(loop, margin_deg):
     assert loop.margins().phase_margin_deg == pytest.approx(margin_deg, abs=0.05)
 
 
 @given(st.floats(4.0, 11.0), st.floats(0.2, 5.0), st.floats(0.05, 20.0), st.sampled_from(["under", "over"]))
-def test_margins_agree_with_a_fine_sweep_and_with_the_poles(wind: float, k_p: float, tau: float, side: str) -> None:
+def test_margins_agree_with_a_fine_sweep_and_with_the_poles(wind, k_p, tau, side):
     law = dataclasses.replace(STRATEGIES["coordinated-piecewise"], name="x", damping_time_constant_s=tau)
     loop = paper.single_machine(law, wind, k_p, side=side)
     found = loop.margins()
@@ -138,14 +134,14 @@ def test_margins_agree_with_a_fine_sweep_and_with_the_poles(wind: float, k_p: fl
 
 
 @pytest.fixture(scope="module")
-def written(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def written(tmp_path_factory):
     """The folder that the study has written into."""
     folder = tmp_path_factory.mktemp("docs")
     paper.main(folder)
     return folder / "validation"
 
 
-def test_every_claim_holds_but_the_one_that_the_paper_drew_schematically(written: Path) -> None:
+def test_every_claim_holds_but_the_one_that_the_paper_drew_schematically(written):
     text = (written / "claims.json").read_text(encoding="utf-8")
     claims = {claim["key"]: claim for claim in json.loads(text)["claims"]}
     assert len(claims) == 30
@@ -154,7 +150,7 @@ def test_every_claim_holds_but_the_one_that_the_paper_drew_schematically(written
     assert claims["high-deloading-high-wind"]["remark"]
 
 
-def test_claims_are_measured_not_written() -> None:
+def test_claims_are_measured_not_written():
     """Exchange the runs of two strategies: the claims about them fall."""
     runs = paper.run_case(0)
     exchanged = {"coordinated-piecewise": runs["deloaded-5"], "deloaded-5": runs["coordinated-piecewise"]}
@@ -162,7 +158,7 @@ def test_claims_are_measured_not_written() -> None:
     assert fallen >= {"stays-stable", "stalls", "larger-step", "faster-rotor", "rocof", "nadir", "narrow-range"}
 
 
-def test_the_pages_claims_and_figures_are_the_studys(written: Path) -> None:
+def test_the_pages_claims_and_figures_are_the_studys(written):
     claims = json.loads((written / "claims.json").read_text(encoding="utf-8"))["claims"]
     page = (ROOT / "docs/validation.md").read_text(encoding="utf-8")
     assert all(claim["measured"] in page for claim in claims if claim["key"] not in LAST_DIGITS)

@@ -1,7 +1,5 @@
 """Facts about the environment for many agents."""
 
-from __future__ import annotations
-
 import warnings
 from typing import Any
 
@@ -43,7 +41,7 @@ def split(env: GFMWTGParallelEnv, joint: np.ndarray) -> dict[str, np.ndarray]:
 
 
 @pytest.mark.parametrize("name", CASES)
-def test_joint_run_is_that_of_the_single_environment_bit_for_bit(name: str) -> None:
+def test_joint_run_is_that_of_the_single_environment_bit_for_bit(name):
     env = parallel_env(**CASES[name])
     local, privileged = (GFMWTGEnv(observation_mode=mode, **CASES[name]) for mode in ("local", "privileged"))
     observations, infos = env.reset(seed=3)
@@ -75,7 +73,7 @@ def test_joint_run_is_that_of_the_single_environment_bit_for_bit(name: str) -> N
     assert not env.agents
 
 
-def test_agents_leave_one_by_one_as_events_take_their_groups_away_and_come_back_with_the_next_episode() -> None:
+def test_agents_leave_one_by_one_as_events_take_their_groups_away_and_come_back_with_the_next_episode():
     events = tuple(GroupTrip(time_s=0.5 + 0.3 * group, group=group) for group in (2, 0))
     env = parallel_env(version="v1", control_dt=0.1, scenario=calm(n_wtg=4, events=events))
     for _ in range(2):
@@ -94,7 +92,7 @@ def test_agents_leave_one_by_one_as_events_take_their_groups_away_and_come_back_
 
 
 @pytest.mark.parametrize("version", VERSIONS)
-def test_official_tests_of_pettingzoo_pass(version: str) -> None:
+def test_official_tests_of_pettingzoo_pass(version):
     def make() -> GFMWTGParallelEnv:
         return parallel_env(version=version, duration_s=10.0, on_failure="trip", strategy="mppt")
 
@@ -109,7 +107,7 @@ def test_official_tests_of_pettingzoo_pass(version: str) -> None:
 
 
 @pytest.mark.parametrize(("argument", "text"), [("observation_mode", "cannot be chosen"), ("wind", "known settings")])
-def test_arguments_that_it_does_not_take_are_named(argument: str, text: str) -> None:
+def test_arguments_that_it_does_not_take_are_named(argument, text):
     arguments: Any = {argument: "local"}
     with pytest.raises(TypeError, match=f"{argument}.* {text}"):
         parallel_env(**arguments)
@@ -126,7 +124,7 @@ BAD_ACTIONS: list[tuple[Any, str]] = [
 ]
 
 
-def test_bad_calls_are_named_and_change_nothing() -> None:
+def test_bad_calls_are_named_and_change_nothing():
     env = parallel_env(version="v0")
     for call in (env.state, lambda: env.step({})):
         with pytest.raises(RuntimeError, match=r"call reset\(\)"):

@@ -4,8 +4,6 @@ The README's first program and all commands run on what `pip install .` installs
 extras' packages. The other programs run with everything that the tests need. `make notebooks` runs the notebooks.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import re
@@ -41,7 +39,7 @@ def files(page: str) -> dict[str, str]:
 
 
 @pytest.fixture(scope="module")
-def plain(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
+def plain(tmp_path_factory):
     """Environment variables under which Python finds the package as `pip install .` installs it, and no extra's."""
     target = tmp_path_factory.mktemp("installed")
     # Modules that no command imports need no bytecode.
@@ -58,9 +56,7 @@ def run(command: list[str], folder: Path, environment: dict[str, str] | None = N
     return done.stdout
 
 
-def test_first_program_runs_after_a_plain_install_in_an_empty_folder_and_prints(
-    plain: dict[str, str], tmp_path: Path
-) -> None:
+def test_first_program_runs_after_a_plain_install_in_an_empty_folder_and_prints(plain, tmp_path):
     installed = Path(plain["PYTHONPATH"])
     said = run([sys.executable, "-c", "import wtg_gym; print(wtg_gym.__file__)"], tmp_path, plain)
     assert Path(said.strip()) == installed / "wtg_gym" / "__init__.py"
@@ -70,7 +66,7 @@ def test_first_program_runs_after_a_plain_install_in_an_empty_folder_and_prints(
     assert said in blocks("docs/start.md", "text")
 
 
-def test_commands_run_after_a_plain_install_in_an_empty_folder(plain: dict[str, str], tmp_path: Path) -> None:
+def test_commands_run_after_a_plain_install_in_an_empty_folder(plain, tmp_path):
     commands = [block for page in ("README.md", *DOCS) for block in blocks(page, "sh")]
     assert len(commands) > 1
     for block in commands:
@@ -78,7 +74,7 @@ def test_commands_run_after_a_plain_install_in_an_empty_folder(plain: dict[str, 
 
 
 @pytest.mark.parametrize("page", ["README.md", *(page for page in DOCS if blocks(page, "python"))])
-def test_every_other_program_runs_as_printed(page: str, tmp_path: Path) -> None:
+def test_every_other_program_runs_as_printed(page, tmp_path):
     for name, content in files(page).items():
         (tmp_path / name).write_text(content, encoding="utf-8")
     for program in blocks(page, "python")[1 if page == "README.md" else 0 :]:
@@ -86,7 +82,7 @@ def test_every_other_program_runs_as_printed(page: str, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
-def test_notebook_was_run_from_top_to_bottom_without_an_error(path: Path) -> None:
+def test_notebook_was_run_from_top_to_bottom_without_an_error(path):
     cells = json.loads(path.read_text(encoding="utf-8"))["cells"]
     code = [cell for cell in cells if cell["cell_type"] == "code"]
     assert code and [cell["execution_count"] for cell in code] == list(range(1, len(code) + 1))
@@ -95,7 +91,7 @@ def test_notebook_was_run_from_top_to_bottom_without_an_error(path: Path) -> Non
 
 
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
-def test_commands_of_a_notebook_are_known(path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_commands_of_a_notebook_are_known(path, tmp_path, monkeypatch):
     """Running the notebooks takes minutes: a command that has lost an option is found here."""
     (tmp_path / "my-policy").mkdir()
     monkeypatch.chdir(tmp_path)
@@ -106,7 +102,7 @@ def test_commands_of_a_notebook_are_known(path: Path, tmp_path: Path, monkeypatc
             build_app(words).parse_args(words, exit_on_error=False, print_error=False)
 
 
-def test_every_program_of_another_library_is_on_its_page_and_names_its_packages() -> None:
+def test_every_program_of_another_library_is_on_its_page_and_names_its_packages():
     page = (ROOT / "docs/integrations.md").read_text(encoding="utf-8")
     assert all(f"(integrations/{program.name})" in page and packages_of(program) for program in programs())
 
@@ -118,13 +114,13 @@ def anchors(page: Path) -> set[str]:
     return {re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-") for heading in headings}
 
 
-def test_the_first_page_is_read_in_a_minute() -> None:
+def test_the_first_page_is_read_in_a_minute():
     lines = (ROOT / "README.md").read_text(encoding="utf-8").splitlines()
     assert len(lines) <= 110
     assert max(line.count("|") for line in lines) - 1 == 5, "columns of the leaderboard"
 
 
-def test_a_release_has_addresses_and_an_install_command_of_its_own(tmp_path: Path) -> None:
+def test_a_release_has_addresses_and_an_install_command_of_its_own(tmp_path):
     listed = subprocess.run(["git", "ls-files"], cwd=ROOT, capture_output=True, encoding="utf-8", check=True).stdout
     texts = [name for name in listed.splitlines() if name.endswith((".md", ".py", ".toml", ".cff"))]
     for name in texts:
@@ -149,7 +145,7 @@ def test_a_release_has_addresses_and_an_install_command_of_its_own(tmp_path: Pat
 
 
 @pytest.mark.parametrize("name", PAGES)
-def test_every_link_leads_to_a_file_and_a_heading(name: str) -> None:
+def test_every_link_leads_to_a_file_and_a_heading(name):
     page = ROOT / name
     # Code, such as a hostile text that a table quotes, is shown and leads nowhere.
     text = re.sub(r"`[^`]*`", "", page.read_text(encoding="utf-8"))

@@ -1,8 +1,5 @@
 """Facts about training with Stable-Baselines3 on many episodes at once."""
 
-from __future__ import annotations
-
-from pathlib import Path
 from typing import Any
 
 import gymnasium as gym
@@ -111,7 +108,7 @@ def learner(**arguments: Any) -> PPO:
     return PPO("MlpPolicy", make_sb3_vec_env(2, **arguments), n_steps=4, batch_size=8)
 
 
-def test_a_learner_is_played_on_the_law_that_it_learned_on(tmp_path: Path) -> None:
+def test_a_learner_is_played_on_the_law_that_it_learned_on(tmp_path):
     model = learner(strategy="coordinated-tuned", action_mode="k")
     with pytest.raises(ValueError, match="learned with strategy 'coordinated-tuned', the entry has 'coordinated-piece"):
         Entry(name="mine", policy=model, action_mode="k")
@@ -127,7 +124,7 @@ def test_a_learner_is_played_on_the_law_that_it_learned_on(tmp_path: Path) -> No
         export_onnx(DeterministicPolicy(PPO.load(tmp_path / "model.zip")), tmp_path, name="mine", action_mode="k")
 
 
-def test_laws_of_a_learner_may_be_files_or_objects(tmp_path: Path) -> None:
+def test_laws_of_a_learner_may_be_files_or_objects(tmp_path):
     file = tmp_path / "my_law.toml"
     file.write_text(example_law())
     own = get_law(file)

@@ -1,13 +1,10 @@
 """Facts about changes that signals may not cut in two."""
 
-from __future__ import annotations
-
 import contextlib
 import itertools
 import signal
 import threading
 import time
-from collections.abc import Iterator
 
 import pytest
 
@@ -24,7 +21,7 @@ class FirstError(Exception):
 
 
 @pytest.fixture
-def handled() -> Iterator[list[int]]:
+def handled():
     """Signals handled so far, in their order; the handler of the first one raises a FirstError."""
     numbers: list[int] = []
 
@@ -42,9 +39,7 @@ def handled() -> Iterator[list[int]]:
         signal.signal(number, earlier)
 
 
-def test_each_handler_runs_once_after_the_outermost_block_and_none_is_lost_where_another_raises(
-    handled: list[int],
-) -> None:
+def test_each_handler_runs_once_after_the_outermost_block_and_none_is_lost_where_another_raises(handled):
     complete = False
     with pytest.raises(FirstError), HeldSignals():
         with HeldSignals():
@@ -57,9 +52,7 @@ def test_each_handler_runs_once_after_the_outermost_block_and_none_is_lost_where
         signal.raise_signal(FIRST)
 
 
-def test_a_signal_before_any_instruction_is_handled_once_and_leaves_every_handler_in_its_place(
-    handled: list[int],
-) -> None:
+def test_a_signal_before_any_instruction_is_handled_once_and_leaves_every_handler_in_its_place(handled):
     handlers = [signal.getsignal(number) for number in (FIRST, SECOND)]
     entered = undivided(lambda: signal.raise_signal(SECOND))
     for instruction in itertools.count(1):
@@ -73,14 +66,14 @@ def test_a_signal_before_any_instruction_is_handled_once_and_leaves_every_handle
     assert instruction > 50
 
 
-def test_what_a_handler_raises_replaces_the_error_of_the_block(handled: list[int]) -> None:
+def test_what_a_handler_raises_replaces_the_error_of_the_block(handled):
     with pytest.raises(FirstError) as raised, HeldSignals():
         signal.raise_signal(FIRST)
         raise ValueError("of the block")
     assert isinstance(raised.value.__context__, ValueError)
 
 
-def test_another_thread_neither_holds_nor_releases_signals(handled: list[int]) -> None:
+def test_another_thread_neither_holds_nor_releases_signals(handled):
     results = []
     with pytest.raises(FirstError), HeldSignals():
         thread = threading.Thread(target=lambda: results.append(undivided(signal.getsignal)(FIRST)))
@@ -91,7 +84,7 @@ def test_another_thread_neither_holds_nor_releases_signals(handled: list[int]) -
 
 
 @pytest.mark.skipif(not hasattr(signal, "pthread_kill"), reason="needs signals to a thread")
-def test_threads_have_ended_before_what_a_handler_raises_arrives(handled: list[int]) -> None:
+def test_threads_have_ended_before_what_a_handler_raises_arrives(handled):
     main, ended = threading.get_ident(), []
 
     def work(first: int, last: int, worker: int) -> None:
@@ -110,7 +103,7 @@ def test_threads_have_ended_before_what_a_handler_raises_arrives(handled: list[i
     threads.close()
 
 
-def test_a_block_may_be_entered_again_within_itself_and_keeps_handlers_that_it_sets(handled: list[int]) -> None:
+def test_a_block_may_be_entered_again_within_itself_and_keeps_handlers_that_it_sets(handled):
     held = HeldSignals()
     before = signal.getsignal(SECOND)
     for _ in range(2):

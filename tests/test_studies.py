@@ -1,12 +1,8 @@
 """The scripts of docs/studies: all of them import, and those that play do so as evaluations do."""
 
-from __future__ import annotations
-
 import dataclasses
 import importlib
-from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import minari
 import numpy as np
@@ -16,7 +12,7 @@ from minari_datasets import make_dataset
 from policies import Population, law_of, tune_law, tune_mean_droop, tuning_of
 from reference import environment_page, parameters_page
 
-from wtg_gym.evaluation import Results, evaluate, load_entries
+from wtg_gym.evaluation import evaluate, load_entries
 from wtg_gym.evaluation.faults import SENSOR_FAULTS, with_fault
 from wtg_gym.physics.aerodynamics import tracking_point
 from wtg_gym.physics.tracking_law import TUNED, tuned
@@ -28,16 +24,16 @@ STUDIES = {path.stem for path in (DOCS / "studies").glob("*.py")}
 
 
 @pytest.mark.parametrize("name", sorted(STUDIES))
-def test_every_study_finds_what_it_imports(name: str) -> None:
+def test_every_study_finds_what_it_imports(name):
     importlib.import_module(name)
 
 
 @pytest.mark.parametrize(("page", "made"), [("environment", environment_page), ("parameters", parameters_page)])
-def test_the_reference_is_that_of_the_code(page: str, made: Callable[[], str]) -> None:
+def test_the_reference_is_that_of_the_code(page, made):
     assert made().strip() in (DOCS / f"{page}.md").read_text(encoding="utf-8")
 
 
-def test_points_of_a_search_are_laws_and_laws_are_tunings() -> None:
+def test_points_of_a_search_are_laws_and_laws_are_tunings():
     for name, tuning in TUNED.items():
         law = tuned(name)
         point = np.array([tuning[0], 10.0 * tuning[1], tuning[2], np.log(tuning.time_constant_s / 0.8)])
@@ -48,7 +44,7 @@ def test_points_of_a_search_are_laws_and_laws_are_tunings() -> None:
     assert capped.k_min == tracking_point(0.0).coefficient > capped.k_nominal > capped.k_max
 
 
-def test_the_objective_of_a_search_is_the_logarithm_of_cost_and_offset() -> None:
+def test_the_objective_of_a_search_is_the_logarithm_of_cost_and_offset():
     n_scenarios, laws = 6, [tuned("coordinated-tuned"), tuned("coordinated-free")]
     with Population(OWN, n_scenarios, len(laws), duration_s=12.0) as candidates:
         objectives, lanes = candidates.objectives(laws), candidates.lanes
@@ -59,7 +55,7 @@ def test_the_objective_of_a_search_is_the_logarithm_of_cost_and_offset() -> None
     assert objectives == pytest.approx(np.mean(wanted, axis=1), rel=1e-12) and objectives[0] != objectives[1]
 
 
-def test_searches_for_laws_and_numbers_run() -> None:
+def test_searches_for_laws_and_numbers_run():
     quick = {"n_scenarios": 3, "generations": 1, "population": 4}
     best = tracking_point(0.0).coefficient
     assert tune_law(OWN, True, **quick).k_min == best < tune_law(OWN, False, **quick).k_min
@@ -68,20 +64,20 @@ def test_searches_for_laws_and_numbers_run() -> None:
 
 
 @pytest.fixture(scope="module")
-def players() -> list[Any]:
+def players():
     return [each for name in (*V1.references, "fast-droop") for each in load_entries(name)]
 
 
 @pytest.fixture(scope="module")
-def known(players: list[Any]) -> Results:
+def known(players):
     return evaluate(players, OWN, "test", seeds=list(get_suite(OWN).test[:6]))
 
 
-def test_unchanged_scenarios_cost_what_they_cost_in_an_evaluation(known: Results, players: list[Any]) -> None:
+def test_unchanged_scenarios_cost_what_they_cost_in_an_evaluation(known, players):
     assert played(players, known).episodes == known.episodes
 
 
-def test_a_hanging_sensor_shows_what_it_showed_last() -> None:
+def test_a_hanging_sensor_shows_what_it_showed_last():
     seen = []
 
     class Watching:
@@ -101,7 +97,7 @@ def test_a_hanging_sensor_shows_what_it_showed_last() -> None:
         assert seen[-1][0, 0] == (shown[since, 0, 0] if fault.__name__ == "hanging" else 0.0)
 
 
-def test_the_matrix_has_a_column_for_every_change_and_fault(known: Results, players: list[Any]) -> None:
+def test_the_matrix_has_a_column_for_every_change_and_fault(known, players):
     results = with_faults(players, known)
     assert set(results) == {*CHANGES, *SENSOR_FAULTS}
     laws = {name: {key: own.pinned_costs[name] for key, own in results.items()} for name in V1.anchors}
@@ -110,15 +106,13 @@ def test_the_matrix_has_a_column_for_every_change_and_fault(known: Results, play
     assert "| fast-droop |" in section({OWN: known}, results)
 
 
-def test_without_governor_no_scenario_has_one_lost_later() -> None:
+def test_without_governor_no_scenario_has_one_lost_later():
     suite = get_suite(OWN)
     events = [event for seed in suite.validation[:15] for event in without_governor(suite.scenario(seed)).events]
     assert [event.time_s for event in events if type(event).__name__ == "GovernorLoss"] == [0.0] * 15
 
 
-def test_episodes_of_a_dataset_are_those_of_their_players_and_play_again_to_the_bit(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_episodes_of_a_dataset_are_those_of_their_players_and_play_again_to_the_bit(tmp_path, monkeypatch):
     monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path))
     make_dataset("v1", "mixed", 3)
     with pytest.raises(ValueError, match="is there already"):

@@ -1,7 +1,5 @@
 """`.ci/submissions`: which pull requests are submissions, and what of them is scored by the branch's own command."""
 
-from __future__ import annotations
-
 import shutil
 import subprocess
 import sys
@@ -42,7 +40,7 @@ def entry(name: str) -> Callable[[Path], object]:
 
 
 @pytest.fixture
-def base(tmp_path: Path) -> Path:
+def base(tmp_path):
     """A repository with two entries and some code."""
     folder = tmp_path / "base"
     for name in ("first", "second"):
@@ -55,7 +53,7 @@ def base(tmp_path: Path) -> Path:
 
 
 @pytest.fixture
-def judge(base: Path, tmp_path: Path) -> Judge:
+def judge(base, tmp_path):
     """Return what the script says about a pull request that makes a change; the command says what it was asked."""
     command = tmp_path / "bin" / "wtg-gym"
     command.parent.mkdir()
@@ -77,7 +75,7 @@ def judge(base: Path, tmp_path: Path) -> Judge:
     return judged
 
 
-def test_new_folder_is_checked_beside_the_others_and_scored(judge: Judge, tmp_path: Path) -> None:
+def test_new_folder_is_checked_beside_the_others_and_scored(judge, tmp_path):
     code, said = judge(entry("mine"))
     beside = " ".join(f"{tmp_path}/base/agents/policies/{name}/" for name in ("first", "second"))
     mine = f"{tmp_path}/pull/agents/policies/mine"
@@ -96,17 +94,17 @@ CHANGES: dict[str, Callable[[Path], object]] = {
 
 
 @pytest.mark.parametrize("change", CHANGES)
-def test_other_changes_are_refused(change: str, judge: Judge) -> None:
+def test_other_changes_are_refused(change, judge):
     code, said = judge(CHANGES[change])
     assert code == 1 and "changes nothing else" in said and "wtg-gym" not in said
 
 
-def test_whole_folder_may_be_withdrawn(judge: Judge) -> None:
+def test_whole_folder_may_be_withdrawn(judge):
     code, said = judge(lambda pull: shutil.rmtree(pull / "agents/policies/second"))
     assert code == 0 and "may ask for:\n  agents/policies/second\nnothing to score" in said
 
 
-def test_merge_that_takes_back_what_the_branch_did_is_refused(base: Path, judge: Judge) -> None:
+def test_merge_that_takes_back_what_the_branch_did_is_refused(base, judge):
     """Two common ancestors: seen from the one, the pull request only adds; merged, it undoes what the other did."""
     git(base, "checkout", "--quiet", "-b", "earlier")
     entry("merged")(base)

@@ -1,7 +1,5 @@
 """Facts about files whose content is run: another user can neither have put nor changed what is read."""
 
-from __future__ import annotations
-
 import os
 import pickle
 import stat
@@ -19,7 +17,7 @@ pytestmark = pytest.mark.skipif(not hasattr(os, "getuid"), reason="needs files t
 
 
 @pytest.fixture
-def path(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+def path(tmp_path, monkeypatch):
     """A file of the user alone, two folders below a folder that everybody may write to, as /tmp is."""
     monkeypatch.setattr(os, "getgid", lambda: os.getuid() + 1)
     shared = tmp_path / "shared"
@@ -55,7 +53,7 @@ SPOILED: dict[str, Callable[[Path], object]] = {
 
 
 @pytest.mark.parametrize("spoil", SPOILED.values(), ids=list(SPOILED))
-def test_what_another_user_could_have_written_is_not_read(path: Path, spoil: Callable[[Path], object]) -> None:
+def test_what_another_user_could_have_written_is_not_read(path, spoil):
     link = path.parents[2].parent / "link"
     link.symlink_to(path.parent)
     for name in (path, link / path.name):
@@ -67,7 +65,7 @@ def test_what_another_user_could_have_written_is_not_read(path: Path, spoil: Cal
 
 
 @pytest.mark.parametrize("level", range(4))
-def test_what_belongs_to_another_user_is_not_read(path: Path, level: int, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_belongs_to_another_user_is_not_read(path, level, monkeypatch):
     foreign = (path, *path.parents)[level]
     if os.getuid() == 0:
         os.chown(foreign, 12345, 12345)
@@ -78,7 +76,7 @@ def test_what_belongs_to_another_user_is_not_read(path: Path, level: int, monkey
         read_trusted(path)
 
 
-def test_what_is_written_is_the_users_alone_and_replaces_whatever_is_there(path: Path) -> None:
+def test_what_is_written_is_the_users_alone_and_replaces_whatever_is_there(path):
     assert path.stat().st_mode & 0o777 == 0o600
     assert [folder.stat().st_mode & 0o777 for folder in path.parents[:2]] == [0o700, 0o700]
     for spoil in (_is_a_pipe, _is_a_link, lambda path: path.chmod(0o666)):
@@ -91,16 +89,14 @@ def test_what_is_written_is_the_users_alone_and_replaces_whatever_is_there(path:
     assert path.read_bytes() == b"new" and {each.name for each in path.parent.iterdir()} == {"file", "other"}
 
 
-def test_a_folder_is_looked_at_without_being_made(tmp_path: Path) -> None:
+def test_a_folder_is_looked_at_without_being_made(tmp_path):
     with pytest.raises(FileNotFoundError):
         trusted_folder(tmp_path / "none" / "code")
     assert list(tmp_path.iterdir()) == []
 
 
 @pytest.mark.parametrize(("group", "is_private"), [(12345, True), (12346, False)])
-def test_a_group_with_the_number_of_its_user_has_this_user_alone(
-    group: int, is_private: bool, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_group_with_the_number_of_its_user_has_this_user_alone(group, is_private, monkeypatch):
     monkeypatch.setattr(os, "getuid", lambda: 12345)
     monkeypatch.setattr(os, "getgid", lambda: 12345)
     for mode, passes in ((0o770, is_private), (0o777, False), (0o700, True)):
@@ -111,9 +107,7 @@ SPOILED_CHECKPOINTS = {name: spoil for name, spoil in SPOILED.items() if "larger
 
 
 @pytest.mark.parametrize("spoil", SPOILED_CHECKPOINTS.values(), ids=list(SPOILED_CHECKPOINTS))
-def test_a_checkpoint_that_another_user_could_have_written_is_not_loaded(
-    path: Path, spoil: Callable[[Path], object]
-) -> None:
+def test_a_checkpoint_that_another_user_could_have_written_is_not_loaded(path, spoil):
     write_trusted(path, pickle.dumps("state"))
     with loading(path.parent) as folder:
         assert pickle.loads((folder / path.name).read_bytes()) == "state"
@@ -122,7 +116,7 @@ def test_a_checkpoint_that_another_user_could_have_written_is_not_loaded(
         pytest.fail("nothing is loaded")
 
 
-def test_finished_batches_of_another_user_are_played_again(path: Path, caplog: pytest.LogCaptureFixture) -> None:
+def test_finished_batches_of_another_user_are_played_again(path, caplog):
     # Beside a sticky folder of all users, as in /tmp, batches are the user's alone.
     entry, folder = Entry(name="mppt", strategy="mppt"), path.parents[2] / "results" / "batches"
     store = PartialStore(folder, "context")

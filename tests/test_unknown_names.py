@@ -1,10 +1,5 @@
 """A misspelt name is refused with the nearest one that there is, by whatever it names."""
 
-from __future__ import annotations
-
-from collections.abc import Callable
-from typing import Any
-
 import pytest
 
 from wtg_gym.envs import EnvSettings
@@ -35,6 +30,6 @@ from wtg_gym.scenarios import get_suite
         (lambda: ByName("agent", {"wtg0": 0})["wtg"], "wtg0"),
     ],
 )
-def test_a_misspelt_name_is_refused_with_the_nearest(look_up: Callable[[], Any], nearest: str) -> None:
+def test_a_misspelt_name_is_refused_with_the_nearest(look_up, nearest):
     with pytest.raises((ValueError, KeyError), match=f"; did you mean '{nearest.replace('+', '.')}'\\?"):
         look_up()

@@ -1,9 +1,6 @@
 """Facts about training by evolution: it begins at the law, repeats, goes on after an interruption, and is exported."""
 
-from __future__ import annotations
-
 import pickle
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -28,14 +25,14 @@ def policy_of(hidden: int, history: bool = True) -> GroupPolicy:
     return GroupPolicy(n_wtg=4, n_own=8, n_action=2, hidden=hidden, control_dt=0.1, history=history)
 
 
-def test_training_begins_at_the_law() -> None:
+def test_training_begins_at_the_law():
     policy = policy_of(5)
     learner = EvolutionLearner(policy, 0, Hyperparameters(hidden=5))
     actions, _, started = policy(torch.rand(7, 32))
     assert learner.weights.any() and not actions.any() and started.all()
 
 
-def test_groups_are_alike_and_slow_copies_follow_their_time_constants() -> None:
+def test_groups_are_alike_and_slow_copies_follow_their_time_constants():
     policy = policy_of(4)
     policy.weights.copy_(torch.from_numpy(np.random.default_rng(0).normal(size=policy.n_parameters)))
     seen = torch.rand(3, 4, 8)
@@ -50,7 +47,7 @@ def test_groups_are_alike_and_slow_copies_follow_their_time_constants() -> None:
     assert moved.numpy() == pytest.approx(1.0 - np.exp(-1.0), abs=1e-5)
 
 
-def test_without_history_and_units_a_policy_is_a_linear_feedback() -> None:
+def test_without_history_and_units_a_policy_is_a_linear_feedback():
     policy, gains = policy_of(0, history=False), np.random.default_rng(0).normal(size=(9, 2)).astype(np.float32)
     policy.weights.copy_(torch.from_numpy(gains.ravel()))
     seen = torch.rand(3, 4, 8)
@@ -59,11 +56,11 @@ def test_without_history_and_units_a_policy_is_a_linear_feedback() -> None:
 
 
 @pytest.mark.parametrize("history", [False, True])
-def test_a_policy_without_units_is_exported(history: bool) -> None:
+def test_a_policy_without_units_is_exported(history):
     assert onnx_bytes(policy_of(0, history), 32, 8, tolerance=1e-4)
 
 
-def test_what_is_lowered_is_minus_the_score_in_hundreds_and_what_the_mark_asks() -> None:
+def test_what_is_lowered_is_minus_the_score_in_hundreds_and_what_the_mark_asks():
     settings = EnvSettings(version="v1", duration_s=40.0)
     plain, weighed = (
         Population(settings, 3, 4, Hyperparameters(population=4, mean_weight=w, mark_weight=w)) for w in (0.0, 1.0)
@@ -81,9 +78,7 @@ def test_what_is_lowered_is_minus_the_score_in_hundreds_and_what_the_mark_asks()
     assert found[1] - found[0] == pytest.approx(np.mean(costs / offsets / scale + bad)) and bad.any()
 
 
-def test_run_repeats_also_after_an_interruption_and_is_exported(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_run_repeats_also_after_an_interruption_and_is_exported(tmp_path, monkeypatch):
     # The last of the policies counts as the best.
     monkeypatch.setattr(Run, "best", property(lambda run: run.curve[-1]))
     one, two = tmp_path / "one", tmp_path / "two"
@@ -106,6 +101,6 @@ def test_run_repeats_also_after_an_interruption_and_is_exported(
     assert largest_difference(TorchPolicy(policy), entry.policy, settings) <= 1e-6
 
 
-def test_widths_are_checked(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_widths_are_checked(tmp_path, capsys):
     assert main(["--population", "3", "--output", str(tmp_path / "run")]) == 2
     assert "population must be a whole number in 4 … 10000, got 3" in capsys.readouterr().err

@@ -1,10 +1,7 @@
 """Facts about training by gradients: it learns, repeats, goes on after an interruption, and is exported."""
 
-from __future__ import annotations
-
 import math
 from collections import Counter
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -13,16 +10,7 @@ import torch
 
 from agents import gradient
 from agents.export import export
-from agents.gradient import (
-    Failures,
-    GradientLearner,
-    GradientPolicy,
-    Hyperparameters,
-    Loss,
-    costs_of,
-    descend,
-    main,
-)
+from agents.gradient import Failures, GradientLearner, GradientPolicy, Hyperparameters, Loss, costs_of, descend, main
 from agents.run import Run, draw, folders
 from tests.agents.small import largest_difference
 from tests.interruption import interrupted
@@ -42,9 +30,7 @@ V1: dict[str, Any] = {"version": "v1"}
 
 
 @pytest.mark.parametrize(("hidden", "lstm", "settings"), [((8,), 0, V1), ((), 8, {})])
-def test_loss_falls_on_the_scenarios_that_it_is_of(
-    hidden: tuple[int, ...], lstm: int, settings: dict[str, Any]
-) -> None:
+def test_loss_falls_on_the_scenarios_that_it_is_of(hidden, lstm, settings):
     torch.manual_seed(0)
     episodes = TorchEpisodes(EnvSettings(**{"version": "v0", **settings}), 4, 1)
     lanes, failures, h = episodes.tape.lanes, Failures(episodes), Hyperparameters(hidden=hidden, lstm=lstm)
@@ -71,7 +57,7 @@ def watched(settings: dict[str, Any]) -> tuple[Failures, torch.Tensor, torch.Ten
 SHARE = 1.0 / (1.0 + math.exp(-1.0))
 
 
-def test_a_failure_comes_gradually() -> None:
+def test_a_failure_comes_gradually():
     failures, alive, outputs, names = watched(V1)
     # A failure of another kind, or load that is not served, keeps its charge.
     charged = alive + torch.tensor([0.0] * 6 + [1000.0], dtype=torch.float64)
@@ -84,7 +70,7 @@ def test_a_failure_comes_gradually() -> None:
         assert found == pytest.approx(40.0 + SHARE * (250.0 * 181.0 - 40.0))
 
 
-def test_what_trips_or_is_shed_changes_the_gradient_alone() -> None:
+def test_what_trips_or_is_shed_changes_the_gradient_alone():
     failures, alive, outputs, names = watched(V1)
     stages = EnvSettings(**V1).resolved_plant.shedding
 
@@ -108,14 +94,14 @@ def test_what_trips_or_is_shed_changes_the_gradient_alone() -> None:
         assert near.grad[0, names.index(name)].item() == pytest.approx(expected)
 
 
-def test_a_slow_rotor_ends_the_episode_where_rotors_do() -> None:
+def test_a_slow_rotor_ends_the_episode_where_rotors_do():
     failures, alive, outputs, names = watched({**V1, "on_failure": "terminate"})
     outputs[0, names.index("rotor_1_speed_pu")] = 0.5
     found = failures.costs(alive, failures.watched(outputs)).item()
     assert found == pytest.approx(40.0 + SHARE * (250.0 * 181.0 - 40.0))
 
 
-def test_the_loss_counts_every_stratum_by_its_offset_and_all_by_one_scale() -> None:
+def test_the_loss_counts_every_stratum_by_its_offset_and_all_by_one_scale():
     costs = torch.tensor([30.0, 400.0, 2000.0], dtype=torch.float64)
     scenarios = get_suite("standard-v1").scenarios([1_000_002, 1_000_000, 1_000_001], duration_s=1.0)
     offsets, scale = (40.0, 200.0, 1000.0), EnvSettings(**V1).task.scale or 1.0
@@ -130,7 +116,7 @@ def test_the_loss_counts_every_stratum_by_its_offset_and_all_by_one_scale() -> N
     assert Loss(EnvSettings(version="v0"))(costs[:1], own).item() == pytest.approx(math.log(35.0))
 
 
-def test_a_batch_of_v1_holds_as_many_of_each_stratum() -> None:
+def test_a_batch_of_v1_holds_as_many_of_each_stratum():
     lanes = TaskLanes(EnvSettings(**V1, duration_s=1.0), 30)
     scenarios = draw(lanes, np.random.default_rng(0), 30)
     strata = Counter(lanes.suite.stratum(scenario.seed or 0) for scenario in scenarios)
@@ -140,9 +126,7 @@ def test_a_batch_of_v1_holds_as_many_of_each_stratum() -> None:
     assert same == scenarios[0].seed != other
 
 
-def test_run_repeats_also_after_an_interruption_and_is_exported(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_run_repeats_also_after_an_interruption_and_is_exported(tmp_path, monkeypatch):
     # The last of the policies counts as the best.
     monkeypatch.setattr(Run, "best", property(lambda run: run.curve[-1]))
     one, two = tmp_path / "one", tmp_path / "two"
@@ -171,7 +155,7 @@ def test_run_repeats_also_after_an_interruption_and_is_exported(
     assert largest_difference(TorchPolicy(network), entry.policy, runs[0].settings) <= 1e-6
 
 
-def test_layers_without_width_are_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_layers_without_width_are_refused(tmp_path, capsys):
     for given, said in (
         (["--hidden", "8", "0"], "hidden must be a whole number in 1"),
         (["--lstm", "-1"], "lstm must"),

@@ -1,24 +1,14 @@
 """Facts about the configuration files: RL Zoo and this package mean the same by them, and no code in them is run."""
 
-from __future__ import annotations
-
-from pathlib import Path
-
 import pytest
 import yaml
 
-from agents.train import (
-    CONFIG_FOLDER,
-    TRAINED,
-    algorithm_arguments,
-    normalization_arguments,
-    read_config,
-)
+from agents.train import CONFIG_FOLDER, TRAINED, algorithm_arguments, normalization_arguments, read_config
 from tests.agents.small import ENV_ID
 
 
 @pytest.mark.parametrize("name", [*TRAINED, "ppo_tau"])
-def test_shipped_files_mean_what_rl_zoo_makes_of_them(name: str) -> None:
+def test_shipped_files_mean_what_rl_zoo_makes_of_them(name):
     path = CONFIG_FOLDER / f"{name}.yml"
     raw, read = yaml.safe_load(path.read_text())[ENV_ID], read_config(path, ENV_ID)
     arguments = algorithm_arguments(read)
@@ -37,7 +27,7 @@ def test_shipped_files_mean_what_rl_zoo_makes_of_them(name: str) -> None:
         (f"{ENV_ID}: {{policy_kwargs: !!python/object/apply:os.abort []}}", "is not yml"),
     ],
 )
-def test_files_without_a_section_in_plain_yml_are_refused(content: str, text: str, tmp_path: Path) -> None:
+def test_files_without_a_section_in_plain_yml_are_refused(content, text, tmp_path):
     path = tmp_path / "a.yml"
     path.write_text(content)
     with pytest.raises(ValueError, match=text):

@@ -1,7 +1,5 @@
 """Facts about training one policy that every WTG group plays by itself."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np
@@ -16,7 +14,7 @@ from wtg_gym.sb3 import SB3VecEnv
 SHORT: dict[str, Any] = {"version": "v0", "duration_s": 5.0, "strategy": "mppt"}
 
 
-def test_lanes_are_the_groups_of_the_episodes() -> None:
+def test_lanes_are_the_groups_of_the_episodes():
     arguments = {**SHORT, "groups": 3}
     episodes, groups = SB3VecEnv(2, reward="score", **arguments), AgentVecEnv(SB3VecEnv(2, reward="score", **arguments))
     for env in (episodes, groups):
@@ -53,7 +51,7 @@ class Agent(nn.Linear):
 
 
 @pytest.mark.parametrize("suite", ["standard", "standard-v1"])
-def test_every_group_acts_by_what_it_sees_itself_its_size_among_it(suite: str) -> None:
+def test_every_group_acts_by_what_it_sees_itself_its_size_among_it(suite):
     settings = EnvSettings(suite=suite)
     turbines = torch.tensor([float(group.n_turbines) for group in settings.resolved_plant.groups])
     n, width = len(turbines), 7

@@ -1,11 +1,6 @@
 """Every shipped policy is as its training left it, and docs/agents.md says how it was trained."""
 
-from __future__ import annotations
-
 import json
-from pathlib import Path
-
-import pytest
 
 from agents import shipped
 from agents.run import Run, RunSettings
@@ -14,7 +9,7 @@ from wtg_gym.files import sha256
 from wtg_gym.policies.entry_folder import policy_folders
 
 
-def test_every_trained_policy_is_the_one_of_its_record() -> None:
+def test_every_trained_policy_is_the_one_of_its_record():
     records = json.loads(shipped.RECORDS.read_text(encoding="utf-8"))
     for folder in policy_folders():
         (entry,) = load_entries(folder)
@@ -27,11 +22,11 @@ def test_every_trained_policy_is_the_one_of_its_record() -> None:
     assert not records
 
 
-def test_the_page_has_the_table_that_the_command_makes() -> None:
+def test_the_page_has_the_table_that_the_command_makes():
     assert shipped.table() in shipped.PAGE.read_text(encoding="utf-8")
 
 
-def test_a_run_is_added_by_its_best_policy(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_run_is_added_by_its_best_policy(tmp_path, monkeypatch):
     (folder,) = [folder for folder in policy_folders() if folder.name == "ppo-v1-2"]
     best = tmp_path / "run" / "best" / f"{2_150_400:012d}"
     best.mkdir(parents=True)

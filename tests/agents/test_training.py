@@ -1,7 +1,5 @@
 """Facts about training: it is reproducible, survives a kill, and its export plays as the learner does."""
 
-from __future__ import annotations
-
 import dataclasses
 import functools
 import json
@@ -10,7 +8,6 @@ import shutil
 import signal
 import subprocess
 import sys
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -31,13 +28,13 @@ ROOT = Path(__file__).resolve().parents[2]
 
 
 @pytest.fixture(scope="module")
-def run_of(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Path]:
+def run_of(tmp_path_factory):
     """A finished run of an algorithm, trained once, that tests read only."""
     return functools.cache(lambda algo: trained(tmp_path_factory.mktemp(algo), algo))
 
 
 @pytest.fixture
-def copied(run_of: Callable[[str], Path], tmp_path: Path) -> Path:
+def copied(run_of, tmp_path):
     """A copy of that of PPO."""
     return Path(shutil.copytree(run_of("ppo"), tmp_path / "run"))
 
@@ -51,9 +48,7 @@ def same(a: Any, b: Any) -> bool:
 
 
 @pytest.mark.parametrize("algo", TRAINED)
-def test_interrupted_run_goes_on_from_its_checkpoint_in_other_scenarios(
-    algo: str, run_of: Callable[[str], Path], tmp_path: Path
-) -> None:
+def test_interrupted_run_goes_on_from_its_checkpoint_in_other_scenarios(algo, run_of, tmp_path):
     undisturbed = Run.read(run_of(algo))
     stopped = stopped_after(256, run_of(algo), tmp_path / "stopped")
     (checkpoint,), run = folders(stopped / "checkpoints"), Run.read(stopped)
@@ -75,9 +70,7 @@ def test_interrupted_run_goes_on_from_its_checkpoint_in_other_scenarios(
 
 
 @pytest.mark.parametrize("algo", TRAINED)
-def test_export_plays_as_the_learner_and_passes_the_gate(
-    algo: str, run_of: Callable[[str], Path], tmp_path: Path
-) -> None:
+def test_export_plays_as_the_learner_and_passes_the_gate(algo, run_of, tmp_path):
     folder, run = run_of(algo), Run.read(run_of(algo))
     export(folder, tmp_path / "entry", name="mine", authors=["A. Author"])
     report = check_submission(tmp_path / "entry")
@@ -93,7 +86,7 @@ def test_export_plays_as_the_learner_and_passes_the_gate(
         model.get_env().close()
 
 
-def test_killed_process_leaves_a_run_that_goes_on_to_its_end(tmp_path: Path) -> None:
+def test_killed_process_leaves_a_run_that_goes_on_to_its_end(tmp_path):
     killed = tmp_path / "killed"
     command = [sys.executable, "-m", "agents.train", *options(tmp_path, "ppo"), "--output", str(killed)]
     process = subprocess.Popen(command, cwd=ROOT)
@@ -105,7 +98,7 @@ def test_killed_process_leaves_a_run_that_goes_on_to_its_end(tmp_path: Path) -> 
 
 
 @pytest.mark.parametrize("missing", ["row", "checkpoint"])
-def test_kill_between_two_files_is_mended(missing: str, copied: Path) -> None:
+def test_kill_between_two_files_is_mended(missing, copied):
     complete, damaged = Run.read(copied), Run.read(copied)
     del damaged.curve[-1 if missing == "row" else 0 :]
     damaged.write()
@@ -117,7 +110,7 @@ def test_kill_between_two_files_is_mended(missing: str, copied: Path) -> None:
     assert scores[0] == scores[1]
 
 
-def test_seed_decides_the_first_weights_and_the_scenarios(run_of: Callable[[str], Path]) -> None:
+def test_seed_decides_the_first_weights_and_the_scenarios(run_of):
     settings = Run.read(run_of("ppo")).settings
     models = [new_model(dataclasses.replace(settings, seed=seed)) for seed in (0, 0, 1)]
     starts = [(model.get_parameters()["policy"], torch.as_tensor(model.get_env().reset())) for model in models]
@@ -127,9 +120,7 @@ def test_seed_decides_the_first_weights_and_the_scenarios(run_of: Callable[[str]
         model.get_env().close()
 
 
-def test_export_describes_the_policy_that_it_writes_and_replaces_nothing(
-    copied: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_export_describes_the_policy_that_it_writes_and_replaces_nothing(copied, tmp_path, capsys):
     entry, other = tmp_path / "entry", ["--output", str(tmp_path / "other")]
     command = [str(copied), "--output", str(entry), "--name", "mine"]
     run = Run.read(copied)
@@ -148,7 +139,7 @@ def test_export_describes_the_policy_that_it_writes_and_replaces_nothing(
     assert export_command([str(copied), *other]) == 2 and not (tmp_path / "other").exists()
 
 
-def test_exports_of_several_seeds_share_a_row_whatever_steps_were_best(copied: Path, tmp_path: Path) -> None:
+def test_exports_of_several_seeds_share_a_row_whatever_steps_were_best(copied, tmp_path):
     export(copied, tmp_path / "seed-0")
     run, (best,) = Run.read(copied), folders(copied / "best")
     run.settings = dataclasses.replace(run.settings, seed=1)
@@ -159,7 +150,7 @@ def test_exports_of_several_seeds_share_a_row_whatever_steps_were_best(copied: P
     assert first ^ second == {"training_seed = 0", "training_seed = 1"}
 
 
-def test_run_describes_itself_and_tensorboard_shows_its_scores(tmp_path: Path) -> None:
+def test_run_describes_itself_and_tensorboard_shows_its_scores(tmp_path):
     # Episodes of 600 steps come to their end.
     config, folder = config_file(tmp_path, "ppo", n_envs=8, n_timesteps=8 * 608), tmp_path / "run"
     command = [*V0, "--algo", "ppo", "--config", config, "--validation-episodes", "2", "--output", str(folder)]
@@ -172,7 +163,7 @@ def test_run_describes_itself_and_tensorboard_shows_its_scores(tmp_path: Path) -
     assert {"rollout/ep_rew_mean", "episode/failure", "validation/score"} <= set(events.Tags()["scalars"])
 
 
-def test_folder_is_complete_or_not_there(tmp_path: Path) -> None:
+def test_folder_is_complete_or_not_there(tmp_path):
     save_folder(tmp_path, 1, lambda path: (path / "a").write_text("1"))
 
     def fails(path: Path) -> None:
@@ -189,7 +180,7 @@ def test_folder_is_complete_or_not_there(tmp_path: Path) -> None:
     assert {path.name for path in tmp_path.iterdir()} == {f"{3:012d}"}
 
 
-def test_what_cannot_go_on_is_named(copied: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_what_cannot_go_on_is_named(copied, capsys):
     def error_of_resume() -> str:
         capsys.readouterr()
         assert main(["--resume", str(copied)]) == 2
@@ -242,9 +233,7 @@ NEW = ("--output", "new")
         (["--resume", "no-such-run", "--seed", "1", "--n-envs", "2"], "leave out --n-envs, --seed"),
     ],
 )
-def test_bad_options_are_refused_before_anything_runs(
-    arguments: list[str], text: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_bad_options_are_refused_before_anything_runs(arguments, text, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "run.json").touch()
     changed: dict[str, dict[str, Any]] = {

@@ -1,7 +1,5 @@
 """Facts about the conventional strategies as entries."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np
@@ -19,7 +17,7 @@ from wtg_gym.tasks import V0
 FOLDER = Path(baselines.__file__).parent
 
 
-def test_entries_are_the_built_in_strategies_and_every_module_is_named() -> None:
+def test_entries_are_the_built_in_strategies_and_every_module_is_named():
     entries = load_entries("baselines", task=V0)
     assert {entry.name: entry.law for entry in entries if entry.kind == "law"} == STRATEGIES
     assert [(entry.name, entry.kind) for entry in entries if entry.kind != "law"] == [
@@ -29,7 +27,7 @@ def test_entries_are_the_built_in_strategies_and_every_module_is_named() -> None
     assert named == {path.stem for path in FOLDER.glob("[a-z]*.py")}
 
 
-def test_feedback_rests_where_the_turbine_captures_what_is_asked() -> None:
+def test_feedback_rests_where_the_turbine_captures_what_is_asked():
     policy = TipSpeedFeedback(gain=1.0)
     best, limit = tracking_point(0.0).tip_speed_ratio, tracking_point(0.1).tip_speed_ratio
     for deviation_hz, deloading in ((-0.4, 0.0), (0.0, 0.05), (0.4, 0.1), (-0.2, 0.025), (-1.0, 0.0)):
@@ -45,7 +43,7 @@ def test_feedback_rests_where_the_turbine_captures_what_is_asked() -> None:
         assert policy.predict(observation)[0] == pytest.approx(np.full((1, 2), 0.1), abs=1e-3)
 
 
-def test_fast_droop_is_one_gain_of_each_groups_own_measured_frequency() -> None:
+def test_fast_droop_is_one_gain_of_each_groups_own_measured_frequency():
     observation = np.random.default_rng(0).normal(size=(1, 28))
     deviations_hz = np.array([-0.3, 0.1, 0.0, 2.0])
     observation[0, ::7] = deviations_hz / 0.5
@@ -53,7 +51,7 @@ def test_fast_droop_is_one_gain_of_each_groups_own_measured_frequency() -> None:
     assert action == pytest.approx(np.array([[1.0, -0.4, 0.0, -1.0]]))
 
 
-def test_mean_droop_acts_on_the_mean_deviation_and_spares_slow_rotors() -> None:
+def test_mean_droop_acts_on_the_mean_deviation_and_spares_slow_rotors():
     observation = np.random.default_rng(0).normal(size=(1, 28))
     observation[0, ::7] = np.array([-0.3, 0.1, 0.0, -0.2]) / 0.5
     speeds_pu = np.array([0.9, 0.7, 0.6, 0.3])

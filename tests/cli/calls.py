@@ -1,7 +1,5 @@
 """Calls of the command line, in the test's own process and in one of its own."""
 
-from __future__ import annotations
-
 import json
 import os
 import subprocess

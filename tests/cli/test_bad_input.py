@@ -1,7 +1,5 @@
 """Bad input to any command: one line on stderr, exit code 2, nothing played and nothing written."""
 
-from __future__ import annotations
-
 import dataclasses
 import json
 import shlex
@@ -73,10 +71,7 @@ BAD = [
     ("results recompute old/paper-test.json --entries seven.toml", "got 2; evaluate again"),
     ("results page old/paper-test.json --output page.html", "got 2; evaluate again"),
     ("suites standard --seed 5", "seed 5 is in no split"),
-    (
-        "submission check best/1000 nowhere",
-        'error: Invalid value "nowhere" for FOLDERS. "nowhere" does not exist.',
-    ),
+    ("submission check best/1000 nowhere", 'error: Invalid value "nowhere" for FOLDERS. "nowhere" does not exist.'),
     ("submission new best/1000", "has entry.toml already"),
     ("submission new a_folder!", "the folder's name must be 1 … 80"),
     ("play --seed -1", "is in no split of suite 'standard-v1'"),
@@ -88,7 +83,7 @@ BAD = [
 
 
 @pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def folder(tmp_path_factory):
     """A folder with the files that the table names."""
     root = tmp_path_factory.mktemp("bad")
     (root / "file.txt").write_text("not a folder")
@@ -102,11 +97,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     (root / "wind.csv").write_text(f"time_s,wind_1_m_s,wind_2_m_s\n{rows}")
     (root / "broken.json").write_text('{"name": ')
     scenario = get_suite("standard").scenario(20_003).to_dict()
-    for name, changes in {
-        "good": {},
-        "wind": {"wind_speed": [[9.0], [-2.0]]},
-        "key": {"colour": "red"},
-    }.items():
+    for name, changes in {"good": {}, "wind": {"wind_speed": [[9.0], [-2.0]]}, "key": {"colour": "red"}}.items():
         (root / f"{name}.json").write_text(json.dumps({**scenario, **changes}))
     (root / "sensors.json").write_text(get_suite("standard-v1").scenario(20_003).to_json())
     (root / "seven.toml").write_text('name = "deloaded-7"\nk_min = 0.3\nk_nominal = 0.35\nk_max = 0.4\n')
@@ -124,9 +115,7 @@ def _files(folder: Path) -> set[Path]:
 
 
 @pytest.mark.parametrize(("line", "said"), BAD, ids=lambda text: ascii(text)[:60])
-def test_bad_input_is_one_line_and_leaves_nothing(
-    line: str, said: str, folder: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_bad_input_is_one_line_and_leaves_nothing(line, said, folder, capsys, monkeypatch):
     monkeypatch.chdir(folder)
     before = _files(folder)
     words = shlex.split(line)
@@ -138,21 +127,19 @@ def test_bad_input_is_one_line_and_leaves_nothing(
     assert _files(folder) == before
 
 
-def test_wrong_usage_points_to_the_help_of_the_command(capsys: pytest.CaptureFixture[str]) -> None:
+def test_wrong_usage_points_to_the_help_of_the_command(capsys):
     assert error_of(capsys, "simulate", "--wnd", "8").endswith("(see: wtg-gym simulate --help)")
     assert error_of(capsys, "results", "page").endswith("(see: wtg-gym results page --help)")
 
 
-def test_missing_matplotlib_is_said_before_anything_runs(
-    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
+def test_missing_matplotlib_is_said_before_anything_runs(capsys, monkeypatch, tmp_path):
     # A module that is None in sys.modules cannot be imported.
     monkeypatch.setitem(sys.modules, "matplotlib", None)
     line = error_of(capsys, "simulate", "--plot", str(tmp_path / "run.png"))
     assert "--plot needs matplotlib; in a checkout: pip install '.[leaderboard]'" in line
 
 
-def test_an_error_that_quotes_a_whole_file_is_short(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_an_error_that_quotes_a_whole_file_is_short(tmp_path, capsys):
     path = tmp_path / "scenario.json"
     scenario = dataclasses.replace(get_suite("paper").scenario(0), name="x").to_dict()
     path.write_text(json.dumps({**scenario, "events": "x" * 100_000}))

@@ -1,11 +1,8 @@
 """`wtg-gym grid` as a user calls it: from a network of pandapower to a scored law."""
 
-from __future__ import annotations
-
 import json
 import sys
 from pathlib import Path
-from typing import Any
 
 import pandapower
 import pandapower.networks
@@ -20,16 +17,14 @@ from wtg_gym.physics.grid import get_grid
 
 
 @pytest.fixture(scope="module")
-def network(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def network(tmp_path_factory):
     """IEEE 39 as pandapower has it, without dynamics."""
     path = tmp_path_factory.mktemp("networks") / "new england.json"
     pandapower.to_json(pandapower.networks.case39(), str(path))
     return path
 
 
-def test_a_network_of_pandapower_becomes_a_grid_whose_law_is_scored(
-    network: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_network_of_pandapower_becomes_a_grid_whose_law_is_scored(network, tmp_path, capsys):
     output = tmp_path / "ne.json"
     assert main(["grid", "import", str(network), "--output", str(output), "--wind", "33", "35"]) == 0
     said = capsys.readouterr().err
@@ -50,16 +45,14 @@ def test_a_network_of_pandapower_becomes_a_grid_whose_law_is_scored(
     assert "mppt" in str(results)
 
 
-def test_a_grid_that_is_here_is_checked_by_its_name(capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_grid_that_is_here_is_checked_by_its_name(capsys):
     assert main(["grid", "check", "kundur"]) == 0
     rows = capsys.readouterr().out
     assert "11 buses" in rows and "damped by" in rows
     assert "unknown grid 'kundru'" in error_of(capsys, "grid", "check", "kundru")
 
 
-def test_a_network_without_a_power_flow_is_refused_in_a_line(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_network_without_a_power_flow_is_refused_in_a_line(tmp_path, capsys):
     network = pandapower.networks.case9()
     network.load.p_mw *= 100.0
     path = tmp_path / "heavy.json"
@@ -76,7 +69,7 @@ def imported(path: Path, capsys: pytest.CaptureFixture[str]) -> tuple[int, str]:
 
 
 @pytest.fixture(scope="module")
-def nine() -> Any:
+def nine():
     """A network of nine buses as data."""
     return json.loads(pandapower.to_json(pandapower.networks.case9()))
 
@@ -96,9 +89,7 @@ HOSTILE = [
 
 
 @pytest.mark.parametrize("thing", HOSTILE, ids=str)
-def test_no_module_is_imported_because_a_file_names_it(
-    nine: Any, thing: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_no_module_is_imported_because_a_file_names_it(nine, thing, tmp_path, capsys, monkeypatch):
     (tmp_path / "a_module_of_strangers.py").write_text("")
     monkeypatch.syspath_prepend(tmp_path)
     path = tmp_path / "network.json"
@@ -108,9 +99,7 @@ def test_no_module_is_imported_because_a_file_names_it(
     assert "a_module_of_strangers" not in sys.modules
 
 
-def test_an_old_pandapower_is_refused(
-    network: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_old_pandapower_is_refused(network, capsys, monkeypatch):
     monkeypatch.setattr(pandapower, "__version__", "3.5.3")
     code, said = imported(network, capsys)
     assert code == 2 and "pandapower 3.5.3 runs code that a file names; 3.5.4 or later is needed" in said
@@ -118,9 +107,7 @@ def test_an_old_pandapower_is_refused(
 
 @settings(max_examples=25, deadline=None, suppress_health_check=list(HealthCheck))
 @given(data=st.data())
-def test_a_changed_network_is_imported_or_refused_in_a_line(
-    nine: Any, tmp_path: Path, data: st.DataObject, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_changed_network_is_imported_or_refused_in_a_line(nine, tmp_path, data, capsys):
     path = tmp_path / "network.json"
     # The mark of a network stands at its beginning.
     write(path, json.dumps({**nine, "_object": data.draw(changed(nine["_object"]))}))

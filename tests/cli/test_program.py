@@ -1,7 +1,5 @@
 """The program as a whole: help, pipes, terminals."""
 
-from __future__ import annotations
-
 import ast
 import json
 import os
@@ -22,7 +20,7 @@ from wtg_gym.scenarios import DEFAULT_SUITE
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="pipes break in another way there")
-def test_reader_that_leaves_early_is_no_error() -> None:
+def test_reader_that_leaves_early_is_no_error():
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
     reading, writing = os.pipe()
     os.close(reading)
@@ -33,7 +31,7 @@ def test_reader_that_leaves_early_is_no_error() -> None:
     assert done.stderr == b""
 
 
-def test_terminal_gets_a_progress_bar(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+def test_terminal_gets_a_progress_bar(capsys, monkeypatch):
     monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
     monkeypatch.setenv("TERM", "xterm")
     assert main(["simulate", "--duration", "6"]) == 0
@@ -46,9 +44,7 @@ def _help(capsys: pytest.CaptureFixture[str], *command: str) -> str:
     return capsys.readouterr().out
 
 
-def test_help_of_every_command_teaches_by_examples_that_it_takes(
-    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
+def test_help_of_every_command_teaches_by_examples_that_it_takes(capsys, monkeypatch, tmp_path):
     monkeypatch.setenv("COLUMNS", "200")
     monkeypatch.chdir(tmp_path)
     for name in ("my-policy", "my-policy-*"):
@@ -66,7 +62,7 @@ def test_help_of_every_command_teaches_by_examples_that_it_takes(
                 build_app(words).parse_args(words, exit_on_error=False, print_error=False)
 
 
-def test_help_is_there_before_the_simulator_and_before_other_commands() -> None:
+def test_help_is_there_before_the_simulator_and_before_other_commands():
     """Importing all packages takes a second or two."""
     code = "import sys; from wtg_gym.cli import main\n"
     for command in (
@@ -100,7 +96,7 @@ def _is_harmless(text: str) -> bool:
     return all(line.isprintable() for line in text.split("\n"))
 
 
-def test_lines_tables_notes_and_json_show_escapes(capsys: pytest.CaptureFixture[str]) -> None:
+def test_lines_tables_notes_and_json_show_escapes(capsys):
     say(NASTY)
     note(NASTY)
     print_table((NASTY, "b"), [(NASTY, "1")])
@@ -114,12 +110,12 @@ def test_lines_tables_notes_and_json_show_escapes(capsys: pytest.CaptureFixture[
     assert _is_harmless(out) and "grün 🜁" in out and json.loads(out) == data
 
 
-def test_no_command_prints_past_the_one_place_that_escapes() -> None:
+def test_no_command_prints_past_the_one_place_that_escapes():
     for path in Path(wtg_gym.cli.__file__).parent.glob("*.py"):
         calls = [node.func for node in ast.walk(ast.parse(path.read_text())) if isinstance(node, ast.Call)]
         printing = [call for call in calls if isinstance(call, ast.Name) and call.id == "print"]
         assert not printing or path.name in ("output.py", "__init__.py"), path
 
 
-def test_commands_mean_the_benchmarks_suite_where_none_is_named() -> None:
+def test_commands_mean_the_benchmarks_suite_where_none_is_named():
     assert options.DEFAULT_SUITE == DEFAULT_SUITE

@@ -1,9 +1,6 @@
 """`wtg-gym report` as a user calls it."""
 
-from __future__ import annotations
-
 from html.parser import HTMLParser
-from pathlib import Path
 
 import pytest
 
@@ -50,7 +47,7 @@ class _Page(HTMLParser):
             self.headings.append(data)
 
 
-def test_a_page_has_every_section_loads_nothing_and_escapes_names(tmp_path: Path) -> None:
+def test_a_page_has_every_section_loads_nothing_and_escapes_names(tmp_path):
     law = tmp_path / "law.toml"
     law.write_text(LAW, encoding="utf-8")
     page = tmp_path / "page.html"
@@ -74,9 +71,7 @@ def test_a_page_has_every_section_loads_nothing_and_escapes_names(tmp_path: Path
         ("mppt --output page.pdf", 'supported extensions {"html", "htm", "md"}'),
     ],
 )
-def test_bad_input_is_refused_before_anything_is_played(
-    arguments: str, said: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_bad_input_is_refused_before_anything_is_played(arguments, said, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     assert said in error_of(capsys, "report", *arguments.split())
     assert not list(tmp_path.iterdir())

@@ -1,7 +1,5 @@
 """`wtg-gym results` as a user calls it: stored results computed again and compared."""
 
-from __future__ import annotations
-
 import dataclasses
 import re
 from pathlib import Path
@@ -14,7 +12,7 @@ from wtg_gym.evaluation.recompute import departures, recompute
 
 
 @pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def folder(tmp_path_factory):
     """Results of four scenarios of v0."""
     folder = tmp_path_factory.mktemp("results")
     short = ["evaluate", "--suite", "standard", "--entries", "deloaded-5", "--duration", "10"]
@@ -26,9 +24,7 @@ def _recompute(path: Path, *options: str) -> int:
     return main(["results", "recompute", str(path), "--entries", "deloaded-5", *options])
 
 
-def test_untouched_results_are_identical_and_what_is_not_the_benchmarks_is_named(
-    folder: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_untouched_results_are_identical_and_what_is_not_the_benchmarks_is_named(folder, capsys):
     assert _recompute(folder / "standard-test.json") == 0
     said = capsys.readouterr()
     assert said.out.startswith("identical: ")
@@ -37,7 +33,7 @@ def test_untouched_results_are_identical_and_what_is_not_the_benchmarks_is_named
     assert len(departures(Results.read(folder / "standard-test.json"))) == 2
 
 
-def test_numbers_that_were_made_up_are_named(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_numbers_that_were_made_up_are_named(folder, tmp_path, capsys):
     results = Results.read(folder / "standard-test.json")
     first = results.episodes[0]
     better = dataclasses.replace(first, metrics={**first.metrics, "cost": first.metrics["cost"] * 0.5})
@@ -59,9 +55,7 @@ def test_numbers_that_were_made_up_are_named(folder: Path, tmp_path: Path, capsy
         ("source", "Somebody", False),
     ],
 )
-def test_made_up_claims_about_an_entry_are_differences_and_other_texts_none(
-    key: str, value: str, differs: bool, folder: Path
-) -> None:
+def test_made_up_claims_about_an_entry_are_differences_and_other_texts_none(key, value, differs, folder):
     results = Results.read(folder / "standard-test.json")
     entries = tuple({**entry, key: value} if entry["name"] == "deloaded-5" else entry for entry in results.entries)
     found = recompute(dataclasses.replace(results, entries=entries), load_entries("deloaded-5"))

@@ -1,7 +1,5 @@
 """`wtg-gym evaluate` and `wtg-gym leaderboard` as a user calls them."""
 
-from __future__ import annotations
-
 import dataclasses
 import re
 import signal
@@ -25,7 +23,7 @@ _LEADERBOARD = ("leaderboard", "--suite", "paper", "--entries")
 _PAPER = (*_LEADERBOARD, "mppt", "deloaded-5", "coordinated-piecewise")
 
 
-def test_evaluate_ranks_a_suite_of_v1_in_its_own_grid(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+def test_evaluate_ranks_a_suite_of_v1_in_its_own_grid(capsys, tmp_path):
     arguments = ["--suite", "standard-v1", "--split", "validation", "--scenarios", "12"]
     folder = tmp_path / "mine"
     entries = ["--entries", "coordinated-piecewise", "fast-droop"]
@@ -45,7 +43,7 @@ def test_evaluate_ranks_a_suite_of_v1_in_its_own_grid(capsys: pytest.CaptureFixt
     assert "identical" in capsys.readouterr().out
 
 
-def test_workers_of_the_options_play(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+def test_workers_of_the_options_play(capsys, monkeypatch):
     pytest.importorskip("joblib")
     asked: list[Any] = []
     real = wtg_gym.cli.scoring.evaluate
@@ -60,7 +58,7 @@ def test_workers_of_the_options_play(capsys: pytest.CaptureFixture[str], monkeyp
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="signals are another thing there")
-def test_interrupted_leaderboard_keeps_its_finished_parts(tmp_path: Path) -> None:
+def test_interrupted_leaderboard_keeps_its_finished_parts(tmp_path):
     entries = ("deloaded-5", "deloaded-10", "coordinated-linear", "coordinated-undamped")
     arguments = ("leaderboard", "--suite", "standard", "--threads", "1", "--entries", *entries)
     process = start(*arguments, cwd=tmp_path, stderr=subprocess.PIPE)
@@ -72,7 +70,7 @@ def test_interrupted_leaderboard_keeps_its_finished_parts(tmp_path: Path) -> Non
     assert list(partial.glob("*.json"))
 
 
-def test_leaderboard_ranks_writes_and_updates_the_readme(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+def test_leaderboard_ranks_writes_and_updates_the_readme(capsys, tmp_path):
     readme = tmp_path / "README.md"
     readme.write_text("before\n<!-- leaderboard:paper:start -->\nold\n<!-- leaderboard:paper:end -->\nafter\n")
     results = tmp_path / "results"
@@ -90,7 +88,7 @@ def test_leaderboard_ranks_writes_and_updates_the_readme(capsys: pytest.CaptureF
     assert f"{readme}: already up to date" in capsys.readouterr().err
 
 
-def test_leaderboard_plays_only_what_is_new(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_leaderboard_plays_only_what_is_new(monkeypatch, tmp_path):
     whole = (*_LEADERBOARD, "mppt", "deloaded-5", "coordinated-linear", "coordinated-piecewise")
     assert main([*whole, "--results", str(tmp_path / "at-once")]) == 0
     assert main([*_PAPER, "--results", str(tmp_path)]) == 0
@@ -109,9 +107,7 @@ def test_leaderboard_plays_only_what_is_new(monkeypatch: pytest.MonkeyPatch, tmp
     assert sorted(played[1:]) == ["coordinated-piecewise", "deloaded-5", "mppt"]
 
 
-def test_results_of_other_scenarios_or_settings_are_not_overwritten(
-    capsys: pytest.CaptureFixture[str], tmp_path: Path
-) -> None:
+def test_results_of_other_scenarios_or_settings_are_not_overwritten(capsys, tmp_path):
     common = ["evaluate", "--suite", "standard", "--results", str(tmp_path), "--entries", "mppt"]
     assert main([*common, "--scenarios", "2"]) == 0
     stored = _files(tmp_path)
@@ -125,9 +121,7 @@ def test_results_of_other_scenarios_or_settings_are_not_overwritten(
     assert main([*common, "--scenarios", "2", "--split", "test"]) == 0
 
 
-def test_modules_of_the_working_folder_can_be_imported_only_where_an_entry_is_one(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
+def test_modules_of_the_working_folder_can_be_imported_only_where_an_entry_is_one(monkeypatch, tmp_path):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(sys, "path", [path for path in sys.path if path != str(tmp_path)])
     look_into_working_folder(["mppt", "law.toml"])

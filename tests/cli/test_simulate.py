@@ -1,10 +1,7 @@
 """`wtg-gym simulate` as a user calls it, with scenario and wind files."""
 
-from __future__ import annotations
-
 import csv
 import json
-from pathlib import Path
 
 import pytest
 
@@ -17,7 +14,7 @@ from wtg_gym.scenarios import get_suite
 _QUICK = ("--duration", "6")
 
 
-def test_simulate_tables_every_strategy_with_units(capsys: pytest.CaptureFixture[str]) -> None:
+def test_simulate_tables_every_strategy_with_units(capsys):
     assert main(["simulate", *_QUICK, "--strategy", "mppt", "deloaded-5", "--strategy", "coordinated-linear"]) == 0
     text = capsys.readouterr().out
     assert "5 s: +75 MW at bus 2" in text
@@ -27,13 +24,13 @@ def test_simulate_tables_every_strategy_with_units(capsys: pytest.CaptureFixture
     assert [row.split()[0] for row in rows] == ["mppt", "deloaded-5", "coordinated-linear"]
 
 
-def test_strategy_all_is_every_built_in_one_once(capsys: pytest.CaptureFixture[str]) -> None:
+def test_strategy_all_is_every_built_in_one_once(capsys):
     data = json_of(capsys, "simulate", "--duration", "1", "--strategy", "mppt", "all", "--json")
     names = [run["strategy"] for run in data["runs"]]
     assert names[0] == "mppt" and len(names) == len(set(names)) == 6
 
 
-def test_the_group_that_tripped_is_named(capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_group_that_tripped_is_named(capsys):
     arguments = ("simulate", "--suite", "standard-v1", "--seed", "10029", "--strategy", "mppt")
     (run,) = json_of(capsys, *arguments, "--json")["runs"]
     assert run["status"] == "completed"
@@ -42,7 +39,7 @@ def test_the_group_that_tripped_is_named(capsys: pytest.CaptureFixture[str]) -> 
     assert f"group 2 tripped at {run['tripped_groups'][0]['time_s']:.1f} s" in capsys.readouterr().out
 
 
-def test_wind_and_groups_follow_each_other(capsys: pytest.CaptureFixture[str]) -> None:
+def test_wind_and_groups_follow_each_other(capsys):
     data = json_of(capsys, "simulate", "--duration", "1", "--wind", "9", "8", "7", "--json")
     assert data["scenario"]["mean_wind_m_s"] == [9.0, 8.0, 7.0]
     assert len(data["plant"]["groups"]) == 3
@@ -52,7 +49,7 @@ def test_wind_and_groups_follow_each_other(capsys: pytest.CaptureFixture[str]) -
     assert [group["bus"] for group in data["plant"]["groups"]] == [2, 3, 6, 8]
 
 
-def test_suite_of_v1_runs_in_its_own_grid(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+def test_suite_of_v1_runs_in_its_own_grid(capsys, tmp_path):
     laws = ("--strategy", "coordinated-piecewise", "coordinated-tuned")
     data = json_of(capsys, "simulate", "--suite", "standard-v1", "--seed", "10003", *laws, "--json")
     assert [group["bus"] for group in data["plant"]["groups"]] == [2, 3, 6, 8]
@@ -70,7 +67,7 @@ def test_suite_of_v1_runs_in_its_own_grid(capsys: pytest.CaptureFixture[str], tm
     assert again["runs"] == data["runs"]
 
 
-def test_traces_hold_every_sample_with_units_in_the_header(tmp_path: Path) -> None:
+def test_traces_hold_every_sample_with_units_in_the_header(tmp_path):
     path = tmp_path / "traces.csv"
     assert main(["simulate", *_QUICK, "--strategy", "mppt", "deloaded-10", "--csv", str(path)]) == 0
     with path.open(encoding="utf-8", newline="") as file:
@@ -82,7 +79,7 @@ def test_traces_hold_every_sample_with_units_in_the_header(tmp_path: Path) -> No
     assert float(rows[60]["time_s"]) == 6.0
 
 
-def test_plot_replaces_an_older_file_and_leaves_nothing_beside_it(tmp_path: Path) -> None:
+def test_plot_replaces_an_older_file_and_leaves_nothing_beside_it(tmp_path):
     pytest.importorskip("matplotlib")
     path = tmp_path / "run.PDF"
     path.write_text("old", encoding="utf-8")
@@ -90,9 +87,7 @@ def test_plot_replaces_an_older_file_and_leaves_nothing_beside_it(tmp_path: Path
     assert path.stat().st_size > 1000 and list(tmp_path.iterdir()) == [path]
 
 
-def test_example_of_a_law_is_printed_and_simulated_under_its_own_name(
-    capsys: pytest.CaptureFixture[str], tmp_path: Path
-) -> None:
+def test_example_of_a_law_is_printed_and_simulated_under_its_own_name(capsys, tmp_path):
     assert main(["simulate", "--example-law"]) == 0
     law, other = tmp_path / "my_law.toml", tmp_path / "other.toml"
     law.write_text(capsys.readouterr().out, encoding="utf-8")
@@ -103,14 +98,14 @@ def test_example_of_a_law_is_printed_and_simulated_under_its_own_name(
     assert "two strategies are called 'reserve-7'" in error_of(capsys, "simulate", "--strategy", str(law), str(other))
 
 
-def test_wind_from_csv_replaces_the_wind(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+def test_wind_from_csv_replaces_the_wind(capsys, tmp_path):
     path = tmp_path / "wind.csv"
     path.write_text("time_s,wind_1_m_s,wind_2_m_s\n" + "".join(f"{second},9.5,8.0\n" for second in range(8)))
     data = json_of(capsys, "simulate", *_QUICK, "--wind-csv", str(path), "--json")
     assert data["scenario"]["mean_wind_m_s"] == [9.5, 8.0]
 
 
-def test_dumped_scenario_can_be_edited_and_simulated(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+def test_dumped_scenario_can_be_edited_and_simulated(capsys, tmp_path):
     data = json_of(capsys, "suites", "standard", "--seed", "20003", "--json")
     assert Scenario.from_dict(data).to_json() == get_suite("standard").scenario(20_003).to_json()
     data["events"] = [{"kind": "load_step", "time_s": 2.0, "bus": 3, "power_mw": 30.0}]

@@ -1,12 +1,8 @@
 """`wtg-gym suites` and `warmup` as a user calls them."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys
-
-import pytest
 
 from tests.cli.calls import ROOT, json_of
 from wtg_gym.cli import main
@@ -14,7 +10,7 @@ from wtg_gym.scenarios import FROZEN_HASHES, SUITES
 from wtg_gym.systems.compiled import cache_folder
 
 
-def test_suites_lists_every_suite(capsys: pytest.CaptureFixture[str]) -> None:
+def test_suites_lists_every_suite(capsys):
     listed = json_of(capsys, "suites", "--json")
     hashes = {suite["name"]: suite["hash"] for suite in listed}
     assert list(hashes) == list(SUITES) and FROZEN_HASHES.items() <= hashes.items()
@@ -23,7 +19,7 @@ def test_suites_lists_every_suite(capsys: pytest.CaptureFixture[str]) -> None:
     assert all(name in text and own[:12] in text for name, own in hashes.items())
 
 
-def test_suite_of_v1_is_shown_with_its_grid_sensors_and_task(capsys: pytest.CaptureFixture[str]) -> None:
+def test_suite_of_v1_is_shown_with_its_grid_sensors_and_task(capsys):
     (data,) = json_of(capsys, "suites", "standard-v1")
     assert (data["environment"], data["hash"]) == ("GFMWTG-14bus-v1", SUITES["standard-v1"].hash)
     assert [(group["bus"], group["n_turbines"]) for group in data["plant"]["groups"]] == [
@@ -49,7 +45,7 @@ for arguments in (
 """
 
 
-def test_after_a_warmup_nothing_is_compiled_and_nothing_said() -> None:
+def test_after_a_warmup_nothing_is_compiled_and_nothing_said():
     assert main(["warmup"]) == 0
     environment = {**os.environ, "PYTHONIOENCODING": "utf-8"}
     command = [sys.executable, "-c", _COMMANDS]

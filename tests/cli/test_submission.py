@@ -1,9 +1,5 @@
 """`wtg-gym submission` as a user calls it."""
 
-from __future__ import annotations
-
-from pathlib import Path
-
 import pytest
 
 from tests.cli.calls import error_of, json_of
@@ -19,15 +15,13 @@ _FEW = ("--seeds", "20000", "20001")
 
 
 @pytest.fixture(autouse=True)
-def few_scenarios(monkeypatch: pytest.MonkeyPatch) -> None:
+def few_scenarios(monkeypatch):
     """The checks play few scenarios, since each needs a session; tests/submissions tests their findings."""
     monkeypatch.setattr(gate, "_ROLLOUT_LANES", 8)
     monkeypatch.setattr(gate, "_TIMED_LANES", 16)
 
 
-def test_template_beside_a_policy_is_accepted_once_it_is_filled_in(
-    capsys: pytest.CaptureFixture[str], tmp_path: Path
-) -> None:
+def test_template_beside_a_policy_is_accepted_once_it_is_filled_in(capsys, tmp_path):
     target = tmp_path / "new"
     assert main(["submission", "new", str(target)]) == 0
     capsys.readouterr()
@@ -43,7 +37,7 @@ def test_template_beside_a_policy_is_accepted_once_it_is_filled_in(
     assert said.count(" passed ") == 6 and "accepted, sha256" in said
 
 
-def test_score_is_that_of_evaluate(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+def test_score_is_that_of_evaluate(capsys, tmp_path):
     seeds = [folder(tmp_path / str(i), toml=TOML.replace("seed = 0", f"seed = {i}")) for i in range(2)]
     (seeds[1] / "policy.onnx").write_bytes(models.other().SerializeToString())
     results = tmp_path / "results"
@@ -55,7 +49,7 @@ def test_score_is_that_of_evaluate(capsys: pytest.CaptureFixture[str], tmp_path:
     assert stored.episodes == again.episodes and stored.entries == again.entries
 
 
-def test_score_ranks_what_is_not_refused(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+def test_score_ranks_what_is_not_refused(capsys, tmp_path):
     good, bad = folder(tmp_path / "a"), folder(tmp_path / "b", after("action = Tile(linear)"), OTHER)
     assert main(["submission", "score", str(good), str(bad), *_FEW, "--results", str(tmp_path / "r")]) == 1
     said = capsys.readouterr()
@@ -72,9 +66,7 @@ def test_score_ranks_what_is_not_refused(capsys: pytest.CaptureFixture[str], tmp
     assert not list((tmp_path / "s").glob("*.*"))
 
 
-def test_score_plays_each_folder_on_the_standard_suite_of_its_version(
-    capsys: pytest.CaptureFixture[str], tmp_path: Path
-) -> None:
+def test_score_plays_each_folder_on_the_standard_suite_of_its_version(capsys, tmp_path):
     few = ("--split", "validation", "--scenarios", "12", "--results", str(tmp_path / "results"))
     # However the key is written, one parser reads it; without it, the version is v1.
     key = 'environment = "GFMWTG-14bus-v0"'
@@ -87,7 +79,7 @@ def test_score_plays_each_folder_on_the_standard_suite_of_its_version(
         assert [entry["name"] for entry in entries if entry["training_seed"] is not None] == [name]
 
 
-def test_check_compares_with_the_entries_beside(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+def test_check_compares_with_the_entries_beside(capsys, tmp_path):
     old, mine = folder(tmp_path / "old"), folder(tmp_path / "new", toml=OTHER)
     data = json_of(capsys, "submission", "check", str(mine), "--beside", str(old), str(mine), "--json", code=1)
     assert data["submissions"][0]["accepted"] and "the same policy file is given twice" in data["together"][0]

@@ -5,8 +5,6 @@ anew: another answer is another environment, with another id. `frozen_v1.json` i
 frozen: `python -m tests.envs.frozen hashes` puts what their hashes are into FROZEN_HASHES.
 """
 
-from __future__ import annotations
-
 import hashlib
 import itertools
 import json

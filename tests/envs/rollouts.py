@@ -1,7 +1,5 @@
 """Rollouts in a common form, so that a lane of a batch and a single environment can be compared bit for bit."""
 
-from __future__ import annotations
-
 import hashlib
 from collections.abc import Iterator
 from typing import Any

@@ -1,7 +1,5 @@
 """Bad settings, scenarios, seeds, actions and snapshots are refused by name, and nothing has moved."""
 
-from __future__ import annotations
-
 import copy
 import dataclasses
 import math
@@ -72,7 +70,7 @@ SETTINGS: list[tuple[dict[str, Any], str]] = [
 
 
 @pytest.mark.parametrize(("arguments", "message"), SETTINGS, ids=lambda value: str(value)[:40])
-def test_wrong_setting_is_refused_with_what_is_allowed_in_one_line(arguments: dict[str, Any], message: str):
+def test_wrong_setting_is_refused_with_what_is_allowed_in_one_line(arguments, message):
     for kind in (GFMWTGEnv, lambda **given: GFMWTGVectorEnv(2, **given)):
         with pytest.raises(ValueError, match=message) as refused:
             kind(**{"version": "v0", **arguments})
@@ -89,20 +87,20 @@ BATCH = [
 
 
 @pytest.mark.parametrize(("arguments", "message"), BATCH, ids=str)
-def test_wrong_argument_of_a_batch_is_refused_with_what_is_allowed(arguments: dict[str, Any], message: str):
+def test_wrong_argument_of_a_batch_is_refused_with_what_is_allowed(arguments, message):
     with pytest.raises(ValueError, match=message):
         GFMWTGVectorEnv(**{"version": "v0", "num_envs": 2, **arguments})
 
 
 @pytest.mark.parametrize("make", [GFMWTGEnv, GFMWTGVectorEnv, lambda **given: gym.make(ENV_IDS[0], **given)])
-def test_unknown_keyword_is_a_type_error_that_lists_the_known_ones(make: Any):
+def test_unknown_keyword_is_a_type_error_that_lists_the_known_ones(make):
     with pytest.raises(TypeError, match=r"__init__\(\) got an unexpected keyword argument 'stratgy'") as caught:
         make(stratgy="mppt")
     assert all(field.name in str(caught.value) for field in dataclasses.fields(EnvSettings))
 
 
 @pytest.mark.parametrize("kind", [GFMWTGEnv, GFMWTGVectorEnv])
-def test_type_checkers_know_exactly_the_settings_with_their_types(kind: Any):
+def test_type_checkers_know_exactly_the_settings_with_their_types(kind):
     settings, keywords = get_type_hints(EnvSettings), get_type_hints(EnvArguments)
     assert {field.name: settings[field.name] for field in dataclasses.fields(EnvSettings)} == keywords
     assert EnvArguments.__required_keys__ == frozenset()
@@ -152,7 +150,7 @@ RESETS: dict[bool, list[dict[str, Any]]] = {
 
 
 @pytest.mark.parametrize("batch", RESETS)
-def test_wrong_seeds_and_options_are_refused_and_leave_the_stream_of_scenarios_alone(batch: bool):
+def test_wrong_seeds_and_options_are_refused_and_leave_the_stream_of_scenarios_alone(batch):
     kind: Any = (lambda **given: GFMWTGVectorEnv(2, **given)) if batch else GFMWTGEnv
     env, twin = (kind(duration_s=4.0, version="v0") for _ in range(2))
     env.reset(seed=5), twin.reset(seed=5)
@@ -181,7 +179,7 @@ WRONG: dict[str, Any] = {
 
 @pytest.mark.parametrize("mode", [None, NEXT_STEP, AutoresetMode.SAME_STEP])
 @pytest.mark.filterwarnings("error")
-def test_wrong_actions_are_refused_and_no_lane_has_moved(mode: AutoresetMode | None):
+def test_wrong_actions_are_refused_and_no_lane_has_moved(mode):
     if mode is None:
         env: Any = GFMWTGEnv(scenario=eventful().to_dict(), version="v0")
         single_steps(env, ACTIONS[:20, 0], AutoresetMode.DISABLED, seed=0)
@@ -204,7 +202,7 @@ def test_wrong_actions_are_refused_and_no_lane_has_moved(mode: AutoresetMode | N
 
 
 @pytest.mark.parametrize("kind", [list, np.float64, np.int8, object])
-def test_anything_that_is_numbers_is_an_action_which_is_clipped_and_not_kept(kind: Any):
+def test_anything_that_is_numbers_is_an_action_which_is_clipped_and_not_kept(kind):
     env, twin = (GFMWTGEnv(duration_s=2.0, version="v0") for _ in range(2))
     env.reset(seed=0), twin.reset(seed=0)
     given = [1, 0, 3, 0] if kind is list else np.array([1, 0, 3, 0], dtype=kind)
@@ -228,7 +226,7 @@ def test_step_without_a_reset_is_a_runtime_error():
 
 
 @pytest.mark.parametrize("mode", AutoresetMode)
-def test_step_of_a_batch_whose_lanes_were_not_all_reset_is_a_runtime_error(mode: AutoresetMode):
+def test_step_of_a_batch_whose_lanes_were_not_all_reset_is_a_runtime_error(mode):
     env, zeros = GFMWTGVectorEnv(2, duration_s=2.0, autoreset_mode=mode, version="v0"), np.zeros((2, 4))
     with pytest.raises(RuntimeError, match=r"reset\(\)"):
         env.step(zeros)
@@ -255,7 +253,7 @@ def test_step_of_a_batch_whose_lanes_were_not_all_reset_is_a_runtime_error(mode:
     ],
     ids=str,
 )
-def test_snapshot_of_other_settings_is_refused_and_changes_nothing(settings: dict[str, Any], named: str):
+def test_snapshot_of_other_settings_is_refused_and_changes_nothing(settings, named):
     env, other = (GFMWTGEnv(**{"version": "v0", "duration_s": 4.0, **given}) for given in ({}, settings))
     env.reset(seed=3), other.reset(seed=8)
     before = other.snapshot()

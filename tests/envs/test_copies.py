@@ -1,7 +1,5 @@
 """Facts about copies: pickles, deep copies and snapshots go on bit for bit."""
 
-from __future__ import annotations
-
 import copy
 import pickle
 from typing import Any
@@ -36,9 +34,7 @@ def steps_of(env: Any, actions: np.ndarray, mode: AutoresetMode = AutoresetMode.
 
 @pytest.mark.parametrize("mode", [None, *MODES])
 @pytest.mark.parametrize("settings", SETTINGS, ids=str)
-def test_copies_of_a_running_environment_go_on_alike_through_later_resets(
-    settings: dict[str, Any], mode: AutoresetMode | None
-):
+def test_copies_of_a_running_environment_go_on_alike_through_later_resets(settings, mode):
     given = {"duration_s": 2.0, **settings}
     env: Any = GFMWTGEnv(**given) if mode is None else GFMWTGVectorEnv(17, autoreset_mode=mode, **given)
     steps_of(env, BEFORE, seed=3)
@@ -54,7 +50,7 @@ MANY_EVENTS = calm(events=tuple(LoadStep(time_s=0.1 * n, bus=3, power_mw=2.0) fo
 
 
 @pytest.mark.parametrize("n_lanes", [None, 17])
-def test_snapshot_branches_as_often_as_asked_whatever_is_played_between(n_lanes: int | None):
+def test_snapshot_branches_as_often_as_asked_whatever_is_played_between(n_lanes):
     # With a fixed scenario a branch may cross its end: nothing is drawn.
     given = {"scenario": eventful().to_dict(), "version": "v0"}
     env, twin = (GFMWTGEnv(**given) if n_lanes is None else GFMWTGVectorEnv(n_lanes, **given) for _ in range(2))

@@ -1,7 +1,5 @@
 """Facts about what v1 charges, computed anew from states and events."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 from typing import Any
@@ -51,9 +49,7 @@ def farthest_hz(env: GFMWTGEnv) -> tuple[float, float]:
     ],
     ids=["island", "fault", "last generator", "group"],
 )
-def test_the_frequency_charged_is_that_of_the_worst_connected_unit_without_a_cap(
-    events: list[Event], reached: float
-) -> None:
+def test_the_frequency_charged_is_that_of_the_worst_connected_unit_without_a_cap(events, reached):
     apart, largest = 0.0, 0.0
     for env, _, terms in steps(*events):
         worst, centre = farthest_hz(env)
@@ -65,7 +61,7 @@ def test_the_frequency_charged_is_that_of_the_worst_connected_unit_without_a_cap
     assert apart > 0.05 and largest > reached
 
 
-def test_the_cap_holds_for_the_other_terms_together() -> None:
+def test_the_cap_holds_for_the_other_terms_together():
     played = [
         [terms for *_, terms in steps(*CUT, LoadStep(time_s=3.0, bus=9, power_mw=30.0), action=1.0, weights=weights)]
         for weights in (None, {"cap": 1e6})
@@ -81,7 +77,7 @@ def test_the_cap_holds_for_the_other_terms_together() -> None:
     assert 0 < n_capped < len(played[0])
 
 
-def test_a_group_that_its_protection_has_tripped_owes_its_power_at_the_frequency_of_the_grid() -> None:
+def test_a_group_that_its_protection_has_tripped_owes_its_power_at_the_frequency_of_the_grid():
     # Over-voltage disconnects the group at bus 8, then a load lowers the frequency.
     capacitor, load = (
         LoadStep(time_s=1.0, bus=8, power_mw=0.0, reactive_mvar=-120.0),
@@ -100,7 +96,7 @@ def test_a_group_that_its_protection_has_tripped_owes_its_power_at_the_frequency
     assert gone and abs(simulator.wtg_values("speed")[0, 3] - centre) > 0.002
 
 
-def test_load_that_is_shed_is_charged_by_its_share() -> None:
+def test_load_that_is_shed_is_charged_by_its_share():
     step = LoadStep(time_s=1.0, bus=3, power_mw=150.0)
     played = list(steps(step, duration_s=20.0))
     charged = {round(terms["failure"], 9) for *_, terms in played}
@@ -115,7 +111,7 @@ def test_load_that_is_shed_is_charged_by_its_share() -> None:
 
 
 @pytest.mark.parametrize("weights", [None, {"failure": 130.0}])
-def test_a_failed_episode_costs_the_same_whenever_it_fails(weights: dict[str, float] | None) -> None:
+def test_a_failed_episode_costs_the_same_whenever_it_fails(weights):
     for time_s in (1.0, 9.0):
         more = LoadStep(time_s=0.5, bus=4, power_mw=60.0)
         paid = list(steps(more, LoadStep(time_s=time_s, bus=3, power_mw=-330.0), duration_s=12.0, weights=weights))
@@ -126,6 +122,6 @@ def test_a_failed_episode_costs_the_same_whenever_it_fails(weights: dict[str, fl
         assert total == pytest.approx((weights or {"failure": 250.0})["failure"] * 13.0, rel=1e-12)
 
 
-def test_the_reward_is_minus_the_sum_of_the_terms() -> None:
+def test_the_reward_is_minus_the_sum_of_the_terms():
     for _, reward, terms in steps(*CUT, LoadStep(time_s=3.0, bus=3, power_mw=-200.0), action=0.5):
         assert reward == pytest.approx(-sum(terms.values()), rel=1e-12)

@@ -1,7 +1,5 @@
 """Facts about starts and ends of episodes: what the protections see, when they look, and the end of time."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -37,7 +35,7 @@ def play(scenario: Scenario, action=0.0, **settings):
 
 
 @pytest.mark.parametrize("weights", [None, {"cap": 1e-3}, {"rotor": 1e6}])
-def test_stall_costs_more_than_any_way_of_living_on(weights: dict | None):
+def test_stall_costs_more_than_any_way_of_living_on(weights):
     settings = {"strategy": "mppt", "weights": weights}
     rewards, (*_, info), _ = play(sagging(), **settings)
     assert info["termination_reason"] == "stall"
@@ -65,7 +63,7 @@ def test_stall_costs_more_than_any_way_of_living_on(weights: dict | None):
     ],
 )
 def test_each_failure_ends_the_episode_under_its_own_name_and_a_tripped_group_does_not(
-    scenario: Scenario, reason: str, least_hz: float, most_hz: float, on_failure: str
+    scenario, reason, least_hz, most_hz, on_failure
 ):
     rewards, (_, terminated, truncated, info), _ = play(scenario, -1.0, on_failure=on_failure)
     if reason == "over-speed" and on_failure == "trip":
@@ -87,7 +85,7 @@ def test_low_voltage_may_last_three_seconds():
 
 
 @pytest.mark.parametrize(("scenario", "status"), [(sagging(), Status.STALL), (SAGGED, Status.VOLTAGE_COLLAPSE)])
-def test_run_ends_when_it_does_whatever_the_control_interval(scenario: Scenario, status: Status):
+def test_run_ends_when_it_does_whatever_the_control_interval(scenario, status):
     usual, *runs = (simulate(scenario, "mppt", Plant(control_dt=dt)) for dt in (0.1, 0.05, 0.5, 10.0))
     assert usual.status == status
     for run in runs:
@@ -97,7 +95,7 @@ def test_run_ends_when_it_does_whatever_the_control_interval(scenario: Scenario,
 
 
 @pytest.mark.parametrize("control_dt", [0.1, 10.0])
-def test_no_run_costs_more_than_one_that_fails_at_once_even_if_it_ends_within_a_long_step(control_dt: float):
+def test_no_run_costs_more_than_one_that_fails_at_once_even_if_it_ends_within_a_long_step(control_dt):
     for scenario in (GONE, TORN):
         rewards, (_, terminated, *_), env = play(scenario, 1.0, control_dt=control_dt, weights={"cap": 1e-3})
         assert terminated and -rewards.sum() <= 1e-3 * (20.0 + 1.0) * (1.0 + 1e-9)
@@ -139,7 +137,7 @@ def test_stopped_rotor_of_version_v1_trips_its_group_which_is_charged_on_or_ends
 
 
 @pytest.mark.parametrize("version", VERSIONS)
-def test_scenario_shorter_than_the_episode_is_cut_at_its_end(version: str):
+def test_scenario_shorter_than_the_episode_is_cut_at_its_end(version):
     env = GFMWTGEnv(version=version, duration_s=5.0)
     short = eventful(duration_s=2.0, n_wtg=N_WTG[version])
     steps = list(episode(env, seed=0, options={"scenario": short}))

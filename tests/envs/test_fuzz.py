@@ -1,7 +1,5 @@
 """Under random settings, scenarios, sensors and actions every output is finite and every episode ends."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from typing import Any
@@ -90,7 +88,7 @@ def play(env: GFMWTGEnv, actions: list[float], **reset: Any) -> None:
 
 @settings(FUZZ, max_examples=60)
 @given(arguments(), ACTIONS, st.integers(0, 2**31))
-def test_any_settings_and_actions_play_to_the_end(given_arguments: dict, actions: list[float], seed: int):
+def test_any_settings_and_actions_play_to_the_end(given_arguments, actions, seed):
     play(GFMWTGEnv(**given_arguments), actions, seed=seed)
 
 
@@ -156,9 +154,7 @@ def scenarios(draw: Any) -> Scenario:
 
 @settings(FUZZ, max_examples=200)
 @given(scenarios(), st.sampled_from(sorted(STRATEGIES)), ON_FAILURE, OBSERVATION_MODES, ACTIONS)
-def test_any_scenario_plays_to_a_physical_end(
-    scenario: Scenario, strategy: str, on_failure: str, observation_mode: str, actions: list[float]
-):
+def test_any_scenario_plays_to_a_physical_end(scenario, strategy, on_failure, observation_mode, actions):
     version = "v0" if scenario.sensors is None else "v1"
     env = GFMWTGEnv(
         version=version, duration_s=3.0, strategy=strategy, on_failure=on_failure, observation_mode=observation_mode

@@ -1,7 +1,5 @@
 """An action of version v1 is held for 0.5 s: to the bit what five steps of 0.1 s with the same action are."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np
@@ -9,7 +7,7 @@ import pytest
 
 from tests.envs.rollouts import actions_of, calm, eventful
 from wtg_gym.envs import GFMWTGVectorEnv
-from wtg_gym.physics.scenario import LoadStep, Scenario
+from wtg_gym.physics.scenario import LoadStep
 from wtg_gym.scenarios import get_suite
 from wtg_gym.tasks.cost import COST, COST_TERMS
 
@@ -34,7 +32,7 @@ def state(env: GFMWTGVectorEnv) -> Any:
     ],
     ids=["drawn", "every event", "blackout"],
 )
-def test_a_step_is_five_intervals_with_its_action(scenario: Scenario, settings: dict[str, Any], n_lanes: int) -> None:
+def test_a_step_is_five_intervals_with_its_action(scenario, settings, n_lanes):
     held, fine = (
         GFMWTGVectorEnv(n_lanes, duration_s=20.0, control_dt=dt, reward="cost", n_threads=1, **settings)
         for dt in (None, 0.1)

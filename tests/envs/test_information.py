@@ -1,17 +1,9 @@
 """Facts about what a step tells: observation, reward and info."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
-from tests.envs.rollouts import (
-    ACTION_MODES,
-    VERSIONS,
-    actions_of,
-    episode,
-    eventful,
-)
+from tests.envs.rollouts import ACTION_MODES, VERSIONS, actions_of, episode, eventful
 from wtg_gym.envs import GFMWTGEnv, GFMWTGVectorEnv
 from wtg_gym.tasks.cost import CostWeights
 
@@ -20,7 +12,7 @@ KEYS = {*TERMS, "time_s", "frequency_hz", "rocof_hz_s", "cost", "scenario_seed",
 
 
 @pytest.mark.parametrize("term", [f"cost_{name}" for name in ("frequency", "rocof", "duty", "rotor", "effort")])
-def test_every_weight_scales_its_own_term_alone(term: str):
+def test_every_weight_scales_its_own_term_alone(term):
     name = term.removeprefix("cost_")
     scenario = eventful(7.0).to_dict()
     default = getattr(CostWeights(), name)
@@ -37,7 +29,7 @@ def test_every_weight_scales_its_own_term_alone(term: str):
 
 @pytest.mark.parametrize("action_mode", ACTION_MODES)
 @pytest.mark.parametrize("version", VERSIONS)
-def test_observations_stay_in_their_space_and_no_entry_is_constant(version: str, action_mode: str):
+def test_observations_stay_in_their_space_and_no_entry_is_constant(version, action_mode):
     modes = {"action_mode": action_mode, "observation_mode": "privileged"}
     env = GFMWTGVectorEnv(5, version=version, duration_s=15.0, **modes)
     n_action = env.single_action_space.shape[0]

@@ -1,7 +1,5 @@
 """An interrupted call has changed every environment or none, and what follows is the same to the last bit."""
 
-from __future__ import annotations
-
 import copy
 import time
 from collections.abc import Callable
@@ -99,9 +97,7 @@ THREADED = ("next step", "same step", "step limit", "Stable-Baselines3")
 @pytest.mark.parametrize(
     ("name", "n_threads"), [(name, n) for name in CASES for n in ((1, 2, 4) if name in THREADED else (1,))]
 )
-def test_interrupted_call_is_complete_or_has_not_begun(
-    name: str, n_threads: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_interrupted_call_is_complete_or_has_not_begun(name, n_threads, monkeypatch):
     # The monitor reports how long an episode took.
     monkeypatch.setattr(time, "time", lambda: 0.0)
     make, call = CASES[name]

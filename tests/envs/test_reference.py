@@ -1,7 +1,5 @@
 """Facts about zero action, which is the strategy itself, and about the number of groups."""
 
-from __future__ import annotations
-
 import itertools
 
 import numpy as np
@@ -37,7 +35,7 @@ def follow(scenario: Scenario, **settings) -> tuple[np.ndarray, np.ndarray, np.n
 
 
 @pytest.mark.parametrize("scenario", [EVENTFUL, LOW_WIND, eventful()], ids=lambda scenario: scenario.name)
-def test_zero_action_is_the_strategy_to_the_last_bit(scenario: Scenario):
+def test_zero_action_is_the_strategy_to_the_last_bit(scenario):
     strategies = [*((name, name) for name in STRATEGIES), ("mppt", "deloaded-10")]
     for names, action_mode in zip(strategies, itertools.cycle(ACTION_MODES), strict=False):
         frequency, speed, coefficient = follow(scenario, strategy=list(names), action_mode=action_mode)

@@ -1,13 +1,10 @@
 """Facts about making the environment: ids, specs and the two checkers."""
 
-from __future__ import annotations
-
 import functools
 import json
 import subprocess
 import sys
 from pathlib import Path
-from typing import Any
 
 import gymnasium as gym
 import numpy as np
@@ -45,14 +42,14 @@ MODES = pytest.mark.parametrize(
 @BOTH_IDS
 @MODES
 @STRICT
-def test_both_checkers_have_no_complaint(modes: dict[str, str], env_id: str):
+def test_both_checkers_have_no_complaint(modes, env_id):
     env = gym.make(env_id, duration_s=2.0, **modes).unwrapped
     check_env(env)
     check_sb3(env, warn=True)
     env.close()
 
 
-def test_version_v1_is_meant_where_none_is_named() -> None:
+def test_version_v1_is_meant_where_none_is_named():
     assert wtg_gym.ENV_ID == "GFMWTG-14bus-v1"
     assert (EnvSettings().task.version, EnvSettings().suite_name) == ("v1", "standard-v1")
     assert EnvSettings(version="v0").suite_name == "standard"
@@ -62,7 +59,7 @@ def test_version_v1_is_meant_where_none_is_named() -> None:
 
 
 @BOTH_IDS
-def test_an_id_is_not_made_with_another_version(env_id: str):
+def test_an_id_is_not_made_with_another_version(env_id):
     other = {"v0": "v1", "v1": "v0"}[env_id[-2:]]
     for make in (gym.make, functools.partial(gym.make_vec, num_envs=2)):
         with pytest.raises(ValueError, match=f"^{env_id} cannot be made with version = {other!r}"):
@@ -96,7 +93,7 @@ def test_id_with_the_module_works_without_an_import_and_needs_neither_learner_no
         {"scenario": get_suite("faults-v1").scenario(20_000, duration_s=4.0).to_dict()},
     ],
 )
-def test_spec_survives_json_with_its_arguments(arguments: dict[str, Any]):
+def test_spec_survives_json_with_its_arguments(arguments):
     env = gym.make(f"GFMWTG-14bus-{EnvSettings(**arguments).task.version}", **arguments)
     again = EnvSpec.from_json(env.spec.to_json())
     assert json.loads(again.to_json()) == json.loads(env.spec.to_json())

@@ -1,7 +1,5 @@
 """The reward of version v1: an episode returns its score less 100, whoever plays it."""
 
-from __future__ import annotations
-
 import copy
 import functools
 import math
@@ -76,7 +74,7 @@ def played(name: str) -> tuple[list[float], bool]:
 
 
 @pytest.mark.parametrize("name", CASES)
-def test_an_episode_returns_its_score_less_a_hundred(name: str) -> None:
+def test_an_episode_returns_its_score_less_a_hundred(name):
     settings, scenario, actions, offset = CASES[name]
     rewards, failed = played(name)
     paid = costs(settings, scenario, actions)
@@ -90,7 +88,7 @@ def test_an_episode_returns_its_score_less_a_hundred(name: str) -> None:
     assert np.cumsum(rewards) == pytest.approx(expected, rel=1e-9, abs=1e-9)
 
 
-def test_an_episode_that_is_cut_returns_what_it_is_worth_so_far() -> None:
+def test_an_episode_that_is_cut_returns_what_it_is_worth_so_far():
     settings, scenario, actions, offset = CASES["tight"]
     env = GFMWTGVectorEnv(2, max_episode_steps=7, scenario=scenario, **SHORT)
     env.reset()
@@ -106,7 +104,7 @@ def test_an_episode_that_is_cut_returns_what_it_is_worth_so_far() -> None:
 
 
 @pytest.mark.parametrize("n_lanes", [1, 33])
-def test_the_law_that_scores_a_hundred_returns_nothing_and_others_what_they_return_alone(n_lanes: int) -> None:
+def test_the_law_that_scores_a_hundred_returns_nothing_and_others_what_they_return_alone(n_lanes):
     settings: dict[str, Any] = {**SHORT, "autoreset_mode": "SameStep", "n_threads": 2}
     env = GFMWTGVectorEnv(n_lanes, strategy="coordinated-tuned", **settings)
     env.reset(seed=3)
@@ -124,7 +122,7 @@ def test_the_law_that_scores_a_hundred_returns_nothing_and_others_what_they_retu
 
 
 @pytest.mark.parametrize("name", ["tight", "blackout"])
-def test_copies_and_snapshots_go_on_with_the_same_rewards(name: str) -> None:
+def test_copies_and_snapshots_go_on_with_the_same_rewards(name):
     settings, scenario, actions, _ = CASES[name]
     env, other = (GFMWTGEnv(**{**SHORT, **settings}) for _ in range(2))
     env.reset(options={"scenario": scenario})

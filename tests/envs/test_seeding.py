@@ -1,7 +1,5 @@
 """Facts about randomness: one generator per environment, from the seed."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from gymnasium.vector import AutoresetMode
@@ -30,7 +28,7 @@ def test_environments_without_a_seed_differ():
 
 
 @pytest.mark.parametrize("suite", SUITES)
-def test_scenarios_come_from_the_asked_split_alone_which_is_train_by_default(suite: str):
+def test_scenarios_come_from_the_asked_split_alone_which_is_train_by_default(suite):
     for split in SPLITS:
         asked = {"suite": suite} if split == "train" else {"suite": suite, "split": split}
         batch, env = GFMWTGVectorEnv(5, duration_s=2.0, **asked), GFMWTGEnv(duration_s=2.0, **asked)

@@ -1,7 +1,5 @@
 """Facts about what policies see in version v1: delay, filters, noise, errors of the wind; and what is charged then."""
 
-from __future__ import annotations
-
 import dataclasses
 from typing import Any
 
@@ -89,14 +87,14 @@ def play(scenario: Scenario | None, actions: Floats = ACTIONS, seed: int = 0, **
     return Run(env, np.array(seen), np.array(rewards), infos)
 
 
-def test_exact_sensors_show_what_the_privileged_mode_calls_exact() -> None:
+def test_exact_sensors_show_what_the_privileged_mode_calls_exact():
     for run in (play(None, seed=4, sensors="exact"), play(drawn(None)), play(drawn(plain()))):
         assert len(run.rewards) == 60 and np.ptp(run.seen("exact")[:, :, 0]) > 0.05
         np.testing.assert_allclose(run.seen("wtg"), run.seen("exact"), rtol=1.2e-7, atol=1e-9)
 
 
 @pytest.mark.parametrize(("control_dt", "delay_s"), [(0.1, 0.1), (0.1, 1.0), (0.05, 0.3), (0.2, 0.4)])
-def test_delayed_measurements_are_those_of_before_bit_for_bit(control_dt: float, delay_s: float) -> None:
+def test_delayed_measurements_are_those_of_before_bit_for_bit(control_dt, delay_s):
     steps = round(delay_s / control_dt)
     now, late = (play(drawn(faulty(d)), control_dt=control_dt) for d in (0.0, delay_s))
     assert len(now.rewards) > 2 * steps + 5
@@ -111,7 +109,7 @@ def test_delayed_measurements_are_those_of_before_bit_for_bit(control_dt: float,
         )
 
 
-def test_without_a_wind_sensor_wind_and_ratio_read_zero_and_all_else_is_as_with_one() -> None:
+def test_without_a_wind_sensor_wind_and_ratio_read_zero_and_all_else_is_as_with_one():
     blind, seeing = (play(drawn(faulty(wind_sensor=sensor))) for sensor in (False, True))
     needs_wind = ("wind", "tip_speed_ratio")
     others = [name for name in MEASURED if name not in needs_wind]
@@ -127,7 +125,7 @@ def huber(duty: Floats) -> Floats:
     return np.where(size < 1.0, size**2, 2.0 * size - 1.0)
 
 
-def test_constant_duty_error_is_charged_as_its_filter_fills() -> None:
+def test_constant_duty_error_is_charged_as_its_filter_fills():
     # Without a reserve a turbine captures all of the wind, where it is asked for its nominal share.
     control_dt = 0.2
     run = play(calm(**STEADY), STILL, strategy="mppt", control_dt=control_dt, sensors="exact")
@@ -151,7 +149,7 @@ def tripping(time_s: float, actions: Floats = STILL) -> Run:
 
 
 @pytest.mark.parametrize(("time_s", "first_free"), [(2.0, 21), (2.025, 21)])
-def test_group_that_an_event_takes_away_is_not_charged_from_that_step_on(time_s: float, first_free: int) -> None:
+def test_group_that_an_event_takes_away_is_not_charged_from_that_step_on(time_s, first_free):
     run = tripping(time_s)
     duty = np.stack([run.column(f"exact{j}.mean_duty") for j in range(N_WTG)], axis=1)[1:].astype(np.float64)
     charged = np.arange(1, 61) < first_free
@@ -164,14 +162,14 @@ def test_group_that_an_event_takes_away_is_not_charged_from_that_step_on(time_s:
 
 
 @pytest.mark.parametrize("suite", ["standard", "no-wind-sensor"])
-def test_cost_is_that_of_the_plant_and_not_of_what_is_measured(suite: str) -> None:
+def test_cost_is_that_of_the_plant_and_not_of_what_is_measured(suite):
     one, other = (play(None, suite=suite, seed=2, sensors=sensors) for sensors in (None, "exact"))
     assert one.rewards.tolist() == other.rewards.tolist()
     assert one.seen("exact").tobytes() == other.seen("exact").tobytes()
     assert one.seen("wtg").tobytes() != other.seen("wtg").tobytes()
 
 
-def test_privileged_observation_is_the_local_one_and_then_the_exact_values() -> None:
+def test_privileged_observation_is_the_local_one_and_then_the_exact_values():
     local, privileged = (play(drawn(faulty(0.2)), observation_mode=mode) for mode in ("local", "privileged"))
     n = local.observations.shape[1]
     assert local.observations.tobytes() == np.ascontiguousarray(privileged.observations[:, :n]).tobytes()

@@ -1,7 +1,5 @@
 """Threads: resets while others step change no bit, and two threads in one environment are told apart."""
 
-from __future__ import annotations
-
 import functools
 import multiprocessing
 import os
@@ -43,7 +41,7 @@ on_one_thread = functools.cache(functools.partial(played, 1))
 
 
 @pytest.mark.parametrize(("n_threads", "version"), [(9, "v0"), (3, "v1")])
-def test_resets_while_other_threads_step_change_no_bit(n_threads: int, version: str) -> None:
+def test_resets_while_other_threads_step_change_no_bit(n_threads, version):
     for one, many in zip(on_one_thread(version), played(n_threads, version), strict=True):
         for a, b in zip(one, many, strict=True):
             assert (a == b).all()
@@ -51,7 +49,7 @@ def test_resets_while_other_threads_step_change_no_bit(n_threads: int, version: 
 
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="needs fork")
 @pytest.mark.filterwarnings("ignore:.*fork.*:DeprecationWarning")
-def test_a_forked_process_steps_a_batch_that_has_stepped_on_threads() -> None:
+def test_a_forked_process_steps_a_batch_that_has_stepped_on_threads():
     env = staggered(2)
     process = multiprocessing.get_context("fork").Process(target=env.step, args=(np.zeros((N, 4), dtype=np.float32),))
     process.start()
@@ -60,7 +58,7 @@ def test_a_forked_process_steps_a_batch_that_has_stepped_on_threads() -> None:
     env.close()
 
 
-def test_a_second_thread_gets_an_error_and_the_first_one_its_numbers(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_second_thread_gets_an_error_and_the_first_one_its_numbers(monkeypatch):
     env, alone = (GFMWTGVectorEnv(64, n_threads=1, version="v0") for _ in range(2))
     action = np.zeros(env.action_space.shape, dtype=np.float32)
     for each in (env, alone):

@@ -4,8 +4,6 @@ Lanes are compared with single environments while their neighbours have other ac
 depends on another.
 """
 
-from __future__ import annotations
-
 import itertools
 import subprocess
 import sys
@@ -14,7 +12,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from gymnasium.vector import AutoresetMode
 
 from tests.envs.rollouts import (
     ACTION_MODES,
@@ -42,7 +39,7 @@ ROOT = Path(__file__).resolve().parents[2]
 
 @pytest.mark.parametrize("version", VERSIONS)
 @pytest.mark.parametrize("mode", MODES)
-def test_lane_equals_the_single_environment_with_its_seed_through_resets(mode: AutoresetMode, version: str):
+def test_lane_equals_the_single_environment_with_its_seed_through_resets(mode, version):
     # Episodes of twenty steps.
     given = {"version": version, "duration_s": {"v0": 2.0, "v1": 10.0}[version]}
     actions = actions_of(3, 50, 33, 2 * N_WTG[version])
@@ -58,7 +55,7 @@ SUITES_V1 = [name for name, suite in SUITES.items() if suite.task.version == "v1
 
 
 @pytest.mark.parametrize("suite", SUITES_V1)
-def test_lane_of_version_v1_equals_the_single_environment_in_every_suite_and_mode(suite: str):
+def test_lane_of_version_v1_equals_the_single_environment_in_every_suite_and_mode(suite):
     combinations = itertools.product(ACTION_MODES, OBSERVATION_MODES)
     for seed, (action_mode, observation_mode) in enumerate(combinations):
         mode = MODES[seed % 3]
@@ -86,9 +83,7 @@ def failing(version: str) -> dict[str, Any]:
 
 @pytest.mark.parametrize(("version", "n_steps", "reason"), [("v0", 420, "stall"), ("v1", 200, "under-speed")])
 @pytest.mark.parametrize("mode", MODES)
-def test_lane_equals_the_single_environment_where_lanes_end_at_different_times(
-    mode: AutoresetMode, version: str, n_steps: int, reason: str
-):
+def test_lane_equals_the_single_environment_where_lanes_end_at_different_times(mode, version, n_steps, reason):
     settings, n_lanes = failing(version), 17
     actions = np.repeat(np.linspace(-1.0, 1.0, n_lanes)[None, :, None], n_steps, axis=0).repeat(2 * N_WTG[version], 2)
     lanes = vector_steps(GFMWTGVectorEnv(n_lanes, autoreset_mode=mode, **settings), actions, seed=0)
@@ -101,7 +96,7 @@ def test_lane_equals_the_single_environment_where_lanes_end_at_different_times(
 
 @pytest.mark.parametrize("version", VERSIONS)
 @pytest.mark.parametrize("mode", MODES)
-def test_lane_plays_its_own_scenario_and_then_draws(mode: AutoresetMode, version: str):
+def test_lane_plays_its_own_scenario_and_then_draws(mode, version):
     n, n_wtg = 5, N_WTG[version]
     actions = actions_of(6, 70, n, 2 * n_wtg)
     scenarios = [eventful(7.0 + lane, duration_s=2.0 + 0.5 * lane, n_wtg=n_wtg) for lane in range(n)]
@@ -114,7 +109,7 @@ def test_lane_plays_its_own_scenario_and_then_draws(mode: AutoresetMode, version
 
 
 @pytest.mark.parametrize("version", VERSIONS)
-def test_results_do_not_depend_on_the_number_of_threads(version: str):
+def test_results_do_not_depend_on_the_number_of_threads(version):
     assert len({digest(200, n_threads=n_threads, version=version) for n_threads in (1, 3, None)}) == 1
 
 

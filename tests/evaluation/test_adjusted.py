@@ -1,7 +1,5 @@
 """Facts about adjusted scores and their intervals."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -34,7 +32,7 @@ def laws(rng: np.random.Generator, n: int = 3 * N, n_laws: int = 2) -> np.ndarra
     return skewed + 0.5 * own
 
 
-def test_score_is_the_written_formula() -> None:
+def test_score_is_the_written_formula():
     rng = np.random.default_rng(1)
     x, gains = laws(rng), rng.normal(size=(2, 3 * N))
     plain, adjusted = Adjusted(0.4, GROUPS), Adjusted(0.4, GROUPS, variates(x, [0.1, -0.2]))
@@ -52,7 +50,7 @@ def test_score_is_the_written_formula() -> None:
     assert difference.value == pytest.approx(adjusted.score(gains).value - adjusted.score(other).value)
 
 
-def test_hundred_is_exactly_100_and_a_variate_is_its_known_mean() -> None:
+def test_hundred_is_exactly_100_and_a_variate_is_its_known_mean():
     x = laws(np.random.default_rng(2))
     adjusted = Adjusted(0.4, GROUPS, variates(x, [0.1, -0.2]))
     assert adjusted.score(np.zeros((1, 3 * N))) == Interval(100.0, 100.0, 100.0)
@@ -66,7 +64,7 @@ def test_hundred_is_exactly_100_and_a_variate_is_its_known_mean() -> None:
     assert rough.high - rough.low == pytest.approx(plain.high - plain.low, rel=0.1)
 
 
-def test_variates_that_say_nothing_change_nothing() -> None:
+def test_variates_that_say_nothing_change_nothing():
     rng = np.random.default_rng(3)
     x, gains = laws(rng, n_laws=1), rng.normal(size=(2, 3 * N))
     once, twice = (Adjusted(0.4, GROUPS, variates(np.repeat(x, n, axis=1), [0.1] * n)) for n in (1, 2))
@@ -77,7 +75,7 @@ def test_variates_that_say_nothing_change_nothing() -> None:
 
 
 @pytest.mark.parametrize("n", [1, 2])
-def test_few_scenarios_have_finite_intervals(n: int) -> None:
+def test_few_scenarios_have_finite_intervals(n):
     rng = np.random.default_rng(4)
     groups = {name: i * n + np.arange(n) for i, name in enumerate(GROUPS)}
     for n_runs in (1, 2):
@@ -107,7 +105,7 @@ WORLDS = {
 
 
 @pytest.mark.parametrize(("world", "adjust"), [*((world, True) for world in WORLDS), ("three seeds", False)])
-def test_intervals_cover_the_truth_in_95_of_100_cases(world: str, adjust: bool) -> None:
+def test_intervals_cover_the_truth_in_95_of_100_cases(world, adjust):
     w, rng, n_worlds, n_known = WORLDS[world], np.random.default_rng(5), 300, 3000
     covariance = np.cov(laws(rng, 100_000).T)
 
@@ -133,7 +131,7 @@ def test_intervals_cover_the_truth_in_95_of_100_cases(world: str, adjust: bool) 
     assert 0.93 - 2.0 * error <= np.mean(covered) <= 0.97 + 2.0 * error
 
 
-def test_adjusted_intervals_are_much_narrower() -> None:
+def test_adjusted_intervals_are_much_narrower():
     rng = np.random.default_rng(6)
     x = laws(rng)
     gains = x.sum(axis=1) + 0.3 * rng.normal(size=(1, 3 * N))
@@ -141,7 +139,7 @@ def test_adjusted_intervals_are_much_narrower() -> None:
     assert adjusted.high - adjusted.low < 0.3 * (plain.high - plain.low)
 
 
-def test_means_of_another_suite_or_of_other_settings_are_not_taken() -> None:
+def test_means_of_another_suite_or_of_other_settings_are_not_taken():
     hash = FROZEN_HASHES[DEFAULT_SUITE]
     assert known_means(DEFAULT_SUITE, hash, {"duration_s": 1.0}, V1.variates) == {}
     assert known_means("/a/suite.json", hash, {}, V1.variates) == {}

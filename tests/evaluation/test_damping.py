@@ -1,7 +1,5 @@
 """Eigenvalues of the grid with an entry in the loop."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -15,7 +13,7 @@ PLANT = {"secondary_time_s": 0.0}
 
 
 @pytest.mark.parametrize("law", ["deloaded-10", "coordinated-tuned"])
-def test_a_law_alone_has_the_modes_of_the_linearised_plant(law: str) -> None:
+def test_a_law_alone_has_the_modes_of_the_linearised_plant(law):
     entry, plant = load_entries(law)[0], EnvSettings(suite="standard-v1", plant=PLANT).resolved_plant
     found, scenario, step_s = damping(entry, plant=PLANT), Loop(entry, WIND_M_S, PLANT).scenario, plant.simulation_dt
     assert found.rests and found.largest_action == 0.0 and found.largest_rate < 0.0
@@ -32,7 +30,7 @@ def test_a_law_alone_has_the_modes_of_the_linearised_plant(law: str) -> None:
         assert np.abs(seen[:, np.newaxis] - steps / step_s).min(axis=0).max() < 1e-3
 
 
-def test_a_policy_moves_the_modes_of_its_law() -> None:
+def test_a_policy_moves_the_modes_of_its_law():
     policy = load_entries("fast-droop")[0]
     found, alone = damping(policy), damping(load_entries(policy.law.name)[0])
     assert found.rests and found.largest_action < 1e-3

@@ -1,7 +1,5 @@
 """Facts about entries and where they are found."""
 
-from __future__ import annotations
-
 import dataclasses
 import shutil
 import sys
@@ -34,7 +32,7 @@ def build():
 
 
 @pytest.fixture
-def package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
+def package(tmp_path, monkeypatch):
     folder = tmp_path / "my_entries"
     folder.mkdir()
     (folder / "__init__.py").write_text("")
@@ -45,7 +43,7 @@ def package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
         del sys.modules[name]
 
 
-def test_names_of_the_table_stand_for_baselines_and_for_all_seeds_of_a_policy() -> None:
+def test_names_of_the_table_stand_for_baselines_and_for_all_seeds_of_a_policy():
     def found(name: str) -> list[tuple[str, int | None]]:
         return [(entry.name, entry.training_seed) for entry in load_entries(name)]
 
@@ -59,7 +57,7 @@ def test_names_of_the_table_stand_for_baselines_and_for_all_seeds_of_a_policy() 
     assert of_v0 >= {"linear-feedback", "PPO (k, tau)", "PPO (tau)", "SAC (k, tau)"}
 
 
-def test_law_and_folder_of_ones_own_are_entries(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_law_and_folder_of_ones_own_are_entries(tmp_path, monkeypatch):
     path = tmp_path / "mine.toml"
     path.write_text("k_min = 1.0\nk_nominal = 0.8\nk_max = 0.6\ntau_s = 0.5\n")
     (entry,) = load_entries(path)
@@ -74,7 +72,7 @@ def test_law_and_folder_of_ones_own_are_entries(tmp_path: Path, monkeypatch: pyt
 @pytest.mark.parametrize(
     ("attribute", "name"), [("ENTRY", "early"), ("policy", "policy"), ("Still", "Still"), ("build", "built")]
 )
-def test_attribute_may_be_entry_policy_or_callable(package: str, attribute: str, name: str) -> None:
+def test_attribute_may_be_entry_policy_or_callable(package, attribute, name):
     (entry,) = load_entries(f"{package}.early:{attribute}")
     assert (entry.name, entry.kind) == (name, "learned")
     assert hasattr(entry.policy, "predict")
@@ -91,12 +89,12 @@ def test_attribute_may_be_entry_policy_or_callable(package: str, attribute: str,
         ("my_entries.early", "unknown entry 'my_entries.early'"),
     ],
 )
-def test_unknown_entry_names_what_is_allowed(package: str, spec: str, text: str) -> None:
+def test_unknown_entry_names_what_is_allowed(package, spec, text):
     with pytest.raises(ValueError, match=text):
         load_entries(spec)
 
 
-def test_learner_whose_normalisation_would_be_left_out_is_refused() -> None:
+def test_learner_whose_normalisation_would_be_left_out_is_refused():
     def learner(normalization: Any) -> Any:
         return SimpleNamespace(predict=lambda *_: None, get_vec_normalize_env=lambda: normalization)
 
@@ -119,12 +117,12 @@ def test_learner_whose_normalisation_would_be_left_out_is_refused() -> None:
         ({"name": "a", "environment": "GFMWTG-14bus-v9"}, "GFMWTG-14bus-v0, GFMWTG-14bus-v1"),
     ],
 )
-def test_wrong_entry_says_what_is_allowed(arguments: dict, text: str) -> None:
+def test_wrong_entry_says_what_is_allowed(arguments, text):
     with pytest.raises(ValueError, match=text):
         Entry(**arguments)
 
 
-def test_identity_of_a_law_follows_its_numbers_and_that_of_a_policy_needs_a_fingerprint(package: str) -> None:
+def test_identity_of_a_law_follows_its_numbers_and_that_of_a_policy_needs_a_fingerprint(package):
     law = STRATEGIES["mppt"]
     other = dataclasses.replace(law, k_max=law.k_max * (1.0 + 1e-15))
     assert Entry(name="another name", strategy=law).identity == Entry(name="mppt", strategy="mppt").identity
@@ -134,7 +132,7 @@ def test_identity_of_a_law_follows_its_numbers_and_that_of_a_policy_needs_a_fing
     assert known.identity is not None and known.identity != Entry(name="law").identity
 
 
-def test_baselines_are_those_of_the_version() -> None:
+def test_baselines_are_those_of_the_version():
     laws = ["mppt", "deloaded-5", "deloaded-10", "coordinated-linear", "coordinated-piecewise"]
     found = {v.version: [entry.name for entry in load_entries("baselines", task=v)] for v in (V0, V1)}
     assert found["v0"] == [*laws, "coordinated-undamped", "tip-speed-feedback"]
@@ -143,7 +141,7 @@ def test_baselines_are_those_of_the_version() -> None:
     assert environments == {"tip-speed-feedback": V0.env_id, "fast-droop": V1.env_id, "mppt": None}
 
 
-def test_trained_policy_modulates_the_law_that_its_file_names(tmp_path: Path) -> None:
+def test_trained_policy_modulates_the_law_that_its_file_names(tmp_path):
     shutil.copytree(POLICIES / "ppo-k-2", tmp_path / "mine")
     (own,) = load_entries(tmp_path / "mine")
     assert (own.strategy, own.environment) == (REFERENCE_STRATEGY, V0.env_id)
@@ -157,7 +155,7 @@ def test_trained_policy_modulates_the_law_that_its_file_names(tmp_path: Path) ->
         load_entries(tmp_path / "mine")
 
 
-def test_name_of_an_anchor_of_any_version_is_reserved() -> None:
+def test_name_of_an_anchor_of_any_version_is_reserved():
     for name in {*V0.anchors, *V1.anchors}:
         check_entries([Entry(name=name, strategy=name)])
         with pytest.raises(ValueError, match=f"the name '{name}' is reserved"):

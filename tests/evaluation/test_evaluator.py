@@ -1,14 +1,11 @@
 """Facts about the evaluation: independent of how it is cut up, interruptible, strict with policies."""
 
-from __future__ import annotations
-
 import dataclasses
 import re
 import signal
 import sys
 import threading
 import time
-from pathlib import Path
 from typing import Any
 
 import gymnasium as gym
@@ -67,15 +64,13 @@ class Counting:
 
 
 @pytest.mark.parametrize(("batch", "n_threads"), [(2, 1), (100, 4)])
-def test_law_result_ignores_batch_and_threads(
-    results: Results, entries: list[Entry], batch: int, n_threads: int
-) -> None:
+def test_law_result_ignores_batch_and_threads(results, entries, batch, n_threads):
     again = evaluate(entries, "standard", "test", batch=batch, n_threads=n_threads, **SHORT)
     assert again == results
 
 
 @pytest.mark.parametrize("policy", [None, Linear(2.0)], ids=["law", "policy"])
-def test_episode_equals_the_single_environment(policy: Linear | None) -> None:
+def test_episode_equals_the_single_environment(policy):
     results = evaluate([Entry(name="mine", strategy="deloaded-5", policy=policy)], "standard", "test", **SHORT)
     env = gym.make("GFMWTG-14bus-v0", strategy="deloaded-5", duration_s=10.0, disable_env_checker=True).unwrapped
     for episode in results.episodes_of("mine"):
@@ -97,7 +92,7 @@ def test_episode_equals_the_single_environment(policy: Linear | None) -> None:
         assert episode.metrics["nadir_hz"] <= min(frequency) and episode.metrics["zenith_hz"] >= max(frequency)
 
 
-def test_recurrent_state_is_passed_on_and_starts_anew_in_every_batch() -> None:
+def test_recurrent_state_is_passed_on_and_starts_anew_in_every_batch():
     policy = Counting()
     results = evaluate([Entry(name="counting", policy=policy)], "standard", "test", batch=2, **SHORT)
     firsts = [i for i, state in enumerate(policy.states) if state is None]
@@ -110,7 +105,7 @@ def test_recurrent_state_is_passed_on_and_starts_anew_in_every_batch() -> None:
     assert whole.episodes == results.episodes
 
 
-def test_failed_episode_is_kept_and_its_lane_ignores_actions() -> None:
+def test_failed_episode_is_kept_and_its_lane_ignores_actions():
     last: list[Any] = [None]
 
     def drain(observation: Any, step: int) -> Any:
@@ -147,15 +142,13 @@ BAD = {
 
 
 @pytest.mark.parametrize("case", BAD)
-def test_bad_policy_is_named_with_step_and_shape(case: str) -> None:
+def test_bad_policy_is_named_with_step_and_shape(case):
     answer, text = BAD[case]
     with pytest.raises(PolicyError, match=f"'{case}', .*{text}"):
         evaluate([Entry(name=case, policy=Answering(answer))], "standard", "test", **SHORT)
 
 
-def test_law_without_an_equilibrium_is_left_out_and_that_of_an_anchor_is_an_error(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_law_without_an_equilibrium_is_left_out_and_that_of_an_anchor_is_an_error(monkeypatch):
     greedy = TrackingLaw(name="greedy", k_min=3.0, k_nominal=3.0, k_max=3.0)
     law, fine = Entry(name="greedy", strategy=greedy), Entry(name="fine", strategy="deloaded-5")
     results = evaluate([law, fine], "standard", "test", keep_going=True, **SHORT)
@@ -174,7 +167,7 @@ def test_law_without_an_equilibrium_is_left_out_and_that_of_an_anchor_is_an_erro
         evaluate([], "standard", "test", keep_going=True, **SHORT)
 
 
-def test_entry_that_fails_is_left_out_with_its_row_and_the_others_stand(tmp_path: Path) -> None:
+def test_entry_that_fails_is_left_out_with_its_row_and_the_others_stand(tmp_path):
     def fails_at(step: int) -> Any:
         return Answering(lambda o, s: (np.full((len(o), 4), np.nan if s == step else 0.5), None))
 
@@ -224,7 +217,7 @@ def test_entry_that_fails_is_left_out_with_its_row_and_the_others_stand(tmp_path
         ),
     ],
 )
-def test_wrong_argument_is_refused(entries: Any, suite: str, arguments: dict, text: str) -> None:
+def test_wrong_argument_is_refused(entries, suite, arguments, text):
     with pytest.raises(ValueError, match=text):
         evaluate(entries, suite, **{"split": "test", "seeds": [20_000], "duration_s": 2.0, **arguments})
 
@@ -241,9 +234,7 @@ def killer(after: int) -> Progress:
     return on_progress
 
 
-def test_killed_run_goes_on_and_keeps_its_parts_until_the_results_are_written(
-    results: Results, entries: list[Entry], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_killed_run_goes_on_and_keeps_its_parts_until_the_results_are_written(results, entries, tmp_path, monkeypatch):
     partial = tmp_path / "partial"
     arguments = {"batch": 2, "partial": partial, **SHORT}
     with pytest.raises(Killed):
@@ -272,7 +263,7 @@ def test_killed_run_goes_on_and_keeps_its_parts_until_the_results_are_written(
 
 
 @pytest.mark.skipif(not hasattr(signal, "pthread_kill"), reason="needs signals to a thread")
-def test_interrupted_evaluation_ends_its_threads_and_their_policies(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_interrupted_evaluation_ends_its_threads_and_their_policies(monkeypatch):
     step, main, steps = TaskLanes.step, threading.get_ident(), []
 
     def interrupting(lanes: TaskLanes, *arguments: Any) -> None:
@@ -294,9 +285,7 @@ def test_interrupted_evaluation_ends_its_threads_and_their_policies(monkeypatch:
     assert len(steps) == n_steps, "no thread plays on"
 
 
-def test_damaged_and_exchanged_parts_are_played_again(
-    results: Results, entries: list[Entry], tmp_path: Path, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_damaged_and_exchanged_parts_are_played_again(results, entries, tmp_path, caplog):
     with pytest.raises(Killed):
         evaluate(entries, "standard", "test", on_progress=killer(9), batch=2, partial=tmp_path, **SHORT)
     cut, edited, first, second, *_ = tmp_path.iterdir()
@@ -325,9 +314,7 @@ def test_damaged_and_exchanged_parts_are_played_again(
     ],
     ids=str,
 )
-def test_a_part_is_used_for_exactly_what_it_was_stored_for(
-    results: Results, tmp_path: Path, change: dict[str, Any]
-) -> None:
+def test_a_part_is_used_for_exactly_what_it_was_stored_for(results, tmp_path, change):
     asked = {"name": "linear", "policy": Linear(0.2), "fingerprint": "a policy", "training_seed": 1}
     seeds = [20_000, 20_001]
     row = dataclasses.replace(results.episodes[0], entry="linear", training_seed=1)
@@ -345,7 +332,7 @@ def test_a_part_is_used_for_exactly_what_it_was_stored_for(
     assert loaded == (None if change else rows)
 
 
-def test_partial_of_other_settings_or_unknown_policy_is_not_used(entries: list[Entry], tmp_path: Path) -> None:
+def test_partial_of_other_settings_or_unknown_policy_is_not_used(entries, tmp_path):
     with pytest.raises(Killed):
         evaluate(entries, "standard", "test", on_progress=killer(3), partial=tmp_path, **SHORT)
     stored = set(tmp_path.iterdir())
@@ -361,7 +348,7 @@ def test_partial_of_other_settings_or_unknown_policy_is_not_used(entries: list[E
     assert set(tmp_path.iterdir()) == stored
 
 
-def test_sensors_of_an_evaluation_are_in_its_settings_and_decide_its_numbers() -> None:
+def test_sensors_of_an_evaluation_are_in_its_settings_and_decide_its_numbers():
     (droop,) = load_entries("fast-droop")
     arguments = {"seeds": (10_000, 10_001), "duration_s": 30.0}
     measured = evaluate([droop], "standard-v1", **arguments)

@@ -1,7 +1,5 @@
 """Facts about the environment's fingerprint: it tells environments apart, and nothing else."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import pytest
@@ -19,11 +17,11 @@ def fingerprint(**settings: Any) -> str:
 @pytest.mark.parametrize(
     "change", [{"strategy": "mppt"}, {"action_mode": "k"}, {"observation_mode": "privileged"}, {"split": "validation"}]
 )
-def test_is_the_same_whatever_an_entry_chooses(change: dict[str, Any]) -> None:
+def test_is_the_same_whatever_an_entry_chooses(change):
     assert fingerprint(**change) == fingerprint()
 
 
-def test_is_another_for_another_environment() -> None:
+def test_is_another_for_another_environment():
     v1 = {"suite": "standard-v1"}
     changes = (
         *(

@@ -1,7 +1,5 @@
 """The tests that operators ask of grid-forming plants: their grids, events and criteria."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np
@@ -17,19 +15,19 @@ def played(name: str, law: str) -> tuple[Recording, bool]:
     return found, passed
 
 
-def test_every_test_says_where_it_comes_from() -> None:
+def test_every_test_says_where_it_comes_from():
     for test in GRID_TESTS.values():
         assert set(test.source.split(", ")) <= set(SOURCES)
 
 
-def test_a_law_that_sheds_power_survives_a_surplus_and_one_that_cannot_does_not() -> None:
+def test_a_law_that_sheds_power_survives_a_surplus_and_one_that_cannot_does_not():
     found, passed = played("island-surplus", "mppt")
     assert passed and found.status is Status.RUNNING and found.shed_mws == 0.0
     found, passed = played("island-surplus", "coordinated-piecewise")
     assert not passed and found.status is Status.FREQUENCY_LIMIT and found.frequency_hz[-1] > 51.4
 
 
-def test_a_source_drags_the_groups_to_its_frequency_and_back() -> None:
+def test_a_source_drags_the_groups_to_its_frequency_and_back():
     found, passed = played("rocof-up", "coordinated-tuned")
     assert passed
     # The ramp ends at 2.25 s, its way back begins at 7.25 s; in between the groups swing about its frequency.
@@ -37,7 +35,7 @@ def test_a_source_drags_the_groups_to_its_frequency_and_back() -> None:
     assert found.frequency_hz[-1] == pytest.approx(50.0, abs=0.01)
 
 
-def test_the_current_limit_is_reached_held_and_left() -> None:
+def test_the_current_limit_is_reached_held_and_left():
     found, passed = played("current-limit", "coordinated-tuned")
     assert passed
     assert found.current_pu.max() == pytest.approx(1.2, abs=1e-6)
@@ -47,21 +45,21 @@ def test_the_current_limit_is_reached_held_and_left() -> None:
 @pytest.mark.parametrize(
     ("name", "power"), [("angle-step", 0.181), ("angle-step-30", 0.511), ("angle-step-forward", -0.54)]
 )
-def test_an_angle_step_is_measured_one_simulation_step_after_it(name: str, power: float) -> None:
+def test_an_angle_step_is_measured_one_simulation_step_after_it(name, power):
     found, _ = played(name, "coordinated-piecewise")
     total, before = found.total(), found.at(2.0)
     assert found.time_s[before + 1] == pytest.approx(2.025)
     assert total[before + 1] - total[before] == pytest.approx(power, abs=0.005)
 
 
-def test_the_last_machine_is_lost_in_balance_and_with_more_load_than_the_groups_can_carry() -> None:
+def test_the_last_machine_is_lost_in_balance_and_with_more_load_than_the_groups_can_carry():
     balanced, passed = played("last-machine-balance", "coordinated-piecewise")
     assert passed and np.ptp(balanced.frequency_hz) < 0.2 and balanced.shed_mws == 0.0
     loaded, passed = played("last-machine-limit", "coordinated-piecewise")
     assert passed and loaded.shed_mws > 0.0 and loaded.total()[0] == pytest.approx(0.9975, abs=1e-3)
 
 
-def test_a_voltage_above_the_ride_through_curve_fails_a_test_at_any_bus() -> None:
+def test_a_voltage_above_the_ride_through_curve_fails_a_test_at_any_bus():
     found, passed = played("current-limit", "coordinated-tuned")
     assert passed and 1.2 < found.voltage_pu.max() < 1.25
     voltage = found.voltage_pu.copy()
@@ -72,6 +70,6 @@ def test_a_voltage_above_the_ride_through_curve_fails_a_test_at_any_bus() -> Non
     )
 
 
-def test_the_time_beyond_a_limit_is_that_of_the_longest_stretch() -> None:
+def test_the_time_beyond_a_limit_is_that_of_the_longest_stretch():
     beyond = np.array([[0, 1, 1, 1, 0, 1, 1, 0], [0, 0, 0, 0, 0, 0, 0, 1]], dtype=bool).T
     assert _longest_beyond(0.1 * np.arange(8.0), beyond) == pytest.approx(0.3)

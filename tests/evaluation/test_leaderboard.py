@@ -1,11 +1,8 @@
 """Facts about the ranking."""
 
-from __future__ import annotations
-
 import dataclasses
 import itertools
 from collections.abc import Mapping
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -29,7 +26,7 @@ from wtg_gym.scenarios import get_suite
 from wtg_gym.tasks import V0, V1
 
 
-def test_table_has_the_best_first_and_equal_scores_share_a_rank(results: Results) -> None:
+def test_table_has_the_best_first_and_equal_scores_share_a_rank(results):
     first, second, third = rows = leaderboard_rows(results)
     assert first.score.value > second.score.value > third.score.value
     equal = [first, dataclasses.replace(first, name="other"), second, third]
@@ -65,7 +62,7 @@ def without_scale(results: Results) -> Results:
     return dataclasses.replace(results, episodes=tuple(episodes))
 
 
-def test_table_shows_failures_the_worst_tenth_and_deviations(results_v1: Results) -> None:
+def test_table_shows_failures_the_worst_tenth_and_deviations(results_v1):
     reasons = ("stall", "frequency limit", "under-speed", "loss of synchronism")
     failed, row = changed(results_v1, {i: {"failure": reason} for i, reason in enumerate(reasons)})
     own = failed.episodes_of("fast-droop")
@@ -81,7 +78,7 @@ def test_table_shows_failures_the_worst_tenth_and_deviations(results_v1: Results
     assert cells["median deviation [mHz]"] == f"{np.median(deviations):.0f}"
 
 
-def test_runs_beyond_0_8_hz_count_with_the_lost_and_a_run_counts_once(results_v1: Results) -> None:
+def test_runs_beyond_0_8_hz_count_with_the_lost_and_a_run_counts_once(results_v1):
     extremes = [(49.2, 50.0), (49.199, 50.0), (49.1, 50.0), (49.9, 50.801), *[(49.9, 50.0)] * 8]
     changes: dict[int, dict[str, Any]] = {
         i: {"metrics": {**e.metrics, "nadir_hz": low, "zenith_hz": high}}
@@ -94,7 +91,7 @@ def test_runs_beyond_0_8_hz_count_with_the_lost_and_a_run_counts_once(results_v1
     assert row.n_lost == 2 and row.lost_or_beyond_percent == pytest.approx(100.0 * 4 / 12)
 
 
-def test_entries_that_leave_0_8_hz_more_often_than_the_anchor_rank_behind_it(results_v1: Results) -> None:
+def test_entries_that_leave_0_8_hz_more_often_than_the_anchor_rank_behind_it(results_v1):
     groups = {"ordinary": np.arange(0, 12, 2), "extreme": np.arange(1, 12, 2)}
     quiet = [
         dataclasses.replace(e, failure="", metrics={**e.metrics, "nadir_hz": 49.9, "zenith_hz": 50.1})
@@ -139,7 +136,7 @@ def test_entries_that_leave_0_8_hz_more_often_than_the_anchor_rank_behind_it(res
     assert [cells[0] for cells in table_cells(rows)] == ["1", "2", "3", "4"]
 
 
-def test_entries_that_lose_grids_that_the_anchor_only_bends_have_no_mark(results_v1: Results) -> None:
+def test_entries_that_lose_grids_that_the_anchor_only_bends_have_no_mark(results_v1):
     low = {"nadir_hz": 49.1, "zenith_hz": 50.1}
     bent = [
         dataclasses.replace(e, failure="", metrics={**e.metrics, **low}) for e in results_v1.episodes_of(V1.hundred)
@@ -155,7 +152,7 @@ def test_entries_that_lose_grids_that_the_anchor_only_bends_have_no_mark(results
     assert [row.marked for row in rows] == [True, False, True]
 
 
-def test_scores_that_are_not_adjusted_say_why(results_v1: Results) -> None:
+def test_scores_that_are_not_adjusted_say_why(results_v1):
     few = evaluate("fast-droop", "standard-v1", seeds=[10_000, 10_002], duration_s=1.0)
     assert "their mean gains are not known for this suite with these settings" in few.unadjusted
     assert list(few.summaries[0].strata) == ["ample", "tight"] and few.has_scale
@@ -166,7 +163,7 @@ def test_scores_that_are_not_adjusted_say_why(results_v1: Results) -> None:
     assert own.unadjusted in own._repr_markdown_()
 
 
-def test_scores_of_many_scenarios_are_adjusted(results_v1: Results) -> None:
+def test_scores_of_many_scenarios_are_adjusted(results_v1):
     """Results of the same episodes over and over, as if they were of 96 scenarios of whole length."""
     seeds = range(10_000, 10_096)
     episodes = [
@@ -189,7 +186,7 @@ def test_scores_of_many_scenarios_are_adjusted(results_v1: Results) -> None:
         assert score.high - score.value == pytest.approx(1.96 * 100.0 / V1.scale * error, rel=1e-3)
 
 
-def test_without_a_score_the_mean_pinned_cost_ranks(tmp_path: Path) -> None:
+def test_without_a_score_the_mean_pinned_cost_ranks(tmp_path):
     results = without_scale(evaluate("deloaded-10", "paper", "test"))
     rows = results.ranking
     columns = columns_of("terminal", rows)

@@ -1,14 +1,12 @@
 """Facts about what is measured in an episode."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import gymnasium as gym
 import numpy as np
 import pytest
 
-from wtg_gym.evaluation import Results, evaluate
+from wtg_gym.evaluation import evaluate
 from wtg_gym.evaluation.metrics import quasi_steady_deviation
 from wtg_gym.physics.plant import Plant
 from wtg_gym.physics.tracking_law import get_law
@@ -18,7 +16,7 @@ from wtg_gym.scenarios import get_suite
 DT = 0.1
 
 
-def test_metrics_agree_with_the_recorded_run() -> None:
+def test_metrics_agree_with_the_recorded_run():
     results = evaluate([], "paper", "test", duration_s=60.0)
     for episode in results.episodes_of("coordinated-piecewise"):
         scenario = get_suite("paper").scenario(episode.seed, duration_s=60.0)
@@ -36,7 +34,7 @@ def test_metrics_agree_with_the_recorded_run() -> None:
         assert 90.0 < m["energy_share_percent"] < 100.0
 
 
-def test_worst_frequency_and_shed_energy_are_those_of_info_and_none_in_the_papers_physics(results: Results) -> None:
+def test_worst_frequency_and_shed_energy_are_those_of_info_and_none_in_the_papers_physics(results):
     law, seeds = "coordinated-tuned", range(10_000, 10_006)
     env: Any = gym.make("GFMWTG-14bus-v1", strategy=law, duration_s=20.0, disable_env_checker=True).unwrapped
     for episode in evaluate([], "standard-v1", "validation", seeds=seeds, duration_s=20.0).episodes_of(law):
@@ -56,7 +54,7 @@ def test_worst_frequency_and_shed_energy_are_those_of_info_and_none_in_the_paper
     assert {episode.metrics[name] for episode in results.episodes for name in names} == {None}
 
 
-def test_deloading_shows_in_the_share_of_energy() -> None:
+def test_deloading_shows_in_the_share_of_energy():
     calm = evaluate("deloaded-10", "paper", "test", seeds=[0], duration_s=5.0)
     shares = {e.entry: e.metrics["energy_share_percent"] for e in calm.episodes}
     assert shares["mppt"] == pytest.approx(100.0, abs=0.01)
@@ -67,14 +65,14 @@ def test_deloading_shows_in_the_share_of_energy() -> None:
     assert errors["coordinated-piecewise"] == pytest.approx(0.0, abs=0.01)
 
 
-def test_quasi_steady_deviation_is_the_mean_of_the_last_five_seconds() -> None:
+def test_quasi_steady_deviation_is_the_mean_of_the_last_five_seconds():
     frequency = np.concatenate([np.full(551, 49.0), np.full(50, 49.8)])
     assert quasi_steady_deviation(frequency, DT, 50.0) == pytest.approx(-0.2)
     # The mean is over less than the window.
     assert quasi_steady_deviation(np.array([50.0, 50.1, 50.2]), DT, 50.0) == pytest.approx(0.15)
 
 
-def test_tripped_groups_are_counted_where_the_run_goes_on() -> None:
+def test_tripped_groups_are_counted_where_the_run_goes_on():
     results = evaluate([], "low-wind", "test", seeds=range(20_000, 20_040), on_failure="trip")
     tripped = [e for e in results.episodes_of("mppt") if e.metrics["tripped_groups"] > 0.0]
     assert tripped and all(e.failure == "" and e.metrics["survived_s"] == pytest.approx(60.0) for e in tripped)

@@ -1,10 +1,7 @@
 """Facts about policies as ONNX files and the folders that make them entries."""
 
-from __future__ import annotations
-
 import os
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -35,7 +32,7 @@ def counter() -> OnnxPolicy:
     return OnnxPolicy(with_state(nodes, 4, starts=[0], ends=[4], axes=[1]).SerializeToString())
 
 
-def test_memory_goes_on_and_is_cleared_where_an_episode_starts() -> None:
+def test_memory_goes_on_and_is_cleared_where_an_episode_starts():
     policy = counter()
     ones = np.ones((2, N), dtype=np.float32)
     first, state = policy.predict(ones)
@@ -44,7 +41,7 @@ def test_memory_goes_on_and_is_cleared_where_an_episode_starts() -> None:
     assert [values[:, 0].tolist() for values in (first, second, third)] == [[1, 1], [2, 2], [1, 3]]
 
 
-def test_file_that_is_missing_or_may_have_no_end_is_refused(tmp_path: Path) -> None:
+def test_file_that_is_missing_or_may_have_no_end_is_refused(tmp_path):
     os.mkfifo(tmp_path / "pipe")
     (tmp_path / "link").symlink_to("/dev/zero")
     for name, said in (("none", ""), ("pipe", "it is no plain file"), ("link", "it is no plain file")):
@@ -63,12 +60,12 @@ def test_file_that_is_missing_or_may_have_no_end_is_refused(tmp_path: Path) -> N
     ],
     ids=["batch", "width", "memory", "state", "no action"],
 )
-def test_wrong_signature_is_refused_when_loaded(inputs: list[Any], outputs: list[Any], text: str) -> None:
+def test_wrong_signature_is_refused_when_loaded(inputs, outputs, text):
     with pytest.raises(PolicyError, match=text):
         OnnxPolicy(model([LINEAR], inputs, outputs).SerializeToString()).predict(np.zeros((1, N)))
 
 
-def test_wrong_shapes_are_named() -> None:
+def test_wrong_shapes_are_named():
     policy = counter()
     with pytest.raises(PolicyError, match=r"shape \(lanes, 20\), got \(2, 18\).*action_mode"):
         policy.predict(np.zeros((2, 18)))
@@ -76,7 +73,7 @@ def test_wrong_shapes_are_named() -> None:
         policy.predict(np.zeros((3, N)), (np.zeros((2, 4), dtype=np.float32),))
 
 
-def test_costs_in_a_scenario_are_the_same_to_the_last_bit_whatever_is_played_beside_it() -> None:
+def test_costs_in_a_scenario_are_the_same_to_the_last_bit_whatever_is_played_beside_it():
     (entry,) = load_entries(POLICIES / "sac-k+tau-4")
     # More than one batch, of 64.
     seeds = range(20_000, 20_070)
@@ -86,7 +83,7 @@ def test_costs_in_a_scenario_are_the_same_to_the_last_bit_whatever_is_played_bes
         assert alone.episodes_of(entry.name) == [episode for episode in together if episode.seed == seed]
 
 
-def test_missing_policy_and_other_action_mode_are_named(tmp_path: Path) -> None:
+def test_missing_policy_and_other_action_mode_are_named(tmp_path):
     (tmp_path / "entry.toml").write_text('name = "still"\naction_mode = "k"\nenvironment = "GFMWTG-14bus-v0"\n')
     with pytest.raises(ValueError, match=r"cannot read the policy .*policy\.onnx"):
         load_entries(tmp_path)
@@ -110,7 +107,7 @@ RANDOM = {
 
 
 @pytest.mark.parametrize("content", RANDOM.values(), ids=RANDOM)
-def test_random_answers_repeat_in_every_order_and_batch(content: Any) -> None:
+def test_random_answers_repeat_in_every_order_and_batch(content):
     """A scenario's first two answers are the same, whatever was played before and is played beside it."""
     answers: dict[int, set[bytes]] = {0: set(), 1: set(), 2: set()}
     observations = np.random.default_rng(0).normal(0.0, 1.0, (3, N)).astype(np.float32)
@@ -124,5 +121,5 @@ def test_random_answers_repeat_in_every_order_and_batch(content: Any) -> None:
 
 
 @pytest.mark.parametrize(("size", "most"), [(1, 64), (2**23, 64), (2**24, 32), (2**26, 8)])
-def test_large_policies_play_fewer_episodes_at_a_time(size: int, most: int) -> None:
+def test_large_policies_play_fewer_episodes_at_a_time(size, most):
     assert OnnxPolicy(bytes(size)).most_episodes == most

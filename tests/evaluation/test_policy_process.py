@@ -1,7 +1,5 @@
 """The process that plays a policy can do nothing but answer, and ends in time whatever it does."""
 
-from __future__ import annotations
-
 import errno
 import gc
 import os
@@ -9,7 +7,6 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -48,7 +45,7 @@ def gone(pid: int) -> bool:
     return False
 
 
-def test_answers_are_those_of_onnxruntime_for_one_scenario_at_a_time() -> None:
+def test_answers_are_those_of_onnxruntime_for_one_scenario_at_a_time():
     import onnxruntime
 
     content = (ROOT / "agents/policies/sac-k+tau-0/policy.onnx").read_bytes()
@@ -60,7 +57,7 @@ def test_answers_are_those_of_onnxruntime_for_one_scenario_at_a_time() -> None:
     assert np.array_equal(given, expected) and given.dtype == np.float32 and state is None
 
 
-def test_process_has_bounds_few_rights_and_none_of_our_environment() -> None:
+def test_process_has_bounds_few_rights_and_none_of_our_environment():
     with opened() as policy:
         pid = pid_of(policy)
         assert policy.not_isolated == ()
@@ -84,7 +81,7 @@ def test_process_has_bounds_few_rights_and_none_of_our_environment() -> None:
     assert gone(pid)
 
 
-def test_every_batch_has_a_process_of_its_own() -> None:
+def test_every_batch_has_a_process_of_its_own():
     policy = opened()
     with policy:
         first = pid_of(policy)
@@ -99,7 +96,7 @@ def test_every_batch_has_a_process_of_its_own() -> None:
     assert gone(second)
 
 
-def test_process_that_stops_answering_is_killed_in_time(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_process_that_stops_answering_is_killed_in_time(monkeypatch):
     for limit, said in (("STEP_S", r"took longer than .* 0\.5 s for a step"), ("TOTAL_S", r"s in all")):
         with opened() as policy:
             pid, now = pid_of(policy), time.monotonic
@@ -114,7 +111,7 @@ def test_process_that_stops_answering_is_killed_in_time(monkeypatch: pytest.Monk
             assert gone(pid)
 
 
-def test_process_that_dies_is_named_and_the_next_observation_starts_another() -> None:
+def test_process_that_dies_is_named_and_the_next_observation_starts_another():
     with opened() as policy:
         os.kill(pid_of(policy), signal.SIGSEGV)
         with pytest.raises(PolicyError, match="ended with SIGSEGV: a fault, or more than 4096 MiB of memory"):
@@ -122,13 +119,13 @@ def test_process_that_dies_is_named_and_the_next_observation_starts_another() ->
         assert policy.predict(ONES)[0].shape == (3, M)
 
 
-def test_interruption_of_the_terminal_is_left_to_the_process_that_started_it() -> None:
+def test_interruption_of_the_terminal_is_left_to_the_process_that_started_it():
     with opened() as policy:
         os.kill(pid_of(policy), signal.SIGINT)
         assert policy.predict(ONES)[0].shape == (3, M)
 
 
-def test_process_ends_with_the_one_that_started_it(tmp_path: Path) -> None:
+def test_process_ends_with_the_one_that_started_it(tmp_path):
     program = (
         "import sys, time; from tests.evaluation.test_policy_process import *; "
         "policy = opened(); print(pid_of(policy), flush=True); time.sleep(60)"
@@ -146,7 +143,7 @@ def test_process_ends_with_the_one_that_started_it(tmp_path: Path) -> None:
 
 
 @pytest.fixture
-def instead(monkeypatch: pytest.MonkeyPatch, tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], None]:
+def instead(monkeypatch, tmp_path_factory):
     """Run code in the process before it begins; it may put something in the place of the functions of `worker`."""
 
     def patch(code: str) -> None:
@@ -163,16 +160,14 @@ def instead(monkeypatch: pytest.MonkeyPatch, tmp_path_factory: pytest.TempPathFa
         ("CPU_S", 3, "while True: pass", r"ended with SIGXCPU: more than .* s of processor time"),
     ],
 )
-def test_memory_and_processor_time_are_bounded(
-    limit: str, value: int, code: str, said: str, monkeypatch: pytest.MonkeyPatch, instead: Callable[[str], None]
-) -> None:
+def test_memory_and_processor_time_are_bounded(limit, value, code, said, monkeypatch, instead):
     monkeypatch.setattr(policy_process, limit, value)
     instead(f"def serve(*given):\n    {code}\nworker._serve = serve")
     with pytest.raises(PolicyError, match=said):
         opened().predict(ONES)
 
 
-def test_kernel_without_a_filter_is_a_warning_where_that_is_allowed(instead: Callable[[str], None]) -> None:
+def test_kernel_without_a_filter_is_a_warning_where_that_is_allowed(instead):
     instead("worker.lock = lambda source, sink: 'no filter: the kernel refuses'")
     weak = OnnxPolicy(make_bytes())
     with pytest.warns(UserWarning, match="policies are not isolated on this system: no filter"), weak:
@@ -187,9 +182,7 @@ def test_kernel_without_a_filter_is_a_warning_where_that_is_allowed(instead: Cal
         ("sys.exit(1)", "cannot start the process of a policy: .* ended with exit code 1"),
     ],
 )
-def test_system_that_cannot_isolate_is_no_failure_of_an_entry(
-    code: str, said: str, instead: Callable[[str], None]
-) -> None:
+def test_system_that_cannot_isolate_is_no_failure_of_an_entry(code, said, instead):
     instead(code)
     arguments = {"seeds": [20_000], "duration_s": 1.0, "keep_going": True}
     with pytest.raises(NotIsolatedError, match=said):
@@ -233,7 +226,7 @@ ACTS = {
 }
 
 
-def test_process_can_do_nothing_but_compute_and_answer(instead: Callable[[str], None], tmp_path: Path) -> None:
+def test_process_can_do_nothing_but_compute_and_answer(instead, tmp_path):
     """The kernel refuses each act with EPERM, from within the process, after it has read the policy."""
     (tmp_path / "kept").write_text("content")
     instead(f"""
@@ -275,13 +268,13 @@ worker._serve = serve""")
         "worker._send(sink, {'widths': [20, 4]}); sink.write(b'\\x00abc'); sink.flush()",
     ],
 )
-def test_lies_of_the_process_are_errors(attack: str, instead: Callable[[str], None]) -> None:
+def test_lies_of_the_process_are_errors(attack, instead):
     instead(f"def serve(content, source, sink):\n    {attack}\nworker._serve = serve")
     with pytest.raises(PolicyError), opened() as policy:
         policy.predict(ONES)
 
 
-def test_what_the_process_says_is_no_command(instead: Callable[[str], None]) -> None:
+def test_what_the_process_says_is_no_command(instead):
     says = "worker._send(sink, {'error': 'a\\x1b[2J\\n```\\nb'})"
     instead(f"def serve(content, source, sink):\n    {says}\nworker._serve = serve")
     with pytest.raises(PolicyError, match=r"cannot load the policy: a\\x1b\[2J\\n'''\\nb$"):

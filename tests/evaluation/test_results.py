@@ -1,7 +1,5 @@
 """Facts about results and their files: the same bytes again, and nothing damaged is ever read."""
 
-from __future__ import annotations
-
 import json
 import re
 from collections.abc import Callable
@@ -20,21 +18,19 @@ from wtg_gym.plotting.page import leaderboard_page
 
 
 @pytest.fixture(scope="session")
-def written(results: Results, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
+def written(results, tmp_path_factory):
     return results.write(tmp_path_factory.mktemp("written"))
 
 
 @pytest.fixture
-def copies(written: tuple[Path, Path], tmp_path: Path) -> tuple[Path, Path]:
+def copies(written, tmp_path):
     paths = tuple(tmp_path / path.name for path in written)
     for source, target in zip(written, paths, strict=True):
         target.write_bytes(source.read_bytes())
     return paths[0], paths[1]
 
 
-def test_files_that_are_read_and_written_again_are_the_same(
-    written: tuple[Path, Path], results: Results, tmp_path: Path
-) -> None:
+def test_files_that_are_read_and_written_again_are_the_same(written, results, tmp_path):
     assert sorted(path.name for path in written[0].parent.iterdir()) == ["standard-test.csv", "standard-test.json"]
     read = Results.read(written[0])
     assert read == results
@@ -45,7 +41,7 @@ def test_files_that_are_read_and_written_again_are_the_same(
     assert str(Path.home()) not in text and not re.search(r"20\d\d-\d\d-\d\dT", text)
 
 
-def test_anchors_of_v0_score_exactly_0_and_100_and_the_hundred_of_v1_100(results: Results, results_v1: Results) -> None:
+def test_anchors_of_v0_score_exactly_0_and_100_and_the_hundred_of_v1_100(results, results_v1):
     zero, hundred = (Interval(value, value, value) for value in (0.0, 100.0))
     assert [results.scores[name] for name in ("mppt", "coordinated-piecewise")] == [zero, hundred]
     assert results_v1.scores["coordinated-tuned"] == hundred
@@ -53,7 +49,7 @@ def test_anchors_of_v0_score_exactly_0_and_100_and_the_hundred_of_v1_100(results
 
 @settings(max_examples=150, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(which=st.integers(0, 1), data=st.data())
-def test_damaged_file_never_passes(copies: tuple[Path, Path], which: int, data: st.DataObject) -> None:
+def test_damaged_file_never_passes(copies, which, data):
     path = copies[which]
     original = path.read_bytes()
     position = data.draw(st.integers(0, len(original) - 1))
@@ -101,7 +97,7 @@ EDITS: dict[str, tuple[Callable[[dict[str, Any]], Any], str]] = {
 
 
 @pytest.mark.parametrize("case", EDITS)
-def test_forged_description_is_refused(copies: tuple[Path, Path], case: str) -> None:
+def test_forged_description_is_refused(copies, case):
     edit, text = EDITS[case]
     data = json.loads(copies[0].read_text(encoding="utf-8"))
     edit(data)
@@ -112,9 +108,7 @@ def test_forged_description_is_refused(copies: tuple[Path, Path], case: str) -> 
 
 @settings(max_examples=100, deadline=None, suppress_health_check=list(HealthCheck))
 @given(data=st.data())
-def test_a_changed_description_whose_hashes_fit_is_shown_or_refused(
-    written: tuple[Path, Path], tmp_path: Path, data: st.DataObject
-) -> None:
+def test_a_changed_description_whose_hashes_fit_is_shown_or_refused(written, tmp_path, data):
     path = tmp_path / written[0].name
     path.with_suffix(".csv").write_bytes(written[1].read_bytes())
     description = data.draw(changed(json.loads(written[0].read_text(encoding="utf-8"))))
@@ -139,7 +133,7 @@ CELLS = {
 
 
 @pytest.mark.parametrize("column", CELLS)
-def test_forged_table_names_line_and_column(copies: tuple[Path, Path], column: str) -> None:
+def test_forged_table_names_line_and_column(copies, column):
     value, text = CELLS[column]
     lines = copies[1].read_text(encoding="utf-8").split("\n")
     cells = lines[2].split(",")

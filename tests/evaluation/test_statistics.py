@@ -1,7 +1,5 @@
 """Facts about scores, means and intervals."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
@@ -25,7 +23,7 @@ def whole(n: int) -> Groups:
     return {"": np.arange(n)}
 
 
-def test_score_is_the_written_formula() -> None:
+def test_score_is_the_written_formula():
     reference, mppt, costs = np.array([10.0, 20.0]), np.array([100.0, 40.0]), np.array([5.0, 80.0])
     scale = (math.log(105.0 / 15.0) + math.log(45.0 / 25.0)) / 2.0
     expected = [100.0 * (1.0 + math.log(15.0 / 10.0) / scale), 100.0 * (1.0 + math.log(25.0 / 85.0) / scale)]
@@ -42,7 +40,7 @@ def test_score_is_the_written_formula() -> None:
 
 
 @given(COSTS, COSTS)
-def test_anchors_score_exactly_0_and_100(one: np.ndarray, other: np.ndarray) -> None:
+def test_anchors_score_exactly_0_and_100(one, other):
     offsets = score.cost_offsets(whole(7), V0)
     reference, zero = sorted((one, other), key=lambda c: float(np.log(c + offsets).sum()))
     try:
@@ -55,17 +53,17 @@ def test_anchors_score_exactly_0_and_100(one: np.ndarray, other: np.ndarray) -> 
 
 
 @pytest.mark.parametrize("bad", [-1.0, math.nan, math.inf])
-def test_impossible_costs_are_refused(bad: float) -> None:
+def test_impossible_costs_are_refused(bad):
     with pytest.raises(ValueError, match="finite and not negative"):
         score.gains(np.array([[1.0, bad]]), np.ones(2), np.full(2, 5.0))
 
 
-def test_failure_costs_the_worst_there_is() -> None:
+def test_failure_costs_the_worst_there_is():
     assert score.pinned_cost(12.0, failed=True, duration_s=60.0, cap=50.0) == 3050.0
     assert score.pinned_cost(12.0, failed=False, duration_s=60.0, cap=50.0) == 12.0
 
 
-def test_interval_of_several_seeds_covers_the_truth_as_often_as_it_says() -> None:
+def test_interval_of_several_seeds_covers_the_truth_as_often_as_it_says():
     rng = np.random.default_rng(6)
     covered = []
     for _ in range(200):
@@ -82,7 +80,7 @@ def _gains(rng: np.random.Generator, n_runs: int, n: int) -> tuple[np.ndarray, n
     return 0.2 * rng.normal(size=(n_runs, n)) - 0.6 * mppt, mppt
 
 
-def test_score_interval_agrees_with_scipys_paired_bootstrap_of_the_ratio() -> None:
+def test_score_interval_agrees_with_scipys_paired_bootstrap_of_the_ratio():
     gains, mppt = _gains(np.random.default_rng(10), 1, 120)
 
     def score(own: np.ndarray, scale: np.ndarray, axis: int) -> np.ndarray:
@@ -98,7 +96,7 @@ def test_score_interval_agrees_with_scipys_paired_bootstrap_of_the_ratio() -> No
     assert interval.high == pytest.approx(expected.high, abs=0.06 * width)
 
 
-def test_difference_of_two_entries_is_paired() -> None:
+def test_difference_of_two_entries_is_paired():
     gains, mppt = _gains(np.random.default_rng(13), 1, 200)
     better = gains + 0.01
     difference = Bootstrap(mppt).score_difference(better, gains)
@@ -111,7 +109,7 @@ def test_difference_of_two_entries_is_paired() -> None:
     )
 
 
-def test_seeds_of_two_entries_are_drawn_independently() -> None:
+def test_seeds_of_two_entries_are_drawn_independently():
     # Two rows of equal seeds, good and bad: were they drawn together, the difference would always be nought.
     gains = np.repeat([[0.0], [1.0]], 30, axis=1)
     difference = Bootstrap(np.full(30, -1.0)).score_difference(gains, gains)
@@ -119,7 +117,7 @@ def test_seeds_of_two_entries_are_drawn_independently() -> None:
 
 
 @pytest.mark.parametrize("version", ["v0", "v1"])
-def test_differences_to_another_entry_are_paired(version: str) -> None:
+def test_differences_to_another_entry_are_paired(version):
     rng = np.random.default_rng(12)
     costs, happened = rng.lognormal(3.0, 1.0, (1, 70)), (rng.random((1, 70)) < 0.2).astype(float)
     differences = Bootstrap(np.full(70, -1.0)) if version == "v0" else Adjusted(0.4, whole(70))
@@ -136,14 +134,11 @@ def test_differences_to_another_entry_are_paired(version: str) -> None:
     assert share.value == pytest.approx(10.0) and 0.0 < share.low < 10.0 < share.high
 
 
-def test_intervals_of_differences_agree_with_the_bootstrap() -> None:
+def test_intervals_of_differences_agree_with_the_bootstrap():
     rng = np.random.default_rng(14)
     costs = rng.lognormal(3.0, 1.0, 600) * np.exp(0.3 * rng.normal(size=(2, 1, 600)))
     linear, bootstrap = Adjusted(0.4, whole(600)), Bootstrap(np.full(600, -1.0))
-    for name, one, other in (
-        ("worst_tenth_difference", *costs),
-        ("share_difference", *(costs > 60.0).astype(float)),
-    ):
+    for name, one, other in (("worst_tenth_difference", *costs), ("share_difference", *(costs > 60.0).astype(float))):
         own, base = (getattr(each, name)(one, other) for each in (linear, bootstrap))
         width = base.high - base.low
         assert own.value == pytest.approx(base.value)
@@ -154,14 +149,14 @@ def test_intervals_of_differences_agree_with_the_bootstrap() -> None:
     arrays(np.float64, (3, 2, 7), elements=st.floats(0.0, 1000.0)),
     arrays(np.float64, (3, 7), elements=st.floats(0.0, 1000.0)),
 )
-def test_parts_of_terms_add_up_to_the_gains(terms: np.ndarray, reference_terms: np.ndarray) -> None:
+def test_parts_of_terms_add_up_to_the_gains(terms, reference_terms):
     costs, reference = terms.sum(axis=0), reference_terms.sum(axis=0)
     parts = score.gains_by_term(costs, reference, terms, reference_terms, OFFSETS)
     gains = score.gains(costs, reference, OFFSETS)
     assert parts.sum(axis=0) == pytest.approx(gains, rel=1e-9, abs=1e-9 * np.abs(parts).max() + 1e-9)
 
 
-def test_parts_of_terms_are_the_logarithmic_mean_written_out() -> None:
+def test_parts_of_terms_are_the_logarithmic_mean_written_out():
     terms, reference_terms = np.array([[[4.0]], [[1.0]]]), np.array([[2.0], [8.0]])
     # ln(15 / 10) is the gain of ten against five, and L(15, 10) = 5 / ln(15 / 10).
     expected = [(2.0 - 4.0) * math.log(1.5) / 5.0, (8.0 - 1.0) * math.log(1.5) / 5.0]
@@ -171,7 +166,7 @@ def test_parts_of_terms_are_the_logarithmic_mean_written_out() -> None:
 
 
 @pytest.mark.parametrize(("n_more", "n_less"), [(0, 0), (5, 0), (4, 0), (9, 2), (3, 8), (120, 100)])
-def test_of_one_run_the_test_of_bad_runs_is_mcnemars(n_more: int, n_less: int) -> None:
+def test_of_one_run_the_test_of_bad_runs_is_mcnemars(n_more, n_less):
     happened, other = np.zeros((2, 1, 400))
     happened[0, :n_more], other[0, n_more : n_more + n_less] = 1.0, 1.0
     # What happens to both says nothing.
@@ -181,7 +176,7 @@ def test_of_one_run_the_test_of_bad_runs_is_mcnemars(n_more: int, n_less: int) -
     assert chance == pytest.approx(stats.binomtest(n_more, n, 0.5, alternative="greater").pvalue if n else 1.0)
 
 
-def test_training_seeds_that_go_bad_in_the_same_scenarios_are_no_further_evidence() -> None:
+def test_training_seeds_that_go_bad_in_the_same_scenarios_are_no_further_evidence():
     happened, other = np.zeros((1, 40)), np.zeros((1, 40))
     happened[0, :4] = 1.0
     alone = statistics.sign_test(happened, other)

@@ -1,9 +1,6 @@
 """Facts about `export_onnx`: any policy of torch becomes an entry that the gate accepts, or an error says why not."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import gymnasium as gym
@@ -22,7 +19,7 @@ ENTRY: dict[str, Any] = {"name": "mine", "authors": ["Jane Doe"], "environment":
 
 
 @pytest.fixture(autouse=True)
-def _seeded(one_thread: None) -> None:
+def _seeded(one_thread):
     torch.manual_seed(0)
 
 
@@ -46,7 +43,7 @@ class Memory(nn.Module):
         return 3.0 * self.head(state), state
 
 
-def test_plain_module_becomes_one_file_that_the_gate_accepts(tmp_path: Path) -> None:
+def test_plain_module_becomes_one_file_that_the_gate_accepts(tmp_path):
     n = observation_width()
     module = nn.Sequential(nn.Linear(n, 32), nn.ELU(), nn.Linear(32, 32), nn.GELU(), nn.Linear(32, M), nn.Tanh())
     folder = export_onnx(module, tmp_path / "mine", training_seed=3, trained_on="nothing", **ENTRY)
@@ -64,7 +61,7 @@ def test_plain_module_becomes_one_file_that_the_gate_accepts(tmp_path: Path) -> 
         assert actions.std() > 0.01
 
 
-def test_module_with_memory_keeps_it_and_stays_in_its_mode(tmp_path: Path) -> None:
+def test_module_with_memory_keeps_it_and_stays_in_its_mode(tmp_path):
     n = observation_width()
     module = Memory(n).train()
     folder = export_onnx(module, tmp_path / "mine", **ENTRY)
@@ -81,7 +78,7 @@ def test_module_with_memory_keeps_it_and_stays_in_its_mode(tmp_path: Path) -> No
 
 
 @pytest.mark.parametrize("algorithm", ["PPO", "TQC", "RecurrentPPO"])
-def test_learners_of_stable_baselines3_are_exported_with_their_normalisation(algorithm: str, tmp_path: Path) -> None:
+def test_learners_of_stable_baselines3_are_exported_with_their_normalisation(algorithm, tmp_path):
     pytest.importorskip("stable_baselines3")
     sb3_contrib = pytest.importorskip("sb3_contrib")
     import stable_baselines3
@@ -130,10 +127,7 @@ REFUSED = {
     "too few actions": (lambda n: nn.Linear(n, M - 1), r"of shapes \[\(2, 8\)\], got \[\(2, 7\)\]"),
     "undeclared states": (lambda n: Answers(n, lambda y, x: (y, x)), r"of shapes \[\(2, 8\)\], got \[\(2, 8\), "),
     "random": (lambda n: Answers(n, lambda y, x: y + torch.randn(x.shape[0], M)), "draws random numbers"),
-    "branch": (
-        lambda n: Answers(n, lambda y, x: y if x.sum() < 0.5 else -y),
-        "branches on its input",
-    ),
+    "branch": (lambda n: Answers(n, lambda y, x: y if x.sum() < 0.5 else -y), "branches on its input"),
     "no operator": (
         lambda n: Answers(n, lambda y, x: torch.special.airy_ai(y)),
         "torch cannot export the module Answers: .*airy_ai",
@@ -144,14 +138,14 @@ REFUSED = {
 
 
 @pytest.mark.parametrize("case", REFUSED)
-def test_what_cannot_be_exported_is_refused_and_nothing_is_written(case: str, tmp_path: Path) -> None:
+def test_what_cannot_be_exported_is_refused_and_nothing_is_written(case, tmp_path):
     make, said = REFUSED[case]
     with pytest.raises(ValueError, match=said):
         export_onnx(make(observation_width()), tmp_path / "mine", **ENTRY)  # type: ignore[no-untyped-call]
     assert not (tmp_path / "mine").exists()
 
 
-def test_wrong_keys_of_the_entry_are_refused_before_the_work(tmp_path: Path) -> None:
+def test_wrong_keys_of_the_entry_are_refused_before_the_work(tmp_path):
     with pytest.raises(ValueError, match=r"unknown: \['seed'\]"):
         export_onnx(nn.Linear(1, 1), tmp_path / "mine", seed=0, **ENTRY)
     with pytest.raises(ValueError, match="action_mode must be one of"):

@@ -1,7 +1,5 @@
 """Facts about evaluations that other processes play: the same bytes, whatever happens to a process."""
 
-from __future__ import annotations
-
 import contextlib
 import importlib.util
 import os
@@ -60,7 +58,7 @@ class Failing(Linear):
 
 
 @pytest.mark.parametrize("backend", workers.BACKENDS)
-def test_workers_give_the_same_bytes_and_failures(backend: str, tmp_path: Path) -> None:
+def test_workers_give_the_same_bytes_and_failures(backend, tmp_path):
     entries = [*load_entries("tip-speed-feedback"), *load_entries(ROOT / "agents/policies/ppo-k-0")]
     entries.append(Entry(name="failing", policy=Failing()))
     if backend != "loky":
@@ -85,7 +83,7 @@ def test_workers_give_the_same_bytes_and_failures(backend: str, tmp_path: Path) 
     assert "predict() raised ZeroDivisionError: no action from me (test_workers.py:" in failed["reason"]
 
 
-def test_killed_worker_of_loky_is_named_and_the_run_goes_on_from_its_finished_batches(tmp_path: Path) -> None:
+def test_killed_worker_of_loky_is_named_and_the_run_goes_on_from_its_finished_batches(tmp_path):
     # The anchors first: the batches of what comes after them are lost with the worker.
     arguments: dict[str, Any] = {"partial": tmp_path / "partial", **SHORT}
     evaluate([], "standard", "test", **arguments)
@@ -97,7 +95,7 @@ def test_killed_worker_of_loky_is_named_and_the_run_goes_on_from_its_finished_ba
     assert evaluate([Entry(name="mortal", policy=Failing(), fingerprint="1")], "standard", "test", **arguments) == again
 
 
-def test_worker_that_dask_gives_up_is_named(tmp_path: Path) -> None:
+def test_worker_that_dask_gives_up_is_named(tmp_path):
     import dask
 
     mortal = Entry(name="mortal", policy=Mortal(tmp_path / "killed"))
@@ -108,7 +106,7 @@ def test_worker_that_dask_gives_up_is_named(tmp_path: Path) -> None:
         evaluate([mortal], "standard", "test", workers=Workers("dask", jobs=2), **SHORT)
 
 
-def test_dask_cluster_at_an_address_plays_or_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_dask_cluster_at_an_address_plays_or_is_named(monkeypatch):
     import distributed
 
     arguments = {"seeds": (20_002,), "duration_s": 2.0}
@@ -121,7 +119,7 @@ def test_dask_cluster_at_an_address_plays_or_is_named(monkeypatch: pytest.Monkey
             evaluate([], "standard", "test", workers=Workers("dask", address), **SHORT)
 
 
-def test_worker_with_other_code_plays_nothing() -> None:
+def test_worker_with_other_code_plays_nothing():
     wanted = {**circumstances(), "source code": "another"}
     said = workers._work(lambda *_: pytest.fail("played"), b"", [20_000], wanted)
     assert isinstance(said, str) and "could give other numbers: source code is " in said
@@ -129,14 +127,14 @@ def test_worker_with_other_code_plays_nothing() -> None:
     assert isinstance(said, str) and "cannot play an entry: " in said
 
 
-def test_policy_that_cannot_travel_is_named() -> None:
+def test_policy_that_cannot_travel_is_named():
     tied = Linear()
     tied.lock = threading.Lock()  # type: ignore[attr-defined]
     with pytest.raises(ValueError, match=r"entry 'tied' cannot be sent to other processes: .*pickle"):
         evaluate([Entry(name="tied", policy=tied)], "standard", "test", workers=Workers("loky", jobs=2), **SHORT)
 
 
-def test_workers_have_one_thread_each_and_their_package(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_workers_have_one_thread_each_and_their_package(monkeypatch):
     with pytest.raises(ValueError, match="one thread"):
         evaluate([], "standard", "test", workers=Workers("loky"), n_threads=2, **SHORT)
     monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)

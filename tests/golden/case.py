@@ -3,8 +3,6 @@
 All in p.u. of `Sbase` except machine data, which are on the machine's own base `Sn`.
 """
 
-from __future__ import annotations
-
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass

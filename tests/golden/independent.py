@@ -3,8 +3,6 @@
 Shares nothing with the package.
 """
 
-from __future__ import annotations
-
 import itertools
 
 import numpy as np

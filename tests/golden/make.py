@@ -26,8 +26,6 @@ Where ANDES differs from the models that the cases state:
   changed in the extrapolated trace.
 """
 
-from __future__ import annotations
-
 import argparse
 import functools
 import itertools

@@ -1,7 +1,5 @@
 """Run a golden case here, and compare it with its trace."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The grids that come with the package, with all their machines, as golden cases: what a `params.json` would hold."""
 
-from __future__ import annotations
-
 from collections import Counter
 from typing import Any
 

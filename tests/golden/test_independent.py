@@ -1,7 +1,5 @@
 """Limits of power and torque, and the chopper, against a second implementation of the equations."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
@@ -16,7 +14,7 @@ from wtg_gym.physics.simulator import Simulator
 from wtg_gym.physics.tracking_law import TrackingLaw
 
 
-def test_limits_of_power_and_torque_and_the_chopper_agree_with_a_second_implementation() -> None:
+def test_limits_of_power_and_torque_and_the_chopper_agree_with_a_second_implementation():
     network = NetworkCase(
         name="a group at an imposed source",
         base_mva=100.0,

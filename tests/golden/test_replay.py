@@ -1,9 +1,5 @@
 """Golden traces of other simulators, and the script that makes them, as far as it runs without ANDES."""
 
-from __future__ import annotations
-
-from pathlib import Path
-
 import pytest
 
 from tests.golden.case import ROW_S, TRACES, read_case, read_data, read_trace
@@ -18,12 +14,12 @@ KINDS = (
 )
 
 
-def test_there_are_golden_cases_of_every_kind() -> None:
+def test_there_are_golden_cases_of_every_kind():
     assert sorted({trace.parent.name for trace in TRACES}) == sorted(KINDS) and len(TRACES) >= 25
 
 
 @pytest.mark.parametrize("path", TRACES, ids=lambda path: f"{path.parent.name}/{path.name}")
-def test_fine_step_follows_the_golden_trace_and_the_default_step_is_close_to_it(path: Path) -> None:
+def test_fine_step_follows_the_golden_trace_and_the_default_step_is_close_to_it(path):
     case = read_case(path.parent.name)
     times, trace = read_trace(path)
     assert set(trace) <= set(case.columns)
@@ -48,7 +44,7 @@ MADE = [path for path in TRACES if path.parent.name not in OTHERS]
 
 
 @pytest.mark.parametrize("path", MADE, ids=lambda path: f"{path.parent.name}/{path.name}")
-def test_a_trace_made_anew_has_the_rows_the_columns_and_the_machines_of_the_one_kept(path: Path) -> None:
+def test_a_trace_made_anew_has_the_rows_the_columns_and_the_machines_of_the_one_kept(path):
     data, run = read_data(path.parent.name), RUNS[path.parent.name]
     events = data["events"][path.stem]
     times, trace = read_trace(path)

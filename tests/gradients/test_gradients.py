@@ -1,7 +1,5 @@
 """Gradients of an episode's cost: those of the compiled adjoint, checked by central differences of the environment."""
 
-from __future__ import annotations
-
 import dataclasses
 import functools
 import math
@@ -86,9 +84,7 @@ RETURNS = (
     ("settings", "events"),
     [({}, ()), ({**V1, "suite": "faults"}, ()), ({**V1, "suite": "faults"}, RETURNS), (KUNDUR, ())],
 )
-def test_a_step_is_replayed_to_the_last_bit(
-    settings: dict[str, Any], events: tuple[Any, ...], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_step_is_replayed_to_the_last_bit(settings, events, monkeypatch):
     tape = tape_of(**settings)
     scenarios = [dataclasses.replace(own, events=events or own.events) for own in drawn(tape)]
     # The replay goes through the return of a unit, which the way back refuses.
@@ -125,9 +121,7 @@ def test_a_step_is_replayed_to_the_last_bit(
     ],
     ids=["v0", "faults", "no wind sensor"],
 )
-def test_the_gradient_of_each_term_is_that_of_central_differences(
-    settings: dict[str, Any], first: int, silent: str
-) -> None:
+def test_the_gradient_of_each_term_is_that_of_central_differences(settings, first, silent):
     tape = tape_of(**settings)
     scenarios, actions = drawn(tape, first), actions_of(tape, 200)
     way = np.random.default_rng(2).normal(size=actions.shape)
@@ -141,7 +135,7 @@ def test_the_gradient_of_each_term_is_that_of_central_differences(
 
 
 @pytest.mark.parametrize("settings", [{}, V1])
-def test_the_gradient_with_respect_to_the_law_is_that_of_central_differences(settings: dict[str, Any]) -> None:
+def test_the_gradient_with_respect_to_the_law_is_that_of_central_differences(settings):
     tape = tape_of(**settings)
     scenarios, actions = drawn(tape), actions_of(tape, 100)
     found = tape.gradient(scenarios, actions)
@@ -159,7 +153,7 @@ def test_the_gradient_with_respect_to_the_law_is_that_of_central_differences(set
         assert found.law[:, *place] == pytest.approx(expected, rel=1e-5, abs=1e-5 * np.abs(expected).max())
 
 
-def test_a_held_step_has_the_gradient_of_its_intervals() -> None:
+def test_a_held_step_has_the_gradient_of_its_intervals():
     held, fine = (
         tape_of(version="v1", suite="faults", on_failure="terminate", **dt) for dt in ({}, {"control_dt": 0.1})
     )
@@ -207,12 +201,12 @@ CUT = [sc.LineTrip(time_s=1.0, from_bus=a, to_bus=b) for a, b in ((5, 6), (4, 7)
     ],
     ids=["governor", "condenser", "line", "fault", "islands", "last generator", "reactance"],
 )
-def test_the_gradient_goes_through_events(settings: dict[str, Any], events: list[Any]) -> None:
+def test_the_gradient_goes_through_events(settings, events):
     tape = tape_of(**settings)
     agrees(tape, [given(tape.lanes.n_wtg, *events)] * N_LANES, actions_of(tape, 60))
 
 
-def test_the_gradient_goes_through_the_stabilisers_of_another_grid() -> None:
+def test_the_gradient_goes_through_the_stabilisers_of_another_grid():
     tape, steps = (
         tape_of(**KUNDUR),
         [sc.LoadStep(time_s=at, bus=9, power_mw=mw) for at, mw in ((0.5, 150.0), (2.0, -99.0))],
@@ -230,7 +224,7 @@ def test_the_gradient_goes_through_the_stabilisers_of_another_grid() -> None:
     assert np.abs(with_them - without).max() > 1e-2 * np.abs(without).max()
 
 
-def test_the_gradient_goes_through_the_limits_of_the_pitch() -> None:
+def test_the_gradient_goes_through_the_limits_of_the_pitch():
     tape = tape_of()
     time = np.arange(0.0, 31.0, 0.1)
     step = sc.LoadStep(time_s=1.0, bus=4, power_mw=60.0)
@@ -249,7 +243,7 @@ def test_the_gradient_goes_through_the_limits_of_the_pitch() -> None:
 OVERLOAD = (sc.GroupTrip(time_s=1.0, group=0), sc.LoadStep(time_s=1.6, bus=4, power_mw=-70.0))
 
 
-def test_the_gradient_goes_through_the_limits_of_currents_and_powers() -> None:
+def test_the_gradient_goes_through_the_limits_of_currents_and_powers():
     tape = tape_of(**V1)
     step = sc.LoadStep(time_s=1.0, bus=2, power_mw=60.0, reactive_mvar=60.0)
     scenarios = [given(4, *OVERLOAD, wind=11.5), given(4, step, wind=11.5), given(4, *OVERLOAD, wind=11.5)]
@@ -264,7 +258,7 @@ def test_the_gradient_goes_through_the_limits_of_currents_and_powers() -> None:
     assert (limited[[0, 2]] > 2).all() and over_power[1] < -1e-4
 
 
-def test_an_episode_that_ends_early_has_the_gradient_of_what_it_paid() -> None:
+def test_an_episode_that_ends_early_has_the_gradient_of_what_it_paid():
     tape = tape_of()
     scenarios = [given(2, sc.LoadStep(time_s=1.0, bus=4, power_mw=power)) for power in (600.0, -300.0, 20.0)]
     actions = actions_of(tape, 60, 0.2)
@@ -283,7 +277,7 @@ def test_an_episode_that_ends_early_has_the_gradient_of_what_it_paid() -> None:
 
 
 @pytest.mark.parametrize("settings", [{}, V1])
-def test_observations_have_gradients(settings: dict[str, Any]) -> None:
+def test_observations_have_gradients(settings):
     tape = tape_of(**settings)
     scenarios, actions = drawn(tape), actions_of(tape, 60)
     rng = np.random.default_rng(5)
@@ -308,7 +302,7 @@ def test_observations_have_gradients(settings: dict[str, Any]) -> None:
     assert total == pytest.approx(expected, rel=1e-5)
 
 
-def test_other_settings_have_gradients_of_their_own() -> None:
+def test_other_settings_have_gradients_of_their_own():
     """Ends within a control interval too: this one is longer than that of the protections."""
     settings = EnvSettings(
         version="v0",
@@ -333,7 +327,7 @@ def test_other_settings_have_gradients_of_their_own() -> None:
 AT_REST = [given(2, sc.LoadStep(time_s=1.0, bus=4, power_mw=power)) for power in (10.0, 20.0, 30.0)]
 
 
-def test_a_plant_at_rest_has_the_slopes_of_the_law_whose_lower_part_goes_on_straight() -> None:
+def test_a_plant_at_rest_has_the_slopes_of_the_law_whose_lower_part_goes_on_straight():
     tape = tape_of()
     actions = np.zeros((40, N_LANES, 4))
     way = np.random.default_rng(3).normal(size=actions.shape) * (np.arange(40) < 10)[:, np.newaxis, np.newaxis]
@@ -352,7 +346,7 @@ def test_a_plant_at_rest_has_the_slopes_of_the_law_whose_lower_part_goes_on_stra
     assert (np.abs(checked.above - checked.below) > 0.01 * np.abs(checked.central)).all()
 
 
-def test_the_check_shows_a_wrong_gradient(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_check_shows_a_wrong_gradient(monkeypatch):
     tape = tape_of()
     right = tape.gradient
 
@@ -410,7 +404,7 @@ ZEROS = np.zeros((5, N_LANES, 4))
         (lambda tape, scenarios: tape.back(outputs=np.zeros((2, N_LANES, 8))), r"\(1, 3, 8\), got \(2, 3, 8\)"),
     ],
 )
-def test_bad_input_is_refused(call: Any, reason: str) -> None:
+def test_bad_input_is_refused(call, reason):
     tape = tape_of()
     scenarios = drawn(tape)
     tape.gradient(scenarios, np.zeros((1, N_LANES, 4)))
@@ -418,7 +412,7 @@ def test_bad_input_is_refused(call: Any, reason: str) -> None:
         call(tape, scenarios)
 
 
-def test_the_gradient_goes_through_secondary_control() -> None:
+def test_the_gradient_goes_through_secondary_control():
     step = sc.LoadStep(time_s=1.0, bus=4, power_mw=30.0)
     with_it = EnvSettings(**V1)
     without = dataclasses.replace(with_it, plant=dataclasses.replace(with_it.resolved_plant, secondary_time_s=0.0))
@@ -432,7 +426,7 @@ def test_the_gradient_goes_through_secondary_control() -> None:
     assert np.abs(found[0] - found[1]).max() > 1e-2 * np.abs(found[0]).max()
 
 
-def test_a_plant_with_a_hydro_governor_and_a_rotor_table_has_gradients_too() -> None:
+def test_a_plant_with_a_hydro_governor_and_a_rotor_table_has_gradients_too():
     given = dataclasses.replace(EnvSettings(version="v0", duration_s=10.0), plant=plant(table=True))
     tape = Tape(given, 2, 1)
     scenarios = [tape.lanes.suite.scenario(seed, duration_s=10.0) for seed in (10_000, 10_001)]

@@ -1,10 +1,7 @@
 """Gradients with respect to a plant's parameters, of costs and of outputs: checked by rebuilt plants."""
 
-from __future__ import annotations
-
 import dataclasses
 import functools
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -72,7 +69,7 @@ def found() -> Floats:
 
 
 @pytest.mark.parametrize("name", COMPARED)
-def test_the_gradient_with_respect_to_a_parameter_is_that_of_rebuilt_plants(name: str) -> None:
+def test_the_gradient_with_respect_to_a_parameter_is_that_of_rebuilt_plants(name):
     scenarios, actions, weights = given()
     value = KNOWN[name]
     h = 5e-4 * (value or 1.0)
@@ -85,14 +82,14 @@ def test_the_gradient_with_respect_to_a_parameter_is_that_of_rebuilt_plants(name
     assert by_tape == pytest.approx(expected, rel=1e-5, abs=1e-5 * np.abs(expected).max() + 1e-10)
 
 
-def test_parameters_matter() -> None:
+def test_parameters_matter():
     """The test above compares no zeros, but where there is nothing to see."""
     without = {name for name, column in zip(KNOWN, found().T, strict=True) if not column.any()}
     # The generator's x'_q is its x_q, its rotor is never faster than the pitch allows, and no blade moves at its limit.
     assert without <= {"machines.1.t_q0_transient_s", "pitch.speed_weight", "pitch.rate_limit_deg_s"}
 
 
-def test_a_scenarios_droop_is_the_droop_in_force_until_a_governor_is_lost() -> None:
+def test_a_scenarios_droop_is_the_droop_in_force_until_a_governor_is_lost():
     scenarios, actions, weights = given()
     losses = ((), (GovernorLoss(time_s=2.35, bus=1),), (GovernorLoss(time_s=0.0, bus=1),))
     base = [
@@ -116,7 +113,7 @@ def column(name: str, scenarios: list[Scenario], weights: Floats) -> Floats:
     return tape().back(np.ones(len(COST_TERMS)), weights)[2][:, list(KNOWN).index(name)]
 
 
-def test_inertia_is_scaled_by_scenarios_and_gone_with_its_machine() -> None:
+def test_inertia_is_scaled_by_scenarios_and_gone_with_its_machine():
     scenarios, actions, weights = given()
     name = "machines.3.two_h_s"
     lost = (*scenarios[0].events, MachineOutage(time_s=3.05, bus=3))
@@ -139,7 +136,7 @@ def test_inertia_is_scaled_by_scenarios_and_gone_with_its_machine() -> None:
     assert column(name, scenarios, weights) == pytest.approx((ends[0] - ends[1]) / 2e-3, rel=1e-5)
 
 
-def test_other_values_are_those_of_a_rebuilt_plant() -> None:
+def test_other_values_are_those_of_a_rebuilt_plant():
     scenarios, actions, weights = given()
     values = {"control.inertia_constant_s": 3.5, "machines.1.governor.droop_pu": 0.03}
     rebuilt = Tape(dataclasses.replace(SETTINGS, plant=with_parameters(PLANT, values)), N_LANES, 1, tuple(KNOWN))
@@ -162,6 +159,6 @@ def test_other_values_are_those_of_a_rebuilt_plant() -> None:
         (lambda: Tape(SETTINGS, 1, 1).set_parameters({"control.droop_gain_pu": 1.0}), "it has: none"),
     ],
 )
-def test_bad_input_is_refused(call: Any, reason: str) -> None:
+def test_bad_input_is_refused(call, reason):
     with pytest.raises(ValueError, match=reason):
         call()

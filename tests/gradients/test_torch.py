@@ -1,7 +1,5 @@
 """PyTorch's way to the gradients: they are those of the tape, whole and truncated."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np
@@ -41,7 +39,7 @@ def segments(episodes: Any, scenarios: list[Scenario], policy: Any, cut: int, n_
     return costs[0], costs[1]
 
 
-def test_a_truncated_gradient_is_that_of_a_segment_from_where_it_began() -> None:
+def test_a_truncated_gradient_is_that_of_a_segment_from_where_it_began():
     episodes, cut, n_steps = episodes_of(), 30, 55
     lanes = episodes.tape.lanes
     scenarios = drawn(episodes.tape)
@@ -63,7 +61,7 @@ def test_a_truncated_gradient_is_that_of_a_segment_from_where_it_began() -> None
         episodes_of().detach()
 
 
-def test_a_policy_trains_by_backward() -> None:
+def test_a_policy_trains_by_backward():
     episodes = episodes_of()
     scenarios = drawn(episodes.tape)
     episodes.start(scenarios)
@@ -97,7 +95,7 @@ def test_a_policy_trains_by_backward() -> None:
 
 
 @pytest.mark.parametrize("settings", [{}, {"version": "v1"}])
-def test_torch_and_numpy_agree_to_the_last_bit(settings: dict[str, Any]) -> None:
+def test_torch_and_numpy_agree_to_the_last_bit(settings):
     episodes = episodes_of(**settings)
     scenarios, actions = drawn(episodes.tape), actions_of(episodes.tape, 20)
     found = episodes.tape.gradient(scenarios, actions)

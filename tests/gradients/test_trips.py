@@ -1,7 +1,5 @@
 """Gradients of the control step in which a protection disconnects a group, and of plants that shed load."""
 
-from __future__ import annotations
-
 import dataclasses
 import functools
 from typing import Any, NamedTuple
@@ -153,7 +151,7 @@ def pulled(case: Case, quantity: str, way: Floats) -> dict[str, Floats]:
 
 
 @pytest.mark.parametrize("name", ["within a control step", "v1"])
-def test_each_quantity_of_the_step_of_a_trip_has_the_slope_of_central_differences(name: str) -> None:
+def test_each_quantity_of_the_step_of_a_trip_has_the_slope_of_central_differences(name):
     case = case_of(name)
     way = np.random.default_rng(3).normal(size=case.actions.shape)
     found = {}
@@ -171,7 +169,7 @@ def test_each_quantity_of_the_step_of_a_trip_has_the_slope_of_central_difference
         assert max(np.abs(slopes[place]).max() for slopes in found.values()) > 1e-4
 
 
-def test_the_gradient_goes_through_shed_load_and_groups_that_their_rotor_trips() -> None:
+def test_the_gradient_goes_through_shed_load_and_groups_that_their_rotor_trips():
     tape = tape_of("within a control step")
     wind = np.full((2, 301), 9.0)
     wind[0] = np.maximum(9.0 - 0.12 * np.arange(301), 3.0)
@@ -189,7 +187,7 @@ def test_the_gradient_goes_through_shed_load_and_groups_that_their_rotor_trips()
     assert shed.any(axis=1)[[0, 2]].all() and (simulator.wtg_values("connected") == 0.0).any()
 
 
-def test_parameters_of_v1_act_through_limits_and_sensors() -> None:
+def test_parameters_of_v1_act_through_limits_and_sensors():
     # The tape of docs/gradients.md, of one lane. A scenario of v1 has a governor droop of its own.
     names = ("machines.1.two_h_s", "control.droop_gain_pu")
     tape = Tape(EnvSettings(), 1, 1, names)

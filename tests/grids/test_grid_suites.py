@@ -1,12 +1,8 @@
 """Facts about suites of grids: what they are told by, what they may draw, and the way from a file to a score."""
 
-from __future__ import annotations
-
 import json
 import os
 from dataclasses import replace
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -23,7 +19,7 @@ from wtg_gym.scenarios.grid_suite import all_places, unscreened
 
 
 @pytest.fixture
-def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+def folder(tmp_path, monkeypatch):
     """A folder with a grid, and a suite of it in a folder of its own; it is the working directory."""
     (tmp_path / "ring.json").write_text(json.dumps(STRANGER), encoding="utf-8")
     (tmp_path / "suites").mkdir()
@@ -33,7 +29,7 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path
 
 
-def test_a_suite_is_what_is_in_its_files_wherever_they_lie(folder: Path) -> None:
+def test_a_suite_is_what_is_in_its_files_wherever_they_lie(folder):
     one = get_suite("suites/mine.json")
     assert one.name == "my-ring-v1" and one.scenario(1_000_000).name.startswith("my-ring-v1/")
     assert one.hash == get_suite(str(folder / "suites" / ".." / "suites" / "mine.json")).hash
@@ -42,7 +38,7 @@ def test_a_suite_is_what_is_in_its_files_wherever_they_lie(folder: Path) -> None
         assert get_suite(path).hash == one.hash
 
 
-def test_files_are_told_apart_by_what_is_in_them_not_by_name_or_time(folder: Path) -> None:
+def test_files_are_told_apart_by_what_is_in_them_not_by_name_or_time(folder):
     path, before = folder / "ring.json", (folder / "ring.json").stat()
     one, env = get_suite("suites/mine.json"), GFMWTGEnv(grid="ring.json", strategy="coordinated-tuned")
     env.reset(seed=1)
@@ -65,7 +61,7 @@ def test_files_are_told_apart_by_what_is_in_them_not_by_name_or_time(folder: Pat
         get_suite("suites/mine.json")
 
 
-def test_an_evaluation_of_a_suite_that_is_written_anew_meanwhile_is_refused(folder: Path) -> None:
+def test_an_evaluation_of_a_suite_that_is_written_anew_meanwhile_is_refused(folder):
     def change(*_: object) -> None:
         (folder / "ring.json").write_text(json.dumps({**STRANGER, "frequency_hz": 50.0}), encoding="utf-8")
 
@@ -75,16 +71,14 @@ def test_an_evaluation_of_a_suite_that_is_written_anew_meanwhile_is_refused(fold
     assert len(list((folder / "parts").iterdir())) == 1
 
 
-def test_a_suite_whose_grid_is_missing_is_refused_in_a_line(folder: Path) -> None:
+def test_a_suite_whose_grid_is_missing_is_refused_in_a_line(folder):
     (folder / "ring.json").unlink()
     with pytest.raises(ValueError, match=r"mine\.json: cannot read the grid .*ring\.json") as refusal:
         get_suite("suites/mine.json")
     assert "\n" not in str(refusal.value)
 
 
-def test_a_file_is_scored_by_the_command_and_its_results_stay_in_their_folder(
-    folder: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_file_is_scored_by_the_command_and_its_results_stay_in_their_folder(folder, capsys):
     json_of(capsys, "evaluate", "--suite", "suites/mine.json", "--scenarios", "3", "--results", "found", "--json")
     assert {path.name for path in (folder / "found").glob("*.json")} == {"my-ring-v1-validation.json"}
 
@@ -100,9 +94,7 @@ def test_a_file_is_scored_by_the_command_and_its_results_stay_in_their_folder(
     ],
     ids=str,
 )
-def test_a_suite_with_a_mistake_is_refused_before_anything_is_played(
-    folder: Path, change: dict[str, Any], words: str
-) -> None:
+def test_a_suite_with_a_mistake_is_refused_before_anything_is_played(folder, change, words):
     data = data_of(unscreened(str(folder / "ring.json")))
     places = {**data["places"], **change.pop("places", {})}
     wrong = folder / "wrong.json"
@@ -111,26 +103,26 @@ def test_a_suite_with_a_mistake_is_refused_before_anything_is_played(
         get_suite(str(wrong))
 
 
-def test_another_suite_may_not_have_the_name_of_a_frozen_one(folder: Path) -> None:
+def test_another_suite_may_not_have_the_name_of_a_frozen_one(folder):
     other = folder / "standard.json"
     other.write_bytes((folder / "ring.json").read_bytes())
     with pytest.raises(ValueError, match="another suite than standard-v1: give it another name"):
         get_suite(str(other))
 
 
-def test_kinds_without_a_place_do_not_happen(folder: Path) -> None:
+def test_kinds_without_a_place_do_not_happen(folder):
     own = unscreened(str(folder / "ring.json"))
     suite = replace(own, places=replace(own.places, governor_buses=())).suite
     assert not any("governor" in scenario.name for scenario in suite.scenarios(suite.validation[:90]))
 
 
-def test_settings_of_a_grid_can_be_changed() -> None:
+def test_settings_of_a_grid_can_be_changed():
     settings = EnvSettings(grid="ieee39")
     assert replace(settings, split="test").suite_name == settings.suite_name and settings.env_id == "GFMWTG-v1"
     assert EnvSettings(grid="ieee14", version="v0").suite_name == "standard"
 
 
-def test_a_policy_of_all_groups_stays_in_its_grid_and_one_of_a_group_moves() -> None:
+def test_a_policy_of_all_groups_stays_in_its_grid_and_one_of_a_group_moves():
     class Still:
         def predict(self, observation, state=None, episode_start=None, deterministic=False):
             return np.zeros((len(observation), 2)), None
@@ -143,7 +135,7 @@ def test_a_policy_of_all_groups_stays_in_its_grid_and_one_of_a_group_moves() -> 
             check_version([Entry(**{**given, **other})], suite)
 
 
-def test_places_name_every_bus_once_and_lines_that_are_no_bridges() -> None:
+def test_places_name_every_bus_once_and_lines_that_are_no_bridges():
     for name in ("ieee39", "nordic45"):
         case, places = get_grid(name).with_groups, all_places(get_grid(name))
         for buses in (places.machine_buses, places.generator_buses, places.governor_buses):

@@ -1,7 +1,5 @@
 """Facts about cases of other programs: what is brought in, what is refused, and that both power flows are the same."""
 
-from __future__ import annotations
-
 import math
 import zipfile
 from pathlib import Path
@@ -67,7 +65,7 @@ def mpc(tmp_path: Path, base: float = 100.0, bus: str = "", branch: str = "", af
 
 
 @pytest.fixture
-def net() -> Any:
+def net():
     """A network of pandapower: three buses, a triangle of lines."""
     net = pandapower.create_empty_network(f_hz=50.0)
     for _ in range(3):
@@ -89,7 +87,7 @@ def notes(grid: Grid) -> str:
     return "\n".join(grid.substitutions)
 
 
-def test_the_same_grid_comes_from_RAW_and_from_MATPOWER_on_any_base(tmp_path: Path) -> None:
+def test_the_same_grid_comes_from_RAW_and_from_MATPOWER_on_any_base(tmp_path):
     grids = [read_case(raw(tmp_path)[0]), read_case(mpc(tmp_path)), read_case(mpc(tmp_path, 10.0), frequency_hz=50.0)]
     flows = [np.concatenate(power_flow(grid.case)) for grid in grids]
     assert flows[0] == pytest.approx(flows[1], abs=1e-9) and flows[1] == pytest.approx(flows[2], abs=1e-12)
@@ -99,7 +97,7 @@ def test_the_same_grid_comes_from_RAW_and_from_MATPOWER_on_any_base(tmp_path: Pa
     assert grids[0].case.machines[0].rating_mva == 150.0 and grids[1].replaced == (2,)
 
 
-def test_machines_of_a_DYR_file_and_what_was_changed_about_them(tmp_path: Path) -> None:
+def test_machines_of_a_DYR_file_and_what_was_changed_about_them(tmp_path):
     path, dynamic = raw(tmp_path, dynamic=_DYR)
     grid = read_case(path, dynamic)
     first, second = grid.case.machines
@@ -114,7 +112,7 @@ def test_machines_of_a_DYR_file_and_what_was_changed_about_them(tmp_path: Path) 
         assert text in notes(grid)
 
 
-def test_models_that_are_not_here_are_refused_or_replaced_when_asked(tmp_path: Path) -> None:
+def test_models_that_are_not_here_are_refused_or_replaced_when_asked(tmp_path):
     path, dynamic = raw(tmp_path, dynamic=_DYR.replace("SEXS", "EXDC2").replace("STAB1", "PSS9"))
     with pytest.raises(
         ValueError, match=r"three\.raw: models that are not here: EXDC2 \(1\), PSS9 \(1\); --substitute"
@@ -143,9 +141,7 @@ _ENDS = "".join(f"{b},1,90,15,0,5,220,1,1,1.5,0.5,0.00625,0,0,0,'1',0\n" for b i
         ("BUS", "4,'FOUR',220,1,1,1,1,1,0\n", "island", "1 island of 7 MW"),
     ],
 )
-def test_what_a_grid_has_not_is_refused_by_name_and_left_out_when_asked(
-    section: str, records: str, kind: str, text: str, tmp_path: Path
-) -> None:
+def test_what_a_grid_has_not_is_refused_by_name_and_left_out_when_asked(section, records, kind, text, tmp_path):
     more = {"LOAD": "4,'1',1,1,1,7,0,0,0,0,0,1,1,0\n"} if kind == "island" else {}
     path, _ = raw(tmp_path, **{section: records}, **more)
     with pytest.raises(ValueError, match=f"{text}.*--drop {kind}"):
@@ -154,9 +150,7 @@ def test_what_a_grid_has_not_is_refused_by_name_and_left_out_when_asked(
     assert f"left out: {text}" in notes(grid) and len(grid.case.buses) == 3
 
 
-def test_a_switched_shunt_stands_at_its_initial_value_and_a_winding_without_impedance_joins_its_buses(
-    tmp_path: Path,
-) -> None:
+def test_a_switched_shunt_stands_at_its_initial_value_and_a_winding_without_impedance_joins_its_buses(tmp_path):
     more = {
         "TRANSFORMER": "1,2,3,'1',1,1,1,0,0,2,'T',1,1,1\n0,0.1,100,0,0.2,100,0,0.1,100,1,0\n" + 3 * "1,0,0\n",
         "SWSHUNT": "3,0,0,1,1.1,0.9,0,100,'',15,1,20\n2,0,0,0,1.1,0.9,0,100,'',15,1,20\n",
@@ -167,9 +161,7 @@ def test_a_switched_shunt_stands_at_its_initial_value_and_a_winding_without_impe
 
 
 @pytest.mark.parametrize("country", ["be", "nl"])
-def test_a_network_of_pypowsybl_with_boundary_lines_is_read_and_a_case_of_PSSE_but_a_RAW_file_is_not(
-    country: str, tmp_path: Path
-) -> None:
+def test_a_network_of_pypowsybl_with_boundary_lines_is_read_and_a_case_of_PSSE_but_a_RAW_file_is_not(country, tmp_path):
     net = getattr(pypowsybl.network, f"create_micro_grid_{country}_network")()
     net.save(tmp_path / "micro.xiidm", format="XIIDM")
     grid = read_case(tmp_path / "micro.xiidm")
@@ -182,12 +174,12 @@ def test_a_network_of_pypowsybl_with_boundary_lines_is_read_and_a_case_of_PSSE_b
 
 
 @pytest.mark.parametrize("version", [30, 34, 35])
-def test_RAW_of_another_version_is_refused_by_its_number(version: int, tmp_path: Path) -> None:
+def test_RAW_of_another_version_is_refused_by_its_number(version, tmp_path):
     with pytest.raises(ValueError, match=f"as RAW of version {version}"):
         read_case(raw(tmp_path, version)[0])
 
 
-def test_statements_and_unknown_tables_of_MATPOWER_are_refused_and_a_bus_of_type_4_is_out(tmp_path: Path) -> None:
+def test_statements_and_unknown_tables_of_MATPOWER_are_refused_and_a_bus_of_type_4_is_out(tmp_path):
     with pytest.raises(ValueError, match=r"statements, such as 'mpc\.bus\(:, 3\) = 1;'"):
         read_case(mpc(tmp_path, after="mpc.bus(:, 3) = 1;"))
     with pytest.raises(ValueError, match="1 dcline of 30 MW; --drop dcline"):
@@ -197,7 +189,7 @@ def test_statements_and_unknown_tables_of_MATPOWER_are_refused_and_a_bus_of_type
     assert grid.case.load_mw == 110.0 and "out of service with 40 MW of load: 4" in notes(grid)
 
 
-def test_phase_shifts_along_every_path_are_left_out_and_a_phase_shifter_stays(net: Any, tmp_path: Path) -> None:
+def test_phase_shifts_along_every_path_are_left_out_and_a_phase_shifter_stays(net, tmp_path):
     bus = pandapower.create_bus(net, 110.0)
     values = {"sn_mva": 200.0, "vkr_percent": 0.2, "vk_percent": 10.0, "pfe_kw": 50.0, "i0_percent": 0.1}
     values["vn_hv_kv"] = 220.0
@@ -211,7 +203,7 @@ def test_phase_shifts_along_every_path_are_left_out_and_a_phase_shifter_stays(ne
     assert shifts == pytest.approx([math.radians(8.0)]) and "phase shifters" in notes(grid)
 
 
-def test_wind_parks_get_turbines_and_other_static_generators_are_negative_loads(net: Any, tmp_path: Path) -> None:
+def test_wind_parks_get_turbines_and_other_static_generators_are_negative_loads(net, tmp_path):
     pandapower.create_sgen(net, 2, 40.0, type="WP")
     pandapower.create_sgen(net, 0, 6.0, type="PV")
     pandapower.create_load(net, 1, 20.0, const_z_p_percent=100.0)
@@ -225,7 +217,7 @@ def test_wind_parks_get_turbines_and_other_static_generators_are_negative_loads(
         read(net, tmp_path)
 
 
-def test_turbines_stand_beside_a_lone_machine_and_one_with_a_governor_stays(net: Any, tmp_path: Path) -> None:
+def test_turbines_stand_beside_a_lone_machine_and_one_with_a_governor_stays(net, tmp_path):
     grid = read(net, tmp_path)
     with pytest.raises(ValueError, match=r"no machine gives power at bus 3; those that do are at \[1, 2\]"):
         with_wind(grid, [3])
@@ -234,9 +226,7 @@ def test_turbines_stand_beside_a_lone_machine_and_one_with_a_governor_stays(net:
     assert alone.groups[0].bus == 1 and alone.replaced == () and len(alone.with_groups.machines) == 1
 
 
-def test_a_grid_that_is_not_the_one_of_the_file_is_refused_with_bus_and_both_values(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_grid_that_is_not_the_one_of_the_file_is_refused_with_bus_and_both_values(tmp_path, monkeypatch):
     path = mpc(tmp_path)
     right = solved_case.Branch
     monkeypatch.setattr(solved_case, "Branch", lambda **values: right(**values | {"charging": 0.0}))
@@ -244,14 +234,14 @@ def test_a_grid_that_is_not_the_one_of_the_file_is_refused_with_bus_and_both_val
         read_case(path)
 
 
-def test_every_bus_of_a_network_has_the_voltage_that_pandapower_finds(tmp_path: Path) -> None:
+def test_every_bus_of_a_network_has_the_voltage_that_pandapower_finds(tmp_path):
     net = pandapower.networks.case30()
     pandapower.runpp(net, numba=False)
     voltages, _ = power_flow(read(net, tmp_path).case)
     assert abs(voltages) == pytest.approx(net.res_bus.vm_pu.to_numpy(), abs=1e-6)
 
 
-def test_too_many_buses_are_refused_before_anything_is_solved(net: Any, tmp_path: Path) -> None:
+def test_too_many_buses_are_refused_before_anything_is_solved(net, tmp_path):
     pandapower.create_buses(net, 2000, 220.0)
     with pytest.raises(ValueError, match="2003 buses; a grid has at most 2000"):
         read(net, tmp_path)

@@ -1,7 +1,5 @@
 """Shared fixtures of the physics tests."""
 
-from __future__ import annotations
-
 import pytest
 
 from wtg_gym.physics.plant import Plant
@@ -9,6 +7,6 @@ from wtg_gym.physics.simulator import Simulator
 
 
 @pytest.fixture(scope="session")
-def simulator() -> Simulator:
+def simulator():
     """The paper's plant, one lane, two minutes at most."""
     return Simulator(Plant(), duration_s=120.0)

@@ -3,8 +3,6 @@
 Two plants are compiled: the paper's curve, and a table with a hydro governor. Options are numbers within them.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import functools
 import itertools

@@ -1,7 +1,5 @@
 """The C_p curve and what is derived from it, against the paper's table; a table in its place."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.interpolate import RectBivariateSpline
@@ -11,7 +9,7 @@ from wtg_gym.physics.parameters import ROTOR_TABLE, nrel_5mw
 from wtg_gym.physics.rotor_table import read_rotor_table
 
 
-def test_operating_points_are_those_of_the_paper() -> None:
+def test_operating_points_are_those_of_the_paper():
     best, nominal, limit = points = [tracking_point(d) for d in (0.0, 0.05, 0.10)]
     assert round(best.tip_speed_ratio) == 7
     assert round(best.power_coefficient, 3) == 0.448
@@ -28,7 +26,7 @@ TABLE = read_rotor_table(ROTOR_TABLE)
 RATIO, PITCH, CP = (np.array(v) for v in (TABLE.tip_speed_ratio, TABLE.pitch_deg, TABLE.power_coefficient))
 
 
-def test_between_the_points_it_is_the_bicubic_spline() -> None:
+def test_between_the_points_it_is_the_bicubic_spline():
     spline = RectBivariateSpline(RATIO, PITCH, CP, kx=3, ky=3, s=0.0)
     rng = np.random.default_rng(0)
     for pitch in rng.uniform(0.0, PITCH[-1], 40):
@@ -36,7 +34,7 @@ def test_between_the_points_it_is_the_bicubic_spline() -> None:
         assert power_coefficient(ratio, float(pitch), TABLE) == pytest.approx(spline(ratio, pitch)[:, 0], abs=1e-13)
 
 
-def test_beyond_its_edges_it_keeps_their_values_and_falls_to_zero_at_standstill() -> None:
+def test_beyond_its_edges_it_keeps_their_values_and_falls_to_zero_at_standstill():
     at_edge = float(power_coefficient(RATIO[-1], 0.0, TABLE))
     assert power_coefficient(np.array([20.0, 90.0]), 0.0, TABLE) == pytest.approx(at_edge, abs=1e-14)
     assert power_coefficient(7.0, 80.0, TABLE) == pytest.approx(
@@ -48,7 +46,7 @@ def test_beyond_its_edges_it_keeps_their_values_and_falls_to_zero_at_standstill(
     )
 
 
-def test_the_nrel_turbine_has_its_published_numbers() -> None:
+def test_the_nrel_turbine_has_its_published_numbers():
     turbine = nrel_5mw()
     best = tracking_point(0.0, turbine)
     assert 7.0 < best.tip_speed_ratio < 8.0

@@ -1,7 +1,5 @@
 """What parameters, networks, plants, scenarios, laws and starts refuse: one row for each rule."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from pathlib import Path
@@ -244,7 +242,7 @@ STARTS: list[tuple[Call, str]] = [
     ("call", "message"),
     [*RECORDS, *UNFIT, *((call, f"scenario 'x' cannot start: .*{message}") for call, message in STARTS)],
 )
-def test_bad_values_are_refused_with_value_unit_and_range_in_one_line(call: Call, message: str) -> None:
+def test_bad_values_are_refused_with_value_unit_and_range_in_one_line(call, message):
     with pytest.raises(ValueError, match=message) as refused:
         call()
     assert "\n" not in str(refused.value)
@@ -273,7 +271,7 @@ TABLES = [
     ],
     ids=[message[:30] for *_, message in (*LAWS, *TABLES)],
 )
-def test_bad_files_are_refused_with_their_name(tmp_path: Path, read: Any, text: str, message: str) -> None:
+def test_bad_files_are_refused_with_their_name(tmp_path, read, text, message):
     path = tmp_path / "mine.toml"
     path.write_text(text, encoding="utf-8")
     with pytest.raises(ValueError, match=message) as refused:

@@ -1,7 +1,5 @@
 """Units that come back and islands that join again: in step with the grid, whatever turns they have made."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np
@@ -43,15 +41,13 @@ def played(
     ],
     ids=["generator", "group after the last generator", "group without machines", "islands", "islands, later"],
 )
-def test_what_comes_back_in_phase_has_not_lost_synchronism(
-    events: list[Event], wind: float, plant: Plant, load_level: float
-) -> None:
+def test_what_comes_back_in_phase_has_not_lost_synchronism(events, wind, plant, load_level):
     simulator = played(events, wind, plant, load_level)
     assert simulator.lane_values("status")[0] == Status.RUNNING
     assert simulator.lane_values("coi")[0] == pytest.approx(1.0, abs=0.01)
 
 
-def test_a_grid_that_a_part_joins_remembers_which_stages_have_acted() -> None:
+def test_a_grid_that_a_part_joins_remembers_which_stages_have_acted():
     # Two small buses in the west join the rest, which has shed.
     simulator = played(cut((1, 5), (2, 3), (2, 4), (2, 5), recloses_after_s=0.9), 8.0, seconds=2.1)
     n_stages = len(V1.shedding)
@@ -59,7 +55,7 @@ def test_a_grid_that_a_part_joins_remembers_which_stages_have_acted() -> None:
     assert min(shed) < 0.0
 
 
-def test_energy_that_is_not_served_is_never_negative() -> None:
+def test_energy_that_is_not_served_is_never_negative():
     away = [
         LineTrip(time_s=1.0, from_bus=7, to_bus=8),
         GroupTrip(time_s=1.0, group=3),
@@ -69,13 +65,13 @@ def test_energy_that_is_not_served_is_never_negative() -> None:
     assert simulator.lane_values("shed_energy")[0] == 0.0
 
 
-def test_a_group_that_returns_to_a_revived_bus_begins_with_the_grids_frequency() -> None:
+def test_a_group_that_returns_to_a_revived_bus_begins_with_the_grids_frequency():
     line = LineTrip(time_s=1.0, from_bus=7, to_bus=8, recloses_after_s=9.0)
     simulator = played([line, GroupTrip(time_s=9.0, group=3, returns_after_s=1.0)], seconds=10.1)
     # Within 0.1 s its power lifts it by less than a fifth of what lay between the dead island and the grid.
     assert simulator.wtg_values("speed")[0, 3] == pytest.approx(simulator.lane_values("coi")[0], abs=6e-3)
 
 
-def test_a_machine_that_has_lost_its_governor_comes_back_with_its_gate_closed() -> None:
+def test_a_machine_that_has_lost_its_governor_comes_back_with_its_gate_closed():
     lost = [GovernorLoss(time_s=1.0, bus=1), MachineOutage(time_s=2.0, bus=1, returns_after_s=0.5)]
     assert played(lost, seconds=4.0).machine_values("gate")[0, 0] == 0.0

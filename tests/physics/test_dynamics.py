@@ -1,7 +1,5 @@
 """Balances, agreement with other integrators, and what protections do."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -19,7 +17,7 @@ from wtg_gym.scenarios import get_suite
 LAW = STRATEGIES["coordinated-piecewise"]
 
 
-def test_kinetic_energy_is_what_was_captured_and_not_delivered(simulator: Simulator) -> None:
+def test_kinetic_energy_is_what_was_captured_and_not_delivered(simulator):
     simulator.start(0, get_suite("gust").scenario(20_003), (LAW, STRATEGIES["mppt"]))
     before = simulator.wtg_values("rotor_speed")[0]
     recorded(simulator, 30.0)
@@ -30,7 +28,7 @@ def test_kinetic_energy_is_what_was_captured_and_not_delivered(simulator: Simula
 
 
 @pytest.mark.parametrize("shift", [0.0, 0.1])
-def test_load_noise_by_rank_one_update_equals_a_full_reduction(simulator: Simulator, shift: float) -> None:
+def test_load_noise_by_rank_one_update_equals_a_full_reduction(simulator, shift):
     # 12 MW of noise at bus 9 from t = 0.1 s on, against the same as a load step of 12 MW.
     results, settings = [], simulator.settings
     first, *others = settings.case.branches
@@ -46,7 +44,7 @@ def test_load_noise_by_rank_one_update_equals_a_full_reduction(simulator: Simula
     assert results[0] == pytest.approx(results[1], abs=1e-12)
 
 
-def test_load_noise_ends_with_its_series_at_every_control_interval() -> None:
+def test_load_noise_ends_with_its_series_at_every_control_interval():
     noisy = scenario(duration_s=2.0, load_noise_mw=np.array([0.0, 0.0, 40.0, 40.0]))
     for control_dt in (0.05, 0.1, 0.2):
         noise = started(Plant(control_dt=control_dt), noisy, duration_s=2.0).data.noise[0]
@@ -69,9 +67,7 @@ OUTAGES = (
 
 
 @pytest.mark.parametrize(("method", "events"), [("DOP853", EVENTS), ("Radau", OUTAGES)], ids=["loads", "outages"])
-def test_default_step_agrees_with_tight_integration_through_every_kind_of_event(
-    method: str, events: tuple[sc.Event, ...]
-) -> None:
+def test_default_step_agrees_with_tight_integration_through_every_kind_of_event(method, events):
     expected, _ = reference_run(Plant(), scenario(*events), 2.0, method, 1e-10, "power")
     fixed = started(Plant(), scenario(*events))
     recorded(fixed, 2.0)
@@ -80,7 +76,7 @@ def test_default_step_agrees_with_tight_integration_through_every_kind_of_event(
     assert max(error.values()) < 2e-4
 
 
-def test_error_falls_with_the_fourth_power_of_the_step() -> None:
+def test_error_falls_with_the_fourth_power_of_the_step():
     ends = {}
     for dt in (0.02, 0.01, 0.005, 0.00125):
         run = started(Plant(simulation_dt=dt), scenario(*EVENTS[:1]))
@@ -92,7 +88,7 @@ def test_error_falls_with_the_fourth_power_of_the_step() -> None:
 
 
 @pytest.mark.parametrize("trips", [False, True])
-def test_a_stalled_group_ends_the_run_which_then_stands_still_or_is_tripped(trips: bool) -> None:
+def test_a_stalled_group_ends_the_run_which_then_stands_still_or_is_tripped(trips):
     simulator = Simulator(Plant(trips_groups=trips), duration_s=120.0)
     simulator.start(0, get_suite("paper").scenario(0), (STRATEGIES["mppt"],) * 2)
     recorded(simulator, 100.0)
@@ -124,9 +120,7 @@ UNLIMITED = Plant(limits=FAR, shedding=NO_SHEDDING, pitch=NO_PITCH)
     ("suite", "seed", "strategy", "status"),
     [("paper", 0, "mppt", Status.STALL), ("gust", 10_003, "coordinated-piecewise", Status.RUNNING)],
 )
-def test_limits_out_of_reach_leave_the_papers_plant_as_it_is(
-    suite: str, seed: int, strategy: str, status: Status
-) -> None:
+def test_limits_out_of_reach_leave_the_papers_plant_as_it_is(suite, seed, strategy, status):
     what = get_suite(suite).scenario(seed)
     paper, unlimited = (started(plant, what, strategy, what.duration_s) for plant in (Plant(pitch=NO_PITCH), UNLIMITED))
     expected, found = (recorded(run, what.duration_s, "rotor_speed", "power", "emf") for run in (paper, unlimited))

@@ -1,7 +1,5 @@
 """The elementary functions against libm and exact arithmetic."""
 
-from __future__ import annotations
-
 import math
 from typing import Any, cast
 
@@ -36,11 +34,11 @@ def compiled_fma(*given: float) -> float:
 @example(math.nan, 1.0, 0.0)
 @example(1e300, 1e300, 0.0)
 @example(-1e300, 1e300, 1.0)
-def test_compiled_multiply_add_has_the_bits_of_the_exact_one(a: float, b: float, c: float) -> None:
+def test_compiled_multiply_add_has_the_bits_of_the_exact_one(a, b, c):
     assert repr(compiled_fma(a, b, c)) == repr(float(fma(a, b, c)))
 
 
-def test_multiply_add_is_rounded_once_and_zero_is_exact() -> None:
+def test_multiply_add_is_rounded_once_and_zero_is_exact():
     a = 1.0 + 2.0**-30
     assert fma(a, a, -1.0 - 2.0**-29) == 2.0**-60
     assert a * a - (1.0 + 2.0**-29) == 0.0
@@ -48,6 +46,6 @@ def test_multiply_add_is_rounded_once_and_zero_is_exact() -> None:
 
 
 @given(st.floats(-1e4, 1e4), st.floats(-39.9, 0.0))
-def test_sine_cosine_and_exponential_agree_with_libm(angle: float, exponent: float) -> None:
+def test_sine_cosine_and_exponential_agree_with_libm(angle, exponent):
     assert sine_cosine(angle) == pytest.approx((math.sin(angle), math.cos(angle)), abs=4e-15, rel=0.0)
     assert exponential(exponent) == pytest.approx(math.exp(exponent), rel=3e-14, abs=0.0)

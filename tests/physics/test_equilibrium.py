@@ -1,7 +1,5 @@
 """Every run starts in an exact equilibrium; extended plants keep their balances and are stable there."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np
@@ -24,14 +22,14 @@ from wtg_gym.physics.linearisation import moving_states, state_matrix
 from wtg_gym.physics.parameters import VoltageControlParameters, WtgGroup
 from wtg_gym.physics.plant import Plant
 from wtg_gym.physics.simulator import Simulator
-from wtg_gym.physics.tracking_law import STRATEGIES, TrackingLaw, get_law
-from wtg_gym.scenarios import SUITES, Suite
+from wtg_gym.physics.tracking_law import STRATEGIES, get_law
+from wtg_gym.scenarios import SUITES
 
 LIMIT = 1e-8
 
 
 @pytest.mark.parametrize("law", STRATEGIES.values(), ids=lambda law: law.name)
-def test_no_state_moves_at_the_start_at_any_wind(simulator: Simulator, law: TrackingLaw) -> None:
+def test_no_state_moves_at_the_start_at_any_wind(simulator, law):
     for wind in np.linspace(6.0, 13.0, 20):
         simulator.start(0, scenario(wind=[[wind], [19.0 - wind]]), (law, law))
         assert largest_rate(simulator) <= LIMIT, f"{wind:g} m/s"
@@ -39,7 +37,7 @@ def test_no_state_moves_at_the_start_at_any_wind(simulator: Simulator, law: Trac
 
 @pytest.mark.parametrize("suite", SUITES.values(), ids=lambda suite: suite.name)
 @pytest.mark.parametrize("split", ["validation", "test"])
-def test_no_state_moves_at_the_start_of_the_suites(simulator: Simulator, suite: Suite, split: str) -> None:
+def test_no_state_moves_at_the_start_of_the_suites(simulator, suite, split):
     if suite.task.version != "v0":
         plant = suite.plant
         simulator = Simulator(plant, duration_s=suite.duration_s)
@@ -49,7 +47,7 @@ def test_no_state_moves_at_the_start_of_the_suites(simulator: Simulator, suite: 
         assert largest_rate(simulator) <= LIMIT, f"seed {seed}"
 
 
-def test_above_rated_the_pitch_holds_the_captured_power_at_its_limit_and_below_it_rests(simulator: Simulator) -> None:
+def test_above_rated_the_pitch_holds_the_captured_power_at_its_limit_and_below_it_rests(simulator):
     for low, high in ((3.0, 12.0), (8.0, 15.0), (11.4, 24.0)):
         simulator.start(0, scenario(wind=[[low], [high]]), (STRATEGIES["coordinated-piecewise"],) * 2)
         assert largest_rate(simulator) <= LIMIT
@@ -58,7 +56,7 @@ def test_above_rated_the_pitch_holds_the_captured_power_at_its_limit_and_below_i
         assert simulator.wtg_values("captured")[0, 1] == pytest.approx(1.05, abs=1e-9)
 
 
-def test_other_groups_machine_models_resistance_and_shared_buses_start_at_rest() -> None:
+def test_other_groups_machine_models_resistance_and_shared_buses_start_at_rest():
     groups = WtgGroup(bus=3), WtgGroup(bus=14, n_turbines=2.0)
     case = get_grid("ieee14").case
     for own in (case, case.classical()):
@@ -76,7 +74,7 @@ def test_other_groups_machine_models_resistance_and_shared_buses_start_at_rest()
 
 
 @pytest.mark.parametrize("table", [False, True])
-def test_no_state_moves_at_the_start_with_any_options(table: bool) -> None:
+def test_no_state_moves_at_the_start_with_any_options(table):
     for limits, voltage, energy in OPTIONS:
         settings = plant(table=table, limits=limits, voltage=voltage, energy=energy, dead_band=2e-4)
         simulator = Simulator(settings)
@@ -88,9 +86,7 @@ def test_no_state_moves_at_the_start_with_any_options(table: bool) -> None:
 
 
 @pytest.mark.parametrize(("level", "sign"), [(1.2, 1.0), (0.5, -1.0)])
-def test_a_bus_lets_go_of_its_voltage_where_the_groups_reactive_power_does_not_suffice(
-    level: float, sign: float
-) -> None:
+def test_a_bus_lets_go_of_its_voltage_where_the_groups_reactive_power_does_not_suffice(level, sign):
     found = {}
     for limit in (1.0, 0.04, 0.0):
         control = VoltageControlParameters(reactive_max_pu=limit, internal_voltage_max_pu=1.6)
@@ -111,7 +107,7 @@ def test_a_bus_lets_go_of_its_voltage_where_the_groups_reactive_power_does_not_s
 
 
 @pytest.mark.parametrize(("table", "energy"), [(False, False), (False, True), (True, False), (True, True)])
-def test_rotor_and_converter_keep_their_balances_in_rough_runs(table: bool, energy: bool) -> None:
+def test_rotor_and_converter_keep_their_balances_in_rough_runs(table, energy):
     settings = plant(table=table, energy=energy, dead_band=2e-4)
     inertia = settings.turbine.inertia_constant_s
     chopped = 0.0
@@ -134,7 +130,7 @@ def test_rotor_and_converter_keep_their_balances_in_rough_runs(table: bool, ener
 
 
 @pytest.mark.parametrize("table", [False, True])
-def test_extended_plants_are_stable_at_their_equilibria(table: bool) -> None:
+def test_extended_plants_are_stable_at_their_equilibria(table):
     for limits, voltage, energy in OPTIONS:
         settings = plant(table=table, limits=limits, voltage=voltage, energy=energy)
         for wind in (8.0, 11.0, 16.0):

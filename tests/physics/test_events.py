@@ -1,7 +1,5 @@
 """Facts about events that take units, governors and lines away, and about lines that come back."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np
@@ -100,7 +98,7 @@ def check_network(simulator: Simulator, what: sc.Scenario, now_s: float) -> None
     assert abs(given - (voltage @ np.conj(passive @ voltage)).real) <= 1e-9
 
 
-def test_the_network_is_that_of_the_scenario_through_every_kind_of_event(simulator: Simulator) -> None:
+def test_the_network_is_that_of_the_scenario_through_every_kind_of_event(simulator):
     what = scenario(*ALL)
     simulator.start(0, what, LAWS)
     for interval in range(1, 41):
@@ -111,7 +109,7 @@ def test_the_network_is_that_of_the_scenario_through_every_kind_of_event(simulat
     assert simulator.machine_values("connected")[0].tolist() == [1.0, 1.0, 0.0, 1.0]
 
 
-def test_a_lane_that_starts_again_has_all_its_units_and_governors(simulator: Simulator) -> None:
+def test_a_lane_that_starts_again_has_all_its_units_and_governors(simulator):
     simulator.start(0, scenario(), LAWS)
     fresh = simulator.blocks.copy()
     simulator.start(0, scenario(*ALL), LAWS)
@@ -121,7 +119,7 @@ def test_a_lane_that_starts_again_has_all_its_units_and_governors(simulator: Sim
 
 
 @pytest.mark.parametrize("bus", [3, 8])
-def test_a_condenser_after_its_outage_feeds_in_nothing_and_counts_nowhere(simulator: Simulator, bus: int) -> None:
+def test_a_condenser_after_its_outage_feeds_in_nothing_and_counts_nowhere(simulator, bus):
     simulator.start(0, scenario(sc.MachineOutage(time_s=1.0, bus=bus)), LAWS)
     recorded(simulator, 1.0)
     out = [machine.bus for machine in CASE.machines].index(bus)

@@ -1,7 +1,5 @@
 """Facts about extended WTG groups beside another simulator's converters and loads: golden traces of ANDES."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Sequence
 from typing import Any
@@ -72,12 +70,12 @@ def step_up(power_mw: float) -> tuple[LoadStep, ...]:
     return LoadStep(time_s=5.0, bus=2, power_mw=power_mw), LoadStep(time_s=30.0, bus=3, power_mw=75.0)
 
 
-def test_a_group_whose_rotor_holds_its_speed_is_the_grid_forming_converter_of_another_simulator() -> None:
+def test_a_group_whose_rotor_holds_its_speed_is_the_grid_forming_converter_of_another_simulator():
     _, largest = against_golden_trace("grid-forming", step_up(75.0))
     assert largest["w"] <= 3e-7 and largest["Pe"] <= 2e-5 and largest["V"] <= 1e-6, largest
 
 
-def test_shedding_does_what_it_does_in_another_simulator_at_the_same_instants() -> None:
+def test_shedding_does_what_it_does_in_another_simulator_at_the_same_instants():
     levels = (49.85, 49.8, 49.75)
     # So that the stages act at instants of the trace.
     delays, shares, instants = (0.29375, 0.325, 0.390625), (0.05, 0.08, 0.08), (5.5, 5.625, 5.8125)

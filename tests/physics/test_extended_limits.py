@@ -1,7 +1,5 @@
 """What acts in extended plants beyond a limit: converters, governors, shedding and the under-speed trip."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -27,9 +25,7 @@ from wtg_gym.systems.routines import Routine
     ("mvar", "above_pu", "stays_s"),
     [(-150.0, 1.1, 29.0), (-190.0, 1.15, 20.0), (-230.0, 1.2, 2.0), (-330.0, 1.25, 0.2)],
 )
-def test_a_group_stays_through_the_over_voltages_it_must_and_no_longer(
-    mvar: float, above_pu: float, stays_s: float
-) -> None:
+def test_a_group_stays_through_the_over_voltages_it_must_and_no_longer(mvar, above_pu, stays_s):
     # A capacitor far too large, where no machine and hardly any group controls its voltage.
     capacitor = LoadStep(time_s=1.0, bus=2, power_mw=0.0, reactive_mvar=mvar)
     case, slow = grid.get_grid("ieee14").case.classical(), VoltageControlParameters(integral_gain=0.01)
@@ -46,7 +42,7 @@ def test_a_group_stays_through_the_over_voltages_it_must_and_no_longer(
 
 @pytest.mark.parametrize("table", [False, True])
 @pytest.mark.parametrize("disturbance", ["fault", "load"])
-def test_limits_are_held_and_left_without_wind_up(table: bool, disturbance: str) -> None:
+def test_limits_are_held_and_left_without_wind_up(table, disturbance):
     # The hydro governor is slow: under more load the groups lose synchronism.
     load = extended.pulse(2, 160.0, until_s=5.0) if table else extended.pulse(2, 200.0, until_s=11.0)
     events = extended.fault() if disturbance == "fault" else load
@@ -71,7 +67,7 @@ def test_limits_are_held_and_left_without_wind_up(table: bool, disturbance: str)
     assert extended.distance(simulator, start) < 5e-5
 
 
-def test_the_reactive_limit_takes_over_and_gives_back() -> None:
+def test_the_reactive_limit_takes_over_and_gives_back():
     simulator = extended.started(
         extended.plant(control_dt=0.025), extended.scenario(*extended.pulse(4, reactive_mvar=60.0, until_s=16.0))
     )
@@ -85,7 +81,7 @@ def test_the_reactive_limit_takes_over_and_gives_back() -> None:
 
 
 @pytest.mark.parametrize("table", [False, True])
-def test_a_lost_governor_keeps_its_gate_to_the_bit_whatever_its_kind(table: bool) -> None:
+def test_a_lost_governor_keeps_its_gate_to_the_bit_whatever_its_kind(table):
     gate = "hydro_gate" if table else "gate"
     events = (LoadStep(time_s=1.0, bus=3, power_mw=30.0), GovernorLoss(time_s=3.0, bus=1))
     simulator = extended.started(extended.plant(table=table), extended.scenario(*events))
@@ -101,7 +97,7 @@ def test_a_lost_governor_keeps_its_gate_to_the_bit_whatever_its_kind(table: bool
     assert abs(simulator.machine_values(gate)[0, 0] - held) > 1e-3
 
 
-def test_shedding_stages_act_in_their_order_at_their_time_with_their_share() -> None:
+def test_shedding_stages_act_in_their_order_at_their_time_with_their_share():
     stages = european_shedding()
     step = LoadStep(time_s=1.0, bus=3, power_mw=150.0)
     simulator = extended.started(extended.plant(control_dt=0.025), extended.scenario(step, governor_droop=0.2))
@@ -138,7 +134,7 @@ _FIND_CURRENTS = Routine(CURRENTS[0])
     ],
     ids=["four buses", "a weak bus"],
 )
-def test_limited_currents_solve_their_equations(groups: tuple[WtgGroup, ...]) -> None:
+def test_limited_currents_solve_their_equations(groups):
     built = plant_tables(Plant(groups=groups, limits=ConverterLimitParameters()))
     layout, rng = layout_of(built), np.random.default_rng(0)
     built = with_places(built, layout, CURRENTS)
@@ -195,7 +191,7 @@ def deviations(settings: Plant, what: Scenario, expected: tuple[Floats, Floats])
 @pytest.mark.parametrize(
     "events", [extended.fault(duration_s=0.2), extended.pulse(2, 200.0, until_s=11.0)], ids=["fault", "load"]
 )
-def test_the_default_step_follows_tight_integration_while_limits_bind(events: tuple[LoadStep, ...]) -> None:
+def test_the_default_step_follows_tight_integration_while_limits_bind(events):
     what = extended.scenario(*events)
     expected = extended.reference_run(extended.plant(shedding=extended.NO_SHEDDING), what, 20.0, "DOP853")
     assert (expected[1] > extended.CURRENT_MAX * (1.0 - 1e-9)).any()

@@ -1,7 +1,5 @@
 """Facts about faults, branches that change, units that return, and what a converter, its torque and chopper stand."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -11,7 +9,7 @@ from wtg_gym.physics.layout import Floats
 from wtg_gym.physics.parameters import ConverterLimitParameters, WtgGroup
 from wtg_gym.physics.protection import Status
 from wtg_gym.physics.reduction import assemble, refresh_network
-from wtg_gym.physics.scenario import Event, Fault, GroupTrip, LineTrip, LoadStep, MachineOutage, ReactanceStep
+from wtg_gym.physics.scenario import Fault, GroupTrip, LineTrip, LoadStep, MachineOutage, ReactanceStep
 from wtg_gym.physics.simulator import Simulator
 from wtg_gym.physics.tracking_law import get_law
 from wtg_gym.physics.trajectory import simulate
@@ -29,7 +27,7 @@ def bus_matrix(simulator: Simulator) -> np.ndarray:
 
 
 @pytest.mark.parametrize("impedance", [1e-4j, 0.02 + 0.05j])
-def test_during_a_fault_its_impedance_carries_all_that_flows_into_the_bus(impedance: complex) -> None:
+def test_during_a_fault_its_impedance_carries_all_that_flows_into_the_bus(impedance):
     what = Fault(time_s=1.0, bus=4, clears_after_s=0.1, resistance_pu=impedance.real, reactance_pu=impedance.imag)
     simulator = started(plant(control_dt=0.025), scenario(what))
     recorded(simulator, 1.0)
@@ -45,7 +43,7 @@ def test_during_a_fault_its_impedance_carries_all_that_flows_into_the_bus(impeda
     assert (bus_matrix(simulator) == before).all()
 
 
-def test_a_line_that_clears_a_fault_is_a_line_that_trips_then() -> None:
+def test_a_line_that_clears_a_fault_is_a_line_that_trips_then():
     both = [
         (Fault(time_s=1.0, bus=4, clears_after_s=0.15, opens=(4, 2)),),
         (Fault(time_s=1.0, bus=4, clears_after_s=0.15), LineTrip(time_s=1.15, from_bus=4, to_bus=2)),
@@ -60,7 +58,7 @@ def test_a_line_that_clears_a_fault_is_a_line_that_trips_then() -> None:
 
 
 @pytest.mark.parametrize(("ends", "factor"), [((2, 4), 3.0), ((4, 7), 0.25)], ids=["line", "transformer"])
-def test_a_reactance_step_gives_the_network_with_that_impedance(ends: tuple[int, int], factor: float) -> None:
+def test_a_reactance_step_gives_the_network_with_that_impedance(ends, factor):
     event = ReactanceStep(time_s=1.0, from_bus=ends[1], to_bus=ends[0], factor=factor)
     other = ReactanceStep(time_s=0.5, from_bus=ends[0], to_bus=ends[1], factor=7.0)
     simulator = started(plant(), scenario(other, event))
@@ -100,7 +98,7 @@ def stored(simulator: Simulator) -> Floats:
     ],
     ids=["fault, and power pressed in", "islands", "returns"],
 )
-def test_energies_close_whatever_happens(events: tuple[Event, ...]) -> None:
+def test_energies_close_whatever_happens(events):
     simulator = started(parted(), scenario(*events, wind=PARTED_WIND))
     start = stored(simulator)
     for _ in range(200):
@@ -121,7 +119,7 @@ def return_now(simulator: Simulator) -> None:
 
 @pytest.mark.parametrize("table", [False, True])
 @pytest.mark.parametrize("who", ["group", "condenser", "machine with a governor"])
-def test_a_unit_that_returns_is_in_step_with_its_bus_and_picks_up_again(who: str, table: bool) -> None:
+def test_a_unit_that_returns_is_in_step_with_its_bus_and_picks_up_again(who, table):
     bus, own = {"group": (2, "wtg1."), "condenser": (3, "sync1."), "machine with a governor": (1, "sync0.")}[who]
     given: dict[str, float] = {"time_s": 1.0, "returns_after_s": 3.0}
     event = GroupTrip(**given, group=1) if who == "group" else MachineOutage(**given, bus=bus)  # type: ignore[arg-type]
@@ -157,7 +155,7 @@ def test_a_unit_that_returns_is_in_step_with_its_bus_and_picks_up_again(who: str
     assert abs(power[unit]) < 1e-3 if who == "condenser" else power[unit] > 0.4
 
 
-def test_a_unit_whose_bus_is_dark_when_it_would_return_stays_away() -> None:
+def test_a_unit_whose_bus_is_dark_when_it_would_return_stays_away():
     # The part of bus 9 dies without its group.
     events = (GroupTrip(time_s=1.5, group=1, returns_after_s=10.0), *cut(1.0))
     simulator = started(parted(), scenario(*events, wind=PARTED_WIND))
@@ -170,7 +168,7 @@ def test_a_unit_whose_bus_is_dark_when_it_would_return_stays_away() -> None:
 # --- What converters stand
 
 
-def test_a_turbine_is_not_held_beyond_its_power_and_torque_and_all_see_the_frequency_of_its_voltage() -> None:
+def test_a_turbine_is_not_held_beyond_its_power_and_torque_and_all_see_the_frequency_of_its_voltage():
     settings = plant(shedding=NO_SHEDDING, simulation_dt=0.0125)
     simulator = started(settings, scenario(wind=[[14.0], [11.4]], duration_s=300.0), duration_s=300.0)
     plant_, law = simulator.plant, get_law(LAW, settings.turbine)
@@ -197,7 +195,7 @@ def test_a_turbine_is_not_held_beyond_its_power_and_torque_and_all_see_the_frequ
     assert simulator.wtg_values("power")[0].max() <= 1.1 + 1e-6
 
 
-def test_a_record_shows_the_frequency_of_the_voltage() -> None:
+def test_a_record_shows_the_frequency_of_the_voltage():
     what = scenario(LoadStep(time_s=0.5, bus=2, power_mw=150.0), duration_s=3.0)
     found, simulator = simulate(what, LAW, plant()), started(plant(), what)
     live = recorded(simulator, 3.0, "speed", "shift")
@@ -205,7 +203,7 @@ def test_a_record_shows_the_frequency_of_the_voltage() -> None:
     assert (found.wtg_frequency_hz[1:] == 50.0 * (live["speed"] + live["shift"])).all()
 
 
-def test_a_chopper_heats_by_what_it_burns_and_cools_and_a_group_with_a_full_one_trips() -> None:
+def test_a_chopper_heats_by_what_it_burns_and_cools_and_a_group_with_a_full_one_trips():
     limits = ConverterLimitParameters(chopper_energy_pu_s=0.015, chopper_cooling_s=5.0)
     simulator = started(plant(limits=limits, control_dt=0.025, shedding=NO_SHEDDING), scenario(*PRESSED))
     heat, burnt, fullest = np.zeros(2), np.zeros(2), np.zeros(2)

@@ -1,7 +1,5 @@
 """Facts about grids as files: they come back as they were, play without code of their own, and are refused clearly."""
 
-from __future__ import annotations
-
 import dataclasses
 import json
 from pathlib import Path
@@ -51,14 +49,14 @@ STRANGER = {
 
 
 @pytest.fixture
-def stranger(tmp_path: Path) -> Path:
+def stranger(tmp_path):
     path = tmp_path / "stranger.json"
     path.write_text(json.dumps(STRANGER), encoding="utf-8")
     return path
 
 
 @pytest.mark.parametrize("name", known_grids())
-def test_a_grid_comes_back_from_its_file(name: str, tmp_path: Path) -> None:
+def test_a_grid_comes_back_from_its_file(name, tmp_path):
     grid = get_grid(name)
     path = tmp_path / "again.json"
     path.write_text(grid_text(grid), encoding="utf-8")
@@ -66,7 +64,7 @@ def test_a_grid_comes_back_from_its_file(name: str, tmp_path: Path) -> None:
     assert grid.source and grid.licence
 
 
-def test_a_strangers_grid_plays_without_any_code(stranger: Path) -> None:
+def test_a_strangers_grid_plays_without_any_code(stranger):
     env = GFMWTGEnv(grid=str(stranger), strategy="coordinated-tuned")
     assert env.observation_space.shape == (2 * 8,)
     for seed in range(3):
@@ -78,7 +76,7 @@ def test_a_strangers_grid_plays_without_any_code(stranger: Path) -> None:
     env.close()
 
 
-def test_a_grid_that_is_an_object_plays_as_its_file_does() -> None:
+def test_a_grid_that_is_an_object_plays_as_its_file_does():
     grid = get_grid("kundur")
     env = GFMWTGEnv(grid=grid)
     path = Path(env.settings.suite_name)
@@ -99,7 +97,7 @@ def test_a_grid_that_is_an_object_plays_as_its_file_does() -> None:
         ({"branches": [{"from_bus": 12}]}, "Branch .*12.* misses to_bus"),
     ],
 )
-def test_a_file_with_a_mistake_is_refused_in_a_line(change: dict, words: str, tmp_path: Path) -> None:
+def test_a_file_with_a_mistake_is_refused_in_a_line(change, words, tmp_path):
     path = tmp_path / "wrong.json"
     path.write_text(json.dumps({**STRANGER, **change}), encoding="utf-8")
     with pytest.raises(ValueError, match=words) as refusal:
@@ -107,7 +105,7 @@ def test_a_file_with_a_mistake_is_refused_in_a_line(change: dict, words: str, tm
     assert str(path) in str(refusal.value) and "\n" not in str(refusal.value)
 
 
-def test_machines_share_what_the_wind_leaves_by_rating_and_gate() -> None:
+def test_machines_share_what_the_wind_leaves_by_rating_and_gate():
     grid = get_grid("ieee39")
     plant = Plant().replaced(physics="extended", case=grid.with_groups, groups=grid.groups, shares_dispatch=True)
     simulator, law = Simulator(plant, duration_s=1.0), get_law("coordinated-tuned")
@@ -119,7 +117,7 @@ def test_machines_share_what_the_wind_leaves_by_rating_and_gate() -> None:
         assert np.ptp(gates) < 2e-3
 
 
-def test_kundurs_areas_swing_as_in_the_book() -> None:
+def test_kundurs_areas_swing_as_in_the_book():
     case = get_grid("kundur").case
     bare = {"exciter": None, "stabiliser": None, "governor": None}
     machines = tuple(dataclasses.replace(machine, **bare) for machine in case.machines)
@@ -131,7 +129,7 @@ def test_kundurs_areas_swing_as_in_the_book() -> None:
     assert sorted(hertz for _, hertz in swing_modes(matrix)) == pytest.approx([0.545, 1.087, 1.117], rel=0.01)
 
 
-def test_a_parallel_line_trips_by_its_circuit() -> None:
+def test_a_parallel_line_trips_by_its_circuit():
     case = get_grid("kundur").case
     assert case.branch_index(7, 8) == case.branch_index(8, 7, 1) != case.branch_index(7, 8, 2)
     with pytest.raises(ValueError, match="no circuit 3 between buses 7 and 8; there are 2"):
@@ -144,7 +142,7 @@ def test_a_parallel_line_trips_by_its_circuit() -> None:
         )
 
 
-def test_bridges_are_what_takes_the_network_apart() -> None:
+def test_bridges_are_what_takes_the_network_apart():
     rng = np.random.default_rng(0)
     for _ in range(50):
         n = int(rng.integers(2, 12))
@@ -159,7 +157,7 @@ def test_bridges_are_what_takes_the_network_apart() -> None:
         assert case.bridges == apart
 
 
-def test_a_grid_names_what_its_groups_replace() -> None:
+def test_a_grid_names_what_its_groups_replace():
     grid = get_grid("ieee39")
     assert {machine.bus for machine in grid.with_groups.machines} == {30, 31, 34, 37}
     with pytest.raises(ValueError, match="unknown bus 99"):
@@ -168,7 +166,7 @@ def test_a_grid_names_what_its_groups_replace() -> None:
 
 
 @pytest.mark.parametrize("name", ["ieee14", "ieee39", "kundur", "nordic45"])
-def test_the_sparse_power_flow_finds_what_the_dense_one_finds(name: str) -> None:
+def test_the_sparse_power_flow_finds_what_the_dense_one_finds(name):
     case, at = get_grid(name).case, network.PowerFlow(power=0, polar=2, holds_voltage=4, flow=5, voltage=7)
     ends = np.array([[case.bus_index(b.from_bus), case.bus_index(b.to_bus)] for b in case.branches])
     shunts = np.array([complex(bus.shunt_mw, bus.shunt_mvar) / case.base_mva for bus in case.buses])
@@ -188,7 +186,7 @@ def test_the_sparse_power_flow_finds_what_the_dense_one_finds(name: str) -> None
     assert np.abs(dense - sparse).max() < 1e-10
 
 
-def test_groups_have_turbines_of_their_own() -> None:
+def test_groups_have_turbines_of_their_own():
     small = TurbineParameters(rated_power_mw=2.0, blade_radius_m=40.0, nominal_rotor_speed_rad_s=1.8)
     groups = WtgGroup(bus=2, n_turbines=10.0), WtgGroup(bus=3, n_turbines=10.0, turbine=small)
     plant = Plant().replaced(physics="extended", groups=groups)

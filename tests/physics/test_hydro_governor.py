@@ -1,7 +1,5 @@
 """The hydro governor and its turbine by themselves, against their transfer functions and closed solutions."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np
@@ -29,14 +27,14 @@ def orders(speed: Callable[[float], float], torque: float, seconds: float) -> Fl
     return np.asarray(solve_ivp(rates, (0.0, seconds), tuple(start), method="Radau", **how).y[1])
 
 
-def test_the_order_keeps_within_its_rate_and_its_limits() -> None:
+def test_the_order_keeps_within_its_rate_and_its_limits():
     order = orders(lambda _t: 0.95, 0.5, 60.0)
     slope = np.diff(order) / 0.01
     assert slope.max() == pytest.approx(P.gate_rate_limit_pu_s, rel=1e-3)
     assert order.max() == pytest.approx(P.gate_max_pu, abs=1e-5)
 
 
-def test_it_leaves_a_limit_at_once() -> None:
+def test_it_leaves_a_limit_at_once():
     """Non-windup: the order turns round when its wanted rate does, however long the limit has held it."""
     order = orders(lambda t: 0.95 if t < 30.0 else 1.02, 0.8, 31.0)
     assert order[3000] == pytest.approx(P.gate_max_pu, abs=1e-5)

@@ -1,7 +1,5 @@
 """Facts about networks that fall apart, that join again, and that lose their last machine."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np
@@ -59,7 +57,7 @@ def alone(settings: Plant, buses: tuple[int, ...], slack: int, held: float | Non
 
 
 @pytest.mark.parametrize(("buses", "slack"), [(NORTH, 1), (SOUTH, 6)], ids=["grid", "second island"])
-def test_an_island_runs_as_a_network_that_consists_of_it_alone(buses: tuple[int, ...], slack: int) -> None:
+def test_an_island_runs_as_a_network_that_consists_of_it_alone(buses, slack):
     settings = parted(load_frequency_dependence=1.0)
     whole = started(settings, scenario(LoadStep(time_s=0.5, bus=13, power_mw=5.0), *cut(1.0), wind=PARTED_WIND))
     recorded(whole, 1.0)
@@ -99,7 +97,7 @@ def island_of_buses(simulator: Simulator) -> Floats:
     return simulator.blocks[0, simulator.layout.first_rows(BUSES, "island"), 0]
 
 
-def test_the_blocks_between_islands_vanish_and_powers_balance_in_each() -> None:
+def test_the_blocks_between_islands_vanish_and_powers_balance_in_each():
     settings = parted()
     simulator = started(settings, scenario(*cut(1.0), wind=PARTED_WIND))
     recorded(simulator, 1.5)
@@ -128,7 +126,7 @@ def test_the_blocks_between_islands_vanish_and_powers_balance_in_each() -> None:
         assert given[of_unit == island].sum() > 0.5
 
 
-def test_parts_without_a_unit_are_dark_and_count_as_not_served() -> None:
+def test_parts_without_a_unit_are_dark_and_count_as_not_served():
     settings = parted()
     dark = cut(1.0, ((9, 14), (13, 14)), 1.0)
     simulator = started(settings, scenario(*dark, LoadStep(time_s=0.5, bus=14, power_mw=4.0), wind=PARTED_WIND))
@@ -147,7 +145,7 @@ def test_parts_without_a_unit_are_dark_and_count_as_not_served() -> None:
     assert simulator.lane_values("status")[0] == Status.RUNNING
 
 
-def test_islands_that_join_again_are_one_and_swing_together() -> None:
+def test_islands_that_join_again_are_one_and_swing_together():
     simulator = started(parted(), scenario(*cut(1.0, again_s=0.3), wind=PARTED_WIND))
     found = recorded(simulator, 40.0, "speed")
     assert (island_of_buses(simulator) == 0.0).all() and simulator.lane_values("split")[0] == 0.0
@@ -156,7 +154,7 @@ def test_islands_that_join_again_are_one_and_swing_together() -> None:
     assert simulator.lane_values("status")[0] == Status.RUNNING
 
 
-def test_shedding_acts_in_the_island_with_the_deficit_alone() -> None:
+def test_shedding_acts_in_the_island_with_the_deficit_alone():
     simulator = started(plant(groups=PARTED), scenario(*cut(1.0), wind=[[9.0], [7.0]]))
     recorded(simulator, 6.0)
     served = simulator.blocks[0, simulator.layout.first_rows(BUSES, "served"), 0]
@@ -169,7 +167,7 @@ def test_shedding_acts_in_the_island_with_the_deficit_alone() -> None:
     assert (shed[0] >= 0.0).all() and (shed[1] < 0.0).any()
 
 
-def test_a_second_island_beyond_its_limits_trips_its_units_and_the_run_goes_on() -> None:
+def test_a_second_island_beyond_its_limits_trips_its_units_and_the_run_goes_on():
     # Condensers alone feed the load of their part.
     simulator = started(plant(shedding=NO_SHEDDING), scenario(*cut(1.0)))
     recorded(simulator, 30.0)
@@ -182,7 +180,7 @@ def test_a_second_island_beyond_its_limits_trips_its_units_and_the_run_goes_on()
     assert simulator.lane_values("unserved")[0] == pytest.approx(load[5:].sum(), abs=1e-14)
 
 
-def test_the_end_of_the_grid_is_the_end_of_the_run() -> None:
+def test_the_end_of_the_grid_is_the_end_of_the_run():
     # All that generates is in the part with less load.
     lines = ((1, 2), (1, 5), (2, 3), (2, 4), (2, 5))
     case = get_grid("ieee14").case
@@ -196,7 +194,7 @@ def test_the_end_of_the_grid_is_the_end_of_the_run() -> None:
 # --- No machine
 
 
-def test_without_its_last_machine_a_grid_of_converters_runs_on() -> None:
+def test_without_its_last_machine_a_grid_of_converters_runs_on():
     settings = plant(groups=(WtgGroup(bus=2, n_turbines=40.0), WtgGroup(bus=6, n_turbines=20.0)), shedding=NO_SHEDDING)
     outages = tuple(MachineOutage(time_s=t, bus=bus) for t, bus in ((1.0, 3), (1.0, 6), (1.0, 8), (2.0, 1)))
     simulator = started(settings, scenario(*outages, wind=[[11.0], [11.0]]))
@@ -222,7 +220,7 @@ def all_wind() -> NetworkCase:
 ALL_WIND = (WtgGroup(bus=2, n_turbines=50.0), WtgGroup(bus=6, n_turbines=30.0))
 
 
-def test_wind_turbines_alone_share_the_load_by_one_factor_on_k() -> None:
+def test_wind_turbines_alone_share_the_load_by_one_factor_on_k():
     settings = plant(case=all_wind(), groups=ALL_WIND, shedding=NO_SHEDDING)
     step = LoadStep(time_s=1.0, bus=3, power_mw=10.0)
     simulator = started(settings, scenario(step, wind=[[10.5], [10.0]], load_noise_bus=2))
@@ -239,7 +237,7 @@ def test_wind_turbines_alone_share_the_load_by_one_factor_on_k() -> None:
     assert 0.99 < found["coi"][-1] < 0.9999 and np.ptp(found["speed"][-1]) < 1e-6
 
 
-def test_too_little_wind_for_wind_turbines_alone_is_said_in_one_line() -> None:
+def test_too_little_wind_for_wind_turbines_alone_is_said_in_one_line():
     settings = plant(case=all_wind(), groups=ALL_WIND, shedding=NO_SHEDDING)
     with pytest.raises(ValueError, match="WTG groups alone cannot meet the load at a level of 1;") as refused:
         started(settings, scenario(wind=[[7.0], [6.0]], load_noise_bus=2))

@@ -1,7 +1,5 @@
 """The linearised system: its modes, and which integration steps a plant takes."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 
@@ -23,7 +21,7 @@ LAWS = (get_law("coordinated-piecewise"),) * 2
 
 
 @pytest.mark.parametrize("value", [-40.0 + 0j, -8.9 + 46j, -0.2 + 17j])
-def test_a_mode_grows_just_beyond_its_largest_step_and_not_just_below(value: complex) -> None:
+def test_a_mode_grows_just_beyond_its_largest_step_and_not_just_below(value):
     limit = float(largest_stable_steps(np.array([value])).min())
     # What a step of the classical Runge-Kutta method multiplies by: the exponential series up to its fourth power.
     below, beyond = (
@@ -47,12 +45,12 @@ def test_a_mode_grows_just_beyond_its_largest_step_and_not_just_below(value: com
         (plant(limits=ConverterLimitParameters(power_gain=1.0)), r"mainly wtg[01].angle\)"),
     ],
 )
-def test_a_plant_that_is_too_fast_for_the_step_is_refused(settings: Plant, message: str) -> None:
+def test_a_plant_that_is_too_fast_for_the_step_is_refused(settings, message):
     with pytest.raises(ValueError, match=r"simulation_dt = 0.025 s is too long for this plant.*" + message):
         Simulator(settings)
 
 
-def test_an_inertia_that_is_too_small_for_the_step_is_refused_with_its_scenario() -> None:
+def test_an_inertia_that_is_too_small_for_the_step_is_refused_with_its_scenario():
     simulator = Simulator(Plant(case=with_machine(two_h_s=0.5)))
     light, lighter = (scenario(inertia_scale=scale) for scale in (0.3, 0.05))
     simulator.prepare([light], LAWS)
@@ -71,9 +69,7 @@ def test_an_inertia_that_is_too_small_for_the_step_is_refused_with_its_scenario(
         (0.7, 0.05, 0.9, 0.2, 16.0),
     ],
 )
-def test_a_law_that_is_too_steep_for_the_step_is_refused(
-    inertia_s: float, k_min: float, k_nominal: float, k_max: float, wind_m_s: float
-) -> None:
+def test_a_law_that_is_too_steep_for_the_step_is_refused(inertia_s, k_min, k_nominal, k_max, wind_m_s):
     law = TrackingLaw(name="steep", k_min=k_min, k_nominal=k_nominal, k_max=k_max)
     what = scenario(wind=np.full((2, 1), wind_m_s))
     light = Plant(control=GridFormingParameters(inertia_constant_s=inertia_s))
@@ -82,7 +78,7 @@ def test_a_law_that_is_too_steep_for_the_step_is_refused(
     Simulator(dataclasses.replace(light, simulation_dt=0.01)).prepare([what], (law,) * 2)
 
 
-def test_steps_and_inertias_that_are_allowed_suit_the_default_plant() -> None:
+def test_steps_and_inertias_that_are_allowed_suit_the_default_plant():
     Simulator(Plant(simulation_dt=0.04, control_dt=0.2)).prepare([scenario(inertia_scale=0.05)], LAWS)
     Simulator(Plant(simulation_dt=0.05)).prepare([scenario()], LAWS)
 
@@ -94,7 +90,7 @@ REFERENCE = STRATEGIES["coordinated-piecewise"]
 
 
 @pytest.mark.parametrize(("side", "classical"), [("under", False), ("over", True)])
-def test_small_motion_of_the_simulator_is_that_of_the_linear_model(side: str, classical: bool) -> None:
+def test_small_motion_of_the_simulator_is_that_of_the_linear_model(side, classical):
     """A push of 1e-6, let go for 0.1 s, before the WTGs' frequencies come back to the corner of g(ω)."""
     case = get_grid("ieee14").case
     settings = Plant(case=case.classical() if classical else case, simulation_dt=0.0025)

@@ -1,7 +1,5 @@
 """Machine code on disk belongs to one version of the sources, heals itself and is shared by processes."""
 
-from __future__ import annotations
-
 import os
 import shutil
 import subprocess
@@ -70,7 +68,7 @@ def outcome(process: subprocess.Popen[str]) -> list[str]:
     return out.split()
 
 
-def test_damaged_files_are_compiled_again_and_replaced_by_processes_that_start_at_once(tmp_path: Path) -> None:
+def test_damaged_files_are_compiled_again_and_replaced_by_processes_that_start_at_once(tmp_path):
     folder = tmp_path / "code"
     assert outcome(run(PROGRAM, folder)) == [*RESULT, "4"]
     intact = {path: path.read_bytes() for path in sorted(folder.iterdir())}
@@ -90,7 +88,7 @@ def test_damaged_files_are_compiled_again_and_replaced_by_processes_that_start_a
 @pytest.mark.skipif(
     not all(map(get_host_cpu_features().get, KINDS["x86-64-v3"])), reason="needs a processor of the kind x86-64-v3"
 )
-def test_a_wheels_code_for_a_kind_of_processor_is_used_by_those_of_that_kind(tmp_path: Path) -> None:
+def test_a_wheels_code_for_a_kind_of_processor_is_used_by_those_of_that_kind(tmp_path):
     assert outcome(run(PROGRAM, tmp_path, NUMBA_CPU_NAME="x86-64-v3", NUMBA_CPU_FEATURES="")) == [*RESULT, "4"]
     brought = "from wtg_gym.systems import compiled as own\nown.SHIPPED, folder = Path(sys.argv[1]), None"
     program = PROGRAM.replace("folder = Path(sys.argv[1])", brought)
@@ -100,7 +98,7 @@ def test_a_wheels_code_for_a_kind_of_processor_is_used_by_those_of_that_kind(tmp
 
 
 @pytest.mark.skipif(not hasattr(os, "getuid"), reason="needs files that belong to users")
-def test_code_that_another_user_could_have_written_is_not_run(tmp_path: Path) -> None:
+def test_code_that_another_user_could_have_written_is_not_run(tmp_path):
     folder = tmp_path / "code"
     assert outcome(run(PROGRAM, folder)) == [*RESULT, "4"]
     shared, of_group, link, pipe = sorted(folder.iterdir())
@@ -117,7 +115,7 @@ def test_code_that_another_user_could_have_written_is_not_run(tmp_path: Path) ->
 
 
 @pytest.mark.skipif(not hasattr(os, "getuid"), reason="needs folders that belong to users")
-def test_machine_code_lies_in_the_first_place_that_only_the_user_can_write_to(tmp_path: Path) -> None:
+def test_machine_code_lies_in_the_first_place_that_only_the_user_can_write_to(tmp_path):
     shared, of_group, home = (tmp_path / name for name in ("shared", "of-group", "home"))
     for place, mode in ((shared, 0o777), (of_group, 0o770), (home, 0o755)):
         place.mkdir()
@@ -136,13 +134,13 @@ def test_machine_code_lies_in_the_first_place_that_only_the_user_can_write_to(tm
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="needs limits of processes")
-def test_a_full_disk_stops_nothing(tmp_path: Path) -> None:
+def test_a_full_disk_stops_nothing(tmp_path):
     full = "import resource\nresource.setrlimit(resource.RLIMIT_FSIZE, (1000, 1000))\nfolder = "
     assert outcome(run(PROGRAM.replace("folder = ", full, 1), tmp_path / "code")) == [*RESULT, "4"]
     assert list((tmp_path / "code").iterdir()) == []
 
 
-def test_editing_a_callee_in_another_file_is_never_ignored(tmp_path: Path) -> None:
+def test_editing_a_callee_in_another_file_is_never_ignored(tmp_path):
     shutil.copytree(
         Path(wtg_gym.__file__).parent, tmp_path / "wtg_gym", ignore=shutil.ignore_patterns("__pycache__", "shipped")
     )

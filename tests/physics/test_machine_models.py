@@ -1,11 +1,8 @@
 """Models of machines that only some plants have: their transfer functions, and their place in a run."""
 
-from __future__ import annotations
-
 import dataclasses
 import pickle
 from collections.abc import Callable, Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -114,7 +111,7 @@ def response(rates: Callable[[Any, float], tuple[Any, float]], start: Any, at: f
     return np.array(found)
 
 
-def test_the_parabola_of_saturation_goes_through_both_points_and_begins_between() -> None:
+def test_the_parabola_of_saturation_goes_through_both_points_and_begins_between():
     curve = saturation_constants("x", (1.0, 0.1), (1.2, 0.4))
     assert [saturated(e, curve) for e in (1.0, 1.2, 0.5)] == pytest.approx([0.1, 0.48, 0.0])
     assert saturation_constants("x", (1.0, 0.0), (1.2, 0.4)).threshold == pytest.approx(1.0)
@@ -122,7 +119,7 @@ def test_the_parabola_of_saturation_goes_through_both_points_and_begins_between(
         saturation_constants("x", (1.0, 0.4), (1.2, 0.1))
 
 
-def test_stab1_has_its_transfer_function_and_its_limit() -> None:
+def test_stab1_has_its_transfer_function_and_its_limit():
     p = STABILISER
     c = models.STAB1.constants(0, p)
     found = response(lambda s, u: models.stab1_rates(s, u, 1.0, c), models.stab1_start(0.0, c), 0.0)
@@ -146,7 +143,7 @@ def test_stab1_has_its_transfer_function_and_its_limit() -> None:
         {"lead_time_1_s": 0.0, "lag_time_1_s": 0.0},
     ],
 )
-def test_ieeest_has_its_transfer_function_with_any_part_left_out(changes: dict[str, float]) -> None:
+def test_ieeest_has_its_transfer_function_with_any_part_left_out(changes):
     p = dataclasses.replace(FILTER, **{"gain": 7.0, "lead_time_2_s": 0.3, **changes})
     c = models.IEEEST.constants(0, p)
     found = response(lambda s, u: models.ieeest_rates(s, u, 1.0, c), models.ieeest_start(0.0, c), 0.0)
@@ -158,13 +155,13 @@ def test_ieeest_has_its_transfer_function_with_any_part_left_out(changes: dict[s
     assert found == pytest.approx(wanted * p.gain * washout / (1.0 + S * p.washout_time_s), rel=1e-6)
 
 
-def test_ieeest_gives_no_signal_beyond_its_voltages() -> None:
+def test_ieeest_gives_no_signal_beyond_its_voltages():
     c = models.IEEEST.constants(0, dataclasses.replace(FILTER, voltage_min_pu=0.8, voltage_max_pu=1.2))
     start = models.ieeest_start(0.0, c)._replace(washout=-0.01)
     assert [models.ieeest_rates(start, 0.0, v, c)[1] != 0.0 for v in (0.7, 1.0, 1.3)] == [False, True, False]
 
 
-def test_the_dc_exciter_is_linear_beside_its_saturation() -> None:
+def test_the_dc_exciter_is_linear_beside_its_saturation():
     p = dataclasses.replace(EXCITER, saturation_1=0.0, saturation_2=0.0)
     c = models.IEEEX1.constants(0, p)
     start, error = models.ieeex1_start(2.0, 1.0, c)
@@ -178,7 +175,7 @@ def test_the_dc_exciter_is_linear_beside_its_saturation() -> None:
     assert response(rates, start, 1.0 + error) == pytest.approx(forward / (1.0 + forward * feedback), rel=1e-6)
 
 
-def test_a_regulator_leaves_its_limit_as_soon_as_the_error_asks_for_it() -> None:
+def test_a_regulator_leaves_its_limit_as_soon_as_the_error_asks_for_it():
     c = models.IEEEX1.constants(0, EXCITER)
     held = models.ieeex1_start(2.0, 1.0, c)[0]._replace(regulator=EXCITER.regulator_max_pu, lead_lag=1.0)
     assert models.ieeex1_rates(held, 2.0, 1.0, c).regulator == 0.0
@@ -197,7 +194,7 @@ def _lags(*times: float) -> Complex:
     return np.asarray(np.prod([1.0 / (1.0 + S * t) for t in times], axis=0))
 
 
-def test_steam_and_gas_governors_have_their_transfer_functions() -> None:
+def test_steam_and_gas_governors_have_their_transfer_functions():
     boiler = models.IEEEG1.constants(0, dataclasses.replace(BOILER, opening_rate_pu_s=10.0, closing_rate_pu_s=-10.0))
     found = response(
         lambda s, u: models.ieeeg1_rates(s, u, 0.5, INV_DROOP, boiler), models.ieeeg1_start(0.5, boiler), 1.0
@@ -227,7 +224,7 @@ def test_steam_and_gas_governors_have_their_transfer_functions() -> None:
     assert found == pytest.approx(wanted, rel=1e-6)
 
 
-def test_a_hot_exhaust_holds_the_gas_turbine_at_its_load_limit() -> None:
+def test_a_hot_exhaust_holds_the_gas_turbine_at_its_load_limit():
     c = models.GAST.constants(0, controls.GasGovernorParameters(load_limit_pu=0.7))
     hot = models.gast_start(0.7, c)
     assert max(np.abs(models.gast_rates(hot, 0.9, 0.5, INV_DROOP, c)[0])) < 1e-12
@@ -235,9 +232,7 @@ def test_a_hot_exhaust_holds_the_gas_turbine_at_its_load_limit() -> None:
 
 @pytest.mark.parametrize("machines", [(FIRST, SECOND), OTHERS], ids=["first", "others"])
 @pytest.mark.parametrize(("committed", "droop"), [(1.0, None), (0.8, 0.04)])
-def test_runs_start_in_an_exact_equilibrium_and_settle(
-    machines: tuple[SynchronousMachineParameters, ...], committed: float, droop: float | None
-) -> None:
+def test_runs_start_in_an_exact_equilibrium_and_settle(machines, committed, droop):
     given = {"committed": committed, "governor_droop": droop}
     simulator = started(machines, LoadStep(time_s=1.0, bus=3, power_mw=20.0), given=given)
     assert largest_rate(simulator) < 1e-9
@@ -260,7 +255,7 @@ def test_runs_start_in_an_exact_equilibrium_and_settle(
     assert committed * ratings @ (inv_droops + damping) * deviation == pytest.approx(more, rel=2e-3)
 
 
-def test_time_constants_of_zero_take_their_blocks_away() -> None:
+def test_time_constants_of_zero_take_their_blocks_away():
     exciter = controls.LeadLagExciterParameters(
         sensing_time_s=0.0, regulator_time_s=0.0, lead_time_s=0.0, lag_time_s=0.0, regulator_gain=40.0
     )
@@ -273,7 +268,7 @@ def test_time_constants_of_zero_take_their_blocks_away() -> None:
         dataclasses.replace(governor, lead_time_s=1.0)
 
 
-def test_a_lost_governor_keeps_its_torque_and_a_machine_comes_back() -> None:
+def test_a_lost_governor_keeps_its_torque_and_a_machine_comes_back():
     lost = started((FIRST, SECOND), GovernorLoss(time_s=0.5, bus=1), LoadStep(time_s=1.0, bus=3, power_mw=10.0))
     before = lost.machine_values("torque")[0, 0]
     assert advanced(lost, 60.0).machine_values("torque")[0, 0] == pytest.approx(before, abs=1e-12)
@@ -284,19 +279,19 @@ def test_a_lost_governor_keeps_its_torque_and_a_machine_comes_back() -> None:
     assert back.machine_values("power")[0, 0] > 0.3
 
 
-def test_a_copy_of_a_run_goes_on_alike() -> None:
+def test_a_copy_of_a_run_goes_on_alike():
     simulator = started((FIRST, SECOND), LoadStep(time_s=0.0, bus=3, power_mw=10.0))
     copied = pickle.loads(pickle.dumps(simulator))
     assert (advanced(copied, 1.0).blocks == advanced(simulator, 1.0).blocks).all()
 
 
-def test_secondary_control_moves_the_references_of_all_governors() -> None:
+def test_secondary_control_moves_the_references_of_all_governors():
     step = LoadStep(time_s=1.0, bus=3, power_mw=20.0)
     simulator = advanced(started((FIRST, SECOND), step, secondary_time_s=10.0), 110.0)
     assert simulator.lane_values("coi")[0] == pytest.approx(1.0, abs=1e-5)
 
 
-def test_secondary_control_keeps_the_references_within_the_limits_of_the_gates() -> None:
+def test_secondary_control_keeps_the_references_within_the_limits_of_the_gates():
     hydro, gas = HydroGovernorParameters(gate_max_pu=0.66), controls.GasGovernorParameters(load_limit_pu=0.45)
     machines = (
         machine(1, governor=hydro, damping_pu=10.0),
@@ -312,7 +307,7 @@ def test_secondary_control_keeps_the_references_within_the_limits_of_the_gates()
     assert np.max(references, axis=0).tolist() == [0.66, 0.45] == references[-1].tolist()
 
 
-def test_a_share_of_the_dispatch_counts_a_gate_up_to_nominal_power_only() -> None:
+def test_a_share_of_the_dispatch_counts_a_gate_up_to_nominal_power_only():
     governors = GovernorParameters(gate_max_pu=0.8), GovernorParameters(), controls.BoilerGovernorParameters()
     machines = [
         machine(1, governor=own) for own in (*governors, controls.GasGovernorParameters(load_limit_pu=0.7), None)
@@ -335,7 +330,7 @@ def test_a_share_of_the_dispatch_counts_a_gate_up_to_nominal_power_only() -> Non
         ),
     ],
 )
-def test_a_start_beyond_limits_is_refused_with_its_reason(changes: dict[str, Any], message: str) -> None:
+def test_a_start_beyond_limits_is_refused_with_its_reason(changes, message):
     # The one that cannot start is not the first of its kind.
     other = dataclasses.replace(SECOND, exciter=EXCITER, governor=changes.get("governor", BOILER))
     bad = dataclasses.replace(other, bus=1, dispatch_mw=0.0, **changes)
@@ -344,7 +339,7 @@ def test_a_start_beyond_limits_is_refused_with_its_reason(changes: dict[str, Any
         started((bad, good))
 
 
-def test_what_cannot_be_is_refused() -> None:
+def test_what_cannot_be_is_refused():
     with pytest.raises(ValueError, match="machine at bus 1: a stabiliser needs an exciter"):
         machine(1, exciter=None, stabiliser=STABILISER)
     with pytest.raises(ValueError, match=r"numerator 1 .* has degree 2; its denominator .* has only 1"):
@@ -354,7 +349,7 @@ def test_what_cannot_be_is_refused() -> None:
 
 
 @pytest.mark.parametrize("machines", [(FIRST, SECOND), OTHERS], ids=["first", "others"])
-def test_every_model_has_gradients(machines: Sequence[SynchronousMachineParameters]) -> None:
+def test_every_model_has_gradients(machines):
     groups = (WtgGroup(bus=3, n_turbines=10.0),)
     plant = Plant(case=network(*machines), groups=groups, protection=ProtectionParameters(frequency_max_pu=1.1))
     tape = Tape(dataclasses.replace(EnvSettings(version="v0", duration_s=10.0), plant=plant), 2, 1)
@@ -366,7 +361,7 @@ def test_every_model_has_gradients(machines: Sequence[SynchronousMachineParamete
         assert found.error.max() <= 1e-5, found.name
 
 
-def test_a_grid_file_names_every_model(tmp_path: Path) -> None:
+def test_a_grid_file_names_every_model(tmp_path):
     for machines in ((FIRST, SECOND), OTHERS):
         grid, path = Grid(case=network(*machines)), tmp_path / "grid.json"
         path.write_text(grid_text(grid), encoding="utf-8")

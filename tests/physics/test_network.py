@@ -1,7 +1,5 @@
 """Power flow and linear algebra against published and independent results."""
 
-from __future__ import annotations
-
 import dataclasses
 from typing import Any
 
@@ -31,7 +29,7 @@ def solve(case: NetworkCase, power: np.ndarray[Any, np.dtype[np.complex128]]) ->
     return buses[:, at.polar], buses[:, at.polar + 1], iterations
 
 
-def test_power_flow_meets_the_published_solution_of_the_ieee_14_bus_system() -> None:
+def test_power_flow_meets_the_published_solution_of_the_ieee_14_bus_system():
     case = get_grid("ieee14").case
     original = dataclasses.replace(case, machines=(*case.machines, classical(bus=2, dispatch_mw=40.0)))
     power = np.zeros(14, dtype=np.complex128)
@@ -42,13 +40,13 @@ def test_power_flow_meets_the_published_solution_of_the_ieee_14_bus_system() -> 
     assert np.degrees(angle) == pytest.approx(ANGLES, abs=0.03)
 
 
-def test_impossible_power_flow_is_reported() -> None:
+def test_impossible_power_flow_is_reported():
     power = np.zeros(14, dtype=np.complex128)
     power[13] = -30.0
     assert solve(get_grid("ieee14").case, power)[2] == -1
 
 
-def test_off_nominal_tap_and_phase_follow_the_pi_model() -> None:
+def test_off_nominal_tap_and_phase_follow_the_pi_model():
     tap, phase, y = 0.9, 0.2, 1.0 / complex(0.01, 0.1)
     branch = Branch(from_bus=1, to_bus=2, resistance=0.01, reactance=0.1, charging=0.04, tap=tap, phase_rad=phase)
     ratio = tap * np.exp(1j * phase)

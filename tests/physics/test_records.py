@@ -1,7 +1,5 @@
 """Records as data: ranges and sources of parameters."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 
@@ -24,14 +22,14 @@ RECORDS = [
 RECORDS += [MACHINE, MACHINE.governor, MACHINE.exciter, *CASE.buses[:1], *CASE.branches[:1]]
 
 
-def test_every_parameter_has_unit_source_and_description_and_every_source_is_used() -> None:
+def test_every_parameter_has_unit_source_and_description_and_every_source_is_used():
     metadata = [field.metadata for record in RECORDS for field in dataclasses.fields(record)]
     assert len(metadata) > 100
     assert all(meta["unit"] and meta["doc"] for meta in metadata)
     assert {meta["source"] for meta in metadata} == set(SOURCES)
 
 
-def test_every_number_of_every_record_has_a_range() -> None:
+def test_every_number_of_every_record_has_a_range():
     for record in RECORDS:
         for field in dataclasses.fields(record):
             if field.type in ("float", "float | None"):

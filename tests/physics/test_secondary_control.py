@@ -1,7 +1,5 @@
 """Facts about secondary control: an integral of the speed's deviation in the governor's reference."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np
@@ -38,14 +36,14 @@ def reference_and_speed(
     return reference, speed
 
 
-def test_the_reference_is_the_integral_of_the_deviation_over_droop_and_time() -> None:
+def test_the_reference_is_the_integral_of_the_deviation_over_droop_and_time():
     reference, speed = reference_and_speed(MORE, seconds=20.0)
     moved = -DT / (TIME_S * GOVERNOR.droop_pu) * np.cumsum(speed[1:] - 1.0)
     assert moved[-1] > 0.05
     assert reference[1:] - reference[0] == pytest.approx(moved, abs=1e-12)
 
 
-def test_the_frequency_returns_to_nominal_with_the_slowest_root_of_the_loop() -> None:
+def test_the_frequency_returns_to_nominal_with_the_slowest_root_of_the_loop():
     _, speed = reference_and_speed(MORE, seconds=120.0)
     deviation = 1.0 - speed
     machines = get_grid("ieee14").case.machines
@@ -67,7 +65,7 @@ def test_the_frequency_returns_to_nominal_with_the_slowest_root_of_the_loop() ->
     assert (reference == reference[0]).all() and 1.0 - alone[-1] > 10.0 * deviation[-1]
 
 
-def test_the_reference_stays_within_the_limits_of_the_gate() -> None:
+def test_the_reference_stays_within_the_limits_of_the_gate():
     narrow = dataclasses.replace(GOVERNOR, gate_min_pu=0.36, gate_max_pu=0.48)
     for power_mw, limit in ((60.0, 0.48), (-60.0, 0.36)):
         step = LoadStep(time_s=1.0, bus=4, power_mw=power_mw)
@@ -77,7 +75,7 @@ def test_the_reference_stays_within_the_limits_of_the_gate() -> None:
         assert (reference[-400:] == limit).all() and (np.abs(speed[-400:] - 1.0) > 1e-3).all()
 
 
-def test_a_lost_governor_or_a_machine_that_is_away_keeps_its_reference() -> None:
+def test_a_lost_governor_or_a_machine_that_is_away_keeps_its_reference():
     for event in (GovernorLoss(time_s=5.0, bus=1), MachineOutage(time_s=5.0, bus=1)):
         reference, speed = reference_and_speed(MORE, event, seconds=10.0)
         last = round(5.0 / DT)

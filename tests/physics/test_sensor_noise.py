@@ -1,7 +1,5 @@
 """Facts about the noise, the filters and the errors of sensors, by themselves."""
 
-from __future__ import annotations
-
 import math
 from typing import Any, cast
 
@@ -59,7 +57,7 @@ def drawn(n_seeds: int, n_steps: int, n_channels: int = N, first_seed: int = 0) 
     return found.reshape(n_seeds, n_steps, n_channels)
 
 
-def test_noise_is_the_same_in_plain_python_and_compiled() -> None:
+def test_noise_is_the_same_in_plain_python_and_compiled():
     pairs = [(seed, step) for seed in (0, 1, 12345, 2**31 - 1) for step in (0, 1, 599, 86_399)]
     channels = (0, 1, N - 1, 5119)
     fast = numbers_of(*np.array(pairs, dtype=float).T, np.array(channels))
@@ -68,7 +66,7 @@ def test_noise_is_the_same_in_plain_python_and_compiled() -> None:
     assert len(set(fast.ravel().tolist())) == fast.size
 
 
-def test_noise_has_mean_0_variance_1_the_shape_of_four_uniform_numbers_and_their_bound() -> None:
+def test_noise_has_mean_0_variance_1_the_shape_of_four_uniform_numbers_and_their_bound():
     numbers = drawn(60, 600).ravel()
     n = numbers.size
     # The sum of four uniform numbers has kurtosis 3 - 6/5/4, so the variance's standard error is √(1.7 / n).
@@ -83,7 +81,7 @@ def test_noise_has_mean_0_variance_1_the_shape_of_four_uniform_numbers_and_their
     assert (np.abs(numbers) > 2.9).mean() == pytest.approx(2.0 * u, rel=0.1)
 
 
-def test_channels_groups_seeds_and_steps_are_not_correlated_and_nor_are_their_squares() -> None:
+def test_channels_groups_seeds_and_steps_are_not_correlated_and_nor_are_their_squares():
     far = np.concatenate([drawn(1, 600, first_seed=seed).reshape(1, -1) for seed in 2 ** np.arange(31)])
     channels, seeds = drawn(20, 600).reshape(-1, N).T, drawn(40, 600).reshape(40, -1)
     steps = drawn(600, 30).transpose(1, 0, 2).reshape(30, -1)
@@ -107,7 +105,7 @@ def advance(sensors: Sensors, exact: list[Measurement], control_dt: float = 0.1)
 
 
 @pytest.mark.parametrize(("time_constant_s", "control_dt"), [(0.02, 0.05), (0.1, 0.1), (2.0, 0.5)])
-def test_filters_answer_a_step_as_a_first_order_lag_does(time_constant_s: float, control_dt: float) -> None:
+def test_filters_answer_a_step_as_a_first_order_lag_does(time_constant_s, control_dt):
     sensors = Sensors(seed=1, wind_bias=(0.0,), frequency_filter_s=time_constant_s, rocof_filter_s=2 * time_constant_s)
     after = EXACT._replace(frequency=1.01, rocof=0.4)
     seen, _ = advance(sensors, [EXACT, *[after] * 30], control_dt)
@@ -117,7 +115,7 @@ def test_filters_answer_a_step_as_a_first_order_lag_does(time_constant_s: float,
     assert {m[2:] for m in seen} == {EXACT[2:]}
 
 
-def test_error_of_the_wind_keeps_its_variance_and_its_correlation_time() -> None:
+def test_error_of_the_wind_keeps_its_variance_and_its_correlation_time():
     correlation_s, n = 3.0, 400
     errors = np.array(
         [
@@ -138,7 +136,7 @@ def test_error_of_the_wind_keeps_its_variance_and_its_correlation_time() -> None
         assert found == pytest.approx(math.exp(-0.1 * lag / correlation_s), abs=4.0 / math.sqrt(2 * n))
 
 
-def test_errors_of_the_wind_add_up_and_never_take_more_than_nine_tenths_of_it() -> None:
+def test_errors_of_the_wind_add_up_and_never_take_more_than_nine_tenths_of_it():
     sensors = Sensors(seed=1, wind_bias=(0.2,), wind_noise=0.1)
     seen, states = advance(sensors, [EXACT] * 50)
     assert [m.wind for m in seen] == pytest.approx((9.0 * (1.2 + 0.1 * states[:, 2])).tolist())

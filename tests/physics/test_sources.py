@@ -1,7 +1,5 @@
 """Facts about imposed sources, local frequencies, committed units, lanes with such events, and events as text."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 
@@ -31,7 +29,7 @@ def local(simulator: Simulator) -> np.ndarray:
     return simulator.blocks[0, simulator.layout.rows_of(BUSES, "frequency"), 0]
 
 
-def test_units_follow_the_frequency_that_a_source_imposes_and_the_centre_of_inertia_leaves_it_out() -> None:
+def test_units_follow_the_frequency_that_a_source_imposes_and_the_centre_of_inertia_leaves_it_out():
     settings = plant(case=with_source(), shedding=NO_SHEDDING)
     ramp = sc.FrequencyRamp(time_s=1.0, bus=1, rocof_hz_s=-0.05, duration_s=6.0)
     simulator = started(settings, scenario(ramp, wind=[[8.0], [8.0]], duration_s=200.0), duration_s=200.0)
@@ -59,7 +57,7 @@ def test_units_follow_the_frequency_that_a_source_imposes_and_the_centre_of_iner
 
 
 @pytest.mark.parametrize(("deviation_hz", "power"), [(-0.4, 1.05), (-0.2, 1.02375), (0.0, 0.9975), (0.2, 0.97125)])
-def test_above_rated_wind_a_group_holds_its_reserve_and_gives_it(deviation_hz: float, power: float) -> None:
+def test_above_rated_wind_a_group_holds_its_reserve_and_gives_it(deviation_hz, power):
     ramp = sc.FrequencyRamp(time_s=1.0, bus=1, rocof_hz_s=deviation_hz / 4.0, duration_s=4.0)
     settings = plant(case=with_source(), shedding=NO_SHEDDING)
     simulator = started(settings, scenario(ramp, wind=[[14.0], [8.0]], duration_s=120.0), duration_s=120.0)
@@ -68,7 +66,7 @@ def test_above_rated_wind_a_group_holds_its_reserve_and_gives_it(deviation_hz: f
     assert simulator.wtg_values("power")[0, 0] == pytest.approx(power, abs=1e-6)
 
 
-def test_a_phase_jump_turns_the_voltage_of_the_source_and_the_units_follow() -> None:
+def test_a_phase_jump_turns_the_voltage_of_the_source_and_the_units_follow():
     settings = plant(case=with_source(), control_dt=0.025, shedding=NO_SHEDDING)
     simulator = started(settings, scenario(sc.PhaseJump(time_s=1.0, bus=1, angle_deg=-20.0), wind=[[8.0], [8.0]]))
     recorded(simulator, 1.0)
@@ -94,13 +92,13 @@ def test_a_phase_jump_turns_the_voltage_of_the_source_and_the_units_follow() -> 
 
 @pytest.mark.parametrize("turn", [0.0, 1e-9, 0.3, 90.0, 179.0, -179.0, 179.9999, -90.0, -0.3])
 @pytest.mark.parametrize("at", [0.0, 100.0, 179.5, -135.0])
-def test_the_angle_between_two_voltages_is_exact_near_half_a_turn_too(at: float, turn: float) -> None:
+def test_the_angle_between_two_voltages_is_exact_near_half_a_turn_too(at, turn):
     first, second = (size * np.exp(1j * math.radians(a)) for size, a in ((0.9, at), (1.1, at + turn)))
     found = turn_between(Phasor(first.real, first.imag), Phasor(second.real, second.imag))
     assert found == pytest.approx(math.radians(turn), abs=2e-10)
 
 
-def test_a_local_frequency_is_the_filtered_turn_of_the_voltage() -> None:
+def test_a_local_frequency_is_the_filtered_turn_of_the_voltage():
     simulator = started(plant(simulation_dt=0.0025), scenario(sc.LoadStep(time_s=1.0, bus=9, power_mw=60.0)))
     expected, before = np.ones(14), simulator.bus_voltages() * np.exp(1j * simulator.lane_values("angle")[0])
     lowest = 1.0
@@ -122,7 +120,7 @@ def test_a_local_frequency_is_the_filtered_turn_of_the_voltage() -> None:
 # --- Committed units
 
 
-def test_half_the_units_of_a_machine_are_a_machine_of_half_the_rating() -> None:
+def test_half_the_units_of_a_machine_are_a_machine_of_half_the_rating():
     case = get_grid("ieee14").case
     half = with_machine(rating_mva=0.5 * case.machines[0].rating_mva)
     step = sc.LoadStep(time_s=1.0, bus=3, power_mw=30.0)
@@ -140,7 +138,7 @@ def test_half_the_units_of_a_machine_are_a_machine_of_half_the_rating() -> None:
 # --- Lanes
 
 
-def test_a_run_has_the_same_bits_among_neighbours_with_islands_faults_and_returns() -> None:
+def test_a_run_has_the_same_bits_among_neighbours_with_islands_faults_and_returns():
     own = scenario(sc.LoadStep(time_s=0.5, bus=9, power_mw=20.0), wind=PARTED_WIND)
     others = [
         scenario(*cut(0.5, again_s=0.7), sc.GroupTrip(time_s=0.2, group=0, returns_after_s=0.6), wind=PARTED_WIND),
@@ -161,7 +159,7 @@ def test_a_run_has_the_same_bits_among_neighbours_with_islands_faults_and_return
 # --- Loads that depend on the frequency
 
 
-def test_conductances_follow_the_frequency_of_their_island() -> None:
+def test_conductances_follow_the_frequency_of_their_island():
     settings, what = parted(load_frequency_dependence=2.0), scenario(*cut(1.0), wind=PARTED_WIND)
     simulator = started(settings, what)
     recorded(simulator, 3.0)
@@ -197,7 +195,7 @@ EVERY = (
 )
 
 
-def test_every_event_and_the_commitment_come_back_from_text() -> None:
+def test_every_event_and_the_commitment_come_back_from_text():
     what = scenario(*EVERY, committed=0.5)
     again = sc.Scenario.from_json(what.to_json())
     assert again.events == EVERY and again.committed == 0.5

@@ -1,10 +1,7 @@
 """g(ω), the strategies' numbers and laws from TOML."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -26,7 +23,7 @@ def g(speed: float, law: TrackingLaw) -> float:
     return float(tracking_coefficient(speed, law.k_min, law.k_nominal, law.k_max, Corners(0.992, 1.0, 1.008)))
 
 
-def test_laws_are_the_papers_corners_straight_line_and_constants() -> None:
+def test_laws_are_the_papers_corners_straight_line_and_constants():
     assert [g(w, STRATEGIES["coordinated-piecewise"]) for w in (0.992, 1.0, 1.008)] == pytest.approx(
         [K_OPT, K_N, K_PR], rel=1e-14
     )
@@ -40,7 +37,7 @@ def test_laws_are_the_papers_corners_straight_line_and_constants() -> None:
     assert [STRATEGIES[name].damping_time_constant_s for name in damped] == [0.8, 0.8, 0.0]
 
 
-def test_law_from_toml_by_deloading_equals_the_reference_of_its_turbine(tmp_path: Path) -> None:
+def test_law_from_toml_by_deloading_equals_the_reference_of_its_turbine(tmp_path):
     path = tmp_path / "mine.toml"
     path.write_text("deloading_min = 0\ndeloading_nominal = 5\ndeloading_max = 10\ntau_s = 0.8\n")
     for turbine, factor in ((None, 1.0), (LONG_BLADES, (70.0 / 63.0) ** 5)):
@@ -52,9 +49,7 @@ def test_law_from_toml_by_deloading_equals_the_reference_of_its_turbine(tmp_path
     ("strategy", "deloading"), [("mppt", 0.0), ("deloaded-10", 0.1), ("coordinated-piecewise", 0.05)]
 )
 @pytest.mark.parametrize("turbine", [TurbineParameters(), LONG_BLADES], ids=["paper", "long blades"])
-def test_a_strategy_captures_its_share_of_the_wind_on_any_turbine(
-    strategy: str, deloading: float, turbine: TurbineParameters
-) -> None:
+def test_a_strategy_captures_its_share_of_the_wind_on_any_turbine(strategy, deloading, turbine):
     start = simulate(CALM, strategy, Plant(turbine=turbine))
     captured = start.captured_power_pu[0] / (turbine.wind_power_pu_per_cubic_wind * 8.0**3)
     point = tracking_point(deloading, turbine)
@@ -62,7 +57,7 @@ def test_a_strategy_captures_its_share_of_the_wind_on_any_turbine(
     assert start.tip_speed_ratio[0] == pytest.approx([point.tip_speed_ratio] * 2, rel=1e-6)
 
 
-def test_a_strategy_takes_its_numbers_from_the_control_of_the_plant() -> None:
+def test_a_strategy_takes_its_numbers_from_the_control_of_the_plant():
     control = GridFormingParameters(damping_time_constant_s=20.0, deloading_nominal=0.2, deloading_limit=0.3)
     for name in ("coordinated-piecewise", "coordinated-linear", "coordinated-undamped"):
         law = get_law(name, control=control)
@@ -74,7 +69,7 @@ def test_a_strategy_takes_its_numbers_from_the_control_of_the_plant() -> None:
 
 
 @pytest.mark.parametrize("name", TUNED)
-def test_tuned_law_follows_the_turbine_as_its_equation_says(name: str) -> None:
+def test_tuned_law_follows_the_turbine_as_its_equation_says(name):
     # The power curve of the last one is flat: its K_opt - K_pr is so large that the range of a law's k ends before.
     for turbine in (None, LONG_BLADES, Plant().replaced(physics="nrel-5mw").turbine):
         paper, tuned = (get_law(each, turbine) for each in ("coordinated-piecewise", name))
@@ -90,6 +85,6 @@ def test_tuned_law_follows_the_turbine_as_its_equation_says(name: str) -> None:
     assert name not in STRATEGIES and name in STRATEGY_NAMES
 
 
-def test_only_the_free_law_goes_beyond_the_best_coefficient() -> None:
+def test_only_the_free_law_goes_beyond_the_best_coefficient():
     best = {name: max(get_law(name).k_min, get_law(name).k_nominal) for name in TUNED}
     assert best["coordinated-tuned"] == K_OPT < best["coordinated-free"]

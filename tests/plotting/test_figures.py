@@ -1,11 +1,8 @@
 """Facts about figures: files that repeat."""
 
-from __future__ import annotations
-
 import hashlib
 import subprocess
 import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -27,7 +24,7 @@ print(hashlib.sha256(content).hexdigest(), "matplotlib.pyplot" in sys.modules)
 """
 
 
-def test_a_figure_is_the_same_file_in_another_process_and_whatever_the_users_settings() -> None:
+def test_a_figure_is_the_same_file_in_another_process_and_whatever_the_users_settings():
     # Pyplot would choose a windowing backend behind the user's back.
     other = subprocess.run([sys.executable, "-c", _PROGRAM], capture_output=True, text=True, check=True)
     runs = {"mppt": simulate(SCENARIO, "mppt")}
@@ -39,7 +36,7 @@ def test_a_figure_is_the_same_file_in_another_process_and_whatever_the_users_set
     assert b">(a) WTG group 1</text>" in content and b"<dc:date>" not in content
 
 
-def test_figures_are_saved_next_to_each_other_in_the_formats_that_are_named(tmp_path: Path) -> None:
+def test_figures_are_saved_next_to_each_other_in_the_formats_that_are_named(tmp_path):
     figure = plot_trajectories({"mppt": simulate(SCENARIO, "mppt")}, SCENARIO)
     name = tmp_path / "new" / "figure 1.2"
     paths = save_figure(figure, name, ["svg", ".png", "pdf"])

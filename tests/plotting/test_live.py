@@ -1,7 +1,5 @@
 """The page of play without a browser: matches and their costs."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -14,7 +12,7 @@ _SEED = 20_000
 
 
 @pytest.fixture(scope="module", params=["standard-v1", "standard"])
-def suite(request: pytest.FixtureRequest) -> Suite:
+def suite(request):
     return get_suite(request.param)
 
 
@@ -25,7 +23,7 @@ def _played(suite: Suite, on_k: float, on_tau: float = 0.0, seed: int = _SEED) -
     return match
 
 
-def test_without_an_action_you_are_the_reference(suite: Suite) -> None:
+def test_without_an_action_you_are_the_reference(suite):
     match = _played(suite, 0.0)
     you, *anchors = match.verdicts()
     same = next(each for each in anchors if each.name == "coordinated-piecewise")
@@ -35,7 +33,7 @@ def test_without_an_action_you_are_the_reference(suite: Suite) -> None:
         assert np.array_equal(values[OWN], values[REFERENCE])
 
 
-def test_the_cost_is_the_evaluators(suite: Suite) -> None:
+def test_the_cost_is_the_evaluators(suite):
     class Held:
         def predict(self, observation, state=None, episode_start=None, deterministic=False):  # type: ignore[no-untyped-def]
             return np.tile([0.3, -0.2], (len(observation), len(suite.plant.groups))), state

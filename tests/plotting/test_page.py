@@ -1,7 +1,5 @@
 """The leaderboard's page: its numbers are those of the results."""
 
-from __future__ import annotations
-
 import dataclasses
 import functools
 import html
@@ -49,7 +47,7 @@ def sources(page: str) -> list[dict[str, list[Any]]]:
     return found
 
 
-def test_the_numbers_are_those_of_the_results() -> None:
+def test_the_numbers_are_those_of_the_results():
     results = all_results()
     shown = sources(leaderboard_page(results))
     ranked = [each for each in results if each.has_scale]
@@ -63,7 +61,7 @@ def test_the_numbers_are_those_of_the_results() -> None:
     assert len([data for data in shown if "score_value" in data]) == len(ranked) == 2
 
 
-def test_what_cannot_be_ranked_and_what_is_given_twice_is_refused() -> None:
+def test_what_cannot_be_ranked_and_what_is_given_twice_is_refused():
     of_v0, own, without_scale = all_results()
     for results in ([], [without_scale]):
         with pytest.raises(ValueError, match="results with a score"):

@@ -1,7 +1,5 @@
 """Facts about frames and the window: their form, that they follow the episode, and that nothing depends on them."""
 
-from __future__ import annotations
-
 import copy
 import sys
 from typing import Any
@@ -24,7 +22,7 @@ SHAPE = (FRAME_SIZE[1], FRAME_SIZE[0], 3)
 
 
 @pytest.fixture(autouse=True)
-def dummy_display(monkeypatch: pytest.MonkeyPatch) -> None:
+def dummy_display(monkeypatch):
     monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
 
 
@@ -38,7 +36,7 @@ def playing(n_steps: int, **settings: Any) -> GFMWTGEnv:
 
 
 @pytest.mark.parametrize("settings", [{"version": "v0", "groups": 3}, {"version": "v1"}], ids=str)
-def test_every_step_gives_a_new_frame_of_the_same_size(settings: dict[str, Any]):
+def test_every_step_gives_a_new_frame_of_the_same_size(settings):
     env = GFMWTGEnv(render_mode="rgb_array", duration_s=6.0, **settings)
     env.reset(seed=4)
     frames = [env.render()]
@@ -136,7 +134,7 @@ def test_the_window_shows_each_frame_by_itself_and_an_episode_goes_on_after_it_w
 
 
 @pytest.mark.parametrize(("module", "mode"), [("pygame", "human"), ("matplotlib", "rgb_array")])
-def test_a_missing_library_is_named_with_what_to_install(monkeypatch: pytest.MonkeyPatch, module: str, mode: str):
+def test_a_missing_library_is_named_with_what_to_install(monkeypatch, module, mode):
     monkeypatch.setitem(sys.modules, module, None)
     with pytest.raises(DependencyNotInstalled, match=rf"{module}.*\[render\]"):
         GFMWTGEnv(duration_s=2.0, render_mode=mode, version="v0")

@@ -1,11 +1,8 @@
 """What suites, distributions, sensors and wind files refuse: one row for each rule."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -86,7 +83,7 @@ BAD: list[tuple[Callable[[], Any], str]] = [
 
 
 @pytest.mark.parametrize(("call", "message"), BAD)
-def test_bad_input_is_refused_with_value_and_range_in_one_line(call: Callable[[], Any], message: str) -> None:
+def test_bad_input_is_refused_with_value_and_range_in_one_line(call, message):
     with pytest.raises(ValueError, match=message) as refused:
         call()
     assert "\n" not in str(refused.value)
@@ -110,14 +107,14 @@ BAD_FILES: list[tuple[str | bytes, str]] = [
 
 
 @pytest.mark.parametrize(("text", "message"), BAD_FILES)
-def test_bad_wind_file_is_refused_with_file_line_and_value(tmp_path: Path, text: str | bytes, message: str) -> None:
+def test_bad_wind_file_is_refused_with_file_line_and_value(tmp_path, text, message):
     path = tmp_path / "site.csv"
     path.write_bytes(text if isinstance(text, bytes) else text.encode())
     with pytest.raises(ValueError, match=rf"site\.csv.*{message}"):
         read_wind_csv(path, duration_s=60.0 if text == GOOD else None)
 
 
-def test_harmless_variants_of_a_wind_file_read_the_same(tmp_path: Path) -> None:
+def test_harmless_variants_of_a_wind_file_read_the_same(tmp_path):
     path = tmp_path / "site.csv"
     others = ("\ufeff" + GOOD, GOOD.replace("\n", "\r\n"), GOOD + "\n\n", GOOD.replace(",", " , "))
     for text in (GOOD, *others, GOOD.rstrip("\n").replace("wind_1_m_s", "north row")):
@@ -128,7 +125,7 @@ def test_harmless_variants_of_a_wind_file_read_the_same(tmp_path: Path) -> None:
     assert read_wind_csv(path, duration_s=2.0)[0].shape == (2, 5)
 
 
-def test_wind_series_that_starts_late_or_has_rounded_times_is_uniform(tmp_path: Path) -> None:
+def test_wind_series_that_starts_late_or_has_rounded_times_is_uniform(tmp_path):
     path = tmp_path / "site.csv"
     path.write_text("time_s,w\n" + "".join(f"{100 + i / 30:.3f},8\n" for i in range(31)))
     wind, dt_s = read_wind_csv(path, duration_s=1.0)

@@ -21,7 +21,7 @@ from wtg_gym.physics.scenario import (
     MachineOutage,
     Scenario,
 )
-from wtg_gym.scenarios import DRAWN_WIND_RANGE, SUITES, ScenarioDistribution, Suite
+from wtg_gym.scenarios import DRAWN_WIND_RANGE, SUITES, ScenarioDistribution
 from wtg_gym.scenarios.draws import (
     Faults,
     GovernorLosses,
@@ -141,13 +141,13 @@ def check(scenario: Scenario, source: ScenarioDistribution, duration_s: float) -
 
 
 @pytest.mark.parametrize("source", DISTRIBUTIONS, ids=lambda source: source.name)
-def test_the_first_scenarios_of_the_test_split_and_many_others_keep_every_promise(source: ScenarioDistribution):
+def test_the_first_scenarios_of_the_test_split_and_many_others_keep_every_promise(source):
     for scenario in source.draw_many([*range(20_000, 20_200), *range(200)]):
         check(scenario, source, 60.0)
 
 
 @pytest.mark.parametrize("suite", DRAWN, ids=lambda suite: suite.name)
-def test_drawn_scenarios_are_what_the_checking_constructors_make_of_their_values(suite: Suite):
+def test_drawn_scenarios_are_what_the_checking_constructors_make_of_their_values(suite):
     for scenario in suite.scenarios(list(suite.validation)[:100]):
         records = [scenario, *scenario.events, *([] if scenario.sensors is None else [scenario.sensors])]
         for record in records:
@@ -160,9 +160,7 @@ def test_drawn_scenarios_are_what_the_checking_constructors_make_of_their_values
 
 
 @pytest.mark.parametrize(("turbines", "source"), SHARED, ids=lambda given: getattr(given, "name", ""))
-def test_scenarios_of_the_suites_own_groups_keep_every_promise_and_their_share_of_the_load(
-    turbines: list[float], source: ScenarioDistribution
-):
+def test_scenarios_of_the_suites_own_groups_keep_every_promise_and_their_share_of_the_load(turbines, source):
     seeds = range(200)
     for scenario in source.draw_many(seeds, len(turbines), turbines, 120.0):
         check(scenario, source, 120.0)
@@ -211,7 +209,7 @@ def test_outages_are_as_likely_as_the_settings_say():
 
 
 @pytest.mark.parametrize(("own", "source"), SHARED, ids=lambda given: getattr(given, "name", ""))
-def test_turbines_that_pass_the_check_of_the_share_can_be_drawn_for(own: list[float], source: ScenarioDistribution):
+def test_turbines_that_pass_the_check_of_the_share_can_be_drawn_for(own, source):
     checked = 0
     for factor in np.geomspace(0.4, 2.5, 15):
         turbines = [factor * n for n in own]
@@ -231,9 +229,7 @@ def test_turbines_that_pass_the_check_of_the_share_can_be_drawn_for(own: list[fl
     st.lists(st.floats(0.2, 40.0), min_size=1, max_size=5),
     st.floats(1.0, 300.0),
 )
-def test_any_seed_group_count_and_duration_gives_a_valid_scenario(
-    source: ScenarioDistribution, seed: int, n_turbines: list[float], duration_s: float
-):
+def test_any_seed_group_count_and_duration_gives_a_valid_scenario(source, seed, n_turbines, duration_s):
     scenario = source.draw(seed, len(n_turbines), n_turbines, duration_s)
     check(scenario, source, duration_s)
     assert scenario.name == f"{source.name}/{seed}"
@@ -254,7 +250,7 @@ def test_event_shares_are_those_of_the_settings():
 
 
 @pytest.mark.parametrize("source", DISTRIBUTIONS, ids=lambda source: source.name)
-def test_scenarios_drawn_together_equal_scenarios_drawn_alone_bit_for_bit(source: ScenarioDistribution):
+def test_scenarios_drawn_together_equal_scenarios_drawn_alone_bit_for_bit(source):
     seeds = [0, 2**63 - 1, *range(20_000, 20_040)]
     for seed, scenario in zip(seeds, source.draw_many(seeds, 3, [1.0, 5.0, 60.0], 47.3), strict=True):
         assert source.draw(seed, 3, [1.0, 5.0, 60.0], 47.3).to_json() == scenario.to_json()

@@ -5,8 +5,6 @@ Loads of 60 and 40 MW at buses 2 and 3 need 103 MW with their losses. A wind of 
 0.8 Hz add 32 MW by its droop: 100 MVA · 0.8 / 50 / 0.05.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from typing import Any
 
@@ -83,7 +81,7 @@ CASES: dict[str, tuple[Any, dict[str, Any], float]] = {
 
 
 @pytest.mark.parametrize("name", CASES)
-def test_the_margin_is_that_of_a_calculation_by_hand(name: str) -> None:
+def test_the_margin_is_that_of_a_calculation_by_hand(name):
     events, changes, margin = CASES[name]
     scenario = Scenario(
         name=name, **{"wind_speed": np.array([[WIND]]), "duration_s": 80.0, "events": tuple(events), **changes}
@@ -91,12 +89,12 @@ def test_the_margin_is_that_of_a_calculation_by_hand(name: str) -> None:
     assert reserve_margin(scenario, PLANT) == pytest.approx(margin, abs=1e-6)
 
 
-def test_machines_that_share_the_load_share_it_by_what_they_can_give() -> None:
+def test_machines_that_share_the_load_share_it_by_what_they_can_give():
     # Of 65 MW the small one gives a third, and 16 MW more at 0.8 Hz.
     assert reserve_margin(calm(WIND, n_wtg=1), SHARING) == pytest.approx((40 + 65 + 32 + 16 - 103) / 100, abs=1e-6)
 
 
-def test_the_environment_tells_the_margin_in_the_suites_plant_with_its_own_groups() -> None:
+def test_the_environment_tells_the_margin_in_the_suites_plant_with_its_own_groups():
     suite = get_suite("standard-v1")
     env = GFMWTGEnv(duration_s=5.0)
     _, info = env.reset(seed=3)

@@ -1,7 +1,5 @@
 """Facts about what the errors of sensors are drawn from."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
@@ -15,7 +13,7 @@ SEEDS = range(10_000, 14_000)
 SENSED = [name for name, suite in SUITES.items() if suite.sensors is not None]
 
 
-def test_draws_depend_on_seed_and_name_alone_and_not_on_their_neighbours() -> None:
+def test_draws_depend_on_seed_and_name_alone_and_not_on_their_neighbours():
     together = USUAL.draw_many("a", [5, 2**40, 7], 3)
     assert together == [USUAL.draw_many("a", [seed], 3)[0] for seed in (5, 2**40, 7)]
     assert len({own.seed for own in (*together, *USUAL.draw_many("b", [5, 2**40, 7], 3))}) == 6
@@ -24,7 +22,7 @@ def test_draws_depend_on_seed_and_name_alone_and_not_on_their_neighbours() -> No
         assert (few.seed, few.delay_s, few.wind_bias) == (more.seed, more.delay_s, more.wind_bias[:3])
 
 
-def test_every_delay_of_the_range_is_as_likely() -> None:
+def test_every_delay_of_the_range_is_as_likely():
     for span, expected in (((0.1, 0.3), [0.1, 0.2, 0.3]), ((0.0, 1.0), [round(0.1 * n, 9) for n in range(11)])):
         source = SensorDistribution(delay_s=span)
         assert source.delays_s() == expected
@@ -36,7 +34,7 @@ def test_every_delay_of_the_range_is_as_likely() -> None:
     assert {own.delay_s for own in SensorDistribution(delay_s=(0.2, 0.2)).draw_many("x", range(50), 1)} == {0.2}
 
 
-def test_wind_bias_is_nearly_normal_bounded_and_independent_between_groups_and_seeds() -> None:
+def test_wind_bias_is_nearly_normal_bounded_and_independent_between_groups_and_seeds():
     bias = np.array([own.wind_bias for own in USUAL.draw_many("x", SEEDS, 4)])
     n = bias.size
     assert abs(bias.mean()) < 4.0 * 0.01 / math.sqrt(n)
@@ -50,7 +48,7 @@ def test_wind_bias_is_nearly_normal_bounded_and_independent_between_groups_and_s
 
 
 @pytest.mark.parametrize("suite", SENSED)
-def test_sensors_of_a_suite_are_those_of_its_distribution_and_can_be_replaced(suite: str) -> None:
+def test_sensors_of_a_suite_are_those_of_its_distribution_and_can_be_replaced(suite):
     own = get_suite(suite)
     seed = own.test[0]
     assert own.sensors is not None

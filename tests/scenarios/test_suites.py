@@ -16,7 +16,7 @@ from wtg_gym.physics.grid import DEFAULT_GRID
 from wtg_gym.physics.network import assemble_admittance, branch_admittances
 from wtg_gym.physics.plant import Plant, plant_tables
 from wtg_gym.physics.scenario import Fault, GovernorLoss, GroupTrip, LineTrip, MachineOutage, Scenario
-from wtg_gym.scenarios import FROZEN_HASHES, SUITES, ScenarioDistribution, Suite, get_suite
+from wtg_gym.scenarios import FROZEN_HASHES, SUITES, ScenarioDistribution, get_suite
 from wtg_gym.scenarios.draws import Draft, LoadEvents, LoadNoise, Record, Wind
 from wtg_gym.scenarios.margin import reserve_margin
 from wtg_gym.scenarios.sensor_distribution import SensorDistribution
@@ -37,7 +37,7 @@ def test_suites_are_those_of_the_benchmark():
 
 
 @pytest.mark.parametrize("name", FROZEN_HASHES)
-def test_hash_is_the_frozen_one(name: str):
+def test_hash_is_the_frozen_one(name):
     assert get_suite(name).hash == FROZEN_HASHES[name], "a changed suite is a new version of the benchmark"
 
 
@@ -64,7 +64,7 @@ STANDARD, STANDARD_V1 = (
     ],
     ids=str,
 )
-def test_hash_sees_scenarios_plant_sensors_and_task_but_not_words_and_copies(suite: Suite, change: dict):
+def test_hash_sees_scenarios_plant_sensors_and_task_but_not_words_and_copies(suite, change):
     assert dataclasses.replace(suite, **change).hash != suite.hash
     assert dataclasses.replace(suite, description="other words").hash == suite.hash
     assert pickle.loads(pickle.dumps(suite)).hash == suite.hash
@@ -81,7 +81,7 @@ class Blinks(Record):
         draft.events.append(GroupTrip(time_s=time_s, group=0, returns_after_s=away_s))
 
 
-def test_a_suite_of_ones_own_records_is_played_without_a_file() -> None:
+def test_a_suite_of_ones_own_records_is_played_without_a_file():
     drawn = ScenarioDistribution(name="mine", records=(LoadEvents(number=(2, 2)), Wind(), Blinks()))
     suite = dataclasses.replace(STANDARD_V1, name="mine", drawn_from={"": (drawn,)})
     other = dataclasses.replace(suite, drawn_from={"": (drawn.changed({Blinks: {"away_s": (1.0, 3.0)}}),)})
@@ -116,7 +116,7 @@ def frozen(name: str) -> list[Scenario]:
 
 
 @pytest.mark.parametrize("suite", DRAWN, ids=lambda suite: suite.name)
-def test_scenarios_have_the_margin_of_their_stratum_and_its_kinds_of_event(suite: Suite):
+def test_scenarios_have_the_margin_of_their_stratum_and_its_kinds_of_event(suite):
     assert suite.strata == ("ample", "tight", "short")
     scenarios = frozen(suite.name)
     seeds = [*suite.validation, *suite.test]
@@ -154,7 +154,7 @@ def test_suites_without_strata_say_so():
 
 
 @pytest.mark.parametrize("suite", DRAWN, ids=lambda suite: suite.name)
-def test_every_scenario_of_validation_and_test_starts(suite: Suite):
+def test_every_scenario_of_validation_and_test_starts(suite):
     for law in ("mppt", "deloaded-10", "coordinated-piecewise"):
         TaskLanes(EnvSettings(suite=suite.name, strategy=law, reward="cost")).prepare(frozen(suite.name))
 

@@ -32,7 +32,7 @@ def test_standard_deviation_at_15_m_s_is_that_of_the_normal_turbulence_model():
 
 
 @pytest.mark.parametrize("mean", [4.0, 20.0])
-def test_kaimal_spectrum_integrates_to_the_variance(mean: float):
+def test_kaimal_spectrum_integrates_to_the_variance(mean):
     frequency = np.concatenate([[0.0], np.geomspace(1e-7, 1e5, 20_001)])
     spectrum = wind.kaimal_spectrum(frequency, mean, 1.7)
     area = np.sum(0.5 * (spectrum[1:] + spectrum[:-1]) * np.diff(frequency))
@@ -50,7 +50,7 @@ def test_disk_average_agrees_with_random_pairs_of_points():
 
 
 @pytest.mark.parametrize("n_turbines", [1.0, 10.0])
-def test_variance_of_group_wind_follows_the_formula(n_turbines: float):
+def test_variance_of_group_wind_follows_the_formula(n_turbines):
     sigma = wind.ntm_sigma(9.0, 0.14)
     point = wind.kaimal_spectrum(FREQUENCY, 9.0, sigma)
     spectrum = point * wind.rotor_filter(FREQUENCY, 9.0) * wind.group_filter(FREQUENCY, 9.0, n_turbines)

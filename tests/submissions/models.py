@@ -1,7 +1,5 @@
 """Policy files, good and hostile, made by hand; nodes are written as ONNX writes them."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any

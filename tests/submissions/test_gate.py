@@ -1,7 +1,5 @@
 """The gate accepts honest submissions and refuses the others: folders, and entry.toml in every shape."""
 
-from __future__ import annotations
-
 import os
 import socket
 from collections.abc import Callable
@@ -20,22 +18,20 @@ SHIPPED = ROOT / "agents" / "policies" / "ppo-v1-0"
 
 
 @pytest.mark.parametrize("given", [None, SHIPPED], ids=["linear", "shipped"])
-def test_plain_policies_pass_every_check(given: Path | None, tmp_path: Path) -> None:
+def test_plain_policies_pass_every_check(given, tmp_path):
     report = check_submission(folder(tmp_path / "a") if given is None else given)
     assert report.accepted and all(check.verdict == "passed" and check.reason for check in report.checks)
     assert not report.notes and report.shipped == (given is not None)
 
 
-def test_policy_is_judged_in_the_environment_that_it_names(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_policy_is_judged_in_the_environment_that_it_names(tmp_path, monkeypatch):
     monkeypatch.setattr(gate, "_ROLLOUT_LANES", 4)
     report = check_submission(folder(tmp_path / "a", models.of_v1(), models.TOML_V1))
     assert report.accepted and report.played().environment == "GFMWTG-14bus-v1"
     assert rollout(report.played()).shape[1:] == (4, 8)
 
 
-def test_policy_that_is_slow_is_refused_and_no_later_check_is_made(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
+def test_policy_that_is_slow_is_refused_and_no_later_check_is_made(monkeypatch, tmp_path):
     monkeypatch.setattr(gate, "ANSWER_S", 1e-9)
     report = check_submission(folder(tmp_path / "a"))
     assert [check.verdict for check in report.checks] == ["passed"] * 3 + ["refused"] + ["not reached"] * 2
@@ -43,7 +39,7 @@ def test_policy_that_is_slow_is_refused_and_no_later_check_is_made(
     assert report.refusal.name == "speed" and "more than 1e-06 ms for an action" in report.refusal.reason
 
 
-def test_policy_that_remembers_other_scenarios_is_refused(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_policy_that_remembers_other_scenarios_is_refused(monkeypatch, tmp_path):
     """No file is known that can: one is played here by a process that mixes its scenarios."""
     mixes = """
 answer = worker._Served.answer
@@ -98,9 +94,7 @@ FOLDERS: list[tuple[str, Callable[[Path], object], str]] = [
 
 
 @pytest.mark.parametrize(("name", "make", "said"), FOLDERS)
-def test_folder_with_other_files_is_refused(
-    name: str, make: Callable[[Path], object], said: str, tmp_path: Path
-) -> None:
+def test_folder_with_other_files_is_refused(name, make, said, tmp_path):
     path = folder(tmp_path / "a")
     (path / name).unlink(missing_ok=True)
     make(path / name)
@@ -108,7 +102,7 @@ def test_folder_with_other_files_is_refused(
     assert refusal is not None and refusal.name == "folder" and said in refusal.reason and refusal.reason.isprintable()
 
 
-def test_link_to_a_folder_and_what_is_no_folder_are_refused(tmp_path: Path) -> None:
+def test_link_to_a_folder_and_what_is_no_folder_are_refused(tmp_path):
     (tmp_path / "link").symlink_to(folder(tmp_path / "a"))
     (tmp_path / "file").touch()
     for name in ("link", "file", "none"):
@@ -120,7 +114,7 @@ def test_link_to_a_folder_and_what_is_no_folder_are_refused(tmp_path: Path) -> N
     "name",
     ["a;touch x", "$(id)", "--weak-isolation", "mine\n::error::hi", ".hidden", "ü", "a.toml", "AUX", "con.x", "a."],
 )
-def test_folder_whose_name_would_mean_something_to_a_shell_is_refused(name: str, tmp_path: Path) -> None:
+def test_folder_whose_name_would_mean_something_to_a_shell_is_refused(name, tmp_path):
     (tmp_path / name).mkdir()
     with pytest.raises(ValueError, match="the folder's name must be"):
         read_files(tmp_path / name)
@@ -161,7 +155,7 @@ WRONG: list[tuple[str | bytes, str]] = [
 
 
 @pytest.mark.parametrize(("toml", "said"), WRONG)
-def test_wrong_entry_files_are_refused(toml: str | bytes, said: str, tmp_path: Path) -> None:
+def test_wrong_entry_files_are_refused(toml, said, tmp_path):
     refusal = read_submission(folder(tmp_path / "a", toml=toml)).refusal
     assert refusal is not None and refusal.name == "entry.toml" and said in refusal.reason
     assert refusal.reason.isprintable() and len(refusal.reason) < 1600
@@ -176,7 +170,7 @@ def test_wrong_entry_files_are_refused(toml: str | bytes, said: str, tmp_path: P
         ('trained_on = """\\\n    environment = GFMWTG-14bus-v0"""\n', "v1"),
     ],
 )
-def test_every_reader_of_entry_toml_sees_the_same_version(line: str, version: str, tmp_path: Path) -> None:
+def test_every_reader_of_entry_toml_sees_the_same_version(line, version, tmp_path):
     content = (_REST + line).encode()
     env_id = f"GFMWTG-14bus-{version}"
     assert parse_submission(content).environment == env_id

@@ -1,7 +1,5 @@
 """Every hostile policy gets its verdict; what the gate accepts is scored, alone and beside a harmless entry."""
 
-from __future__ import annotations
-
 import functools
 import os
 import pickle
@@ -187,7 +185,7 @@ def _scored(entry: Entry) -> tuple[str, str]:
 
 
 @pytest.mark.parametrize(("end", "name"), [(end, name) for end, attacks in ATTACKS.items() for name in attacks])
-def test_hostile_policy_is_stopped(end: str, name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_hostile_policy_is_stopped(end, name, tmp_path, monkeypatch):
     # Less takes less time to fill.
     monkeypatch.setattr(policy_process, "MEMORY_BYTES", 3 * 2**29)
     # Long enough for every other step, on a busy machine too.

@@ -1,7 +1,5 @@
 """Names that are taken: a stranger's folder is found by its name and by its entry's, so neither may find another."""
 
-from __future__ import annotations
-
 import shutil
 from pathlib import Path
 
@@ -38,18 +36,18 @@ coordinated (tuned); Fast Droop; fast droop.; TIP_SPEED_FEEDBACK; PPO k 0; ppo k
 
 
 @pytest.mark.parametrize("name", FOLDERS.split())
-def test_folder_cannot_have_a_name_by_which_something_is_found(name: str, tmp_path: Path) -> None:
+def test_folder_cannot_have_a_name_by_which_something_is_found(name, tmp_path):
     check, reason = refused(folder(tmp_path / name))
     assert check == "folder" and reason.startswith("the folder's name must")
 
 
 @pytest.mark.parametrize("name", [name.strip() for name in NAMES.split(";")])
-def test_entry_cannot_have_a_name_by_which_something_is_found(name: str, tmp_path: Path) -> None:
+def test_entry_cannot_have_a_name_by_which_something_is_found(name, tmp_path):
     check, reason = refused(folder(tmp_path / "a", toml=TOML.replace("Mine", name)))
     assert check == "entry.toml" and reason.startswith("name must not be")
 
 
-def test_everything_that_is_found_by_name_is_refused_as_a_name(tmp_path: Path) -> None:
+def test_everything_that_is_found_by_name_is_refused_as_a_name(tmp_path):
     baselines = {entry.name for version in (V0, V1) for entry in load_entries("baselines", task=version)}
     shipped = {name for path in policy_folders() for name in (path.name, policy_name(path))}
     for index, name in enumerate(sorted({*STRATEGY_NAMES, *baselines, *filter(None, shipped)})):
@@ -58,9 +56,7 @@ def test_everything_that_is_found_by_name_is_refused_as_a_name(tmp_path: Path) -
 
 
 @pytest.mark.parametrize("name", ["baselines", "policies", "mppt", "fast-droop"])
-def test_folder_at_hand_does_not_stand_before_a_word_or_a_baseline(
-    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_folder_at_hand_does_not_stand_before_a_word_or_a_baseline(name, tmp_path, monkeypatch):
     expected = [entry.name for entry in load_entries(name)]
     shutil.copytree(POLICIES / "ppo-k-2", tmp_path / name)
     monkeypatch.chdir(tmp_path)
@@ -69,7 +65,7 @@ def test_folder_at_hand_does_not_stand_before_a_word_or_a_baseline(
 
 
 @pytest.mark.parametrize("name", ["Fast Droop", "baselines", "po1icies"])
-def test_own_law_and_own_folder_are_not_called_like_a_baseline(name: str, tmp_path: Path) -> None:
+def test_own_law_and_own_folder_are_not_called_like_a_baseline(name, tmp_path):
     law = tmp_path / "mine.toml"
     law.write_text(f'name = "{name}"\nk_min = 1.0\nk_nominal = 0.8\nk_max = 0.6\n')
     with pytest.raises(ValueError, match=r"^the name of the law in .*mine.toml must not be, or look like"):
@@ -81,7 +77,7 @@ def test_own_law_and_own_folder_are_not_called_like_a_baseline(name: str, tmp_pa
 # --- shipped policies ------------------------------------------------------------------------------------------------
 
 
-def test_shipped_folders_pass_beside_all_others() -> None:
+def test_shipped_folders_pass_beside_all_others():
     reports = [read_submission(path) for path in policy_folders()]
     assert all(report.accepted and report.shipped for report in reports)
     assert conflicts(reports) == [] == conflicts(reports[:1], reports[1:])

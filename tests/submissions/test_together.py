@@ -1,7 +1,5 @@
 """Several submissions together, and beside entries that are there."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 
@@ -39,13 +37,13 @@ def different(key: str) -> str:
     return "\n".join([*lines, f"{key} = {DIFFERENT[key]}\n"])
 
 
-def test_seeds_of_one_entry_are_accepted(tmp_path: Path) -> None:
+def test_seeds_of_one_entry_are_accepted(tmp_path):
     first, second = report(tmp_path / "a"), report(tmp_path / "b", models.other(), seed(1))
     assert conflicts([first, second]) == []
     assert conflicts([first], [report(tmp_path / "c", models.other(), TOML.replace("Mine", "Yours"))]) == []
 
 
-def test_name_belongs_to_one_entry_of_one_version(tmp_path: Path) -> None:
+def test_name_belongs_to_one_entry_of_one_version(tmp_path):
     old, new = report(tmp_path / "a"), report(tmp_path / "b", models.of_v1(), seed(1, models.TOML_V1))
     assert "must agree on environment" in conflicts([old, new])[0].reason
     for one, other in ((old, new), (new, old)):
@@ -60,7 +58,7 @@ def test_name_belongs_to_one_entry_of_one_version(tmp_path: Path) -> None:
         *((different(key), rf"must agree on .*{key}.*, got .+ and .+: /") for key in DIFFERENT),
     ],
 )
-def test_nobody_joins_anothers_row(toml: str, said: str, tmp_path: Path) -> None:
+def test_nobody_joins_anothers_row(toml, said, tmp_path):
     first, second = report(tmp_path / "a"), report(tmp_path / "b", models.other(), toml)
     (conflict,) = conflicts([first, second])
     assert conflict.folders == (first.folder, second.folder) and re.search(said, conflict.reason)
@@ -70,7 +68,7 @@ def test_nobody_joins_anothers_row(toml: str, said: str, tmp_path: Path) -> None
 
 
 @pytest.mark.parametrize("key", DIFFERENT)
-def test_no_door_forms_a_row_of_entries_that_differ(key: str, tmp_path: Path) -> None:
+def test_no_door_forms_a_row_of_entries_that_differ(key, tmp_path):
     entries = [
         entry
         for name, toml in (("a", TOML), ("b", different(key)))
@@ -80,7 +78,7 @@ def test_no_door_forms_a_row_of_entries_that_differ(key: str, tmp_path: Path) ->
         evaluate(entries, "standard", "test", seeds=[20_000], duration_s=1.0)
 
 
-def test_file_counts_once_whatever_it_is_called(tmp_path: Path) -> None:
+def test_file_counts_once_whatever_it_is_called(tmp_path):
     first, second = report(tmp_path / "a"), report(tmp_path / "b", toml=seed(1))
     third = report(tmp_path / "c", toml=TOML.replace("Mine", "Yours"))
     for found in (conflicts([first, second]), conflicts([first, third]), conflicts([third], [first])):
@@ -99,13 +97,13 @@ YOURS = TOML.replace("Mine", "Yours")
         ("b", TOML.replace("Mine", "O N E"), "looks like"),
     ],
 )
-def test_folder_is_not_called_as_another_folder_or_entry(name: str, toml: str, said: str, tmp_path: Path) -> None:
+def test_folder_is_not_called_as_another_folder_or_entry(name, toml, said, tmp_path):
     first, second = report(tmp_path / "a" / "one"), report(tmp_path / "b" / name, models.other(), toml)
     for found in (conflicts([first, second]), conflicts([second], [first])):
         assert said in found[0].reason
 
 
-def test_what_is_there_is_compared_as_far_as_it_can_be_read(tmp_path: Path) -> None:
+def test_what_is_there_is_compared_as_far_as_it_can_be_read(tmp_path):
     broken = read_submission(folder(tmp_path / "a", toml="name = "))
     assert not broken.accepted
     (conflict,) = conflicts([report(tmp_path / "b")], [broken])

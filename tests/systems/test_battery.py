@@ -37,7 +37,7 @@ def module_of(page: str, name: str, folder: Path) -> Any:
 
 
 @pytest.fixture(scope="module")
-def battery(tmp_path_factory: pytest.TempPathFactory) -> Any:
+def battery(tmp_path_factory):
     return module_of("docs/howto/battery.md", "battery.py", tmp_path_factory.mktemp("howto"))
 
 
@@ -57,7 +57,7 @@ def played(settings: EnvSettings, n_lanes: int = 1, n_steps: int = 60) -> TaskLa
     return lanes
 
 
-def test_it_starts_in_equilibrium_holds_up_the_frequency_and_its_wear_is_charged(battery: Any) -> None:
+def test_it_starts_in_equilibrium_holds_up_the_frequency_and_its_wear_is_charged(battery):
     assert largest_rate(played(settings(battery), n_steps=0).simulator) < 1e-9
     own, without = played(settings(battery)), played(WITHOUT)
     with_them, alone = (lanes.simulator.lane_values("coi_min")[0] for lanes in (own, without))
@@ -69,7 +69,7 @@ def test_it_starts_in_equilibrium_holds_up_the_frequency_and_its_wear_is_charged
 
 
 @pytest.mark.parametrize("version", ["v0", "v1"])
-def test_an_environment_takes_it_beside_the_suites_groups(battery: Any, version: str) -> None:
+def test_an_environment_takes_it_beside_the_suites_groups(battery, version):
     env = GFMWTGEnv(version=version, plant={"devices": (battery.batteries(9, 14),)}, duration_s=20.0)
     usual = GFMWTGEnv(version=version, duration_s=20.0)
     last = [f"batteries{j}.{name}" for j in range(2) for name in ("power", "energy_left")]
@@ -81,19 +81,19 @@ def test_an_environment_takes_it_beside_the_suites_groups(battery: Any, version:
     assert env.observation_space.contains(observation) and observation[-3] != 0.5
 
 
-def test_one_lane_and_many_have_the_same_bits(battery: Any) -> None:
+def test_one_lane_and_many_have_the_same_bits(battery):
     one, many = played(settings(battery)), played(settings(battery), 17)
     assert (many.observations == one.observations).all() and (many.rewards == one.rewards[0]).all()
 
 
-def test_an_empty_one_gives_no_more(battery: Any) -> None:
+def test_an_empty_one_gives_no_more(battery):
     lanes = played(settings(battery, energy_time_s=3.0), n_steps=190)
     names = lanes.observation_names
     power, energy = (lanes.observations[0, names.index(f"batteries0.{name}")] for name in ("power", "energy_left"))
     assert 0.0 <= energy < 0.05 and abs(power) < 0.05
 
 
-def test_its_gradient_is_that_of_differences(battery: Any) -> None:
+def test_its_gradient_is_that_of_differences(battery):
     tape = Tape(settings(battery), 2, 1)
     actions = np.random.default_rng(0).uniform(-0.5, 0.5, (40, 2, tape.lanes.n_action))
     (of_actions, *_) = check_by_differences(tape, [STEP, STEP], actions)
@@ -111,12 +111,12 @@ def test_its_gradient_is_that_of_differences(battery: Any) -> None:
         (lambda b: {"shown": "sen"}, "'sen' is no record in scratch of batteries; did you mean 'seen'"),
     ],
 )
-def test_bad_units_are_refused(battery: Any, changes: Any, reason: str) -> None:
+def test_bad_units_are_refused(battery, changes, reason):
     with pytest.raises(ValueError, match=reason):
         dataclasses.replace(battery.batteries(9), **changes(battery))
 
 
-def test_plants_that_cannot_be_are_refused(battery: Any) -> None:
+def test_plants_that_cannot_be_are_refused(battery):
     one, other = battery.batteries(9), battery.batteries(14)
     with pytest.raises(ValueError, match="units of a kind 'batteries' already"):
         TaskLanes(dataclasses.replace(WITHOUT, plant=Plant(devices=(one, other))))
@@ -124,7 +124,7 @@ def test_plants_that_cannot_be_are_refused(battery: Any) -> None:
         TaskLanes(dataclasses.replace(WITHOUT, plant=Plant(devices=(dataclasses.replace(one, has=("wears",)),))))
 
 
-def test_a_copy_from_another_process_goes_on_with_the_same_bits(battery: Any) -> None:
+def test_a_copy_from_another_process_goes_on_with_the_same_bits(battery):
     lanes = played(settings(battery), 2, 20)
     copies = pickle.loads(pickle.dumps(lanes)), copy.deepcopy(lanes)
     for _ in range(10):

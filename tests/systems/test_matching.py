@@ -189,7 +189,7 @@ REFUSED: dict[str, tuple[Callable[[], Any], str]] = {
 
 
 @pytest.mark.parametrize(("make", "sentence"), REFUSED.values(), ids=REFUSED)
-def test_what_has_no_meaning_or_several_is_refused(make: Callable[[], Any], sentence: str) -> None:
+def test_what_has_no_meaning_or_several_is_refused(make, sentence):
     pattern = re.escape(sentence).replace(r"\.\*", ".*")
     with pytest.raises((TypeError, ValueError, KeyError), match=pattern):
         make()
@@ -203,7 +203,7 @@ def ran(one: System, layout: Layout, block: list[float]) -> tuple[list[float], l
     return arrays[0].ravel().tolist(), arrays[1].ravel().tolist()
 
 
-def test_full_names_say_which() -> None:
+def test_full_names_say_which():
     block = [*(1.0, 2.0), 30.0, *(0.0,) * 3, 4.0, *(5.0, 6.0)]
     _, scratch = ran(function(of_two, "own_level")(), PlantMap({GUESTS: 1, HOSTS: 1}, {}), block)
     assert scratch[-2:] == [26.0, 0.0]
@@ -211,7 +211,7 @@ def test_full_names_say_which() -> None:
     assert ran(of_record, PlantMap({GUESTS: 1, HOSTS: 1}, {}), block)[1][-2:] == [0.0, 2.0]
 
 
-def test_a_number_that_is_written_by_another_name_than_it_is_read_by_is_read_first() -> None:
+def test_a_number_that_is_written_by_another_name_than_it_is_read_by_is_read_first():
     pairs = Kind(name="pairs of numbers", rows={"pair": Pair, "sum": float})
 
     @system(pairs, "re", "sum")
@@ -230,7 +230,7 @@ def shipped() -> Iterator[System]:
         yield from (each for systems in control.systems.values() for each in systems)
 
 
-def test_every_name_of_every_system_means_one_thing_and_is_annotated_with_it() -> None:
+def test_every_name_of_every_system_means_one_thing_and_is_annotated_with_it():
     systems = {id(one): one for one in shipped()}.values()
     for one in systems:
         assert all(len(one.kind.meanings(name)) == 1 for name in (*one.arguments_named, *one.writes)), one.name
@@ -244,7 +244,7 @@ def test_every_name_of_every_system_means_one_thing_and_is_annotated_with_it() -
     assert len(systems) > 150
 
 
-def test_there_is_a_list_for_every_place_where_systems_may_join() -> None:
+def test_there_is_a_list_for_every_place_where_systems_may_join():
     def places(entry: Any) -> Iterator[str]:
         if isinstance(entry, Here):
             yield entry.name

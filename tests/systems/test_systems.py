@@ -63,7 +63,7 @@ class PlantMap(Layout):
 
 
 @pytest.mark.parametrize("width", [1, 16])
-def test_every_unit_of_every_lane_has_what_the_function_says(width: int) -> None:
+def test_every_unit_of_every_lane_has_what_the_function_says(width):
     layout = PlantMap({UNITS: N_UNITS}, {})
     tables = build_table((FORWARD, BOTH_WAYS), layout)
     rng = np.random.default_rng(0)
@@ -78,7 +78,7 @@ def test_every_unit_of_every_lane_has_what_the_function_says(width: int) -> None
 
 
 @pytest.mark.parametrize("point", POINTS)
-def test_what_comes_back_are_the_slopes(point: tuple[float, float]) -> None:
+def test_what_comes_back_are_the_slopes(point):
     layout, h = PlantMap({UNITS: 1}, {}), 1e-6
     tables = build_table((FORWARD, BOTH_WAYS), layout, (BOTH_WAYS,))
     tape, scratch = np.zeros((BOTH_WAYS.tape_rows(layout), 16)), np.zeros((layout.n_scratch, 16))
@@ -113,7 +113,7 @@ def coefficient_of(ratio: float, pitch_deg: float, cells: ex.Cells, grid: Grid) 
 
 #: Tip-speed ratio and pitch angle [deg] within the table, below its first ratio, and beyond its last one.
 @pytest.mark.parametrize(("ratio", "pitch_deg"), [(7.3, 0.2), (5.1, 11.7), (1.2, 3.0), (40.0, 4.4)])
-def test_a_table_is_looked_up_and_has_the_slopes_of_its_surface(ratio: float, pitch_deg: float) -> None:
+def test_a_table_is_looked_up_and_has_the_slopes_of_its_surface(ratio, pitch_deg):
     (program,) = in_one_table(TABLE=(coefficient_of,))
     layout = PlantMap({ROTORS: 1}, {})
     tables = build_table((program,), layout, (program,))
@@ -129,12 +129,12 @@ def test_a_table_is_looked_up_and_has_the_slopes_of_its_surface(ratio: float, pi
     assert bars[:, 0] == pytest.approx(expected, rel=1e-7, abs=1e-9)
 
 
-def test_a_branch_on_a_traced_number_is_refused() -> None:
+def test_a_branch_on_a_traced_number_is_refused():
     with pytest.raises(TypeError, match="select"):
         bool(ex.symbol("a") > 1.0)
 
 
-def test_programs_that_differ_in_one_thing_have_machine_code_of_their_own() -> None:
+def test_programs_that_differ_in_one_thing_have_machine_code_of_their_own():
     in_rows = Kind(name="places", rows={"x": float, "y": float, "flag": float})
     in_scratch = Kind(name="places", rows={"x": float}, scratch={"y": float, "flag": float})
     digests = []
@@ -151,7 +151,7 @@ def test_programs_that_differ_in_one_thing_have_machine_code_of_their_own() -> N
     assert len(set(digests)) == len(digests) == 12
 
 
-def test_arrays_of_another_width_and_tables_without_the_code_are_refused() -> None:
+def test_arrays_of_another_width_and_tables_without_the_code_are_refused():
     layout = PlantMap({UNITS: 1}, {})
     tables, routine = build_table((FORWARD, BOTH_WAYS), layout), Routine(FORWARD)
     with pytest.raises(ValueError, match="1 or 16 columns"):
