@@ -11,11 +11,10 @@ import pytest
 
 from tests.envs.rollouts import actions_of, bits, eventful
 from wtg_gym import evaluate
-from wtg_gym.envs import EnvSettings, GFMWTGEnv, GFMWTGVectorEnv
+from wtg_gym.envs import EnvSettings
 from wtg_gym.gradients import Tape
 from wtg_gym.physics.plant import Plant
 from wtg_gym.physics.scenario import Scenario
-from wtg_gym.physics.simulator import Simulator
 from wtg_gym.physics.tracking_law import get_law
 from wtg_gym.policies.entry_folder import load_entries
 from wtg_gym.sb3 import make_sb3_vec_env
@@ -40,12 +39,6 @@ def monitored() -> Any:
     return env
 
 
-def simulator() -> Simulator:
-    simulator = Simulator(Plant())
-    simulator.start(0, eventful(), [get_law("mppt")] * 2)
-    return simulator
-
-
 def batch_steps(env: Any) -> Any:
     # The last value of a step of Stable-Baselines3 has the time that an episode took.
     return [env.step(actions)[:3] for actions in actions_of(0, 25, env.num_envs).astype(np.float32)]
@@ -60,12 +53,6 @@ def joint_steps(env: Any) -> Any:
     return [*(env.step(dict(zip(env.possible_agents, each, strict=True))) for each in actions), env.reset()]
 
 
-def advanced(simulator: Simulator) -> Any:
-    for _ in range(30):
-        simulator.advance()
-    return simulator.blocks
-
-
 def gradient(tape: Tape) -> Any:
     tape.play([eventful()] * 2, actions_of(0, 5, 2))
     return tape.pull(4, np.zeros((2, tape.n_carried)), np.ones((2, len(COST_TERMS))))
@@ -74,10 +61,7 @@ def gradient(tape: Tape) -> Any:
 STANDARD = get_suite("standard")
 SEED = STANDARD.seeds("validation").start
 KINDS: dict[str, tuple[Callable[[], Any], Callable[[Any], Any]]] = {
-    "single": (lambda: started(GFMWTGEnv(**SHORT)), single_steps),
     "gym.make": (lambda: started(gym.make("wtg_gym:GFMWTG-14bus-v1", duration_s=10.0, action_mode="k")), single_steps),
-    "batch": (lambda: started(GFMWTGVectorEnv(3, **SHORT)), batch_steps),
-    "score": (lambda: started(GFMWTGVectorEnv(3, reward="score", **SHORT)), batch_steps),
     "agents": (parallel_env, joint_steps),
     "Stable-Baselines3": (monitored, batch_steps),
     "entry": (lambda: load_entries("linear-feedback")[0], lambda entry: entry.to_dict()),
@@ -91,7 +75,6 @@ KINDS: dict[str, tuple[Callable[[], Any], Callable[[Any], Any]]] = {
     "settings": (lambda: EnvSettings(**SHORT), repr),
     "plant": (Plant, repr),
     "law": (lambda: get_law("coordinated-tuned"), repr),
-    "simulator": (simulator, advanced),
     "tape": (lambda: Tape(EnvSettings(version="v0", duration_s=4.0), 2), gradient),
 }
 

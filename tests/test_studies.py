@@ -7,15 +7,12 @@ from pathlib import Path
 import minari
 import numpy as np
 import pytest
-from matrix import CHANGES, OWN, played, section, with_faults, without_governor
+from matrix import CHANGES, OWN, played, section, with_faults
 from minari_datasets import make_dataset
-from policies import Population, law_of, tune_law, tune_mean_droop, tuning_of
 from reference import environment_page, parameters_page
 
 from wtg_gym.evaluation import evaluate, load_entries
 from wtg_gym.evaluation.faults import SENSOR_FAULTS, with_fault
-from wtg_gym.physics.aerodynamics import tracking_point
-from wtg_gym.physics.tracking_law import TUNED, tuned
 from wtg_gym.scenarios import get_suite
 from wtg_gym.tasks import V1
 
@@ -31,36 +28,6 @@ def test_every_study_finds_what_it_imports(name):
 @pytest.mark.parametrize(("page", "made"), [("environment", environment_page), ("parameters", parameters_page)])
 def test_the_reference_is_that_of_the_code(page, made):
     assert made().strip() in (DOCS / f"{page}.md").read_text(encoding="utf-8")
-
-
-def test_points_of_a_search_are_laws_and_laws_are_tunings():
-    for name, tuning in TUNED.items():
-        law = tuned(name)
-        point = np.array([tuning[0], 10.0 * tuning[1], tuning[2], np.log(tuning.time_constant_s / 0.8)])
-        assert tuning_of(law) == pytest.approx(tuning, abs=1e-12)
-        assert tuning_of(law_of(point)) == pytest.approx(tuning, abs=1e-3)
-    # Three numbers: k ends at K_opt.
-    capped = law_of(np.array([0.8, 0.0, 0.0]))
-    assert capped.k_min == tracking_point(0.0).coefficient > capped.k_nominal > capped.k_max
-
-
-def test_the_objective_of_a_search_is_the_logarithm_of_cost_and_offset():
-    n_scenarios, laws = 6, [tuned("coordinated-tuned"), tuned("coordinated-free")]
-    with Population(OWN, n_scenarios, len(laws), duration_s=12.0) as candidates:
-        objectives, lanes = candidates.objectives(laws), candidates.lanes
-        costs = lanes.cost_sums().sum(axis=1).reshape(len(laws), n_scenarios)
-        offsets = dict(V1.cost_offsets)
-        strata = [lanes.suite.stratum(seed) for seed in lanes.suite.train[:n_scenarios]]
-    wanted = [[np.log(cost + offsets[s]) for cost, s in zip(row, strata, strict=True)] for row in costs]
-    assert objectives == pytest.approx(np.mean(wanted, axis=1), rel=1e-12) and objectives[0] != objectives[1]
-
-
-def test_searches_for_laws_and_numbers_run():
-    quick = {"n_scenarios": 3, "generations": 1, "population": 4}
-    best = tracking_point(0.0).coefficient
-    assert tune_law(OWN, True, **quick).k_min == best < tune_law(OWN, False, **quick).k_min
-    policy, cost = tune_mean_droop(OWN, **quick)
-    assert policy.full_action_hz > 0.0 and np.isfinite(cost)
 
 
 @pytest.fixture(scope="module")
@@ -104,12 +71,6 @@ def test_the_matrix_has_a_column_for_every_change_and_fault(known, players):
     assert all((laws[name]["delay +0.5 s"] == laws[name]["wind bias × 4"]).all() for name in laws)
     assert (laws["coordinated-tuned"]["no governor"] != laws["coordinated-tuned"]["delay +0.5 s"]).any()
     assert "| fast-droop |" in section({OWN: known}, results)
-
-
-def test_without_governor_no_scenario_has_one_lost_later():
-    suite = get_suite(OWN)
-    events = [event for seed in suite.validation[:15] for event in without_governor(suite.scenario(seed)).events]
-    assert [event.time_s for event in events if type(event).__name__ == "GovernorLoss"] == [0.0] * 15
 
 
 def test_episodes_of_a_dataset_are_those_of_their_players_and_play_again_to_the_bit(tmp_path, monkeypatch):

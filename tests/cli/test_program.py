@@ -86,8 +86,6 @@ def test_help_is_there_before_the_simulator_and_before_other_commands():
     assert done.stdout.endswith("False\n"), done.stderr
 
 
-# --- what a terminal gets --------------------------------------------------------------------------------------------
-
 #: Colours, the title of a window, C1 controls, a changed direction, a line of its own, half a surrogate pair.
 NASTY = "a\x1b[31mred\x1b]0;title\x07\x9b2J\x7f\u202eabc\u2066\r\nwtg-gym: all is well\ud800\u2028z"
 

@@ -1,8 +1,7 @@
 """What a frozen environment answers, as numbers: over suites, modes, autoresets and threads, single and batched.
 
-`python -m tests.envs.frozen v0 > tests/envs/frozen_v0.json` wrote the answers of version 0.1.0. They are never written
-anew: another answer is another environment, with another id. `frozen_v1.json` is written, once, when its suites are
-frozen: `python -m tests.envs.frozen hashes` puts what their hashes are into FROZEN_HASHES.
+`python -m tests.envs.frozen v0 > tests/envs/frozen_v0.json` wrote the answers of version 0.1.0, once: another answer is
+another environment, with another id.
 """
 
 import hashlib
@@ -10,7 +9,6 @@ import itertools
 import json
 import sys
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -19,7 +17,7 @@ from gymnasium.vector import AutoresetMode
 from tests.envs.rollouts import ACTION_MODES, MODES, OBSERVATION_MODES
 from wtg_gym.envs import GFMWTGEnv, GFMWTGVectorEnv
 from wtg_gym.evaluation.circumstances import versions
-from wtg_gym.scenarios import FROZEN_HASHES, SUITES, suites
+from wtg_gym.scenarios import SUITES
 
 #: Longer than an episode, so that lanes start again; episodes of v1 are cut to a minute.
 _N_STEPS, _N_LANES = {"v0": 640, "v1": 130}, 17
@@ -120,19 +118,6 @@ def cases(version: str) -> dict[str, Callable[[], dict[str, Any]]]:
     return found
 
 
-def freeze_suites() -> None:
-    """Put the hashes of the suites of version v1 into their file."""
-    path = Path(suites.__file__)
-    text = path.read_text(encoding="utf-8")
-    for name, suite in SUITES.items():
-        if suite.task.version == "v1":
-            text = text.replace(FROZEN_HASHES[name], suite.hash)
-    path.write_text(text, encoding="utf-8")
-
-
 if __name__ == "__main__":
-    if sys.argv[1] == "hashes":
-        freeze_suites()
-    else:
-        answers = {name: play() for name, play in cases(sys.argv[1]).items()}
-        print(json.dumps({"versions": versions(), "cases": answers}, indent=1))
+    answers = {name: play() for name, play in cases(sys.argv[1]).items()}
+    print(json.dumps({"versions": versions(), "cases": answers}, indent=1))

@@ -8,16 +8,7 @@ import numpy as np
 from gymnasium.vector import AutoresetMode
 
 from wtg_gym.envs import GFMWTGEnv, GFMWTGVectorEnv
-from wtg_gym.physics.scenario import (
-    GovernorLoss,
-    GroupTrip,
-    LineTrip,
-    LoadRamp,
-    LoadStep,
-    LoadTrip,
-    MachineOutage,
-    Scenario,
-)
+from wtg_gym.physics import scenario as sc
 
 #: One step as plain data: observation bytes, reward, terminated, truncated, info, then the same of an episode's end.
 Step = tuple[Any, ...]
@@ -35,38 +26,38 @@ def actions_of(seed: int, n_steps: int, n_lanes: int = 1, n_action: int = 4, sca
     return np.random.default_rng(seed).uniform(-scale, scale, (n_steps, n_lanes, n_action))
 
 
-def eventful(wind: float = 9.0, duration_s: float = 4.0, n_wtg: int = 2, **changes: Any) -> Scenario:
+def eventful(wind: float = 9.0, duration_s: float = 4.0, n_wtg: int = 2, **changes: Any) -> sc.Scenario:
     """Return a short scenario with every kind of event in it, off the control grid as well."""
     events = (
-        LoadStep(time_s=0.525, bus=2, power_mw=40.0, reactive_mvar=5.0),
-        LoadRamp(time_s=0.9, bus=14, power_mw=-10.0, duration_s=1.1),
-        LineTrip(time_s=1.3, from_bus=5, to_bus=4, recloses_after_s=0.85),
-        MachineOutage(time_s=1.525, bus=6),
-        LoadTrip(time_s=1.975, bus=9),
-        GovernorLoss(time_s=2.2, bus=1),
-        LoadStep(time_s=2.5, bus=5, power_mw=15.0),
-        GroupTrip(time_s=2.725, group=1),
+        sc.LoadStep(time_s=0.525, bus=2, power_mw=40.0, reactive_mvar=5.0),
+        sc.LoadRamp(time_s=0.9, bus=14, power_mw=-10.0, duration_s=1.1),
+        sc.LineTrip(time_s=1.3, from_bus=5, to_bus=4, recloses_after_s=0.85),
+        sc.MachineOutage(time_s=1.525, bus=6),
+        sc.LoadTrip(time_s=1.975, bus=9),
+        sc.GovernorLoss(time_s=2.2, bus=1),
+        sc.LoadStep(time_s=2.5, bus=5, power_mw=15.0),
+        sc.GroupTrip(time_s=2.725, group=1),
     )
     noise = np.r_[0.0, np.random.default_rng(5).normal(0.0, 1.0, round(10 * duration_s))]
     values = {"events": events, "load_noise_mw": noise, "duration_s": duration_s, **changes}
-    return Scenario(name="eventful", wind_speed=wind + 0.5 * np.arange(n_wtg)[:, None], **values)
+    return sc.Scenario(name="eventful", wind_speed=wind + 0.5 * np.arange(n_wtg)[:, None], **values)
 
 
-def sagging(wind: float = 8.0, duration_s: float = 60.0) -> Scenario:
+def sagging(wind: float = 8.0, duration_s: float = 60.0) -> sc.Scenario:
     """Return a low wind with the paper's load increase, early: maximum power point tracking stalls in it."""
-    events = (LoadStep(time_s=2.0, bus=2, power_mw=75.0), LoadStep(time_s=10.0, bus=3, power_mw=75.0))
-    return Scenario(name="sagging", wind_speed=np.full((2, 1), wind), duration_s=duration_s, events=events)
+    events = (sc.LoadStep(time_s=2.0, bus=2, power_mw=75.0), sc.LoadStep(time_s=10.0, bus=3, power_mw=75.0))
+    return sc.Scenario(name="sagging", wind_speed=np.full((2, 1), wind), duration_s=duration_s, events=events)
 
 
-def rising(duration_s: float = 20.0) -> Scenario:
+def rising(duration_s: float = 20.0) -> sc.Scenario:
     """Return a wind that rises faster than the pitch can follow."""
     wind = np.interp(np.arange(round(10 * duration_s) + 1) * 0.1, [3.0, 5.0], [8.0, 25.0])
-    return Scenario(name="rising", wind_speed=np.array([wind, wind]), duration_s=duration_s)
+    return sc.Scenario(name="rising", wind_speed=np.array([wind, wind]), duration_s=duration_s)
 
 
-def calm(wind: float = 9.0, duration_s: float = 4.0, n_wtg: int = 2, **changes: Any) -> Scenario:
+def calm(wind: float = 9.0, duration_s: float = 4.0, n_wtg: int = 2, **changes: Any) -> sc.Scenario:
     """Return a scenario in which nothing happens."""
-    return Scenario(name="calm", wind_speed=np.full((n_wtg, 1), wind), duration_s=duration_s, **changes)
+    return sc.Scenario(name="calm", wind_speed=np.full((n_wtg, 1), wind), duration_s=duration_s, **changes)
 
 
 def bits(value: Any) -> Any:

@@ -10,17 +10,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from wtg_gym.envs import GFMWTGEnv
-from wtg_gym.physics.scenario import (
-    Event,
-    GovernorLoss,
-    GroupTrip,
-    LineTrip,
-    LoadRamp,
-    LoadStep,
-    LoadTrip,
-    MachineOutage,
-    Scenario,
-)
+from wtg_gym.physics import scenario as sc
 from wtg_gym.physics.sensors import Sensors
 from wtg_gym.physics.tracking_law import STRATEGIES
 from wtg_gym.scenarios import SUITES
@@ -98,18 +88,18 @@ LINES = st.sampled_from([(1, 2), (2, 4), (4, 5), (6, 12), (9, 14), (13, 14)])
 
 
 @st.composite
-def event_lists(draw: st.DrawFn) -> tuple[Event, ...]:
+def event_lists(draw: st.DrawFn) -> tuple[sc.Event, ...]:
     """Any events that a plant takes, in any order."""
     buses = st.integers(1, 14)
-    found: list[Event] = [LoadStep(time_s=draw(TIMES), bus=draw(buses), power_mw=draw(POWERS_MW))]
-    found.append(LoadRamp(time_s=draw(TIMES), bus=draw(buses), power_mw=draw(POWERS_MW), duration_s=0.5))
-    found += [LoadTrip(time_s=draw(TIMES), bus=bus) for bus in draw(st.sets(st.sampled_from([5, 9, 14])))]
-    found += [MachineOutage(time_s=draw(TIMES), bus=bus) for bus in draw(st.sets(st.sampled_from([3, 6, 8])))]
-    found += [GroupTrip(time_s=draw(TIMES), group=group) for group in draw(st.sets(st.integers(0, 1)))]
-    found += [GovernorLoss(time_s=draw(TIMES), bus=1)] if draw(st.booleans()) else []
+    found: list[sc.Event] = [sc.LoadStep(time_s=draw(TIMES), bus=draw(buses), power_mw=draw(POWERS_MW))]
+    found.append(sc.LoadRamp(time_s=draw(TIMES), bus=draw(buses), power_mw=draw(POWERS_MW), duration_s=0.5))
+    found += [sc.LoadTrip(time_s=draw(TIMES), bus=bus) for bus in draw(st.sets(st.sampled_from([5, 9, 14])))]
+    found += [sc.MachineOutage(time_s=draw(TIMES), bus=bus) for bus in draw(st.sets(st.sampled_from([3, 6, 8])))]
+    found += [sc.GroupTrip(time_s=draw(TIMES), group=group) for group in draw(st.sets(st.integers(0, 1)))]
+    found += [sc.GovernorLoss(time_s=draw(TIMES), bus=1)] if draw(st.booleans()) else []
     after_s = draw(st.none() | st.integers(1, 60).map(lambda n: n * 0.025))
     from_bus, to_bus = draw(LINES)
-    found.append(LineTrip(time_s=draw(TIMES), from_bus=from_bus, to_bus=to_bus, recloses_after_s=after_s))
+    found.append(sc.LineTrip(time_s=draw(TIMES), from_bus=from_bus, to_bus=to_bus, recloses_after_s=after_s))
     return tuple(draw(st.permutations(found)))
 
 
@@ -132,12 +122,12 @@ ANY_SENSORS = st.builds(
 
 
 @st.composite
-def scenarios(draw: Any) -> Scenario:
+def scenarios(draw: Any) -> sc.Scenario:
     """Return any scenario, however unkind: with sensors for the groups of version v1, without for those of v0."""
     sensors = draw(st.none() | ANY_SENSORS)
     n_wtg = 2 if sensors is None else 4
     winds = st.lists(st.sampled_from([3.0, 5.0, 8.0, 11.4, 17.0, 25.0]), min_size=4, max_size=4)
-    return Scenario(
+    return sc.Scenario(
         name="fuzz",
         wind_speed=np.array([draw(winds) for _ in range(n_wtg)]),
         wind_dt_s=draw(st.sampled_from([0.05, 0.1, 0.7, 5.0])),

@@ -13,22 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.envs.rollouts import (
-    ACTION_MODES,
-    MODES,
-    N_WTG,
-    OBSERVATION_MODES,
-    VERSIONS,
-    actions_of,
-    calm,
-    digest,
-    eventful,
-    n_resets,
-    reasons,
-    sagging,
-    single_steps,
-    vector_steps,
-)
+from tests.envs import rollouts
 from wtg_gym.envs import GFMWTGEnv, GFMWTGVectorEnv
 from wtg_gym.physics.scenario import GroupTrip, LoadStep
 from wtg_gym.scenarios import SUITES
@@ -37,95 +22,78 @@ from wtg_gym.scenarios.sensor_distribution import SensorDistribution
 ROOT = Path(__file__).resolve().parents[2]
 
 
-@pytest.mark.parametrize("version", VERSIONS)
-@pytest.mark.parametrize("mode", MODES)
-def test_lane_equals_the_single_environment_with_its_seed_through_resets(mode, version):
-    # Episodes of twenty steps.
-    given = {"version": version, "duration_s": {"v0": 2.0, "v1": 10.0}[version]}
-    actions = actions_of(3, 50, 33, 2 * N_WTG[version])
-    env = GFMWTGEnv(**given)
-    expected = [single_steps(env, actions[:, lane], mode, seed=40 + lane) for lane in range(33)]
-    assert {n_resets(steps) for steps in expected} == {2}
-    for n_lanes in (1, 5, 33):
-        batch = GFMWTGVectorEnv(n_lanes, autoreset_mode=mode, **given)
-        assert vector_steps(batch, actions[:, :n_lanes], seed=40) == expected[:n_lanes]
-
-
 SUITES_V1 = [name for name, suite in SUITES.items() if suite.task.version == "v1"]
 
 
 @pytest.mark.parametrize("suite", SUITES_V1)
 def test_lane_of_version_v1_equals_the_single_environment_in_every_suite_and_mode(suite):
-    combinations = itertools.product(ACTION_MODES, OBSERVATION_MODES)
+    combinations = itertools.product(rollouts.ACTION_MODES, rollouts.OBSERVATION_MODES)
     for seed, (action_mode, observation_mode) in enumerate(combinations):
-        mode = MODES[seed % 3]
+        mode = rollouts.MODES[seed % 3]
         settings = {"suite": suite, "action_mode": action_mode, "observation_mode": observation_mode}
         env = GFMWTGVectorEnv(17, duration_s=2.5, autoreset_mode=mode, n_threads=1 + seed % 2, **settings)
-        actions = actions_of(seed, 60, 17, env.single_action_space.shape[0])
-        lanes = vector_steps(env, actions, seed=seed)
+        actions = rollouts.actions_of(seed, 60, 17, env.single_action_space.shape[0])
+        lanes = rollouts.vector_steps(env, actions, seed=seed)
         env.close()
         single = GFMWTGEnv(duration_s=2.5, **settings)
         for lane in (0, 11, 16):
-            assert lanes[lane] == single_steps(single, actions[:, lane], mode, seed=seed + lane)
-            assert n_resets(lanes[lane]) >= 2
+            assert lanes[lane] == rollouts.single_steps(single, actions[:, lane], mode, seed=seed + lane)
+            assert rollouts.n_resets(lanes[lane]) >= 2
 
 
 def failing(version: str) -> dict[str, Any]:
     """Return settings under which lanes with different actions end at different times."""
     if version == "v0":
-        return {"version": "v0", "strategy": "mppt", "scenario": sagging(7.6, 45.0).to_dict()}
+        return {"version": "v0", "strategy": "mppt", "scenario": rollouts.sagging(7.6, 45.0).to_dict()}
     events = (GroupTrip(time_s=1.025, group=2), LoadStep(time_s=2.0, bus=3, power_mw=40.0))
     sensors = SensorDistribution().draw_many("x", [1], 4)[0]
-    course = calm(8.0, 30.0, 4, events=events, sensors=sensors, inertia_scale=0.3, governor_droop=0.08)
+    course = rollouts.calm(8.0, 30.0, 4, events=events, sensors=sensors, inertia_scale=0.3, governor_droop=0.08)
     settings = {"version": "v1", "control_dt": 0.1, "strategy": "mppt", "on_failure": "terminate"}
     return {**settings, "scenario": course.to_dict()}
 
 
 @pytest.mark.parametrize(("version", "n_steps", "reason"), [("v0", 420, "stall"), ("v1", 200, "under-speed")])
-@pytest.mark.parametrize("mode", MODES)
+@pytest.mark.parametrize("mode", rollouts.MODES)
 def test_lane_equals_the_single_environment_where_lanes_end_at_different_times(mode, version, n_steps, reason):
     settings, n_lanes = failing(version), 17
-    actions = np.repeat(np.linspace(-1.0, 1.0, n_lanes)[None, :, None], n_steps, axis=0).repeat(2 * N_WTG[version], 2)
-    lanes = vector_steps(GFMWTGVectorEnv(n_lanes, autoreset_mode=mode, **settings), actions, seed=0)
+    actions = np.repeat(np.linspace(-1.0, 1.0, n_lanes)[None, :, None], n_steps, axis=0).repeat(
+        2 * rollouts.N_WTG[version], 2
+    )
+    lanes = rollouts.vector_steps(GFMWTGVectorEnv(n_lanes, autoreset_mode=mode, **settings), actions, seed=0)
     single = GFMWTGEnv(**settings)
     for lane, steps in enumerate(lanes):
-        assert steps == single_steps(single, actions[:, lane], mode, seed=lane), f"lane {lane}"
+        assert steps == rollouts.single_steps(single, actions[:, lane], mode, seed=lane), f"lane {lane}"
     ends = {tuple(i for i, step in enumerate(steps) if step[2]) for steps in lanes}
-    assert len(ends) > 5 and reasons(lanes[-1]) == {reason}
+    assert len(ends) > 5 and rollouts.reasons(lanes[-1]) == {reason}
 
 
-@pytest.mark.parametrize("version", VERSIONS)
-@pytest.mark.parametrize("mode", MODES)
+@pytest.mark.parametrize("version", rollouts.VERSIONS)
+@pytest.mark.parametrize("mode", rollouts.MODES)
 def test_lane_plays_its_own_scenario_and_then_draws(mode, version):
-    n, n_wtg = 5, N_WTG[version]
-    actions = actions_of(6, 70, n, 2 * n_wtg)
-    scenarios = [eventful(7.0 + lane, duration_s=2.0 + 0.5 * lane, n_wtg=n_wtg) for lane in range(n)]
+    n, n_wtg = 5, rollouts.N_WTG[version]
+    actions = rollouts.actions_of(6, 70, n, 2 * n_wtg)
+    scenarios = [rollouts.eventful(7.0 + lane, duration_s=2.0 + 0.5 * lane, n_wtg=n_wtg) for lane in range(n)]
     env = GFMWTGVectorEnv(n, version=version, duration_s=4.0, autoreset_mode=mode)
-    lanes = vector_steps(env, actions, seed=9, start={"scenarios": scenarios})
+    lanes = rollouts.vector_steps(env, actions, seed=9, start={"scenarios": scenarios})
     for lane, steps in enumerate(lanes):
         single, start = GFMWTGEnv(version=version, duration_s=4.0), {"scenario": scenarios[lane]}
-        assert steps == single_steps(single, actions[:, lane], mode, seed=9 + lane, start=start)
-        assert n_resets(steps) >= 1
-
-
-@pytest.mark.parametrize("version", VERSIONS)
-def test_results_do_not_depend_on_the_number_of_threads(version):
-    assert len({digest(200, n_threads=n_threads, version=version) for n_threads in (1, 3, None)}) == 1
+        assert steps == rollouts.single_steps(single, actions[:, lane], mode, seed=9 + lane, start=start)
+        assert rollouts.n_resets(steps) >= 1
 
 
 def test_another_process_finds_the_same_bits():
     calls = "digest(17), digest(1), digest(17, version='v1')"
     code = f"from tests.envs.rollouts import digest; print({calls})"
     run = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=True)
-    assert run.stdout.split() == [digest(17), digest(1), digest(17, version="v1")]
+    assert run.stdout.split() == [rollouts.digest(17), rollouts.digest(1), rollouts.digest(17, version="v1")]
 
 
 def test_returned_arrays_are_not_overwritten_by_later_steps():
     env = GFMWTGVectorEnv(3, duration_s=2.0, autoreset_mode="SameStep", version="v0")
     first = env.reset(seed=0)
-    kept = [first, *(env.step(action) for action in actions_of(12, 25, 3))]
+    kept = [first, *(env.step(action) for action in rollouts.actions_of(12, 25, 3))]
     copies = repr(kept)
-    for action in actions_of(13, 25, 3):
+    for action in rollouts.actions_of(13, 25, 3):
         env.step(action)
     assert repr(kept) == copies
     env = GFMWTGEnv(duration_s=2.0, version="v0")

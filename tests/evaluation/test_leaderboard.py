@@ -2,23 +2,13 @@
 
 import dataclasses
 import itertools
-from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 import pytest
 
-from wtg_gym.evaluation import (
-    EntrySummary,
-    Interval,
-    NoScaleError,
-    Results,
-    evaluate,
-    leaderboard_rows,
-    markdown_table,
-    summary,
-    table_cells,
-)
+from wtg_gym import evaluation
+from wtg_gym.evaluation import summary
 from wtg_gym.evaluation.adjusted import Adjusted, known_means
 from wtg_gym.evaluation.results import markdown_section
 from wtg_gym.evaluation.table import columns_of
@@ -27,11 +17,11 @@ from wtg_gym.tasks import V0, V1
 
 
 def test_table_has_the_best_first_and_equal_scores_share_a_rank(results):
-    first, second, third = rows = leaderboard_rows(results)
+    first, second, third = rows = evaluation.leaderboard_rows(results)
     assert first.score.value > second.score.value > third.score.value
     equal = [first, dataclasses.replace(first, name="other"), second, third]
-    assert [cells[0] for cells in table_cells(equal)] == ["1", "1", "3", "4"]
-    lines = markdown_table(rows).split("\n")
+    assert [cells[0] for cells in evaluation.table_cells(equal)] == ["1", "1", "3", "4"]
+    lines = evaluation.markdown_table(rows).split("\n")
     assert len(lines) == 2 + 3
     assert [head.strip() for head in lines[0].strip("|").split("|")] == columns_of("v0", rows)
     assert lines[2].startswith("| 1 | coordinated-piecewise | 100.0 | 0.0 | 0.0 | 0.0 | 0.0 | 0.0 | 49.")
@@ -44,7 +34,7 @@ def test_table_has_the_best_first_and_equal_scores_share_a_rank(results):
         assert difference.value == pytest.approx(row.score.value - above.score.value, abs=1e-9)
 
 
-def changed(results: Results, changes: Mapping[int, Mapping[str, Any]]) -> tuple[Results, EntrySummary]:
+def changed(results: evaluation.Results, changes: dict[int, dict[str, Any]]) -> tuple[evaluation.Results, Any]:
     """Return results in which fast-droop fails only as `changes` of its episodes say, and its row."""
     episodes = tuple(
         dataclasses.replace(e, **{"failure": "", **changes.get(e.seed - 10_000, {})}) if e.entry == "fast-droop" else e
@@ -54,7 +44,7 @@ def changed(results: Results, changes: Mapping[int, Mapping[str, Any]]) -> tuple
     return found, next(row for row in found.summaries if row.name == "fast-droop")
 
 
-def without_scale(results: Results) -> Results:
+def without_scale(results: evaluation.Results) -> evaluation.Results:
     """Return results of v0 in which the anchors have changed places."""
     other = {V0.zero: V0.hundred, V0.hundred: V0.zero}
     metrics = {(e.entry, e.seed): e.metrics for e in results.episodes}
@@ -73,7 +63,7 @@ def test_table_shows_failures_the_worst_tenth_and_deviations(results_v1):
     local = [1e3 * max(50.0 - e.metrics["worst_nadir_hz"], e.metrics["worst_zenith_hz"] - 50.0) for e in own]
     assert row.median_worst_deviation_mhz == pytest.approx(np.median(local))
     assert all(worst > own for worst, own in zip(local, deviations, strict=True))
-    cells = dict(zip(columns_of("whole", [row]), table_cells([row])[0], strict=True))
+    cells = dict(zip(columns_of("whole", [row]), evaluation.table_cells([row])[0], strict=True))
     assert cells["failures [%]"] == "33.3"
     assert cells["median deviation [mHz]"] == f"{np.median(deviations):.0f}"
 
@@ -125,15 +115,15 @@ def test_entries_that_leave_0_8_hz_more_often_than_the_anchor_rank_behind_it(res
         )
         assert sum(row.points_by_term.values()) == pytest.approx(row.score.value - 100.0)
     anchor, fine, _, last = rows
-    nought = Interval(0.0, 0.0, 0.0)
+    nought = evaluation.Interval(0.0, 0.0, 0.0)
     assert anchor.lost_or_beyond_to_hundred == anchor.worst_decile_to_hundred == nought
     assert fine.worst_decile_to_hundred.value == pytest.approx(10.0)
     assert last.lost_or_beyond_to_hundred.value == pytest.approx(100.0 * 5 / 12)
     heads = columns_of("details", rows)
     assert heads[2:5] == ["score", *groups]
-    text = markdown_table(rows, heads)
+    text = evaluation.markdown_table(rows, heads)
     assert "| 0.0 ✓ | 0.0 | 0.0 |" in text and "| 41.7 | +41.7 (+2.2 … +81.2)" in text
-    assert [cells[0] for cells in table_cells(rows)] == ["1", "2", "3", "4"]
+    assert [cells[0] for cells in evaluation.table_cells(rows)] == ["1", "2", "3", "4"]
 
 
 def test_entries_that_lose_grids_that_the_anchor_only_bends_have_no_mark(results_v1):
@@ -153,7 +143,7 @@ def test_entries_that_lose_grids_that_the_anchor_only_bends_have_no_mark(results
 
 
 def test_scores_that_are_not_adjusted_say_why(results_v1):
-    few = evaluate("fast-droop", "standard-v1", seeds=[10_000, 10_002], duration_s=1.0)
+    few = evaluation.evaluate("fast-droop", "standard-v1", seeds=[10_000, 10_002], duration_s=1.0)
     assert "their mean gains are not known for this suite with these settings" in few.unadjusted
     assert list(few.summaries[0].strata) == ["ample", "tight"] and few.has_scale
     whole = get_suite("standard-v1").duration_s
@@ -174,7 +164,7 @@ def test_scores_of_many_scenarios_are_adjusted(results_v1):
     ]
     settings = {**results_v1.settings, "duration_s": get_suite("standard-v1").duration_s}
     many = dataclasses.replace(results_v1, seeds=tuple(seeds), episodes=tuple(episodes), settings=settings)
-    assert many.unadjusted == "" and many.scores[V1.hundred] == Interval(100.0, 100.0, 100.0)
+    assert many.unadjusted == "" and many.scores[V1.hundred] == evaluation.Interval(100.0, 100.0, 100.0)
     # A control variate has its known score, and the interval of that.
     known = known_means("standard-v1", many.suite_hash, settings, V1.variates)
     for i, name in enumerate(V1.variates):
@@ -187,16 +177,16 @@ def test_scores_of_many_scenarios_are_adjusted(results_v1):
 
 
 def test_without_a_score_the_mean_pinned_cost_ranks(tmp_path):
-    results = without_scale(evaluate("deloaded-10", "paper", "test"))
+    results = without_scale(evaluation.evaluate("deloaded-10", "paper", "test"))
     rows = results.ranking
     columns = columns_of("terminal", rows)
     assert not results.has_scale and len(rows) == 3
-    with pytest.raises(NoScaleError, match=r"mppt \(mean cost .*\) is not worse than coordinated-piecewise"):
-        leaderboard_rows(results)
-    assert Results.read(results.write(tmp_path)[0]) == results
+    with pytest.raises(evaluation.NoScaleError, match=r"mppt \(mean cost .*\) is not worse than coordinated-piecewise"):
+        evaluation.leaderboard_rows(results)
+    assert evaluation.Results.read(results.write(tmp_path)[0]) == results
     costs = {name: float(np.mean(costs)) for name, costs in results.pinned_costs.items()}
     assert [row.name for row in rows] == sorted(costs, key=lambda name: costs[name])
-    cells = [dict(zip(columns, each, strict=True)) for each in table_cells(rows, columns)]
+    cells = [dict(zip(columns, each, strict=True)) for each in evaluation.table_cells(rows, columns)]
     assert [each["rank"] for each in cells] == ["1", "2", "3"] and {each["score"] for each in cells} == {"none"}
     assert [each["mean cost"] for each in cells] == [f"{costs[row.name]:.1f}" for row in rows]
     for text in (markdown_section(results), results._repr_markdown_()):

@@ -85,8 +85,6 @@ CONTROLS = {
     **dict.fromkeys(("stab1", "ieeest"), "stabiliser"),
 }
 
-# --- parameter file → devices of ANDES -------------------------------------------------------------------------------
-
 
 def devices(data: Mapping[str, Any], events: Sequence[Mapping[str, Any]], run: Run) -> list[Device]:
     """Return what an ANDES system with these events consists of."""
@@ -251,9 +249,6 @@ def row_times(events: Sequence[Mapping[str, Any]], duration_s: float) -> Floats:
     return np.setdiff1d(np.concatenate([coarse, *fine]), changes)
 
 
-# --- runs of ANDES ---------------------------------------------------------------------------------------------------
-
-
 def build_system(data: Mapping[str, Any], events: Sequence[Mapping[str, Any]], run: Run) -> Any:
     """Return an ANDES system after its power flow, which must be that of the parameter file."""
     import andes
@@ -320,9 +315,6 @@ def _fixed_step() -> str:
 
     method_map["fixed_trapezoid"] = type("FixedTrapezoid", (Trapezoid,), {"calc_h": staticmethod(calc_h)})
     return "fixed_trapezoid"
-
-
-# --- files -----------------------------------------------------------------------------------------------------------
 
 
 def difference(names: Sequence[str], trace: Floats, other: Floats) -> dict[str, float]:

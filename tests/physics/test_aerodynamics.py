@@ -20,8 +20,6 @@ def test_operating_points_are_those_of_the_paper():
     assert power_coefficient(np.linspace(2.0, 15.0, 2001)).max() <= best.power_coefficient * (1.0 + 1e-12)
 
 
-# --- A rotor's table
-
 TABLE = read_rotor_table(ROTOR_TABLE)
 RATIO, PITCH, CP = (np.array(v) for v in (TABLE.tip_speed_ratio, TABLE.pitch_deg, TABLE.power_coefficient))
 

@@ -5,25 +5,13 @@ import dataclasses
 import numpy as np
 import pytest
 
-from tests.physics.extended import (
-    CURRENT_MAX,
-    LAW,
-    OPTIONS,
-    classical,
-    largest_rate,
-    plant,
-    recorded,
-    rough,
-    scenario,
-    started,
-)
+from tests.physics import extended
 from wtg_gym.physics.grid import get_grid
 from wtg_gym.physics.linearisation import moving_states, state_matrix
 from wtg_gym.physics.parameters import VoltageControlParameters, WtgGroup
 from wtg_gym.physics.plant import Plant
 from wtg_gym.physics.simulator import Simulator
 from wtg_gym.physics.tracking_law import STRATEGIES, get_law
-from wtg_gym.scenarios import SUITES
 
 LIMIT = 1e-8
 
@@ -31,26 +19,14 @@ LIMIT = 1e-8
 @pytest.mark.parametrize("law", STRATEGIES.values(), ids=lambda law: law.name)
 def test_no_state_moves_at_the_start_at_any_wind(simulator, law):
     for wind in np.linspace(6.0, 13.0, 20):
-        simulator.start(0, scenario(wind=[[wind], [19.0 - wind]]), (law, law))
-        assert largest_rate(simulator) <= LIMIT, f"{wind:g} m/s"
-
-
-@pytest.mark.parametrize("suite", SUITES.values(), ids=lambda suite: suite.name)
-@pytest.mark.parametrize("split", ["validation", "test"])
-def test_no_state_moves_at_the_start_of_the_suites(simulator, suite, split):
-    if suite.task.version != "v0":
-        plant = suite.plant
-        simulator = Simulator(plant, duration_s=suite.duration_s)
-    laws = (STRATEGIES["coordinated-piecewise"],) * len(suite.plant.groups)
-    for seed in list(suite.seeds(split))[:50]:
-        simulator.start(0, suite.scenario(seed), laws)
-        assert largest_rate(simulator) <= LIMIT, f"seed {seed}"
+        simulator.start(0, extended.scenario(wind=[[wind], [19.0 - wind]]), (law, law))
+        assert extended.largest_rate(simulator) <= LIMIT, f"{wind:g} m/s"
 
 
 def test_above_rated_the_pitch_holds_the_captured_power_at_its_limit_and_below_it_rests(simulator):
     for low, high in ((3.0, 12.0), (8.0, 15.0), (11.4, 24.0)):
-        simulator.start(0, scenario(wind=[[low], [high]]), (STRATEGIES["coordinated-piecewise"],) * 2)
-        assert largest_rate(simulator) <= LIMIT
+        simulator.start(0, extended.scenario(wind=[[low], [high]]), (STRATEGIES["coordinated-piecewise"],) * 2)
+        assert extended.largest_rate(simulator) <= LIMIT
         below, above = simulator.wtg_values("pitch")[0]
         assert below == 0.0 and above > 0.0
         assert simulator.wtg_values("captured")[0, 1] == pytest.approx(1.05, abs=1e-9)
@@ -61,28 +37,27 @@ def test_other_groups_machine_models_resistance_and_shared_buses_start_at_rest()
     case = get_grid("ieee14").case
     for own in (case, case.classical()):
         settings = Plant(case=own, groups=groups)
-        assert largest_rate(started(settings, scenario(wind=[[9.0], [9.0]]), "mppt")) <= LIMIT
+        assert (
+            extended.largest_rate(extended.started(settings, extended.scenario(wind=[[9.0], [9.0]]), "mppt")) <= LIMIT
+        )
     machines = [dataclasses.replace(machine, resistance=0.003) for machine in case.machines]
     # In the place of the last one: as many machines as usual, whose code is compiled already.
-    case = dataclasses.replace(case, machines=(*machines[:-1], classical(bus=3, dispatch_mw=20.0)))
+    case = dataclasses.replace(case, machines=(*machines[:-1], extended.classical(bus=3, dispatch_mw=20.0)))
     assert len({machine.bus for machine in case.machines}) < len(case.machines)
-    found = started(Plant(case=case), scenario(wind=[[9.0], [9.0]]), "coordinated-linear")
-    assert largest_rate(found) <= LIMIT
-
-
-# --- Extended plants
+    found = extended.started(Plant(case=case), extended.scenario(wind=[[9.0], [9.0]]), "coordinated-linear")
+    assert extended.largest_rate(found) <= LIMIT
 
 
 @pytest.mark.parametrize("table", [False, True])
 def test_no_state_moves_at_the_start_with_any_options(table):
-    for limits, voltage, energy in OPTIONS:
-        settings = plant(table=table, limits=limits, voltage=voltage, energy=energy, dead_band=2e-4)
+    for limits, voltage, energy in extended.OPTIONS:
+        settings = extended.plant(table=table, limits=limits, voltage=voltage, energy=energy, dead_band=2e-4)
         simulator = Simulator(settings)
-        laws = (get_law(LAW, settings.turbine),) * 2
+        laws = (get_law(extended.LAW, settings.turbine),) * 2
         for winds in ((6.0, 13.0), (8.0, 8.0), (11.4, 8.0), (12.0, 5.0), (16.0, 16.0), (24.0, 9.0)):
             for level in (0.7, 1.0, 1.2):
-                simulator.start(0, scenario(wind=np.array([winds]).T, load_level=level), laws)
-                assert largest_rate(simulator) <= 1e-8, (limits, voltage, energy, winds, level)
+                simulator.start(0, extended.scenario(wind=np.array([winds]).T, load_level=level), laws)
+                assert extended.largest_rate(simulator) <= 1e-8, (limits, voltage, energy, winds, level)
 
 
 @pytest.mark.parametrize(("level", "sign"), [(1.2, 1.0), (0.5, -1.0)])
@@ -90,8 +65,8 @@ def test_a_bus_lets_go_of_its_voltage_where_the_groups_reactive_power_does_not_s
     found = {}
     for limit in (1.0, 0.04, 0.0):
         control = VoltageControlParameters(reactive_max_pu=limit, internal_voltage_max_pu=1.6)
-        simulator = started(plant(limits=False, voltage=control), scenario(load_level=level))
-        assert largest_rate(simulator) <= 1e-8
+        simulator = extended.started(extended.plant(limits=False, voltage=control), extended.scenario(load_level=level))
+        assert extended.largest_rate(simulator) <= 1e-8
         found[limit] = (
             sign * simulator.wtg_values("reactive")[0],
             sign * (np.abs(simulator.bus_voltages()[1]) - 1.045),
@@ -103,18 +78,15 @@ def test_a_bus_lets_go_of_its_voltage_where_the_groups_reactive_power_does_not_s
         assert deviation < -1e-4
 
 
-# --- Balances
-
-
 @pytest.mark.parametrize(("table", "energy"), [(False, False), (False, True), (True, False), (True, True)])
 def test_rotor_and_converter_keep_their_balances_in_rough_runs(table, energy):
-    settings = plant(table=table, energy=energy, dead_band=2e-4)
+    settings = extended.plant(table=table, energy=energy, dead_band=2e-4)
     inertia = settings.turbine.inertia_constant_s
     chopped = 0.0
     for seed in range(8):
-        simulator = started(settings, rough(seed))
+        simulator = extended.started(settings, extended.rough(seed))
         before = simulator.wtg_values("rotor_speed")[0]
-        assert recorded(simulator, 30.0, "current")["current"].max() <= CURRENT_MAX * (1.0 + 1e-9)
+        assert extended.recorded(simulator, 30.0, "current")["current"].max() <= extended.CURRENT_MAX * (1.0 + 1e-9)
         after = simulator.wtg_values("rotor_speed")[0]
         captured, delivered, burnt = (
             simulator.wtg_values(f"energy_{name}")[0] for name in ("captured", "delivered", "chopped")
@@ -126,15 +98,12 @@ def test_rotor_and_converter_keep_their_balances_in_rough_runs(table, energy):
     assert chopped > 0.001
 
 
-# --- Small deviations
-
-
 @pytest.mark.parametrize("table", [False, True])
 def test_extended_plants_are_stable_at_their_equilibria(table):
-    for limits, voltage, energy in OPTIONS:
-        settings = plant(table=table, limits=limits, voltage=voltage, energy=energy)
+    for limits, voltage, energy in extended.OPTIONS:
+        settings = extended.plant(table=table, limits=limits, voltage=voltage, energy=energy)
         for wind in (8.0, 11.0, 16.0):
-            simulator = started(settings, scenario(wind=[[wind], [8.0]]))
+            simulator = extended.started(settings, extended.scenario(wind=[[wind], [8.0]]))
             rows, layout = simulator.blocks[0, :, 0], simulator.layout
             for side in (-1.0, 1.0):
                 matrix = state_matrix(rows, simulator.plant, layout, side)

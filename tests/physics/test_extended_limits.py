@@ -18,8 +18,6 @@ from wtg_gym.physics.wtg_unit import EXTENSIONS
 from wtg_gym.systems.programs import in_one_table
 from wtg_gym.systems.routines import Routine
 
-# --- Limits
-
 
 @pytest.mark.parametrize(
     ("mvar", "above_pu", "stays_s"),
@@ -120,8 +118,6 @@ def test_shedding_stages_act_in_their_order_at_their_time_with_their_share():
     assert simulator.lane_values("coi")[0] > stages[1].frequency_pu
 
 
-# --- The algebraic equations of the current limit
-
 CURRENTS = in_one_table(CURRENTS=(*FREE_CURRENTS, *LIMITS))
 _FIND_CURRENTS = Routine(CURRENTS[0])
 
@@ -168,9 +164,6 @@ def test_limited_currents_solve_their_equations(groups):
         assert share[reactance > 0.0] == pytest.approx(1.0, abs=1e-10)
         n_limited.append(int((reactance > 0.0).sum()))
     assert max(n_limited) == m and min(n_limited) == 0
-
-
-# --- Integration
 
 
 def deviations(settings: Plant, what: Scenario, expected: tuple[Floats, Floats]) -> tuple[float, float, float]:

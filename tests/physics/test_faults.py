@@ -23,9 +23,6 @@ def bus_matrix(simulator: Simulator) -> np.ndarray:
     return y
 
 
-# --- Faults and branches
-
-
 @pytest.mark.parametrize("impedance", [1e-4j, 0.02 + 0.05j])
 def test_during_a_fault_its_impedance_carries_all_that_flows_into_the_bus(impedance):
     what = Fault(time_s=1.0, bus=4, clears_after_s=0.1, resistance_pu=impedance.real, reactance_pu=impedance.imag)
@@ -73,8 +70,6 @@ def test_a_reactance_step_gives_the_network_with_that_impedance(ends, factor):
     assert np.abs(bus_matrix(simulator) - expected).max() < 1e-12
 
 
-# --- Energies
-
 #: A loss of load: machines press power into the converter that gives least.
 PRESSED = (LoadStep(time_s=1.0, bus=3, power_mw=-130.0), LoadStep(time_s=1.0, bus=9, power_mw=-50.0))
 
@@ -105,9 +100,6 @@ def test_energies_close_whatever_happens(events):
         simulator.advance()
         assert np.abs(stored(simulator) - start).max() < 1e-11
     assert simulator.lane_values("status")[0] == Status.RUNNING
-
-
-# --- Returns
 
 
 def return_now(simulator: Simulator) -> None:
@@ -163,9 +155,6 @@ def test_a_unit_whose_bus_is_dark_when_it_would_return_stays_away():
     assert simulator.lane_values("status")[0] == Status.RUNNING
     assert simulator.wtg_values("connected")[0].tolist() == [1.0, 0.0]
     assert np.abs(simulator.bus_voltages()[5:]).max() == 0.0
-
-
-# --- What converters stand
 
 
 def test_a_turbine_is_not_held_beyond_its_power_and_torque_and_all_see_the_frequency_of_its_voltage():

@@ -191,9 +191,6 @@ def test_the_end_of_the_grid_is_the_end_of_the_run():
     assert simulator.lane_values("active")[0] == 0.0
 
 
-# --- No machine
-
-
 def test_without_its_last_machine_a_grid_of_converters_runs_on():
     settings = plant(groups=(WtgGroup(bus=2, n_turbines=40.0), WtgGroup(bus=6, n_turbines=20.0)), shedding=NO_SHEDDING)
     outages = tuple(MachineOutage(time_s=t, bus=bus) for t, bus in ((1.0, 3), (1.0, 6), (1.0, 8), (2.0, 1)))

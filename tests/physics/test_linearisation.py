@@ -83,8 +83,6 @@ def test_steps_and_inertias_that_are_allowed_suit_the_default_plant():
     Simulator(Plant(simulation_dt=0.05)).prepare([scenario()], LAWS)
 
 
-# --- Modes
-
 PAPER = get_suite("paper").scenario(0)
 REFERENCE = STRATEGIES["coordinated-piecewise"]
 

@@ -119,17 +119,6 @@ def test_the_parabola_of_saturation_goes_through_both_points_and_begins_between(
         saturation_constants("x", (1.0, 0.4), (1.2, 0.1))
 
 
-def test_stab1_has_its_transfer_function_and_its_limit():
-    p = STABILISER
-    c = models.STAB1.constants(0, p)
-    found = response(lambda s, u: models.stab1_rates(s, u, 1.0, c), models.stab1_start(0.0, c), 0.0)
-    wanted = p.gain * S * p.washout_time_s / (1.0 + S * p.washout_time_s)
-    wanted = wanted * (1.0 + S * p.lead_time_1_s) / (1.0 + S * p.lag_time_1_s)
-    wanted = wanted * (1.0 + S * p.lead_time_2_s) / (1.0 + S * p.lag_time_2_s)
-    assert found == pytest.approx(wanted, rel=1e-7)
-    assert models.stab1_rates(models.stab1_start(0.0, c), 0.1, 1.0, c)[1] == p.signal_limit_pu
-
-
 @pytest.mark.parametrize(
     "changes",
     [
@@ -161,20 +150,6 @@ def test_ieeest_gives_no_signal_beyond_its_voltages():
     assert [models.ieeest_rates(start, 0.0, v, c)[1] != 0.0 for v in (0.7, 1.0, 1.3)] == [False, True, False]
 
 
-def test_the_dc_exciter_is_linear_beside_its_saturation():
-    p = dataclasses.replace(EXCITER, saturation_1=0.0, saturation_2=0.0)
-    c = models.IEEEX1.constants(0, p)
-    start, error = models.ieeex1_start(2.0, 1.0, c)
-
-    def rates(s: Any, u: float) -> tuple[Any, float]:
-        return models.ieeex1_rates(s, u, 1.0, c), s.excitation
-
-    forward = p.regulator_gain * (1.0 + S * p.lead_time_s) / (1.0 + S * p.lag_time_s)
-    forward = forward / (1.0 + S * p.regulator_time_s) / (p.exciter_gain + S * p.exciter_time_s)
-    feedback = S * p.feedback_gain_s / (1.0 + S * p.feedback_time_s)
-    assert response(rates, start, 1.0 + error) == pytest.approx(forward / (1.0 + forward * feedback), rel=1e-6)
-
-
 def test_a_regulator_leaves_its_limit_as_soon_as_the_error_asks_for_it():
     c = models.IEEEX1.constants(0, EXCITER)
     held = models.ieeex1_start(2.0, 1.0, c)[0]._replace(regulator=EXCITER.regulator_max_pu, lead_lag=1.0)
@@ -188,40 +163,6 @@ def test_a_regulator_leaves_its_limit_as_soon_as_the_error_asks_for_it():
 
 
 INV_DROOP = 20.0
-
-
-def _lags(*times: float) -> Complex:
-    return np.asarray(np.prod([1.0 / (1.0 + S * t) for t in times], axis=0))
-
-
-def test_steam_and_gas_governors_have_their_transfer_functions():
-    boiler = models.IEEEG1.constants(0, dataclasses.replace(BOILER, opening_rate_pu_s=10.0, closing_rate_pu_s=-10.0))
-    found = response(
-        lambda s, u: models.ieeeg1_rates(s, u, 0.5, INV_DROOP, boiler), models.ieeeg1_start(0.5, boiler), 1.0
-    )
-    b = BOILER
-    passes = np.cumprod(
-        [_lags(t) for t in (b.pass_time_1_s, b.pass_time_2_s, b.pass_time_3_s, b.pass_time_4_s)], axis=0
-    )
-    wanted = -INV_DROOP * (1.0 + S * b.lead_time_s) * _lags(b.lag_time_s, b.valve_time_s)
-    fractions = np.array([b.fraction_1, b.fraction_2, b.fraction_3, b.fraction_4])
-    assert found == pytest.approx(wanted * (fractions @ passes), rel=1e-6)
-
-    r = controls.ReheatGovernorParameters()
-    reheat = models.IEESGO.constants(0, r)
-    found = response(
-        lambda s, u: models.ieesgo_rates(s, u, 0.5, INV_DROOP, reheat), models.ieesgo_start(0.5, reheat), 1.0
-    )
-    order = -INV_DROOP * (1.0 + S * r.lead_time_s) * _lags(r.lag_time_s, r.governor_time_s, r.inlet_time_s)
-    behind = 1.0 - r.fraction_3 + r.fraction_3 * _lags(r.crossover_time_s)
-    shares = 1.0 - r.fraction_2 + r.fraction_2 * _lags(r.reheat_time_s) * behind
-    assert found == pytest.approx(order * shares, rel=1e-6)
-
-    g = dataclasses.replace(controls.GasGovernorParameters(), turbine_damping_pu=0.5)
-    gas = models.GAST.constants(0, g)
-    found = response(lambda s, u: models.gast_rates(s, u, 0.5, INV_DROOP, gas), models.gast_start(0.5, gas), 1.0)
-    wanted = -INV_DROOP * _lags(g.valve_time_s, g.turbine_time_s) - g.turbine_damping_pu
-    assert found == pytest.approx(wanted, rel=1e-6)
 
 
 def test_a_hot_exhaust_holds_the_gas_turbine_at_its_load_limit():

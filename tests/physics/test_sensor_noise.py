@@ -7,26 +7,18 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
+from wtg_gym.physics import sensors as sensing
 from wtg_gym.physics.layout import Layout
-from wtg_gym.physics.sensors import (
-    Measurement,
-    Noise,
-    Sensors,
-    measured,
-    sensor_input,
-    sensors_advanced,
-    sensors_started,
-)
 from wtg_gym.systems.elementary import noise
 from wtg_gym.systems.programs import build_table, in_one_table
 from wtg_gym.systems.routines import Routine
 from wtg_gym.systems.systems import Kind, system
 
-N_CHANNELS = len(Noise._fields)
+N_CHANNELS = len(sensing.Noise._fields)
 Floats = npt.NDArray[np.float64]
 #: Channels of four WTG groups.
 N = 4 * N_CHANNELS
-EXACT = Measurement(frequency=1.0, rocof=0.0, rotor_speed=1.1, power=0.7, wind=9.0)
+EXACT = sensing.Measurement(frequency=1.0, rocof=0.0, rotor_speed=1.1, power=0.7, wind=9.0)
 
 
 DRAWS = Kind(name="draws", rows={"seed": float, "step": float, "channel": float}, scratch={"number": float})
@@ -92,21 +84,25 @@ def test_channels_groups_seeds_and_steps_are_not_correlated_and_nor_are_their_sq
         assert found.std() == pytest.approx(1.0 / math.sqrt(values.shape[1]), rel=0.3)
 
 
-def advance(sensors: Sensors, exact: list[Measurement], control_dt: float = 0.1) -> tuple[list[Measurement], Floats]:
+def advance(
+    sensors: sensing.Sensors, exact: list[sensing.Measurement], control_dt: float = 0.1
+) -> tuple[list[sensing.Measurement], Floats]:
     """Return what group 1 of a run measures, and the states of its sensors."""
-    given = sensor_input(sensors, control_dt, 50.0)
-    seen, states, state = [], [], sensors_started(exact[0], Noise(0.0, 0.0, 0.0, 0.0, 0.0))
+    given = sensing.sensor_input(sensors, control_dt, 50.0)
+    seen, states, state = [], [], sensing.sensors_started(exact[0], sensing.Noise(0.0, 0.0, 0.0, 0.0, 0.0))
     for numbers, now in zip(drawn(1, len(exact), N_CHANNELS, sensors.seed)[0].tolist(), exact, strict=True):
-        errors = Noise(*numbers)
-        state = sensors_advanced(state, now, errors, given) if states else sensors_started(now, errors)
+        errors = sensing.Noise(*numbers)
+        state = sensing.sensors_advanced(state, now, errors, given) if states else sensing.sensors_started(now, errors)
         states.append(tuple(state))
-        seen.append(measured(state, now, sensors.wind_bias[0], errors, given))
+        seen.append(sensing.measured(state, now, sensors.wind_bias[0], errors, given))
     return seen, np.array(states)
 
 
 @pytest.mark.parametrize(("time_constant_s", "control_dt"), [(0.02, 0.05), (0.1, 0.1), (2.0, 0.5)])
 def test_filters_answer_a_step_as_a_first_order_lag_does(time_constant_s, control_dt):
-    sensors = Sensors(seed=1, wind_bias=(0.0,), frequency_filter_s=time_constant_s, rocof_filter_s=2 * time_constant_s)
+    sensors = sensing.Sensors(
+        seed=1, wind_bias=(0.0,), frequency_filter_s=time_constant_s, rocof_filter_s=2 * time_constant_s
+    )
     after = EXACT._replace(frequency=1.01, rocof=0.4)
     seen, _ = advance(sensors, [EXACT, *[after] * 30], control_dt)
     time_s = control_dt * np.arange(31)
@@ -120,7 +116,7 @@ def test_error_of_the_wind_keeps_its_variance_and_its_correlation_time():
     errors = np.array(
         [
             advance(
-                Sensors(seed=seed, wind_bias=(0.0,), wind_noise=0.08, wind_noise_correlation_s=correlation_s),
+                sensing.Sensors(seed=seed, wind_bias=(0.0,), wind_noise=0.08, wind_noise_correlation_s=correlation_s),
                 [EXACT] * 121,
             )[1][:, 2]
             for seed in range(n)
@@ -137,11 +133,11 @@ def test_error_of_the_wind_keeps_its_variance_and_its_correlation_time():
 
 
 def test_errors_of_the_wind_add_up_and_never_take_more_than_nine_tenths_of_it():
-    sensors = Sensors(seed=1, wind_bias=(0.2,), wind_noise=0.1)
+    sensors = sensing.Sensors(seed=1, wind_bias=(0.2,), wind_noise=0.1)
     seen, states = advance(sensors, [EXACT] * 50)
     assert [m.wind for m in seen] == pytest.approx((9.0 * (1.2 + 0.1 * states[:, 2])).tolist())
     assert max(abs(states[:, 2])) > 1.0
-    worst = Sensors(seed=1, wind_bias=(-0.5,), wind_noise=0.3, wind_noise_correlation_s=0.1)
+    worst = sensing.Sensors(seed=1, wind_bias=(-0.5,), wind_noise=0.3, wind_noise_correlation_s=0.1)
     seen, states = advance(worst, [EXACT] * 400)
     winds = np.array([m.wind for m in seen])
     assert (0.5 + 0.3 * states[:, 2]).min() < 0.1, "the bound is reached"

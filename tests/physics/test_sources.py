@@ -87,9 +87,6 @@ def test_a_phase_jump_turns_the_voltage_of_the_source_and_the_units_follow():
     assert simulator.lane_values("status")[0] == Status.RUNNING
 
 
-# --- Local frequency
-
-
 @pytest.mark.parametrize("turn", [0.0, 1e-9, 0.3, 90.0, 179.0, -179.0, 179.9999, -90.0, -0.3])
 @pytest.mark.parametrize("at", [0.0, 100.0, 179.5, -135.0])
 def test_the_angle_between_two_voltages_is_exact_near_half_a_turn_too(at, turn):
@@ -117,9 +114,6 @@ def test_a_local_frequency_is_the_filtered_turn_of_the_voltage():
     assert lowest < 0.998
 
 
-# --- Committed units
-
-
 def test_half_the_units_of_a_machine_are_a_machine_of_half_the_rating():
     case = get_grid("ieee14").case
     half = with_machine(rating_mva=0.5 * case.machines[0].rating_mva)
@@ -133,9 +127,6 @@ def test_half_the_units_of_a_machine_are_a_machine_of_half_the_rating():
         assert some.machine_values("power") == pytest.approx(small.machine_values("power"), abs=1e-11)
         assert some.wtg_values("power") == pytest.approx(small.wtg_values("power"), abs=1e-12)
         assert some.lane_values("coi") == pytest.approx(small.lane_values("coi"), abs=1e-13)
-
-
-# --- Lanes
 
 
 def test_a_run_has_the_same_bits_among_neighbours_with_islands_faults_and_returns():
@@ -154,9 +145,6 @@ def test_a_run_has_the_same_bits_among_neighbours_with_islands_faults_and_return
             single.advance()
             many.advance()
         assert (many.blocks[13 // many.width, :, 13 % many.width] == single.blocks[0, :, 0]).all()
-
-
-# --- Loads that depend on the frequency
 
 
 def test_conductances_follow_the_frequency_of_their_island():
@@ -179,8 +167,6 @@ def test_conductances_follow_the_frequency_of_their_island():
     change = bus_matrix(simulator) - bus_matrix(passive)
     assert np.abs(change - np.diag(load.real * 2.0 * (before[island] - 1.0))).max() < 1e-14
 
-
-# --- Events as text, and bad ones
 
 EVERY = (
     sc.Fault(time_s=1.0, bus=4, clears_after_s=0.15, resistance_pu=0.01, reactance_pu=0.02, opens=(2, 4)),

@@ -45,18 +45,6 @@ def test_law_from_toml_by_deloading_equals_the_reference_of_its_turbine(tmp_path
         assert get_law(str(path), turbine).k_min == pytest.approx(K_OPT * factor, rel=1e-12)
 
 
-@pytest.mark.parametrize(
-    ("strategy", "deloading"), [("mppt", 0.0), ("deloaded-10", 0.1), ("coordinated-piecewise", 0.05)]
-)
-@pytest.mark.parametrize("turbine", [TurbineParameters(), LONG_BLADES], ids=["paper", "long blades"])
-def test_a_strategy_captures_its_share_of_the_wind_on_any_turbine(strategy, deloading, turbine):
-    start = simulate(CALM, strategy, Plant(turbine=turbine))
-    captured = start.captured_power_pu[0] / (turbine.wind_power_pu_per_cubic_wind * 8.0**3)
-    point = tracking_point(deloading, turbine)
-    assert captured == pytest.approx([(1.0 - deloading) * tracking_point(0.0, turbine).power_coefficient] * 2, rel=1e-6)
-    assert start.tip_speed_ratio[0] == pytest.approx([point.tip_speed_ratio] * 2, rel=1e-6)
-
-
 def test_a_strategy_takes_its_numbers_from_the_control_of_the_plant():
     control = GridFormingParameters(damping_time_constant_s=20.0, deloading_nominal=0.2, deloading_limit=0.3)
     for name in ("coordinated-piecewise", "coordinated-linear", "coordinated-undamped"):

@@ -8,45 +8,23 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from wtg_gym.physics import scenario as sc
 from wtg_gym.physics.aerodynamics import available_power_pu
 from wtg_gym.physics.grid import DEFAULT_GRID, get_grid
-from wtg_gym.physics.scenario import (
-    Fault,
-    GovernorLoss,
-    GroupTrip,
-    LineTrip,
-    LoadRamp,
-    LoadStep,
-    LoadTrip,
-    MachineOutage,
-    Scenario,
-)
-from wtg_gym.scenarios import DRAWN_WIND_RANGE, SUITES, ScenarioDistribution
-from wtg_gym.scenarios.draws import (
-    Faults,
-    GovernorLosses,
-    GroupTrips,
-    Islandings,
-    LineTrips,
-    LoadEvents,
-    LoadNoise,
-    MachineOutages,
-    OperatingPoint,
-    Wind,
-)
+from wtg_gym.scenarios import DRAWN_WIND_RANGE, SUITES, ScenarioDistribution, draws
 
 DRAWN = [suite for suite in SUITES.values() if suite.distributions]
 #: With a share of the load few groups fit; those are in SHARED, with their suite's turbines. A suite without a wind
 #: sensor has the distributions of another.
 BY_NAME = {source.name: (suite, source) for suite in DRAWN for source in suite.distributions}
-DISTRIBUTIONS = [source.changed({Wind: {"penetration": None}}) for _, source in BY_NAME.values()]
+DISTRIBUTIONS = [source.changed({draws.Wind: {"penetration": None}}) for _, source in BY_NAME.values()]
 SHARED = [
     ([group.n_turbines for group in suite.plant.groups], source)
     for suite, source in BY_NAME.values()
     if source.wind.penetration is not None
 ]
 #: Twenty load events need more than one block of random numbers.
-BUSY = ScenarioDistribution(name="busy").changed({LoadEvents: {"number": (20, 20), "size_mw": (0.0, 1.0)}})
+BUSY = ScenarioDistribution(name="busy").changed({draws.LoadEvents: {"number": (20, 20), "size_mw": (0.0, 1.0)}})
 STANDARD = SUITES["standard"].distributions[0]
 #: Loads of the IEEE 14-bus system at load level 1 [MW].
 BUS_LOAD_MW = {
@@ -60,7 +38,7 @@ def loads_mw(source: ScenarioDistribution) -> dict[int, float]:
     return BUS_LOAD_MW if grid == DEFAULT_GRID else {bus.number: bus.load_mw for bus in get_grid(grid).case.buses}
 
 
-def check(scenario: Scenario, source: ScenarioDistribution, duration_s: float) -> None:
+def check(scenario: sc.Scenario, source: ScenarioDistribution, duration_s: float) -> None:
     """Every promise of a distribution about each of its scenarios."""
     n_samples = math.ceil(duration_s / 0.1 - 1e-6) + 1
     assert scenario.wind_speed.shape == (scenario.n_wtg, n_samples)
@@ -69,19 +47,21 @@ def check(scenario: Scenario, source: ScenarioDistribution, duration_s: float) -
     low, high = DRAWN_WIND_RANGE
     assert low <= scenario.wind_speed.min() and scenario.wind_speed.max() <= high
     point, loads, lines, islandings = (
-        source.find(kind) for kind in (OperatingPoint, LoadEvents, LineTrips, Islandings)
+        source.find(kind) for kind in (draws.OperatingPoint, draws.LoadEvents, draws.LineTrips, draws.Islandings)
     )
     islanded = islandings is not None and islandings.line_sets
     for key in ("governor_droop", "inertia_scale", "load_level"):
         first, last = getattr(point, key)
         assert first <= getattr(scenario, key) <= last
-    trips = [event for event in scenario.events if isinstance(event, LineTrip)]
+    trips = [event for event in scenario.events if isinstance(event, sc.LineTrip)]
     outages = [
-        event for event in scenario.events if isinstance(event, GovernorLoss | GroupTrip | MachineOutage | Fault)
+        event
+        for event in scenario.events
+        if isinstance(event, sc.GovernorLoss | sc.GroupTrip | sc.MachineOutage | sc.Fault)
     ]
     load_events = [event for event in scenario.events if event not in trips and event not in outages]
-    machines = [event for event in outages if isinstance(event, MachineOutage)]
-    faults = [event for event in outages if isinstance(event, Fault)]
+    machines = [event for event in outages if isinstance(event, sc.MachineOutage)]
+    faults = [event for event in outages if isinstance(event, sc.Fault)]
     assert loads.number[0] <= len(load_events) <= loads.number[1]
     assert len(machines) <= 1 and len(faults) <= 1 and len(outages) - len(machines) - len(faults) <= 1
     if islanded:
@@ -89,11 +69,11 @@ def check(scenario: Scenario, source: ScenarioDistribution, duration_s: float) -
         assert len({trip.time_s for trip in trips}) == 1
     else:
         assert len(trips) <= 1
-    assert sum(isinstance(event, LoadTrip) for event in load_events) <= 1
+    assert sum(isinstance(event, sc.LoadTrip) for event in load_events) <= 1
     bus_load_mw = loads_mw(source)
     load = {bus: scenario.load_level * power for bus, power in bus_load_mw.items()}
     for event in scenario.events:
-        if isinstance(event, GovernorLoss) and event.time_s == 0.0:
+        if isinstance(event, sc.GovernorLoss) and event.time_s == 0.0:
             continue
         assert (
             min(3.0, 0.5 * duration_s) - 0.05
@@ -103,13 +83,13 @@ def check(scenario: Scenario, source: ScenarioDistribution, duration_s: float) -
         if source.last_event_s is not None:
             assert event.time_s <= source.last_event_s + 0.05
         assert event.time_s == round(event.time_s, 1)
-        if isinstance(event, Fault):
+        if isinstance(event, sc.Fault):
             other = sum(event.opens) - event.bus
-            assert (event.bus, other) in source.find(Faults).lines
-            low, high = source.find(Faults).clearing_s
+            assert (event.bus, other) in source.find(draws.Faults).lines
+            low, high = source.find(draws.Faults).clearing_s
             assert low <= event.clears_after_s <= high and event.clears_after_s == round(event.clears_after_s, 1)
             assert event.opens not in [(trip.from_bus, trip.to_bus) for trip in trips]
-        elif isinstance(event, LineTrip):
+        elif isinstance(event, sc.LineTrip):
             if islanded:
                 continue
             assert (event.from_bus, event.to_bus) in lines.lines
@@ -117,13 +97,13 @@ def check(scenario: Scenario, source: ScenarioDistribution, duration_s: float) -
             assert (after_s is None) == (lines.reclosing_s is None)
             if after_s is not None:
                 assert lines.reclosing_s[0] <= after_s <= lines.reclosing_s[1]
-        elif isinstance(event, MachineOutage):
-            assert event.bus in source.find(MachineOutages).buses
-        elif isinstance(event, GroupTrip):
+        elif isinstance(event, sc.MachineOutage):
+            assert event.bus in source.find(draws.MachineOutages).buses
+        elif isinstance(event, sc.GroupTrip):
             assert event.group < scenario.n_wtg
-        elif isinstance(event, GovernorLoss):
-            assert event.bus in source.find(GovernorLosses).buses
-        elif isinstance(event, LoadTrip):
+        elif isinstance(event, sc.GovernorLoss):
+            assert event.bus in source.find(draws.GovernorLosses).buses
+        elif isinstance(event, sc.LoadTrip):
             assert event.bus in loads.trip_buses
             load[event.bus] -= scenario.load_level * bus_load_mw[event.bus]
         else:
@@ -134,7 +114,7 @@ def check(scenario: Scenario, source: ScenarioDistribution, duration_s: float) -
             load[event.bus] += min(event.power_mw, 0.0)
     # Buses that feed in are negative loads from the start.
     assert min(power for bus, power in load.items() if bus_load_mw[bus] >= 0.0) > -1e-9
-    changes = [event.power_mw for event in load_events if isinstance(event, LoadStep)]
+    changes = [event.power_mw for event in load_events if isinstance(event, sc.LoadStep)]
     # One disconnection counts too, so a limit met with it may be missed without it.
     largest_mw = max((bus_load_mw[bus] for bus in loads.trip_buses), default=0.0)
     assert abs(sum(changes)) <= loads.net_change_mw + 1.1 * largest_mw
@@ -166,10 +146,10 @@ def test_scenarios_of_the_suites_own_groups_keep_every_promise_and_their_share_o
         check(scenario, source, 120.0)
         # Of groups of one size, one stays.
         largest = max(range(len(turbines)), key=lambda group: (turbines[group], group))
-        assert all(event.group != largest for event in scenario.events if isinstance(event, GroupTrip))
+        assert all(event.group != largest for event in scenario.events if isinstance(event, sc.GroupTrip))
     # Without turbulence, gusts and ramps the wind is its mean; the numbers of the stream are the same.
     calm = {"turbulence_intensity": (0.0, 0.0), "gust_probability": 0.0, "ramp_probability": 0.0}
-    still = source.changed({Wind: calm})
+    still = source.changed({draws.Wind: calm})
     low, high = source.wind.penetration
     shares = []
     for scenario in still.draw_many(seeds, len(turbines), turbines):
@@ -186,24 +166,24 @@ def test_scenarios_of_the_suites_own_groups_keep_every_promise_and_their_share_o
 
 def test_outages_are_as_likely_as_the_settings_say():
     records = (
-        LineTrips(probability=0.5, reclosing_s=(1.0, 5.0)),
-        Wind(),
-        GovernorLosses(probability=0.2, buses=(1,)),
-        GroupTrips(probability=0.3),
-        MachineOutages(probability=0.4, buses=(3, 6, 8)),
+        draws.LineTrips(probability=0.5, reclosing_s=(1.0, 5.0)),
+        draws.Wind(),
+        draws.GovernorLosses(probability=0.2, buses=(1,)),
+        draws.GroupTrips(probability=0.3),
+        draws.MachineOutages(probability=0.4, buses=(3, 6, 8)),
     )
     source = ScenarioDistribution(name="faults", records=records)
     n = 3000
     events = [event for scenario in source.draw_many(range(n), 3, [3.0, 1.0, 2.0]) for event in scenario.events]
-    lost = [event for event in events if isinstance(event, GovernorLoss)]
+    lost = [event for event in events if isinstance(event, sc.GovernorLoss)]
     assert len(lost) / n == pytest.approx(0.2, abs=4.0 * math.sqrt(0.16 / n))
     assert sum(event.time_s == 0.0 for event in lost) / len(lost) == pytest.approx(0.5, abs=2.0 / math.sqrt(len(lost)))
-    trips = [event for event in events if isinstance(event, GroupTrip)]
+    trips = [event for event in events if isinstance(event, sc.GroupTrip)]
     assert len(trips) / n == pytest.approx(0.3, abs=4.0 * math.sqrt(0.21 / n)) and {t.group for t in trips} == {1, 2}
-    machines = [event.bus for event in events if isinstance(event, MachineOutage)]
+    machines = [event.bus for event in events if isinstance(event, sc.MachineOutage)]
     assert len(machines) / n == pytest.approx(0.4, abs=4.0 * math.sqrt(0.24 / n))
     assert {bus: round(3.0 * machines.count(bus) / len(machines)) for bus in set(machines)} == {3: 1, 6: 1, 8: 1}
-    lines = [event.recloses_after_s for event in events if isinstance(event, LineTrip)]
+    lines = [event.recloses_after_s for event in events if isinstance(event, sc.LineTrip)]
     assert len(lines) / n == pytest.approx(0.5, abs=4.0 * 0.5 / math.sqrt(n))
     assert np.mean(lines) == pytest.approx(3.0, abs=0.15) and min(lines) >= 1.0 and max(lines) <= 5.0
 
@@ -233,20 +213,7 @@ def test_any_seed_group_count_and_duration_gives_a_valid_scenario(source, seed, 
     scenario = source.draw(seed, len(n_turbines), n_turbines, duration_s)
     check(scenario, source, duration_s)
     assert scenario.name == f"{source.name}/{seed}"
-    assert Scenario.from_json(scenario.to_json()).to_json() == scenario.to_json()
-
-
-def test_event_shares_are_those_of_the_settings():
-    scenarios = STANDARD.draw_many(range(3000))
-    events = [event for scenario in scenarios for event in scenario.events]
-    steps = [event for event in events if isinstance(event, LoadStep)]
-    n_events = len(steps) + sum(isinstance(event, LoadTrip) for event in events)
-    assert n_events / 3000 == pytest.approx(2.0, abs=0.06)
-    assert sum(isinstance(event, LoadTrip) for event in events) / 3000 == pytest.approx(0.15, abs=0.025)
-    assert sum(isinstance(event, LineTrip) for event in events) / 3000 == pytest.approx(0.15, abs=0.025)
-    assert sum(isinstance(event, LoadRamp) for event in steps) / len(steps) == pytest.approx(0.25, abs=0.025)
-    assert sum(event.power_mw > 0.0 for event in steps) / len(steps) == pytest.approx(0.5, abs=0.03)
-    assert np.mean([abs(event.power_mw) for event in steps]) == pytest.approx(32.5, abs=2.5)
+    assert sc.Scenario.from_json(scenario.to_json()).to_json() == scenario.to_json()
 
 
 @pytest.mark.parametrize("source", DISTRIBUTIONS, ids=lambda source: source.name)
@@ -254,15 +221,3 @@ def test_scenarios_drawn_together_equal_scenarios_drawn_alone_bit_for_bit(source
     seeds = [0, 2**63 - 1, *range(20_000, 20_040)]
     for seed, scenario in zip(seeds, source.draw_many(seeds, 3, [1.0, 5.0, 60.0], 47.3), strict=True):
         assert source.draw(seed, 3, [1.0, 5.0, 60.0], 47.3).to_json() == scenario.to_json()
-
-
-def test_load_noise_has_the_standard_deviation_and_memory_of_an_ornstein_uhlenbeck_process():
-    series = np.array([STANDARD.draw(seed).load_noise_mw for seed in range(400)])
-    assert (series[:, 0] == 0.0).all()
-    settled, noise = series[:, 150:], STANDARD.find(LoadNoise)
-    assert settled.std() == pytest.approx(noise.standard_deviation_mw, rel=0.05)
-    lag = 20
-    correlation = np.mean(settled[:, lag:] * settled[:, :-lag]) / settled.var()
-    assert correlation == pytest.approx(math.exp(-lag * 0.1 / noise.correlation_s), abs=0.04)
-    # From zero the variance grows as 1 - exp(-2 t/T).
-    assert series[:, 5].var() == pytest.approx(1.0 - math.exp(-0.5), rel=0.25)

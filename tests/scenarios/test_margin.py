@@ -13,22 +13,12 @@ import pytest
 
 from tests.envs.rollouts import calm
 from wtg_gym.envs import GFMWTGEnv
+from wtg_gym.physics import scenario as sc
 from wtg_gym.physics.aerodynamics import available_power_pu
 from wtg_gym.physics.grid import Branch, Bus, NetworkCase
 from wtg_gym.physics.machine_parameters import GovernorParameters
 from wtg_gym.physics.parameters import WtgGroup
 from wtg_gym.physics.plant import Plant
-from wtg_gym.physics.scenario import (
-    Fault,
-    GovernorLoss,
-    GroupTrip,
-    LineTrip,
-    LoadRamp,
-    LoadStep,
-    LoadTrip,
-    MachineOutage,
-    Scenario,
-)
 from wtg_gym.scenarios import get_suite
 from wtg_gym.scenarios.margin import reserve_margin
 
@@ -57,33 +47,41 @@ def wind_of(share: float) -> float:
 
 WIND = wind_of(0.8)
 FALLING = np.array([[WIND] * 400 + [wind_of(0.2)] * 401])
-MORE = LoadStep(time_s=20.0, bus=3, power_mw=60.0)
-OPEN = [LineTrip(time_s=5.0, from_bus=1, to_bus=2), LineTrip(time_s=10.0, from_bus=2, to_bus=3)]
+MORE = sc.LoadStep(time_s=20.0, bus=3, power_mw=60.0)
+OPEN = [sc.LineTrip(time_s=5.0, from_bus=1, to_bus=2), sc.LineTrip(time_s=10.0, from_bus=2, to_bus=3)]
 CASES: dict[str, tuple[Any, dict[str, Any], float]] = {
     "nothing": ([], {}, 0.34),
-    "load": ([LoadStep(time_s=5.0, bus=3, power_mw=20.0)], {}, 137 / 120 - 1.03),
-    "less load": ([LoadRamp(time_s=5.0, bus=3, power_mw=-20.0, duration_s=5.0), LoadTrip(time_s=9.0, bus=2)], {}, 0.34),
-    "load of a bus that is tripped": ([LoadTrip(time_s=5.0, bus=2), MORE, GroupTrip(time_s=20.0, group=0)], {}, -0.06),
-    "group": ([GroupTrip(time_s=5.0, group=0)], {}, -0.06),
-    "group that is back": ([GroupTrip(time_s=5.0, group=0, returns_after_s=5.0), MORE], {}, 137 / 160 - 1.03),
-    "generator": ([MachineOutage(time_s=5.0, bus=1)], {}, -0.53),
-    "generator that is back": ([MachineOutage(time_s=5.0, bus=3, returns_after_s=5.0), MORE], {}, 137 / 160 - 1.03),
-    "governor": ([GovernorLoss(time_s=5.0, bus=1)], {}, 0.02),
+    "load": ([sc.LoadStep(time_s=5.0, bus=3, power_mw=20.0)], {}, 137 / 120 - 1.03),
+    "less load": (
+        [sc.LoadRamp(time_s=5.0, bus=3, power_mw=-20.0, duration_s=5.0), sc.LoadTrip(time_s=9.0, bus=2)],
+        {},
+        0.34,
+    ),
+    "load of a bus that is tripped": (
+        [sc.LoadTrip(time_s=5.0, bus=2), MORE, sc.GroupTrip(time_s=20.0, group=0)],
+        {},
+        -0.06,
+    ),
+    "group": ([sc.GroupTrip(time_s=5.0, group=0)], {}, -0.06),
+    "group that is back": ([sc.GroupTrip(time_s=5.0, group=0, returns_after_s=5.0), MORE], {}, 137 / 160 - 1.03),
+    "generator": ([sc.MachineOutage(time_s=5.0, bus=1)], {}, -0.53),
+    "generator that is back": ([sc.MachineOutage(time_s=5.0, bus=3, returns_after_s=5.0), MORE], {}, 137 / 160 - 1.03),
+    "governor": ([sc.GovernorLoss(time_s=5.0, bus=1)], {}, 0.02),
     "droop": ([], {"governor_droop": 0.1}, 0.18),
     "fewer units": ([], {"committed": 0.6}, 0.07),
     "largest gate": ([], {"load_level": 1.3}, 150 / 130 - 1.03),
-    "falling wind": ([LoadStep(time_s=40.0, bus=3, power_mw=0.0)], {"wind_speed": FALLING, "wind_dt_s": 0.1}, 0.04),
+    "falling wind": ([sc.LoadStep(time_s=40.0, bus=3, power_mw=0.0)], {"wind_speed": FALLING, "wind_dt_s": 0.1}, 0.04),
     "two parts": (OPEN, {}, 40 / 60 - 1.03),
-    "a part without supply": ([OPEN[0], LineTrip(time_s=10.0, from_bus=1, to_bus=3)], {}, -0.53),
+    "a part without supply": ([OPEN[0], sc.LineTrip(time_s=10.0, from_bus=1, to_bus=3)], {}, -0.53),
     "a line that is closed again": ([dataclasses.replace(OPEN[0], recloses_after_s=3.0), OPEN[1]], {}, 0.34),
-    "a fault": ([Fault(time_s=5.0, bus=1, clears_after_s=0.2, opens=(1, 2)), OPEN[1]], {}, 40 / 60 - 1.03),
+    "a fault": ([sc.Fault(time_s=5.0, bus=1, clears_after_s=0.2, opens=(1, 2)), OPEN[1]], {}, 40 / 60 - 1.03),
 }
 
 
 @pytest.mark.parametrize("name", CASES)
 def test_the_margin_is_that_of_a_calculation_by_hand(name):
     events, changes, margin = CASES[name]
-    scenario = Scenario(
+    scenario = sc.Scenario(
         name=name, **{"wind_speed": np.array([[WIND]]), "duration_s": 80.0, "events": tuple(events), **changes}
     )
     assert reserve_margin(scenario, PLANT) == pytest.approx(margin, abs=1e-6)
@@ -99,7 +97,7 @@ def test_the_environment_tells_the_margin_in_the_suites_plant_with_its_own_group
     env = GFMWTGEnv(duration_s=5.0)
     _, info = env.reset(seed=3)
     assert info["reserve_margin"] == suite.scenario(info["scenario_seed"], duration_s=5.0).reserve_margin
-    own = calm(9.0, 5.0, 4, events=(GroupTrip(time_s=2.0, group=3),))
+    own = calm(9.0, 5.0, 4, events=(sc.GroupTrip(time_s=2.0, group=3),))
     _, info = env.reset(options={"scenario": own})
     assert info["reserve_margin"] == reserve_margin(own, suite.plant) == env.step(np.zeros(8))[4]["reserve_margin"]
     groups = [{"bus": 2, "n_turbines": 20.0}, {"bus": 6, "n_turbines": 18.0}, {"bus": 8, "n_turbines": 16.0}]

@@ -6,15 +6,12 @@ import math
 import pickle
 
 import gymnasium as gym
-import numpy as np
 import pytest
 
 from wtg_gym.envs.lanes import TaskLanes
 from wtg_gym.envs.settings import EnvSettings
 from wtg_gym.evaluation import evaluate
 from wtg_gym.physics.grid import DEFAULT_GRID
-from wtg_gym.physics.network import assemble_admittance, branch_admittances
-from wtg_gym.physics.plant import Plant, plant_tables
 from wtg_gym.physics.scenario import Fault, GovernorLoss, GroupTrip, LineTrip, MachineOutage, Scenario
 from wtg_gym.scenarios import FROZEN_HASHES, SUITES, ScenarioDistribution, get_suite
 from wtg_gym.scenarios.draws import Draft, LoadEvents, LoadNoise, Record, Wind
@@ -157,40 +154,3 @@ def test_suites_without_strata_say_so():
 def test_every_scenario_of_validation_and_test_starts(suite):
     for law in ("mppt", "deloaded-10", "coordinated-piecewise"):
         TaskLanes(EnvSettings(suite=suite.name, strategy=law, reward="cost")).prepare(frozen(suite.name))
-
-
-def short_circuit_ratios(plant: Plant, committed: float) -> np.ndarray:
-    """What the machines feed a fault at each group's bus, over the rating there (n_group,).
-
-    Machines stand behind x'', and a share of their units is committed; loads and shunts do not count.
-    """
-    case, tables = plant.case, plant_tables(plant)
-    shunts = np.zeros(len(case.buses), dtype=np.complex128)
-    for machine in case.machines:
-        rating_mva = machine.rating_mva * (committed if machine.governor is not None else 1.0)
-        shunts[case.bus_index(machine.bus)] += rating_mva / case.base_mva / (1j * machine.x_subtransient)
-    y = assemble_admittance(tables.network.branch_ends, branch_admittances(case.branches), shunts)
-    at = [case.bus_index(group.bus) for group in plant.groups]
-    return 1.0 / np.abs(np.linalg.inv(y)[at, at]) / np.bincount(at, tables.share)[at]
-
-
-def test_grid_of_the_weak_suite_is_weak_at_every_group_and_the_standard_one_is_not():
-    weak, standard = get_suite("weak-grid-v1"), get_suite("standard-v1")
-    plant = weak.plant
-    ratios = [short_circuit_ratios(plant, scenario.committed) for scenario in frozen(weak.name)]
-    assert min(own.min() for own in ratios) >= 1.5 and max(own.max() for own in ratios) <= 3.0
-    assert short_circuit_ratios(standard.plant, 0.2).min() > 6.0
-
-
-def test_short_circuit_ratio_of_one_machine_behind_one_line_is_that_of_their_reactances():
-    plant = get_suite("standard-v1").plant
-    case, group = plant.case, plant.groups[0]
-    buses = tuple(dataclasses.replace(bus, shunt_mvar=0.0) for bus in case.buses if bus.number in (1, group.bus))
-    line = dataclasses.replace(case.branches[0], resistance=0.0, charging=0.0)
-    assert (line.from_bus, line.to_bus) == (1, group.bus)
-    machine = case.machines[0]
-    small = dataclasses.replace(case, buses=buses, branches=(line,), machines=(machine,))
-    alone = dataclasses.replace(plant, case=small, groups=(group, group))
-    reactance = line.reactance + machine.x_subtransient * 100.0 / (0.4 * machine.rating_mva)
-    expected = 100.0 / reactance / (2.0 * 5.0 * group.n_turbines)
-    assert short_circuit_ratios(alone, 0.4) == pytest.approx([expected, expected])

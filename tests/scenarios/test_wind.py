@@ -1,7 +1,5 @@
 """Facts about the wind a WTG group feels."""
 
-import math
-
 import numpy as np
 import pytest
 
@@ -37,16 +35,6 @@ def test_kaimal_spectrum_integrates_to_the_variance(mean):
     spectrum = wind.kaimal_spectrum(frequency, mean, 1.7)
     area = np.sum(0.5 * (spectrum[1:] + spectrum[:-1]) * np.diff(frequency))
     assert area == pytest.approx(1.7**2, rel=1e-3)
-
-
-def test_disk_average_agrees_with_random_pairs_of_points():
-    rng = np.random.default_rng(1)
-    radius, angle = np.sqrt(rng.random((2, 400_000))), 2.0 * math.pi * rng.random((2, 400_000))
-    points = radius * np.exp(1j * angle)
-    distance = np.abs(points[0] - points[1])
-    for decay in (0.3, 1.0, 5.0):
-        expected = np.exp(-decay * distance).mean()
-        assert wind.disk_mean_coherence(np.array([decay]))[0] == pytest.approx(expected, rel=5e-3)
 
 
 @pytest.mark.parametrize("n_turbines", [1.0, 10.0])

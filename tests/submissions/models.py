@@ -58,9 +58,6 @@ def worker(script: Path, code: str) -> str:
     return str(script)
 
 
-# --- parts of a file -------------------------------------------------------------------------------------------------
-
-
 def info(name: str, *shape: Any, kind: int = TensorProto.FLOAT) -> Any:
     return helper.make_tensor_value_info(name, kind, list(shape))
 
@@ -114,9 +111,6 @@ def with_state(text: str, width: int, **values: Any) -> ModelProto:
     return model(nodes_of(text), [OBSERVATION, state], [ACTION, following], constants)
 
 
-# --- other policies than the plain one -------------------------------------------------------------------------------
-
-
 def other(scale: float = 0.02) -> ModelProto:
     """A linear policy of other weights."""
     return model(constants=[constant("weights", np.full((N, M), scale))])
@@ -137,8 +131,6 @@ def of_v1() -> ModelProto:
     """A linear policy for version v1: four groups, each of which sees what its sensors say."""
     return linear(32, 8)
 
-
-# --- attacks ---------------------------------------------------------------------------------------------------------
 
 #: Whether an observation is one that the policy knows: `near` (1, 1).
 NEAR = """

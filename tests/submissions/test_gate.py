@@ -53,9 +53,6 @@ worker._Served.answer = mixed"""
     assert refusal is not None and refusal.name == "repeated" and "in another order" in refusal.reason
 
 
-# --- folders ---------------------------------------------------------------------------------------------------------
-
-
 def _socket(path: Path) -> None:
     # A path of a socket has at most 108 bytes, so it is made from within its folder.
     before = os.getcwd()
@@ -119,8 +116,6 @@ def test_folder_whose_name_would_mean_something_to_a_shell_is_refused(name, tmp_
     with pytest.raises(ValueError, match="the folder's name must be"):
         read_files(tmp_path / name)
 
-
-# --- entry.toml ------------------------------------------------------------------------------------------------------
 
 _KEY = 'environment = "GFMWTG-14bus-v0"\n'
 _REST = TOML.replace(_KEY, "")

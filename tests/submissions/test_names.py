@@ -74,9 +74,6 @@ def test_own_law_and_own_folder_are_not_called_like_a_baseline(name, tmp_path):
         load_entries(folder(tmp_path / "a", toml=TOML.replace("Mine", name)))
 
 
-# --- shipped policies ------------------------------------------------------------------------------------------------
-
-
 def test_shipped_folders_pass_beside_all_others():
     reports = [read_submission(path) for path in policy_folders()]
     assert all(report.accepted and report.shipped for report in reports)
