@@ -76,7 +76,7 @@ def play(env: GFMWTGEnv, actions: list[float], **reset: Any) -> None:
     pytest.fail("the episode did not end")
 
 
-@settings(FUZZ, max_examples=60)
+@settings(FUZZ, max_examples=40)
 @given(arguments(), ACTIONS, st.integers(0, 2**31))
 def test_any_settings_and_actions_play_to_the_end(given_arguments, actions, seed):
     play(GFMWTGEnv(**given_arguments), actions, seed=seed)
@@ -142,7 +142,7 @@ def scenarios(draw: Any) -> sc.Scenario:
     )
 
 
-@settings(FUZZ, max_examples=200)
+@settings(FUZZ, max_examples=100)
 @given(scenarios(), st.sampled_from(sorted(STRATEGIES)), ON_FAILURE, OBSERVATION_MODES, ACTIONS)
 def test_any_scenario_plays_to_a_physical_end(scenario, strategy, on_failure, observation_mode, actions):
     version = "v0" if scenario.sensors is None else "v1"

@@ -69,9 +69,9 @@ def test_costs_in_a_scenario_are_the_same_to_the_last_bit_whatever_is_played_bes
     (entry,) = load_entries(POLICIES / "sac-k+tau-4")
     # More than one batch, of 64.
     seeds = range(20_000, 20_070)
-    together = evaluate([entry], "standard", "test", seeds=seeds, duration_s=5.0).episodes_of(entry.name)
+    together = evaluate([entry], "standard", "test", seeds=seeds, duration_s=2.0).episodes_of(entry.name)
     for seed in (20_017, 20_069):
-        alone = evaluate([entry], "standard", "test", seeds=[seed], duration_s=5.0)
+        alone = evaluate([entry], "standard", "test", seeds=[seed], duration_s=2.0)
         assert alone.episodes_of(entry.name) == [episode for episode in together if episode.seed == seed]
 
 

@@ -47,7 +47,7 @@ def test_anchors_of_v0_score_exactly_0_and_100_and_the_hundred_of_v1_100(results
     assert results_v1.scores["coordinated-tuned"] == hundred
 
 
-@settings(max_examples=150, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=100, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(which=st.integers(0, 1), data=st.data())
 def test_damaged_file_never_passes(copies, which, data):
     path = copies[which]
@@ -106,7 +106,7 @@ def test_forged_description_is_refused(copies, case):
         Results.read(copies[0])
 
 
-@settings(max_examples=100, deadline=None, suppress_health_check=list(HealthCheck))
+@settings(max_examples=60, deadline=None, suppress_health_check=list(HealthCheck))
 @given(data=st.data())
 def test_a_changed_description_whose_hashes_fit_is_shown_or_refused(written, tmp_path, data):
     path = tmp_path / written[0].name
