@@ -104,10 +104,7 @@ UNEXPECTED = [
 
 @pytest.mark.parametrize(("error", "said"), UNEXPECTED)
 def test_an_error_of_the_content_names_the_file_in_one_line(error, said):
-    with (
-        pytest.raises(ValueError, match=rf"^the grid a\\nb\.json: {said}$"),
-        files.interpreting(Path("a\nb.json"), "grid"),
-    ):
+    with pytest.raises(ValueError, match=rf"grid a\\nb\.json: {said}$"), files.interpreting(Path("a\nb.json"), "grid"):
         raise error
 
 

@@ -156,9 +156,6 @@ def test_run_repeats_also_after_an_interruption_and_is_exported(tmp_path, monkey
 
 
 def test_layers_without_width_are_refused(tmp_path, capsys):
-    for given, said in (
-        (["--hidden", "8", "0"], "hidden must be a whole number in 1"),
-        (["--lstm", "-1"], "lstm must"),
-    ):
+    for given, said in ((["--hidden", "8", "0"], "hidden must be a whole number"), (["--lstm", "-1"], "lstm must")):
         assert main([*given, "--output", str(tmp_path / "run")]) == 2
         assert said in capsys.readouterr().err

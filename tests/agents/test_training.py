@@ -236,11 +236,7 @@ NEW = ("--output", "new")
 def test_bad_options_are_refused_before_anything_runs(arguments, text, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "run.json").touch()
-    changed: dict[str, dict[str, Any]] = {
-        "bad": {"n_envs": "many"},
-        "rate": {"learning_rate": "lin_fast"},
-        "key": {"frame_stack": 4},
-    }
+    changed = {"bad": {"n_envs": "many"}, "rate": {"learning_rate": "lin_fast"}, "key": {"frame_stack": 4}}
     for name, changes in changed.items():
         Path(config_file(tmp_path, "ppo", **changes)).rename(f"{name}.yml")
     of_v0 = [] if "--resume" in arguments or "--suite" in arguments else V0

@@ -20,9 +20,7 @@ FOLDER = Path(baselines.__file__).parent
 def test_entries_are_the_built_in_strategies_and_every_module_is_named():
     entries = load_entries("baselines", task=V0)
     assert {entry.name: entry.law for entry in entries if entry.kind == "law"} == STRATEGIES
-    assert [(entry.name, entry.kind) for entry in entries if entry.kind != "law"] == [
-        ("tip-speed-feedback", "feedback")
-    ]
+    assert [(each.name, each.kind) for each in entries if each.kind != "law"] == [("tip-speed-feedback", "feedback")]
     named = {name for order in baselines.ORDER.values() for name in order if isinstance(name, str)}
     assert named == {path.stem for path in FOLDER.glob("[a-z]*.py")}
 
@@ -60,7 +58,6 @@ def test_mean_droop_acts_on_the_mean_deviation_and_spares_slow_rotors():
     assert policy.predict(observation)[0] == pytest.approx(np.array([[0.2, 0.2, -0.3, -1.0]]))
     # Arrays of numbers are several policies at once.
     own = np.repeat(observation.reshape(1, 1, 4, 7), 2, axis=1)
-    both = MeanDroop(np.array([[0.5], [1.0]]), np.array([[0.7], [0.5]]), np.array([[5.0], [1.0]])).act(
-        own[..., 0], own[..., 3]
-    )
+    several = MeanDroop(*(np.array([[a], [b]]) for a, b in ((0.5, 1.0), (0.7, 0.5), (5.0, 1.0))))
+    both = several.act(own[..., 0], own[..., 3])
     assert both == pytest.approx(np.array([[[0.2, 0.2, -0.3, -1.0], [0.1, 0.1, 0.1, -0.1]]]))

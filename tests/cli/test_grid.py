@@ -39,10 +39,8 @@ def test_a_network_of_pandapower_becomes_a_grid_whose_law_is_scored(network, tmp
     assert main(["grid", "check", str(output)]) == 0
     rows = capsys.readouterr().out
     assert "39 buses, 46 branches" in rows and "all 10 are typical ones" in rows
-    results = json_of(
-        capsys, "evaluate", "--suite", str(output), "--scenarios", "1", "--duration", "2", "--entries", "mppt", "--json"
-    )
-    assert "mppt" in str(results)
+    short = ("--scenarios", "1", "--duration", "2", "--entries", "mppt", "--json")
+    assert "mppt" in str(json_of(capsys, "evaluate", "--suite", str(output), *short))
 
 
 def test_a_grid_that_is_here_is_checked_by_its_name(capsys):

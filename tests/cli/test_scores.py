@@ -31,9 +31,7 @@ def test_evaluate_ranks_a_suite_of_v1_in_its_own_grid(capsys, tmp_path):
     out = capsys.readouterr().out
     assert all(f"  {name} " in out for name in ("fast-droop", *V1.anchors)) and "mppt" not in out
     assert max(map(len, out.splitlines())) <= 120
-    assert sorted(path.name for path in folder.iterdir()) == [
-        f"standard-v1-validation.{end}" for end in ("csv", "json")
-    ]
+    assert sorted(p.name for p in folder.iterdir()) == [f"standard-v1-validation.{end}" for end in ("csv", "json")]
     rows = {row.name: row for row in Results.read(folder / "standard-v1-validation.json").ranking}
     for name, row in rows.items():
         (line,) = (line for line in out.splitlines() if f"  {name} " in line)
@@ -94,9 +92,7 @@ def test_leaderboard_plays_only_what_is_new(monkeypatch, tmp_path):
     assert main([*_PAPER, "--results", str(tmp_path)]) == 0
     played: list[str] = []
     real = evaluator.play_batch
-    monkeypatch.setattr(
-        evaluator, "play_batch", lambda entry, *rest: [played.append(entry.name), real(entry, *rest)][1]
-    )
+    monkeypatch.setattr(evaluator, "play_batch", lambda e, *rest: [played.append(e.name), real(e, *rest)][1])
     assert main([*whole, "--results", str(tmp_path)]) == 0
     assert played == ["coordinated-linear"]
     assert _files(tmp_path) == _files(tmp_path / "at-once")

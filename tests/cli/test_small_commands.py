@@ -22,7 +22,7 @@ def test_suites_lists_every_suite(capsys):
 def test_suite_of_v1_is_shown_with_its_grid_sensors_and_task(capsys):
     (data,) = json_of(capsys, "suites", "standard-v1")
     assert (data["environment"], data["hash"]) == ("GFMWTG-14bus-v1", SUITES["standard-v1"].hash)
-    assert [(group["bus"], group["n_turbines"]) for group in data["plant"]["groups"]] == [
+    assert [(g["bus"], g["n_turbines"]) for g in data["plant"]["groups"]] == [
         *((2, 20.0), (3, 14.0), (6, 10.0), (8, 8.0))
     ]
     assert data["sensors"]["delay_s"] == [0.1, 0.3]

@@ -55,10 +55,7 @@ def test_score_ranks_what_is_not_refused(capsys, tmp_path):
     said = capsys.readouterr()
     assert "Mine" in said.out and "Other" not in said.out
     assert "b: loading: onnxruntime cannot load the policy" in said.err
-    assert {entry["name"] for entry in Results.read(tmp_path / "r" / "standard-test.json").entries} == {
-        "Mine",
-        *V0.anchors,
-    }
+    assert {e["name"] for e in Results.read(tmp_path / "r" / "standard-test.json").entries} == {"Mine", *V0.anchors}
     twin = folder(tmp_path / "c")
     assert main(["submission", "score", str(good), str(twin), *_FEW, "--results", str(tmp_path / "s")]) == 1
     said = capsys.readouterr()

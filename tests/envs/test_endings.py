@@ -123,7 +123,7 @@ def test_stopped_rotor_of_version_v1_trips_its_group_which_is_charged_on_or_ends
     wind = np.full((N_WTG["v1"], 1), 9.0)
     wind[1] = 7.0
     sagging_v1 = Scenario(
-        name="sagging", wind_speed=wind, duration_s=60.0, events=(LoadStep(time_s=2.0, bus=3, power_mw=45.0),)
+        name="x", wind_speed=wind, duration_s=60, events=(LoadStep(time_s=2.0, bus=3, power_mw=45.0),)
     )
     modes = {"version": "v1", "strategy": "mppt"}
     _, (_, terminated, _, info), _ = play(sagging_v1, on_failure="terminate", **modes)

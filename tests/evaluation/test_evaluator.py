@@ -53,9 +53,7 @@ class Counting:
         self.states: list[Any] = []
         self.starts: list[Any] = []
 
-    def predict(
-        self, observation: Any, state: Any = None, episode_start: Any = None, deterministic: bool = False
-    ) -> Any:
+    def predict(self, observation: Any, state: Any = None, episode_start: Any = None, deterministic: bool = True):
         assert deterministic
         self.states.append(state)
         self.starts.append(episode_start)
@@ -84,9 +82,7 @@ def test_episode_equals_the_single_environment(policy):
             over = terminated or truncated
             frequency.append(info["frequency_hz"])
             terms = {key: value + info[key] for key, value in terms.items()}
-        assert {key: episode.metrics[key] for key in terms} == pytest.approx(
-            terms, rel=1e-12 if policy is None else 1e-6
-        )
+        assert {k: episode.metrics[k] for k in terms} == pytest.approx(terms, rel=1e-12 if policy is None else 1e-6)
         assert episode.failure == info["termination_reason"]
         assert episode.metrics["survived_s"] == pytest.approx(info["time_s"])
         assert episode.metrics["nadir_hz"] <= min(frequency) and episode.metrics["zenith_hz"] >= max(frequency)
@@ -160,9 +156,7 @@ def test_law_without_an_equilibrium_is_left_out_and_that_of_an_anchor_is_an_erro
     with pytest.raises(PolicyError, match=text):
         evaluate([law, fine], "standard", "test", **SHORT)
     # Without its anchors there is no score.
-    monkeypatch.setattr(
-        "wtg_gym.evaluation.evaluator.play_batch", lambda entry, *_: PolicyError(f"entry {entry.name!r}")
-    )
+    monkeypatch.setattr("wtg_gym.evaluation.evaluator.play_batch", lambda e, *_: PolicyError(f"entry {e.name!r}"))
     with pytest.raises(PolicyError, match="entry 'mppt'"):
         evaluate([], "standard", "test", keep_going=True, **SHORT)
 
@@ -176,10 +170,7 @@ def test_entry_that_fails_is_left_out_with_its_row_and_the_others_stand(tmp_path
 
     first, second = Entry(name="first", policy=Linear(1.0)), Entry(name="second", policy=Linear(0.5))
     never = Answering(raises)
-    seeds = [
-        Entry(name="nan", policy=policy, training_seed=seed)
-        for seed, policy in enumerate((fails_at(-1), fails_at(7), never))
-    ]
+    seeds = [Entry(name="nan", policy=p, training_seed=i) for i, p in enumerate((fails_at(-1), fails_at(7), never))]
     entries = [first, *seeds, Entry(name="raises", policy=Answering(raises)), second]
     results = evaluate(entries, "standard", "test", keep_going=True, batch=2, partial=tmp_path / "parts", **SHORT)
     others = evaluate([first, second], "standard", "test", **SHORT)
@@ -242,9 +233,7 @@ def test_killed_run_goes_on_and_keeps_its_parts_until_the_results_are_written(re
     assert len(list(partial.iterdir())) == 3
     played: list[str] = []
     play = wtg_gym.evaluation.evaluator.play_batch
-    monkeypatch.setattr(
-        "wtg_gym.evaluation.evaluator.play_batch", lambda e, *rest: played.append(e.name) or play(e, *rest)
-    )
+    monkeypatch.setattr("wtg_gym.evaluation.evaluator.play_batch", lambda e, *r: played.append(e.name) or play(e, *r))
     again = evaluate(entries, "standard", "test", **arguments)
     assert played == ["deloaded-10", "coordinated-piecewise", "coordinated-piecewise"]
     # A run with more entries goes on from them as well.

@@ -94,10 +94,8 @@ def test_entries_that_leave_0_8_hz_more_often_than_the_anchor_rank_behind_it(res
     # Four scenarios of four may be chance, p = 1 / 16; five are not.
     runs = {V1.zero: [quiet], V1.hundred: [quiet], "wild": [wild(5)], "fine": [wild(4)]}
     base = np.arange(10.0, 22.0)
-    costs = {
-        name: base[np.newaxis] * factor
-        for name, factor in ((V1.zero, 2.0), (V1.hundred, 1.0), ("wild", 0.5), ("fine", 1.1))
-    }
+    factors = {V1.zero: 2.0, V1.hundred: 1.0, "wild": 0.5, "fine": 1.1}
+    costs = {name: base[np.newaxis] * factor for name, factor in factors.items()}
     entries = [{"name": name, "kind": "law", "observation_mode": "measured"} for name in runs]
     offsets = np.where(np.arange(12) % 2, 3000.0, 40.0)
     scoring = Adjusted(0.3, groups)

@@ -40,11 +40,7 @@ def test_file_that_is_missing_or_may_have_no_end_is_refused(tmp_path):
 @pytest.mark.parametrize(
     ("inputs", "outputs", "text"),
     [
-        (
-            [models.info("observation", 2, models.N)],
-            [models.info("action", 2, 4)],
-            r"\(batch, n\) with any batch or one of 1",
-        ),
+        ([models.info("observation", 2, models.N)], [models.info("action", 2, 4)], r"\(batch, n\) with any batch"),
         ([models.info("observation", "batch", "n")], [models.ACTION], "observation must be float32"),
         ([models.OBSERVATION, models.info("memory", "batch", 2)], [models.ACTION], "must take observation, state_0"),
         ([models.OBSERVATION, models.info("state_0", "batch", 2)], [models.ACTION], "must take observation, state_0"),

@@ -33,9 +33,7 @@ def test_score_is_the_written_formula():
     scoring = Bootstrap(zero)
     assert scoring.score(gains[np.newaxis]).value == pytest.approx(sum(expected) / 2.0, rel=1e-14)
     assert scoring.points(gains[np.newaxis]) == pytest.approx(sum(expected) / 2.0 - 100.0, rel=1e-14)
-    with pytest.raises(
-        score.NoScaleError, match=r"on these 2 scenarios mppt .* is not worse than coordinated-piecewise"
-    ):
+    with pytest.raises(score.NoScaleError, match=r"on these 2 scenarios mppt .* is not worse than coordinated"):
         score.score_scale(reference, mppt, V0, whole(2))
 
 
@@ -87,9 +85,8 @@ def test_score_interval_agrees_with_scipys_paired_bootstrap_of_the_ratio():
         return 100.0 * (1.0 - own.mean(axis=axis) / scale.mean(axis=axis))
 
     interval = Bootstrap(mppt).score(gains)
-    expected = stats.bootstrap(
-        (gains[0], mppt), score, paired=True, n_resamples=20_000, method="percentile", rng=11
-    ).confidence_interval
+    drawn = stats.bootstrap((gains[0], mppt), score, paired=True, n_resamples=20_000, method="percentile", rng=11)
+    expected = drawn.confidence_interval
     width = expected.high - expected.low
     assert interval.value == pytest.approx(score(gains[0], mppt, 0))
     assert interval.low == pytest.approx(expected.low, abs=0.06 * width)
@@ -103,10 +100,8 @@ def test_difference_of_two_entries_is_paired():
     assert difference.value == pytest.approx(100.0 * 0.01 / -mppt.mean())
     alone = Bootstrap(mppt).score(better)
     assert difference.low > 0.0 and difference.high - difference.low < 0.1 * (alone.high - alone.low)
-    other_way = Bootstrap(mppt).score_difference(gains, better)
-    assert (other_way.value, other_way.low, other_way.high) == pytest.approx(
-        (-difference.value, -difference.high, -difference.low)
-    )
+    back = Bootstrap(mppt).score_difference(gains, better)
+    assert (back.value, back.low, back.high) == pytest.approx((-difference.value, -difference.high, -difference.low))
 
 
 def test_seeds_of_two_entries_are_drawn_independently():
@@ -121,11 +116,8 @@ def test_differences_to_another_entry_are_paired(version):
     rng = np.random.default_rng(12)
     costs, happened = rng.lognormal(3.0, 1.0, (1, 70)), (rng.random((1, 70)) < 0.2).astype(float)
     differences = Bootstrap(np.full(70, -1.0)) if version == "v0" else Adjusted(0.4, whole(70))
-    for difference in (
-        differences.share_difference(happened, happened),
-        differences.worst_tenth_difference(costs, costs),
-    ):
-        assert (difference.value, difference.low, difference.high) == (0.0, 0.0, 0.0)
+    for none in (differences.share_difference(happened, happened), differences.worst_tenth_difference(costs, costs)):
+        assert (none.value, none.low, none.high) == (0.0, 0.0, 0.0)
     dearer = differences.worst_tenth_difference(1.25 * costs, costs)
     assert (dearer.value, dearer.low, dearer.high) == pytest.approx((25.0, 25.0, 25.0))
     more = happened.copy()

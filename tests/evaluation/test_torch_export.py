@@ -128,10 +128,7 @@ REFUSED = {
     "undeclared states": (lambda n: Answers(n, lambda y, x: (y, x)), r"of shapes \[\(2, 8\)\], got \[\(2, 8\), "),
     "random": (lambda n: Answers(n, lambda y, x: y + torch.randn(x.shape[0], M)), "draws random numbers"),
     "branch": (lambda n: Answers(n, lambda y, x: y if x.sum() < 0.5 else -y), "branches on its input"),
-    "no operator": (
-        lambda n: Answers(n, lambda y, x: torch.special.airy_ai(y)),
-        "torch cannot export the module Answers: .*airy_ai",
-    ),
+    "no operator": (lambda n: Answers(n, lambda y, x: torch.special.airy_ai(y)), "cannot export the module .*airy_ai"),
     "not a number": (lambda n: Answers(n, lambda y, x: y / 0.0 * 0.0), "differ by inf"),
     "too large": (lambda n: nn.Sequential(nn.Linear(n, 35_000), nn.Linear(35_000, M)), "allowed are 5000000"),
 }

@@ -28,9 +28,7 @@ pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="processes are k
 class Linear:
     """A policy in Python: a fixed multiple of the frequency deviation on every action."""
 
-    def predict(
-        self, observation: Any, state: Any = None, episode_start: Any = None, deterministic: bool = False
-    ) -> Any:
+    def predict(self, observation: Any, state: Any = None, episode_start: Any = None, deterministic: bool = False):
         self.act()
         return np.repeat(-3.0 * observation[:, :1], 4, axis=1), state
 

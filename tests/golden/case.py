@@ -142,10 +142,7 @@ def case_of(name: str, data: Mapping[str, Any]) -> Case:
         keys=tuple(power),
         voltage=voltage,
         power=power,
-        events={
-            name: tuple(_event(event, base, voltage, loads) for event in events)
-            for name, events in data["events"].items()
-        },
+        events={key: tuple(_event(e, base, voltage, loads) for e in events) for key, events in data["events"].items()},
         tolerance={"w": 1e-6, "Pe": 1e-5, "V": 1e-5} | data.get("tolerance", {}),
     )
 

@@ -381,9 +381,7 @@ def main() -> None:
     """Make the cases that are asked for."""
     parser = argparse.ArgumentParser(description="Make the golden traces anew with ANDES.")
     parser.add_argument("cases", nargs="*", help=f"of {', '.join(RUNS)} (default: all)")
-    parser.add_argument(
-        "--output", type=Path, default=GOLDEN, help="folder for the files (default: that of this script)"
-    )
+    parser.add_argument("--output", type=Path, default=GOLDEN, help="folder for the files (default: this one)")
     options = parser.parse_args()
     if unknown := set(options.cases) - set(RUNS):
         parser.error(f"no such case: {', '.join(sorted(unknown))}")

@@ -90,10 +90,7 @@ def machine_powers(simulator: Simulator) -> npt.NDArray[np.complex128]:
     """Return P + jQ of every machine as it is now [p.u.]."""
     machines, n = simulator.plant.machines, simulator.layout.n_sync
     emf, current = (phasors(simulator, UNITS, part)[:n] for part in ("voltage", "current"))
-    powers: npt.NDArray[np.complex128] = current.conj() * (
-        emf - (machines["resistance"] + 1j * machines["internal_reactance"]) * current
-    )
-    return powers
+    return current.conj() * (emf - (machines["resistance"] + 1j * machines["internal_reactance"]) * current)
 
 
 def _columns(simulator: Simulator) -> Floats:

@@ -14,12 +14,10 @@ from wtg_gym.physics.simulator import Simulator
 
 #: By grid and trace; powers are taken at the voltage of the power flow.
 EVENTS: dict[str, dict[str, list[dict[str, Any]]]] = {
-    "ieee39": {
-        "loads": [{"t": 1.0, "bus": 8, "trip_load_MW": 522.0}, {"t": 4.0, "bus": 20, "MW_at_V0": 200.0}],
-    },
+    "ieee39": {"loads": [{"t": 1.0, "bus": 8, "trip_load_MW": 522.0}, {"t": 4.0, "bus": 20, "MW_at_V0": 200.0}]},
     "kundur": {"load": [{"t": 1.0, "bus": 7, "MW_at_V0": 100.0}]},
     "nordic45": {"load": [{"t": 1.0, "bus": 7000, "MW_at_V0": 1000.0}]},
-}  # fmt: skip
+}
 TOLERANCE = {"w": 1e-6, "Pe": 1e-3, "V": 5e-5}
 
 

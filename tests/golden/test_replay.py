@@ -23,9 +23,8 @@ def test_fine_step_follows_the_golden_trace_and_the_default_step_is_close_to_it(
     case = read_case(path.parent.name)
     times, trace = read_trace(path)
     assert set(trace) <= set(case.columns)
-    fine, default = (
-        differences(case, trace, replay(case, case.events[path.stem], times, step_s)) for step_s in (0.0025, ROW_S / 3)
-    )
+    events = case.events[path.stem]
+    fine, default = (differences(case, trace, replay(case, events, times, dt)) for dt in (0.0025, ROW_S / 3))
     for quantity, tolerance in case.tolerance.items():
         assert fine[quantity] <= tolerance, (quantity, fine[quantity])
     # Faults take more than half the voltage away; of 39 buses the machines are ten times as large as the base.

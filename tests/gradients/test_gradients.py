@@ -141,9 +141,7 @@ def test_the_gradient_with_respect_to_the_law_is_that_of_central_differences(set
     found = tape.gradient(scenarios, actions)
     tape.start(scenarios)
     law = tape.law()
-    assert np.array_equal(
-        law[0, 0, :3], [getattr(tape.lanes.laws[0], name) for name in ("k_min", "k_nominal", "k_max")]
-    )
+    assert np.array_equal(law[0, 0, :3], [getattr(tape.lanes.laws[0], k) for k in ("k_min", "k_nominal", "k_max")])
     for place in np.ndindex(law.shape[1:]):
         # k_nominal moves the start onto another branch of a law soon; of the others rounding would show.
         step, h = np.zeros_like(law), 1e-6 if place[1] == 1 else 1e-5
@@ -154,9 +152,7 @@ def test_the_gradient_with_respect_to_the_law_is_that_of_central_differences(set
 
 
 def test_a_held_step_has_the_gradient_of_its_intervals():
-    held, fine = (
-        tape_of(version="v1", suite="faults", on_failure="terminate", **dt) for dt in ({}, {"control_dt": 0.1})
-    )
+    held, fine = (tape_of(version="v1", suite="faults", on_failure="terminate", **d) for d in ({}, {"control_dt": 0.1}))
     # The first two episodes end within a step: a rotor is too slow, and the frequency too high.
     falling, at = np.maximum(9.0 - 0.12 * np.arange(121), 3.0), sc.LoadStep(time_s=2.1, bus=3, power_mw=-150.0)
     scenarios = [
@@ -207,19 +203,16 @@ def test_the_gradient_goes_through_events(settings, events):
 
 
 def test_the_gradient_goes_through_the_stabilisers_of_another_grid():
-    tape, steps = (
-        tape_of(**KUNDUR),
-        [sc.LoadStep(time_s=at, bus=9, power_mw=mw) for at, mw in ((0.5, 150.0), (2.0, -99.0))],
-    )
+    tape = tape_of(**KUNDUR)
+    steps = [sc.LoadStep(time_s=at, bus=9, power_mw=mw) for at, mw in ((0.5, 150.0), (2.0, -99.0))]
     scenarios = [dataclasses.replace(given(2, *steps, wind=wind), load_noise_bus=9) for wind in (8.5, 9.0, 10.0)]
     actions = actions_of(tape, 60)
     with_them = agrees(tape, scenarios, actions).actions
     plant = tape.lanes.settings.resolved_plant
     machines = tuple(dataclasses.replace(machine, stabiliser=None) for machine in plant.case.machines)
     bare = dataclasses.replace(plant, case=dataclasses.replace(plant.case, machines=machines))
-    without = (
-        Tape(dataclasses.replace(tape.lanes.settings, plant=bare), N_LANES, 1).gradient(scenarios, actions).actions
-    )
+    other = Tape(dataclasses.replace(tape.lanes.settings, plant=bare), N_LANES, 1)
+    without = other.gradient(scenarios, actions).actions
     # What they add is far more than the tolerance.
     assert np.abs(with_them - without).max() > 1e-2 * np.abs(without).max()
 
@@ -387,14 +380,8 @@ ZEROS = np.zeros((5, N_LANES, 4))
         (lambda tape, scenarios: pulled(tape, 1), "no step 1: since start.. 1 have"),
         (lambda tape, scenarios: pulled(tape, 0, carried=0.0), "carried must have the shape"),
         (lambda tape, scenarios: pulled(tape, 0, observations=np.zeros(3)), "observations must have the shape"),
-        (
-            lambda tape, scenarios: check_by_differences(tape, scenarios, ZEROS, step=0.0),
-            r"step .* 1e-9 … 0.1, got 0.0",
-        ),
-        (
-            lambda tape, scenarios: check_by_differences(tape, scenarios, ZEROS, direction=np.ones(3)),
-            "direction must be",
-        ),
+        (lambda tape, own: check_by_differences(tape, own, ZEROS, step=0.0), r"step .* 1e-9 … 0.1, got 0.0"),
+        (lambda tape, own: check_by_differences(tape, own, ZEROS, direction=np.ones(3)), "direction must be"),
         (lambda tape, scenarios: check_by_differences(tape, scenarios, ZEROS, {"power": 1.0}), "unknown terms"),
         (
             lambda tape, scenarios: tape.start([given(2, sc.GroupTrip(time_s=1.0, group=0, returns_after_s=1.0))] * 3),

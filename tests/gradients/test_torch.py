@@ -53,10 +53,8 @@ def test_a_truncated_gradient_is_that_of_a_segment_from_where_it_began():
     assert second.weight.grad.abs().max() > 1e-3
     before.sum().backward()
     assert first.weight.grad.abs().max() > 1e-3
-    for own, part in ((first, 0), (second, 1)):
-        has_slope(
-            lambda i=part: segments(episodes, scenarios, policy, cut, n_steps)[i].sum(), own.weight, own.weight.grad
-        )
+    for own, i in ((first, 0), (second, 1)):
+        has_slope(lambda i=i: segments(episodes, scenarios, policy, cut, n_steps)[i].sum(), own.weight, own.weight.grad)
     with pytest.raises(ValueError, match="start"):
         episodes_of().detach()
 

@@ -35,13 +35,10 @@ def test_between_the_points_it_is_the_bicubic_spline():
 def test_beyond_its_edges_it_keeps_their_values_and_falls_to_zero_at_standstill():
     at_edge = float(power_coefficient(RATIO[-1], 0.0, TABLE))
     assert power_coefficient(np.array([20.0, 90.0]), 0.0, TABLE) == pytest.approx(at_edge, abs=1e-14)
-    assert power_coefficient(7.0, 80.0, TABLE) == pytest.approx(
-        power_coefficient(7.0, float(PITCH[-1]), TABLE), abs=1e-14
-    )
+    assert power_coefficient(7.0, 80.0, TABLE) == pytest.approx(power_coefficient(7.0, PITCH[-1], TABLE), abs=1e-14)
     least = float(power_coefficient(RATIO[0], 0.0, TABLE))
-    assert power_coefficient(RATIO[0] * np.array([0.5, 0.01]), 0.0, TABLE) == pytest.approx(
-        least * np.array([0.5, 0.01]), abs=1e-14
-    )
+    shares = np.array([0.5, 0.01])
+    assert power_coefficient(RATIO[0] * shares, 0.0, TABLE) == pytest.approx(least * shares, abs=1e-14)
 
 
 def test_the_nrel_turbine_has_its_published_numbers():

@@ -37,9 +37,7 @@ def test_other_groups_machine_models_resistance_and_shared_buses_start_at_rest()
     case = get_grid("ieee14").case
     for own in (case, case.classical()):
         settings = Plant(case=own, groups=groups)
-        assert (
-            extended.largest_rate(extended.started(settings, extended.scenario(wind=[[9.0], [9.0]]), "mppt")) <= LIMIT
-        )
+        assert extended.largest_rate(extended.started(settings, extended.scenario(wind=[[9], [9]]), "mppt")) <= LIMIT
     machines = [dataclasses.replace(machine, resistance=0.003) for machine in case.machines]
     # In the place of the last one: as many machines as usual, whose code is compiled already.
     case = dataclasses.replace(case, machines=(*machines[:-1], extended.classical(bus=3, dispatch_mw=20.0)))
@@ -67,10 +65,8 @@ def test_a_bus_lets_go_of_its_voltage_where_the_groups_reactive_power_does_not_s
         control = VoltageControlParameters(reactive_max_pu=limit, internal_voltage_max_pu=1.6)
         simulator = extended.started(extended.plant(limits=False, voltage=control), extended.scenario(load_level=level))
         assert extended.largest_rate(simulator) <= 1e-8
-        found[limit] = (
-            sign * simulator.wtg_values("reactive")[0],
-            sign * (np.abs(simulator.bus_voltages()[1]) - 1.045),
-        )
+        held = np.abs(simulator.bus_voltages()[1]) - 1.045
+        found[limit] = sign * simulator.wtg_values("reactive")[0], sign * held
     (ample, held), *scarce = found.values()
     assert (ample > 0.04).all() and (ample < 1.0).all() and held == pytest.approx(0.0, abs=1e-12)
     for limit, (reactive, deviation) in zip((0.04, 0.0), scarce, strict=True):

@@ -140,9 +140,7 @@ def test_a_condenser_after_its_outage_feeds_in_nothing_and_counts_nowhere(simula
         weights = np.concatenate([inertia, groups])
         speed = np.concatenate([simulator.machine_values("speed")[0, stays], simulator.wtg_values("speed")[0]])
         speeds.append(speed)
-        assert simulator.lane_values("coi")[0] - 1.0 == pytest.approx(
-            weights @ (speed - 1.0) / weights.sum(), abs=1e-14
-        )
+        assert simulator.lane_values("coi")[0] - 1.0 == pytest.approx(weights @ (speed - 1) / weights.sum(), abs=1e-14)
         angles = np.concatenate([simulator.machine_values("angle")[0, stays], simulator.wtg_values("angle")[0]])
         for place, angle in enumerate((angles.min(), angles.max())):
             assert simulator.scratches[0][layout.first_rows(ISLANDS, "spread")[0] + place] == [angle]

@@ -152,10 +152,8 @@ def test_limited_currents_solve_their_equations(groups):
             scratch[first, 0], scratch[first + 1, 0] = values.real, values.imag
         _FIND_CURRENTS((np.zeros((layout.n_rows, 1)), scratch), network.tables)
         first = layout.first_rows(UNITS, "current")
-        current, reactance = (
-            scratch[first, 0] + 1j * scratch[first + 1, 0],
-            scratch[layout.first_rows(EXTENSIONS, "reactance"), 0],
-        )
+        current = scratch[first, 0] + 1j * scratch[first + 1, 0]
+        reactance = scratch[layout.first_rows(EXTENSIONS, "reactance"), 0]
         # I = Y (V - j X I), with X above zero where the current is at its limit, and zero where it is below.
         behind = np.append(np.zeros(n - m), reactance)
         assert current == pytest.approx(admittance @ (voltage - 1j * behind * current), abs=1e-9)

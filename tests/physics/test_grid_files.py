@@ -137,9 +137,7 @@ def test_a_parallel_line_trips_by_its_circuit():
     trips = (LineTrip(time_s=0.1, from_bus=7, to_bus=8), LineTrip(time_s=0.2, from_bus=8, to_bus=7, circuit=2))
     still = dict(wind_speed=np.zeros((0, 1)), duration_s=1.0, load_noise_bus=7)
     with pytest.raises(ValueError, match="would split the network"):
-        Simulator(Plant(case=case, groups=()), duration_s=1.0).prepare(
-            [Scenario(name="both", events=trips, **still)], []
-        )
+        Simulator(Plant(case=case, groups=()), duration_s=1).prepare([Scenario(name="both", events=trips, **still)], [])
 
 
 def test_bridges_are_what_takes_the_network_apart():
@@ -170,10 +168,8 @@ def test_the_sparse_power_flow_finds_what_the_dense_one_finds(name):
     case, at = get_grid(name).case, network.PowerFlow(power=0, polar=2, holds_voltage=4, flow=5, voltage=7)
     ends = np.array([[case.bus_index(b.from_bus), case.bus_index(b.to_bus)] for b in case.branches])
     shunts = np.array([complex(bus.shunt_mw, bus.shunt_mvar) / case.base_mva for bus in case.buses])
-    y, slack = (
-        network.assemble_admittance(ends, network.branch_admittances(case.branches), shunts),
-        case.bus_index(case.slack_bus),
-    )
+    y = network.assemble_admittance(ends, network.branch_admittances(case.branches), shunts)
+    slack = case.bus_index(case.slack_bus)
     dense = np.zeros((len(case.buses), 9))
     for row, bus in zip(dense, case.buses, strict=True):
         row[0], row[1] = -bus.load_mw / case.base_mva, -bus.load_mvar / case.base_mva

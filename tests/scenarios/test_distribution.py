@@ -54,11 +54,8 @@ def check(scenario: sc.Scenario, source: ScenarioDistribution, duration_s: float
         first, last = getattr(point, key)
         assert first <= getattr(scenario, key) <= last
     trips = [event for event in scenario.events if isinstance(event, sc.LineTrip)]
-    outages = [
-        event
-        for event in scenario.events
-        if isinstance(event, sc.GovernorLoss | sc.GroupTrip | sc.MachineOutage | sc.Fault)
-    ]
+    kinds = sc.GovernorLoss | sc.GroupTrip | sc.MachineOutage | sc.Fault
+    outages = [event for event in scenario.events if isinstance(event, kinds)]
     load_events = [event for event in scenario.events if event not in trips and event not in outages]
     machines = [event for event in outages if isinstance(event, sc.MachineOutage)]
     faults = [event for event in outages if isinstance(event, sc.Fault)]
@@ -75,11 +72,8 @@ def check(scenario: sc.Scenario, source: ScenarioDistribution, duration_s: float
     for event in scenario.events:
         if isinstance(event, sc.GovernorLoss) and event.time_s == 0.0:
             continue
-        assert (
-            min(3.0, 0.5 * duration_s) - 0.05
-            <= event.time_s
-            <= max(duration_s - source.quiet_end_s, 0.5 * duration_s) + 0.05
-        )
+        first, last = min(3.0, 0.5 * duration_s), max(duration_s - source.quiet_end_s, 0.5 * duration_s)
+        assert first - 0.05 <= event.time_s <= last + 0.05
         if source.last_event_s is not None:
             assert event.time_s <= source.last_event_s + 0.05
         assert event.time_s == round(event.time_s, 1)

@@ -57,11 +57,7 @@ CASES: dict[str, tuple[Any, dict[str, Any], float]] = {
         {},
         0.34,
     ),
-    "load of a bus that is tripped": (
-        [sc.LoadTrip(time_s=5.0, bus=2), MORE, sc.GroupTrip(time_s=20.0, group=0)],
-        {},
-        -0.06,
-    ),
+    "a tripped bus": ([sc.LoadTrip(time_s=5.0, bus=2), MORE, sc.GroupTrip(time_s=20.0, group=0)], {}, -0.06),
     "group": ([sc.GroupTrip(time_s=5.0, group=0)], {}, -0.06),
     "group that is back": ([sc.GroupTrip(time_s=5.0, group=0, returns_after_s=5.0), MORE], {}, 137 / 160 - 1.03),
     "generator": ([sc.MachineOutage(time_s=5.0, bus=1)], {}, -0.53),
