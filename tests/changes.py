@@ -8,7 +8,6 @@ from typing import Any
 
 from hypothesis import strategies as st
 
-#: What stands in the place of a value.
 ODD = [
     *(None, True, False, 0, -1, 1, 2**63, -(2**63), 2**64 - 1, 10**400),
     *(0.5, -0.5, 1e-300, 1e18, -1e308, 1e308, math.nan, math.inf, -math.inf),

@@ -2,9 +2,7 @@
 
 import contextlib
 import signal
-import subprocess
 import sys
-import time
 from collections.abc import Callable, Iterator
 from types import FrameType
 from typing import Any
@@ -19,16 +17,6 @@ def interrupted(function: Callable[..., Any], when: Callable[..., bool] = lambda
         return function(*arguments, **named)
 
     return call
-
-
-def end(process: subprocess.Popen[Any], sign: int, when: Callable[[], bool]) -> str:
-    """Send a signal to a running process as soon as `when` is true; return what it said on stderr."""
-    until = time.monotonic() + 240.0
-    while not when():
-        assert process.poll() is None and time.monotonic() < until
-        time.sleep(0.001)
-    process.send_signal(sign)
-    return process.communicate(timeout=100)[1] or ""
 
 
 @contextlib.contextmanager

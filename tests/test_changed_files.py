@@ -95,7 +95,6 @@ def test_a_changed_file_is_read_or_refused_in_a_line_with_its_name(tmp_path, kin
     read_or_refused(path, read)
 
 
-#: Kinds of files with a command that reads one, and plays a second with it at most.
 COMMANDS = {
     "ieee14": ["grid", "check", "grid.json"],
     "suite": ["suites", "suite.json", "--seed", "10000"],

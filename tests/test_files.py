@@ -69,7 +69,6 @@ def odd(tmp_path):
         os.mkfifo(tmp_path / "pipe")
         (tmp_path / "device").symlink_to("/dev/zero")
     with (tmp_path / "large").open("wb") as file:
-        # Takes no space on the disk.
         file.truncate(2**40)
     return tmp_path
 

@@ -65,7 +65,6 @@ def test_phase_margins_are_those_of_the_paper(loop, margin_deg):
 
 @pytest.fixture(scope="module")
 def written(tmp_path_factory):
-    """The folder that the study has written into."""
     folder = tmp_path_factory.mktemp("docs")
     paper.main(folder)
     return folder / "validation"

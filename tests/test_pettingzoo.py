@@ -35,7 +35,6 @@ CASES: dict[str, dict[str, Any]] = {
 
 
 def split(env: GFMWTGParallelEnv, joint: np.ndarray) -> dict[str, np.ndarray]:
-    """Return the action of each agent that is there."""
     parts = dict(zip(env.possible_agents, joint.reshape(len(env.possible_agents), -1), strict=True))
     return {agent: parts[agent] for agent in env.agents}
 

@@ -22,7 +22,6 @@ ROOT = Path(__file__).resolve().parent.parent
 #: Packages that extras bring and `pip install .` does not.
 EXTRAS = ("bokeh", "joblib", "matplotlib", "onnx", "pettingzoo", "PIL", "pygame", "rich", "stable_baselines3", "torch")
 NOTEBOOKS = sorted((ROOT / "docs/notebooks").glob("*.ipynb"))
-#: Every page of docs/.
 DOCS = sorted(str(page.relative_to(ROOT)) for page in (ROOT / "docs").rglob("*.md"))
 PAGES = ["README.md", "CHANGELOG.md", "CONTRIBUTING.md", *DOCS, "agents/README.md", "tests/golden/README.md"]
 
@@ -108,7 +107,6 @@ def test_every_program_of_another_library_is_on_its_page_and_names_its_packages(
 
 
 def anchors(page: Path) -> set[str]:
-    """Return the names under which GitHub finds a page's headings."""
     text = re.sub(r"^```.*?^```", "", page.read_text(encoding="utf-8"), flags=re.MULTILINE | re.DOTALL)
     headings = re.findall(r"^#+ (.*)$", text, flags=re.MULTILINE)
     return {re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-") for heading in headings}

@@ -8,9 +8,6 @@ from pathlib import Path
 
 import pytest
 
-#: Says what the script answers to a pull request that makes a change: its exit code, and all that it says.
-Judge = Callable[[Callable[[Path], object]], tuple[int, str]]
-
 SCRIPT = Path(__file__).parent.parent / ".ci" / "submissions"
 
 pytestmark = pytest.mark.skipif(
@@ -28,7 +25,6 @@ def git(folder: Path, *arguments: str) -> str:
 
 
 def entry(name: str) -> Callable[[Path], object]:
-    """Adds the folder of an entry."""
 
     def add(checkout: Path) -> None:
         folder = checkout / "agents" / "policies" / name

@@ -8,6 +8,7 @@ import pytest
 import yaml
 from stable_baselines3.common.base_class import BaseAlgorithm
 
+from agents.export import export
 from agents.run import Run, RunSettings, folders
 from agents.train import main, train
 from tests.interruption import interrupted
@@ -32,7 +33,6 @@ CONFIGS: dict[str, dict[str, Any]] = {
 
 
 def config_file(folder: Path, algo: str, **changes: Any) -> str:
-    """Write the configuration of a small run and return its path."""
     path = folder / f"{algo}.yml"
     path.write_text(yaml.safe_dump({ENV_ID: {**CONFIGS[algo], **changes}}))
     return str(path)
@@ -63,6 +63,24 @@ def stopped_after(timesteps: int, like: Path, folder: Path) -> Path:
         train(Run.new(folder, Run.read(like).settings))
     assert [int(path.name) for path in folders(folder / "checkpoints")] == [timesteps]
     return folder
+
+
+def run_and_interrupted_run(main: Any, options: list[str], interrupt: Any, folder: Path) -> list[Run]:
+    """Return a run, and one that is interrupted after its second validation and resumed; the last policies count."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(Run, "best", property(lambda run: run.curve[-1]))
+        assert main([*options, "--output", str(folder / "one")]) == 0
+        with pytest.MonkeyPatch.context() as broken:
+            interrupt(broken, lambda *_: len(Run.read(folder / "two").curve) == 2)
+            assert main([*options, "--output", str(folder / "two")]) == 130
+        for _ in range(2):
+            assert main(["--resume", str(folder / "two")]) == 0
+        export(folder / "one", folder / "entry", name="mine")
+    runs = [Run.read(folder / name) for name in ("one", "two")]
+    curves = [[{**row, "wall_time_s": 0.0} for row in run.curve] for run in runs]
+    assert curves[0] == curves[1] and len(curves[0]) == 3
+    assert [(run.finished, len(run.resumptions)) for run in runs] == [(True, 0), (True, 1)]
+    return runs
 
 
 class Normalized:

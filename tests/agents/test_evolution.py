@@ -7,9 +7,8 @@ import pytest
 import torch
 
 from agents.evolution import EvolutionLearner, GroupPolicy, Hyperparameters, Population, main
-from agents.export import export
-from agents.run import Run, folders
-from tests.agents.small import largest_difference
+from agents.run import folders
+from tests.agents.small import largest_difference, run_and_interrupted_run
 from tests.interruption import interrupted
 from wtg_gym.envs import EnvSettings
 from wtg_gym.policies.entry_folder import load_entries
@@ -69,7 +68,6 @@ def test_what_is_lowered_is_minus_the_score_in_hundreds_and_what_the_mark_asks()
     found = [each.objectives(policy, np.zeros((4, policy.n_parameters)), scenarios) for each in (plain, weighed)]
     costs = plain.lanes.cost_sums().sum(axis=1)[:3]
     strata = [plain.lanes.suite.stratum(scenario.seed or 0) for scenario in scenarios]
-    # J0 of the strata, and Λ.
     offsets, scale = np.array([{"ample": 40.0, "tight": 200.0, "short": 1000.0}[name] for name in strata]), V1.scale
     assert found[0] == pytest.approx(np.mean(np.log(costs + offsets) / scale))
     extremes = [weighed.lanes.simulator.lane_values(name)[:3] for name in ("coi_min", "coi_max")]
@@ -78,27 +76,18 @@ def test_what_is_lowered_is_minus_the_score_in_hundreds_and_what_the_mark_asks()
     assert found[1] - found[0] == pytest.approx(np.mean(costs / offsets / scale + bad)) and bad.any()
 
 
-def test_run_repeats_also_after_an_interruption_and_is_exported(tmp_path, monkeypatch):
-    # The last of the policies counts as the best.
-    monkeypatch.setattr(Run, "best", property(lambda run: run.curve[-1]))
-    one, two = tmp_path / "one", tmp_path / "two"
-    assert main([*OPTIONS, "--output", str(one)]) == 0
-    with monkeypatch.context() as patch:
-        stop = interrupted(EvolutionLearner.tell, when=lambda *_: Run.read(two).curve[-1]["timesteps"] == 9600)
-        patch.setattr(EvolutionLearner, "tell", stop)
-        assert main([*OPTIONS, "--output", str(two)]) == 130
-    assert main(["--resume", str(two)]) == 0
-    saved = [folders(each / "checkpoints")[0] / "state.pickle" for each in (one, two)]
+def test_run_repeats_also_after_an_interruption_and_is_exported(tmp_path):
+    def interrupt(patch, when):
+        patch.setattr(EvolutionLearner, "tell", interrupted(EvolutionLearner.tell, when))
+
+    runs = run_and_interrupted_run(main, OPTIONS, interrupt, tmp_path)
+    saved = [folders(run.folder / "checkpoints")[0] / "state.pickle" for run in runs]
     weights = [pickle.loads(path.read_bytes())[1] for path in saved]
     assert np.array_equal(*weights) and weights[0][-3:].any()  # direct ones, which begin at 0
-    scores = [[row["score"] for row in Run.read(each).curve] for each in (one, two)]
-    assert scores[0] == scores[1] and len(scores[0]) == 3
-
-    export(one, tmp_path / "entry", name="mine")
-    (entry,), settings = load_entries(tmp_path / "entry"), Run.read(one).settings
+    (entry,) = load_entries(tmp_path / "entry")
     policy = GroupPolicy(n_wtg=2, n_own=10, n_action=2, hidden=3, control_dt=0.1)
     policy.weights.copy_(torch.from_numpy(weights[0]))
-    assert largest_difference(TorchPolicy(policy), entry.policy, settings) <= 1e-6
+    assert largest_difference(TorchPolicy(policy), entry.policy, runs[0].settings) <= 1e-6
 
 
 def test_widths_are_checked(tmp_path, capsys):

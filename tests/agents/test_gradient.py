@@ -9,10 +9,9 @@ import pytest
 import torch
 
 from agents import gradient
-from agents.export import export
 from agents.gradient import Failures, GradientLearner, GradientPolicy, Hyperparameters, Loss, costs_of, descend, main
-from agents.run import Run, draw, folders
-from tests.agents.small import largest_difference
+from agents.run import draw, folders
+from tests.agents.small import largest_difference, run_and_interrupted_run
 from tests.interruption import interrupted
 from wtg_gym.envs import EnvSettings
 from wtg_gym.envs.lanes import TaskLanes
@@ -25,7 +24,6 @@ from wtg_gym.scenarios import get_suite
 OPTIONS = ["--suite", "standard", "--timesteps", "2400", "--interval", "1200"]
 OPTIONS += ["--n-envs", "2", "--validation-episodes", "2"]
 
-#: As `tests/gradients` has it, whose machine code is shared.
 V1: dict[str, Any] = {"version": "v1"}
 
 
@@ -65,7 +63,6 @@ def test_a_failure_comes_gradually():
     falling[0, names.index("frequency_pu")] = 0.95
     for terms in (alive, charged):
         assert failures.costs(terms, failures.watched(outputs)).item() == pytest.approx(terms.sum().item())
-        # The failure that comes gradually is counted once.
         found = failures.costs(terms, failures.watched(falling)).item()
         assert found == pytest.approx(40.0 + SHARE * (250.0 * 181.0 - 40.0))
 
@@ -126,27 +123,14 @@ def test_a_batch_of_v1_holds_as_many_of_each_stratum():
     assert same == scenarios[0].seed != other
 
 
-def test_run_repeats_also_after_an_interruption_and_is_exported(tmp_path, monkeypatch):
-    # The last of the policies counts as the best.
-    monkeypatch.setattr(Run, "best", property(lambda run: run.curve[-1]))
-    one, two = tmp_path / "one", tmp_path / "two"
-    options = [*OPTIONS, "--hidden", "8", "--lstm", "4"]
-    assert main([*options, "--output", str(one)]) == 0
+def test_run_repeats_also_after_an_interruption_and_is_exported(tmp_path):
+    def interrupt(patch, when):
+        patch.setattr(gradient, "descend", interrupted(descend, when))
 
-    with monkeypatch.context() as patch:
-        stop = interrupted(descend, when=lambda *_: Run.read(two).curve[-1]["timesteps"] == 1200)
-        patch.setattr(gradient, "descend", stop)
-        assert main([*options, "--output", str(two)]) == 130
-    for _ in range(2):
-        assert main(["--resume", str(two)]) == 0
-    runs, saved = [Run.read(folder) for folder in (one, two)], [folders(each / "checkpoints")[0] for each in (one, two)]
+    runs = run_and_interrupted_run(main, [*OPTIONS, "--hidden", "8", "--lstm", "4"], interrupt, tmp_path)
+    saved = [folders(run.folder / "checkpoints")[0] for run in runs]
     states = [torch.load(path / "state.pt", weights_only=True)["policy"] for path in saved]
     assert all(torch.equal(states[0][key], states[1][key]) for key in states[0])
-    curves = [[{**row, "wall_time_s": 0.0} for row in run.curve] for run in runs]
-    assert curves[0] == curves[1] and len(curves[0]) == 3
-    assert [(run.finished, len(run.resumptions)) for run in runs] == [(True, 0), (True, 1)]
-
-    export(one, tmp_path / "entry", name="mine")
     (entry,), h = load_entries(tmp_path / "entry"), Hyperparameters(**runs[0].settings.hyperparameters)
     lanes = TaskLanes(EnvSettings(**runs[0].settings.env_arguments), 1, 1)
     learner = GradientLearner(GradientPolicy(lanes.n_observation, lanes.n_action, h.hidden, h.lstm), h)

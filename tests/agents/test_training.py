@@ -5,9 +5,6 @@ import functools
 import json
 import re
 import shutil
-import signal
-import subprocess
-import sys
 from pathlib import Path
 from typing import Any
 
@@ -19,8 +16,7 @@ from agents.export import export
 from agents.export import main as export_command
 from agents.run import Run, folders, held, save_folder
 from agents.train import TRAINED, SB3Learner, load_model, main, new_model
-from tests.agents.small import V0, Normalized, config_file, largest_difference, options, stopped_after, trained
-from tests.interruption import end
+from tests.agents.small import V0, Normalized, config_file, largest_difference, stopped_after, trained
 from wtg_gym.evaluation import OnnxPolicy, load_entries
 from wtg_gym.policies.gate import check_submission
 
@@ -35,7 +31,6 @@ def run_of(tmp_path_factory):
 
 @pytest.fixture
 def copied(run_of, tmp_path):
-    """A copy of that of PPO."""
     return Path(shutil.copytree(run_of("ppo"), tmp_path / "run"))
 
 
@@ -54,7 +49,6 @@ def test_interrupted_run_goes_on_from_its_checkpoint_in_other_scenarios(algo, ru
     (checkpoint,), run = folders(stopped / "checkpoints"), Run.read(stopped)
     first, restored = new_model(run.settings), load_model(checkpoint, run.settings)
     assert restored.num_timesteps == 256
-    # Weights and normalisation are those that were validated.
     assert run.validate(SB3Learner(restored), 256)["score"] == run.curve[-2]["score"]
     starts = [torch.as_tensor(model.get_env().reset()) for model in (first, restored)]
     assert not same(*starts)
@@ -65,7 +59,6 @@ def test_interrupted_run_goes_on_from_its_checkpoint_in_other_scenarios(algo, ru
     assert [row["timesteps"] for row in resumed.curve] == [0, 256, 512, 768]
     assert [row["score"] for row in resumed.curve[:2]] == [row["score"] for row in undisturbed.curve[:2]]
     assert resumed.finished and (len(resumed.resumptions), len(undisturbed.resumptions)) == (1, 0)
-    # A finished run stays as it is.
     assert main(["--resume", str(stopped)]) == 0 and len(Run.read(stopped).resumptions) == 1
 
 
@@ -77,24 +70,12 @@ def test_export_plays_as_the_learner_and_passes_the_gate(algo, run_of, tmp_path)
     assert report.accepted, report.refusal
     (entry,) = load_entries(tmp_path / "entry")
     assert (entry.name, entry.training_seed, entry.kind, entry.source) == ("mine", 0, "learned", "A. Author")
-    # The run's own best policy is the same entry.
     ((best,), (checkpoint,)) = (folders(folder / name) for name in ("best", "checkpoints"))
     assert (best / "policy.onnx").read_bytes() == (tmp_path / "entry" / "policy.onnx").read_bytes()
     if algo != "ippo":
         model = load_model(checkpoint, run.settings)
         assert largest_difference(Normalized(model), OnnxPolicy(best / "policy.onnx"), run.settings) <= 1e-6
         model.get_env().close()
-
-
-def test_killed_process_leaves_a_run_that_goes_on_to_its_end(tmp_path):
-    killed = tmp_path / "killed"
-    command = [sys.executable, "-m", "agents.train", *options(tmp_path, "ppo"), "--output", str(killed)]
-    process = subprocess.Popen(command, cwd=ROOT)
-    end(process, signal.SIGKILL, (killed / "checkpoints" / f"{0:012d}").exists)
-    assert process.returncode == -signal.SIGKILL
-    assert main(["--resume", str(killed)]) == 0
-    run = Run.read(killed)
-    assert run.finished and [row["timesteps"] for row in run.curve] == [0, 256, 512, 768]
 
 
 @pytest.mark.parametrize("missing", ["row", "checkpoint"])

@@ -56,7 +56,6 @@ def test_mean_droop_acts_on_the_mean_deviation_and_spares_slow_rotors():
     observation[0, 3::7] = (speeds_pu - 1.0) / 0.25
     policy = MeanDroop(full_action_hz=0.5, slow_rotor_pu=0.7, rotor_gain=5.0)
     assert policy.predict(observation)[0] == pytest.approx(np.array([[0.2, 0.2, -0.3, -1.0]]))
-    # Arrays of numbers are several policies at once.
     own = np.repeat(observation.reshape(1, 1, 4, 7), 2, axis=1)
     several = MeanDroop(*(np.array([[a], [b]]) for a, b in ((0.5, 1.0), (0.7, 0.5), (5.0, 1.0))))
     both = several.act(own[..., 0], own[..., 3])

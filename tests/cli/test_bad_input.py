@@ -15,14 +15,12 @@ from wtg_gym.scenarios import get_suite
 #: A command line, and what its error says.
 BAD = [
     ("fly", "fly"),
-    # Wrong usage of options.
     ("simulate --wnd 8", "--wnd"),
     ("simulate --wind strong", "strong"),
     ("play --speed 0", "Must be >= 0.1"),
     ("results page --output page.html", "RESULTS"),
     ("submission check", "FOLDERS"),
     ("evaluate --entries", "--entries requires at least 1 element"),
-    # One scenario.
     ("simulate --wind 8 --wind-csv wind.csv", "--wind and --wind-csv exclude each other"),
     ("simulate --scenario good.json --seed 3 --suite standard", "--scenario and --seed exclude each other"),
     ("simulate --strategy turbo", "unknown strategy 'turbo'; known strategies: mppt"),
@@ -43,7 +41,6 @@ BAD = [
     ("simulate --wind-csv nowhere.csv", "nowhere.csv: No such file"),
     ("simulate --wind-csv wind.csv", "the series ends after 7 s, at least 120 s"),
     ("simulate --wind-csv wind.csv --suite paper-v1 --duration 6", "wind for 2 WTG groups, paper-v1 has 4"),
-    # Scores.
     ("evaluate --entries turbo", "'turbo'"),
     ("evaluate --entries mppt mppt", "the entry mppt is given twice"),
     ("evaluate --entries best", "the folder best holds no entry.toml; several folders are best/*"),
@@ -62,7 +59,6 @@ BAD = [
     ("evaluate --address tcp://head:8786", "--address is for workers: say which with --backend loky, dask"),
     ("evaluate --backend loky --address tcp://head:8786", "loky has workers on this machine only"),
     ("evaluate --backend loky --threads 2", "--threads 2: a worker steps with one thread"),
-    # Pages and results.
     ("leaderboard --suite paper --readme nowhere.md", "cannot read the file with the markers"),
     ("leaderboard --suite paper --readme file.txt", "must have the markers <!-- leaderboard:paper:start -->"),
     ("results recompute nowhere.json", "nowhere.json"),
@@ -75,7 +71,6 @@ BAD = [
     ("submission new best/1000", "has entry.toml already"),
     ("submission new a_folder!", "the folder's name must be 1 … 80"),
     ("play --seed -1", "is in no split of suite 'standard-v1'"),
-    # Names of files are shown with escapes.
     ("simulate --scenario no-\x1b[31m-file.json", r"no-\x1b[31m-file.json"),
     ("results recompute no-\u202efile.json", r"no-\u202efile.json"),
     ("evaluate --entries no-\x1b[31m-file", r"no-\x1b[31m-file"),

@@ -18,7 +18,6 @@ from wtg_gym.physics.grid import get_grid
 
 @pytest.fixture(scope="module")
 def network(tmp_path_factory):
-    """IEEE 39 as pandapower has it, without dynamics."""
     path = tmp_path_factory.mktemp("networks") / "new england.json"
     pandapower.to_json(pandapower.networks.case39(), str(path))
     return path
@@ -61,14 +60,12 @@ def test_a_network_without_a_power_flow_is_refused_in_a_line(tmp_path, capsys):
 
 
 def imported(path: Path, capsys: pytest.CaptureFixture[str]) -> tuple[int, str]:
-    """The exit code of an import, and the last line that it says."""
     code = main(["grid", "import", str(path), "--output", str(path.parent / "out.json")])
     return code, capsys.readouterr().err.splitlines()[-1]
 
 
 @pytest.fixture(scope="module")
 def nine():
-    """A network of nine buses as data."""
     return json.loads(pandapower.to_json(pandapower.networks.case9()))
 
 

@@ -1,6 +1,7 @@
 """`wtg-gym report` as a user calls it."""
 
-from html.parser import HTMLParser
+import html
+import re
 
 import pytest
 
@@ -10,41 +11,11 @@ from wtg_gym.cli import main
 pytest.importorskip("matplotlib")
 
 HEADINGS = [
-    "Score",
-    "Where control decides",
-    "Bad runs",
-    "Scenarios",
-    "Operators' tests",
-    "Faults of sensors",
-    "Energy",
-    "Damping",
+    *("Score", "Where control decides", "Bad runs", "Scenarios"),
+    *("Operators' tests", "Faults of sensors", "Energy", "Damping"),
 ]
 NAME = "a & b"
 LAW = f'name = "{NAME}"\nk_min = 0.75\nk_nominal = 0.7\nk_max = 0.6\ntau_s = 0.8\n'
-
-
-class _Page(HTMLParser):
-    """Headings, texts, and where pictures come from; tags must close in turn."""
-
-    def __init__(self, text: str) -> None:
-        super().__init__()
-        self.open: list[str] = []
-        self.headings: list[str] = []
-        self.sources: list[str] = []
-        self.feed(text)
-        assert not self.open
-
-    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
-        if tag not in ("meta", "br", "img"):
-            self.open.append(tag)
-        self.sources += [value or "" for key, value in attrs if key in ("src", "href")]
-
-    def handle_endtag(self, tag: str) -> None:
-        assert self.open.pop() == tag
-
-    def handle_data(self, data: str) -> None:
-        if self.open[-1:] == ["h2"]:
-            self.headings.append(data)
 
 
 def test_a_page_has_every_section_loads_nothing_and_escapes_names(tmp_path):
@@ -53,9 +24,8 @@ def test_a_page_has_every_section_loads_nothing_and_escapes_names(tmp_path):
     page = tmp_path / "page.html"
     assert main(["report", str(law), "--episodes", "3", "--seed", "20000", "--output", str(page)]) == 0
     text = page.read_text(encoding="utf-8")
-    parsed = _Page(text)
-    assert parsed.headings == HEADINGS
-    assert len(parsed.sources) == 2 and all(source.startswith("data:image/") for source in parsed.sources)
+    assert [html.unescape(heading) for heading in re.findall("<h2[^>]*>(.*?)</h2>", text)] == HEADINGS
+    assert re.findall('(?:src|href)="(.{11})', text) == ["data:image/"] * 2
     assert "a &amp; b" in text and NAME not in text
     assert f"--seeds 20000 --entries {law}" in text
 

@@ -13,7 +13,6 @@ from wtg_gym.evaluation.recompute import departures, recompute
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
-    """Results of four scenarios of v0."""
     folder = tmp_path_factory.mktemp("results")
     short = ["evaluate", "--suite", "standard", "--entries", "deloaded-5", "--duration", "10"]
     assert main([*short, "--split", "test", "--scenarios", "4", "--results", str(folder)]) == 0

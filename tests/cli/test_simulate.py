@@ -43,7 +43,6 @@ def test_wind_and_groups_follow_each_other(capsys):
     data = json_of(capsys, "simulate", "--duration", "1", "--wind", "9", "8", "7", "--json")
     assert data["scenario"]["mean_wind_m_s"] == [9.0, 8.0, 7.0]
     assert len(data["plant"]["groups"]) == 3
-    # A suite of v1 keeps its grid.
     data = json_of(capsys, "simulate", "--suite", "paper-v1", "--duration", "1", "--wind", "9", "--json")
     assert data["scenario"]["mean_wind_m_s"] == [9.0] * 4
     assert [group["bus"] for group in data["plant"]["groups"]] == [2, 3, 6, 8]
@@ -59,7 +58,6 @@ def test_suite_of_v1_runs_in_its_own_grid(capsys, tmp_path):
         (episode,) = played.episodes_of(run["strategy"])
         # The least frequency may lie within a control interval; the command rounds to nine decimals.
         assert -1e-9 < run["nadir_hz"] - episode.metrics["nadir_hz"] < 1e-4
-    # The same scenario as a file, in the suite's grid.
     assert main(["suites", "standard-v1", "--seed", "10003", "--json"]) == 0
     path = tmp_path / "scenario.json"
     path.write_text(capsys.readouterr().out)

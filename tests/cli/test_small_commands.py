@@ -30,7 +30,6 @@ def test_suite_of_v1_is_shown_with_its_grid_sensors_and_task(capsys):
     assert data["sensors"]["wind_sensor"] is False and data["plant"]["physics"] == "extended"
 
 
-#: What is called after a warmup.
 _COMMANDS = """
 from wtg_gym.cli import main
 

@@ -51,8 +51,6 @@ _VARIANTS["v1"] = {
 
 
 class _Answers:
-    """Collects observations, rewards and ends."""
-
     def __init__(self) -> None:
         self._hash = hashlib.sha256()
         self._n_ends = 0
@@ -97,7 +95,6 @@ def _single(**settings: Any) -> dict[str, Any]:
 
 
 def cases(version: str) -> dict[str, Callable[[], dict[str, Any]]]:
-    """Return what plays each case of a version of the benchmark, by its name."""
     found: dict[str, Callable[[], dict[str, Any]]] = {}
     modes = list(itertools.product(ACTION_MODES, OBSERVATION_MODES))
     splits = itertools.cycle(("train", "validation", "test"))

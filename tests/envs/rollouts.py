@@ -17,7 +17,6 @@ MODES = (AutoresetMode.NEXT_STEP, AutoresetMode.SAME_STEP, AutoresetMode.DISABLE
 ACTION_MODES = ("k", "tau", "k+tau")
 OBSERVATION_MODES = ("local", "privileged")
 VERSIONS = ("v0", "v1")
-#: Groups of the standard suite.
 N_WTG = {"v0": 2, "v1": 4}
 
 
@@ -56,7 +55,6 @@ def rising(duration_s: float = 20.0) -> sc.Scenario:
 
 
 def calm(wind: float = 9.0, duration_s: float = 4.0, n_wtg: int = 2, **changes: Any) -> sc.Scenario:
-    """Return a scenario in which nothing happens."""
     return sc.Scenario(name="calm", wind_speed=np.full((n_wtg, 1), wind), duration_s=duration_s, **changes)
 
 
@@ -143,18 +141,15 @@ def _lane_step(
 
 
 def lane_info(infos: dict[str, Any], lane: int) -> dict[str, Any]:
-    """Return one lane's info out of a batch's."""
     keys = [key for key in infos if not key.startswith(("_", "final_"))]
     return {key: infos[key][lane] for key in keys if infos[f"_{key}"][lane]}
 
 
 def n_resets(steps: list[Step]) -> int:
-    """Return how many episodes ended in a lane's steps."""
     return sum(step[2] or step[3] for step in steps)
 
 
 def reasons(steps: list[Step]) -> set[str]:
-    """Return why episodes ended in a lane's steps."""
     # Where an episode was restarted within the step, its own info is the final one.
     infos = (step[4] if step[5] is None else step[5][4] for step in steps if step[2] or step[3])
     return {info["termination_reason"] for info in infos}
@@ -173,7 +168,6 @@ def episode(env: GFMWTGEnv, action: Any = 0.0, **reset: Any) -> Iterator[tuple[f
 
 
 def digest(n_lanes: int = 17, n_steps: int = 45, n_threads: int | None = None, **settings: Any) -> str:
-    """Return the sha256 of a seeded rollout of a batch."""
     env = GFMWTGVectorEnv(n_lanes, n_threads=n_threads, **{"version": "v0", "duration_s": 2.0, **settings})
     lanes = vector_steps(env, actions_of(1, n_steps, n_lanes, env.single_action_space.shape[0]), seed=11)
     env.close()

@@ -29,7 +29,6 @@ QUICK = TrackingLaw(name="quick", k_min=0.7, k_nominal=0.6, k_max=0.5, damping_t
 LONG_STEPS = {"control_dt": 0.2, "plant": {"simulation_dt": 0.04}, "scenario": calm().to_dict()}
 SLOW = Scenario(name="slow", wind_speed=np.array([[8.0], [4.5]]))
 
-# Arguments of both environments, and a pattern of what the message names. Version v0 where none is given.
 SETTINGS: list[tuple[dict[str, Any], str]] = [
     ({"strategy": "x"}, "unknown strategy 'x'.*mppt.*coordinated-piecewise"),
     ({"action_mode": "x"}, "action_mode 'x'.*k, tau, k.tau"),
@@ -152,13 +151,11 @@ def test_wrong_seeds_and_options_are_refused_and_leave_the_stream_of_scenarios_a
     env, twin = (kind(duration_s=4.0, version="v0") for _ in range(2))
     env.reset(seed=5), twin.reset(seed=5)
     for wrong in RESETS[batch]:
-        # Gymnasium raises its own error for seeds.
         with pytest.raises((ValueError, gym.error.Error), match=r"(?i)seed|scenario|reset_mask"):
             env.reset(**wrong)
     assert np.all(env.reset()[1]["scenario_seed"] == twin.reset()[1]["scenario_seed"])
 
 
-#: For each rule an action of one lane that breaks it.
 WRONG: dict[str, Any] = {
     "nan": [0.0, NAN, 0.0, 0.0],
     "infinite": np.array([0.0, 0.0, 0.0, np.inf], dtype=np.float32),

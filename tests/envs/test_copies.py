@@ -62,7 +62,6 @@ def test_snapshot_branches_as_often_as_asked_whatever_is_played_between(n_lanes)
         branches.append(steps_of(env, actions))
         env.reset(options={"scenario": MANY_EVENTS} if n_lanes is None else {"scenarios": [MANY_EVENTS] * n_lanes})
     assert branches[0] == branches[2] and branches[1] == branches[3] and branches[0][0][:25] != branches[1][0]
-    # Into another environment, and beside one that goes on without it.
     assert branches[0] == steps_of(twin, AFTER)
     twin.restore(start)
     assert branches[0] == steps_of(twin, AFTER)

@@ -57,7 +57,6 @@ def test_the_frequency_charged_is_that_of_the_worst_connected_unit_without_a_cap
         rate = ratio**2 if ratio < 1.0 else 1.0 + 8.0 * (ratio - 1.0)
         assert terms["frequency"] == pytest.approx(0.1 * rate, rel=1e-9)
         apart, largest = max(apart, worst - centre), max(largest, rate)
-    # The worst unit's is another frequency than the centre's, and beyond the cap of the other terms.
     assert apart > 0.05 and largest > reached
 
 

@@ -42,7 +42,6 @@ def test_stall_costs_more_than_any_way_of_living_on(weights):
     cap = (weights or {}).get("cap", CostWeights().cap)
     living_on = cap * (60.0 - 0.1 * (rewards.size - 1))
     assert -rewards[-1] > living_on
-    # Where a failure trips the group, the episode goes on without it.
     tripped, (_, terminated, truncated, info), env = play(sagging(), on_failure="trip", **settings)
     assert truncated and not terminated and tripped.size == 600 and info["termination_reason"] == ""
     assert env.lanes.simulator.wtg_values("connected").tolist() == [[0.0, 0.0]]
@@ -56,7 +55,6 @@ def test_stall_costs_more_than_any_way_of_living_on(weights):
     ("scenario", "reason", "least_hz", "most_hz"),
     [
         (GONE, "frequency limit", 0.0, 47.5),
-        # Here the frequency would have told nothing.
         (TORN, "loss of synchronism", 49.0, 51.0),
         (SAGGED, "voltage collapse", 49.0, 51.0),
         (rising(), "over-speed", 49.0, 51.0),

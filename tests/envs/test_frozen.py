@@ -10,7 +10,6 @@ from tests.envs.frozen import cases
 from wtg_gym.evaluation.circumstances import versions
 from wtg_gym.scenarios import FROZEN_HASHES, SUITES
 
-#: By version; one without a file is not frozen yet.
 RECORDED: dict[str, dict[str, Any]] = {
     path.stem.removeprefix("frozen_"): json.loads(path.read_text(encoding="utf-8"))
     for path in sorted(Path(__file__).parent.glob("frozen_v*.json"))

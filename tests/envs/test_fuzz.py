@@ -22,7 +22,6 @@ WEIGHTS = st.none() | st.dictionaries(
     st.sampled_from(["frequency", "rocof", "duty", "rotor", "overload", "effort"]),
     st.sampled_from([0.0, 1e-3, 1.0, 1e6]),
 )
-#: Control and simulation step that fit 3 s.
 STEPS = st.sampled_from([(0.1, 0.02), (0.02, 0.02), (0.1, 0.005), (0.5, 0.02), (1.0, 0.01), (3.0, 0.025)])
 ACTIONS = st.lists(st.sampled_from([-1e30, -1.0, -0.5, -1e-300, 0.0, 1e-9, 0.3, 1.0, 1e308]), min_size=1, max_size=12)
 ON_FAILURE, OBSERVATION_MODES = st.sampled_from(["terminate", "trip"]), st.sampled_from(["local", "privileged"])
@@ -32,7 +31,6 @@ REASONS = ("stall", "over-speed", "under-speed", "frequency limit", "loss of syn
 
 @st.composite
 def arguments(draw: Any) -> dict[str, Any]:
-    """Return any arguments of the environment."""
     suite = draw(st.sampled_from(sorted(SUITES)))
     sensed, n = SUITES[suite].sensors is not None, len(SUITES[suite].plant.groups)
     control_dt, simulation_dt = draw(STEPS)

@@ -23,7 +23,6 @@ Call = Callable[[Any, int], Any]
 def batch(n_threads: int, **arguments: Any) -> GFMWTGVectorEnv:
     env = GFMWTGVectorEnv(N * n_threads, n_threads=n_threads, **SHORT, **arguments)
     env.reset(seed=0)
-    # Episodes end at different times.
     for k in range(4):
         reset_some(env, k)
         step(env, k)
@@ -67,7 +66,6 @@ def reset_some(env: GFMWTGVectorEnv, k: int) -> Any:
 
 
 def native(env: Any) -> Any:
-    """Return the native environment within others."""
     for name in ("venv", "vector_env", "env", "single_env"):
         env = vars(env).get(name, env)
     return env

@@ -30,7 +30,6 @@ def drawn(seed: int) -> Scenario:
     return SUITE.scenario(seed, duration_s=30.0)
 
 
-#: Settings, scenario, actions, and J0.
 CASES: dict[str, tuple[dict[str, Any], Scenario, Floats, float]] = {
     "ample": ({"strategy": "mppt"}, drawn(20_001), ZERO, 40.0),
     "tight": ({}, drawn(20_002), RANDOM, 200.0),
@@ -54,7 +53,6 @@ def tuned(settings: dict[str, Any]) -> dict[str, Any]:
 
 
 def steps(env: GFMWTGEnv, actions: Floats) -> list[Any]:
-    """Return the steps of an episode that has begun, up to its end."""
     taken: list[Any] = []
     for action in actions:
         taken.append(env.step(action))
@@ -65,7 +63,6 @@ def steps(env: GFMWTGEnv, actions: Floats) -> list[Any]:
 
 @functools.cache
 def played(name: str) -> tuple[list[float], bool]:
-    """Return the rewards of a case, and whether it failed."""
     settings, scenario, actions, _ = CASES[name]
     env = GFMWTGEnv(scenario=scenario, **{**SHORT, **settings})
     env.reset()

@@ -15,7 +15,6 @@ def test_same_seed_gives_the_same_episodes_one_after_the_other():
     env, fresh = (GFMWTGEnv(duration_s=2.0, version="v0") for _ in range(2))
     first, again, other = (single_steps(own, ACTIONS, AutoresetMode.NEXT_STEP, seed=5) for own in (env, env, fresh))
     assert first == again == other
-    # A reset without a seed goes on with the stream.
     streams = [[own.reset(seed=seed)[1]["scenario_seed"] for seed in (5, *[None] * 9)] for own in (env, fresh)]
     assert streams[0] == streams[1] and len(set(streams[0])) == 10
 

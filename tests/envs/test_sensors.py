@@ -23,7 +23,6 @@ ACTIONS = actions_of(1, 60, n_action=N_ACTION)[:, 0]
 STILL = np.zeros((60, N_ACTION))
 #: Where nothing happens a run stays in its equilibrium.
 STEADY: dict[str, Any] = {"duration_s": 6.0, "n_wtg": N_WTG}
-#: Everything that sensors can do wrong, at once.
 BAD = {
     "frequency_filter_s": 0.3,
     "frequency_noise_hz": 0.02,
@@ -37,7 +36,6 @@ BAD = {
 
 
 def drawn(sensors: Sensors | None = None, duration_s: float = 6.0, events: tuple[Event, ...] | None = None) -> Scenario:
-    """Return a scenario of the standard suite, with an early event, and with sensors of one's own."""
     scenario = get_suite("standard-v1").scenario(1_000_003, duration_s=duration_s)
     events = (LoadStep(time_s=0.525, bus=3, power_mw=25.0),) if events is None else events
     return dataclasses.replace(scenario, sensors=sensors, events=events)
@@ -53,8 +51,6 @@ def plain(delay_s: float = 0.0, **changes: Any) -> Sensors:
 
 @dataclasses.dataclass
 class Run:
-    """An episode with given actions."""
-
     env: GFMWTGEnv
     observations: Floats  # (n_steps + 1, n_observation)
     rewards: Floats
@@ -120,7 +116,6 @@ def test_without_a_wind_sensor_wind_and_ratio_read_zero_and_all_else_is_as_with_
 
 
 def huber(duty: Floats) -> Floats:
-    """Return the cost of duty errors."""
     size = np.abs(duty)
     return np.where(size < 1.0, size**2, 2.0 * size - 1.0)
 
@@ -155,7 +150,6 @@ def test_group_that_an_event_takes_away_is_not_charged_from_that_step_on(time_s,
     charged = np.arange(1, 61) < first_free
     assert ((duty[:, 2] != 0.0) == charged).all() and (duty[:, [0, 1, 3]] > 0.0).all()
     costs = np.array([info["cost_duty"] for info in run.infos])
-    # The bound of an observation hides nothing here.
     assert np.abs(duty).max() < 5.0
     weight = run.env.settings.cost_weights().duty
     assert costs == pytest.approx(weight * 0.1 * huber(duty).sum(axis=1) / N_WTG, rel=1e-5)

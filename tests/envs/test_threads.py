@@ -83,7 +83,6 @@ def test_a_second_thread_gets_an_error_and_the_first_one_its_numbers(monkeypatch
         leave.set()
         thread.join()
     alone.step(action)
-    # The first thread's step counted, the refused calls did not; afterwards the environment is free.
     for _ in range(20):
         for own, expected in zip(env.step(action)[:4], alone.step(action)[:4], strict=True):
             assert np.array_equal(own, expected)

@@ -42,7 +42,6 @@ def test_lane_of_version_v1_equals_the_single_environment_in_every_suite_and_mod
 
 
 def failing(version: str) -> dict[str, Any]:
-    """Return settings under which lanes with different actions end at different times."""
     if version == "v0":
         return {"version": "v0", "strategy": "mppt", "scenario": rollouts.sagging(7.6, 45.0).to_dict()}
     events = (GroupTrip(time_s=1.025, group=2), LoadStep(time_s=2.0, bus=3, power_mw=40.0))

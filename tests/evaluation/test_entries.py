@@ -63,7 +63,6 @@ def test_law_and_folder_of_ones_own_are_entries(tmp_path, monkeypatch):
     (entry,) = load_entries(path)
     law = TrackingLaw(name="mine", k_min=1.0, k_nominal=0.8, k_max=0.6, damping_time_constant_s=0.5)
     assert (entry.name, entry.law) == ("mine", law)
-    # It comes before a policy of that name.
     shutil.copytree(POLICIES / "ppo-k-2", tmp_path / "ppo-k-3")
     monkeypatch.chdir(tmp_path)
     assert [entry.training_seed for entry in load_entries("ppo-k-3")] == [2]

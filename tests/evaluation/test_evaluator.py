@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 import wtg_gym
+from tests.interruption import interrupted
 from wtg_gym.envs.lanes import TaskLanes
 from wtg_gym.evaluation import Entry, PolicyError, Results, evaluate, load_entries
 from wtg_gym.evaluation.evaluator import Progress
@@ -213,22 +214,14 @@ def test_wrong_argument_is_refused(entries, suite, arguments, text):
         evaluate(entries, suite, **{"split": "test", "seeds": [20_000], "duration_s": 2.0, **arguments})
 
 
-class Killed(Exception):
-    pass
-
-
 def killer(after: int) -> Progress:
-    def on_progress(name: str, done: int, total: int) -> None:
-        if done >= after:
-            raise Killed
-
-    return on_progress
+    return interrupted(lambda *_: None, when=lambda _, done, __: done >= after)
 
 
 def test_killed_run_goes_on_and_keeps_its_parts_until_the_results_are_written(results, entries, tmp_path, monkeypatch):
     partial = tmp_path / "partial"
     arguments = {"batch": 2, "partial": partial, **SHORT}
-    with pytest.raises(Killed):
+    with pytest.raises(KeyboardInterrupt):
         evaluate(entries, "standard", "test", on_progress=killer(5), **arguments)
     assert len(list(partial.iterdir())) == 3
     played: list[str] = []
@@ -236,13 +229,11 @@ def test_killed_run_goes_on_and_keeps_its_parts_until_the_results_are_written(re
     monkeypatch.setattr("wtg_gym.evaluation.evaluator.play_batch", lambda e, *r: played.append(e.name) or play(e, *r))
     again = evaluate(entries, "standard", "test", **arguments)
     assert played == ["deloaded-10", "coordinated-piecewise", "coordinated-piecewise"]
-    # A run with more entries goes on from them as well.
     more = evaluate([*entries, Entry(name="deloaded-5", strategy="deloaded-5")], "standard", "test", **arguments)
     assert played[3:] == ["deloaded-5"] * 2 and len(list(partial.iterdir())) == 8
     (partial / "of another run").touch()
     for one, other in zip(again.write(tmp_path / "a"), results.write(tmp_path / "b"), strict=True):
         assert one.read_bytes() == other.read_bytes()
-    # Results that cannot be written lose nothing.
     (tmp_path / "c" / "standard-test.json").mkdir(parents=True)
     with pytest.raises(IsADirectoryError):
         more.write(tmp_path / "c")
@@ -275,7 +266,7 @@ def test_interrupted_evaluation_ends_its_threads_and_their_policies(monkeypatch)
 
 
 def test_damaged_and_exchanged_parts_are_played_again(results, entries, tmp_path, caplog):
-    with pytest.raises(Killed):
+    with pytest.raises(KeyboardInterrupt):
         evaluate(entries, "standard", "test", on_progress=killer(9), batch=2, partial=tmp_path, **SHORT)
     cut, edited, first, second, *_ = tmp_path.iterdir()
     cut.write_text("{")
@@ -287,22 +278,15 @@ def test_damaged_and_exchanged_parts_are_played_again(results, entries, tmp_path
     assert [record.getMessage().count("is played again") for record in caplog.records] == [1] * 4
 
 
-@pytest.mark.parametrize(
-    "change",
-    [
-        {"context": ["gust", "test"]},
-        {"entry": {"name": "other"}},
-        {"entry": {"training_seed": 2}},
-        {"entry": {"fingerprint": "another policy"}},
-        {"seeds": [20_001, 20_000]},
-        {"seeds": [20_000]},
-        {"rows": {"entry": "other"}},
-        {"rows": {"training_seed": 2}},
-        {"rows": {"seed": 20_001}},
-        {},
-    ],
-    ids=str,
-)
+#: What a part was stored with, beside what is asked for.
+OTHER_PARTS: list[dict[str, Any]] = [
+    *({"entry": {key: value}} for key, value in (("name", "other"), ("training_seed", 2), ("fingerprint", "another"))),
+    *({"rows": {key: value}} for key, value in (("entry", "other"), ("training_seed", 2), ("seed", 20_001))),
+    *({"context": ["gust", "test"]}, {"seeds": [20_001, 20_000]}, {"seeds": [20_000]}, {}),
+]
+
+
+@pytest.mark.parametrize("change", OTHER_PARTS, ids=str)
 def test_a_part_is_used_for_exactly_what_it_was_stored_for(results, tmp_path, change):
     asked = {"name": "linear", "policy": Linear(0.2), "fingerprint": "a policy", "training_seed": 1}
     seeds = [20_000, 20_001]
@@ -311,10 +295,10 @@ def test_a_part_is_used_for_exactly_what_it_was_stored_for(results, tmp_path, ch
     PartialStore(tmp_path, ["standard", "test"]).save(Entry(**asked), seeds, rows)
     (wanted,) = tmp_path.iterdir()
     wanted.unlink()
-    stored_entry = Entry(**{**asked, **change.get("entry", {})})
-    stored_rows = [dataclasses.replace(row, **change.get("rows", {})) for row in rows]
+    other_entry = Entry(**{**asked, **change.get("entry", {})})
+    other_rows = [dataclasses.replace(row, **change.get("rows", {})) for row in rows]
     store = PartialStore(tmp_path, change.get("context", ["standard", "test"]))
-    store.save(stored_entry, change.get("seeds", seeds), stored_rows)
+    store.save(other_entry, change.get("seeds", seeds), other_rows)
     (stored,) = tmp_path.iterdir()
     stored.rename(wanted)
     loaded = PartialStore(tmp_path, ["standard", "test"]).load(Entry(**asked), seeds)
@@ -322,17 +306,16 @@ def test_a_part_is_used_for_exactly_what_it_was_stored_for(results, tmp_path, ch
 
 
 def test_partial_of_other_settings_or_unknown_policy_is_not_used(entries, tmp_path):
-    with pytest.raises(Killed):
+    with pytest.raises(KeyboardInterrupt):
         evaluate(entries, "standard", "test", on_progress=killer(3), partial=tmp_path, **SHORT)
     stored = set(tmp_path.iterdir())
     other = evaluate(entries, "standard", "test", partial=tmp_path, weights={"rocof": 0.0}, **SHORT)
     assert all(episode.metrics["cost_rocof"] == 0.0 for episode in other.episodes)
     assert other.settings["weights"]["rocof"] == 0.0
-    assert other.parts is not None
     other.parts.clear()
     assert set(tmp_path.iterdir()) == stored
     unknown = Entry(name="unknown", policy=Linear(0.2))
-    with pytest.raises(Killed):
+    with pytest.raises(KeyboardInterrupt):
         evaluate([unknown], "standard", "test", on_progress=killer(3), partial=tmp_path, **SHORT)
     assert set(tmp_path.iterdir()) == stored
 

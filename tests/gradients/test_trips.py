@@ -20,11 +20,6 @@ Floats = npt.NDArray[np.float64]
 #: What a step is charged, one term alone, and what it shows.
 TERMS, OUTPUTS = ("frequency", "rocof", "duty", "effort"), ("frequency_pu", "rocof_hz_s", "rotor_0_speed_pu")
 QUANTITIES = (*TERMS, *OUTPUTS, "observations")
-#: Of the plant; all of them move the frequency of the centre of inertia.
-PARAMETERS = ("machines.1.two_h_s", "control.droop_gain_pu", "control.inertia_constant_s", "turbine.inertia_constant_s")
-#: What is moved, and by how much: actions, each number of the laws, a plant's parameters by a share of their values.
-#: k_nominal moves the start onto another branch of a law soon; k_max moves so little that rounding would show.
-STEPS = {"actions": 1e-5, **dict.fromkeys((*LAW_PARAMETERS, *PARAMETERS), 1e-5), "k_nominal": 1e-6, "k_max": 1e-4}
 
 
 def winds(n_wtg: int, first: float, last: float, steps: int, *events: Any) -> Scenario:
@@ -51,18 +46,14 @@ class Case(NamedTuple):
     scenarios: list[Scenario]  # with a lost governor or another trip in the last simulation step before, in two lanes
     actions: Floats  # until the last of them
     at: list[int]  # control step in which each lane's first group trips
-    values: dict[str, float]  # of the plant's parameters, if any
 
 
 @functools.cache
 def tape_of(name: str) -> Tape:
     # No cap is reached: it would mix the terms. That of v1 is high enough, and its machine code is shared.
     high: dict[str, Any] = {"version": "v0", "weights": {"cap": 5000.0}, "observation_mode": "privileged"}
-    settings, parameters = {
-        "within a control step": ({**high, "plant": {"physics": "extended"}, "control_dt": 0.5}, PARAMETERS),
-        "v1": (V1, ()),
-    }[name]
-    return Tape(EnvSettings(on_failure="trip", **settings), N_LANES, 1, parameters)
+    settings = V1 if name == "v1" else {**high, "plant": {"physics": "extended"}, "control_dt": 0.5}
+    return Tape(EnvSettings(on_failure="trip", **settings), N_LANES, 1)
 
 
 @functools.cache
@@ -75,13 +66,12 @@ def case_of(name: str) -> Case:
     plant = tape.lanes.simulator.settings
     last = [(step + 1) * plant.control_dt - plant.simulation_dt for step in at]
     buses = [machine.bus for machine in plant.case.machines if machine.governor is not None]
-    further = (None, GovernorLoss(time_s=last[1], bus=buses[0]), GroupTrip(time_s=last[2], group=1))
+    further = ((), (GovernorLoss(time_s=last[1], bus=buses[0]),), (GroupTrip(time_s=last[2], group=1),))
     scenarios = [
-        own if event is None else dataclasses.replace(own, events=(*own.events, event))
-        for own, event in zip(scenarios, further, strict=True)
+        dataclasses.replace(own, events=(*own.events, *more)) for own, more in zip(scenarios, further, strict=True)
     ]
     assert trips(tape, scenarios, actions) == at
-    return Case(tape, scenarios, actions[: max(at) + 1], at, tape.parameter_values())
+    return Case(tape, scenarios, actions[: max(at) + 1], at)
 
 
 def trips(tape: Tape, scenarios: list[Scenario], actions: Floats) -> list[int]:
@@ -96,23 +86,12 @@ def trips(tape: Tape, scenarios: list[Scenario], actions: Floats) -> list[int]:
     return found
 
 
-def moved(case: Case) -> list[str]:
-    return ["actions", *LAW_PARAMETERS, *case.values]
-
-
-def measured(case: Case, what: str, way: Floats, h: float) -> Floats:
-    """Every quantity at each lane's step of the trip, with something moved by h (n_quantities, n_lanes)."""
-    tape, actions = case.tape, case.actions
-    tape.set_parameters({name: value * (1.0 + h * (name == what)) for name, value in case.values.items()})
+def measured(case: Case, way: Floats, h: float) -> Floats:
+    """Every quantity at each lane's step of the trip, with the actions moved by h (n_quantities, n_lanes)."""
+    tape, weights, found = case.tape, weights_of(case.tape), np.empty((len(QUANTITIES), N_LANES))
     tape.start(case.scenarios)
-    if what in LAW_PARAMETERS:
-        law = tape.law()
-        law[:, :, LAW_PARAMETERS.index(what)] += h
-        tape.set_law(law)
-    weights = weights_of(tape)
-    found = np.empty((len(QUANTITIES), N_LANES))
-    for step, own in enumerate(actions):
-        _, terms = tape.step(own + (h * way[step] if what == "actions" else 0.0))
+    for step, own in enumerate(case.actions):
+        _, terms = tape.step(own + h * way[step])
         outputs, simulator = tape.outputs(), tape.lanes.simulator
         # As the simulator holds them, before they are rounded to 32 bits.
         shown = weights @ simulator.scratches[0].reshape(-1, simulator.width)[tape.lanes.task_data.observed, :N_LANES]
@@ -127,10 +106,10 @@ def weights_of(tape: Tape) -> Floats:
     return np.random.default_rng(6).normal(size=tape.lanes.n_observation)
 
 
-def pulled(case: Case, quantity: str, way: Floats) -> dict[str, Floats]:
-    """The derivatives of a quantity at each lane's step of the trip with respect to everything moved (n_lanes,)."""
+def pulled(case: Case, quantity: str, way: Floats) -> Floats:
+    """The derivative of a quantity at each lane's step of the trip along a way through the actions (n_lanes,)."""
     tape = case.tape
-    carried, total = np.zeros((N_LANES, tape.n_carried)), dict.fromkeys(moved(case), 0.0)
+    carried, total = np.zeros((N_LANES, tape.n_carried)), np.zeros(N_LANES)
     for step in range(len(case.actions) - 1, -1, -1):
         here = (np.array(case.at) == step).astype(float)
         terms, outputs = np.zeros((N_LANES, len(COST_TERMS))), np.zeros((N_LANES, len(tape.output_names)))
@@ -141,32 +120,22 @@ def pulled(case: Case, quantity: str, way: Floats) -> dict[str, Floats]:
             outputs[:, tape.output_names.index(quantity)] = here
         else:
             shown = here[:, np.newaxis] * weights_of(tape)
-        carried, actions, law, parameters = tape.pull(step, carried, terms, shown, outputs)
-        total["actions"] += np.einsum("la,la->l", actions, way[step])
-        for i, name in enumerate(LAW_PARAMETERS):
-            total[name] += law[:, :, i].sum(axis=1)
-        for i, (name, value) in enumerate(case.values.items()):
-            total[name] += parameters[:, i] * value
+        carried, actions, *_ = tape.pull(step, carried, terms, shown, outputs)
+        total += np.einsum("la,la->l", actions, way[step])
     return total
 
 
 @pytest.mark.parametrize("name", ["within a control step", "v1"])
 def test_each_quantity_of_the_step_of_a_trip_has_the_slope_of_central_differences(name):
-    case = case_of(name)
+    case, h = case_of(name), 1e-5
     way = np.random.default_rng(3).normal(size=case.actions.shape)
-    found = {}
-    for what in moved(case):
-        h = STEPS[what]
-        up, down = (measured(case, what, way, sign * h) for sign in (1.0, -1.0))
-        found[what] = (up - down) / (2.0 * h)
-    values = measured(case, "actions", way, 0.0)
+    values, up, down = (measured(case, way, sign * h) for sign in (0.0, 1.0, -1.0))
+    slopes = (up - down) / (2.0 * h)
     for place, quantity in enumerate(QUANTITIES):
-        for what, slope in pulled(case, quantity, way).items():
-            expected = found[what][place]
-            # Differences are rounded.
-            rounding = 5e-14 * max(1.0, np.abs(values[place]).max()) / STEPS[what]
-            assert slope == pytest.approx(expected, rel=1e-5, abs=rounding), (quantity, what)
-        assert max(np.abs(slopes[place]).max() for slopes in found.values()) > 1e-4
+        # Differences are rounded.
+        rounding = 5e-14 * max(1.0, np.abs(values[place]).max()) / h
+        assert pulled(case, quantity, way) == pytest.approx(slopes[place], rel=1e-5, abs=rounding), quantity
+    assert (np.abs(slopes).max(axis=1) > 1e-6).all()
 
 
 def test_the_gradient_goes_through_shed_load_and_groups_that_their_rotor_trips():

@@ -3,19 +3,16 @@
 import dataclasses
 
 import numpy as np
-import pytest
 
 from tests.physics.extended import phasors, recorded, scenario
 from wtg_gym.physics import scenario as sc
-from wtg_gym.physics.grid import get_grid
 from wtg_gym.physics.network import assemble_admittance
 from wtg_gym.physics.protection import Status
 from wtg_gym.physics.simulator import Simulator
 from wtg_gym.physics.tracking_law import STRATEGIES
-from wtg_gym.physics.units import BUSES, ISLANDS, PAIRS, UNITS
+from wtg_gym.physics.units import BUSES, PAIRS, UNITS
 
 LAWS = (STRATEGIES["coordinated-piecewise"],) * 2
-CASE = get_grid("ieee14").case
 ALL = (
     sc.LoadStep(time_s=0.5, bus=3, power_mw=20.0, reactive_mvar=5.0),
     sc.LineTrip(time_s=1.0, from_bus=2, to_bus=4, recloses_after_s=0.75),
@@ -116,32 +113,3 @@ def test_a_lane_that_starts_again_has_all_its_units_and_governors(simulator):
     recorded(simulator, 4.0)
     simulator.start(0, scenario(), LAWS)
     assert (simulator.blocks == fresh).all()
-
-
-@pytest.mark.parametrize("bus", [3, 8])
-def test_a_condenser_after_its_outage_feeds_in_nothing_and_counts_nowhere(simulator, bus):
-    simulator.start(0, scenario(sc.MachineOutage(time_s=1.0, bus=bus)), LAWS)
-    recorded(simulator, 1.0)
-    out = [machine.bus for machine in CASE.machines].index(bus)
-    stays = [i for i in range(4) if i != out]
-    layout = simulator.layout
-    names = layout.state_names
-    own = [i for i, name in enumerate(names) if name.startswith(f"sync{out}.")]
-    before = simulator.state()[own]
-    speeds = []
-    for _ in range(100):
-        simulator.advance()
-        assert (simulator.state()[own] == before).all()
-        assert (simulator.scratches[0][layout.rate_rows[own]] == 0.0).all()
-        for name in ("power", "torque"):
-            assert simulator.machine_values(name)[0, out] == 0.0
-        inertia = np.array([CASE.machines[i].two_h_s * CASE.machines[i].rating_mva for i in stays]) / CASE.base_mva
-        groups = simulator.plant.share * simulator.plant.turbine[0]["converter.two_h"]
-        weights = np.concatenate([inertia, groups])
-        speed = np.concatenate([simulator.machine_values("speed")[0, stays], simulator.wtg_values("speed")[0]])
-        speeds.append(speed)
-        assert simulator.lane_values("coi")[0] - 1.0 == pytest.approx(weights @ (speed - 1) / weights.sum(), abs=1e-14)
-        angles = np.concatenate([simulator.machine_values("angle")[0, stays], simulator.wtg_values("angle")[0]])
-        for place, angle in enumerate((angles.min(), angles.max())):
-            assert simulator.scratches[0][layout.first_rows(ISLANDS, "spread")[0] + place] == [angle]
-    assert np.ptp(speeds) > 1e-6

@@ -5,12 +5,11 @@ import pytest
 
 from tests.physics import extended
 from wtg_gym.physics import grid
-from wtg_gym.physics.layout import Floats
 from wtg_gym.physics.network import assemble_admittance
-from wtg_gym.physics.parameters import ConverterLimitParameters, VoltageControlParameters, WtgGroup, european_shedding
+from wtg_gym.physics.parameters import ConverterLimitParameters, VoltageControlParameters, WtgGroup
 from wtg_gym.physics.plant import Plant, layout_of, plant_tables, with_places
-from wtg_gym.physics.protection import STAGES, Status
-from wtg_gym.physics.scenario import GovernorLoss, LoadStep, Scenario
+from wtg_gym.physics.protection import Status
+from wtg_gym.physics.scenario import GovernorLoss, LoadStep
 from wtg_gym.physics.step import FREE_CURRENTS, LIMITS
 from wtg_gym.physics.tracking_law import get_law
 from wtg_gym.physics.units import PAIRS, UNITS
@@ -95,29 +94,6 @@ def test_a_lost_governor_keeps_its_gate_to_the_bit_whatever_its_kind(table):
     assert abs(simulator.machine_values(gate)[0, 0] - held) > 1e-3
 
 
-def test_shedding_stages_act_in_their_order_at_their_time_with_their_share():
-    stages = european_shedding()
-    step = LoadStep(time_s=1.0, bus=3, power_mw=150.0)
-    simulator = extended.started(extended.plant(control_dt=0.025), extended.scenario(step, governor_droop=0.2))
-    shed = simulator.layout.first_rows(STAGES, "shed")
-    below, acted = {}, {}
-    for instant in range(1, 1200):
-        simulator.advance()
-        coi = simulator.lane_values("coi")[0]
-        for k, stage in enumerate(stages):
-            if coi >= stage.frequency_pu:
-                below.pop(k, None)
-            below.setdefault(k, instant) if coi < stage.frequency_pu else None
-            if simulator.blocks[0, shed[k], 0] < 0.0:
-                acted.setdefault(k, (instant, instant - below.get(k, instant)))
-    assert list(acted) == [0, 1, 2]
-    assert [instant for instant, _ in acted.values()] == sorted(instant for instant, _ in acted.values())
-    # Eight steps of 25 ms after the last one without a low frequency.
-    assert [steps for _, steps in acted.values()] == [7, 7, 7]
-    assert simulator.lane_values("coi_min")[0] < stages[2].frequency_pu
-    assert simulator.lane_values("coi")[0] > stages[1].frequency_pu
-
-
 CURRENTS = in_one_table(CURRENTS=(*FREE_CURRENTS, *LIMITS))
 _FIND_CURRENTS = Routine(CURRENTS[0])
 
@@ -162,31 +138,3 @@ def test_limited_currents_solve_their_equations(groups):
         assert share[reactance > 0.0] == pytest.approx(1.0, abs=1e-10)
         n_limited.append(int((reactance > 0.0).sum()))
     assert max(n_limited) == m and min(n_limited) == 0
-
-
-def deviations(settings: Plant, what: Scenario, expected: tuple[Floats, Floats]) -> tuple[float, float, float]:
-    """Largest deviation of speeds [p.u.], angles [rad] and currents [p.u.] over a run."""
-    simulator = extended.started(settings, what)
-    speed, angle, current = 0.0, 0.0, 0.0
-    names = simulator.layout.state_names
-    speeds = [i for i, name in enumerate(names) if name.endswith(".speed")]
-    angles = [i for i, name in enumerate(names) if name.endswith(".angle")]
-    for state, currents in zip(*expected, strict=True):
-        simulator.advance()
-        off = np.abs(simulator.state() - state)
-        speed, angle = max(speed, off[speeds].max()), max(angle, off[angles].max())
-        current = max(current, float(np.abs(simulator.wtg_values("current")[0] - currents).max()))
-    return float(speed), float(angle), current
-
-
-@pytest.mark.parametrize(
-    "events", [extended.fault(duration_s=0.2), extended.pulse(2, 200.0, until_s=11.0)], ids=["fault", "load"]
-)
-def test_the_default_step_follows_tight_integration_while_limits_bind(events):
-    what = extended.scenario(*events)
-    expected = extended.reference_run(extended.plant(shedding=extended.NO_SHEDDING), what, 20.0, "DOP853")
-    assert (expected[1] > extended.CURRENT_MAX * (1.0 - 1e-9)).any()
-    speed, angle, current = deviations(extended.plant(shedding=extended.NO_SHEDDING), what, expected)
-    assert speed < 5e-6
-    assert angle < 5e-4
-    assert current < 1e-3

@@ -5,13 +5,11 @@ import pytest
 
 from tests.physics.extended import LAW, NO_SHEDDING, phasors, plant, recorded, scenario, started
 from tests.physics.test_islands import PARTED_WIND, cut, parted
-from wtg_gym.physics.layout import Floats
 from wtg_gym.physics.parameters import ConverterLimitParameters, WtgGroup
 from wtg_gym.physics.protection import Status
 from wtg_gym.physics.reduction import assemble, refresh_network
 from wtg_gym.physics.scenario import Fault, GroupTrip, LineTrip, LoadStep, MachineOutage, ReactanceStep
 from wtg_gym.physics.simulator import Simulator
-from wtg_gym.physics.tracking_law import get_law
 from wtg_gym.physics.trajectory import simulate
 from wtg_gym.physics.units import BUSES, UNITS
 
@@ -74,34 +72,6 @@ def test_a_reactance_step_gives_the_network_with_that_impedance(ends, factor):
 PRESSED = (LoadStep(time_s=1.0, bus=3, power_mw=-130.0), LoadStep(time_s=1.0, bus=9, power_mw=-50.0))
 
 
-def stored(simulator: Simulator) -> Floats:
-    """H_m ω_m², less what was captured and not delivered or burnt."""
-    captured, delivered, burnt, speed = (
-        simulator.wtg_values(name)[0]
-        for name in ("energy_captured", "energy_delivered", "energy_chopped", "rotor_speed")
-    )
-    kept: Floats = simulator.settings.turbine.inertia_constant_s * speed**2 - (captured - delivered - burnt)
-    return kept
-
-
-@pytest.mark.parametrize(
-    "events",
-    [
-        (Fault(time_s=1.0, bus=4, clears_after_s=0.15, opens=(2, 4)), LoadStep(time_s=3.0, bus=3, power_mw=-150.0)),
-        cut(1.0, again_s=2.0),
-        (GroupTrip(time_s=1.0, group=1, returns_after_s=4.0), MachineOutage(time_s=2.0, bus=3, returns_after_s=1.0)),
-    ],
-    ids=["fault, and power pressed in", "islands", "returns"],
-)
-def test_energies_close_whatever_happens(events):
-    simulator = started(parted(), scenario(*events, wind=PARTED_WIND))
-    start = stored(simulator)
-    for _ in range(200):
-        simulator.advance()
-        assert np.abs(stored(simulator) - start).max() < 1e-11
-    assert simulator.lane_values("status")[0] == Status.RUNNING
-
-
 def return_now(simulator: Simulator) -> None:
     """What happens at the beginning of the step in which units come back, as far as currents and powers."""
     for _ in range(2):
@@ -155,33 +125,6 @@ def test_a_unit_whose_bus_is_dark_when_it_would_return_stays_away():
     assert simulator.lane_values("status")[0] == Status.RUNNING
     assert simulator.wtg_values("connected")[0].tolist() == [1.0, 0.0]
     assert np.abs(simulator.bus_voltages()[5:]).max() == 0.0
-
-
-def test_a_turbine_is_not_held_beyond_its_power_and_torque_and_all_see_the_frequency_of_its_voltage():
-    settings = plant(shedding=NO_SHEDDING, simulation_dt=0.0125)
-    simulator = started(settings, scenario(wind=[[14.0], [11.4]], duration_s=300.0), duration_s=300.0)
-    plant_, law = simulator.plant, get_law(LAW, settings.turbine)
-    shares, group_two_h = plant_.share, plant_.turbine[0]["converter.two_h"]
-    weights = np.concatenate([plant_.machines["two_h"], group_two_h * shares])
-    shifts = []
-    for _ in range(3000):
-        # A law that asks for more than the generator gives.
-        simulator.blocks[0, simulator.layout.wtg("k_offset"), 0] = 1.0
-        simulator.advance()
-        speed, shift = simulator.wtg_values("speed")[0], simulator.wtg_values("shift")[0]
-        shifts.append(shift)
-        frequency = speed + shift
-        seen = np.concatenate([simulator.machine_values("speed")[0], frequency])
-        assert simulator.wtg_values("coefficient")[0] == pytest.approx(
-            np.interp(frequency, [0.992, 1.0, 1.008], [law.k_min, law.k_nominal, law.k_max]) + 1.0, abs=1e-12
-        )
-        # Of the step's last stage, which is a little beside its end.
-        assert simulator.lane_values("coi")[0] - 1.0 == pytest.approx(weights @ (seen - 1.0) / weights.sum(), abs=1e-7)
-    assert simulator.lane_values("status")[0] == Status.RUNNING
-    assert (shifts[-1] < -1e-4).all()
-    torque = simulator.wtg_values("power")[0] / simulator.wtg_values("rotor_speed")[0]
-    assert torque.max() <= 1.1 + 1e-6 and torque.min() > 1.0999
-    assert simulator.wtg_values("power")[0].max() <= 1.1 + 1e-6
 
 
 def test_a_record_shows_the_frequency_of_the_voltage():

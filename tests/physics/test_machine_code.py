@@ -62,7 +62,6 @@ def run(program: str, folder: Path, **environment: str) -> subprocess.Popen[str]
 
 
 def outcome(process: subprocess.Popen[str]) -> list[str]:
-    """What a program prints."""
     out, said = process.communicate(timeout=300)
     assert process.returncode == 0 and "Traceback" not in said, said
     return out.split()
@@ -93,7 +92,6 @@ def test_a_wheels_code_for_a_kind_of_processor_is_used_by_those_of_that_kind(tmp
     brought = "from wtg_gym.systems import compiled as own\nown.SHIPPED, folder = Path(sys.argv[1]), None"
     program = PROGRAM.replace("folder = Path(sys.argv[1])", brought)
     assert outcome(run(program, tmp_path)) == [*RESULT, "0"]
-    # Others compile, and keep it elsewhere.
     assert outcome(run(program, tmp_path / "none")) == [*RESULT, "4"]
 
 

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from tests.physics.extended import scenario, with_machine
-from wtg_gym.physics.grid import get_grid
 from wtg_gym.physics.layout import Floats
 from wtg_gym.physics.machine_parameters import GovernorParameters
 from wtg_gym.physics.plant import Plant
@@ -41,28 +40,6 @@ def test_the_reference_is_the_integral_of_the_deviation_over_droop_and_time():
     moved = -DT / (TIME_S * GOVERNOR.droop_pu) * np.cumsum(speed[1:] - 1.0)
     assert moved[-1] > 0.05
     assert reference[1:] - reference[0] == pytest.approx(moved, abs=1e-12)
-
-
-def test_the_frequency_returns_to_nominal_with_the_slowest_root_of_the_loop():
-    _, speed = reference_and_speed(MORE, seconds=120.0)
-    deviation = 1.0 - speed
-    machines = get_grid("ieee14").case.machines
-    two_h, damping = (
-        sum(getattr(machine, name) * machine.rating_mva / machines[0].rating_mva for machine in machines)
-        for name in ("two_h_s", "damping_pu")
-    )
-    # 2H s + D + (1 + 1/(T s))/R · (1 + T_2 s)/((1 + T_1 s)(1 + T_3 s)) = 0 on the generator's base.
-    lags = np.polymul([GOVERNOR.gate_time_s, 1.0], [GOVERNOR.reheat_time_s, 1.0])
-    inertia = np.polymul(np.polymul([two_h, damping], [TIME_S * GOVERNOR.droop_pu, 0.0]), lags)
-    roots = np.roots(np.polyadd(inertia, np.polymul([TIME_S, 1.0], [GOVERNOR.lead_time_s, 1.0])))
-    slowest = roots[np.abs(roots).argmin()]
-    assert slowest.imag == 0.0 and -1.0 / 20.0 < slowest.real < -1.0 / 60.0
-    rate = np.log(deviation[round(80.0 / DT)] / deviation[round(110.0 / DT)]) / 30.0
-    assert rate == pytest.approx(-slowest.real, rel=0.01)
-    assert deviation.max() > 20.0 * deviation[-1] > 0.0
-    # Without it the deviation stays.
-    reference, alone = reference_and_speed(MORE, seconds=120.0, secondary_time_s=0.0)
-    assert (reference == reference[0]).all() and 1.0 - alone[-1] > 10.0 * deviation[-1]
 
 
 def test_the_reference_stays_within_the_limits_of_the_gate():

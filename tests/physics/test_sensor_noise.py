@@ -73,21 +73,9 @@ def test_noise_has_mean_0_variance_1_the_shape_of_four_uniform_numbers_and_their
     assert (np.abs(numbers) > 2.9).mean() == pytest.approx(2.0 * u, rel=0.1)
 
 
-def test_channels_groups_seeds_and_steps_are_not_correlated_and_nor_are_their_squares():
-    far = np.concatenate([drawn(1, 600, first_seed=seed).reshape(1, -1) for seed in 2 ** np.arange(31)])
-    channels, seeds = drawn(20, 600).reshape(-1, N).T, drawn(40, 600).reshape(40, -1)
-    steps = drawn(600, 30).transpose(1, 0, 2).reshape(30, -1)
-    for values in (channels, seeds, far, steps, channels**2, seeds**2):
-        found = np.corrcoef(values)[np.triu_indices(len(values), 1)]
-        # Each is nearly normal with a standard deviation of 1/√n; 5.5 of them are exceeded once in 25 million.
-        assert np.abs(found).max() < 5.5 / math.sqrt(values.shape[1])
-        assert found.std() == pytest.approx(1.0 / math.sqrt(values.shape[1]), rel=0.3)
-
-
 def advance(
     sensors: sensing.Sensors, exact: list[sensing.Measurement], control_dt: float = 0.1
 ) -> tuple[list[sensing.Measurement], Floats]:
-    """Return what group 1 of a run measures, and the states of its sensors."""
     given = sensing.sensor_input(sensors, control_dt, 50.0)
     seen, states, state = [], [], sensing.sensors_started(exact[0], sensing.Noise(0.0, 0.0, 0.0, 0.0, 0.0))
     for numbers, now in zip(drawn(1, len(exact), N_CHANNELS, sensors.seed)[0].tolist(), exact, strict=True):
@@ -109,27 +97,6 @@ def test_filters_answer_a_step_as_a_first_order_lag_does(time_constant_s, contro
     assert [m.frequency for m in seen] == pytest.approx((1.01 - 0.01 * np.exp(-time_s / time_constant_s)).tolist())
     assert [m.rocof for m in seen] == pytest.approx((0.4 - 0.4 * np.exp(-0.5 * time_s / time_constant_s)).tolist())
     assert {m[2:] for m in seen} == {EXACT[2:]}
-
-
-def test_error_of_the_wind_keeps_its_variance_and_its_correlation_time():
-    correlation_s, n = 3.0, 400
-    errors = np.array(
-        [
-            advance(
-                sensing.Sensors(seed=seed, wind_bias=(0.0,), wind_noise=0.08, wind_noise_correlation_s=correlation_s),
-                [EXACT] * 121,
-            )[1][:, 2]
-            for seed in range(n)
-        ]
-    )
-    # The errors of different seeds are independent: mean and variance are as sure at the start as later.
-    for step in (0, 1, 30, 120):
-        assert abs(errors[:, step].mean()) < 4.0 / math.sqrt(n)
-        assert errors[:, step].var() == pytest.approx(1.0, abs=4.0 * math.sqrt(2.0 / n))
-    for lag in (1, 10, 30, 90):
-        found = (errors[:, lag:] * errors[:, :-lag]).mean()
-        # As many independent values as there are seeds and correlation times.
-        assert found == pytest.approx(math.exp(-0.1 * lag / correlation_s), abs=4.0 / math.sqrt(2 * n))
 
 
 def test_errors_of_the_wind_add_up_and_never_take_more_than_nine_tenths_of_it():

@@ -66,27 +66,6 @@ def test_above_rated_wind_a_group_holds_its_reserve_and_gives_it(deviation_hz, p
     assert simulator.wtg_values("power")[0, 0] == pytest.approx(power, abs=1e-6)
 
 
-def test_a_phase_jump_turns_the_voltage_of_the_source_and_the_units_follow():
-    settings = plant(case=with_source(), control_dt=0.025, shedding=NO_SHEDDING)
-    simulator = started(settings, scenario(sc.PhaseJump(time_s=1.0, bus=1, angle_deg=-20.0), wind=[[8.0], [8.0]]))
-    recorded(simulator, 1.0)
-    row, before = simulator.layout.rows_of(SOURCES, "angle")[0], simulator.state()
-    angle, names = simulator.blocks[0, row, 0], simulator.layout.state_names
-    turning = [
-        i
-        for i, name in enumerate(names)
-        if name.endswith("angle") and "lane" not in name and not name.startswith("imposed")
-    ]
-    relative = before[turning] - angle
-    simulator.advance()
-    after = simulator.state()[turning]
-    assert simulator.blocks[0, row, 0] - angle == pytest.approx(math.radians(-20.0), abs=0.03)
-    recorded(simulator, 50.0)
-    assert simulator.state()[turning] - simulator.blocks[0, row, 0] == pytest.approx(relative, abs=1e-6)
-    assert np.abs(after - before[turning]).max() < 0.03
-    assert simulator.lane_values("status")[0] == Status.RUNNING
-
-
 @pytest.mark.parametrize("turn", [0.0, 1e-9, 0.3, 90.0, 179.0, -179.0, 179.9999, -90.0, -0.3])
 @pytest.mark.parametrize("at", [0.0, 100.0, 179.5, -135.0])
 def test_the_angle_between_two_voltages_is_exact_near_half_a_turn_too(at, turn):

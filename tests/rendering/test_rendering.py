@@ -100,7 +100,6 @@ def test_a_restored_or_copied_episode_shows_what_led_to_it():
 
 
 def test_a_batch_gives_the_frames_of_single_environments():
-    # Episodes of ten steps.
     batch = GFMWTGVectorEnv(2, duration_s=5.0, render_mode="rgb_array")
     singles = [GFMWTGEnv(duration_s=5.0, render_mode="rgb_array") for _ in range(2)]
     batch.reset(seed=5)

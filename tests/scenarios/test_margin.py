@@ -41,7 +41,6 @@ SHARING = dataclasses.replace(PLANT, case=dataclasses.replace(CASE, machines=(LA
 
 
 def wind_of(share: float) -> float:
-    """Return the wind in which a share of the rated power is available [m/s]."""
     return float((share / available_power_pu(1.0)) ** (1.0 / 3.0))
 
 

@@ -108,7 +108,6 @@ EVENT_OF = {
 
 @functools.cache
 def frozen(name: str) -> list[Scenario]:
-    """Return the scenarios of the validation and test splits of a suite."""
     return get_suite(name).scenarios([*get_suite(name).validation, *get_suite(name).test])
 
 
@@ -140,7 +139,6 @@ def test_scenarios_have_the_margin_of_their_stratum_and_its_kinds_of_event(suite
         assert scenario.duration_s == 180.0
         lost_at_start = [own for own in scenario.events if isinstance(own, GovernorLoss) and own.time_s == 0.0]
         assert all(3.0 <= own.time_s <= 60.0 for own in scenario.events if own not in lost_at_start)
-    # Alone or in any order, a seed gives the same scenario.
     assert [own.to_json() for own in suite.scenarios(seeds[::-70])] == [own.to_json() for own in scenarios[::-70]]
     assert [suite.scenario(seed).to_json() for seed in seeds[:3]] == [own.to_json() for own in scenarios[:3]]
 

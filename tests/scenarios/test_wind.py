@@ -3,25 +3,8 @@
 import numpy as np
 import pytest
 
-from wtg_gym.physics.scenario import SERIES_DT
 from wtg_gym.scenarios import draws, wind
 from wtg_gym.scenarios.distribution import ScenarioDistribution
-
-N_SAMPLES = 601
-N_PERIOD = wind.period_length(N_SAMPLES)
-FREQUENCY = wind.resolved_frequencies(N_PERIOD)
-
-
-def synthesised(seed: int, amplitudes: list[np.ndarray], n_samples: int) -> np.ndarray:
-    """One series per coefficient scale."""
-    normals = np.random.default_rng(seed).standard_normal((len(amplitudes), N_PERIOD // 2 + 1, 2))
-    coefficients = np.array(amplitudes) * normals.view(np.complex128)[..., 0]
-    return np.fft.irfft(coefficients, N_PERIOD)[:, :n_samples]
-
-
-def resolved_variance(spectrum: np.ndarray) -> float:
-    """Variance that the harmonics between mean and Nyquist frequency carry."""
-    return float(np.sum(spectrum[1:-1]) / (N_PERIOD * SERIES_DT))
 
 
 def test_standard_deviation_at_15_m_s_is_that_of_the_normal_turbulence_model():
@@ -35,18 +18,6 @@ def test_kaimal_spectrum_integrates_to_the_variance(mean):
     spectrum = wind.kaimal_spectrum(frequency, mean, 1.7)
     area = np.sum(0.5 * (spectrum[1:] + spectrum[:-1]) * np.diff(frequency))
     assert area == pytest.approx(1.7**2, rel=1e-3)
-
-
-@pytest.mark.parametrize("n_turbines", [1.0, 10.0])
-def test_variance_of_group_wind_follows_the_formula(n_turbines):
-    sigma = wind.ntm_sigma(9.0, 0.14)
-    point = wind.kaimal_spectrum(FREQUENCY, 9.0, sigma)
-    spectrum = point * wind.rotor_filter(FREQUENCY, 9.0) * wind.group_filter(FREQUENCY, 9.0, n_turbines)
-    amplitude = sigma * wind.turbulence_amplitude(9.0, n_turbines, N_PERIOD)
-    series = synthesised(3, [amplitude] * 1000, N_PERIOD)
-    assert abs(series.mean()) < 1e-12
-    assert series.var() == pytest.approx(resolved_variance(spectrum), rel=0.05)
-    assert resolved_variance(spectrum) < 0.5 * resolved_variance(point)
 
 
 def test_gust_dips_peaks_and_leaves_no_trace():

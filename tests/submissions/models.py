@@ -26,12 +26,10 @@ TOML_V1 = TOML.replace("-v0", "-v1")
 
 
 def seed(number: int, toml: str = TOML) -> str:
-    """An entry.toml of another training seed."""
     return toml.replace("training_seed = 0", f"training_seed = {number}")
 
 
 def folder(path: Path, content: bytes | ModelProto | None = None, toml: str | bytes = TOML) -> Path:
-    """A submission: by default the plain policy."""
     path.mkdir(parents=True)
     (path / "entry.toml").write_bytes(toml if isinstance(toml, bytes) else toml.encode())
     content = make_bytes() if content is None else content
@@ -94,7 +92,6 @@ def model(
 
 
 def make_bytes() -> bytes:
-    """The file of the plain policy, which is linear."""
     return model().SerializeToString()
 
 
@@ -112,7 +109,6 @@ def with_state(text: str, width: int, **values: Any) -> ModelProto:
 
 
 def other(scale: float = 0.02) -> ModelProto:
-    """A linear policy of other weights."""
     return model(constants=[constant("weights", np.full((N, M), scale))])
 
 
@@ -168,7 +164,6 @@ def spin() -> Any:
 
 
 def endless() -> ModelProto:
-    """A loop without an end in every step."""
     return after("action = Loop( , on, linear)", spin(), on=True)
 
 

@@ -23,11 +23,9 @@ from wtg_gym.policies.gate import CHECKS, check_submission
 #: Verdicts on a policy that the gate accepts: it fails in the middle of a test scenario and has no score; it is scored,
 #: and every scenario costs the same to the last bit.
 SCORED, HARMLESS = "its own score", "harmless"
-#: Each of these takes all the time that an answer may take.
 ENDLESS = ("an endless loop", "a slow operator")
 _SEEDS, _SHORT_S = (20_000, 20_001), 5.0
 
-#: Makes the content of policy.onnx.
 Build = Callable[[], bytes | ModelProto]
 
 
@@ -49,7 +47,6 @@ def beginning() -> Any:
 
 
 def _after(text: str, **values: Any) -> Build:
-    """A linear policy whose action goes through nodes."""
     return lambda: after(text, **values)
 
 
@@ -87,14 +84,6 @@ ATTACKS: dict[str, dict[str, Build]] = {
             "all = ConstantOfShape(size); most = ReduceMax<keepdims = 0>(all); action = Add(linear, most)",
             size=[10**10],
         ),
-        "5 million numbers for each scenario": _after(
-            "all = Expand(nought, size); whole = Cast<to = 7>(linear); none = Gather(all, whole); "
-            # Random numbers give every scenario a session of its own.
-            "noise = RandomUniformLike(linear); still = Sub(noise, noise); part = Add(linear, none); "
-            "action = Add(part, still)",
-            nought=[0.0],
-            size=[5_000_000],
-        ),
         "an endless loop": models.endless,
         "a slow operator": _after(
             "a = Add(linear, wide); b = Softplus(a); c = Softplus(b); d = Softplus(c); e = Softplus(d); "
@@ -104,21 +93,6 @@ ATTACKS: dict[str, dict[str, Build]] = {
     },
     "rollout": {"NaN at the observations with which episodes begin, and nowhere else": models.trap},
     SCORED: {
-        "10¹¹ numbers": _knows(
-            "sizes = Where(fire, many, one); length = Reshape(sizes, one); much = Expand(nought, length); "
-            "most = ReduceMax<keepdims = 0>(much); action = Add(linear, most)",
-            many=[10**11],
-            one=[1],
-            nought=[0.0],
-        ),
-        "the least integer divided by −1": _knows(
-            "divisor = Where(fire, by, one); quotient = Div(number, divisor); as_float = Cast<to = 1>(quotient); "
-            "nothing = Mul(as_float, nought); action = Add(linear, nothing)",
-            number=np.int32([[-(2**31)]]),
-            by=np.int32(-1),
-            one=np.int32(1),
-            nought=0.0,
-        ),
         "an index outside the weights": _knows(
             "places = Where(fire, far, first); place = Reshape(places, as_one); "
             "gathered = Gather<axis = 0>(linear, place); action = Reshape(gathered, shape)",
@@ -135,24 +109,6 @@ ATTACKS: dict[str, dict[str, Build]] = {
             "shape = Shape(linear); sizes = Cast<to = 1>(shape); largest = ReduceMax<keepdims = 0>(sizes); "
             "mean = Div(sum, largest); action = Add(mean, linear)"
         ),
-        # A vector of the processor is not filled by the last scenario's values, which tells it from the others.
-        "rounding at the end of a vector, times 10⁸": _after(
-            "one = Erf(linear); three = Concat<axis = 0>(linear, linear, linear); all = Erf(three); "
-            "two = ReduceMean<axes = [0], keepdims = 1>(all); rounding = Sub(one, two); large = Mul(rounding, many); "
-            "action = Add(large, linear)",
-            many=1e8,
-        ),
-        # It depends on the address of the first state.
-        "rounding of a sum of states, times 10⁸": lambda: models.with_state(
-            "next_state_0 = Identity(numbers); read = ReduceSum<keepdims = 0>(state_0, all); "
-            "known = ReduceSum<keepdims = 0>(numbers, all); rounding = Sub(read, known); "
-            "large = Mul(rounding, many); linear = MatMul(observation, weights); action = Add(large, linear)",
-            33,
-            numbers=np.random.default_rng(0).uniform(0.1, 10.0, (1, 33)),
-            all=[0, 1],
-            many=1e8,
-        ),
-        "random dropout": _after("action = Dropout(linear, half, yes)", half=0.5, yes=True),
         "random numbers in a graph that not every reader sees": lambda: models.unseen(
             after("drawn = RandomNormalLike(linear); small = Mul(drawn, few); action = Add(linear, small)", few=0.1)
         ),
@@ -165,7 +121,6 @@ ATTACKS: dict[str, dict[str, Build]] = {
 
 @functools.cache
 def _harmless() -> tuple[Entry, list[Episode]]:
-    """Return a harmless entry, and all episodes where it is played without an attack."""
     entry = Entry(name="Beside", policy=OnnxPolicy(models.make_bytes()), fingerprint="beside")
     return entry, list(evaluate([entry], "standard", "test", seeds=_SEEDS, duration_s=_SHORT_S).episodes)
 

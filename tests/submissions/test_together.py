@@ -8,7 +8,6 @@ from onnx import ModelProto
 
 from tests.submissions import models
 from tests.submissions.models import TOML, folder, seed
-from wtg_gym.evaluation import evaluate, load_entries
 from wtg_gym.policies.gate import Report, conflicts, read_submission
 
 
@@ -18,7 +17,6 @@ def report(path: Path, content: ModelProto | None = None, toml: str = TOML) -> R
     return made
 
 
-#: Other values of the keys in which a second training seed may not differ from the first.
 DIFFERENT = {
     "authors": '["John Roe"]',
     "action_mode": '"k"',
@@ -32,7 +30,6 @@ DIFFERENT = {
 
 
 def different(key: str) -> str:
-    """An entry.toml of a second training seed with another value of a key."""
     lines = [line for line in seed(1).splitlines() if not line.startswith(f"{key} =")]
     return "\n".join([*lines, f"{key} = {DIFFERENT[key]}\n"])
 
@@ -65,17 +62,6 @@ def test_nobody_joins_anothers_row(toml, said, tmp_path):
     # Not even who says the same joins a row that is there.
     (conflict,) = conflicts([second], [first])
     assert conflict.folders == (second.folder,) and "is taken by Mine of" in conflict.reason
-
-
-@pytest.mark.parametrize("key", DIFFERENT)
-def test_no_door_forms_a_row_of_entries_that_differ(key, tmp_path):
-    entries = [
-        entry
-        for name, toml in (("a", TOML), ("b", different(key)))
-        for entry in load_entries(folder(tmp_path / name, toml=toml))
-    ]
-    with pytest.raises(ValueError, match=rf"^entries named 'Mine' share a row and must agree on .*{key}.*, got"):
-        evaluate(entries, "standard", "test", seeds=[20_000], duration_s=1.0)
 
 
 def test_file_counts_once_whatever_it_is_called(tmp_path):

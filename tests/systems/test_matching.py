@@ -91,7 +91,6 @@ def traced(made: Callable[[], System]) -> Callable[[], Any]:
     return lambda: made().trace
 
 
-#: What is made, and the sentence that refuses it.
 def other_of_the_same_name() -> System:
     class Pair(NamedTuple):
         im: float
@@ -187,7 +186,6 @@ def test_what_has_no_meaning_or_several_is_refused(make, sentence):
 
 
 def ran(one: System, layout: Layout, block: list[float]) -> tuple[list[float], list[float]]:
-    """Return the rows of block and scratch after a system."""
     program = Program("RUN", (one,), 0)
     arrays = np.array([block]).T.copy(), np.zeros((layout.n_scratch, 1))
     Routine(program)(arrays, build_table((program,), layout))

@@ -28,7 +28,6 @@ def choice(a: float, b: float) -> float:
     return select((a > b) | (b >= 2.0), a * a, b) + select((a < b) & (a <= 9.0), b, 0.0)
 
 
-#: Of two numbers.
 FUNCTIONS: dict[str, Any] = {
     "sum": lambda a, b: a + 2.0 * b - 3.0 + (1.0 - a),
     "product": lambda a, b: a * b * 0.5,
