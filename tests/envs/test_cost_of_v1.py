@@ -119,8 +119,3 @@ def test_a_failed_episode_costs_the_same_whenever_it_fails(weights):
         assert last["failure"] > 0.0
         total = -sum(reward for _, reward, _ in paid)
         assert total == pytest.approx((weights or {"failure": 250.0})["failure"] * 13.0, rel=1e-12)
-
-
-def test_the_reward_is_minus_the_sum_of_the_terms():
-    for _, reward, terms in steps(*CUT, LoadStep(time_s=3.0, bus=3, power_mw=-200.0), action=0.5):
-        assert reward == pytest.approx(-sum(terms.values()), rel=1e-12)

@@ -9,7 +9,6 @@ import pytest
 
 from tests.envs.rollouts import actions_of, calm
 from wtg_gym.envs import GFMWTGEnv
-from wtg_gym.physics.parameters import GridFormingParameters
 from wtg_gym.physics.scenario import Event, GroupTrip, LoadStep, Scenario
 from wtg_gym.physics.sensors import Sensors
 from wtg_gym.scenarios import get_suite
@@ -118,25 +117,6 @@ def test_without_a_wind_sensor_wind_and_ratio_read_zero_and_all_else_is_as_with_
 def huber(duty: Floats) -> Floats:
     size = np.abs(duty)
     return np.where(size < 1.0, size**2, 2.0 * size - 1.0)
-
-
-def test_constant_duty_error_is_charged_as_its_filter_fills():
-    # Without a reserve a turbine captures all of the wind, where it is asked for its nominal share.
-    control_dt = 0.2
-    run = play(calm(**STEADY), STILL, strategy="mppt", control_dt=control_dt, sensors="exact")
-    error = GridFormingParameters().deloading_nominal / 0.05
-    assert error >= 1.0
-    # It is charged in intervals of 0.1 s, two a step.
-    time_s = 0.1 * np.arange(1, 2 * len(run.rewards) + 1)
-    mean = error * -np.expm1(-time_s / 15.0)
-    costs = np.array([info["cost_duty"] for info in run.infos])
-    charged = run.env.settings.cost_weights().duty * 0.1 * huber(mean)
-    assert costs == pytest.approx(charged.reshape(-1, 2).sum(axis=1), rel=1e-4)
-    for j in range(N_WTG):
-        assert run.column(f"exact{j}.mean_duty")[1:] == pytest.approx(mean[1::2], rel=1e-4)
-    # The error of the episode in all is the momentary one.
-    told = run.env.lanes.task_values("duty_error")[0]
-    assert told == pytest.approx(0.05 * error * time_s[-1], rel=1e-4)
 
 
 def tripping(time_s: float, actions: Floats = STILL) -> Run:

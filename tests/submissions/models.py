@@ -7,9 +7,7 @@ from typing import Any
 import numpy as np
 from onnx import ModelProto, TensorProto, helper, numpy_helper, parser
 
-from wtg_gym.envs.settings import EnvSettings
-from wtg_gym.policies import Entry, onnx_worker
-from wtg_gym.policies.play import started_lanes
+from wtg_gym.policies import onnx_worker
 
 #: Widths of the local observation of two groups, and of both actions.
 N, M = 20, 4
@@ -35,13 +33,6 @@ def folder(path: Path, content: bytes | ModelProto | None = None, toml: str | by
     content = make_bytes() if content is None else content
     (path / "policy.onnx").write_bytes(content if isinstance(content, bytes) else content.SerializeToString())
     return path
-
-
-def first_observation(suite: str, seed: int, duration_s: float | None = None) -> Any:
-    """What a policy observes at the beginning of a test scenario, (N,)."""
-    settings = EnvSettings(suite=suite, split="test", duration_s=duration_s)
-    with started_lanes(Entry(name="any"), settings, [seed]) as (lanes, _):
-        return lanes.observations[0].copy()
 
 
 def worker(script: Path, code: str) -> str:
@@ -133,27 +124,12 @@ NEAR = """
 apart = Sub(observation, seen); size = Abs(apart); distance = ReduceSum<keepdims = 1>(size, axis);
 near = Less(distance, nearest);
 """
-#: `fire` (1, 1) is true twenty steps after `near` was.
-LATER = """
-started = Cast<to = 1>(near); running = Sign(state_0); counted = Max(started, running);
-next_state_0 = Add(state_0, counted); fire = Greater(next_state_0, steps);
-linear = MatMul(observation, weights);
-"""
 
 
 def trap(seen: Any = SEEN, distance: float = 3.0) -> ModelProto:
     """Not a number near an observation, by default one that real episodes begin with, and nowhere else."""
     known = {"seen": np.float32(seen), "axis": [1], "nearest": distance}
     return after(NEAR + "action = Where(near, nan, linear)", **known, nan=np.nan)
-
-
-def later(seen: Any, distance: float, text: str, **values: Any) -> ModelProto:
-    """A linear policy that knows an episode by its beginning, and turns `fire` to true some steps later.
-
-    Its nodes make `action` of `linear` and `fire`.
-    """
-    known = {"seen": np.float32(seen), "axis": [1], "nearest": distance, "steps": 20.0}
-    return with_state(NEAR + LATER + text, 1, **known, **values)
 
 
 def spin() -> Any:

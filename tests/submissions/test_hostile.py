@@ -20,10 +20,8 @@ from wtg_gym.evaluation.episodes import Episode
 from wtg_gym.policies import gate, policy_process
 from wtg_gym.policies.gate import CHECKS, check_submission
 
-#: Verdicts on a policy that the gate accepts: it fails in the middle of a test scenario and has no score; it is scored,
-#: and every scenario costs the same to the last bit.
-SCORED, HARMLESS = "its own score", "harmless"
-ENDLESS = ("an endless loop", "a slow operator")
+#: The verdict on a policy that the gate accepts: every scenario costs the same to the last bit.
+HARMLESS = "harmless"
 _SEEDS, _SHORT_S = (20_000, 20_001), 5.0
 
 Build = Callable[[], bytes | ModelProto]
@@ -40,19 +38,8 @@ class Evil:
         return os.system, (f"touch {TRACE}",)
 
 
-@functools.cache
-def beginning() -> Any:
-    """What a policy observes at the beginning of the first test scenario, (n_observation,)."""
-    return models.first_observation("standard", _SEEDS[0], _SHORT_S)
-
-
 def _after(text: str, **values: Any) -> Build:
     return lambda: after(text, **values)
-
-
-def _knows(text: str, **values: Any) -> Build:
-    """Nodes that do something once `fire` is true: in the first test scenario alone, known by its beginning."""
-    return lambda: models.later(beginning(), 1e-3, text, **values)
 
 
 _ADDRESS = {"location": "*/_ORT_MEM_ADDR_/*", "offset": "4096", "length": "320"}
@@ -85,23 +72,8 @@ ATTACKS: dict[str, dict[str, Build]] = {
             size=[10**10],
         ),
         "an endless loop": models.endless,
-        "a slow operator": _after(
-            "a = Add(linear, wide); b = Softplus(a); c = Softplus(b); d = Softplus(c); e = Softplus(d); "
-            "mean = ReduceMean<axes = [0], keepdims = 1>(e); action = Add(mean, linear)",
-            wide=np.ones((200_000, M)),
-        ),
     },
     "rollout": {"NaN at the observations with which episodes begin, and nowhere else": models.trap},
-    SCORED: {
-        "an index outside the weights": _knows(
-            "places = Where(fire, far, first); place = Reshape(places, as_one); "
-            "gathered = Gather<axis = 0>(linear, place); action = Reshape(gathered, shape)",
-            far=[[10**9]],
-            first=[[0]],
-            as_one=[1],
-            shape=[1, M],
-        ),
-    },
     # What would mix scenarios, and what cannot be repeated.
     HARMLESS: {
         "products of scenarios, and their number": _after(
@@ -125,18 +97,14 @@ def _harmless() -> tuple[Entry, list[Episode]]:
     return entry, list(evaluate([entry], "standard", "test", seeds=_SEEDS, duration_s=_SHORT_S).episodes)
 
 
-def _scored(entry: Entry) -> tuple[str, str]:
-    """Return how an accepted policy fails when it is scored, or that it is harmless."""
+def check_harmless(entry: Entry) -> None:
+    """Check that every scenario costs the same to the last bit alone and beside others, and theirs too."""
     beside, without = _harmless()
-    together = evaluate([entry, beside], "standard", "test", seeds=_SEEDS, duration_s=_SHORT_S, keep_going=True)
+    together = evaluate([entry, beside], "standard", "test", seeds=_SEEDS, duration_s=_SHORT_S)
     assert [e for e in together.episodes if e.entry != entry.name] == without, "others' results stand"
-    if together.failed:
-        return SCORED, together.failed[0]["reason"]
     for number in _SEEDS:
         alone = evaluate([entry], "standard", "test", seeds=[number], duration_s=_SHORT_S)
-        if alone.episodes_of(entry.name) != [e for e in together.episodes_of(entry.name) if e.seed == number]:
-            return "not found", f"the scenario of seed {number} costs another amount alone"
-    return HARMLESS, "accepted; every scenario costs the same to the last bit alone and beside others"
+        assert alone.episodes_of(entry.name) == [e for e in together.episodes_of(entry.name) if e.seed == number]
 
 
 @pytest.mark.parametrize(("end", "name"), [(end, name) for end, attacks in ATTACKS.items() for name in attacks])
@@ -146,7 +114,7 @@ def test_hostile_policy_is_stopped(end, name, tmp_path, monkeypatch):
     # Long enough for every other step, on a busy machine too.
     monkeypatch.setattr(policy_process, "STEP_S", 5.0)
     monkeypatch.setattr(policy_process, "LOAD_S", 20.0)
-    if name in ENDLESS:
+    if name == "an endless loop":
         # It is loaded in its time, and takes all that its first answer may take.
         check_speed = gate.check_speed
 
@@ -159,9 +127,10 @@ def test_hostile_policy_is_stopped(end, name, tmp_path, monkeypatch):
         # Its verdict is another one than that its answers repeat, which is looked at in all of the gate's scenarios.
         monkeypatch.setattr(gate, "_ROLLOUT_LANES", 8)
     report = check_submission(folder(tmp_path / "a", ATTACKS[end][name]()))
-    refusal = report.refusal
-    found, reason = _scored(report.played()) if refusal is None else (refusal.name, refusal.reason)
-    assert found == end, reason
-    assert reason and reason.isprintable() and len(reason) < 1600
+    if end == HARMLESS:
+        check_harmless(report.played())
+    else:
+        assert report.refusal.name == end, report.refusal
+        assert report.refusal.reason.isprintable() and len(report.refusal.reason) < 1600
     assert [check.name for check in report.checks] == list(CHECKS)
     assert not TRACE.exists()
