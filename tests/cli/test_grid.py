@@ -100,7 +100,7 @@ def test_an_old_pandapower_is_refused(network, capsys, monkeypatch):
     assert code == 2 and "pandapower 3.5.3 runs code that a file names; 3.5.4 or later is needed" in said
 
 
-@settings(max_examples=25, deadline=None, suppress_health_check=list(HealthCheck))
+@settings(max_examples=12, deadline=None, suppress_health_check=list(HealthCheck))
 @given(data=st.data())
 def test_a_changed_network_is_imported_or_refused_in_a_line(nine, tmp_path, data, capsys):
     path = tmp_path / "network.json"

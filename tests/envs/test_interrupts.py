@@ -101,7 +101,7 @@ def test_interrupted_call_is_complete_or_has_not_begun(name, n_threads, monkeypa
     make, call = CASES[name]
     env, rng, n_interrupts, k = make(n_threads), np.random.default_rng(0), 0, 0
     twin = copy.deepcopy(env)
-    while n_interrupts < 8:
+    while n_interrupts < 5:
         k, before = k + 1, state(twin)
         with interrupt_before(0) as instructions:
             expected = call(twin, k)

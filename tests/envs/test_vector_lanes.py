@@ -4,7 +4,6 @@ Lanes are compared with single environments while their neighbours have other ac
 depends on another.
 """
 
-import itertools
 import subprocess
 import sys
 from pathlib import Path
@@ -27,8 +26,8 @@ SUITES_V1 = [name for name, suite in SUITES.items() if suite.task.version == "v1
 
 @pytest.mark.parametrize("suite", SUITES_V1)
 def test_lane_of_version_v1_equals_the_single_environment_in_every_suite_and_mode(suite):
-    combinations = itertools.product(rollouts.ACTION_MODES, rollouts.OBSERVATION_MODES)
-    for seed, (action_mode, observation_mode) in enumerate(combinations):
+    for seed, action_mode in enumerate(rollouts.ACTION_MODES):
+        observation_mode = rollouts.OBSERVATION_MODES[seed % 2]
         mode = rollouts.MODES[seed % 3]
         settings = {"suite": suite, "action_mode": action_mode, "observation_mode": observation_mode}
         env = GFMWTGVectorEnv(17, duration_s=2.5, autoreset_mode=mode, n_threads=1 + seed % 2, **settings)
