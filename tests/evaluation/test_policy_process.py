@@ -111,17 +111,13 @@ def test_process_that_stops_answering_is_killed_in_time(monkeypatch):
             assert gone(pid)
 
 
-def test_process_that_dies_is_named_and_the_next_observation_starts_another():
+def test_process_outlives_an_interruption_and_one_that_dies_is_named_and_followed_by_another():
     with opened() as policy:
+        os.kill(pid_of(policy), signal.SIGINT)
+        assert policy.predict(ONES)[0].shape == (3, M)
         os.kill(pid_of(policy), signal.SIGSEGV)
         with pytest.raises(PolicyError, match="ended with SIGSEGV: a fault, or more than 4096 MiB of memory"):
             policy.predict(ONES)
-        assert policy.predict(ONES)[0].shape == (3, M)
-
-
-def test_interruption_of_the_terminal_is_left_to_the_process_that_started_it():
-    with opened() as policy:
-        os.kill(pid_of(policy), signal.SIGINT)
         assert policy.predict(ONES)[0].shape == (3, M)
 
 

@@ -145,15 +145,6 @@ def test_parts_without_a_unit_are_dark_and_count_as_not_served():
     assert simulator.lane_values("status")[0] == Status.RUNNING
 
 
-def test_islands_that_join_again_are_one_and_swing_together():
-    simulator = started(parted(), scenario(*cut(1.0, again_s=0.3), wind=PARTED_WIND))
-    found = recorded(simulator, 40.0, "speed")
-    assert (island_of_buses(simulator) == 0.0).all() and simulator.lane_values("split")[0] == 0.0
-    assert np.ptp(found["speed"][12]) > 1e-5
-    assert np.ptp(found["speed"][-1]) < 1e-7
-    assert simulator.lane_values("status")[0] == Status.RUNNING
-
-
 def test_shedding_acts_in_the_island_with_the_deficit_alone():
     simulator = started(plant(groups=PARTED), scenario(*cut(1.0), wind=[[9.0], [7.0]]))
     recorded(simulator, 6.0)

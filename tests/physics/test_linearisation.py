@@ -5,17 +5,13 @@ import math
 
 import numpy as np
 import pytest
-from scipy.linalg import expm
 
-from docs.studies.small_signal import linearise
 from tests.physics.extended import plant, scenario, with_machine
-from wtg_gym.physics.grid import get_grid
 from wtg_gym.physics.linearisation import largest_stable_steps
 from wtg_gym.physics.parameters import ConverterLimitParameters, GridFormingParameters, VoltageControlParameters
 from wtg_gym.physics.plant import Plant
 from wtg_gym.physics.simulator import Simulator
-from wtg_gym.physics.tracking_law import STRATEGIES, TrackingLaw, get_law
-from wtg_gym.scenarios import get_suite
+from wtg_gym.physics.tracking_law import TrackingLaw, get_law
 
 LAWS = (get_law("coordinated-piecewise"),) * 2
 
@@ -76,33 +72,3 @@ def test_a_law_that_is_too_steep_for_the_step_is_refused(inertia_s, k_min, k_nom
 def test_steps_and_inertias_that_are_allowed_suit_the_default_plant():
     Simulator(Plant(simulation_dt=0.04, control_dt=0.2)).prepare([scenario(inertia_scale=0.05)], LAWS)
     Simulator(Plant(simulation_dt=0.05)).prepare([scenario()], LAWS)
-
-
-PAPER = get_suite("paper").scenario(0)
-REFERENCE = STRATEGIES["coordinated-piecewise"]
-
-
-@pytest.mark.parametrize(("side", "classical"), [("under", False), ("over", True)])
-def test_small_motion_of_the_simulator_is_that_of_the_linear_model(side, classical):
-    """A push of 1e-6, let go for 0.1 s, before the WTGs' frequencies come back to the corner of g(ω)."""
-    case = get_grid("ieee14").case
-    settings = Plant(case=case.classical() if classical else case, simulation_dt=0.0025)
-    matrix, moving = linearise(PAPER, REFERENCE, settings, side=side)
-    simulator = Simulator(settings)
-    simulator.start(0, scenario(), (REFERENCE,) * 2)
-    names = list(simulator.layout.state_names)
-    index = [names.index(name) for name in moving]
-    here = simulator.state()
-    # The WTGs' frequencies leave the corner and stay away from it; the others follow.
-    push = np.zeros(here.size)
-    for j in range(2):
-        push[names.index(f"wtg{j}.speed")] = -1e-6 if side == "under" else 1e-6
-        push[names.index(f"wtg{j}.rotor_speed")] = 3e-7
-    simulator.set_state(here + push)
-    simulator.advance()
-    moved = (simulator.state() - here)[index]
-    expected = expm(0.1 * matrix) @ push[index]
-    assert np.abs(moved - expected).max() < 2e-4 * np.abs(expected).max()
-    other, _ = linearise(PAPER, REFERENCE, settings, side="over" if side == "under" else "under")
-    wrong = expm(0.1 * other) @ push[index]
-    assert np.abs(moved - wrong).max() > 2e-3 * np.abs(expected).max()

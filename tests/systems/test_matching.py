@@ -67,10 +67,6 @@ def float_for_record(state: float) -> float:
     return state
 
 
-def other_of_its_size(state: Other) -> Other:
-    return state
-
-
 def record_for_float(own_heat: Pair) -> Pair:
     return own_heat
 
@@ -127,7 +123,6 @@ REFUSED: dict[str, tuple[Callable[[], Any], str]] = {
     "written name of two": (named("state", writes=("level",)), "'own_level' (scratch of guests) and 'host_level'"),
     "written constant": (named("size", writes=("size",)), "writes 'size', which is one of the constants"),
     "float for a record": (function(float_for_record, "copy"), "'state' .* means .*Pair, but is annotated with float"),
-    "another record": (function(other_of_its_size, "copy"), "'state' .* means .*Pair, but is annotated with .*Other"),
     "record for a float": (function(record_for_float, "copy"), "'own_heat' .* means float, but is annotated with"),
     "another record of its name": (other_of_the_same_name, "'state' .* means .*Pair, but is annotated with .*Pair"),
     "unknown annotation": (unknown_annotation, "an annotation of system 'system_of_none' is unknown: .*Unheard"),
