@@ -11,14 +11,12 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from scipy.integrate import solve_ivp
 
 from wtg_gym.physics import parameters
 from wtg_gym.physics.grid import NetworkCase, get_grid
 from wtg_gym.physics.layout import Floats
 from wtg_gym.physics.machine_parameters import GovernorParameters, HydroGovernorParameters, classical_machine
 from wtg_gym.physics.plant import Plant
-from wtg_gym.physics.reduction import refresh_network
 from wtg_gym.physics.scenario import Event, LoadStep, Scenario
 from wtg_gym.physics.simulator import Simulator
 from wtg_gym.physics.tracking_law import get_law
@@ -141,33 +139,3 @@ def rough(seed: int) -> Scenario:
         reactive_mvar=float(rng.uniform(-50.0, 50.0)),
     )
     return dataclasses.replace(drawn, events=(*drawn.events, step, *(fault(20.0, bus=4) if seed % 3 == 0 else ())))
-
-
-def reference_run(
-    settings: Plant, what: Scenario, seconds: float, method: str, rtol: float = 1e-9, shown: str = "current"
-) -> tuple[Floats, Floats]:
-    """States and a number of the groups every 0.1 s, by scipy, which starts anew wherever the network changes."""
-    simulator = started(settings, what)
-    dt, block, layout = settings.simulation_dt, simulator.blocks[0], simulator.layout
-    state, step, last = simulator.state(), 0, round(seconds / settings.simulation_dt)
-    states, numbers = [], []
-
-    def rates(_t: float, x: Floats) -> Floats:
-        simulator.set_state(x)
-        simulator.evaluate()
-        return simulator.rates()
-
-    while step < last:
-        following = int(min(block[layout.lane("next_change"), 0], last))
-        if following > step:
-            times = dt * np.arange(step + 4, following + 1, 4)
-            span = (step * dt, following * dt)
-            done = solve_ivp(rates, span, state, method=method, t_eval=times, rtol=rtol, atol=0.01 * rtol)
-            state, step = done.y[:, -1], following
-            for values in done.y.T:
-                rates(0.0, values)
-                states.append(values)
-                numbers.append(simulator.wtg_values(shown)[0])
-        block[layout.lane("step")] = step
-        refresh_network(block, 0, 0, simulator.plant.network, simulator.data)
-    return np.array(states), np.array(numbers)

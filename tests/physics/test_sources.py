@@ -6,16 +6,14 @@ import math
 import numpy as np
 import pytest
 
-from tests.physics.extended import LAW, NO_SHEDDING, largest_rate, plant, recorded, scenario, started, with_machine
+from tests.physics.extended import NO_SHEDDING, largest_rate, plant, recorded, scenario, started, with_machine
 from tests.physics.test_faults import bus_matrix
 from tests.physics.test_islands import PARTED_WIND, cut, parted
 from wtg_gym.physics import scenario as sc
 from wtg_gym.physics.devices import SOURCES
 from wtg_gym.physics.grid import NetworkCase, Source, get_grid
-from wtg_gym.physics.parameters import TurbineParameters
 from wtg_gym.physics.protection import FILTER_S, Status, turn_between
 from wtg_gym.physics.simulator import Simulator
-from wtg_gym.physics.tracking_law import group_laws
 from wtg_gym.physics.units import BUSES, ISLANDS, Phasor
 
 
@@ -106,24 +104,6 @@ def test_half_the_units_of_a_machine_are_a_machine_of_half_the_rating():
         assert some.machine_values("power") == pytest.approx(small.machine_values("power"), abs=1e-11)
         assert some.wtg_values("power") == pytest.approx(small.wtg_values("power"), abs=1e-12)
         assert some.lane_values("coi") == pytest.approx(small.lane_values("coi"), abs=1e-13)
-
-
-def test_a_run_has_the_same_bits_among_neighbours_with_islands_faults_and_returns():
-    own = scenario(sc.LoadStep(time_s=0.5, bus=9, power_mw=20.0), wind=PARTED_WIND)
-    others = [
-        scenario(*cut(0.5, again_s=0.7), sc.GroupTrip(time_s=0.2, group=0, returns_after_s=0.6), wind=PARTED_WIND),
-        scenario(sc.Fault(time_s=0.3, bus=4, clears_after_s=0.1, opens=(2, 4)), wind=PARTED_WIND),
-        scenario(sc.MachineOutage(time_s=0.1, bus=3, returns_after_s=0.5), wind=PARTED_WIND),
-    ]
-    laws = group_laws(LAW, (TurbineParameters(),) * 2)
-    for what in (own, others[0]):
-        single, many = started(parted(), what), Simulator(parted(), n_lanes=17)
-        for lane in range(17):
-            many.start(lane, what if lane == 13 else others[lane % 3], laws)
-        for _ in range(30):
-            single.advance()
-            many.advance()
-        assert (many.blocks[13 // many.width, :, 13 % many.width] == single.blocks[0, :, 0]).all()
 
 
 def test_conductances_follow_the_frequency_of_their_island():
