@@ -7,11 +7,6 @@ from wtg_gym.scenarios import draws, wind
 from wtg_gym.scenarios.distribution import ScenarioDistribution
 
 
-def test_standard_deviation_at_15_m_s_is_that_of_the_normal_turbulence_model():
-    found = {name: wind.ntm_sigma(15.0, intensity) for name, intensity in wind.TURBULENCE_CLASSES.items()}
-    assert found == pytest.approx({"A": 2.696, "B": 2.359, "C": 2.022})
-
-
 @pytest.mark.parametrize("mean", [4.0, 20.0])
 def test_kaimal_spectrum_integrates_to_the_variance(mean):
     frequency = np.concatenate([[0.0], np.geomspace(1e-7, 1e5, 20_001)])
