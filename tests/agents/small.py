@@ -90,7 +90,6 @@ class Normalized:
         self._model, self._normalize = model, model.get_vec_normalize_env()
 
     def predict(self, observation: Any, *more: Any, deterministic: bool) -> tuple[Any, Any]:
-        assert self._normalize is not None
         return self._model.predict(self._normalize.normalize_obs(observation), *more, deterministic=deterministic)
 
 

@@ -58,8 +58,7 @@ class Run:
     def column(self, name: str) -> Floats:
         """Return the course of an entry of the observation by its name without unit."""
         names = [entry.partition(" ")[0] for entry in self.env.observation_names]
-        column: Floats = self.observations[:, names.index(name)]
-        return column
+        return self.observations[:, names.index(name)]
 
     def seen(self, owner: str, *names: str) -> Floats:
         """Return what the groups measure ("wtg"), or what is exact ("exact"), (n_steps + 1, n_wtg, n_names)."""

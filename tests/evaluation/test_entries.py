@@ -128,7 +128,7 @@ def test_identity_of_a_law_follows_its_numbers_and_that_of_a_policy_needs_a_fing
     assert Entry(name="mppt", strategy=other).identity != Entry(name="mppt", strategy=law).identity
     (unknown,), (known,) = load_entries(f"{package}.early:policy"), load_entries(f"{package}.early:build")
     assert unknown.identity is None
-    assert known.identity is not None and known.identity != Entry(name="law").identity
+    assert known.identity not in (None, Entry(name="law").identity)
 
 
 def test_baselines_are_those_of_the_version():

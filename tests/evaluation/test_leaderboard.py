@@ -30,7 +30,7 @@ def test_table_has_the_best_first_and_equal_scores_share_a_rank(results):
     assert rows[0].difference_to_above is None
     for above, row in itertools.pairwise(rows):
         difference = row.difference_to_above
-        assert difference is not None and difference.low <= difference.value <= difference.high
+        assert difference.low <= difference.value <= difference.high
         assert difference.value == pytest.approx(row.score.value - above.score.value, abs=1e-9)
 
 

@@ -50,7 +50,7 @@ def test_plain_module_becomes_one_file_that_the_gate_accepts(tmp_path):
     assert sorted(path.name for path in folder.iterdir()) == ["entry.toml", "policy.onnx"]
     report = check_submission(folder)
     assert report.accepted, report.refusal
-    assert report.entry is not None and (report.entry.training_seed, report.entry.trained_on) == (3, "nothing")
+    assert (report.entry.training_seed, report.entry.trained_on) == (3, "nothing")
     (entry,) = load_entries(folder)
     assert (entry.name, entry.environment) == ("mine", "GFMWTG-14bus-v1")
     observations = np.random.default_rng(1).normal(size=(5, n)).astype(np.float32)
@@ -126,7 +126,7 @@ REFUSED = {
 def test_what_cannot_be_exported_is_refused_and_nothing_is_written(case, tmp_path):
     make, said = REFUSED[case]
     with pytest.raises(ValueError, match=said):
-        export_onnx(make(observation_width()), tmp_path / "mine", **ENTRY)  # type: ignore[no-untyped-call]
+        export_onnx(make(observation_width()), tmp_path / "mine", **ENTRY)
     assert not (tmp_path / "mine").exists()
 
 

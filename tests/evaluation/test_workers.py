@@ -127,7 +127,7 @@ def test_worker_with_other_code_plays_nothing():
 
 def test_policy_that_cannot_travel_is_named():
     tied = Linear()
-    tied.lock = threading.Lock()  # type: ignore[attr-defined]
+    tied.lock = threading.Lock()
     with pytest.raises(ValueError, match=r"entry 'tied' cannot be sent to other processes: .*pickle"):
         evaluate([Entry(name="tied", policy=tied)], "standard", "test", workers=Workers("loky", jobs=2), **SHORT)
 

@@ -87,8 +87,7 @@ def read_data(name: str) -> dict[str, Any]:
 
     if name in shipped.EVENTS:
         return shipped.data_of_grid(name)
-    data: dict[str, Any] = json.loads((GOLDEN / name / "params.json").read_text(encoding="utf-8"))
-    return data
+    return json.loads((GOLDEN / name / "params.json").read_text(encoding="utf-8"))
 
 
 def read_case(name: str) -> Case:
@@ -189,8 +188,7 @@ def _event(
 ) -> Event:
     """Return an event: of its kind, or as the power that its admittance takes at the bus's initial voltage."""
     if "kind" in entry:
-        event: Event = EVENT_KINDS[entry["kind"]](**{key: value for key, value in entry.items() if key != "kind"})
-        return event
+        return EVENT_KINDS[entry["kind"]](**{key: value for key, value in entry.items() if key != "kind"})
     bus = entry["bus"]
     power = complex(entry.get("dG_pu", 0.0), -entry.get("dB_pu", 0.0)) * abs(voltage[bus]) ** 2
     if "trip_load_MW" in entry:

@@ -82,8 +82,7 @@ def trips(tape: Tape, scenarios: list[Scenario], actions: Floats) -> list[int]:
         tape.step(own)
         gone.append(tape.lanes.simulator.wtg_values("connected")[:, 0] < 0.5)
     assert gone[-1].all()
-    found: list[int] = np.argmax(gone, axis=0).tolist()
-    return found
+    return np.argmax(gone, axis=0).tolist()
 
 
 def measured(case: Case, way: Floats, h: float) -> Floats:

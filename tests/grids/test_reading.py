@@ -102,12 +102,12 @@ def test_machines_of_a_DYR_file_and_what_was_changed_about_them(tmp_path):
     grid = read_case(path, dynamic)
     first, second = grid.case.machines
     assert (first.two_h_s, first.resistance, first.x_d, first.saturation_1_2) == (9.0, 0.001, 1.8, 0.3)
-    assert first.exciter is not None and first.exciter.gain == 50.0
-    assert first.governor is not None and (first.governor.droop_pu, first.governor.gate_max_pu) == (0.05, 1.0)
+    assert first.exciter.gain == 50.0
+    assert (first.governor.droop_pu, first.governor.gate_max_pu) == (0.05, 1.0)
     assert second.x_q_transient == second.x_q == 0.7 and second.x_leakage == pytest.approx(0.2)
-    assert second.exciter is not None and second.exciter.saturation_voltage_1_pu == 3.0
+    assert second.exciter.saturation_voltage_1_pu == 3.0
     assert second.exciter.regulator_max_pu == 999.0
-    assert second.stabiliser is not None and (second.stabiliser.gain, second.stabiliser.lead_time_1_s) == (20.0, 0.05)
+    assert (second.stabiliser.gain, second.stabiliser.lead_time_1_s) == (20.0, 0.05)
     for text in ("GENSAL is a GENROU", "leakage reactance 0.3 p.u.", "VRMAX = 0 means no limit"):
         assert text in notes(grid)
 

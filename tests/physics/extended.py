@@ -94,8 +94,7 @@ def phasors(simulator: Simulator, kind: Kind, part: str) -> npt.NDArray[np.compl
     """Voltages, currents or admittances of every unit of a kind in a single run at its present state [p.u.]."""
     # Of a copy: the run's outputs stay as they are.
     scratch, first = simulator._evaluated(simulator.blocks.copy())[0, :, 0], simulator.layout.first_rows(kind, part)
-    found: npt.NDArray[np.complex128] = scratch[first] + 1j * scratch[first + 1]
-    return found
+    return scratch[first] + 1j * scratch[first + 1]
 
 
 def largest_rate(simulator: Simulator) -> float:

@@ -1,7 +1,6 @@
 """The elementary functions against libm and exact arithmetic."""
 
 import math
-from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -19,7 +18,7 @@ ORDINARY = st.floats(-1e100, 1e100, allow_subnormal=False)
 
 SUMS = Kind(name="sums", rows={"a": float, "b": float, "c": float, "sum": float})
 (PROGRAM,) = in_one_table(SUM=(system(SUMS, "sum")(lambda a, b, c: fma(a, b, c)),))
-ROUTINE, TABLES = Routine(PROGRAM), build_table((PROGRAM,), cast("Any", Layout({SUMS: 1}, {})))
+ROUTINE, TABLES = Routine(PROGRAM), build_table((PROGRAM,), Layout({SUMS: 1}, {}))
 
 
 def compiled_fma(*given: float) -> float:

@@ -52,7 +52,6 @@ def test_limits_are_held_and_left_without_wind_up(table, disturbance):
     assert (found["limiting_reactance"] > 0.0).any()
     assert found["current"].max() <= extended.CURRENT_MAX * (1.0 + 1e-9)
     control = settings.voltage_control
-    assert control is not None
     assert found["internal_voltage"].max() <= control.internal_voltage_max_pu
     assert found["internal_voltage"].min() >= control.internal_voltage_min_pu
     for name in ("over_power", "under_power"):

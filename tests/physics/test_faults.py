@@ -84,7 +84,7 @@ def return_now(simulator: Simulator) -> None:
 def test_a_unit_that_returns_is_in_step_with_its_bus_and_picks_up_again(who, table):
     bus, own = {"group": (2, "wtg1."), "condenser": (3, "sync1."), "machine with a governor": (1, "sync0.")}[who]
     given: dict[str, float] = {"time_s": 1.0, "returns_after_s": 3.0}
-    event = GroupTrip(**given, group=1) if who == "group" else MachineOutage(**given, bus=bus)  # type: ignore[arg-type]
+    event = GroupTrip(**given, group=1) if who == "group" else MachineOutage(**given, bus=bus)
     # While it is away the others live without the machine with a governor.
     settings = plant(
         table=table, control_dt=0.025, shedding=NO_SHEDDING, groups=(WtgGroup(bus=2, n_turbines=24.0),) * 2

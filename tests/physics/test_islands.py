@@ -31,7 +31,7 @@ def cut(time_s: float, lines: tuple[tuple[int, int], ...] = CUT, again_s: float 
 
 
 def parted(**more: object) -> Plant:
-    return plant(**{"groups": PARTED, "shedding": NO_SHEDDING, **more})  # type: ignore[arg-type]
+    return plant(**{"groups": PARTED, "shedding": NO_SHEDDING, **more})
 
 
 def rows_of(simulator: Simulator, kind: Kind, units: list[int]) -> np.ndarray:

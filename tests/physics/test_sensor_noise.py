@@ -1,7 +1,6 @@
 """Facts about the noise, the filters and the errors of sensors, by themselves."""
 
 import math
-from typing import Any, cast
 
 import numpy as np
 import numpy.typing as npt
@@ -29,7 +28,7 @@ ROUTINE = Routine(PROGRAM)
 def numbers_of(seeds: Floats, steps: Floats, channels: Floats) -> Floats:
     """The machine code's numbers of pairs of seed and step (n,), for each channel (n, n_channels)."""
     layout = Layout({DRAWS: channels.size}, {})
-    tables = build_table((PROGRAM,), cast("Any", layout))
+    tables = build_table((PROGRAM,), layout)
     block, scratch = np.zeros((layout.n_rows, 16)), np.zeros((layout.n_scratch, 16))
     block[layout.first_rows(DRAWS, "channel")] = channels[:, np.newaxis]
     found = []

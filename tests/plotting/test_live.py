@@ -35,7 +35,7 @@ def test_without_an_action_you_are_the_reference(suite):
 
 def test_the_cost_is_the_evaluators(suite):
     class Held:
-        def predict(self, observation, state=None, episode_start=None, deterministic=False):  # type: ignore[no-untyped-def]
+        def predict(self, observation, state=None, episode_start=None, deterministic=False):
             return np.tile([0.3, -0.2], (len(observation), len(suite.plant.groups))), state
 
     seeds = list(suite.validation[:3])

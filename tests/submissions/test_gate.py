@@ -35,7 +35,7 @@ def test_policy_that_is_slow_is_refused_and_no_later_check_is_made(monkeypatch, 
     monkeypatch.setattr(gate, "ANSWER_S", 1e-9)
     report = check_submission(folder(tmp_path / "a"))
     assert [check.verdict for check in report.checks] == ["passed"] * 3 + ["refused"] + ["not reached"] * 2
-    assert report.refusal is not None and not report.accepted
+    assert not report.accepted
     assert report.refusal.name == "speed" and "more than 1e-06 ms for an action" in report.refusal.reason
 
 
@@ -50,7 +50,7 @@ worker._Served.answer = mixed"""
     monkeypatch.setattr(policy_process, "_SCRIPT", models.worker(tmp_path / "worker.py", mixes))
     monkeypatch.setattr(gate, "_ROLLOUT_LANES", 4)
     refusal = check_submission(folder(tmp_path / "a")).refusal
-    assert refusal is not None and refusal.name == "repeated" and "in another order" in refusal.reason
+    assert refusal.name == "repeated" and "in another order" in refusal.reason
 
 
 def _socket(path: Path) -> None:
@@ -96,7 +96,7 @@ def test_folder_with_other_files_is_refused(name, make, said, tmp_path):
     (path / name).unlink(missing_ok=True)
     make(path / name)
     refusal = read_submission(path).refusal
-    assert refusal is not None and refusal.name == "folder" and said in refusal.reason and refusal.reason.isprintable()
+    assert refusal.name == "folder" and said in refusal.reason and refusal.reason.isprintable()
 
 
 def test_link_to_a_folder_and_what_is_no_folder_are_refused(tmp_path):
@@ -152,7 +152,7 @@ WRONG: list[tuple[str | bytes, str]] = [
 @pytest.mark.parametrize(("toml", "said"), WRONG)
 def test_wrong_entry_files_are_refused(toml, said, tmp_path):
     refusal = read_submission(folder(tmp_path / "a", toml=toml)).refusal
-    assert refusal is not None and refusal.name == "entry.toml" and said in refusal.reason
+    assert refusal.name == "entry.toml" and said in refusal.reason
     assert refusal.reason.isprintable() and len(refusal.reason) < 1600
 
 

@@ -18,7 +18,7 @@ POLICIES = ROOT / "agents" / "policies"
 def refused(path: Path) -> tuple[str, str]:
     """The check that refuses a folder, and why, which is one line."""
     refusal = read_submission(path).refusal
-    assert refusal is not None and refusal.reason.isprintable()
+    assert refusal.reason.isprintable()
     return refusal.name, refusal.reason
 
 

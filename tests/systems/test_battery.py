@@ -30,7 +30,6 @@ def module_of(page: str, name: str, folder: Path) -> Any:
     path = folder / name
     path.write_text(files(page)[name], encoding="utf-8")
     spec = importlib.util.spec_from_file_location(path.stem, path)
-    assert spec is not None and spec.loader is not None
     module = sys.modules[path.stem] = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
     return module

@@ -99,7 +99,7 @@ def other_of_the_same_name() -> System:
 
 
 def unknown_annotation() -> System:
-    def system_of_none(state: Unheard) -> Any:  # type: ignore[name-defined]  # noqa: F821
+    def system_of_none(state: Unheard) -> Any:  # noqa: F821
         return state
 
     return System(GUESTS, system_of_none, ("copy",))
