@@ -25,7 +25,6 @@ def git(folder: Path, *arguments: str) -> str:
 
 
 def entry(name: str) -> Callable[[Path], object]:
-
     def add(checkout: Path) -> None:
         folder = checkout / "agents" / "policies" / name
         folder.mkdir(parents=True)

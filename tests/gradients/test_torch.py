@@ -59,7 +59,7 @@ def test_a_truncated_gradient_is_that_of_a_segment_from_where_it_began():
         episodes_of().detach()
 
 
-def test_a_policy_trains_by_backward():
+def test_a_policy_and_a_law_have_gradients_by_backward():
     episodes = episodes_of()
     scenarios = drawn(episodes.tape)
     episodes.start(scenarios)
@@ -74,16 +74,10 @@ def test_a_policy_trains_by_backward():
             total = total + terms.sum()
         return total
 
-    parameters = [*policy.parameters(), law]
     before = cost()
     before.backward()
-    found = [parameter.grad.clone() for parameter in parameters]
-    for parameter, gradient in zip(parameters, found, strict=True):
-        has_slope(cost, parameter, gradient)
-    with torch.no_grad():
-        for parameter, gradient in zip(policy.parameters(), found[:-1], strict=True):
-            parameter -= 0.01 * gradient
-    assert cost() < before
+    for parameter in (*policy.parameters(), law):
+        has_slope(cost, parameter, parameter.grad)
     with pytest.raises(RuntimeError, match="before the next start"):
         before.backward()
     with pytest.raises(ValueError, match=r"law must have the shape \(2, 4\)"):
