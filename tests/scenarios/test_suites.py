@@ -11,13 +11,11 @@ import pytest
 from wtg_gym.envs.lanes import TaskLanes
 from wtg_gym.envs.settings import EnvSettings
 from wtg_gym.evaluation import evaluate
-from wtg_gym.physics.grid import DEFAULT_GRID
-from wtg_gym.physics.scenario import Fault, GovernorLoss, GroupTrip, LineTrip, MachineOutage, Scenario
+from wtg_gym.physics.scenario import GroupTrip, Scenario
 from wtg_gym.scenarios import FROZEN_HASHES, SUITES, ScenarioDistribution, get_suite
 from wtg_gym.scenarios.draws import Draft, LoadEvents, LoadNoise, Record, Wind
 from wtg_gym.scenarios.margin import reserve_margin
 from wtg_gym.scenarios.sensor_distribution import SensorDistribution
-from wtg_gym.scenarios.strata import STRATA
 from wtg_gym.scenarios.stream import Picker
 from wtg_gym.tasks import V1
 
@@ -96,14 +94,6 @@ def test_a_suite_of_ones_own_records_is_played_without_a_file():
 
 
 DRAWN = [suite for suite in SECOND if suite.distributions]
-#: What happens in every run of a kind.
-EVENT_OF = {
-    "governor": (GovernorLoss, 1),
-    "machine": (MachineOutage, 1),
-    "group": (GroupTrip, 1),
-    "fault": (Fault, 1),
-    "island": (LineTrip, 3),
-}
 
 
 @functools.cache
@@ -112,7 +102,7 @@ def frozen(name: str) -> list[Scenario]:
 
 
 @pytest.mark.parametrize("suite", DRAWN, ids=lambda suite: suite.name)
-def test_scenarios_have_the_margin_of_their_stratum_and_its_kinds_of_event(suite):
+def test_scenarios_have_the_margin_of_their_stratum_alone_or_in_any_order(suite):
     assert suite.strata == ("ample", "tight", "short")
     scenarios = frozen(suite.name)
     seeds = [*suite.validation, *suite.test]
@@ -124,21 +114,8 @@ def test_scenarios_have_the_margin_of_their_stratum_and_its_kinds_of_event(suite
     for stratum, (low, high) in zip(suite.strata, ((0.1, math.inf), (0.0, 0.1), (-0.1, 0.0)), strict=True):
         of_stratum = [scenario for scenario in scenarios if suite.stratum(scenario.seed) == stratum]
         assert all(low <= scenario.reserve_margin < high for scenario in of_stratum)
-        kinds = {scenario.name.split("/")[1] for scenario in of_stratum}
-        # No other grid than that of 14 buses has lines that leave groups without machines.
-        possible = set(STRATA[stratum].kinds) - ({"island"} if suite.grid != DEFAULT_GRID else set())
-        # Every group of Nordic 45 is larger than what its operators plan to lose.
-        possible -= {"group"} if suite.name == "nordic45-v1" else set()
-        # Where there is little wind, the loss of a generator leaves less than any stratum asks.
-        assert kinds in (possible, possible - {"machine"})
     for scenario in scenarios[::30]:
         assert scenario.reserve_margin == reserve_margin(scenario, suite.plant)
-    for (_, kind, _), scenario in zip(parts, scenarios, strict=True):
-        event, least = EVENT_OF.get(kind, (LineTrip, 0))
-        assert sum(isinstance(own, event) for own in scenario.events) >= least
-        assert scenario.duration_s == 180.0
-        lost_at_start = [own for own in scenario.events if isinstance(own, GovernorLoss) and own.time_s == 0.0]
-        assert all(3.0 <= own.time_s <= 60.0 for own in scenario.events if own not in lost_at_start)
     assert [own.to_json() for own in suite.scenarios(seeds[::-70])] == [own.to_json() for own in scenarios[::-70]]
     assert [suite.scenario(seed).to_json() for seed in seeds[:3]] == [own.to_json() for own in scenarios[:3]]
 
