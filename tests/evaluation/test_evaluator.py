@@ -150,7 +150,6 @@ def test_law_without_an_equilibrium_is_left_out_and_that_of_an_anchor_is_an_erro
     assert failed["name"] == "greedy" and re.match(text, failed["reason"])
     with pytest.raises(PolicyError, match=text):
         evaluate([law, fine], "standard", "test", **SHORT)
-    # Without its anchors there is no score.
     monkeypatch.setattr("wtg_gym.evaluation.evaluator.play_batch", lambda e, *_: PolicyError(f"entry {e.name!r}"))
     with pytest.raises(PolicyError, match="entry 'mppt'"):
         evaluate([], "standard", "test", keep_going=True, **SHORT)

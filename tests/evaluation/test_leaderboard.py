@@ -56,7 +56,6 @@ def test_table_shows_failures_the_worst_tenth_and_deviations(results_v1):
     reasons = ("stall", "frequency limit", "under-speed", "loss of synchronism")
     failed, row = changed(results_v1, {i: {"failure": reason} for i, reason in enumerate(reasons)})
     own = failed.episodes_of("fast-droop")
-    # What a failure costs is in the cost already.
     assert row.worst_decile_cost == pytest.approx(np.mean(sorted(e.metrics["cost"] for e in own)[-2:]))
     deviations = [1e3 * max(50.0 - e.metrics["nadir_hz"], e.metrics["zenith_hz"] - 50.0) for e in own]
     assert row.median_deviation_mhz == pytest.approx(np.median(deviations))
@@ -136,7 +135,6 @@ def test_entries_that_lose_grids_that_the_anchor_only_bends_have_no_mark(results
     groups = {"ordinary": np.arange(6), "large": np.arange(6, 12)}
     rows = summary.measured(entries, runs, costs, get_suite("standard-v1"), groups, Adjusted(0.3, groups))
     assert [row.lost_or_beyond_to_hundred.value for row in rows] == [0.0, 0.0, 0.0]
-    # One lost grid may be chance.
     assert [row.marked for row in rows] == [True, False, True]
 
 

@@ -68,7 +68,6 @@ def test_deloading_shows_in_the_share_of_energy():
 def test_quasi_steady_deviation_is_the_mean_of_the_last_five_seconds():
     frequency = np.concatenate([np.full(551, 49.0), np.full(50, 49.8)])
     assert quasi_steady_deviation(frequency, DT, 50.0) == pytest.approx(-0.2)
-    # The mean is over less than the window.
     assert quasi_steady_deviation(np.array([50.0, 50.1, 50.2]), DT, 50.0) == pytest.approx(0.15)
 
 

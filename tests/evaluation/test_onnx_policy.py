@@ -63,7 +63,6 @@ def test_wrong_shapes_are_named():
 
 def test_costs_in_a_scenario_are_the_same_to_the_last_bit_whatever_is_played_beside_it():
     (entry,) = load_entries(POLICIES / "sac-k+tau-4")
-    # More than one batch, of 64.
     seeds = range(20_000, 20_070)
     together = evaluate([entry], "standard", "test", seeds=seeds, duration_s=2.0).episodes_of(entry.name)
     for seed in (20_017, 20_069):
@@ -81,7 +80,6 @@ def test_missing_policy_and_other_action_mode_are_named(tmp_path):
         evaluate([entry], "standard", "test", seeds=[20_000], duration_s=1.0)
 
 
-#: Models that draw random numbers.
 RANDOM = {
     "normal": models.after("action = RandomNormalLike(linear)"),
     "uniform, with a seed": models.after("action = RandomUniformLike<seed = 1.0>(linear)"),

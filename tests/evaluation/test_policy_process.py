@@ -133,7 +133,6 @@ def test_process_ends_with_the_one_that_started_it(tmp_path):
     parent.wait()
     parent.stdout.close()
     assert gone(pid)
-    # Nothing of it is left behind.
     assert not list(tmp_path.iterdir())
 
 

@@ -36,7 +36,6 @@ def test_files_that_are_read_and_written_again_are_the_same(written, results, tm
     assert read == results
     for one, other in zip(read.write(tmp_path), written, strict=True):
         assert one.read_bytes() == other.read_bytes()
-    # Neither time nor place is in them.
     text = written[0].read_text(encoding="utf-8")
     assert str(Path.home()) not in text and not re.search(r"20\d\d-\d\d-\d\dT", text)
 

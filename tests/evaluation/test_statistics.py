@@ -161,7 +161,6 @@ def test_parts_of_terms_are_the_logarithmic_mean_written_out():
 def test_of_one_run_the_test_of_bad_runs_is_mcnemars(n_more, n_less):
     happened, other = np.zeros((2, 1, 400))
     happened[0, :n_more], other[0, n_more : n_more + n_less] = 1.0, 1.0
-    # What happens to both says nothing.
     happened[0, 300:], other[0, 300:] = 1.0, 1.0
     chance = statistics.sign_test(happened, other)
     n = n_more + n_less

@@ -19,7 +19,6 @@ from wtg_gym.physics.scenario import EVENT_KINDS, Event, LoadStep
 GOLDEN = Path(__file__).parent
 #: Rows of the traces are whole multiples of this [s].
 ROW_S = 1.0 / 16.0
-#: Every trace.
 TRACES = sorted(GOLDEN.glob("*/*.csv"))
 
 # What the file, as ANDES, calls the fields of a record.
@@ -91,12 +90,10 @@ def read_data(name: str) -> dict[str, Any]:
 
 
 def read_case(name: str) -> Case:
-    """Return a golden case by the name of its folder."""
     return case_of(name, read_data(name))
 
 
 def case_of(name: str, data: Mapping[str, Any]) -> Case:
-    """Return the case that such data describe."""
     base = data["Sbase"]
     voltage = {bus["bus"]: bus["V"] * np.exp(1j * bus["theta"]) for bus in data["bus"]}
     loads = dict.fromkeys(voltage, 0j) | {load["bus"]: complex(load["P"], load["Q"]) for load in data["load"]}

@@ -34,7 +34,6 @@ class IndependentConverter:
         self.start = np.array([np.angle(emf), 1.0, 0.0, rotor, 0.0, 0.0, 0.0, 0.0, 0.0, np.angle(stiff), 1.0])
 
     def captured(self, rotor: float) -> float:
-        """Return the power from the wind."""
         inverse = self.wind / (self.TIP_M_S * rotor) - 0.035
         return float(self.WIND_POWER * self.wind**3 * 0.5 * (100.0 * inverse - 5.0) * np.exp(-17.3 * inverse))
 
@@ -45,7 +44,6 @@ class IndependentConverter:
         return power, most, min(over, 0.0) + max(under, 0.0)
 
     def rates(self, x: np.ndarray, ramp: float) -> np.ndarray:
-        """Return the time derivatives."""
         power, most, shift = self.seen(x)
         deviation, rotor, drawn = x[1] - 1.0, x[3], max(power, self.P_MIN)
         tracked = min(np.interp(x[1] + shift, (0.992, 1.0, 1.008), self.k) * rotor**3, most)

@@ -76,7 +76,6 @@ def differences(case: Case, trace: Mapping[str, Floats], found: Mapping[str, Flo
 
 
 def _require_power_flow(case: Case, simulator: Simulator) -> None:
-    """Refuse a case whose power flow is not that of its own network."""
     simulator.evaluate()
     own, given = simulator.bus_voltages(), np.array(list(case.voltage.values()))
     slack = case.network.bus_index(case.network.slack_bus)
@@ -94,7 +93,6 @@ def machine_powers(simulator: Simulator) -> npt.NDArray[np.complex128]:
 
 
 def _columns(simulator: Simulator) -> Floats:
-    """Return all columns of a trace as they are now."""
     reference, power, voltage = simulator.lane_values("angle"), machine_powers(simulator), simulator.bus_voltages()
     return np.concatenate(
         [

@@ -22,7 +22,6 @@ TOLERANCE = {"w": 1e-6, "Pe": 1e-3, "V": 5e-5}
 
 
 def data_of_grid(name: str) -> dict[str, Any]:
-    """Return a grid as the data of a golden case."""
     case = get_grid(name).case
     voltage, power = _power_flow(case)
     at, base = dict(zip(case.bus_numbers, voltage, strict=True)), case.base_mva

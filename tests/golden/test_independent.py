@@ -59,6 +59,5 @@ def test_limits_of_power_and_torque_and_the_chopper_agree_with_a_second_implemen
     for name, values in expected.items():
         tolerance = {"power": 1e-5, "heat": 1e-5, "energy_delivered": 2e-6, "energy_chopped": 2e-6}.get(name, 2e-7)
         assert np.abs(found[name][:, 0] - values).max() < tolerance, name
-    # All of it acts.
     assert expected["shift"].min() < -0.01 and expected["shift"].max() > 0.01 and expected["heat"].max() > 0.1
     assert simulator.wtg_values("pitch")[0] == 0.0

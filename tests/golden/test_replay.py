@@ -37,7 +37,6 @@ def test_fine_step_follows_the_golden_trace_and_the_default_step_is_close_to_it(
     assert default["w"] < 5e-6 and default["Pe"] < power and default["V"] < voltage
 
 
-#: Cases whose traces another program made.
 OTHERS = {"classical-machines", "ideal-source-units"}
 MADE = [path for path in TRACES if path.parent.name not in OTHERS]
 

@@ -22,7 +22,6 @@ Floats = npt.NDArray[np.float64]
 N_LANES = 3
 #: Their machine code is that of the programs of docs/gradients.md, whose actions are held.
 V1 = {"version": "v1", "control_dt": 0.1}
-#: Two machines with stabilisers.
 KUNDUR = {**V1, "grid": "kundur"}
 
 
@@ -184,7 +183,6 @@ STEP = sc.LoadStep(time_s=0.525, bus=4, power_mw=15.0)
 CUT = [sc.LineTrip(time_s=1.0, from_bus=a, to_bus=b) for a, b in ((5, 6), (4, 7), (4, 9))]
 
 
-#: Of three episodes at once.
 OUTAGES = [
     [STEP, sc.GovernorLoss(time_s=2.35, bus=1)],
     [STEP, sc.MachineOutage(time_s=1.05, bus=3)],

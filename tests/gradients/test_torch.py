@@ -9,7 +9,6 @@ from tests.gradients.test_gradients import N_LANES, actions_of, drawn, tape_of
 from wtg_gym.physics.scenario import Scenario
 
 torch = pytest.importorskip("torch", reason="PyTorch is not installed here")
-# It needs PyTorch.
 from wtg_gym.gradients.torch import TorchEpisodes  # noqa: E402
 
 

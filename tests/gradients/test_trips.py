@@ -17,7 +17,6 @@ from wtg_gym.physics.scenario import GovernorLoss, GroupTrip, LoadStep, Scenario
 from wtg_gym.tasks.cost import COST_TERMS
 
 Floats = npt.NDArray[np.float64]
-#: What a step is charged, one term alone, and what it shows.
 TERMS, OUTPUTS = ("frequency", "rocof", "duty", "effort"), ("frequency_pu", "rocof_hz_s", "rotor_0_speed_pu")
 QUANTITIES = (*TERMS, *OUTPUTS, "observations")
 
@@ -132,7 +131,6 @@ def test_each_quantity_of_the_step_of_a_trip_has_the_slope_of_central_difference
     up, down, values = (measured(case, way, sign * h) for sign in (1.0, -1.0, 0.0))
     slopes = (up - down) / (2.0 * h)
     for place, quantity in enumerate(QUANTITIES):
-        # Differences are rounded.
         rounding = 5e-14 * max(1.0, np.abs(values[place]).max()) / h
         assert pulled(case, quantity, way) == pytest.approx(slopes[place], rel=1e-5, abs=rounding), quantity
     assert (np.abs(slopes).max(axis=1) > 1e-6).all()

@@ -8,5 +8,4 @@ from wtg_gym.physics.simulator import Simulator
 
 @pytest.fixture(scope="session")
 def simulator():
-    """The paper's plant, one lane, two minutes at most."""
     return Simulator(Plant(), duration_s=120.0)

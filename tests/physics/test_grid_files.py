@@ -194,7 +194,6 @@ def test_groups_have_turbines_of_their_own():
     for group, (turbine, law) in enumerate(zip(plant.turbines, laws, strict=True)):
         speed, power = (simulator.wtg_values(name)[0, group] for name in ("rotor_speed", "power"))
         assert power == pytest.approx(law.k_nominal * speed**3, abs=1e-9)
-        # What it delivers it captures, by its own rotor.
         assert simulator.wtg_values("captured")[0, group] == pytest.approx(power, abs=1e-9)
         assert power < available_power_pu(9.0, turbine)
     shares = [group.n_turbines * own.rated_power_mw / 100.0 for group, own in zip(groups, plant.turbines, strict=True)]

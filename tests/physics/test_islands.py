@@ -41,7 +41,6 @@ def rows_of(simulator: Simulator, kind: Kind, units: list[int]) -> np.ndarray:
 
 
 def alone(settings: Plant, buses: tuple[int, ...], slack: int, held: float | None = None) -> Plant:
-    """The plant of a part of the network."""
     case = settings.case
     return dataclasses.replace(
         settings,

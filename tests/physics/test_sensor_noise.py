@@ -15,7 +15,6 @@ from wtg_gym.systems.systems import Kind, system
 
 N_CHANNELS = len(sensing.Noise._fields)
 Floats = npt.NDArray[np.float64]
-#: Channels of four WTG groups.
 N = 4 * N_CHANNELS
 EXACT = sensing.Measurement(frequency=1.0, rocof=0.0, rotor_speed=1.1, power=0.7, wind=9.0)
 

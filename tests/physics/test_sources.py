@@ -50,7 +50,6 @@ def test_units_follow_the_frequency_that_a_source_imposes_and_the_centre_of_iner
     assert rate.mean() == pytest.approx(-0.001, rel=0.02)
     assert units[-1] == pytest.approx(0.994, abs=1e-9)
     assert simulator.lane_values("status")[0] == Status.RUNNING
-    # Steady and off nominal: what every bus reads.
     assert local(simulator) == pytest.approx(0.994, abs=1e-9)
 
 
