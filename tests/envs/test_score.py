@@ -1,9 +1,7 @@
 """The reward of version v1: an episode returns its score less 100, whoever plays it."""
 
-import copy
 import functools
 import math
-import pickle
 from typing import Any
 
 import numpy as np
@@ -116,19 +114,3 @@ def test_the_law_that_scores_a_hundred_returns_nothing_and_others_what_they_retu
         expected = played(name)[0]
         assert rewards[: len(expected), lane].tolist() == expected, (lane, scenario.name)
     env.close()
-
-
-@pytest.mark.parametrize("name", ["tight", "blackout"])
-def test_copies_and_snapshots_go_on_with_the_same_rewards(name):
-    settings, scenario, actions, _ = CASES[name]
-    env, other = (GFMWTGEnv(**{**SHORT, **settings}) for _ in range(2))
-    env.reset(options={"scenario": scenario})
-    other.reset(options={"scenario": calm(n_wtg=4, duration_s=30.0)})
-    taken, expected = [step[1] for step in steps(env, actions[:13])], played(name)[0]
-    snapshot, copies = env.snapshot(), [copy.deepcopy(env), pickle.loads(pickle.dumps(env))]
-    other.step(actions[0])
-    other.restore(pickle.loads(pickle.dumps(snapshot)))
-    for each in (env, *copies, other):
-        assert [*taken, *(step[1] for step in steps(each, actions[13:]))] == expected
-    env.restore(snapshot)
-    assert [*taken, *(step[1] for step in steps(env, actions[13:]))] == expected

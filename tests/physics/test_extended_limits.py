@@ -9,9 +9,8 @@ from wtg_gym.physics.network import assemble_admittance
 from wtg_gym.physics.parameters import ConverterLimitParameters, VoltageControlParameters, WtgGroup
 from wtg_gym.physics.plant import Plant, layout_of, plant_tables, with_places
 from wtg_gym.physics.protection import Status
-from wtg_gym.physics.scenario import GovernorLoss, LoadStep
+from wtg_gym.physics.scenario import LoadStep
 from wtg_gym.physics.step import FREE_CURRENTS, LIMITS
-from wtg_gym.physics.tracking_law import get_law
 from wtg_gym.physics.units import PAIRS, UNITS
 from wtg_gym.physics.wtg_unit import EXTENSIONS
 from wtg_gym.systems.programs import in_one_table
@@ -74,23 +73,6 @@ def test_the_reactive_limit_takes_over_and_gives_back():
     held = found[40 + 20 : 600]
     assert held.max() < 0.3305
     assert found[-1] == pytest.approx(before, abs=1e-5)
-
-
-@pytest.mark.parametrize("table", [False, True])
-def test_a_lost_governor_keeps_its_gate_to_the_bit_whatever_its_kind(table):
-    gate = "hydro_gate" if table else "gate"
-    events = (LoadStep(time_s=1.0, bus=3, power_mw=30.0), GovernorLoss(time_s=3.0, bus=1))
-    simulator = extended.started(extended.plant(table=table), extended.scenario(*events))
-    start = simulator.machine_values(gate)[0, 0]
-    extended.recorded(simulator, 3.0)
-    held = simulator.machine_values(gate)[0, 0]
-    assert abs(held - start) > 1e-3
-    for _ in range(200):
-        simulator.advance()
-        assert simulator.machine_values(gate)[0, 0] == held
-    simulator.start(0, extended.scenario(events[0]), (get_law(extended.LAW, simulator.settings.turbine),) * 2)
-    extended.recorded(simulator, 23.0)
-    assert abs(simulator.machine_values(gate)[0, 0] - held) > 1e-3
 
 
 CURRENTS = in_one_table(CURRENTS=(*FREE_CURRENTS, *LIMITS))

@@ -48,13 +48,6 @@ STRANGER = {
 }  # fmt: skip
 
 
-@pytest.fixture
-def stranger(tmp_path):
-    path = tmp_path / "stranger.json"
-    path.write_text(json.dumps(STRANGER), encoding="utf-8")
-    return path
-
-
 @pytest.mark.parametrize("name", known_grids())
 def test_a_grid_comes_back_from_its_file(name, tmp_path):
     grid = get_grid(name)
@@ -62,18 +55,6 @@ def test_a_grid_comes_back_from_its_file(name, tmp_path):
     path.write_text(grid_text(grid), encoding="utf-8")
     assert read_grid(path) == grid and path.read_text() == (FOLDER / f"{name}.json").read_text()
     assert grid.source and grid.licence
-
-
-def test_a_strangers_grid_plays_without_any_code(stranger):
-    env = GFMWTGEnv(grid=str(stranger), strategy="coordinated-tuned")
-    assert env.observation_space.shape == (2 * 8,)
-    for seed in range(3):
-        _, info = env.reset(seed=seed)
-        assert info["frequency_hz"] == 60.0
-        for _ in range(20):
-            _, reward, *_, info = env.step(np.zeros(env.action_space.shape, dtype=np.float32))
-            assert np.isfinite(reward) and 55.0 < info["frequency_hz"] < 65.0
-    env.close()
 
 
 def test_a_grid_that_is_an_object_plays_as_its_file_does():

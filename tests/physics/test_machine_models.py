@@ -224,12 +224,6 @@ def test_a_copy_of_a_run_goes_on_alike():
     assert (advanced(copied, 1.0).blocks == advanced(simulator, 1.0).blocks).all()
 
 
-def test_secondary_control_moves_the_references_of_all_governors():
-    step = LoadStep(time_s=1.0, bus=3, power_mw=20.0)
-    simulator = advanced(started((FIRST, SECOND), step, secondary_time_s=10.0), 110.0)
-    assert simulator.lane_values("coi")[0] == pytest.approx(1.0, abs=1e-5)
-
-
 def test_secondary_control_keeps_the_references_within_the_limits_of_the_gates():
     hydro, gas = HydroGovernorParameters(gate_max_pu=0.66), controls.GasGovernorParameters(load_limit_pu=0.45)
     machines = (machine(1, governor=hydro, damping_pu=10), machine(2, governor=gas, damping_pu=10, dispatch_mw=80.0))
