@@ -81,6 +81,7 @@ ATTACKS: dict[str, dict[str, Build]] = {
             "shape = Shape(linear); sizes = Cast<to = 1>(shape); largest = ReduceMax<keepdims = 0>(sizes); "
             "mean = Div(sum, largest); action = Add(mean, linear)"
         ),
+        "random dropout": _after("action = Dropout(linear, half, yes)", half=0.5, yes=True),
         "random numbers in a graph that not every reader sees": lambda: models.unseen(
             after("drawn = RandomNormalLike(linear); small = Mul(drawn, few); action = Add(linear, small)", few=0.1)
         ),
