@@ -1,8 +1,6 @@
-"""README's picture: laws and a trained policy side by side in one extreme scenario.
+"""The README's picture, images/one-event.svg: laws and a trained policy side by side in one extreme scenario.
 
-    python docs/studies/one_event.py [--output DOCS]
-
-draws DOCS/images/one-event.svg: plain droop on a reserve of 5 %, the published law, that law tuned and the agent with
+These are plain droop on a reserve of 5 %, the published law, that law tuned and the agent with
 the best score. Of the first validation scenarios in which droop stalls a rotor and the others lose neither grid nor
 load, it is that in which the published law lets the frequency fall lowest. Prints the load that droop sheds.
 """
