@@ -36,7 +36,8 @@ def grids() -> str:
         columns.append(lines)
     same = ("step", "state below", "stable")  # the page says it once
     assert all(len({lines[key] for lines in columns if key in lines}) == 1 for key in same)
-    rows = [key for key in columns[-1] if key not in ("repaired", "replaced", "mode", "equilibrium", *same)]
+    left_out = ("name", "source", "repaired", "replaced", "mode", "equilibrium", *same)
+    rows = [key for key in columns[-1] if key not in left_out]
     cells = [[row, *(lines.get(row, "–") for lines in columns)] for row in rows]
     return markdown_table(("", *(f"`{name}`" for name in known_grids())), cells)
 
