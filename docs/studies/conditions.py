@@ -1,9 +1,4 @@
-"""docs/benchmark.md: what v1 demands of itself, measured.
-
-    python docs/studies/conditions.py [--output DOCS]
-
-renews the table between the markers "conditions" of DOCS/benchmark.md; some minutes on two processors.
-"""
+"""For docs/benchmark.md: what v1 demands of itself, measured; some minutes on two processors."""
 
 from __future__ import annotations
 
