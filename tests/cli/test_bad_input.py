@@ -21,7 +21,7 @@ BAD = [
     ("simulate --wnd 8", "--wnd"),
     ("simulate --wind strong", "strong"),
     ("play --speed 0", "Must be >= 0.1"),
-    ("results page --output page.html", "RESULTS"),
+    ("results recompute", "RESULTS"),
     ("submission check", "FOLDERS"),
     ("evaluate --entries", "--entries requires at least 1 element"),
     # One scenario.
@@ -71,7 +71,7 @@ BAD = [
     ("results recompute paper-test.json --entries no-such-thing", "unknown entry"),
     ("results recompute paper-test.json", "hold entries that were not given: deloaded-7"),
     ("results recompute old/paper-test.json --entries seven.toml", "got 2; evaluate again"),
-    ("results page old/paper-test.json --output page.html", "got 2; evaluate again"),
+    ("results recompute old/paper-test.json", "got 2; evaluate again"),
     ("suites standard --seed 5", "seed 5 is in no split"),
     (
         "submission check best/1000 nowhere",
@@ -140,7 +140,7 @@ def test_bad_input_is_one_line_and_leaves_nothing(
 
 def test_wrong_usage_points_to_the_help_of_the_command(capsys: pytest.CaptureFixture[str]) -> None:
     assert error_of(capsys, "simulate", "--wnd", "8").endswith("(see: wtg-gym simulate --help)")
-    assert error_of(capsys, "results", "page").endswith("(see: wtg-gym results page --help)")
+    assert error_of(capsys, "results", "recompute").endswith("(see: wtg-gym results recompute --help)")
 
 
 def test_missing_matplotlib_is_said_before_anything_runs(

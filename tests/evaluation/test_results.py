@@ -15,8 +15,8 @@ from hypothesis import strategies as st
 from tests.changes import changed, read_or_refused
 from wtg_gym.evaluation import Interval, Results
 from wtg_gym.evaluation.recompute import departures
+from wtg_gym.evaluation.results import markdown_section
 from wtg_gym.files import sha256, to_json
-from wtg_gym.plotting.page import leaderboard_page
 
 
 @pytest.fixture(scope="session")
@@ -126,8 +126,7 @@ def test_a_changed_description_whose_hashes_fit_is_shown_or_refused(
 def _shown(path: Path) -> None:
     results = Results.read(path)
     departures(results)
-    if results.has_scale:
-        leaderboard_page([results])
+    markdown_section(results, details=True)
 
 
 CELLS = {

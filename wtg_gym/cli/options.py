@@ -56,7 +56,6 @@ OutputFolder = Annotated[Path, Parameter(validator=(validators.Path(file_okay=Fa
 CsvFile = Annotated[Path, _output_file("csv")]
 FigureFile = Annotated[Path, _output_file("png", "svg", "pdf")]
 JsonFile = Annotated[Path, _output_file("json")]
-HtmlFile = Annotated[Path, _output_file("html", "htm")]
 PageFile = Annotated[Path, _output_file("html", "htm", "md")]
 
 Threads = Annotated[Whole | None, Parameter(help="threads to step with; default: one per processor")]
