@@ -34,9 +34,9 @@ BAD = [
     ("simulate --suite paper-v1 --wind 9 8", "wind for 2 WTG groups, paper-v1 has 4"),
     ("simulate --duration nan", "duration_s = nan s is outside the allowed range 0.1 … 86400 s"),
     ("simulate --plot run.jpg", 'supported extensions {"png", "svg", "pdf"}'),
-    ("simulate --csv run.txt", 'must have extension "csv"'),
-    ("simulate --csv folder.csv", '"folder.csv" is a directory'),
-    ("simulate --csv file.txt/run.csv", "file.txt is not a folder"),
+    ("grid import case.m --output run.txt", 'must have extension "json"'),
+    ("simulate --plot folder.png", '"folder.png" is a directory'),
+    ("simulate --plot file.txt/run.png", "file.txt is not a folder"),
     ("simulate --scenario nowhere.json", "cannot read the scenario file nowhere.json"),
     ("simulate --scenario broken.json", "broken.json is not JSON"),
     ("simulate --scenario wind.json", "-2 m/s, outside the allowed range 3 … 25 m/s"),
@@ -92,7 +92,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder with the files that the table names."""
     root = tmp_path_factory.mktemp("bad")
     (root / "file.txt").write_text("not a folder")
-    (root / "folder.csv").mkdir()
+    (root / "folder.png").mkdir()
     (root / "folder").mkdir()
     for name in ("best/1000", "best/2000"):
         (root / name).mkdir(parents=True)
