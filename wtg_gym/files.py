@@ -22,7 +22,7 @@ from types import MappingProxyType
 from typing import Any
 
 #: Largest file of each kind that is read [B], by what messages call it. Each leaves room for more than what is in use:
-#: a grid of 500 buses has 0.2 MB, an hour of measured wind of eight groups 3 MB, the table of a hundred entries 10 MB.
+#: a grid of 500 buses has 0.2 MB, the table of a hundred entries 10 MB.
 LARGEST_BYTES: Mapping[str, int] = MappingProxyType(
     {
         "case": 2**25,
@@ -41,7 +41,6 @@ LARGEST_BYTES: Mapping[str, int] = MappingProxyType(
         "scenario file": 2**23,
         "suite": 2**18,
         "table of the results": 2**26,
-        "wind series": 2**24,
     }
 )
 #: Deepest nest of objects and lists that is read; results have five levels.
