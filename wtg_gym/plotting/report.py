@@ -7,36 +7,33 @@ from __future__ import annotations
 
 import base64
 import functools
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-import numpy.typing as npt
 
-from wtg_gym.envs.lanes import TERMINATION_REASONS
 from wtg_gym.envs.settings import EnvSettings
 from wtg_gym.evaluation import damping, faults
 from wtg_gym.evaluation.adjusted import Adjusted
 from wtg_gym.evaluation.episodes import Episode
 from wtg_gym.evaluation.evaluator import Progress, evaluate, play_batch
 from wtg_gym.evaluation.grid_tests import GRID_TESTS, run_grid_test
+from wtg_gym.evaluation.report import Recorded, recorded
 from wtg_gym.evaluation.results import Results
 from wtg_gym.evaluation.score import cost_offsets, gains
 from wtg_gym.evaluation.statistics import Floats, Interval, mean, sign_test
 from wtg_gym.evaluation.summary import EntrySummary, lost_or_beyond
 from wtg_gym.evaluation.table import signed_interval
 from wtg_gym.files import markdown_table
-from wtg_gym.physics.protection import Status
 from wtg_gym.physics.scenario import Scenario
 from wtg_gym.plotting import style
 from wtg_gym.plotting.margin import by_entry, plot_over_margin
 from wtg_gym.plotting.trajectories import mark_end, mark_instants
 from wtg_gym.policies import Entry, PolicyError
 from wtg_gym.policies.entry_folder import load_entries
-from wtg_gym.policies.play import play, started_lanes
 from wtg_gym.scenarios.suites import DEFAULT_SUITE, get_suite
 
 if TYPE_CHECKING:
@@ -51,7 +48,13 @@ N_WITH_FAULTS, N_OF_ENERGY, N_DRAWN = 60, 60, 3
 #: Oscillations that are listed of a loop, and the damping ratio below which one is weakly damped.
 _N_MODES, _WEAK = 5, 0.05
 _MJ_PER_MWH = 3600.0
-_POWER = "power of all turbines [MW]"
+#: What is drawn of a scenario, by its label.
+_PANELS: Mapping[str, Callable[[Recorded], Floats]] = {
+    "frequency [Hz]": lambda run: run.frequency_hz,
+    "wind, mean [m/s]": lambda run: run.wind_m_s,
+    "power of all turbines [MW]": lambda run: run.power_mw,
+    "slowest rotor [p.u.]": lambda run: run.rotor_speed_pu,
+}
 #: Text of a page, without anything from elsewhere.
 _PAGE = """\
 <!doctype html>
@@ -319,52 +322,6 @@ def _bad_runs(report: Report) -> Section:
 # --- sections of runs that are played --------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True, kw_only=True)
-class Recorded:
-    """Episodes side by side, a sample at the start and after every step; NaN once one has ended."""
-
-    time_s: Floats  # (n,)
-    panels: Mapping[str, Floats]  # what is drawn, by its label with its unit, (n, n_lanes) each
-    stored_mj: Floats  # kinetic energy of the rotors of each group (n, n_lanes, n_wtg)
-    whole: npt.NDArray[np.bool_]  # whether each episode went to its end, with all groups connected (n_lanes,)
-    costs: Floats  # (n_lanes,)
-    failures: list[str]  # why each ended before its time, empty where it did not (n_lanes,)
-
-
-def recorded(entry: Entry, scenarios: Sequence[Scenario], n_threads: int | None = 1) -> Recorded:
-    """Play an entry through scenarios, and record them."""
-    with started_lanes(entry, SETTINGS, scenarios, n_threads) as (lanes, _):
-        simulator = lanes.simulator
-        inertia = np.array([turbine.inertia_constant_s for turbine in simulator.settings.turbines])
-        rating_mva = simulator.settings.case.base_mva * np.asarray(simulator.plant.share)
-        connected, samples = np.ones(lanes.n_lanes, dtype=np.bool_), []
-
-        def running_lanes() -> Iterator[npt.NDArray[np.bool_]]:
-            yield np.ones(lanes.n_lanes, dtype=np.bool_)
-            yield from play(entry, lanes)
-
-        for running in running_lanes():
-            rotors = simulator.wtg_values("rotor_speed")
-            columns = {
-                "frequency [Hz]": lanes.nominal_hz * simulator.lane_values("coi"),
-                "wind, mean [m/s]": simulator.wtg_values("wind") @ rating_mva / rating_mva.sum(),
-                _POWER: simulator.wtg_values("power") @ rating_mva,
-                "slowest rotor [p.u.]": rotors.min(axis=1),
-                "stored": inertia * rating_mva * np.square(rotors),
-            }
-            samples.append({name: np.where(running, values.T, np.nan).T for name, values in columns.items()})
-            connected &= (simulator.wtg_values("connected") > 0.5).all(axis=1)
-        series = {name: np.array([each[name] for each in samples]) for name in samples[0]}
-        return Recorded(
-            time_s=lanes.settings.step_s * np.arange(len(samples), dtype=np.float64),
-            stored_mj=series.pop("stored"),
-            panels=series,
-            whole=connected & ~lanes.ended()[0],
-            costs=lanes.cost_sums().sum(axis=1),
-            failures=[TERMINATION_REASONS[Status(status)] for status in lanes.statuses().tolist()],
-        )
-
-
 def _scenarios(report: Report) -> Section:
     seeds, entry, results = report.drawn, report.entry, report.results
     worst = not seeds
@@ -383,7 +340,7 @@ def _scenarios(report: Report) -> Section:
 def _scenario_picture(report: Report, seed: int) -> Picture:
     scenario, entry = get_suite(SUITE).scenario(seed), report.entry
     players = {each.name: each for each in (entry, *load_entries(report.hundred))}
-    runs = {name: recorded(each, [scenario]) for name, each in players.items()}
+    runs = {name: recorded(each, SETTINGS, [scenario]) for name, each in players.items()}
     lost = {name: f" (lost: {run.failures[0]})" if run.failures[0] else "" for name, run in runs.items()}
     paid = [f"{name} {run.costs[0]:.0f}{lost[name]}" for name, run in runs.items()]
     events = sorted(scenario.events, key=lambda event: event.time_s)
@@ -401,11 +358,10 @@ def _plot_scenario(scenario: Scenario, runs: Mapping[str, Recorded]) -> Figure:
     """Draw a scenario's runs in a column of panels, readable on a phone."""
     figure = style.new_figure(style.SINGLE_COLUMN_MM, 125.0)
     looks = style.strategy_looks(runs)
-    labels = list(next(iter(runs.values())).panels)
-    panels = figure.subplots(len(labels), 1, sharex=True)
-    for axes, label in zip(panels, labels, strict=True):
+    panels = figure.subplots(len(_PANELS), 1, sharex=True)
+    for axes, (label, values) in zip(panels, _PANELS.items(), strict=True):
         for name, run in runs.items():
-            series = run.panels[label][:, 0]
+            series = values(run)[:, 0]
             axes.plot(run.time_s, series, color=looks[name].colour, linestyle=looks[name].dashes, label=name)
             if run.failures[0]:
                 last = int(np.flatnonzero(np.isfinite(series))[-1])
@@ -475,9 +431,9 @@ def _change(before: Results, name: str, episodes: Sequence[Episode]) -> tuple[st
 def _energy(report: Report) -> Section:
     scenarios = get_suite(SUITE).scenarios(report.results.seeds[:N_OF_ENERGY])
     players = {each.name: each for each in (report.entry, *load_entries((report.hundred, _MOST_ENERGY)))}
-    runs = {name: recorded(player, scenarios, report.n_threads) for name, player in players.items()}
+    runs = {name: recorded(player, SETTINGS, scenarios, report.n_threads) for name, player in players.items()}
     whole = np.logical_and.reduce([run.whole for run in runs.values()])
-    power = {name: mean(run.panels[_POWER][1:, whole]) for name, run in runs.items() if whole.any()}
+    power = {name: mean(run.power_mw[1:, whole]) for name, run in runs.items() if whole.any()}
     rows = []
     for name, power_mw in power.items():
         moved = np.diff(runs[name].stored_mj[:, whole], axis=0) / whole.sum()
