@@ -367,6 +367,7 @@ def test_sensors_of_an_evaluation_are_in_its_settings_and_decide_its_numbers() -
     measured = evaluate([droop], "standard-v1", **arguments)
     exact = evaluate([droop], "standard-v1", sensors="exact", **arguments)
     assert exact.settings["sensors"] == "exact" != measured.settings["sensors"]
+    assert exact.environment["fingerprint"] != measured.environment["fingerprint"]
     assert exact.episodes_of("fast-droop") != measured.episodes_of("fast-droop")
     assert exact.episodes_of("coordinated-tuned") == measured.episodes_of("coordinated-tuned")
     for results in (measured, exact):

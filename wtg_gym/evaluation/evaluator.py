@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from wtg_gym.envs.settings import EnvSettings
-from wtg_gym.evaluation.circumstances import versions
+from wtg_gym.evaluation.circumstances import environment_fingerprint, versions
 from wtg_gym.evaluation.episodes import Episode, check_size
 from wtg_gym.evaluation.metrics import Recorder, measure
 from wtg_gym.evaluation.partial import PartialStore
@@ -113,7 +113,7 @@ def _description(settings: EnvSettings, seeds: Sequence[int], entries: Sequence[
         "suite_hash": settings.resolved_suite.hash,
         "source_hash": source_hash(),
         "seeds": tuple(seeds),
-        "environment": {"id": settings.env_id},
+        "environment": {"id": settings.env_id, "fingerprint": environment_fingerprint(settings)},
         "settings": shared_settings(settings),
         "versions": dict(versions()),
         "entries": tuple(entry.to_dict() for entry in entries),

@@ -25,7 +25,7 @@ class Comparison(NamedTuple):
 
     #: Numbers, policies, suite and settings; empty where the results are reproduced.
     differences: list[tuple[str, str, str]]
-    #: Source code, versions and texts about entries; they need not change a number.
+    #: Source code, versions, the environment's answers and texts about entries; they need not change a number.
     circumstances: list[tuple[str, str, str]]
 
 

@@ -52,7 +52,7 @@ class Results:
         suite_hash: the suite's own hash.
         source_hash: hash of the physics and environment that were run.
         seeds: seeds of the scenarios.
-        environment: its id.
+        environment: its id, and a fingerprint of its outputs on this machine.
         settings: settings of the environment that all entries share.
         versions: of wtg_gym, Python and the packages that compute, and the kind of processor.
         entries: data of every entry, including the references.
