@@ -25,7 +25,7 @@ from wtg_gym.physics.parameters import ROTOR_TABLE
 from wtg_gym.physics.rotor_table import read_rotor_table
 from wtg_gym.physics.tracking_law import read_law
 from wtg_gym.policies.entry_folder import ENTRY_FILE, POLICY_FILE, load_entry_folder, policy_folders
-from wtg_gym.scenarios import get_suite
+from wtg_gym.scenarios import get_suite, read_wind_csv
 
 LAW = {"name": "mine", "k_min": 1.0, "k_nominal": 0.66, "deloading_max": 20.0, "tau_s": 0.2}
 
@@ -37,6 +37,10 @@ def json_text(data: Any) -> str:
 def toml_text(data: dict[str, Any]) -> str:
     # Texts and lists are written alike in both.
     return "".join(f"{json.dumps(key)} = {json.dumps(value)}\n" for key, value in data.items())
+
+
+def table_text(rows: list[list[Any]]) -> str:
+    return "\n".join(",".join(map(str, row if isinstance(row, list) else [row])) for row in rows)
 
 
 def lines_text(lines: list[Any]) -> str:
@@ -78,6 +82,7 @@ def original(kind: str) -> Any:
         "entry": lambda: parse_toml((policy_folders()[0] / ENTRY_FILE).read_text(), "it"),
         "run": a_run,
         "config": lambda: yaml.safe_load((CONFIG_FOLDER / "ppo.yml").read_text()),
+        "wind": lambda: [["time_s", "a", "b"], *([0.5 * i, 8.0, 9.5] for i in range(9))],
         "rotor": lambda: ROTOR_TABLE.read_text().splitlines(),
         "markers": lambda: ["# Title", "<!-- table:start -->", "old", "<!-- table:end -->"],
     }[kind]()
@@ -92,6 +97,7 @@ KINDS: dict[str, tuple[str, Callable[[Any], str], Callable[[Path], object]]] = {
     "entry": (ENTRY_FILE, toml_text, entry_of_folder),
     "run": (RUN_FILE, json_text, lambda path: Run.read(path.parent)),
     "config": ("ppo.yml", lambda data: yaml.dump(data), lambda path: read_config(path, "GFMWTG-14bus-v1")),
+    "wind": ("wind.csv", table_text, lambda path: read_wind_csv(path, duration_s=3.0)),
     "rotor": ("rotor.txt", lines_text, read_rotor_table),
     "markers": ("README.md", lines_text, lambda path: find_markers(path, "table")),
 }

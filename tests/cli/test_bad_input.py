@@ -25,6 +25,7 @@ BAD = [
     ("submission check", "FOLDERS"),
     ("evaluate --entries", "--entries requires at least 1 element"),
     # One scenario.
+    ("simulate --wind 8 --wind-csv wind.csv", "--wind and --wind-csv exclude each other"),
     ("simulate --scenario good.json --seed 3 --suite standard", "--scenario and --seed exclude each other"),
     ("simulate --strategy turbo", "unknown strategy 'turbo'; known strategies: mppt"),
     ("simulate --suite storm", "unknown suite 'storm'; known suites: paper"),
@@ -41,6 +42,9 @@ BAD = [
     ("simulate --scenario wind.json", "-2 m/s, outside the allowed range 3 … 25 m/s"),
     ("simulate --scenario key.json", "unknown scenario keys ['colour']"),
     ("simulate --scenario sensors.json", "say with --suite whose grid it is"),
+    ("simulate --wind-csv nowhere.csv", "nowhere.csv: No such file"),
+    ("simulate --wind-csv wind.csv", "the series ends after 7 s, at least 120 s"),
+    ("simulate --wind-csv wind.csv --suite paper-v1 --duration 6", "wind for 2 WTG groups, paper-v1 has 4"),
     # Scores.
     ("evaluate --entries turbo", "'turbo'"),
     ("evaluate --entries mppt mppt", "the entry mppt is given twice"),
@@ -94,6 +98,8 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
         (root / name).mkdir(parents=True)
         (root / name / "entry.toml").write_text('name = "mine"\naction_mode = "k"\n')
     (root / "best/empty").mkdir()
+    rows = "".join(f"{time},9.5,8.0\n" for time in range(8))
+    (root / "wind.csv").write_text(f"time_s,wind_1_m_s,wind_2_m_s\n{rows}")
     (root / "broken.json").write_text('{"name": ')
     scenario = get_suite("standard").scenario(20_003).to_dict()
     for name, changes in {

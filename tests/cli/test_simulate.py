@@ -90,6 +90,13 @@ def test_example_of_a_law_is_printed_and_simulated_under_its_own_name(
     assert "two strategies are called 'reserve-7'" in error_of(capsys, "simulate", "--strategy", str(law), str(other))
 
 
+def test_wind_from_csv_replaces_the_wind(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    path = tmp_path / "wind.csv"
+    path.write_text("time_s,wind_1_m_s,wind_2_m_s\n" + "".join(f"{second},9.5,8.0\n" for second in range(8)))
+    data = json_of(capsys, "simulate", *_QUICK, "--wind-csv", str(path), "--json")
+    assert data["scenario"]["mean_wind_m_s"] == [9.5, 8.0]
+
+
 def test_dumped_scenario_can_be_edited_and_simulated(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     data = json_of(capsys, "suites", "standard", "--seed", "20003", "--json")
     assert Scenario.from_dict(data).to_json() == get_suite("standard").scenario(20_003).to_json()

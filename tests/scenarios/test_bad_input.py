@@ -5,11 +5,12 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import pytest
 
-from wtg_gym.scenarios import ScenarioDistribution, Suite, draws, get_suite
+from wtg_gym.scenarios import ScenarioDistribution, Suite, draws, get_suite, read_wind_csv
 from wtg_gym.scenarios.sensor_distribution import SensorDistribution
 
 STANDARD, SHARED = get_suite("standard"), get_suite("standard-v1").distributions[0]
@@ -89,3 +90,46 @@ def test_bad_input_is_refused_with_value_and_range_in_one_line(call: Callable[[]
     with pytest.raises(ValueError, match=message) as refused:
         call()
     assert "\n" not in str(refused.value)
+
+
+HEADER = "time_s,wind_1_m_s,wind_2_m_s\n"
+GOOD = HEADER + "".join(f"{0.5 * i:g},{8 + 0.1 * i:g},{9 - 0.1 * i:g}\n" for i in range(9))
+BAD_FILES: list[tuple[str | bytes, str]] = [
+    (GOOD.replace("2,8.4,8.6\n", ""), "line 6.*1.5 to 2.5 s"),
+    (GOOD.replace("\n2,", "\n1,"), "line 6.*does not increase"),
+    (GOOD.replace("2,8.4,8.6", "2,,8.6"), "line 6.*wind_1_m_s.*empty.*3 … 25 m/s"),
+    (GOOD.replace("8.4", "nan"), "line 6.*wind_1_m_s.*'nan'"),
+    (GOOD.replace("8.6", "31"), "line 6.*wind_2_m_s.*'31'.*3 … 25 m/s"),
+    (GOOD.replace("2,8.4,8.6", "2,8,4,8,6"), "line 6.*5 cells.*3"),
+    (GOOD.removeprefix(HEADER), "line 1.*time_s,wind_1_m_s"),
+    (HEADER + "0,8,9\n", "1 data row.*at least 2"),
+    ("", "line 1.*empty"),
+    (GOOD.encode().replace(b"8.4", b"8\xb74"), "line 6.*0xb7.*UTF-8"),
+    (GOOD, "line 10: .*4 s.*at least 60 s"),
+]
+
+
+@pytest.mark.parametrize(("text", "message"), BAD_FILES)
+def test_bad_wind_file_is_refused_with_file_line_and_value(tmp_path: Path, text: str | bytes, message: str) -> None:
+    path = tmp_path / "site.csv"
+    path.write_bytes(text if isinstance(text, bytes) else text.encode())
+    with pytest.raises(ValueError, match=rf"site\.csv.*{message}"):
+        read_wind_csv(path, duration_s=60.0 if text == GOOD else None)
+
+
+def test_harmless_variants_of_a_wind_file_read_the_same(tmp_path: Path) -> None:
+    path = tmp_path / "site.csv"
+    others = ("\ufeff" + GOOD, GOOD.replace("\n", "\r\n"), GOOD + "\n\n", GOOD.replace(",", " , "))
+    for text in (GOOD, *others, GOOD.rstrip("\n").replace("wind_1_m_s", "north row")):
+        path.write_bytes(text.encode())
+        wind, dt_s = read_wind_csv(path)
+        assert dt_s == 0.5 and wind.shape == (2, 9)
+        assert wind[0].tolist() == [8 + 0.1 * i for i in range(9)] and wind[1, 8] == 8.2
+    assert read_wind_csv(path, duration_s=2.0)[0].shape == (2, 5)
+
+
+def test_wind_series_that_starts_late_or_has_rounded_times_is_uniform(tmp_path: Path) -> None:
+    path = tmp_path / "site.csv"
+    path.write_text("time_s,w\n" + "".join(f"{100 + i / 30:.3f},8\n" for i in range(31)))
+    wind, dt_s = read_wind_csv(path, duration_s=1.0)
+    assert dt_s == pytest.approx(1 / 30, rel=1e-6) and wind.shape == (1, 31)

@@ -27,11 +27,14 @@ class ScenarioOptions:
     """length of the run [s]; a drawn scenario is drawn anew for it"""
     wind: Annotated[tuple[float, ...] | None, Parameter(consume_multiple=1, negative="")] = None
     """constant wind, 3 … 25 m/s: one for all WTG groups or one each"""
+    wind_csv: Path | None = None
+    """wind series: time_s, then one column per WTG group [m/s], uniform steps"""
 
     def __post_init__(self) -> None:
         """Refuse options that exclude each other."""
-        if self.scenario is not None and self.seed is not None:
-            raise ValueError("--scenario and --seed exclude each other: give one of the two")
+        for first, second in (("scenario", "seed"), ("wind", "wind_csv")):
+            if getattr(self, first) is not None and getattr(self, second) is not None:
+                raise ValueError(f"--{first} and --{second.replace('_', '-')} exclude each other: give one of the two")
 
 
 def simulate_scenario(
@@ -54,7 +57,7 @@ def simulate_scenario(
       wtg-gym simulate --strategy mppt deloaded-5 coordinated-piecewise --plot run.png
       wtg-gym simulate --suite standard-v1 --seed 10003 --strategy coordinated-piecewise coordinated-tuned
       wtg-gym simulate --suite paper --seed 1 --wind 9 7.5 --duration 60
-      wtg-gym simulate --wind 9 --strategy my_law.toml
+      wtg-gym simulate --wind-csv measured.csv --strategy my_law.toml
       wtg-gym suites weak-grid --seed 20010 --json > mine.json     write a scenario, edit it, then
       wtg-gym simulate --scenario mine.json --json                 simulate it
 

@@ -17,7 +17,7 @@ from wtg_gym.physics.scenario import Scenario
 from wtg_gym.physics.tracking_law import STRATEGIES, STRATEGY_NAMES, get_law
 from wtg_gym.physics.trajectory import Trajectory, simulate
 from wtg_gym.progress import Progress
-from wtg_gym.scenarios import Suite, get_suite
+from wtg_gym.scenarios import Suite, get_suite, read_wind_csv
 from wtg_gym.tasks import V0
 from wtg_gym.tasks.episode import ROCOF_WINDOW_S
 
@@ -80,12 +80,17 @@ def _scenario(options: ScenarioOptions, suite: Suite) -> Scenario:
         scenario = read_scenario(options.scenario, suite)
         if options.duration is not None:
             scenario = dataclasses.replace(scenario, duration_s=options.duration)
-    n_groups = len(options.wind) if options.wind and len(options.wind) > 1 else scenario.n_wtg
-    if suite.task is not V0 and n_groups != len(suite.plant.groups):
-        raise ValueError(f"there is wind for {n_groups} WTG groups, {suite.name} has {len(suite.plant.groups)}")
-    if options.wind is None:
-        return scenario
-    return dataclasses.replace(scenario, wind_speed=np.resize(np.array(options.wind), (n_groups, 1)))
+    wind_dt_s = scenario.wind_dt_s
+    if options.wind_csv is not None:
+        wind, wind_dt_s = read_wind_csv(options.wind_csv, duration_s=scenario.duration_s)
+    elif options.wind is None:
+        wind = scenario.wind_speed
+    else:
+        n_groups = scenario.n_wtg if len(options.wind) == 1 else len(options.wind)
+        wind = np.resize(np.array(options.wind), (n_groups, 1))
+    if suite.task is not V0 and len(wind) != len(suite.plant.groups):
+        raise ValueError(f"there is wind for {len(wind)} WTG groups, {suite.name} has {len(suite.plant.groups)}")
+    return dataclasses.replace(scenario, wind_speed=wind, wind_dt_s=wind_dt_s)
 
 
 def read_scenario(path: Path, suite: Suite) -> Scenario:

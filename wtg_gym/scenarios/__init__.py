@@ -4,6 +4,7 @@ from wtg_gym.scenarios.distribution import ScenarioDistribution
 from wtg_gym.scenarios.suite import SPLITS, FixedCase, Suite
 from wtg_gym.scenarios.suites import DEFAULT_SUITE, FROZEN_HASHES, SUITES, get_suite, suite_of_grid
 from wtg_gym.scenarios.wind import DRAWN_WIND_RANGE, TURBULENCE_CLASSES
+from wtg_gym.scenarios.wind_csv import read_wind_csv
 
 __all__ = [
     "DEFAULT_SUITE",
@@ -16,5 +17,6 @@ __all__ = [
     "ScenarioDistribution",
     "Suite",
     "get_suite",
+    "read_wind_csv",
     "suite_of_grid",
 ]
