@@ -37,20 +37,9 @@ leaderboard: $(LEADERBOARD_READY) ## Score every entry on the standard suites an
 	$(LEADERBOARD_VENV)/bin/wtg-gym leaderboard --suite standard-v1 --entries baselines policies --results results --readme README.md docs/leaderboard.md
 	$(LEADERBOARD_VENV)/bin/wtg-gym leaderboard --suite standard --entries baselines policies --results results --readme docs/benchmark.md
 
-.PHONY: page
-page: leaderboard ## Show the rankings of both standard suites in docs/leaderboard.html, with filters and charts
-	$(LEADERBOARD_VENV)/bin/wtg-gym results page results/standard-v1-test.json results/standard-test.json --output docs/leaderboard.html
-
 .PHONY: matrix
 matrix: $(LEADERBOARD_READY) ## Play every entry of v1 on its drawn suites and with faults, and put the scores into docs/benchmark.md (half an hour)
 	$(LEADERBOARD_VENV)/bin/python docs/studies/matrix.py
-
-CHROMIUM ?= $(firstword $(foreach name,chromium chromium-browser google-chrome,$(shell command -v $(name))) chromium)
-
-.PHONY: page-picture
-page-picture: page ## Take the picture of docs/leaderboard.html that docs/usage.md shows; needs Chromium
-	$(CHROMIUM) --headless $(if $(filter 0,$(shell id -u)),--no-sandbox) --hide-scrollbars --window-size=1760,1330 \
-	    --virtual-time-budget=20000 --screenshot=$(CURDIR)/docs/images/leaderboard-page.png file://$(CURDIR)/docs/leaderboard.html
 
 # Those that take minutes; other targets run most of the others.
 STUDIES := paper grid_forming physics validation small_signal reference one_event

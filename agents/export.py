@@ -16,42 +16,13 @@ from wtg_gym.policies.entry_folder import ENTRY_FILE, POLICY_FILE, entry_text, l
 
 
 def export(
-    run_folder: Path, output: Path, *, name: str = "", description: str = "", authors: Sequence[str] = ()
-) -> None:
-    """Write the best policy of a run into a new folder: policy.onnx and entry.toml.
-
-    Without a name it is one made of algorithm and action mode. A ValueError says what cannot be read or written.
-    """
-    if output.exists():
-        raise ValueError(f"{output} is there already; give a new folder")
-    run = Run.read(run_folder)
-    # A kill may leave a policy whose validation is not in run.json.
-    validated = {int(row["timesteps"]) for row in run.curve}
-    best = [folder for folder in folders(run_folder / BEST) if int(folder.name) in validated]
-    if not best:
-        raise ValueError(f"{run_folder} has no validated policy yet: go on with the run first")
-    entry = {**run.settings.entry(name, description), "authors": list(authors)}
-    if load_entry_folder(best[-1]).per_group:
-        entry["per_group"] = True
-    # The same for all training seeds, which share a row.
-    steps = f"up to {run.settings.timesteps} steps"
-    entry["trained_on"] = f"{run.settings.suite}, split train, {steps}; chosen on split validation"
-    # The entry last, because it makes the folder one.
-    files: dict[str, str | bytes] = {
-        POLICY_FILE: read_bytes(best[-1] / POLICY_FILE, "policy"),
-        ENTRY_FILE: entry_text(entry),
-    }
-    write_together({output / file: content for file, content in files.items()})
-
-
-def command(
     run: Path,
     /,
-    *,
     output: Path,
+    *,
     name: str = "",
     description: str = "",
-    authors: Annotated[tuple[str, ...], Parameter(consume_multiple=1, negative="")] = (),
+    authors: Annotated[Sequence[str], Parameter(consume_multiple=1, negative="")] = (),
 ) -> None:
     """Write the best policy of a run as an entry of the leaderboard.
 
@@ -60,16 +31,32 @@ def command(
     Args:
         run: folder of the run
         output: new folder to write to
-        name: of the entry; runs of one name and several seeds share a row of the table
+        name: of the entry; runs of one name and several seeds share a row of the table; default: algorithm and mode
         description: one sentence on what it is
         authors: who trained it; a submission needs them
     """
-    export(run, output, name=name, description=description, authors=authors)
+    if output.exists():
+        raise ValueError(f"{output} is there already; give a new folder")
+    trained = Run.read(run)
+    # A kill may leave a policy whose validation is not in run.json.
+    validated = {int(row["timesteps"]) for row in trained.curve}
+    best = [folder for folder in folders(run / BEST) if int(folder.name) in validated]
+    if not best:
+        raise ValueError(f"{run} has no validated policy yet: go on with the run first")
+    entry = {**trained.settings.entry(name, description), "authors": list(authors)}
+    if load_entry_folder(best[-1]).per_group:
+        entry["per_group"] = True
+    # The same for all training seeds, which share a row.
+    steps = f"up to {trained.settings.timesteps} steps"
+    entry["trained_on"] = f"{trained.settings.suite}, split train, {steps}; chosen on split validation"
+    policy = read_bytes(best[-1] / POLICY_FILE, "policy")
+    # The entry last, because it makes the folder one.
+    write_together({output / POLICY_FILE: policy, output / ENTRY_FILE: entry_text(entry)})
     note(f"wrote {output}")
 
 
 #: Runs the command with some words, by default those of the command line, and returns its exit code.
-main = functools.partial(run_command, command, "agents.export", "begin anew")
+main = functools.partial(run_command, export, "agents.export", "begin anew")
 
 if __name__ == "__main__":
     sys.exit(main())

@@ -210,18 +210,20 @@ class GradientLearner:
         policy: nn.Module = self.average.module
         return policy
 
+    @property
+    def _parts(self) -> dict[str, Any]:
+        return {"policy": self.policy, "average": self.average, "optimizer": self.optimizer}
+
     def save(self, folder: Path) -> None:
         """Write everything that training goes on from."""
-        parts: dict[str, Any] = {"policy": self.policy, "average": self.average, "optimizer": self.optimizer}
-        torch.save({name: part.state_dict() for name, part in parts.items()}, folder / _STATE)
+        torch.save({name: part.state_dict() for name, part in self._parts.items()}, folder / _STATE)
 
     def load(self, folder: Path) -> None:
         """Go back to what :meth:`save` wrote; a ValueError names a folder that is damaged."""
         with runs.loading(folder) as folder:
             state = torch.load(folder / _STATE, weights_only=True)
-            self.policy.load_state_dict(state["policy"])
-            self.average.load_state_dict(state["average"])
-            self.optimizer.load_state_dict(state["optimizer"])
+            for name, part in self._parts.items():
+                part.load_state_dict(state[name])
 
 
 def train(run: Run) -> None:

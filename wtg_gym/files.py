@@ -21,33 +21,14 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
-#: Largest file of each kind that is read [B], by what messages call it. Each leaves room for more than what is in use:
-#: a grid of 500 buses has 0.2 MB, an hour of measured wind of eight groups 3 MB, the table of a hundred entries 10 MB.
+#: Largest file that is read [B], and those of single kinds, by what messages call them. A grid of 500 buses has 0.2 MB,
+#: the table of a hundred entries 10 MB; the time for dotted keys of TOML grows with the square of their length.
+_LARGEST_BYTES = 2**25
 LARGEST_BYTES: Mapping[str, int] = MappingProxyType(
-    {
-        "case": 2**25,
-        "description of the results": 2**22,
-        "description of the run": 2**22,
-        "entry file": 2**14,
-        "file with the markers": 2**22,
-        "finished batch": 2**22,
-        "grid": 2**22,
-        "hyperparameter file": 2**16,
-        "law file": 2**14,
-        "network of pandapower": 2**25,
-        "policy": 2**26,
-        "records of the trainings": 2**20,
-        "rotor table": 2**21,
-        "scenario file": 2**23,
-        "suite": 2**18,
-        "table of the results": 2**26,
-        "wind series": 2**24,
-    }
+    {"entry file": 2**14, "law file": 2**14, "policy": 2**26, "table of the results": 2**26}
 )
 #: Deepest nest of objects and lists that is read; results have five levels.
 _DEEPEST = 20
-#: Most lists and objects of a JSON text: each takes a hundred times its two characters. The largest grids have a third.
-_MOST_INNER = 2**17
 #: Whole numbers from here on are refused; nothing that is read counts further.
 _LARGEST_WHOLE = 2**64
 #: Most characters of an error's message.
@@ -275,9 +256,9 @@ def read_plain(path: Path, largest: int, *, links: bool = True, trusted: bool = 
 
 
 def read_bytes(path: Path, what: str) -> bytes:
-    """Return the content of a plain file of a kind in :data:`LARGEST_BYTES`; a ValueError says why it is not read."""
+    """Return the content of a plain file, `what` it is for the message; a ValueError says why it is not read."""
     try:
-        return read_plain(path, LARGEST_BYTES[what])
+        return read_plain(path, LARGEST_BYTES.get(what, _LARGEST_BYTES))
     except (OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or error
         raise ValueError(f"cannot read the {what} {printable(str(path))}: {reason}") from error
@@ -299,12 +280,9 @@ def read_json(path: Path, what: str) -> Any:
 def parse_json(text: str, where: str) -> Any:
     """Return the data of a JSON text; `where` it is from, for the message.
 
-    A ValueError says that it is not JSON, gives a key twice, is nested deeper than 20 levels, has more than 131072
-    lists and objects, or holds half a character, a number that is not finite or a whole number of 2^64 or more.
+    A ValueError says that it is not JSON, gives a key twice, is nested deeper than 20 levels, or holds half a
+    character, a number that is not finite or a whole number of 2^64 or more.
     """
-
-    if text.count("[") + text.count("{") > _MOST_INNER:
-        raise ValueError(f"{where} has more than {_MOST_INNER} lists and objects")
 
     def refuse(name: str) -> Any:
         raise ValueError(f"{name} is not a finite number")
@@ -313,7 +291,7 @@ def parse_json(text: str, where: str) -> Any:
         data = json.loads(text, parse_constant=refuse, object_pairs_hook=_with_each_key_once)
     except (ValueError, RecursionError) as error:
         raise ValueError(f"{where} is not JSON, or was cut short: {error}") from error
-    require_plain(data, where, len(text), infinite=False)
+    require_plain(data, where, infinite=False)
     return data
 
 
@@ -333,7 +311,7 @@ def read_toml(path: Path, what: str) -> dict[str, Any]:
 
 
 def parse_toml(text: str, where: str) -> dict[str, Any]:
-    """Return the data of a TOML text of up to 16 KiB: the time for dotted keys grows with the square of their length.
+    """Return the data of a TOML text; `where` it is from, for the message.
 
     A ValueError says that it is not TOML, is nested deeper than 20 levels, or holds a whole number of 2^64 or more.
     """
@@ -341,46 +319,39 @@ def parse_toml(text: str, where: str) -> dict[str, Any]:
         data = tomllib.loads(text)
     except (ValueError, RecursionError) as error:
         raise ValueError(f"{where} is not TOML: {error}") from error
-    require_plain(data, where, len(text), infinite=True)
+    require_plain(data, where, infinite=True)
     return data
 
 
-def require_plain(data: Any, where: str, most: int, *, infinite: bool) -> None:
-    """Refuse what the code after a reader could not convert or print.
+def require_plain(data: Any, where: str, *, infinite: bool) -> None:
+    """Refuse what the code after a reader could not convert or print; `where` it is from, for the message.
 
-    Args:
-        data: dictionaries and lists, as a reader returns them.
-        where: they are from, for the message.
-        most: values on one level; a text has fewer than characters, unless it names some again and again (YAML).
-        infinite: whether numbers may be infinite, or none.
-
-    Raises:
-        ValueError: nests are deeper than 20 levels, there are too many values, a text holds half a character, a number
-            is not finite, a whole number is 2^64 or more, or a value is of another kind.
+    A ValueError says that nests are deeper than 20 levels, a text holds half a character, a number is not finite,
+    unless it may be `infinite`, a whole number is 2^64 or more, or a value is of another kind.
     """
     level: list[Any] = [data]
     for _ in range(_DEEPEST + 1):
         inner: list[Any] = []
         for value in level:
             if isinstance(value, dict):
-                if not all(isinstance(key, str) for key in value):
-                    raise ValueError(f"{where} holds a key that is no text")
-                inner += value
-                inner += value.values()
+                inner += [*value, *value.values()]
             elif isinstance(value, list):
                 inner += value
-            elif isinstance(value, str):
-                if not value.isascii() and any("\ud800" <= sign <= "\udfff" for sign in value):
-                    raise ValueError(f"{where} holds a text with half a character (a lone surrogate)")
-            elif isinstance(value, float) and not infinite and not math.isfinite(value):
-                raise ValueError(f"{where} holds a number that is not a finite number in floating point")
-            elif isinstance(value, int) and abs(value) >= _LARGEST_WHOLE:
-                raise ValueError(f"{where} holds a whole number outside the allowed range -2^64 … 2^64")
-            elif value is not None and not isinstance(value, (float, int)):
-                raise ValueError(f"{where} holds a {type(value).__name__}; allowed: texts, numbers, lists and objects")
-            if len(inner) > most:
-                raise ValueError(f"{where} holds more than {most} values on one level")
+            elif problem := _problem(value, infinite):
+                raise ValueError(f"{where} holds {problem}")
         if not inner:
             return
         level = inner
     raise ValueError(f"{where} is nested deeper than {_DEEPEST} levels")
+
+
+def _problem(value: Any, infinite: bool) -> str:
+    if isinstance(value, str):
+        has_half = not value.isascii() and any("\ud800" <= sign <= "\udfff" for sign in value)
+        return "a text with half a character (a lone surrogate)" if has_half else ""
+    if isinstance(value, float):
+        return "" if infinite or math.isfinite(value) else "a number that is not a finite number in floating point"
+    if value is None or isinstance(value, int):
+        too_large = value is not None and abs(value) >= _LARGEST_WHOLE
+        return "a whole number outside the allowed range -2^64 … 2^64" if too_large else ""
+    return f"a {type(value).__name__}; allowed: texts, numbers, lists and objects"

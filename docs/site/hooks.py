@@ -21,19 +21,6 @@ OUTSIDE = {
     "CHANGELOG.md": "changelog.md",
     "agents/README.md": "training.md",
 }
-#: What `make page` writes; without it the site shows the table alone.
-LEADERBOARD = "leaderboard.html"
-# A page of the site is a folder, so its files are one level up. The frame is as tall as what it shows, which by Bokeh's
-# own style would be as tall as the frame.
-_EMBEDDED = f"""
-## All suites, with filters and charts
-
-[Open this page alone]({LEADERBOARD}).
-
-<iframe class="leaderboard" src="../{LEADERBOARD}" title="Leaderboard of all suites with filters and charts"
-  onload="const page = this.contentDocument.body; page.style.height = 'auto';
-    new ResizeObserver(() => this.style.height = page.offsetHeight + 40 + 'px').observe(page)"></iframe>
-"""
 #: Code, or a link or picture with its text, file and anchor; a link in code is left alone.
 _LINK = re.compile(
     r"^```.*?^```|`[^`\n]+`|(!?)\[((?:`[^`]*`|[^\[\]`])*)\]\(([^()\s:#]*)(#[^()\s]*)?\)", flags=re.MULTILINE | re.DOTALL
@@ -120,7 +107,6 @@ def on_page_markdown(text: str, page: Any, config: Any, files: Any) -> str:
         # Above the first heading, that of the installation.
         parts[0] = parts[0].replace("\n## ", f"\n[Source code]({repository}){{ .md-button }}\n\n## ", 1)
     if here == "leaderboard.md":
-        parts += [_EMBEDDED] * (LEADERBOARD in known)
         page.meta["hide"] = ["navigation", "toc"]  # the table has the whole width
     elif page.parent is None:
         page.meta["hide"] = ["navigation"]  # there is no other page beside it

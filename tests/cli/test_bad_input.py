@@ -18,7 +18,7 @@ BAD = [
     ("simulate --wnd 8", "--wnd"),
     ("simulate --wind strong", "strong"),
     ("play --speed 0", "Must be >= 0.1"),
-    ("results page --output page.html", "RESULTS"),
+    ("results recompute", "RESULTS"),
     ("submission check", "FOLDERS"),
     ("evaluate --entries", "--entries requires at least 1 element"),
     ("simulate --wind 8 --wind-csv wind.csv", "--wind and --wind-csv exclude each other"),
@@ -30,9 +30,9 @@ BAD = [
     ("simulate --suite paper-v1 --wind 9 8", "wind for 2 WTG groups, paper-v1 has 4"),
     ("simulate --duration nan", "duration_s = nan s is outside the allowed range 0.1 … 86400 s"),
     ("simulate --plot run.jpg", 'supported extensions {"png", "svg", "pdf"}'),
-    ("simulate --csv run.txt", 'must have extension "csv"'),
-    ("simulate --csv folder.csv", '"folder.csv" is a directory'),
-    ("simulate --csv file.txt/run.csv", "file.txt is not a folder"),
+    ("grid import case.m --output run.txt", 'must have extension "json"'),
+    ("simulate --plot folder.png", '"folder.png" is a directory'),
+    ("simulate --plot file.txt/run.png", "file.txt is not a folder"),
     ("simulate --scenario nowhere.json", "cannot read the scenario file nowhere.json"),
     ("simulate --scenario broken.json", "broken.json is not JSON"),
     ("simulate --scenario wind.json", "-2 m/s, outside the allowed range 3 … 25 m/s"),
@@ -65,7 +65,7 @@ BAD = [
     ("results recompute paper-test.json --entries no-such-thing", "unknown entry"),
     ("results recompute paper-test.json", "hold entries that were not given: deloaded-7"),
     ("results recompute old/paper-test.json --entries seven.toml", "got 2; evaluate again"),
-    ("results page old/paper-test.json --output page.html", "got 2; evaluate again"),
+    ("results recompute old/paper-test.json", "got 2; evaluate again"),
     ("suites standard --seed 5", "seed 5 is in no split"),
     ("submission check best/1000 nowhere", 'error: Invalid value "nowhere" for FOLDERS. "nowhere" does not exist.'),
     ("submission new best/1000", "has entry.toml already"),
@@ -82,7 +82,7 @@ def folder(tmp_path_factory):
     """A folder with the files that the table names."""
     root = tmp_path_factory.mktemp("bad")
     (root / "file.txt").write_text("not a folder")
-    (root / "folder.csv").mkdir()
+    (root / "folder.png").mkdir()
     (root / "folder").mkdir()
     for name in ("best/1000", "best/2000"):
         (root / name).mkdir(parents=True)
@@ -124,7 +124,7 @@ def test_bad_input_is_one_line_and_leaves_nothing(line, said, folder, capsys, mo
 
 def test_wrong_usage_points_to_the_help_of_the_command(capsys):
     assert error_of(capsys, "simulate", "--wnd", "8").endswith("(see: wtg-gym simulate --help)")
-    assert error_of(capsys, "results", "page").endswith("(see: wtg-gym results page --help)")
+    assert error_of(capsys, "results", "recompute").endswith("(see: wtg-gym results recompute --help)")
 
 
 def test_missing_matplotlib_is_said_before_anything_runs(capsys, monkeypatch, tmp_path):

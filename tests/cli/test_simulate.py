@@ -1,6 +1,5 @@
 """`wtg-gym simulate` as a user calls it, with scenario and wind files."""
 
-import csv
 import json
 
 import pytest
@@ -63,18 +62,6 @@ def test_suite_of_v1_runs_in_its_own_grid(capsys, tmp_path):
     path.write_text(capsys.readouterr().out)
     again = json_of(capsys, "simulate", "--suite", "standard-v1", "--scenario", str(path), *laws, "--json")
     assert again["runs"] == data["runs"]
-
-
-def test_traces_hold_every_sample_with_units_in_the_header(tmp_path):
-    path = tmp_path / "traces.csv"
-    assert main(["simulate", *_QUICK, "--strategy", "mppt", "deloaded-10", "--csv", str(path)]) == 0
-    with path.open(encoding="utf-8", newline="") as file:
-        rows = list(csv.DictReader(file))
-    assert len(rows) == 2 * 61
-    assert {row["strategy"] for row in rows} == {"mppt", "deloaded-10"}
-    assert {"time_s", "frequency_hz", "rocof_hz_s", "group_1_power_pu", "group_2_rotor_speed_pu"} <= set(rows[0])
-    assert float(rows[0]["frequency_hz"]) == pytest.approx(50.0)
-    assert float(rows[60]["time_s"]) == 6.0
 
 
 def test_plot_replaces_an_older_file_and_leaves_nothing_beside_it(tmp_path):

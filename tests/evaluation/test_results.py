@@ -13,8 +13,8 @@ from hypothesis import strategies as st
 from tests.changes import changed, read_or_refused
 from wtg_gym.evaluation import Interval, Results
 from wtg_gym.evaluation.recompute import departures
+from wtg_gym.evaluation.results import markdown_section
 from wtg_gym.files import sha256, to_json
-from wtg_gym.plotting.page import leaderboard_page
 
 
 @pytest.fixture(scope="session")
@@ -79,7 +79,7 @@ def _sign(paths: tuple[Path, Path], data: dict[str, Any]) -> None:
 
 EDITS: dict[str, tuple[Callable[[dict[str, Any]], Any], str]] = {
     "cap as text": (lambda d: d["settings"]["weights"].update(cap="much"), "could not convert string to float"),
-    "missing key": (lambda d: d.pop("seeds"), "it misses the key 'seeds'"),
+    "missing key": (lambda d: d.pop("seeds"), "it misses 'seeds'"),
     "unknown suite": (lambda d: d.update(suite="easy"), "unknown suite 'easy'"),
     "other format": (lambda d: d.update(format=2), "format must be 8, that of this version, got 2; "),
     "name that is markup": (
@@ -119,8 +119,7 @@ def test_a_changed_description_whose_hashes_fit_is_shown_or_refused(written, tmp
 def _shown(path: Path) -> None:
     results = Results.read(path)
     departures(results)
-    if results.has_scale:
-        leaderboard_page([results])
+    markdown_section(results, details=True)
 
 
 CELLS = {

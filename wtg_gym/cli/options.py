@@ -7,7 +7,7 @@ that its help appears at once.
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -53,10 +53,8 @@ def _output_file(*endings: str) -> Parameter:
 SuiteName = Annotated[str, Parameter(converter=_suite)]
 Whole = Annotated[int, Parameter(converter=_whole)]
 OutputFolder = Annotated[Path, Parameter(validator=(validators.Path(file_okay=False), _can_be_written))]
-CsvFile = Annotated[Path, _output_file("csv")]
 FigureFile = Annotated[Path, _output_file("png", "svg", "pdf")]
 JsonFile = Annotated[Path, _output_file("json")]
-HtmlFile = Annotated[Path, _output_file("html", "htm")]
 PageFile = Annotated[Path, _output_file("html", "htm", "md")]
 
 Threads = Annotated[Whole | None, Parameter(help="threads to step with; default: one per processor")]
@@ -75,12 +73,7 @@ Entries = Annotated[
 ]
 
 
-def _group(title: str, text: str = "") -> Callable[[type], type]:
-    """Make the fields of a record options of every command that takes one."""
-    return Parameter(name="*", group=Group(title, help=text, sort_key=10))
-
-
-@_group("Workers", "other processes that play, see docs/performance.md")
+@Parameter(name="*", group=Group("Workers", help="other processes that play, see docs/performance.md", sort_key=10))
 @dataclass(frozen=True, kw_only=True)
 class WorkerOptions:
     """The processes that play."""
@@ -93,7 +86,7 @@ class WorkerOptions:
     """number of workers; default: one per processor"""
 
 
-@_group("Scenarios of the split", "all, unless one of these says which")
+@Parameter(name="*", group=Group("Scenarios of the split", help="all, unless one of these says which", sort_key=10))
 @dataclass(frozen=True, kw_only=True)
 class SeedOptions:
     """The scenarios of a split that are played."""

@@ -40,34 +40,31 @@ def report(
         seed: test scenarios to draw; default: the three that cost most
         results: folder that may have results of 'wtg-gym leaderboard'
     """
-    require_extra("matplotlib", "wtg-gym report")
+    for package in ("matplotlib", "markdown_it"):
+        require_extra(package, "wtg-gym report")
     from wtg_gym.cli import scoring
     from wtg_gym.evaluation.evaluator import chosen_seeds
-    from wtg_gym.evaluation.report import SPLIT, SUITE, make_report
     from wtg_gym.files import write_together
-    from wtg_gym.plotting.report import report_html, report_markdown
+    from wtg_gym.plotting import report as page
     from wtg_gym.policies.entry import check_version
     from wtg_gym.progress import Progress
     from wtg_gym.scenarios import get_suite
 
-    suite = get_suite(SUITE)
-    seeds = scoring.chosen_scenarios(SUITE, SPLIT, SeedOptions(scenarios=episodes))["seeds"]
-    drawn = chosen_seeds(SUITE, SPLIT, seed) if seed else ()
-    chosen = scoring.chosen_entries([entry], SUITE)
+    seeds = scoring.chosen_scenarios(page.SUITE, page.SPLIT, SeedOptions(scenarios=episodes))["seeds"]
+    drawn = chosen_seeds(page.SUITE, page.SPLIT, seed) if seed else ()
+    chosen = scoring.chosen_entries([entry], page.SUITE)
     if len({each.name for each in chosen}) > 1:
         raise ValueError(f"a report is about one entry, {entry!r} are {len(chosen)}")
-    check_version(chosen[:1], suite)
-    with Progress("parts") as progress:
-        made = make_report(
-            chosen[0],
-            entry,
-            seeds=seeds,
-            drawn=drawn,
-            stored=results,
-            n_threads=threads,
-            on_progress=progress.update,
+    check_version(chosen[:1], get_suite(page.SUITE))
+    with Progress("episodes") as progress:
+        made = page.make_report(
+            chosen[0], entry, seeds=seeds, drawn=drawn, stored=results, n_threads=threads, on_progress=progress.update
         )
-    files = {output.name: report_html(made)} if output.suffix != ".md" else report_markdown(made, output.stem)
+    with Progress("sections") as progress:
+        if output.suffix == ".md":
+            files = page.report_markdown(made, output.stem, progress.update)
+        else:
+            files = {output.name: page.report_html(made, progress.update)}
     write_together({output.with_name(name): content for name, content in files.items()})
     note(f"wrote {', '.join(str(output.with_name(name)) for name in files)}")
     return 0

@@ -1,4 +1,4 @@
-"""`wtg-gym results`: stored results shown, computed again, compared."""
+"""`wtg-gym results`: stored results computed again and compared."""
 
 from __future__ import annotations
 
@@ -7,43 +7,12 @@ from pathlib import Path
 from cyclopts import App
 
 from wtg_gym.cli import output as out
-from wtg_gym.cli.options import Entries, HtmlFile, Threads, WorkerOptions
+from wtg_gym.cli.options import Entries, Threads, WorkerOptions
 
 #: Differences that are printed.
 _SHOWN = 20
 
 app = App(name="results", help="Work with the stored results of 'wtg-gym evaluate' and 'wtg-gym leaderboard'.")
-
-
-@app.command
-def page(results: tuple[Path, ...], /, *, output: HtmlFile) -> int:
-    """Show stored results as one HTML file with charts.
-
-    The page works offline in any browser. It has each suite's ranking with intervals, which can be sorted, the scores
-    as a chart, and the deviation of the frequency against the share of runs lost or beyond 0.8 Hz. Suites of the latest
-    version come first.
-
-    examples:
-      wtg-gym results page results/standard-test.json --output leaderboard.html
-      wtg-gym results page results/*.json --output leaderboard.html
-
-    Args:
-        results: JSON files of results, one of each suite
-        output: the HTML file to write
-    """
-    out.require_extra("bokeh", "wtg-gym results page")
-    from wtg_gym.evaluation import Results
-    from wtg_gym.evaluation.recompute import departures
-    from wtg_gym.plotting.page import leaderboard_page
-
-    read = [Results.read(each) for each in results]
-    for each in read:
-        if not each.has_scale:
-            out.note(f"no ranking of {each.name}, where {each.task.hundred} is no better than {each.task.zero}")
-        for text in departures(each):
-            out.note(f"{each.name} is not the benchmark's own: {text}")
-    out.write_and_say(output, leaderboard_page(read))
-    return 0
 
 
 @app.command

@@ -14,7 +14,7 @@ from wtg_gym.cli.output import note, print_json, print_table, say
 from wtg_gym.envs.settings import EnvSettings
 from wtg_gym.evaluation import Entry, Results, evaluate, load_entries, table_cells
 from wtg_gym.evaluation.evaluator import chosen_seeds, shared_settings
-from wtg_gym.evaluation.table import columns_of, notes_on_marks, text_columns
+from wtg_gym.evaluation.table import columns_of, notes_on_marks
 from wtg_gym.evaluation.workers import BACKENDS, Workers
 from wtg_gym.policies.entry import check_entries, run_label
 from wtg_gym.progress import Progress
@@ -130,7 +130,7 @@ def finish(results: Results, folder: Path | None, *, as_json: bool) -> int:
     rows = results.ranking
     columns = columns_of("terminal", rows)
     heads = [_SHORT_HEADS.get(column, column) for column in columns]
-    print_table(heads, table_cells(rows, columns), left=text_columns(columns))
+    print_table(heads, table_cells(rows, columns), left=(1,))
     say(
         "", "in brackets: 95 % interval; Δf: largest deviation of a run's frequency, the median; lost: runs that failed"
     )

@@ -96,20 +96,23 @@ def damping(entry: Entry, wind_m_s: float = WIND_M_S, plant: Mapping[str, Any] |
     Raises:
         PolicyError: the policy fails, its memory is not arrays, or the loop loses the grid.
     """
-    loop = Loop(entry, wind_m_s, plant)
-    rests: list[Damping] = []
+    loop, modes, rates, rests = Loop(entry, wind_m_s, plant), list[Mode](), list[float](), []
+    has_corner = entry.law.k_min != entry.law.k_max
     with entry.policy if isinstance(entry.policy, OnnxPolicy) else contextlib.nullcontext():
-        has_corner = entry.law.k_min != entry.law.k_max
         for slope in SLOPES if has_corner else SLOPES[:1]:
-            rest = loop.settle(slope)
+            rests.append(loop.settle(slope))
             values = loop.eigenvalues()
-            modes = [
-                Mode(complex(value), slope if has_corner else "both") for value in values if value.imag > _LEAST_RATE
-            ]
-            rests.append(dataclasses.replace(rest, modes=modes, largest_rate=float(values.real.max())))
-    found = sorted((mode for rest in rests for mode in rest.modes), key=lambda mode: mode.damping_ratio)
-    largest = max(rest.largest_rate for rest in rests)
-    return dataclasses.replace(max(rests, key=lambda rest: rest.moves_hz), modes=found, largest_rate=largest)
+            label = slope if has_corner else "both"
+            modes += [Mode(complex(value), label) for value in values if value.imag > _LEAST_RATE]
+            rates.append(float(values.real.max()))
+    moves_hz, frequency_hz, largest_action = max(rests)
+    return Damping(
+        modes=sorted(modes, key=lambda mode: mode.damping_ratio),
+        largest_rate=max(rates),
+        frequency_hz=frequency_hz,
+        largest_action=largest_action,
+        moves_hz=moves_hz,
+    )
 
 
 class Loop:
@@ -151,8 +154,11 @@ class Loop:
         self._seen: Floats = np.zeros(0)
         self._memory: Any = None
 
-    def settle(self, slope: str) -> Damping:
-        """Play until the loop is at rest, with one slope of the law's g(ω) on both sides of its corner."""
+    def settle(self, slope: str) -> tuple[float, float, float]:
+        """Play until the loop is at rest, with one slope of the law's g(ω) on both sides of its corner.
+
+        Returns by how much the frequency still moves [Hz], the frequency [Hz], and the largest action.
+        """
         tape, entry = self.tape, self.entry
         tape.start([self.scenario])
         tape.set_law(self._smooth(tape.law(), slope))
@@ -170,14 +176,8 @@ class Loop:
             frequencies.append(self.nominal_hz * float(lanes.simulator.lane_values("coi")[0]))
             if lanes.ended()[0].any():
                 raise PolicyError(f"entry {entry.label!r} loses the grid at rest, {self.scenario.name}")
-        moves = float(np.ptp(frequencies[-round(_WATCHED_S / self.step_s) :]))
-        return Damping(
-            modes=[],
-            largest_rate=0.0,
-            frequency_hz=frequencies[-1],
-            largest_action=float(np.abs(actions).max(initial=0.0)),
-            moves_hz=moves,
-        )
+        moves_hz = float(np.ptp(frequencies[-round(_WATCHED_S / self.step_s) :]))
+        return moves_hz, frequencies[-1], float(np.abs(actions).max(initial=0.0))
 
     def _smooth(self, law: Floats, slope: str) -> Floats:
         """Return laws (1, n_wtg, 4) whose g(ω) goes on with its slope below, or above, beyond the corner."""
@@ -200,11 +200,7 @@ class Loop:
         powers = [np.linalg.matrix_power(a, j) for j in range(n_held + 1)]
         held = [sum(powers[:j], np.zeros_like(a)) @ b for j in range(n_held + 1)]
         matrix = np.block(
-            [
-                [powers[n_held], held[n_held] @ k, held[n_held] @ m],
-                [c, d @ k, d @ m],
-                [np.zeros((len(g), n)), f, g],
-            ]
+            [[powers[n_held], held[n_held] @ k, held[n_held] @ m], [c, d @ k, d @ m], [np.zeros((len(g), n)), f, g]]
         )
         keep = _moving(matrix)
         values, vectors = np.linalg.eig(matrix[np.ix_(keep, keep)])
@@ -276,12 +272,8 @@ class Loop:
             answers = np.concatenate([self._answers(part) for part in np.array_split(moved, -(-len(moved) // 8))])
         jacobian = (answers[: here.size] - answers[here.size :]).T / (2.0 * _DIFFERENCE)
         of_actions, of_memory = jacobian[:n_action], jacobian[n_action:]
-        return (
-            of_actions[:, :n_observation],
-            of_actions[:, n_observation:],
-            of_memory[:, :n_observation],
-            of_memory[:, n_observation:],
-        )
+        (k, m), (f, g) = (np.split(part, [n_observation], axis=1) for part in (of_actions, of_memory))
+        return k, m, f, g
 
     def _answers(self, inputs: Floats) -> Floats:
         """Return actions and next memories (n, any) for observations and memories (n, any)."""

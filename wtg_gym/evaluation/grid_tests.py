@@ -9,9 +9,9 @@ from __future__ import annotations
 
 import collections
 import dataclasses
-import functools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -125,7 +125,7 @@ def _one_machine() -> Plant:
     return dataclasses.replace(plant, case=dataclasses.replace(plant.case, machines=machines))
 
 
-def _bench(ratio: float, **changes: Any) -> Plant:
+def _bench(ratio: float, *, sheds: bool = False) -> Plant:
     """Return the bench at a short-circuit ratio; its relays of load shedding would see the source's frequency."""
     plant = _grid()
     case, mva = plant.case, sum(g.n_turbines for g in plant.groups) * plant.turbine.rated_power_mw
@@ -141,19 +141,7 @@ def _bench(ratio: float, **changes: Any) -> Plant:
         machines=(),
         sources=(Source(bus=_SOURCE_BUS),),
     )
-    return dataclasses.replace(plant, case=bench, **{"shedding": (), **changes})
-
-
-def _weak() -> Plant:
-    return _bench(3.0)
-
-
-def _bench_20() -> Plant:
-    return _bench(20.0)
-
-
-def _shedding() -> Plant:
-    return _bench(10.0, shedding=_grid().shedding)
+    return dataclasses.replace(plant, case=bench, shedding=plant.shedding if sheds else ())
 
 
 # --- criteria ---------------------------------------------------------------------------------------------------------
@@ -211,14 +199,9 @@ def _opposes(run: Recording, forward: bool) -> Verdict:
     return bool(opposes and rest <= 0.05), f"ΔP {first:+.2f} p.u., back within {rest:.3f} p.u."
 
 
-def _recovers_at(*cleared_s: float) -> Callable[[Recording], Verdict]:
-    """Return the criterion for faults that clear at some instants [s]."""
-    return lambda run: _recovers(run, cleared_s)
-
-
-def _recovers(run: Recording, cleared_s: Sequence[float]) -> Verdict:
+def _recovers(run: Recording, at_s: Sequence[float]) -> Verdict:
     power, slowest, farthest = run.total(), 0.0, 0.0
-    for at in cleared_s:
+    for at in at_s:
         after = slice(run.at(at) + 1, run.at(at + 3.0) + 1)
         times, low = run.time_s[after], (run.voltage_pu[after] < 0.9).any(axis=1)
         slowest = max(slowest, float(times[min(int(np.flatnonzero(low).max(initial=-1)) + 1, low.size - 1)] - at))
@@ -265,6 +248,8 @@ def _to_and_fro(rocof_hz_s: float) -> tuple[Event, ...]:
     )
 
 
+#: Benches of the tests.
+_WEAK, _BENCH, _SHEDS = partial(_bench, 3.0), partial(_bench, 20.0), partial(_bench, 10.0, sheds=True)
 _TAKES_OVER = (
     "0.8 … 1.1 p.u. at every bus except for 0.1 s, 47.5 … 51.5 Hz, in the last 5 s within 0.1 Hz; all groups stay"
 )
@@ -292,7 +277,7 @@ GRID_TESTS: dict[str, GridTest] = {
             )
         ),
         *(
-            GridTest(name, source, _FOLLOWS, lambda: _bench(10.0), _follows, _to_and_fro(rocof_hz_s))
+            GridTest(name, source, _FOLLOWS, partial(_bench, 10.0), _follows, _to_and_fro(rocof_hz_s))
             for name, source, rocof_hz_s in (
                 ("rocof-up", "AEMO, MISO", 4.0),
                 ("rocof-down", "AEMO, MISO", -4.0),
@@ -301,9 +286,7 @@ GRID_TESTS: dict[str, GridTest] = {
             )
         ),
         *(
-            GridTest(
-                name, source, _RESISTS, _weak, functools.partial(_opposes, forward=jump.angle_deg > 0), (jump,), 15.0
-            )
+            GridTest(name, source, _RESISTS, _WEAK, partial(_opposes, forward=jump.angle_deg > 0), (jump,), 15.0)
             for name, source, angle_deg in (
                 ("angle-step", "AEMO, MISO, GC0137", -10.0),
                 ("angle-step-30", "AEMO, FNN", -30.0),
@@ -313,10 +296,12 @@ GRID_TESTS: dict[str, GridTest] = {
             )
             for jump in (PhaseJump(time_s=2.0, bus=_SOURCE_BUS, angle_deg=angle_deg),)
         ),
-        GridTest("dip", "FNN, SJV2024", _DIP, _weak, _recovers_at(2.15), _fault(1, 0.15, 0.02), 15.0),
-        GridTest("ratio-steps", "AEMO, MISO", _STEPS, _bench_20, _recovers_at(*_CLEARED_S), _RATIO_STEPS, 45.0, 11.4),
+        GridTest("dip", "FNN, SJV2024", _DIP, _WEAK, partial(_recovers, at_s=(2.15,)), _fault(1, 0.15, 0.02), 15.0),
+        GridTest(
+            "ratio-steps", "AEMO, MISO", _STEPS, _BENCH, partial(_recovers, at_s=_CLEARED_S), _RATIO_STEPS, 45.0, 11.4
+        ),
         *(
-            GridTest(name, "AEMO, FNN, EU 2016/631", _TAKES_OVER, _shedding, _takes_over, events, 60.0, wind, load)
+            GridTest(name, "AEMO, FNN, EU 2016/631", _TAKES_OVER, _SHEDS, _takes_over, events, 60.0, wind, load)
             # All groups and loads lose the source.
             for events in ((LineTrip(time_s=2.0, from_bus=_SOURCE_BUS, to_bus=1),),)
             for name, wind, load in (("island-surplus", 11.4, 0.9), ("island-deficit", 11.0, 1.0))

@@ -25,7 +25,7 @@ from wtg_gym.evaluation.summary import EntrySummary, Runs, ranked
 from wtg_gym.evaluation.table import columns_of, markdown_table, notes_on_marks
 from wtg_gym.files import interpreting, parse_json, read_text, sha256, to_json, write_together
 from wtg_gym.names import check_name
-from wtg_gym.policies.entry import KINDS, check_rows
+from wtg_gym.policies.entry import KINDS, Entry, check_rows
 from wtg_gym.ranges import ByName, require_count
 from wtg_gym.scenarios import FROZEN_HASHES, get_suite
 from wtg_gym.scenarios.suite import MOST_SCENARIOS
@@ -36,18 +36,6 @@ Value = TypeVar("Value")
 FORMAT = 8
 #: Keys of the description that are texts.
 _TEXTS = ("suite", "split", "suite_hash", "source_hash")
-#: Types of the description's values, and of those of an entry, see :meth:`wtg_gym.policies.Entry.to_dict`.
-_DESCRIPTION = {
-    **dict.fromkeys(_TEXTS, str),
-    **dict.fromkeys(("environment", "settings", "versions", "metrics", "summary"), dict),
-    **dict.fromkeys(("seeds", "entries", "failed"), list),
-    **{"format": int, "csv_sha256": str, "sha256": str},
-}
-_ENTRY = {
-    **dict.fromkeys(("name", "kind", "action_mode", "observation_mode", "description", "source"), str),
-    **{"training_seed": int | None, "strategy": dict, "sha256": str | None, "policy_sha256": str | None},
-}
-_FAILED = {**_ENTRY, "reason": str}
 #: Entries at most.
 _MOST_ENTRIES = 1000
 #: By how much a summary may differ from the sum of its table, relative, or absolute near zero.
@@ -344,10 +332,8 @@ def _read(json_path: Path) -> tuple[dict[str, Any], list[Episode]]:
     """Return the checked description and the episodes of results; errors as of :meth:`Results.read`."""
     text = read_text(json_path, "description of the results")
     data = parse_json(text, "it")
-    if isinstance(data, dict) and data.get("format") != FORMAT:
-        got = repr(data.get("format"))[:80]
-        raise ValueError(f"format must be {FORMAT}, that of this version, got {got}; evaluate again")
-    _require_form("it", data, _DESCRIPTION)
+    if data["format"] != FORMAT:
+        raise ValueError(f"format must be {FORMAT}, that of this version, got {data['format']!r:.80}; evaluate again")
     content = {key: value for key, value in data.items() if key != "sha256"}
     if sha256(to_json(content).encode()) != data["sha256"] or to_json(data) != text:
         raise ValueError("it was edited or damaged: its sha256 does not fit its content")
@@ -368,18 +354,6 @@ def _read(json_path: Path) -> tuple[dict[str, Any], list[Episode]]:
     return data, episodes
 
 
-def _require_form(where: str, data: Any, form: Mapping[str, Any]) -> None:
-    """Raise a ValueError that names a key which is missing, or a value of another type."""
-    if not isinstance(data, dict):
-        raise ValueError(f"{where} must be an object, got {type(data).__name__}")
-    for key, expected in form.items():
-        if key not in data:
-            raise ValueError(f"{where} misses the key {key!r}")
-        if not isinstance(data[key], expected) or isinstance(data[key], bool):
-            name = getattr(expected, "__name__", str(expected))
-            raise ValueError(f"{key} of {where} must be {name}, got {data[key]!r:.80}")
-
-
 def _check_summary(stored: Any, summed: Any, where: str) -> None:
     """Raise a ValueError if a stored summary differs from the sum of its table by more than rounding."""
     if isinstance(stored, dict) and isinstance(summed, dict) and set(stored) == set(summed):
@@ -392,19 +366,19 @@ def _check_summary(stored: Any, summed: Any, where: str) -> None:
 
 
 def _check_description(data: dict[str, Any]) -> None:
-    for key, form in (("entries", _ENTRY), ("failed", _FAILED)):
+    keys = set(Entry(name="any").to_dict())
+    for key, expected in (("entries", keys), ("failed", {*keys, "reason"})):
         require_count(key, len(data[key]), _MOST_ENTRIES)
         for entry in data[key]:
-            _require_form("an entry", entry, form)
+            if set(entry) != expected or entry["kind"] not in KINDS:
+                raise ValueError(
+                    f"an entry must have {', '.join(sorted(expected))}, its kind one of {', '.join(KINDS)}"
+                )
             # It goes into tables and pages as it is.
             check_name("the entry's name", entry["name"])
-            if entry["kind"] not in KINDS:
-                raise ValueError(f"kind of an entry must be one of {', '.join(KINDS)}, got {entry['kind']!r:.80}")
     check_rows((*data["entries"], *data["failed"]))
     if data["metrics"] != {name: asdict(metric) for name, metric in METRICS.items()}:
         raise ValueError("the metrics are not those of this version; evaluate again")
-    for key, names in (("environment", ("id", "fingerprint")), ("versions", data["versions"])):
-        _require_form(key, data[key], dict.fromkeys(names, str))
     require_count("seeds", len(data["seeds"]), MOST_SCENARIOS)
     allowed = get_suite(data["suite"]).seeds(data["split"])
     if not data["seeds"] or any(type(seed) is not int or seed not in allowed for seed in data["seeds"]):

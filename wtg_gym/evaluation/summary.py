@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -63,8 +62,6 @@ class EntrySummary:
     mean_energy_share_percent: float  # of the available energy [%]
     score: Interval | None = None  # 0 and 100 are those of the version's anchors
     strata: Mapping[str, Interval] = field(default_factory=dict)  # the score of each stratum, whose mean is the score
-    #: The score minus that of the entry above in the ranking, on the same scenarios; None for the first.
-    difference_to_above: Interval | None = None
     #: Points above 100 by the cost terms they come from, by the names in :data:`POINTS` and :data:`REST`; they add up
     #: to the score minus 100, see :func:`points_by_term`.
     points_by_term: Mapping[str, float] = field(default_factory=dict)
@@ -137,12 +134,7 @@ def scored(
             points_by_term=dict(zip((*POINTS, REST), map(scoring.points, parts), strict=True)),
         )
 
-    rows = [with_score(row) for row in rows]
-    above = {
-        row.name: scoring.score_difference(gained[row.name], gained[better.name])
-        for better, row in itertools.pairwise(ranked(rows))
-    }
-    return [replace(row, difference_to_above=above.get(row.name)) for row in rows]
+    return [with_score(row) for row in rows]
 
 
 def place(row: EntrySummary) -> tuple[bool, float]:

@@ -1,4 +1,4 @@
-"""The table of results: every column once, for a terminal, for Markdown, and for the page with charts."""
+"""The table of results: every column once, for a terminal and for Markdown."""
 
 from __future__ import annotations
 
@@ -15,8 +15,6 @@ _PRIVILEGED_NOTE = f"{_PRIVILEGED}: sees the state of the whole grid, which no t
 #: What :attr:`EntrySummary.marked` is shown by, and what a page says about it.
 _MARK = "✓"
 _MARK_NOTE = f"{_MARK}: no less reliable than the reference at 100 (blackouts, |Δf| > 0.8 Hz) beyond chance"
-#: Columns of text; all others hold numbers.
-_TEXTS = ("entry", "kind")
 
 
 def _plain(value: float) -> str:
@@ -62,45 +60,35 @@ def _points(term: str) -> Callable[[EntrySummary], str]:
 class _Column(NamedTuple):
     heading: str
     text: Callable[[EntrySummary], str]
-    tables: str  # which show it: "terminal"; "v0" and "v1", Markdown of that version; "details", more; "whole", all
+    tables: str  # which show it: "terminal"; "v0" and "v1", Markdown of that version; "details", more
 
 
 #: In the order of every table, that of each stratum behind the score.
 _COLUMNS = (
-    _Column("rank", lambda row: "", "terminal v0 v1 details whole"),
-    _Column("entry", _entry, "terminal v0 v1 details whole"),
-    _Column("score", lambda row: _interval(row.score, _plain) or "none", "terminal v0 v1 details whole"),
-    _Column("to the entry above", lambda row: signed_interval(row.difference_to_above), "whole"),
-    _Column("frequency, RoCoF [points]", _points("frequency_rocof"), "v0 whole"),
-    _Column("duty [points]", _points("duty"), "v0 whole"),
-    _Column("overload [points]", _points("overload"), "v0 whole"),
-    _Column("rest [points]", _points(REST), "v0 whole"),
-    _Column("kind", lambda row: row.kind, "whole"),
-    _Column("failures [%]", lambda row: f"{row.failures_percent:.1f}", "v0 details whole"),
-    _Column("median deviation [mHz]", lambda row: f"{row.median_deviation_mhz:.0f}", "terminal v1 whole"),
-    _Column(
-        "worst unit's [mHz]",
-        lambda row: "" if row.median_worst_deviation_mhz is None else f"{row.median_worst_deviation_mhz:.0f}",
-        "whole",
-    ),
+    _Column("rank", lambda row: "", "terminal v0 v1 details"),
+    _Column("entry", _entry, "terminal v0 v1 details"),
+    _Column("score", lambda row: _interval(row.score, _plain) or "none", "terminal v0 v1 details"),
+    _Column("frequency, RoCoF [points]", _points("frequency_rocof"), "v0"),
+    _Column("duty [points]", _points("duty"), "v0"),
+    _Column("overload [points]", _points("overload"), "v0"),
+    _Column("rest [points]", _points(REST), "v0"),
+    _Column("failures [%]", lambda row: f"{row.failures_percent:.1f}", "v0 details"),
+    _Column("median deviation [mHz]", lambda row: f"{row.median_deviation_mhz:.0f}", "terminal v1"),
     _Column(
         "lost or beyond 0.8 Hz [%]",
         lambda row: f"{row.lost_or_beyond_percent:.1f}" + f" {_MARK}" * _has_mark(row),
-        "terminal v1 details whole",
+        "terminal v1 details",
     ),
-    _Column("to the anchor [%-points]", lambda row: signed_interval(row.lost_or_beyond_to_hundred), "details whole"),
-    _Column("worst tenth", lambda row: f"{row.worst_decile_cost:.0f}", "whole"),
-    _Column("worst tenth to the anchor [%]", lambda row: signed_interval(row.worst_decile_to_hundred), "details whole"),
-    _Column("mean cost", lambda row: f"{row.mean_pinned_cost:.1f}", "terminal whole"),
-    _Column("nadir [Hz]", lambda row: f"{row.median_nadir_hz:.3f}", "v0 whole"),
-    _Column("duty error [%]", lambda row: f"{row.mean_duty_error_percent:.2f}", "whole"),
-    _Column("energy share [%]", lambda row: f"{row.mean_energy_share_percent:.1f}", "whole"),
+    _Column("to the anchor [%-points]", lambda row: signed_interval(row.lost_or_beyond_to_hundred), "details"),
+    _Column("worst tenth to the anchor [%]", lambda row: signed_interval(row.worst_decile_to_hundred), "details"),
+    _Column("mean cost", lambda row: f"{row.mean_pinned_cost:.1f}", "terminal"),
+    _Column("nadir [Hz]", lambda row: f"{row.median_nadir_hz:.3f}", "v0"),
 )
 
 
 def _columns(rows: Sequence[EntrySummary]) -> list[_Column]:
     strata = dict.fromkeys(name for row in rows for name in row.strata)
-    of_strata = (_Column(name, _stratum(name), "terminal details whole") for name in strata)
+    of_strata = (_Column(name, _stratum(name), "terminal details") for name in strata)
     behind = 1 + [column.heading for column in _COLUMNS].index("score")
     return [*_COLUMNS[:behind], *of_strata, *_COLUMNS[behind:]]
 
@@ -111,21 +99,16 @@ def columns_of(table: str, rows: Sequence[EntrySummary]) -> list[str]:
     return [own.heading for own in columns if own.heading == "rank" or any(map(own.text, rows))]
 
 
-def text_columns(columns: Sequence[str]) -> list[int]:
-    """Return which of the columns hold text."""
-    return [index for index, column in enumerate(columns) if column in _TEXTS]
-
-
 def table_cells(rows: Sequence[EntrySummary], columns: Sequence[str] | None = None) -> list[list[str]]:
     """Return the texts of the table, one list per row, in the order of the columns; equal entries share a rank.
 
     Args:
         rows: of one version, as :func:`leaderboard_rows` or :attr:`Results.ranking` gives them.
-        columns: headings; None for those of the whole table that these rows fill.
+        columns: headings; None for those of the detailed table that these rows fill.
     """
     texts = {column.heading: column.text for column in _columns(rows)}
     places = [place(row) for row in rows]
-    columns = columns or columns_of("whole", rows)
+    columns = columns or columns_of("details", rows)
     ranks = [str(1 + sum(other < own for other in places)) for own in places]
     return [
         [rank if column == "rank" else texts[column](row) for column in columns]
@@ -142,7 +125,7 @@ def markdown_table(rows: Sequence[EntrySummary], columns: Sequence[str] | None =
     """
     # Without a score they are those of a terminal, with the cost that ranks.
     columns = columns or columns_of("terminal" if rows[0].score is None else rows[0].version, rows)
-    numbers = sorted(set(range(len(columns))) - set(text_columns(columns)))
+    numbers = [index for index, column in enumerate(columns) if column != "entry"]
     return files.markdown_table(columns, table_cells(rows, columns), right=numbers)
 
 

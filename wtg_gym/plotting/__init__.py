@@ -1,4 +1,4 @@
-"""Figures for screen and print: recorded runs, and the page of the leaderboard.
+"""Figures for screen and print: recorded runs, and the report on an entry.
 
 Needs matplotlib of the `leaderboard` extra once something is drawn; importing the package does not. Every function
 returns a matplotlib figure, built without pyplot; :func:`figure_bytes` turns one into a file.

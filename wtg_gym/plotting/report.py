@@ -1,38 +1,55 @@
-"""The page of a report about an entry: HTML with its pictures inside, or Markdown with them beside.
+"""The report on one entry of version v1, on the test scenarios of its standard suite: what it does, where it fails.
 
-Both have the same sections, each of a sentence, a table and pictures.
+A page of sections, in Markdown with its pictures beside, or made HTML of, with its pictures inside.
 """
 
 from __future__ import annotations
 
 import base64
+import functools
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from html import escape
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from wtg_gym.evaluation.damping import GRID, WIND_M_S, Damping
-from wtg_gym.evaluation.grid_tests import GRID_TESTS
-from wtg_gym.evaluation.report import N_OF_ENERGY, SUITE, DrawnScenario, Recorded, Report
-from wtg_gym.evaluation.statistics import Interval
+from wtg_gym.envs.settings import EnvSettings
+from wtg_gym.evaluation import damping, faults
+from wtg_gym.evaluation.adjusted import Adjusted
+from wtg_gym.evaluation.episodes import Episode
+from wtg_gym.evaluation.evaluator import Progress, evaluate, play_batch
+from wtg_gym.evaluation.grid_tests import GRID_TESTS, run_grid_test
+from wtg_gym.evaluation.report import Recorded, recorded
+from wtg_gym.evaluation.results import Results
+from wtg_gym.evaluation.score import cost_offsets, gains
+from wtg_gym.evaluation.statistics import Floats, Interval, mean, sign_test
+from wtg_gym.evaluation.summary import EntrySummary, lost_or_beyond
 from wtg_gym.evaluation.table import signed_interval
 from wtg_gym.files import markdown_table
+from wtg_gym.physics.scenario import Scenario
 from wtg_gym.plotting import style
 from wtg_gym.plotting.margin import by_entry, plot_over_margin
 from wtg_gym.plotting.trajectories import mark_end, mark_instants
+from wtg_gym.policies import Entry, PolicyError
+from wtg_gym.policies.entry_folder import load_entries
+from wtg_gym.scenarios.suites import DEFAULT_SUITE, get_suite
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-#: Oscillations that are listed of a loop.
-_N_MODES = 5
-#: Damping ratio below which an oscillation is weakly damped.
-_WEAK = 0.05
-_MARGIN_CAPTION = "Cost (J + J0, relative) and share of bad runs over the reserve margin"
+SUITE, SPLIT = DEFAULT_SUITE, "test"
+SETTINGS = EnvSettings(suite=SUITE, split=SPLIT)
+#: The yardstick of energy, which captures what the wind gives.
+_MOST_ENERGY = "mppt"
+#: Test scenarios that sensors fail in, and that energy is counted in; scenarios that are drawn.
+N_WITH_FAULTS, N_OF_ENERGY, N_DRAWN = 60, 60, 3
+#: Oscillations that are listed of a loop, and the damping ratio below which one is weakly damped.
+_N_MODES, _WEAK = 5, 0.05
+_MJ_PER_MWH = 3600.0
 #: What is drawn of a scenario, by its label.
-_PANELS: Mapping[str, Callable[[Recorded], np.ndarray]] = {
+_PANELS: Mapping[str, Callable[[Recorded], Floats]] = {
     "frequency [Hz]": lambda run: run.frequency_hz,
     "wind, mean [m/s]": lambda run: run.wind_m_s,
     "power of all turbines [MW]": lambda run: run.power_mw,
@@ -44,17 +61,13 @@ _PAGE = """\
 <html lang="en"><head><meta charset="utf-8"><meta name="viewport" content="width=device-width, initial-scale=1">
 <title>{title}</title><style>
 body {{ font: 16px/1.5 system-ui, sans-serif; color: #1b1b1b; background: #fff; margin: 0 auto; padding: 1rem;
-  max-width: 76rem; }}
-h1 {{ font-size: 1.6rem; overflow-wrap: anywhere; }} h2 {{ font-size: 1.2rem; margin: 2.2rem 0 .3rem; }}
-p {{ max-width: 48rem; }} code {{ overflow-wrap: anywhere; }}
-.wide {{ overflow-x: auto; }} table {{ border-collapse: collapse; font-size: .9rem; }}
+  max-width: 60rem; overflow-wrap: anywhere; }}
+h1 {{ font-size: 1.6rem; }} h2 {{ font-size: 1.2rem; margin: 2.2rem 0 .3rem; }} p {{ max-width: 48rem; }}
+table {{ display: block; overflow-x: auto; border-collapse: collapse; font-size: .9rem; overflow-wrap: normal; }}
 th, td {{ padding: .3rem .7rem .3rem 0; text-align: left; vertical-align: top; border-bottom: 1px solid #ddd; }}
-.number {{ text-align: right; white-space: nowrap; }}
-.pictures {{ display: grid; grid-template-columns: repeat(auto-fit, minmax(min(100%, 21rem), 1fr)); gap: 1rem; }}
-figure {{ margin: 0; max-width: 28rem; }} img {{ width: 100%; height: auto; }} figcaption {{ font-size: .9rem; }}
+img {{ width: 100%; max-width: 28rem; }} pre {{ white-space: pre-wrap; font-size: .9rem; }}
 </style></head><body>
-{body}
-</body></html>
+{body}</body></html>
 """
 
 
@@ -64,7 +77,7 @@ class Picture:
 
     name: str
     figure: Figure
-    caption: str = ""
+    caption: str
     command: str = ""
 
 
@@ -80,92 +93,151 @@ class Section:
     note: str = ""
     pictures: Sequence[Picture] = field(default=())
 
-
-def report_html(report: Report) -> str:
-    """Return the page as one HTML file, which loads nothing."""
-    head = f"<h1>{escape(_title(report))}</h1>\n<p>{escape(_subtitle(report))}</p>"
-    body = "\n".join([head, *map(_html, sections(report))])
-    return _PAGE.format(title=escape(_title(report)), body=body)
-
-
-def report_markdown(report: Report, stem: str) -> dict[str, bytes | str]:
-    """Return the files of the page in Markdown by their names; pictures are called after the page's stem."""
-    found = sections(report)
-    pictures = {f"{stem}-{each.name}.svg": each for section in found for each in section.pictures}
-    files: dict[str, bytes | str] = {name: style.figure_bytes(each.figure, "svg") for name, each in pictures.items()}
-    text = [f"# {_plain(_title(report))}", _plain(_subtitle(report)), *(_markdown(each, stem) for each in found)]
-    return {**files, f"{stem}.md": "\n\n".join(text) + "\n"}
-
-
-def _html(section: Section) -> str:
-    parts = [f"<section><h2>{escape(section.heading)}</h2>", f"<p>{escape(section.sentence)}</p>"]
-    if section.rows:
-        cells = [
-            "".join(
-                f"<{tag}{' class=number' if column in section.numbers else ''}>{escape(cell)}</{tag}>"
-                for column, cell in enumerate(row)
-            )
-            for tag, row in (("th", section.header), *(("td", row) for row in section.rows))
-        ]
-        parts.append(f'<div class="wide"><table>{"".join(f"<tr>{row}</tr>" for row in cells)}</table></div>')
-    if section.note:
-        parts.append(f"<p>{escape(section.note)}</p>")
-    figures = []
-    for each in section.pictures:
-        data = base64.b64encode(style.figure_bytes(each.figure, "svg")).decode()
-        caption = escape(each.caption) + (f"<br><code>{escape(each.command)}</code>" if each.command else "")
-        image = f'<img alt="{escape(each.caption)}" src="data:image/svg+xml;base64,{data}">'
-        figures.append(f"<figure>{image}<figcaption>{caption}</figcaption></figure>")
-    if figures:
-        parts.append(f'<div class="pictures">{"".join(figures)}</div>')
-    return "\n".join([*parts, "</section>"])
+    def markdown(self, stem: str) -> str:
+        """Return the section as Markdown, with pictures in files that are called after the page's stem."""
+        parts = [f"## {self.heading}", _plain(self.sentence)]
+        if self.rows:
+            cells = [[_plain(cell) for cell in row] for row in self.rows]
+            parts.append(markdown_table(self.header, cells, right=self.numbers))
+        parts += [_plain(self.note)] * bool(self.note)
+        for each in self.pictures:
+            parts.append(f"![{_plain(each.caption)}]({stem}-{each.name}.svg)")
+            parts += [f"{_plain(each.caption)}:\n\n```sh\n{each.command}\n```"] * bool(each.command)
+        return "\n\n".join(parts)
 
 
 def _plain(text: str) -> str:
     """Return text without what Markdown takes for HTML or a command."""
-    return "".join(f"\\{sign}" if sign in "\\`*_[]<>#|" else sign for sign in text)
+    return "".join(f"\\{sign}" if sign in "\\`*_[]<>#&" else sign for sign in text)
 
 
-def _markdown(section: Section, stem: str) -> str:
-    parts = [f"## {section.heading}", _plain(section.sentence)]
-    if section.rows:
-        cells = [[_plain(cell) for cell in row] for row in section.rows]
-        parts.append(markdown_table(section.header, cells, right=section.numbers))
-    parts += [_plain(section.note)] * bool(section.note)
-    for each in section.pictures:
-        parts.append(f"![{_plain(each.caption)}]({stem}-{each.name}.svg)")
-        parts += [f"{_plain(each.caption)}:\n\n```sh\n{each.command}\n```"] * bool(each.command)
-    return "\n\n".join(parts)
+@dataclass(frozen=True, kw_only=True)
+class Report:
+    """An entry of version v1 with its results."""
+
+    entry: Entry
+    spec: str  # by which commands name the entry
+    results: Results  # with those of the version's references
+    stored: bool  # whether the results were read, not played
+    drawn: Sequence[int]  # seeds of the scenarios to draw; empty for those that cost the entry most
+    n_threads: int | None  # to step with
+
+    @property
+    def title(self) -> str:
+        """Heading of the page."""
+        return f"Report: {self.entry.label}"
+
+    @property
+    def hundred(self) -> str:
+        """Name of the law that scores 100."""
+        return self.results.task.hundred
+
+    @property
+    def row(self) -> EntrySummary:
+        """The entry's row in the ranking."""
+        return next(row for row in self.results.ranking if row.name == self.entry.name)
+
+    @functools.cached_property
+    def bad_and_lost(self) -> Mapping[str, tuple[Floats, Floats]]:
+        """1 where a run was lost or beyond 0.8 Hz, and where it was lost, of the entry and the law that scores 100.
+
+        (1, n_scenarios) each.
+        """
+        bad = {}
+        for name in (self.entry.name, self.hundred):
+            lost = np.array([[float(episode.failed) for episode in self.results.episodes_of(name)]])
+            bad[name] = _bad(self.results, name), lost
+        return bad
+
+    def chance(self, which: int) -> float:
+        """Return the chance of so many more bad (0) or lost (1) runs than the law at 100, were both equally prone."""
+        return sign_test(*(self.bad_and_lost[name][which] for name in (self.entry.name, self.hundred)))
 
 
-# --- sections --------------------------------------------------------------------------------------------------------
+def make_report(
+    entry: Entry,
+    spec: str,
+    *,
+    seeds: Sequence[int] | None = None,
+    drawn: Sequence[int] = (),
+    stored: Path | None = None,
+    n_threads: int | None = None,
+    on_progress: Progress | None = None,
+) -> Report:
+    """Return the report of an entry, with results that are read where they can be, else played.
+
+    Args:
+        entry: of version v1.
+        spec: the text that `load_entries` finds it by.
+        seeds: test scenarios to play; None for all, which may be read.
+        drawn: seeds of the scenarios to draw; empty for those that cost the entry most.
+        stored: folder that may have results of the entry.
+        n_threads: threads to step with.
+        on_progress: called with (name of the entry, episodes done, episodes in all).
+
+    Raises:
+        PolicyError: the entry's policy fails.
+        ValueError: the entry is of another version.
+    """
+    found = _stored_results(stored, entry) if stored is not None and seeds is None else None
+    results = found or evaluate(entry, SUITE, SPLIT, seeds=seeds, n_threads=n_threads, on_progress=on_progress)
+    return Report(entry=entry, spec=spec, results=results, stored=found is not None, drawn=drawn, n_threads=n_threads)
 
 
-def sections(report: Report) -> list[Section]:
-    """Return the sections of the page in their order."""
-    parts = (_score, _over_margin, _bad_runs, _scenarios, _grid_tests, _faults, _energy, _damping)
-    return [part(report) for part in parts]
+def _stored_results(folder: Path, entry: Entry) -> Results | None:
+    """Return the stored results of an entry and the version's references, if there are any of the same policy."""
+    path = folder / f"{SUITE}-{SPLIT}.json"
+    if not path.exists():
+        return None
+    results = Results.read(path)
+    results.check_suite()
+    run = (entry.name, entry.training_seed)
+    kept = [each for each in results.entries if each["name"] in (*results.task.references, entry.name)]
+    kept = [each for each in kept if each["name"] != entry.name or each["training_seed"] == entry.training_seed]
+    identities = {(each["name"], each["training_seed"]): each["sha256"] for each in kept}
+    if identities.get(run) is None or identities[run] != entry.identity:
+        return None
+    episodes = tuple(episode for episode in results.episodes if episode.run in identities)
+    return replace(results, entries=tuple(kept), episodes=episodes, failed=())
 
 
-def _title(report: Report) -> str:
-    return f"Report: {report.entry.label}"
+def report_markdown(
+    report: Report, stem: str, on_progress: Progress = lambda name, done, n: None
+) -> dict[str, bytes | str]:
+    """Play what the sections show, and return the files of the page in Markdown by their names, the page last.
 
-
-def _subtitle(report: Report) -> str:
+    Pictures are called after the page's stem. `on_progress` is called with what is under way, and the sections done.
+    A PolicyError says that the entry's policy fails.
+    """
     entry, versions = report.entry, report.results.versions
-    parts = [entry.description, f"Kind: {entry.kind}, on top of the law {entry.law.name}."]
-    parts.append(f"Source: {entry.source}." if entry.source else "")
+    source = f"Source: {entry.source}." if entry.source else ""
     origin = "stored results" if report.stored else "played for this page"
-    parts.append(f"Scores: {origin}, wtg_gym {versions['wtg_gym']}.")
-    return " ".join(part for part in parts if part)
+    scores = f"Scores: {origin}, wtg_gym {versions['wtg_gym']}."
+    subtitle = [entry.description, f"Kind: {entry.kind}, on top of the law {entry.law.name}.", source, scores]
+    parts, files = [f"# {_plain(report.title)}", _plain(" ".join(filter(None, subtitle)))], dict[str, bytes | str]()
+    for done, section_of in enumerate(_SECTIONS):
+        on_progress(section_of.__name__.strip("_").replace("_", " "), done, len(_SECTIONS))
+        section = section_of(report)
+        parts.append(section.markdown(stem))
+        files |= {f"{stem}-{each.name}.svg": style.figure_bytes(each.figure, "svg") for each in section.pictures}
+    return {**files, f"{stem}.md": "\n\n".join(parts) + "\n"}
 
 
-def _hundred(report: Report) -> str:
-    return report.results.task.hundred
+def report_html(report: Report, on_progress: Progress = lambda name, done, n: None) -> str:
+    """Return the page of :func:`report_markdown` as one HTML file, which loads nothing; it needs markdown-it-py."""
+    from markdown_it import MarkdownIt
+
+    files = report_markdown(report, "report", on_progress)
+    body = (
+        MarkdownIt("commonmark", {"html": False, "xhtmlOut": False}).enable("table").render(str(files.pop("report.md")))
+    )
+    for name, picture in files.items():
+        data = base64.b64encode(picture if isinstance(picture, bytes) else picture.encode()).decode()
+        body = body.replace(f'src="{name}"', f'src="data:image/svg+xml;base64,{data}"')
+    return _PAGE.format(title=escape(report.title), body=body)
 
 
-def _percent(count: float, n: int) -> str:
-    return f"{100.0 * count / n:.1f}"
+# --- texts of numbers ------------------------------------------------------------------------------------------------
 
 
 def _interval(value: Interval, digits: int = 1) -> tuple[str, str]:
@@ -178,6 +250,16 @@ def _chance(value: float) -> str:
     return f"{value:.2g}" if value >= 0.001 else "below 0.001"
 
 
+# --- sections of the stored numbers ----------------------------------------------------------------------------------
+
+
+def _bad(results: Results, name: str) -> Floats:
+    """Return 1 where a run of an entry was lost or beyond the design deviation, else 0, (n_runs, n_scenarios)."""
+    n_scenarios, episodes = len(results.seeds), results.episodes_of(name)
+    runs = [episodes[first : first + n_scenarios] for first in range(0, len(episodes), n_scenarios)]
+    return lost_or_beyond(runs, get_suite(results.suite).nominal_hz)
+
+
 def _score(report: Report) -> Section:
     row, results = report.row, report.results
     assert row.score is not None
@@ -188,10 +270,9 @@ def _score(report: Report) -> Section:
     if row.marked:
         mark = f"✓: no less reliable than {hundred}: the chance test below finds no more bad or lost runs."
     else:
-        bad = report.bad
         mark = (
             f"No ✓: less reliable than {hundred}: were both equally prone, so many more bad runs had a chance of "
-            f"{_chance(bad.chance)}, and so many more lost runs one of {_chance(bad.chance_lost)}; "
+            f"{_chance(report.chance(0))}, and so many more lost runs one of {_chance(report.chance(1))}; "
             "below 0.05 the mark is withheld."
         )
     return Section(
@@ -205,97 +286,103 @@ def _score(report: Report) -> Section:
     )
 
 
-def _over_margin(report: Report) -> Section:
-    entries, hundred = by_entry(report.results), _hundred(report)
+def _where_control_decides(report: Report) -> Section:
+    figure = plot_over_margin(by_entry(report.results), report.hundred, stacked=True)
+    caption = "Cost (J + J0, relative) and share of bad runs over the reserve margin"
     return Section(
         heading="Where control decides",
         sentence="Cost and bad runs over the reserve margin, the power that turbines and machines could still add in "
-        f"per cent of the load: below 1, an entry pays less than {hundred}.",
-        pictures=[
-            Picture(name="margin", figure=plot_over_margin(entries, hundred, stacked=True), caption=_MARGIN_CAPTION)
-        ],
+        f"per cent of the load: below 1, an entry pays less than {report.hundred}.",
+        pictures=[Picture(name="margin", figure=figure, caption=caption)],
     )
 
 
 def _bad_runs(report: Report) -> Section:
-    bad, name, hundred = report.bad, report.entry.name, _hundred(report)
-    neither = bad.n - bad.both - bad.entry_alone - bad.anchor_alone
+    name, hundred = report.entry.name, report.hundred
+    own, anchor = (report.bad_and_lost[each][0][0] for each in (name, hundred))
     counts = {
-        "both": bad.both,
-        f"{name} only": bad.entry_alone,
-        f"{hundred} only": bad.anchor_alone,
-        "neither": neither,
+        "both": own * anchor,
+        f"{name} only": own * (1.0 - anchor),
+        f"{hundred} only": anchor * (1.0 - own),
+        "neither": (1.0 - own) * (1.0 - anchor),
     }
     return Section(
         heading="Bad runs",
         sentence="A run is bad if the grid is lost or its frequency deviates by more than 0.8 Hz, where customers are "
         f"disconnected; here the entry and {hundred} meet the same scenarios.",
         header=("bad under", "runs", "of all [%]"),
-        rows=[(who, str(count), _percent(count, bad.n)) for who, count in counts.items()],
+        rows=[(who, f"{each.sum():.0f}", f"{100.0 * each.sum() / own.size:.1f}") for who, each in counts.items()],
         numbers=(1, 2),
-        note=f"Difference to {hundred}: {signed_interval(bad.difference)} percentage points, strata counting alike. "
-        f"Were both equally prone, so many more bad runs than {hundred}'s had a chance of {_chance(bad.chance)} "
-        "(McNemar's paired exact test, one side).",
+        note=f"Difference to {hundred}: {signed_interval(report.row.lost_or_beyond_to_hundred)} percentage points, "
+        f"strata counting alike. Were both equally prone, so many more bad runs than {hundred}'s had a chance of "
+        f"{_chance(report.chance(0))} (McNemar's paired exact test, one side).",
     )
+
+
+# --- sections of runs that are played --------------------------------------------------------------------------------
 
 
 def _scenarios(report: Report) -> Section:
-    worst = report.drawn_are_worst
-    what = f"The {len(report.drawn)} scenarios that cost the entry most" if worst else "Scenarios that were asked for"
+    seeds, entry, results = report.drawn, report.entry, report.results
+    worst = not seeds
+    if worst:
+        order = np.argsort(-results.pinned_costs[entry.name][0], kind="stable")
+        seeds = [results.seeds[at] for at in order[:N_DRAWN]]
+    what = f"The {len(seeds)} scenarios that cost the entry most" if worst else "Scenarios that were asked for"
     return Section(
         heading="Worst scenarios" if worst else "Scenarios",
-        sentence=f"{what}, beside {_hundred(report)} in the same scenario; dotted lines are events, a cross is the "
+        sentence=f"{what}, beside {report.hundred} in the same scenario; dotted lines are events, a cross is the "
         "loss of the grid, and each command plays its scenario again.",
-        pictures=[_scenario_picture(report, each) for each in report.drawn],
+        pictures=[_scenario_picture(report, int(seed)) for seed in seeds],
     )
 
 
-def _scenario_picture(report: Report, drawn: DrawnScenario) -> Picture:
-    paid = [f"{name} {run.costs[0]:.0f}{_ended(run)}" for name, run in drawn.runs.items()]
-    events = sorted(drawn.scenario.events, key=lambda event: event.time_s)
+def _scenario_picture(report: Report, seed: int) -> Picture:
+    scenario, entry = get_suite(SUITE).scenario(seed), report.entry
+    players = {each.name: each for each in (entry, *load_entries(report.hundred))}
+    runs = {name: recorded(each, SETTINGS, [scenario]) for name, each in players.items()}
+    lost = {name: f" (lost: {run.failures[0]})" if run.failures[0] else "" for name, run in runs.items()}
+    paid = [f"{name} {run.costs[0]:.0f}{lost[name]}" for name, run in runs.items()]
+    events = sorted(scenario.events, key=lambda event: event.time_s)
     happened = "; ".join(f"{event.time_s:g} s: {event.words}" for event in events) or "no events"
     return Picture(
-        name=f"seed-{drawn.seed}",
-        figure=_plot_scenario(drawn),
-        caption=f"{drawn.scenario.name}. Cost [-]: {', '.join(paid)}. {happened}.",
-        command=f"wtg-gym evaluate --suite {SUITE} --split test --seeds {drawn.seed} --entries {report.spec}",
+        name=f"seed-{seed}",
+        figure=_plot_scenario(scenario, runs),
+        caption=f"{scenario.name}. Cost [-]: {', '.join(paid)}. {happened}.",
+        command=f"wtg-gym evaluate --suite {SUITE} --split {SPLIT} --seeds {seed} --entries {report.spec}",
     )
-
-
-def _ended(run: Recorded) -> str:
-    return f" (lost: {run.failures[0]})" if run.failures[0] else ""
 
 
 @style.printed
-def _plot_scenario(drawn: DrawnScenario) -> Figure:
+def _plot_scenario(scenario: Scenario, runs: Mapping[str, Recorded]) -> Figure:
     """Draw a scenario's runs in a column of panels, readable on a phone."""
     figure = style.new_figure(style.SINGLE_COLUMN_MM, 125.0)
-    looks = style.strategy_looks(drawn.runs)
+    looks = style.strategy_looks(runs)
     panels = figure.subplots(len(_PANELS), 1, sharex=True)
     for axes, (label, values) in zip(panels, _PANELS.items(), strict=True):
-        for name, run in drawn.runs.items():
+        for name, run in runs.items():
             series = values(run)[:, 0]
             axes.plot(run.time_s, series, color=looks[name].colour, linestyle=looks[name].dashes, label=name)
             if run.failures[0]:
                 last = int(np.flatnonzero(np.isfinite(series))[-1])
                 mark_end(axes, float(run.time_s[last]), float(series[last]), looks[name].colour)
-        mark_instants(axes, drawn.scenario, numbered=False)
+        mark_instants(axes, scenario, numbered=False)
         axes.set_title(label, loc="left")
     panels[-1].set_xlabel("time [s]")
-    panels[0].set_xlim(0.0, drawn.scenario.duration_s)
+    panels[0].set_xlim(0.0, scenario.duration_s)
     figure.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=2)
     return figure
 
 
-def _grid_tests(report: Report) -> Section:
-    verdicts = report.grid_tests
+def _operators_tests(report: Report) -> Section:
     rows, note = [], ""
-    if isinstance(verdicts, str):
-        note = f"The entry cannot play them: {verdicts}"
-    else:
-        for name, (passed, figure) in verdicts.items():
-            rows.append((name, "passed" if passed else "failed", figure, GRID_TESTS[name].criterion))
-        note = f"Passed: {sum(passed for passed, _ in verdicts.values())} of {len(verdicts)}."
+    try:
+        for test in GRID_TESTS.values():
+            passed, figure = run_grid_test(test, report.entry)[1]
+            rows.append((test.name, "passed" if passed else "failed", figure, test.criterion))
+        note = f"Passed: {sum(row[1] == 'passed' for row in rows)} of {len(rows)}."
+    except ValueError as error:
+        rows, note = [], f"The entry cannot play them: {error}"
     return Section(
         heading="Operators' tests",
         sentence="Tests that grid operators ask of grid-forming plants, each in a grid of its own with exact sensors; "
@@ -306,14 +393,23 @@ def _grid_tests(report: Report) -> Section:
     )
 
 
-def _faults(report: Report) -> Section:
-    rows = [
-        (each.fault, *_interval(each.change), f"{each.bad_before} → {each.bad_after}") for each in report.with_faults
-    ]
+def _faults_of_sensors(report: Report) -> Section:
+    entry, seeds = report.entry, report.results.seeds[:N_WITH_FAULTS]
+    episodes = tuple(episode for episode in report.results.episodes if episode.seed in seeds)
+    before, scenarios = replace(report.results, seeds=seeds, episodes=episodes), get_suite(SUITE).scenarios(seeds)
+    changed = {name: (entry, [change(each) for each in scenarios]) for name, change in faults.WORSE_SENSORS.items()}
+    failing = {name: (faults.with_fault(entry, *fault), scenarios) for name, fault in faults.SENSOR_FAULTS.items()}
+    rows = []
+    # A law has no sensors.
+    for name, (player, played) in (changed | failing).items() if entry.policy is not None else ():
+        after = play_batch(player, SETTINGS, played, report.n_threads)
+        if isinstance(after, PolicyError):
+            raise after
+        rows.append((name, *_change(before, entry.name, after)))
     return Section(
         heading="Faults of sensors",
         sentence="Change of the score, in points, where measurements are worse or those of the largest group fail, on "
-        f"the first {report.n_with_faults} scenarios alone.",
+        f"the first {len(seeds)} scenarios alone.",
         header=("fault", "change [points]", "95 % interval", "bad runs"),
         rows=rows,
         numbers=(1, 2, 3),
@@ -321,23 +417,35 @@ def _faults(report: Report) -> Section:
     )
 
 
+def _change(before: Results, name: str, episodes: Sequence[Episode]) -> tuple[str, str, str]:
+    """Return by how much other episodes of an entry change its score, with the interval, and its bad runs."""
+    task, others = before.task, [episode for episode in before.episodes if episode.entry != name]
+    assert task.scale is not None
+    after = replace(before, episodes=(*others, *episodes))
+    hundred, offsets = before.pinned_costs[task.hundred][0], cost_offsets(before.groups, task)
+    own, other = (gains(each.pinned_costs[name], hundred, offsets) for each in (after, before))
+    value = Adjusted(task.scale, before.groups).score_difference(own, other)
+    return (*_interval(value), " → ".join(f"{_bad(each, name).sum():.0f}" for each in (before, after)))
+
+
 def _energy(report: Report) -> Section:
-    most, n = report.energy.get("mppt"), min(N_OF_ENERGY, len(report.results.seeds))
-    rows = [
-        (
-            name,
-            f"{each.power_mw:.1f}",
-            f"{each.energy_mwh:.3f}",
-            f"{100.0 * (each.energy_mwh / most.energy_mwh - 1.0):+.1f}" if most else "",
-            f"{each.borrowed_mj:.0f}",
-            f"{each.repaid_mj:.0f}",
-        )
-        for name, each in report.energy.items()
-    ]
+    scenarios = get_suite(SUITE).scenarios(report.results.seeds[:N_OF_ENERGY])
+    players = {each.name: each for each in (report.entry, *load_entries((report.hundred, _MOST_ENERGY)))}
+    runs = {name: recorded(player, SETTINGS, scenarios, report.n_threads) for name, player in players.items()}
+    whole = np.logical_and.reduce([run.whole for run in runs.values()])
+    power = {name: mean(run.power_mw[1:, whole]) for name, run in runs.items() if whole.any()}
+    rows = []
+    for name, power_mw in power.items():
+        moved = np.diff(runs[name].stored_mj[:, whole], axis=0) / whole.sum()
+        energy_mwh = power_mw * float(runs[name].time_s[-1]) / _MJ_PER_MWH
+        against = 100.0 * (power_mw / power[_MOST_ENERGY] - 1.0)
+        borrowed, repaid = -np.minimum(moved, 0.0).sum(), np.maximum(moved, 0.0).sum()
+        texts = (f"{power_mw:.1f}", f"{energy_mwh:.3f}", f"{against:+.1f}", f"{borrowed:.0f}", f"{repaid:.0f}")
+        rows.append((name, *texts))
     return Section(
         heading="Energy",
         sentence="Power and energy of all turbines into the grid, and the kinetic energy that their rotors lent and "
-        f"got back, means over the {report.n_of_energy} of the first {n} scenarios, of three minutes each, "
+        f"got back, means over the {whole.sum()} of the first {len(scenarios)} scenarios, of three minutes each, "
         "in which all kept all groups.",
         header=("entry", "power [MW]", "energy [MWh]", "against mppt [%]", "borrowed [MJ]", "repaid [MJ]"),
         rows=rows,
@@ -349,17 +457,23 @@ def _energy(report: Report) -> Section:
 
 
 def _damping(report: Report) -> Section:
+    grid, law = damping.GRID, report.entry.law
     sentence = (
-        f"Oscillations of the grid with the entry in the loop, at rest at {WIND_M_S:g} m/s with a governor droop of "
-        f"{GRID['governor_droop']:g} p.u., {100.0 * GRID['committed']:g} % of the machine's units and "
-        f"{100.0 * GRID['load_level']:g} % of the load: a damping ratio below 0 grows, below {_WEAK:g} is weak."
+        f"Oscillations of the grid with the entry in the loop, at rest at {damping.WIND_M_S:g} m/s with a governor "
+        f"droop of {grid['governor_droop']:g} p.u., {100.0 * grid['committed']:g} % of the machine's units and "
+        f"{100.0 * grid['load_level']:g} % of the load: a damping ratio below 0 grows, below {_WEAK:g} is weak."
     )
-    if isinstance(report.damping, str):
-        return Section(heading="Damping", sentence=sentence, note=f"There is none: {report.damping}")
+    loops = [report.entry]
+    if report.entry.policy is not None:
+        loops.append(Entry(name=f"{law.name} alone", strategy=law))
+    try:
+        found = {each.name: damping.damping(each) for each in loops}
+    except ValueError as error:
+        return Section(heading="Damping", sentence=sentence, note=f"There is none: {error}")
     rows = [
         (name, f"{mode.frequency_hz:.2f}", f"{mode.damping_ratio:.3f}", f"{mode.eigenvalue.real:.3f}", mode.slope)
-        for name, found in report.damping.items()
-        for mode in found.modes[:_N_MODES]
+        for name, loop in found.items()
+        for mode in loop.modes[:_N_MODES]
     ]
     return Section(
         heading="Damping",
@@ -367,15 +481,22 @@ def _damping(report: Report) -> Section:
         header=("in the loop", "frequency [Hz]", "damping ratio [-]", "rate [1/s]", "slope of the law"),
         rows=rows,
         numbers=(1, 2, 3),
-        note=" ".join(_rest(name, found) for name, found in report.damping.items())
+        note=" ".join(_rest(name, loop) for name, loop in found.items())
         + " The least damped are listed, of an action that is held for 0.5 s; the law has one slope below nominal "
         "frequency and another above. Sensors have their filters and mean delay, and no noise.",
     )
 
 
-def _rest(name: str, found: Damping) -> str:
+def _rest(name: str, loop: damping.Damping) -> str:
     """Return where a loop rests, and whether it does."""
-    if not found.rests:
-        return f"{name} does not come to rest: the frequency moves by {1000.0 * found.moves_hz:.1f} mHz by itself."
-    where = f"{name} rests at {found.frequency_hz:.3f} Hz with actions of {found.largest_action:.3f} at most"
-    return f"{where}, and is {'stable' if found.largest_rate < 1e-6 else 'not stable'}."
+    if not loop.rests:
+        return f"{name} does not come to rest: the frequency moves by {1000.0 * loop.moves_hz:.1f} mHz by itself."
+    where = f"{name} rests at {loop.frequency_hz:.3f} Hz with actions of {loop.largest_action:.3f} at most"
+    return f"{where}, and is {'stable' if loop.largest_rate < 1e-6 else 'not stable'}."
+
+
+#: The page's sections in their order.
+_SECTIONS: tuple[Callable[[Report], Section], ...] = (
+    *(_score, _where_control_decides, _bad_runs, _scenarios),
+    *(_operators_tests, _faults_of_sensors, _energy, _damping),
+)

@@ -12,6 +12,7 @@ from wtg_gym.envs.settings import EnvSettings
 from wtg_gym.files import sha256
 from wtg_gym.names import check_name
 from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY, TrackingLaw, get_law
+from wtg_gym.ranges import require_choice, require_whole
 from wtg_gym.scenarios.suite import Suite
 from wtg_gym.tasks import ANCHOR_NAMES, ANY_GRID, TASKS, V1
 
@@ -80,22 +81,38 @@ class Entry:
     law: TrackingLaw = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        name, seed = check_name("the entry's name", self.name), self.training_seed
+        name = check_name("the entry's name", self.name)
         object.__setattr__(self, "law", get_law(self.strategy))
         # Checks the two modes.
         EnvSettings(action_mode=self.action_mode, observation_mode=self.observation_mode)
-        if self.policy is not None and not is_policy(self.policy):
+        if self.environment is not None:
+            require_choice(f"environment of entry {name!r}", self.environment, (*TASKS, ANY_GRID))
+        if self.training_seed is not None:
+            require_whole(f"training_seed of entry {name!r}", self.training_seed, 0)
+        texts = (self.description, self.source, self.trained_on)
+        if not all(isinstance(text, str) for text in texts):
+            raise ValueError(f"description, source and trained_on of entry {name!r} must be texts, got {texts!r}")
+        if not isinstance(self.per_group, bool) or (self.per_group and self.observation_mode != "local"):
+            raise ValueError(f"per_group of entry {name!r} may be true with local observations alone")
+        if self.policy is not None:
+            self._check_policy()
+
+    def _check_policy(self) -> None:
+        name, policy = self.name, self.policy
+        if not is_policy(policy):
             raise ValueError(
                 f"the policy of entry {name!r} must have predict(observation, state, episode_start, deterministic), "
-                f"got {type(self.policy).__name__}"
+                f"got {type(policy).__name__}"
             )
-        if _misses_normalization(self.policy):
+        # A learner of Stable-Baselines3 whose environment normalises observations.
+        normalization = getattr(policy, "get_vec_normalize_env", None)
+        if callable(normalization) and getattr(normalization(), "norm_obs", False):
             raise ValueError(
                 f"the policy of entry {name!r} was trained under VecNormalize, whose normalisation of the observations "
                 "predict() leaves out; export both with "
                 "wtg_gym.export_onnx(wtg_gym.sb3.DeterministicPolicy(model), folder, name=...)"
             )
-        for key, value in learned_in(self.policy).items():
+        for key, value in learned_in(policy).items():
             entry_value = self.law if key == "strategy" else getattr(self, key)
             if entry_value != value:
                 labels = [each.name if isinstance(each, TrackingLaw) else each for each in (value, entry_value)]
@@ -103,19 +120,6 @@ class Entry:
                     f"the policy of entry {name!r} learned with {key} {labels[0]!r}, the entry has {labels[1]!r}: "
                     f"give it the {key} of its training"
                 )
-        allowed = {
-            "per_group": "true or false, and true with local observations alone",
-            "environment": f"one of {', '.join((*TASKS, ANY_GRID))}",
-            **dict.fromkeys(("description", "source", "trained_on"), "text"),
-            "training_seed": "a whole number from 0 on",
-        }
-        fits = {key: isinstance(getattr(self, key), str) for key in allowed}
-        fits["per_group"] = self.per_group is False or (self.per_group is True and self.observation_mode == "local")
-        fits["environment"] = self.environment in (None, ANY_GRID, *TASKS)
-        fits["training_seed"] = seed is None or (type(seed) is int and seed >= 0)
-        for key, words in allowed.items():
-            if not fits[key]:
-                raise ValueError(f"{key} of entry {name!r} must be {words}, got {getattr(self, key)!r}")
 
     @property
     def kind(self) -> str:
@@ -156,12 +160,6 @@ def run_label(name: str, training_seed: int | None) -> str:
 def is_policy(value: Any) -> bool:
     """Return whether a value has `predict` and is an instance, not a class."""
     return isinstance(value, Policy) and not isinstance(value, type) and callable(value.predict)
-
-
-def _misses_normalization(policy: Any) -> bool:
-    """Return whether a policy is a learner of Stable-Baselines3 whose environment normalises observations."""
-    normalization = getattr(policy, "get_vec_normalize_env", None)
-    return callable(normalization) and bool(getattr(normalization(), "norm_obs", False))
 
 
 def learned_in(policy: Any) -> dict[str, Any]:

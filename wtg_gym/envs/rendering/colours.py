@@ -1,4 +1,4 @@
-"""Colours of the picture, those of the leaderboard's page."""
+"""Colours of the picture."""
 
 from __future__ import annotations
 
