@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from wtg_gym.envs.settings import EnvSettings
-from wtg_gym.envs.stepping import Outputs, bind, new_outputs, step_blocks, task_data
+from wtg_gym.envs.stepping import Outputs, bind, log_score, new_outputs, step_blocks, task_data
 from wtg_gym.physics.equilibrium import StartError
 from wtg_gym.physics.layout import LaneData
 from wtg_gym.physics.linearisation import STEP_MARGIN, StepError, largest_stable_steps
@@ -352,9 +352,9 @@ class TaskLanes:
         for lane in np.flatnonzero(lanes):
             if self.settings.scores and not (self.outputs.terminated[lane] or self.outputs.truncated[lane]):
                 # Later costs of the reference do not count; what counts makes up for the logarithm now.
-                out, paid_so_far = self.outputs, float(self.cost_sums()[lane].sum())
+                out = self.outputs
                 out.reference[lane, -1] = out.reference[lane, steps[lane]]
-                gained = math.log((out.reference[lane, -1] + out.offsets[lane]) / (paid_so_far + out.offsets[lane]))
+                gained = log_score(out.reference[lane, -1], float(self.cost_sums()[lane].sum()), out.offsets[lane])
                 out.rewards[lane] += self.task_data.points * (gained - out.gained[lane])
                 out.gained[lane] = gained
             self.simulator.stop(int(lane))
