@@ -140,12 +140,12 @@ def test_half_the_units_of_a_machine_are_a_machine_of_half_the_rating() -> None:
 # --- Lanes
 
 
-def test_a_run_has_the_same_bits_among_neighbours_with_islands_faults_and_returns() -> None:
+def test_a_run_has_the_same_bits_among_neighbours_with_islands_and_faults() -> None:
     own = scenario(sc.LoadStep(time_s=0.5, bus=9, power_mw=20.0), wind=PARTED_WIND)
     others = [
-        scenario(*cut(0.5, again_s=0.7), sc.GroupTrip(time_s=0.2, group=0, returns_after_s=0.6), wind=PARTED_WIND),
+        scenario(*cut(0.5, again_s=0.7), sc.GroupTrip(time_s=0.2, group=0), wind=PARTED_WIND),
         scenario(sc.Fault(time_s=0.3, bus=4, clears_after_s=0.1, opens=(2, 4)), wind=PARTED_WIND),
-        scenario(sc.MachineOutage(time_s=0.1, bus=3, returns_after_s=0.5), wind=PARTED_WIND),
+        scenario(sc.MachineOutage(time_s=0.1, bus=3), wind=PARTED_WIND),
     ]
     laws = group_laws(LAW, (TurbineParameters(),) * 2)
     for what in (own, others[0]):
@@ -191,9 +191,8 @@ EVERY = (
     sc.ReactanceStep(time_s=1.0, from_bus=1, to_bus=2, factor=2.0),
     sc.PhaseJump(time_s=1.0, bus=1, angle_deg=-30.0),
     sc.FrequencyRamp(time_s=1.0, bus=1, rocof_hz_s=1.0, duration_s=2.0),
-    sc.MachineOutage(time_s=1.0, bus=3, returns_after_s=2.0),
     sc.MachineOutage(time_s=1.0, bus=6),
-    sc.GroupTrip(time_s=1.0, group=0, returns_after_s=2.0),
+    sc.GroupTrip(time_s=1.0, group=0),
 )
 
 

@@ -285,7 +285,6 @@ class TaskLanes:
                 *range(first, first + size(SensorInput)),
                 *layout.first_rows(SENSED, "wind_bias"),
                 *layout.first_rows(FILTERED_DUTY, "leaves_at"),
-                *layout.first_rows(FILTERED_DUTY, "returns_at"),
             ]
             rows[:, places] = numbers
         outputs = self._new_outputs(len(rows))
@@ -304,15 +303,11 @@ class TaskLanes:
             return []
         given = sensor_input(sensors, self.settings.interval_s, self.nominal_hz)
         biases = (0.0,) * self.n_wtg if sensors is None else sensors.wind_bias
-        # A group that leaves twice is charged from its first return on.
-        leaves_at, returns_at = [math.inf] * self.n_wtg, [math.inf] * self.n_wtg
-        dt = self.simulator.settings.simulation_dt
+        leaves_at = [math.inf] * self.n_wtg
         for event in scenario.events:
-            if isinstance(event, GroupTrip) and event.time_s < leaves_at[event.group] * dt:
-                leaves_at[event.group] = float(round(event.time_s / dt))
-                after = math.inf if event.returns_after_s is None else event.returns_after_s
-                returns_at[event.group] = leaves_at[event.group] + after / dt
-        return [*flatten(given), *biases, *leaves_at, *returns_at]
+            if isinstance(event, GroupTrip):
+                leaves_at[event.group] = float(round(event.time_s / self.simulator.settings.simulation_dt))
+        return [*flatten(given), *biases, *leaves_at]
 
     @undivided
     def start(

@@ -304,21 +304,13 @@ def network_events(scenario: Scenario, settings: Plant, plant: PlantTables) -> l
         raise ValueError(f"{name} disconnects a load twice; load trips at buses {lost}")
     found = [each for event in scenario.events for each in _changes(event, scenario.load_level, settings, plant)]
     _check_lines(name, [event for event in found if event.branch >= 0 and event.factor == 0.0], settings)
-    returns = [event.unit for event in found if event.unit >= 0 and event.end > event.start]
-    if returns and not settings.extended:
-        raise ValueError(f"{name} brings back {unit_name(settings, returns[0])}, which needs extended physics")
-    for verb, given in (
-        ("disconnects", [(event.unit, event.start, event.end) for event in found if event.unit >= 0]),
-        (
-            "loses the governor of",
-            [(event.governor, event.start, event.start) for event in found if event.governor >= 0],
-        ),
+    for verb, units in (
+        ("disconnects", [event.unit for event in found if event.unit >= 0]),
+        ("loses the governor of", [event.governor for event in found if event.governor >= 0]),
     ):
-        away: dict[int, float] = {}
-        for unit, start, end in sorted(given, key=lambda one: one[1]):
-            if start <= away.get(unit, -math.inf):
+        for place, unit in enumerate(units):
+            if unit in units[:place]:
                 raise ValueError(f"{name} {verb} {unit_name(settings, unit)} twice")
-            away[unit] = end if end > start else math.inf
     return found
 
 
@@ -356,7 +348,6 @@ def _changes(event: events.Event, load_level: float, settings: Plant, plant: Pla
     if isinstance(event, events.GroupTrip):
         if event.group >= n_wtg:
             raise ValueError(f"unknown WTG group {event.group}; the plant has {n_wtg}, counted from 0")
-        end = later("returns_after_s", event.returns_after_s)
         return [NetworkEvent(start, end, unit=n_sync + event.group)]
     if isinstance(event, events.LineTrip):
         end = later("recloses_after_s", event.recloses_after_s)
@@ -380,11 +371,8 @@ def _changes(event: events.Event, load_level: float, settings: Plant, plant: Pla
         end = later("duration_s", event.duration_s)
         return [NetworkEvent(start, end, source=source, ramp=event.rocof_hz_s / case.frequency_hz)]
     if isinstance(event, events.MachineOutage):
-        end = later("returns_after_s", event.returns_after_s)
         found = _units_at(event.bus, "synchronous machine", dict(enumerate(case.unit_buses)))
         if found[0] >= n_sync:
-            if end > start:
-                raise ValueError(f"the imposed source at bus {event.bus} does not come back: leave out returns_after_s")
             # Sources come after the groups.
             return [NetworkEvent(start, end, unit=unit + n_wtg) for unit in found]
         return [NetworkEvent(start, end, unit=unit) for unit in found if unit < n_sync]

@@ -273,7 +273,7 @@ class NetworkEvent(NamedTuple):
     """A change of the network; times in simulation steps, indices -1 for none."""
 
     start: float
-    end: float  # later than start for a ramp, a fault, and for what comes back
+    end: float  # later than start for a ramp, a fault, and a line that closes again
     bus: int = -1  # of a load
     active: float = 0.0  # the load's P and Q until the run's start, then its admittance; a fault's admittance [p.u.]
     reactive: float = 0.0

@@ -364,7 +364,7 @@ class GroupTrips(RareEvent):
         by_size = sorted(range(len(draft.n_turbines)), key=draft.n_turbines.__getitem__)
         # The largest group stays, unless it is the only one.
         group = pick.choice(by_size[:-1] or [0])
-        return [trusted(scenario.GroupTrip, time_s=pick.instant(draft.window), group=group, returns_after_s=None)]
+        return [trusted(scenario.GroupTrip, time_s=pick.instant(draft.window), group=group)]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -379,7 +379,7 @@ class MachineOutages(RareEvent):
 
     def events(self, pick: Picker, draft: Draft) -> list[Event]:
         time_s, bus = pick.instant(draft.window), pick.choice(self.buses)
-        return [trusted(scenario.MachineOutage, time_s=time_s, bus=bus, returns_after_s=None)]
+        return [trusted(scenario.MachineOutage, time_s=time_s, bus=bus)]
 
 
 @dataclass(frozen=True, kw_only=True)
