@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import Any, NamedTuple, get_type_hints
 
 import numpy as np
@@ -184,13 +184,14 @@ class Task:
             END=(end_episode,),
         )
 
+    @lru_cache(maxsize=64)  # noqa: B019 (a task lasts)
     def units(self, choices: Choices) -> TaskUnits:
         """Return the task's kinds of unit and programs, as a simulator takes them."""
         plant, sensors = choices.plant, int(self.has_sensors)
         n_wtg, n_sync, n_window = len(plant.groups), len(plant.case.machines), rocof_window(plant.control_dt)
         modulated = dict(zip(("modulates k", "modulates tau"), ACTION_MODES[choices.action_mode], strict=True))
         conditions = {**modulated, "privileged": choices.privileged}
-        act, charge, start_sensors, measure, observe, end = map(Routine, self.programs)
+        act, charge, start_sensors, measure, observe, end = _routines_of(self.programs)
         return TaskUnits(
             n_units={
                 TASK: 1,
@@ -308,6 +309,11 @@ class Task:
 
 #: The first task of each version: the one of the benchmark.
 _FIRST: dict[str, Task] = {}
+
+
+@lru_cache(maxsize=64)
+def _routines_of(programs: tuple[Program, ...]) -> tuple[Routine, ...]:
+    return tuple(map(Routine, programs))
 
 
 def _of_version(version: str) -> Task:

@@ -24,7 +24,6 @@ _WIDTH, _HEIGHT, _N_BUSES = 8.7, 5.1, 14
 #: The units of one bus stand within this.
 _UNITS_WIDTH = 4.4
 _OPENED: Mapping[str, Any] = {"color": EVENT, "linewidth": 2.5, "linestyle": (0, (1.6, 1.2))}
-#: Events that may be undone.
 #: Behind numbers, for a line may run there.
 _PLATE: Mapping[str, Any] = {"facecolor": PAGE, "edgecolor": "none", "pad": 0.8}
 
