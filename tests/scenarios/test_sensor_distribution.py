@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from wtg_gym.scenarios import SUITES, get_suite
-from wtg_gym.scenarios.sensor_distribution import SensorDistribution
+from wtg_gym.scenarios.draws import SensorDistribution
 
 USUAL = SensorDistribution()
 SEEDS = range(10_000, 14_000)

@@ -17,11 +17,9 @@ from wtg_gym.physics.network import assemble_admittance, branch_admittances
 from wtg_gym.physics.plant import Plant, plant_tables
 from wtg_gym.physics.scenario import Fault, GovernorLoss, GroupTrip, LineTrip, MachineOutage, Scenario
 from wtg_gym.scenarios import FROZEN_HASHES, SUITES, ScenarioDistribution, Suite, get_suite
-from wtg_gym.scenarios.draws import Draft, LoadEvents, LoadNoise, Record, Wind
+from wtg_gym.scenarios.draws import Draft, LoadEvents, LoadNoise, Picker, Record, SensorDistribution, Wind
 from wtg_gym.scenarios.margin import reserve_margin
-from wtg_gym.scenarios.sensor_distribution import SensorDistribution
 from wtg_gym.scenarios.strata import STRATA
-from wtg_gym.scenarios.stream import Picker
 from wtg_gym.tasks import V1
 
 FIRST = [name for name, suite in SUITES.items() if suite.task.version == "v0"]

@@ -241,7 +241,7 @@ def test_every_name_of_every_system_means_one_thing_and_is_annotated_with_it() -
             # The records of controls are made when they are.
             unknown = name in ("control", "model") and one.equation.__module__ == "wtg_gym.physics.machine_controls"
             assert annotations[name] is (Any if unknown else one.places[name].record), (one.name, name)
-    assert len(systems) > 150
+    assert len(systems) > 140
 
 
 def test_there_is_a_list_for_every_place_where_systems_may_join() -> None:

@@ -22,7 +22,6 @@ from wtg_gym.physics.sensors import SensorInput, delay_intervals, sensor_input
 from wtg_gym.physics.simulator import PreparedLanes, Simulator
 from wtg_gym.ranges import whole_steps
 from wtg_gym.signals import undivided
-from wtg_gym.systems.systems import flatten, size
 from wtg_gym.tasks.cost import COST, FILTERED_DUTY, CostTerms
 from wtg_gym.tasks.episode import ACTING, ACTION_MODES, HISTORY, TASK, TIME_CONSTANT_RATIO
 from wtg_gym.tasks.observation import Info, LocalInfo
@@ -138,7 +137,7 @@ class TaskLanes:
     @property
     def n_substeps(self) -> int:
         """Simulation steps of a control step."""
-        return self.settings.n_intervals * self.simulator.plant.n_substeps
+        return self.settings.n_intervals * self.simulator.plant.network.facts.n_substeps
 
     @cached_property
     def _of_episodes(self) -> dict[str, Any]:
@@ -173,7 +172,7 @@ class TaskLanes:
         """Refuse settings under which drawn scenarios do not fit, here rather than at some reset."""
         if self.settings.scenario is not None:
             return
-        sensors = self.settings.sensor_distribution()
+        sensors = self.settings.sensor_distribution
         for delay_s in [] if sensors is None else sensors.delays_s():
             delay_intervals(delay_s, self.settings.interval_s)
         for distribution in self.suite.distributions:
@@ -192,7 +191,7 @@ class TaskLanes:
             n_wtg=self.n_wtg,
             n_turbines=self.n_turbines,
             duration_s=self.duration_s,
-            sensors=self.settings.sensor_distribution(),
+            sensors=self.settings.sensor_distribution,
             plant=self.settings.resolved_plant,
         )
 
@@ -282,7 +281,7 @@ class TaskLanes:
         if self.suite.task.has_sensors:
             first = layout.first_rows(SENSORS, "sensor_input")[0]
             places = [
-                *range(first, first + size(SensorInput)),
+                *range(first, first + len(SensorInput._fields)),
                 *layout.first_rows(SENSED, "wind_bias"),
                 *layout.first_rows(FILTERED_DUTY, "leaves_at"),
             ]
@@ -307,7 +306,7 @@ class TaskLanes:
         for event in scenario.events:
             if isinstance(event, GroupTrip):
                 leaves_at[event.group] = float(round(event.time_s / self.simulator.settings.simulation_dt))
-        return [*flatten(given), *biases, *leaves_at]
+        return [*given, *biases, *leaves_at]
 
     @undivided
     def start(
@@ -415,7 +414,7 @@ class TaskLanes:
     def cost_sums(self) -> Floats:
         """Return each lane's costs of the episode so far, (n_lanes, n_terms), in the order of `COST_TERMS`."""
         first = self.simulator.layout.first_rows(COST, "sums")[0]
-        return np.stack([self.simulator.values(first + i) for i in range(size(CostTerms))], axis=1)
+        return np.stack([self.simulator.values(first + i) for i in range(len(CostTerms._fields))], axis=1)
 
     def info_arrays(self) -> dict[str, npt.NDArray[Any]]:
         """Return every key of `info` as an array over lanes: copies, except the reasons while no lane has failed."""

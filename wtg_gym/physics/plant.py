@@ -170,7 +170,7 @@ class Plant(Checked):
         own = (group.turbine and dataclasses.replace(group.turbine, conserves_energy=keeps) for group in self.groups)
         return tuple(turbine or self.turbine for turbine in own)
 
-    @property
+    @functools.cached_property
     def extended(self) -> bool:
         """Whether the WTG groups have limits, voltage control, or a rotor that keeps its energy."""
         return self.limits is not None or self.voltage_control is not None or self.turbine.conserves_energy

@@ -16,7 +16,7 @@ import numpy as np
 from wtg_gym.physics import equilibrium
 from wtg_gym.physics.equilibrium import network_events
 from wtg_gym.physics.integration import PROGRAMS, REFRESH, STARTING, STEPPING, advance_blocks, evaluate_blocks
-from wtg_gym.physics.layout import NO_EVENT, Floats, LaneData, Layout, NetworkEvent, rows_of_lanes
+from wtg_gym.physics.layout import NO_EVENT, Floats, LaneData, Layout, rows_of_lanes
 from wtg_gym.physics.linearisation import StepError, check_step
 from wtg_gym.physics.plant import (
     NO_TASK,
@@ -36,7 +36,6 @@ from wtg_gym.ranges import require_memory, require_range, require_whole, whole_s
 from wtg_gym.signals import undivided
 from wtg_gym.systems.programs import Complex, Whole
 from wtg_gym.systems.routines import WIDE, Function, Routine, code_of
-from wtg_gym.systems.systems import structured
 
 #: A thread is worth its start only for this many blocks.
 _BLOCKS_PER_THREAD = 4
@@ -372,7 +371,7 @@ class Simulator:
             self._write_series(data, lane, scenario)
         places = [(lane, place) for lane, own in enumerate(events) for place in range(len(own))]
         if places:
-            data.events[tuple(np.transpose(places))] = structured(NetworkEvent, itertools.chain(*events))
+            data.events[tuple(np.transpose(places))] = np.array([*itertools.chain(*events)], dtype=NO_EVENT.dtype)
         rows = np.zeros((n, self.layout.n_rows))
         self._write_machine_inputs(rows, scenarios)
         rows[:, self._law_rows] = _law_numbers(tuple(laws))

@@ -15,8 +15,8 @@ from wtg_gym.physics.scenario import LoadStep, LoadTrip
 from wtg_gym.ranges import did_you_mean
 from wtg_gym.scenarios import draws
 from wtg_gym.scenarios.distribution import ScenarioDistribution
+from wtg_gym.scenarios.draws import SensorDistribution
 from wtg_gym.scenarios.grid_suite import read_suite, suite_of_file
-from wtg_gym.scenarios.sensor_distribution import SensorDistribution
 from wtg_gym.scenarios.strata import Places, suite_of_strata, wind_plant
 from wtg_gym.scenarios.suite import FixedCase, Suite
 from wtg_gym.tasks import V1

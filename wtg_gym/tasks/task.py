@@ -140,7 +140,7 @@ class Task:
         """Names of the entries that every evaluation plays: the anchors and the control variates."""
         return tuple(dict.fromkeys((*self.anchors, *self.variates)))
 
-    @property
+    @cached_property
     def has_sensors(self) -> bool:
         """Whether policies see what sensors measure, not what there is."""
         return bool(self.measure)
