@@ -28,7 +28,7 @@ from wtg_gym.physics.network import POWER_FLOW_TOLERANCE, PowerFlow, solve_power
 from wtg_gym.physics.parameters import ConverterLimitParameters, VoltageControlParameters
 from wtg_gym.physics.plant import ISLANDS_AT_MOST, Plant, PlantTables
 from wtg_gym.physics.scenario import Scenario
-from wtg_gym.physics.units import BUSES, StartFailure
+from wtg_gym.physics.units import StartFailure
 from wtg_gym.ranges import whole_steps
 from wtg_gym.systems.compiled import compiled, internal
 from wtg_gym.systems.programs import NONE, Complex, Whole
@@ -171,12 +171,6 @@ _BALANCED = 1e-10
 _DIVERGED = float(StartFailure.POWER_FLOW_DIVERGED)
 
 
-def rows_of_buses(scratch: Floats, layout: Layout) -> Floats:
-    """Return a view of the rows of each bus (n_bus, n) in a scratch (n_scratch, 1)."""
-    first, n, n_rows = layout.span(BUSES, scratch=True)
-    return scratch[first : first + n * n_rows].reshape(n, n_rows)
-
-
 @internal
 def _plan_flow(arrays: tuple[Floats, Floats], buses: Floats, y: Complex, network: Network) -> float:
     """Solve the power flow of what all units plan; return what the slack bus lacks [p.u.], NaN where nothing starts."""
@@ -243,7 +237,6 @@ def _curtail(arrays: tuple[Floats, Floats], buses: Floats, y: Complex, network: 
 def prepare_lanes(
     rows: Floats,
     scratch: Floats,
-    buses: Floats,
     y: Complex,
     network: Network,
     data: LaneData,
@@ -255,7 +248,6 @@ def prepare_lanes(
     Args:
         rows: (n, n_rows, 1); laws, first wind, bus of the load noise, the machines' inv_two_h and inv_droop are set.
         scratch: (n_scratch, 1).
-        buses: its rows of buses (n_bus, n), see :func:`rows_of_buses`.
         y: bus admittance matrix without loads and units (n_bus, n_bus) [p.u.].
         network: constants.
         data: of the lanes; load events are given as P + jQ [p.u.], and turned into admittances here.
@@ -263,7 +255,9 @@ def prepare_lanes(
         failures: takes why a lane cannot start, and the number of the unit that cannot, machines first (n, 2).
     """
     facts, tables = network.facts, network.tables
-    starting = units_of(scratch, facts.starting)[0]
+    starting, planning = units_of(scratch, facts.starting)[0], facts.planning
+    end = planning.first + planning.n_units * planning.n_rows
+    buses = scratch[planning.first : end].reshape(planning.n_units, planning.n_rows)
     for lane in range(rows.shape[0]):
         block, arrays = rows[lane], (rows[lane], scratch)
         starting[OF_STARTING_LANE.load_level, 0] = load_levels[lane]

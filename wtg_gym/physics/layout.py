@@ -247,6 +247,7 @@ class Facts(NamedTuple):
     sources: Span = Span()
     # In scratch:
     starting: Span = Span()  # of the lane
+    planning: Span = Span()  # of the buses
 
 
 class Network(NamedTuple):

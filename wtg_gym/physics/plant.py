@@ -550,7 +550,7 @@ def with_places(
     spans: dict[str, Any] = {name: layout.span(kind) for name, kind in kinds.items()}
     n_islands = layout.n_units(ISLANDS)
     spans["stages"] = Span(layout.span(STAGES).first, n_islands, layout.n_units(STAGES) // n_islands)
-    spans["starting"] = layout.span(LANE, scratch=True)
+    spans["starting"], spans["planning"] = layout.span(LANE, scratch=True), layout.span(BUSES, scratch=True)
     connected = [layout.machine("connected"), layout.wtg("connected")]
     connected += [layout.rows_of(own.kind, "connected") for own in plant.devices]
     angles = [layout.machine("angle"), layout.wtg("angle")]

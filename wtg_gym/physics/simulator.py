@@ -380,8 +380,7 @@ class Simulator:
         failures = np.zeros((n, 2), dtype=np.int64)
         levels = np.array([scenario.load_level for scenario in scenarios])
         plant, blocks, scratch = self.plant, rows[:, :, np.newaxis], self.new_scratches(1, 1)[0]
-        buses = equilibrium.rows_of_buses(scratch, self.layout)
-        equilibrium.prepare_lanes(blocks, scratch, buses, plant.bus_y, plant.network, data, levels, failures)
+        equilibrium.prepare_lanes(blocks, scratch, plant.bus_y, plant.network, data, levels, failures)
         for scenario, (failure, unit), row in zip(scenarios, failures.tolist(), rows, strict=True):
             if failure:
                 reason = equilibrium.start_failure(
