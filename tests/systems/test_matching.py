@@ -19,7 +19,7 @@ from wtg_gym.physics import step
 from wtg_gym.physics.layout import Layout, place_in
 from wtg_gym.physics.machine_models import CONTROLS
 from wtg_gym.physics.units import ControlJoining, Joining
-from wtg_gym.systems.programs import Delay, Here, Product, Program, Repeat, When, build_table
+from wtg_gym.systems.programs import Here, Product, Program, Repeat, When, build_table
 from wtg_gym.systems.routines import Routine
 from wtg_gym.systems.systems import Kind, System, system
 from wtg_gym.tasks import V0, V1
@@ -171,15 +171,6 @@ REFUSED: dict[str, tuple[Callable[[], Any], str]] = {
     "matrix": (lambda: Product(HOSTS, "flaw", GUESTS, "copy", "copy"), "hosts have no part 'flaw' .* mean 'flow'"),
     "vector in rows": (lambda: Product(HOSTS, "flow", GUESTS, "state", "copy"), "no part 'state' in scratch"),
     "real vector": (lambda: Product(HOSTS, "flow", GUESTS, "level", "copy"), "must be complex numbers"),
-    "delayed part": (lambda: Delay(GUESTS, "copi", "copy", GUESTS, "state", "own_first", "own_first"), "mean 'copy'"),
-    "ring of another record": (
-        lambda: Delay(GUESTS, "copy", "copy", GUESTS, "other", "own_first", "own_first"),
-        "'copy', 'copy' and 'other' of a delay must be of one record",
-    ),
-    "delay in scratch": (
-        lambda: Delay(GUESTS, "copy", "copy", GUESTS, "state", "own_first", "own_level"),
-        "'own_level' of a delay is no single number that lasts",
-    ),
     "link": (
         lambda: Layout({GUESTS: 1, HOSTS: 1}, {(GUESTS, "hots"): np.array([0])}),
         "unknown labels of what guests see ['hots']; known labels of what guests see: host, far_; did you mean 'host'",

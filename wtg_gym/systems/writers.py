@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from types import MappingProxyType
 from typing import Any
 
 from llvmlite import ir
 
 from wtg_gym.systems import expressions as ex
-from wtg_gym.systems.programs import HEAD, Delay, Each, Product, Program, Repeat, When
-from wtg_gym.systems.systems import Place, System, Trace, count
+from wtg_gym.systems.programs import HEAD, Each, Product, Program, Repeat, When
+from wtg_gym.systems.systems import Place, System, Trace
 from wtg_gym.systems.vectors import Lanes, repeated
 
 _WHOLE = ir.IntType(64)
@@ -47,8 +47,6 @@ class Writer:
                     self.write(entry.entries)
             elif isinstance(entry, Repeat):
                 self._repeat(entry)
-            elif isinstance(entry, Delay):
-                self._delay(entry)
             else:
                 self._each(entry)
 
@@ -160,53 +158,6 @@ class Writer:
         with repeated(builder, share) as own:
             self._system(entry.inner, builder.add(first, own))
 
-    def _delay(self, entry: Delay) -> None:
-        builder = self.builder
-
-        def copy(source: Any, target: Any) -> None:
-            builder.store(builder.load(source), target)
-
-        for part, shown, newest, arrived in self._turned(entry):
-            for x in range(self.lanes.width):
-                copy(self._lane_of(self.scratch, part, x), self._lane_of(self.block, newest[x], x))
-                copy(self._lane_of(self.block, arrived[x], x), self._lane_of(self.scratch, shown, x))
-
-    def _turn(self, entry: Delay) -> tuple[Any, Any]:
-        """Return how often a ring has turned, and its delay."""
-        turn, delay = (self.lanes.load(self._pointer(self.block, row)) for row in self._places(entry, (6, 7)))
-        return turn, delay
-
-    def _turned(self, entry: Delay) -> Iterator[tuple[Any, Any, list[Any], list[Any]]]:
-        """Loop over the numbers of all units; yield the rows of both parts, and in the ring of each lane.
-
-        Those in the ring are where the newest number goes, and where the newest of those lies that have arrived.
-        """
-        builder, lanes, record = self.builder, self.lanes, entry.units.scratch[entry.part]
-        n, size = self._head(entry, 0), count(record)
-        part, stride, shown, shown_stride, ring, n_turns = self._places(entry, range(6))
-
-        def rows(turns: Any) -> list[Any]:
-            found = []
-            for x in range(lanes.width):
-                own = turns if lanes.width == 1 else builder.extract_element(turns, _WHOLE(x))
-                place = builder.srem(builder.fptosi(own, _WHOLE), n_turns)
-                found.append(builder.add(ring, builder.mul(place, builder.mul(n, _WHOLE(size)))))
-            return found
-
-        with builder.if_then(builder.icmp_signed(">", n, _WHOLE(0))):
-            turn, delay = self._turn(entry)
-            newest, waited, zero = rows(turn), builder.fsub(turn, delay), lanes.constant(0.0)
-            arrived = rows(builder.select(builder.fcmp_ordered(">", waited, zero), waited, zero))
-            with repeated(builder, n) as unit:
-                for k in range(size):
-                    place = builder.add(builder.mul(unit, _WHOLE(size)), _WHOLE(k))
-                    yield (
-                        builder.add(builder.add(part, builder.mul(unit, stride)), _WHOLE(k)),
-                        builder.add(builder.add(shown, builder.mul(unit, shown_stride)), _WHOLE(k)),
-                        [builder.add(row, place) for row in newest],
-                        [builder.add(row, place) for row in arrived],
-                    )
-
     def _places(self, entry: Any, which: Iterable[int]) -> list[Any]:
         """Return what the table says of an entry that is no system."""
         first = self._head(entry, 1)
@@ -214,10 +165,6 @@ class Writer:
 
     def _pointer(self, data: Any, row: Any) -> Any:
         return self.builder.gep(data, [self.builder.mul(row, _WHOLE(self.lanes.width))])
-
-    def _lane_of(self, data: Any, row: Any, x: int) -> Any:
-        """Return a pointer to one lane's number in a row."""
-        return self.builder.gep(self._pointer(data, row), [_WHOLE(x)])
 
     def _product(self, entry: Product) -> None:
         builder, lanes = self.builder, self.lanes
@@ -279,15 +226,6 @@ class TapedWriter(Writer):
         for k, at in enumerate(one.noted):
             self.lanes.store(values[at], self._at(first, k))
 
-    def _turn(self, entry: Delay) -> tuple[Any, Any]:
-        found = super()._turn(entry)
-        for k, value in enumerate(found):
-            self.lanes.store(value, self._turn_on_tape(entry, k))
-        return found
-
-    def _turn_on_tape(self, entry: Delay, k: int) -> Any:
-        return self._pointer(self.others[0], self.builder.add(self._head(entry, 3), _WHOLE(k)))
-
     def _on_tape(self, one: System, unit: Any) -> Any:
         """Return a pointer to the first that a system has noted of a unit."""
         row = self.builder.add(self._head(one, 3), self.builder.mul(unit, _WHOLE(len(one.noted))))
@@ -318,27 +256,8 @@ class BackWriter(TapedWriter):
                 self._product(entry)
             elif isinstance(entry, Each):
                 self._each_back(entry)
-            elif isinstance(entry, Delay):
-                self._delay(entry)
             else:
                 raise NotImplementedError(f"{type(entry).__name__} has no way back of its own")
-
-    def _turn(self, entry: Delay) -> tuple[Any, Any]:
-        turn, delay = (self.lanes.load(self._turn_on_tape(entry, k)) for k in range(2))
-        return turn, delay
-
-    def _delay(self, entry: Delay) -> None:
-        """Go back from what is shown to where it was copied from, then to what is kept."""
-        builder, zero = self.builder, ir.Constant(ir.DoubleType(), 0.0)
-
-        def pass_on(source: Any, target: Any) -> None:
-            builder.store(builder.fadd(builder.load(target), builder.load(source)), target)
-            builder.store(zero, source)
-
-        for part, shown, newest, arrived in self._turned(entry):
-            for x in range(self.lanes.width):
-                pass_on(self._lane_of(self.scratch, shown, x), self._lane_of(self.block, arrived[x], x))
-                pass_on(self._lane_of(self.block, newest[x], x), self._lane_of(self.scratch, part, x))
 
     def _each_back(self, entry: Each) -> None:
         builder = self.builder

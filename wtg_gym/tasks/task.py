@@ -32,7 +32,7 @@ from wtg_gym.tasks.episode import (
     rocof_window,
 )
 from wtg_gym.tasks.observation import INFO, OBSERVED, OBSERVED_DUTY, OBSERVED_GRID, OBSERVED_MACHINES
-from wtg_gym.tasks.sensing import RING, SENSED, SENSORS, n_delayed
+from wtg_gym.tasks.sensing import KEPT, KEPT_SHIFTS, NEWEST, SENSED, SENSORS, n_delayed
 
 #: Share of the load that the torque of the machines is counted in on other grids than the IEEE 14-bus system, where it
 #: is 100 MVA.
@@ -189,6 +189,9 @@ class Task:
         """Return the task's kinds of unit and programs, as a simulator takes them."""
         plant, sensors = choices.plant, int(self.has_sensors)
         n_wtg, n_sync, n_window = len(plant.groups), len(plant.case.machines), rocof_window(plant.control_dt)
+        n_kept = n_delayed(plant.control_dt)
+        kept = np.arange(n_wtg * sensors * n_kept).reshape(-1, n_kept)
+        group = np.broadcast_to(np.arange(len(kept))[:, np.newaxis], kept.shape)
         modulated = dict(zip(("modulates k", "modulates tau"), ACTION_MODES[choices.action_mode], strict=True))
         conditions = {**modulated, "privileged": choices.privileged}
         act, charge, start_sensors, measure, observe, end = _routines_of(self.programs)
@@ -210,13 +213,20 @@ class Task:
                 INFO: 1,
                 SENSORS: sensors,
                 SENSED: n_wtg * sensors,
-                RING: n_wtg * n_delayed(plant.control_dt) * sensors,
+                KEPT: kept.size,
+                KEPT_SHIFTS: kept[:, 1:].size,
+                NEWEST: len(kept),
             },
             links={
                 (SHIFTS, "this_"): np.arange(n_window),
                 (SHIFTS, "next_"): 1 + np.arange(n_window),
                 (WINDOW, "oldest_"): np.array([0]),
                 (WINDOW, "newest_"): np.array([n_window]),
+                (KEPT, "sensed"): group.ravel(),
+                (KEPT_SHIFTS, "sensed"): group[:, 1:].ravel(),
+                (KEPT_SHIFTS, "this_"): kept[:, :-1].ravel(),
+                (KEPT_SHIFTS, "next_"): kept[:, 1:].ravel(),
+                (NEWEST, "kept"): kept[:, -1],
             },
             programs=self.programs,
             stepping=(act, charge, measure, observe, end),
@@ -227,6 +237,7 @@ class Task:
                 (ACTING, "reach"): self._reaches(plant),
                 (OBSERVED_GRID, "inv_torque"): [_inv_torque(plant)],
                 (SENSED, "group_number"): range(n_wtg),
+                (KEPT_SHIFTS, "age"): n_kept - 1 - (kept[:, :-1].ravel() % n_kept),
             },
             has=[name for name, holds in conditions.items() if holds],
         )
