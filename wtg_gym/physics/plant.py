@@ -18,6 +18,7 @@ from wtg_gym.physics import parameters
 from wtg_gym.physics.aerodynamics import surface_of
 from wtg_gym.physics.devices import SOURCES, Devices, joining, source_units
 from wtg_gym.physics.grid import NetworkCase, get_grid
+from wtg_gym.physics.integration import PROGRAMS
 from wtg_gym.physics.layout import Facts, Layout, Network, Span, place_in
 from wtg_gym.physics.machine import Machine, RotorSaturation, gate_limits, machine_constants, rotor_saturation
 from wtg_gym.physics.machine_models import CONTROLS, control_constants, joining_controls
@@ -565,3 +566,11 @@ def with_places(
             facts=facts, connected=np.concatenate(connected), angles=np.concatenate(angles), tables=tables
         )
     )
+
+
+@functools.lru_cache(maxsize=64)
+def placed(settings: Plant, task: TaskUnits = NO_TASK) -> tuple[PlantTables, Layout]:
+    """Return a plant's tables, which nobody writes to, and where its numbers lie, with those of a task."""
+    plant = plant_tables(settings)
+    layout = layout_of(plant, task)
+    return with_places(plant, layout, programs_of(plant, *PROGRAMS, *task.programs), task), layout

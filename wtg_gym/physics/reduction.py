@@ -37,7 +37,6 @@ class _Rows(NamedTuple):
 
 @internal
 def _rows_of(block: Floats, x: int, facts: Facts) -> _Rows:
-    """Return the views of the environment in column x of a block."""
     return _Rows(
         block[:, x],
         units_of(block, facts.lane)[0, :, x],
@@ -54,7 +53,6 @@ def _rows_of(block: Floats, x: int, facts: Facts) -> _Rows:
 
 @inlined
 def _write(rows: Floats, at: int, value: complex) -> None:
-    """Write a complex number into two of a unit's rows."""
     rows[at], rows[at + 1] = value.real, value.imag
 
 
@@ -123,13 +121,11 @@ def _reduce(z: Complex, unit_y: Complex, rows: _Rows, network: Network) -> None:
 
 @internal
 def _next_interval(step: float, facts: Facts) -> float:
-    """Return the simulation step at which the next control interval begins."""
     return float((math.floor(step / facts.n_substeps) + 1.0) * facts.n_substeps)
 
 
 @internal
 def _next_change(event: Any, step: float, facts: Facts) -> float:
-    """Return the next simulation step at which an event changes something."""
     if step < event.start:
         return float(event.start)
     if step < event.end:
@@ -139,7 +135,6 @@ def _next_change(event: Any, step: float, facts: Facts) -> float:
 
 @internal
 def _strike(event: Any, step: float, rows: _Rows, network: Network) -> None:
-    """Let an event act on units, governors and sources."""
     begins, ends = step == event.start, step == event.end and event.end > event.start
     if event.unit >= 0 and begins:
         rows.all[network.connected[event.unit]] = 0.0

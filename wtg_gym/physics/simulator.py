@@ -16,18 +16,9 @@ import numpy as np
 from wtg_gym.physics import equilibrium
 from wtg_gym.physics.equilibrium import network_events
 from wtg_gym.physics.integration import PROGRAMS, REFRESH, STARTING, STEPPING, advance_blocks, evaluate_blocks
-from wtg_gym.physics.layout import NO_EVENT, Floats, LaneData, Layout, rows_of_lanes
+from wtg_gym.physics.layout import NO_EVENT, Floats, LaneData, rows_of_lanes
 from wtg_gym.physics.linearisation import StepError, check_step
-from wtg_gym.physics.plant import (
-    NO_TASK,
-    Plant,
-    PlantTables,
-    TaskUnits,
-    layout_of,
-    plant_tables,
-    programs_of,
-    with_places,
-)
+from wtg_gym.physics.plant import NO_TASK, Plant, TaskUnits, placed, programs_of
 from wtg_gym.physics.reduction import assemble
 from wtg_gym.physics.scenario import LONGEST_RUN_S, SERIES_DT, Scenario
 from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY, TrackingLaw, group_laws
@@ -136,14 +127,6 @@ def _checked_inertias(settings: Plant) -> dict[tuple[TrackingLaw, ...], float]:
     return {}
 
 
-@functools.lru_cache(maxsize=64)
-def _placed(settings: Plant, task: TaskUnits) -> tuple[PlantTables, Layout]:
-    """Return a plant's tables, which nobody writes to, and where its numbers lie."""
-    plant = plant_tables(settings)
-    layout = layout_of(plant, task)
-    return with_places(plant, layout, programs_of(plant, *PROGRAMS, *task.programs), task), layout
-
-
 #: Addresses of machine code in this process, by all that they depend on.
 _CODE: dict[tuple[Any, ...], Whole] = {}
 #: Numbers of a group that are those of its law.
@@ -205,7 +188,7 @@ class Simulator:
         if n_threads is not None:
             n_threads = require_whole("the number of threads", n_threads, 1)
         self.settings = settings
-        self.plant, self.layout = _placed(settings, task)
+        self.plant, self.layout = placed(settings, task)
         duration_s = require_range("duration_s", duration_s, 0.0, LONGEST_RUN_S, "s")
         self.n_intervals = whole_steps("duration_s", duration_s, settings.control_dt, "control step")
         # Sample of the load noise in each control interval.
@@ -479,7 +462,6 @@ class Simulator:
         self._rates = self._evaluated(self.blocks)
 
     def _evaluated(self, blocks: Floats) -> Floats:
-        """Evaluate blocks, and return the scratch of each."""
         scratches = self.new_scratches(blocks.shape[0], self.width)
         evaluate_blocks(blocks, scratches, self.plant.network)
         return scratches

@@ -23,7 +23,6 @@ from wtg_gym.tasks import V1
 
 
 def _paper_cases(wind_speed_m_s: tuple[float, float], increase_mw: float) -> tuple[FixedCase, FixedCase]:
-    """Return the cases of the paper: two load steps, and the loss of two loads."""
     more = (LoadStep(time_s=at, bus=bus, power_mw=increase_mw) for at, bus in ((5.0, 2), (30.0, 3)))
     less = (LoadTrip(time_s=5.0, bus=4), LoadTrip(time_s=30.0, bus=9))
     return (

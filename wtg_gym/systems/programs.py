@@ -224,7 +224,6 @@ def _operations(one: System, *, back: bool) -> Iterator[Any]:
 
 
 def _n_units(entry: Any, plant: MemoryMap) -> int:
-    """Return how many units an entry is for."""
     if isinstance(entry, System):
         return plant.n_units(entry.kind) if entry.when is None or plant.has(entry.when) else 0
     return plant.n_units(entry.units) if isinstance(entry, Product) else 1
@@ -304,7 +303,6 @@ def _stride(kind: Kind, part: str, plant: MemoryMap) -> list[int]:
 
 
 def _system_rows(one: System, plant: MemoryMap, n: int) -> list[int]:
-    """Return the first rows of a system's parts for each of n units."""
     if n == 0:
         return []
     found = [_rows_of(one.kind, one.places[name], plant) for name in one.slots]

@@ -134,7 +134,6 @@ class Routine:
             function(*(data + block * stride for data, stride in places), *constant)
 
     def _compiled(self, program: Program, name: str, width: int) -> bytes:
-        """Return an object file with the machine code."""
         n_arrays, _ = _OF_WRITER[self._writer]
         module = ir.Module(name)
         module.triple, module.data_layout = _processor()[0], str(_machine().target_data)
@@ -179,7 +178,6 @@ def _engine() -> Any:
 
 @functools.cache
 def _writers_hash() -> bytes:
-    """Return a hash of the sources that write instructions."""
     return digest_of(*(path.read_bytes() for path in sorted(Path(__file__).parent.glob("*.py"))))
 
 

@@ -57,7 +57,6 @@ class Writer:
         return self.builder.load(self.builder.gep(self.table, [place]))
 
     def _system(self, one: System, unit: Any) -> None:
-        """Write the instructions on one unit."""
         lanes, trace = self.lanes, one.trace_with(**self.known)
         rows = self._rows(one, unit)
         instruction = lanes.program(self._given(one, trace, unit, lambda name, k: lanes.load(self._at(rows[name], k))))
@@ -92,7 +91,6 @@ class Writer:
     def _given(
         self, one: System, trace: Trace, unit: Any, read: Callable[[str, int], Any]
     ) -> dict[ex.Number, Callable[[], Any]]:
-        """Return what gives the symbols of a trace."""
         builder, lanes = self.builder, self.lanes
 
         first = builder.gep(self.numbers, [self._first_constant(one, unit)])
@@ -107,18 +105,15 @@ class Writer:
         }
 
     def _first_constant(self, one: System, unit: Any) -> Any:
-        """Return the place of a unit's first constant."""
         return self.builder.add(self._head(one, 2), self.builder.mul(unit, _WHOLE(len(one.constants_used))))
 
     def _notes(self, one: System, at: tuple[str, int]) -> bool:
-        """Return whether an input goes onto a tape."""
         return False
 
     def _note(self, one: System, unit: Any, values: Mapping[tuple[str, int], Any]) -> None:
         """Write inputs onto the tape."""
 
     def _row(self, place: Place, row: Any) -> Any:
-        """Return a pointer to a row."""
         first = self.scratch if place.in_scratch else self.block
         return self._pointer(first, row)
 
@@ -151,7 +146,6 @@ class Writer:
             self._share(entry, unit, n_outer)
 
     def _share(self, entry: Each, unit: Any, n_outer: Any) -> None:
-        """Write the instructions on a unit's share of the inner units."""
         builder = self.builder
         share = builder.sdiv(self._head(entry.inner, 0), n_outer)
         first = builder.mul(unit, share)
@@ -159,7 +153,6 @@ class Writer:
             self._system(entry.inner, builder.add(first, own))
 
     def _places(self, entry: Any, which: Iterable[int]) -> list[Any]:
-        """Return what the table says of an entry that is no system."""
         first = self._head(entry, 1)
         return [self._whole(self.builder.add(first, _WHOLE(i))) for i in which]
 

@@ -157,7 +157,6 @@ def _frequency_cost(deviation: float, task: TaskConstants, weights: CostWeights)
 
 
 def _effort(action: float, last: float) -> float:
-    """Return the cost of an action and of its change."""
     change = action - last
     return action * action + 4.0 * change * change
 
@@ -171,7 +170,6 @@ def _capped(terms: CostTerms, elapsed: float, most: float) -> CostTerms:
 
 
 def _total(terms: CostTerms) -> float:
-    """Return the sum of all terms."""
     return terms.frequency + terms.rocof + terms.duty + terms.rotor + terms.overload + terms.effort + terms.failure
 
 

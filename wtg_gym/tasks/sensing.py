@@ -119,7 +119,6 @@ def start_measurements(seen: MeasuredObservation) -> tuple[MeasuredObservation, 
 
 
 def _either(condition: bool, new: MeasuredObservation, old: MeasuredObservation) -> MeasuredObservation:
-    """Return one of two measurements."""
     found: MeasuredObservation = each(lambda a, b: select(condition, a, b), new, old)
     return found
 
