@@ -19,7 +19,7 @@ from reference import environment_page, parameters_page
 from wtg_gym.evaluation import Results, evaluate, load_entries
 from wtg_gym.evaluation.faults import SENSOR_FAULTS, with_fault
 from wtg_gym.physics.aerodynamics import tracking_point
-from wtg_gym.physics.tracking_law import TUNED, tuned
+from wtg_gym.physics.tracking_law import TUNED, get_law
 from wtg_gym.scenarios import get_suite
 from wtg_gym.tasks import V1
 
@@ -39,7 +39,7 @@ def test_the_reference_is_that_of_the_code(page: str, made: Callable[[], str]) -
 
 def test_points_of_a_search_are_laws_and_laws_are_tunings() -> None:
     for name, tuning in TUNED.items():
-        law = tuned(name)
+        law = get_law(name)
         point = np.array([tuning[0], 10.0 * tuning[1], tuning[2], np.log(tuning.time_constant_s / 0.8)])
         assert tuning_of(law) == pytest.approx(tuning, abs=1e-12)
         assert tuning_of(law_of(point)) == pytest.approx(tuning, abs=1e-3)
@@ -49,7 +49,7 @@ def test_points_of_a_search_are_laws_and_laws_are_tunings() -> None:
 
 
 def test_the_objective_of_a_search_is_the_logarithm_of_cost_and_offset() -> None:
-    n_scenarios, laws = 6, [tuned("coordinated-tuned"), tuned("coordinated-free")]
+    n_scenarios, laws = 6, [get_law("coordinated-tuned"), get_law("coordinated-free")]
     with Population(OWN, n_scenarios, len(laws), duration_s=12.0) as candidates:
         objectives, lanes = candidates.objectives(laws), candidates.lanes
         costs = lanes.cost_sums().sum(axis=1).reshape(len(laws), n_scenarios)
