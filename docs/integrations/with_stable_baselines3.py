@@ -7,26 +7,15 @@ import time
 
 import torch
 from stable_baselines3 import PPO
-from stable_baselines3.common.vec_env import VecNormalize
 
 from wtg_gym import export_onnx
 from wtg_gym.sb3 import DeterministicPolicy, make_sb3_vec_env
 
 torch.set_num_threads(1)
 seconds, seed = map(int, sys.argv[1:]) if sys.argv[1:] else (5, 0)
-lanes = make_sb3_vec_env(64, seed=seed, n_threads=1, strategy="coordinated-tuned")
-envs = VecNormalize(lanes, norm_obs=False, gamma=0.998)
-ppo = PPO(
-    "MlpPolicy",
-    envs,
-    seed=seed,
-    n_steps=64,
-    batch_size=1024,
-    n_epochs=5,
-    learning_rate=2e-4,
-    gamma=0.998,
-    policy_kwargs={"log_std_init": -4.0},  # more noise than that costs more than there is to learn
-)
+envs = make_sb3_vec_env(64, seed=seed, n_threads=1, strategy="coordinated-tuned")
+noise = {"log_std_init": -2.5}  # more costs more than there is to learn
+ppo = PPO("MlpPolicy", envs, seed=seed, n_steps=90, batch_size=2880, policy_kwargs=noise)
 end = time.process_time() + seconds
 ppo.learn(10**9, callback=lambda *_: time.process_time() < end)
 print(ppo.num_timesteps, "steps")

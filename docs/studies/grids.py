@@ -1,13 +1,11 @@
-"""The grids that come with the package, and policies of one group on grids that they were not trained on.
+"""For docs/grids.md: what is in each grid and its suite, and scores of laws and policies of one group on all grids.
 
-    python docs/studies/grids.py [--output DOCS]
-
-puts into DOCS/grids.md what is in each grid and its suite, and scores: laws, and the shipped policies with per_group =
-true, which were trained on 14 buses. It takes five minutes on two processors.
+The policies were trained on 14 buses. It takes five minutes on two processors.
 """
 
 from __future__ import annotations
 
+from matrix import table
 from output import folder as output_folder
 
 from wtg_gym.evaluation import Results, evaluate, load_entries
@@ -38,7 +36,8 @@ def grids() -> str:
         columns.append(lines)
     same = ("step", "state below", "stable")  # the page says it once
     assert all(len({lines[key] for lines in columns if key in lines}) == 1 for key in same)
-    rows = [key for key in columns[-1] if key not in ("repaired", "replaced", "mode", "equilibrium", *same)]
+    left_out = ("name", "source", "repaired", "replaced", "mode", "equilibrium", *same)
+    rows = [key for key in columns[-1] if key not in left_out]
     cells = [[row, *(lines.get(row, "–") for lines in columns)] for row in rows]
     return markdown_table(("", *(f"`{name}`" for name in known_grids())), cells)
 
@@ -52,21 +51,8 @@ def played(suite: str) -> Results:
         return evaluate(entries, suite, "test", seeds=seeds, on_progress=progress.update, keep_going=True)
 
 
-def transfer(columns: dict[str, Results]) -> str:
-    """Return score, mark and share of bad runs of every entry, a column per suite."""
-    rows = {suite: {row.name: row for row in results.ranking} for suite, results in columns.items()}
-
-    def cell(suite: str, name: str) -> str:
-        row = rows[suite].get(name)
-        if row is None or row.score is None:
-            return "–"
-        return f"{row.score.value:.1f}{' ✓' if row.marked else ''}; {row.lost_or_beyond_percent:.1f} %"
-
-    cells = [[name, *(cell(suite, name) for suite in columns)] for name in rows[DEFAULT_SUITE]]
-    return markdown_table(("entry", *columns), cells, right=range(1, 1 + len(columns)))
-
-
 if __name__ == "__main__":
     docs = output_folder(__doc__)
     update_between_markers(docs / "grids.md", grids(), "grids")
-    update_between_markers(docs / "grids.md", transfer({suite: played(suite) for suite in SUITES}), "transfer")
+    columns = {suite: played(suite) for suite in SUITES}
+    update_between_markers(docs / "grids.md", table(columns, columns[DEFAULT_SUITE]), "transfer")

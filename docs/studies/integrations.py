@@ -2,14 +2,11 @@
 
     python docs/studies/integrations.py [NAME …]
 
-runs them for seconds each, or those that are named.
-
-A program's head names its packages with their versions, as PEP 723 has it.
+runs all, or those that are named, such as skrl, for seconds. A program's head names its packages, as PEP 723 has it.
 """
 
 from __future__ import annotations
 
-import argparse
 import os
 import re
 import subprocess
@@ -69,6 +66,4 @@ def runs(names: list[str]) -> int:
 
 
 if __name__ == "__main__":
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("names", nargs="*", metavar="NAME", help="for example skrl")
-    sys.exit(runs(parser.parse_args().names))
+    sys.exit(runs(sys.argv[1:]))

@@ -1,9 +1,4 @@
-"""Where control decides: cost and bad runs of entries over the reserve margin of validation scenarios.
-
-    python docs/studies/margin.py [--output DOCS]
-
-draws DOCS/images/margin.svg and puts the table of the strata into DOCS/benchmark.md.
-"""
+"""For docs/benchmark.md: cost and bad runs over the reserve margin, and the table of the strata."""
 
 from __future__ import annotations
 

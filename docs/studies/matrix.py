@@ -1,9 +1,7 @@
-"""Whether a policy generalises: every entry of version v1 on its drawn suites, and with faults that no suite has.
+"""For docs/benchmark.md: every entry of version v1 on its drawn suites, and with faults that no suite has.
 
-    python docs/studies/matrix.py [--output DOCS]
-
-puts two tables into DOCS/benchmark.md. The results of a suite are kept in results/matrix and used again where they
-would come out the same today. On two processors a suite takes two minutes, a fault as long.
+The results of a suite are kept in results/matrix and used again where they would come out the same today. On two
+processors a suite takes two minutes, a fault as long.
 """
 
 from __future__ import annotations

@@ -1,15 +1,13 @@
-"""README's picture: laws and a trained policy side by side in one extreme scenario.
+"""The README's picture, images/one-event.svg: laws and a trained policy side by side in one extreme scenario.
 
-    python docs/studies/one_event.py [--output DOCS]
-
-draws DOCS/images/one-event.svg: plain droop on a reserve of 5 %, the published law, that law tuned and the agent with
+These are plain droop on a reserve of 5 %, the published law, that law tuned and the agent with
 the best score. Of the first validation scenarios in which droop stalls a rotor and the others lose neither grid nor
 load, it is that in which the published law lets the frequency fall lowest. Prints the load that droop sheds.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -18,44 +16,24 @@ from matplotlib.lines import Line2D
 from output import folder as output_folder
 
 from wtg_gym.cli.scoring import chosen_entries
-from wtg_gym.envs.lanes import TaskLanes
 from wtg_gym.envs.settings import EnvSettings
 from wtg_gym.evaluation import Entry, evaluate
 from wtg_gym.evaluation.episodes import Episode
+from wtg_gym.evaluation.report import Recorded, recorded
 from wtg_gym.evaluation.summary import DESIGN_DEVIATION_MHZ
-from wtg_gym.physics.layout import Floats
 from wtg_gym.physics.plant import Plant
 from wtg_gym.physics.scenario import Scenario
 from wtg_gym.plotting import save_figure, style
 from wtg_gym.plotting.trajectories import explain_events, mark_end, mark_instants
-from wtg_gym.policies.play import play, started_lanes
 from wtg_gym.scenarios import get_suite
 
 SUITE, N_SCENARIOS = "standard-v1", 60
-STEP_S = EnvSettings(suite=SUITE).step_s
 #: A law whose support ends where its rotor stalls.
 DROOP = "deloaded-5"
 
 
-def recorded(lanes: TaskLanes, steps: Iterable[np.ndarray]) -> Floats:
-    """Record one started episode while `steps` plays it, which yields after every step whether it was made.
-
-    Returns:
-        a row at the start and one per control step until the end: frequency of the worst bus or unit [Hz], power of all
-        turbines [MW], slowest rotor [p.u.] and load not served [MW].
-    """
-    simulator, base_mw = lanes.simulator, lanes.simulator.settings.case.base_mva
-
-    def sample() -> list[float]:
-        power, rotors = (simulator.wtg_values(name)[0] for name in ("power", "rotor_speed"))
-        worst, unserved = (simulator.lane_values(name)[0] for name in ("worst", "unserved"))
-        return [lanes.nominal_hz * worst, base_mw * (power @ simulator.plant.share), rotors.min(), base_mw * unserved]
-
-    return np.array([sample(), *(sample() for made in steps if made[0])])
-
-
 @style.printed
-def plot_one_event(scenario: Scenario, runs: Mapping[str, Floats], plant: Plant) -> Figure:
+def plot_one_event(scenario: Scenario, runs: Mapping[str, Recorded], plant: Plant) -> Figure:
     """Draw the worst unit's frequency, power of all turbines, slowest rotor and load not served over time.
 
     A cross marks where the grid was lost. Grey lines: limits, and where load is shed first.
@@ -70,21 +48,22 @@ def plot_one_event(scenario: Scenario, runs: Mapping[str, Floats], plant: Plant)
         "grid lost ": nominal_hz * protection.frequency_max_pu,
     }
     panels = {
-        "frequency of the worst bus or unit [Hz]": limits_hz,
-        "power of all turbines [MW]": {},
-        "slowest rotor [p.u.]": {"group trips": protection.rotor_speed_min_pu},
-        "load not served [MW]": {},
+        "frequency of the worst bus or unit [Hz]": ("worst_hz", limits_hz),
+        "power of all turbines [MW]": ("power_mw", {}),
+        "slowest rotor [p.u.]": ("rotor_speed_pu", {"group trips": protection.rotor_speed_min_pu}),
+        "load not served [MW]": ("unserved_mw", {}),
     }
     figure = style.new_figure(style.DOUBLE_COLUMN_MM, 110.0)
-    for k, (axes, (label, limits)) in enumerate(
-        zip(figure.subplots(2, 2, sharex=True).flat, panels.items(), strict=True)
+    for letter, axes, (label, (quantity, limits)) in zip(
+        "abcd", figure.subplots(2, 2, sharex=True).flat, panels.items(), strict=True
     ):
-        style.letter_panel(axes, "abcd"[k], label)
+        style.letter_panel(axes, letter, label)
         for name, run in runs.items():
-            time_s = STEP_S * np.arange(len(run))
-            axes.plot(time_s, run[:, k], color=looks[name].colour, linestyle=looks[name].dashes)
-            if time_s[-1] < scenario.duration_s - 0.5 * STEP_S:
-                mark_end(axes, float(time_s[-1]), float(run[-1, k]), looks[name].colour)
+            values = getattr(run, quantity)[:, 0]
+            values = values[np.isfinite(values)]
+            axes.plot(run.time_s[: values.size], values, color=looks[name].colour, linestyle=looks[name].dashes)
+            if run.failures[0]:
+                mark_end(axes, float(run.time_s[values.size - 1]), float(values[-1]), looks[name].colour)
         # A run that fails ends a step before the limit.
         axes.margins(y=0.12)
         low, high = axes.get_ylim()
@@ -130,11 +109,9 @@ if __name__ == "__main__":
     docs = output_folder(__doc__)
     seed, entries = chosen()
     settings, scenarios = EnvSettings(suite=SUITE, split="validation"), get_suite(SUITE).scenarios([seed])
-    runs = {}
-    for entry in entries:
-        with started_lanes(entry, settings, scenarios) as (lanes, _):
-            runs[entry.name] = recorded(lanes, play(entry, lanes))
-        print(f"{entry.name}: {runs[entry.name][:, 3].max():.0f} MW not served at most")
+    runs = {entry.name: recorded(entry, settings, scenarios) for entry in entries}
+    for name, run in runs.items():
+        print(f"{name}: {np.nanmax(run.unserved_mw):.0f} MW not served at most")
     # The list of events fills the line: without the suite's name.
     scenario = replace(scenarios[0], name=scenarios[0].name.partition("/")[2])
     save_figure(plot_one_event(scenario, runs, settings.resolved_plant), docs / "images" / "one-event", ["svg"])

@@ -1,4 +1,4 @@
-"""The one option of a study: the folder that it writes into."""
+"""The one option of a study, the folder that it writes into: `python docs/studies/NAME.py --output FOLDER`."""
 
 import argparse
 from pathlib import Path

@@ -1,9 +1,6 @@
-"""The paper reproduced, for docs/validation.md: every claim measured, both case studies drawn. Two minutes.
+"""For docs/validation.md: every claim of the paper measured, both case studies drawn; two minutes.
 
-    python docs/studies/paper.py [--output FOLDER]        FOLDER holds the page; docs by default
-
-renews the page, validation/claims.json with every claim's tolerance, measurement and verdict, and validation/figures.
-Texts of the claims are in paper.toml.
+validation/claims.json has every claim's tolerance, measurement and verdict, paper.toml the texts of the claims.
 
 In steady state a rotor captures what its law delivers, p_w(ω_m) = g(ω) ω_m³ - D_p (ω - ω_st), the last term only where
 the law keeps its droop (τ = ∞). Blades are at fine pitch. On an infinite bus the open loop is (paper, (31)-(34))

@@ -6,11 +6,8 @@ of them alike; the median counts, and its ratio to Pendulum-v1 can be compared w
 
 import functools
 import os
-import platform
-import re
 import statistics
 import time
-from pathlib import Path
 
 import gymnasium as gym
 import numpy as np
@@ -21,6 +18,7 @@ from stable_baselines3.common.vec_env import DummyVecEnv
 
 from wtg_gym.envs import GFMWTGVectorEnv
 from wtg_gym.envs.settings import EnvSettings
+from wtg_gym.evaluation.circumstances import versions
 from wtg_gym.files import markdown_table, update_between_markers
 from wtg_gym.gradients import Tape
 from wtg_gym.sb3 import SB3VecEnv
@@ -29,9 +27,6 @@ from wtg_gym.scenarios import get_suite
 SECONDS, REPEATS = 1.0, 5
 YARDSTICK = "Pendulum-v1"  # physics of a few lines, in pure Python
 OURS = {"v0": "wtg_gym:GFMWTG-14bus-v0", "v1": "wtg_gym:GFMWTG-14bus-v1"}
-#: Version v1 on other grids.
-GRIDS = {"IEEE 39": "ieee39", "Nordic 45": "nordic45"}
-N_PROCESSORS = os.cpu_count() or 1
 
 
 # --- what is stepped: each function prepares a case and returns what makes some steps, and how many -------------------
@@ -83,26 +78,22 @@ def training(envs, n_envs):
     return lambda: model.learn(n_steps * n_envs, reset_num_timesteps=False), n_steps * n_envs
 
 
-def dummies(n_envs):
-    """Return Stable-Baselines3's vector environment that steps our single environments in turn."""
-    return DummyVecEnv([functools.partial(gym.make, OURS["v0"])] * n_envs)
-
-
 def cases():
     """Return what prepares each case, by its name; the yardstick first."""
-    found = {YARDSTICK: functools.partial(single, gym.make(YARDSTICK))}
+    prepared = {YARDSTICK: functools.partial(single, gym.make(YARDSTICK))}
     for version in OURS:
-        found[version] = functools.partial(single, gym.make(OURS[version]))
+        prepared[version] = functools.partial(single, gym.make(OURS[version]))
     for version in OURS:
         for n in (64, 1024):
-            found[f"{version}, vector of {n}"] = functools.partial(vector, EnvSettings(version=version).suite, n)
-    for name, grid in GRIDS.items():
-        found[f"{name}, vector of 1024"] = functools.partial(vector, EnvSettings(grid=grid).suite, 1024)
+            prepared[f"{version}, vector of {n}"] = functools.partial(vector, EnvSettings(version=version).suite, n)
+    for name, grid in (("IEEE 39", "ieee39"), ("Nordic 45", "nordic45")):
+        prepared[f"{name}, vector of 1024"] = functools.partial(vector, EnvSettings(grid=grid).suite, 1024)
     for version in OURS:
-        found[f"{version}, gradients of 64"] = functools.partial(gradients, version, 64)
-    found["v0, PPO on the SB3 adapter of 1024"] = lambda: training(SB3VecEnv(1024), 1024)
-    found["v0, PPO on DummyVecEnv of 8"] = lambda: training(dummies(8), 8)
-    return found
+        prepared[f"{version}, gradients of 64"] = functools.partial(gradients, version, 64)
+    prepared["v0, PPO on the SB3 adapter of 1024"] = lambda: training(SB3VecEnv(1024), 1024)
+    dummies = [functools.partial(gym.make, OURS["v0"])] * 8
+    prepared["v0, PPO on DummyVecEnv of 8"] = lambda: training(DummyVecEnv(dummies), 8)
+    return prepared
 
 
 # --- measuring --------------------------------------------------------------------------------------------------------
@@ -115,15 +106,6 @@ def rate(step, n_per_step):
         step()
         n += 1
     return n * n_per_step / passed
-
-
-def machine():
-    """Return the processor, their number and the version of Python."""
-    model, file = platform.processor() or platform.machine(), Path("/proc/cpuinfo")
-    if file.exists():
-        found = re.search(r"^model name\s*: (.*)$", file.read_text(), re.MULTILINE)
-        model = found[1] if found else model
-    return f"{model}, {N_PROCESSORS} processors, Python {platform.python_version()}"
 
 
 def main(docs):
@@ -139,10 +121,11 @@ def main(docs):
     for _ in range(REPEATS):
         for name, stepper in steppers.items():
             rates[name].append(rate(*stepper))
-    medians = {name: statistics.median(own) for name, own in rates.items()}
+    medians = {name: statistics.median(repeats) for name, repeats in rates.items()}
     rows = [(name, f"{median:,.0f}", f"{median / medians[YARDSTICK]:.2g}") for name, median in medians.items()]
     table = markdown_table(("case", "steps per s", f"× {YARDSTICK}"), rows, right=(1, 2))
-    text = f"{machine()}; median of {REPEATS} runs of {SECONDS:g} s.\n\n{table}"
+    machine = f"{versions()['processor']}, {os.cpu_count()} processors, Python {versions()['python']}"
+    text = f"{machine}; median of {REPEATS} runs of {SECONDS:g} s.\n\n{table}"
     update_between_markers(docs / "performance.md", text, "speed")
 
 

@@ -1,7 +1,5 @@
 """Small signal, for docs/validation.md: the paper's loop against the simulator, and margins.
 
-    python docs/studies/small_signal.py [--output FOLDER]        FOLDER holds the page; docs by default
-
 The paper's transfer functions describe one WTG on an infinite bus. The simulator, linearised numerically from the
 right-hand side that it integrates, must have the same poles there.
 """
@@ -60,22 +58,15 @@ def synchronising_coefficients(scenario, laws, settings=None):
     held. The sum of a row is K_p where all groups swing together against the synchronous machines.
     """
     simulator = at_rest(scenario, laws, settings)
-    layout = simulator.layout
-    places = [int(np.flatnonzero(layout.state_rows == row)[0]) for row in layout.wtg("angle")]
-    here = simulator.state()
-    return np.stack([slope(simulator, here, at, lambda: simulator.wtg_values("power")[0]) for at in places], axis=1)
-
-
-def slope(simulator, here, place, read):
-    """Return the central difference of `read()` with respect to one of the states `here`; it moves the simulator."""
-    ends = []
-    for sign in (-1.0, 1.0):
-        state = here.copy()
-        state[place] += sign * DIFFERENCE
-        simulator.set_state(state)
-        simulator.evaluate()
-        ends.append(read())
-    return (ends[1] - ends[0]) / (2.0 * DIFFERENCE)
+    layout, start, columns = simulator.layout, simulator.state(), []
+    for row in layout.wtg("angle"):
+        powers = []
+        for sign in (-1.0, 1.0):
+            simulator.set_state(start + sign * DIFFERENCE * (layout.state_rows == row))
+            simulator.evaluate()
+            powers.append(simulator.wtg_values("power")[0])
+        columns.append((powers[1] - powers[0]) / (2.0 * DIFFERENCE))
+    return np.stack(columns, axis=1)
 
 
 # --- the tables -------------------------------------------------------------------------------------------------------
@@ -109,21 +100,16 @@ def compare(law, wind_m_s, side, settings):
     return loop, float((np.abs(nearest - poles) / np.abs(poles)).max())
 
 
-def sides(law):
-    """Return the slopes of g(ω) that differ at the set-point: the margins on both belong into the table."""
-    return ("under", "over") if law.k_min != law.k_max else ("under",)
-
-
 def margins_table():
     """Return how the models differ on an infinite bus, and the margins in the 14-bus system, a law in one row."""
     plant, paper = infinite_bus(), get_suite("paper").scenario(0)
     differences, rows, coefficients = [], [], []
     for law in STRATEGIES.values():
         in_system = dict(zip(paper.wind_speed[:, 0], np.diag(synchronising_coefficients(paper, law)), strict=True))
-        cells = []
+        cells, sides = [], ("under", "over") if law.k_min != law.k_max else ("under",)
         for wind in WINDS:
-            alone, difference = zip(*(compare(law, wind, side, plant) for side in sides(law)), strict=True)
-            system = [single_machine(law, wind, float(in_system[wind]), side=side) for side in sides(law)]
+            alone, difference = zip(*(compare(law, wind, side, plant) for side in sides), strict=True)
+            system = [single_machine(law, wind, float(in_system[wind]), side=side) for side in sides]
             differences += difference
             coefficients.append([loops[0].synchronising_coefficient for loops in (alone, system)])
             # One number where the slopes of g(ω) do not differ.
