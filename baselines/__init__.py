@@ -6,7 +6,7 @@ them. Your own law needs no module but a TOML file (`wtg-gym simulate --example-
 """
 
 from wtg_gym.evaluation import Entry
-from wtg_gym.physics import tracking_law
+from wtg_gym.physics.tracking_law import get_law
 
 #: The source of the coordinated laws.
 COORDINATED_SOURCE = (
@@ -17,15 +17,15 @@ COORDINATED_SOURCE = (
 DELOADED_SOURCE = "X. Lyu, D. Groß, IEEE Trans. Sustain. Energy 15(1), 2024"
 
 
-def _baseline(law: tracking_law.TrackingLaw, description: str, source: str) -> Entry:
-    return Entry(name=law.name, strategy=law, description=description, source=source)
+def _baseline(name: str, description: str, source: str) -> Entry:
+    return Entry(name=name, strategy=get_law(name), description=description, source=source)
 
 
 #: The reference at 0 in version v0: P_st = K_opt ω_m³ in 2H ω̇ = P_st - p - D_p (ω - ω_st). At K_opt the rotor sits on
 #: the top of the power curve. When the frequency falls, the droop takes energy from the rotor, the slower rotor
 #: captures less, and in the end the turbine gives less than before, or stalls.
 MPPT = _baseline(
-    tracking_law.mppt(),
+    "mppt",
     "Maximum power point tracking with plain droop; no reserve.",
     f"{COORDINATED_SOURCE}, frequency dynamics with maximum power point tracking",
 )
@@ -33,14 +33,14 @@ MPPT = _baseline(
 #: With 5 % little power is given up, and little is in reserve: a large fall of the frequency takes the rotor past the
 #: top of the power curve, where it behaves as with maximum power point tracking.
 DELOADED_5 = _baseline(
-    tracking_law.deloaded(0.05),
+    "deloaded-5",
     "5 % below the available power at nominal frequency, with plain droop.",
     f"{DELOADED_SOURCE}; {COORDINATED_SOURCE}, frequency dynamics with deloading",
 )
 #: The reserve lasts longer than with 5 %, at the price of energy: in calm operation twice as much is given up, and a
 #: rise of the frequency drives the rotor faster than need be.
 DELOADED_10 = _baseline(
-    tracking_law.deloaded(0.10),
+    "deloaded-10",
     "10 % below the available power at nominal frequency, with plain droop.",
     f"{DELOADED_SOURCE}; {COORDINATED_SOURCE}, frequency dynamics with deloading",
 )
@@ -48,7 +48,7 @@ DELOADED_10 = _baseline(
 #: At ω_min the turbine reaches its best point, at ω_max the deloading limit of 10 %, whatever the wind. How much
 #: reserve it holds at ω_st follows from the line and is not prescribed.
 COORDINATED_LINEAR = _baseline(
-    tracking_law.coordinated_linear(),
+    "coordinated-linear",
     "k falls on a straight line from K_opt at ω_min to K_pr at ω_max; transient damping.",
     f"{COORDINATED_SOURCE}, equation of the linear g(ω)",
 )
@@ -56,14 +56,14 @@ COORDINATED_LINEAR = _baseline(
 #: 5 % deloading, K_pr that of 10 %: 5 % of the available power are ready upwards and downwards. Zero action of the
 #: environment, with its default strategy, is exactly this law. It scores 100 in v0 and 0 in v1.
 COORDINATED_PIECEWISE = _baseline(
-    tracking_law.coordinated_piecewise(),
+    "coordinated-piecewise",
     "The reference: k passes through K_opt, K_n and K_pr; transient damping.",
     f"{COORDINATED_SOURCE}, equation of the augmented g(ω)",
 )
 #: The droop cancels altogether, 2H ω̇ = g(ω) ω_m³ - p, so that only g(ω) regulates. That leaves little damping of fast
 #: swings: the reason for the filter in the reference.
 COORDINATED_UNDAMPED = _baseline(
-    tracking_law.coordinated_undamped(),
+    "coordinated-undamped",
     "The reference's g(ω) without any droop: fast swings are hardly damped.",
     f"{COORDINATED_SOURCE}, open loop of the proposed law",
 )
@@ -71,14 +71,14 @@ COORDINATED_UNDAMPED = _baseline(
 #: still begins at K_opt, so that no steady state gives less power at a lower frequency. It ends far below K_pr, and the
 #: filter is faster, so that g takes over from the droop sooner.
 COORDINATED_TUNED = _baseline(
-    tracking_law.get_law("coordinated-tuned"),
+    "coordinated-tuned",
     "The piecewise law tuned to a grid that needs the wind; k is never beyond K_opt.",
     f"{COORDINATED_SOURCE}, equation of the augmented g(ω), with other numbers",
 )
 #: The same, tuned without the bound at K_opt: below ω_st it soon asks for more than the turbine captures for long, and
 #: takes the rest from the rotor.
 COORDINATED_FREE = _baseline(
-    tracking_law.get_law("coordinated-free"),
+    "coordinated-free",
     "The tuned law without the bound: k passes beyond K_opt.",
     f"{COORDINATED_SOURCE}, equation of the augmented g(ω), with other numbers",
 )

@@ -20,10 +20,11 @@ from wtg_gym.envs.settings import EnvSettings
 from wtg_gym.physics.layout import Floats
 from wtg_gym.physics.tracking_law import (
     LARGEST_COEFFICIENT,
+    REFERENCE_STRATEGY,
     TIME_CONSTANT_RANGE,
     TrackingLaw,
     Tuning,
-    coordinated_piecewise,
+    get_law,
 )
 from wtg_gym.progress import Progress
 from wtg_gym.scenarios import get_suite
@@ -92,7 +93,7 @@ def law_of(x: Floats) -> TrackingLaw:
     A point is how far k lies above K_opt, above K_n and below K_pr, as shares, tenths and shares of K_opt - K_pr, and
     ln(τ / 0.8 s); without the first number k_min is K_opt, and nothing is beyond it.
     """
-    paper = coordinated_piecewise()
+    paper = get_law(REFERENCE_STRATEGY)
     span, capped = paper.k_min - paper.k_max, len(x) == 3
     above_opt, above_nominal, below_limit, log_tau = (0.0, *x) if capped else x
     nominal = paper.k_nominal + 0.1 * above_nominal * span
@@ -105,7 +106,7 @@ def law_of(x: Floats) -> TrackingLaw:
 
 def tuning_of(law: TrackingLaw) -> Tuning:
     """Return the numbers that make a law of the piecewise one."""
-    paper = coordinated_piecewise()
+    paper = get_law(REFERENCE_STRATEGY)
     away = law.k_min - paper.k_min, law.k_nominal - paper.k_nominal, paper.k_max - law.k_max
     return Tuning(*(offset / (paper.k_min - paper.k_max) for offset in away), law.damping_time_constant_s)
 

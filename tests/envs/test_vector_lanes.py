@@ -16,7 +16,7 @@ from tests.envs import rollouts
 from wtg_gym.envs import GFMWTGEnv, GFMWTGVectorEnv
 from wtg_gym.physics.scenario import GroupTrip, LoadStep
 from wtg_gym.scenarios import SUITES
-from wtg_gym.scenarios.sensor_distribution import SensorDistribution
+from wtg_gym.scenarios.draws import SensorDistribution
 
 ROOT = Path(__file__).resolve().parents[2]
 

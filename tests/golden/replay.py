@@ -25,15 +25,14 @@ def replay(case: Case, events: Sequence[Event], time_s: Floats, step_s: float) -
     """
     opened = {case.network.branch_index(e.from_bus, e.to_bus) for e in events if isinstance(e, LineTrip)}
     splits = len(case.network.parts_without(tuple(opened))) > 1
-    returns = any(getattr(event, "returns_after_s", None) is not None for event in events)
-    # The other simulators have no protection. Islands and returns need extended physics, which changes no machine.
+    # The other simulators have no protection. Islands need extended physics, which changes no machine.
     settings = Plant(
         case=case.network,
         groups=(),
         control_dt=ROW_S,
         simulation_dt=step_s,
         protection=ProtectionParameters(frequency_min_pu=0.5),
-        limits=ConverterLimitParameters() if splits or returns else None,
+        limits=ConverterLimitParameters() if splits else None,
     )
     duration_s = float(time_s[-1])
     simulator = Simulator(settings, duration_s=duration_s)

@@ -71,24 +71,10 @@ def agrees(tape: Tape, scenarios: list[sc.Scenario], actions: Floats, tolerance:
     return found
 
 
-#: Units that come back change the network twice within a simulation step.
-RETURNS = (
-    sc.GroupTrip(time_s=1.0, group=0, returns_after_s=1.0),
-    sc.MachineOutage(time_s=1.5, bus=3, returns_after_s=1.025),
-    sc.LineTrip(time_s=1.0, from_bus=4, to_bus=5, recloses_after_s=2.025),
-)
-
-
-@pytest.mark.parametrize(
-    ("settings", "events"),
-    [({}, ()), ({**V1, "suite": "faults"}, ()), ({**V1, "suite": "faults"}, RETURNS), (KUNDUR, ())],
-)
-def test_a_step_is_replayed_to_the_last_bit(settings, events, monkeypatch):
+@pytest.mark.parametrize("settings", [{}, {**V1, "suite": "faults"}, KUNDUR])
+def test_a_step_is_replayed_to_the_last_bit(settings, monkeypatch):
     tape = tape_of(**settings)
-    scenarios = [dataclasses.replace(own, events=events or own.events) for own in drawn(tape)]
-    # The replay goes through the return of a unit, which the way back refuses.
-    tape.lanes.start(list(range(N_LANES)), scenarios)
-    tape._begin(started=True)
+    tape.start(drawn(tape))
     for own in actions_of(tape, 60):
         tape.step(own)
     simulator, after = tape.lanes.simulator, list[Floats]()
@@ -374,10 +360,6 @@ ZEROS = np.zeros((5, N_LANES, 4))
         (lambda tape, own: check_by_differences(tape, own, ZEROS, step=0.0), r"step .* 1e-9 … 0.1, got 0.0"),
         (lambda tape, own: check_by_differences(tape, own, ZEROS, direction=np.ones(3)), "direction must be"),
         (lambda tape, scenarios: check_by_differences(tape, scenarios, ZEROS, {"power": 1.0}), "unknown terms"),
-        (
-            lambda tape, scenarios: tape.start([given(2, sc.GroupTrip(time_s=1.0, group=0, returns_after_s=1.0))] * 3),
-            "do not go through the return of a unit: GroupTrip",
-        ),
         # More steps than were taken, the last of which would have counted nothing.
         (lambda tape, scenarios: tape.back(outputs=np.zeros((2, N_LANES, 8))), r"\(1, 3, 8\), got \(2, 3, 8\)"),
     ],

@@ -18,7 +18,7 @@ from wtg_gym.physics.plant import with_places
 from wtg_gym.physics.protection import STAGES
 from wtg_gym.physics.scenario import LoadStep
 from wtg_gym.physics.simulator import Simulator
-from wtg_gym.physics.tracking_law import mppt
+from wtg_gym.physics.tracking_law import get_law
 
 
 def against_golden_trace(name: str, events: Sequence[LoadStep], **more: Any) -> tuple[Simulator, dict[str, float]]:
@@ -44,7 +44,7 @@ def against_golden_trace(name: str, events: Sequence[LoadStep], **more: Any) -> 
         simulation_dt=ROW_S / 20.0,
         **more,
     )
-    law = mppt(settings.turbine)
+    law = get_law("mppt", settings.turbine)
     power = case.power["2a"].real * case.network.base_mva / units["2a"].rating_mva
     wind = (power / tracking_point(0.0, settings.turbine).power_coefficient) ** (1.0 / 3.0)
     wind /= settings.turbine.wind_power_pu_per_cubic_wind ** (1.0 / 3.0)

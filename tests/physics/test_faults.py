@@ -3,15 +3,13 @@
 import numpy as np
 import pytest
 
-from tests.physics.extended import LAW, NO_SHEDDING, phasors, plant, recorded, scenario, started
-from tests.physics.test_islands import PARTED_WIND, cut, parted
-from wtg_gym.physics.parameters import ConverterLimitParameters, WtgGroup
+from tests.physics.extended import LAW, NO_SHEDDING, plant, recorded, scenario, started
+from wtg_gym.physics.parameters import ConverterLimitParameters
 from wtg_gym.physics.protection import Status
-from wtg_gym.physics.reduction import assemble, refresh_network
-from wtg_gym.physics.scenario import Fault, GroupTrip, LineTrip, LoadStep, MachineOutage, ReactanceStep
+from wtg_gym.physics.reduction import assemble
+from wtg_gym.physics.scenario import Fault, LineTrip, LoadStep, ReactanceStep
 from wtg_gym.physics.simulator import Simulator
 from wtg_gym.physics.trajectory import simulate
-from wtg_gym.physics.units import BUSES, UNITS
 
 
 def bus_matrix(simulator: Simulator) -> np.ndarray:
@@ -70,61 +68,6 @@ def test_a_reactance_step_gives_the_network_with_that_impedance(ends, factor):
 
 #: A loss of load: machines press power into the converter that gives least.
 PRESSED = (LoadStep(time_s=1.0, bus=3, power_mw=-130.0), LoadStep(time_s=1.0, bus=9, power_mw=-50.0))
-
-
-def return_now(simulator: Simulator) -> None:
-    """What happens at the beginning of the step in which units come back, as far as currents and powers."""
-    for _ in range(2):
-        refresh_network(simulator.blocks[0], 0, 0, simulator.plant.network, simulator.data)
-        simulator.evaluate()
-
-
-@pytest.mark.parametrize("table", [False, True])
-@pytest.mark.parametrize("who", ["group", "condenser", "machine with a governor"])
-def test_a_unit_that_returns_is_in_step_with_its_bus_and_picks_up_again(who, table):
-    bus, own = {"group": (2, "wtg1."), "condenser": (3, "sync1."), "machine with a governor": (1, "sync0.")}[who]
-    given: dict[str, float] = {"time_s": 1.0, "returns_after_s": 3.0}
-    event = GroupTrip(**given, group=1) if who == "group" else MachineOutage(**given, bus=bus)
-    # While it is away the others live without the machine with a governor.
-    settings = plant(
-        table=table, control_dt=0.025, shedding=NO_SHEDDING, groups=(WtgGroup(bus=2, n_turbines=24.0),) * 2
-    )
-    simulator = started(settings, scenario(event, wind=[[11.2], [11.2]], duration_s=90.0), duration_s=90.0)
-    layout = simulator.layout
-    unit = {"group": layout.n_sync + 1, "condenser": 1}.get(who, 0)
-    recorded(simulator, 4.0)
-    assert simulator.blocks[0, simulator.plant.network.connected[unit], 0] == 0.0
-    voltage, state = simulator.bus_voltages()[settings.case.bus_index(bus)], simulator.state()
-    frequency = simulator.blocks[0, layout.rows_of(BUSES, "frequency")[settings.case.bus_index(bus)], 0]
-    return_now(simulator)
-    assert simulator.blocks[0, simulator.plant.network.connected[unit], 0] == 1.0
-    of_unit = dict(zip(layout.state_names, simulator.state(), strict=True))
-    # All others go on from where they are, and so do its rotor and blades, or what it has given.
-    synchronised = ("angle", "speed", "filter", "internal_voltage", "over_power", "under_power")
-    kept = [
-        not name.startswith((own, "hydro0" if bus == 1 else own))
-        or (who == "group" and name.split(".")[1] not in synchronised)
-        for name in layout.state_names
-    ]
-    assert (simulator.state()[kept] == state[kept]).all()
-    assert of_unit[f"{own}speed"] == frequency
-    emf, current = phasors(simulator, UNITS, "voltage")[unit], phasors(simulator, UNITS, "current")[unit]
-    assert abs(emf - voltage) < 1e-12 and abs(current) < 1e-6
-    found = recorded(simulator, 80.0, "speed")
-    assert simulator.lane_values("status")[0] == Status.RUNNING
-    assert np.ptp(found["speed"][-1]) < 1e-6
-    power = (phasors(simulator, UNITS, "voltage") * phasors(simulator, UNITS, "current").conj()).real
-    assert abs(power[unit]) < 1e-3 if who == "condenser" else power[unit] > 0.4
-
-
-def test_a_unit_whose_bus_is_dark_when_it_would_return_stays_away():
-    # The part of bus 9 dies without its group.
-    events = (GroupTrip(time_s=1.5, group=1, returns_after_s=10.0), *cut(1.0))
-    simulator = started(parted(), scenario(*events, wind=PARTED_WIND))
-    recorded(simulator, 15.0)
-    assert simulator.lane_values("status")[0] == Status.RUNNING
-    assert simulator.wtg_values("connected")[0].tolist() == [1.0, 0.0]
-    assert np.abs(simulator.bus_voltages()[5:]).max() == 0.0
 
 
 def test_a_record_shows_the_frequency_of_the_voltage():

@@ -133,9 +133,8 @@ EVERY = (
     sc.ReactanceStep(time_s=1.0, from_bus=1, to_bus=2, factor=2.0),
     sc.PhaseJump(time_s=1.0, bus=1, angle_deg=-30.0),
     sc.FrequencyRamp(time_s=1.0, bus=1, rocof_hz_s=1.0, duration_s=2.0),
-    sc.MachineOutage(time_s=1.0, bus=3, returns_after_s=2.0),
     sc.MachineOutage(time_s=1.0, bus=6),
-    sc.GroupTrip(time_s=1.0, group=0, returns_after_s=2.0),
+    sc.GroupTrip(time_s=1.0, group=0),
 )
 
 

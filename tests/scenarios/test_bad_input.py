@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from wtg_gym.scenarios import ScenarioDistribution, Suite, draws, get_suite, read_wind_csv
-from wtg_gym.scenarios.sensor_distribution import SensorDistribution
+from wtg_gym.scenarios.draws import SensorDistribution
 
 STANDARD, SHARED = get_suite("standard"), get_suite("standard-v1").distributions[0]
 WIND = draws.Wind()

@@ -5,7 +5,7 @@ import math
 import pytest
 
 from wtg_gym.scenarios import SUITES, get_suite
-from wtg_gym.scenarios.sensor_distribution import SensorDistribution
+from wtg_gym.scenarios.draws import SensorDistribution
 
 USUAL = SensorDistribution()
 SEEDS = range(10_000, 14_000)

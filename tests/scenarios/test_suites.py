@@ -11,12 +11,10 @@ import pytest
 from wtg_gym.envs.lanes import TaskLanes
 from wtg_gym.envs.settings import EnvSettings
 from wtg_gym.evaluation import evaluate
-from wtg_gym.physics.scenario import GroupTrip, Scenario
+from wtg_gym.physics.scenario import Scenario
 from wtg_gym.scenarios import FROZEN_HASHES, SUITES, ScenarioDistribution, get_suite
-from wtg_gym.scenarios.draws import Draft, LoadEvents, LoadNoise, Record, Wind
+from wtg_gym.scenarios.draws import Draft, LoadEvents, LoadNoise, Picker, Record, SensorDistribution, Wind
 from wtg_gym.scenarios.margin import reserve_margin
-from wtg_gym.scenarios.sensor_distribution import SensorDistribution
-from wtg_gym.scenarios.stream import Picker
 from wtg_gym.tasks import V1
 
 FIRST = [name for name, suite in SUITES.items() if suite.task.version == "v0"]
@@ -67,13 +65,13 @@ def test_hash_sees_scenarios_plant_sensors_and_task_but_not_words_and_copies(sui
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Blinks(Record):
-    """A kind of event that the package does not have: the first WTG group is away for some time."""
+    """A kind of event that the package does not draw: a line is open for some time."""
 
     away_s: tuple[float, float] = (1.0, 2.0)
 
     def draw(self, pick: Picker, draft: Draft) -> None:
         away_s, time_s = pick.instant(self.away_s), pick.instant(draft.window)
-        draft.events.append(GroupTrip(time_s=time_s, group=0, returns_after_s=away_s))
+        draft.events.append(LineTrip(time_s=time_s, from_bus=4, to_bus=5, recloses_after_s=away_s))
 
 
 def test_a_suite_of_ones_own_records_is_played_without_a_file():
@@ -85,7 +83,7 @@ def test_a_suite_of_ones_own_records_is_played_without_a_file():
     env.reset(seed=1)
     assert env.unwrapped.settings.resolved_suite is suite and env.unwrapped.settings.suite_name == "mine"
     for scenario in suite.scenarios(range(10_000, 10_002)):
-        assert [type(event) for event in scenario.events[2:]] == [GroupTrip]
+        assert [type(event) for event in scenario.events[2:]] == [LineTrip]
         # Nothing else is drawn: droop, inertia, load and commitment are those of the grid.
         assert (scenario.governor_droop, scenario.inertia_scale, scenario.load_level) == (None, 1.0, 1.0)
         assert scenario.committed == 1.0 and scenario.load_noise_mw.size == 0

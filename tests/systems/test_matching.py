@@ -19,7 +19,7 @@ from wtg_gym.physics import step
 from wtg_gym.physics.layout import Layout, place_in
 from wtg_gym.physics.machine_models import CONTROLS
 from wtg_gym.physics.units import ControlJoining, Joining
-from wtg_gym.systems.programs import Delay, Here, Product, Program, Repeat, When, build_table
+from wtg_gym.systems.programs import Here, Product, Program, Repeat, When, build_table
 from wtg_gym.systems.routines import Routine
 from wtg_gym.systems.systems import Kind, System, system
 from wtg_gym.tasks import V0, V1
@@ -156,15 +156,6 @@ REFUSED: dict[str, tuple[Callable[[], Any], str]] = {
     "matrix": (lambda: Product(HOSTS, "flaw", GUESTS, "copy", "copy"), "hosts have no part 'flaw' .* mean 'flow'"),
     "vector in rows": (lambda: Product(HOSTS, "flow", GUESTS, "state", "copy"), "no part 'state' in scratch"),
     "real vector": (lambda: Product(HOSTS, "flow", GUESTS, "level", "copy"), "must be complex numbers"),
-    "delayed part": (lambda: Delay(GUESTS, "copi", "copy", GUESTS, "state", "own_first", "own_first"), "mean 'copy'"),
-    "ring of another record": (
-        lambda: Delay(GUESTS, "copy", "copy", GUESTS, "other", "own_first", "own_first"),
-        "'copy', 'copy' and 'other' of a delay must be of one record",
-    ),
-    "delay in scratch": (
-        lambda: Delay(GUESTS, "copy", "copy", GUESTS, "state", "own_first", "own_level"),
-        "'own_level' of a delay is no single number that lasts",
-    ),
     "link": (
         lambda: Layout({GUESTS: 1, HOSTS: 1}, {(GUESTS, "hots"): np.array([0])}),
         "unknown labels of what guests see ['hots']; known labels of what guests see: host, far_; did you mean 'host'",
@@ -225,7 +216,7 @@ def test_every_name_of_every_system_means_one_thing_and_is_annotated_with_it():
             # The records of controls are made when they are.
             unknown = name in ("control", "model") and one.equation.__module__ == "wtg_gym.physics.machine_controls"
             assert annotations[name] is (Any if unknown else one.places[name].record), (one.name, name)
-    assert len(systems) > 150
+    assert len(systems) > 140
 
 
 def test_there_is_a_list_for_every_place_where_systems_may_join():

@@ -7,16 +7,7 @@ from typing import TYPE_CHECKING, Any, Unpack
 
 import gymnasium as gym
 
-from wtg_gym.envs.interface import (
-    Action,
-    Observation,
-    OverLanes,
-    as_actions,
-    check_options,
-    in_use,
-    one_thread,
-    warn_of_no_render_mode,
-)
+from wtg_gym.envs import interface
 from wtg_gym.envs.settings import EnvArguments, as_scenario
 from wtg_gym.signals import HeldSignals
 
@@ -24,7 +15,7 @@ if TYPE_CHECKING:
     from wtg_gym.envs.rendering import Frame
 
 
-class GFMWTGEnv(OverLanes, gym.Env[Observation, Action]):
+class GFMWTGEnv(interface.OverLanes, gym.Env[interface.Observation, interface.Action]):
     """Grid-forming wind turbine generators hold up the frequency of the modified IEEE 14-bus system.
 
     ## Description
@@ -90,10 +81,10 @@ class GFMWTGEnv(OverLanes, gym.Env[Observation, Action]):
         self.observation_space, self.action_space = self._open(arguments, render_mode)
         self._action_shape = (self._lanes.n_action,)
 
-    @one_thread
+    @interface.one_thread
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[Observation, dict[str, Any]]:
+    ) -> tuple[interface.Observation, dict[str, Any]]:
         """Start an episode.
 
         Args:
@@ -104,7 +95,7 @@ class GFMWTGEnv(OverLanes, gym.Env[Observation, Action]):
             ValueError: unknown options, or a scenario that does not fit; nothing has changed then.
             gymnasium.error.Error: the seed is not a whole number of 0 or more.
         """
-        given = check_options(options, ("scenario",))
+        given = interface.check_options(options, ("scenario",))
         # A given scenario that cannot start is refused before the first change, of the generator too.
         scenario = as_scenario('options["scenario"]', given["scenario"]) if "scenario" in given else None
         episodes = None if scenario is None else self._lanes.prepare([scenario], turning=True)
@@ -115,7 +106,7 @@ class GFMWTGEnv(OverLanes, gym.Env[Observation, Action]):
             self._frames.show()
         return self._lanes.observations[0].copy(), self._lanes.info()
 
-    def step(self, action: Action) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
+    def step(self, action: interface.Action) -> tuple[interface.Observation, float, bool, bool, dict[str, Any]]:
         """Hold the action for one control step.
 
         Args:
@@ -132,9 +123,9 @@ class GFMWTGEnv(OverLanes, gym.Env[Observation, Action]):
         # As one_thread does; a decorator would add a tenth to the shortest step. An interrupt comes before or after the
         # one call that changes the episode.
         if use.taken_by("thread", thread) != thread:
-            raise in_use(self, "step")
+            raise interface.in_use(self, "step")
         try:
-            actions = as_actions(action, self._action_shape)[None, :]
+            actions = interface.as_actions(action, self._action_shape)[None, :]
             if self._frames is None:
                 lanes.step(actions)
             else:
@@ -158,7 +149,7 @@ class GFMWTGEnv(OverLanes, gym.Env[Observation, Action]):
             RuntimeError: no episode was started; or "human" finds no display.
         """
         if self._frames is None:
-            warn_of_no_render_mode()
+            interface.warn_of_no_render_mode()
             return None
         if self.render_mode == "human":
             self._frames.show()

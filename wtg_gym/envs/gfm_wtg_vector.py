@@ -12,15 +12,7 @@ from gymnasium.utils import seeding
 from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space
 
-from wtg_gym.envs.interface import (
-    Action,
-    Observation,
-    OverLanes,
-    as_actions,
-    check_options,
-    one_thread,
-    warn_of_no_render_mode,
-)
+from wtg_gym.envs import interface
 from wtg_gym.envs.next_episodes import NextEpisodes
 from wtg_gym.envs.settings import EnvArguments, as_scenario
 from wtg_gym.physics.scenario import Scenario
@@ -32,7 +24,9 @@ if TYPE_CHECKING:
 _MOST_ENVS = 1_000_000
 
 
-class GFMWTGVectorEnv(OverLanes, gym.vector.VectorEnv[Observation, Action, npt.NDArray[Any]]):
+class GFMWTGVectorEnv(
+    interface.OverLanes, gym.vector.VectorEnv[interface.Observation, interface.Action, npt.NDArray[Any]]
+):
     """Many :class:`GFMWTGEnv` episodes in one compiled call.
 
     Args:
@@ -83,10 +77,10 @@ class GFMWTGVectorEnv(OverLanes, gym.vector.VectorEnv[Observation, Action, npt.N
         self._all_lanes = np.ones(num_envs, dtype=np.bool_)
         self._all_lanes.setflags(write=False)
 
-    @one_thread
+    @interface.one_thread
     def reset(
         self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[Observation, dict[str, Any]]:
+    ) -> tuple[interface.Observation, dict[str, Any]]:
         """Start an episode in every environment, or in those of a mask.
 
         Args:
@@ -97,7 +91,7 @@ class GFMWTGVectorEnv(OverLanes, gym.vector.VectorEnv[Observation, Action, npt.N
         Raises:
             ValueError: unknown options, wrong lengths, or scenarios that do not fit.
         """
-        given = check_options(options, ("reset_mask", "scenarios"))
+        given = interface.check_options(options, ("reset_mask", "scenarios"))
         mask = self._reset_mask(given.get("reset_mask"))
         seeds = self._lane_seeds(seed)
         scenarios = self._scenarios(given["scenarios"]) if "scenarios" in given else None
@@ -146,10 +140,10 @@ class GFMWTGVectorEnv(OverLanes, gym.vector.VectorEnv[Observation, Action, npt.N
             seeds = seed
         return [None if each is None else require_whole("a seed", each, 0) for each in seeds]
 
-    @one_thread
+    @interface.one_thread
     def step(
-        self, actions: Action
-    ) -> tuple[Observation, npt.NDArray[Any], npt.NDArray[Any], npt.NDArray[Any], dict[str, Any]]:
+        self, actions: interface.Action
+    ) -> tuple[interface.Observation, npt.NDArray[Any], npt.NDArray[Any], npt.NDArray[Any], dict[str, Any]]:
         """Hold the actions for one control step in every environment.
 
         Args:
@@ -169,7 +163,7 @@ class GFMWTGVectorEnv(OverLanes, gym.vector.VectorEnv[Observation, Action, npt.N
         beginning = np.flatnonzero(waiting).tolist()
         preparing = self._next.choose(beginning)
         self._lanes.step(
-            as_actions(actions, (self.num_envs, self._lanes.n_action)),
+            interface.as_actions(actions, (self.num_envs, self._lanes.n_action)),
             lambda: self._next.prepare(preparing),
             len(preparing),
         )
@@ -222,7 +216,7 @@ class GFMWTGVectorEnv(OverLanes, gym.vector.VectorEnv[Observation, Action, npt.N
             RuntimeError: an environment was never started.
         """
         if self._frames is None:
-            warn_of_no_render_mode()
+            interface.warn_of_no_render_mode()
             return None
         return self._frames.paint()
 

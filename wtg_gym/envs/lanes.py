@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from wtg_gym.envs.settings import EnvSettings
-from wtg_gym.envs.stepping import Outputs, bind, new_outputs, step_blocks, task_data
+from wtg_gym.envs.stepping import Outputs, bind, log_score, new_outputs, step_blocks, task_data
 from wtg_gym.physics.equilibrium import StartError
 from wtg_gym.physics.layout import LaneData
 from wtg_gym.physics.linearisation import STEP_MARGIN, StepError, largest_stable_steps
@@ -22,7 +22,6 @@ from wtg_gym.physics.sensors import SensorInput, delay_intervals, sensor_input
 from wtg_gym.physics.simulator import PreparedLanes, Simulator
 from wtg_gym.ranges import whole_steps
 from wtg_gym.signals import undivided
-from wtg_gym.systems.systems import flatten, size
 from wtg_gym.tasks.cost import COST, FILTERED_DUTY, CostTerms
 from wtg_gym.tasks.episode import ACTING, ACTION_MODES, HISTORY, TASK, TIME_CONSTANT_RATIO
 from wtg_gym.tasks.observation import Info, LocalInfo
@@ -138,7 +137,7 @@ class TaskLanes:
     @property
     def n_substeps(self) -> int:
         """Simulation steps of a control step."""
-        return self.settings.n_intervals * self.simulator.plant.n_substeps
+        return self.settings.n_intervals * self.simulator.plant.network.facts.n_substeps
 
     @cached_property
     def _of_episodes(self) -> dict[str, Any]:
@@ -173,7 +172,7 @@ class TaskLanes:
         """Refuse settings under which drawn scenarios do not fit, here rather than at some reset."""
         if self.settings.scenario is not None:
             return
-        sensors = self.settings.sensor_distribution()
+        sensors = self.settings.sensor_distribution
         for delay_s in [] if sensors is None else sensors.delays_s():
             delay_intervals(delay_s, self.settings.interval_s)
         for distribution in self.suite.distributions:
@@ -192,7 +191,7 @@ class TaskLanes:
             n_wtg=self.n_wtg,
             n_turbines=self.n_turbines,
             duration_s=self.duration_s,
-            sensors=self.settings.sensor_distribution(),
+            sensors=self.settings.sensor_distribution,
             plant=self.settings.resolved_plant,
         )
 
@@ -282,10 +281,9 @@ class TaskLanes:
         if self.suite.task.has_sensors:
             first = layout.first_rows(SENSORS, "sensor_input")[0]
             places = [
-                *range(first, first + size(SensorInput)),
+                *range(first, first + len(SensorInput._fields)),
                 *layout.first_rows(SENSED, "wind_bias"),
                 *layout.first_rows(FILTERED_DUTY, "leaves_at"),
-                *layout.first_rows(FILTERED_DUTY, "returns_at"),
             ]
             rows[:, places] = numbers
         outputs = self._new_outputs(len(rows))
@@ -304,15 +302,11 @@ class TaskLanes:
             return []
         given = sensor_input(sensors, self.settings.interval_s, self.nominal_hz)
         biases = (0.0,) * self.n_wtg if sensors is None else sensors.wind_bias
-        # A group that leaves twice is charged from its first return on.
-        leaves_at, returns_at = [math.inf] * self.n_wtg, [math.inf] * self.n_wtg
-        dt = self.simulator.settings.simulation_dt
+        leaves_at = [math.inf] * self.n_wtg
         for event in scenario.events:
-            if isinstance(event, GroupTrip) and event.time_s < leaves_at[event.group] * dt:
-                leaves_at[event.group] = float(round(event.time_s / dt))
-                after = math.inf if event.returns_after_s is None else event.returns_after_s
-                returns_at[event.group] = leaves_at[event.group] + after / dt
-        return [*flatten(given), *biases, *leaves_at, *returns_at]
+            if isinstance(event, GroupTrip):
+                leaves_at[event.group] = float(round(event.time_s / self.simulator.settings.simulation_dt))
+        return [*given, *biases, *leaves_at]
 
     @undivided
     def start(
@@ -352,9 +346,9 @@ class TaskLanes:
         for lane in np.flatnonzero(lanes):
             if self.settings.scores and not (self.outputs.terminated[lane] or self.outputs.truncated[lane]):
                 # Later costs of the reference do not count; what counts makes up for the logarithm now.
-                out, paid_so_far = self.outputs, float(self.cost_sums()[lane].sum())
+                out = self.outputs
                 out.reference[lane, -1] = out.reference[lane, steps[lane]]
-                gained = math.log((out.reference[lane, -1] + out.offsets[lane]) / (paid_so_far + out.offsets[lane]))
+                gained = log_score(out.reference[lane, -1], float(self.cost_sums()[lane].sum()), out.offsets[lane])
                 out.rewards[lane] += self.task_data.points * (gained - out.gained[lane])
                 out.gained[lane] = gained
             self.simulator.stop(int(lane))
@@ -420,7 +414,7 @@ class TaskLanes:
     def cost_sums(self) -> Floats:
         """Return each lane's costs of the episode so far, (n_lanes, n_terms), in the order of `COST_TERMS`."""
         first = self.simulator.layout.first_rows(COST, "sums")[0]
-        return np.stack([self.simulator.values(first + i) for i in range(size(CostTerms))], axis=1)
+        return np.stack([self.simulator.values(first + i) for i in range(len(CostTerms._fields))], axis=1)
 
     def info_arrays(self) -> dict[str, npt.NDArray[Any]]:
         """Return every key of `info` as an array over lanes: copies, except the reasons while no lane has failed."""

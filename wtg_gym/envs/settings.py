@@ -15,7 +15,7 @@ from wtg_gym.physics.scenario import SERIES_DT, Scenario
 from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY, TrackingLaw, group_laws
 from wtg_gym.ranges import require_choice, require_known, require_range, whole_steps
 from wtg_gym.scenarios import DEFAULT_SUITE, SPLITS, SUITES, Suite, get_suite, suite_of_grid
-from wtg_gym.scenarios.sensor_distribution import SensorDistribution
+from wtg_gym.scenarios.draws import SensorDistribution
 from wtg_gym.tasks import TASKS, Task
 from wtg_gym.tasks.cost import CostWeights
 from wtg_gym.tasks.episode import ACTION_MODES
@@ -79,7 +79,7 @@ class EnvSettings:
         weights: replaces single weights of the cost, see :class:`CostWeights`.
         on_failure: what a stall, over- or under-speed of a rotor does: `"terminate"` the episode, default of v0, or
             `"trip"` its group, default of v1.
-        sensors: v1 only. `"exact"`, or values of :class:`~wtg_gym.scenarios.sensor_distribution.SensorDistribution` to
+        sensors: v1 only. `"exact"`, or values of :class:`~wtg_gym.scenarios.draws.SensorDistribution` to
             replace, such as `{"delay_s": (0.2, 0.4), "wind_bias": 0.1}`; delays are multiples of 0.1 s up to 1 s.
             Default: those of the `scenario`, else of the suite.
         version: `"v0"` or `"v1"`. Default: that of `suite`, else v1. `gym.make` sets it from the id.
@@ -110,8 +110,8 @@ class EnvSettings:
             if getattr(self, name) is not getattr(EnvSettings, name):
                 require_choice(name, getattr(self, name), choices)
         suite = self.resolved_suite
-        self.sensor_distribution()
-        _ = self.n_intervals
+        # What they cannot be made of raises here.
+        _ = self.sensor_distribution, self.n_intervals
         if self.duration_s is not None:
             require_range("duration_s", self.duration_s, 1.0, 3600.0, "s")
         if self.scenario is None and suite.distributions:
@@ -182,12 +182,12 @@ class EnvSettings:
         """Intervals in a control step."""
         return whole_steps("control_dt", self.step_s, self.interval_s, "measuring interval")
 
-    @property
+    @cached_property
     def draws_again(self) -> bool:
         """Whether its suite is of a file, whose scenarios nobody has tried: those that cannot start are counted."""
         return self.suite_name.endswith(".json")
 
-    @property
+    @cached_property
     def scores(self) -> bool:
         """Whether rewards are points of the score."""
         return self.reward == "score" if self.reward else self.task.rewards_score
@@ -197,7 +197,7 @@ class EnvSettings:
         """Id of the environment."""
         return self.resolved_suite.env_id
 
-    @property
+    @cached_property
     def task(self) -> Task:
         """What is acted, charged and observed."""
         return self.resolved_suite.task
@@ -208,8 +208,9 @@ class EnvSettings:
         privileged = self.observation_mode == "privileged"
         return Choices(self.resolved_plant, self.cost_weights(), self.action_mode, privileged)
 
+    @cached_property
     def sensor_distribution(self) -> SensorDistribution | None:
-        """Return what the sensors' errors are drawn from, None where they measure exactly; errors name the value."""
+        """What the sensors' errors are drawn from, None where they measure exactly; errors name the value."""
         own = self.resolved_suite.sensors
         if self.sensors is None:
             return own

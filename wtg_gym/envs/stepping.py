@@ -144,13 +144,19 @@ def _report(block: Floats, scratch: Floats, first: int, task: TaskData, outputs:
             outputs.truncated[lane] = not failed and block[task.active, x] < 0.5
 
 
+@compiled
+def log_score(reference: float, cost: float, offset: float) -> float:
+    """Return what a score counts of an episode's costs, ln((C_ref + J0) / (C + J0)), in units of Λ / 100."""
+    return math.log((reference + offset) / (cost + offset))
+
+
 @internal
 def _score(block: Floats, first: int, n_substeps: int, task: TaskData, outputs: Outputs) -> None:
     """Reward the lanes of a block, from `first` on, with what their score has gained in a control step.
 
     On the way gained = (C_ref - C) / (C_ref at the end + J0) of the costs C up to now: what a mistake costs does not
-    depend on what was paid before, which no sensor shows to a critic. At the end it is what the score counts,
-    ln((C_ref + J0) / (C + J0)), to which the former is close unless the costs differ much.
+    depend on what was paid before, which no sensor shows to a critic. At the end it is
+    :func:`log_score`, to which the former is close unless the costs differ much.
     """
     for x in range(min(block.shape[1], outputs.rewards.shape[0] - first)):
         lane, cost = first + x, 0.0
@@ -160,7 +166,7 @@ def _score(block: Floats, first: int, n_substeps: int, task: TaskData, outputs: 
         whole, offset = outputs.reference[lane, -1], outputs.offsets[lane]
         gained = (outputs.reference[lane, steps] - cost) / (whole + offset)
         if steps == -1:
-            gained = math.log((whole + offset) / (cost + offset))
+            gained = log_score(whole, cost, offset)
         outputs.rewards[lane] = task.points * (gained - outputs.gained[lane])
         outputs.gained[lane] = gained
 

@@ -32,7 +32,7 @@ from wtg_gym.policies.play import answer
 from wtg_gym.policies.policy_process import OnnxPolicy, PolicyError
 from wtg_gym.scenarios.suites import DEFAULT_SUITE
 from wtg_gym.tasks.cost import COST_TERMS
-from wtg_gym.tasks.sensing import RING
+from wtg_gym.tasks.sensing import KEPT
 
 Complex = npt.NDArray[np.complex128]
 #: The operating point: wind of all groups [m/s], and the middle of what standard-v1 draws of the grid.
@@ -232,9 +232,9 @@ class Loop:
     @property
     def _rows(self) -> Whole:
         """The plant's rows: without old measurements, which are not seen, and limits at rest, which act one way."""
-        layout, ring = self.layout, self.layout.span(RING)
+        layout, kept = self.layout, self.layout.span(KEPT)
         keep = np.ones(layout.n_rows, dtype=np.bool_)
-        keep[ring.first : ring.first + ring.n_units * ring.n_rows] = False
+        keep[kept.first : kept.first + kept.n_units * kept.n_rows] = False
         keep[one_way_limits(self.tape.lanes.simulator.blocks[0, :, 0], layout)] = False
         return np.flatnonzero(keep)
 

@@ -186,7 +186,7 @@ def shared_settings(settings: EnvSettings) -> dict[str, Any]:
             raise ValueError("results say which plant was played: plant must be a dictionary of what to replace")
         found["replaced"] = dict(settings.plant)
     if task is not V0:
-        sensors = settings.sensor_distribution()
+        sensors = settings.sensor_distribution
         found["version"] = task.version
         found["plant"] = dict(settings.resolved_suite.plant_data)
         found["sensors"] = "exact" if sensors is None else dataclasses.asdict(sensors)

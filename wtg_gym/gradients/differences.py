@@ -112,8 +112,6 @@ def check_by_differences(
 
 
 class _Plays(NamedTuple):
-    """What is played to find differences."""
-
     tape: Tape
     scenarios: Sequence[Scenario]
     actions: Floats

@@ -182,12 +182,10 @@ class Tape:
         self._scratch_outputs = Outputs._make(np.zeros_like(array) for array in lanes.outputs)
 
     def _programs(self, plant: PlantTables) -> tuple[Program, ...]:
-        """Return the programs of the physics, of the task and of the tape."""
         task = self.lanes.settings.task
         return programs_of(plant, *integration.PROGRAMS, *task.programs, *taped_programs(task))
 
     def _link(self, programs: Sequence[Program]) -> None:
-        """Let the plant know where the machine code is in this process."""
         simulator = self.lanes.simulator
         routines = (*routines_of(constants=bool(self.parameters)), *integration.STEPPING)
         code = code_of(programs, {simulator.width: routines}, simulator.functions())
@@ -238,9 +236,6 @@ class Tape:
         n_lanes = self.lanes.n_lanes
         if len(scenarios) != n_lanes or not all(isinstance(scenario, Scenario) for scenario in scenarios):
             raise ValueError(f"episodes need {n_lanes} scenarios, one per environment, got {scenarios!r:.60}")
-        for event in (event for scenario in scenarios for event in scenario.events):
-            if getattr(event, "returns_after_s", None) is not None:
-                raise ValueError(f"gradients do not go through the return of a unit: {event}")
         self.lanes.start(list(range(n_lanes)), scenarios)
         self._begin(started=True)
         return self.lanes.observations.copy()
@@ -300,7 +295,6 @@ class Tape:
 
     @undivided
     def _again(self, blocks: Floats, actions: Floats) -> None:
-        """Step blocks as the environment did."""
         own = self.lanes.simulator
         bound = bind(blocks, own.scratches, own.plant.network, own.data, self.lanes.task_data, self._scratch_outputs)
         own.threads.run(lambda first, last, worker: step_blocks(bound, actions, first, last, worker, False))

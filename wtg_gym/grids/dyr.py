@@ -174,7 +174,6 @@ class Dynamics:
         return [first, second]
 
     def _controls(self, at: str, records: dict[str, list[float]]) -> dict[str, Any]:
-        """Return exciter, governor and stabiliser of a machine."""
         found: dict[str, Any] = {}
         for model, numbers in records.items():
             known, what = _READ_AS.get(model), f"{at}: {model}"

@@ -22,15 +22,7 @@ from scipy.io.matlab import MatReadError
 
 from wtg_gym.extras import install_advice
 from wtg_gym.files import parse_json, read_text
-from wtg_gym.grids.solved_case import (
-    BASE_MVA,
-    UNLIMITED,
-    Infeed,
-    SolvedCase,
-    TwoPort,
-    refuse_large,
-    refuse_unread,
-)
+from wtg_gym.grids import solved_case
 
 #: What every file of a network of pandapower says before its tables.
 _MARK, _MARK_WITHIN = "pandapowerNet", 300
@@ -67,7 +59,7 @@ def is_network(path: Path) -> bool:
         return _MARK in file.read(_MARK_WITHIN)
 
 
-def read_matpower(path: Path, frequency_hz: float | None, drop: Collection[str]) -> SolvedCase:
+def read_matpower(path: Path, frequency_hz: float | None, drop: Collection[str]) -> solved_case.SolvedCase:
     """Return the case of a .m or .mat file, as PYPOWER solves it.
 
     Raises:
@@ -90,11 +82,11 @@ def read_matpower(path: Path, frequency_hz: float | None, drop: Collection[str])
     if "dcline" in more:
         lines = np.atleast_2d(np.array(given["dcline"], dtype=float))
         more["dcline"] = int(lines[:, 2].sum()), float((lines[:, 2] * abs(lines[:, 3])).sum())
-    refuse_unread(more, drop, notes)
-    refuse_large(len(tables["bus"]))
+    solved_case.refuse_unread(more, drop, notes)
+    solved_case.refuse_large(len(tables["bus"]))
     for name, columns in (("bus", 13), ("gen", 21), ("branch", 13)):
         # Limits may be infinite or none.
-        rows = np.nan_to_num(tables[name], posinf=UNLIMITED, neginf=-UNLIMITED)
+        rows = np.nan_to_num(tables[name], posinf=solved_case.UNLIMITED, neginf=-solved_case.UNLIMITED)
         tables[name] = np.pad(rows, ((0, 0), (0, max(columns - rows.shape[1], 0))))
     unsolved = {"version": "2", "baseMVA": float(given["baseMVA"]), **tables}
     with warnings.catch_warnings():
@@ -135,7 +127,7 @@ def _written_tables(text: str) -> tuple[dict[str, Any], dict[int, str]]:
     return {**dict(scalars), **{name: [row for row in body if row] for name, body in rows.items()}}, fuels
 
 
-def read_pandapower(path: Path, frequency_hz: float | None, drop: Collection[str]) -> SolvedCase:
+def read_pandapower(path: Path, frequency_hz: float | None, drop: Collection[str]) -> solved_case.SolvedCase:
     """Return the case of a network's file, as pandapower solves it; a bus has pandapower's index plus one.
 
     Raises:
@@ -159,7 +151,7 @@ def read_pandapower(path: Path, frequency_hz: float | None, drop: Collection[str
             wind = str(row.type).lower() in ("wp", "wind", "wt") or str(row["name"]).lower().startswith("wind")
             case.loads[bus] += power
             name = f"static generator {index}"
-            case.infeeds.append(Infeed(name=name, bus=bus, power=power, role="wind" if wind else "static"))
+            case.infeeds.append(solved_case.Infeed(name=name, bus=bus, power=power, role="wind" if wind else "static"))
     for bus, number in numbers.items():
         place = net.bus.geo.get(number - 1) if "geo" in net.bus else None
         if isinstance(place, str) and place:
@@ -183,10 +175,10 @@ def _solved_network(path: Path, drop: Collection[str], notes: list[str]) -> Any:
         # Errors of pandapower are of any kind.
         try:
             net = pandapower.from_json(io.StringIO(text))
-            net.sn_mva = BASE_MVA
+            net.sn_mva = solved_case.BASE_MVA
         except Exception as error:
             raise ValueError(f"pandapower cannot read it: {type(error).__name__}: {error}") from error
-        refuse_large(len(net.bus))
+        solved_case.refuse_large(len(net.bus))
         _drop_unread(net, drop, notes)
         try:
             pandapower.runpp(net, calculate_voltage_angles=True, numba=False, tolerance_mva=1e-8)
@@ -206,7 +198,7 @@ def _drop_unread(net: Any, drop: Collection[str], notes: list[str]) -> None:
         unread[name] = len(able), float(sum(power))
         if name in drop:
             net[name]["in_service"] = False
-    refuse_unread(unread, drop, notes)
+    solved_case.refuse_unread(unread, drop, notes)
 
 
 def _check_classes(data: Any) -> None:
@@ -229,9 +221,9 @@ def _check_classes(data: Any) -> None:
 
 def _case_of(
     solved: Any, name: str, library: str, frequency_hz: float, numbers: dict[int, int], notes: list[str]
-) -> SolvedCase:
+) -> solved_case.SolvedCase:
     """Return the case of solved tables, whose loads are what the solution takes at each bus."""
-    scale = BASE_MVA / float(solved["baseMVA"])
+    scale = solved_case.BASE_MVA / float(solved["baseMVA"])
     rows = solved["bus"][solved["bus"][:, _TYPE] != _ISOLATED]
     keys = rows[:, _BUS].astype(int).tolist()
     slacks = [key for key, row in zip(keys, rows, strict=True) if row[_TYPE] == _REFERENCE]
@@ -239,14 +231,14 @@ def _case_of(
         raise ValueError(f"the case must have one slack bus, got {[numbers[key] for key in slacks]}")
     polar = rows[:, _VM] * np.exp(1j * np.radians(rows[:, _VA]))
     voltages = dict(zip(keys, map(complex, polar), strict=True))
-    case = SolvedCase(name, library, frequency_hz, slacks[0], voltages)
+    case = solved_case.SolvedCase(name, library, frequency_hz, slacks[0], voltages)
     case.numbers, case.notes = {key: numbers[key] for key in keys}, notes
     if len(off := solved["bus"][solved["bus"][:, _TYPE] == _ISOLATED]):
         what = ", ".join(str(numbers[int(row[_BUS])]) for row in off)
         case.notes.append(f"buses out of service with {off[:, _PD].sum():.6g} MW of load: {what}")
     taken = _taken(solved)
     for key, row in zip(keys, rows, strict=True):
-        case.shunts[key] += complex(row[_GS], row[_BS]) / BASE_MVA
+        case.shunts[key] += complex(row[_GS], row[_BS]) / solved_case.BASE_MVA
         case.loads[key] += (load := complex(row[_PD], row[_QD]))
         if abs(taken[key] - load) > _NO_CHANGE_MVA:
             case.loads[key] = taken[key]
@@ -257,12 +249,12 @@ def _case_of(
         if row[_GEN_STATUS] > 0.0 and key in case.voltages:
             least = [row[_QMAX], row[_PMAX] if key == case.slack else 0.0]
             case.infeeds.append(
-                Infeed(
+                solved_case.Infeed(
                     name=f"generator {place + 1}",
                     bus=key,
                     power=complex(row[_PG], row[_QG]),
                     machine_id=str(place + 1),
-                    least_mva=max([v for v in least if v < UNLIMITED], default=0.0),
+                    least_mva=max([v for v in least if v < solved_case.UNLIMITED], default=0.0),
                 )
             )
     case.branches = [
@@ -284,7 +276,7 @@ def _taken(solved: Any) -> dict[int, complex]:
     return taken
 
 
-def _two_port(row: Sequence[float], scale: float, numbers: dict[int, int]) -> TwoPort:
+def _two_port(row: Sequence[float], scale: float, numbers: dict[int, int]) -> solved_case.TwoPort:
     ends = int(row[_FROM]), int(row[_TO])
     name = f"branch {numbers[ends[0]]}-{numbers[ends[1]]}"
     near = far = complex(0.0, row[_B])
@@ -294,4 +286,4 @@ def _two_port(row: Sequence[float], scale: float, numbers: dict[int, int]) -> Tw
         near += row[_G]
         far = near + complex(row[_G_ASYM], row[_B_ASYM])
     impedance, shunts = complex(row[_R], row[_X]) * scale, (0.5 * near / scale, 0.5 * far / scale)
-    return TwoPort(name, ends, impedance, shunts, float(row[_TAP]) or 1.0, math.radians(row[_SHIFT]))
+    return solved_case.TwoPort(name, ends, impedance, shunts, float(row[_TAP]) or 1.0, math.radians(row[_SHIFT]))

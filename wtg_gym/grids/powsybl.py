@@ -18,15 +18,7 @@ from typing import Any
 import numpy as np
 
 from wtg_gym.files import read_text
-from wtg_gym.grids.solved_case import (
-    BASE_MVA,
-    UNLIMITED,
-    Infeed,
-    SolvedCase,
-    TwoPort,
-    refuse_large,
-    refuse_unread,
-)
+from wtg_gym.grids import solved_case
 from wtg_gym.physics.network import LEAST_IMPEDANCE
 
 #: Sections of RAW 32 and 33 in their order, and those of 35.
@@ -64,7 +56,7 @@ _OF_PROVIDER = {
 }
 
 
-def read_powsybl(path: Path, frequency_hz: float | None, drop: Collection[str]) -> SolvedCase:
+def read_powsybl(path: Path, frequency_hz: float | None, drop: Collection[str]) -> solved_case.SolvedCase:
     """Return the case of a file, as pypowsybl solves it.
 
     Raises:
@@ -103,8 +95,8 @@ def read_powsybl(path: Path, frequency_hz: float | None, drop: Collection[str]) 
                 net.remove_elements([*rows.index, *stations])
             except Exception as error:
                 raise ValueError(f"pypowsybl cannot leave out {kind}: {error}") from error
-    refuse_unread(unread, drop, notes)
-    refuse_large(len(net.get_buses()))
+    solved_case.refuse_unread(unread, drop, notes)
+    solved_case.refuse_large(len(net.get_buses()))
     try:
         return _Tables(pypowsybl, net, path.stem, raw, notes).case(frequency_hz)
     except ValueError as error:
@@ -220,7 +212,7 @@ class _Tables:
                 return
         raise ValueError(f"pypowsybl finds no power flow: {', '.join(dict.fromkeys(statuses))}")
 
-    def case(self, frequency_hz: float | None) -> SolvedCase:
+    def case(self, frequency_hz: float | None) -> solved_case.SolvedCase:
         """Return the case."""
         part = self.buses.loc[self.slack, "synchronous_component"]
         frequency = frequency_hz or (self.raw.frequency_hz if self.raw is not None else 0.0)
@@ -233,7 +225,7 @@ class _Tables:
             else 0j
             for key, row in self.buses.iterrows()
         }
-        self.out = SolvedCase(self.name, "pypowsybl", frequency, self.slack, voltages)
+        self.out = solved_case.SolvedCase(self.name, "pypowsybl", frequency, self.slack, voltages)
         self.out.numbers, self.out.notes = self._numbers(), self.notes
         self._add_branches()
         self._add_boundaries()
@@ -265,12 +257,12 @@ class _Tables:
             # The open end leaves the shunt there behind the impedance.
             near, far = siemens if one else siemens[::-1]
             shunt = (near + far / (1.0 + ohms * far)) * (abs(ratio) ** 2 if one else 1.0)
-            self.out.shunts[one or other] += shunt * self.volts[one or other] ** 2 / BASE_MVA
+            self.out.shunts[one or other] += shunt * self.volts[one or other] ** 2 / solved_case.BASE_MVA
             return
-        base = self.volts[other] ** 2 / BASE_MVA
+        base = self.volts[other] ** 2 / solved_case.BASE_MVA
         tap = self.volts[other] / (self.volts[one] * ratio)
         shunts, title = (siemens[0] * base, siemens[1] * base), " ".join(name.split())
-        self.out.branches.append(TwoPort(title, ends, ohms / base, shunts, abs(tap), cmath.phase(tap)))
+        self.out.branches.append(solved_case.TwoPort(title, ends, ohms / base, shunts, abs(tap), cmath.phase(tap)))
 
     def _add_branches(self) -> None:
         for name, row in self.net.get_lines().iterrows():
@@ -320,7 +312,7 @@ class _Tables:
         for key, row in self.buses.iterrows():
             self.out.loads[key] += complex(row.get("fictitious_p0", 0.0), row.get("fictitious_q0", 0.0))
         for _, row in shunts[shunts["connected"] & (shunts["bus_id"] != "")].iterrows():
-            self.out.shunts[row.bus_id] += complex(row.g, row.b) * self.volts[row.bus_id] ** 2 / BASE_MVA
+            self.out.shunts[row.bus_id] += complex(row.g, row.b) * self.volts[row.bus_id] ** 2 / solved_case.BASE_MVA
 
     def _add_generators(self) -> None:
         of_raw = {} if self.raw is None else self.raw.machines()
@@ -333,7 +325,7 @@ class _Tables:
                 limits = row.max_q, row.max_p if row.bus_id == self.slack else 0.0
                 taken = complex(row.p, row.q)
                 self.out.infeeds.append(
-                    Infeed(
+                    solved_case.Infeed(
                         name=str(name),
                         bus=row.bus_id,
                         machine_id=place[1],
@@ -341,7 +333,7 @@ class _Tables:
                         power=-taken if cmath.isfinite(taken) else complex(row.target_p, row.target_q),
                         rating_mva=data["mbase"] or float(np.nan_to_num(row.get("rated_s", 0.0))) or None,
                         impedance=complex(data["zr"], data["zx"]),
-                        least_mva=max([float(v) for v in limits if v < UNLIMITED], default=0.0),
+                        least_mva=max([float(v) for v in limits if v < solved_case.UNLIMITED], default=0.0),
                     )
                 )
         slack = [each for each in self.out.infeeds if each.bus == self.slack and each.role == "machine"]

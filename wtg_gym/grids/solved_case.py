@@ -246,7 +246,6 @@ def _numbers(case: SolvedCase) -> dict[Key, int]:
 
 
 def _machines(case: SolvedCase, numbers: dict[Key, int], dynamics: Any) -> list[SynchronousMachineParameters]:
-    """Return the machines, and turn the infeeds that are none into loads."""
     records = list[SynchronousMachineParameters]()
     buses = {infeed.bus for infeed in case.infeeds if infeed.role == "machine"}
     for infeed in case.infeeds:

@@ -28,7 +28,7 @@ from wtg_gym.physics.network import POWER_FLOW_TOLERANCE, PowerFlow, solve_power
 from wtg_gym.physics.parameters import ConverterLimitParameters, VoltageControlParameters
 from wtg_gym.physics.plant import ISLANDS_AT_MOST, Plant, PlantTables
 from wtg_gym.physics.scenario import Scenario
-from wtg_gym.physics.units import BUSES, StartFailure
+from wtg_gym.physics.units import StartFailure
 from wtg_gym.ranges import whole_steps
 from wtg_gym.systems.compiled import compiled, internal
 from wtg_gym.systems.programs import NONE, Complex, Whole
@@ -171,12 +171,6 @@ _BALANCED = 1e-10
 _DIVERGED = float(StartFailure.POWER_FLOW_DIVERGED)
 
 
-def rows_of_buses(scratch: Floats, layout: Layout) -> Floats:
-    """Return a view of the rows of each bus (n_bus, n) in a scratch (n_scratch, 1)."""
-    first, n, n_rows = layout.span(BUSES, scratch=True)
-    return scratch[first : first + n * n_rows].reshape(n, n_rows)
-
-
 @internal
 def _plan_flow(arrays: tuple[Floats, Floats], buses: Floats, y: Complex, network: Network) -> float:
     """Solve the power flow of what all units plan; return what the slack bus lacks [p.u.], NaN where nothing starts."""
@@ -243,7 +237,6 @@ def _curtail(arrays: tuple[Floats, Floats], buses: Floats, y: Complex, network: 
 def prepare_lanes(
     rows: Floats,
     scratch: Floats,
-    buses: Floats,
     y: Complex,
     network: Network,
     data: LaneData,
@@ -255,7 +248,6 @@ def prepare_lanes(
     Args:
         rows: (n, n_rows, 1); laws, first wind, bus of the load noise, the machines' inv_two_h and inv_droop are set.
         scratch: (n_scratch, 1).
-        buses: its rows of buses (n_bus, n), see :func:`rows_of_buses`.
         y: bus admittance matrix without loads and units (n_bus, n_bus) [p.u.].
         network: constants.
         data: of the lanes; load events are given as P + jQ [p.u.], and turned into admittances here.
@@ -263,7 +255,9 @@ def prepare_lanes(
         failures: takes why a lane cannot start, and the number of the unit that cannot, machines first (n, 2).
     """
     facts, tables = network.facts, network.tables
-    starting = units_of(scratch, facts.starting)[0]
+    starting, planning = units_of(scratch, facts.starting)[0], facts.planning
+    end = planning.first + planning.n_units * planning.n_rows
+    buses = scratch[planning.first : end].reshape(planning.n_units, planning.n_rows)
     for lane in range(rows.shape[0]):
         block, arrays = rows[lane], (rows[lane], scratch)
         starting[OF_STARTING_LANE.load_level, 0] = load_levels[lane]
@@ -304,21 +298,13 @@ def network_events(scenario: Scenario, settings: Plant, plant: PlantTables) -> l
         raise ValueError(f"{name} disconnects a load twice; load trips at buses {lost}")
     found = [each for event in scenario.events for each in _changes(event, scenario.load_level, settings, plant)]
     _check_lines(name, [event for event in found if event.branch >= 0 and event.factor == 0.0], settings)
-    returns = [event.unit for event in found if event.unit >= 0 and event.end > event.start]
-    if returns and not settings.extended:
-        raise ValueError(f"{name} brings back {unit_name(settings, returns[0])}, which needs extended physics")
-    for verb, given in (
-        ("disconnects", [(event.unit, event.start, event.end) for event in found if event.unit >= 0]),
-        (
-            "loses the governor of",
-            [(event.governor, event.start, event.start) for event in found if event.governor >= 0],
-        ),
+    for verb, units in (
+        ("disconnects", [event.unit for event in found if event.unit >= 0]),
+        ("loses the governor of", [event.governor for event in found if event.governor >= 0]),
     ):
-        away: dict[int, float] = {}
-        for unit, start, end in sorted(given, key=lambda one: one[1]):
-            if start <= away.get(unit, -math.inf):
+        for place, unit in enumerate(units):
+            if unit in units[:place]:
                 raise ValueError(f"{name} {verb} {unit_name(settings, unit)} twice")
-            away[unit] = end if end > start else math.inf
     return found
 
 
@@ -356,7 +342,6 @@ def _changes(event: events.Event, load_level: float, settings: Plant, plant: Pla
     if isinstance(event, events.GroupTrip):
         if event.group >= n_wtg:
             raise ValueError(f"unknown WTG group {event.group}; the plant has {n_wtg}, counted from 0")
-        end = later("returns_after_s", event.returns_after_s)
         return [NetworkEvent(start, end, unit=n_sync + event.group)]
     if isinstance(event, events.LineTrip):
         end = later("recloses_after_s", event.recloses_after_s)
@@ -380,11 +365,8 @@ def _changes(event: events.Event, load_level: float, settings: Plant, plant: Pla
         end = later("duration_s", event.duration_s)
         return [NetworkEvent(start, end, source=source, ramp=event.rocof_hz_s / case.frequency_hz)]
     if isinstance(event, events.MachineOutage):
-        end = later("returns_after_s", event.returns_after_s)
         found = _units_at(event.bus, "synchronous machine", dict(enumerate(case.unit_buses)))
         if found[0] >= n_sync:
-            if end > start:
-                raise ValueError(f"the imposed source at bus {event.bus} does not come back: leave out returns_after_s")
             # Sources come after the groups.
             return [NetworkEvent(start, end, unit=unit + n_wtg) for unit in found]
         return [NetworkEvent(start, end, unit=unit) for unit in found if unit < n_sync]

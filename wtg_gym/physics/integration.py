@@ -77,8 +77,7 @@ def strike(
     block: Floats, scratch: Floats, first_lane: int, network: Network, data: LaneData, tape: Any, step: int
 ) -> None:
     """Let the events of a simulation step strike."""
-    # Again where units come back: they are synchronised first, then the network has them.
-    while _apply_events(block, first_lane, network, data):
+    if _apply_events(block, first_lane, network, data):
         # For the whole block: an environment without a change gets the same bits again.
         combine_load_noise((block, scratch), network.tables, NONE)
 

@@ -247,6 +247,7 @@ class Facts(NamedTuple):
     sources: Span = Span()
     # In scratch:
     starting: Span = Span()  # of the lane
+    planning: Span = Span()  # of the buses
 
 
 class Network(NamedTuple):
@@ -273,7 +274,7 @@ class NetworkEvent(NamedTuple):
     """A change of the network; times in simulation steps, indices -1 for none."""
 
     start: float
-    end: float  # later than start for a ramp, a fault, and for what comes back
+    end: float  # later than start for a ramp, a fault, and a line that closes again
     bus: int = -1  # of a load
     active: float = 0.0  # the load's P and Q until the run's start, then its admittance; a fault's admittance [p.u.]
     reactive: float = 0.0

@@ -275,7 +275,6 @@ def _in_rotor(e: MachineVoltage, i_re: float, i_im: float) -> tuple[float, float
 
 
 def _stator(e: MachineVoltage, i_d: float, i_q: float, c: Machine) -> float:
-    """Return the voltage at the terminal."""
     v_d = e.e_d - c.resistance * i_d + c.internal_reactance * i_q
     v_q = e.e_q - c.resistance * i_q - c.internal_reactance * i_d
     return math.sqrt(v_d * v_d + v_q * v_q)

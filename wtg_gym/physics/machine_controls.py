@@ -15,9 +15,9 @@ from typing import Any, NamedTuple
 
 from wtg_gym.physics.machine import Machine, MachineInput, MachineVoltage, gate_limits, terminal_voltage
 from wtg_gym.physics.machine_unit import MACHINES
-from wtg_gym.physics.units import LANE, UNITS, Back, ControlJoining, Failure, Phasor, StartFailure, moving, noted
+from wtg_gym.physics.units import LANE, UNITS, ControlJoining, Failure, Phasor, StartFailure, moving, noted
 from wtg_gym.systems.elementary import clip, limited_rate, select
-from wtg_gym.systems.systems import Kind, System, each, system
+from wtg_gym.systems.systems import Kind, System, each, size, system
 
 
 def inverse(time_s: float) -> float:
@@ -121,7 +121,6 @@ def _control(
     constants: Constants,
     start: System,
     rates: System,
-    comes_back: Callable[[Back, float, Any], Any],
     limit: Callable[[Any, Any], Any] | None = None,
     checked: tuple[StartFailure, str, Callable[[Any], tuple[float, float]]] | None = None,
 ) -> Control:
@@ -129,22 +128,14 @@ def _control(
 
     Args:
         kind, constants, start, rates: its kind, constants and systems.
-        comes_back: its states where its machine comes back, from what that comes back to, its field voltage [p.u.] and
-            the constants.
         limit: the states, held within their limits, from them and the constants.
         checked: `failure`, `limited` and `limits` of a control that cannot start beyond its limits.
     """
-
-    @system(kind, "control", when="extended")
-    def return_control(control: Any, field_voltage: float, returns: float, back: Back, model: Any) -> Any:
-        found = comes_back(back, field_voltage, model)
-        return each(lambda new, old: select(returns > 0.5, new, old), found, control)
 
     systems: dict[ControlJoining, tuple[System, ...]] = {
         ControlJoining.SETTLE: (start,),
         ControlJoining.MOVE: (moving(rates, limit, constants=["model"]),),
         ControlJoining.RATES: (rates,),
-        ControlJoining.RETURN: (return_control,),
     }
     if checked is None:
         return Control(kind=kind, constants=constants, systems=systems)
@@ -164,21 +155,19 @@ def stabiliser(
     constants: Constants,
     state: type,
     rates: Callable[[Any, float, float, Any], tuple[Any, float]],
-    start: Callable[[float, Any], Any],
 ) -> Control:
     """Return a stabiliser.
 
     Args:
         constants: see :class:`Control`.
-        state: record of its states.
+        state: record of its states, which are 0 at nominal speed.
         rates: rates and signal [p.u.] at states, speed deviation, terminal voltage [p.u.] and constants.
-        start: the equilibrium at a constant speed deviation [p.u.].
     """
     kind = _kind("stabilisers", constants, state, set_point=float)
 
     @system(kind, "control", "set_point")
-    def start_stabiliser(voltage_reference: float, model: Any) -> tuple[Any, float]:
-        return start(0.0, model), voltage_reference
+    def start_stabiliser(voltage_reference: float) -> tuple[Any, float]:
+        return state(*(0.0,) * size(state)), voltage_reference
 
     @system(kind, "control_rates", "voltage_reference")
     def rates_of_stabiliser(
@@ -196,10 +185,7 @@ def stabiliser(
         found, signal = rates(control, speed - 1.0, voltage, model)
         return each(lambda rate: given.connected * rate, found), set_point + signal
 
-    def comes_back(back: Back, _: float, model: Any) -> Any:
-        return start(back.bus_speed - 1.0, model)
-
-    return _control(kind, constants, start_stabiliser, rates_of_stabiliser, comes_back)
+    return _control(kind, constants, start_stabiliser, rates_of_stabiliser)
 
 
 def exciter(
@@ -246,7 +232,6 @@ def exciter(
         constants,
         start_exciter,
         rates_of_exciter,
-        lambda back, field_voltage, model: start(field_voltage, back.bus_voltage, model)[0],
         lambda s, c: s._replace(regulator=clip(s.regulator, *limits(c))),
         (StartFailure.EXCITER_LIMIT, "regulator", limits),
     )
@@ -286,6 +271,4 @@ def governor(
         return each(lambda rate: given.connected * rate, found), machine.rating * torque
 
     checked = StartFailure.GOVERNOR_LIMIT, gate, gate_limits
-    return _control(
-        kind, constants, start_governor, rates_of_governor, lambda _, __, model: start(0.0, model), limit, checked
-    )
+    return _control(kind, constants, start_governor, rates_of_governor, limit, checked)

@@ -49,14 +49,7 @@ def stab1_rates(s: Stab1State, deviation: float, voltage: float, c: Any) -> tupl
     return Stab1State(washout, first, second), clip(signal, -c.signal_limit_pu, c.signal_limit_pu)
 
 
-def stab1_start(deviation: float, c: Any) -> Stab1State:
-    """Return the equilibrium at a constant speed deviation [p.u.], which gives no signal."""
-    return Stab1State(deviation, 0.0, 0.0)
-
-
-STAB1 = controls.stabiliser(
-    controls.Constants(parameters.SpeedStabiliserParameters), Stab1State, stab1_rates, stab1_start
-)
+STAB1 = controls.stabiliser(controls.Constants(parameters.SpeedStabiliserParameters), Stab1State, stab1_rates)
 
 
 class Denominator(NamedTuple):
@@ -131,13 +124,8 @@ def ieeest_rates(s: IeeestState, deviation: float, voltage: float, c: Any) -> tu
     return rates, select(acts, clip(washed, c.signal_min_pu, c.signal_max_pu), 0.0)
 
 
-def ieeest_start(deviation: float, c: Any) -> IeeestState:
-    """Return the equilibrium at a constant speed deviation [p.u.]."""
-    return IeeestState(0.0, deviation, 0.0, deviation, deviation, deviation, c.gain * deviation)
-
-
 IEEEST = controls.stabiliser(
-    controls.Constants(parameters.FilterStabiliserParameters, besides=_filters), IeeestState, ieeest_rates, ieeest_start
+    controls.Constants(parameters.FilterStabiliserParameters, besides=_filters), IeeestState, ieeest_rates
 )
 
 # --- exciters ---------------------------------------------------------------------------------------------------------

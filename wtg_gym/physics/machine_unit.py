@@ -162,25 +162,4 @@ def restore_frequency(
     return select(acts, clip(moved, g.gate_min, g.gate_max), given.gate_reference)
 
 
-@system(MACHINES, "state", "connected", "gate_reference", when="extended")
-def return_machine(
-    state: MachineState,
-    given: MachineInput,
-    returns: float,
-    back: units.Back,
-    machine: Machine,
-    saturation: equations.RotorSaturation,
-) -> tuple[MachineState, float, float]:
-    """Synchronise a machine that comes back, without load and with its gate closed; a lost governor leaves it so."""
-    comes, v = returns > 0.5, back.bus_voltage
-    exciter, _ = equations.exciter_start(v + equations.saturated(v, saturation.curve), machine.exciter)
-    found = MachineState(back.bus_angle, back.bus_speed, v, 0.0, v, 0.0, exciter, equations.GovernorState(0.0, 0.0))
-    lost = comes & (machine.governor.inv_droop > 0.0) & (given.inv_droop == 0.0)
-    return (
-        each(lambda new, old: select(comes, new, old), found, state),
-        select(comes, 1.0, given.connected),
-        select(lost, 0.0, given.gate_reference),
-    )
-
-
 stage_of_machine = units.moving(rates_of_machine, equations.machine_limited, constants=["machine"])

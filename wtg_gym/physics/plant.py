@@ -18,6 +18,7 @@ from wtg_gym.physics import parameters
 from wtg_gym.physics.aerodynamics import surface_of
 from wtg_gym.physics.devices import SOURCES, Devices, joining, source_units
 from wtg_gym.physics.grid import NetworkCase, get_grid
+from wtg_gym.physics.integration import PROGRAMS
 from wtg_gym.physics.layout import Facts, Layout, Network, Span, place_in
 from wtg_gym.physics.machine import Machine, RotorSaturation, gate_limits, machine_constants, rotor_saturation
 from wtg_gym.physics.machine_models import CONTROLS, control_constants, joining_controls
@@ -170,7 +171,7 @@ class Plant(Checked):
         own = (group.turbine and dataclasses.replace(group.turbine, conserves_energy=keeps) for group in self.groups)
         return tuple(turbine or self.turbine for turbine in own)
 
-    @property
+    @functools.cached_property
     def extended(self) -> bool:
         """Whether the WTG groups have limits, voltage control, or a rotor that keeps its energy."""
         return self.limits is not None or self.voltage_control is not None or self.turbine.conserves_energy
@@ -366,16 +367,20 @@ def _network_of(settings: Plant, unit_y: Complex, shares_dispatch: bool) -> Netw
     )
 
 
-class TaskUnits(NamedTuple):
+@dataclass(frozen=True, eq=False, kw_only=True)
+class TaskUnits:
     """What a caller adds to the physics: kinds of unit of its own, and programs over them."""
 
-    n_units: Mapping[Kind, int]
-    links: Mapping[tuple[Kind, str], Whole] = MappingProxyType({})
+    n_units: Mapping[Kind, int] = dataclasses.field(default_factory=dict)
+    links: Mapping[tuple[Kind, str], Whole] = dataclasses.field(default_factory=dict)
     programs: tuple[Program, ...] = ()
     stepping: tuple[Routine, ...] = ()  # that are called with blocks of the simulator's width
     starting: tuple[Routine, ...] = ()  # and with blocks of one environment, to start runs
-    constants: Mapping[tuple[Kind, str], Any] = MappingProxyType({})
+    constants: Mapping[tuple[Kind, str], Any] = dataclasses.field(default_factory=dict)
     has: Collection[str] = ()  # conditions of its kinds that hold
+
+
+NO_TASK = TaskUnits()
 
 
 def _nested(n_outer: int, n_inner: int) -> tuple[Whole, Whole]:
@@ -438,27 +443,26 @@ def _units_of(plant: PlantTables) -> tuple[dict[Kind, int], dict[tuple[Kind, str
     return n_units, links
 
 
-def layout_of(plant: PlantTables, task: TaskUnits | None = None) -> Layout:
+def layout_of(plant: PlantTables, task: TaskUnits = NO_TASK) -> Layout:
     """Return where the numbers of a plant's environments lie, with those of devices and of a task behind them."""
     n_units, links = _units_of(plant)
     for name, constants in plant.own_controls.items():
         kind, of_machine = CONTROLS[name].kind, constants["machine"]
         n_units[kind] = constants.size
         links |= {(kind, "machine"): of_machine, (kind, "unit"): of_machine}
-    added = task or TaskUnits({})
     for units, device in zip(plant.device_units, plant.devices, strict=True):
-        if device.kind in n_units or device.kind in added.n_units:
+        if device.kind in n_units or device.kind in task.n_units:
             raise ValueError(f"there are units of a kind {device.kind.name!r} already")
         n_units[device.kind] = units.size
         known = {UNITS: units, BUSES: plant.network.unit_bus[units]}
         for label, kind in device.kind.sees.items():
             if kind in known:
                 links[device.kind, label] = known[kind]
-            elif {**n_units, **added.n_units}.get(kind) != 1:
+            elif {**n_units, **task.n_units}.get(kind) != 1:
                 raise ValueError(
                     f"{device.kind.name} cannot see {kind.name}: nothing says which of them each one means"
                 )
-    return Layout({**n_units, **added.n_units}, {**links, **added.links})
+    return Layout({**n_units, **task.n_units}, {**links, **task.links})
 
 
 def programs_of(plant: PlantTables, *programs: Program) -> tuple[Program, ...]:
@@ -538,7 +542,7 @@ def with_places(
     plant: PlantTables,
     layout: Layout,
     programs: Sequence[Program],
-    task: TaskUnits | None = None,
+    task: TaskUnits = NO_TASK,
     taped: Sequence[Program] = (),
 ) -> PlantTables:
     """Return a plant that knows where its rows lie, for programs that are to run; those `taped` have a way back."""
@@ -547,7 +551,7 @@ def with_places(
     spans: dict[str, Any] = {name: layout.span(kind) for name, kind in kinds.items()}
     n_islands = layout.n_units(ISLANDS)
     spans["stages"] = Span(layout.span(STAGES).first, n_islands, layout.n_units(STAGES) // n_islands)
-    spans["starting"] = layout.span(LANE, scratch=True)
+    spans["starting"], spans["planning"] = layout.span(LANE, scratch=True), layout.span(BUSES, scratch=True)
     connected = [layout.machine("connected"), layout.wtg("connected")]
     connected += [layout.rows_of(own.kind, "connected") for own in plant.devices]
     angles = [layout.machine("angle"), layout.wtg("angle")]
@@ -555,10 +559,18 @@ def with_places(
         turns = place_in(own.kind, "angle") is not None
         angles.append(layout.rows_of(own.kind, "angle") if turns else np.full(len(own.buses), -1))
     facts = plant.network.facts._replace(**spans)
-    tables = build_table(programs, PlantMap(plant, layout, task or TaskUnits({})), taped)
+    tables = build_table(programs, PlantMap(plant, layout, task), taped)
     tables = tables._replace(code=plant.network.tables.code)
     return plant._replace(
         network=plant.network._replace(
             facts=facts, connected=np.concatenate(connected), angles=np.concatenate(angles), tables=tables
         )
     )
+
+
+@functools.lru_cache(maxsize=64)
+def placed(settings: Plant, task: TaskUnits = NO_TASK) -> tuple[PlantTables, Layout]:
+    """Return a plant's tables, which nobody writes to, and where its numbers lie, with those of a task."""
+    plant = plant_tables(settings)
+    layout = layout_of(plant, task)
+    return with_places(plant, layout, programs_of(plant, *PROGRAMS, *task.programs), task), layout

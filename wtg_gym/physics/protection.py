@@ -200,7 +200,6 @@ STAGES = Kind(
 
 
 def _added(two_h: float, omega: float, counts: bool, sums: Sums) -> Sums:
-    """Return the sums of an island with a unit that counts there."""
     own = select(counts, two_h, 0.0)
     return Sums(sums.momentum + own * (omega - 1.0), sums.inertia + own)
 
@@ -323,7 +322,6 @@ def sample_group(
 
 
 def _compared(sample: Sample, counts: bool, spread: Spread) -> Spread:
-    """Return the extremes of an island with a unit that counts there."""
     counts = counts & (sample.there > 0.5)
     return Spread(
         min(spread.least_angle, select(counts, sample.turn, math.inf)),

@@ -37,7 +37,6 @@ class _Rows(NamedTuple):
 
 @internal
 def _rows_of(block: Floats, x: int, facts: Facts) -> _Rows:
-    """Return the views of the environment in column x of a block."""
     return _Rows(
         block[:, x],
         units_of(block, facts.lane)[0, :, x],
@@ -54,7 +53,6 @@ def _rows_of(block: Floats, x: int, facts: Facts) -> _Rows:
 
 @inlined
 def _write(rows: Floats, at: int, value: complex) -> None:
-    """Write a complex number into two of a unit's rows."""
     rows[at], rows[at + 1] = value.real, value.imag
 
 
@@ -62,25 +60,22 @@ def _write(rows: Floats, at: int, value: complex) -> None:
 def refresh_network(block: Floats, x: int, lane: int, network: Network, data: LaneData) -> None:
     """Kron-reduce the network of one environment as it is from its present step on, and note when it changes next.
 
-    Units and governors that events take away are switched off, those that come back are marked for the systems that
-    synchronise them, sources are moved. Load ramps are staircases: constant over a control interval at the value of its
-    middle. So is the conductance of loads that depend on the frequency, at that of its beginning.
+    Units and governors that events take away are switched off, and sources are moved. Load ramps are staircases:
+    constant over a control interval at the value of its middle. So is the conductance of loads that depend on the
+    frequency, at that of its beginning.
     """
     facts, events, rows = network.facts, data.events[lane], _rows_of(block, x, network.facts)
     step = rows.lane[OF_LANE.step]
-    # A second time at the same step only the units that have come back are new.
-    again = rows.lane[OF_LANE.last_change] == step
     following = math.inf
     for e in range(events.shape[0]):
         following = min(following, _next_change(events[e], step, facts))
-        _strike(events[e], step, rows, network, again)
+        _strike(events[e], step, rows, network)
     if facts.shares_frequency > 0.0:
         following = min(following, _next_interval(step, facts))
     rows.lane[OF_LANE.last_change], rows.lane[OF_LANE.next_change] = step, following
     if facts.islands.n_units > 1 and (events.branch >= 0).any():
         _find_islands(rows, network, events)
-    if not again:
-        _shed(rows, network, events)
+    _shed(rows, network, events)
     n, n_bus = network.unit_y.shape[0], network.shunts.shape[0]
     # Columns of the bus impedance matrix: of the units' buses, then of the load noise's.
     z, unit_y = np.empty((n_bus, n_bus + n + 1), dtype=np.complex128), np.empty(n, dtype=np.complex128)
@@ -126,13 +121,11 @@ def _reduce(z: Complex, unit_y: Complex, rows: _Rows, network: Network) -> None:
 
 @internal
 def _next_interval(step: float, facts: Facts) -> float:
-    """Return the simulation step at which the next control interval begins."""
     return float((math.floor(step / facts.n_substeps) + 1.0) * facts.n_substeps)
 
 
 @internal
 def _next_change(event: Any, step: float, facts: Facts) -> float:
-    """Return the next simulation step at which an event changes something."""
     if step < event.start:
         return float(event.start)
     if step < event.end:
@@ -141,20 +134,10 @@ def _next_change(event: Any, step: float, facts: Facts) -> float:
 
 
 @internal
-def _strike(event: Any, step: float, rows: _Rows, network: Network, again: bool) -> None:
-    """Let an event act on units, governors and sources."""
-    begins, ends = step == event.start and not again, step == event.end and event.end > event.start and not again
-    if event.unit >= 0:
-        connected = network.connected[event.unit]
-        # Once is enough: a protection may disconnect a unit that has come back.
-        if begins:
-            rows.all[connected] = 0.0
-        # A unit that finds no voltage at its bus does not try again.
-        if ends and rows.all[connected] < 0.5:
-            island = max(int(rows.buses[network.unit_bus[event.unit], _OF_BUS.island]), 0)
-            rows.units[event.unit, _OF_UNIT.returns] = 1.0
-            rows.units[event.unit, _OF_UNIT.turned] = rows.islands[island, _OF_ISLAND.turned]
-            rows.lane[OF_LANE.returning] = 1.0
+def _strike(event: Any, step: float, rows: _Rows, network: Network) -> None:
+    begins, ends = step == event.start, step == event.end and event.end > event.start
+    if event.unit >= 0 and begins:
+        rows.all[network.connected[event.unit]] = 0.0
     if event.governor >= 0 and step >= event.start:
         machine = rows.machines[event.governor]
         if machine[_DROOP] > 0.0:

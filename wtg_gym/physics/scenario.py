@@ -106,7 +106,7 @@ class _At(Checked):
 
     @property
     def end_s(self) -> float:
-        """When the event is over, or the disconnected unit or line returns [s]."""
+        """When the event is over, or the line closes again [s]."""
         return self.time_s + (self._lasts_s or 0.0)
 
     @property
@@ -166,10 +166,6 @@ def _circuit() -> Any:
     return design(None, "-", doc, 1, 99)
 
 
-def _after(what: str) -> Any:
-    return design(None, "s", f"time after which {what}; None: never", 1e-3, LONGEST_RUN_S)
-
-
 @dataclass(frozen=True, kw_only=True)
 class LineTrip(_At):
     """The branch between two buses opens at both ends at `time_s` [s]."""
@@ -178,7 +174,9 @@ class LineTrip(_At):
 
     from_bus: int
     to_bus: int
-    recloses_after_s: float | None = _after("it closes again")
+    recloses_after_s: float | None = design(
+        None, "s", "time after which it closes again; None: never", 1e-3, LONGEST_RUN_S
+    )
     circuit: int | None = _circuit()
 
 
@@ -254,19 +252,16 @@ class GovernorLoss(_AtBus):
 class MachineOutage(_AtBus):
     """All synchronous machines, or else the imposed source, at a bus are disconnected at `time_s` [s]."""
 
-    WORDS, LASTS = "machine at bus {0.bus} disconnected{lasts}", "returns_after_s"
-
-    returns_after_s: float | None = _after("they are synchronised again, without load")
+    WORDS = "machine at bus {0.bus} disconnected"
 
 
 @dataclass(frozen=True, kw_only=True)
 class GroupTrip(_At):
     """A WTG group is disconnected at `time_s` [s]; the run goes on."""
 
-    WORDS, LASTS = "WTG group {0.number} disconnected{lasts}", "returns_after_s"
+    WORDS = "WTG group {0.number} disconnected"
 
     group: int = required("-", "design", "its index, the row of the scenario's wind", 0)
-    returns_after_s: float | None = _after("it is synchronised again")
 
     @property
     def number(self) -> int:

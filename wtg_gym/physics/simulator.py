@@ -16,9 +16,9 @@ import numpy as np
 from wtg_gym.physics import equilibrium
 from wtg_gym.physics.equilibrium import network_events
 from wtg_gym.physics.integration import PROGRAMS, REFRESH, STARTING, STEPPING, advance_blocks, evaluate_blocks
-from wtg_gym.physics.layout import NO_EVENT, Floats, LaneData, NetworkEvent, rows_of_lanes
+from wtg_gym.physics.layout import NO_EVENT, Floats, LaneData, rows_of_lanes
 from wtg_gym.physics.linearisation import StepError, check_step
-from wtg_gym.physics.plant import Plant, TaskUnits, layout_of, plant_tables, programs_of, with_places
+from wtg_gym.physics.plant import NO_TASK, Plant, TaskUnits, placed, programs_of
 from wtg_gym.physics.reduction import assemble
 from wtg_gym.physics.scenario import LONGEST_RUN_S, SERIES_DT, Scenario
 from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY, TrackingLaw, group_laws
@@ -27,7 +27,6 @@ from wtg_gym.ranges import require_memory, require_range, require_whole, whole_s
 from wtg_gym.signals import undivided
 from wtg_gym.systems.programs import Complex, Whole
 from wtg_gym.systems.routines import WIDE, Function, Routine, code_of
-from wtg_gym.systems.systems import structured
 
 #: A thread is worth its start only for this many blocks.
 _BLOCKS_PER_THREAD = 4
@@ -128,6 +127,8 @@ def _checked_inertias(settings: Plant) -> dict[tuple[TrackingLaw, ...], float]:
     return {}
 
 
+#: Addresses of machine code in this process, by all that they depend on.
+_CODE: dict[tuple[Any, ...], Whole] = {}
 #: Numbers of a group that are those of its law.
 _OF_LAW = {name: name for name in ("k_min", "k_nominal", "k_max", "droop_cancelled")}
 _OF_LAW["inv_tau"] = "inverse_time_constant"
@@ -180,24 +181,22 @@ class Simulator:
         *,
         n_lanes: int = 1,
         duration_s: float = 60.0,
-        task: TaskUnits | None = None,
+        task: TaskUnits = NO_TASK,
         n_threads: int | None = None,
     ) -> None:
         self.n_lanes = require_whole("the number of lanes", n_lanes, 1, 1_000_000)
         if n_threads is not None:
             n_threads = require_whole("the number of threads", n_threads, 1)
         self.settings = settings
-        plant, task = plant_tables(settings), task or TaskUnits({})
+        self.plant, self.layout = placed(settings, task)
         duration_s = require_range("duration_s", duration_s, 0.0, LONGEST_RUN_S, "s")
         self.n_intervals = whole_steps("duration_s", duration_s, settings.control_dt, "control step")
         # Sample of the load noise in each control interval.
         samples = np.arange(self.n_intervals) * settings.control_dt / SERIES_DT + 1e-9
         self._noise_samples = samples.astype(np.int64)
-        self.layout = layout_of(plant, task)
         self._law_rows = np.stack([self.layout.wtg(name) for name in _OF_LAW])
         self._committed_rows = np.stack([self.layout.rows_of(UNITS, name) for name in ("committed", "inv_committed")])
         self._wind_rows = np.stack([self.layout.wtg(name) for name in ("wind_start", "wind_end")])
-        self.plant = with_places(plant, self.layout, programs_of(plant, *PROGRAMS, *task.programs), task)
         self.width = 1 if n_lanes == 1 else WIDE
         self.link(task)
         n_blocks = -(-self.n_lanes // self.width)
@@ -233,11 +232,13 @@ class Simulator:
 
         `task` is what the simulator was made with.
         """
-        routines: dict[int, tuple[Routine, ...]] = {1: (*STARTING, *task.starting)}
-        routines[self.width] = (*STEPPING, *task.stepping, *routines.get(self.width, ()))
         programs = programs_of(self.plant, *PROGRAMS, *task.programs)
-        code = code_of(programs, routines, self.functions())
-        self.plant = self.plant.with_tables(self.plant.network.tables._replace(code=code))
+        key = programs, task.stepping, task.starting, self.width, self.plant.network.facts.is_large
+        if key not in _CODE:
+            routines: dict[int, tuple[Routine, ...]] = {1: (*STARTING, *task.starting)}
+            routines[self.width] = (*STEPPING, *task.stepping, *routines.get(self.width, ()))
+            _CODE[key] = code_of(programs, routines, self.functions())
+        self.plant = self.plant.with_tables(self.plant.network.tables._replace(code=_CODE[key]))
 
     def _check_nominal(self, laws: tuple[TrackingLaw, ...], inertia_scale: float = 1.0, committed: float = 1.0) -> bool:
         """Check laws at nominal operating points; return whether the plant has an equilibrium at any of them."""
@@ -353,7 +354,7 @@ class Simulator:
             self._write_series(data, lane, scenario)
         places = [(lane, place) for lane, own in enumerate(events) for place in range(len(own))]
         if places:
-            data.events[tuple(np.transpose(places))] = structured(NetworkEvent, itertools.chain(*events))
+            data.events[tuple(np.transpose(places))] = np.array([*itertools.chain(*events)], dtype=NO_EVENT.dtype)
         rows = np.zeros((n, self.layout.n_rows))
         self._write_machine_inputs(rows, scenarios)
         rows[:, self._law_rows] = _law_numbers(tuple(laws))
@@ -362,8 +363,7 @@ class Simulator:
         failures = np.zeros((n, 2), dtype=np.int64)
         levels = np.array([scenario.load_level for scenario in scenarios])
         plant, blocks, scratch = self.plant, rows[:, :, np.newaxis], self.new_scratches(1, 1)[0]
-        buses = equilibrium.rows_of_buses(scratch, self.layout)
-        equilibrium.prepare_lanes(blocks, scratch, buses, plant.bus_y, plant.network, data, levels, failures)
+        equilibrium.prepare_lanes(blocks, scratch, plant.bus_y, plant.network, data, levels, failures)
         for scenario, (failure, unit), row in zip(scenarios, failures.tolist(), rows, strict=True):
             if failure:
                 reason = equilibrium.start_failure(
@@ -462,7 +462,6 @@ class Simulator:
         self._rates = self._evaluated(self.blocks)
 
     def _evaluated(self, blocks: Floats) -> Floats:
-        """Evaluate blocks, and return the scratch of each."""
         scratches = self.new_scratches(blocks.shape[0], self.width)
         evaluate_blocks(blocks, scratches, self.plant.network)
         return scratches
@@ -528,7 +527,7 @@ class Simulator:
         self.blocks[:] = state["blocks"]
         self.scratches = self.new_scratches(self.threads.n_workers, self.width)
         # Perhaps in another process.
-        self.link(TaskUnits({}))
+        self.link(NO_TASK)
 
 
 #: Steps of the integration that are tried, the longest first [s].

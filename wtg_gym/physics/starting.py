@@ -127,23 +127,3 @@ def share_flow(
 def start_angle(frame: float) -> tuple[float, float]:
     """Let the angle of the first unit begin where the network's frame is."""
     return frame, frame
-
-
-@system(LANE, "next_change", "returning")
-def reset_returning(next_change: float, step: float, returning: float) -> tuple[float, float]:
-    """Let the network change again, with the units that have come back."""
-    return select(returning > 0.5, step, next_change), 0.0
-
-
-@system(UNITS, "returns", "back")
-def synchronise(
-    returns: float, turned: float, now: Phasor, bus_magnitude: float, frequency: float, coi: float
-) -> tuple[float, units.Back]:
-    """Find what a unit comes back to: at its bus's voltage and frequency, within whole turns of its island.
-
-    None comes back to a bus without voltage. Where there was none before, the grid's frequency counts.
-    """
-    size = math.hypot(now.re, now.im)
-    angle = units.nearest_turn(math.atan2(now.im, now.re), turned)
-    back = units.Back(angle, select(bus_magnitude > units.LOW_VOLTAGE, frequency, coi), size)
-    return select(size > units.LOW_VOLTAGE, returns, 0.0), back

@@ -39,20 +39,7 @@ VOLTAGES = (
     Here(Joining.VOLTAGES),
 )
 
-#: Units that an event brings back are synchronised, with the network as it is without them.
-RETURN = (
-    *VOLTAGES,
-    *protection.BUS_VOLTAGES,
-    starting.synchronise,
-    machine.return_machine,
-    Here(ControlJoining.RETURN),
-    wtg.return_group,
-    wtg.return_extension,
-    starting.reset_returning,
-    setting(UNITS, returns=0.0),
-)
-
-ADMITTANCES = (units.load_noise, units.admittance_with_noise, When(LANE, "returning", RETURN))
+ADMITTANCES = (units.load_noise, units.admittance_with_noise)
 
 #: Currents without a limit, and which of them are too large.
 FREE_CURRENTS = (
@@ -173,11 +160,11 @@ SETTLE = (
     Here(Joining.SETTLE),
     starting.start_angle,
     # An event at t = 0 strikes in the first step, not before.
-    setting(LANE, active=1.0, status=0.0, noise_y=0.0, step=-1.0, last_change=-2.0, split=0.0, returning=0.0),
+    setting(LANE, active=1.0, status=0.0, noise_y=0.0, step=-1.0, last_change=-2.0, split=0.0),
     setting(LANE, coi_min=math.inf, coi_max=-math.inf, shed_energy=0.0, was_low=0.0),
     setting(LANE, worst=1.0, worst_min=1.0, worst_max=1.0, sampled_step=0.0),
     setting(ISLANDS, healthy_step=0.0, centre=1.0, turned=0.0),
-    setting(UNITS, own_island=0.0, returns=0.0),
+    setting(UNITS, own_island=0.0),
 )
 
 #: After the first evaluation of a run: its first outputs, and what is beyond its limits then.

@@ -10,7 +10,7 @@ import dataclasses
 import functools
 import math
 import numbers
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
@@ -101,100 +101,46 @@ class TrackingLaw:
         return 1.0 if self.damping_time_constant_s == 0.0 else 0.0
 
 
-def mppt(turbine: _Turbine = None, control: _Control = None) -> TrackingLaw:
-    """Return maximum power point tracking: K_opt at every frequency, plain droop (paper, equation (9))."""
-    k = tracking_point(0.0, turbine).coefficient
-    return TrackingLaw(name="mppt", k_min=k, k_nominal=k, k_max=k)
-
-
-def deloaded(deloading: float, turbine: _Turbine = None, control: _Control = None) -> TrackingLaw:
-    """Return the fixed deloaded law K_d with plain droop (paper, equation (12)); `deloading` is d [-]."""
-    k = tracking_point(deloading, turbine).coefficient
-    return TrackingLaw(name=f"deloaded-{100.0 * deloading:g}", k_min=k, k_nominal=k, k_max=k)
-
-
-def coordinated_piecewise(turbine: _Turbine = None, control: _Control = None) -> TrackingLaw:
-    """Return the reference: K_opt / K_n / K_pr with transient damping (paper, equations (35)-(37))."""
-    p = control or GridFormingParameters()
-    return TrackingLaw(
-        name="coordinated-piecewise",
-        k_min=tracking_point(0.0, turbine).coefficient,
-        k_nominal=tracking_point(p.deloading_nominal, turbine).coefficient,
-        k_max=tracking_point(p.deloading_limit, turbine).coefficient,
-        damping_time_constant_s=p.damping_time_constant_s,
-    )
-
-
-def coordinated_linear(turbine: _Turbine = None, control: _Control = None) -> TrackingLaw:
-    """Return the straight g(ω) from K_opt to K_pr with transient damping (paper, equations (21) and (35))."""
-    p, law = control or GridFormingParameters(), coordinated_piecewise(turbine, control)
-    share = (p.frequency_setpoint_pu - p.frequency_min_pu) / (p.frequency_max_pu - p.frequency_min_pu)
-    k_nominal = law.k_min + share * (law.k_max - law.k_min)
-    return dataclasses.replace(law, name="coordinated-linear", k_nominal=k_nominal)
-
-
-def coordinated_undamped(turbine: _Turbine = None, control: _Control = None) -> TrackingLaw:
-    """Return the piecewise law without transient damping: the droop is cancelled (paper, equations (33) and (37))."""
-    law = coordinated_piecewise(turbine, control)
-    return dataclasses.replace(law, name="coordinated-undamped", damping_time_constant_s=0.0)
-
-
-def tuned(name: str, turbine: _Turbine = None, control: _Control = None) -> TrackingLaw:
-    """Return the piecewise law with the slopes and the filter of :data:`TUNED`.
-
-    They were tuned with the paper's turbine; on one with a flatter power curve k ends where a law's range does.
-    """
-    law, tuning = coordinated_piecewise(turbine, control), TUNED[name]
-    span = law.k_min - law.k_max
-    corners = {
-        "k_min": law.k_min + tuning.above_opt * span,
-        "k_nominal": law.k_nominal + tuning.above_nominal * span,
-        "k_max": law.k_max - tuning.below_limit * span,
-    }
-    bounded: dict[str, Any] = {key: min(max(k, LEAST_COEFFICIENT), LARGEST_COEFFICIENT) for key, k in corners.items()}
-    return TrackingLaw(name=name, damping_time_constant_s=tuning.time_constant_s, **bounded)
-
-
 #: The reference policy's strategy: zero action is exactly this.
 REFERENCE_STRATEGY = "coordinated-piecewise"
-
-#: How each strategy's law is made for a turbine and its control.
-_BUILDERS: dict[str, Callable[[_Turbine, _Control], TrackingLaw]] = {
-    "mppt": mppt,
-    "deloaded-5": functools.partial(deloaded, 0.05),
-    "deloaded-10": functools.partial(deloaded, 0.10),
-    "coordinated-linear": coordinated_linear,
-    "coordinated-piecewise": coordinated_piecewise,
-    "coordinated-undamped": coordinated_undamped,
-    **{name: functools.partial(tuned, name) for name in TUNED},
-}
-#: Every built-in strategy, and those of them that the paper has.
-STRATEGY_NAMES = tuple(_BUILDERS)
-_PAPER_NAMES = STRATEGY_NAMES[: -len(TUNED)]
+#: Deloadings d of the laws with one coefficient and plain droop: maximum power point tracking, and fixed deloaded laws
+#: K_d (paper, equations (9) and (12)) [-].
+_FIXED = {"mppt": 0.0, "deloaded-5": 0.05, "deloaded-10": 0.10}
+#: Every strategy of the paper, and every built-in one.
+_PAPER_NAMES = (*_FIXED, "coordinated-linear", REFERENCE_STRATEGY, "coordinated-undamped")
+STRATEGY_NAMES = (*_PAPER_NAMES, *TUNED)
 
 
 @functools.lru_cache(maxsize=64)
 def _strategy(name: str, turbine: _Turbine, control: _Control) -> TrackingLaw:
-    return _BUILDERS[name](turbine, control)
+    """Return a built-in law for a turbine and its control.
 
-
-class _PaperStrategies(Mapping[str, TrackingLaw]):
-    """Laws by name, worked out when they are first asked for: importing this module compiles nothing."""
-
-    def __getitem__(self, name: str) -> TrackingLaw:
-        if name not in _PAPER_NAMES:
-            raise KeyError(name)
-        return _strategy(name, None, None)
-
-    def __iter__(self) -> Iterator[str]:
-        return iter(_PAPER_NAMES)
-
-    def __len__(self) -> int:
-        return len(_PAPER_NAMES)
+    The reference is K_opt / K_n / K_pr with transient damping (paper, equations (35)-(37)). "coordinated-linear" has
+    the straight g(ω) from K_opt to K_pr (equation (21)), "coordinated-undamped" cancels the droop (equation (33)).
+    Those of :data:`TUNED` were tuned with the paper's turbine: on one with a flatter power curve k ends where a law's
+    range does.
+    """
+    if name in _FIXED:
+        k = tracking_point(_FIXED[name], turbine).coefficient
+        return TrackingLaw(name=name, k_min=k, k_nominal=k, k_max=k)
+    p = control or GridFormingParameters()
+    deloadings, tau = (0.0, p.deloading_nominal, p.deloading_limit), p.damping_time_constant_s
+    low, nominal, high = (tracking_point(deloading, turbine).coefficient for deloading in deloadings)
+    if name == "coordinated-linear":
+        share = (p.frequency_setpoint_pu - p.frequency_min_pu) / (p.frequency_max_pu - p.frequency_min_pu)
+        nominal = low + share * (high - low)
+    elif name == "coordinated-undamped":
+        tau = 0.0
+    elif name in TUNED:
+        tuning, span = TUNED[name], low - high
+        moved = low + tuning.above_opt * span, nominal + tuning.above_nominal * span, high - tuning.below_limit * span
+        low, nominal, high = (min(max(k, LEAST_COEFFICIENT), LARGEST_COEFFICIENT) for k in moved)
+        tau = tuning.time_constant_s
+    return TrackingLaw(name=name, k_min=low, k_nominal=nominal, k_max=high, damping_time_constant_s=tau)
 
 
 #: The paper's strategies for the paper's turbine; :func:`get_law` makes any built-in one, for any turbine.
-STRATEGIES: Mapping[str, TrackingLaw] = _PaperStrategies()
+STRATEGIES: Mapping[str, TrackingLaw] = MappingProxyType({name: _strategy(name, None, None) for name in _PAPER_NAMES})
 
 
 def get_law(strategy: str | Path | TrackingLaw, turbine: _Turbine = None, control: _Control = None) -> TrackingLaw:

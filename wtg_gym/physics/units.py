@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import functools
-import math
 from collections.abc import Callable, Sequence
 from enum import IntEnum, StrEnum
 from typing import Any, NamedTuple
@@ -70,7 +69,7 @@ def _kept(moved: Any, within: Any, base: Any, last: float, active: float) -> Any
     return each(lambda new, old: select(active > 0.5, new, old), held, base)
 
 
-#: Voltage below which nothing measures a frequency or comes back [p.u.], by design.
+#: Voltage below which nothing measures a frequency [p.u.], by design.
 LOW_VOLTAGE = 0.2
 
 
@@ -143,14 +142,6 @@ class Sample(NamedTuple):
     falls: float  # 1 where its island has failed
 
 
-class Back(NamedTuple):
-    """What a unit comes back to."""
-
-    bus_angle: float  # [rad]
-    bus_speed: float  # frequency [p.u.]
-    bus_voltage: float  # [p.u.]
-
-
 class Failure(NamedTuple):
     """Why a run cannot start, of :class:`StartFailure`, and the number of the unit that cannot."""
 
@@ -206,7 +197,6 @@ class ControlJoining(StrEnum):
     SETTLE = "control settle"
     MOVE = "control move"
     RATES = "control rates"
-    RETURN = "control return"
     START = "control start"
 
 
@@ -236,7 +226,6 @@ LANE = Kind(
         "sampled_step": float,  # and the simulation step
         "was_low": float,  # 1 while an island's frequency is below that of the first stage of shedding
         "split": float,  # 1 while there is another island than the grid
-        "returning": float,  # 1 where a unit comes back now
     },
     scratch={
         "reference_speed": float,  # of the first unit, or where it stands still after an outage [p.u.]
@@ -331,8 +320,6 @@ UNITS = Kind(
         "island": float,  # number of the island that it is in
         "committed": float,  # share of a machine's rating that is on line; 1 for others
         "inv_committed": float,
-        "returns": float,  # 1 where it comes back now
-        "turned": float,  # angle of its island then, within whole turns of which it comes back [rad]
     },
     scratch={
         "voltage": Phasor,  # behind the internal impedance
@@ -342,7 +329,6 @@ UNITS = Kind(
         "weight": float,  # 2H, 0 where it is disconnected [s]
         "omega": float,  # frequency [p.u.]
         "sample": Sample,
-        "back": Back,
     },
     constants={"connection": Connection},
     sees={"lane": LANE, "bus": BUSES, "grid_": ISLANDS},
@@ -360,11 +346,6 @@ PAIRS = Kind(
     scratch={"admittance": Phasor},
     sees={"row_": UNITS, "column_": UNITS, "lane": LANE},
 )
-
-
-def nearest_turn(angle: float, turned: float) -> float:
-    """Return an angle plus the whole turns that bring it nearest to another [rad]."""
-    return angle + 2.0 * math.pi * math.floor((turned - angle) / (2.0 * math.pi) + 0.5)
 
 
 def plus(total: Phasor, a: Phasor, b: Phasor) -> Phasor:

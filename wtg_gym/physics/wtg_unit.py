@@ -137,30 +137,6 @@ def curtail_law(k_min: float, k_nominal: float, k_max: float, curtailment: float
     return curtailment * k_min, curtailment * k_nominal, curtailment * k_max
 
 
-@system(GROUPS, "state", "emf", "shift", "connected", when="extended")
-def return_group(
-    state: WtgState,
-    emf: float,
-    shift: float,
-    inv_tau: float,
-    connected: float,
-    returns: float,
-    back: units.Back,
-    turbine: Turbine,
-) -> tuple[WtgState, float, float, float]:
-    """Synchronise a group that comes back; rotor and blades are as they stood."""
-    comes = returns > 0.5
-    deviation = select(inv_tau > 0.0, back.bus_speed - turbine.converter.corners.frequency_setpoint, 0.0)
-    found = gfm.ConverterState(back.bus_angle, back.bus_speed, deviation)
-    converter = each(lambda new, old: select(comes, new, old), found, state.converter)
-    return (
-        state._replace(converter=converter),
-        select(comes, back.bus_voltage, emf),
-        select(comes, 0.0, shift),
-        select(comes, 1.0, connected),
-    )
-
-
 @system(GROUPS, "voltage", when="constant voltage")
 def voltage_of_group(state: WtgState, given: WtgInput) -> Phasor:
     """Return the voltage behind the reactance."""
@@ -242,16 +218,6 @@ def start_extension(
     own = ExtensionState(gfm.LimitState(0.0, 0.0, 0.0), emf)
     references = gfm.VoltageInput(start.magnitude, start.reactive / share)
     return own, references, 0.0, gfm.OverVoltage(0.0, 0.0, 0.0, 0.0, 0.0), start.magnitude
-
-
-@system(EXTENSIONS, "own", "heat")
-def return_extension(
-    own: ExtensionState, heat: float, returns: float, back: units.Back
-) -> tuple[ExtensionState, float]:
-    """Return the voltage of its bus and a limiter at rest for a group that comes back, with a cold chopper."""
-    comes = returns > 0.5
-    found = ExtensionState(gfm.LimitState(0.0, 0.0, own.limits.energy_chopped), back.bus_voltage)
-    return each(lambda new, old: select(comes, new, old), found, own), select(comes, 0.0, heat)
 
 
 @system(EXTENSIONS, "failure")

@@ -18,7 +18,7 @@ from wtg_gym.physics.parameters import MOST_GROUPS
 from wtg_gym.physics.scenario import LONGEST_RUN_S, SERIES_DT, Scenario, trusted
 from wtg_gym.ranges import Checked, describe, design, require_known, require_range, require_whole, required
 from wtg_gym.scenarios import draws, wind
-from wtg_gym.scenarios.stream import FloatArray, Picker, seed_streams
+from wtg_gym.scenarios.draws import FloatArray, Picker, seed_streams
 
 R = TypeVar("R", bound=draws.Record)
 

@@ -1,21 +1,69 @@
-"""What scenarios are drawn from: records of wind, load, outages and operating point, each of which draws itself."""
+"""What scenarios are drawn from: records of wind, load, outages and operating point, and the errors of sensors."""
 
 from __future__ import annotations
 
+import zlib
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
-from typing import Any, ClassVar
+from dataclasses import dataclass, field, fields, replace
+from typing import Any, ClassVar, TypeVar
 
 import numpy as np
+import numpy.typing as npt
 
 from wtg_gym.physics import scenario
 from wtg_gym.physics.grid import NetworkCase
 from wtg_gym.physics.scenario import SERIES_DT, Event, trusted
-from wtg_gym.ranges import Checked, design, require_range, required
+from wtg_gym.physics.sensors import DELAY_MAX_S, Sensors
+from wtg_gym.ranges import Checked, design, require_known, require_range, required
 from wtg_gym.scenarios import wind
-from wtg_gym.scenarios.stream import FloatArray, Picker, Span
 
 Line = tuple[int, int]
+FloatArray = npt.NDArray[np.float64]
+Span = tuple[float, float]
+T = TypeVar("T")
+#: Uniform numbers that a picker takes from a stream at a time.
+_N_UNIFORMS = 64
+
+
+def seed_streams(seeds: Sequence[int], key: int, attempt: int = 0) -> list[np.random.Generator]:
+    """Return one stream per seed; another key or attempt gives others."""
+    more = [attempt] if attempt else []
+    return [np.random.default_rng([seed, key, *more]) for seed in seeds]
+
+
+class Picker:
+    """Uniform draws of plain Python values."""
+
+    def __init__(self, stream: np.random.Generator) -> None:
+        self._stream = stream
+        self._left: list[float] = []
+
+    def uniform(self) -> float:
+        """Return a number in [0, 1): those of the stream by the block, each block from its end."""
+        if not self._left:
+            self._left = self._stream.random(_N_UNIFORMS).tolist()
+        return self._left.pop()
+
+    def between(self, span: Span) -> float:
+        """Return a number of the span low … high."""
+        low, high = span
+        return low + (high - low) * self.uniform()
+
+    def chance(self, probability: float) -> bool:
+        """Return True with a probability."""
+        return self.uniform() < probability
+
+    def whole(self, low: int, high: int) -> int:
+        """Return one of the whole numbers low … high."""
+        return low + int((high - low + 1) * self.uniform())
+
+    def choice(self, options: Sequence[T]) -> T:
+        """Return one of the options."""
+        return options[self.whole(0, len(options) - 1)]
+
+    def instant(self, window: Span) -> float:
+        """Return an instant of the window, to a tenth of a second [s]."""
+        return round(self.between(window), 1)
 
 
 def lines_of(text: str) -> tuple[Line, ...]:
@@ -364,7 +412,7 @@ class GroupTrips(RareEvent):
         by_size = sorted(range(len(draft.n_turbines)), key=draft.n_turbines.__getitem__)
         # The largest group stays, unless it is the only one.
         group = pick.choice(by_size[:-1] or [0])
-        return [trusted(scenario.GroupTrip, time_s=pick.instant(draft.window), group=group, returns_after_s=None)]
+        return [trusted(scenario.GroupTrip, time_s=pick.instant(draft.window), group=group)]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -379,7 +427,7 @@ class MachineOutages(RareEvent):
 
     def events(self, pick: Picker, draft: Draft) -> list[Event]:
         time_s, bus = pick.instant(draft.window), pick.choice(self.buses)
-        return [trusted(scenario.MachineOutage, time_s=time_s, bus=bus, returns_after_s=None)]
+        return [trusted(scenario.MachineOutage, time_s=time_s, bus=bus)]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -445,3 +493,70 @@ class UnitCommitment(Record):
         least = min(wind.share_of_load(speeds, draft.n_turbines, draft.load_mw) for speeds in winds)
         needed_mw = (1.0 + LOSSES - least) * draft.load_mw - self.constant_mw
         return min(max(needed_mw / (draft.machine_loading * self.generator_mva), LEAST_COMMITTED), 1.0)
+
+
+#: The delay is drawn from whole numbers of these [s].
+DELAY_STEP_S = 0.1
+#: A drawn bias lies within this many standard deviations.
+_MOST_DEVIATIONS = 2.5
+
+
+@dataclass(frozen=True, kw_only=True)
+class SensorDistribution(Checked):
+    """Distribution of the sensors' errors; a value without a meaning of its own is that of every run's `Sensors`."""
+
+    delay_s: tuple[float, float] = design(
+        (0.1, 0.3), "s", "whole numbers of 0.1 s; every one between is as likely", 0.0, DELAY_MAX_S
+    )
+    frequency_filter_s: float = 0.1
+    frequency_noise_hz: float = 0.005
+    rocof_filter_s: float = 0.2
+    rocof_noise_hz_s: float = 0.05
+    rotor_speed_noise_pu: float = 0.003
+    power_noise_pu: float = 0.01
+    wind_bias: float = design(
+        0.01, "-", "standard deviation of each group's; none is larger than 2.5 times this", 0.0, 0.2
+    )
+    wind_noise: float = 0.01
+    wind_noise_correlation_s: float = 3.0
+    wind_sensor: bool = True
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if any(abs(delay / DELAY_STEP_S - round(delay / DELAY_STEP_S)) > 1e-6 for delay in self.delay_s):
+            raise ValueError(f"delay_s must be whole numbers of {DELAY_STEP_S:g} s, got {self.delay_s} s")
+        # Checks the values that are the same in every scenario.
+        Sensors(**{**vars(self), "seed": 0, "delay_s": 0.0, "wind_bias": (0.0,)})
+
+    def replaced(self, changes: Mapping[str, Any]) -> SensorDistribution:
+        """Return the distribution with some of its values replaced; a ValueError lists the known names."""
+        require_known("values of the sensors", changes, [field.name for field in fields(self)])
+        return replace(self, **changes)
+
+    def delays_s(self) -> list[float]:
+        """Return every delay that may be drawn [s]."""
+        shortest, longest = (round(delay / DELAY_STEP_S) for delay in self.delay_s)
+        return [round(DELAY_STEP_S * steps, 9) for steps in range(shortest, longest + 1)]
+
+    def draw_many(self, name: str, seeds: Sequence[int], n_wtg: int) -> list[Sensors]:
+        """Draw the sensors of several seeds; `name` is that of the scenarios' distribution.
+
+        What is drawn scales with the distribution: with twice the `wind_bias`, every bias is twice as large.
+        """
+        streams = seed_streams(seeds, zlib.crc32(f"{name}/sensors".encode()))
+        uniform = np.array([stream.random(2 + 12 * n_wtg) for stream in streams]).reshape(len(seeds), 2 + 12 * n_wtg)
+        delays = self.delays_s()
+        # The sum of twelve uniform numbers is nearly normal; platforms agree on its last bit.
+        deviations = uniform[:, 2:].reshape(len(seeds), n_wtg, 12).sum(axis=2) - 6.0
+        biases = self.wind_bias * np.clip(deviations, -_MOST_DEVIATIONS, _MOST_DEVIATIONS)
+        shared = {name: value for name, value in vars(self).items() if name not in ("delay_s", "wind_bias")}
+        return [
+            trusted(
+                Sensors,
+                **shared,
+                seed=int(own[0] * 2**31),
+                delay_s=delays[int(own[1] * len(delays))],
+                wind_bias=tuple(bias),
+            )
+            for own, bias in zip(uniform.tolist(), biases.tolist(), strict=True)
+        ]

@@ -18,9 +18,8 @@ from wtg_gym.physics.network import LEAST_IMPEDANCE
 from wtg_gym.physics.plant import SIMULATION_DT_RANGE
 from wtg_gym.physics.simulator import longest_step
 from wtg_gym.ranges import Checked, describe, design, required
-from wtg_gym.scenarios.draws import LOSSES, OperatingPoint, Wind
+from wtg_gym.scenarios.draws import LOSSES, OperatingPoint, Span, Wind
 from wtg_gym.scenarios.strata import COMMON, Places, constant_mw, governed_mva, suite_of_strata, wind_plant
-from wtg_gym.scenarios.stream import Span
 from wtg_gym.scenarios.suite import Suite
 
 #: Largest increase of a bus's load, as a share of its own and, for small ones, of the grid's.

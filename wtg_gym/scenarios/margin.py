@@ -98,9 +98,8 @@ class ReserveMargin:
     def _at(self, time_s: float, scenario: Scenario, at_start_mw: list[float]) -> float:
         """Return the least margin of all parts of the network from an instant on."""
         past = [event for event in scenario.events if event.time_s <= time_s]
-        gone = [event for event in past if not (getattr(event, "returns_after_s", None) and time_s >= event.end_s)]
-        lost = {event.bus for event in gone if isinstance(event, events.MachineOutage)}
-        away = {event.group for event in gone if isinstance(event, events.GroupTrip)}
+        lost = {event.bus for event in past if isinstance(event, events.MachineOutage)}
+        away = {event.group for event in past if isinstance(event, events.GroupTrip)}
         stuck = {event.bus for event in past if isinstance(event, events.GovernorLoss)}
         loads_mw = {bus: scenario.load_level * load_mw for bus, load_mw in self._loads_mw.items()}
         for event in past:

@@ -16,8 +16,7 @@ from wtg_gym.physics.plant import Plant
 from wtg_gym.ranges import Checked
 from wtg_gym.scenarios import draws
 from wtg_gym.scenarios.distribution import ScenarioDistribution
-from wtg_gym.scenarios.sensor_distribution import SensorDistribution
-from wtg_gym.scenarios.stream import Span
+from wtg_gym.scenarios.draws import SensorDistribution, Span
 from wtg_gym.scenarios.suite import Suite
 from wtg_gym.tasks import V1
 

@@ -20,9 +20,8 @@ from wtg_gym.physics.plant import Plant
 from wtg_gym.physics.scenario import Event, Scenario, trusted
 from wtg_gym.ranges import did_you_mean, is_whole, require_whole
 from wtg_gym.scenarios.distribution import ScenarioDistribution
+from wtg_gym.scenarios.draws import SensorDistribution, Span
 from wtg_gym.scenarios.margin import ReserveMargin
-from wtg_gym.scenarios.sensor_distribution import SensorDistribution
-from wtg_gym.scenarios.stream import Span
 from wtg_gym.tasks import ANY_GRID, V0, Task
 
 #: Names of the frozen splits, in the order of the seeds' use.

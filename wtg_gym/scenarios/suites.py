@@ -15,15 +15,14 @@ from wtg_gym.physics.scenario import LoadStep, LoadTrip
 from wtg_gym.ranges import did_you_mean
 from wtg_gym.scenarios import draws
 from wtg_gym.scenarios.distribution import ScenarioDistribution
+from wtg_gym.scenarios.draws import SensorDistribution
 from wtg_gym.scenarios.grid_suite import read_suite, suite_of_file
-from wtg_gym.scenarios.sensor_distribution import SensorDistribution
 from wtg_gym.scenarios.strata import Places, suite_of_strata, wind_plant
 from wtg_gym.scenarios.suite import FixedCase, Suite
 from wtg_gym.tasks import V1
 
 
 def _paper_cases(wind_speed_m_s: tuple[float, float], increase_mw: float) -> tuple[FixedCase, FixedCase]:
-    """Return the cases of the paper: two load steps, and the loss of two loads."""
     more = (LoadStep(time_s=at, bus=bus, power_mw=increase_mw) for at, bus in ((5.0, 2), (30.0, 3)))
     less = (LoadTrip(time_s=5.0, bus=4), LoadTrip(time_s=30.0, bus=9))
     return (

@@ -43,7 +43,6 @@ def read_wind_csv(path: str | os.PathLike[str], *, duration_s: float | None = No
 
 
 def _parse(raw: bytes, duration_s: float | None) -> tuple[FloatArray, float]:
-    """Return what :func:`read_wind_csv` does for the content of a file."""
     try:
         text = raw.decode("utf-8-sig")
     except UnicodeDecodeError as error:
@@ -78,7 +77,6 @@ def _cells(line: str) -> list[str]:
 
 
 def _numbers(where: str, header: list[str], line: str) -> list[float]:
-    """Return the time and the winds of a row."""
     cells = _cells(line)
     if len(cells) != len(header):
         raise ValueError(f"{where}: {len(cells)} cells, the header has {len(header)}: {line[:80]!r}")

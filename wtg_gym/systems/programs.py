@@ -90,28 +90,6 @@ class Here(NamedTuple):
     otherwise: tuple[System, ...] = ()  # what stands there where none joins
 
 
-@dataclass(frozen=True, eq=False)
-class Delay:
-    """A part of every unit, kept in a ring that turns by a place a time, and handed out some turns later."""
-
-    units: Kind
-    part: str  # in scratch
-    delayed: str  # takes what was kept, in scratch
-    ring: Kind  # one unit after the other for each turn
-    kept: str
-    turn: str  # how often the ring has turned, a number that units see
-    delay: str  # turns, likewise
-
-    def __post_init__(self) -> None:
-        records = {*(self.units.record_of(part, "scratch") for part in (self.part, self.delayed))}
-        if len(records | {self.ring.record_of(self.kept, "rows")}) > 1:
-            raise TypeError(f"{self.part!r}, {self.delayed!r} and {self.kept!r} of a delay must be of one record")
-        for number in (self.turn, self.delay):
-            place = self.units.find(number)
-            if place.where != "rows" or place.record is not float:
-                raise TypeError(f"{number!r} of a delay is no single number that lasts from step to step")
-
-
 class Each(NamedTuple):
     """For each unit of `outer` in turn: that system, then `inner` over that unit's share of its own units."""
 
@@ -228,8 +206,6 @@ def _told(entry: Any) -> tuple[Any, ...]:
     if isinstance(entry, (When, Repeat)):
         most = entry.most if isinstance(entry, Repeat) else 1
         return type(entry).__name__, entry.place.in_scratch, most, [_told(each) for each in entry.entries]
-    if isinstance(entry, Delay):
-        return "delay", count(entry.units.scratch[entry.part])
     if isinstance(entry, Product):
         return "product", entry.matrix in entry.pairs.rows
     return (type(entry).__name__,)
@@ -248,15 +224,14 @@ def _operations(one: System, *, back: bool) -> Iterator[Any]:
 
 
 def _n_units(entry: Any, plant: MemoryMap) -> int:
-    """Return how many units an entry is for."""
     if isinstance(entry, System):
         return plant.n_units(entry.kind) if entry.when is None or plant.has(entry.when) else 0
-    return plant.n_units(entry.units) if isinstance(entry, (Product, Delay)) else 1
+    return plant.n_units(entry.units) if isinstance(entry, Product) else 1
 
 
 def _n_noted(entry: Any) -> int:
     """Return how many rows an entry notes on a tape for each unit."""
-    return len(entry.noted) if isinstance(entry, System) else 2 * isinstance(entry, Delay)
+    return len(entry.noted) if isinstance(entry, System) else 0
 
 
 def build_table(programs: Sequence[Program], plant: MemoryMap, taped: Sequence[Program] = ()) -> Tables:
@@ -282,8 +257,6 @@ def build_table(programs: Sequence[Program], plant: MemoryMap, taped: Sequence[P
                 numbers += values
             elif isinstance(entry, Product):
                 rows += _product_rows(entry, plant)
-            elif isinstance(entry, Delay):
-                rows += _delay_rows(entry, plant)
             else:
                 own[1] = plant.first_rows(entry.place.kind, entry.place.part)[0] + entry.place.offset
     table = np.concatenate([head.ravel(), np.array(rows, dtype=np.int64)])
@@ -323,17 +296,6 @@ def _product_rows(entry: Product, plant: MemoryMap) -> list[int]:
     return [*places, plant.n_units(of) if plant.n_units(entry.pairs) else 0]
 
 
-def _delay_rows(entry: Delay, plant: MemoryMap) -> list[int]:
-    """Return first rows and strides of both parts, the ring's first row, its turns, and the rows of turn and delay."""
-    n = plant.n_units(entry.units)
-    if n == 0:
-        return [0] * 8
-    places = (entry.units.find(name) for name in (entry.turn, entry.delay))
-    numbers = [int(_rows_of(entry.units, place, plant)[0]) for place in places]
-    ring = [_stride(entry.ring, entry.kept, plant)[0], plant.n_units(entry.ring) // n]
-    return [*_stride(entry.units, entry.part, plant), *_stride(entry.units, entry.delayed, plant), *ring, *numbers]
-
-
 def _stride(kind: Kind, part: str, plant: MemoryMap) -> list[int]:
     """Return the first row of a part of the first unit, and how many rows later that of the next is."""
     found = plant.first_rows(kind, part)
@@ -341,7 +303,6 @@ def _stride(kind: Kind, part: str, plant: MemoryMap) -> list[int]:
 
 
 def _system_rows(one: System, plant: MemoryMap, n: int) -> list[int]:
-    """Return the first rows of a system's parts for each of n units."""
     if n == 0:
         return []
     found = [_rows_of(one.kind, one.places[name], plant) for name in one.slots]

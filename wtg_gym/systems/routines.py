@@ -20,17 +20,7 @@ from numba.core.compiler_lock import global_compiler_lock
 from numba.core.registry import cpu_target
 from numba.extending import intrinsic
 
-from wtg_gym.systems.compiled import (
-    SHIPPED,
-    VERSIONS,
-    Processor,
-    cache_folder,
-    digest_of,
-    keep,
-    kept,
-    reporting,
-    shipped_for,
-)
+from wtg_gym.systems import compiled
 from wtg_gym.systems.programs import NONE, Floats, Program, Tables, Whole
 from wtg_gym.systems.systems import SCALARS
 from wtg_gym.systems.writers import BackWithoutConstants, BackWriter, NotingWriter, TapedWriter, Writer
@@ -84,21 +74,24 @@ class Routine:
         """
         n_arrays, what = _OF_WRITER[self._writer]
         told = (program.digest(back=n_arrays > 2), what, width, sorted(self._known.items()), _writers_hash())
-        folder = cache_folder()
-        places = [(folder and folder.parent, _processor()), *((SHIPPED, kind) for kind in shipped_for(_processor()))]
-        keys = [digest_of(repr((told, kind, VERSIONS)).encode()) for _, kind in places]
+        folder = compiled.cache_folder()
+        places = [
+            (folder and folder.parent, _processor()),
+            *((compiled.SHIPPED, kind) for kind in compiled.shipped_for(_processor())),
+        ]
+        keys = [compiled.digest_of(repr((told, kind, compiled.VERSIONS)).encode()) for _, kind in places]
         # Threads may ask at once.
         with global_compiler_lock:
             if keys[0] not in _ADDRESSES:
                 names = [f"{program.name.lower()}-{key.hex()[:16]}" for key in keys]
                 bases = [base and base / "programs" for base, _ in places]
                 paths = [base and base / f"{name}.o" for base, name in zip(bases, names, strict=True)]
-                found = (kept(path, key) for path, key in zip(paths, keys, strict=True))
+                found = (compiled.kept(path, key) for path, key in zip(paths, keys, strict=True))
                 name, code = next((each for each in zip(names, found, strict=True) if each[1]), (names[0], None))
                 if code is None:
-                    with reporting(f"{program.name.lower()} ({what})"):
+                    with compiled.reporting(f"{program.name.lower()} ({what})"):
                         code = self._compiled(program, name, width)
-                    keep(paths[0], keys[0], code)
+                    compiled.keep(paths[0], keys[0], code)
                 engine = _engine()
                 engine.add_object_file(binding.ObjectFileRef.from_data(code))
                 engine.finalize_object()
@@ -134,7 +127,6 @@ class Routine:
             function(*(data + block * stride for data, stride in places), *constant)
 
     def _compiled(self, program: Program, name: str, width: int) -> bytes:
-        """Return an object file with the machine code."""
         n_arrays, _ = _OF_WRITER[self._writer]
         module = ir.Module(name)
         module.triple, module.data_layout = _processor()[0], str(_machine().target_data)
@@ -158,9 +150,9 @@ class Routine:
 _LEVEL = 1
 
 
-def _processor() -> Processor:
+def _processor() -> compiled.Processor:
     """Return triple, name and features of this processor, as numba knows them."""
-    found: Processor = cpu_target.target_context.codegen().magic_tuple()
+    found: compiled.Processor = cpu_target.target_context.codegen().magic_tuple()
     return found
 
 
@@ -179,8 +171,7 @@ def _engine() -> Any:
 
 @functools.cache
 def _writers_hash() -> bytes:
-    """Return a hash of the sources that write instructions."""
-    return digest_of(*(path.read_bytes() for path in sorted(Path(__file__).parent.glob("*.py"))))
+    return compiled.digest_of(*(path.read_bytes() for path in sorted(Path(__file__).parent.glob("*.py"))))
 
 
 def _signature(n_arrays: int) -> Any:

@@ -338,7 +338,6 @@ class System:
         return self.equation.__name__
 
     def __call__(self, *arguments: Any, **named: Any) -> Any:
-        """Evaluate the equation."""
         return self.equation(*arguments, **named)
 
     @functools.cached_property

@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from types import MappingProxyType
 from typing import Any
 
 from llvmlite import ir
 
 from wtg_gym.systems import expressions as ex
-from wtg_gym.systems.programs import HEAD, Delay, Each, Product, Program, Repeat, When
-from wtg_gym.systems.systems import Place, System, Trace, count
+from wtg_gym.systems.programs import HEAD, Each, Product, Program, Repeat, When
+from wtg_gym.systems.systems import Place, System, Trace
 from wtg_gym.systems.vectors import Lanes, repeated
 
 _WHOLE = ir.IntType(64)
@@ -47,8 +47,6 @@ class Writer:
                     self.write(entry.entries)
             elif isinstance(entry, Repeat):
                 self._repeat(entry)
-            elif isinstance(entry, Delay):
-                self._delay(entry)
             else:
                 self._each(entry)
 
@@ -59,7 +57,6 @@ class Writer:
         return self.builder.load(self.builder.gep(self.table, [place]))
 
     def _system(self, one: System, unit: Any) -> None:
-        """Write the instructions on one unit."""
         lanes, trace = self.lanes, one.trace_with(**self.known)
         rows = self._rows(one, unit)
         instruction = lanes.program(self._given(one, trace, unit, lambda name, k: lanes.load(self._at(rows[name], k))))
@@ -94,7 +91,6 @@ class Writer:
     def _given(
         self, one: System, trace: Trace, unit: Any, read: Callable[[str, int], Any]
     ) -> dict[ex.Number, Callable[[], Any]]:
-        """Return what gives the symbols of a trace."""
         builder, lanes = self.builder, self.lanes
 
         first = builder.gep(self.numbers, [self._first_constant(one, unit)])
@@ -109,18 +105,15 @@ class Writer:
         }
 
     def _first_constant(self, one: System, unit: Any) -> Any:
-        """Return the place of a unit's first constant."""
         return self.builder.add(self._head(one, 2), self.builder.mul(unit, _WHOLE(len(one.constants_used))))
 
     def _notes(self, one: System, at: tuple[str, int]) -> bool:
-        """Return whether an input goes onto a tape."""
         return False
 
     def _note(self, one: System, unit: Any, values: Mapping[tuple[str, int], Any]) -> None:
         """Write inputs onto the tape."""
 
     def _row(self, place: Place, row: Any) -> Any:
-        """Return a pointer to a row."""
         first = self.scratch if place.in_scratch else self.block
         return self._pointer(first, row)
 
@@ -153,71 +146,18 @@ class Writer:
             self._share(entry, unit, n_outer)
 
     def _share(self, entry: Each, unit: Any, n_outer: Any) -> None:
-        """Write the instructions on a unit's share of the inner units."""
         builder = self.builder
         share = builder.sdiv(self._head(entry.inner, 0), n_outer)
         first = builder.mul(unit, share)
         with repeated(builder, share) as own:
             self._system(entry.inner, builder.add(first, own))
 
-    def _delay(self, entry: Delay) -> None:
-        builder = self.builder
-
-        def copy(source: Any, target: Any) -> None:
-            builder.store(builder.load(source), target)
-
-        for part, shown, newest, arrived in self._turned(entry):
-            for x in range(self.lanes.width):
-                copy(self._lane_of(self.scratch, part, x), self._lane_of(self.block, newest[x], x))
-                copy(self._lane_of(self.block, arrived[x], x), self._lane_of(self.scratch, shown, x))
-
-    def _turn(self, entry: Delay) -> tuple[Any, Any]:
-        """Return how often a ring has turned, and its delay."""
-        turn, delay = (self.lanes.load(self._pointer(self.block, row)) for row in self._places(entry, (6, 7)))
-        return turn, delay
-
-    def _turned(self, entry: Delay) -> Iterator[tuple[Any, Any, list[Any], list[Any]]]:
-        """Loop over the numbers of all units; yield the rows of both parts, and in the ring of each lane.
-
-        Those in the ring are where the newest number goes, and where the newest of those lies that have arrived.
-        """
-        builder, lanes, record = self.builder, self.lanes, entry.units.scratch[entry.part]
-        n, size = self._head(entry, 0), count(record)
-        part, stride, shown, shown_stride, ring, n_turns = self._places(entry, range(6))
-
-        def rows(turns: Any) -> list[Any]:
-            found = []
-            for x in range(lanes.width):
-                own = turns if lanes.width == 1 else builder.extract_element(turns, _WHOLE(x))
-                place = builder.srem(builder.fptosi(own, _WHOLE), n_turns)
-                found.append(builder.add(ring, builder.mul(place, builder.mul(n, _WHOLE(size)))))
-            return found
-
-        with builder.if_then(builder.icmp_signed(">", n, _WHOLE(0))):
-            turn, delay = self._turn(entry)
-            newest, waited, zero = rows(turn), builder.fsub(turn, delay), lanes.constant(0.0)
-            arrived = rows(builder.select(builder.fcmp_ordered(">", waited, zero), waited, zero))
-            with repeated(builder, n) as unit:
-                for k in range(size):
-                    place = builder.add(builder.mul(unit, _WHOLE(size)), _WHOLE(k))
-                    yield (
-                        builder.add(builder.add(part, builder.mul(unit, stride)), _WHOLE(k)),
-                        builder.add(builder.add(shown, builder.mul(unit, shown_stride)), _WHOLE(k)),
-                        [builder.add(row, place) for row in newest],
-                        [builder.add(row, place) for row in arrived],
-                    )
-
     def _places(self, entry: Any, which: Iterable[int]) -> list[Any]:
-        """Return what the table says of an entry that is no system."""
         first = self._head(entry, 1)
         return [self._whole(self.builder.add(first, _WHOLE(i))) for i in which]
 
     def _pointer(self, data: Any, row: Any) -> Any:
         return self.builder.gep(data, [self.builder.mul(row, _WHOLE(self.lanes.width))])
-
-    def _lane_of(self, data: Any, row: Any, x: int) -> Any:
-        """Return a pointer to one lane's number in a row."""
-        return self.builder.gep(self._pointer(data, row), [_WHOLE(x)])
 
     def _product(self, entry: Product) -> None:
         builder, lanes = self.builder, self.lanes
@@ -279,15 +219,6 @@ class TapedWriter(Writer):
         for k, at in enumerate(one.noted):
             self.lanes.store(values[at], self._at(first, k))
 
-    def _turn(self, entry: Delay) -> tuple[Any, Any]:
-        found = super()._turn(entry)
-        for k, value in enumerate(found):
-            self.lanes.store(value, self._turn_on_tape(entry, k))
-        return found
-
-    def _turn_on_tape(self, entry: Delay, k: int) -> Any:
-        return self._pointer(self.others[0], self.builder.add(self._head(entry, 3), _WHOLE(k)))
-
     def _on_tape(self, one: System, unit: Any) -> Any:
         """Return a pointer to the first that a system has noted of a unit."""
         row = self.builder.add(self._head(one, 3), self.builder.mul(unit, _WHOLE(len(one.noted))))
@@ -318,27 +249,8 @@ class BackWriter(TapedWriter):
                 self._product(entry)
             elif isinstance(entry, Each):
                 self._each_back(entry)
-            elif isinstance(entry, Delay):
-                self._delay(entry)
             else:
                 raise NotImplementedError(f"{type(entry).__name__} has no way back of its own")
-
-    def _turn(self, entry: Delay) -> tuple[Any, Any]:
-        turn, delay = (self.lanes.load(self._turn_on_tape(entry, k)) for k in range(2))
-        return turn, delay
-
-    def _delay(self, entry: Delay) -> None:
-        """Go back from what is shown to where it was copied from, then to what is kept."""
-        builder, zero = self.builder, ir.Constant(ir.DoubleType(), 0.0)
-
-        def pass_on(source: Any, target: Any) -> None:
-            builder.store(builder.fadd(builder.load(target), builder.load(source)), target)
-            builder.store(zero, source)
-
-        for part, shown, newest, arrived in self._turned(entry):
-            for x in range(self.lanes.width):
-                pass_on(self._lane_of(self.scratch, shown, x), self._lane_of(self.block, arrived[x], x))
-                pass_on(self._lane_of(self.block, newest[x], x), self._lane_of(self.scratch, part, x))
 
     def _each_back(self, entry: Each) -> None:
         builder = self.builder

@@ -144,7 +144,6 @@ FILTERED_DUTY = Kind(
     name="filtered duties",
     rows={
         "leaves_at": float,  # simulation step at which an event disconnects the group
-        "returns_at": float,  # and at which it comes back
         "mean_duty": float,  # signed, 0.05 of the available power
     },
     sees={"charged": GROUP_COST, "task": TASK, "lane": LANE},
@@ -158,7 +157,6 @@ def _frequency_cost(deviation: float, task: TaskConstants, weights: CostWeights)
 
 
 def _effort(action: float, last: float) -> float:
-    """Return the cost of an action and of its change."""
     change = action - last
     return action * action + 4.0 * change * change
 
@@ -172,7 +170,6 @@ def _capped(terms: CostTerms, elapsed: float, most: float) -> CostTerms:
 
 
 def _total(terms: CostTerms) -> float:
-    """Return the sum of all terms."""
     return terms.frequency + terms.rocof + terms.duty + terms.rotor + terms.overload + terms.effort + terms.failure
 
 
@@ -264,7 +261,6 @@ def filter_duty(
     deviations: GroupDeviations,
     mean_duty: float,
     leaves_at: float,
-    returns_at: float,
     step: float,
     was_active: float,
     task: TaskConstants,
@@ -273,7 +269,7 @@ def filter_duty(
 
     An interval that ends early counts as a whole one.
     """
-    there = select((step <= leaves_at) | (step > returns_at), 1.0, 0.0)
+    there = select(step <= leaves_at, 1.0, 0.0)
     exempt: GroupDeviations = each(lambda deviation: there * deviation, deviations)
     duty = there * (mean_duty + select(was_active > 0.5, task.duty_gain, 0.0) * (exempt.duty - mean_duty))
     return exempt._replace(charged=duty, there=there), duty

@@ -1,4 +1,4 @@
-"""The sensors: measurements are taken after every control interval, kept in a ring, and shown some steps late.
+"""The sensors: measurements are taken after every control interval, kept for a while, and shown some steps late.
 
 The equations of the sensors stand in :mod:`wtg_gym.physics.sensors`.
 """
@@ -13,8 +13,8 @@ from wtg_gym.physics.sensors import Noise, SensorInput, SensorState
 from wtg_gym.physics.units import LANE
 from wtg_gym.physics.wind_turbine import Turbine, WtgOutput, WtgState, frequency_of
 from wtg_gym.physics.wtg_unit import GROUPS
-from wtg_gym.systems.programs import Delay
-from wtg_gym.systems.systems import Kind, system
+from wtg_gym.systems.elementary import select
+from wtg_gym.systems.systems import Kind, each, system
 from wtg_gym.tasks.episode import ACTING, TASK, GroupRows, TaskConstants
 from wtg_gym.tasks.observation import FREQUENCY_UNIT_HZ, bounded, scaled_ratio, scaled_rotor_speed, scaled_wind
 
@@ -44,8 +44,16 @@ SENSED = Kind(
     constants={"group_number": float},
     sees={"acting": ACTING, "group": GROUPS, "sensors": SENSORS, "task": TASK, "lane": LANE},
 )
-#: The latest measurements of all groups, one after the other in a ring.
-RING = Kind(name="ring", rows={"measurement": MeasuredObservation})
+#: The latest measurements of every group, the oldest first, one group after the other.
+KEPT = Kind(name="kept measurements", rows={"measurement": MeasuredObservation}, sees={"sensed": SENSED})
+#: Neighbours among those of a group: each takes the place of the one before it.
+KEPT_SHIFTS = Kind(
+    name="shifts of measurements",
+    constants={"age": float},  # of the one before [control intervals]
+    sees={"this_": KEPT, "next_": KEPT, "sensed": SENSED, "sensors": SENSORS, "task": TASK},
+)
+#: The newest of each group.
+NEWEST = Kind(name="newest measurements", sees={"kept": KEPT, "sensed": SENSED, "sensors": SENSORS})
 
 
 def n_delayed(control_dt: float) -> int:
@@ -104,5 +112,34 @@ def measure_group(
     )
 
 
-#: Measurements are shown late.
-SHOW = Delay(SENSED, "seen", "shown", RING, "measurement", turn="interval", delay="delay")
+@system(KEPT, "measurement", "shown")
+def start_measurements(seen: MeasuredObservation) -> tuple[MeasuredObservation, MeasuredObservation]:
+    """Begin a run as if the first measurement had always been taken."""
+    return seen, seen
+
+
+def _either(condition: bool, new: MeasuredObservation, old: MeasuredObservation) -> MeasuredObservation:
+    found: MeasuredObservation = each(lambda a, b: select(condition, a, b), new, old)
+    return found
+
+
+@system(KEPT_SHIFTS, "this_measurement", "shown")
+def shift_measurements(
+    this_measurement: MeasuredObservation,
+    next_measurement: MeasuredObservation,
+    shown: MeasuredObservation,
+    age: float,
+    delay: float,
+    begins: float,
+) -> tuple[MeasuredObservation, MeasuredObservation]:
+    """Move the measurements on where an interval begins; else the newest is replaced."""
+    moved = _either(begins > 0.5, next_measurement, this_measurement)
+    return moved, _either(age == delay, moved, shown)
+
+
+@system(NEWEST, "measurement", "shown")
+def keep_measurement(
+    seen: MeasuredObservation, shown: MeasuredObservation, delay: float
+) -> tuple[MeasuredObservation, MeasuredObservation]:
+    """Keep what is measured now."""
+    return seen, _either(delay == 0.0, seen, shown)

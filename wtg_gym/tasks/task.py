@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import Any, NamedTuple, get_type_hints
 
 import numpy as np
@@ -18,21 +18,10 @@ from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY, group_laws
 from wtg_gym.systems.programs import Program, in_one_table
 from wtg_gym.systems.routines import Routine
 from wtg_gym.systems.systems import Kind, count
+from wtg_gym.tasks import episode
 from wtg_gym.tasks.cost import COST, FILTERED_DUTY, GROUP_COST, MACHINE_COST, CostWeights
-from wtg_gym.tasks.episode import (
-    ACTING,
-    ACTION_MODES,
-    HISTORY,
-    SHIFTS,
-    TASK,
-    WINDOW,
-    Reach,
-    TaskConstants,
-    end_episode,
-    rocof_window,
-)
 from wtg_gym.tasks.observation import INFO, OBSERVED, OBSERVED_DUTY, OBSERVED_GRID, OBSERVED_MACHINES
-from wtg_gym.tasks.sensing import RING, SENSED, SENSORS, n_delayed
+from wtg_gym.tasks.sensing import KEPT, KEPT_SHIFTS, NEWEST, SENSED, SENSORS, n_delayed
 
 #: Share of the load that the torque of the machines is counted in on other grids than the IEEE 14-bus system, where it
 #: is 100 MVA.
@@ -140,7 +129,7 @@ class Task:
         """Names of the entries that every evaluation plays: the anchors and the control variates."""
         return tuple(dict.fromkeys((*self.anchors, *self.variates)))
 
-    @property
+    @cached_property
     def has_sensors(self) -> bool:
         """Whether policies see what sensors measure, not what there is."""
         return bool(self.measure)
@@ -181,23 +170,27 @@ class Task:
             START_SENSORS=self.start_sensors,
             MEASURE=self.measure,
             OBSERVE=self.observe,
-            END=(end_episode,),
+            END=(episode.end_episode,),
         )
 
+    @lru_cache(maxsize=64)  # noqa: B019 (a task lasts)
     def units(self, choices: Choices) -> TaskUnits:
         """Return the task's kinds of unit and programs, as a simulator takes them."""
         plant, sensors = choices.plant, int(self.has_sensors)
-        n_wtg, n_sync, n_window = len(plant.groups), len(plant.case.machines), rocof_window(plant.control_dt)
-        modulated = dict(zip(("modulates k", "modulates tau"), ACTION_MODES[choices.action_mode], strict=True))
+        n_wtg, n_sync, n_window = len(plant.groups), len(plant.case.machines), episode.rocof_window(plant.control_dt)
+        n_kept = n_delayed(plant.control_dt)
+        kept = np.arange(n_wtg * sensors * n_kept).reshape(-1, n_kept)
+        group = np.broadcast_to(np.arange(len(kept))[:, np.newaxis], kept.shape)
+        modulated = dict(zip(("modulates k", "modulates tau"), episode.ACTION_MODES[choices.action_mode], strict=True))
         conditions = {**modulated, "privileged": choices.privileged}
-        act, charge, start_sensors, measure, observe, end = map(Routine, self.programs)
+        act, charge, start_sensors, measure, observe, end = _routines_of(self.programs)
         return TaskUnits(
             n_units={
-                TASK: 1,
-                HISTORY: n_window + 1,
-                SHIFTS: n_window,
-                WINDOW: 1,
-                ACTING: n_wtg,
+                episode.TASK: 1,
+                episode.HISTORY: n_window + 1,
+                episode.SHIFTS: n_window,
+                episode.WINDOW: 1,
+                episode.ACTING: n_wtg,
                 COST: 1,
                 GROUP_COST: n_wtg,
                 MACHINE_COST: n_sync,
@@ -209,32 +202,40 @@ class Task:
                 INFO: 1,
                 SENSORS: sensors,
                 SENSED: n_wtg * sensors,
-                RING: n_wtg * n_delayed(plant.control_dt) * sensors,
+                KEPT: kept.size,
+                KEPT_SHIFTS: kept[:, 1:].size,
+                NEWEST: len(kept),
             },
             links={
-                (SHIFTS, "this_"): np.arange(n_window),
-                (SHIFTS, "next_"): 1 + np.arange(n_window),
-                (WINDOW, "oldest_"): np.array([0]),
-                (WINDOW, "newest_"): np.array([n_window]),
+                (episode.SHIFTS, "this_"): np.arange(n_window),
+                (episode.SHIFTS, "next_"): 1 + np.arange(n_window),
+                (episode.WINDOW, "oldest_"): np.array([0]),
+                (episode.WINDOW, "newest_"): np.array([n_window]),
+                (KEPT, "sensed"): group.ravel(),
+                (KEPT_SHIFTS, "sensed"): group[:, 1:].ravel(),
+                (KEPT_SHIFTS, "this_"): kept[:, :-1].ravel(),
+                (KEPT_SHIFTS, "next_"): kept[:, 1:].ravel(),
+                (NEWEST, "kept"): kept[:, -1],
             },
             programs=self.programs,
             stepping=(act, charge, measure, observe, end),
             starting=(start_sensors, observe),
             constants={
-                (TASK, "task"): [self._constants(choices)],
+                (episode.TASK, "task"): [self._constants(choices)],
                 (COST, "weights"): [choices.weights],
-                (ACTING, "reach"): self._reaches(plant),
+                (episode.ACTING, "reach"): self._reaches(plant),
                 (OBSERVED_GRID, "inv_torque"): [_inv_torque(plant)],
                 (SENSED, "group_number"): range(n_wtg),
+                (KEPT_SHIFTS, "age"): n_kept - 1 - (kept[:, :-1].ravel() % n_kept),
             },
             has=[name for name, holds in conditions.items() if holds],
         )
 
-    def _constants(self, choices: Choices) -> TaskConstants:
+    def _constants(self, choices: Choices) -> episode.TaskConstants:
         plant = choices.plant
-        modulates_k, modulates_tau = ACTION_MODES[choices.action_mode]
+        modulates_k, modulates_tau = episode.ACTION_MODES[choices.action_mode]
         n_wtg, control_dt = len(plant.groups), plant.control_dt
-        return TaskConstants(
+        return episode.TaskConstants(
             modulates_k=modulates_k,
             modulates_tau=modulates_tau,
             share_min=1.0,
@@ -243,7 +244,7 @@ class Task:
             control_dt=control_dt,
             nominal_hz=plant.case.frequency_hz,
             inv_load=plant.case.base_mva / max(plant.case.load_mw, 1e-6),
-            n_window=rocof_window(control_dt),
+            n_window=episode.rocof_window(control_dt),
             n_groups=n_wtg,
             n_actions=n_wtg * (modulates_k + modulates_tau),
             n_substeps=round(control_dt / plant.simulation_dt),
@@ -251,16 +252,18 @@ class Task:
             tau_authority=self.tau_authority,
         )
 
-    def _reaches(self, plant: Plant) -> list[Reach]:
+    def _reaches(self, plant: Plant) -> list[episode.Reach]:
         """Return what each group's turbine decides."""
         laws = group_laws(REFERENCE_STRATEGY, plant.turbines, plant.control)
-        return [Reach(self.k_authority * (law.k_min - law.k_max), law.k_max, law.k_min - law.k_max) for law in laws]
+        return [
+            episode.Reach(self.k_authority * (law.k_min - law.k_max), law.k_max, law.k_min - law.k_max) for law in laws
+        ]
 
     # --- observations -------------------------------------------------------------------------------------------------
 
     def entries(self, choices: Choices) -> list[Entries]:
         """Return the entries of an observation: groups, then what is privileged, then devices."""
-        n_wtg, modulated = len(choices.plant.groups), ACTION_MODES[choices.action_mode]
+        n_wtg, modulated = len(choices.plant.groups), episode.ACTION_MODES[choices.action_mode]
         actions = tuple(name for name, used in zip(_fields(OBSERVED, "shown_actions"), modulated, strict=True) if used)
         machines = range(len(choices.plant.case.machines))
 
@@ -308,6 +311,11 @@ class Task:
 
 #: The first task of each version: the one of the benchmark.
 _FIRST: dict[str, Task] = {}
+
+
+@lru_cache(maxsize=64)
+def _routines_of(programs: tuple[Program, ...]) -> tuple[Routine, ...]:
+    return tuple(map(Routine, programs))
 
 
 def _of_version(version: str) -> Task:

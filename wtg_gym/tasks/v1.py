@@ -35,8 +35,14 @@ V1 = Task(
         cost.charge_open_interval,
         cost.charge_lane,
     ),
-    start_sensors=(sensing.draw_noise, sensing.start_sensors, sensing.measure_group, sensing.SHOW),
-    measure=(sensing.draw_noise, sensing.advance_sensors, sensing.measure_group, sensing.SHOW),
+    start_sensors=(sensing.draw_noise, sensing.start_sensors, sensing.measure_group, sensing.start_measurements),
+    measure=(
+        sensing.draw_noise,
+        sensing.advance_sensors,
+        sensing.measure_group,
+        sensing.shift_measurements,
+        sensing.keep_measurement,
+    ),
     observe=(
         observation.observe_group_if_privileged,
         observation.show_actions,

@@ -24,8 +24,6 @@ _WIDTH, _HEIGHT, _N_BUSES = 8.7, 5.1, 14
 #: The units of one bus stand within this.
 _UNITS_WIDTH = 4.4
 _OPENED: Mapping[str, Any] = {"color": EVENT, "linewidth": 2.5, "linestyle": (0, (1.6, 1.2))}
-#: Events that may be undone.
-_LOSSES = (LineTrip, MachineOutage, GroupTrip)
 #: Behind numbers, for a line may run there.
 _PLATE: Mapping[str, Any] = {"facecolor": PAGE, "edgecolor": "none", "pad": 0.8}
 
@@ -103,8 +101,8 @@ def _draw_unit(axes: Axes, place: tuple[float, float], name: str, colour: str, s
 
 
 def undone(events: Sequence[Event], now_s: float) -> tuple[Event, ...]:
-    """Return the events whose line is closed again, or whose unit is back, at an instant [s]."""
-    return tuple(e for e in events if isinstance(e, _LOSSES) and e.time_s < e.end_s <= now_s)
+    """Return the events whose line is closed again at an instant [s]."""
+    return tuple(e for e in events if isinstance(e, LineTrip) and e.time_s < e.end_s <= now_s)
 
 
 def _struck_buses(event: Event, group_buses: Sequence[int]) -> list[int]:
