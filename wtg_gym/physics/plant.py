@@ -568,7 +568,7 @@ def with_places(
     )
 
 
-@functools.lru_cache(maxsize=64)
+@functools.lru_cache(maxsize=16)
 def placed(settings: Plant, task: TaskUnits = NO_TASK) -> tuple[PlantTables, Layout]:
     """Return a plant's tables, which nobody writes to, and where its numbers lie, with those of a task."""
     plant = plant_tables(settings)
