@@ -55,7 +55,7 @@ def read_config(path: Path, env_id: str) -> dict[str, Any]:
             data = yaml.safe_load(text)
         except yaml.YAMLError as error:
             raise ValueError(f"it is not yml: {error}") from error
-        require_plain(data, "it", infinite=False)
+        require_plain(data, "it", len(text), infinite=False)
         if not isinstance(data, dict) or not isinstance(data.get(env_id), dict):
             raise ValueError(f"it must have a section {env_id!r} with keys and values")
     return dict(data[env_id])

@@ -291,7 +291,7 @@ def parse_json(text: str, where: str) -> Any:
         data = json.loads(text, parse_constant=refuse, object_pairs_hook=_with_each_key_once)
     except (ValueError, RecursionError) as error:
         raise ValueError(f"{where} is not JSON, or was cut short: {error}") from error
-    require_plain(data, where, infinite=False)
+    require_plain(data, where, len(text), infinite=False)
     return data
 
 
@@ -319,26 +319,31 @@ def parse_toml(text: str, where: str) -> dict[str, Any]:
         data = tomllib.loads(text)
     except (ValueError, RecursionError) as error:
         raise ValueError(f"{where} is not TOML: {error}") from error
-    require_plain(data, where, infinite=True)
+    require_plain(data, where, len(text), infinite=True)
     return data
 
 
-def require_plain(data: Any, where: str, *, infinite: bool) -> None:
+def require_plain(data: Any, where: str, most: int, *, infinite: bool) -> None:
     """Refuse what the code after a reader could not convert or print; `where` it is from, for the message.
 
-    A ValueError says that nests are deeper than 20 levels, a text holds half a character, a number is not finite,
-    unless it may be `infinite`, a whole number is 2^64 or more, or a value is of another kind.
+    A ValueError says that nests are deeper than 20 levels, a level has more than `most` values, a key is no text, a
+    text holds half a character, a number is not finite, unless it may be `infinite`, a whole number is 2^64 or more, or
+    a value is of another kind. A text has fewer values than characters, unless it names some again and again (YAML).
     """
     level: list[Any] = [data]
     for _ in range(_DEEPEST + 1):
         inner: list[Any] = []
         for value in level:
             if isinstance(value, dict):
+                if not all(isinstance(key, str) for key in value):
+                    raise ValueError(f"{where} holds a key that is no text")
                 inner += [*value, *value.values()]
             elif isinstance(value, list):
                 inner += value
             elif problem := _problem(value, infinite):
                 raise ValueError(f"{where} holds {problem}")
+            if len(inner) > most:
+                raise ValueError(f"{where} holds more than {most} values on one level")
         if not inner:
             return
         level = inner

@@ -19,9 +19,15 @@ def test_shipped_files_mean_what_rl_zoo_makes_of_them(name):
     assert raw["normalize"] is True and normalization_arguments(read) == {"gamma": raw["gamma"]}
 
 
+#: Names of names, nine of each: a billion values of a few hundred characters.
+ALIASES = "a0: &a0 [x]\n" + "".join(f"a{i}: &a{i} [{', '.join([f'*a{i - 1}'] * 9)}]\n" for i in range(1, 11))
+
+
 @pytest.mark.parametrize(
     ("content", "text"),
     [
+        (ALIASES, "values on one level"),
+        (f"{ENV_ID}: {{1: 2}}", "holds a key that is no text"),
         ("Pendulum-v1: {}", "must have a section"),
         ("a: [", "is not yml"),
         (f"{ENV_ID}: {{policy_kwargs: !!python/object/apply:os.abort []}}", "is not yml"),

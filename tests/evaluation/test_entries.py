@@ -7,9 +7,11 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
+import numpy as np
 import pytest
 
 from wtg_gym.evaluation import Entry, load_entries
+from wtg_gym.files import to_json
 from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY, STRATEGIES, TrackingLaw, get_law
 from wtg_gym.policies.entry import check_entries
 from wtg_gym.tasks import V0, V1
@@ -51,7 +53,7 @@ def test_names_of_the_table_stand_for_baselines_and_for_all_seeds_of_a_policy():
     assert found("linear-feedback") == [("linear-feedback", 0)]
     assert found("PPO (k)") == [("PPO (k)", seed) for seed in range(5)]
     assert found("ppo-k-3") == [("PPO (k)", 3)]
-    by_gradient = [("gradient MLP, exact state", 0), ("gradient LSTM", 0)]
+    by_gradient = [("gradient MLP, exact state", 0), ("gradient LSTM", 0), ("gradient LSTM", 1)]
     assert found("policies") == [*by_gradient, *(("PPO", seed) for seed in range(3))]
     of_v0 = {entry.name for entry in load_entries("policies", task=V0)}
     assert of_v0 >= {"linear-feedback", "PPO (k, tau)", "PPO (tau)", "SAC (k, tau)"}
@@ -119,6 +121,11 @@ def test_learner_whose_normalisation_would_be_left_out_is_refused():
 def test_wrong_entry_says_what_is_allowed(arguments, text):
     with pytest.raises(ValueError, match=text):
         Entry(**arguments)
+
+
+def test_a_training_seed_of_numpy_is_written_as_any_other():
+    one, other = (Entry(name="a", training_seed=seed) for seed in (np.int64(3), 3))
+    assert to_json(one.to_dict()) == to_json(other.to_dict())
 
 
 def test_identity_of_a_law_follows_its_numbers_and_that_of_a_policy_needs_a_fingerprint(package):

@@ -80,6 +80,8 @@ def _sign(paths: tuple[Path, Path], data: dict[str, Any]) -> None:
 EDITS: dict[str, tuple[Callable[[dict[str, Any]], Any], str]] = {
     "cap as text": (lambda d: d["settings"]["weights"].update(cap="much"), "could not convert string to float"),
     "missing key": (lambda d: d.pop("seeds"), "it misses 'seeds'"),
+    "no versions": (lambda d: d.update(versions={}), "versions that of wtg_gym"),
+    "no environment": (lambda d: d.update(environment={}), "environment must have fingerprint and id"),
     "unknown suite": (lambda d: d.update(suite="easy"), "unknown suite 'easy'"),
     "other format": (lambda d: d.update(format=2), "format must be 8, that of this version, got 2; "),
     "name that is markup": (

@@ -379,6 +379,8 @@ def _check_description(data: dict[str, Any]) -> None:
     check_rows((*data["entries"], *data["failed"]))
     if data["metrics"] != {name: asdict(metric) for name, metric in METRICS.items()}:
         raise ValueError("the metrics are not those of this version; evaluate again")
+    if set(data["environment"]) != {"fingerprint", "id"} or "wtg_gym" not in dict(data["versions"]):
+        raise ValueError("environment must have fingerprint and id, versions that of wtg_gym")
     require_count("seeds", len(data["seeds"]), MOST_SCENARIOS)
     allowed = get_suite(data["suite"]).seeds(data["split"])
     if not data["seeds"] or any(type(seed) is not int or seed not in allowed for seed in data["seeds"]):

@@ -88,7 +88,8 @@ class Entry:
         if self.environment is not None:
             require_choice(f"environment of entry {name!r}", self.environment, (*TASKS, ANY_GRID))
         if self.training_seed is not None:
-            require_whole(f"training_seed of entry {name!r}", self.training_seed, 0)
+            seed = require_whole(f"training_seed of entry {name!r}", self.training_seed, 0)
+            object.__setattr__(self, "training_seed", seed)
         texts = (self.description, self.source, self.trained_on)
         if not all(isinstance(text, str) for text in texts):
             raise ValueError(f"description, source and trained_on of entry {name!r} must be texts, got {texts!r}")
