@@ -43,6 +43,14 @@ def test_what_nothing_can_work_with_is_refused_with_the_name_of_the_file(tmp_pat
         read(tmp_path / name, what)
 
 
+def test_lists_and_objects_are_counted_before_any_is_made(tmp_path):
+    (tmp_path / "data.json").write_text("[" + "{}," * (2**17 - 1) + "0]")
+    assert len(files.read_json(tmp_path / "data.json", "grid")) == 2**17
+    (tmp_path / "data.json").write_text("[" + "{}," * 2**17 + "0]")
+    with pytest.raises(ValueError, match=r"the grid .*data\.json has more than 131072 lists and objects"):
+        files.read_json(tmp_path / "data.json", "grid")
+
+
 def test_numbers_and_sizes_up_to_the_limits_are_read_as_they_are(tmp_path):
     path = tmp_path / "data"
     path.write_text("[1e308, -1e308, 5e-324, 18446744073709551615, -0.0, 0]")

@@ -9,7 +9,9 @@ from pathlib import Path
 import pytest
 
 from agents.run import loading
+from wtg_gym.evaluation.partial import PartialStore
 from wtg_gym.files import is_trusted, read_trusted, trusted_folder, write_trusted
+from wtg_gym.policies import Entry
 
 pytestmark = pytest.mark.skipif(not hasattr(os, "getuid"), reason="needs files that belong to users")
 
@@ -109,3 +111,21 @@ def test_a_checkpoint_that_another_user_could_have_written_is_not_loaded(path, c
     SPOILED[case](path)
     with pytest.raises(ValueError, match="another user could"), loading(path.parent):
         pytest.fail("nothing is loaded")
+
+
+def test_finished_batches_of_another_user_are_played_again(path, caplog):
+    # Beside a sticky folder of all users, as in /tmp, batches are the user's alone.
+    entry, folder = Entry(name="mppt", strategy="mppt"), path.parents[2] / "results" / "batches"
+    store = PartialStore(folder, "context")
+    store.save(entry, [], [])
+    (batch,) = folder.iterdir()
+    assert folder.stat().st_mode & 0o777 == 0o700
+    assert PartialStore(folder, "context").load(entry, []) == []
+    batch.chmod(0o606)
+    assert PartialStore(folder, "context").load(entry, []) is None and "is not used" in caplog.text
+    batch.chmod(0o600)
+    folder.chmod(0o777)
+    store = PartialStore(folder, "context")
+    assert store.load(entry, []) is None and "another user could change it" in caplog.text
+    store.save(entry, [1], [])
+    assert list(folder.iterdir()) == [batch]

@@ -21,14 +21,33 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
-#: Largest file that is read [B], and those of single kinds, by what messages call them. A grid of 500 buses has 0.2 MB,
-#: the table of a hundred entries 10 MB; the time for dotted keys of TOML grows with the square of their length.
-_LARGEST_BYTES = 2**25
+#: Largest file of each kind that is read [B], by what messages call it. Each leaves room for more than what is in use:
+#: a grid of 500 buses has 0.2 MB, an hour of measured wind of eight groups 3 MB, the table of a hundred entries 10 MB.
 LARGEST_BYTES: Mapping[str, int] = MappingProxyType(
-    {"entry file": 2**14, "law file": 2**14, "policy": 2**26, "table of the results": 2**26}
+    {
+        "case": 2**25,
+        "description of the results": 2**22,
+        "description of the run": 2**22,
+        "entry file": 2**14,
+        "file with the markers": 2**22,
+        "finished batch": 2**22,
+        "grid": 2**22,
+        "hyperparameter file": 2**16,
+        "law file": 2**14,
+        "network of pandapower": 2**25,
+        "policy": 2**26,
+        "records of the trainings": 2**20,
+        "rotor table": 2**21,
+        "scenario file": 2**23,
+        "suite": 2**18,
+        "table of the results": 2**26,
+        "wind series": 2**24,
+    }
 )
 #: Deepest nest of objects and lists that is read; results have five levels.
 _DEEPEST = 20
+#: Most lists and objects of a JSON text: each takes a hundred times its two characters. The largest grids have a third.
+_MOST_INNER = 2**17
 #: Whole numbers from here on are refused; nothing that is read counts further.
 _LARGEST_WHOLE = 2**64
 #: Most characters of an error's message.
@@ -256,9 +275,9 @@ def read_plain(path: Path, largest: int, *, links: bool = True, trusted: bool = 
 
 
 def read_bytes(path: Path, what: str) -> bytes:
-    """Return the content of a plain file, `what` it is for the message; a ValueError says why it is not read."""
+    """Return the content of a plain file of a kind in :data:`LARGEST_BYTES`; a ValueError says why it is not read."""
     try:
-        return read_plain(path, LARGEST_BYTES.get(what, _LARGEST_BYTES))
+        return read_plain(path, LARGEST_BYTES[what])
     except (OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or error
         raise ValueError(f"cannot read the {what} {printable(str(path))}: {reason}") from error
@@ -280,9 +299,12 @@ def read_json(path: Path, what: str) -> Any:
 def parse_json(text: str, where: str) -> Any:
     """Return the data of a JSON text; `where` it is from, for the message.
 
-    A ValueError says that it is not JSON, gives a key twice, is nested deeper than 20 levels, or holds half a
-    character, a number that is not finite or a whole number of 2^64 or more.
+    A ValueError says that it is not JSON, gives a key twice, is nested deeper than 20 levels, has more than 131072
+    lists and objects, or holds half a character, a number that is not finite or a whole number of 2^64 or more.
     """
+
+    if text.count("[") + text.count("{") > _MOST_INNER:
+        raise ValueError(f"{where} has more than {_MOST_INNER} lists and objects")
 
     def refuse(name: str) -> Any:
         raise ValueError(f"{name} is not a finite number")

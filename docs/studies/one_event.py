@@ -19,7 +19,7 @@ from wtg_gym.cli.scoring import chosen_entries
 from wtg_gym.envs.settings import EnvSettings
 from wtg_gym.evaluation import Entry, evaluate
 from wtg_gym.evaluation.episodes import Episode
-from wtg_gym.evaluation.report import Recorded, recorded
+from wtg_gym.evaluation.recording import Recorded, recorded
 from wtg_gym.evaluation.summary import DESIGN_DEVIATION_MHZ
 from wtg_gym.physics.plant import Plant
 from wtg_gym.physics.scenario import Scenario

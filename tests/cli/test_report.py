@@ -7,6 +7,8 @@ import pytest
 
 from tests.cli.calls import error_of
 from wtg_gym.cli import main
+from wtg_gym.evaluation import evaluate
+from wtg_gym.scenarios import get_suite
 
 pytest.importorskip("matplotlib")
 
@@ -28,6 +30,17 @@ def test_a_page_has_every_section_loads_nothing_and_escapes_names(tmp_path):
     assert re.findall('(?:src|href)="(.{11})', text) == ["data:image/"] * 2
     assert "a &amp; b" in text and NAME not in text
     assert f"--seeds 20000 --entries {law}" in text
+
+
+def test_a_page_of_markdown_has_the_numbers_of_the_evaluation_and_the_dearest_scenario_first(tmp_path):
+    page, seeds = tmp_path / "page.md", get_suite("standard-v1").test[:3]
+    assert main(["report", "fast-droop", "--episodes", "3", "--output", str(page)]) == 0
+    text = page.read_text(encoding="utf-8")
+    results = evaluate(["fast-droop"], "standard-v1", "test", seeds=seeds)
+    assert f"| all, strata count alike | 3 | {results.scores['fast-droop'].value:.1f} |" in text
+    costs = {episode.seed: episode.metrics["cost"] for episode in results.episodes_of("fast-droop")}
+    shown = [int(seed) for seed in re.findall(r"\(page-seed-(\d+)\.svg\)", text)]
+    assert shown == sorted(seeds, key=costs.get, reverse=True)
 
 
 @pytest.mark.parametrize(

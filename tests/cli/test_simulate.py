@@ -2,9 +2,11 @@
 
 import json
 
+import numpy as np
 import pytest
 
 from tests.cli.calls import ROOT, error_of, json_of
+from wtg_gym import simulate
 from wtg_gym.cli import main
 from wtg_gym.evaluation import evaluate
 from wtg_gym.physics.scenario import Scenario
@@ -36,6 +38,29 @@ def test_the_group_that_tripped_is_named(capsys):
     assert [trip["group"] for trip in run["tripped_groups"]] == [2]
     assert main(arguments) == 0
     assert f"group 2 tripped at {run['tripped_groups'][0]['time_s']:.1f} s" in capsys.readouterr().out
+
+
+def test_key_figures_are_those_of_the_arrays_of_a_run(capsys):
+    arguments = ("simulate", "--suite", "standard-v1", "--seed", "10000", "--strategy", "mppt", "--json")
+    (figures,) = json_of(capsys, *arguments)["runs"]
+    suite = get_suite("standard-v1")
+    run = simulate(suite.scenario(10_000), "mppt", suite.plant)
+    rocof = run.rocof_hz_s(0.5)
+    wanted = {
+        "nadir_hz": run.frequency_hz.min(),
+        "zenith_hz": run.frequency_hz.max(),
+        "local_nadir_hz": run.local_frequency_hz.min(),
+        "local_zenith_hz": run.local_frequency_hz.max(),
+        "largest_rocof_hz_s": rocof[np.abs(rocof).argmax()],
+        "shed_energy_mws": run.shed_energy_mws[-1],
+        "final_frequency_hz": run.frequency_hz[-1],
+    }
+    assert {key: figures[key] for key in wanted} == pytest.approx(wanted, abs=1e-8)
+    assert figures["shed_energy_mws"] > 0.0
+    assert [trip["group"] for trip in figures["tripped_groups"]] == [1, 2, 3, 4]
+    for trip in figures["tripped_groups"]:
+        after, power = run.time_s >= trip["time_s"] - 1e-6, run.power_pu[:, trip["group"] - 1]
+        assert (power[after] == 0.0).all() and power[~after][-1] != 0.0
 
 
 def test_wind_and_groups_follow_each_other(capsys):

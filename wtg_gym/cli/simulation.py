@@ -112,7 +112,7 @@ _COLUMNS = {
     "nadir [Hz]": "nadir_hz",
     "zenith [Hz]": "zenith_hz",
     "lowest of all units [Hz]": "local_nadir_hz",
-    "highest [Hz]": "local_zenith_hz",
+    "highest of all units [Hz]": "local_zenith_hz",
     f"RoCoF, {1000 * ROCOF_WINDOW_S:.0f} ms [Hz/s]": "largest_rocof_hz_s",
     "final [Hz]": "final_frequency_hz",
     "final rotor speed [p.u.]": "final_rotor_speed_pu",

@@ -18,15 +18,22 @@ _log = logging.getLogger("wtg_gym")
 
 
 class PartialStore:
-    """A folder of finished batches, JSON-ready; one of another `context` is not found. None stores nothing.
+    """A folder of finished batches, JSON-ready; one of another `context` is not found.
 
-    A ValueError says that it is no folder.
+    None, or a folder that another user could change, stores nothing. A ValueError says that it is no folder.
     """
 
     def __init__(self, folder: str | Path | None, context: Any) -> None:
         self._folder = None if folder is None else Path(folder)
         if self._folder is not None and self._folder.exists() and not self._folder.is_dir():
             raise ValueError(f"partial must be a folder for finished batches, got the file {folder}")
+        if self._folder is not None:
+            try:
+                self._folder.parent.mkdir(parents=True, exist_ok=True)
+                files.trusted_folder(self._folder, make=True)
+            except OSError as error:
+                _log.warning("finished batches are not stored in %s: %s", self._folder, files.one_line(error))
+                self._folder = None
         self._context = [context, versions(), source_hash(), measurement_hash()]
         self._used: list[Path] = []
 
@@ -42,13 +49,13 @@ class PartialStore:
         return files.sha256(json.dumps(data, sort_keys=True, allow_nan=False).encode())
 
     def load(self, entry: Entry, seeds: list[int]) -> list[Episode] | None:
-        """Return a stored batch; None where there is none, or it is another."""
+        """Return a stored batch; None where there is none, another user could have written it, or it is another."""
         path = self._path(entry, seeds)
         if path is None or not path.exists():
             return None
         try:
             with files.interpreting(path, "finished batch"):
-                data = files.read_json(path, "finished batch")
+                data = files.parse_json(files.read_trusted(path, files.LARGEST_BYTES["finished batch"]).decode(), "it")
                 episodes = [episode_from_cells(cells, str(path)) for cells in data["rows"]]
                 played = [(*episode.run, episode.seed) for episode in episodes]
                 expected = [(entry.name, entry.training_seed, seed) for seed in seeds]
@@ -61,16 +68,14 @@ class PartialStore:
         return episodes
 
     def save(self, entry: Entry, seeds: list[int], episodes: list[Episode]) -> None:
-        """Store a batch, where it can be."""
+        """Store a batch."""
         path = self._path(entry, seeds)
-        if path is None:
-            return
-        rows = [episode.cells() for episode in episodes]
-        try:
-            files.write_atomically(path, files.to_json({"rows": rows, "sha256": self._digest(entry, seeds, rows)}))
+        if path is not None:
+            rows = [episode.cells() for episode in episodes]
+            files.write_trusted(
+                path, files.to_json({"rows": rows, "sha256": self._digest(entry, seeds, rows)}).encode()
+            )
             self._used.append(path)
-        except OSError as error:
-            _log.warning("a finished batch is not stored: %s", files.one_line(error))
 
     def clear(self) -> None:
         """Remove the batches this run has used, and the folder if nothing else is in it."""

@@ -21,7 +21,7 @@ from wtg_gym.evaluation.adjusted import Adjusted
 from wtg_gym.evaluation.episodes import Episode
 from wtg_gym.evaluation.evaluator import Progress, evaluate, play_batch
 from wtg_gym.evaluation.grid_tests import GRID_TESTS, run_grid_test
-from wtg_gym.evaluation.report import Recorded, recorded
+from wtg_gym.evaluation.recording import Recorded, recorded
 from wtg_gym.evaluation.results import Results
 from wtg_gym.evaluation.score import cost_offsets, gains
 from wtg_gym.evaluation.statistics import Floats, Interval, mean, sign_test
@@ -102,7 +102,7 @@ class Section:
         parts += [_plain(self.note)] * bool(self.note)
         for each in self.pictures:
             parts.append(f"![{_plain(each.caption)}]({stem}-{each.name}.svg)")
-            parts += [f"{_plain(each.caption)}:\n\n```sh\n{each.command}\n```"] * bool(each.command)
+            parts += [f"{_plain(each.caption)}\n\n```sh\n{each.command}\n```"] * bool(each.command)
         return "\n\n".join(parts)
 
 
