@@ -399,9 +399,10 @@ def _faults_of_sensors(report: Report) -> Section:
     before, scenarios = replace(report.results, seeds=seeds, episodes=episodes), get_suite(SUITE).scenarios(seeds)
     changed = {name: (entry, [change(each) for each in scenarios]) for name, change in faults.WORSE_SENSORS.items()}
     failing = {name: (faults.with_fault(entry, *fault), scenarios) for name, fault in faults.SENSOR_FAULTS.items()}
-    rows = []
     # A law has no sensors.
-    for name, (player, played) in (changed | failing).items() if entry.policy is not None else ():
+    players = changed | failing if entry.policy is not None else {}
+    rows = []
+    for name, (player, played) in players.items():
         after = play_batch(player, SETTINGS, played, report.n_threads)
         if isinstance(after, PolicyError):
             raise after
@@ -497,6 +498,12 @@ def _rest(name: str, loop: damping.Damping) -> str:
 
 #: The page's sections in their order.
 _SECTIONS: tuple[Callable[[Report], Section], ...] = (
-    *(_score, _where_control_decides, _bad_runs, _scenarios),
-    *(_operators_tests, _faults_of_sensors, _energy, _damping),
+    _score,
+    _where_control_decides,
+    _bad_runs,
+    _scenarios,
+    _operators_tests,
+    _faults_of_sensors,
+    _energy,
+    _damping,
 )
