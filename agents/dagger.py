@@ -1,0 +1,202 @@
+"""`python -m agents.dagger`: trains a policy of sensors to do what the planner of :mod:`agents.planner` would do.
+
+The planner knows the exact state, the policy what a group measures. In the first round the planner drives, disturbed by
+noise; from then on the policy drives, and the planner says at every step what it would do from there (DAgger: S. Ross,
+G. Gordon, D. Bagnell, AISTATS 2011). After each round the policy is fitted to the plans of all rounds.
+"""
+
+from __future__ import annotations
+
+import functools
+import sys
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass, fields
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+import torch
+from cyclopts import Parameter
+from torch import Tensor, nn
+
+from agents import run as runs
+from agents.gradient import GradientPolicy, policy_for
+from agents.planner import Floats, Planner, PlannerOptions, drive
+from agents.run import Run, RunOptions, RunSettings, Whole
+from wtg_gym.envs import EnvSettings
+from wtg_gym.envs.lanes import TaskLanes
+from wtg_gym.physics.scenario import Scenario
+from wtg_gym.ranges import design
+
+#: The algorithm's name in run.json.
+NAME = "dagger"
+_STATE = "state.pt"
+_TIMESTEPS, _N_ENVS = 518_400, 120
+#: How long the noise of the first round stays alike [s].
+_NOISE_S = 10.0
+_MAX_GRAD_NORM = 1.0
+
+
+@Parameter(name="*")
+@dataclass(frozen=True)
+class Hyperparameters(PlannerOptions):
+    """Those of the policy and its fits, and how the planner plans."""
+
+    lstm: Whole = design(64, "-", "", 1, 10_000)
+    """width of the policy's LSTM"""
+    hidden: Annotated[tuple[Whole, ...], Parameter(consume_multiple=True, negative="")] = design(
+        (64,), "-", "", 1, 10_000
+    )
+    """widths of the layers behind it, or none"""
+    updates: Whole = design(150, "-", "", 1, 1_000_000)
+    """of a fit"""
+    batch: Whole = design(40, "-", "", 1, 100_000)
+    """episodes of an update"""
+    learning_rate: float = design(3e-3, "-", "", 0.0, 10.0)
+    """of Adam at the start of a fit"""
+    last_rate: float = design(0.17, "-", "", 0.0, 1.0)
+    """of the learning rate, at the end of a fit"""
+    noise: float = design(0.15, "-", "", 0.0, 1.0)
+    """standard deviation of the noise on the actions of the first round"""
+
+
+class Plans:
+    """What the policy saw, and what the planner would have done (n_steps, n_episodes, n_wtg, …), of every round."""
+
+    def __init__(self) -> None:
+        self.observations: list[Tensor] = []
+        self.actions: list[Tensor] = []
+        self.running: list[Tensor] = []  # (n_steps, n_episodes)
+
+    def add(self, observations: Sequence[Floats], actions: Sequence[Floats], running: Sequence[Floats]) -> None:
+        """Add the episodes of a round, from lists of their steps."""
+        for kept, steps in ((self.observations, observations), (self.actions, actions), (self.running, running)):
+            kept.append(torch.from_numpy(np.stack(steps).astype(np.float32)))
+
+    def batch(self, size: int, rng: np.random.Generator) -> tuple[Tensor, Tensor, Tensor]:
+        """Return some episodes of all rounds, each in random order, as many of one round as of another."""
+        rounds = zip(self.observations, self.actions, self.running, strict=True)
+        chosen = [rng.integers(each.shape[1], size=-(-size // len(self.running))) for each in self.running]
+        parts = [[column[:, at] for column in columns] for columns, at in zip(rounds, chosen, strict=True)]
+        observations, actions, running = (torch.cat(columns, dim=1) for columns in zip(*parts, strict=True))
+        return observations, actions, running
+
+
+class DaggerLearner:
+    """A policy and the plans that it is fitted to, for :func:`agents.run.train_in_rounds`."""
+
+    def __init__(self, policy: GradientPolicy) -> None:
+        self.policy, self.plans = policy, Plans()
+
+    def network(self, _settings: RunSettings) -> nn.Module:
+        """Return the policy."""
+        return self.policy
+
+    def save(self, folder: Path) -> None:
+        """Write everything that training goes on from."""
+        torch.save({"policy": self.policy.state_dict(), "plans": vars(self.plans)}, folder / _STATE)
+
+    def load(self, folder: Path) -> None:
+        """Go back to what :meth:`save` wrote; a ValueError names a folder that is damaged."""
+        with runs.loading(folder) as folder:
+            state = torch.load(folder / _STATE, weights_only=True)
+            self.policy.load_state_dict(state["policy"])
+            vars(self.plans).update(state["plans"])
+
+    def fit(self, h: Hyperparameters, rng: np.random.Generator) -> float:
+        """Fit the policy to all plans, and return the mean square of what is left in the last update."""
+        policy, left = self.policy, torch.zeros(())
+        optimizer = torch.optim.Adam(policy.parameters(), lr=h.learning_rate)
+        for update in range(h.updates):
+            optimizer.param_groups[0]["lr"] = h.learning_rate * h.last_rate ** (update / h.updates)
+            observations, actions, running = self.plans.batch(h.batch, rng)
+            answers = policy.of_episodes(observations.flatten(1, 2)).reshape(actions.shape)
+            left = (answers - actions).square().mean(dim=(2, 3))[running > 0.5].mean()
+            optimizer.zero_grad()
+            left.backward()  # type: ignore[no-untyped-call]
+            nn.utils.clip_grad_norm_(policy.parameters(), _MAX_GRAD_NORM)
+            optimizer.step()
+        return left.item()
+
+
+def observe(
+    planner: Planner, lanes: TaskLanes, scenarios: Sequence[Scenario], plans: Plans, driver: Callable[[Floats], Floats]
+) -> None:
+    """Let a driver play episodes, and add what was seen and planned in them to the plans."""
+    steps: tuple[list[Any], ...] = ([], [], [])
+
+    def see(plan: Floats) -> None:
+        terminated, truncated = lanes.ended()
+        seen, planned = (each.reshape(lanes.n_lanes, lanes.n_wtg, -1).copy() for each in (lanes.observations, plan))
+        for kept, now in zip(steps, (seen, planned, ~(terminated | truncated)), strict=True):
+            kept.append(now)
+
+    drive(planner, lanes, scenarios, driver, see)
+    plans.add(*steps)
+
+
+def disturbed(noise: float, step_s: float, rng: np.random.Generator) -> Callable[[Floats], Floats]:
+    """Return a driver that adds noise to the plan, the same to all actions of an episode, which stays for a while."""
+    kept = np.exp(-step_s / _NOISE_S)
+    value = np.zeros((1, 1))
+
+    def driver(plan: Floats) -> Floats:
+        nonlocal value
+        value = kept * value + noise * np.sqrt(1.0 - kept**2) * rng.standard_normal((len(plan), 1))
+        actions: Floats = plan + value
+        return actions
+
+    return driver
+
+
+def driven_by(policy: GradientPolicy, lanes: TaskLanes) -> Callable[[Floats], Floats]:
+    """Return a driver that takes the policy's actions."""
+    states: list[Tensor] = []
+
+    def driver(plan: Floats) -> Floats:
+        with torch.no_grad():
+            seen = torch.from_numpy(lanes.observations.reshape(lanes.n_lanes * lanes.n_wtg, -1).copy())
+            answer, *states[:] = policy(seen, *states)
+        actions: Floats = answer.reshape(plan.shape).double().numpy()
+        return actions
+
+    return driver
+
+
+def train(run: Run) -> None:
+    """Train from the last checkpoint, if there is one, to the end; checkpoints and run.json go to the run's folder."""
+    if run.finished:
+        return
+    settings, h = run.settings, run.hyperparameters(Hyperparameters)
+    # Sums over several threads depend on which of them ends first.
+    torch.set_num_threads(1)
+    torch.manual_seed(settings.seed)
+    environment = EnvSettings(**settings.env_arguments, reward="cost")
+    lanes = TaskLanes(environment, settings.n_envs)
+    options = PlannerOptions(**{each.name: getattr(h, each.name) for each in fields(PlannerOptions)})
+    planner = Planner(environment, settings.n_envs, options)
+    policy = policy_for(lanes, h.hidden, h.lstm, per_group=True)
+    learner = DaggerLearner(policy)
+
+    def learn(index: int, n_rounds: int) -> float:
+        rng = np.random.default_rng((settings.seed, index))
+        scenarios = runs.draw(lanes, rng, settings.n_envs)
+        driver = driven_by(policy, lanes) if index else disturbed(h.noise, environment.step_s, rng)
+        observe(planner, lanes, scenarios, learner.plans, driver)
+        return learner.fit(h, rng)
+
+    runs.train_in_rounds(run, learner, planner.n_steps * settings.n_envs, learn)
+
+
+def command(*, options: RunOptions = RunOptions(), h: Hyperparameters = Hyperparameters()) -> None:
+    """Train a policy of sensors to do what a planner with the exact state would do."""
+    runs.begin_or_go_on(
+        options, (NAME,), lambda: options.settings(NAME, asdict(h), timesteps=_TIMESTEPS, n_envs=_N_ENVS), train
+    )
+
+
+#: Runs the command with some words, by default those of the command line, and returns its exit code.
+main = functools.partial(runs.run_command, command, "agents.dagger", "go on with --resume")
+
+if __name__ == "__main__":
+    sys.exit(main())
