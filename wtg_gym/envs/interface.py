@@ -130,8 +130,8 @@ class OverLanes:
 
             self._frames = LaneFrames(self._lanes, opens_window=render_mode == "human", fps=fps)
         bound = np.full(self._lanes.n_observation, OBSERVATION_BOUND, dtype=np.float32)
-        one = np.ones(self._lanes.n_action, dtype=np.float32)
-        return gym.spaces.Box(-bound, bound, dtype=np.float32), gym.spaces.Box(-one, one, dtype=np.float32)
+        high = np.ones(self._lanes.n_action, dtype=np.float32)
+        return gym.spaces.Box(-bound, bound, dtype=np.float32), gym.spaces.Box(-high, high, dtype=np.float32)
 
     @property
     def spec(self) -> EnvSpec | None:
@@ -186,19 +186,19 @@ class OverLanes:
         return self._lanes.observation_names
 
 
-def as_actions(given: Any, shape: tuple[int, ...]) -> Floats:
+def as_actions(actions: Any, shape: tuple[int, ...]) -> Floats:
     """Return actions as floats of a shape; anything but that many real numbers raises a ValueError."""
-    if type(given) is np.ndarray and given.dtype == np.float32 and given.shape == shape:
-        return given.astype(np.float64, order="C")
+    if type(actions) is np.ndarray and actions.dtype == np.float32 and actions.shape == shape:
+        return actions.astype(np.float64, order="C")
     allowed = f"the action must be real numbers in -1 … 1 of shape {shape}"
     try:
-        array = np.asarray(given)
+        array = np.asarray(actions)
         if array.dtype.kind == "O" and all(isinstance(value, numbers.Real) for value in array.flat):
             array = array.astype(np.float64)
     except (TypeError, ValueError, OverflowError) as error:
         raise ValueError(f"{allowed}: {error}") from error
     if array.dtype.kind not in "biuf":
-        raise ValueError(f"{allowed}, got {array.dtype} values: {given!r:.60}")
+        raise ValueError(f"{allowed}, got {array.dtype} values: {actions!r:.60}")
     if array.shape != shape:
         raise ValueError(f"{allowed}, got shape {array.shape}")
     return np.ascontiguousarray(array, dtype=np.float64)

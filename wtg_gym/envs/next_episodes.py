@@ -80,6 +80,6 @@ class NextEpisodes:
         groups: dict[int, list[int]] = {}
         for lane in wanted:
             groups.setdefault(id(self._ready[lane][0]), []).append(lane)
-        for own in groups.values():
-            ready = [self._ready.pop(lane) for lane in own]
-            self._lanes.start(own, ready[0][0], [place for _, place in ready])
+        for group in groups.values():
+            ready = [self._ready.pop(lane) for lane in group]
+            self._lanes.start(group, ready[0][0], [place for _, place in ready])

@@ -299,9 +299,9 @@ def _flat(memory: Any, entry: Entry) -> Floats:
     """Return a policy's memory as one row of numbers; a PolicyError where it is not arrays."""
     if memory is None:
         return np.zeros(0)
-    if not isinstance(memory, tuple) or not all(isinstance(each, np.ndarray) for each in memory):
+    if not isinstance(memory, tuple) or not all(isinstance(array, np.ndarray) for array in memory):
         raise PolicyError(f"the memory of entry {entry.label!r} is no tuple of arrays, which damping needs")
-    return np.concatenate([each.ravel() for each in memory]).astype(np.float64)
+    return np.concatenate([array.ravel() for array in memory]).astype(np.float64)
 
 
 def _moving(matrix: Floats) -> npt.NDArray[np.bool_]:

@@ -113,7 +113,7 @@ def rules_of(layout: Layout, plant: MemoryMap, taped: Sequence[Program]) -> Rule
 
     def rows(kind: Kind, *parts: str) -> Whole:
         firsts = (layout.first_rows(kind, part)[:, np.newaxis] + np.arange(count(kind.scratch[part])) for part in parts)
-        return np.concatenate([own.ravel() for own in firsts])
+        return np.concatenate([numbers.ravel() for numbers in firsts])
 
     limits = rows(EXTENSIONS, "reactance", "source", "change")
     return Rules(
@@ -230,14 +230,14 @@ def _pull_lost_governors(bars: Floats, rules: Rules, work: Work, step: int) -> N
 @internal
 def _settle(rules: Rules, work: Work) -> bool:
     """Give environments that had settled the cotangents from before a sweep; return whether all have settled now."""
-    found, before, all_settled = work.bars, work.before, True
-    for x in range(found.shape[1]):
+    bars, before, all_settled = work.bars, work.before, True
+    for x in range(bars.shape[1]):
         largest, change = 0.0, 0.0
         for i in range(rules.flows.shape[0]):
             row = rules.flows[i]
             if work.settled[x]:
-                found[row, x] = before[row, x]
-            largest, change = max(largest, abs(found[row, x])), max(change, abs(found[row, x] - before[row, x]))
+                bars[row, x] = before[row, x]
+            largest, change = max(largest, abs(bars[row, x])), max(change, abs(bars[row, x] - before[row, x]))
         work.settled[x] |= not change > _SETTLED * largest
         all_settled &= work.settled[x]
     return all_settled
@@ -314,30 +314,30 @@ def pull(
         actions: of the step (n_lanes, n_action).
         rules, work: see :func:`rules_of` and :func:`work_of`.
     """
-    tables, scratch, given, p = network.tables, work.scratch, work.bars, rules.noted
+    tables, scratch, scratch_bars, p = network.tables, work.scratch, work.bars, rules.noted
     width = blocks.shape[2]
     of_charging = _row(p, network.facts.n_substeps, 0) + p.flows + p.sweep + p.rates
     of_measuring, of_observing = of_charging + p.charged, of_charging + p.charged + p.measured
     for b in range(first, last):
-        block, own, to, lane = blocks[b], bars[b], constant_bars[b], b * width
+        block, block_bars, to, lane = blocks[b], bars[b], constant_bars[b], b * width
         read_actions(scratch, actions, lane, task)
-        taped, back = (block, scratch, work.tape), (own, given, work.tape, scratch, to)
+        taped, back = (block, scratch, work.tape), (block_bars, scratch_bars, work.tape, scratch, to)
         _act(taped, tables, NONE, 0)
         _replay(block, scratch, lane, network, data, (rules, work))
         _charge(taped, tables, NONE, of_charging)
         _measure(taped, tables, NONE, of_measuring)
         _observe(taped, tables, NONE, of_observing)
 
-        given[:] = 0.0
-        n_own = min(width, actions.shape[0] - lane)
+        scratch_bars[:] = 0.0
+        n_lanes = min(width, actions.shape[0] - lane)
         for k in range(task.observed.shape[0]):
-            for x in range(n_own):
-                given[task.observed[k], x] += observation_bars[lane + x, k]
+            for x in range(n_lanes):
+                scratch_bars[task.observed[k], x] += observation_bars[lane + x, k]
         _observe_back(back, tables, NONE, of_observing)
         _measure_back(back, tables, NONE, of_measuring)
         _charge_back(back, tables, NONE, of_charging)
-        _pull_interval(own, to, network, rules, work)
+        _pull_interval(block_bars, to, network, rules, work)
         _act_back(back, tables, NONE, 0)
         for a in range(task.wanted.shape[0]):
-            for x in range(n_own):
-                action_bars[lane + x, a] = given[task.wanted[a], x]
+            for x in range(n_lanes):
+                action_bars[lane + x, a] = scratch_bars[task.wanted[a], x]

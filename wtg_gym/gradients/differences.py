@@ -44,10 +44,11 @@ class Differences(tuple[Difference, ...]):
 
     def __str__(self) -> str:
         rows = []
-        for own in self:
-            episode = int(np.argmax(own.error))
-            slopes = (f"{slope[episode]:.6g}" for slope in (own.gradient, own.central, own.below, own.above))
-            rows.append([own.name, str(episode), *slopes, f"{own.error[episode]:.1e}"])
+        for difference in self:
+            name, *slopes = difference
+            episode = int(np.argmax(difference.error))
+            shown = (f"{slope[episode]:.6g}" for slope in slopes)
+            rows.append([name, str(episode), *shown, f"{difference.error[episode]:.1e}"])
         header = ("moved", "episode", "gradient", "central difference", "slope below", "slope above", "error")
         return markdown_table(header, rows, right=range(1, len(header)))
 
@@ -98,8 +99,8 @@ def check_by_differences(
     up, down = (plays._replace(actions=actions + h * way).cost() for h in (step, -step))
     rows = [compared("actions", along, up, down, step, step)]
     for i, name in enumerate(LAW_PARAMETERS):
-        one = step * (np.arange(len(LAW_PARAMETERS)) == i)
-        up, down = (plays._replace(law=moved).cost() for moved in (law + one, law - one))
+        shift = step * (np.arange(len(LAW_PARAMETERS)) == i)
+        up, down = (plays._replace(law=moved).cost() for moved in (law + shift, law - shift))
         rows.append(compared(name, gradient.law[:, :, i].sum(axis=1), up, down, step, step))
     for i, (name, value) in enumerate(values.items()):
         h = step * (abs(value) or 1.0)
@@ -124,5 +125,5 @@ class _Plays(NamedTuple):
             self.tape.set_parameters(parameters)
         self.tape.start(self.scenarios)
         self.tape.set_law(self.law)
-        costs: Floats = np.sum([self.tape.step(own)[1] @ self.weight for own in self.actions], axis=0)
+        costs: Floats = np.sum([self.tape.step(actions)[1] @ self.weight for actions in self.actions], axis=0)
         return costs

@@ -58,8 +58,8 @@ class Gradient(NamedTuple):
     parameters: Floats  # with respect to the plant's parameters that the tape was asked for (n_lanes, n_parameters)
 
 
-def _shaped(name: str, given: Any, *shapes: tuple[int, ...]) -> Floats:
-    array: Floats = np.asarray(given, dtype=np.float64)
+def _shaped(name: str, values: Any, *shapes: tuple[int, ...]) -> Floats:
+    array: Floats = np.asarray(values, dtype=np.float64)
     if array.shape not in shapes:
         raise ValueError(f"{name} must have the shape {' or '.join(map(str, shapes))}, got {array.shape}")
     return array
@@ -295,9 +295,9 @@ class Tape:
 
     @undivided
     def _again(self, blocks: Floats, actions: Floats) -> None:
-        own = self.lanes.simulator
-        bound = bind(blocks, own.scratches, own.plant.network, own.data, self.lanes.task_data, self._scratch_outputs)
-        own.threads.run(lambda first, last, worker: step_blocks(bound, actions, first, last, worker, False))
+        sim = self.lanes.simulator
+        bound = bind(blocks, sim.scratches, sim.plant.network, sim.data, self.lanes.task_data, self._scratch_outputs)
+        sim.threads.run(lambda first, last, worker: step_blocks(bound, actions, first, last, worker, False))
 
     def _rows(self, rows: Whole, blocks: Floats | None = None) -> Floats:
         """Return rows of every environment (n_lanes, …), in blocks like those of the simulator; None for these."""
@@ -398,8 +398,8 @@ class Tape:
         """Start episodes and step them with given actions (n_steps, n_lanes, n_action)."""
         self.start(scenarios)
         terms, outputs = [], []
-        for own in actions:
-            terms.append(self.step(own)[1])
+        for action in actions:
+            terms.append(self.step(action)[1])
             outputs.append(self.outputs())
         return Played(np.array(terms), np.array(outputs))
 

@@ -79,15 +79,15 @@ class TorchEpisodes:
                 the order of `LAW_PARAMETERS`; None for those of the settings.
         """
         observations = self.tape.start(scenarios)
-        own = torch.from_numpy(self.tape.law())
-        self._law = own
+        laws = torch.from_numpy(self.tape.law())
+        self._law = laws
         if law is not None:
             law = torch.as_tensor(law)
-            if law.shape not in (own.shape, own.shape[1:]):
+            if law.shape not in (laws.shape, laws.shape[1:]):
                 raise ValueError(
-                    f"law must have the shape {tuple(own.shape[1:])}, or one per environment, got {tuple(law.shape)}"
+                    f"law must have the shape {tuple(laws.shape[1:])}, or one per environment, got {tuple(law.shape)}"
                 )
-            self._law = law.expand(own.shape)
+            self._law = law.expand(laws.shape)
             self.tape.set_law(self._law.detach().to("cpu", torch.float64).numpy())
         self.outputs = None
         self._left = torch.zeros((self.tape.lanes.n_lanes, self.tape.n_carried), dtype=torch.float64)

@@ -86,19 +86,19 @@ def _filters(p: parameters.FilterStabiliserParameters) -> dict[str, Any]:
 
 
 def _divided(
-    slope: float, state: float, given: float, given_rate: float, given_slope_rate: float, c: Denominator
+    slope: float, state: float, signal: float, signal_rate: float, signal_slope_rate: float, c: Denominator
 ) -> tuple[float, float, float]:
     """Return what divides a signal by 1 + A s + B s²: the rates of both states, and the output.
 
     Without a denominator the rates are those of the signal itself, as far as they are known.
     """
     exists = (c.inv_linear > 0.0) | (c.inv_square > 0.0)
-    slope_rate = c.inv_square * (given - state - c.linear * slope)
-    rate = select(c.inv_square > 0.0, slope, c.inv_linear * (given - state))
+    slope_rate = c.inv_square * (signal - state - c.linear * slope)
+    rate = select(c.inv_square > 0.0, slope, c.inv_linear * (signal - state))
     return (
-        select(exists, slope_rate, given_slope_rate),
-        select(exists, rate, given_rate),
-        select(exists, state, given),
+        select(exists, slope_rate, signal_slope_rate),
+        select(exists, rate, signal_rate),
+        select(exists, state, signal),
     )
 
 
@@ -384,17 +384,17 @@ _BY_PARAMETERS = {record: control for control in CONTROLS.values() for record in
 def controls_of(machine: parameters.SynchronousMachineParameters) -> list[tuple[controls.Control, Any]]:
     """Return the controls of a machine that are units of their own, each with its parameters."""
     electric = () if machine.classical else (machine.stabiliser, machine.exciter)
-    own = (*electric, machine.governor)
-    return [(_BY_PARAMETERS[type(record)], record) for record in own if type(record) in _BY_PARAMETERS]
+    records = (*electric, machine.governor)
+    return [(_BY_PARAMETERS[type(record)], record) for record in records if type(record) in _BY_PARAMETERS]
 
 
 def control_constants(machines: Sequence[parameters.SynchronousMachineParameters]) -> dict[str, npt.NDArray[np.void]]:
     """Return the constants of all controls that are units of their own, by the names of their kinds."""
-    found: dict[str, list[Any]] = {}
+    constants: dict[str, list[Any]] = {}
     for index, machine in enumerate(machines):
         for control, record in controls_of(machine):
-            found.setdefault(control.kind.name, []).append(control.constants(index, record))
-    return {name: structured(CONTROLS[name].constants.record, own) for name, own in found.items()}
+            constants.setdefault(control.kind.name, []).append(control.constants(index, record))
+    return {name: structured(CONTROLS[name].constants.record, records) for name, records in constants.items()}
 
 
 def joining_controls(names: Sequence[str]) -> dict[ControlJoining, tuple[System, ...]]:
@@ -403,8 +403,8 @@ def joining_controls(names: Sequence[str]) -> dict[ControlJoining, tuple[System,
     At the start exciters come before the stabilisers: they say what reference they need.
     """
     places: dict[ControlJoining, tuple[System, ...]] = {}
-    for one in (one for name, one in CONTROLS.items() if name in names):
-        for place, systems in one.systems.items():
+    for control in (control for name, control in CONTROLS.items() if name in names):
+        for place, systems in control.systems.items():
             before = places.get(place, ())
             places[place] = (*systems, *before) if place is ControlJoining.SETTLE else (*before, *systems)
     return places

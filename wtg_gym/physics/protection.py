@@ -117,10 +117,11 @@ def sample_bus(
     seen = runs & live & (size > units.LOW_VOLTAGE)
     # A bus that had no voltage begins with the grid's frequency.
     moved = select(magnitude > units.LOW_VOLTAGE, frequency + sampled.gain * (measured - frequency), coi)
-    found = select(seen, moved, frequency)
+    filtered = select(seen, moved, frequency)
     held = Phasor(select(runs, now.re, phasor.re), select(runs, now.im, phasor.im))
     size = select(runs, size, magnitude)
-    return held, size, found, min(lowest, select(live, found, lowest)), max(highest, select(live, found, highest))
+    lowest, highest = min(lowest, select(live, filtered, lowest)), max(highest, select(live, filtered, highest))
+    return held, size, filtered, lowest, highest
 
 
 @system(UNITS, "lowest", "highest", when="extended")
@@ -200,25 +201,25 @@ STAGES = Kind(
 
 
 def _added(two_h: float, omega: float, counts: bool, sums: Sums) -> Sums:
-    own = select(counts, two_h, 0.0)
-    return Sums(sums.momentum + own * (omega - 1.0), sums.inertia + own)
+    inertia = select(counts, two_h, 0.0)
+    return Sums(sums.momentum + inertia * (omega - 1.0), sums.inertia + inertia)
 
 
 @system(MACHINES, "sums", "weight", "omega")
 def add_machine(
-    state: MachineState, given: MachineInput, committed: float, island: float, sums: Sums
+    state: MachineState, inputs: MachineInput, committed: float, island: float, sums: Sums
 ) -> tuple[Sums, float, float]:
     """Add a machine to the sums of the grid; return its inertia and frequency, for those of other islands."""
-    two_h, omega = committed * (given.connected / given.inv_two_h), state.speed
+    two_h, omega = committed * (inputs.connected / inputs.inv_two_h), state.speed
     return _added(two_h, omega, island == 0.0, sums), two_h, omega
 
 
 @system(GROUPS, "sums", "weight", "omega")
 def add_group(
-    state: WtgState, given: WtgInput, output: WtgOutput, turbine: Turbine, share: float, island: float, sums: Sums
+    state: WtgState, inputs: WtgInput, output: WtgOutput, turbine: Turbine, share: float, island: float, sums: Sums
 ) -> tuple[Sums, float, float]:
     """Add a WTG group to the sums of the grid; return its inertia and frequency, for those of other islands."""
-    two_h = turbine.converter.two_h * share * given.connected
+    two_h = turbine.converter.two_h * share * inputs.connected
     omega = wind_turbine.frequency_of(state, output)
     return _added(two_h, omega, island == 0.0, sums), two_h, omega
 
@@ -246,7 +247,7 @@ def centre_of_grid(centre: float, coi_min: float, coi_max: float) -> tuple[float
 @system(GROUPS, "extremes")
 def track_extremes(
     state: WtgState,
-    given: WtgInput,
+    inputs: WtgInput,
     output: WtgOutput,
     extremes: wind_turbine.WtgExtremes,
     turbine: Turbine,
@@ -255,7 +256,7 @@ def track_extremes(
 ) -> wind_turbine.WtgExtremes:
     """Return a group's extremes; its power is that of the step's last stage, which lies at the step's end."""
     ratio = wind_turbine.tip_speed_ratio(state.rotor_speed, output.wind, turbine.rotor)
-    turning = (active > 0.5) & (given.connected > 0.5)
+    turning = (active > 0.5) & (inputs.connected > 0.5)
     overloaded = turning & (output.power > turbine.converter.overload_limit)
     return wind_turbine.WtgExtremes(
         peak_power=select(turning, max(extremes.peak_power, output.power), extremes.peak_power),
@@ -306,19 +307,19 @@ def count_shed_energy(shed_energy: float, unserved: float, active: float, simula
 
 
 @system(MACHINES, "sample")
-def sample_machine(state: MachineState, given: MachineInput, output: MachineOutput) -> Sample:
+def sample_machine(state: MachineState, inputs: MachineInput, output: MachineOutput) -> Sample:
     """Return what is compared of a machine; its terminal is a bus of the network."""
-    return Sample(state.angle, output.voltage * output.voltage, given.connected, 0.0)
+    return Sample(state.angle, output.voltage * output.voltage, inputs.connected, 0.0)
 
 
 @system(GROUPS, "sample")
 def sample_group(
-    state: WtgState, given: WtgInput, voltage: Phasor, current: Phasor, turbine: Turbine, share: float
+    state: WtgState, inputs: WtgInput, voltage: Phasor, current: Phasor, turbine: Turbine, share: float
 ) -> Sample:
     """Return what is compared of a WTG group; buses without a unit do not count."""
     reactance = turbine.converter.reactance / share
     v_re, v_im = voltage.re + reactance * current.im, voltage.im - reactance * current.re
-    return Sample(state.converter.angle, v_re * v_re + v_im * v_im, given.connected, 0.0)
+    return Sample(state.converter.angle, v_re * v_re + v_im * v_im, inputs.connected, 0.0)
 
 
 def _compared(sample: Sample, counts: bool, spread: Spread) -> Spread:
@@ -342,7 +343,7 @@ def compare_member(unit_sample: Sample, unit_island: float, island_number: float
     return _compared(unit_sample, unit_island == island_number, island_spread)
 
 
-@system(ISLANDS, "found", "healthy_step", "turned")
+@system(ISLANDS, "violation", "healthy_step", "turned")
 def judge_island(
     active: float,
     centre: float,
@@ -359,47 +360,47 @@ def judge_island(
     over-speed of the last such group; loss of synchronism; voltage collapse; frequency limit. The others follow from
     it. An island without a unit has no voltage.
     """
-    found = select(
+    violation = select(
         (centre < limits.frequency_min) | (centre > limits.frequency_max), float(Status.FREQUENCY_LIMIT), 0.0
     )
     empty = spread.least_angle > spread.largest_angle
     healthy = spread.least_squared_voltage >= limits.low_voltage * limits.low_voltage
     healthy_step = select(active > 0.5, select(healthy, step, healthy_step), healthy_step)
     low = ((step - healthy_step) * simulation_dt > limits.low_voltage_time) | empty
-    found = select(low, float(Status.VOLTAGE_COLLAPSE), found)
+    violation = select(low, float(Status.VOLTAGE_COLLAPSE), violation)
     apart = spread.largest_angle - spread.least_angle > limits.angle_spread
     turned = select(empty, turned, spread.least_angle)
-    return select(apart, float(Status.LOSS_OF_SYNCHRONISM), found), healthy_step, turned
+    return select(apart, float(Status.LOSS_OF_SYNCHRONISM), violation), healthy_step, turned
 
 
-@system(units.MAIN, "finding", "finite")
-def judge_grid(found: float, centre: float) -> tuple[float, float]:
+@system(units.MAIN, "new_status", "finite")
+def judge_grid(violation: float, centre: float) -> tuple[float, float]:
     """Say whether the grid has failed."""
-    return found, select(math.isfinite(centre), 1.0, 0.0)
+    return violation, select(math.isfinite(centre), 1.0, 0.0)
 
 
 @system(units.MEMBERS, "unit_sample_falls")
-def fall_member(unit_sample_falls: float, unit_island: float, island_number: float, island_found: float) -> float:
+def fall_member(unit_sample_falls: float, unit_island: float, island_number: float, island_violation: float) -> float:
     """Let the units of an island that is not the grid fall with it."""
-    return select((unit_island == island_number) & (island_found > 0.0), 1.0, unit_sample_falls)
+    return select((unit_island == island_number) & (island_violation > 0.0), 1.0, unit_sample_falls)
 
 
 @system(MACHINES, "connected", "next_change", when="extended")
 def trip_machine(
-    given: MachineInput, falls: float, next_change: float, step: float, active: float
+    inputs: MachineInput, falls: float, next_change: float, step: float, active: float
 ) -> tuple[float, float]:
     """Disconnect a machine whose island has failed."""
-    trips = (falls > 0.5) & (given.connected > 0.5) & (active > 0.5)
-    return select(trips, 0.0, given.connected), select(trips, step, next_change)
+    trips = (falls > 0.5) & (inputs.connected > 0.5) & (active > 0.5)
+    return select(trips, 0.0, inputs.connected), select(trips, step, next_change)
 
 
-@system(GROUPS, "connected", "finding", "finite", "next_change")
+@system(GROUPS, "connected", "new_status", "finite", "next_change")
 def judge_rotor(
     state: WtgState,
-    given: WtgInput,
+    inputs: WtgInput,
     output: WtgOutput,
     turbine: Turbine,
-    finding: float,
+    new_status: float,
     finite: float,
     next_change: float,
     falls: float,
@@ -417,23 +418,23 @@ def judge_rotor(
     races = select(state.rotor_speed > limits.over_speed, float(Status.OVER_SPEED), 0.0)
     failure = select(ratio < limits.stall_tip_speed_ratio, stalls, races)
     failure = select(state.rotor_speed < limits.rotor_speed_min, float(Status.UNDER_SPEED), failure)
-    failed = (failure > 0.0) & (given.connected > 0.5) & (active > 0.5)
-    trips = (failed & trips_groups) | ((falls > 0.5) & (given.connected > 0.5) & (active > 0.5))
+    failed = (failure > 0.0) & (inputs.connected > 0.5) & (active > 0.5)
+    trips = (failed & trips_groups) | ((falls > 0.5) & (inputs.connected > 0.5) & (active > 0.5))
     is_finite = math.isfinite(state.rotor_speed) & math.isfinite(state.converter.speed)
     return (
-        select(trips, 0.0, given.connected),
-        select(failed, select(trips_groups, finding, failure), finding),
+        select(trips, 0.0, inputs.connected),
+        select(failed, select(trips_groups, new_status, failure), new_status),
         select(is_finite, finite, 0.0),
         select(trips, step, next_change),
     )
 
 
 @system(LANE, "status", "active", "stops")
-def end_run(status: float, active: float, finding: float, finite: float) -> tuple[float, float, float]:
+def end_run(status: float, active: float, new_status: float, finite: float) -> tuple[float, float, float]:
     """End a run that has failed."""
-    finding = select(finite > 0.5, finding, float(Status.NUMERICAL_FAILURE))
-    stops = (active > 0.5) & (finding > 0.0)
-    return select(stops, finding, status), select(stops, 0.0, active), select(stops, 1.0, 0.0)
+    new_status = select(finite > 0.5, new_status, float(Status.NUMERICAL_FAILURE))
+    stops = (active > 0.5) & (new_status > 0.0)
+    return select(stops, new_status, status), select(stops, 0.0, active), select(stops, 1.0, 0.0)
 
 
 @system(GROUPS, "wind_start", "wind_end")

@@ -27,23 +27,23 @@ def moving(rates: System, *limits: Callable[..., Any] | None, constants: Sequenc
         constants: names of those that each limit depends on.
     """
     states = tuple(name.removesuffix("_rates") for name in rates.writes if name.endswith("_rates"))
-    own = tuple(f"{state}_{what}" for state in states for what in ("base", "sum"))
-    given_to_rates, equation = rates.arguments_named, rates.equation
-    arguments = tuple(dict.fromkeys((*given_to_rates, *states, *own, *constants, *_OF_STAGE)))
+    bases_and_sums = tuple(f"{state}_{what}" for state in states for what in ("base", "sum"))
+    rate_arguments, equation = rates.arguments_named, rates.equation
+    arguments = tuple(dict.fromkeys((*rate_arguments, *states, *bases_and_sums, *constants, *_OF_STAGE)))
 
     def stage(*values: Any) -> tuple[Any, ...]:
-        given = dict(zip(arguments, values, strict=True))
-        found = equation(*(given[name] for name in given_to_rates))
-        found = found if type(found) is tuple else (found,)
-        active, ahead, first, last = (given[name] for name in _OF_STAGE)
+        named = dict(zip(arguments, values, strict=True))
+        results = equation(*(named[name] for name in rate_arguments))
+        results = results if type(results) is tuple else (results,)
+        active, ahead, first, last = (named[name] for name in _OF_STAGE)
         moved: list[Any] = []
         for i, state in enumerate(states):
-            base, total = given[f"{state}_base"], given[f"{state}_sum"]
-            free, base, total = _moved(given[state], base, total, found[i], ahead, first, last)
+            base, total = named[f"{state}_base"], named[f"{state}_sum"]
+            free, base, total = _moved(named[state], base, total, results[i], ahead, first, last)
             limit = limits[i] if limits else None
-            within = free if limit is None else limit(free, given[constants[i]])
+            within = free if limit is None else limit(free, named[constants[i]])
             moved += (_kept(free, within, base, last, active), base, total)
-        return (*moved, *found[len(states) :])
+        return (*moved, *results[len(states) :])
 
     writes = [name for state in states for name in (state, f"{state}_base", f"{state}_sum")]
     origin = functools.partial(moving, constants=constants), (rates, *limits)
@@ -236,7 +236,7 @@ LANE = Kind(
         "highest": float,
         "sampled": Sampled,
         "noise_voltage": Phasor,  # at the bus of the load noise, if there were none; then its current [p.u.]
-        "finding": float,  # status that the protections find now
+        "new_status": float,  # status that the protections find now
         "finite": float,  # 1 where all speeds are finite numbers
         "alarm": float,  # 1 where the stages of shedding have to be looked at
         "stops": float,  # 1 where a protection ends the run now
@@ -282,7 +282,7 @@ ISLANDS = Kind(
     scratch={
         "sums": Sums,
         "spread": Spread,
-        "found": float,  # status that the protections find now
+        "violation": float,  # status that the protections find now
     },
     constants={"number": float},
     sees={"lane": LANE},
@@ -353,10 +353,10 @@ def plus(total: Phasor, a: Phasor, b: Phasor) -> Phasor:
     return Phasor(total.re + fma(a.re, b.re, -(a.im * b.im)), total.im + fma(a.re, b.im, a.im * b.re))
 
 
-def noted(fits: bool, why: int, number: float, failure: Failure) -> Failure:
+def noted(fits: bool, reason: int, number: float, failure: Failure) -> Failure:
     """Return why a run cannot start and the number of the unit that cannot, unless another was found before."""
     known = fits | (failure.start_failure != 0.0)
-    return Failure(select(known, failure.start_failure, float(why)), select(known, failure.failing_unit, number))
+    return Failure(select(known, failure.start_failure, float(reason)), select(known, failure.failing_unit, number))
 
 
 def quotient(a: Phasor, b: Phasor) -> Phasor:

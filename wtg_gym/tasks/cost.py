@@ -196,15 +196,15 @@ def start_largest_deviation(coi: float) -> float:
 
 
 @system(MACHINE_COST, "largest_deviation")
-def compare_machine(state: MachineState, given: MachineInput, largest_deviation: float) -> float:
+def compare_machine(state: MachineState, inputs: MachineInput, largest_deviation: float) -> float:
     """Compare a machine that is connected."""
-    return max(largest_deviation, given.connected * abs(state.speed - 1.0))
+    return max(largest_deviation, inputs.connected * abs(state.speed - 1.0))
 
 
 @system(GROUP_COST, "largest_deviation")
-def compare_group(state: WtgState, given: WtgInput, output: WtgOutput, largest_deviation: float) -> float:
+def compare_group(state: WtgState, inputs: WtgInput, output: WtgOutput, largest_deviation: float) -> float:
     """Compare a WTG group that is connected."""
-    return max(largest_deviation, given.connected * abs(frequency_of(state, output) - 1.0))
+    return max(largest_deviation, inputs.connected * abs(frequency_of(state, output) - 1.0))
 
 
 @system(COST, "term_rates")
@@ -249,10 +249,10 @@ def find_deviations(state: WtgState, output: WtgOutput, turbine: Turbine, task: 
 
 @system(GROUP_COST, "deviations")
 def find_deviations_at_grid_frequency(
-    state: WtgState, given: WtgInput, output: WtgOutput, coi: float, turbine: Turbine, task: TaskConstants
+    state: WtgState, inputs: WtgInput, output: WtgOutput, coi: float, turbine: Turbine, task: TaskConstants
 ) -> GroupDeviations:
     """Find them at the grid's frequency where the group is disconnected: its own no longer moves."""
-    frequency = select(given.connected > 0.5, frequency_of(state, output), coi)
+    frequency = select(inputs.connected > 0.5, frequency_of(state, output), coi)
     return _deviations(frequency, state, output, turbine, task)
 
 

@@ -270,21 +270,22 @@ class Task:
         def entry(kind: Kind, part: str, unit: int, prefix: str) -> Entries:
             return Entries(kind, part, unit, prefix, _fields(kind, part))
 
-        found = []
+        entries = []
         for j in range(n_wtg):
             kind, part, prefix = self.of_groups
-            found.append(entry(kind, part, j, f"{prefix}{j}"))
-            found.append(Entries(OBSERVED, "shown_actions", j, f"{prefix}{j}", actions))
+            entries.append(entry(kind, part, j, f"{prefix}{j}"))
+            entries.append(Entries(OBSERVED, "shown_actions", j, f"{prefix}{j}", actions))
         if choices.privileged:
-            found += [
+            entries += [
                 entry(kind, part, j, f"{prefix}{j}") for j in range(n_wtg) for kind, part, prefix in self.privileged
             ]
-            found += [entry(OBSERVED_MACHINES, "machine_observed", i, f"sync{i}") for i in machines]
-            found.append(entry(OBSERVED_GRID, "grid_observed", 0, "grid"))
-        for own in choices.plant.devices:
-            if own.shown is not None:
-                found += [entry(own.kind, own.shown, j, f"{own.kind.name}{j}") for j in range(len(own.buses))]
-        return found
+            entries += [entry(OBSERVED_MACHINES, "machine_observed", i, f"sync{i}") for i in machines]
+            entries.append(entry(OBSERVED_GRID, "grid_observed", 0, "grid"))
+        for device in choices.plant.devices:
+            if device.shown is not None:
+                kind = device.kind
+                entries += [entry(kind, device.shown, j, f"{kind.name}{j}") for j in range(len(device.buses))]
+        return entries
 
     def observation_names(self, choices: Choices) -> list[str]:
         """Return the names of the observation's entries, with the unit each is counted in.
