@@ -127,8 +127,12 @@ def _checked_inertias(settings: Plant) -> dict[tuple[TrackingLaw, ...], float]:
     return {}
 
 
-#: Addresses of machine code in this process, by all that they depend on.
-_CODE: dict[tuple[Any, ...], Whole] = {}
+@functools.lru_cache(maxsize=16)
+def _code(*dependencies: Any) -> list[Whole]:
+    """Return a list for addresses of machine code, which lasts as long as the process; simulators have their own."""
+    return []
+
+
 #: Numbers of a group that are those of its law.
 _OF_LAW = {name: name for name in ("k_min", "k_nominal", "k_max", "droop_cancelled")}
 _OF_LAW["inv_tau"] = "inverse_time_constant"
@@ -233,12 +237,12 @@ class Simulator:
         `task` is what the simulator was made with.
         """
         programs = programs_of(self.plant, *PROGRAMS, *task.programs)
-        key = programs, task.stepping, task.starting, self.width, self.plant.network.facts.is_large
-        if key not in _CODE:
+        code = _code(programs, task.stepping, task.starting, self.width, self.plant.network.facts.is_large)
+        if not code:
             routines: dict[int, tuple[Routine, ...]] = {1: (*STARTING, *task.starting)}
             routines[self.width] = (*STEPPING, *task.stepping, *routines.get(self.width, ()))
-            _CODE[key] = code_of(programs, routines, self.functions())
-        self.plant = self.plant.with_tables(self.plant.network.tables._replace(code=_CODE[key]))
+            code.append(code_of(programs, routines, self.functions()))
+        self.plant = self.plant.with_tables(self.plant.network.tables._replace(code=code[0]))
 
     def _check_nominal(self, laws: tuple[TrackingLaw, ...], inertia_scale: float = 1.0, committed: float = 1.0) -> bool:
         """Check laws at nominal operating points; return whether the plant has an equilibrium at any of them."""
@@ -418,9 +422,9 @@ class Simulator:
             if m <= n:
                 target[:, m:] = wind[:, m - 1 : m]
         else:
-            instants, wanted = np.arange(wind.shape[1]) * scenario.wind_dt_s, np.arange(n + 1) * dt
+            instants, times_s = np.arange(wind.shape[1]) * scenario.wind_dt_s, np.arange(n + 1) * dt
             for j in range(wind.shape[0]):
-                target[j] = np.interp(wanted, instants, wind[j])
+                target[j] = np.interp(times_s, instants, wind[j])
         noise = scenario.load_noise_mw
         if noise.size:
             samples = self._noise_samples
@@ -522,11 +526,11 @@ class Simulator:
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__.update(state)
-        # A copy comes back where it likes.
+        # The copy is not aligned.
         self.blocks = _aligned_zeros(*state["blocks"].shape)
         self.blocks[:] = state["blocks"]
         self.scratches = self.new_scratches(self.threads.n_workers, self.width)
-        # Perhaps in another process.
+        # Addresses hold in one process only.
         self.link(NO_TASK)
 
 
