@@ -18,7 +18,7 @@ from typing import NamedTuple
 from wtg_gym.physics import units, wind_turbine
 from wtg_gym.physics.machine import MachineInput, MachineOutput, MachineState
 from wtg_gym.physics.machine_unit import MACHINES
-from wtg_gym.physics.units import BUSES, ISLANDS, LANE, UNITS, Phasor, Sample, Spread, Sums, plus
+from wtg_gym.physics.units import BUSES, ISLANDS, LANE, UNITS, Phasor, Sample, Spread, Sums, Verdict, plus
 from wtg_gym.physics.wind_turbine import Turbine, WtgInput, WtgOutput, WtgState
 from wtg_gym.physics.wtg_unit import GROUPS
 from wtg_gym.systems.elementary import exponential, fma, select
@@ -61,20 +61,20 @@ def turn_between(before: Phasor, now: Phasor) -> float:
 
 @system(UNITS, "noise_voltage", when="extended")
 def add_noise_voltage(transfer_back: Phasor, voltage: Phasor, noise_voltage: Phasor) -> Phasor:
-    """Add what a unit brings to it."""
+    """Add a unit's part of the voltage at the bus of the load noise."""
     return plus(noise_voltage, transfer_back, voltage)
 
 
 @system(LANE, "noise_voltage", when="extended")
 def noise_current(noise_voltage: Phasor, noise_factor: Phasor) -> Phasor:
-    """Turn it into the current of the load noise [p.u.]."""
+    """Return the current of the load noise [p.u.]: that voltage times its admittance."""
     return plus(Phasor(0.0, 0.0), noise_voltage, noise_factor)
 
 
-@system(BUSES, "now", when="extended")
-def with_noise(now: Phasor, noise_voltage: Phasor, noise_transfer: Phasor) -> Phasor:
-    """Take from the voltage of a bus what the load noise draws."""
-    return plus(now, Phasor(-noise_voltage.re, -noise_voltage.im), noise_transfer)
+@system(BUSES, "present_voltage", when="extended")
+def with_noise(present_voltage: Phasor, noise_voltage: Phasor, noise_transfer: Phasor) -> Phasor:
+    """Subtract from the voltage of a bus the drop that the load noise causes."""
+    return plus(present_voltage, Phasor(-noise_voltage.re, -noise_voltage.im), noise_transfer)
 
 
 #: Voltages of all buses, from those of all units.
@@ -82,7 +82,7 @@ BUS_VOLTAGES = (
     setting(LANE, "extended", noise_voltage=Phasor(0.0, 0.0)),
     add_noise_voltage,
     noise_current,
-    Product(units.TRANSFERS, "share", UNITS, "voltage", "now", of=BUSES),
+    Product(units.TRANSFERS, "share", UNITS, "voltage", "present_voltage", of=BUSES),
     with_noise,
 )
 
@@ -91,7 +91,7 @@ BUS_VOLTAGES = (
 def reset_frequency_sample(
     angle: float, sampled_angle: float, step: float, sampled_step: float, omega_n: float, simulation_dt: float
 ) -> tuple[float, float, units.Sampled]:
-    """Begin to look for the frequency that is farthest from nominal, and find how far the frame has turned."""
+    """Reset the extremes of the frequencies, and find how far the frame has turned since the last sample."""
     passed = max(step - sampled_step, 1.0) * simulation_dt
     gain = 1.0 - exponential(passed * (-1.0 / FILTER_S))
     return math.inf, -math.inf, units.Sampled(1.0 / (omega_n * passed), angle - sampled_angle, gain)
@@ -100,7 +100,7 @@ def reset_frequency_sample(
 @system(BUSES, "phasor", "magnitude", "frequency", "lowest", "highest", when="extended")
 def sample_bus(
     phasor: Phasor,
-    now: Phasor,
+    present_voltage: Phasor,
     magnitude: float,
     frequency: float,
     island: float,
@@ -111,14 +111,14 @@ def sample_bus(
     active: float,
 ) -> tuple[Phasor, float, float, float, float]:
     """Return the new voltage, the frequency that its turn shows, and the extremes with it."""
-    measured = 1.0 + (sampled.turn + turn_between(phasor, now)) * sampled.per_turn
+    measured = 1.0 + (sampled.turn + turn_between(phasor, present_voltage)) * sampled.per_turn
     live, runs = island >= 0.0, active > 0.5
-    size = math.sqrt(fma(now.re, now.re, now.im * now.im))
+    size = math.sqrt(fma(present_voltage.re, present_voltage.re, present_voltage.im * present_voltage.im))
     seen = runs & live & (size > units.LOW_VOLTAGE)
     # A bus that had no voltage begins with the grid's frequency.
     moved = select(magnitude > units.LOW_VOLTAGE, frequency + sampled.gain * (measured - frequency), coi)
     filtered = select(seen, moved, frequency)
-    held = Phasor(select(runs, now.re, phasor.re), select(runs, now.im, phasor.im))
+    held = Phasor(select(runs, present_voltage.re, phasor.re), select(runs, present_voltage.im, phasor.im))
     size = select(runs, size, magnitude)
     lowest, highest = min(lowest, select(live, filtered, lowest)), max(highest, select(live, filtered, highest))
     return held, size, filtered, lowest, highest
@@ -157,9 +157,9 @@ LOCAL = (*BUS_VOLTAGES, reset_frequency_sample, sample_bus, sample_unit, note_wo
 
 
 @system(BUSES, "phasor", "magnitude", "frequency", when="extended")
-def start_bus(now: Phasor) -> tuple[Phasor, float, float]:
+def start_bus(present_voltage: Phasor) -> tuple[Phasor, float, float]:
     """Return the voltage that a run starts with, at nominal frequency."""
-    return now, math.hypot(now.re, now.im), 1.0
+    return present_voltage, math.hypot(present_voltage.re, present_voltage.im), 1.0
 
 
 #: Protections sample the grid at the end of every control interval, and at least this often within a longer one [s].
@@ -268,13 +268,13 @@ def track_extremes(
 
 @system(LANE, "alarm", "was_low")
 def reset_alarm(was_low: float) -> tuple[float, float]:
-    """Look at the stages once more after a low frequency."""
+    """Check the stages of shedding once more after a low frequency."""
     return was_low, 0.0
 
 
 @system(ISLANDS, "alarm", "was_low", when="sheds")
 def alarm_island(centre: float, alarm: float, was_low: float, shedding_speed: float) -> tuple[float, float]:
-    """Look at the stages while the frequency of an island is below that of the first."""
+    """Check the stages while the frequency of an island is below that of the first."""
     low = centre < shedding_speed
     return select(low, 1.0, alarm), select(low, 1.0, was_low)
 
@@ -289,7 +289,7 @@ def shed_load(
     active: float,
     simulation_dt: float,
 ) -> tuple[float, float]:
-    """Let a stage act whose time has come; the network changes before the next step."""
+    """Shed a stage whose delay has passed; the network changes before the next step."""
     waits = (shed >= 0.0) & (active > 0.5)
     count = select(centre >= stage.speed, 0.0, shed + 1.0)
     late = count * simulation_dt >= stage.delay - 1e-9
@@ -354,9 +354,9 @@ def judge_island(
     simulation_dt: float,
     limits: wind_turbine.Limits,
 ) -> tuple[float, float, float]:
-    """Say whether an island has failed.
+    """Find what an island violates.
 
-    If several findings apply, the first in this order counts: not finite; where rotors end a run, under-speed, stall or
+    If several apply, the first in this order counts: not finite; where rotors end a run, under-speed, stall or
     over-speed of the last such group; loss of synchronism; voltage collapse; frequency limit. The others follow from
     it. An island without a unit has no voltage.
     """
@@ -373,15 +373,15 @@ def judge_island(
     return select(apart, float(Status.LOSS_OF_SYNCHRONISM), violation), healthy_step, turned
 
 
-@system(units.MAIN, "new_status", "finite")
-def judge_grid(violation: float, centre: float) -> tuple[float, float]:
-    """Say whether the grid has failed."""
-    return violation, select(math.isfinite(centre), 1.0, 0.0)
+@system(units.MAIN, "verdict")
+def judge_grid(violation: float, centre: float) -> Verdict:
+    """Return the verdict on the grid; those on groups are added to it."""
+    return Verdict(violation, select(math.isfinite(centre), 1.0, 0.0))
 
 
 @system(units.MEMBERS, "unit_sample_falls")
 def fall_member(unit_sample_falls: float, unit_island: float, island_number: float, island_violation: float) -> float:
-    """Let the units of an island that is not the grid fall with it."""
+    """Mark the units of a failed island that is not the grid."""
     return select((unit_island == island_number) & (island_violation > 0.0), 1.0, unit_sample_falls)
 
 
@@ -394,20 +394,19 @@ def trip_machine(
     return select(trips, 0.0, inputs.connected), select(trips, step, next_change)
 
 
-@system(GROUPS, "connected", "new_status", "finite", "next_change")
+@system(GROUPS, "connected", "verdict", "next_change")
 def judge_rotor(
     state: WtgState,
     inputs: WtgInput,
     output: WtgOutput,
     turbine: Turbine,
-    new_status: float,
-    finite: float,
+    verdict: Verdict,
     next_change: float,
     falls: float,
     step: float,
     active: float,
     trips_groups: bool,
-) -> tuple[float, float, float, float]:
+) -> tuple[float, Verdict, float]:
     """Detect stall, over- and under-speed. Depending on `trips_groups` the group is disconnected or the run ends.
 
     A group is disconnected with its island too.
@@ -421,24 +420,21 @@ def judge_rotor(
     failed = (failure > 0.0) & (inputs.connected > 0.5) & (active > 0.5)
     trips = (failed & trips_groups) | ((falls > 0.5) & (inputs.connected > 0.5) & (active > 0.5))
     is_finite = math.isfinite(state.rotor_speed) & math.isfinite(state.converter.speed)
-    return (
-        select(trips, 0.0, inputs.connected),
-        select(failed, select(trips_groups, new_status, failure), new_status),
-        select(is_finite, finite, 0.0),
-        select(trips, step, next_change),
-    )
+    code = select(failed, select(trips_groups, verdict.code, failure), verdict.code)
+    verdict = Verdict(code, select(is_finite, verdict.finite, 0.0))
+    return select(trips, 0.0, inputs.connected), verdict, select(trips, step, next_change)
 
 
 @system(LANE, "status", "active", "stops")
-def end_run(status: float, active: float, new_status: float, finite: float) -> tuple[float, float, float]:
+def end_run(status: float, active: float, verdict: Verdict) -> tuple[float, float, float]:
     """End a run that has failed."""
-    new_status = select(finite > 0.5, new_status, float(Status.NUMERICAL_FAILURE))
-    stops = (active > 0.5) & (new_status > 0.0)
-    return select(stops, new_status, status), select(stops, 0.0, active), select(stops, 1.0, 0.0)
+    violation = select(verdict.finite > 0.5, verdict.code, float(Status.NUMERICAL_FAILURE))
+    stops = (active > 0.5) & (violation > 0.0)
+    return select(stops, violation, status), select(stops, 0.0, active), select(stops, 1.0, 0.0)
 
 
 @system(GROUPS, "wind_start", "wind_end")
 def freeze_wind(wind_start: float, wind_end: float, output: WtgOutput, stops: float) -> tuple[float, float]:
-    """Let nothing be added in what is left of a control interval once a run has ended, no wind either."""
+    """Keep the wind constant in the rest of a control interval in which a run has ended."""
     still = stops > 0.5
     return select(still, output.wind, wind_start), select(still, output.wind, wind_end)

@@ -17,8 +17,8 @@ _OF_STAGE = ("active", "ahead", "first", "last")
 def moving(rates: System, *limits: Callable[..., Any] | None, constants: Sequence[str] = ()) -> System:
     """Return the system that moves the states whose rates another system finds, by a stage of the method.
 
-    It is told how far the stage goes (`ahead` [s], a sixth of the step for the last) and whether it is the first or the
-    last one.
+    Scalars say how far the stage goes (`ahead` [s], a sixth of the step for the last) and whether it is the `first` or
+    the `last`.
 
     Args:
         rates: writes "x_rates" of states "x" first, then other parts.
@@ -149,6 +149,13 @@ class Failure(NamedTuple):
     failing_unit: float
 
 
+class Verdict(NamedTuple):
+    """What the protections find now."""
+
+    code: float  # of protection.Status, 0 for none
+    finite: float  # 1 where all speeds are finite numbers
+
+
 class Sums(NamedTuple):
     """Sums over the connected units of an island."""
 
@@ -236,8 +243,7 @@ LANE = Kind(
         "highest": float,
         "sampled": Sampled,
         "noise_voltage": Phasor,  # at the bus of the load noise, if there were none; then its current [p.u.]
-        "new_status": float,  # status that the protections find now
-        "finite": float,  # 1 where all speeds are finite numbers
+        "verdict": Verdict,
         "alarm": float,  # 1 where the stages of shedding have to be looked at
         "stops": float,  # 1 where a protection ends the run now
         "load_level": float,  # share of the nominal load that a run starts with
@@ -300,7 +306,7 @@ BUSES = Kind(
         "frequency": float,  # local, filtered [p.u.]
     },
     scratch={
-        "now": Phasor,  # voltage now [p.u.]
+        "present_voltage": Phasor,  # voltage now [p.u.]
         "planned": Phasor,  # P + jQ into the network before the slack's share [p.u.]
         "polar": Polar,
         "holds": float,  # 1 where a unit holds the voltage
