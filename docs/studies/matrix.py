@@ -143,7 +143,7 @@ def section(suites: Mapping[str, Results], faults: Mapping[str, Results]) -> str
 if __name__ == "__main__":
     docs = output_folder(__doc__)
     suites = {suite: on_suite(suite) for suite in SUITES}
-    left = {entry["name"] for entry in suites[OWN].entries}
-    entries = [entry for entry in entries_of(OWN) if entry.name in left]
+    scored = {entry["name"] for entry in suites[OWN].entries}
+    entries = [entry for entry in entries_of(OWN) if entry.name in scored]
     faults = with_faults(entries, suites[OWN])
     update_between_markers(docs / "benchmark.md", section(suites, faults), "matrix")

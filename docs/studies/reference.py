@@ -52,11 +52,11 @@ def observations():
     """Return the observation of a group in both versions, with v1's meaning of a number if it has one."""
     last = [(f"last_action_{name}", "-", f"last action on {sign}") for name, sign in (("k", "k"), ("tau", "τ"))]
     exact, measured = ([*declared(record), *last] for record in (WtgObservation, MeasuredObservation))
-    meant = {row[0]: row for row in (*exact[:-2], *measured)}
+    meanings = {row[0]: row for row in (*exact[:-2], *measured)}
     places = [[name for name, *_ in rows] for rows in (measured, exact)]
     rows = [
-        (*(str(names.index(name)) if name in names else "" for names in places), *meant[name])
-        for name in sorted(meant, key=places[1].index)
+        (*(str(names.index(name)) if name in names else "" for names in places), *meanings[name])
+        for name in sorted(meanings, key=places[1].index)
     ]
     table = markdown_table(("v1", "v0", "observation", "counted in", "what it is"), rows, right=(0, 1))
     return (

@@ -77,13 +77,13 @@ def samples(run, step_s):
             )
         simulator.advance()
         simulator.evaluate()
-        now = [
+        quantities = [
             hertz * (simulator.wtg_values("speed") + simulator.wtg_values("shift")),
             simulator.wtg_values("rotor_speed"),
             simulator.wtg_values("power"),
         ]
         running = (simulator.lane_values("status") == Status.RUNNING) & (simulator.lane_values("shed_energy") == 0.0)
-        values.append(np.where(running[:, None, None], np.stack(now, axis=1), np.nan))
+        values.append(np.where(running[:, None, None], np.stack(quantities, axis=1), np.nan))
     status = simulator.lane_values("status").copy()
     simulator.close()
     return np.array(values), status

@@ -169,15 +169,15 @@ def _judged(folders: Sequence[Path], gate: GateOptions) -> tuple[list[Report], l
 
 def _why_left_out(reports: Sequence[Report], clashes: Sequence[Conflict]) -> dict[Path, str]:
     """Return why folders are not ranked: authors cannot choose the seeds of a row, so all of a name go together."""
-    why = {folder: conflict.reason for conflict in clashes for folder in conflict.folders}
+    reason = {folder: conflict.reason for conflict in clashes for folder in conflict.folders}
     for report in reports:
         if report.refusal is not None:
-            why[report.folder] = f"{_shown(report.folder)}: {report.refusal.name}: {report.refusal.reason}"
-    names = {report.entry.name for report in reports if report.folder in why and report.entry is not None}
+            reason[report.folder] = f"{_shown(report.folder)}: {report.refusal.name}: {report.refusal.reason}"
+    names = {report.entry.name for report in reports if report.folder in reason and report.entry is not None}
     for report in reports:
         if report.entry is not None and report.entry.name in names:
-            why.setdefault(report.folder, f"{_shown(report.folder)}, as another folder of its name is refused")
-    return why
+            reason.setdefault(report.folder, f"{_shown(report.folder)}, as another folder of its name is refused")
+    return reason
 
 
 def _shown(folder: Path) -> str:

@@ -36,12 +36,12 @@ def recompute(stored: Results, entries: Sequence[Entry], **options: Any) -> Comp
     :func:`wtg_gym.evaluation.evaluate`.
     """
     by_run = {(entry.name, entry.training_seed): entry for entry in entries}
-    wanted = [(entry["name"], entry["training_seed"]) for entry in (*stored.entries, *stored.failed)]
-    missing = [name for name, seed in wanted if (name, seed) not in by_run and name not in stored.task.references]
+    expected = [(entry["name"], entry["training_seed"]) for entry in (*stored.entries, *stored.failed)]
+    missing = [name for name, seed in expected if (name, seed) not in by_run and name not in stored.task.references]
     if missing:
         raise ValueError(f"the results hold entries that were not given: {', '.join(dict.fromkeys(missing))}")
     settings = {_ARGUMENTS[name]: value for name, value in stored.settings.items() if name in _ARGUMENTS}
-    chosen = [by_run[run] for run in wanted if run in by_run]
+    chosen = [by_run[run] for run in expected if run in by_run]
     place: dict[str, Any] = {"suite": stored.suite, "split": stored.split, "seeds": stored.seeds}
     return compare(stored, evaluate(chosen, **place, keep_going=True, **settings, **options))
 

@@ -1,4 +1,4 @@
-"""Kinds of unit besides machines and WTG groups: what a file of one's own says of them, and imposed sources."""
+"""Kinds of unit besides machines and WTG groups: user-defined devices, and imposed sources."""
 
 from __future__ import annotations
 
@@ -22,13 +22,13 @@ _NEEDED = (Joining.PLAN, Joining.SETTLE, Joining.VOLTAGES, Joining.MOVE, Joining
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Devices:
-    """Units of a kind of one's own, each a voltage behind an impedance at a bus.
+    """Units of a user-defined kind, each a voltage behind an impedance at a bus.
 
     Args:
         kind: what they keep. It sees its :data:`~wtg_gym.physics.units.UNITS` by a label, and has a number `connected`.
         buses: bus number of each.
-        impedances: behind which each one's voltage stands [p.u. of the system].
-        reactive_weights: by which each shares the reactive power of its bus, a rating on the base of the system.
+        impedances: internal impedance of each [p.u. of the system].
+        reactive_weights: of each in the reactive power of its bus, a rating on the base of the system.
         constants: of the kind, one entry for each unit.
         systems: by where they join the lists of a step, of :class:`~wtg_gym.physics.units.Joining`: "plan" writes
             `planned_power`, "settle" finds the equilibrium from `start`, "voltages" writes `voltage`, "move" has the
@@ -134,7 +134,7 @@ def rates_of_source(state: SourceState, inputs: SourceInput, reference_speed: fl
 
 @system(SOURCES, "sample")
 def sample_source(state: SourceState, inputs: SourceInput) -> Sample:
-    """Return the angle, which others can slip against; its voltage is beyond doubt."""
+    """Return the angle, which others can slip against; the voltage counts as 1 p.u."""
     return Sample(state.angle, 1.0, inputs.connected, 0.0)
 
 

@@ -84,8 +84,8 @@ class Layout:
 
     Args:
         n_units: how many units of each kind there are, in the order of their rows.
-        links: which unit of a kind that it sees each unit of a kind means, (n_units,), by kind and label; where it is
-            left out, the lane, or the unit with the same number.
+        links: index of the unit that each unit of a kind sees, (n_units,), by kind and label; where it is left out, the
+            lane, or the unit with the same number.
 
     Raises:
         ValueError: a kind sees nothing by that label.
@@ -125,9 +125,8 @@ class Layout:
         return self._cached_rows[kind.name, part]
 
     def seen(self, kind: Kind, label: str) -> Whole:
-        """Return which unit of a kind that it sees each unit means, (n_units,)."""
+        """Return the index of the unit that each unit of a kind sees by a label, (n_units,)."""
         n = self.n_units(kind)
-        # Of a lane there is one, and what is attached to a unit stands in its place.
         usual = np.zeros(n, dtype=np.int64) if self.n_units(kind.sees[label]) == 1 else np.arange(n)
         return self._links.get((kind, label), usual)
 

@@ -34,7 +34,7 @@ def reference(speed: float) -> float:
 
 @system(MACHINES, "needed")
 def subtract_machine_power(needed: float, dispatch: float) -> float:
-    """Take off what a machine gives in any wind."""
+    """Subtract the dispatched power of a machine."""
     return needed - dispatch
 
 

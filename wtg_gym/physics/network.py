@@ -361,12 +361,12 @@ def _write_flows(arrays: Any, y: Complex, buses: Floats, at: PowerFlow, pattern:
         flow[k], size[k] = square * y[k, k].conjugate(), square * abs(y[k, k])
     for p in range(len(pattern.pairs)):
         a, b, e = pattern.pairs[p, 0], pattern.pairs[p, 1], pattern.entry_of[p]
-        there = voltage[a] * (y[a, b] * voltage[b]).conjugate()
+        forth = voltage[a] * (y[a, b] * voltage[b]).conjugate()
         back = voltage[b] * (y[b, a] * voltage[a]).conjugate()
-        flow[a], flow[b] = flow[a] + there, flow[b] + back
-        size[a], size[b] = size[a] + abs(there), size[b] + abs(back)
+        flow[a], flow[b] = flow[a] + forth, flow[b] + back
+        size[a], size[b] = size[a] + abs(forth), size[b] + abs(back)
         # Rows: P and Q of the bus; columns: angle and relative magnitude of the other.
-        _set(above[e], there.imag, there.real, -there.real, there.imag)
+        _set(above[e], forth.imag, forth.real, -forth.real, forth.imag)
         _set(below[e], back.imag, back.real, -back.real, back.imag)
 
 

@@ -22,13 +22,13 @@ def add_needed_load(needed: float, load_level: float, bus: Bus) -> float:
 
 @system(GROUPS, "needed")
 def subtract_group_power(needed: float, planned_power: float) -> float:
-    """Take off what a group gives."""
+    """Subtract the power of a group."""
     return needed - planned_power
 
 
 @system(BUSES, "lacking")
 def find_slack_mismatch(lacking: float, flow: Phasor, planned: Phasor, bus: Bus) -> float:
-    """Note what the slack bus lacks."""
+    """Find the power that the slack bus lacks."""
     return lacking + select(bus.is_slack, flow.re - planned.re, 0.0)
 
 
@@ -72,10 +72,10 @@ def release_voltage(
 
     A bus with a machine too keeps its voltage: the machine gives what is missing.
     """
-    asked, limit = flow.im + load_level * bus.load.im, reactive_max * sizes.group_weights
+    demand, limit = flow.im + load_level * bus.load.im, reactive_max * sizes.group_weights
     alone = (sizes.ratings == 0.0) & (sizes.group_weights > 0.0) & (voltage_gain > 0.0)
-    lacks = alone & (holds > 0.5) & (abs(asked) > limit * (1.0 + 1e-9))
-    reactive = select(asked < 0.0, -limit, limit) - load_level * bus.load.im
+    lacks = alone & (holds > 0.5) & (abs(demand) > limit * (1.0 + 1e-9))
+    reactive = select(demand < 0.0, -limit, limit) - load_level * bus.load.im
     return (
         select(lacks, 0.0, holds),
         Phasor(planned.re, select(lacks, reactive, planned.im)),

@@ -406,15 +406,15 @@ def judge_over_voltage(
     simulation_dt: float,
 ) -> tuple[float, float, gfm.OverVoltage, float]:
     """Disconnect a group whose voltage has been above one of `OVER_VOLTAGES` for longer than it has to stay."""
-    there, trips = (inputs.connected > 0.5) & (active > 0.5), inputs.connected < 0.0
+    watched, trips = (inputs.connected > 0.5) & (active > 0.5), inputs.connected < 0.0
     steps = []
     for (level, time_s), last in zip(gfm.OVER_VOLTAGES, over_voltage, strict=True):
-        last_below = select((terminal_voltage > level) & there, last, step)
+        last_below = select((terminal_voltage > level) & watched, last, step)
         trips = trips | ((step - last_below) * simulation_dt > time_s)
         steps.append(last_below)
     return (
         select(trips, 0.0, inputs.connected),
         select(trips, step, next_change),
         gfm.OverVoltage(*steps),
-        select(there, max(largest_voltage, terminal_voltage), largest_voltage),
+        select(watched, max(largest_voltage, terminal_voltage), largest_voltage),
     )

@@ -109,8 +109,8 @@ def answer(
     return actions, answer[1]
 
 
-def _complaint(entry: Entry, step: int, wanted: str, got: str) -> PolicyError:
-    return PolicyError(f"entry {entry.label!r}, step {step}: {wanted}, got {got}")
+def _complaint(entry: Entry, step: int, expected: str, got: str) -> PolicyError:
+    return PolicyError(f"entry {entry.label!r}, step {step}: {expected}, got {got}")
 
 
 def _described(error: BaseException) -> str:

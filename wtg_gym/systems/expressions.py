@@ -269,9 +269,9 @@ def needed(values: Iterable[Any]) -> list[Number]:
     return sorted(reached, key=lambda number: number.order)
 
 
-def pulled_back(outputs: Sequence[tuple[Any, Any]], wanted: Iterable[Any]) -> dict[Number, Any]:
+def pulled_back(outputs: Sequence[tuple[Any, Any]], sources: Iterable[Any]) -> dict[Number, Any]:
     """Return the cotangents of wanted symbols that have one, given pairs of an output and its cotangent."""
-    symbols = set(wanted)
+    symbols = set(sources)
     values = needed(value for value, _ in outputs)
     depends: set[Number] = set()
     for number in values:

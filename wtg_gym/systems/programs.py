@@ -1,7 +1,7 @@
 """Programs: lists of systems, compiled once for all plants, and the table that says where a plant has its rows.
 
-An entry of a program is a :class:`~wtg_gym.systems.systems.System`, which goes over all units of its kind, or one of
-the few things that are no map over units: :class:`Product`, :class:`When`, :class:`Repeat`, :class:`Each`.
+An entry of a program is a :class:`~wtg_gym.systems.systems.System`, which goes over all units of its kind, or a control
+block: :class:`Product`, :class:`When`, :class:`Repeat`, :class:`Each`.
 """
 
 from __future__ import annotations
@@ -123,7 +123,7 @@ class MemoryMap(Protocol):
         """Return the first row of a part of each unit, (n_units,), in the block or in scratch."""
 
     def seen(self, kind: Kind, label: str) -> Whole:
-        """Return which unit of a kind that it sees each unit means, (n_units,)."""
+        """Return the index of the unit that each unit of a kind sees by a label, (n_units,)."""
 
     def constants(self, kind: Kind, name: str) -> Sequence[Any]:
         """Return a constant of each unit: records, or numbers (n_units,)."""
@@ -159,7 +159,7 @@ class Program:
 
     Args:
         name: of the program.
-        entries: systems and what is none.
+        entries: systems and control blocks.
         number: of the program among those that share a table.
         joining: systems of devices, by the places where they join.
     """

@@ -157,12 +157,12 @@ class Kind:
             raise TypeError(f"{self.name} have no part {part!r} in {' or '.join(where)}{did_you_mean(part, parts)}")
         return parts[part]
 
-    def find(self, name: str, who: str = "") -> Place:
+    def find(self, name: str, subject: str = "") -> Place:
         """Return what a name means to the systems of the kind.
 
         Args:
             name: a full name, or the end of one.
-            who: how the error begins; otherwise with the name.
+            subject: how the error begins; otherwise with the name.
 
         Raises:
             TypeError: nothing has the name, or several places have it.
@@ -172,14 +172,14 @@ class Kind:
             return places[0]
         if not places:
             kinds = ", ".join(dict.fromkeys(kind.name for kind in self.sees.values())) or "nothing"
-            nobody = f"is no part or constant of {self.name}, nor of what they see: {kinds}"
+            problem = f"is no part or constant of {self.name}, nor of what they see: {kinds}"
             seen = {"own": self, **self.sees}.items()
             known = [end for label, kind in seen if not label.endswith("_") for end in kind.ends]
             parts = ((label, place) for label, kind in seen for places in kind.ends.values() for place in places)
             known += [f"{label.removesuffix('_')}_{place.name}" for label, place in parts]
-            raise TypeError(f"{who or repr(name)} {nobody}{did_you_mean(name, known)}")
+            raise TypeError(f"{subject or repr(name)} {problem}{did_you_mean(name, known)}")
         several = " and ".join(f"{place.name!r} ({place.where} of {place.kind.name})" for place in places)
-        raise TypeError(f"{who or repr(name)} can mean {several}: use one of these full names")
+        raise TypeError(f"{subject or repr(name)} can mean {several}: use one of these full names")
 
     def meanings(self, name: str) -> list[Place]:
         """Return all places that systems of the kind might mean by a name."""
@@ -284,8 +284,8 @@ class System:
         kinds = dict.fromkeys((self.kind, *self.kind.sees.values()))
         known = [condition for kind in kinds for condition in kind.conditions]
         if self.when is not None and self.when not in known:
-            nobody = f"is no condition of {self.kind.name} or of what they see: {', '.join(known) or 'none'}"
-            raise TypeError(f"when={self.when!r} of system {self.name!r} {nobody}{did_you_mean(self.when, known)}")
+            problem = f"is no condition of {self.kind.name} or of what they see: {', '.join(known) or 'none'}"
+            raise TypeError(f"when={self.when!r} of system {self.name!r} {problem}{did_you_mean(self.when, known)}")
         if self.backward is not None and (back := _parameters(self.backward)) != self.arguments_named:
             raise TypeError(f"the way back of system {self.name!r} takes {back}, not {self.arguments_named}")
         for name in self.writes:
@@ -345,7 +345,7 @@ class System:
         """What the arguments and the written names mean."""
         read = {name: f"argument {name!r} of system {self.name!r}" for name in self.arguments_named}
         written = {name: f"system {self.name!r} writes {name!r}, which" for name in self.writes}
-        return {name: self.kind.find(name, who) for name, who in {**written, **read}.items()}
+        return {name: self.kind.find(name, subject) for name, subject in {**written, **read}.items()}
 
     @functools.cached_property
     def arguments_named(self) -> tuple[str, ...]:
