@@ -127,6 +127,15 @@ def rules_of(layout: Layout, plant: MemoryMap, taped: Sequence[Program]) -> Rule
     )
 
 
+class Bars(NamedTuple):
+    """Cotangents of a control step."""
+
+    blocks: Floats  # after the step, on return before it (n_blocks, n_rows, width)
+    observations: Floats  # (n_lanes, n_observation)
+    actions: Floats  # are written (n_lanes, n_action)
+    constants: Floats  # are added to (n_blocks, n_numbers, width)
+
+
 class Work(NamedTuple):
     """What a thread needs to go back through a control step of a block."""
 
@@ -289,41 +298,36 @@ def _pull_interval(bars: Floats, to: Floats, network: Network, rules: Rules, wor
 @compiled
 def pull(
     blocks: Floats,
-    bars: Floats,
-    observation_bars: Floats,
-    action_bars: Floats,
-    constant_bars: Floats,
+    bars: Bars,
     first: int,
     last: int,
     network: Network,
     data: LaneData,
     task: TaskData,
     actions: Floats,
-    rules: Rules,
-    work: Work,
+    tape: tuple[Rules, Work],
 ) -> None:
     """Go back through one control step of the blocks first … last - 1.
 
     Args:
         blocks: as they stood before the step; as they stand after it on return (n_blocks, n_rows, width).
-        bars: cotangents after the step; on return those before it.
-        observation_bars: of the observations (n_lanes, n_observation).
-        action_bars: takes those of the actions (n_lanes, n_action).
-        constant_bars: those of the constants are added to (n_blocks, n_numbers, width).
+        bars: cotangents.
+        first, last: the range of blocks.
         network, data, task: as for :func:`~wtg_gym.envs.stepping.step_blocks`.
         actions: of the step (n_lanes, n_action).
-        rules, work: see :func:`rules_of` and :func:`work_of`.
+        tape: see :func:`rules_of` and :func:`work_of`.
     """
+    rules, work = tape
     tables, scratch, scratch_bars, p = network.tables, work.scratch, work.bars, rules.noted
     width = blocks.shape[2]
     of_charging = _row(p, network.facts.n_substeps, 0) + p.flows + p.sweep + p.rates
     of_measuring, of_observing = of_charging + p.charged, of_charging + p.charged + p.measured
     for b in range(first, last):
-        block, block_bars, to, lane = blocks[b], bars[b], constant_bars[b], b * width
+        block, block_bars, to, lane = blocks[b], bars.blocks[b], bars.constants[b], b * width
         read_actions(scratch, actions, lane, task)
         taped, back = (block, scratch, work.tape), (block_bars, scratch_bars, work.tape, scratch, to)
         _act(taped, tables, NONE, 0)
-        _replay(block, scratch, lane, network, data, (rules, work))
+        _replay(block, scratch, lane, network, data, tape)
         _charge(taped, tables, NONE, of_charging)
         _measure(taped, tables, NONE, of_measuring)
         _observe(taped, tables, NONE, of_observing)
@@ -332,7 +336,7 @@ def pull(
         n_lanes = min(width, actions.shape[0] - lane)
         for k in range(task.observed.shape[0]):
             for x in range(n_lanes):
-                scratch_bars[task.observed[k], x] += observation_bars[lane + x, k]
+                scratch_bars[task.observed[k], x] += bars.observations[lane + x, k]
         _observe_back(back, tables, NONE, of_observing)
         _measure_back(back, tables, NONE, of_measuring)
         _charge_back(back, tables, NONE, of_charging)
@@ -340,4 +344,4 @@ def pull(
         _act_back(back, tables, NONE, 0)
         for a in range(task.wanted.shape[0]):
             for x in range(n_lanes):
-                action_bars[lane + x, a] = scratch_bars[task.wanted[a], x]
+                bars.actions[lane + x, a] = scratch_bars[task.wanted[a], x]
