@@ -121,7 +121,6 @@ class OverLanes:
         self.settings = EnvSettings(**arguments)
         self._lanes = TaskLanes(self.settings, n_lanes, n_threads)
         self._use = Use()
-        # In real time.
         fps = max(1, round(1.0 / self.settings.step_s))
         self.metadata = {**self.metadata, "render_fps": fps}
         self._frames: LaneFrames | None = None

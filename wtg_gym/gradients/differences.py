@@ -82,9 +82,9 @@ def check_by_differences(
     if not (isinstance(step, (int, float)) and 1e-9 <= step <= 0.1):
         raise ValueError(f"step must be a number in 1e-9 … 0.1, got {step!r}")
     actions, weight = np.asarray(actions, dtype=np.float64), term_weights(weights)
-    way = np.random.default_rng(0).normal(size=actions.shape) if direction is None else np.asarray(direction, float)
-    if way.shape != actions.shape or not np.isfinite(way).all():
-        raise ValueError(f"direction must be finite numbers of the actions' shape {actions.shape}, got {way.shape}")
+    delta = np.random.default_rng(0).normal(size=actions.shape) if direction is None else np.asarray(direction, float)
+    if delta.shape != actions.shape or not np.isfinite(delta).all():
+        raise ValueError(f"direction must be finite numbers of the actions' shape {actions.shape}, got {delta.shape}")
     gradient = tape.gradient(scenarios, actions, weights)
     tape.start(scenarios)
     law, values = tape.law(), tape.parameter_values()
@@ -95,8 +95,8 @@ def check_by_differences(
         below = (base - down) / h_below if h_below > 0.0 else np.full_like(base, math.nan)
         return Difference(name, slope, (up - down) / (h + h_below), below, (up - base) / h)
 
-    along = np.einsum("kla,kla->l", gradient.actions, way)
-    up, down = (plays._replace(actions=actions + h * way).cost() for h in (step, -step))
+    along = np.einsum("kla,kla->l", gradient.actions, delta)
+    up, down = (plays._replace(actions=actions + h * delta).cost() for h in (step, -step))
     rows = [compared("actions", along, up, down, step, step)]
     for i, name in enumerate(LAW_PARAMETERS):
         shift = step * (np.arange(len(LAW_PARAMETERS)) == i)

@@ -30,18 +30,18 @@ class _Step(torch.autograd.Function):
     """A step of a tape. One step hands the next a tensor of zeros, whose gradient alone has a meaning."""
 
     @staticmethod
-    def forward(ctx: Any, tape: Tape, left: Any, law: Any, actions: Any) -> tuple[Any, ...]:
+    def forward(ctx: Any, tape: Tape, carried: Any, law: Any, actions: Any) -> tuple[Any, ...]:
         ctx.tape, ctx.step, ctx.start, ctx.dtypes = tape, tape.n_steps, tape.n_starts, (law.dtype, actions.dtype)
         observations, terms = tape.step(actions.detach().to("cpu", torch.float64).contiguous().numpy())
         shown = (torch.from_numpy(array) for array in (observations, terms, tape.outputs()))
-        return torch.zeros_like(left), *shown
+        return torch.zeros_like(carried), *shown
 
     @staticmethod
     @once_differentiable
-    def backward(ctx: Any, left: Any, observations: Any, terms: Any, outputs: Any) -> tuple[Any, Any, Any, Any]:
+    def backward(ctx: Any, carried: Any, observations: Any, terms: Any, outputs: Any) -> tuple[Any, Any, Any, Any]:
         if ctx.start != ctx.tape.n_starts:
             raise RuntimeError("backward() must come before the next start(): the steps of these episodes are gone")
-        seeds = (seed.to(torch.float64).numpy() for seed in (left, terms, observations, outputs))
+        seeds = (seed.to(torch.float64).numpy() for seed in (carried, terms, observations, outputs))
         pulled = ctx.tape.pull(ctx.step, *seeds)
         of_law, of_actions = ctx.dtypes
         return (

@@ -395,12 +395,10 @@ def _units_of(plant: PlantTables) -> tuple[dict[Kind, int], dict[tuple[Kind, str
     extended, n_bus, n = plant.extension.size > 0, plant.buses.size, unit_bus.size
     n_islands, groups = ISLANDS_AT_MOST if extended else 1, n_sync + np.arange(n_wtg)
     limited = groups if extended else groups[:0]
-    # Numbers of the units of every pair, of those on other islands, and at every bus; only an extended plant finds the
-    # voltages of buses.
+    # Units of every pair, of the islands but the grid, and of every bus: extended plants alone find voltages of buses.
     row, column = _nested(n, n)
     island, member = _nested(n_islands - 1, n)
     bus, unit = _nested(n_bus if extended else 0, n)
-    # One column of the admittances after the other: its group, the units of its rows.
     column_group, column_unit = _nested(limited.size, n)
     n_units = {
         MACHINES: n_sync,

@@ -195,7 +195,6 @@ class Simulator:
         self.plant, self.layout = placed(settings, task)
         duration_s = require_range("duration_s", duration_s, 0.0, LONGEST_RUN_S, "s")
         self.n_intervals = whole_steps("duration_s", duration_s, settings.control_dt, "control step")
-        # Sample of the load noise in each control interval.
         samples = np.arange(self.n_intervals) * settings.control_dt / SERIES_DT + 1e-9
         self._noise_samples = samples.astype(np.int64)
         self._law_rows = np.stack([self.layout.wtg(name) for name in _OF_LAW])

@@ -180,7 +180,6 @@ class Task:
         n_wtg, n_sync, n_window = len(plant.groups), len(plant.case.machines), episode.rocof_window(plant.control_dt)
         n_kept = n_delayed(plant.control_dt)
         kept = np.arange(n_wtg * sensors * n_kept)
-        # Of each group's measurements, the oldest first, all but the newest, and all but the oldest.
         older, newer = (kept.reshape(-1, n_kept)[:, columns].ravel() for columns in (slice(-1), slice(1, None)))
         modulated = dict(zip(("modulates k", "modulates tau"), episode.ACTION_MODES[choices.action_mode], strict=True))
         conditions = {**modulated, "privileged": choices.privileged}
