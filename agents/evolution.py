@@ -97,15 +97,15 @@ class GroupPolicy(nn.Module):
     def of_one(self) -> GroupPolicy:
         """Return the policy of a single group, with the same weights, now and later."""
         _, (_, n_action) = self._shapes
-        one = GroupPolicy(1, self._n_own, n_action, self._shapes[0][1], 1.0, history=False)
-        one.weights, one.per_group = self.weights, True
-        return one
+        policy = GroupPolicy(1, self._n_own, n_action, self._shapes[0][1], 1.0, history=False)
+        policy.weights, policy.per_group = self.weights, True
+        return policy
 
     def forward(self, observations: Tensor, *states: Tensor) -> tuple[Tensor, ...]:
         """Return the actions (n_lanes, n_action) and the next states; zeros are given before the first step."""
         before = states or [observations.new_zeros(len(observations), width) for width in self.state_widths]
-        answer = self.act(self.weights[None], observations[None], *(each[None] for each in before))
-        return tuple(each[0] for each in answer)
+        answer = self.act(self.weights[None], observations[None], *(state[None] for state in before))
+        return tuple(state[0] for state in answer)
 
     def act(self, weights: Tensor, observations: Tensor, *states: Tensor) -> tuple[Tensor, ...]:
         """Return the actions of candidates (n, n_lanes, n_action), and the next states.

@@ -106,7 +106,7 @@ class GradientPolicy(nn.Module):
         observations = observations[:, : self._n_observation]
         if self.lstm is None:
             return (self.layers(observations),)
-        before = tuple(each[None] for each in states) or None
+        before = tuple(state[None] for state in states) or None
         (seen,), (hidden, cell) = self.lstm(observations[None], before)
         return self.layers(seen), hidden[0], cell[0]
 
@@ -165,7 +165,7 @@ class Failures:
         self._n_ends, self._charges = len(ends), torch.tensor(charges, dtype=torch.float64)
         columns, limits, spreads = zip(*ends, *adding, strict=True)
         self._columns = list(columns)
-        self._limits, self._spreads = (torch.tensor(each, dtype=torch.float64) for each in (limits, spreads))
+        self._limits, self._spreads = (torch.tensor(values, dtype=torch.float64) for values in (limits, spreads))
         rate = weights.failure if open_ended else weights.cap
         self._cost = pinned_cost(0.0, failed=True, duration_s=settings.episode_duration_s(), cap=rate)
 

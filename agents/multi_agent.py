@@ -55,8 +55,8 @@ class AgentVecEnv(VecEnvWrapper):
         self._sizes = group_sizes(lanes.settings)
         n_modes = lanes.n_action // self.n_wtg
         bound = np.full(lanes.n_local + n_modes + 1, OBSERVATION_BOUND, dtype=np.float32)
-        one = np.ones(n_modes, dtype=np.float32)
-        super().__init__(venv, Box(-bound, bound), Box(-one, one))
+        high = np.ones(n_modes, dtype=np.float32)
+        super().__init__(venv, Box(-bound, bound), Box(-high, high))
         self.num_envs = venv.num_envs * self.n_wtg
 
     def _split(self, observations: Any) -> Array:
@@ -76,7 +76,7 @@ class AgentVecEnv(VecEnvWrapper):
     def step_wait(self) -> tuple[Array, Array, Array, Infos]:
         """Hold the actions for one control interval; returns observations, rewards, dones and infos of the lanes."""
         observations, rewards, dones, infos = self.venv.step_wait()
-        of_agents = [info for each in infos for info in self._infos(each)]
+        of_agents = [info for step_infos in infos for info in self._infos(step_infos)]
         return self._split(observations), np.repeat(rewards, self.n_wtg), np.repeat(dones, self.n_wtg), of_agents
 
     def _infos(self, info: dict[str, Any]) -> Infos:

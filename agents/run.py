@@ -292,7 +292,7 @@ class Run(Checked):
         (summary,) = (summary for summary in results.summaries if summary.name == entry.name)
         metrics = {
             "score": results.scores[entry.name].value,
-            **{f"score_{name}": each.value for name, each in summary.strata.items()},
+            **{f"score_{name}": score.value for name, score in summary.strata.items()},
             "marked": float(summary.marked),
             "lost_or_beyond_percent": summary.lost_or_beyond_percent,
             "cost": summary.mean_pinned_cost,

@@ -160,8 +160,8 @@ def train(run: Run) -> None:
         with Progress("thousand steps") as progress:
             supervision = _Supervision(run, progress, model.num_timesteps)
             supervision.init_callback(model)
-            if (left := settings.timesteps - model.num_timesteps) > 0:
-                model.learn(left, callback=supervision, reset_num_timesteps=False)
+            if (remaining := settings.timesteps - model.num_timesteps) > 0:
+                model.learn(remaining, callback=supervision, reset_num_timesteps=False)
             supervision.take_stock(finished=True)
             model.logger.dump(model.num_timesteps)
     finally:

@@ -71,18 +71,18 @@ class GFMWTGParallelEnv(ParallelEnv[str, Observation, Action]):  # type: ignore[
         self.agents: list[str] = []
         n_modes = sum(ACTION_MODES[settings.action_mode])
         width = lanes.n_local + n_modes
-        bound, one = np.full(width, OBSERVATION_BOUND, dtype=np.float32), np.ones(n_modes, dtype=np.float32)
+        bound, high = np.full(width, OBSERVATION_BOUND, dtype=np.float32), np.ones(n_modes, dtype=np.float32)
         # Each its own, so that each can be seeded by itself.
         self.observation_spaces = ByName(
             "agent", {name: gym.spaces.Box(-bound, bound) for name in self.possible_agents}
         )
-        self.action_spaces = ByName("agent", {name: gym.spaces.Box(-one, one) for name in self.possible_agents})
+        self.action_spaces = ByName("agent", {name: gym.spaces.Box(-high, high) for name in self.possible_agents})
         self.state_space = self.single_env.observation_space
         self._action_shape = (n_modes,)
         self._seen = {agent: slice(j * width, (j + 1) * width) for j, agent in enumerate(self.possible_agents)}
         self._done_by = {agent: slice(j * n_modes, (j + 1) * n_modes) for j, agent in enumerate(self.possible_agents)}
         #: Names and units of each agent's observation.
-        self.observation_names = {agent: lanes.observation_names[own] for agent, own in self._seen.items()}
+        self.observation_names = {agent: lanes.observation_names[entries] for agent, entries in self._seen.items()}
 
     def observation_space(self, agent: str) -> gym.spaces.Box:
         """Return what an agent observes: Box(-5, 5, (n,))."""
@@ -163,12 +163,12 @@ class GFMWTGParallelEnv(ParallelEnv[str, Observation, Action]):  # type: ignore[
         joint = np.zeros(len(self._done_by) * self._action_shape[0])
         for agent in self.agents:
             try:
-                own = as_actions(actions[agent], self._action_shape)
+                action = as_actions(actions[agent], self._action_shape)
             except ValueError as error:
                 raise ValueError(f"{agent}: {error}") from None
-            if not np.isfinite(own).all():
-                raise ValueError(f"{agent}: the action {own.tolist()} is not finite; allowed: -1 … 1")
-            joint[self._done_by[agent]] = own
+            if not np.isfinite(action).all():
+                raise ValueError(f"{agent}: the action {action.tolist()} is not finite; allowed: -1 … 1")
+            joint[self._done_by[agent]] = action
         return joint
 
     def state(self) -> Observation:

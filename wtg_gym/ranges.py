@@ -34,7 +34,7 @@ class ByName(dict[str, Value]):
 
 def did_you_mean(name: Any, known: Iterable[str]) -> str:
     """Return the end of an error about an unknown name: "; did you mean 'paper'?", or "" if no known one is near."""
-    names = {each.casefold(): str(each) for each in known}
+    names = {option.casefold(): str(option) for option in known}
     close = difflib.get_close_matches(str(name).casefold(), names, n=1)
     return f"; did you mean {names[close[0]]!r}?" if close else ""
 
@@ -165,16 +165,16 @@ class Checked:
     def __post_init__(self) -> None:
         record: Any = type(self)
         for field in dataclasses.fields(record):
-            value, kind = getattr(self, field.name), _kinds(record)[field.name]
-            if get_origin(kind) in (tuple, list):
+            value, hint = getattr(self, field.name), _kinds(record)[field.name]
+            if get_origin(hint) in (tuple, list):
                 require_items(record, field.name, value)
-            checked = _checked(f"{record.__name__}.{field.name}", value, kind, field)
+            checked = _checked(f"{record.__name__}.{field.name}", value, hint, field)
             if checked is not value:
                 object.__setattr__(self, field.name, checked)
         values = [getattr(self, name) for name in self.RISING]
         if any(not first < second for first, second in itertools.pairwise(values)):
-            given = ", ".join(f"{value:g}" for value in values)
-            raise ValueError(f"{record.__name__}: {' < '.join(self.RISING)} must hold, got {given}")
+            shown = ", ".join(f"{value:g}" for value in values)
+            raise ValueError(f"{record.__name__}: {' < '.join(self.RISING)} must hold, got {shown}")
 
 
 def require_items(record: Any, name: str, value: Any) -> None:
@@ -184,33 +184,33 @@ def require_items(record: Any, name: str, value: Any) -> None:
         require_count(f"{record.__name__}.{name}", len(value), most)
 
 
-def _checked(name: str, value: Any, kind: Any, field: Any, *, is_item: bool = False) -> Any:
+def _checked(name: str, value: Any, hint: Any, field: Any, *, is_item: bool = False) -> Any:
     """Return the value of a field, or of an item of it, as its type says, or raise a ValueError."""
-    kinds = get_args(kind)
-    if type(None) in kinds and value is None:
+    options = get_args(hint)
+    if type(None) in options and value is None:
         return None
-    if len(kinds) == 2 and kinds[1] is type(None):
-        kind = kinds[0]
+    if len(options) == 2 and options[1] is type(None):
+        hint = options[0]
     low, high = field.metadata.get("low", -math.inf), field.metadata.get("high", math.inf)
     unit = field.metadata.get("unit", "").removeprefix("-")
-    if kind is float:
+    if hint is float:
         return require_range(name, value, low, high, unit)
-    if kind is int:
+    if hint is int:
         return require_whole(name, value, low, high) if isinstance(low, int) else require_bus(name, value)
-    if kind in (tuple[float, float], tuple[int, int]) and not is_item:
-        return _span(name, value, get_args(kind)[0], low, high, unit)
-    origin = get_origin(kind)
+    if hint in (tuple[float, float], tuple[int, int]) and not is_item:
+        return _span(name, value, get_args(hint)[0], low, high, unit)
+    origin = get_origin(hint)
     if origin is tuple:
-        items = get_args(kind)
+        items = get_args(hint)
         if isinstance(value, (tuple, list)):
             if items[-1] is Ellipsis:
                 items = items[:1] * len(value)
             if len(items) == len(value):
                 pairs = zip(value, items, strict=True)
-                return tuple(_checked(name, item, own, field, is_item=True) for item, own in pairs)
+                return tuple(_checked(name, item, item_hint, field, is_item=True) for item, item_hint in pairs)
     # The origin of an array's annotation is its alias from numpy 2.5 on.
     elif origin in (np.ndarray, npt.NDArray) or isinstance(
-        value, kind if origin in (None, types.UnionType) else origin
+        value, hint if origin in (None, types.UnionType) else origin
     ):
         return value
     doc = field.metadata.get("doc")
@@ -220,7 +220,7 @@ def _checked(name: str, value: Any, kind: Any, field: Any, *, is_item: bool = Fa
 def _span(name: str, value: Any, number: type, low: float, high: float, unit: str) -> tuple[float, float]:
     if not isinstance(value, (tuple, list)) or len(value) != 2:
         raise ValueError(f"{name} must be a pair (low, high) in {low:g} … {high:g} {unit}, got {value!r}".rstrip())
-    first, last = (require_range(name, each, low, high, unit) for each in value)
+    first, last = (require_range(name, end, low, high, unit) for end in value)
     if first > last:
         raise ValueError(f"{name} must be a pair (low, high), low <= high, got ({first:g}, {last:g}) {unit}".rstrip())
     if number is int and not (first.is_integer() and last.is_integer()):

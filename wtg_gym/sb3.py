@@ -237,4 +237,4 @@ class DeterministicPolicy(torch.nn.Module):
         hidden, cell = (torch.stack(states[first::2]) for first in (0, 1))
         output, (hidden, cell) = self._lstm(features[None], (hidden, cell))
         mean = policy.action_net(policy.mlp_extractor.forward_actor(output[0]))
-        return mean, *(each for layer in zip(hidden, cell, strict=True) for each in layer)
+        return mean, *(state for layer in zip(hidden, cell, strict=True) for state in layer)

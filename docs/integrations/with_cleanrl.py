@@ -63,10 +63,10 @@ while time.process_time() < end:
             following = values[step]
         returns = advantages + values
     n_steps += N_STEPS * N_ENVS
-    rows = [each.flatten(0, 1) for each in (observations, actions, log_probs, advantages, returns)]
+    rows = [array.flatten(0, 1) for array in (observations, actions, log_probs, advantages, returns)]
     for _ in range(5):
         for chosen in torch.randperm(N_STEPS * N_ENVS).chunk(4):
-            seen, done, old, gain, target = (each[chosen] for each in rows)
+            seen, done, old, gain, target = (array[chosen] for array in rows)
             ratio = (Normal(actor(seen), log_std.exp()).log_prob(done).sum(1) - old).exp()
             gain = (gain - gain.mean()) / (gain.std() + 1e-8)
             policy_loss = -torch.min(gain * ratio, gain * ratio.clamp(0.8, 1.2)).mean()

@@ -28,11 +28,11 @@ for seed in range(4):
 dataset = minari.create_dataset_from_buffers("mine-v0", episodes, env=env)
 
 data = d3rlpy.dataset.MDPDataset(
-    observations=np.concatenate([each.observations[:-1] for each in dataset]),
-    actions=np.concatenate([each.actions for each in dataset]),
-    rewards=np.concatenate([each.rewards for each in dataset]),
-    terminals=np.concatenate([each.terminations for each in dataset]),
-    timeouts=np.concatenate([each.truncations for each in dataset]),
+    observations=np.concatenate([episode.observations[:-1] for episode in dataset]),
+    actions=np.concatenate([episode.actions for episode in dataset]),
+    rewards=np.concatenate([episode.rewards for episode in dataset]),
+    terminals=np.concatenate([episode.terminations for episode in dataset]),
+    timeouts=np.concatenate([episode.truncations for episode in dataset]),
 )
 bc = d3rlpy.algos.BCConfig().create()
 bc.fit(data, n_steps=100, n_steps_per_epoch=100)

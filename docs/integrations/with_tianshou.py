@@ -25,7 +25,7 @@ env, envs = make(), DummyVectorEnv([make] * 4)
 actor, critic = (Net(state_shape=env.observation_space.shape, hidden_sizes=[64], activation=nn.Tanh) for _ in range(2))
 policy = ProbabilisticActorPolicy(
     actor=ContinuousActorProbabilistic(preprocess_net=actor, action_shape=env.action_space.shape, unbounded=True),
-    dist_fn=lambda given: Independent(Normal(*given), 1),
+    dist_fn=lambda parameters: Independent(Normal(*parameters), 1),
     action_space=env.action_space,
 )
 ppo = PPO(policy=policy, critic=ContinuousCritic(preprocess_net=critic), optim=AdamOptimizerFactory(lr=3e-4))

@@ -28,8 +28,8 @@ class Docstrings(griffe.Extension):
         if obj.docstring is None:
             return
 
-        def link(found: re.Match[str]) -> str:
-            tilde, name = found.groups()
+        def link(match: re.Match[str]) -> str:
+            tilde, name = match.groups()
             try:
                 path = obj.resolve(name)
             except griffe.NameResolutionError:

@@ -36,11 +36,11 @@ def section(text: str, anchor: str, title: str) -> str:
     """
     # A comment in code is no heading.
     bare = re.sub(r"^```.*?^```", lambda code: " " * len(code[0]), text, flags=re.MULTILINE | re.DOTALL)
-    for found in re.finditer(r"^(##+) (.*)$", bare, flags=re.MULTILINE):
-        if found[2].lower().replace(" ", "-") == anchor:
-            end = re.search(rf"^#{{1,{len(found[1])}}} ", bare[found.end() :], flags=re.MULTILINE)
-            start = found.end() if found[2] == title else found.start()
-            return text[start : found.end() + end.start() if end else len(text)]
+    for heading in re.finditer(r"^(##+) (.*)$", bare, flags=re.MULTILINE):
+        if heading[2].lower().replace(" ", "-") == anchor:
+            end = re.search(rf"^#{{1,{len(heading[1])}}} ", bare[heading.end() :], flags=re.MULTILINE)
+            start = heading.end() if heading[2] == title else heading.start()
+            return text[start : heading.end() + end.start() if end else len(text)]
     raise ValueError(f"README.md has no heading {anchor!r}")
 
 
@@ -55,10 +55,10 @@ def rewritten(text: str, here: str, source: str, repository: str, known: frozens
         known: paths of all files on the site.
     """
 
-    def replaced(found: re.Match[str]) -> str:
-        mark, label, file, anchor = found[1], found[2], found[3], found[4] or ""
+    def replaced(match: re.Match[str]) -> str:
+        mark, label, file, anchor = match[1], match[2], match[3], match[4] or ""
         if label is None or not file:
-            return found[0]
+            return match[0]
         if file.endswith("_URL"):
             return label  # a release fills it in
         path = posixpath.normpath(posixpath.join(posixpath.dirname(source), file))
@@ -66,7 +66,7 @@ def rewritten(text: str, here: str, source: str, repository: str, known: frozens
         if target in known:
             return f"{mark}[{label}]({posixpath.relpath(target, posixpath.dirname(here) or '.')}{anchor})"
         if mark or not (ROOT / path).exists():
-            return found[0]  # a mistake, which the site's own check of links names
+            return match[0]  # a mistake, which the site's own check of links names
         if not repository:
             return label
         return f"[{label}]({repository}/{'tree' if (ROOT / path).is_dir() else 'blob'}/main/{path}{anchor})"
@@ -101,8 +101,8 @@ def on_page_markdown(text: str, page: Any, config: Any, files: Any) -> str:
     parts = _INCLUDED.split(text)
     parts[0::2] = [rewritten(part, here, source, repository, known) for part in parts[0::2]]
     for place, anchor in enumerate(parts[1::2]):
-        found = section(readme, anchor, text.partition("\n")[0].removeprefix("# "))
-        parts[2 * place + 1] = rewritten(found, here, "README.md", repository, known)
+        included = section(readme, anchor, text.partition("\n")[0].removeprefix("# "))
+        parts[2 * place + 1] = rewritten(included, here, "README.md", repository, known)
     if here == "index.md" and repository:
         # Above the first heading, that of the installation.
         parts[0] = parts[0].replace("\n## ", f"\n[Source code]({repository}){{ .md-button }}\n\n## ", 1)

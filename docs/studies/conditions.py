@@ -66,7 +66,7 @@ def paid_in_full(results: Results) -> Row:
 def operator_agrees(results: Results) -> Row:
     """Compare bad runs of every two entries, of the first training seed."""
     runs = {name: runs[:1] for name, runs in runs_by_name(results.episodes).items()}
-    bad = {name: lost_or_beyond(own, get_suite(SUITE).nominal_hz) for name, own in runs.items()}
+    bad = {name: lost_or_beyond(episodes, get_suite(SUITE).nominal_hz) for name, episodes in runs.items()}
     pairs = [
         f"{above.name} over {below.name}"
         for above, below in itertools.combinations(results.ranking, 2)
@@ -80,11 +80,11 @@ def sharp(_: Results) -> Row:
     """Measure the widest interval of networks of three seeds, over the test scenarios, which entries are ranked by."""
     results = evaluate([*LAWS, *POLICIES], SUITE, "test")
     widths = {row.name: 0.5 * (row.score.high - row.score.low) for row in results.ranking if row.n_runs > 1}
-    said = ", ".join(f"{name} ± {width:.1f}" for name, width in widths.items())
+    measured = ", ".join(f"{name} ± {width:.1f}" for name, width in widths.items())
     return (
         "sharp",
         "on test scenarios intervals of ± 1 for networks of three seeds",
-        said,
+        measured,
         verdict(max(widths.values()) <= 1.0),
     )
 

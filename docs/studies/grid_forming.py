@@ -31,8 +31,8 @@ def described():
 def verdicts(runs):
     """Return the table of verdicts, controllers with equal ones in a row."""
     alike = {}
-    for label, own in runs.items():
-        failed = tuple(f"`{name}`" for name, (_, (passed, _)) in own.items() if not passed)
+    for label, results in runs.items():
+        failed = tuple(f"`{name}`" for name, (_, (passed, _)) in results.items() if not passed)
         alike.setdefault(failed, []).append(label)
     n = len(GRID_TESTS)
     rows = [(", ".join(labels), f"{n - len(failed)} of {n}", ", ".join(failed)) for failed, labels in alike.items()]
@@ -49,13 +49,13 @@ def picture(runs):
     for k, name in enumerate(GRID_TESTS):
         column, row = k % 3, 2 * (k // 3)
         of_frequency, of_power = axes[row][column], axes[row + 1][column]
-        for label, own in runs.items():
-            found, _ = own[name]
+        for label, results in runs.items():
+            response, _ = results[name]
             look = {"color": looks[label].colour, "linestyle": looks[label].dashes}
-            of_frequency.plot(found.time_s, found.frequency_hz, **look)
-            of_power.plot(found.time_s, found.total(), **look)
-            if not found.lives:
-                of_frequency.plot(found.time_s[-1], found.frequency_hz[-1], "x", color=look["color"])
+            of_frequency.plot(response.time_s, response.frequency_hz, **look)
+            of_power.plot(response.time_s, response.total(), **look)
+            if not response.lives:
+                of_frequency.plot(response.time_s[-1], response.frequency_hz[-1], "x", color=look["color"])
         of_frequency.set_title(name, fontsize="small")
         for own_axes, limits in ((of_frequency, (47.3, 51.7)), (of_power, (-0.7, 1.3))):
             low, high = own_axes.get_ylim()

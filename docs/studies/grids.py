@@ -27,12 +27,12 @@ def grids() -> str:
     for name, suite in zip(known_grids(), map(get_suite, SUITES), strict=True):
         grid = get_grid(name)
         lines = dict([*describe_grid(grid), *(() if name == DEFAULT_GRID else describe_equilibrium(grid))])
-        kinds = {kind.name.rpartition("/")[2]: kind for kinds in suite.drawn_from.values() for kind in kinds}
-        large = kinds["large-loads"]
+        events = {draw.name.rpartition("/")[2]: draw for draws in suite.drawn_from.values() for draw in draws}
+        large = events["large-loads"]
         lines["wind's share"] = "{:.0%} … {:.0%}".format(*large.find(Wind).penetration)
         lines["large load events"] = "{:.0f} … {:.0f} MW".format(*large.find(LoadEvents).size_mw)
         lines["lines that trip"] = str(len(large.find(LineTrips).lines))
-        lines["kinds of event"] = ", ".join(kinds)
+        lines["kinds of event"] = ", ".join(events)
         columns.append(lines)
     same = ("step", "state below", "stable")  # the page says it once
     assert all(len({lines[key] for lines in columns if key in lines}) == 1 for key in same)

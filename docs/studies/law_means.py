@@ -76,13 +76,13 @@ def main():
     parser.add_argument("--scenarios", type=int, default=N_SCENARIOS, metavar="N", help="(default: %(default)s)")
     arguments = parser.parse_args()
     for name in arguments.suites:
-        found = law_means(name, arguments.scenarios)
+        means = law_means(name, arguments.scenarios)
         stored = json.loads(LAW_MEANS.read_text(encoding="utf-8"))
         kept = {suite: values for suite, values in stored.items() if values["laws"] == list(V1.variates)}
-        write_atomically(LAW_MEANS, to_json({**kept, name: found}))
-        for stratum, values in found["strata"].items():
+        write_atomically(LAW_MEANS, to_json({**kept, name: means}))
+        for stratum, values in means["strata"].items():
             errors = np.sqrt(np.diag(values["covariance"]) / values["n"])
-            laws = zip(found["laws"], values["mean"], errors, strict=True)
+            laws = zip(means["laws"], values["mean"], errors, strict=True)
             print(name, stratum, values["n"], *(f"{law} {mean:.4f} ± {error:.4f}" for law, mean, error in laws))
 
 

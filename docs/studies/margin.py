@@ -28,9 +28,9 @@ def strata(entries: Mapping[str, tuple[np.ndarray, np.ndarray, np.ndarray]], see
         offset = suite.task.cost_offsets[name]
         upper = f"… {100.0 * high:.0f} %" if np.isfinite(high) else "% and more"
         median = float(np.median(costs[chosen])) - offset
-        kinds = ", ".join(kind.name.rpartition("/")[2] for kind in suite.drawn_from[name])
+        events = ", ".join(draw.name.rpartition("/")[2] for draw in suite.drawn_from[name])
         share = f"{100.0 * float(bad[chosen].mean()):.0f} %"
-        rows.append([name, f"{100.0 * low:.0f} {upper}", kinds, f"{offset:g}", f"{median:.0f}", share])
+        rows.append([name, f"{100.0 * low:.0f} {upper}", events, f"{offset:g}", f"{median:.0f}", share])
     return markdown_table(("stratum", "reserve margin", "kinds of event", "J0", "median cost", "bad runs"), rows)
 
 

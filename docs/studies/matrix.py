@@ -52,19 +52,19 @@ CHANGES: dict[str, Callable[[Scenario], Scenario]] = {
 
 def entries_of(suite: str) -> list[Entry]:
     """Return all entries; of several training seeds the first."""
-    found: dict[str, Entry] = {}
+    entries: dict[str, Entry] = {}
     for entry in chosen_entries(("baselines", "policies"), suite):
-        found.setdefault(entry.name, entry)
-    return list(found.values())
+        entries.setdefault(entry.name, entry)
+    return list(entries.values())
 
 
 def on_suite(suite: str) -> Results:
     """Return the results on a suite's first test scenarios, which are kept."""
     where = {"suite": suite, "split": "test", "seeds": get_suite(suite).test[:N_SCENARIOS]}
-    found = run_evaluation(entries_of(suite), partial=PARTIAL, **where)
+    results = run_evaluation(entries_of(suite), partial=PARTIAL, **where)
     # Without its parts, which would be removed once the results are written.
-    replace(found, parts=None).write(FOLDER)
-    return found
+    replace(results, parts=None).write(FOLDER)
+    return results
 
 
 def played(
@@ -115,19 +115,19 @@ def cell(row: EntrySummary | None) -> str:
 def table(columns: Mapping[str, Results], first: Results) -> str:
     """Return a cell by entry and column, the best in `first` first, and below where marks are lost."""
     rows = leaderboard_rows(first)
-    own = {heading: {row.name: row for row in results.ranking} for heading, results in columns.items()}
+    ranked = {heading: {row.name: row for row in results.ranking} for heading, results in columns.items()}
     cells = [
-        [label, *(cell(of_column.get(row.name)) for of_column in own.values())]
+        [label, *(cell(by_name.get(row.name)) for by_name in ranked.values())]
         for row, (label,) in zip(rows, table_cells(rows, ("entry",)), strict=True)
     ]
     lost = {
-        row.name: [heading for heading, of_column in own.items() if not of_column.get(row.name, row).marked]
+        row.name: [heading for heading, by_name in ranked.items() if not by_name.get(row.name, row).marked]
         for row in rows
         if row.marked
     }
-    said = "; ".join(f"{name} in {', '.join(headings)}" for name, headings in lost.items() if headings)
+    marks_lost = "; ".join(f"{name} in {', '.join(headings)}" for name, headings in lost.items() if headings)
     shown = markdown_table(("entry", *columns), cells, right=range(1, 1 + len(columns)))
-    return f"{shown}\n\nThe mark is lost: {said or 'by no entry'}."
+    return f"{shown}\n\nThe mark is lost: {marks_lost or 'by no entry'}."
 
 
 def section(suites: Mapping[str, Results], faults: Mapping[str, Results]) -> str:
@@ -143,7 +143,7 @@ def section(suites: Mapping[str, Results], faults: Mapping[str, Results]) -> str
 if __name__ == "__main__":
     docs = output_folder(__doc__)
     suites = {suite: on_suite(suite) for suite in SUITES}
-    left = {entry["name"] for entry in suites[OWN].entries}
-    entries = [entry for entry in entries_of(OWN) if entry.name in left]
+    scored = {entry["name"] for entry in suites[OWN].entries}
+    entries = [entry for entry in entries_of(OWN) if entry.name in scored]
     faults = with_faults(entries, suites[OWN])
     update_between_markers(docs / "benchmark.md", section(suites, faults), "matrix")

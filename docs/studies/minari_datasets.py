@@ -91,7 +91,7 @@ if __name__ == "__main__":
     parser.add_argument("--versions", nargs="+", choices=tuple(VERSIONS), default=list(VERSIONS), help="default: both")
     parser.add_argument("--policies", nargs="+", choices=tuple(POLICIES), default=list(POLICIES), help="default: all")
     parser.add_argument("--episodes", type=int, default=200, metavar="N", help="in each (default: 200)")
-    given = parser.parse_args()
-    for version, policy in itertools.product(given.versions, given.policies):
-        made = make_dataset(version, policy, given.episodes)
+    arguments = parser.parse_args()
+    for version, policy in itertools.product(arguments.versions, arguments.policies):
+        made = make_dataset(version, policy, arguments.episodes)
         print(f"{made.spec.dataset_id}: {made.total_episodes} episodes, {made.total_steps} steps", flush=True)

@@ -96,13 +96,13 @@ def chosen() -> tuple[int, list[Entry]]:
         return not (episode.failed or any(lost))
 
     def shows(at: int) -> bool:
-        return all(held(own[at]) for own in (published, *others)) and bool(droop[at].metrics["tripped_groups"])
+        return all(held(runs[at]) for runs in (published, *others)) and bool(droop[at].metrics["tripped_groups"])
 
     if not (shown := [at for at in range(len(seeds)) if shows(at)]):
         raise ValueError(f"in none of {len(seeds)} scenarios {DROOP} alone loses a group")
-    found = min(shown, key=lambda at: published[at].metrics["worst_nadir_hz"])
+    clearest = min(shown, key=lambda at: published[at].metrics["worst_nadir_hz"])
     played = {entry.name: entry for entry in reversed(entries)}
-    return seeds[found], [played[name] for name in names]
+    return seeds[clearest], [played[name] for name in names]
 
 
 if __name__ == "__main__":

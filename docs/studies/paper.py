@@ -336,7 +336,7 @@ def stability():
         # The stiffest droop on the least inertia is too fast for steps of 25 ms.
         run = simulate(get_suite("paper").scenario(0), law, Plant(control=control, simulation_dt=0.005))
         completed.append(run.status == Status.RUNNING)
-    stable, worst, n_loops = [each for each in differences if not math.isnan(each)], max(errors), len(differences)
+    stable, worst, n_loops = [d for d in differences if not math.isnan(d)], max(errors), len(differences)
     values = {"margin_difference_deg": stable, "largest_deviation": worst, "completed_runs": float(sum(completed))}
     counts = {"n_stable": len(stable), "n_loops": n_loops, "n_runs": len(completed), "percent": 100.0 * worst}
     holds = worst < 1e-4 and len(stable) == n_loops and all(completed)
@@ -404,17 +404,17 @@ def load_decrease(runs):
 def claims_table(claims):
     """Return the claims, marked where they do not hold or were fitted, with remarks below the table."""
     notes, rows = [], []
-    for source, section in itertools.groupby(claims, key=lambda each: each["source"]):
+    for source, section in itertools.groupby(claims, key=lambda claim: claim["source"]):
         rows.append((f"**{source}**", "", ""))
-        for each in section:
-            measured = each["measured"] + ("" if each["holds"] else ", **does not hold**")
-            measured += ", *fitted*" if each["fitted"] else ""
-            if each["remark"]:
-                notes.append(f"({len(notes) + 1}) {each['remark']}  ")
+        for claim in section:
+            measured = claim["measured"] + ("" if claim["holds"] else ", **does not hold**")
+            measured += ", *fitted*" if claim["fitted"] else ""
+            if claim["remark"]:
+                notes.append(f"({len(notes) + 1}) {claim['remark']}  ")
                 measured += f" ({len(notes)})"
-            rows.append((each["says"], each["expected"], measured))
-    n_held = sum(each["holds"] for each in claims)
-    fitted = [each["fitted"] for each in claims if each["fitted"] and each["holds"]]
+            rows.append((claim["says"], claim["expected"], measured))
+    n_held = sum(claim["holds"] for claim in claims)
+    fitted = [claim["fitted"] for claim in claims if claim["fitted"] and claim["holds"]]
     by = ", ".join(f"{name} to {fitted.count(name)}" for name in dict.fromkeys(fitted))
     count = (
         f"{n_held} of {len(claims)} claims hold, {n_held - len(fitted)} without a fit. Parameters of this model were "
@@ -434,8 +434,8 @@ def main(docs):
         save_figure(figure, docs / "validation" / "figures" / name, ("svg",))
     if (page := docs / "validation.md").exists():
         update_between_markers(page, claims_table(claims), "claims")
-    for each in claims:
-        print(f"{'holds' if each['holds'] else 'DOES NOT HOLD'}  {each['key']}: {each['measured']}")
+    for claim in claims:
+        print(f"{'holds' if claim['holds'] else 'DOES NOT HOLD'}  {claim['key']}: {claim['measured']}")
 
 
 if __name__ == "__main__":

@@ -126,9 +126,9 @@ def run_search(search: Search, generations: int, costs_of: Callable[[Floats], Fl
     """Return where a search ends after some generations."""
     with Progress("generations") as progress:
         for generation in range(generations):
-            asked = search.ask()
-            costs = costs_of(asked)
-            search.tell(asked, costs)
+            evaluated = search.ask()
+            costs = costs_of(evaluated)
+            search.tell(evaluated, costs)
             progress.update(f"objective {costs.min():.4f}", generation + 1, generations)
     return search.mean
 

@@ -52,11 +52,11 @@ def observations():
     """Return the observation of a group in both versions, with v1's meaning of a number if it has one."""
     last = [(f"last_action_{name}", "-", f"last action on {sign}") for name, sign in (("k", "k"), ("tau", "τ"))]
     exact, measured = ([*declared(record), *last] for record in (WtgObservation, MeasuredObservation))
-    meant = {row[0]: row for row in (*exact[:-2], *measured)}
+    meanings = {row[0]: row for row in (*exact[:-2], *measured)}
     places = [[name for name, *_ in rows] for rows in (measured, exact)]
     rows = [
-        (*(str(own.index(name)) if name in own else "" for own in places), *meant[name])
-        for name in sorted(meant, key=places[1].index)
+        (*(str(names.index(name)) if name in names else "" for names in places), *meanings[name])
+        for name in sorted(meanings, key=places[1].index)
     ]
     table = markdown_table(("v1", "v0", "observation", "counted in", "what it is"), rows, right=(0, 1))
     return (
@@ -80,9 +80,9 @@ def privileged():
 
 def weights():
     """Return the weights of the cost."""
-    own = [env.settings.cost_weights() for env in ENVS.values()]
-    rows = [(f"`{name}`", *(f"{getattr(weights, name):g}" for weights in own)) for name in CostWeights._fields]
-    table = markdown_table(("weight [1/s]", *ENVS), rows, right=range(1, 1 + len(own)))
+    versions = [env.settings.cost_weights() for env in ENVS.values()]
+    rows = [(f"`{name}`", *(f"{getattr(weights, name):g}" for weights in versions)) for name in CostWeights._fields]
+    table = markdown_table(("weight [1/s]", *ENVS), rows, right=range(1, 1 + len(versions)))
     return (
         f"{table}\n\n`cap` limits the sum, in v1 without frequency and load not served. `unserved` and `failure` count "
         "in v1 only ([equations and reasons](benchmark.md#the-cost))."
@@ -101,8 +101,8 @@ def info():
 def arguments():
     """Return the arguments with their defaults, from the docstring of EnvSettings."""
     listed = (inspect.getdoc(EnvSettings) or "").partition("Args:\n")[2].partition("\n\n")[0]
-    found = re.findall(r"^    (\w+): (.*?)(?=^    \w|\Z)", listed, flags=re.MULTILINE | re.DOTALL)
-    meanings = {name: plain(" ".join(text.split())) for name, text in found}
+    entries = re.findall(r"^    (\w+): (.*?)(?=^    \w|\Z)", listed, flags=re.MULTILINE | re.DOTALL)
+    meanings = {name: plain(" ".join(text.split())) for name, text in entries}
     rows = []
     for field in dataclasses.fields(EnvSettings):
         default = "none" if field.default is None else f"`{field.default!r}`".replace("'", '"')
@@ -160,19 +160,19 @@ def parameters_page():
                 continue
             # Inherited parameters are listed with their own class.
             declared = [field for field in dataclasses.fields(cls) if field.name in cls.__annotations__]
-            own = [field for field in declared if isinstance(field.default, float)]
+            plain_fields = [field for field in declared if isinstance(field.default, float)]
             elsewhere = cls in (WtgGroup, SynchronousMachineParameters)  # on the environment's page, or below
             unused = hasattr(cls, "MODEL") and cls.MODEL not in ("SEXS", "TGOV1")
-            if own and not elsewhere and not unused:
-                parts.append(class_list(name, own, lambda field: [field.default]))
-    kinds = {}
+            if plain_fields and not elsewhere and not unused:
+                parts.append(class_list(name, plain_fields, lambda field: [field.default]))
+    machines = {}
     for machine in get_grid("ieee14").case.machines:
         # What is 0 is left out.
         numbers = {key: n for key, n in vars(machine).items() if type(n) in (int, float) and n != 0 and key != "bus"}
-        kinds.setdefault(tuple(numbers.items()), []).append(str(machine.bus))
+        machines.setdefault(tuple(numbers.items()), []).append(str(machine.bus))
     fields = [field for field in dataclasses.fields(SynchronousMachineParameters) if field.name in numbers]
-    title = f"Synchronous machines at buses {'/'.join(' and '.join(buses) for buses in kinds.values())}"
-    parts.append(class_list(title, fields, lambda field: [dict(kind)[field.name] for kind in kinds]))
+    title = f"Synchronous machines at buses {'/'.join(' and '.join(buses) for buses in machines.values())}"
+    parts.append(class_list(title, fields, lambda field: [dict(machine)[field.name] for machine in machines]))
     listed = "\n\n".join(parts)
     sources = "\n".join(f"- **{key}**: {text}" for key, text in SOURCES.items() if f"({key})" in listed)
     return f"{listed}\n\n## Sources\n\n{sources}"

@@ -32,19 +32,19 @@ QUANTITIES = {"frequency": "Hz", "rotor speed": "p.u.", "power": "p.u."}
 
 def golden_summary():
     """Return how many traces agree, and the largest difference of each quantity."""
-    found, n_agree = {}, 0
+    deviations, n_agree = {}, 0
     for path in TRACES:
         case = read_case(path.parent.name)
         times, trace = read_trace(path)
         fine = differences(case, trace, replay(case, case.events[path.stem], times, FINE_S))
         n_agree += all(fine[quantity] <= limit for quantity, limit in case.tolerance.items())
-        found[path] = fine
+        deviations[path] = fine
     largest = []
     for quantity in ("w", "Pe", "V"):
-        path = max(found, key=lambda path: found[path][quantity])
-        largest.append(f"{quantity} {found[path][quantity]:.1e} ({path.parent.name}, {path.stem})")
+        path = max(deviations, key=lambda path: deviations[path][quantity])
+        largest.append(f"{quantity} {deviations[path][quantity]:.1e} ({path.parent.name}, {path.stem})")
     return (
-        f"{n_agree} of {len(found)} traces agree within their tolerances. Largest differences at a step of "
+        f"{n_agree} of {len(deviations)} traces agree within their tolerances. Largest differences at a step of "
         f"{1e3 * FINE_S:g} ms [p.u.]: {', '.join(largest)}."
     )
 
@@ -64,7 +64,7 @@ def samples(run, step_s):
     laws = group_laws(environment.strategy, plant.turbines, plant.control)
     simulator = Simulator(plant, n_lanes=len(scenarios), duration_s=suite.duration_s)
     simulator.start(range(len(scenarios)), simulator.prepare(scenarios, laws))
-    found = []
+    values = []
     rows = [simulator.layout.wtg(name) for name in ("k_offset", "inv_tau")]
     authority = environment.task.k_authority * (tracking_point(0.0, plant.turbine).coefficient - laws[0].k_max)
     n_held = environment.n_intervals
@@ -77,37 +77,37 @@ def samples(run, step_s):
             )
         simulator.advance()
         simulator.evaluate()
-        now = [
+        quantities = [
             hertz * (simulator.wtg_values("speed") + simulator.wtg_values("shift")),
             simulator.wtg_values("rotor_speed"),
             simulator.wtg_values("power"),
         ]
         running = (simulator.lane_values("status") == Status.RUNNING) & (simulator.lane_values("shed_energy") == 0.0)
-        found.append(np.where(running[:, None, None], np.stack(now, axis=1), np.nan))
+        values.append(np.where(running[:, None, None], np.stack(quantities, axis=1), np.nan))
     status = simulator.lane_values("status").copy()
     simulator.close()
-    return np.array(found), status
+    return np.array(values), status
 
 
 def errors(run):
     """Return the largest error of each quantity in each scenario, (n_steps, n_scenarios, 3), and of the exact run."""
     exact, status = samples(run, EXACT_S)
-    found = []
+    deviations = []
     for step_s in (2.0 * EXACT_S, *STEPS_S):
-        own, own_status = samples(run, step_s)
-        assert (own_status == status).all(), f"{run}: another run fails with steps of {1e3 * step_s:g} ms"
-        found.append(np.nanmax(np.abs(own - exact), axis=(0, 3)))
-    return np.array(found[1:]), found[0]
+        values, value_status = samples(run, step_s)
+        assert (value_status == status).all(), f"{run}: another run fails with steps of {1e3 * step_s:g} ms"
+        deviations.append(np.nanmax(np.abs(values - exact), axis=(0, 3)))
+    return np.array(deviations[1:]), deviations[0]
 
 
-def step_table(found):
+def step_table(results):
     """Return median and worst error of the default step in each kind of run."""
     rows, i = [], STEPS_S.index(DEFAULT_S)  # the picture has the other steps
-    for run, (error, _) in found.items():
+    for run, (error, _) in results.items():
         cells = [f"{np.median(error[i, :, q]):.1e} / {error[i, :, q].max():.1e}" for q in range(len(QUANTITIES))]
         rows.append([f"{1e3 * DEFAULT_S:.3g}", run, *cells])
     header = ("step [ms]", "runs", *(f"{name} [{unit}]" for name, unit in QUANTITIES.items()))
-    doubling = max(float(own[:, 0].max()) for _, own in found.values())
+    doubling = max(float(doubled[:, 0].max()) for _, doubled in results.values())
     return (
         f"Largest error of any group against steps of {1e3 * EXACT_S:g} ms (twice as long ones change {doubling:.0e} "
         f"Hz at most) in {N_SCENARIOS} validation scenarios of each standard suite, until load is shed: median / "
@@ -116,17 +116,17 @@ def step_table(found):
 
 
 @style.printed
-def draw(found):
+def draw(results):
     """Draw the error of frequency and of power against the step; dotted the median scenario, full the worst."""
     figure = style.new_figure(style.DOUBLE_COLUMN_MM, 70.0)
     steps = 1e3 * np.array(STEPS_S)
     for axes, quantity in zip(figure.subplots(1, 2, sharex=True), ("frequency", "power"), strict=True):
         q = list(QUANTITIES).index(quantity)
-        for run, colour, marker in zip(found, style.PALETTE, style.MARKERS, strict=False):
-            error = found[run][0][:, :, q]
+        for run, colour, marker in zip(results, style.PALETTE, style.MARKERS, strict=False):
+            error = results[run][0][:, :, q]
             axes.loglog(steps, error.max(axis=1), marker=marker, color=colour, label=f"{run}: worst")
             axes.loglog(steps, np.median(error, axis=1), ":", color=colour, label=f"{run}: median")
-        median = np.median(found["v0"][0][:, :, q], axis=1)
+        median = np.median(results["v0"][0][:, :, q], axis=1)
         guide = median[-1] * (steps / steps[-1]) ** 4
         axes.loglog(steps, guide, color=style.REFERENCE_GREY, linewidth=0.6, label="fourth order")
         axes.axvline(1e3 * DEFAULT_S, **style.REFERENCE)
@@ -141,9 +141,9 @@ def draw(found):
 
 def main(docs):
     """Renew the page and its pictures."""
-    found = {run: errors(run) for run in RUNS}
-    style.save_figure(draw(found), docs / "validation" / "accuracy", ["svg"])
-    update_between_markers(docs / "validation.md", step_table(found), "accuracy")
+    results = {run: errors(run) for run in RUNS}
+    style.save_figure(draw(results), docs / "validation" / "accuracy", ["svg"])
+    update_between_markers(docs / "validation.md", step_table(results), "accuracy")
     update_between_markers(docs / "validation.md", golden_summary(), "golden")
 
 

@@ -80,6 +80,11 @@ def _sign(paths: tuple[Path, Path], data: dict[str, Any]) -> None:
 EDITS: dict[str, tuple[Callable[[dict[str, Any]], Any], str]] = {
     "cap as text": (lambda d: d["settings"]["weights"].update(cap="much"), "could not convert string to float"),
     "missing key": (lambda d: d.pop("seeds"), "it misses 'seeds'"),
+    "list as text": (lambda d: d.update(seeds="all"), "seeds must be of the type list, got 'all'"),
+    "seed as text": (
+        lambda d: d["entries"][1].update(training_seed="0"),
+        r"entries\[1\].training_seed must be of the type int . None, got '0'",
+    ),
     "no versions": (lambda d: d.update(versions={}), "versions that of wtg_gym"),
     "no environment": (lambda d: d.update(environment={}), "environment must have fingerprint and id"),
     "unknown suite": (lambda d: d.update(suite="easy"), "unknown suite 'easy'"),

@@ -38,7 +38,7 @@ def _can_be_written(_: Any, path: Path | None) -> None:
     """Refuse a file or folder now, rather than after the work; folders that are missing are made."""
     if path is None:
         return
-    there = next(each for each in (path, *path.absolute().parents) if each.exists())
+    there = next(parent for parent in (path, *path.absolute().parents) if parent.exists())
     folder = there.parent if there == path and there.is_file() else there
     if not folder.is_dir():
         raise ValueError(f"{folder} is not a folder")

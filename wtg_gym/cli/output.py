@@ -43,7 +43,7 @@ def check_page(option: str, path: Path, sections: Sequence[str]) -> str:
     """Return which of some sections a page has markers of; a ValueError if it has none, or cannot be written."""
     try:
         text = read_text(path, "file with the markers")
-        section = next((each for each in sections if f"<!-- {each}:start -->" in text), sections[0])
+        section = next((name for name in sections if f"<!-- {name}:start -->" in text), sections[0])
         find_markers(path, section)
     except ValueError as error:
         raise ValueError(f"{option}: {error}") from error

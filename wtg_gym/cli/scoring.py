@@ -62,8 +62,8 @@ def chosen_scenarios(suite: str, split: str, options: SeedOptions) -> dict[str, 
 def chosen_workers(options: WorkerOptions, threads: int | None) -> Workers | None:
     """Return the workers of `--backend`."""
     if options.backend is None:
-        if given := [name for name in ("address", "jobs") if getattr(options, name) is not None]:
-            raise ValueError(f"--{given[0]} is for workers: say which with --backend {', '.join(BACKENDS)}")
+        if unused := [name for name in ("address", "jobs") if getattr(options, name) is not None]:
+            raise ValueError(f"--{unused[0]} is for workers: say which with --backend {', '.join(BACKENDS)}")
         return None
     if threads not in (None, 1):
         raise ValueError(f"--threads {threads}: a worker steps with one thread; say how many with --jobs")

@@ -38,7 +38,7 @@ def run(options: ScenarioOptions, strategies: Sequence[str], *, plot: Path | Non
     )
     everything = STRATEGIES if suite.task is V0 else STRATEGY_NAMES
     laws = {}
-    for name in dict.fromkeys(each for word in strategies for each in (everything if word == "all" else (word,))):
+    for name in dict.fromkeys(law for word in strategies for law in (everything if word == "all" else (word,))):
         law = get_law(name, settings.turbine)
         if law.name in laws:
             raise ValueError(f"two strategies are called {law.name!r}; give the law in {name} another name")
@@ -158,7 +158,7 @@ def key_figures(name: str, run: Trajectory) -> dict[str, Any]:
 def _plain(value: Any) -> Any:
     """A number or a list of them without the noise of last digits; None where JSON has no number for it."""
     if np.ndim(value):
-        return [_plain(each) for each in value]
+        return [_plain(item) for item in value]
     return round(float(value), 9) if np.isfinite(value) else None
 
 

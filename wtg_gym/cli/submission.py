@@ -77,7 +77,7 @@ def check(folders: Folders, /, *, gate: GateOptions = GateOptions(), json: Json 
         print_json({"submissions": [report.to_dict() for report in reports], "together": together})
     else:
         for report in reports:
-            name, checks = _shown(report.folder), [(each.name, each.verdict, each.reason) for each in report.checks]
+            name, checks = _shown(report.folder), [(step.name, step.verdict, step.reason) for step in report.checks]
             print_table((name, "verdict", "reason"), checks, left=(0, 1, 2))
             say(f"{name}: {f'accepted, sha256 {report.sha256}' if report.accepted else 'refused'}", "")
         for conflict in clashes:
@@ -148,7 +148,7 @@ def _suites(folders: Sequence[Path]) -> list[str]:
         # The gate says why one cannot be read.
         with contextlib.suppress(ValueError):
             environments.add(parse_submission(read_files(folder)[ENTRY_FILE]).environment)
-    return [EnvSettings(version=each.version).suite_name for each in TASKS.values() if each.env_id in environments]
+    return [EnvSettings(version=task.version).suite_name for task in TASKS.values() if task.env_id in environments]
 
 
 def _judged(folders: Sequence[Path], gate: GateOptions) -> tuple[list[Report], list[Conflict]]:
@@ -158,7 +158,7 @@ def _judged(folders: Sequence[Path], gate: GateOptions) -> tuple[list[Report], l
     reports, beside = [check_submission(folder, weak=gate.weak_isolation) for folder in folders], []
     for text in dict.fromkeys(text for report in reports for text in report.notes):
         note(f"not isolated, as --weak-isolation allows: {text}")
-    accepted, resolved = [report for report in reports if report.accepted], [each.resolve() for each in folders]
+    accepted, resolved = [report for report in reports if report.accepted], [path.resolve() for path in folders]
     for folder in map(Path, gate.beside) if accepted else ():
         if folder.resolve() not in resolved:
             beside.append(read_submission(folder))
@@ -169,15 +169,15 @@ def _judged(folders: Sequence[Path], gate: GateOptions) -> tuple[list[Report], l
 
 def _why_left_out(reports: Sequence[Report], clashes: Sequence[Conflict]) -> dict[Path, str]:
     """Return why folders are not ranked: authors cannot choose the seeds of a row, so all of a name go together."""
-    why = {folder: conflict.reason for conflict in clashes for folder in conflict.folders}
+    reason = {folder: conflict.reason for conflict in clashes for folder in conflict.folders}
     for report in reports:
         if report.refusal is not None:
-            why[report.folder] = f"{_shown(report.folder)}: {report.refusal.name}: {report.refusal.reason}"
-    names = {report.entry.name for report in reports if report.folder in why and report.entry is not None}
+            reason[report.folder] = f"{_shown(report.folder)}: {report.refusal.name}: {report.refusal.reason}"
+    names = {report.entry.name for report in reports if report.folder in reason and report.entry is not None}
     for report in reports:
         if report.entry is not None and report.entry.name in names:
-            why.setdefault(report.folder, f"{_shown(report.folder)}, as another folder of its name is refused")
-    return why
+            reason.setdefault(report.folder, f"{_shown(report.folder)}, as another folder of its name is refused")
+    return reason
 
 
 def _shown(folder: Path) -> str:

@@ -60,7 +60,7 @@ def _summary(suite: Suite) -> dict[str, Any]:
         "splits": {split: [suite.seeds(split).start, suite.seeds(split).stop - 1] for split in SPLITS},
         "cases": [case.name for case in suite.cases],
         "margins": {name: [low, None if math.isinf(high) else high] for name, (low, high) in suite.margins.items()},
-        "drawn_from": {name: [one.to_dict() for one in kinds] for name, kinds in suite.drawn_from.items()},
+        "drawn_from": {name: [draw.to_dict() for draw in draws] for name, draws in suite.drawn_from.items()},
         "benchmark": suite.task.to_dict(),
         "plant": {"groups": [group.to_dict() for group in suite.plant.groups], **suite.plant_data},
         "sensors": None if suite.sensors is None else asdict(suite.sensors),

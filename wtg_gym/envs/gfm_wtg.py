@@ -95,9 +95,9 @@ class GFMWTGEnv(interface.OverLanes, gym.Env[interface.Observation, interface.Ac
             ValueError: unknown options, or a scenario that does not fit; nothing has changed then.
             gymnasium.error.Error: the seed is not a whole number of 0 or more.
         """
-        given = interface.check_options(options, ("scenario",))
+        checked = interface.check_options(options, ("scenario",))
         # A given scenario that cannot start is refused before the first change, of the generator too.
-        scenario = as_scenario('options["scenario"]', given["scenario"]) if "scenario" in given else None
+        scenario = as_scenario('options["scenario"]', checked["scenario"]) if "scenario" in checked else None
         episodes = None if scenario is None else self._lanes.prepare([scenario], turning=True)
         super().reset(seed=seed)
         self._lanes.start([0], self._lanes.next_episode(self.np_random, 0) if episodes is None else episodes)

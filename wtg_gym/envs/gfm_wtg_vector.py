@@ -91,10 +91,10 @@ class GFMWTGVectorEnv(
         Raises:
             ValueError: unknown options, wrong lengths, or scenarios that do not fit.
         """
-        given = interface.check_options(options, ("reset_mask", "scenarios"))
-        mask = self._reset_mask(given.get("reset_mask"))
+        checked = interface.check_options(options, ("reset_mask", "scenarios"))
+        mask = self._reset_mask(checked.get("reset_mask"))
         seeds = self._lane_seeds(seed)
-        scenarios = self._scenarios(given["scenarios"]) if "scenarios" in given else None
+        scenarios = self._scenarios(checked["scenarios"]) if "scenarios" in checked else None
         lanes = np.flatnonzero(mask).tolist()
         generators = {lane: seeding.np_random(s)[0] for lane in lanes if (s := seeds[lane]) is not None}
         # Given scenarios that cannot start are refused before the first change.
@@ -110,21 +110,21 @@ class GFMWTGVectorEnv(
             self._frames.sample()
         return self._lanes.observations.copy(), self._infos(mask.copy())
 
-    def _reset_mask(self, given: Any) -> npt.NDArray[np.bool_]:
-        if given is None:
+    def _reset_mask(self, option: Any) -> npt.NDArray[np.bool_]:
+        if option is None:
             return np.ones(self.num_envs, dtype=np.bool_)
-        mask = np.asarray(given)
+        mask = np.asarray(option)
         if mask.shape != (self.num_envs,) or mask.dtype != np.bool_ or not mask.any():
             raise ValueError(
                 f'options["reset_mask"] must be a boolean array of shape {(self.num_envs,)} with at least one True, '
-                f"got shape {mask.shape}, dtype {mask.dtype}: {given!r:.80}"
+                f"got shape {mask.shape}, dtype {mask.dtype}: {option!r:.80}"
             )
         return mask
 
-    def _scenarios(self, given: Any) -> list[Scenario]:
-        if not isinstance(given, Sequence) or len(given) != self.num_envs:
-            raise ValueError(f'options["scenarios"] must be a list of {self.num_envs} scenarios, got {given!r:.80}')
-        return [as_scenario('options["scenarios"]', scenario) for scenario in given]
+    def _scenarios(self, option: Any) -> list[Scenario]:
+        if not isinstance(option, Sequence) or len(option) != self.num_envs:
+            raise ValueError(f'options["scenarios"] must be a list of {self.num_envs} scenarios, got {option!r:.80}')
+        return [as_scenario('options["scenarios"]', scenario) for scenario in option]
 
     def _lane_seeds(self, seed: int | Sequence[int | None] | None) -> list[int | None]:
         seeds: Sequence[int | None]
@@ -138,7 +138,7 @@ class GFMWTGVectorEnv(
             raise ValueError(f"one seed per environment is needed ({self.num_envs}), got {len(seed)}")
         else:
             seeds = seed
-        return [None if each is None else require_whole("a seed", each, 0) for each in seeds]
+        return [None if lane_seed is None else require_whole("a seed", lane_seed, 0) for lane_seed in seeds]
 
     @interface.one_thread
     def step(

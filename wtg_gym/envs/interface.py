@@ -121,7 +121,6 @@ class OverLanes:
         self.settings = EnvSettings(**arguments)
         self._lanes = TaskLanes(self.settings, n_lanes, n_threads)
         self._use = Use()
-        # In real time.
         fps = max(1, round(1.0 / self.settings.step_s))
         self.metadata = {**self.metadata, "render_fps": fps}
         self._frames: LaneFrames | None = None
@@ -130,8 +129,8 @@ class OverLanes:
 
             self._frames = LaneFrames(self._lanes, opens_window=render_mode == "human", fps=fps)
         bound = np.full(self._lanes.n_observation, OBSERVATION_BOUND, dtype=np.float32)
-        one = np.ones(self._lanes.n_action, dtype=np.float32)
-        return gym.spaces.Box(-bound, bound, dtype=np.float32), gym.spaces.Box(-one, one, dtype=np.float32)
+        high = np.ones(self._lanes.n_action, dtype=np.float32)
+        return gym.spaces.Box(-bound, bound, dtype=np.float32), gym.spaces.Box(-high, high, dtype=np.float32)
 
     @property
     def spec(self) -> EnvSpec | None:
@@ -186,19 +185,19 @@ class OverLanes:
         return self._lanes.observation_names
 
 
-def as_actions(given: Any, shape: tuple[int, ...]) -> Floats:
+def as_actions(actions: Any, shape: tuple[int, ...]) -> Floats:
     """Return actions as floats of a shape; anything but that many real numbers raises a ValueError."""
-    if type(given) is np.ndarray and given.dtype == np.float32 and given.shape == shape:
-        return given.astype(np.float64, order="C")
+    if type(actions) is np.ndarray and actions.dtype == np.float32 and actions.shape == shape:
+        return actions.astype(np.float64, order="C")
     allowed = f"the action must be real numbers in -1 … 1 of shape {shape}"
     try:
-        array = np.asarray(given)
+        array = np.asarray(actions)
         if array.dtype.kind == "O" and all(isinstance(value, numbers.Real) for value in array.flat):
             array = array.astype(np.float64)
     except (TypeError, ValueError, OverflowError) as error:
         raise ValueError(f"{allowed}: {error}") from error
     if array.dtype.kind not in "biuf":
-        raise ValueError(f"{allowed}, got {array.dtype} values: {given!r:.60}")
+        raise ValueError(f"{allowed}, got {array.dtype} values: {actions!r:.60}")
     if array.shape != shape:
         raise ValueError(f"{allowed}, got shape {array.shape}")
     return np.ascontiguousarray(array, dtype=np.float64)

@@ -214,12 +214,13 @@ class TaskLanes:
             raise
         durations = [min(scenario.duration_s, self.duration_s) for scenario in scenarios]
         step_s = self.settings.step_s
-        n_steps = np.array([whole_steps("scenario duration_s", each, step_s, "control step") for each in durations])
+        n_steps = np.array([whole_steps("scenario duration_s", end_s, step_s, "control step") for end_s in durations])
         seeds = [-1 if scenario.seed is None else scenario.seed for scenario in scenarios]
         outputs = self._start_tasks(lanes, scenarios, n_steps)
         if self.settings.scores:
             outputs.reference[:] = self._reference_costs(scenarios)
-            outputs.offsets[:] = [self.suite.cost_offset(each, self.settings.resolved_plant) for each in scenarios]
+            plant = self.settings.resolved_plant
+            outputs.offsets[:] = [self.suite.cost_offset(scenario, plant) for scenario in scenarios]
         return PreparedEpisodes(
             lanes,
             n_steps,
@@ -300,13 +301,13 @@ class TaskLanes:
                 version = self.suite.task.version
                 raise ValueError(f"scenario {scenario.name!r} has sensors; version {version} measures exactly")
             return []
-        given = sensor_input(sensors, self.settings.interval_s, self.nominal_hz)
+        sensor_constants = sensor_input(sensors, self.settings.interval_s, self.nominal_hz)
         biases = (0.0,) * self.n_wtg if sensors is None else sensors.wind_bias
         leaves_at = [math.inf] * self.n_wtg
         for event in scenario.events:
             if isinstance(event, GroupTrip):
                 leaves_at[event.group] = float(round(event.time_s / self.simulator.settings.simulation_dt))
-        return [*given, *biases, *leaves_at]
+        return [*sensor_constants, *biases, *leaves_at]
 
     @undivided
     def start(
@@ -465,14 +466,14 @@ class TaskLanes:
 
     def restore(self, snapshot: LanesSnapshot) -> None:
         """Go back to a :meth:`snapshot`; a ValueError refuses that of an environment with other settings."""
-        given, physics, outputs, seeds, margins, events = snapshot
-        if other := [name for name, value in self._of_episodes.items() if given[name] != value]:
-            raise ValueError(f"the snapshot is of an environment with other settings: {', '.join(other)}")
+        settings, physics, outputs, seeds, margins, events = snapshot
+        if different := [name for name, value in self._of_episodes.items() if settings[name] != value]:
+            raise ValueError(f"the snapshot is of an environment with other settings: {', '.join(different)}")
         self._bound = None
         self.simulator.restore(physics)
-        own: Any
-        for own, kept in zip(self.outputs, outputs, strict=True):
-            own[:] = kept
+        array: Any
+        for array, stored in zip(self.outputs, outputs, strict=True):
+            array[:] = stored
         self.scenario_seeds[:], self.reserve_margins[:] = seeds, margins
         self.events[:] = events
 

@@ -37,10 +37,10 @@ class NextEpisodes:
         n_more = min(-len(missing) % _LANES_AT_ONCE, self._lanes.n_lanes - len(missing))
         if not missing or n_more == 0:
             return missing
-        left = self._lanes.task_values("end_step") - self._lanes.simulator.lane_values("step")
-        left[[*missing, *self._ready, *self._refused]] = np.inf
-        soonest = np.argpartition(left, n_more - 1)[:n_more]
-        return [*missing, *(int(lane) for lane in soonest if np.isfinite(left[lane]))]
+        remaining = self._lanes.task_values("end_step") - self._lanes.simulator.lane_values("step")
+        remaining[[*missing, *self._ready, *self._refused]] = np.inf
+        soonest = np.argpartition(remaining, n_more - 1)[:n_more]
+        return [*missing, *(int(lane) for lane in soonest if np.isfinite(remaining[lane]))]
 
     def prepare(self, chosen: Sequence[int]) -> None:
         """Draw and prepare the next episodes of lanes; :meth:`start` raises the error of one that cannot start."""
@@ -80,6 +80,6 @@ class NextEpisodes:
         groups: dict[int, list[int]] = {}
         for lane in wanted:
             groups.setdefault(id(self._ready[lane][0]), []).append(lane)
-        for own in groups.values():
-            ready = [self._ready.pop(lane) for lane in own]
-            self._lanes.start(own, ready[0][0], [place for _, place in ready])
+        for group in groups.values():
+            ready = [self._ready.pop(lane) for lane in group]
+            self._lanes.start(group, ready[0][0], [place for _, place in ready])

@@ -211,10 +211,10 @@ class EnvSettings:
     @cached_property
     def sensor_distribution(self) -> SensorDistribution | None:
         """What the sensors' errors are drawn from, None where they measure exactly; errors name the value."""
-        own = self.resolved_suite.sensors
+        of_suite = self.resolved_suite.sensors
         if self.sensors is None:
-            return own
-        if own is None and not self.task.has_sensors:
+            return of_suite
+        if of_suite is None and not self.task.has_sensors:
             raise ValueError(f"sensors are part of version v1; version {self.task.version} measures exactly")
         if self.scenario is not None:
             raise ValueError("sensors are those of the scenario where one is given; leave out one of the two")
@@ -222,7 +222,7 @@ class EnvSettings:
             return None
         if not isinstance(self.sensors, Mapping):
             raise ValueError(f'sensors must be "exact" or a dictionary of names and values, got {self.sensors!r}')
-        return (own or SensorDistribution()).replaced(self.sensors)
+        return (of_suite or SensorDistribution()).replaced(self.sensors)
 
     def cost_weights(self) -> CostWeights:
         """Return the weights in force; a ValueError names unknown ones."""

@@ -180,7 +180,7 @@ class _BoundType(numba.types.StructRef):  # type: ignore[misc]
     """The compiler's type of :class:`Bound`."""
 
     def preprocess_fields(self, fields: Any) -> Any:
-        return tuple((name, numba.types.unliteral(kind)) for name, kind in fields)
+        return tuple((name, numba.types.unliteral(type_)) for name, type_ in fields)
 
 
 class Bound(structref.StructRefProxy):  # type: ignore[misc]

@@ -159,8 +159,8 @@ class Adjusted:
 
         The interval is that of the ratio made linear.
         """
-        own, base = (statistics.mean(worst_tenth(each)) for each in (costs, other))
-        ratio, percent = own / base, 100.0 / base
+        tail, base = (statistics.mean(worst_tenth(values)) for values in (costs, other))
+        ratio, percent = tail / base, 100.0 / base
         value = 100.0 * (ratio - 1.0)
         sides = [percent * _excess(costs), -(percent * ratio) * _excess(other)]
         spread = _interval(sides, self._plain)

@@ -52,6 +52,14 @@ _LEAST_FACTOR = 1e-4
 _LEAST_RATE = 1e-6
 
 
+class Rest(NamedTuple):
+    """Where a loop comes to rest."""
+
+    moves_hz: float  # by which the frequency still moved in the last ten seconds
+    frequency_hz: float
+    largest_action: float  # [-]
+
+
 class Mode(NamedTuple):
     """An oscillation of the loop, and on which slope of the law."""
 
@@ -96,7 +104,7 @@ def damping(entry: Entry, wind_m_s: float = WIND_M_S, plant: Mapping[str, Any] |
     Raises:
         PolicyError: the policy fails, its memory is not arrays, or the loop loses the grid.
     """
-    loop, modes, rates, rests = Loop(entry, wind_m_s, plant), list[Mode](), list[float](), []
+    loop, modes, rates, rests = Loop(entry, wind_m_s, plant), list[Mode](), list[float](), list[Rest]()
     has_corner = entry.law.k_min != entry.law.k_max
     with entry.policy if isinstance(entry.policy, OnnxPolicy) else contextlib.nullcontext():
         for slope in SLOPES if has_corner else SLOPES[:1]:
@@ -105,14 +113,9 @@ def damping(entry: Entry, wind_m_s: float = WIND_M_S, plant: Mapping[str, Any] |
             label = slope if has_corner else "both"
             modes += [Mode(complex(value), label) for value in values if value.imag > _LEAST_RATE]
             rates.append(float(values.real.max()))
-    moves_hz, frequency_hz, largest_action = max(rests)
-    return Damping(
-        modes=sorted(modes, key=lambda mode: mode.damping_ratio),
-        largest_rate=max(rates),
-        frequency_hz=frequency_hz,
-        largest_action=largest_action,
-        moves_hz=moves_hz,
-    )
+    least_settled = max(rests, key=lambda rest: rest.moves_hz)
+    modes.sort(key=lambda mode: mode.damping_ratio)
+    return Damping(modes=modes, largest_rate=max(rates), **least_settled._asdict())
 
 
 class Loop:
@@ -154,11 +157,8 @@ class Loop:
         self._seen: Floats = np.zeros(0)
         self._memory: Any = None
 
-    def settle(self, slope: str) -> tuple[float, float, float]:
-        """Play until the loop is at rest, with one slope of the law's g(ω) on both sides of its corner.
-
-        Returns by how much the frequency still moves [Hz], the frequency [Hz], and the largest action.
-        """
+    def settle(self, slope: str) -> Rest:
+        """Play until the loop is at rest, with one slope of the law's g(ω) on both sides of its corner."""
         tape, entry = self.tape, self.entry
         tape.start([self.scenario])
         tape.set_law(self._smooth(tape.law(), slope))
@@ -177,7 +177,7 @@ class Loop:
             if lanes.ended()[0].any():
                 raise PolicyError(f"entry {entry.label!r} loses the grid at rest, {self.scenario.name}")
         moves_hz = float(np.ptp(frequencies[-round(_WATCHED_S / self.step_s) :]))
-        return moves_hz, frequencies[-1], float(np.abs(actions).max(initial=0.0))
+        return Rest(moves_hz, frequencies[-1], float(np.abs(actions).max(initial=0.0)))
 
     def _smooth(self, law: Floats, slope: str) -> Floats:
         """Return laws (1, n_wtg, 4) whose g(ω) goes on with its slope below, or above, beyond the corner."""
@@ -299,9 +299,9 @@ def _flat(memory: Any, entry: Entry) -> Floats:
     """Return a policy's memory as one row of numbers; a PolicyError where it is not arrays."""
     if memory is None:
         return np.zeros(0)
-    if not isinstance(memory, tuple) or not all(isinstance(each, np.ndarray) for each in memory):
+    if not isinstance(memory, tuple) or not all(isinstance(array, np.ndarray) for array in memory):
         raise PolicyError(f"the memory of entry {entry.label!r} is no tuple of arrays, which damping needs")
-    return np.concatenate([each.ravel() for each in memory]).astype(np.float64)
+    return np.concatenate([array.ravel() for array in memory]).astype(np.float64)
 
 
 def _moving(matrix: Floats) -> npt.NDArray[np.bool_]:

@@ -123,14 +123,14 @@ def _description(settings: EnvSettings, seeds: Sequence[int], entries: Sequence[
 # --- arguments -------------------------------------------------------------------------------------------------------
 
 
-def _with_references(given: Entries, suite: Suite) -> list[Entry]:
+def _with_references(specs: Entries, suite: Suite) -> list[Entry]:
     """Return the entries, and the version's references that are not among them."""
-    if not isinstance(given, (str, Path, Entry, Sequence)):
-        raise ValueError(f"entries must be names, paths or Entry, one or a list of them, got {given!r}")
+    if not isinstance(specs, (str, Path, Entry, Sequence)):
+        raise ValueError(f"entries must be names, paths or Entry, one or a list of them, got {specs!r}")
     entries: list[Any] = []
     task = suite.task
-    for each in [given] if isinstance(given, (str, Path, Entry)) else given:
-        entries += load_entries(each, task=task) if isinstance(each, (str, Path)) else [each]
+    for spec in [specs] if isinstance(specs, (str, Path, Entry)) else specs:
+        entries += load_entries(spec, task=task) if isinstance(spec, (str, Path)) else [spec]
     check_entries(entries)
     check_version(entries, suite)
     missing = [name for name in task.references if name not in {entry.name for entry in entries}]
@@ -172,7 +172,7 @@ def chosen_seeds(suite: str, split: str, seeds: Sequence[int] | None) -> list[in
 def shared_settings(settings: EnvSettings) -> dict[str, Any]:
     """Return the settings that all entries share, defaults filled in, as JSON-ready data."""
     task, plant = settings.task, settings.resolved_plant
-    found: dict[str, Any] = {
+    shared: dict[str, Any] = {
         "duration_s": settings.episode_duration_s(),
         "control_dt": float(settings.step_s),
         "simulation_dt": float(plant.simulation_dt),
@@ -184,16 +184,16 @@ def shared_settings(settings: EnvSettings) -> dict[str, Any]:
     if settings.plant is not None:
         if not isinstance(settings.plant, Mapping):
             raise ValueError("results say which plant was played: plant must be a dictionary of what to replace")
-        found["replaced"] = dict(settings.plant)
+        shared["replaced"] = dict(settings.plant)
     if task is not V0:
         sensors = settings.sensor_distribution
-        found["version"] = task.version
-        found["plant"] = dict(settings.resolved_suite.plant_data)
-        found["sensors"] = "exact" if sensors is None else dataclasses.asdict(sensors)
-        found["duty_time_s"] = task.duty_time_s
+        shared["version"] = task.version
+        shared["plant"] = dict(settings.resolved_suite.plant_data)
+        shared["sensors"] = "exact" if sensors is None else dataclasses.asdict(sensors)
+        shared["duty_time_s"] = task.duty_time_s
     # Lists, as files hold them, not tuples.
     try:
-        data: dict[str, Any] = json.loads(json.dumps(found))
+        data: dict[str, Any] = json.loads(json.dumps(shared))
     except TypeError as error:
         raise ValueError(f"results hold what was played: in plant, give numbers and texts ({error})") from error
     return data
@@ -222,7 +222,7 @@ def _episodes(
 
     Stored parts are read, the others are played and stored. The failure of an entry that is needed is raised.
     """
-    found: dict[int, list[Episode]] = {}
+    episodes: dict[int, list[Episode]] = {}
     failures: dict[tuple[str, int | None], str] = {}
     n_done, n_all, suite_hash = 0, sum(len(seeds) for _, seeds in parts), settings.resolved_suite.hash
 
@@ -230,7 +230,7 @@ def _episodes(
         nonlocal n_done
         entry, seeds = parts[index]
         if not isinstance(played, PolicyError):
-            found[index] = played
+            episodes[index] = played
         elif entry.name in needed:
             raise played
         else:
@@ -259,7 +259,7 @@ def _episodes(
             if not isinstance(played, PolicyError):
                 store.save(*remaining[number], played)
             take(missing[number], played)
-    return [episode for index in sorted(found) for episode in found[index]], failures
+    return [episode for index in sorted(episodes) for episode in episodes[index]], failures
 
 
 def _played_here(

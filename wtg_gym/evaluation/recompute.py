@@ -36,12 +36,12 @@ def recompute(stored: Results, entries: Sequence[Entry], **options: Any) -> Comp
     :func:`wtg_gym.evaluation.evaluate`.
     """
     by_run = {(entry.name, entry.training_seed): entry for entry in entries}
-    wanted = [(entry["name"], entry["training_seed"]) for entry in (*stored.entries, *stored.failed)]
-    missing = [name for name, seed in wanted if (name, seed) not in by_run and name not in stored.task.references]
+    expected = [(entry["name"], entry["training_seed"]) for entry in (*stored.entries, *stored.failed)]
+    missing = [name for name, seed in expected if (name, seed) not in by_run and name not in stored.task.references]
     if missing:
         raise ValueError(f"the results hold entries that were not given: {', '.join(dict.fromkeys(missing))}")
     settings = {_ARGUMENTS[name]: value for name, value in stored.settings.items() if name in _ARGUMENTS}
-    chosen = [by_run[run] for run in wanted if run in by_run]
+    chosen = [by_run[run] for run in expected if run in by_run]
     place: dict[str, Any] = {"suite": stored.suite, "split": stored.split, "seeds": stored.seeds}
     return compare(stored, evaluate(chosen, **place, keep_going=True, **settings, **options))
 
@@ -49,12 +49,12 @@ def recompute(stored: Results, entries: Sequence[Entry], **options: Any) -> Comp
 def compare(stored: Results, now: Results) -> Comparison:
     """Compare two results on the same scenarios, to the last bit."""
     comparison = Comparison([], [])
-    one, other = _facts(stored), _facts(now)
-    for where in {**one, **other}:
+    first, other = _facts(stored), _facts(now)
+    for where in {**first, **other}:
         # Where one side alone has an entry's episodes, that it was not played to the end is the difference.
-        if one.get(where) != other.get(where) and not (where[-1] in COLUMNS and (where in one) != (where in other)):
+        if first.get(where) != other.get(where) and not (where[-1] in COLUMNS and (where in first) != (where in other)):
             differences = comparison.circumstances if _CIRCUMSTANCES & {*where} else comparison.differences
-            differences.append((": ".join(where), str(one.get(where)), str(other.get(where))))
+            differences.append((": ".join(where), str(first.get(where)), str(other.get(where))))
     return comparison
 
 
@@ -78,12 +78,12 @@ def _facts(results: Results) -> dict[tuple[str, ...], Any]:
 def departures(stored: Results) -> list[str]:
     """Return how results depart from the benchmark's own: other settings, or not as many scenarios."""
     usual = shared_settings(EnvSettings(suite=stored.suite, split=stored.split))
-    found = [
+    differences = [
         f"{key} is {stored.settings.get(key)}, that of the benchmark {usual.get(key)}"
         for key in {**usual, **stored.settings}
         if stored.settings.get(key) != usual.get(key)
     ]
     n_all = len(get_suite(stored.suite).seeds(stored.split))
     if len(stored.seeds) != n_all:
-        found.append(f"{len(stored.seeds)} scenarios, those of the benchmark are {n_all}")
-    return found
+        differences.append(f"{len(stored.seeds)} scenarios, those of the benchmark are {n_all}")
+    return differences

@@ -34,8 +34,20 @@ from wtg_gym.tasks import Task
 Value = TypeVar("Value")
 #: Version of the files; another number is another form.
 FORMAT = 8
-#: Keys of the description that are texts.
+#: Keys of the description that are texts; types of all its values, and of those of an entry.
 _TEXTS = ("suite", "split", "suite_hash", "source_hash")
+_TYPES: Mapping[str, Any] = {
+    **dict.fromkeys(_TEXTS, str),
+    **dict.fromkeys(("seeds", "entries", "failed"), list),
+    **dict.fromkeys(("environment", "settings", "versions", "metrics", "summary"), dict),
+}
+_ENTRY_TYPES: Mapping[str, Any] = {
+    **dict.fromkeys(Entry(name="any").to_dict(), str),
+    **dict.fromkeys(("environment", "sha256", "policy_sha256"), str | None),
+    "training_seed": int | None,
+    "strategy": dict,
+    "per_group": bool,
+}
 #: Entries at most.
 _MOST_ENTRIES = 1000
 #: By how much a summary may differ from the sum of its table, relative, or absolute near zero.
@@ -133,16 +145,16 @@ class Results:
     @cached_property
     def unadjusted(self) -> str:
         """Why scores are not adjusted by the control variates of the version; "" where they are, or in v0."""
-        why = ""
+        reason = ""
         if not self.task.variates:
             return ""
         if not self._known_means:
-            why = "their mean gains are not known for this suite with these settings"
+            reason = "their mean gains are not known for this suite with these settings"
         elif missing := [name for name in self._known_means if name not in self.groups]:
-            why = f"none of the {len(self.seeds)} scenarios is of the stratum {missing[0]!r}"
+            reason = f"none of the {len(self.seeds)} scenarios is of the stratum {missing[0]!r}"
         elif min(at.size for at in self.groups.values()) < LEAST_SCENARIOS:
-            why = f"they need {LEAST_SCENARIOS} scenarios of each stratum"
-        return f"scored without control variates: {why}" if why else ""
+            reason = f"they need {LEAST_SCENARIOS} scenarios of each stratum"
+        return f"scored without control variates: {reason}" if reason else ""
 
     @property
     def notes(self) -> list[str]:
@@ -314,11 +326,11 @@ def _frequency_sentence(results: Results) -> str:
     """Return what the anchors and the best learned entry without privileges do for the frequency [mHz]."""
     task, rows = results.task, results.ranking
     learned = next((row for row in rows if row.kind == "learned" and not row.privileged), None)
-    who = {task.zero: "the published law", task.hundred: "that law tuned to this grid"}
+    labels = {task.zero: "the published law", task.hundred: "that law tuned to this grid"}
     if learned is not None:
-        who[learned.name] = f"`{learned.name}`, the best learned entry"
+        labels[learned.name] = f"`{learned.name}`, the best learned entry"
     deviations = {row.name: row.median_deviation_mhz for row in rows}
-    parts = [f"{deviations[name]:.0f} mHz with {words}" for name, words in who.items()]
+    parts = [f"{deviations[name]:.0f} mHz with {words}" for name, words in labels.items()]
     return (
         f"Median over {len(results.seeds)} {results.split} scenarios of the largest deviation of the frequency: "
         f"{', '.join(parts)}."
@@ -365,15 +377,23 @@ def _check_summary(stored: Any, summed: Any, where: str) -> None:
         raise ValueError(f"{where} is {str(stored)[:80]}, the table sums up to {str(summed)[:80]}; evaluate again")
 
 
+def _check_types(where: str, data: Mapping[str, Any], types: Mapping[str, Any]) -> None:
+    """Raise a ValueError that names the first value of another type."""
+    for key, expected in types.items():
+        # Python takes true for a whole number.
+        if not isinstance(data[key], expected) or (isinstance(data[key], bool) and expected is not bool):
+            name = getattr(expected, "__name__", expected)
+            raise ValueError(f"{where}{key} must be of the type {name}, got {data[key]!r:.80}")
+
+
 def _check_description(data: dict[str, Any]) -> None:
-    keys = set(Entry(name="any").to_dict())
-    for key, expected in (("entries", keys), ("failed", {*keys, "reason"})):
+    _check_types("", data, _TYPES)
+    for key, types in (("entries", _ENTRY_TYPES), ("failed", {**_ENTRY_TYPES, "reason": str})):
         require_count(key, len(data[key]), _MOST_ENTRIES)
-        for entry in data[key]:
-            if set(entry) != expected or entry["kind"] not in KINDS:
-                raise ValueError(
-                    f"an entry must have {', '.join(sorted(expected))}, its kind one of {', '.join(KINDS)}"
-                )
+        for i, entry in enumerate(data[key]):
+            if not isinstance(entry, dict) or set(entry) != set(types) or entry["kind"] not in KINDS:
+                raise ValueError(f"an entry must have {', '.join(sorted(types))}, its kind one of {', '.join(KINDS)}")
+            _check_types(f"{key}[{i}].", entry, types)
             # It goes into tables and pages as it is.
             check_name("the entry's name", entry["name"])
     check_rows((*data["entries"], *data["failed"]))

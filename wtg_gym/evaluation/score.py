@@ -40,10 +40,10 @@ def pinned_cost(cost: float, *, failed: bool, duration_s: float, cap: float) -> 
 
 def cost_offsets(groups: Groups, task: Task) -> Floats:
     """Return J0 of every scenario, (n_scenarios,)."""
-    found = np.empty(sum(group.size for group in groups.values()))
+    offsets = np.empty(sum(group.size for group in groups.values()))
     for name, group in groups.items():
-        found[group] = dict(task.cost_offsets)[name]
-    return found
+        offsets[group] = dict(task.cost_offsets)[name]
+    return offsets
 
 
 def gains(costs: Floats, hundred: Floats, offsets: Floats) -> Floats:
@@ -63,7 +63,7 @@ def gains(costs: Floats, hundred: Floats, offsets: Floats) -> Floats:
 
     # math.log, because numpy's own logarithm differs between processors in the last bit.
     def logarithms(row: Floats) -> Floats:
-        return np.array([math.log(each) for each in (row + offsets).tolist()])
+        return np.array([math.log(value) for value in (row + offsets).tolist()])
 
     base = logarithms(hundred)
     return np.array([base - logarithms(run) for run in costs])
@@ -106,7 +106,7 @@ def gains_by_term(costs: Floats, hundred: Floats, terms: Floats, hundred_terms: 
     """
     parts = hundred_terms[:, np.newaxis] - terms
     parts *= [
-        [_inverse_log_mean(*each) for each in zip(hundred.tolist(), run, offsets.tolist(), strict=True)]
+        [_inverse_log_mean(*arguments) for arguments in zip(hundred.tolist(), run, offsets.tolist(), strict=True)]
         for run in costs.tolist()
     ]
     return parts

@@ -45,8 +45,8 @@ def mean(values: Floats) -> float:
 
 def mean_over_groups(values: Iterable[float]) -> float:
     """Return the mean of a value of each group: strata count alike."""
-    own = list(values)
-    return math.fsum(own) / len(own)
+    listed = list(values)
+    return math.fsum(listed) / len(listed)
 
 
 @functools.lru_cache(maxsize=4)
@@ -89,7 +89,7 @@ def _percentile_interval(value: float, samples: Floats) -> Interval:
 
 def share(happened: Floats, groups: Groups) -> float:
     """Return how often something happened [%], from 1 where it did and 0 where not, (n_runs, n_scenarios)."""
-    return 100.0 * mean_over_groups(mean(happened[:, own]) for own in groups.values())
+    return 100.0 * mean_over_groups(mean(happened[:, group]) for group in groups.values())
 
 
 def sign_test(happened: Floats, other: Floats) -> float:
@@ -165,9 +165,9 @@ class Bootstrap:
 
     def worst_tenth_difference(self, costs: Floats, other: Floats) -> Interval:
         """Return how much more the :func:`worst_tenth` costs than that of another entry [%], paired."""
-        own, base = (_resampled(each, side, worst_tenth) for side, each in enumerate((costs, other)))
+        tail, base = (_resampled(values, side, worst_tenth) for side, values in enumerate((costs, other)))
         value = 100.0 * (mean(worst_tenth(costs)) / mean(worst_tenth(other)) - 1.0)
-        return _percentile_interval(value, 100.0 * (own / base - 1.0))
+        return _percentile_interval(value, 100.0 * (tail / base - 1.0))
 
     def _resampled_scores(self, gains: Floats, side: int) -> Floats:
         scored = self._scales > 0.0

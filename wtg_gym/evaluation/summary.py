@@ -80,12 +80,12 @@ def measured(
     All runs are on the same scenarios in the same order, those of `groups`; costs are pinned, (n_runs, n_scenarios).
     """
     task, nominal_hz = suite.task, suite.nominal_hz
-    lost = {name: _lost(own) for name, own in runs.items()}
-    bad = {name: lost_or_beyond(own, nominal_hz) for name, own in runs.items()}
+    lost = {name: _lost(entry_runs) for name, entry_runs in runs.items()}
+    bad = {name: lost_or_beyond(entry_runs, nominal_hz) for name, entry_runs in runs.items()}
 
     def row(name: str, entry: Mapping[str, Any]) -> EntrySummary:
         episodes, paid = runs[name], costs[name]
-        reliable = (statistics.sign_test(each[name], each[task.hundred]) >= _SIGNIFICANT for each in (bad, lost))
+        reliable = (statistics.sign_test(event[name], event[task.hundred]) >= _SIGNIFICANT for event in (bad, lost))
         worst = float(np.median(_deviations(episodes, "worst_nadir_hz", "worst_zenith_hz", nominal_hz)))
         return EntrySummary(
             name=name,
@@ -152,7 +152,7 @@ def runs_by_name(episodes: Sequence[Episode]) -> dict[str, Runs]:
     runs: dict[str, dict[int | None, list[Episode]]] = {}
     for episode in episodes:
         runs.setdefault(episode.entry, {}).setdefault(episode.training_seed, []).append(episode)
-    return {name: list(own.values()) for name, own in runs.items()}
+    return {name: list(by_seed.values()) for name, by_seed in runs.items()}
 
 
 def pinned_costs(runs: Runs, cap: float | None) -> Floats:

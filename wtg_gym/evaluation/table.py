@@ -96,7 +96,7 @@ def _columns(rows: Sequence[EntrySummary]) -> list[_Column]:
 def columns_of(table: str, rows: Sequence[EntrySummary]) -> list[str]:
     """Return the headings of a table, see :class:`_Column`, but for columns that no row fills."""
     columns = [column for column in _columns(rows) if table in column.tables.split()]
-    return [own.heading for own in columns if own.heading == "rank" or any(map(own.text, rows))]
+    return [column.heading for column in columns if column.heading == "rank" or any(map(column.text, rows))]
 
 
 def table_cells(rows: Sequence[EntrySummary], columns: Sequence[str] | None = None) -> list[list[str]]:
@@ -109,7 +109,7 @@ def table_cells(rows: Sequence[EntrySummary], columns: Sequence[str] | None = No
     texts = {column.heading: column.text for column in _columns(rows)}
     places = [place(row) for row in rows]
     columns = columns or columns_of("details", rows)
-    ranks = [str(1 + sum(other < own for other in places)) for own in places]
+    ranks = [str(1 + sum(other < position for other in places)) for position in places]
     return [
         [rank if column == "rank" else texts[column](row) for column in columns]
         for rank, row in zip(ranks, rows, strict=True)

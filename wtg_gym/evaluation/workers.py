@@ -79,7 +79,7 @@ class Workers:
         `play` plays a batch; a function of this package. A ValueError says that an entry cannot travel, that the
         cluster does not answer, or that a worker has other code, packages or processor, or is lost for good.
         """
-        wanted, parcels = circumstances(), dict[int, bytes]()
+        expected, parcels = circumstances(), dict[int, bytes]()
         for entry, _ in parts:
             try:
                 # As bytes: objects that Dask spreads out are lost with the worker that has them.
@@ -93,7 +93,7 @@ class Workers:
             except (OSError, ValueError) as error:
                 raise ValueError(f"no {self.backend} cluster answers at {self.address}: {one_line(error)}") from error
             indices = {
-                submit(_work, play, parcels[id(entry)], seeds, wanted): index
+                submit(_work, play, parcels[id(entry)], seeds, expected): index
                 for index, (entry, seeds) in enumerate(parts)
             }
             for future in as_completed(indices):
@@ -108,12 +108,12 @@ class Workers:
                 yield indices[future], played
 
 
-def _work(play: Play, parcel: bytes, seeds: list[int], wanted: dict[str, str]) -> Played | str:
+def _work(play: Play, parcel: bytes, seeds: list[int], expected: dict[str, str]) -> Played | str:
     """Play a batch in a worker, or say why not: where the circumstances are others than those wanted, too."""
-    worker, here = f"worker {socket.gethostname()}:{os.getpid()}", circumstances()
-    differing = [key for key in sorted({*wanted, *here}) if wanted.get(key) != here.get(key)]
+    worker, actual = f"worker {socket.gethostname()}:{os.getpid()}", circumstances()
+    differing = [key for key in sorted({*expected, *actual}) if expected.get(key) != actual.get(key)]
     if differing:
-        listed = "; ".join(f"{key} is {here.get(key, 'unknown')}, here {wanted.get(key)}" for key in differing)
+        listed = "; ".join(f"{key} is {actual.get(key, 'unknown')}, here {expected.get(key)}" for key in differing)
         return f"{worker} could give other numbers: {listed}"
     try:
         entry, settings = cloudpickle.loads(parcel)

@@ -113,7 +113,7 @@ def rules_of(layout: Layout, plant: MemoryMap, taped: Sequence[Program]) -> Rule
 
     def rows(kind: Kind, *parts: str) -> Whole:
         firsts = (layout.first_rows(kind, part)[:, np.newaxis] + np.arange(count(kind.scratch[part])) for part in parts)
-        return np.concatenate([own.ravel() for own in firsts])
+        return np.concatenate([numbers.ravel() for numbers in firsts])
 
     limits = rows(EXTENSIONS, "reactance", "source", "change")
     return Rules(
@@ -125,6 +125,15 @@ def rules_of(layout: Layout, plant: MemoryMap, taped: Sequence[Program]) -> Rule
         droops=layout.machine("inv_droop"),
         gates=layout.machine("gate"),
     )
+
+
+class Bars(NamedTuple):
+    """Cotangents of a control step."""
+
+    blocks: Floats  # after the step, on return before it (n_blocks, n_rows, width)
+    observations: Floats  # (n_lanes, n_observation)
+    actions: Floats  # are written (n_lanes, n_action)
+    constants: Floats  # are added to (n_blocks, n_numbers, width)
 
 
 class Work(NamedTuple):
@@ -230,14 +239,14 @@ def _pull_lost_governors(bars: Floats, rules: Rules, work: Work, step: int) -> N
 @internal
 def _settle(rules: Rules, work: Work) -> bool:
     """Give environments that had settled the cotangents from before a sweep; return whether all have settled now."""
-    found, before, all_settled = work.bars, work.before, True
-    for x in range(found.shape[1]):
+    bars, before, all_settled = work.bars, work.before, True
+    for x in range(bars.shape[1]):
         largest, change = 0.0, 0.0
         for i in range(rules.flows.shape[0]):
             row = rules.flows[i]
             if work.settled[x]:
-                found[row, x] = before[row, x]
-            largest, change = max(largest, abs(found[row, x])), max(change, abs(found[row, x] - before[row, x]))
+                bars[row, x] = before[row, x]
+            largest, change = max(largest, abs(bars[row, x])), max(change, abs(bars[row, x] - before[row, x]))
         work.settled[x] |= not change > _SETTLED * largest
         all_settled &= work.settled[x]
     return all_settled
@@ -289,55 +298,50 @@ def _pull_interval(bars: Floats, to: Floats, network: Network, rules: Rules, wor
 @compiled
 def pull(
     blocks: Floats,
-    bars: Floats,
-    observation_bars: Floats,
-    action_bars: Floats,
-    constant_bars: Floats,
+    bars: Bars,
     first: int,
     last: int,
     network: Network,
     data: LaneData,
     task: TaskData,
     actions: Floats,
-    rules: Rules,
-    work: Work,
+    tape: tuple[Rules, Work],
 ) -> None:
     """Go back through one control step of the blocks first … last - 1.
 
     Args:
         blocks: as they stood before the step; as they stand after it on return (n_blocks, n_rows, width).
-        bars: cotangents after the step; on return those before it.
-        observation_bars: of the observations (n_lanes, n_observation).
-        action_bars: takes those of the actions (n_lanes, n_action).
-        constant_bars: those of the constants are added to (n_blocks, n_numbers, width).
+        bars: cotangents.
+        first, last: the range of blocks.
         network, data, task: as for :func:`~wtg_gym.envs.stepping.step_blocks`.
         actions: of the step (n_lanes, n_action).
-        rules, work: see :func:`rules_of` and :func:`work_of`.
+        tape: see :func:`rules_of` and :func:`work_of`.
     """
-    tables, scratch, given, p = network.tables, work.scratch, work.bars, rules.noted
+    rules, work = tape
+    tables, scratch, scratch_bars, p = network.tables, work.scratch, work.bars, rules.noted
     width = blocks.shape[2]
     of_charging = _row(p, network.facts.n_substeps, 0) + p.flows + p.sweep + p.rates
     of_measuring, of_observing = of_charging + p.charged, of_charging + p.charged + p.measured
     for b in range(first, last):
-        block, own, to, lane = blocks[b], bars[b], constant_bars[b], b * width
+        block, block_bars, to, lane = blocks[b], bars.blocks[b], bars.constants[b], b * width
         read_actions(scratch, actions, lane, task)
-        taped, back = (block, scratch, work.tape), (own, given, work.tape, scratch, to)
+        taped, back = (block, scratch, work.tape), (block_bars, scratch_bars, work.tape, scratch, to)
         _act(taped, tables, NONE, 0)
-        _replay(block, scratch, lane, network, data, (rules, work))
+        _replay(block, scratch, lane, network, data, tape)
         _charge(taped, tables, NONE, of_charging)
         _measure(taped, tables, NONE, of_measuring)
         _observe(taped, tables, NONE, of_observing)
 
-        given[:] = 0.0
-        n_own = min(width, actions.shape[0] - lane)
+        scratch_bars[:] = 0.0
+        n_lanes = min(width, actions.shape[0] - lane)
         for k in range(task.observed.shape[0]):
-            for x in range(n_own):
-                given[task.observed[k], x] += observation_bars[lane + x, k]
+            for x in range(n_lanes):
+                scratch_bars[task.observed[k], x] += bars.observations[lane + x, k]
         _observe_back(back, tables, NONE, of_observing)
         _measure_back(back, tables, NONE, of_measuring)
         _charge_back(back, tables, NONE, of_charging)
-        _pull_interval(own, to, network, rules, work)
+        _pull_interval(block_bars, to, network, rules, work)
         _act_back(back, tables, NONE, 0)
         for a in range(task.wanted.shape[0]):
-            for x in range(n_own):
-                action_bars[lane + x, a] = given[task.wanted[a], x]
+            for x in range(n_lanes):
+                bars.actions[lane + x, a] = scratch_bars[task.wanted[a], x]

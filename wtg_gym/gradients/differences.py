@@ -44,10 +44,11 @@ class Differences(tuple[Difference, ...]):
 
     def __str__(self) -> str:
         rows = []
-        for own in self:
-            episode = int(np.argmax(own.error))
-            slopes = (f"{slope[episode]:.6g}" for slope in (own.gradient, own.central, own.below, own.above))
-            rows.append([own.name, str(episode), *slopes, f"{own.error[episode]:.1e}"])
+        for difference in self:
+            name, *slopes = difference
+            episode = int(np.argmax(difference.error))
+            shown = (f"{slope[episode]:.6g}" for slope in slopes)
+            rows.append([name, str(episode), *shown, f"{difference.error[episode]:.1e}"])
         header = ("moved", "episode", "gradient", "central difference", "slope below", "slope above", "error")
         return markdown_table(header, rows, right=range(1, len(header)))
 
@@ -81,9 +82,9 @@ def check_by_differences(
     if not (isinstance(step, (int, float)) and 1e-9 <= step <= 0.1):
         raise ValueError(f"step must be a number in 1e-9 … 0.1, got {step!r}")
     actions, weight = np.asarray(actions, dtype=np.float64), term_weights(weights)
-    way = np.random.default_rng(0).normal(size=actions.shape) if direction is None else np.asarray(direction, float)
-    if way.shape != actions.shape or not np.isfinite(way).all():
-        raise ValueError(f"direction must be finite numbers of the actions' shape {actions.shape}, got {way.shape}")
+    delta = np.random.default_rng(0).normal(size=actions.shape) if direction is None else np.asarray(direction, float)
+    if delta.shape != actions.shape or not np.isfinite(delta).all():
+        raise ValueError(f"direction must be finite numbers of the actions' shape {actions.shape}, got {delta.shape}")
     gradient = tape.gradient(scenarios, actions, weights)
     tape.start(scenarios)
     law, values = tape.law(), tape.parameter_values()
@@ -94,12 +95,12 @@ def check_by_differences(
         below = (base - down) / h_below if h_below > 0.0 else np.full_like(base, math.nan)
         return Difference(name, slope, (up - down) / (h + h_below), below, (up - base) / h)
 
-    along = np.einsum("kla,kla->l", gradient.actions, way)
-    up, down = (plays._replace(actions=actions + h * way).cost() for h in (step, -step))
+    along = np.einsum("kla,kla->l", gradient.actions, delta)
+    up, down = (plays._replace(actions=actions + h * delta).cost() for h in (step, -step))
     rows = [compared("actions", along, up, down, step, step)]
     for i, name in enumerate(LAW_PARAMETERS):
-        one = step * (np.arange(len(LAW_PARAMETERS)) == i)
-        up, down = (plays._replace(law=moved).cost() for moved in (law + one, law - one))
+        shift = step * (np.arange(len(LAW_PARAMETERS)) == i)
+        up, down = (plays._replace(law=moved).cost() for moved in (law + shift, law - shift))
         rows.append(compared(name, gradient.law[:, :, i].sum(axis=1), up, down, step, step))
     for i, (name, value) in enumerate(values.items()):
         h = step * (abs(value) or 1.0)
@@ -124,5 +125,5 @@ class _Plays(NamedTuple):
             self.tape.set_parameters(parameters)
         self.tape.start(self.scenarios)
         self.tape.set_law(self.law)
-        costs: Floats = np.sum([self.tape.step(own)[1] @ self.weight for own in self.actions], axis=0)
+        costs: Floats = np.sum([self.tape.step(actions)[1] @ self.weight for actions in self.actions], axis=0)
         return costs

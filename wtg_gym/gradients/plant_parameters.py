@@ -47,7 +47,7 @@ def known_parameters(plant: Plant) -> dict[str, float]:
     A machine's is named by its bus ("machines.1.governor.droop_pu"), and is that of all machines there; the others are
     those of every WTG group ("control.droop_gain_pu").
     """
-    found: dict[str, float] = {}
+    parameters: dict[str, float] = {}
     for bus in dict.fromkeys(machine.bus for machine in plant.case.machines):
         machines = [machine for machine in plant.case.machines if machine.bus == bus]
         for part, fields in _OF_MACHINES.items():
@@ -59,11 +59,11 @@ def known_parameters(plant: Plant) -> dict[str, float]:
                 values = {getattr(owner, field) for owner in owners}
                 of_rotor = part == "exciter" or field.startswith("t_")
                 if len(values) == 1 and not (is_classical and of_rotor):
-                    found[".".join(filter(None, ("machines", str(bus), part, field)))] = float(values.pop())
+                    parameters[".".join(filter(None, ("machines", str(bus), part, field)))] = float(values.pop())
     if plant.groups:
         for part, fields in _OF_GROUPS.items():
-            found |= {f"{part}.{field}": float(getattr(getattr(plant, part), field)) for field in fields.split()}
-    return found
+            parameters |= {f"{part}.{field}": float(getattr(getattr(plant, part), field)) for field in fields.split()}
+    return parameters
 
 
 def with_parameters(plant: Plant, values: Mapping[str, float]) -> Plant:
@@ -162,13 +162,13 @@ class Moved:
 def _leaves_of(plant: Plant) -> dict[Leaf, float]:
     """Return the numbers of a plant's machines and of its turbine."""
     built = plant_tables(plant)
-    found = {
+    leaves = {
         Leaf("machines", i, leaf): float(machine[leaf])
         for i, machine in enumerate(built.machines)
         for leaf in machine.dtype.names
     }
     turbine = built.turbine[0]
-    return found | {Leaf("turbine", 0, leaf): float(turbine[leaf]) for leaf in turbine.dtype.names}
+    return leaves | {Leaf("turbine", 0, leaf): float(turbine[leaf]) for leaf in turbine.dtype.names}
 
 
 def _slopes_of(plant: Plant, name: str) -> dict[Leaf, float]:

@@ -14,7 +14,7 @@ from wtg_gym.envs.interface import as_actions
 from wtg_gym.envs.lanes import TaskLanes
 from wtg_gym.envs.settings import EnvSettings
 from wtg_gym.envs.stepping import Outputs, bind, step_blocks
-from wtg_gym.gradients.adjoint import N_TAPED, Work, pull, routines_of, rules_of, work_of
+from wtg_gym.gradients.adjoint import N_TAPED, Bars, Work, pull, routines_of, rules_of, work_of
 from wtg_gym.gradients.adjoint import programs_of as taped_programs
 from wtg_gym.gradients.plant_parameters import Moved, known_parameters, require_known_parameters, with_parameters
 from wtg_gym.physics import integration
@@ -58,8 +58,8 @@ class Gradient(NamedTuple):
     parameters: Floats  # with respect to the plant's parameters that the tape was asked for (n_lanes, n_parameters)
 
 
-def _shaped(name: str, given: Any, *shapes: tuple[int, ...]) -> Floats:
-    array: Floats = np.asarray(given, dtype=np.float64)
+def _shaped(name: str, values: Any, *shapes: tuple[int, ...]) -> Floats:
+    array: Floats = np.asarray(values, dtype=np.float64)
     if array.shape not in shapes:
         raise ValueError(f"{name} must have the shape {' or '.join(map(str, shapes))}, got {array.shape}")
     return array
@@ -295,9 +295,9 @@ class Tape:
 
     @undivided
     def _again(self, blocks: Floats, actions: Floats) -> None:
-        own = self.lanes.simulator
-        bound = bind(blocks, own.scratches, own.plant.network, own.data, self.lanes.task_data, self._scratch_outputs)
-        own.threads.run(lambda first, last, worker: step_blocks(bound, actions, first, last, worker, False))
+        sim = self.lanes.simulator
+        bound = bind(blocks, sim.scratches, sim.plant.network, sim.data, self.lanes.task_data, self._scratch_outputs)
+        sim.threads.run(lambda first, last, worker: step_blocks(bound, actions, first, last, worker, False))
 
     def _rows(self, rows: Whole, blocks: Floats | None = None) -> Floats:
         """Return rows of every environment (n_lanes, …), in blocks like those of the simulator; None for these."""
@@ -370,20 +370,20 @@ class Tape:
         added = [np.where(running.reshape(-1, *(1,) * (a.ndim - 1)), a, 0.0) for a in (actions, law, parameters)]
         return np.where(in_blocks, bars, after), running, added
 
-    def _pull_blocks(self, interval: int, blocks: Floats, bars: Floats, seen: Floats) -> tuple[Floats, Floats]:
+    def _pull_blocks(self, interval: int, blocks: Floats, blocks_bars: Floats, seen: Floats) -> tuple[Floats, Floats]:
         """Go back through an interval in all blocks; return cotangents of the actions and of the constants.
 
-        `blocks`, `bars` and `seen` are those of :func:`~wtg_gym.gradients.adjoint.pull`.
+        `blocks_bars` and `seen` are those of the blocks and the observations.
         """
         simulator, network = self.lanes.simulator, self._plant.network
         actions = np.zeros((self.lanes.n_lanes, self.lanes.n_action))
         n_constants = network.tables.numbers.size if self.parameters else 0
         constants = np.zeros((len(blocks), n_constants, simulator.width))
-        arrays, data, task = (blocks, bars, seen, actions, constants), simulator.data, self.lanes.task_data
+        bars, data, task = Bars(blocks_bars, seen, actions, constants), simulator.data, self.lanes.task_data
         taken = self._recording.actions[interval]
         simulator.threads.run(
             lambda first, last, worker: pull(
-                *arrays, first, last, network, data, task, taken, self._rules, self._work(worker)
+                blocks, bars, first, last, network, data, task, taken, (self._rules, self._work(worker))
             )
         )
         return actions, constants
@@ -398,8 +398,8 @@ class Tape:
         """Start episodes and step them with given actions (n_steps, n_lanes, n_action)."""
         self.start(scenarios)
         terms, outputs = [], []
-        for own in actions:
-            terms.append(self.step(own)[1])
+        for action in actions:
+            terms.append(self.step(action)[1])
             outputs.append(self.outputs())
         return Played(np.array(terms), np.array(outputs))
 

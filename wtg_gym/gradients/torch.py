@@ -30,18 +30,18 @@ class _Step(torch.autograd.Function):
     """A step of a tape. One step hands the next a tensor of zeros, whose gradient alone has a meaning."""
 
     @staticmethod
-    def forward(ctx: Any, tape: Tape, left: Any, law: Any, actions: Any) -> tuple[Any, ...]:
+    def forward(ctx: Any, tape: Tape, carried: Any, law: Any, actions: Any) -> tuple[Any, ...]:
         ctx.tape, ctx.step, ctx.start, ctx.dtypes = tape, tape.n_steps, tape.n_starts, (law.dtype, actions.dtype)
         observations, terms = tape.step(actions.detach().to("cpu", torch.float64).contiguous().numpy())
         shown = (torch.from_numpy(array) for array in (observations, terms, tape.outputs()))
-        return torch.zeros_like(left), *shown
+        return torch.zeros_like(carried), *shown
 
     @staticmethod
     @once_differentiable
-    def backward(ctx: Any, left: Any, observations: Any, terms: Any, outputs: Any) -> tuple[Any, Any, Any, Any]:
+    def backward(ctx: Any, carried: Any, observations: Any, terms: Any, outputs: Any) -> tuple[Any, Any, Any, Any]:
         if ctx.start != ctx.tape.n_starts:
             raise RuntimeError("backward() must come before the next start(): the steps of these episodes are gone")
-        seeds = (seed.to(torch.float64).numpy() for seed in (left, terms, observations, outputs))
+        seeds = (seed.to(torch.float64).numpy() for seed in (carried, terms, observations, outputs))
         pulled = ctx.tape.pull(ctx.step, *seeds)
         of_law, of_actions = ctx.dtypes
         return (
@@ -79,15 +79,15 @@ class TorchEpisodes:
                 the order of `LAW_PARAMETERS`; None for those of the settings.
         """
         observations = self.tape.start(scenarios)
-        own = torch.from_numpy(self.tape.law())
-        self._law = own
+        laws = torch.from_numpy(self.tape.law())
+        self._law = laws
         if law is not None:
             law = torch.as_tensor(law)
-            if law.shape not in (own.shape, own.shape[1:]):
+            if law.shape not in (laws.shape, laws.shape[1:]):
                 raise ValueError(
-                    f"law must have the shape {tuple(own.shape[1:])}, or one per environment, got {tuple(law.shape)}"
+                    f"law must have the shape {tuple(laws.shape[1:])}, or one per environment, got {tuple(law.shape)}"
                 )
-            self._law = law.expand(own.shape)
+            self._law = law.expand(laws.shape)
             self.tape.set_law(self._law.detach().to("cpu", torch.float64).numpy())
         self.outputs = None
         self._left = torch.zeros((self.tape.lanes.n_lanes, self.tape.n_carried), dtype=torch.float64)

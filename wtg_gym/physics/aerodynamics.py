@@ -121,15 +121,15 @@ def _tracking_point(deloading: float, turbine: TurbineParameters) -> TrackingPoi
     def cp(ratio: float) -> float:
         return float(power_coefficient(ratio, 0.0, turbine.power_coefficient))
 
-    found = minimize_scalar(lambda x: -cp(x), bounds=(4.0, 12.0), method="bounded", options={"xatol": 1e-6})
+    maximum = minimize_scalar(lambda x: -cp(x), bounds=(4.0, 12.0), method="bounded", options={"xatol": 1e-6})
 
     def slope(ratio: float) -> float:
         return cp(ratio + 1e-4) - cp(ratio - 1e-4)
 
-    if not slope(found.x - 0.5) > 0.0 > slope(found.x + 0.5):
+    if not slope(maximum.x - 0.5) > 0.0 > slope(maximum.x + 0.5):
         raise ValueError("the C_p curve has no maximum at a tip-speed ratio in the allowed range 4 … 12")
     # The maximum is flat: its place is the root of the slope, not the smallest value found.
-    optimum = float(brentq(slope, found.x - 0.5, found.x + 0.5, xtol=1e-12))
+    optimum = float(brentq(slope, maximum.x - 0.5, maximum.x + 0.5, xtol=1e-12))
     ratio = optimum
     if deloading > 0.0:
         target = (1.0 - deloading) * cp(optimum)

@@ -207,9 +207,9 @@ def limiting_reactance(current_re: float, current_im: float, y_re: float, y_im: 
     inverse = 1.0 / max(fma(y_re, y_re, y_im * y_im), 1e-20)
     r, x = y_re * inverse, -y_im * inverse
     current, largest = fma(current_re, current_re, current_im * current_im), current_max * current_max
-    wanted = math.sqrt(max(current * inverse / largest - r * r, 0.0)) - x
+    target = math.sqrt(max(current * inverse / largest - r * r, 0.0)) - x
     # Exactly zero without an excess, whatever the rounding of the root.
-    return select(current > largest, max(wanted, 0.0), 0.0)
+    return select(current > largest, max(target, 0.0), 0.0)
 
 
 def power_limiter(s: LimitState, power: float, most: float, c: ConverterLimits) -> tuple[LimitState, float, float]:

@@ -1,4 +1,4 @@
-"""Kinds of unit besides machines and WTG groups: what a file of one's own says of them, and imposed sources."""
+"""Kinds of unit besides machines and WTG groups: user-defined devices, and imposed sources."""
 
 from __future__ import annotations
 
@@ -22,13 +22,13 @@ _NEEDED = (Joining.PLAN, Joining.SETTLE, Joining.VOLTAGES, Joining.MOVE, Joining
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Devices:
-    """Units of a kind of one's own, each a voltage behind an impedance at a bus.
+    """Units of a user-defined kind, each a voltage behind an impedance at a bus.
 
     Args:
         kind: what they keep. It sees its :data:`~wtg_gym.physics.units.UNITS` by a label, and has a number `connected`.
         buses: bus number of each.
-        impedances: behind which each one's voltage stands [p.u. of the system].
-        reactive_weights: by which each shares the reactive power of its bus, a rating on the base of the system.
+        impedances: internal impedance of each [p.u. of the system].
+        reactive_weights: of each in the reactive power of its bus, a rating on the base of the system.
         constants: of the kind, one entry for each unit.
         systems: by where they join the lists of a step, of :class:`~wtg_gym.physics.units.Joining`: "plan" writes
             `planned_power`, "settle" finds the equilibrium from `start`, "voltages" writes `voltage`, "move" has the
@@ -64,7 +64,7 @@ class Devices:
             raise ValueError(f"no list has a place {unknown[0]!r} for {name}; places: {places}")
         if missing := [place for place in _NEEDED if place not in self.systems]:
             raise ValueError(f"{name} have no systems for {', '.join(missing)}")
-        if others := {one.kind.name for own in self.systems.values() for one in own} - {name}:
+        if others := {entry.kind.name for systems in self.systems.values() for entry in systems} - {name}:
             raise ValueError(f"systems of {', '.join(sorted(others))} cannot join for {name}")
         if set(self.constants) != set(kind.constants):
             raise ValueError(f"{name} have the constants {sorted(kind.constants)}, got {sorted(self.constants)}")
@@ -84,8 +84,8 @@ class Devices:
 
 def joining(units: Sequence[Devices]) -> dict[str, tuple[System, ...]]:
     """Return the systems of devices by the places where they join lists."""
-    places = dict.fromkeys(place for own in units for place in own.systems)
-    return {place: tuple(each for own in units for each in own.systems.get(place, ())) for place in places}
+    places = dict.fromkeys(place for device in units for place in device.systems)
+    return {place: tuple(entry for device in units for entry in device.systems.get(place, ())) for place in places}
 
 
 class SourceState(NamedTuple):
@@ -105,13 +105,13 @@ class SourceInput(NamedTuple):
 
 SOURCES = Kind(
     name="imposed sources",
-    rows={"state": SourceState, "given": SourceInput},
+    rows={"state": SourceState, "inputs": SourceInput},
     sees={"unit": UNITS, "lane": LANE},
     states=("state",),
 )
 
 
-@system(SOURCES, "state", "given")
+@system(SOURCES, "state", "inputs")
 def start_source(start: Terminal, connection: Connection, frame: float) -> tuple[SourceState, SourceInput]:
     """Return the voltage that gives what the power flow asks for, at nominal frequency."""
     drop = quotient(start.current, connection.y)
@@ -120,22 +120,22 @@ def start_source(start: Terminal, connection: Connection, frame: float) -> tuple
 
 
 @system(SOURCES, "voltage")
-def voltage_of_source(state: SourceState, given: SourceInput) -> Phasor:
+def voltage_of_source(state: SourceState, inputs: SourceInput) -> Phasor:
     """Return the voltage behind the impedance."""
     sine, cosine = sine_cosine(state.angle)
-    return Phasor(given.emf * cosine, given.emf * sine)
+    return Phasor(inputs.emf * cosine, inputs.emf * sine)
 
 
 @system(SOURCES, "state_rates")
-def rates_of_source(state: SourceState, given: SourceInput, reference_speed: float, omega_n: float) -> SourceState:
+def rates_of_source(state: SourceState, inputs: SourceInput, reference_speed: float, omega_n: float) -> SourceState:
     """Return the rates."""
-    return SourceState(omega_n * (state.speed - reference_speed), given.ramp)
+    return SourceState(omega_n * (state.speed - reference_speed), inputs.ramp)
 
 
 @system(SOURCES, "sample")
-def sample_source(state: SourceState, given: SourceInput) -> Sample:
-    """Return the angle, which others can slip against; its voltage is beyond doubt."""
-    return Sample(state.angle, 1.0, given.connected, 0.0)
+def sample_source(state: SourceState, inputs: SourceInput) -> Sample:
+    """Return the angle, which others can slip against; the voltage counts as 1 p.u."""
+    return Sample(state.angle, 1.0, inputs.connected, 0.0)
 
 
 stage_of_source = moving(rates_of_source)

@@ -49,19 +49,19 @@ def scenario_name(scenario: Scenario) -> str:
 
 def bus_of_unit(settings: Plant, unit: int) -> int:
     """Return the bus number of a unit: machines, groups, devices."""
-    devices = [bus for own in settings.all_devices for bus in own.buses]
+    devices = [bus for device in settings.all_devices for bus in device.buses]
     return [*(m.bus for m in settings.case.machines), *(group.bus for group in settings.groups), *devices][unit]
 
 
 def unit_name(settings: Plant, unit: int) -> str:
     """Return what an error calls a unit."""
     group = unit - len(settings.case.machines)
-    kind = "the synchronous machine" if group < 0 else f"WTG group {group}"
+    component = "the synchronous machine" if group < 0 else f"WTG group {group}"
     if group >= len(settings.groups):
-        kind = [f"a unit of {own.kind.name}" for own in settings.all_devices for _ in own.buses][
+        component = [f"a unit of {device.kind.name}" for device in settings.all_devices for _ in device.buses][
             group - len(settings.groups)
         ]
-    return f"{kind} at bus {bus_of_unit(settings, unit)}"
+    return f"{component} at bus {bus_of_unit(settings, unit)}"
 
 
 def check_internal_voltages(rows: Floats, scenarios: Sequence[Scenario], settings: Plant, layout: Layout) -> None:
@@ -136,11 +136,11 @@ def _limited(
 ) -> tuple[str, float, float, float]:
     """Return the quantity of a machine that starts beyond its limits, its value, and the limits [p.u.]."""
     machine = settings.case.machines[unit]
-    for own, parameters in controls_of(machine):
-        if own.limits is not None and own.failure == failure:
-            place = np.flatnonzero(layout.seen(own.kind, "machine") == unit)[0]
-            value = rows[layout.rows_of(own.kind, own.limited)[place]]
-            return own.limited, float(value), *own.limits(parameters)
+    for control, parameters in controls_of(machine):
+        if control.limits is not None and control.failure == failure:
+            place = np.flatnonzero(layout.seen(control.kind, "machine") == unit)[0]
+            value = rows[layout.rows_of(control.kind, control.limited)[place]]
+            return control.limited, float(value), *control.limits(parameters)
     if failure == StartFailure.GOVERNOR_LIMIT:
         return "gate", float(rows[layout.machine("gate")[unit]]), *gate_limits(machine.governor)
     exciter = machine.exciter
@@ -296,16 +296,16 @@ def network_events(scenario: Scenario, settings: Plant, plant: PlantTables) -> l
     lost = [event.bus for event in scenario.events if isinstance(event, events.LoadTrip)]
     if len(set(lost)) < len(lost):
         raise ValueError(f"{name} disconnects a load twice; load trips at buses {lost}")
-    found = [each for event in scenario.events for each in _changes(event, scenario.load_level, settings, plant)]
-    _check_lines(name, [event for event in found if event.branch >= 0 and event.factor == 0.0], settings)
+    changes = [change for event in scenario.events for change in _changes(event, scenario.load_level, settings, plant)]
+    _check_lines(name, [event for event in changes if event.branch >= 0 and event.factor == 0.0], settings)
     for verb, units in (
-        ("disconnects", [event.unit for event in found if event.unit >= 0]),
-        ("loses the governor of", [event.governor for event in found if event.governor >= 0]),
+        ("disconnects", [event.unit for event in changes if event.unit >= 0]),
+        ("loses the governor of", [event.governor for event in changes if event.governor >= 0]),
     ):
         for place, unit in enumerate(units):
             if unit in units[:place]:
                 raise ValueError(f"{name} {verb} {unit_name(settings, unit)} twice")
-    return found
+    return changes
 
 
 def _check_lines(name: str, trips: list[NetworkEvent], settings: Plant) -> None:
@@ -365,11 +365,11 @@ def _changes(event: events.Event, load_level: float, settings: Plant, plant: Pla
         end = later("duration_s", event.duration_s)
         return [NetworkEvent(start, end, source=source, ramp=event.rocof_hz_s / case.frequency_hz)]
     if isinstance(event, events.MachineOutage):
-        found = _units_at(event.bus, "synchronous machine", dict(enumerate(case.unit_buses)))
-        if found[0] >= n_sync:
+        units = _units_at(event.bus, "synchronous machine", dict(enumerate(case.unit_buses)))
+        if units[0] >= n_sync:
             # Sources come after the groups.
-            return [NetworkEvent(start, end, unit=unit + n_wtg) for unit in found]
-        return [NetworkEvent(start, end, unit=unit) for unit in found if unit < n_sync]
+            return [NetworkEvent(start, end, unit=unit + n_wtg) for unit in units]
+        return [NetworkEvent(start, end, unit=unit) for unit in units if unit < n_sync]
     if isinstance(event, events.GovernorLoss):
         governed = {number: m.bus for number, m in enumerate(case.machines) if m.governor is not None}
         machines = _units_at(event.bus, "machine with a governor", governed)
@@ -385,7 +385,7 @@ def _changes(event: events.Event, load_level: float, settings: Plant, plant: Pla
 
 def _units_at(bus: int, what: str, buses: Mapping[int, int]) -> list[int]:
     """Return the numbers of the units at a bus, of those whose buses are given by their numbers."""
-    found = [number for number, at in buses.items() if at == bus]
-    if not found:
+    units = [number for number, at in buses.items() if at == bus]
+    if not units:
         raise ValueError(f"no {what} at bus {bus}; buses with one: {sorted(set(buses.values()))}")
-    return found
+    return units

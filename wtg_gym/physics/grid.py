@@ -147,20 +147,20 @@ class NetworkCase(Checked):
         """
         self.bus_index(from_bus)
         self.bus_index(to_bus)
-        found = self._branches_by_ends.get(frozenset((from_bus, to_bus)), [])
-        if 0 < (circuit or 1) <= len(found):
-            return found[(circuit or 1) - 1]
-        if found:
-            raise ValueError(f"no circuit {circuit} between buses {from_bus} and {to_bus}; there are {len(found)}")
+        circuits = self._branches_by_ends.get(frozenset((from_bus, to_bus)), [])
+        if 0 < (circuit or 1) <= len(circuits):
+            return circuits[(circuit or 1) - 1]
+        if circuits:
+            raise ValueError(f"no circuit {circuit} between buses {from_bus} and {to_bus}; there are {len(circuits)}")
         known = ", ".join(f"{b.from_bus}-{b.to_bus}" for b in self.branches)
         raise ValueError(f"no branch {from_bus}-{to_bus} in {self.name}; branches: {known}")
 
     @functools.cached_property
     def _branches_by_ends(self) -> dict[frozenset[int], list[int]]:
-        found: dict[frozenset[int], list[int]] = {}
+        indices: dict[frozenset[int], list[int]] = {}
         for index, branch in enumerate(self.branches):
-            found.setdefault(frozenset((branch.from_bus, branch.to_bus)), []).append(index)
-        return found
+            indices.setdefault(frozenset((branch.from_bus, branch.to_bus)), []).append(index)
+        return indices
 
     def parts_without(self, branches: tuple[int, ...]) -> list[set[int]]:
         """Return the buses of each part that hangs together when the branches of these indices are open."""
@@ -234,10 +234,10 @@ class Grid(Checked):
     @functools.cached_property
     def infeeds_mw(self) -> Mapping[int, float]:
         """What the machines at each bus give together, those included that groups replace [MW]."""
-        found = dict.fromkeys((machine.bus for machine in self.case.machines), 0.0)
+        infeeds = dict.fromkeys((machine.bus for machine in self.case.machines), 0.0)
         for machine in self.case.machines:
-            found[machine.bus] += machine.dispatch_mw
-        return types.MappingProxyType(found)
+            infeeds[machine.bus] += machine.dispatch_mw
+        return types.MappingProxyType(infeeds)
 
     @property
     def largest_loss_mw(self) -> float:
@@ -279,44 +279,44 @@ def read_grid(path: Path) -> Grid:
 @functools.lru_cache(maxsize=64)
 def _grid_of(text: str) -> Grid:
     data = parse_json(text, "it")
-    own = {field.name for field in dataclasses.fields(Grid)} - {"case"}
+    grid_fields = {field.name for field in dataclasses.fields(Grid)} - {"case"}
     if not isinstance(data, dict):
         raise ValueError("it must hold an object")
-    case = {key: value for key, value in data.items() if key not in own}
-    grid: Grid = record_of(Grid, {"case": case, **{key: value for key, value in data.items() if key in own}})
+    case = {key: value for key, value in data.items() if key not in grid_fields}
+    grid: Grid = record_of(Grid, {"case": case, **{key: value for key, value in data.items() if key in grid_fields}})
     return grid
 
 
-def record_of(kind: Any, data: Any) -> Any:
+def record_of(record: Any, data: Any) -> Any:
     """Return a dataclass from a JSON object; the records in it too."""
     if not isinstance(data, Mapping):
-        raise ValueError(f"{kind.__name__} must be an object, got {data!r:.80}")
-    hints = get_type_hints(kind)
-    kinds = {field.name: hints[field.name] for field in dataclasses.fields(kind)}
-    require_known(kind.__name__, data, list(kinds))
+        raise ValueError(f"{record.__name__} must be an object, got {data!r:.80}")
+    hints = get_type_hints(record)
+    field_types = {field.name: hints[field.name] for field in dataclasses.fields(record)}
+    require_known(record.__name__, data, list(field_types))
     nothing = dataclasses.MISSING
-    needed = [each.name for each in dataclasses.fields(kind) if each.default is each.default_factory is nothing]
+    needed = [field.name for field in dataclasses.fields(record) if field.default is field.default_factory is nothing]
     if missing := [name for name in needed if name not in data]:
-        raise ValueError(f"{kind.__name__} {dict(data)!r:.300} misses {', '.join(missing)}")
+        raise ValueError(f"{record.__name__} {dict(data)!r:.300} misses {', '.join(missing)}")
     for name, value in data.items():
-        require_items(kind, name, value)
-    return kind(**{name: _value(kinds[name], value) for name, value in data.items()})
+        require_items(record, name, value)
+    return record(**{name: _value(field_types[name], value) for name, value in data.items()})
 
 
-def _value(kind: Any, value: Any) -> Any:
+def _value(hint: Any, value: Any) -> Any:
     """Return a value as the type of its field says: objects as records, lists as tuples of them."""
-    kinds = [each for each in (get_args(kind) or (kind,)) if dataclasses.is_dataclass(each)]
+    records = [item for item in (get_args(hint) or (hint,)) if dataclasses.is_dataclass(item)]
     if isinstance(value, list):
-        return tuple(record_of(kinds[0], each) if kinds else _value(None, each) for each in value)
-    if not isinstance(value, Mapping) or not kinds:
+        return tuple(record_of(records[0], item) if records else _value(None, item) for item in value)
+    if not isinstance(value, Mapping) or not records:
         return value
-    if kinds[0] not in MODELS.values():
-        return record_of(kinds[0], value)
-    given = dict(value)
-    models = [name for name, each in MODELS.items() if each in kinds]
-    if (model := given.pop("model", None)) not in models:
+    if records[0] not in MODELS.values():
+        return record_of(records[0], value)
+    fields = dict(value)
+    models = [name for name, item in MODELS.items() if item in records]
+    if (model := fields.pop("model", None)) not in models:
         raise ValueError(f"unknown model {model!r}; known here: {', '.join(models)}{did_you_mean(model, models)}")
-    return record_of(MODELS[model], given)
+    return record_of(MODELS[model], fields)
 
 
 def grid_text(grid: Grid) -> str:
@@ -357,17 +357,17 @@ def text_of(data: Mapping[str, Any]) -> str:
 def data_of(record: Any) -> Any:
     """Return a record as JSON-ready data, without what is as by default."""
     if isinstance(record, tuple):
-        return [data_of(each) for each in record]
+        return [data_of(item) for item in record]
     if not dataclasses.is_dataclass(record):
         return record
-    found: dict[str, Any] = {}
-    names = {each: name for name, each in MODELS.items()}
+    data: dict[str, Any] = {}
+    names = {item: name for name, item in MODELS.items()}
     if type(record) in names:
-        found["model"] = names[type(record)]
+        data["model"] = names[type(record)]
     for field in dataclasses.fields(record):
         value = getattr(record, field.name)
         factory: Any = field.default_factory
         default = field.default if factory is dataclasses.MISSING else factory()
         if value != default:
-            found[field.name] = data_of(value)
-    return found
+            data[field.name] = data_of(value)
+    return data

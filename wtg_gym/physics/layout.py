@@ -84,8 +84,8 @@ class Layout:
 
     Args:
         n_units: how many units of each kind there are, in the order of their rows.
-        links: which unit of a kind that it sees each unit of a kind means, (n_units,), by kind and label; where it is
-            left out, the lane, or the unit with the same number.
+        links: index of the unit that each unit of a kind sees, (n_units,), by kind and label; where it is left out, the
+            lane, or the unit with the same number.
 
     Raises:
         ValueError: a kind sees nothing by that label.
@@ -99,7 +99,7 @@ class Layout:
         self.first_scratch, self.n_scratch = self._firsts([n_rows_of(kind.scratch) for kind in n_units])
         #: Number of synchronous machines, WTG groups, units of the network, and extended WTG groups.
         self.n_sync, self.n_wtg, self.n_unit, self.n_extended = map(self.n_units, (MACHINES, GROUPS, UNITS, EXTENSIONS))
-        self._found: dict[tuple[str, str], Whole] = {}
+        self._cached_rows: dict[tuple[str, str], Whole] = {}
 
     def _firsts(self, strides: Sequence[int]) -> tuple[dict[Kind, int], int]:
         edges = np.cumsum([0, *(n * stride for n, stride in zip(self.counts.values(), strides, strict=True))]).tolist()
@@ -116,18 +116,17 @@ class Layout:
 
     def first_rows(self, kind: Kind, part: str) -> Whole:
         """Return the first row of a part of each unit, (n_units,), in the block or in scratch."""
-        if (kind.name, part) not in self._found:
+        if (kind.name, part) not in self._cached_rows:
             in_block = part in kind.rows
             parts, first = (kind.rows, self.first) if in_block else (kind.scratch, self.first_scratch)
-            self._found[kind.name, part] = _every(
+            self._cached_rows[kind.name, part] = _every(
                 first[kind] + _offsets(parts)[part], n_rows_of(parts), self.counts[kind]
             )
-        return self._found[kind.name, part]
+        return self._cached_rows[kind.name, part]
 
     def seen(self, kind: Kind, label: str) -> Whole:
-        """Return which unit of a kind that it sees each unit means, (n_units,)."""
+        """Return the index of the unit that each unit of a kind sees by a label, (n_units,)."""
         n = self.n_units(kind)
-        # Of a lane there is one, and what is attached to a unit stands in its place.
         usual = np.zeros(n, dtype=np.int64) if self.n_units(kind.sees[label]) == 1 else np.arange(n)
         return self._links.get((kind, label), usual)
 
@@ -150,15 +149,15 @@ class Layout:
         return int(self._named(name, "run", (LANE,))[0])
 
     def _named(self, name: str, what: str, kinds: Sequence[Kind]) -> Whole:
-        if (name, what) not in self._found:
+        if (name, what) not in self._cached_rows:
             for kind in kinds:
                 if place_in(kind, name) is not None and (self.counts[kind] or kind is kinds[0]):
-                    self._found[name, what] = self.rows_of(kind, name)
+                    self._cached_rows[name, what] = self.rows_of(kind, name)
                     break
             else:
                 known = itertools.chain(*(names_of(kind) for kind in kinds if self.counts[kind]))
                 raise KeyError(f"{name!r} is no number of a {what} of this plant{did_you_mean(name, known)}")
-        return self._found[name, what]
+        return self._cached_rows[name, what]
 
     @cached_property
     def state_rows(self) -> Whole:
@@ -186,15 +185,15 @@ class Layout:
         for kind, n in self.counts.items():
             for state in kind.states:
                 record = kind.rows[state]
-                own = short_names(record) if is_record(record) else (state,)
-                names += [f"{short.get(kind, kind.name)}{j}.{name}" for j in range(n) for name in own]
+                entries = short_names(record) if is_record(record) else (state,)
+                names += [f"{short.get(kind, kind.name)}{j}.{name}" for j in range(n) for name in entries]
         return tuple(names)
 
 
 def rows_of_lanes(blocks: Floats, rows: Whole, n_lanes: int) -> Floats:
     """Return rows of every environment (n_lanes, …) of blocks (n_blocks, n_rows, width)."""
-    found = blocks[:, rows.ravel(), :].transpose(0, 2, 1)
-    return found.reshape(-1, *rows.shape)[:n_lanes]
+    selected = blocks[:, rows.ravel(), :].transpose(0, 2, 1)
+    return selected.reshape(-1, *rows.shape)[:n_lanes]
 
 
 def put_rows(blocks: Floats, rows: Whole, values: Floats) -> None:
@@ -204,10 +203,10 @@ def put_rows(blocks: Floats, rows: Whole, values: Floats) -> None:
 
 
 def _every(first: int, stride: int, n: int) -> Whole:
-    found: Whole = first + np.arange(n, dtype=np.int64) * stride
+    rows: Whole = first + np.arange(n, dtype=np.int64) * stride
     # Everybody who asks gets the same array.
-    found.setflags(write=False)
-    return found
+    rows.setflags(write=False)
+    return rows
 
 
 OF_LANE = offsets_of(LANE)

@@ -110,8 +110,8 @@ def largest_stable_steps(eigenvalues: npt.ArrayLike) -> Floats:
     Solving Ordinary Differential Equations II, section IV.2.
     """
     # No ray from zero stays in the region, or comes back to it, beyond |z| = 4.
-    given = np.asarray(eigenvalues, dtype=np.complex128)
-    values = -np.abs(given.real) + 1j * given.imag
+    modes = np.asarray(eigenvalues, dtype=np.complex128)
+    values = -np.abs(modes.real) + 1j * modes.imag
     low, high = np.zeros(values.shape), 4.0 / np.maximum(np.abs(values), 1e-9)
     for _ in range(40):
         middle = 0.5 * (low + high)

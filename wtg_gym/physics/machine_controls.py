@@ -41,35 +41,35 @@ class Constants:
         usual = self._values(0, parameters[-1]())
         self.record = named(parameters[-1].MODEL, [(name, type(value)) for name, value in usual.items()])
 
-    def __call__(self, machine: int, given: Any) -> Any:
+    def __call__(self, machine: int, parameters: Any) -> Any:
         """Return the constants of the control of a machine, given by its index."""
-        return self.record(**self._values(machine, given))
+        return self.record(**self._values(machine, parameters))
 
-    def _values(self, machine: int, given: Any) -> dict[str, Any]:
-        own = dict.fromkeys(vars(self.parameters[-1]()), 0.0) | vars(given)
-        inverses = {f"inv_{name.removesuffix('_s')}": inverse(own[name]) for name in own if "_time" in name}
-        return {"machine": machine, **own, **inverses, **self._besides(given)}
+    def _values(self, machine: int, parameters: Any) -> dict[str, Any]:
+        values = dict.fromkeys(vars(self.parameters[-1]()), 0.0) | vars(parameters)
+        inverses = {f"inv_{name.removesuffix('_s')}": inverse(values[name]) for name in values if "_time" in name}
+        return {"machine": machine, **values, **inverses, **self._besides(parameters)}
 
 
 # Blocks: state, input and constants give the rate of the state and the output. Where the inverse of a time constant is
 # 0 there is none: its state stands still, and its output is its input.
 
 
-def lag(state: float, given: float, inv_time: float) -> tuple[float, float]:
+def lag(state: float, signal: float, inv_time: float) -> tuple[float, float]:
     """Return rate and output of 1/(1 + s T)."""
-    return inv_time * (given - state), select(inv_time > 0.0, state, given)
+    return inv_time * (signal - state), select(inv_time > 0.0, state, signal)
 
 
-def lead_lag(state: float, given: float, lead_time: float, inv_lag_time: float) -> tuple[float, float]:
+def lead_lag(state: float, signal: float, lead_time: float, inv_lag_time: float) -> tuple[float, float]:
     """Return rate and output of (1 + s T_lead)/(1 + s T_lag)."""
-    rate, output = lag(state, given, inv_lag_time)
+    rate, output = lag(state, signal, inv_lag_time)
     return rate, output + lead_time * rate
 
 
-def limited_lag(state: float, given: float, inv_time: float, low: float, high: float) -> tuple[float, float]:
+def limited_lag(state: float, signal: float, inv_time: float, low: float, high: float) -> tuple[float, float]:
     """Return rate and output of 1/(1 + s T) with non-windup limits."""
-    rate = limited_rate(inv_time * (given - state), state, low, high)
-    return rate, clip(select(inv_time > 0.0, state, given), low, high)
+    rate = limited_rate(inv_time * (signal - state), state, low, high)
+    return rate, clip(select(inv_time > 0.0, state, signal), low, high)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -106,9 +106,9 @@ def _kind_named(name: str) -> Kind:
     return kind
 
 
-def _kind(what: str, constants: Constants, state: type, **rows: Any) -> Kind:
+def _kind(control: str, constants: Constants, state: type, **rows: Any) -> Kind:
     return _KindOfControl(
-        name=f"{what} {constants.parameters[-1].MODEL}",
+        name=f"{control} {constants.parameters[-1].MODEL}",
         rows={"control": state, **rows},
         constants={"model": constants.record},
         sees={"machine": MACHINES, "unit": UNITS, "lane": LANE},
@@ -174,7 +174,7 @@ def stabiliser(
         control: Any,
         set_point: float,
         speed: float,
-        given: MachineInput,
+        inputs: MachineInput,
         emf: MachineVoltage,
         current: Phasor,
         inv_committed: float,
@@ -182,8 +182,8 @@ def stabiliser(
         model: Any,
     ) -> tuple[Any, float]:
         voltage = terminal_voltage(emf, inv_committed * current.re, inv_committed * current.im, machine)
-        found, signal = rates(control, speed - 1.0, voltage, model)
-        return each(lambda rate: given.connected * rate, found), set_point + signal
+        state_rates, signal = rates(control, speed - 1.0, voltage, model)
+        return each(lambda rate: inputs.connected * rate, state_rates), set_point + signal
 
     return _control(kind, constants, start_stabiliser, rates_of_stabiliser)
 
@@ -213,7 +213,7 @@ def exciter(
     @system(kind, "control_rates", "field_voltage")
     def rates_of_exciter(
         control: Any,
-        given: MachineInput,
+        inputs: MachineInput,
         emf: MachineVoltage,
         current: Phasor,
         inv_committed: float,
@@ -221,8 +221,8 @@ def exciter(
         model: Any,
     ) -> tuple[Any, float]:
         voltage = terminal_voltage(emf, inv_committed * current.re, inv_committed * current.im, machine)
-        found = rates(control, given.voltage_reference, voltage, model)
-        return each(lambda rate: given.connected * rate, found), control.excitation
+        state_rates = rates(control, inputs.voltage_reference, voltage, model)
+        return each(lambda rate: inputs.connected * rate, state_rates), control.excitation
 
     def limits(c: Any) -> tuple[float, float]:
         return c.regulator_min_pu, c.regulator_max_pu
@@ -265,10 +265,10 @@ def governor(
 
     @system(kind, "control_rates", "turbine_torque")
     def rates_of_governor(
-        control: Any, speed: float, given: MachineInput, machine: Machine, model: Any
+        control: Any, speed: float, inputs: MachineInput, machine: Machine, model: Any
     ) -> tuple[Any, float]:
-        found, torque = rates(control, speed, given.gate_reference, given.inv_droop, model)
-        return each(lambda rate: given.connected * rate, found), machine.rating * torque
+        state_rates, torque = rates(control, speed, inputs.gate_reference, inputs.inv_droop, model)
+        return each(lambda rate: inputs.connected * rate, state_rates), machine.rating * torque
 
     checked = StartFailure.GOVERNOR_LIMIT, gate, gate_limits
     return _control(kind, constants, start_governor, rates_of_governor, limit, checked)

@@ -86,19 +86,19 @@ def _filters(p: parameters.FilterStabiliserParameters) -> dict[str, Any]:
 
 
 def _divided(
-    slope: float, state: float, given: float, given_rate: float, given_slope_rate: float, c: Denominator
+    slope: float, state: float, signal: float, signal_rate: float, signal_slope_rate: float, c: Denominator
 ) -> tuple[float, float, float]:
     """Return what divides a signal by 1 + A s + B s²: the rates of both states, and the output.
 
     Without a denominator the rates are those of the signal itself, as far as they are known.
     """
     exists = (c.inv_linear > 0.0) | (c.inv_square > 0.0)
-    slope_rate = c.inv_square * (given - state - c.linear * slope)
-    rate = select(c.inv_square > 0.0, slope, c.inv_linear * (given - state))
+    slope_rate = c.inv_square * (signal - state - c.linear * slope)
+    rate = select(c.inv_square > 0.0, slope, c.inv_linear * (signal - state))
     return (
-        select(exists, slope_rate, given_slope_rate),
-        select(exists, rate, given_rate),
-        select(exists, state, given),
+        select(exists, slope_rate, signal_slope_rate),
+        select(exists, rate, signal_rate),
+        select(exists, state, signal),
     )
 
 
@@ -211,8 +211,8 @@ def hydro_rates(s: HydroState, speed: float, reference: float, inv_droop: float,
     deviation = beyond_dead_band(speed - 1.0, c.dead_band_pu)
     permanent = (reference - s.gate_order) / max(inv_droop, 1e-6)
     error_rate = c.inv_filter_time * (permanent - deviation - s.speed_error)
-    wanted = c.inv_temporary_droop * (c.inv_reset_time * s.speed_error + error_rate)
-    order_rate = clip(wanted, -c.gate_rate_limit_pu_s, c.gate_rate_limit_pu_s)
+    target = c.inv_temporary_droop * (c.inv_reset_time * s.speed_error + error_rate)
+    order_rate = clip(target, -c.gate_rate_limit_pu_s, c.gate_rate_limit_pu_s)
     ratio = s.flow / max(s.hydro_gate, _LEAST_GATE)
     head = ratio * ratio
     rates = HydroState(
@@ -264,8 +264,8 @@ def gast_rates(s: GastState, speed: float, reference: float, inv_droop: float, c
     acts = select(inv_droop > 0.0, 1.0, 0.0)
     demand = reference - inv_droop * beyond_dead_band(speed - 1.0, c.dead_band_pu)
     allowed = c.load_limit_pu + c.temperature_gain * (c.load_limit_pu - s.exhaust)
-    wanted = c.inv_valve_time * (min(demand, allowed) - s.valve)
-    valve = limited_rate(wanted, s.valve, c.gate_min_pu, c.gate_max_pu)
+    target = c.inv_valve_time * (min(demand, allowed) - s.valve)
+    valve = limited_rate(target, s.valve, c.gate_min_pu, c.gate_max_pu)
     combusting, burnt = lag(s.combustion, clip(s.valve, c.gate_min_pu, c.gate_max_pu), c.inv_turbine_time)
     rates = GastState(acts * valve, combusting, c.inv_exhaust_time * (burnt - s.exhaust))
     return rates, burnt - c.turbine_damping_pu * (speed - 1.0)
@@ -307,8 +307,8 @@ def ieeeg1_rates(s: Ieeeg1State, speed: float, reference: float, inv_droop: floa
     acts = select(inv_droop > 0.0, 1.0, 0.0)
     demand = inv_droop * beyond_dead_band(speed - 1.0, c.dead_band_pu)
     governing, led = lead_lag(s.governing, demand, c.lead_time_s, c.inv_lag_time)
-    wanted = clip(c.inv_valve_time * (reference - led - s.valve), c.closing_rate_pu_s, c.opening_rate_pu_s)
-    valve = limited_rate(wanted, s.valve, c.gate_min_pu, c.gate_max_pu)
+    target = clip(c.inv_valve_time * (reference - led - s.valve), c.closing_rate_pu_s, c.opening_rate_pu_s)
+    valve = limited_rate(target, s.valve, c.gate_min_pu, c.gate_max_pu)
     steam_1, after_1 = lag(s.steam_1, clip(s.valve, c.gate_min_pu, c.gate_max_pu), c.inv_pass_time_1)
     steam_2, after_2 = lag(s.steam_2, after_1, c.inv_pass_time_2)
     steam_3, after_3 = lag(s.steam_3, after_2, c.inv_pass_time_3)
@@ -384,17 +384,17 @@ _BY_PARAMETERS = {record: control for control in CONTROLS.values() for record in
 def controls_of(machine: parameters.SynchronousMachineParameters) -> list[tuple[controls.Control, Any]]:
     """Return the controls of a machine that are units of their own, each with its parameters."""
     electric = () if machine.classical else (machine.stabiliser, machine.exciter)
-    own = (*electric, machine.governor)
-    return [(_BY_PARAMETERS[type(record)], record) for record in own if type(record) in _BY_PARAMETERS]
+    records = (*electric, machine.governor)
+    return [(_BY_PARAMETERS[type(record)], record) for record in records if type(record) in _BY_PARAMETERS]
 
 
 def control_constants(machines: Sequence[parameters.SynchronousMachineParameters]) -> dict[str, npt.NDArray[np.void]]:
     """Return the constants of all controls that are units of their own, by the names of their kinds."""
-    found: dict[str, list[Any]] = {}
+    constants: dict[str, list[Any]] = {}
     for index, machine in enumerate(machines):
         for control, record in controls_of(machine):
-            found.setdefault(control.kind.name, []).append(control.constants(index, record))
-    return {name: structured(CONTROLS[name].constants.record, own) for name, own in found.items()}
+            constants.setdefault(control.kind.name, []).append(control.constants(index, record))
+    return {name: structured(CONTROLS[name].constants.record, records) for name, records in constants.items()}
 
 
 def joining_controls(names: Sequence[str]) -> dict[ControlJoining, tuple[System, ...]]:
@@ -403,8 +403,8 @@ def joining_controls(names: Sequence[str]) -> dict[ControlJoining, tuple[System,
     At the start exciters come before the stabilisers: they say what reference they need.
     """
     places: dict[ControlJoining, tuple[System, ...]] = {}
-    for one in (one for name, one in CONTROLS.items() if name in names):
-        for place, systems in one.systems.items():
+    for control in (control for name, control in CONTROLS.items() if name in names):
+        for place, systems in control.systems.items():
             before = places.get(place, ())
             places[place] = (*systems, *before) if place is ControlJoining.SETTLE else (*before, *systems)
     return places

@@ -13,7 +13,7 @@ from wtg_gym.systems.systems import Kind, each, system
 
 MACHINES = Kind(
     name="machines",
-    rows={"state": MachineState, "given": MachineInput, "emf": MachineVoltage, "output": equations.MachineOutput},
+    rows={"state": MachineState, "inputs": MachineInput, "emf": MachineVoltage, "output": equations.MachineOutput},
     scratch={
         "turbine_torque": float,  # of its governor, where that is a unit of its own [p.u.]
         "iron": Saturating,  # zero where no machine saturates
@@ -34,7 +34,7 @@ def reference(speed: float) -> float:
 
 @system(MACHINES, "needed")
 def subtract_machine_power(needed: float, dispatch: float) -> float:
-    """Take off what a machine gives in any wind."""
+    """Subtract the dispatched power of a machine."""
     return needed - dispatch
 
 
@@ -126,7 +126,7 @@ def rates_of_machine(
     state: MachineState,
     emf: MachineVoltage,
     current: Phasor,
-    given: MachineInput,
+    inputs: MachineInput,
     iron: Saturating,
     turbine_torque: float,
     committed: float,
@@ -141,25 +141,25 @@ def rates_of_machine(
     outage a machine keeps its states.
     """
     i_re, i_im = inv_committed * current.re, inv_committed * current.im
-    rates, output = equations.machine_rates(state, emf, i_re, i_im, given, machine, iron, reference_speed, omega_n)
+    rates, output = equations.machine_rates(state, emf, i_re, i_im, inputs, machine, iron, reference_speed, omega_n)
     torque = select(machine.governor.is_unit > 0.5, turbine_torque, output.torque)
-    rates = rates._replace(speed=rates.speed + given.inv_two_h * (torque - output.torque))
-    power, torque = committed * output.power, committed * (given.connected * torque)
-    return each(lambda rate: given.connected * rate, rates), output._replace(power=power, torque=torque)
+    rates = rates._replace(speed=rates.speed + inputs.inv_two_h * (torque - output.torque))
+    power, torque = committed * output.power, committed * (inputs.connected * torque)
+    return each(lambda rate: inputs.connected * rate, rates), output._replace(power=power, torque=torque)
 
 
 @system(MACHINES, "gate_reference", when="secondary control")
 def restore_frequency(
-    state: MachineState, given: MachineInput, machine: Machine, secondary_gain: float, active: float
+    state: MachineState, inputs: MachineInput, machine: Machine, secondary_gain: float, active: float
 ) -> float:
     """Move the gate reference of a governor against the deviation of its speed, an integral within the gate's limits.
 
     Source: UCTE Operation Handbook, appendix 1, load-frequency control.
     """
     g = machine.governor
-    moved = given.gate_reference - secondary_gain * given.inv_droop * (state.speed - 1.0)
-    acts = (active > 0.5) & (given.inv_droop > 0.0) & (given.connected > 0.5)
-    return select(acts, clip(moved, g.gate_min, g.gate_max), given.gate_reference)
+    moved = inputs.gate_reference - secondary_gain * inputs.inv_droop * (state.speed - 1.0)
+    acts = (active > 0.5) & (inputs.inv_droop > 0.0) & (inputs.connected > 0.5)
+    return select(acts, clip(moved, g.gate_min, g.gate_max), inputs.gate_reference)
 
 
 stage_of_machine = units.moving(rates_of_machine, equations.machine_limited, constants=["machine"])

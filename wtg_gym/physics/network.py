@@ -24,9 +24,9 @@ def branch_admittances(branches: tuple[Branch, ...]) -> Complex:
     rows = np.zeros((len(branches), 4), dtype=np.complex128)
     for row, branch in zip(rows, branches, strict=True):
         series = 1.0 / complex(branch.resistance, branch.reactance)
-        own = series + 0.5j * branch.charging
+        diagonal = series + 0.5j * branch.charging
         tap = branch.tap * complex(math.cos(branch.phase_rad), math.sin(branch.phase_rad))
-        row[:] = own / abs(tap) ** 2, -series / tap.conjugate(), -series / tap, own
+        row[:] = diagonal / abs(tap) ** 2, -series / tap.conjugate(), -series / tap, diagonal
     return rows
 
 
@@ -79,8 +79,8 @@ def assemble_admittance(ends: Whole, branch_y: Complex, bus_y: Complex) -> Compl
         bus_y: (n_bus,) [p.u.].
     """
     y = np.diag(bus_y)
-    for (start, end), own in zip(ends, branch_y, strict=True):
-        y[[start, start, end, end], [start, end, start, end]] += own
+    for (start, end), entries in zip(ends, branch_y, strict=True):
+        y[[start, start, end, end], [start, end, start, end]] += entries
     return y
 
 
@@ -140,9 +140,9 @@ def _write_jacobian(a: Floats, turn: Complex, y: Complex, slack: int, buses: Flo
     a[:] = 0.0
     for i in range(n):
         p_row = i - 1 if i > slack else i
-        sum_re, sum_im, own, size = 0.0, 0.0, 0j, buses[i, at.polar]
+        sum_re, sum_im, diagonal, size = 0.0, 0.0, 0j, buses[i, at.polar]
         holds, m_col = buses[i, at.holds_voltage] > 0.5, n - 1
-        own_m = -1
+        diagonal_m = -1
         for j in range(n):
             # Sine and cosine of a pair of buses serve both ways round.
             if j > i and (y[i, j] != 0.0 or y[j, i] != 0.0):
@@ -166,19 +166,19 @@ def _write_jacobian(a: Floats, turn: Complex, y: Complex, slack: int, buses: Flo
                     if not holds and varies:
                         a[q_row, m_col] += s.imag / other
             if j == i:
-                own, own_m = size**2 * y[i, i].conjugate(), m_col
+                diagonal, diagonal_m = size**2 * y[i, i].conjugate(), m_col
             if varies:
                 m_col += 1
         if i != slack:
-            a[p_row, p_row] += own.imag - sum_im
+            a[p_row, p_row] += diagonal.imag - sum_im
             if not holds:
-                a[p_row, own_m] += (sum_re + own.real) / size
+                a[p_row, diagonal_m] += (sum_re + diagonal.real) / size
             a[p_row, n_unknown] = buses[i, at.power] - sum_re
             worst = max(worst, abs(buses[i, at.power] - sum_re))
         if not holds:
             if i != slack:
-                a[q_row, p_row] += sum_re - own.real
-            a[q_row, own_m] += (sum_im + own.imag) / size
+                a[q_row, p_row] += sum_re - diagonal.real
+            a[q_row, diagonal_m] += (sum_im + diagonal.imag) / size
             a[q_row, n_unknown] = buses[i, at.power + 1] - sum_im
             worst = max(worst, abs(buses[i, at.power + 1] - sum_im))
             q_row += 1
@@ -227,7 +227,7 @@ def pattern_of(y: Complex) -> Pattern:
     n = len(y)
     beside = [set(np.flatnonzero((y[k] != 0.0) | (y[:, k] != 0.0)).tolist()) - {k} for k in range(n)]
     pairs = [(a, b) for a in range(n) for b in beside[a] if a < b]
-    queue = [(len(own), k) for k, own in enumerate(beside)]
+    queue = [(len(row), k) for k, row in enumerate(beside)]
     heapq.heapify(queue)
     place, order, rows = np.full(n, -1), list[int](), list[list[int]]()
     while queue:
@@ -242,20 +242,20 @@ def pattern_of(y: Complex) -> Pattern:
             beside[other] |= set(others)
             beside[other] -= {other, bus}
             heapq.heappush(queue, (len(beside[other]), other))
-    later = [sorted(int(place[other]) for other in own) for own in rows]
+    later = [sorted(int(place[other]) for other in row) for row in rows]
     first = np.cumsum([0, *map(len, later)])
-    at = {(k, j): int(first[k]) + i for k, own in enumerate(later) for i, j in enumerate(own)}
+    at = {(k, j): int(first[k]) + i for k, row in enumerate(later) for i, j in enumerate(row)}
     targets, first_target = list[int](), [0]
-    for own in later:
-        for j in own:
-            for m in own:
+    for row in later:
+        for j in row:
+            for m in row:
                 targets.append(-1 - j if j == m else at[min(j, m), max(j, m)])
             first_target.append(len(targets))
     sorted_pairs = [sorted((int(place[a]), int(place[b]))) for a, b in pairs]
     return Pattern(
         order=np.array(order, dtype=np.int64),
         first=np.array(first, dtype=np.int64),
-        later=np.array([j for own in later for j in own], dtype=np.int64),
+        later=np.array([j for row in later for j in row], dtype=np.int64),
         first_target=np.array(first_target, dtype=np.int64),
         target=np.array(targets, dtype=np.int64),
         entry_of=np.array([at[a, b] for a, b in sorted_pairs], dtype=np.int64),
@@ -278,18 +278,18 @@ def _set(block: Floats, a: float, b: float, c: float, d: float) -> None:
 
 
 @compiled
-def solve_blocks(own: Floats, above: Floats, below: Floats, x: Floats, pattern: Pattern) -> bool:
+def solve_blocks(diagonal: Floats, above: Floats, below: Floats, x: Floats, pattern: Pattern) -> bool:
     """Solve a block matrix with symmetric pattern by elimination, in place; False where a diagonal block is singular.
 
     Args:
-        own: blocks on the diagonal (n_bus, 2, 2), in the pattern's order; their inverses on return.
+        diagonal: blocks on the diagonal (n_bus, 2, 2), in the pattern's order; their inverses on return.
         above, below: blocks of the entries, right of the diagonal and below it (n_entries, 2, 2).
         x: right-hand side, then the solution (n_bus, 2).
         pattern: of the matrix.
     """
     inverse = np.empty((2, 2))
-    for k in range(len(own)):
-        d = own[k]
+    for k in range(len(diagonal)):
+        d = diagonal[k]
         det = d[0, 0] * d[1, 1] - d[0, 1] * d[1, 0]
         if not abs(det) > 1e-30:
             return False
@@ -300,27 +300,27 @@ def solve_blocks(own: Floats, above: Floats, below: Floats, x: Floats, pattern: 
         for e in range(begin, end):
             j, low = pattern.later[e], below[e]
             for r in range(2):
-                one, two = low[r, 0], low[r, 1]
-                low[r, 0] = one * d[0, 0] + two * d[1, 0]
-                low[r, 1] = one * d[0, 1] + two * d[1, 1]
+                first, second = low[r, 0], low[r, 1]
+                low[r, 0] = first * d[0, 0] + second * d[1, 0]
+                low[r, 1] = first * d[0, 1] + second * d[1, 1]
             x[j, 0] -= low[0, 0] * x[k, 0] + low[0, 1] * x[k, 1]
             x[j, 1] -= low[1, 0] * x[k, 0] + low[1, 1] * x[k, 1]
             for i in range(end - begin):
                 target = pattern.target[pattern.first_target[e] + i]
                 if target < 0:
-                    _less_product(own[-1 - target], low, above[begin + i])
+                    _less_product(diagonal[-1 - target], low, above[begin + i])
                 elif j < pattern.later[begin + i]:
                     _less_product(above[target], low, above[begin + i])
                 else:
                     _less_product(below[target], low, above[begin + i])
-    for k in range(len(own) - 1, -1, -1):
+    for k in range(len(diagonal) - 1, -1, -1):
         for e in range(pattern.first[k], pattern.first[k + 1]):
             j = pattern.later[e]
             x[k, 0] -= above[e, 0, 0] * x[j, 0] + above[e, 0, 1] * x[j, 1]
             x[k, 1] -= above[e, 1, 0] * x[j, 0] + above[e, 1, 1] * x[j, 1]
-        one, two = x[k, 0], x[k, 1]
-        x[k, 0] = own[k, 0, 0] * one + own[k, 0, 1] * two
-        x[k, 1] = own[k, 1, 0] * one + own[k, 1, 1] * two
+        first, second = x[k, 0], x[k, 1]
+        x[k, 0] = diagonal[k, 0, 0] * first + diagonal[k, 0, 1] * second
+        x[k, 1] = diagonal[k, 1, 0] * first + diagonal[k, 1, 1] * second
     return True
 
 
@@ -331,15 +331,15 @@ def solve_sparse_flow(y: Complex, slack: int, buses: Floats, at: PowerFlow, patt
     The tolerance grows with the powers that meet at a bus, whose sum rounding limits.
     """
     n = y.shape[0]
-    own, x, flow, size = np.empty((n, 2, 2)), np.empty((n, 2)), np.empty(n, np.complex128), np.empty(n)
+    diagonal, x, flow, size = np.empty((n, 2, 2)), np.empty((n, 2)), np.empty(n, np.complex128), np.empty(n)
     above, below = np.empty((len(pattern.later), 2, 2)), np.empty((len(pattern.later), 2, 2))
     for iteration in range(_STEPS):
         _write_flows((above, below, flow, size), y, buses, at, pattern)
-        worst = _write_rows((own, above, below, x), (flow, size), y, slack, buses, at, pattern)
+        worst = _write_rows((diagonal, above, below, x), (flow, size), y, slack, buses, at, pattern)
         if worst < _TOLERANCE:
             note_flow(y, buses, at)
             return iteration
-        if not math.isfinite(worst) or not solve_blocks(own, above, below, x, pattern):
+        if not math.isfinite(worst) or not solve_blocks(diagonal, above, below, x, pattern):
             return -1
         for place in range(n):
             k = pattern.order[place]
@@ -361,33 +361,33 @@ def _write_flows(arrays: Any, y: Complex, buses: Floats, at: PowerFlow, pattern:
         flow[k], size[k] = square * y[k, k].conjugate(), square * abs(y[k, k])
     for p in range(len(pattern.pairs)):
         a, b, e = pattern.pairs[p, 0], pattern.pairs[p, 1], pattern.entry_of[p]
-        there = voltage[a] * (y[a, b] * voltage[b]).conjugate()
+        forth = voltage[a] * (y[a, b] * voltage[b]).conjugate()
         back = voltage[b] * (y[b, a] * voltage[a]).conjugate()
-        flow[a], flow[b] = flow[a] + there, flow[b] + back
-        size[a], size[b] = size[a] + abs(there), size[b] + abs(back)
+        flow[a], flow[b] = flow[a] + forth, flow[b] + back
+        size[a], size[b] = size[a] + abs(forth), size[b] + abs(back)
         # Rows: P and Q of the bus; columns: angle and relative magnitude of the other.
-        _set(above[e], there.imag, there.real, -there.real, there.imag)
+        _set(above[e], forth.imag, forth.real, -forth.real, forth.imag)
         _set(below[e], back.imag, back.real, -back.real, back.imag)
 
 
 @internal
 def _write_rows(blocks: Any, flows: Any, y: Any, slack: int, buses: Any, at: PowerFlow, pattern: Pattern) -> float:
     """Write mismatches and diagonal blocks, without what is held; return the largest mismatch, relative to the sum."""
-    (own, above, below, x), (flow, size) = blocks, flows
+    (diagonal, above, below, x), (flow, size) = blocks, flows
     worst = 0.0
     for place in range(y.shape[0]):
         k = pattern.order[place]
         square = buses[k, at.polar] * buses[k, at.polar]
         p, q = flow[k].real, flow[k].imag
         g, b = square * y[k, k].real, -square * y[k, k].imag
-        _set(own[place], b - q, p + g, p - g, q + b)
+        _set(diagonal[place], b - q, p + g, p - g, q + b)
         x[place, 0], x[place, 1] = buses[k, at.power] - p, buses[k, at.power + 1] - q
         if k == slack:
-            own[place, 0, 0], own[place, 0, 1], x[place, 0] = 1.0, 0.0, 0.0
+            diagonal[place, 0, 0], diagonal[place, 0, 1], x[place, 0] = 1.0, 0.0, 0.0
         else:
             worst = max(worst, abs(x[place, 0]) / max(size[k], 1.0))
         if buses[k, at.holds_voltage] > 0.5:
-            own[place, 1, 0], own[place, 1, 1], x[place, 1] = 0.0, 1.0, 0.0
+            diagonal[place, 1, 0], diagonal[place, 1, 1], x[place, 1] = 0.0, 1.0, 0.0
         else:
             worst = max(worst, abs(x[place, 1]) / max(size[k], 1.0))
         for e in range(pattern.first[place], pattern.first[place + 1]):

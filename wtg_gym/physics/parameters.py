@@ -52,8 +52,8 @@ def constants_of(record: type[R], parameters: Any, **others: Any) -> R:
     values = {_UNIT.sub("", field.name): getattr(parameters, field.name) for field in dataclasses.fields(parameters)}
     for name in record._fields:  # type: ignore[attr-defined]
         if name not in others:
-            given = values[name.removeprefix("inv_")]
-            others[name] = 1.0 / given if name.startswith("inv_") else given
+            value = values[name.removeprefix("inv_")]
+            others[name] = 1.0 / value if name.startswith("inv_") else value
     return record(**others)
 
 
@@ -282,8 +282,8 @@ class WtgGroup(Checked):
 
     def to_dict(self) -> dict[str, Any]:
         """Return the group as JSON-ready data, with its turbine if it has one of its own."""
-        own = {} if self.turbine is None else {"turbine": dataclasses.asdict(self.turbine)}
-        return {"bus": int(self.bus), "n_turbines": float(self.n_turbines), **own}
+        turbine = {} if self.turbine is None else {"turbine": dataclasses.asdict(self.turbine)}
+        return {"bus": int(self.bus), "n_turbines": float(self.n_turbines), **turbine}
 
 
 def default_groups(n_groups: int = 2, bus: int = 2) -> tuple[WtgGroup, ...]:

@@ -114,7 +114,7 @@ class Plant(Checked):
                 "runs start at nominal frequency, so that frequency_setpoint_pu must be 1 p.u., got "
                 f"{self.control.frequency_setpoint_pu:g} p.u."
             )
-        if any(own.power_coefficient != self.turbines[0].power_coefficient for own in self.turbines):
+        if any(turbine.power_coefficient != self.turbines[0].power_coefficient for turbine in self.turbines):
             raise ValueError("the turbines of all groups must have one C_p curve, or one table of it")
         total = sum(stage.share for stage in self.shedding)
         if total > 1.0 + 1e-12:
@@ -168,8 +168,8 @@ class Plant(Checked):
     def turbines(self) -> tuple[TurbineParameters, ...]:
         """Turbines of each group; whether a rotor keeps its energy is a choice for all."""
         keeps = self.turbine.conserves_energy
-        own = (group.turbine and dataclasses.replace(group.turbine, conserves_energy=keeps) for group in self.groups)
-        return tuple(turbine or self.turbine for turbine in own)
+        chosen = (group.turbine and dataclasses.replace(group.turbine, conserves_energy=keeps) for group in self.groups)
+        return tuple(turbine or self.turbine for turbine in chosen)
 
     @functools.cached_property
     def extended(self) -> bool:
@@ -228,7 +228,7 @@ class PlantTables(NamedTuple):
     share: Floats  # rating of each WTG group on the system base (n_wtg,)
     cells: Floats  # of the rotor's C_p table (n, m, 16)
     saturation: tuple[RotorSaturation, ...]  # of each machine (n_sync,)
-    own_controls: Mapping[str, npt.NDArray[np.void]]  # constants of those that are units, by the names of kinds
+    controls: Mapping[str, npt.NDArray[np.void]]  # constants of those that are units, by the names of kinds
     extension: npt.NDArray[np.void]  # likewise, of Extension; (0,) where the groups are not extended
     shedding: npt.NDArray[np.void]  # (n_stages,), of SheddingConstants
     buses: npt.NDArray[np.void]  # (n_bus,), of Bus
@@ -238,7 +238,7 @@ class PlantTables(NamedTuple):
     @property
     def saturates(self) -> bool:
         """Whether the rotor of any machine saturates."""
-        return any(own.curve.gain > 0.0 for own in self.saturation)
+        return any(rotor.curve.gain > 0.0 for rotor in self.saturation)
 
     @property
     def device_units(self) -> list[Whole]:
@@ -288,7 +288,7 @@ def plant_tables(settings: Plant) -> PlantTables:
         share=np.array(share, dtype=np.float64),
         cells=surface_of(of_groups[0].power_coefficient)[1],
         saturation=tuple(rotor_saturation(machine) for machine in case.machines),
-        own_controls=control_constants(case.machines),
+        controls=control_constants(case.machines),
         extension=structured(Extension, extensions * settings.extended),
         shedding=structured(SheddingConstants, stages * (ISLANDS_AT_MOST if settings.extended else 1)),
         buses=structured(Bus, _buses_of(case, network.unit_bus)),
@@ -395,13 +395,11 @@ def _units_of(plant: PlantTables) -> tuple[dict[Kind, int], dict[tuple[Kind, str
     extended, n_bus, n = plant.extension.size > 0, plant.buses.size, unit_bus.size
     n_islands, groups = ISLANDS_AT_MOST if extended else 1, n_sync + np.arange(n_wtg)
     limited = groups if extended else groups[:0]
-    # Numbers of the units of every pair, of those on other islands, and at every bus; only an extended plant finds the
-    # voltages of buses.
+    # Units of every pair, of the islands but the grid, and of every bus: extended plants alone find voltages of buses.
     row, column = _nested(n, n)
     island, member = _nested(n_islands - 1, n)
     bus, unit = _nested(n_bus if extended else 0, n)
-    # One column of the admittances after the other: its group, the units of its rows.
-    of_group, of_column = _nested(limited.size, n)
+    column_group, column_unit = _nested(limited.size, n)
     n_units = {
         MACHINES: n_sync,
         GROUPS: n_wtg,
@@ -416,7 +414,7 @@ def _units_of(plant: PlantTables) -> tuple[dict[Kind, int], dict[tuple[Kind, str
         PAIRS: row.size,
         STAGES: plant.shedding.size,
         FIRST_MACHINE: min(n_sync, 1),
-        COLUMNS: of_column.size,
+        COLUMNS: column_unit.size,
         **dict.fromkeys((control.kind for control in CONTROLS.values()), 0),
     }
     links = {
@@ -435,10 +433,10 @@ def _units_of(plant: PlantTables) -> tuple[dict[Kind, int], dict[tuple[Kind, str
         (PAIRS, "column_"): column,
         (EXTENSIONS, "unit"): limited,
         (EXTENSIONS, "bus_"): unit_bus[limited],
-        (EXTENSIONS, "own_entry_"): limited * (n + 1),
-        (COLUMNS, "entry"): of_column * n + limited[of_group],
-        (COLUMNS, "unit"): of_column,
-        (COLUMNS, "group"): of_group,
+        (EXTENSIONS, "diagonal_"): limited * (n + 1),
+        (COLUMNS, "entry"): column_unit * n + limited[column_group],
+        (COLUMNS, "unit"): column_unit,
+        (COLUMNS, "group"): column_group,
     }
     return n_units, links
 
@@ -446,7 +444,7 @@ def _units_of(plant: PlantTables) -> tuple[dict[Kind, int], dict[tuple[Kind, str
 def layout_of(plant: PlantTables, task: TaskUnits = NO_TASK) -> Layout:
     """Return where the numbers of a plant's environments lie, with those of devices and of a task behind them."""
     n_units, links = _units_of(plant)
-    for name, constants in plant.own_controls.items():
+    for name, constants in plant.controls.items():
         kind, of_machine = CONTROLS[name].kind, constants["machine"]
         n_units[kind] = constants.size
         links |= {(kind, "machine"): of_machine, (kind, "unit"): of_machine}
@@ -467,15 +465,15 @@ def layout_of(plant: PlantTables, task: TaskUnits = NO_TASK) -> Layout:
 
 def programs_of(plant: PlantTables, *programs: Program) -> tuple[Program, ...]:
     """Return programs with the systems of a plant's devices, and of controls that only some machines have."""
-    return _joined(plant.devices, tuple(plant.own_controls), programs)
+    return _joined(plant.devices, tuple(plant.controls), programs)
 
 
 @functools.lru_cache(maxsize=64)
 def _joined(
     devices: tuple[Devices, ...], controls: tuple[str, ...], programs: tuple[Program, ...]
 ) -> tuple[Program, ...]:
-    found = joining(devices) | joining_controls(controls)
-    return tuple(program.joined(found) for program in programs)
+    systems = joining(devices) | joining_controls(controls)
+    return tuple(program.joined(systems) for program in programs)
 
 
 class PlantMap:
@@ -494,16 +492,16 @@ class PlantMap:
             "saturates": plant.saturates,
             "secondary control": plant.of_lane["secondary_gain"] > 0.0,
         }
-        added = [*task.has, *(condition for own in plant.devices for condition in own.has)]
+        added = [*task.has, *(condition for device in plant.devices for condition in device.has)]
         require_known("conditions", added, [condition for kind in layout.counts for condition in kind.conditions])
         self._has = {*(condition for condition, holds in has.items() if holds), *added}
         ratings, weights = plant.machines["rating"].tolist(), plant.machines["reactive_weight"].tolist()
         sizes = [(rating, weight, 0.0) for rating, weight in zip(ratings, weights, strict=True)]
         sizes += [(0.0, 0.0, weight) for weight in plant.share.tolist()]
         sizes += [
-            (weight, weight, 0.0) if own.balances else (0.0, 0.0, weight)
-            for own in plant.devices
-            for weight in own.reactive_weights
+            (weight, weight, 0.0) if device.balances else (0.0, 0.0, weight)
+            for device in plant.devices
+            for weight in device.reactive_weights
         ]
         shares = [*plant.participation.tolist(), *[0.0] * (len(sizes) - plant.machines.size)]
         connections = [
@@ -526,8 +524,8 @@ class PlantMap:
             (UNITS, "connection"): connections,
             (ISLANDS, "number"): np.arange(float(layout.n_units(ISLANDS))),
             **{(LANE, name): [value] for name, value in plant.of_lane.items()},
-            **{(CONTROLS[name].kind, "model"): values for name, values in plant.own_controls.items()},
-            **{(own.kind, name): values for own in plant.devices for name, values in own.constants.items()},
+            **{(CONTROLS[name].kind, "model"): values for name, values in plant.controls.items()},
+            **{(device.kind, name): values for device in plant.devices for name, values in device.constants.items()},
             **task.constants,
         }
 
@@ -553,11 +551,11 @@ def with_places(
     spans["stages"] = Span(layout.span(STAGES).first, n_islands, layout.n_units(STAGES) // n_islands)
     spans["starting"], spans["planning"] = layout.span(LANE, scratch=True), layout.span(BUSES, scratch=True)
     connected = [layout.machine("connected"), layout.wtg("connected")]
-    connected += [layout.rows_of(own.kind, "connected") for own in plant.devices]
+    connected += [layout.rows_of(device.kind, "connected") for device in plant.devices]
     angles = [layout.machine("angle"), layout.wtg("angle")]
-    for own in plant.devices:
-        turns = place_in(own.kind, "angle") is not None
-        angles.append(layout.rows_of(own.kind, "angle") if turns else np.full(len(own.buses), -1))
+    for device in plant.devices:
+        turns = place_in(device.kind, "angle") is not None
+        angles.append(layout.rows_of(device.kind, "angle") if turns else np.full(len(device.buses), -1))
     facts = plant.network.facts._replace(**spans)
     tables = build_table(programs, PlantMap(plant, layout, task), taped)
     tables = tables._replace(code=plant.network.tables.code)

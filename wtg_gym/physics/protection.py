@@ -18,7 +18,7 @@ from typing import NamedTuple
 from wtg_gym.physics import units, wind_turbine
 from wtg_gym.physics.machine import MachineInput, MachineOutput, MachineState
 from wtg_gym.physics.machine_unit import MACHINES
-from wtg_gym.physics.units import BUSES, ISLANDS, LANE, UNITS, Phasor, Sample, Spread, Sums, plus
+from wtg_gym.physics.units import BUSES, ISLANDS, LANE, UNITS, Phasor, Sample, Spread, Sums, Verdict, plus
 from wtg_gym.physics.wind_turbine import Turbine, WtgInput, WtgOutput, WtgState
 from wtg_gym.physics.wtg_unit import GROUPS
 from wtg_gym.systems.elementary import exponential, fma, select
@@ -61,20 +61,20 @@ def turn_between(before: Phasor, now: Phasor) -> float:
 
 @system(UNITS, "noise_voltage", when="extended")
 def add_noise_voltage(transfer_back: Phasor, voltage: Phasor, noise_voltage: Phasor) -> Phasor:
-    """Add what a unit brings to it."""
+    """Add a unit's part of the voltage at the bus of the load noise."""
     return plus(noise_voltage, transfer_back, voltage)
 
 
 @system(LANE, "noise_voltage", when="extended")
 def noise_current(noise_voltage: Phasor, noise_factor: Phasor) -> Phasor:
-    """Turn it into the current of the load noise [p.u.]."""
+    """Return the current of the load noise [p.u.]: that voltage times its admittance."""
     return plus(Phasor(0.0, 0.0), noise_voltage, noise_factor)
 
 
-@system(BUSES, "now", when="extended")
-def with_noise(now: Phasor, noise_voltage: Phasor, noise_transfer: Phasor) -> Phasor:
-    """Take from the voltage of a bus what the load noise draws."""
-    return plus(now, Phasor(-noise_voltage.re, -noise_voltage.im), noise_transfer)
+@system(BUSES, "present_voltage", when="extended")
+def with_noise(present_voltage: Phasor, noise_voltage: Phasor, noise_transfer: Phasor) -> Phasor:
+    """Subtract from the voltage of a bus the drop that the load noise causes."""
+    return plus(present_voltage, Phasor(-noise_voltage.re, -noise_voltage.im), noise_transfer)
 
 
 #: Voltages of all buses, from those of all units.
@@ -82,7 +82,7 @@ BUS_VOLTAGES = (
     setting(LANE, "extended", noise_voltage=Phasor(0.0, 0.0)),
     add_noise_voltage,
     noise_current,
-    Product(units.TRANSFERS, "share", UNITS, "voltage", "now", of=BUSES),
+    Product(units.TRANSFERS, "share", UNITS, "voltage", "present_voltage", of=BUSES),
     with_noise,
 )
 
@@ -91,7 +91,7 @@ BUS_VOLTAGES = (
 def reset_frequency_sample(
     angle: float, sampled_angle: float, step: float, sampled_step: float, omega_n: float, simulation_dt: float
 ) -> tuple[float, float, units.Sampled]:
-    """Begin to look for the frequency that is farthest from nominal, and find how far the frame has turned."""
+    """Reset the extremes of the frequencies, and find how far the frame has turned since the last sample."""
     passed = max(step - sampled_step, 1.0) * simulation_dt
     gain = 1.0 - exponential(passed * (-1.0 / FILTER_S))
     return math.inf, -math.inf, units.Sampled(1.0 / (omega_n * passed), angle - sampled_angle, gain)
@@ -100,7 +100,7 @@ def reset_frequency_sample(
 @system(BUSES, "phasor", "magnitude", "frequency", "lowest", "highest", when="extended")
 def sample_bus(
     phasor: Phasor,
-    now: Phasor,
+    present_voltage: Phasor,
     magnitude: float,
     frequency: float,
     island: float,
@@ -111,16 +111,17 @@ def sample_bus(
     active: float,
 ) -> tuple[Phasor, float, float, float, float]:
     """Return the new voltage, the frequency that its turn shows, and the extremes with it."""
-    measured = 1.0 + (sampled.turn + turn_between(phasor, now)) * sampled.per_turn
+    measured = 1.0 + (sampled.turn + turn_between(phasor, present_voltage)) * sampled.per_turn
     live, runs = island >= 0.0, active > 0.5
-    size = math.sqrt(fma(now.re, now.re, now.im * now.im))
+    size = math.sqrt(fma(present_voltage.re, present_voltage.re, present_voltage.im * present_voltage.im))
     seen = runs & live & (size > units.LOW_VOLTAGE)
     # A bus that had no voltage begins with the grid's frequency.
     moved = select(magnitude > units.LOW_VOLTAGE, frequency + sampled.gain * (measured - frequency), coi)
-    found = select(seen, moved, frequency)
-    held = Phasor(select(runs, now.re, phasor.re), select(runs, now.im, phasor.im))
+    filtered = select(seen, moved, frequency)
+    held = Phasor(select(runs, present_voltage.re, phasor.re), select(runs, present_voltage.im, phasor.im))
     size = select(runs, size, magnitude)
-    return held, size, found, min(lowest, select(live, found, lowest)), max(highest, select(live, found, highest))
+    lowest, highest = min(lowest, select(live, filtered, lowest)), max(highest, select(live, filtered, highest))
+    return held, size, filtered, lowest, highest
 
 
 @system(UNITS, "lowest", "highest", when="extended")
@@ -156,9 +157,9 @@ LOCAL = (*BUS_VOLTAGES, reset_frequency_sample, sample_bus, sample_unit, note_wo
 
 
 @system(BUSES, "phasor", "magnitude", "frequency", when="extended")
-def start_bus(now: Phasor) -> tuple[Phasor, float, float]:
+def start_bus(present_voltage: Phasor) -> tuple[Phasor, float, float]:
     """Return the voltage that a run starts with, at nominal frequency."""
-    return now, math.hypot(now.re, now.im), 1.0
+    return present_voltage, math.hypot(present_voltage.re, present_voltage.im), 1.0
 
 
 #: Protections sample the grid at the end of every control interval, and at least this often within a longer one [s].
@@ -200,25 +201,25 @@ STAGES = Kind(
 
 
 def _added(two_h: float, omega: float, counts: bool, sums: Sums) -> Sums:
-    own = select(counts, two_h, 0.0)
-    return Sums(sums.momentum + own * (omega - 1.0), sums.inertia + own)
+    inertia = select(counts, two_h, 0.0)
+    return Sums(sums.momentum + inertia * (omega - 1.0), sums.inertia + inertia)
 
 
 @system(MACHINES, "sums", "weight", "omega")
 def add_machine(
-    state: MachineState, given: MachineInput, committed: float, island: float, sums: Sums
+    state: MachineState, inputs: MachineInput, committed: float, island: float, sums: Sums
 ) -> tuple[Sums, float, float]:
     """Add a machine to the sums of the grid; return its inertia and frequency, for those of other islands."""
-    two_h, omega = committed * (given.connected / given.inv_two_h), state.speed
+    two_h, omega = committed * (inputs.connected / inputs.inv_two_h), state.speed
     return _added(two_h, omega, island == 0.0, sums), two_h, omega
 
 
 @system(GROUPS, "sums", "weight", "omega")
 def add_group(
-    state: WtgState, given: WtgInput, output: WtgOutput, turbine: Turbine, share: float, island: float, sums: Sums
+    state: WtgState, inputs: WtgInput, output: WtgOutput, turbine: Turbine, share: float, island: float, sums: Sums
 ) -> tuple[Sums, float, float]:
     """Add a WTG group to the sums of the grid; return its inertia and frequency, for those of other islands."""
-    two_h = turbine.converter.two_h * share * given.connected
+    two_h = turbine.converter.two_h * share * inputs.connected
     omega = wind_turbine.frequency_of(state, output)
     return _added(two_h, omega, island == 0.0, sums), two_h, omega
 
@@ -246,7 +247,7 @@ def centre_of_grid(centre: float, coi_min: float, coi_max: float) -> tuple[float
 @system(GROUPS, "extremes")
 def track_extremes(
     state: WtgState,
-    given: WtgInput,
+    inputs: WtgInput,
     output: WtgOutput,
     extremes: wind_turbine.WtgExtremes,
     turbine: Turbine,
@@ -255,7 +256,7 @@ def track_extremes(
 ) -> wind_turbine.WtgExtremes:
     """Return a group's extremes; its power is that of the step's last stage, which lies at the step's end."""
     ratio = wind_turbine.tip_speed_ratio(state.rotor_speed, output.wind, turbine.rotor)
-    turning = (active > 0.5) & (given.connected > 0.5)
+    turning = (active > 0.5) & (inputs.connected > 0.5)
     overloaded = turning & (output.power > turbine.converter.overload_limit)
     return wind_turbine.WtgExtremes(
         peak_power=select(turning, max(extremes.peak_power, output.power), extremes.peak_power),
@@ -267,13 +268,13 @@ def track_extremes(
 
 @system(LANE, "alarm", "was_low")
 def reset_alarm(was_low: float) -> tuple[float, float]:
-    """Look at the stages once more after a low frequency."""
+    """Check the stages of shedding once more after a low frequency."""
     return was_low, 0.0
 
 
 @system(ISLANDS, "alarm", "was_low", when="sheds")
 def alarm_island(centre: float, alarm: float, was_low: float, shedding_speed: float) -> tuple[float, float]:
-    """Look at the stages while the frequency of an island is below that of the first."""
+    """Check the stages while the frequency of an island is below that of the first."""
     low = centre < shedding_speed
     return select(low, 1.0, alarm), select(low, 1.0, was_low)
 
@@ -288,7 +289,7 @@ def shed_load(
     active: float,
     simulation_dt: float,
 ) -> tuple[float, float]:
-    """Let a stage act whose time has come; the network changes before the next step."""
+    """Shed a stage whose delay has passed; the network changes before the next step."""
     waits = (shed >= 0.0) & (active > 0.5)
     count = select(centre >= stage.speed, 0.0, shed + 1.0)
     late = count * simulation_dt >= stage.delay - 1e-9
@@ -306,19 +307,19 @@ def count_shed_energy(shed_energy: float, unserved: float, active: float, simula
 
 
 @system(MACHINES, "sample")
-def sample_machine(state: MachineState, given: MachineInput, output: MachineOutput) -> Sample:
+def sample_machine(state: MachineState, inputs: MachineInput, output: MachineOutput) -> Sample:
     """Return what is compared of a machine; its terminal is a bus of the network."""
-    return Sample(state.angle, output.voltage * output.voltage, given.connected, 0.0)
+    return Sample(state.angle, output.voltage * output.voltage, inputs.connected, 0.0)
 
 
 @system(GROUPS, "sample")
 def sample_group(
-    state: WtgState, given: WtgInput, voltage: Phasor, current: Phasor, turbine: Turbine, share: float
+    state: WtgState, inputs: WtgInput, voltage: Phasor, current: Phasor, turbine: Turbine, share: float
 ) -> Sample:
     """Return what is compared of a WTG group; buses without a unit do not count."""
     reactance = turbine.converter.reactance / share
     v_re, v_im = voltage.re + reactance * current.im, voltage.im - reactance * current.re
-    return Sample(state.converter.angle, v_re * v_re + v_im * v_im, given.connected, 0.0)
+    return Sample(state.converter.angle, v_re * v_re + v_im * v_im, inputs.connected, 0.0)
 
 
 def _compared(sample: Sample, counts: bool, spread: Spread) -> Spread:
@@ -342,7 +343,7 @@ def compare_member(unit_sample: Sample, unit_island: float, island_number: float
     return _compared(unit_sample, unit_island == island_number, island_spread)
 
 
-@system(ISLANDS, "found", "healthy_step", "turned")
+@system(ISLANDS, "violation", "healthy_step", "turned")
 def judge_island(
     active: float,
     centre: float,
@@ -353,60 +354,59 @@ def judge_island(
     simulation_dt: float,
     limits: wind_turbine.Limits,
 ) -> tuple[float, float, float]:
-    """Say whether an island has failed.
+    """Find what an island violates.
 
-    If several findings apply, the first in this order counts: not finite; where rotors end a run, under-speed, stall or
+    If several apply, the first in this order counts: not finite; where rotors end a run, under-speed, stall or
     over-speed of the last such group; loss of synchronism; voltage collapse; frequency limit. The others follow from
     it. An island without a unit has no voltage.
     """
-    found = select(
+    violation = select(
         (centre < limits.frequency_min) | (centre > limits.frequency_max), float(Status.FREQUENCY_LIMIT), 0.0
     )
     empty = spread.least_angle > spread.largest_angle
     healthy = spread.least_squared_voltage >= limits.low_voltage * limits.low_voltage
     healthy_step = select(active > 0.5, select(healthy, step, healthy_step), healthy_step)
     low = ((step - healthy_step) * simulation_dt > limits.low_voltage_time) | empty
-    found = select(low, float(Status.VOLTAGE_COLLAPSE), found)
+    violation = select(low, float(Status.VOLTAGE_COLLAPSE), violation)
     apart = spread.largest_angle - spread.least_angle > limits.angle_spread
     turned = select(empty, turned, spread.least_angle)
-    return select(apart, float(Status.LOSS_OF_SYNCHRONISM), found), healthy_step, turned
+    return select(apart, float(Status.LOSS_OF_SYNCHRONISM), violation), healthy_step, turned
 
 
-@system(units.MAIN, "finding", "finite")
-def judge_grid(found: float, centre: float) -> tuple[float, float]:
-    """Say whether the grid has failed."""
-    return found, select(math.isfinite(centre), 1.0, 0.0)
+@system(units.MAIN, "verdict")
+def judge_grid(violation: float, centre: float) -> Verdict:
+    """Return the verdict on the grid; those on groups are added to it."""
+    return Verdict(violation, select(math.isfinite(centre), 1.0, 0.0))
 
 
 @system(units.MEMBERS, "unit_sample_falls")
-def fall_member(unit_sample_falls: float, unit_island: float, island_number: float, island_found: float) -> float:
-    """Let the units of an island that is not the grid fall with it."""
-    return select((unit_island == island_number) & (island_found > 0.0), 1.0, unit_sample_falls)
+def fall_member(unit_sample_falls: float, unit_island: float, island_number: float, island_violation: float) -> float:
+    """Mark the units of a failed island that is not the grid."""
+    return select((unit_island == island_number) & (island_violation > 0.0), 1.0, unit_sample_falls)
 
 
 @system(MACHINES, "connected", "next_change", when="extended")
 def trip_machine(
-    given: MachineInput, falls: float, next_change: float, step: float, active: float
+    inputs: MachineInput, falls: float, next_change: float, step: float, active: float
 ) -> tuple[float, float]:
     """Disconnect a machine whose island has failed."""
-    trips = (falls > 0.5) & (given.connected > 0.5) & (active > 0.5)
-    return select(trips, 0.0, given.connected), select(trips, step, next_change)
+    trips = (falls > 0.5) & (inputs.connected > 0.5) & (active > 0.5)
+    return select(trips, 0.0, inputs.connected), select(trips, step, next_change)
 
 
-@system(GROUPS, "connected", "finding", "finite", "next_change")
+@system(GROUPS, "connected", "verdict", "next_change")
 def judge_rotor(
     state: WtgState,
-    given: WtgInput,
+    inputs: WtgInput,
     output: WtgOutput,
     turbine: Turbine,
-    finding: float,
-    finite: float,
+    verdict: Verdict,
     next_change: float,
     falls: float,
     step: float,
     active: float,
     trips_groups: bool,
-) -> tuple[float, float, float, float]:
+) -> tuple[float, Verdict, float]:
     """Detect stall, over- and under-speed. Depending on `trips_groups` the group is disconnected or the run ends.
 
     A group is disconnected with its island too.
@@ -417,27 +417,24 @@ def judge_rotor(
     races = select(state.rotor_speed > limits.over_speed, float(Status.OVER_SPEED), 0.0)
     failure = select(ratio < limits.stall_tip_speed_ratio, stalls, races)
     failure = select(state.rotor_speed < limits.rotor_speed_min, float(Status.UNDER_SPEED), failure)
-    failed = (failure > 0.0) & (given.connected > 0.5) & (active > 0.5)
-    trips = (failed & trips_groups) | ((falls > 0.5) & (given.connected > 0.5) & (active > 0.5))
+    failed = (failure > 0.0) & (inputs.connected > 0.5) & (active > 0.5)
+    trips = (failed & trips_groups) | ((falls > 0.5) & (inputs.connected > 0.5) & (active > 0.5))
     is_finite = math.isfinite(state.rotor_speed) & math.isfinite(state.converter.speed)
-    return (
-        select(trips, 0.0, given.connected),
-        select(failed, select(trips_groups, finding, failure), finding),
-        select(is_finite, finite, 0.0),
-        select(trips, step, next_change),
-    )
+    code = select(failed, select(trips_groups, verdict.code, failure), verdict.code)
+    verdict = Verdict(code, select(is_finite, verdict.finite, 0.0))
+    return select(trips, 0.0, inputs.connected), verdict, select(trips, step, next_change)
 
 
 @system(LANE, "status", "active", "stops")
-def end_run(status: float, active: float, finding: float, finite: float) -> tuple[float, float, float]:
+def end_run(status: float, active: float, verdict: Verdict) -> tuple[float, float, float]:
     """End a run that has failed."""
-    finding = select(finite > 0.5, finding, float(Status.NUMERICAL_FAILURE))
-    stops = (active > 0.5) & (finding > 0.0)
-    return select(stops, finding, status), select(stops, 0.0, active), select(stops, 1.0, 0.0)
+    violation = select(verdict.finite > 0.5, verdict.code, float(Status.NUMERICAL_FAILURE))
+    stops = (active > 0.5) & (violation > 0.0)
+    return select(stops, violation, status), select(stops, 0.0, active), select(stops, 1.0, 0.0)
 
 
 @system(GROUPS, "wind_start", "wind_end")
 def freeze_wind(wind_start: float, wind_end: float, output: WtgOutput, stops: float) -> tuple[float, float]:
-    """Let nothing be added in what is left of a control interval once a run has ended, no wind either."""
+    """Keep the wind constant in the rest of a control interval in which a run has ended."""
     still = stops > 0.5
     return select(still, output.wind, wind_start), select(still, output.wind, wind_end)

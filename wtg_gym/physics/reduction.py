@@ -164,12 +164,12 @@ def _ramped(event: Any, step: float, at: float) -> float:
 @internal
 def _is_open(branch: int, step: float, events: Any) -> bool:
     """Return whether an event holds a branch open at a step."""
-    found = False
+    is_open = False
     for e in range(events.shape[0]):
         event = events[e]
         opens = event.branch == branch and event.factor == 0.0
-        found |= opens and step >= event.start and not (event.end > event.start and step >= event.end)
-    return found
+        is_open |= opens and step >= event.start and not (event.end > event.start and step >= event.end)
+    return is_open
 
 
 @internal

@@ -37,10 +37,10 @@ SERIES_DT = 0.1
 
 def _series(name: str, values: Any) -> Floats:
     try:
-        kind = np.asarray(values).dtype.kind
-        series = np.array(values, dtype=np.float64) if kind != "c" else np.zeros(0)
+        code = np.asarray(values).dtype.kind
+        series = np.array(values, dtype=np.float64) if code != "c" else np.zeros(0)
         # numpy would convert "8" and drop imaginary parts without a word.
-        if kind in "USbc" and np.size(values):
+        if code in "USbc" and np.size(values):
             raise ValueError(f"got {np.ravel(values)[:3].tolist()}")
         series.setflags(write=False)
         return series

@@ -72,10 +72,10 @@ class BlockThreads:
         """
         n_blocks = self.n_blocks
         n_threads = self.n_workers
-        futures, own = [], n_blocks
+        futures, main_end = [], n_blocks
         if n_threads > 1:
-            own = max(0, (n_blocks + meanwhile_blocks) // n_threads - meanwhile_blocks)
-            edges = [own + (n_blocks - own) * i // (n_threads - 1) for i in range(n_threads)]
+            main_end = max(0, (n_blocks + meanwhile_blocks) // n_threads - meanwhile_blocks)
+            edges = [main_end + (n_blocks - main_end) * i // (n_threads - 1) for i in range(n_threads)]
             pool = self._workers(n_threads)
             futures = [pool.submit(work, edges[i], edges[i + 1], i + 1) for i in range(n_threads - 1)]
         # Whatever happens meanwhile, no block may be left a step behind the others.
@@ -84,7 +84,7 @@ class BlockThreads:
                 meanwhile()
         finally:
             try:
-                work(0, own, 0)
+                work(0, main_end, 0)
             finally:
                 wait(futures)
         for done in futures:
@@ -127,8 +127,12 @@ def _checked_inertias(settings: Plant) -> dict[tuple[TrackingLaw, ...], float]:
     return {}
 
 
-#: Addresses of machine code in this process, by all that they depend on.
-_CODE: dict[tuple[Any, ...], Whole] = {}
+@functools.lru_cache(maxsize=16)
+def _code(*dependencies: Any) -> list[Whole]:
+    """Return a list for addresses of machine code, which lasts as long as the process; simulators have their own."""
+    return []
+
+
 #: Numbers of a group that are those of its law.
 _OF_LAW = {name: name for name in ("k_min", "k_nominal", "k_max", "droop_cancelled")}
 _OF_LAW["inv_tau"] = "inverse_time_constant"
@@ -191,7 +195,6 @@ class Simulator:
         self.plant, self.layout = placed(settings, task)
         duration_s = require_range("duration_s", duration_s, 0.0, LONGEST_RUN_S, "s")
         self.n_intervals = whole_steps("duration_s", duration_s, settings.control_dt, "control step")
-        # Sample of the load noise in each control interval.
         samples = np.arange(self.n_intervals) * settings.control_dt / SERIES_DT + 1e-9
         self._noise_samples = samples.astype(np.int64)
         self._law_rows = np.stack([self.layout.wtg(name) for name in _OF_LAW])
@@ -219,13 +222,13 @@ class Simulator:
     def functions(self) -> dict[Function, tuple[Any, ...]]:
         """Return the functions that are called at an address, with arguments like those they are given."""
         network, some = self.plant.network, np.zeros((1, 1))
-        found: dict[Function, tuple[Any, ...]] = {
+        arguments: dict[Function, tuple[Any, ...]] = {
             REFRESH: (some, 0, 0, network, self._allocate_data(1, 1)),
             equilibrium.POWER_FLOW: (self.plant.bus_y, 0, some, equilibrium.FLOW_COLUMNS),
         }
         if network.facts.is_large:
-            found[equilibrium.SPARSE_FLOW] = (self.plant.bus_y, 0, some, equilibrium.FLOW_COLUMNS, network.pattern)
-        return found
+            arguments[equilibrium.SPARSE_FLOW] = (self.plant.bus_y, 0, some, equilibrium.FLOW_COLUMNS, network.pattern)
+        return arguments
 
     def link(self, task: TaskUnits) -> None:
         """Let the plant know where the machine code is in this process; a copy in another one needs it.
@@ -233,16 +236,16 @@ class Simulator:
         `task` is what the simulator was made with.
         """
         programs = programs_of(self.plant, *PROGRAMS, *task.programs)
-        key = programs, task.stepping, task.starting, self.width, self.plant.network.facts.is_large
-        if key not in _CODE:
+        code = _code(programs, task.stepping, task.starting, self.width, self.plant.network.facts.is_large)
+        if not code:
             routines: dict[int, tuple[Routine, ...]] = {1: (*STARTING, *task.starting)}
             routines[self.width] = (*STEPPING, *task.stepping, *routines.get(self.width, ()))
-            _CODE[key] = code_of(programs, routines, self.functions())
-        self.plant = self.plant.with_tables(self.plant.network.tables._replace(code=_CODE[key]))
+            code.append(code_of(programs, routines, self.functions()))
+        self.plant = self.plant.with_tables(self.plant.network.tables._replace(code=code[0]))
 
     def _check_nominal(self, laws: tuple[TrackingLaw, ...], inertia_scale: float = 1.0, committed: float = 1.0) -> bool:
         """Check laws at nominal operating points; return whether the plant has an equilibrium at any of them."""
-        found = False
+        has_equilibrium = False
         for wind in _CHECKED_WINDS:
             nominal = Scenario(
                 name=f"{equilibrium.NOMINAL}{wind:g} m/s and nominal load",
@@ -258,8 +261,8 @@ class Simulator:
                 continue
             equilibrium.check_internal_voltages(rows, [nominal], self.settings, self.layout)
             self._check_step(rows[0], nominal)
-            found = True
-        return found
+            has_equilibrium = True
+        return has_equilibrium
 
     def _check_step(self, rows: Floats, scenario: Scenario) -> None:
         try:
@@ -352,7 +355,7 @@ class Simulator:
         data = self._allocate_data(n, max([1, *map(len, events)]))
         for lane, scenario in enumerate(scenarios):
             self._write_series(data, lane, scenario)
-        places = [(lane, place) for lane, own in enumerate(events) for place in range(len(own))]
+        places = [(lane, place) for lane, lane_events in enumerate(events) for place in range(len(lane_events))]
         if places:
             data.events[tuple(np.transpose(places))] = np.array([*itertools.chain(*events)], dtype=NO_EVENT.dtype)
         rows = np.zeros((n, self.layout.n_rows))
@@ -402,8 +405,8 @@ class Simulator:
         *arrays, events = self.data
         events[index] = NO_EVENT
         events[index, :n_events] = prepared.data.events[places]
-        for array, given in zip(arrays, prepared.data[:-1], strict=True):
-            array[index] = given[places]
+        for array, series in zip(arrays, prepared.data[:-1], strict=True):
+            array[index] = series[places]
 
     def _write_series(self, data: LaneData, lane: int, scenario: Scenario) -> None:
         dt, n = self.settings.control_dt, self.n_intervals
@@ -418,16 +421,16 @@ class Simulator:
             if m <= n:
                 target[:, m:] = wind[:, m - 1 : m]
         else:
-            instants, wanted = np.arange(wind.shape[1]) * scenario.wind_dt_s, np.arange(n + 1) * dt
+            instants, times_s = np.arange(wind.shape[1]) * scenario.wind_dt_s, np.arange(n + 1) * dt
             for j in range(wind.shape[0]):
-                target[j] = np.interp(wanted, instants, wind[j])
+                target[j] = np.interp(times_s, instants, wind[j])
         noise = scenario.load_noise_mw
         if noise.size:
-            given = self._noise_samples
-            if given.size and given[-1] >= noise.size:
-                given = given[: np.searchsorted(given, noise.size)]
+            samples = self._noise_samples
+            if samples.size and samples[-1] >= noise.size:
+                samples = samples[: np.searchsorted(samples, noise.size)]
             # Another mode than "raise" writes without a buffer.
-            noise.take(given, out=data.noise[lane, : given.size], mode="clip")
+            noise.take(samples, out=data.noise[lane, : samples.size], mode="clip")
 
     def _write_machine_inputs(self, rows: Floats, scenarios: Sequence[Scenario]) -> None:
         machines = self.plant.machines
@@ -440,10 +443,10 @@ class Simulator:
         rows[:, self._committed_rows[1, : self.layout.n_sync]] = 1.0 / committed
         rows[:, self.layout.machine("connected")] = 1.0
         rows[:, self.layout.machine("inv_two_h")] = 1.0 / (machines["two_h"] * scale)
-        given = np.array([[np.nan if s.governor_droop is None else 1.0 / s.governor_droop] for s in scenarios])
+        inv_droop = np.array([[np.nan if s.governor_droop is None else 1.0 / s.governor_droop] for s in scenarios])
         nominal = machines["governor.inv_droop"]
         # A scenario's droop is that of the machines with a governor.
-        rows[:, self.layout.machine("inv_droop")] = np.where(np.isnan(given) | (nominal <= 0.0), nominal, given)
+        rows[:, self.layout.machine("inv_droop")] = np.where(np.isnan(inv_droop) | (nominal <= 0.0), nominal, inv_droop)
 
     def stop(self, lane: int) -> None:
         """Let a lane stand still from now on."""
@@ -481,8 +484,8 @@ class Simulator:
         y[noise_bus, noise_bus] += self.lane_values("noise_y")[lane]
         injected = np.zeros(len(y), dtype=np.complex128)
         np.add.at(injected, network.unit_bus, unit_y * internal)
-        found: Complex = np.linalg.solve(y, injected).astype(np.complex128)
-        return found
+        voltages: Complex = np.linalg.solve(y, injected).astype(np.complex128)
+        return voltages
 
     def state(self, lane: int = 0) -> Floats:
         """Return a copy of a lane's state vector; `layout.state_names` names its entries."""
@@ -522,11 +525,11 @@ class Simulator:
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__.update(state)
-        # A copy comes back where it likes.
+        # The copy is not aligned.
         self.blocks = _aligned_zeros(*state["blocks"].shape)
         self.blocks[:] = state["blocks"]
         self.scratches = self.new_scratches(self.threads.n_workers, self.width)
-        # Perhaps in another process.
+        # Addresses hold in one process only.
         self.link(NO_TASK)
 
 

@@ -22,21 +22,21 @@ def add_needed_load(needed: float, load_level: float, bus: Bus) -> float:
 
 @system(GROUPS, "needed")
 def subtract_group_power(needed: float, planned_power: float) -> float:
-    """Take off what a group gives."""
+    """Subtract the power of a group."""
     return needed - planned_power
 
 
 @system(BUSES, "lacking")
 def find_slack_mismatch(lacking: float, flow: Phasor, planned: Phasor, bus: Bus) -> float:
-    """Note what the slack bus lacks."""
+    """Find the power that the slack bus lacks."""
     return lacking + select(bus.is_slack, flow.re - planned.re, 0.0)
 
 
 @system(UNITS, "planned", "planned_power")
 def balance_unit(planned: Phasor, planned_power: float, lacking: float, connection: Connection) -> tuple[Phasor, float]:
     """Let a unit give its share of what the slack bus lacks."""
-    given = connection.participation * lacking
-    return Phasor(planned.re + given, planned.im), planned_power + given
+    balance = connection.participation * lacking
+    return Phasor(planned.re + balance, planned.im), planned_power + balance
 
 
 @system(BUSES, "planned", "polar", "holds", "sizes")
@@ -72,13 +72,13 @@ def release_voltage(
 
     A bus with a machine too keeps its voltage: the machine gives what is missing.
     """
-    asked, limit = flow.im + load_level * bus.load.im, reactive_max * sizes.group_weights
+    demand, limit = flow.im + load_level * bus.load.im, reactive_max * sizes.group_weights
     alone = (sizes.ratings == 0.0) & (sizes.group_weights > 0.0) & (voltage_gain > 0.0)
-    lacks = alone & (holds > 0.5) & (abs(asked) > limit * (1.0 + 1e-9))
-    given = select(asked < 0.0, -limit, limit) - load_level * bus.load.im
+    lacks = alone & (holds > 0.5) & (abs(demand) > limit * (1.0 + 1e-9))
+    reactive = select(demand < 0.0, -limit, limit) - load_level * bus.load.im
     return (
         select(lacks, 0.0, holds),
-        Phasor(planned.re, select(lacks, given, planned.im)),
+        Phasor(planned.re, select(lacks, reactive, planned.im)),
         released + select(lacks, 1.0, 0.0),
     )
 
@@ -108,17 +108,18 @@ def share_flow(
     Reactive power goes by the units' weights; beside machines, WTG groups with voltage control give no more than their
     limit. Machines at the slack bus share the active power that is missing by rating.
     """
-    total, own = flow.im + load_level * bus.load.im, connection
+    total = flow.im + load_level * bus.load.im
     machines, groups = sizes.machine_weights, sizes.group_weights
-    weight = own.machine_weight + own.group_weight
+    weight = connection.machine_weight + connection.group_weight
     reactive = select(bus.holds_voltage, total * weight / (machines + groups), 0.0)
     limit = reactive_max * groups
-    given = min(max(total * groups / (machines + groups), -limit), limit)
-    limited = select(own.group_weight > 0.0, given * weight / groups, (total - given) * weight / machines)
+    of_groups = min(max(total * groups / (machines + groups), -limit), limit)
+    of_group, of_machine = of_groups * weight / groups, (total - of_groups) * weight / machines
+    limited = select(connection.group_weight > 0.0, of_group, of_machine)
     mixed = (voltage_gain > 0.0) & (groups > 0.0) & (machines > 0.0) & (reactive != 0.0)
     reactive = select(mixed, limited, reactive)
-    gives_slack = bus.is_slack & (own.rating > 0.0)
-    power = planned_power + select(gives_slack, (flow.re - planned.re) * own.rating / sizes.ratings, 0.0)
+    gives_slack = bus.is_slack & (connection.rating > 0.0)
+    power = planned_power + select(gives_slack, (flow.re - planned.re) * connection.rating / sizes.ratings, 0.0)
     current = units.quotient(Phasor(power, reactive), at_bus)
     return units.Terminal(power, reactive, at_bus, math.hypot(at_bus.re, at_bus.im), Phasor(current.re, -current.im))
 

@@ -89,9 +89,7 @@ COI = (
     protection.centre_of_grid,
 )
 
-
-#: After a simulation step.
-#: The part with a way back comes first.
+#: After a simulation step. The part with a way back comes first.
 MOVED = (wtg.keep_energy, units.count_step, machine.restore_frequency, *COI)
 WATCH = (
     protection.track_extremes,

@@ -179,7 +179,7 @@ def group_laws(
         raise ValueError(
             f"strategy must name one law, or one for each of the {len(turbines)} groups, got {len(strategies)}"
         )
-    return tuple(get_law(own, turbine, control) for own, turbine in zip(strategies, turbines, strict=True))
+    return tuple(get_law(strategy, turbine, control) for strategy, turbine in zip(strategies, turbines, strict=True))
 
 
 def read_law(path: Path, turbine: _Turbine = None) -> TrackingLaw:
@@ -192,7 +192,7 @@ def read_law(path: Path, turbine: _Turbine = None) -> TrackingLaw:
     """
     data = read_toml(path, "law file")
     corners = ("min", "nominal", "max")
-    known = ["name", "tau_s", *(f"{kind}_{corner}" for kind in ("k", "deloading") for corner in corners)]
+    known = ["name", "tau_s", *(f"{quantity}_{corner}" for quantity in ("k", "deloading") for corner in corners)]
     with interpreting(path, "law file"):
         require_known("keys", data, known)
         coefficients = {f"k_{corner}": _coefficient(data, corner, turbine) for corner in corners}
@@ -204,18 +204,18 @@ def read_law(path: Path, turbine: _Turbine = None) -> TrackingLaw:
 
 def _coefficient(data: Mapping[str, Any], corner: str, turbine: _Turbine) -> float:
     """Return the tracking coefficient that a law file gives at a corner, itself or by a deloading [p.u.]."""
-    given = [key for key in (f"k_{corner}", f"deloading_{corner}") if key in data]
-    if len(given) != 1:
+    keys = [key for key in (f"k_{corner}", f"deloading_{corner}") if key in data]
+    if len(keys) != 1:
         raise ValueError(
-            f"it must give exactly one of k_{corner} [p.u.] and deloading_{corner} [%], got {given or 'neither'}"
+            f"it must give exactly one of k_{corner} [p.u.] and deloading_{corner} [%], got {keys or 'neither'}"
         )
-    value: float = data[given[0]]
-    if given[0].startswith("k"):
+    value: float = data[keys[0]]
+    if keys[0].startswith("k"):
         return value
-    percent = require_range(given[0], value, 0.0, 90.0, "%")
+    percent = require_range(keys[0], value, 0.0, 90.0, "%")
     if 0.0 < percent < _LEAST_PERCENT:
         raise ValueError(
-            f"{given[0]} = {percent:g} is in percent: write {100.0 * percent:g} for {100.0 * percent:g} %; "
+            f"{keys[0]} = {percent:g} is in percent: write {100.0 * percent:g} for {100.0 * percent:g} %; "
             f"allowed: 0, or {_LEAST_PERCENT:g} … 90 %"
         )
     return tracking_point(percent / 100.0, turbine).coefficient

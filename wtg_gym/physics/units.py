@@ -17,8 +17,8 @@ _OF_STAGE = ("active", "ahead", "first", "last")
 def moving(rates: System, *limits: Callable[..., Any] | None, constants: Sequence[str] = ()) -> System:
     """Return the system that moves the states whose rates another system finds, by a stage of the method.
 
-    It is told how far the stage goes (`ahead` [s], a sixth of the step for the last) and whether it is the first or the
-    last one.
+    Scalars say how far the stage goes (`ahead` [s], a sixth of the step for the last) and whether it is the `first` or
+    the `last`.
 
     Args:
         rates: writes "x_rates" of states "x" first, then other parts.
@@ -27,23 +27,23 @@ def moving(rates: System, *limits: Callable[..., Any] | None, constants: Sequenc
         constants: names of those that each limit depends on.
     """
     states = tuple(name.removesuffix("_rates") for name in rates.writes if name.endswith("_rates"))
-    own = tuple(f"{state}_{what}" for state in states for what in ("base", "sum"))
-    given_to_rates, equation = rates.arguments_named, rates.equation
-    arguments = tuple(dict.fromkeys((*given_to_rates, *states, *own, *constants, *_OF_STAGE)))
+    bases_and_sums = tuple(f"{state}_{what}" for state in states for what in ("base", "sum"))
+    rate_arguments, equation = rates.arguments_named, rates.equation
+    arguments = tuple(dict.fromkeys((*rate_arguments, *states, *bases_and_sums, *constants, *_OF_STAGE)))
 
     def stage(*values: Any) -> tuple[Any, ...]:
-        given = dict(zip(arguments, values, strict=True))
-        found = equation(*(given[name] for name in given_to_rates))
-        found = found if type(found) is tuple else (found,)
-        active, ahead, first, last = (given[name] for name in _OF_STAGE)
+        named = dict(zip(arguments, values, strict=True))
+        results = equation(*(named[name] for name in rate_arguments))
+        results = results if type(results) is tuple else (results,)
+        active, ahead, first, last = (named[name] for name in _OF_STAGE)
         moved: list[Any] = []
         for i, state in enumerate(states):
-            base, total = given[f"{state}_base"], given[f"{state}_sum"]
-            free, base, total = _moved(given[state], base, total, found[i], ahead, first, last)
+            base, total = named[f"{state}_base"], named[f"{state}_sum"]
+            free, base, total = _moved(named[state], base, total, results[i], ahead, first, last)
             limit = limits[i] if limits else None
-            within = free if limit is None else limit(free, given[constants[i]])
+            within = free if limit is None else limit(free, named[constants[i]])
             moved += (_kept(free, within, base, last, active), base, total)
-        return (*moved, *found[len(states) :])
+        return (*moved, *results[len(states) :])
 
     writes = [name for state in states for name in (state, f"{state}_base", f"{state}_sum")]
     origin = functools.partial(moving, constants=constants), (rates, *limits)
@@ -149,6 +149,13 @@ class Failure(NamedTuple):
     failing_unit: float
 
 
+class Verdict(NamedTuple):
+    """What the protections find now."""
+
+    code: float  # of protection.Status, 0 for none
+    finite: float  # 1 where all speeds are finite numbers
+
+
 class Sums(NamedTuple):
     """Sums over the connected units of an island."""
 
@@ -236,8 +243,7 @@ LANE = Kind(
         "highest": float,
         "sampled": Sampled,
         "noise_voltage": Phasor,  # at the bus of the load noise, if there were none; then its current [p.u.]
-        "finding": float,  # status that the protections find now
-        "finite": float,  # 1 where all speeds are finite numbers
+        "verdict": Verdict,
         "alarm": float,  # 1 where the stages of shedding have to be looked at
         "stops": float,  # 1 where a protection ends the run now
         "load_level": float,  # share of the nominal load that a run starts with
@@ -282,7 +288,7 @@ ISLANDS = Kind(
     scratch={
         "sums": Sums,
         "spread": Spread,
-        "found": float,  # status that the protections find now
+        "violation": float,  # status that the protections find now
     },
     constants={"number": float},
     sees={"lane": LANE},
@@ -300,7 +306,7 @@ BUSES = Kind(
         "frequency": float,  # local, filtered [p.u.]
     },
     scratch={
-        "now": Phasor,  # voltage now [p.u.]
+        "present_voltage": Phasor,  # voltage now [p.u.]
         "planned": Phasor,  # P + jQ into the network before the slack's share [p.u.]
         "polar": Polar,
         "holds": float,  # 1 where a unit holds the voltage
@@ -353,10 +359,10 @@ def plus(total: Phasor, a: Phasor, b: Phasor) -> Phasor:
     return Phasor(total.re + fma(a.re, b.re, -(a.im * b.im)), total.im + fma(a.re, b.im, a.im * b.re))
 
 
-def noted(fits: bool, why: int, number: float, failure: Failure) -> Failure:
+def noted(fits: bool, reason: int, number: float, failure: Failure) -> Failure:
     """Return why a run cannot start and the number of the unit that cannot, unless another was found before."""
     known = fits | (failure.start_failure != 0.0)
-    return Failure(select(known, failure.start_failure, float(why)), select(known, failure.failing_unit, number))
+    return Failure(select(known, failure.start_failure, float(reason)), select(known, failure.failing_unit, number))
 
 
 def quotient(a: Phasor, b: Phasor) -> Phasor:

@@ -17,7 +17,7 @@ from wtg_gym.systems.elementary import fma, select
 from wtg_gym.systems.systems import Kind, each, system
 
 #: Phases of a search: both ends, the rotor speed between them, pitch steps at the limit, the pitch angle between two.
-_LOW, _HIGH, _ROTOR, _NO_PITCH, _PITCH_STEPS, _PITCH, _FOUND, _NONE = map(float, range(8))
+_LOW, _HIGH, _ROTOR, _NO_PITCH, _PITCH_STEPS, _PITCH, _SOLVED, _UNSOLVABLE = map(float, range(8))
 _PITCH_STEP = 0.02  # [deg]
 
 
@@ -32,7 +32,7 @@ class Search(NamedTuple):
 
 GROUPS = Kind(
     name="WTG groups",
-    rows={"state": WtgState, "given": WtgInput, "output": equations.WtgOutput, "extremes": equations.WtgExtremes},
+    rows={"state": WtgState, "inputs": WtgInput, "output": equations.WtgOutput, "extremes": equations.WtgExtremes},
     scratch={
         "captured": float,  # power from the wind, connected or not [p.u.]
         "search": Search,  # for the equilibrium
@@ -45,9 +45,9 @@ GROUPS = Kind(
 
 
 @system(GROUPS, "search", "rotor_speed", "pitch")
-def start_search(given: WtgInput, turbine: Turbine) -> tuple[Search, float, float]:
+def start_search(inputs: WtgInput, turbine: Turbine) -> tuple[Search, float, float]:
     """Begin to look for the equilibrium of the turbine at a tip-speed ratio of 3.5 … 20 outside the stall."""
-    scale = given.wind_start / turbine.rotor.tip_speed
+    scale = inputs.wind_start / turbine.rotor.tip_speed
     low = max(3.5, turbine.limits.stall_tip_speed_ratio) * scale
     return Search(_LOW, low, 20.0 * scale, 0.0), low, 0.0
 
@@ -83,20 +83,20 @@ def advance_search(
     middle = 0.5 * (low + high)
     settled = (middle == low) | (middle == high)
     # Each phase in its turn; a phase that goes on keeps its number.
-    phase = select(search.phase == _LOW, select(above, _HIGH, _NONE), search.phase)
+    phase = select(search.phase == _LOW, select(above, _HIGH, _UNSOLVABLE), search.phase)
     enters_rotor = (search.phase == _HIGH) & (own_captured < target)
-    phase = select(search.phase == _HIGH, select(enters_rotor, _ROTOR, _NONE), phase)
+    phase = select(search.phase == _HIGH, select(enters_rotor, _ROTOR, _UNSOLVABLE), phase)
     ends_rotor = (tries_rotor | enters_rotor) & settled
-    phase = select(ends_rotor, select(middle <= limit, _FOUND, _NO_PITCH), phase)
+    phase = select(ends_rotor, select(middle <= limit, _SOLVED, _NO_PITCH), phase)
     phase = select(search.phase == _NO_PITCH, _PITCH_STEPS, phase)
-    phase = select(crossed, _PITCH, select(steps & (low >= turbine.pitch.largest_angle), _NONE, phase))
-    phase = select((phase == _PITCH) & settled, _FOUND, phase)
+    phase = select(crossed, _PITCH, select(steps & (low >= turbine.pitch.largest_angle), _UNSOLVABLE, phase))
+    phase = select((phase == _PITCH) & settled, _SOLVED, phase)
     low = select(phase == _NO_PITCH, 0.0, low)
-    rotor = select((phase == _ROTOR) | ((phase == _FOUND) & ends_rotor), middle, rotor_speed)
+    rotor = select((phase == _ROTOR) | ((phase == _SOLVED) & ends_rotor), middle, rotor_speed)
     rotor = select(phase == _HIGH, high, select(phase == _NO_PITCH, limit, rotor))
-    angle = select((phase == _PITCH) | ((phase == _FOUND) & (search.phase == _PITCH)), middle, pitch)
+    angle = select((phase == _PITCH) | ((phase == _SOLVED) & (search.phase == _PITCH)), middle, pitch)
     angle = select(phase == _PITCH_STEPS, low + _PITCH_STEP, angle)
-    unsettled = searching + select(phase < _FOUND, 1.0, 0.0)
+    unsettled = searching + select(phase < _SOLVED, 1.0, 0.0)
     return Search(phase, low, high, own_captured), rotor, angle, unsettled
 
 
@@ -113,7 +113,7 @@ def plan_group(
     """Return what a group feeds in before any policy has acted, and note one without an equilibrium."""
     power = share * (curtailment * k_nominal) * (rotor_speed * (rotor_speed * rotor_speed))
     return power, units.noted(
-        search.phase == _FOUND, units.StartFailure.NO_TURBINE_EQUILIBRIUM, connection.number, failure
+        search.phase == _SOLVED, units.StartFailure.NO_TURBINE_EQUILIBRIUM, connection.number, failure
     )
 
 
@@ -138,23 +138,23 @@ def curtail_law(k_min: float, k_nominal: float, k_max: float, curtailment: float
 
 
 @system(GROUPS, "voltage", when="constant voltage")
-def voltage_of_group(state: WtgState, given: WtgInput) -> Phasor:
+def voltage_of_group(state: WtgState, inputs: WtgInput) -> Phasor:
     """Return the voltage behind the reactance."""
-    return Phasor(*equations.wtg_voltage(state, given.emf))
+    return Phasor(*equations.wtg_voltage(state, inputs.emf))
 
 
 @system(GROUPS, "own_captured", when="curve")
-def capture_by_curve(state: WtgState, given: WtgInput, turbine: Turbine, fraction: float) -> float:
+def capture_by_curve(state: WtgState, inputs: WtgInput, turbine: Turbine, fraction: float) -> float:
     """Return the power from the wind."""
-    wind, c = equations.wind_at(given, fraction), turbine.rotor
+    wind, c = equations.wind_at(inputs, fraction), turbine.rotor
     tip = c.tip_speed * max(state.rotor_speed, 1e-3)
     return c.wind_power * wind * wind * wind * power_coefficient_at(tip, wind, state.pitch.pitch, c.curve)
 
 
 @system(GROUPS, "own_captured", when="table")
-def capture_by_table(state: WtgState, given: WtgInput, turbine: Turbine, cells: ex.Cells, fraction: float) -> float:
+def capture_by_table(state: WtgState, inputs: WtgInput, turbine: Turbine, cells: ex.Cells, fraction: float) -> float:
     """Return the power from the wind."""
-    wind, c = equations.wind_at(given, fraction), turbine.rotor
+    wind, c = equations.wind_at(inputs, fraction), turbine.rotor
     ratio = c.tip_speed * max(state.rotor_speed, 1e-3) / wind
     return c.wind_power * wind * wind * wind * tabulated_power_coefficient(ratio, state.pitch.pitch, cells, c.grid)
 
@@ -169,7 +169,7 @@ def rates_of_group(
     state: WtgState,
     voltage: Phasor,
     current: Phasor,
-    given: WtgInput,
+    inputs: WtgInput,
     own_captured: float,
     turbine: Turbine,
     inv_share: float,
@@ -180,7 +180,7 @@ def rates_of_group(
     """Return rates and outputs of a group that is not extended."""
     power = power_of(voltage, current, inv_share)
     return equations.wtg_rates(
-        state, power, own_captured, equations.wind_at(given, fraction), given, turbine, reference_speed, omega_n
+        state, power, own_captured, equations.wind_at(inputs, fraction), inputs, turbine, reference_speed, omega_n
     )
 
 
@@ -190,7 +190,7 @@ _SETTLED = 1e-12 * 1e-12
 EXTENSIONS = Kind(
     name="extensions",
     rows={
-        "own": ExtensionState,
+        "extension_state": ExtensionState,
         "references": gfm.VoltageInput,
         "terminal": equations.ExtensionOutput,
         "heat": float,  # of the chopper [p.u. s]
@@ -203,26 +203,26 @@ EXTENSIONS = Kind(
         "change": Phasor,  # of the voltage behind X_g in the latest sweep [p.u.]
     },
     constants={"extension": Extension},
-    sees={"group": GROUPS, "unit": UNITS, "bus_": units.BUSES, "own_entry_": units.PAIRS, "lane": LANE},
-    states=("own",),
+    sees={"group": GROUPS, "unit": UNITS, "bus_": units.BUSES, "diagonal_": units.PAIRS, "lane": LANE},
+    states=("extension_state",),
 )
 #: The column of each extended group in the admittance matrix: one entry for every unit.
 COLUMNS = Kind(name="columns", sees={"entry": units.PAIRS, "unit": UNITS, "group": EXTENSIONS})
 
 
-@system(EXTENSIONS, "own", "references", "heat", "over_voltage", "largest_voltage")
+@system(EXTENSIONS, "extension_state", "references", "heat", "over_voltage", "largest_voltage")
 def start_extension(
     start: units.Terminal, emf: float, share: float
 ) -> tuple[ExtensionState, gfm.VoltageInput, float, gfm.OverVoltage, float]:
     """Return the equilibrium of the internal voltage, the references that keep it, and a cold chopper."""
-    own = ExtensionState(gfm.LimitState(0.0, 0.0, 0.0), emf)
+    extension_state = ExtensionState(gfm.LimitState(0.0, 0.0, 0.0), emf)
     references = gfm.VoltageInput(start.magnitude, start.reactive / share)
-    return own, references, 0.0, gfm.OverVoltage(0.0, 0.0, 0.0, 0.0, 0.0), start.magnitude
+    return extension_state, references, 0.0, gfm.OverVoltage(0.0, 0.0, 0.0, 0.0, 0.0), start.magnitude
 
 
 @system(EXTENSIONS, "failure")
 def check_extension(
-    own: ExtensionState,
+    extension_state: ExtensionState,
     terminal: equations.ExtensionOutput,
     output: equations.WtgOutput,
     rotor_speed: float,
@@ -231,7 +231,7 @@ def check_extension(
     failure: Failure,
 ) -> Failure:
     """Note a group that would start beyond the limits of its converter or of its internal voltage."""
-    limits, control, emf = extension.limits, extension.voltage, own.internal_voltage
+    limits, control, emf = extension.limits, extension.voltage, extension_state.internal_voltage
     fits = (limits.power_min <= output.power) & (output.power <= gfm.most_power(rotor_speed, limits))
     fits = fits & (terminal.limiting_reactance <= 0.0)
     failure = units.noted(fits, units.StartFailure.CONVERTER_LIMIT, connection.number, failure)
@@ -240,9 +240,9 @@ def check_extension(
 
 
 @system(EXTENSIONS, "voltage")
-def voltage_of_extended(state: WtgState, own: ExtensionState) -> Phasor:
+def voltage_of_extended(state: WtgState, extension_state: ExtensionState) -> Phasor:
     """Return the voltage behind the reactance."""
-    return Phasor(*equations.wtg_voltage(state, own.internal_voltage))
+    return Phasor(*equations.wtg_voltage(state, extension_state.internal_voltage))
 
 
 @system(EXTENSIONS, "reactance", "source", "exceeded")
@@ -256,7 +256,7 @@ def find_exceeded_limits(
 
 
 def _limit(
-    own_entry_admittance: Phasor,
+    diagonal_admittance: Phasor,
     source: Phasor,
     voltage: Phasor,
     unit_current: Phasor,
@@ -265,7 +265,7 @@ def _limit(
     unsettled: float,
     settled: float,
 ) -> tuple[float, Phasor, Phasor, float]:
-    y, e = own_entry_admittance, voltage
+    y, e = diagonal_admittance, voltage
     free = units.plus(unit_current, y, Phasor(source.re - e.re, source.im - e.im))
     reactance = gfm.limiting_reactance(free.re, free.im, y.re, y.im, extension.limits.current_max * share)
     # E' = E - jX_v I, and I = I_0 / (1 + jX_v Y).
@@ -281,7 +281,7 @@ def _limit(
 
 
 def _limit_that_moves(
-    own_entry_admittance: Phasor,
+    diagonal_admittance: Phasor,
     source: Phasor,
     voltage: Phasor,
     unit_current: Phasor,
@@ -290,12 +290,12 @@ def _limit_that_moves(
     unsettled: float,
 ) -> tuple[float, Phasor, Phasor, float]:
     # However little a voltage moves: where it stands is where the limit holds.
-    return _limit(own_entry_admittance, source, voltage, unit_current, extension, share, unsettled, -1.0)
+    return _limit(diagonal_admittance, source, voltage, unit_current, extension, share, unsettled, -1.0)
 
 
 @system(EXTENSIONS, "reactance", "voltage", "change", "unsettled", backward=_limit_that_moves)
 def limit_current(
-    own_entry_admittance: Phasor,
+    diagonal_admittance: Phasor,
     source: Phasor,
     voltage: Phasor,
     unit_current: Phasor,
@@ -307,7 +307,7 @@ def limit_current(
 
     A lane without such a group, or one that has settled, keeps its bits, whatever its neighbours do.
     """
-    return _limit(own_entry_admittance, source, voltage, unit_current, extension, share, unsettled, _SETTLED)
+    return _limit(diagonal_admittance, source, voltage, unit_current, extension, share, unsettled, _SETTLED)
 
 
 @system(COLUMNS, "unit_current")
@@ -316,15 +316,15 @@ def follow_change(unit_current: Phasor, admittance: Phasor, change: Phasor) -> P
     return units.plus(unit_current, admittance, change)
 
 
-@system(EXTENSIONS, "state_rates", "own_rates", "output", "terminal")
+@system(EXTENSIONS, "state_rates", "extension_state_rates", "output", "terminal")
 def rates_of_extended(
     state: WtgState,
-    own: ExtensionState,
+    extension_state: ExtensionState,
     voltage: Phasor,
     unit_current: Phasor,
     reactance: float,
     bus_magnitude: float,
-    given: WtgInput,
+    inputs: WtgInput,
     references: gfm.VoltageInput,
     group_captured: float,
     turbine: Turbine,
@@ -336,12 +336,12 @@ def rates_of_extended(
     fraction: float,
 ) -> tuple[WtgState, ExtensionState, equations.WtgOutput, equations.ExtensionOutput]:
     """Return the rates of both kinds of state, and the outputs."""
-    limits, converter, connected = extension.limits, turbine.converter, given.connected
+    limits, converter, emf = extension.limits, turbine.converter, extension_state.internal_voltage
     power, most = power_of(voltage, unit_current, inv_share), gfm.most_power(state.rotor_speed, limits)
-    limit_rates, shift, drawn = gfm.power_limiter(own.limits, power, most, limits)
-    wind, of_frame = equations.wind_at(given, fraction), (reference_speed, omega_n)
+    limit_rates, shift, drawn = gfm.power_limiter(extension_state.limits, power, most, limits)
+    connected, wind, of_frame = inputs.connected, equations.wind_at(inputs, fraction), (reference_speed, omega_n)
     rates, output = equations.wtg_rates(
-        state, power, group_captured, wind, given, turbine, *of_frame, limiter=(shift, most)
+        state, power, group_captured, wind, inputs, turbine, *of_frame, limiter=(shift, most)
     )
     i_re, i_im = inv_share * unit_current.re, inv_share * unit_current.im
     v_re, v_im = voltage.re + converter.reactance * i_im, voltage.im - converter.reactance * i_re
@@ -349,11 +349,11 @@ def rates_of_extended(
     # A group that is disconnected measures its bus.
     seen = select(connected > 0.5, math.sqrt(v_re * v_re + v_im * v_im), bus_magnitude)
     terminal = equations.ExtensionOutput(reactance, seen, v_im * i_re - v_re * i_im, size, reactance * (size * share))
-    emf = gfm.emf_rate(own.internal_voltage, seen, terminal.reactive, terminal.cut, references, extension.voltage)
+    emf_rate = gfm.emf_rate(emf, seen, terminal.reactive, terminal.cut, references, extension.voltage)
     speed = select(extension.conserves_energy > 0.5, max(state.rotor_speed, 0.01), 1.0)
     rotor_speed = turbine.rotor.inv_two_h * (rates.energy_captured - connected * drawn) / speed
-    own_rates = ExtensionState(each(lambda rate: connected * rate, limit_rates), connected * emf)
-    return rates._replace(rotor_speed=rotor_speed), own_rates, output, terminal
+    extension_rates = ExtensionState(each(lambda rate: connected * rate, limit_rates), connected * emf_rate)
+    return rates._replace(rotor_speed=rotor_speed), extension_rates, output, terminal
 
 
 stage_of_extended = units.moving(
@@ -365,8 +365,8 @@ stage_of_extended = units.moving(
 def keep_energy(
     state: WtgState,
     state_base: WtgState,
-    own: ExtensionState,
-    own_base: ExtensionState,
+    extension_state: ExtensionState,
+    extension_state_base: ExtensionState,
     heat: float,
     turbine: Turbine,
     extension: Extension,
@@ -377,7 +377,7 @@ def keep_energy(
     A Runge-Kutta method conserves sums of rates up to rounding, but a square only up to its truncation error. As in the
     rate, a speed below 0.01 p.u. counts as 0.01.
     """
-    chopped, runs = own.limits.energy_chopped - own_base.limits.energy_chopped, active > 0.5
+    chopped, runs = extension_state.limits.energy_chopped - extension_state_base.limits.energy_chopped, active > 0.5
     captured = state.energy_captured - state_base.energy_captured
     kept = captured - (state.energy_delivered - state_base.energy_delivered) - chopped
     square = fma(2.0 * turbine.rotor.inv_two_h, kept, state_base.rotor_speed * state_base.rotor_speed)
@@ -387,17 +387,17 @@ def keep_energy(
 
 @system(EXTENSIONS, "connected", "next_change")
 def judge_chopper(
-    heat: float, given: WtgInput, extension: Extension, next_change: float, step: float, active: float
+    heat: float, inputs: WtgInput, extension: Extension, next_change: float, step: float, active: float
 ) -> tuple[float, float]:
     """Disconnect a group whose chopper is full: its DC voltage would rise without an end."""
-    full = (heat > extension.limits.chopper_energy) & (given.connected > 0.5) & (active > 0.5)
-    return select(full, 0.0, given.connected), select(full, step, next_change)
+    full = (heat > extension.limits.chopper_energy) & (inputs.connected > 0.5) & (active > 0.5)
+    return select(full, 0.0, inputs.connected), select(full, step, next_change)
 
 
 @system(EXTENSIONS, "connected", "next_change", "over_voltage", "largest_voltage")
 def judge_over_voltage(
     terminal_voltage: float,
-    given: WtgInput,
+    inputs: WtgInput,
     over_voltage: gfm.OverVoltage,
     largest_voltage: float,
     next_change: float,
@@ -406,15 +406,15 @@ def judge_over_voltage(
     simulation_dt: float,
 ) -> tuple[float, float, gfm.OverVoltage, float]:
     """Disconnect a group whose voltage has been above one of `OVER_VOLTAGES` for longer than it has to stay."""
-    there, trips = (given.connected > 0.5) & (active > 0.5), given.connected < 0.0
+    watched, trips = (inputs.connected > 0.5) & (active > 0.5), inputs.connected < 0.0
     steps = []
     for (level, time_s), last in zip(gfm.OVER_VOLTAGES, over_voltage, strict=True):
-        last_below = select((terminal_voltage > level) & there, last, step)
+        last_below = select((terminal_voltage > level) & watched, last, step)
         trips = trips | ((step - last_below) * simulation_dt > time_s)
         steps.append(last_below)
     return (
-        select(trips, 0.0, given.connected),
+        select(trips, 0.0, inputs.connected),
         select(trips, step, next_change),
         gfm.OverVoltage(*steps),
-        select(there, max(largest_voltage, terminal_voltage), largest_voltage),
+        select(watched, max(largest_voltage, terminal_voltage), largest_voltage),
     )

@@ -229,7 +229,7 @@ class PlayPage:
             struck += self._match.step(*(slider.value for slider in self._sliders))
             rows.append(self._now())
         if rows:
-            self._traces.stream({name: [each[name] for each in rows] for name in rows[0]})
+            self._traces.stream({name: [row[name] for row in rows] for name in rows[0]})
         if struck:
             self._seen += struck
             self._strikes.stream({"x": [time_s for time_s, _ in struck]})

@@ -27,11 +27,11 @@ EDGES = (-0.10, -0.05, 0.0, 0.05, 0.10, 0.15, 0.20, 0.30, 0.50)
 def by_entry(results: Results) -> dict[str, OverMargin]:
     """Return margin, J + J0 and whether the run is bad of each scenario, by entry, of the first training seed."""
     offsets, nominal_hz = cost_offsets(results.groups, results.task), get_suite(results.suite).nominal_hz
-    found = {}
+    over_margin = {}
     for name, runs in runs_by_name(results.episodes).items():
         margins, costs = (np.array([row.metrics[key] for row in runs[0]]) for key in ("reserve_margin", "cost"))
-        found[name] = margins, costs + offsets, lost_or_beyond(runs[:1], nominal_hz)[0]
-    return found
+        over_margin[name] = margins, costs + offsets, lost_or_beyond(runs[:1], nominal_hz)[0]
+    return over_margin
 
 
 @style.printed

@@ -116,7 +116,7 @@ class Entry:
         for key, value in learned_in(policy).items():
             entry_value = self.law if key == "strategy" else getattr(self, key)
             if entry_value != value:
-                labels = [each.name if isinstance(each, TrackingLaw) else each for each in (value, entry_value)]
+                labels = [law.name if isinstance(law, TrackingLaw) else law for law in (value, entry_value)]
                 raise ValueError(
                     f"the policy of entry {name!r} learned with {key} {labels[0]!r}, the entry has {labels[1]!r}: "
                     f"give it the {key} of its training"
@@ -176,8 +176,8 @@ def learned_in(policy: Any) -> dict[str, Any]:
     if not isinstance(settings, EnvSettings):
         return {}
     strategy = settings.strategy
-    laws = [get_law(each) for each in ([strategy] if isinstance(strategy, (str, Path, TrackingLaw)) else strategy)]
-    law = laws[0] if all(each == laws[0] for each in laws) else ", ".join(each.name for each in laws)
+    laws = [get_law(name) for name in ([strategy] if isinstance(strategy, (str, Path, TrackingLaw)) else strategy)]
+    law = laws[0] if all(other == laws[0] for other in laws) else ", ".join(other.name for other in laws)
     return {"strategy": law, "action_mode": settings.action_mode, "observation_mode": settings.observation_mode}
 
 
@@ -202,17 +202,18 @@ def check_rows(entries: Iterable[Mapping[str, Any]]) -> None:
         row.append(entry)
 
 
-def row_conflict(one: Mapping[str, Any], other: Mapping[str, Any]) -> str:
+def row_conflict(entry: Mapping[str, Any], other: Mapping[str, Any]) -> str:
     """Return why two entries of one name, given by :meth:`Entry.to_dict`, cannot share a row; "" if they can."""
-    name, seeds = one["name"], (one["training_seed"], other["training_seed"])
+    name, seeds = entry["name"], (entry["training_seed"], other["training_seed"])
     if seeds[0] == seeds[1]:
         return f"the entry {run_label(name, seeds[0])} is given twice"
     if None in seeds:
         return f"entries named {name!r} share a row and must all have a training seed, got {seeds[0]} and {seeds[1]}"
     for key in _OF_A_ROW:
-        if one[key] != other[key]:
+        if entry[key] != other[key]:
             label = "source (authors)" if key == "source" else key
-            return f"entries named {name!r} share a row and must agree on {label}, got {one[key]!r} and {other[key]!r}"
+            values = f"{entry[key]!r} and {other[key]!r}"
+            return f"entries named {name!r} share a row and must agree on {label}, got {values}"
     return ""
 
 

@@ -238,7 +238,7 @@ def load_entries(spec: str | Path | Iterable[str | Path], task: Task = V1) -> li
     if not isinstance(spec, (str, Path, Iterable)):
         raise ValueError(f"load_entries() takes names and paths, got {spec!r}")
     if not isinstance(spec, (str, Path)):
-        return [entry for each in spec for entry in load_entries(each, task)]
+        return [entry for item in spec for entry in load_entries(item, task)]
     text = str(spec)
     if text == BASELINES:
         return _baselines(task.version)
@@ -309,7 +309,7 @@ def _baselines(version: str | None = None) -> list[Entry]:
     order: Mapping[str, Sequence[Entry | str]] = _import(BASELINES, BASELINES).ORDER
     named = order[version] if version else dict.fromkeys(itertools.chain(*order.values()))
     # A feedback is named by its module.
-    return [_import(f"{BASELINES}.{each}", BASELINES).ENTRY if isinstance(each, str) else each for each in named]
+    return [_import(f"{BASELINES}.{item}", BASELINES).ENTRY if isinstance(item, str) else item for item in named]
 
 
 def _entry_of(module: ModuleType, attribute: str, spec: str) -> Entry:

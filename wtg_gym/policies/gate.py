@@ -121,13 +121,13 @@ def read_submission(folder: Path) -> Report:
     with report.refusing():
         files = read_files(folder)
         name = folder.resolve().name
-        others, own = policy_folders(), {file: files[file] for file in (ENTRY_FILE, POLICY_FILE)}
+        others, files = policy_folders(), {file: files[file] for file in (ENTRY_FILE, POLICY_FILE)}
         report.shipped = any(
-            each.name == name and {file: (each / file).read_bytes() for file in own} == own for each in others
+            other.name == name and {file: (other / file).read_bytes() for file in files} == files for other in others
         )
         if report.shipped:
             # Itself, and the seeds of its row.
-            others = [each for each in others if policy_name(each) != policy_name(folder)]
+            others = [other for other in others if policy_name(other) != policy_name(folder)]
         _check_not_found("the folder's name", name, others)
         report.content = files[POLICY_FILE]
         report.passed(", ".join(f"{name} {len(data)} bytes" for name, data in files.items()))
@@ -234,8 +234,8 @@ def conflicts(reports: Sequence[Report], beside: Sequence[Report] = ()) -> list[
     Conflicts among those `beside`, and among folders that come with the package, are not looked for.
     """
     conflicts_found = [
-        Conflict((one.folder, other.folder), _why_not_both(one, other, taken=False))
-        for one, other in itertools.combinations(reports, 2)
+        Conflict((report.folder, other.folder), _why_not_both(report, other, taken=False))
+        for report, other in itertools.combinations(reports, 2)
     ]
     for new in reports:
         # One reason is enough, however many seeds have the name.
@@ -244,18 +244,18 @@ def conflicts(reports: Sequence[Report], beside: Sequence[Report] = ()) -> list[
     return [conflict for conflict in conflicts_found if conflict.reason]
 
 
-def _why_not_both(one: Report, other: Report, *, taken: bool) -> str:
+def _why_not_both(report: Report, other: Report, *, taken: bool) -> str:
     """Return why two folders cannot both be accepted, or the first not if the other one is there; "" if they can."""
-    if one.shipped and other.shipped:
+    if report.shipped and other.shipped:
         return ""
-    folders, new, old = f"{one.folder} and {other.folder}", one.entry, other.entry
-    first, second = one.folder.resolve().name, other.folder.resolve().name
+    folders, new, old = f"{report.folder} and {other.folder}", report.entry, other.entry
+    first, second = report.folder.resolve().name, other.folder.resolve().name
     if first != second and first.casefold() == second.casefold():
         return f"the names of the folders {folders} differ in capitals alone"
     if new and old and plain_name(new.name) == plain_name(old.name):
         # Folders with one name must be seeds of one entry, which come together: a row that is there does not change.
         if taken:
-            return f"the name {new.name} of {one.folder} is taken by {old.name} of {other.folder}"
+            return f"the name {new.name} of {report.folder} is taken by {old.name} of {other.folder}"
         if new.name != old.name:
             return f"the names {new.name} and {old.name} look alike: {folders}"
         if reason := row_conflict(new.to_dict(), old.to_dict()):
@@ -267,7 +267,7 @@ def _why_not_both(one: Report, other: Report, *, taken: bool) -> str:
             for folder, entry in ((first, new), (second, old))
         )
         for plain in names.keys() & others.keys():
-            return f"{names[plain]}, of {one.folder}, looks like {others[plain]}, of {other.folder}"
-    if one.sha256 is not None and one.sha256 == other.sha256:
+            return f"{names[plain]}, of {report.folder}, looks like {others[plain]}, of {other.folder}"
+    if report.sha256 is not None and report.sha256 == other.sha256:
         return f"the same policy file is given twice: {folders}"
     return ""

@@ -100,7 +100,7 @@ class _Served:
             )
         #: Of the observation, the action, and every state.
         self.widths = [inputs["observation"], outputs["action"], *(inputs[name] for name in self._inputs[1:])]
-        self._given: list[Any] = []
+        self._input_rows: list[Any] = []
         self.outputs: list[Any] = []
         self._bound: list[Any] = []
 
@@ -111,11 +111,11 @@ class _Served:
 
         if len(self._bound) != n_scenarios:
             observation, action, *states = self.widths
-            self._given = [_rows(n_scenarios, width) for width in (observation, *states)]
+            self._input_rows = [_rows(n_scenarios, width) for width in (observation, *states)]
             self.outputs = [_rows(n_scenarios, width) for width in (action, *states)]
             self._bound = [None] * n_scenarios
         starts = _read(source, n_scenarios)
-        for values in self._given:
+        for values in self._input_rows:
             values[:] = np.frombuffer(_read(source, values.nbytes), np.float32).reshape(values.shape)
         for values in self.outputs:
             values.fill(np.nan)
@@ -137,7 +137,7 @@ class _Served:
         session = _open_session(self._content)
         binding = session.io_binding()
         for bind, names, arrays in (
-            (binding.bind_input, self._inputs, self._given),
+            (binding.bind_input, self._inputs, self._input_rows),
             (binding.bind_output, self._outputs, self.outputs),
         ):
             for name, values in zip(names, arrays, strict=True):

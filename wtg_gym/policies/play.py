@@ -22,7 +22,7 @@ from wtg_gym.policies.policy_process import NotIsolatedError, OnnxPolicy, Policy
 
 @contextlib.contextmanager
 def started_lanes(
-    entry: Entry, settings: EnvSettings, given: Sequence[Scenario] | Sequence[int], n_threads: int | None = None
+    entry: Entry, settings: EnvSettings, episodes: Sequence[Scenario] | Sequence[int], n_threads: int | None = None
 ) -> Iterator[tuple[TaskLanes, Sequence[Scenario]]]:
     """Start one lane per scenario, or seed of the settings' suite, with an entry's own law and modes.
 
@@ -35,11 +35,12 @@ def started_lanes(
         observation_mode=entry.observation_mode,
         reward="cost",
     )
-    lanes = TaskLanes(entry_settings, len(given), n_threads)
+    lanes = TaskLanes(entry_settings, len(episodes), n_threads)
     try:
-        scenarios: Any = given if isinstance(given[0], Scenario) else lanes.scenarios(cast(Sequence[int], given))
+        drawn = not isinstance(episodes[0], Scenario)
+        scenarios: Any = lanes.scenarios(cast(Sequence[int], episodes)) if drawn else episodes
         try:
-            lanes.start(range(len(given)), scenarios)
+            lanes.start(range(len(episodes)), scenarios)
         except ValueError as error:
             raise PolicyError(f"entry {entry.label!r}: {error}") from error
         yield lanes, scenarios
@@ -108,8 +109,8 @@ def answer(
     return actions, answer[1]
 
 
-def _complaint(entry: Entry, step: int, wanted: str, got: str) -> PolicyError:
-    return PolicyError(f"entry {entry.label!r}, step {step}: {wanted}, got {got}")
+def _complaint(entry: Entry, step: int, expected: str, got: str) -> PolicyError:
+    return PolicyError(f"entry {entry.label!r}, step {step}: {expected}, got {got}")
 
 
 def _described(error: BaseException) -> str:

@@ -137,7 +137,7 @@ class OnnxPolicy:
             # The rest of an answer that was not read to its end would be taken for the next one.
             self.close()
             raise
-        action, *following = (np.frombuffer(each, dtype=np.float32).reshape(n_lanes, -1).copy() for each in answers)
+        action, *following = (np.frombuffer(data, dtype=np.float32).reshape(n_lanes, -1).copy() for data in answers)
         return action, tuple(following) if following else None
 
     def _running(self) -> PolicyProcess:

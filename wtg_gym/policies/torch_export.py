@@ -88,15 +88,15 @@ def _of_training(learned: dict[str, Any], entry: dict[str, Any]) -> dict[str, An
 
 def onnx_bytes(module: nn.Module, n_observation: int, n_action: int, *, tolerance: float = 1e-5) -> bytes:
     """Return the file that :func:`export_onnx` writes, for a module of any width; raises as that does."""
-    modes = [(each, each.training) for each in module.modules()]
+    modes = [(layer, layer.training) for layer in module.modules()]
     playable = _Playable(module).eval()
     try:
         _check_form(playable, n_observation, n_action)
         content = _exported(playable, n_observation)
         difference = _largest_difference(playable, content, n_observation)
     finally:
-        for each, training in modes:
-            each.training = training
+        for layer, training in modes:
+            layer.training = training
     if len(content) > FILES[POLICY_FILE]:
         raise ValueError(f"the file has {len(content)} bytes, allowed are {FILES[POLICY_FILE]}: use a smaller network")
     if not difference <= tolerance:
@@ -123,7 +123,7 @@ class TorchPolicy:
         states = [torch.zeros(len(observation), width) for width in widths] if state is None else state
         if episode_start is not None:
             goes_on = torch.as_tensor(~np.asarray(episode_start, dtype=np.bool_), dtype=torch.float32)[:, None]
-            states = [each * goes_on for each in states]
+            states = [memory * goes_on for memory in states]
         action, *following = self._playable(torch.as_tensor(observation, dtype=torch.float32), *states)
         return action.numpy(), following
 
@@ -136,21 +136,21 @@ class _Playable(nn.Module):
         self.label = f"module {type(module).__name__}"
         self.module = module
         self.state_widths: tuple[int, ...] = tuple(getattr(module, "state_widths", ()))
-        self._device = next((each.device for each in (*module.parameters(), *module.buffers())), torch.device("cpu"))
+        self._device = next((t.device for t in (*module.parameters(), *module.buffers())), torch.device("cpu"))
 
     def forward(self, *inputs: Tensor) -> tuple[Tensor, ...]:
-        answer = self.module(*(each.to(self._device) for each in inputs))
+        answer = self.module(*(tensor.to(self._device) for tensor in inputs))
         action, *following = answer if isinstance(answer, (tuple, list)) else (answer,)
-        return action.float().clamp(-1.0, 1.0).cpu(), *(each.float().cpu() for each in following)
+        return action.float().clamp(-1.0, 1.0).cpu(), *(tensor.float().cpu() for tensor in following)
 
 
 @torch.no_grad()
 def _check_form(playable: _Playable, n_observation: int, n_action: int) -> None:
     """Raise a ValueError if the module cannot answer observations, or answers in another form."""
     inputs = [torch.zeros(2, width) for width in (n_observation, *playable.state_widths)]
-    label = f"the {playable.label} %s inputs of shapes {', '.join(str(tuple(each.shape)) for each in inputs)}"
+    label = f"the {playable.label} %s inputs of shapes {', '.join(str(tuple(tensor.shape)) for tensor in inputs)}"
     try:
-        shapes = [tuple(each.shape) for each in playable(*inputs)]
+        shapes = [tuple(tensor.shape) for tensor in playable(*inputs)]
     except Exception as error:
         raise ValueError(f"{label % 'cannot answer'}: {_first_line(error)}") from error
     expected = [(2, width) for width in (n_action, *playable.state_widths)]

@@ -77,22 +77,22 @@ class ScenarioDistribution(Checked):
         super().__post_init__()
         if not self.name:
             raise ValueError("a distribution needs a name")
-        kinds = [type(record) for record in self.records]
-        known = [kind for kind in kinds if kind in _HASHED]
-        if draws.Wind not in kinds or len(set(kinds)) < len(kinds) or known != [k for k in _HASHED if k in kinds]:
-            order, names = (", ".join(kind.__name__ for kind in each) for each in (_HASHED, kinds))
+        types = [type(record) for record in self.records]
+        known = [type_ for type_ in types if type_ in _HASHED]
+        if draws.Wind not in types or len(set(types)) < len(types) or known != [k for k in _HASHED if k in types]:
+            order, names = (", ".join(type_.__name__ for type_ in group) for group in (_HASHED, types))
             raise ValueError(f"records must be a Wind, and at most one each of {order}, in this order, got {names}")
         for record in self.records:
             record.check(self._grid_data.with_groups, self.records)
 
-    def find(self, kind: type[R]) -> R | None:
+    def find(self, record_class: type[R]) -> R | None:
         """Return the record of a type, None where there is none."""
-        return next((record for record in self.records if isinstance(record, kind)), None)
+        return next((record for record in self.records if isinstance(record, record_class)), None)
 
     def changed(self, changes: draws.Changes) -> ScenarioDistribution:
         """Return the distribution with fields of its records replaced; a ValueError lists the records there are."""
         names = [type(record).__name__ for record in self.records]
-        require_known("records", [kind.__name__ for kind in changes], names)
+        require_known("records", [type_.__name__ for type_ in changes], names)
         records = (dataclasses.replace(record, **changes.get(type(record), {})) for record in self.records)
         return dataclasses.replace(self, records=tuple(records))
 
@@ -182,9 +182,9 @@ class ScenarioDistribution(Checked):
     @property
     def wind(self) -> draws.Wind:
         """The record of mean wind, turbulence, gusts and ramps."""
-        found = self.find(draws.Wind)
-        assert found is not None
-        return found
+        wind = self.find(draws.Wind)
+        assert wind is not None
+        return wind
 
     def _draft(self, stream: np.random.Generator, n_turbines: Sequence[float], duration_s: float) -> draws.Draft:
         """Draw all of a scenario but its series."""

@@ -69,7 +69,7 @@ class Picker:
 def lines_of(text: str) -> tuple[Line, ...]:
     """Return the lines of a text such as "1-5 2-3": the buses at both ends of each."""
     pairs = (line.split("-") for line in text.split())
-    return tuple((int(one), int(other)) for one, other in pairs)
+    return tuple((int(from_bus), int(to_bus)) for from_bus, to_bus in pairs)
 
 
 #: Lines of the IEEE 14-bus system whose loss leaves it connected, without 1-2, which carries most of the output of bus
@@ -554,9 +554,9 @@ class SensorDistribution(Checked):
             trusted(
                 Sensors,
                 **shared,
-                seed=int(own[0] * 2**31),
-                delay_s=delays[int(own[1] * len(delays))],
+                seed=int(numbers[0] * 2**31),
+                delay_s=delays[int(numbers[1] * len(delays))],
                 wind_bias=tuple(bias),
             )
-            for own, bias in zip(uniform.tolist(), biases.tolist(), strict=True)
+            for numbers, bias in zip(uniform.tolist(), biases.tolist(), strict=True)
         ]

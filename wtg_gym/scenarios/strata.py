@@ -238,8 +238,8 @@ def _records(layers: Sequence[draws.Changes], size: float) -> tuple[draws.Record
     """Return the records that layers of values make, later ones first, with a factor on the load events' sizes [-]."""
     values: dict[type[draws.Record], dict[str, Any]] = {}
     for layer in layers:
-        for kind, fields in layer.items():
-            values.setdefault(kind, {}).update(fields)
+        for record, fields in layer.items():
+            values.setdefault(record, {}).update(fields)
     loads = values[draws.LoadEvents]
     least, most = loads["size_mw"]
     loads["size_mw"] = (round(size * least, 2), round(size * most, 2))
@@ -247,10 +247,10 @@ def _records(layers: Sequence[draws.Changes], size: float) -> tuple[draws.Record
     # Events without a bus or line get probability 0.
     if not loads["trip_buses"]:
         loads["trip_probability"] = 0.0
-    for kind, fields in values.items():
-        if issubclass(kind, draws.RareEvent) and kind.WHERE and not fields[kind.WHERE]:
+    for record, fields in values.items():
+        if issubclass(record, draws.RareEvent) and record.WHERE and not fields[record.WHERE]:
             fields["probability"] = 0.0
-    return tuple(kind(**fields) for kind, fields in values.items())
+    return tuple(record(**fields) for record, fields in values.items())
 
 
 def suite_of_strata(

@@ -120,7 +120,7 @@ class Suite:
     @property
     def distributions(self) -> tuple[ScenarioDistribution, ...]:
         """Every distribution that its scenarios are drawn from; none for fixed cases."""
-        return tuple(distribution for kinds in self.drawn_from.values() for distribution in kinds)
+        return tuple(distribution for draws in self.drawn_from.values() for distribution in draws)
 
     @property
     def strata(self) -> tuple[str, ...]:
@@ -142,8 +142,8 @@ class Suite:
 
     def _margins_in(self, plant: Plant | None) -> ReserveMargin:
         """Return what finds margins: in the suite's plant, whatever is changed but its groups and buses."""
-        own = self.plant
-        if plant is None or (plant.groups, plant.case.bus_numbers) == (own.groups, own.case.bus_numbers):
+        base = self.plant
+        if plant is None or (plant.groups, plant.case.bus_numbers) == (base.groups, base.case.bus_numbers):
             return self._own_margins
         return ReserveMargin(plant)
 
@@ -161,8 +161,8 @@ class Suite:
 
     def _distribution(self, seed: int, attempt: int) -> ScenarioDistribution:
         turn, place = divmod(int(seed), len(self.drawn_from))
-        kinds = list(self.drawn_from.values())[place]
-        return kinds[(turn + attempt) % len(kinds)]
+        distributions = list(self.drawn_from.values())[place]
+        return distributions[(turn + attempt) % len(distributions)]
 
     def _split_text(self) -> str:
         texts = ((split, self.seeds(split)) for split in SPLITS)
@@ -299,7 +299,7 @@ class Suite:
 
     def _hashed_sources(self) -> dict[str, Any] | None:
         """Its distribution as it enters the hash, or those of each stratum by its name; None for fixed cases."""
-        data = {stratum: [kind.hashed() for kind in kinds] for stratum, kinds in self.drawn_from.items()}
+        data = {stratum: [draw.hashed() for draw in draws] for stratum, draws in self.drawn_from.items()}
         return data[""][0] if "" in data else data or None
 
     @cached_property
@@ -332,8 +332,8 @@ def _with(scenario: Scenario, **values: Any) -> Scenario:
 
 def _default_turbines(group: WtgGroup) -> float:
     """Return how many of the default turbines give what a group's own do."""
-    own = group.n_turbines
-    return own if group.turbine is None else own * group.turbine.rated_power_mw / TurbineParameters().rated_power_mw
+    ratio = group.turbine.rated_power_mw / TurbineParameters().rated_power_mw if group.turbine else 1.0
+    return group.n_turbines * ratio
 
 
 def _decimal(value: float) -> str:

@@ -250,10 +250,10 @@ def get_suite(name: str) -> Suite:
         ValueError: the suite is unknown, or the file is damaged; the message lists the known ones, or says why.
     """
     if isinstance(name, str) and name.endswith(".json"):
-        own = suite_of_file(name)
-        if own.name in FROZEN_HASHES and own.hash != FROZEN_HASHES[own.name]:
-            raise ValueError(f"{name} is another suite than {own.name}: give it another name")
-        return own
+        suite = suite_of_file(name)
+        if suite.name in FROZEN_HASHES and suite.hash != FROZEN_HASHES[suite.name]:
+            raise ValueError(f"{name} is another suite than {suite.name}: give it another name")
+        return suite
     if not isinstance(name, str) or name not in SUITES:
         known = f"{', '.join(SUITES)}, or the path of a .json file{did_you_mean(name, SUITES)}"
         raise ValueError(f"unknown suite {name!r}; known suites: {known}")

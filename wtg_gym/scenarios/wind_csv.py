@@ -90,8 +90,8 @@ def _numbers(where: str, header: list[str], line: str) -> list[float]:
             number = math.nan
         if not math.isfinite(number) or (numbers and not low <= number <= high):
             allowed = f"wind speeds of {low:g} … {high:g} m/s" if numbers else "finite times in s"
-            found = f"{text[:40]!r}" if text else "an empty cell"
-            raise ValueError(f"{where}, column {name!r}: {found} is none of the allowed {allowed}")
+            shown = f"{text[:40]!r}" if text else "an empty cell"
+            raise ValueError(f"{where}, column {name!r}: {shown} is none of the allowed {allowed}")
         numbers.append(number)
     return numbers
 
@@ -106,9 +106,9 @@ def _uniform_step(time_s: FloatArray) -> float:
     low, high = _STEP_RANGE_S
     if not low <= usual <= high or wrong.size:
         row = int(wrong[0]) + 1 if wrong.size else 1
-        kind = "time does not increase" if steps[row - 1] <= 0.0 else "gap or change of step in time"
+        reason = "time does not increase" if steps[row - 1] <= 0.0 else "gap or change of step in time"
         raise ValueError(
-            f"line {row + 2}: {kind}: time_s goes from {time_s[row - 1]:g} to {time_s[row]:g} s; "
+            f"line {row + 2}: {reason}: time_s goes from {time_s[row - 1]:g} to {time_s[row]:g} s; "
             f"the step must be uniform ({usual:g} s in most rows) and within {low:g} … {high:g} s"
         )
     return float((time_s[-1] - time_s[0]) / (len(time_s) - 1))

@@ -64,7 +64,7 @@ def source_hash() -> str:
     """Return the sha256 hex digest of every source file that compiled code lives in, and of the grids."""
     parts = []
     for folder in ("systems", "physics", "tasks", "scenarios", "envs", "gradients", "grids"):
-        for path in sorted(each for ending in ("py", "json") for each in (_PACKAGE / folder).glob(f"*.{ending}")):
+        for path in sorted(file for ending in ("py", "json") for file in (_PACKAGE / folder).glob(f"*.{ending}")):
             parts += [path.name.encode(), path.read_bytes()]
     return digest_of(*parts).hex()
 
@@ -99,7 +99,7 @@ def shipped_for(processor: Processor) -> list[Processor]:
     if not SHIPPED.is_dir():
         return []
     has = llvmlite.binding.get_host_cpu_features()
-    return [(processor[0], kind, "") for kind, needed in KINDS.items() if all(map(has.get, needed))]
+    return [(processor[0], name, "") for name, needed in KINDS.items() if all(map(has.get, needed))]
 
 
 def kept(path: Path | None, key: bytes) -> bytes | None:
@@ -141,9 +141,9 @@ class DiskCache(NullCache):  # type: ignore[misc]
         """Return the machine code for a signature; None makes numba compile."""
         target_context.refresh()
         processor = target_context.codegen().magic_tuple()
-        places = [(self._folder, processor), *((SHIPPED, kind) for kind in shipped_for(processor))]
-        for folder, kind in places:
-            key = self._key(sig, kind)
+        places = [(self._folder, processor), *((SHIPPED, processor) for processor in shipped_for(processor))]
+        for folder, processor in places:
+            key = self._key(sig, processor)
             code = None if folder is None else kept(self._path(folder, key), key)
             # What another version of numba has pickled may raise anything.
             with contextlib.suppress(Exception):
@@ -211,10 +211,10 @@ class Compilation(event.Listener):  # type: ignore[misc]
             kept = "not kept: no folder can be written to" if self._folder is None else f"kept in {self._folder}"
             _log.warning("wtg_gym compiles its simulator to machine code: some ten seconds, %s", kept)
         if self.n_functions >= _SILENT_FUNCTIONS and _shows_a_line():
-            told = (
+            message = (
                 f"wtg_gym compiles its simulator, once: {self.seconds:.0f} s, {self.n_functions} functions, now {name}"
             )
-            print(f"\r{told[:78]}\x1b[K", end="", file=sys.stderr, flush=True)
+            print(f"\r{message[:78]}\x1b[K", end="", file=sys.stderr, flush=True)
 
     def end(self) -> None:
         """End what was begun last."""

@@ -69,15 +69,15 @@ def _plain(value: Any) -> Any:
 
 def number(operation: str, *arguments: Any) -> Any:
     """Return an operation's result: a plain number where all arguments are, or where it follows from them."""
-    given = arguments if operation == "symbol" else tuple(_plain(argument) for argument in arguments)
-    if operation != "symbol" and not any(isinstance(argument, Number) for argument in given):
-        return _CONSTANT[operation](*given)
-    known = None if operation == "symbol" else _simplified(operation, given)
+    operands = arguments if operation == "symbol" else tuple(_plain(argument) for argument in arguments)
+    if operation != "symbol" and not any(isinstance(argument, Number) for argument in operands):
+        return _CONSTANT[operation](*operands)
+    known = None if operation == "symbol" else _simplified(operation, operands)
     if known is not None:
         return known
-    key = (operation, *(_key(a) for a in given))
+    key = (operation, *(_key(a) for a in operands))
     if key not in Number._made:
-        Number._made[key] = Number(operation, given, len(Number._made))
+        Number._made[key] = Number(operation, operands, len(Number._made))
     return Number._made[key]
 
 
@@ -120,9 +120,9 @@ def _is(value: Any, constant: float) -> bool:
     return not isinstance(value, Number) and value == constant
 
 
-def _simplified(operation: str, given: tuple[Any, ...]) -> Any:
+def _simplified(operation: str, operands: tuple[Any, ...]) -> Any:
     """Return what an operation comes to without being worked out; None where it must be."""
-    first, second = given[0], given[1] if len(given) > 1 else None
+    first, second = operands[0], operands[1] if len(operands) > 1 else None
     zeros = _simplifies_zeros
     if operation == "mul" and zeros and (_is(first, 0.0) or _is(second, 0.0)):
         return 0.0
@@ -135,8 +135,8 @@ def _simplified(operation: str, given: tuple[Any, ...]) -> Any:
     if operation == "div" and ((zeros and _is(first, 0.0)) or _is(second, 1.0)):
         return first
     if operation == "select" and not isinstance(first, Number):
-        return second if first else given[2]
-    if operation == "select" and second is given[2]:
+        return second if first else operands[2]
+    if operation == "select" and second is operands[2]:
         return second
     return None
 
@@ -259,26 +259,26 @@ _REVERSE: dict[str, Callable[..., tuple[Any, ...]]] = {
 
 def needed(values: Iterable[Any]) -> list[Number]:
     """Return the numbers that some values depend on, and themselves, each after those that it depends on."""
-    found: set[Number] = set()
+    reached: set[Number] = set()
     open_ = [value for value in values if isinstance(value, Number)]
     while open_:
-        one = open_.pop()
-        if one not in found:
-            found.add(one)
-            open_ += [a for a in one.arguments if isinstance(a, Number)]
-    return sorted(found, key=lambda one: one.order)
+        number = open_.pop()
+        if number not in reached:
+            reached.add(number)
+            open_ += [a for a in number.arguments if isinstance(a, Number)]
+    return sorted(reached, key=lambda number: number.order)
 
 
-def pulled_back(outputs: Sequence[tuple[Any, Any]], wanted: Iterable[Any]) -> dict[Number, Any]:
+def pulled_back(outputs: Sequence[tuple[Any, Any]], sources: Iterable[Any]) -> dict[Number, Any]:
     """Return the cotangents of wanted symbols that have one, given pairs of an output and its cotangent."""
-    symbols = set(wanted)
+    symbols = set(sources)
     values = needed(value for value, _ in outputs)
     depends: set[Number] = set()
-    for one in values:
-        if one in symbols or (
-            one.operation in _REVERSE and any(a in depends for a in one.arguments if isinstance(a, Number))
+    for number in values:
+        if number in symbols or (
+            number.operation in _REVERSE and any(a in depends for a in number.arguments if isinstance(a, Number))
         ):
-            depends.add(one)
+            depends.add(number)
     cotangents: dict[Number, Any] = {}
 
     def add(value: Any, cotangent: Any) -> None:
@@ -288,11 +288,11 @@ def pulled_back(outputs: Sequence[tuple[Any, Any]], wanted: Iterable[Any]) -> di
     with simplifying_zeros():
         for value, cotangent in outputs:
             add(value, cotangent)
-        for one in reversed(values):
-            if one in cotangents and one.operation != "symbol":
-                parts = _REVERSE[one.operation](cotangents[one], one, *one.arguments)
-                for given, part in zip(one.arguments, parts, strict=True):
-                    add(given, part)
+        for number in reversed(values):
+            if number in cotangents and number.operation != "symbol":
+                parts = _REVERSE[number.operation](cotangents[number], number, *number.arguments)
+                for operand, part in zip(number.arguments, parts, strict=True):
+                    add(operand, part)
     return {symbol: cotangents[symbol] for symbol in symbols if symbol in cotangents}
 
 
@@ -331,8 +331,8 @@ def retargeted(function: Any, done: dict[Any, Any] | None = None) -> Callable[..
     done = {} if done is None else done
     source = getattr(function, "py_func", function)
     if source in done:
-        found: Callable[..., Any] = done[source]
-        return found
+        earlier: Callable[..., Any] = done[source]
+        return earlier
     names = dict(source.__globals__)
     cells = tuple(types.CellType(cell.cell_contents) for cell in source.__closure__ or ())
     copy = types.FunctionType(source.__code__, names, source.__name__, source.__defaults__, cells)

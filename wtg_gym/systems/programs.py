@@ -1,7 +1,7 @@
 """Programs: lists of systems, compiled once for all plants, and the table that says where a plant has its rows.
 
-An entry of a program is a :class:`~wtg_gym.systems.systems.System`, which goes over all units of its kind, or one of
-the few things that are no map over units: :class:`Product`, :class:`When`, :class:`Repeat`, :class:`Each`.
+An entry of a program is a :class:`~wtg_gym.systems.systems.System`, which goes over all units of its kind, or a control
+block: :class:`Product`, :class:`When`, :class:`Repeat`, :class:`Each`.
 """
 
 from __future__ import annotations
@@ -123,7 +123,7 @@ class MemoryMap(Protocol):
         """Return the first row of a part of each unit, (n_units,), in the block or in scratch."""
 
     def seen(self, kind: Kind, label: str) -> Whole:
-        """Return which unit of a kind that it sees each unit means, (n_units,)."""
+        """Return the index of the unit that each unit of a kind sees by a label, (n_units,)."""
 
     def constants(self, kind: Kind, name: str) -> Sequence[Any]:
         """Return a constant of each unit: records, or numbers (n_units,)."""
@@ -159,7 +159,7 @@ class Program:
 
     Args:
         name: of the program.
-        entries: systems and what is none.
+        entries: systems and control blocks.
         number: of the program among those that share a table.
         joining: systems of devices, by the places where they join.
     """
@@ -167,7 +167,7 @@ class Program:
     def __init__(
         self, name: str, entries: Sequence[Any], number: int, joining: Mapping[str, Sequence[System]] = _NOBODY
     ) -> None:
-        self.name, self.number, self._given = name, number, tuple(entries)
+        self.name, self.number, self._unjoined = name, number, tuple(entries)
         self.entries: tuple[Any, ...] = tuple(_with(entries, joining))
         self.places = {id(entry): _MOST * number + i for i, entry in enumerate(_flat(self.entries))}
         self._digests: dict[bool, str] = {}
@@ -178,17 +178,17 @@ class Program:
 
     def joined(self, joining: Mapping[str, Sequence[System]]) -> Program:
         """Return the program with systems of devices."""
-        return Program(self.name, self._given, self.number, joining) if joining else self
+        return Program(self.name, self._unjoined, self.number, joining) if joining else self
 
     def digest(self, *, back: bool = False) -> str:
         """Return a hash of everything that its machine code depends on, or that of the way back through it."""
         if back not in self._digests:
-            told = self.name, list(self.places.values()), [_told(entry) for entry in self.entries]
-            found = hashlib.sha256(repr(told).encode())
+            content = self.name, list(self.places.values()), [_content(entry) for entry in self.entries]
+            sha = hashlib.sha256(repr(content).encode())
             for entry in _flat(self.entries):
                 for line in _operations(entry, back=back) if isinstance(entry, System) else ():
-                    found.update(repr(line).encode())
-            self._digests[back] = found.hexdigest()
+                    sha.update(repr(line).encode())
+            self._digests[back] = sha.hexdigest()
         return self._digests[back]
 
     def tape_rows(self, plant: MemoryMap) -> int:
@@ -196,27 +196,27 @@ class Program:
         return sum(_n_noted(entry) * _n_units(entry, plant) for entry in _flat(self.entries))
 
 
-def _told(entry: Any) -> tuple[Any, ...]:
+def _content(entry: Any) -> tuple[Any, ...]:
     """Return what an entry is, but for the operations of systems, and what lies within it."""
     if isinstance(entry, System):
         slots = [(slot, entry.places[slot].in_scratch) for slot in entry.slots]
         return entry.name, slots, entry.constants_used, entry.when
     if isinstance(entry, Each):
-        return "each", _told(entry.outer), _told(entry.inner)
+        return "each", _content(entry.outer), _content(entry.inner)
     if isinstance(entry, (When, Repeat)):
         most = entry.most if isinstance(entry, Repeat) else 1
-        return type(entry).__name__, entry.place.in_scratch, most, [_told(each) for each in entry.entries]
+        return type(entry).__name__, entry.place.in_scratch, most, [_content(inner) for inner in entry.entries]
     if isinstance(entry, Product):
         return "product", entry.matrix in entry.pairs.rows
     return (type(entry).__name__,)
 
 
-def _operations(one: System, *, back: bool) -> Iterator[Any]:
+def _operations(system: System, *, back: bool) -> Iterator[Any]:
     """Yield what the machine code of a system works out, or that of the way back through it."""
-    stores: list[tuple[Any, Any]] = [((name, k), value) for name, k, value in one.trace.stores]
+    stores: list[tuple[Any, Any]] = [((name, k), value) for name, k, value in system.trace.stores]
     if back:
-        stores += [*one.adjoint.inputs.items(), *one.adjoint.constants.items()]
-        yield one.noted, list(one.adjoint.seeds.values())
+        stores += [*system.adjoint.inputs.items(), *system.adjoint.constants.items()]
+        yield system.noted, list(system.adjoint.seeds.values())
     order = {number: i for i, number in enumerate(ex.needed(value for _, value in stores))}
     for number in order:
         yield number.operation, *(order[a] if isinstance(a, ex.Number) else a for a in number.arguments)
@@ -246,19 +246,19 @@ def build_table(programs: Sequence[Program], plant: MemoryMap, taped: Sequence[P
     for program in programs:
         n_taped = 0
         for entry in _flat(program.entries):
-            own, n = head[program.places[id(entry)]], _n_units(entry, plant)
-            own[:] = n, head.size + len(rows), len(numbers), n_taped
+            row, n = head[program.places[id(entry)]], _n_units(entry, plant)
+            row[:] = n, head.size + len(rows), len(numbers), n_taped
             n_taped += _n_noted(entry) * n if program in taped else 0
             if isinstance(entry, System):
                 # Tables of cells come before the constants of the system.
                 values = _constants_of(entry, plant, n, numbers, cells)
-                own[2] = len(numbers)
+                row[2] = len(numbers)
                 rows += _system_rows(entry, plant, n)
                 numbers += values
             elif isinstance(entry, Product):
                 rows += _product_rows(entry, plant)
             else:
-                own[1] = plant.first_rows(entry.place.kind, entry.place.part)[0] + entry.place.offset
+                row[1] = plant.first_rows(entry.place.kind, entry.place.part)[0] + entry.place.offset
     table = np.concatenate([head.ravel(), np.array(rows, dtype=np.int64)])
     return Tables(table, np.array(numbers, dtype=np.float64), np.zeros(0, dtype=np.int64))
 
@@ -273,20 +273,20 @@ def constant_places(
         argument, leaf: of the constant, as in "machine" and "governor.droop".
         unit: whose constant, among those of its kind; None for all of them.
     """
-    found = []
+    indices = []
     for program in programs:
-        for one in (entry for entry in _flat(program.entries) if isinstance(entry, System)):
-            used = one.constants_used
+        for system in (entry for entry in _flat(program.entries) if isinstance(entry, System)):
+            used = system.constants_used
             if f"{argument}.{leaf}" not in used:
                 continue
-            n, place = _n_units(one, plant), one.places[argument]
-            units = plant.seen(one.kind, place.seen)[:n] if place.seen else np.arange(n)
-            first = int(tables.table[HEAD * program.places[id(one)] + 2])
-            found += [
+            n, place = _n_units(system, plant), system.places[argument]
+            units = plant.seen(system.kind, place.seen)[:n] if place.seen else np.arange(n)
+            first = int(tables.table[HEAD * program.places[id(system)] + 2])
+            indices += [
                 first + int(k) * len(used) + used.index(f"{argument}.{leaf}")
                 for k in np.flatnonzero((units == unit) | (unit is None))
             ]
-    return found
+    return indices
 
 
 def _product_rows(entry: Product, plant: MemoryMap) -> list[int]:
@@ -298,46 +298,46 @@ def _product_rows(entry: Product, plant: MemoryMap) -> list[int]:
 
 def _stride(kind: Kind, part: str, plant: MemoryMap) -> list[int]:
     """Return the first row of a part of the first unit, and how many rows later that of the next is."""
-    found = plant.first_rows(kind, part)
-    return [int(found[0]) if found.size else 0, int(found[1] - found[0]) if found.size > 1 else 0]
+    rows = plant.first_rows(kind, part)
+    return [int(rows[0]) if rows.size else 0, int(rows[1] - rows[0]) if rows.size > 1 else 0]
 
 
-def _system_rows(one: System, plant: MemoryMap, n: int) -> list[int]:
+def _system_rows(system: System, plant: MemoryMap, n: int) -> list[int]:
     if n == 0:
         return []
-    found = [_rows_of(one.kind, one.places[name], plant) for name in one.slots]
-    rows: list[int] = np.stack(found, axis=1).ravel().tolist()
+    columns = [_rows_of(system.kind, system.places[name], plant) for name in system.slots]
+    rows: list[int] = np.stack(columns, axis=1).ravel().tolist()
     return rows
 
 
 def _rows_of(kind: Kind, place: Place, plant: MemoryMap) -> Whole:
-    found = plant.first_rows(place.kind, place.part) + place.offset
-    return found if not place.seen else found[plant.seen(kind, place.seen)]
+    rows = plant.first_rows(place.kind, place.part) + place.offset
+    return rows if not place.seen else rows[plant.seen(kind, place.seen)]
 
 
-def _constants_of(one: System, plant: MemoryMap, n: int, numbers: list[float], cells: dict[Any, int]) -> list[float]:
+def _constants_of(system: System, plant: MemoryMap, n: int, numbers: list[float], cells: dict[Any, int]) -> list[float]:
     """Return the constants of a system for each of n units; what tables hold is added to `numbers`."""
-    used = one.constants_used
+    used = system.constants_used
     if n == 0 or not used:
         return []
     values: dict[str, Floats] = {}
     for argument in dict.fromkeys(name.partition(".")[0] for name in used):
-        place = one.places[argument]
-        given = plant.constants(place.kind, place.part)
+        place = system.places[argument]
+        constants = plant.constants(place.kind, place.part)
         if place.record is ex.Cells:
             key = place.kind, place.part
             if key not in cells:
                 cells[key] = len(numbers)
-                numbers += np.asarray(given).ravel().tolist()
-            each: list[Any] = [(cells[key], *np.shape(given)[:2])] * n
+                numbers += np.asarray(constants).ravel().tolist()
+            entries: list[Any] = [(cells[key], *np.shape(constants)[:2])] * n
         else:
-            chosen = given if not place.seen else [given[i] for i in plant.seen(one.kind, place.seen)]
-            each = [_numbers(value) for value in chosen]
+            chosen = constants if not place.seen else [constants[i] for i in plant.seen(system.kind, place.seen)]
+            entries = [_numbers(value) for value in chosen]
         names = [name for name, _ in constants_of(argument, place.record)]
-        table = np.array(each, dtype=np.float64).reshape(n, len(names))
+        table = np.array(entries, dtype=np.float64).reshape(n, len(names))
         values |= dict(zip(names, table.T, strict=True))
-    found: list[float] = np.stack([values[name] for name in used], axis=1).ravel().tolist()
-    return found
+    flat: list[float] = np.stack([values[name] for name in used], axis=1).ravel().tolist()
+    return flat
 
 
 def _numbers(value: Any) -> tuple[Any, ...]:
@@ -348,9 +348,9 @@ def _numbers(value: Any) -> tuple[Any, ...]:
 
 def unconditional(entries: Sequence[Any]) -> tuple[Any, ...]:
     """Return entries where what runs under a condition runs always; for systems that change nothing without it."""
-    return tuple(one for entry in entries for one in (entry.entries if isinstance(entry, When) else (entry,)))
+    return tuple(inner for entry in entries for inner in (entry.entries if isinstance(entry, When) else (entry,)))
 
 
 def in_one_table(*before: Program, **entries: Sequence[Any]) -> tuple[Program, ...]:
     """Return programs by their names that share a table, behind that of programs before them."""
-    return tuple(Program(name, own, number) for number, (name, own) in enumerate(entries.items(), start=len(before)))
+    return tuple(Program(name, part, i) for i, (name, part) in enumerate(entries.items(), start=len(before)))

@@ -72,24 +72,24 @@ class Routine:
 
         Compiles on first use. `program` may be extended by user-defined devices.
         """
-        n_arrays, what = _OF_WRITER[self._writer]
-        told = (program.digest(back=n_arrays > 2), what, width, sorted(self._known.items()), _writers_hash())
+        n_arrays, purpose = _OF_WRITER[self._writer]
+        content = (program.digest(back=n_arrays > 2), purpose, width, sorted(self._known.items()), _writers_hash())
         folder = compiled.cache_folder()
         places = [
             (folder and folder.parent, _processor()),
-            *((compiled.SHIPPED, kind) for kind in compiled.shipped_for(_processor())),
+            *((compiled.SHIPPED, processor) for processor in compiled.shipped_for(_processor())),
         ]
-        keys = [compiled.digest_of(repr((told, kind, compiled.VERSIONS)).encode()) for _, kind in places]
+        keys = [compiled.digest_of(repr((content, processor, compiled.VERSIONS)).encode()) for _, processor in places]
         # Threads may ask at once.
         with global_compiler_lock:
             if keys[0] not in _ADDRESSES:
                 names = [f"{program.name.lower()}-{key.hex()[:16]}" for key in keys]
                 bases = [base and base / "programs" for base, _ in places]
                 paths = [base and base / f"{name}.o" for base, name in zip(bases, names, strict=True)]
-                found = (compiled.kept(path, key) for path, key in zip(paths, keys, strict=True))
-                name, code = next((each for each in zip(names, found, strict=True) if each[1]), (names[0], None))
+                codes = (compiled.kept(path, key) for path, key in zip(paths, keys, strict=True))
+                name, code = next((pair for pair in zip(names, codes, strict=True) if pair[1]), (names[0], None))
                 if code is None:
-                    with compiled.reporting(f"{program.name.lower()} ({what})"):
+                    with compiled.reporting(f"{program.name.lower()} ({purpose})"):
                         code = self._compiled(program, name, width)
                     compiled.keep(paths[0], keys[0], code)
                 engine = _engine()
@@ -119,8 +119,8 @@ class Routine:
             address = self.address(self.program, width)
         if not address:
             raise ValueError(f"the tables have no code of {self.program.name!r} for blocks of {width}")
-        kinds = [ctypes.c_void_p] * (len(arrays) + 2) + [ctypes.c_double] * len(SCALARS)
-        function = ctypes.CFUNCTYPE(None, *kinds)(address)
+        argument_types = [ctypes.c_void_p] * (len(arrays) + 2) + [ctypes.c_double] * len(SCALARS)
+        function = ctypes.CFUNCTYPE(None, *argument_types)(address)
         constant = tables.table.ctypes.data, tables.numbers.ctypes.data, *scalars
         places = [(stack.ctypes.data, stack.strides[0]) for stack in stacks]
         for block in range(len(stacks[0])):
@@ -152,8 +152,8 @@ _LEVEL = 1
 
 def _processor() -> compiled.Processor:
     """Return triple, name and features of this processor, as numba knows them."""
-    found: compiled.Processor = cpu_target.target_context.codegen().magic_tuple()
-    return found
+    processor: compiled.Processor = cpu_target.target_context.codegen().magic_tuple()
+    return processor
 
 
 @functools.cache
@@ -186,21 +186,21 @@ def _call(place: int, n_arrays: int) -> Callable[..., None]:
             raise TypeError(f"a routine takes {n_arrays} arrays in C order, got {arrays}")
 
         def code(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-            def data_of(kinds: Any, values: Any) -> list[Any]:
-                own = (context.make_array(kind) for kind in kinds)
-                return [make(context, builder, builder.extract_value(values, i)).data for i, make in enumerate(own)]
+            def data_of(types_: Any, values: Any) -> list[Any]:
+                makers = (context.make_array(type_) for type_ in types_)
+                return [make(context, builder, builder.extract_value(values, i)).data for i, make in enumerate(makers)]
 
-            given, of_tables, numbers = arguments[:3]
-            first = context.make_array(arrays[0])(context, builder, builder.extract_value(given, 0))
+            of_arrays, of_tables, numbers = arguments[:3]
+            first = context.make_array(arrays[0])(context, builder, builder.extract_value(of_arrays, 0))
             width = builder.extract_value(first.shape, 1)
             wide = builder.zext(builder.icmp_signed(">", width, _WHOLE(1)), _WHOLE)
-            data, (table, constants, addresses) = data_of(arrays, given), data_of(tables, of_tables)
+            data, (table, constants, addresses) = data_of(arrays, of_arrays), data_of(tables, of_tables)
             if n_arrays > 2:
                 data[2] = builder.gep(data[2], [builder.mul(arguments[3], width)])
             address = builder.load(builder.gep(addresses, [builder.add(_WHOLE(place), wide)]))
             function = builder.inttoptr(address, _signature(n_arrays).as_pointer())
-            told = [builder.extract_value(numbers, i) for i in range(len(SCALARS))]
-            builder.call(function, [*data, table, constants, *told])
+            scalar_values = [builder.extract_value(numbers, i) for i in range(len(SCALARS))]
+            builder.call(function, [*data, table, constants, *scalar_values])
             return context.get_dummy_value()
 
         return types.void(arrays, tables, scalars, *at), code
@@ -213,8 +213,8 @@ def _call(place: int, n_arrays: int) -> Callable[..., None]:
     def call_at(typing_context: Any, arrays: Any, tables: Any, scalars: Any, at: Any) -> Any:
         return written(arrays, tables, scalars, (types.int64,))
 
-    found: Callable[..., None] = call if n_arrays == 2 else call_at
-    return found
+    routine: Callable[..., None] = call if n_arrays == 2 else call_at
+    return routine
 
 
 class Function:
@@ -233,19 +233,19 @@ class Function:
 
         @intrinsic
         def call(typing_context: Any, tables: Any, arguments: Any) -> Any:
-            given = tuple(types.unliteral(kind) for kind in arguments)
-            returned = result or self._compiled(given).signature.return_type
+            argument_types = tuple(types.unliteral(type_) for type_ in arguments)
+            returned = result or self._compiled(argument_types).signature.return_type
 
             def code(context: Any, builder: Any, signature: Any, values: Any) -> Any:
                 addresses = context.make_array(tables[2])(context, builder, builder.extract_value(values[0], 2)).data
                 address = builder.load(builder.gep(addresses, [_WHOLE(place)]))
-                kind = context.call_conv.get_function_type(returned, given)
-                called = builder.inttoptr(address, kind.as_pointer())
-                own = [
-                    context.cast(builder, builder.extract_value(values[1], i), arguments[i], kind)
-                    for i, kind in enumerate(given)
+                type_ = context.call_conv.get_function_type(returned, argument_types)
+                called = builder.inttoptr(address, type_.as_pointer())
+                converted = [
+                    context.cast(builder, builder.extract_value(values[1], i), arguments[i], type_)
+                    for i, type_ in enumerate(argument_types)
                 ]
-                return context.call_conv.call_function(builder, called, returned, given, own)[1]
+                return context.call_conv.call_function(builder, called, returned, argument_types, converted)[1]
 
             return returned(tables, arguments), code
 
@@ -257,8 +257,8 @@ class Function:
 
     def address(self, *arguments: Any) -> int:
         """Return where the machine code for arguments like these is in this process."""
-        found = self._compiled(tuple(map(typeof, arguments)))
-        address: int = found.library.get_pointer_to_function(found.fndesc.llvm_func_name)
+        overload = self._compiled(tuple(map(typeof, arguments)))
+        address: int = overload.library.get_pointer_to_function(overload.fndesc.llvm_func_name)
         return address
 
 
@@ -272,12 +272,12 @@ def code_of(
         routines: those that will be called, by the width of the blocks.
         functions: those that will be called, with arguments like those that they will be given.
     """
-    found = np.zeros(_FUNCTIONS + 2 * _PLACES * len(programs), dtype=np.int64)
+    addresses = np.zeros(_FUNCTIONS + 2 * _PLACES * len(programs), dtype=np.int64)
     for function, arguments in functions.items():
-        found[function.place] = function.address(*arguments)
-    of_programs = found[_FUNCTIONS:].reshape(len(programs), _PLACES, 2)
-    for width, own in routines.items():
-        for routine in own:
+        addresses[function.place] = function.address(*arguments)
+    of_programs = addresses[_FUNCTIONS:].reshape(len(programs), _PLACES, 2)
+    for width, of_width in routines.items():
+        for routine in of_width:
             number = routine.program.number
             of_programs[number, routine.place, int(width > 1)] = routine.address(programs[number], width)
-    return found
+    return addresses

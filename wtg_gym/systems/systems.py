@@ -28,16 +28,16 @@ from wtg_gym.systems.expressions import retargeted
 _DTYPES = {float: np.float64, int: np.int64, bool: np.bool_, complex: np.complex128}
 
 
-def is_record(kind: Any) -> bool:
-    return isinstance(kind, type) and hasattr(kind, "_fields")
+def is_record(value: Any) -> bool:
+    return isinstance(value, type) and hasattr(value, "_fields")
 
 
 @functools.cache
 def leaves(record: Any) -> tuple[str, ...]:
     """Return the dotted names of a record's numbers, in their order: ("angle", …, "exciter.lead_lag", …)."""
     names: list[str] = []
-    for name, kind in get_type_hints(record).items():
-        names += [f"{name}.{leaf}" for leaf in leaves(kind)] if is_record(kind) else [name]
+    for name, hint in get_type_hints(record).items():
+        names += [f"{name}.{leaf}" for leaf in leaves(hint)] if is_record(hint) else [name]
     return tuple(names)
 
 
@@ -56,17 +56,17 @@ def short_names(record: Any) -> tuple[str, ...]:
 def dtype(record: type) -> np.dtype[Any]:
     """Return the data type of a record of constants, with :func:`leaves` as names; floats, whole numbers and flags."""
     return np.dtype(
-        [(leaf, _DTYPES[kind]) for leaf, kind in zip(leaves(record), kinds_of(record), strict=True)], align=True
+        [(leaf, _DTYPES[hint]) for leaf, hint in zip(leaves(record), types_of(record), strict=True)], align=True
     )
 
 
-def kinds_of(record: type) -> Iterator[Any]:
+def types_of(record: type) -> Iterator[Any]:
     """Yield the types of a record's numbers, in the order of :func:`leaves`."""
-    for kind in get_type_hints(record).values():
-        if is_record(kind):
-            yield from kinds_of(kind)
+    for hint in get_type_hints(record).values():
+        if is_record(hint):
+            yield from types_of(hint)
         else:
-            yield kind
+            yield hint
 
 
 def flatten(values: Any) -> tuple[Any, ...]:
@@ -152,17 +152,17 @@ class Kind:
 
     def record_of(self, part: str, *where: str) -> Any:
         """Return the record, or float, of a part in "rows" or "scratch"; a TypeError names the parts most like it."""
-        parts = {name: record for each in where for name, record in getattr(self, each).items()}
+        parts = {name: record for place in where for name, record in getattr(self, place).items()}
         if part not in parts:
             raise TypeError(f"{self.name} have no part {part!r} in {' or '.join(where)}{did_you_mean(part, parts)}")
         return parts[part]
 
-    def find(self, name: str, who: str = "") -> Place:
+    def find(self, name: str, subject: str = "") -> Place:
         """Return what a name means to the systems of the kind.
 
         Args:
             name: a full name, or the end of one.
-            who: how the error begins; otherwise with the name.
+            subject: how the error begins; otherwise with the name.
 
         Raises:
             TypeError: nothing has the name, or several places have it.
@@ -172,14 +172,14 @@ class Kind:
             return places[0]
         if not places:
             kinds = ", ".join(dict.fromkeys(kind.name for kind in self.sees.values())) or "nothing"
-            nobody = f"is no part or constant of {self.name}, nor of what they see: {kinds}"
+            problem = f"is no part or constant of {self.name}, nor of what they see: {kinds}"
             seen = {"own": self, **self.sees}.items()
             known = [end for label, kind in seen if not label.endswith("_") for end in kind.ends]
             parts = ((label, place) for label, kind in seen for places in kind.ends.values() for place in places)
             known += [f"{label.removesuffix('_')}_{place.name}" for label, place in parts]
-            raise TypeError(f"{who or repr(name)} {nobody}{did_you_mean(name, known)}")
+            raise TypeError(f"{subject or repr(name)} {problem}{did_you_mean(name, known)}")
         several = " and ".join(f"{place.name!r} ({place.where} of {place.kind.name})" for place in places)
-        raise TypeError(f"{who or repr(name)} can mean {several}: use one of these full names")
+        raise TypeError(f"{subject or repr(name)} can mean {several}: use one of these full names")
 
     def meanings(self, name: str) -> list[Place]:
         """Return all places that systems of the kind might mean by a name."""
@@ -195,7 +195,7 @@ class Kind:
     @functools.cached_property
     def ends(self) -> dict[str, list[Place]]:
         """The kind's own parts, and numbers within records, by all ends of their names without a label."""
-        found: dict[str, list[Place]] = {}
+        places: dict[str, list[Place]] = {}
         of_states = {f"{state}_{what}" for state in self.states for what in _OF_STATES}
         for where in ("rows", "scratch", "constants"):
             for part, record in getattr(self, where).items():
@@ -205,8 +205,8 @@ class Kind:
                 for at, (path, means) in enumerate(paths):
                     place = Place(self, "", part, means, where, max(at - 1, 0), "_".join(path))
                     for first in range(len(path)):
-                        found.setdefault("_".join(path[first:]), []).append(place)
-        return found
+                        places.setdefault("_".join(path[first:]), []).append(place)
+        return places
 
 
 class Place(NamedTuple):
@@ -284,8 +284,8 @@ class System:
         kinds = dict.fromkeys((self.kind, *self.kind.sees.values()))
         known = [condition for kind in kinds for condition in kind.conditions]
         if self.when is not None and self.when not in known:
-            nobody = f"is no condition of {self.kind.name} or of what they see: {', '.join(known) or 'none'}"
-            raise TypeError(f"when={self.when!r} of system {self.name!r} {nobody}{did_you_mean(self.when, known)}")
+            problem = f"is no condition of {self.kind.name} or of what they see: {', '.join(known) or 'none'}"
+            raise TypeError(f"when={self.when!r} of system {self.name!r} {problem}{did_you_mean(self.when, known)}")
         if self.backward is not None and (back := _parameters(self.backward)) != self.arguments_named:
             raise TypeError(f"the way back of system {self.name!r} takes {back}, not {self.arguments_named}")
         for name in self.writes:
@@ -345,7 +345,7 @@ class System:
         """What the arguments and the written names mean."""
         read = {name: f"argument {name!r} of system {self.name!r}" for name in self.arguments_named}
         written = {name: f"system {self.name!r} writes {name!r}, which" for name in self.writes}
-        return {name: self.kind.find(name, who) for name, who in {**written, **read}.items()}
+        return {name: self.kind.find(name, subject) for name, subject in {**written, **read}.items()}
 
     @functools.cached_property
     def arguments_named(self) -> tuple[str, ...]:
@@ -371,20 +371,20 @@ class System:
 
     def traced(self, known: Mapping[str, float], equation: Callable[..., Any] | None = None) -> Trace:
         """Run the equation on numbers that remember; `known` has the values of some scalars."""
-        found = Trace({}, {}, {}, [])
-        given = {name: known[name] if name in known else self._given(name, found) for name in self.arguments_named}
-        result = retargeted(equation or self.equation)(*given.values())
+        trace = Trace({}, {}, {}, [])
+        arguments = (known[name] if name in known else self._argument(name, trace) for name in self.arguments_named)
+        result = retargeted(equation or self.equation)(*arguments)
         results = (result,) if not isinstance(result, tuple) or is_record(type(result)) else result
         if len(results) != len(self.writes):
             raise TypeError(f"system {self.name!r} writes {', '.join(self.writes)}, but returns {len(results)} values")
         for name, value in zip(self.writes, results, strict=True):
-            kind, record = type(value) if is_record(type(value)) else float, self.places[name].record
-            if kind is not record:
-                wrong, right = inspect.formatannotation(kind), inspect.formatannotation(record)
+            type_, record = type(value) if is_record(type(value)) else float, self.places[name].record
+            if type_ is not record:
+                wrong, right = inspect.formatannotation(type_), inspect.formatannotation(record)
                 raise TypeError(f"system {self.name!r} writes {wrong} to {name!r}, which is {right}")
-            values = flatten(value) if is_record(kind) else (value,)
-            found.stores.extend((name, place, each) for place, each in enumerate(values))
-        return found
+            values = flatten(value) if is_record(type_) else (value,)
+            trace.stores.extend((name, place, number) for place, number in enumerate(values))
+        return trace
 
     @functools.cached_property
     def adjoint(self) -> Adjoint:
@@ -393,15 +393,15 @@ class System:
             trace = self.traced({}, self.backward)
             seeds = {ex.symbol(f"bar of {name}[{k}]"): (name, k) for name, k, _ in trace.stores}
             pairs = [(value, seed) for (*_, value), seed in zip(trace.stores, seeds, strict=True)]
-            found = ex.pulled_back(pairs, (*trace.inputs, *trace.constants))
+            cotangents = ex.pulled_back(pairs, (*trace.inputs, *trace.constants))
             # A row has one cotangent, by whatever names a system reads and writes it.
             places = {self.row(*at): at for at in (*trace.inputs.values(), *seeds.values())}
             inputs: dict[tuple[str, int], Any] = {}
             for symbol, at in trace.inputs.items():
-                if symbol in found:
-                    own = places[self.row(*at)]
-                    inputs[own] = inputs[own] + found[symbol] if own in inputs else found[symbol]
-        constants = {name: found[symbol] for symbol, name in trace.constants.items() if symbol in found}
+                if symbol in cotangents:
+                    key = places[self.row(*at)]
+                    inputs[key] = inputs[key] + cotangents[symbol] if key in inputs else cotangents[symbol]
+        constants = {name: cotangents[symbol] for symbol, name in trace.constants.items() if symbol in cotangents}
         return Adjoint(trace, seeds, inputs, constants)
 
     @functools.cached_property
@@ -427,30 +427,30 @@ class System:
         place = self.places[name]
         return place.seen, place.part, place.offset + k
 
-    def _given(self, name: str, found: Trace) -> Any:
+    def _argument(self, name: str, trace: Trace) -> Any:
         record = self.places[name].record
         if self.places[name].has_rows:
-            return built(record, self._symbols(name, record, found))
+            return built(record, self._symbols(name, record, trace))
         if self.places[name].where == "scalars":
             symbol = ex.symbol(name)
-            found.scalars[symbol] = name
+            trace.scalars[symbol] = name
             return symbol
-        values = self._constants(name, record, found)
+        values = self._constants(name, record, trace)
         return ex.Cells(*values) if record is ex.Cells else built(record, values)
 
     @staticmethod
-    def _symbols(name: str, record: Any, found: Trace) -> Iterator[Any]:
+    def _symbols(name: str, record: Any, trace: Trace) -> Iterator[Any]:
         for place in range(count(record)):
             symbol = ex.symbol(f"{name}[{place}]")
-            found.inputs[symbol] = (name, place)
+            trace.inputs[symbol] = (name, place)
             yield symbol
 
     @staticmethod
-    def _constants(name: str, record: Any, found: Trace) -> Iterator[Any]:
-        for leaf, kind in constants_of(name, record):
+    def _constants(name: str, record: Any, trace: Trace) -> Iterator[Any]:
+        for leaf, hint in constants_of(name, record):
             symbol = ex.symbol(leaf)
-            found.constants[symbol] = leaf
-            yield symbol != 0.0 if kind is bool else symbol
+            trace.constants[symbol] = leaf
+            yield symbol != 0.0 if hint is bool else symbol
 
 
 def _parameters(function: Callable[..., Any]) -> tuple[str, ...]:
@@ -470,10 +470,10 @@ def system(
 
 def setting(kind: Kind, when: str | None = None, **values: Any) -> System:
     """Return a system that sets parts of every unit of a kind to given values: numbers, or records."""
-    found = tuple(values.values())
+    result = tuple(values.values())
 
     def set_values() -> Any:
-        return found
+        return result
 
     origin = functools.partial(setting, kind, when, **values), ()
     return System(kind, set_values, tuple(values), when, origin=origin)
@@ -488,7 +488,7 @@ def built(record: Any, values: Iterator[Any]) -> Any:
     """Return a record, or a single number, of values in the order of its numbers."""
     if not is_record(record):
         return next(values)
-    return record(*(built(kind, values) for kind in get_type_hints(record).values()))
+    return record(*(built(hint, values) for hint in get_type_hints(record).values()))
 
 
 def constants_of(name: str, record: Any) -> list[tuple[str, Any]]:
@@ -497,4 +497,4 @@ def constants_of(name: str, record: Any) -> list[tuple[str, Any]]:
         return [(f"{name}.{leaf}", float) for leaf in ex.Cells.LEAVES]
     if not is_record(record):
         return [(name, record)]
-    return [(f"{name}.{leaf}", kind) for leaf, kind in zip(leaves(record), kinds_of(record), strict=True)]
+    return [(f"{name}.{leaf}", hint) for leaf, hint in zip(leaves(record), types_of(record), strict=True)]

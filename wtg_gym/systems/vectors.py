@@ -38,20 +38,20 @@ class Lanes:
 
     def __init__(self, builder: Any, width: int, numbers: Any) -> None:
         self.builder, self.width, self.numbers = builder, width, numbers
-        self.kind = _DOUBLE if width == 1 else ir.VectorType(_DOUBLE, width)
+        self.vector = _DOUBLE if width == 1 else ir.VectorType(_DOUBLE, width)
         self.bits = _BIT if width == 1 else ir.VectorType(_BIT, width)
 
     def constant(self, value: Any) -> Any:
         """Return a constant."""
-        kind = self.bits if isinstance(value, bool) else self.kind
-        given = bool(value) if isinstance(value, bool) else float(value)
-        return ir.Constant(kind, given if self.width == 1 else [given] * self.width)
+        type_ = self.bits if isinstance(value, bool) else self.vector
+        number = bool(value) if isinstance(value, bool) else float(value)
+        return ir.Constant(type_, number if self.width == 1 else [number] * self.width)
 
     def spread(self, value: Any) -> Any:
         """Return a number, the same in all lanes."""
         if self.width == 1:
             return value
-        undefined = ir.Constant(self.kind, ir.Undefined)
+        undefined = ir.Constant(self.vector, ir.Undefined)
         first = self.builder.insert_element(undefined, value, _WHOLE(0))
         zeros = ir.Constant(ir.VectorType(ir.IntType(32), self.width), [0] * self.width)
         return self.builder.shuffle_vector(first, undefined, zeros)
@@ -65,26 +65,26 @@ class Lanes:
         self.builder.store(value, self._of_lanes(pointer), align=8)
 
     def _of_lanes(self, pointer: Any) -> Any:
-        return pointer if self.width == 1 else self.builder.bitcast(pointer, self.kind.as_pointer())
+        return pointer if self.width == 1 else self.builder.bitcast(pointer, self.vector.as_pointer())
 
     def call(self, name: str, *arguments: Any) -> Any:
         """Return what an intrinsic function of LLVM gives."""
         suffix = "f64" if self.width == 1 else f"v{self.width}f64"
-        return self._called(f"llvm.{name}.{suffix}", self.kind, arguments)
+        return self._called(f"llvm.{name}.{suffix}", self.vector, arguments)
 
     def _called(self, name: str, result: Any, arguments: Sequence[Any]) -> Any:
-        kind = ir.FunctionType(result, [argument.type for argument in arguments])
-        return self.builder.call(cgutils.get_or_insert_function(self.builder.module, kind, name), arguments)
+        signature = ir.FunctionType(result, [argument.type for argument in arguments])
+        return self.builder.call(cgutils.get_or_insert_function(self.builder.module, signature, name), arguments)
 
     def each(self, operate: Callable[..., Any], *arguments: Any) -> Any:
         """Return what a function of plain numbers gives in every lane."""
         if self.width == 1:
             return operate(*arguments)
-        found = ir.Constant(self.kind, ir.Undefined)
+        result = ir.Constant(self.vector, ir.Undefined)
         for x in range(self.width):
             value = operate(*(self.builder.extract_element(argument, _WHOLE(x)) for argument in arguments))
-            found = self.builder.insert_element(found, value, _WHOLE(x))
-        return found
+            result = self.builder.insert_element(result, value, _WHOLE(x))
+        return result
 
     def any_positive(self, value: Any) -> Any:
         """Return whether a number is above zero in any lane."""
@@ -95,42 +95,42 @@ class Lanes:
 
     # --- operations of a trace ----------------------------------------------------------------------------------------
 
-    def program(self, given: Mapping[ex.Number, Callable[[], Any]]) -> Callable[[Any], Any]:
+    def program(self, symbols: Mapping[ex.Number, Callable[[], Any]]) -> Callable[[Any], Any]:
         """Return a function that gives numbers of a trace as instructions, with those that they depend on.
 
         Args:
-            given: what gives the symbols among them.
+            symbols: what gives the symbols among them.
         """
         known: dict[Any, Any] = {}
 
         def instruction(number: Any) -> Any:
             if not isinstance(number, ex.Number):
                 return self.constant(number)
-            for one in ex.needed([number]) if number not in known else ():
-                if one in known:
+            for operand in ex.needed([number]) if number not in known else ():
+                if operand in known:
                     continue
-                if one in given:
-                    known[one] = given[one]()
-                elif one.operation in _POLYNOMIALS:
-                    self._work_out_polynomial(one, instruction, known)
+                if operand in symbols:
+                    known[operand] = symbols[operand]()
+                elif operand.operation in _POLYNOMIALS:
+                    self._work_out_polynomial(operand, instruction, known)
                 else:
-                    known[one] = self._operation(one.operation, *(instruction(a) for a in one.arguments))
+                    known[operand] = self._operation(operand.operation, *(instruction(a) for a in operand.arguments))
             return known[number]
 
         return instruction
 
-    def _work_out_polynomial(self, one: ex.Number, instruction: Callable[[Any], Any], known: dict[Any, Any]) -> None:
-        function = _POLYNOMIALS[one.operation]
-        key = function, one.arguments[0]
+    def _work_out_polynomial(self, number: ex.Number, instruction: Callable[[Any], Any], known: dict[Any, Any]) -> None:
+        function = _POLYNOMIALS[number.operation]
+        key = function, number.arguments[0]
         if key not in known:
-            argument = instruction(one.arguments[0])
+            argument = instruction(number.arguments[0])
             with ex.making():
                 symbol = ex.symbol("x")
                 results = retargeted(function)(symbol)
                 results = results if isinstance(results, tuple) else (results,)
                 inner = self.program({symbol: lambda: argument})
             known[key] = [inner(result) for result in results]
-        known[one] = known[key][1 if one.operation == "cosine" else 0]
+        known[number] = known[key][1 if number.operation == "cosine" else 0]
 
     def _operation(self, operation: str, *a: Any) -> Any:
         builder = self.builder
@@ -151,9 +151,9 @@ class Lanes:
         if operation == "min":
             return builder.select(builder.fcmp_ordered("<", a[1], a[0]), a[1], a[0])
         if operation in _OF_LIBM:
-            kind = ir.FunctionType(_DOUBLE, [_DOUBLE] * len(a))
-            function = cgutils.get_or_insert_function(builder.module, kind, _OF_LIBM[operation])
-            return self.each(lambda *given: builder.call(function, given), *a)
+            signature = ir.FunctionType(_DOUBLE, [_DOUBLE] * len(a))
+            function = cgutils.get_or_insert_function(builder.module, signature, _OF_LIBM[operation])
+            return self.each(lambda *operands: builder.call(function, operands), *a)
         if operation == "noise":
             return self._noise(*a)
         if operation == "cell":
@@ -163,10 +163,10 @@ class Lanes:
     def _noise(self, seed: Any, step: Any, channel: Any) -> Any:
         """Return :func:`~wtg_gym.systems.elementary.noise`, in whole numbers of 64 bits."""
         builder = self.builder
-        kind = _WHOLE if self.width == 1 else ir.VectorType(_WHOLE, self.width)
+        integer = _WHOLE if self.width == 1 else ir.VectorType(_WHOLE, self.width)
 
         def whole(value: int) -> Any:
-            return ir.Constant(kind, value if self.width == 1 else [value] * self.width)
+            return ir.Constant(integer, value if self.width == 1 else [value] * self.width)
 
         def cut(word: Any) -> Any:
             return builder.and_(word, whole(0xFFFFFFFF))
@@ -177,14 +177,14 @@ class Lanes:
                 word = cut(builder.mul(word, whole(factor))) if factor > 1 else word
             return word
 
-        seeds, steps, channels = (builder.fptosi(value, kind) for value in (seed, step, channel))
+        seeds, steps, channels = (builder.fptosi(value, integer) for value in (seed, step, channel))
         key = scrambled(builder.xor(seeds, scrambled(builder.add(steps, whole(1)))))
         total = whole(0)
         for i in range(2):
             place = builder.add(builder.mul(channels, whole(2)), whole(i))
             word = scrambled(cut(builder.add(key, builder.mul(place, whole(elementary.GOLDEN)))))
             total = builder.add(total, builder.add(builder.and_(word, whole(0xFFFF)), builder.lshr(word, whole(16))))
-        deviation = builder.fsub(builder.sitofp(total, self.kind), self.constant(elementary.SUM_MEAN))
+        deviation = builder.fsub(builder.sitofp(total, self.vector), self.constant(elementary.SUM_MEAN))
         return builder.fmul(deviation, self.constant(1.0 / elementary.SUM_DEVIATION))
 
     def _number_at(self, place: Any) -> Any:

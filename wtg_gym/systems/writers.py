@@ -56,47 +56,49 @@ class Writer:
     def _whole(self, place: Any) -> Any:
         return self.builder.load(self.builder.gep(self.table, [place]))
 
-    def _system(self, one: System, unit: Any) -> None:
-        lanes, trace = self.lanes, one.trace_with(**self.known)
-        rows = self._rows(one, unit)
-        instruction = lanes.program(self._given(one, trace, unit, lambda name, k: lanes.load(self._at(rows[name], k))))
-        self._note(one, unit, {at: instruction(symbol) for symbol, at in trace.inputs.items() if self._notes(one, at)})
+    def _system(self, system: System, unit: Any) -> None:
+        lanes, trace = self.lanes, system.trace_with(**self.known)
+        rows = self._rows(system, unit)
+        inputs = self._inputs(system, trace, unit, lambda name, k: lanes.load(self._at(rows[name], k)))
+        instruction = lanes.program(inputs)
+        noted = {at: instruction(symbol) for symbol, at in trace.inputs.items() if self._notes(system, at)}
+        self._note(system, unit, noted)
         used = set(ex.needed(value for *_, value in trace.stores))
         # A row may be read by another name than it is written by.
         symbols: dict[Any, list[ex.Number]] = {}
         for symbol, at in trace.inputs.items():
-            symbols.setdefault(one.row(*at), []).append(symbol)
+            symbols.setdefault(system.row(*at), []).append(symbol)
         # What belongs to one number of a record is worked out and stored together: few numbers are held at a time.
         for name, k, value in sorted(trace.stores, key=lambda store: store[1]):
-            before = symbols.get(one.row(name, k), [])
+            before = symbols.get(system.row(name, k), [])
             if any(symbol is value for symbol in before):
                 # It stays what it is.
                 continue
-            found = instruction(value)
+            result = instruction(value)
             for symbol in before:
                 # What is read later, too, is what was there before.
                 if symbol in used:
                     instruction(symbol)
-            lanes.store(found, self._at(rows[name], k))
+            lanes.store(result, self._at(rows[name], k))
 
-    def _rows(self, one: System, unit: Any) -> dict[str, Any]:
+    def _rows(self, system: System, unit: Any) -> dict[str, Any]:
         """Return pointers to the first row of each part that a system names."""
-        slots, places = one.slots, one.places
-        base = self.builder.add(self._head(one, 1), self.builder.mul(unit, _WHOLE(len(slots))))
+        slots, places = system.slots, system.places
+        base = self.builder.add(self._head(system, 1), self.builder.mul(unit, _WHOLE(len(slots))))
         return {
             name: self._row(places[name], self._whole(self.builder.add(base, _WHOLE(i))))
             for i, name in enumerate(slots)
         }
 
-    def _given(
-        self, one: System, trace: Trace, unit: Any, read: Callable[[str, int], Any]
+    def _inputs(
+        self, system: System, trace: Trace, unit: Any, read: Callable[[str, int], Any]
     ) -> dict[ex.Number, Callable[[], Any]]:
         builder, lanes = self.builder, self.lanes
 
-        first = builder.gep(self.numbers, [self._first_constant(one, unit)])
+        first = builder.gep(self.numbers, [self._first_constant(system, unit)])
 
         def constant(name: str) -> Any:
-            return lanes.spread(builder.load(builder.gep(first, [_WHOLE(one.constants_used.index(name))])))
+            return lanes.spread(builder.load(builder.gep(first, [_WHOLE(system.constants_used.index(name))])))
 
         return {
             **{symbol: functools.partial(read, *at) for symbol, at in trace.inputs.items()},
@@ -104,13 +106,13 @@ class Writer:
             **{s: functools.partial(lanes.spread, self.scalars[name]) for s, name in trace.scalars.items()},
         }
 
-    def _first_constant(self, one: System, unit: Any) -> Any:
-        return self.builder.add(self._head(one, 2), self.builder.mul(unit, _WHOLE(len(one.constants_used))))
+    def _first_constant(self, system: System, unit: Any) -> Any:
+        return self.builder.add(self._head(system, 2), self.builder.mul(unit, _WHOLE(len(system.constants_used))))
 
-    def _notes(self, one: System, at: tuple[str, int]) -> bool:
+    def _notes(self, system: System, at: tuple[str, int]) -> bool:
         return False
 
-    def _note(self, one: System, unit: Any, values: Mapping[tuple[str, int], Any]) -> None:
+    def _note(self, system: System, unit: Any, values: Mapping[tuple[str, int], Any]) -> None:
         """Write inputs onto the tape."""
 
     def _row(self, place: Place, row: Any) -> Any:
@@ -149,8 +151,8 @@ class Writer:
         builder = self.builder
         share = builder.sdiv(self._head(entry.inner, 0), n_outer)
         first = builder.mul(unit, share)
-        with repeated(builder, share) as own:
-            self._system(entry.inner, builder.add(first, own))
+        with repeated(builder, share) as inner:
+            self._system(entry.inner, builder.add(first, inner))
 
     def _places(self, entry: Any, which: Iterable[int]) -> list[Any]:
         first = self._head(entry, 1)
@@ -177,10 +179,10 @@ class Writer:
             builder.position_at_end(check)
             column = builder.phi(_WHOLE)
             column.add_incoming(_WHOLE(0), entry_block)
-            sums = [[builder.phi(lanes.kind) for _ in range(2)] for _ in range(n_rows)]
+            sums = [[builder.phi(lanes.vector) for _ in range(2)] for _ in range(n_rows)]
             for pair in sums:
-                for each in pair:
-                    each.add_incoming(lanes.constant(0.0), entry_block)
+                for phi in pair:
+                    phi.add_incoming(lanes.constant(0.0), entry_block)
             builder.cbranch(builder.icmp_signed("<", column, n), body, done)
             builder.position_at_end(body)
             e_re, e_im = load(self.scratch, builder.add(vector, builder.mul(column, vector_stride)))
@@ -211,26 +213,26 @@ class Writer:
 class TapedWriter(Writer):
     """Writes a program that notes on a tape what the way back needs."""
 
-    def _notes(self, one: System, at: tuple[str, int]) -> bool:
-        return at in one.noted
+    def _notes(self, system: System, at: tuple[str, int]) -> bool:
+        return at in system.noted
 
-    def _note(self, one: System, unit: Any, values: Mapping[tuple[str, int], Any]) -> None:
-        first = self._on_tape(one, unit)
-        for k, at in enumerate(one.noted):
+    def _note(self, system: System, unit: Any, values: Mapping[tuple[str, int], Any]) -> None:
+        first = self._on_tape(system, unit)
+        for k, at in enumerate(system.noted):
             self.lanes.store(values[at], self._at(first, k))
 
-    def _on_tape(self, one: System, unit: Any) -> Any:
+    def _on_tape(self, system: System, unit: Any) -> Any:
         """Return a pointer to the first that a system has noted of a unit."""
-        row = self.builder.add(self._head(one, 3), self.builder.mul(unit, _WHOLE(len(one.noted))))
+        row = self.builder.add(self._head(system, 3), self.builder.mul(unit, _WHOLE(len(system.noted))))
         return self._pointer(self.others[0], row)
 
 
 class NotingWriter(TapedWriter):
     """Writes a program that changes nothing, and only notes."""
 
-    def _system(self, one: System, unit: Any) -> None:
-        rows = self._rows(one, unit)
-        self._note(one, unit, {at: self.lanes.load(self._at(rows[at[0]], at[1])) for at in one.noted})
+    def _system(self, system: System, unit: Any) -> None:
+        rows = self._rows(system, unit)
+        self._note(system, unit, {at: self.lanes.load(self._at(rows[at[0]], at[1])) for at in system.noted})
 
 
 class BackWriter(TapedWriter):
@@ -260,25 +262,25 @@ class BackWriter(TapedWriter):
             self._share(entry, unit, n_outer)
             self._system(entry.outer, unit)
 
-    def _system(self, one: System, unit: Any) -> None:
-        lanes, adjoint, rows, noted = self.lanes, one.adjoint, self._rows(one, unit), one.noted
-        first = self._on_tape(one, unit)
-        given = self._given(
-            one, adjoint.trace, unit, lambda name, k: lanes.load(self._at(first, noted.index((name, k))))
+    def _system(self, system: System, unit: Any) -> None:
+        lanes, adjoint, rows, noted = self.lanes, system.adjoint, self._rows(system, unit), system.noted
+        first = self._on_tape(system, unit)
+        symbols = self._inputs(
+            system, adjoint.trace, unit, lambda name, k: lanes.load(self._at(first, noted.index((name, k))))
         )
         bars = {at: lanes.load(self._at(rows[at[0]], at[1])) for at in adjoint.seeds.values()}
-        given |= {symbol: functools.partial(bars.__getitem__, at) for symbol, at in adjoint.seeds.items()}
-        instruction = lanes.program(given)
+        symbols |= {symbol: functools.partial(bars.__getitem__, at) for symbol, at in adjoint.seeds.items()}
+        instruction = lanes.program(symbols)
         written = set(adjoint.seeds.values())
         for at in sorted({*adjoint.inputs, *written}, key=lambda at: at[1]):
-            pointer, found = self._at(rows[at[0]], at[1]), instruction(adjoint.inputs.get(at, 0.0))
-            lanes.store(found if at in written else self.builder.fadd(lanes.load(pointer), found), pointer)
+            pointer, cotangent = self._at(rows[at[0]], at[1]), instruction(adjoint.inputs.get(at, 0.0))
+            lanes.store(cotangent if at in written else self.builder.fadd(lanes.load(pointer), cotangent), pointer)
         for name, value in adjoint.constants.items() if self.with_constants else ():
-            self._add_to_constant(one, name, unit, instruction(value))
+            self._add_to_constant(system, name, unit, instruction(value))
 
-    def _add_to_constant(self, one: System, name: str, unit: Any, value: Any) -> None:
-        first = self._pointer(self.others[2], self._first_constant(one, unit))
-        pointer = self._at(first, one.constants_used.index(name))
+    def _add_to_constant(self, system: System, name: str, unit: Any, value: Any) -> None:
+        first = self._pointer(self.others[2], self._first_constant(system, unit))
+        pointer = self._at(first, system.constants_used.index(name))
         self.lanes.store(self.builder.fadd(self.lanes.load(pointer), value), pointer)
 
     def _product(self, entry: Product) -> None:

@@ -108,6 +108,14 @@ class GroupDeviations(NamedTuple):
     there: float  # 0 for a group that an event has disconnected, else 1
 
 
+class IntervalCost(NamedTuple):
+    """A control interval that is being charged, besides its rates."""
+
+    elapsed: float  # how long it lasted [s]
+    violated: float  # 1 where it violated a constraint
+    error: float  # duty error, mean over groups [-]
+
+
 #: The cost of an environment.
 COST = Kind(
     name="costs",
@@ -121,12 +129,10 @@ COST = Kind(
         "duty_error": float,  # ∫ |captured - prescribed| / available dt, mean over groups [s]
     },
     scratch={
-        "term_rates": CostTerms,  # of the step that is being charged [1/s]
-        "new_terms": CostTerms,  # what it costs
+        "term_rates": CostTerms,  # of the interval that is being charged [1/s]
+        "interval_cost": IntervalCost,
+        "new_terms": CostTerms,  # what the interval costs
         "largest_deviation": float,  # of the frequency of any unit [p.u.]
-        "elapsed": float,  # how long that step lasted [s]
-        "violated": float,  # 1 where it violated a constraint
-        "error": float,  # its duty error, mean over groups [-]
     },
     constants={"weights": CostWeights},
     sees={"task": TASK, "lane": LANE},
@@ -176,17 +182,17 @@ def _total(terms: CostTerms) -> float:
 # --- the systems: over environments, WTG groups and machines ---------------------------------------------------------
 
 
-@system(COST, "term_rates", "elapsed", "violated", "error")
+@system(COST, "term_rates", "interval_cost")
 def charge_frequency(
     step: float, coi: float, task_rocof: float, task: TaskConstants, weights: CostWeights, simulation_dt: float
-) -> tuple[CostTerms, float, float, float]:
+) -> tuple[CostTerms, IntervalCost]:
     """Begin the rates of the cost with those of the frequency, and find how long the interval lasted."""
     deviation, ratio = abs(coi - 1.0), task_rocof / 0.2
     rates = CostTerms(_frequency_cost(deviation, task, weights), weights.rocof * (ratio * ratio), *[0.0] * 5)
     # A run can end within the interval: the time after that is the failure's.
     unspent = math.ceil(step / task.n_substeps) * task.n_substeps - step
     violated = select(deviation * task.nominal_hz > CONSTRAINT_FREQUENCY_HZ, 1.0, 0.0)
-    return rates, task.control_dt - unspent * simulation_dt, violated, 0.0
+    return rates, IntervalCost(task.control_dt - unspent * simulation_dt, violated, 0.0)
 
 
 @system(COST, "largest_deviation")
@@ -196,15 +202,15 @@ def start_largest_deviation(coi: float) -> float:
 
 
 @system(MACHINE_COST, "largest_deviation")
-def compare_machine(state: MachineState, given: MachineInput, largest_deviation: float) -> float:
+def compare_machine(state: MachineState, inputs: MachineInput, largest_deviation: float) -> float:
     """Compare a machine that is connected."""
-    return max(largest_deviation, given.connected * abs(state.speed - 1.0))
+    return max(largest_deviation, inputs.connected * abs(state.speed - 1.0))
 
 
 @system(GROUP_COST, "largest_deviation")
-def compare_group(state: WtgState, given: WtgInput, output: WtgOutput, largest_deviation: float) -> float:
+def compare_group(state: WtgState, inputs: WtgInput, output: WtgOutput, largest_deviation: float) -> float:
     """Compare a WTG group that is connected."""
-    return max(largest_deviation, given.connected * abs(frequency_of(state, output) - 1.0))
+    return max(largest_deviation, inputs.connected * abs(frequency_of(state, output) - 1.0))
 
 
 @system(COST, "term_rates")
@@ -249,10 +255,10 @@ def find_deviations(state: WtgState, output: WtgOutput, turbine: Turbine, task: 
 
 @system(GROUP_COST, "deviations")
 def find_deviations_at_grid_frequency(
-    state: WtgState, given: WtgInput, output: WtgOutput, coi: float, turbine: Turbine, task: TaskConstants
+    state: WtgState, inputs: WtgInput, output: WtgOutput, coi: float, turbine: Turbine, task: TaskConstants
 ) -> GroupDeviations:
     """Find them at the grid's frequency where the group is disconnected: its own no longer moves."""
-    frequency = select(given.connected > 0.5, frequency_of(state, output), coi)
+    frequency = select(inputs.connected > 0.5, frequency_of(state, output), coi)
     return _deviations(frequency, state, output, turbine, task)
 
 
@@ -275,20 +281,18 @@ def filter_duty(
     return exempt._replace(charged=duty, there=there), duty
 
 
-@system(GROUP_COST, "term_rates", "violated", "error", "available_energy")
+@system(GROUP_COST, "term_rates", "interval_cost", "available_energy")
 def charge_group(
     term_rates: CostTerms,
-    violated: float,
-    error: float,
+    interval_cost: IntervalCost,
     available_energy: float,
     deviations: GroupDeviations,
     group: GroupRows,
     share: float,
-    elapsed: float,
     was_active: float,
     task: TaskConstants,
     weights: CostWeights,
-) -> tuple[CostTerms, float, float, float]:
+) -> tuple[CostTerms, IntervalCost, float]:
     """Add the rates of a WTG group to those of the environment; actions of one that is not there cost nothing.
 
     The cost of duty is quadratic within one unit, linear outside (Huber).
@@ -303,12 +307,10 @@ def charge_group(
         overload=term_rates.overload + w.overload * d.overload * d.overload / n_wtg,
         effort=acted + select(task.modulates_tau, on_tau, 0.0),
     )
-    return (
-        rates,
-        select((d.rotor > 0.0) | (d.overload > 0.0), 1.0, violated),
-        error + 0.05 * abs(d.duty) / n_wtg,
-        available_energy + select(was_active > 0.5, share * d.available * elapsed, 0.0),
-    )
+    elapsed, violated, error = interval_cost
+    violated = select((d.rotor > 0.0) | (d.overload > 0.0), 1.0, violated)
+    charged = IntervalCost(elapsed, violated, error + 0.05 * abs(d.duty) / n_wtg)
+    return rates, charged, available_energy + select(was_active > 0.5, share * d.available * elapsed, 0.0)
 
 
 @system(COST, "new_terms")
@@ -359,19 +361,17 @@ def charge_lane(
     constraint: float,
     constraint_sum: float,
     duty_error: float,
-    violated: float,
-    error: float,
-    elapsed: float,
+    interval_cost: IntervalCost,
     status: float,
     was_active: float,
 ) -> tuple[CostTerms, CostTerms, float, float, float, float]:
     """Charge an environment that ran for the last control interval."""
-    ran, now = was_active > 0.5, select(status != 0.0, 1.0, violated)
+    ran, violated = was_active > 0.5, select(status != 0.0, 1.0, interval_cost.violated)
     return (
         each(lambda charged, before: select(ran, charged, before), new_terms, terms),
         each(lambda charged, total: total + select(ran, charged, 0.0), new_terms, sums),
         _total(new_terms),
-        select(ran, now, constraint),
-        constraint_sum + select(ran, now, 0.0),
-        duty_error + select(ran, error * elapsed, 0.0),
+        select(ran, violated, constraint),
+        constraint_sum + select(ran, violated, 0.0),
+        duty_error + select(ran, interval_cost.error * interval_cost.elapsed, 0.0),
     )

@@ -119,8 +119,8 @@ def start_measurements(seen: MeasuredObservation) -> tuple[MeasuredObservation, 
 
 
 def _either(condition: bool, new: MeasuredObservation, old: MeasuredObservation) -> MeasuredObservation:
-    found: MeasuredObservation = each(lambda a, b: select(condition, a, b), new, old)
-    return found
+    selected: MeasuredObservation = each(lambda a, b: select(condition, a, b), new, old)
+    return selected
 
 
 @system(KEPT_SHIFTS, "this_measurement", "shown")

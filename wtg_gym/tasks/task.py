@@ -179,8 +179,8 @@ class Task:
         plant, sensors = choices.plant, int(self.has_sensors)
         n_wtg, n_sync, n_window = len(plant.groups), len(plant.case.machines), episode.rocof_window(plant.control_dt)
         n_kept = n_delayed(plant.control_dt)
-        kept = np.arange(n_wtg * sensors * n_kept).reshape(-1, n_kept)
-        group = np.broadcast_to(np.arange(len(kept))[:, np.newaxis], kept.shape)
+        kept = np.arange(n_wtg * sensors * n_kept)
+        older, newer = (kept.reshape(-1, n_kept)[:, columns].ravel() for columns in (slice(-1), slice(1, None)))
         modulated = dict(zip(("modulates k", "modulates tau"), episode.ACTION_MODES[choices.action_mode], strict=True))
         conditions = {**modulated, "privileged": choices.privileged}
         act, charge, start_sensors, measure, observe, end = _routines_of(self.programs)
@@ -203,19 +203,19 @@ class Task:
                 SENSORS: sensors,
                 SENSED: n_wtg * sensors,
                 KEPT: kept.size,
-                KEPT_SHIFTS: kept[:, 1:].size,
-                NEWEST: len(kept),
+                KEPT_SHIFTS: newer.size,
+                NEWEST: n_wtg * sensors,
             },
             links={
                 (episode.SHIFTS, "this_"): np.arange(n_window),
                 (episode.SHIFTS, "next_"): 1 + np.arange(n_window),
                 (episode.WINDOW, "oldest_"): np.array([0]),
                 (episode.WINDOW, "newest_"): np.array([n_window]),
-                (KEPT, "sensed"): group.ravel(),
-                (KEPT_SHIFTS, "sensed"): group[:, 1:].ravel(),
-                (KEPT_SHIFTS, "this_"): kept[:, :-1].ravel(),
-                (KEPT_SHIFTS, "next_"): kept[:, 1:].ravel(),
-                (NEWEST, "kept"): kept[:, -1],
+                (KEPT, "sensed"): kept // n_kept,
+                (KEPT_SHIFTS, "sensed"): newer // n_kept,
+                (KEPT_SHIFTS, "this_"): older,
+                (KEPT_SHIFTS, "next_"): newer,
+                (NEWEST, "kept"): kept[n_kept - 1 :: n_kept],
             },
             programs=self.programs,
             stepping=(act, charge, measure, observe, end),
@@ -226,7 +226,7 @@ class Task:
                 (episode.ACTING, "reach"): self._reaches(plant),
                 (OBSERVED_GRID, "inv_torque"): [_inv_torque(plant)],
                 (SENSED, "group_number"): range(n_wtg),
-                (KEPT_SHIFTS, "age"): n_kept - 1 - (kept[:, :-1].ravel() % n_kept),
+                (KEPT_SHIFTS, "age"): n_kept - 1 - (older % n_kept),
             },
             has=[name for name, holds in conditions.items() if holds],
         )
@@ -270,21 +270,22 @@ class Task:
         def entry(kind: Kind, part: str, unit: int, prefix: str) -> Entries:
             return Entries(kind, part, unit, prefix, _fields(kind, part))
 
-        found = []
+        entries = []
         for j in range(n_wtg):
             kind, part, prefix = self.of_groups
-            found.append(entry(kind, part, j, f"{prefix}{j}"))
-            found.append(Entries(OBSERVED, "shown_actions", j, f"{prefix}{j}", actions))
+            entries.append(entry(kind, part, j, f"{prefix}{j}"))
+            entries.append(Entries(OBSERVED, "shown_actions", j, f"{prefix}{j}", actions))
         if choices.privileged:
-            found += [
+            entries += [
                 entry(kind, part, j, f"{prefix}{j}") for j in range(n_wtg) for kind, part, prefix in self.privileged
             ]
-            found += [entry(OBSERVED_MACHINES, "machine_observed", i, f"sync{i}") for i in machines]
-            found.append(entry(OBSERVED_GRID, "grid_observed", 0, "grid"))
-        for own in choices.plant.devices:
-            if own.shown is not None:
-                found += [entry(own.kind, own.shown, j, f"{own.kind.name}{j}") for j in range(len(own.buses))]
-        return found
+            entries += [entry(OBSERVED_MACHINES, "machine_observed", i, f"sync{i}") for i in machines]
+            entries.append(entry(OBSERVED_GRID, "grid_observed", 0, "grid"))
+        for device in choices.plant.devices:
+            if device.shown is not None:
+                kind = device.kind
+                entries += [entry(kind, device.shown, j, f"{kind.name}{j}") for j in range(len(device.buses))]
+        return entries
 
     def observation_names(self, choices: Choices) -> list[str]:
         """Return the names of the observation's entries, with the unit each is counted in.

@@ -25,7 +25,7 @@ class LaneFrames:
 
     def __init__(self, lanes: TaskLanes, *, opens_window: bool = False, fps: int = 10) -> None:
         self._lanes, self._plant = lanes, lanes.settings.resolved_plant
-        self._tip_speeds = np.array([each.tip_speed_ratio_per_speed_m_s for each in self._plant.turbines])
+        self._tip_speeds = np.array([turbine.tip_speed_ratio_per_speed_m_s for turbine in self._plant.turbines])
         self._panels = panels_of(self._plant, limited=lanes.suite.task.version != "v0")
         #: By quantity, (n_lanes, n_steps, 1 or n_wtg); not a number where there is none.
         self._samples: dict[str, npt.NDArray[np.float32]] = {}
