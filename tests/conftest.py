@@ -8,7 +8,8 @@ from pathlib import Path
 import pytest
 from hypothesis import HealthCheck, settings
 
-from wtg_gym.evaluation import evaluate
+from wtg_gym import Plant, evaluate
+from wtg_gym.physics.simulator import Simulator
 
 # A deadline for an example would fail on a busy machine.
 settings.register_profile("untimed", deadline=None, suppress_health_check=[HealthCheck.too_slow])
@@ -42,6 +43,11 @@ def pytest_collection_finish() -> None:
     gc.enable()
     gc.collect()
     gc.freeze()
+
+
+@pytest.fixture(scope="session")
+def simulator():
+    return Simulator(Plant(), duration_s=120.0)
 
 
 @pytest.fixture(scope="module")

@@ -1,7 +1,5 @@
 """Facts about training one policy that every WTG group plays by itself."""
 
-from typing import Any
-
 import numpy as np
 import pytest
 import torch
@@ -11,7 +9,7 @@ from agents.multi_agent import AgentVecEnv, SharedPolicy
 from wtg_gym.envs import EnvSettings
 from wtg_gym.sb3 import SB3VecEnv
 
-SHORT: dict[str, Any] = {"version": "v0", "duration_s": 5.0, "strategy": "mppt"}
+SHORT = {"version": "v0", "duration_s": 5.0, "strategy": "mppt"}
 
 
 def test_lanes_are_the_groups_of_the_episodes():
@@ -46,7 +44,7 @@ def test_lanes_are_the_groups_of_the_episodes():
 class Agent(nn.Linear):
     """Answers as a learner's network does: a tuple that begins with the actions."""
 
-    def forward(self, observation: Any) -> Any:
+    def forward(self, observation):
         return (super().forward(observation),)
 
 

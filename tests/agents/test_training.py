@@ -1,4 +1,8 @@
-"""Facts about training: it is reproducible, survives a kill, and its export plays as the learner does."""
+"""Facts about training: it is reproducible, survives a kill, and its export plays as the learner does.
+
+RL Zoo and this package mean the same by the configuration files, in which no code is run. Every shipped policy is as
+its training left it.
+"""
 
 import dataclasses
 import functools
@@ -6,18 +10,22 @@ import json
 import re
 import shutil
 from pathlib import Path
-from typing import Any
 
 import pytest
 import torch
+import yaml
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
+from agents import shipped
+from agents import train as training
 from agents.export import export
 from agents.export import main as export_command
-from agents.run import Run, folders, held, save_folder
-from agents.train import TRAINED, SB3Learner, load_model, main, new_model
-from tests.agents.small import V0, Normalized, config_file, largest_difference, stopped_after, trained
+from agents.run import Run, RunSettings, folders, held, save_folder
+from agents.train import CONFIG_FOLDER, TRAINED, SB3Learner, load_model, main, new_model, read_config
+from tests.agents.small import ENV_ID, V0, Normalized, config_file, largest_difference, stopped_after, trained
 from wtg_gym.evaluation import OnnxPolicy, load_entries
+from wtg_gym.files import sha256
+from wtg_gym.policies.entry_folder import policy_folders
 from wtg_gym.policies.gate import check_submission
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -34,7 +42,7 @@ def copied(run_of, tmp_path):
     return Path(shutil.copytree(run_of("ppo"), tmp_path / "run"))
 
 
-def same(a: Any, b: Any) -> bool:
+def same(a, b) -> bool:
     if isinstance(a, dict):
         return a.keys() == b.keys() and all(same(a[key], b[key]) for key in a)
     if isinstance(a, (list, tuple)):
@@ -225,3 +233,73 @@ def test_bad_options_are_refused_before_anything_runs(arguments, text, tmp_path,
     error = capsys.readouterr().err
     assert error.startswith("error: ") and error.count("\n") == 1 and re.search(text, error), error
     assert not (tmp_path / "new" / "run.json").exists()
+
+
+@pytest.mark.parametrize("name", [*TRAINED, "ppo_tau"])
+def test_shipped_files_mean_what_rl_zoo_makes_of_them(name):
+    path = CONFIG_FOLDER / f"{name}.yml"
+    raw, read = yaml.safe_load(path.read_text())[ENV_ID], read_config(path, ENV_ID)
+    arguments = training.algorithm_arguments(read)
+    # RL Zoo evaluates texts, takes dictionaries as they are, and the part after "lin_" for a schedule that falls to 0.
+    assert arguments["policy_kwargs"] == raw["policy_kwargs"] and isinstance(raw["policy_kwargs"], dict)
+    start, schedule = float(raw["learning_rate"].removeprefix("lin_")), arguments["learning_rate"]
+    assert [schedule(left) for left in (1.0, 0.5, 0.0)] == pytest.approx([start, start / 2, 0.0])
+    assert raw["normalize"] is True and training.normalization_arguments(read) == {"gamma": raw["gamma"]}
+
+
+#: Names of names, nine of each: a billion values of a few hundred characters.
+ALIASES = "a0: &a0 [x]\n" + "".join(f"a{i}: &a{i} [{', '.join([f'*a{i - 1}'] * 9)}]\n" for i in range(1, 11))
+
+
+@pytest.mark.parametrize(
+    ("content", "text"),
+    [
+        (ALIASES, "values on one level"),
+        (f"{ENV_ID}: {{1: 2}}", "holds a key that is no text"),
+        ("Pendulum-v1: {}", "must have a section"),
+        ("a: [", "is not yml"),
+        (f"{ENV_ID}: {{policy_kwargs: !!python/object/apply:os.abort []}}", "is not yml"),
+    ],
+)
+def test_files_without_a_section_in_plain_yml_are_refused(content, text, tmp_path):
+    path = tmp_path / "a.yml"
+    path.write_text(content)
+    with pytest.raises(ValueError, match=text):
+        read_config(path, ENV_ID)
+
+
+def test_every_trained_policy_is_the_one_of_its_record():
+    records = json.loads(shipped.RECORDS.read_text(encoding="utf-8"))
+    for folder in policy_folders():
+        (entry,) = load_entries(folder)
+        # One feedback is older than the records; policies of others have none.
+        if folder.name == "linear-feedback" or entry.source != "The wtg_gym authors":
+            continue
+        record = records.pop(folder.name)
+        assert record["policy_sha256"] == sha256((folder / "policy.onnx").read_bytes())
+        assert f"--seed {entry.training_seed} " in record["command"] and entry.kind == "learned"
+    assert not records
+
+
+def test_the_page_has_the_table_that_the_command_makes():
+    assert shipped.table() in shipped.PAGE.read_text(encoding="utf-8")
+
+
+def test_a_run_is_added_by_its_best_policy(tmp_path, monkeypatch):
+    (folder,) = [folder for folder in policy_folders() if folder.name == "ppo-v1-2"]
+    best = tmp_path / "run" / "best" / f"{2_150_400:012d}"
+    best.mkdir(parents=True)
+    (best / "policy.onnx").write_bytes((folder / "policy.onnx").read_bytes())
+    run = Run.new(tmp_path / "run", RunSettings(algo="ppo", hyperparameters={}, timesteps=2_250_000, n_envs=512))
+    rows = ((2_150_400, 102.46, 60.0), (2_304_000, 1.0, 70.0))
+    names = ("timesteps", "score", "wall_time_s")
+    run.curve = [{**dict(zip(names, row, strict=True)), "marked": 1.0} for row in rows]
+    run.write()
+    for name in ("RECORDS", "PAGE"):
+        copy = tmp_path / name
+        copy.write_bytes(getattr(shipped, name).read_bytes())
+        monkeypatch.setattr(shipped, name, copy)
+    assert shipped.main([str(tmp_path / "run")]) == 0
+    record = json.loads(shipped.RECORDS.read_text(encoding="utf-8"))["ppo-v1-2"]
+    assert (record["steps"], record["validation_score"], record["wall_time_s"]) == (2_150_400, 102.5, 70)
+    assert "| 1.2 |" in shipped.table()

@@ -5,10 +5,8 @@ import re
 
 import pytest
 
-from tests.cli.calls import error_of
+from wtg_gym import evaluate, get_suite
 from wtg_gym.cli import main
-from wtg_gym.evaluation import evaluate
-from wtg_gym.scenarios import get_suite
 
 pytest.importorskip("matplotlib")
 
@@ -41,20 +39,3 @@ def test_a_page_of_markdown_has_the_numbers_of_the_evaluation_and_the_dearest_sc
     costs = {episode.seed: episode.metrics["cost"] for episode in results.episodes_of("fast-droop")}
     shown = [int(seed) for seed in re.findall(r"\(page-seed-(\d+)\.svg\)", text)]
     assert shown == sorted(seeds, key=costs.get, reverse=True)
-
-
-@pytest.mark.parametrize(
-    ("arguments", "said"),
-    [
-        ("turbo", "unknown entry 'turbo'"),
-        ("baselines", "a report is about one entry"),
-        ("gradient-0", "is for GFMWTG-14bus-v0"),
-        ("mppt --seed 3", "the test seeds of suite 'standard-v1' are 20000"),
-        ("mppt --episodes 0", "--scenarios = 0 is outside the allowed range"),
-        ("mppt --output page.pdf", 'supported extensions {"html", "htm", "md"}'),
-    ],
-)
-def test_bad_input_is_refused_before_anything_is_played(arguments, said, tmp_path, monkeypatch, capsys):
-    monkeypatch.chdir(tmp_path)
-    assert said in error_of(capsys, "report", *arguments.split())
-    assert not list(tmp_path.iterdir())

@@ -1,8 +1,6 @@
 """Facts about what v1 charges, computed anew from states and events."""
 
 import math
-from collections.abc import Iterator
-from typing import Any
 
 import numpy as np
 import pytest
@@ -17,7 +15,7 @@ CUT = [LineTrip(time_s=1.0, from_bus=a, to_bus=b) for a, b in ((5, 6), (4, 7), (
 TERMS = [f"cost_{name}" for name in COST_TERMS]
 
 
-def steps(*events: Event, duration_s: float = 12.0, action: float = 0.0, **settings: Any) -> Iterator[Any]:
+def steps(*events: Event, duration_s: float = 12.0, action: float = 0.0, **settings):
     """Play a scenario of v1; yield environment, reward and terms of the cost after each step."""
     scenario = calm(wind=10.0, n_wtg=4, duration_s=duration_s, events=events)
     env = GFMWTGEnv(version="v1", scenario=scenario, **{"control_dt": 0.1, "reward": "cost", **settings})

@@ -4,12 +4,9 @@ import numpy as np
 import pytest
 
 from tests.envs.rollouts import N_WTG, VERSIONS, calm, episode, eventful, rising, sagging
-from wtg_gym.envs import GFMWTGEnv
+from wtg_gym import GFMWTGEnv, LineTrip, LoadStep, Plant, Scenario, simulate
 from wtg_gym.physics.parameters import ProtectionParameters
-from wtg_gym.physics.plant import Plant
 from wtg_gym.physics.protection import Status
-from wtg_gym.physics.scenario import LineTrip, LoadStep, Scenario
-from wtg_gym.physics.trajectory import simulate
 from wtg_gym.physics.units import ISLANDS, Spread
 from wtg_gym.tasks.cost import CostWeights
 

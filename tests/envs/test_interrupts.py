@@ -2,8 +2,6 @@
 
 import copy
 import time
-from collections.abc import Callable
-from typing import Any
 
 import numpy as np
 import pytest
@@ -16,11 +14,10 @@ from wtg_gym.sb3 import make_sb3_vec_env
 #: Lanes that are worth a thread.
 N = 64
 #: Episodes of ten steps, so that many steps start some.
-SHORT: dict[str, Any] = {"version": "v0", "duration_s": 1.0}
-Call = Callable[[Any, int], Any]
+SHORT = {"version": "v0", "duration_s": 1.0}
 
 
-def batch(n_threads: int, **arguments: Any) -> GFMWTGVectorEnv:
+def batch(n_threads: int, **arguments) -> GFMWTGVectorEnv:
     env = GFMWTGVectorEnv(N * n_threads, n_threads=n_threads, **SHORT, **arguments)
     env.reset(seed=0)
     for k in range(4):
@@ -29,13 +26,13 @@ def batch(n_threads: int, **arguments: Any) -> GFMWTGVectorEnv:
     return env
 
 
-def monitored(n_threads: int, **more: Any) -> Any:
+def monitored(n_threads: int, **more):
     env = make_sb3_vec_env(N * n_threads if n_threads > 1 else 3, seed=0, n_threads=n_threads, **more, **SHORT)
     env.reset()
     return env
 
 
-def agents(_: int) -> Any:
+def agents(_: int):
     env = pytest.importorskip("wtg_gym.pettingzoo").parallel_env(strategy="mppt", on_failure="trip", **SHORT)
     env.reset(seed=0)
     return env
@@ -47,37 +44,37 @@ def single(_: int, render_mode: str | None = None) -> GFMWTGEnv:
     return env
 
 
-def step(env: Any, k: int) -> Any:
+def step(env, k: int):
     return env.step(np.random.default_rng(k).uniform(-1.0, 1.0, (env.num_envs, 4)).astype(np.float32))
 
 
-def step_or_reset(env: Any, k: int) -> Any:
+def step_or_reset(env, k: int):
     if hasattr(env, "agents"):
         return env.step({agent: np.full(2, 0.1 * k % 1.0) for agent in env.agents}) if env.agents else env.reset()
     return env.reset() if np.any(env.lanes.ended()) else env.step(np.full(4, 0.1 * k % 1.0))
 
 
-def reset(env: GFMWTGVectorEnv, k: int) -> Any:
+def reset(env: GFMWTGVectorEnv, k: int):
     return env.reset(seed=k if k % 2 else None)
 
 
-def reset_some(env: GFMWTGVectorEnv, k: int) -> Any:
+def reset_some(env: GFMWTGVectorEnv, k: int):
     return env.reset(options={"reset_mask": np.random.default_rng(k).random(env.num_envs) < 0.1})
 
 
-def native(env: Any) -> Any:
+def native(env):
     for name in ("venv", "vector_env", "env", "single_env"):
         env = vars(env).get(name, env)
     return env
 
 
-def state(env: Any) -> Any:
+def state(env):
     """Return everything of an environment that a call may change, in a form that compares to the bit."""
     names = ("agents", "reset_infos", "episode_returns", "episode_lengths")
     return bits([*native(env).snapshot().lanes[1:], *(getattr(env, name, None) for name in names)])
 
 
-CASES: dict[str, tuple[Callable[[int], Any], Call]] = {
+CASES = {
     "next step": (batch, step),
     "same step": (lambda n: batch(n, autoreset_mode="SameStep"), step),
     "step limit": (lambda n: batch(n, max_episode_steps=2), step),

@@ -2,22 +2,19 @@
 
 import functools
 import math
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 import pytest
 
 from tests.envs.rollouts import actions_of, calm, eventful
-from wtg_gym.envs import GFMWTGEnv, GFMWTGVectorEnv
-from wtg_gym.physics.scenario import LoadStep, Scenario
-from wtg_gym.scenarios import get_suite
+from wtg_gym import GFMWTGEnv, GFMWTGVectorEnv, LoadStep, Scenario, get_suite
 from wtg_gym.tasks import V1
 
 Floats = npt.NDArray[np.float64]
 SUITE = get_suite("standard-v1")
 N_STEPS = 60
-SHORT: dict[str, Any] = {"version": "v1", "duration_s": 30.0}
+SHORT = {"version": "v1", "duration_s": 30.0}
 #: All load but a third is lost: the frequency passes its upper limit.
 BLACKOUT = calm(n_wtg=4, duration_s=30.0, events=(LoadStep(time_s=12.3, bus=3, power_mw=-150.0),), inertia_scale=0.3)
 ZERO, RANDOM = np.zeros((N_STEPS, 8)), actions_of(4, N_STEPS, n_action=8)[:, 0]
@@ -28,7 +25,7 @@ def drawn(seed: int) -> Scenario:
     return SUITE.scenario(seed, duration_s=30.0)
 
 
-CASES: dict[str, tuple[dict[str, Any], Scenario, Floats, float]] = {
+CASES = {
     "ample": ({"strategy": "mppt"}, drawn(20_001), ZERO, 40.0),
     "tight": ({}, drawn(20_002), RANDOM, 200.0),
     "short": ({"action_mode": "k", "weights": {"duty": 1.0}}, drawn(20_000), RANDOM[:, :4], 1000.0),
@@ -38,20 +35,20 @@ CASES: dict[str, tuple[dict[str, Any], Scenario, Floats, float]] = {
 }
 
 
-def costs(settings: dict[str, Any], scenario: Scenario, actions: Floats) -> Floats:
+def costs(settings, scenario: Scenario, actions: Floats) -> Floats:
     """Return what an episode has cost up to each step, by the environment whose reward is the cost."""
     env = GFMWTGEnv(scenario=scenario, **{**SHORT, **settings, "reward": "cost"})
     env.reset()
     return np.cumsum([-reward for _, reward, *_ in steps(env, actions)])
 
 
-def tuned(settings: dict[str, Any]) -> dict[str, Any]:
+def tuned(settings):
     """Return settings with the law that scores 100."""
     return {**settings, "strategy": "coordinated-piecewise" if settings.get("version") == "v0" else "coordinated-tuned"}
 
 
-def steps(env: GFMWTGEnv, actions: Floats) -> list[Any]:
-    taken: list[Any] = []
+def steps(env: GFMWTGEnv, actions: Floats):
+    taken = []
     for action in actions:
         taken.append(env.step(action))
         if taken[-1][2] or taken[-1][3]:
@@ -100,7 +97,7 @@ def test_an_episode_that_is_cut_returns_what_it_is_worth_so_far():
 
 @pytest.mark.parametrize("n_lanes", [1, 33])
 def test_the_law_that_scores_a_hundred_returns_nothing_and_others_what_they_return_alone(n_lanes):
-    settings: dict[str, Any] = {**SHORT, "autoreset_mode": "SameStep", "n_threads": 2}
+    settings = {**SHORT, "autoreset_mode": "SameStep", "n_threads": 2}
     env = GFMWTGVectorEnv(n_lanes, strategy="coordinated-tuned", **settings)
     env.reset(seed=3)
     assert not any(env.step(np.zeros((n_lanes, 8)))[1].any() for _ in range(2 * N_STEPS))

@@ -8,10 +8,9 @@ import numpy.typing as npt
 import pytest
 
 from tests.envs.rollouts import actions_of, calm
-from wtg_gym.envs import GFMWTGEnv
-from wtg_gym.physics.scenario import Event, GroupTrip, LoadStep, Scenario
+from wtg_gym import GFMWTGEnv, GroupTrip, LoadStep, Scenario, get_suite
+from wtg_gym.physics.scenario import Event
 from wtg_gym.physics.sensors import Sensors
-from wtg_gym.scenarios import get_suite
 from wtg_gym.tasks.observation import WtgObservation
 from wtg_gym.tasks.sensing import MeasuredObservation
 

@@ -4,7 +4,6 @@ import functools
 import multiprocessing
 import os
 import threading
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -67,7 +66,7 @@ def test_a_second_thread_gets_an_error_and_the_first_one_its_numbers(monkeypatch
     inside, leave = threading.Event(), threading.Event()
     step = env.lanes.step
 
-    def slow(*arguments: Any) -> Any:
+    def slow(*arguments):
         inside.set()
         assert leave.wait(60.0)
         return step(*arguments)

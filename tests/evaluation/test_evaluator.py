@@ -6,7 +6,6 @@ import signal
 import sys
 import threading
 import time
-from typing import Any
 
 import gymnasium as gym
 import numpy as np
@@ -14,14 +13,13 @@ import pytest
 
 import wtg_gym
 from tests.interruption import interrupted
+from wtg_gym import Entry, Results, TrackingLaw, evaluate, get_suite, load_entries
 from wtg_gym.envs.lanes import TaskLanes
-from wtg_gym.evaluation import Entry, PolicyError, Results, evaluate, load_entries
+from wtg_gym.evaluation import PolicyError
 from wtg_gym.evaluation.evaluator import Progress
 from wtg_gym.evaluation.partial import PartialStore
 from wtg_gym.evaluation.recompute import departures, recompute
 from wtg_gym.physics.parameters import TurbineParameters
-from wtg_gym.physics.tracking_law import TrackingLaw
-from wtg_gym.scenarios import get_suite
 
 SHORT = {"seeds": (20_002, 20_000, 20_005), "duration_s": 10.0}
 
@@ -32,17 +30,17 @@ class Linear:
     def __init__(self, gain: float, n_actions: int = 4) -> None:
         self.gain, self.n_actions = gain, n_actions
 
-    def predict(self, observation: Any, state: Any = None, *_: Any, **__: Any) -> Any:
+    def predict(self, observation, state=None, *_, **__):
         return np.repeat(-self.gain * observation[:, :1], self.n_actions, axis=1), None
 
 
 class Answering(Linear):
     """A policy that answers whatever a function of the observation and the step says."""
 
-    def __init__(self, answer: Any) -> None:
+    def __init__(self, answer) -> None:
         self.answer, self.step = answer, -1
 
-    def predict(self, observation: Any, state: Any = None, *_: Any, **__: Any) -> Any:
+    def predict(self, observation, state=None, *_, **__):
         self.step += 1
         return self.answer(observation, self.step)
 
@@ -51,10 +49,10 @@ class Counting:
     """A policy with a recurrent state; it notes what it was given."""
 
     def __init__(self) -> None:
-        self.states: list[Any] = []
-        self.starts: list[Any] = []
+        self.states = []
+        self.starts = []
 
-    def predict(self, observation: Any, state: Any = None, episode_start: Any = None, deterministic: bool = True):
+    def predict(self, observation, state=None, episode_start=None, deterministic: bool = True):
         assert deterministic
         self.states.append(state)
         self.starts.append(episode_start)
@@ -97,9 +95,9 @@ def test_recurrent_state_is_passed_on_and_starts_anew_in_every_batch():
 
 
 def test_failed_episode_is_kept_and_its_lane_ignores_actions():
-    last: list[Any] = [None]
+    last = [None]
 
-    def drain(observation: Any, step: int) -> Any:
+    def drain(observation, step: int):
         actions = np.tile([1.0, 0.0], (len(observation), 2))
         if last[0] is not None:
             actions[(observation == last[0]).all(axis=1)] = np.nan
@@ -117,7 +115,7 @@ def test_failed_episode_is_kept_and_its_lane_ignores_actions():
         assert episode.metrics["quasi_steady_deviation_hz"] is None
 
 
-def fail(observation: Any, step: int) -> Any:
+def fail(observation, step: int):
     raise ZeroDivisionError("from inside")
 
 
@@ -156,10 +154,10 @@ def test_law_without_an_equilibrium_is_left_out_and_that_of_an_anchor_is_an_erro
 
 
 def test_entry_that_fails_is_left_out_with_its_row_and_the_others_stand(tmp_path):
-    def fails_at(step: int) -> Any:
+    def fails_at(step: int):
         return Answering(lambda o, s: (np.full((len(o), 4), np.nan if s == step else 0.5), None))
 
-    def raises(observation: Any, step: int) -> Any:
+    def raises(observation, step: int):
         raise RuntimeError("no\nidea \x1b[2J")
 
     first, second = Entry(name="first", policy=Linear(1.0)), Entry(name="second", policy=Linear(0.5))
@@ -239,7 +237,7 @@ def test_killed_run_goes_on_and_keeps_its_parts_until_the_results_are_written(re
 def test_interrupted_evaluation_ends_its_threads_and_their_policies(monkeypatch):
     step, main, steps = TaskLanes.step, threading.get_ident(), []
 
-    def interrupting(lanes: TaskLanes, *arguments: Any) -> None:
+    def interrupting(lanes: TaskLanes, *arguments) -> None:
         if threading.get_ident() != main:
             steps.append(arguments)
             if len(steps) == 3:
@@ -272,7 +270,7 @@ def test_damaged_and_exchanged_parts_are_played_again(results, entries, tmp_path
 
 
 #: What a part was stored with, beside what is asked for.
-OTHER_PARTS: list[dict[str, Any]] = [
+OTHER_PARTS = [
     *({"entry": {key: value}} for key, value in (("name", "other"), ("training_seed", 2), ("fingerprint", "another"))),
     *({"rows": {key: value}} for key, value in (("entry", "other"), ("training_seed", 2), ("seed", 20_001))),
     *({"context": ["gust", "test"]}, {"seeds": [20_001, 20_000]}, {"seeds": [20_000]}, {}),

@@ -1,17 +1,11 @@
 """Facts about what is measured in an episode."""
 
-from typing import Any
-
 import gymnasium as gym
 import numpy as np
 import pytest
 
-from wtg_gym.evaluation import evaluate
+from wtg_gym import Plant, evaluate, get_law, get_suite, simulate
 from wtg_gym.evaluation.metrics import quasi_steady_deviation
-from wtg_gym.physics.plant import Plant
-from wtg_gym.physics.tracking_law import get_law
-from wtg_gym.physics.trajectory import simulate
-from wtg_gym.scenarios import get_suite
 
 DT = 0.1
 
@@ -36,7 +30,7 @@ def test_metrics_agree_with_the_recorded_run():
 
 def test_worst_frequency_and_shed_energy_are_those_of_info_and_none_in_the_papers_physics(results):
     law, seeds = "coordinated-tuned", range(10_000, 10_006)
-    env: Any = gym.make("GFMWTG-14bus-v1", strategy=law, duration_s=20.0, disable_env_checker=True).unwrapped
+    env = gym.make("GFMWTG-14bus-v1", strategy=law, duration_s=20.0, disable_env_checker=True).unwrapped
     for episode in evaluate([], "standard-v1", "validation", seeds=seeds, duration_s=20.0).episodes_of(law):
         scenario = get_suite("standard-v1").scenario(episode.seed, duration_s=20.0)
         infos = [env.reset(options={"scenario": scenario})[1]]

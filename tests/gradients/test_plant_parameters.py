@@ -7,12 +7,11 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
+from wtg_gym import GovernorLoss, LoadStep, MachineOutage, Plant, Scenario
 from wtg_gym.envs.lanes import TaskLanes
 from wtg_gym.envs.settings import EnvSettings
 from wtg_gym.gradients.plant_parameters import known_parameters, with_parameters
 from wtg_gym.gradients.tape import Tape
-from wtg_gym.physics.plant import Plant
-from wtg_gym.physics.scenario import GovernorLoss, LoadStep, MachineOutage, Scenario
 from wtg_gym.tasks.cost import COST_TERMS
 
 Floats = npt.NDArray[np.float64]

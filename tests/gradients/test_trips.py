@@ -9,9 +9,8 @@ import numpy.typing as npt
 import pytest
 
 from tests.gradients.test_gradients import N_LANES, V1, actions_of, agrees, given, played
-from wtg_gym.envs.settings import EnvSettings
-from wtg_gym.gradients import LAW_PARAMETERS, check_by_differences
-from wtg_gym.gradients.tape import Tape
+from wtg_gym.envs import EnvSettings
+from wtg_gym.gradients import LAW_PARAMETERS, Tape, check_by_differences
 from wtg_gym.physics.protection import STAGES
 from wtg_gym.physics.scenario import GovernorLoss, GroupTrip, LoadStep, Scenario
 from wtg_gym.tasks.cost import COST_TERMS

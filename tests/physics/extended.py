@@ -6,21 +6,17 @@ Two plants are compiled: the paper's curve, and a table with a hydro governor. O
 import dataclasses
 import functools
 import itertools
-from collections.abc import Callable
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
+from wtg_gym import LoadStep, Plant, Scenario, get_law, get_suite
 from wtg_gym.physics import parameters
 from wtg_gym.physics.grid import NetworkCase, get_grid
 from wtg_gym.physics.layout import Floats
 from wtg_gym.physics.machine_parameters import GovernorParameters, HydroGovernorParameters, classical_machine
-from wtg_gym.physics.plant import Plant
-from wtg_gym.physics.scenario import Event, LoadStep, Scenario
+from wtg_gym.physics.scenario import Event
 from wtg_gym.physics.simulator import Simulator
-from wtg_gym.physics.tracking_law import get_law
-from wtg_gym.scenarios import get_suite
 from wtg_gym.systems.systems import Kind
 
 #: Limits, voltage control, rotor that keeps its energy: all but none of them.
@@ -41,7 +37,7 @@ def plant(
     voltage: bool | parameters.VoltageControlParameters = True,
     energy: bool = True,
     dead_band: float = 0.0,
-    **more: Any,
+    **more,
 ) -> Plant:
     """One of the two plants, with its options."""
     kind = HydroGovernorParameters if table else GovernorParameters
@@ -57,13 +53,13 @@ def plant(
     return Plant(**{**given, **more})
 
 
-def with_machine(**changes: Any) -> NetworkCase:
+def with_machine(**changes) -> NetworkCase:
     """The default network with other data of the machine at bus 1."""
     case = get_grid("ieee14").case
     return dataclasses.replace(case, machines=(dataclasses.replace(case.machines[0], **changes), *case.machines[1:]))
 
 
-def scenario(*events: Event, wind: Any = WIND, **more: Any) -> Scenario:
+def scenario(*events: Event, wind=WIND, **more) -> Scenario:
     return Scenario(name="x", wind_speed=np.asarray(wind, dtype=float), events=events, **more)
 
 
@@ -73,11 +69,9 @@ def started(settings: Plant, what: Scenario, law: str = LAW, duration_s: float =
     return simulator
 
 
-def recorded(
-    simulator: Simulator, seconds: float, *names: str, act: Callable[[int], Any] | None = None
-) -> dict[str, Floats]:
+def recorded(simulator: Simulator, seconds: float, *names: str, act=None) -> dict[str, Floats]:
     """Numbers of the groups at the end of every control interval, until the run ends, and the frequency "coi"."""
-    found: dict[str, list[Any]] = {name: [] for name in ("coi", *names)}
+    found = {name: [] for name in ("coi", *names)}
     for interval in range(round(seconds / simulator.settings.control_dt)):
         if act is not None:
             simulator.blocks[0, simulator.layout.wtg("k_offset"), 0] = act(interval)

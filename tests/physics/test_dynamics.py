@@ -6,13 +6,12 @@ import numpy as np
 import pytest
 
 from tests.physics.extended import NO_SHEDDING, recorded, scenario, started
+from wtg_gym import Plant, get_suite
 from wtg_gym.physics import scenario as sc
 from wtg_gym.physics.parameters import ConverterLimitParameters, PitchParameters
-from wtg_gym.physics.plant import Plant
 from wtg_gym.physics.protection import Status
 from wtg_gym.physics.simulator import Simulator
 from wtg_gym.physics.tracking_law import STRATEGIES
-from wtg_gym.scenarios import get_suite
 
 LAW = STRATEGIES["coordinated-piecewise"]
 

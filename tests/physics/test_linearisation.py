@@ -7,11 +7,10 @@ import numpy as np
 import pytest
 
 from tests.physics.extended import plant, scenario, with_machine
+from wtg_gym import Plant, TrackingLaw, get_law
 from wtg_gym.physics.linearisation import largest_stable_steps
 from wtg_gym.physics.parameters import ConverterLimitParameters, GridFormingParameters, VoltageControlParameters
-from wtg_gym.physics.plant import Plant
 from wtg_gym.physics.simulator import Simulator
-from wtg_gym.physics.tracking_law import TrackingLaw, get_law
 
 LAWS = (get_law("coordinated-piecewise"),) * 2
 

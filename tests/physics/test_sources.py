@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from tests.physics.extended import NO_SHEDDING, largest_rate, plant, recorded, scenario, started, with_machine
-from tests.physics.test_faults import bus_matrix
+from tests.physics.test_events import bus_matrix
 from tests.physics.test_islands import PARTED_WIND, cut, parted
 from wtg_gym.physics import scenario as sc
 from wtg_gym.physics.devices import SOURCES

@@ -6,13 +6,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from wtg_gym import Plant, Scenario, TrackingLaw, get_law, simulate
 from wtg_gym.physics.aerodynamics import tracking_point
 from wtg_gym.physics.converter import Corners, tracking_coefficient
 from wtg_gym.physics.parameters import GridFormingParameters, TurbineParameters
-from wtg_gym.physics.plant import Plant
-from wtg_gym.physics.scenario import Scenario
-from wtg_gym.physics.tracking_law import STRATEGIES, STRATEGY_NAMES, TUNED, TrackingLaw, get_law
-from wtg_gym.physics.trajectory import simulate
+from wtg_gym.physics.tracking_law import STRATEGIES, STRATEGY_NAMES, TUNED
 
 LONG_BLADES = TurbineParameters(blade_radius_m=70.0)
 K_OPT, K_N, K_PR = (tracking_point(d).coefficient for d in (0.0, 0.05, 0.10))

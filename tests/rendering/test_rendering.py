@@ -2,7 +2,6 @@
 
 import copy
 import sys
-from typing import Any
 
 import gymnasium as gym
 import numpy as np
@@ -26,7 +25,7 @@ def dummy_display(monkeypatch):
     monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
 
 
-def playing(n_steps: int, **settings: Any) -> GFMWTGEnv:
+def playing(n_steps: int, **settings) -> GFMWTGEnv:
     """Return an environment that renders, so many steps into the eventful scenario."""
     env = GFMWTGEnv(**{"version": "v0", "render_mode": "rgb_array", "scenario": eventful().to_dict(), **settings})
     env.reset(seed=0)
@@ -75,7 +74,7 @@ def test_a_trajectory_is_the_same_with_and_without_rendering():
     plain = single_steps(GFMWTGEnv(version="v0", duration_s=3.0), actions, AutoresetMode.NEXT_STEP, seed=2)
 
     class Watched(GFMWTGEnv):
-        def step(self, action: Any) -> Any:
+        def step(self, action):
             self.render()
             return super().step(action)
 
@@ -116,7 +115,7 @@ def test_a_batch_gives_the_frames_of_single_environments():
 def test_the_window_shows_each_frame_by_itself_and_an_episode_goes_on_after_it_was_closed():
     pygame = pytest.importorskip("pygame")
 
-    def on_screen() -> Any:
+    def on_screen():
         return pygame.surfarray.array3d(pygame.display.get_surface()).swapaxes(0, 1)
 
     env, twin = (GFMWTGEnv(duration_s=1.0, render_mode=mode, version="v0") for mode in ("human", "rgb_array"))

@@ -8,11 +8,10 @@ import pickle
 import gymnasium as gym
 import pytest
 
+from wtg_gym import LineTrip, Scenario, evaluate, get_suite
 from wtg_gym.envs.lanes import TaskLanes
 from wtg_gym.envs.settings import EnvSettings
-from wtg_gym.evaluation import evaluate
-from wtg_gym.physics.scenario import LineTrip, Scenario
-from wtg_gym.scenarios import FROZEN_HASHES, SUITES, ScenarioDistribution, get_suite
+from wtg_gym.scenarios import FROZEN_HASHES, SUITES, ScenarioDistribution
 from wtg_gym.scenarios.draws import Draft, LoadEvents, LoadNoise, Picker, Record, SensorDistribution, Wind
 from wtg_gym.scenarios.margin import reserve_margin
 from wtg_gym.tasks import V1
