@@ -40,11 +40,6 @@ def test_terminal_gets_a_progress_bar(capsys, monkeypatch):
     assert "━" in said.err and "coordinated-piecewise" in said.out and "━" not in said.out
 
 
-def _help(capsys: pytest.CaptureFixture[str], *command: str) -> str:
-    assert main([*command, "--help"]) == 0
-    return capsys.readouterr().out
-
-
 def test_help_of_every_command_teaches_by_examples_that_it_takes(capsys, monkeypatch, tmp_path):
     monkeypatch.setenv("COLUMNS", "200")
     monkeypatch.chdir(tmp_path)
@@ -55,7 +50,8 @@ def test_help_of_every_command_teaches_by_examples_that_it_takes(capsys, monkeyp
     for name in names:
         own = [part for part in build_app([name])[name] if not part.startswith("-")]
         for command in [(name, part) for part in own] or [(name,)]:
-            text = _help(capsys, *command)
+            assert main([*command, "--help"]) == 0
+            text = capsys.readouterr().out
             lines = re.findall(rf"^  (?:\w+=\S+ )?wtg-gym ({' '.join(command)}.*)$", text, re.MULTILINE)
             assert lines, command
             for line in lines:

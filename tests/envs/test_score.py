@@ -4,14 +4,12 @@ import functools
 import math
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 
 from tests.envs.rollouts import actions_of, calm, eventful
 from wtg_gym import GFMWTGEnv, GFMWTGVectorEnv, LoadStep, Scenario, get_suite
 from wtg_gym.tasks import V1
 
-Floats = npt.NDArray[np.float64]
 SUITE = get_suite("standard-v1")
 N_STEPS = 60
 SHORT = {"version": "v1", "duration_s": 30.0}
@@ -35,7 +33,7 @@ CASES = {
 }
 
 
-def costs(settings, scenario: Scenario, actions: Floats) -> Floats:
+def costs(settings, scenario: Scenario, actions: np.ndarray) -> np.ndarray:
     """Return what an episode has cost up to each step, by the environment whose reward is the cost."""
     env = GFMWTGEnv(scenario=scenario, **{**SHORT, **settings, "reward": "cost"})
     env.reset()
@@ -47,7 +45,7 @@ def tuned(settings):
     return {**settings, "strategy": "coordinated-piecewise" if settings.get("version") == "v0" else "coordinated-tuned"}
 
 
-def steps(env: GFMWTGEnv, actions: Floats):
+def steps(env: GFMWTGEnv, actions: np.ndarray):
     taken = []
     for action in actions:
         taken.append(env.step(action))

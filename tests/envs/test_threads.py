@@ -6,7 +6,6 @@ import os
 import threading
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 
 from wtg_gym.envs import GFMWTGVectorEnv
@@ -27,7 +26,7 @@ def staggered(n_threads: int, version: str = "v0") -> GFMWTGVectorEnv:
     return env
 
 
-def played(n_threads: int, version: str) -> list[list[npt.NDArray[np.generic]]]:
+def played(n_threads: int, version: str) -> list[list[np.ndarray]]:
     """What 45 steps of a batch return, with resets between them."""
     env = staggered(n_threads, version)
     actions = np.random.default_rng(0).uniform(-1.0, 1.0, (45, *env.action_space.shape)).astype(np.float32)

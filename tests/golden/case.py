@@ -11,7 +11,6 @@ from pathlib import Path
 import numpy as np
 
 from wtg_gym.physics.grid import MODELS, Branch, Bus, NetworkCase, Source
-from wtg_gym.physics.layout import Floats
 from wtg_gym.physics.machine_parameters import SynchronousMachineParameters, classical_machine
 from wtg_gym.physics.scenario import EVENT_KINDS, Event, LoadStep
 
@@ -189,7 +188,7 @@ def _event(entry, base: float, voltage: Mapping[int, complex], loads: Mapping[in
     return LoadStep(time_s=entry["t"], bus=bus, power_mw=base * power.real, reactive_mvar=base * power.imag)
 
 
-def read_trace(path: Path) -> tuple[Floats, dict[str, Floats]]:
+def read_trace(path: Path) -> tuple[np.ndarray, dict[str, np.ndarray]]:
     """Return the times of a trace (n,) [s] and its columns (n,) by name, such as ``w1`` or ``V14``.
 
     Without the rows of three traces 0.1 ms after an event, which no step ends at.

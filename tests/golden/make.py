@@ -35,12 +35,9 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from tests.golden.case import EXCITERS, GOLDEN, GOVERNORS, STABILISERS, read_data
 from tests.golden.shipped import EVENTS
-
-Floats = npt.NDArray[np.float64]
 
 STEPS_PER_SECOND = (96, 192, 384, 768)
 #: Spacing of the rows of a trace, and in the second after an event [s].
@@ -233,7 +230,7 @@ def columns(data, events) -> tuple[str, ...]:
     return ("t", *machines, *(f"V{bus['bus']}" for bus in data["bus"]))
 
 
-def row_times(events, duration_s: float) -> Floats:
+def row_times(events, duration_s: float) -> np.ndarray:
     """Return the times of a trace's rows; none lies at an event [s]."""
     coarse = np.arange(round(duration_s / ROW_S) + 1) * ROW_S
     changes = [time_s for event in events for time_s in instants(event)]
@@ -264,7 +261,7 @@ def build_system(data, events, run: Run):
     return system
 
 
-def simulate(data, events, run: Run, steps_per_second: int) -> Floats:
+def simulate(data, events, run: Run, steps_per_second: int) -> np.ndarray:
     """Integrate one event list with a fixed step and return the rows of its trace (n, columns)."""
     system = build_system(data, events, run)
     system.store_switch_times = functools.partial(system.store_switch_times, eps=EVENT_STEP_S)
@@ -309,13 +306,13 @@ def _fixed_step() -> str:
     return "fixed_trapezoid"
 
 
-def difference(names: Sequence[str], trace: Floats, other: Floats) -> dict[str, float]:
+def difference(names: Sequence[str], trace: np.ndarray, other: np.ndarray) -> dict[str, float]:
     """Return the largest difference of each quantity [p.u.]."""
     gaps = dict(zip(names, np.abs(trace - other).max(axis=0).tolist(), strict=True))
     return {quantity: max(gaps[name] for name in names if name.startswith(quantity)) for quantity in QUANTITIES}
 
 
-def extrapolated(traces: Sequence[Floats], steps: Sequence[int], times: int) -> Floats:
+def extrapolated(traces: Sequence[np.ndarray], steps: Sequence[int], times: int) -> np.ndarray:
     """Return the finest trace, extrapolated so often to a step of zero: errors are a series of even powers of it."""
     for order in range(1, times + 1):
         ratios = [(fine / coarse) ** 2 for coarse, fine in zip(steps[:-order], steps[order:], strict=True)]

@@ -6,7 +6,6 @@ import math
 from collections.abc import Callable
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 
 from tests.physics.extended import plant
@@ -17,7 +16,6 @@ from wtg_gym.physics import scenario as sc
 from wtg_gym.physics.protection import Status
 from wtg_gym.tasks.cost import COST_TERMS
 
-Floats = npt.NDArray[np.float64]
 N_LANES = 3
 #: Their machine code is that of the programs of docs/gradients.md, whose actions are held.
 V1 = {"version": "v1", "control_dt": 0.1}
@@ -33,12 +31,12 @@ def drawn(tape: Tape, first: int = 1_000_000) -> list[sc.Scenario]:
     return tape.lanes.scenarios(list(range(first, first + N_LANES)))
 
 
-def actions_of(tape: Tape, n_steps: int, scale: float = 0.4) -> Floats:
+def actions_of(tape: Tape, n_steps: int, scale: float = 0.4) -> np.ndarray:
     shape = (n_steps, N_LANES, tape.lanes.n_action)
     return np.random.default_rng(1).uniform(-scale, scale, shape)
 
 
-def played(tape: Tape, scenarios: list[sc.Scenario], actions: Floats, law: Floats | None = None) -> Floats:
+def played(tape: Tape, scenarios: list[sc.Scenario], actions: np.ndarray, law: np.ndarray | None = None) -> np.ndarray:
     """Terms of the cost of every lane (n_lanes, n_terms), by the environment alone."""
     tape.start(scenarios)
     if law is not None:
@@ -46,12 +44,12 @@ def played(tape: Tape, scenarios: list[sc.Scenario], actions: Floats, law: Float
     return np.sum([tape.step(own)[1] for own in actions], axis=0)
 
 
-def central(function: Callable[[float], Floats], h: float = 1e-6) -> Floats:
+def central(function: Callable[[float], np.ndarray], h: float = 1e-6) -> np.ndarray:
     """Central difference of a function at 0."""
     return (function(h) - function(-h)) / (2.0 * h)
 
 
-def along(found: Gradient, way: Floats) -> Floats:
+def along(found: Gradient, way: np.ndarray) -> np.ndarray:
     return np.einsum("kla,kla->l", found.actions, way)
 
 
@@ -59,7 +57,7 @@ def given(n_wtg: int, *events, wind: float = 9.0) -> sc.Scenario:
     return sc.Scenario(name="given", wind_speed=np.full((n_wtg, 1), wind), events=events, load_noise_bus=3)
 
 
-def agrees(tape: Tape, scenarios: list[sc.Scenario], actions: Floats, tolerance: float = 1e-5) -> Gradient:
+def agrees(tape: Tape, scenarios: list[sc.Scenario], actions: np.ndarray, tolerance: float = 1e-5) -> Gradient:
     """Check the gradient of the cost with respect to the actions, along some way; return it."""
     found = tape.gradient(scenarios, actions)
     way = np.random.default_rng(3).normal(size=actions.shape)
@@ -75,9 +73,9 @@ def test_a_step_is_replayed_to_the_last_bit(settings, monkeypatch):
     tape.start(drawn(tape))
     for own in actions_of(tape, 60):
         tape.step(own)
-    simulator, after = tape.lanes.simulator, list[Floats]()
+    simulator, after = tape.lanes.simulator, list[np.ndarray]()
 
-    def kept(blocks: Floats, *others) -> None:
+    def kept(blocks: np.ndarray, *others) -> None:
         pull(blocks, *others)
         after.append(blocks.copy())
 
@@ -258,7 +256,7 @@ def test_observations_have_gradients(settings):
     rng = np.random.default_rng(5)
     way, weights = rng.normal(size=actions.shape), rng.normal(size=(60, N_LANES, tape.lanes.n_observation))
 
-    def weighed(given: Floats) -> Floats:
+    def weighed(given: np.ndarray) -> np.ndarray:
         # As the simulator holds them, before they are rounded to 32 bits.
         tape.start(scenarios)
         found = []

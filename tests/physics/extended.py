@@ -8,12 +8,10 @@ import functools
 import itertools
 
 import numpy as np
-import numpy.typing as npt
 
 from wtg_gym import LoadStep, Plant, Scenario, get_law, get_suite
 from wtg_gym.physics import parameters
 from wtg_gym.physics.grid import NetworkCase, get_grid
-from wtg_gym.physics.layout import Floats
 from wtg_gym.physics.machine_parameters import GovernorParameters, HydroGovernorParameters, classical_machine
 from wtg_gym.physics.scenario import Event
 from wtg_gym.physics.simulator import Simulator
@@ -69,7 +67,7 @@ def started(settings: Plant, what: Scenario, law: str = LAW, duration_s: float =
     return simulator
 
 
-def recorded(simulator: Simulator, seconds: float, *names: str, act=None) -> dict[str, Floats]:
+def recorded(simulator: Simulator, seconds: float, *names: str, act=None) -> dict[str, np.ndarray]:
     """Numbers of the groups at the end of every control interval, until the run ends, and the frequency "coi"."""
     found = {name: [] for name in ("coi", *names)}
     for interval in range(round(seconds / simulator.settings.control_dt)):
@@ -84,7 +82,7 @@ def recorded(simulator: Simulator, seconds: float, *names: str, act=None) -> dic
     return {name: np.array(values) for name, values in found.items()}
 
 
-def phasors(simulator: Simulator, kind: Kind, part: str) -> npt.NDArray[np.complex128]:
+def phasors(simulator: Simulator, kind: Kind, part: str) -> np.ndarray:
     """Voltages, currents or admittances of every unit of a kind in a single run at its present state [p.u.]."""
     # Of a copy: the run's outputs stay as they are.
     scratch, first = simulator._evaluated(simulator.blocks.copy())[0, :, 0], simulator.layout.first_rows(kind, part)
@@ -98,7 +96,7 @@ def largest_rate(simulator: Simulator) -> float:
     return float(np.abs(simulator.rates()[keep]).max())
 
 
-def distance(simulator: Simulator, state: Floats) -> float:
+def distance(simulator: Simulator, state: np.ndarray) -> float:
     """Largest deviation from a state, without energies and angles."""
     names = simulator.layout.state_names
     keep = [i for i, name in enumerate(names) if "energy" not in name and "angle" not in name]

@@ -5,7 +5,6 @@ import json
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 
 from tests.physics.extended import classical
@@ -173,7 +172,7 @@ VOLTAGES = (1.060, 1.045, 1.010, 1.019, 1.020, 1.070, 1.062, 1.090, 1.056, 1.051
 ANGLES = (0.0, -4.98, -12.72, -10.33, -8.78, -14.22, -13.37, -13.36, -14.94, -15.10, -14.79, -15.07, -15.16, -16.04)
 
 
-def flow_table(case: NetworkCase, power: npt.NDArray[np.complex128]):
+def flow_table(case: NetworkCase, power: np.ndarray):
     """Admittance matrix, slack bus, and the table that a power flow of these powers of units [p.u.] fills in."""
     plant, at = plant_tables(Plant(case=case, groups=())), FLOW_COLUMNS
     buses = np.zeros((len(case.buses), n_rows_of(BUSES.scratch)))

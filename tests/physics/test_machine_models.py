@@ -5,7 +5,6 @@ import pickle
 from collections.abc import Callable, Sequence
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 from scipy.integrate import solve_ivp
 
@@ -15,7 +14,6 @@ from wtg_gym.gradients import Tape, check_by_differences
 from wtg_gym.physics import machine_models as models
 from wtg_gym.physics import machine_parameters as controls
 from wtg_gym.physics.grid import Branch, Bus, Grid, NetworkCase, get_grid, grid_text
-from wtg_gym.physics.layout import Floats
 from wtg_gym.physics.linearisation import moving_states, state_matrix
 from wtg_gym.physics.machine import saturated, saturation_constants
 from wtg_gym.physics.machine_parameters import GovernorParameters, HydroGovernorParameters, SynchronousMachineParameters
@@ -24,7 +22,6 @@ from wtg_gym.physics.plant import Plant, plant_tables
 from wtg_gym.physics.scenario import Event, GovernorLoss, LoadStep, MachineOutage
 from wtg_gym.physics.simulator import Simulator
 
-Complex = npt.NDArray[np.complex128]
 S = 2j * np.pi * np.array([0.05, 0.4, 1.5, 6.0])
 
 STABILISER = controls.SpeedStabiliserParameters(signal_limit_pu=0.05)
@@ -86,11 +83,11 @@ def advanced(simulator: Simulator, seconds: float) -> Simulator:
     return simulator
 
 
-def response(rates, start, at: float) -> Complex:
+def response(rates, start, at: float) -> np.ndarray:
     """The transfer function of a block at `S`, from differences around its equilibrium at an input."""
     x, n, step = np.array(start), len(start), 1e-4
 
-    def both(state: npt.NDArray[np.float64], given: float) -> npt.NDArray[np.float64]:
+    def both(state: np.ndarray, given: float) -> np.ndarray:
         found, output = rates(type(start)(*state), given)
         return np.array([*found, output])
 
@@ -288,11 +285,11 @@ HYDRO = HydroGovernorParameters()
 CONSTANTS = models.hydro_constants(0, HYDRO)
 
 
-def orders(speed: Callable[[float], float], torque: float, seconds: float) -> Floats:
+def orders(speed: Callable[[float], float], torque: float, seconds: float) -> np.ndarray:
     """The order of a hydro gate every 10 ms for a given speed, from the equilibrium at a torque."""
     start = models.hydro_start(torque, CONSTANTS)
 
-    def rates(t: float, x: Floats) -> tuple[float, ...]:
+    def rates(t: float, x: np.ndarray) -> tuple[float, ...]:
         return tuple(models.hydro_rates(models.HydroState(*x), speed(t), start.hydro_gate, INV_DROOP, CONSTANTS)[0])
 
     # Short steps: the speed may jump.
@@ -317,7 +314,7 @@ DT, SECONDARY_S = 0.025, 30.0
 MORE = LoadStep(time_s=1.0, bus=4, power_mw=60.0)
 
 
-def reference_and_speed(*events: Event, seconds: float, governor: GovernorParameters = GOVERNOR) -> Floats:
+def reference_and_speed(*events: Event, seconds: float, governor: GovernorParameters = GOVERNOR) -> np.ndarray:
     """Gate reference and speed of the generator, from the start on, after each step (2, n)."""
     times = {"secondary_time_s": SECONDARY_S, "control_dt": DT, "simulation_dt": DT}
     simulator = Simulator(Plant(case=with_machine(governor=governor), groups=(), **times), duration_s=seconds)

@@ -3,11 +3,9 @@
 import copy
 import sys
 
-import gymnasium as gym
 import numpy as np
 import pytest
 from gymnasium.error import DependencyNotInstalled
-from gymnasium.utils.env_checker import check_env
 from gymnasium.vector import AutoresetMode
 
 from tests.envs.rollouts import actions_of, calm, eventful, single_steps
@@ -16,7 +14,6 @@ from wtg_gym.envs.rendering.frame import FRAME_SIZE
 
 pytest.importorskip("matplotlib")
 
-ENV_ID = "GFMWTG-14bus-v0"
 SHAPE = (FRAME_SIZE[1], FRAME_SIZE[0], 3)
 
 
@@ -45,16 +42,6 @@ def test_every_step_gives_a_new_frame_of_the_same_size(settings):
     assert {(frame.shape, frame.dtype) for frame in frames} == {(SHAPE, np.dtype(np.uint8))}
     assert len({frame.tobytes() for frame in frames}) == 3
     assert env.render().tobytes() == frames[-1].tobytes()
-
-
-@pytest.mark.filterwarnings("error", "ignore:.*is out of date:DeprecationWarning")
-def test_both_checkers_have_no_complaint_about_rendering():
-    from stable_baselines3.common.env_checker import check_env as check_sb3
-
-    pytest.importorskip("pygame")
-    # The checker makes it with every render mode, so with a window too.
-    check_env(gym.make(ENV_ID, duration_s=2.0, render_mode="rgb_array").unwrapped, skip_render_check=False)
-    check_sb3(GFMWTGEnv(version="v0", duration_s=2.0, render_mode="rgb_array"), warn=True)
 
 
 def test_render_needs_a_mode_and_a_reset():

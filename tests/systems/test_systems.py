@@ -6,7 +6,6 @@ import math
 import pickle
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
@@ -21,7 +20,6 @@ from wtg_gym.systems.routines import Routine, code_of
 from wtg_gym.systems.systems import Kind, system
 from wtg_gym.systems.writers import BackWithoutConstants, TapedWriter
 
-Floats = npt.NDArray[np.float64]
 N_UNITS = 3
 
 
