@@ -24,17 +24,7 @@ from wtg_gym.physics.parameters import TurbineParameters
 SHORT = {"seeds": (20_002, 20_000, 20_005), "duration_s": 10.0}
 
 
-class Linear:
-    """A policy of numpy alone: a fixed multiple of the frequency deviation on every action."""
-
-    def __init__(self, gain: float, n_actions: int = 4) -> None:
-        self.gain, self.n_actions = gain, n_actions
-
-    def predict(self, observation, state=None, *_, **__):
-        return np.repeat(-self.gain * observation[:, :1], self.n_actions, axis=1), None
-
-
-class Answering(Linear):
+class Answering:
     """A policy that answers whatever a function of the observation and the step says."""
 
     def __init__(self, answer) -> None:
@@ -43,6 +33,11 @@ class Answering(Linear):
     def predict(self, observation, state=None, *_, **__):
         self.step += 1
         return self.answer(observation, self.step)
+
+
+def linear(gain: float) -> Answering:
+    """Return a policy with a fixed multiple of the frequency deviation on every action."""
+    return Answering(lambda observation, step: (np.repeat(-gain * observation[:, :1], 4, axis=1), None))
 
 
 class Counting:
@@ -60,7 +55,7 @@ class Counting:
         return np.repeat(0.01 * count[:, np.newaxis], 4, axis=1), (count,)
 
 
-@pytest.mark.parametrize("policy", [None, Linear(2.0)], ids=["law", "policy"])
+@pytest.mark.parametrize("policy", [None, linear(2.0)], ids=["law", "policy"])
 def test_episode_equals_the_single_environment(policy):
     results = evaluate([Entry(name="mine", strategy="deloaded-5", policy=policy)], "standard", "test", **SHORT)
     env = gym.make("GFMWTG-14bus-v0", strategy="deloaded-5", duration_s=10.0, disable_env_checker=True).unwrapped
@@ -160,7 +155,7 @@ def test_entry_that_fails_is_left_out_with_its_row_and_the_others_stand(tmp_path
     def raises(observation, step: int):
         raise RuntimeError("no\nidea \x1b[2J")
 
-    first, second = Entry(name="first", policy=Linear(1.0)), Entry(name="second", policy=Linear(0.5))
+    first, second = Entry(name="first", policy=linear(1.0)), Entry(name="second", policy=linear(0.5))
     never = Answering(raises)
     seeds = [Entry(name="nan", policy=p, training_seed=i) for i, p in enumerate((fails_at(-1), fails_at(7), never))]
     entries = [first, *seeds, Entry(name="raises", policy=Answering(raises)), second]
@@ -195,7 +190,7 @@ def test_entry_that_fails_is_left_out_with_its_row_and_the_others_stand(tmp_path
         ([Entry(name="a"), Entry(name="a", training_seed=1)], "standard", {}, "all have a training seed"),
         ([Entry(name="mppt")], "standard", {}, "reserved"),
         (
-            [Entry(name="a", policy=Linear(1.0), training_seed=seed, learned=seed == 0) for seed in (0, 1)],
+            [Entry(name="a", policy=linear(1.0), training_seed=seed, learned=seed == 0) for seed in (0, 1)],
             *("standard", {}, "entries named 'a' share a row and must agree on kind, got"),
         ),
     ],
@@ -279,7 +274,7 @@ OTHER_PARTS = [
 
 @pytest.mark.parametrize("change", OTHER_PARTS, ids=str)
 def test_a_part_is_used_for_exactly_what_it_was_stored_for(results, tmp_path, change):
-    asked = {"name": "linear", "policy": Linear(0.2), "fingerprint": "a policy", "training_seed": 1}
+    asked = {"name": "linear", "policy": linear(0.2), "fingerprint": "a policy", "training_seed": 1}
     seeds = [20_000, 20_001]
     row = dataclasses.replace(results.episodes[0], entry="linear", training_seed=1)
     rows = [dataclasses.replace(row, seed=seed) for seed in seeds]
@@ -305,7 +300,7 @@ def test_partial_of_other_settings_or_unknown_policy_is_not_used(entries, tmp_pa
     assert other.settings["weights"]["rocof"] == 0.0
     other.parts.clear()
     assert set(tmp_path.iterdir()) == stored
-    unknown = Entry(name="unknown", policy=Linear(0.2))
+    unknown = Entry(name="unknown", policy=linear(0.2))
     with pytest.raises(KeyboardInterrupt):
         evaluate([unknown], "standard", "test", on_progress=killer(3), partial=tmp_path, **SHORT)
     assert set(tmp_path.iterdir()) == stored
