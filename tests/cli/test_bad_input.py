@@ -16,6 +16,7 @@ BAD = [
     ("fly", "fly"),
     ("simulate --wind strong", "strong"),
     ("play --speed 0", "Must be >= 0.1"),
+    ("play --seed -1", "is in no split of suite 'standard-v1'"),
     ("results recompute", "RESULTS"),
     ("evaluate --entries", "--entries requires at least 1 element"),
     ("simulate --wind 8 --wind-csv wind.csv", "--wind and --wind-csv exclude each other"),
