@@ -2,9 +2,8 @@
 
 import copy
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 from hypothesis import strategies as st
 
@@ -16,7 +15,7 @@ ODD = [
 ]
 
 
-def places(data: Any) -> Iterator[tuple[Any, Any]]:
+def places(data):
     """Every object and list in some data, with each of its keys; of a long list the first twenty."""
     if isinstance(data, (dict, list)):
         keys = list(data) if isinstance(data, dict) else range(min(len(data), 20))
@@ -26,7 +25,7 @@ def places(data: Any) -> Iterator[tuple[Any, Any]]:
 
 
 @st.composite
-def changed(draw: st.DrawFn, original: Any) -> Any:
+def changed(draw: st.DrawFn, original):
     """Return data with one to three values or keys that are others, are gone, or are there twice."""
     data = copy.deepcopy(original)
     for _ in range(draw(st.integers(1, 3))):

@@ -1,6 +1,5 @@
 """What all tests share."""
 
-import functools
 import gc
 import signal
 from pathlib import Path
@@ -8,7 +7,8 @@ from pathlib import Path
 import pytest
 from hypothesis import HealthCheck, settings
 
-from wtg_gym.evaluation import evaluate
+from wtg_gym import Plant
+from wtg_gym.physics.simulator import Simulator
 
 # A deadline for an example would fail on a busy machine.
 settings.register_profile("untimed", deadline=None, suppress_health_check=[HealthCheck.too_slow])
@@ -44,12 +44,9 @@ def pytest_collection_finish() -> None:
     gc.freeze()
 
 
-@pytest.fixture(scope="module")
-def short_validations():
-    """Training validates over six seconds instead of a minute, which most of a small run would go into."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("agents.run.evaluate", functools.partial(evaluate, duration_s=6.0))
-        yield
+@pytest.fixture(scope="session")
+def simulator():
+    return Simulator(Plant(), duration_s=120.0)
 
 
 @pytest.fixture

@@ -5,13 +5,12 @@ import signal
 import sys
 from collections.abc import Callable, Iterator
 from types import FrameType
-from typing import Any
 
 
-def interrupted(function: Callable[..., Any], when: Callable[..., bool] = lambda *_, **__: True) -> Callable[..., Any]:
+def interrupted(function, when: Callable[..., bool] = lambda *_, **__: True):
     """The same function, but a call with arguments of which `when` is true is interrupted, as by Ctrl-C."""
 
-    def call(*arguments: Any, **named: Any) -> Any:
+    def call(*arguments, **named):
         if when(*arguments, **named):
             raise KeyboardInterrupt
         return function(*arguments, **named)
@@ -28,7 +27,7 @@ def interrupt_before(instruction: int) -> Iterator[list[int]]:
     """
     seen = [0]
 
-    def trace(frame: FrameType, event: str, _: Any) -> Any:
+    def trace(frame: FrameType, event: str, _):
         if "/scenarios/" in frame.f_code.co_filename:
             return None
         frame.f_trace_opcodes = True

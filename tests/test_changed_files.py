@@ -3,7 +3,6 @@
 import dataclasses
 import json
 from pathlib import Path
-from typing import Any
 
 import pytest
 import yaml
@@ -27,12 +26,12 @@ LAW = {"name": "mine", "k_min": 1.0, "k_nominal": 0.66, "deloading_max": 20.0, "
 STANDARD_V1 = get_suite("standard-v1")
 
 
-def toml_text(data: dict[str, Any]) -> str:
+def toml_text(data) -> str:
     # Texts and lists are written alike in both.
     return "".join(f"{json.dumps(key)} = {json.dumps(value)}\n" for key, value in data.items())
 
 
-def lines_text(rows: list[Any]) -> str:
+def lines_text(rows) -> str:
     return "\n".join(",".join(map(str, row if isinstance(row, list) else [row])) for row in rows)
 
 
@@ -41,7 +40,7 @@ def entry_of_folder(path: Path) -> None:
     load_entry_folder(path.parent)
 
 
-def a_run() -> dict[str, Any]:
+def a_run():
     settings = RunSettings(algo="ppo", hyperparameters={"gamma": 0.99}, timesteps=100, n_envs=2)
     run = Run.new(Path(), settings)
     run.curve.append({"timesteps": 50, "wall_time_s": 1.0, "score": 3.0, "marked": 1.0})
@@ -51,7 +50,7 @@ def a_run() -> dict[str, Any]:
 
 
 #: By kind: a file's name, its data, what makes a text of data, and what reads the file.
-KINDS: dict[str, tuple[str, Any, Any, Any]] = {
+KINDS = {
     **{
         name: ("grid.json", json.loads((FOLDER / f"{name}.json").read_text()), json.dumps, lambda p: get_grid(str(p)))
         for name in ("ieee14", "nordic45")

@@ -1,4 +1,7 @@
-"""One rule of names and texts at every door: they are plain text in tables, spreadsheets, Markdown and HTML."""
+"""One rule of names and texts at every door: they are plain text in tables, spreadsheets, Markdown and HTML.
+
+A misspelt name is refused with the nearest one that there is, by whatever it names.
+"""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -9,10 +12,13 @@ from hypothesis import strategies as st
 
 from tests.cli.calls import error_of
 from tests.submissions.models import TOML, folder
+from wtg_gym import Entry, Plant, TrackingLaw, get_law, get_suite, load_entries
+from wtg_gym.envs import EnvSettings
 from wtg_gym.names import check_name, check_text, plain_name
-from wtg_gym.physics.tracking_law import TrackingLaw, read_law
-from wtg_gym.policies import Entry, load_entries
+from wtg_gym.physics.grid import get_grid
+from wtg_gym.physics.tracking_law import read_law
 from wtg_gym.policies.entry_folder import parse_submission
+from wtg_gym.ranges import ByName
 
 LAW = {"k_min": 1.0, "k_nominal": 0.8, "k_max": 0.6}
 
@@ -92,3 +98,27 @@ def test_names_that_look_alike_are_one():
     assert {plain_name(name) for name in ("PPO (k, t)", "ppo k,t", "P.P.O. kT")} == {"ppokt"}
     assert {plain_name(name) for name in ("Iinear", "1inear", "LINEAR", "l-i-n-e-a-r")} == {plain_name("linear")}
     assert plain_name("SAC 0") == plain_name("SAC O") != plain_name("SAC 8")
+
+
+@pytest.mark.parametrize(
+    ("look_up", "nearest"),
+    [
+        (lambda: get_suite("standrad"), "standard"),
+        (lambda: EnvSettings(version="v1", suite="wek-grid-v1"), "weak-grid-v1"),
+        (lambda: get_suite("standard").seeds("tests"), "test"),
+        (lambda: EnvSettings(version="V1"), "v1"),
+        (lambda: EnvSettings(plant={"physics": "extented"}).resolved_plant, "extended"),
+        (lambda: Plant().replaced(physics="nrel_5mw"), "nrel-5mw"),
+        (lambda: EnvSettings(action_mode="k+taw"), "k+tau"),
+        (lambda: EnvSettings(weights={"dutty": 0.0}).cost_weights(), "duty"),
+        (lambda: get_grid("kundru"), "kundur"),
+        (lambda: get_law("mptt"), "mppt"),
+        (lambda: load_entries("Coordinated-Tunned"), "coordinated-tuned"),
+        (lambda: load_entries("fast-drop"), "fast-droop"),
+        (lambda: load_entries("polices"), "policies"),
+        (lambda: ByName("agent", {"wtg0": 0})["wtg"], "wtg0"),
+    ],
+)
+def test_a_misspelt_name_is_refused_with_the_nearest(look_up, nearest):
+    with pytest.raises((ValueError, KeyError), match=f"; did you mean '{nearest.replace('+', '.')}'\\?"):
+        look_up()

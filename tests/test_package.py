@@ -45,15 +45,12 @@ def test_importing_the_package_loads_nothing_heavy():
     assert not loaded & {*heavy, "baselines", "agents"}
 
 
-def test_public_names_are_those_of_their_modules_and_no_others():
+def test_public_names_are_those_of_their_modules_and_no_others_and_typed():
     assert all(getattr(wtg_gym, name) is not None and name in dir(wtg_gym) for name in wtg_gym.__all__)
+    assert (Path(wtg_gym.__file__).parent / "py.typed").exists()
     assert wtg_gym.GFMWTGEnv is wtg_gym.envs.GFMWTGEnv and wtg_gym.evaluate is wtg_gym.evaluation.evaluate
     with pytest.raises(AttributeError, match="no attribute 'evaluat'"):
         wtg_gym.evaluat  # noqa: B018
-
-
-def test_package_is_typed():
-    assert (Path(wtg_gym.__file__).parent / "py.typed").exists()
 
 
 @pytest.mark.skipif(shutil.which("git") is None or not (ROOT / ".git").exists(), reason="needs a checkout and git")

@@ -1,7 +1,6 @@
 """Facts about the environment for many agents."""
 
 import warnings
-from typing import Any
 
 import numpy as np
 import pytest
@@ -12,19 +11,18 @@ from pettingzoo.test import api_test, parallel_api_test, parallel_seed_test
 from pettingzoo.utils import parallel_to_aec
 
 from tests.envs.rollouts import VERSIONS, actions_of, calm, eventful, sagging
-from wtg_gym.envs import GFMWTGEnv
+from wtg_gym import GFMWTGEnv, GroupTrip, Scenario
 from wtg_gym.pettingzoo import GFMWTGParallelEnv, parallel_env
-from wtg_gym.physics.scenario import GroupTrip, Scenario
 
 #: The first group stalls and is disconnected, the second goes on.
-HALF: dict[str, Any] = {
+HALF = {
     "version": "v0",
     "scenario": Scenario(name="half", wind_speed=np.array([[8.0], [12.0]]), duration_s=60.0, events=sagging().events),
     "strategy": ["mppt", "coordinated-piecewise"],
     "on_failure": "trip",
 }
 #: Wind, load events and what takes groups away, by their version.
-CASES: dict[str, dict[str, Any]] = {
+CASES = {
     "v0": {"version": "v0", "suite": "gust"},
     "v0, one action": {"version": "v0", "action_mode": "tau", "duration_s": 20.0},
     "v0, a rotor stalls": HALF,
@@ -107,13 +105,13 @@ def test_official_tests_of_pettingzoo_pass(version):
 
 @pytest.mark.parametrize(("argument", "text"), [("observation_mode", "cannot be chosen"), ("wind", "known settings")])
 def test_arguments_that_it_does_not_take_are_named(argument, text):
-    arguments: Any = {argument: "local"}
+    arguments = {argument: "local"}
     with pytest.raises(TypeError, match=f"{argument}.* {text}"):
         parallel_env(**arguments)
 
 
 ZERO = np.zeros(2)
-BAD_ACTIONS: list[tuple[Any, str]] = [
+BAD_ACTIONS = [
     ({"wtg0": ZERO}, "actions are missing of wtg1; needed: wtg0, wtg1"),
     ({"wtg0": ZERO, "wtg1": ZERO, "wtg2": ZERO}, r"unknown agents \['wtg2'\]; known agents: wtg0"),
     ({"wtg0": ZERO, "wtg1": np.zeros(4)}, r"wtg1: the action must be .* shape \(2,\), got shape \(4,\)"),

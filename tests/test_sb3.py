@@ -1,7 +1,5 @@
 """Facts about training with Stable-Baselines3 on many episodes at once."""
 
-from typing import Any
-
 import gymnasium as gym
 import numpy as np
 import pytest
@@ -10,15 +8,13 @@ from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv
 
 from tests.envs.rollouts import actions_of, bits, calm, rising
-from wtg_gym import Entry, export_onnx
-from wtg_gym.evaluation import load_entries
-from wtg_gym.physics.tracking_law import get_law
+from wtg_gym import Entry, export_onnx, get_law, load_entries
 from wtg_gym.policies.entry_folder import example_law
 from wtg_gym.sb3 import DeterministicPolicy, SB3VecEnv, make_sb3_vec_env
 
 ENV_ID = "GFMWTG-14bus-v0"
 N = 3
-SHORT: dict[str, Any] = {"version": "v0", "duration_s": 5.0, "strategy": "mppt"}
+SHORT = {"version": "v0", "duration_s": 5.0, "strategy": "mppt"}
 
 
 def dummy(n: int = N) -> DummyVecEnv:
@@ -33,7 +29,7 @@ def zeros(env: VecEnv) -> np.ndarray:
     return np.zeros((env.num_envs, *env.action_space.shape), dtype=np.float32)
 
 
-def same(a: Any, b: Any) -> bool:
+def same(a, b) -> bool:
     """Whether two values are of the same kind and equal in every bit."""
     return bool(bits(a) == bits(b))
 
@@ -104,7 +100,7 @@ def test_attributes_are_those_of_single_environments():
     assert env.env_is_wrapped(Monitor) == [False] * N and env.env_is_wrapped(Monitor, [1]) == [False]
 
 
-def learner(**arguments: Any) -> PPO:
+def learner(**arguments) -> PPO:
     return PPO("MlpPolicy", make_sb3_vec_env(2, **arguments), n_steps=4, batch_size=8)
 
 

@@ -1,7 +1,6 @@
 """Training runs small enough for tests."""
 
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -17,12 +16,12 @@ from wtg_gym.envs import GFMWTGVectorEnv
 ENV_ID = "GFMWTG-14bus-v0"
 V0 = ("--suite", "standard")
 
-_ALL: dict[str, Any] = {"policy": "MlpPolicy", "n_timesteps": 768, "n_envs": 16, "normalize": True}
+_ALL = {"policy": "MlpPolicy", "n_timesteps": 768, "n_envs": 16, "normalize": True}
 _PPO = {**_ALL, "n_steps": 8, "batch_size": 64, "n_epochs": 1, "use_sde": True, "sde_sample_freq": 3}
 _SAC = {**_ALL, "learning_starts": 64, "buffer_size": 2000, "batch_size": 32, "n_steps": 3, "use_sde": True}
 _LSTM = {"net_arch": [8], "lstm_hidden_size": 4, "n_lstm_layers": 2}
 _SMALL = {"policy_kwargs": {"net_arch": [8]}}
-CONFIGS: dict[str, dict[str, Any]] = {
+CONFIGS = {
     "ppo": {**_PPO, **_SMALL},
     "ippo": {**_PPO, **_SMALL},
     # Its small network learns too little with another rate to differ from the law itself, which the gate refuses.
@@ -32,7 +31,7 @@ CONFIGS: dict[str, dict[str, Any]] = {
 }
 
 
-def config_file(folder: Path, algo: str, **changes: Any) -> str:
+def config_file(folder: Path, algo: str, **changes) -> str:
     path = folder / f"{algo}.yml"
     path.write_text(yaml.safe_dump({ENV_ID: {**CONFIGS[algo], **changes}}))
     return str(path)
@@ -55,7 +54,7 @@ def trained(folder: Path, algo: str) -> Path:
 def stopped_after(timesteps: int, like: Path, folder: Path) -> Path:
     """Begin a run like another one, and interrupt it once it has a checkpoint of a step."""
 
-    def is_there(*_: Any, **__: Any) -> bool:
+    def is_there(*_, **__) -> bool:
         return (folder / "checkpoints" / f"{timesteps:012d}").exists()
 
     with pytest.MonkeyPatch.context() as patch, pytest.raises(KeyboardInterrupt):
@@ -65,7 +64,7 @@ def stopped_after(timesteps: int, like: Path, folder: Path) -> Path:
     return folder
 
 
-def run_and_interrupted_run(main: Any, options: list[str], interrupt: Any, folder: Path) -> list[Run]:
+def run_and_interrupted_run(main, options: list[str], interrupt, folder: Path) -> list[Run]:
     """Return a run, and one that is interrupted after its second validation and resumed; the last policies count."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(Run, "best", property(lambda run: run.curve[-1]))
@@ -89,11 +88,11 @@ class Normalized:
     def __init__(self, model: BaseAlgorithm) -> None:
         self._model, self._normalize = model, model.get_vec_normalize_env()
 
-    def predict(self, observation: Any, *more: Any, deterministic: bool) -> tuple[Any, Any]:
+    def predict(self, observation, *more, deterministic: bool):
         return self._model.predict(self._normalize.normalize_obs(observation), *more, deterministic=deterministic)
 
 
-def largest_difference(policy: Any, other: Any, settings: RunSettings) -> float:
+def largest_difference(policy, other, settings: RunSettings) -> float:
     """Return the largest difference between two policies' actions over 1000 observations of random episodes.
 
     The first one acts, with some noise so that the episodes differ; episodes start anew within.

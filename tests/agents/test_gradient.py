@@ -2,7 +2,6 @@
 
 import math
 from collections import Counter
-from typing import Any
 
 import numpy as np
 import pytest
@@ -13,18 +12,17 @@ from agents.gradient import Failures, GradientLearner, GradientPolicy, Hyperpara
 from agents.run import draw, folders
 from tests.agents.small import largest_difference, run_and_interrupted_run
 from tests.interruption import interrupted
+from wtg_gym import get_suite, load_entries
 from wtg_gym.envs import EnvSettings
 from wtg_gym.envs.lanes import TaskLanes
 from wtg_gym.gradients.torch import TorchEpisodes
-from wtg_gym.policies.entry_folder import load_entries
 from wtg_gym.policies.torch_export import TorchPolicy
-from wtg_gym.scenarios import get_suite
 
 #: Two gradients, with a validation before, between and after them.
 OPTIONS = ["--suite", "standard", "--timesteps", "2400", "--interval", "1200"]
 OPTIONS += ["--n-envs", "2", "--validation-episodes", "2"]
 
-V1: dict[str, Any] = {"version": "v1"}
+V1 = {"version": "v1"}
 
 
 @pytest.mark.parametrize(("hidden", "lstm", "settings"), [((8,), 0, V1), ((), 8, {})])
@@ -43,7 +41,7 @@ def test_loss_falls_on_the_scenarios_that_it_is_of(hidden, lstm, settings):
     assert losses[-1] < losses[0] - 0.01
 
 
-def watched(settings: dict[str, Any]) -> tuple[Failures, torch.Tensor, torch.Tensor, list[str]]:
+def watched(settings) -> tuple[Failures, torch.Tensor, torch.Tensor, list[str]]:
     """Failures, the terms of an episode that costs 40, outputs far from any limit, and the outputs' names."""
     tape = TorchEpisodes(EnvSettings(**settings), 4, 1)
     names = list(tape.tape.output_names)

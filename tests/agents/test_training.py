@@ -1,4 +1,8 @@
-"""Facts about training: it is reproducible, survives a kill, and its export plays as the learner does."""
+"""Facts about training: it is reproducible, survives a kill, and its export plays as the learner does.
+
+RL Zoo and this package mean the same by the configuration files, in which no code is run. Every shipped policy is as
+its training left it.
+"""
 
 import dataclasses
 import functools
@@ -6,19 +10,28 @@ import json
 import re
 import shutil
 from pathlib import Path
-from typing import Any
 
+import numpy as np
 import pytest
 import torch
+import yaml
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
+from torch import nn
 
+from agents import shipped
+from agents import train as training
 from agents.export import export
 from agents.export import main as export_command
-from agents.run import Run, folders, held, save_folder
-from agents.train import TRAINED, SB3Learner, load_model, main, new_model
-from tests.agents.small import V0, Normalized, config_file, largest_difference, stopped_after, trained
+from agents.multi_agent import AgentVecEnv, SharedPolicy
+from agents.run import Run, RunSettings, folders, held, save_folder
+from agents.train import CONFIG_FOLDER, TRAINED, SB3Learner, load_model, main, new_model, read_config
+from tests.agents.small import ENV_ID, V0, Normalized, config_file, largest_difference, stopped_after, trained
+from wtg_gym.envs import EnvSettings
 from wtg_gym.evaluation import OnnxPolicy, load_entries
+from wtg_gym.files import sha256
+from wtg_gym.policies.entry_folder import policy_folders
 from wtg_gym.policies.gate import check_submission
+from wtg_gym.sb3 import SB3VecEnv
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -34,7 +47,7 @@ def copied(run_of, tmp_path):
     return Path(shutil.copytree(run_of("ppo"), tmp_path / "run"))
 
 
-def same(a: Any, b: Any) -> bool:
+def same(a, b) -> bool:
     if isinstance(a, dict):
         return a.keys() == b.keys() and all(same(a[key], b[key]) for key in a)
     if isinstance(a, (list, tuple)):
@@ -225,3 +238,126 @@ def test_bad_options_are_refused_before_anything_runs(arguments, text, tmp_path,
     error = capsys.readouterr().err
     assert error.startswith("error: ") and error.count("\n") == 1 and re.search(text, error), error
     assert not (tmp_path / "new" / "run.json").exists()
+
+
+@pytest.mark.parametrize("name", [*TRAINED, "ppo_tau"])
+def test_shipped_files_mean_what_rl_zoo_makes_of_them(name):
+    path = CONFIG_FOLDER / f"{name}.yml"
+    raw, read = yaml.safe_load(path.read_text())[ENV_ID], read_config(path, ENV_ID)
+    arguments = training.algorithm_arguments(read)
+    # RL Zoo evaluates texts, takes dictionaries as they are, and the part after "lin_" for a schedule that falls to 0.
+    assert arguments["policy_kwargs"] == raw["policy_kwargs"] and isinstance(raw["policy_kwargs"], dict)
+    start, schedule = float(raw["learning_rate"].removeprefix("lin_")), arguments["learning_rate"]
+    assert [schedule(left) for left in (1.0, 0.5, 0.0)] == pytest.approx([start, start / 2, 0.0])
+    assert raw["normalize"] is True and training.normalization_arguments(read) == {"gamma": raw["gamma"]}
+
+
+#: Names of names, nine of each: a billion values of a few hundred characters.
+ALIASES = "a0: &a0 [x]\n" + "".join(f"a{i}: &a{i} [{', '.join([f'*a{i - 1}'] * 9)}]\n" for i in range(1, 11))
+
+
+@pytest.mark.parametrize(
+    ("content", "text"),
+    [
+        (ALIASES, "values on one level"),
+        (f"{ENV_ID}: {{1: 2}}", "holds a key that is no text"),
+        ("Pendulum-v1: {}", "must have a section"),
+        ("a: [", "is not yml"),
+        (f"{ENV_ID}: {{policy_kwargs: !!python/object/apply:os.abort []}}", "is not yml"),
+    ],
+)
+def test_files_without_a_section_in_plain_yml_are_refused(content, text, tmp_path):
+    path = tmp_path / "a.yml"
+    path.write_text(content)
+    with pytest.raises(ValueError, match=text):
+        read_config(path, ENV_ID)
+
+
+def test_every_trained_policy_is_the_one_of_its_record():
+    records = json.loads(shipped.RECORDS.read_text(encoding="utf-8"))
+    for folder in policy_folders():
+        (entry,) = load_entries(folder)
+        # One feedback is older than the records; policies of others have none.
+        if folder.name == "linear-feedback" or entry.source != "The wtg_gym authors":
+            continue
+        record = records.pop(folder.name)
+        assert record["policy_sha256"] == sha256((folder / "policy.onnx").read_bytes())
+        assert f"--seed {entry.training_seed} " in record["command"] and entry.kind == "learned"
+    assert not records
+
+
+def test_the_page_has_the_table_that_the_command_makes():
+    assert shipped.table() in shipped.PAGE.read_text(encoding="utf-8")
+
+
+def test_a_run_is_added_by_its_best_policy(tmp_path, monkeypatch):
+    (folder,) = [folder for folder in policy_folders() if folder.name == "ppo-v1-2"]
+    best = tmp_path / "run" / "best" / f"{2_150_400:012d}"
+    best.mkdir(parents=True)
+    (best / "policy.onnx").write_bytes((folder / "policy.onnx").read_bytes())
+    run = Run.new(tmp_path / "run", RunSettings(algo="ppo", hyperparameters={}, timesteps=2_250_000, n_envs=512))
+    rows = ((2_150_400, 102.46, 60.0), (2_304_000, 1.0, 70.0))
+    names = ("timesteps", "score", "wall_time_s")
+    run.curve = [{**dict(zip(names, row, strict=True)), "marked": 1.0} for row in rows]
+    run.write()
+    for name in ("RECORDS", "PAGE"):
+        copy = tmp_path / name
+        copy.write_bytes(getattr(shipped, name).read_bytes())
+        monkeypatch.setattr(shipped, name, copy)
+    assert shipped.main([str(tmp_path / "run")]) == 0
+    record = json.loads(shipped.RECORDS.read_text(encoding="utf-8"))["ppo-v1-2"]
+    assert (record["steps"], record["validation_score"], record["wall_time_s"]) == (2_150_400, 102.5, 70)
+    assert "| 1.2 |" in shipped.table()
+
+
+SHORT = {"version": "v0", "duration_s": 5.0, "strategy": "mppt"}
+
+
+def test_lanes_are_the_groups_of_the_episodes():
+    arguments = {**SHORT, "groups": 3}
+    episodes, groups = SB3VecEnv(2, reward="score", **arguments), AgentVecEnv(SB3VecEnv(2, reward="score", **arguments))
+    for env in (episodes, groups):
+        env.seed(3)
+    seen, split = episodes.reset(), groups.reset()
+    names = episodes.lanes.observation_names
+    assert (groups.num_envs, groups.n_wtg) == (6, 3)
+    rng, ends = np.random.default_rng(0), 0
+    for _ in range(60):
+        for lane in range(6):
+            episode, group = divmod(lane, 3)
+            # What a group measures, its last actions, and its size.
+            own = [index for index, name in enumerate(names) if name.startswith(f"wtg{group}.")]
+            assert split[lane].tolist() == [*seen[episode, own], 1.0]
+            assert groups.observation_space.contains(split[lane])
+        actions = rng.uniform(-1.0, 1.0, (6, 2)).astype(np.float32)
+        seen, rewards, dones, infos = episodes.step(actions.reshape(2, 6))
+        split, each, ended, own_infos = groups.step(actions)
+        assert each.tolist() == np.repeat(rewards, 3).tolist() and ended.tolist() == np.repeat(dones, 3).tolist()
+        for lane in np.flatnonzero(ended):
+            episode, group = divmod(int(lane), 3)
+            ends += 1
+            last, own_last = infos[episode]["terminal_observation"], own_infos[lane]["terminal_observation"]
+            assert own_last[:10].tolist() == last[10 * group : 10 * group + 10].tolist()
+            assert own_infos[lane]["TimeLimit.truncated"] == infos[episode]["TimeLimit.truncated"]
+    assert ends >= 6
+
+
+class Agent(nn.Linear):
+    """Answers as a learner's network does: a tuple that begins with the actions."""
+
+    def forward(self, observation):
+        return (super().forward(observation),)
+
+
+@pytest.mark.parametrize("suite", ["standard", "standard-v1"])
+def test_every_group_acts_by_what_it_sees_itself_its_size_among_it(suite):
+    settings = EnvSettings(suite=suite)
+    turbines = torch.tensor([float(group.n_turbines) for group in settings.resolved_plant.groups])
+    n, width = len(turbines), 7
+    agent = Agent(width + 1, 2)
+    observations = torch.randn(3, n * width)
+    found = SharedPolicy(agent, settings)(observations)
+    for group in range(n):
+        size = (turbines[group] / turbines.mean()).expand(3, 1)
+        (expected,) = agent(torch.cat([observations[:, width * group : width * (group + 1)], size], dim=1))
+        assert torch.allclose(found[:, 2 * group : 2 * group + 2], expected)

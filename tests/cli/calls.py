@@ -2,7 +2,6 @@
 
 import json
 from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -20,7 +19,7 @@ def error_of(capsys: pytest.CaptureFixture[str], *arguments: str) -> str:
     return lines[0]
 
 
-def json_of(capsys: pytest.CaptureFixture[str], *arguments: str, code: int = 0) -> Any:
+def json_of(capsys: pytest.CaptureFixture[str], *arguments: str, code: int = 0):
     assert main(arguments) == code
     return json.loads(capsys.readouterr().out)
 

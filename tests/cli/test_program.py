@@ -1,4 +1,4 @@
-"""The program as a whole: help, pipes, terminals."""
+"""The program as a whole: help, pipes, terminals; `wtg-gym suites` and `warmup`."""
 
 import ast
 import json
@@ -13,10 +13,11 @@ import pytest
 
 import wtg_gym
 import wtg_gym.cli
-from tests.cli.calls import ROOT
+from tests.cli.calls import ROOT, json_of
 from wtg_gym.cli import build_app, main, options
 from wtg_gym.cli.output import note, print_json, print_table, say
-from wtg_gym.scenarios import DEFAULT_SUITE
+from wtg_gym.scenarios import DEFAULT_SUITE, FROZEN_HASHES, SUITES
+from wtg_gym.systems.compiled import cache_folder
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="pipes break in another way there")
@@ -39,11 +40,6 @@ def test_terminal_gets_a_progress_bar(capsys, monkeypatch):
     assert "━" in said.err and "coordinated-piecewise" in said.out and "━" not in said.out
 
 
-def _help(capsys: pytest.CaptureFixture[str], *command: str) -> str:
-    assert main([*command, "--help"]) == 0
-    return capsys.readouterr().out
-
-
 def test_help_of_every_command_teaches_by_examples_that_it_takes(capsys, monkeypatch, tmp_path):
     monkeypatch.setenv("COLUMNS", "200")
     monkeypatch.chdir(tmp_path)
@@ -54,7 +50,8 @@ def test_help_of_every_command_teaches_by_examples_that_it_takes(capsys, monkeyp
     for name in names:
         own = [part for part in build_app([name])[name] if not part.startswith("-")]
         for command in [(name, part) for part in own] or [(name,)]:
-            text = _help(capsys, *command)
+            assert main([*command, "--help"]) == 0
+            text = capsys.readouterr().out
             lines = re.findall(rf"^  (?:\w+=\S+ )?wtg-gym ({' '.join(command)}.*)$", text, re.MULTILINE)
             assert lines, command
             for line in lines:
@@ -105,3 +102,47 @@ def test_no_command_prints_past_the_one_place_that_escapes():
 
 def test_commands_mean_the_benchmarks_suite_where_none_is_named():
     assert options.DEFAULT_SUITE == DEFAULT_SUITE
+
+
+def test_suites_lists_every_suite(capsys):
+    listed = json_of(capsys, "suites", "--json")
+    hashes = {suite["name"]: suite["hash"] for suite in listed}
+    assert list(hashes) == list(SUITES) and FROZEN_HASHES.items() <= hashes.items()
+    assert main(["suites"]) == 0
+    text = capsys.readouterr().out
+    assert all(name in text and own[:12] in text for name, own in hashes.items())
+
+
+def test_suite_of_v1_is_shown_with_its_grid_sensors_and_task(capsys):
+    (data,) = json_of(capsys, "suites", "standard-v1")
+    assert (data["environment"], data["hash"]) == ("GFMWTG-14bus-v1", SUITES["standard-v1"].hash)
+    assert [(g["bus"], g["n_turbines"]) for g in data["plant"]["groups"]] == [
+        *((2, 20.0), (3, 14.0), (6, 10.0), (8, 8.0))
+    ]
+    assert data["sensors"]["delay_s"] == [0.1, 0.3]
+    (data,) = json_of(capsys, "suites", "no-wind-sensor-v1", "--json")
+    assert data["sensors"]["wind_sensor"] is False and data["plant"]["physics"] == "extended"
+
+
+_COMMANDS = """
+from wtg_gym.cli import main
+
+for arguments in (
+    "warmup",
+    "simulate --duration 3",
+    "evaluate --suite paper --entries mppt",
+    "simulate --suite standard-v1 --duration 3",
+    "evaluate --suite standard-v1 --scenarios 2 --duration 3 --entries mppt",
+):
+    assert main(arguments.split()) == 0
+"""
+
+
+def test_after_a_warmup_nothing_is_compiled_and_nothing_said():
+    assert main(["warmup"]) == 0
+    environment = {**os.environ, "PYTHONIOENCODING": "utf-8"}
+    command = [sys.executable, "-c", _COMMANDS]
+    done = subprocess.run(command, cwd=ROOT, env=environment, capture_output=True, encoding="utf-8", timeout=300)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.startswith(f"nothing to compile: all machine code is in {cache_folder()}\n")
+    assert "compile" not in done.stderr

@@ -1,19 +1,21 @@
-"""`wtg-gym evaluate` and `wtg-gym leaderboard` as a user calls them."""
+"""`wtg-gym evaluate`, `leaderboard`, `report` and `results`, which computes them again, as a user calls them."""
 
 import dataclasses
+import html
 import re
 import sys
 from pathlib import Path
-from typing import Any
 
 import pytest
 
 import wtg_gym.cli.scoring
 from tests.cli.calls import error_of
 from tests.interruption import interrupted
+from wtg_gym import evaluate, get_suite
 from wtg_gym.cli import main
 from wtg_gym.cli.scoring import look_into_working_folder
-from wtg_gym.evaluation import Results, Workers, evaluator
+from wtg_gym.evaluation import Results, Workers, evaluator, load_entries
+from wtg_gym.evaluation.recompute import departures, recompute
 from wtg_gym.tasks import V1
 
 _LEADERBOARD = ("leaderboard", "--suite", "paper", "--entries")
@@ -40,10 +42,10 @@ def test_evaluate_ranks_a_suite_of_v1_in_its_own_grid(capsys, tmp_path):
 
 def test_workers_of_the_options_play(capsys, monkeypatch):
     pytest.importorskip("joblib")
-    asked: list[Any] = []
+    asked = []
     real = wtg_gym.cli.scoring.evaluate
 
-    def here(*arguments: Any, workers: Any = None, **named: Any) -> Any:
+    def here(*arguments, workers=None, **named):
         asked.append(workers)
         return real(*arguments, **named)
 
@@ -121,3 +123,85 @@ def test_modules_of_the_working_folder_can_be_imported_only_where_an_entry_is_on
 
 def _files(folder: Path) -> dict[str, bytes]:
     return {path.name: path.read_bytes() for path in folder.iterdir() if path.is_file()}
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("results")
+    short = ["evaluate", "--suite", "standard", "--entries", "deloaded-5", "--duration", "10"]
+    assert main([*short, "--split", "test", "--scenarios", "4", "--results", str(folder)]) == 0
+    return folder
+
+
+def _recompute(path: Path, *options: str) -> int:
+    return main(["results", "recompute", str(path), "--entries", "deloaded-5", *options])
+
+
+def test_untouched_results_are_identical_and_what_is_not_the_benchmarks_is_named(folder, capsys):
+    assert _recompute(folder / "standard-test.json") == 0
+    said = capsys.readouterr()
+    assert said.out.startswith("identical: ")
+    assert "not the benchmark's own: 4 scenarios, those of the benchmark are 200" in said.err
+    assert "not the benchmark's own: duration_s is 10.0, that of the benchmark 60.0" in said.err
+    assert len(departures(Results.read(folder / "standard-test.json"))) == 2
+
+
+def test_numbers_that_were_made_up_are_named(folder, tmp_path, capsys):
+    results = Results.read(folder / "standard-test.json")
+    first = results.episodes[0]
+    better = dataclasses.replace(first, metrics={**first.metrics, "cost": first.metrics["cost"] * 0.5})
+    # Written by the package itself, so that all checksums fit.
+    path, _ = dataclasses.replace(results, episodes=(better, *results.episodes[1:])).write(tmp_path)
+    assert _recompute(path) == 1
+    head, *_, row = capsys.readouterr().out.splitlines()
+    assert head.startswith("not identical: 1 differences")
+    where, stored, now = re.split("  +", row)
+    assert where == f"{first.entry}, seed {first.seed}: cost" and float(stored) == 0.5 * float(now)
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "differs"),
+    [
+        ("kind", "feedback", True),
+        ("policy_sha256", "0" * 64, True),
+        ("observation_mode", "privileged", True),
+        ("source", "Somebody", False),
+    ],
+)
+def test_made_up_claims_about_an_entry_are_differences_and_other_texts_none(key, value, differs, folder):
+    results = Results.read(folder / "standard-test.json")
+    entries = tuple({**entry, key: value} if entry["name"] == "deloaded-5" else entry for entry in results.entries)
+    found = recompute(dataclasses.replace(results, entries=entries), load_entries("deloaded-5"))
+    named = [where for where, *_ in (found.differences if differs else found.circumstances)]
+    assert named == [f"entry deloaded-5: {key}"] and bool(found.differences) == differs
+
+
+HEADINGS = [
+    *("Score", "Where control decides", "Bad runs", "Scenarios"),
+    *("Operators' tests", "Faults of sensors", "Energy", "Damping"),
+]
+
+
+def test_a_page_has_every_section_loads_nothing_and_escapes_names(tmp_path):
+    pytest.importorskip("matplotlib")
+    law = tmp_path / "law.toml"
+    law.write_text('name = "a & b"\nk_min = 0.75\nk_nominal = 0.7\nk_max = 0.6\ntau_s = 0.8\n', encoding="utf-8")
+    page = tmp_path / "page.html"
+    assert main(["report", str(law), "--episodes", "3", "--seed", "20000", "--output", str(page)]) == 0
+    text = page.read_text(encoding="utf-8")
+    assert [html.unescape(heading) for heading in re.findall("<h2[^>]*>(.*?)</h2>", text)] == HEADINGS
+    assert re.findall('(?:src|href)="(.{11})', text) == ["data:image/"] * 2
+    assert "a &amp; b" in text and "a & b" not in text
+    assert f"--seeds 20000 --entries {law}" in text
+
+
+def test_a_page_of_markdown_has_the_numbers_of_the_evaluation_and_the_dearest_scenario_first(tmp_path):
+    pytest.importorskip("matplotlib")
+    page, seeds = tmp_path / "page.md", get_suite("standard-v1").test[:3]
+    assert main(["report", "fast-droop", "--episodes", "3", "--output", str(page)]) == 0
+    text = page.read_text(encoding="utf-8")
+    results = evaluate(["fast-droop"], "standard-v1", "test", seeds=seeds)
+    assert f"| all, strata count alike | 3 | {results.scores['fast-droop'].value:.1f} |" in text
+    costs = {episode.seed: episode.metrics["cost"] for episode in results.episodes_of("fast-droop")}
+    shown = [int(seed) for seed in re.findall(r"\(page-seed-(\d+)\.svg\)", text)]
+    assert shown == sorted(seeds, key=costs.get, reverse=True)

@@ -6,11 +6,8 @@ import numpy as np
 import pytest
 
 from tests.cli.calls import ROOT, error_of, json_of
-from wtg_gym import simulate
+from wtg_gym import Scenario, evaluate, get_suite, simulate
 from wtg_gym.cli import main
-from wtg_gym.evaluation import evaluate
-from wtg_gym.physics.scenario import Scenario
-from wtg_gym.scenarios import get_suite
 
 _QUICK = ("--duration", "6")
 

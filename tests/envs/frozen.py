@@ -8,8 +8,6 @@ import hashlib
 import itertools
 import json
 import sys
-from collections.abc import Callable
-from typing import Any
 
 import numpy as np
 from gymnasium.vector import AutoresetMode
@@ -21,9 +19,9 @@ from wtg_gym.scenarios import SUITES
 
 #: Longer than an episode, so that lanes start again; episodes of v1 are cut to a minute.
 _N_STEPS, _N_LANES = {"v0": 640, "v1": 130}, 17
-_LENGTHS: dict[str, dict[str, Any]] = {"v0": {}, "v1": {"duration_s": 60.0}}
+_LENGTHS = {"v0": {}, "v1": {"duration_s": 60.0}}
 #: Settings besides the modes under which a suite is played once more.
-_VARIANTS: dict[str, dict[str, dict[str, Any]]] = {}
+_VARIANTS = {}
 _VARIANTS["v0"] = {
     "stalls": {"suite": "low-wind", "strategy": "mppt"},
     "trips": {"suite": "low-wind", "strategy": "deloaded-5", "on_failure": "trip"},
@@ -56,18 +54,18 @@ class _Answers:
         self._n_ends = 0
         self._sums = np.zeros(3)
 
-    def add(self, observations: Any, rewards: Any = 0.0, terminated: Any = False, truncated: Any = False) -> None:
+    def add(self, observations, rewards=0.0, terminated=False, truncated=False) -> None:
         for values in (observations, np.float64(rewards), np.bool_(terminated), np.bool_(truncated)):
             self._hash.update(np.ascontiguousarray(values).tobytes())
         self._n_ends += int(np.sum(terminated) + np.sum(truncated))
         wide = np.asarray(observations, dtype=np.float64)
         self._sums += [np.sum(rewards), np.sum(wide), np.sum(wide * np.arange(1, wide.shape[-1] + 1))]
 
-    def as_dict(self) -> dict[str, Any]:
+    def as_dict(self):
         return {"sha256": self._hash.hexdigest(), "n_ends": self._n_ends, "sums": self._sums.tolist()}
 
 
-def _batched(mode: AutoresetMode, n_threads: int, n_steps: int, **settings: Any) -> dict[str, Any]:
+def _batched(mode: AutoresetMode, n_threads: int, n_steps: int, **settings):
     env = GFMWTGVectorEnv(_N_LANES, autoreset_mode=mode, n_threads=n_threads, **settings)
     rng, answers = np.random.default_rng(7), _Answers()
     answers.add(env.reset(seed=3)[0])
@@ -81,7 +79,7 @@ def _batched(mode: AutoresetMode, n_threads: int, n_steps: int, **settings: Any)
     return answers.as_dict()
 
 
-def _single(**settings: Any) -> dict[str, Any]:
+def _single(**settings):
     env = GFMWTGEnv(**settings)
     rng, answers = np.random.default_rng(8), _Answers()
     for seed in range(2):
@@ -94,13 +92,13 @@ def _single(**settings: Any) -> dict[str, Any]:
     return answers.as_dict()
 
 
-def cases(version: str) -> dict[str, Callable[[], dict[str, Any]]]:
-    found: dict[str, Callable[[], dict[str, Any]]] = {}
+def cases(version: str):
+    found = {}
     modes = list(itertools.product(ACTION_MODES, OBSERVATION_MODES))
     splits = itertools.cycle(("train", "validation", "test"))
     autoresets, threads = itertools.cycle(MODES), itertools.cycle((1, 2))
 
-    def add(name: str, settings: dict[str, Any]) -> None:
+    def add(name: str, settings) -> None:
         settings = {"split": next(splits), **_LENGTHS[version], **settings}
         mode, n_threads = next(autoresets), next(threads)
         found[f"{name}, single"] = lambda: _single(**settings)

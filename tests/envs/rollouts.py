@@ -1,17 +1,12 @@
 """Rollouts in a common form, so that a lane of a batch and a single environment can be compared bit for bit."""
 
 import hashlib
-from collections.abc import Iterator
-from typing import Any
 
 import numpy as np
 from gymnasium.vector import AutoresetMode
 
 from wtg_gym.envs import GFMWTGEnv, GFMWTGVectorEnv
 from wtg_gym.physics import scenario as sc
-
-#: One step as plain data: observation bytes, reward, terminated, truncated, info, then the same of an episode's end.
-Step = tuple[Any, ...]
 
 MODES = (AutoresetMode.NEXT_STEP, AutoresetMode.SAME_STEP, AutoresetMode.DISABLED)
 ACTION_MODES = ("k", "tau", "k+tau")
@@ -25,7 +20,7 @@ def actions_of(seed: int, n_steps: int, n_lanes: int = 1, n_action: int = 4, sca
     return np.random.default_rng(seed).uniform(-scale, scale, (n_steps, n_lanes, n_action))
 
 
-def eventful(wind: float = 9.0, duration_s: float = 4.0, n_wtg: int = 2, **changes: Any) -> sc.Scenario:
+def eventful(wind: float = 9.0, duration_s: float = 4.0, n_wtg: int = 2, **changes) -> sc.Scenario:
     """Return a short scenario with every kind of event in it, off the control grid as well."""
     events = (
         sc.LoadStep(time_s=0.525, bus=2, power_mw=40.0, reactive_mvar=5.0),
@@ -54,11 +49,11 @@ def rising(duration_s: float = 20.0) -> sc.Scenario:
     return sc.Scenario(name="rising", wind_speed=np.array([wind, wind]), duration_s=duration_s)
 
 
-def calm(wind: float = 9.0, duration_s: float = 4.0, n_wtg: int = 2, **changes: Any) -> sc.Scenario:
+def calm(wind: float = 9.0, duration_s: float = 4.0, n_wtg: int = 2, **changes) -> sc.Scenario:
     return sc.Scenario(name="calm", wind_speed=np.full((n_wtg, 1), wind), duration_s=duration_s, **changes)
 
 
-def bits(value: Any) -> Any:
+def bits(value):
     """Return a value in a form that compares equal only where every bit and every type is."""
     if isinstance(value, np.ndarray):
         return value.dtype, value.shape, bits(value.tolist()) if value.dtype.kind == "O" else value.tobytes()
@@ -67,9 +62,7 @@ def bits(value: Any) -> Any:
     return [bits(each) for each in value] if isinstance(value, (list, tuple)) else (type(value), repr(value))
 
 
-def as_step(
-    observation: np.ndarray, reward: float, terminated: bool, truncated: bool, info: dict[str, Any], final: Any = None
-) -> Step:
+def as_step(observation: np.ndarray, reward: float, terminated: bool, truncated: bool, info, final=None):
     """Return a step as values that compare equal only where every bit is."""
     plain = {key: value if isinstance(value, str) else float(value).hex() for key, value in info.items()}
     return observation.tobytes(), float(reward).hex(), bool(terminated), bool(truncated), plain, final
@@ -80,8 +73,8 @@ def single_steps(
     actions: np.ndarray,
     mode: AutoresetMode,
     seed: int | None = None,
-    start: dict[str, Any] | None = None,
-) -> list[Step]:
+    start=None,
+):
     """Step a single environment over `actions` (n_steps, n_action), with the resets of an autoreset mode."""
     steps = []
     if seed is not None:
@@ -107,11 +100,9 @@ def single_steps(
     return steps
 
 
-def vector_steps(
-    env: GFMWTGVectorEnv, actions: np.ndarray, seed: int | None = None, start: dict[str, Any] | None = None
-) -> list[list[Step]]:
+def vector_steps(env: GFMWTGVectorEnv, actions: np.ndarray, seed: int | None = None, start=None):
     """Step a batch over `actions` (n_steps, n_lanes, n_action), and return each lane's own steps."""
-    lanes: list[list[Step]] = [[] for _ in range(env.num_envs)]
+    lanes = [[] for _ in range(env.num_envs)]
     zeros, never = np.zeros(env.num_envs), np.zeros(env.num_envs, dtype=bool)
     if seed is not None:
         observations, infos = env.reset(seed=seed, options=start)
@@ -129,9 +120,7 @@ def vector_steps(
     return lanes
 
 
-def _lane_step(
-    lane: int, observations: np.ndarray, rewards: np.ndarray, terminated: Any, truncated: Any, infos: dict[str, Any]
-) -> Step:
+def _lane_step(lane: int, observations: np.ndarray, rewards: np.ndarray, terminated, truncated, infos):
     final = None
     if "final_obs" in infos and infos["_final_obs"][lane]:
         assert infos["_final_info"][lane]
@@ -140,22 +129,22 @@ def _lane_step(
     return as_step(observations[lane], rewards[lane], terminated[lane], truncated[lane], info, final)
 
 
-def lane_info(infos: dict[str, Any], lane: int) -> dict[str, Any]:
+def lane_info(infos, lane: int):
     keys = [key for key in infos if not key.startswith(("_", "final_"))]
     return {key: infos[key][lane] for key in keys if infos[f"_{key}"][lane]}
 
 
-def n_resets(steps: list[Step]) -> int:
+def n_resets(steps) -> int:
     return sum(step[2] or step[3] for step in steps)
 
 
-def reasons(steps: list[Step]) -> set[str]:
+def reasons(steps) -> set[str]:
     # Where an episode was restarted within the step, its own info is the final one.
     infos = (step[4] if step[5] is None else step[5][4] for step in steps if step[2] or step[3])
     return {info["termination_reason"] for info in infos}
 
 
-def episode(env: GFMWTGEnv, action: Any = 0.0, **reset: Any) -> Iterator[tuple[float, bool, bool, dict[str, Any]]]:
+def episode(env: GFMWTGEnv, action=0.0, **reset):
     """Play an episode with a constant action; yield (reward, terminated, truncated, info) per step."""
     env.reset(**reset)
     constant = np.broadcast_to(np.asarray(action, dtype=float), env.action_space.shape)
@@ -167,7 +156,7 @@ def episode(env: GFMWTGEnv, action: Any = 0.0, **reset: Any) -> Iterator[tuple[f
         yield reward, terminated, truncated, info
 
 
-def digest(n_lanes: int = 17, n_steps: int = 45, n_threads: int | None = None, **settings: Any) -> str:
+def digest(n_lanes: int = 17, n_steps: int = 45, n_threads: int | None = None, **settings) -> str:
     env = GFMWTGVectorEnv(n_lanes, n_threads=n_threads, **{"version": "v0", "duration_s": 2.0, **settings})
     lanes = vector_steps(env, actions_of(1, n_steps, n_lanes, env.single_action_space.shape[0]), seed=11)
     env.close()

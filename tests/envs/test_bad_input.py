@@ -12,12 +12,9 @@ import pytest
 from gymnasium.vector import AutoresetMode
 
 from tests.envs.rollouts import actions_of, calm, eventful, single_steps, vector_steps
-from wtg_gym import ENV_IDS
-from wtg_gym.envs import EnvArguments, EnvSettings, GFMWTGEnv, GFMWTGVectorEnv
-from wtg_gym.physics.scenario import Scenario
+from wtg_gym import ENV_IDS, GFMWTGEnv, GFMWTGVectorEnv, Scenario, TrackingLaw, get_suite
+from wtg_gym.envs import EnvArguments, EnvSettings
 from wtg_gym.physics.sensors import Sensors
-from wtg_gym.physics.tracking_law import TrackingLaw
-from wtg_gym.scenarios import get_suite
 
 NAN = math.nan
 ACTIONS = actions_of(40, 60, 3)

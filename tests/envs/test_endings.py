@@ -4,12 +4,9 @@ import numpy as np
 import pytest
 
 from tests.envs.rollouts import N_WTG, VERSIONS, calm, episode, eventful, rising, sagging
-from wtg_gym.envs import GFMWTGEnv
+from wtg_gym import GFMWTGEnv, LineTrip, LoadStep, Plant, Scenario, simulate
 from wtg_gym.physics.parameters import ProtectionParameters
-from wtg_gym.physics.plant import Plant
 from wtg_gym.physics.protection import Status
-from wtg_gym.physics.scenario import LineTrip, LoadStep, Scenario
-from wtg_gym.physics.trajectory import simulate
 from wtg_gym.physics.units import ISLANDS, Spread
 from wtg_gym.tasks.cost import CostWeights
 
@@ -101,13 +98,10 @@ def test_no_run_costs_more_than_one_that_fails_at_once_even_if_it_ends_within_a_
         assert 0.0 < error < env.lanes.simulator.lane_values("step")[0] * 0.025
 
 
-def calm_v1(**changes) -> Scenario:
-    return calm(n_wtg=N_WTG["v1"], **{"duration_s": 20.0, **changes})
-
-
 def test_version_v1_ends_at_its_frequency_limit_and_sheds_load_before_the_lower_one():
     def played(power_mw: float):
-        return play(calm_v1(inertia_scale=0.3, events=(LoadStep(time_s=1.0, bus=3, power_mw=power_mw),)), version="v1")
+        step = LoadStep(time_s=1.0, bus=3, power_mw=power_mw)
+        return play(calm(9.0, 20.0, N_WTG["v1"], inertia_scale=0.3, events=(step,)), version="v1")
 
     _, (_, terminated, _, info), _ = played(150.0)
     assert not terminated and info["shed_energy_mws"] > 100.0
@@ -120,9 +114,8 @@ def test_version_v1_ends_at_its_frequency_limit_and_sheds_load_before_the_lower_
 def test_stopped_rotor_of_version_v1_trips_its_group_which_is_charged_on_or_ends_the_episode():
     wind = np.full((N_WTG["v1"], 1), 9.0)
     wind[1] = 7.0
-    sagging_v1 = Scenario(
-        name="x", wind_speed=wind, duration_s=60, events=(LoadStep(time_s=2.0, bus=3, power_mw=45.0),)
-    )
+    step = LoadStep(time_s=2.0, bus=3, power_mw=45.0)
+    sagging_v1 = Scenario(name="x", wind_speed=wind, duration_s=60, events=(step,))
     modes = {"version": "v1", "strategy": "mppt"}
     _, (_, terminated, _, info), _ = play(sagging_v1, on_failure="terminate", **modes)
     assert terminated and info["termination_reason"] == "under-speed"

@@ -2,7 +2,6 @@
 
 import json
 from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -10,7 +9,7 @@ from tests.envs.frozen import cases
 from wtg_gym.evaluation.circumstances import versions
 from wtg_gym.scenarios import FROZEN_HASHES, SUITES
 
-RECORDED: dict[str, dict[str, Any]] = {
+RECORDED = {
     path.stem.removeprefix("frozen_"): json.loads(path.read_text(encoding="utf-8"))
     for path in sorted(Path(__file__).parent.glob("frozen_v*.json"))
 }

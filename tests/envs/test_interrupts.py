@@ -1,9 +1,14 @@
-"""An interrupted call has changed every environment or none, and what follows is the same to the last bit."""
+"""An interrupted call has changed every environment or none, and what follows is the same to the last bit.
+
+So it is with threads: resets while others step change no bit, and two threads in one environment are told apart.
+"""
 
 import copy
+import functools
+import multiprocessing
+import os
+import threading
 import time
-from collections.abc import Callable
-from typing import Any
 
 import numpy as np
 import pytest
@@ -16,11 +21,10 @@ from wtg_gym.sb3 import make_sb3_vec_env
 #: Lanes that are worth a thread.
 N = 64
 #: Episodes of ten steps, so that many steps start some.
-SHORT: dict[str, Any] = {"version": "v0", "duration_s": 1.0}
-Call = Callable[[Any, int], Any]
+SHORT = {"version": "v0", "duration_s": 1.0}
 
 
-def batch(n_threads: int, **arguments: Any) -> GFMWTGVectorEnv:
+def batch(n_threads: int, **arguments) -> GFMWTGVectorEnv:
     env = GFMWTGVectorEnv(N * n_threads, n_threads=n_threads, **SHORT, **arguments)
     env.reset(seed=0)
     for k in range(4):
@@ -29,13 +33,13 @@ def batch(n_threads: int, **arguments: Any) -> GFMWTGVectorEnv:
     return env
 
 
-def monitored(n_threads: int, **more: Any) -> Any:
+def monitored(n_threads: int, **more):
     env = make_sb3_vec_env(N * n_threads if n_threads > 1 else 3, seed=0, n_threads=n_threads, **more, **SHORT)
     env.reset()
     return env
 
 
-def agents(_: int) -> Any:
+def agents(_: int):
     env = pytest.importorskip("wtg_gym.pettingzoo").parallel_env(strategy="mppt", on_failure="trip", **SHORT)
     env.reset(seed=0)
     return env
@@ -47,37 +51,37 @@ def single(_: int, render_mode: str | None = None) -> GFMWTGEnv:
     return env
 
 
-def step(env: Any, k: int) -> Any:
+def step(env, k: int):
     return env.step(np.random.default_rng(k).uniform(-1.0, 1.0, (env.num_envs, 4)).astype(np.float32))
 
 
-def step_or_reset(env: Any, k: int) -> Any:
+def step_or_reset(env, k: int):
     if hasattr(env, "agents"):
         return env.step({agent: np.full(2, 0.1 * k % 1.0) for agent in env.agents}) if env.agents else env.reset()
     return env.reset() if np.any(env.lanes.ended()) else env.step(np.full(4, 0.1 * k % 1.0))
 
 
-def reset(env: GFMWTGVectorEnv, k: int) -> Any:
+def reset(env: GFMWTGVectorEnv, k: int):
     return env.reset(seed=k if k % 2 else None)
 
 
-def reset_some(env: GFMWTGVectorEnv, k: int) -> Any:
+def reset_some(env: GFMWTGVectorEnv, k: int):
     return env.reset(options={"reset_mask": np.random.default_rng(k).random(env.num_envs) < 0.1})
 
 
-def native(env: Any) -> Any:
+def native(env):
     for name in ("venv", "vector_env", "env", "single_env"):
         env = vars(env).get(name, env)
     return env
 
 
-def state(env: Any) -> Any:
+def state(env):
     """Return everything of an environment that a call may change, in a form that compares to the bit."""
     names = ("agents", "reset_infos", "episode_returns", "episode_lengths")
     return bits([*native(env).snapshot().lanes[1:], *(getattr(env, name, None) for name in names)])
 
 
-CASES: dict[str, tuple[Callable[[int], Any], Call]] = {
+CASES = {
     "next step": (batch, step),
     "same step": (lambda n: batch(n, autoreset_mode="SameStep"), step),
     "step limit": (lambda n: batch(n, max_episode_steps=2), step),
@@ -115,3 +119,81 @@ def test_interrupted_call_is_complete_or_has_not_begun(name, n_threads, monkeypa
             assert state(env) == before
             result = call(env, k)
         assert bits(result) == bits(expected)
+
+
+N_MANY = 1024
+
+
+def staggered(n_threads: int, version: str = "v0") -> GFMWTGVectorEnv:
+    """A batch of 64 blocks of which one lane waits for its reset and the others run."""
+    env = GFMWTGVectorEnv(N_MANY, version=version, n_threads=n_threads, duration_s=3.0)
+    env.reset(seed=0)
+    actions = np.zeros(env.action_space.shape, dtype=np.float32)
+    for _ in range(10):
+        env.step(actions)
+    env.reset(options={"reset_mask": np.arange(N_MANY) > 0})
+    for _ in range(20):
+        env.step(actions)
+    return env
+
+
+def played(n_threads: int, version: str) -> list[list[np.ndarray]]:
+    """What 45 steps of a batch return, with resets between them."""
+    env = staggered(n_threads, version)
+    actions = np.random.default_rng(0).uniform(-1.0, 1.0, (45, *env.action_space.shape)).astype(np.float32)
+    found = [[np.copy(values) for values in env.step(own)[:4]] for own in actions]
+    env.close()
+    return found
+
+
+on_one_thread = functools.cache(functools.partial(played, 1))
+
+
+@pytest.mark.parametrize(("n_threads", "version"), [(9, "v0"), (3, "v1")])
+def test_resets_while_other_threads_step_change_no_bit(n_threads, version):
+    for one, many in zip(on_one_thread(version), played(n_threads, version), strict=True):
+        for a, b in zip(one, many, strict=True):
+            assert (a == b).all()
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="needs fork")
+@pytest.mark.filterwarnings("ignore:.*fork.*:DeprecationWarning")
+def test_a_forked_process_steps_a_batch_that_has_stepped_on_threads():
+    env = staggered(2)
+    process = multiprocessing.get_context("fork").Process(
+        target=env.step, args=(np.zeros((N_MANY, 4), dtype=np.float32),)
+    )
+    process.start()
+    process.join(60.0)
+    assert process.exitcode == 0
+    env.close()
+
+
+def test_a_second_thread_gets_an_error_and_the_first_one_its_numbers(monkeypatch):
+    env, alone = (GFMWTGVectorEnv(64, n_threads=1, version="v0") for _ in range(2))
+    action = np.zeros(env.action_space.shape, dtype=np.float32)
+    for each in (env, alone):
+        each.reset(seed=0)
+    snapshot = env.snapshot()
+    inside, leave = threading.Event(), threading.Event()
+    step = env.lanes.step
+
+    def slow(*arguments):
+        inside.set()
+        assert leave.wait(60.0)
+        return step(*arguments)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(env.lanes, "step", slow)
+        thread = threading.Thread(target=env.step, args=(action,))
+        thread.start()
+        assert inside.wait(60.0)
+        for call in (lambda: env.step(action), lambda: env.reset(seed=1), env.snapshot, lambda: env.restore(snapshot)):
+            with pytest.raises(RuntimeError, match=r"was called while another thread uses the same environment"):
+                call()
+        leave.set()
+        thread.join()
+    alone.step(action)
+    for _ in range(20):
+        for own, expected in zip(env.step(action)[:4], alone.step(action)[:4], strict=True):
+            assert np.array_equal(own, expected)

@@ -1,4 +1,4 @@
-"""Facts about making the environment: ids, specs and the two checkers."""
+"""Facts about making the environment: ids, specs, the two checkers; one random generator each, from the seed."""
 
 import functools
 import json
@@ -11,38 +11,36 @@ import numpy as np
 import pytest
 from gymnasium.envs.registration import EnvSpec
 from gymnasium.utils.env_checker import check_env
+from gymnasium.vector import AutoresetMode
 from stable_baselines3.common.env_checker import check_env as check_sb3
 
 import wtg_gym
-from tests.envs.rollouts import eventful
+from tests.envs.rollouts import actions_of, eventful, single_steps
 from wtg_gym.envs import EnvSettings, GFMWTGEnv, GFMWTGVectorEnv
 from wtg_gym.pettingzoo import parallel_env
 from wtg_gym.sb3 import SB3VecEnv
-from wtg_gym.scenarios import get_suite
+from wtg_gym.scenarios import SPLITS, SUITES, get_suite
 
 ENV_ID = "GFMWTG-14bus-v0"
 BOTH_IDS = pytest.mark.parametrize("env_id", wtg_gym.ENV_IDS)
-#: An error for every warning but Gymnasium's that there is an id with a higher number.
-STRICT = pytest.mark.filterwarnings("error", "ignore:.*is out of date:DeprecationWarning")
 ROOT = Path(__file__).resolve().parents[2]
 
 
-#: Every mode of action and of observation.
-MODES = pytest.mark.parametrize(
+@BOTH_IDS
+@pytest.mark.parametrize(
     "modes",
     [
         {"action_mode": "k", "observation_mode": "local"},
         {"action_mode": "tau", "observation_mode": "privileged"},
-        {"action_mode": "k+tau", "observation_mode": "local"},
+        {"action_mode": "k+tau", "render_mode": "rgb_array"},
     ],
     ids=lambda modes: "-".join(modes.values()),
 )
-
-
-@BOTH_IDS
-@MODES
-@STRICT
-def test_both_checkers_have_no_complaint(modes, env_id):
+# An error for every warning but Gymnasium's that there is an id with a higher number.
+@pytest.mark.filterwarnings("error", "ignore:.*is out of date:DeprecationWarning")
+def test_both_checkers_have_no_complaint(modes, env_id, monkeypatch):
+    # What renders is made with every render mode, so with a window too.
+    monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
     env = gym.make(env_id, duration_s=2.0, **modes).unwrapped
     check_env(env)
     check_sb3(env, warn=True)
@@ -115,3 +113,39 @@ def test_max_episode_steps_cuts_a_batch_as_it_cuts_a_single_environment():
         observation, reward, _, is_truncated, _ = single.step(np.full(4, 0.5, dtype=np.float32))
         assert truncated[1] == is_truncated == (step == 7)
         assert observations[1].tobytes() == observation.tobytes() and rewards[1] == reward
+
+
+ACTIONS = actions_of(30, 60)[:, 0]
+
+
+def test_same_seed_gives_the_same_episodes_one_after_the_other():
+    env, fresh = (GFMWTGEnv(duration_s=2.0, version="v0") for _ in range(2))
+    first, again, other = (single_steps(own, ACTIONS, AutoresetMode.NEXT_STEP, seed=5) for own in (env, env, fresh))
+    assert first == again == other
+    streams = [[own.reset(seed=seed)[1]["scenario_seed"] for seed in (5, *[None] * 9)] for own in (env, fresh)]
+    assert streams[0] == streams[1] and len(set(streams[0])) == 10
+
+
+def test_environments_without_a_seed_differ():
+    assert len({GFMWTGEnv(duration_s=2.0, version="v0").reset()[1]["scenario_seed"] for _ in range(5)}) == 5
+    batch = GFMWTGVectorEnv(5, duration_s=2.0, version="v0")
+    seen = np.concatenate([batch.reset()[1]["scenario_seed"], batch.reset()[1]["scenario_seed"]])
+    assert len(set(seen.tolist())) == 10
+
+
+@pytest.mark.parametrize("suite", SUITES)
+def test_scenarios_come_from_the_asked_split_alone_which_is_train_by_default(suite):
+    for split in SPLITS:
+        asked = {"suite": suite} if split == "train" else {"suite": suite, "split": split}
+        batch, env = GFMWTGVectorEnv(5, duration_s=2.0, **asked), GFMWTGEnv(duration_s=2.0, **asked)
+        drawn = [*batch.reset(seed=1)[1]["scenario_seed"], *(env.reset()[1]["scenario_seed"] for _ in range(5))]
+        assert all(int(seed) in get_suite(suite).seeds(split) for seed in drawn)
+
+
+def test_fixed_scenario_is_the_same_in_every_episode_and_tells_its_seed():
+    env = GFMWTGEnv(scenario=eventful().to_dict(), duration_s=4.0, version="v0")
+    starts = [env.reset(seed=seed) for seed in (1, 2, None)]
+    assert len({observation.tobytes() for observation, _ in starts}) == 1
+    assert [info["scenario_seed"] for _, info in starts] == [-1] * 3
+    env = GFMWTGEnv(scenario=eventful(seed=77).to_dict(), version="v0")
+    assert env.reset()[1]["scenario_seed"] == 77

@@ -4,24 +4,19 @@ import dataclasses
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 
 from tests.envs.rollouts import actions_of, calm
-from wtg_gym.envs import GFMWTGEnv
-from wtg_gym.physics.scenario import Event, GroupTrip, LoadStep, Scenario
+from wtg_gym import GFMWTGEnv, GroupTrip, LoadStep, Scenario, get_suite
+from wtg_gym.physics.scenario import Event
 from wtg_gym.physics.sensors import Sensors
-from wtg_gym.scenarios import get_suite
 from wtg_gym.tasks.observation import WtgObservation
 from wtg_gym.tasks.sensing import MeasuredObservation
 
-Floats = npt.NDArray[Any]
 N_WTG, N_ACTION = 4, 8
 MEASURED, EXACT = MeasuredObservation._fields, WtgObservation._fields
 ACTIONS = actions_of(1, 60, n_action=N_ACTION)[:, 0]
 STILL = np.zeros((60, N_ACTION))
-#: Where nothing happens a run stays in its equilibrium.
-STEADY: dict[str, Any] = {"duration_s": 6.0, "n_wtg": N_WTG}
 BAD = {
     "frequency_filter_s": 0.3,
     "frequency_noise_hz": 0.02,
@@ -51,22 +46,22 @@ def plain(delay_s: float = 0.0, **changes: Any) -> Sensors:
 @dataclasses.dataclass
 class Run:
     env: GFMWTGEnv
-    observations: Floats  # (n_steps + 1, n_observation)
-    rewards: Floats
+    observations: np.ndarray  # (n_steps + 1, n_observation)
+    rewards: np.ndarray
     infos: list[dict[str, Any]]
 
-    def column(self, name: str) -> Floats:
+    def column(self, name: str) -> np.ndarray:
         """Return the course of an entry of the observation by its name without unit."""
         names = [entry.partition(" ")[0] for entry in self.env.observation_names]
         return self.observations[:, names.index(name)]
 
-    def seen(self, owner: str, *names: str) -> Floats:
+    def seen(self, owner: str, *names: str) -> np.ndarray:
         """Return what the groups measure ("wtg"), or what is exact ("exact"), (n_steps + 1, n_wtg, n_names)."""
         columns = [[self.column(f"{owner}{j}.{name}") for name in names or MEASURED] for j in range(N_WTG)]
         return np.stack(columns).transpose(2, 0, 1)
 
 
-def play(scenario: Scenario | None, actions: Floats = ACTIONS, seed: int = 0, **arguments: Any) -> Run:
+def play(scenario: Scenario | None, actions: np.ndarray = ACTIONS, seed: int = 0, **arguments: Any) -> Run:
     settings = {"version": "v1", "observation_mode": "privileged", "duration_s": 6.0, "control_dt": 0.1, **arguments}
     env = GFMWTGEnv(reward="cost", **settings)
     observation, _ = env.reset(seed=seed, options=None if scenario is None else {"scenario": scenario})
@@ -113,25 +108,19 @@ def test_without_a_wind_sensor_wind_and_ratio_read_zero_and_all_else_is_as_with_
         assert not run.seen("wtg", *needs_wind).any()
 
 
-def huber(duty: Floats) -> Floats:
-    size = np.abs(duty)
-    return np.where(size < 1.0, size**2, 2.0 * size - 1.0)
-
-
-def tripping(time_s: float, actions: Floats = STILL) -> Run:
-    return play(calm(**STEADY, events=(GroupTrip(time_s=time_s, group=2),)), actions, strategy="mppt")
-
-
 @pytest.mark.parametrize(("time_s", "first_free"), [(2.0, 21), (2.025, 21)])
 def test_group_that_an_event_takes_away_is_not_charged_from_that_step_on(time_s, first_free):
-    run = tripping(time_s)
+    # But for the event the run stays in its equilibrium.
+    calms = calm(duration_s=6.0, n_wtg=N_WTG, events=(GroupTrip(time_s=time_s, group=2),))
+    run = play(calms, STILL, strategy="mppt")
     duty = np.stack([run.column(f"exact{j}.mean_duty") for j in range(N_WTG)], axis=1)[1:].astype(np.float64)
     charged = np.arange(1, 61) < first_free
     assert ((duty[:, 2] != 0.0) == charged).all() and (duty[:, [0, 1, 3]] > 0.0).all()
     costs = np.array([info["cost_duty"] for info in run.infos])
-    assert np.abs(duty).max() < 5.0
-    weight = run.env.settings.cost_weights().duty
-    assert costs == pytest.approx(weight * 0.1 * huber(duty).sum(axis=1) / N_WTG, rel=1e-5)
+    size, weight = np.abs(duty), run.env.settings.cost_weights().duty
+    assert size.max() < 5.0
+    huber = np.where(size < 1.0, size**2, 2.0 * size - 1.0)
+    assert costs == pytest.approx(weight * 0.1 * huber.sum(axis=1) / N_WTG, rel=1e-5)
 
 
 @pytest.mark.parametrize("suite", ["standard", "no-wind-sensor"])

@@ -7,14 +7,12 @@ depends on another.
 import subprocess
 import sys
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 
 from tests.envs import rollouts
-from wtg_gym.envs import GFMWTGEnv, GFMWTGVectorEnv
-from wtg_gym.physics.scenario import GroupTrip, LoadStep
+from wtg_gym import GFMWTGEnv, GFMWTGVectorEnv, GroupTrip, LoadStep
 from wtg_gym.scenarios import SUITES
 from wtg_gym.scenarios.draws import SensorDistribution
 
@@ -40,7 +38,7 @@ def test_lane_of_version_v1_equals_the_single_environment_in_every_suite_and_mod
             assert rollouts.n_resets(lanes[lane]) >= 2
 
 
-def failing(version: str) -> dict[str, Any]:
+def failing(version: str):
     if version == "v0":
         return {"version": "v0", "strategy": "mppt", "scenario": rollouts.sagging(7.6, 45.0).to_dict()}
     events = (GroupTrip(time_s=1.025, group=2), LoadStep(time_s=2.0, bus=3, power_mw=40.0))

@@ -5,7 +5,6 @@ import shutil
 import sys
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -96,7 +95,7 @@ def test_unknown_entry_names_what_is_allowed(package, spec, text):
 
 
 def test_learner_whose_normalisation_would_be_left_out_is_refused():
-    def learner(normalization: Any) -> Any:
+    def learner(normalization):
         return SimpleNamespace(predict=lambda *_: None, get_vec_normalize_env=lambda: normalization)
 
     for harmless in (None, SimpleNamespace(norm_obs=False)):

@@ -1,4 +1,4 @@
-"""Facts about the evaluation: independent of how it is cut up, interruptible, strict with policies."""
+"""Facts about the evaluation: independent of how it is cut up, interruptible, strict with policies; its measures."""
 
 import dataclasses
 import re
@@ -6,7 +6,6 @@ import signal
 import sys
 import threading
 import time
-from typing import Any
 
 import gymnasium as gym
 import numpy as np
@@ -14,47 +13,42 @@ import pytest
 
 import wtg_gym
 from tests.interruption import interrupted
+from wtg_gym import Entry, Plant, Results, TrackingLaw, evaluate, get_law, get_suite, load_entries, simulate
 from wtg_gym.envs.lanes import TaskLanes
-from wtg_gym.evaluation import Entry, PolicyError, Results, evaluate, load_entries
+from wtg_gym.evaluation import PolicyError
 from wtg_gym.evaluation.evaluator import Progress
+from wtg_gym.evaluation.metrics import quasi_steady_deviation
 from wtg_gym.evaluation.partial import PartialStore
 from wtg_gym.evaluation.recompute import departures, recompute
 from wtg_gym.physics.parameters import TurbineParameters
-from wtg_gym.physics.tracking_law import TrackingLaw
-from wtg_gym.scenarios import get_suite
 
 SHORT = {"seeds": (20_002, 20_000, 20_005), "duration_s": 10.0}
 
 
-class Linear:
-    """A policy of numpy alone: a fixed multiple of the frequency deviation on every action."""
-
-    def __init__(self, gain: float, n_actions: int = 4) -> None:
-        self.gain, self.n_actions = gain, n_actions
-
-    def predict(self, observation: Any, state: Any = None, *_: Any, **__: Any) -> Any:
-        return np.repeat(-self.gain * observation[:, :1], self.n_actions, axis=1), None
-
-
-class Answering(Linear):
+class Answering:
     """A policy that answers whatever a function of the observation and the step says."""
 
-    def __init__(self, answer: Any) -> None:
+    def __init__(self, answer) -> None:
         self.answer, self.step = answer, -1
 
-    def predict(self, observation: Any, state: Any = None, *_: Any, **__: Any) -> Any:
+    def predict(self, observation, state=None, *_, **__):
         self.step += 1
         return self.answer(observation, self.step)
+
+
+def linear(gain: float) -> Answering:
+    """Return a policy with a fixed multiple of the frequency deviation on every action."""
+    return Answering(lambda observation, step: (np.repeat(-gain * observation[:, :1], 4, axis=1), None))
 
 
 class Counting:
     """A policy with a recurrent state; it notes what it was given."""
 
     def __init__(self) -> None:
-        self.states: list[Any] = []
-        self.starts: list[Any] = []
+        self.states = []
+        self.starts = []
 
-    def predict(self, observation: Any, state: Any = None, episode_start: Any = None, deterministic: bool = True):
+    def predict(self, observation, state=None, episode_start=None, deterministic: bool = True):
         assert deterministic
         self.states.append(state)
         self.starts.append(episode_start)
@@ -62,7 +56,7 @@ class Counting:
         return np.repeat(0.01 * count[:, np.newaxis], 4, axis=1), (count,)
 
 
-@pytest.mark.parametrize("policy", [None, Linear(2.0)], ids=["law", "policy"])
+@pytest.mark.parametrize("policy", [None, linear(2.0)], ids=["law", "policy"])
 def test_episode_equals_the_single_environment(policy):
     results = evaluate([Entry(name="mine", strategy="deloaded-5", policy=policy)], "standard", "test", **SHORT)
     env = gym.make("GFMWTG-14bus-v0", strategy="deloaded-5", duration_s=10.0, disable_env_checker=True).unwrapped
@@ -97,9 +91,9 @@ def test_recurrent_state_is_passed_on_and_starts_anew_in_every_batch():
 
 
 def test_failed_episode_is_kept_and_its_lane_ignores_actions():
-    last: list[Any] = [None]
+    last = [None]
 
-    def drain(observation: Any, step: int) -> Any:
+    def drain(observation, step: int):
         actions = np.tile([1.0, 0.0], (len(observation), 2))
         if last[0] is not None:
             actions[(observation == last[0]).all(axis=1)] = np.nan
@@ -117,7 +111,7 @@ def test_failed_episode_is_kept_and_its_lane_ignores_actions():
         assert episode.metrics["quasi_steady_deviation_hz"] is None
 
 
-def fail(observation: Any, step: int) -> Any:
+def fail(observation, step: int):
     raise ZeroDivisionError("from inside")
 
 
@@ -156,13 +150,13 @@ def test_law_without_an_equilibrium_is_left_out_and_that_of_an_anchor_is_an_erro
 
 
 def test_entry_that_fails_is_left_out_with_its_row_and_the_others_stand(tmp_path):
-    def fails_at(step: int) -> Any:
+    def fails_at(step: int):
         return Answering(lambda o, s: (np.full((len(o), 4), np.nan if s == step else 0.5), None))
 
-    def raises(observation: Any, step: int) -> Any:
+    def raises(observation, step: int):
         raise RuntimeError("no\nidea \x1b[2J")
 
-    first, second = Entry(name="first", policy=Linear(1.0)), Entry(name="second", policy=Linear(0.5))
+    first, second = Entry(name="first", policy=linear(1.0)), Entry(name="second", policy=linear(0.5))
     never = Answering(raises)
     seeds = [Entry(name="nan", policy=p, training_seed=i) for i, p in enumerate((fails_at(-1), fails_at(7), never))]
     entries = [first, *seeds, Entry(name="raises", policy=Answering(raises)), second]
@@ -197,7 +191,7 @@ def test_entry_that_fails_is_left_out_with_its_row_and_the_others_stand(tmp_path
         ([Entry(name="a"), Entry(name="a", training_seed=1)], "standard", {}, "all have a training seed"),
         ([Entry(name="mppt")], "standard", {}, "reserved"),
         (
-            [Entry(name="a", policy=Linear(1.0), training_seed=seed, learned=seed == 0) for seed in (0, 1)],
+            [Entry(name="a", policy=linear(1.0), training_seed=seed, learned=seed == 0) for seed in (0, 1)],
             *("standard", {}, "entries named 'a' share a row and must agree on kind, got"),
         ),
     ],
@@ -239,7 +233,7 @@ def test_killed_run_goes_on_and_keeps_its_parts_until_the_results_are_written(re
 def test_interrupted_evaluation_ends_its_threads_and_their_policies(monkeypatch):
     step, main, steps = TaskLanes.step, threading.get_ident(), []
 
-    def interrupting(lanes: TaskLanes, *arguments: Any) -> None:
+    def interrupting(lanes: TaskLanes, *arguments) -> None:
         if threading.get_ident() != main:
             steps.append(arguments)
             if len(steps) == 3:
@@ -272,7 +266,7 @@ def test_damaged_and_exchanged_parts_are_played_again(results, entries, tmp_path
 
 
 #: What a part was stored with, beside what is asked for.
-OTHER_PARTS: list[dict[str, Any]] = [
+OTHER_PARTS = [
     *({"entry": {key: value}} for key, value in (("name", "other"), ("training_seed", 2), ("fingerprint", "another"))),
     *({"rows": {key: value}} for key, value in (("entry", "other"), ("training_seed", 2), ("seed", 20_001))),
     *({"context": ["gust", "test"]}, {"seeds": [20_001, 20_000]}, {"seeds": [20_000]}, {}),
@@ -281,7 +275,7 @@ OTHER_PARTS: list[dict[str, Any]] = [
 
 @pytest.mark.parametrize("change", OTHER_PARTS, ids=str)
 def test_a_part_is_used_for_exactly_what_it_was_stored_for(results, tmp_path, change):
-    asked = {"name": "linear", "policy": Linear(0.2), "fingerprint": "a policy", "training_seed": 1}
+    asked = {"name": "linear", "policy": linear(0.2), "fingerprint": "a policy", "training_seed": 1}
     seeds = [20_000, 20_001]
     row = dataclasses.replace(results.episodes[0], entry="linear", training_seed=1)
     rows = [dataclasses.replace(row, seed=seed) for seed in seeds]
@@ -307,7 +301,7 @@ def test_partial_of_other_settings_or_unknown_policy_is_not_used(entries, tmp_pa
     assert other.settings["weights"]["rocof"] == 0.0
     other.parts.clear()
     assert set(tmp_path.iterdir()) == stored
-    unknown = Entry(name="unknown", policy=Linear(0.2))
+    unknown = Entry(name="unknown", policy=linear(0.2))
     with pytest.raises(KeyboardInterrupt):
         evaluate([unknown], "standard", "test", on_progress=killer(3), partial=tmp_path, **SHORT)
     assert set(tmp_path.iterdir()) == stored
@@ -326,3 +320,68 @@ def test_sensors_of_an_evaluation_are_in_its_settings_and_decide_its_numbers():
         assert recompute(results, [droop]).differences == []
     assert any(text.startswith("sensors is exact") for text in departures(exact))
     assert not any(text.startswith("sensors") for text in departures(measured))
+
+
+DT = 0.1
+
+
+def test_metrics_agree_with_the_recorded_run():
+    results = evaluate([], "paper", "test", duration_s=60.0)
+    for episode in results.episodes_of("coordinated-piecewise"):
+        scenario = get_suite("paper").scenario(episode.seed, duration_s=60.0)
+        run = simulate(scenario, get_law("coordinated-piecewise"))
+        m = episode.metrics
+        assert m["nadir_hz"] == pytest.approx(run.frequency_hz.min(), abs=2e-3)
+        assert m["zenith_hz"] == pytest.approx(run.frequency_hz.max(), abs=2e-3)
+        assert m["largest_rocof_hz_s"] == pytest.approx(np.abs(run.rocof_hz_s()).max(), rel=1e-9)
+        assert m["peak_power_pu"] == pytest.approx(run.power_pu.max(), rel=0.02)
+        assert m["least_tip_speed_ratio"] == pytest.approx(run.tip_speed_ratio.min(), rel=1e-3)
+        # Two groups of ten turbines of 5 MW each.
+        energy = np.trapezoid(run.captured_power_pu, dx=DT, axis=0).sum() * 50.0 / 3600.0
+        assert m["energy_mwh"] == pytest.approx(energy, rel=1e-4)
+        assert m["survived_s"] == pytest.approx(60.0)
+        assert 90.0 < m["energy_share_percent"] < 100.0
+
+
+def test_worst_frequency_and_shed_energy_are_those_of_info_and_none_in_the_papers_physics(results):
+    law, seeds = "coordinated-tuned", range(10_000, 10_006)
+    env = gym.make("GFMWTG-14bus-v1", strategy=law, duration_s=20.0, disable_env_checker=True).unwrapped
+    for episode in evaluate([], "standard-v1", "validation", seeds=seeds, duration_s=20.0).episodes_of(law):
+        scenario = get_suite("standard-v1").scenario(episode.seed, duration_s=20.0)
+        infos = [env.reset(options={"scenario": scenario})[1]]
+        over = False
+        while not over:
+            _, _, terminated, truncated, info = env.step(np.zeros(env.action_space.shape, dtype=np.float32))
+            infos.append(info)
+            over = terminated or truncated
+        worst = [info["worst_frequency_hz"] for info in infos]
+        m = episode.metrics
+        assert 45.0 < m["worst_nadir_hz"] <= min(worst) and max(worst) <= m["worst_zenith_hz"] < 55.0
+        assert m["worst_nadir_hz"] < m["nadir_hz"] and m["worst_zenith_hz"] > m["zenith_hz"]
+        assert m["shed_energy_mwh"] == pytest.approx(infos[-1]["shed_energy_mws"] / 3600.0)
+    names = ("worst_nadir_hz", "worst_zenith_hz", "shed_energy_mwh")
+    assert {episode.metrics[name] for episode in results.episodes for name in names} == {None}
+
+
+def test_deloading_shows_in_the_share_of_energy():
+    calm = evaluate("deloaded-10", "paper", "test", seeds=[0], duration_s=5.0)
+    shares = {e.entry: e.metrics["energy_share_percent"] for e in calm.episodes}
+    assert shares["mppt"] == pytest.approx(100.0, abs=0.01)
+    assert shares["deloaded-10"] == pytest.approx(90.0, abs=0.01)
+    assert shares["coordinated-piecewise"] == pytest.approx(95.0, abs=0.01)
+    errors = {e.entry: e.metrics["duty_error_percent"] for e in calm.episodes}
+    assert errors["mppt"] == pytest.approx(5.0, abs=0.01)
+    assert errors["coordinated-piecewise"] == pytest.approx(0.0, abs=0.01)
+
+
+def test_quasi_steady_deviation_is_the_mean_of_the_last_five_seconds():
+    frequency = np.concatenate([np.full(551, 49.0), np.full(50, 49.8)])
+    assert quasi_steady_deviation(frequency, DT, 50.0) == pytest.approx(-0.2)
+    assert quasi_steady_deviation(np.array([50.0, 50.1, 50.2]), DT, 50.0) == pytest.approx(0.15)
+
+
+def test_tripped_groups_are_counted_where_the_run_goes_on():
+    results = evaluate([], "low-wind", "test", seeds=range(20_000, 20_040), on_failure="trip")
+    tripped = [e for e in results.episodes_of("mppt") if e.metrics["tripped_groups"] > 0.0]
+    assert tripped and all(e.failure == "" and e.metrics["survived_s"] == pytest.approx(60.0) for e in tripped)
+    assert Plant().trips_groups is False

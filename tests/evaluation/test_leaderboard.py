@@ -1,17 +1,15 @@
 """Facts about the ranking."""
 
 import dataclasses
-from typing import Any
 
 import numpy as np
 import pytest
 
-from wtg_gym import evaluation
+from wtg_gym import evaluation, get_suite
 from wtg_gym.evaluation import summary
 from wtg_gym.evaluation.adjusted import Adjusted, known_means
 from wtg_gym.evaluation.results import markdown_section
 from wtg_gym.evaluation.table import columns_of
-from wtg_gym.scenarios import get_suite
 from wtg_gym.tasks import V0, V1
 
 
@@ -27,7 +25,7 @@ def test_table_has_the_best_first_and_equal_scores_share_a_rank(results):
     assert "-0.0" not in "".join(lines)
 
 
-def changed(results: evaluation.Results, changes: dict[int, dict[str, Any]]) -> tuple[evaluation.Results, Any]:
+def changed(results: evaluation.Results, changes):
     """Return results in which fast-droop fails only as `changes` of its episodes say, and its row."""
     episodes = tuple(
         dataclasses.replace(e, **{"failure": "", **changes.get(e.seed - 10_000, {})}) if e.entry == "fast-droop" else e
@@ -65,7 +63,7 @@ def test_table_shows_failures_the_worst_tenth_and_deviations(results_v1):
 
 def test_runs_beyond_0_8_hz_count_with_the_lost_and_a_run_counts_once(results_v1):
     extremes = [(49.2, 50.0), (49.199, 50.0), (49.1, 50.0), (49.9, 50.801), *[(49.9, 50.0)] * 8]
-    changes: dict[int, dict[str, Any]] = {
+    changes = {
         i: {"metrics": {**e.metrics, "nadir_hz": low, "zenith_hz": high}}
         for i, (e, (low, high)) in enumerate(zip(results_v1.episodes_of("fast-droop"), extremes, strict=True))
     }
@@ -83,7 +81,7 @@ def test_entries_that_leave_0_8_hz_more_often_than_the_anchor_rank_behind_it(res
         for e in results_v1.episodes_of(V1.hundred)
     ]
 
-    def wild(n_lost: int) -> list[Any]:
+    def wild(n_lost: int):
         return [*(dataclasses.replace(e, failure="frequency limit") for e in quiet[:n_lost]), *quiet[n_lost:]]
 
     # Four scenarios of four may be chance, p = 1 / 16; five are not.

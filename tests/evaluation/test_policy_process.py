@@ -8,7 +8,6 @@ import subprocess
 import sys
 import time
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -236,7 +235,7 @@ def serve(content, source, sink):
             found[act] = error.errno
     worker._send(sink, {{'widths': [1, 1], 'found': found}})
 worker._serve = serve""")
-    heard: list[dict[str, Any]] = []
+    heard = []
     hear = PolicyProcess._message
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(PolicyProcess, "_message", lambda process: heard.append(hear(process)) or heard[-1])

@@ -1,17 +1,17 @@
-"""Facts about results and their files: the same bytes again, and nothing damaged is ever read."""
+"""Facts about results and their files: the same bytes again, nothing damaged is read, and whose environment it was."""
 
 import json
 import re
-from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from tests.changes import changed, read_or_refused
+from wtg_gym.envs.settings import EnvSettings
 from wtg_gym.evaluation import Interval, Results
+from wtg_gym.evaluation.circumstances import environment_fingerprint
 from wtg_gym.evaluation.recompute import departures
 from wtg_gym.evaluation.results import markdown_section
 from wtg_gym.files import sha256, to_json
@@ -69,7 +69,7 @@ def test_damaged_file_never_passes(copies, which, data):
         path.write_bytes(original)
 
 
-def _sign(paths: tuple[Path, Path], data: dict[str, Any]) -> None:
+def _sign(paths: tuple[Path, Path], data) -> None:
     """Write a description whose hashes fit, as somebody with bad intentions would."""
     data["csv_sha256"] = sha256(paths[1].read_bytes())
     data.pop("sha256", None)
@@ -77,7 +77,7 @@ def _sign(paths: tuple[Path, Path], data: dict[str, Any]) -> None:
     paths[0].write_text(text, encoding="utf-8", errors="surrogatepass")
 
 
-EDITS: dict[str, tuple[Callable[[dict[str, Any]], Any], str]] = {
+EDITS = {
     "cap as text": (lambda d: d["settings"]["weights"].update(cap="much"), "could not convert string to float"),
     "missing key": (lambda d: d.pop("seeds"), "it misses 'seeds'"),
     "list as text": (lambda d: d.update(seeds="all"), "seeds must be of the type list, got 'all'"),
@@ -151,3 +151,27 @@ def test_forged_table_names_line_and_column(copies, column):
     _sign(copies, json.loads(copies[0].read_text(encoding="utf-8")))
     with pytest.raises(ValueError, match=r"expected one row per entry and seed.*9 rows.*got 8"):
         Results.read(copies[0])
+
+
+BASE = {"suite": "standard", "duration_s": 10.0}
+
+
+def fingerprint(**settings) -> str:
+    return environment_fingerprint(EnvSettings(**{**BASE, **settings}))
+
+
+@pytest.mark.parametrize(
+    "change", [{"strategy": "mppt"}, {"action_mode": "k"}, {"observation_mode": "privileged"}, {"split": "validation"}]
+)
+def test_is_the_same_whatever_an_entry_chooses(change):
+    assert fingerprint(**change) == fingerprint()
+
+
+def test_is_another_for_another_environment():
+    v1 = {"suite": "standard-v1"}
+    changes = (
+        *({}, {"suite": "gust"}, {"suite": "paper"}, {"weights": {"duty": 2.000001}}, {"control_dt": 0.2}),
+        *({"plant": {"simulation_dt": 0.02}}, {"plant": {"machine_model": "classical"}}, {"duration_s": 9.0}),
+        *(v1, {**v1, "sensors": "exact"}, {**v1, "sensors": {"wind_sensor": False}}, {"suite": "low-share-v1"}),
+    )
+    assert len({fingerprint(**change) for change in changes}) == len(changes)

@@ -1,6 +1,7 @@
-"""Facts about scores, means and intervals."""
+"""Facts about scores, means and intervals, plain and adjusted by the laws' known means."""
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 import pytest
@@ -9,10 +10,11 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from scipy import stats
 
-from wtg_gym.evaluation import score, statistics
-from wtg_gym.evaluation.adjusted import Adjusted
+from wtg_gym.evaluation import Interval, score, statistics
+from wtg_gym.evaluation.adjusted import Adjusted, ControlVariates, KnownMeans, known_means
 from wtg_gym.evaluation.statistics import Bootstrap, Groups
-from wtg_gym.tasks import V0
+from wtg_gym.scenarios import DEFAULT_SUITE, FROZEN_HASHES
+from wtg_gym.tasks import V0, V1
 
 #: J0 of seven scenarios of three strata.
 OFFSETS = np.array([40.0, 300.0, 3000.0, 40.0, 300.0, 3000.0, 40.0])
@@ -161,3 +163,118 @@ def test_training_seeds_that_go_bad_in_the_same_scenarios_are_no_further_evidenc
     # Signs of 3, 1 and -1: a sum of 3 or 5 of the eight.
     mixed = np.array([[1.0, 0.0, 0.0], [1.0, 1.0, 1.0], [1.0, 0.0, 1.0]])
     assert statistics.sign_test(mixed, np.array([[0.0, 0.0, 1.0]])) == pytest.approx(3.0 / 8.0)
+
+
+N = 60
+GROUPS: Groups = {name: np.arange(i, 3 * N, 3) for i, name in enumerate(("ample", "tight", "short"))}
+
+
+def variates(x: np.ndarray, mean: Sequence[float], n: int = 10**12) -> ControlVariates:
+    covariance = np.cov(x.T).reshape(len(mean), len(mean)).tolist()
+    return ControlVariates(x, {name: KnownMeans(n, list(mean), covariance) for name in GROUPS})
+
+
+def nearly(value: float, abs: float = 1e-9) -> Interval:
+    return pytest.approx(Interval(value, value, value).__dict__, abs=abs)
+
+
+def laws(rng: np.random.Generator, n: int = 3 * N, n_laws: int = 2) -> np.ndarray:
+    """Gains of laws with mean 0: skewed, with heavy tails, and much alike."""
+    common, own = rng.standard_t(5, size=(2, n, n_laws))
+    skewed = common[:, :1] + 0.15 * (common[:, :1] ** 2 - 5.0 / 3.0)
+    return skewed + 0.5 * own
+
+
+def test_adjusted_score_is_the_written_formula():
+    rng = np.random.default_rng(1)
+    x, gains = laws(rng), rng.normal(size=(2, 3 * N))
+    plain, adjusted = Adjusted(0.4, GROUPS), Adjusted(0.4, GROUPS, variates(x, [0.1, -0.2]))
+    assert plain.score(gains).value == pytest.approx(100.0 + 100.0 / 0.4 * gains.mean())
+    expected = []
+    for name, at in GROUPS.items():
+        g, of_laws = gains[:, at].mean(axis=0), x[at]
+        beta = np.linalg.lstsq(of_laws - of_laws.mean(axis=0), g - g.mean(), rcond=None)[0]
+        expected.append(100.0 + 100.0 / 0.4 * (g.mean() - beta @ (of_laws.mean(axis=0) - [0.1, -0.2])))
+        assert adjusted.strata(gains)[name].value == pytest.approx(expected[-1])
+    assert adjusted.score(gains).value == pytest.approx(np.mean(expected))
+    assert adjusted.points(gains) == pytest.approx(np.mean(expected) - 100.0)
+    other = rng.normal(size=(3, 3 * N))
+    difference = adjusted.score_difference(gains, other)
+    assert difference.value == pytest.approx(adjusted.score(gains).value - adjusted.score(other).value)
+
+
+def test_hundred_is_exactly_100_and_a_variate_is_its_known_mean():
+    x = laws(np.random.default_rng(2))
+    adjusted = Adjusted(0.4, GROUPS, variates(x, [0.1, -0.2]))
+    assert adjusted.score(np.zeros((1, 3 * N))) == Interval(100.0, 100.0, 100.0)
+    assert adjusted.score(x[:, :1].T).__dict__ == nearly(125.0, abs=1e-3)
+    assert adjusted.score(np.repeat(x[:, 1:].T, 2, axis=0)).__dict__ == nearly(50.0, abs=1e-3)
+    assert adjusted.score_difference(x[:, :1].T, x[:, :1].T) == Interval(0.0, 0.0, 0.0)
+    # The known mean is from as many scenarios as are played: its own error is that of their mean.
+    rough = Adjusted(0.4, GROUPS, variates(x, [0.1, -0.2], n=N)).score(x[:, :1].T)
+    plain = Adjusted(0.4, GROUPS).score(x[:, :1].T)
+    assert rough.high - rough.low == pytest.approx(plain.high - plain.low, rel=0.1)
+
+
+def test_variates_that_say_nothing_change_nothing():
+    rng = np.random.default_rng(3)
+    x, gains = laws(rng, n_laws=1), rng.normal(size=(2, 3 * N))
+    once, twice = (Adjusted(0.4, GROUPS, variates(np.repeat(x, n, axis=1), [0.1] * n)) for n in (1, 2))
+    assert twice.score(gains).value == pytest.approx(once.score(gains).value)
+    assert twice.score(gains).high == pytest.approx(once.score(gains).high, rel=1e-3)
+    constant = Adjusted(0.4, GROUPS, variates(np.full((3 * N, 1), 0.3), [0.2]))
+    assert constant.score(gains).value == pytest.approx(Adjusted(0.4, GROUPS).score(gains).value)
+
+
+@pytest.mark.parametrize("n", [1, 2])
+def test_few_scenarios_have_finite_intervals(n):
+    rng = np.random.default_rng(4)
+    groups = {name: i * n + np.arange(n) for i, name in enumerate(GROUPS)}
+    for n_runs in (1, 2):
+        gains = rng.normal(size=(n_runs, 3 * n))
+        for interval in (Adjusted(0.4, groups).score(gains), Adjusted(0.4, groups).score_difference(gains, -gains)):
+            assert np.isfinite([interval.low, interval.high]).all() and interval.low <= interval.value <= interval.high
+            assert (interval.low == interval.high) == (n == n_runs == 1)
+
+
+#: Entries whose true score is 100: training seeds, and the parts of the variance that the scenarios (beside the laws),
+#: the seeds, and both together have. One training seed, and three that differ not at all, a little and much.
+WORLDS = {
+    "a law": (1, 0.5, 0.0, 0.0),
+    "three equal seeds": (3, 0.3, 0.0, 0.3),
+    "three seeds": (3, 0.3, 0.05, 0.2),
+    "three unequal seeds": (3, 0.3, 0.5, 0.2),
+}
+
+
+@pytest.mark.parametrize(("world", "adjust"), [*((world, True) for world in WORLDS), ("three seeds", False)])
+def test_intervals_cover_the_truth_in_95_of_100_cases(world, adjust):
+    (n_runs, of_scenarios, of_runs, of_both), rng, n_known = WORLDS[world], np.random.default_rng(5), 3000
+    covariance = np.cov(laws(rng, 100_000).T)
+
+    def entry(x: np.ndarray) -> np.ndarray:
+        # Strata differ in how an entry follows the laws; where a law does badly, the rest varies more.
+        slopes = np.tile([[0.5, 0.5], [1.0, 0.2], [2.0, -1.0]], (N, 1))
+        spread = 1.0 + 0.5 * np.abs(x[:, 0])
+        own = of_scenarios * rng.standard_t(5, 3 * N) + of_both * rng.standard_t(5, (n_runs, 3 * N))
+        return (slopes * x).sum(axis=1) + spread * own + of_runs * rng.normal(size=(n_runs, 1))
+
+    covered = []
+    for _ in range(300):
+        x, means = laws(rng), rng.multivariate_normal([0.0, 0.0], covariance / n_known, 3)
+        known = {
+            name: KnownMeans(n_known, mean.tolist(), covariance.tolist())
+            for name, mean in zip(GROUPS, means, strict=True)
+        }
+        scoring = Adjusted(0.4, GROUPS, ControlVariates(x, known) if adjust else None)
+        one, other = entry(x), entry(x)
+        for interval, truth in ((scoring.score(one), 100.0), (scoring.score_difference(one, other), 0.0)):
+            covered.append(interval.low <= truth <= interval.high)
+    error = np.sqrt(0.95 * 0.05 / len(covered))
+    assert 0.93 - 2.0 * error <= np.mean(covered) <= 0.97 + 2.0 * error
+
+
+def test_means_of_another_suite_or_of_other_settings_are_not_taken():
+    hash = FROZEN_HASHES[DEFAULT_SUITE]
+    assert known_means(DEFAULT_SUITE, hash, {"duration_s": 1.0}, V1.variates) == {}
+    assert known_means("/a/suite.json", hash, {}, V1.variates) == {}

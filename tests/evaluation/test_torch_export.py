@@ -1,21 +1,17 @@
 """Facts about `export_onnx`: any policy of torch becomes an entry that the gate accepts, or an error says why not."""
 
-from collections.abc import Callable
-from typing import Any
-
 import gymnasium as gym
 import numpy as np
 import pytest
 import torch
 from torch import nn
 
-from wtg_gym import export_onnx
+from wtg_gym import export_onnx, load_entries
 from wtg_gym.evaluation import OnnxPolicy
-from wtg_gym.policies.entry_folder import load_entries
 from wtg_gym.policies.gate import check_submission
 
 M = 8
-ENTRY: dict[str, Any] = {"name": "mine", "authors": ["Jane Doe"], "environment": "GFMWTG-14bus-v1"}
+ENTRY = {"name": "mine", "authors": ["Jane Doe"], "environment": "GFMWTG-14bus-v1"}
 
 
 @pytest.fixture(autouse=True)
@@ -38,7 +34,7 @@ class Memory(nn.Module):
         self.cell = nn.GRUCell(n, 6)
         self.head = nn.Sequential(nn.LayerNorm(6), nn.Linear(6, 16), nn.SiLU(), nn.Dropout(0.5), nn.Linear(16, M))
 
-    def forward(self, observation: Any, state: Any) -> tuple[Any, Any]:
+    def forward(self, observation, state):
         state = self.cell(observation.double().clamp(-2.0, 2.0).float(), state)
         return 3.0 * self.head(state), state
 
@@ -101,11 +97,11 @@ def test_a_learner_that_nobody_trains_here_is_exported_with_its_normalisation(tm
 class Answers(nn.Linear):
     """A linear module whose answer goes through a function of it and the observation."""
 
-    def __init__(self, n: int, answer: Callable[[Any, Any], Any]) -> None:
+    def __init__(self, n: int, answer) -> None:
         super().__init__(n, M)
         self.answer = answer
 
-    def forward(self, observation: Any) -> Any:
+    def forward(self, observation):
         return self.answer(super().forward(observation), observation)
 
 

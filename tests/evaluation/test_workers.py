@@ -7,7 +7,6 @@ import signal
 import sys
 import threading
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -19,7 +18,7 @@ pytest.importorskip("joblib", reason="the extra 'cluster' is not installed here"
 
 ROOT = Path(__file__).resolve().parents[2]
 #: Three batches an entry, two of them of the same size.
-SHORT: dict[str, Any] = {"seeds": (20_002, 20_000, 20_005, 20_001, 20_007), "duration_s": 2.0, "batch": 2}
+SHORT = {"seeds": (20_002, 20_000, 20_005, 20_001, 20_007), "duration_s": 2.0, "batch": 2}
 
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="processes are killed with signals")
@@ -28,7 +27,7 @@ pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="processes are k
 class Linear:
     """A policy in Python: a fixed multiple of the frequency deviation on every action."""
 
-    def predict(self, observation: Any, state: Any = None, episode_start: Any = None, deterministic: bool = False):
+    def predict(self, observation, state=None, episode_start=None, deterministic: bool = False):
         self.act()
         return np.repeat(-3.0 * observation[:, :1], 4, axis=1), state
 
@@ -83,7 +82,7 @@ def test_workers_give_the_same_bytes_and_failures(backend, tmp_path):
 
 def test_killed_worker_of_loky_is_named_and_the_run_goes_on_from_its_finished_batches(tmp_path):
     # The anchors first: the batches of what comes after them are lost with the worker.
-    arguments: dict[str, Any] = {"partial": tmp_path / "partial", **SHORT}
+    arguments = {"partial": tmp_path / "partial", **SHORT}
     evaluate([], "standard", "test", **arguments)
     mortal = Entry(name="mortal", policy=Mortal(tmp_path / "killed"), fingerprint="1")
     with pytest.raises(ValueError, match="a loky worker was lost"):

@@ -7,12 +7,10 @@ import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from wtg_gym.physics.grid import MODELS, Branch, Bus, NetworkCase, Source
-from wtg_gym.physics.layout import Floats
 from wtg_gym.physics.machine_parameters import SynchronousMachineParameters, classical_machine
 from wtg_gym.physics.scenario import EVENT_KINDS, Event, LoadStep
 
@@ -80,7 +78,7 @@ class Case:
         return machines | {f"{quantity}{bus}": quantity for quantity in ("V", "th") for bus in self.network.bus_numbers}
 
 
-def read_data(name: str) -> dict[str, Any]:
+def read_data(name: str):
     """Return what the `params.json` of a golden case holds, or would hold of a grid that comes with the package."""
     from tests.golden import shipped
 
@@ -93,7 +91,7 @@ def read_case(name: str) -> Case:
     return case_of(name, read_data(name))
 
 
-def case_of(name: str, data: Mapping[str, Any]) -> Case:
+def case_of(name: str, data) -> Case:
     base = data["Sbase"]
     voltage = {bus["bus"]: bus["V"] * np.exp(1j * bus["theta"]) for bus in data["bus"]}
     loads = dict.fromkeys(voltage, 0j) | {load["bus"]: complex(load["P"], load["Q"]) for load in data["load"]}
@@ -148,11 +146,11 @@ def field_names(names: str) -> list[list[str]]:
     return [pair.split("=") for pair in names.split()]
 
 
-def _named(names: str, given: Mapping[str, Any]) -> dict[str, Any]:
+def _named(names: str, given):
     return {name: float(given[key]) for name, key in field_names(names) if key in given}
 
 
-def _control(data: Mapping[str, Any], key: str, models: Mapping[str, str]) -> Any:
+def _control(data, key: str, models: Mapping[str, str]):
     """Return the control of a machine, of the first of these models of which the file has one, or None."""
     for model, names in models.items():
         entries = data.get(model, [])
@@ -162,10 +160,8 @@ def _control(data: Mapping[str, Any], key: str, models: Mapping[str, str]) -> An
     return None
 
 
-def _machine(
-    gen: Mapping[str, Any], base: float, power: complex, data: Mapping[str, Any], key: str
-) -> SynchronousMachineParameters:
-    common: dict[str, Any] = {
+def _machine(gen, base: float, power: complex, data, key: str) -> SynchronousMachineParameters:
+    common = {
         **_named(MACHINE, gen),
         "bus": gen["bus"],
         "dispatch_mw": base * power.real,
@@ -180,9 +176,7 @@ def _machine(
     return SynchronousMachineParameters(**electric, **_named(GENROU, gen), **common)
 
 
-def _event(
-    entry: Mapping[str, Any], base: float, voltage: Mapping[int, complex], loads: Mapping[int, complex]
-) -> Event:
+def _event(entry, base: float, voltage: Mapping[int, complex], loads: Mapping[int, complex]) -> Event:
     """Return an event: of its kind, or as the power that its admittance takes at the bus's initial voltage."""
     if "kind" in entry:
         return EVENT_KINDS[entry["kind"]](**{key: value for key, value in entry.items() if key != "kind"})
@@ -194,7 +188,7 @@ def _event(
     return LoadStep(time_s=entry["t"], bus=bus, power_mw=base * power.real, reactive_mvar=base * power.imag)
 
 
-def read_trace(path: Path) -> tuple[Floats, dict[str, Floats]]:
+def read_trace(path: Path) -> tuple[np.ndarray, dict[str, np.ndarray]]:
     """Return the times of a trace (n,) [s] and its columns (n,) by name, such as ``w1`` or ``V14``.
 
     Without the rows of three traces 0.1 ms after an event, which no step ends at.

@@ -1,17 +1,17 @@
 """Make the golden traces anew with ANDES 2.0.0 (https://docs.andes.app), an independent implementation of the models.
 
-`make golden` runs this file in an environment of its own. Network, set-points, machines and events come from the
-`params.json` of each case; power flow, initial state and integration are ANDES' own. Written are the traces, the
-tolerance in each `params.json`, and `andes_convergence.json`.
+`make golden` runs this file in an environment of its own. It writes the traces, the tolerance in each `params.json`,
+and `andes_convergence.json`. Power flow, initial state and integration are ANDES' own.
 
 ANDES integrates with the implicit trapezoidal rule, whose error falls with the square of the step. Every trace is made
-with several fixed steps. The finest is kept, or extrapolated to a step of zero; the two finest ones give an estimate of
-the error that remains. Each step divides 1/16 s, so that all rows and events lie on its grid.
+with several fixed steps, which divide 1/16 s, so that all rows and events lie on their grids. The finest is kept, or
+extrapolated to a step of zero. The two finest give the error that remains; where a limit binds within a step, which
+makes the error irregular, it is what the finest step has changed in the extrapolated trace.
 
 Where ANDES differs from the models that the cases state:
 
-- It takes one short step away from each event, half of it with the rates from before the event. That step lasts 0.1 ms
-  in ANDES, which moves speeds by up to 7e-7 p.u. whatever the step size; here it lasts 1 ns.
+- Its short step away from each event lasts 0.1 ms, half of it with the rates from before, which moves speeds by up to
+  7e-7 p.u. whatever the step size; here it lasts 1 ns.
 - It adds 1e-8 p.u. to r and x of every line (subtracted beforehand), shortens a fixed step where Newton's method is
   slow, and accepts an unfinished iteration that oscillates (both switched off).
 - It has no relay that sheds load: negative admittances are switched on instead. A line whose impedance grows is two
@@ -22,8 +22,6 @@ Where ANDES differs from the models that the cases state:
   integral of the speed error, which lacks 1/(r T_r), gets that as its time constant. Its rate limit must not bind.
 - It reads K_1 of IEESGO and the rate limits of IEEEG1 on the system base. It scales the limits of IEEEX1 by the
   voltage, so that none binds in that case. STAB1 is an IEEEST without a filter.
-- Where a limit binds within a step, the error does not fall regularly. There the estimate is what the finest step has
-  changed in the extrapolated trace.
 """
 
 import argparse
@@ -34,17 +32,12 @@ import logging
 import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
-from tests.golden.case import GOLDEN, read_data
+from tests.golden.case import EXCITERS, GOLDEN, GOVERNORS, STABILISERS, read_data
 from tests.golden.shipped import EVENTS
-
-Floats = npt.NDArray[np.float64]
-#: Name of an ANDES model and the parameters of one device of it.
-Device = tuple[str, dict[str, Any]]
 
 STEPS_PER_SECOND = (96, 192, 384, 768)
 #: Spacing of the rows of a trace, and in the second after an event [s].
@@ -78,15 +71,11 @@ RUNS = {
         Run(duration_s=6.0, extrapolations=1),
     ),
 }
-#: The part of each control, by what the parameter file calls its model.
-CONTROLS = {
-    **dict.fromkeys(("sexs", "ieeet1", "ieeex1"), "exciter"),
-    **dict.fromkeys(("tgov1", "hygov", "ieeeg1", "ieesgo", "gast"), "governor"),
-    **dict.fromkeys(("stab1", "ieeest"), "stabiliser"),
-}
+#: The models of each control as the parameter file calls them.
+CONTROLS = {"exciter": EXCITERS, "governor": GOVERNORS, "stabiliser": STABILISERS}
 
 
-def devices(data: Mapping[str, Any], events: Sequence[Mapping[str, Any]], run: Run) -> list[Device]:
+def devices(data, events, run: Run):
     """Return what an ANDES system with these events consists of."""
     made = [("Bus", {"idx": bus["bus"], "v0": _held_voltage(data, bus["bus"]), "a0": 0.0}) for bus in data["bus"]]
     made += _lines(data, events)
@@ -108,7 +97,7 @@ def devices(data: Mapping[str, Any], events: Sequence[Mapping[str, Any]], run: R
             own = _converter(model, gen, data["Sbase"])
         common = {"idx": key, "gen": f"static {gen['bus']}", "fn": data["fn"]}
         made.append(("GENCLS" if model == "source" else model, {**common, **own}))
-    for kind, part in CONTROLS.items():
+    for part, kind in ((part, kind) for part, kinds in CONTROLS.items() for kind in kinds):
         for control in data.get(kind, []):
             key = control["gen"]
             machine = {"avr": f"exciter {key}", "MODE": 1} if part == "stabiliser" else {"syn": key}
@@ -120,13 +109,13 @@ def devices(data: Mapping[str, Any], events: Sequence[Mapping[str, Any]], run: R
     return [(name, {**device, "Vn": data["bus"][0]["Vn"]} if name in AT_A_BUS else device) for name, device in made]
 
 
-def _held_voltage(data: Mapping[str, Any], bus: int) -> float:
+def _held_voltage(data, bus: int) -> float:
     """Return the set-point of a bus with machines, else the start of the power flow [p.u.]."""
     solved = next(entry["V"] for entry in data["bus"] if entry["bus"] == bus)
     return round(solved, 12) if str(bus) in data["gen_static"] else 1.0
 
 
-def _lines(data: Mapping[str, Any], events: Sequence[Mapping[str, Any]]) -> list[Device]:
+def _lines(data, events):
     """Return all lines; two stand for one whose impedance will grow by a factor."""
     lines = {f"line {i}": dict(line) for i, line in enumerate(data["line"])}
     for event in events:
@@ -145,12 +134,12 @@ def _lines(data: Mapping[str, Any], events: Sequence[Mapping[str, Any]]) -> list
     return made
 
 
-def _line_name(data: Mapping[str, Any], from_bus: int, to_bus: int) -> str:
+def _line_name(data, from_bus: int, to_bus: int) -> str:
     ends = {from_bus, to_bus}
     return f"line {next(i for i, line in enumerate(data['line']) if {line['f'], line['t']} == ends)}"
 
 
-def _converter(model: str, unit: Mapping[str, Any], base_mva: float) -> dict[str, Any]:
+def _converter(model: str, unit, base_mva: float):
     """Return a REGF1 or REGF2 with the swing equation of a unit; its droop is on the system base."""
     rating = unit["Sn"] / base_mva
     swing = {"Tr": 0.0, "mf": unit["M"] * rating, "dd": 0.0} if model == "REGF2" else {"Tr": unit["M"] / unit["D"]}
@@ -166,7 +155,7 @@ def _converter(model: str, unit: Mapping[str, Any], base_mva: float) -> dict[str
     }
 
 
-def _control(kind: str, data: dict[str, float], rating: float) -> Device:
+def _control(kind: str, data: dict[str, float], rating: float):
     """Return ANDES' model and parameters of a control; `rating` is that of its machine in p.u. of the system base."""
     own = dict(data)
     if kind == "hygov":
@@ -187,7 +176,7 @@ def _control(kind: str, data: dict[str, float], rating: float) -> Device:
     return kind.upper(), own
 
 
-def _event(event: Mapping[str, Any], name: str, data: Mapping[str, Any]) -> list[Device]:
+def _event(event, name: str, data):
     """Return the devices that stand for an event; an admittance among them gets the name."""
     start, *later = instants(event)
     match event.get("kind", "trip" if "trip_load_MW" in event else "admittance"):
@@ -217,23 +206,23 @@ def _event(event: Mapping[str, Any], name: str, data: Mapping[str, Any]) -> list
             raise ValueError(f"ANDES has no device for the event {kind!r}")
 
 
-def _toggles(model: str, device: str, *times_s: float) -> list[Device]:
+def _toggles(model: str, device: str, *times_s: float):
     return [("Toggle", {"model": model, "dev": device, "t": time_s}) for time_s in times_s]
 
 
-def _alteration(event: Mapping[str, Any], constant: str, amount: float, time_s: float) -> Device:
+def _alteration(event, constant: str, amount: float, time_s: float):
     source = {"model": "GENCLS", "dev": str(event["bus"]), "src": constant}
     return "Alter", {"t": time_s, **source, "method": "+", "amount": amount}
 
 
-def instants(event: Mapping[str, Any]) -> list[float]:
+def instants(event) -> list[float]:
     """Return when an event begins and, where it has an end, when it ends [s]."""
     start = event.get("time_s", event.get("t"))
     lasts = sum(event.get(name, 0.0) for name in ("clears_after_s", "recloses_after_s", "duration_s"))
     return sorted({start, start + lasts})
 
 
-def columns(data: Mapping[str, Any], events: Sequence[Mapping[str, Any]]) -> tuple[str, ...]:
+def columns(data, events) -> tuple[str, ...]:
     """Return the columns of a trace: machines that stay in service, then buses; an imposed source is no machine."""
     lost = [str(event["bus"]) for event in events if event.get("kind") == "machine_outage"]
     keys = [key for key, gen in data["gens"].items() if gen["model"] != "source" and key not in lost]
@@ -241,7 +230,7 @@ def columns(data: Mapping[str, Any], events: Sequence[Mapping[str, Any]]) -> tup
     return ("t", *machines, *(f"V{bus['bus']}" for bus in data["bus"]))
 
 
-def row_times(events: Sequence[Mapping[str, Any]], duration_s: float) -> Floats:
+def row_times(events, duration_s: float) -> np.ndarray:
     """Return the times of a trace's rows; none lies at an event [s]."""
     coarse = np.arange(round(duration_s / ROW_S) + 1) * ROW_S
     changes = [time_s for event in events for time_s in instants(event)]
@@ -249,7 +238,7 @@ def row_times(events: Sequence[Mapping[str, Any]], duration_s: float) -> Floats:
     return np.setdiff1d(np.concatenate([coarse, *fine]), changes)
 
 
-def build_system(data: Mapping[str, Any], events: Sequence[Mapping[str, Any]], run: Run) -> Any:
+def build_system(data, events, run: Run):
     """Return an ANDES system after its power flow, which must be that of the parameter file."""
     import andes
 
@@ -272,7 +261,7 @@ def build_system(data: Mapping[str, Any], events: Sequence[Mapping[str, Any]], r
     return system
 
 
-def simulate(data: Mapping[str, Any], events: Sequence[Mapping[str, Any]], run: Run, steps_per_second: int) -> Floats:
+def simulate(data, events, run: Run, steps_per_second: int) -> np.ndarray:
     """Integrate one event list with a fixed step and return the rows of its trace (n, columns)."""
     system = build_system(data, events, run)
     system.store_switch_times = functools.partial(system.store_switch_times, eps=EVENT_STEP_S)
@@ -309,7 +298,7 @@ def _fixed_step() -> str:
     """Return the name of ANDES' trapezoidal rule with a step that stays fixed, and that gives up where one fails."""
     from andes.routines.daeint import Trapezoid, method_map
 
-    def calc_h(tds: Any) -> None:
+    def calc_h(tds) -> None:
         tds.deltat = tds.config.tstep if tds.converged else 0.0
         tds.busted = not tds.converged
 
@@ -317,13 +306,13 @@ def _fixed_step() -> str:
     return "fixed_trapezoid"
 
 
-def difference(names: Sequence[str], trace: Floats, other: Floats) -> dict[str, float]:
+def difference(names: Sequence[str], trace: np.ndarray, other: np.ndarray) -> dict[str, float]:
     """Return the largest difference of each quantity [p.u.]."""
     gaps = dict(zip(names, np.abs(trace - other).max(axis=0).tolist(), strict=True))
     return {quantity: max(gaps[name] for name in names if name.startswith(quantity)) for quantity in QUANTITIES}
 
 
-def extrapolated(traces: Sequence[Floats], steps: Sequence[int], times: int) -> Floats:
+def extrapolated(traces: Sequence[np.ndarray], steps: Sequence[int], times: int) -> np.ndarray:
     """Return the finest trace, extrapolated so often to a step of zero: errors are a series of even powers of it."""
     for order in range(1, times + 1):
         ratios = [(fine / coarse) ** 2 for coarse, fine in zip(steps[:-order], steps[order:], strict=True)]
@@ -332,7 +321,7 @@ def extrapolated(traces: Sequence[Floats], steps: Sequence[int], times: int) -> 
     return traces[-1]
 
 
-def make_case(name: str, output: Path) -> dict[str, Any]:
+def make_case(name: str, output: Path):
     """Write the traces and the tolerance of a case; return the convergence of each trace."""
     data, run = read_data(name), RUNS[name]
     (output / name).mkdir(parents=True, exist_ok=True)
@@ -363,7 +352,7 @@ def make_case(name: str, output: Path) -> dict[str, Any]:
     return convergence
 
 
-def _write_json(path: Path, data: Mapping[str, Any]) -> None:
+def _write_json(path: Path, data) -> None:
     path.write_text(json.dumps(data, indent=1) + "\n", encoding="utf-8")
 
 

@@ -3,11 +3,9 @@
 from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
-import numpy.typing as npt
 
 from tests.golden.case import ROW_S, Case
 from tests.physics.extended import phasors
-from wtg_gym.physics.layout import Floats
 from wtg_gym.physics.parameters import ConverterLimitParameters, ProtectionParameters
 from wtg_gym.physics.plant import Plant
 from wtg_gym.physics.scenario import Event, LineTrip, Scenario
@@ -15,7 +13,7 @@ from wtg_gym.physics.simulator import Simulator
 from wtg_gym.physics.units import UNITS
 
 
-def replay(case: Case, events: Sequence[Event], time_s: Floats, step_s: float) -> dict[str, Floats]:
+def replay(case: Case, events: Sequence[Event], time_s: np.ndarray, step_s: float) -> dict[str, np.ndarray]:
     """Run a case and return every column that a trace may hold, each (n,); a value at an event is the one before it.
 
     Args:
@@ -49,7 +47,7 @@ def replay(case: Case, events: Sequence[Event], time_s: Floats, step_s: float) -
     return dict(zip(case.columns, table.T, strict=True))
 
 
-def sampled(simulator: Simulator, time_s: Floats, look: Callable[[Simulator], Floats]) -> list[Floats]:
+def sampled(simulator: Simulator, time_s: np.ndarray, look: Callable[[Simulator], np.ndarray]) -> list[np.ndarray]:
     """Return what is seen of a running simulator at some multiples of its control interval [s]."""
     seen, interval = [], 0
     for wanted in np.round(time_s / simulator.settings.control_dt).astype(int):
@@ -62,7 +60,7 @@ def sampled(simulator: Simulator, time_s: Floats, look: Callable[[Simulator], Fl
     return seen
 
 
-def differences(case: Case, trace: Mapping[str, Floats], found: Mapping[str, Floats]) -> dict[str, float]:
+def differences(case: Case, trace: Mapping[str, np.ndarray], found: Mapping[str, np.ndarray]) -> dict[str, float]:
     """Return the largest difference of each quantity that both hold; angles count modulo a turn."""
     largest: dict[str, float] = {}
     for name, quantity in case.columns.items():
@@ -84,14 +82,14 @@ def _require_power_flow(case: Case, simulator: Simulator) -> None:
         assert abs(complex(found[f"Pe{key}"], found[f"Qe{key}"]) - power) < 1e-4, f"machine {key}: other power"
 
 
-def machine_powers(simulator: Simulator) -> npt.NDArray[np.complex128]:
+def machine_powers(simulator: Simulator) -> np.ndarray:
     """Return P + jQ of every machine as it is now [p.u.]."""
     machines, n = simulator.plant.machines, simulator.layout.n_sync
     emf, current = (phasors(simulator, UNITS, part)[:n] for part in ("voltage", "current"))
     return current.conj() * (emf - (machines["resistance"] + 1j * machines["internal_reactance"]) * current)
 
 
-def _columns(simulator: Simulator) -> Floats:
+def _columns(simulator: Simulator) -> np.ndarray:
     reference, power, voltage = simulator.lane_values("angle"), machine_powers(simulator), simulator.bus_voltages()
     return np.concatenate(
         [

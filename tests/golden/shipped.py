@@ -7,9 +7,8 @@ import numpy as np
 
 from tests.golden.case import BRANCH, EXCITERS, GENROU, GOVERNORS, MACHINE, STABILISERS, field_names
 from tests.golden.replay import machine_powers
+from wtg_gym import Plant, Scenario
 from wtg_gym.physics.grid import MODELS, NetworkCase, get_grid
-from wtg_gym.physics.plant import Plant
-from wtg_gym.physics.scenario import Scenario
 from wtg_gym.physics.simulator import Simulator
 
 #: By grid and trace; powers are taken at the voltage of the power flow.

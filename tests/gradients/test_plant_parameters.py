@@ -4,18 +4,15 @@ import dataclasses
 import functools
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 
+from wtg_gym import GovernorLoss, LoadStep, MachineOutage, Plant, Scenario
 from wtg_gym.envs.lanes import TaskLanes
 from wtg_gym.envs.settings import EnvSettings
 from wtg_gym.gradients.plant_parameters import known_parameters, with_parameters
 from wtg_gym.gradients.tape import Tape
-from wtg_gym.physics.plant import Plant
-from wtg_gym.physics.scenario import GovernorLoss, LoadStep, MachineOutage, Scenario
 from wtg_gym.tasks.cost import COST_TERMS
 
-Floats = npt.NDArray[np.float64]
 N_STEPS, N_LANES = 120, 3
 SETTINGS = EnvSettings(version="v0")
 #: At 0 the dead band is a corner.
@@ -31,7 +28,7 @@ def tape() -> Tape:
 
 
 @functools.cache
-def given() -> tuple[list[Scenario], Floats, Floats]:
+def given() -> tuple[list[Scenario], np.ndarray, np.ndarray]:
     """Scenarios (a pitch controller acts in the last), actions, and weights of the outputs."""
     rng = np.random.default_rng(1)
     actions = rng.uniform(-0.4, 0.4, (N_STEPS, N_LANES, 4))
@@ -45,7 +42,7 @@ def given() -> tuple[list[Scenario], Floats, Floats]:
     return scenarios, actions, rng.normal(size=(N_STEPS, N_LANES, 8))
 
 
-def weighed(plant: Plant, scenarios: list[Scenario], actions: Floats, weights: Floats) -> Floats:
+def weighed(plant: Plant, scenarios: list[Scenario], actions: np.ndarray, weights: np.ndarray) -> np.ndarray:
     """Cost and weighed outputs of each episode (n_lanes,), in a plant built anew, by the environment alone."""
     lanes = TaskLanes(dataclasses.replace(SETTINGS, plant=plant), N_LANES, 1)
     lanes.start(list(range(N_LANES)), scenarios)
@@ -60,7 +57,7 @@ def weighed(plant: Plant, scenarios: list[Scenario], actions: Floats, weights: F
 
 
 @functools.cache
-def found() -> Floats:
+def found() -> np.ndarray:
     scenarios, actions, weights = given()
     played = tape().play(scenarios, actions)
     total = weighed(PLANT, scenarios, actions, weights)
@@ -107,7 +104,7 @@ def test_a_scenarios_droop_is_the_droop_in_force_until_a_governor_is_lost():
     assert found[2] == 0.0
 
 
-def column(name: str, scenarios: list[Scenario], weights: Floats) -> Floats:
+def column(name: str, scenarios: list[Scenario], weights: np.ndarray) -> np.ndarray:
     """Gradient of cost and weighed outputs with respect to a parameter (n_lanes,)."""
     tape().play(scenarios, given()[1])
     return tape().back(np.ones(len(COST_TERMS)), weights)[2][:, list(KNOWN).index(name)]

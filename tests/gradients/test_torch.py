@@ -1,7 +1,5 @@
 """PyTorch's way to the gradients: they are those of the tape, whole and truncated."""
 
-from typing import Any
-
 import numpy as np
 import pytest
 
@@ -12,11 +10,11 @@ torch = pytest.importorskip("torch", reason="PyTorch is not installed here")
 from wtg_gym.gradients.torch import TorchEpisodes  # noqa: E402
 
 
-def episodes_of(**settings: Any) -> TorchEpisodes:
+def episodes_of(**settings) -> TorchEpisodes:
     return TorchEpisodes(tape_of(**settings).lanes.settings, N_LANES, 1)
 
 
-def has_slope(cost: Any, parameter: Any, gradient: Any) -> None:
+def has_slope(cost, parameter, gradient) -> None:
     """Check that the gradient of a cost with respect to a parameter is its slope along that gradient."""
     way, h, ends = gradient / gradient.norm(), 1e-3, []
     for sign in (1.0, -2.0, 1.0):
@@ -27,7 +25,7 @@ def has_slope(cost: Any, parameter: Any, gradient: Any) -> None:
     assert (ends[0] - ends[1]) / (2.0 * h) == pytest.approx(float(gradient.norm()), rel=1e-3)
 
 
-def segments(episodes: Any, scenarios: list[Scenario], policy: Any, cut: int, n_steps: int) -> tuple[Any, Any]:
+def segments(episodes, scenarios: list[Scenario], policy, cut: int, n_steps: int):
     """Return the costs of the steps before and from a cut on, each of every lane (n_lanes,)."""
     observations, costs = episodes.start(scenarios), [0.0, 0.0]
     for step in range(n_steps):
@@ -66,7 +64,7 @@ def test_a_policy_and_a_law_have_gradients_by_backward():
     policy = torch.nn.Linear(episodes.tape.lanes.n_observation, episodes.tape.lanes.n_action).double()
     law = torch.tensor(episodes.tape.law()[0], requires_grad=True)
 
-    def cost() -> Any:
+    def cost():
         observations, total = episodes.start(scenarios, law), 0.0
         for _ in range(50):
             observations, terms = episodes.step(torch.tanh(policy(observations.double())))

@@ -5,18 +5,15 @@ import functools
 from typing import Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 
 from tests.gradients.test_gradients import N_LANES, V1, actions_of, agrees, given, played
-from wtg_gym.envs.settings import EnvSettings
-from wtg_gym.gradients import LAW_PARAMETERS, check_by_differences
-from wtg_gym.gradients.tape import Tape
+from wtg_gym.envs import EnvSettings
+from wtg_gym.gradients import LAW_PARAMETERS, Tape, check_by_differences
 from wtg_gym.physics.protection import STAGES
 from wtg_gym.physics.scenario import GovernorLoss, GroupTrip, LoadStep, Scenario
 from wtg_gym.tasks.cost import COST_TERMS
 
-Floats = npt.NDArray[np.float64]
 TERMS, OUTPUTS = ("frequency", "rocof", "duty", "effort"), ("frequency_pu", "rocof_hz_s", "rotor_0_speed_pu")
 QUANTITIES = (*TERMS, *OUTPUTS, "observations")
 
@@ -43,7 +40,7 @@ class Case(NamedTuple):
 
     tape: Tape
     scenarios: list[Scenario]  # with a lost governor or another trip in the last simulation step before, in two lanes
-    actions: Floats  # until the last of them
+    actions: np.ndarray  # until the last of them
     at: list[int]  # control step in which each lane's first group trips
 
 
@@ -73,7 +70,7 @@ def case_of(name: str) -> Case:
     return Case(tape, scenarios, actions[: max(at) + 1], at)
 
 
-def trips(tape: Tape, scenarios: list[Scenario], actions: Floats) -> list[int]:
+def trips(tape: Tape, scenarios: list[Scenario], actions: np.ndarray) -> list[int]:
     """Return the control step in which each lane's first group trips."""
     tape.start(scenarios)
     gone = []
@@ -84,7 +81,7 @@ def trips(tape: Tape, scenarios: list[Scenario], actions: Floats) -> list[int]:
     return np.argmax(gone, axis=0).tolist()
 
 
-def measured(case: Case, way: Floats, h: float) -> Floats:
+def measured(case: Case, way: np.ndarray, h: float) -> np.ndarray:
     """Every quantity at each lane's step of the trip, with the actions moved by h (n_quantities, n_lanes)."""
     tape, weights, found = case.tape, weights_of(case.tape), np.empty((len(QUANTITIES), N_LANES))
     tape.start(case.scenarios)
@@ -100,11 +97,11 @@ def measured(case: Case, way: Floats, h: float) -> Floats:
     return found
 
 
-def weights_of(tape: Tape) -> Floats:
+def weights_of(tape: Tape) -> np.ndarray:
     return np.random.default_rng(6).normal(size=tape.lanes.n_observation)
 
 
-def pulled(case: Case, quantity: str, way: Floats) -> Floats:
+def pulled(case: Case, quantity: str, way: np.ndarray) -> np.ndarray:
     """The derivative of a quantity at each lane's step of the trip along a way through the actions (n_lanes,)."""
     tape = case.tape
     carried, total = np.zeros((N_LANES, tape.n_carried)), np.zeros(N_LANES)

@@ -9,12 +9,10 @@ import pytest
 
 from tests.cli.calls import json_of
 from tests.physics.test_grid_files import STRANGER
-from wtg_gym.envs import GFMWTGEnv
+from wtg_gym import Entry, GFMWTGEnv, evaluate, get_suite
 from wtg_gym.envs.settings import EnvSettings
-from wtg_gym.evaluation import Entry, evaluate
 from wtg_gym.physics.grid import data_of, get_grid, text_of
 from wtg_gym.policies.entry import check_version
-from wtg_gym.scenarios import get_suite
 from wtg_gym.scenarios.grid_suite import all_places, unscreened
 
 

@@ -3,7 +3,6 @@
 import math
 import zipfile
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pandapower
@@ -78,7 +77,7 @@ def net():
     return net
 
 
-def read(net: Any, tmp_path: Path, **options: Any) -> Grid:
+def read(net, tmp_path: Path, **options) -> Grid:
     pandapower.to_json(net, str(tmp_path / "net.json"))
     return read_case(tmp_path / "net.json", **options)
 

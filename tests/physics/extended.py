@@ -6,21 +6,15 @@ Two plants are compiled: the paper's curve, and a table with a hydro governor. O
 import dataclasses
 import functools
 import itertools
-from collections.abc import Callable
-from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
+from wtg_gym import LoadStep, Plant, Scenario, get_law, get_suite
 from wtg_gym.physics import parameters
 from wtg_gym.physics.grid import NetworkCase, get_grid
-from wtg_gym.physics.layout import Floats
 from wtg_gym.physics.machine_parameters import GovernorParameters, HydroGovernorParameters, classical_machine
-from wtg_gym.physics.plant import Plant
-from wtg_gym.physics.scenario import Event, LoadStep, Scenario
+from wtg_gym.physics.scenario import Event
 from wtg_gym.physics.simulator import Simulator
-from wtg_gym.physics.tracking_law import get_law
-from wtg_gym.scenarios import get_suite
 from wtg_gym.systems.systems import Kind
 
 #: Limits, voltage control, rotor that keeps its energy: all but none of them.
@@ -41,7 +35,7 @@ def plant(
     voltage: bool | parameters.VoltageControlParameters = True,
     energy: bool = True,
     dead_band: float = 0.0,
-    **more: Any,
+    **more,
 ) -> Plant:
     """One of the two plants, with its options."""
     kind = HydroGovernorParameters if table else GovernorParameters
@@ -57,13 +51,13 @@ def plant(
     return Plant(**{**given, **more})
 
 
-def with_machine(**changes: Any) -> NetworkCase:
+def with_machine(**changes) -> NetworkCase:
     """The default network with other data of the machine at bus 1."""
     case = get_grid("ieee14").case
     return dataclasses.replace(case, machines=(dataclasses.replace(case.machines[0], **changes), *case.machines[1:]))
 
 
-def scenario(*events: Event, wind: Any = WIND, **more: Any) -> Scenario:
+def scenario(*events: Event, wind=WIND, **more) -> Scenario:
     return Scenario(name="x", wind_speed=np.asarray(wind, dtype=float), events=events, **more)
 
 
@@ -73,11 +67,9 @@ def started(settings: Plant, what: Scenario, law: str = LAW, duration_s: float =
     return simulator
 
 
-def recorded(
-    simulator: Simulator, seconds: float, *names: str, act: Callable[[int], Any] | None = None
-) -> dict[str, Floats]:
+def recorded(simulator: Simulator, seconds: float, *names: str, act=None) -> dict[str, np.ndarray]:
     """Numbers of the groups at the end of every control interval, until the run ends, and the frequency "coi"."""
-    found: dict[str, list[Any]] = {name: [] for name in ("coi", *names)}
+    found = {name: [] for name in ("coi", *names)}
     for interval in range(round(seconds / simulator.settings.control_dt)):
         if act is not None:
             simulator.blocks[0, simulator.layout.wtg("k_offset"), 0] = act(interval)
@@ -90,7 +82,7 @@ def recorded(
     return {name: np.array(values) for name, values in found.items()}
 
 
-def phasors(simulator: Simulator, kind: Kind, part: str) -> npt.NDArray[np.complex128]:
+def phasors(simulator: Simulator, kind: Kind, part: str) -> np.ndarray:
     """Voltages, currents or admittances of every unit of a kind in a single run at its present state [p.u.]."""
     # Of a copy: the run's outputs stay as they are.
     scratch, first = simulator._evaluated(simulator.blocks.copy())[0, :, 0], simulator.layout.first_rows(kind, part)
@@ -104,7 +96,7 @@ def largest_rate(simulator: Simulator) -> float:
     return float(np.abs(simulator.rates()[keep]).max())
 
 
-def distance(simulator: Simulator, state: Floats) -> float:
+def distance(simulator: Simulator, state: np.ndarray) -> float:
     """Largest deviation from a state, without energies and angles."""
     names = simulator.layout.state_names
     keep = [i for i, name in enumerate(names) if "energy" not in name and "angle" not in name]

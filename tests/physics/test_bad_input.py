@@ -1,49 +1,36 @@
-"""What parameters, networks, plants, scenarios, laws and starts refuse: one row for each rule."""
+"""What parameters, networks, plants, scenarios, laws and starts refuse: one row for each rule. Ranges, sources."""
 
+import dataclasses
 import math
-from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 
 from tests.physics.extended import LAW, classical, plant, scenario, started, with_machine
+from wtg_gym import Plant, TrackingLaw, simulate
+from wtg_gym.physics import machine_parameters, parameters
 from wtg_gym.physics import scenario as sc
 from wtg_gym.physics.aerodynamics import available_power_pu, power_coefficient, tracking_point
 from wtg_gym.physics.grid import Branch, Bus, NetworkCase, get_grid
-from wtg_gym.physics.machine_parameters import HydroGovernorParameters
-from wtg_gym.physics.parameters import (
-    ROTOR_TABLE,
-    ConverterLimitParameters,
-    GridFormingParameters,
-    PowerCoefficientParameters,
-    ProtectionParameters,
-    SheddingStage,
-    TurbineParameters,
-    WtgGroup,
-    default_groups,
-)
-from wtg_gym.physics.plant import Plant
 from wtg_gym.physics.rotor_table import RotorTable, read_rotor_table
 from wtg_gym.physics.sensors import Sensors
 from wtg_gym.physics.simulator import Simulator
-from wtg_gym.physics.tracking_law import TrackingLaw, get_law, group_laws, read_law
-from wtg_gym.physics.trajectory import simulate
+from wtg_gym.physics.tracking_law import group_laws, read_law
+from wtg_gym.ranges import Checked
 
 NAN = math.nan
-Call = Callable[[], Any]
 IEEE14 = get_grid("ieee14").case
-TURBINES = (TurbineParameters(),) * 2
+TURBINES = (parameters.TurbineParameters(),) * 2
 
 
-def of(kind: Any, **values: Any) -> Call:
+def of(kind, **values):
     return lambda: kind(**values)
 
 
-def case(**changes: Any) -> Call:
+def case(**changes):
     """A network of two buses."""
-    usual: dict[str, Any] = {
+    usual = {
         "name": "two buses",
         "base_mva": 100.0,
         "frequency_hz": 50.0,
@@ -55,36 +42,44 @@ def case(**changes: Any) -> Call:
     return of(NetworkCase, **{**usual, **changes})
 
 
-def table(**changes: Any) -> Call:
+def table(**changes):
     rows = tuple((0.1 * i, 0.08 * i, 0.05 * i, 0.02 * i) for i in range(1, 5))
     usual = {"tip_speed_ratio": (2.0, 4.0, 6.0, 8.0), "pitch_deg": (0.0, 5.0, 10.0, 15.0), "power_coefficient": rows}
     return of(RotorTable, **{**usual, **changes})
 
 
-def sensors(**changes: Any) -> Call:
+def sensors(**changes):
     return of(Sensors, **{"seed": 1, "wind_bias": (0.0, 0.0), **changes})
 
 
-def given(**changes: Any) -> Call:
+def given(**changes):
     return of(sc.Scenario, **{"name": "x", "wind_speed": np.full((2, 11), 9.0), **changes})
 
 
-def event(**changes: Any) -> Call:
+def event(**changes):
     """A scenario as JSON has it, with one event."""
     step = {"kind": "load_step", "time_s": 1.0, "bus": 2, "power_mw": 5.0}
     return lambda: sc.Scenario.from_dict({"name": "x", "wind_speed": [[9.0]], "events": [{**step, **changes}]})
 
 
-RECORDS: list[tuple[Call, str]] = [
-    (of(GridFormingParameters, inertia_constant_s=-5.0), r"= -5 s is outside the allowed range 0.001 … 10000 s"),
-    (of(GridFormingParameters, frequency_min_pu=1.004), r"< frequency_setpoint_pu < .* hold, got 1.004, 1, 1.008"),
-    (of(ConverterLimitParameters, power_max_pu=1.3), r"= 1.3 p.u. exceeds current_max_pu = 1.2 p.u."),
-    *((lambda n=n: default_groups(n), "in 1 … 100") for n in (0, 2.0, True, "2", 101)),
+RECORDS = [
+    (
+        of(parameters.GridFormingParameters, inertia_constant_s=-5.0),
+        r"= -5 s is outside the allowed range 0.001 … 10000 s",
+    ),
+    (
+        of(parameters.GridFormingParameters, frequency_min_pu=1.004),
+        r"< frequency_setpoint_pu < .* hold, got 1.004, 1, 1.008",
+    ),
+    (of(parameters.ConverterLimitParameters, power_max_pu=1.3), r"= 1.3 p.u. exceeds current_max_pu = 1.2 p.u."),
+    *((lambda n=n: parameters.default_groups(n), "in 1 … 100") for n in (0, 2.0, True, "2", 101)),
     (lambda: power_coefficient(np.array([7.0, np.inf])), r"tip-speed ratio must be positive, got inf"),
     (lambda: available_power_pu(-5.0), r"wind speed must be 0 m/s or more, got -5 m/s"),
     (lambda: tracking_point(1.0), r"deloading = 1 is outside the allowed range 0 … 0.9"),
     (
-        lambda: tracking_point(0.05, TurbineParameters(power_coefficient=PowerCoefficientParameters(c6=1.0))),
+        lambda: tracking_point(
+            0.05, parameters.TurbineParameters(power_coefficient=parameters.PowerCoefficientParameters(c6=1.0))
+        ),
         r"C_p curve has no maximum at a tip-speed ratio in the allowed range 4 … 12",
     ),
     (table(pitch_deg=(0.0, 5.0, 5.0, 15.0)), "pitch angles of a rotor table must be finite and rise"),
@@ -119,27 +114,29 @@ RECORDS: list[tuple[Call, str]] = [
         (of(sc.LineTrip, time_s=1.0, from_bus=1, to_bus=2, recloses_after_s=after_s), "recloses_after_s")
         for after_s in (-0.5, 0.0, NAN, "soon")
     ),
-    (lambda: get_law("magic"), "unknown strategy 'magic'; known strategies: mppt, deloaded-5"),
     (lambda: group_laws(["mppt"] * 3, TURBINES), "one for each of the 2 groups, got 3"),
     (lambda: simulate("load-increase", "mppt"), "scenario must be a Scenario, got str"),
     (of(Plant, simulation_dt=0.03), "control_dt = 0.1 s is not a whole number of simulation steps of 0.03 s"),
     *((of(Plant, secondary_time_s=time_s), "secondary_time_s") for time_s in (0.5, -30.0, 4000.0, NAN, "30")),
-    (of(Plant, groups=(WtgGroup(bus=99),)), r"unknown bus 99; .* has buses \[1, 2"),
-    (lambda: Plant(control=GridFormingParameters(frequency_setpoint_pu=0.998)), "frequency_setpoint_pu must be 1 p.u."),
+    (of(Plant, groups=(parameters.WtgGroup(bus=99),)), r"unknown bus 99; .* has buses \[1, 2"),
     (
-        lambda: Plant(shedding=tuple(SheddingStage(frequency_pu=0.98, share=s) for s in (0.6, 0.5))),
+        lambda: Plant(control=parameters.GridFormingParameters(frequency_setpoint_pu=0.998)),
+        "frequency_setpoint_pu must be 1 p.u.",
+    ),
+    (
+        lambda: Plant(shedding=tuple(parameters.SheddingStage(frequency_pu=0.98, share=s) for s in (0.6, 0.5))),
         "the shedding stages disconnect 110 % of the load",
     ),
     *((lambda n=n: Simulator(Plant(), n_lanes=n), "number of lanes must be a whole number") for n in (0, 1.5, True)),
     (lambda: Simulator(Plant(), duration_s=NAN), "duration_s = nan s is outside the allowed range 0 … 86400 s"),
     (
-        lambda: Simulator(Plant(groups=(WtgGroup(bus=2, n_turbines=0.01),) * 2)),
+        lambda: Simulator(Plant(groups=(parameters.WtgGroup(bus=2, n_turbines=0.01),) * 2)),
         "WTG group 0 at bus 2 needs an internal voltage of .* p.u. to hold 1.045 p.u. .* at most 2 p.u.",
     ),
 ]
 
 
-def fit(*events: Any, **more: Any) -> Call:
+def fit(*events, **more):
     """A scenario that the usual plant prepares together with a good one."""
     what = scenario(), scenario(*events, **more)
     return lambda: Simulator(Plant(), duration_s=120.0).prepare(what, group_laws(LAW, TURBINES))
@@ -149,7 +146,7 @@ def line(time_s: float, from_bus: int, to_bus: int, recloses_after_s: float | No
     return sc.LineTrip(time_s=time_s, from_bus=from_bus, to_bus=to_bus, recloses_after_s=recloses_after_s)
 
 
-def extended(*events: Any) -> Call:
+def extended(*events):
     return lambda: started(plant(), scenario(*events))
 
 
@@ -160,7 +157,7 @@ FIVE = tuple(
 )
 
 
-UNFIT: list[tuple[Call, str]] = [
+UNFIT = [
     (fit(sc.LoadStep(time_s=1.003, bus=2, power_mw=1.0)), "event time = 1.003 s is not a whole number"),
     (fit(line(1.0, 7, 8, 0.5)), "would split the network"),
     (fit(line(1.0, 1, 2), line(1.0, 1, 5)), "would split the network"),
@@ -189,31 +186,33 @@ UNFIT: list[tuple[Call, str]] = [
 
 
 GREEDY = TrackingLaw(name="greedy", k_min=3.0, k_nominal=3.0, k_max=3.0)
-LOW_GATE = with_machine(governor=HydroGovernorParameters(gate_max_pu=0.1))
-STARTS: list[tuple[Call, str]] = [
+LOW_GATE = with_machine(governor=machine_parameters.HydroGovernorParameters(gate_max_pu=0.1))
+STARTS = [
     (
         lambda: Simulator(Plant()).start(0, scenario(wind=[[8.0], [8.0]]), (GREEDY, GREEDY)),
         "WTG group 0 at bus 2 has no equilibrium at a wind of 8 m/s with k = 3 p.u.",
     ),
     (
-        lambda: started(Plant(groups=(WtgGroup(bus=2, n_turbines=40.0),) * 2), scenario(), "mppt"),
+        lambda: started(Plant(groups=(parameters.WtgGroup(bus=2, n_turbines=40.0),) * 2), scenario(), "mppt"),
         "machine at bus 1 would start at -.* p.u. of gate, beyond its gate limits 0 … 1.2 p.u.",
     ),
     (lambda: started(plant(table=True, case=LOW_GATE), scenario()), "p.u. of hydro gate, beyond its hydro gate limits"),
     (
-        lambda: started(plant(limits=ConverterLimitParameters(power_max_pu=0.5)), scenario()),
+        lambda: started(plant(limits=parameters.ConverterLimitParameters(power_max_pu=0.5)), scenario()),
         "WTG group 0 at bus 2 would start with 0.9.* p.u. of power, beyond .* 0 … 0.5 p.u.",
     ),
     (
         lambda: started(
-            Plant(protection=ProtectionParameters(internal_voltage_max_pu=1.45)),
+            Plant(protection=parameters.ProtectionParameters(internal_voltage_max_pu=1.45)),
             scenario(wind=[[11.4], [11.4]], load_level=1.5),
         ),
         "WTG group 0 at bus 2 needs .* at most 1.45",
     ),
     (
         lambda: simulate(
-            scenario(wind=[[8.0], [4.5]]), LAW, plant(protection=ProtectionParameters(rotor_speed_min_pu=0.5))
+            scenario(wind=[[8.0], [4.5]]),
+            LAW,
+            plant(protection=parameters.ProtectionParameters(rotor_speed_min_pu=0.5)),
         ),
         "WTG group 1 at bus 2 would start at 0.4.* p.u. in a wind of 4.5 m/s, below the under-speed trip at 0.5 p.u.",
     ),
@@ -246,7 +245,10 @@ TABLES = [
     ("read", "text", "message"),
     [
         *((read_law, text, message) for text, message in LAWS),
-        *((read_rotor_table, ROTOR_TABLE.read_text().replace(find, other), message) for find, other, message in TABLES),
+        *(
+            (read_rotor_table, parameters.ROTOR_TABLE.read_text().replace(find, other), message)
+            for find, other, message in TABLES
+        ),
     ],
     ids=[message[:30] for *_, message in (*LAWS, *TABLES)],
 )
@@ -256,3 +258,31 @@ def test_bad_files_are_refused_with_their_name(tmp_path, read, text, message):
     with pytest.raises(ValueError, match=message) as refused:
         read(path)
     assert "\n" not in str(refused.value)
+
+
+MACHINE = IEEE14.machines[0]
+CHECKED = [
+    kind()
+    for kind in (*vars(parameters).values(), *vars(machine_parameters).values())
+    if isinstance(kind, type)
+    and issubclass(kind, Checked)
+    and kind not in (Checked, machine_parameters.SynchronousMachineParameters)
+]
+CHECKED += [MACHINE, MACHINE.governor, MACHINE.exciter, *IEEE14.buses[:1], *IEEE14.branches[:1]]
+
+
+def test_every_parameter_has_unit_source_and_description_and_every_source_is_used():
+    metadata = [field.metadata for record in CHECKED for field in dataclasses.fields(record)]
+    assert len(metadata) > 100
+    assert all(meta["unit"] and meta["doc"] for meta in metadata)
+    assert {meta["source"] for meta in metadata} == set(parameters.SOURCES)
+
+
+def test_every_number_of_every_record_has_a_range():
+    for record in CHECKED:
+        for field in dataclasses.fields(record):
+            if field.type in ("float", "float | None"):
+                low, high = field.metadata["low"], field.metadata["high"]
+                assert math.isfinite(low) and math.isfinite(high) and low < high, (record, field.name)
+                with pytest.raises(ValueError, match=rf"{type(record).__name__}.{field.name} = inf"):
+                    dataclasses.replace(record, **{field.name: math.inf})

@@ -1,16 +1,27 @@
-"""Facts about events that take units, governors and lines away, and about lines that come back."""
+"""Facts about events: units, governors and lines that go and return, faults, and what a converter stands in them.
+
+Imposed sources, local frequencies, committed units, and events as text.
+"""
 
 import dataclasses
+import math
 
 import numpy as np
+import pytest
 
-from tests.physics.extended import phasors, recorded, scenario
+from tests.physics import extended
+from tests.physics.extended import LAW, NO_SHEDDING, phasors, plant, recorded, scenario, started
+from tests.physics.test_islands import PARTED_WIND, cut, parted
+from wtg_gym import simulate
 from wtg_gym.physics import scenario as sc
-from wtg_gym.physics.network import assemble_admittance
-from wtg_gym.physics.protection import Status
+from wtg_gym.physics.devices import SOURCES
+from wtg_gym.physics.grid import NetworkCase, Source, get_grid
+from wtg_gym.physics.parameters import ConverterLimitParameters
+from wtg_gym.physics.protection import FILTER_S, Status, turn_between
+from wtg_gym.physics.reduction import assemble
 from wtg_gym.physics.simulator import Simulator
 from wtg_gym.physics.tracking_law import STRATEGIES
-from wtg_gym.physics.units import BUSES, PAIRS, UNITS
+from wtg_gym.physics.units import BUSES, ISLANDS, PAIRS, UNITS, Phasor
 
 LAWS = (STRATEGIES["coordinated-piecewise"],) * 2
 ALL = (
@@ -26,84 +37,56 @@ ALL = (
 )
 
 
-def whole_network(simulator: Simulator, what: sc.Scenario, now_s: float) -> tuple[np.ndarray, list[int]]:
-    """The admittance matrix of loads, shunts and closed branches during the step that ends now, and who is connected.
-
-    From the scenario itself, without the simulator's own table of events.
-    """
-    plant, case = simulator.plant.network, simulator.settings.case
-    step_s, control_s = simulator.plant.simulation_dt, simulator.settings.control_dt
-    at = now_s - 0.5 * step_s
-    start = Simulator(simulator.settings)
-    start.start(0, dataclasses.replace(what, events=()), LAWS)
-    held = np.abs(start.bus_voltages())
-    first = start.layout.first_rows(BUSES, "load")
-    held_load = start.blocks[0, first, 0] + 1j * start.blocks[0, first + 1, 0]
-    loads = held_load.copy()
-    opened = np.zeros(len(plant.branch_y), dtype=bool)
-    connected = list(range(simulator.layout.n_unit))
-    for event in what.events:
-        if event.time_s > at:
-            continue
-        if isinstance(event, sc.LineTrip):
-            if event.recloses_after_s is None or at < event.time_s + event.recloses_after_s:
-                opened[case.branch_index(event.from_bus, event.to_bus)] = True
-        elif isinstance(event, sc.GroupTrip):
-            connected.remove(simulator.layout.n_sync + event.group)
-        elif isinstance(event, sc.MachineOutage):
-            connected = [u for u in connected if u >= len(case.machines) or case.machines[u].bus != event.bus]
-        elif isinstance(event, sc.LoadTrip):
-            bus = case.bus_index(event.bus)
-            loads[bus] -= held_load[bus]
-        elif isinstance(event, sc.LoadStep):
-            share = 1.0
-            if isinstance(event, sc.LoadRamp):
-                # A staircase: the value of the middle, until the control interval ends or something happens.
-                interval = np.floor(at / control_s + 1e-9) * control_s
-                changes = [interval, interval + control_s, *(t for e in what.events for t in (e.time_s, e.end_s))]
-                begin, end = max(t for t in changes if t <= at), min(t for t in changes if t > at)
-                share = min(1.0, (0.5 * (begin + end) - event.time_s) / event.duration_s)
-            bus = case.bus_index(event.bus)
-            loads[bus] += share * complex(event.power_mw, -event.reactive_mvar) / case.base_mva / held[bus] ** 2
-    return assemble_admittance(plant.branch_ends[~opened], plant.branch_y[~opened], plant.shunts + loads), connected
+def bus_matrix(simulator: Simulator) -> np.ndarray:
+    network = simulator.plant.network
+    y = np.zeros((network.shunts.size,) * 2, dtype=np.complex128)
+    assemble(y, np.zeros_like(network.unit_y), simulator.blocks[0], 0, 0, network, simulator.data)
+    return y
 
 
-def reduced(simulator: Simulator, passive: np.ndarray, connected: list[int]) -> np.ndarray:
-    """Y - Y B Z Bᵀ Y with the connected units alone; zero for the others."""
-    plant = simulator.plant.network
-    at, y = plant.unit_bus[connected], np.diag(plant.unit_y[connected])
-    full = passive.copy()
-    np.add.at(full, (at, at), plant.unit_y[connected])
-    found = np.zeros((simulator.layout.n_unit,) * 2, dtype=complex)
-    found[np.ix_(connected, connected)] = y - y @ np.linalg.inv(full)[np.ix_(at, at)] @ y
-    return found
-
-
-def check_network(simulator: Simulator, what: sc.Scenario, now_s: float) -> None:
-    """Reduced admittance, currents, bus voltages and power balance are those of the whole network."""
-    passive, connected = whole_network(simulator, what, now_s)
-    expected, n, plant = reduced(simulator, passive, connected), simulator.layout.n_unit, simulator.plant
+def check_network(simulator: Simulator) -> None:
+    """Reduced admittance, currents and power balance are those of the whole network with its connected units."""
+    flags = simulator.machine_values("connected")[0], simulator.wtg_values("connected")[0]
+    connected = np.flatnonzero(np.concatenate(flags))
+    full, plant, n = bus_matrix(simulator), simulator.plant, simulator.layout.n_unit
+    at, y = plant.network.unit_bus[connected], np.diag(plant.network.unit_y[connected])
+    passive = full.copy()
+    np.add.at(passive, (at, at), -plant.network.unit_y[connected])
+    expected = np.zeros((n, n), dtype=complex)
+    expected[np.ix_(connected, connected)] = y - y @ np.linalg.inv(full)[np.ix_(at, at)] @ y
     assert np.abs(phasors(simulator, PAIRS, "admittance").reshape(n, n) - expected).max() <= 1e-11
     emf, current = phasors(simulator, UNITS, "voltage"), phasors(simulator, UNITS, "current")
-    gone = [unit for unit in range(n) if unit not in connected]
-    assert (current[gone] == 0.0).all()
+    assert (np.delete(current, connected) == 0.0).all()
     assert np.abs(current - expected @ emf).max() <= 1e-10
     voltage = simulator.bus_voltages()
-    own = plant.network.unit_y[connected] * (emf - voltage[plant.network.unit_bus])[connected]
-    assert np.abs(own - current[connected]).max() <= 1e-10
+    assert np.abs(y @ (emf[connected] - voltage[at]) - current[connected]).max() <= 1e-10
     given = simulator.machine_values("power")[0].sum() + simulator.wtg_values("power")[0] @ plant.share
     assert abs(given - (voltage @ np.conj(passive @ voltage)).real) <= 1e-9
 
 
-def test_the_network_is_that_of_the_scenario_through_every_kind_of_event(simulator):
-    what = scenario(*ALL)
-    simulator.start(0, what, LAWS)
-    for interval in range(1, 41):
+def test_the_reduced_network_is_the_whole_one_through_every_kind_of_event(simulator):
+    simulator.start(0, scenario(*ALL), LAWS)
+    for _ in range(40):
         simulator.advance()
-        check_network(simulator, what, 0.1 * interval)
+        check_network(simulator)
     assert simulator.lane_values("status")[0] == Status.RUNNING
     assert simulator.wtg_values("connected")[0].tolist() == [1.0, 0.0]
     assert simulator.machine_values("connected")[0].tolist() == [1.0, 1.0, 0.0, 1.0]
+
+
+def test_a_load_ramp_is_a_staircase_whose_steps_are_the_means_of_the_intervals_and_ends_where_it_says(simulator):
+    # From 2.1 s to 2.6 s, and cut by another event within an interval.
+    cut = sc.LoadStep(time_s=2.525, bus=3, power_mw=0.0)
+    ramp = sc.LoadRamp(time_s=2.1, bus=9, power_mw=-15.0, duration_s=0.5)
+    shares = {2.1: 0.1, 2.2: 0.3, 2.3: 0.5, 2.4: 0.7, 2.5: 0.825, 2.525: 0.925, 2.6: 1.0}
+    rises = zip(shares, np.diff([0.0, *shares.values()]), strict=True)
+    steps = [sc.LoadStep(time_s=time_s, bus=9, power_mw=-15.0 * rise) for time_s, rise in rises]
+    found = []
+    for events in ((cut, ramp), (cut, *steps)):
+        simulator.start(0, scenario(*events), LAWS)
+        recorded(simulator, 3.0)
+        found.append(simulator.state())
+    assert found[0] == pytest.approx(found[1], abs=1e-12)
 
 
 def test_a_lane_that_starts_again_has_all_its_units_and_governors(simulator):
@@ -113,3 +96,206 @@ def test_a_lane_that_starts_again_has_all_its_units_and_governors(simulator):
     recorded(simulator, 4.0)
     simulator.start(0, scenario(), LAWS)
     assert (simulator.blocks == fresh).all()
+
+
+@pytest.mark.parametrize("impedance", [1e-4j, 0.02 + 0.05j])
+def test_during_a_fault_its_impedance_carries_all_that_flows_into_the_bus(impedance):
+    what = sc.Fault(time_s=1.0, bus=4, clears_after_s=0.1, resistance_pu=impedance.real, reactance_pu=impedance.imag)
+    simulator = started(plant(control_dt=0.025), scenario(what))
+    recorded(simulator, 1.0)
+    before = bus_matrix(simulator)
+    simulator.advance()
+    faulted, voltage = bus_matrix(simulator), simulator.bus_voltages()
+    # All the rest of the network, with its load, gives the fault's current.
+    into = -(before @ voltage)[3]
+    assert abs(voltage[3] - impedance * into) < 1e-12 * abs(into)
+    faulted[3, 3] -= 1.0 / impedance
+    assert np.abs(faulted - before).max() < 1e-11
+    recorded(simulator, 0.1)
+    assert (bus_matrix(simulator) == before).all()
+
+
+def test_a_line_that_clears_a_fault_is_a_line_that_trips_then():
+    both = [
+        (sc.Fault(time_s=1.0, bus=4, clears_after_s=0.15, opens=(4, 2)),),
+        (sc.Fault(time_s=1.0, bus=4, clears_after_s=0.15), sc.LineTrip(time_s=1.15, from_bus=4, to_bus=2)),
+    ]
+    ends = []
+    for events in both:
+        simulator = started(plant(), scenario(*events))
+        recorded(simulator, 5.0)
+        assert simulator.lane_values("status")[0] == Status.RUNNING
+        ends.append(simulator.blocks.copy())
+    assert (ends[0] == ends[1]).all()
+
+
+@pytest.mark.parametrize(("ends", "factor"), [((2, 4), 3.0), ((4, 7), 0.25)], ids=["line", "transformer"])
+def test_a_reactance_step_gives_the_network_with_that_impedance(ends, factor):
+    event = sc.ReactanceStep(time_s=1.0, from_bus=ends[1], to_bus=ends[0], factor=factor)
+    other = sc.ReactanceStep(time_s=0.5, from_bus=ends[0], to_bus=ends[1], factor=7.0)
+    simulator = started(plant(), scenario(other, event))
+    branch = simulator.settings.case.branch_index(*ends)
+    (f, t), given = simulator.plant.network.branch_ends[branch], simulator.settings.case.branches[branch]
+    recorded(simulator, 0.5)
+    expected = bus_matrix(simulator)
+    recorded(simulator, 1.0)
+    old, new = (1.0 / (size * complex(given.resistance, given.reactance)) for size in (1.0, factor))
+    change = (new - old) * np.array([[1.0 / given.tap**2, -1.0 / given.tap], [-1.0 / given.tap, 1.0]])
+    expected[np.ix_([f, t], [f, t])] += change
+    assert np.abs(bus_matrix(simulator) - expected).max() < 1e-12
+
+
+def test_a_record_shows_the_frequency_of_the_voltage():
+    what = scenario(sc.LoadStep(time_s=0.5, bus=2, power_mw=150.0), duration_s=3.0)
+    found, simulator = simulate(what, LAW, plant()), started(plant(), what)
+    live = recorded(simulator, 3.0, "speed", "shift")
+    assert np.abs(live["shift"]).max() > 1e-4
+    assert (found.wtg_frequency_hz[1:] == 50.0 * (live["speed"] + live["shift"])).all()
+
+
+def test_a_chopper_heats_by_what_it_burns_and_cools_and_a_group_with_a_full_one_trips():
+    limits = ConverterLimitParameters(chopper_energy_pu_s=0.015, chopper_cooling_s=5.0)
+    # A loss of load: machines press power into the converter that gives least.
+    pressed = (sc.LoadStep(time_s=1.0, bus=bus, power_mw=power) for bus, power in ((3, -130.0), (9, -50.0)))
+    simulator = started(plant(limits=limits, control_dt=0.025, shedding=NO_SHEDDING), scenario(*pressed))
+    heat, burnt, fullest = np.zeros(2), np.zeros(2), np.zeros(2)
+    for _ in range(1600):
+        was = simulator.wtg_values("connected")[0]
+        simulator.advance()
+        now = simulator.wtg_values("energy_chopped")[0]
+        heat, burnt = heat * np.exp(-0.025 / 5.0) + now - burnt, now
+        assert simulator.wtg_values("heat")[0] == pytest.approx(heat, abs=1e-12)
+        fullest = np.maximum(fullest, heat)
+        if simulator.lane_values("step")[0] % 4 == 0:
+            assert (simulator.wtg_values("connected")[0] == was * (heat <= 0.015)).all()
+    assert simulator.lane_values("status")[0] == Status.RUNNING
+    assert simulator.wtg_values("connected")[0].tolist() == [1.0, 0.0]
+    assert 0.015 < fullest[1] < 0.02 and heat[1] < 0.2 * fullest[1] and fullest[0] == 0.0
+
+
+def with_source(**changes: float) -> NetworkCase:
+    """An imposed source in the place of the machine with the governor."""
+    case = get_grid("ieee14").case
+    return dataclasses.replace(case, machines=case.machines[1:], sources=(Source(bus=1, reactance=0.02, **changes),))
+
+
+def local(simulator: Simulator) -> np.ndarray:
+    return simulator.blocks[0, simulator.layout.rows_of(BUSES, "frequency"), 0]
+
+
+def test_units_follow_the_frequency_that_a_source_imposes_and_the_centre_of_inertia_leaves_it_out():
+    settings = plant(case=with_source(), shedding=NO_SHEDDING)
+    ramp = sc.FrequencyRamp(time_s=1.0, bus=1, rocof_hz_s=-0.05, duration_s=6.0)
+    simulator = started(settings, scenario(ramp, wind=[[8.0], [8.0]], duration_s=200.0), duration_s=200.0)
+    assert extended.largest_rate(simulator) < 1e-10
+    row = simulator.layout.rows_of(SOURCES, "speed")[0]
+    machines, groups = simulator.plant.machines["two_h"], simulator.plant.share * 10.0
+    found = []
+    for _ in range(2000):
+        simulator.advance()
+        speed = simulator.wtg_values("speed")[0] + simulator.wtg_values("shift")[0]
+        speed = np.concatenate([simulator.machine_values("speed")[0], speed])
+        weights = np.concatenate([machines, groups])
+        centre = simulator.lane_values("coi")[0]
+        assert centre - 1.0 == pytest.approx(weights @ (speed - 1.0) / weights.sum(), abs=1e-14)
+        found.append([simulator.blocks[0, row, 0], *speed])
+    imposed, units = np.array(found)[:, 0], np.array(found)[:, 1:]
+    times = 0.1 * np.arange(1, 2001)
+    assert imposed == pytest.approx(1.0 - 0.001 * np.clip(times - 1.0, 0.0, 6.0), abs=1e-13)
+    rate = np.diff(units[40:69], axis=0) / 0.1
+    assert rate.mean() == pytest.approx(-0.001, rel=0.02)
+    assert units[-1] == pytest.approx(0.994, abs=1e-9)
+    assert simulator.lane_values("status")[0] == Status.RUNNING
+    assert local(simulator) == pytest.approx(0.994, abs=1e-9)
+
+
+@pytest.mark.parametrize(("deviation_hz", "power"), [(-0.4, 1.05), (-0.2, 1.02375), (0.0, 0.9975), (0.2, 0.97125)])
+def test_above_rated_wind_a_group_holds_its_reserve_and_gives_it(deviation_hz, power):
+    ramp = sc.FrequencyRamp(time_s=1.0, bus=1, rocof_hz_s=deviation_hz / 4.0, duration_s=4.0)
+    settings = plant(case=with_source(), shedding=NO_SHEDDING)
+    simulator = started(settings, scenario(ramp, wind=[[14.0], [8.0]], duration_s=120.0), duration_s=120.0)
+    recorded(simulator, 120.0)
+    assert simulator.wtg_values("captured")[0, 0] == pytest.approx(power, abs=1e-6)
+    assert simulator.wtg_values("power")[0, 0] == pytest.approx(power, abs=1e-6)
+
+
+@pytest.mark.parametrize("turn", [0.0, 1e-9, 0.3, 90.0, 179.0, -179.0, 179.9999, -90.0, -0.3])
+@pytest.mark.parametrize("at", [0.0, 100.0, 179.5, -135.0])
+def test_the_angle_between_two_voltages_is_exact_near_half_a_turn_too(at, turn):
+    first, second = (size * np.exp(1j * math.radians(a)) for size, a in ((0.9, at), (1.1, at + turn)))
+    found = turn_between(Phasor(first.real, first.imag), Phasor(second.real, second.imag))
+    assert found == pytest.approx(math.radians(turn), abs=2e-10)
+
+
+def test_a_local_frequency_is_the_filtered_turn_of_the_voltage():
+    simulator = started(plant(simulation_dt=0.0025), scenario(sc.LoadStep(time_s=1.0, bus=9, power_mw=60.0)))
+    expected, before = np.ones(14), simulator.bus_voltages() * np.exp(1j * simulator.lane_values("angle")[0])
+    lowest = 1.0
+    for _ in range(60):
+        simulator.advance()
+        now = simulator.bus_voltages() * np.exp(1j * simulator.lane_values("angle")[0])
+        measured = 1.0 + np.angle(now / before) / (2.0 * np.pi * 50.0 * 0.1)
+        expected += (1.0 - math.exp(-0.1 / FILTER_S)) * (measured - expected)
+        assert local(simulator) == pytest.approx(expected, abs=1e-7)
+        before = now
+        units = np.concatenate(
+            [simulator.machine_values("speed")[0], simulator.wtg_values("speed")[0] + simulator.wtg_values("shift")[0]]
+        )
+        lowest = min(lowest, expected.min(), units.min())
+        assert simulator.lane_values("worst_min")[0] == pytest.approx(lowest, abs=1e-7)
+    assert lowest < 0.998
+
+
+def test_half_the_units_of_a_machine_are_a_machine_of_half_the_rating():
+    case = get_grid("ieee14").case
+    half = extended.with_machine(rating_mva=0.5 * case.machines[0].rating_mva)
+    step = sc.LoadStep(time_s=1.0, bus=3, power_mw=30.0)
+    some, small = started(plant(), scenario(step, committed=0.5)), started(plant(case=half), scenario(step))
+    for _ in range(100):
+        some.advance()
+        small.advance()
+        for name in ("speed", "voltage", "gate"):
+            assert some.machine_values(name) == pytest.approx(small.machine_values(name), abs=1e-12)
+        assert some.machine_values("power") == pytest.approx(small.machine_values("power"), abs=1e-11)
+        assert some.wtg_values("power") == pytest.approx(small.wtg_values("power"), abs=1e-12)
+        assert some.lane_values("coi") == pytest.approx(small.lane_values("coi"), abs=1e-13)
+
+
+def test_conductances_follow_the_frequency_of_their_island():
+    settings, what = parted(load_frequency_dependence=2.0), scenario(*cut(1.0), wind=PARTED_WIND)
+    simulator = started(settings, what)
+    recorded(simulator, 3.0)
+    centres = simulator.blocks[0, simulator.layout.rows_of(ISLANDS, "centre"), 0]
+    assert np.ptp(centres[:2]) > 1e-4
+    # In a control interval it is that of its beginning.
+    before = simulator.blocks[0, simulator.layout.rows_of(ISLANDS, "centre"), 0]
+    simulator.advance()
+    load = simulator.layout.first_rows(BUSES, "load")
+    load = simulator.blocks[0, load, 0] + 1j * simulator.blocks[0, load + 1, 0]
+    island = simulator.blocks[0, simulator.layout.rows_of(BUSES, "island"), 0].astype(int)
+    passive = started(parted(), what)
+    recorded(passive, 3.1)
+    assert np.abs(passive.blocks[0, passive.layout.first_rows(BUSES, "load"), 0] - load.real).max() == 0.0
+    # The matrix is written with the centre as it is when it is asked for.
+    simulator.blocks[0, simulator.layout.rows_of(ISLANDS, "centre"), 0] = before
+    change = bus_matrix(simulator) - bus_matrix(passive)
+    assert np.abs(change - np.diag(load.real * 2.0 * (before[island] - 1.0))).max() < 1e-14
+
+
+EVERY = (
+    sc.Fault(time_s=1.0, bus=4, clears_after_s=0.15, resistance_pu=0.01, reactance_pu=0.02, opens=(2, 4)),
+    sc.Fault(time_s=2.0, bus=4, clears_after_s=0.15),
+    sc.LineTrip(time_s=1.0, from_bus=4, to_bus=5, recloses_after_s=1.5),
+    sc.ReactanceStep(time_s=1.0, from_bus=1, to_bus=2, factor=2.0),
+    sc.PhaseJump(time_s=1.0, bus=1, angle_deg=-30.0),
+    sc.FrequencyRamp(time_s=1.0, bus=1, rocof_hz_s=1.0, duration_s=2.0),
+    sc.MachineOutage(time_s=1.0, bus=6),
+    sc.GroupTrip(time_s=1.0, group=0),
+)
+
+
+def test_every_event_and_the_commitment_come_back_from_text():
+    what = scenario(*EVERY, committed=0.5)
+    again = sc.Scenario.from_json(what.to_json())
+    assert again.events == EVERY and again.committed == 0.5
+    assert again.to_json() == what.to_json()

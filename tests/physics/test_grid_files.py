@@ -1,4 +1,4 @@
-"""Facts about grids as files: they come back as they were, play without code of their own, and are refused clearly."""
+"""Facts about grids: as files they come back as they were or are refused clearly; their power flows; what they play."""
 
 import dataclasses
 import json
@@ -7,16 +7,19 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from wtg_gym.envs import GFMWTGEnv
+from tests.physics.extended import classical
+from wtg_gym import GFMWTGEnv, LineTrip, Plant, Scenario, get_law
 from wtg_gym.physics import network
 from wtg_gym.physics.aerodynamics import available_power_pu
+from wtg_gym.physics.equilibrium import FLOW_COLUMNS
 from wtg_gym.physics.grid import FOLDER, Branch, Bus, Grid, NetworkCase, get_grid, grid_text, known_grids, read_grid
+from wtg_gym.physics.layout import n_rows_of
 from wtg_gym.physics.linearisation import moving_matrix, swing_modes
 from wtg_gym.physics.parameters import TurbineParameters, WtgGroup, nrel_5mw
-from wtg_gym.physics.plant import Plant
-from wtg_gym.physics.scenario import LineTrip, Scenario
+from wtg_gym.physics.plant import plant_tables
 from wtg_gym.physics.simulator import Simulator
-from wtg_gym.physics.tracking_law import get_law, group_laws
+from wtg_gym.physics.tracking_law import group_laws
+from wtg_gym.physics.units import BUSES
 
 #: A grid that nobody has seen: two machines, a ring of five buses at 60 Hz, on 250 MVA.
 STRANGER = {
@@ -144,25 +147,6 @@ def test_a_grid_names_what_its_groups_replace():
     assert dataclasses.replace(grid, groups=(), replaced=()).with_groups == grid.case
 
 
-@pytest.mark.parametrize("name", ["ieee14", "ieee39", "kundur", "nordic45"])
-def test_the_sparse_power_flow_finds_what_the_dense_one_finds(name):
-    case, at = get_grid(name).case, network.PowerFlow(power=0, polar=2, holds_voltage=4, flow=5, voltage=7)
-    ends = np.array([[case.bus_index(b.from_bus), case.bus_index(b.to_bus)] for b in case.branches])
-    shunts = np.array([complex(bus.shunt_mw, bus.shunt_mvar) / case.base_mva for bus in case.buses])
-    y = network.assemble_admittance(ends, network.branch_admittances(case.branches), shunts)
-    slack = case.bus_index(case.slack_bus)
-    dense = np.zeros((len(case.buses), 9))
-    for row, bus in zip(dense, case.buses, strict=True):
-        row[0], row[1] = -bus.load_mw / case.base_mva, -bus.load_mvar / case.base_mva
-        row[2], row[4] = bus.voltage_pu or 1.0, float(bus.voltage_pu is not None)
-    for machine in case.machines:
-        dense[case.bus_index(machine.bus), 0] += machine.dispatch_mw / case.base_mva
-    sparse = dense.copy()
-    assert network.solve_power_flow(y, slack, dense, at) > 0
-    assert network.solve_sparse_flow(y, slack, sparse, at, network.pattern_of(y)) > 0
-    assert np.abs(dense - sparse).max() < 1e-10
-
-
 def test_groups_have_turbines_of_their_own():
     small = TurbineParameters(rated_power_mw=2.0, blade_radius_m=40.0, nominal_rotor_speed_rad_s=1.8)
     groups = WtgGroup(bus=2, n_turbines=10.0), WtgGroup(bus=3, n_turbines=10.0, turbine=small)
@@ -181,3 +165,56 @@ def test_groups_have_turbines_of_their_own():
     assert simulator.plant.share.tolist() == shares == [0.5, 0.2]
     with pytest.raises(ValueError, match="must have one C_p curve"):
         Plant().replaced(physics="extended", groups=(groups[0], WtgGroup(bus=3, turbine=nrel_5mw())))
+
+
+# Solution of the IEEE 14-bus test case: voltage [p.u.] and angle [deg] of buses 1 … 14, as printed in the archive.
+VOLTAGES = (1.060, 1.045, 1.010, 1.019, 1.020, 1.070, 1.062, 1.090, 1.056, 1.051, 1.057, 1.055, 1.050, 1.036)
+ANGLES = (0.0, -4.98, -12.72, -10.33, -8.78, -14.22, -13.37, -13.36, -14.94, -15.10, -14.79, -15.07, -15.16, -16.04)
+
+
+def flow_table(case: NetworkCase, power: np.ndarray):
+    """Admittance matrix, slack bus, and the table that a power flow of these powers of units [p.u.] fills in."""
+    plant, at = plant_tables(Plant(case=case, groups=())), FLOW_COLUMNS
+    buses = np.zeros((len(case.buses), n_rows_of(BUSES.scratch)))
+    buses[:, at.power] = power.real - plant.buses["load.re"]
+    buses[:, at.power + 1] = power.imag - plant.buses["load.im"]
+    buses[:, at.polar], buses[:, at.holds_voltage] = plant.buses["voltage"], plant.buses["holds_voltage"]
+    return plant.bus_y, case.bus_index(case.slack_bus), buses
+
+
+def test_power_flow_meets_the_published_solution_of_the_ieee_14_bus_system():
+    case = get_grid("ieee14").case
+    original = dataclasses.replace(case, machines=(*case.machines, classical(bus=2, dispatch_mw=40.0)))
+    power = np.zeros(14, dtype=np.complex128)
+    power[1] = 0.4
+    y, slack, buses = flow_table(original, power)
+    assert 0 < network.solve_power_flow(y, slack, buses, FLOW_COLUMNS) <= 6
+    assert buses[:, FLOW_COLUMNS.polar] == pytest.approx(VOLTAGES, abs=1.5e-3)
+    assert np.degrees(buses[:, FLOW_COLUMNS.polar + 1]) == pytest.approx(ANGLES, abs=0.03)
+
+
+def test_impossible_power_flow_is_reported():
+    power = np.zeros(14, dtype=np.complex128)
+    power[13] = -30.0
+    assert network.solve_power_flow(*flow_table(get_grid("ieee14").case, power), FLOW_COLUMNS) == -1
+
+
+@pytest.mark.parametrize("name", known_grids())
+def test_the_sparse_power_flow_finds_what_the_dense_one_finds(name):
+    case = get_grid(name).case
+    power = np.zeros(len(case.buses), dtype=np.complex128)
+    for machine in case.machines:
+        power[case.bus_index(machine.bus)] += machine.dispatch_mw / case.base_mva
+    y, slack, dense = flow_table(case, power)
+    sparse = dense.copy()
+    assert network.solve_power_flow(y, slack, dense, FLOW_COLUMNS) > 0
+    assert network.solve_sparse_flow(y, slack, sparse, FLOW_COLUMNS, network.pattern_of(y)) > 0
+    assert np.abs(dense - sparse).max() < 1e-10
+
+
+def test_off_nominal_tap_and_phase_follow_the_pi_model():
+    tap, phase, y = 0.9, 0.2, 1.0 / complex(0.01, 0.1)
+    branch = Branch(from_bus=1, to_bus=2, resistance=0.01, reactance=0.1, charging=0.04, tap=tap, phase_rad=phase)
+    ratio = tap * np.exp(1j * phase)
+    expected = [(y + 0.02j) / tap**2, -y / np.conj(ratio), -y / ratio, y + 0.02j]
+    assert network.branch_admittances((branch,))[0] == pytest.approx(np.array(expected))

@@ -1,4 +1,6 @@
-"""Facts about networks that fall apart, that join again, and that lose their last machine."""
+"""Facts about networks that fall apart, that join again in step, and that lose their last machine."""
+
+from __future__ import annotations
 
 import dataclasses
 
@@ -6,15 +8,14 @@ import numpy as np
 import pytest
 
 from tests.physics.extended import LAW, NO_SHEDDING, largest_rate, plant, recorded, scenario, started
+from wtg_gym import GroupTrip, LineTrip, LoadStep, MachineOutage, Plant, get_law, get_suite
 from wtg_gym.physics.grid import NetworkCase, get_grid
 from wtg_gym.physics.layout import Floats, n_rows_of
 from wtg_gym.physics.machine_unit import MACHINES
 from wtg_gym.physics.parameters import WtgGroup
-from wtg_gym.physics.plant import Plant
 from wtg_gym.physics.protection import STAGES, Status
-from wtg_gym.physics.scenario import LineTrip, LoadStep, MachineOutage
+from wtg_gym.physics.scenario import Event
 from wtg_gym.physics.simulator import Simulator
-from wtg_gym.physics.tracking_law import get_law
 from wtg_gym.physics.units import BUSES, ISLANDS
 from wtg_gym.physics.wtg_unit import EXTENSIONS, GROUPS
 from wtg_gym.systems.systems import Kind
@@ -200,3 +201,33 @@ def test_too_little_wind_for_wind_turbines_alone_is_said_in_one_line():
     with pytest.raises(ValueError, match="WTG groups alone cannot meet the load at a level of 1;") as refused:
         started(settings, scenario(wind=[[7.0], [6.0]], load_noise_bus=2))
     assert "\n" not in str(refused.value)
+
+
+V1 = get_suite("standard-v1").plant
+
+
+def played(*events: Event, wind: float = 9.0, seconds: float = 25.0) -> Simulator:
+    simulator = started(V1, scenario(*events, wind=np.full((4, 1), wind), duration_s=seconds))
+    recorded(simulator, seconds)
+    return simulator
+
+
+@pytest.mark.parametrize("again_s", [5.0, 12.0])
+def test_what_joins_in_phase_has_not_lost_synchronism(again_s):
+    simulator = played(*cut(1.0, ((5, 6), (10, 11), (13, 14)), again_s))
+    assert simulator.lane_values("status")[0] == Status.RUNNING
+    assert simulator.lane_values("coi")[0] == pytest.approx(1.0, abs=0.01)
+
+
+def test_a_grid_that_a_part_joins_remembers_which_stages_have_acted():
+    # Two small buses in the west join the rest, which has shed.
+    simulator = played(*cut(1.0, ((1, 5), (2, 3), (2, 4), (2, 5)), 0.9), wind=8.0, seconds=2.1)
+    n_stages = len(V1.shedding)
+    shed = [simulator.values(row)[0] for row in simulator.layout.first_rows(STAGES, "shed")[:n_stages]]
+    assert min(shed) < 0.0
+
+
+def test_energy_that_is_not_served_is_never_negative():
+    away = (*cut(1.0, ((7, 8),)), GroupTrip(time_s=1.0, group=3), MachineOutage(time_s=1.0, bus=8))
+    simulator = played(*away, LoadStep(time_s=2.0, bus=8, power_mw=-50.0), seconds=5.0)
+    assert simulator.lane_values("shed_energy")[0] == 0.0

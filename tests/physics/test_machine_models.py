@@ -1,15 +1,14 @@
-"""Models of machines that only some plants have: their transfer functions, and their place in a run."""
+"""Models of machines that only some plants have: transfer functions, and their place in a run; secondary control."""
 
 import dataclasses
 import pickle
 from collections.abc import Callable, Sequence
-from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import pytest
+from scipy.integrate import solve_ivp
 
-from tests.physics.extended import largest_rate, scenario
+from tests.physics.extended import largest_rate, scenario, with_machine
 from wtg_gym.envs.settings import EnvSettings
 from wtg_gym.gradients import Tape, check_by_differences
 from wtg_gym.physics import machine_models as models
@@ -17,18 +16,12 @@ from wtg_gym.physics import machine_parameters as controls
 from wtg_gym.physics.grid import Branch, Bus, Grid, NetworkCase, get_grid, grid_text
 from wtg_gym.physics.linearisation import moving_states, state_matrix
 from wtg_gym.physics.machine import saturated, saturation_constants
-from wtg_gym.physics.machine_parameters import (
-    ExciterParameters,
-    GovernorParameters,
-    HydroGovernorParameters,
-    SynchronousMachineParameters,
-)
+from wtg_gym.physics.machine_parameters import GovernorParameters, HydroGovernorParameters, SynchronousMachineParameters
 from wtg_gym.physics.parameters import ConverterLimitParameters, ProtectionParameters, WtgGroup
 from wtg_gym.physics.plant import Plant, plant_tables
-from wtg_gym.physics.scenario import Event, GovernorLoss, LoadStep
+from wtg_gym.physics.scenario import Event, GovernorLoss, LoadStep, MachineOutage
 from wtg_gym.physics.simulator import Simulator
 
-Complex = npt.NDArray[np.complex128]
 S = 2j * np.pi * np.array([0.05, 0.4, 1.5, 6.0])
 
 STABILISER = controls.SpeedStabiliserParameters(signal_limit_pu=0.05)
@@ -42,9 +35,9 @@ BOILER = controls.BoilerGovernorParameters(
 )
 
 
-def machine(bus: int, **changes: Any) -> SynchronousMachineParameters:
+def machine(bus: int, **changes) -> SynchronousMachineParameters:
     """Kundur's machine with saturation, without governor and stabiliser."""
-    without: dict[str, Any] = {"exciter": ExciterParameters(), "stabiliser": None, "governor": None}
+    without = {"exciter": controls.ExciterParameters(), "stabiliser": None, "governor": None}
     usual = {"rating_mva": 200.0, "two_h_s": 8.0, "damping_pu": 0.0, "saturation_1_0": 0.1, "saturation_1_2": 0.4}
     given = {**without, **usual, "bus": bus, "dispatch_mw": 0.0, **changes}
     return dataclasses.replace(get_grid("kundur").case.machines[0], **given)
@@ -65,14 +58,12 @@ def network(*machines: SynchronousMachineParameters) -> NetworkCase:
     branches = tuple(Branch(from_bus=a, to_bus=b, resistance=r, reactance=x) for a, b, r, x in lines)
     load = Bus(number=3, load_mw=200.0, load_mvar=60.0)
     buses = Bus(number=1, voltage_pu=1.03), Bus(number=2, voltage_pu=1.01), load
-    base: dict[str, Any] = {"base_mva": 100.0, "frequency_hz": 50.0, "slack_bus": 1}
+    base = {"base_mva": 100.0, "frequency_hz": 50.0, "slack_bus": 1}
     return NetworkCase(name="two machines", buses=buses, branches=branches, machines=machines, **base)
 
 
-def started(
-    machines: Sequence[SynchronousMachineParameters], *events: Event, given: dict[str, Any] | None = None, **more: Any
-) -> Simulator:
-    usual: dict[str, Any] = {
+def started(machines: Sequence[SynchronousMachineParameters], *events: Event, given=None, **more) -> Simulator:
+    usual = {
         "case": network(*machines),
         "groups": (),
         "simulation_dt": 0.01,
@@ -92,11 +83,11 @@ def advanced(simulator: Simulator, seconds: float) -> Simulator:
     return simulator
 
 
-def response(rates: Callable[[Any, float], tuple[Any, float]], start: Any, at: float) -> Complex:
+def response(rates, start, at: float) -> np.ndarray:
     """The transfer function of a block at `S`, from differences around its equilibrium at an input."""
     x, n, step = np.array(start), len(start), 1e-4
 
-    def both(state: npt.NDArray[np.float64], given: float) -> npt.NDArray[np.float64]:
+    def both(state: np.ndarray, given: float) -> np.ndarray:
         found, output = rates(type(start)(*state), given)
         return np.array([*found, output])
 
@@ -288,3 +279,74 @@ def test_a_grid_file_names_every_model(tmp_path):
     path.write_text(text.replace("IEESGO", "IEEEX1"), encoding="utf-8")
     with pytest.raises(ValueError, match="unknown model 'IEEEX1'; known here: TGOV1, HYGOV, IEEEG1, IEESGO, GAST"):
         get_grid(str(path))
+
+
+HYDRO = HydroGovernorParameters()
+CONSTANTS = models.hydro_constants(0, HYDRO)
+
+
+def orders(speed: Callable[[float], float], torque: float, seconds: float) -> np.ndarray:
+    """The order of a hydro gate every 10 ms for a given speed, from the equilibrium at a torque."""
+    start = models.hydro_start(torque, CONSTANTS)
+
+    def rates(t: float, x: np.ndarray) -> tuple[float, ...]:
+        return tuple(models.hydro_rates(models.HydroState(*x), speed(t), start.hydro_gate, INV_DROOP, CONSTANTS)[0])
+
+    # Short steps: the speed may jump.
+    how = {"t_eval": np.arange(0.0, seconds + 1e-9, 0.01), "max_step": 0.05, "rtol": 1e-9, "atol": 1e-11}
+    return np.asarray(solve_ivp(rates, (0.0, seconds), tuple(start), method="Radau", **how).y[1])
+
+
+def test_the_order_of_a_hydro_gate_keeps_within_its_rate_and_its_limits_and_leaves_them_at_once():
+    order = orders(lambda _t: 0.95, 0.5, 60.0)
+    assert (np.diff(order) / 0.01).max() == pytest.approx(HYDRO.gate_rate_limit_pu_s, rel=1e-3)
+    assert order.max() == pytest.approx(HYDRO.gate_max_pu, abs=1e-5)
+    # Non-windup: the order turns round when its wanted rate does, however long the limit has held it.
+    order = orders(lambda t: 0.95 if t < 30.0 else 1.02, 0.8, 31.0)
+    assert order[3000] == pytest.approx(HYDRO.gate_max_pu, abs=1e-5)
+    assert 0.01 * np.flatnonzero(order[3000:] < HYDRO.gate_max_pu - 1e-3)[0] < 0.2
+    assert models.hydro_limited(models.HydroState(0.0, 1.3, 0.9, 0.9), CONSTANTS).gate_order == HYDRO.gate_max_pu
+
+
+GOVERNOR = GovernorParameters(droop_pu=0.05, gate_max_pu=1.0)
+#: One control interval is one step of the integration.
+DT, SECONDARY_S = 0.025, 30.0
+MORE = LoadStep(time_s=1.0, bus=4, power_mw=60.0)
+
+
+def reference_and_speed(*events: Event, seconds: float, governor: GovernorParameters = GOVERNOR) -> np.ndarray:
+    """Gate reference and speed of the generator, from the start on, after each step (2, n)."""
+    times = {"secondary_time_s": SECONDARY_S, "control_dt": DT, "simulation_dt": DT}
+    simulator = Simulator(Plant(case=with_machine(governor=governor), groups=(), **times), duration_s=seconds)
+    simulator.start(0, scenario(*events, wind=np.zeros((0, 1)), duration_s=seconds), ())
+    found = []
+    for _ in range(round(seconds / DT) + 1):
+        found.append([simulator.machine_values(name)[0, 0] for name in ("gate_reference", "speed")])
+        simulator.advance()
+    return np.array(found).T
+
+
+def test_the_reference_is_the_integral_of_the_deviation_over_droop_and_time():
+    reference, speed = reference_and_speed(MORE, seconds=20.0)
+    moved = -DT / (SECONDARY_S * GOVERNOR.droop_pu) * np.cumsum(speed[1:] - 1.0)
+    assert moved[-1] > 0.05
+    assert reference[1:] - reference[0] == pytest.approx(moved, abs=1e-12)
+
+
+def test_the_reference_stays_within_the_limits_of_the_gate():
+    narrow = dataclasses.replace(GOVERNOR, gate_min_pu=0.36, gate_max_pu=0.48)
+    for power_mw, limit in ((60.0, 0.48), (-60.0, 0.36)):
+        step = LoadStep(time_s=1.0, bus=4, power_mw=power_mw)
+        reference, speed = reference_and_speed(step, seconds=60.0, governor=narrow)
+        # The deviation lasts, but it is not added up beyond the limit.
+        assert (reference >= 0.36).all() and (reference <= 0.48).all()
+        assert (reference[-400:] == limit).all() and (np.abs(speed[-400:] - 1.0) > 1e-3).all()
+
+
+def test_a_lost_governor_or_a_machine_that_is_away_keeps_its_reference():
+    for event in (GovernorLoss(time_s=5.0, bus=1), MachineOutage(time_s=5.0, bus=1)):
+        reference, speed = reference_and_speed(MORE, event, seconds=10.0)
+        last = round(5.0 / DT)
+        assert reference[last] > reference[0] and (speed[last + 1 :] != 1.0).all()
+        # The gate stays where a lost governor leaves it; the reference of a machine that trips, where it was.
+        assert (reference[last + 1 :] == reference[last + 1]).all()

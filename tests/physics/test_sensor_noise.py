@@ -3,7 +3,6 @@
 import math
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 
 from wtg_gym.physics import sensors as sensing
@@ -14,7 +13,6 @@ from wtg_gym.systems.routines import Routine
 from wtg_gym.systems.systems import Kind, system
 
 N_CHANNELS = len(sensing.Noise._fields)
-Floats = npt.NDArray[np.float64]
 N = 4 * N_CHANNELS
 EXACT = sensing.Measurement(frequency=1.0, rocof=0.0, rotor_speed=1.1, power=0.7, wind=9.0)
 
@@ -24,7 +22,7 @@ DRAWS = Kind(name="draws", rows={"seed": float, "step": float, "channel": float}
 ROUTINE = Routine(PROGRAM)
 
 
-def numbers_of(seeds: Floats, steps: Floats, channels: Floats) -> Floats:
+def numbers_of(seeds: np.ndarray, steps: np.ndarray, channels: np.ndarray) -> np.ndarray:
     """The machine code's numbers of pairs of seed and step (n,), for each channel (n, n_channels)."""
     layout = Layout({DRAWS: channels.size}, {})
     tables = build_table((PROGRAM,), layout)
@@ -40,7 +38,7 @@ def numbers_of(seeds: Floats, steps: Floats, channels: Floats) -> Floats:
     return np.concatenate(found)
 
 
-def drawn(n_seeds: int, n_steps: int, n_channels: int = N, first_seed: int = 0) -> Floats:
+def drawn(n_seeds: int, n_steps: int, n_channels: int = N, first_seed: int = 0) -> np.ndarray:
     """The noise of neighbouring seeds (n_seeds, n_steps, n_channels)."""
     seeds, steps = np.meshgrid(first_seed + np.arange(n_seeds), np.arange(n_steps), indexing="ij")
     found = numbers_of(seeds.ravel(), steps.ravel(), np.arange(n_channels))
@@ -73,7 +71,7 @@ def test_noise_has_mean_0_variance_1_the_shape_of_four_uniform_numbers_and_their
 
 def advance(
     sensors: sensing.Sensors, exact: list[sensing.Measurement], control_dt: float = 0.1
-) -> tuple[list[sensing.Measurement], Floats]:
+) -> tuple[list[sensing.Measurement], np.ndarray]:
     given = sensing.sensor_input(sensors, control_dt, 50.0)
     seen, states, state = [], [], sensing.sensors_started(exact[0], sensing.Noise(0.0, 0.0, 0.0, 0.0, 0.0))
     for numbers, now in zip(drawn(1, len(exact), N_CHANNELS, sensors.seed)[0].tolist(), exact, strict=True):

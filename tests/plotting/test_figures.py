@@ -1,4 +1,4 @@
-"""Facts about figures: files that repeat."""
+"""Facts about figures, which are files that repeat, and about the page of play without a browser."""
 
 import hashlib
 import subprocess
@@ -7,9 +7,10 @@ import sys
 import numpy as np
 import pytest
 
-from wtg_gym import simulate
-from wtg_gym.physics.scenario import Scenario
+from wtg_gym import Entry, Scenario, evaluate, get_suite, simulate
 from wtg_gym.plotting import figure_bytes, plot_trajectories, save_figure
+from wtg_gym.plotting.live import OWN, REFERENCE, Match
+from wtg_gym.scenarios import Suite
 
 matplotlib = pytest.importorskip("matplotlib")
 
@@ -46,3 +47,41 @@ def test_figures_are_saved_next_to_each_other_in_the_formats_that_are_named(tmp_
     with pytest.raises(ValueError, match="written as png, svg, pdf, got 'bmp'"):
         save_figure(figure, tmp_path / "other", ["png", "bmp"])
     assert not list(tmp_path.glob("other*"))
+
+
+_LENGTH_S = 12.0
+_SEED = 20_000
+
+
+@pytest.fixture(scope="module", params=["standard-v1", "standard"])
+def suite(request):
+    return get_suite(request.param)
+
+
+def _played(suite: Suite, on_k: float, on_tau: float = 0.0, seed: int = _SEED) -> Match:
+    match = Match(suite, seed, _LENGTH_S)
+    while not match.over:
+        match.step(on_k, on_tau)
+    return match
+
+
+def test_without_an_action_you_are_the_reference(suite):
+    match = _played(suite, 0.0)
+    you, *anchors = match.verdicts()
+    same = next(each for each in anchors if each.name == "coordinated-piecewise")
+    assert you._replace(name=same.name) == same
+    assert [each.name for each in anchors] == list(suite.task.anchors)
+    for values in match.sample().values():
+        assert np.array_equal(values[OWN], values[REFERENCE])
+
+
+def test_the_cost_is_the_evaluators(suite):
+    class Held:
+        def predict(self, observation, state=None, episode_start=None, deterministic=False):
+            return np.tile([0.3, -0.2], (len(observation), len(suite.plant.groups))), state
+
+    seeds = list(suite.validation[:3])
+    entry = Entry(name="held", policy=Held(), action_mode="k+tau")
+    results = evaluate([entry], suite.name, "validation", seeds=seeds, duration_s=_LENGTH_S)
+    yours = [_played(suite, 0.3, -0.2, seed).verdicts()[0] for seed in seeds]
+    assert [you.cost for you in yours] == [episode.metrics["cost"] for episode in results.episodes_of("held")]

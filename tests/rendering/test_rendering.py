@@ -2,13 +2,10 @@
 
 import copy
 import sys
-from typing import Any
 
-import gymnasium as gym
 import numpy as np
 import pytest
 from gymnasium.error import DependencyNotInstalled
-from gymnasium.utils.env_checker import check_env
 from gymnasium.vector import AutoresetMode
 
 from tests.envs.rollouts import actions_of, calm, eventful, single_steps
@@ -17,7 +14,6 @@ from wtg_gym.envs.rendering.frame import FRAME_SIZE
 
 pytest.importorskip("matplotlib")
 
-ENV_ID = "GFMWTG-14bus-v0"
 SHAPE = (FRAME_SIZE[1], FRAME_SIZE[0], 3)
 
 
@@ -26,7 +22,7 @@ def dummy_display(monkeypatch):
     monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
 
 
-def playing(n_steps: int, **settings: Any) -> GFMWTGEnv:
+def playing(n_steps: int, **settings) -> GFMWTGEnv:
     """Return an environment that renders, so many steps into the eventful scenario."""
     env = GFMWTGEnv(**{"version": "v0", "render_mode": "rgb_array", "scenario": eventful().to_dict(), **settings})
     env.reset(seed=0)
@@ -48,16 +44,6 @@ def test_every_step_gives_a_new_frame_of_the_same_size(settings):
     assert env.render().tobytes() == frames[-1].tobytes()
 
 
-@pytest.mark.filterwarnings("error", "ignore:.*is out of date:DeprecationWarning")
-def test_both_checkers_have_no_complaint_about_rendering():
-    from stable_baselines3.common.env_checker import check_env as check_sb3
-
-    pytest.importorskip("pygame")
-    # The checker makes it with every render mode, so with a window too.
-    check_env(gym.make(ENV_ID, duration_s=2.0, render_mode="rgb_array").unwrapped, skip_render_check=False)
-    check_sb3(GFMWTGEnv(version="v0", duration_s=2.0, render_mode="rgb_array"), warn=True)
-
-
 def test_render_needs_a_mode_and_a_reset():
     with pytest.warns(UserWarning, match="render_mode"):
         assert playing(1, render_mode=None).render() is None
@@ -75,7 +61,7 @@ def test_a_trajectory_is_the_same_with_and_without_rendering():
     plain = single_steps(GFMWTGEnv(version="v0", duration_s=3.0), actions, AutoresetMode.NEXT_STEP, seed=2)
 
     class Watched(GFMWTGEnv):
-        def step(self, action: Any) -> Any:
+        def step(self, action):
             self.render()
             return super().step(action)
 
@@ -116,7 +102,7 @@ def test_a_batch_gives_the_frames_of_single_environments():
 def test_the_window_shows_each_frame_by_itself_and_an_episode_goes_on_after_it_was_closed():
     pygame = pytest.importorskip("pygame")
 
-    def on_screen() -> Any:
+    def on_screen():
         return pygame.surfarray.array3d(pygame.display.get_surface()).swapaxes(0, 1)
 
     env, twin = (GFMWTGEnv(duration_s=1.0, render_mode=mode, version="v0") for mode in ("human", "rgb_array"))

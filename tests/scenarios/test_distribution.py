@@ -1,4 +1,4 @@
-"""Facts about drawn scenarios."""
+"""Facts about drawn scenarios: what happens in them, the errors of sensors, the wind a group feels."""
 
 import math
 from dataclasses import fields, replace
@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from wtg_gym.physics import scenario as sc
 from wtg_gym.physics.aerodynamics import available_power_pu
 from wtg_gym.physics.grid import DEFAULT_GRID, get_grid
-from wtg_gym.scenarios import DRAWN_WIND_RANGE, SUITES, ScenarioDistribution, draws
+from wtg_gym.scenarios import DRAWN_WIND_RANGE, SUITES, ScenarioDistribution, draws, get_suite, wind
 
 DRAWN = [suite for suite in SUITES.values() if suite.distributions]
 #: With a share of the load few groups fit; those are in SHARED, with their suite's turbines. A suite without a wind
@@ -29,6 +29,9 @@ BUSY = ScenarioDistribution(name="busy").changed({draws.LoadEvents: {"number": (
 BUS_LOAD_MW = {
     2: 21.7, 3: 94.2, 4: 47.8, 5: 7.6, 6: 11.2, 9: 29.5, 10: 9.0, 11: 3.5, 12: 6.1, 13: 13.5, 14: 14.9,
 }  # fmt: skip
+
+
+STILL = {"turbulence_intensity": (0.0, 0.0), "gust_probability": 0.0, "ramp_probability": 0.0}
 
 
 def loads_mw(source: ScenarioDistribution) -> dict[int, float]:
@@ -133,8 +136,7 @@ def test_scenarios_of_the_suites_own_groups_keep_every_promise_and_their_share_o
         largest = max(range(len(turbines)), key=lambda group: (turbines[group], group))
         assert all(event.group != largest for event in scenario.events if isinstance(event, sc.GroupTrip))
     # Without turbulence, gusts and ramps the wind is its mean; the numbers of the stream are the same.
-    calm = {"turbulence_intensity": (0.0, 0.0), "gust_probability": 0.0, "ramp_probability": 0.0}
-    still = source.changed({draws.Wind: calm})
+    still = source.changed({draws.Wind: STILL})
     low, high = source.wind.penetration
     shares = []
     for scenario in still.draw_many(seeds, len(turbines), turbines):
@@ -206,3 +208,75 @@ def test_scenarios_drawn_together_equal_scenarios_drawn_alone_bit_for_bit(source
     seeds = [0, 2**63 - 1, *range(20_000, 20_040)]
     for seed, scenario in zip(seeds, source.draw_many(seeds, 3, [1.0, 5.0, 60.0], 47.3), strict=True):
         assert source.draw(seed, 3, [1.0, 5.0, 60.0], 47.3).to_json() == scenario.to_json()
+
+
+USUAL = draws.SensorDistribution()
+SEEDS = range(10_000, 14_000)
+SENSED = [name for name, suite in SUITES.items() if suite.sensors is not None]
+
+
+def test_draws_depend_on_seed_and_name_alone_and_not_on_their_neighbours():
+    together = USUAL.draw_many("a", [5, 2**40, 7], 3)
+    assert together == [USUAL.draw_many("a", [seed], 3)[0] for seed in (5, 2**40, 7)]
+    assert len({own.seed for own in (*together, *USUAL.draw_many("b", [5, 2**40, 7], 3))}) == 6
+    # More groups keep the seed, the delay and the bias of those before.
+    for few, more in zip(together, USUAL.draw_many("a", [5, 2**40, 7], 5), strict=True):
+        assert (few.seed, few.delay_s, few.wind_bias) == (more.seed, more.delay_s, more.wind_bias[:3])
+
+
+def test_every_delay_of_the_range_is_as_likely():
+    for span, expected in (((0.1, 0.3), [0.1, 0.2, 0.3]), ((0.0, 1.0), [round(0.1 * n, 9) for n in range(11)])):
+        source = draws.SensorDistribution(delay_s=span)
+        assert source.delays_s() == expected
+        delays = [own.delay_s for own in source.draw_many("x", SEEDS, 1)]
+        assert sorted(set(delays)) == expected
+        share = 1.0 / len(expected)
+        sure = 4.5 * math.sqrt(share * (1.0 - share) / len(delays))
+        assert all(delays.count(delay) / len(delays) == pytest.approx(share, abs=sure) for delay in expected)
+    assert {own.delay_s for own in draws.SensorDistribution(delay_s=(0.2, 0.2)).draw_many("x", range(50), 1)} == {0.2}
+
+
+@pytest.mark.parametrize("suite", SENSED)
+def test_sensors_of_a_suite_are_those_of_its_distribution_and_can_be_replaced(suite):
+    own = get_suite(suite)
+    seed = own.test[0]
+    scenario = own.scenario(seed)
+    # The suite without a wind sensor shares the scenarios of another.
+    name = scenario.name.partition("/")[0] if own.distributions else suite
+    assert scenario.sensors == own.sensors.draw_many(name, [seed], scenario.n_wtg)[0]
+    assert scenario.sensors.wind_sensor == (suite != "no-wind-sensor-v1")
+    slower = own.sensors.replaced({"delay_s": (0.4, 0.6)})
+    moved = own.scenarios([seed], sensors=slower)[0]
+    assert moved.sensors == slower.draw_many(name, [seed], scenario.n_wtg)[0]
+    # Whatever measures, the scenario is the same: more delay by an override is a shift of the same draw.
+    assert moved.sensors.delay_s == pytest.approx(scenario.sensors.delay_s + 0.3)
+    exact = own.scenarios([seed], sensors=None)[0]
+    assert exact.sensors is None and "sensors" not in exact.to_dict()
+    for other in (moved, exact):
+        assert {**other.to_dict(), "sensors": 0} == {**scenario.to_dict(), "sensors": 0}
+
+
+@pytest.mark.parametrize("mean", [4.0, 20.0])
+def test_kaimal_spectrum_integrates_to_the_variance(mean):
+    frequency = np.concatenate([[0.0], np.geomspace(1e-7, 1e5, 20_001)])
+    spectrum = wind.kaimal_spectrum(frequency, mean, 1.7)
+    area = np.sum(0.5 * (spectrum[1:] + spectrum[:-1]) * np.diff(frequency))
+    assert area == pytest.approx(1.7**2, rel=1e-3)
+
+
+def test_gust_dips_peaks_and_leaves_no_trace():
+    time_s = np.arange(0.0, 60.0, 0.01)
+    change = wind.extreme_operating_gust(time_s, 20.0, 5.0)
+    outside = (time_s <= 20.0) | (time_s >= 20.0 + wind.GUST_DURATION_S)
+    assert change[outside] == pytest.approx(0.0, abs=1e-12)
+    assert time_s[change.argmax()] == pytest.approx(20.0 + 0.5 * wind.GUST_DURATION_S, abs=0.02)
+    assert change.max() == pytest.approx(0.74 * 5.0, rel=1e-4)
+    assert change.max() - change.min() == pytest.approx(5.0, rel=0.02)
+
+
+def test_a_group_feels_a_gust_at_one_turbine_divided_by_the_root_of_their_number():
+    assert [wind.gust_share(9.0, n) for n in (1.0, 4.0, 16.0)] == pytest.approx([1.0, 0.5, 0.25], rel=1e-3)
+    distribution = ScenarioDistribution(name="x", records=(draws.Wind(**{**STILL, "gust_probability": 1.0}),))
+    averaged = distribution.changed({draws.Wind: {"gust_averaged": True}})
+    at_one, of_group = (np.ptp(drawn.draw(1, 1, [16.0]).wind_speed) for drawn in (distribution, averaged))
+    assert 2.0 <= at_one <= 5.1 and of_group == pytest.approx(0.25 * at_one, rel=1e-3)

@@ -6,20 +6,17 @@ Loads of 60 and 40 MW at buses 2 and 3 need 103 MW with their losses. A wind of 
 """
 
 import dataclasses
-from typing import Any
 
 import numpy as np
 import pytest
 
 from tests.envs.rollouts import calm
-from wtg_gym.envs import GFMWTGEnv
+from wtg_gym import GFMWTGEnv, Plant, get_suite
 from wtg_gym.physics import scenario as sc
 from wtg_gym.physics.aerodynamics import available_power_pu
 from wtg_gym.physics.grid import Branch, Bus, NetworkCase
 from wtg_gym.physics.machine_parameters import GovernorParameters
 from wtg_gym.physics.parameters import WtgGroup
-from wtg_gym.physics.plant import Plant
-from wtg_gym.scenarios import get_suite
 from wtg_gym.scenarios.margin import reserve_margin
 
 GOVERNOR = GovernorParameters(droop_pu=0.05, gate_max_pu=1.0)
@@ -48,7 +45,7 @@ WIND = wind_of(0.8)
 FALLING = np.array([[WIND] * 400 + [wind_of(0.2)] * 401])
 MORE = sc.LoadStep(time_s=20.0, bus=3, power_mw=60.0)
 OPEN = [sc.LineTrip(time_s=5.0, from_bus=1, to_bus=2), sc.LineTrip(time_s=10.0, from_bus=2, to_bus=3)]
-CASES: dict[str, tuple[Any, dict[str, Any], float]] = {
+CASES = {
     "nothing": ([], {}, 0.34),
     "load": ([sc.LoadStep(time_s=5.0, bus=3, power_mw=20.0)], {}, 137 / 120 - 1.03),
     "less load": (

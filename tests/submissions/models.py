@@ -2,7 +2,6 @@
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from onnx import ModelProto, TensorProto, helper, numpy_helper, parser
@@ -47,11 +46,11 @@ def worker(script: Path, code: str) -> str:
     return str(script)
 
 
-def info(name: str, *shape: Any, kind: int = TensorProto.FLOAT) -> Any:
+def info(name: str, *shape, kind: int = TensorProto.FLOAT):
     return helper.make_tensor_value_info(name, kind, list(shape))
 
 
-def constant(name: str, value: Any) -> TensorProto:
+def constant(name: str, value) -> TensorProto:
     """A constant; floating point is single, as everywhere in a policy."""
     array = np.asarray(value)
     return numpy_helper.from_array(array.astype(np.float32) if array.dtype == np.float64 else array, name)
@@ -62,7 +61,7 @@ WEIGHTS = constant("weights", np.full((N, M), 0.01))
 LINEAR = helper.make_node("MatMul", ["observation", "weights"], ["action"])
 
 
-def nodes_of(text: str, body: Any = None) -> list[Any]:
+def nodes_of(text: str, body=None):
     """Nodes, with a semicolon after each; `body` is that of the last one, if it is a loop."""
     nodes = [parser.parse_node(each.strip()) for each in text.split(";") if each.strip()]
     if body is not None:
@@ -71,10 +70,10 @@ def nodes_of(text: str, body: Any = None) -> list[Any]:
 
 
 def model(
-    nodes: Sequence[Any] = (LINEAR,),
-    inputs: Sequence[Any] = (OBSERVATION,),
-    outputs: Sequence[Any] = (ACTION,),
-    constants: Sequence[Any] = (WEIGHTS,),
+    nodes=(LINEAR,),
+    inputs=(OBSERVATION,),
+    outputs=(ACTION,),
+    constants=(WEIGHTS,),
     domains: Sequence[tuple[str, int]] = (),
 ) -> ModelProto:
     graph = helper.make_graph(list(nodes), "g", list(inputs), list(outputs), list(constants))
@@ -86,13 +85,13 @@ def make_bytes() -> bytes:
     return model().SerializeToString()
 
 
-def after(text: str, body: Any = None, **values: Any) -> ModelProto:
+def after(text: str, body=None, **values) -> ModelProto:
     """A linear policy whose action goes through nodes, written as text, from `linear` to `action`."""
     nodes = nodes_of(f"linear = MatMul(observation, weights); {text}", body)
     return model(nodes, constants=[WEIGHTS, *(constant(name, value) for name, value in values.items())])
 
 
-def with_state(text: str, width: int, **values: Any) -> ModelProto:
+def with_state(text: str, width: int, **values) -> ModelProto:
     """A policy with one state, whose nodes are written as text."""
     state, following = info("state_0", "batch", width), info("next_state_0", "batch", width)
     constants = [WEIGHTS, *(constant(name, value) for name, value in values.items())]
@@ -103,7 +102,7 @@ def other(scale: float = 0.02) -> ModelProto:
     return model(constants=[constant("weights", np.full((N, M), scale))])
 
 
-def linear(n_observation: int, n_action: int, weights: Any = 0.01, offset: float = 0.0) -> ModelProto:
+def linear(n_observation: int, n_action: int, weights=0.01, offset: float = 0.0) -> ModelProto:
     """A linear policy of other widths, clipped, with an offset."""
     values = {"weights": np.broadcast_to(weights, (n_observation, n_action)).copy(), "offset": offset}
     return model(
@@ -126,13 +125,13 @@ near = Less(distance, nearest);
 """
 
 
-def trap(seen: Any = SEEN, distance: float = 3.0) -> ModelProto:
+def trap(seen=SEEN, distance: float = 3.0) -> ModelProto:
     """Not a number near an observation, by default one that real episodes begin with, and nowhere else."""
     known = {"seen": np.float32(seen), "axis": [1], "nearest": distance}
     return after(NEAR + "action = Where(near, nan, linear)", **known, nan=np.nan)
 
 
-def spin() -> Any:
+def spin():
     """The body of a loop with a given number of rounds."""
     inputs = [info("trip", kind=TensorProto.INT64), info("on", kind=TensorProto.BOOL), info("kept", "batch", M)]
     outputs = [info("still", kind=TensorProto.BOOL), info("passed", "batch", M)]

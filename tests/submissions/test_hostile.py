@@ -6,7 +6,6 @@ import pickle
 import tempfile
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -34,11 +33,11 @@ TRACE = Path(tempfile.gettempdir()) / f"trace-of-a-pickle-{os.getpid()}"
 class Evil:
     """Would write a file when it is unpickled."""
 
-    def __reduce__(self) -> tuple[Any, ...]:
+    def __reduce__(self):
         return os.system, (f"touch {TRACE}",)
 
 
-def _after(text: str, **values: Any) -> Build:
+def _after(text: str, **values) -> Build:
     return lambda: after(text, **values)
 
 

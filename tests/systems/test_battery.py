@@ -8,24 +8,20 @@ import importlib.util
 import pickle
 import sys
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 
 from tests.physics.extended import largest_rate, scenario
 from tests.test_readme import files
-from wtg_gym.envs import GFMWTGEnv
+from wtg_gym import GFMWTGEnv, LoadStep, Plant
+from wtg_gym.envs import EnvSettings
 from wtg_gym.envs.lanes import TaskLanes
-from wtg_gym.envs.settings import EnvSettings
-from wtg_gym.gradients import check_by_differences
-from wtg_gym.gradients.tape import Tape
-from wtg_gym.physics.plant import Plant
-from wtg_gym.physics.scenario import LoadStep
+from wtg_gym.gradients import Tape, check_by_differences
 from wtg_gym.tasks.cost import COST_TERMS
 
 
-def module_of(page: str, name: str, folder: Path) -> Any:
+def module_of(page: str, name: str, folder: Path):
     """Return the module that a page asks its reader to save."""
     path = folder / name
     path.write_text(files(page)[name], encoding="utf-8")
@@ -44,7 +40,7 @@ STEP = scenario(LoadStep(time_s=1.0, bus=9, power_mw=60.0), duration_s=20.0)
 WITHOUT = EnvSettings(version="v0", duration_s=20.0)
 
 
-def settings(battery: Any, **options: Any) -> EnvSettings:
+def settings(battery, **options) -> EnvSettings:
     return dataclasses.replace(WITHOUT, plant={"devices": (battery.batteries(9, 14, **options),)})
 
 

@@ -1,14 +1,14 @@
-"""Systems: what their machine code works out, in one lane and in sixteen, and what comes back through it."""
+"""Systems: what their machine code works out, in one lane and in sixteen, and what comes back; elementary functions."""
 
 from __future__ import annotations
 
 import math
 import pickle
-from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import pytest
+from hypothesis import example, given
+from hypothesis import strategies as st
 
 from wtg_gym.physics.layout import Layout
 from wtg_gym.physics.parameters import ROTOR_TABLE
@@ -20,7 +20,6 @@ from wtg_gym.systems.routines import Routine, code_of
 from wtg_gym.systems.systems import Kind, system
 from wtg_gym.systems.writers import BackWithoutConstants, TapedWriter
 
-Floats = npt.NDArray[np.float64]
 N_UNITS = 3
 
 
@@ -28,7 +27,7 @@ def choice(a: float, b: float) -> float:
     return select((a > b) | (b >= 2.0), a * a, b) + select((a < b) & (a <= 9.0), b, 0.0)
 
 
-FUNCTIONS: dict[str, Any] = {
+FUNCTIONS = {
     "sum": lambda a, b: a + 2.0 * b - 3.0 + (1.0 - a),
     "product": lambda a, b: a * b * 0.5,
     "quotient": lambda a, b: a / b + 2.0 / a,
@@ -53,7 +52,7 @@ POINTS = [(0.3, 0.8), (1.7, 0.4), (0.9, -1.3), (-0.6, 2.5)]
 class PlantMap(Layout):
     """Units without constants, or with a table."""
 
-    def constants(self, kind: Kind, name: str) -> Any:
+    def constants(self, kind: Kind, name: str):
         grid, cells = read_rotor_table(ROTOR_TABLE).surface()
         return cells if name == "cells" else [grid] * self.n_units(kind)
 
@@ -139,7 +138,7 @@ def test_programs_that_differ_in_one_thing_have_machine_code_of_their_own():
     digests = []
     for kind in (in_rows, in_scratch):
         first, second = system(kind, "y")(lambda x: x + 1.0), system(kind, "x")(lambda y: 2.0 * y)
-        lists: list[tuple[Any, ...]] = [
+        lists = [
             (first, second),
             (Each(first, second),),
             (When(kind, "flag", (first,)), second),
@@ -160,3 +159,34 @@ def test_arrays_of_another_width_and_tables_without_the_code_are_refused():
         routine((np.zeros((2, 1)), np.zeros((layout.n_scratch, 1))), linked)
     # Addresses mean nothing in another process.
     assert pickle.loads(pickle.dumps(linked)).code.size == 0
+
+
+ORDINARY = st.floats(-1e100, 1e100, allow_subnormal=False)
+SUMS = Kind(name="sums", rows={"a": float, "b": float, "c": float, "sum": float})
+(PROGRAM,) = in_one_table(SUM=(system(SUMS, "sum")(lambda a, b, c: fma(a, b, c)),))
+ROUTINE, TABLES = Routine(PROGRAM), build_table((PROGRAM,), Layout({SUMS: 1}, {}))
+
+
+@given(ORDINARY, ORDINARY, ORDINARY)
+@example(-0.0, 1.0, -0.0)
+@example(math.inf, 1.0, 0.0)
+@example(math.nan, 1.0, 0.0)
+@example(1e300, 1e300, 0.0)
+@example(-1e300, 1e300, 1.0)
+def test_compiled_multiply_add_has_the_bits_of_the_exact_one(a, b, c):
+    block = np.array([[a], [b], [c], [0.0]])
+    ROUTINE((block, np.zeros((0, 1))), TABLES)
+    assert repr(float(block[3, 0])) == repr(float(fma(a, b, c)))
+
+
+def test_multiply_add_is_rounded_once_and_zero_is_exact():
+    a = 1.0 + 2.0**-30
+    assert fma(a, a, -1.0 - 2.0**-29) == 2.0**-60
+    assert a * a - (1.0 + 2.0**-29) == 0.0
+    assert sine_cosine(0.0) == (0.0, 1.0) and exponential(0.0) == 1.0
+
+
+@given(st.floats(-1e4, 1e4), st.floats(-39.9, 0.0))
+def test_sine_cosine_and_exponential_agree_with_libm(angle, exponent):
+    assert sine_cosine(angle) == pytest.approx((math.sin(angle), math.cos(angle)), abs=4e-15, rel=0.0)
+    assert exponential(exponent) == pytest.approx(math.exp(exponent), rel=3e-14, abs=0.0)

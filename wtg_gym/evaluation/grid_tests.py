@@ -18,21 +18,12 @@ import numpy as np
 import numpy.typing as npt
 
 from wtg_gym.envs.settings import EnvSettings
+from wtg_gym.physics import scenario as sc
 from wtg_gym.physics.converter import OVER_VOLTAGES
 from wtg_gym.physics.grid import Branch, Bus, NetworkCase, Source
 from wtg_gym.physics.layout import Floats
 from wtg_gym.physics.plant import Plant
 from wtg_gym.physics.protection import Status
-from wtg_gym.physics.scenario import (
-    Event,
-    Fault,
-    FrequencyRamp,
-    LineTrip,
-    MachineOutage,
-    PhaseJump,
-    ReactanceStep,
-    Scenario,
-)
 from wtg_gym.physics.units import BUSES
 from wtg_gym.policies.entry import Entry, check_version
 from wtg_gym.policies.play import play, started_lanes
@@ -96,16 +87,16 @@ class GridTest:
     criterion: str
     plant: Callable[[], Plant]
     judge: Callable[[Recording], Verdict]
-    events: tuple[Event, ...]
+    events: tuple[sc.Event, ...]
     duration_s: float = 30.0
     wind_m_s: float = 9.2  # gives half the rating
     load_level: float = 1.0
 
-    def scenario(self, plant: Plant) -> Scenario:
+    def scenario(self, plant: Plant) -> sc.Scenario:
         """Return what happens."""
         wind = np.full((len(plant.groups), 1), self.wind_m_s)
         values = {key: getattr(self, key) for key in ("name", "duration_s", "events", "load_level")}
-        return Scenario(wind_speed=wind, load_noise_bus=1, **values)
+        return sc.Scenario(wind_speed=wind, load_noise_bus=1, **values)
 
     def verdict(self, run: Recording) -> Verdict:
         """Return whether a run has passed, and the figure or what went wrong."""
@@ -222,8 +213,8 @@ def _leaves_limit(run: Recording) -> Verdict:
 # --- the tests --------------------------------------------------------------------------------------------------------
 
 
-def _fault(bus: int, length_s: float, reactance_pu: float, time_s: float = 2.0) -> tuple[Event, ...]:
-    return (Fault(time_s=time_s, bus=bus, clears_after_s=length_s, reactance_pu=reactance_pu),)
+def _fault(bus: int, length_s: float, reactance_pu: float, time_s: float = 2.0) -> tuple[sc.Event, ...]:
+    return (sc.Fault(time_s=time_s, bus=bus, clears_after_s=length_s, reactance_pu=reactance_pu),)
 
 
 _RATIOS = (10.0, 3.0, 2.0, 1.5, 1.25)
@@ -234,16 +225,16 @@ _RATIO_STEPS = tuple(
     for at, ratio in zip(_CLEARED_S, _RATIOS, strict=True)
     for event in (
         *_fault(1, 0.125, 0.05, at - 0.125),
-        ReactanceStep(time_s=at, from_bus=_SOURCE_BUS, to_bus=1, factor=20.0 / ratio),
+        sc.ReactanceStep(time_s=at, from_bus=_SOURCE_BUS, to_bus=1, factor=20.0 / ratio),
     )
 )
 
 
-def _to_and_fro(rocof_hz_s: float) -> tuple[Event, ...]:
+def _to_and_fro(rocof_hz_s: float) -> tuple[sc.Event, ...]:
     """Return a move of the source's frequency by 1 Hz, and, 5 s later, back."""
     length = 1.0 / abs(rocof_hz_s)
     return tuple(
-        FrequencyRamp(time_s=at, bus=_SOURCE_BUS, rocof_hz_s=rate, duration_s=length)
+        sc.FrequencyRamp(time_s=at, bus=_SOURCE_BUS, rocof_hz_s=rate, duration_s=length)
         for at, rate in ((2.0, rocof_hz_s), (7.0 + length, -rocof_hz_s))
     )
 
@@ -269,7 +260,7 @@ GRID_TESTS: dict[str, GridTest] = {
         # gives what is needed, whatever the law, and the machine next to nothing.
         *(
             GridTest(name, "AEMO, MISO, EU 2016/631", _TAKES_OVER, _one_machine, _takes_over, events, 60.0, wind, load)
-            for events in ((MachineOutage(time_s=2.0, bus=1),),)
+            for events in ((sc.MachineOutage(time_s=2.0, bus=1),),)
             for name, wind, load in (
                 ("last-machine", 11.0, 0.92),
                 ("last-machine-limit", 14.0, 1.1),
@@ -294,7 +285,7 @@ GRID_TESTS: dict[str, GridTest] = {
                 ("angle-step-forward", "AEMO, FNN", 30.0),
                 ("angle-step-forward-60", "AEMO", 60.0),
             )
-            for jump in (PhaseJump(time_s=2.0, bus=_SOURCE_BUS, angle_deg=angle_deg),)
+            for jump in (sc.PhaseJump(time_s=2.0, bus=_SOURCE_BUS, angle_deg=angle_deg),)
         ),
         GridTest("dip", "FNN, SJV2024", _DIP, _WEAK, partial(_recovers, at_s=(2.15,)), _fault(1, 0.15, 0.02), 15.0),
         GridTest(
@@ -303,7 +294,7 @@ GRID_TESTS: dict[str, GridTest] = {
         *(
             GridTest(name, "AEMO, FNN, EU 2016/631", _TAKES_OVER, _SHEDS, _takes_over, events, 60.0, wind, load)
             # All groups and loads lose the source.
-            for events in ((LineTrip(time_s=2.0, from_bus=_SOURCE_BUS, to_bus=1),),)
+            for events in ((sc.LineTrip(time_s=2.0, from_bus=_SOURCE_BUS, to_bus=1),),)
             for name, wind, load in (("island-surplus", 11.4, 0.9), ("island-deficit", 11.0, 1.0))
         ),
         GridTest("current-limit", "AEMO, GC0137, NER", _LIMIT, _grid, _leaves_limit, _fault(2, 0.5, 0.05), 30.0, 11.0),

@@ -1,0 +1,162 @@
+"""What a step is: zero action is the strategy, what is told and charged, and how long an action is held.
+
+An action of version v1 is held for 0.5 s: to the bit what five steps of 0.1 s with the same action are.
+"""
+
+import itertools
+
+import numpy as np
+import pytest
+
+from tests.envs.rollouts import ACTION_MODES, VERSIONS, actions_of, calm, episode, eventful
+from wtg_gym import GFMWTGEnv, GFMWTGVectorEnv, LoadStep, Scenario, get_suite, simulate
+from wtg_gym.envs import CostWeights
+from wtg_gym.physics.tracking_law import STRATEGIES
+from wtg_gym.tasks.cost import COST, COST_TERMS
+
+EVENTFUL = get_suite("standard").scenario(20_003)
+LOW_WIND = get_suite("low-wind").scenario(20_001)
+
+
+def follow(scenario: Scenario, **settings) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return frequency, rotor speed and coefficient over an episode of zero actions (one of them minus zero)."""
+    env = GFMWTGEnv(version="v0", scenario=scenario.to_dict(), **settings)
+    _, info = env.reset(seed=0)
+    simulator = env.lanes.simulator
+    frequency, speed, coefficient = [], [], []
+    over, zero = False, 0.0
+    while True:
+        frequency.append(info["frequency_hz"])
+        speed.append(simulator.wtg_values("rotor_speed")[0])
+        coefficient.append(simulator.wtg_values("coefficient")[0])
+        if over:
+            return np.array(frequency), np.array(speed), np.array(coefficient)
+        zero = -zero
+        _, _, terminated, truncated, info = env.step(np.full(env.action_space.shape, zero))
+        over = terminated or truncated
+
+
+@pytest.mark.parametrize("scenario", [EVENTFUL, LOW_WIND, eventful()], ids=lambda scenario: scenario.name)
+def test_zero_action_is_the_strategy_to_the_last_bit(scenario):
+    strategies = [*((name, name) for name in STRATEGIES), ("mppt", "deloaded-10")]
+    for names, action_mode in zip(strategies, itertools.cycle(ACTION_MODES), strict=False):
+        frequency, speed, coefficient = follow(scenario, strategy=list(names), action_mode=action_mode)
+        run = simulate(scenario, names)
+        assert frequency.tobytes() == run.frequency_hz.tobytes(), names
+        assert speed.tobytes() == run.rotor_speed_pu.tobytes()
+        assert coefficient.tobytes() == run.coefficient_pu.tobytes()
+
+
+def test_action_on_k_moves_power_up_and_on_tau_only_the_transient():
+    for mode, value in (("k", 1.0), ("k", -1.0), ("tau", 1.0), ("tau", -1.0)):
+        env = GFMWTGEnv(scenario=calm().to_dict(), action_mode=mode, version="v0")
+        env.reset(seed=0)
+        before = env.lanes.simulator.wtg_values("power")[0]
+        env.step(np.full(2, value))
+        change = env.lanes.simulator.wtg_values("power")[0] - before
+        assert (value * change > 1e-4).all() if mode == "k" else np.abs(change).max() < 1e-9
+
+
+def test_groups_at_a_shared_bus_in_the_same_wind_behave_alike():
+    # Bus 2 holds its voltage with the groups alone: two turbines could not. The number is a constant of the compiled
+    # code, without a limit of its own there: more than three groups would take half a minute to compile.
+    groups = [{"bus": bus, "n_turbines": 10.0 if bus == 2 else 1.0} for bus in (2, 9, 9)]
+    env = GFMWTGEnv(groups=groups, scenario=calm(n_wtg=3, duration_s=2.0).to_dict(), version="v0")
+    observation, _ = env.reset(seed=0)
+    n = observation.size // 3
+    assert env.action_space.shape == (6,) and observation.size == len(env.observation_names) == 3 * n
+    for _ in range(20):
+        observation, _, terminated, truncated, _ = env.step(np.array([0.4, -0.2] * 3))
+        assert env.observation_space.contains(observation)
+    assert truncated and not terminated
+    assert observation[n : 2 * n] == pytest.approx(observation[2 * n :].tolist(), abs=1e-6)
+    assert observation[:n] != pytest.approx(observation[n : 2 * n].tolist(), abs=1e-3)
+
+
+KEYS = {*(f"cost_{name}" for name in COST_TERMS), "time_s", "frequency_hz", "rocof_hz_s", "cost", "scenario_seed"}
+
+
+@pytest.mark.parametrize("name", ["frequency", "rocof", "duty", "rotor", "effort"])
+def test_every_weight_scales_its_own_term_alone(name):
+    scenario, term, weight = eventful(7.0).to_dict(), f"cost_{name}", getattr(CostWeights(), name)
+    light, heavy = (
+        GFMWTGEnv(scenario=scenario, weights={name: factor * weight, "cap": 1e6}, version="v0") for factor in (1.0, 3.0)
+    )
+    total = 0.0
+    for (*_, info), (*_, other) in zip(episode(light, -1.0), episode(heavy, -1.0), strict=True):
+        total += info[term]
+        assert other[term] == pytest.approx(3.0 * info[term], rel=1e-12)
+        assert all(other[key] == info[key] for key in KEYS - {term} | {"termination_reason"})
+    assert total > 0.0 or name == "rotor"
+
+
+@pytest.mark.parametrize("action_mode", ACTION_MODES)
+@pytest.mark.parametrize("version", VERSIONS)
+def test_observations_stay_in_their_space_and_no_entry_is_constant(version, action_mode):
+    modes = {"action_mode": action_mode, "observation_mode": "privileged"}
+    env = GFMWTGVectorEnv(5, version=version, duration_s=15.0, **modes)
+    n_action = env.single_action_space.shape[0]
+    seen = [env.reset(seed=0)[0]]
+    for action in actions_of(2, 320, 5, n_action):
+        seen.append(env.step(action)[0])
+        assert env.observation_space.contains(seen[-1])
+    values = np.stack(seen)
+    assert values.dtype == np.float32 and np.isfinite(values).all()
+    names = env.lanes.observation_names
+    assert len(names) == len(set(names)) == values.shape[-1]
+    assert all("[" in name or "last_action" in name for name in names)
+    spread = np.ptp(values.reshape(-1, values.shape[-1]), axis=0)
+    assert [name for name, width in zip(names, spread, strict=True) if width < 1e-4] == []
+
+
+N_STEPS, N_HELD = 40, 5
+#: The frequency passes its upper limit within a step.
+BLACKOUT = calm(n_wtg=4, duration_s=20.0, events=(LoadStep(time_s=7.1, bus=3, power_mw=-150.0),), inertia_scale=0.3)
+
+
+def state(env: GFMWTGVectorEnv):
+    """Return all that an environment carries on, but what the last interval cost: after an end that is nothing."""
+    simulator = env.lanes.simulator
+    return np.delete(simulator.blocks, simulator.layout.first_rows(COST, "cost"), axis=1)
+
+
+@pytest.mark.parametrize("n_lanes", [1, 3])
+@pytest.mark.parametrize(
+    ("scenario", "settings"),
+    [
+        (get_suite("faults-v1").scenario(20_002, duration_s=20.0), {"observation_mode": "privileged"}),
+        (eventful(n_wtg=4, duration_s=6.5), {"strategy": "mppt", "action_mode": "tau"}),
+        (BLACKOUT, {}),
+    ],
+    ids=["drawn", "every event", "blackout"],
+)
+def test_a_step_is_five_intervals_with_its_action(scenario, settings, n_lanes):
+    held, fine = (
+        GFMWTGVectorEnv(n_lanes, duration_s=20.0, control_dt=dt, reward="cost", n_threads=1, **settings)
+        for dt in (None, 0.1)
+    )
+    for env in (held, fine):
+        env.reset(seed=0, options={"scenarios": [scenario] * n_lanes})
+    n, within = 0, 0
+    for action in actions_of(2, N_STEPS, 1, held.single_action_space.shape[0]).repeat(n_lanes, axis=1):
+        observations, rewards, *ends, info = held.step(action)
+        shares = []
+        for _ in range(N_HELD):
+            shares.append(fine.step(action))
+            if (shares[-1][2] | shares[-1][3]).any():
+                break
+        n, within = n + len(shares), len(shares)
+        assert observations.tobytes() == shares[-1][0].tobytes()
+        assert [end.tolist() for end in ends] == [end.tolist() for end in shares[-1][2:4]]
+        assert state(held).tobytes() == state(fine).tobytes()
+        # A step costs what its intervals do, term by term, and violates a constraint if one of them does.
+        for name in ("cost", *(f"cost_{term}" for term in COST_TERMS)):
+            values = [each[4][name] for each in shares]
+            assert info[name].tolist() == (np.max(values, axis=0) if name == "cost" else sum(values)).tolist()
+        assert rewards.tolist() == sum(each[1] for each in shares).tolist()
+        assert -rewards == pytest.approx(sum(info[f"cost_{term}"] for term in COST_TERMS), rel=1e-12)
+        assert all(info[name].tolist() == shares[-1][4][name].tolist() for name in ("time_s", "frequency_hz"))
+        if any(end.any() for end in ends):
+            break
+    assert ends[0].any() == (scenario is BLACKOUT) and (within < N_HELD or scenario is not BLACKOUT)
+    assert held.lanes.n_steps().tolist() == [-(-n // N_HELD)] * n_lanes
