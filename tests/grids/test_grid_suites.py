@@ -12,6 +12,7 @@ from tests.physics.test_grid_files import STRANGER
 from wtg_gym.envs import GFMWTGEnv
 from wtg_gym.envs.settings import EnvSettings
 from wtg_gym.evaluation import Entry, evaluate
+from wtg_gym.grids.describe import describe_equilibrium
 from wtg_gym.physics.grid import data_of, get_grid, text_of
 from wtg_gym.policies.entry import check_version
 from wtg_gym.scenarios import get_suite
@@ -108,6 +109,13 @@ def test_another_suite_may_not_have_the_name_of_a_frozen_one(folder):
     other.write_bytes((folder / "ring.json").read_bytes())
     with pytest.raises(ValueError, match="another suite than standard-v1: give it another name"):
         get_suite(str(other))
+
+
+def test_a_grid_whose_runs_end_without_any_event_is_refused_with_the_protection():
+    grid = get_grid("ieee39")
+    low = [replace(bus, voltage_pu=bus.voltage_pu and bus.voltage_pu - 0.16) for bus in grid.case.buses]
+    with pytest.raises(ValueError, match=r"a run ends after 3\.\d s by voltage collapse, with voltages of 0\.7"):
+        list(describe_equilibrium(replace(grid, case=replace(grid.case, buses=tuple(low)))))
 
 
 def test_kinds_without_a_place_do_not_happen(folder):
