@@ -124,6 +124,21 @@ def test_kinds_without_a_place_do_not_happen(folder):
     assert not any("governor" in scenario.name for scenario in suite.scenarios(suite.validation[:90]))
 
 
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"load_mw": 0.0}, "take 0 MW together"),
+        ({"dispatch_mw": -50.0, "governor": None}, "governor of grid .* take 50"),
+    ],
+)
+def test_a_grid_without_load_or_with_machines_that_take_power_has_no_suite(folder, change, words):
+    where = "buses" if "load_mw" in change else "machines"
+    rows = [{**row, **change} if where == "buses" or row is STRANGER[where][-1] else row for row in STRANGER[where]]
+    (folder / "ring.json").write_text(json.dumps({**STRANGER, where: rows}), encoding="utf-8")
+    with pytest.raises(ValueError, match=words):
+        get_suite("ring.json")
+
+
 def test_settings_of_a_grid_can_be_changed():
     settings = EnvSettings(grid="ieee39")
     assert replace(settings, split="test").suite_name == settings.suite_name and settings.env_id == "GFMWTG-v1"

@@ -82,5 +82,5 @@ def check(grid: str, /) -> int:
     rows = [*describe_grid(network), *describe_equilibrium(network)]
     print_table(("", ""), rows, left=(0, 1))
     if network.groups:
-        print_table(("", ""), describe_starts(network), left=(0, 1))
+        print_table(("", ""), describe_starts(grid), left=(0, 1))
     return 0

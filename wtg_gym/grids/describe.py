@@ -87,8 +87,8 @@ def describe_equilibrium(grid: Grid) -> Iterator[Line]:
     yield "stable", "yes" if not growing else f"no: {len(growing)} modes grow"
 
 
-def describe_starts(grid: Grid) -> Iterator[Line]:
-    """Yield how many of a grid's scenarios start, why others do not, and what reset and step take.
+def describe_starts(grid: Grid | str) -> Iterator[Line]:
+    """Yield how many scenarios of a grid or its file start, why others do not, and what reset and step take.
 
     Raises:
         ValueError: too few of them start to train on.
