@@ -11,6 +11,7 @@ from tests.cli.calls import json_of
 from tests.physics.test_grid_files import STRANGER
 from wtg_gym import Entry, GFMWTGEnv, evaluate, get_suite
 from wtg_gym.envs.settings import EnvSettings
+from wtg_gym.grids.describe import describe_equilibrium
 from wtg_gym.physics.grid import data_of, get_grid, text_of
 from wtg_gym.policies.entry import check_version
 from wtg_gym.scenarios.grid_suite import all_places, unscreened
@@ -108,10 +109,32 @@ def test_another_suite_may_not_have_the_name_of_a_frozen_one(folder):
         get_suite(str(other))
 
 
+def test_a_grid_whose_runs_end_without_any_event_is_refused_with_the_protection():
+    grid = get_grid("ieee39")
+    low = [replace(bus, voltage_pu=bus.voltage_pu and bus.voltage_pu - 0.16) for bus in grid.case.buses]
+    with pytest.raises(ValueError, match=r"a run ends after 3\.\d s by voltage collapse, with voltages of 0\.7"):
+        list(describe_equilibrium(replace(grid, case=replace(grid.case, buses=tuple(low)))))
+
+
 def test_kinds_without_a_place_do_not_happen(folder):
     own = unscreened(str(folder / "ring.json"))
     suite = replace(own, places=replace(own.places, governor_buses=())).suite
     assert not any("governor" in scenario.name for scenario in suite.scenarios(suite.validation[:90]))
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"load_mw": 0.0}, "take 0 MW together"),
+        ({"dispatch_mw": -50.0, "governor": None}, "governor of grid .* take 50"),
+    ],
+)
+def test_a_grid_without_load_or_with_machines_that_take_power_has_no_suite(folder, change, words):
+    where = "buses" if "load_mw" in change else "machines"
+    rows = [{**row, **change} if where == "buses" or row is STRANGER[where][-1] else row for row in STRANGER[where]]
+    (folder / "ring.json").write_text(json.dumps({**STRANGER, where: rows}), encoding="utf-8")
+    with pytest.raises(ValueError, match=words):
+        get_suite("ring.json")
 
 
 def test_settings_of_a_grid_can_be_changed():

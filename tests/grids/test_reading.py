@@ -1,7 +1,9 @@
 """Facts about cases of other programs: what is brought in, what is refused, and that both power flows are the same."""
 
+import json
 import math
 import zipfile
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -28,6 +30,24 @@ _BASE = {
     "BRANCH": "1,2,'1',0.01,0.1,0.02,0,0,0,0,0,0,0,1,1,0,1,1\n2,3,'1',0.02,0.12,0.03,0,0,0,0,0,0,0,1,1,0,1,1\n"
     "1,3,'1',0.015,0.11,0.02,0,0,0,0,0,0,0,1,1,0,1,1\n",
 }
+_LINES = (1, 2, 0.01, 0.1, 0.02), (2, 3, 0.02, 0.12, 0.03), (1, 3, 0.015, 0.11, 0.02)
+#: Two buses in IEEE's common format.
+_CDF = """ 04/26/09 IEEE                 100.0  2009 S TESIS
+BUS DATA FOLLOWS                    2 ITEMS
+   1 BUS-1   100   1  1  3 1.04  0.     0.       0.        71.6410227.04592 100.    1.04   999900 -99990    0.      0.        0
+   2 BUS-2   100   1  1  0 1.025 -2.216 50.      10.       0.      0.       100.    1.       0.     0.      0.      0.        0
+-999
+BRANCH DATA FOLLOWS                    1 ITEMS
+   1    2  1  1      0.01      0.085       0.176  0    0     0      0    0  0      0      0      0       0      0      0
+-999
+LOSS ZONES FOLLOWS   0 ITEMS
+-99
+INTERCHANGE DATA FOLLOWS      0 ITEMS
+-9
+TIE LINES FOLLOWS             0 ITEMS
+-999
+END OF DATA
+"""  # noqa: E501
 _GENROU = "8 0.03 0.4 0.05 4.5 0.5 1.8 1.7 0.3 0.55 0.25 {} 0.05 0.3 /\n"
 _DYR = (
     f"1 'GENROU' 1 {_GENROU.format(0.06)}2, 'GENSAL', A, 8 0.03 0.05 3 0 1.1 0.7 0.3 0.25 0.3 0 0 /\n"
@@ -50,8 +70,7 @@ def raw(tmp_path: Path, version: int = 33, dynamic: str = "", **more: str) -> tu
 def mpc(tmp_path: Path, base: float = 100.0, bus: str = "", branch: str = "", after: str = "") -> Path:
     """The same three buses in MATPOWER's form."""
     k = base / 100.0
-    lines = [f"{a},{b} {r * k} {x * k} {c / k} 0 0 0 0 0 1;" for a, b, r, x, c in
-             ((1, 2, 0.01, 0.1, 0.02), (2, 3, 0.02, 0.12, 0.03), (1, 3, 0.015, 0.11, 0.02))]  # fmt: skip
+    lines = [f"{a},{b} {r * k} {x * k} {c / k} 0 0 0 0 0 1;" for a, b, r, x, c in _LINES]
     path = tmp_path / "three.m"
     path.write_text(
         f"function mpc = three\nmpc.version = '2';\nmpc.baseMVA = {base}; % MVA\n"
@@ -157,6 +176,66 @@ def test_a_switched_shunt_stands_at_its_initial_value_and_a_winding_without_impe
     assert case.bus_numbers == (1, 2, 3) and len(case.branches) == 5
 
 
+def test_RAW_with_blanks_between_its_fields_and_RAWX_say_the_same_as_with_commas(tmp_path):
+    switched = "3,0,0,1,1.1,0.9,0,100,'',15,1,20\n"
+    path, _ = raw(tmp_path, SWSHUNT=switched)
+    case = read_case(path).case
+    path.write_text("\n".join(line.replace(",", " ") for line in path.read_text().splitlines()))
+    assert read_case(path).case == case
+    tables = {
+        "caseid": {"fields": ["ic", "sbase", "rev", "xfrrat", "nxfrat", "basfrq"], "data": [0, 100.0, 35, 0, 1, 50.0]},
+        "bus": {
+            "fields": ["ibus", "name", "baskv", "ide", "vm", "va"],
+            "data": [
+                [1, "ONE", 220.0, 3, 1.02, 0.0],
+                [2, "TWO", 220.0, 2, 1.01, 0.0],
+                [3, "THREE", 220.0, 1, 1.0, 0.0],
+            ],
+        },
+        "load": {
+            "fields": ["ibus", "loadid", "stat", "pl", "ql"],
+            "data": [[2, "1", 1, 20.0, 5.0], [3, "1", 1, 90.0, 30.0]],
+        },
+        "generator": {
+            "fields": ["ibus", "machid", "pg", "qg", "qt", "qb", "vs", "mbase", "zr", "zx", "stat", "pt", "pb"],
+            "data": [
+                [1, "1", 60.0, 0.0, 100.0, -100.0, 1.02, 150.0, 0.001, 0.3, 1, 200.0, 0.0],
+                [2, "A", 55.0, 10.0, 60.0, -60.0, 1.01, 100.0, 0.0, 1.0, 1, 200.0, 0.0],
+            ],
+        },
+        "acline": {
+            "fields": ["ibus", "jbus", "ckt", "rpu", "xpu", "bpu", "stat"],
+            "data": [[a, b, "1", r, x, c, 1] for a, b, r, x, c in _LINES],
+        },
+        "swshunt": {
+            "fields": ["ibus", "shntid", "modsw", "stat", "swreg", "binit", "s1", "n1", "b1"],
+            "data": [[3, "1", 0, 1, 0, 15.0, 1, 1, 20.0]],
+        },
+        "gne": {"fields": ["name"], "data": []},
+    }
+    path = tmp_path / "three.rawx"
+    path.write_text(json.dumps({"network": tables}))
+    assert read_case(path).case == case
+    tables["gne"]["data"] = [["D"]]
+    path.write_text(json.dumps({"network": tables}))
+    with pytest.raises(ValueError, match="1 gne-device"):
+        read_case(path)
+
+
+def test_IEEE_CDF_is_read_by_its_usual_ending_and_endless_ratings_of_CGMES_are_none(tmp_path):
+    net = pypowsybl.network.create_ieee14()
+    net.save(tmp_path / "grid.zip", format="CGMES")
+    assert max(machine.rating_mva for machine in read_case(tmp_path / "grid.zip").case.machines) < 1000.0
+    (tmp_path / "two.cdf").write_text(_CDF)
+    assert read_case(tmp_path / "two.cdf").case.load_mw == 50.0
+
+
+def test_a_case_that_pypowsybl_cannot_solve_is_refused_in_a_line(tmp_path):
+    path, _ = raw(tmp_path, LOAD="3,'2',1,1,1,9000,0,0,0,0,0,1,1,0\n")
+    with pytest.raises(ValueError, match="pypowsybl finds no power flow: "):
+        read_case(path)
+
+
 @pytest.mark.parametrize("country", ["be", "nl"])
 def test_a_network_of_pypowsybl_with_boundary_lines_is_read_and_a_case_of_PSSE_but_a_RAW_file_is_not(country, tmp_path):
     net = getattr(pypowsybl.network, f"create_micro_grid_{country}_network")()
@@ -166,7 +245,7 @@ def test_a_network_of_pypowsybl_with_boundary_lines_is_read_and_a_case_of_PSSE_b
     path, _ = raw(tmp_path)
     with zipfile.ZipFile(tmp_path / "three.zip", "w") as archive:
         archive.write(path, path.name)
-    with pytest.raises(ValueError, match=r"read from its \.raw file only"):
+    with pytest.raises(ValueError, match=r"read from its \.raw or \.rawx file only"):
         read_case(tmp_path / "three.zip")
 
 
@@ -179,6 +258,12 @@ def test_RAW_of_another_version_is_refused_by_its_number(version, tmp_path):
 def test_statements_and_unknown_tables_of_MATPOWER_are_refused_and_a_bus_of_type_4_is_out(tmp_path):
     with pytest.raises(ValueError, match=r"statements, such as 'mpc\.bus\(:, 3\) = 1;'"):
         read_case(mpc(tmp_path, after="mpc.bus(:, 3) = 1;"))
+    for row, words in (
+        ("3 9 0 1 0 0 0 0 0 0 1;", "names the bus 9"),
+        ("1 3 0 1/8 0 0 0 0 0 0 1;", "no matrix of numbers"),
+    ):
+        with pytest.raises(ValueError, match=f"its table branch (is )?{words}"):
+            read_case(mpc(tmp_path, branch=row))
     with pytest.raises(ValueError, match="1 dcline of 30 MW; --drop dcline"):
         read_case(mpc(tmp_path, after="mpc.dcline = [\n1 3 1 30 29 0 0 1 1 0 100 -9 9 -9 9 1 0;\n];"))
     case = mpc(tmp_path, bus="4 4 40 0 0 0 1 1 0 220 1 1.1 0.9;\n", branch="3 4 0 0.1 0 0 0 0 0 0 1;\n")
@@ -219,6 +304,12 @@ def test_turbines_stand_beside_a_lone_machine_and_one_with_a_governor_stays(net,
     with pytest.raises(ValueError, match=r"no machine gives power at bus 3; those that do are at \[1, 2\]"):
         with_wind(grid, [3])
     net.gen.in_service = False
+    large = replace(
+        grid, case=replace(grid.case, machines=tuple(replace(m, dispatch_mw=3e4) for m in grid.case.machines))
+    )
+    assert [group.bus for group in with_wind(large).groups] == [1]
+    with pytest.raises(ValueError, match=r"turbines at bus 2: .*n_turbines"):
+        with_wind(large, [2])
     alone = with_wind(read(net, tmp_path))
     assert alone.groups[0].bus == 1 and alone.replaced == () and len(alone.with_groups.machines) == 1
 

@@ -39,7 +39,7 @@ def import_grid(
 ) -> int:
     """Turn a case of another program into a grid's file.
 
-    RAW of PSS/E (with DYR), CGMES, UCTE, IEEE-CDF, PowerFactory and XIIDM are read by pypowsybl, MATPOWER's .m
+    RAW and RAWX of PSS/E (with DYR), CGMES, UCTE, IEEE-CDF, PowerFactory and XIIDM are read by pypowsybl, MATPOWER's .m
     and .mat by PYPOWER, and networks that pandapower's `to_json` wrote by pandapower: extra `grids`. Without
     DYR every machine is a typical one. The grid's own power flow must be that of the library; what a grid does not have
     is refused, or left out if --drop says so. What was assumed is said, and stands in the file.
@@ -82,5 +82,5 @@ def check(grid: str, /) -> int:
     rows = [*describe_grid(network), *describe_equilibrium(network)]
     print_table(("", ""), rows, left=(0, 1))
     if network.groups:
-        print_table(("", ""), describe_starts(network), left=(0, 1))
+        print_table(("", ""), describe_starts(grid), left=(0, 1))
     return 0

@@ -16,13 +16,17 @@ from wtg_gym.physics.equilibrium import StartError
 from wtg_gym.physics.grid import Grid
 from wtg_gym.physics.linearisation import StepError, moving_matrix, swing_modes
 from wtg_gym.physics.plant import Plant
+from wtg_gym.physics.protection import Status
 from wtg_gym.physics.scenario import Scenario
 from wtg_gym.physics.simulator import Simulator, longest_step
 from wtg_gym.physics.tracking_law import group_laws
+from wtg_gym.physics.trajectory import simulate
 
 #: Wind at which all groups stand, and the law under which they do.
 WIND_M_S, LAW = 10.0, "coordinated-tuned"
 
+#: Longer than a low voltage is ridden through [s].
+_REST_S = 4.0
 #: Scenarios that are tried, and how many must start: then 200 draws find one.
 TRIED, LEAST_STARTS = 100, 15
 #: Moving numbers up to which modes are computed: eigenvalues take their cube.
@@ -62,6 +66,13 @@ def describe_equilibrium(grid: Grid) -> Iterator[Line]:
     simulator.start(0, scenario, group_laws(LAW, plant.turbines, plant.control))
     simulator.evaluate()
     voltages = np.abs(simulator.bus_voltages())
+    run = simulate(dataclasses.replace(scenario, duration_s=_REST_S), LAW, plant)
+    if run.status != Status.RUNNING:
+        raise ValueError(
+            f"without any event a run ends after {run.time_s[-1]:g} s by {run.status.name.lower().replace('_', ' ')}, "
+            f"with voltages of {voltages.min():.3f} … {voltages.max():.3f} p.u. and "
+            f"angles {np.ptp(np.angle(simulator.bus_voltages(), deg=True)):.0f}° apart"
+        )
     yield "state below", f"{WIND_M_S:g} m/s, all groups under {LAW}"
     yield "voltages", f"{voltages.min():.3f} … {voltages.max():.3f} p.u."
     rows, layout = simulator.blocks[0, :, 0], simulator.layout
@@ -76,8 +87,8 @@ def describe_equilibrium(grid: Grid) -> Iterator[Line]:
     yield "stable", "yes" if not growing else f"no: {len(growing)} modes grow"
 
 
-def describe_starts(grid: Grid) -> Iterator[Line]:
-    """Yield how many of a grid's scenarios start, why others do not, and what reset and step take.
+def describe_starts(grid: Grid | str) -> Iterator[Line]:
+    """Yield how many scenarios of a grid or its file start, why others do not, and what reset and step take.
 
     Raises:
         ValueError: too few of them start to train on.

@@ -42,6 +42,7 @@ _READ = (
 )
 #: Tables of a .m file that say nothing about the power flow.
 _SILENT = "version baseMVA bus gen branch gencost bus_name branch_name gen_name genfuel gentype areas"
+_SAVE = "save the case there as a .mat file or by savecase"
 #: Columns of MATPOWER's tables, and those that pandapower adds to the branches.
 _BUS, _TYPE, _PD, _QD, _GS, _BS, _VM, _VA = 0, 1, 2, 3, 4, 5, 7, 8
 _GEN, _PG, _QG, _QMAX, _QMIN, _GEN_STATUS, _PMAX = 0, 1, 2, 3, 4, 7, 8
@@ -72,18 +73,22 @@ def read_matpower(path: Path, frequency_hz: float | None, drop: Collection[str])
     if path.suffix.lower() == ".mat":
         try:
             given = loadmat(path, simplify_cells=True)["mpc"]
-        except MatReadError as error:
+        # A file of version 7.3 is HDF5.
+        except (MatReadError, NotImplementedError) as error:
             raise ValueError(f"it is no .mat file: {error}") from error
     else:
         given, fuels = _written_tables(read_text(path, "case"))
-    tables = {name: np.atleast_2d(np.array(given[name], dtype=float)) for name in ("bus", "gen", "branch")}
+    tables = {name: _matrix(name, given[name]) for name in ("bus", "gen", "branch")}
     notes: list[str] = []
     more = {name: (len(np.atleast_2d(given[name])), 0.0) for name in given if name not in _SILENT.split()}
     if "dcline" in more:
-        lines = np.atleast_2d(np.array(given["dcline"], dtype=float))
+        lines = _matrix("dcline", given["dcline"])
         more["dcline"] = int(lines[:, 2].sum()), float((lines[:, 2] * abs(lines[:, 3])).sum())
     solved_case.refuse_unread(more, drop, notes)
     solved_case.refuse_large(len(tables["bus"]))
+    for name, places in (("gen", [_GEN]), ("branch", [_FROM, _TO])):
+        if unknown := set(tables[name][:, places].ravel()) - set(tables["bus"][:, _BUS]):
+            raise ValueError(f"its table {name} names the bus {min(unknown):g}, which is not there")
     for name, columns in (("bus", 13), ("gen", 21), ("branch", 13)):
         # Limits may be infinite or none.
         rows = np.nan_to_num(tables[name], posinf=solved_case.UNLIMITED, neginf=-solved_case.UNLIMITED)
@@ -91,7 +96,11 @@ def read_matpower(path: Path, frequency_hz: float | None, drop: Collection[str])
     unsolved = {"version": "2", "baseMVA": float(given["baseMVA"]), **tables}
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        solved, converged = runpf(unsolved, ppoption(VERBOSE=0, OUT_ALL=0, PF_TOL=1e-11))
+        # Rounding may keep a large case from the narrower tolerance.
+        for tolerance in (1e-11, 1e-9):
+            solved, converged = runpf(unsolved, ppoption(VERBOSE=0, OUT_ALL=0, PF_TOL=tolerance))
+            if converged:
+                break
     if not converged:
         raise ValueError("PYPOWER finds no power flow")
     if frequency_hz is None:
@@ -102,6 +111,13 @@ def read_matpower(path: Path, frequency_hz: float | None, drop: Collection[str])
     for infeed in case.infeeds:
         infeed.role = roles.get(fuels.get(int(infeed.machine_id), ""), "machine")
     return case
+
+
+def _matrix(name: str, rows: Any) -> Any:
+    try:
+        return np.atleast_2d(np.array(rows, dtype=float))
+    except ValueError as error:
+        raise ValueError(f"its table {name} is no matrix of numbers ({error}); if MATLAB reads it, {_SAVE}") from error
 
 
 def _written_tables(text: str) -> tuple[dict[str, Any], dict[int, str]]:
@@ -118,7 +134,7 @@ def _written_tables(text: str) -> tuple[dict[str, Any], dict[int, str]]:
     if statements := [line.strip() for line in left.splitlines() if line.strip(" ;\t\r")]:
         raise ValueError(
             f"besides its tables it has statements, such as {statements[0]!r:.80}, which only MATLAB or Octave "
-            "can run: save the case there as a .mat file or by savecase"
+            f"can run: {_SAVE}"
         )
     names = [name for name, _ in (*tables, *scalars)]
     if len(set(names)) < len(names) or not {"bus", "gen", "branch", "baseMVA"} <= set(names):

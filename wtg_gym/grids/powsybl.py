@@ -1,23 +1,23 @@
-"""Cases that pypowsybl (https://powsybl.org) reads and solves: RAW, CGMES, UCTE, IEEE-CDF, PowerFactory, XIIDM.
+"""Cases that pypowsybl (https://powsybl.org) reads and solves: RAW, RAWX, CGMES, UCTE, IEEE-CDF, PowerFactory, XIIDM.
 
-What its reader of RAW passes over is looked for in the file's sections: tables of impedance correction, devices that no
-section of it knows, the initial susceptance of switched shunts, which it rounds to a step, and the bases of machines.
+What its reader of RAW and RAWX passes over is looked for in the file's sections: tables of impedance correction,
+devices that no section of it knows, the initial susceptance of switched shunts, which it rounds to a step, and the
+bases of machines.
 """
 
 from __future__ import annotations
 
 import cmath
-import csv
+import json
 import math
 import re
 import tempfile
-from collections.abc import Collection, Iterator
+from collections import defaultdict
+from collections.abc import Collection, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
-from wtg_gym.files import read_text
+from wtg_gym.files import parse_json, read_text
 from wtg_gym.grids import solved_case
 from wtg_gym.physics.network import LEAST_IMPEDANCE
 
@@ -34,8 +34,16 @@ _PASSED_OVER = {
     "gne": "gne-device",
     "indmach": "induction-machine",
 }
-#: Places of numbers in the records of RAW 33 and of 35.
-_PLACES = {"mbase": (8, 9), "zr": (9, 10), "zx": (10, 11), "wmod": (26, 28), "binit": (9, 11)}
+#: Fields of the records that are read here, in their order in RAW 35; 33 has those of :data:`_NEW` not.
+_FIELDS = {
+    "generator": "ibus machid pg qg qt qb vs ireg nreg mbase zr zx rt xt gtap stat rmpct pt pb baslod o1 f1 o2 f2 o3 "
+    "f3 o4 f4 wmod wpf",
+    "swshunt": "ibus shntid modsw adjm stat vswhi vswlo swreg nreg rmpct rmidnt binit s1 n1 b1",
+    "facts": "name ibus jbus mode",
+}
+_NEW = {"generator": ("nreg", "baslod"), "swshunt": ("shntid", "nreg", "s1")}
+#: Ending that pypowsybl knows a format by, where another one is usual.
+_ENDINGS = {".cdf": ".txt"}
 #: What a generator of a RAW file has where it does not say.
 _MACHINE = {"mbase": 0.0, "zr": 0.0, "zx": 1.0, "wmod": 0.0}
 #: Tables of pypowsybl that have no place in a grid, with the column of their power.
@@ -67,22 +75,25 @@ def read_powsybl(path: Path, frequency_hz: float | None, drop: Collection[str]) 
     import pypowsybl
 
     notes: list[str] = []
-    raw = _Raw(path) if path.suffix.lower() == ".raw" else None
+    suffix = path.suffix.lower()
+    raw = _Raw(path) if suffix in (".raw", ".rawx") else None
     # Errors of pypowsybl are of any kind.
     try:
-        if raw is None:
-            net = pypowsybl.network.load(str(path))
-        else:
-            with tempfile.TemporaryDirectory() as folder:
-                copy = Path(folder) / f"{path.stem}.raw"
-                copy.write_text(raw.text)
-                net = pypowsybl.network.load(str(copy))
+        with tempfile.TemporaryDirectory() as folder:
+            # Its readers go by endings, in small letters.
+            read = path.with_suffix(_ENDINGS.get(suffix, suffix))
+            if raw is not None or read != path:
+                read = Path(folder) / read.name
+                read.write_bytes(path.read_bytes() if raw is None else raw.text.encode())
+            net = pypowsybl.network.load(str(read))
     except Exception as error:
         which = "" if raw is None else f" as RAW of version {raw.version:g} (32, 33 and 35 are read)"
         raise ValueError(f"pypowsybl cannot read it{which}: {error}") from error
     if raw is None and net.source_format == "PSS/E" and "iidm" not in path.suffix.lower():
         # What pypowsybl passes over would not be seen.
-        raise ValueError("a case of PSS/E is read from its .raw file only: no RAWX, no archive")
+        raise ValueError("a case of PSS/E is read from its .raw or .rawx file only, not from an archive")
+    if raw is not None and raw.records["swshunt"]:
+        notes.append("switched shunts stand at their initial susceptance BINIT, which pypowsybl would round to a step")
     unread = {} if raw is None else {kind: (n, 0.0) for kind, n in raw.passed_over()}
     for kind, (name, column) in _UNREAD.items():
         rows = getattr(net, f"get_{name}")()
@@ -104,20 +115,43 @@ def read_powsybl(path: Path, frequency_hz: float | None, drop: Collection[str]) 
 
 
 class _Raw:
-    """The sections of a RAW file, with what pypowsybl passes over, and its text as pypowsybl should read it."""
+    """The records of a RAW or RAWX file by section, and its text as pypowsybl should read it."""
 
     def __init__(self, path: Path) -> None:
-        self.text = read_text(path, "case")
-        self.records: dict[str, list[list[str]]] = {}
-        lines = self.text.splitlines()
+        self.records = defaultdict[str, list[dict[str, str]]](list)
+        text = read_text(path, "case")
+        self.text = self._read_json(text) if path.suffix.lower() == ".rawx" else self._read_lines(text)
+
+    def _read_json(self, text: str) -> str:
+        network = parse_json(text, "it")["network"]
+        for section, table in network.items():
+            names, data = table["fields"], table["data"]
+            # A section of one record may be that record.
+            data = data if not data or isinstance(data[0], list) else [data]
+            rows = [dict(zip(names, row, strict=False)) for row in data]
+            for row in rows:
+                record = {name: "" if value is None else str(value).strip() for name, value in row.items()}
+                self.records[section].append(record)
+                if section == "swshunt":
+                    steps = [name for name in row if re.fullmatch(r"[snb]\d", name)]
+                    row |= dict.fromkeys(steps, 0) | self._at_initial(record)
+            if section == "swshunt" and rows:
+                network[section] = {"fields": list(rows[0]), "data": [list(row.values()) for row in rows]}
+        caseid = self.records["caseid"][0]
+        self.version, self.frequency_hz = float(caseid["rev"]), _number(caseid, "basfrq")
+        return json.dumps({"network": network})
+
+    def _read_lines(self, text: str) -> str:
+        lines = text.splitlines()
         starts = [place for place, line in enumerate(lines) if not line.startswith("@!")]
         header = _fields(lines[starts[0]]) if starts else []
         try:
             self.version = float(header[2])
         except (IndexError, ValueError) as error:
             raise ValueError("it is no RAW file: its first line must have three numbers or more") from error
-        self.frequency_hz = _number(header, 5)
-        queue = iter(_SECTIONS_35 if self.version >= 34 else _SECTIONS)
+        self.frequency_hz = _number(dict(enumerate(header)), 5)
+        new = self.version >= 34
+        queue = iter(_SECTIONS_35 if new else _SECTIONS)
         section, written = next(queue), lines[: starts[2] + 1] if len(starts) > 2 else lines
         for line in lines[len(written) :]:
             if line.startswith("@!"):
@@ -126,48 +160,59 @@ class _Raw:
                 break
             if re.match(r"\s*0\s*($|/|[A-Za-z])", line):
                 section = next(queue, "")
-            elif line.strip():
-                fields = _fields(line)
-                self.records.setdefault(section, []).append(fields)
+            elif fields := _fields(line):
+                names = [
+                    name for name in _FIELDS.get(section, "name").split() if new or name not in _NEW.get(section, ())
+                ]
+                record = dict(zip(names, fields, strict=False))
+                self.records[section].append(record)
                 if section == "swshunt":
-                    line = self._at_initial(fields)
+                    record |= {name: f"{value:.12g}" for name, value in self._at_initial(record).items()}
+                    texts = [record.get(name, "") for name in names]
+                    line = ",".join(each if re.fullmatch(r"[^A-Za-z ]+", each) else f"'{each}'" for each in texts)
             written.append(line)
-        self.text = "\n".join([*written, "Q", ""])
+        return "\n".join([*written, "Q", ""])
 
-    def _at_initial(self, fields: list[str]) -> str:
-        """Return the record of a switched shunt with its initial susceptance as its only step."""
-        place = self._place("binit")
-        steps = ["1", "1", fields[place]] if self.version >= 34 else ["1", fields[place]]
-        kept = [*fields[: place + 1], *steps] if _number(fields, place) else [*fields[:3], "0", *fields[4:]]
-        return ",".join(f"'{each}'" if re.search(r"[A-Za-z ]", each) or not each else each for each in kept)
-
-    def _place(self, name: str) -> int:
-        return _PLACES[name][self.version >= 34]
+    @staticmethod
+    def _at_initial(shunt: dict[str, str]) -> dict[str, float]:
+        """Return what makes the initial susceptance of a switched shunt its only step."""
+        steps: dict[str, float] = {"s1": 1, "n1": 1, "b1": (initial := _number(shunt, "binit"))}
+        return steps if initial else {"stat": 0}
 
     def passed_over(self) -> Iterator[tuple[str, int]]:
         """Yield what pypowsybl passes over: type and number."""
         for section, kind in _PASSED_OVER.items():
-            yield kind, len({fields[0] for fields in self.records.get(section, [])})
-        yield "facts-series", sum(row[2] not in ("0", "") for row in self.records.get("facts", []))
+            yield kind, len({next(iter(record.values())) for record in self.records[section]})
+        yield "facts-series", sum(record.get("jbus", "0") not in ("0", "") for record in self.records["facts"])
 
     def machines(self) -> dict[tuple[str, str], dict[str, float]]:
         """Return rating [MVA], source impedance [p.u.] and kind of wind machine by bus and id."""
         return {
-            (row[0], row[1]): {name: _number(row, self._place(name), value) for name, value in _MACHINE.items()}
-            for row in self.records.get("generator", [])
+            (row["ibus"], row.get("machid", "1")): {name: _number(row, name, value) for name, value in _MACHINE.items()}
+            for row in self.records["generator"]
         }
 
 
 def _fields(line: str) -> list[str]:
-    line = re.sub(r"^((?:[^'/]|'[^']*')*)/.*", r"\1", line)
-    fields = next(csv.reader([line], quotechar="'", skipinitialspace=True), [])
-    return [each.strip() for each in (fields if len(fields) > 1 else line.replace("'", " ").split())]
+    """Return the fields of a record, which commas or blanks part; a slash begins a remark."""
+    fields, empty = list[str](), True
+    for token in re.findall(r"'[^']*'|[^\s,'/]+|[,/]", line):
+        if token == "/":
+            break
+        if token != ",":
+            fields.append(token.strip("' "))
+            empty = False
+        elif empty:
+            fields.append("")
+        else:
+            empty = True
+    return fields
 
 
-def _number(fields: list[str], place: int, default: float = 0.0) -> float:
+def _number(record: Mapping[Any, str], name: Any, default: float = 0.0) -> float:
     try:
-        return float(fields[place])
-    except (IndexError, ValueError):
+        return float(record[name])
+    except (KeyError, ValueError):
         return default
 
 
@@ -204,7 +249,11 @@ class _Tables:
             flow = library.loadflow.Parameters(
                 voltage_init_mode=mode, read_slack_bus=False, provider_parameters=provider, **_FLOW
             )
-            results = library.loadflow.run_ac(self.net, flow)
+            try:
+                results = library.loadflow.run_ac(self.net, flow)
+            except Exception as error:
+                statuses.append(f"{error}")
+                continue
             statuses += [result.status_text for result in results[:1]]
             if results and results[0].status_text == "Converged":
                 # Power that the slack bus gives beside what the case says of its generators [MW].
@@ -319,10 +368,11 @@ class _Tables:
         for role, table in (("machine", self.net.get_generators()), ("static", self.net.get_batteries())):
             for name, row in table[table["connected"] & (table["bus_id"] != "")].iterrows():
                 found = re.fullmatch(r"B(\d+)-G(.*)", str(name))
-                place = (found[1], found[2].strip()) if found else ("", "1")
+                place = (found[1], found[2].strip('" ')) if found else ("", "1")
                 data = of_raw.get(place, _MACHINE)
                 source = "WIND" if data["wmod"] else row.get("energy_source", "")
                 limits = row.max_q, row.max_p if row.bus_id == self.slack else 0.0
+                rated = float(row.get("rated_s", math.nan))
                 taken = complex(row.p, row.q)
                 self.out.infeeds.append(
                     solved_case.Infeed(
@@ -331,7 +381,7 @@ class _Tables:
                         machine_id=place[1],
                         role={"WIND": "wind", "SOLAR": "static"}.get(source, role),
                         power=-taken if cmath.isfinite(taken) else complex(row.target_p, row.target_q),
-                        rating_mva=data["mbase"] or float(np.nan_to_num(row.get("rated_s", 0.0))) or None,
+                        rating_mva=data["mbase"] or (rated if 0.0 < rated < solved_case.UNLIMITED else None),
                         impedance=complex(data["zr"], data["zx"]),
                         least_mva=max([float(v) for v in limits if v < solved_case.UNLIMITED], default=0.0),
                     )

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Sequence
 
+from wtg_gym.grids.solved_case import made
 from wtg_gym.physics.grid import Grid
 from wtg_gym.physics.parameters import TurbineParameters, WtgGroup
 
@@ -12,6 +13,8 @@ from wtg_gym.physics.parameters import TurbineParameters, WtgGroup
 SHARE = 0.6
 #: Groups at most then.
 MOST_GROUPS = 6
+#: Power of the machines at a bus up to which they are replaced then [MW]; more than that is an equivalent of a grid.
+MOST_MW = 20_000.0
 #: Rating of turbines over the power that they take over: 1.25 of the load for :data:`SHARE` of it.
 OVER = 1.25 / SHARE
 
@@ -42,7 +45,7 @@ def with_wind(grid: Grid, buses: Sequence[int] = (), rating: float | None = None
     if not buses:
         taken = sum(given[bus] for bus in chosen)
         for bus in sorted(given, key=given.__getitem__, reverse=True):
-            fits = bus not in (slack, *chosen) and 0.0 < given[bus] <= SHARE * total - taken
+            fits = bus not in (slack, *chosen) and 0.0 < given[bus] <= min(SHARE * total - taken, MOST_MW)
             if fits and len(chosen) < MOST_GROUPS:
                 chosen.append(bus)
                 taken += given[bus]
@@ -54,5 +57,6 @@ def with_wind(grid: Grid, buses: Sequence[int] = (), rating: float | None = None
     given[slack] *= SHARE
     turbine_mw = TurbineParameters().rated_power_mw
     over = OVER if rating is None else rating * case.load_mw / sum(given[bus] for bus in chosen)
-    groups = tuple(WtgGroup(bus=bus, n_turbines=max(1.0, round(over * given[bus] / turbine_mw))) for bus in chosen)
+    sizes = {bus: max(1.0, round(over * given[bus] / turbine_mw)) for bus in chosen}
+    groups = tuple(made(f"turbines at bus {bus}", WtgGroup, bus=bus, n_turbines=size) for bus, size in sizes.items())
     return dataclasses.replace(grid, groups=groups, replaced=replaced)

@@ -160,9 +160,11 @@ def unscreened(grid: str) -> GridSuite:
     """Return a suite of a grid, a name or a file, with every event that does not take its network apart.
 
     Raises:
-        ValueError: the machines that stay cannot give what the wind leaves.
+        ValueError: it has no load, or the machines that stay cannot give what the wind leaves.
     """
     found = get_grid(grid)
+    if found.case.load_mw <= 0.0:
+        raise ValueError(f"the loads of grid {grid!r} take {found.case.load_mw:.6g} MW together; a suite needs some")
     for branch in found.case.branches:
         ends = f"branch {branch.from_bus}-{branch.to_bus}"
         if math.hypot(branch.resistance, branch.reactance) < LEAST_IMPEDANCE:
@@ -170,9 +172,11 @@ def unscreened(grid: str) -> GridSuite:
     own = GridSuite(name=Path(grid).stem, grid=grid, places=all_places(found))
     plant = own.plant["plant"]
     own = replace(own, simulation_dt=longest_step(plant))
+    if (constant := constant_mw(plant)) < 0.0:
+        raise ValueError(f"the machines without governor of grid {grid!r} take {-constant:.6g} MW; they must give some")
     # The machines supply the load that the wind leaves, and the losses.
     load_mw = own.load_level[1] * found.case.load_mw
-    machines = (governed_mva(plant) + constant_mw(plant)) / load_mw
+    machines = (governed_mva(plant) + constant) / load_mw
     # Turbines give a part of their rating.
     sizes = zip(found.groups, plant.turbines, strict=True)
     rated_mw = sum(group.n_turbines * turbine.rated_power_mw for group, turbine in sizes)
