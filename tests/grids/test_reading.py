@@ -236,6 +236,13 @@ def test_a_case_that_pypowsybl_cannot_solve_is_refused_in_a_line(tmp_path):
         read_case(path)
 
 
+def test_tie_lines_between_other_nominal_voltages_are_read(tmp_path):
+    net = pypowsybl.network.create_eurostag_tutorial_example1_with_tie_lines_and_areas()
+    net.update_voltage_levels(id="VLHV2", nominal_v=400.0)
+    net.save(tmp_path / "ties.xiidm", format="XIIDM")
+    assert len(read_case(tmp_path / "ties.xiidm").case.branches) == 6
+
+
 @pytest.mark.parametrize("country", ["be", "nl"])
 def test_a_network_of_pypowsybl_with_boundary_lines_is_read_and_a_case_of_PSSE_but_a_RAW_file_is_not(country, tmp_path):
     net = getattr(pypowsybl.network, f"create_micro_grid_{country}_network")()

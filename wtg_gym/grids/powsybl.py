@@ -342,7 +342,8 @@ class _Tables:
             if not row.connected:
                 continue
             key = f"boundary of {row.tie_line_id or name}"
-            self.volts[key] = self.volts[row.bus_id]
+            # The halves of a tie line may have other nominal voltages.
+            self.volts.setdefault(key, self.volts[row.bus_id])
             self.out.voltages.setdefault(key, complex(math.nan, 0.0))
             half = complex(row.g, row.b)
             self._add_branch(str(name), (row.bus_id, key), complex(row.r, row.x), (half, 0j))
