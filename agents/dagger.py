@@ -1,8 +1,9 @@
 """`python -m agents.dagger`: trains a policy of sensors to do what the planner of :mod:`agents.planner` would do.
 
 The planner knows the exact state, the policy what a group measures. In the first round the planner drives, disturbed by
-noise; from then on the policy drives, and the planner says at every step what it would do from there (DAgger: S. Ross,
-G. Gordon, D. Bagnell, AISTATS 2011). After each round the policy is fitted to the plans of all rounds.
+noise; from then on the policy drives, and every few seconds the planner plans from where that has led (DAgger: S. Ross,
+G. Gordon, D. Bagnell, AISTATS 2011). Until it plans again the plan is what the policy should do, even if an event comes
+meanwhile. After each round the policy is fitted to the plans of all rounds.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ from cyclopts import Parameter
 from torch import Tensor, nn
 
 from agents import run as runs
-from agents.gradient import GradientPolicy, policy_for
+from agents.gradient import GradientPolicy
 from agents.planner import Floats, Planner, PlannerOptions, drive
 from agents.run import Run, RunOptions, RunSettings, Whole
 from wtg_gym.envs import EnvSettings
@@ -32,7 +33,7 @@ from wtg_gym.ranges import design
 NAME = "dagger"
 _STATE = "state.pt"
 _TIMESTEPS, _N_ENVS = 518_400, 120
-#: How long the noise of the first round stays alike [s].
+#: Correlation time of the noise of the first round [s].
 _NOISE_S = 10.0
 _MAX_GRAD_NORM = 1.0
 
@@ -66,20 +67,20 @@ class Plans:
     def __init__(self) -> None:
         self.observations: list[Tensor] = []
         self.actions: list[Tensor] = []
-        self.running: list[Tensor] = []  # (n_steps, n_episodes)
+        self.counts: list[Tensor] = []  # 1 while a group is connected in a running episode (n_steps, n_episodes, n_wtg)
 
-    def add(self, observations: Sequence[Floats], actions: Sequence[Floats], running: Sequence[Floats]) -> None:
+    def add(self, observations: Sequence[Floats], actions: Sequence[Floats], counts: Sequence[Floats]) -> None:
         """Add the episodes of a round, from lists of their steps."""
-        for kept, steps in ((self.observations, observations), (self.actions, actions), (self.running, running)):
+        for kept, steps in ((self.observations, observations), (self.actions, actions), (self.counts, counts)):
             kept.append(torch.from_numpy(np.stack(steps).astype(np.float32)))
 
     def batch(self, size: int, rng: np.random.Generator) -> tuple[Tensor, Tensor, Tensor]:
-        """Return some episodes of all rounds, each in random order, as many of one round as of another."""
-        rounds = zip(self.observations, self.actions, self.running, strict=True)
-        chosen = [rng.integers(each.shape[1], size=-(-size // len(self.running))) for each in self.running]
+        """Return some episodes of all rounds, drawn with replacement, as many of one round as of another."""
+        rounds = zip(self.observations, self.actions, self.counts, strict=True)
+        chosen = [rng.integers(each.shape[1], size=-(-size // len(self.counts))) for each in self.counts]
         parts = [[column[:, at] for column in columns] for columns, at in zip(rounds, chosen, strict=True)]
-        observations, actions, running = (torch.cat(columns, dim=1) for columns in zip(*parts, strict=True))
-        return observations, actions, running
+        observations, actions, counts = (torch.cat(columns, dim=1) for columns in zip(*parts, strict=True))
+        return observations, actions, counts
 
 
 class DaggerLearner:
@@ -109,9 +110,9 @@ class DaggerLearner:
         optimizer = torch.optim.Adam(policy.parameters(), lr=h.learning_rate)
         for update in range(h.updates):
             optimizer.param_groups[0]["lr"] = h.learning_rate * h.last_rate ** (update / h.updates)
-            observations, actions, running = self.plans.batch(h.batch, rng)
+            observations, actions, counts = self.plans.batch(h.batch, rng)
             answers = policy.of_episodes(observations.flatten(1, 2)).reshape(actions.shape)
-            left = (answers - actions).square().mean(dim=(2, 3))[running > 0.5].mean()
+            left = (answers - actions).square().mean(dim=3)[counts > 0.5].mean()
             optimizer.zero_grad()
             left.backward()  # type: ignore[no-untyped-call]
             nn.utils.clip_grad_norm_(policy.parameters(), _MAX_GRAD_NORM)
@@ -128,7 +129,9 @@ def observe(
     def see(plan: Floats) -> None:
         terminated, truncated = lanes.ended()
         seen, planned = (each.reshape(lanes.n_lanes, lanes.n_wtg, -1).copy() for each in (lanes.observations, plan))
-        for kept, now in zip(steps, (seen, planned, ~(terminated | truncated)), strict=True):
+        running = ~(terminated | truncated)[:, np.newaxis]
+        counts = running & (lanes.simulator.wtg_values("connected") > 0.5)
+        for kept, now in zip(steps, (seen, planned, counts), strict=True):
             kept.append(now)
 
     drive(planner, lanes, scenarios, driver, see)
@@ -175,7 +178,9 @@ def train(run: Run) -> None:
     lanes = TaskLanes(environment, settings.n_envs)
     options = PlannerOptions(**{each.name: getattr(h, each.name) for each in fields(PlannerOptions)})
     planner = Planner(environment, settings.n_envs, options)
-    policy = policy_for(lanes, h.hidden, h.lstm, per_group=True)
+    # Last actions come after what is measured. A policy that sees them learns to repeat them.
+    policy = GradientPolicy(lanes.n_local, lanes.n_action // lanes.n_wtg, h.hidden, h.lstm)
+    policy.per_group = True
     learner = DaggerLearner(policy)
 
     def learn(index: int, n_rounds: int) -> float:

@@ -26,7 +26,6 @@ from torch.optim.swa_utils import AveragedModel, get_ema_multi_avg_fn
 from agents import run as runs
 from agents.run import Run, RunOptions, RunSettings, Whole
 from wtg_gym.envs import EnvSettings
-from wtg_gym.envs.lanes import TaskLanes
 from wtg_gym.evaluation.score import pinned_cost
 from wtg_gym.gradients.torch import TorchEpisodes
 from wtg_gym.physics.scenario import Scenario
@@ -42,6 +41,9 @@ _FAILURE = CostTerms._fields.index("failure")
 ROTOR_SPREAD_PU, FREQUENCY_SPREAD_PU = 0.02, 0.001
 #: How long the loss of a group or of a stage's load counts in the gradient [s].
 AFTERWARDS_S = 60.0
+#: Largest gradient of an episode's loss with respect to an action; that of a few seconds before a trip would outweigh
+#: all others.
+MAX_ACTION_GRADIENT = 0.03
 #: Weight in the loss of actions where the gradient knows nothing.
 STRAY_WEIGHT = 5.0
 
@@ -65,16 +67,12 @@ class Hyperparameters(Checked):
     """of Adam"""
     max_grad_norm: float = design(1.0, "-", "", 0.0, 1e6)
     """largest norm of a gradient"""
-    max_action_gradient: float = design(0.03, "-", "", 0.0, 1e6)
-    """largest gradient of an episode's loss with respect to an action; else seconds before a trip would outweigh all"""
     mean_weight: float = design(0.0, "-", "", 0.0, 100.0)
     """weight of J / J0 in the loss, beside ln(J + J0)"""
     averaged: Whole = design(30, "-", "", 1, 100_000)
     """updates over which the weights that are validated and exported are averaged, exponentially"""
     per_group: Annotated[bool, Parameter(negative="")] = False
-    """the policy sees one group's measurements at a time, and plays any grid"""
-    start: str = ""
-    """folder of a run of agents.dagger, or of this command, whose policy it begins with"""
+    """the policy sees one group at a time, and plays any grid"""
 
 
 class GradientPolicy(nn.Module):
@@ -115,27 +113,6 @@ class GradientPolicy(nn.Module):
         observations = observations[..., : self._n_observation]
         actions: Tensor = self.layers(observations if self.lstm is None else self.lstm(observations)[0])
         return actions
-
-
-def policy_for(lanes: TaskLanes, hidden: Sequence[int], lstm: int, *, per_group: bool) -> GradientPolicy:
-    """Return a new policy for environments.
-
-    One for every group alike does not look at its last actions, the last entries: it would learn to repeat them.
-    """
-    if not per_group:
-        return GradientPolicy(lanes.n_observation, lanes.n_action, hidden, lstm)
-    policy = GradientPolicy(lanes.n_local, lanes.n_action // lanes.n_wtg, hidden, lstm)
-    policy.per_group = True
-    return policy
-
-
-def begin_with(policy: GradientPolicy, folder: Path) -> None:
-    """Give a policy the weights that another run ended with; a ValueError names a folder without such weights."""
-    saved = runs.folders(folder / runs.CHECKPOINTS)
-    if not saved:
-        raise ValueError(f"start: {folder} holds no checkpoint of a run")
-    with runs.loading(saved[-1]) as checkpoint:
-        policy.load_state_dict(torch.load(checkpoint / _STATE, weights_only=True)["policy"])
 
 
 class Failures:
@@ -184,12 +161,7 @@ class Failures:
 
 
 def costs_of(
-    episodes: TorchEpisodes,
-    policy: GradientPolicy,
-    scenarios: Sequence[Scenario],
-    n_steps: int,
-    failures: Failures,
-    max_action_gradient: float = Hyperparameters.max_action_gradient,
+    episodes: TorchEpisodes, policy: GradientPolicy, scenarios: Sequence[Scenario], n_steps: int, failures: Failures
 ) -> tuple[Tensor, Tensor]:
     """Return what the first steps of a scenario in every lane cost, and how far actions stray there, both (n_lanes,).
 
@@ -197,7 +169,7 @@ def costs_of(
     costs have none, and what strays is the mean square of the actions, which begin at the law's.
     """
     observations = episodes.start(scenarios)
-    states, spent, watched, most = list[Tensor](), [], [], max_action_gradient / len(scenarios)
+    states, spent, watched, most = list[Tensor](), [], [], MAX_ACTION_GRADIENT / len(scenarios)
     served, strays = torch.ones(len(scenarios), dtype=torch.bool), torch.zeros(len(scenarios))
     n_rows = len(scenarios) * (episodes.tape.lanes.n_wtg if policy.per_group else 1)
     for _ in range(n_steps):
@@ -276,9 +248,9 @@ def train(run: Run) -> None:
     episodes = TorchEpisodes(EnvSettings(**settings.env_arguments), settings.n_envs)
     lanes = episodes.tape.lanes
     failures, loss_of = Failures(episodes), Loss(lanes.settings, h.mean_weight)
-    policy = policy_for(lanes, h.hidden, h.lstm, per_group=h.per_group)
-    if h.start and run.checkpoint is None:
-        begin_with(policy, Path(h.start))
+    n_parts = lanes.n_wtg if h.per_group else 1
+    policy = GradientPolicy(lanes.n_observation // n_parts, lanes.n_action // n_parts, h.hidden, h.lstm)
+    policy.per_group = h.per_group
     learner = GradientLearner(policy, h)
     n_steps = round(lanes.duration_s / lanes.settings.step_s)
 
@@ -286,7 +258,7 @@ def train(run: Run) -> None:
         fallen = 0.5 + 0.5 * math.cos(math.pi * index / n_batches)
         learner.optimizer.param_groups[0]["lr"] = h.learning_rate * (h.last_rate + (1.0 - h.last_rate) * fallen)
         scenarios = runs.draw(lanes, np.random.default_rng((settings.seed, index)), settings.n_envs)
-        costs, strays = costs_of(episodes, policy, scenarios, n_steps, failures, h.max_action_gradient)
+        costs, strays = costs_of(episodes, policy, scenarios, n_steps, failures)
         loss = descend(policy, learner.optimizer, loss_of(costs, scenarios) + STRAY_WEIGHT * strays.mean(), h)
         learner.average.update_parameters(policy)
         return loss

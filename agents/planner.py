@@ -1,16 +1,16 @@
 """A planner that knows the exact state and nothing of the future; `python -m agents.planner` plays and scores it.
 
-Every few seconds it plans the actions of the next minute by the gradients of wtg_gym.gradients, as if the wind and the
-load noise of now stayed, and no further event came. It sees how failures come, by the stand-ins of
-:class:`agents.gradient.Failures`, and does not know that the episode ends. It shows how much a controller could win
-that knew its own state, and is what :mod:`agents.dagger` copies.
+Every few seconds it plans the actions of the next minute by the gradients of wtg_gym.gradients, as if wind and load
+noise stayed, a load ramp ended now, and no further event came; of a fault or trip that has begun it knows when it is
+cleared or recloses. It sees how failures come, by the stand-ins of :class:`agents.gradient.Failures`, and does not know
+that the episode ends. What it scores can be had with the exact state; :mod:`agents.dagger` learns from it.
 """
 
 from __future__ import annotations
 
 import functools
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -27,9 +27,9 @@ from wtg_gym.envs import EnvSettings
 from wtg_gym.envs.lanes import TaskLanes
 from wtg_gym.evaluation import Entry, evaluate
 from wtg_gym.gradients.torch import TorchEpisodes
-from wtg_gym.physics.scenario import SERIES_DT, Scenario
+from wtg_gym.physics.scenario import SERIES_DT, Event, LoadRamp, Scenario
 from wtg_gym.progress import Progress
-from wtg_gym.ranges import Checked, design
+from wtg_gym.ranges import Checked, design, whole_steps
 from wtg_gym.scenarios import DEFAULT_SUITE, get_suite
 
 Floats = npt.NDArray[np.float64]
@@ -53,6 +53,24 @@ class PlannerOptions(Checked):
     step: float = design(0.1, "-", "", 1e-6, 10.0)
     """first step of the optimiser, in the argument of tanh"""
 
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.horizon_s < self.interval_s:
+            raise ValueError(f"horizon_s = {self.horizon_s:g} s must reach to the next plan, in {self.interval_s:g} s")
+
+
+def begun(events: Iterable[Event], time_s: float) -> Iterator[Event]:
+    """Yield the events before a time, load ramps as far as they have come."""
+    for event in events:
+        passed_s = time_s - event.time_s
+        if isinstance(event, LoadRamp) and 0.0 < passed_s < event.duration_s:
+            share = passed_s / event.duration_s
+            power, reactive = share * event.power_mw, share * event.reactive_mvar
+            # A ramp cannot be shorter.
+            yield replace(event, duration_s=max(passed_s, 0.1), power_mw=power, reactive_mvar=reactive)
+        elif passed_s > 0.0:
+            yield event
+
 
 def without_foresight(scenario: Scenario, time_s: float, longer_s: float) -> Scenario:
     """Return a scenario that goes on longer, in which wind and load noise stay after a time and no event comes."""
@@ -64,7 +82,7 @@ def without_foresight(scenario: Scenario, time_s: float, longer_s: float) -> Sce
         duration_s=scenario.duration_s + longer_s,
         wind_speed=wind,
         load_noise_mw=np.append(noise, np.full(n_longer, noise[-1])) if len(noise) else noise,
-        events=tuple(event for event in scenario.events if event.time_s <= time_s),
+        events=tuple(begun(scenario.events, time_s)),
     )
 
 
@@ -91,17 +109,16 @@ class Planner:
             replace(settings, duration_s=length_s + options.horizon_s, reward="cost"), n_lanes, n_threads
         )
         lanes, step_s = self._episodes.tape.lanes, settings.step_s
-        self._suite, self._step_s, self._failures = settings.resolved_suite, step_s, Failures(self._episodes)
+        self._step_s, self._failures = step_s, Failures(self._episodes)
         #: Control steps of an episode, and between two plans.
-        self.n_steps, self.n_between = round(length_s / step_s), round(options.interval_s / step_s)
+        self.n_steps = whole_steps("duration_s", length_s, step_s, "control step")
+        self.n_between = whole_steps("interval_s", options.interval_s, step_s, "control step")
         n_knots = round((length_s + options.horizon_s) / options.knot_s) + 2
         self._knots_shape = (n_knots, n_lanes, lanes.n_action)
 
     def start(self, scenarios: Sequence[Scenario]) -> None:
         """Begin episodes of one scenario each."""
         self._scenarios, self._taken = list(scenarios), list[Tensor]()
-        offsets = [self._suite.cost_offset(scenario) for scenario in scenarios]
-        self._offsets = torch.tensor(offsets, dtype=torch.float64)
         self._knots = torch.zeros(self._knots_shape, dtype=torch.float64)
 
     def take(self, actions: Floats) -> None:
@@ -117,7 +134,7 @@ class Planner:
         scenarios = [without_foresight(each, first * self._step_s, o.horizon_s) for each in self._scenarios]
         knots = self._knots.clone().requires_grad_(True)
         optimizer = torch.optim.Adam([knots], lr=o.step, betas=_BETAS)
-        lowest, best = torch.full_like(self._offsets, torch.inf), self._knots.clone()
+        lowest, best = torch.full((len(scenarios),), torch.inf, dtype=torch.float64), self._knots.clone()
         for iteration in range(o.iterations + 1):
             terms, least = self._predicted(scenarios, knots)
             costs = terms.detach().sum(dim=1)
@@ -127,7 +144,7 @@ class Planner:
                 break
             optimizer.param_groups[0]["lr"] = o.step * (1.0 - _SHRINKS * iteration / o.iterations)
             optimizer.zero_grad()
-            torch.log(self._failures.costs(terms, least) + self._offsets).sum().backward()  # type: ignore[no-untyped-call]
+            self._failures.costs(terms, least).sum().backward()  # type: ignore[no-untyped-call]
             knots.grad = self._direction(knots.grad, first)
             optimizer.step()
         self._knots = best
@@ -190,7 +207,7 @@ def drive(
 
 
 class Course:
-    """A policy that takes actions which are known before (n_steps, n_lanes, n_action), in one batch of episodes."""
+    """A policy whose actions are fixed in advance (n_steps, n_lanes, n_action), for one batch of the same episodes."""
 
     def __init__(self, actions: Floats) -> None:
         self._actions = actions

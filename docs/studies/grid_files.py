@@ -14,6 +14,7 @@ FORMATS = {
     ".zip": "CGMES",
     ".uct": "UCTE",
     ".txt": "IEEE-CDF",
+    ".cdf": "IEEE-CDF",
     ".dgs": "PowerFactory",
     ".json": "pandapower",
     ".xiidm": "XIIDM",

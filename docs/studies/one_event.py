@@ -1,8 +1,8 @@
 """The README's picture, images/one-event.svg: laws and a trained policy side by side in one extreme scenario.
 
-These are plain droop on a reserve of 5 %, the published law, that law tuned and the agent with
-the best score. Of the first validation scenarios in which droop stalls a rotor and the others lose neither grid nor
-load, it is that in which the published law lets the frequency fall lowest. Prints the load that droop sheds.
+These are plain droop on a reserve of 5 %, the published law, that law tuned and the agent with the best score. Of the
+first validation scenarios in which droop stalls a rotor, and the last two lose nothing and stay within 0.8 Hz, it is
+that in which the published law lets the frequency fall lowest. Prints the load that each sheds.
 """
 
 from __future__ import annotations
@@ -93,13 +93,14 @@ def chosen() -> tuple[int, list[Entry]]:
 
     def held(episode: Episode) -> bool:
         lost = episode.metrics["tripped_groups"], episode.metrics["shed_energy_mwh"]
-        return not (episode.failed or any(lost))
+        fallen_hz = suite.nominal_hz - episode.metrics["worst_nadir_hz"]
+        return not (episode.failed or any(lost)) and fallen_hz <= DESIGN_DEVIATION_MHZ / 1000.0
 
     def shows(at: int) -> bool:
-        return all(held(runs[at]) for runs in (published, *others)) and bool(droop[at].metrics["tripped_groups"])
+        return all(held(runs[at]) for runs in others) and bool(droop[at].metrics["tripped_groups"])
 
     if not (shown := [at for at in range(len(seeds)) if shows(at)]):
-        raise ValueError(f"in none of {len(seeds)} scenarios {DROOP} alone loses a group")
+        raise ValueError(f"in none of {len(seeds)} scenarios {DROOP} loses a group and {hundred} and {agent} hold")
     clearest = min(shown, key=lambda at: published[at].metrics["worst_nadir_hz"])
     played = {entry.name: entry for entry in reversed(entries)}
     return seeds[clearest], [played[name] for name in names]

@@ -5,20 +5,21 @@ from dataclasses import replace
 import numpy as np
 import torch
 
-from agents import gradient
-from agents.dagger import DaggerLearner, Plans, main
-from agents.planner import Planner, PlannerOptions, drive, planned
+from agents import planner as planning
+from agents.dagger import DaggerLearner, Hyperparameters, Plans, main, observe
+from agents.gradient import GradientPolicy
+from agents.planner import Planner, PlannerOptions, begun, drive, planned
 from agents.run import folders
 from tests.agents.small import run_and_interrupted_run
 from tests.interruption import interrupted
 from wtg_gym.envs import EnvSettings
 from wtg_gym.envs.lanes import TaskLanes
 from wtg_gym.evaluation import evaluate
-from wtg_gym.physics.scenario import LoadStep
+from wtg_gym.physics.scenario import GroupTrip, LoadRamp, LoadStep
 
 SETTINGS = EnvSettings(suite="standard-v1", strategy="coordinated-free", action_mode="k", reward="cost")
 SHORT = replace(SETTINGS, duration_s=20.0)
-QUICK = PlannerOptions(horizon_s=5.0, iterations=1)
+QUICK = PlannerOptions(horizon_s=10.0, iterations=1)
 
 
 def test_a_plan_knows_nothing_of_what_comes():
@@ -44,6 +45,15 @@ def test_a_plan_knows_nothing_of_what_comes():
     assert not np.array_equal(plans[0], planner.plan())
 
 
+def test_of_events_it_knows_what_has_passed():
+    now, past = LoadStep(time_s=10.0, bus=4, power_mw=30.0), LoadStep(time_s=9.0, bus=4, power_mw=30.0)
+    ramps = [LoadRamp(time_s=6.0, bus=4, power_mw=5.0 * s, reactive_mvar=s, duration_s=s) for s in (5.0, 8.0, 3.0)]
+    known = [*begun([now, past, *ramps], 10.0)]
+    # Two ramps of the same slope are one, until the first ends.
+    assert known[0] == past and known[1] == known[2] and known[3] == ramps[2]
+    assert (known[1].duration_s, known[1].power_mw, known[1].reactive_mvar) == (4.0, 20.0, 4.0)
+
+
 def test_it_plans_from_where_the_episode_is_to_its_end():
     lanes = TaskLanes(SHORT, 2, 1)
     planner = Planner(SHORT, 2, QUICK, 1)
@@ -56,8 +66,8 @@ def test_it_plans_from_where_the_episode_is_to_its_end():
         lanes.step(taken)
         if step < 39:
             replayed = planner._episodes.tape.before(step + 1)
-            rows = lanes.simulator.layout.wtg("rotor_speed")
-            assert np.array_equal(lanes.simulator.blocks[:, rows], replayed[:, rows])
+            for rows in (lanes.simulator.layout.wtg("rotor_speed"), lanes.simulator.layout.machine("speed")):
+                assert np.array_equal(lanes.simulator.blocks[:, rows], replayed[:, rows])
 
 
 def test_it_costs_less_than_the_law_where_reserves_are_ample():
@@ -70,20 +80,54 @@ def test_it_costs_less_than_the_law_where_reserves_are_ample():
 def test_batches_hold_episodes_of_all_rounds():
     plans = Plans()
     for index in range(3):
-        seen = [np.full((2, 4, 6), index) + np.arange(2)[:, None, None]] * 5
-        plans.add(seen, [each[..., :1] for each in seen], [np.ones(2, dtype=bool)] * 5)
-    observations, actions, running = plans.batch(6, np.random.default_rng(0))
-    assert observations.shape == (5, 6, 4, 6) and actions.shape == (5, 6, 4, 1) and running.shape == (5, 6)
+        seen = [np.full((2, 4, 6), 10 * index) + np.arange(2)[:, None, None]] * 5
+        plans.add(seen, [step[..., :1] for step in seen], [np.ones((2, 4), dtype=bool)] * 5)
+    observations, actions, counts = plans.batch(6, np.random.default_rng(0))
+    assert observations.shape == (5, 6, 4, 6) and actions.shape == (5, 6, 4, 1) and counts.shape == (5, 6, 4)
     assert torch.equal(observations[..., :1], actions)
-    assert all(index <= observations[0, 2 * index, 0, 0] <= index + 1 for index in range(3))
+    assert (observations[0, :, 0, 0] // 10).tolist() == [0, 0, 1, 1, 2, 2]
+
+
+def test_plans_of_a_group_that_is_gone_are_not_learned():
+    lanes, plans = TaskLanes(SHORT, 1, 1), Plans()
+    (drawn,) = lanes.scenarios([1_000_000])
+    drawn = replace(drawn, events=(GroupTrip(time_s=9.0, group=1),))
+    observe(Planner(SHORT, 1, QUICK, 1), lanes, [drawn], plans, lambda plan: plan)
+    (counts,) = plans.counts
+    assert counts[:18].all() and not counts[20:, 0, 1].any() and counts[:, 0, [0, 2, 3]].all()
+    learner = DaggerLearner(GradientPolicy(6, 1, (4,), 4))
+    learner.plans, other = plans, DaggerLearner(GradientPolicy(6, 1, (4,), 4))
+    other.policy.load_state_dict(learner.policy.state_dict())
+    other.plans.observations, other.plans.counts = plans.observations, plans.counts
+    # Whatever was planned for it.
+    other.plans.actions = [torch.where(counts[..., None] > 0.5, plans.actions[0], 0.9)]
+    h = Hyperparameters(lstm=4, hidden=(4,), updates=2)
+    assert learner.fit(h, np.random.default_rng(0)) == other.fit(h, np.random.default_rng(0))
+
+
+def test_it_does_not_look_at_its_last_actions():
+    policy = GradientPolicy(6, 1, (4,), 4)
+    seen = torch.rand(3, 8)
+    other = torch.cat([seen[:, :6], torch.rand(3, 2)], dim=1)
+    assert torch.equal(policy(seen)[0], policy(other)[0])
+    assert torch.allclose(policy.of_episodes(seen[None])[0], policy(seen)[0])
+
+
+def test_times_that_do_not_fit_are_refused(capsys):
+    for words, said in (
+        (["--interval-s", "0.1"], "interval_s"),
+        (["--horizon-s", "5"], "horizon_s = 5 s must reach to the next plan, in 10 s"),
+    ):
+        assert planning.main(["--episodes", "3", *words]) == 2
+        assert said in capsys.readouterr().err
 
 
 OPTIONS = ["--strategy", "coordinated-free", "--action-mode", "k", "--timesteps", "2160", "--interval", "1080"]
 OPTIONS += ["--n-envs", "3", "--validation-episodes", "3", "--lstm", "4", "--hidden", "4", "--updates", "2"]
-OPTIONS += ["--horizon-s", "2", "--interval-s", "60", "--iterations", "1"]
+OPTIONS += ["--horizon-s", "60", "--interval-s", "60", "--iterations", "1"]
 
 
-def test_run_repeats_also_after_an_interruption_and_gradients_go_on_from_it(tmp_path, capsys):
+def test_run_repeats_also_after_an_interruption(tmp_path):
     def interrupt(patch, when):
         patch.setattr(DaggerLearner, "fit", interrupted(DaggerLearner.fit, when))
 
@@ -91,18 +135,3 @@ def test_run_repeats_also_after_an_interruption_and_gradients_go_on_from_it(tmp_
     saved = [folders(run.folder / "checkpoints")[0] / "state.pt" for run in runs]
     states = [torch.load(path, weights_only=True)["policy"] for path in saved]
     assert all(torch.equal(states[0][key], states[1][key]) for key in states[0])
-
-    descends = ["--strategy", "coordinated-free", "--action-mode", "k", "--per-group", "--start", str(tmp_path / "one")]
-    descends += ["--lstm", "4", "--timesteps", "720", "--n-envs", "1", "--validation-episodes", "3"]
-    folder = tmp_path / "descended"
-    assert gradient.main([*descends, "--hidden", "4", "--learning-rate", "0", "--output", str(folder)]) == 0
-    kept = torch.load(folders(folder / "checkpoints")[0] / "state.pt", weights_only=True)["policy"]
-    assert all(torch.equal(states[0][key], kept[key]) for key in states[0])
-    assert gradient.main([*descends, "--hidden", "5", "--output", str(tmp_path / "other")]) == 2
-    assert "size mismatch" in capsys.readouterr().err
-
-
-def test_a_start_without_a_run_is_named(tmp_path, capsys):
-    options = ["--per-group", "--start", str(tmp_path), "--output", str(tmp_path / "run")]
-    assert gradient.main(options) == 2
-    assert f"start: {tmp_path} holds no checkpoint" in capsys.readouterr().err

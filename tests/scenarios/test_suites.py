@@ -20,6 +20,12 @@ FIRST = [name for name, suite in SUITES.items() if suite.task.version == "v0"]
 SECOND = [suite for suite in SUITES.values() if suite.task.version == "v1"]
 
 
+def test_suites_are_those_of_the_benchmark():
+    assert FIRST == ["paper", "standard", "low-wind", "gust", "weak-grid"]
+    drawn = ["standard", "low-share", "high-share", "gusty", "no-wind-sensor", "faults", "weak-grid", "paper"]
+    assert [suite.name for suite in SECOND] == [f"{name}-v1" for name in (*drawn, "ieee39", "kundur", "nordic45")]
+
+
 @pytest.mark.parametrize("name", FROZEN_HASHES)
 def test_hash_is_the_frozen_one(name):
     assert get_suite(name).name == name and get_suite(name).hash == FROZEN_HASHES[name], (

@@ -32,6 +32,13 @@ def test_plain_policies_pass_every_check(given, tmp_path):
     assert not report.notes and report.shipped == (given is not None)
 
 
+def test_all_files_of_a_folder_are_listed(tmp_path):
+    path = folder(tmp_path / "a")
+    (path / "README.md").write_text("Mine.")
+    listed = read_submission(path).made[0].reason
+    assert all(f"{name} {(path / name).stat().st_size} bytes" in listed for name in os.listdir(path))
+
+
 def test_policy_is_judged_in_the_environment_that_it_names(tmp_path, monkeypatch):
     monkeypatch.setattr(gate, "_ROLLOUT_LANES", 4)
     report = check_submission(folder(tmp_path / "a", models.of_v1(), models.TOML_V1))

@@ -182,7 +182,7 @@ class _Raw:
     def passed_over(self) -> Iterator[tuple[str, int]]:
         """Yield what pypowsybl passes over: type and number."""
         for section, kind in _PASSED_OVER.items():
-            yield kind, len({next(iter(record.values())) for record in self.records[section]})
+            yield kind, len({next(iter(record.values()), "") for record in self.records[section]})
         yield "facts-series", sum(record.get("jbus", "0") not in ("0", "") for record in self.records["facts"])
 
     def machines(self) -> dict[tuple[str, str], dict[str, float]]:
@@ -196,11 +196,11 @@ class _Raw:
 def _fields(line: str) -> list[str]:
     """Return the fields of a record, which commas or blanks part; a slash begins a remark."""
     fields, empty = list[str](), True
-    for token in re.findall(r"'[^']*'|[^\s,'/]+|[,/]", line):
+    for token in re.findall(r"""'[^']*'|"[^"]*"|[^\s,'"/]+|[,/]""", line):
         if token == "/":
             break
         if token != ",":
-            fields.append(token.strip("' "))
+            fields.append(token.strip("'\" "))
             empty = False
         elif empty:
             fields.append("")

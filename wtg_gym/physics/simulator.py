@@ -129,7 +129,7 @@ def _checked_inertias(settings: Plant) -> dict[tuple[TrackingLaw, ...], float]:
 
 @functools.lru_cache(maxsize=16)
 def _code(*dependencies: Any) -> list[Whole]:
-    """Return a list for addresses of machine code, which lasts as long as the process; simulators have their own."""
+    """Return the list that keeps the addresses of machine code; the code outlives it, and simulators keep addresses."""
     return []
 
 

@@ -121,9 +121,10 @@ def read_submission(folder: Path) -> Report:
     with report.refusing():
         files = read_files(folder)
         name = folder.resolve().name
-        others, files = policy_folders(), {file: files[file] for file in (ENTRY_FILE, POLICY_FILE)}
+        others, submitted = policy_folders(), {file: files[file] for file in (ENTRY_FILE, POLICY_FILE)}
         report.shipped = any(
-            other.name == name and {file: (other / file).read_bytes() for file in files} == files for other in others
+            other.name == name and {file: (other / file).read_bytes() for file in submitted} == submitted
+            for other in others
         )
         if report.shipped:
             # Itself, and the seeds of its row.
