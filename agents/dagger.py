@@ -9,9 +9,10 @@ meanwhile. After each round the policy is fitted to the plans of all rounds.
 from __future__ import annotations
 
 import functools
+import math
 import sys
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -21,7 +22,7 @@ from cyclopts import Parameter
 from torch import Tensor, nn
 
 from agents import run as runs
-from agents.gradient import GradientPolicy
+from agents.gradient import GradientPolicy, descend
 from agents.planner import Floats, Planner, PlannerOptions, drive
 from agents.run import Run, RunOptions, RunSettings, Whole
 from wtg_gym.envs import EnvSettings
@@ -106,18 +107,15 @@ class DaggerLearner:
 
     def fit(self, h: Hyperparameters, rng: np.random.Generator) -> float:
         """Fit the policy to all plans, and return the mean square of what is left in the last update."""
-        policy, left = self.policy, torch.zeros(())
+        policy, left = self.policy, math.nan
         optimizer = torch.optim.Adam(policy.parameters(), lr=h.learning_rate)
         for update in range(h.updates):
             optimizer.param_groups[0]["lr"] = h.learning_rate * h.last_rate ** (update / h.updates)
             observations, actions, counts = self.plans.batch(h.batch, rng)
             answers = policy.of_episodes(observations.flatten(1, 2)).reshape(actions.shape)
-            left = (answers - actions).square().mean(dim=3)[counts > 0.5].mean()
-            optimizer.zero_grad()
-            left.backward()  # type: ignore[no-untyped-call]
-            nn.utils.clip_grad_norm_(policy.parameters(), _MAX_GRAD_NORM)
-            optimizer.step()
-        return left.item()
+            errors = (answers - actions).square().mean(dim=3)[counts > 0.5]
+            left = descend(policy, optimizer, errors.mean(), _MAX_GRAD_NORM)
+        return left
 
 
 def observe(
@@ -126,15 +124,16 @@ def observe(
     """Let a driver play episodes, and add what was seen and planned in them to the plans."""
     steps: tuple[list[Any], ...] = ([], [], [])
 
-    def see(plan: Floats) -> None:
+    def seen_driver(plan: Floats) -> Floats:
         terminated, truncated = lanes.ended()
         seen, planned = (each.reshape(lanes.n_lanes, lanes.n_wtg, -1).copy() for each in (lanes.observations, plan))
         running = ~(terminated | truncated)[:, np.newaxis]
         counts = running & (lanes.simulator.wtg_values("connected") > 0.5)
         for kept, now in zip(steps, (seen, planned, counts), strict=True):
             kept.append(now)
+        return driver(plan)
 
-    drive(planner, lanes, scenarios, driver, see)
+    drive(planner, lanes, scenarios, seen_driver)
     plans.add(*steps)
 
 
@@ -176,8 +175,7 @@ def train(run: Run) -> None:
     torch.manual_seed(settings.seed)
     environment = EnvSettings(**settings.env_arguments, reward="cost")
     lanes = TaskLanes(environment, settings.n_envs)
-    options = PlannerOptions(**{each.name: getattr(h, each.name) for each in fields(PlannerOptions)})
-    planner = Planner(environment, settings.n_envs, options)
+    planner = Planner(environment, settings.n_envs, h)
     # Last actions come after what is measured. A policy that sees them learns to repeat them.
     policy = GradientPolicy(lanes.n_local, lanes.n_action // lanes.n_wtg, h.hidden, h.lstm)
     policy.per_group = True

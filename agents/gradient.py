@@ -197,11 +197,11 @@ class Loss:
         return loss.mean() / (self._suite.task.scale or 1.0)
 
 
-def descend(policy: nn.Module, optimizer: torch.optim.Optimizer, loss: Tensor, h: Hyperparameters) -> float:
+def descend(policy: nn.Module, optimizer: torch.optim.Optimizer, loss: Tensor, max_grad_norm: float) -> float:
     """Take one step of the optimiser against a loss, and return the loss before it."""
     optimizer.zero_grad()
     loss.backward()  # type: ignore[no-untyped-call]
-    nn.utils.clip_grad_norm_(policy.parameters(), h.max_grad_norm)
+    nn.utils.clip_grad_norm_(policy.parameters(), max_grad_norm)
     optimizer.step()
     return loss.item()
 
@@ -259,9 +259,10 @@ def train(run: Run) -> None:
         learner.optimizer.param_groups[0]["lr"] = h.learning_rate * (h.last_rate + (1.0 - h.last_rate) * fallen)
         scenarios = runs.draw(lanes, np.random.default_rng((settings.seed, index)), settings.n_envs)
         costs, strays = costs_of(episodes, policy, scenarios, n_steps, failures)
-        loss = descend(policy, learner.optimizer, loss_of(costs, scenarios) + STRAY_WEIGHT * strays.mean(), h)
+        loss = loss_of(costs, scenarios) + STRAY_WEIGHT * strays.mean()
+        value = descend(policy, learner.optimizer, loss, h.max_grad_norm)
         learner.average.update_parameters(policy)
-        return loss
+        return value
 
     runs.train_in_rounds(run, learner, n_steps * settings.n_envs, learn)
 

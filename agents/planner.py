@@ -179,7 +179,6 @@ def drive(
     lanes: TaskLanes,
     scenarios: Sequence[Scenario],
     driver: Callable[[Floats], Floats] = lambda plan: plan,
-    see: Callable[[Floats], None] = lambda plan: None,
     on_progress: Callable[[int, int], None] = lambda done, n: None,
 ) -> Floats:
     """Play episodes and return the actions that were taken (n_steps, n_lanes, n_action).
@@ -189,7 +188,6 @@ def drive(
         lanes: of as many episodes, with the planner's settings.
         scenarios: one per episode.
         driver: returns the actions to take, (n_lanes, n_action) like the plan that it gets.
-        see: called with the plan before every step.
         on_progress: called with the steps done, and all.
     """
     planner.start(scenarios)
@@ -197,7 +195,6 @@ def drive(
     taken: list[Floats] = []
     while len(taken) < planner.n_steps:
         for plan in planner.plan()[: planner.n_steps - len(taken)]:
-            see(plan)
             actions = np.ascontiguousarray(np.clip(driver(plan), -1.0, 1.0))
             lanes.step(actions)
             planner.take(actions)

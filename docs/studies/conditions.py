@@ -25,15 +25,15 @@ def room(results: Results) -> Row:
     """Compare a planner and a network that know the exact state, each with the best law on the same scenarios."""
     exact = next(row for row in results.ranking if row.privileged).name
     seeds = list(get_suite(SUITE).seeds("validation")[:N_PLANNED])
-    planned_too = evaluate(
+    of_planner = evaluate(
         [planned(SUITE, "coordinated-free", seeds), *LAWS], SUITE, "validation", seeds=seeds, batch=N_PLANNED
     )
-    found = [against_law(planned_too, "planner"), against_law(results, exact)]
+    leads = [against_law(of_planner, "planner"), against_law(results, exact)]
     return (
         "room",
         "with the exact state, without foresight, 10 points above the best law; a fifth fewer bad runs in `short`",
-        "; ".join(text for text, _ in found),
-        verdict(any(holds for _, holds in found)),
+        "; ".join(text for text, _ in leads),
+        verdict(any(holds for _, holds in leads)),
     )
 
 

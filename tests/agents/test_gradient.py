@@ -37,7 +37,7 @@ def test_loss_falls_on_the_scenarios_that_it_is_of(hidden, lstm, settings):
     losses, n_steps = [], round(20.0 / lanes.settings.step_s)
     for _ in range(10):
         loss = loss_of(costs_of(episodes, policy, scenarios, n_steps, failures)[0], scenarios)
-        losses.append(descend(policy, optimizer, loss, h))
+        losses.append(descend(policy, optimizer, loss, h.max_grad_norm))
     assert losses[-1] < losses[0] - 0.01
 
 
