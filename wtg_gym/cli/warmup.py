@@ -1,7 +1,5 @@
 """`wtg-gym warmup`: compile before the first use."""
 
-from __future__ import annotations
-
 from wtg_gym.cli.output import say
 
 

@@ -16,8 +16,6 @@ each weighted with its variance (W. G. Cochran, Biometrics 20, 1964, 191-195): t
 freedom, and the interval covers 95 … 97 %.
 """
 
-from __future__ import annotations
-
 import json
 import math
 from collections.abc import Mapping, Sequence

@@ -1,7 +1,5 @@
 """Everything beside the entries that decides the last bits of a result: code, packages, Python and the processor."""
 
-from __future__ import annotations
-
 import contextlib
 import dataclasses
 import functools

@@ -1,7 +1,5 @@
 """Evaluating entries: every one is played through the scenarios of a suite, many at a time."""
 
-from __future__ import annotations
-
 import contextlib
 import copy
 import dataclasses

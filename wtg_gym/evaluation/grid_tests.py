@@ -5,8 +5,6 @@ power, a phasor model shows nothing faster than 25 ms, and faults are three-phas
 machines: an imposed source at bus 1, behind the reactance of a short-circuit ratio on the rating of all groups.
 """
 
-from __future__ import annotations
-
 import collections
 import dataclasses
 from collections.abc import Callable, Sequence

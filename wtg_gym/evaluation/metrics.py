@@ -3,8 +3,6 @@
 Every lane is measured from its own values alone, so that no number depends on the batch it was played in.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Results computed again and compared, to the last bit."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 

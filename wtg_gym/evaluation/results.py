@@ -118,12 +118,12 @@ class Results:
         """
         self._check_scale()
         offsets = cost_offsets(self.groups, self.task)
-        return summary.scored(self._measured, self._runs, self.pinned_costs, self.task, offsets, self._scoring)
+        return summary.scored(self._measured, self.runs, self.pinned_costs, self.task, offsets, self._scoring)
 
     @cached_property
     def _measured(self) -> list[EntrySummary]:
         suite = get_suite(self.suite)
-        return summary.measured(self.entries, self._runs, self.pinned_costs, suite, self.groups, self._scoring)
+        return summary.measured(self.entries, self.runs, self.pinned_costs, suite, self.groups, self._scoring)
 
     @cached_property
     def _scoring(self) -> Bootstrap | Adjusted:
@@ -167,7 +167,7 @@ class Results:
 
         In v1 the marked entries come first.
         """
-        return ranked(self.summaries if self.has_scale else self._measured)
+        return ranked(self._measured if self.no_score else self.summaries)
 
     @cached_property
     def no_score(self) -> str:
@@ -178,11 +178,6 @@ class Results:
             return f"ranked by mean cost, as there is no score: {error}"
         return ""
 
-    @property
-    def has_scale(self) -> bool:
-        """Whether there is a score: in v0, whether the entry at 0 is worse than the entry at 100."""
-        return not self.no_score
-
     def _check_scale(self) -> None:
         zero, hundred = (self.pinned_costs[name][0] for name in self.task.anchors)
         score_scale(zero, hundred, self.task, self.groups)
@@ -191,11 +186,18 @@ class Results:
     def pinned_costs(self) -> dict[str, Floats]:
         """Pinned costs by the entry's name, (n_runs, n_scenarios), in the order of training seeds and scenarios."""
         cap = None if self.task.failure_costs_whole_episode else float(self.settings["weights"]["cap"])
-        return self._by_entry({name: summary.pinned_costs(runs, cap) for name, runs in self._runs.items()})
+        return self._by_entry({name: summary.pinned_costs(runs, cap) for name, runs in self.runs.items()})
 
     @cached_property
-    def _runs(self) -> dict[str, Runs]:
-        return summary.runs_by_name(self.episodes)
+    def runs(self) -> dict[str, Runs]:
+        """The episodes by the entry's name, one list per training seed.
+
+        The KeyError of an unknown name lists entries, and how that one failed.
+        """
+        runs: dict[str, dict[int | None, list[Episode]]] = {}
+        for episode in self.episodes:
+            runs.setdefault(episode.entry, {}).setdefault(episode.training_seed, []).append(episode)
+        return self._by_entry({name: list(by_seed.values()) for name, by_seed in runs.items()})
 
     @cached_property
     def groups(self) -> Groups:
@@ -219,8 +221,8 @@ class Results:
             )
 
     def episodes_of(self, name: str) -> list[Episode]:
-        """Return the episodes of an entry; the KeyError of an unknown one lists entries, and how this one failed."""
-        return [episode for run in self._by_entry(self._runs)[name] for episode in run]
+        """Return the episodes of an entry, of all training seeds; errors as of :attr:`runs`."""
+        return [episode for run in self.runs[name] for episode in run]
 
     def _by_entry(self, values: Mapping[str, Value]) -> dict[str, Value]:
         return ByName("entry", values, {entry["name"]: entry["reason"] for entry in self.failed})
@@ -303,6 +305,15 @@ class Results:
             )
             _check_summary(data["summary"], results.to_dict()["summary"], "summary")
         return results
+
+
+def score_difference(results: Results, other: Results, name: str) -> Interval:
+    """Return the score of an entry in results minus that in others of the same scenarios, paired, in version v1."""
+    task, offsets = other.task, cost_offsets(other.groups, other.task)
+    assert task.scale is not None
+    costs = (each.pinned_costs[name] for each in (results, other))
+    gained = (gains(cost, other.pinned_costs[task.hundred][0], offsets) for cost in costs)
+    return Adjusted(task.scale, other.groups).score_difference(*gained)
 
 
 def leaderboard_rows(results: Results) -> list[EntrySummary]:

@@ -12,8 +12,6 @@ is the mean of ln((J_0 + J0) / (J_100 + J0)) over the same scenarios, J_0 of the
 Arrays of one entry have the shape (n_runs, n_scenarios): one run per training seed, a single one for a law.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

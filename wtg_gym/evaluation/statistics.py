@@ -5,8 +5,6 @@ of v0, see :mod:`wtg_gym.evaluation.score`, holds a ratio of two means over the 
 both.
 """
 
-from __future__ import annotations
-
 import functools
 import math
 from collections.abc import Callable, Iterable, Mapping

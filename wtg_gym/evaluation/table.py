@@ -1,7 +1,5 @@
 """The table of results: every column once, for a terminal and for Markdown."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
 

@@ -4,8 +4,6 @@ A cluster plays the batches of a worker that is lost again. A worker whose code,
 otherwise than those here is refused.
 """
 
-from __future__ import annotations
-
 import contextlib
 import importlib.util
 import os

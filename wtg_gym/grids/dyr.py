@@ -1,7 +1,5 @@
 """Dynamic data of PSS/E's DYR files: a table of the models that a machine here has, typical ones in place of others."""
 
-from __future__ import annotations
-
 import re
 from collections import Counter, defaultdict
 from pathlib import Path

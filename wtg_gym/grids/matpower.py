@@ -5,8 +5,6 @@ MATPOWER's binary form too, but takes a bus of type 4 as in service, lets a gene
 voltage, and puts all charging of a transformer at one end; its converter from pandapower is up to 0.007 p.u. off.
 """
 
-from __future__ import annotations
-
 import io
 import json
 import math

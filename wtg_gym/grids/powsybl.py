@@ -5,8 +5,6 @@ devices that no section of it knows, the initial susceptance of switched shunts,
 bases of machines.
 """
 
-from __future__ import annotations
-
 import cmath
 import json
 import math

@@ -1,7 +1,5 @@
 """A file of another program, made into a grid: which library reads it."""
 
-from __future__ import annotations
-
 from collections.abc import Collection
 from dataclasses import replace
 from pathlib import Path

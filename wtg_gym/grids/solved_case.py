@@ -1,7 +1,5 @@
 """A power-flow case as a library reads and solves it, made into a grid whose own power flow must be the same."""
 
-from __future__ import annotations
-
 import cmath
 import itertools
 import math

@@ -1,7 +1,5 @@
 """Groups of wind turbine generators as units, and what extended ones have besides: the limits of their currents."""
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 

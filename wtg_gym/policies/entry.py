@@ -1,7 +1,5 @@
 """An entry: a strategy, and the policy that modulates it."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field

@@ -5,8 +5,6 @@ A policy's folder holds `entry.toml`, which describes it, and `policy.onnx`. A c
 because those names could collide with other packages.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import functools
 import importlib

@@ -1,7 +1,5 @@
 """The gate of submissions: every check of a folder, up to the first that it does not pass, and of several together."""
 
-from __future__ import annotations
-
 import collections
 import contextlib
 import dataclasses

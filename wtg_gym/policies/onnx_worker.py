@@ -6,8 +6,6 @@ gets a batch of one. Each scenario has a session of its own, so that nothing goe
 never learns which scenario is played, and its answers are all that comes out of it.
 """
 
-from __future__ import annotations
-
 import ctypes
 import io
 import json

@@ -1,7 +1,5 @@
 """Playing a policy: its actions are asked for and checked step by step, for many scenarios side by side."""
 
-from __future__ import annotations
-
 import contextlib
 import dataclasses
 import traceback

@@ -1,7 +1,5 @@
 """Any policy of PyTorch as an entry: `policy.onnx` with its weights inside, and `entry.toml`; needs torch and onnx."""
 
-from __future__ import annotations
-
 import tempfile
 import warnings
 from pathlib import Path

@@ -11,8 +11,6 @@ Where the network has fallen apart, the part with the least margin counts, of th
 call the same sum, over seasons instead of seconds, generation adequacy.
 """
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 

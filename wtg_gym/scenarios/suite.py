@@ -1,7 +1,5 @@
 """A suite of scenarios: its splits, its seeds and its hash."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 import math

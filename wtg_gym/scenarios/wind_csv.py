@@ -1,7 +1,5 @@
 """A measured wind series from a CSV file, checked line by line."""
 
-from __future__ import annotations
-
 import math
 import os
 from pathlib import Path

@@ -4,8 +4,6 @@ Libm would be called for one lane after the other. These are polynomials on a re
 bits in every lane, and as close to libm as the tests say.
 """
 
-from __future__ import annotations
-
 import math
 from fractions import Fraction
 

@@ -158,14 +158,9 @@ class Kind:
         return parts[part]
 
     def find(self, name: str, subject: str = "") -> Place:
-        """Return what a name means to the systems of the kind.
+        """Return what a name, or the end of one, means to the systems of the kind.
 
-        Args:
-            name: a full name, or the end of one.
-            subject: how the error begins; otherwise with the name.
-
-        Raises:
-            TypeError: nothing has the name, or several places have it.
+        A TypeError, which begins with `subject` or the name, says that nothing has it, or that several places have it.
         """
         places = self.meanings(name)
         if len(places) == 1:
@@ -309,16 +304,13 @@ class System:
             return {}
         function = inspect.unwrap(self.equation)
         cells = zip(function.__code__.co_freevars, function.__closure__ or (), strict=True)
-        known = {name: cell.cell_contents for name, cell in cells}
+        # A class that is defined within a function, and that the equation does not use, is known by its name only.
+        known = {place.record.__name__: place.record for place in self.places.values()}
+        known |= {**function.__globals__, **{name: cell.cell_contents for name, cell in cells}}
         try:
             hints = get_type_hints(self.equation, localns=known)
-        except NameError:
-            # A class that is defined within a function, and that the equation does not use, is known by its name only.
-            known |= {place.record.__name__: place.record for place in self.places.values()}
-            try:
-                hints = get_type_hints(self.equation, localns=known)
-            except NameError as error:
-                raise TypeError(f"an annotation of system {self.name!r} is unknown: {error}") from error
+        except NameError as error:
+            raise TypeError(f"an annotation of system {self.name!r} is unknown: {error}") from error
         return {name: hint for name, hint in hints.items() if name in self.arguments_named}
 
     def __reduce__(self) -> tuple[Any, ...]:
@@ -430,27 +422,19 @@ class System:
     def _argument(self, name: str, trace: Trace) -> Any:
         record = self.places[name].record
         if self.places[name].has_rows:
-            return built(record, self._symbols(name, record, trace))
+            inputs = {ex.symbol(f"{name}[{k}]"): (name, k) for k in range(count(record))}
+            trace.inputs.update(inputs)
+            return built(record, iter(inputs))
         if self.places[name].where == "scalars":
             symbol = ex.symbol(name)
             trace.scalars[symbol] = name
             return symbol
-        values = self._constants(name, record, trace)
-        return ex.Cells(*values) if record is ex.Cells else built(record, values)
-
-    @staticmethod
-    def _symbols(name: str, record: Any, trace: Trace) -> Iterator[Any]:
-        for place in range(count(record)):
-            symbol = ex.symbol(f"{name}[{place}]")
-            trace.inputs[symbol] = (name, place)
-            yield symbol
-
-    @staticmethod
-    def _constants(name: str, record: Any, trace: Trace) -> Iterator[Any]:
+        values = []
         for leaf, hint in constants_of(name, record):
             symbol = ex.symbol(leaf)
             trace.constants[symbol] = leaf
-            yield symbol != 0.0 if hint is bool else symbol
+            values.append(symbol != 0.0 if hint is bool else symbol)
+        return ex.Cells(*values) if record is ex.Cells else built(record, iter(values))
 
 
 def _parameters(function: Callable[..., Any]) -> tuple[str, ...]:
