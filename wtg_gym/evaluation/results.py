@@ -56,36 +56,21 @@ _ROUNDING = 1e-6
 
 @dataclass(frozen=True, kw_only=True, repr=False)
 class Results:
-    """Every episode of an evaluation, with what is needed to repeat it.
+    """Every episode of an evaluation, with what is needed to repeat it."""
 
-    Args:
-        suite: name of the suite.
-        split: which of its splits.
-        suite_hash: the suite's own hash.
-        source_hash: hash of the physics and environment that were run.
-        seeds: seeds of the scenarios.
-        environment: its id, and a fingerprint of its outputs on this machine.
-        settings: settings of the environment that all entries share.
-        versions: of wtg_gym, Python and the packages that compute, and the kind of processor.
-        entries: data of every entry, including the references.
-        episodes: one row per entry and scenario, in the order of `entries` and `seeds`.
-        failed: data of every entry that is left out, with the "reason": its own failure, or that of another training
-            seed of its name.
-        parts: folder of the finished batches, which :meth:`write` removes; None for none.
-    """
-
-    suite: str
+    suite: str  # its name
     split: str
     suite_hash: str
-    source_hash: str
-    seeds: tuple[int, ...]
-    environment: Mapping[str, str]
-    settings: Mapping[str, Any]
-    versions: Mapping[str, str]
-    entries: tuple[Mapping[str, Any], ...]
-    episodes: tuple[Episode, ...]
+    source_hash: str  # of the physics and environment that were run
+    seeds: tuple[int, ...]  # of the scenarios
+    environment: Mapping[str, str]  # its id, and a fingerprint of its outputs on this machine
+    settings: Mapping[str, Any]  # of the environment, which all entries share
+    versions: Mapping[str, str]  # of wtg_gym, Python and the packages that compute, and the type of processor
+    entries: tuple[Mapping[str, Any], ...]  # data of every entry, including the references
+    episodes: tuple[Episode, ...]  # one row per entry and scenario, in the order of `entries` and `seeds`
+    #: Data of every entry that is left out, with the "reason": its own failure, or that of a training seed of its name.
     failed: tuple[Mapping[str, Any], ...] = ()
-    parts: PartialStore | None = field(default=None, compare=False)
+    parts: PartialStore | None = field(default=None, compare=False)  # finished batches, which :meth:`write` removes
 
     def __repr__(self) -> str:
         """Return suite, split, number of scenarios and the ranking's scores in a line."""
@@ -111,11 +96,7 @@ class Results:
 
     @cached_property
     def summaries(self) -> list[EntrySummary]:
-        """Summary of every entry, in the order of the entries.
-
-        Raises:
-            NoScaleError: in v0, the entry at 0 is not worse than the entry at 100 on these scenarios.
-        """
+        """Summary of every entry; a NoScaleError if, in v0, the entry at 0 is not worse than the one at 100."""
         self._check_scale()
         offsets = cost_offsets(self.groups, self.task)
         return summary.scored(self._measured, self.runs, self.pinned_costs, self.task, offsets, self._scoring)
@@ -163,10 +144,7 @@ class Results:
 
     @property
     def ranking(self) -> list[EntrySummary]:
-        """The :attr:`summaries`, the best first; without a score, the least mean cost first.
-
-        In v1 the marked entries come first.
-        """
+        """The :attr:`summaries`, the best first, in v1 the marked ones before; without a score the least mean cost."""
         return ranked(self._measured if self.no_score else self.summaries)
 
     @cached_property
@@ -228,11 +206,7 @@ class Results:
         return ByName("entry", values, {entry["name"]: entry["reason"] for entry in self.failed})
 
     def without(self, reasons: Mapping[tuple[str, int | None], str]) -> Results:
-        """Return the results without entries that failed, and without all training seeds of their names.
-
-        Args:
-            reasons: how an entry failed, by its name and training seed.
-        """
+        """Return the results without all training seeds of entries that failed, by name and training seed."""
         if not reasons:
             return self
         first = {name: reason for (name, _), reason in reversed(list(reasons.items()))}
@@ -264,13 +238,7 @@ class Results:
     def write(self, folder: str | Path) -> tuple[Path, Path]:
         """Write `<suite>-<split>.json` and `.csv` into a folder, both or none, and remove the finished batches.
 
-        The same results give the same bytes.
-
-        Returns:
-            the paths of the JSON and the CSV.
-
-        Raises:
-            OSError: a file cannot be written; the old ones are still there.
+        The same results give the same bytes. It returns both paths; after an OSError the old files are still there.
         """
         json_path, csv_path = (Path(folder) / f"{self.name}.{ending}" for ending in ("json", "csv"))
         table = to_csv(self.episodes)
@@ -285,14 +253,10 @@ class Results:
 
     @classmethod
     def read(cls, path: str | Path) -> Results:
-        """Read the files of :meth:`write`; the CSV lies beside the JSON.
+        """Read the JSON file of :meth:`write`, with the CSV beside it.
 
-        Args:
-            path: the JSON file.
-
-        Raises:
-            ValueError: a file is missing, cut short, of another version, or was edited; the message names file, key
-                and what is expected.
+        A ValueError that names file, key and what is expected says that a file is missing, cut short, of another
+        version, or was edited.
         """
         with interpreting(Path(path), "description of the results"):
             data, episodes = _read(Path(path))
@@ -352,7 +316,6 @@ def _frequency_sentence(results: Results) -> str:
 
 
 def _read(json_path: Path) -> tuple[dict[str, Any], list[Episode]]:
-    """Return the checked description and the episodes of results; errors as of :meth:`Results.read`."""
     text = read_text(json_path, "description of the results")
     data = parse_json(text, "it")
     if data["format"] != FORMAT:
@@ -389,7 +352,6 @@ def _check_summary(stored: Any, summed: Any, where: str) -> None:
 
 
 def _check_types(where: str, data: Mapping[str, Any], types: Mapping[str, Any]) -> None:
-    """Raise a ValueError that names the first value of another type."""
     for key, expected in types.items():
         # Python takes true for a whole number.
         if not isinstance(data[key], expected) or (isinstance(data[key], bool) and expected is not bool):

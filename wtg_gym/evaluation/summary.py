@@ -73,10 +73,7 @@ def measured(
     groups: Groups,
     scoring: Bootstrap | Adjusted,
 ) -> list[EntrySummary]:
-    """Return the row of every name without its score, in the order of the entries.
-
-    All runs are on the same scenarios in the same order, those of `groups`; costs are pinned, (n_runs, n_scenarios).
-    """
+    """Return the row of every name without its score; costs are pinned, (n_runs, n_scenarios), all on one order."""
     task, nominal_hz = suite.task, suite.nominal_hz
     failed = {name: lost(entry_runs) for name, entry_runs in runs.items()}
     bad = {name: lost_or_beyond(entry_runs, nominal_hz) for name, entry_runs in runs.items()}
@@ -162,10 +159,7 @@ def _values(runs: Runs, metric: str) -> Floats:
 
 
 def parts_of_costs(runs: Runs, costs: Floats) -> Floats:
-    """Return the terms of the cost as paid, in the order of :data:`POINTS`, and the rest of the pinned costs.
-
-    The shape is (n_terms, n_runs, n_scenarios).
-    """
+    """Return the terms of :data:`POINTS` as paid, and the rest of the pinned costs, (n_terms, n_runs, n_scenarios)."""
     terms = np.array([sum(_values(runs, f"cost_{term}") for term in terms) for terms in POINTS.values()])
     terms = terms.reshape(len(POINTS), *costs.shape)
     return np.concatenate([terms, (costs - terms.sum(axis=0))[np.newaxis]])

@@ -150,20 +150,13 @@ def make_report(
     n_threads: int | None = None,
     on_progress: Progress | None = None,
 ) -> Report:
-    """Return the report of an entry, with results that are read where they can be, else played.
+    """Return the report of an entry of version v1, with results that are read where they can be, else played.
 
     Args:
-        entry: of version v1.
-        spec: the text that `load_entries` finds it by.
+        entry, spec, drawn, n_threads: as of :class:`Report`.
         seeds: test scenarios to play; None for all, which may be read.
-        drawn: seeds of the scenarios to draw; empty for those that cost the entry most.
         stored: folder that may have results of the entry.
-        n_threads: threads to step with.
         on_progress: called with (name of the entry, episodes done, episodes in all).
-
-    Raises:
-        PolicyError: the entry's policy fails.
-        ValueError: the entry is of another version.
     """
     read = _stored_results(stored, entry) if stored is not None and seeds is None else None
     results = read or evaluate(entry, SUITE, SPLIT, seeds=seeds, n_threads=n_threads, on_progress=on_progress)
@@ -222,7 +215,6 @@ def report_html(report: Report, on_progress: Progress = lambda name, done, n: No
 
 
 def _interval(value: Interval) -> tuple[str, str]:
-    """Return a value and its interval, empty where there is no spread."""
     text, low, high = (f"{round(number, 1) + 0.0:.1f}" for number in (value.value, value.low, value.high))
     return text, "" if value.low == value.high else f"{low} … {high}"
 
@@ -325,7 +317,6 @@ def _scenario_picture(report: Report, seed: int) -> Picture:
 
 @style.printed
 def _plot_scenario(scenario: Scenario, runs: Mapping[str, Recorded]) -> Figure:
-    """Draw a scenario's runs in a column of panels, readable on a phone."""
     figure = style.new_figure(style.SINGLE_COLUMN_MM, 125.0)
     looks = style.strategy_looks(runs)
     panels = figure.subplots(len(_PANELS), 1, sharex=True)
@@ -438,7 +429,6 @@ def _damping(report: Report) -> Section:
 
 
 def _rest(name: str, loop: damping.Damping) -> str:
-    """Return where a loop rests, and whether it does."""
     rest = loop.rest
     if not rest.is_reached:
         return f"{name} does not come to rest: the frequency moves by {1000.0 * rest.moves_hz:.1f} mHz by itself."

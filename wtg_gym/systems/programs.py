@@ -155,13 +155,9 @@ def _with(entries: Sequence[Any], joining: Mapping[str, Sequence[System]]) -> It
 
 
 class Program:
-    """A list of entries, and where they stand in the table of all programs.
+    """A list of systems and control blocks, the program of a number among those that share a table.
 
-    Args:
-        name: of the program.
-        entries: systems and control blocks.
-        number: of the program among those that share a table.
-        joining: systems of devices, by the places where they join.
+    `joining` has systems of devices, by the places where they join.
     """
 
     def __init__(
@@ -230,7 +226,6 @@ def _n_units(entry: Any, plant: MemoryMap) -> int:
 
 
 def _tape_rows(entry: Any, plant: MemoryMap) -> int:
-    """Return how many rows an entry notes on a tape."""
     return len(entry.noted) * _n_units(entry, plant) if isinstance(entry, System) else 0
 
 

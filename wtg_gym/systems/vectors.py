@@ -29,12 +29,9 @@ _OF_LIBM = {"power": "llvm.pow.f64", "sin": "llvm.sin.f64", "cos": "llvm.cos.f64
 
 
 class Lanes:
-    """Instructions on numbers that have one value per lane: vectors, or plain numbers for a block of one.
+    """Instructions on numbers that have one value per lane: vectors, or plain numbers for a block of width 1.
 
-    Args:
-        builder: where instructions go.
-        width: lanes of a block.
-        numbers: pointer to the numbers that tables lie among.
+    `numbers` is a pointer to the numbers that tables lie among.
     """
 
     def __init__(self, builder: Any, width: int, numbers: Any) -> None:

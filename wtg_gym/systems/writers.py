@@ -82,7 +82,6 @@ class Writer:
             lanes.store(result, self._at(rows[name], k))
 
     def _rows(self, system: System, unit: Any) -> dict[str, Any]:
-        """Return pointers to the first row of each part that a system names."""
         slots, places = system.slots, system.places
         base = self.builder.add(self._head(system, 1), self.builder.mul(unit, _WHOLE(len(slots))))
         return {
@@ -120,7 +119,6 @@ class Writer:
         return self._pointer(first, row)
 
     def _at(self, first: Any, k: int) -> Any:
-        """Return a pointer to the row k after that of a pointer."""
         return self.builder.gep(first, [_WHOLE(k * self.lanes.width)])
 
     def _is_up(self, entry: When | Repeat) -> Any:
