@@ -69,7 +69,10 @@ def plot_one_event(scenario: Scenario, runs: Mapping[str, Recorded], plant: Plan
         low, high = axes.get_ylim()
         for words, limit in limits.items():
             if low < limit < high:
-                style.draw_reference(axes, limit, words.strip(), below=words == "load shed")
+                axes.axhline(limit, linewidth=0.7, zorder=1, color=style.REFERENCE_GREY, linestyle=(0.0, (5.0, 2.0)))
+                at_right, side = axes.get_yaxis_transform(), "top" if words == "load shed" else "center"
+                look = {"fontsize": style.SMALL_PT, "color": "0.3", "va": side, "clip_on": False}
+                axes.text(1.01, limit, words.strip(), transform=at_right, **look)
         mark_instants(axes, scenario, numbered=True)
         axes.set_xlim(0.0, scenario.duration_s)
         axes.set_xlabel("time [s]")
