@@ -55,9 +55,9 @@ def test_of_events_it_knows_what_has_passed():
 
 
 def test_futures_go_on_as_other_scenarios_of_the_suite():
-    lanes = TaskLanes(SETTINGS, 1, 1)
+    lanes = TaskLanes(replace(SETTINGS, duration_s=240.0), 1, 1)
     futures, suite = Futures(lanes), lanes.suite
-    (drawn,) = lanes.scenarios([1_000_001])
+    (drawn,) = suite.scenarios([1_000_001])
     known, rng = without_foresight(drawn, 20.0, 60.0), np.random.default_rng(0)
     drawn_futures = [futures.draw(known, 20.0, rng) for _ in range(5)]
     for future in drawn_futures:
