@@ -50,8 +50,8 @@ class Population:
     Further arguments are settings of the environment.
     """
 
-    def __init__(self, suite: str, n_scenarios: int, n_candidates: int, **settings) -> None:
-        seeds = get_suite(suite).train[:n_scenarios]
+    def __init__(self, suite: str, seeds: range, n_candidates: int, **settings) -> None:
+        n_scenarios = len(seeds)
         settings_of_env = EnvSettings(suite=suite, split="train", reward="cost", **settings)
         self.lanes = TaskLanes(settings_of_env, n_scenarios * n_candidates)
         self._scenarios = self.lanes.scenarios(seeds)
@@ -120,7 +120,7 @@ def tune_law(
     """Return the law that scores most."""
     first = int(capped)
     search = Search(np.array(_START[first:]), 0.3, population, seed, bounds=[side[first:] for side in _BOUNDS])
-    with Population(suite, n_scenarios, population) as candidates:
+    with Population(suite, get_suite(suite).train[:n_scenarios], population) as candidates:
         mean = run_search(search, generations, lambda xs: candidates.objectives(laws=[law_of(x) for x in xs]))
         return law_of(mean)
 
@@ -160,12 +160,16 @@ def distilled(suite: str, teacher: str = "dagger-v1-0", n_scenarios: int = N_SCE
 
 
 def tune_gains(
-    suite: str, start: Gains, n_scenarios: int = N_SCENARIOS, generations: int = 30, population: int = 12, seed: int = 1
+    suite: str, start: Gains, n_scenarios: int = 300, generations: int = 12, population: int = 8, seed: int = 1
 ) -> tuple[Gains, float]:
-    """Return the numbers of distilled-law that score most, and what they cost in the logarithm of the score."""
-    search = Search(np.array(start) / _GAIN_STEPS, 0.2, population, seed)
+    """Return the numbers of distilled-law that score most, and what they cost in the logarithm of the score.
+
+    They are other scenarios than those that the law beneath was tuned on.
+    """
+    search = Search(np.array(start) / _GAIN_STEPS, 0.1, population, seed)
     settings = {"strategy": "coordinated-free", "action_mode": "k"}
-    with Population(suite, n_scenarios, population, **settings) as candidates:
+    seeds = get_suite(suite).train[N_SCENARIOS : N_SCENARIOS + n_scenarios]
+    with Population(suite, seeds, population, **settings) as candidates:
 
         def costs_of(points: Floats) -> Floats:
             policy, filtered = DistilledLaw((points * _GAIN_STEPS)[:, np.newaxis, np.newaxis]), None
