@@ -151,10 +151,10 @@ _ENDS = "".join(f"{b},1,90,15,0,5,220,1,1,1.5,0.5,0.00625,0,0,0,'1',0\n" for b i
 @pytest.mark.parametrize(
     ("section", "records", "kind", "text"),
     [
-        ("DC", "'D',1,10,30,220,0,0,0.1,'R',0,20,1\n" + _ENDS, "dc-line", "1 dc-line of 30 MW"),
-        ("FACTS", "'F',1,3,1,20,0,1,50,100,0.9,1.1,1,0,0.05,100,1,0,0,0\n", "facts-series", "1 facts-series"),
-        ("IMPCOR", "1,0.9,2,1,2,1.1,2\n", "impedance-correction", "1 impedance-correction"),
-        ("BUS", "4,'FOUR',220,1,1,1,1,1,0\n", "island", "1 island of 7 MW"),
+        ("DC", "'D',1,10,30,220,0,0,0.1,'R',0,20,1\n" + _ENDS, "dc-line", "1 × dc-line with 30 MW"),
+        ("FACTS", "'F',1,3,1,20,0,1,50,100,0.9,1.1,1,0,0.05,100,1,0,0,0\n", "facts-series", "1 × facts-series"),
+        ("IMPCOR", "1,0.9,2,1,2,1.1,2\n", "impedance-correction", "1 × impedance-correction"),
+        ("BUS", "4,'FOUR',220,1,1,1,1,1,0\n", "island", "1 × island with 7 MW"),
     ],
 )
 def test_what_a_grid_has_not_is_refused_by_name_and_left_out_when_asked(section, records, kind, text, tmp_path):
@@ -218,7 +218,7 @@ def test_RAW_with_blanks_between_its_fields_and_RAWX_say_the_same_as_with_commas
     assert read_case(path).case == case
     tables["gne"]["data"] = [["D"]]
     path.write_text(json.dumps({"network": tables}))
-    with pytest.raises(ValueError, match="1 gne-device"):
+    with pytest.raises(ValueError, match="1 × gne-device"):
         read_case(path)
 
 
@@ -271,7 +271,7 @@ def test_statements_and_unknown_tables_of_MATPOWER_are_refused_and_a_bus_of_type
     ):
         with pytest.raises(ValueError, match=f"its table branch (is )?{words}"):
             read_case(mpc(tmp_path, branch=row))
-    with pytest.raises(ValueError, match="1 dcline of 30 MW; --drop dcline"):
+    with pytest.raises(ValueError, match="1 × dcline with 30 MW; --drop dcline"):
         read_case(mpc(tmp_path, after="mpc.dcline = [\n1 3 1 30 29 0 0 1 1 0 100 -9 9 -9 9 1 0;\n];"))
     case = mpc(tmp_path, bus="4 4 40 0 0 0 1 1 0 220 1 1.1 0.9;\n", branch="3 4 0 0.1 0 0 0 0 0 0 1;\n")
     grid = read_case(case)
@@ -302,7 +302,7 @@ def test_wind_parks_get_turbines_and_other_static_generators_are_negative_loads(
     assert "constant impedance" in notes(grid) and grid.case.load_mw == pytest.approx(92.0 - 6.0 + 20.0 * 1.01**2)
     assert {group.bus for group in with_wind(grid, [2]).groups} == {2, 3}
     pandapower.create_dcline(net, 1, 2, 30.0, 0.0, 0.0, 1.01, 1.0)
-    with pytest.raises(ValueError, match="1 dcline of 30 MW"):
+    with pytest.raises(ValueError, match="1 × dcline with 30 MW"):
         read(net, tmp_path)
 
 

@@ -78,7 +78,7 @@ class SolvedCase:
 
 def refuse_unread(unread: dict[str, tuple[int, float]], drop: Collection[str], notes: list[str]) -> None:
     """Refuse elements, number and power [MW] by type, unless `drop` names their type; then note that they are left."""
-    texts = {kind: f"{n} {kind} of {power:.6g} MW" for kind, (n, power) in unread.items() if n}
+    texts = {kind: f"{n} × {kind} with {power:.6g} MW" for kind, (n, power) in unread.items() if n}
     if left := {kind: text for kind, text in texts.items() if kind not in drop}:
         listed = ", ".join(left.values())
         raise ValueError(f"it has what no grid here has: {listed}; --drop {' '.join(left)} leaves that out")
@@ -159,12 +159,17 @@ def _take_connected(case: SolvedCase, drop: Collection[str]) -> None:
     """Take away the buses that no branch joins to the slack bus, and refuse those that have power."""
     import networkx
 
-    connected = networkx.node_connected_component(_graph(case), case.slack)
+    powers = dict.fromkeys(case.voltages, 0.0)
+    for bus, load in case.loads.items():
+        powers[bus] += abs(load.real)
+    for infeed in case.infeeds:
+        powers[infeed.bus] += abs(infeed.power.real)
+    parts = list(networkx.connected_components(_graph(case)))
+    (connected,) = (part for part in parts if case.slack in part)
+    live = [power for part in parts if part is not connected and (power := sum(powers[bus] for bus in part))]
+    refuse_unread({"island": (len(live), sum(live))}, drop, case.notes)
     apart = [key for key in case.voltages if key not in connected]
-    power = sum(abs(case.loads.get(key, 0j).real) for key in apart)
-    power += sum(abs(infeed.power.real) for infeed in case.infeeds if infeed.bus not in connected)
-    refuse_unread({"island": (len(apart) if power else 0, power)}, drop, case.notes)
-    if apart and not power:
+    if apart and not live:
         case.notes.append(f"buses without connection to the slack bus are left out: {_listed(apart)}")
     case.branches = [branch for branch in case.branches if branch.ends[0] in connected]
     case.infeeds = [infeed for infeed in case.infeeds if infeed.bus in connected]
