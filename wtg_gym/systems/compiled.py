@@ -35,7 +35,8 @@ import llvmlite
 import numba
 from numba.core import event
 from numba.core.caching import NullCache
-from numba.core.compiler import CompileResult
+from numba.core.codegen import JITCodeLibrary
+from numba.core.compiler import Compiler, CompileResult
 from numba.core.serialize import dumps
 
 from wtg_gym.files import read_trusted, trusted_folder, write_trusted
@@ -256,11 +257,51 @@ def compiled(function: F) -> F:
     No fast-math: reassociation or contraction would let a batched lane differ from the single environment.
     """
     compilation()
-    result: F = numba.njit(nogil=True, error_model="numpy", no_cfunc_wrapper=True)(function)
+    return _kept(function)
+
+
+def addressed(function: F) -> F:
+    """Compile a function that compiled code calls at an address, and Python never: it has no door for Python."""
+    return _kept(function, no_cpython_wrapper=True)
+
+
+def _kept(function: F, **options: Any) -> F:
+    result: F = numba.njit(nogil=True, error_model="numpy", no_cfunc_wrapper=True, **options)(function)
     # With NUMBA_DISABLE_JIT it is the function itself.
     if result is not function:
         result._cache = DiskCache(function, cache_folder(), source_hash())  # type: ignore[attr-defined]
     return result
+
+
+class _Part(JITCodeLibrary):  # type: ignore[misc]
+    """LLVM code of a function that is optimised and translated as part of its callers alone.
+
+    Numba would do both for the function by itself too, and for each of its callers.
+    """
+
+    def finalize(self) -> None:
+        """Link what the function calls."""
+        for library in dict.fromkeys(self._linking_libraries):
+            self._final_module.link_in(library._get_module_for_linking(), preserve=True)
+        self._finalized = True
+
+    def get_pointer_to_function(self, name: str) -> int:
+        """Return that there is no machine code."""
+        self._ensure_finalized()
+        return 0
+
+    @property
+    def codegen(self) -> Any:
+        """Return who sets the environment of a function."""
+        return self
+
+    def set_env(self, name: str, environment: Any) -> None:
+        """Set nothing: without Python objects there is nothing to look up."""
+
+
+class _PartCompiler(Compiler):  # type: ignore[misc]
+    def __init__(self, typing_context: Any, target_context: Any, library: Any, *rest: Any) -> None:
+        super().__init__(typing_context, target_context, _Part(target_context.codegen(), "part"), *rest)
 
 
 def internal(function: F) -> F:
@@ -268,7 +309,8 @@ def internal(function: F) -> F:
 
     It is part of the machine code of its callers, and not kept by itself.
     """
-    result: F = numba.njit(nogil=True, error_model="numpy", no_cfunc_wrapper=True, no_cpython_wrapper=True)(function)
+    options = {"no_cfunc_wrapper": True, "no_cpython_wrapper": True, "pipeline_class": _PartCompiler}
+    result: F = numba.njit(nogil=True, error_model="numpy", **options)(function)
     return result
 
 
