@@ -274,15 +274,13 @@ def _kept(function: F, **options: Any) -> F:
 
 
 class _Part(JITCodeLibrary):  # type: ignore[misc]
-    """LLVM code of a function that is optimised and translated as part of its callers alone.
-
-    Numba would do both for the function by itself too, and for each of its callers.
-    """
+    """LLVM code of a function that is translated as part of its callers alone; numba would by itself too."""
 
     def finalize(self) -> None:
-        """Link what the function calls."""
+        """Link what the function calls, and optimise."""
         for library in dict.fromkeys(self._linking_libraries):
             self._final_module.link_in(library._get_module_for_linking(), preserve=True)
+        self._optimize_final_module()
         self._finalized = True
 
     def get_pointer_to_function(self, name: str) -> int:
