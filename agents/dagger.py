@@ -33,7 +33,7 @@ from wtg_gym.ranges import design
 #: The algorithm's name in run.json.
 NAME = "dagger"
 _STATE = "state.pt"
-_TIMESTEPS, _N_ENVS = 518_400, 120
+_TIMESTEPS, _N_ENVS = 172_800, 80
 #: Correlation time of the noise of the first round [s].
 _NOISE_S = 10.0
 _MAX_GRAD_NORM = 1.0

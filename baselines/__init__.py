@@ -92,8 +92,8 @@ _LAWS = (MPPT, DELOADED_5, DELOADED_10, COORDINATED_LINEAR, COORDINATED_PIECEWIS
 #: - coordinated-tuned: three numbers of that law;
 #: - coordinated-free: kinetic energy borrowed beyond K_opt;
 #: - fast-droop: one gain on a group's own frequency;
-#: - mean-droop: the mean frequency of all groups, and a protection of slow rotors.
+#: - distilled-law: six numbers of what a planner does.
 ORDER = {
     "v0": (*_LAWS, COORDINATED_UNDAMPED, "tip_speed_feedback"),
-    "v1": (*_LAWS, COORDINATED_TUNED, COORDINATED_FREE, "fast_droop", "mean_droop"),
+    "v1": (*_LAWS, COORDINATED_TUNED, COORDINATED_FREE, "fast_droop", "distilled_law"),
 }

@@ -1,7 +1,5 @@
 """What messages say about optional dependencies that are missing."""
 
-from __future__ import annotations
-
 
 def install_advice(extra: str) -> str:
     """Return how to install an extra of the package. No index has the package, so it takes a checkout."""

@@ -3,8 +3,6 @@
 What is run, such as machine code, is read and written by :func:`read_trusted` and :func:`write_trusted`.
 """
 
-from __future__ import annotations
-
 import contextlib
 import errno
 import hashlib
@@ -89,14 +87,8 @@ def write_atomically(path: Path, content: str | bytes) -> None:
 def write_together(contents: Mapping[Path, str | bytes]) -> None:
     """Replace files that belong together, all of them or, where one cannot be written, none; permissions stay.
 
-    All are written under other names first, so that a full disk is met before the first old file is gone. A process
-    that is killed between two renamings leaves the first ones new and the others old.
-
-    Args:
-        contents: bytes, or text (UTF-8, line feeds as given), by path, in the order in which the files are replaced.
-
-    Raises:
-        OSError: a file cannot be written; `filename` names it.
+    All are written under other names first, so that a full disk is met before the first old file is gone, and then
+    replaced in the order of `contents`: bytes, or text (UTF-8, line feeds as given). An OSError names the file.
     """
     written: list[tuple[Path, Path, Path]] = []
     try:
@@ -135,18 +127,11 @@ def _naming(path: Path) -> Iterator[None]:
 
 
 def trusted_folder(path: Path, *, make: bool = False) -> Path:
-    """Return a folder, with all links followed, that no other user can put a file into or replace.
+    """Return a folder, with all links followed, that no other user can put a file into or replace; else an OSError.
 
     It and every folder above it must belong to the user or to root. Others may write at most into folders above it, and
     only where they cannot replace what belongs to somebody else (the sticky bit, as /tmp has). Where the system knows
-    no owners, as on Windows, every folder passes.
-
-    Args:
-        path: the folder.
-        make: whether to make missing folders, which only the user can read.
-
-    Raises:
-        OSError: it is missing, cannot be made, or another user could change it.
+    no owners, as on Windows, every folder passes. `make` makes missing folders, which only the user can read.
     """
     path = Path(os.path.realpath(path))
     # From the top: once a folder has passed, nobody else can replace the next one.

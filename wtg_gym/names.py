@@ -4,8 +4,6 @@ They stand in terminals, spreadsheets, Markdown and HTML, and must be nothing bu
 or command, and no sign that looks like another one or like nothing.
 """
 
-from __future__ import annotations
-
 import re
 from typing import Any
 

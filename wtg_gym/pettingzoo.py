@@ -1,7 +1,5 @@
 """The environment for many agents, one per WTG group; needs the extra `marl`."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any, Unpack
 

@@ -1,7 +1,5 @@
 """Training with Stable-Baselines3 on many episodes at once; needs the extra `train`."""
 
-from __future__ import annotations
-
 import inspect
 from collections.abc import Iterable
 from typing import Any
@@ -33,22 +31,14 @@ class SB3VecEnv(VecEnv):
     Observations, rewards and episode ends equal those of a `DummyVecEnv` of single environments with the same seeds,
     bit for bit. An environment whose episode ends starts the next one within the same step.
 
-    Every step gives a list of `num_envs` infos:
-
-    - While an episode runs, its info holds `TimeLimit.truncated` (False) only: learners need no more, and writing every
-      key slows a large batch down. `lanes.info_arrays()` has the others.
-    - At its end it holds every key of the single environment's info for the last step, `terminal_observation`
-      (n_observation,) float32, and `TimeLimit.truncated`: True where time was over without a failure.
-
-    `reset_infos` holds the info of every episode's start.
+    While an episode runs, its info holds `TimeLimit.truncated` (False) only: learners need no more, and writing every
+    key slows a large batch down. `lanes.info_arrays()` has the others. At its end it holds every key of the single
+    environment's info for the last step, `terminal_observation` (n_observation,) float32, and `TimeLimit.truncated`:
+    True where time was over without a failure. `reset_infos` holds the info of every episode's start.
 
     Args:
         num_envs: number of episodes side by side.
-        arguments: as for :class:`wtg_gym.envs.GFMWTGVectorEnv`, but `autoreset_mode`.
-
-    Raises:
-        TypeError: an argument is unknown.
-        ValueError: an argument is out of range.
+        arguments: as for :class:`wtg_gym.envs.GFMWTGVectorEnv`, but `autoreset_mode`, with the same errors.
     """
 
     def __init__(self, num_envs: int = 1, **arguments: Any) -> None:
@@ -67,11 +57,8 @@ class SB3VecEnv(VecEnv):
     def reset(self) -> Observations:
         """Start an episode in every environment, with the seeds set before, which are used once.
 
-        Returns:
-            The observations (num_envs, n_observation).
-
-        Raises:
-            ValueError: a seed is negative, or options were set, of which there are none.
+        It returns the observations (num_envs, n_observation). A ValueError says that a seed is negative, or that
+        options were set, of which there are none.
         """
         if any(self._options):
             raise ValueError(f"SB3VecEnv has no reset options, got {self._options!r:.80}; its vector_env has some")
@@ -90,12 +77,8 @@ class SB3VecEnv(VecEnv):
     def step_wait(self) -> tuple[Observations, npt.NDArray[np.float32], npt.NDArray[np.bool_], list[Info]]:
         """Hold the actions for one control step in every environment.
 
-        Returns:
-            observations (num_envs, n_observation) float32, rewards (num_envs,) float32, dones (num_envs,) and infos.
-
-        Raises:
-            RuntimeError: no actions were given, or there was no reset.
-            ValueError: the actions are of another shape or not finite.
+        It returns observations (num_envs, n_observation) float32, rewards (num_envs,) float32, dones (num_envs,) and
+        infos. A RuntimeError says that there were no actions or no reset, a ValueError what is wrong with the actions.
         """
         if self._actions is None:
             raise RuntimeError("call reset() and step_async(actions) before step_wait()")
@@ -126,17 +109,14 @@ class SB3VecEnv(VecEnv):
     def get_attr(self, attr_name: str, indices: int | Iterable[int] | None = None) -> list[Any]:
         """Return an attribute that all lanes share, such as `settings` or `observation_names`, once per lane asked for.
 
-        Raises:
-            AttributeError: there is none of that name, it is a method, or a lane's own that cannot be read.
-            IndexError: the lane does not exist.
+        An AttributeError says that there is none, that it is a method, or a lane's own that cannot be read.
         """
         # Spaces of the batch have other shapes, and its generators are not those of the lanes.
         name = f"single_{attr_name}" if attr_name in ("action_space", "observation_space") else attr_name
-        value = None if name in ("np_random", "np_random_seed") else getattr(self.vector_env.unwrapped, name)
-        if name in ("np_random", "np_random_seed") or callable(value):
+        is_own = name in ("np_random", "np_random_seed")
+        if is_own or callable(value := getattr(self.vector_env.unwrapped, name)):
             raise AttributeError(f"the lanes are stepped together and have no {attr_name!r} of their own")
-        lanes = np.arange(self.num_envs)[list(self._get_indices(indices))]
-        return [value] * len(lanes)
+        return [value] * len(np.arange(self.num_envs)[list(self._get_indices(indices))])
 
     def set_attr(self, attr_name: str, value: Any, indices: int | Iterable[int] | None = None) -> None:
         """Raise an AttributeError: the arguments of an environment are fixed."""

@@ -1,7 +1,5 @@
 """Changes that no signal cuts in two: handlers, such as that of Ctrl-C, wait until a change is complete."""
 
-from __future__ import annotations
-
 import functools
 import threading
 

@@ -9,12 +9,12 @@ from output import folder as output_folder
 from agents.planner import planned
 from wtg_gym.evaluation import Results, evaluate
 from wtg_gym.evaluation.statistics import sign_test
-from wtg_gym.evaluation.summary import lost_or_beyond, runs_by_name
+from wtg_gym.evaluation.summary import lost_or_beyond
 from wtg_gym.files import markdown_table, update_between_markers
 from wtg_gym.scenarios import get_suite
 
 SUITE = "standard-v1"
-LAWS = ("deloaded-10", "coordinated-piecewise", "coordinated-tuned", "coordinated-free", "fast-droop", "mean-droop")
+LAWS = ("deloaded-10", "coordinated-piecewise", "coordinated-tuned", "coordinated-free", "fast-droop", "distilled-law")
 POLICIES = ("ppo-v1-0", "ppo-v1-1", "ppo-v1-2")
 #: A network that sees the exact state, and scenarios that a planner with it plays: three seconds of a core each.
 EXACT, N_PLANNED = "exact-state-v1-0", 90
@@ -39,7 +39,7 @@ def room(results: Results) -> Row:
 
 def against_law(results: Results, name: str) -> tuple[str, bool]:
     """Return how an entry compares with the best law, and whether it leads by as much as demanded."""
-    suite, runs = get_suite(SUITE), runs_by_name(results.episodes)
+    suite, runs = get_suite(SUITE), results.runs
     law = max(LAWS, key=lambda each: results.scores[each].value)
     lead = results.scores[name].value - results.scores[law].value
     short = [suite.stratum(seed) == "short" for seed in results.seeds]
@@ -62,7 +62,7 @@ def paid_in_full(results: Results) -> Row:
 
 def operator_agrees(results: Results) -> Row:
     """Compare bad runs of every two entries, of the first training seed."""
-    runs = {name: runs[:1] for name, runs in runs_by_name(results.episodes).items()}
+    runs = {name: runs[:1] for name, runs in results.runs.items()}
     bad = {name: lost_or_beyond(episodes, get_suite(SUITE).nominal_hz) for name, episodes in runs.items()}
     pairs = [
         f"{above.name} over {below.name}"

@@ -9,7 +9,7 @@ from wtg_gym.plotting import save_figure, style
 from wtg_gym.policies.entry_folder import load_entries
 
 LAWS = ("mppt", "deloaded-5", "deloaded-10", "coordinated-linear", "coordinated-undamped", "coordinated-piecewise")
-TUNED = ("coordinated-tuned", "coordinated-free", "fast-droop", "mean-droop", "ppo-v1-0")
+TUNED = ("coordinated-tuned", "coordinated-free", "fast-droop", "distilled-law", "ppo-v1-0")
 #: The end of every criterion, which the page says once.
 STAY = "; all groups stay"
 DRAWN = ("deloaded-10", "coordinated-piecewise", "coordinated-tuned")

@@ -1,5 +1,8 @@
 """The README's picture, images/one-event.svg: laws and a trained policy side by side in one extreme scenario.
 
+For docs/agents.md, images/energy.svg: what energy rotors lend there and on average, with the law that scores 100 and
+with the policy.
+
 These are plain droop on a reserve of 5 %, the published law, that law tuned and the agent with the best score. Of the
 first validation scenarios in which droop stalls a rotor, and the last two lose nothing and stay within 0.8 Hz, it is
 that in which the published law lets the frequency fall lowest. Prints the load that each sheds.
@@ -69,7 +72,10 @@ def plot_one_event(scenario: Scenario, runs: Mapping[str, Recorded], plant: Plan
         low, high = axes.get_ylim()
         for words, limit in limits.items():
             if low < limit < high:
-                style.draw_reference(axes, limit, words.strip(), below=words == "load shed")
+                axes.axhline(limit, linewidth=0.7, zorder=1, color=style.REFERENCE_GREY, linestyle=(0.0, (5.0, 2.0)))
+                at_right, side = axes.get_yaxis_transform(), "top" if words == "load shed" else "center"
+                look = {"fontsize": style.SMALL_PT, "color": "0.3", "va": side, "clip_on": False}
+                axes.text(1.01, limit, words.strip(), transform=at_right, **look)
         mark_instants(axes, scenario, numbered=True)
         axes.set_xlim(0.0, scenario.duration_s)
         axes.set_xlabel("time [s]")
@@ -77,6 +83,41 @@ def plot_one_event(scenario: Scenario, runs: Mapping[str, Recorded], plant: Plan
     handles = [Line2D([], [], color=looks[n].colour, linestyle=looks[n].dashes, label=n, **look) for n in runs]
     figure.legend(handles=handles, loc="outside lower center", ncols=min(4, len(handles)), handlelength=3.0)
     explain_events(figure, scenario)
+    return figure
+
+
+def lent_mj(run: Recorded) -> np.ndarray:
+    """Return the energy that the rotors of each group have given since the start [MJ], (n, n_lanes, n_wtg)."""
+    return run.stored_mj[0] - run.stored_mj
+
+
+@style.printed
+def plot_energy(
+    scenario: Scenario, runs: Mapping[str, Recorded], of_strata: Mapping[str, Mapping[str, Recorded]]
+) -> Figure:
+    """Draw the energy that the rotors of each group have lent in a scenario, and all of them on average in strata.
+
+    Args:
+        scenario: of the upper panels.
+        runs: through that scenario, a panel each.
+        of_strata: runs through many scenarios, by the stratum, a lower panel each.
+    """
+    figure, looks = style.new_figure(style.DOUBLE_COLUMN_MM, 110.0), style.strategy_looks(runs)
+    panels = figure.subplots(2, 2, sharex=True, sharey="row")
+    for letter, axes, (name, run) in zip("ab", panels[0], runs.items(), strict=True):
+        style.letter_panel(axes, letter, f"{name}: energy lent by each group [MJ]")
+        for group, values in enumerate(lent_mj(run)[:, 0].T):
+            axes.plot(run.time_s, values, label=f"group {group}")
+        mark_instants(axes, scenario, numbered=True)
+        axes.set_xlim(0.0, scenario.duration_s)
+    panels[0, 1].legend(loc="lower right", ncols=2)
+    for letter, axes, (stratum, played) in zip("cd", panels[1], of_strata.items(), strict=True):
+        style.letter_panel(axes, letter, f"{stratum}: energy lent by all groups, mean [MJ]")
+        for name, run in played.items():
+            look, mean = looks[name], np.nanmean(lent_mj(run).sum(axis=2), axis=1)
+            axes.plot(run.time_s, mean, color=look.colour, linestyle=look.dashes, label=name)
+        axes.set_xlabel("time [s]")
+    panels[1, 1].legend(loc="lower right")
     return figure
 
 
@@ -116,3 +157,10 @@ if __name__ == "__main__":
     # The list of events fills the line: without the suite's name.
     scenario = replace(scenarios[0], name=scenarios[0].name.partition("/")[2])
     save_figure(plot_one_event(scenario, runs, settings.resolved_plant), docs / "images" / "one-event", ["svg"])
+    suite, compared = get_suite(SUITE), entries[2:]
+    of_strata = {}
+    for stratum in suite.strata[1:]:
+        drawn = suite.scenarios([each for each in suite.validation[:N_SCENARIOS] if suite.stratum(each) == stratum])
+        of_strata[stratum] = {entry.name: recorded(entry, settings, drawn) for entry in compared}
+    lenders = {entry.name: runs[entry.name] for entry in compared}
+    save_figure(plot_energy(scenario, lenders, of_strata), docs / "images" / "energy", ["svg"])

@@ -1,8 +1,8 @@
-"""How the tuned laws and the three numbers of mean-droop were found: by CMA-ES on training scenarios of v1.
+"""How the tuned laws and the numbers of distilled-law were found: by CMA-ES on training scenarios of v1.
 
     python docs/studies/policies.py
 
-prints them. To tune one of your own, call `tune_law` or `tune_mean_droop`; each takes ten minutes at most on two
+prints them. To tune one of your own, call `tune_law` or `tune_gains`; each takes ten minutes at most on two
 processors. The feedbacks of agents/policies come from agents.evolution.
 """
 
@@ -14,9 +14,10 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from agents.evolution import Search
-from baselines.mean_droop import MeanDroop
+from baselines.distilled_law import DistilledLaw, Gains, terms
 from wtg_gym.envs.lanes import TaskLanes
 from wtg_gym.envs.settings import EnvSettings
+from wtg_gym.evaluation import load_entries
 from wtg_gym.physics.layout import Floats
 from wtg_gym.physics.tracking_law import (
     LARGEST_COEFFICIENT,
@@ -26,9 +27,9 @@ from wtg_gym.physics.tracking_law import (
     Tuning,
     get_law,
 )
+from wtg_gym.policies.play import answer, started_lanes
 from wtg_gym.progress import Progress
 from wtg_gym.scenarios import get_suite
-from wtg_gym.tasks import V1
 from wtg_gym.tasks.observation import of_groups
 from wtg_gym.tasks.sensing import MeasuredObservation
 
@@ -37,6 +38,8 @@ _LEAST_TRIED = 0.05
 #: Points of :func:`law_of`: where searches begin, and their bounds; without the first number k ends at K_opt. K_n may
 #: change by 0.08 only: with less power at nominal frequency runs could not start.
 _START, _BOUNDS = (0.5, 0.0, 0.8, -0.6), ((0.0, -0.8, -0.2, -2.7), (3.0, 0.8, 1.05, 2.0))
+#: Changes of the numbers of distilled-law that matter alike.
+_GAIN_STEPS = np.array([0.5, 1.0, 1.0, 2.0, 0.1])
 #: A multiple of 15 consecutive seeds holds as many of each stratum, and of each kind of extreme event.
 N_SCENARIOS = 120
 
@@ -47,8 +50,8 @@ class Population:
     Further arguments are settings of the environment.
     """
 
-    def __init__(self, suite: str, n_scenarios: int, n_candidates: int, **settings) -> None:
-        seeds = get_suite(suite).train[:n_scenarios]
+    def __init__(self, suite: str, seeds: range, n_candidates: int, **settings) -> None:
+        n_scenarios = len(seeds)
         settings_of_env = EnvSettings(suite=suite, split="train", reward="cost", **settings)
         self.lanes = TaskLanes(settings_of_env, n_scenarios * n_candidates)
         self._scenarios = self.lanes.scenarios(seeds)
@@ -117,7 +120,7 @@ def tune_law(
     """Return the law that scores most."""
     first = int(capped)
     search = Search(np.array(_START[first:]), 0.3, population, seed, bounds=[side[first:] for side in _BOUNDS])
-    with Population(suite, n_scenarios, population) as candidates:
+    with Population(suite, get_suite(suite).train[:n_scenarios], population) as candidates:
         mean = run_search(search, generations, lambda xs: candidates.objectives(laws=[law_of(x) for x in xs]))
         return law_of(mean)
 
@@ -133,33 +136,53 @@ def run_search(search: Search, generations: int, costs_of: Callable[[Floats], Fl
     return search.mean
 
 
-def mean_droop_of(x: Floats) -> MeanDroop:
-    """Return mean-droop of points (..., 3), each ln(F / 0.5 Hz), (ω_1 - 0.7 p.u.) / 0.1 and ln(G p.u. / 5)."""
-    full_action, slow_rotor, gain = np.moveaxis(np.asarray(x), -1, 0)[..., np.newaxis, np.newaxis]
-    return MeanDroop(0.5 * np.exp(full_action), 0.7 + 0.1 * slow_rotor, 5.0 * np.exp(gain))
+def distilled(suite: str, teacher: str = "dagger-v1-0", n_scenarios: int = N_SCENARIOS, rounds: int = 4) -> Gains:
+    """Return the numbers of distilled-law that come nearest to a policy's actions, where the law itself leads."""
+    (entry,) = load_entries(teacher)
+    settings, scenarios = (
+        EnvSettings(suite=suite, split="train"),
+        get_suite(suite).scenarios(get_suite(suite).train[:n_scenarios]),
+    )
+    gains, columns, actions = None, [], []
+    for _ in range(rounds):
+        with started_lanes(entry, settings, scenarios) as (lanes, _drawn), entry.policy:
+            filtered, state = None, None
+            for step in range(round(lanes.duration_s / lanes.settings.step_s)):
+                running = ~np.logical_or(*lanes.ended())
+                answers, state = answer(entry, lanes, state, step, running)
+                values, filtered = terms(of_groups(lanes.observations, MeasuredObservation, "k"), filtered)
+                connected = running[:, np.newaxis] & (lanes.simulator.wtg_values("connected") > 0.5)
+                columns.append(values[connected])
+                actions.append(answers[connected])
+                lanes.step(answers if gains is None else np.clip(values @ gains, -1.0, 1.0))
+        gains = np.linalg.lstsq(np.concatenate(columns), np.concatenate(actions))[0]
+    return Gains(*gains)
 
 
-def tune_mean_droop(
-    suite: str,
-    strategy: str = "coordinated-tuned",
-    n_scenarios: int = N_SCENARIOS,
-    generations: int = 18,
-    population: int = 12,
-    seed: int = 1,
-) -> tuple[MeanDroop, float]:
-    """Return the three numbers that cost little on a law, and what they cost in the logarithm of the score."""
-    search = Search(np.zeros(3), 0.4, population, seed)
-    settings = {"strategy": strategy, "action_mode": "k"}
-    with Population(suite, n_scenarios, population, **settings) as candidates:
+def tune_gains(
+    suite: str, start: Gains, n_scenarios: int = 300, generations: int = 12, population: int = 8, seed: int = 1
+) -> tuple[Gains, float]:
+    """Return the numbers of distilled-law that score most, and what they cost in the logarithm of the score.
+
+    They are other scenarios than those that the law beneath was tuned on.
+    """
+    search = Search(np.array(start) / _GAIN_STEPS, 0.1, population, seed)
+    settings = {"strategy": "coordinated-free", "action_mode": "k"}
+    seeds = get_suite(suite).train[N_SCENARIOS : N_SCENARIOS + n_scenarios]
+    with Population(suite, seeds, population, **settings) as candidates:
 
         def costs_of(points: Floats) -> Floats:
-            policy = mean_droop_of(points)
-            return candidates.objectives(
-                act=lambda seen: policy.act(seen.frequency_deviation, seen.rotor_speed)[..., np.newaxis]
-            )
+            policy, filtered = DistilledLaw((points * _GAIN_STEPS)[:, np.newaxis, np.newaxis]), None
+
+            def act(seen: MeasuredObservation) -> Floats:
+                nonlocal filtered
+                actions, filtered = policy.act(seen, filtered)
+                return actions[..., np.newaxis]
+
+            return candidates.objectives(act=act)
 
         mean = run_search(search, generations, costs_of)
-        return mean_droop_of(mean), float(costs_of(np.tile(mean, (population, 1)))[0])
+        return Gains(*(mean * _GAIN_STEPS)), float(costs_of(np.tile(mean, (population, 1)))[0])
 
 
 if __name__ == "__main__":
@@ -167,7 +190,5 @@ if __name__ == "__main__":
         law = tune_law("standard-v1", capped)
         print(f"{name}: " + ", ".join(f"{key} {value:.3f}" for key, value in tuning_of(law)._asdict().items()))
         print(f"k {law.k_min:.3f}, {law.k_nominal:.3f}, {law.k_max:.3f} p.u.")
-    for strategy in V1.anchors:
-        droop, cost = tune_mean_droop("standard-v1", strategy)
-        numbers = ", ".join(f"{name} {np.squeeze(value):.3f}" for name, value in vars(droop).items())
-        print(f"mean-droop on {strategy}: {numbers}; objective {cost:.4f}")
+    gains, cost = tune_gains("standard-v1", distilled("standard-v1"))
+    print(", ".join(f"{name} {value:.3f}" for name, value in gains._asdict().items()), f"objective {cost:.4f}")

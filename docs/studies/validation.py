@@ -122,14 +122,14 @@ def draw(results):
     steps = 1e3 * np.array(STEPS_S)
     for axes, quantity in zip(figure.subplots(1, 2, sharex=True), ("frequency", "power"), strict=True):
         q = list(QUANTITIES).index(quantity)
-        for run, colour, marker in zip(results, style.PALETTE, style.MARKERS, strict=False):
+        for run, colour, marker in zip(results, style.PALETTE, "os^D", strict=False):
             error = results[run][0][:, :, q]
             axes.loglog(steps, error.max(axis=1), marker=marker, color=colour, label=f"{run}: worst")
             axes.loglog(steps, np.median(error, axis=1), ":", color=colour, label=f"{run}: median")
         median = np.median(results["v0"][0][:, :, q], axis=1)
         guide = median[-1] * (steps / steps[-1]) ** 4
         axes.loglog(steps, guide, color=style.REFERENCE_GREY, linewidth=0.6, label="fourth order")
-        axes.axvline(1e3 * DEFAULT_S, **style.REFERENCE)
+        axes.axvline(1e3 * DEFAULT_S, color=style.REFERENCE_GREY, linestyle=(0.0, (5.0, 2.0)))
         axes.set_xticks(steps, [f"{step:.3g}" for step in steps], minor=False)
         axes.set_xticks([], minor=True)
         axes.set_xlabel("step [ms]")

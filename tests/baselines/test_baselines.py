@@ -6,13 +6,15 @@ import numpy as np
 import pytest
 
 import baselines
+from baselines.distilled_law import DistilledLaw, Gains
 from baselines.fast_droop import FastDroop
-from baselines.mean_droop import MeanDroop
 from baselines.tip_speed_feedback import TipSpeedFeedback
 from wtg_gym.evaluation import load_entries
 from wtg_gym.physics.aerodynamics import tracking_point
 from wtg_gym.physics.tracking_law import STRATEGIES
 from wtg_gym.tasks import V0
+from wtg_gym.tasks.observation import of_groups
+from wtg_gym.tasks.sensing import MeasuredObservation
 
 FOLDER = Path(baselines.__file__).parent
 
@@ -49,14 +51,24 @@ def test_fast_droop_is_one_gain_of_each_groups_own_measured_frequency():
     assert action == pytest.approx(np.array([[1.0, -0.4, 0.0, -1.0]]))
 
 
-def test_mean_droop_acts_on_the_mean_deviation_and_spares_slow_rotors():
+def test_the_distilled_law_adds_its_terms_and_filters_them():
     observation = np.random.default_rng(0).normal(size=(1, 28))
-    observation[0, ::7] = np.array([-0.3, 0.1, 0.0, -0.2]) / 0.5
-    speeds_pu = np.array([0.9, 0.7, 0.6, 0.3])
-    observation[0, 3::7] = (speeds_pu - 1.0) / 0.25
-    policy = MeanDroop(full_action_hz=0.5, slow_rotor_pu=0.7, rotor_gain=5.0)
-    assert policy.predict(observation)[0] == pytest.approx(np.array([[0.2, 0.2, -0.3, -1.0]]))
-    own = np.repeat(observation.reshape(1, 1, 4, 7), 2, axis=1)
-    several = MeanDroop(*(np.array([[a], [b]]) for a, b in ((0.5, 1.0), (0.7, 0.5), (5.0, 1.0))))
-    both = several.act(own[..., 0], own[..., 3])
-    assert both == pytest.approx(np.array([[[0.2, 0.2, -0.3, -1.0], [0.1, 0.1, 0.1, -0.1]]]))
+    observation[0, ::7] = deviations_hz = np.array([-0.3, 0.1, 0.0, -0.2])
+    observation[0, ::7] /= 0.5
+    speeds_pu, winds_m_s = np.array([0.97, 0.77, 0.67, 0.57]), np.array([8.0, 10.0, 12.0, 7.0])
+    observation[0, 3::7], observation[0, 5::7] = (speeds_pu - 1.0) / 0.25, (winds_m_s - 10.0) / 5.0
+    policy = DistilledLaw(Gains(offset=0.1, frequency=1.0, filtered_frequency=-0.5, speed=-0.4, wind=0.05))
+    actions, state = policy.predict(observation, episode_start=np.array([True]))
+    parts = np.array([np.full(4, -0.1), speeds_pu - 1.0, winds_m_s - 10.0])
+    assert deviations_hz.mean() == pytest.approx(-0.1) and np.allclose(state[0].T, parts)
+    weights = np.array([-0.5, -0.4, 0.05])
+    assert actions[0] == pytest.approx(0.1 - 0.1 + weights @ parts)
+    observation[0, ::7], observation[0, 3::7], observation[0, 5::7] = 0.0, 0.0, 0.0
+    actions, state = policy.predict(observation, state, np.array([False]))
+    parts *= np.exp(-0.5 / np.array([[15.0], [15.0], [40.0]]))
+    assert np.allclose(state[0].T, parts) and actions[0] == pytest.approx(0.1 + weights @ parts)
+    assert policy.predict(observation, state, np.array([True]))[1] == pytest.approx(np.zeros((1, 4, 3)))
+    several = DistilledLaw(np.array([policy.gains, np.zeros(5)])[:, np.newaxis, np.newaxis])
+    seen = of_groups(np.repeat(observation[np.newaxis], 2, axis=0), MeasuredObservation, "k")
+    one = policy.act(of_groups(observation, MeasuredObservation, "k"))[0]
+    assert several.act(seen)[0] == pytest.approx(np.array([one, np.zeros((1, 4))]))

@@ -1,6 +1,7 @@
 """Rollouts in a common form, so that a lane of a batch and a single environment can be compared bit for bit."""
 
 import hashlib
+import itertools
 
 import numpy as np
 from gymnasium.vector import AutoresetMode
@@ -144,16 +145,16 @@ def reasons(steps) -> set[str]:
     return {info["termination_reason"] for info in infos}
 
 
-def episode(env: GFMWTGEnv, action=0.0, **reset):
-    """Play an episode with a constant action; yield (reward, terminated, truncated, info) per step."""
+def episode(env: GFMWTGEnv, actions=0.0, **reset):
+    """Play an episode with a constant action or one per step; yield (reward, terminated, truncated, info) per step."""
     env.reset(**reset)
-    constant = np.broadcast_to(np.asarray(action, dtype=float), env.action_space.shape)
-    over = False
-    while not over:
-        observation, reward, terminated, truncated, info = env.step(constant)
+    actions, shape = np.asarray(actions, dtype=float), env.action_space.shape
+    for action in actions if actions.ndim == 2 else itertools.repeat(np.broadcast_to(actions, shape)):
+        observation, *step = env.step(action)
         assert env.observation_space.contains(observation)
-        over = terminated or truncated
-        yield reward, terminated, truncated, info
+        yield tuple(step)
+        if step[1] or step[2]:
+            return
 
 
 def digest(n_lanes: int = 17, n_steps: int = 45, n_threads: int | None = None, **settings) -> str:

@@ -6,7 +6,7 @@ import math
 import numpy as np
 import pytest
 
-from tests.envs.rollouts import actions_of, calm, eventful
+from tests.envs.rollouts import actions_of, calm, episode, eventful
 from wtg_gym import GFMWTGEnv, GFMWTGVectorEnv, LoadStep, Scenario, get_suite
 from wtg_gym.physics.scenario import Event, Fault, GroupTrip, LineTrip, MachineOutage
 from wtg_gym.tasks import V1
@@ -38,8 +38,7 @@ CASES = {
 def costs(settings, scenario: Scenario, actions: np.ndarray) -> np.ndarray:
     """Return what an episode has cost up to each step, by the environment whose reward is the cost."""
     env = GFMWTGEnv(scenario=scenario, **{**SHORT, **settings, "reward": "cost"})
-    env.reset()
-    return np.cumsum([-reward for _, reward, *_ in steps(env, actions)])
+    return np.cumsum([-reward for reward, *_ in episode(env, actions)])
 
 
 def tuned(settings):
@@ -47,22 +46,11 @@ def tuned(settings):
     return {**settings, "strategy": "coordinated-piecewise" if settings.get("version") == "v0" else "coordinated-tuned"}
 
 
-def steps(env: GFMWTGEnv, actions: np.ndarray):
-    taken = []
-    for action in actions:
-        taken.append(env.step(action))
-        if taken[-1][2] or taken[-1][3]:
-            break
-    return taken
-
-
 @functools.cache
 def played(name: str) -> tuple[list[float], bool]:
     settings, scenario, actions, _ = CASES[name]
-    env = GFMWTGEnv(scenario=scenario, **{**SHORT, **settings})
-    env.reset()
-    taken = steps(env, actions)
-    return [step[1] for step in taken], taken[-1][2]
+    taken = list(episode(GFMWTGEnv(scenario=scenario, **{**SHORT, **settings}), actions))
+    return [step[0] for step in taken], taken[-1][1]
 
 
 @pytest.mark.parametrize("name", CASES)
@@ -121,11 +109,7 @@ def cost_steps(*events: Event, duration_s: float = 12.0, action: float = 0.0, **
     """Play a scenario of v1; yield environment, reward and terms of the cost after each step."""
     scenario = calm(wind=10.0, n_wtg=4, duration_s=duration_s, events=events)
     env = GFMWTGEnv(version="v1", scenario=scenario, **{"control_dt": 0.1, "reward": "cost", **settings})
-    env.reset(seed=0)
-    over = False
-    while not over:
-        _, reward, terminated, truncated, info = env.step(np.full(8, action))
-        over = terminated or truncated
+    for reward, _, _, info in episode(env, action, seed=0):
         yield env, reward, {name: info[f"cost_{name}"] for name in COST_TERMS}
 
 

@@ -141,7 +141,7 @@ def test_baselines_are_those_of_the_version():
     laws = ["mppt", "deloaded-5", "deloaded-10", "coordinated-linear", "coordinated-piecewise"]
     found = {v.version: [entry.name for entry in load_entries("baselines", task=v)] for v in (V0, V1)}
     assert found["v0"] == [*laws, "coordinated-undamped", "tip-speed-feedback"]
-    assert found["v1"] == [*laws, "coordinated-tuned", "coordinated-free", "fast-droop", "mean-droop"]
+    assert found["v1"] == [*laws, "coordinated-tuned", "coordinated-free", "fast-droop", "distilled-law"]
     environments = {name: load_entries(name)[0].environment for name in ("tip-speed-feedback", "fast-droop", "mppt")}
     assert environments == {"tip-speed-feedback": V0.env_id, "fast-droop": V1.env_id, "mppt": None}
 

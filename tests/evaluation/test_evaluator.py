@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 import wtg_gym
+from tests.envs import rollouts
 from tests.interruption import interrupted
 from wtg_gym import Entry, Plant, Results, TrackingLaw, evaluate, get_law, get_suite, load_entries, simulate
 from wtg_gym.envs.lanes import TaskLanes
@@ -348,12 +349,7 @@ def test_worst_frequency_and_shed_energy_are_those_of_info_and_none_in_the_paper
     env = gym.make("GFMWTG-14bus-v1", strategy=law, duration_s=20.0, disable_env_checker=True).unwrapped
     for episode in evaluate([], "standard-v1", "validation", seeds=seeds, duration_s=20.0).episodes_of(law):
         scenario = get_suite("standard-v1").scenario(episode.seed, duration_s=20.0)
-        infos = [env.reset(options={"scenario": scenario})[1]]
-        over = False
-        while not over:
-            _, _, terminated, truncated, info = env.step(np.zeros(env.action_space.shape, dtype=np.float32))
-            infos.append(info)
-            over = terminated or truncated
+        infos = [info for *_, info in rollouts.episode(env, options={"scenario": scenario})]
         worst = [info["worst_frequency_hz"] for info in infos]
         m = episode.metrics
         assert 45.0 < m["worst_nadir_hz"] <= min(worst) and max(worst) <= m["worst_zenith_hz"] < 55.0

@@ -8,7 +8,7 @@ import pytest
 from docs.studies.small_signal import linearise
 from wtg_gym.envs.settings import EnvSettings
 from wtg_gym.evaluation import load_entries
-from wtg_gym.evaluation.damping import SLOPES, WIND_M_S, Loop, damping
+from wtg_gym.evaluation.damping import SLOPES, Loop, damping
 from wtg_gym.evaluation.grid_tests import GRID_TESTS, SOURCES, Recording, _longest_beyond, run_grid_test
 from wtg_gym.physics.protection import Status
 
@@ -83,8 +83,8 @@ PLANT = {"secondary_time_s": 0.0}
 @pytest.mark.parametrize("law", ["deloaded-10", "coordinated-tuned"])
 def test_a_law_alone_has_the_modes_of_the_linearised_plant(law):
     entry, plant = load_entries(law)[0], EnvSettings(suite="standard-v1", plant=PLANT).resolved_plant
-    found, scenario, step_s = damping(entry, plant=PLANT), Loop(entry, WIND_M_S, PLANT).scenario, plant.simulation_dt
-    assert found.rests and found.largest_action == 0.0 and found.largest_rate < 0.0
+    found, scenario, step_s = damping(entry, plant=PLANT), Loop(entry, PLANT).scenario, plant.simulation_dt
+    assert found.rest.is_reached and found.rest.largest_action == 0.0 and found.largest_rate < 0.0
     for slope, side in zip(SLOPES, ("under", "over"), strict=True):
         if not (seen := np.array([mode.eigenvalue for mode in found.modes if mode.slope in (slope, "both")])).size:
             continue
@@ -101,5 +101,5 @@ def test_a_law_alone_has_the_modes_of_the_linearised_plant(law):
 def test_a_policy_moves_the_modes_of_its_law():
     policy = load_entries("fast-droop")[0]
     found, alone = damping(policy), damping(load_entries(policy.law.name)[0])
-    assert found.rests and found.largest_action < 1e-3
+    assert found.rest.is_reached and found.rest.largest_action < 1e-3
     assert found.modes[0].damping_ratio < alone.modes[0].damping_ratio - 0.02

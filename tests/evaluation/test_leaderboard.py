@@ -135,7 +135,7 @@ def test_entries_that_lose_grids_that_the_anchor_only_bends_have_no_mark(results
 def test_scores_that_are_not_adjusted_say_why(results_v1):
     few = evaluation.evaluate("fast-droop", "standard-v1", seeds=[10_000, 10_002], duration_s=1.0)
     assert "their mean gains are not known for this suite with these settings" in few.unadjusted
-    assert list(few.summaries[0].strata) == ["ample", "tight"] and few.has_scale
+    assert list(few.summaries[0].strata) == ["ample", "tight"] and not few.no_score
     whole = get_suite("standard-v1").duration_s
     own = dataclasses.replace(results_v1, settings={**results_v1.settings, "duration_s": whole})
     assert "they need 30 scenarios of each stratum" in own.unadjusted
@@ -170,7 +170,7 @@ def test_without_a_score_the_mean_pinned_cost_ranks(tmp_path):
     results = without_scale(evaluation.evaluate("deloaded-10", "paper", "test"))
     rows = results.ranking
     columns = columns_of("terminal", rows)
-    assert not results.has_scale and len(rows) == 3
+    assert results.no_score and len(rows) == 3
     with pytest.raises(evaluation.NoScaleError, match=r"mppt \(mean cost .*\) is not worse than coordinated-piecewise"):
         evaluation.leaderboard_rows(results)
     assert evaluation.Results.read(results.write(tmp_path)[0]) == results

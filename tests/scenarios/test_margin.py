@@ -17,7 +17,7 @@ from wtg_gym.physics.aerodynamics import available_power_pu
 from wtg_gym.physics.grid import Branch, Bus, NetworkCase
 from wtg_gym.physics.machine_parameters import GovernorParameters
 from wtg_gym.physics.parameters import WtgGroup
-from wtg_gym.scenarios.margin import reserve_margin
+from wtg_gym.scenarios.margin import ReserveMargin
 
 GOVERNOR = GovernorParameters(droop_pu=0.05, gate_max_pu=1.0)
 ANY = Plant().case.machines[0]
@@ -78,12 +78,12 @@ def test_the_margin_is_that_of_a_calculation_by_hand(name):
     scenario = sc.Scenario(
         name=name, **{"wind_speed": np.array([[WIND]]), "duration_s": 80.0, "events": tuple(events), **changes}
     )
-    assert reserve_margin(scenario, PLANT) == pytest.approx(margin, abs=1e-6)
+    assert ReserveMargin(PLANT).of(scenario) == pytest.approx(margin, abs=1e-6)
 
 
 def test_machines_that_share_the_load_share_it_by_what_they_can_give():
     # Of 65 MW the small one gives a third, and 16 MW more at 0.8 Hz.
-    assert reserve_margin(calm(WIND, n_wtg=1), SHARING) == pytest.approx((40 + 65 + 32 + 16 - 103) / 100, abs=1e-6)
+    assert ReserveMargin(SHARING).of(calm(WIND, n_wtg=1)) == pytest.approx((40 + 65 + 32 + 16 - 103) / 100, abs=1e-6)
 
 
 def test_the_environment_tells_the_margin_in_the_suites_plant_with_its_own_groups():
@@ -93,12 +93,12 @@ def test_the_environment_tells_the_margin_in_the_suites_plant_with_its_own_group
     assert info["reserve_margin"] == suite.scenario(info["scenario_seed"], duration_s=5.0).reserve_margin
     own = calm(9.0, 5.0, 4, events=(sc.GroupTrip(time_s=2.0, group=3),))
     _, info = env.reset(options={"scenario": own})
-    assert info["reserve_margin"] == reserve_margin(own, suite.plant) == env.step(np.zeros(8))[4]["reserve_margin"]
+    assert info["reserve_margin"] == ReserveMargin(suite.plant).of(own) == env.step(np.zeros(8))[4]["reserve_margin"]
     groups = [{"bus": 2, "n_turbines": 20.0}, {"bus": 6, "n_turbines": 18.0}, {"bus": 8, "n_turbines": 16.0}]
     for arguments, n_wtg in (({"groups": groups}, 3), ({"groups": 2, "scenario": calm(duration_s=5.0)}, 2)):
         env = GFMWTGEnv(duration_s=5.0, **arguments)
         _, info = env.reset(seed=3)
         plant = suite.plant.replaced(groups=arguments["groups"])
         own = arguments.get("scenario") or env.lanes.scenarios([info["scenario_seed"]])[0]
-        assert own.n_wtg == n_wtg and info["reserve_margin"] == reserve_margin(own, plant)
+        assert own.n_wtg == n_wtg and info["reserve_margin"] == ReserveMargin(plant).of(own)
         env.step(np.zeros(2 * n_wtg))

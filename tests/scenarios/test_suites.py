@@ -13,7 +13,7 @@ from wtg_gym.envs.lanes import TaskLanes
 from wtg_gym.envs.settings import EnvSettings
 from wtg_gym.scenarios import FROZEN_HASHES, SUITES, ScenarioDistribution
 from wtg_gym.scenarios.draws import Draft, LoadEvents, LoadNoise, Picker, Record, SensorDistribution, Wind
-from wtg_gym.scenarios.margin import reserve_margin
+from wtg_gym.scenarios.margin import ReserveMargin
 from wtg_gym.tasks import V1
 
 FIRST = [name for name, suite in SUITES.items() if suite.task.version == "v0"]
@@ -112,7 +112,7 @@ def test_scenarios_have_the_margin_of_their_stratum_alone_or_in_any_order(suite)
         of_stratum = [scenario for scenario in scenarios if suite.stratum(scenario.seed) == stratum]
         assert all(low <= scenario.reserve_margin < high for scenario in of_stratum)
     for scenario in scenarios[::30]:
-        assert scenario.reserve_margin == reserve_margin(scenario, suite.plant)
+        assert scenario.reserve_margin == ReserveMargin(suite.plant).of(scenario)
     assert [own.to_json() for own in suite.scenarios(seeds[::-70])] == [own.to_json() for own in scenarios[::-70]]
     assert [suite.scenario(seed).to_json() for seed in seeds[:3]] == [own.to_json() for own in scenarios[:3]]
 

@@ -4,8 +4,6 @@ Exit codes: 0 fine, 1 a check failed, 2 bad input, 130 interrupted, 141 the outp
 stdout; progress, notes and errors go to stderr.
 """
 
-from __future__ import annotations
-
 import os
 import sys
 from collections.abc import Sequence

@@ -1,7 +1,5 @@
 """`wtg-gym evaluate` and `wtg-gym leaderboard`: entries scored on scenarios of a suite, and ranked."""
 
-from __future__ import annotations
-
 import dataclasses
 from pathlib import Path
 from typing import Annotated, Any, Literal

@@ -1,7 +1,5 @@
 """`wtg-gym grid`: grids of one's own: bring one in and look at it."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Annotated
 

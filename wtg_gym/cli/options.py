@@ -4,8 +4,6 @@ Modules of commands import only this one, `output` and the standard library. A c
 that its help appears at once.
 """
 
-from __future__ import annotations
-
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass

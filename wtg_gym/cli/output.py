@@ -1,7 +1,5 @@
 """Output of commands: lines, tables, JSON and files."""
 
-from __future__ import annotations
-
 import importlib
 import json
 import os

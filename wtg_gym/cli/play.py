@@ -1,7 +1,5 @@
 """`wtg-gym play`: a page in the browser, served on this machine only."""
 
-from __future__ import annotations
-
 import webbrowser
 from typing import Annotated, Any
 

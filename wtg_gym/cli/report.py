@@ -1,7 +1,5 @@
 """`wtg-gym report`: one page about one entry."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Annotated
 

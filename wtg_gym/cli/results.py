@@ -1,7 +1,5 @@
 """`wtg-gym results`: stored results computed again and compared."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from cyclopts import App

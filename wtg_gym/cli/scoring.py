@@ -1,7 +1,5 @@
 """Scoring on the command line: the values of options, one evaluation, and the printed ranking."""
 
-from __future__ import annotations
-
 import contextlib
 import os
 import sys

@@ -1,7 +1,5 @@
 """`wtg-gym simulate`: one scenario under one or several strategies."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated

@@ -72,7 +72,6 @@ def run(options: ScenarioOptions, strategies: Sequence[str], *, plot: Path | Non
 
 
 def _scenario(options: ScenarioOptions, suite: Suite) -> Scenario:
-    """Return the scenario that was asked for, with its wind replaced."""
     if options.scenario is None:
         seed = suite.test[0] if options.seed is None else options.seed
         scenario = suite.scenario(seed, duration_s=options.duration)

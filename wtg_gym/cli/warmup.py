@@ -1,7 +1,5 @@
 """`wtg-gym warmup`: compile before the first use."""
 
-from __future__ import annotations
-
 from wtg_gym.cli.output import say
 
 
@@ -29,7 +27,6 @@ def warmup() -> int:
 
 
 def _compile(version: str) -> None:
-    """Use everything of a version of the benchmark once."""
     from wtg_gym.envs import GFMWTGEnv, GFMWTGVectorEnv
     from wtg_gym.envs.settings import EnvSettings
     from wtg_gym.evaluation import evaluate

@@ -16,8 +16,6 @@ each weighted with its variance (W. G. Cochran, Biometrics 20, 1964, 191-195): t
 freedom, and the interval covers 95 … 97 %.
 """
 
-from __future__ import annotations
-
 import json
 import math
 from collections.abc import Mapping, Sequence
@@ -42,17 +40,11 @@ _NEGLIGIBLE = 1e-9
 
 @dataclass(frozen=True)
 class KnownMeans:
-    """Gains of p control variates over the distribution of a stratum: their means, and how well these are known.
+    """Gains of p control variates over the distribution of a stratum: their means, and how well these are known."""
 
-    Args:
-        n: number of scenarios they are from.
-        mean: (p,).
-        covariance: of the gains of a scenario (p, p).
-    """
-
-    n: int
-    mean: Sequence[float]
-    covariance: Sequence[Sequence[float]]
+    n: int  # number of scenarios they are from
+    mean: Sequence[float]  # (p,)
+    covariance: Sequence[Sequence[float]]  # of the gains of a scenario (p, p)
 
 
 @dataclass(frozen=True)
@@ -78,13 +70,7 @@ def known_means(suite: str, suite_hash: str, settings: Mapping[str, Any], laws: 
 
 
 class _Stratum:
-    """The scenarios of a stratum: the weight of each, and what their variates explain of a value.
-
-    Args:
-        at: the scenarios, as indices (n,).
-        variates: None for none.
-        name: of the stratum.
-    """
+    """The scenarios of a stratum, as indices (n,): the weight of each, and what their variates explain of a value."""
 
     def __init__(self, at: Indices, variates: ControlVariates | None, name: str) -> None:
         x = np.empty((at.size, 0)) if variates is None else variates.gains[at]
@@ -155,10 +141,7 @@ class Adjusted:
         return _interval([100.0 * happened, -100.0 * other], self._plain)
 
     def worst_tenth_difference(self, costs: Floats, other: Floats) -> Interval:
-        """Return how much dearer the :func:`worst_tenth` is than that of another entry [%], paired.
-
-        The interval is that of the ratio made linear.
-        """
+        """Return how much dearer the :func:`worst_tenth` is than another entry's [%], paired; the ratio made linear."""
         tail, base = (statistics.mean(worst_tenth(values)) for values in (costs, other))
         ratio, percent = tail / base, 100.0 / base
         value = 100.0 * (ratio - 1.0)

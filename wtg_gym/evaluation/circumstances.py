@@ -1,7 +1,5 @@
 """Everything beside the entries that decides the last bits of a result: code, packages, Python and the processor."""
 
-from __future__ import annotations
-
 import contextlib
 import dataclasses
 import functools
@@ -55,10 +53,9 @@ def circumstances() -> dict[str, str]:
 
 
 def environment_fingerprint(settings: EnvSettings) -> str:
-    """Return a sha256 over everything that the environment answers to a fixed course of actions.
+    """Return a sha256 over what the environment answers: with the same, machines compute the same bits.
 
-    Machines with the same fingerprint compute the same benchmark, bit for bit. The first validation scenarios are
-    played for 15 s under the reference strategy with all actions and observations, whatever the settings say of these.
+    The first validation scenarios are played for 15 s under the reference law with all actions and observations.
     """
     probed = dataclasses.replace(
         settings, strategy=REFERENCE_STRATEGY, action_mode="k+tau", observation_mode="privileged"

@@ -11,8 +11,6 @@ those with which the frequencies of all units move most steadily within the step
 out; their filters and their mean delay are in the loop.
 """
 
-from __future__ import annotations
-
 import contextlib
 import dataclasses
 from collections.abc import Mapping
@@ -59,6 +57,11 @@ class Rest(NamedTuple):
     frequency_hz: float
     largest_action: float  # [-]
 
+    @property
+    def is_reached(self) -> bool:
+        """Whether the loop came to rest; where not, it goes on to oscillate by itself."""
+        return self.moves_hz < _REST_HZ
+
 
 class Mode(NamedTuple):
     """An oscillation of the loop, and on which slope of the law."""
@@ -77,34 +80,21 @@ class Mode(NamedTuple):
         return -self.eigenvalue.real / abs(self.eigenvalue)
 
 
-@dataclasses.dataclass(frozen=True, kw_only=True)
-class Damping:
+class Damping(NamedTuple):
     """The oscillations of a loop at rest, the least damped first, and the rest itself."""
 
     modes: list[Mode]
     largest_rate: float  # largest real part of all eigenvalues, of what does not oscillate too [1/s]
-    frequency_hz: float
-    largest_action: float  # at rest [-]
-    moves_hz: float  # by which the frequency still moved in the last ten seconds
-
-    @property
-    def rests(self) -> bool:
-        """Whether the loop came to rest; where not, it goes on to oscillate by itself."""
-        return self.moves_hz < _REST_HZ
+    rest: Rest
 
 
-def damping(entry: Entry, wind_m_s: float = WIND_M_S, plant: Mapping[str, Any] | None = None) -> Damping:
-    """Return the oscillations of an entry's loop in the grid of standard-v1.
+def damping(entry: Entry, plant: Mapping[str, Any] | None = None) -> Damping:
+    """Return the oscillations of the loop of an entry of version v1, in the grid of standard-v1.
 
-    Args:
-        entry: of version v1.
-        wind_m_s: constant wind of all groups [m/s].
-        plant: replaces parts of the plant, as in :class:`~wtg_gym.envs.settings.EnvSettings`.
-
-    Raises:
-        PolicyError: the policy fails, its memory is not arrays, or the loop loses the grid.
+    `plant` replaces parts of the plant, as in :class:`~wtg_gym.envs.settings.EnvSettings`. A PolicyError says that the
+    policy fails, that its memory is not arrays, or that the loop loses the grid.
     """
-    loop, modes, rates, rests = Loop(entry, wind_m_s, plant), list[Mode](), list[float](), list[Rest]()
+    loop, modes, rates, rests = Loop(entry, plant), list[Mode](), list[float](), list[Rest]()
     has_corner = entry.law.k_min != entry.law.k_max
     with entry.policy if isinstance(entry.policy, OnnxPolicy) else contextlib.nullcontext():
         for slope in SLOPES if has_corner else SLOPES[:1]:
@@ -113,15 +103,14 @@ def damping(entry: Entry, wind_m_s: float = WIND_M_S, plant: Mapping[str, Any] |
             label = slope if has_corner else "both"
             modes += [Mode(complex(value), label) for value in values if value.imag > _LEAST_RATE]
             rates.append(float(values.real.max()))
-    least_settled = max(rests, key=lambda rest: rest.moves_hz)
     modes.sort(key=lambda mode: mode.damping_ratio)
-    return Damping(modes=modes, largest_rate=max(rates), **least_settled._asdict())
+    return Damping(modes, max(rates), rest=max(rests, key=lambda rest: rest.moves_hz))
 
 
 class Loop:
     """An entry in the loop with the grid, one measuring interval a step of the tape."""
 
-    def __init__(self, entry: Entry, wind_m_s: float, plant: Mapping[str, Any] | None) -> None:
+    def __init__(self, entry: Entry, plant: Mapping[str, Any] | None) -> None:
         settings = EnvSettings(
             suite=DEFAULT_SUITE,
             strategy=entry.law,
@@ -139,8 +128,8 @@ class Loop:
         assert errors is not None
         delays = errors.delays_s()
         self.scenario = Scenario(
-            name=f"rest at {wind_m_s:g} m/s",
-            wind_speed=np.full((n_wtg, 1), wind_m_s),
+            name=f"rest at {WIND_M_S:g} m/s",
+            wind_speed=np.full((n_wtg, 1), WIND_M_S),
             duration_s=_SETTLES_S,
             load_noise_bus=1,
             sensors=Sensors(
@@ -277,22 +266,15 @@ class Loop:
 
     def _answers(self, inputs: Floats) -> Floats:
         """Return actions and next memories (n, any) for observations and memories (n, any)."""
-        n, entry = len(inputs), self.entry
-        n_parts = self.tape.lanes.n_wtg if entry.per_group else 1
-        seen, rest = np.split(inputs, [self.tape.lanes.n_observation], axis=1)
-        state = self._memory
-        if state is not None:
-            parts = []
-            for array in self._memory:
-                part, rest = np.split(rest, [array.size], axis=1)
-                parts.append(part.reshape(n * n_parts, -1).astype(array.dtype))
-            state = tuple(parts)
-        seen = seen.reshape(n * n_parts, -1).astype(np.float32)
-        policy: Any = entry.policy
-        starts = np.zeros(n * n_parts, dtype=np.bool_)
-        actions, after = policy.predict(seen, state=state, episode_start=starts, deterministic=True)
-        memories = () if after is None else after
-        return np.concatenate([np.reshape(each, (n, -1)) for each in (actions, *memories)], axis=1).astype(np.float64)
+        policy: Any = self.entry.policy
+        n, arrays = len(inputs), self._memory or ()
+        n_rows = n * (self.tape.lanes.n_wtg if self.entry.per_group else 1)
+        ends = np.cumsum([self.tape.lanes.n_observation, *(array.size for array in arrays)])
+        seen, *memories = (part.reshape(n_rows, -1) for part in np.split(inputs, ends[:-1], axis=1))
+        state = tuple(memory.astype(array.dtype) for memory, array in zip(memories, arrays, strict=True)) or None
+        starts = np.zeros(n_rows, dtype=np.bool_)
+        actions, after = policy.predict(seen.astype(np.float32), state=state, episode_start=starts, deterministic=True)
+        return np.concatenate([np.reshape(part, (n, -1)) for part in (actions, *(after or ()))], axis=1).astype(float)
 
 
 def _flat(memory: Any, entry: Entry) -> Floats:

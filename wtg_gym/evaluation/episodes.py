@@ -1,7 +1,5 @@
 """Episodes: one row per entry and scenario, and the table of them as CSV."""
 
-from __future__ import annotations
-
 import csv
 import io
 import math

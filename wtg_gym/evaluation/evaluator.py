@@ -1,7 +1,5 @@
 """Evaluating entries: every one is played through the scenarios of a suite, many at a time."""
 
-from __future__ import annotations
-
 import contextlib
 import copy
 import dataclasses
@@ -105,7 +103,6 @@ def evaluate(
 
 
 def _description(settings: EnvSettings, seeds: Sequence[int], entries: Sequence[Entry]) -> dict[str, Any]:
-    """Return what results hold beside their episodes."""
     check_size((entry.name for entry in entries), len(seeds))
     return {
         "suite": settings.suite_name,
@@ -200,7 +197,6 @@ def shared_settings(settings: EnvSettings) -> dict[str, Any]:
 
 
 def _parts(entry: Entry, seeds: Sequence[int], batch: int) -> Iterator[_Part]:
-    """Cut an entry's scenarios into batches."""
     size = min(batch, entry.policy.most_episodes) if isinstance(entry.policy, OnnxPolicy) else batch
     for first in range(0, len(seeds), size):
         yield entry, list(seeds[first : first + size])

@@ -3,18 +3,20 @@
 A law has no sensors: nothing changes for it.
 """
 
-from __future__ import annotations
-
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 
+from wtg_gym.envs.settings import EnvSettings
+from wtg_gym.evaluation.evaluator import play_batch
+from wtg_gym.evaluation.results import Results
 from wtg_gym.physics.layout import Floats
 from wtg_gym.physics.scenario import Scenario
-from wtg_gym.policies.entry import Entry
+from wtg_gym.physics.sensors import Sensors
+from wtg_gym.policies import Entry, PolicyError
 from wtg_gym.scenarios.suites import DEFAULT_SUITE, get_suite
 from wtg_gym.tasks import V1
 from wtg_gym.tasks.episode import ACTION_MODES
@@ -23,20 +25,14 @@ from wtg_gym.tasks.episode import ACTION_MODES
 HANGS_AT = 100
 
 
-def measured(scenario: Scenario, **sensors: Any) -> Scenario:
-    """Return a scenario of version v1 with other sensors."""
-    assert scenario.sensors is not None
-    return replace(scenario, sensors=replace(scenario.sensors, **sensors))
+def _worse(change: Callable[[Sensors], dict[str, Any]]) -> Callable[[Scenario], Scenario]:
+    """Return what gives a scenario's sensors other values, which are made of those they have."""
 
+    def changed(scenario: Scenario) -> Scenario:
+        assert scenario.sensors is not None
+        return replace(scenario, sensors=replace(scenario.sensors, **change(scenario.sensors)))
 
-def _late(scenario: Scenario) -> Scenario:
-    assert scenario.sensors is not None
-    return measured(scenario, delay_s=round(scenario.sensors.delay_s + 0.5, 9))
-
-
-def _biased(scenario: Scenario) -> Scenario:
-    assert scenario.sensors is not None
-    return measured(scenario, wind_bias=tuple(4.0 * bias for bias in scenario.sensors.wind_bias))
+    return changed
 
 
 def hanging(seen: Floats, kept: Floats) -> None:
@@ -51,7 +47,10 @@ def silent(seen: Floats, _kept: Floats) -> None:
 
 #: Changes of a scenario's sensors, by what is said of them.
 WORSE_SENSORS: Mapping[str, Callable[[Scenario], Scenario]] = MappingProxyType(
-    {"delay +0.5 s": _late, "wind bias × 4": _biased}
+    {
+        "delay +0.5 s": _worse(lambda sensors: {"delay_s": round(sensors.delay_s + 0.5, 9)}),
+        "wind bias × 4": _worse(lambda sensors: {"wind_bias": tuple(4.0 * bias for bias in sensors.wind_bias)}),
+    }
 )
 #: Faults of the sensors of the first group, the largest, with the step from which on.
 SENSOR_FAULTS: Mapping[str, tuple[Callable[[Floats, Floats], None], int]] = MappingProxyType(
@@ -88,6 +87,24 @@ class FaultyPolicy:
     def close(self) -> None:
         """End the policy's process, where it has one."""
         getattr(self.policy, "close", lambda: None)()
+
+
+def with_faults(
+    before: Results, entry: Entry, settings: EnvSettings, n_threads: int | None
+) -> Iterator[tuple[str, Results]]:
+    """Yield results with the episodes of an entry under each fault in the place of its own; none for a law.
+
+    A PolicyError says that its policy fails.
+    """
+    scenarios = get_suite(before.suite).scenarios(before.seeds)
+    others = [episode for episode in before.episodes if episode.entry != entry.name]
+    worse = {name: (entry, [*map(change, scenarios)]) for name, change in WORSE_SENSORS.items()}
+    failing = {name: (with_fault(entry, *fault), scenarios) for name, fault in SENSOR_FAULTS.items()}
+    for name, (player, drawn) in (worse | failing).items() if entry.policy is not None else ():
+        episodes = play_batch(player, settings, drawn, n_threads)
+        if isinstance(episodes, PolicyError):
+            raise episodes
+        yield name, replace(before, episodes=(*others, *episodes))
 
 
 def with_fault(entry: Entry, fault: Callable[[Floats, Floats], None], since: int) -> Entry:

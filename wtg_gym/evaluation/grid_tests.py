@@ -5,8 +5,6 @@ power, a phasor model shows nothing faster than 25 ms, and faults are three-phas
 machines: an imposed source at bus 1, behind the reactance of a short-circuit ratio on the rating of all groups.
 """
 
-from __future__ import annotations
-
 import collections
 import dataclasses
 from collections.abc import Callable, Sequence
@@ -105,12 +103,10 @@ class GridTest:
 
 
 def _grid() -> Plant:
-    """Return the plant of version v1."""
     return get_suite(DEFAULT_SUITE).plant
 
 
 def _one_machine() -> Plant:
-    """Return v1's grid with its generator only."""
     plant = _grid()
     machines = tuple(machine for machine in plant.case.machines if machine.bus == plant.case.slack_bus)
     return dataclasses.replace(plant, case=dataclasses.replace(plant.case, machines=machines))
@@ -303,14 +299,9 @@ GRID_TESTS: dict[str, GridTest] = {
 
 
 def run_grid_test(test: GridTest, entry: Entry) -> tuple[Recording, Verdict]:
-    """Play an entry of version v1 through a test; its sensors are exact.
+    """Play an entry of version v1 through a test with exact sensors; return what was recorded, and the verdict.
 
-    Returns:
-        what was recorded, whether it has passed, and the figure.
-
-    Raises:
-        PolicyError: the entry's law has no equilibrium there, or its policy fails.
-        ValueError: the entry is of another version.
+    A PolicyError says that the entry's law has no equilibrium there, or that its policy fails.
     """
     check_version([entry], get_suite(DEFAULT_SUITE))
     plant = test.plant()

@@ -3,8 +3,6 @@
 Every lane is measured from its own values alone, so that no number depends on the batch it was played in.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -97,10 +95,7 @@ class Recorder:
 def quasi_steady_deviation(frequency_hz: Floats, control_dt: float, nominal_hz: float) -> float:
     """Return the quasi-steady deviation of an episode that reached its end [Hz].
 
-    Args:
-        frequency_hz: one value per control step, the start first, shape (n_steps + 1,) [Hz].
-        control_dt: control interval [s].
-        nominal_hz: nominal frequency [Hz].
+    The frequencies (n_steps + 1,) [Hz] are those of the start and after every control interval [s].
     """
     n_window = max(1, min(round(STEADY_WINDOW_S / control_dt), frequency_hz.size - 1))
     return math.fsum(frequency_hz[-n_window:].tolist()) / n_window - nominal_hz
@@ -119,27 +114,27 @@ def measure(lanes: TaskLanes, recorder: Recorder, lane: int) -> dict[str, Any]:
         values: list[float] = simulator.wtg_values(name)[lane].tolist()
         return values
 
-    captured = math.fsum(
-        share * energy for share, energy in zip(simulator.plant.share, groups("energy_captured"), strict=True)
-    )
+    energies = zip(simulator.plant.share, groups("energy_captured"), strict=True)
+    captured = math.fsum(share * energy for share, energy in energies)
     # What extended physics alone computes.
-    worst_hz: list[float | None] = [None, None]
-    shed_energy_mwh = largest_voltage_pu = None
+    optional: dict[str, float | None] = {name: None for name, metric in METRICS.items() if metric.optional}
+    base_mva = simulator.settings.case.base_mva
     if simulator.settings.extended:
-        worst_hz = [lanes.nominal_hz * float(simulator.lane_values(f"worst_{end}")[lane]) for end in ("min", "max")]
-        largest_voltage_pu = max(groups("largest_voltage"))
-        shed_energy_mwh = float(simulator.lane_values("shed_energy")[lane]) * simulator.settings.case.base_mva / 3600.0
+        optional |= {
+            "worst_nadir_hz": lanes.nominal_hz * float(simulator.lane_values("worst_min")[lane]),
+            "worst_zenith_hz": lanes.nominal_hz * float(simulator.lane_values("worst_max")[lane]),
+            "largest_voltage_pu": max(groups("largest_voltage")),
+            "shed_energy_mwh": float(simulator.lane_values("shed_energy")[lane]) * base_mva / 3600.0,
+        }
     metrics: dict[str, float | None] = {
+        **optional,
         "cost": math.fsum(terms.values()),
         **terms,
         "nadir_hz": lanes.nominal_hz * float(simulator.lane_values("coi_min")[lane]),
         "zenith_hz": lanes.nominal_hz * float(simulator.lane_values("coi_max")[lane]),
-        "worst_nadir_hz": worst_hz[0],
-        "worst_zenith_hz": worst_hz[1],
-        "largest_voltage_pu": largest_voltage_pu,
         "largest_rocof_hz_s": float(lanes.task_values("largest_rocof")[lane]),
         "quasi_steady_deviation_hz": steady,
-        "energy_mwh": captured * simulator.settings.case.base_mva / 3600.0,
+        "energy_mwh": captured * base_mva / 3600.0,
         "energy_share_percent": 100.0 * captured / float(lanes.task_values("available_energy")[lane]),
         "duty_error_percent": 100.0 * float(lanes.task_values("duty_error")[lane]) / (n_steps * dt),
         "least_tip_speed_ratio": min(groups("least_tsr")),
@@ -148,7 +143,6 @@ def measure(lanes: TaskLanes, recorder: Recorder, lane: int) -> dict[str, Any]:
         "peak_power_pu": max(groups("peak_power")),
         "constraint_time_s": float(lanes.task_values("constraint_sum")[lane]) * lanes.settings.interval_s,
         "tripped_groups": float(sum(connected < 0.5 for connected in groups("connected"))),
-        "shed_energy_mwh": shed_energy_mwh,
         "survived_s": float(simulator.lane_values("step")[lane]) * simulator.plant.simulation_dt,
         "reserve_margin": float(lanes.reserve_margins[lane]) if lanes.suite.margins else None,
     }

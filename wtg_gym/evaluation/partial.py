@@ -1,7 +1,5 @@
 """Finished batches on disk, from which an interrupted evaluation goes on."""
 
-from __future__ import annotations
-
 import contextlib
 import json
 import logging

@@ -1,7 +1,5 @@
 """Results computed again and compared, to the last bit."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
@@ -32,8 +30,7 @@ class Comparison(NamedTuple):
 def recompute(stored: Results, entries: Sequence[Entry], **options: Any) -> Comparison:
     """Evaluate the entries of stored results again, on the same scenarios with the same settings, and compare.
 
-    Entries that the results do not hold are ignored; a ValueError names one that is missing. The options are those of
-    :func:`wtg_gym.evaluation.evaluate`.
+    A ValueError names an entry that is missing; others than those of the results are ignored.
     """
     by_run = {(entry.name, entry.training_seed): entry for entry in entries}
     expected = [(entry["name"], entry["training_seed"]) for entry in (*stored.entries, *stored.failed)]

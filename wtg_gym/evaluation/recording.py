@@ -1,21 +1,31 @@
 """Episodes recorded step by step, for the pages and pictures that show them."""
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from wtg_gym.envs.lanes import TERMINATION_REASONS
 from wtg_gym.envs.settings import EnvSettings
-from wtg_gym.evaluation.statistics import Floats
+from wtg_gym.evaluation.statistics import Floats, mean
 from wtg_gym.physics.protection import Status
 from wtg_gym.physics.scenario import Scenario
 from wtg_gym.policies import Entry
 from wtg_gym.policies.play import play, started_lanes
+
+_MJ_PER_MWH = 3600.0
+
+
+class Energy(NamedTuple):
+    """Power and energy of all turbines into the grid, and the kinetic energy that their rotors lent and got back."""
+
+    power_mw: float
+    energy_mwh: float
+    borrowed_mj: float
+    repaid_mj: float
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -33,6 +43,17 @@ class Recorded:
     whole: npt.NDArray[np.bool_]  # whether each episode went to its end, with all groups connected (n_lanes,)
     costs: Floats  # (n_lanes,)
     failures: list[str]  # why each ended before its time, empty where it did not (n_lanes,)
+
+    def energy(self, chosen: npt.NDArray[np.bool_]) -> Energy:
+        """Return the means over some of the episodes, `chosen` (n_lanes,)."""
+        power_mw = mean(self.power_mw[1:, chosen])
+        change_mj = np.diff(self.stored_mj[:, chosen], axis=0) / chosen.sum()
+        return Energy(
+            power_mw,
+            power_mw * float(self.time_s[-1]) / _MJ_PER_MWH,
+            -float(np.minimum(change_mj, 0.0).sum()),
+            float(np.maximum(change_mj, 0.0).sum()),
+        )
 
 
 def recorded(entry: Entry, settings: EnvSettings, scenarios: Sequence[Scenario], n_threads: int | None = 1) -> Recorded:

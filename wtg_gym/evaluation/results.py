@@ -56,36 +56,21 @@ _ROUNDING = 1e-6
 
 @dataclass(frozen=True, kw_only=True, repr=False)
 class Results:
-    """Every episode of an evaluation, with what is needed to repeat it.
+    """Every episode of an evaluation, with what is needed to repeat it."""
 
-    Args:
-        suite: name of the suite.
-        split: which of its splits.
-        suite_hash: the suite's own hash.
-        source_hash: hash of the physics and environment that were run.
-        seeds: seeds of the scenarios.
-        environment: its id, and a fingerprint of its outputs on this machine.
-        settings: settings of the environment that all entries share.
-        versions: of wtg_gym, Python and the packages that compute, and the kind of processor.
-        entries: data of every entry, including the references.
-        episodes: one row per entry and scenario, in the order of `entries` and `seeds`.
-        failed: data of every entry that is left out, with the "reason": its own failure, or that of another training
-            seed of its name.
-        parts: folder of the finished batches, which :meth:`write` removes; None for none.
-    """
-
-    suite: str
+    suite: str  # its name
     split: str
     suite_hash: str
-    source_hash: str
-    seeds: tuple[int, ...]
-    environment: Mapping[str, str]
-    settings: Mapping[str, Any]
-    versions: Mapping[str, str]
-    entries: tuple[Mapping[str, Any], ...]
-    episodes: tuple[Episode, ...]
+    source_hash: str  # of the physics and environment that were run
+    seeds: tuple[int, ...]  # of the scenarios
+    environment: Mapping[str, str]  # its id, and a fingerprint of its outputs on this machine
+    settings: Mapping[str, Any]  # of the environment, which all entries share
+    versions: Mapping[str, str]  # of wtg_gym, Python and the packages that compute, and the type of processor
+    entries: tuple[Mapping[str, Any], ...]  # data of every entry, including the references
+    episodes: tuple[Episode, ...]  # one row per entry and scenario, in the order of `entries` and `seeds`
+    #: Data of every entry that is left out, with the "reason": its own failure, or that of a training seed of its name.
     failed: tuple[Mapping[str, Any], ...] = ()
-    parts: PartialStore | None = field(default=None, compare=False)
+    parts: PartialStore | None = field(default=None, compare=False)  # finished batches, which :meth:`write` removes
 
     def __repr__(self) -> str:
         """Return suite, split, number of scenarios and the ranking's scores in a line."""
@@ -111,19 +96,15 @@ class Results:
 
     @cached_property
     def summaries(self) -> list[EntrySummary]:
-        """Summary of every entry, in the order of the entries.
-
-        Raises:
-            NoScaleError: in v0, the entry at 0 is not worse than the entry at 100 on these scenarios.
-        """
+        """Summary of every entry; a NoScaleError if, in v0, the entry at 0 is not worse than the one at 100."""
         self._check_scale()
         offsets = cost_offsets(self.groups, self.task)
-        return summary.scored(self._measured, self._runs, self.pinned_costs, self.task, offsets, self._scoring)
+        return summary.scored(self._measured, self.runs, self.pinned_costs, self.task, offsets, self._scoring)
 
     @cached_property
     def _measured(self) -> list[EntrySummary]:
         suite = get_suite(self.suite)
-        return summary.measured(self.entries, self._runs, self.pinned_costs, suite, self.groups, self._scoring)
+        return summary.measured(self.entries, self.runs, self.pinned_costs, suite, self.groups, self._scoring)
 
     @cached_property
     def _scoring(self) -> Bootstrap | Adjusted:
@@ -163,11 +144,8 @@ class Results:
 
     @property
     def ranking(self) -> list[EntrySummary]:
-        """The :attr:`summaries`, the best first; without a score, the least mean cost first.
-
-        In v1 the marked entries come first.
-        """
-        return ranked(self.summaries if self.has_scale else self._measured)
+        """The :attr:`summaries`, the best first, in v1 the marked ones before; without a score the least mean cost."""
+        return ranked(self._measured if self.no_score else self.summaries)
 
     @cached_property
     def no_score(self) -> str:
@@ -178,11 +156,6 @@ class Results:
             return f"ranked by mean cost, as there is no score: {error}"
         return ""
 
-    @property
-    def has_scale(self) -> bool:
-        """Whether there is a score: in v0, whether the entry at 0 is worse than the entry at 100."""
-        return not self.no_score
-
     def _check_scale(self) -> None:
         zero, hundred = (self.pinned_costs[name][0] for name in self.task.anchors)
         score_scale(zero, hundred, self.task, self.groups)
@@ -191,11 +164,18 @@ class Results:
     def pinned_costs(self) -> dict[str, Floats]:
         """Pinned costs by the entry's name, (n_runs, n_scenarios), in the order of training seeds and scenarios."""
         cap = None if self.task.failure_costs_whole_episode else float(self.settings["weights"]["cap"])
-        return self._by_entry({name: summary.pinned_costs(runs, cap) for name, runs in self._runs.items()})
+        return self._by_entry({name: summary.pinned_costs(runs, cap) for name, runs in self.runs.items()})
 
     @cached_property
-    def _runs(self) -> dict[str, Runs]:
-        return summary.runs_by_name(self.episodes)
+    def runs(self) -> dict[str, Runs]:
+        """The episodes by the entry's name, one list per training seed.
+
+        The KeyError of an unknown name lists entries, and how that one failed.
+        """
+        runs: dict[str, dict[int | None, list[Episode]]] = {}
+        for episode in self.episodes:
+            runs.setdefault(episode.entry, {}).setdefault(episode.training_seed, []).append(episode)
+        return self._by_entry({name: list(by_seed.values()) for name, by_seed in runs.items()})
 
     @cached_property
     def groups(self) -> Groups:
@@ -219,18 +199,14 @@ class Results:
             )
 
     def episodes_of(self, name: str) -> list[Episode]:
-        """Return the episodes of an entry; the KeyError of an unknown one lists entries, and how this one failed."""
-        return [episode for run in self._by_entry(self._runs)[name] for episode in run]
+        """Return the episodes of an entry, of all training seeds; errors as of :attr:`runs`."""
+        return [episode for run in self.runs[name] for episode in run]
 
     def _by_entry(self, values: Mapping[str, Value]) -> dict[str, Value]:
         return ByName("entry", values, {entry["name"]: entry["reason"] for entry in self.failed})
 
     def without(self, reasons: Mapping[tuple[str, int | None], str]) -> Results:
-        """Return the results without entries that failed, and without all training seeds of their names.
-
-        Args:
-            reasons: how an entry failed, by its name and training seed.
-        """
+        """Return the results without all training seeds of entries that failed, by name and training seed."""
         if not reasons:
             return self
         first = {name: reason for (name, _), reason in reversed(list(reasons.items()))}
@@ -262,13 +238,7 @@ class Results:
     def write(self, folder: str | Path) -> tuple[Path, Path]:
         """Write `<suite>-<split>.json` and `.csv` into a folder, both or none, and remove the finished batches.
 
-        The same results give the same bytes.
-
-        Returns:
-            the paths of the JSON and the CSV.
-
-        Raises:
-            OSError: a file cannot be written; the old ones are still there.
+        The same results give the same bytes. It returns both paths; after an OSError the old files are still there.
         """
         json_path, csv_path = (Path(folder) / f"{self.name}.{ending}" for ending in ("json", "csv"))
         table = to_csv(self.episodes)
@@ -283,14 +253,10 @@ class Results:
 
     @classmethod
     def read(cls, path: str | Path) -> Results:
-        """Read the files of :meth:`write`; the CSV lies beside the JSON.
+        """Read the JSON file of :meth:`write`, with the CSV beside it.
 
-        Args:
-            path: the JSON file.
-
-        Raises:
-            ValueError: a file is missing, cut short, of another version, or was edited; the message names file, key
-                and what is expected.
+        A ValueError that names file, key and what is expected says that a file is missing, cut short, of another
+        version, or was edited.
         """
         with interpreting(Path(path), "description of the results"):
             data, episodes = _read(Path(path))
@@ -303,6 +269,15 @@ class Results:
             )
             _check_summary(data["summary"], results.to_dict()["summary"], "summary")
         return results
+
+
+def score_difference(results: Results, other: Results, name: str) -> Interval:
+    """Return the score of an entry in results minus that in others of the same scenarios, paired, in version v1."""
+    task, offsets = other.task, cost_offsets(other.groups, other.task)
+    assert task.scale is not None
+    costs = (each.pinned_costs[name] for each in (results, other))
+    gained = (gains(cost, other.pinned_costs[task.hundred][0], offsets) for cost in costs)
+    return Adjusted(task.scale, other.groups).score_difference(*gained)
 
 
 def leaderboard_rows(results: Results) -> list[EntrySummary]:
@@ -341,7 +316,6 @@ def _frequency_sentence(results: Results) -> str:
 
 
 def _read(json_path: Path) -> tuple[dict[str, Any], list[Episode]]:
-    """Return the checked description and the episodes of results; errors as of :meth:`Results.read`."""
     text = read_text(json_path, "description of the results")
     data = parse_json(text, "it")
     if data["format"] != FORMAT:
@@ -378,7 +352,6 @@ def _check_summary(stored: Any, summed: Any, where: str) -> None:
 
 
 def _check_types(where: str, data: Mapping[str, Any], types: Mapping[str, Any]) -> None:
-    """Raise a ValueError that names the first value of another type."""
     for key, expected in types.items():
         # Python takes true for a whole number.
         if not isinstance(data[key], expected) or (isinstance(data[key], bool) and expected is not bool):

@@ -12,8 +12,6 @@ is the mean of ln((J_0 + J0) / (J_100 + J0)) over the same scenarios, J_0 of the
 Arrays of one entry have the shape (n_runs, n_scenarios): one run per training seed, a single one for a law.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
@@ -27,14 +25,7 @@ class NoScaleError(ValueError):
 
 
 def pinned_cost(cost: float, *, failed: bool, duration_s: float, cap: float) -> float:
-    """Return the pinned cost of an episode.
-
-    Args:
-        cost: its total cost.
-        failed: whether it ended in a failure.
-        duration_s: how long it should have lasted [s].
-        cap: largest cost rate [1/s].
-    """
+    """Return the pinned cost of an episode that should have lasted so long [s], with the largest cost rate [1/s]."""
     return cap * (duration_s + 1.0) if failed else cost
 
 
@@ -47,15 +38,9 @@ def cost_offsets(groups: Groups, task: Task) -> Floats:
 
 
 def gains(costs: Floats, hundred: Floats, offsets: Floats) -> Floats:
-    """Return ln((J_100 + J0) / (J + J0)), shape (n_runs, n_scenarios).
+    """Return ln((J_100 + J0) / (J + J0)) of pinned costs (n_runs, n_scenarios); J_100 and J0 are (n_scenarios,).
 
-    Args:
-        costs: pinned costs (n_runs, n_scenarios).
-        hundred: pinned costs of the hundred (n_scenarios,).
-        offsets: J0 of each scenario (n_scenarios,).
-
-    Raises:
-        ValueError: a cost is negative or not finite.
+    A ValueError says that a cost is negative or not finite.
     """
     for values in (costs, hundred):
         if not np.isfinite(values).all() or (values < 0.0).any():
@@ -70,11 +55,7 @@ def gains(costs: Floats, hundred: Floats, offsets: Floats) -> Floats:
 
 
 def score_scale(zero: Floats, hundred: Floats, task: Task, groups: Groups) -> float:
-    """Return Λ: the task's, or of a version without one that from the anchors' pinned costs, (n_scenarios,) each.
-
-    Raises:
-        NoScaleError: Λ is not positive, so that there is no scale to score on.
-    """
+    """Return Λ: the task's, or else from the anchors' pinned costs (n_scenarios,); a NoScaleError if not positive."""
     if task.scale is not None:
         return task.scale
     scale = -mean(gains(zero[np.newaxis], hundred, cost_offsets(groups, task)))
@@ -89,20 +70,15 @@ def score_scale(zero: Floats, hundred: Floats, task: Task, groups: Groups) -> fl
 def gains_by_term(costs: Floats, hundred: Floats, terms: Floats, hundred_terms: Floats, offsets: Floats) -> Floats:
     """Return the part of each term of the cost in the gains, (n_terms, n_runs, n_scenarios).
 
-    A logarithm of a ratio is a difference divided by its logarithmic mean, ln(A / B) = (A - B) / L(A, B), and the
-    difference of two costs is the sum of the differences of their terms. So each term has the part
-    (J_100,term - J_term) / L(J_100 + J0, J + J0) of its scenario. Parts of terms that add up to the pinned costs add up
-    to the gains, without a remainder.
+    With the logarithmic mean L, ln(A / B) = (A - B) / L(A, B), each term has the part (J_100,term - J_term) /
+    L(J_100 + J0, J + J0) of its scenario. Parts of terms that add up to the pinned costs add up to the gains.
 
     Source: the logarithmic mean Divisia index (LMDI) of B. W. Ang, Energy Policy 32 (2004) 1131-1139 and 33 (2005)
     867-871.
 
     Args:
-        costs: pinned costs (n_runs, n_scenarios).
-        hundred: pinned costs of the hundred (n_scenarios,).
-        terms: parts of `costs` (n_terms, n_runs, n_scenarios).
-        hundred_terms: parts of `hundred` (n_terms, n_scenarios).
-        offsets: J0 of each scenario (n_scenarios,).
+        costs, hundred, offsets: as of :func:`gains`.
+        terms, hundred_terms: parts of the costs, (n_terms, n_runs, n_scenarios) and (n_terms, n_scenarios).
     """
     parts = hundred_terms[:, np.newaxis] - terms
     parts *= [
@@ -113,6 +89,5 @@ def gains_by_term(costs: Floats, hundred: Floats, terms: Floats, hundred_terms: 
 
 
 def _inverse_log_mean(hundred: float, cost: float, offset: float) -> float:
-    """Return 1 / L(J_100 + J0, J + J0)."""
     ratio = (hundred - cost) / (cost + offset)
     return (math.log1p(ratio) / ratio if ratio else 1.0) / (cost + offset)

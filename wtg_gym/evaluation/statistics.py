@@ -5,8 +5,6 @@ of v0, see :mod:`wtg_gym.evaluation.score`, holds a ratio of two means over the 
 both.
 """
 
-from __future__ import annotations
-
 import functools
 import math
 from collections.abc import Callable, Iterable, Mapping
@@ -55,33 +53,23 @@ def _drawn_scenarios(n: int) -> Indices:
     return np.random.default_rng(BOOTSTRAP_SEED).integers(0, n, size=(N_RESAMPLES, n))
 
 
-def _drawn_runs(n_runs: int, side: int) -> Indices:
-    """Return the training seeds of every resample, (N_RESAMPLES, n_runs); each side has draws of its own."""
-    return np.random.default_rng([BOOTSTRAP_SEED, side]).integers(0, n_runs, size=(N_RESAMPLES, n_runs))
-
-
 def _resampled(values: Floats, side: int = 0, chosen: Callable[[Floats], Floats] | None = None) -> Floats:
     """Return the mean over (n_runs, n_scenarios) in every resample of the bootstrap, (N_RESAMPLES,).
 
-    Scenarios and training seeds are both drawn with replacement, and every drawn seed plays the same drawn scenarios
-    (A. B. Owen, "The pigeonhole bootstrap", 2007): the cost of a hard scenario to all seeds does not average out over
-    them. The drawn scenarios are the same in every call, so that means can be subtracted as a paired difference, and
-    divided by one another.
-
-    Args:
-        values: (n_runs, n_scenarios).
-        side: 0 or 1, which draws of the training seeds are taken.
-        chosen: which of the values drawn count, (n_runs, N_RESAMPLES, n); None for all.
+    Every drawn seed plays the same drawn scenarios (A. B. Owen, "The pigeonhole bootstrap", 2007): the cost of a hard
+    scenario to all seeds does not average out. Scenarios are drawn alike in every call, so that means are paired; side
+    0 or 1 says which draws of training seeds are taken, `chosen` which of the values (n_runs, N_RESAMPLES, n) count.
     """
     # All runs at once: the order of the numbers in memory decides the last bits of their mean.
     drawn = values[:, _drawn_scenarios(values.shape[1])]
     means = (drawn if chosen is None else chosen(drawn)).mean(axis=2)
-    resampled: Floats = np.take_along_axis(means.T, _drawn_runs(values.shape[0], side), axis=1).mean(axis=1)
+    n_runs = len(values)
+    runs = np.random.default_rng([BOOTSTRAP_SEED, side]).integers(0, n_runs, size=(N_RESAMPLES, n_runs))
+    resampled: Floats = np.take_along_axis(means.T, runs, axis=1).mean(axis=1)
     return resampled
 
 
 def _percentile_interval(value: float, samples: Floats) -> Interval:
-    """Return a value with the percentile interval of its bootstrap samples (n,)."""
     tail = 50.0 * (1.0 - CONFIDENCE)
     low, high = np.percentile(samples, [tail, 100.0 - tail])
     return Interval(value, float(low), float(high))
@@ -96,11 +84,8 @@ def sign_test(happened: Floats, other: Floats) -> float:
     """Return the chance that something happens this much more often than to another entry, were both equally prone.
 
     That is the one-sided exact test of Q. McNemar (Psychometrika 12, 1947, 153-157): only scenarios in which the two
-    differ count, each as likely for one as for the other. Several training seeds stand or fall together: a scenario
-    counts the sum of their differences, because what makes it hard is the same for all of them.
-
-    Args:
-        happened, other: 1 where it happened and 0 where not, (n_runs, n_scenarios) each; other has one run.
+    differ count, each as likely for one as for the other, with the sum of the differences of all training seeds. Both
+    are 1 where it happened and 0 where not, (n_runs, n_scenarios) and (1, n_scenarios).
     """
     differences = np.rint(happened.sum(axis=0) - len(happened) * other[0]).astype(np.int64)
     # Chances of every sum of the differences with random signs; index i is the sum i - (len - 1) / 2.
@@ -121,12 +106,8 @@ def worst_tenth(costs: Floats) -> Floats:
 class Bootstrap:
     """Scores, and differences between entries, of v0: Λ from the scenarios played, percentile bootstrap intervals.
 
-    There are no strata; every array of an entry is (n_runs, n_scenarios). In each resample Λ is computed anew from its
-    scenarios: with a fixed Λ the intervals have the wrong width. A resample in which Λ is not positive has no score and
-    is left out; these are the same for every entry.
-
-    Args:
-        zero: gains of the zero (n_scenarios,).
+    It takes the gains of the zero (n_scenarios,). There are no strata. In each resample Λ is computed anew: with a
+    fixed one the intervals have the wrong width. A resample in which it is not positive is left out, of every entry.
     """
 
     def __init__(self, zero: Floats) -> None:

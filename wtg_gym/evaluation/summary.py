@@ -1,7 +1,5 @@
 """The summary of an entry: its row in a ranking, with a score or, where there is no scale, without."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -75,17 +73,14 @@ def measured(
     groups: Groups,
     scoring: Bootstrap | Adjusted,
 ) -> list[EntrySummary]:
-    """Return the row of every name without its score, in the order of the entries.
-
-    All runs are on the same scenarios in the same order, those of `groups`; costs are pinned, (n_runs, n_scenarios).
-    """
+    """Return the row of every name without its score; costs are pinned, (n_runs, n_scenarios), all on one order."""
     task, nominal_hz = suite.task, suite.nominal_hz
-    lost = {name: _lost(entry_runs) for name, entry_runs in runs.items()}
+    failed = {name: lost(entry_runs) for name, entry_runs in runs.items()}
     bad = {name: lost_or_beyond(entry_runs, nominal_hz) for name, entry_runs in runs.items()}
 
     def row(name: str, entry: Mapping[str, Any]) -> EntrySummary:
         episodes, paid = runs[name], costs[name]
-        reliable = (statistics.sign_test(event[name], event[task.hundred]) >= _SIGNIFICANT for event in (bad, lost))
+        reliable = (statistics.sign_test(event[name], event[task.hundred]) >= _SIGNIFICANT for event in (bad, failed))
         worst = float(np.median(_deviations(episodes, "worst_nadir_hz", "worst_zenith_hz", nominal_hz)))
         return EntrySummary(
             name=name,
@@ -94,8 +89,8 @@ def measured(
             version=task.version,
             n_runs=paid.shape[0],
             n_episodes=paid.size,
-            n_lost=int(lost[name].sum()),
-            failures_percent=statistics.share(lost[name], groups),
+            n_lost=int(failed[name].sum()),
+            failures_percent=statistics.share(failed[name], groups),
             lost_or_beyond_percent=statistics.share(bad[name], groups),
             lost_or_beyond_to_hundred=scoring.share_difference(bad[name], bad[task.hundred]),
             marked=not task.failure_costs_whole_episode or all(reliable),
@@ -147,14 +142,6 @@ def ranked(rows: Iterable[EntrySummary]) -> list[EntrySummary]:
     return sorted(rows, key=lambda row: (place(row), row.name))
 
 
-def runs_by_name(episodes: Sequence[Episode]) -> dict[str, Runs]:
-    """Return the episodes of every name, one list per training seed."""
-    runs: dict[str, dict[int | None, list[Episode]]] = {}
-    for episode in episodes:
-        runs.setdefault(episode.entry, {}).setdefault(episode.training_seed, []).append(episode)
-    return {name: list(by_seed.values()) for name, by_seed in runs.items()}
-
-
 def pinned_costs(runs: Runs, cap: float | None) -> Floats:
     """Return the pinned costs, (n_runs, n_scenarios), with the largest cost rate `cap` [1/s]; None: as charged."""
     costs = _values(runs, "cost").reshape(len(runs), -1)
@@ -172,10 +159,7 @@ def _values(runs: Runs, metric: str) -> Floats:
 
 
 def parts_of_costs(runs: Runs, costs: Floats) -> Floats:
-    """Return the terms of the cost as paid, in the order of :data:`POINTS`, and the rest of the pinned costs.
-
-    The shape is (n_terms, n_runs, n_scenarios).
-    """
+    """Return the terms of :data:`POINTS` as paid, and the rest of the pinned costs, (n_terms, n_runs, n_scenarios)."""
     terms = np.array([sum(_values(runs, f"cost_{term}") for term in terms) for terms in POINTS.values()])
     terms = terms.reshape(len(POINTS), *costs.shape)
     return np.concatenate([terms, (costs - terms.sum(axis=0))[np.newaxis]])
@@ -187,7 +171,7 @@ def _deviations(runs: Runs, lowest: str, highest: str, nominal_hz: float) -> Flo
     return deviations.reshape(len(runs), -1)
 
 
-def _lost(runs: Runs) -> Floats:
+def lost(runs: Runs) -> Floats:
     """Return 1 where an episode failed, (n_runs, n_scenarios), else 0."""
     return np.array([[float(episode.failed) for episode in run] for run in runs])
 
@@ -195,4 +179,4 @@ def _lost(runs: Runs) -> Floats:
 def lost_or_beyond(runs: Runs, nominal_hz: float) -> Floats:
     """Return 1 where an episode failed or was beyond the design deviation, (n_runs, n_scenarios), else 0."""
     beyond = _deviations(runs, "nadir_hz", "zenith_hz", nominal_hz) > DESIGN_DEVIATION_MHZ
-    return np.maximum(_lost(runs), beyond)
+    return np.maximum(lost(runs), beyond)

@@ -1,7 +1,5 @@
 """The table of results: every column once, for a terminal and for Markdown."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
@@ -40,7 +38,6 @@ def signed_interval(interval: Interval | None) -> str:
 
 
 def _entry(row: EntrySummary) -> str:
-    """Return the name, with the number of training seeds and whether it is privileged in brackets."""
     remarks = [f"{row.n_runs} seeds"] * (row.n_runs > 1) + [_PRIVILEGED] * row.privileged
     return row.name + (f" ({', '.join(remarks)})" if remarks else "")
 
@@ -102,9 +99,7 @@ def columns_of(table: str, rows: Sequence[EntrySummary]) -> list[str]:
 def table_cells(rows: Sequence[EntrySummary], columns: Sequence[str] | None = None) -> list[list[str]]:
     """Return the texts of the table, one list per row, in the order of the columns; equal entries share a rank.
 
-    Args:
-        rows: of one version, as :func:`leaderboard_rows` or :attr:`Results.ranking` gives them.
-        columns: headings; None for those of the detailed table that these rows fill.
+    Rows are of one version; columns are headings, None for those of the detailed table that these rows fill.
     """
     texts = {column.heading: column.text for column in _columns(rows)}
     places = [place(row) for row in rows]
@@ -117,12 +112,7 @@ def table_cells(rows: Sequence[EntrySummary], columns: Sequence[str] | None = No
 
 
 def markdown_table(rows: Sequence[EntrySummary], columns: Sequence[str] | None = None) -> str:
-    """Return the ranking as a Markdown table without a line feed at the end.
-
-    Args:
-        rows: of one version, as :func:`leaderboard_rows` gives them.
-        columns: headings; None for the few of the version that a page shows.
-    """
+    """Return a ranking of one version as a Markdown table; columns are headings, None for those that a page shows."""
     # Without a score they are those of a terminal, with the cost that ranks.
     columns = columns or columns_of("terminal" if rows[0].score is None else rows[0].version, rows)
     numbers = [index for index, column in enumerate(columns) if column != "entry"]

@@ -4,8 +4,6 @@ A cluster plays the batches of a worker that is lost again. A worker whose code,
 otherwise than those here is refused.
 """
 
-from __future__ import annotations
-
 import contextlib
 import importlib.util
 import os
@@ -76,8 +74,8 @@ class Workers:
     ) -> Generator[tuple[int, Played], None, None]:
         """Yield (index, episodes or the policy's failure) of every part, (entry, seeds), as soon as it is finished.
 
-        `play` plays a batch; a function of this package. A ValueError says that an entry cannot travel, that the
-        cluster does not answer, or that a worker has other code, packages or processor, or is lost for good.
+        A ValueError says that an entry cannot travel, that the cluster does not answer, or that a worker has other
+        code, packages or processor, or is lost for good.
         """
         expected, parcels = circumstances(), dict[int, bytes]()
         for entry, _ in parts:
@@ -125,10 +123,7 @@ def _work(play: Play, parcel: bytes, seeds: list[int], expected: dict[str, str])
 
 @contextlib.contextmanager
 def _submitter(backend: str, address: str | None, jobs: int) -> Iterator[Callable[..., Future[Any]]]:
-    """Give the function that hands work to a backend; processes and connections that are made for it end afterwards.
-
-    Not joblib's own interface to Dask (1.6), which waits for ever for a worker that Dask gives up.
-    """
+    # Not joblib's own interface to Dask (1.6), which waits for ever for a worker that Dask gives up.
     with contextlib.ExitStack() as stack:
         if backend == "loky":
             from joblib.externals.loky import ProcessPoolExecutor

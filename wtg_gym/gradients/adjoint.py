@@ -5,8 +5,6 @@ parts: flows, the sweeps that hold currents, motion. What is no system has its r
 and a governor that an event takes away. Discrete events and the ends of runs do not move.
 """
 
-from __future__ import annotations
-
 import functools
 import math
 from collections.abc import Sequence

@@ -1,7 +1,5 @@
 """Gradients compared with differences of plays: what a user asks before trusting them in a new setting."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from types import MappingProxyType

@@ -1,7 +1,5 @@
 """Parameters of a plant that gradients are taken with respect to: which there are, and what constants they move."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any, NamedTuple

@@ -1,7 +1,5 @@
 """Episodes that remember their steps, and the way back through them."""
 
-from __future__ import annotations
-
 import dataclasses
 import functools
 from collections.abc import Callable, Mapping, Sequence

@@ -8,8 +8,6 @@ for _ in range(600):
 cost.mean().backward()
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any
 

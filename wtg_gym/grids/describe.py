@@ -1,7 +1,5 @@
 """What a grid is, in lines for people: sizes, power flow, equilibrium, modes, step."""
 
-from __future__ import annotations
-
 import dataclasses
 import re
 import time

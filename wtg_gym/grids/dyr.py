@@ -1,7 +1,5 @@
 """Dynamic data of PSS/E's DYR files: a table of the models that a machine here has, typical ones in place of others."""
 
-from __future__ import annotations
-
 import re
 from collections import Counter, defaultdict
 from pathlib import Path
@@ -62,16 +60,10 @@ _FAMILIES = {
 
 
 class Dynamics:
-    """The records of a DYR file, as machines of infeeds.
+    """The records of a DYR file, as machines of infeeds; a ValueError if a record is none.
 
-    Args:
-        path: of the file.
-        substitute: put typical controls in the place of models that are not here, or leave those out, instead of
-            refusing them.
-        notes: takes what was assumed or replaced.
-
-    Raises:
-        ValueError: a record is none, or, from :meth:`require_known`, a model is not here.
+    `notes` takes what was assumed or replaced; `substitute` puts typical controls in the place of models that are not
+    here, or leaves those out, where :meth:`require_known` would refuse them.
     """
 
     def __init__(self, path: Path, notes: list[str], *, substitute: bool = False) -> None:
@@ -122,9 +114,9 @@ class Dynamics:
             "resistance": infeed.impedance.real,
         }
         if _READ_AS.get(model) == "GENCLS":
-            for kind in sorted(controls.keys() - {"governor"}):
-                self.notes.append(f"{at} is a constant voltage: its {kind} is left out")
-                del controls[kind]
+            for control in sorted(controls.keys() - {"governor"}):
+                self.notes.append(f"{at} is a constant voltage: its {control} is left out")
+                del controls[control]
             values |= {"x_d_transient": infeed.impedance.imag, "x_leakage": 0.0}
             return made(at, classical_machine, **common, **values, **controls)
         if _READ_AS.get(model) == "GENSAL":
@@ -174,23 +166,23 @@ class Dynamics:
         return [first, second]
 
     def _controls(self, at: str, records: dict[str, list[float]]) -> dict[str, Any]:
-        found: dict[str, Any] = {}
+        controls: dict[str, Any] = {}
         for model, numbers in records.items():
             known, what = _READ_AS.get(model), f"{at}: {model}"
             if known in _MACHINES:
                 continue
-            kind = next((kind for kind, names in _FAMILIES.items() if re.match(names, model)), "")
+            family = next((family for family, names in _FAMILIES.items() if re.match(names, model)), "")
             if known is not None and not (known == "IEEEST" and numbers[0] != 1.0):
                 if (control := self._control(what, known, self._values(at, model, numbers))) is not None:
-                    found[kind] = control
+                    controls[family] = control
                 continue
             self._unknown[model] += 1
-            if kind in ("exciter", "governor"):
-                found[kind] = TYPICAL_EXCITER if kind == "exciter" else TYPICAL_GOVERNOR
-                self.notes.append(f"{what} is not here: a typical {kind} stands in its place")
+            if family in ("exciter", "governor"):
+                controls[family] = TYPICAL_EXCITER if family == "exciter" else TYPICAL_GOVERNOR
+                self.notes.append(f"{what} is not here: a typical {family} stands in its place")
             else:
                 self.notes.append(f"{what} is not here: it is left out")
-        return found
+        return controls
 
     def _control(self, at: str, model: str, values: dict[str, float]) -> Any:
         """Return the parameters of a control; None where it does not act."""

@@ -5,8 +5,6 @@ MATPOWER's binary form too, but takes a bus of type 4 as in service, lets a gene
 voltage, and puts all charging of a transformer at one end; its converter from pandapower is up to 0.007 p.u. off.
 """
 
-from __future__ import annotations
-
 import io
 import json
 import math
@@ -61,28 +59,23 @@ def is_network(path: Path) -> bool:
 
 
 def read_matpower(path: Path, frequency_hz: float | None, drop: Collection[str]) -> solved_case.SolvedCase:
-    """Return the case of a .m or .mat file, as PYPOWER solves it.
-
-    Raises:
-        ImportError: PYPOWER is missing.
-        ValueError: the file has statements besides its tables, or there is no power flow.
-    """
+    """Return the case of a .m or .mat file, as PYPOWER solves it; a ValueError says why it is none."""
     from pypower.api import ppoption, runpf
 
     fuels: dict[int, str] = {}
     if path.suffix.lower() == ".mat":
         try:
-            given = loadmat(path, simplify_cells=True)["mpc"]
+            data = loadmat(path, simplify_cells=True)["mpc"]
         # A file of version 7.3 is HDF5.
         except (MatReadError, NotImplementedError) as error:
             raise ValueError(f"it is no .mat file: {error}") from error
     else:
-        given, fuels = _written_tables(read_text(path, "case"))
-    tables = {name: _matrix(name, given[name]) for name in ("bus", "gen", "branch")}
+        data, fuels = _written_tables(read_text(path, "case"))
+    tables = {name: _matrix(name, data[name]) for name in ("bus", "gen", "branch")}
     notes: list[str] = []
-    more = {name: (len(np.atleast_2d(given[name])), 0.0) for name in given if name not in _SILENT.split()}
+    more = {name: (len(np.atleast_2d(data[name])), 0.0) for name in data if name not in _SILENT.split()}
     if "dcline" in more:
-        lines = _matrix("dcline", given["dcline"])
+        lines = _matrix("dcline", data["dcline"])
         more["dcline"] = int(lines[:, 2].sum()), float((lines[:, 2] * abs(lines[:, 3])).sum())
     solved_case.refuse_unread(more, drop, notes)
     solved_case.refuse_large(len(tables["bus"]))
@@ -93,7 +86,7 @@ def read_matpower(path: Path, frequency_hz: float | None, drop: Collection[str])
         # Limits may be infinite or none.
         rows = np.nan_to_num(tables[name], posinf=solved_case.UNLIMITED, neginf=-solved_case.UNLIMITED)
         tables[name] = np.pad(rows, ((0, 0), (0, max(columns - rows.shape[1], 0))))
-    unsolved = {"version": "2", "baseMVA": float(given["baseMVA"]), **tables}
+    unsolved = {"version": "2", "baseMVA": float(data["baseMVA"]), **tables}
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         # Rounding may keep a large case from the narrower tolerance.
@@ -124,8 +117,8 @@ def _written_tables(text: str) -> tuple[dict[str, Any], dict[int, str]]:
     """Return what a .m file says by name, and the fuels of its generators from 1 on; statements are refused."""
     lines = [re.sub(r"%.*", "", line) for line in re.sub(r"(?s)%\{.*?%\}", "", text).splitlines()]
     text = re.sub(r"\.\.\.[^\n]*\n", " ", "\n".join(lines))
-    found = re.search(r"mpc\.genfuel\s*=\s*\{(.*?)\}", text, re.DOTALL)
-    fuels = dict(enumerate(re.findall(r"'([^']*)'", found[1]), start=1)) if found else {}
+    genfuel = re.search(r"mpc\.genfuel\s*=\s*\{(.*?)\}", text, re.DOTALL)
+    fuels = dict(enumerate(re.findall(r"'([^']*)'", genfuel[1]), start=1)) if genfuel else {}
     tables = re.findall(r"mpc\.(\w+)\s*=\s*\[(.*?)\]", text, re.DOTALL)
     scalars = re.findall(r"mpc\.(version|baseMVA)\s*=\s*([^;\n]+)", text)
     left = re.sub(r"(?s)mpc\.\w+\s*=\s*(?:\[.*?\]|\{.*?\})\s*;?", "", text)
@@ -146,9 +139,7 @@ def _written_tables(text: str) -> tuple[dict[str, Any], dict[int, str]]:
 def read_pandapower(path: Path, frequency_hz: float | None, drop: Collection[str]) -> solved_case.SolvedCase:
     """Return the case of a network's file, as pandapower solves it; a bus has pandapower's index plus one.
 
-    Raises:
-        ImportError: pandapower is missing.
-        ValueError: it is too old, cannot read the file, or finds no power flow.
+    A ValueError says that pandapower is too old, cannot read the file, or finds no power flow.
     """
     notes: list[str] = []
     net = _solved_network(path, drop, notes)
@@ -177,7 +168,6 @@ def read_pandapower(path: Path, frequency_hz: float | None, drop: Collection[str
 
 
 def _solved_network(path: Path, drop: Collection[str], notes: list[str]) -> Any:
-    """Return pandapower's network of a file with its power flow; errors as of :func:`read_pandapower`."""
     import pandapower
 
     version = pandapower.__version__
@@ -218,10 +208,7 @@ def _drop_unread(net: Any, drop: Collection[str], notes: list[str]) -> None:
 
 
 def _check_classes(data: Any) -> None:
-    """Refuse every class but those of tables, because pandapower imports the module that a file names.
-
-    A table is a text of JSON in the file, whose cells may name classes too.
-    """
+    """Refuse every class but those of tables and of their cells: pandapower imports the module that a file names."""
     if isinstance(data, dict):
         if "_module" in data:
             module, name = data["_module"], data.get("_class")
@@ -231,8 +218,8 @@ def _check_classes(data: Any) -> None:
                 _check_classes(parse_json(data["_object"], "a table of it"))
         data = list(data.values())
     if isinstance(data, list):
-        for each in data:
-            _check_classes(each)
+        for value in data:
+            _check_classes(value)
 
 
 def _case_of(

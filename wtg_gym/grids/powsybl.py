@@ -5,8 +5,6 @@ devices that no section of it knows, the initial susceptance of switched shunts,
 bases of machines.
 """
 
-from __future__ import annotations
-
 import cmath
 import json
 import math
@@ -67,10 +65,8 @@ _OF_PROVIDER = {
 def read_powsybl(path: Path, frequency_hz: float | None, drop: Collection[str]) -> solved_case.SolvedCase:
     """Return the case of a file, as pypowsybl solves it.
 
-    Raises:
-        ImportError: pypowsybl is missing.
-        ValueError: it cannot read the file, or finds no power flow; or the file has elements that a grid does not, and
-            `drop` does not name their type.
+    A ValueError says that it cannot read the file, or finds no power flow, or that the file has elements that a grid
+    does not, of a type that `drop` does not name.
     """
     import pypowsybl
 
@@ -289,10 +285,10 @@ class _Tables:
         for name, key in views["bus_id"].items():
             if key not in self.volts:
                 continue
-            found = re.fullmatch(r"[A-Za-z]*-?0*(\d{1,9})", str(name))
-            if not found or int(found[1]) < 1:
+            digits = re.fullmatch(r"[A-Za-z]*-?0*(\d{1,9})", str(name))
+            if not digits or int(digits[1]) < 1:
                 return {}
-            numbers[key] = min(numbers.get(key, 10**9), int(found[1]))
+            numbers[key] = min(numbers.get(key, 10**9), int(digits[1]))
         return numbers if len(set(numbers.values())) == len(numbers) else {}
 
     def _add_branch(
@@ -368,8 +364,8 @@ class _Tables:
         of_raw = {} if self.raw is None else self.raw.machines()
         for role, table in (("machine", self.net.get_generators()), ("static", self.net.get_batteries())):
             for name, row in table[table["connected"] & (table["bus_id"] != "")].iterrows():
-                found = re.fullmatch(r"B(\d+)-G(.*)", str(name))
-                place = (found[1], found[2].strip('" ')) if found else ("", "1")
+                of_name = re.fullmatch(r"B(\d+)-G(.*)", str(name))
+                place = (of_name[1], of_name[2].strip('" ')) if of_name else ("", "1")
                 data = of_raw.get(place, _MACHINE)
                 source = "WIND" if data["wmod"] else row.get("energy_source", "")
                 limits = row.max_q, row.max_p if row.bus_id == self.slack else 0.0

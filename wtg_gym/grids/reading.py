@@ -1,7 +1,5 @@
 """A file of another program, made into a grid: which library reads it."""
 
-from __future__ import annotations
-
 from collections.abc import Collection
 from dataclasses import replace
 from pathlib import Path
@@ -24,20 +22,19 @@ def read_case(
 ) -> Grid:
     """Return the grid of a case, without WTG groups; what it calls replaced are its wind parks.
 
+    A ValueError says where a file is missing or damaged, has what a grid has not, or the grid's power flow is not the
+    library's.
+
     Args:
         path: of the case: its ending says which format it has.
         dynamic: a DYR file with the machines of a RAW file.
         frequency_hz: nominal frequency; None: the file's, or a usual one.
         drop: types of element that are left out.
         substitute: put typical controls in the place of models that are not here, or leave those out.
-
-    Raises:
-        ValueError: a file is missing or damaged, has what a grid has not, or the grid's power flow is not the
-            library's; the message says where.
     """
-    for each in (path, dynamic):
-        if each is not None and not each.is_file():
-            raise ValueError(f"there is no file {each}")
+    for file in (path, dynamic):
+        if file is not None and not file.is_file():
+            raise ValueError(f"there is no file {file}")
     if path.suffix.lower() in (".m", ".mat"):
         read = matpower.read_matpower
     else:

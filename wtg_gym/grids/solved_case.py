@@ -1,7 +1,5 @@
 """A power-flow case as a library reads and solves it, made into a grid whose own power flow must be the same."""
 
-from __future__ import annotations
-
 import cmath
 import itertools
 import math
@@ -35,78 +33,51 @@ UNLIMITED = 9000.0
 
 @dataclass
 class TwoPort:
-    """A branch: admittances and a ratio, all in p.u. of :data:`BASE_MVA` and the nominal voltages of its buses.
+    """A branch: admittances and a ratio, all in p.u. of :data:`BASE_MVA` and the nominal voltages of its buses."""
 
-    Args:
-        name: what messages call it.
-        ends: buses; the ideal transformer of ratio `tap` and shift `phase_rad` is at the first.
-        impedance: between them.
-        shunts: admittance to earth at either end, behind the ideal transformer.
-    """
-
-    name: str
-    ends: tuple[Key, Key]
+    name: str  # in messages
+    ends: tuple[Key, Key]  # the ideal transformer of ratio `tap` and shift `phase_rad` is at the first
     impedance: complex
-    shunts: tuple[complex, complex] = (0j, 0j)
+    shunts: tuple[complex, complex] = (0j, 0j)  # to earth at either end, behind the ideal transformer
     tap: float = 1.0
     phase_rad: float = 0.0
 
 
 @dataclass(kw_only=True)
 class Infeed:
-    """A generator in service: what it gives [MVA], as what it counts, and what is known of its size.
-
-    Args:
-        role: "machine", "wind" for a wind park, "static" for what becomes a negative load, "load" once it is one.
-        rating_mva: MBASE of a RAW file, None where the file does not say.
-        least_mva: rating that its limits ask for.
-        impedance: ZSORCE of a RAW file [p.u. of the rating].
-    """
+    """A generator in service: what it gives, as what it counts, and what is known of its size."""
 
     name: str
     bus: Key
-    power: complex
+    power: complex  # [MVA]
     machine_id: str = "1"
+    #: "machine", "wind" for a wind park, "static" for what becomes a negative load, "load" once it is one.
     role: str = "machine"
-    rating_mva: float | None = None
-    least_mva: float = 0.0
-    impedance: complex = 1j
+    rating_mva: float | None = None  # MBASE of a RAW file
+    least_mva: float = 0.0  # rating that its limits ask for
+    impedance: complex = 1j  # ZSORCE of a RAW file [p.u. of the rating]
 
 
 @dataclass
 class SolvedCase:
-    """What a library says of a case, with its own solution of the power flow.
-
-    Args:
-        voltages: of every bus [p.u.], as complex numbers.
-        loads: as they are in the solution [MVA].
-        shunts: admittances [p.u. of :data:`BASE_MVA`].
-        numbers: of the buses, where the file has some.
-        notes: what was assumed or changed.
-    """
+    """What a library says of a case, with its own solution of the power flow."""
 
     name: str
     library: str
     frequency_hz: float
     slack: Key
-    voltages: dict[Key, complex]
+    voltages: dict[Key, complex]  # of every bus [p.u.]
     places: dict[Key, tuple[float, float]] = field(default_factory=dict)
-    numbers: dict[Key, int] = field(default_factory=dict)
+    numbers: dict[Key, int] = field(default_factory=dict)  # of the buses, where the file has some
     branches: list[TwoPort] = field(default_factory=list)
-    loads: dict[Key, complex] = field(default_factory=lambda: defaultdict(complex))
-    shunts: dict[Key, complex] = field(default_factory=lambda: defaultdict(complex))
+    loads: dict[Key, complex] = field(default_factory=lambda: defaultdict(complex))  # in the solution [MVA]
+    shunts: dict[Key, complex] = field(default_factory=lambda: defaultdict(complex))  # [p.u. of BASE_MVA]
     infeeds: list[Infeed] = field(default_factory=list)
-    notes: list[str] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)  # what was assumed or changed
 
 
 def refuse_unread(unread: dict[str, tuple[int, float]], drop: Collection[str], notes: list[str]) -> None:
-    """Refuse elements that are not taken over, unless `drop` names their type; then note them.
-
-    Args:
-        unread: number and active power [MW] by type.
-        drop: types that are left out.
-        notes: takes what was left out.
-    """
+    """Refuse elements, number and power [MW] by type, unless `drop` names their type; then note that they are left."""
     texts = {kind: f"{n} {kind} of {power:.6g} MW" for kind, (n, power) in unread.items() if n}
     if left := {kind: text for kind, text in texts.items() if kind not in drop}:
         listed = ", ".join(left.values())
@@ -117,16 +88,13 @@ def refuse_unread(unread: dict[str, tuple[int, float]], drop: Collection[str], n
 def grid_of(case: SolvedCase, dynamics: Any = None, drop: Collection[str] = ()) -> Grid:
     """Return the grid of a case, without WTG groups, after its own power flow has met the library's.
 
+    What it calls replaced are its wind parks, which are typical machines. A ValueError says by the bus and both values
+    that the grid is not the case, or that a value is out of its range.
+
     Args:
         case: a solved case; it is changed.
         dynamics: the :class:`~wtg_gym.grids.dyr.Dynamics` of its machines; None: all are typical ones.
         drop: types of element that are left out.
-
-    Returns:
-        the grid; what it calls replaced are its wind parks, which are typical machines.
-
-    Raises:
-        ValueError: the grid is not the case, by the bus and both values; or a value is out of its range.
     """
     _merge_buses(case)
     _take_connected(case, drop)
@@ -135,10 +103,10 @@ def grid_of(case: SolvedCase, dynamics: Any = None, drop: Collection[str] = ()) 
     numbers = _numbers(case)
     records = _machines(case, numbers, dynamics)
     wind = {numbers[infeed.bus] for infeed in case.infeeds if infeed.role == "wind"}
-    made_of = _network_case(case, numbers, records)
-    differences = _compare(made_of, case, numbers, turned)
+    network_case = _network_case(case, numbers, records)
+    differences = _compare(network_case, case, numbers, turned)
     case.notes.append(f"its power flow is that of {case.library}; largest differences [p.u., rad]: {differences}")
-    return Grid(case=made_of, replaced=tuple(sorted(wind)), substitutions=tuple(dict.fromkeys(case.notes)))
+    return Grid(case=network_case, replaced=tuple(sorted(wind)), substitutions=tuple(dict.fromkeys(case.notes)))
 
 
 def refuse_large(n_buses: int) -> None:
@@ -211,11 +179,8 @@ def _listed(keys: Iterable[Key]) -> str:
 
 
 def _without_common_shifts(case: SolvedCase) -> dict[Key, float]:
-    """Take away phase shifts that are the same along every path; return the angle that each bus turns by [rad].
-
-    Vector groups are such shifts. What remains around a loop is a phase shifter; a tree of as few shifts as possible
-    lets one beside lines keep its own.
-    """
+    """Take away phase shifts that are the same along every path; return the angle that each bus turns by [rad]."""
+    # A tree of as few shifts as possible lets a phase shifter beside lines keep its own.
     import networkx
 
     tree = networkx.minimum_spanning_tree(_graph(case))
@@ -355,22 +320,18 @@ def _network_case(
 
 
 def power_flow(case: NetworkCase) -> tuple[np.ndarray, np.ndarray]:
-    """Return voltages (n_bus,) and what units give to each bus (n_bus,), both complex [p.u.], from a flat start.
-
-    Raises:
-        ValueError: there is no solution.
-    """
+    """Return voltages (n_bus,) and what units give to each bus (n_bus,), both complex [p.u.], from a flat start."""
     index = {number: place for place, number in enumerate(case.bus_numbers)}
     ends = np.array([(index[b.from_bus], index[b.to_bus]) for b in case.branches], dtype=np.int64).reshape(-1, 2)
     shunts = np.array([complex(bus.shunt_mw, bus.shunt_mvar) / case.base_mva for bus in case.buses])
     loads = np.array([complex(bus.load_mw, bus.load_mvar) / case.base_mva for bus in case.buses])
     y = network.assemble_admittance(ends, network.branch_admittances(case.branches), shunts)
-    given = -loads
+    injections = -loads
     for machine in case.machines:
-        given[index[machine.bus]] += machine.dispatch_mw / case.base_mva
+        injections[index[machine.bus]] += machine.dispatch_mw / case.base_mva
     at = network.PowerFlow(power=0, polar=2, holds_voltage=4, flow=5, voltage=7)
     rows = np.zeros((len(index), 9))
-    rows[:, 0], rows[:, 1] = given.real, given.imag
+    rows[:, 0], rows[:, 1] = injections.real, injections.imag
     rows[:, 2] = [1.0 if bus.voltage_pu is None else bus.voltage_pu for bus in case.buses]
     rows[:, 4] = [bus.voltage_pu is not None for bus in case.buses]
     slack = index[case.slack_bus]
@@ -383,12 +344,12 @@ def power_flow(case: NetworkCase) -> tuple[np.ndarray, np.ndarray]:
     return rows[:, 7] + 1j * rows[:, 8], rows[:, 5] + 1j * rows[:, 6] + loads
 
 
-def _compare(own: NetworkCase, case: SolvedCase, numbers: dict[Key, int], turned: dict[Key, float]) -> str:
+def _compare(made: NetworkCase, case: SolvedCase, numbers: dict[Key, int], turned: dict[Key, float]) -> str:
     """Refuse a grid whose power flow differs from the library's; say how near they are."""
-    voltages, powers = power_flow(own)
-    given, largest = defaultdict[Key, complex](complex), defaultdict[str, float](float)
+    voltages, powers = power_flow(made)
+    injections, largest = defaultdict[Key, complex](complex), defaultdict[str, float](float)
     for infeed in case.infeeds:
-        given[infeed.bus] += infeed.power / BASE_MVA if infeed.role != "load" else 0j
+        injections[infeed.bus] += infeed.power / BASE_MVA if infeed.role != "load" else 0j
     reference = cmath.phase(case.voltages[case.slack])
     for place, (key, theirs) in enumerate(case.voltages.items()):
         if cmath.isnan(theirs):
@@ -396,9 +357,9 @@ def _compare(own: NetworkCase, case: SolvedCase, numbers: dict[Key, int], turned
             continue
         angle = cmath.phase(theirs) - reference - turned[key]
         pairs = {"voltage": (abs(voltages[place]), abs(theirs)), "angle": (cmath.phase(voltages[place]), angle)}
-        if own.buses[place].voltage_pu is not None:
-            pairs["power"] = powers[place].real, given[key].real
-            pairs["reactive power"] = powers[place].imag, given[key].imag
+        if made.buses[place].voltage_pu is not None:
+            pairs["power"] = powers[place].real, injections[key].real
+            pairs["reactive power"] = powers[place].imag, injections[key].imag
         for what, (here, there) in pairs.items():
             difference = abs(math.remainder(here - there, 2.0 * math.pi) if what == "angle" else here - there)
             difference /= max(1.0, abs(there))

@@ -1,7 +1,5 @@
 """Power coefficient, captured power and the operating points derived from them."""
 
-from __future__ import annotations
-
 import functools
 from dataclasses import dataclass
 from typing import NamedTuple

@@ -35,8 +35,6 @@ voltage is the last iterate's, here the limit holds with the network's solution.
 of IEEE 421.5's excitation limiters in place of two integrators more, and without the filters of its measurements.
 """
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 

@@ -1,7 +1,5 @@
 """Kinds of unit besides machines and WTG groups: user-defined devices, and imposed sources."""
 
-from __future__ import annotations
-
 import cmath
 import functools
 import math

@@ -1,7 +1,5 @@
 """From a scenario to a run: what its events change, the exact equilibrium it starts from, and why it cannot start."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 

@@ -1,7 +1,5 @@
 """One control interval of a block: read wind and load noise, apply events, integrate, check the protections."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any
 

@@ -6,8 +6,6 @@ The rows of a unit are neighbours, and so are the units of a kind, kind after ki
 has rows of the same form in a scratch that a thread shares between its blocks.
 """
 
-from __future__ import annotations
-
 import itertools
 from collections import namedtuple
 from collections.abc import Mapping, Sequence

@@ -4,8 +4,6 @@ A Runge-Kutta method multiplies the mode of an eigenvalue λ by R(hλ) in every 
 the method's stability region, |R(hλ)| > 1, the run grows without bound: that is the method's doing, not the plant's.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -17,8 +17,6 @@ machine's. Source: P. Sauer, M. Pai: Power System Dynamics and Stability, chapte
 P. Kundur: Power System Stability and Control, chapter 3; saturation: GENROU of PSS/E, as ANDES defines it.
 """
 
-from __future__ import annotations
-
 import math
 from typing import Any, NamedTuple
 

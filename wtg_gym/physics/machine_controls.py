@@ -6,8 +6,6 @@ the field voltage, a governor with its turbine the torque. The copies that the m
 follow from states of the control and are no states of the plant.
 """
 
-from __future__ import annotations
-
 import importlib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass

@@ -4,8 +4,6 @@ A machine's parameters say which it has (:data:`CONTROLS`). SEXS and TGOV1 are i
 governors Δω is the speed's deviation ω - 1 beyond the dead band.
 """
 
-from __future__ import annotations
-
 import math
 import types
 from collections.abc import Mapping, Sequence

@@ -1,7 +1,5 @@
 """Synchronous machines as units: their parts, and the systems that move them."""
 
-from __future__ import annotations
-
 import math
 
 from wtg_gym.physics import machine as equations

@@ -9,8 +9,6 @@ between -π and π in the frame of the angles. It starts at nominal frequency, a
 0.2 p.u., as a relay does, after which it begins with the grid's.
 """
 
-from __future__ import annotations
-
 import math
 from enum import IntEnum
 from typing import NamedTuple

@@ -1,7 +1,5 @@
 """The network as the units see it: Kron reduction per topology, and what events and islands change in it."""
 
-from __future__ import annotations
-
 import math
 from typing import Any, NamedTuple
 

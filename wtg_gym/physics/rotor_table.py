@@ -7,8 +7,6 @@ coefficient falls in proportion to λ; beyond its other edges it keeps the edge'
 Boor: A Practical Guide to Splines, chapter XVII.
 """
 
-from __future__ import annotations
-
 import functools
 import itertools
 import math

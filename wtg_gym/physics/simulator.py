@@ -1,7 +1,5 @@
 """Many runs of one plant side by side: start, advance, read, copy."""
 
-from __future__ import annotations
-
 import dataclasses
 import functools
 import itertools

@@ -3,8 +3,6 @@
 Between them the power flow is solved (:mod:`wtg_gym.physics.equilibrium`).
 """
 
-from __future__ import annotations
-
 import math
 
 from wtg_gym.physics import units

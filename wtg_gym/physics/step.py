@@ -13,8 +13,6 @@ unit that a plant has besides (:mod:`wtg_gym.physics.devices`), and controls tha
 (:mod:`wtg_gym.physics.machine_models`), join where it says `Here`.
 """
 
-from __future__ import annotations
-
 import math
 
 from wtg_gym.physics import machine_unit as machine

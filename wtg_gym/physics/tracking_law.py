@@ -4,8 +4,6 @@ A strategy's coefficients are those of a turbine and its control: K_opt belongs 
 control. Wherever a function takes a `turbine` or a `control`, None is the paper's.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import functools
 import math

@@ -1,7 +1,5 @@
 """One run, recorded: what `wtg-gym simulate` plots and the paper's claims are read from."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """What all units share: the environment ("lane") that they are in, and the network between them."""
 
-from __future__ import annotations
-
 import functools
 from collections.abc import Callable, Sequence
 from enum import IntEnum, StrEnum

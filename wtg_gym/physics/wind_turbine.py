@@ -7,8 +7,6 @@ Source: paper, equations (1)-(5). After a trip the states of a group keep their 
 its energy H_m ω_m²: 2H_m ω_m ω̇_m = p_w - max(p, p_min).
 """
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 

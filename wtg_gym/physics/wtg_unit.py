@@ -1,8 +1,7 @@
 """Groups of wind turbine generators as units, and what extended ones have besides: the limits of their currents."""
 
-from __future__ import annotations
-
 import math
+from collections.abc import Callable
 from typing import NamedTuple
 
 from wtg_gym.physics import converter as gfm
@@ -255,59 +254,43 @@ def find_exceeded_limits(
     return 0.0, voltage, exceeded + select(too_large, 1.0, 0.0)
 
 
-def _limit(
-    diagonal_admittance: Phasor,
-    source: Phasor,
-    voltage: Phasor,
-    unit_current: Phasor,
-    extension: Extension,
-    share: float,
-    unsettled: float,
-    settled: float,
-) -> tuple[float, Phasor, Phasor, float]:
-    y, e = diagonal_admittance, voltage
-    free = units.plus(unit_current, y, Phasor(source.re - e.re, source.im - e.im))
-    reactance = gfm.limiting_reactance(free.re, free.im, y.re, y.im, extension.limits.current_max * share)
-    # E' = E - jX_v I, and I = I_0 / (1 + jX_v Y).
-    d_re, d_im = 1.0 - reactance * y.im, reactance * y.re
-    size = reactance / fma(d_re, d_re, d_im * d_im)
-    drop_re = size * fma(free.re, d_re, free.im * d_im)
-    drop_im = size * fma(free.im, d_re, -(free.re * d_im))
-    change = Phasor(source.re + drop_im - e.re, source.im - drop_re - e.im)
-    moves = fma(change.re, change.re, change.im * change.im) > settled
-    change = Phasor(select(moves, change.re, 0.0), select(moves, change.im, 0.0))
-    moved = Phasor(e.re + change.re, e.im + change.im)
-    return reactance, moved, change, unsettled + select(moves, 1.0, 0.0)
+def _current_limiter(settled: float) -> Callable[..., tuple[float, Phasor, Phasor, float]]:
+    """Return the equation in which a squared change of the voltage [p.u.²] up to `settled` is none."""
+
+    def limit_current(
+        diagonal_admittance: Phasor,
+        source: Phasor,
+        voltage: Phasor,
+        unit_current: Phasor,
+        extension: Extension,
+        share: float,
+        unsettled: float,
+    ) -> tuple[float, Phasor, Phasor, float]:
+        """Find the limiting reactance with all other voltages fixed, and the voltage behind it.
+
+        A lane without such a group, or one that has settled, keeps its bits, whatever its neighbours do.
+        """
+        y, e = diagonal_admittance, voltage
+        free = units.plus(unit_current, y, Phasor(source.re - e.re, source.im - e.im))
+        reactance = gfm.limiting_reactance(free.re, free.im, y.re, y.im, extension.limits.current_max * share)
+        # E' = E - jX_v I, and I = I_0 / (1 + jX_v Y).
+        d_re, d_im = 1.0 - reactance * y.im, reactance * y.re
+        size = reactance / fma(d_re, d_re, d_im * d_im)
+        drop_re = size * fma(free.re, d_re, free.im * d_im)
+        drop_im = size * fma(free.im, d_re, -(free.re * d_im))
+        change = Phasor(source.re + drop_im - e.re, source.im - drop_re - e.im)
+        moves = fma(change.re, change.re, change.im * change.im) > settled
+        change = Phasor(select(moves, change.re, 0.0), select(moves, change.im, 0.0))
+        moved = Phasor(e.re + change.re, e.im + change.im)
+        return reactance, moved, change, unsettled + select(moves, 1.0, 0.0)
+
+    return limit_current
 
 
-def _limit_that_moves(
-    diagonal_admittance: Phasor,
-    source: Phasor,
-    voltage: Phasor,
-    unit_current: Phasor,
-    extension: Extension,
-    share: float,
-    unsettled: float,
-) -> tuple[float, Phasor, Phasor, float]:
-    # However little a voltage moves: where it stands is where the limit holds.
-    return _limit(diagonal_admittance, source, voltage, unit_current, extension, share, unsettled, -1.0)
-
-
-@system(EXTENSIONS, "reactance", "voltage", "change", "unsettled", backward=_limit_that_moves)
-def limit_current(
-    diagonal_admittance: Phasor,
-    source: Phasor,
-    voltage: Phasor,
-    unit_current: Phasor,
-    extension: Extension,
-    share: float,
-    unsettled: float,
-) -> tuple[float, Phasor, Phasor, float]:
-    """Find the limiting reactance with all other voltages fixed, and the voltage behind it.
-
-    A lane without such a group, or one that has settled, keeps its bits, whatever its neighbours do.
-    """
-    return _limit(diagonal_admittance, source, voltage, unit_current, extension, share, unsettled, _SETTLED)
+# Where a voltage stands is where the limit holds: derivatives follow it however little it moves.
+limit_current = system(EXTENSIONS, "reactance", "voltage", "change", "unsettled", backward=_current_limiter(-1.0))(
+    _current_limiter(_SETTLED)
+)
 
 
 @system(COLUMNS, "unit_current")

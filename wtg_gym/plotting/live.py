@@ -219,7 +219,6 @@ class PlayPage:
         return now
 
     def _tick(self) -> None:
-        """Make the control steps that are due."""
         if not self._running:
             return
         self._due += self._speed * _TICK_MS / 1000.0 / self._match.control_dt
@@ -239,7 +238,6 @@ class PlayPage:
         self._show()
 
     def _show(self) -> None:
-        """Bring status and events up to date."""
         match = self._match
         state = "over" if match.over else "running" if self._running else "paused" if match.time_s else "ready"
         self._start.label = "Pause" if self._running else "Start"

@@ -11,7 +11,7 @@ import numpy as np
 from wtg_gym.evaluation import Results
 from wtg_gym.evaluation.score import cost_offsets
 from wtg_gym.evaluation.statistics import Floats
-from wtg_gym.evaluation.summary import lost_or_beyond, runs_by_name
+from wtg_gym.evaluation.summary import lost_or_beyond
 from wtg_gym.plotting import style
 from wtg_gym.scenarios import get_suite
 
@@ -28,7 +28,7 @@ def by_entry(results: Results) -> dict[str, OverMargin]:
     """Return margin, J + J0 and whether the run is bad of each scenario, by entry, of the first training seed."""
     offsets, nominal_hz = cost_offsets(results.groups, results.task), get_suite(results.suite).nominal_hz
     over_margin = {}
-    for name, runs in runs_by_name(results.episodes).items():
+    for name, runs in results.runs.items():
         margins, costs = (np.array([row.metrics[key] for row in runs[0]]) for key in ("reserve_margin", "cost"))
         over_margin[name] = margins, costs + offsets, lost_or_beyond(runs[:1], nominal_hz)[0]
     return over_margin

@@ -6,7 +6,6 @@ A page of sections, in Markdown with its pictures beside, or made HTML of, with 
 from __future__ import annotations
 
 import base64
-import functools
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from html import escape
@@ -17,22 +16,19 @@ import numpy as np
 
 from wtg_gym.envs.settings import EnvSettings
 from wtg_gym.evaluation import damping, faults
-from wtg_gym.evaluation.adjusted import Adjusted
-from wtg_gym.evaluation.episodes import Episode
-from wtg_gym.evaluation.evaluator import Progress, evaluate, play_batch
+from wtg_gym.evaluation.evaluator import Progress, evaluate
 from wtg_gym.evaluation.grid_tests import GRID_TESTS, run_grid_test
 from wtg_gym.evaluation.recording import Recorded, recorded
-from wtg_gym.evaluation.results import Results
-from wtg_gym.evaluation.score import cost_offsets, gains
-from wtg_gym.evaluation.statistics import Floats, Interval, mean, sign_test
-from wtg_gym.evaluation.summary import EntrySummary, lost_or_beyond
+from wtg_gym.evaluation.results import Results, score_difference
+from wtg_gym.evaluation.statistics import Floats, Interval, sign_test
+from wtg_gym.evaluation.summary import EntrySummary, Runs, lost, lost_or_beyond
 from wtg_gym.evaluation.table import signed_interval
 from wtg_gym.files import markdown_table
 from wtg_gym.physics.scenario import Scenario
 from wtg_gym.plotting import style
 from wtg_gym.plotting.margin import by_entry, plot_over_margin
 from wtg_gym.plotting.trajectories import mark_end, mark_instants
-from wtg_gym.policies import Entry, PolicyError
+from wtg_gym.policies import Entry
 from wtg_gym.policies.entry_folder import load_entries
 from wtg_gym.scenarios.suites import DEFAULT_SUITE, get_suite
 
@@ -47,7 +43,6 @@ _MOST_ENERGY = "mppt"
 N_WITH_FAULTS, N_OF_ENERGY, N_DRAWN = 60, 60, 3
 #: Oscillations that are listed of a loop, and the damping ratio below which one is weakly damped.
 _N_MODES, _WEAK = 5, 0.05
-_MJ_PER_MWH = 3600.0
 #: What is drawn of a scenario, by its label.
 _PANELS: Mapping[str, Callable[[Recorded], Floats]] = {
     "frequency [Hz]": lambda run: run.frequency_hz,
@@ -99,10 +94,12 @@ class Section:
         if self.rows:
             cells = [[_plain(cell) for cell in row] for row in self.rows]
             parts.append(markdown_table(self.header, cells, right=self.numbers))
-        parts += [_plain(self.note)] * bool(self.note)
-        for each in self.pictures:
-            parts.append(f"![{_plain(each.caption)}]({stem}-{each.name}.svg)")
-            parts += [f"{_plain(each.caption)}\n\n```sh\n{each.command}\n```"] * bool(each.command)
+        if self.note:
+            parts.append(_plain(self.note))
+        for picture in self.pictures:
+            parts.append(f"![{_plain(picture.caption)}]({stem}-{picture.name}.svg)")
+            if picture.command:
+                parts.append(f"{_plain(picture.caption)}\n\n```sh\n{picture.command}\n```")
         return "\n\n".join(parts)
 
 
@@ -137,21 +134,10 @@ class Report:
         """The entry's row in the ranking."""
         return next(row for row in self.results.ranking if row.name == self.entry.name)
 
-    @functools.cached_property
-    def bad_and_lost(self) -> Mapping[str, tuple[Floats, Floats]]:
-        """1 where a run was lost or beyond 0.8 Hz, and where it was lost, of the entry and the law that scores 100.
-
-        (1, n_scenarios) each.
-        """
-        bad = {}
-        for name in (self.entry.name, self.hundred):
-            lost = np.array([[float(episode.failed) for episode in self.results.episodes_of(name)]])
-            bad[name] = _bad(self.results, name), lost
-        return bad
-
-    def chance(self, which: int) -> float:
-        """Return the chance of so many more bad (0) or lost (1) runs than the law at 100, were both equally prone."""
-        return sign_test(*(self.bad_and_lost[name][which] for name in (self.entry.name, self.hundred)))
+    def chance(self, event: Callable[[Runs], Floats]) -> str:
+        """Return the chance of so many more events than under the law at 100, were both equally prone."""
+        chance = sign_test(*(event(self.results.runs[name]) for name in (self.entry.name, self.hundred)))
+        return f"{chance:.2g}" if chance >= 0.001 else "below 0.001"
 
 
 def make_report(
@@ -164,24 +150,17 @@ def make_report(
     n_threads: int | None = None,
     on_progress: Progress | None = None,
 ) -> Report:
-    """Return the report of an entry, with results that are read where they can be, else played.
+    """Return the report of an entry of version v1, with results that are read where they can be, else played.
 
     Args:
-        entry: of version v1.
-        spec: the text that `load_entries` finds it by.
+        entry, spec, drawn, n_threads: as of :class:`Report`.
         seeds: test scenarios to play; None for all, which may be read.
-        drawn: seeds of the scenarios to draw; empty for those that cost the entry most.
         stored: results that may have the entry's, or their folder.
-        n_threads: threads to step with.
         on_progress: called with (name of the entry, episodes done, episodes in all).
-
-    Raises:
-        PolicyError: the entry's policy fails.
-        ValueError: the entry is of another version.
     """
-    found = _stored_results(stored, entry) if stored is not None and seeds is None else None
-    results = found or evaluate(entry, SUITE, SPLIT, seeds=seeds, n_threads=n_threads, on_progress=on_progress)
-    return Report(entry=entry, spec=spec, results=results, stored=found is not None, drawn=drawn, n_threads=n_threads)
+    read = _stored_results(stored, entry) if stored is not None and seeds is None else None
+    results = read or evaluate(entry, SUITE, SPLIT, seeds=seeds, n_threads=n_threads, on_progress=on_progress)
+    return Report(entry=entry, spec=spec, results=results, stored=read is not None, drawn=drawn, n_threads=n_threads)
 
 
 def _stored_results(stored: Path | Results, entry: Entry) -> Results | None:
@@ -193,14 +172,12 @@ def _stored_results(stored: Path | Results, entry: Entry) -> Results | None:
         results.check_suite()
     else:
         return None
-    run = (entry.name, entry.training_seed)
-    kept = [each for each in results.entries if each["name"] in (*results.task.references, entry.name)]
-    kept = [each for each in kept if each["name"] != entry.name or each["training_seed"] == entry.training_seed]
-    identities = {(each["name"], each["training_seed"]): each["sha256"] for each in kept}
-    if identities.get(run) is None or identities[run] != entry.identity:
+    run, rows = (entry.name, entry.training_seed), {(row["name"], row["training_seed"]): row for row in results.entries}
+    if entry.identity is None or run not in rows or rows[run]["sha256"] != entry.identity:
         return None
-    episodes = tuple(episode for episode in results.episodes if episode.run in identities)
-    return replace(results, entries=tuple(kept), episodes=episodes, failed=())
+    kept = {name: row for name, row in rows.items() if name == run or name[0] in {*results.task.references} - {run[0]}}
+    episodes = tuple(episode for episode in results.episodes if episode.run in kept)
+    return replace(results, entries=tuple(kept.values()), episodes=episodes, failed=())
 
 
 def report_markdown(
@@ -221,7 +198,8 @@ def report_markdown(
         on_progress(section_of.__name__.strip("_").replace("_", " "), done, len(_SECTIONS))
         section = section_of(report)
         parts.append(section.markdown(stem))
-        files |= {f"{stem}-{each.name}.svg": style.figure_bytes(each.figure, "svg") for each in section.pictures}
+        for picture in section.pictures:
+            files[f"{stem}-{picture.name}.svg"] = style.figure_bytes(picture.figure, "svg")
     return {**files, f"{stem}.md": "\n\n".join(parts) + "\n"}
 
 
@@ -239,27 +217,16 @@ def report_html(report: Report, files: Mapping[str, bytes | str]) -> str:
     return _PAGE.format(title=escape(report.title), body=body)
 
 
-# --- texts of numbers ------------------------------------------------------------------------------------------------
+def _interval(value: Interval) -> tuple[str, str]:
+    text, low, high = (f"{round(number, 1) + 0.0:.1f}" for number in (value.value, value.low, value.high))
+    return text, "" if value.low == value.high else f"{low} … {high}"
 
 
-def _interval(value: Interval, digits: int = 1) -> tuple[str, str]:
-    """Return a value and its interval, empty where there is no spread."""
-    texts = [f"{round(each, digits) + 0.0:.{digits}f}" for each in (value.value, value.low, value.high)]
-    return texts[0], "" if value.low == value.high else f"{texts[1]} … {texts[2]}"
+def _bad(runs: Runs) -> Floats:
+    return lost_or_beyond(runs, get_suite(SUITE).nominal_hz)
 
 
-def _chance(value: float) -> str:
-    return f"{value:.2g}" if value >= 0.001 else "below 0.001"
-
-
-# --- sections of the stored numbers ----------------------------------------------------------------------------------
-
-
-def _bad(results: Results, name: str) -> Floats:
-    """Return 1 where a run of an entry was lost or beyond the design deviation, else 0, (n_runs, n_scenarios)."""
-    n_scenarios, episodes = len(results.seeds), results.episodes_of(name)
-    runs = [episodes[first : first + n_scenarios] for first in range(0, len(episodes), n_scenarios)]
-    return lost_or_beyond(runs, get_suite(results.suite).nominal_hz)
+# --- sections --------------------------------------------------------------------------------------------------------
 
 
 def _score(report: Report) -> Section:
@@ -267,14 +234,14 @@ def _score(report: Report) -> Section:
     assert row.score is not None
     counts = {name: at.size for name, at in results.groups.items()}
     values = {"all, strata count alike": row.score, **row.strata}
-    rows = [(name, str(counts.get(name, len(results.seeds))), *_interval(each)) for name, each in values.items()]
+    rows = [(name, str(counts.get(name, len(results.seeds))), *_interval(value)) for name, value in values.items()]
     zero, hundred = results.task.anchors
     if row.marked:
         mark = f"✓: no less reliable than {hundred}: the chance test below finds no more bad or lost runs."
     else:
         mark = (
             f"No ✓: less reliable than {hundred}: were both equally prone, so many more bad runs had a chance of "
-            f"{_chance(report.chance(0))}, and so many more lost runs one of {_chance(report.chance(1))}; "
+            f"{report.chance(_bad)}, and so many more lost runs one of {report.chance(lost)}; "
             "below 0.05 the mark is withheld."
         )
     return Section(
@@ -301,50 +268,46 @@ def _where_control_decides(report: Report) -> Section:
 
 def _bad_runs(report: Report) -> Section:
     name, hundred = report.entry.name, report.hundred
-    own, anchor = (report.bad_and_lost[each][0][0] for each in (name, hundred))
+    bad, of_hundred = (_bad(report.results.runs[label])[0] for label in (name, hundred))
     counts = {
-        "both": own * anchor,
-        f"{name} only": own * (1.0 - anchor),
-        f"{hundred} only": anchor * (1.0 - own),
-        "neither": (1.0 - own) * (1.0 - anchor),
+        "both": bad * of_hundred,
+        f"{name} only": bad * (1.0 - of_hundred),
+        f"{hundred} only": of_hundred * (1.0 - bad),
+        "neither": (1.0 - bad) * (1.0 - of_hundred),
     }
     return Section(
         heading="Bad runs",
         sentence="A run is bad if the grid is lost or its frequency deviates by more than 0.8 Hz, where customers are "
         f"disconnected; here the entry and {hundred} meet the same scenarios.",
         header=("bad under", "runs", "of all [%]"),
-        rows=[(who, f"{each.sum():.0f}", f"{100.0 * each.sum() / own.size:.1f}") for who, each in counts.items()],
+        rows=[(under, f"{n.sum():.0f}", f"{100.0 * n.sum() / bad.size:.1f}") for under, n in counts.items()],
         numbers=(1, 2),
         note=f"Difference to {hundred}: {signed_interval(report.row.lost_or_beyond_to_hundred)} percentage points, "
         f"strata counting alike. Were both equally prone, so many more bad runs than {hundred}'s had a chance of "
-        f"{_chance(report.chance(0))} (McNemar's paired exact test, one side).",
+        f"{report.chance(_bad)} (McNemar's paired exact test, one side).",
     )
 
 
-# --- sections of runs that are played --------------------------------------------------------------------------------
-
-
 def _scenarios(report: Report) -> Section:
-    seeds, entry, results = report.drawn, report.entry, report.results
-    worst = not seeds
-    if worst:
-        order = np.argsort(-results.pinned_costs[entry.name][0], kind="stable")
-        seeds = [results.seeds[at] for at in order[:N_DRAWN]]
-    what = f"The {len(seeds)} scenarios that cost the entry most" if worst else "Scenarios that were asked for"
+    seeds, heading, chosen = report.drawn, "Scenarios", "Scenarios that were asked for"
+    if not seeds:
+        order = np.argsort(-report.results.pinned_costs[report.entry.name][0], kind="stable")
+        seeds = [report.results.seeds[index] for index in order[:N_DRAWN]]
+        heading, chosen = "Worst scenarios", f"The {len(seeds)} scenarios that cost the entry most"
     return Section(
-        heading="Worst scenarios" if worst else "Scenarios",
-        sentence=f"{what}, beside {report.hundred} in the same scenario; dotted lines are events, a cross is the "
+        heading=heading,
+        sentence=f"{chosen}, beside {report.hundred} in the same scenario; dotted lines are events, a cross is the "
         "loss of the grid, and each command plays its scenario again.",
         pictures=[_scenario_picture(report, int(seed)) for seed in seeds],
     )
 
 
 def _scenario_picture(report: Report, seed: int) -> Picture:
-    scenario, entry = get_suite(SUITE).scenario(seed), report.entry
-    players = {each.name: each for each in (entry, *load_entries(report.hundred))}
-    runs = {name: recorded(each, SETTINGS, [scenario]) for name, each in players.items()}
-    lost = {name: f" (lost: {run.failures[0]})" if run.failures[0] else "" for name, run in runs.items()}
-    paid = [f"{name} {run.costs[0]:.0f}{lost[name]}" for name, run in runs.items()]
+    scenario = get_suite(SUITE).scenario(seed)
+    entries = (report.entry, *load_entries(report.hundred))
+    runs = {entry.name: recorded(entry, SETTINGS, [scenario]) for entry in entries}
+    failures = {name: f" (lost: {run.failures[0]})" if run.failures[0] else "" for name, run in runs.items()}
+    paid = [f"{name} {run.costs[0]:.0f}{failures[name]}" for name, run in runs.items()]
     events = sorted(scenario.events, key=lambda event: event.time_s)
     happened = "; ".join(f"{event.time_s:g} s: {event.words}" for event in events) or "no events"
     return Picture(
@@ -357,7 +320,6 @@ def _scenario_picture(report: Report, seed: int) -> Picture:
 
 @style.printed
 def _plot_scenario(scenario: Scenario, runs: Mapping[str, Recorded]) -> Figure:
-    """Draw a scenario's runs in a column of panels, readable on a phone."""
     figure = style.new_figure(style.SINGLE_COLUMN_MM, 125.0)
     looks = style.strategy_looks(runs)
     panels = figure.subplots(len(_PANELS), 1, sharex=True)
@@ -396,19 +358,12 @@ def _operators_tests(report: Report) -> Section:
 
 
 def _faults_of_sensors(report: Report) -> Section:
-    entry, seeds = report.entry, report.results.seeds[:N_WITH_FAULTS]
+    seeds, rows = report.results.seeds[:N_WITH_FAULTS], []
     episodes = tuple(episode for episode in report.results.episodes if episode.seed in seeds)
-    before, scenarios = replace(report.results, seeds=seeds, episodes=episodes), get_suite(SUITE).scenarios(seeds)
-    changed = {name: (entry, [change(each) for each in scenarios]) for name, change in faults.WORSE_SENSORS.items()}
-    failing = {name: (faults.with_fault(entry, *fault), scenarios) for name, fault in faults.SENSOR_FAULTS.items()}
-    # A law has no sensors.
-    players = changed | failing if entry.policy is not None else {}
-    rows = []
-    for name, (player, played) in players.items():
-        after = play_batch(player, SETTINGS, played, report.n_threads)
-        if isinstance(after, PolicyError):
-            raise after
-        rows.append((name, *_change(before, entry.name, after)))
+    before, name = replace(report.results, seeds=seeds, episodes=episodes), report.entry.name
+    for fault, after in faults.with_faults(before, report.entry, SETTINGS, report.n_threads):
+        n_bad = (f"{_bad(results.runs[name]).sum():.0f}" for results in (before, after))
+        rows.append((fault, *_interval(score_difference(after, before, name)), " → ".join(n_bad)))
     return Section(
         heading="Faults of sensors",
         sentence="Change of the score, in points, where measurements are worse or those of the largest group fail, on "
@@ -420,30 +375,16 @@ def _faults_of_sensors(report: Report) -> Section:
     )
 
 
-def _change(before: Results, name: str, episodes: Sequence[Episode]) -> tuple[str, str, str]:
-    """Return by how much other episodes of an entry change its score, with the interval, and its bad runs."""
-    task, others = before.task, [episode for episode in before.episodes if episode.entry != name]
-    assert task.scale is not None
-    after = replace(before, episodes=(*others, *episodes))
-    hundred, offsets = before.pinned_costs[task.hundred][0], cost_offsets(before.groups, task)
-    own, other = (gains(each.pinned_costs[name], hundred, offsets) for each in (after, before))
-    value = Adjusted(task.scale, before.groups).score_difference(own, other)
-    return (*_interval(value), " → ".join(f"{_bad(each, name).sum():.0f}" for each in (before, after)))
-
-
 def _energy(report: Report) -> Section:
     scenarios = get_suite(SUITE).scenarios(report.results.seeds[:N_OF_ENERGY])
-    players = {each.name: each for each in (report.entry, *load_entries((report.hundred, _MOST_ENERGY)))}
-    runs = {name: recorded(player, SETTINGS, scenarios, report.n_threads) for name, player in players.items()}
+    entries = (report.entry, *load_entries((report.hundred, _MOST_ENERGY)))
+    runs = {entry.name: recorded(entry, SETTINGS, scenarios, report.n_threads) for entry in entries}
     whole = np.logical_and.reduce([run.whole for run in runs.values()])
-    power = {name: mean(run.power_mw[1:, whole]) for name, run in runs.items() if whole.any()}
+    energies = {name: run.energy(whole) for name, run in runs.items() if whole.any()}
     rows = []
-    for name, power_mw in power.items():
-        moved = np.diff(runs[name].stored_mj[:, whole], axis=0) / whole.sum()
-        energy_mwh = power_mw * float(runs[name].time_s[-1]) / _MJ_PER_MWH
-        against = 100.0 * (power_mw / power[_MOST_ENERGY] - 1.0)
-        borrowed, repaid = -np.minimum(moved, 0.0).sum(), np.maximum(moved, 0.0).sum()
-        texts = (f"{power_mw:.1f}", f"{energy_mwh:.3f}", f"{against:+.1f}", f"{borrowed:.0f}", f"{repaid:.0f}")
+    for name, (power_mw, energy_mwh, borrowed_mj, repaid_mj) in energies.items():
+        against = 100.0 * (power_mw / energies[_MOST_ENERGY].power_mw - 1.0)
+        texts = (f"{power_mw:.1f}", f"{energy_mwh:.3f}", f"{against:+.1f}", f"{borrowed_mj:.0f}", f"{repaid_mj:.0f}")
         rows.append((name, *texts))
     return Section(
         heading="Energy",
@@ -466,16 +407,16 @@ def _damping(report: Report) -> Section:
         f"droop of {grid['governor_droop']:g} p.u., {100.0 * grid['committed']:g} % of the machine's units and "
         f"{100.0 * grid['load_level']:g} % of the load: a damping ratio below 0 grows, below {_WEAK:g} is weak."
     )
-    loops = [report.entry]
+    entries = [report.entry]
     if report.entry.policy is not None:
-        loops.append(Entry(name=f"{law.name} alone", strategy=law))
+        entries.append(Entry(name=f"{law.name} alone", strategy=law))
     try:
-        found = {each.name: damping.damping(each) for each in loops}
+        loops = {entry.name: damping.damping(entry) for entry in entries}
     except ValueError as error:
         return Section(heading="Damping", sentence=sentence, note=f"There is none: {error}")
     rows = [
         (name, f"{mode.frequency_hz:.2f}", f"{mode.damping_ratio:.3f}", f"{mode.eigenvalue.real:.3f}", mode.slope)
-        for name, loop in found.items()
+        for name, loop in loops.items()
         for mode in loop.modes[:_N_MODES]
     ]
     return Section(
@@ -484,17 +425,17 @@ def _damping(report: Report) -> Section:
         header=("in the loop", "frequency [Hz]", "damping ratio [-]", "rate [1/s]", "slope of the law"),
         rows=rows,
         numbers=(1, 2, 3),
-        note=" ".join(_rest(name, loop) for name, loop in found.items())
+        note=" ".join(_rest(name, loop) for name, loop in loops.items())
         + " The least damped are listed, of an action that is held for 0.5 s; the law has one slope below nominal "
         "frequency and another above. Sensors have their filters and mean delay, and no noise.",
     )
 
 
 def _rest(name: str, loop: damping.Damping) -> str:
-    """Return where a loop rests, and whether it does."""
-    if not loop.rests:
-        return f"{name} does not come to rest: the frequency moves by {1000.0 * loop.moves_hz:.1f} mHz by itself."
-    where = f"{name} rests at {loop.frequency_hz:.3f} Hz with actions of {loop.largest_action:.3f} at most"
+    rest = loop.rest
+    if not rest.is_reached:
+        return f"{name} does not come to rest: the frequency moves by {1000.0 * rest.moves_hz:.1f} mHz by itself."
+    where = f"{name} rests at {rest.frequency_hz:.3f} Hz with actions of {rest.largest_action:.3f} at most"
     return f"{where}, and is {'stable' if loop.largest_rate < 1e-6 else 'not stable'}."
 
 

@@ -27,15 +27,12 @@ Dashes = tuple[float, tuple[float, ...]] | Literal["-"]
 
 #: The palette of Okabe and Ito, which colour-blind readers can tell apart; yellow, weak on white, comes last.
 PALETTE = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000", "#F0E442")
-#: One marker per series; eight differ at a glance.
-MARKERS = ("o", "s", "^", "D", "v", "P", "X", "*")
 #: Widths of one and of two columns of an IEEE journal [mm].
 SINGLE_COLUMN_MM, DOUBLE_COLUMN_MM = 88.9, 181.9
 #: Dashes of lines at instants.
 DOTS: Dashes = (0.0, (1.0, 1.5))
-#: Grey of reference lines and their names, and colour and dashes of most of them.
+#: Grey of reference lines.
 REFERENCE_GREY = "0.4"
-REFERENCE: dict[str, Any] = {"color": REFERENCE_GREY, "linestyle": (0.0, (5.0, 2.0))}
 SMALL_PT = 7.0
 _DPI, _MM_PER_INCH = 300, 25.4
 
@@ -136,14 +133,6 @@ def save_figure(figure: Figure, path_without_suffix: Path, suffixes: Iterable[st
 def letter_panel(axes: Axes, letter: str, text: str = "") -> None:
     """Write "(a) text" above the left end of a panel."""
     axes.set_title(f"({letter}) {text}".rstrip(), loc="left", pad=10.0)
-
-
-def draw_reference(axes: Axes, y: float, name: str, *, below: bool = False) -> None:
-    """Draw a thin dashed line at height y in data units; its name stands right of the panel, or `below` that height."""
-    side = "top" if below else "center"
-    axes.axhline(y, linewidth=0.7, zorder=1, **REFERENCE)
-    at_right = axes.get_yaxis_transform()
-    axes.text(1.01, y, name, transform=at_right, fontsize=SMALL_PT, color="0.3", va=side, clip_on=False)
 
 
 def share_limits(row: Sequence[Axes]) -> None:

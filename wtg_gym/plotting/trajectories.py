@@ -37,14 +37,10 @@ _PANELS: Mapping[str, Callable[[Trajectory], Floats]] = {
 
 @style.printed
 def plot_trajectories(runs: Mapping[str, Trajectory], scenario: Scenario) -> Figure:
-    """Draw frequency, power, rotor speed and tracking coefficient of the first four WTG groups, a column each.
+    """Draw frequency, power, rotor speed and k of the first four WTG groups, a column each, in runs by their labels.
 
     The reference strategy is drawn on top and thick; a cross marks where a run ended before its time; events are
     numbered and explained above.
-
-    Args:
-        runs: recorded runs of the scenario by label, at least one.
-        scenario: what happened in them.
     """
     n_columns = min(next(iter(runs.values())).power_pu.shape[1], _MOST_COLUMNS)
     figure = style.new_figure(max(style.DOUBLE_COLUMN_MM, _COLUMN_MM * n_columns), 178.0)
@@ -80,7 +76,6 @@ def plot_trajectories(runs: Mapping[str, Trajectory], scenario: Scenario) -> Fig
 
 
 def _by_instant(scenario: Scenario) -> list[list[Event]]:
-    """Return the events of a run, those of an instant together."""
     events = sorted((e for e in scenario.events if e.time_s <= scenario.duration_s), key=lambda e: e.time_s)
     return [list(group) for _, group in itertools.groupby(events, key=lambda e: e.time_s)]
 

@@ -1,7 +1,5 @@
 """An entry: a strategy, and the policy that modulates it."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -41,23 +39,19 @@ class Entry:
     """A controller that is scored: a control law, with or without a policy on top.
 
     Args:
-        name: name in tables, see :func:`~wtg_gym.names.check_name`; with `training_seed` it is unique among the
-            entries.
+        name: in tables, see :func:`~wtg_gym.names.check_name`; with `training_seed` unique among the entries.
         strategy: the law that actions modulate: a built-in name, a .toml file, or a law.
-        policy: maps the environment's observations to actions; None: zero action, which is the strategy itself. A
-            learner of Stable-Baselines3 that was trained under VecNormalize expects normalised observations: export
-            both with :func:`~wtg_gym.export_onnx`.
+        policy: maps observations to actions; None: zero action, which is the strategy itself. A learner of
+            Stable-Baselines3 that was trained under VecNormalize is exported with :func:`~wtg_gym.export_onnx`.
         action_mode: "k", "tau" or "k+tau".
         observation_mode: "local" or "privileged".
-        per_group: whether the policy acts for one group at a time from the group's observation. It then plays any
-            number of groups, on any grid.
+        per_group: whether the policy acts for one group at a time from the group's observation, on any grid.
         environment: id of the environment whose observations the policy takes; None: any.
         description: one sentence.
         source: citation.
         fingerprint: text that identifies the policy's content, such as its file's sha256. Without one an interrupted
-            evaluation starts this entry again. A law needs none.
-        training_seed: seed the policy was trained with. Entries of one name and several seeds share a table row; only
-            seed and policy differ.
+            evaluation starts this entry again.
+        training_seed: seed of the training. Entries of one name and several seeds, alike but for these, share a row.
         learned: False for a policy that was designed by hand.
         trained_on: suite, split and steps.
 
@@ -164,10 +158,7 @@ def is_policy(value: Any) -> bool:
 
 
 def learned_in(policy: Any) -> dict[str, Any]:
-    """Return law ("strategy") and modes of the environment that a learner of Stable-Baselines3 has.
-
-    Empty where there is none; several laws, one for each group, are the names of all.
-    """
+    """Return law ("strategy"; of several the names) and modes of a learner's environment; empty where it has none."""
     try:
         settings = policy.get_env().get_attr("settings")[0]
     # Anybody's policy may have a method of that name, and an environment may be closed.

@@ -5,8 +5,6 @@ A policy's folder holds `entry.toml`, which describes it, and `policy.onnx`. A c
 because those names could collide with other packages.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import functools
 import importlib
@@ -70,10 +68,7 @@ def _built_in() -> frozenset[str]:
 
 
 def check_not_built_in(what: str, name: str) -> None:
-    """Raise a ValueError if a name is, or looks like, that of a strategy or a baseline, or a reserved word.
-
-    Of a name with dots, such as a module's, the first part may not be a reserved word either. `what` has the name.
-    """
+    """Raise a ValueError if a name is, or looks like, a strategy's or baseline's, or begins with a reserved word."""
     if plain_name(name) in _built_in() or plain_name(name.partition(".")[0]) in map(plain_name, RESERVED):
         raise ValueError(
             f"{what} must not be, or look like, that of a strategy or a baseline or one of {', '.join(RESERVED)}; "
@@ -85,10 +80,9 @@ def check_not_built_in(what: str, name: str) -> None:
 
 
 def parse_entry(text: str, *, submitted: bool = False) -> dict[str, Any]:
-    """Return the arguments of :class:`Entry` that an entry.toml gives; authors are its source.
+    """Return the arguments of :class:`Entry` that an entry.toml gives, if `submitted` with the keys of a submission.
 
-    `submitted` asks for the keys of a submission, see CONTRIBUTING.md. A ValueError says what is wrong and allowed, in
-    one line of ASCII but for this package's own words.
+    Authors are its source. A ValueError says what is wrong and allowed, in a line of ASCII but for our own words.
     """
     try:
         data = parse_toml(text, "it")
@@ -143,10 +137,9 @@ def write_template(folder: Path) -> Path:
 
 
 def load_entry_folder(folder: Path) -> Entry:
-    """Return the entry of a folder with a policy.
+    """Return the entry of a folder with a policy; a ValueError names what is missing, damaged or unknown.
 
-    Its entry.toml has the keys name and action_mode, and may have those that a submission's has, see CONTRIBUTING.md.
-    Nothing of policy.onnx is looked at before it is played. A ValueError names what is missing, damaged or unknown.
+    Of the keys of a submission it needs name and action_mode. policy.onnx is not looked at before it is played.
     """
     data = _entry_data(folder)
     try:

@@ -1,7 +1,5 @@
 """The gate of submissions: every check of a folder, up to the first that it does not pass, and of several together."""
 
-from __future__ import annotations
-
 import collections
 import contextlib
 import dataclasses
@@ -206,8 +204,8 @@ def check_speed(policy: OnnxPolicy) -> str:
 def rollout(entry: Entry, *, backwards: bool = False) -> npt.NDArray[np.float64]:
     """Return the actions of an entry's policy in validation scenarios, within ±1, (steps, lanes, n_action).
 
-    An :class:`OnnxPolicy` plays in a new process. Actions are zero once an episode is over. `backwards` plays the last
-    scenario first, and returns the usual order. A policy that cannot answer, or not by finite actions, is a ValueError.
+    They are zero once an episode is over. `backwards` plays the last scenario first, and returns the usual order. A
+    policy that cannot answer, or not by finite actions, is a ValueError.
     """
     settings = EnvSettings(version=TASKS[entry.environment or V1.env_id].version, split="validation")
     order = -1 if backwards else 1
@@ -230,10 +228,7 @@ class Conflict:
 
 
 def conflicts(reports: Sequence[Report], beside: Sequence[Report] = ()) -> list[Conflict]:
-    """Return the conflicts of accepted submissions with each other and with entries that are there already.
-
-    Conflicts among those `beside`, and among folders that come with the package, are not looked for.
-    """
+    """Return the conflicts of accepted submissions with each other and with entries that are there, `beside`."""
     conflicts_found = [
         Conflict((report.folder, other.folder), _why_not_both(report, other, taken=False))
         for report, other in itertools.combinations(reports, 2)

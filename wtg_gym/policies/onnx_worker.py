@@ -6,8 +6,6 @@ gets a batch of one. Each scenario has a session of its own, so that nothing goe
 never learns which scenario is played, and its answers are all that comes out of it.
 """
 
-from __future__ import annotations
-
 import ctypes
 import io
 import json
@@ -149,8 +147,7 @@ class _Served:
 def _rows(n_scenarios: int, width: int) -> Any:
     """Return an array (n_scenarios, width) whose rows all begin at a multiple of 64 bytes.
 
-    Operators take a vector of the processor at a time from the first address that suits it on, so the last bits of a
-    sum depend on where its values begin: a policy could tell the scenarios by it.
+    The last bits of a sum depend on where its values begin: a policy could tell the scenarios by it.
     """
     import numpy as np
 
@@ -242,10 +239,7 @@ class _Program(ctypes.Structure):
 
 
 def lock(source: int, sink: int) -> str:
-    """Take from this process, for good, all but computing, reading the file descriptor `source` and writing `sink`.
-
-    Returns the limits that this system does not enforce; empty where it enforces all.
-    """
+    """Take from this process all but computing, reading `source` and writing `sink`; return what is not enforced."""
     machine = os.uname().machine if sys.platform == "linux" else sys.platform
     if machine not in _MACHINES or sys.maxsize < 2**32:
         return f"no filter of system calls: there is none for {machine}"

@@ -1,7 +1,5 @@
 """Playing a policy: its actions are asked for and checked step by step, for many scenarios side by side."""
 
-from __future__ import annotations
-
 import contextlib
 import dataclasses
 import traceback
@@ -53,9 +51,8 @@ def play(
 ) -> Iterator[npt.NDArray[np.bool_]]:
     """Play the started episodes of all lanes to their ends; after every step, yield which lanes made it, (n_lanes,).
 
-    The process of an :class:`OnnxPolicy` is a new one, and ends with the episodes. `taken` gets the actions of every
-    step, (n_lanes, n_action), zero once an episode is over. A policy that raises, ends, takes too long or returns no
-    action is a PolicyError.
+    The process of an :class:`OnnxPolicy` is a new one. `taken` gets the actions of every step, (n_lanes, n_action),
+    zero once an episode is over. A policy that raises, ends, takes too long or returns no action is a PolicyError.
     """
     running = np.ones(lanes.n_lanes, dtype=np.bool_)
     state: Any = None
@@ -114,7 +111,6 @@ def _complaint(entry: Entry, step: int, expected: str, got: str) -> PolicyError:
 
 
 def _described(error: BaseException) -> str:
-    """Return an exception on one line, with the place in the code that raised it."""
     place = traceback.extract_tb(error.__traceback__)[-1]
     message = printable(" ".join(str(error).split())[:200])
     return f"{type(error).__name__}: {message} ({Path(place.filename).name}:{place.lineno})"

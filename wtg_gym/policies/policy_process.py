@@ -71,14 +71,12 @@ class NotIsolatedError(PolicyError):
 class OnnxPolicy:
     """A policy in an .onnx file. Its process starts with the first observation; end it with :meth:`close`.
 
-    As a context manager it begins with a new process, and ends it. It travels to other processes as its bytes.
+    As a context manager it begins with a new process, and ends it. It travels to other processes as its bytes. A
+    ValueError says that the file cannot be read.
 
     Args:
         file: the path of the file, weights included, or its content.
         isolated: refuse to play where this system cannot isolate the process, as Linux can; else that is a warning.
-
-    Raises:
-        ValueError: the file cannot be read.
     """
 
     def __init__(self, file: str | Path | bytes, *, isolated: bool = False) -> None:
@@ -105,15 +103,9 @@ class OnnxPolicy:
     ) -> tuple[Floats, States | None]:
         """Return (actions (n_lanes, n_action), next states) for observations (n_lanes, n_observation).
 
-        Args:
-            observation: one row per lane.
-            state: the states that the last call returned; None at the beginning.
-            episode_start: lanes where an episode starts, (n_lanes,) bool: their state is zero; None for none.
-            deterministic: for the protocol; the file holds the deterministic action only.
-
-        Raises:
-            NotIsolatedError: this system cannot isolate the process, and `isolated` was set.
-            PolicyError: the file is no policy, shapes do not fit, or the process ended or took too long.
+        The state is None at the beginning, and zero where an episode starts, (n_lanes,) bool. A NotIsolatedError says
+        that this system cannot isolate the process, though `isolated` is set, another PolicyError that the file is no
+        policy, that shapes do not fit, or that the process ended or took too long.
         """
         n_observation, n_action, *widths = self.widths
         observations = np.ascontiguousarray(observation, dtype=np.float32)
@@ -173,15 +165,10 @@ def _close_all(processes: list[PolicyProcess]) -> None:
 
 
 class PolicyProcess:
-    """A process with one policy; it ends with this one, and must be closed.
+    """A process with one policy, the content of an .onnx file; it ends with this one, and must be closed.
 
-    Args:
-        content: the .onnx file.
-        isolated: refuse to play where this system cannot isolate the process; else that is a warning.
-
-    Raises:
-        NotIsolatedError: this system cannot start the process, or cannot isolate it and `isolated` is set.
-        PolicyError: onnxruntime cannot load the file as a policy.
+    A NotIsolatedError says that this system cannot start the process, or cannot isolate it and `isolated` is set,
+    another PolicyError that onnxruntime cannot load the file as a policy.
     """
 
     def __init__(self, content: bytes, *, isolated: bool) -> None:
@@ -283,7 +270,6 @@ class PolicyProcess:
             time.sleep(_WATCH_S)
 
     def _ended(self) -> PolicyError:
-        """Return the error that says how the process ended."""
         # It has closed its end: its exit code follows in a moment.
         try:
             code = self._process.wait(timeout=2.0)

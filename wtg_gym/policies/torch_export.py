@@ -1,7 +1,5 @@
 """Any policy of PyTorch as an entry: `policy.onnx` with its weights inside, and `entry.toml`; needs torch and onnx."""
 
-from __future__ import annotations
-
 import tempfile
 import warnings
 from pathlib import Path
@@ -159,7 +157,6 @@ def _check_form(playable: _Playable, n_observation: int, n_action: int) -> None:
 
 
 def _exported(playable: _Playable, n_observation: int) -> bytes:
-    """Return the file; a ValueError says what torch cannot export."""
     states = [f"state_{index}" for index in range(len(playable.state_widths))]
     inputs, outputs = ["observation", *states], ["action", *(f"next_{name}" for name in states)]
     # It is always played one scenario at a time: without another size of the batch onnxruntime simplifies more.
@@ -178,7 +175,6 @@ def _exported(playable: _Playable, n_observation: int) -> bytes:
 
 
 def _largest_difference(playable: _Playable, content: bytes, n_observation: int) -> float:
-    """Return the largest difference between the actions of a file and its module."""
     rng, module = np.random.default_rng(0), TorchPolicy(playable)
     largest, state, file_state = 0.0, None, None
     with OnnxPolicy(content) as policy:

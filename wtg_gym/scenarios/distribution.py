@@ -130,12 +130,8 @@ class ScenarioDistribution(Checked):
             seeds: non-negative integers.
             n_wtg: number of WTG groups.
             n_turbines: turbines per group for the averaging of wind, shape (n_wtg,); None: those of `Wind` each.
-            duration_s: length of the run [s]; in a run too short for `first_event_s` and `quiet_end_s`, events
-                come no later than half-way.
+            duration_s: length of the run [s]; events of a short one come no later than half-way.
             attempt: another scenario of each seed, for suites that draw until a scenario suits them.
-
-        Raises:
-            ValueError: an argument is out of range; the message names it.
         """
         for seed in seeds:
             require_whole("a seed", seed, 0, 2**63 - 1)
@@ -187,7 +183,6 @@ class ScenarioDistribution(Checked):
         return wind
 
     def _draft(self, stream: np.random.Generator, n_turbines: Sequence[float], duration_s: float) -> draws.Draft:
-        """Draw all of a scenario but its series."""
         latest = max(duration_s - self.quiet_end_s, 0.5 * duration_s)
         if self.last_event_s is not None:
             latest = min(latest, self.last_event_s)

@@ -90,29 +90,22 @@ _MOST_DRAWS = 1000
 
 @dataclass(kw_only=True)
 class Draft:
-    """The part of a scenario that is drawn so far; records read values of earlier ones.
+    """The part of a scenario that is drawn so far; records read values of earlier ones."""
 
-    Args:
-        n_turbines: turbines per WTG group.
-        case_load_mw: load of the grid at load level 1 [MW].
-        window: earliest and latest instant of an event [s].
-        n_samples: samples of the wind series.
-        wind_change: the groups that a gust or ramp reaches, and its change of wind [m/s].
-        machine_loading: load that the wind leaves, over the rating of the generator's units on line [-].
-    """
-
-    n_turbines: Sequence[float]
-    case_load_mw: float
-    window: Span
-    n_samples: int
+    n_turbines: Sequence[float]  # of each WTG group
+    case_load_mw: float  # load of the grid at load level 1 [MW]
+    window: Span  # earliest and latest instant of an event [s]
+    n_samples: int  # of the wind series
     governor_droop: float | None = None
     inertia_scale: float = 1.0
     load_level: float = 1.0
     events: list[Event] = field(default_factory=list)
     turbulence_intensity: float = 0.0
     mean_winds_m_s: Sequence[float] = ()
-    wind_change: tuple[int | slice, FloatArray] | None = None
-    machine_loading: float | None = None
+    wind_change: tuple[int | slice, FloatArray] | None = (
+        None  # groups that a gust or ramp reaches, and its change [m/s]
+    )
+    machine_loading: float | None = None  # load that the wind leaves, over the rating of the generator's units on line
 
     @property
     def load_mw(self) -> float:

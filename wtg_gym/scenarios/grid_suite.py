@@ -22,8 +22,8 @@ from wtg_gym.scenarios.draws import LOSSES, OperatingPoint, Span, Wind
 from wtg_gym.scenarios.strata import COMMON, Places, constant_mw, governed_mva, suite_of_strata, wind_plant
 from wtg_gym.scenarios.suite import Suite
 
-#: Largest increase of a bus's load, as a share of its own and, for small ones, of the grid's.
-_INCREASE, _LEAST_INCREASE = 1.0, 0.05
+#: Largest increase of a small load, as a share of the grid's; other loads at most double.
+_LEAST_INCREASE = 0.05
 #: Load of a bus that a decrease leaves at the least load level, as a share.
 _LEFT = 0.01
 #: Loads that change, the largest ones.
@@ -39,15 +39,11 @@ _NAME = re.compile(r"[^\W_][\w .()+-]{0,80}")
 _OF_RATED = 0.32, 0.72
 
 
-def all_places(grid: Grid, least_level: float = _LOAD_LEVEL[0]) -> Places:
-    """Return every place where something may happen without taking the network apart.
+def all_places(grid: Grid) -> Places:
+    """Return every place of a network with its groups where something may happen without taking it apart.
 
     Branches with a tap or without charging count as transformers, which do not trip. Loads, machines and groups are not
     lost where that is more than the grid is planned for; a group counts as the machines that it replaces.
-
-    Args:
-        grid: the network with its groups.
-        least_level: least factor on its loads that a decrease may start from [-].
     """
     case, most_mw = grid.with_groups, grid.largest_loss_mw
     large = sorted(case.buses, key=lambda bus: -bus.load_mw)[:_N_LOADS]
@@ -61,11 +57,7 @@ def all_places(grid: Grid, least_level: float = _LOAD_LEVEL[0]) -> Places:
     least = _LEAST_INCREASE * case.load_mw
     return Places(
         load_buses=tuple(
-            (
-                bus.number,
-                round(max(_INCREASE * bus.load_mw, least), 2),
-                round(max(least_level - _LEFT, 0.0) * bus.load_mw, 2),
-            )
+            (bus.number, round(max(bus.load_mw, least), 2), round((_LOAD_LEVEL[0] - _LEFT) * bus.load_mw, 2))
             for bus in loads
         ),
         load_trip_buses=tuple(bus.number for bus in loads if trips_mw[0] <= bus.load_mw <= trips_mw[1]),
@@ -127,15 +119,15 @@ class GridSuite(Checked):
 def suite_of_file(path: str) -> Suite:
     """Return the suite of a file, or the :func:`unscreened` one of a grid's file; a ValueError says what is wrong."""
     # `Path.resolve` raises another error for a link to itself.
-    own = read_suite(where := Path(os.path.realpath(path)))
+    settings = read_suite(where := Path(os.path.realpath(path)))
     with interpreting(where, "suite"):
-        return _made(own, get_grid(own.grid))
+        return _suite_of(settings, get_grid(settings.grid))
 
 
 # Kept by what is in the files of suite and grid, not by when they were written.
 @lru_cache(maxsize=64)
-def _made(own: GridSuite, _grid: Grid) -> Suite:
-    return own.suite
+def _suite_of(settings: GridSuite, _grid: Grid) -> Suite:
+    return settings.suite
 
 
 def read_suite(path: Path) -> GridSuite:
@@ -151,9 +143,9 @@ def _read(path: Path, text: str) -> GridSuite:
         with interpreting(path, "grid"):
             return unscreened(str(path))
     with interpreting(path, "suite"):
-        found: GridSuite = record_of(GridSuite, data)
-        grid = os.path.realpath(path.parent / found.grid) if found.grid.endswith(".json") else found.grid
-        return replace(found, grid=grid)
+        settings: GridSuite = record_of(GridSuite, data)
+        is_file = settings.grid.endswith(".json")
+        return replace(settings, grid=os.path.realpath(path.parent / settings.grid)) if is_file else settings
 
 
 def unscreened(grid: str) -> GridSuite:
@@ -162,30 +154,29 @@ def unscreened(grid: str) -> GridSuite:
     Raises:
         ValueError: it has no load, or the machines that stay cannot give what the wind leaves.
     """
-    found = get_grid(grid)
-    if found.case.load_mw <= 0.0:
-        raise ValueError(f"the loads of grid {grid!r} take {found.case.load_mw:.6g} MW together; a suite needs some")
-    for branch in found.case.branches:
+    data = get_grid(grid)
+    if data.case.load_mw <= 0.0:
+        raise ValueError(f"the loads of grid {grid!r} take {data.case.load_mw:.6g} MW together; a suite needs some")
+    for branch in data.case.branches:
         ends = f"branch {branch.from_bus}-{branch.to_bus}"
         if math.hypot(branch.resistance, branch.reactance) < LEAST_IMPEDANCE:
             raise ValueError(f"{ends} has an impedance below {LEAST_IMPEDANCE:g} p.u., too little for the power flow")
-    own = GridSuite(name=Path(grid).stem, grid=grid, places=all_places(found))
-    plant = own.plant["plant"]
-    own = replace(own, simulation_dt=longest_step(plant))
+    settings = GridSuite(name=Path(grid).stem, grid=grid, places=all_places(data))
+    plant = settings.plant["plant"]
+    settings = replace(settings, simulation_dt=longest_step(plant))
     if (constant := constant_mw(plant)) < 0.0:
         raise ValueError(f"the machines without governor of grid {grid!r} take {-constant:.6g} MW; they must give some")
     # The machines supply the load that the wind leaves, and the losses.
-    load_mw = own.load_level[1] * found.case.load_mw
+    load_mw = settings.load_level[1] * data.case.load_mw
     machines = (governed_mva(plant) + constant) / load_mw
     # Turbines give a part of their rating.
-    sizes = zip(found.groups, plant.turbines, strict=True)
+    sizes = zip(data.groups, plant.turbines, strict=True)
     rated_mw = sum(group.n_turbines * turbine.rated_power_mw for group, turbine in sizes)
-    given = (round(part * rated_mw / found.case.load_mw, 2) for part in _OF_RATED)
-    low, high = map(min, own.wind_share, given)
+    low, high = map(min, settings.wind_share, (round(part * rated_mw / data.case.load_mw, 2) for part in _OF_RATED))
     low = max(low, round(1.0 + LOSSES - _LOADING * machines, 2))
     if low + _WIDTH > 1.0:
         raise ValueError(
             f"the machines of grid {grid!r} give {100.0 * _LOADING * machines:.0f} % of its load of {load_mw:.0f} MW; "
             f"{100.0 * (LOSSES + _WIDTH):.0f} % or more are needed beside the wind"
         )
-    return replace(own, wind_share=(low, max(high, round(low + _WIDTH, 2))))
+    return replace(settings, wind_share=(low, max(high, round(low + _WIDTH, 2))))

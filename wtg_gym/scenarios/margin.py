@@ -11,8 +11,6 @@ Where the network has fallen apart, the part with the least margin counts, of th
 call the same sum, over seasons instead of seconds, generation adequacy.
 """
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 
@@ -44,11 +42,7 @@ class _Machine(NamedTuple):
 
 
 class ReserveMargin:
-    """The reserve margin of scenarios in a plant.
-
-    Args:
-        plant: the grid with its machines and WTG groups.
-    """
+    """The reserve margin of scenarios in a plant."""
 
     def __init__(self, plant: Plant) -> None:
         self._case = case = plant.case
@@ -138,11 +132,6 @@ class ReserveMargin:
             if power_mw > 0.0 and load_mw > 0.0:
                 margins.append(power_mw / load_mw - (1.0 + _LOSSES))
         return min(margins, default=math.inf)
-
-
-def reserve_margin(scenario: Scenario, plant: Plant) -> float:
-    """Return the reserve margin of a scenario in a plant, as a share of the load [-]."""
-    return ReserveMargin(plant).of(scenario)
 
 
 def _size(machine: SynchronousMachineParameters) -> float:

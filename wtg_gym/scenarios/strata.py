@@ -23,30 +23,17 @@ from wtg_gym.tasks import V1
 
 @dataclass(frozen=True, kw_only=True)
 class Places(Checked):
-    """Where events may happen in a grid.
+    """Where events may happen in a grid."""
 
-    Args:
-        load_buses: bus, largest increase and largest decrease there [MW].
-        load_trip_buses: buses whose load may be disconnected, out of these.
-        load_noise_bus: bus of the load noise.
-        line_trips: lines that may trip.
-        fault_lines: lines with a short circuit, its bus first.
-        islandings: sets of lines whose opening leaves a part with WTG groups alone.
-        machine_buses: buses of machines that may be lost in large events.
-        generator_buses: and in extreme ones.
-        governor_buses: buses of machines that may lose their governor.
-        group_trips: whether a WTG group may trip.
-    """
-
-    load_buses: tuple[tuple[int, float, float], ...]
-    load_trip_buses: tuple[int, ...]
+    load_buses: tuple[tuple[int, float, float], ...]  # bus, largest increase and largest decrease there [MW]
+    load_trip_buses: tuple[int, ...]  # buses whose load may be disconnected, out of these
     load_noise_bus: int
     line_trips: tuple[draws.Line, ...]
-    fault_lines: tuple[draws.Line, ...] = ()
-    islandings: tuple[tuple[draws.Line, ...], ...] = ()
-    machine_buses: tuple[int, ...] = ()
-    generator_buses: tuple[int, ...] = ()
-    governor_buses: tuple[int, ...] = ()
+    fault_lines: tuple[draws.Line, ...] = ()  # lines with a short circuit, its bus first
+    islandings: tuple[tuple[draws.Line, ...], ...] = ()  # sets whose opening leaves a part with WTG groups alone
+    machine_buses: tuple[int, ...] = ()  # of machines that may be lost in large events
+    generator_buses: tuple[int, ...] = ()  # and in extreme ones
+    governor_buses: tuple[int, ...] = ()  # of machines that may lose their governor
     group_trips: bool = True
 
     def of_kinds(self) -> dict[str, draws.Changes]:
@@ -180,7 +167,7 @@ def wind_plant(
         grid: its name, or the path of its file.
         groups: the WTG groups.
         generator_mva: rating of the machine at the slack bus, whose gate then opens to 1 p.u.; None: the grid's [MVA].
-        branch_scale: factor on the impedance of every line and transformer [-].
+        branch_scale: factor on the impedance of every branch [-].
         condensers: whether machines without a governor are there.
         simulation_dt: step of the integration [s].
     """

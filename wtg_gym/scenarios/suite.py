@@ -1,7 +1,5 @@
 """A suite of scenarios: its splits, its seeds and its hash."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 import math
@@ -37,16 +35,10 @@ _TEST_SEEDS = range(20_000, 20_200)
 
 @dataclass(frozen=True, kw_only=True)
 class FixedCase:
-    """A case with constant wind and given events.
-
-    Args:
-        name: name of the case.
-        wind_speed_m_s: wind of the groups, repeated if there are more groups [m/s].
-        events: load and line events.
-    """
+    """A case with constant wind and given events."""
 
     name: str
-    wind_speed_m_s: tuple[float, ...]
+    wind_speed_m_s: tuple[float, ...]  # of the groups, repeated if there are more groups [m/s]
     events: tuple[Event, ...]
 
 
@@ -55,7 +47,6 @@ class Suite:
     """A frozen list of scenarios: distributions with seed ranges, or fixed cases with seeds 0, 1, …
 
     Args:
-        name: name of the suite.
         description: one line on what it is about.
         duration_s: length of its runs [s].
         task: what is acted, charged and observed: a version of the benchmark.
@@ -69,9 +60,7 @@ class Suite:
         margins: range of the :class:`~wtg_gym.scenarios.margin.ReserveMargin` of each stratum [-]; its distributions
             are tried in turn, from a seed's own on, until a scenario falls in it.
         cases: the fixed cases, case i having the seed i in every split; empty with distributions.
-        train: seeds to train on.
-        validation: seeds to select on.
-        test: seeds to rank on.
+        train, validation, test: seeds to train, select and rank on.
 
     Raises:
         ValueError: neither or both of distributions and cases, a stratum without a name or a distribution, or splits of
@@ -132,10 +121,7 @@ class Suite:
         return self.strata[seed % len(self.strata)] if self.strata else ""
 
     def margin(self, scenario: Scenario, plant: Plant | None = None) -> float:
-        """Return the reserve margin of a scenario, NaN where strata do not follow from it.
-
-        It is that which the scenario was drawn with, else that in a plant, None for the suite's.
-        """
+        """Return the margin that a scenario was drawn with, else that in a plant; NaN where strata do not follow it."""
         if not self.margins:
             return math.nan
         return self._margins_in(plant).of(scenario) if scenario.reserve_margin is None else scenario.reserve_margin
@@ -143,12 +129,11 @@ class Suite:
     def _margins_in(self, plant: Plant | None) -> ReserveMargin:
         """Return what finds margins: in the suite's plant, whatever is changed but its groups and buses."""
         base = self.plant
-        if plant is None or (plant.groups, plant.case.bus_numbers) == (base.groups, base.case.bus_numbers):
-            return self._own_margins
-        return ReserveMargin(plant)
+        is_other = plant and (plant.groups, plant.case.bus_numbers) != (base.groups, base.case.bus_numbers)
+        return ReserveMargin(plant) if plant and is_other else self._usual_margins
 
     @cached_property
-    def _own_margins(self) -> ReserveMargin:
+    def _usual_margins(self) -> ReserveMargin:
         return ReserveMargin(self.plant)
 
     def cost_offset(self, scenario: Scenario, plant: Plant | None = None) -> float:
@@ -169,14 +154,7 @@ class Suite:
         return ", ".join(f"{split} {seeds.start} … {seeds.stop - 1}" for split, seeds in texts)
 
     def seeds(self, split: str) -> range:
-        """Return the seeds of a split.
-
-        Args:
-            split: "train", "validation" or "test".
-
-        Raises:
-            ValueError: the split is unknown; the message lists them.
-        """
+        """Return the seeds of the split "train", "validation" or "test"; a ValueError lists them."""
         if split not in SPLITS:
             raise ValueError(f"unknown split {split!r}; known splits: {', '.join(SPLITS)}{did_you_mean(split, SPLITS)}")
         seeds: range = getattr(self, split)
@@ -241,10 +219,7 @@ class Suite:
         duration_s: float,
         margins: ReserveMargin,
     ) -> list[Scenario]:
-        """Draw scenarios, those of a distribution together, until all fall in the margins of their strata.
-
-        Episodes shorter than the suite's may end before any event can leave so little: then the last draw counts.
-        """
+        # Episodes shorter than the suite's may end before any event can leave so little: then the last draw counts.
         accepted: dict[int, Scenario] = {}
         missing = list(range(len(seeds)))
         for attempt in range(_MOST_ATTEMPTS):
@@ -297,23 +272,16 @@ class Suite:
             for seed, case in zip(seeds, cases, strict=True)
         ]
 
-    def _hashed_sources(self) -> dict[str, Any] | None:
-        """Its distribution as it enters the hash, or those of each stratum by its name; None for fixed cases."""
-        data = {stratum: [draw.hashed() for draw in draws] for stratum, draws in self.drawn_from.items()}
-        return data[""][0] if "" in data else data or None
-
     @cached_property
     def hash(self) -> str:
-        """SHA-256 of the settings, the seed ranges and the drawn test and validation scenarios, as hex digits.
-
-        Numbers of drawn scenarios enter with six decimals: platforms differ in the last bits of exp and FFT.
-        """
+        """SHA-256 of settings, seed ranges and drawn test and validation scenarios, to six decimals, as hex digits."""
         seeds = {split: self.seeds(split) for split in SPLITS}
+        sources = {stratum: [draw.hashed() for draw in draws] for stratum, draws in self.drawn_from.items()}
         drawn = [_fingerprint(scenario) for split in SPLITS[1:] for scenario in self.scenarios(seeds[split])]
         data = {
             "name": self.name,
             "duration_s": self.duration_s,
-            "distribution": self._hashed_sources(),
+            "distribution": sources[""][0] if "" in sources else sources or None,
             "cases": [asdict(case) for case in self.cases],
             "splits": {split: [s.start, s.stop, s.step] for split, s in seeds.items()},
             "drawn": drawn,

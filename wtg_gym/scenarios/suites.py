@@ -3,8 +3,6 @@
 A change of anything here, or of what is drawn, changes the hash. It is then a new version of the benchmark.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from types import MappingProxyType
 from typing import Any

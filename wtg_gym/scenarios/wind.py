@@ -1,13 +1,10 @@
 """Wind as a WTG group feels it: turbulence averaged over rotor and group, gusts and ramps; the noise of the load.
 
-A rotor averages the wind over its disk and a group averages it over its turbines, so the wind that drives a
-group is far smoother than the wind at a point. Both averages follow here from one coherence function, that of
-IEC 61400-1 ed. 3, annex B, and both are filters |H(f)|² on the Kaimal spectrum.
+The averages over the rotor's disk and over the turbines of a group follow from one coherence function, that of
+IEC 61400-1 ed. 3, annex B; both are filters |H(f)|² on the Kaimal spectrum.
 
-Everywhere here a frequency is of any shape [Hz], and the mean wind is the mean wind speed U [m/s].
+Everywhere here frequencies and instants are of any shape [Hz, s], and the mean wind is the mean wind speed U [m/s].
 """
-
-from __future__ import annotations
 
 import math
 from collections.abc import Sequence
@@ -54,18 +51,16 @@ def ntm_sigma(mean_wind_m_s: float, turbulence_intensity: float) -> float:
 def kaimal_spectrum(frequency_hz: FloatArray, mean_wind_m_s: float, sigma_m_s: float) -> FloatArray:
     """Return the one-sided Kaimal spectrum of the longitudinal wind at a point [(m/s)²/Hz].
 
-        sigma_m_s: standard deviation; the spectrum integrates to its square [m/s].
-
-    Source: IEC 61400-1 ed. 3, annex B, eq. B.14.
+    It integrates to the square of the standard deviation [m/s]. Source: IEC 61400-1 ed. 3, annex B, eq. B.14.
     """
     time_scale_s = LENGTH_SCALE_M / mean_wind_m_s
     return sigma_m_s**2 * 4.0 * time_scale_s / (1.0 + 6.0 * frequency_hz * time_scale_s) ** (5.0 / 3.0)
 
 
 def coherence_decay(frequency_hz: FloatArray, mean_wind_m_s: float) -> FloatArray:
-    """Return the decay a of the coherence exp(-a r) with the distance r [1/m].
+    """Return a = 12 sqrt((f/U)² + (0.12/L_c)²) of the coherence exp(-a r) over the distance r [1/m].
 
-    Source: IEC 61400-1 ed. 3, annex B, eq. B.16, a = 12 sqrt((f/U)² + (0.12/L_c)²).
+    Source: IEC 61400-1 ed. 3, annex B, eq. B.16.
     """
     return _COHERENCE_DECAY * np.hypot(frequency_hz / mean_wind_m_s, _COHERENCE_OFFSET / LENGTH_SCALE_M)
 
@@ -87,10 +82,7 @@ def _disk_table() -> tuple[FloatArray, FloatArray]:
 
 
 def disk_mean_coherence(decay_radii: FloatArray) -> FloatArray:
-    """Return the mean of exp(-a r) over all pairs of points of a disk [-].
-
-    It is a function of decay times radius a R, of any shape, in 1e-4 … 1e4, and held constant beyond [-].
-    """
+    """Return the mean of exp(-a r) over all pairs of points of a disk [-], by a R in 1e-4 … 1e4, constant beyond."""
     log_decay, log_mean = _disk_table()
     return np.exp(np.interp(np.log(decay_radii), log_decay, log_mean))
 
@@ -101,10 +93,7 @@ def rotor_filter(frequency_hz: FloatArray, mean_wind_m_s: float) -> FloatArray:
 
 
 def group_filter(frequency_hz: FloatArray, mean_wind_m_s: float, n_turbines: float) -> FloatArray:
-    """Return |G(f)|² = 1/n + (1 - 1/n) coh(f, d), what averaging over the turbines of a group leaves [-].
-
-    n_turbines: number n of turbines, not necessarily whole; below 1 it counts as 1 [-].
-    """
+    """Return |G(f)|² = 1/n + (1 - 1/n) coh(f, d), what averaging over n turbines leaves [-]; n below 1 counts as 1."""
     alone = min(1.0, 1.0 / n_turbines)
     return alone + (1.0 - alone) * np.exp(-TURBINE_SPACING_M * coherence_decay(frequency_hz, mean_wind_m_s))
 
@@ -113,29 +102,24 @@ def group_filter(frequency_hz: FloatArray, mean_wind_m_s: float, n_turbines: flo
 def period_length(n_samples: int) -> int:
     """Return the number of samples of the period that a synthesised series is cut from.
 
-    At least twice the series, because a series as long as its period would end where it began; and a product of
-    twos, threes and fives, which are quick to transform.
+    Twice the series at least, because one as long as its period would end where it began; of a quick transform.
     """
     length: int = 2 * next_fast_len(n_samples, real=True)
     return length
 
 
-def resolved_frequencies(n_period: int, dt_s: float = SERIES_DT) -> FloatArray:
+def resolved_frequencies(n_period: int) -> FloatArray:
     """Return the frequencies of the harmonics of a period of `n_period` samples, zero included [Hz]."""
-    return np.arange(n_period // 2 + 1) / (n_period * dt_s)
+    return np.arange(n_period // 2 + 1) / (n_period * SERIES_DT)
 
 
-def spectrum_amplitude(spectrum: FloatArray, n_period: int, dt_s: float = SERIES_DT) -> FloatArray:
-    """Return the scale of the Fourier coefficients that give a series this one-sided spectrum.
+def spectrum_amplitude(spectrum: FloatArray, n_period: int) -> FloatArray:
+    """Return the scale of the Fourier coefficients of a series with a one-sided spectrum, (n_frequencies,) [unit²/Hz].
 
-    Coefficients of standard normal real and imaginary parts, times this, are those of a Gaussian series.
-
-    Args:
-        spectrum: values at :func:`resolved_frequencies`, shape (n_frequencies,) [unit²/Hz].
-        n_period: samples of the period, even.
-        dt_s: sampling step [s].
+    Coefficients of standard normal real and imaginary parts, times this, are those of a Gaussian series. The spectrum
+    is that at :func:`resolved_frequencies`, for an even number of samples.
     """
-    amplitude = 0.5 * n_period * np.sqrt(spectrum / (n_period * dt_s))
+    amplitude = 0.5 * n_period * np.sqrt(spectrum / (n_period * SERIES_DT))
     # Mean and Nyquist harmonic have a real coefficient only.
     amplitude[[0, -1]] *= math.sqrt(2.0)
     return amplitude
@@ -154,10 +138,9 @@ def _tabulated_amplitude(mean_tenth_m_s: int, n_turbines: float, n_period: int) 
 
 
 def turbulence_amplitude(mean_wind_m_s: float, n_turbines: float, n_period: int) -> FloatArray:
-    """Return the scale of the coefficients of rotor-effective, group-averaged turbulence of zero mean.
+    """Return the scale of the coefficients of rotor-effective, group-averaged turbulence, of 1 m/s at a point.
 
-    It is for a standard deviation of 1 m/s at a point, and a period of `n_period` samples, even, `SERIES_DT` apart. The
-    shape of the spectrum is that of the mean wind rounded to 0.1 m/s, so that it is worked out only once.
+    The shape of the spectrum is that of the mean wind rounded to 0.1 m/s, so that it is worked out only once.
     """
     return _tabulated_amplitude(round(10.0 * mean_wind_m_s), n_turbines, n_period)
 
@@ -165,9 +148,7 @@ def turbulence_amplitude(mean_wind_m_s: float, n_turbines: float, n_period: int)
 def extreme_operating_gust(time_s: FloatArray, start_s: float, size_m_s: float) -> FloatArray:
     """Return the change of wind in an extreme operating gust: a dip, a peak and a dip in 10.5 s [m/s].
 
-    The instants are of any shape; the size is V_gust, about the rise from the dip to the peak.
-
-    Source: IEC 61400-1 ed. 3, eq. 18.
+    The size is V_gust, about the rise from the dip to the peak. Source: IEC 61400-1 ed. 3, eq. 18.
     """
     phase = np.clip((time_s - start_s) / GUST_DURATION_S, 0.0, 1.0) * math.pi
     return -0.37 * size_m_s * np.sin(3.0 * phase) * (1.0 - np.cos(2.0 * phase))
@@ -190,10 +171,8 @@ def coherent_ramp(time_s: FloatArray, start_s: float, change_m_s: float, ramp_s:
 def share_of_load(mean_winds: Sequence[float], turbines: Sequence[float], load_mw: float) -> float:
     """Return the share of a load that turbines at nominal reserve cover; mean wind and turbines of each WTG group."""
     turbine_mw, per_cubic_wind = _turbine_power()
-    given_mw = (
-        n * turbine_mw * min(per_cubic_wind * wind**3, 1.0) for n, wind in zip(turbines, mean_winds, strict=True)
-    )
-    return sum(given_mw) / load_mw
+    sizes = zip(turbines, mean_winds, strict=True)
+    return sum(n * turbine_mw * min(per_cubic_wind * wind**3, 1.0) for n, wind in sizes) / load_mw
 
 
 @lru_cache(maxsize=1)
@@ -210,8 +189,7 @@ def _turbine_power() -> tuple[float, float]:
 def noise_amplitude(correlation_s: float, n_period: int) -> FloatArray:
     """Return the scale of each Fourier coefficient of a stationary Ornstein-Uhlenbeck series of variance 1.
 
-    Its samples are a first-order autoregression with phi = exp(-dt/T), whose spectrum is
-    2 dt (1 - phi²)/(1 - 2 phi cos(2π f dt) + phi²).
+    It is a first-order autoregression with φ = exp(-dt/T), of the spectrum 2 dt (1 - φ²)/(1 - 2 φ cos(2π f dt) + φ²).
     """
     phi = math.exp(-SERIES_DT / correlation_s)
     angle = 2.0 * math.pi * SERIES_DT * resolved_frequencies(n_period)
@@ -223,10 +201,7 @@ def noise_amplitude(correlation_s: float, n_period: int) -> FloatArray:
 
 @lru_cache(maxsize=64)
 def noise_decay(correlation_s: float, n_samples: int) -> FloatArray:
-    """Return exp(-t/T) at every sample t.
-
-    A stationary series minus exp(-t/T) times its first value is the process that starts at zero.
-    """
+    """Return exp(-t/T) at every sample: a stationary series minus this times its first value starts at zero."""
     decay: FloatArray = np.exp(-SERIES_DT / correlation_s * np.arange(n_samples))
     decay.setflags(write=False)
     return decay

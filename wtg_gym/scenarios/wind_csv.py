@@ -1,7 +1,5 @@
 """A measured wind series from a CSV file, checked line by line."""
 
-from __future__ import annotations
-
 import math
 import os
 from pathlib import Path
@@ -25,17 +23,11 @@ _FORMAT = "time_s,wind_1_m_s,wind_2_m_s,… (time [s] first, then one column of 
 
 
 def read_wind_csv(path: str | os.PathLike[str], *, duration_s: float | None = None) -> tuple[FloatArray, float]:
-    """Read wind speeds per WTG group from a CSV file with a header row and a uniform time step.
+    """Return wind speeds (n_wtg, n_samples) [m/s] and their time step [s] from a CSV file, ready for a `Scenario`.
 
-    Args:
-        path: CSV file in UTF-8: `time_s` first, then one column per WTG group of any name [m/s].
-        duration_s: length the series has to cover, which it is cut to; None takes the whole file [s].
-
-    Returns:
-        The wind speed, shape (n_wtg, n_samples) [m/s], and its time step [s], ready for a `Scenario`.
-
-    Raises:
-        ValueError: not such a file; the message names file, line, value and what is allowed.
+    The file is UTF-8, has a header and a uniform time step: `time_s` first, then one column per WTG group of any name
+    [m/s]. The series is cut to `duration_s`, None takes all [s]. A ValueError names file, line, value and what is
+    allowed.
     """
     raw = read_bytes(Path(path), "wind series")
     with interpreting(Path(path), "wind series"):

@@ -15,8 +15,6 @@ Compiling takes some ten seconds, so it is reported: in a terminal by a line tha
 logger "wtg_gym" warns once, with the folder. `logging.getLogger("wtg_gym").setLevel(logging.ERROR)` silences both.
 """
 
-from __future__ import annotations
-
 import contextlib
 import functools
 import gc

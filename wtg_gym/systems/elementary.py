@@ -4,8 +4,6 @@ Libm would be called for one lane after the other. These are polynomials on a re
 bits in every lane, and as close to libm as the tests say.
 """
 
-from __future__ import annotations
-
 import math
 from fractions import Fraction
 
@@ -13,8 +11,7 @@ from fractions import Fraction
 def fma(a: float, b: float, c: float) -> float:
     """Return a·b + c, rounded once.
 
-    It is asked for by name where it pays. Left to itself the compiler might fuse in a batch and not in a single
-    environment, or on one processor and not on another.
+    Left to itself the compiler might fuse in a batch and not in a single environment, or on one processor alone.
     """
     if not math.isfinite(c):
         return c if math.isfinite(a) and math.isfinite(b) else a * b + c
@@ -29,10 +26,7 @@ def fma(a: float, b: float, c: float) -> float:
 
 
 def select(condition: bool, value: float, other: float) -> float:
-    """Return one of two numbers.
-
-    Equations say it by name, and so need no branch: a tool that traces them replaces this one function.
-    """
+    """Return one of two numbers, without a branch in what is traced."""
     return value if condition else other
 
 

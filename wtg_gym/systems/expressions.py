@@ -168,12 +168,7 @@ def is_finite(a: Any) -> Any:
 
 
 class Cells:
-    """A table (n, m, 16) among the numbers that a program reads; which cell it is has no slope.
-
-    Args:
-        first: place of its first number among them.
-        n, m: its cells, with 16 numbers each.
-    """
+    """A table (n, m, 16) from a place on among the numbers that a program reads; which cell it is has no slope."""
 
     #: Its numbers, in their order.
     LEAVES = ("first", "n", "m")
@@ -324,10 +319,7 @@ ARITHMETIC: dict[str, Any] = {
 
 
 def retargeted(function: Any, done: dict[Any, Any] | None = None) -> Callable[..., Any]:
-    """Return a function's source as a function whose names, and its callees', have the meanings of `ARITHMETIC`.
-
-    `done` has the functions that were found before.
-    """
+    """Return a function's source as a function whose names, and its callees', have the meanings of `ARITHMETIC`."""
     done = {} if done is None else done
     source = getattr(function, "py_func", function)
     if source in done:
@@ -366,7 +358,6 @@ class _Retargeted:
 
 
 def _names_in(code: types.CodeType) -> Iterator[str]:
-    """Yield the global names that a function's code, and functions within it, mention."""
     yield from code.co_names
     for constant in code.co_consts:
         if isinstance(constant, types.CodeType):

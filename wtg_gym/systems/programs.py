@@ -155,13 +155,9 @@ def _with(entries: Sequence[Any], joining: Mapping[str, Sequence[System]]) -> It
 
 
 class Program:
-    """A list of entries, and where they stand in the table of all programs.
+    """A list of systems and control blocks, the program of a number among those that share a table.
 
-    Args:
-        name: of the program.
-        entries: systems and control blocks.
-        number: of the program among those that share a table.
-        joining: systems of devices, by the places where they join.
+    `joining` has systems of devices, by the places where they join.
     """
 
     def __init__(
@@ -193,7 +189,7 @@ class Program:
 
     def tape_rows(self, plant: MemoryMap) -> int:
         """Return how many rows a run of the program notes."""
-        return sum(_n_noted(entry) * _n_units(entry, plant) for entry in _flat(self.entries))
+        return sum(_tape_rows(entry, plant) for entry in _flat(self.entries))
 
 
 def _content(entry: Any) -> tuple[Any, ...]:
@@ -229,18 +225,12 @@ def _n_units(entry: Any, plant: MemoryMap) -> int:
     return plant.n_units(entry.units) if isinstance(entry, Product) else 1
 
 
-def _n_noted(entry: Any) -> int:
-    """Return how many rows an entry notes on a tape for each unit."""
-    return len(entry.noted) if isinstance(entry, System) else 0
+def _tape_rows(entry: Any, plant: MemoryMap) -> int:
+    return len(entry.noted) * _n_units(entry, plant) if isinstance(entry, System) else 0
 
 
 def build_table(programs: Sequence[Program], plant: MemoryMap, taped: Sequence[Program] = ()) -> Tables:
-    """Return the tables of programs for a plant.
-
-    Args:
-        programs, plant: what the table is for.
-        taped: those of them that have a way back.
-    """
+    """Return the tables of programs for a plant; `taped` are those of them that have a way back."""
     head = np.zeros((_MOST * len(programs), HEAD), dtype=np.int64)
     rows, numbers, cells = list[int](), list[float](), dict[Any, int]()
     for program in programs:
@@ -248,7 +238,7 @@ def build_table(programs: Sequence[Program], plant: MemoryMap, taped: Sequence[P
         for entry in _flat(program.entries):
             row, n = head[program.places[id(entry)]], _n_units(entry, plant)
             row[:] = n, head.size + len(rows), len(numbers), n_taped
-            n_taped += _n_noted(entry) * n if program in taped else 0
+            n_taped += _tape_rows(entry, plant) if program in taped else 0
             if isinstance(entry, System):
                 # Tables of cells come before the constants of the system.
                 values = _constants_of(entry, plant, n, numbers, cells)
@@ -266,12 +256,9 @@ def build_table(programs: Sequence[Program], plant: MemoryMap, taped: Sequence[P
 def constant_places(
     programs: Sequence[Program], plant: MemoryMap, tables: Tables, argument: str, leaf: str, unit: int | None
 ) -> list[int]:
-    """Return where among its numbers a table has a constant.
+    """Return where among its numbers a table has a constant, as :func:`build_table` was given and returned.
 
-    Args:
-        programs, plant, tables: as :func:`build_table` was given and returned.
-        argument, leaf: of the constant, as in "machine" and "governor.droop".
-        unit: whose constant, among those of its kind; None for all of them.
+    Argument and leaf are as in "machine" and "governor.droop"; the unit is None for all of its kind.
     """
     indices = []
     for program in programs:
@@ -290,29 +277,21 @@ def constant_places(
 
 
 def _product_rows(entry: Product, plant: MemoryMap) -> list[int]:
-    of = entry.of or entry.units
-    parts = (entry.pairs, entry.matrix), (entry.units, entry.vector), (of, entry.result)
-    places = [row for kind, part in parts for row in _stride(kind, part, plant)]
+    """Return, of matrix, vector and result, the first row and how many rows later that of the next unit is."""
+    of, places = entry.of or entry.units, list[int]()
+    for kind, part in (entry.pairs, entry.matrix), (entry.units, entry.vector), (of, entry.result):
+        rows = plant.first_rows(kind, part)
+        places += [int(rows[0]) if rows.size else 0, int(rows[1] - rows[0]) if rows.size > 1 else 0]
     return [*places, plant.n_units(of) if plant.n_units(entry.pairs) else 0]
 
 
-def _stride(kind: Kind, part: str, plant: MemoryMap) -> list[int]:
-    """Return the first row of a part of the first unit, and how many rows later that of the next is."""
-    rows = plant.first_rows(kind, part)
-    return [int(rows[0]) if rows.size else 0, int(rows[1] - rows[0]) if rows.size > 1 else 0]
-
-
 def _system_rows(system: System, plant: MemoryMap, n: int) -> list[int]:
-    if n == 0:
-        return []
-    columns = [_rows_of(system.kind, system.places[name], plant) for name in system.slots]
-    rows: list[int] = np.stack(columns, axis=1).ravel().tolist()
-    return rows
-
-
-def _rows_of(kind: Kind, place: Place, plant: MemoryMap) -> Whole:
-    rows = plant.first_rows(place.kind, place.part) + place.offset
-    return rows if not place.seen else rows[plant.seen(kind, place.seen)]
+    columns = []
+    for place in (system.places[name] for name in system.slots) if n else ():
+        rows = plant.first_rows(place.kind, place.part) + place.offset
+        columns.append(rows[plant.seen(system.kind, place.seen)] if place.seen else rows)
+    flat: list[int] = np.stack(columns, axis=1).ravel().tolist() if columns else []
+    return flat
 
 
 def _constants_of(system: System, plant: MemoryMap, n: int, numbers: list[float], cells: dict[Any, int]) -> list[float]:

@@ -5,8 +5,6 @@ functions it is called, and again only if its own equations change. Numba would 
 callers, and into each of theirs, and compile it there again.
 """
 
-from __future__ import annotations
-
 import ctypes
 import functools
 from collections.abc import Callable, Iterable, Mapping, Sequence

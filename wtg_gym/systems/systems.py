@@ -101,28 +101,20 @@ class Kind:
 
     The full name of a part is its label and its own name: "own_heat" in the unit itself, "unit_voltage" in a unit seen
     by the label "unit". That of a number within a record goes on: "own_state_pitch_angle". Systems use a full name, or
-    any end of it that no other place has.
-
-    Args:
-        name: of the kind, in the plural; no other kind has it, and a copy is the same kind.
-        rows: parts that every lane keeps, by name: record classes, or float.
-        scratch: parts that last for a control step only.
-        constants: what is known of a unit before a run.
-        sees: other kinds whose parts its systems may name, by a label; of one that ends with "_" by full names only.
-        states: parts that the integration moves. Each has three more in scratch, which are named as a whole: "x_rates",
-            and the integration's own "x_base" and "x_sum".
-        conditions: what a plant may have or lack, so that systems of the kind, and of those that see it, act or not.
-
-    Raises:
-        TypeError: a state is no part in rows, two parts have one name, or a label is "own".
+    any end of it that no other place has. A TypeError says that a state is no part in rows, that two parts have one
+    name, or that a label is "own".
     """
 
-    name: str
-    rows: Mapping[str, Any] = field(default_factory=dict)
-    scratch: Mapping[str, Any] = field(default_factory=dict)
-    constants: Mapping[str, Any] = field(default_factory=dict)
+    name: str  # in the plural; no other kind has it, and a copy is the same kind
+    rows: Mapping[str, Any] = field(default_factory=dict)  # parts that every lane keeps: record classes, or float
+    scratch: Mapping[str, Any] = field(default_factory=dict)  # parts that last for a control step only
+    constants: Mapping[str, Any] = field(default_factory=dict)  # what is known of a unit before a run
+    #: Other kinds whose parts its systems may name, by a label; of one that ends with "_" by full names only.
     sees: Mapping[str, Kind] = field(default_factory=dict)
+    #: Parts that the integration moves. Each has three more in scratch, which are named as a whole: "x_rates", and the
+    #: integration's own "x_base" and "x_sum".
     states: tuple[str, ...] = ()
+    #: What a plant may have or lack, so that systems of the kind, and of those that see it, act or not.
     conditions: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
@@ -158,14 +150,9 @@ class Kind:
         return parts[part]
 
     def find(self, name: str, subject: str = "") -> Place:
-        """Return what a name means to the systems of the kind.
+        """Return what a name, or the end of one, means to the systems of the kind.
 
-        Args:
-            name: a full name, or the end of one.
-            subject: how the error begins; otherwise with the name.
-
-        Raises:
-            TypeError: nothing has the name, or several places have it.
+        A TypeError, which begins with `subject` or the name, says that nothing has it, or that several places have it.
         """
         places = self.meanings(name)
         if len(places) == 1:
@@ -258,27 +245,17 @@ class Adjoint(NamedTuple):
 class System:
     """A pure function over the units of a kind; :func:`system` makes it.
 
-    Args:
-        kind: whose units it is applied to.
-        equation: the function.
-        writes: the parts that its result, or the entries of that tuple, replace.
-        when: one of the conditions of the kind, or of those that it sees, under which the system acts; None for any.
-        backward: another function of the same arguments that has the derivatives to follow; None for the equation.
-        arguments: their names, where the function takes any.
-        origin: function and arguments that make it again; None for a function of a module.
-
-    Raises:
-        TypeError: a name means nothing, or several things; an annotation is not the record that the name means; `when`
-            is no condition; or `backward` has other arguments.
+    A TypeError says that a name means nothing, or several things, that an annotation is not the record that the name
+    means, that `when` is no condition, or that `backward` has other arguments.
     """
 
     kind: Kind
     equation: Callable[..., Any]
-    writes: tuple[str, ...]
-    when: str | None = None
-    backward: Callable[..., Any] | None = None
-    arguments: tuple[str, ...] = ()
-    origin: tuple[Any, ...] | None = None
+    writes: tuple[str, ...]  # parts that its result, or the entries of that tuple, replace
+    when: str | None = None  # condition of the kind, or of those that it sees, under which it acts; None for any
+    backward: Callable[..., Any] | None = None  # another function of the same arguments that has the derivatives
+    arguments: tuple[str, ...] = ()  # their names, where the function takes any
+    origin: tuple[Any, ...] | None = None  # function and arguments that make it again; None for one of a module
 
     def __post_init__(self) -> None:
         kinds = dict.fromkeys((self.kind, *self.kind.sees.values()))
@@ -304,27 +281,23 @@ class System:
                 )
 
     def _annotations(self) -> dict[str, Any]:
-        """Return what the arguments are annotated with, of those that are."""
         if self.arguments:
             return {}
         function = inspect.unwrap(self.equation)
         cells = zip(function.__code__.co_freevars, function.__closure__ or (), strict=True)
-        known = {name: cell.cell_contents for name, cell in cells}
+        # A class that is defined within a function, and that the equation does not use, is known by its name only.
+        known = {place.record.__name__: place.record for place in self.places.values()}
+        known |= {**function.__globals__, **{name: cell.cell_contents for name, cell in cells}}
         try:
             hints = get_type_hints(self.equation, localns=known)
-        except NameError:
-            # A class that is defined within a function, and that the equation does not use, is known by its name only.
-            known |= {place.record.__name__: place.record for place in self.places.values()}
-            try:
-                hints = get_type_hints(self.equation, localns=known)
-            except NameError as error:
-                raise TypeError(f"an annotation of system {self.name!r} is unknown: {error}") from error
+        except NameError as error:
+            raise TypeError(f"an annotation of system {self.name!r} is unknown: {error}") from error
         return {name: hint for name, hint in hints.items() if name in self.arguments_named}
 
     def __reduce__(self) -> tuple[Any, ...]:
         if self.origin is not None:
             return self.origin
-        module, name = self.equation.__module__, self.equation.__qualname__
+        module, name = self.equation.__module__, self.name
         if getattr(sys.modules.get(module), name, None) is not self:
             raise pickle.PicklingError(f"system {name!r} cannot be pickled: module {module} has none of this name")
         return _of_module, (module, name)
@@ -430,27 +403,19 @@ class System:
     def _argument(self, name: str, trace: Trace) -> Any:
         record = self.places[name].record
         if self.places[name].has_rows:
-            return built(record, self._symbols(name, record, trace))
+            inputs = {ex.symbol(f"{name}[{k}]"): (name, k) for k in range(count(record))}
+            trace.inputs.update(inputs)
+            return built(record, iter(inputs))
         if self.places[name].where == "scalars":
             symbol = ex.symbol(name)
             trace.scalars[symbol] = name
             return symbol
-        values = self._constants(name, record, trace)
-        return ex.Cells(*values) if record is ex.Cells else built(record, values)
-
-    @staticmethod
-    def _symbols(name: str, record: Any, trace: Trace) -> Iterator[Any]:
-        for place in range(count(record)):
-            symbol = ex.symbol(f"{name}[{place}]")
-            trace.inputs[symbol] = (name, place)
-            yield symbol
-
-    @staticmethod
-    def _constants(name: str, record: Any, trace: Trace) -> Iterator[Any]:
+        values = []
         for leaf, hint in constants_of(name, record):
             symbol = ex.symbol(leaf)
             trace.constants[symbol] = leaf
-            yield symbol != 0.0 if hint is bool else symbol
+            values.append(symbol != 0.0 if hint is bool else symbol)
+        return ex.Cells(*values) if record is ex.Cells else built(record, iter(values))
 
 
 def _parameters(function: Callable[..., Any]) -> tuple[str, ...]:

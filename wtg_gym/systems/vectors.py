@@ -4,8 +4,6 @@ Rows may lie anywhere, and numbers of units are known when the code runs: both a
 is left for the compiler to find, and none over rows, so that one compilation serves every plant.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import Any
@@ -21,19 +19,19 @@ _DOUBLE, _WHOLE, _BIT = ir.DoubleType(), ir.IntType(64), ir.IntType(1)
 #: Operations that are polynomials of others, and what they are applied to.
 _POLYNOMIALS = {"sine": elementary.sine_cosine, "cosine": elementary.sine_cosine, "exponential": elementary.exponential}
 _COMPARED = {"lt": "<", "le": "<=", "eq": "=="}
-_DIRECT = {"add": "fadd", "sub": "fsub", "mul": "fmul", "div": "fdiv", "neg": "fneg", "and": "and_", "or": "or_"}
+_DIRECT = {
+    **{"add": "fadd", "sub": "fsub", "mul": "fmul", "div": "fdiv", "neg": "fneg"},
+    **{"and": "and_", "or": "or_", "invert": "not_", "select": "select"},
+}
 _INTRINSIC = {"fma": "fma", "sqrt": "sqrt", "abs": "fabs", "floor": "floor", "ceil": "ceil"}
 #: Functions of libm, called for one lane after the other.
 _OF_LIBM = {"power": "llvm.pow.f64", "sin": "llvm.sin.f64", "cos": "llvm.cos.f64", "atan2": "atan2", "hypot": "hypot"}
 
 
 class Lanes:
-    """Instructions on numbers that have one value per lane: vectors, or plain numbers for a block of one.
+    """Instructions on numbers that have one value per lane: vectors, or plain numbers for a block of width 1.
 
-    Args:
-        builder: where instructions go.
-        width: lanes of a block.
-        numbers: pointer to the numbers that tables lie among.
+    `numbers` is a pointer to the numbers that tables lie among.
     """
 
     def __init__(self, builder: Any, width: int, numbers: Any) -> None:
@@ -96,11 +94,7 @@ class Lanes:
     # --- operations of a trace ----------------------------------------------------------------------------------------
 
     def program(self, symbols: Mapping[ex.Number, Callable[[], Any]]) -> Callable[[Any], Any]:
-        """Return a function that gives numbers of a trace as instructions, with those that they depend on.
-
-        Args:
-            symbols: what gives the symbols among them.
-        """
+        """Return a function that gives numbers of a trace as instructions; `symbols` give the symbols among them."""
         known: dict[Any, Any] = {}
 
         def instruction(number: Any) -> Any:
@@ -142,14 +136,8 @@ class Lanes:
             return builder.fcmp_ordered(_COMPARED[operation], *a)
         if operation == "ne":
             return builder.fcmp_unordered("!=", *a)
-        if operation == "invert":
-            return builder.not_(*a)
-        if operation == "select":
-            return builder.select(*a)
-        if operation == "max":
-            return builder.select(builder.fcmp_ordered(">", a[1], a[0]), a[1], a[0])
-        if operation == "min":
-            return builder.select(builder.fcmp_ordered("<", a[1], a[0]), a[1], a[0])
+        if operation in ("max", "min"):
+            return builder.select(builder.fcmp_ordered(">" if operation == "max" else "<", a[1], a[0]), a[1], a[0])
         if operation in _OF_LIBM:
             signature = ir.FunctionType(_DOUBLE, [_DOUBLE] * len(a))
             function = cgutils.get_or_insert_function(builder.module, signature, _OF_LIBM[operation])
@@ -157,7 +145,8 @@ class Lanes:
         if operation == "noise":
             return self._noise(*a)
         if operation == "cell":
-            return self.each(self._number_at, *a)
+            # Numbers lie among those of the tables.
+            return self.each(lambda at: builder.load(builder.gep(self.numbers, [builder.fptosi(at, _WHOLE)])), *a)
         raise NotImplementedError(operation)
 
     def _noise(self, seed: Any, step: Any, channel: Any) -> Any:
@@ -186,10 +175,6 @@ class Lanes:
             total = builder.add(total, builder.add(builder.and_(word, whole(0xFFFF)), builder.lshr(word, whole(16))))
         deviation = builder.fsub(builder.sitofp(total, self.vector), self.constant(elementary.SUM_MEAN))
         return builder.fmul(deviation, self.constant(1.0 / elementary.SUM_DEVIATION))
-
-    def _number_at(self, place: Any) -> Any:
-        whole = self.builder.fptosi(place, _WHOLE)
-        return self.builder.load(self.builder.gep(self.numbers, [whole]))
 
 
 @contextmanager

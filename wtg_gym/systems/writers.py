@@ -1,7 +1,5 @@
 """The instructions of programs on the lanes of a block: forward, on a tape, and the way back."""
 
-from __future__ import annotations
-
 import functools
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from types import MappingProxyType
@@ -31,7 +29,9 @@ class Writer:
         program: Program,
         known: Mapping[str, float] = MappingProxyType({}),
     ) -> None:
-        self.block, self.scratch, self.table, self.numbers, *self.others = data
+        self.block, self.scratch, self.table, self.numbers, *others = data
+        # On a tape alone; the scratch of the way there, and cotangents of constants, on the way back alone.
+        self.tape, self.matrices, self.constants = (*others, None, None, None)[:3]
         self.builder, self.lanes = builder, Lanes(builder, width, self.numbers)
         self.scalars, self.program, self.known = scalars, program, known
 
@@ -82,7 +82,6 @@ class Writer:
             lanes.store(result, self._at(rows[name], k))
 
     def _rows(self, system: System, unit: Any) -> dict[str, Any]:
-        """Return pointers to the first row of each part that a system names."""
         slots, places = system.slots, system.places
         base = self.builder.add(self._head(system, 1), self.builder.mul(unit, _WHOLE(len(slots))))
         return {
@@ -120,7 +119,6 @@ class Writer:
         return self._pointer(first, row)
 
     def _at(self, first: Any, k: int) -> Any:
-        """Return a pointer to the row k after that of a pointer."""
         return self.builder.gep(first, [_WHOLE(k * self.lanes.width)])
 
     def _is_up(self, entry: When | Repeat) -> Any:
@@ -141,18 +139,16 @@ class Writer:
         builder.position_at_end(done)
 
     def _each(self, entry: Each) -> None:
-        builder = self.builder
         n_outer = self._head(entry.outer, 0)
-        with repeated(builder, n_outer) as unit:
+        with repeated(self.builder, n_outer) as unit:
             self._system(entry.outer, unit)
             self._share(entry, unit, n_outer)
 
     def _share(self, entry: Each, unit: Any, n_outer: Any) -> None:
-        builder = self.builder
-        share = builder.sdiv(self._head(entry.inner, 0), n_outer)
-        first = builder.mul(unit, share)
-        with repeated(builder, share) as inner:
-            self._system(entry.inner, builder.add(first, inner))
+        share = self.builder.sdiv(self._head(entry.inner, 0), n_outer)
+        first = self.builder.mul(unit, share)
+        with repeated(self.builder, share) as inner:
+            self._system(entry.inner, self.builder.add(first, inner))
 
     def _places(self, entry: Any, which: Iterable[int]) -> list[Any]:
         first = self._head(entry, 1)
@@ -224,7 +220,7 @@ class TapedWriter(Writer):
     def _on_tape(self, system: System, unit: Any) -> Any:
         """Return a pointer to the first that a system has noted of a unit."""
         row = self.builder.add(self._head(system, 3), self.builder.mul(unit, _WHOLE(len(system.noted))))
-        return self._pointer(self.others[0], row)
+        return self._pointer(self.tape, row)
 
 
 class NotingWriter(TapedWriter):
@@ -243,24 +239,18 @@ class BackWriter(TapedWriter):
     def write(self, entries: Sequence[Any]) -> None:
         builder = self.builder
         for entry in reversed(entries):
-            if isinstance(entry, System):
-                n = self._head(entry, 0)
+            if isinstance(entry, (System, Each)):
+                outer = entry.outer if isinstance(entry, Each) else entry
+                n = self._head(outer, 0)
                 with repeated(builder, n) as done:
-                    self._system(entry, builder.sub(builder.sub(n, done), _WHOLE(1)))
+                    unit = builder.sub(builder.sub(n, done), _WHOLE(1))
+                    if isinstance(entry, Each):
+                        self._share(entry, unit, n)
+                    self._system(outer, unit)
             elif isinstance(entry, Product):
                 self._product(entry)
-            elif isinstance(entry, Each):
-                self._each_back(entry)
             else:
                 raise NotImplementedError(f"{type(entry).__name__} has no way back of its own")
-
-    def _each_back(self, entry: Each) -> None:
-        builder = self.builder
-        n_outer = self._head(entry.outer, 0)
-        with repeated(builder, n_outer) as done:
-            unit = builder.sub(builder.sub(n_outer, done), _WHOLE(1))
-            self._share(entry, unit, n_outer)
-            self._system(entry.outer, unit)
 
     def _system(self, system: System, unit: Any) -> None:
         lanes, adjoint, rows, noted = self.lanes, system.adjoint, self._rows(system, unit), system.noted
@@ -276,12 +266,9 @@ class BackWriter(TapedWriter):
             pointer, cotangent = self._at(rows[at[0]], at[1]), instruction(adjoint.inputs.get(at, 0.0))
             lanes.store(cotangent if at in written else self.builder.fadd(lanes.load(pointer), cotangent), pointer)
         for name, value in adjoint.constants.items() if self.with_constants else ():
-            self._add_to_constant(system, name, unit, instruction(value))
-
-    def _add_to_constant(self, system: System, name: str, unit: Any, value: Any) -> None:
-        first = self._pointer(self.others[2], self._first_constant(system, unit))
-        pointer = self._at(first, system.constants_used.index(name))
-        self.lanes.store(self.builder.fadd(self.lanes.load(pointer), value), pointer)
+            first_constant = self._pointer(self.constants, self._first_constant(system, unit))
+            pointer = self._at(first_constant, system.constants_used.index(name))
+            lanes.store(self.builder.fadd(lanes.load(pointer), instruction(value)), pointer)
 
     def _product(self, entry: Product) -> None:
         """Pull the cotangents of the result back to the vector; the matrix lies in scratch, and has none."""
@@ -296,7 +283,7 @@ class BackWriter(TapedWriter):
             lanes.store(lanes.constant(0.0), self._at(bar, 1))
             with repeated(builder, n) as j:
                 place = builder.add(builder.mul(i, n), j)
-                y = self._pointer(self.others[1], builder.add(matrix, builder.mul(place, stride)))
+                y = self._pointer(self.matrices, builder.add(matrix, builder.mul(place, stride)))
                 y_re, y_im = lanes.load(y), lanes.load(self._at(y, 1))
                 e = self._pointer(self.scratch, builder.add(vector, builder.mul(j, vector_stride)))
                 to_re = lanes.call("fma", y_re, re, lanes.call("fma", y_im, im, lanes.load(e)))

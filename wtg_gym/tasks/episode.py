@@ -4,8 +4,6 @@ Cost, sensors and observations (:mod:`wtg_gym.tasks.cost`, :mod:`wtg_gym.tasks.s
 :mod:`wtg_gym.tasks.observation`) follow this history.
 """
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 

@@ -4,8 +4,6 @@ A new entry is a field of a record here, with its unit, and a line in the equati
 sensors, as in v1, is in :mod:`wtg_gym.tasks.sensing`.
 """
 
-from __future__ import annotations
-
 from typing import Annotated, Any, NamedTuple, TypeVar
 
 import numpy.typing as npt

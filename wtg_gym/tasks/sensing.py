@@ -3,8 +3,6 @@
 The equations of the sensors stand in :mod:`wtg_gym.physics.sensors`.
 """
 
-from __future__ import annotations
-
 import math
 from typing import Annotated, NamedTuple
 

@@ -1,7 +1,5 @@
 """A task: actions, costs and observations of an environment, and the scale of its score."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field

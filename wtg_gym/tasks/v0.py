@@ -1,7 +1,5 @@
 """Version v0: the paper's system, observed exactly."""
 
-from __future__ import annotations
-
 from wtg_gym.physics.units import Joining
 from wtg_gym.systems.programs import Here
 from wtg_gym.tasks import cost, episode, observation

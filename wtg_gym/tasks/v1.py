@@ -1,7 +1,5 @@
 """Version v1: a grid that depends on the wind, observed through sensors."""
 
-from __future__ import annotations
-
 from wtg_gym.physics.units import Joining
 from wtg_gym.systems.programs import Here
 from wtg_gym.tasks import cost, episode, observation, sensing
