@@ -76,6 +76,22 @@ def test_score_plays_each_folder_on_the_standard_suite_of_its_version(capsys, tm
         assert [entry["name"] for entry in entries if entry["training_seed"] is not None] == [name]
 
 
+def test_pages_about_entries_of_v1_come_with_their_scores(capsys, tmp_path):
+    pytest.importorskip("matplotlib")
+    mine = folder(tmp_path / "mine", models.of_v1(), TOML.replace('environment = "GFMWTG-14bus-v0"', ""))
+    seeds = ("--seeds", "20000", "20001", "20002")
+    assert main(["submission", "score", str(mine), *seeds, "--cards", str(tmp_path / "cards")]) == 0
+    assert {"mine.html", "mine.md"} <= {path.name for path in (tmp_path / "cards").iterdir()}
+    assert "| all, strata count alike | 3 |" in (tmp_path / "cards" / "mine.md").read_text(encoding="utf-8")
+
+
+def test_leaderboard_shows_laws_before_policies_are_played(capsys, tmp_path):
+    arguments = ["leaderboard", "--suite", "paper", "--entries", "mppt", str(folder(tmp_path / "mine"))]
+    assert main([*arguments, "--results", str(tmp_path)]) == 0
+    first, both = capsys.readouterr().out.split("suite paper")[1:]
+    assert "mppt" in first and "Mine" not in first and "Mine" in both
+
+
 def test_check_compares_with_the_entries_beside(capsys, tmp_path):
     old, mine = folder(tmp_path / "old"), folder(tmp_path / "new", toml=OTHER)
     data = json_of(capsys, "submission", "check", str(mine), "--beside", str(old), str(mine), "--json", code=1)

@@ -2,7 +2,7 @@
 
 import dataclasses
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 from cyclopts import Parameter
 
@@ -72,7 +72,7 @@ def leaderboard(
     json: options.Json = False,
     workers: options.WorkerOptions = options.WorkerOptions(),
 ) -> int:
-    """Rank entries on all test scenarios of a suite.
+    """Rank entries on all test scenarios of a suite: laws first, then all.
 
     Episodes are kept in the folder partial beside the results, so that the next call plays only new entries, and those
     whose policy, source code, packages or processor differ. An entry that fails is named with its reason and left out
@@ -91,6 +91,7 @@ def leaderboard(
     from wtg_gym.cli import scoring
     from wtg_gym.evaluation.results import markdown_section
     from wtg_gym.files import update_between_markers
+    from wtg_gym.policies import OnnxPolicy
     from wtg_gym.policies.entry import check_version
     from wtg_gym.scenarios import get_suite
 
@@ -100,9 +101,14 @@ def leaderboard(
     with scoring.kept_parts(results) as partial:
         chosen = scoring.chosen_entries(entries, suite)
         check_version(chosen, get_suite(suite))
-        ranking = scoring.run_evaluation(
-            chosen, suite=suite, split="test", partial=partial, n_threads=threads, workers=processes
-        )
+        how: dict[str, Any] = {"suite": suite, "split": "test", "partial": partial, "n_threads": threads}
+        how["workers"] = processes
+        laws = [entry for entry in chosen if not isinstance(entry.policy, OnnxPolicy)]
+        if not json and laws and len(laws) < len(chosen):
+            # They take seconds, the others minutes.
+            scoring.print_ranking(scoring.run_evaluation(laws, **how))
+            note(f"so much for laws; {len(chosen) - len(laws)} policies follow")
+        ranking = scoring.run_evaluation(chosen, **how)
     # Without its parts, which would be removed once the results are written.
     code = scoring.finish(dataclasses.replace(ranking, parts=None), results, as_json=json)
     for page, section in pages:

@@ -59,10 +59,9 @@ def report(
             chosen[0], entry, seeds=seeds, drawn=drawn, stored=results, n_threads=threads, on_progress=progress.update
         )
     with Progress("sections") as progress:
-        if output.suffix == ".md":
-            files = page.report_markdown(made, output.stem, progress.update)
-        else:
-            files = {output.name: page.report_html(made, progress.update)}
+        files = page.report_markdown(made, output.stem, progress.update)
+    if output.suffix != ".md":
+        files = {output.name: page.report_html(made, files)}
     write_together({output.with_name(name): content for name, content in files.items()})
     note(f"wrote {', '.join(str(output.with_name(name)) for name in files)}")
     return 0

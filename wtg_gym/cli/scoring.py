@@ -123,7 +123,13 @@ def finish(results: Results, folder: Path | None, *, as_json: bool) -> int:
             note(f"wrote {path}")
     if as_json:
         print_json(results.to_dict())
-        return code
+    else:
+        print_ranking(results)
+    return code
+
+
+def print_ranking(results: Results) -> None:
+    """Print the ranking, and what its columns and marks mean."""
     say(f"suite {results.suite} ({results.suite_hash[:12]}), {results.split}: {len(results.seeds)} scenarios", "")
     rows = results.ranking
     columns = columns_of("terminal", rows)
@@ -135,4 +141,3 @@ def finish(results: Results, folder: Path | None, *, as_json: bool) -> int:
     say(*notes_on_marks(rows))
     for text in filter(None, (results.no_score, results.unadjusted)):
         note(text)
-    return code

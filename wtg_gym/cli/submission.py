@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
@@ -11,9 +11,10 @@ from typing import TYPE_CHECKING, Annotated, Literal
 from cyclopts import App, Parameter, validators
 
 from wtg_gym.cli.options import Flag, Json, OutputFolder, SeedOptions, Threads, Words
-from wtg_gym.cli.output import note, print_json, print_table, say
+from wtg_gym.cli.output import note, print_json, print_table, require_extra, say
 
 if TYPE_CHECKING:
+    from wtg_gym.evaluation import Entry, Results
     from wtg_gym.policies.gate import Conflict, Report
 
 Folders = tuple[Annotated[Path, Parameter(validator=validators.Path(exists=True))], ...]
@@ -93,6 +94,7 @@ def score(
     gate: GateOptions = GateOptions(),
     split: Literal["train", "validation", "test"] = "test",
     results: OutputFolder | None = None,
+    cards: OutputFolder | None = None,
     threads: Threads = None,
     json: Json = False,
     seeds: SeedOptions = SeedOptions(),
@@ -109,14 +111,19 @@ def score(
     examples:
       wtg-gym submission score my-policy
       wtg-gym submission score my-policy-* --split validation --results my_results
+      wtg-gym submission score my-policy --cards my_cards
 
     Args:
         folders: folders with entry.toml, policy.onnx and, if there is one, README.md
         split: which seeds of the suite
         results: folder to write results to; made if missing
+        cards: folder for a page in HTML and Markdown on each entry of v1, as of 'wtg-gym report'; made if missing
     """
     from wtg_gym.cli import scoring
     from wtg_gym.scenarios import get_suite
+
+    for package in ("matplotlib", "markdown_it") if cards is not None else ():
+        require_extra(package, "--cards")
 
     planned = {suite: scoring.chosen_scenarios(suite, split, seeds) for suite in _suites(folders)}
     if json and len(planned) > 1:
@@ -128,13 +135,44 @@ def score(
         why = _why_left_out(reports, clashes)
         for reason in dict.fromkeys(why.values()):
             note(f"left out: {reason}")
-        entries = [report.played(weak=gate.weak_isolation) for report in reports if report.folder not in why]
+        entries = {
+            report.folder: report.played(weak=gate.weak_isolation) for report in reports if report.folder not in why
+        }
         codes = [int(bool(why))]
         for name, scenarios in planned.items():
-            if of_suite := [entry for entry in entries if entry.environment == get_suite(name).env_id]:
-                played = scoring.run_evaluation(of_suite, partial=partial, n_threads=threads, **scenarios)
+            if of_suite := {
+                folder: entry for folder, entry in entries.items() if entry.environment == get_suite(name).env_id
+            }:
+                played = scoring.run_evaluation([*of_suite.values()], partial=partial, n_threads=threads, **scenarios)
                 codes.append(scoring.finish(played, results, as_json=json))
+                if cards is not None:
+                    _write_cards(cards, of_suite, played, threads)
     return max(codes)
+
+
+def _write_cards(folder: Path, entries: Mapping[Path, Entry], played: Results, n_threads: int | None) -> None:
+    """Write the pages about entries that were played, of each name about the first, if they are of the page's suite."""
+    from wtg_gym.files import write_together
+    from wtg_gym.plotting import report as page
+    from wtg_gym.progress import Progress
+
+    if (played.suite, played.split) != (page.SUITE, page.SPLIT):
+        return
+    missing = {row["name"] for row in played.entries}
+    for path, entry in entries.items():
+        if entry.name not in missing:
+            continue
+        missing.discard(entry.name)
+        try:
+            made = page.make_report(entry, _shown(path), stored=played, n_threads=n_threads)
+            with Progress("sections") as progress:
+                files = page.report_markdown(made, path.name, progress.update)
+        except ValueError as error:
+            note(f"no page about {entry.name}: {error}")
+            continue
+        files[f"{path.name}.html"] = page.report_html(made, files)
+        write_together({folder / name: content for name, content in files.items()})
+        note(f"wrote {folder / path.name}.html and .md")
 
 
 def _suites(folders: Sequence[Path]) -> list[str]:

@@ -22,7 +22,7 @@ from wtg_gym.physics.layout import (
 from wtg_gym.physics.machine import gate_limits
 from wtg_gym.physics.machine_models import controls_of
 from wtg_gym.physics.machine_parameters import ExciterParameters
-from wtg_gym.physics.network import POWER_FLOW_TOLERANCE, PowerFlow, solve_power_flow, solve_sparse_flow
+from wtg_gym.physics.network import POWER_FLOW_TOLERANCE, PowerFlow, power_flow, solve_sparse_flow
 from wtg_gym.physics.parameters import ConverterLimitParameters, VoltageControlParameters
 from wtg_gym.physics.plant import ISLANDS_AT_MOST, Plant, PlantTables
 from wtg_gym.physics.scenario import Scenario
@@ -155,7 +155,7 @@ FLOW_COLUMNS = PowerFlow(
     flow=OF_STARTING_BUS.flow,
     voltage=OF_STARTING_BUS.at_bus,
 )
-POWER_FLOW = Function(solve_power_flow, 1)
+POWER_FLOW = Function(power_flow, 1)
 #: Compiled for large networks alone.
 SPARSE_FLOW = Function(solve_sparse_flow, 2, numba.int64)
 _flow, _sparse_flow = POWER_FLOW.call, SPARSE_FLOW.call

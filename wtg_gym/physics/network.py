@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from wtg_gym.physics.grid import Branch
-from wtg_gym.systems.compiled import compiled, inlined, internal
+from wtg_gym.systems.compiled import addressed, compiled, inlined, internal
 from wtg_gym.systems.programs import Complex, Floats
 
 #: Largest power mismatch accepted as a power-flow solution [p.u.].
@@ -36,7 +36,7 @@ def _size(value: complex) -> float:
     return abs(value.real) + abs(value.imag)
 
 
-@compiled
+@internal
 def eliminate(a: npt.NDArray) -> bool:  # type: ignore[type-arg]
     """Solve A x = b for several right-hand sides by Gaussian elimination with partial pivoting.
 
@@ -94,8 +94,8 @@ class PowerFlow(NamedTuple):
     voltage: int  # result [p.u.]
 
 
-@compiled
-def solve_power_flow(y: Complex, slack: int, buses: Floats, at: PowerFlow) -> int:
+@addressed
+def power_flow(y: Complex, slack: int, buses: Floats, at: PowerFlow) -> int:
     """Solve the power flow by Newton's method in polar form.
 
     Args:
@@ -132,9 +132,15 @@ def solve_power_flow(y: Complex, slack: int, buses: Floats, at: PowerFlow) -> in
     return -1
 
 
+@compiled
+def solve_power_flow(y: Complex, slack: int, buses: Floats, at: PowerFlow) -> int:
+    """Solve the power flow as :func:`power_flow` does, from Python."""
+    return int(power_flow(y, slack, buses, at))
+
+
 @internal
 def _write_jacobian(a: Floats, turn: Complex, y: Complex, slack: int, buses: Floats, at: PowerFlow) -> float:
-    """Write sensitivities and mismatches of :func:`solve_power_flow` to `a`; return the largest mismatch [p.u.]."""
+    """Write sensitivities and mismatches of :func:`power_flow` to `a`; return the largest mismatch [p.u.]."""
     n, n_unknown = y.shape[0], a.shape[0]
     worst, q_row = 0.0, n - 1
     a[:] = 0.0

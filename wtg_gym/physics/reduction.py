@@ -3,6 +3,7 @@
 import math
 from typing import Any, NamedTuple
 
+import numba
 import numpy as np
 
 from wtg_gym.physics.devices import SOURCES
@@ -10,8 +11,9 @@ from wtg_gym.physics.layout import OF_LANE, Facts, Floats, LaneData, Network, Wh
 from wtg_gym.physics.machine_unit import MACHINES
 from wtg_gym.physics.network import eliminate
 from wtg_gym.physics.units import BUSES, ISLANDS, UNITS
-from wtg_gym.systems.compiled import compiled, inlined, internal
+from wtg_gym.systems.compiled import addressed, compiled, inlined, internal
 from wtg_gym.systems.programs import Complex
+from wtg_gym.systems.routines import Function
 
 _GATE, _REFERENCE, _DROOP = (place_of(MACHINES, name) for name in ("gate", "gate_reference", "inv_droop"))
 _OF_BUS, _OF_UNIT, _OF_ISLAND = offsets_of(BUSES), offsets_of(UNITS), offsets_of(ISLANDS)
@@ -54,7 +56,7 @@ def _write(rows: Floats, at: int, value: complex) -> None:
     rows[at], rows[at + 1] = value.real, value.imag
 
 
-@compiled
+@addressed
 def refresh_network(block: Floats, x: int, lane: int, network: Network, data: LaneData) -> None:
     """Kron-reduce the network of one environment as it is from its present step on, and note when it changes next.
 
@@ -64,20 +66,21 @@ def refresh_network(block: Floats, x: int, lane: int, network: Network, data: La
     """
     facts, events, rows = network.facts, data.events[lane], _rows_of(block, x, network.facts)
     step = rows.lane[OF_LANE.step]
-    following = math.inf
+    following, opens_lines = math.inf, False
     for e in range(events.shape[0]):
+        opens_lines |= events[e].branch >= 0
         following = min(following, _next_change(events[e], step, facts))
         _strike(events[e], step, rows, network)
     if facts.shares_frequency > 0.0:
         following = min(following, _next_interval(step, facts))
     rows.lane[OF_LANE.last_change], rows.lane[OF_LANE.next_change] = step, following
-    if facts.islands.n_units > 1 and (events.branch >= 0).any():
-        _find_islands(rows, network, events)
+    if facts.islands.n_units > 1 and opens_lines:
+        _islands(network.tables, (block, x, lane, network, data))
     _shed(rows, network, events)
     n, n_bus = network.unit_y.shape[0], network.shunts.shape[0]
     # Columns of the bus impedance matrix: of the units' buses, then of the load noise's.
     z, unit_y = np.empty((n_bus, n_bus + n + 1), dtype=np.complex128), np.empty(n, dtype=np.complex128)
-    assemble(z, unit_y, block, x, lane, network, data)
+    _assemble(z, unit_y, rows, network, events)
     _reduce(z, unit_y, rows, network)
 
 
@@ -159,6 +162,52 @@ def _ramped(event: Any, step: float, at: float) -> float:
 # --- islands --------------------------------------------------------------------------------------------------------
 
 
+# Loops: to assign rows as numpy does takes two seconds of compiling, for the message of an error.
+@internal
+def _copy_of(rows: Floats) -> Floats:
+    copy = np.empty(rows.shape)
+    for i in range(rows.shape[0]):
+        _copy(rows, i, copy, i)
+    return copy
+
+
+@internal
+def _copy(source: Floats, row: int, target: Floats, to_row: int) -> None:
+    for k in range(source.shape[1]):
+        target[to_row, k] = source[row, k]
+
+
+@addressed
+def find_islands(block: Floats, x: int, lane: int, network: Network, data: LaneData) -> None:
+    """Number the parts of the network that hang together and have a unit: by the load of the start, the most first.
+
+    What protections remember of an island goes with most of its load, when it falls apart and when parts join. Units of
+    a part that joins another are counted from the same turn.
+    """
+    rows = _rows_of(block, x, network.facts)
+    part = _parts_of(rows.lane[OF_LANE.step], network, data.events[lane])
+    number = _numbers_of(part, rows, network)
+    islands, stages = _copy_of(rows.islands), _copy_of(rows.stages)
+    rows.lane[OF_LANE.split] = 0.0
+    for p in range(number.shape[0]):
+        if number[p] >= 0:
+            before = _island_before(part, p, rows)
+            _copy(islands, before, rows.islands, number[p])
+            _copy(stages, before, rows.stages, number[p])
+            _turn_units(part, p, islands[:, _OF_ISLAND.turned], before, rows, network)
+            if number[p] > 0:
+                rows.lane[OF_LANE.split] = 1.0
+    for k in range(part.shape[0]):
+        rows.buses[k, _OF_BUS.island] = number[part[k]]
+    for i in range(network.unit_bus.shape[0]):
+        rows.units[i, _OF_UNIT.island] = number[part[network.unit_bus[i]]]
+
+
+#: Compiled for plants that can fall apart alone.
+FIND_ISLANDS = Function(find_islands, 3, numba.types.none)
+_islands = FIND_ISLANDS.call
+
+
 @internal
 def _is_open(branch: int, step: float, events: Any) -> bool:
     """Return whether an event holds a branch open at a step."""
@@ -168,30 +217,6 @@ def _is_open(branch: int, step: float, events: Any) -> bool:
         opens = event.branch == branch and event.factor == 0.0
         is_open |= opens and step >= event.start and not (event.end > event.start and step >= event.end)
     return is_open
-
-
-@internal
-def _find_islands(rows: _Rows, network: Network, events: Any) -> None:
-    """Number the parts of the network that hang together and have a unit: by the load of the start, the most first.
-
-    What protections remember of an island goes with most of its load, when it falls apart and when parts join. Units of
-    a part that joins another are counted from the same turn.
-    """
-    part = _parts_of(rows.lane[OF_LANE.step], network, events)
-    number = _numbers_of(part, rows, network)
-    islands, stages = rows.islands.copy(), rows.stages.copy()
-    rows.lane[OF_LANE.split] = 0.0
-    for p in range(number.shape[0]):
-        if number[p] >= 0:
-            before = _island_before(part, p, rows)
-            rows.islands[number[p]], rows.stages[number[p]] = islands[before], stages[before]
-            _turn_units(part, p, islands[:, _OF_ISLAND.turned], before, rows, network)
-            if number[p] > 0:
-                rows.lane[OF_LANE.split] = 1.0
-    for k in range(part.shape[0]):
-        rows.buses[k, _OF_BUS.island] = number[part[k]]
-    for i in range(network.unit_bus.shape[0]):
-        rows.units[i, _OF_UNIT.island] = number[part[network.unit_bus[i]]]
 
 
 @internal
@@ -315,8 +340,12 @@ def assemble(y: Complex, unit_y: Complex, block: Floats, x: int, lane: int, netw
         lane: the row of `data` with its series and events.
         network, data: constants, series and events.
     """
-    rows, events, n = _rows_of(block, x, network.facts), data.events[lane], network.shunts.shape[0]
-    step = rows.lane[OF_LANE.last_change]
+    _assemble(y, unit_y, _rows_of(block, x, network.facts), network, data.events[lane])
+
+
+@internal
+def _assemble(y: Complex, unit_y: Complex, rows: _Rows, network: Network, events: Any) -> None:
+    n, step = network.shunts.shape[0], rows.lane[OF_LANE.last_change]
     middle = 0.5 * (step + rows.lane[OF_LANE.next_change])
     y[:, :n] = 0.0
     for k in range(n):

@@ -17,7 +17,7 @@ from wtg_gym.physics.integration import PROGRAMS, REFRESH, STARTING, STEPPING, a
 from wtg_gym.physics.layout import NO_EVENT, Floats, LaneData, rows_of_lanes
 from wtg_gym.physics.linearisation import StepError, check_step
 from wtg_gym.physics.plant import NO_TASK, Plant, TaskUnits, placed, programs_of
-from wtg_gym.physics.reduction import assemble
+from wtg_gym.physics.reduction import FIND_ISLANDS, assemble
 from wtg_gym.physics.scenario import LONGEST_RUN_S, SERIES_DT, Scenario
 from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY, TrackingLaw, group_laws
 from wtg_gym.physics.units import UNITS, StartFailure
@@ -220,10 +220,13 @@ class Simulator:
     def functions(self) -> dict[Function, tuple[Any, ...]]:
         """Return the functions that are called at an address, with arguments like those they are given."""
         network, some = self.plant.network, np.zeros((1, 1))
+        of_lane = (some, 0, 0, network, self._allocate_data(1, 1))
         arguments: dict[Function, tuple[Any, ...]] = {
-            REFRESH: (some, 0, 0, network, self._allocate_data(1, 1)),
+            REFRESH: of_lane,
             equilibrium.POWER_FLOW: (self.plant.bus_y, 0, some, equilibrium.FLOW_COLUMNS),
         }
+        if network.facts.islands.n_units > 1:
+            arguments[FIND_ISLANDS] = of_lane
         if network.facts.is_large:
             arguments[equilibrium.SPARSE_FLOW] = (self.plant.bus_y, 0, some, equilibrium.FLOW_COLUMNS, network.pattern)
         return arguments
@@ -234,11 +237,12 @@ class Simulator:
         `task` is what the simulator was made with.
         """
         programs = programs_of(self.plant, *PROGRAMS, *task.programs)
-        code = _code(programs, task.stepping, task.starting, self.width, self.plant.network.facts.is_large)
+        functions = self.functions()
+        code = _code(programs, task.stepping, task.starting, self.width, tuple(functions))
         if not code:
             routines: dict[int, tuple[Routine, ...]] = {1: (*STARTING, *task.starting)}
             routines[self.width] = (*STEPPING, *task.stepping, *routines.get(self.width, ()))
-            code.append(code_of(programs, routines, self.functions()))
+            code.append(code_of(programs, routines, functions))
         self.plant = self.plant.with_tables(self.plant.network.tables._replace(code=code[0]))
 
     def _check_nominal(self, laws: tuple[TrackingLaw, ...], inertia_scale: float = 1.0, committed: float = 1.0) -> bool:

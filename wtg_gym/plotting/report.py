@@ -146,7 +146,7 @@ def make_report(
     *,
     seeds: Sequence[int] | None = None,
     drawn: Sequence[int] = (),
-    stored: Path | None = None,
+    stored: Path | Results | None = None,
     n_threads: int | None = None,
     on_progress: Progress | None = None,
 ) -> Report:
@@ -155,7 +155,7 @@ def make_report(
     Args:
         entry, spec, drawn, n_threads: as of :class:`Report`.
         seeds: test scenarios to play; None for all, which may be read.
-        stored: folder that may have results of the entry.
+        stored: results that may have the entry's, or their folder.
         on_progress: called with (name of the entry, episodes done, episodes in all).
     """
     read = _stored_results(stored, entry) if stored is not None and seeds is None else None
@@ -163,13 +163,15 @@ def make_report(
     return Report(entry=entry, spec=spec, results=results, stored=read is not None, drawn=drawn, n_threads=n_threads)
 
 
-def _stored_results(folder: Path, entry: Entry) -> Results | None:
+def _stored_results(stored: Path | Results, entry: Entry) -> Results | None:
     """Return the stored results of an entry and the version's references, if there are any of the same policy."""
-    path = folder / f"{SUITE}-{SPLIT}.json"
-    if not path.exists():
+    if isinstance(stored, Results):
+        results = stored
+    elif (path := stored / f"{SUITE}-{SPLIT}.json").exists():
+        results = Results.read(path)
+        results.check_suite()
+    else:
         return None
-    results = Results.read(path)
-    results.check_suite()
     run, rows = (entry.name, entry.training_seed), {(row["name"], row["training_seed"]): row for row in results.entries}
     if entry.identity is None or run not in rows or rows[run]["sha256"] != entry.identity:
         return None
@@ -201,14 +203,15 @@ def report_markdown(
     return {**files, f"{stem}.md": "\n\n".join(parts) + "\n"}
 
 
-def report_html(report: Report, on_progress: Progress = lambda name, done, n: None) -> str:
-    """Return the page of :func:`report_markdown` as one HTML file, which loads nothing; it needs markdown-it-py."""
+def report_html(report: Report, files: Mapping[str, bytes | str]) -> str:
+    """Return the files of :func:`report_markdown` as one HTML page, which loads nothing; it needs markdown-it-py."""
     from markdown_it import MarkdownIt
 
-    files = report_markdown(report, "report", on_progress)
-    markdown = MarkdownIt("commonmark", {"html": False, "xhtmlOut": False}).enable("table")
-    body = markdown.render(str(files.pop("report.md")))
-    for name, picture in files.items():
+    *pictures, page = files
+    renderer = MarkdownIt("commonmark", {"html": False, "xhtmlOut": False}).enable("table")
+    body = renderer.render(str(files[page]))
+    for name in pictures:
+        picture = files[name]
         data = base64.b64encode(picture if isinstance(picture, bytes) else picture.encode()).decode()
         body = body.replace(f'src="{name}"', f'src="data:image/svg+xml;base64,{data}"')
     return _PAGE.format(title=escape(report.title), body=body)

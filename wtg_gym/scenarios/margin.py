@@ -14,6 +14,8 @@ call the same sum, over seasons instead of seconds, generation adequacy.
 import math
 from typing import NamedTuple
 
+import numpy as np
+
 from wtg_gym.physics import scenario as events
 from wtg_gym.physics.aerodynamics import available_power_pu
 from wtg_gym.physics.grid import NetworkCase
@@ -69,17 +71,26 @@ class ReserveMargin:
         ]
         self._parts: dict[tuple[int, ...], list[set[int]]] = {(): [set(self._loads_mw)]}
 
-    def of(self, scenario: Scenario) -> float:
-        """Return the margin of a scenario, as a share of the load [-]; infinite if nothing feeds any."""
-        at_start_mw = self._machines_at_start(scenario)
-        instants = {0.0, *(event.time_s for event in scenario.events)}
-        return min(self._at(time_s, scenario, at_start_mw) for time_s in instants)
+    def of(self, scenario: Scenario, least: float = -math.inf) -> float:
+        """Return the margin of a scenario, as a share of the load [-]; infinite if nothing feeds any.
+
+        Of one below `least` it is only said that it is.
+        """
+        at_start_mw, margin = self._machines_at_start(scenario), math.inf
+        # The last instant, with most lost, decides most often.
+        for time_s in sorted({0.0, *(event.time_s for event in scenario.events)}, reverse=True):
+            margin = min(margin, self._at(time_s, scenario, at_start_mw))
+            if margin < least:
+                break
+        return margin
 
     def _wind_mw(self, scenario: Scenario, first_s: float, last_s: float) -> list[float]:
         """Return what each group could give in the mean wind of a time [MW]."""
         first = min(int(first_s / scenario.wind_dt_s), scenario.wind_speed.shape[1] - 1)
         last = max(int(last_s / scenario.wind_dt_s), first + 1)
-        means = scenario.wind_speed[:, first:last].mean(axis=1).tolist()
+        speeds = scenario.wind_speed[:, first:last]
+        # The mean, without what numpy's asks before.
+        means = (np.add.reduce(speeds, axis=1) / speeds.shape[1]).tolist()
         return [rated * min(cubic * mean**3, 1.0) for (_, rated, cubic), mean in zip(self._groups, means, strict=True)]
 
     def _machines_at_start(self, scenario: Scenario) -> list[float]:

@@ -249,9 +249,9 @@ class Suite:
         if not self.margins:
             return scenario
         assert scenario.seed is not None
-        margin = margins.of(scenario)
         # A stratum of a user's own need not have a range.
         low, high = self.margins.get(self.stratum(scenario.seed), (-math.inf, math.inf))
+        margin = margins.of(scenario, low)
         return _with(scenario, reserve_margin=margin) if low <= margin < high else None
 
     def _fixed_scenarios(

@@ -254,7 +254,16 @@ def compiled(function: F) -> F:
     No fast-math: reassociation or contraction would let a batched lane differ from the single environment.
     """
     compilation()
-    result: F = numba.njit(nogil=True, error_model="numpy", no_cfunc_wrapper=True)(function)
+    return _kept(function)
+
+
+def addressed(function: F) -> F:
+    """Compile a function that compiled code calls at an address, and Python never: it has no door for Python."""
+    return _kept(function, no_cpython_wrapper=True)
+
+
+def _kept(function: F, **options: Any) -> F:
+    result: F = numba.njit(nogil=True, error_model="numpy", no_cfunc_wrapper=True, **options)(function)
     # With NUMBA_DISABLE_JIT it is the function itself.
     if result is not function:
         result._cache = DiskCache(function, cache_folder(), source_hash())  # type: ignore[attr-defined]

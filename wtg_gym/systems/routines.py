@@ -28,7 +28,7 @@ WIDE = 16
 #: Where machine code is in this process, by the key that it is kept under.
 _ADDRESSES: dict[bytes, int] = {}
 #: Routines that one program has, at most, and functions that are called at an address.
-_PLACES, _FUNCTIONS = 4, 3
+_PLACES, _FUNCTIONS = 4, 4
 _NUMBERS, _WHOLES, _DOUBLE, _WHOLE = (
     ir.DoubleType().as_pointer(),
     ir.IntType(64).as_pointer(),
