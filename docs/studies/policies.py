@@ -136,7 +136,7 @@ def run_search(search: Search, generations: int, costs_of: Callable[[Floats], Fl
     return search.mean
 
 
-def distilled(suite: str, teacher: str = "dagger-v1-0", n_scenarios: int = N_SCENARIOS, rounds: int = 4) -> Gains:
+def distilled(suite: str, teacher: str = "dagger-v1-2", n_scenarios: int = N_SCENARIOS, rounds: int = 4) -> Gains:
     """Return the numbers of distilled-law that come nearest to a policy's actions, where the law itself leads."""
     (entry,) = load_entries(teacher)
     settings, scenarios = (
