@@ -160,7 +160,7 @@ def distilled(suite: str, teacher: str = "dagger-v1-2", n_scenarios: int = N_SCE
 
 
 def tune_gains(
-    suite: str, start: Gains, n_scenarios: int = 300, generations: int = 12, population: int = 8, seed: int = 1
+    suite: str, start: Gains, n_scenarios: int = 600, generations: int = 24, population: int = 8, seed: int = 1
 ) -> tuple[Gains, float]:
     """Return the numbers of distilled-law that score most, and what they cost in the logarithm of the score.
 
