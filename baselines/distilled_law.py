@@ -42,7 +42,7 @@ class Gains(NamedTuple):
 
 
 #: From `docs/studies/policies.py`.
-GAINS = Gains(0.04, 0.46, -0.52, -2.16, 0.154)
+GAINS = Gains(0.0, 0.28, -0.65, -1.66, 0.122)
 
 
 def terms(seen: MeasuredObservation, before: Any = None) -> tuple[Any, Any]:

@@ -124,7 +124,6 @@ def score(
 
     for package in ("matplotlib", "markdown_it") if cards is not None else ():
         require_extra(package, "--cards")
-
     planned = {suite: scoring.chosen_scenarios(suite, split, seeds) for suite in _suites(folders)}
     if json and len(planned) > 1:
         raise ValueError(f"--json prints one suite, the folders are for those of {', '.join(planned)}")
@@ -140,9 +139,8 @@ def score(
         }
         codes = [int(bool(why))]
         for name, scenarios in planned.items():
-            if of_suite := {
-                folder: entry for folder, entry in entries.items() if entry.environment == get_suite(name).env_id
-            }:
+            env_id = get_suite(name).env_id
+            if of_suite := {folder: entry for folder, entry in entries.items() if entry.environment == env_id}:
                 played = scoring.run_evaluation([*of_suite.values()], partial=partial, n_threads=threads, **scenarios)
                 codes.append(scoring.finish(played, results, as_json=json))
                 if cards is not None:
