@@ -312,7 +312,7 @@ def command(
 ) -> None:
     """Plan for the first validation scenarios of a suite, and score that beside its laws.
 
-    A scenario takes three seconds of one core.
+    A scenario takes seven seconds of one core.
 
     Args:
         episodes: so many scenarios, side by side
