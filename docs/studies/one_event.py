@@ -86,27 +86,16 @@ def plot_one_event(scenario: Scenario, runs: Mapping[str, Recorded], plant: Plan
     return figure
 
 
-def lent_mj(run: Recorded) -> np.ndarray:
-    """Return the energy that the rotors of each group have given since the start [MJ], (n, n_lanes, n_wtg)."""
-    return run.stored_mj[0] - run.stored_mj
-
-
 @style.printed
 def plot_energy(
     scenario: Scenario, runs: Mapping[str, Recorded], of_strata: Mapping[str, Mapping[str, Recorded]]
 ) -> Figure:
-    """Draw the energy that the rotors of each group have lent in a scenario, and all of them on average in strata.
-
-    Args:
-        scenario: of the upper panels.
-        runs: through that scenario, a panel each.
-        of_strata: runs through many scenarios, by the stratum, a lower panel each.
-    """
+    """Draw the energy that the rotors of each group have lent in a scenario, and all of them on average in strata."""
     figure, looks = style.new_figure(style.DOUBLE_COLUMN_MM, 110.0), style.strategy_looks(runs)
     panels = figure.subplots(2, 2, sharex=True, sharey="row")
     for letter, axes, (name, run) in zip("ab", panels[0], runs.items(), strict=True):
         style.letter_panel(axes, letter, f"{name}: energy lent by each group [MJ]")
-        for group, values in enumerate(lent_mj(run)[:, 0].T):
+        for group, values in enumerate((run.stored_mj[0] - run.stored_mj)[:, 0].T):
             axes.plot(run.time_s, values, label=f"group {group}")
         mark_instants(axes, scenario, numbered=True)
         axes.set_xlim(0.0, scenario.duration_s)
@@ -114,8 +103,10 @@ def plot_energy(
     for letter, axes, (stratum, played) in zip("cd", panels[1], of_strata.items(), strict=True):
         style.letter_panel(axes, letter, f"{stratum}: energy lent by all groups, mean [MJ]")
         for name, run in played.items():
-            look, mean = looks[name], np.nanmean(lent_mj(run).sum(axis=2), axis=1)
-            axes.plot(run.time_s, mean, color=look.colour, linestyle=look.dashes, label=name)
+            look, stored = looks[name], run.stored_mj.sum(axis=2)
+            axes.plot(
+                run.time_s, np.nanmean(stored[0] - stored, axis=1), color=look.colour, linestyle=look.dashes, label=name
+            )
         axes.set_xlabel("time [s]")
     panels[1, 1].legend(loc="lower right")
     return figure
