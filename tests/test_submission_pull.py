@@ -74,7 +74,8 @@ def test_new_folder_is_checked_beside_the_others_and_scored(judge, tmp_path):
     code, said = judge(entry("mine"))
     beside = " ".join(f"{tmp_path}/base/agents/policies/{name}/" for name in ("first", "second"))
     mine = f"{tmp_path}/pull/agents/policies/mine"
-    assert (code, said) == (0, f"wtg-gym submission score {mine} --beside {beside} --results results\n")
+    options = f"--beside {beside} --results results --cards results/cards"
+    assert (code, said) == (0, f"wtg-gym submission score {mine} {options}\n")
 
 
 CHANGES: dict[str, Callable[[Path], object]] = {

@@ -31,7 +31,7 @@ SUITES = tuple(
     f"{n}-v1" for n in ("standard", "low-share", "high-share", "gusty", "no-wind-sensor", "faults", "weak-grid")
 )
 #: Test scenarios that all is played on: as many of each stratum, and of each kind of extreme event.
-N_SCENARIOS = 300
+N_SCENARIOS = 120
 #: Those that are played side by side.
 BATCH = 64
 
