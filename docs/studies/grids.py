@@ -18,7 +18,7 @@ from wtg_gym.scenarios.draws import LineTrips, LoadEvents, Wind
 from wtg_gym.tasks import V1
 
 SUITES = tuple(suite_of_grid(name) for name in known_grids())
-N_SCENARIOS = 300
+N_SCENARIOS = 120
 
 
 def grids() -> str:

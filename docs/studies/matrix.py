@@ -135,7 +135,7 @@ def section(suites: Mapping[str, Results], faults: Mapping[str, Results]) -> str
     first = suites[OWN]
     return (
         f"Score and mark ✓ on the first {len(first.seeds)} test scenarios of a suite, by the first training seed:\n\n"
-        f"{table(suites, first)}\n\nOn those of `{OWN}` with something changed, which the references meet too:\n\n"
+        f"{table(suites, first)} –: its network does not fit that grid.\n\nOn those of `{OWN}` with something changed, which the references meet too:\n\n"
         f"{table(faults, first)}"
     )
 
