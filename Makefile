@@ -38,7 +38,7 @@ leaderboard: $(LEADERBOARD_READY) ## Score every entry on the standard suites an
 	$(LEADERBOARD_VENV)/bin/wtg-gym leaderboard --suite standard --entries baselines policies --results results --readme docs/benchmark.md
 
 .PHONY: matrix
-matrix: $(LEADERBOARD_READY) ## Play every entry of v1 on its drawn suites and with faults, and put the scores into docs/benchmark.md (half an hour)
+matrix: $(LEADERBOARD_READY) ## Play every entry of v1 on its drawn suites and with faults, and put the scores into docs/benchmark.md (five minutes)
 	$(LEADERBOARD_VENV)/bin/python docs/studies/matrix.py
 
 # Those that take minutes; other targets run most of the others.
