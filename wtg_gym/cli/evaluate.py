@@ -107,7 +107,7 @@ def leaderboard(
         if not json and laws and len(laws) < len(chosen):
             # They take seconds, the others minutes.
             scoring.print_ranking(scoring.run_evaluation(laws, **how))
-            note(f"so much for laws; {len(chosen) - len(laws)} policies follow")
+            note(f"these are the laws; {len(chosen) - len(laws)} policies follow")
         ranking = scoring.run_evaluation(chosen, **how)
     # Without its parts, which would be removed once the results are written.
     code = scoring.finish(dataclasses.replace(ranking, parts=None), results, as_json=json)

@@ -74,7 +74,7 @@ class ReserveMargin:
     def of(self, scenario: Scenario, least: float = -math.inf) -> float:
         """Return the margin of a scenario, as a share of the load [-]; infinite if nothing feeds any.
 
-        Of one below `least` it is only said that it is.
+        The search ends at the first instant with a margin below `least`: the least may be lower still.
         """
         at_start_mw, margin = self._machines_at_start(scenario), math.inf
         # The last instant, with most lost, decides most often.
