@@ -139,13 +139,10 @@ def run_search(search: Search, generations: int, costs_of: Callable[[Floats], Fl
 def distilled(suite: str, teacher: str = "dagger-v1-2", n_scenarios: int = N_SCENARIOS, rounds: int = 4) -> Gains:
     """Return the numbers of distilled-law that come nearest to a policy's actions, where the law itself leads."""
     (entry,) = load_entries(teacher)
-    settings, scenarios = (
-        EnvSettings(suite=suite, split="train"),
-        get_suite(suite).scenarios(get_suite(suite).train[:n_scenarios]),
-    )
+    settings, seeds = EnvSettings(suite=suite, split="train"), get_suite(suite).train[:n_scenarios]
     gains, columns, actions = None, [], []
     for _ in range(rounds):
-        with started_lanes(entry, settings, scenarios) as (lanes, _drawn), entry.policy:
+        with started_lanes(entry, settings, seeds) as (lanes, _drawn), entry.policy:
             filtered, state = None, None
             for step in range(round(lanes.duration_s / lanes.settings.step_s)):
                 running = ~np.logical_or(*lanes.ended())
@@ -164,7 +161,7 @@ def tune_gains(
 ) -> tuple[Gains, float]:
     """Return the numbers of distilled-law that score most, and what they cost in the logarithm of the score.
 
-    They are other scenarios than those that the law beneath was tuned on.
+    The law beneath was tuned on other scenarios.
     """
     search = Search(np.array(start) / _GAIN_STEPS, 0.1, population, seed)
     settings = {"strategy": "coordinated-free", "action_mode": "k"}
