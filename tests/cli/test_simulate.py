@@ -32,9 +32,9 @@ def test_the_group_that_tripped_is_named(capsys):
     arguments = ("simulate", "--suite", "standard-v1", "--seed", "10029", "--strategy", "mppt")
     (run,) = json_of(capsys, *arguments, "--json")["runs"]
     assert run["status"] == "completed"
-    assert [trip["group"] for trip in run["tripped_groups"]] == [2]
+    assert [(trip["group"], trip["cause"]) for trip in run["tripped_groups"]] == [(2, "event")]
     assert main(arguments) == 0
-    assert f"group 2 tripped at {run['tripped_groups'][0]['time_s']:.1f} s" in capsys.readouterr().out
+    assert f"group 2 tripped at {run['tripped_groups'][0]['time_s']:.1f} s (event)" in capsys.readouterr().out
 
 
 def test_traces_hold_every_sample_with_units_in_the_header(tmp_path):
@@ -47,8 +47,13 @@ def test_traces_hold_every_sample_with_units_in_the_header(tmp_path):
         ("frequency_hz", run.frequency_hz),
         ("group_2_rotor_speed_pu", run.rotor_speed_pu[:, 1]),
         ("machine_1_frequency_hz", run.machine_frequency_hz[:, 0]),
+        ("bus_14_voltage_pu", run.bus_voltage_pu[:, 13]),
+        ("machine_1_power_pu", run.machine_power_pu[:, 0]),
+        ("group_2_reactive_power_pu", run.reactive_power_pu[:, 1]),
+        ("group_1_current_pu", run.current_pu[:, 0]),
+        ("group_1_connected", run.connected[:, 0]),
     ):
-        assert table[name][61:] == pytest.approx(values, rel=1e-8)
+        assert table[name][61:] == pytest.approx(1.0 * values, rel=1e-8)
 
 
 def test_key_figures_are_those_of_the_arrays_of_a_run(capsys):
@@ -69,6 +74,7 @@ def test_key_figures_are_those_of_the_arrays_of_a_run(capsys):
     assert {key: figures[key] for key in wanted} == pytest.approx(wanted, abs=1e-8)
     assert figures["shed_energy_mws"] > 0.0
     assert [trip["group"] for trip in figures["tripped_groups"]] == [1, 2, 3, 4]
+    assert {trip["cause"] for trip in figures["tripped_groups"]} == {"under-speed"}
     for trip in figures["tripped_groups"]:
         after, power = run.time_s >= trip["time_s"] - 1e-6, run.power_pu[:, trip["group"] - 1]
         assert (power[after] == 0.0).all() and power[~after][-1] != 0.0

@@ -7,7 +7,7 @@ from tests.envs.rollouts import N_WTG, VERSIONS, calm, episode, eventful, rising
 from wtg_gym import GFMWTGEnv, LineTrip, LoadStep, Plant, Scenario, simulate
 from wtg_gym.physics.parameters import ProtectionParameters
 from wtg_gym.physics.protection import Status
-from wtg_gym.physics.units import ISLANDS, Spread
+from wtg_gym.physics.units import ISLANDS, Spread, TripCause
 from wtg_gym.tasks.cost import CostWeights
 
 GONE = calm(duration_s=20.0, events=(LoadStep(time_s=1.025, bus=2, power_mw=600.0),))
@@ -60,8 +60,9 @@ def test_stall_costs_more_than_any_way_of_living_on(weights):
 def test_each_failure_ends_the_episode_under_its_own_name_and_a_tripped_group_does_not(
     scenario, reason, least_hz, most_hz, on_failure
 ):
-    rewards, (_, terminated, truncated, info), _ = play(scenario, -1.0, on_failure=on_failure)
+    rewards, (_, terminated, truncated, info), env = play(scenario, -1.0, on_failure=on_failure)
     if reason == "over-speed" and on_failure == "trip":
+        assert TripCause.OVER_SPEED in env.lanes.simulator.wtg_values("trip_cause")
         assert truncated and not terminated and info["termination_reason"] == ""
         return
     assert terminated and not truncated and info["termination_reason"] == reason

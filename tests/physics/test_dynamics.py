@@ -17,7 +17,7 @@ from wtg_gym.physics.protection import Status
 from wtg_gym.physics.simulator import Simulator
 from wtg_gym.physics.step import FREE_CURRENTS, LIMITS
 from wtg_gym.physics.tracking_law import STRATEGIES
-from wtg_gym.physics.units import PAIRS, UNITS
+from wtg_gym.physics.units import PAIRS, UNITS, TripCause
 from wtg_gym.physics.wtg_unit import EXTENSIONS
 from wtg_gym.systems.programs import in_one_table
 from wtg_gym.systems.routines import Routine
@@ -80,6 +80,7 @@ def test_a_stalled_group_ends_the_run_which_then_stands_still_or_is_tripped(trip
         assert simulator.lane_values("status")[0] == Status.RUNNING
         assert simulator.lane_values("step")[0] == 1000 * simulator.plant.n_substeps
         assert simulator.wtg_values("connected")[0].tolist() == [1.0, 0.0]
+        assert simulator.wtg_values("trip_cause")[0].tolist() == [0.0, TripCause.STALL]
         assert simulator.wtg_values("power")[0, 1] == 0.0
         # The others carry the lost group's share at a lower frequency.
         assert 0.98 < simulator.lane_values("coi")[0] < 0.9953
@@ -124,10 +125,11 @@ def test_a_group_stays_through_the_over_voltages_it_must_and_no_longer(mvar, abo
     found = extended.recorded(
         extended.started(extended.plant(control_dt=0.1, voltage=slow, case=case), extended.scenario(capacitor)),
         30.0,
-        *("terminal_voltage", "connected", "largest_voltage"),
+        *("terminal_voltage", "connected", "largest_voltage", "trip_cause"),
     )
     voltage, there = found["terminal_voltage"][:, 0], found["connected"][:, 0] > 0.5
     assert 0.1 * there.sum() - 1.0 == pytest.approx(stays_s)
+    assert (found["trip_cause"][:, 0] == TripCause.OVER_VOLTAGE * ~there).all()
     assert above_pu < voltage[there][10:].min() and voltage[there].max() < above_pu + 0.05
     assert found["largest_voltage"][-1, 0] == pytest.approx(voltage.max(), rel=1e-3)
 

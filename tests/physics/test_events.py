@@ -12,7 +12,7 @@ import pytest
 from tests.physics import extended
 from tests.physics.extended import LAW, NO_SHEDDING, phasors, plant, recorded, scenario, started
 from tests.physics.test_islands import PARTED_WIND, cut, parted
-from wtg_gym import simulate
+from wtg_gym import Plant, simulate
 from wtg_gym.physics import scenario as sc
 from wtg_gym.physics.devices import SOURCES
 from wtg_gym.physics.grid import NetworkCase, Source, get_grid
@@ -21,7 +21,7 @@ from wtg_gym.physics.protection import FILTER_S, Status, turn_between
 from wtg_gym.physics.reduction import assemble
 from wtg_gym.physics.simulator import Simulator
 from wtg_gym.physics.tracking_law import STRATEGIES
-from wtg_gym.physics.units import BUSES, ISLANDS, PAIRS, UNITS, Phasor
+from wtg_gym.physics.units import BUSES, ISLANDS, PAIRS, UNITS, Phasor, TripCause
 
 LAWS = (STRATEGIES["coordinated-piecewise"],) * 2
 ALL = (
@@ -153,6 +153,19 @@ def test_a_record_shows_the_frequency_of_the_voltage():
     assert (found.wtg_frequency_hz[1:] == 50.0 * (live["speed"] + live["shift"])).all()
 
 
+@pytest.mark.parametrize(("settings", "error"), [(Plant(), 1e-9), (plant(), 0.01)], ids=["paper", "extended"])
+def test_a_record_shows_no_voltage_at_a_fault_and_apparent_power_is_voltage_times_current(settings, error):
+    fault = sc.Fault(time_s=1.0, bus=4, clears_after_s=0.2)
+    run = simulate(scenario(fault, duration_s=2.0), LAW, settings)
+    during = (run.time_s > 1.05) & (run.time_s < 1.25)
+    assert (run.bus_voltage_pu[during, 3] < 0.01).all() and (run.bus_voltage_pu[~during] > 0.5).all()
+    at = [settings.case.bus_index(group.bus) for group in settings.groups]
+    apparent = run.bus_voltage_pu[:, at] * run.current_pu
+    assert np.hypot(run.power_pu, run.reactive_power_pu) == pytest.approx(apparent, abs=error)
+    assert run.connected.all() and run.trip_causes == (None, None)
+    assert run.current_pu[during].max() > 1.1 * run.current_pu[0].max()
+
+
 def test_a_chopper_heats_by_what_it_burns_and_cools_and_a_group_with_a_full_one_trips():
     limits = ConverterLimitParameters(chopper_energy_pu_s=0.015, chopper_cooling_s=5.0)
     # A loss of load: machines press power into the converter that gives least.
@@ -170,6 +183,7 @@ def test_a_chopper_heats_by_what_it_burns_and_cools_and_a_group_with_a_full_one_
             assert (simulator.wtg_values("connected")[0] == was * (heat <= 0.015)).all()
     assert simulator.lane_values("status")[0] == Status.RUNNING
     assert simulator.wtg_values("connected")[0].tolist() == [1.0, 0.0]
+    assert simulator.wtg_values("trip_cause")[0].tolist() == [0.0, TripCause.CHOPPER]
     assert 0.015 < fullest[1] < 0.02 and heat[1] < 0.2 * fullest[1] and fullest[0] == 0.0
 
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from tests.physics.extended import LAW, NO_SHEDDING, largest_rate, plant, recorded, scenario, started
-from wtg_gym import GroupTrip, LineTrip, LoadStep, MachineOutage, Plant, get_law, get_suite
+from wtg_gym import GroupTrip, LineTrip, LoadStep, MachineOutage, Plant, get_law, get_suite, simulate
 from wtg_gym.physics.grid import NetworkCase, get_grid
 from wtg_gym.physics.layout import Floats, n_rows_of
 from wtg_gym.physics.machine_unit import MACHINES
@@ -16,7 +16,7 @@ from wtg_gym.physics.parameters import WtgGroup
 from wtg_gym.physics.protection import STAGES, Status
 from wtg_gym.physics.scenario import Event
 from wtg_gym.physics.simulator import Simulator
-from wtg_gym.physics.units import BUSES, ISLANDS
+from wtg_gym.physics.units import BUSES, ISLANDS, TripCause
 from wtg_gym.physics.wtg_unit import EXTENSIONS, GROUPS
 from wtg_gym.systems.systems import Kind
 
@@ -140,6 +140,14 @@ def test_a_second_island_beyond_its_limits_trips_its_units_and_the_run_goes_on()
     assert (simulator.bus_voltages()[5:] == 0.0).all()
     load = simulator.blocks[0, simulator.layout.first_rows(BUSES, "load"), 0]
     assert simulator.lane_values("unserved")[0] == pytest.approx(load[5:].sum(), abs=1e-14)
+
+
+def test_a_group_goes_with_its_island():
+    outages = (MachineOutage(time_s=1.0, bus=bus) for bus in (6, 8))
+    run = simulate(scenario(*cut(1.0), *outages, wind=[[9.0], [7.0]], duration_s=30.0), LAW, parted())
+    assert run.status == Status.RUNNING and run.connected[-1].tolist() == [True, False]
+    assert run.trip_causes == (None, TripCause.ISLAND_LOST)
+    assert (run.bus_voltage_pu[-1, 5:] == 0.0).all() and (run.bus_voltage_pu[-1, :5] > 0.9).all()
 
 
 def test_the_end_of_the_grid_is_the_end_of_the_run():

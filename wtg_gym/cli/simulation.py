@@ -6,6 +6,7 @@ import csv as csv_format
 import dataclasses
 import io
 from collections.abc import Mapping, Sequence
+from enum import IntEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -120,7 +121,7 @@ def traces_csv(runs: Mapping[str, Trajectory]) -> str:
         for name, values in vars(run).items():
             if np.ndim(values) == 2:
                 unit, quantity = name.split("_", 1) if name.startswith(("machine", "bus")) else ("group", name)
-                columns |= {f"{unit}_{i}_{quantity}": column for i, column in enumerate(values.T, start=1)}
+                columns |= {f"{unit}_{i}_{quantity}": 1.0 * column for i, column in enumerate(values.T, start=1)}
         if not text.tell():
             writer.writerow(["strategy", *columns])
         writer.writerows([strategy, *(f"{x:.9g}" for x in row)] for row in zip(*columns.values(), strict=True))
@@ -151,11 +152,12 @@ def key_figures(name: str, run: Trajectory) -> dict[str, Any]:
     ratios, rotors = run.tip_speed_ratio[-1], run.rotor_speed_pu[-1]
     extremes = {Status.STALL: -ratios, Status.OVER_SPEED: rotors, Status.UNDER_SPEED: -rotors}
     rocof = run.rocof_hz_s(ROCOF_WINDOW_S)
-    # A disconnected group delivers exactly nothing, from its last sample with power on.
-    trips = {
-        1 + int(group): run.time_s[np.flatnonzero(run.power_pu[:, group]).max(initial=-1) + 1]
-        for group in np.flatnonzero(run.power_pu[-1] == 0.0)
-    }
+    trips = []
+    for group, cause in enumerate(run.trip_causes):
+        if cause is not None:
+            # A disconnected group delivers exactly nothing, from its last sample with power on.
+            time_s = run.time_s[np.flatnonzero(run.power_pu[:-1, group]).max(initial=-1) + 1]
+            trips.append({"group": 1 + group, "time_s": _plain(time_s), "cause": _word(cause)})
     figures = {
         "end_time_s": run.time_s[-1],
         "nadir_hz": run.frequency_hz.min(),
@@ -170,11 +172,15 @@ def key_figures(name: str, run: Trajectory) -> dict[str, Any]:
     }
     return {
         "strategy": name,
-        "status": "completed" if run.status == Status.RUNNING else run.status.name.lower().replace("_", "-"),
+        "status": "completed" if run.status == Status.RUNNING else _word(run.status),
         "failed_group": 1 + int(np.argmax(extremes[run.status])) if run.status in extremes else None,
-        "tripped_groups": [{"group": group, "time_s": _plain(time_s)} for group, time_s in trips.items()],
+        "tripped_groups": trips,
         **{key: _plain(value) for key, value in figures.items()},
     }
+
+
+def _word(member: IntEnum) -> str:
+    return member.name.lower().replace("_", "-")
 
 
 def _plain(value: Any) -> Any:
@@ -194,7 +200,10 @@ def print_key_figures(figures: list[dict[str, Any]]) -> None:
 
 def _end(row: Mapping[str, Any]) -> str:
     if row["status"] == "completed":
-        trips = [f"group {trip['group']} tripped at {trip['time_s']:.1f} s" for trip in row["tripped_groups"]]
+        trips = [
+            f"group {trip['group']} tripped at {trip['time_s']:.1f} s ({trip['cause']})"
+            for trip in row["tripped_groups"]
+        ]
         return "; ".join([*trips, f"completed {row['end_time_s']:.1f} s"])
     group = f" of group {row['failed_group']}" if row["failed_group"] else ""
     return f"{row['status'].replace('-', ' ')}{group} at {row['end_time_s']:.1f} s"

@@ -10,7 +10,6 @@ import dataclasses
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -22,7 +21,7 @@ from wtg_gym.physics.grid import Branch, Bus, NetworkCase, Source
 from wtg_gym.physics.layout import Floats
 from wtg_gym.physics.plant import Plant
 from wtg_gym.physics.protection import Status
-from wtg_gym.physics.units import BUSES
+from wtg_gym.physics.trajectory import Trajectory, record
 from wtg_gym.policies.entry import Entry, check_version
 from wtg_gym.policies.play import play, started_lanes
 from wtg_gym.scenarios.suites import DEFAULT_SUITE, get_suite
@@ -45,18 +44,8 @@ _X_TO_R = 6.0
 
 
 @dataclass(frozen=True, kw_only=True)
-class Recording:
-    """A test's run, one sample per simulation step and one at the start; shapes (n,) and (n, n_group)."""
-
-    time_s: Floats
-    frequency_hz: Floats  # of the centre of inertia
-    voltage_pu: Floats  # at every bus (n, n_bus)
-    power_pu: Floats
-    current_pu: Floats
-    limited: npt.NDArray[np.bool_]  # whether the current limiter takes voltage away
-    connected: npt.NDArray[np.bool_]
-    status: Status
-    shed_mws: float  # load not served [MW s]
+class Recording(Trajectory):
+    """A test's run, one sample per simulation step and one at the start."""
 
     def at(self, time_s: float) -> int:
         """Return the sample at an instant, or the last one before it."""
@@ -152,16 +141,16 @@ def _lost(run: Recording) -> str:
     if not run.connected[-1].all():
         return f"group {', '.join(str(1 + group) for group in np.flatnonzero(~run.connected[-1]))} tripped"
     for level, longest_s in OVER_VOLTAGES:
-        if (beyond := _longest_beyond(run.time_s, run.voltage_pu > level)) > longest_s + 0.1:
+        if (beyond := _longest_beyond(run.time_s, run.bus_voltage_pu > level)) > longest_s + 0.1:
             return f"above {level:g} p.u. for {beyond:.1f} s"
     return ""
 
 
 def _takes_over(run: Recording) -> Verdict:
-    beyond = _longest_beyond(run.time_s, (run.voltage_pu < 0.8) | (run.voltage_pu > 1.1))
+    beyond = _longest_beyond(run.time_s, (run.bus_voltage_pu < 0.8) | (run.bus_voltage_pu > 1.1))
     moves = float(np.ptp(run.frequency_hz[run.at(run.time_s[-1] - 5.0) :]))
     extreme = run.frequency_hz[np.abs(run.frequency_hz - 50.0).argmax()]
-    figure = f"{extreme:.2f} Hz, then {run.frequency_hz[-1]:.2f} Hz, {run.shed_mws:.0f} MW s shed"
+    figure = f"{extreme:.2f} Hz, then {run.frequency_hz[-1]:.2f} Hz, {run.shed_energy_mws[-1]:.0f} MW s shed"
     if beyond > 0.1 + 1e-9:
         return False, f"{figure}; voltage beyond its range for {beyond:.1f} s"
     if moves > 0.1:
@@ -190,7 +179,7 @@ def _recovers(run: Recording, at_s: Sequence[float]) -> Verdict:
     power, slowest, farthest = run.total(), 0.0, 0.0
     for at in at_s:
         after = slice(run.at(at) + 1, run.at(at + 3.0) + 1)
-        times, low = run.time_s[after], (run.voltage_pu[after] < 0.9).any(axis=1)
+        times, low = run.time_s[after], (run.bus_voltage_pu[after] < 0.9).any(axis=1)
         slowest = max(slowest, float(times[min(int(np.flatnonzero(low).max(initial=-1)) + 1, low.size - 1)] - at))
         farthest = max(farthest, abs(power[run.at(at + 3.0)] - power[0]))
     figure = f"0.9 p.u. within {slowest:.1f} s, power within {farthest:.3f} p.u."
@@ -202,7 +191,7 @@ def _leaves_limit(run: Recording) -> Verdict:
     reached = limited[run.at(2.0) : run.at(2.5) + 1].any()
     after = max(float(run.time_s[limited].max()) - 2.5, 0.0) if limited.any() else 0.0
     figure = f"{largest:.3f} p.u., {'left' if reached else 'never reached, left'} after {after:.1f} s"
-    figure += f", then {run.voltage_pu.max():.2f} p.u. of voltage"
+    figure += f", then {run.bus_voltage_pu.max():.2f} p.u. of voltage"
     return bool(reached and largest <= 1.2 + 1e-6 and after <= 0.5), figure
 
 
@@ -313,31 +302,7 @@ def run_grid_test(test: GridTest, entry: Entry) -> tuple[Recording, Verdict]:
     # Once more with the same actions, so short an interval that every simulation step is seen.
     n_held = round(settings.step_s / plant.simulation_dt)
     finest = dataclasses.replace(settings, control_dt=plant.simulation_dt)
-    samples: list[tuple[Any, ...]] = []
     with started_lanes(entry, finest, [test.scenario(plant)], 1) as (lanes, _):
-        simulator = lanes.simulator
-        magnitudes = simulator.layout.rows_of(BUSES, "magnitude")
-        for step in range(1 + round(test.duration_s / plant.simulation_dt)):
-            if step:
-                at = min((step - 1) // n_held, len(actions) - 1)
-                lanes.step(actions[at] if actions else np.zeros((1, lanes.n_action)))
-            time_s, coi = (simulator.lane_values(name)[0] for name in ("step", "coi"))
-            groups = (simulator.wtg_values(name)[0] for name in ("power", "current", "cut", "connected"))
-            samples.append((time_s, coi, np.array([simulator.values(row)[0] for row in magnitudes]), *groups))
-            if lanes.ended()[0].any():
-                break
-        status = Status(int(simulator.lane_values("status")[0]))
-        shed = simulator.lane_values("shed_energy")[0] * plant.case.base_mva
-    steps, coi, voltages, power, current, cut, connected = (np.array(column) for column in zip(*samples, strict=True))
-    run = Recording(
-        time_s=plant.simulation_dt * steps,
-        frequency_hz=plant.case.frequency_hz * coi,
-        voltage_pu=voltages,
-        power_pu=power,
-        current_pu=current,
-        limited=cut > 1e-9,
-        connected=connected > 0.5,
-        status=status,
-        shed_mws=float(shed),
-    )
+        held = actions or [np.zeros((1, lanes.n_action))]
+        run = Recording(**record(lanes.simulator, lambda step: lanes.step(held[min(step // n_held, len(held) - 1)])))
     return run, test.verdict(run)

@@ -191,7 +191,7 @@ class Layout:
 def rows_of_lanes(blocks: Floats, rows: Whole, n_lanes: int) -> Floats:
     """Return rows of every environment (n_lanes, …) of blocks (n_blocks, n_rows, width)."""
     selected = blocks[:, rows.ravel(), :].transpose(0, 2, 1)
-    return selected.reshape(-1, *rows.shape)[:n_lanes]
+    return selected.reshape(len(blocks) * blocks.shape[2], *rows.shape)[:n_lanes]
 
 
 def put_rows(blocks: Floats, rows: Whole, values: Floats) -> None:

@@ -392,7 +392,7 @@ def trip_machine(
     return select(trips, 0.0, inputs.connected), select(trips, step, next_change)
 
 
-@system(GROUPS, "connected", "verdict", "next_change")
+@system(GROUPS, "connected", "verdict", "next_change", "trip_cause")
 def judge_rotor(
     state: WtgState,
     inputs: WtgInput,
@@ -400,11 +400,12 @@ def judge_rotor(
     turbine: Turbine,
     verdict: Verdict,
     next_change: float,
+    trip_cause: float,
     falls: float,
     step: float,
     active: float,
     trips_groups: bool,
-) -> tuple[float, Verdict, float]:
+) -> tuple[float, Verdict, float, float]:
     """Detect stall, over- and under-speed. Depending on `trips_groups` the group is disconnected or the run ends.
 
     A group is disconnected with its island too.
@@ -420,7 +421,9 @@ def judge_rotor(
     is_finite = math.isfinite(state.rotor_speed) & math.isfinite(state.converter.speed)
     code = select(failed, select(trips_groups, verdict.code, failure), verdict.code)
     verdict = Verdict(code, select(is_finite, verdict.finite, 0.0))
-    return select(trips, 0.0, inputs.connected), verdict, select(trips, step, next_change)
+    cause = select(failed & trips_groups, failure, float(units.TripCause.ISLAND_LOST))
+    changes = select(trips, step, next_change), select(trips, cause, trip_cause)
+    return select(trips, 0.0, inputs.connected), verdict, *changes
 
 
 @system(LANE, "status", "active", "stops")

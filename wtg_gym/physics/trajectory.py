@@ -1,9 +1,11 @@
 """One run, recorded: what `wtg-gym simulate` plots and the paper's claims are read from."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from wtg_gym.physics.layout import Floats
 from wtg_gym.physics.plant import Plant
@@ -11,7 +13,7 @@ from wtg_gym.physics.protection import Status
 from wtg_gym.physics.scenario import Scenario
 from wtg_gym.physics.simulator import Simulator
 from wtg_gym.physics.tracking_law import TrackingLaw, group_laws
-from wtg_gym.physics.units import BUSES
+from wtg_gym.physics.units import BUSES, TripCause
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -23,15 +25,22 @@ class Trajectory:
     wtg_frequency_hz: Floats  # of each group's voltage (n, n_wtg) [Hz]
     machine_frequency_hz: Floats  # of each synchronous machine (n, n_sync) [Hz]
     bus_frequency_hz: Floats  # local (n, n_bus); (n, 0) where the physics is the paper's [Hz]
+    bus_voltage_pu: Floats  # magnitude (n, n_bus) [p.u.]
+    machine_power_pu: Floats  # electrical, of the air gap, on the base of the system (n, n_sync) [p.u.]
     rotor_speed_pu: Floats  # (n, n_wtg) [p.u.]
     tip_speed_ratio: Floats  # (n, n_wtg) [-]
     power_pu: Floats  # delivered, on each group's base (n, n_wtg) [p.u.]
+    reactive_power_pu: Floats  # delivered at the bus, on each group's base (n, n_wtg) [p.u.]
+    current_pu: Floats  # of the converter, on each group's base (n, n_wtg) [p.u.]
+    limited: npt.NDArray[np.bool_]  # whether the current limiter takes voltage away (n, n_wtg)
+    connected: npt.NDArray[np.bool_]  # (n, n_wtg); the power of a trip's sample is that before it
     captured_power_pu: Floats  # (n, n_wtg) [p.u.]
     coefficient_pu: Floats  # tracking coefficient k (n, n_wtg) [p.u.]
     filter_pu: Floats  # state x of the transient damping, 0 where τ is 0 or infinite (n, n_wtg) [p.u.]
     pitch_deg: Floats  # (n, n_wtg) [deg]
     wind_m_s: Floats  # (n, n_wtg) [m/s]
     shed_energy_mws: Floats  # load not served since the start, at 1 p.u. of voltage (n,) [MW s]
+    trip_causes: tuple[TripCause | None, ...]  # why each group tripped, None where it did not
     status: Status  # why the run ended before its time, or RUNNING
     nominal_frequency_hz: float  # [Hz]
 
@@ -78,7 +87,23 @@ def simulate(
     simulator = Simulator(settings, duration_s=scenario.duration_s)
     groups_laws = group_laws(laws, settings.turbines, settings.control)
     simulator.start(0, simulator.prepare([scenario], groups_laws, turning=True))
-    grid, groups, machines, buses = (np.array(samples) for samples in zip(*_samples(simulator), strict=True))
+    return Trajectory(**record(simulator, lambda _: simulator.advance()))
+
+
+def record(simulator: Simulator, advance: Callable[[int], Any]) -> dict[str, Any]:
+    """Record the run that has started in the first lane of a simulator, as the arguments of a :class:`Trajectory`.
+
+    Args:
+        simulator: has started a run.
+        advance: advances it by the control interval of a number.
+    """
+    samples, settings = [_sample(simulator)], simulator.settings
+    for interval in range(simulator.n_intervals):
+        if simulator.lane_values("active")[0] < 0.5:
+            break
+        advance(interval)
+        samples.append(_sample(simulator))
+    grid, groups, machines, buses, terminals, voltages = (np.array(column) for column in zip(*samples, strict=True))
     nominal, time = settings.case.frequency_hz, np.arange(len(grid), dtype=np.float64) * settings.control_dt
     status = Status(int(simulator.lane_values("status")[0]))
     if status != Status.RUNNING:
@@ -86,21 +111,30 @@ def simulate(
         time[-1] = min(time[-1], simulator.lane_values("step")[0] * settings.simulation_dt)
     of_group = dict(zip(_OF_GROUPS, groups.swapaxes(0, 1), strict=True))
     tip_speed = np.array([turbine.tip_speed_ratio_per_speed_m_s for turbine in settings.turbines])
-    return Trajectory(
+    reactive, current, cut, connected = terminals.swapaxes(0, 1)
+    trips = zip(connected[-1] < 0.5, simulator.wtg_values("trip_cause")[0], strict=True)
+    return dict(
         time_s=time,
         frequency_hz=nominal * grid[:, 0],
         wtg_frequency_hz=nominal * (of_group["speed"] + of_group["shift"]),
-        machine_frequency_hz=nominal * machines,
+        machine_frequency_hz=nominal * machines[:, 0],
         bus_frequency_hz=nominal * buses,
+        bus_voltage_pu=voltages,
+        machine_power_pu=machines[:, 1],
         rotor_speed_pu=of_group["rotor_speed"],
         tip_speed_ratio=tip_speed * of_group["rotor_speed"] / of_group["wind"],
         power_pu=of_group["power"],
+        reactive_power_pu=reactive,
+        current_pu=current,
+        limited=cut > 1e-9,
+        connected=connected > 0.5,
         captured_power_pu=of_group["captured"],
         coefficient_pu=of_group["coefficient"],
         filter_pu=of_group["filter"],
         pitch_deg=of_group["pitch"],
         wind_m_s=of_group["wind"],
         shed_energy_mws=settings.case.base_mva * grid[:, 1],
+        trip_causes=tuple(TripCause(int(cause)) if tripped else None for tripped, cause in trips),
         status=status,
         nominal_frequency_hz=nominal,
     )
@@ -110,16 +144,30 @@ def simulate(
 _OF_GROUPS = ("speed", "rotor_speed", "power", "captured", "coefficient", "filter", "pitch", "wind", "shift")
 
 
-def _samples(simulator: Simulator) -> Iterator[tuple[Floats, list[Floats], Floats, Floats]]:
-    """Yield what is recorded of grid, WTG groups, machines and buses, until the run ends."""
-    rows = simulator.layout.rows_of(BUSES, "frequency")[: simulator.plant.buses.size * simulator.settings.extended]
-    for step in range(simulator.n_intervals + 1):
-        yield (
-            np.array([simulator.lane_values(name)[0] for name in ("coi", "shed_energy")]),
-            [simulator.wtg_values(name)[0] for name in _OF_GROUPS],
-            simulator.machine_values("speed")[0],
-            np.array([simulator.values(row)[0] for row in rows]),
-        )
-        if step == simulator.n_intervals or simulator.lane_values("active")[0] < 0.5:
-            break
-        simulator.advance()
+def _sample(simulator: Simulator) -> tuple[Any, ...]:
+    """Return what is recorded of grid, WTG groups, machines and buses."""
+    n_bus = simulator.plant.buses.size if simulator.settings.extended else 0
+    return (
+        [simulator.lane_values(name)[0] for name in ("coi", "shed_energy")],
+        [simulator.wtg_values(name)[0] for name in _OF_GROUPS],
+        [simulator.machine_values(name)[0] for name in ("speed", "power")],
+        simulator.blocks[0, simulator.layout.rows_of(BUSES, "frequency")[:n_bus], 0],
+        *_electrical(simulator),
+    )
+
+
+def _electrical(simulator: Simulator) -> tuple[Floats, Floats]:
+    """Return reactive power, current, what its limiter takes, and connection of groups (4, n_wtg); voltages of buses.
+
+    Extended physics has them, voltages as protections sample them; else they follow from the network.
+    """
+    layout, network = simulator.layout, simulator.plant.network
+    if layout.n_extended:
+        of_groups = [simulator.wtg_values(name)[0] for name in ("reactive", "current", "cut", "connected")]
+        return np.array(of_groups), simulator.blocks[0, layout.rows_of(BUSES, "magnitude"), 0]
+    voltages, units = simulator.bus_voltages(), slice(layout.n_sync, layout.n_sync + layout.n_wtg)
+    emf, angle, connected = (simulator.wtg_values(name)[0] for name in ("emf", "angle", "connected"))
+    at_groups = voltages[network.unit_bus[units]]
+    current = connected * network.unit_y[units] / simulator.plant.share * (emf * np.exp(1j * angle) - at_groups)
+    reactive = (at_groups * current.conj()).imag
+    return np.array([reactive, np.abs(current), np.zeros_like(reactive), connected]), np.abs(voltages)

@@ -182,6 +182,18 @@ class StartFailure(IntEnum):
     WIND_SHORTAGE = 7
 
 
+class TripCause(IntEnum):
+    """Why a WTG group was disconnected; a failure of its rotor has the number that it has in `protection.Status`."""
+
+    EVENT = 0  # of the scenario; what is noted before any trip, too
+    STALL = 1
+    OVER_SPEED = 2
+    ISLAND_LOST = 3
+    OVER_VOLTAGE = 4
+    CHOPPER = 5
+    UNDER_SPEED = 7
+
+
 class Joining(StrEnum):
     """Where systems of devices may join the lists of a step; the last two are lists of the task."""
 

@@ -31,7 +31,13 @@ class Search(NamedTuple):
 
 GROUPS = Kind(
     name="WTG groups",
-    rows={"state": WtgState, "inputs": WtgInput, "output": equations.WtgOutput, "extremes": equations.WtgExtremes},
+    rows={
+        "state": WtgState,
+        "inputs": WtgInput,
+        "output": equations.WtgOutput,
+        "extremes": equations.WtgExtremes,
+        "trip_cause": float,  # of units.TripCause
+    },
     scratch={
         "captured": float,  # power from the wind, connected or not [p.u.]
         "search": Search,  # for the equilibrium
@@ -368,26 +374,34 @@ def keep_energy(
     return select(runs, speed, state.rotor_speed), select(runs, fma(extension.limits.heat_kept, heat, chopped), heat)
 
 
-@system(EXTENSIONS, "connected", "next_change")
+@system(EXTENSIONS, "connected", "next_change", "trip_cause")
 def judge_chopper(
-    heat: float, inputs: WtgInput, extension: Extension, next_change: float, step: float, active: float
-) -> tuple[float, float]:
+    heat: float,
+    inputs: WtgInput,
+    extension: Extension,
+    next_change: float,
+    trip_cause: float,
+    step: float,
+    active: float,
+) -> tuple[float, float, float]:
     """Disconnect a group whose chopper is full: its DC voltage would rise without an end."""
     full = (heat > extension.limits.chopper_energy) & (inputs.connected > 0.5) & (active > 0.5)
-    return select(full, 0.0, inputs.connected), select(full, step, next_change)
+    cause = select(full, float(units.TripCause.CHOPPER), trip_cause)
+    return select(full, 0.0, inputs.connected), select(full, step, next_change), cause
 
 
-@system(EXTENSIONS, "connected", "next_change", "over_voltage", "largest_voltage")
+@system(EXTENSIONS, "connected", "next_change", "trip_cause", "over_voltage", "largest_voltage")
 def judge_over_voltage(
     terminal_voltage: float,
     inputs: WtgInput,
     over_voltage: gfm.OverVoltage,
     largest_voltage: float,
     next_change: float,
+    trip_cause: float,
     step: float,
     active: float,
     simulation_dt: float,
-) -> tuple[float, float, gfm.OverVoltage, float]:
+) -> tuple[float, float, float, gfm.OverVoltage, float]:
     """Disconnect a group whose voltage has been above one of `OVER_VOLTAGES` for longer than it has to stay."""
     watched, trips = (inputs.connected > 0.5) & (active > 0.5), inputs.connected < 0.0
     steps = []
@@ -398,6 +412,7 @@ def judge_over_voltage(
     return (
         select(trips, 0.0, inputs.connected),
         select(trips, step, next_change),
+        select(trips, float(units.TripCause.OVER_VOLTAGE), trip_cause),
         gfm.OverVoltage(*steps),
         select(watched, max(largest_voltage, terminal_voltage), largest_voltage),
     )
