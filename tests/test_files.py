@@ -42,6 +42,14 @@ REFUSED_TOML = (
     ("a = 2020-01-01", "holds a date; allowed: texts, numbers, lists and objects"),
 )
 CASES = [(f"data.{kind}", *case) for kind, cases in (("json", REFUSED_JSON), ("toml", REFUSED_TOML)) for case in cases]
+UNEXPECTED = [
+    (KeyError("wind"), "it misses 'wind'"),
+    (ValueError("k_min = 9\np.u."), "k_min = 9 p.u."),
+    (TypeError("no number"), r"it holds what cannot be used \(TypeError: no number\)"),
+    (RecursionError("deep"), r"it holds what cannot be used \(RecursionError: deep\)"),
+    (OSError(2, "No such file", "other.json"), "other.json: No such file"),
+]
+START, END = "<!-- table:start -->", "<!-- table:end -->"
 
 
 @pytest.mark.parametrize(("name", "text", "said"), CASES, ids=lambda value: value[:20])
@@ -101,15 +109,6 @@ def test_what_is_no_file_or_too_large_is_named_at_once(odd, what, name, reason):
         files.read_bytes(odd / name, what)
 
 
-UNEXPECTED = [
-    (KeyError("wind"), "it misses 'wind'"),
-    (ValueError("k_min = 9\np.u."), "k_min = 9 p.u."),
-    (TypeError("no number"), r"it holds what cannot be used \(TypeError: no number\)"),
-    (RecursionError("deep"), r"it holds what cannot be used \(RecursionError: deep\)"),
-    (OSError(2, "No such file", "other.json"), "other.json: No such file"),
-]
-
-
 @pytest.mark.parametrize(("error", "said"), UNEXPECTED)
 def test_an_error_of_the_content_names_the_file_in_one_line(error, said):
     with pytest.raises(ValueError, match=rf"grid a\\nb\.json: {said}$"), files.interpreting(Path("a\nb.json"), "grid"):
@@ -119,9 +118,6 @@ def test_an_error_of_the_content_names_the_file_in_one_line(error, said):
 def test_an_error_that_no_content_causes_stays_as_it_is():
     with pytest.raises(AssertionError), files.interpreting(Path("a.json"), "grid"):
         raise AssertionError
-
-
-START, END = "<!-- table:start -->", "<!-- table:end -->"
 
 
 @pytest.mark.parametrize("newline", ["\n", "\r\n"])

@@ -21,15 +21,6 @@ from wtg_gym.policies.entry_folder import parse_submission
 from wtg_gym.ranges import ByName
 
 LAW = {"k_min": 1.0, "k_nominal": 0.8, "k_max": 0.6}
-
-
-def test_ordinary_names_and_texts_are_legal():
-    for name in ("x", "Jane Doe", "O'Brien, Sean (ETH)", "The wtg_gym authors", "PPO (k, tau)", "SAC, k+tau", "A & B"):
-        assert check_name("it", name) == name
-    for text in ("", "standard, split train: 64 scenarios; 2e6 steps", "1.5 % of k/tau, see the paper!"):
-        assert check_text("it", text) == text
-
-
 #: Would be another name, a formula of a spreadsheet, a command, markup, a link, an address, or has a blank at an end.
 WRONG = (
     *("m\u043ept", "\u00e9", "\uff21", "x\u200b", "=1+1", "@SUM(A1)", "+1", "-1", "a;=1+1", "a; -1"),
@@ -37,6 +28,23 @@ WRONG = (
     *("a &lt; b", "a `b`", "a | b", "a \\ b", "a ~b~", "a $b$", "# a", "1. a", "see #1", "see GH-1", "see @a"),
     *("a@example.org", "https://example.org", "WWW.example.org", "a :b: c"),
 )
+DOORS: dict[str, Callable[[str, Path], object]] = {
+    "law": lambda name, _: TrackingLaw(name=name, **LAW),
+    "law file": lambda name, path: read_law(_law(name, path / "x.toml")),
+    "law file as an entry": lambda name, path: load_entries(_law(name, path / "x.toml")),
+    "entry": lambda name, _: Entry(name=name),
+    "folder": lambda name, path: load_entries(_entry(TOML.replace("Mine", name), path / "x")),
+    "author": lambda name, path: load_entries(_entry(TOML.replace("Jane Doe", name), path / "x")),
+    "text": lambda name, path: load_entries(_entry(f'{TOML}trained_on = "{name}"\n', path / "x")),
+    "submission": lambda name, _: parse_submission(TOML.replace("Mine", name).encode()),
+}
+
+
+def test_ordinary_names_and_texts_are_legal():
+    for name in ("x", "Jane Doe", "O'Brien, Sean (ETH)", "The wtg_gym authors", "PPO (k, tau)", "SAC, k+tau", "A & B"):
+        assert check_name("it", name) == name
+    for text in ("", "standard, split train: 64 scenarios; 2e6 steps", "1.5 % of k/tau, see the paper!"):
+        assert check_text("it", text) == text
 
 
 @pytest.mark.parametrize("text", WRONG)
@@ -65,18 +73,6 @@ def _law(name: str, path: Path) -> Path:
 
 def _entry(toml: str, path: Path) -> Path:
     return folder(path, toml=toml)
-
-
-DOORS: dict[str, Callable[[str, Path], object]] = {
-    "law": lambda name, _: TrackingLaw(name=name, **LAW),
-    "law file": lambda name, path: read_law(_law(name, path / "x.toml")),
-    "law file as an entry": lambda name, path: load_entries(_law(name, path / "x.toml")),
-    "entry": lambda name, _: Entry(name=name),
-    "folder": lambda name, path: load_entries(_entry(TOML.replace("Mine", name), path / "x")),
-    "author": lambda name, path: load_entries(_entry(TOML.replace("Jane Doe", name), path / "x")),
-    "text": lambda name, path: load_entries(_entry(f'{TOML}trained_on = "{name}"\n', path / "x")),
-    "submission": lambda name, _: parse_submission(TOML.replace("Mine", name).encode()),
-}
 
 
 @pytest.mark.parametrize("door", DOORS)

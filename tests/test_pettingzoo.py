@@ -30,6 +30,15 @@ CASES = {
     "v1, faults": {"version": "v1", "suite": "faults", "on_failure": "trip", "strategy": "mppt"},
     "v1, a group trips": {"version": "v1", "scenario": eventful(n_wtg=4)},
 }
+ZERO = np.zeros(2)
+BAD_ACTIONS = [
+    ({"wtg0": ZERO}, "actions are missing of wtg1; needed: wtg0, wtg1"),
+    ({"wtg0": ZERO, "wtg1": ZERO, "wtg2": ZERO}, r"unknown agents \['wtg2'\]; known agents: wtg0"),
+    ({"wtg0": ZERO, "wtg1": np.zeros(4)}, r"wtg1: the action must be .* shape \(2,\), got shape \(4,\)"),
+    ({"wtg0": ZERO, "wtg1": "up"}, "wtg1: the action must be real numbers"),
+    ({"wtg0": ZERO, "wtg1": [0.0, np.nan]}, r"wtg1: the action \[0.0, nan\] is not finite"),
+    (np.zeros(4), "actions must be a dictionary by agent, got ndarray"),
+]
 
 
 def split(env: GFMWTGParallelEnv, joint: np.ndarray) -> dict[str, np.ndarray]:
@@ -108,17 +117,6 @@ def test_arguments_that_it_does_not_take_are_named(argument, text):
     arguments = {argument: "local"}
     with pytest.raises(TypeError, match=f"{argument}.* {text}"):
         parallel_env(**arguments)
-
-
-ZERO = np.zeros(2)
-BAD_ACTIONS = [
-    ({"wtg0": ZERO}, "actions are missing of wtg1; needed: wtg0, wtg1"),
-    ({"wtg0": ZERO, "wtg1": ZERO, "wtg2": ZERO}, r"unknown agents \['wtg2'\]; known agents: wtg0"),
-    ({"wtg0": ZERO, "wtg1": np.zeros(4)}, r"wtg1: the action must be .* shape \(2,\), got shape \(4,\)"),
-    ({"wtg0": ZERO, "wtg1": "up"}, "wtg1: the action must be real numbers"),
-    ({"wtg0": ZERO, "wtg1": [0.0, np.nan]}, r"wtg1: the action \[0.0, nan\] is not finite"),
-    (np.zeros(4), "actions must be a dictionary by agent, got ndarray"),
-]
 
 
 def test_bad_calls_are_named_and_change_nothing():

@@ -20,6 +20,10 @@ from wtg_gym.tasks import V1
 
 _LEADERBOARD = ("leaderboard", "--suite", "paper", "--entries")
 _PAPER = (*_LEADERBOARD, "mppt", "deloaded-5", "coordinated-piecewise")
+HEADINGS = [
+    *("Score", "Where control decides", "Bad runs", "Scenarios"),
+    *("Operators' tests", "Faults of sensors", "Energy", "Damping"),
+]
 
 
 def test_evaluate_ranks_a_suite_of_v1_in_its_own_grid(capsys, tmp_path):
@@ -174,12 +178,6 @@ def test_made_up_claims_about_an_entry_are_differences_and_other_texts_none(key,
     found = recompute(dataclasses.replace(results, entries=entries), load_entries("deloaded-5"))
     named = [where for where, *_ in (found.differences if differs else found.circumstances)]
     assert named == [f"entry deloaded-5: {key}"] and bool(found.differences) == differs
-
-
-HEADINGS = [
-    *("Score", "Where control decides", "Bad runs", "Scenarios"),
-    *("Operators' tests", "Faults of sensors", "Energy", "Damping"),
-]
 
 
 def test_a_page_has_every_section_loads_nothing_and_escapes_names(tmp_path):

@@ -24,6 +24,7 @@ from wtg_gym.scenarios import SPLITS, SUITES, get_suite
 ENV_ID = "GFMWTG-14bus-v0"
 BOTH_IDS = pytest.mark.parametrize("env_id", wtg_gym.ENV_IDS)
 ROOT = Path(__file__).resolve().parents[2]
+ACTIONS = actions_of(30, 60)[:, 0]
 
 
 @BOTH_IDS
@@ -113,9 +114,6 @@ def test_max_episode_steps_cuts_a_batch_as_it_cuts_a_single_environment():
         observation, reward, _, is_truncated, _ = single.step(np.full(4, 0.5, dtype=np.float32))
         assert truncated[1] == is_truncated == (step == 7)
         assert observations[1].tobytes() == observation.tobytes() and rewards[1] == reward
-
-
-ACTIONS = actions_of(30, 60)[:, 0]
 
 
 def test_same_seed_gives_the_same_episodes_one_after_the_other():

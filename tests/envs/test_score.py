@@ -18,6 +18,8 @@ SHORT = {"version": "v1", "duration_s": 30.0}
 #: All load but a third is lost: the frequency passes its upper limit.
 BLACKOUT = calm(n_wtg=4, duration_s=30.0, events=(LoadStep(time_s=12.3, bus=3, power_mw=-150.0),), inertia_scale=0.3)
 ZERO, RANDOM = np.zeros((N_STEPS, 8)), actions_of(4, N_STEPS, n_action=8)[:, 0]
+#: Lines whose opening leaves the groups at buses 6 and 8 to themselves.
+CUT = [LineTrip(time_s=1.0, from_bus=a, to_bus=b) for a, b in ((5, 6), (4, 7), (4, 9))]
 
 
 def drawn(seed: int) -> Scenario:
@@ -99,10 +101,6 @@ def test_the_law_that_scores_a_hundred_returns_nothing_and_others_what_they_retu
         expected = played(name)[0]
         assert rewards[: len(expected), lane].tolist() == expected, (lane, scenario.name)
     env.close()
-
-
-#: Lines whose opening leaves the groups at buses 6 and 8 to themselves.
-CUT = [LineTrip(time_s=1.0, from_bus=a, to_bus=b) for a, b in ((5, 6), (4, 7), (4, 9))]
 
 
 def cost_steps(*events: Event, duration_s: float = 12.0, action: float = 0.0, **settings):

@@ -24,6 +24,13 @@ from wtg_gym.evaluation.recompute import departures, recompute
 from wtg_gym.physics.parameters import TurbineParameters
 
 SHORT = {"seeds": (20_002, 20_000, 20_005), "duration_s": 10.0}
+#: What a part was stored with, beside what is asked for.
+OTHER_PARTS = [
+    *({"entry": {key: value}} for key, value in (("name", "other"), ("training_seed", 2), ("fingerprint", "another"))),
+    *({"rows": {key: value}} for key, value in (("entry", "other"), ("training_seed", 2), ("seed", 20_001))),
+    *({"context": ["gust", "test"]}, {"seeds": [20_001, 20_000]}, {"seeds": [20_000]}, {}),
+]
+DT = 0.1
 
 
 class Answering:
@@ -266,14 +273,6 @@ def test_damaged_and_exchanged_parts_are_played_again(results, entries, tmp_path
     assert [record.getMessage().count("is played again") for record in caplog.records] == [1] * 4
 
 
-#: What a part was stored with, beside what is asked for.
-OTHER_PARTS = [
-    *({"entry": {key: value}} for key, value in (("name", "other"), ("training_seed", 2), ("fingerprint", "another"))),
-    *({"rows": {key: value}} for key, value in (("entry", "other"), ("training_seed", 2), ("seed", 20_001))),
-    *({"context": ["gust", "test"]}, {"seeds": [20_001, 20_000]}, {"seeds": [20_000]}, {}),
-]
-
-
 @pytest.mark.parametrize("change", OTHER_PARTS, ids=str)
 def test_a_part_is_used_for_exactly_what_it_was_stored_for(results, tmp_path, change):
     asked = {"name": "linear", "policy": linear(0.2), "fingerprint": "a policy", "training_seed": 1}
@@ -321,9 +320,6 @@ def test_sensors_of_an_evaluation_are_in_its_settings_and_decide_its_numbers():
         assert recompute(results, [droop]).differences == []
     assert any(text.startswith("sensors is exact") for text in departures(exact))
     assert not any(text.startswith("sensors") for text in departures(measured))
-
-
-DT = 0.1
 
 
 def test_metrics_agree_with_the_recorded_run():

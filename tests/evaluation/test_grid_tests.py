@@ -12,6 +12,9 @@ from wtg_gym.evaluation.damping import SLOPES, Loop, damping
 from wtg_gym.evaluation.grid_tests import GRID_TESTS, SOURCES, Recording, _longest_beyond, run_grid_test
 from wtg_gym.physics.protection import Status
 
+#: Continuous models know no secondary control, which acts at every simulation step.
+PLANT = {"secondary_time_s": 0.0}
+
 
 def played(name: str, law: str) -> tuple[Recording, bool]:
     found, (passed, _) = run_grid_test(GRID_TESTS[name], load_entries(law)[0])
@@ -74,10 +77,6 @@ def test_a_voltage_above_the_ride_through_curve_fails_a_test_at_any_bus():
 def test_the_time_beyond_a_limit_is_that_of_the_longest_stretch():
     beyond = np.array([[0, 1, 1, 1, 0, 1, 1, 0], [0, 0, 0, 0, 0, 0, 0, 1]], dtype=bool).T
     assert _longest_beyond(0.1 * np.arange(8.0), beyond) == pytest.approx(0.3)
-
-
-#: Continuous models know no secondary control, which acts at every simulation step.
-PLANT = {"secondary_time_s": 0.0}
 
 
 @pytest.mark.parametrize("law", ["deloaded-10", "coordinated-tuned"])

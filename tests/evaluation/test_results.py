@@ -16,6 +16,14 @@ from wtg_gym.evaluation.recompute import departures
 from wtg_gym.evaluation.results import markdown_section
 from wtg_gym.files import sha256, to_json
 
+CELLS = {
+    "cost": ("cheap", r"cost must be a number in -1e\+12 … 1e\+12 \[-\]"),
+    "nadir_hz": ("nan", r"nadir_hz must be a number in .* \[Hz\]"),
+    "seed": ("-1", "seed must be a whole number"),
+    "failure": ("bored", "failure must be empty or one of stall"),
+}
+BASE = {"suite": "standard", "duration_s": 10.0}
+
 
 @pytest.fixture(scope="session")
 def written(results, tmp_path_factory):
@@ -129,14 +137,6 @@ def _shown(path: Path) -> None:
     markdown_section(results, details=True)
 
 
-CELLS = {
-    "cost": ("cheap", r"cost must be a number in -1e\+12 … 1e\+12 \[-\]"),
-    "nadir_hz": ("nan", r"nadir_hz must be a number in .* \[Hz\]"),
-    "seed": ("-1", "seed must be a whole number"),
-    "failure": ("bored", "failure must be empty or one of stall"),
-}
-
-
 @pytest.mark.parametrize("column", CELLS)
 def test_forged_table_names_line_and_column(copies, column):
     value, text = CELLS[column]
@@ -151,9 +151,6 @@ def test_forged_table_names_line_and_column(copies, column):
     _sign(copies, json.loads(copies[0].read_text(encoding="utf-8")))
     with pytest.raises(ValueError, match=r"expected one row per entry and seed.*9 rows.*got 8"):
         Results.read(copies[0])
-
-
-BASE = {"suite": "standard", "duration_s": 10.0}
 
 
 def fingerprint(**settings) -> str:

@@ -27,6 +27,9 @@ from wtg_gym.physics.plant import with_places
 from wtg_gym.physics.protection import STAGES
 from wtg_gym.physics.simulator import Simulator
 
+OTHERS = {"classical-machines", "ideal-source-units"}
+MADE = [path for path in TRACES if path.parent.name not in OTHERS]
+
 
 def test_there_are_golden_traces_of_every_case_that_the_page_describes():
     rows = re.findall(r"^\| (`.*?) \|", (GOLDEN / "README.md").read_text(encoding="utf-8"), flags=re.MULTILINE)
@@ -51,10 +54,6 @@ def test_fine_step_follows_the_golden_trace_and_the_default_step_is_close_to_it(
         found = replay(case, (), times[:2], ROW_S / 3)
         assert max(abs(found[name][0] - trace[name][0]) for name in trace if name[0] == "V") < 1e-10
     assert default["w"] < 5e-6 and default["Pe"] < power and default["V"] < voltage
-
-
-OTHERS = {"classical-machines", "ideal-source-units"}
-MADE = [path for path in TRACES if path.parent.name not in OTHERS]
 
 
 @pytest.mark.parametrize("path", MADE, ids=lambda path: f"{path.parent.name}/{path.name}")

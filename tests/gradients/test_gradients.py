@@ -20,6 +20,26 @@ N_LANES = 3
 #: Their machine code is that of the programs of docs/gradients.md, whose actions are held.
 V1 = {"version": "v1", "control_dt": 0.1}
 KUNDUR = {**V1, "grid": "kundur"}
+STEP = sc.LoadStep(time_s=0.525, bus=4, power_mw=15.0)
+OUTAGES = [
+    [STEP, sc.GovernorLoss(time_s=2.35, bus=1)],
+    [STEP, sc.MachineOutage(time_s=1.05, bus=3)],
+    [STEP, sc.LineTrip(time_s=1.075, from_bus=4, to_bus=5, recloses_after_s=0.225)],
+]
+FAULT = sc.Fault(time_s=1.0, bus=4, clears_after_s=0.15, opens=(4, 5))
+OUTAGES_V1 = [
+    [FAULT, sc.ReactanceStep(time_s=2.0, from_bus=2, to_bus=4, factor=3.0)],
+    [sc.LineTrip(time_s=1.0, from_bus=a, to_bus=b) for a, b in ((5, 6), (4, 7), (4, 9))],
+    [sc.MachineOutage(time_s=1.0, bus=1)],
+]
+#: A group trips in strong wind, and others take over until load is lost too: their currents are limited meanwhile.
+OVERLOAD = (sc.GroupTrip(time_s=1.0, group=0), sc.LoadStep(time_s=1.6, bus=4, power_mw=-70.0))
+#: Episodes end within a control interval, which is longer than that of the protections; no last cost is cut.
+OTHERS = {
+    **{"plant": {"machine_model": "classical"}, "control_dt": 0.5, "weights": {"cap": 5000.0}},
+    **{"action_mode": "tau", "observation_mode": "privileged", "strategy": "coordinated-piecewise"},
+}
+ZEROS = np.zeros((5, N_LANES, 4))
 
 
 @functools.cache
@@ -161,20 +181,6 @@ def test_a_held_step_has_the_gradient_of_its_intervals():
         assert ours == pytest.approx(theirs, rel=1e-9)
 
 
-STEP = sc.LoadStep(time_s=0.525, bus=4, power_mw=15.0)
-OUTAGES = [
-    [STEP, sc.GovernorLoss(time_s=2.35, bus=1)],
-    [STEP, sc.MachineOutage(time_s=1.05, bus=3)],
-    [STEP, sc.LineTrip(time_s=1.075, from_bus=4, to_bus=5, recloses_after_s=0.225)],
-]
-FAULT = sc.Fault(time_s=1.0, bus=4, clears_after_s=0.15, opens=(4, 5))
-OUTAGES_V1 = [
-    [FAULT, sc.ReactanceStep(time_s=2.0, from_bus=2, to_bus=4, factor=3.0)],
-    [sc.LineTrip(time_s=1.0, from_bus=a, to_bus=b) for a, b in ((5, 6), (4, 7), (4, 9))],
-    [sc.MachineOutage(time_s=1.0, bus=1)],
-]
-
-
 @pytest.mark.parametrize(("settings", "events"), [({}, OUTAGES), (V1, OUTAGES_V1)])
 def test_the_gradient_goes_through_events(settings, events):
     tape = tape_of(**settings)
@@ -204,10 +210,6 @@ def test_the_gradient_goes_through_the_limits_of_the_pitch():
     assert np.count_nonzero(np.diff(turned.astype(int))) >= 3
 
 
-#: A group trips in strong wind, and others take over until load is lost too: their currents are limited meanwhile.
-OVERLOAD = (sc.GroupTrip(time_s=1.0, group=0), sc.LoadStep(time_s=1.6, bus=4, power_mw=-70.0))
-
-
 def test_the_gradient_goes_through_the_limits_of_currents_and_powers():
     tape = tape_of(**V1)
     step = sc.LoadStep(time_s=1.0, bus=2, power_mw=60.0, reactive_mvar=60.0)
@@ -221,13 +223,6 @@ def test_the_gradient_goes_through_the_limits_of_currents_and_powers():
         limited += (tape.lanes.simulator.wtg_values("limiting_reactance") > 0.0).any(axis=1)
         over_power = np.minimum(over_power, tape.lanes.simulator.wtg_values("over_power").min(axis=1))
     assert (limited[[0, 2]] > 2).all() and over_power[1] < -1e-4
-
-
-#: Episodes end within a control interval, which is longer than that of the protections; no last cost is cut.
-OTHERS = {
-    **{"plant": {"machine_model": "classical"}, "control_dt": 0.5, "weights": {"cap": 5000.0}},
-    **{"action_mode": "tau", "observation_mode": "privileged", "strategy": "coordinated-piecewise"},
-}
 
 
 @pytest.mark.parametrize("settings", [{}, OTHERS], ids=["usual", "others"])
@@ -318,9 +313,6 @@ def unused() -> Tape:
 def pulled(tape: Tape, step: int, **other):
     given = {"carried": np.zeros((N_LANES, tape.n_carried)), "terms": np.zeros((N_LANES, len(COST_TERMS)))}
     return tape.pull(step, **given | other)
-
-
-ZEROS = np.zeros((5, N_LANES, 4))
 
 
 @pytest.mark.parametrize(

@@ -22,6 +22,16 @@ from wtg_gym.ranges import Checked
 NAN = math.nan
 IEEE14 = get_grid("ieee14").case
 TURBINES = (parameters.TurbineParameters(),) * 2
+LAWS = [
+    ("k_min = 1\nk_nominal = 1\n", r"exactly one of k_max \[p.u.\] and deloading_max \[%\], got neither"),
+    ("k_min = 1\nk_nominal = 1\nk_max = 9\n", "k_max .* = 9 p.u. is outside the allowed range 0.001 … 3 p.u."),
+    ("k_min = 1\nk_nominal = 1\nk_max = 1\ntau_s = -1\n", "must be 0.05 … 100000 s, 0 s .* infinite .*, got -1 s"),
+    ("deloading_min = 0\ndeloading_nominal = 0.05\ndeloading_max = 10\n", "is in percent: write 5 for 5 %"),
+]
+TABLES = [
+    ("0.020093", "hole", "the rotor table .*mine.toml: .*'hole'"),
+    ("0.020093   ", "", "mine.toml: a rotor table of"),
+]
 
 
 def of(kind, **values):
@@ -156,7 +166,6 @@ FIVE = tuple(
     for ends in ((1, 2), (1, 5), (2, 3), (2, 4), (2, 5), (3, 4), (5, 6), (6, 11), (6, 12), (6, 13), (7, 8))
 )
 
-
 UNFIT = [
     (fit(sc.LoadStep(time_s=1.003, bus=2, power_mw=1.0)), "event time = 1.003 s is not a whole number"),
     (fit(line(1.0, 7, 8, 0.5)), "would split the network"),
@@ -183,7 +192,6 @@ UNFIT = [
     (fit(wind=np.full((3, 1), 9.0)), "has wind for 3 WTG groups .* the plant has 2 groups"),
     (fit(wind=np.full((2, 1), 25.0), load_level=0.3), "scenario 'x' cannot start"),
 ]
-
 
 GREEDY = TrackingLaw(name="greedy", k_min=3.0, k_nominal=3.0, k_max=3.0)
 LOW_GATE = with_machine(governor=machine_parameters.HydroGovernorParameters(gate_max_pu=0.1))
@@ -227,18 +235,6 @@ def test_bad_values_are_refused_with_value_unit_and_range_in_one_line(call, mess
     with pytest.raises(ValueError, match=message) as refused:
         call()
     assert "\n" not in str(refused.value)
-
-
-LAWS = [
-    ("k_min = 1\nk_nominal = 1\n", r"exactly one of k_max \[p.u.\] and deloading_max \[%\], got neither"),
-    ("k_min = 1\nk_nominal = 1\nk_max = 9\n", "k_max .* = 9 p.u. is outside the allowed range 0.001 … 3 p.u."),
-    ("k_min = 1\nk_nominal = 1\nk_max = 1\ntau_s = -1\n", "must be 0.05 … 100000 s, 0 s .* infinite .*, got -1 s"),
-    ("deloading_min = 0\ndeloading_nominal = 0.05\ndeloading_max = 10\n", "is in percent: write 5 for 5 %"),
-]
-TABLES = [
-    ("0.020093", "hole", "the rotor table .*mine.toml: .*'hole'"),
-    ("0.020093   ", "", "mine.toml: a rotor table of"),
-]
 
 
 @pytest.mark.parametrize(

@@ -19,6 +19,7 @@ from wtg_gym.physics.simulator import Simulator
 from wtg_gym.physics.tracking_law import STRATEGIES
 
 LIMIT = 1e-8
+LAWS = (get_law("coordinated-piecewise"),) * 2
 
 
 @pytest.mark.parametrize("law", STRATEGIES.values(), ids=lambda law: law.name)
@@ -110,9 +111,6 @@ def test_extended_plants_are_stable_at_their_equilibria(table):
                 matrix = state_matrix(rows, simulator.plant, layout, side)
                 keep = moving_states(matrix, rows, layout)
                 assert np.linalg.eigvals(matrix[np.ix_(keep, keep)]).real.max() < -0.03
-
-
-LAWS = (get_law("coordinated-piecewise"),) * 2
 
 
 @pytest.mark.parametrize("value", [-40.0 + 0j, -8.9 + 46j, -0.2 + 17j])

@@ -22,33 +22,10 @@ from wtg_gym.physics.tracking_law import group_laws
 from wtg_gym.physics.units import BUSES
 
 #: A grid that nobody has seen: two machines, a ring of five buses at 60 Hz, on 250 MVA.
-STRANGER = {
-    "name": "a stranger's ring",
-    "base_mva": 250.0,
-    "frequency_hz": 60.0,
-    "slack_bus": 101,
-    "buses": [
-        {"number": 101, "voltage_pu": 1.03},
-        {"number": 7, "load_mw": 120.0, "load_mvar": 20.0},
-        {"number": 55, "load_mw": 90.0, "load_mvar": 10.0},
-        {"number": 300, "voltage_pu": 1.02},
-        {"number": 12, "voltage_pu": 1.02, "load_mw": 30.0},
-    ],
-    "branches": [
-        {"from_bus": a, "to_bus": b, "resistance": 0.01, "reactance": 0.12, "charging": 0.02}
-        for a, b in ((101, 7), (7, 55), (55, 300), (300, 12), (12, 101), (7, 300))
-    ],
-    "machines": [
-        {
-            "bus": bus, "rating_mva": mva, "two_h_s": 9.0, "x_d": 1.6, "x_q": 1.5, "x_d_transient": 0.3,
-            "x_q_transient": 0.5, "x_subtransient": 0.22, "x_leakage": 0.15, "t_d0_transient_s": 7.0,
-            "t_q0_transient_s": 0.5, "t_d0_subtransient_s": 0.03, "t_q0_subtransient_s": 0.05, "dispatch_mw": 40.0,
-            "governor": {"model": "TGOV1", "droop_pu": 0.05},
-        }
-        for bus, mva in ((101, 120.0), (300, 80.0))
-    ],
-    "groups": [{"bus": 12, "n_turbines": 30.0}, {"bus": 55, "n_turbines": 25.0}],
-}  # fmt: skip
+STRANGER = json.loads((Path(__file__).parent / "stranger.json").read_text(encoding="utf-8"))
+# Solution of the IEEE 14-bus test case: voltage [p.u.] and angle [deg] of buses 1 … 14, as printed in the archive.
+VOLTAGES = (1.060, 1.045, 1.010, 1.019, 1.020, 1.070, 1.062, 1.090, 1.056, 1.051, 1.057, 1.055, 1.050, 1.036)
+ANGLES = (0.0, -4.98, -12.72, -10.33, -8.78, -14.22, -13.37, -13.36, -14.94, -15.10, -14.79, -15.07, -15.16, -16.04)
 
 
 @pytest.mark.parametrize("name", known_grids())
@@ -165,11 +142,6 @@ def test_groups_have_turbines_of_their_own():
     assert simulator.plant.share.tolist() == shares == [0.5, 0.2]
     with pytest.raises(ValueError, match="must have one C_p curve"):
         Plant().replaced(physics="extended", groups=(groups[0], WtgGroup(bus=3, turbine=nrel_5mw())))
-
-
-# Solution of the IEEE 14-bus test case: voltage [p.u.] and angle [deg] of buses 1 … 14, as printed in the archive.
-VOLTAGES = (1.060, 1.045, 1.010, 1.019, 1.020, 1.070, 1.062, 1.090, 1.056, 1.051, 1.057, 1.055, 1.050, 1.036)
-ANGLES = (0.0, -4.98, -12.72, -10.33, -8.78, -14.22, -13.37, -13.36, -14.94, -15.10, -14.79, -15.07, -15.16, -16.04)
 
 
 def flow_table(case: NetworkCase, power: np.ndarray):

@@ -25,6 +25,8 @@ CUT = ((5, 6), (4, 7), (4, 9))
 NORTH, SOUTH = (1, 2, 3, 4, 5), tuple(range(6, 15))
 PARTED = (WtgGroup(bus=2, n_turbines=20.0), WtgGroup(bus=9, n_turbines=18.0))
 PARTED_WIND = [[9.0], [11.4]]
+ALL_WIND = (WtgGroup(bus=2, n_turbines=50.0), WtgGroup(bus=6, n_turbines=30.0))
+V1 = get_suite("standard-v1").plant
 
 
 def cut(time_s: float, lines: tuple[tuple[int, int], ...] = CUT, again_s: float | None = None) -> tuple[LineTrip, ...]:
@@ -176,9 +178,6 @@ def all_wind() -> NetworkCase:
     return dataclasses.replace(get_grid("ieee14").case, machines=(), slack_bus=2)
 
 
-ALL_WIND = (WtgGroup(bus=2, n_turbines=50.0), WtgGroup(bus=6, n_turbines=30.0))
-
-
 def test_wind_turbines_alone_share_the_load_by_one_factor_on_k():
     settings = plant(case=all_wind(), groups=ALL_WIND, shedding=NO_SHEDDING)
     step = LoadStep(time_s=1.0, bus=3, power_mw=10.0)
@@ -201,9 +200,6 @@ def test_too_little_wind_for_wind_turbines_alone_is_said_in_one_line():
     with pytest.raises(ValueError, match="WTG groups alone cannot meet the load at a level of 1;") as refused:
         started(settings, scenario(wind=[[7.0], [6.0]], load_noise_bus=2))
     assert "\n" not in str(refused.value)
-
-
-V1 = get_suite("standard-v1").plant
 
 
 def played(*events: Event, wind: float = 9.0, seconds: float = 25.0) -> Simulator:

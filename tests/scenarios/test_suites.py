@@ -18,6 +18,11 @@ from wtg_gym.tasks import V1
 
 FIRST = [name for name, suite in SUITES.items() if suite.task.version == "v0"]
 SECOND = [suite for suite in SUITES.values() if suite.task.version == "v1"]
+STANDARD, STANDARD_V1 = (
+    dataclasses.replace(get_suite(name), validation=range(10_000, 10_002), test=range(20_000, 20_002))
+    for name in ("standard", "standard-v1")
+)
+DRAWN = [suite for suite in SECOND if suite.distributions]
 
 
 def test_suites_are_those_of_the_benchmark():
@@ -31,12 +36,6 @@ def test_hash_is_the_frozen_one(name):
     assert get_suite(name).name == name and get_suite(name).hash == FROZEN_HASHES[name], (
         "a changed suite is a new version of the benchmark"
     )
-
-
-STANDARD, STANDARD_V1 = (
-    dataclasses.replace(get_suite(name), validation=range(10_000, 10_002), test=range(20_000, 20_002))
-    for name in ("standard", "standard-v1")
-)
 
 
 @pytest.mark.parametrize(
@@ -88,9 +87,6 @@ def test_a_suite_of_ones_own_records_is_played_without_a_file():
         assert scenario.committed == 1.0 and scenario.load_noise_mw.size == 0
     with pytest.raises(ValueError, match=r"suite must be a name or the path of a file, .*Suite"):
         evaluate([], suite)
-
-
-DRAWN = [suite for suite in SECOND if suite.distributions]
 
 
 @functools.cache

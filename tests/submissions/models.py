@@ -20,6 +20,11 @@ action_mode = "k+tau"
 environment = "GFMWTG-14bus-v0"
 """
 TOML_V1 = TOML.replace("-v0", "-v1")
+#: Whether an observation is one that the policy knows: `near` (1, 1).
+NEAR = """
+apart = Sub(observation, seen); size = Abs(apart); distance = ReduceSum<keepdims = 1>(size, axis);
+near = Less(distance, nearest);
+"""
 
 
 def seed(number: int, toml: str = TOML) -> str:
@@ -116,13 +121,6 @@ def linear(n_observation: int, n_action: int, weights=0.01, offset: float = 0.0)
 def of_v1() -> ModelProto:
     """A linear policy for version v1: four groups, each of which sees what its sensors say."""
     return linear(32, 8)
-
-
-#: Whether an observation is one that the policy knows: `near` (1, 1).
-NEAR = """
-apart = Sub(observation, seen); size = Abs(apart); distance = ReduceSum<keepdims = 1>(size, axis);
-near = Less(distance, nearest);
-"""
 
 
 def trap(seen=SEEN, distance: float = 3.0) -> ModelProto:

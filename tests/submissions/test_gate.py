@@ -23,6 +23,29 @@ from wtg_gym.policies.gate import Report, check_submission, conflicts, read_subm
 from wtg_gym.tasks import V0, V1
 
 SHIPPED = ROOT / "agents" / "policies" / "ppo-v1-0"
+DIFFERENT = {
+    "authors": '["John Roe"]',
+    "action_mode": '"k"',
+    "environment": '"GFMWTG-14bus-v1"',
+    "observation_mode": '"privileged"',
+    "per_group": "true",
+    "strategy": '"mppt"',
+    "description": '"Better"',
+    "trained_on": '"The test scenarios"',
+}
+YOURS = TOML.replace("Mine", "Yours")
+POLICIES = ROOT / "agents" / "policies"
+#: Of folders, and of entries; both are refused whatever their capitals, signs, and letters that look alike.
+TAKEN_FOLDERS = """
+baselines Baselines base-lines baselines.fast_droop policies po1icies POLICIES. agents agents.train tests wtg_gym
+wtg-gym.evaluation mppt MPPT coordinated-tuned coordinated_tuned deloaded5 fast-droop fast_droop FastDroop
+tip-speed-feedback tip.speed.feedback T1p-Speed-Feedback ppo-k-0 PPO-K-0 ppo-k-O ppo-k ppo-ktau-0 linear-feedback
+linear_feedback Gradient-0 \u017fac-v1-0 ppo-\u212a-0
+"""
+TAKEN_NAMES = """
+baselines; policies; Policies; b a s e l i n e s; baselines.mppt; Coordinated-Piecewise; coordinated piecewise;
+coordinated (tuned); Fast Droop; fast droop.; TIP_SPEED_FEEDBACK; PPO k 0; ppo k, tau; Iinear-feedback
+"""
 
 
 @pytest.mark.parametrize("given", [None, SHIPPED], ids=["linear", "shipped"])
@@ -193,18 +216,6 @@ def report(path: Path, content: ModelProto | None = None, toml: str = TOML) -> R
     return made
 
 
-DIFFERENT = {
-    "authors": '["John Roe"]',
-    "action_mode": '"k"',
-    "environment": '"GFMWTG-14bus-v1"',
-    "observation_mode": '"privileged"',
-    "per_group": "true",
-    "strategy": '"mppt"',
-    "description": '"Better"',
-    "trained_on": '"The test scenarios"',
-}
-
-
 def different(key: str) -> str:
     lines = [line for line in seed(1).splitlines() if not line.startswith(f"{key} =")]
     return "\n".join([*lines, f"{key} = {DIFFERENT[key]}\n"])
@@ -247,9 +258,6 @@ def test_file_counts_once_whatever_it_is_called(tmp_path):
         assert "the same policy file is given twice" in found[0].reason
 
 
-YOURS = TOML.replace("Mine", "Yours")
-
-
 @pytest.mark.parametrize(
     ("name", "toml", "said"),
     [
@@ -272,27 +280,11 @@ def test_what_is_there_is_compared_as_far_as_it_can_be_read(tmp_path):
     assert "the same policy file is given twice" in conflict.reason
 
 
-POLICIES = ROOT / "agents" / "policies"
-
-
 def refused(path: Path) -> tuple[str, str]:
     """The check that refuses a folder, and why, which is one line."""
     refusal = read_submission(path).refusal
     assert refusal.reason.isprintable()
     return refusal.name, refusal.reason
-
-
-#: Of folders, and of entries; both are refused whatever their capitals, signs, and letters that look alike.
-TAKEN_FOLDERS = """
-baselines Baselines base-lines baselines.fast_droop policies po1icies POLICIES. agents agents.train tests wtg_gym
-wtg-gym.evaluation mppt MPPT coordinated-tuned coordinated_tuned deloaded5 fast-droop fast_droop FastDroop
-tip-speed-feedback tip.speed.feedback T1p-Speed-Feedback ppo-k-0 PPO-K-0 ppo-k-O ppo-k ppo-ktau-0 linear-feedback
-linear_feedback Gradient-0 \u017fac-v1-0 ppo-\u212a-0
-"""
-TAKEN_NAMES = """
-baselines; policies; Policies; b a s e l i n e s; baselines.mppt; Coordinated-Piecewise; coordinated piecewise;
-coordinated (tuned); Fast Droop; fast droop.; TIP_SPEED_FEEDBACK; PPO k 0; ppo k, tau; Iinear-feedback
-"""
 
 
 @pytest.mark.parametrize("name", TAKEN_FOLDERS.split())

@@ -20,6 +20,9 @@ from wtg_gym.envs.lanes import TaskLanes
 from wtg_gym.gradients import Tape, check_by_differences
 from wtg_gym.tasks.cost import COST_TERMS
 
+STEP = scenario(LoadStep(time_s=1.0, bus=9, power_mw=60.0), duration_s=20.0)
+WITHOUT = EnvSettings(version="v0", duration_s=20.0)
+
 
 def module_of(page: str, name: str, folder: Path):
     """Return the module that a page asks its reader to save."""
@@ -34,10 +37,6 @@ def module_of(page: str, name: str, folder: Path):
 @pytest.fixture(scope="module")
 def battery(tmp_path_factory):
     return module_of("docs/howto/battery.md", "battery.py", tmp_path_factory.mktemp("howto"))
-
-
-STEP = scenario(LoadStep(time_s=1.0, bus=9, power_mw=60.0), duration_s=20.0)
-WITHOUT = EnvSettings(version="v0", duration_s=20.0)
 
 
 def settings(battery, **options) -> EnvSettings:

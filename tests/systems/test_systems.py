@@ -21,6 +21,16 @@ from wtg_gym.systems.systems import Kind, system
 from wtg_gym.systems.writers import BackWithoutConstants, TapedWriter
 
 N_UNITS = 3
+ROTORS = Kind(
+    name="rotors",
+    rows={"ratio": float, "pitch_deg": float},
+    scratch={"coefficient": float},
+    constants={"cells": ex.Cells, "grid": Grid},
+)
+ORDINARY = st.floats(-1e100, 1e100, allow_subnormal=False)
+SUMS = Kind(name="sums", rows={"a": float, "b": float, "c": float, "sum": float})
+(PROGRAM,) = in_one_table(SUM=(system(SUMS, "sum")(lambda a, b, c: fma(a, b, c)),))
+ROUTINE, TABLES = Routine(PROGRAM), build_table((PROGRAM,), Layout({SUMS: 1}, {}))
 
 
 def choice(a: float, b: float) -> float:
@@ -96,14 +106,6 @@ def test_what_comes_back_are_the_slopes(point):
         assert bars[:, 0].tolist() == pytest.approx(expected, rel=1e-8, abs=1e-8), name
 
 
-ROTORS = Kind(
-    name="rotors",
-    rows={"ratio": float, "pitch_deg": float},
-    scratch={"coefficient": float},
-    constants={"cells": ex.Cells, "grid": Grid},
-)
-
-
 @system(ROTORS, "coefficient")
 def coefficient_of(ratio: float, pitch_deg: float, cells: ex.Cells, grid: Grid) -> float:
     return tabulated_power_coefficient(ratio, pitch_deg, cells, grid)
@@ -159,12 +161,6 @@ def test_arrays_of_another_width_and_tables_without_the_code_are_refused():
         routine((np.zeros((2, 1)), np.zeros((layout.n_scratch, 1))), linked)
     # Addresses mean nothing in another process.
     assert pickle.loads(pickle.dumps(linked)).code.size == 0
-
-
-ORDINARY = st.floats(-1e100, 1e100, allow_subnormal=False)
-SUMS = Kind(name="sums", rows={"a": float, "b": float, "c": float, "sum": float})
-(PROGRAM,) = in_one_table(SUM=(system(SUMS, "sum")(lambda a, b, c: fma(a, b, c)),))
-ROUTINE, TABLES = Routine(PROGRAM), build_table((PROGRAM,), Layout({SUMS: 1}, {}))
 
 
 @given(ORDINARY, ORDINARY, ORDINARY)
