@@ -38,6 +38,22 @@ DOORS: dict[str, Callable[[str, Path], object]] = {
     "text": lambda name, path: load_entries(_entry(f'{TOML}trained_on = "{name}"\n', path / "x")),
     "submission": lambda name, _: parse_submission(TOML.replace("Mine", name).encode()),
 }
+MISSPELT = [
+    (lambda: get_suite("standrad"), "standard"),
+    (lambda: EnvSettings(version="v1", suite="wek-grid-v1"), "weak-grid-v1"),
+    (lambda: get_suite("standard").seeds("tests"), "test"),
+    (lambda: EnvSettings(version="V1"), "v1"),
+    (lambda: EnvSettings(plant={"physics": "extented"}).resolved_plant, "extended"),
+    (lambda: Plant().replaced(physics="nrel_5mw"), "nrel-5mw"),
+    (lambda: EnvSettings(action_mode="k+taw"), "k+tau"),
+    (lambda: EnvSettings(weights={"dutty": 0.0}).cost_weights(), "duty"),
+    (lambda: get_grid("kundru"), "kundur"),
+    (lambda: get_law("mptt"), "mppt"),
+    (lambda: load_entries("Coordinated-Tunned"), "coordinated-tuned"),
+    (lambda: load_entries("fast-drop"), "fast-droop"),
+    (lambda: load_entries("polices"), "policies"),
+    (lambda: ByName("agent", {"wtg0": 0})["wtg"], "wtg0"),
+]
 
 
 def test_ordinary_names_and_texts_are_legal():
@@ -96,25 +112,7 @@ def test_names_that_look_alike_are_one():
     assert plain_name("SAC 0") == plain_name("SAC O") != plain_name("SAC 8")
 
 
-@pytest.mark.parametrize(
-    ("look_up", "nearest"),
-    [
-        (lambda: get_suite("standrad"), "standard"),
-        (lambda: EnvSettings(version="v1", suite="wek-grid-v1"), "weak-grid-v1"),
-        (lambda: get_suite("standard").seeds("tests"), "test"),
-        (lambda: EnvSettings(version="V1"), "v1"),
-        (lambda: EnvSettings(plant={"physics": "extented"}).resolved_plant, "extended"),
-        (lambda: Plant().replaced(physics="nrel_5mw"), "nrel-5mw"),
-        (lambda: EnvSettings(action_mode="k+taw"), "k+tau"),
-        (lambda: EnvSettings(weights={"dutty": 0.0}).cost_weights(), "duty"),
-        (lambda: get_grid("kundru"), "kundur"),
-        (lambda: get_law("mptt"), "mppt"),
-        (lambda: load_entries("Coordinated-Tunned"), "coordinated-tuned"),
-        (lambda: load_entries("fast-drop"), "fast-droop"),
-        (lambda: load_entries("polices"), "policies"),
-        (lambda: ByName("agent", {"wtg0": 0})["wtg"], "wtg0"),
-    ],
-)
+@pytest.mark.parametrize(("look_up", "nearest"), MISSPELT)
 def test_a_misspelt_name_is_refused_with_the_nearest(look_up, nearest):
     with pytest.raises((ValueError, KeyError), match=f"; did you mean '{nearest.replace('+', '.')}'\\?"):
         look_up()

@@ -45,7 +45,6 @@ def entry(name: str) -> Callable[[Path], object]:
 
 @pytest.fixture
 def base(tmp_path):
-    """A repository with two entries and some code."""
     folder = tmp_path / "base"
     for name in ("first", "second"):
         entry(name)(folder)

@@ -74,7 +74,6 @@ BAD = [
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
-    """A folder with the files that the table names."""
     root = tmp_path_factory.mktemp("bad")
     (root / "file.txt").write_text("not a folder")
     (root / "folder.png").mkdir()

@@ -111,11 +111,8 @@ def test_no_command_prints_past_the_one_place_that_escapes():
         assert not printing or path.name in ("output.py", "__init__.py"), path
 
 
-def test_commands_mean_the_benchmarks_suite_where_none_is_named():
+def test_suites_lists_every_suite_and_commands_mean_that_of_the_benchmark(capsys):
     assert options.DEFAULT_SUITE == DEFAULT_SUITE
-
-
-def test_suites_lists_every_suite(capsys):
     listed = json_of(capsys, "suites", "--json")
     hashes = {suite["name"]: suite["hash"] for suite in listed}
     assert list(hashes) == list(SUITES) and FROZEN_HASHES.items() <= hashes.items()

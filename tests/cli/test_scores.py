@@ -24,6 +24,12 @@ HEADINGS = [
     *("Score", "Where control decides", "Bad runs", "Scenarios"),
     *("Operators' tests", "Faults of sensors", "Energy", "Damping"),
 ]
+CLAIMS = [
+    ("kind", "feedback", True),
+    ("policy_sha256", "0" * 64, True),
+    ("observation_mode", "privileged", True),
+    ("source", "Somebody", False),
+]
 
 
 def test_evaluate_ranks_a_suite_of_v1_in_its_own_grid(capsys, tmp_path):
@@ -163,15 +169,7 @@ def test_numbers_that_were_made_up_are_named(folder, tmp_path, capsys):
     assert where == f"{first.entry}, seed {first.seed}: cost" and float(stored) == 0.5 * float(now)
 
 
-@pytest.mark.parametrize(
-    ("key", "value", "differs"),
-    [
-        ("kind", "feedback", True),
-        ("policy_sha256", "0" * 64, True),
-        ("observation_mode", "privileged", True),
-        ("source", "Somebody", False),
-    ],
-)
+@pytest.mark.parametrize(("key", "value", "differs"), CLAIMS)
 def test_made_up_claims_about_an_entry_are_differences_and_other_texts_none(key, value, differs, folder):
     results = Results.read(folder / "standard-test.json")
     entries = tuple({**entry, key: value} if entry["name"] == "deloaded-5" else entry for entry in results.entries)

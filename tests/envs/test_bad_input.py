@@ -101,6 +101,11 @@ WRONG: dict[str, Any] = {
     "none": None,
     "scalar": 0.0,
 }
+OTHER_SETTINGS = [
+    ({"weights": {"duty": 0.0}, "on_failure": "trip"}, "weights, plant"),
+    ({"strategy": "mppt"}, "strategy"),
+    (V1, "strategy, weights, plant, version, control_dt, reward"),
+]
 
 
 @pytest.mark.parametrize(("arguments", "message"), SETTINGS, ids=lambda value: str(value)[:40])
@@ -227,15 +232,7 @@ def test_step_of_a_batch_whose_lanes_were_not_all_reset_is_a_runtime_error(mode)
     env.step(zeros)
 
 
-@pytest.mark.parametrize(
-    ("settings", "named"),
-    [
-        ({"weights": {"duty": 0.0}, "on_failure": "trip"}, "weights, plant"),
-        ({"strategy": "mppt"}, "strategy"),
-        (V1, "strategy, weights, plant, version, control_dt, reward"),
-    ],
-    ids=str,
-)
+@pytest.mark.parametrize(("settings", "named"), OTHER_SETTINGS, ids=str)
 def test_snapshot_of_other_settings_is_refused_and_changes_nothing(settings, named):
     env, other = (GFMWTGEnv(**{"version": "v0", "duration_s": 4.0, **given}) for given in ({}, settings))
     env.reset(seed=3), other.reset(seed=8)

@@ -86,7 +86,6 @@ def test_any_settings_and_actions_play_to_the_end(given_arguments, actions, seed
 
 @st.composite
 def event_lists(draw: st.DrawFn) -> tuple[sc.Event, ...]:
-    """Any events that a plant takes, in any order."""
     buses = st.integers(1, 14)
     found: list[sc.Event] = [sc.LoadStep(time_s=draw(TIMES), bus=draw(buses), power_mw=draw(POWERS_MW))]
     found.append(sc.LoadRamp(time_s=draw(TIMES), bus=draw(buses), power_mw=draw(POWERS_MW), duration_s=0.5))

@@ -132,6 +132,23 @@ BAD = {
     "exit": (lambda o, s: sys.exit(3), r"step 0: predict\(\) raised SystemExit: 3"),
     "no-state": (lambda o, s: np.zeros((3, 4)), r"\(actions, state\)"),
 }
+WRONG = [
+    ([], "standard", {"split": "tests", "seeds": None}, "unknown split"),
+    ([], "standard", {"split": "train", "seeds": None}, "too many"),
+    ([], "standard", {"seeds": []}, "seeds must be a list of whole numbers, one or more, got .*20000 … 20199"),
+    ([], "standard", {"batch": 0}, "1 … 10000"),
+    ([], "standard", {"strategy": "mppt"}, "set by the entry"),
+    ([], "standard", {"partial": __file__}, "partial must be a folder"),
+    ([], "standard-v1", {"plant": {"turbine": TurbineParameters()}}, "in plant, give numbers and texts"),
+    ([], "standard-v1", {"plant": {1: 2}}, r"unknown settings of a plant \['1'\]"),
+    ([3], "standard", {}, "list of Entry"),
+    ([Entry(name="a"), Entry(name="a", training_seed=1)], "standard", {}, "all have a training seed"),
+    ([Entry(name="mppt")], "standard", {}, "reserved"),
+    (
+        [Entry(name="a", policy=linear(1.0), training_seed=seed, learned=seed == 0) for seed in (0, 1)],
+        *("standard", {}, "entries named 'a' share a row and must agree on kind, got"),
+    ),
+]
 
 
 @pytest.mark.parametrize("case", BAD)
@@ -184,26 +201,7 @@ def test_entry_that_fails_is_left_out_with_its_row_and_the_others_stand(tmp_path
     assert read == results and read.to_dict()["summary"] == others.to_dict()["summary"]
 
 
-@pytest.mark.parametrize(
-    ("entries", "suite", "arguments", "text"),
-    [
-        ([], "standard", {"split": "tests", "seeds": None}, "unknown split"),
-        ([], "standard", {"split": "train", "seeds": None}, "too many"),
-        ([], "standard", {"seeds": []}, "seeds must be a list of whole numbers, one or more, got .*20000 … 20199"),
-        ([], "standard", {"batch": 0}, "1 … 10000"),
-        ([], "standard", {"strategy": "mppt"}, "set by the entry"),
-        ([], "standard", {"partial": __file__}, "partial must be a folder"),
-        ([], "standard-v1", {"plant": {"turbine": TurbineParameters()}}, "in plant, give numbers and texts"),
-        ([], "standard-v1", {"plant": {1: 2}}, r"unknown settings of a plant \['1'\]"),
-        ([3], "standard", {}, "list of Entry"),
-        ([Entry(name="a"), Entry(name="a", training_seed=1)], "standard", {}, "all have a training seed"),
-        ([Entry(name="mppt")], "standard", {}, "reserved"),
-        (
-            [Entry(name="a", policy=linear(1.0), training_seed=seed, learned=seed == 0) for seed in (0, 1)],
-            *("standard", {}, "entries named 'a' share a row and must agree on kind, got"),
-        ),
-    ],
-)
+@pytest.mark.parametrize(("entries", "suite", "arguments", "text"), WRONG)
 def test_wrong_argument_is_refused(entries, suite, arguments, text):
     with pytest.raises(ValueError, match=text):
         evaluate(entries, suite, **{"split": "test", "seeds": [20_000], "duration_s": 2.0, **arguments})

@@ -20,6 +20,13 @@ RANDOM = {
     "within a condition": models.branch("drawn = RandomNormalLike(linear);"),
     "a function called like an operator": models.with_function("y = RandomNormalLike(x);", "own"),
 }
+SIGNATURES = [
+    ([models.info("observation", 2, models.N)], [models.info("action", 2, 4)], r"\(batch, n\) with any batch"),
+    ([models.info("observation", "batch", "n")], [models.ACTION], "observation must be float32"),
+    ([models.OBSERVATION, models.info("memory", "batch", 2)], [models.ACTION], "must take observation, state_0"),
+    ([models.OBSERVATION, models.info("state_0", "batch", 2)], [models.ACTION], "must take observation, state_0"),
+    ([models.OBSERVATION], [], "must take observation, state_0"),
+]
 
 
 def counter() -> OnnxPolicy:
@@ -48,15 +55,7 @@ def test_file_that_is_missing_or_may_have_no_end_is_refused(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("inputs", "outputs", "text"),
-    [
-        ([models.info("observation", 2, models.N)], [models.info("action", 2, 4)], r"\(batch, n\) with any batch"),
-        ([models.info("observation", "batch", "n")], [models.ACTION], "observation must be float32"),
-        ([models.OBSERVATION, models.info("memory", "batch", 2)], [models.ACTION], "must take observation, state_0"),
-        ([models.OBSERVATION, models.info("state_0", "batch", 2)], [models.ACTION], "must take observation, state_0"),
-        ([models.OBSERVATION], [], "must take observation, state_0"),
-    ],
-    ids=["batch", "width", "memory", "state", "no action"],
+    ("inputs", "outputs", "text"), SIGNATURES, ids=["batch", "width", "memory", "state", "no action"]
 )
 def test_wrong_signature_is_refused_when_loaded(inputs, outputs, text):
     with pytest.raises(PolicyError, match=text):

@@ -13,10 +13,9 @@ import pytest
 from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
 
-from tests.golden.case import GOLDEN, ROW_S, TRACES, read_case, read_data, read_trace
+from tests.golden.case import EVENTS, GOLDEN, ROW_S, TRACES, read_case, read_data, read_trace
 from tests.golden.make import RUNS, columns, devices, row_times
 from tests.golden.replay import differences, replay, sampled
-from tests.golden.shipped import EVENTS
 from tests.physics.extended import NO_SHEDDING, plant, recorded, scenario
 from wtg_gym import FrequencyRamp, LoadStep, PhaseJump, Plant, Scenario, TrackingLaw, get_law
 from wtg_gym.physics import parameters

@@ -23,6 +23,12 @@ FOLDER = Path(__file__).parent
 DYR = (FOLDER / "three.dyr").read_text()
 _LINES = (1, 2, 0.01, 0.1, 0.02), (2, 3, 0.02, 0.12, 0.03), (1, 3, 0.015, 0.11, 0.02)
 _ENDS = "".join(f"{b},1,90,15,0,5,220,1,1,1.5,0.5,0.00625,0,0,0,'1',0\n" for b in (1, 3))
+ABSENT = [
+    ("DC", "'D',1,10,30,220,0,0,0.1,'R',0,20,1\n" + _ENDS, "dc-line", "1 × dc-line with 30 MW"),
+    ("FACTS", "'F',1,3,1,20,0,1,50,100,0.9,1.1,1,0,0.05,100,1,0,0,0\n", "facts-series", "1 × facts-series"),
+    ("IMPCOR", "1,0.9,2,1,2,1.1,2\n", "impedance-correction", "1 × impedance-correction"),
+    ("BUS", "4,'FOUR',220,1,1,1,1,1,0\n", "island", "1 × island with 7 MW"),
+]
 
 
 def raw(tmp_path: Path, version: int = 33, dynamic: str = "", **more: str) -> tuple[Path, Path]:
@@ -53,7 +59,6 @@ def mpc(tmp_path: Path, base: float = 100.0, bus: str = "", branch: str = "", af
 
 @pytest.fixture
 def net():
-    """A network of pandapower: three buses, a triangle of lines."""
     net = pandapower.create_empty_network(f_hz=50.0)
     for _ in range(3):
         pandapower.create_bus(net, 220.0)
@@ -114,15 +119,7 @@ def test_models_that_are_not_here_are_refused_or_replaced_when_asked(tmp_path):
         read_case(path, dynamic)
 
 
-@pytest.mark.parametrize(
-    ("section", "records", "kind", "text"),
-    [
-        ("DC", "'D',1,10,30,220,0,0,0.1,'R',0,20,1\n" + _ENDS, "dc-line", "1 × dc-line with 30 MW"),
-        ("FACTS", "'F',1,3,1,20,0,1,50,100,0.9,1.1,1,0,0.05,100,1,0,0,0\n", "facts-series", "1 × facts-series"),
-        ("IMPCOR", "1,0.9,2,1,2,1.1,2\n", "impedance-correction", "1 × impedance-correction"),
-        ("BUS", "4,'FOUR',220,1,1,1,1,1,0\n", "island", "1 × island with 7 MW"),
-    ],
-)
+@pytest.mark.parametrize(("section", "records", "kind", "text"), ABSENT)
 def test_what_a_grid_has_not_is_refused_by_name_and_left_out_when_asked(section, records, kind, text, tmp_path):
     more = {"LOAD": "4,'1',1,1,1,7,0,0,0,0,0,1,1,0\n"} if kind == "island" else {}
     path, _ = raw(tmp_path, **{section: records}, **more)

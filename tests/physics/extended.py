@@ -37,7 +37,6 @@ def plant(
     dead_band: float = 0.0,
     **more,
 ) -> Plant:
-    """One of the two plants, with its options."""
     kind = HydroGovernorParameters if table else GovernorParameters
     given = {
         "case": with_machine(governor=kind(dead_band_pu=dead_band)),
@@ -112,7 +111,6 @@ def fault(time_s: float = 1.0, duration_s: float = 0.15, bus: int = 2) -> tuple[
 
 
 def pulse(bus: int, power_mw: float = 0.0, reactive_mvar: float = 0.0, until_s: float = 21.0) -> tuple[LoadStep, ...]:
-    """A load that is switched on at 1 s and off again."""
     return (
         LoadStep(time_s=1.0, bus=bus, power_mw=power_mw, reactive_mvar=reactive_mvar),
         LoadStep(time_s=until_s, bus=bus, power_mw=-power_mw, reactive_mvar=-reactive_mvar),

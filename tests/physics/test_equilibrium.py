@@ -20,6 +20,15 @@ from wtg_gym.physics.tracking_law import STRATEGIES
 
 LIMIT = 1e-8
 LAWS = (get_law("coordinated-piecewise"),) * 2
+TOO_FAST = [
+    (Plant(case=with_machine(t_d0_subtransient_s=0.009)), r"eigenvalue -11\d.*mainly sync0.psi_1d.* at most 0.022"),
+    (
+        plant(voltage=parameters.VoltageControlParameters(integral_gain=1000.0)),
+        r"eigenvalue -98\d.* 1/s \(mainly wtg[01].internal_voltage\) .* at most 0.0027 s",
+    ),
+    # It switches at 0.5 p.u. a step once the power exceeds its limit.
+    (plant(limits=parameters.ConverterLimitParameters(power_gain=1.0)), r"mainly wtg[01].angle\)"),
+]
 
 
 @pytest.mark.parametrize("law", STRATEGIES.values(), ids=lambda law: law.name)
@@ -121,18 +130,7 @@ def test_a_mode_grows_just_beyond_its_largest_step_and_not_just_below(value):
     assert below < 1.0 < beyond
 
 
-@pytest.mark.parametrize(
-    ("settings", "message"),
-    [
-        (Plant(case=with_machine(t_d0_subtransient_s=0.009)), r"eigenvalue -11\d.*mainly sync0.psi_1d.* at most 0.022"),
-        (
-            plant(voltage=parameters.VoltageControlParameters(integral_gain=1000.0)),
-            r"eigenvalue -98\d.* 1/s \(mainly wtg[01].internal_voltage\) .* at most 0.0027 s",
-        ),
-        # It switches at 0.5 p.u. a step once the power exceeds its limit.
-        (plant(limits=parameters.ConverterLimitParameters(power_gain=1.0)), r"mainly wtg[01].angle\)"),
-    ],
-)
+@pytest.mark.parametrize(("settings", "message"), TOO_FAST)
 def test_a_plant_that_is_too_fast_for_the_step_is_refused(settings, message):
     with pytest.raises(ValueError, match=r"simulation_dt = 0.025 s is too long for this plant.*" + message):
         Simulator(settings)

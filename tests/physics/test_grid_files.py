@@ -26,6 +26,13 @@ STRANGER = json.loads((Path(__file__).parent / "stranger.json").read_text(encodi
 # Solution of the IEEE 14-bus test case: voltage [p.u.] and angle [deg] of buses 1 … 14, as printed in the archive.
 VOLTAGES = (1.060, 1.045, 1.010, 1.019, 1.020, 1.070, 1.062, 1.090, 1.056, 1.051, 1.057, 1.055, 1.050, 1.036)
 ANGLES = (0.0, -4.98, -12.72, -10.33, -8.78, -14.22, -13.37, -13.36, -14.94, -15.10, -14.79, -15.07, -15.16, -16.04)
+MISTAKES = [
+    ({"slack_bus": 7}, "slack bus 7"),
+    ({"groups": [{"bus": 13}]}, "unknown bus 13"),
+    ({"machines": [{**STRANGER["machines"][0], "two_h_s": -1.0}]}, "two_h_s"),
+    ({"colour": "red"}, "unknown NetworkCase"),
+    ({"branches": [{"from_bus": 12}]}, "Branch .*12.* misses to_bus"),
+]
 
 
 @pytest.mark.parametrize("name", known_grids())
@@ -48,16 +55,7 @@ def test_a_grid_that_is_an_object_plays_as_its_file_does():
     assert np.isfinite(env.reset(seed=1)[0]).all()
 
 
-@pytest.mark.parametrize(
-    ("change", "words"),
-    [
-        ({"slack_bus": 7}, "slack bus 7"),
-        ({"groups": [{"bus": 13}]}, "unknown bus 13"),
-        ({"machines": [{**STRANGER["machines"][0], "two_h_s": -1.0}]}, "two_h_s"),
-        ({"colour": "red"}, "unknown NetworkCase"),
-        ({"branches": [{"from_bus": 12}]}, "Branch .*12.* misses to_bus"),
-    ],
-)
+@pytest.mark.parametrize(("change", "words"), MISTAKES)
 def test_a_file_with_a_mistake_is_refused_in_a_line(change, words, tmp_path):
     path = tmp_path / "wrong.json"
     path.write_text(json.dumps({**STRANGER, **change}), encoding="utf-8")

@@ -40,6 +40,16 @@ GOVERNOR = GovernorParameters(droop_pu=0.05, gate_max_pu=1.0)
 #: One control interval is one step of the integration.
 DT, SECONDARY_S = 0.025, 30.0
 MORE = LoadStep(time_s=1.0, bus=4, power_mw=60.0)
+LEFT_OUT = [
+    {},
+    {"filter_a4_s2": 0.0, "filter_a6_s2": 0.0},
+    {"filter_a3_s": 0.0, "filter_a4_s2": 0.0},
+    {"filter_a2_s2": 0.0, "filter_a3_s": 0.0, "filter_a4_s2": 0.0, "filter_a6_s2": 0.0},
+    {"filter_a1_s": 0.0, "filter_a2_s2": 0.0},
+    {name: 0.0 for name in vars(FILTER) if name.startswith("filter_")},
+    {"washout_gain_s": 0.0},
+    {"lead_time_1_s": 0.0, "lag_time_1_s": 0.0},
+]
 
 
 def machine(bus: int, **changes) -> SynchronousMachineParameters:
@@ -60,7 +70,6 @@ OTHERS = (
 
 
 def network(*machines: SynchronousMachineParameters) -> NetworkCase:
-    """Two machines and a load."""
     lines = ((1, 3, 0.005, 0.05), (2, 3, 0.005, 0.06), (1, 2, 0.01, 0.1))
     branches = tuple(Branch(from_bus=a, to_bus=b, resistance=r, reactance=x) for a, b, r, x in lines)
     load = Bus(number=3, load_mw=200.0, load_mvar=60.0)
@@ -115,19 +124,7 @@ def test_the_parabola_of_saturation_goes_through_both_points_and_begins_between(
         saturation_constants("x", (1.0, 0.4), (1.2, 0.1))
 
 
-@pytest.mark.parametrize(
-    "changes",
-    [
-        {},
-        {"filter_a4_s2": 0.0, "filter_a6_s2": 0.0},
-        {"filter_a3_s": 0.0, "filter_a4_s2": 0.0},
-        {"filter_a2_s2": 0.0, "filter_a3_s": 0.0, "filter_a4_s2": 0.0, "filter_a6_s2": 0.0},
-        {"filter_a1_s": 0.0, "filter_a2_s2": 0.0},
-        {name: 0.0 for name in vars(FILTER) if name.startswith("filter_")},
-        {"washout_gain_s": 0.0},
-        {"lead_time_1_s": 0.0, "lag_time_1_s": 0.0},
-    ],
-)
+@pytest.mark.parametrize("changes", LEFT_OUT)
 def test_ieeest_has_its_transfer_function_with_any_part_left_out(changes):
     p = dataclasses.replace(FILTER, **{"gain": 7.0, "lead_time_2_s": 0.3, **changes})
     c = models.IEEEST.constants(0, p)

@@ -46,20 +46,29 @@ TAKEN_NAMES = """
 baselines; policies; Policies; b a s e l i n e s; baselines.mppt; Coordinated-Piecewise; coordinated piecewise;
 coordinated (tuned); Fast Droop; fast droop.; TIP_SPEED_FEEDBACK; PPO k 0; ppo k, tau; Iinear-feedback
 """
+VERSIONS = [
+    ('"\\u0065nvironment" = "GFMWTG-14bus-v\\u0030"\r\n', "v0"),
+    ('environment = "GFMWTG-14bus-v0" # "GFMWTG-14bus-v1"\n', "v0"),
+    ('# environment = "GFMWTG-14bus-v0"\n', "v1"),
+    ('trained_on = """\\\n    environment = GFMWTG-14bus-v0"""\n', "v1"),
+]
+ALIKE = [
+    ("One", YOURS, "differ in capitals alone"),
+    ("one", YOURS, "looks like"),
+    ("m-ine", YOURS, "looks like"),
+    ("b", TOML.replace("Mine", "O N E"), "looks like"),
+]
 
 
 @pytest.mark.parametrize("given", [None, SHIPPED], ids=["linear", "shipped"])
-def test_plain_policies_pass_every_check(given, tmp_path):
-    report = check_submission(folder(tmp_path / "a") if given is None else given)
+def test_plain_policies_pass_every_check_and_their_files_are_listed(given, tmp_path):
+    path = given or folder(tmp_path / "a")
+    if given is None:
+        (path / "README.md").write_text("Mine.")
+    report = check_submission(path)
+    assert all(f"{each.name} {each.stat().st_size} bytes" in report.made[0].reason for each in path.iterdir())
     assert report.accepted and all(check.verdict == "passed" and check.reason for check in report.checks)
     assert not report.notes and report.shipped == (given is not None)
-
-
-def test_all_files_of_a_folder_are_listed(tmp_path):
-    path = folder(tmp_path / "a")
-    (path / "README.md").write_text("Mine.")
-    listed = read_submission(path).made[0].reason
-    assert all(f"{name} {(path / name).stat().st_size} bytes" in listed for name in os.listdir(path))
 
 
 def test_policy_is_judged_in_the_environment_that_it_names(tmp_path, monkeypatch):
@@ -194,15 +203,7 @@ def test_wrong_entry_files_are_refused(toml, said, tmp_path):
     assert refusal.reason.isprintable() and len(refusal.reason) < 1600
 
 
-@pytest.mark.parametrize(
-    ("line", "version"),
-    [
-        ('"\\u0065nvironment" = "GFMWTG-14bus-v\\u0030"\r\n', "v0"),
-        ('environment = "GFMWTG-14bus-v0" # "GFMWTG-14bus-v1"\n', "v0"),
-        ('# environment = "GFMWTG-14bus-v0"\n', "v1"),
-        ('trained_on = """\\\n    environment = GFMWTG-14bus-v0"""\n', "v1"),
-    ],
-)
+@pytest.mark.parametrize(("line", "version"), VERSIONS)
 def test_every_reader_of_entry_toml_sees_the_same_version(line, version, tmp_path):
     content = (_REST + line).encode()
     env_id = f"GFMWTG-14bus-{version}"
@@ -234,14 +235,14 @@ def test_name_belongs_to_one_entry_of_one_version(tmp_path):
         assert "is taken by Mine" in conflicts([one], [other])[0].reason
 
 
-@pytest.mark.parametrize(
-    ("toml", "said"),
-    [
-        (seed(1).replace("Mine", "M I N E"), "the names Mine and M I N E look alike"),
-        (TOML, r"Mine \(training seed 0\) is given twice"),
-        *((different(key), rf"must agree on .*{key}.*, got .+ and .+: /") for key in DIFFERENT),
-    ],
-)
+OTHER_ROWS = [
+    (seed(1).replace("Mine", "M I N E"), "the names Mine and M I N E look alike"),
+    (TOML, r"Mine \(training seed 0\) is given twice"),
+    *((different(key), rf"must agree on .*{key}.*, got .+ and .+: /") for key in DIFFERENT),
+]
+
+
+@pytest.mark.parametrize(("toml", "said"), OTHER_ROWS)
 def test_nobody_joins_anothers_row(toml, said, tmp_path):
     first, second = report(tmp_path / "a"), report(tmp_path / "b", models.other(), toml)
     (conflict,) = conflicts([first, second])
@@ -258,15 +259,7 @@ def test_file_counts_once_whatever_it_is_called(tmp_path):
         assert "the same policy file is given twice" in found[0].reason
 
 
-@pytest.mark.parametrize(
-    ("name", "toml", "said"),
-    [
-        ("One", YOURS, "differ in capitals alone"),
-        ("one", YOURS, "looks like"),
-        ("m-ine", YOURS, "looks like"),
-        ("b", TOML.replace("Mine", "O N E"), "looks like"),
-    ],
-)
+@pytest.mark.parametrize(("name", "toml", "said"), ALIKE)
 def test_folder_is_not_called_as_another_folder_or_entry(name, toml, said, tmp_path):
     first, second = report(tmp_path / "a" / "one"), report(tmp_path / "b" / name, models.other(), toml)
     for found in (conflicts([first, second]), conflicts([second], [first])):

@@ -22,6 +22,14 @@ from wtg_gym.tasks.cost import COST_TERMS
 
 STEP = scenario(LoadStep(time_s=1.0, bus=9, power_mw=60.0), duration_s=20.0)
 WITHOUT = EnvSettings(version="v0", duration_s=20.0)
+BAD = [
+    (lambda b: {"systems": {"setle": (b.settle,)}}, "no list has a place 'setle' .*; did you mean 'settle'"),
+    (lambda b: {"systems": {"plan": (b.plan,)}}, "batteries have no systems for settle, voltages, move, rates"),
+    (lambda b: {"impedances": (0j,)}, "impedances of batteries must be finite and not 0 p.u."),
+    (lambda b: {"reactive_weights": (0.1, 0.2)}, "1 batteries need 1 reactive_weights, got 2"),
+    (lambda b: {"constants": {}}, r"batteries have the constants \['battery'\], got \[\]"),
+    (lambda b: {"shown": "sen"}, "'sen' is no record in scratch of batteries; did you mean 'seen'"),
+]
 
 
 def module_of(page: str, name: str, folder: Path):
@@ -94,17 +102,7 @@ def test_its_gradient_is_that_of_differences(battery):
     assert of_actions.gradient == pytest.approx(of_actions.central, rel=1e-5, abs=1e-6)
 
 
-@pytest.mark.parametrize(
-    ("changes", "reason"),
-    [
-        (lambda b: {"systems": {"setle": (b.settle,)}}, "no list has a place 'setle' .*; did you mean 'settle'"),
-        (lambda b: {"systems": {"plan": (b.plan,)}}, "batteries have no systems for settle, voltages, move, rates"),
-        (lambda b: {"impedances": (0j,)}, "impedances of batteries must be finite and not 0 p.u."),
-        (lambda b: {"reactive_weights": (0.1, 0.2)}, "1 batteries need 1 reactive_weights, got 2"),
-        (lambda b: {"constants": {}}, r"batteries have the constants \['battery'\], got \[\]"),
-        (lambda b: {"shown": "sen"}, "'sen' is no record in scratch of batteries; did you mean 'seen'"),
-    ],
-)
+@pytest.mark.parametrize(("changes", "reason"), BAD)
 def test_bad_units_are_refused(battery, changes, reason):
     with pytest.raises(ValueError, match=reason):
         dataclasses.replace(battery.batteries(9), **changes(battery))
