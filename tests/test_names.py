@@ -1,7 +1,4 @@
-"""One rule of names and texts at every door: they are plain text in tables, spreadsheets, Markdown and HTML.
-
-A misspelt name is refused with the nearest one that there is, by whatever it names.
-"""
+"""One rule of names and texts at every door: they are plain text in tables, spreadsheets, Markdown and HTML."""
 
 from collections.abc import Callable
 from pathlib import Path

@@ -12,7 +12,7 @@ from wtg_gym.cli import main
 _QUICK = ("--duration", "6")
 
 
-def test_simulate_tables_every_strategy_with_units(capsys):
+def test_simulate_tables_every_strategy_with_units_and_all_are_the_built_in_ones_once(capsys):
     assert main(["simulate", *_QUICK, "--strategy", "mppt", "deloaded-5", "--strategy", "coordinated-linear"]) == 0
     text = capsys.readouterr().out
     assert "5 s: +75 MW at bus 2" in text
@@ -20,9 +20,6 @@ def test_simulate_tables_every_strategy_with_units(capsys):
         assert unit in text
     rows = [line for line in text.splitlines() if line.endswith("completed 6.0 s")]
     assert [row.split()[0] for row in rows] == ["mppt", "deloaded-5", "coordinated-linear"]
-
-
-def test_strategy_all_is_every_built_in_one_once(capsys):
     data = json_of(capsys, "simulate", "--duration", "1", "--strategy", "mppt", "all", "--json")
     names = [run["strategy"] for run in data["runs"]]
     assert names[0] == "mppt" and len(names) == len(set(names)) == 6

@@ -1,7 +1,4 @@
-"""An interrupted call has changed every environment or none, and what follows is the same to the last bit.
-
-So it is with threads: resets while others step change no bit, and two threads in one environment are told apart.
-"""
+"""An interrupted call has changed every environment or none, and what follows is the same to the last bit."""
 
 import copy
 import functools

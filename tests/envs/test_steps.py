@@ -1,7 +1,4 @@
-"""What a step is: zero action is the strategy, what is told and charged, and how long an action is held.
-
-An action of version v1 is held for 0.5 s: to the bit what five steps of 0.1 s with the same action are.
-"""
+"""What a step is: zero action is the strategy, what is told and charged, and how long an action is held."""
 
 import itertools
 

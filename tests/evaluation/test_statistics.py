@@ -49,14 +49,11 @@ def test_score_is_the_written_formula():
 
 
 @pytest.mark.parametrize("bad", [-1.0, math.nan, math.inf])
-def test_impossible_costs_are_refused(bad):
-    with pytest.raises(ValueError, match="finite and not negative"):
-        score.gains(np.array([[1.0, bad]]), np.ones(2), np.full(2, 5.0))
-
-
-def test_failure_costs_the_worst_there_is():
+def test_failure_costs_the_worst_there_is_and_impossible_costs_are_refused(bad):
     assert score.pinned_cost(12.0, failed=True, duration_s=60.0, cap=50.0) == 3050.0
     assert score.pinned_cost(12.0, failed=False, duration_s=60.0, cap=50.0) == 12.0
+    with pytest.raises(ValueError, match="finite and not negative"):
+        score.gains(np.array([[1.0, bad]]), np.ones(2), np.full(2, 5.0))
 
 
 def test_interval_of_several_seeds_covers_the_truth_as_often_as_it_says():

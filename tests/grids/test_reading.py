@@ -154,24 +154,21 @@ def test_RAW_with_blanks_between_its_fields_and_RAWX_say_the_same_as_with_commas
         read_case(path)
 
 
-def test_IEEE_CDF_is_read_by_its_usual_ending_and_endless_ratings_of_CGMES_are_none(tmp_path):
+def test_IEEE_CDF_endless_ratings_of_CGMES_and_tie_lines_between_other_nominal_voltages_are_read(tmp_path):
     net = pypowsybl.network.create_ieee14()
     net.save(tmp_path / "grid.zip", format="CGMES")
     assert max(machine.rating_mva for machine in read_case(tmp_path / "grid.zip").case.machines) < 1000.0
     assert read_case(FOLDER / "two.cdf").case.load_mw == 50.0
+    net = pypowsybl.network.create_eurostag_tutorial_example1_with_tie_lines_and_areas()
+    net.update_voltage_levels(id="VLHV2", nominal_v=400.0)
+    net.save(tmp_path / "ties.xiidm", format="XIIDM")
+    assert len(read_case(tmp_path / "ties.xiidm").case.branches) == 6
 
 
 def test_a_case_that_pypowsybl_cannot_solve_is_refused_in_a_line(tmp_path):
     path, _ = raw(tmp_path, LOAD="3,'2',1,1,1,9000,0,0,0,0,0,1,1,0\n")
     with pytest.raises(ValueError, match="pypowsybl finds no power flow: "):
         read_case(path)
-
-
-def test_tie_lines_between_other_nominal_voltages_are_read(tmp_path):
-    net = pypowsybl.network.create_eurostag_tutorial_example1_with_tie_lines_and_areas()
-    net.update_voltage_levels(id="VLHV2", nominal_v=400.0)
-    net.save(tmp_path / "ties.xiidm", format="XIIDM")
-    assert len(read_case(tmp_path / "ties.xiidm").case.branches) == 6
 
 
 @pytest.mark.parametrize("country", ["be", "nl"])

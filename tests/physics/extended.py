@@ -88,6 +88,11 @@ def phasors(simulator: Simulator, kind: Kind, part: str) -> np.ndarray:
     return scratch[first] + 1j * scratch[first + 1]
 
 
+def numbers(simulator: Simulator, kind: Kind, part: str) -> np.ndarray:
+    """A part of the first run's state for every unit of a kind; of a complex one, its real part."""
+    return simulator.blocks[0, simulator.layout.first_rows(kind, part), 0]
+
+
 def largest_rate(simulator: Simulator) -> float:
     """Largest |dx/dt|; the energies, which grow in every equilibrium, do not count."""
     keep = [i for i, name in enumerate(simulator.layout.state_names) if "energy" not in name]

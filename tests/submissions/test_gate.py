@@ -1,7 +1,4 @@
-"""The gate accepts honest submissions and refuses the others: folders, and entry.toml in every shape.
-
-Several are looked at together, beside entries that are there, and beside names by which something is found already.
-"""
+"""The gate accepts honest submissions and refuses the others: folders, and entry.toml in every shape."""
 
 import os
 import re
@@ -222,12 +219,6 @@ def different(key: str) -> str:
     return "\n".join([*lines, f"{key} = {DIFFERENT[key]}\n"])
 
 
-def test_seeds_of_one_entry_are_accepted(tmp_path):
-    first, second = report(tmp_path / "a"), report(tmp_path / "b", models.other(), seed(1))
-    assert conflicts([first, second]) == []
-    assert conflicts([first], [report(tmp_path / "c", models.other(), TOML.replace("Mine", "Yours"))]) == []
-
-
 def test_name_belongs_to_one_entry_of_one_version(tmp_path):
     old, new = report(tmp_path / "a"), report(tmp_path / "b", models.of_v1(), seed(1, models.TOML_V1))
     assert "must agree on environment" in conflicts([old, new])[0].reason
@@ -252,11 +243,13 @@ def test_nobody_joins_anothers_row(toml, said, tmp_path):
     assert conflict.folders == (second.folder,) and "is taken by Mine of" in conflict.reason
 
 
-def test_file_counts_once_whatever_it_is_called(tmp_path):
+def test_seeds_of_one_entry_are_accepted_and_a_file_counts_once_whatever_it_is_called(tmp_path):
     first, second = report(tmp_path / "a"), report(tmp_path / "b", toml=seed(1))
-    third = report(tmp_path / "c", toml=TOML.replace("Mine", "Yours"))
+    third = report(tmp_path / "c", toml=YOURS)
     for found in (conflicts([first, second]), conflicts([first, third]), conflicts([third], [first])):
         assert "the same policy file is given twice" in found[0].reason
+    assert conflicts([first, report(tmp_path / "d", models.other(), seed(1))]) == []
+    assert conflicts([first], [report(tmp_path / "e", models.other(), YOURS)]) == []
 
 
 @pytest.mark.parametrize(("name", "toml", "said"), ALIKE)

@@ -129,11 +129,6 @@ def test_a_table_is_looked_up_and_has_the_slopes_of_its_surface(ratio, pitch_deg
     assert bars[:, 0] == pytest.approx(expected, rel=1e-7, abs=1e-9)
 
 
-def test_a_branch_on_a_traced_number_is_refused():
-    with pytest.raises(TypeError, match="select"):
-        bool(ex.symbol("a") > 1.0)
-
-
 def test_programs_that_differ_in_one_thing_have_machine_code_of_their_own():
     in_rows = Kind(name="places", rows={"x": float, "y": float, "flag": float})
     in_scratch = Kind(name="places", rows={"x": float}, scratch={"y": float, "flag": float})
@@ -151,7 +146,9 @@ def test_programs_that_differ_in_one_thing_have_machine_code_of_their_own():
     assert len(set(digests)) == len(digests) == 12
 
 
-def test_arrays_of_another_width_and_tables_without_the_code_are_refused():
+def test_branches_on_traced_numbers_arrays_of_another_width_and_tables_without_the_code_are_refused():
+    with pytest.raises(TypeError, match="select"):
+        bool(ex.symbol("a") > 1.0)
     layout = PlantMap({UNITS: 1}, {})
     tables, routine = build_table((FORWARD, BOTH_WAYS), layout), Routine(FORWARD)
     with pytest.raises(ValueError, match="1 or 16 columns"):
