@@ -6,7 +6,7 @@ from typing import Annotated
 
 from cyclopts import Group, Parameter
 
-from wtg_gym.cli.options import FigureFile, Flag, Json, SuiteName, Whole, Words
+from wtg_gym.cli.options import CsvFile, FigureFile, Flag, Json, SuiteName, Whole, Words
 from wtg_gym.cli.output import say
 
 
@@ -41,6 +41,7 @@ def simulate_scenario(
     strategy: Words = ("coordinated-piecewise",),
     example_law: Flag = False,
     plot: FigureFile | None = None,
+    csv: CsvFile | None = None,
     json: Json = False,
 ) -> int:
     """Simulate one scenario under each of the given strategies and print the key figures.
@@ -63,6 +64,7 @@ def simulate_scenario(
         strategy: strategies by name, 'all', or .toml files with a law; default: the paper's coordinated-piecewise
         example_law: print a law file to start from, and do nothing else: --example-law > my_law.toml
         plot: write a figure of the runs: .png, .svg or .pdf
+        csv: write every sample of the runs, units in the header: .csv
     """
     if example_law:
         from wtg_gym.policies.entry_folder import example_law as law_file
@@ -71,4 +73,4 @@ def simulate_scenario(
         return 0
     from wtg_gym.cli.simulation import run
 
-    return run(chosen, strategy, plot=plot, json=json)
+    return run(chosen, strategy, plot=plot, csv=csv, json=json)
