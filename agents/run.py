@@ -4,8 +4,6 @@ A run's folder holds run.json (settings, provenance, curve), checkpoints/, from 
 of any kind, and best/, the policy with the best validation score as an entry that `wtg-gym evaluate` plays.
 """
 
-from __future__ import annotations
-
 import contextlib
 import dataclasses
 import platform
@@ -59,7 +57,7 @@ class Learner(Protocol):
     `save` writes everything that training goes on from.
     """
 
-    def network(self, settings: RunSettings) -> nn.Module: ...
+    def network(self, settings: "RunSettings") -> nn.Module: ...
 
     def save(self, folder: Path) -> object: ...
 
@@ -122,9 +120,6 @@ class RunSettings(Checked):
         return values
 
 
-# --- the folder ------------------------------------------------------------------------------------------------------
-
-
 @contextlib.contextmanager
 def held(folder: Path) -> Iterator[None]:
     """Keep other processes from training in a folder; a ValueError if one does."""
@@ -173,9 +168,6 @@ def loading(path: Path) -> Iterator[Path]:
         raise ValueError(f"{path} is missing, damaged or of another kind: {type(error).__name__}: {error}") from error
 
 
-# --- the run ---------------------------------------------------------------------------------------------------------
-
-
 @dataclass(kw_only=True)
 class Run(Checked):
     """A run as run.json in its folder describes it."""
@@ -197,12 +189,12 @@ class Run(Checked):
             return record(**self.settings.hyperparameters)
 
     @classmethod
-    def new(cls, folder: Path, settings: RunSettings) -> Run:
+    def new(cls, folder: Path, settings: RunSettings) -> "Run":
         """Return a run that starts now, with this process's provenance."""
         return cls(folder=folder, settings=settings, provenance=_provenance(settings))
 
     @classmethod
-    def read(cls, folder: Path) -> Run:
+    def read(cls, folder: Path) -> "Run":
         """Read run.json; a ValueError if there is none, or it is damaged."""
         path = folder / RUN_FILE
         data = read_json(path, "description of the run")
@@ -366,9 +358,6 @@ def train_in_rounds(run: Run, learner: RoundLearner, timesteps: int, learn: Call
             value = learn(index, n_rounds)
             progress.update(f"objective {value:.3f}, {run.title}", index + 1 - first, n_rounds - first)
     run.take_stock(learner, n_rounds * timesteps, finished=True)
-
-
-# --- the command -----------------------------------------------------------------------------------------------------
 
 
 def _whole(_: Any, tokens: Sequence[Token]) -> int:

@@ -1,7 +1,5 @@
 """`python -m agents.shipped`: how the shipped policies were trained, as the table of docs/agents.md."""
 
-from __future__ import annotations
-
 import functools
 import re
 import sys

@@ -4,8 +4,6 @@ Hyperparameters are in the yml format of RL Zoo. A checkpoint holds the learner 
 and the replay buffer. It is made of pickles, which run code when they are loaded: load your own only.
 """
 
-from __future__ import annotations
-
 import copy
 import functools
 import itertools

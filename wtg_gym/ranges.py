@@ -1,13 +1,13 @@
 """Checks of values, and dataclasses that check theirs: each field has unit, source, meaning and range."""
 
-from __future__ import annotations
-
 import dataclasses
 import difflib
 import functools
+import inspect
 import itertools
 import math
 import os
+import re
 import types
 from collections.abc import Collection, Iterable, Mapping
 from typing import Any, ClassVar, TypeVar, get_args, get_origin, get_type_hints
@@ -151,10 +151,7 @@ class Checked:
     """A dataclass whose fields are checked when it is made: their types, and the ranges that :func:`parameter` gives.
 
     Numbers become Python's own. A pair of numbers is a span, low to high; an int is a bus number, unless it has a
-    range; None is taken where the type says so.
-
-    Raises:
-        ValueError: the message names field, value, unit and allowed range.
+    range; None is taken where the type says so. A ValueError names field, value, unit and allowed range.
     """
 
     #: Fields whose values must rise from each one to the next.
@@ -213,8 +210,8 @@ def _checked(name: str, value: Any, hint: Any, field: Any, *, is_item: bool = Fa
         value, hint if origin in (None, types.UnionType) else origin
     ):
         return value
-    doc = field.metadata.get("doc")
-    raise ValueError(f"{name} must be {field.type}{f' ({doc})' if doc else ''}, got {value!r:.80}")
+    doc, form = field.metadata.get("doc"), re.sub(r"\w+\.", "", inspect.formatannotation(field.type))
+    raise ValueError(f"{name} must be {form}{f' ({doc})' if doc else ''}, got {value!r:.80}")
 
 
 def _span(name: str, value: Any, number: type, low: float, high: float, unit: str) -> tuple[float, float]:

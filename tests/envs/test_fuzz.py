@@ -101,7 +101,7 @@ def event_lists(draw: st.DrawFn) -> tuple[sc.Event, ...]:
     return tuple(draw(st.permutations(found)))
 
 
-SENSOR_NUMBERS = {f.name: f.metadata for f in dataclasses.fields(Sensors) if f.type == "float"}
+SENSOR_NUMBERS = {f.name: f.metadata for f in dataclasses.fields(Sensors) if f.type is float}
 
 
 def numbers(name: str) -> st.SearchStrategy[float]:

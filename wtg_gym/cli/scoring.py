@@ -24,9 +24,6 @@ from wtg_gym.scenarios.suite import MOST_SCENARIOS
 _SHORT_HEADS = {"median deviation [mHz]": "Δf [mHz]", "lost or beyond 0.8 Hz [%]": "lost or > 0.8 Hz [%]"}
 
 
-# --- values of options: a ValueError says what is wrong with one -----------------------------------------------------
-
-
 def chosen_entries(specs: Sequence[str], suite: str) -> list[Entry]:
     """Return the entries of `--entries` for a suite."""
     look_into_working_folder(specs)
@@ -90,9 +87,6 @@ def check_stored(folder: Path | None, planned: Mapping[str, Any]) -> None:
             f"--results {folder}: its {path.name} is of other {' and '.join(other)} and would be lost; "
             "give another folder"
         )
-
-
-# --- evaluation ------------------------------------------------------------------------------------------------------
 
 
 @contextlib.contextmanager

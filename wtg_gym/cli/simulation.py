@@ -1,7 +1,5 @@
 """What `wtg-gym simulate` runs and prints: scenarios under laws, with their key figures."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -25,7 +23,7 @@ if TYPE_CHECKING:
     from wtg_gym.cli.simulate import ScenarioOptions
 
 
-def run(options: ScenarioOptions, strategies: Sequence[str], *, plot: Path | None, json: bool) -> int:
+def run(options: "ScenarioOptions", strategies: Sequence[str], *, plot: Path | None, json: bool) -> int:
     """Simulate a scenario under laws, write what was asked for, and return the exit code."""
     if plot is not None:
         require_extra("matplotlib", "--plot")
@@ -71,7 +69,7 @@ def run(options: ScenarioOptions, strategies: Sequence[str], *, plot: Path | Non
     return int(any(trajectory.status == Status.NUMERICAL_FAILURE for trajectory in runs.values()))
 
 
-def _scenario(options: ScenarioOptions, suite: Suite) -> Scenario:
+def _scenario(options: "ScenarioOptions", suite: Suite) -> Scenario:
     if options.scenario is None:
         seed = suite.test[0] if options.seed is None else options.seed
         scenario = suite.scenario(seed, duration_s=options.duration)
@@ -103,8 +101,6 @@ def read_scenario(path: Path, suite: Suite) -> Scenario:
         )
     return scenario
 
-
-# --- key figures -----------------------------------------------------------------------------------------------------
 
 #: Numbers of a run that are printed, by their headings.
 _COLUMNS = {

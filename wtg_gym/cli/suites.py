@@ -1,7 +1,5 @@
 """`wtg-gym suites`: the suites and their scenarios, the latter in words too."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
@@ -48,7 +46,7 @@ def suites(name: SuiteName | None = None, /, *, seed: Whole | None = None, json:
     return 0
 
 
-def _summary(suite: Suite) -> dict[str, Any]:
+def _summary(suite: "Suite") -> dict[str, Any]:
     from wtg_gym.scenarios import SPLITS
 
     return {
@@ -67,7 +65,7 @@ def _summary(suite: Suite) -> dict[str, Any]:
     }
 
 
-def _print_suites(suites: list[Suite]) -> None:
+def _print_suites(suites: "list[Suite]") -> None:
     from wtg_gym.scenarios import FROZEN_HASHES, SPLITS
 
     header = ("suite", "hash", "length [s]", *(f"{split} seeds" for split in SPLITS), "test runs")
@@ -81,7 +79,7 @@ def _print_suites(suites: list[Suite]) -> None:
     say(*(f"{suite.name:<{width}} {suite.description}" for suite in suites))
 
 
-def describe_scenario(scenario: Scenario) -> list[str]:
+def describe_scenario(scenario: "Scenario") -> list[str]:
     """Return a scenario in words: wind, grid strength and events, with units."""
     winds = [
         f"{wind.mean():.4g}" + (f" ({wind.min():.3g} … {wind.max():.3g})" if wind.size > 1 else "")

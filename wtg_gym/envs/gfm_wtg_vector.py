@@ -1,7 +1,5 @@
 """The vector environment: many episodes in one compiled call."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, Unpack
 
@@ -29,6 +27,8 @@ class GFMWTGVectorEnv(
 ):
     """Many :class:`GFMWTGEnv` episodes in one compiled call.
 
+    A TypeError names an argument that is unknown, a ValueError one that is out of range.
+
     Args:
         num_envs: number of environments.
         autoreset_mode: NEXT_STEP (Gymnasium's default), SAME_STEP or DISABLED.
@@ -36,10 +36,6 @@ class GFMWTGVectorEnv(
         n_threads: threads; None for one per processor. Results do not depend on it.
         render_mode: "rgb_array" lets :meth:`render` draw a frame of each environment.
         arguments: as for :class:`GFMWTGEnv`.
-
-    Raises:
-        TypeError: an argument is unknown.
-        ValueError: an argument is out of range.
     """
 
     metadata: dict[str, Any] = {  # noqa: RUF012
@@ -83,13 +79,12 @@ class GFMWTGVectorEnv(
     ) -> tuple[interface.Observation, dict[str, Any]]:
         """Start an episode in every environment, or in those of a mask.
 
+        A ValueError names unknown options, wrong lengths, or scenarios that do not fit.
+
         Args:
             seed: s seeds environment i with s + i; or one seed per environment.
             options: {"scenarios": one per environment} plays those; {"reset_mask": (num_envs,) bool} restarts only
                 these environments.
-
-        Raises:
-            ValueError: unknown options, wrong lengths, or scenarios that do not fit.
         """
         checked = interface.check_options(options, ("reset_mask", "scenarios"))
         mask = self._reset_mask(checked.get("reset_mask"))
@@ -146,14 +141,13 @@ class GFMWTGVectorEnv(
     ) -> tuple[interface.Observation, npt.NDArray[Any], npt.NDArray[Any], npt.NDArray[Any], dict[str, Any]]:
         """Hold the actions for one control step in every environment.
 
+        A ValueError says that the actions have another shape or are not finite, and nothing has been stepped; or that a
+        drawn scenario cannot start: every running environment has been stepped, and that one still waits for its reset.
+        A RuntimeError says that an environment was never started, or is over and resets are disabled, or that another
+        thread is in this object.
+
         Args:
             actions: (num_envs, n_action), clipped to [-1, 1].
-
-        Raises:
-            ValueError: wrong shape or a value that is not finite, and nothing has been stepped. Or a drawn scenario
-                cannot start: every running environment has been stepped, and that one still waits for its reset.
-            RuntimeError: an environment was never started, or is over and resets are disabled; or another thread is in
-                this object.
         """
         waiting = np.logical_or(*self._lanes.ended())
         if waiting.any() and (self.autoreset_mode != AutoresetMode.NEXT_STEP or not self._started()):
@@ -207,13 +201,10 @@ class GFMWTGVectorEnv(
             "_final_info": done.copy(),
         }
 
-    def render(self) -> tuple[Frame, ...] | None:
+    def render(self) -> "tuple[Frame, ...] | None":
         """Draw every episode up to now: a frame (540, 960, 3) uint8 per environment.
 
-        Without a render mode: None and a warning.
-
-        Raises:
-            RuntimeError: an environment was never started.
+        Without a render mode: None and a warning. A RuntimeError says that an environment was never started.
         """
         if self._frames is None:
             interface.warn_of_no_render_mode()

@@ -1,7 +1,5 @@
 """Episodes in lanes: what the single and the batched environment, and the evaluator, share."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
@@ -73,13 +71,12 @@ class PreparedEpisodes(NamedTuple):
 class TaskLanes:
     """Episodes side by side: scenarios, simulator, observations and costs.
 
+    A ValueError says that a setting is unknown or out of range.
+
     Args:
         settings: of the environment.
         n_lanes: number of episodes side by side.
         n_threads: threads to step with; None for one per processor.
-
-    Raises:
-        ValueError: a setting is unknown or out of range.
     """
 
     def __init__(self, settings: EnvSettings, n_lanes: int = 1, n_threads: int | None = None) -> None:
@@ -198,12 +195,11 @@ class TaskLanes:
     def prepare(self, scenarios: Sequence[Scenario], *, turning: bool = False) -> PreparedEpisodes:
         """Find the equilibria that episodes start from; no running lane is touched.
 
+        A ValueError says that a scenario does not fit the plant or the episode length, or has no such equilibrium.
+
         Args:
             scenarios: one per episode.
             turning: refuse a rotor that would start below the under-speed trip; for scenarios given by the user.
-
-        Raises:
-            ValueError: a scenario does not fit the plant or the episode length, or has no such equilibrium.
         """
         try:
             lanes = self.simulator.prepare(scenarios, self.laws, turning=turning)
@@ -233,13 +229,12 @@ class TaskLanes:
     def next_episode(self, rng: np.random.Generator, lane: int, scenario: Scenario | None = None) -> PreparedEpisodes:
         """Return a lane's next episode: the first that starts of the scenarios that its generator draws.
 
+        A ValueError says that the environment's one scenario does not start, or none of many drawn ones.
+
         Args:
             rng: of the lane.
             lane: where those are counted that do not start.
             scenario: the first one, if it is drawn already.
-
-        Raises:
-            ValueError: the environment's one scenario, or none of many drawn ones, starts.
         """
         refusal: Exception | None = None
         for _ in range(_MOST_DRAWS):
@@ -358,13 +353,12 @@ class TaskLanes:
     def step(self, actions: Floats, meanwhile: Callable[[], Any] | None = None, n_prepared: int = 0) -> None:
         """Step every running lane; results are in `observations`, `rewards` and :meth:`ended`.
 
+        A ValueError says that an action is not finite; nothing has been stepped then.
+
         Args:
             actions: (n_lanes, n_action), as :func:`as_actions` gives them; clipped to [-1, 1].
             meanwhile: called once, while other threads step where there are several.
             n_prepared: how many episodes that call prepares.
-
-        Raises:
-            ValueError: an action is not finite; nothing has been stepped then.
         """
         simulator = self.simulator
         if self._bound is None:

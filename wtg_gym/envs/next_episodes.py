@@ -1,7 +1,5 @@
 """The next episodes of a batch, prepared while lanes run."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np
@@ -69,9 +67,8 @@ class NextEpisodes:
     def start(self, wanted: Sequence[int]) -> None:
         """Start the next episode of lanes.
 
-        Raises:
-            ValueError: none of the scenarios drawn for one of them starts. None has been started, and that lane goes
-                on to the scenario after them.
+        A ValueError says that none of the scenarios drawn for one of them starts. None has been started, and that lane
+        goes on to the scenario after them.
         """
         self.prepare(self.choose(wanted))
         for lane in wanted:

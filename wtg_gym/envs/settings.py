@@ -1,7 +1,5 @@
 """The arguments of an environment, checked once for the single and the vector environment."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -59,6 +57,8 @@ class EnvArguments(TypedDict, total=False):
 class EnvSettings:
     """Arguments of the environment. All of them can be written as JSON, except objects of this package.
 
+    A ValueError names a value that is unknown or out of range, and what is allowed.
+
     Args:
         strategy: control law that the actions adjust: a name, a TOML file, a `TrackingLaw`, or one for each group.
         action_mode: `"k"`, `"tau"` or `"k+tau"`: what the actions adjust.
@@ -83,9 +83,6 @@ class EnvSettings:
             replace, such as `{"delay_s": (0.2, 0.4), "wind_bias": 0.1}`; delays are multiples of 0.1 s up to 1 s.
             Default: those of the `scenario`, else of the suite.
         version: `"v0"` or `"v1"`. Default: that of `suite`, else v1. `gym.make` sets it from the id.
-
-    Raises:
-        ValueError: a value is unknown or out of range; the message lists what is allowed.
     """
 
     strategy: str | TrackingLaw | Sequence[str | TrackingLaw] = REFERENCE_STRATEGY

@@ -4,8 +4,6 @@ One compiled call does it all: act → the physics' step → charge → measure 
 those of a :class:`~wtg_gym.tasks.task.Task`.
 """
 
-from __future__ import annotations
-
 import math
 from typing import Any, NamedTuple
 

@@ -67,7 +67,9 @@ def evaluate(
     that score 0 and 100, and those that scores are adjusted by, :attr:`Task.references`.
 
     The numbers of a law and of an :class:`OnnxPolicy` depend neither on `batch` nor on `n_threads`, to the last bit.
-    Any other policy is called once per control step for a whole batch, whose size its rounding may depend on.
+    Any other policy is called once per control step for a whole batch, whose size its rounding may depend on. The
+    PolicyError of an entry that fails, a ValueError, names entry and step or scenario. A ValueError says that an entry
+    is for another version, an argument is unknown or out of range, or the workers cannot be used.
 
     Args:
         entries: each an :class:`Entry`, or a name or path that :func:`load_entries` takes.
@@ -83,11 +85,6 @@ def evaluate(
         keep_going: an entry whose policy fails, or whose law has no equilibrium in a scenario, is left out with all
             training seeds of its name and listed in :attr:`Results.failed`, unless it is a reference.
         env_arguments: further fields of :class:`wtg_gym.envs.settings.EnvSettings`, such as `duration_s`.
-
-    Raises:
-        PolicyError: an entry fails; a ValueError that names entry and step or scenario.
-        ValueError: an entry is for another version, an argument is unknown or out of range, or the workers cannot be
-            used; the message names them.
     """
     _check_arguments(suite, batch, env_arguments)
     if workers is not None and n_threads not in (None, 1):
@@ -115,9 +112,6 @@ def _description(settings: EnvSettings, seeds: Sequence[int], entries: Sequence[
         "versions": dict(versions()),
         "entries": tuple(entry.to_dict() for entry in entries),
     }
-
-
-# --- arguments -------------------------------------------------------------------------------------------------------
 
 
 def _with_references(specs: Entries, suite: Suite) -> list[Entry]:
@@ -200,9 +194,6 @@ def _parts(entry: Entry, seeds: Sequence[int], batch: int) -> Iterator[_Part]:
     size = min(batch, entry.policy.most_episodes) if isinstance(entry.policy, OnnxPolicy) else batch
     for first in range(0, len(seeds), size):
         yield entry, list(seeds[first : first + size])
-
-
-# --- batches ---------------------------------------------------------------------------------------------------------
 
 
 def _episodes(

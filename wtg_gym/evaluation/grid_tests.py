@@ -131,9 +131,6 @@ def _bench(ratio: float, *, sheds: bool = False) -> Plant:
     return dataclasses.replace(plant, case=bench, shedding=plant.shedding if sheds else ())
 
 
-# --- criteria ---------------------------------------------------------------------------------------------------------
-
-
 def _longest_beyond(time_s: Floats, beyond: npt.NDArray[np.bool_]) -> float:
     """Return the longest time that a quantity may lie beyond a limit, by its samples (n, any) [s]."""
     longest = 0.0
@@ -204,9 +201,6 @@ def _leaves_limit(run: Recording) -> Verdict:
     figure = f"{largest:.3f} p.u., {'left' if reached else 'never reached, left'} after {after:.1f} s"
     figure += f", then {run.voltage_pu.max():.2f} p.u. of voltage"
     return bool(reached and largest <= 1.2 + 1e-6 and after <= 0.5), figure
-
-
-# --- the tests --------------------------------------------------------------------------------------------------------
 
 
 def _fault(bus: int, length_s: float, reactance_pu: float, time_s: float = 2.0) -> tuple[sc.Event, ...]:

@@ -3,8 +3,6 @@
 The files are a JSON that describes and a CSV with the table of episodes.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, replace
@@ -205,7 +203,7 @@ class Results:
     def _by_entry(self, values: Mapping[str, Value]) -> dict[str, Value]:
         return ByName("entry", values, {entry["name"]: entry["reason"] for entry in self.failed})
 
-    def without(self, reasons: Mapping[tuple[str, int | None], str]) -> Results:
+    def without(self, reasons: Mapping[tuple[str, int | None], str]) -> "Results":
         """Return the results without all training seeds of entries that failed, by name and training seed."""
         if not reasons:
             return self
@@ -252,7 +250,7 @@ class Results:
         return json_path, csv_path
 
     @classmethod
-    def read(cls, path: str | Path) -> Results:
+    def read(cls, path: str | Path) -> "Results":
         """Read the JSON file of :meth:`write`, with the CSV beside it.
 
         A ValueError that names file, key and what is expected says that a file is missing, cut short, of another
@@ -310,9 +308,6 @@ def _frequency_sentence(results: Results) -> str:
         f"Median over {len(results.seeds)} {results.split} scenarios of the largest deviation of the frequency: "
         f"{', '.join(parts)}."
     )
-
-
-# --- the files --------------------------------------------------------------------------------------------------------
 
 
 def _read(json_path: Path) -> tuple[dict[str, Any], list[Episode]]:

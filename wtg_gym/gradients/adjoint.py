@@ -171,9 +171,6 @@ def _row(noted: Noted, step: int, stage: int) -> int:
     return noted.acted + step * (N_STAGES * of_stage + noted.finished) + stage * of_stage
 
 
-# --- the parts of an interval, on tape ------------------------------------------------------------------------------
-
-
 @internal
 def _strike(
     block: Floats, scratch: Floats, first: int, network: Network, data: LaneData, tape: tuple[Rules, Work], step: int

@@ -67,8 +67,7 @@ def known_parameters(plant: Plant) -> dict[str, float]:
 def with_parameters(plant: Plant, values: Mapping[str, float]) -> Plant:
     """Return a plant with other values of some parameters.
 
-    Raises:
-        ValueError: a parameter is unknown, or a value is out of its range.
+    A ValueError names a parameter that is unknown or out of its range.
     """
     require_known_parameters(plant, values)
     for name, value in values.items():

@@ -88,8 +88,7 @@ def describe_equilibrium(grid: Grid) -> Iterator[Line]:
 def describe_starts(grid: Grid | str) -> Iterator[Line]:
     """Yield how many scenarios of a grid or its file start, why others do not, and what reset and step take.
 
-    Raises:
-        ValueError: too few of them start to train on.
+    A ValueError says that too few of them start to train on.
     """
     # Whether a scenario starts does not depend on what its rewards are compared with, which takes most of a reset.
     lanes = TaskLanes(EnvSettings(grid=grid, version="v1", reward="cost"))

@@ -20,15 +20,13 @@ OVER = 1.25 / SHARE
 def with_wind(grid: Grid, buses: Sequence[int] = ()) -> Grid:
     """Return a grid with a WTG group in the place of the machines at each of some buses.
 
-    At the slack bus turbines stand beside the machines, and are rated for :data:`SHARE` of what those give.
+    At the slack bus turbines stand beside the machines, and are rated for :data:`SHARE` of what those give. A
+    ValueError says that a bus has no machine that gives power, or no machine with a governor is left.
 
     Args:
         grid: without groups; the buses that it calls replaced are wind parks, which get groups in any case.
         buses: where else; none: the machines that give most, until all give :data:`SHARE` of the power, or where that
             is none, the slack bus.
-
-    Raises:
-        ValueError: a bus has no machine that gives power, or no machine with a governor is left.
     """
     case, dispatch_mw = grid.case, dict[int, float]()
     for machine in case.machines:

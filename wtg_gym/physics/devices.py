@@ -20,32 +20,22 @@ _NEEDED = (Joining.PLAN, Joining.SETTLE, Joining.VOLTAGES, Joining.MOVE, Joining
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Devices:
-    """Units of a user-defined kind, each a voltage behind an impedance at a bus.
+    """Units of a user-defined kind, each a voltage behind an impedance at a bus."""
 
-    Args:
-        kind: what they keep. It sees its :data:`~wtg_gym.physics.units.UNITS` by a label, and has a number `connected`.
-        buses: bus number of each.
-        impedances: internal impedance of each [p.u. of the system].
-        reactive_weights: of each in the reactive power of its bus, a rating on the base of the system.
-        constants: of the kind, one entry for each unit.
-        systems: by where they join the lists of a step, of :class:`~wtg_gym.physics.units.Joining`: "plan" writes
-            `planned_power`, "settle" finds the equilibrium from `start`, "voltages" writes `voltage`, "move" has the
-            stages of the integration and "rates" what they are made of; if wanted "start", "charge", "observe", and
-            "sample", which writes what protections compare. The centre of inertia does not see devices.
-        shown: a part in scratch that observations end with; None for none.
-        has: conditions of the kind that hold.
-        balances: whether they balance the power at their buses and hold the voltage without a limit, as machines do.
-    """
-
+    #: What they keep. It sees its :data:`~wtg_gym.physics.units.UNITS` by a label, and has a number `connected`.
     kind: Kind
-    buses: tuple[int, ...]
-    impedances: tuple[complex, ...]
-    reactive_weights: tuple[float, ...]
-    constants: Mapping[str, Sequence[Any]]
+    buses: tuple[int, ...]  # bus number of each
+    impedances: tuple[complex, ...]  # internal impedance of each [p.u. of the system]
+    reactive_weights: tuple[float, ...]  # of each in the reactive power of its bus, a rating on the system base [p.u.]
+    constants: Mapping[str, Sequence[Any]]  # of the kind, one entry for each unit
+    #: By where they join the lists of a step, of :class:`~wtg_gym.physics.units.Joining`: "plan" writes
+    #: `planned_power`, "settle" finds the equilibrium from `start`, "voltages" writes `voltage`, "move" has the stages
+    #: of the integration and "rates" what they are made of; if wanted "start", "charge", "observe", and "sample", which
+    #: writes what protections compare. The centre of inertia does not see devices.
     systems: Mapping[str, tuple[System, ...]]
-    shown: str | None = None
-    has: tuple[str, ...] = ()
-    balances: bool = False
+    shown: str | None = None  # a part in scratch that observations end with
+    has: tuple[str, ...] = ()  # conditions of the kind that hold
+    balances: bool = False  # whether they balance the power at their buses and hold the voltage, as machines do
 
     def __post_init__(self) -> None:
         n, kind, name = len(self.buses), self.kind, self.kind.name

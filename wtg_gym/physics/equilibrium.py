@@ -287,8 +287,7 @@ def prepare_lanes(
 def network_events(scenario: Scenario, settings: Plant, plant: PlantTables) -> list[NetworkEvent]:
     """Return what a scenario's events change, one by one.
 
-    Raises:
-        ValueError: an event does not fit the plant, or the events do not fit each other.
+    A ValueError says that an event does not fit the plant, or the events do not fit each other.
     """
     name = f"scenario {scenario.name!r}"
     lost = [event.bus for event in scenario.events if isinstance(event, events.LoadTrip)]

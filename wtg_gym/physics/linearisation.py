@@ -125,10 +125,8 @@ def check_step(rows: Floats, plant: PlantTables, layout: Layout) -> None:
 
     Of the two slopes of each law's g(ω), the steeper is checked, that with which power rises more as the frequency
     falls: its modes are faster. Only small deviations are checked. Limits are left out, except the power and reactive
-    limits of converters: their controls may be fast, and are checked as if all of them acted.
-
-    Raises:
-        StepError: the message names the eigenvalue, the state it mainly belongs to, the step and the largest allowed.
+    limits of converters: their controls may be fast, and are checked as if all of them acted. A StepError names the
+    eigenvalue, the state it mainly belongs to, the step and the largest allowed.
     """
     t = plant.turbine[0]
     low, setpoint, high = (t[f"converter.corners.{name}"] for name in Corners._fields)

@@ -41,8 +41,7 @@ class Saturation(NamedTuple):
 def saturation_constants(what: str, first: tuple[float, float], second: tuple[float, float]) -> Saturation:
     """Return the parabola through two points (E, S); none where both S, or the second, are 0.
 
-    Raises:
-        ValueError: E, or E S, does not rise from the first point to the second; the message names `what` it is of.
+    A ValueError says that E, or E S, does not rise from the first point to the second, and `what` it is of.
     """
     (e_1, s_1), (e_2, s_2) = first, second
     if s_1 == 0.0 and s_2 == 0.0:
@@ -337,8 +336,7 @@ def machine_limited(s: MachineState, c: Machine) -> MachineState:
 def machine_constants(m: SynchronousMachineParameters, base_mva: float) -> Machine:
     """Return the constants of a machine on the system base `base_mva` [MVA].
 
-    Raises:
-        ValueError: the reactances are not ordered x_d ≥ x'_d ≥ x'' > x_l, as the model needs.
+    A ValueError says that the reactances are not ordered x_d ≥ x'_d ≥ x'' > x_l, as the model needs.
     """
     scale = base_mva / m.rating_mva
     classical = {"internal_reactance": m.x_d_transient * scale, "gamma_d": 1.0, "gamma_q": 1.0}
@@ -380,11 +378,7 @@ def _genrou(m: SynchronousMachineParameters, scale: float) -> dict[str, float]:
 
 
 def rotor_saturation(m: SynchronousMachineParameters) -> RotorSaturation:
-    """Return the constants of a machine's saturation.
-
-    Raises:
-        ValueError: S(1.2) is too small beside S(1.0).
-    """
+    """Return the constants of a machine's saturation. A ValueError says that S(1.2) is too small beside S(1.0)."""
     if m.classical:
         return RotorSaturation(Saturation(0.0, 0.0), 1.0)
     curve = saturation_constants(f"machine at bus {m.bus}", (1.0, m.saturation_1_0), (1.2, m.saturation_1_2))

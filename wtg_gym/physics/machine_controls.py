@@ -72,22 +72,14 @@ def limited_lag(state: float, signal: float, inv_time: float, low: float, high: 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Control:
-    """A model of a control.
+    """A model of a control."""
 
-    Args:
-        kind: what its units keep: "control", the states, and the constants "model".
-        constants: what makes those of its parameters.
-        systems: by the places where they join the lists of :mod:`wtg_gym.physics.step`.
-        failure: what a start beyond its limits is called.
-        limited: the state that has them.
-        limits: of that state at rest, from the parameters or the constants; None for none.
-    """
-
-    kind: Kind
-    constants: Constants
-    systems: Mapping[ControlJoining, tuple[System, ...]]
-    failure: StartFailure = StartFailure.NONE
-    limited: str = ""
+    kind: Kind  # what its units keep: "control", the states, and the constants "model"
+    constants: Constants  # what makes those of its parameters
+    systems: Mapping[ControlJoining, tuple[System, ...]]  # by where they join the lists of `wtg_gym.physics.step`
+    failure: StartFailure = StartFailure.NONE  # what a start beyond its limits is called
+    limited: str = ""  # the state that has them
+    #: Of that state at rest, from the parameters or the constants; None for none.
     limits: Callable[[Any], tuple[float, float]] | None = None
 
 

@@ -3,8 +3,6 @@
 A time constant of 0 s takes its block away, except where its range says otherwise.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from dataclasses import dataclass
 from typing import Any
@@ -270,8 +268,7 @@ AnyStabiliser = SpeedStabiliserParameters | FilterStabiliserParameters
 class SynchronousMachineParameters(Checked):
     """A round-rotor machine (GENROU with x''_q = x''_d) on its own base, or a classical one.
 
-    Raises:
-        ValueError: a value is out of its range, or a stabiliser has no exciter to act on.
+    A ValueError says that a value is out of its range, or a stabiliser has no exciter to act on.
     """
 
     bus: int = required("-", "Milano", "bus number")

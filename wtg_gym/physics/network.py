@@ -1,7 +1,5 @@
 """Admittances and power flow, dense and sparse."""
 
-from __future__ import annotations
-
 import heapq
 import math
 from typing import Any, NamedTuple
@@ -70,7 +68,7 @@ def eliminate(a: npt.NDArray) -> bool:  # type: ignore[type-arg]
     return True
 
 
-def assemble_admittance(ends: Whole, branch_y: Complex, bus_y: Complex) -> Complex:
+def assemble_admittance(ends: "Whole", branch_y: Complex, bus_y: Complex) -> Complex:
     """Return the bus admittance matrix (n_bus, n_bus) [p.u.] of closed branches plus `bus_y` on the diagonal.
 
     Args:

@@ -1,7 +1,5 @@
 """From parameters to the tables that compiled functions read."""
 
-from __future__ import annotations
-
 import dataclasses
 import functools
 import itertools
@@ -47,25 +45,7 @@ SIMULATION_DT_RANGE = (5e-5, 0.05)
 class Plant(Checked):
     """A network, its WTG groups and the time steps.
 
-    Args:
-        case: the network with its synchronous machines.
-        groups: the WTG groups; may be empty.
-        turbine, pitch, control, protection: parameters of every WTG, and what ends a run.
-        limits: current and power limits of every converter, and its chopper; None for none, as in the paper.
-        voltage_control: of every WTG; None for the paper's constant voltage behind X_g.
-        shedding: stages of under-frequency load shedding, which every island has.
-        secondary_time_s: integration time of secondary control, against each governor's own droop; 0 for none [s].
-        shares_dispatch: whether machines with a governor share the initial load by rating and largest gate (1 p.u. at
-            most), instead of their `dispatch_mw`.
-        control_dt: control interval [s], a whole number of simulation steps.
-        simulation_dt: step of the integration, 0.05 … 40 ms [s]; a simulator refuses one that is too long for the
-            plant's fastest mode.
-        devices: user-defined devices. Those that see the task need an environment.
-        trips_groups: the failure of a rotor (:class:`~wtg_gym.physics.protection.Status`) disconnects its group instead
-            of ending the run.
-
-    Raises:
-        ValueError: a bus is unknown, a step does not divide, or a value is outside its range.
+    A ValueError says that a bus is unknown, a step does not divide, or a value is outside its range.
     """
 
     MOST = MappingProxyType({"groups": parameters.MOST_GROUPS})
@@ -76,18 +56,21 @@ class Plant(Checked):
     pitch: parameters.PitchParameters = dataclasses.field(default_factory=parameters.PitchParameters)
     control: parameters.GridFormingParameters = dataclasses.field(default_factory=parameters.GridFormingParameters)
     protection: parameters.ProtectionParameters = dataclasses.field(default_factory=parameters.ProtectionParameters)
-    limits: parameters.ConverterLimitParameters | None = None
-    voltage_control: parameters.VoltageControlParameters | None = None
-    shedding: tuple[parameters.SheddingStage, ...] = ()
-    secondary_time_s: float = 0.0
+    limits: parameters.ConverterLimitParameters | None = None  # of every converter, with its chopper; None: the paper's
+    voltage_control: parameters.VoltageControlParameters | None = None  # None: constant voltage behind X_g
+    shedding: tuple[parameters.SheddingStage, ...] = ()  # of load at a low frequency, which every island has
+    secondary_time_s: float = 0.0  # integration time of secondary control, against each governor's droop; 0: none [s]
+    #: Whether machines with a governor share the initial load by rating and largest gate (1 p.u. at most), instead of
+    #: their `dispatch_mw`.
     shares_dispatch: bool = False
-    control_dt: float = 0.1
+    control_dt: float = 0.1  # control interval, a whole number of simulation steps [s]
+    #: Step of the integration [s]; a simulator refuses one that is too long for the plant's fastest mode.
     simulation_dt: float = design(0.025, "s", "step of the integration", *SIMULATION_DT_RANGE)
-    trips_groups: bool = False
+    trips_groups: bool = False  # whether the failure of a rotor disconnects its group instead of ending the run
     load_frequency_dependence: float = design(
         0.0, "p.u./p.u.", "change of a load's conductance with frequency", 0.0, 10.0
     )
-    devices: tuple[Devices, ...] = ()
+    devices: tuple[Devices, ...] = ()  # those of users; where they see the task, they need an environment
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -127,8 +110,10 @@ class Plant(Checked):
         machine_model: str = "genrou",
         groups: int | Sequence[WtgGroup | Mapping[str, Any]] | None = None,
         **fields: Any,
-    ) -> Plant:
+    ) -> "Plant":
         """Return the plant with parts of it replaced, by name or as plain data.
+
+        A ValueError says that a name is unknown, or a value is outside its range.
 
         Args:
             physics: "extended", the physics of version v1; "nrel-5mw", the same with the NREL 5 MW turbine and its C_p
@@ -137,9 +122,6 @@ class Plant(Checked):
                 exciter; "genrou" leaves them as they are.
             groups: the WTG groups, their data, or how many share the paper's twenty turbines at the bus of the first.
             fields: fields of this class; they replace those of `physics` too.
-
-        Raises:
-            ValueError: a name is unknown, or a value is outside its range.
         """
         known = [*(field.name for field in dataclasses.fields(self)), "physics", "machine_model"]
         require_known("settings of a plant", fields, known)
@@ -256,7 +238,7 @@ class PlantTables(NamedTuple):
         """Step of the integration [s]."""
         return self.network.facts.simulation_dt
 
-    def with_tables(self, tables: Tables) -> PlantTables:
+    def with_tables(self, tables: Tables) -> "PlantTables":
         """Return the plant with other tables."""
         return self._replace(network=self.network._replace(tables=tables))
 

@@ -117,9 +117,6 @@ def _reduce(z: Complex, unit_y: Complex, rows: _Rows, network: Network) -> None:
             transfer += 1
 
 
-# --- events ---------------------------------------------------------------------------------------------------------
-
-
 @internal
 def _next_interval(step: float, facts: Facts) -> float:
     return float((math.floor(step / facts.n_substeps) + 1.0) * facts.n_substeps)
@@ -157,9 +154,6 @@ def _strike(event: Any, step: float, rows: _Rows, network: Network) -> None:
 def _ramped(event: Any, step: float, at: float) -> float:
     """Return the share of its load that an event has reached at `at`, steps since the run's start, seen from `step`."""
     return 1.0 if step >= event.end else (at - event.start) / (event.end - event.start)
-
-
-# --- islands --------------------------------------------------------------------------------------------------------
 
 
 # Loops: to assign rows as numpy does takes two seconds of compiling, for the message of an error.
@@ -273,9 +267,6 @@ def _turn_units(part: Whole, p: int, turned: Floats, before: int, rows: _Rows, n
         if part[network.unit_bus[i]] == p and island >= 0 and network.angles[i] >= 0:
             behind = turned[before] - turned[island]
             rows.all[network.angles[i]] += 2.0 * math.pi * math.floor(behind / (2.0 * math.pi) + 0.5)
-
-
-# --- loads and admittances ------------------------------------------------------------------------------------------
 
 
 @internal

@@ -163,7 +163,8 @@ class Simulator:
     The integration step must suit the plant's fastest mode (:func:`~wtg_gym.physics.linearisation.check_step`). The
     constructor checks it with nominal load and inertia under the reference law, at 8 and 16 m/s. :meth:`prepare` checks
     every new law, and every inertia below those checked before: a lighter machine swings faster. Load level, line trips
-    and governor droop hardly matter, and with fewer units the modes are slower.
+    and governor droop hardly matter, and with fewer units the modes are slower. A ValueError says that a setting is
+    outside its range, or the step too long for the plant.
 
     Args:
         settings: the plant and its time steps.
@@ -171,10 +172,6 @@ class Simulator:
         duration_s: longest run it must hold [s].
         task: kinds of unit and programs of a task.
         n_threads: threads that advance blocks; None for one per processor. Results do not depend on it.
-
-    Raises:
-        ValueError: a setting is outside its range, or the step is too long for the plant; the message names value, unit
-            and range.
     """
 
     def __init__(
@@ -323,14 +320,13 @@ class Simulator:
     ) -> PreparedLanes:
         """Find the exact equilibria that scenarios start from; no running lane is touched.
 
+        A ValueError says that a scenario does not fit the plant or has no equilibrium, that the integration step is too
+        long there, that a unit would need a larger internal voltage than allowed, or that a rotor would not turn.
+
         Args:
             scenarios: one per run, with one wind series per WTG group.
             laws: one law per WTG group.
             turning: refuse a rotor that would start below the under-speed trip: its run would end at once.
-
-        Raises:
-            ValueError: a scenario does not fit the plant or has no equilibrium; or the integration step is too long
-                there; or a unit would need a larger internal voltage than allowed, or a rotor would not turn.
         """
         prepared = self._equilibria(scenarios, laws)
         equilibrium.check_internal_voltages(prepared.rows, scenarios, self.settings, self.layout)
@@ -509,8 +505,7 @@ class Simulator:
     def restore(self, snapshot: tuple[Floats, LaneData]) -> None:
         """Go back to a :meth:`snapshot`; it can be used again.
 
-        Raises:
-            ValueError: the snapshot is of a simulator of another size; nothing has changed then.
+        A ValueError says that the snapshot is of a simulator of another size; nothing has changed then.
         """
         blocks, data = snapshot
         if blocks.shape != self.blocks.shape or data.wind.shape != self.data.wind.shape:

@@ -61,6 +61,8 @@ def simulate(
 ) -> Trajectory:
     """Run a scenario under fixed laws and record it.
 
+    A ValueError says that scenario, laws and plant do not fit, or the run cannot start.
+
     Args:
         scenario: what happens.
         laws: one law or strategy name for all WTG groups, or one per group; a name is the law of the plant's turbine.
@@ -68,9 +70,6 @@ def simulate(
 
     Returns:
         the recorded run. If a protection ends it, the last sample is of that instant.
-
-    Raises:
-        ValueError: scenario, laws and plant do not fit, or the run cannot start.
     """
     if not isinstance(scenario, Scenario):
         raise ValueError(f"scenario must be a Scenario, got {type(scenario).__name__}")

@@ -1,7 +1,5 @@
 """Where control decides: cost and bad runs over the reserve margin of the scenarios."""
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Mapping
 from typing import TYPE_CHECKING
@@ -35,7 +33,7 @@ def by_entry(results: Results) -> dict[str, OverMargin]:
 
 
 @style.printed
-def plot_over_margin(entries: Mapping[str, OverMargin], hundred: str, *, stacked: bool = False) -> Figure:
+def plot_over_margin(entries: Mapping[str, OverMargin], hundred: str, *, stacked: bool = False) -> "Figure":
     """Draw cost relative to the law that scores 100, and the share of bad runs, over the reserve margin.
 
     The panels stand side by side, or `stacked` in a single column.

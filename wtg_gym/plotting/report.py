@@ -3,8 +3,6 @@
 A page of sections, in Markdown with its pictures beside, or made HTML of, with its pictures inside.
 """
 
-from __future__ import annotations
-
 import base64
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -71,7 +69,7 @@ class Picture:
     """A figure, its name among files, and a caption with a command, if any."""
 
     name: str
-    figure: Figure
+    figure: "Figure"
     caption: str
     command: str = ""
 
@@ -226,9 +224,6 @@ def _bad(runs: Runs) -> Floats:
     return lost_or_beyond(runs, get_suite(SUITE).nominal_hz)
 
 
-# --- sections --------------------------------------------------------------------------------------------------------
-
-
 def _score(report: Report) -> Section:
     row, results = report.row, report.results
     assert row.score is not None
@@ -319,7 +314,7 @@ def _scenario_picture(report: Report, seed: int) -> Picture:
 
 
 @style.printed
-def _plot_scenario(scenario: Scenario, runs: Mapping[str, Recorded]) -> Figure:
+def _plot_scenario(scenario: Scenario, runs: Mapping[str, Recorded]) -> "Figure":
     figure = style.new_figure(style.SINGLE_COLUMN_MM, 125.0)
     looks = style.strategy_looks(runs)
     panels = figure.subplots(len(_PANELS), 1, sharex=True)

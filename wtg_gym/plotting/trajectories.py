@@ -1,7 +1,5 @@
 """The figure of recorded runs of one scenario under several strategies; marks of events and ends over time."""
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING
@@ -36,7 +34,7 @@ _PANELS: Mapping[str, Callable[[Trajectory], Floats]] = {
 
 
 @style.printed
-def plot_trajectories(runs: Mapping[str, Trajectory], scenario: Scenario) -> Figure:
+def plot_trajectories(runs: Mapping[str, Trajectory], scenario: Scenario) -> "Figure":
     """Draw frequency, power, rotor speed and k of the first four WTG groups, a column each, in runs by their labels.
 
     The reference strategy is drawn on top and thick; a cross marks where a run ended before its time; events are
@@ -72,15 +70,12 @@ def plot_trajectories(runs: Mapping[str, Trajectory], scenario: Scenario) -> Fig
     return figure
 
 
-# --- events and ends over time ----------------------------------------------------------------------------------------
-
-
 def _by_instant(scenario: Scenario) -> list[list[Event]]:
     events = sorted((e for e in scenario.events if e.time_s <= scenario.duration_s), key=lambda e: e.time_s)
     return [list(group) for _, group in itertools.groupby(events, key=lambda e: e.time_s)]
 
 
-def mark_instants(axes: Axes, scenario: Scenario, *, numbered: bool) -> None:
+def mark_instants(axes: "Axes", scenario: Scenario, *, numbered: bool) -> None:
     """Draw a dotted line at every event, with its number above if `numbered`, and where a line closes again."""
     instants = [events[0].time_s for events in _by_instant(scenario)]
     for instant in (*instants, *(event.end_s for event in undone(scenario.events, scenario.duration_s))):
@@ -97,7 +92,7 @@ def mark_instants(axes: Axes, scenario: Scenario, *, numbered: bool) -> None:
         axes.text(place, 1.01, f"({numbers})", transform=above, fontsize=style.SMALL_PT, ha="center")
 
 
-def explain_events(figure: Figure, scenario: Scenario) -> None:
+def explain_events(figure: "Figure", scenario: Scenario) -> None:
     """Write the scenario's name at the top left of a figure and its numbered events at the top right."""
     lines: list[str] = []
     for number, events in enumerate(_by_instant(scenario), start=1):
@@ -111,6 +106,6 @@ def explain_events(figure: Figure, scenario: Scenario) -> None:
     figure.text(0.99, 0.993, "\n".join(lines), ha="right", va="top", fontsize=style.SMALL_PT)
 
 
-def mark_end(axes: Axes, time_s: float, value: float, colour: str) -> None:
+def mark_end(axes: "Axes", time_s: float, value: float, colour: str) -> None:
     """Draw a cross where a run ended before its time."""
     axes.plot(time_s, value, "x", color=colour, markersize=5.5, markeredgewidth=1.4, zorder=4)

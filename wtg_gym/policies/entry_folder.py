@@ -57,9 +57,6 @@ _FOLDER = re.compile(r"(?!.*(\.|\.toml)$)[A-Za-z0-9][A-Za-z0-9+._-]{0,79}", re.I
 _DEVICE = re.compile(r"(con|prn|aux|nul|com\d|lpt\d)(\..*)?", re.IGNORECASE)
 
 
-# --- names that are taken --------------------------------------------------------------------------------------------
-
-
 @functools.cache
 def _built_in() -> frozenset[str]:
     """Return the plain names of the strategies and the baselines, each of which is called like its module."""
@@ -74,9 +71,6 @@ def check_not_built_in(what: str, name: str) -> None:
             f"{what} must not be, or look like, that of a strategy or a baseline or one of {', '.join(RESERVED)}; "
             f"got {short(name)}"
         )
-
-
-# --- entry.toml ------------------------------------------------------------------------------------------------------
 
 
 def parse_entry(text: str, *, submitted: bool = False) -> dict[str, Any]:
@@ -133,9 +127,6 @@ def write_template(folder: Path) -> Path:
     return path
 
 
-# --- folders of one's own and of the package -------------------------------------------------------------------------
-
-
 def load_entry_folder(folder: Path) -> Entry:
     """Return the entry of a folder with a policy; a ValueError names what is missing, damaged or unknown.
 
@@ -167,9 +158,6 @@ def policy_name(folder: Path) -> str | None:
         return str(_entry_data(folder)["name"])
     except ValueError:
         return None
-
-
-# --- submissions -----------------------------------------------------------------------------------------------------
 
 
 def parse_submission(content: bytes) -> Entry:
@@ -212,11 +200,10 @@ def _check_folder_name(folder: Path) -> None:
     check_not_built_in("the folder's name", name)
 
 
-# --- by name ---------------------------------------------------------------------------------------------------------
-
-
 def load_entries(spec: str | Path | Iterable[str | Path], task: Task = V1) -> list[Entry]:
     """Return the entries that a text or several name.
+
+    A ValueError says that there is nothing of that name, or that it holds no entry, and what is allowed.
 
     Args:
         spec: one of these; the first that exists counts. "baselines" or "policies" for all baselines or all trained
@@ -224,9 +211,6 @@ def load_entries(spec: str | Path | Iterable[str | Path], task: Task = V1) -> li
             and policy.onnx. The name of a trained policy ("PPO (k)" for all its seeds, "ppo-k-0" for one).
             "module:ATTRIBUTE" for an entry, a policy, or a callable that returns one; importing runs the module's code.
         task: the version of the baselines, and of trained policies if some of the name are for it.
-
-    Raises:
-        ValueError: nothing of that name, or it holds no entry; the message says what is allowed.
     """
     if not isinstance(spec, (str, Path, Iterable)):
         raise ValueError(f"load_entries() takes names and paths, got {spec!r}")
@@ -271,9 +255,6 @@ def _for_version(folders: Sequence[Path], task: Task) -> list[Entry]:
     """Return the entries of shipped folders: those for a version, or all if there are none for it."""
     entries = [load_entry_folder(folder) for folder in folders]
     return [entry for entry in entries if entry.environment == task.env_id] or entries
-
-
-# --- Python modules --------------------------------------------------------------------------------------------------
 
 
 def _import(name: str, spec: str) -> ModuleType:

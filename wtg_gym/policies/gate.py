@@ -216,9 +216,6 @@ def rollout(entry: Entry, *, backwards: bool = False) -> npt.NDArray[np.float64]
     return np.clip(np.stack(actions), -1.0, 1.0)[:, ::order]
 
 
-# --- several submissions ---------------------------------------------------------------------------------------------
-
-
 @dataclass(frozen=True)
 class Conflict:
     """Submissions that cannot all be accepted: their folders, and why."""

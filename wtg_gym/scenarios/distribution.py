@@ -1,7 +1,5 @@
 """The distribution scenarios are drawn from: a named list of records; every draw is a function of its seed."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 import zlib
@@ -57,10 +55,8 @@ _UNMENTIONED: Mapping[str, Any] = MappingProxyType(
 class ScenarioDistribution(Checked):
     """A named list of records that scenarios are drawn from, in the order in which they take numbers from the stream.
 
-    Without `OperatingPoint`, droop, inertia and load are the grid's; without `UnitCommitment`, all units are on line.
-
-    Raises:
-        ValueError: a value is outside its range, records do not fit the grid or each other, or there is no `Wind`.
+    Without `OperatingPoint`, droop, inertia and load are the grid's; without `UnitCommitment`, all units are on line. A
+    ValueError says that a value is outside its range, records do not fit the grid or each other, or there is no `Wind`.
     """
 
     name: str = required("-", "design", "prefix of scenario names; picks the random stream")
@@ -89,7 +85,7 @@ class ScenarioDistribution(Checked):
         """Return the record of a type, None where there is none."""
         return next((record for record in self.records if isinstance(record, record_class)), None)
 
-    def changed(self, changes: draws.Changes) -> ScenarioDistribution:
+    def changed(self, changes: draws.Changes) -> "ScenarioDistribution":
         """Return the distribution with fields of its records replaced; a ValueError lists the records there are."""
         names = [type(record).__name__ for record in self.records]
         require_known("records", [type_.__name__ for type_ in changes], names)

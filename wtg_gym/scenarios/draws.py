@@ -1,7 +1,5 @@
 """What scenarios are drawn from: records of wind, load, outages and operating point, and the errors of sensors."""
 
-from __future__ import annotations
-
 import zlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
@@ -117,13 +115,11 @@ class Draft:
 class Record(Checked):
     """A part of what scenarios are drawn from; a pair of numbers is the range of a uniform distribution.
 
-    The unit, the allowed range and the meaning of every value are its field's metadata.
-
-    Raises:
-        ValueError: a value is outside its allowed range; the message names value, unit and range.
+    The unit, the allowed range and the meaning of every value are its field's metadata. A ValueError names a value
+    outside its allowed range, its unit and the range.
     """
 
-    def check(self, case: NetworkCase, records: Sequence[Record]) -> None:
+    def check(self, case: NetworkCase, records: "Sequence[Record]") -> None:
         """Refuse with a ValueError what does not fit the network with its groups, or the other records."""
 
     def draw(self, pick: Picker, draft: Draft) -> None:
@@ -521,7 +517,7 @@ class SensorDistribution(Checked):
         # Checks the values that are the same in every scenario.
         Sensors(**{**vars(self), "seed": 0, "delay_s": 0.0, "wind_bias": (0.0,)})
 
-    def replaced(self, changes: Mapping[str, Any]) -> SensorDistribution:
+    def replaced(self, changes: Mapping[str, Any]) -> "SensorDistribution":
         """Return the distribution with some of its values replaced; a ValueError lists the known names."""
         require_known("values of the sensors", changes, [field.name for field in fields(self)])
         return replace(self, **changes)

@@ -1,7 +1,5 @@
 """Suites of version v1 for any grid: where events may happen follows from the network, or is read from a file."""
 
-from __future__ import annotations
-
 import math
 import os
 import re
@@ -151,8 +149,7 @@ def _read(path: Path, text: str) -> GridSuite:
 def unscreened(grid: str) -> GridSuite:
     """Return a suite of a grid, a name or a file, with every event that does not take its network apart.
 
-    Raises:
-        ValueError: it has no load, or the machines that stay cannot give what the wind leaves.
+    A ValueError says that it has no load, or the machines that stay cannot give what the wind leaves.
     """
     data = get_grid(grid)
     if data.case.load_mw <= 0.0:

@@ -1,7 +1,5 @@
 """The strata of version v1, on any grid: what is drawn in each, and where it may happen."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from collections.abc import Mapping, Sequence

@@ -244,8 +244,7 @@ def suite_of_grid(grid: str) -> str:
 def get_suite(name: str) -> Suite:
     """Return a suite by its name, or by the path of its file or of a grid's, which ends in ".json".
 
-    Raises:
-        ValueError: the suite is unknown, or the file is damaged; the message lists the known ones, or says why.
+    A ValueError says that the suite is unknown, or the file is damaged.
     """
     if isinstance(name, str) and name.endswith(".json"):
         suite = suite_of_file(name)

@@ -182,9 +182,6 @@ def _turbine_power() -> tuple[float, float]:
     return rated_mw * full, float(available_power_pu(1.0))
 
 
-# --- the noise of the load: an Ornstein-Uhlenbeck process that starts at zero, made from a stationary one -------------
-
-
 @lru_cache(maxsize=64)
 def noise_amplitude(correlation_s: float, n_period: int) -> FloatArray:
     """Return the scale of each Fourier coefficient of a stationary Ornstein-Uhlenbeck series of variance 1.

@@ -97,15 +97,12 @@ class Routine:
             return _ADDRESSES[keys[0]]
 
     def __call__(self, arrays: Sequence[Floats], tables: Tables, scalars: Sequence[float] = NONE) -> None:
-        """Run it from Python.
+        """Run it from Python. A ValueError says that the arrays have another width, or the tables no code for them.
 
         Args:
             arrays: (n_rows, width), or (n_blocks, n_rows, width) to run it for one block after the other; in C order.
             tables: those without code are for the routine's own program.
             scalars: what the program is told.
-
-        Raises:
-            ValueError: the arrays have another width, or the tables no code for them.
         """
         stacks = [array if array.ndim == 3 else array[np.newaxis] for array in arrays]
         width = stacks[0].shape[2]

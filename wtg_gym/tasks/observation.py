@@ -65,9 +65,6 @@ def of_groups(observation: npt.NDArray[Any], record: type[R], action_mode: str) 
     return record(*(groups[..., i] for i in range(n)))
 
 
-# --- WTG groups ------------------------------------------------------------------------------------------------------
-
-
 class WtgObservation(NamedTuple):
     """Local measurements of a WTG group, each with its unit and meaning."""
 
@@ -150,9 +147,6 @@ def show_duty(filtered_mean_duty: float) -> DutyObservation:
     return bounded(DutyObservation(filtered_mean_duty))
 
 
-# --- the grid, in the privileged observation --------------------------------------------------------------------------
-
-
 class MachineObservation(NamedTuple):
     """A synchronous machine, in the privileged observation."""
 
@@ -216,9 +210,6 @@ def observe_grid(
     return bounded(
         GridObservation((coi - 1.0) * task.nominal_hz / FREQUENCY_UNIT_HZ, task_rocof, inv_torque * total_torque)
     )
-
-
-# --- info ------------------------------------------------------------------------------------------------------------
 
 
 class Info(NamedTuple):

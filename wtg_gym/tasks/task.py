@@ -49,53 +49,33 @@ class Entries(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Task:
-    """A version of the benchmark: its equations as lists, its weights, and what scores 0 and 100.
+    """A version of the benchmark: its equations as lists, its weights, and what scores 0 and 100."""
 
-    Args:
-        version: "v0", "v1".
-        k_authority: offset on k at full action, as a share of K_opt - K_pr [-].
-        tau_authority: full action multiplies or divides τ by :data:`TIME_CONSTANT_RATIO` to this power [-].
-        control_dt: default time for which an action is held [s].
-        interval_s: sensors measure and costs are charged in intervals of this length, several in a control step; None:
-            once in every control step [s].
-        act, charge, start_sensors, measure, observe: the lists of a step, in their order around the physics.
-        of_groups: what every WTG group shows, before its last actions.
-        privileged: what it shows besides in the privileged observation.
-        rewards_score: whether rewards are points of the score by default, else minus the cost.
-        weights: of the terms of the cost.
-        duty_time_s: time constant of the filter behind which the duty is charged; 0 for none [s].
-        on_failure: default consequence of a rotor's failure: "terminate" or "trip".
-        failure_costs_whole_episode: whether a failed episode costs the largest rate for its whole length; else the cap
-            for the time that was left. If so, entries get the mark of reliability.
-        cost_offsets: J0 of the score in each stratum ("" without strata), in units of the cost.
-        anchors: names of the entries that score 0 and 100.
-        scale: Λ of the score, the mean improvement of the entry at 100 on that at 0; None: computed from the scenarios
-            played.
-        variates: names of laws that scores are adjusted by where their means are known, see
-            :mod:`wtg_gym.evaluation.adjusted`.
-    """
-
-    version: str
-    k_authority: float
-    tau_authority: float = 1.0
-    control_dt: float = 0.1
-    interval_s: float | None = None
+    version: str  # "v0", "v1"
+    k_authority: float  # offset on k at full action, as a share of K_opt - K_pr [-]
+    tau_authority: float = 1.0  # full action multiplies or divides τ by `TIME_CONSTANT_RATIO` to this power [-]
+    control_dt: float = 0.1  # default time for which an action is held [s]
+    interval_s: float | None = None  # in which sensors measure and costs are charged; None: the control step [s]
+    #: The lists of a step, in their order around the physics.
     act: tuple[Any, ...]
     charge: tuple[Any, ...]
     start_sensors: tuple[Any, ...] = ()
     measure: tuple[Any, ...] = ()
     observe: tuple[Any, ...]
-    of_groups: Shown
-    privileged: tuple[Shown, ...] = ()
-    rewards_score: bool = False
+    of_groups: Shown  # what every WTG group shows, before its last actions
+    privileged: tuple[Shown, ...] = ()  # what it shows besides in the privileged observation
+    rewards_score: bool = False  # whether rewards are points of the score by default, else minus the cost
     weights: CostWeights = CostWeights()
-    duty_time_s: float = 0.0
-    on_failure: str = "terminate"
+    duty_time_s: float = 0.0  # time constant of the filter behind which the duty is charged; 0 for none [s]
+    on_failure: str = "terminate"  # default consequence of a rotor's failure, or "trip"
+    #: Whether a failed episode costs the largest rate for its whole length, and entries get the mark of reliability;
+    #: else it costs the cap for the time that was left.
     failure_costs_whole_episode: bool = False
+    #: J0 of the score in each stratum ("" without strata), in units of the cost.
     cost_offsets: Mapping[str, float] = field(default_factory=lambda: {"": 5.0})
-    anchors: tuple[str, str]
-    scale: float | None = None
-    variates: tuple[str, ...] = ()
+    anchors: tuple[str, str]  # names of the entries that score 0 and 100
+    scale: float | None = None  # Λ, mean improvement of the entry at 100 on that at 0; None: of the scenarios played
+    variates: tuple[str, ...] = ()  # laws that scores are adjusted by, see :mod:`wtg_gym.evaluation.adjusted`
 
     def __post_init__(self) -> None:
         _FIRST.setdefault(self.version, self)
@@ -155,8 +135,6 @@ class Task:
             "weights": {name: value for name, value in self.weights._asdict().items() if value != defaults[name]},
             "anchors": self.anchors,
         }
-
-    # --- what a simulator needs of it ---------------------------------------------------------------------------------
 
     @cached_property
     def programs(self) -> tuple[Program, ...]:
@@ -256,8 +234,6 @@ class Task:
         return [
             episode.Reach(self.k_authority * (law.k_min - law.k_max), law.k_max, law.k_min - law.k_max) for law in laws
         ]
-
-    # --- observations -------------------------------------------------------------------------------------------------
 
     def entries(self, choices: Choices) -> list[Entries]:
         """Return the entries of an observation: groups, then what is privileged, then devices."""

@@ -1,7 +1,5 @@
 """Colours of the picture."""
 
-from __future__ import annotations
-
 PAGE, INK, SOFT, LINE, GRID = "#ffffff", "#1b2128", "#55606c", "#d5dbe1", "#e7ebef"
 EVENT = "#a8276b"  # and the end of an episode that failed
 #: One per WTG group; further groups begin again.

@@ -1,7 +1,5 @@
 """The single-line diagram of the grid with its WTG groups and events, and events in words."""
 
-from __future__ import annotations
-
 import functools
 import math
 from collections.abc import Collection, Mapping, Sequence
@@ -44,7 +42,7 @@ def bus_places(case: NetworkCase) -> Mapping[int, tuple[float, float]]:
     return {bus.number: (x, y) for bus, (x, y) in zip(case.buses, scaled, strict=True)}
 
 
-def draw_diagram(axes: Axes, plant: Plant, events: Sequence[Event], over: Collection[Event] = ()) -> None:
+def draw_diagram(axes: "Axes", plant: Plant, events: Sequence[Event], over: Collection[Event] = ()) -> None:
     """Draw the diagram into empty axes, with the events that have struck, numbered, of which some are undone."""
     group_buses, places = [group.bus for group in plant.groups], bus_places(plant.case)
     size = min(1.0, math.sqrt(_N_BUSES / len(places)))
@@ -92,7 +90,7 @@ def _units(bus: int, plant: Plant, events: Sequence[Event]) -> list[tuple[str, s
     return units
 
 
-def _draw_unit(axes: Axes, place: tuple[float, float], name: str, colour: str, size: float, *, is_out: bool) -> None:
+def _draw_unit(axes: "Axes", place: tuple[float, float], name: str, colour: str, size: float, *, is_out: bool) -> None:
     x, y = place
     centre = y - 0.85 * size
     axes.plot([x, x], [y, centre], **(_OPENED if is_out else {"color": colour, "linewidth": 1.0}))

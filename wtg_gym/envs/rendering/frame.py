@@ -1,7 +1,5 @@
 """Frames of an episode: the background is drawn once and kept, lines and numbers are drawn in every frame."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -151,7 +149,7 @@ def _fitting_range(panel: Panel, samples: Samples) -> Range:
     return fitting[0] if fitting else panel.ranges[-1]
 
 
-def _draw_axes(axes: Axes, panel: Panel, limits: Range, scene: Scene) -> None:
+def _draw_axes(axes: "Axes", panel: Panel, limits: Range, scene: Scene) -> None:
     axes.set(xlim=(0.0, scene.duration_s), ylim=limits, axisbelow=True)
     axes.set_title(panel.title, fontsize=12, color=INK, loc="left", pad=5)
     axes.locator_params(axis="x", nbins=6, steps=[1, 2, 5, 10])
@@ -173,7 +171,7 @@ def _draw_axes(axes: Axes, panel: Panel, limits: Range, scene: Scene) -> None:
         axes.axvline(event.end_s, color=EVENT, linewidth=1, linestyle=(0, (1, 2)), zorder=1)
 
 
-def _draw_scene(figure: Figure, scene: Scene) -> None:
+def _draw_scene(figure: "Figure", scene: Scene) -> None:
     """Draw the left part: the environment, heading, diagram, and the latest six events in words."""
     figure.text(0.017, 0.974, scene.env_id, fontsize=16, fontweight="bold", color=INK, va="top")
     figure.text(0.017, 0.933, scene.heading, fontsize=12, color=SOFT, va="top")

@@ -1,7 +1,5 @@
 """Samples of running episodes and their frames, in environments that render."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

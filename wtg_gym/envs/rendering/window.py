@@ -1,7 +1,5 @@
 """A window that shows frames in real time; needs pygame."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np
