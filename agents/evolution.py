@@ -106,12 +106,10 @@ class GroupPolicy(nn.Module):
         return tuple(state[0] for state in answer)
 
     def act(self, weights: Tensor, observations: Tensor, *states: Tensor) -> tuple[Tensor, ...]:
-        """Return the actions of candidates (n, n_lanes, n_action), and the next states.
+        """Return the actions of candidates (n, n_lanes, n_action) with weights (n, n_parameters), and the next states.
 
-        Args:
-            weights: (n, n_parameters).
-            observations: (n, n_lanes, n_observation).
-            states: (n, n_lanes, …), slow copies, and whether there are any yet; none without history.
+        Observations are (n, n_lanes, n_observation); states (n, n_lanes, …) are slow copies, and whether there are any
+        yet, none without history.
         """
         # The number of lanes stands nowhere: in an exported graph, what depends on it takes longer than all else.
         n, n_wtg = len(weights), self._n_wtg

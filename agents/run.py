@@ -26,11 +26,9 @@ from torch import nn
 
 from wtg_gym.envs import EnvSettings
 from wtg_gym.envs.lanes import TaskLanes
-from wtg_gym.evaluation import Entry, evaluate
-from wtg_gym.evaluation.circumstances import installed
+from wtg_gym.evaluation import Entry, circumstances, evaluate
 from wtg_gym.files import interpreting, one_line, read_json, to_json, trusted_files, write_atomically
-from wtg_gym.physics.scenario import Scenario
-from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY
+from wtg_gym.physics import scenario, tracking_law
 from wtg_gym.policies.entry_folder import ENTRY_FILE, POLICY_FILE, check_not_built_in, entry_text
 from wtg_gym.policies.torch_export import TorchPolicy, onnx_bytes
 from wtg_gym.progress import Progress
@@ -78,7 +76,7 @@ class RunSettings(Checked):
     action_mode: str = "k+tau"
     observation_mode: str = "local"
     suite: str = DEFAULT_SUITE
-    strategy: str = REFERENCE_STRATEGY
+    strategy: str = tracking_law.REFERENCE_STRATEGY
     seed: int = design(0, "-", "seed of the weights, the exploration and the scenarios", 0, 2**31 - 1)
     timesteps: int = required("-", "design", "steps of all environments together", 1, 10**12)
     n_envs: int = required("-", "design", "number of environments", 1, 100_000)
@@ -114,7 +112,7 @@ class RunSettings(Checked):
             "training_seed": self.seed,
             "environment": get_suite(self.suite).env_id,
         }
-        values |= {} if self.strategy == REFERENCE_STRATEGY else {"strategy": self.strategy}
+        values |= {} if self.strategy == tracking_law.REFERENCE_STRATEGY else {"strategy": self.strategy}
         check_not_built_in("the entry's name", values["name"])
         Entry(**values)
         return values
@@ -319,7 +317,7 @@ def _provenance(settings: RunSettings) -> dict[str, Any]:
         "git_commit": _git_commit(),
         "source_hash": source_hash(),
         "suite_hash": get_suite(settings.suite).hash,
-        "versions": installed(_PACKAGES),
+        "versions": circumstances.installed(_PACKAGES),
     }
 
 
@@ -332,7 +330,7 @@ def _git_commit() -> str | None:
         return None
 
 
-def draw(lanes: TaskLanes, rng: np.random.Generator, n_scenarios: int) -> list[Scenario]:
+def draw(lanes: TaskLanes, rng: np.random.Generator, n_scenarios: int) -> list[scenario.Scenario]:
     """Return training scenarios; of strata their seeds follow one another: three hold one of each."""
     if not lanes.suite.strata:
         return lanes.draw([rng] * n_scenarios)
@@ -383,7 +381,7 @@ class RunOptions:
     """what it sees"""
     suite: str = DEFAULT_SUITE
     """suite to train and validate on"""
-    strategy: str = REFERENCE_STRATEGY
+    strategy: str = tracking_law.REFERENCE_STRATEGY
     """law that the actions modulate"""
     seed: Whole = 0
     """seed of everything random"""

@@ -7,8 +7,7 @@ import gymnasium as gym
 import numpy as np
 import numpy.typing as npt
 
-from wtg_gym.envs import GFMWTGEnv
-from wtg_gym.envs.interface import as_actions
+from wtg_gym.envs import GFMWTGEnv, interface
 from wtg_gym.envs.rendering import Frame
 from wtg_gym.envs.settings import EnvArguments
 from wtg_gym.extras import install_advice
@@ -115,15 +114,11 @@ class GFMWTGParallelEnv(ParallelEnv[str, Observation, Action]):  # type: ignore[
 
     @undivided
     def step(self, actions: Mapping[str, Action]) -> Step:
-        """Hold the actions for one control interval.
+        """Hold the actions (n_modes,) of every agent that is there, clipped to [-1, 1], for one control interval.
 
-        It returns observations, rewards, terminations, truncations and infos of the agents that acted. A ValueError
-        says that an action is missing, has another shape or is not finite, and nothing has been stepped; a RuntimeError
-        that no agent is there, so that reset() is needed.
-
-        Args:
-            actions: (n_modes,) of every agent that is there, clipped to [-1, 1]; those of agents that have left are
-                ignored.
+        Those of agents that have left are ignored. It returns observations, rewards, terminations, truncations and
+        infos of the agents that acted. A ValueError says that an action is missing, has another shape or is not finite,
+        and nothing has been stepped; a RuntimeError that no agent is there, so that reset() is needed.
         """
         if not self.agents:
             raise RuntimeError("the episode is over or was never started; call reset() before step()")
@@ -150,7 +145,7 @@ class GFMWTGParallelEnv(ParallelEnv[str, Observation, Action]):  # type: ignore[
         joint = np.zeros(len(self._done_by) * self._action_shape[0])
         for agent in self.agents:
             try:
-                action = as_actions(actions[agent], self._action_shape)
+                action = interface.as_actions(actions[agent], self._action_shape)
             except ValueError as error:
                 raise ValueError(f"{agent}: {error}") from None
             if not np.isfinite(action).all():

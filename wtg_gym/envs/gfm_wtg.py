@@ -5,8 +5,7 @@ from typing import TYPE_CHECKING, Any, Unpack
 
 import gymnasium as gym
 
-from wtg_gym.envs import interface
-from wtg_gym.envs.settings import EnvArguments, as_scenario
+from wtg_gym.envs import interface, settings
 from wtg_gym.signals import HeldSignals
 
 if TYPE_CHECKING:
@@ -75,7 +74,7 @@ class GFMWTGEnv(interface.OverLanes, gym.Env[interface.Observation, interface.Ac
         "render_fps": 10,
     }
 
-    def __init__(self, *, render_mode: str | None = None, **arguments: Unpack[EnvArguments]) -> None:
+    def __init__(self, *, render_mode: str | None = None, **arguments: Unpack[settings.EnvArguments]) -> None:
         self.observation_space, self.action_space = self._open(arguments, render_mode)
         self._action_shape = (self._lanes.n_action,)
 
@@ -94,7 +93,7 @@ class GFMWTGEnv(interface.OverLanes, gym.Env[interface.Observation, interface.Ac
         """
         checked = interface.check_options(options, ("scenario",))
         # A given scenario that cannot start is refused before the first change, of the generator too.
-        scenario = as_scenario('options["scenario"]', checked["scenario"]) if "scenario" in checked else None
+        scenario = settings.as_scenario('options["scenario"]', checked["scenario"]) if "scenario" in checked else None
         episodes = None if scenario is None else self._lanes.prepare([scenario], turning=True)
         super().reset(seed=seed)
         self._lanes.start([0], self._lanes.next_episode(self.np_random, 0) if episodes is None else episodes)
@@ -104,13 +103,10 @@ class GFMWTGEnv(interface.OverLanes, gym.Env[interface.Observation, interface.Ac
         return self._lanes.observations[0].copy(), self._lanes.info()
 
     def step(self, action: interface.Action) -> tuple[interface.Observation, float, bool, bool, dict[str, Any]]:
-        """Hold the action for one control step.
+        """Hold the action (n_action,), clipped to [-1, 1], for one control step.
 
         A ValueError says that the action has another shape or is not finite, a RuntimeError that the episode is over,
         so that reset() is needed, or that another thread is in this environment.
-
-        Args:
-            action: (n_action,), clipped to [-1, 1].
         """
         lanes, use, thread = self._lanes, self._use, get_ident()
         outputs = lanes.outputs
@@ -135,13 +131,10 @@ class GFMWTGEnv(interface.OverLanes, gym.Env[interface.Observation, interface.Ac
             use.give_back()
 
     def render(self) -> "Frame | None":
-        """Draw the episode up to now.
+        """Draw the episode up to now: the frame (540, 960, 3) uint8 with "rgb_array", else None.
 
-        A RuntimeError says that no episode was started, or that "human" finds no display.
-
-        Returns:
-            The frame (540, 960, 3) uint8 with "rgb_array", else None. With "human" :meth:`reset` and :meth:`step` draw
-            by themselves; without a render mode there is a warning.
+        With "human" :meth:`reset` and :meth:`step` draw by themselves; without a render mode there is a warning. A
+        RuntimeError says that no episode was started, or that "human" finds no display.
         """
         if self._frames is None:
             interface.warn_of_no_render_mode()

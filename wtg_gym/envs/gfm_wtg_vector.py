@@ -10,9 +10,7 @@ from gymnasium.utils import seeding
 from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space
 
-from wtg_gym.envs import interface
-from wtg_gym.envs.next_episodes import NextEpisodes
-from wtg_gym.envs.settings import EnvArguments, as_scenario
+from wtg_gym.envs import interface, next_episodes, settings
 from wtg_gym.physics.scenario import Scenario
 from wtg_gym.ranges import is_whole, require_choice, require_whole
 
@@ -52,7 +50,7 @@ class GFMWTGVectorEnv(
         max_episode_steps: int | None = None,
         n_threads: int | None = None,
         render_mode: str | None = None,
-        **arguments: Unpack[EnvArguments],
+        **arguments: Unpack[settings.EnvArguments],
     ) -> None:
         self.num_envs = require_whole("num_envs", num_envs, 1, _MOST_ENVS)
         if n_threads is not None:
@@ -69,7 +67,7 @@ class GFMWTGVectorEnv(
         self.metadata["autoreset_mode"] = self.autoreset_mode
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
-        self._next = NextEpisodes(self._lanes, [seeding.np_random()[0] for _ in range(num_envs)])
+        self._next = next_episodes.NextEpisodes(self._lanes, [seeding.np_random()[0] for _ in range(num_envs)])
         self._all_lanes = np.ones(num_envs, dtype=np.bool_)
         self._all_lanes.setflags(write=False)
 
@@ -119,7 +117,7 @@ class GFMWTGVectorEnv(
     def _scenarios(self, option: Any) -> list[Scenario]:
         if not isinstance(option, Sequence) or len(option) != self.num_envs:
             raise ValueError(f'options["scenarios"] must be a list of {self.num_envs} scenarios, got {option!r:.80}')
-        return [as_scenario('options["scenarios"]', scenario) for scenario in option]
+        return [settings.as_scenario('options["scenarios"]', scenario) for scenario in option]
 
     def _lane_seeds(self, seed: int | Sequence[int | None] | None) -> list[int | None]:
         seeds: Sequence[int | None]
@@ -139,15 +137,12 @@ class GFMWTGVectorEnv(
     def step(
         self, actions: interface.Action
     ) -> tuple[interface.Observation, npt.NDArray[Any], npt.NDArray[Any], npt.NDArray[Any], dict[str, Any]]:
-        """Hold the actions for one control step in every environment.
+        """Hold the actions (num_envs, n_action), clipped to [-1, 1], for one control step in every environment.
 
         A ValueError says that the actions have another shape or are not finite, and nothing has been stepped; or that a
         drawn scenario cannot start: every running environment has been stepped, and that one still waits for its reset.
         A RuntimeError says that an environment was never started, or is over and resets are disabled, or that another
         thread is in this object.
-
-        Args:
-            actions: (num_envs, n_action), clipped to [-1, 1].
         """
         waiting = np.logical_or(*self._lanes.ended())
         if waiting.any() and (self.autoreset_mode != AutoresetMode.NEXT_STEP or not self._started()):

@@ -17,8 +17,7 @@ from wtg_gym.envs.settings import EnvArguments, EnvSettings
 from wtg_gym.physics.layout import Floats
 from wtg_gym.ranges import require_known
 from wtg_gym.signals import undivided
-from wtg_gym.tasks import TASKS
-from wtg_gym.tasks.observation import OBSERVATION_BOUND
+from wtg_gym.tasks import TASKS, observation
 
 if TYPE_CHECKING:
     from wtg_gym.envs.rendering import LaneFrames
@@ -124,7 +123,7 @@ class OverLanes:
             from wtg_gym.envs import rendering
 
             self._frames = rendering.LaneFrames(self._lanes, opens_window=render_mode == "human", fps=fps)
-        bound = np.full(self._lanes.n_observation, OBSERVATION_BOUND, dtype=np.float32)
+        bound = np.full(self._lanes.n_observation, observation.OBSERVATION_BOUND, dtype=np.float32)
         high = np.ones(self._lanes.n_action, dtype=np.float32)
         return gym.spaces.Box(-bound, bound, dtype=np.float32), gym.spaces.Box(-high, high, dtype=np.float32)
 

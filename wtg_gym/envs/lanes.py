@@ -20,10 +20,7 @@ from wtg_gym.physics.sensors import SensorInput, delay_intervals, sensor_input
 from wtg_gym.physics.simulator import PreparedLanes, Simulator
 from wtg_gym.ranges import whole_steps
 from wtg_gym.signals import undivided
-from wtg_gym.tasks.cost import COST, FILTERED_DUTY, CostTerms
-from wtg_gym.tasks.episode import ACTING, ACTION_MODES, HISTORY, TASK, TIME_CONSTANT_RATIO
-from wtg_gym.tasks.observation import Info, LocalInfo
-from wtg_gym.tasks.sensing import SENSED, SENSORS
+from wtg_gym.tasks import cost, episode, observation, sensing
 
 Floats = npt.NDArray[np.float64]
 
@@ -69,14 +66,9 @@ class PreparedEpisodes(NamedTuple):
 
 
 class TaskLanes:
-    """Episodes side by side: scenarios, simulator, observations and costs.
+    """Episodes of an environment side by side: scenarios, simulator, observations and costs.
 
-    A ValueError says that a setting is unknown or out of range.
-
-    Args:
-        settings: of the environment.
-        n_lanes: number of episodes side by side.
-        n_threads: threads to step with; None for one per processor.
+    `n_threads` step them, None for one per processor. A ValueError says that a setting is unknown or out of range.
     """
 
     def __init__(self, settings: EnvSettings, n_lanes: int = 1, n_threads: int | None = None) -> None:
@@ -88,7 +80,7 @@ class TaskLanes:
         self.n_turbines = [group.n_turbines for group in plant.groups]
         self.duration_s = settings.episode_duration_s()
         self.observation_names = settings.task.observation_names(settings.choices)
-        self.info_names = (*Info._fields, *(LocalInfo._fields if plant.extended else ()))
+        self.info_names = (*observation.Info._fields, *(observation.LocalInfo._fields if plant.extended else ()))
         self.n_observation = len(self.observation_names)
         #: Numbers that each group has of its own in an observation, before its last actions; groups come first.
         self.n_local = settings.task.n_local
@@ -109,7 +101,7 @@ class TaskLanes:
         self._reference: TaskLanes | None = None
         self._check_time_constants()
         self._check_draws()
-        self.n_action = self.n_wtg * sum(ACTION_MODES[settings.action_mode])
+        self.n_action = self.n_wtg * sum(episode.ACTION_MODES[settings.action_mode])
         self.outputs = self._new_outputs(n_lanes)
         # A lane without an episode waits for a reset, as one whose episode is over.
         self.outputs.truncated[:] = True
@@ -154,11 +146,11 @@ class TaskLanes:
 
     def _check_time_constants(self) -> None:
         """Refuse a law whose damping the actions can make faster than the integration step follows."""
-        ratio = TIME_CONSTANT_RATIO**self.settings.task.tau_authority
+        ratio = episode.TIME_CONSTANT_RATIO**self.settings.task.tau_authority
         fastest = ratio * max((law.inverse_time_constant for law in self.laws), default=0.0)
         allowed = float(largest_stable_steps(-fastest)) / STEP_MARGIN
         step_s = self.simulator.settings.simulation_dt
-        if ACTION_MODES[self.settings.action_mode][1] and step_s > allowed:
+        if episode.ACTION_MODES[self.settings.action_mode][1] and step_s > allowed:
             raise ValueError(
                 f"simulation_dt = {step_s:g} s is too long for the damping time constant of "
                 f"{ratio / fastest:g} s, which actions make {1.0 / fastest:g} s; "
@@ -193,13 +185,10 @@ class TaskLanes:
         )
 
     def prepare(self, scenarios: Sequence[Scenario], *, turning: bool = False) -> PreparedEpisodes:
-        """Find the equilibria that episodes start from; no running lane is touched.
+        """Find the equilibria that episodes of scenarios start from; no running lane is touched.
 
-        A ValueError says that a scenario does not fit the plant or the episode length, or has no such equilibrium.
-
-        Args:
-            scenarios: one per episode.
-            turning: refuse a rotor that would start below the under-speed trip; for scenarios given by the user.
+        `turning`, for scenarios given by the user, refuses a rotor that would start below the under-speed trip. A
+        ValueError says that a scenario does not fit the plant or the episode length, or has no such equilibrium.
         """
         try:
             lanes = self.simulator.prepare(scenarios, self.laws, turning=turning)
@@ -229,12 +218,8 @@ class TaskLanes:
     def next_episode(self, rng: np.random.Generator, lane: int, scenario: Scenario | None = None) -> PreparedEpisodes:
         """Return a lane's next episode: the first that starts of the scenarios that its generator draws.
 
-        A ValueError says that the environment's one scenario does not start, or none of many drawn ones.
-
-        Args:
-            rng: of the lane.
-            lane: where those are counted that do not start.
-            scenario: the first one, if it is drawn already.
+        One may be drawn already. Those that do not start are counted for the lane. A ValueError says that the
+        environment's one scenario does not start, or none of many drawn ones.
         """
         refusal: Exception | None = None
         for _ in range(_MOST_DRAWS):
@@ -269,17 +254,17 @@ class TaskLanes:
     ) -> Outputs:
         """Write the task's rows of prepared lanes; return what their episodes begin with."""
         simulator, layout, rows = self.simulator, self.simulator.layout, lanes.rows
-        rows[:, layout.first_rows(TASK, "end_step")[0]] = n_steps * self.n_substeps
-        rows[:, layout.first_rows(HISTORY, "frequency")] = 1.0
-        group = layout.first_rows(ACTING, "group")
+        rows[:, layout.first_rows(episode.TASK, "end_step")[0]] = n_steps * self.n_substeps
+        rows[:, layout.first_rows(episode.HISTORY, "frequency")] = 1.0
+        group = layout.first_rows(episode.ACTING, "group")
         rows[:, group], rows[:, group + 1] = rows[:, layout.wtg("inv_tau")], rows[:, layout.wtg("speed")]
         numbers = [self._sensor_numbers(scenario) for scenario in scenarios]
         if self.suite.task.has_sensors:
-            first = layout.first_rows(SENSORS, "sensor_input")[0]
+            first = layout.first_rows(sensing.SENSORS, "sensor_input")[0]
             places = [
                 *range(first, first + len(SensorInput._fields)),
-                *layout.first_rows(SENSED, "wind_bias"),
-                *layout.first_rows(FILTERED_DUTY, "leaves_at"),
+                *layout.first_rows(sensing.SENSED, "wind_bias"),
+                *layout.first_rows(cost.FILTERED_DUTY, "leaves_at"),
             ]
             rows[:, places] = numbers
         outputs = self._new_outputs(len(rows))
@@ -311,13 +296,7 @@ class TaskLanes:
         episodes: Sequence[Scenario] | PreparedEpisodes,
         places: Sequence[int] | None = None,
     ) -> None:
-        """Start episodes in lanes, one each.
-
-        Args:
-            lanes: where.
-            episodes: what :meth:`prepare` returned, or scenarios, which are prepared now.
-            places: of the prepared episodes to start; None for all.
-        """
+        """Start episodes in lanes, one each: some `places` of those that :meth:`prepare` returned, or scenarios."""
         if not isinstance(episodes, PreparedEpisodes):
             episodes = self.prepare(episodes)
         simulator = self.simulator
@@ -351,14 +330,11 @@ class TaskLanes:
             self.outputs.truncated[lane] = not self.outputs.terminated[lane]
 
     def step(self, actions: Floats, meanwhile: Callable[[], Any] | None = None, n_prepared: int = 0) -> None:
-        """Step every running lane; results are in `observations`, `rewards` and :meth:`ended`.
+        """Step every running lane by actions (n_lanes, n_action).
 
-        A ValueError says that an action is not finite; nothing has been stepped then.
-
-        Args:
-            actions: (n_lanes, n_action), as :func:`as_actions` gives them; clipped to [-1, 1].
-            meanwhile: called once, while other threads step where there are several.
-            n_prepared: how many episodes that call prepares.
+        Results are in `observations`, `rewards` and :meth:`ended`. `meanwhile` is called once, while other threads step
+        where there are several, and prepares `n_prepared` episodes. A ValueError says that an action is not finite;
+        nothing has been stepped then.
         """
         simulator = self.simulator
         if self._bound is None:
@@ -403,13 +379,13 @@ class TaskLanes:
 
     def task_values(self, name: str) -> Floats:
         """Return a number of the task or the cost of every environment by its name, (n_lanes,)."""
-        kind = TASK if name in TASK.rows else COST
+        kind = episode.TASK if name in episode.TASK.rows else cost.COST
         return self.simulator.values(self.simulator.layout.first_rows(kind, name)[0])
 
     def cost_sums(self) -> Floats:
         """Return each lane's costs of the episode so far, (n_lanes, n_terms), in the order of `COST_TERMS`."""
-        first = self.simulator.layout.first_rows(COST, "sums")[0]
-        return np.stack([self.simulator.values(first + i) for i in range(len(CostTerms._fields))], axis=1)
+        first = self.simulator.layout.first_rows(cost.COST, "sums")[0]
+        return np.stack([self.simulator.values(first + i) for i in range(len(cost.CostTerms._fields))], axis=1)
 
     def info_arrays(self) -> dict[str, npt.NDArray[Any]]:
         """Return every key of `info` as an array over lanes: copies, except the reasons while no lane has failed."""

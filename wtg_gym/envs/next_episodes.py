@@ -15,10 +15,6 @@ class NextEpisodes:
 
     Prepared by the handful, an episode takes less than half the time that it takes alone. Lanes whose episodes end soon
     are therefore prepared along with those that have ended. What a lane plays does not depend on when it was prepared.
-
-    Args:
-        lanes: the lanes.
-        generators: one per lane.
     """
 
     def __init__(self, lanes: TaskLanes, generators: Sequence[np.random.Generator]) -> None:

@@ -12,19 +12,16 @@ from wtg_gym.physics.plant import SIMULATION_DT_RANGE, Plant
 from wtg_gym.physics.scenario import SERIES_DT, Scenario
 from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY, TrackingLaw, group_laws
 from wtg_gym.ranges import require_choice, require_known, require_range, whole_steps
-from wtg_gym.scenarios import DEFAULT_SUITE, SPLITS, SUITES, Suite, get_suite, suite_of_grid
-from wtg_gym.scenarios.draws import SensorDistribution
-from wtg_gym.tasks import TASKS, Task
+from wtg_gym.scenarios import DEFAULT_SUITE, SPLITS, SUITES, Suite, draws, get_suite, suite_of_grid
+from wtg_gym.tasks import TASKS, Task, episode, observation
 from wtg_gym.tasks.cost import CostWeights
-from wtg_gym.tasks.episode import ACTION_MODES
-from wtg_gym.tasks.observation import OBSERVATION_MODES
 from wtg_gym.tasks.task import Choices
 
 VERSIONS = tuple(task.version for task in TASKS.values())
 #: Settings that are one of some names, or their default.
 _CHOICES: dict[str, Sequence[str]] = {
-    "action_mode": tuple(ACTION_MODES),
-    "observation_mode": OBSERVATION_MODES,
+    "action_mode": tuple(episode.ACTION_MODES),
+    "observation_mode": observation.OBSERVATION_MODES,
     "split": SPLITS,
     "version": VERSIONS,
     "on_failure": ("terminate", "trip"),
@@ -206,7 +203,7 @@ class EnvSettings:
         return Choices(self.resolved_plant, self.cost_weights(), self.action_mode, privileged)
 
     @cached_property
-    def sensor_distribution(self) -> SensorDistribution | None:
+    def sensor_distribution(self) -> draws.SensorDistribution | None:
         """What the sensors' errors are drawn from, None where they measure exactly; errors name the value."""
         of_suite = self.resolved_suite.sensors
         if self.sensors is None:
@@ -219,7 +216,7 @@ class EnvSettings:
             return None
         if not isinstance(self.sensors, Mapping):
             raise ValueError(f'sensors must be "exact" or a dictionary of names and values, got {self.sensors!r}')
-        return (of_suite or SensorDistribution()).replaced(self.sensors)
+        return (of_suite or draws.SensorDistribution()).replaced(self.sensors)
 
     def cost_weights(self) -> CostWeights:
         """Return the weights in force; a ValueError names unknown ones."""

@@ -21,11 +21,10 @@ from wtg_gym.evaluation.partial import PartialStore
 from wtg_gym.evaluation.results import Results
 from wtg_gym.evaluation.workers import Played, Workers
 from wtg_gym.physics.scenario import Scenario
-from wtg_gym.policies import Entry, OnnxPolicy, PolicyError
+from wtg_gym.policies import Entry, OnnxPolicy, PolicyError, policy_process
 from wtg_gym.policies.entry import check_entries, check_version
 from wtg_gym.policies.entry_folder import load_entries
 from wtg_gym.policies.play import play, started_lanes
-from wtg_gym.policies.policy_process import NotIsolatedError
 from wtg_gym.ranges import is_whole, require_count, require_whole
 from wtg_gym.scenarios import DEFAULT_SUITE, get_suite
 from wtg_gym.scenarios.suite import MOST_SCENARIOS, Suite
@@ -307,7 +306,7 @@ def play_batch(
                 )
                 for lane, scenario in enumerate(drawn)
             ]
-    except NotIsolatedError:
+    except policy_process.NotIsolatedError:
         raise
     except PolicyError as error:
         return error

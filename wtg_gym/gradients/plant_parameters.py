@@ -139,12 +139,10 @@ class Moved:
         return factors
 
     def pull(self, bars: Floats, constants: Floats, in_force: Floats) -> Floats:
-        """Return cotangents of the parameters (n_lanes, n_parameters).
+        """Return cotangents of the parameters (n_lanes, n_parameters), by what was `in_force` before the step.
 
-        Args:
-            bars: of the blocks before a step; those of the constants that have rows there are taken out.
-            constants: of the table's numbers (n_blocks, n_numbers, width).
-            in_force: of :meth:`in_force` before the step.
+        Those of the constants that have rows in the blocks are taken out of `bars`; `constants` are the cotangents of
+        the table's numbers (n_blocks, n_numbers, width).
         """
         n_lanes = len(in_force)
         leaves = np.zeros_like(in_force)

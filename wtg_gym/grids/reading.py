@@ -6,9 +6,7 @@ from pathlib import Path
 
 from wtg_gym.extras import install_advice
 from wtg_gym.files import interpreting
-from wtg_gym.grids import matpower, powsybl
-from wtg_gym.grids.dyr import Dynamics
-from wtg_gym.grids.solved_case import grid_of
+from wtg_gym.grids import dyr, matpower, powsybl, solved_case
 from wtg_gym.physics.grid import Grid
 
 
@@ -44,6 +42,6 @@ def read_case(
             case = read(path, frequency_hz, drop)
         except ImportError as error:
             raise ValueError(f"it needs {error.name}; {install_advice('grids')}") from error
-        dynamics = None if dynamic is None else Dynamics(dynamic, case.notes, substitute=substitute)
-        grid = grid_of(case, dynamics, drop)
+        dynamics = None if dynamic is None else dyr.Dynamics(dynamic, case.notes, substitute=substitute)
+        grid = solved_case.grid_of(case, dynamics, drop)
     return replace(grid, source=f"{path.name}, read by {case.library}")

@@ -7,8 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
-from wtg_gym.physics.grid import Source
-from wtg_gym.physics.layout import place_in
+from wtg_gym.physics import grid, layout
 from wtg_gym.physics.units import LANE, UNITS, Connection, Joining, Phasor, Sample, Terminal, moving, quotient
 from wtg_gym.ranges import did_you_mean, require_range
 from wtg_gym.systems.elementary import sine_cosine
@@ -56,7 +55,7 @@ class Devices:
             raise ValueError(f"systems of {', '.join(sorted(others))} cannot join for {name}")
         if set(self.constants) != set(kind.constants):
             raise ValueError(f"{name} have the constants {sorted(kind.constants)}, got {sorted(self.constants)}")
-        if place_in(kind, "connected") is None:
+        if layout.place_in(kind, "connected") is None:
             raise ValueError(f"the rows of {name} have no number `connected`, which says whether a unit is")
         if self.shown is not None and not is_record(kind.scratch.get(self.shown)):
             like = did_you_mean(self.shown, kind.scratch)
@@ -130,7 +129,7 @@ stage_of_source = moving(rates_of_source)
 
 
 @functools.lru_cache(maxsize=64)
-def source_units(sources: tuple[Source, ...]) -> tuple[Devices, ...]:
+def source_units(sources: tuple[grid.Source, ...]) -> tuple[Devices, ...]:
     """Return the imposed sources of a network as devices."""
     if not sources:
         return ()

@@ -138,9 +138,7 @@ class NetworkCase(Checked):
     def branch_index(self, from_bus: int, to_bus: int, circuit: int | None = None) -> int:
         """Return the index of the branch between two buses, either way round; a ValueError lists the branches.
 
-        Args:
-            from_bus, to_bus: numbers of the buses.
-            circuit: which of parallel branches, counted from 1; None: the first.
+        `circuit` says which of parallel branches, counted from 1; None: the first.
         """
         self.bus_index(from_bus)
         self.bus_index(to_bus)

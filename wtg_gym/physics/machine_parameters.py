@@ -308,10 +308,9 @@ class SynchronousMachineParameters(Checked):
 
 
 def classical_machine(**values: Any) -> SynchronousMachineParameters:
-    """Return a constant voltage behind x'_d, without exciter.
+    """Return a constant voltage behind x'_d, without exciter, from values of :class:`SynchronousMachineParameters`.
 
-    Args:
-        values: of :class:`SynchronousMachineParameters`; those of a round rotor have no effect and need not be given.
+    Those of a round rotor have no effect and need not be given.
     """
     transient = ("x_q_transient", "t_d0_transient_s", "t_d0_subtransient_s", "t_q0_subtransient_s")
     unused = {**dict.fromkeys(("x_d", "x_q", *transient), 1.0), "x_subtransient": 0.15}

@@ -12,21 +12,16 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from wtg_gym.physics import parameters
+from wtg_gym.physics import integration, machine_models, machine_parameters, machine_unit, parameters, wind_turbine
 from wtg_gym.physics.aerodynamics import surface_of
 from wtg_gym.physics.devices import SOURCES, Devices, joining, source_units
 from wtg_gym.physics.grid import NetworkCase, get_grid
-from wtg_gym.physics.integration import PROGRAMS
 from wtg_gym.physics.layout import Facts, Layout, Network, Span, place_in
 from wtg_gym.physics.machine import Machine, RotorSaturation, gate_limits, machine_constants, rotor_saturation
-from wtg_gym.physics.machine_models import CONTROLS, control_constants, joining_controls
-from wtg_gym.physics.machine_parameters import SynchronousMachineParameters
-from wtg_gym.physics.machine_unit import FIRST_MACHINE, MACHINES
 from wtg_gym.physics.network import SPARSE_FROM, assemble_admittance, branch_admittances, pattern_of
 from wtg_gym.physics.parameters import TurbineParameters, WtgGroup
 from wtg_gym.physics.protection import STAGES, SheddingConstants
 from wtg_gym.physics.units import BUSES, ISLANDS, LANE, MAIN, MEMBERS, PAIRS, TRANSFERS, UNITS, Bus, Connection, Phasor
-from wtg_gym.physics.wind_turbine import Extension, Turbine, extension_constants, turbine_constants
 from wtg_gym.physics.wtg_unit import COLUMNS, EXTENSIONS, GROUPS
 from wtg_gym.ranges import Checked, design, require_choice, require_known, require_range, whole_steps
 from wtg_gym.systems.programs import Complex, Floats, Program, Tables, Whole, build_table
@@ -182,7 +177,7 @@ def _extended(case: NetworkCase, turbine: TurbineParameters) -> dict[str, Any]:
     a source.
     """
 
-    def changed(m: SynchronousMachineParameters) -> SynchronousMachineParameters:
+    def changed(m: machine_parameters.SynchronousMachineParameters) -> machine_parameters.SynchronousMachineParameters:
         if m.governor is None:
             return dataclasses.replace(m, damping_pu=0.0)
         dead_band = m.governor.dead_band_pu or DEAD_BAND_PU
@@ -249,9 +244,9 @@ def plant_tables(settings: Plant) -> PlantTables:
     machines = [machine_constants(machine, base) for machine in case.machines]
     of_groups = settings.turbines or (settings.turbine,)
     of_all = settings.pitch, settings.control, settings.protection, settings.extended
-    turbines = [turbine_constants(turbine, *of_all) for turbine in of_groups]
+    turbines = [wind_turbine.turbine_constants(turbine, *of_all) for turbine in of_groups]
     limits = settings.limits, settings.voltage_control, settings.simulation_dt
-    extensions = [extension_constants(turbine, *limits) for turbine in of_groups]
+    extensions = [wind_turbine.extension_constants(turbine, *limits) for turbine in of_groups]
     sizes = zip(settings.groups, settings.turbines, strict=True)
     share = [group.n_turbines * turbine.rated_power_mw / base for group, turbine in sizes]
     impedances = [complex(machine.resistance, machine.internal_reactance) for machine in machines]
@@ -266,12 +261,12 @@ def plant_tables(settings: Plant) -> PlantTables:
         machines=structured(Machine, machines),
         dispatch=np.where(participation > 0.0, 0.0, [m.dispatch_mw / base for m in case.machines]),
         participation=participation,
-        turbine=structured(Turbine, turbines),
+        turbine=structured(wind_turbine.Turbine, turbines),
         share=np.array(share, dtype=np.float64),
         cells=surface_of(of_groups[0].power_coefficient)[1],
         saturation=tuple(rotor_saturation(machine) for machine in case.machines),
-        controls=control_constants(case.machines),
-        extension=structured(Extension, extensions * settings.extended),
+        controls=machine_models.control_constants(case.machines),
+        extension=structured(wind_turbine.Extension, extensions * settings.extended),
         shedding=structured(SheddingConstants, stages * (ISLANDS_AT_MOST if settings.extended else 1)),
         buses=structured(Bus, _buses_of(case, network.unit_bus)),
         of_lane={
@@ -383,7 +378,7 @@ def _units_of(plant: PlantTables) -> tuple[dict[Kind, int], dict[tuple[Kind, str
     bus, unit = _nested(n_bus if extended else 0, n)
     column_group, column_unit = _nested(limited.size, n)
     n_units = {
-        MACHINES: n_sync,
+        machine_unit.MACHINES: n_sync,
         GROUPS: n_wtg,
         EXTENSIONS: limited.size,
         LANE: 1,
@@ -395,13 +390,13 @@ def _units_of(plant: PlantTables) -> tuple[dict[Kind, int], dict[tuple[Kind, str
         TRANSFERS: unit.size,
         PAIRS: row.size,
         STAGES: plant.shedding.size,
-        FIRST_MACHINE: min(n_sync, 1),
+        machine_unit.FIRST_MACHINE: min(n_sync, 1),
         COLUMNS: column_unit.size,
-        **dict.fromkeys((control.kind for control in CONTROLS.values()), 0),
+        **dict.fromkeys((control.kind for control in machine_models.CONTROLS.values()), 0),
     }
     links = {
         # All of them are in the grid, or seen from there.
-        (MACHINES, "island"): np.zeros(n_sync, dtype=np.int64),
+        (machine_unit.MACHINES, "island"): np.zeros(n_sync, dtype=np.int64),
         (GROUPS, "island"): np.zeros(n_wtg, dtype=np.int64),
         (GROUPS, "unit"): groups,
         (STAGES, "island"): _nested(n_islands, plant.shedding.size // n_islands)[0],
@@ -427,7 +422,7 @@ def layout_of(plant: PlantTables, task: TaskUnits = NO_TASK) -> Layout:
     """Return where the numbers of a plant's environments lie, with those of devices and of a task behind them."""
     n_units, links = _units_of(plant)
     for name, constants in plant.controls.items():
-        kind, of_machine = CONTROLS[name].kind, constants["machine"]
+        kind, of_machine = machine_models.CONTROLS[name].kind, constants["machine"]
         n_units[kind] = constants.size
         links |= {(kind, "machine"): of_machine, (kind, "unit"): of_machine}
     for units, device in zip(plant.device_units, plant.devices, strict=True):
@@ -454,7 +449,7 @@ def programs_of(plant: PlantTables, *programs: Program) -> tuple[Program, ...]:
 def _joined(
     devices: tuple[Devices, ...], controls: tuple[str, ...], programs: tuple[Program, ...]
 ) -> tuple[Program, ...]:
-    systems = joining(devices) | joining_controls(controls)
+    systems = joining(devices) | machine_models.joining_controls(controls)
     return tuple(program.joined(systems) for program in programs)
 
 
@@ -493,9 +488,9 @@ class PlantMap:
             )
         ]
         self._constants: dict[tuple[Kind, str], Any] = {
-            (MACHINES, "machine"): plant.machines,
-            (MACHINES, "dispatch"): plant.dispatch,
-            (MACHINES, "saturation"): plant.saturation,
+            (machine_unit.MACHINES, "machine"): plant.machines,
+            (machine_unit.MACHINES, "dispatch"): plant.dispatch,
+            (machine_unit.MACHINES, "saturation"): plant.saturation,
             (GROUPS, "turbine"): plant.turbine[:n_wtg],
             (GROUPS, "cells"): plant.cells,
             (GROUPS, "share"): plant.share,
@@ -506,7 +501,7 @@ class PlantMap:
             (UNITS, "connection"): connections,
             (ISLANDS, "number"): np.arange(float(layout.n_units(ISLANDS))),
             **{(LANE, name): [value] for name, value in plant.of_lane.items()},
-            **{(CONTROLS[name].kind, "model"): values for name, values in plant.controls.items()},
+            **{(machine_models.CONTROLS[name].kind, "model"): values for name, values in plant.controls.items()},
             **{(device.kind, name): values for device in plant.devices for name, values in device.constants.items()},
             **task.constants,
         }
@@ -526,7 +521,7 @@ def with_places(
     taped: Sequence[Program] = (),
 ) -> PlantTables:
     """Return a plant that knows where its rows lie, for programs that are to run; those `taped` have a way back."""
-    kinds = dict(lane=LANE, machines=MACHINES, groups=GROUPS, units=UNITS, pairs=PAIRS, buses=BUSES)
+    kinds = dict(lane=LANE, machines=machine_unit.MACHINES, groups=GROUPS, units=UNITS, pairs=PAIRS, buses=BUSES)
     kinds |= dict(islands=ISLANDS, transfers=TRANSFERS, sources=SOURCES)
     spans: dict[str, Any] = {name: layout.span(kind) for name, kind in kinds.items()}
     n_islands = layout.n_units(ISLANDS)
@@ -553,4 +548,4 @@ def placed(settings: Plant, task: TaskUnits = NO_TASK) -> tuple[PlantTables, Lay
     """Return a plant's tables, which nobody writes to, and where its numbers lie, with those of a task."""
     plant = plant_tables(settings)
     layout = layout_of(plant, task)
-    return with_places(plant, layout, programs_of(plant, *PROGRAMS, *task.programs), task), layout
+    return with_places(plant, layout, programs_of(plant, *integration.PROGRAMS, *task.programs), task), layout

@@ -319,17 +319,11 @@ def _load_of(bus: Floats, rows: _Rows, facts: Facts) -> complex:
 def assemble(y: Complex, unit_y: Complex, block: Floats, x: int, lane: int, network: Network, data: LaneData) -> None:
     """Write the internal admittance of every unit of an environment and its bus admittances, without load noise [p.u.].
 
-    A unit that is disconnected has none, from the instant on at which a protection trips it. Else the matrix is that of
-    the network as it was last reduced, with its loads and events. The step of that decides which events have struck;
-    ramps have come half the way to the next change. A bus without voltage stands alone.
-
-    Args:
-        y: its first n_bus columns are written (n_bus, n).
-        unit_y: is written (n_unit,).
-        block: one block's rows (n_rows, width).
-        x: the environment's column in the block.
-        lane: the row of `data` with its series and events.
-        network, data: constants, series and events.
+    They are written to `unit_y` (n_unit,) and the first n_bus columns of `y` (n_bus, n), for the environment in column
+    x of a block and row `lane` of the data. A unit that is disconnected has none, from the instant on at which a
+    protection trips it. Else the matrix is that of the network as it was last reduced, with its loads and events. The
+    step of that decides which events have struck; ramps have come half the way to the next change. A bus without
+    voltage stands alone.
     """
     _assemble(y, unit_y, _rows_of(block, x, network.facts), network, data.events[lane])
 

@@ -5,9 +5,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from wtg_gym.physics import plant, protection
 from wtg_gym.physics.layout import Floats
-from wtg_gym.physics.plant import Plant
-from wtg_gym.physics.protection import Status
 from wtg_gym.physics.scenario import Scenario
 from wtg_gym.physics.simulator import Simulator
 from wtg_gym.physics.tracking_law import TrackingLaw, group_laws
@@ -32,7 +31,7 @@ class Trajectory:
     pitch_deg: Floats  # (n, n_wtg) [deg]
     wind_m_s: Floats  # (n, n_wtg) [m/s]
     shed_energy_mws: Floats  # load not served since the start, at 1 p.u. of voltage (n,) [MW s]
-    status: Status  # why the run ended before its time, or RUNNING
+    status: protection.Status  # why the run ended before its time, or RUNNING
     nominal_frequency_hz: float  # [Hz]
 
     @property
@@ -57,30 +56,24 @@ class Trajectory:
 
 
 def simulate(
-    scenario: Scenario, laws: str | TrackingLaw | Sequence[str | TrackingLaw], settings: Plant | None = None
+    scenario: Scenario, laws: str | TrackingLaw | Sequence[str | TrackingLaw], settings: plant.Plant | None = None
 ) -> Trajectory:
-    """Run a scenario under fixed laws and record it.
+    """Run a scenario and record it; if a protection ends it, the last sample is of that instant.
 
-    A ValueError says that scenario, laws and plant do not fit, or the run cannot start.
-
-    Args:
-        scenario: what happens.
-        laws: one law or strategy name for all WTG groups, or one per group; a name is the law of the plant's turbine.
-        settings: plant and time steps; the paper's by default.
-
-    Returns:
-        the recorded run. If a protection ends it, the last sample is of that instant.
+    There is one law or strategy name for all WTG groups, or one per group; a name is the law of the plant's turbine.
+    The plant is the paper's by default. A ValueError says that scenario, laws and plant do not fit, or the run cannot
+    start.
     """
     if not isinstance(scenario, Scenario):
         raise ValueError(f"scenario must be a Scenario, got {type(scenario).__name__}")
-    settings = settings or Plant()
+    settings = settings or plant.Plant()
     simulator = Simulator(settings, duration_s=scenario.duration_s)
     groups_laws = group_laws(laws, settings.turbines, settings.control)
     simulator.start(0, simulator.prepare([scenario], groups_laws, turning=True))
     grid, groups, machines, buses = (np.array(samples) for samples in zip(*_samples(simulator), strict=True))
     nominal, time = settings.case.frequency_hz, np.arange(len(grid), dtype=np.float64) * settings.control_dt
-    status = Status(int(simulator.lane_values("status")[0]))
-    if status != Status.RUNNING:
+    status = protection.Status(int(simulator.lane_values("status")[0]))
+    if status != protection.Status.RUNNING:
         # A protection may act within a control interval.
         time[-1] = min(time[-1], simulator.lane_values("step")[0] * settings.simulation_dt)
     of_group = dict(zip(_OF_GROUPS, groups.swapaxes(0, 1), strict=True))

@@ -5,11 +5,8 @@ from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING
 
 from wtg_gym.envs.rendering.diagram import undone
-from wtg_gym.physics.layout import Floats
-from wtg_gym.physics.protection import Status
+from wtg_gym.physics import layout, protection, tracking_law, trajectory
 from wtg_gym.physics.scenario import Event, Scenario
-from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY
-from wtg_gym.physics.trajectory import Trajectory
 from wtg_gym.plotting import style
 
 if TYPE_CHECKING:
@@ -25,7 +22,7 @@ _LINE_LENGTH = 100
 
 
 #: What is drawn of the WTG groups, each (n, n_wtg), by its label.
-_PANELS: Mapping[str, Callable[[Trajectory], Floats]] = {
+_PANELS: Mapping[str, Callable[[trajectory.Trajectory], layout.Floats]] = {
     "frequency [Hz]": lambda run: run.wtg_frequency_hz,
     "power [p.u.]": lambda run: run.power_pu,
     "rotor speed [p.u.]": lambda run: run.rotor_speed_pu,
@@ -34,7 +31,7 @@ _PANELS: Mapping[str, Callable[[Trajectory], Floats]] = {
 
 
 @style.printed
-def plot_trajectories(runs: Mapping[str, Trajectory], scenario: Scenario) -> "Figure":
+def plot_trajectories(runs: Mapping[str, trajectory.Trajectory], scenario: Scenario) -> "Figure":
     """Draw frequency, power, rotor speed and k of the first four WTG groups, a column each, in runs by their labels.
 
     The reference strategy is drawn on top and thick; a cross marks where a run ended before its time; events are
@@ -48,11 +45,11 @@ def plot_trajectories(runs: Mapping[str, Trajectory], scenario: Scenario) -> "Fi
         style.letter_panel(grid[0, group], "abcd"[group], f"WTG group {1 + group}")
         for axes, (label, values) in zip(grid[:, group], _PANELS.items(), strict=True):
             for name, run in runs.items():
-                width, order = (1.7, 3.5) if name == REFERENCE_STRATEGY else (1.0, 3.0)
+                width, order = (1.7, 3.5) if name == tracking_law.REFERENCE_STRATEGY else (1.0, 3.0)
                 line = {"label": name, "linewidth": width, "zorder": order, "linestyle": looks[name].dashes}
                 series, colour = values(run)[:, group], looks[name].colour
                 axes.plot(run.time_s, series, color=colour, **line)
-                if run.status != Status.RUNNING:
+                if run.status != protection.Status.RUNNING:
                     mark_end(axes, float(run.time_s[-1]), float(series[-1]), colour)
             mark_instants(axes, scenario, numbered=axes is grid[0, group])
             if group == 0:
@@ -61,7 +58,7 @@ def plot_trajectories(runs: Mapping[str, Trajectory], scenario: Scenario) -> "Fi
     grid[0, 0].set_xlim(0.0, scenario.duration_s)
     for row in (grid[0], grid[3]):
         style.share_limits(row)
-    statuses = sorted({run.status for run in runs.values()} - {Status.RUNNING})
+    statuses = sorted({run.status for run in runs.values()} - {protection.Status.RUNNING})
     if reasons := " or ".join(status.name.lower().replace("_", " ") for status in statuses):
         grid[0, 0].plot([], [], "x", color="0.25", markeredgewidth=1.4, label=reasons)
     handles, labels = grid[0, 0].get_legend_handles_labels()

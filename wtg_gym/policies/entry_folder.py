@@ -23,9 +23,7 @@ from wtg_gym.physics.tracking_law import STRATEGY_NAMES, get_law
 from wtg_gym.policies.entry import Entry, is_policy
 from wtg_gym.policies.policy_process import OnnxPolicy
 from wtg_gym.ranges import did_you_mean, is_whole
-from wtg_gym.tasks import TASKS, V1, Task
-from wtg_gym.tasks.episode import ACTION_MODES
-from wtg_gym.tasks.observation import OBSERVATION_MODES
+from wtg_gym.tasks import TASKS, V1, Task, episode, observation
 
 ENTRY_FILE, POLICY_FILE = "entry.toml", "policy.onnx"
 #: The files of a submission and their largest sizes [bytes]; every limit is far above what a policy here needs.
@@ -44,8 +42,8 @@ _TEMPLATE = Path(__file__).with_name("entry_template.toml")
 _NEEDED, _SUBMITTED = ("name", "action_mode"), ("name", "authors", "training_seed", "action_mode")
 _OPTIONAL = ("description", "observation_mode", "per_group", "environment", "strategy", "trained_on")
 _CHOICES = {
-    "action_mode": tuple(ACTION_MODES),
-    "observation_mode": OBSERVATION_MODES,
+    "action_mode": tuple(episode.ACTION_MODES),
+    "observation_mode": observation.OBSERVATION_MODES,
     "environment": tuple(TASKS),
     "strategy": STRATEGY_NAMES,
 }

@@ -8,8 +8,7 @@ from typing import Any, ClassVar, TypeVar
 import numpy as np
 import numpy.typing as npt
 
-from wtg_gym.physics import scenario
-from wtg_gym.physics.grid import NetworkCase
+from wtg_gym.physics import grid, scenario
 from wtg_gym.physics.scenario import SERIES_DT, Event, trusted
 from wtg_gym.physics.sensors import DELAY_MAX_S, Sensors
 from wtg_gym.ranges import Checked, design, require_known, require_range, required
@@ -119,7 +118,7 @@ class Record(Checked):
     outside its allowed range, its unit and the range.
     """
 
-    def check(self, case: NetworkCase, records: "Sequence[Record]") -> None:
+    def check(self, case: grid.NetworkCase, records: "Sequence[Record]") -> None:
         """Refuse with a ValueError what does not fit the network with its groups, or the other records."""
 
     def draw(self, pick: Picker, draft: Draft) -> None:
@@ -182,7 +181,7 @@ class LoadEvents(Record):
             raise ValueError(f"trip_buses must be one or more of the load buses {numbers}, got {self.trip_buses}")
         object.__setattr__(self, "buses", tuple((bus, float(up), float(down)) for bus, up, down in self.buses))
 
-    def check(self, case: NetworkCase, records: Sequence[Record]) -> None:
+    def check(self, case: grid.NetworkCase, records: Sequence[Record]) -> None:
         _require_buses("LoadEvents.buses", [bus for bus, _, _ in self.buses], case.bus_numbers)
 
     def draw(self, pick: Picker, draft: Draft) -> None:
@@ -226,7 +225,7 @@ class LoadNoise(Record):
     correlation_s: float = design(2.0, "s", "correlation time", 0.1, 60.0)
     bus: int = design(3, "-", "bus of the load")
 
-    def check(self, case: NetworkCase, records: Sequence[Record]) -> None:
+    def check(self, case: grid.NetworkCase, records: Sequence[Record]) -> None:
         _require_buses("LoadNoise.bus", [self.bus], case.bus_numbers)
 
 
@@ -342,7 +341,7 @@ class RareEvent(Record):
         raise NotImplementedError
 
 
-def _check_lines(name: str, lines: Sequence[Line], case: NetworkCase) -> None:
+def _check_lines(name: str, lines: Sequence[Line], case: grid.NetworkCase) -> None:
     if any(case.branch_index(*line) in case.bridges for line in lines):
         raise ValueError(f"{name} must be lines whose loss leaves the network connected, got {lines}")
 
@@ -361,7 +360,7 @@ class LineTrips(RareEvent):
     lines: tuple[Line, ...] = design(_SURVIVABLE_LINES, "-", "lines that may trip; no part of the network hangs on one")
     reclosing_s: Span | None = design(None, "s", "time after which the line closes again; None: never", 0.1, 3600.0)
 
-    def check(self, case: NetworkCase, records: Sequence[Record]) -> None:
+    def check(self, case: grid.NetworkCase, records: Sequence[Record]) -> None:
         _check_lines("LineTrips.lines", self.lines, case)
 
     def draw(self, pick: Picker, draft: Draft) -> None:
@@ -382,7 +381,7 @@ class GovernorLosses(RareEvent):
     WHERE = "buses"
     buses: tuple[int, ...] = design((), "-", "buses of machines of which one loses its governor")
 
-    def check(self, case: NetworkCase, records: Sequence[Record]) -> None:
+    def check(self, case: grid.NetworkCase, records: Sequence[Record]) -> None:
         governed = [machine.bus for machine in case.machines if machine.governor is not None]
         _require_buses("GovernorLosses.buses", self.buses, governed, "machine with a governor at bus")
 
@@ -411,7 +410,7 @@ class MachineOutages(RareEvent):
     WHERE = "buses"
     buses: tuple[int, ...] = design((), "-", "buses whose machine may disconnect")
 
-    def check(self, case: NetworkCase, records: Sequence[Record]) -> None:
+    def check(self, case: grid.NetworkCase, records: Sequence[Record]) -> None:
         _require_buses("MachineOutages.buses", self.buses, [machine.bus for machine in case.machines], "machine at bus")
 
     def events(self, pick: Picker, draft: Draft) -> list[Event]:
@@ -427,7 +426,7 @@ class Faults(RareEvent):
     lines: tuple[Line, ...] = design((), "-", "lines, the bus of the fault first; no part of the network hangs on one")
     clearing_s: Span = design((0.1, 0.25), "s", "time until it is cleared; to a tenth of a second", 0.1, 1.0)
 
-    def check(self, case: NetworkCase, records: Sequence[Record]) -> None:
+    def check(self, case: grid.NetworkCase, records: Sequence[Record]) -> None:
         _check_lines("Faults.lines", self.lines, case)
 
     def events(self, pick: Picker, draft: Draft) -> list[Event]:
@@ -447,7 +446,7 @@ class Islandings(Record):
 
     line_sets: tuple[tuple[Line, ...], ...] = design((), "-", "sets of lines of which one opens; none: no islanding")
 
-    def check(self, case: NetworkCase, records: Sequence[Record]) -> None:
+    def check(self, case: grid.NetworkCase, records: Sequence[Record]) -> None:
         for lines in self.line_sets:
             if len(case.parts_without(tuple(case.branch_index(*line) for line in lines))) != 2:
                 raise ValueError(f"line_sets of Islandings must each leave two parts of the network, got {lines}")

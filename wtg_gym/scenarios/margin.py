@@ -16,11 +16,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from wtg_gym.physics import aerodynamics, grid, machine_parameters
 from wtg_gym.physics import scenario as events
-from wtg_gym.physics.aerodynamics import available_power_pu
-from wtg_gym.physics.grid import NetworkCase
 from wtg_gym.physics.machine import gate_limits
-from wtg_gym.physics.machine_parameters import SynchronousMachineParameters
 from wtg_gym.physics.plant import Plant
 from wtg_gym.physics.scenario import Event, Scenario
 
@@ -51,7 +49,7 @@ class ReserveMargin:
         sizes = zip(plant.groups, plant.turbines, strict=True)
         #: Bus, rated power [MW] and available power at 1 m/s [p.u.] of each group.
         self._groups = [
-            (group.bus, group.n_turbines * turbine.rated_power_mw, float(available_power_pu(1.0, turbine)))
+            (group.bus, group.n_turbines * turbine.rated_power_mw, float(aerodynamics.available_power_pu(1.0, turbine)))
             for group, turbine in sizes
         ]
         governed = [m for m in case.machines if m.governor is not None]
@@ -134,12 +132,12 @@ class ReserveMargin:
         return min(margins, default=math.inf)
 
 
-def _size(machine: SynchronousMachineParameters) -> float:
+def _size(machine: machine_parameters.SynchronousMachineParameters) -> float:
     """Return the power that a machine's share of the load at the start follows [MW]."""
     return machine.rating_mva * min(gate_limits(machine.governor)[1], 1.0) if machine.governor is not None else 0.0
 
 
-def _opened(event: Event, time_s: float, case: NetworkCase) -> list[int]:
+def _opened(event: Event, time_s: float, case: grid.NetworkCase) -> list[int]:
     """Return the branches that an event holds open at an instant; the line with a fault opens when it is cleared."""
     if isinstance(event, events.LineTrip):
         closed = event.recloses_after_s is not None and time_s >= event.time_s + event.recloses_after_s

@@ -14,9 +14,8 @@ import numpy as np
 import numpy.typing as npt
 from scipy.fft import next_fast_len
 
-from wtg_gym.physics.aerodynamics import available_power_pu
+from wtg_gym.physics import aerodynamics, scenario
 from wtg_gym.physics.parameters import GridFormingParameters, TurbineParameters
-from wtg_gym.physics.scenario import SERIES_DT
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -110,7 +109,7 @@ def period_length(n_samples: int) -> int:
 
 def resolved_frequencies(n_period: int) -> FloatArray:
     """Return the frequencies of the harmonics of a period of `n_period` samples, zero included [Hz]."""
-    return np.arange(n_period // 2 + 1) / (n_period * SERIES_DT)
+    return np.arange(n_period // 2 + 1) / (n_period * scenario.SERIES_DT)
 
 
 def spectrum_amplitude(spectrum: FloatArray, n_period: int) -> FloatArray:
@@ -119,7 +118,7 @@ def spectrum_amplitude(spectrum: FloatArray, n_period: int) -> FloatArray:
     Coefficients of standard normal real and imaginary parts, times this, are those of a Gaussian series. The spectrum
     is that at :func:`resolved_frequencies`, for an even number of samples.
     """
-    amplitude = 0.5 * n_period * np.sqrt(spectrum / (n_period * SERIES_DT))
+    amplitude = 0.5 * n_period * np.sqrt(spectrum / (n_period * scenario.SERIES_DT))
     # Mean and Nyquist harmonic have a real coefficient only.
     amplitude[[0, -1]] *= math.sqrt(2.0)
     return amplitude
@@ -179,7 +178,7 @@ def share_of_load(mean_winds: Sequence[float], turbines: Sequence[float], load_m
 def _turbine_power() -> tuple[float, float]:
     """Return a turbine's power at nominal reserve [MW], and its available power at 1 m/s [p.u.]."""
     full, rated_mw = 1.0 - GridFormingParameters().deloading_nominal, TurbineParameters().rated_power_mw
-    return rated_mw * full, float(available_power_pu(1.0))
+    return rated_mw * full, float(aerodynamics.available_power_pu(1.0))
 
 
 @lru_cache(maxsize=64)
@@ -188,9 +187,9 @@ def noise_amplitude(correlation_s: float, n_period: int) -> FloatArray:
 
     It is a first-order autoregression with φ = exp(-dt/T), of the spectrum 2 dt (1 - φ²)/(1 - 2 φ cos(2π f dt) + φ²).
     """
-    phi = math.exp(-SERIES_DT / correlation_s)
-    angle = 2.0 * math.pi * SERIES_DT * resolved_frequencies(n_period)
-    spectrum = 2.0 * SERIES_DT * (1.0 - phi**2) / (1.0 - 2.0 * phi * np.cos(angle) + phi**2)
+    phi = math.exp(-scenario.SERIES_DT / correlation_s)
+    angle = 2.0 * math.pi * scenario.SERIES_DT * resolved_frequencies(n_period)
+    spectrum = 2.0 * scenario.SERIES_DT * (1.0 - phi**2) / (1.0 - 2.0 * phi * np.cos(angle) + phi**2)
     amplitude = spectrum_amplitude(spectrum, n_period)
     amplitude.setflags(write=False)
     return amplitude
@@ -199,6 +198,6 @@ def noise_amplitude(correlation_s: float, n_period: int) -> FloatArray:
 @lru_cache(maxsize=64)
 def noise_decay(correlation_s: float, n_samples: int) -> FloatArray:
     """Return exp(-t/T) at every sample: a stationary series minus this times its first value starts at zero."""
-    decay: FloatArray = np.exp(-SERIES_DT / correlation_s * np.arange(n_samples))
+    decay: FloatArray = np.exp(-scenario.SERIES_DT / correlation_s * np.arange(n_samples))
     decay.setflags(write=False)
     return decay

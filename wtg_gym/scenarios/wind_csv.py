@@ -8,8 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from wtg_gym.files import interpreting, read_bytes
-from wtg_gym.physics.parameters import MOST_GROUPS
-from wtg_gym.physics.scenario import WIND_SPEED_RANGE
+from wtg_gym.physics import parameters, scenario
 from wtg_gym.ranges import require_count, require_range
 
 FloatArray = npt.NDArray[np.float64]
@@ -43,7 +42,7 @@ def _parse(raw: bytes, duration_s: float | None) -> tuple[FloatArray, float]:
     text = text.rstrip()
     require_count("the table", text.count("\n"), _MOST_ROWS)
     first, *lines = text.split("\n")
-    require_count("line 1", first.count(",") + 1, MOST_GROUPS + 1)
+    require_count("line 1", first.count(",") + 1, parameters.MOST_GROUPS + 1)
     header = _cells(first)
     if header[0] != "time_s" or len(header) < 2:
         raise ValueError(f"line 1: the header is {first[:80]!r} or empty; expected: {_FORMAT}")
@@ -72,7 +71,7 @@ def _numbers(where: str, header: list[str], line: str) -> list[float]:
     cells = _cells(line)
     if len(cells) != len(header):
         raise ValueError(f"{where}: {len(cells)} cells, the header has {len(header)}: {line[:80]!r}")
-    low, high = WIND_SPEED_RANGE
+    low, high = scenario.WIND_SPEED_RANGE
     numbers: list[float] = []
     for name, text in zip(header, cells, strict=True):
         try:

@@ -49,16 +49,10 @@ def scaled_wind(wind: float) -> float:
 
 
 def of_groups(observation: npt.NDArray[Any], record: type[R], action_mode: str) -> R:
-    """Return what every WTG group shows in a local observation, by name.
+    """Return what every WTG group shows in a local observation (..., n_observation): a record of arrays (..., n_wtg).
 
-    Args:
-        observation: (..., n_observation).
-        record: what a group shows: :class:`WtgObservation` in v0, `MeasuredObservation` of
-            :mod:`wtg_gym.tasks.sensing` in v1.
-        action_mode: of the environment; the last actions stand behind each group's numbers.
-
-    Returns:
-        the record, each field an array (..., n_wtg).
+    The record is :class:`WtgObservation` in v0, `MeasuredObservation` of :mod:`wtg_gym.tasks.sensing` in v1. The last
+    actions of the action mode stand behind each group's numbers.
     """
     n = len(record._fields)  # type: ignore[attr-defined]
     groups = observation.reshape(*observation.shape[:-1], -1, n + sum(ACTION_MODES[action_mode]))

@@ -8,16 +8,12 @@ from typing import Any, NamedTuple, get_type_hints
 
 import numpy as np
 
-from wtg_gym.physics import integration
-from wtg_gym.physics.grid import DEFAULT_GRID, get_grid
+from wtg_gym.physics import grid, integration, tracking_law
 from wtg_gym.physics.layout import Layout, Whole
 from wtg_gym.physics.plant import Plant, TaskUnits
-from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY, group_laws
+from wtg_gym.systems import routines, systems
 from wtg_gym.systems.programs import Program, in_one_table
-from wtg_gym.systems.routines import Routine
-from wtg_gym.systems.systems import Kind, count
-from wtg_gym.tasks import episode
-from wtg_gym.tasks.cost import COST, FILTERED_DUTY, GROUP_COST, MACHINE_COST, CostWeights
+from wtg_gym.tasks import cost, episode
 from wtg_gym.tasks.observation import INFO, OBSERVED, OBSERVED_DUTY, OBSERVED_GRID, OBSERVED_MACHINES
 from wtg_gym.tasks.sensing import KEPT, KEPT_SHIFTS, NEWEST, SENSED, SENSORS, n_delayed
 
@@ -25,14 +21,14 @@ from wtg_gym.tasks.sensing import KEPT, KEPT_SHIFTS, NEWEST, SENSED, SENSORS, n_
 #: is 100 MVA.
 _TORQUE_SHARE = 0.39
 #: A part of an observation: its kind of unit, its name there, and the letters before the number of its unit.
-Shown = tuple[Kind, str, str]
+Shown = tuple[systems.Kind, str, str]
 
 
 class Choices(NamedTuple):
     """Settings of an environment that change its task."""
 
     plant: Plant
-    weights: CostWeights
+    weights: cost.CostWeights
     action_mode: str
     privileged: bool
 
@@ -40,7 +36,7 @@ class Choices(NamedTuple):
 class Entries(NamedTuple):
     """Entries of an observation that are neighbours: a record of one unit."""
 
-    kind: Kind
+    kind: systems.Kind
     part: str
     unit: int
     prefix: str  # before the names of the record's fields
@@ -65,7 +61,7 @@ class Task:
     of_groups: Shown  # what every WTG group shows, before its last actions
     privileged: tuple[Shown, ...] = ()  # what it shows besides in the privileged observation
     rewards_score: bool = False  # whether rewards are points of the score by default, else minus the cost
-    weights: CostWeights = CostWeights()
+    weights: cost.CostWeights = cost.CostWeights()
     duty_time_s: float = 0.0  # time constant of the filter behind which the duty is charged; 0 for none [s]
     on_failure: str = "terminate"  # default consequence of a rotor's failure, or "trip"
     #: Whether a failed episode costs the largest rate for its whole length, and entries get the mark of reliability;
@@ -116,11 +112,11 @@ class Task:
     def n_local(self) -> int:
         """Numbers that each group has of its own in an observation, before its last actions; groups come first."""
         kind, part, _ = self.of_groups
-        return count(kind.scratch[part])
+        return systems.count(kind.scratch[part])
 
     def to_dict(self) -> dict[str, Any]:
         """Return what hashes of suites hold of the task, as JSON-ready data."""
-        defaults = CostWeights()._asdict()
+        defaults = cost.CostWeights()._asdict()
         return {
             "version": self.version,
             "k_authority": self.k_authority,
@@ -167,10 +163,10 @@ class Task:
                 episode.SHIFTS: n_window,
                 episode.WINDOW: 1,
                 episode.ACTING: n_wtg,
-                COST: 1,
-                GROUP_COST: n_wtg,
-                MACHINE_COST: n_sync,
-                FILTERED_DUTY: n_wtg * sensors,
+                cost.COST: 1,
+                cost.GROUP_COST: n_wtg,
+                cost.MACHINE_COST: n_sync,
+                cost.FILTERED_DUTY: n_wtg * sensors,
                 OBSERVED: n_wtg,
                 OBSERVED_DUTY: n_wtg * sensors,
                 OBSERVED_GRID: 1,
@@ -198,7 +194,7 @@ class Task:
             starting=(start_sensors, observe),
             constants={
                 (episode.TASK, "task"): [self._constants(choices)],
-                (COST, "weights"): [choices.weights],
+                (cost.COST, "weights"): [choices.weights],
                 (episode.ACTING, "reach"): self._reaches(plant),
                 (OBSERVED_GRID, "inv_torque"): [_inv_torque(plant)],
                 (SENSED, "group_number"): range(n_wtg),
@@ -230,7 +226,7 @@ class Task:
 
     def _reaches(self, plant: Plant) -> list[episode.Reach]:
         """Return what each group's turbine decides."""
-        laws = group_laws(REFERENCE_STRATEGY, plant.turbines, plant.control)
+        laws = tracking_law.group_laws(tracking_law.REFERENCE_STRATEGY, plant.turbines, plant.control)
         return [
             episode.Reach(self.k_authority * (law.k_min - law.k_max), law.k_max, law.k_min - law.k_max) for law in laws
         ]
@@ -241,7 +237,7 @@ class Task:
         actions = tuple(name for name, used in zip(_fields(OBSERVED, "shown_actions"), modulated, strict=True) if used)
         machines = range(len(choices.plant.case.machines))
 
-        def entry(kind: Kind, part: str, unit: int, prefix: str) -> Entries:
+        def entry(kind: systems.Kind, part: str, unit: int, prefix: str) -> Entries:
             return Entries(kind, part, unit, prefix, _fields(kind, part))
 
         entries = []
@@ -289,20 +285,20 @@ _FIRST: dict[str, Task] = {}
 
 
 @lru_cache(maxsize=64)
-def _routines_of(programs: tuple[Program, ...]) -> tuple[Routine, ...]:
-    return tuple(map(Routine, programs))
+def _routines_of(programs: tuple[Program, ...]) -> tuple[routines.Routine, ...]:
+    return tuple(map(routines.Routine, programs))
 
 
 def _of_version(version: str) -> Task:
     return _FIRST[version]
 
 
-def _fields(kind: Kind, part: str) -> tuple[str, ...]:
+def _fields(kind: systems.Kind, part: str) -> tuple[str, ...]:
     names: tuple[str, ...] = kind.scratch[part]._fields
     return names
 
 
 def _inv_torque(plant: Plant) -> float:
-    if plant.case.load_mw == get_grid(DEFAULT_GRID).case.load_mw:
+    if plant.case.load_mw == grid.get_grid(grid.DEFAULT_GRID).case.load_mw:
         return 1.0
     return plant.case.base_mva / max(_TORQUE_SHARE * plant.case.load_mw, 1e-6)

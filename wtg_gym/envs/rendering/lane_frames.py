@@ -6,9 +6,7 @@ import numpy as np
 import numpy.typing as npt
 
 from wtg_gym.envs.lanes import TERMINATION_REASONS, TaskLanes
-from wtg_gym.envs.rendering.diagram import undone
-from wtg_gym.envs.rendering.frame import Frame, FramePainter, Scene, panels_of
-from wtg_gym.envs.rendering.window import Window
+from wtg_gym.envs.rendering import diagram, frame, window
 from wtg_gym.physics.protection import Status
 
 Floats = npt.NDArray[np.float64]
@@ -24,11 +22,11 @@ class LaneFrames:
     def __init__(self, lanes: TaskLanes, *, opens_window: bool = False, fps: int = 10) -> None:
         self._lanes, self._plant = lanes, lanes.settings.resolved_plant
         self._tip_speeds = np.array([turbine.tip_speed_ratio_per_speed_m_s for turbine in self._plant.turbines])
-        self._panels = panels_of(self._plant, limited=lanes.suite.task.version != "v0")
+        self._panels = frame.panels_of(self._plant, limited=lanes.suite.task.version != "v0")
         #: By quantity, (n_lanes, n_steps, 1 or n_wtg); not a number where there is none.
         self._samples: dict[str, npt.NDArray[np.float32]] = {}
-        self._painters = [FramePainter() for _ in range(lanes.n_lanes)]
-        self._window = Window(lanes.suite.env_id, fps) if opens_window else None
+        self._painters = [frame.FramePainter() for _ in range(lanes.n_lanes)]
+        self._window = window.Window(lanes.suite.env_id, fps) if opens_window else None
 
     def sample(self) -> None:
         """Write down where every lane stands: after a reset and after every step."""
@@ -52,26 +50,26 @@ class LaneFrames:
                 self._samples[name] = np.full(shape, np.nan, dtype=np.float32)
             self._samples[name][np.arange(lanes.n_lanes), lanes.n_steps()] = values
 
-    def paint(self) -> tuple[Frame, ...]:
+    def paint(self) -> tuple[frame.Frame, ...]:
         """Return the frame of every lane; a RuntimeError if an episode was never started."""
         if not (self._lanes.task_values("end_step") > 0.0).all():
             raise RuntimeError("there is no episode to render; call reset() before render()")
         return tuple(self._paint(lane, painter) for lane, painter in enumerate(self._painters))
 
-    def _paint(self, lane: int, painter: FramePainter) -> Frame:
+    def _paint(self, lane: int, painter: frame.FramePainter) -> frame.Frame:
         lanes, simulator = self._lanes, self._lanes.simulator
         now_s = float(simulator.lane_values("step")[lane]) * simulator.plant.simulation_dt
         # A hair, for the instants of events and of steps are rounded differently.
         struck = tuple(event for event in lanes.events[lane] if event.time_s <= now_s + 1e-6)
         seed, outputs = int(lanes.scenario_seeds[lane]), lanes.outputs
-        scene = Scene(
+        scene = frame.Scene(
             env_id=lanes.suite.env_id,
             heading="scenario of one's own" if seed < 0 else f"scenario {seed}",
             duration_s=float(lanes.task_values("end_step")[lane]) * simulator.plant.simulation_dt,
             plant=self._plant,
             panels=self._panels,
             events=struck,
-            undone=undone(struck, now_s + 1e-6),
+            undone=diagram.undone(struck, now_s + 1e-6),
         )
         # Without -0.00.
         total = round(-float(sum(lanes.cost_sums()[lane].tolist())), 2) + 0.0
