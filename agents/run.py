@@ -310,24 +310,20 @@ def _per_group(network: nn.Module) -> bool:
 
 
 def _provenance(settings: RunSettings) -> dict[str, Any]:
+    # The checkout's commit, marked where files differ from it; None outside of a checkout.
+    command = ["git", "-C", str(Path(__file__).parent), "describe", "--always", "--abbrev=40", "--dirty", "--exclude=*"]
+    commit: str | None = None
+    with contextlib.suppress(OSError, subprocess.CalledProcessError):
+        commit = subprocess.run(command, capture_output=True, text=True, check=True).stdout.strip()
     return {
         "command": shlex.join([Path(sys.executable).name, *sys.orig_argv[1:]]),
         "started": time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime()),
         "machine": f"{platform.system()} {platform.machine()}",
-        "git_commit": _git_commit(),
+        "git_commit": commit,
         "source_hash": source_hash(),
         "suite_hash": get_suite(settings.suite).hash,
         "versions": circumstances.installed(_PACKAGES),
     }
-
-
-def _git_commit() -> str | None:
-    """Return the checkout's commit, marked where files differ from it; None outside of a checkout."""
-    command = ["git", "-C", str(Path(__file__).parent), "describe", "--always", "--abbrev=40", "--dirty", "--exclude=*"]
-    try:
-        return subprocess.run(command, capture_output=True, text=True, check=True).stdout.strip()
-    except (OSError, subprocess.CalledProcessError):
-        return None
 
 
 def draw(lanes: TaskLanes, rng: np.random.Generator, n_scenarios: int) -> list[scenario.Scenario]:

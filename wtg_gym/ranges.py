@@ -103,13 +103,6 @@ def require_choice(name: str, value: Any, choices: Collection[str]) -> None:
         raise ValueError(f"unknown {name} {value!r}; {known}")
 
 
-def require_bus(name: str, bus: Any) -> int:
-    """Return a bus number as an int, or raise a ValueError that names it."""
-    if not is_whole(bus) or bus < 1:
-        raise ValueError(f"{name} must be a bus number of the network (a positive integer), got {bus!r}")
-    return int(bus)
-
-
 def whole_steps(name: str, interval: float, step: float, step_name: str) -> int:
     """Return how many steps make up an interval [s]; a ValueError if that is no whole number to 1e-6 steps."""
     count = round(interval / step)
@@ -193,7 +186,11 @@ def _checked(name: str, value: Any, hint: Any, field: Any, *, is_item: bool = Fa
     if hint is float:
         return require_range(name, value, low, high, unit)
     if hint is int:
-        return require_whole(name, value, low, high) if isinstance(low, int) else require_bus(name, value)
+        if isinstance(low, int):
+            return require_whole(name, value, low, high)
+        if not is_whole(value) or value < 1:
+            raise ValueError(f"{name} must be a bus number of the network (a positive integer), got {value!r}")
+        return int(value)
     if hint in (tuple[float, float], tuple[int, int]) and not is_item:
         return _span(name, value, get_args(hint)[0], low, high, unit)
     origin = get_origin(hint)

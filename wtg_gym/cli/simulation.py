@@ -63,7 +63,10 @@ def run(options: "ScenarioOptions", strategies: Sequence[str], *, plot: Path | N
         output.print_json({"scenario": data, "plant": plant_data, "runs": figures})
     else:
         output.say(*suites.describe_scenario(scenario), "")
-        print_key_figures(figures)
+        has_shed = any(row["shed_energy_mws"] for row in figures)
+        columns = {head: key for head, key in _COLUMNS.items() if has_shed or key != "shed_energy_mws"}
+        rows = [[row["strategy"], *(_text(row[key]) for key in columns.values()), _end(row)] for row in figures]
+        output.print_table(["strategy", *columns, "end"], rows, left=(0, 1 + len(columns)))
     return int(any(trajectory.status == Status.NUMERICAL_FAILURE for trajectory in runs.values()))
 
 
@@ -153,14 +156,6 @@ def _plain(value: Any) -> Any:
     if np.ndim(value):
         return [_plain(item) for item in value]
     return round(float(value), 9) if np.isfinite(value) else None
-
-
-def print_key_figures(figures: list[dict[str, Any]]) -> None:
-    """Print the key figures of several runs as a table with units."""
-    has_shed = any(row["shed_energy_mws"] for row in figures)
-    columns = {head: key for head, key in _COLUMNS.items() if has_shed or key != "shed_energy_mws"}
-    rows = [[row["strategy"], *(_text(row[key]) for key in columns.values()), _end(row)] for row in figures]
-    output.print_table(["strategy", *columns, "end"], rows, left=(0, 1 + len(columns)))
 
 
 def _end(row: Mapping[str, Any]) -> str:

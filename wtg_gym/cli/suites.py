@@ -28,7 +28,7 @@ def suites(name: SuiteName | None = None, /, *, seed: Whole | None = None, json:
         name: one suite; default: all
         seed: show the scenario of this seed of the suite
     """
-    from wtg_gym.scenarios import SUITES, get_suite
+    from wtg_gym.scenarios import FROZEN_HASHES, SPLITS, SUITES, get_suite
 
     chosen = list(SUITES.values()) if name is None else [get_suite(name)]
     if seed is not None:
@@ -42,7 +42,15 @@ def suites(name: SuiteName | None = None, /, *, seed: Whole | None = None, json:
     elif json or name is not None:
         print_json([_summary(suite) for suite in chosen])
     else:
-        _print_suites(chosen)
+        header = ("suite", "hash", "length [s]", *(f"{split} seeds" for split in SPLITS), "test runs")
+        rows = []
+        for suite in chosen:
+            seeds = (f"{suite.seeds(split).start} … {suite.seeds(split).stop - 1}" for split in SPLITS)
+            digest, n_runs = FROZEN_HASHES[suite.name][:12], str(len(suite.test))
+            rows.append((suite.name, digest, f"{suite.duration_s:g}", *seeds, n_runs))
+        print_table(header, rows, left=(0, 1))
+        width = max(len(suite.name) for suite in chosen)
+        say("", *(f"{suite.name:<{width}} {suite.description}" for suite in chosen))
     return 0
 
 
@@ -63,20 +71,6 @@ def _summary(suite: "Suite") -> dict[str, Any]:
         "plant": {"groups": [group.to_dict() for group in suite.plant.groups], **suite.plant_data},
         "sensors": None if suite.sensors is None else asdict(suite.sensors),
     }
-
-
-def _print_suites(suites: "list[Suite]") -> None:
-    from wtg_gym.scenarios import FROZEN_HASHES, SPLITS
-
-    header = ("suite", "hash", "length [s]", *(f"{split} seeds" for split in SPLITS), "test runs")
-    rows = []
-    for suite in suites:
-        seeds = (f"{suite.seeds(split).start} … {suite.seeds(split).stop - 1}" for split in SPLITS)
-        rows.append((suite.name, FROZEN_HASHES[suite.name][:12], f"{suite.duration_s:g}", *seeds, str(len(suite.test))))
-    print_table(header, rows, left=(0, 1))
-    say("")
-    width = max(len(suite.name) for suite in suites)
-    say(*(f"{suite.name:<{width}} {suite.description}" for suite in suites))
 
 
 def describe_scenario(scenario: "Scenario") -> list[str]:

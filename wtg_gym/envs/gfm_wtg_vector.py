@@ -10,7 +10,8 @@ from gymnasium.utils import seeding
 from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space
 
-from wtg_gym.envs import interface, next_episodes, settings
+from wtg_gym.envs import interface, settings
+from wtg_gym.envs.lanes import PreparedEpisodes, TaskLanes
 from wtg_gym.physics.scenario import Scenario
 from wtg_gym.ranges import is_whole, require_choice, require_whole
 
@@ -18,6 +19,76 @@ if TYPE_CHECKING:
     from wtg_gym.envs.rendering import Frame
 
 _MOST_ENVS = 1_000_000
+#: Lanes whose episodes are drawn and prepared together: their series fit a processor's cache.
+_LANES_AT_ONCE = 16
+
+
+class NextEpisodes:
+    """The episodes that lanes play next, drawn by each lane's own generator and prepared several at a time.
+
+    Prepared by the handful, an episode takes less than half the time that it takes alone. Lanes whose episodes end soon
+    are therefore prepared along with those that have ended. What a lane plays does not depend on when it was prepared.
+    """
+
+    def __init__(self, lanes: TaskLanes, generators: Sequence[np.random.Generator]) -> None:
+        self._lanes = lanes
+        self._generators = list(generators)
+        #: The prepared group of a lane's episode, and its place there.
+        self._ready: dict[int, tuple[PreparedEpisodes, int]] = {}
+        #: Why a lane's episode cannot start.
+        self._refused: dict[int, ValueError] = {}
+
+    def choose(self, wanted: Sequence[int]) -> list[int]:
+        """Return which lanes to prepare now: those of `wanted` that are not ready, filled up to whole groups."""
+        missing = [lane for lane in wanted if lane not in self._ready and lane not in self._refused]
+        n_more = min(-len(missing) % _LANES_AT_ONCE, self._lanes.n_lanes - len(missing))
+        if not missing or n_more == 0:
+            return missing
+        remaining = self._lanes.task_values("end_step") - self._lanes.simulator.lane_values("step")
+        remaining[[*missing, *self._ready, *self._refused]] = np.inf
+        soonest = np.argpartition(remaining, n_more - 1)[:n_more]
+        return [*missing, *(int(lane) for lane in soonest if np.isfinite(remaining[lane]))]
+
+    def prepare(self, chosen: Sequence[int]) -> None:
+        """Draw and prepare the next episodes of lanes; :meth:`start` raises the error of one that cannot start."""
+        for first in range(0, len(chosen), _LANES_AT_ONCE):
+            group = chosen[first : first + _LANES_AT_ONCE]
+            scenarios = self._lanes.draw([self._generators[lane] for lane in group])
+            try:
+                self._put(group, self._lanes.prepare(scenarios))
+            except ValueError:
+                for lane, scenario in zip(group, scenarios, strict=True):
+                    try:
+                        self._put([lane], self._lanes.next_episode(self._generators[lane], lane, scenario))
+                    except ValueError as error:
+                        self._refused[lane] = error
+
+    def _put(self, group: Sequence[int], episodes: PreparedEpisodes) -> None:
+        self._ready.update({lane: (episodes, place) for place, lane in enumerate(group)})
+
+    def reseed(self, generators: dict[int, np.random.Generator]) -> None:
+        """Give lanes new generators; episodes drawn by the old ones are dropped."""
+        for lane, generator in generators.items():
+            self._generators[lane] = generator
+            self._ready.pop(lane, None)
+            self._refused.pop(lane, None)
+
+    def start(self, wanted: Sequence[int]) -> None:
+        """Start the next episode of lanes.
+
+        A ValueError says that none of the scenarios drawn for one of them starts. None has been started, and that lane
+        goes on to the scenario after them.
+        """
+        self.prepare(self.choose(wanted))
+        for lane in wanted:
+            if lane in self._refused:
+                raise self._refused.pop(lane)
+        groups: dict[int, list[int]] = {}
+        for lane in wanted:
+            groups.setdefault(id(self._ready[lane][0]), []).append(lane)
+        for group in groups.values():
+            ready = [self._ready.pop(lane) for lane in group]
+            self._lanes.start(group, ready[0][0], [place for _, place in ready])
 
 
 class GFMWTGVectorEnv(
@@ -67,7 +138,7 @@ class GFMWTGVectorEnv(
         self.metadata["autoreset_mode"] = self.autoreset_mode
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
-        self._next = next_episodes.NextEpisodes(self._lanes, [seeding.np_random()[0] for _ in range(num_envs)])
+        self._next = NextEpisodes(self._lanes, [seeding.np_random()[0] for _ in range(num_envs)])
         self._all_lanes = np.ones(num_envs, dtype=np.bool_)
         self._all_lanes.setflags(write=False)
 
@@ -166,7 +237,11 @@ class GFMWTGVectorEnv(
         done = terminated | truncated
         infos: dict[str, Any] = {}
         if self.autoreset_mode == AutoresetMode.SAME_STEP and done.any():
-            infos = self._final_infos(done)
+            final = np.full(self.num_envs, None, dtype=object)
+            for lane in np.flatnonzero(done):
+                final[lane] = self._lanes.observations[lane].copy()
+            infos["final_obs"], infos["_final_obs"] = final, done.copy()
+            infos["final_info"], infos["_final_info"] = self._infos(done.copy()), done.copy()
             beginning = np.flatnonzero(done).tolist()
         if beginning:
             self._next.start(beginning)
@@ -184,17 +259,6 @@ class GFMWTGVectorEnv(
         for key, array in self._lanes.info_arrays().items():
             infos[key], infos[f"_{key}"] = array, mask
         return infos
-
-    def _final_infos(self, done: npt.NDArray[np.bool_]) -> dict[str, Any]:
-        final = np.full(self.num_envs, None, dtype=object)
-        for lane in np.flatnonzero(done):
-            final[lane] = self._lanes.observations[lane].copy()
-        return {
-            "final_obs": final,
-            "_final_obs": done.copy(),
-            "final_info": self._infos(done.copy()),
-            "_final_info": done.copy(),
-        }
 
     def render(self) -> "tuple[Frame, ...] | None":
         """Draw every episode up to now: a frame (540, 960, 3) uint8 per environment.

@@ -12,7 +12,7 @@ import numpy.typing as npt
 from wtg_gym.envs.settings import EnvSettings
 from wtg_gym.envs.stepping import Outputs, bind, log_score, new_outputs, step_blocks, task_data
 from wtg_gym.physics.equilibrium import StartError
-from wtg_gym.physics.layout import LaneData
+from wtg_gym.physics.layout import Floats, LaneData
 from wtg_gym.physics.linearisation import STEP_MARGIN, StepError, largest_stable_steps
 from wtg_gym.physics.protection import Status
 from wtg_gym.physics.scenario import Event, GroupTrip, Scenario
@@ -21,8 +21,6 @@ from wtg_gym.physics.simulator import PreparedLanes, Simulator
 from wtg_gym.ranges import whole_steps
 from wtg_gym.signals import undivided
 from wtg_gym.tasks import cost, episode, observation, sensing
-
-Floats = npt.NDArray[np.float64]
 
 #: Text of `info["termination_reason"]`: empty while an episode runs or when its time is over.
 TERMINATION_REASONS = {
@@ -203,7 +201,12 @@ class TaskLanes:
         seeds = [-1 if scenario.seed is None else scenario.seed for scenario in scenarios]
         outputs = self._start_tasks(lanes, scenarios, n_steps)
         if self.settings.scores:
-            outputs.reference[:] = self._reference_costs(scenarios)
+            if self._reference is None:
+                changes: dict[str, Any] = {"observation_mode": "local", "reward": "cost", "duration_s": self.duration_s}
+                settings = replace(self.settings, strategy=self.settings.task.hundred, **changes)
+                self._reference = TaskLanes(settings, min(self.n_lanes, _REFERENCES_AT_ONCE), 1)
+            # What the law that scores 100 has paid up to each control step.
+            outputs.reference[:] = paid(self._reference, scenarios)
             plant = self.settings.resolved_plant
             outputs.offsets[:] = [self.suite.cost_offset(scenario, plant) for scenario in scenarios]
         return PreparedEpisodes(
@@ -234,20 +237,6 @@ class TaskLanes:
 
     def _new_outputs(self, n_lanes: int) -> Outputs:
         return new_outputs(n_lanes, self.n_observation, self.n_steps_of_episode if self.settings.scores else -1)
-
-    def _reference_costs(self, scenarios: Sequence[Scenario]) -> Floats:
-        """Return what the law that scores 100 has paid up to each control step of scenarios, (n, n_steps + 1)."""
-        if self._reference is None:
-            task = self.settings.task
-            settings = replace(
-                self.settings,
-                strategy=task.hundred,
-                observation_mode="local",
-                reward="cost",
-                duration_s=self.duration_s,
-            )
-            self._reference = TaskLanes(settings, min(self.n_lanes, _REFERENCES_AT_ONCE), 1)
-        return paid(self._reference, scenarios)
 
     def _start_tasks(
         self, lanes: PreparedLanes, scenarios: Sequence[Scenario], n_steps: npt.NDArray[np.int64]

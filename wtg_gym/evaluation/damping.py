@@ -198,16 +198,13 @@ class Loop:
         # Frequencies of all units within the decision, (n_held, n_units, n_modes).
         within = np.array([powers[j][self._speeds] @ whole[:n] + held[j][self._speeds] @ acted for j in range(n_held)])
         rates: Complex = np.log(values.astype(np.complex128)) / self.step_s
-        rates += 2j * np.pi / self.step_s * self._turns(within, rates)
-        return rates
-
-    def _turns(self, within: Complex, rates: Complex) -> Floats:
-        """Return how many whole turns each mode makes in a decision besides those of its rate."""
-        instants = np.arange(self.n_held) * self.step_s / self.n_held
+        # How many whole turns each mode makes in a decision besides those of its rate.
+        instants = np.arange(n_held) * self.step_s / n_held
         steady = within * np.exp(-np.outer(instants, rates))[:, np.newaxis]
         shares = np.square(np.abs(np.fft.fft(steady, axis=0))).sum(axis=1)
-        turns: Floats = np.fft.fftfreq(self.n_held, 1.0 / self.n_held)[shares.argmax(axis=0)]
-        return turns
+        turns: Floats = np.fft.fftfreq(n_held, 1.0 / n_held)[shares.argmax(axis=0)]
+        rates += 2j * np.pi / self.step_s * turns
+        return rates
 
     @property
     def _speeds(self) -> Whole:

@@ -6,13 +6,11 @@ from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from wtg_gym.files import markdown_table
 from wtg_gym.gradients.tape import LAW_PARAMETERS, Tape, term_weights
+from wtg_gym.physics.layout import Floats
 from wtg_gym.physics.scenario import Scenario
-
-Floats = npt.NDArray[np.float64]
 
 
 class Difference(NamedTuple):

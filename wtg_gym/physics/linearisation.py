@@ -130,17 +130,13 @@ def check_step(rows: Floats, plant: PlantTables, layout: Layout) -> None:
     side = np.where(below >= above, -1.0, 1.0)
     _check_modes(rows, plant, layout, side)
     if layout.n_extended:
-        _check_modes(*_beyond_limits(rows, plant, layout), layout, side)
-
-
-def _beyond_limits(rows: Floats, plant: PlantTables, layout: Layout) -> tuple[Floats, PlantTables]:
-    """Return rows and plant with limits so narrow that the power limiters and the takeovers of reactive power act."""
-    extension = plant.extension.copy()
-    extension["limits.power_max"], extension["voltage.reactive_max"] = 0.0, -10.0
-    beyond = rows.copy()
-    beyond[layout.wtg("over_power")] = -0.01
-    # Programs of a caller, which stand behind those of the physics in the table, are not run here.
-    return beyond, with_places(plant._replace(extension=extension), layout, programs_of(plant, *integration.PROGRAMS))
+        # Limits so narrow that the power limiters and the takeovers of reactive power act.
+        extension, beyond = plant.extension.copy(), rows.copy()
+        extension["limits.power_max"], extension["voltage.reactive_max"] = 0.0, -10.0
+        beyond[layout.wtg("over_power")] = -0.01
+        # Programs of a caller, which stand behind those of the physics in the table, are not run here.
+        programs = programs_of(plant, *integration.PROGRAMS)
+        _check_modes(beyond, with_places(plant._replace(extension=extension), layout, programs), layout, side)
 
 
 def _check_modes(rows: Floats, plant: PlantTables, layout: Layout, side: Floats) -> None:

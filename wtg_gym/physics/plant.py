@@ -253,7 +253,13 @@ def plant_tables(settings: Plant) -> PlantTables:
     impedances += [1j * turbines[0].converter.reactance / rating for rating in share]
     impedances += [impedance for device in settings.all_devices for impedance in device.impedances]
     stages = [SheddingConstants(stage.frequency_pu, stage.share, stage.delay_s) for stage in settings.shedding]
-    participation = _participation(settings)
+    # Each machine's share of what loads need at the start; none where the case dispatches them. A gate beyond 1 p.u.
+    # says nothing about the power that a machine is meant for.
+    sharing = [
+        m.rating_mva * min(gate_limits(m.governor)[1], 1.0) if m.governor and settings.shares_dispatch else 0.0
+        for m in case.machines
+    ]
+    participation = np.array(sharing) / (sum(sharing) or 1.0)
     network = _network_of(settings, 1.0 / np.array(impedances, dtype=np.complex128), bool(participation.any()))
     return PlantTables(
         network=network,
@@ -282,16 +288,6 @@ def plant_tables(settings: Plant) -> PlantTables:
         },
         devices=settings.all_devices,
     )
-
-
-def _participation(settings: Plant) -> Floats:
-    """Return each machine's share of what loads need at the start (n_sync,); zeros where the case dispatches them."""
-    # A gate beyond 1 p.u. says nothing about the power that a machine is meant for.
-    sharing = [
-        m.rating_mva * min(gate_limits(m.governor)[1], 1.0) if m.governor and settings.shares_dispatch else 0.0
-        for m in settings.case.machines
-    ]
-    return np.array(sharing) / (sum(sharing) or 1.0)
 
 
 def _buses_of(case: NetworkCase, unit_bus: Whole) -> list[Bus]:

@@ -63,8 +63,11 @@ class BlockThreads:
         if n_threads > 1:
             main_end = max(0, (n_blocks + meanwhile_blocks) // n_threads - meanwhile_blocks)
             edges = [main_end + (n_blocks - main_end) * i // (n_threads - 1) for i in range(n_threads)]
-            pool = self._workers(n_threads)
-            futures = [pool.submit(work, edges[i], edges[i + 1], i + 1) for i in range(n_threads - 1)]
+            # A forked process inherits the pool, but not its threads.
+            if self._pool is None or self._pool_process != os.getpid():
+                self._pool = ThreadPoolExecutor(n_threads, thread_name_prefix="wtg_gym")
+                self._pool_process = os.getpid()
+            futures = [self._pool.submit(work, edges[i], edges[i + 1], i + 1) for i in range(n_threads - 1)]
         # Whatever happens meanwhile, no block may be left a step behind the others.
         try:
             if meanwhile is not None:
@@ -76,13 +79,6 @@ class BlockThreads:
                 wait(futures)
         for done in futures:
             done.result()
-
-    def _workers(self, n_threads: int) -> ThreadPoolExecutor:
-        # A forked process inherits the pool, but not its threads.
-        if self._pool is None or self._pool_process != os.getpid():
-            self._pool = ThreadPoolExecutor(n_threads, thread_name_prefix="wtg_gym")
-            self._pool_process = os.getpid()
-        return self._pool
 
     def close(self) -> None:
         """Stop the threads."""
@@ -197,7 +193,14 @@ class Simulator:
         #: Scratch of each worker (n_workers, n_scratch, width).
         self.scratches = self.new_scratches(self.threads.n_workers, self.width)
         self._rates = np.zeros((0, 0, 0))
-        self._pad()
+        for lane in range(self.n_lanes, n_blocks * self.width):
+            rows = self._lane_view(lane)
+            rows[:] = 0.0
+            padding = Scenario(name="padding", wind_speed=np.full((self.layout.n_wtg, 1), 8.0))
+            self._write_machine_inputs(rows[None, :], [padding])
+            for name in ("wind", "wind_start"):
+                rows[self.layout.wtg(name)] = 8.0
+            rows[self.layout.lane("next_change")] = math.inf
         self._checked = _checked_inertias(settings)
         reference = group_laws(REFERENCE_STRATEGY, settings.turbines, settings.control)
         if reference not in self._checked and self._check_nominal(reference):
@@ -266,16 +269,6 @@ class Simulator:
             noise=np.zeros((n, self.n_intervals)),
             events=np.full((n, n_events), NO_EVENT),
         )
-
-    def _pad(self) -> None:
-        for lane in range(self.n_lanes, self.blocks.shape[0] * self.width):
-            rows = self._lane_view(lane)
-            rows[:] = 0.0
-            padding = Scenario(name="padding", wind_speed=np.full((self.layout.n_wtg, 1), 8.0))
-            self._write_machine_inputs(rows[None, :], [padding])
-            for name in ("wind", "wind_start"):
-                rows[self.layout.wtg(name)] = 8.0
-            rows[self.layout.lane("next_change")] = math.inf
 
     def new_scratches(self, n: int, width: int) -> Floats:
         """Return scratches for blocks of a width (n, n_scratch, width)."""

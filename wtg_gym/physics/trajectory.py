@@ -39,19 +39,13 @@ class Trajectory:
         """Frequencies of all groups, machines and buses (n, any) [Hz]; after its loss a unit's stands still."""
         return np.concatenate([self.wtg_frequency_hz, self.machine_frequency_hz, self.bus_frequency_hz], axis=1)
 
-    def rocof_hz_s(self, window_s: float = 0.5, frequency_hz: Floats | None = None) -> Floats:
-        """Return the rate of change of a frequency over a sliding window [Hz/s]; zero before the first.
-
-        Args:
-            window_s: [s].
-            frequency_hz: (n,) or (n, any) [Hz]; None for that of the centre of inertia.
-        """
-        of = self.frequency_hz if frequency_hz is None else frequency_hz
-        steps = max(1, round(window_s / (self.time_s[1] - self.time_s[0]))) if self.time_s.size > 1 else 1
-        change = np.zeros_like(of)
-        if self.time_s.size > steps:
-            passed = self.time_s[steps:] - self.time_s[:-steps]
-            change[steps:] = ((of[steps:] - of[:-steps]).T / passed).T
+    def rocof_hz_s(self, window_s: float = 0.5) -> Floats:
+        """Return the rate of change of the frequency over a sliding window [s], (n,) [Hz/s]; zero before the first."""
+        frequency, time_s = self.frequency_hz, self.time_s
+        steps = max(1, round(window_s / (time_s[1] - time_s[0]))) if time_s.size > 1 else 1
+        change = np.zeros_like(frequency)
+        if time_s.size > steps:
+            change[steps:] = (frequency[steps:] - frequency[:-steps]) / (time_s[steps:] - time_s[:-steps])
         return change
 
 

@@ -13,6 +13,7 @@ import numpy as np
 
 from wtg_gym.physics import parameters, scenario
 from wtg_gym.physics.grid import DEFAULT_GRID, Grid, digest_of_grid, get_grid
+from wtg_gym.physics.layout import Floats
 from wtg_gym.ranges import Checked, describe, design, require_known, require_range, require_whole, required
 from wtg_gym.scenarios import draws, wind
 
@@ -196,7 +197,7 @@ class ScenarioDistribution(Checked):
 
 def _series(
     streams: Sequence[np.random.Generator], drafts: Sequence[draws.Draft], noise: draws.LoadNoise
-) -> tuple[draws.FloatArray, draws.FloatArray]:
+) -> tuple[Floats, Floats]:
     """Wind per scenario and group, (n, n_wtg, n_samples) [m/s], and load noise, (n, n_samples or 0) [MW]."""
     n, n_wtg, n_samples = len(drafts), len(drafts[0].n_turbines), drafts[0].n_samples
     n_period = wind.period_length(n_samples)
@@ -215,7 +216,7 @@ def _series(
     for numbers, stream in zip(normals, streams, strict=True):
         stream.standard_normal(out=numbers)
     normals.reshape(*amplitudes.shape, 2)[:] *= amplitudes[..., np.newaxis]
-    series: draws.FloatArray = np.fft.irfft(coefficients, n_period)[..., :n_samples]
+    series: Floats = np.fft.irfft(coefficients, n_period)[..., :n_samples]
     speed, noise_mw = series[:, :n_wtg], series[:, n_wtg]
     speed += np.array([draft.mean_winds_m_s for draft in drafts])[:, :, None]
     for of_scenario, draft in zip(speed, drafts, strict=True):

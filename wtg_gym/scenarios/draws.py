@@ -6,16 +6,15 @@ from dataclasses import dataclass, field, fields, replace
 from typing import Any, ClassVar, TypeVar
 
 import numpy as np
-import numpy.typing as npt
 
 from wtg_gym.physics import grid, scenario
+from wtg_gym.physics.layout import Floats
 from wtg_gym.physics.scenario import SERIES_DT, Event, trusted
 from wtg_gym.physics.sensors import DELAY_MAX_S, Sensors
 from wtg_gym.ranges import Checked, design, require_known, require_range, required
 from wtg_gym.scenarios import wind
 
 Line = tuple[int, int]
-FloatArray = npt.NDArray[np.float64]
 Span = tuple[float, float]
 T = TypeVar("T")
 #: Uniform numbers that a picker takes from a stream at a time.
@@ -99,9 +98,7 @@ class Draft:
     events: list[Event] = field(default_factory=list)
     turbulence_intensity: float = 0.0
     mean_winds_m_s: Sequence[float] = ()
-    wind_change: tuple[int | slice, FloatArray] | None = (
-        None  # groups that a gust or ramp reaches, and its change [m/s]
-    )
+    wind_change: tuple[int | slice, Floats] | None = None  # groups that a gust or ramp reaches, and its change [m/s]
     machine_loading: float | None = None  # load that the wind leaves, over the rating of the generator's units on line
 
     @property
@@ -282,7 +279,7 @@ class Wind(Record):
         shared = pick.between(self.mean_m_s)
         return [min(max(shared + pick.between((-spread, spread)), low), high) for _ in range(n_groups)]
 
-    def _change(self, pick: Picker, draft: Draft) -> tuple[int | slice, FloatArray] | None:
+    def _change(self, pick: Picker, draft: Draft) -> tuple[int | slice, Floats] | None:
         """The groups that a gust or ramp reaches, and its change of wind [m/s]; None for neither."""
         uniform = pick.uniform()
         if uniform >= self.gust_probability + self.ramp_probability:

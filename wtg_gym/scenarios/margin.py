@@ -74,7 +74,12 @@ class ReserveMargin:
 
         The search ends at the first instant with a margin below `least`: the least may be lower still.
         """
-        at_start_mw, margin = self._machines_at_start(scenario), math.inf
+        wind_mw = self._at_nominal * sum(self._wind_mw(scenario, 0.0, 0.0))
+        given_mw = sum(machine.dispatch_mw for machine in self._machines if not machine.share)
+        needed_mw = max((1.0 + _LOSSES) * scenario.load_level * self._case.load_mw - wind_mw - given_mw, 0.0)
+        # The machines share what the wind leaves.
+        at_start_mw = [m.share * needed_mw if m.share else m.dispatch_mw for m in self._machines]
+        margin = math.inf
         # The last instant, with most lost, decides most often.
         for time_s in sorted({0.0, *(event.time_s for event in scenario.events)}, reverse=True):
             margin = min(margin, self._at(time_s, scenario, at_start_mw))
@@ -90,13 +95,6 @@ class ReserveMargin:
         # The mean, without what numpy's asks before.
         means = (np.add.reduce(speeds, axis=1) / speeds.shape[1]).tolist()
         return [rated * min(cubic * mean**3, 1.0) for (_, rated, cubic), mean in zip(self._groups, means, strict=True)]
-
-    def _machines_at_start(self, scenario: Scenario) -> list[float]:
-        """Return what each machine gives at the start [MW]: they share what the wind leaves."""
-        wind_mw = self._at_nominal * sum(self._wind_mw(scenario, 0.0, 0.0))
-        given_mw = sum(machine.dispatch_mw for machine in self._machines if not machine.share)
-        needed_mw = max((1.0 + _LOSSES) * scenario.load_level * self._case.load_mw - wind_mw - given_mw, 0.0)
-        return [machine.share * needed_mw if machine.share else machine.dispatch_mw for machine in self._machines]
 
     def _at(self, time_s: float, scenario: Scenario, at_start_mw: list[float]) -> float:
         """Return the least margin of all parts of the network from an instant on."""

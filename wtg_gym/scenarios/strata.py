@@ -247,11 +247,19 @@ def suite_of_strata(
     is a factor on the load events of every stratum [-]; on other grids these are in per cent of the load, the largest
     at most the loss that the grid is planned for. `changes` replace fields everywhere, `changes_in` in a kind of event.
     """
-    size, of_events = 1.0, 1.0
+    settings, size, of_events = plant["plant"], 1.0, 1.0
     if plant["grid"] != DEFAULT_GRID:
-        size = plant["plant"].case.load_mw / _LOAD_MW
+        size = settings.case.load_mw / _LOAD_MW
         of_events = min(size, get_grid(plant["grid"]).largest_loss_mw / _LARGEST_MW)
-    of_grid, where = _changes_of(plant["plant"], places, size), places.of_kinds()
+    of_grid: draws.Changes = {
+        draws.LoadEvents: {"buses": places.load_buses, "trip_buses": places.load_trip_buses},
+        draws.LoadNoise: {"standard_deviation_mw": round(size, 2), "bus": places.load_noise_bus},
+        draws.LineTrips: {"lines": places.line_trips},
+        draws.GovernorLosses: {"buses": places.governor_buses},
+        draws.MachineOutages: {"buses": places.machine_buses},
+        draws.UnitCommitment: {"generator_mva": governed_mva(settings), "constant_mw": constant_mw(settings)},
+    }
+    where = places.of_kinds()
     kinds = {}
     for kind, of_kind in KINDS.items():
         of_place = where.get(kind, {})
@@ -277,15 +285,3 @@ def suite_of_strata(
         test=range(20_000, 20_450),
         **plant,
     )
-
-
-def _changes_of(plant: Plant, places: Places, size: float) -> draws.Changes:
-    """Return what the records hold of a plant and the places in it; `size` is a factor on the load noise [-]."""
-    return {
-        draws.LoadEvents: {"buses": places.load_buses, "trip_buses": places.load_trip_buses},
-        draws.LoadNoise: {"standard_deviation_mw": round(size, 2), "bus": places.load_noise_bus},
-        draws.LineTrips: {"lines": places.line_trips},
-        draws.GovernorLosses: {"buses": places.governor_buses},
-        draws.MachineOutages: {"buses": places.machine_buses},
-        draws.UnitCommitment: {"generator_mva": governed_mva(plant), "constant_mw": constant_mw(plant)},
-    }
