@@ -1,19 +1,24 @@
-"""`python -m agents.shipped`: how the shipped policies were trained, as the table of docs/agents.md."""
+"""`python -m agents.shipped`: how the shipped policies were trained, as table and picture of docs/agents.md."""
 
 import functools
 import re
 import sys
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from agents.run import BEST, Run, folders, note, run_command
 from wtg_gym import files
+from wtg_gym.plotting.style import DOUBLE_COLUMN_MM, new_figure, printed, save_figure, strategy_looks
 from wtg_gym.policies.entry_folder import ENTRY_FILE, POLICY_FILE, policy_folders
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 #: One record per folder of agents/policies that a command of `agents` trained.
 RECORDS = Path(__file__).with_suffix(".json")
 PAGE = Path(__file__).parents[1] / "docs" / "agents.md"
+PICTURE = PAGE.parent / "images" / "training"
 _SEED_AND_FOLDER = re.compile(r" --(seed|output) \S+")
 _COLUMNS = ("policy", "seeds", "steps [million]", "validation score", "minutes", "command", "commit")
 
@@ -35,6 +40,8 @@ def record(run_folder: Path) -> tuple[str, dict[str, Any]]:
                 "validation_scenarios": run.settings.validation_episodes,
                 "validation_score": round(rows[int(best.name)]["score"], 1),
                 "wall_time_s": round(run.curve[-1]["wall_time_s"]),
+                # Of every validation: minutes since the start, and the score.
+                "curve": [[round(row["wall_time_s"] / 60, 1), round(row["score"], 1)] for row in run.curve],
             }
     raise ValueError(f"the best policy of {run_folder} is not in agents/policies: export it first")
 
@@ -64,13 +71,31 @@ def table() -> str:
     return files.markdown_table(_COLUMNS, rows, right=(1, 2, 3, 4))
 
 
+@printed
+def curves() -> "Figure":
+    """Return a figure of validation scores over the minutes of training, of every policy whose record has them."""
+    records = files.read_json(RECORDS, "records of the trainings")
+    names = {folder.name: files.read_toml(folder / ENTRY_FILE, "entry file")["name"] for folder in policy_folders()}
+    shown = {folder: record["curve"] for folder, record in records.items() if "curve" in record}
+    looks = strategy_looks(dict.fromkeys(names[folder] for folder in shown))
+    figure = new_figure(DOUBLE_COLUMN_MM, 70.0)
+    axes = figure.subplots()
+    for folder, curve in shown.items():
+        name = names[folder]
+        axes.plot(*zip(*curve, strict=True), color=looks[name].colour, ls=looks[name].dashes, label=name)
+    axes.set(xlabel="minutes", ylabel="validation score", ylim=(100.0, None))
+    by_name = dict(zip(*axes.get_legend_handles_labels()[::-1], strict=True))
+    axes.legend(by_name.values(), by_name.keys(), loc="lower right")
+    return figure
+
+
 def _range(values: Sequence[float]) -> str:
     """Return the least and the largest of some values, or the one that they are."""
     return " … ".join(dict.fromkeys(f"{value:.1f}" for value in (min(values), max(values)))) if values else ""
 
 
 def command(*runs: Path) -> None:
-    """Write the table of shipped policies in docs/agents.md, from agents/shipped.json and the entry.toml of each.
+    """Write table and curves of docs/agents.md, from agents/shipped.json and the entry.toml of each policy.
 
     Args:
         runs: folders of runs whose best policies are files of agents/policies, to add to agents/shipped.json first
@@ -78,6 +103,7 @@ def command(*runs: Path) -> None:
     records = files.read_json(RECORDS, "records of the trainings")
     records |= dict(record(run) for run in runs)
     files.write_atomically(RECORDS, files.to_json(records))
+    save_figure(curves(), PICTURE, ["svg"])
     changed = files.update_between_markers(PAGE, table(), "shipped")
     note(f"{PAGE}: {'updated' if changed else 'already up to date'}")
 

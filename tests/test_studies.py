@@ -8,6 +8,7 @@ from pathlib import Path
 import minari
 import numpy as np
 import paper
+import performance
 import pytest
 from matrix import OWN, played
 from minari_datasets import make_dataset
@@ -26,6 +27,12 @@ STUDIES = {path.stem for path in (DOCS / "studies").glob("*.py")}
 @pytest.mark.parametrize("name", sorted(STUDIES))
 def test_every_study_finds_what_it_imports(name):
     importlib.import_module(name)
+
+
+@pytest.mark.parametrize("suite", ["standard", "standard-v1", "ieee39-v1"])
+def test_batches_that_are_timed_step(suite):
+    step, n_envs, step_s = performance.vector(suite, 2)
+    assert len(step()[1]) == n_envs == 2 and step_s == (0.1 if suite == "standard" else 0.5)
 
 
 @pytest.mark.parametrize(("page", "made"), [("environment", environment_page), ("parameters", parameters_page)])

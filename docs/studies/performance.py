@@ -23,13 +23,14 @@ from wtg_gym.files import markdown_table, update_between_markers
 from wtg_gym.gradients import Tape
 from wtg_gym.sb3 import SB3VecEnv
 from wtg_gym.scenarios import get_suite
+from wtg_gym.tasks import V0
 
 SECONDS, REPEATS = 1.0, 5
 YARDSTICK = "Pendulum-v1"  # physics of a few lines, in pure Python
 OURS = {"v0": "wtg_gym:GFMWTG-14bus-v0", "v1": "wtg_gym:GFMWTG-14bus-v1"}
 
 
-# --- what is stepped: each function prepares a case and returns what makes some steps, and how many -------------------
+# --- what is stepped: each function prepares a case and returns what makes steps, how many, and their length [s] ------
 
 
 def single(env):
@@ -43,39 +44,37 @@ def single(env):
         if terminated or truncated:
             env.reset()
 
-    return step, 1
-
-
-def batch(envs, action_space, n_envs):
-    """Step a started batch that resets its environments itself."""
-    actions = [np.stack([action_space.sample() for _ in range(n_envs)]) for _ in range(8)]
-    count = iter(range(10**12))
-    return lambda: envs.step(actions[next(count) % 8]), n_envs
+    # Pendulum-v1 calls it dt.
+    return step, 1, getattr(env.unwrapped, "dt", None) or env.unwrapped.settings.step_s
 
 
 def vector(name, n_envs):
     """Step a batch of ours whose first episodes are of all lengths, so that resets come evenly from then on."""
     envs, suite = GFMWTGVectorEnv(n_envs, suite=name), get_suite(name)
-    lengths = np.random.default_rng(0).integers(10, round(10.0 * suite.duration_s), n_envs) / 10.0
+    step_s = envs.settings.step_s
+    lengths = step_s * np.random.default_rng(0).integers(10, round(suite.duration_s / step_s), n_envs)
     scenarios = [suite.scenario(suite.validation[i % 100], duration_s=float(s)) for i, s in enumerate(lengths)]
     envs.reset(seed=0)
     envs.reset(options={"scenarios": scenarios})
-    return batch(envs, envs.single_action_space, n_envs)
+    actions = [envs.action_space.sample() for _ in range(8)]
+    count = iter(range(10**12))
+    return lambda: envs.step(actions[next(count) % 8]), n_envs, step_s
 
 
 def gradients(version, n_lanes):
-    """Play whole episodes and go back to the gradient of their cost with respect to every action."""
+    """Play a minute and go back to the gradient of their cost with respect to every action."""
     tape = Tape(EnvSettings(version=version), n_lanes)
     scenarios = tape.lanes.scenarios(list(tape.lanes.suite.validation)[:n_lanes])
-    actions = np.random.default_rng(0).uniform(-0.3, 0.3, (600, n_lanes, tape.lanes.n_action))
-    return lambda: tape.gradient(scenarios, actions), 600 * n_lanes
+    n_steps = round(60.0 / tape.lanes.settings.step_s)
+    actions = np.random.default_rng(0).uniform(-0.3, 0.3, (n_steps, n_lanes, tape.lanes.n_action))
+    return lambda: tape.gradient(scenarios, actions), len(actions) * n_lanes, tape.lanes.settings.step_s
 
 
 def training(envs, n_envs):
     """Learn with Stable-Baselines3's PPO: rollouts of 8192 steps over all environments, batches of 1024, 4 epochs."""
     n_steps = 8192 // n_envs
     model = PPO("MlpPolicy", envs, n_steps=n_steps, batch_size=1024, n_epochs=4, seed=0, device="cpu")
-    return lambda: model.learn(n_steps * n_envs, reset_num_timesteps=False), n_steps * n_envs
+    return lambda: model.learn(n_steps * n_envs, reset_num_timesteps=False), n_steps * n_envs, V0.control_dt
 
 
 def cases():
@@ -85,9 +84,11 @@ def cases():
         prepared[version] = functools.partial(single, gym.make(OURS[version]))
     for version in OURS:
         for n in (64, 1024):
-            prepared[f"{version}, vector of {n}"] = functools.partial(vector, EnvSettings(version=version).suite, n)
+            prepared[f"{version}, vector of {n}"] = functools.partial(
+                vector, EnvSettings(version=version).suite_name, n
+            )
     for name, grid in (("IEEE 39", "ieee39"), ("Nordic 45", "nordic45")):
-        prepared[f"{name}, vector of 1024"] = functools.partial(vector, EnvSettings(grid=grid).suite, 1024)
+        prepared[f"{name}, vector of 1024"] = functools.partial(vector, EnvSettings(grid=grid).suite_name, 1024)
     for version in OURS:
         prepared[f"{version}, gradients of 64"] = functools.partial(gradients, version, 64)
     prepared["v0, PPO on the SB3 adapter of 1024"] = lambda: training(SB3VecEnv(1024), 1024)
@@ -120,10 +121,13 @@ def main(docs):
     rates = {name: [] for name in steppers}
     for _ in range(REPEATS):
         for name, stepper in steppers.items():
-            rates[name].append(rate(*stepper))
+            rates[name].append(rate(*stepper[:2]))
     medians = {name: statistics.median(repeats) for name, repeats in rates.items()}
-    rows = [(name, f"{median:,.0f}", f"{median / medians[YARDSTICK]:.2g}") for name, median in medians.items()]
-    table = markdown_table(("case", "steps per s", f"× {YARDSTICK}"), rows, right=(1, 2))
+    rows = [
+        (name, f"{median:,.0f}", f"{median / medians[YARDSTICK]:.2g}", f"{median * steppers[name][2]:,.0f}")
+        for name, median in medians.items()
+    ]
+    table = markdown_table(("case", "steps per s", f"× {YARDSTICK}", "simulated s per s"), rows, right=(1, 2, 3))
     machine = f"{versions()['processor']}, {os.cpu_count()} processors, Python {versions()['python']}"
     text = f"{machine}; median of {REPEATS} runs of {SECONDS:g} s.\n\n{table}"
     update_between_markers(docs / "performance.md", text, "speed")

@@ -286,8 +286,11 @@ def test_every_trained_policy_is_the_one_of_its_record():
     assert not records
 
 
-def test_the_page_has_the_table_that_the_command_makes():
+def test_the_page_has_the_table_and_the_curves_that_the_command_makes():
     assert shipped.table() in shipped.PAGE.read_text(encoding="utf-8")
+    assert len(shipped.curves().axes[0].lines) == sum(
+        "curve" in each for each in json.loads(shipped.RECORDS.read_text()).values()
+    )
 
 
 def test_a_run_is_added_by_its_best_policy(tmp_path, monkeypatch):
@@ -300,6 +303,7 @@ def test_a_run_is_added_by_its_best_policy(tmp_path, monkeypatch):
     names = ("timesteps", "score", "wall_time_s")
     run.curve = [{**dict(zip(names, row, strict=True)), "marked": 1.0} for row in rows]
     run.write()
+    monkeypatch.setattr(shipped, "PICTURE", tmp_path / "training")
     for name in ("RECORDS", "PAGE"):
         copy = tmp_path / name
         copy.write_bytes(getattr(shipped, name).read_bytes())

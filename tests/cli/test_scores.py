@@ -187,20 +187,20 @@ def test_a_page_has_every_section_loads_nothing_and_escapes_names(tmp_path):
     law = tmp_path / "law.toml"
     law.write_text('name = "a & b"\nk_min = 0.75\nk_nominal = 0.7\nk_max = 0.6\ntau_s = 0.8\n', encoding="utf-8")
     page = tmp_path / "page.html"
-    assert main(["report", str(law), "--episodes", "3", "--seed", "20000", "--output", str(page)]) == 0
+    assert main(["report", str(law), "--scenarios", "3", "--seed", "10000", "--output", str(page)]) == 0
     text = page.read_text(encoding="utf-8")
     assert [html.unescape(heading) for heading in re.findall("<h2[^>]*>(.*?)</h2>", text)] == HEADINGS
     assert re.findall('(?:src|href)="(.{11})', text) == ["data:image/"] * 2
     assert "a &amp; b" in text and "a & b" not in text
-    assert f"--seeds 20000 --entries {law}" in text
+    assert f"--split validation --seeds 10000 --entries {law}" in text
 
 
 def test_a_page_of_markdown_has_the_numbers_of_the_evaluation_and_the_dearest_scenario_first(tmp_path):
     pytest.importorskip("matplotlib")
-    page, seeds = tmp_path / "page.md", get_suite("standard-v1").test[:3]
-    assert main(["report", "fast-droop", "--episodes", "3", "--output", str(page)]) == 0
+    page, seeds = tmp_path / "page.md", get_suite("standard-v1").validation[:3]
+    assert main(["report", "fast-droop", "--scenarios", "3", "--output", str(page)]) == 0
     text = page.read_text(encoding="utf-8")
-    results = evaluate(["fast-droop"], "standard-v1", "test", seeds=seeds)
+    results = evaluate(["fast-droop"], "standard-v1", "validation", seeds=seeds)
     assert f"| all, strata count alike | 3 | {results.scores['fast-droop'].value:.1f} |" in text
     costs = {episode.seed: episode.metrics["cost"] for episode in results.episodes_of("fast-droop")}
     shown = [int(seed) for seed in re.findall(r"\(page-seed-(\d+)\.svg\)", text)]

@@ -37,6 +37,20 @@ def test_the_group_that_tripped_is_named(capsys):
     assert f"group 2 tripped at {run['tripped_groups'][0]['time_s']:.1f} s" in capsys.readouterr().out
 
 
+def test_traces_hold_every_sample_with_units_in_the_header(tmp_path):
+    path = tmp_path / "traces.csv"
+    assert main(["simulate", *_QUICK, "--strategy", "mppt", "deloaded-10", "--csv", str(path)]) == 0
+    table = np.genfromtxt(path, delimiter=",", names=True, dtype=None, encoding="utf-8")
+    assert table["strategy"].tolist() == ["mppt"] * 61 + ["deloaded-10"] * 61
+    run = simulate(get_suite("paper").scenario(0, duration_s=6.0), "deloaded-10")
+    for name, values in (
+        ("frequency_hz", run.frequency_hz),
+        ("group_2_rotor_speed_pu", run.rotor_speed_pu[:, 1]),
+        ("machine_1_frequency_hz", run.machine_frequency_hz[:, 0]),
+    ):
+        assert table[name][61:] == pytest.approx(values, rel=1e-8)
+
+
 def test_key_figures_are_those_of_the_arrays_of_a_run(capsys):
     arguments = ("simulate", "--suite", "standard-v1", "--seed", "10000", "--strategy", "mppt", "--json")
     (figures,) = json_of(capsys, *arguments)["runs"]

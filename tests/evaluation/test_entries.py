@@ -99,9 +99,9 @@ def test_learner_whose_normalisation_would_be_left_out_is_refused():
         return SimpleNamespace(predict=lambda *_: None, get_vec_normalize_env=lambda: normalization)
 
     for harmless in (None, SimpleNamespace(norm_obs=False)):
-        Entry(name="a", policy=learner(harmless))
+        Entry(name="a", strategy="mppt", policy=learner(harmless))
     with pytest.raises(ValueError, match="VecNormalize"):
-        Entry(name="a", policy=learner(SimpleNamespace(norm_obs=True)))
+        Entry(name="a", strategy="mppt", policy=learner(SimpleNamespace(norm_obs=True)))
 
 
 @pytest.mark.parametrize(

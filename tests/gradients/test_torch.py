@@ -103,3 +103,22 @@ def test_torch_and_numpy_agree_to_the_last_bit(settings):
     torch.stack(outputs).sum().backward()
     assert np.array_equal(torch.stack(outputs).detach().numpy(), played.outputs)
     assert np.array_equal(given.grad.numpy(), of_actions)
+
+
+def test_episodes_go_on_from_a_snapshot_as_often_as_asked():
+    episodes = episodes_of()
+    before, after = np.split(actions_of(episodes.tape, 20), 2)
+    episodes.start(drawn(episodes.tape))
+    for actions in before:
+        episodes.step(actions)
+    snapshot = episodes.tape.lanes.snapshot()
+    results = []
+    for resumed in (False, True, True):
+        if resumed:
+            episodes.resume(snapshot)
+        taken = torch.tensor(after, requires_grad=True)
+        terms = torch.stack([episodes.step(actions)[1] for actions in taken])
+        terms.sum().backward()
+        results.append((terms.detach().numpy(), taken.grad.numpy()))
+    for terms, gradient in results[1:]:
+        assert np.array_equal(terms, results[0][0]) and np.array_equal(gradient, results[0][1])

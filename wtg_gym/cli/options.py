@@ -51,6 +51,7 @@ def _output_file(*endings: str) -> Parameter:
 SuiteName = Annotated[str, Parameter(converter=_suite)]
 Whole = Annotated[int, Parameter(converter=_whole)]
 OutputFolder = Annotated[Path, Parameter(validator=(validators.Path(file_okay=False), _can_be_written))]
+CsvFile = Annotated[Path, _output_file("csv")]
 FigureFile = Annotated[Path, _output_file("png", "svg", "pdf")]
 JsonFile = Annotated[Path, _output_file("json")]
 PageFile = Annotated[Path, _output_file("html", "htm", "md")]

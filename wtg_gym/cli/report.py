@@ -1,7 +1,7 @@
 """`wtg-gym report`: one page about one entry."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 from cyclopts import Parameter
 
@@ -14,7 +14,8 @@ def report(
     /,
     *,
     output: PageFile = Path("report.html"),
-    episodes: Whole | None = None,
+    split: Literal["train", "validation", "test"] = "validation",
+    scenarios: Whole | None = None,
     seed: Annotated[tuple[Whole, ...], Parameter(consume_multiple=1, negative="")] = (),
     results: OutputFolder = Path("results"),
     threads: Threads = None,
@@ -24,18 +25,19 @@ def report(
     The page has the score by stratum, cost over the reserve margin, bad runs against the reference at 100, the worst
     scenarios drawn, grid operators' tests, faults of sensors, energy, and the damping of the grid with the entry in the
     loop. HTML holds its pictures and loads nothing; Markdown, for a pull request, has them beside. Scores are read from
-    stored results of the same policy, or played on the test scenarios of standard-v1.
+    stored results of the same policy, or played on scenarios of standard-v1.
 
     examples:
       wtg-gym report coordinated-tuned
       wtg-gym report my-policy --output my-policy.md
-      wtg-gym report fast-droop --episodes 30 --seed 20003 20017      a quick look, with two scenarios of your choice
+      wtg-gym report fast-droop --scenarios 30 --seed 10003 10017      a quick look, with two scenarios of your choice
 
     Args:
         entry: an entry, as for 'wtg-gym evaluate'; of several training seeds the first
         output: the page: .html or .md
-        episodes: play the first so many test scenarios; default: all
-        seed: test scenarios to draw; default: the three that cost most
+        split: which seeds of the suite; the split test is for a policy that changes no more
+        scenarios: play the first so many; default: all
+        seed: scenarios to draw; default: the three that cost most
         results: folder that may have results of 'wtg-gym leaderboard'
     """
     for package in ("matplotlib", "markdown_it"):
@@ -48,15 +50,22 @@ def report(
     from wtg_gym.progress import Progress
     from wtg_gym.scenarios import get_suite
 
-    seeds = scoring.chosen_scenarios(page.SUITE, page.SPLIT, SeedOptions(scenarios=episodes))["seeds"]
-    drawn = chosen_seeds(page.SUITE, page.SPLIT, seed) if seed else ()
+    seeds = scoring.chosen_scenarios(page.SUITE, split, SeedOptions(scenarios=scenarios))["seeds"]
+    drawn = chosen_seeds(page.SUITE, split, seed) if seed else ()
     chosen = scoring.chosen_entries([entry], page.SUITE)
     if len({each.name for each in chosen}) > 1:
         raise ValueError(f"a report is about one entry, {entry!r} are {len(chosen)}")
     check_version(chosen[:1], get_suite(page.SUITE))
     with Progress("episodes") as progress:
         made = page.make_report(
-            chosen[0], entry, seeds=seeds, drawn=drawn, stored=results, n_threads=threads, on_progress=progress.update
+            chosen[0],
+            entry,
+            split=split,
+            seeds=seeds,
+            drawn=drawn,
+            stored=results,
+            n_threads=threads,
+            on_progress=progress.update,
         )
     with Progress("sections") as progress:
         files = page.report_markdown(made, output.stem, progress.update)

@@ -40,6 +40,7 @@ def simulate_scenario(
     strategy: options.Words = ("coordinated-piecewise",),
     example_law: options.Flag = False,
     plot: options.FigureFile | None = None,
+    csv: options.CsvFile | None = None,
     json: options.Json = False,
 ) -> int:
     """Simulate one scenario under each of the given strategies and print the key figures.
@@ -62,6 +63,7 @@ def simulate_scenario(
         strategy: strategies by name, 'all', or .toml files with a law; default: the paper's coordinated-piecewise
         example_law: print a law file to start from, and do nothing else: --example-law > my_law.toml
         plot: write a figure of the runs: .png, .svg or .pdf
+        csv: write every sample of the runs, units in the header: .csv
     """
     if example_law:
         from wtg_gym.policies.entry_folder import example_law as law_file
@@ -70,4 +72,4 @@ def simulate_scenario(
         return 0
     from wtg_gym.cli.simulation import run
 
-    return run(chosen, strategy, plot=plot, json=json)
+    return run(chosen, strategy, plot=plot, csv=csv, json=json)

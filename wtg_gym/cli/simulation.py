@@ -1,6 +1,8 @@
 """What `wtg-gym simulate` runs and prints: scenarios under laws, with their key figures."""
 
+import csv as csv_format
 import dataclasses
+import io
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -21,7 +23,9 @@ if TYPE_CHECKING:
     from wtg_gym.cli.simulate import ScenarioOptions
 
 
-def run(options: "ScenarioOptions", strategies: Sequence[str], *, plot: Path | None, json: bool) -> int:
+def run(
+    options: "ScenarioOptions", strategies: Sequence[str], *, plot: Path | None, csv: Path | None, json: bool
+) -> int:
     """Simulate a scenario under laws, write what was asked for, and return the exit code."""
     if plot is not None:
         output.require_extra("matplotlib", "--plot")
@@ -48,6 +52,8 @@ def run(options: "ScenarioOptions", strategies: Sequence[str], *, plot: Path | N
         from wtg_gym.plotting import figure_bytes, plot_trajectories
 
         output.write_and_say(plot, figure_bytes(plot_trajectories(runs, scenario), plot.suffix))
+    if csv is not None:
+        output.write_and_say(csv, traces_csv(runs))
     figures = [key_figures(name, trajectory) for name, trajectory in runs.items()]
     if json:
         series = ("wind_speed", "wind_dt_s", "load_noise_mw")
@@ -101,6 +107,22 @@ def read_scenario(path: Path, suite: Suite) -> Scenario:
             f"{path} has sensors, as scenarios of version v1: say with --suite whose grid it is, such as standard-v1"
         )
     return scenario
+
+
+def traces_csv(runs: Mapping[str, Trajectory]) -> str:
+    """Return every sample of runs as CSV, with their strategy; groups, machines and buses count from 1."""
+    text = io.StringIO()
+    writer = csv_format.writer(text, lineterminator="\n")
+    for strategy, run in runs.items():
+        columns = {"time_s": run.time_s, "frequency_hz": run.frequency_hz, "shed_energy_mws": run.shed_energy_mws}
+        for name, values in vars(run).items():
+            if np.ndim(values) == 2:
+                unit, quantity = name.split("_", 1) if name.startswith(("machine", "bus")) else ("group", name)
+                columns |= {f"{unit}_{i}_{quantity}": column for i, column in enumerate(values.T, start=1)}
+        if not text.tell():
+            writer.writerow(["strategy", *columns])
+        writer.writerows([strategy, *(f"{x:.9g}" for x in row)] for row in zip(*columns.values(), strict=True))
+    return text.getvalue()
 
 
 #: Numbers of a run that are printed, by their headings.

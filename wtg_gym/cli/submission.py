@@ -152,7 +152,7 @@ def _write_cards(folder: Path, entries: "Mapping[Path, Entry]", played: "Results
     from wtg_gym.plotting import report as page
     from wtg_gym.progress import Progress
 
-    if (played.suite, played.split) != (page.SUITE, page.SPLIT):
+    if played.suite != page.SUITE:
         return
     missing = {row["name"] for row in played.entries}
     for path, entry in entries.items():

@@ -97,14 +97,10 @@ def require_known_parameters(plant: Plant, names: Iterable[str]) -> None:
 
 
 class Moved:
-    """The constants of a plant that some of its parameters move.
+    """The constants of a plant that parameters move; which they are does not depend on the plant's values.
 
-    Args:
-        plant: the plant; which constants they are does not depend on its values.
-        names: of the parameters.
-        places_of: returns where among the numbers of a table a leaf is (see
-            :func:`~wtg_gym.systems.programs.constant_places`), from what systems call it: an argument and its number
-            there, and the unit whose it is.
+    `places_of` returns where among the numbers of a table a leaf is (:func:`~wtg_gym.systems.programs.constant_places`)
+    from what systems call it: an argument and its number there, and the unit whose it is.
     """
 
     def __init__(

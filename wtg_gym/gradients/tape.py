@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from wtg_gym.envs.interface import as_actions
-from wtg_gym.envs.lanes import TaskLanes
+from wtg_gym.envs.lanes import LanesSnapshot, TaskLanes
 from wtg_gym.envs.settings import EnvSettings
 from wtg_gym.envs.stepping import Outputs, bind, step_blocks
 from wtg_gym.gradients.adjoint import N_TAPED, Bars, Work, pull, routines_of, rules_of, work_of
@@ -235,6 +235,13 @@ class Tape:
         if len(scenarios) != n_lanes or not all(isinstance(scenario, Scenario) for scenario in scenarios):
             raise ValueError(f"episodes need {n_lanes} scenarios, one per environment, got {scenarios!r:.60}")
         self.lanes.start(list(range(n_lanes)), scenarios)
+        self._begin(started=True)
+        return self.lanes.observations.copy()
+
+    @undivided
+    def resume(self, snapshot: LanesSnapshot) -> npt.NDArray[np.float32]:
+        """Go on from a snapshot of `lanes` as if episodes started there, and return its observations."""
+        self.lanes.restore(snapshot)
         self._begin(started=True)
         return self.lanes.observations.copy()
 

@@ -19,6 +19,7 @@ try:
 except ImportError as error:
     raise ImportError(f"wtg_gym.gradients.torch needs PyTorch; {install_advice('train')}") from error
 
+from wtg_gym.envs.lanes import LanesSnapshot
 from wtg_gym.envs.settings import EnvSettings
 from wtg_gym.gradients.tape import Tape
 from wtg_gym.physics.scenario import Scenario
@@ -76,18 +77,27 @@ class TorchEpisodes:
             law: parameters of the groups' laws to differentiate with respect to (n_wtg, 4) or (n_lanes, n_wtg, 4), in
                 the order of `LAW_PARAMETERS`; None for those of the settings.
         """
-        observations = self.tape.start(scenarios)
-        laws = torch.from_numpy(self.tape.law())
-        self._law = laws
+        observations = self._begin(self.tape.start(scenarios))
         if law is not None:
-            law = torch.as_tensor(law)
+            law, laws = torch.as_tensor(law), self._law
             if law.shape not in (laws.shape, laws.shape[1:]):
                 raise ValueError(
                     f"law must have the shape {tuple(laws.shape[1:])}, or one per environment, got {tuple(law.shape)}"
                 )
             self._law = law.expand(laws.shape)
             self.tape.set_law(self._law.detach().to("cpu", torch.float64).numpy())
-        self.outputs = None
+        return observations
+
+    def resume(self, snapshot: LanesSnapshot) -> Any:
+        """Go on from a snapshot of the tape's lanes, with their laws, as if episodes started there.
+
+        Returns:
+            its observations (n_lanes, n_observation), floats of 32 bits.
+        """
+        return self._begin(self.tape.resume(snapshot))
+
+    def _begin(self, observations: Any) -> Any:
+        self._law, self.outputs = torch.from_numpy(self.tape.law()), None
         self._left = torch.zeros((self.tape.lanes.n_lanes, self.tape.n_carried), dtype=torch.float64)
         self._observations = torch.from_numpy(observations)
         return self._observations

@@ -30,15 +30,10 @@ def read_case(
 ) -> Grid:
     """Return the grid of a case, without WTG groups; what it calls replaced are its wind parks.
 
-    A ValueError says where a file is missing or damaged, has what a grid has not, or the grid's power flow is not the
-    library's.
-
-    Args:
-        path: of the case: its ending says which format it has.
-        dynamic: a DYR file with the machines of a RAW file.
-        frequency_hz: nominal frequency; None: the file's, or a usual one.
-        drop: types of element that are left out.
-        substitute: put typical controls in the place of models that are not here, or leave those out.
+    The ending of `path` says which format it has; `dynamic` is a DYR file with the machines of a RAW file. The nominal
+    frequency is that of the file, or a usual one, where none is given. Types of element in `drop` are left out. To
+    `substitute` puts typical controls in the place of models that are not here, or leaves those out. A ValueError says
+    where a file is missing or damaged, has what a grid has not, or the grid's power flow is not the library's.
     """
     for file in (path, dynamic):
         if file is not None and not file.is_file():
@@ -60,13 +55,10 @@ def read_case(
 def with_wind(grid: Grid, buses: Sequence[int] = ()) -> Grid:
     """Return a grid with a WTG group in the place of the machines at each of some buses.
 
-    At the slack bus turbines stand beside the machines, and are rated for :data:`SHARE` of what those give. A
-    ValueError says that a bus has no machine that gives power, or no machine with a governor is left.
-
-    Args:
-        grid: without groups; the buses that it calls replaced are wind parks, which get groups in any case.
-        buses: where else; none: the machines that give most, until all give :data:`SHARE` of the power, or where that
-            is none, the slack bus.
+    The buses that the grid calls replaced are wind parks, which get groups in any case. Without `buses` the machines
+    that give most follow, until all give :data:`SHARE` of the power, or where that is none, the slack bus. There
+    turbines stand beside the machines, and are rated for :data:`SHARE` of what those give. A ValueError says that a bus
+    has no machine that gives power, or no machine with a governor is left.
     """
     case, dispatch_mw = grid.case, dict[int, float]()
     for machine in case.machines:

@@ -151,12 +151,8 @@ class Simulator:
     and governor droop hardly matter, and with fewer units the modes are slower. A ValueError says that a setting is
     outside its range, or the step too long for the plant.
 
-    Args:
-        settings: the plant and its time steps.
-        n_lanes: number of runs side by side.
-        duration_s: longest run it must hold [s].
-        task: kinds of unit and programs of a task.
-        n_threads: threads that advance blocks; None for one per processor. Results do not depend on it.
+    It holds runs of `duration_s` [s] at most. `task` has kinds of unit and programs of a task. Blocks are advanced by
+    `n_threads`, None for one per processor; results do not depend on it.
     """
 
     def __init__(

@@ -25,8 +25,8 @@ from wtg_gym.scenarios.suites import DEFAULT_SUITE, get_suite
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-SUITE, SPLIT = DEFAULT_SUITE, "test"
-SETTINGS = EnvSettings(suite=SUITE, split=SPLIT)
+SUITE = DEFAULT_SUITE
+SETTINGS = EnvSettings(suite=SUITE)
 #: The yardstick of energy, which captures what the wind gives.
 _MOST_ENERGY = "mppt"
 #: Test scenarios that sensors fail in, and that energy is counted in; scenarios that are drawn.
@@ -134,6 +134,7 @@ def make_report(
     entry: Entry,
     spec: str,
     *,
+    split: str = "validation",
     seeds: Sequence[int] | None = None,
     drawn: Sequence[int] = (),
     stored: Path | Results | None = None,
@@ -142,19 +143,19 @@ def make_report(
 ) -> Report:
     """Return the report of an entry of version v1, with results that are `stored` or in that folder, else played.
 
-    `seeds` are test scenarios to play; None for all, which may be read. Other arguments are as of :class:`Report` and
-    :func:`~wtg_gym.evaluation.evaluate`.
+    `seeds` are scenarios of the `split` to play; None for all, which may be read. Other arguments are as of
+    :class:`Report` and :func:`~wtg_gym.evaluation.evaluate`.
     """
-    read = _stored_results(stored, entry) if stored is not None and seeds is None else None
-    results = read or evaluator.evaluate(entry, SUITE, SPLIT, seeds=seeds, n_threads=n_threads, on_progress=on_progress)
+    read = _stored_results(stored, split, entry) if stored is not None and seeds is None else None
+    results = read or evaluator.evaluate(entry, SUITE, split, seeds=seeds, n_threads=n_threads, on_progress=on_progress)
     return Report(entry=entry, spec=spec, results=results, stored=read is not None, drawn=drawn, n_threads=n_threads)
 
 
-def _stored_results(stored: Path | Results, entry: Entry) -> Results | None:
+def _stored_results(stored: Path | Results, split: str, entry: Entry) -> Results | None:
     """Return the stored results of an entry and the version's references, if there are any of the same policy."""
     if isinstance(stored, Results):
         results = stored
-    elif (path := stored / f"{SUITE}-{SPLIT}.json").exists():
+    elif (path := stored / f"{SUITE}-{split}.json").exists():
         results = Results.read(path)
         results.check_suite()
     else:
@@ -230,8 +231,8 @@ def _score(report: Report) -> Section:
         )
     return Section(
         heading="Score",
-        sentence=f"Points on {len(results.seeds)} test scenarios of {SUITE}, by how much power the grid has in "
-        f"reserve: 0 is the published law ({zero}), 100 that law tuned to this grid ({hundred}); more is better.",
+        sentence=f"Points on {len(results.seeds)} {results.split} scenarios of {SUITE}, by the power that the grid has "
+        f"in reserve: 0 is the published law ({zero}), 100 that law tuned to this grid ({hundred}); more is better.",
         header=("reserve", "scenarios", "score [points]", "95 % interval"),
         rows=rows,
         numbers=(1, 2, 3),
@@ -298,7 +299,8 @@ def _scenario_picture(report: Report, seed: int) -> Picture:
         name=f"seed-{seed}",
         figure=_plot_scenario(scenario, runs),
         caption=f"{scenario.name}. Cost [-]: {', '.join(paid)}. {happened}.",
-        command=f"wtg-gym evaluate --suite {SUITE} --split {SPLIT} --seeds {seed} --entries {report.spec}",
+        command=f"wtg-gym evaluate --suite {SUITE} --split {report.results.split} --seeds {seed} "
+        f"--entries {report.spec}",
     )
 
 

@@ -42,7 +42,9 @@ class Entry:
     """
 
     name: str  # in tables, see :func:`~wtg_gym.names.check_name`; with `training_seed` unique among the entries
-    strategy: str | Path | TrackingLaw = REFERENCE_STRATEGY  # that actions modulate: a name, a .toml file, or a law
+    #: The law that actions modulate: a built-in name, a .toml file, or a law; None: that of a learner's environment, or
+    #: the published law without one.
+    strategy: str | Path | TrackingLaw | None = None
     #: Maps observations to actions; None: zero action, which is the strategy itself. A learner of Stable-Baselines3
     #: that was trained under VecNormalize is exported with :func:`~wtg_gym.export_onnx`.
     policy: Policy | None = None
@@ -62,7 +64,9 @@ class Entry:
 
     def __post_init__(self) -> None:
         name = check_name("the entry's name", self.name)
-        object.__setattr__(self, "law", get_law(self.strategy))
+        strategy = self._default_strategy() if self.strategy is None else self.strategy
+        object.__setattr__(self, "strategy", strategy)
+        object.__setattr__(self, "law", get_law(strategy))
         # Checks the two modes.
         EnvSettings(action_mode=self.action_mode, observation_mode=self.observation_mode)
         if self.environment is not None:
@@ -77,6 +81,17 @@ class Entry:
             raise ValueError(f"per_group of entry {name!r} may be true with local observations alone")
         if self.policy is not None:
             self._check_policy()
+
+    def _default_strategy(self) -> str | TrackingLaw:
+        """Return the law of a learner's environment, or the published one."""
+        learned = learned_in(self.policy)
+        if not learned and hasattr(self.policy, "get_vec_normalize_env"):
+            raise ValueError(
+                f"the policy of entry {self.name!r} is a learner without an environment, as after load(): give the law "
+                "that it learned on, such as strategy='coordinated-tuned'"
+            )
+        law = learned.get("strategy")
+        return law if isinstance(law, TrackingLaw) else REFERENCE_STRATEGY
 
     def _check_policy(self) -> None:
         name, policy = self.name, self.policy

@@ -53,11 +53,8 @@ class Routine:
     cotangents (bars) of block and scratch, the tape, the scratch, and cotangents of the constants in their order in the
     tables: the bars after the program become those before it, and those of the constants are added to.
 
-    Args:
-        program: what is run.
-        writer: of its instructions.
-        place: which of the program's routines it is, 0 … 3; one of two that stand at the same place can be in tables.
-        known: values of scalars; what follows from them is left out, and those handed over do not count.
+    `place` says which of the program's routines it is, 0 … 3; one of two that stand at the same place can be in tables.
+    `known` are values of scalars: what follows from them is left out, and those handed over do not count.
     """
 
     def __init__(self, program: Program, writer: type[Writer] = Writer, place: int = 0, **known: float) -> None:
