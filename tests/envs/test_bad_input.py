@@ -4,7 +4,7 @@ import copy
 import dataclasses
 import math
 import pickle
-from typing import Any, get_type_hints
+from typing import Any, Unpack, get_type_hints
 
 import gymnasium as gym
 import numpy as np
@@ -134,7 +134,7 @@ def test_type_checkers_know_exactly_the_settings_with_their_types(kind):
     settings, keywords = get_type_hints(EnvSettings), get_type_hints(EnvArguments)
     assert {field.name: settings[field.name] for field in dataclasses.fields(EnvSettings)} == keywords
     assert EnvArguments.__required_keys__ == frozenset()
-    assert "Unpack[EnvArguments]" in kind.__init__.__annotations__.values()
+    assert Unpack[EnvArguments] in kind.__init__.__annotations__.values()
 
 
 def test_wrong_scenarios_are_refused_and_running_episodes_go_on():

@@ -30,7 +30,7 @@ REASONS = ("stall", "over-speed", "under-speed", "frequency limit", "loss of syn
 POWERS_MW = st.sampled_from([-1e4, -300.0, 0.0, 75.0, 1e4])
 TIMES = st.integers(0, 80).map(lambda n: n * 0.025)
 LINES = st.sampled_from([(1, 2), (2, 4), (4, 5), (6, 12), (9, 14), (13, 14)])
-SENSOR_NUMBERS = {f.name: f.metadata for f in dataclasses.fields(Sensors) if f.type == "float"}
+SENSOR_NUMBERS = {f.name: f.metadata for f in dataclasses.fields(Sensors) if f.type is float}
 
 
 @st.composite

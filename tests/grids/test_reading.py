@@ -13,9 +13,8 @@ import pypowsybl
 import pytest
 
 from wtg_gym.grids import solved_case
-from wtg_gym.grids.reading import read_case
+from wtg_gym.grids.reading import read_case, with_wind
 from wtg_gym.grids.solved_case import power_flow
-from wtg_gym.grids.wind import with_wind
 from wtg_gym.physics.grid import Grid
 
 FOLDER = Path(__file__).parent

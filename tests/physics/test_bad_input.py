@@ -264,7 +264,7 @@ def test_every_parameter_has_unit_source_and_description_and_every_source_is_use
 def test_every_number_of_every_record_has_a_range():
     for record in CHECKED:
         for field in dataclasses.fields(record):
-            if field.type in ("float", "float | None"):
+            if field.type in (float, float | None):
                 low, high = field.metadata["low"], field.metadata["high"]
                 assert math.isfinite(low) and math.isfinite(high) and low < high, (record, field.name)
                 with pytest.raises(ValueError, match=rf"{type(record).__name__}.{field.name} = inf"):

@@ -15,12 +15,9 @@ import numpy as np
 import numpy.typing as npt
 
 from wtg_gym.envs.settings import EnvSettings
+from wtg_gym.physics import converter, grid, layout, protection
 from wtg_gym.physics import scenario as sc
-from wtg_gym.physics.converter import OVER_VOLTAGES
-from wtg_gym.physics.grid import Branch, Bus, NetworkCase, Source
-from wtg_gym.physics.layout import Floats
 from wtg_gym.physics.plant import Plant
-from wtg_gym.physics.protection import Status
 from wtg_gym.physics.trajectory import Trajectory, record
 from wtg_gym.policies.entry import Entry, check_version
 from wtg_gym.policies.play import play, started_lanes
@@ -51,14 +48,14 @@ class Recording(Trajectory):
         """Return the sample at an instant, or the last one before it."""
         return int(np.searchsorted(self.time_s, time_s + 1e-9) - 1)
 
-    def total(self) -> Floats:
+    def total(self) -> layout.Floats:
         """Return the mean power of the groups, on their base, (n,)."""
         return np.asarray(self.power_pu.mean(axis=1))
 
     @property
     def lives(self) -> bool:
         """Whether the run went to its end with all groups connected."""
-        return self.status is Status.RUNNING and bool(self.connected[-1].all())
+        return self.status is protection.Status.RUNNING and bool(self.connected[-1].all())
 
 
 #: Passed or failed, and the figure.
@@ -106,24 +103,21 @@ def _bench(ratio: float, *, sheds: bool = False) -> Plant:
     plant = _grid()
     case, mva = plant.case, sum(g.n_turbines for g in plant.groups) * plant.turbine.rated_power_mw
     reactance = case.base_mva / (ratio * mva)
-    line = Branch(from_bus=_SOURCE_BUS, to_bus=1, resistance=reactance / _X_TO_R, reactance=reactance)
-    bench = NetworkCase(
+    line = grid.Branch(from_bus=_SOURCE_BUS, to_bus=1, resistance=reactance / _X_TO_R, reactance=reactance)
+    bench = grid.NetworkCase(
         name="bench",
         base_mva=case.base_mva,
         frequency_hz=case.frequency_hz,
         slack_bus=_SOURCE_BUS,
-        buses=(*case.buses, Bus(number=_SOURCE_BUS, voltage_pu=1.06)),
+        buses=(*case.buses, grid.Bus(number=_SOURCE_BUS, voltage_pu=1.06)),
         branches=(*case.branches, line),
         machines=(),
-        sources=(Source(bus=_SOURCE_BUS),),
+        sources=(grid.Source(bus=_SOURCE_BUS),),
     )
     return dataclasses.replace(plant, case=bench, shedding=plant.shedding if sheds else ())
 
 
-# --- criteria ---------------------------------------------------------------------------------------------------------
-
-
-def _longest_beyond(time_s: Floats, beyond: npt.NDArray[np.bool_]) -> float:
+def _longest_beyond(time_s: layout.Floats, beyond: npt.NDArray[np.bool_]) -> float:
     """Return the longest time that a quantity may lie beyond a limit, by its samples (n, any) [s]."""
     longest = 0.0
     for column in beyond.T:
@@ -136,11 +130,11 @@ def _longest_beyond(time_s: Floats, beyond: npt.NDArray[np.bool_]) -> float:
 
 def _lost(run: Recording) -> str:
     """Return why a run did not go on with all groups, or nothing."""
-    if run.status is not Status.RUNNING:
+    if run.status is not protection.Status.RUNNING:
         return f"grid lost after {run.time_s[-1]:.1f} s: {run.status.name.lower().replace('_', ' ')}"
     if not run.connected[-1].all():
         return f"group {', '.join(str(1 + group) for group in np.flatnonzero(~run.connected[-1]))} tripped"
-    for level, longest_s in OVER_VOLTAGES:
+    for level, longest_s in converter.OVER_VOLTAGES:
         if (beyond := _longest_beyond(run.time_s, run.bus_voltage_pu > level)) > longest_s + 0.1:
             return f"above {level:g} p.u. for {beyond:.1f} s"
     return ""
@@ -193,9 +187,6 @@ def _leaves_limit(run: Recording) -> Verdict:
     figure = f"{largest:.3f} p.u., {'left' if reached else 'never reached, left'} after {after:.1f} s"
     figure += f", then {run.bus_voltage_pu.max():.2f} p.u. of voltage"
     return bool(reached and largest <= 1.2 + 1e-6 and after <= 0.5), figure
-
-
-# --- the tests --------------------------------------------------------------------------------------------------------
 
 
 def _fault(bus: int, length_s: float, reactance_pu: float, time_s: float = 2.0) -> tuple[sc.Event, ...]:
@@ -295,7 +286,7 @@ def run_grid_test(test: GridTest, entry: Entry) -> tuple[Recording, Verdict]:
     check_version([entry], get_suite(DEFAULT_SUITE))
     plant = test.plant()
     settings = EnvSettings(version=V1.version, sensors="exact", duration_s=test.duration_s, plant=plant)
-    actions: list[Floats] = []
+    actions: list[layout.Floats] = []
     if entry.policy is not None:
         with started_lanes(entry, settings, [test.scenario(plant)], 1) as (lanes, _):
             collections.deque(play(entry, lanes, actions), maxlen=0)
