@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, Unpack
 import gymnasium as gym
 
 from wtg_gym.envs import interface
-from wtg_gym.envs.settings import EnvArguments, as_scenario
+from wtg_gym.envs.settings import EnvArguments
 from wtg_gym.signals import HeldSignals
 
 if TYPE_CHECKING:
@@ -56,7 +56,9 @@ class GFMWTGEnv(interface.OverLanes, gym.Env[interface.Observation, interface.Ac
 
     ## Arguments
     Those of `wtg_gym.envs.EnvSettings`, and `render_mode`. An unknown one raises a TypeError, a value that is not
-    allowed a ValueError. `reset(options={"scenario": …})` plays a scenario of your own.
+    allowed a ValueError. `reset(options={"scenario": …})` plays a scenario of your own, or that of a seed of the suite,
+    in a batch {"scenarios": one for each}; {"reset_mask": (num_envs,) bool} restarts some. `reset(seed=10003)` seeds
+    the generator that draws scenarios: it does not play scenario 10003.
 
     ## Rendering
     `render_mode="rgb_array"` gives frames of 960 × 540 pixels: the grid with the events so far, and curves of frequency
@@ -89,7 +91,7 @@ class GFMWTGEnv(interface.OverLanes, gym.Env[interface.Observation, interface.Ac
 
         Args:
             seed: seeds the generator that draws scenarios; None continues with it.
-            options: {"scenario": Scenario or its to_dict()} plays that scenario.
+            options: {"scenario": Scenario, its to_dict(), or a seed of any split of the suite} plays that scenario.
 
         Raises:
             ValueError: unknown options, or a scenario that does not fit; nothing has changed then.
@@ -97,7 +99,9 @@ class GFMWTGEnv(interface.OverLanes, gym.Env[interface.Observation, interface.Ac
         """
         checked = interface.check_options(options, ("scenario",))
         # A given scenario that cannot start is refused before the first change, of the generator too.
-        scenario = as_scenario('options["scenario"]', checked["scenario"]) if "scenario" in checked else None
+        scenario = None
+        if "scenario" in checked:
+            scenario = self._lanes.scenario_of('options["scenario"]', checked["scenario"])
         episodes = None if scenario is None else self._lanes.prepare([scenario], turning=True)
         super().reset(seed=seed)
         self._lanes.start([0], self._lanes.next_episode(self.np_random, 0) if episodes is None else episodes)

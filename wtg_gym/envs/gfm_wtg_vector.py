@@ -14,7 +14,7 @@ from gymnasium.vector.utils import batch_space
 
 from wtg_gym.envs import interface
 from wtg_gym.envs.next_episodes import NextEpisodes
-from wtg_gym.envs.settings import EnvArguments, as_scenario
+from wtg_gym.envs.settings import EnvArguments
 from wtg_gym.physics.scenario import Scenario
 from wtg_gym.ranges import is_whole, require_choice, require_whole
 
@@ -85,8 +85,8 @@ class GFMWTGVectorEnv(
 
         Args:
             seed: s seeds environment i with s + i; or one seed per environment.
-            options: {"scenarios": one per environment} plays those; {"reset_mask": (num_envs,) bool} restarts only
-                these environments.
+            options: {"scenarios": one per environment, or its seed} plays those; {"reset_mask": (num_envs,) bool}
+                restarts only these environments.
 
         Raises:
             ValueError: unknown options, wrong lengths, or scenarios that do not fit.
@@ -124,7 +124,7 @@ class GFMWTGVectorEnv(
     def _scenarios(self, option: Any) -> list[Scenario]:
         if not isinstance(option, Sequence) or len(option) != self.num_envs:
             raise ValueError(f'options["scenarios"] must be a list of {self.num_envs} scenarios, got {option!r:.80}')
-        return [as_scenario('options["scenarios"]', scenario) for scenario in option]
+        return [self._lanes.scenario_of('options["scenarios"]', scenario) for scenario in option]
 
     def _lane_seeds(self, seed: int | Sequence[int | None] | None) -> list[int | None]:
         seeds: Sequence[int | None]

@@ -290,9 +290,11 @@ def _import(name: str, spec: str) -> ModuleType:
 
 def _allowed(text: str) -> str:
     """Return the end of an error about a wrong entry: the names like it, or all."""
+    if text.endswith(".py"):
+        return f"; did you mean {'.'.join(Path(text).with_suffix('').parts) + ':ENTRY'!r}?"
     shipped = (name for folder in policy_folders() if (name := policy_name(folder)))
     baselines = (entry.name for entry in _baselines())
-    names = (*STRATEGY_NAMES, *baselines, BASELINES, *shipped, POLICIES)
+    names = dict.fromkeys((*STRATEGY_NAMES, *baselines, BASELINES, *shipped, POLICIES))
     known = f'{", ".join(map(repr, names))}, a .toml file with a law, a folder with {ENTRY_FILE}, or "module:ATTRIBUTE"'
     return did_you_mean(text, names) or f"; allowed are {known}"
 
