@@ -249,7 +249,7 @@ def load_entries(spec: str | Path | Iterable[str | Path], task: Task = V1) -> li
     if text.endswith(".zip"):
         raise ValueError(
             f"entry {text}: an archive of Stable-Baselines3 is not opened, because loading it runs the code in it; "
-            "in Python, play its model with Entry(policy=model), or export it with "
+            "in Python, play its model with Entry(policy=model, strategy=...), or export it with "
             "wtg_gym.export_onnx(wtg_gym.sb3.DeterministicPolicy(model), folder, name=...)"
         )
     if shipped := [folder for folder in policy_folders() if text in (folder.name, policy_name(folder))]:
