@@ -15,6 +15,19 @@ from tests.cli.calls import error_of, json_of
 from wtg_gym.cli import main
 from wtg_gym.physics.grid import get_grid
 
+STRANGE = {"_module": "a_module_of_strangers", "_class": "Thing", "_object": "{}"}
+FRAME = {"_module": "pandas.core.frame", "_class": "DataFrame"}
+HOSTILE = [
+    STRANGE,
+    [STRANGE],
+    {"a": {"b": STRANGE}},
+    {**STRANGE, "_class": "function"},
+    {"_module": "pandapower.control", "_class": "ConstControl", "_object": "{}"},
+    {**FRAME, "_object": json.dumps({"columns": ["a"], "index": [0], "data": [[STRANGE]]})},
+    {**FRAME, "_object": json.dumps(STRANGE).replace("_module", "\\u005fmodule")},
+    {**FRAME, "_object": "/etc/another.json"},
+]
+
 
 @pytest.fixture(scope="module")
 def network(tmp_path_factory):
@@ -67,20 +80,6 @@ def imported(path: Path, capsys: pytest.CaptureFixture[str]) -> tuple[int, str]:
 @pytest.fixture(scope="module")
 def nine():
     return json.loads(pandapower.to_json(pandapower.networks.case9()))
-
-
-STRANGE = {"_module": "a_module_of_strangers", "_class": "Thing", "_object": "{}"}
-FRAME = {"_module": "pandas.core.frame", "_class": "DataFrame"}
-HOSTILE = [
-    STRANGE,
-    [STRANGE],
-    {"a": {"b": STRANGE}},
-    {**STRANGE, "_class": "function"},
-    {"_module": "pandapower.control", "_class": "ConstControl", "_object": "{}"},
-    {**FRAME, "_object": json.dumps({"columns": ["a"], "index": [0], "data": [[STRANGE]]})},
-    {**FRAME, "_object": json.dumps(STRANGE).replace("_module", "\\u005fmodule")},
-    {**FRAME, "_object": "/etc/another.json"},
-]
 
 
 @pytest.mark.parametrize("thing", HOSTILE, ids=str)
