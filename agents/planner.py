@@ -1,11 +1,11 @@
 """A planner that knows the exact state and nothing of the future; `python -m agents.planner` plays and scores it.
 
-Every few seconds it plans the actions of the next minute by the gradients of wtg_gym.gradients, as if wind and load
-noise stayed and a load ramp ended now; of a fault or trip that has begun it knows when it is cleared or recloses. It
-knows what events the suite draws, but not which are to come: it weighs several futures, each with the events that
-another training scenario has from now on. All have the same actions until the next plan. It sees how failures come, by
-the stand-ins of :class:`agents.gradient.Failures`, and does not know that the episode ends. What it scores can be had
-with the exact state; :mod:`agents.dagger` learns from it.
+Every few seconds it plans the actions of the next minute by the gradients of wtg_gym.gradients. It knows what scenarios
+the suite draws, but not how this one goes on. So a plan weighs several futures: each has the events and the relative
+change of the wind that some training scenario has from now on. Until the next plan all have the same actions. Load
+noise stays, and a load ramp ends now; of a fault or trip that has begun the planner knows when it is cleared or
+recloses. It sees how failures come, by the stand-ins of :class:`agents.gradient.Failures`, and does not know that the
+episode ends. What it scores can be had with the exact state; :mod:`agents.dagger` learns from it.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ from wtg_gym.tasks.cost import COST_TERMS
 Floats = npt.NDArray[np.float64]
 #: Of the optimiser of a plan, and the share by which its steps shrink until the last.
 _BETAS, _SHRINKS = (0.7, 0.9), 0.7
-#: Training scenarios whose events may come, and how often one is drawn at most until it fits.
+#: Training scenarios that futures are made of, and how often one is drawn at most until it fits.
 _N_OTHERS, _MOST_DRAWS = 300, 20
 
 
@@ -54,12 +54,12 @@ class PlannerOptions(Checked):
     """time between two plans"""
     knot_s: float = design(5.0, "s", "", 0.1, 60.0)
     """time between two actions of a plan; in between they are interpolated"""
-    iterations: Whole = design(3, "-", "", 1, 1000)
+    iterations: Whole = design(5, "-", "", 1, 1000)
     """gradients of a plan, which begins as the plan before"""
     step: float = design(0.1, "-", "", 1e-6, 10.0)
     """first step of the optimiser, in the argument of tanh"""
-    futures: Whole = design(4, "-", "", 0, 100)
-    """that a plan weighs while events may come; 0: one, without further events"""
+    futures: Whole = design(3, "-", "", 0, 100)
+    """that a plan weighs; 0: one, in which the wind stays and no event comes"""
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -95,35 +95,37 @@ def without_foresight(scenario: Scenario, time_s: float, longer_s: float) -> Sce
 
 
 class Futures:
-    """Draws what may yet happen in scenarios: the events of other training scenarios.
+    """Draws how scenarios may go on: as other training scenarios do.
 
     Args:
         lanes: with the settings of the environment.
     """
 
     def __init__(self, lanes: TaskLanes) -> None:
-        self._lanes, self._plant, suite = lanes, lanes.settings.resolved_plant, lanes.suite
-        self._others = [each.events for each in lanes.scenarios(suite.train[:_N_OTHERS])] if suite.distributions else []
+        self._lanes, suite = lanes, lanes.suite
+        self._others = lanes.scenarios(suite.train[:_N_OTHERS]) if suite.distributions else []
         self._least_margin = min((low for low, _ in suite.margins.values()), default=-math.inf)
-        #: After this time no event comes [s].
-        self.last_s = max((event.time_s for events in self._others for event in events), default=0.0)
 
     def draw(self, scenario: Scenario, time_s: float, rng: np.random.Generator) -> Scenario:
-        """Return a scenario with the events that another has from a time on.
+        """Return a scenario with the events that another has from a time on, and with that one's relative wind.
 
-        Its reserve margin is one that the suite draws. Where no draw fits, it stays as it is.
+        Its reserve margin is one that the suite draws. Without training scenarios it stays as it is.
         """
-        for _ in range(_MOST_DRAWS):
-            events = self._others[rng.integers(len(self._others))]
-            to_come = tuple(event for event in events if event.time_s > time_s)
-            future = replace(scenario, events=scenario.events + to_come, reserve_margin=None)
+        past = scenario.wind_speed.shape[1]
+        for _ in range(_MOST_DRAWS if self._others else 0):
+            other = self._others[rng.integers(len(self._others))]
+            relative = other.wind_speed[:, past:] / other.wind_speed[:, past - 1 : past]
+            wind = np.concatenate([scenario.wind_speed, scenario.wind_speed[:, -1:] * relative], axis=1)
+            events = scenario.events + tuple(event for event in other.events if event.time_s > time_s)
             try:
+                future = replace(scenario, wind_speed=wind, events=events, reserve_margin=None)
+                margin = self._lanes.suite.margin(future, self._lanes.settings.resolved_plant)
                 # NaN where a suite has no margins.
-                if not self._lanes.suite.margin(future, self._plant) < self._least_margin:
+                if not margin < self._least_margin:
                     self._lanes.prepare([future])
                     return future
             except ValueError:
-                pass  # What has happened would happen again: a line opens once.
+                pass  # The wind is beyond its range, or what has happened would happen again: a line opens once.
         return scenario
 
 
@@ -146,11 +148,13 @@ class Planner:
     ) -> None:
         self.options = options
         length_s, self._step_s = settings.episode_duration_s(), settings.step_s
+        #: Of futures that are played for one episode, next to one another.
+        self._n_futures = options.futures or 1
         longer = replace(settings, duration_s=length_s + options.horizon_s, reward="cost")
-        #: By the number of futures.
-        self._episodes = {n: TorchEpisodes(longer, n * n_lanes, n_threads) for n in {1, max(options.futures, 1)}}
-        self._failures, lanes = Failures(self._episodes[1]), self._episodes[1].tape.lanes
-        self._futures, self._suite, self._plant = Futures(lanes), lanes.suite, settings.resolved_plant
+        self._episodes = TorchEpisodes(longer, self._n_futures * n_lanes, n_threads)
+        lanes = self._episodes.tape.lanes
+        self._failures, self._futures = Failures(self._episodes), Futures(lanes)
+        self._suite, self._plant = lanes.suite, settings.resolved_plant
         #: Control steps of an episode, and between two plans.
         self.n_steps = whole_steps("duration_s", length_s, self._step_s, "control step")
         self.n_between = whole_steps("interval_s", options.interval_s, self._step_s, "control step")
@@ -172,78 +176,76 @@ class Planner:
         Of all iterations a scenario gets the actions with the best predicted score, the mean over its futures.
         """
         o, first = self.options, len(self._taken)
-        scenarios, n_futures = self._foreseen(first * self._step_s)
+        scenarios = [future for scenario in self._scenarios for future in self._foreseen(scenario)]
         offsets = torch.tensor([self._suite.cost_offset(each, self._plant) for each in scenarios], dtype=torch.float64)
-        episodes, spent = self._now(scenarios, n_futures)
-        now = episodes.tape.lanes.snapshot()
-        best = self._knots.repeat_interleave(n_futures, dim=1)
+        spent = self._play_past(scenarios)
+        now = self._episodes.tape.lanes.snapshot()
+        best = self._knots.repeat_interleave(self._n_futures, dim=1)
         lowest = torch.full((len(self._scenarios), 1), torch.inf, dtype=torch.float64)
         knots = best.clone().requires_grad_(True)
         optimizer = torch.optim.Adam([knots], lr=o.step, betas=_BETAS)
         for iteration in range(o.iterations + 1):
-            episodes.resume(now)
-            terms, least = self._to_come(episodes, knots)
+            self._episodes.resume(now)
+            terms, least = self._to_come(knots)
             terms = spent + terms
-            losses = torch.log(terms.detach().sum(dim=1) + offsets).reshape(-1, n_futures).mean(dim=1, keepdim=True)
-            better = (losses < lowest).repeat_interleave(n_futures, dim=0)
+            losses = torch.log(terms.detach().sum(dim=1) + offsets)
+            losses = losses.reshape(-1, self._n_futures).mean(dim=1, keepdim=True)
+            better = (losses < lowest).repeat_interleave(self._n_futures, dim=0)
             best, lowest = torch.where(better, knots.detach(), best), torch.minimum(losses, lowest)
             if iteration == o.iterations:
                 break
             optimizer.param_groups[0]["lr"] = o.step * (1.0 - _SHRINKS * iteration / o.iterations)
             optimizer.zero_grad()
             torch.log(self._failures.costs(terms, least) + offsets).sum().backward()  # type: ignore[no-untyped-call]
-            knots.grad = self._direction(knots.grad, first, n_futures)
+            knots.grad = self._direction(knots.grad, first)
             optimizer.step()
-        self._knots = _by_scenario(best, n_futures).mean(dim=2)
+        self._knots = self._by_episode(best).mean(dim=2)
         return np.array([self._action(self._knots, step).numpy() for step in range(first, first + self.n_between)])
 
-    def _foreseen(self, time_s: float) -> tuple[list[Scenario], int]:
-        """Return the futures of every scenario, those of one after another, and their number."""
-        known = [without_foresight(each, time_s, self.options.horizon_s) for each in self._scenarios]
-        n_futures = self.options.futures if time_s < self._futures.last_s else 0
-        if not n_futures:
-            return known, 1
-        rngs = [np.random.default_rng((scenario.seed or 0, len(self._taken))) for scenario in known]
-        drawn = zip(known, rngs, strict=True)
-        return [self._futures.draw(each, time_s, rng) for each, rng in drawn for _ in range(n_futures)], n_futures
+    def _foreseen(self, scenario: Scenario) -> list[Scenario]:
+        """Return the futures of a scenario."""
+        time_s = len(self._taken) * self._step_s
+        known = without_foresight(scenario, time_s, self.options.horizon_s)
+        if not self.options.futures:
+            return [known]
+        rng = np.random.default_rng((scenario.seed or 0, len(self._taken)))
+        return [self._futures.draw(known, time_s, rng) for _ in range(self._n_futures)]
 
-    def _now(self, scenarios: Sequence[Scenario], n_futures: int) -> tuple[TorchEpisodes, Tensor]:
-        """Play futures up to now; return their episodes, and what each has cost (n_futures, n_terms)."""
-        episodes = self._episodes[n_futures]
-        episodes.start(scenarios)
+    def _play_past(self, scenarios: Sequence[Scenario]) -> Tensor:
+        """Play futures up to now, and return what each has cost (n, n_terms)."""
+        self._episodes.start(scenarios)
         spent = torch.zeros((len(scenarios), len(COST_TERMS)), dtype=torch.float64)
         for actions in self._taken:
-            spent += episodes.step(actions.repeat_interleave(n_futures, dim=0))[1]
-        return episodes, spent
+            spent += self._episodes.step(actions.repeat_interleave(self._n_futures, dim=0))[1]
+        return spent
 
-    def _to_come(self, episodes: TorchEpisodes, knots: Tensor) -> tuple[Tensor, Tensor]:
-        """Return what futures cost from now on (n_futures, n_terms), and the least of what failures depend on."""
+    def _to_come(self, knots: Tensor) -> tuple[Tensor, Tensor]:
+        """Return what futures cost from now on (n, n_terms), and the least of what failures depend on."""
         terms, watched, first = [], [], len(self._taken)
         for step in range(first, first + round(self.options.horizon_s / self._step_s)):
-            terms.append(episodes.step(self._action(knots, step))[1])
-            watched.append(self._failures.watched(episodes.outputs))
+            terms.append(self._episodes.step(self._action(knots, step))[1])
+            watched.append(self._failures.watched(self._episodes.outputs))
         return torch.stack(terms).sum(dim=0), torch.stack(watched).amin(dim=0)
+
+    def _by_episode(self, values: Tensor) -> Tensor:
+        """Return values of all futures (n_knots, n, n_action) as (n_knots, n_lanes, n_futures, n_action)."""
+        return values.reshape(len(values), -1, self._n_futures, values.shape[2])
 
     def _action(self, knots: Tensor, step: int) -> Tensor:
         index, share = divmod(step * self._step_s / self.options.knot_s, 1.0)
         return torch.tanh((1.0 - share) * knots[int(index)] + share * knots[int(index) + 1])
 
-    def _direction(self, gradient: Any, first: int, n_futures: int) -> Tensor:
-        """Return the gradients of all scenarios at the same length.
+    def _direction(self, gradient: Any, first: int) -> Tensor:
+        """Return the gradients of all episodes at the same length.
 
-        What is past stays as it is. Actions until the next plan are the same in all futures of a scenario.
+        What is past stays as it is. Until the next plan all futures of an episode have the same actions.
         """
-        gradient = _by_scenario(torch.nan_to_num(gradient), n_futures)
+        gradient = self._by_episode(torch.nan_to_num(gradient))
         gradient[: int(first * self._step_s / self.options.knot_s)] = 0.0
         common = gradient[: math.ceil((first + self.n_between) * self._step_s / self.options.knot_s) + 1]
         common[:] = common.mean(dim=2, keepdim=True)
         direction: Tensor = gradient / (gradient.square().sum(dim=(0, 2, 3), keepdim=True).sqrt() + 1e-12)
         return direction.flatten(1, 2)
-
-
-def _by_scenario(values: Tensor, n_futures: int) -> Tensor:
-    """Return values of all futures (n_knots, n_lanes * n_futures, n) as (n_knots, n_lanes, n_futures, n)."""
-    return values.reshape(len(values), -1, n_futures, values.shape[2])
 
 
 def drive(
@@ -318,7 +320,7 @@ def command(
 ) -> None:
     """Plan for the first validation scenarios of a suite, and score that beside its laws.
 
-    A scenario takes four seconds of one core.
+    A scenario takes six seconds of one core.
 
     Args:
         episodes: so many scenarios, side by side

@@ -99,6 +99,11 @@ class RunSettings(Checked):
         """Arguments of the environment."""
         return {name: getattr(self, name) for name in _OF_ENVIRONMENT}
 
+    @property
+    def validation_interval(self) -> int:
+        """Steps between two validations."""
+        return self.interval or max(1, self.timesteps // 20)
+
     def entry(self, name: str = "", description: str = "") -> dict[str, Any]:
         """Return the keys and values of entry.toml for the run's policy; a ValueError if its name would be refused.
 
@@ -242,12 +247,15 @@ class Run(Checked):
         if not self.curve:
             _exported(learner, self.settings)
         self.write()
+        s, done = self.settings, f"from step {self.curve[-1]['timesteps']}, " if self.curve else ""
+        intervals = f"validates every {s.validation_interval} steps on {s.validation_episodes} scenarios"
+        note(f"{self.folder}: {s.algo} on {s.strategy}, {done}{s.timesteps} steps in all; {intervals}")
         self._began = time.monotonic() - (self.curve[-1]["wall_time_s"] if self.curve else 0.0)
 
     def take_stock(self, learner: Learner, timesteps: int, *, finished: bool = False) -> dict[str, float] | None:
         """Validate, keep the best policy and write a checkpoint, where it is time for it; return the metrics."""
         self.finished = finished
-        interval = self.settings.interval or max(1, self.settings.timesteps // 20)
+        interval = self.settings.validation_interval
         last = int(self.curve[-1]["timesteps"]) if self.curve else -interval
         if timesteps // interval <= last // interval and not (finished and last < timesteps):
             if finished:
@@ -264,6 +272,7 @@ class Run(Checked):
             write_atomically(folder / ENTRY_FILE, entry_text({**self.settings.entry(), **per_group}))
 
         metrics = self.validate(learner, timesteps)
+        note(f"step {timesteps}: {self.title}")
         # First, because one whose row is missing in run.json is validated again on resumption.
         save_folder(self.folder / CHECKPOINTS, timesteps, write_checkpoint)
         if self.best is self.curve[-1]:

@@ -92,7 +92,7 @@ def test_what_cannot_be_done_is_refused():
 
 def test_attributes_are_those_of_single_environments():
     env, reference = native(), dummy()
-    for name in ("observation_space", "action_space", "observation_names", "settings", "render_mode"):
+    for name in ("observation_space", "action_space", "observation_names", "action_names", "settings", "render_mode"):
         assert env.get_attr(name) == reference.get_attr(name), name
         assert env.get_attr(name, indices=[0, 2]) == reference.get_attr(name, indices=[0, 2]), name
     assert env.observation_space == reference.observation_space and env.action_space == reference.action_space

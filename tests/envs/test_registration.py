@@ -129,6 +129,15 @@ def test_scenarios_come_from_the_asked_split_alone_which_is_train_by_default(sui
         assert all(int(seed) in get_suite(suite).seeds(split) for seed in drawn)
 
 
+def test_reset_plays_the_scenario_of_a_seed_of_the_suite():
+    single, batch = GFMWTGEnv(duration_s=4.0), GFMWTGVectorEnv(2, duration_s=4.0)
+    scenario = get_suite("standard-v1").scenario(10_003, duration_s=4.0)
+    (expected, info), (observation, other) = (single.reset(options={"scenario": of}) for of in (scenario, 10_003))
+    assert observation.tobytes() == expected.tobytes() and other == info
+    observations, infos = batch.reset(options={"scenarios": [20_000, 10_003]})
+    assert observations[1].tobytes() == expected.tobytes() and infos["scenario_seed"].tolist() == [20_000, 10_003]
+
+
 def test_fixed_scenario_is_the_same_in_every_episode_and_tells_its_seed():
     env = GFMWTGEnv(scenario=eventful().to_dict(), duration_s=4.0, version="v0")
     starts = [env.reset(seed=seed) for seed in (1, 2, None)]

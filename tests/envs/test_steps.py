@@ -58,6 +58,16 @@ def test_action_on_k_moves_power_up_and_on_tau_only_the_transient():
         assert (value * change > 1e-4).all() if mode == "k" else np.abs(change).max() < 1e-9
 
 
+def test_action_names_are_in_the_order_of_the_action():
+    for mode in ACTION_MODES:
+        env = GFMWTGEnv(scenario=calm(n_wtg=4).to_dict(), action_mode=mode, version="v1")
+        for i, name in enumerate(env.action_names):
+            env.reset()
+            observation = env.step(np.eye(len(env.action_names))[i])[0]
+            seen = dict(zip(env.observation_names, observation, strict=True))
+            assert [key for key in seen if "last_action" in key and seen[key]] == [name.replace(".", ".last_action_")]
+
+
 def test_groups_at_a_shared_bus_in_the_same_wind_behave_alike():
     # Bus 2 holds its voltage with the groups alone: two turbines could not. The number is a constant of the compiled
     # code, without a limit of its own there: more than three groups would take half a minute to compile.

@@ -6,7 +6,8 @@ from wtg_gym.cli.output import say
 def warmup() -> int:
     """Compile the simulator to machine code now rather than at the first use.
 
-    It takes half a minute. The machine code is kept and serves every plant.
+    It takes half a minute for both versions, of which a first step or score needs a part. The machine code is kept and
+    serves every plant.
 
     examples:
       wtg-gym warmup

@@ -38,8 +38,10 @@ class GFMWTGEnv(interface.OverLanes, gym.Env[interface.Observation, interface.Ac
 
     ## Rewards
     In v1 the change of the score in the step, so that the return of an episode is its score minus 100; in v0 minus the
-    cost of the step; see `reward`. The cost is the sum of the terms `info["cost_…"]`. `info["cost"]` is another number,
-    for safe reinforcement learning: 1 in a step that violates a constraint, else 0.
+    cost of the step; see `reward`. In v1 the last step also makes up for the score's logarithm, by up to hundreds of
+    points; an episode that `TimeLimit` cuts has no such step, and its return is no score. The cost is the sum of the
+    terms `info["cost_…"]`. `info["cost"]` is another number, for safe reinforcement learning: 1 in a step that violates
+    a constraint, else 0.
 
     ## Starting State
     The exact equilibrium of the scenario's wind, load and grid at nominal frequency.
@@ -53,7 +55,9 @@ class GFMWTGEnv(interface.OverLanes, gym.Env[interface.Observation, interface.Ac
 
     ## Arguments
     Those of `wtg_gym.envs.EnvSettings`, and `render_mode`. An unknown one raises a TypeError, a value that is not
-    allowed a ValueError. `reset(options={"scenario": …})` plays a scenario of your own.
+    allowed a ValueError. `reset(options={"scenario": …})` plays a scenario of your own, or that of a seed of the suite,
+    in a batch {"scenarios": one for each}; {"reset_mask": (num_envs,) bool} restarts some. `reset(seed=10003)` seeds
+    the generator that draws scenarios: it does not play scenario 10003.
 
     ## Rendering
     `render_mode="rgb_array"` gives frames of 960 × 540 pixels: the grid with the events so far, and curves of frequency
@@ -89,11 +93,13 @@ class GFMWTGEnv(interface.OverLanes, gym.Env[interface.Observation, interface.Ac
 
         Args:
             seed: seeds the generator that draws scenarios; None continues with it.
-            options: {"scenario": Scenario or its to_dict()} plays that scenario.
+            options: {"scenario": Scenario, its to_dict(), or a seed of any split of the suite} plays that scenario.
         """
         checked = interface.check_options(options, ("scenario",))
         # A given scenario that cannot start is refused before the first change, of the generator too.
-        scenario = settings.as_scenario('options["scenario"]', checked["scenario"]) if "scenario" in checked else None
+        scenario = None
+        if "scenario" in checked:
+            scenario = self._lanes.scenario_of('options["scenario"]', checked["scenario"])
         episodes = None if scenario is None else self._lanes.prepare([scenario], turning=True)
         super().reset(seed=seed)
         self._lanes.start([0], self._lanes.next_episode(self.np_random, 0) if episodes is None else episodes)

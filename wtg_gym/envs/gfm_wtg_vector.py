@@ -152,8 +152,8 @@ class GFMWTGVectorEnv(
 
         Args:
             seed: s seeds environment i with s + i; or one seed per environment.
-            options: {"scenarios": one per environment} plays those; {"reset_mask": (num_envs,) bool} restarts only
-                these environments.
+            options: {"scenarios": one per environment, or its seed} plays those; {"reset_mask": (num_envs,) bool}
+                restarts only these environments.
         """
         checked = interface.check_options(options, ("reset_mask", "scenarios"))
         mask = self._reset_mask(checked.get("reset_mask"))
@@ -188,7 +188,7 @@ class GFMWTGVectorEnv(
     def _scenarios(self, option: Any) -> list[Scenario]:
         if not isinstance(option, Sequence) or len(option) != self.num_envs:
             raise ValueError(f'options["scenarios"] must be a list of {self.num_envs} scenarios, got {option!r:.80}')
-        return [settings.as_scenario('options["scenarios"]', scenario) for scenario in option]
+        return [self._lanes.scenario_of('options["scenarios"]', scenario) for scenario in option]
 
     def _lane_seeds(self, seed: int | Sequence[int | None] | None) -> list[int | None]:
         seeds: Sequence[int | None]

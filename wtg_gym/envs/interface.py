@@ -178,6 +178,11 @@ class OverLanes:
         """Names and units of the entries of one episode's observation."""
         return self._lanes.observation_names
 
+    @property
+    def action_names(self) -> list[str]:
+        """Names of the numbers of one episode's action, such as "wtg0.k"."""
+        return self._lanes.action_names
+
 
 def as_actions(actions: Any, shape: tuple[int, ...]) -> Floats:
     """Return actions as floats of a shape; anything but that many real numbers raises a ValueError."""

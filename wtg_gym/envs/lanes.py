@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from wtg_gym.envs.settings import EnvSettings
+from wtg_gym.envs.settings import EnvSettings, as_scenario
 from wtg_gym.envs.stepping import Outputs, bind, log_score, new_outputs, step_blocks, task_data
 from wtg_gym.physics.equilibrium import StartError
 from wtg_gym.physics.layout import Floats, LaneData
@@ -18,7 +18,7 @@ from wtg_gym.physics.protection import Status
 from wtg_gym.physics.scenario import Event, GroupTrip, Scenario
 from wtg_gym.physics.sensors import SensorInput, delay_intervals, sensor_input
 from wtg_gym.physics.simulator import PreparedLanes, Simulator
-from wtg_gym.ranges import whole_steps
+from wtg_gym.ranges import is_whole, whole_steps
 from wtg_gym.signals import undivided
 from wtg_gym.tasks import cost, episode, observation, sensing
 
@@ -99,7 +99,10 @@ class TaskLanes:
         self._reference: TaskLanes | None = None
         self._check_time_constants()
         self._check_draws()
-        self.n_action = self.n_wtg * sum(episode.ACTION_MODES[settings.action_mode])
+        acts = zip(("k", "tau"), episode.ACTION_MODES[settings.action_mode], strict=True)
+        modes = [name for name, is_acted in acts if is_acted]
+        self.action_names = [f"wtg{group}.{name}" for group in range(self.n_wtg) for name in modes]
+        self.n_action = len(self.action_names)
         self.outputs = self._new_outputs(n_lanes)
         # A lane without an episode waits for a reset, as one whose episode is over.
         self.outputs.truncated[:] = True
@@ -181,6 +184,10 @@ class TaskLanes:
             sensors=self.settings.sensor_distribution,
             plant=self.settings.resolved_plant,
         )
+
+    def scenario_of(self, name: str, value: Any) -> Scenario:
+        """Return what `name` of a reset names: a scenario, its `to_dict()`, or that of a seed of the suite."""
+        return self.scenarios([value])[0] if is_whole(value) else as_scenario(name, value)
 
     def prepare(self, scenarios: Sequence[Scenario], *, turning: bool = False) -> PreparedEpisodes:
         """Find the equilibria that episodes of scenarios start from; no running lane is touched.
@@ -335,7 +342,8 @@ class TaskLanes:
             # Before any lane has been stepped.
             invalid = -1 if np.isfinite(actions).all() else int(np.argwhere(~np.isfinite(actions))[0, 0])
         if invalid >= 0:
-            raise ValueError(f"action {actions[invalid].tolist()} of lane {invalid} is not finite; allowed: -1 … 1")
+            where = f" of lane {invalid}" if self.n_lanes > 1 else ""
+            raise ValueError(f"action {actions[invalid].tolist()}{where} is not finite; allowed: -1 … 1")
         if not alone:
             simulator.threads.run(
                 lambda first, last, worker: step_blocks(bound, actions, first, last, worker, False),

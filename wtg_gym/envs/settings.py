@@ -62,8 +62,8 @@ class EnvSettings:
         observation_mode: `"local"`, measurements of each group, or `"privileged"`, with the grid's state too.
         suite: a `Suite` or its name, in v1 with or without `-v1`. Default: the standard suite of the version.
         grid: a `Grid`, its name or the path of its file. Its suite is played, so give no `suite`.
-        groups: number of turbine groups at the bus of the first one, or a list of `{"bus": …, "n_turbines": …}`,
-            optionally with a `"turbine"` (TurbineParameters). Default: the suite's.
+        groups: a list such as `[{"bus": 2, "n_turbines": 52}]`, optionally with a `"turbine"` (TurbineParameters); in
+            v0 also a number of groups, which share 20 turbines at the bus of the first one. Default: the suite's.
         plant: replaces parts of the suite's plant, such as `{"physics": "nrel-5mw"}` (see `Plant.replaced`), or the
             whole by another `Plant`.
         split: `"train"`, `"validation"` or `"test"`.
@@ -130,10 +130,14 @@ class EnvSettings:
             suite = DEFAULT_SUITE if self.version is None else "standard"
         if isinstance(suite, str) and f"{suite}-{self.version}" in SUITES:
             return f"{suite}-{self.version}"
-        if not str(suite).endswith(".json"):
-            known = [name for name, known in SUITES.items() if self.version in (None, known.task.version)]
-            require_choice("suite", suite, known)
+        if not str(suite).endswith(".json") and not (isinstance(suite, str) and suite in SUITES):
+            require_choice("suite", suite, self._suites)
         return suite
+
+    @property
+    def _suites(self) -> list[str]:
+        """Names of the suites of the version."""
+        return [name for name, suite in SUITES.items() if self.version in (None, suite.task.version)]
 
     @cached_property
     def resolved_suite(self) -> Suite:
@@ -141,7 +145,10 @@ class EnvSettings:
         name = self.suite_name
         suite = self.suite if isinstance(self.suite, Suite) else get_suite(name)
         if self.version not in (None, suite.task.version):
-            raise ValueError(f"suite {name!r} is of version {suite.task.version}, not {self.version}")
+            raise ValueError(
+                f"suite {name!r} is of version {suite.task.version}, not {self.version}; choose one of "
+                f"{', '.join(self._suites)}"
+            )
         return suite
 
     @cached_property

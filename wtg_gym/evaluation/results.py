@@ -129,7 +129,8 @@ class Results:
         elif missing := [name for name in self._known_means if name not in self.groups]:
             reason = f"none of the {len(self.seeds)} scenarios is of the stratum {missing[0]!r}"
         elif min(at.size for at in self.groups.values()) < LEAST_SCENARIOS:
-            reason = f"they need {LEAST_SCENARIOS} scenarios of each stratum"
+            least = LEAST_SCENARIOS * len(self._known_means)
+            reason = f"they need {LEAST_SCENARIOS} scenarios of each stratum, such as --scenarios {least}"
         return f"scored without control variates: {reason}" if reason else ""
 
     @property

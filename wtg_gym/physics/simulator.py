@@ -377,7 +377,8 @@ class Simulator:
         dt, n = self.settings.control_dt, self.n_intervals
         if scenario.duration_s > n * dt * (1.0 + 1e-9):
             raise ValueError(
-                f"scenario {scenario.name!r} lasts {scenario.duration_s:g} s, longer than the {n * dt:g} s held here"
+                f"scenario {scenario.name!r} lasts {scenario.duration_s:g} s, longer than the {n * dt:g} s held here; "
+                f"make it shorter, such as suite.scenario(seed, duration_s={n * dt:g})"
             )
         wind, target = scenario.wind_speed, data.wind[lane]
         if abs(scenario.wind_dt_s - dt) < 1e-12:

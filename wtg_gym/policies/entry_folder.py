@@ -231,7 +231,7 @@ def load_entries(spec: str | Path | Iterable[str | Path], task: Task = V1) -> li
     if text.endswith(".zip"):
         raise ValueError(
             f"entry {text}: an archive of Stable-Baselines3 is not opened, because loading it runs the code in it; "
-            "in Python, play its model with Entry(policy=model), or export it with "
+            "in Python, play its model with Entry(policy=model, strategy=...), or export it with "
             "wtg_gym.export_onnx(wtg_gym.sb3.DeterministicPolicy(model), folder, name=...)"
         )
     if shipped := [folder for folder in policy_folders() if text in (folder.name, policy_name(folder))]:
@@ -269,9 +269,11 @@ def _import(name: str, spec: str) -> ModuleType:
 
 def _allowed(text: str) -> str:
     """Return the end of an error about a wrong entry: the names like it, or all."""
+    if text.endswith(".py"):
+        return f"; did you mean {'.'.join(Path(text).with_suffix('').parts) + ':ENTRY'!r}?"
     shipped = (name for folder in policy_folders() if (name := policy_name(folder)))
     baselines = (entry.name for entry in _baselines())
-    names = (*STRATEGY_NAMES, *baselines, BASELINES, *shipped, POLICIES)
+    names = dict.fromkeys((*STRATEGY_NAMES, *baselines, BASELINES, *shipped, POLICIES))
     known = f'{", ".join(map(repr, names))}, a .toml file with a law, a folder with {ENTRY_FILE}, or "module:ATTRIBUTE"'
     return did_you_mean(text, names) or f"; allowed are {known}"
 

@@ -311,7 +311,8 @@ class Wind(Record):
             raise ValueError(
                 f"these {sum(n_turbines):g} turbines give {100.0 * least:.0f} … {100.0 * most:.0f} % of a load of "
                 f"{load_mw:.0f} MW; allowed is a penetration of {100.0 * self.penetration[0]:g} … "
-                f"{100.0 * self.penetration[1]:g} %: other groups or another suite are needed"
+                f"{100.0 * self.penetration[1]:g} %: give other groups in a list such as "
+                '[{"bus": 2, "n_turbines": 52}], or another suite'
             )
 
 

@@ -92,7 +92,8 @@ class CostWeights(NamedTuple):
         """Return the weights as floats; a ValueError names one outside 0 … 1e6 1/s; the cap is 1e-3 1/s or more."""
         lows = {"cap": 1e-3}
         values = self._asdict().items()
-        return CostWeights(*(require_range(name, value, lows.get(name, 0.0), 1e6, "1/s") for name, value in values))
+        checked = (require_range(f"weights: {name}", value, lows.get(name, 0.0), 1e6, "1/s") for name, value in values)
+        return CostWeights(*checked)
 
 
 class GroupDeviations(NamedTuple):
