@@ -214,7 +214,8 @@ def _checked(name: str, value: Any, hint: Any, field: Any, *, is_item: bool = Fa
     ):
         return value
     doc = field.metadata.get("doc")
-    raise ValueError(f"{name} must be {field.type}{f' ({doc})' if doc else ''}, got {value!r:.80}")
+    what = f"{hint.__module__}.{hint.__name__}" if isinstance(hint, type) and issubclass(hint, Checked) else field.type
+    raise ValueError(f"{name} must be {what}{f' ({doc})' if doc else ''}, got {value!r:.80}")
 
 
 def _span(name: str, value: Any, number: type, low: float, high: float, unit: str) -> tuple[float, float]:

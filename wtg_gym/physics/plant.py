@@ -58,7 +58,7 @@ class Plant(Checked):
         shares_dispatch: whether machines with a governor share the initial load by rating and largest gate (1 p.u. at
             most), instead of their `dispatch_mw`.
         control_dt: control interval [s], a whole number of simulation steps.
-        simulation_dt: step of the integration, 0.05 … 40 ms [s]; a simulator refuses one that is too long for the
+        simulation_dt: step of the integration, 0.05 … 50 ms [s]; a simulator refuses one that is too long for the
             plant's fastest mode.
         devices: user-defined devices. Those that see the task need an environment.
         trips_groups: the failure of a rotor (:class:`~wtg_gym.physics.protection.Status`) disconnects its group instead
@@ -136,7 +136,8 @@ class Plant(Checked):
             machine_model: "classical" puts a constant voltage behind x'_d in place of every synchronous machine and its
                 exciter; "genrou" leaves them as they are.
             groups: the WTG groups, their data, or how many share the paper's twenty turbines at the bus of the first.
-            fields: fields of this class; they replace those of `physics` too.
+            fields: fields of this class; they replace those of `physics` too. A dictionary replaces parts of a record,
+                as in `control={"droop_gain_pu": 20.0}`.
 
         Raises:
             ValueError: a name is unknown, or a value is outside its range.
@@ -157,6 +158,11 @@ class Plant(Checked):
                 raise ValueError("an extended plant cannot go back to the physics of the paper; start from Plant()")
         if groups is not None:
             changes["groups"] = parameters.groups_of(groups, self.groups[0].bus if self.groups else self.case.slack_bus)
+        for name, value in fields.items():
+            part = changes.get(name, getattr(self, name))
+            if isinstance(value, Mapping) and hasattr(part, "__dataclass_fields__"):
+                require_known(f"settings of {name}", value, part.__dataclass_fields__)
+                fields[name] = dataclasses.replace(part, **value)
         return dataclasses.replace(self, **{**changes, **fields})
 
     @property
