@@ -6,8 +6,6 @@ trips and lost grids as they are: with a hundred parameters and some ms of one c
 generation has other scenarios.
 """
 
-from __future__ import annotations
-
 import functools
 import pickle
 import sys
@@ -94,7 +92,7 @@ class GroupPolicy(nn.Module):
         self._low = torch.tensor(_LOW)
         self.state_widths: tuple[int, ...] = (n_wtg * len(SLOW_COLUMNS), 1) if history else ()
 
-    def of_one(self) -> GroupPolicy:
+    def of_one(self) -> "GroupPolicy":
         """Return the policy of a single group, with the same weights, now and later."""
         _, (_, n_action) = self._shapes
         policy = GroupPolicy(1, self._n_own, n_action, self._shapes[0][1], 1.0, history=False)
@@ -108,12 +106,10 @@ class GroupPolicy(nn.Module):
         return tuple(state[0] for state in answer)
 
     def act(self, weights: Tensor, observations: Tensor, *states: Tensor) -> tuple[Tensor, ...]:
-        """Return the actions of candidates (n, n_lanes, n_action), and the next states.
+        """Return the actions of candidates (n, n_lanes, n_action) with weights (n, n_parameters), and the next states.
 
-        Args:
-            weights: (n, n_parameters).
-            observations: (n, n_lanes, n_observation).
-            states: (n, n_lanes, …), slow copies, and whether there are any yet; none without history.
+        Observations are (n, n_lanes, n_observation); states (n, n_lanes, …) are slow copies, and whether there are any
+        yet, none without history.
         """
         # The number of lanes stands nowhere: in an exported graph, what depends on it takes longer than all else.
         n, n_wtg = len(weights), self._n_wtg

@@ -1,7 +1,5 @@
 """`python -m agents.export`: a trained policy as ONNX, as an entry of the leaderboard."""
 
-from __future__ import annotations
-
 import functools
 import sys
 from collections.abc import Sequence

@@ -6,8 +6,6 @@ cost besides, which the worst scenarios decide. Failures by slow rotors or low f
 in the loss they come gradually.
 """
 
-from __future__ import annotations
-
 import functools
 import itertools
 import math

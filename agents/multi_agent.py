@@ -5,8 +5,6 @@ lane of its own for Stable-Baselines3, which knows single agents alone. It sees 
 action, and its size: every group's duty counts alike in the cost, but a large one moves the frequency by more.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np
@@ -33,7 +31,7 @@ def group_sizes(settings: EnvSettings) -> Array:
     return sizes
 
 
-def agent_env(settings: RunSettings) -> AgentVecEnv:
+def agent_env(settings: RunSettings) -> "AgentVecEnv":
     """Return the lanes that a run learns in; a ValueError if they are no multiple of the groups or not local."""
     if settings.observation_mode != "local":
         raise ValueError(f"agents of {settings.algo} see what their own groups measure: leave out --observation-mode")

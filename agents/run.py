@@ -4,8 +4,6 @@ A run's folder holds run.json (settings, provenance, curve), checkpoints/, from 
 of any kind, and best/, the policy with the best validation score as an entry that `wtg-gym evaluate` plays.
 """
 
-from __future__ import annotations
-
 import contextlib
 import dataclasses
 import platform
@@ -28,11 +26,9 @@ from torch import nn
 
 from wtg_gym.envs import EnvSettings
 from wtg_gym.envs.lanes import TaskLanes
-from wtg_gym.evaluation import Entry, evaluate
-from wtg_gym.evaluation.circumstances import installed
+from wtg_gym.evaluation import Entry, circumstances, evaluate
 from wtg_gym.files import interpreting, one_line, read_json, to_json, trusted_files, write_atomically
-from wtg_gym.physics.scenario import Scenario
-from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY
+from wtg_gym.physics import scenario, tracking_law
 from wtg_gym.policies.entry_folder import ENTRY_FILE, POLICY_FILE, check_not_built_in, entry_text
 from wtg_gym.policies.torch_export import TorchPolicy, onnx_bytes
 from wtg_gym.progress import Progress
@@ -59,7 +55,7 @@ class Learner(Protocol):
     `save` writes everything that training goes on from.
     """
 
-    def network(self, settings: RunSettings) -> nn.Module: ...
+    def network(self, settings: "RunSettings") -> nn.Module: ...
 
     def save(self, folder: Path) -> object: ...
 
@@ -80,7 +76,7 @@ class RunSettings(Checked):
     action_mode: str = "k+tau"
     observation_mode: str = "local"
     suite: str = DEFAULT_SUITE
-    strategy: str = REFERENCE_STRATEGY
+    strategy: str = tracking_law.REFERENCE_STRATEGY
     seed: int = design(0, "-", "seed of the weights, the exploration and the scenarios", 0, 2**31 - 1)
     timesteps: int = required("-", "design", "steps of all environments together", 1, 10**12)
     n_envs: int = required("-", "design", "number of environments", 1, 100_000)
@@ -116,13 +112,10 @@ class RunSettings(Checked):
             "training_seed": self.seed,
             "environment": get_suite(self.suite).env_id,
         }
-        values |= {} if self.strategy == REFERENCE_STRATEGY else {"strategy": self.strategy}
+        values |= {} if self.strategy == tracking_law.REFERENCE_STRATEGY else {"strategy": self.strategy}
         check_not_built_in("the entry's name", values["name"])
         Entry(**values)
         return values
-
-
-# --- the folder ------------------------------------------------------------------------------------------------------
 
 
 @contextlib.contextmanager
@@ -173,9 +166,6 @@ def loading(path: Path) -> Iterator[Path]:
         raise ValueError(f"{path} is missing, damaged or of another kind: {type(error).__name__}: {error}") from error
 
 
-# --- the run ---------------------------------------------------------------------------------------------------------
-
-
 @dataclass(kw_only=True)
 class Run(Checked):
     """A run as run.json in its folder describes it."""
@@ -197,12 +187,12 @@ class Run(Checked):
             return record(**self.settings.hyperparameters)
 
     @classmethod
-    def new(cls, folder: Path, settings: RunSettings) -> Run:
+    def new(cls, folder: Path, settings: RunSettings) -> "Run":
         """Return a run that starts now, with this process's provenance."""
         return cls(folder=folder, settings=settings, provenance=_provenance(settings))
 
     @classmethod
-    def read(cls, folder: Path) -> Run:
+    def read(cls, folder: Path) -> "Run":
         """Read run.json; a ValueError if there is none, or it is damaged."""
         path = folder / RUN_FILE
         data = read_json(path, "description of the run")
@@ -320,27 +310,23 @@ def _per_group(network: nn.Module) -> bool:
 
 
 def _provenance(settings: RunSettings) -> dict[str, Any]:
+    # The checkout's commit, marked where files differ from it; None outside of a checkout.
+    command = ["git", "-C", str(Path(__file__).parent), "describe", "--always", "--abbrev=40", "--dirty", "--exclude=*"]
+    commit: str | None = None
+    with contextlib.suppress(OSError, subprocess.CalledProcessError):
+        commit = subprocess.run(command, capture_output=True, text=True, check=True).stdout.strip()
     return {
         "command": shlex.join([Path(sys.executable).name, *sys.orig_argv[1:]]),
         "started": time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime()),
         "machine": f"{platform.system()} {platform.machine()}",
-        "git_commit": _git_commit(),
+        "git_commit": commit,
         "source_hash": source_hash(),
         "suite_hash": get_suite(settings.suite).hash,
-        "versions": installed(_PACKAGES),
+        "versions": circumstances.installed(_PACKAGES),
     }
 
 
-def _git_commit() -> str | None:
-    """Return the checkout's commit, marked where files differ from it; None outside of a checkout."""
-    command = ["git", "-C", str(Path(__file__).parent), "describe", "--always", "--abbrev=40", "--dirty", "--exclude=*"]
-    try:
-        return subprocess.run(command, capture_output=True, text=True, check=True).stdout.strip()
-    except (OSError, subprocess.CalledProcessError):
-        return None
-
-
-def draw(lanes: TaskLanes, rng: np.random.Generator, n_scenarios: int) -> list[Scenario]:
+def draw(lanes: TaskLanes, rng: np.random.Generator, n_scenarios: int) -> list[scenario.Scenario]:
     """Return training scenarios; of strata their seeds follow one another: three hold one of each."""
     if not lanes.suite.strata:
         return lanes.draw([rng] * n_scenarios)
@@ -368,9 +354,6 @@ def train_in_rounds(run: Run, learner: RoundLearner, timesteps: int, learn: Call
     run.take_stock(learner, n_rounds * timesteps, finished=True)
 
 
-# --- the command -----------------------------------------------------------------------------------------------------
-
-
 def _whole(_: Any, tokens: Sequence[Token]) -> int:
     # Without this, 2.5 would be rounded.
     return int(tokens[0].value)
@@ -394,7 +377,7 @@ class RunOptions:
     """what it sees"""
     suite: str = DEFAULT_SUITE
     """suite to train and validate on"""
-    strategy: str = REFERENCE_STRATEGY
+    strategy: str = tracking_law.REFERENCE_STRATEGY
     """law that the actions modulate"""
     seed: Whole = 0
     """seed of everything random"""

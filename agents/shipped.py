@@ -1,7 +1,5 @@
 """`python -m agents.shipped`: how the shipped policies were trained, as table and picture of docs/agents.md."""
 
-from __future__ import annotations
-
 import functools
 import re
 import sys
@@ -10,15 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from agents.run import BEST, Run, folders, note, run_command
-from wtg_gym.files import (
-    markdown_table,
-    read_json,
-    read_toml,
-    sha256,
-    to_json,
-    update_between_markers,
-    write_atomically,
-)
+from wtg_gym import files
 from wtg_gym.plotting.style import DOUBLE_COLUMN_MM, new_figure, printed, save_figure, strategy_looks
 from wtg_gym.policies.entry_folder import ENTRY_FILE, POLICY_FILE, policy_folders
 
@@ -36,10 +26,10 @@ _COLUMNS = ("policy", "seeds", "steps [million]", "validation score", "minutes",
 def record(run_folder: Path) -> tuple[str, dict[str, Any]]:
     """Return the folder in agents/policies with the best policy of a run, and the record of its training."""
     run = Run.read(run_folder)
-    shipped = {sha256((folder / POLICY_FILE).read_bytes()): folder.name for folder in policy_folders()}
+    shipped = {files.sha256((folder / POLICY_FILE).read_bytes()): folder.name for folder in policy_folders()}
     rows = {int(row["timesteps"]): row for row in run.curve}
     for best in folders(run_folder / BEST):
-        digest = sha256((best / POLICY_FILE).read_bytes())
+        digest = files.sha256((best / POLICY_FILE).read_bytes())
         if digest in shipped:
             return shipped[digest], {
                 "command": run.provenance["command"],
@@ -58,9 +48,9 @@ def record(run_folder: Path) -> tuple[str, dict[str, Any]]:
 
 def table() -> str:
     """Return the table: a row per name of an entry and environment, its training seeds together."""
-    records = read_json(RECORDS, "records of the trainings")
+    records = files.read_json(RECORDS, "records of the trainings")
     groups: dict[tuple[str, str], list[Path]] = {}
-    entries = {folder: read_toml(folder / ENTRY_FILE, "entry file") for folder in policy_folders()}
+    entries = {folder: files.read_toml(folder / ENTRY_FILE, "entry file") for folder in policy_folders()}
     for folder, entry in entries.items():
         groups.setdefault((entry["environment"], entry["name"]), []).append(folder)
     rows = []
@@ -78,14 +68,14 @@ def table() -> str:
                 ", ".join(dict.fromkeys(f"`{training['git_commit'][:8]}`" for training in trainings)),
             ]
         )
-    return markdown_table(_COLUMNS, rows, right=(1, 2, 3, 4))
+    return files.markdown_table(_COLUMNS, rows, right=(1, 2, 3, 4))
 
 
 @printed
-def curves() -> Figure:
+def curves() -> "Figure":
     """Return a figure of validation scores over the minutes of training, of every policy whose record has them."""
-    records = read_json(RECORDS, "records of the trainings")
-    names = {folder.name: read_toml(folder / ENTRY_FILE, "entry file")["name"] for folder in policy_folders()}
+    records = files.read_json(RECORDS, "records of the trainings")
+    names = {folder.name: files.read_toml(folder / ENTRY_FILE, "entry file")["name"] for folder in policy_folders()}
     shown = {folder: record["curve"] for folder, record in records.items() if "curve" in record}
     looks = strategy_looks(dict.fromkeys(names[folder] for folder in shown))
     figure = new_figure(DOUBLE_COLUMN_MM, 70.0)
@@ -110,11 +100,11 @@ def command(*runs: Path) -> None:
     Args:
         runs: folders of runs whose best policies are files of agents/policies, to add to agents/shipped.json first
     """
-    records = read_json(RECORDS, "records of the trainings")
+    records = files.read_json(RECORDS, "records of the trainings")
     records |= dict(record(run) for run in runs)
-    write_atomically(RECORDS, to_json(records))
+    files.write_atomically(RECORDS, files.to_json(records))
     save_figure(curves(), PICTURE, ["svg"])
-    changed = update_between_markers(PAGE, table(), "shipped")
+    changed = files.update_between_markers(PAGE, table(), "shipped")
     note(f"{PAGE}: {'updated' if changed else 'already up to date'}")
 
 

@@ -4,8 +4,6 @@ Hyperparameters are in the yml format of RL Zoo. A checkpoint holds the learner 
 and the replay buffer. It is made of pickles, which run code when they are loaded: load your own only.
 """
 
-from __future__ import annotations
-
 import copy
 import functools
 import itertools
@@ -194,14 +192,6 @@ class _Supervision(BaseCallback):
             self.logger.record(f"validation/{key}", value)
 
 
-def new_settings(options: RunOptions, algo: str | None, config: Path | None) -> RunSettings:
-    """Return the settings that the options and the hyperparameter file ask for; a ValueError if one is wrong."""
-    if algo is None:
-        raise ValueError(f"--algo is needed: {', '.join(TRAINED)}")
-    raw = read_config(config or CONFIG_FOLDER / f"{algo}.yml", get_suite(options.suite).task.env_id)
-    return options.settings(algo, raw, timesteps=raw.get("n_timesteps", 0), n_envs=raw.get("n_envs", 1))
-
-
 def command(
     *,
     algo: Literal["ppo", "recurrent_ppo", "sac", "ippo"] | None = None,
@@ -221,7 +211,14 @@ def command(
         algo: the algorithm
         config: hyperparameters; default: agents/configs/<algo>.yml
     """
-    begin_or_go_on(options, TRAINED, lambda: new_settings(options, algo, config), train)
+
+    def settings() -> RunSettings:
+        if algo is None:
+            raise ValueError(f"--algo is needed: {', '.join(TRAINED)}")
+        raw = read_config(config or CONFIG_FOLDER / f"{algo}.yml", get_suite(options.suite).task.env_id)
+        return options.settings(algo, raw, timesteps=raw.get("n_timesteps", 0), n_envs=raw.get("n_envs", 1))
+
+    begin_or_go_on(options, TRAINED, settings, train)
 
 
 #: Runs the command with some words, by default those of the command line, and returns its exit code.

@@ -9,6 +9,7 @@ from hypothesis import HealthCheck, settings
 
 from wtg_gym import Plant
 from wtg_gym.physics.simulator import Simulator
+from wtg_gym.scenarios import FROZEN_HASHES, SUITES
 
 # A deadline for an example would fail on a busy machine.
 settings.register_profile("untimed", deadline=None, suppress_health_check=[HealthCheck.too_slow])
@@ -42,6 +43,13 @@ def pytest_collection_finish() -> None:
     gc.enable()
     gc.collect()
     gc.freeze()
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _hashes():
+    """The hashes of the suites, each of which takes seconds of drawing: tests/scenarios/test_suites.py draws them."""
+    for name, known in FROZEN_HASHES.items():
+        vars(SUITES[name])["hash"] = known
 
 
 @pytest.fixture(scope="session")

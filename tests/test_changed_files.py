@@ -24,6 +24,12 @@ from wtg_gym.scenarios import get_suite, read_wind_csv
 
 LAW = {"name": "mine", "k_min": 1.0, "k_nominal": 0.66, "deloading_max": 20.0, "tau_s": 0.2}
 STANDARD_V1 = get_suite("standard-v1")
+COMMANDS = {
+    "ieee14": ["grid", "check", "grid.json"],
+    "suite": ["suites", "suite.json", "--seed", "10000"],
+    "scenario": ["simulate", "--suite", "standard-v1", "--duration", "1", "--scenario", "scenario.json"],
+    "law": ["simulate", "--duration", "1", "--strategy", "law.toml"],
+}
 
 
 def toml_text(data) -> str:
@@ -92,14 +98,6 @@ def test_a_changed_file_is_read_or_refused_in_a_line_with_its_name(tmp_path, kin
     read(path)
     write(path, text_of(data.draw(changed(original))))
     read_or_refused(path, read)
-
-
-COMMANDS = {
-    "ieee14": ["grid", "check", "grid.json"],
-    "suite": ["suites", "suite.json", "--seed", "10000"],
-    "scenario": ["simulate", "--suite", "standard-v1", "--duration", "1", "--scenario", "scenario.json"],
-    "law": ["simulate", "--duration", "1", "--strategy", "law.toml"],
-}
 
 
 @pytest.mark.parametrize("kind", COMMANDS)

@@ -16,6 +16,14 @@ from wtg_gym.sb3 import make_sb3_vec_env
 from wtg_gym.tasks.cost import COST_TERMS
 
 SHORT = {"version": "v0", "duration_s": 2.0}
+#: For the four groups of version v1; v0 takes the first four columns.
+BEFORE, AFTER, OTHER = (actions_of(seed, n, 17, 8) for seed, n in ((20, 13), (21, 60), (22, 25)))
+DELAYED = {"version": "v1", "sensors": {"delay_s": (0.3, 0.9)}}
+SETTINGS = [
+    {"version": "v0", "suite": "gust"},
+    {**DELAYED, "suite": "faults", "observation_mode": "privileged"},
+]
+MANY_EVENTS = calm(events=tuple(LoadStep(time_s=0.1 * n, bus=3, power_mw=2.0) for n in range(1, 31))).to_dict()
 
 
 def copies(original):
@@ -79,15 +87,6 @@ def test_pickles_and_copies_do_the_same_to_the_last_bit(kind):
     assert [bits(outcome(twin)) for twin in twins] == [expected, expected]
 
 
-#: For the four groups of version v1; v0 takes the first four columns.
-BEFORE, AFTER, OTHER = (actions_of(seed, n, 17, 8) for seed, n in ((20, 13), (21, 60), (22, 25)))
-DELAYED = {"version": "v1", "sensors": {"delay_s": (0.3, 0.9)}}
-SETTINGS = [
-    {"version": "v0", "suite": "gust"},
-    {**DELAYED, "suite": "faults", "observation_mode": "privileged"},
-]
-
-
 def steps_of(env, actions: np.ndarray, mode: AutoresetMode = AutoresetMode.NEXT_STEP, **reset):
     """Return the steps of a single environment in a list of one, or of every lane of a batch."""
     if isinstance(env, GFMWTGEnv):
@@ -107,9 +106,6 @@ def test_copies_of_a_running_environment_go_on_alike_through_later_resets(settin
     for twin in twins:
         assert one == steps_of(twin, AFTER)
         assert mode is None or twin.lanes.simulator.blocks.ctypes.data % 64 == 0, "blocks begin at a cache line"
-
-
-MANY_EVENTS = calm(events=tuple(LoadStep(time_s=0.1 * n, bus=3, power_mw=2.0) for n in range(1, 31))).to_dict()
 
 
 @pytest.mark.parametrize("n_lanes", [None, 17])

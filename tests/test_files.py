@@ -42,6 +42,24 @@ REFUSED_TOML = (
     ("a = 2020-01-01", "holds a date; allowed: texts, numbers, lists and objects"),
 )
 CASES = [(f"data.{kind}", *case) for kind, cases in (("json", REFUSED_JSON), ("toml", REFUSED_TOML)) for case in cases]
+UNEXPECTED = [
+    (KeyError("wind"), "it misses 'wind'"),
+    (ValueError("k_min = 9\np.u."), "k_min = 9 p.u."),
+    (TypeError("no number"), r"it holds what cannot be used \(TypeError: no number\)"),
+    (RecursionError("deep"), r"it holds what cannot be used \(RecursionError: deep\)"),
+    (OSError(2, "No such file", "other.json"), "other.json: No such file"),
+]
+START, END = "<!-- table:start -->", "<!-- table:end -->"
+NO_FILES = [
+    ("", ""),
+    ("no/such/file", "No such file"),
+    ("with\0null", "null"),
+    ("folder", ""),
+    ("loop", "symbolic links"),
+    ("pipe", "it is no plain file"),
+    ("device", "it is no plain file"),
+    ("large", "it has 1099511627776 bytes; allowed: at most"),
+]
 
 
 @pytest.mark.parametrize(("name", "text", "said"), CASES, ids=lambda value: value[:20])
@@ -83,45 +101,18 @@ def odd(tmp_path):
 
 
 @pytest.mark.parametrize("what", files.LARGEST_BYTES)
-@pytest.mark.parametrize(
-    ("name", "reason"),
-    [
-        ("", ""),
-        ("no/such/file", "No such file"),
-        ("with\0null", "null"),
-        ("folder", ""),
-        ("loop", "symbolic links"),
-        ("pipe", "it is no plain file"),
-        ("device", "it is no plain file"),
-        ("large", "it has 1099511627776 bytes; allowed: at most"),
-    ],
-)
+@pytest.mark.parametrize(("name", "reason"), NO_FILES)
 def test_what_is_no_file_or_too_large_is_named_at_once(odd, what, name, reason):
     with pytest.raises(ValueError, match=rf"^cannot read the {what} .*{re.escape(ascii(name)[1:-1])}.*: .*{reason}"):
         files.read_bytes(odd / name, what)
 
 
-UNEXPECTED = [
-    (KeyError("wind"), "it misses 'wind'"),
-    (ValueError("k_min = 9\np.u."), "k_min = 9 p.u."),
-    (TypeError("no number"), r"it holds what cannot be used \(TypeError: no number\)"),
-    (RecursionError("deep"), r"it holds what cannot be used \(RecursionError: deep\)"),
-    (OSError(2, "No such file", "other.json"), "other.json: No such file"),
-]
-
-
 @pytest.mark.parametrize(("error", "said"), UNEXPECTED)
-def test_an_error_of_the_content_names_the_file_in_one_line(error, said):
+def test_an_error_of_the_content_names_the_file_in_one_line_and_another_stays_as_it_is(error, said):
     with pytest.raises(ValueError, match=rf"grid a\\nb\.json: {said}$"), files.interpreting(Path("a\nb.json"), "grid"):
         raise error
-
-
-def test_an_error_that_no_content_causes_stays_as_it_is():
     with pytest.raises(AssertionError), files.interpreting(Path("a.json"), "grid"):
         raise AssertionError
-
-
-START, END = "<!-- table:start -->", "<!-- table:end -->"
 
 
 @pytest.mark.parametrize("newline", ["\n", "\r\n"])
@@ -236,16 +227,13 @@ def test_what_is_written_is_the_users_alone_and_replaces_whatever_is_there(path)
         spoil(path)
         write_trusted(path, b"new")
         assert read_trusted(path) == b"new" and not path.is_symlink() and path.stat().st_mode & 0o777 == 0o600
+    # A folder is looked at without being made.
+    with pytest.raises(FileNotFoundError):
+        files.trusted_folder(path.parent / "none" / "code")
     path.parent.chmod(0o777)
     with pytest.raises(PermissionError, match="another user could change it"):
         write_trusted(path, b"never")
     assert path.read_bytes() == b"new" and {each.name for each in path.parent.iterdir()} == {"file", "other"}
-
-
-def test_a_folder_is_looked_at_without_being_made(path):
-    with pytest.raises(FileNotFoundError):
-        files.trusted_folder(path.parent / "none" / "code")
-    assert list(path.parent.iterdir()) == [path]
 
 
 @pytest.mark.parametrize(("group", "is_private"), [(12345, True), (12346, False)])

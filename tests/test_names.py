@@ -1,7 +1,4 @@
-"""One rule of names and texts at every door: they are plain text in tables, spreadsheets, Markdown and HTML.
-
-A misspelt name is refused with the nearest one that there is, by whatever it names.
-"""
+"""One rule of names and texts at every door: they are plain text in tables, spreadsheets, Markdown and HTML."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -21,15 +18,6 @@ from wtg_gym.policies.entry_folder import parse_submission
 from wtg_gym.ranges import ByName
 
 LAW = {"k_min": 1.0, "k_nominal": 0.8, "k_max": 0.6}
-
-
-def test_ordinary_names_and_texts_are_legal():
-    for name in ("x", "Jane Doe", "O'Brien, Sean (ETH)", "The wtg_gym authors", "PPO (k, tau)", "SAC, k+tau", "A & B"):
-        assert check_name("it", name) == name
-    for text in ("", "standard, split train: 64 scenarios; 2e6 steps", "1.5 % of k/tau, see the paper!"):
-        assert check_text("it", text) == text
-
-
 #: Would be another name, a formula of a spreadsheet, a command, markup, a link, an address, or has a blank at an end.
 WRONG = (
     *("m\u043ept", "\u00e9", "\uff21", "x\u200b", "=1+1", "@SUM(A1)", "+1", "-1", "a;=1+1", "a; -1"),
@@ -37,6 +25,39 @@ WRONG = (
     *("a &lt; b", "a `b`", "a | b", "a \\ b", "a ~b~", "a $b$", "# a", "1. a", "see #1", "see GH-1", "see @a"),
     *("a@example.org", "https://example.org", "WWW.example.org", "a :b: c"),
 )
+DOORS: dict[str, Callable[[str, Path], object]] = {
+    "law": lambda name, _: TrackingLaw(name=name, **LAW),
+    "law file": lambda name, path: read_law(_law(name, path / "x.toml")),
+    "law file as an entry": lambda name, path: load_entries(_law(name, path / "x.toml")),
+    "entry": lambda name, _: Entry(name=name),
+    "folder": lambda name, path: load_entries(_entry(TOML.replace("Mine", name), path / "x")),
+    "author": lambda name, path: load_entries(_entry(TOML.replace("Jane Doe", name), path / "x")),
+    "text": lambda name, path: load_entries(_entry(f'{TOML}trained_on = "{name}"\n', path / "x")),
+    "submission": lambda name, _: parse_submission(TOML.replace("Mine", name).encode()),
+}
+MISSPELT = [
+    (lambda: get_suite("standrad"), "standard"),
+    (lambda: EnvSettings(version="v1", suite="wek-grid-v1"), "weak-grid-v1"),
+    (lambda: get_suite("standard").seeds("tests"), "test"),
+    (lambda: EnvSettings(version="V1"), "v1"),
+    (lambda: EnvSettings(plant={"physics": "extented"}).resolved_plant, "extended"),
+    (lambda: Plant().replaced(physics="nrel_5mw"), "nrel-5mw"),
+    (lambda: EnvSettings(action_mode="k+taw"), "k+tau"),
+    (lambda: EnvSettings(weights={"dutty": 0.0}).cost_weights(), "duty"),
+    (lambda: get_grid("kundru"), "kundur"),
+    (lambda: get_law("mptt"), "mppt"),
+    (lambda: load_entries("Coordinated-Tunned"), "coordinated-tuned"),
+    (lambda: load_entries("fast-drop"), "fast-droop"),
+    (lambda: load_entries("polices"), "policies"),
+    (lambda: ByName("agent", {"wtg0": 0})["wtg"], "wtg0"),
+]
+
+
+def test_ordinary_names_and_texts_are_legal():
+    for name in ("x", "Jane Doe", "O'Brien, Sean (ETH)", "The wtg_gym authors", "PPO (k, tau)", "SAC, k+tau", "A & B"):
+        assert check_name("it", name) == name
+    for text in ("", "standard, split train: 64 scenarios; 2e6 steps", "1.5 % of k/tau, see the paper!"):
+        assert check_text("it", text) == text
 
 
 @pytest.mark.parametrize("text", WRONG)
@@ -67,18 +88,6 @@ def _entry(toml: str, path: Path) -> Path:
     return folder(path, toml=toml)
 
 
-DOORS: dict[str, Callable[[str, Path], object]] = {
-    "law": lambda name, _: TrackingLaw(name=name, **LAW),
-    "law file": lambda name, path: read_law(_law(name, path / "x.toml")),
-    "law file as an entry": lambda name, path: load_entries(_law(name, path / "x.toml")),
-    "entry": lambda name, _: Entry(name=name),
-    "folder": lambda name, path: load_entries(_entry(TOML.replace("Mine", name), path / "x")),
-    "author": lambda name, path: load_entries(_entry(TOML.replace("Jane Doe", name), path / "x")),
-    "text": lambda name, path: load_entries(_entry(f'{TOML}trained_on = "{name}"\n', path / "x")),
-    "submission": lambda name, _: parse_submission(TOML.replace("Mine", name).encode()),
-}
-
-
 @pytest.mark.parametrize("door", DOORS)
 @pytest.mark.parametrize("name", ["m\u043ept", "=1+1", "@SUM(A1)", "<b>"])
 def test_every_door_has_the_rule(door, name, tmp_path):
@@ -100,25 +109,7 @@ def test_names_that_look_alike_are_one():
     assert plain_name("SAC 0") == plain_name("SAC O") != plain_name("SAC 8")
 
 
-@pytest.mark.parametrize(
-    ("look_up", "nearest"),
-    [
-        (lambda: get_suite("standrad"), "standard"),
-        (lambda: EnvSettings(version="v1", suite="wek-grid-v1"), "weak-grid-v1"),
-        (lambda: get_suite("standard").seeds("tests"), "test"),
-        (lambda: EnvSettings(version="V1"), "v1"),
-        (lambda: EnvSettings(plant={"physics": "extented"}).resolved_plant, "extended"),
-        (lambda: Plant().replaced(physics="nrel_5mw"), "nrel-5mw"),
-        (lambda: EnvSettings(action_mode="k+taw"), "k+tau"),
-        (lambda: EnvSettings(weights={"dutty": 0.0}).cost_weights(), "duty"),
-        (lambda: get_grid("kundru"), "kundur"),
-        (lambda: get_law("mptt"), "mppt"),
-        (lambda: load_entries("Coordinated-Tunned"), "coordinated-tuned"),
-        (lambda: load_entries("fast-drop"), "fast-droop"),
-        (lambda: load_entries("polices"), "policies"),
-        (lambda: ByName("agent", {"wtg0": 0})["wtg"], "wtg0"),
-    ],
-)
+@pytest.mark.parametrize(("look_up", "nearest"), MISSPELT)
 def test_a_misspelt_name_is_refused_with_the_nearest(look_up, nearest):
     with pytest.raises((ValueError, KeyError), match=f"; did you mean '{nearest.replace('+', '.')}'\\?"):
         look_up()

@@ -19,7 +19,6 @@ WORKFLOWS = sorted((ROOT / ".github" / "workflows").glob("*.yml"))
 
 
 def pins(name: str) -> dict[str, list[str]]:
-    """Return the hashes of a file of pins by their requirements."""
     text = (ROOT / name).read_text(encoding="utf-8").replace("\\\n", "")
     lines = (line.split("--hash=") for line in text.splitlines() if not line.startswith("#"))
     return {requirement.strip(): [one.strip() for one in hashes] for requirement, *hashes in lines}

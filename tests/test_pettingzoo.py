@@ -30,6 +30,15 @@ CASES = {
     "v1, faults": {"version": "v1", "suite": "faults", "on_failure": "trip", "strategy": "mppt"},
     "v1, a group trips": {"version": "v1", "scenario": eventful(n_wtg=4)},
 }
+ZERO = np.zeros(2)
+BAD_ACTIONS = [
+    ({"wtg0": ZERO}, "actions are missing of wtg1; needed: wtg0, wtg1"),
+    ({"wtg0": ZERO, "wtg1": ZERO, "wtg2": ZERO}, r"unknown agents \['wtg2'\]; known agents: wtg0"),
+    ({"wtg0": ZERO, "wtg1": np.zeros(4)}, r"wtg1: the action must be .* shape \(2,\), got shape \(4,\)"),
+    ({"wtg0": ZERO, "wtg1": "up"}, "wtg1: the action must be real numbers"),
+    ({"wtg0": ZERO, "wtg1": [0.0, np.nan]}, r"wtg1: the action \[0.0, nan\] is not finite"),
+    (np.zeros(4), "actions must be a dictionary by agent, got ndarray"),
+]
 
 
 def split(env: GFMWTGParallelEnv, joint: np.ndarray) -> dict[str, np.ndarray]:
@@ -103,25 +112,10 @@ def test_official_tests_of_pettingzoo_pass(version):
         api_test(parallel_to_aec(make()), num_cycles=500)
 
 
-@pytest.mark.parametrize(("argument", "text"), [("observation_mode", "cannot be chosen"), ("wind", "known settings")])
-def test_arguments_that_it_does_not_take_are_named(argument, text):
-    arguments = {argument: "local"}
-    with pytest.raises(TypeError, match=f"{argument}.* {text}"):
-        parallel_env(**arguments)
-
-
-ZERO = np.zeros(2)
-BAD_ACTIONS = [
-    ({"wtg0": ZERO}, "actions are missing of wtg1; needed: wtg0, wtg1"),
-    ({"wtg0": ZERO, "wtg1": ZERO, "wtg2": ZERO}, r"unknown agents \['wtg2'\]; known agents: wtg0"),
-    ({"wtg0": ZERO, "wtg1": np.zeros(4)}, r"wtg1: the action must be .* shape \(2,\), got shape \(4,\)"),
-    ({"wtg0": ZERO, "wtg1": "up"}, "wtg1: the action must be real numbers"),
-    ({"wtg0": ZERO, "wtg1": [0.0, np.nan]}, r"wtg1: the action \[0.0, nan\] is not finite"),
-    (np.zeros(4), "actions must be a dictionary by agent, got ndarray"),
-]
-
-
-def test_bad_calls_are_named_and_change_nothing():
+def test_bad_arguments_and_calls_are_named_and_change_nothing():
+    for argument, text in (("observation_mode", "cannot be chosen"), ("wind", "known settings")):
+        with pytest.raises(TypeError, match=f"{argument}.* {text}"):
+            parallel_env(**{argument: "local"})
     env = parallel_env(version="v0")
     for call in (env.state, lambda: env.step({})):
         with pytest.raises(RuntimeError, match=r"call reset\(\)"):

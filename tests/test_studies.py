@@ -22,6 +22,8 @@ from wtg_gym.tasks import V1
 
 DOCS = Path(__file__).resolve().parent.parent / "docs"
 STUDIES = {path.stem for path in (DOCS / "studies").glob("*.py")}
+#: Claims whose numbers are rounding.
+LAST_DIGITS = {"coordination", "compatible", "stays-stable"}
 
 
 @pytest.mark.parametrize("name", sorted(STUDIES))
@@ -92,10 +94,6 @@ def test_episodes_of_a_dataset_are_those_of_their_players_and_play_again_to_the_
         for action, expected, reward in zip(episode.actions, episode.observations[1:], episode.rewards, strict=True):
             observation, earned, *_ = env.step(action)
             assert np.array_equal(observation, expected) and earned == reward
-
-
-#: Claims whose numbers are rounding.
-LAST_DIGITS = {"coordination", "compatible", "stays-stable"}
 
 
 @pytest.mark.parametrize("wind", [8.0, 13.0, 20.0])

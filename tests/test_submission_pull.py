@@ -14,6 +14,15 @@ pytestmark = pytest.mark.skipif(
     shutil.which("git") is None or shutil.which("bash") is None or sys.platform != "linux",
     reason="needs git, bash and Linux",
 )
+CHANGES: dict[str, Callable[[Path], object]] = {
+    "code": lambda pull: (pull / "code.py").write_text("raise SystemExit\n"),
+    "another's policy": lambda pull: (pull / "agents/policies/first/policy.onnx").write_bytes(b"mine"),
+    "a file more": lambda pull: (pull / "agents/policies/first/more.md").write_text("mine"),
+    "a part less": lambda pull: (pull / "agents/policies/first/README.md").unlink(),
+    "a file beside the folders": lambda pull: (pull / "agents/policies/x").write_text("mine"),
+    "a name for the shell": lambda pull: (pull / "agents/policies/first/$(id)\n").write_text("mine"),
+    "a link": lambda pull: (pull / "agents/policies/link").symlink_to("first"),
+}
 
 
 def git(folder: Path, *arguments: str) -> str:
@@ -36,7 +45,6 @@ def entry(name: str) -> Callable[[Path], object]:
 
 @pytest.fixture
 def base(tmp_path):
-    """A repository with two entries and some code."""
     folder = tmp_path / "base"
     for name in ("first", "second"):
         entry(name)(folder)
@@ -76,17 +84,6 @@ def test_new_folder_is_checked_beside_the_others_and_scored(judge, tmp_path):
     mine = f"{tmp_path}/pull/agents/policies/mine"
     options = f"--beside {beside} --results results --cards results/cards"
     assert (code, said) == (0, f"wtg-gym submission score {mine} {options}\n")
-
-
-CHANGES: dict[str, Callable[[Path], object]] = {
-    "code": lambda pull: (pull / "code.py").write_text("raise SystemExit\n"),
-    "another's policy": lambda pull: (pull / "agents/policies/first/policy.onnx").write_bytes(b"mine"),
-    "a file more": lambda pull: (pull / "agents/policies/first/more.md").write_text("mine"),
-    "a part less": lambda pull: (pull / "agents/policies/first/README.md").unlink(),
-    "a file beside the folders": lambda pull: (pull / "agents/policies/x").write_text("mine"),
-    "a name for the shell": lambda pull: (pull / "agents/policies/first/$(id)\n").write_text("mine"),
-    "a link": lambda pull: (pull / "agents/policies/link").symlink_to("first"),
-}
 
 
 @pytest.mark.parametrize("change", CHANGES)

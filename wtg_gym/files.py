@@ -123,9 +123,6 @@ def _naming(path: Path) -> Iterator[None]:
         raise OSError(error.errno, error.strerror, str(path)) from error
 
 
-# --- files whose content is run: no other user may have put or changed them ------------------------------------------
-
-
 def trusted_folder(path: Path, *, make: bool = False) -> Path:
     """Return a folder, with all links followed, that no other user can put a file into or replace; else an OSError.
 

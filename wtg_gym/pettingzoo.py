@@ -7,8 +7,7 @@ import gymnasium as gym
 import numpy as np
 import numpy.typing as npt
 
-from wtg_gym.envs import GFMWTGEnv
-from wtg_gym.envs.interface import as_actions
+from wtg_gym.envs import GFMWTGEnv, interface
 from wtg_gym.envs.rendering import Frame
 from wtg_gym.envs.settings import EnvArguments
 from wtg_gym.extras import install_advice
@@ -42,15 +41,12 @@ class GFMWTGParallelEnv(ParallelEnv[str, Observation, Action]):  # type: ignore[
       `on_failure="trip"`, by its rotor's speed. The group's action is zero from then on. At the end of the episode all
       agents that are left are terminated or truncated.
 
-    Every info is that of the single environment.
+    Every info is that of the single environment. A TypeError names an argument that is unknown, a ValueError one that
+    is out of range.
 
     Args:
         render_mode: as for the single environment.
         arguments: as for :class:`wtg_gym.envs.GFMWTGEnv`, but `observation_mode`.
-
-    Raises:
-        TypeError: an argument is unknown.
-        ValueError: an argument is out of range.
     """
 
     def __init__(self, *, render_mode: str | None = None, **arguments: Unpack[EnvArguments]) -> None:
@@ -96,17 +92,13 @@ class GFMWTGParallelEnv(ParallelEnv[str, Observation, Action]):  # type: ignore[
     ) -> tuple[dict[str, Observation], dict[str, dict[str, Any]]]:
         """Start an episode.
 
+        It returns observations and infos by agent. A ValueError refuses a scenario that does not fit, a
+        gymnasium.error.Error a seed that is not a whole number of 0 or more; nothing has changed then.
+
         Args:
             seed: seeds the generator that scenarios are drawn with; None goes on with it.
             options: {"scenario": Scenario or its to_dict()} plays that scenario. Others are ignored with a warning, as
                 PettingZoo's own tests want it.
-
-        Returns:
-            observations and infos by agent.
-
-        Raises:
-            ValueError: a scenario that does not fit; nothing has changed then.
-            gymnasium.error.Error: the seed is not a whole number of 0 or more.
         """
         if isinstance(options, Mapping):
             unknown = sorted(str(key) for key in options if key != "scenario")
@@ -122,19 +114,11 @@ class GFMWTGParallelEnv(ParallelEnv[str, Observation, Action]):  # type: ignore[
 
     @undivided
     def step(self, actions: Mapping[str, Action]) -> Step:
-        """Hold the actions for one control interval.
+        """Hold the actions (n_modes,) of every agent that is there, clipped to [-1, 1], for one control interval.
 
-        Args:
-            actions: (n_modes,) of every agent that is there, clipped to [-1, 1]; those of agents that have left are
-                ignored.
-
-        Returns:
-            observations, rewards, terminations, truncations and infos of the agents that acted.
-
-        Raises:
-            ValueError: an action is missing, has the wrong shape or a value that is not finite; nothing has been
-                stepped then.
-            RuntimeError: no agent is there, call reset().
+        Those of agents that have left are ignored. It returns observations, rewards, terminations, truncations and
+        infos of the agents that acted. A ValueError says that an action is missing, has another shape or is not finite,
+        and nothing has been stepped; a RuntimeError that no agent is there, so that reset() is needed.
         """
         if not self.agents:
             raise RuntimeError("the episode is over or was never started; call reset() before step()")
@@ -161,7 +145,7 @@ class GFMWTGParallelEnv(ParallelEnv[str, Observation, Action]):  # type: ignore[
         joint = np.zeros(len(self._done_by) * self._action_shape[0])
         for agent in self.agents:
             try:
-                action = as_actions(actions[agent], self._action_shape)
+                action = interface.as_actions(actions[agent], self._action_shape)
             except ValueError as error:
                 raise ValueError(f"{agent}: {error}") from None
             if not np.isfinite(action).all():
@@ -172,8 +156,7 @@ class GFMWTGParallelEnv(ParallelEnv[str, Observation, Action]):  # type: ignore[
     def state(self) -> Observation:
         """Return the privileged observation of the whole grid, `state_space`.
 
-        Raises:
-            RuntimeError: no episode was started.
+        A RuntimeError says that no episode was started.
         """
         if not self.single_env.lanes.task_values("end_step")[0] > 0.0:
             raise RuntimeError("no episode was started; call reset() before state()")

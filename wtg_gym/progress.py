@@ -1,7 +1,5 @@
 """Progress of long work, on stderr."""
 
-from __future__ import annotations
-
 import sys
 import time
 from types import TracebackType
@@ -22,7 +20,7 @@ class Progress:
         self._task: Any = None
         self._last_line = time.monotonic()
 
-    def __enter__(self) -> Progress:
+    def __enter__(self) -> "Progress":
         if sys.stderr.isatty():
             from rich.console import Console
             from rich.progress import BarColumn, TextColumn, TimeRemainingColumn

@@ -1,13 +1,13 @@
 """Checks of values, and dataclasses that check theirs: each field has unit, source, meaning and range."""
 
-from __future__ import annotations
-
 import dataclasses
 import difflib
 import functools
+import inspect
 import itertools
 import math
 import os
+import re
 import types
 from collections.abc import Collection, Iterable, Mapping
 from typing import Any, ClassVar, TypeVar, get_args, get_origin, get_type_hints
@@ -103,13 +103,6 @@ def require_choice(name: str, value: Any, choices: Collection[str]) -> None:
         raise ValueError(f"unknown {name} {value!r}; {known}")
 
 
-def require_bus(name: str, bus: Any) -> int:
-    """Return a bus number as an int, or raise a ValueError that names it."""
-    if not is_whole(bus) or bus < 1:
-        raise ValueError(f"{name} must be a bus number of the network (a positive integer), got {bus!r}")
-    return int(bus)
-
-
 def whole_steps(name: str, interval: float, step: float, step_name: str) -> int:
     """Return how many steps make up an interval [s]; a ValueError if that is no whole number to 1e-6 steps."""
     count = round(interval / step)
@@ -151,10 +144,7 @@ class Checked:
     """A dataclass whose fields are checked when it is made: their types, and the ranges that :func:`parameter` gives.
 
     Numbers become Python's own. A pair of numbers is a span, low to high; an int is a bus number, unless it has a
-    range; None is taken where the type says so.
-
-    Raises:
-        ValueError: the message names field, value, unit and allowed range.
+    range; None is taken where the type says so. A ValueError names field, value, unit and allowed range.
     """
 
     #: Fields whose values must rise from each one to the next.
@@ -196,7 +186,11 @@ def _checked(name: str, value: Any, hint: Any, field: Any, *, is_item: bool = Fa
     if hint is float:
         return require_range(name, value, low, high, unit)
     if hint is int:
-        return require_whole(name, value, low, high) if isinstance(low, int) else require_bus(name, value)
+        if isinstance(low, int):
+            return require_whole(name, value, low, high)
+        if not is_whole(value) or value < 1:
+            raise ValueError(f"{name} must be a bus number of the network (a positive integer), got {value!r}")
+        return int(value)
     if hint in (tuple[float, float], tuple[int, int]) and not is_item:
         return _span(name, value, get_args(hint)[0], low, high, unit)
     origin = get_origin(hint)
@@ -213,9 +207,10 @@ def _checked(name: str, value: Any, hint: Any, field: Any, *, is_item: bool = Fa
         value, hint if origin in (None, types.UnionType) else origin
     ):
         return value
-    doc = field.metadata.get("doc")
-    what = f"{hint.__module__}.{hint.__name__}" if isinstance(hint, type) and issubclass(hint, Checked) else field.type
-    raise ValueError(f"{name} must be {what}{f' ({doc})' if doc else ''}, got {value!r:.80}")
+    doc, form = field.metadata.get("doc"), re.sub(r"\w+\.", "", inspect.formatannotation(field.type))
+    if isinstance(hint, type) and issubclass(hint, Checked):
+        form = f"{hint.__module__}.{hint.__name__}"
+    raise ValueError(f"{name} must be {form}{f' ({doc})' if doc else ''}, got {value!r:.80}")
 
 
 def _span(name: str, value: Any, number: type, low: float, high: float, unit: str) -> tuple[float, float]:

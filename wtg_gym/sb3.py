@@ -181,8 +181,7 @@ def make_sb3_vec_env(num_envs: int = 1, *, seed: int | None = None, **arguments:
 class DeterministicPolicy(torch.nn.Module):
     """The deterministic action of a learner, its normalisation of observations included, for `wtg_gym.export_onnx`.
 
-    Args:
-        model: a learner of Stable-Baselines3 or sb3-contrib with continuous actions.
+    The learner is one of Stable-Baselines3 or sb3-contrib with continuous actions.
     """
 
     _mean: torch.Tensor

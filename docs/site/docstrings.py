@@ -1,17 +1,20 @@
 """How the API reference reads the sources.
 
 - A docstring names other objects as Sphinx does, :class:`Name`; on the site these are links.
-- The comment `#:` above a constant is its description.
+- The comment `#:` above a constant or a field is its description, as is a comment behind a field.
 - A name that several modules offer is described once, on the page of the package that holds it; the others link there.
 """
 
 from __future__ import annotations
 
+import itertools
 import re
 from typing import Any
 
 import griffe
 
+#: A comment behind code, which is not for a program such as mypy or ruff.
+_BEHIND = re.compile(r"\s# (?!type:|noqa)(.+)$")
 _ROLE = re.compile(r":(?:attr|class|data|func|meth|mod):`(~?)([\w.]+)`")
 
 
@@ -39,16 +42,19 @@ class Docstrings(griffe.Extension):
         obj.docstring.value = _ROLE.sub(link, obj.docstring.value)
 
     def on_attribute(self, *, attr: griffe.Attribute, **_: Any) -> None:
-        """Take the comment above a constant as its docstring."""
-        if attr.docstring is not None or attr.lineno is None or not isinstance(attr.parent, griffe.Module):
+        """Take the comment above a constant or a field, or behind a field, as its docstring."""
+        if attr.docstring is not None or attr.lineno is None:
             return
-        above: list[str] = []
-        for line in reversed(attr.lines_collection[attr.filepath][: attr.lineno - 1]):
-            if not line.startswith("#:"):
-                break
-            above.insert(0, line.removeprefix("#:").strip())
+        lines = [line.strip() for line in attr.lines_collection[attr.filepath]]
+        above = list(itertools.takewhile(lambda line: line.startswith("#:"), reversed(lines[: attr.lineno - 1])))
+        behind = _BEHIND.search(lines[(attr.endlineno or attr.lineno) - 1])
         if above:
-            attr.docstring = griffe.Docstring(" ".join(above), parent=attr)
+            text = " ".join(line.removeprefix("#:").strip() for line in reversed(above))
+        elif behind and isinstance(attr.parent, griffe.Class):
+            text = behind[1]
+        else:
+            return
+        attr.docstring = griffe.Docstring(text, parent=attr)
 
     def on_package(self, *, pkg: griffe.Module, **_: Any) -> None:
         """Leave each name to the package that holds it, where that offers it too."""

@@ -6,7 +6,7 @@ import itertools
 
 from output import folder as output_folder
 
-from agents.planner import PlannerOptions, planned
+from agents.planner import planned
 from wtg_gym.evaluation import Results, evaluate
 from wtg_gym.evaluation.statistics import sign_test
 from wtg_gym.evaluation.summary import lost_or_beyond
@@ -16,7 +16,7 @@ from wtg_gym.scenarios import get_suite
 SUITE = "standard-v1"
 LAWS = ("deloaded-10", "coordinated-piecewise", "coordinated-tuned", "coordinated-free", "fast-droop", "distilled-law")
 POLICIES = ("ppo-v1-0", "ppo-v1-1", "ppo-v1-2")
-#: A network that sees the exact state, and scenarios that a planner with it plays: three seconds of a core each.
+#: A network that sees the exact state, and scenarios that a planner with it plays: four seconds of a core each.
 EXACT, N_PLANNED = "exact-state-v1-0", 90
 Row = tuple[str, str, str, str]
 
@@ -25,7 +25,7 @@ def room(results: Results) -> Row:
     """Compare a planner and a network that know the exact state, each with the best law on the same scenarios."""
     exact = next(row for row in results.ranking if row.privileged).name
     seeds = list(get_suite(SUITE).seeds("validation")[:N_PLANNED])
-    planner = planned(SUITE, "coordinated-free", seeds, PlannerOptions(futures=0))
+    planner = planned(SUITE, "coordinated-free", seeds)
     of_planner = evaluate([planner, *LAWS], SUITE, "validation", seeds=seeds, batch=N_PLANNED)
     leads = [against_law(of_planner, "planner"), against_law(results, exact)]
     demand = "with the exact state, without foresight, 10 points above the best law; a fifth fewer bad runs in `short`"

@@ -83,8 +83,6 @@ def run_and_interrupted_run(main, options: list[str], interrupt, folder: Path) -
 
 
 class Normalized:
-    """A learner that sees observations as its VecNormalize gives them."""
-
     def __init__(self, model: BaseAlgorithm) -> None:
         self._model, self._normalize = model, model.get_vec_normalize_env()
 

@@ -23,6 +23,8 @@ OPTIONS = ["--suite", "standard", "--timesteps", "2400", "--interval", "1200"]
 OPTIONS += ["--n-envs", "2", "--validation-episodes", "2"]
 
 V1 = {"version": "v1"}
+#: How far an episode has failed at a limit.
+SHARE = 1.0 / (1.0 + math.exp(-1.0))
 
 
 @pytest.mark.parametrize(("hidden", "lstm", "settings"), [((8,), 0, V1), ((), 8, {})])
@@ -47,10 +49,6 @@ def watched(settings) -> tuple[Failures, torch.Tensor, torch.Tensor, list[str]]:
     names = list(tape.tape.output_names)
     alive = torch.tensor([[40.0] + [0.0] * 6], dtype=torch.float64)
     return Failures(tape), alive, torch.full((1, len(names)), 1.1, dtype=torch.float64), names
-
-
-#: How far an episode has failed at a limit.
-SHARE = 1.0 / (1.0 + math.exp(-1.0))
 
 
 def test_a_failure_comes_gradually():

@@ -34,6 +34,10 @@ from wtg_gym.policies.gate import check_submission
 from wtg_gym.sb3 import SB3VecEnv
 
 ROOT = Path(__file__).resolve().parents[2]
+NEW = ("--output", "new")
+#: Names of names, nine of each: a billion values of a few hundred characters.
+ALIASES = "a0: &a0 [x]\n" + "".join(f"a{i}: &a{i} [{', '.join([f'*a{i - 1}'] * 9)}]\n" for i in range(1, 11))
+SHORT = {"version": "v0", "duration_s": 5.0, "strategy": "mppt"}
 
 
 @pytest.fixture(scope="module")
@@ -206,9 +210,6 @@ def test_what_cannot_go_on_is_named(copied, capsys):
     assert "run.json: it holds what cannot be used" in error_of_resume()
 
 
-NEW = ("--output", "new")
-
-
 @pytest.mark.parametrize(
     ("arguments", "text"),
     [
@@ -250,10 +251,6 @@ def test_shipped_files_mean_what_rl_zoo_makes_of_them(name):
     start, schedule = float(raw["learning_rate"].removeprefix("lin_")), arguments["learning_rate"]
     assert [schedule(left) for left in (1.0, 0.5, 0.0)] == pytest.approx([start, start / 2, 0.0])
     assert raw["normalize"] is True and training.normalization_arguments(read) == {"gamma": raw["gamma"]}
-
-
-#: Names of names, nine of each: a billion values of a few hundred characters.
-ALIASES = "a0: &a0 [x]\n" + "".join(f"a{i}: &a{i} [{', '.join([f'*a{i - 1}'] * 9)}]\n" for i in range(1, 11))
 
 
 @pytest.mark.parametrize(
@@ -312,9 +309,6 @@ def test_a_run_is_added_by_its_best_policy(tmp_path, monkeypatch):
     record = json.loads(shipped.RECORDS.read_text(encoding="utf-8"))["ppo-v1-2"]
     assert (record["steps"], record["validation_score"], record["wall_time_s"]) == (2_150_400, 102.5, 70)
     assert "| 1.2 |" in shipped.table()
-
-
-SHORT = {"version": "v0", "duration_s": 5.0, "strategy": "mppt"}
 
 
 def test_lanes_are_the_groups_of_the_episodes():

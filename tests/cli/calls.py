@@ -7,6 +7,8 @@ import pytest
 
 from wtg_gym.cli import main
 
+ROOT = Path(__file__).resolve().parents[2]
+
 
 def error_of(capsys: pytest.CaptureFixture[str], *arguments: str) -> str:
     """The one line of an error, once the exit code and the silence of stdout are checked."""
@@ -22,6 +24,3 @@ def error_of(capsys: pytest.CaptureFixture[str], *arguments: str) -> str:
 def json_of(capsys: pytest.CaptureFixture[str], *arguments: str, code: int = 0):
     assert main(arguments) == code
     return json.loads(capsys.readouterr().out)
-
-
-ROOT = Path(__file__).resolve().parents[2]

@@ -17,6 +17,19 @@ from wtg_gym.grids.describe import describe_equilibrium, grid_of
 from wtg_gym.physics.grid import get_grid
 from wtg_gym.scenarios import get_suite
 
+STRANGE = {"_module": "a_module_of_strangers", "_class": "Thing", "_object": "{}"}
+FRAME = {"_module": "pandas.core.frame", "_class": "DataFrame"}
+HOSTILE = [
+    STRANGE,
+    [STRANGE],
+    {"a": {"b": STRANGE}},
+    {**STRANGE, "_class": "function"},
+    {"_module": "pandapower.control", "_class": "ConstControl", "_object": "{}"},
+    {**FRAME, "_object": json.dumps({"columns": ["a"], "index": [0], "data": [[STRANGE]]})},
+    {**FRAME, "_object": json.dumps(STRANGE).replace("_module", "\\u005fmodule")},
+    {**FRAME, "_object": "/etc/another.json"},
+]
+
 
 @pytest.fixture(scope="module")
 def network(tmp_path_factory):
@@ -84,20 +97,6 @@ def imported(path: Path, capsys: pytest.CaptureFixture[str]) -> tuple[int, str]:
 @pytest.fixture(scope="module")
 def nine():
     return json.loads(pandapower.to_json(pandapower.networks.case9()))
-
-
-STRANGE = {"_module": "a_module_of_strangers", "_class": "Thing", "_object": "{}"}
-FRAME = {"_module": "pandas.core.frame", "_class": "DataFrame"}
-HOSTILE = [
-    STRANGE,
-    [STRANGE],
-    {"a": {"b": STRANGE}},
-    {**STRANGE, "_class": "function"},
-    {"_module": "pandapower.control", "_class": "ConstControl", "_object": "{}"},
-    {**FRAME, "_object": json.dumps({"columns": ["a"], "index": [0], "data": [[STRANGE]]})},
-    {**FRAME, "_object": json.dumps(STRANGE).replace("_module", "\\u005fmodule")},
-    {**FRAME, "_object": "/etc/another.json"},
-]
 
 
 @pytest.mark.parametrize("thing", HOSTILE, ids=str)

@@ -19,6 +19,21 @@ from wtg_gym.cli.output import note, print_json, print_table, say
 from wtg_gym.scenarios import DEFAULT_SUITE, FROZEN_HASHES, SUITES
 from wtg_gym.systems.compiled import cache_folder
 
+#: Colours, the title of a window, C1 controls, a changed direction, a line of its own, half a surrogate pair.
+NASTY = "a\x1b[31mred\x1b]0;title\x07\x9b2J\x7f\u202eabc\u2066\r\nwtg-gym: all is well\ud800\u2028z"
+_COMMANDS = """
+from wtg_gym.cli import main
+
+for arguments in (
+    "warmup",
+    "simulate --duration 3",
+    "evaluate --suite paper --entries mppt",
+    "simulate --suite standard-v1 --duration 3",
+    "evaluate --suite standard-v1 --scenarios 2 --duration 3 --entries mppt",
+):
+    assert main(arguments.split()) == 0
+"""
+
 
 @pytest.mark.skipif(sys.platform == "win32", reason="pipes break in another way there")
 def test_reader_that_leaves_early_is_no_error():
@@ -71,10 +86,6 @@ def test_help_is_there_before_the_simulator_and_before_other_commands():
     assert done.stdout.endswith("False\n"), done.stderr
 
 
-#: Colours, the title of a window, C1 controls, a changed direction, a line of its own, half a surrogate pair.
-NASTY = "a\x1b[31mred\x1b]0;title\x07\x9b2J\x7f\u202eabc\u2066\r\nwtg-gym: all is well\ud800\u2028z"
-
-
 def _is_harmless(text: str) -> bool:
     return all(line.isprintable() for line in text.split("\n"))
 
@@ -100,11 +111,8 @@ def test_no_command_prints_past_the_one_place_that_escapes():
         assert not printing or path.name in ("output.py", "__init__.py"), path
 
 
-def test_commands_mean_the_benchmarks_suite_where_none_is_named():
+def test_suites_lists_every_suite_and_commands_mean_that_of_the_benchmark(capsys):
     assert options.DEFAULT_SUITE == DEFAULT_SUITE
-
-
-def test_suites_lists_every_suite(capsys):
     listed = json_of(capsys, "suites", "--json")
     hashes = {suite["name"]: suite["hash"] for suite in listed}
     assert list(hashes) == list(SUITES) and FROZEN_HASHES.items() <= hashes.items()
@@ -122,20 +130,6 @@ def test_suite_of_v1_is_shown_with_its_grid_sensors_and_task(capsys):
     assert data["sensors"]["delay_s"] == [0.1, 0.3]
     (data,) = json_of(capsys, "suites", "no-wind-sensor-v1", "--json")
     assert data["sensors"]["wind_sensor"] is False and data["plant"]["physics"] == "extended"
-
-
-_COMMANDS = """
-from wtg_gym.cli import main
-
-for arguments in (
-    "warmup",
-    "simulate --duration 3",
-    "evaluate --suite paper --entries mppt",
-    "simulate --suite standard-v1 --duration 3",
-    "evaluate --suite standard-v1 --scenarios 2 --duration 3 --entries mppt",
-):
-    assert main(arguments.split()) == 0
-"""
 
 
 def test_after_a_warmup_nothing_is_compiled_and_nothing_said():

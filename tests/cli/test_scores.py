@@ -20,6 +20,16 @@ from wtg_gym.tasks import V1
 
 _LEADERBOARD = ("leaderboard", "--suite", "paper", "--entries")
 _PAPER = (*_LEADERBOARD, "mppt", "deloaded-5", "coordinated-piecewise")
+HEADINGS = [
+    *("Score", "Where control decides", "Bad runs", "Scenarios"),
+    *("Operators' tests", "Faults of sensors", "Energy", "Damping"),
+]
+CLAIMS = [
+    ("kind", "feedback", True),
+    ("policy_sha256", "0" * 64, True),
+    ("observation_mode", "privileged", True),
+    ("source", "Somebody", False),
+]
 
 
 def test_evaluate_ranks_a_suite_of_v1_in_its_own_grid(capsys, tmp_path):
@@ -159,27 +169,13 @@ def test_numbers_that_were_made_up_are_named(folder, tmp_path, capsys):
     assert where == f"{first.entry}, seed {first.seed}: cost" and float(stored) == 0.5 * float(now)
 
 
-@pytest.mark.parametrize(
-    ("key", "value", "differs"),
-    [
-        ("kind", "feedback", True),
-        ("policy_sha256", "0" * 64, True),
-        ("observation_mode", "privileged", True),
-        ("source", "Somebody", False),
-    ],
-)
+@pytest.mark.parametrize(("key", "value", "differs"), CLAIMS)
 def test_made_up_claims_about_an_entry_are_differences_and_other_texts_none(key, value, differs, folder):
     results = Results.read(folder / "standard-test.json")
     entries = tuple({**entry, key: value} if entry["name"] == "deloaded-5" else entry for entry in results.entries)
     found = recompute(dataclasses.replace(results, entries=entries), load_entries("deloaded-5"))
     named = [where for where, *_ in (found.differences if differs else found.circumstances)]
     assert named == [f"entry deloaded-5: {key}"] and bool(found.differences) == differs
-
-
-HEADINGS = [
-    *("Score", "Where control decides", "Bad runs", "Scenarios"),
-    *("Operators' tests", "Faults of sensors", "Energy", "Damping"),
-]
 
 
 def test_a_page_has_every_section_loads_nothing_and_escapes_names(tmp_path):

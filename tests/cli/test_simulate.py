@@ -12,7 +12,7 @@ from wtg_gym.cli import main
 _QUICK = ("--duration", "6")
 
 
-def test_simulate_tables_every_strategy_with_units(capsys):
+def test_simulate_tables_every_strategy_with_units_and_all_are_the_built_in_ones_once(capsys):
     assert main(["simulate", *_QUICK, "--strategy", "mppt", "deloaded-5", "--strategy", "coordinated-linear"]) == 0
     text = capsys.readouterr().out
     assert "5 s: +75 MW at bus 2" in text
@@ -20,9 +20,6 @@ def test_simulate_tables_every_strategy_with_units(capsys):
         assert unit in text
     rows = [line for line in text.splitlines() if line.endswith("completed 6.0 s")]
     assert [row.split()[0] for row in rows] == ["mppt", "deloaded-5", "coordinated-linear"]
-
-
-def test_strategy_all_is_every_built_in_one_once(capsys):
     data = json_of(capsys, "simulate", "--duration", "1", "--strategy", "mppt", "all", "--json")
     names = [run["strategy"] for run in data["runs"]]
     assert names[0] == "mppt" and len(names) == len(set(names)) == 6
@@ -74,13 +71,17 @@ def test_key_figures_are_those_of_the_arrays_of_a_run(capsys):
         assert (power[after] == 0.0).all() and power[~after][-1] != 0.0
 
 
-def test_wind_and_groups_follow_each_other(capsys):
+def test_wind_and_groups_follow_each_other_or_a_csv_file(capsys, tmp_path):
     data = json_of(capsys, "simulate", "--duration", "1", "--wind", "9", "8", "7", "--json")
     assert data["scenario"]["mean_wind_m_s"] == [9.0, 8.0, 7.0]
     assert len(data["plant"]["groups"]) == 3
     data = json_of(capsys, "simulate", "--suite", "paper-v1", "--duration", "1", "--wind", "9", "--json")
     assert data["scenario"]["mean_wind_m_s"] == [9.0] * 4
     assert [group["bus"] for group in data["plant"]["groups"]] == [2, 3, 6, 8]
+    path = tmp_path / "wind.csv"
+    path.write_text("time_s,wind_1_m_s,wind_2_m_s\n" + "".join(f"{second},9.5,8.0\n" for second in range(8)))
+    data = json_of(capsys, "simulate", *_QUICK, "--wind-csv", str(path), "--json")
+    assert data["scenario"]["mean_wind_m_s"] == [9.5, 8.0]
 
 
 def test_suite_of_v1_runs_in_its_own_grid(capsys, tmp_path):
@@ -117,13 +118,6 @@ def test_example_of_a_law_is_printed_and_simulated_under_its_own_name(capsys, tm
     assert [run["strategy"] for run in data["runs"]] == ["reserve-7"]
     other.write_bytes(law.read_bytes())
     assert "two strategies are called 'reserve-7'" in error_of(capsys, "simulate", "--strategy", str(law), str(other))
-
-
-def test_wind_from_csv_replaces_the_wind(capsys, tmp_path):
-    path = tmp_path / "wind.csv"
-    path.write_text("time_s,wind_1_m_s,wind_2_m_s\n" + "".join(f"{second},9.5,8.0\n" for second in range(8)))
-    data = json_of(capsys, "simulate", *_QUICK, "--wind-csv", str(path), "--json")
-    assert data["scenario"]["mean_wind_m_s"] == [9.5, 8.0]
 
 
 def test_dumped_scenario_can_be_edited_and_simulated(capsys, tmp_path):

@@ -45,7 +45,6 @@ def sagging(wind: float = 8.0, duration_s: float = 60.0) -> sc.Scenario:
 
 
 def rising(duration_s: float = 20.0) -> sc.Scenario:
-    """Return a wind that rises faster than the pitch can follow."""
     wind = np.interp(np.arange(round(10 * duration_s) + 1) * 0.1, [3.0, 5.0], [8.0, 25.0])
     return sc.Scenario(name="rising", wind_speed=np.array([wind, wind]), duration_s=duration_s)
 
@@ -64,7 +63,6 @@ def bits(value):
 
 
 def as_step(observation: np.ndarray, reward: float, terminated: bool, truncated: bool, info, final=None):
-    """Return a step as values that compare equal only where every bit is."""
     plain = {key: value if isinstance(value, str) else float(value).hex() for key, value in info.items()}
     return observation.tobytes(), float(reward).hex(), bool(terminated), bool(truncated), plain, final
 

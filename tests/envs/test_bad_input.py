@@ -4,7 +4,7 @@ import copy
 import dataclasses
 import math
 import pickle
-from typing import Any, get_type_hints
+from typing import Any, Unpack, get_type_hints
 
 import gymnasium as gym
 import numpy as np
@@ -62,6 +62,52 @@ SETTINGS: list[tuple[dict[str, Any], str]] = [
     ),
     ({**V1, "groups": 4}, "20 turbines give .* % of a load of 220 MW; allowed is a penetration of 40 … 78 %"),
 ]
+BATCH = [
+    ({"num_envs": 0}, "num_envs.*1 … 1000000.*0"),
+    ({"n_threads": 1.5}, "n_threads.*1.5"),
+    ({"autoreset_mode": "x"}, "'x'"),
+    ({"max_episode_steps": 0}, "max_episode_steps.*0"),
+    ({"render_mode": "human"}, "unknown render_mode 'human'"),
+]
+SCENARIOS: list[tuple[dict[str, Any], str]] = [
+    ({"seed": 2**70}, "Scenario.seed must be a whole number in 0 … 9223372036854775807"),
+    ({"wind_speed": [[8.0]]}, "wind for 1 WTG group.*2 groups"),
+    ({"duration_s": 2.05}, "duration_s.*2.05.*0.1 s"),
+    ({"duration_s": 4.1}, "4.1 s.*longer than the 4 s"),
+    ({"load_noise_bus": 99}, "bus 99.*14"),
+    ({"events": [{"kind": "line_trip", "time_s": 1.0, "from_bus": 7, "to_bus": 8}]}, "split"),
+    ({"load_level": 0.3, "wind_speed": [[25.0]] * 2}, "cannot start"),
+]
+RESETS: dict[bool, list[dict[str, Any]]] = {
+    False: [
+        *({"seed": seed} for seed in (NAN, 1.5, "a", -1, [1])),
+        *({"options": options} for options in ({"foo": 1}, {"scenarios": [calm()]}, {"scenario": None}, 3)),
+    ],
+    True: [
+        *({"seed": seed} for seed in (NAN, 1.5, "ab", True, -1, [1], [1, NAN], [1, -1], [1, 2, 3])),
+        *({"options": options} for options in ({"foo": 1}, {"scenario": calm()}, {"scenarios": None})),
+        *({"options": options} for options in ({"scenarios": [calm()]}, {"scenarios": [calm(), 3]})),
+        *({"options": {"reset_mask": mask}} for mask in ([True], [1, 0], [False, False])),
+    ],
+}
+WRONG: dict[str, Any] = {
+    "nan": [0.0, NAN, 0.0, 0.0],
+    "infinite": np.array([0.0, 0.0, 0.0, np.inf], dtype=np.float32),
+    "short": [0.0] * 3,
+    "column": np.zeros((4, 1)),
+    "text": ["0.1"] * 4,
+    "objects": [{}] * 4,
+    "ragged": [[0.0], [0.0, 0.0], 0.0, 0.0],
+    "complex": np.zeros(4, dtype=np.complex128),
+    "huge integer": [10**400] * 4,
+    "none": None,
+    "scalar": 0.0,
+}
+OTHER_SETTINGS = [
+    ({"weights": {"duty": 0.0}, "on_failure": "trip"}, "weights, plant"),
+    ({"strategy": "mppt"}, "strategy"),
+    (V1, "strategy, weights, plant, version, control_dt, reward"),
+]
 
 
 @pytest.mark.parametrize(("arguments", "message"), SETTINGS, ids=lambda value: str(value)[:40])
@@ -70,15 +116,6 @@ def test_wrong_setting_is_refused_with_what_is_allowed_in_one_line(arguments, me
         with pytest.raises(ValueError, match=message) as refused:
             kind(**{"version": "v0", **arguments})
         assert "\n" not in str(refused.value)
-
-
-BATCH = [
-    ({"num_envs": 0}, "num_envs.*1 … 1000000.*0"),
-    ({"n_threads": 1.5}, "n_threads.*1.5"),
-    ({"autoreset_mode": "x"}, "'x'"),
-    ({"max_episode_steps": 0}, "max_episode_steps.*0"),
-    ({"render_mode": "human"}, "unknown render_mode 'human'"),
-]
 
 
 @pytest.mark.parametrize(("arguments", "message"), BATCH, ids=str)
@@ -99,18 +136,7 @@ def test_type_checkers_know_exactly_the_settings_with_their_types(kind):
     settings, keywords = get_type_hints(EnvSettings), get_type_hints(EnvArguments)
     assert {field.name: settings[field.name] for field in dataclasses.fields(EnvSettings)} == keywords
     assert EnvArguments.__required_keys__ == frozenset()
-    assert "Unpack[EnvArguments]" in kind.__init__.__annotations__.values()
-
-
-SCENARIOS: list[tuple[dict[str, Any], str]] = [
-    ({"seed": 2**70}, "Scenario.seed must be a whole number in 0 … 9223372036854775807"),
-    ({"wind_speed": [[8.0]]}, "wind for 1 WTG group.*2 groups"),
-    ({"duration_s": 2.05}, "duration_s.*2.05.*0.1 s"),
-    ({"duration_s": 4.1}, "4.1 s.*longer than the 4 s"),
-    ({"load_noise_bus": 99}, "bus 99.*14"),
-    ({"events": [{"kind": "line_trip", "time_s": 1.0, "from_bus": 7, "to_bus": 8}]}, "split"),
-    ({"load_level": 0.3, "wind_speed": [[25.0]] * 2}, "cannot start"),
-]
+    assert Unpack[EnvArguments] in kind.__init__.__annotations__.values()
 
 
 def test_wrong_scenarios_are_refused_and_running_episodes_go_on():
@@ -130,20 +156,6 @@ def test_wrong_scenarios_are_refused_and_running_episodes_go_on():
     assert vector_steps(batch, rest) == vector_steps(twins[1], rest)
 
 
-RESETS: dict[bool, list[dict[str, Any]]] = {
-    False: [
-        *({"seed": seed} for seed in (NAN, 1.5, "a", -1, [1])),
-        *({"options": options} for options in ({"foo": 1}, {"scenarios": [calm()]}, {"scenario": None}, 3)),
-    ],
-    True: [
-        *({"seed": seed} for seed in (NAN, 1.5, "ab", True, -1, [1], [1, NAN], [1, -1], [1, 2, 3])),
-        *({"options": options} for options in ({"foo": 1}, {"scenario": calm()}, {"scenarios": None})),
-        *({"options": options} for options in ({"scenarios": [calm()]}, {"scenarios": [calm(), 3]})),
-        *({"options": {"reset_mask": mask}} for mask in ([True], [1, 0], [False, False])),
-    ],
-}
-
-
 @pytest.mark.parametrize("batch", RESETS)
 def test_wrong_seeds_and_options_are_refused_and_leave_the_stream_of_scenarios_alone(batch):
     kind: Any = (lambda **given: GFMWTGVectorEnv(2, **given)) if batch else GFMWTGEnv
@@ -153,21 +165,6 @@ def test_wrong_seeds_and_options_are_refused_and_leave_the_stream_of_scenarios_a
         with pytest.raises((ValueError, gym.error.Error), match=r"(?i)seed|scenario|reset_mask"):
             env.reset(**wrong)
     assert np.all(env.reset()[1]["scenario_seed"] == twin.reset()[1]["scenario_seed"])
-
-
-WRONG: dict[str, Any] = {
-    "nan": [0.0, NAN, 0.0, 0.0],
-    "infinite": np.array([0.0, 0.0, 0.0, np.inf], dtype=np.float32),
-    "short": [0.0] * 3,
-    "column": np.zeros((4, 1)),
-    "text": ["0.1"] * 4,
-    "objects": [{}] * 4,
-    "ragged": [[0.0], [0.0, 0.0], 0.0, 0.0],
-    "complex": np.zeros(4, dtype=np.complex128),
-    "huge integer": [10**400] * 4,
-    "none": None,
-    "scalar": 0.0,
-}
 
 
 @pytest.mark.parametrize("mode", [None, NEXT_STEP, AutoresetMode.SAME_STEP])
@@ -237,15 +234,7 @@ def test_step_of_a_batch_whose_lanes_were_not_all_reset_is_a_runtime_error(mode)
     env.step(zeros)
 
 
-@pytest.mark.parametrize(
-    ("settings", "named"),
-    [
-        ({"weights": {"duty": 0.0}, "on_failure": "trip"}, "weights, plant"),
-        ({"strategy": "mppt"}, "strategy"),
-        (V1, "strategy, weights, plant, version, control_dt, reward"),
-    ],
-    ids=str,
-)
+@pytest.mark.parametrize(("settings", "named"), OTHER_SETTINGS, ids=str)
 def test_snapshot_of_other_settings_is_refused_and_changes_nothing(settings, named):
     env, other = (GFMWTGEnv(**{"version": "v0", "duration_s": 4.0, **given}) for given in ({}, settings))
     env.reset(seed=3), other.reset(seed=8)

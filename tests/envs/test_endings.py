@@ -21,10 +21,15 @@ TORN = calm(
     ),
 )
 SAGGED = calm(duration_s=20.0, events=(LoadStep(time_s=1.0, bus=2, power_mw=0.0, reactive_mvar=800.0),))
+FAILURES = [
+    (GONE, "frequency limit", 0.0, 47.5),
+    (TORN, "loss of synchronism", 49.0, 51.0),
+    (SAGGED, "voltage collapse", 49.0, 51.0),
+    (rising(), "over-speed", 49.0, 51.0),
+]
 
 
 def play(scenario: Scenario, action=0.0, **settings):
-    """Return the rewards, the last step and the environment of an episode."""
     arguments = {"version": "v0", "scenario": scenario.to_dict(), "control_dt": 0.1, "reward": "cost", **settings}
     env = GFMWTGEnv(**arguments)
     steps = list(episode(env, action, seed=0))
@@ -48,15 +53,7 @@ def test_stall_costs_more_than_any_way_of_living_on(weights):
 
 
 @pytest.mark.parametrize("on_failure", ["terminate", "trip"])
-@pytest.mark.parametrize(
-    ("scenario", "reason", "least_hz", "most_hz"),
-    [
-        (GONE, "frequency limit", 0.0, 47.5),
-        (TORN, "loss of synchronism", 49.0, 51.0),
-        (SAGGED, "voltage collapse", 49.0, 51.0),
-        (rising(), "over-speed", 49.0, 51.0),
-    ],
-)
+@pytest.mark.parametrize(("scenario", "reason", "least_hz", "most_hz"), FAILURES)
 def test_each_failure_ends_the_episode_under_its_own_name_and_a_tripped_group_does_not(
     scenario, reason, least_hz, most_hz, on_failure
 ):

@@ -27,6 +27,10 @@ ACTIONS = st.lists(st.sampled_from([-1e30, -1.0, -0.5, -1e-300, 0.0, 1e-9, 0.3, 
 ON_FAILURE, OBSERVATION_MODES = st.sampled_from(["terminate", "trip"]), st.sampled_from(["local", "privileged"])
 #: Why episodes may end; a numerical failure would be ours.
 REASONS = ("stall", "over-speed", "under-speed", "frequency limit", "loss of synchronism", "voltage collapse")
+POWERS_MW = st.sampled_from([-1e4, -300.0, 0.0, 75.0, 1e4])
+TIMES = st.integers(0, 80).map(lambda n: n * 0.025)
+LINES = st.sampled_from([(1, 2), (2, 4), (4, 5), (6, 12), (9, 14), (13, 14)])
+SENSOR_NUMBERS = {f.name: f.metadata for f in dataclasses.fields(Sensors) if f.type is float}
 
 
 @st.composite
@@ -80,14 +84,8 @@ def test_any_settings_and_actions_play_to_the_end(given_arguments, actions, seed
     play(GFMWTGEnv(**given_arguments), actions, seed=seed)
 
 
-POWERS_MW = st.sampled_from([-1e4, -300.0, 0.0, 75.0, 1e4])
-TIMES = st.integers(0, 80).map(lambda n: n * 0.025)
-LINES = st.sampled_from([(1, 2), (2, 4), (4, 5), (6, 12), (9, 14), (13, 14)])
-
-
 @st.composite
 def event_lists(draw: st.DrawFn) -> tuple[sc.Event, ...]:
-    """Any events that a plant takes, in any order."""
     buses = st.integers(1, 14)
     found: list[sc.Event] = [sc.LoadStep(time_s=draw(TIMES), bus=draw(buses), power_mw=draw(POWERS_MW))]
     found.append(sc.LoadRamp(time_s=draw(TIMES), bus=draw(buses), power_mw=draw(POWERS_MW), duration_s=0.5))
@@ -99,9 +97,6 @@ def event_lists(draw: st.DrawFn) -> tuple[sc.Event, ...]:
     from_bus, to_bus = draw(LINES)
     found.append(sc.LineTrip(time_s=draw(TIMES), from_bus=from_bus, to_bus=to_bus, recloses_after_s=after_s))
     return tuple(draw(st.permutations(found)))
-
-
-SENSOR_NUMBERS = {f.name: f.metadata for f in dataclasses.fields(Sensors) if f.type == "float"}
 
 
 def numbers(name: str) -> st.SearchStrategy[float]:

@@ -1,7 +1,4 @@
-"""An interrupted call has changed every environment or none, and what follows is the same to the last bit.
-
-So it is with threads: resets while others step change no bit, and two threads in one environment are told apart.
-"""
+"""An interrupted call has changed every environment or none, and what follows is the same to the last bit."""
 
 import copy
 import functools
@@ -22,6 +19,7 @@ from wtg_gym.sb3 import make_sb3_vec_env
 N = 64
 #: Episodes of ten steps, so that many steps start some.
 SHORT = {"version": "v0", "duration_s": 1.0}
+N_MANY = 1024
 
 
 def batch(n_threads: int, **arguments) -> GFMWTGVectorEnv:
@@ -119,9 +117,6 @@ def test_interrupted_call_is_complete_or_has_not_begun(name, n_threads, monkeypa
             assert state(env) == before
             result = call(env, k)
         assert bits(result) == bits(expected)
-
-
-N_MANY = 1024
 
 
 def staggered(n_threads: int, version: str = "v0") -> GFMWTGVectorEnv:

@@ -39,10 +39,6 @@ def faulty(delay_s: float = 0.0, **changes: Any) -> Sensors:
     return Sensors(**{"seed": 7, "wind_bias": (0.05, -0.05, 0.1, 0.0), "delay_s": delay_s, **BAD, **changes})
 
 
-def plain(delay_s: float = 0.0, **changes: Any) -> Sensors:
-    return Sensors(**{"seed": 7, "wind_bias": (0.0,) * N_WTG, "delay_s": delay_s, **changes})
-
-
 @dataclasses.dataclass
 class Run:
     env: GFMWTGEnv
@@ -77,7 +73,11 @@ def play(scenario: Scenario | None, actions: np.ndarray = ACTIONS, seed: int = 0
 
 
 def test_exact_sensors_show_what_the_privileged_mode_calls_exact():
-    for run in (play(None, seed=4, sensors="exact"), play(drawn(None)), play(drawn(plain()))):
+    for run in (
+        play(None, seed=4, sensors="exact"),
+        play(drawn(None)),
+        play(drawn(Sensors(seed=7, wind_bias=(0.0,) * N_WTG))),
+    ):
         assert len(run.rewards) == 60 and np.ptp(run.seen("exact")[:, :, 0]) > 0.05
         np.testing.assert_allclose(run.seen("wtg"), run.seen("exact"), rtol=1.2e-7, atol=1e-9)
 

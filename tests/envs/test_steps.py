@@ -1,7 +1,4 @@
-"""What a step is: zero action is the strategy, what is told and charged, and how long an action is held.
-
-An action of version v1 is held for 0.5 s: to the bit what five steps of 0.1 s with the same action are.
-"""
+"""What a step is: zero action is the strategy, what is told and charged, and how long an action is held."""
 
 import itertools
 
@@ -16,6 +13,10 @@ from wtg_gym.tasks.cost import COST, COST_TERMS
 
 EVENTFUL = get_suite("standard").scenario(20_003)
 LOW_WIND = get_suite("low-wind").scenario(20_001)
+KEYS = {*(f"cost_{name}" for name in COST_TERMS), "time_s", "frequency_hz", "rocof_hz_s", "cost", "scenario_seed"}
+N_STEPS, N_HELD = 40, 5
+#: The frequency passes its upper limit within a step.
+BLACKOUT = calm(n_wtg=4, duration_s=20.0, events=(LoadStep(time_s=7.1, bus=3, power_mw=-150.0),), inertia_scale=0.3)
 
 
 def follow(scenario: Scenario, **settings) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -73,9 +74,6 @@ def test_groups_at_a_shared_bus_in_the_same_wind_behave_alike():
     assert observation[:n] != pytest.approx(observation[n : 2 * n].tolist(), abs=1e-3)
 
 
-KEYS = {*(f"cost_{name}" for name in COST_TERMS), "time_s", "frequency_hz", "rocof_hz_s", "cost", "scenario_seed"}
-
-
 @pytest.mark.parametrize("name", ["frequency", "rocof", "duty", "rotor", "effort"])
 def test_every_weight_scales_its_own_term_alone(name):
     scenario, term, weight = eventful(7.0).to_dict(), f"cost_{name}", getattr(CostWeights(), name)
@@ -107,11 +105,6 @@ def test_observations_stay_in_their_space_and_no_entry_is_constant(version, acti
     assert all("[" in name or "last_action" in name for name in names)
     spread = np.ptp(values.reshape(-1, values.shape[-1]), axis=0)
     assert [name for name, width in zip(names, spread, strict=True) if width < 1e-4] == []
-
-
-N_STEPS, N_HELD = 40, 5
-#: The frequency passes its upper limit within a step.
-BLACKOUT = calm(n_wtg=4, duration_s=20.0, events=(LoadStep(time_s=7.1, bus=3, power_mw=-150.0),), inertia_scale=0.3)
 
 
 def state(env: GFMWTGVectorEnv):

@@ -1,8 +1,4 @@
-"""Every lane of a batch is a single environment of its own.
-
-Lanes are compared with single environments while their neighbours have other actions, scenarios and ends: so no lane
-depends on another.
-"""
+"""Every lane of a batch is a single environment of its own."""
 
 import subprocess
 import sys

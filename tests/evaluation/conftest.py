@@ -4,9 +4,6 @@ import pytest
 
 from wtg_gym.evaluation import Entry, evaluate
 
-SEEDS = (20_002, 20_000, 20_005)
-DURATION_S = 10.0
-
 
 @pytest.fixture(scope="session")
 def entries():
@@ -16,7 +13,7 @@ def entries():
 
 @pytest.fixture(scope="session")
 def results(entries):
-    return evaluate(entries, "standard", "test", seeds=SEEDS, duration_s=DURATION_S)
+    return evaluate(entries, "standard", "test", seeds=(20_002, 20_000, 20_005), duration_s=10.0)
 
 
 @pytest.fixture(scope="session")

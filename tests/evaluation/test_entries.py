@@ -30,6 +30,24 @@ number = 3
 def build():
     return Entry(name="built", policy=Still(), fingerprint="1")
 """
+UNKNOWN = [
+    ("no-such-thing", "coordinated-piecewise"),
+    ("no_such_package:ENTRY", "no module 'no_such_package'"),
+    ("no-such-file.toml", "cannot read the law file"),
+    ("my_entries:nothing", "has no 'nothing'"),
+    ("my_entries.early:number", "an Entry, an object with predict"),
+    ("my_entries.early", "unknown entry 'my_entries.early'"),
+]
+WRONG = [
+    ({"name": ""}, "1 … 60 characters"),
+    ({"name": "a", "policy": object()}, "predict"),
+    ({"name": "a", "strategy": "mpp"}, "known strategies: mppt"),
+    ({"name": "a", "action_mode": "both"}, "k, tau, k\\+tau"),
+    ({"name": "a", "observation_mode": "all"}, "local, privileged"),
+    ({"name": "a", "training_seed": -1}, "training_seed"),
+    ({"name": "a", "source": None}, "source"),
+    ({"name": "a", "environment": "GFMWTG-14bus-v9"}, "GFMWTG-14bus-v0, GFMWTG-14bus-v1"),
+]
 
 
 @pytest.fixture
@@ -78,17 +96,7 @@ def test_attribute_may_be_entry_policy_or_callable(package, attribute, name):
     assert hasattr(entry.policy, "predict")
 
 
-@pytest.mark.parametrize(
-    ("spec", "text"),
-    [
-        ("no-such-thing", "coordinated-piecewise"),
-        ("no_such_package:ENTRY", "no module 'no_such_package'"),
-        ("no-such-file.toml", "cannot read the law file"),
-        ("my_entries:nothing", "has no 'nothing'"),
-        ("my_entries.early:number", "an Entry, an object with predict"),
-        ("my_entries.early", "unknown entry 'my_entries.early'"),
-    ],
-)
+@pytest.mark.parametrize(("spec", "text"), UNKNOWN)
 def test_unknown_entry_names_what_is_allowed(package, spec, text):
     with pytest.raises(ValueError, match=text):
         load_entries(spec)
@@ -104,19 +112,7 @@ def test_learner_whose_normalisation_would_be_left_out_is_refused():
         Entry(name="a", strategy="mppt", policy=learner(SimpleNamespace(norm_obs=True)))
 
 
-@pytest.mark.parametrize(
-    ("arguments", "text"),
-    [
-        ({"name": ""}, "1 … 60 characters"),
-        ({"name": "a", "policy": object()}, "predict"),
-        ({"name": "a", "strategy": "mpp"}, "known strategies: mppt"),
-        ({"name": "a", "action_mode": "both"}, "k, tau, k\\+tau"),
-        ({"name": "a", "observation_mode": "all"}, "local, privileged"),
-        ({"name": "a", "training_seed": -1}, "training_seed"),
-        ({"name": "a", "source": None}, "source"),
-        ({"name": "a", "environment": "GFMWTG-14bus-v9"}, "GFMWTG-14bus-v0, GFMWTG-14bus-v1"),
-    ],
-)
+@pytest.mark.parametrize(("arguments", "text"), WRONG)
 def test_wrong_entry_says_what_is_allowed(arguments, text):
     with pytest.raises(ValueError, match=text):
         Entry(**arguments)

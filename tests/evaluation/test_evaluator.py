@@ -24,6 +24,13 @@ from wtg_gym.evaluation.recompute import departures, recompute
 from wtg_gym.physics.parameters import TurbineParameters
 
 SHORT = {"seeds": (20_002, 20_000, 20_005), "duration_s": 10.0}
+#: What a part was stored with, beside what is asked for.
+OTHER_PARTS = [
+    *({"entry": {key: value}} for key, value in (("name", "other"), ("training_seed", 2), ("fingerprint", "another"))),
+    *({"rows": {key: value}} for key, value in (("entry", "other"), ("training_seed", 2), ("seed", 20_001))),
+    *({"context": ["gust", "test"]}, {"seeds": [20_001, 20_000]}, {"seeds": [20_000]}, {}),
+]
+DT = 0.1
 
 
 class Answering:
@@ -125,6 +132,23 @@ BAD = {
     "exit": (lambda o, s: sys.exit(3), r"step 0: predict\(\) raised SystemExit: 3"),
     "no-state": (lambda o, s: np.zeros((3, 4)), r"\(actions, state\)"),
 }
+WRONG = [
+    ([], "standard", {"split": "tests", "seeds": None}, "unknown split"),
+    ([], "standard", {"split": "train", "seeds": None}, "too many"),
+    ([], "standard", {"seeds": []}, "seeds must be a list of whole numbers, one or more, got .*20000 … 20199"),
+    ([], "standard", {"batch": 0}, "1 … 10000"),
+    ([], "standard", {"strategy": "mppt"}, "set by the entry"),
+    ([], "standard", {"partial": __file__}, "partial must be a folder"),
+    ([], "standard-v1", {"plant": {"turbine": TurbineParameters()}}, "in plant, give numbers and texts"),
+    ([], "standard-v1", {"plant": {1: 2}}, r"unknown settings of a plant \['1'\]"),
+    ([3], "standard", {}, "list of Entry"),
+    ([Entry(name="a"), Entry(name="a", training_seed=1)], "standard", {}, "all have a training seed"),
+    ([Entry(name="mppt")], "standard", {}, "reserved"),
+    (
+        [Entry(name="a", policy=linear(1.0), training_seed=seed, learned=seed == 0) for seed in (0, 1)],
+        *("standard", {}, "entries named 'a' share a row and must agree on kind, got"),
+    ),
+]
 
 
 @pytest.mark.parametrize("case", BAD)
@@ -177,26 +201,7 @@ def test_entry_that_fails_is_left_out_with_its_row_and_the_others_stand(tmp_path
     assert read == results and read.to_dict()["summary"] == others.to_dict()["summary"]
 
 
-@pytest.mark.parametrize(
-    ("entries", "suite", "arguments", "text"),
-    [
-        ([], "standard", {"split": "tests", "seeds": None}, "unknown split"),
-        ([], "standard", {"split": "train", "seeds": None}, "too many"),
-        ([], "standard", {"seeds": []}, "seeds must be a list of whole numbers, one or more, got .*20000 … 20199"),
-        ([], "standard", {"batch": 0}, "1 … 10000"),
-        ([], "standard", {"strategy": "mppt"}, "set by the entry"),
-        ([], "standard", {"partial": __file__}, "partial must be a folder"),
-        ([], "standard-v1", {"plant": {"turbine": TurbineParameters()}}, "in plant, give numbers and texts"),
-        ([], "standard-v1", {"plant": {1: 2}}, r"unknown settings of a plant \['1'\]"),
-        ([3], "standard", {}, "list of Entry"),
-        ([Entry(name="a"), Entry(name="a", training_seed=1)], "standard", {}, "all have a training seed"),
-        ([Entry(name="mppt")], "standard", {}, "reserved"),
-        (
-            [Entry(name="a", policy=linear(1.0), training_seed=seed, learned=seed == 0) for seed in (0, 1)],
-            *("standard", {}, "entries named 'a' share a row and must agree on kind, got"),
-        ),
-    ],
-)
+@pytest.mark.parametrize(("entries", "suite", "arguments", "text"), WRONG)
 def test_wrong_argument_is_refused(entries, suite, arguments, text):
     with pytest.raises(ValueError, match=text):
         evaluate(entries, suite, **{"split": "test", "seeds": [20_000], "duration_s": 2.0, **arguments})
@@ -266,14 +271,6 @@ def test_damaged_and_exchanged_parts_are_played_again(results, entries, tmp_path
     assert [record.getMessage().count("is played again") for record in caplog.records] == [1] * 4
 
 
-#: What a part was stored with, beside what is asked for.
-OTHER_PARTS = [
-    *({"entry": {key: value}} for key, value in (("name", "other"), ("training_seed", 2), ("fingerprint", "another"))),
-    *({"rows": {key: value}} for key, value in (("entry", "other"), ("training_seed", 2), ("seed", 20_001))),
-    *({"context": ["gust", "test"]}, {"seeds": [20_001, 20_000]}, {"seeds": [20_000]}, {}),
-]
-
-
 @pytest.mark.parametrize("change", OTHER_PARTS, ids=str)
 def test_a_part_is_used_for_exactly_what_it_was_stored_for(results, tmp_path, change):
     asked = {"name": "linear", "policy": linear(0.2), "fingerprint": "a policy", "training_seed": 1}
@@ -321,9 +318,6 @@ def test_sensors_of_an_evaluation_are_in_its_settings_and_decide_its_numbers():
         assert recompute(results, [droop]).differences == []
     assert any(text.startswith("sensors is exact") for text in departures(exact))
     assert not any(text.startswith("sensors") for text in departures(measured))
-
-
-DT = 0.1
 
 
 def test_metrics_agree_with_the_recorded_run():

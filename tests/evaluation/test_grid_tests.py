@@ -12,6 +12,9 @@ from wtg_gym.evaluation.damping import SLOPES, Loop, damping
 from wtg_gym.evaluation.grid_tests import GRID_TESTS, SOURCES, Recording, _longest_beyond, run_grid_test
 from wtg_gym.physics.protection import Status
 
+#: Continuous models know no secondary control, which acts at every simulation step.
+PLANT = {"secondary_time_s": 0.0}
+
 
 def played(name: str, law: str) -> tuple[Recording, bool]:
     found, (passed, _) = run_grid_test(GRID_TESTS[name], load_entries(law)[0])
@@ -38,13 +41,6 @@ def test_a_source_drags_the_groups_to_its_frequency_and_back():
     assert found.frequency_hz[-1] == pytest.approx(50.0, abs=0.01)
 
 
-def test_the_current_limit_is_reached_held_and_left():
-    found, passed = played("current-limit", "coordinated-tuned")
-    assert passed
-    assert found.current_pu.max() == pytest.approx(1.2, abs=1e-6)
-    assert found.limited.any() and not found.limited[found.at(3.0) :].any()
-
-
 @pytest.mark.parametrize(
     ("name", "power"), [("angle-step", 0.181), ("angle-step-30", 0.511), ("angle-step-forward", -0.54)]
 )
@@ -62,9 +58,11 @@ def test_the_last_machine_is_lost_in_balance_and_with_more_load_than_the_groups_
     assert passed and loaded.shed_mws > 0.0 and loaded.total()[0] == pytest.approx(0.9975, abs=1e-3)
 
 
-def test_a_voltage_above_the_ride_through_curve_fails_a_test_at_any_bus():
+def test_the_current_limit_is_reached_held_and_left_and_a_voltage_above_the_curve_fails_at_any_bus():
     found, passed = played("current-limit", "coordinated-tuned")
     assert passed and 1.2 < found.voltage_pu.max() < 1.25
+    assert found.current_pu.max() == pytest.approx(1.2, abs=1e-6)
+    assert found.limited.any() and not found.limited[found.at(3.0) :].any()
     voltage = found.voltage_pu.copy()
     voltage[found.at(5.0) : found.at(8.0), 0] = 1.21
     above = dataclasses.replace(found, voltage_pu=voltage)
@@ -74,10 +72,6 @@ def test_a_voltage_above_the_ride_through_curve_fails_a_test_at_any_bus():
 def test_the_time_beyond_a_limit_is_that_of_the_longest_stretch():
     beyond = np.array([[0, 1, 1, 1, 0, 1, 1, 0], [0, 0, 0, 0, 0, 0, 0, 1]], dtype=bool).T
     assert _longest_beyond(0.1 * np.arange(8.0), beyond) == pytest.approx(0.3)
-
-
-#: Continuous models know no secondary control, which acts at every simulation step.
-PLANT = {"secondary_time_s": 0.0}
 
 
 @pytest.mark.parametrize("law", ["deloaded-10", "coordinated-tuned"])

@@ -10,6 +10,23 @@ from tests.submissions import models
 from wtg_gym.evaluation import OnnxPolicy, PolicyError, evaluate, load_entries
 
 POLICIES = Path(__file__).resolve().parents[2] / "agents" / "policies"
+RANDOM = {
+    "normal": models.after("action = RandomNormalLike(linear)"),
+    "uniform, with a seed": models.after("action = RandomUniformLike<seed = 1.0>(linear)"),
+    "without input": models.after("drawn = RandomNormal<shape = [1, 4]>(); action = Add(linear, drawn)"),
+    "Bernoulli": models.after("chance = Sigmoid(linear); action = Bernoulli(chance)"),
+    "Multinomial": models.after("drawn = Multinomial<sample_size = 4>(linear); action = Cast<to = 1>(drawn)"),
+    "dropout": models.after("action = Dropout(linear, half, yes)", half=0.5, yes=True),
+    "within a condition": models.branch("drawn = RandomNormalLike(linear);"),
+    "a function called like an operator": models.with_function("y = RandomNormalLike(x);", "own"),
+}
+SIGNATURES = [
+    ([models.info("observation", 2, models.N)], [models.info("action", 2, 4)], r"\(batch, n\) with any batch"),
+    ([models.info("observation", "batch", "n")], [models.ACTION], "observation must be float32"),
+    ([models.OBSERVATION, models.info("memory", "batch", 2)], [models.ACTION], "must take observation, state_0"),
+    ([models.OBSERVATION, models.info("state_0", "batch", 2)], [models.ACTION], "must take observation, state_0"),
+    ([models.OBSERVATION], [], "must take observation, state_0"),
+]
 
 
 def counter() -> OnnxPolicy:
@@ -38,15 +55,7 @@ def test_file_that_is_missing_or_may_have_no_end_is_refused(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("inputs", "outputs", "text"),
-    [
-        ([models.info("observation", 2, models.N)], [models.info("action", 2, 4)], r"\(batch, n\) with any batch"),
-        ([models.info("observation", "batch", "n")], [models.ACTION], "observation must be float32"),
-        ([models.OBSERVATION, models.info("memory", "batch", 2)], [models.ACTION], "must take observation, state_0"),
-        ([models.OBSERVATION, models.info("state_0", "batch", 2)], [models.ACTION], "must take observation, state_0"),
-        ([models.OBSERVATION], [], "must take observation, state_0"),
-    ],
-    ids=["batch", "width", "memory", "state", "no action"],
+    ("inputs", "outputs", "text"), SIGNATURES, ids=["batch", "width", "memory", "state", "no action"]
 )
 def test_wrong_signature_is_refused_when_loaded(inputs, outputs, text):
     with pytest.raises(PolicyError, match=text):
@@ -78,18 +87,6 @@ def test_missing_policy_and_other_action_mode_are_named(tmp_path):
     (entry,) = load_entries(tmp_path)
     with pytest.raises(PolicyError, match=r"entry 'still', step 0: .*trained with another action_mode"):
         evaluate([entry], "standard", "test", seeds=[20_000], duration_s=1.0)
-
-
-RANDOM = {
-    "normal": models.after("action = RandomNormalLike(linear)"),
-    "uniform, with a seed": models.after("action = RandomUniformLike<seed = 1.0>(linear)"),
-    "without input": models.after("drawn = RandomNormal<shape = [1, 4]>(); action = Add(linear, drawn)"),
-    "Bernoulli": models.after("chance = Sigmoid(linear); action = Bernoulli(chance)"),
-    "Multinomial": models.after("drawn = Multinomial<sample_size = 4>(linear); action = Cast<to = 1>(drawn)"),
-    "dropout": models.after("action = Dropout(linear, half, yes)", half=0.5, yes=True),
-    "within a condition": models.branch("drawn = RandomNormalLike(linear);"),
-    "a function called like an operator": models.with_function("y = RandomNormalLike(x);", "own"),
-}
 
 
 @pytest.mark.parametrize("content", RANDOM.values(), ids=RANDOM)

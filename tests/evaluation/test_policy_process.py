@@ -20,6 +20,19 @@ from wtg_gym.policies.policy_process import NotIsolatedError, PolicyProcess
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="isolation is complete on Linux only")
 ROOT = Path(__file__).resolve().parents[2]
 ONES = np.ones((3, N), dtype=np.float32)
+LIES = [
+    "sink.write(b'\\xff\\xff\\xff\\xff'); sink.flush()",
+    "worker._send(sink, {'widths': [20, 10**12]})",
+    "worker._send(sink, {'widths': [20, True]})",
+    "worker._send(sink, {'widths': [20, 4] + [1] * 17})",
+    "worker._send(sink, {'widths': 'x'})",
+    "sink.write(b'\\x04\\x00\\x00\\x00nope'); sink.flush()",
+    "sink.write(b'\\x00\\x40\\x00\\x00' + b'[' * 16384); sink.flush()",
+    "import os; os.kill(os.getpid(), 9)",
+    "raise SystemExit(0)",
+    "worker._send(sink, {'widths': [20, 4]}); sink.write(b'\\x01\\x00'); sink.flush()",
+    "worker._send(sink, {'widths': [20, 4]}); sink.write(b'\\x00abc'); sink.flush()",
+]
 
 
 def opened(content: bytes | None = None) -> OnnxPolicy:
@@ -32,7 +45,6 @@ def pid_of(policy: OnnxPolicy) -> int:
 
 
 def gone(pid: int) -> bool:
-    """Whether a process has ended, within ten seconds."""
     for _ in range(100):
         try:
             state = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0]
@@ -245,22 +257,7 @@ worker._serve = serve""")
     assert [path.name for path in tmp_path.iterdir()] == ["kept"] and (tmp_path / "kept").read_text() == "content"
 
 
-@pytest.mark.parametrize(
-    "attack",
-    [
-        "sink.write(b'\\xff\\xff\\xff\\xff'); sink.flush()",
-        "worker._send(sink, {'widths': [20, 10**12]})",
-        "worker._send(sink, {'widths': [20, True]})",
-        "worker._send(sink, {'widths': [20, 4] + [1] * 17})",
-        "worker._send(sink, {'widths': 'x'})",
-        "sink.write(b'\\x04\\x00\\x00\\x00nope'); sink.flush()",
-        "sink.write(b'\\x00\\x40\\x00\\x00' + b'[' * 16384); sink.flush()",
-        "import os; os.kill(os.getpid(), 9)",
-        "raise SystemExit(0)",
-        "worker._send(sink, {'widths': [20, 4]}); sink.write(b'\\x01\\x00'); sink.flush()",
-        "worker._send(sink, {'widths': [20, 4]}); sink.write(b'\\x00abc'); sink.flush()",
-    ],
-)
+@pytest.mark.parametrize("attack", LIES)
 def test_lies_of_the_process_are_errors(attack, instead):
     instead(f"def serve(content, source, sink):\n    {attack}\nworker._serve = serve")
     with pytest.raises(PolicyError), opened() as policy:

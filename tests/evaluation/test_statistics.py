@@ -18,6 +18,16 @@ from wtg_gym.tasks import V0, V1
 
 #: J0 of seven scenarios of three strata.
 OFFSETS = np.array([40.0, 300.0, 3000.0, 40.0, 300.0, 3000.0, 40.0])
+N = 60
+GROUPS: Groups = {name: np.arange(i, 3 * N, 3) for i, name in enumerate(("ample", "tight", "short"))}
+#: Entries whose true score is 100: training seeds, and the parts of the variance that the scenarios (beside the laws),
+#: the seeds, and both together have. One training seed, and three that differ not at all, a little and much.
+WORLDS = {
+    "a law": (1, 0.5, 0.0, 0.0),
+    "three equal seeds": (3, 0.3, 0.0, 0.3),
+    "three seeds": (3, 0.3, 0.05, 0.2),
+    "three unequal seeds": (3, 0.3, 0.5, 0.2),
+}
 
 
 def whole(n: int) -> Groups:
@@ -39,14 +49,11 @@ def test_score_is_the_written_formula():
 
 
 @pytest.mark.parametrize("bad", [-1.0, math.nan, math.inf])
-def test_impossible_costs_are_refused(bad):
-    with pytest.raises(ValueError, match="finite and not negative"):
-        score.gains(np.array([[1.0, bad]]), np.ones(2), np.full(2, 5.0))
-
-
-def test_failure_costs_the_worst_there_is():
+def test_failure_costs_the_worst_there_is_and_impossible_costs_are_refused(bad):
     assert score.pinned_cost(12.0, failed=True, duration_s=60.0, cap=50.0) == 3050.0
     assert score.pinned_cost(12.0, failed=False, duration_s=60.0, cap=50.0) == 12.0
+    with pytest.raises(ValueError, match="finite and not negative"):
+        score.gains(np.array([[1.0, bad]]), np.ones(2), np.full(2, 5.0))
 
 
 def test_interval_of_several_seeds_covers_the_truth_as_often_as_it_says():
@@ -165,10 +172,6 @@ def test_training_seeds_that_go_bad_in_the_same_scenarios_are_no_further_evidenc
     assert statistics.sign_test(mixed, np.array([[0.0, 0.0, 1.0]])) == pytest.approx(3.0 / 8.0)
 
 
-N = 60
-GROUPS: Groups = {name: np.arange(i, 3 * N, 3) for i, name in enumerate(("ample", "tight", "short"))}
-
-
 def variates(x: np.ndarray, mean: Sequence[float], n: int = 10**12) -> ControlVariates:
     covariance = np.cov(x.T).reshape(len(mean), len(mean)).tolist()
     return ControlVariates(x, {name: KnownMeans(n, list(mean), covariance) for name in GROUPS})
@@ -235,16 +238,6 @@ def test_few_scenarios_have_finite_intervals(n):
         for interval in (Adjusted(0.4, groups).score(gains), Adjusted(0.4, groups).score_difference(gains, -gains)):
             assert np.isfinite([interval.low, interval.high]).all() and interval.low <= interval.value <= interval.high
             assert (interval.low == interval.high) == (n == n_runs == 1)
-
-
-#: Entries whose true score is 100: training seeds, and the parts of the variance that the scenarios (beside the laws),
-#: the seeds, and both together have. One training seed, and three that differ not at all, a little and much.
-WORLDS = {
-    "a law": (1, 0.5, 0.0, 0.0),
-    "three equal seeds": (3, 0.3, 0.0, 0.3),
-    "three seeds": (3, 0.3, 0.05, 0.2),
-    "three unequal seeds": (3, 0.3, 0.5, 0.2),
-}
 
 
 @pytest.mark.parametrize(("world", "adjust"), [*((world, True) for world in WORLDS), ("three seeds", False)])

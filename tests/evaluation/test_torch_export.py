@@ -12,6 +12,17 @@ from wtg_gym.policies.gate import check_submission
 
 M = 8
 ENTRY = {"name": "mine", "authors": ["Jane Doe"], "environment": "GFMWTG-14bus-v1"}
+REFUSED = {
+    "no module": (lambda n: lambda x: x, "takes a torch.nn.Module, got function"),
+    "other width": (lambda n: nn.Linear(n + 1, M), "cannot answer inputs of shapes"),
+    "too few actions": (lambda n: nn.Linear(n, M - 1), r"of shapes \[\(2, 8\)\], got \[\(2, 7\)\]"),
+    "undeclared states": (lambda n: Answers(n, lambda y, x: (y, x)), r"of shapes \[\(2, 8\)\], got \[\(2, 8\), "),
+    "random": (lambda n: Answers(n, lambda y, x: y + torch.randn(x.shape[0], M)), "draws random numbers"),
+    "branch": (lambda n: Answers(n, lambda y, x: y if x.sum() < 0.5 else -y), "branches on its input"),
+    "no operator": (lambda n: Answers(n, lambda y, x: torch.special.airy_ai(y)), "cannot export the module .*airy_ai"),
+    "not a number": (lambda n: Answers(n, lambda y, x: y / 0.0 * 0.0), "differ by inf"),
+    "too large": (lambda n: nn.Sequential(nn.Linear(n, 35_000), nn.Linear(35_000, M)), "allowed are 5000000"),
+}
 
 
 @pytest.fixture(autouse=True)
@@ -103,19 +114,6 @@ class Answers(nn.Linear):
 
     def forward(self, observation):
         return self.answer(super().forward(observation), observation)
-
-
-REFUSED = {
-    "no module": (lambda n: lambda x: x, "takes a torch.nn.Module, got function"),
-    "other width": (lambda n: nn.Linear(n + 1, M), "cannot answer inputs of shapes"),
-    "too few actions": (lambda n: nn.Linear(n, M - 1), r"of shapes \[\(2, 8\)\], got \[\(2, 7\)\]"),
-    "undeclared states": (lambda n: Answers(n, lambda y, x: (y, x)), r"of shapes \[\(2, 8\)\], got \[\(2, 8\), "),
-    "random": (lambda n: Answers(n, lambda y, x: y + torch.randn(x.shape[0], M)), "draws random numbers"),
-    "branch": (lambda n: Answers(n, lambda y, x: y if x.sum() < 0.5 else -y), "branches on its input"),
-    "no operator": (lambda n: Answers(n, lambda y, x: torch.special.airy_ai(y)), "cannot export the module .*airy_ai"),
-    "not a number": (lambda n: Answers(n, lambda y, x: y / 0.0 * 0.0), "differ by inf"),
-    "too large": (lambda n: nn.Sequential(nn.Linear(n, 35_000), nn.Linear(35_000, M)), "allowed are 5000000"),
-}
 
 
 @pytest.mark.parametrize("case", REFUSED)

@@ -14,14 +14,14 @@ import pytest
 from wtg_gym.evaluation import Entry, Workers, evaluate, load_entries, workers
 from wtg_gym.evaluation.circumstances import circumstances
 
-pytest.importorskip("joblib", reason="the extra 'cluster' is not installed here")
-
 ROOT = Path(__file__).resolve().parents[2]
 #: Three batches an entry, two of them of the same size.
 SHORT = {"seeds": (20_002, 20_000, 20_005, 20_001, 20_007), "duration_s": 2.0, "batch": 2}
 
-
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="processes are killed with signals")
+
+
+pytest.importorskip("joblib", reason="the extra 'cluster' is not installed here")
 
 
 class Linear:

@@ -4,60 +4,38 @@ All in p.u. of `Sbase` except machine data, which are on the machine's own base 
 """
 
 import json
+import tomllib
+from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from wtg_gym.physics.grid import MODELS, Branch, Bus, NetworkCase, Source
+from tests.physics.extended import phasors
+from wtg_gym import Plant, Scenario
+from wtg_gym.physics.grid import MODELS, Branch, Bus, NetworkCase, Source, get_grid
 from wtg_gym.physics.machine_parameters import SynchronousMachineParameters, classical_machine
 from wtg_gym.physics.scenario import EVENT_KINDS, Event, LoadStep
+from wtg_gym.physics.simulator import Simulator
+from wtg_gym.physics.units import UNITS
 
 GOLDEN = Path(__file__).parent
 #: Rows of the traces are whole multiples of this [s].
 ROW_S = 1.0 / 16.0
 TRACES = sorted(GOLDEN.glob("*/*.csv"))
 
-# What the file, as ANDES, calls the fields of a record.
-BRANCH = "resistance=r reactance=x charging=b tap=tap phase_rad=phi"
-MACHINE = "rating_mva=Sn two_h_s=M x_d_transient=xd1 damping_pu=D resistance=ra"
-GENROU = (
-    "x_d=xd x_q=xq x_q_transient=xq1 x_subtransient=xd2 x_leakage=xl t_d0_transient_s=Td10 t_d0_subtransient_s=Td20 "
-    "t_q0_transient_s=Tq10 t_q0_subtransient_s=Tq20 saturation_1_0=S10 saturation_1_2=S12"
-)
-IEEET1 = (
-    "sensing_time_s=TR regulator_gain=KA regulator_time_s=TA regulator_min_pu=VRMIN regulator_max_pu=VRMAX "
-    "exciter_gain=KE exciter_time_s=TE feedback_gain_s=KF feedback_time_s=TF saturation_voltage_1_pu=E1 "
-    "saturation_1=SE1 saturation_voltage_2_pu=E2 saturation_2=SE2"
-)
-#: Of each kind of control the names by model, those first that are looked for first.
-GOVERNORS = {
-    "tgov1": "droop_pu=R gate_time_s=T1 lead_time_s=T2 reheat_time_s=T3 gate_min_pu=VMIN gate_max_pu=VMAX "
-    "turbine_damping_pu=Dt dead_band_pu=db",
-    "hygov": "droop_pu=R temporary_droop_pu=r reset_time_s=Tr filter_time_s=Tf gate_time_s=Tg "
-    "gate_rate_limit_pu_s=VELM gate_min_pu=GMIN gate_max_pu=GMAX water_time_s=Tw turbine_gain=At turbine_damping_pu=Dt "
-    "no_load_flow_pu=qNL dead_band_pu=db",
-    "ieeeg1": "droop_pu=R lag_time_s=T1 lead_time_s=T2 valve_time_s=T3 opening_rate_pu_s=UO closing_rate_pu_s=UC "
-    "gate_min_pu=PMIN gate_max_pu=PMAX pass_time_1_s=T4 fraction_1=K1 pass_time_2_s=T5 fraction_2=K3 pass_time_3_s=T6 "
-    "fraction_3=K5 pass_time_4_s=T7 fraction_4=K7",
-    "ieesgo": "droop_pu=R lag_time_s=T1 lead_time_s=T2 governor_time_s=T3 inlet_time_s=T4 reheat_time_s=T5 "
-    "crossover_time_s=T6 fraction_2=K2 fraction_3=K3 gate_min_pu=PMIN gate_max_pu=PMAX",
-    "gast": "droop_pu=R valve_time_s=T1 turbine_time_s=T2 exhaust_time_s=T3 load_limit_pu=AT temperature_gain=KT "
-    "gate_min_pu=VMIN gate_max_pu=VMAX turbine_damping_pu=Dt",
+#: What a file, as ANDES, calls the fields of a record; of controls by kind and model.
+NAMES = tomllib.loads((GOLDEN / "names.toml").read_text(encoding="utf-8"))
+CONTROLS = {kind: NAMES[kind] for kind in ("exciter", "governor", "stabiliser")}
+#: Of the grids that come with the package, by grid and trace; powers are taken at the voltage of the power flow.
+EVENTS: dict[str, dict[str, list[dict[str, Any]]]] = {
+    "ieee39": {"loads": [{"t": 1.0, "bus": 8, "trip_load_MW": 522.0}, {"t": 4.0, "bus": 20, "MW_at_V0": 200.0}]},
+    "kundur": {"load": [{"t": 1.0, "bus": 7, "MW_at_V0": 100.0}]},
+    "nordic45": {"load": [{"t": 1.0, "bus": 7000, "MW_at_V0": 1000.0}]},
 }
-EXCITERS = {
-    "sexs": "lead_lag_ratio=TATB lag_time_s=TB gain=K exciter_time_s=TE field_min_pu=EMIN field_max_pu=EMAX",
-    "ieeet1": IEEET1,
-    "ieeex1": f"{IEEET1} lead_time_s=TC lag_time_s=TB",
-}
-STABILISERS = {
-    "stab1": "gain=K washout_time_s=T lead_time_1_s=T1 lag_time_1_s=T3 lead_time_2_s=T2 lag_time_2_s=T4 "
-    "signal_limit_pu=HLIM",
-    "ieeest": "filter_a1_s=A1 filter_a2_s2=A2 filter_a3_s=A3 filter_a4_s2=A4 filter_a5_s=A5 filter_a6_s2=A6 "
-    "lead_time_1_s=T1 lag_time_1_s=T2 lead_time_2_s=T3 lag_time_2_s=T4 washout_gain_s=T5 washout_time_s=T6 gain=KS "
-    "signal_min_pu=LSMIN signal_max_pu=LSMAX",
-}
+TOLERANCE = {"w": 1e-6, "Pe": 1e-3, "V": 5e-5}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -80,10 +58,8 @@ class Case:
 
 def read_data(name: str):
     """Return what the `params.json` of a golden case holds, or would hold of a grid that comes with the package."""
-    from tests.golden import shipped
-
-    if name in shipped.EVENTS:
-        return shipped.data_of_grid(name)
+    if name in EVENTS:
+        return data_of_grid(name)
     return json.loads((GOLDEN / name / "params.json").read_text(encoding="utf-8"))
 
 
@@ -127,7 +103,9 @@ def case_of(name: str, data) -> Case:
             )
             for number in voltage
         ),
-        branches=tuple(Branch(from_bus=line["f"], to_bus=line["t"], **_named(BRANCH, line)) for line in data["line"]),
+        branches=tuple(
+            Branch(from_bus=line["f"], to_bus=line["t"], **_named(NAMES["branch"], line)) for line in data["line"]
+        ),
         machines=machines,
         sources=sources,
     )
@@ -142,7 +120,6 @@ def case_of(name: str, data) -> Case:
 
 
 def field_names(names: str) -> list[list[str]]:
-    """Return the names of fields, and what the file calls each."""
     return [pair.split("=") for pair in names.split()]
 
 
@@ -150,9 +127,9 @@ def _named(names: str, given):
     return {name: float(given[key]) for name, key in field_names(names) if key in given}
 
 
-def _control(data, key: str, models: Mapping[str, str]):
-    """Return the control of a machine, of the first of these models of which the file has one, or None."""
-    for model, names in models.items():
+def _control(data, key: str, kind: str):
+    """Return the control of a machine, of the first model of its kind of which the file has one, or None."""
+    for model, names in CONTROLS[kind].items():
         entries = data.get(model, [])
         for entry in [entries] if isinstance(entries, dict) else entries:
             if entry["gen"] == key:
@@ -162,18 +139,18 @@ def _control(data, key: str, models: Mapping[str, str]):
 
 def _machine(gen, base: float, power: complex, data, key: str) -> SynchronousMachineParameters:
     common = {
-        **_named(MACHINE, gen),
+        **_named(NAMES["machine"], gen),
         "bus": gen["bus"],
         "dispatch_mw": base * power.real,
         # Only the proportions of the weights count.
         "reactive_weight": base * gen["gammaq"],
-        "governor": _control(data, key, GOVERNORS),
+        "governor": _control(data, key, "governor"),
     }
     if gen.get("model", "GENCLS") == "GENCLS":
         return classical_machine(**common)
     assert gen["xd2"] == gen["xq2"], "the network is a constant admittance"
-    electric = {"exciter": _control(data, key, EXCITERS), "stabiliser": _control(data, key, STABILISERS)}
-    return SynchronousMachineParameters(**electric, **_named(GENROU, gen), **common)
+    electric = {"exciter": _control(data, key, "exciter"), "stabiliser": _control(data, key, "stabiliser")}
+    return SynchronousMachineParameters(**electric, **_named(NAMES["genrou"], gen), **common)
 
 
 def _event(entry, base: float, voltage: Mapping[int, complex], loads: Mapping[int, complex]) -> Event:
@@ -196,3 +173,69 @@ def read_trace(path: Path) -> tuple[np.ndarray, dict[str, np.ndarray]]:
     table = np.genfromtxt(path, delimiter=",", names=True)
     table = table[table["t"] % ROW_S == 0.0]
     return table["t"], {name: table[name] for name in table.dtype.names[1:]}
+
+
+def machine_powers(simulator: Simulator) -> np.ndarray:
+    machines, n = simulator.plant.machines, simulator.layout.n_sync
+    emf, current = (phasors(simulator, UNITS, part)[:n] for part in ("voltage", "current"))
+    return current.conj() * (emf - (machines["resistance"] + 1j * machines["internal_reactance"]) * current)
+
+
+def data_of_grid(name: str) -> dict[str, Any]:
+    """Return what a `params.json` would hold of a grid that comes with the package, with all its machines."""
+    case = get_grid(name).case
+    voltage, power = _power_flow(case)
+    at, base = dict(zip(case.bus_numbers, voltage, strict=True)), case.base_mva
+    buses = list(dict.fromkeys(machine.bus for machine in case.machines))
+    static = {bus: sum(p for p, m in zip(power, case.machines, strict=True) if m.bus == bus) for bus in buses}
+    rated = {bus: sum(m.rating_mva for m in case.machines if m.bus == bus) for bus in buses}
+    gens, controls = dict[str, Any](), dict[str, list[Any]]()
+    several = {bus for bus, n in Counter(machine.bus for machine in case.machines).items() if n > 1}
+    models = {record: model.lower() for model, record in MODELS.items()}
+
+    def conductance(event: dict[str, Any]) -> dict[str, Any]:
+        mw = event.get("MW_at_V0")
+        return event if mw is None else {**event, "dG_pu": mw / base / abs(at[event["bus"]]) ** 2}
+
+    for machine, s in zip(case.machines, power, strict=True):
+        letters = "abc" if machine.bus in several else ("",)
+        key = next(key for key in (f"{machine.bus}{letter}" for letter in letters) if key not in gens)
+        gens[key] = {
+            "model": "GENROU", "bus": machine.bus, "gammap": s.real / static[machine.bus].real,
+            "gammaq": machine.rating_mva / rated[machine.bus], "xq2": machine.x_subtransient,
+            **_values(f"{NAMES['machine']} {NAMES['genrou']}", machine),
+        }  # fmt: skip
+        for kind in CONTROLS:
+            if (control := getattr(machine, kind)) is not None:
+                model = models[type(control)]
+                values = _values(CONTROLS[kind][model], control)
+                controls.setdefault(model, []).append({"gen": key, **values})
+    return {
+        "fn": case.frequency_hz,
+        "Sbase": base,
+        "bus": [{"bus": bus, "V": abs(v), "theta": float(np.angle(v)), "Vn": 100.0} for bus, v in at.items()],
+        "line": [{"f": b.from_bus, "t": b.to_bus, **_values(NAMES["branch"], b)} for b in case.branches],
+        "load": [{"bus": b.number, "P": b.load_mw / base, "Q": b.load_mvar / base} for b in case.buses if b.load_mw],
+        "shunt": [{"bus": b.number, "g": b.shunt_mw / base, "b": b.shunt_mvar / base} for b in case.buses],
+        "gen_static": {str(bus): {"P": s.real, "Q": s.imag} for bus, s in static.items()},
+        "gens": gens,
+        **controls,
+        "events": {trace: [conductance(event) for event in events] for trace, events in EVENTS[name].items()},
+        "tolerance": TOLERANCE,
+    }
+
+
+def _values(names: str, record: Any) -> dict[str, float]:
+    """Return the numbers of a record as the file calls them; a dead band of 0 is none."""
+    found = {key: getattr(record, field) for field, key in field_names(names)}
+    return {key: value for key, value in found.items() if (key, value) != ("db", 0.0)}
+
+
+def _power_flow(case: NetworkCase) -> tuple[Any, Any]:
+    """Return the voltages of the buses and the powers of the machines, complex [p.u.]."""
+    simulator = Simulator(Plant(case=case, groups=()))
+    simulator.start(0, Scenario(name="rest", wind_speed=np.zeros((0, 1)), load_noise_bus=case.slack_bus), ())
+    simulator.evaluate()
+    voltage, slack = simulator.bus_voltages(), case.bus_index(case.slack_bus)
+    voltage *= abs(voltage[slack]) / voltage[slack]
+    return voltage, machine_powers(simulator)

@@ -36,8 +36,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tests.golden.case import EXCITERS, GOLDEN, GOVERNORS, STABILISERS, read_data
-from tests.golden.shipped import EVENTS
+from tests.golden.case import CONTROLS, EVENTS, GOLDEN, read_data
 
 STEPS_PER_SECOND = (96, 192, 384, 768)
 #: Spacing of the rows of a trace, and in the second after an event [s].
@@ -71,12 +70,9 @@ RUNS = {
         Run(duration_s=6.0, extrapolations=1),
     ),
 }
-#: The models of each control as the parameter file calls them.
-CONTROLS = {"exciter": EXCITERS, "governor": GOVERNORS, "stabiliser": STABILISERS}
 
 
 def devices(data, events, run: Run):
-    """Return what an ANDES system with these events consists of."""
     made = [("Bus", {"idx": bus["bus"], "v0": _held_voltage(data, bus["bus"]), "a0": 0.0}) for bus in data["bus"]]
     made += _lines(data, events)
     for load in data["load"]:
@@ -307,7 +303,6 @@ def _fixed_step() -> str:
 
 
 def difference(names: Sequence[str], trace: np.ndarray, other: np.ndarray) -> dict[str, float]:
-    """Return the largest difference of each quantity [p.u.]."""
     gaps = dict(zip(names, np.abs(trace - other).max(axis=0).tolist(), strict=True))
     return {quantity: max(gaps[name] for name in names if name.startswith(quantity)) for quantity in QUANTITIES}
 
@@ -345,7 +340,7 @@ def make_case(name: str, output: Path):
             "estimated_remaining_error_pu": _short(remaining),
         }
         print(f"{name}/{key}.csv: remaining error {_short(remaining)}", flush=True)
-    if name in EVENTS:  # theirs are in `shipped.py`
+    if name in EVENTS:  # theirs are in `case.py`
         return convergence
     data["tolerance"] = {q: _one_digit_up(max(3.0 * worst[q], WRITTEN_PU)) for q in QUANTITIES}
     _write_json(output / name / "params.json", data)
@@ -361,13 +356,11 @@ def _short(values: Mapping[str, float]) -> dict[str, float]:
 
 
 def _one_digit_up(value: float) -> float:
-    """Return a positive value rounded up to one significant digit."""
     exponent = math.floor(math.log10(value))
     return float(f"{math.ceil(value / 10.0**exponent)}e{exponent}")
 
 
 def main() -> None:
-    """Make the cases that are asked for."""
     parser = argparse.ArgumentParser(description="Make the golden traces anew with ANDES.")
     parser.add_argument("cases", nargs="*", help=f"of {', '.join(RUNS)} (default: all)")
     parser.add_argument("--output", type=Path, default=GOLDEN, help="folder for the files (default: this one)")

@@ -4,13 +4,11 @@ from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 
-from tests.golden.case import ROW_S, Case
-from tests.physics.extended import phasors
+from tests.golden.case import ROW_S, Case, machine_powers
 from wtg_gym.physics.parameters import ConverterLimitParameters, ProtectionParameters
 from wtg_gym.physics.plant import Plant
 from wtg_gym.physics.scenario import Event, LineTrip, Scenario
 from wtg_gym.physics.simulator import Simulator
-from wtg_gym.physics.units import UNITS
 
 
 def replay(case: Case, events: Sequence[Event], time_s: np.ndarray, step_s: float) -> dict[str, np.ndarray]:
@@ -80,13 +78,6 @@ def _require_power_flow(case: Case, simulator: Simulator) -> None:
     found = dict(zip(case.columns, _columns(simulator), strict=True))
     for key, power in case.power.items():
         assert abs(complex(found[f"Pe{key}"], found[f"Qe{key}"]) - power) < 1e-4, f"machine {key}: other power"
-
-
-def machine_powers(simulator: Simulator) -> np.ndarray:
-    """Return P + jQ of every machine as it is now [p.u.]."""
-    machines, n = simulator.plant.machines, simulator.layout.n_sync
-    emf, current = (phasors(simulator, UNITS, part)[:n] for part in ("voltage", "current"))
-    return current.conj() * (emf - (machines["resistance"] + 1j * machines["internal_reactance"]) * current)
 
 
 def _columns(simulator: Simulator) -> np.ndarray:

@@ -13,11 +13,10 @@ import pytest
 from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
 
-from tests.golden.case import GOLDEN, ROW_S, TRACES, read_case, read_data, read_trace
+from tests.golden.case import EVENTS, GOLDEN, ROW_S, TRACES, read_case, read_data, read_trace
 from tests.golden.make import RUNS, columns, devices, row_times
 from tests.golden.replay import differences, replay, sampled
-from tests.golden.shipped import EVENTS
-from tests.physics.extended import NO_SHEDDING, plant, recorded, scenario
+from tests.physics.extended import NO_SHEDDING, numbers, plant, recorded, scenario
 from wtg_gym import FrequencyRamp, LoadStep, PhaseJump, Plant, Scenario, TrackingLaw, get_law
 from wtg_gym.physics import parameters
 from wtg_gym.physics.aerodynamics import tracking_point
@@ -26,6 +25,9 @@ from wtg_gym.physics.integration import PROGRAMS
 from wtg_gym.physics.plant import with_places
 from wtg_gym.physics.protection import STAGES
 from wtg_gym.physics.simulator import Simulator
+
+OTHERS = {"classical-machines", "ideal-source-units"}
+MADE = [path for path in TRACES if path.parent.name not in OTHERS]
 
 
 def test_there_are_golden_traces_of_every_case_that_the_page_describes():
@@ -53,10 +55,6 @@ def test_fine_step_follows_the_golden_trace_and_the_default_step_is_close_to_it(
     assert default["w"] < 5e-6 and default["Pe"] < power and default["V"] < voltage
 
 
-OTHERS = {"classical-machines", "ideal-source-units"}
-MADE = [path for path in TRACES if path.parent.name not in OTHERS]
-
-
 @pytest.mark.parametrize("path", MADE, ids=lambda path: f"{path.parent.name}/{path.name}")
 def test_a_trace_made_anew_has_the_rows_the_columns_and_the_machines_of_the_one_kept(path):
     data, run = read_data(path.parent.name), RUNS[path.parent.name]
@@ -70,8 +68,8 @@ def test_a_trace_made_anew_has_the_rows_the_columns_and_the_machines_of_the_one_
     assert {(device["model"], device["dev"]) for model, device in system if model in ("Toggle", "Alter")} <= names
 
 
-def held_groups(name: str, power_mw: float, **more) -> tuple[Simulator, dict[str, float]]:
-    """Play the network of a case with groups at bus 2 whose rotors hold their speed; return it and its differences.
+def held_groups(name: str, power_mw: float, **more) -> Simulator:
+    """Play the network of a case with groups at bus 2 whose rotors hold their speed, and compare it with the trace.
 
     P_st is constant, so that an extended group is the grid-forming converter of the trace.
     """
@@ -112,12 +110,13 @@ def held_groups(name: str, power_mw: float, **more) -> tuple[Simulator, dict[str
     names = [f"{quantity}{key}" for own in (keys, ("2a", "2b")) for quantity in ("w", "Pe") for key in own]
     names += [f"V{number}" for number in case.network.bus_numbers]
     found = np.array(sampled(simulator, times, look))
-    return simulator, differences(case, trace, dict(zip(names, found.T, strict=True)))
+    largest = differences(case, trace, dict(zip(names, found.T, strict=True)))
+    assert largest["w"] <= 3e-7 and largest["Pe"] <= 2e-5 and largest["V"] <= 1e-6, largest
+    return simulator
 
 
 def test_a_group_whose_rotor_holds_its_speed_is_the_grid_forming_converter_of_another_simulator():
-    _, largest = held_groups("grid-forming", 75.0)
-    assert largest["w"] <= 3e-7 and largest["Pe"] <= 2e-5 and largest["V"] <= 1e-6, largest
+    held_groups("grid-forming", 75.0)
 
 
 def test_shedding_does_what_it_does_in_another_simulator_at_the_same_instants():
@@ -129,10 +128,9 @@ def test_shedding_does_what_it_does_in_another_simulator_at_the_same_instants():
         for level, share, delay in zip(levels, shares, delays, strict=True)
     )
     shedding = (*stages, *NO_SHEDDING[3:])
-    simulator, largest = held_groups("shedding", 150.0, shedding=shedding)
-    acted = -1.0 - simulator.blocks[0, simulator.layout.first_rows(STAGES, "shed")[:3], 0]
+    simulator = held_groups("shedding", 150.0, shedding=shedding)
+    acted = -1.0 - numbers(simulator, STAGES, "shed")[:3]
     assert (acted / 320.0).tolist() == pytest.approx(instants, abs=1e-12)
-    assert largest["w"] <= 3e-7 and largest["Pe"] <= 2e-5 and largest["V"] <= 1e-6, largest
 
 
 class IndependentConverter:

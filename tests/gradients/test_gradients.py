@@ -20,6 +20,44 @@ N_LANES = 3
 #: Their machine code is that of the programs of docs/gradients.md, whose actions are held.
 V1 = {"version": "v1", "control_dt": 0.1}
 KUNDUR = {**V1, "grid": "kundur"}
+STEP = sc.LoadStep(time_s=0.525, bus=4, power_mw=15.0)
+OUTAGES = [
+    [STEP, sc.GovernorLoss(time_s=2.35, bus=1)],
+    [STEP, sc.MachineOutage(time_s=1.05, bus=3)],
+    [STEP, sc.LineTrip(time_s=1.075, from_bus=4, to_bus=5, recloses_after_s=0.225)],
+]
+FAULT = sc.Fault(time_s=1.0, bus=4, clears_after_s=0.15, opens=(4, 5))
+OUTAGES_V1 = [
+    [FAULT, sc.ReactanceStep(time_s=2.0, from_bus=2, to_bus=4, factor=3.0)],
+    [sc.LineTrip(time_s=1.0, from_bus=a, to_bus=b) for a, b in ((5, 6), (4, 7), (4, 9))],
+    [sc.MachineOutage(time_s=1.0, bus=1)],
+]
+#: A group trips in strong wind, and others take over until load is lost too: their currents are limited meanwhile.
+OVERLOAD = (sc.GroupTrip(time_s=1.0, group=0), sc.LoadStep(time_s=1.6, bus=4, power_mw=-70.0))
+#: Episodes end within a control interval, which is longer than that of the protections; no last cost is cut.
+OTHERS = {
+    **{"plant": {"machine_model": "classical"}, "control_dt": 0.5, "weights": {"cap": 5000.0}},
+    **{"action_mode": "tau", "observation_mode": "privileged", "strategy": "coordinated-piecewise"},
+}
+ZEROS = np.zeros((5, N_LANES, 4))
+BAD = [
+    (lambda tape, scenarios: tape.gradient(scenarios, np.zeros((5, N_LANES, 9))), "shape"),
+    (lambda tape, scenarios: tape.gradient(scenarios, ZEROS, {"duty": np.nan}), "finite"),
+    # One would have been played in all lanes.
+    (lambda tape, scenarios: tape.start(scenarios[:1]), "3 scenarios, one per environment"),
+    *((lambda _, __, name=name: getattr(unused(), name)(), "start") for name in ("law", "outputs", "back")),
+    (lambda tape, scenarios: unused().step(np.zeros((N_LANES, 4))), "start"),
+    (lambda tape, scenarios: tape.set_law(tape.law()), "first step"),
+    (lambda tape, scenarios: tape.start(scenarios) is not tape.set_law(tape.law() * np.nan), "finite"),
+    (lambda tape, scenarios: pulled(tape, 1), "no step 1: since start.. 1 have"),
+    (lambda tape, scenarios: pulled(tape, 0, carried=0.0), "carried must have the shape"),
+    (lambda tape, scenarios: pulled(tape, 0, observations=np.zeros(3)), "observations must have the shape"),
+    (lambda tape, own: check_by_differences(tape, own, ZEROS, step=0.0), r"step .* 1e-9 … 0.1, got 0.0"),
+    (lambda tape, own: check_by_differences(tape, own, ZEROS, direction=np.ones(3)), "direction must be"),
+    (lambda tape, scenarios: check_by_differences(tape, scenarios, ZEROS, {"power": 1.0}), "unknown terms"),
+    # More steps than were taken, the last of which would have counted nothing.
+    (lambda tape, scenarios: tape.back(outputs=np.zeros((2, N_LANES, 8))), r"\(1, 3, 8\), got \(2, 3, 8\)"),
+]
 
 
 @functools.cache
@@ -45,7 +83,6 @@ def played(tape: Tape, scenarios: list[sc.Scenario], actions: np.ndarray, law: n
 
 
 def central(function: Callable[[float], np.ndarray], h: float = 1e-6) -> np.ndarray:
-    """Central difference of a function at 0."""
     return (function(h) - function(-h)) / (2.0 * h)
 
 
@@ -53,8 +90,8 @@ def along(found: Gradient, way: np.ndarray) -> np.ndarray:
     return np.einsum("kla,kla->l", found.actions, way)
 
 
-def given(n_wtg: int, *events, wind: float = 9.0) -> sc.Scenario:
-    return sc.Scenario(name="given", wind_speed=np.full((n_wtg, 1), wind), events=events, load_noise_bus=3)
+def given(n_wtg: int, *events, wind: float = 9.0, bus: int = 3) -> sc.Scenario:
+    return sc.Scenario(name="given", wind_speed=np.full((n_wtg, 1), wind), events=events, load_noise_bus=bus)
 
 
 def agrees(tape: Tape, scenarios: list[sc.Scenario], actions: np.ndarray, tolerance: float = 1e-5) -> Gradient:
@@ -161,20 +198,6 @@ def test_a_held_step_has_the_gradient_of_its_intervals():
         assert ours == pytest.approx(theirs, rel=1e-9)
 
 
-STEP = sc.LoadStep(time_s=0.525, bus=4, power_mw=15.0)
-OUTAGES = [
-    [STEP, sc.GovernorLoss(time_s=2.35, bus=1)],
-    [STEP, sc.MachineOutage(time_s=1.05, bus=3)],
-    [STEP, sc.LineTrip(time_s=1.075, from_bus=4, to_bus=5, recloses_after_s=0.225)],
-]
-FAULT = sc.Fault(time_s=1.0, bus=4, clears_after_s=0.15, opens=(4, 5))
-OUTAGES_V1 = [
-    [FAULT, sc.ReactanceStep(time_s=2.0, from_bus=2, to_bus=4, factor=3.0)],
-    [sc.LineTrip(time_s=1.0, from_bus=a, to_bus=b) for a, b in ((5, 6), (4, 7), (4, 9))],
-    [sc.MachineOutage(time_s=1.0, bus=1)],
-]
-
-
 @pytest.mark.parametrize(("settings", "events"), [({}, OUTAGES), (V1, OUTAGES_V1)])
 def test_the_gradient_goes_through_events(settings, events):
     tape = tape_of(**settings)
@@ -184,8 +207,7 @@ def test_the_gradient_goes_through_events(settings, events):
 def test_the_gradient_goes_through_the_stabilisers_of_another_grid():
     tape = tape_of(**KUNDUR)
     steps = [sc.LoadStep(time_s=at, bus=9, power_mw=mw) for at, mw in ((0.5, 150.0), (2.0, -99.0))]
-    scenarios = [dataclasses.replace(given(2, *steps, wind=wind), load_noise_bus=9) for wind in (8.5, 9.0, 10.0)]
-    agrees(tape, scenarios, actions_of(tape, 60))
+    agrees(tape, [given(2, *steps, wind=wind, bus=9) for wind in (8.5, 9.0, 10.0)], actions_of(tape, 60))
     assert any(machine.stabiliser for machine in tape.lanes.settings.resolved_plant.case.machines)
 
 
@@ -204,10 +226,6 @@ def test_the_gradient_goes_through_the_limits_of_the_pitch():
     assert np.count_nonzero(np.diff(turned.astype(int))) >= 3
 
 
-#: A group trips in strong wind, and others take over until load is lost too: their currents are limited meanwhile.
-OVERLOAD = (sc.GroupTrip(time_s=1.0, group=0), sc.LoadStep(time_s=1.6, bus=4, power_mw=-70.0))
-
-
 def test_the_gradient_goes_through_the_limits_of_currents_and_powers():
     tape = tape_of(**V1)
     step = sc.LoadStep(time_s=1.0, bus=2, power_mw=60.0, reactive_mvar=60.0)
@@ -221,13 +239,6 @@ def test_the_gradient_goes_through_the_limits_of_currents_and_powers():
         limited += (tape.lanes.simulator.wtg_values("limiting_reactance") > 0.0).any(axis=1)
         over_power = np.minimum(over_power, tape.lanes.simulator.wtg_values("over_power").min(axis=1))
     assert (limited[[0, 2]] > 2).all() and over_power[1] < -1e-4
-
-
-#: Episodes end within a control interval, which is longer than that of the protections; no last cost is cut.
-OTHERS = {
-    **{"plant": {"machine_model": "classical"}, "control_dt": 0.5, "weights": {"cap": 5000.0}},
-    **{"action_mode": "tau", "observation_mode": "privileged", "strategy": "coordinated-piecewise"},
-}
 
 
 @pytest.mark.parametrize("settings", [{}, OTHERS], ids=["usual", "others"])
@@ -320,30 +331,7 @@ def pulled(tape: Tape, step: int, **other):
     return tape.pull(step, **given | other)
 
 
-ZEROS = np.zeros((5, N_LANES, 4))
-
-
-@pytest.mark.parametrize(
-    ("call", "reason"),
-    [
-        (lambda tape, scenarios: tape.gradient(scenarios, np.zeros((5, N_LANES, 9))), "shape"),
-        (lambda tape, scenarios: tape.gradient(scenarios, ZEROS, {"duty": np.nan}), "finite"),
-        # One would have been played in all lanes.
-        (lambda tape, scenarios: tape.start(scenarios[:1]), "3 scenarios, one per environment"),
-        *((lambda _, __, name=name: getattr(unused(), name)(), "start") for name in ("law", "outputs", "back")),
-        (lambda tape, scenarios: unused().step(np.zeros((N_LANES, 4))), "start"),
-        (lambda tape, scenarios: tape.set_law(tape.law()), "first step"),
-        (lambda tape, scenarios: tape.start(scenarios) is not tape.set_law(tape.law() * np.nan), "finite"),
-        (lambda tape, scenarios: pulled(tape, 1), "no step 1: since start.. 1 have"),
-        (lambda tape, scenarios: pulled(tape, 0, carried=0.0), "carried must have the shape"),
-        (lambda tape, scenarios: pulled(tape, 0, observations=np.zeros(3)), "observations must have the shape"),
-        (lambda tape, own: check_by_differences(tape, own, ZEROS, step=0.0), r"step .* 1e-9 … 0.1, got 0.0"),
-        (lambda tape, own: check_by_differences(tape, own, ZEROS, direction=np.ones(3)), "direction must be"),
-        (lambda tape, scenarios: check_by_differences(tape, scenarios, ZEROS, {"power": 1.0}), "unknown terms"),
-        # More steps than were taken, the last of which would have counted nothing.
-        (lambda tape, scenarios: tape.back(outputs=np.zeros((2, N_LANES, 8))), r"\(1, 3, 8\), got \(2, 3, 8\)"),
-    ],
-)
+@pytest.mark.parametrize(("call", "reason"), BAD)
 def test_bad_input_is_refused(call, reason):
     tape = tape_of()
     scenarios = drawn(tape)

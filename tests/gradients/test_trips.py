@@ -2,7 +2,7 @@
 
 import dataclasses
 import functools
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import pytest
@@ -18,30 +18,11 @@ TERMS, OUTPUTS = ("frequency", "rocof", "duty", "effort"), ("frequency_pu", "roc
 QUANTITIES = (*TERMS, *OUTPUTS, "observations")
 
 
-def winds(n_wtg: int, first: float, last: float, steps: int, *events: Any) -> Scenario:
-    """The first group's wind [m/s] changes evenly from control step 20 on; that of the others stays."""
+def falling(n_wtg: int, first: float, n_steps: int, *events: Any) -> Scenario:
+    """The first group's wind falls evenly to 3 m/s from control step 20 on; that of the others stays."""
     wind = np.full((n_wtg, 301), first)
-    wind[0] = np.interp(np.arange(301), [20, 20 + steps], [first, last])
+    wind[0] = np.interp(np.arange(301), [20, 20 + n_steps], [first, 3.0])
     return Scenario(name="given", wind_speed=wind, load_noise_bus=3, events=events)
-
-
-def calms(n_wtg: int) -> list[Scenario]:
-    """The first rotor falls below its least speed."""
-    step = LoadStep(time_s=1.0, bus=4, power_mw=20.0)
-    return [
-        winds(n_wtg, 9.0, 3.0, 50, step),
-        winds(n_wtg, 8.5, 3.0, 60, LoadStep(time_s=1.0, bus=4, power_mw=30.0)),
-        winds(n_wtg, 9.0, 3.0, 30, step),
-    ]
-
-
-class Case(NamedTuple):
-    """Episodes in which the first group of every lane trips."""
-
-    tape: Tape
-    scenarios: list[Scenario]  # with a lost governor or another trip in the last simulation step before, in two lanes
-    actions: np.ndarray  # until the last of them
-    at: list[int]  # control step in which each lane's first group trips
 
 
 @functools.cache
@@ -52,12 +33,17 @@ def tape_of(name: str) -> Tape:
     return Tape(EnvSettings(on_failure="trip", **settings), N_LANES, 1)
 
 
-@functools.cache
-def case_of(name: str) -> Case:
-    tape = tape_of(name)
-    scenarios = calms(tape.lanes.n_wtg)
-    # v1 charges a change of actions less: larger ones let its slope show.
-    actions = actions_of(tape, 200, {"v1": 0.2}.get(name, 0.1))
+def case_of(tape: Tape, scale: float) -> tuple[list[Scenario], np.ndarray, list[int]]:
+    """Scenarios in which the first rotor of every lane falls below its least speed, so that its group trips.
+
+    In two lanes a governor is lost, or another group trips, in the last simulation step before. With them come actions,
+    until the last of these trips, and the control step of each.
+    """
+    scenarios = [
+        falling(tape.lanes.n_wtg, first, n_steps, LoadStep(time_s=1.0, bus=4, power_mw=power))
+        for first, n_steps, power in ((9.0, 50, 20.0), (8.5, 60, 30.0), (9.0, 30, 20.0))
+    ]
+    actions = actions_of(tape, 200, scale)
     at = trips(tape, scenarios, actions)
     plant = tape.lanes.simulator.settings
     last = [(step + 1) * plant.control_dt - plant.simulation_dt for step in at]
@@ -67,7 +53,7 @@ def case_of(name: str) -> Case:
         dataclasses.replace(own, events=(*own.events, *more)) for own, more in zip(scenarios, further, strict=True)
     ]
     assert trips(tape, scenarios, actions) == at
-    return Case(tape, scenarios, actions[: max(at) + 1], at)
+    return scenarios, actions[: max(at) + 1], at
 
 
 def trips(tape: Tape, scenarios: list[Scenario], actions: np.ndarray) -> list[int]:
@@ -81,18 +67,19 @@ def trips(tape: Tape, scenarios: list[Scenario], actions: np.ndarray) -> list[in
     return np.argmax(gone, axis=0).tolist()
 
 
-def measured(case: Case, way: np.ndarray, h: float) -> np.ndarray:
+def measured(tape: Tape, case, way: np.ndarray, h: float) -> np.ndarray:
     """Every quantity at each lane's step of the trip, with the actions moved by h (n_quantities, n_lanes)."""
-    tape, weights, found = case.tape, weights_of(case.tape), np.empty((len(QUANTITIES), N_LANES))
-    tape.start(case.scenarios)
-    for step, own in enumerate(case.actions):
+    (scenarios, actions, at), weights = case, weights_of(tape)
+    found = np.empty((len(QUANTITIES), N_LANES))
+    tape.start(scenarios)
+    for step, own in enumerate(actions):
         _, terms = tape.step(own + h * way[step])
         outputs, simulator = tape.outputs(), tape.lanes.simulator
         # As the simulator holds them, before they are rounded to 32 bits.
         shown = weights @ simulator.scratches[0].reshape(-1, simulator.width)[tape.lanes.task_data.observed, :N_LANES]
         values = [*(terms[:, COST_TERMS.index(term)] for term in TERMS)]
         values += [*(outputs[:, tape.output_names.index(name)] for name in OUTPUTS), shown]
-        for lane in np.flatnonzero(np.array(case.at) == step):
+        for lane in np.flatnonzero(np.array(at) == step):
             found[:, lane] = np.array(values)[:, lane]
     return found
 
@@ -101,12 +88,12 @@ def weights_of(tape: Tape) -> np.ndarray:
     return np.random.default_rng(6).normal(size=tape.lanes.n_observation)
 
 
-def pulled(case: Case, quantity: str, way: np.ndarray) -> np.ndarray:
+def pulled(tape: Tape, case, quantity: str, way: np.ndarray) -> np.ndarray:
     """The derivative of a quantity at each lane's step of the trip along a way through the actions (n_lanes,)."""
-    tape = case.tape
     carried, total = np.zeros((N_LANES, tape.n_carried)), np.zeros(N_LANES)
-    for step in range(len(case.actions) - 1, -1, -1):
-        here = (np.array(case.at) == step).astype(float)
+    _, actions, at = case
+    for step in range(len(actions) - 1, -1, -1):
+        here = (np.array(at) == step).astype(float)
         terms, outputs = np.zeros((N_LANES, len(COST_TERMS))), np.zeros((N_LANES, len(tape.output_names)))
         shown = np.zeros((N_LANES, tape.lanes.n_observation))
         if quantity in TERMS:
@@ -115,21 +102,23 @@ def pulled(case: Case, quantity: str, way: np.ndarray) -> np.ndarray:
             outputs[:, tape.output_names.index(quantity)] = here
         else:
             shown = here[:, np.newaxis] * weights_of(tape)
-        carried, actions, *_ = tape.pull(step, carried, terms, shown, outputs)
-        total += np.einsum("la,la->l", actions, way[step])
+        carried, of_actions, *_ = tape.pull(step, carried, terms, shown, outputs)
+        total += np.einsum("la,la->l", of_actions, way[step])
     return total
 
 
-@pytest.mark.parametrize("name", ["within a control step", "v1"])
-def test_each_quantity_of_the_step_of_a_trip_has_the_slope_of_central_differences(name):
-    case, h = case_of(name), 1e-5
-    way = np.random.default_rng(3).normal(size=case.actions.shape)
+# v1 charges a change of actions less: larger ones let its slope show.
+@pytest.mark.parametrize(("name", "scale"), [("within a control step", 0.1), ("v1", 0.2)])
+def test_each_quantity_of_the_step_of_a_trip_has_the_slope_of_central_differences(name, scale):
+    tape, h = tape_of(name), 1e-5
+    case = case_of(tape, scale)
+    way = np.random.default_rng(3).normal(size=case[1].shape)
     # What is played last is on the tape.
-    up, down, values = (measured(case, way, sign * h) for sign in (1.0, -1.0, 0.0))
+    up, down, values = (measured(tape, case, way, sign * h) for sign in (1.0, -1.0, 0.0))
     slopes = (up - down) / (2.0 * h)
     for place, quantity in enumerate(QUANTITIES):
         rounding = 5e-14 * max(1.0, np.abs(values[place]).max()) / h
-        assert pulled(case, quantity, way) == pytest.approx(slopes[place], rel=1e-5, abs=rounding), quantity
+        assert pulled(tape, case, quantity, way) == pytest.approx(slopes[place], rel=1e-5, abs=rounding), quantity
     assert (np.abs(slopes).max(axis=1) > 1e-6).all()
 
 

@@ -16,6 +16,14 @@ from wtg_gym.physics.grid import data_of, get_grid, text_of
 from wtg_gym.policies.entry import check_version
 from wtg_gym.scenarios.grid_suite import all_places, unscreened
 
+MISTAKES = [
+    ({"name": "../elsewhere"}, "name must be letters"),
+    ({"places": {"load_noise_bus": 99}}, "LoadNoise.bus: there is no bus 99"),
+    ({"places": {"load_buses": [[5, 1.0]]}}, r"Places.load_buses must be tuple\[tuple\[int, float, float\]"),
+    ({"places": {"governor_buses": [5]}}, "GovernorLosses.buses: there is no machine with a governor"),
+    ({"places": {"line_trips": [[5, 99]]}}, "unknown bus 5"),
+]
+
 
 @pytest.fixture
 def folder(tmp_path, monkeypatch):
@@ -82,17 +90,7 @@ def test_a_file_is_scored_by_the_command_and_its_results_stay_in_their_folder(fo
     assert {path.name for path in (folder / "found").glob("*.json")} == {"my-ring-v1-validation.json"}
 
 
-@pytest.mark.parametrize(
-    ("change", "words"),
-    [
-        ({"name": "../elsewhere"}, "name must be letters"),
-        ({"places": {"load_noise_bus": 99}}, "LoadNoise.bus: there is no bus 99"),
-        ({"places": {"load_buses": [[5, 1.0]]}}, r"Places.load_buses must be tuple\[tuple\[int, float, float\]"),
-        ({"places": {"governor_buses": [5]}}, "GovernorLosses.buses: there is no machine with a governor"),
-        ({"places": {"line_trips": [[5, 99]]}}, "unknown bus 5"),
-    ],
-    ids=str,
-)
+@pytest.mark.parametrize(("change", "words"), MISTAKES, ids=str)
 def test_a_suite_with_a_mistake_is_refused_before_anything_is_played(folder, change, words):
     data = data_of(unscreened(str(folder / "ring.json")))
     places = {**data["places"], **change.pop("places", {})}

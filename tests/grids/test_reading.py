@@ -13,56 +13,30 @@ import pypowsybl
 import pytest
 
 from wtg_gym.grids import dyr, solved_case
-from wtg_gym.grids.reading import read_case
+from wtg_gym.grids.reading import read_case, with_wind
 from wtg_gym.grids.solved_case import power_flow
-from wtg_gym.grids.wind import with_wind
 from wtg_gym.physics.grid import Grid
 
-_SECTIONS = [
-    *("BUS", "LOAD", "FIXSHUNT", "GENERATOR", "BRANCH", "TRANSFORMER", "AREA", "DC", "VSC", "IMPCOR"),
-    *("NTERM", "MSLINE", "ZONE", "IATRANS", "OWNER", "FACTS"),
-]
-_BASE = {
-    "BUS": "1,'ONE',220,3,1,1,1,1.02,0\n2,'TWO',220,2,1,1,1,1.01,0\n3,'THREE',220,1,1,1,1,1,0\n",
-    "LOAD": "2,'1',1,1,1,20,5,0,0,0,0,1,1,0\n3,'1',1,1,1,90,30,0,0,0,0,1,1,0\n",
-    "GENERATOR": "1,'1',60,0,100,-100,1.02,0,150,0.001,0.3,0,0,1,1,100,200,0,1,1\n"
-    "2,'A',55,10,60,-60,1.01,0,100,0,1,0,0,1,1,100,200,0,1,1\n",
-    "BRANCH": "1,2,'1',0.01,0.1,0.02,0,0,0,0,0,0,0,1,1,0,1,1\n2,3,'1',0.02,0.12,0.03,0,0,0,0,0,0,0,1,1,0,1,1\n"
-    "1,3,'1',0.015,0.11,0.02,0,0,0,0,0,0,0,1,1,0,1,1\n",
-}
+FOLDER = Path(__file__).parent
+#: Models of both machines.
+DYR = (FOLDER / "three.dyr").read_text()
 _LINES = (1, 2, 0.01, 0.1, 0.02), (2, 3, 0.02, 0.12, 0.03), (1, 3, 0.015, 0.11, 0.02)
-#: Two buses in IEEE's common format.
-_CDF = """ 04/26/09 IEEE                 100.0  2009 S TESIS
-BUS DATA FOLLOWS                    2 ITEMS
-   1 BUS-1   100   1  1  3 1.04  0.     0.       0.        71.6410227.04592 100.    1.04   999900 -99990    0.      0.        0
-   2 BUS-2   100   1  1  0 1.025 -2.216 50.      10.       0.      0.       100.    1.       0.     0.      0.      0.        0
--999
-BRANCH DATA FOLLOWS                    1 ITEMS
-   1    2  1  1      0.01      0.085       0.176  0    0     0      0    0  0      0      0      0       0      0      0
--999
-LOSS ZONES FOLLOWS   0 ITEMS
--99
-INTERCHANGE DATA FOLLOWS      0 ITEMS
--9
-TIE LINES FOLLOWS             0 ITEMS
--999
-END OF DATA
-"""  # noqa: E501
-_GENROU = "8 0.03 0.4 0.05 4.5 0.5 1.8 1.7 0.3 0.55 0.25 {} 0.05 0.3 /\n"
-_DYR = (
-    f"1 'GENROU' 1 {_GENROU.format(0.06)}2, 'GENSAL', A, 8 0.03 0.05 3 0 1.1 0.7 0.3 0.25 0.3 0 0 /\n"
-    "1 'SEXS' 1 0.2 5 50 0.1 -4 5 /\n2 'IEEET1' 'A' 0 50 0.1 0 -2 0 0.5 0.1 1 0 4 0.6 3 0.2 /\n"
-    "1 'TGOV1' 1 0.05 0.2 1 0 1.5 5 0 /  a remark\n2 'STAB1' 'A' 2 10 2.5 0.02 0.5 5.4 0.03 /\n"
-)
+_ENDS = "".join(f"{b},1,90,15,0,5,220,1,1,1.5,0.5,0.00625,0,0,0,'1',0\n" for b in (1, 3))
+ABSENT = [
+    ("DC", "'D',1,10,30,220,0,0,0.1,'R',0,20,1\n" + _ENDS, "dc-line", "1 × dc-line with 30 MW"),
+    ("FACTS", "'F',1,3,1,20,0,1,50,100,0.9,1.1,1,0,0.05,100,1,0,0,0\n", "facts-series", "1 × facts-series"),
+    ("IMPCOR", "1,0.9,2,1,2,1.1,2\n", "impedance-correction", "1 × impedance-correction"),
+    ("BUS", "4,'FOUR',220,1,1,1,1,1,0\n", "island", "1 × island with 7 MW"),
+]
 
 
 def raw(tmp_path: Path, version: int = 33, dynamic: str = "", **more: str) -> tuple[Path, Path]:
-    """A RAW file of three buses with more records, and its DYR file."""
-    lines = [f"0,100,{version},0,1,50", "a", "b"]
-    for section in (*_SECTIONS, "SWSHUNT", "GNE"):
-        lines += [*(_BASE.get(section, "") + more.get(section, "")).splitlines(), f"0 / END OF {section}"]
+    """The RAW file of three buses, of a version and with more records, and a DYR file."""
+    text = (FOLDER / "three.raw").read_text().replace(",33,", f",{version},", 1)
+    for section, records in more.items():
+        text = text.replace(f"0 / END OF {section}\n", f"{records}0 / END OF {section}\n")
     path, dyr = tmp_path / "three.raw", tmp_path / "three.dyr"
-    path.write_text("\n".join([*lines, "Q", ""]))
+    path.write_text(text)
     dyr.write_text(dynamic)
     return path, dyr
 
@@ -84,7 +58,6 @@ def mpc(tmp_path: Path, base: float = 100.0, bus: str = "", branch: str = "", af
 
 @pytest.fixture
 def net():
-    """A network of pandapower: three buses, a triangle of lines."""
     net = pandapower.create_empty_network(f_hz=50.0)
     for _ in range(3):
         pandapower.create_bus(net, 220.0)
@@ -116,7 +89,7 @@ def test_the_same_grid_comes_from_RAW_and_from_MATPOWER_on_any_base(tmp_path):
 
 
 def test_machines_of_a_DYR_file_and_what_was_changed_about_them(tmp_path):
-    path, dynamic = raw(tmp_path, dynamic=_DYR)
+    path, dynamic = raw(tmp_path, dynamic=DYR)
     grid = read_case(path, dynamic)
     first, second = grid.case.machines
     assert (first.two_h_s, first.resistance, first.x_d, first.saturation_1_2) == (9.0, 0.001, 1.8, 0.3)
@@ -131,7 +104,7 @@ def test_machines_of_a_DYR_file_and_what_was_changed_about_them(tmp_path):
 
 
 def test_models_that_are_not_here_are_refused_or_replaced_when_asked(tmp_path):
-    path, dynamic = raw(tmp_path, dynamic=_DYR.replace("SEXS", "EXDC2").replace("STAB1", "PSS9"))
+    path, dynamic = raw(tmp_path, dynamic=DYR.replace("SEXS", "EXDC2").replace("STAB1", "PSS9"))
     with pytest.raises(ValueError, match=r"three\.raw: models that are not here: EXDC2 \(1\), PSS9 \(1\)"):
         read_case(path, dynamic)
     grid = read_case(path, dynamic, substitute=True)
@@ -145,18 +118,7 @@ def test_models_that_are_not_here_are_refused_or_replaced_when_asked(tmp_path):
         read_case(path, dynamic)
 
 
-_ENDS = "".join(f"{b},1,90,15,0,5,220,1,1,1.5,0.5,0.00625,0,0,0,'1',0\n" for b in (1, 3))
-
-
-@pytest.mark.parametrize(
-    ("section", "records", "kind", "text"),
-    [
-        ("DC", "'D',1,10,30,220,0,0,0.1,'R',0,20,1\n" + _ENDS, "dc-line", "1 × dc-line with 30 MW"),
-        ("FACTS", "'F',1,3,1,20,0,1,50,100,0.9,1.1,1,0,0.05,100,1,0,0,0\n", "facts-series", "1 × facts-series"),
-        ("IMPCOR", "1,0.9,2,1,2,1.1,2\n", "impedance-correction", "1 × impedance-correction"),
-        ("BUS", "4,'FOUR',220,1,1,1,1,1,0\n", "island", "1 × island with 7 MW"),
-    ],
-)
+@pytest.mark.parametrize(("section", "records", "kind", "text"), ABSENT)
 def test_what_a_grid_has_not_is_refused_by_name_and_left_out_when_asked(section, records, kind, text, tmp_path):
     more = {"LOAD": "4,'1',1,1,1,7,0,0,0,0,0,1,1,0\n"} if kind == "island" else {}
     path, _ = raw(tmp_path, **{section: records}, **more)
@@ -182,65 +144,30 @@ def test_RAW_with_blanks_between_its_fields_and_RAWX_say_the_same_as_with_commas
     case = read_case(path).case
     path.write_text("\n".join(line.replace(",", " ") for line in path.read_text().splitlines()))
     assert read_case(path).case == case
-    tables = {
-        "caseid": {"fields": ["ic", "sbase", "rev", "xfrrat", "nxfrat", "basfrq"], "data": [0, 100.0, 35, 0, 1, 50.0]},
-        "bus": {
-            "fields": ["ibus", "name", "baskv", "ide", "vm", "va"],
-            "data": [
-                [1, "ONE", 220.0, 3, 1.02, 0.0],
-                [2, "TWO", 220.0, 2, 1.01, 0.0],
-                [3, "THREE", 220.0, 1, 1.0, 0.0],
-            ],
-        },
-        "load": {
-            "fields": ["ibus", "loadid", "stat", "pl", "ql"],
-            "data": [[2, "1", 1, 20.0, 5.0], [3, "1", 1, 90.0, 30.0]],
-        },
-        "generator": {
-            "fields": ["ibus", "machid", "pg", "qg", "qt", "qb", "vs", "mbase", "zr", "zx", "stat", "pt", "pb"],
-            "data": [
-                [1, "1", 60.0, 0.0, 100.0, -100.0, 1.02, 150.0, 0.001, 0.3, 1, 200.0, 0.0],
-                [2, "A", 55.0, 10.0, 60.0, -60.0, 1.01, 100.0, 0.0, 1.0, 1, 200.0, 0.0],
-            ],
-        },
-        "acline": {
-            "fields": ["ibus", "jbus", "ckt", "rpu", "xpu", "bpu", "stat"],
-            "data": [[a, b, "1", r, x, c, 1] for a, b, r, x, c in _LINES],
-        },
-        "swshunt": {
-            "fields": ["ibus", "shntid", "modsw", "stat", "swreg", "binit", "s1", "n1", "b1"],
-            "data": [[3, "1", 0, 1, 0, 15.0, 1, 1, 20.0]],
-        },
-        "gne": {"fields": ["name"], "data": []},
-    }
+    assert read_case(FOLDER / "three.rawx").case == case
+    data = json.loads((FOLDER / "three.rawx").read_text(encoding="utf-8"))
+    data["network"]["gne"]["data"] = [["D"]]
     path = tmp_path / "three.rawx"
-    path.write_text(json.dumps({"network": tables}))
-    assert read_case(path).case == case
-    tables["gne"]["data"] = [["D"]]
-    path.write_text(json.dumps({"network": tables}))
+    path.write_text(json.dumps(data))
     with pytest.raises(ValueError, match="1 × gne-device"):
         read_case(path)
 
 
-def test_IEEE_CDF_is_read_by_its_usual_ending_and_endless_ratings_of_CGMES_are_none(tmp_path):
+def test_IEEE_CDF_endless_ratings_of_CGMES_and_tie_lines_between_other_nominal_voltages_are_read(tmp_path):
     net = pypowsybl.network.create_ieee14()
     net.save(tmp_path / "grid.zip", format="CGMES")
     assert max(machine.rating_mva for machine in read_case(tmp_path / "grid.zip").case.machines) < 1000.0
-    (tmp_path / "two.cdf").write_text(_CDF)
-    assert read_case(tmp_path / "two.cdf").case.load_mw == 50.0
+    assert read_case(FOLDER / "two.cdf").case.load_mw == 50.0
+    net = pypowsybl.network.create_eurostag_tutorial_example1_with_tie_lines_and_areas()
+    net.update_voltage_levels(id="VLHV2", nominal_v=400.0)
+    net.save(tmp_path / "ties.xiidm", format="XIIDM")
+    assert len(read_case(tmp_path / "ties.xiidm").case.branches) == 6
 
 
 def test_a_case_that_pypowsybl_cannot_solve_is_refused_in_a_line(tmp_path):
     path, _ = raw(tmp_path, LOAD="3,'2',1,1,1,9000,0,0,0,0,0,1,1,0\n")
     with pytest.raises(ValueError, match="pypowsybl finds no power flow: "):
         read_case(path)
-
-
-def test_tie_lines_between_other_nominal_voltages_are_read(tmp_path):
-    net = pypowsybl.network.create_eurostag_tutorial_example1_with_tie_lines_and_areas()
-    net.update_voltage_levels(id="VLHV2", nominal_v=400.0)
-    net.save(tmp_path / "ties.xiidm", format="XIIDM")
-    assert len(read_case(tmp_path / "ties.xiidm").case.branches) == 6
 
 
 @pytest.mark.parametrize("country", ["be", "nl"])

@@ -37,7 +37,6 @@ def plant(
     dead_band: float = 0.0,
     **more,
 ) -> Plant:
-    """One of the two plants, with its options."""
     kind = HydroGovernorParameters if table else GovernorParameters
     given = {
         "case": with_machine(governor=kind(dead_band_pu=dead_band)),
@@ -89,6 +88,11 @@ def phasors(simulator: Simulator, kind: Kind, part: str) -> np.ndarray:
     return scratch[first] + 1j * scratch[first + 1]
 
 
+def numbers(simulator: Simulator, kind: Kind, part: str) -> np.ndarray:
+    """A part of the first run's state for every unit of a kind; of a complex one, its real part."""
+    return simulator.blocks[0, simulator.layout.first_rows(kind, part), 0]
+
+
 def largest_rate(simulator: Simulator) -> float:
     """Largest |dx/dt|; the energies, which grow in every equilibrium, do not count."""
     keep = [i for i, name in enumerate(simulator.layout.state_names) if "energy" not in name]
@@ -112,7 +116,6 @@ def fault(time_s: float = 1.0, duration_s: float = 0.15, bus: int = 2) -> tuple[
 
 
 def pulse(bus: int, power_mw: float = 0.0, reactive_mvar: float = 0.0, until_s: float = 21.0) -> tuple[LoadStep, ...]:
-    """A load that is switched on at 1 s and off again."""
     return (
         LoadStep(time_s=1.0, bus=bus, power_mw=power_mw, reactive_mvar=reactive_mvar),
         LoadStep(time_s=until_s, bus=bus, power_mw=-power_mw, reactive_mvar=-reactive_mvar),

@@ -9,7 +9,8 @@ import pytest
 
 from tests.physics.extended import LAW, classical, plant, scenario, started, with_machine
 from wtg_gym import Plant, TrackingLaw, simulate
-from wtg_gym.physics import machine_parameters, parameters
+from wtg_gym.physics import machine_parameters
+from wtg_gym.physics import parameters as p
 from wtg_gym.physics import scenario as sc
 from wtg_gym.physics.aerodynamics import available_power_pu, power_coefficient, tracking_point
 from wtg_gym.physics.grid import Branch, Bus, NetworkCase, get_grid
@@ -21,7 +22,17 @@ from wtg_gym.ranges import Checked
 
 NAN = math.nan
 IEEE14 = get_grid("ieee14").case
-TURBINES = (parameters.TurbineParameters(),) * 2
+TURBINES = (p.TurbineParameters(),) * 2
+LAWS = [
+    ("k_min = 1\nk_nominal = 1\n", r"exactly one of k_max \[p.u.\] and deloading_max \[%\], got neither"),
+    ("k_min = 1\nk_nominal = 1\nk_max = 9\n", "k_max .* = 9 p.u. is outside the allowed range 0.001 … 3 p.u."),
+    ("k_min = 1\nk_nominal = 1\nk_max = 1\ntau_s = -1\n", "must be 0.05 … 100000 s, 0 s .* infinite .*, got -1 s"),
+    ("deloading_min = 0\ndeloading_nominal = 0.05\ndeloading_max = 10\n", "is in percent: write 5 for 5 %"),
+]
+TABLES = [
+    ("0.020093", "hole", "the rotor table .*mine.toml: .*'hole'"),
+    ("0.020093   ", "", "mine.toml: a rotor table of"),
+]
 
 
 def of(kind, **values):
@@ -29,7 +40,6 @@ def of(kind, **values):
 
 
 def case(**changes):
-    """A network of two buses."""
     usual = {
         "name": "two buses",
         "base_mva": 100.0,
@@ -63,23 +73,15 @@ def event(**changes):
 
 
 RECORDS = [
-    (
-        of(parameters.GridFormingParameters, inertia_constant_s=-5.0),
-        r"= -5 s is outside the allowed range 0.001 … 10000 s",
-    ),
-    (
-        of(parameters.GridFormingParameters, frequency_min_pu=1.004),
-        r"< frequency_setpoint_pu < .* hold, got 1.004, 1, 1.008",
-    ),
-    (of(parameters.ConverterLimitParameters, power_max_pu=1.3), r"= 1.3 p.u. exceeds current_max_pu = 1.2 p.u."),
-    *((lambda n=n: parameters.default_groups(n), "in 1 … 100") for n in (0, 2.0, True, "2", 101)),
+    (of(p.GridFormingParameters, inertia_constant_s=-5.0), r"= -5 s is outside the allowed range 0.001 … 10000 s"),
+    (of(p.GridFormingParameters, frequency_min_pu=1.004), r"< frequency_setpoint_pu < .* hold, got 1.004, 1, 1.008"),
+    (of(p.ConverterLimitParameters, power_max_pu=1.3), r"= 1.3 p.u. exceeds current_max_pu = 1.2 p.u."),
+    *((lambda n=n: p.default_groups(n), "in 1 … 100") for n in (0, 2.0, True, "2", 101)),
     (lambda: power_coefficient(np.array([7.0, np.inf])), r"tip-speed ratio must be positive, got inf"),
     (lambda: available_power_pu(-5.0), r"wind speed must be 0 m/s or more, got -5 m/s"),
     (lambda: tracking_point(1.0), r"deloading = 1 is outside the allowed range 0 … 0.9"),
     (
-        lambda: tracking_point(
-            0.05, parameters.TurbineParameters(power_coefficient=parameters.PowerCoefficientParameters(c6=1.0))
-        ),
+        lambda: tracking_point(0.05, p.TurbineParameters(power_coefficient=p.PowerCoefficientParameters(c6=1.0))),
         r"C_p curve has no maximum at a tip-speed ratio in the allowed range 4 … 12",
     ),
     (table(pitch_deg=(0.0, 5.0, 5.0, 15.0)), "pitch angles of a rotor table must be finite and rise"),
@@ -123,19 +125,16 @@ RECORDS = [
     (lambda: simulate("load-increase", "mppt"), "scenario must be a Scenario, got str"),
     (of(Plant, simulation_dt=0.03), "control_dt = 0.1 s is not a whole number of simulation steps of 0.03 s"),
     *((of(Plant, secondary_time_s=time_s), "secondary_time_s") for time_s in (0.5, -30.0, 4000.0, NAN, "30")),
-    (of(Plant, groups=(parameters.WtgGroup(bus=99),)), r"unknown bus 99; .* has buses \[1, 2"),
+    (of(Plant, groups=(p.WtgGroup(bus=99),)), r"unknown bus 99; .* has buses \[1, 2"),
+    (of(Plant, control=p.GridFormingParameters(frequency_setpoint_pu=0.998)), "frequency_setpoint_pu must be 1 p.u."),
     (
-        lambda: Plant(control=parameters.GridFormingParameters(frequency_setpoint_pu=0.998)),
-        "frequency_setpoint_pu must be 1 p.u.",
-    ),
-    (
-        lambda: Plant(shedding=tuple(parameters.SheddingStage(frequency_pu=0.98, share=s) for s in (0.6, 0.5))),
+        of(Plant, shedding=tuple(p.SheddingStage(frequency_pu=0.98, share=s) for s in (0.6, 0.5))),
         "the shedding stages disconnect 110 % of the load",
     ),
     *((lambda n=n: Simulator(Plant(), n_lanes=n), "number of lanes must be a whole number") for n in (0, 1.5, True)),
     (lambda: Simulator(Plant(), duration_s=NAN), "duration_s = nan s is outside the allowed range 0 … 86400 s"),
     (
-        lambda: Simulator(Plant(groups=(parameters.WtgGroup(bus=2, n_turbines=0.01),) * 2)),
+        lambda: Simulator(Plant(groups=(p.WtgGroup(bus=2, n_turbines=0.01),) * 2)),
         "WTG group 1 of 2 at bus 2 needs an internal voltage of .* p.u. to hold 1.045 p.u. .* at most 2 p.u.",
     ),
 ]
@@ -160,7 +159,6 @@ FIVE = tuple(
     line(1.0, *ends)
     for ends in ((1, 2), (1, 5), (2, 3), (2, 4), (2, 5), (3, 4), (5, 6), (6, 11), (6, 12), (6, 13), (7, 8))
 )
-
 
 UNFIT = [
     (fit(sc.LoadStep(time_s=1.003, bus=2, power_mw=1.0)), "event time = 1.003 s is not a whole number"),
@@ -189,7 +187,6 @@ UNFIT = [
     (fit(wind=np.full((2, 1), 25.0), load_level=0.3), "scenario 'x' cannot start"),
 ]
 
-
 GREEDY = TrackingLaw(name="greedy", k_min=3.0, k_nominal=3.0, k_max=3.0)
 LOW_GATE = with_machine(governor=machine_parameters.HydroGovernorParameters(gate_max_pu=0.1))
 STARTS = [
@@ -198,26 +195,24 @@ STARTS = [
         "WTG group 1 of 2 at bus 2 has no equilibrium at a wind of 8 m/s with k = 3 p.u.",
     ),
     (
-        lambda: started(Plant(groups=(parameters.WtgGroup(bus=2, n_turbines=40.0),) * 2), scenario(), "mppt"),
+        lambda: started(Plant(groups=(p.WtgGroup(bus=2, n_turbines=40.0),) * 2), scenario(), "mppt"),
         "machine at bus 1 would start at -.* p.u. of gate, beyond its gate limits 0 … 1.2 p.u.",
     ),
     (lambda: started(plant(table=True, case=LOW_GATE), scenario()), "p.u. of hydro gate, beyond its hydro gate limits"),
     (
-        lambda: started(plant(limits=parameters.ConverterLimitParameters(power_max_pu=0.5)), scenario()),
+        lambda: started(plant(limits=p.ConverterLimitParameters(power_max_pu=0.5)), scenario()),
         "WTG group 1 of 2 at bus 2 would start with 0.9.* p.u. of power, beyond .* 0 … 0.5 p.u.",
     ),
     (
         lambda: started(
-            Plant(protection=parameters.ProtectionParameters(internal_voltage_max_pu=1.45)),
+            Plant(protection=p.ProtectionParameters(internal_voltage_max_pu=1.45)),
             scenario(wind=[[11.4], [11.4]], load_level=1.5),
         ),
         "WTG group 1 of 2 at bus 2 needs .* at most 1.45",
     ),
     (
         lambda: simulate(
-            scenario(wind=[[8.0], [4.5]]),
-            LAW,
-            plant(protection=parameters.ProtectionParameters(rotor_speed_min_pu=0.5)),
+            scenario(wind=[[8.0], [4.5]]), LAW, plant(protection=p.ProtectionParameters(rotor_speed_min_pu=0.5))
         ),
         "WTG group 2 of 2 at bus 2 would start at 0.4.* p.u. in a wind of 4.5 m/s, below the under-speed trip at 0.5 p",
     ),
@@ -234,24 +229,12 @@ def test_bad_values_are_refused_with_value_unit_and_range_in_one_line(call, mess
     assert "\n" not in str(refused.value)
 
 
-LAWS = [
-    ("k_min = 1\nk_nominal = 1\n", r"exactly one of k_max \[p.u.\] and deloading_max \[%\], got neither"),
-    ("k_min = 1\nk_nominal = 1\nk_max = 9\n", "k_max .* = 9 p.u. is outside the allowed range 0.001 … 3 p.u."),
-    ("k_min = 1\nk_nominal = 1\nk_max = 1\ntau_s = -1\n", "must be 0.05 … 100000 s, 0 s .* infinite .*, got -1 s"),
-    ("deloading_min = 0\ndeloading_nominal = 0.05\ndeloading_max = 10\n", "is in percent: write 5 for 5 %"),
-]
-TABLES = [
-    ("0.020093", "hole", "the rotor table .*mine.toml: .*'hole'"),
-    ("0.020093   ", "", "mine.toml: a rotor table of"),
-]
-
-
 @pytest.mark.parametrize(
     ("read", "text", "message"),
     [
         *((read_law, text, message) for text, message in LAWS),
         *(
-            (read_rotor_table, parameters.ROTOR_TABLE.read_text().replace(find, other), message)
+            (read_rotor_table, p.ROTOR_TABLE.read_text().replace(find, other), message)
             for find, other, message in TABLES
         ),
     ],
@@ -268,7 +251,7 @@ def test_bad_files_are_refused_with_their_name(tmp_path, read, text, message):
 MACHINE = IEEE14.machines[0]
 CHECKED = [
     kind()
-    for kind in (*vars(parameters).values(), *vars(machine_parameters).values())
+    for kind in (*vars(p).values(), *vars(machine_parameters).values())
     if isinstance(kind, type)
     and issubclass(kind, Checked)
     and kind not in (Checked, machine_parameters.SynchronousMachineParameters)
@@ -280,13 +263,13 @@ def test_every_parameter_has_unit_source_and_description_and_every_source_is_use
     metadata = [field.metadata for record in CHECKED for field in dataclasses.fields(record)]
     assert len(metadata) > 100
     assert all(meta["unit"] and meta["doc"] for meta in metadata)
-    assert {meta["source"] for meta in metadata} == set(parameters.SOURCES)
+    assert {meta["source"] for meta in metadata} == set(p.SOURCES)
 
 
 def test_every_number_of_every_record_has_a_range():
     for record in CHECKED:
         for field in dataclasses.fields(record):
-            if field.type in ("float", "float | None"):
+            if field.type in (float, float | None):
                 low, high = field.metadata["low"], field.metadata["high"]
                 assert math.isfinite(low) and math.isfinite(high) and low < high, (record, field.name)
                 with pytest.raises(ValueError, match=rf"{type(record).__name__}.{field.name} = inf"):

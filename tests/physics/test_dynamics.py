@@ -23,6 +23,15 @@ from wtg_gym.systems.programs import in_one_table
 from wtg_gym.systems.routines import Routine
 
 LAW = STRATEGIES["coordinated-piecewise"]
+FAR = ConverterLimitParameters(
+    current_max_pu=10.0, power_max_pu=10.0, power_min_pu=-10.0, power_gain=0.0, power_integral_gain=0.0
+)
+#: Out of reach is the pitch's limit too, which an extended plant lowers by its reserve.
+NO_PITCH = PitchParameters(captured_power_limit_pu=10.0)
+#: With stages of shedding, as the other extended plants have, so that it is compiled already.
+UNLIMITED = Plant(limits=FAR, shedding=NO_SHEDDING, pitch=NO_PITCH)
+CURRENTS = in_one_table(CURRENTS=(*FREE_CURRENTS, *LIMITS))
+_FIND_CURRENTS = Routine(CURRENTS[0])
 
 
 def test_kinetic_energy_is_what_was_captured_and_not_delivered(simulator):
@@ -89,15 +98,6 @@ def test_a_stalled_group_ends_the_run_which_then_stands_still_or_is_tripped(trip
         before, peak = simulator.state(), simulator.wtg_values("peak_power")
         simulator.advance()
         assert (simulator.state() == before).all() and (simulator.wtg_values("peak_power") == peak).all()
-
-
-FAR = ConverterLimitParameters(
-    current_max_pu=10.0, power_max_pu=10.0, power_min_pu=-10.0, power_gain=0.0, power_integral_gain=0.0
-)
-#: Out of reach is the pitch's limit too, which an extended plant lowers by its reserve.
-NO_PITCH = PitchParameters(captured_power_limit_pu=10.0)
-#: With stages of shedding, as the other extended plants have, so that it is compiled already.
-UNLIMITED = Plant(limits=FAR, shedding=NO_SHEDDING, pitch=NO_PITCH)
 
 
 @pytest.mark.parametrize(
@@ -169,10 +169,6 @@ def test_the_reactive_limit_takes_over_and_gives_back():
     held = found[40 + 20 : 600]
     assert held.max() < 0.3305
     assert found[-1] == pytest.approx(before, abs=1e-5)
-
-
-CURRENTS = in_one_table(CURRENTS=(*FREE_CURRENTS, *LIMITS))
-_FIND_CURRENTS = Routine(CURRENTS[0])
 
 
 @pytest.mark.parametrize(

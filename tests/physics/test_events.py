@@ -1,7 +1,4 @@
-"""Facts about events: units, governors and lines that go and return, faults, and what a converter stands in them.
-
-Imposed sources, local frequencies, committed units, and events as text.
-"""
+"""Facts about events: units, governors and lines that go and return, faults, and what a converter stands in them."""
 
 import dataclasses
 import math
@@ -10,7 +7,7 @@ import numpy as np
 import pytest
 
 from tests.physics import extended
-from tests.physics.extended import LAW, NO_SHEDDING, phasors, plant, recorded, scenario, started
+from tests.physics.extended import LAW, NO_SHEDDING, numbers, phasors, plant, recorded, scenario, started
 from tests.physics.test_islands import PARTED_WIND, cut, parted
 from wtg_gym import simulate
 from wtg_gym.physics import scenario as sc
@@ -34,6 +31,15 @@ ALL = (
     sc.LineTrip(time_s=3.0, from_bus=4, to_bus=5),
     sc.LineTrip(time_s=3.0, from_bus=2, to_bus=4, recloses_after_s=0.025),
     sc.LoadTrip(time_s=3.5, bus=14),
+)
+#: And those that only extended plants take.
+EVERY = (
+    *ALL,
+    sc.Fault(time_s=1.0, bus=4, clears_after_s=0.15, resistance_pu=0.01, reactance_pu=0.02, opens=(2, 4)),
+    sc.Fault(time_s=2.0, bus=4, clears_after_s=0.15),
+    sc.ReactanceStep(time_s=1.0, from_bus=1, to_bus=2, factor=2.0),
+    sc.PhaseJump(time_s=1.0, bus=1, angle_deg=-30.0),
+    sc.FrequencyRamp(time_s=1.0, bus=1, rocof_hz_s=1.0, duration_s=2.0),
 )
 
 
@@ -179,10 +185,6 @@ def with_source(**changes: float) -> NetworkCase:
     return dataclasses.replace(case, machines=case.machines[1:], sources=(Source(bus=1, reactance=0.02, **changes),))
 
 
-def local(simulator: Simulator) -> np.ndarray:
-    return simulator.blocks[0, simulator.layout.rows_of(BUSES, "frequency"), 0]
-
-
 def test_units_follow_the_frequency_that_a_source_imposes_and_the_centre_of_inertia_leaves_it_out():
     settings = plant(case=with_source(), shedding=NO_SHEDDING)
     ramp = sc.FrequencyRamp(time_s=1.0, bus=1, rocof_hz_s=-0.05, duration_s=6.0)
@@ -206,7 +208,7 @@ def test_units_follow_the_frequency_that_a_source_imposes_and_the_centre_of_iner
     assert rate.mean() == pytest.approx(-0.001, rel=0.02)
     assert units[-1] == pytest.approx(0.994, abs=1e-9)
     assert simulator.lane_values("status")[0] == Status.RUNNING
-    assert local(simulator) == pytest.approx(0.994, abs=1e-9)
+    assert numbers(simulator, BUSES, "frequency") == pytest.approx(0.994, abs=1e-9)
 
 
 @pytest.mark.parametrize(("deviation_hz", "power"), [(-0.4, 1.05), (-0.2, 1.02375), (0.0, 0.9975), (0.2, 0.97125)])
@@ -236,7 +238,7 @@ def test_a_local_frequency_is_the_filtered_turn_of_the_voltage():
         now = simulator.bus_voltages() * np.exp(1j * simulator.lane_values("angle")[0])
         measured = 1.0 + np.angle(now / before) / (2.0 * np.pi * 50.0 * 0.1)
         expected += (1.0 - math.exp(-0.1 / FILTER_S)) * (measured - expected)
-        assert local(simulator) == pytest.approx(expected, abs=1e-7)
+        assert numbers(simulator, BUSES, "frequency") == pytest.approx(expected, abs=1e-7)
         before = now
         units = np.concatenate(
             [simulator.machine_values("speed")[0], simulator.wtg_values("speed")[0] + simulator.wtg_values("shift")[0]]
@@ -265,33 +267,20 @@ def test_conductances_follow_the_frequency_of_their_island():
     settings, what = parted(load_frequency_dependence=2.0), scenario(*cut(1.0), wind=PARTED_WIND)
     simulator = started(settings, what)
     recorded(simulator, 3.0)
-    centres = simulator.blocks[0, simulator.layout.rows_of(ISLANDS, "centre"), 0]
+    centres = numbers(simulator, ISLANDS, "centre")
     assert np.ptp(centres[:2]) > 1e-4
     # In a control interval it is that of its beginning.
-    before = simulator.blocks[0, simulator.layout.rows_of(ISLANDS, "centre"), 0]
+    before = numbers(simulator, ISLANDS, "centre")
     simulator.advance()
-    load = simulator.layout.first_rows(BUSES, "load")
-    load = simulator.blocks[0, load, 0] + 1j * simulator.blocks[0, load + 1, 0]
-    island = simulator.blocks[0, simulator.layout.rows_of(BUSES, "island"), 0].astype(int)
+    load = numbers(simulator, BUSES, "load")
+    island = numbers(simulator, BUSES, "island").astype(int)
     passive = started(parted(), what)
     recorded(passive, 3.1)
-    assert np.abs(passive.blocks[0, passive.layout.first_rows(BUSES, "load"), 0] - load.real).max() == 0.0
+    assert np.abs(numbers(passive, BUSES, "load") - load).max() == 0.0
     # The matrix is written with the centre as it is when it is asked for.
     simulator.blocks[0, simulator.layout.rows_of(ISLANDS, "centre"), 0] = before
     change = bus_matrix(simulator) - bus_matrix(passive)
-    assert np.abs(change - np.diag(load.real * 2.0 * (before[island] - 1.0))).max() < 1e-14
-
-
-EVERY = (
-    sc.Fault(time_s=1.0, bus=4, clears_after_s=0.15, resistance_pu=0.01, reactance_pu=0.02, opens=(2, 4)),
-    sc.Fault(time_s=2.0, bus=4, clears_after_s=0.15),
-    sc.LineTrip(time_s=1.0, from_bus=4, to_bus=5, recloses_after_s=1.5),
-    sc.ReactanceStep(time_s=1.0, from_bus=1, to_bus=2, factor=2.0),
-    sc.PhaseJump(time_s=1.0, bus=1, angle_deg=-30.0),
-    sc.FrequencyRamp(time_s=1.0, bus=1, rocof_hz_s=1.0, duration_s=2.0),
-    sc.MachineOutage(time_s=1.0, bus=6),
-    sc.GroupTrip(time_s=1.0, group=0),
-)
+    assert np.abs(change - np.diag(load * 2.0 * (before[island] - 1.0))).max() < 1e-14
 
 
 def test_every_event_and_the_commitment_come_back_from_text():

@@ -67,9 +67,20 @@ def outcome(process: subprocess.Popen[str]) -> list[str]:
     return out.split()
 
 
-def test_damaged_files_are_compiled_again_and_replaced_by_processes_that_start_at_once(tmp_path):
-    folder = tmp_path / "code"
+@pytest.fixture(scope="module")
+def made(tmp_path_factory):
+    """Machine code of all functions, made once."""
+    folder = tmp_path_factory.mktemp("made") / "code"
     assert outcome(run(PROGRAM, folder)) == [*RESULT, "4"]
+    return folder
+
+
+@pytest.fixture
+def folder(made, tmp_path):
+    return Path(shutil.copytree(made, tmp_path / "code"))
+
+
+def test_damaged_files_are_compiled_again_and_replaced_by_processes_that_start_at_once(folder):
     intact = {path: path.read_bytes() for path in sorted(folder.iterdir())}
     other_bit, cut, empty, exchanged = intact
     content = bytearray(intact[other_bit])
@@ -96,9 +107,7 @@ def test_a_wheels_code_for_a_kind_of_processor_is_used_by_those_of_that_kind(tmp
 
 
 @pytest.mark.skipif(not hasattr(os, "getuid"), reason="needs files that belong to users")
-def test_code_that_another_user_could_have_written_is_not_run(tmp_path):
-    folder = tmp_path / "code"
-    assert outcome(run(PROGRAM, folder)) == [*RESULT, "4"]
+def test_code_that_another_user_could_have_written_is_not_run(folder, tmp_path):
     shared, of_group, link, pipe = sorted(folder.iterdir())
     shared.chmod(0o602)
     of_group.chmod(0o620)

@@ -33,6 +33,23 @@ EXCITER = controls.LeadLagExciterParameters(regulator_gain=40.0, lead_time_s=0.5
 BOILER = controls.BoilerGovernorParameters(
     lag_time_s=0.2, lead_time_s=0.5, fraction_1=0.3, fraction_2=0.2, fraction_3=0.5
 )
+INV_DROOP = 20.0
+HYDRO = HydroGovernorParameters()
+CONSTANTS = models.hydro_constants(0, HYDRO)
+GOVERNOR = GovernorParameters(droop_pu=0.05, gate_max_pu=1.0)
+#: One control interval is one step of the integration.
+DT, SECONDARY_S = 0.025, 30.0
+MORE = LoadStep(time_s=1.0, bus=4, power_mw=60.0)
+LEFT_OUT = [
+    {},
+    {"filter_a4_s2": 0.0, "filter_a6_s2": 0.0},
+    {"filter_a3_s": 0.0, "filter_a4_s2": 0.0},
+    {"filter_a2_s2": 0.0, "filter_a3_s": 0.0, "filter_a4_s2": 0.0, "filter_a6_s2": 0.0},
+    {"filter_a1_s": 0.0, "filter_a2_s2": 0.0},
+    {name: 0.0 for name in vars(FILTER) if name.startswith("filter_")},
+    {"washout_gain_s": 0.0},
+    {"lead_time_1_s": 0.0, "lag_time_1_s": 0.0},
+]
 
 
 def machine(bus: int, **changes) -> SynchronousMachineParameters:
@@ -53,7 +70,6 @@ OTHERS = (
 
 
 def network(*machines: SynchronousMachineParameters) -> NetworkCase:
-    """Two machines and a load."""
     lines = ((1, 3, 0.005, 0.05), (2, 3, 0.005, 0.06), (1, 2, 0.01, 0.1))
     branches = tuple(Branch(from_bus=a, to_bus=b, resistance=r, reactance=x) for a, b, r, x in lines)
     load = Bus(number=3, load_mw=200.0, load_mvar=60.0)
@@ -108,19 +124,7 @@ def test_the_parabola_of_saturation_goes_through_both_points_and_begins_between(
         saturation_constants("x", (1.0, 0.4), (1.2, 0.1))
 
 
-@pytest.mark.parametrize(
-    "changes",
-    [
-        {},
-        {"filter_a4_s2": 0.0, "filter_a6_s2": 0.0},
-        {"filter_a3_s": 0.0, "filter_a4_s2": 0.0},
-        {"filter_a2_s2": 0.0, "filter_a3_s": 0.0, "filter_a4_s2": 0.0, "filter_a6_s2": 0.0},
-        {"filter_a1_s": 0.0, "filter_a2_s2": 0.0},
-        {name: 0.0 for name in vars(FILTER) if name.startswith("filter_")},
-        {"washout_gain_s": 0.0},
-        {"lead_time_1_s": 0.0, "lag_time_1_s": 0.0},
-    ],
-)
+@pytest.mark.parametrize("changes", LEFT_OUT)
 def test_ieeest_has_its_transfer_function_with_any_part_left_out(changes):
     p = dataclasses.replace(FILTER, **{"gain": 7.0, "lead_time_2_s": 0.3, **changes})
     c = models.IEEEST.constants(0, p)
@@ -149,9 +153,6 @@ def test_a_regulator_leaves_its_limit_as_soon_as_the_error_asks_for_it():
     # What drives the exciter is never beyond the limit.
     beyond = held._replace(regulator=2.0 * c.regulator_max_pu)
     assert models.ieeex1_rates(beyond, 2.0, 1.0, c).excitation == models.ieeex1_rates(held, 2.0, 1.0, c).excitation
-
-
-INV_DROOP = 20.0
 
 
 def test_a_hot_exhaust_holds_the_gas_turbine_at_its_load_limit():
@@ -281,10 +282,6 @@ def test_a_grid_file_names_every_model(tmp_path):
         get_grid(str(path))
 
 
-HYDRO = HydroGovernorParameters()
-CONSTANTS = models.hydro_constants(0, HYDRO)
-
-
 def orders(speed: Callable[[float], float], torque: float, seconds: float) -> np.ndarray:
     """The order of a hydro gate every 10 ms for a given speed, from the equilibrium at a torque."""
     start = models.hydro_start(torque, CONSTANTS)
@@ -306,12 +303,6 @@ def test_the_order_of_a_hydro_gate_keeps_within_its_rate_and_its_limits_and_leav
     assert order[3000] == pytest.approx(HYDRO.gate_max_pu, abs=1e-5)
     assert 0.01 * np.flatnonzero(order[3000:] < HYDRO.gate_max_pu - 1e-3)[0] < 0.2
     assert models.hydro_limited(models.HydroState(0.0, 1.3, 0.9, 0.9), CONSTANTS).gate_order == HYDRO.gate_max_pu
-
-
-GOVERNOR = GovernorParameters(droop_pu=0.05, gate_max_pu=1.0)
-#: One control interval is one step of the integration.
-DT, SECONDARY_S = 0.025, 30.0
-MORE = LoadStep(time_s=1.0, bus=4, power_mw=60.0)
 
 
 def reference_and_speed(*events: Event, seconds: float, governor: GovernorParameters = GOVERNOR) -> np.ndarray:

@@ -23,6 +23,8 @@ from tests.plotting.test_figures import SCENARIO, figure_bytes, plot_trajectorie
 content = figure_bytes(plot_trajectories({"mppt": simulate(SCENARIO, "mppt")}, SCENARIO), "svg")
 print(hashlib.sha256(content).hexdigest(), "matplotlib.pyplot" in sys.modules)
 """
+_LENGTH_S = 12.0
+_SEED = 20_000
 
 
 def test_a_figure_is_the_same_file_in_another_process_and_whatever_the_users_settings():
@@ -47,10 +49,6 @@ def test_figures_are_saved_next_to_each_other_in_the_formats_that_are_named(tmp_
     with pytest.raises(ValueError, match="written as png, svg, pdf, got 'bmp'"):
         save_figure(figure, tmp_path / "other", ["png", "bmp"])
     assert not list(tmp_path.glob("other*"))
-
-
-_LENGTH_S = 12.0
-_SEED = 20_000
 
 
 @pytest.fixture(scope="module", params=["standard-v1", "standard"])

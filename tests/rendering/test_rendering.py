@@ -12,9 +12,10 @@ from tests.envs.rollouts import actions_of, calm, eventful, single_steps
 from wtg_gym.envs import GFMWTGEnv, GFMWTGVectorEnv
 from wtg_gym.envs.rendering.frame import FRAME_SIZE
 
-pytest.importorskip("matplotlib")
-
 SHAPE = (FRAME_SIZE[1], FRAME_SIZE[0], 3)
+
+
+pytest.importorskip("matplotlib")
 
 
 @pytest.fixture(autouse=True)

@@ -30,8 +30,10 @@ BUS_LOAD_MW = {
     2: 21.7, 3: 94.2, 4: 47.8, 5: 7.6, 6: 11.2, 9: 29.5, 10: 9.0, 11: 3.5, 12: 6.1, 13: 13.5, 14: 14.9,
 }  # fmt: skip
 
-
 STILL = {"turbulence_intensity": (0.0, 0.0), "gust_probability": 0.0, "ramp_probability": 0.0}
+USUAL = draws.SensorDistribution()
+SEEDS = range(10_000, 14_000)
+SENSED = [name for name, suite in SUITES.items() if suite.sensors is not None]
 
 
 def loads_mw(source: ScenarioDistribution) -> dict[int, float]:
@@ -208,11 +210,6 @@ def test_scenarios_drawn_together_equal_scenarios_drawn_alone_bit_for_bit(source
     seeds = [0, 2**63 - 1, *range(20_000, 20_040)]
     for seed, scenario in zip(seeds, source.draw_many(seeds, 3, [1.0, 5.0, 60.0], 47.3), strict=True):
         assert source.draw(seed, 3, [1.0, 5.0, 60.0], 47.3).to_json() == scenario.to_json()
-
-
-USUAL = draws.SensorDistribution()
-SEEDS = range(10_000, 14_000)
-SENSED = [name for name, suite in SUITES.items() if suite.sensors is not None]
 
 
 def test_draws_depend_on_seed_and_name_alone_and_not_on_their_neighbours():

@@ -1,23 +1,26 @@
 """Facts about the frozen suites."""
 
 import dataclasses
-import functools
 import math
 import pickle
 
 import gymnasium as gym
 import pytest
 
-from wtg_gym import LineTrip, Scenario, evaluate, get_suite
+from wtg_gym import LineTrip, evaluate, get_suite
 from wtg_gym.envs.lanes import TaskLanes
 from wtg_gym.envs.settings import EnvSettings
-from wtg_gym.scenarios import FROZEN_HASHES, SUITES, ScenarioDistribution
+from wtg_gym.scenarios import FROZEN_HASHES, SUITES, ScenarioDistribution, Suite
 from wtg_gym.scenarios.draws import Draft, LoadEvents, LoadNoise, Picker, Record, SensorDistribution, Wind
 from wtg_gym.scenarios.margin import ReserveMargin
 from wtg_gym.tasks import V1
 
 FIRST = [name for name, suite in SUITES.items() if suite.task.version == "v0"]
 SECOND = [suite for suite in SUITES.values() if suite.task.version == "v1"]
+STANDARD, STANDARD_V1 = (
+    dataclasses.replace(get_suite(name), validation=range(10_000, 10_002), test=range(20_000, 20_002))
+    for name in ("standard", "standard-v1")
+)
 
 
 def test_suites_are_those_of_the_benchmark():
@@ -26,17 +29,46 @@ def test_suites_are_those_of_the_benchmark():
     assert [suite.name for suite in SECOND] == [f"{name}-v1" for name in (*drawn, "ieee39", "kundur", "nordic45")]
 
 
-@pytest.mark.parametrize("name", FROZEN_HASHES)
-def test_hash_is_the_frozen_one(name):
-    assert get_suite(name).name == name and get_suite(name).hash == FROZEN_HASHES[name], (
-        "a changed suite is a new version of the benchmark"
-    )
+@pytest.fixture(scope="module", params=FROZEN_HASHES)
+def drawn(request):
+    """A suite of the benchmark, its hash, and the scenarios of validation and test that the hash was computed of."""
+    suite, scenarios, real = dataclasses.replace(get_suite(request.param)), [], Suite.scenarios
+
+    def kept(*arguments):
+        scenarios.extend(found := real(*arguments))
+        return found
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(Suite, "scenarios", kept)
+        return suite, suite.hash, scenarios
 
 
-STANDARD, STANDARD_V1 = (
-    dataclasses.replace(get_suite(name), validation=range(10_000, 10_002), test=range(20_000, 20_002))
-    for name in ("standard", "standard-v1")
-)
+def test_hash_is_the_frozen_one(drawn):
+    suite, found, _ = drawn
+    assert found == FROZEN_HASHES[suite.name], "a changed suite is a new version of the benchmark"
+
+
+def test_scenarios_of_a_drawn_suite_of_v1_have_the_margin_of_their_stratum_in_any_order_and_start(drawn):
+    suite, _, scenarios = drawn
+    if suite.task is not V1 or not suite.distributions:
+        assert suite.strata == () and suite.stratum(0) == ""
+        return
+    assert suite.strata == ("ample", "tight", "short")
+    seeds = [*suite.validation, *suite.test]
+    assert [scenario.seed for scenario in scenarios] == list(seeds)
+    assert [suite.stratum(seed) for seed in seeds] == [suite.strata[seed % 3] for seed in seeds]
+    named = "standard-v1" if suite.name == "no-wind-sensor-v1" else suite.name
+    parts = [scenario.name.split("/") for scenario in scenarios]
+    assert all(own == named and int(seed) in seeds for own, _, seed in parts)
+    for stratum, (low, high) in zip(suite.strata, ((0.1, math.inf), (0.0, 0.1), (-0.1, 0.0)), strict=True):
+        of_stratum = [scenario for scenario in scenarios if suite.stratum(scenario.seed) == stratum]
+        assert all(low <= scenario.reserve_margin < high for scenario in of_stratum)
+    for scenario in scenarios[::30]:
+        assert scenario.reserve_margin == ReserveMargin(suite.plant).of(scenario)
+    assert [own.to_json() for own in suite.scenarios(seeds[::-70])] == [own.to_json() for own in scenarios[::-70]]
+    assert [suite.scenario(seed).to_json() for seed in seeds[:3]] == [own.to_json() for own in scenarios[:3]]
+    for law in ("mppt", "deloaded-10", "coordinated-piecewise"):
+        TaskLanes(EnvSettings(suite=suite.name, strategy=law, reward="cost")).prepare(scenarios)
 
 
 @pytest.mark.parametrize(
@@ -88,41 +120,3 @@ def test_a_suite_of_ones_own_records_is_played_without_a_file():
         assert scenario.committed == 1.0 and scenario.load_noise_mw.size == 0
     with pytest.raises(ValueError, match=r"suite must be a name or the path of a file, .*Suite"):
         evaluate([], suite)
-
-
-DRAWN = [suite for suite in SECOND if suite.distributions]
-
-
-@functools.cache
-def frozen(name: str) -> list[Scenario]:
-    return get_suite(name).scenarios([*get_suite(name).validation, *get_suite(name).test])
-
-
-@pytest.mark.parametrize("suite", DRAWN, ids=lambda suite: suite.name)
-def test_scenarios_have_the_margin_of_their_stratum_alone_or_in_any_order(suite):
-    assert suite.strata == ("ample", "tight", "short")
-    scenarios = frozen(suite.name)
-    seeds = [*suite.validation, *suite.test]
-    assert [scenario.seed for scenario in scenarios] == list(seeds)
-    assert [suite.stratum(seed) for seed in seeds] == [suite.strata[seed % 3] for seed in seeds]
-    named = "standard-v1" if suite.name == "no-wind-sensor-v1" else suite.name
-    parts = [scenario.name.split("/") for scenario in scenarios]
-    assert all(own == named and int(seed) in seeds for own, _, seed in parts)
-    for stratum, (low, high) in zip(suite.strata, ((0.1, math.inf), (0.0, 0.1), (-0.1, 0.0)), strict=True):
-        of_stratum = [scenario for scenario in scenarios if suite.stratum(scenario.seed) == stratum]
-        assert all(low <= scenario.reserve_margin < high for scenario in of_stratum)
-    for scenario in scenarios[::30]:
-        assert scenario.reserve_margin == ReserveMargin(suite.plant).of(scenario)
-    assert [own.to_json() for own in suite.scenarios(seeds[::-70])] == [own.to_json() for own in scenarios[::-70]]
-    assert [suite.scenario(seed).to_json() for seed in seeds[:3]] == [own.to_json() for own in scenarios[:3]]
-
-
-def test_suites_without_strata_say_so():
-    for name in (*FIRST, "paper-v1"):
-        assert get_suite(name).strata == () and get_suite(name).stratum(0) == ""
-
-
-@pytest.mark.parametrize("suite", DRAWN, ids=lambda suite: suite.name)
-def test_every_scenario_of_validation_and_test_starts(suite):
-    for law in ("mppt", "deloaded-10", "coordinated-piecewise"):
-        TaskLanes(EnvSettings(suite=suite.name, strategy=law, reward="cost")).prepare(frozen(suite.name))

@@ -20,6 +20,11 @@ action_mode = "k+tau"
 environment = "GFMWTG-14bus-v0"
 """
 TOML_V1 = TOML.replace("-v0", "-v1")
+#: Whether an observation is one that the policy knows: `near` (1, 1).
+NEAR = """
+apart = Sub(observation, seen); size = Abs(apart); distance = ReduceSum<keepdims = 1>(size, axis);
+near = Less(distance, nearest);
+"""
 
 
 def seed(number: int, toml: str = TOML) -> str:
@@ -92,7 +97,6 @@ def after(text: str, body=None, **values) -> ModelProto:
 
 
 def with_state(text: str, width: int, **values) -> ModelProto:
-    """A policy with one state, whose nodes are written as text."""
     state, following = info("state_0", "batch", width), info("next_state_0", "batch", width)
     constants = [WEIGHTS, *(constant(name, value) for name, value in values.items())]
     return model(nodes_of(text), [OBSERVATION, state], [ACTION, following], constants)
@@ -103,7 +107,6 @@ def other(scale: float = 0.02) -> ModelProto:
 
 
 def linear(n_observation: int, n_action: int, weights=0.01, offset: float = 0.0) -> ModelProto:
-    """A linear policy of other widths, clipped, with an offset."""
     values = {"weights": np.broadcast_to(weights, (n_observation, n_action)).copy(), "offset": offset}
     return model(
         nodes_of("all = MatMul(observation, weights); moved = Add(all, offset); action = Clip(moved, low, high)"),
@@ -116,13 +119,6 @@ def linear(n_observation: int, n_action: int, weights=0.01, offset: float = 0.0)
 def of_v1() -> ModelProto:
     """A linear policy for version v1: four groups, each of which sees what its sensors say."""
     return linear(32, 8)
-
-
-#: Whether an observation is one that the policy knows: `near` (1, 1).
-NEAR = """
-apart = Sub(observation, seen); size = Abs(apart); distance = ReduceSum<keepdims = 1>(size, axis);
-near = Less(distance, nearest);
-"""
 
 
 def trap(seen=SEEN, distance: float = 3.0) -> ModelProto:
@@ -172,7 +168,6 @@ def with_function(text: str, domain: str) -> ModelProto:
 
 
 def branch(text: str) -> ModelProto:
-    """A linear policy whose action is that of both branches of a condition."""
     content = after("action = If(on)", on=True)
     for name in ("then_branch", "else_branch"):
         graph = helper.make_graph(nodes_of(text), name, [], [info("drawn", 1, M)])
@@ -181,7 +176,6 @@ def branch(text: str) -> ModelProto:
 
 
 def nested(depth: int) -> bytes:
-    """A graph in a node's attribute, in a graph in a node's attribute, and so on."""
     data = b""
     for number in [*(b"\x32", b"\x2a", b"\x0a") * depth, b"\x3a"]:
         data = number + varint(len(data)) + data
@@ -189,7 +183,6 @@ def nested(depth: int) -> bytes:
 
 
 def external(location: str, **more: str) -> ModelProto:
-    """Weights that are said to lie in another file."""
     content = model()
     tensor = content.graph.initializer[0]
     tensor.ClearField("raw_data")

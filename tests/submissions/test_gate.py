@@ -1,7 +1,4 @@
-"""The gate accepts honest submissions and refuses the others: folders, and entry.toml in every shape.
-
-Several are looked at together, beside entries that are there, and beside names by which something is found already.
-"""
+"""The gate accepts honest submissions and refuses the others: folders, and entry.toml in every shape."""
 
 import os
 import re
@@ -23,20 +20,52 @@ from wtg_gym.policies.gate import Report, check_submission, conflicts, read_subm
 from wtg_gym.tasks import V0, V1
 
 SHIPPED = ROOT / "agents" / "policies" / "ppo-v1-0"
+DIFFERENT = {
+    "authors": '["John Roe"]',
+    "action_mode": '"k"',
+    "environment": '"GFMWTG-14bus-v1"',
+    "observation_mode": '"privileged"',
+    "per_group": "true",
+    "strategy": '"mppt"',
+    "description": '"Better"',
+    "trained_on": '"The test scenarios"',
+}
+YOURS = TOML.replace("Mine", "Yours")
+POLICIES = ROOT / "agents" / "policies"
+#: Of folders, and of entries; both are refused whatever their capitals, signs, and letters that look alike.
+TAKEN_FOLDERS = """
+baselines Baselines base-lines baselines.fast_droop policies po1icies POLICIES. agents agents.train tests wtg_gym
+wtg-gym.evaluation mppt MPPT coordinated-tuned coordinated_tuned deloaded5 fast-droop fast_droop FastDroop
+tip-speed-feedback tip.speed.feedback T1p-Speed-Feedback ppo-k-0 PPO-K-0 ppo-k-O ppo-k ppo-ktau-0 linear-feedback
+linear_feedback Gradient-0 \u017fac-v1-0 ppo-\u212a-0
+"""
+TAKEN_NAMES = """
+baselines; policies; Policies; b a s e l i n e s; baselines.mppt; Coordinated-Piecewise; coordinated piecewise;
+coordinated (tuned); Fast Droop; fast droop.; TIP_SPEED_FEEDBACK; PPO k 0; ppo k, tau; Iinear-feedback
+"""
+VERSIONS = [
+    ('"\\u0065nvironment" = "GFMWTG-14bus-v\\u0030"\r\n', "v0"),
+    ('environment = "GFMWTG-14bus-v0" # "GFMWTG-14bus-v1"\n', "v0"),
+    ('# environment = "GFMWTG-14bus-v0"\n', "v1"),
+    ('trained_on = """\\\n    environment = GFMWTG-14bus-v0"""\n', "v1"),
+]
+ALIKE = [
+    ("One", YOURS, "differ in capitals alone"),
+    ("one", YOURS, "looks like"),
+    ("m-ine", YOURS, "looks like"),
+    ("b", TOML.replace("Mine", "O N E"), "looks like"),
+]
 
 
 @pytest.mark.parametrize("given", [None, SHIPPED], ids=["linear", "shipped"])
-def test_plain_policies_pass_every_check(given, tmp_path):
-    report = check_submission(folder(tmp_path / "a") if given is None else given)
+def test_plain_policies_pass_every_check_and_their_files_are_listed(given, tmp_path):
+    path = given or folder(tmp_path / "a")
+    if given is None:
+        (path / "README.md").write_text("Mine.")
+    report = check_submission(path)
+    assert all(f"{each.name} {each.stat().st_size} bytes" in report.made[0].reason for each in path.iterdir())
     assert report.accepted and all(check.verdict == "passed" and check.reason for check in report.checks)
     assert not report.notes and report.shipped == (given is not None)
-
-
-def test_all_files_of_a_folder_are_listed(tmp_path):
-    path = folder(tmp_path / "a")
-    (path / "README.md").write_text("Mine.")
-    listed = read_submission(path).made[0].reason
-    assert all(f"{name} {(path / name).stat().st_size} bytes" in listed for name in os.listdir(path))
 
 
 def test_policy_is_judged_in_the_environment_that_it_names(tmp_path, monkeypatch):
@@ -171,15 +200,7 @@ def test_wrong_entry_files_are_refused(toml, said, tmp_path):
     assert refusal.reason.isprintable() and len(refusal.reason) < 1600
 
 
-@pytest.mark.parametrize(
-    ("line", "version"),
-    [
-        ('"\\u0065nvironment" = "GFMWTG-14bus-v\\u0030"\r\n', "v0"),
-        ('environment = "GFMWTG-14bus-v0" # "GFMWTG-14bus-v1"\n', "v0"),
-        ('# environment = "GFMWTG-14bus-v0"\n', "v1"),
-        ('trained_on = """\\\n    environment = GFMWTG-14bus-v0"""\n', "v1"),
-    ],
-)
+@pytest.mark.parametrize(("line", "version"), VERSIONS)
 def test_every_reader_of_entry_toml_sees_the_same_version(line, version, tmp_path):
     content = (_REST + line).encode()
     env_id = f"GFMWTG-14bus-{version}"
@@ -193,27 +214,9 @@ def report(path: Path, content: ModelProto | None = None, toml: str = TOML) -> R
     return made
 
 
-DIFFERENT = {
-    "authors": '["John Roe"]',
-    "action_mode": '"k"',
-    "environment": '"GFMWTG-14bus-v1"',
-    "observation_mode": '"privileged"',
-    "per_group": "true",
-    "strategy": '"mppt"',
-    "description": '"Better"',
-    "trained_on": '"The test scenarios"',
-}
-
-
 def different(key: str) -> str:
     lines = [line for line in seed(1).splitlines() if not line.startswith(f"{key} =")]
     return "\n".join([*lines, f"{key} = {DIFFERENT[key]}\n"])
-
-
-def test_seeds_of_one_entry_are_accepted(tmp_path):
-    first, second = report(tmp_path / "a"), report(tmp_path / "b", models.other(), seed(1))
-    assert conflicts([first, second]) == []
-    assert conflicts([first], [report(tmp_path / "c", models.other(), TOML.replace("Mine", "Yours"))]) == []
 
 
 def test_name_belongs_to_one_entry_of_one_version(tmp_path):
@@ -223,14 +226,14 @@ def test_name_belongs_to_one_entry_of_one_version(tmp_path):
         assert "is taken by Mine" in conflicts([one], [other])[0].reason
 
 
-@pytest.mark.parametrize(
-    ("toml", "said"),
-    [
-        (seed(1).replace("Mine", "M I N E"), "the names Mine and M I N E look alike"),
-        (TOML, r"Mine \(training seed 0\) is given twice"),
-        *((different(key), rf"must agree on .*{key}.*, got .+ and .+: /") for key in DIFFERENT),
-    ],
-)
+OTHER_ROWS = [
+    (seed(1).replace("Mine", "M I N E"), "the names Mine and M I N E look alike"),
+    (TOML, r"Mine \(training seed 0\) is given twice"),
+    *((different(key), rf"must agree on .*{key}.*, got .+ and .+: /") for key in DIFFERENT),
+]
+
+
+@pytest.mark.parametrize(("toml", "said"), OTHER_ROWS)
 def test_nobody_joins_anothers_row(toml, said, tmp_path):
     first, second = report(tmp_path / "a"), report(tmp_path / "b", models.other(), toml)
     (conflict,) = conflicts([first, second])
@@ -240,25 +243,16 @@ def test_nobody_joins_anothers_row(toml, said, tmp_path):
     assert conflict.folders == (second.folder,) and "is taken by Mine of" in conflict.reason
 
 
-def test_file_counts_once_whatever_it_is_called(tmp_path):
+def test_seeds_of_one_entry_are_accepted_and_a_file_counts_once_whatever_it_is_called(tmp_path):
     first, second = report(tmp_path / "a"), report(tmp_path / "b", toml=seed(1))
-    third = report(tmp_path / "c", toml=TOML.replace("Mine", "Yours"))
+    third = report(tmp_path / "c", toml=YOURS)
     for found in (conflicts([first, second]), conflicts([first, third]), conflicts([third], [first])):
         assert "the same policy file is given twice" in found[0].reason
+    assert conflicts([first, report(tmp_path / "d", models.other(), seed(1))]) == []
+    assert conflicts([first], [report(tmp_path / "e", models.other(), YOURS)]) == []
 
 
-YOURS = TOML.replace("Mine", "Yours")
-
-
-@pytest.mark.parametrize(
-    ("name", "toml", "said"),
-    [
-        ("One", YOURS, "differ in capitals alone"),
-        ("one", YOURS, "looks like"),
-        ("m-ine", YOURS, "looks like"),
-        ("b", TOML.replace("Mine", "O N E"), "looks like"),
-    ],
-)
+@pytest.mark.parametrize(("name", "toml", "said"), ALIKE)
 def test_folder_is_not_called_as_another_folder_or_entry(name, toml, said, tmp_path):
     first, second = report(tmp_path / "a" / "one"), report(tmp_path / "b" / name, models.other(), toml)
     for found in (conflicts([first, second]), conflicts([second], [first])):
@@ -272,27 +266,11 @@ def test_what_is_there_is_compared_as_far_as_it_can_be_read(tmp_path):
     assert "the same policy file is given twice" in conflict.reason
 
 
-POLICIES = ROOT / "agents" / "policies"
-
-
 def refused(path: Path) -> tuple[str, str]:
     """The check that refuses a folder, and why, which is one line."""
     refusal = read_submission(path).refusal
     assert refusal.reason.isprintable()
     return refusal.name, refusal.reason
-
-
-#: Of folders, and of entries; both are refused whatever their capitals, signs, and letters that look alike.
-TAKEN_FOLDERS = """
-baselines Baselines base-lines baselines.fast_droop policies po1icies POLICIES. agents agents.train tests wtg_gym
-wtg-gym.evaluation mppt MPPT coordinated-tuned coordinated_tuned deloaded5 fast-droop fast_droop FastDroop
-tip-speed-feedback tip.speed.feedback T1p-Speed-Feedback ppo-k-0 PPO-K-0 ppo-k-O ppo-k ppo-ktau-0 linear-feedback
-linear_feedback Gradient-0 \u017fac-v1-0 ppo-\u212a-0
-"""
-TAKEN_NAMES = """
-baselines; policies; Policies; b a s e l i n e s; baselines.mppt; Coordinated-Piecewise; coordinated piecewise;
-coordinated (tuned); Fast Droop; fast droop.; TIP_SPEED_FEEDBACK; PPO k 0; ppo k, tau; Iinear-feedback
-"""
 
 
 @pytest.mark.parametrize("name", TAKEN_FOLDERS.split())

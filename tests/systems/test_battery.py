@@ -20,6 +20,17 @@ from wtg_gym.envs.lanes import TaskLanes
 from wtg_gym.gradients import Tape, check_by_differences
 from wtg_gym.tasks.cost import COST_TERMS
 
+STEP = scenario(LoadStep(time_s=1.0, bus=9, power_mw=60.0), duration_s=20.0)
+WITHOUT = EnvSettings(version="v0", duration_s=20.0)
+BAD = [
+    (lambda b: {"systems": {"setle": (b.settle,)}}, "no list has a place 'setle' .*; did you mean 'settle'"),
+    (lambda b: {"systems": {"plan": (b.plan,)}}, "batteries have no systems for settle, voltages, move, rates"),
+    (lambda b: {"impedances": (0j,)}, "impedances of batteries must be finite and not 0 p.u."),
+    (lambda b: {"reactive_weights": (0.1, 0.2)}, "1 batteries need 1 reactive_weights, got 2"),
+    (lambda b: {"constants": {}}, r"batteries have the constants \['battery'\], got \[\]"),
+    (lambda b: {"shown": "sen"}, "'sen' is no record in scratch of batteries; did you mean 'seen'"),
+]
+
 
 def module_of(page: str, name: str, folder: Path):
     """Return the module that a page asks its reader to save."""
@@ -34,10 +45,6 @@ def module_of(page: str, name: str, folder: Path):
 @pytest.fixture(scope="module")
 def battery(tmp_path_factory):
     return module_of("docs/howto/battery.md", "battery.py", tmp_path_factory.mktemp("howto"))
-
-
-STEP = scenario(LoadStep(time_s=1.0, bus=9, power_mw=60.0), duration_s=20.0)
-WITHOUT = EnvSettings(version="v0", duration_s=20.0)
 
 
 def settings(battery, **options) -> EnvSettings:
@@ -76,9 +83,14 @@ def test_an_environment_takes_it_beside_the_suites_groups(battery, version):
     assert env.observation_space.contains(observation) and observation[-3] != 0.5
 
 
-def test_one_lane_and_many_have_the_same_bits(battery):
+def test_many_lanes_and_copies_from_another_process_have_the_bits_of_one(battery):
     one, many = played(settings(battery)), played(settings(battery), 17)
-    assert (many.observations == one.observations).all() and (many.rewards == one.rewards[0]).all()
+    copies = pickle.loads(pickle.dumps(many)), copy.deepcopy(many)
+    for _ in range(10):
+        for lanes in (one, many, *copies):
+            lanes.step(np.zeros((lanes.n_lanes, lanes.n_action)))
+    for lanes in (many, *copies):
+        assert (lanes.observations == one.observations).all() and (lanes.rewards == one.rewards[0]).all()
 
 
 def test_an_empty_one_gives_no_more(battery):
@@ -95,17 +107,7 @@ def test_its_gradient_is_that_of_differences(battery):
     assert of_actions.gradient == pytest.approx(of_actions.central, rel=1e-5, abs=1e-6)
 
 
-@pytest.mark.parametrize(
-    ("changes", "reason"),
-    [
-        (lambda b: {"systems": {"setle": (b.settle,)}}, "no list has a place 'setle' .*; did you mean 'settle'"),
-        (lambda b: {"systems": {"plan": (b.plan,)}}, "batteries have no systems for settle, voltages, move, rates"),
-        (lambda b: {"impedances": (0j,)}, "impedances of batteries must be finite and not 0 p.u."),
-        (lambda b: {"reactive_weights": (0.1, 0.2)}, "1 batteries need 1 reactive_weights, got 2"),
-        (lambda b: {"constants": {}}, r"batteries have the constants \['battery'\], got \[\]"),
-        (lambda b: {"shown": "sen"}, "'sen' is no record in scratch of batteries; did you mean 'seen'"),
-    ],
-)
+@pytest.mark.parametrize(("changes", "reason"), BAD)
 def test_bad_units_are_refused(battery, changes, reason):
     with pytest.raises(ValueError, match=reason):
         dataclasses.replace(battery.batteries(9), **changes(battery))
@@ -117,12 +119,3 @@ def test_plants_that_cannot_be_are_refused(battery):
         TaskLanes(dataclasses.replace(WITHOUT, plant=Plant(devices=(one, other))))
     with pytest.raises(ValueError, match=r"unknown conditions \['wears'\]"):
         TaskLanes(dataclasses.replace(WITHOUT, plant=Plant(devices=(dataclasses.replace(one, has=("wears",)),))))
-
-
-def test_a_copy_from_another_process_goes_on_with_the_same_bits(battery):
-    lanes = played(settings(battery), 2, 20)
-    copies = pickle.loads(pickle.dumps(lanes)), copy.deepcopy(lanes)
-    for _ in range(10):
-        for own in (lanes, *copies):
-            own.step(np.zeros((2, own.n_action)))
-    assert all((own.observations == lanes.observations).all() for own in copies)

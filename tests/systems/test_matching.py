@@ -197,7 +197,6 @@ def test_a_number_that_is_written_by_another_name_than_it_is_read_by_is_read_fir
 
 
 def shipped() -> Iterator[System]:
-    """Yield all systems of the simulator and of the task."""
     for room in (wtg_gym.physics, wtg_gym.tasks):
         for file in pkgutil.iter_modules(room.__path__, f"{room.__name__}."):
             yield from (each for each in vars(importlib.import_module(file.name)).values() if isinstance(each, System))

@@ -21,6 +21,16 @@ from wtg_gym.systems.systems import Kind, system
 from wtg_gym.systems.writers import BackWithoutConstants, TapedWriter
 
 N_UNITS = 3
+ROTORS = Kind(
+    name="rotors",
+    rows={"ratio": float, "pitch_deg": float},
+    scratch={"coefficient": float},
+    constants={"cells": ex.Cells, "grid": Grid},
+)
+ORDINARY = st.floats(-1e100, 1e100, allow_subnormal=False)
+SUMS = Kind(name="sums", rows={"a": float, "b": float, "c": float, "sum": float})
+(PROGRAM,) = in_one_table(SUM=(system(SUMS, "sum")(lambda a, b, c: fma(a, b, c)),))
+ROUTINE, TABLES = Routine(PROGRAM), build_table((PROGRAM,), Layout({SUMS: 1}, {}))
 
 
 def choice(a: float, b: float) -> float:
@@ -96,14 +106,6 @@ def test_what_comes_back_are_the_slopes(point):
         assert bars[:, 0].tolist() == pytest.approx(expected, rel=1e-8, abs=1e-8), name
 
 
-ROTORS = Kind(
-    name="rotors",
-    rows={"ratio": float, "pitch_deg": float},
-    scratch={"coefficient": float},
-    constants={"cells": ex.Cells, "grid": Grid},
-)
-
-
 @system(ROTORS, "coefficient")
 def coefficient_of(ratio: float, pitch_deg: float, cells: ex.Cells, grid: Grid) -> float:
     return tabulated_power_coefficient(ratio, pitch_deg, cells, grid)
@@ -127,11 +129,6 @@ def test_a_table_is_looked_up_and_has_the_slopes_of_its_surface(ratio, pitch_deg
     assert bars[:, 0] == pytest.approx(expected, rel=1e-7, abs=1e-9)
 
 
-def test_a_branch_on_a_traced_number_is_refused():
-    with pytest.raises(TypeError, match="select"):
-        bool(ex.symbol("a") > 1.0)
-
-
 def test_programs_that_differ_in_one_thing_have_machine_code_of_their_own():
     in_rows = Kind(name="places", rows={"x": float, "y": float, "flag": float})
     in_scratch = Kind(name="places", rows={"x": float}, scratch={"y": float, "flag": float})
@@ -149,7 +146,9 @@ def test_programs_that_differ_in_one_thing_have_machine_code_of_their_own():
     assert len(set(digests)) == len(digests) == 12
 
 
-def test_arrays_of_another_width_and_tables_without_the_code_are_refused():
+def test_branches_on_traced_numbers_arrays_of_another_width_and_tables_without_the_code_are_refused():
+    with pytest.raises(TypeError, match="select"):
+        bool(ex.symbol("a") > 1.0)
     layout = PlantMap({UNITS: 1}, {})
     tables, routine = build_table((FORWARD, BOTH_WAYS), layout), Routine(FORWARD)
     with pytest.raises(ValueError, match="1 or 16 columns"):
@@ -159,12 +158,6 @@ def test_arrays_of_another_width_and_tables_without_the_code_are_refused():
         routine((np.zeros((2, 1)), np.zeros((layout.n_scratch, 1))), linked)
     # Addresses mean nothing in another process.
     assert pickle.loads(pickle.dumps(linked)).code.size == 0
-
-
-ORDINARY = st.floats(-1e100, 1e100, allow_subnormal=False)
-SUMS = Kind(name="sums", rows={"a": float, "b": float, "c": float, "sum": float})
-(PROGRAM,) = in_one_table(SUM=(system(SUMS, "sum")(lambda a, b, c: fma(a, b, c)),))
-ROUTINE, TABLES = Routine(PROGRAM), build_table((PROGRAM,), Layout({SUMS: 1}, {}))
 
 
 @given(ORDINARY, ORDINARY, ORDINARY)

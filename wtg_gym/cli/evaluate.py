@@ -6,8 +6,7 @@ from typing import Annotated, Any, Literal
 
 from cyclopts import Parameter
 
-from wtg_gym.cli import options
-from wtg_gym.cli.output import check_page, note
+from wtg_gym.cli import options, output
 
 
 def evaluate(
@@ -96,7 +95,7 @@ def leaderboard(
     from wtg_gym.scenarios import get_suite
 
     sections = [f"leaderboard:{suite}", f"leaderboard:{suite}:details"]
-    pages = [(page, check_page("--readme", page, sections)) for page in readme]
+    pages = [(page, output.check_page("--readme", page, sections)) for page in readme]
     processes = scoring.chosen_workers(workers, threads)
     with scoring.kept_parts(results) as partial:
         chosen = scoring.chosen_entries(entries, suite)
@@ -107,11 +106,11 @@ def leaderboard(
         if not json and laws and len(laws) < len(chosen):
             # They take seconds, the others minutes.
             scoring.print_ranking(scoring.run_evaluation(laws, **how))
-            note(f"these are the laws; {len(chosen) - len(laws)} policies follow")
+            output.note(f"these are the laws; {len(chosen) - len(laws)} policies follow")
         ranking = scoring.run_evaluation(chosen, **how)
     # Without its parts, which would be removed once the results are written.
     code = scoring.finish(dataclasses.replace(ranking, parts=None), results, as_json=json)
     for page, section in pages:
         changed = update_between_markers(page, markdown_section(ranking, details=section == sections[1]), section)
-        note(f"{page}: {'updated' if changed else 'already up to date'}")
+        output.note(f"{page}: {'updated' if changed else 'already up to date'}")
     return code

@@ -49,8 +49,7 @@ def import_grid(
       wtg-gym evaluate --suite ieee39.json                      score the laws on it
     """
     from wtg_gym.grids.describe import describe_equilibrium
-    from wtg_gym.grids.reading import read_case
-    from wtg_gym.grids.wind import with_wind
+    from wtg_gym.grids.reading import read_case, with_wind
     from wtg_gym.physics.grid import grid_text
 
     grid = read_case(case, dynamic, frequency_hz=frequency, drop=drop, substitute=substitute)

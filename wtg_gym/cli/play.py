@@ -5,18 +5,17 @@ from typing import Annotated, Any
 
 from cyclopts import Parameter, validators
 
-from wtg_gym.cli.options import DEFAULT_SUITE, Flag, SuiteName, Whole
-from wtg_gym.cli.output import note, require_extra
+from wtg_gym.cli import options, output
 
 
 def play(
     *,
-    suite: SuiteName = DEFAULT_SUITE,
-    seed: Whole | None = None,
+    suite: options.SuiteName = options.DEFAULT_SUITE,
+    seed: options.Whole | None = None,
     duration: float | None = None,
     speed: Annotated[float, Parameter(validator=validators.Number(gte=0.1, lte=20.0))] = 1.0,
-    port: Annotated[Whole, Parameter(validator=validators.Number(gte=0, lte=65535))] = 0,
-    no_browser: Flag = False,
+    port: Annotated[options.Whole, Parameter(validator=validators.Number(gte=0, lte=65535))] = 0,
+    no_browser: options.Flag = False,
 ) -> int:
     """Open a page in the browser on which you hold the frequency by hand, in real time.
 
@@ -43,7 +42,7 @@ def play(
     chosen = get_suite(suite)
     # Refuses a duration or a seed that is out of range.
     match = Match(chosen, chosen.validation[0] if seed is None else seed, duration)
-    require_extra("bokeh", "wtg-gym play")
+    output.require_extra("bokeh", "wtg-gym play")
     from bokeh.server.server import Server
 
     def fill(document: Any) -> None:
@@ -52,13 +51,13 @@ def play(
     server = Server({"/": fill}, port=port, address="localhost")
     url = f"http://localhost:{server.port}/"
     server.start()
-    note(f"the page is at {url}; Ctrl-C ends it")
+    output.note(f"the page is at {url}; Ctrl-C ends it")
     if not no_browser and not webbrowser.open(url):
-        note("there is no browser here: open that address in a browser on this machine")
+        output.note("there is no browser here: open that address in a browser on this machine")
     try:
         server.io_loop.start()
     except KeyboardInterrupt:
-        note("ended")
+        output.note("ended")
     finally:
         server.stop()
     return 0

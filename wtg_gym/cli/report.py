@@ -1,7 +1,7 @@
 """`wtg-gym report`: one page about one entry."""
 
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 from cyclopts import Parameter
 
@@ -56,17 +56,9 @@ def report(
     if len({each.name for each in chosen}) > 1:
         raise ValueError(f"a report is about one entry, {entry!r} are {len(chosen)}")
     check_version(chosen[:1], get_suite(page.SUITE))
+    played: dict[str, Any] = {"split": split, "seeds": seeds, "drawn": drawn, "stored": results, "n_threads": threads}
     with Progress("episodes") as progress:
-        made = page.make_report(
-            chosen[0],
-            entry,
-            split=split,
-            seeds=seeds,
-            drawn=drawn,
-            stored=results,
-            n_threads=threads,
-            on_progress=progress.update,
-        )
+        made = page.make_report(chosen[0], entry, **played, on_progress=progress.update)
     with Progress("sections") as progress:
         files = page.report_markdown(made, output.stem, progress.update)
     if output.suffix != ".md":

@@ -10,10 +10,7 @@ from typing import Any
 from wtg_gym.cli.options import SeedOptions, WorkerOptions
 from wtg_gym.cli.output import note, print_json, print_table, say
 from wtg_gym.envs.settings import EnvSettings
-from wtg_gym.evaluation import Entry, Results, evaluate, load_entries, table_cells
-from wtg_gym.evaluation.evaluator import chosen_seeds, shared_settings
-from wtg_gym.evaluation.table import columns_of, notes_on_marks
-from wtg_gym.evaluation.workers import BACKENDS, Workers
+from wtg_gym.evaluation import Entry, Results, evaluate, evaluator, load_entries, table, table_cells, workers
 from wtg_gym.policies.entry import check_entries, run_label
 from wtg_gym.progress import Progress
 from wtg_gym.ranges import require_range
@@ -22,9 +19,6 @@ from wtg_gym.scenarios.suite import MOST_SCENARIOS
 
 #: Heads of columns that are too wide for a terminal of 120 columns.
 _SHORT_HEADS = {"median deviation [mHz]": "Δf [mHz]", "lost or beyond 0.8 Hz [%]": "lost or > 0.8 Hz [%]"}
-
-
-# --- values of options: a ValueError says what is wrong with one -----------------------------------------------------
 
 
 def chosen_entries(specs: Sequence[str], suite: str) -> list[Entry]:
@@ -57,15 +51,15 @@ def chosen_scenarios(suite: str, split: str, options: SeedOptions) -> dict[str, 
     return {**chosen, "seeds": list(seeds[: options.scenarios])}
 
 
-def chosen_workers(options: WorkerOptions, threads: int | None) -> Workers | None:
+def chosen_workers(options: WorkerOptions, threads: int | None) -> workers.Workers | None:
     """Return the workers of `--backend`."""
     if options.backend is None:
         if unused := [name for name in ("address", "jobs") if getattr(options, name) is not None]:
-            raise ValueError(f"--{unused[0]} is for workers: say which with --backend {', '.join(BACKENDS)}")
+            raise ValueError(f"--{unused[0]} is for workers: say which with --backend {', '.join(workers.BACKENDS)}")
         return None
     if threads not in (None, 1):
         raise ValueError(f"--threads {threads}: a worker steps with one thread; say how many with --jobs")
-    return Workers(options.backend, options.address, options.jobs)
+    return workers.Workers(options.backend, options.address, options.jobs)
 
 
 def check_stored(folder: Path | None, planned: Mapping[str, Any]) -> None:
@@ -82,17 +76,14 @@ def check_stored(folder: Path | None, planned: Mapping[str, Any]) -> None:
     settings = {key: value for key, value in planned.items() if key != "seeds"}
     now = {
         "suite_hash": get_suite(suite).hash,
-        "settings": shared_settings(EnvSettings(**settings)),
-        "seeds": tuple(chosen_seeds(suite, split, planned.get("seeds"))),
+        "settings": evaluator.shared_settings(EnvSettings(**settings)),
+        "seeds": tuple(evaluator.chosen_seeds(suite, split, planned.get("seeds"))),
     }
     if other := [key for key, value in now.items() if getattr(stored, key) != value]:
         raise ValueError(
             f"--results {folder}: its {path.name} is of other {' and '.join(other)} and would be lost; "
             "give another folder"
         )
-
-
-# --- evaluation ------------------------------------------------------------------------------------------------------
 
 
 @contextlib.contextmanager
@@ -132,12 +123,12 @@ def print_ranking(results: Results) -> None:
     """Print the ranking, and what its columns and marks mean."""
     say(f"suite {results.suite} ({results.suite_hash[:12]}), {results.split}: {len(results.seeds)} scenarios", "")
     rows = results.ranking
-    columns = columns_of("terminal", rows)
+    columns = table.columns_of("terminal", rows)
     heads = [_SHORT_HEADS.get(column, column) for column in columns]
     print_table(heads, table_cells(rows, columns), left=(1,))
     say(
         "", "in brackets: 95 % interval; Δf: largest deviation of a run's frequency, the median; lost: runs that failed"
     )
-    say(*notes_on_marks(rows))
+    say(*table.notes_on_marks(rows))
     for text in filter(None, (results.no_score, results.unadjusted)):
         note(text)

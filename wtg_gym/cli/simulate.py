@@ -6,8 +6,7 @@ from typing import Annotated
 
 from cyclopts import Group, Parameter
 
-from wtg_gym.cli.options import CsvFile, FigureFile, Flag, Json, SuiteName, Whole, Words
-from wtg_gym.cli.output import say
+from wtg_gym.cli import options, output
 
 
 @Parameter(name="*", group=Group("Scenario", sort_key=1))
@@ -15,9 +14,9 @@ from wtg_gym.cli.output import say
 class ScenarioOptions:
     """The scenario, and changes to it."""
 
-    suite: SuiteName = "paper"
+    suite: options.SuiteName = "paper"
     """suite to draw from, one of those that `wtg-gym suites` lists; the grid is its own too"""
-    seed: Whole | None = None
+    seed: options.Whole | None = None
     """seed of the suite; default: its first test seed, of the suite paper the load increase"""
     scenario: Path | None = None
     """scenario file in JSON, as `wtg-gym suites NAME --seed N --json` prints, in the place of a seed"""
@@ -38,11 +37,11 @@ class ScenarioOptions:
 def simulate_scenario(
     *,
     chosen: ScenarioOptions = ScenarioOptions(),
-    strategy: Words = ("coordinated-piecewise",),
-    example_law: Flag = False,
-    plot: FigureFile | None = None,
-    csv: CsvFile | None = None,
-    json: Json = False,
+    strategy: options.Words = ("coordinated-piecewise",),
+    example_law: options.Flag = False,
+    plot: options.FigureFile | None = None,
+    csv: options.CsvFile | None = None,
+    json: options.Json = False,
 ) -> int:
     """Simulate one scenario under each of the given strategies and print the key figures.
 
@@ -69,7 +68,7 @@ def simulate_scenario(
     if example_law:
         from wtg_gym.policies.entry_folder import example_law as law_file
 
-        say(*law_file().splitlines())
+        output.say(*law_file().splitlines())
         return 0
     from wtg_gym.cli.simulation import run
 

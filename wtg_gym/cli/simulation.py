@@ -1,7 +1,5 @@
 """What `wtg-gym simulate` runs and prints: scenarios under laws, with their key figures."""
 
-from __future__ import annotations
-
 import csv as csv_format
 import dataclasses
 import io
@@ -11,8 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from wtg_gym.cli.output import print_json, print_table, require_extra, say, write_and_say
-from wtg_gym.cli.suites import describe_scenario
+from wtg_gym.cli import output, suites
 from wtg_gym.files import interpreting, read_json
 from wtg_gym.physics.protection import Status
 from wtg_gym.physics.scenario import Scenario
@@ -20,17 +17,18 @@ from wtg_gym.physics.tracking_law import STRATEGIES, STRATEGY_NAMES, get_law
 from wtg_gym.physics.trajectory import Trajectory, simulate
 from wtg_gym.progress import Progress
 from wtg_gym.scenarios import Suite, get_suite, read_wind_csv
-from wtg_gym.tasks import V0
-from wtg_gym.tasks.episode import ROCOF_WINDOW_S
+from wtg_gym.tasks import V0, episode
 
 if TYPE_CHECKING:
     from wtg_gym.cli.simulate import ScenarioOptions
 
 
-def run(options: ScenarioOptions, strategies: Sequence[str], *, plot: Path | None, csv: Path | None, json: bool) -> int:
+def run(
+    options: "ScenarioOptions", strategies: Sequence[str], *, plot: Path | None, csv: Path | None, json: bool
+) -> int:
     """Simulate a scenario under laws, write what was asked for, and return the exit code."""
     if plot is not None:
-        require_extra("matplotlib", "--plot")
+        output.require_extra("matplotlib", "--plot")
     suite = get_suite(options.suite)
     scenario = _scenario(options, suite)
     settings = suite.plant.replaced(
@@ -53,9 +51,9 @@ def run(options: ScenarioOptions, strategies: Sequence[str], *, plot: Path | Non
     if plot is not None:
         from wtg_gym.plotting import figure_bytes, plot_trajectories
 
-        write_and_say(plot, figure_bytes(plot_trajectories(runs, scenario), plot.suffix))
+        output.write_and_say(plot, figure_bytes(plot_trajectories(runs, scenario), plot.suffix))
     if csv is not None:
-        write_and_say(csv, traces_csv(runs))
+        output.write_and_say(csv, traces_csv(runs))
     figures = [key_figures(name, trajectory) for name, trajectory in runs.items()]
     if json:
         series = ("wind_speed", "wind_dt_s", "load_noise_mw")
@@ -68,14 +66,17 @@ def run(options: ScenarioOptions, strategies: Sequence[str], *, plot: Path | Non
             "on_failure": "trip" if settings.trips_groups else "terminate",
             "physics": "extended" if settings.extended else "paper",
         }
-        print_json({"scenario": data, "plant": plant_data, "runs": figures})
+        output.print_json({"scenario": data, "plant": plant_data, "runs": figures})
     else:
-        say(*describe_scenario(scenario), "")
-        print_key_figures(figures)
+        output.say(*suites.describe_scenario(scenario), "")
+        has_shed = any(row["shed_energy_mws"] for row in figures)
+        columns = {head: key for head, key in _COLUMNS.items() if has_shed or key != "shed_energy_mws"}
+        rows = [[row["strategy"], *(_text(row[key]) for key in columns.values()), _end(row)] for row in figures]
+        output.print_table(["strategy", *columns, "end"], rows, left=(0, 1 + len(columns)))
     return int(any(trajectory.status == Status.NUMERICAL_FAILURE for trajectory in runs.values()))
 
 
-def _scenario(options: ScenarioOptions, suite: Suite) -> Scenario:
+def _scenario(options: "ScenarioOptions", suite: Suite) -> Scenario:
     if options.scenario is None:
         seed = suite.test[0] if options.seed is None else options.seed
         scenario = suite.scenario(seed, duration_s=options.duration)
@@ -108,9 +109,6 @@ def read_scenario(path: Path, suite: Suite) -> Scenario:
     return scenario
 
 
-# --- traces ----------------------------------------------------------------------------------------------------------
-
-
 def traces_csv(runs: Mapping[str, Trajectory]) -> str:
     """Return every sample of runs as CSV, with their strategy; groups, machines and buses count from 1."""
     text = io.StringIO()
@@ -127,15 +125,13 @@ def traces_csv(runs: Mapping[str, Trajectory]) -> str:
     return text.getvalue()
 
 
-# --- key figures -----------------------------------------------------------------------------------------------------
-
 #: Numbers of a run that are printed, by their headings.
 _COLUMNS = {
     "nadir [Hz]": "nadir_hz",
     "zenith [Hz]": "zenith_hz",
     "lowest of all units [Hz]": "local_nadir_hz",
     "highest of all units [Hz]": "local_zenith_hz",
-    f"RoCoF, {1000 * ROCOF_WINDOW_S:.0f} ms [Hz/s]": "largest_rocof_hz_s",
+    f"RoCoF, {1000 * episode.ROCOF_WINDOW_S:.0f} ms [Hz/s]": "largest_rocof_hz_s",
     "final [Hz]": "final_frequency_hz",
     "final rotor speed [p.u.]": "final_rotor_speed_pu",
     "final power [p.u.]": "final_power_pu",
@@ -150,7 +146,7 @@ def key_figures(name: str, run: Trajectory) -> dict[str, Any]:
     """
     ratios, rotors = run.tip_speed_ratio[-1], run.rotor_speed_pu[-1]
     extremes = {Status.STALL: -ratios, Status.OVER_SPEED: rotors, Status.UNDER_SPEED: -rotors}
-    rocof = run.rocof_hz_s(ROCOF_WINDOW_S)
+    rocof = run.rocof_hz_s(episode.ROCOF_WINDOW_S)
     # A disconnected group delivers exactly nothing, from its last sample with power on.
     trips = {
         1 + int(group): run.time_s[np.flatnonzero(run.power_pu[:, group]).max(initial=-1) + 1]
@@ -182,14 +178,6 @@ def _plain(value: Any) -> Any:
     if np.ndim(value):
         return [_plain(item) for item in value]
     return round(float(value), 9) if np.isfinite(value) else None
-
-
-def print_key_figures(figures: list[dict[str, Any]]) -> None:
-    """Print the key figures of several runs as a table with units."""
-    has_shed = any(row["shed_energy_mws"] for row in figures)
-    columns = {head: key for head, key in _COLUMNS.items() if has_shed or key != "shed_energy_mws"}
-    rows = [[row["strategy"], *(_text(row[key]) for key in columns.values()), _end(row)] for row in figures]
-    print_table(["strategy", *columns, "end"], rows, left=(0, 1 + len(columns)))
 
 
 def _end(row: Mapping[str, Any]) -> str:

@@ -1,7 +1,5 @@
 """`wtg-gym submission new`, `check` and `score`: policies of others, which are only data."""
 
-from __future__ import annotations
-
 import contextlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -148,7 +146,7 @@ def score(
     return max(codes)
 
 
-def _write_cards(folder: Path, entries: Mapping[Path, Entry], played: Results, n_threads: int | None) -> None:
+def _write_cards(folder: Path, entries: "Mapping[Path, Entry]", played: "Results", n_threads: int | None) -> None:
     """Write the pages about entries that were played, of each name about the first, if they are of the page's suite."""
     from wtg_gym.files import write_together
     from wtg_gym.plotting import report as page
@@ -187,7 +185,7 @@ def _suites(folders: Sequence[Path]) -> list[str]:
     return [EnvSettings(version=task.version).suite_name for task in TASKS.values() if task.env_id in environments]
 
 
-def _judged(folders: Sequence[Path], gate: GateOptions) -> tuple[list[Report], list[Conflict]]:
+def _judged(folders: Sequence[Path], gate: GateOptions) -> "tuple[list[Report], list[Conflict]]":
     """Return the gate's reports, and conflicts of accepted submissions with each other and with those there are."""
     from wtg_gym.policies.gate import check_submission, conflicts, read_submission
 
@@ -203,7 +201,7 @@ def _judged(folders: Sequence[Path], gate: GateOptions) -> tuple[list[Report], l
     return reports, conflicts(accepted, beside)
 
 
-def _why_left_out(reports: Sequence[Report], clashes: Sequence[Conflict]) -> dict[Path, str]:
+def _why_left_out(reports: "Sequence[Report]", clashes: "Sequence[Conflict]") -> dict[Path, str]:
     """Return why folders are not ranked: authors cannot choose the seeds of a row, so all of a name go together."""
     reason = {folder: conflict.reason for conflict in clashes for folder in conflict.folders}
     for report in reports:

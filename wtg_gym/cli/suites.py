@@ -1,7 +1,5 @@
 """`wtg-gym suites`: the suites and their scenarios, the latter in words too."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
@@ -30,7 +28,7 @@ def suites(name: SuiteName | None = None, /, *, seed: Whole | None = None, json:
         name: one suite; default: all
         seed: show the scenario of this seed of the suite
     """
-    from wtg_gym.scenarios import SUITES, get_suite
+    from wtg_gym.scenarios import FROZEN_HASHES, SPLITS, SUITES, get_suite
 
     chosen = list(SUITES.values()) if name is None else [get_suite(name)]
     if seed is not None:
@@ -44,11 +42,19 @@ def suites(name: SuiteName | None = None, /, *, seed: Whole | None = None, json:
     elif json or name is not None:
         print_json([_summary(suite) for suite in chosen])
     else:
-        _print_suites(chosen)
+        header = ("suite", "hash", "length [s]", *(f"{split} seeds" for split in SPLITS), "test runs")
+        rows = []
+        for suite in chosen:
+            seeds = (f"{suite.seeds(split).start} … {suite.seeds(split).stop - 1}" for split in SPLITS)
+            digest, n_runs = FROZEN_HASHES[suite.name][:12], str(len(suite.test))
+            rows.append((suite.name, digest, f"{suite.duration_s:g}", *seeds, n_runs))
+        print_table(header, rows, left=(0, 1))
+        width = max(len(suite.name) for suite in chosen)
+        say("", *(f"{suite.name:<{width}} {suite.description}" for suite in chosen))
     return 0
 
 
-def _summary(suite: Suite) -> dict[str, Any]:
+def _summary(suite: "Suite") -> dict[str, Any]:
     from wtg_gym.scenarios import SPLITS
 
     return {
@@ -67,21 +73,7 @@ def _summary(suite: Suite) -> dict[str, Any]:
     }
 
 
-def _print_suites(suites: list[Suite]) -> None:
-    from wtg_gym.scenarios import FROZEN_HASHES, SPLITS
-
-    header = ("suite", "hash", "length [s]", *(f"{split} seeds" for split in SPLITS), "test runs")
-    rows = []
-    for suite in suites:
-        seeds = (f"{suite.seeds(split).start} … {suite.seeds(split).stop - 1}" for split in SPLITS)
-        rows.append((suite.name, FROZEN_HASHES[suite.name][:12], f"{suite.duration_s:g}", *seeds, str(len(suite.test))))
-    print_table(header, rows, left=(0, 1))
-    say("")
-    width = max(len(suite.name) for suite in suites)
-    say(*(f"{suite.name:<{width}} {suite.description}" for suite in suites))
-
-
-def describe_scenario(scenario: Scenario) -> list[str]:
+def describe_scenario(scenario: "Scenario") -> list[str]:
     """Return a scenario in words: wind, grid strength and events, with units."""
     winds = [
         f"{wind.mean():.4g}" + (f" ({wind.min():.3g} … {wind.max():.3g})" if wind.size > 1 else "")

@@ -12,11 +12,23 @@ def warmup() -> int:
       wtg-gym warmup
       XDG_CACHE_HOME=/opt/cache wtg-gym warmup     keep the machine code in /opt/cache/wtg_gym, as for an image
     """
-    from wtg_gym.envs.settings import VERSIONS
+    from wtg_gym.envs import GFMWTGEnv, GFMWTGVectorEnv
+    from wtg_gym.envs.settings import VERSIONS, EnvSettings
+    from wtg_gym.evaluation import evaluate
+    from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY
+    from wtg_gym.physics.trajectory import simulate
     from wtg_gym.systems.compiled import cache_folder, compilation
 
     for version in VERSIONS:
-        _compile(version)
+        environment: GFMWTGEnv | GFMWTGVectorEnv
+        for environment in (GFMWTGEnv(version=version), GFMWTGVectorEnv(2, version=version)):
+            environment.reset(seed=0)
+            environment.step(environment.action_space.sample())
+            environment.close()
+        settings = EnvSettings(version=version)
+        seed = settings.resolved_suite.validation[0]
+        simulate(settings.resolved_suite.scenario(seed), REFERENCE_STRATEGY, settings.resolved_plant)
+        evaluate([], settings.suite_name, seeds=(seed,), duration_s=1.0)
     done, folder = compilation(), cache_folder()
     where = "not kept, since no folder can be written to" if folder is None else f"kept in {folder}"
     if done.n_functions == 0:
@@ -24,23 +36,3 @@ def warmup() -> int:
     else:
         say(f"functions compiled: {done.n_functions}, in {done.seconds:.0f} s; {where}")
     return 0
-
-
-def _compile(version: str) -> None:
-    from wtg_gym.envs import GFMWTGEnv, GFMWTGVectorEnv
-    from wtg_gym.envs.settings import EnvSettings
-    from wtg_gym.evaluation import evaluate
-    from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY
-    from wtg_gym.physics.trajectory import simulate
-
-    settings = EnvSettings(version=version)
-    environment: GFMWTGEnv | GFMWTGVectorEnv
-    for environment in (GFMWTGEnv(version=version), GFMWTGVectorEnv(2, version=version)):
-        environment.reset(seed=0)
-        environment.step(environment.action_space.sample())
-        environment.close()
-    suite, plant = settings.resolved_suite, settings.resolved_plant
-    seed = suite.validation[0]
-    scenario = suite.scenario(seed)
-    simulate(scenario, REFERENCE_STRATEGY, plant)
-    evaluate([], settings.suite_name, seeds=(seed,), duration_s=1.0)

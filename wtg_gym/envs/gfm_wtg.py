@@ -1,14 +1,11 @@
 """The environment: one episode at a time."""
 
-from __future__ import annotations
-
 from threading import get_ident
 from typing import TYPE_CHECKING, Any, Unpack
 
 import gymnasium as gym
 
-from wtg_gym.envs import interface
-from wtg_gym.envs.settings import EnvArguments, as_scenario
+from wtg_gym.envs import interface, settings
 from wtg_gym.signals import HeldSignals
 
 if TYPE_CHECKING:
@@ -77,7 +74,7 @@ class GFMWTGEnv(interface.OverLanes, gym.Env[interface.Observation, interface.Ac
         "render_fps": 10,
     }
 
-    def __init__(self, *, render_mode: str | None = None, **arguments: Unpack[EnvArguments]) -> None:
+    def __init__(self, *, render_mode: str | None = None, **arguments: Unpack[settings.EnvArguments]) -> None:
         self.observation_space, self.action_space = self._open(arguments, render_mode)
         self._action_shape = (self._lanes.n_action,)
 
@@ -87,17 +84,16 @@ class GFMWTGEnv(interface.OverLanes, gym.Env[interface.Observation, interface.Ac
     ) -> tuple[interface.Observation, dict[str, Any]]:
         """Start an episode.
 
+        A ValueError refuses unknown options and a scenario that does not fit, a gymnasium.error.Error a seed that is
+        not a whole number of 0 or more; nothing has changed then.
+
         Args:
             seed: seeds the generator that draws scenarios; None continues with it.
             options: {"scenario": Scenario or its to_dict()} plays that scenario.
-
-        Raises:
-            ValueError: unknown options, or a scenario that does not fit; nothing has changed then.
-            gymnasium.error.Error: the seed is not a whole number of 0 or more.
         """
         checked = interface.check_options(options, ("scenario",))
         # A given scenario that cannot start is refused before the first change, of the generator too.
-        scenario = as_scenario('options["scenario"]', checked["scenario"]) if "scenario" in checked else None
+        scenario = settings.as_scenario('options["scenario"]', checked["scenario"]) if "scenario" in checked else None
         episodes = None if scenario is None else self._lanes.prepare([scenario], turning=True)
         super().reset(seed=seed)
         self._lanes.start([0], self._lanes.next_episode(self.np_random, 0) if episodes is None else episodes)
@@ -107,14 +103,10 @@ class GFMWTGEnv(interface.OverLanes, gym.Env[interface.Observation, interface.Ac
         return self._lanes.observations[0].copy(), self._lanes.info()
 
     def step(self, action: interface.Action) -> tuple[interface.Observation, float, bool, bool, dict[str, Any]]:
-        """Hold the action for one control step.
+        """Hold the action (n_action,), clipped to [-1, 1], for one control step.
 
-        Args:
-            action: (n_action,), clipped to [-1, 1].
-
-        Raises:
-            ValueError: wrong shape, or a value that is not finite.
-            RuntimeError: the episode is over, call reset(); or another thread is in this environment.
+        A ValueError says that the action has another shape or is not finite, a RuntimeError that the episode is over,
+        so that reset() is needed, or that another thread is in this environment.
         """
         lanes, use, thread = self._lanes, self._use, get_ident()
         outputs = lanes.outputs
@@ -138,15 +130,11 @@ class GFMWTGEnv(interface.OverLanes, gym.Env[interface.Observation, interface.Ac
         finally:
             use.give_back()
 
-    def render(self) -> Frame | None:
-        """Draw the episode up to now.
+    def render(self) -> "Frame | None":
+        """Draw the episode up to now: the frame (540, 960, 3) uint8 with "rgb_array", else None.
 
-        Returns:
-            The frame (540, 960, 3) uint8 with "rgb_array", else None. With "human" :meth:`reset` and :meth:`step` draw
-            by themselves; without a render mode there is a warning.
-
-        Raises:
-            RuntimeError: no episode was started; or "human" finds no display.
+        With "human" :meth:`reset` and :meth:`step` draw by themselves; without a render mode there is a warning. A
+        RuntimeError says that no episode was started, or that "human" finds no display.
         """
         if self._frames is None:
             interface.warn_of_no_render_mode()

@@ -1,7 +1,5 @@
 """Common part of the single and the vector environment: construction, spec, actions, and one thread at a time."""
 
-from __future__ import annotations
-
 import dataclasses
 import functools
 import numbers
@@ -19,8 +17,7 @@ from wtg_gym.envs.settings import EnvArguments, EnvSettings
 from wtg_gym.physics.layout import Floats
 from wtg_gym.ranges import require_known
 from wtg_gym.signals import undivided
-from wtg_gym.tasks import TASKS
-from wtg_gym.tasks.observation import OBSERVATION_BOUND
+from wtg_gym.tasks import TASKS, observation
 
 if TYPE_CHECKING:
     from wtg_gym.envs.rendering import LaneFrames
@@ -46,7 +43,7 @@ class Use:
         # Methods of the dictionary itself: a call of a Python function would take longer than both together.
         self.taken_by, self.give_back = threads.setdefault, threads.clear
 
-    def __reduce__(self) -> tuple[type[Use], tuple[()]]:
+    def __reduce__(self) -> "tuple[type[Use], tuple[()]]":
         return Use, ()
 
 
@@ -75,7 +72,7 @@ def one_thread(method: Callable[Concatenate[Own, P], R]) -> Callable[Concatenate
     return run
 
 
-def in_use(environment: OverLanes, method: str) -> RuntimeError:
+def in_use(environment: "OverLanes", method: str) -> RuntimeError:
     """Return the error of a method that was called while another thread was within the environment."""
     return RuntimeError(
         f"{type(environment).__name__}.{method}() was called while another thread uses the same environment; "
@@ -100,12 +97,10 @@ class OverLanes:
 
     def _open(
         self, arguments: EnvArguments, render_mode: str | None, n_lanes: int = 1, n_threads: int | None = None
-    ) -> tuple[Space, Space]:
+    ) -> "tuple[Space, Space]":
         """Make settings, lanes and frames; return the observation space and the action space of one episode.
 
-        Raises:
-            TypeError: an argument is unknown.
-            ValueError: a value is not allowed.
+        A TypeError names an argument that is unknown, a ValueError a value that is not allowed.
         """
         known = [field.name for field in dataclasses.fields(EnvSettings)]
         if unknown := [name for name in arguments if name not in known]:
@@ -125,10 +120,10 @@ class OverLanes:
         self.metadata = {**self.metadata, "render_fps": fps}
         self._frames: LaneFrames | None = None
         if render_mode is not None:
-            from wtg_gym.envs.rendering import LaneFrames
+            from wtg_gym.envs import rendering
 
-            self._frames = LaneFrames(self._lanes, opens_window=render_mode == "human", fps=fps)
-        bound = np.full(self._lanes.n_observation, OBSERVATION_BOUND, dtype=np.float32)
+            self._frames = rendering.LaneFrames(self._lanes, opens_window=render_mode == "human", fps=fps)
+        bound = np.full(self._lanes.n_observation, observation.OBSERVATION_BOUND, dtype=np.float32)
         high = np.ones(self._lanes.n_action, dtype=np.float32)
         return gym.spaces.Box(-bound, bound, dtype=np.float32), gym.spaces.Box(-high, high, dtype=np.float32)
 
@@ -163,9 +158,8 @@ class OverLanes:
     def restore(self, snapshot: Any) -> None:
         """Go back to a :meth:`snapshot`: what follows is then the same, bit for bit.
 
-        Raises:
-            ValueError: not a snapshot, or one of an environment whose settings, other than suite, split and scenario,
-                differ; nothing has changed then.
+        A ValueError refuses what is no snapshot, or that of an environment whose settings, other than suite, split and
+        scenario, differ; nothing has changed then.
         """
         name = type(self).__name__
         if not isinstance(snapshot, Snapshot) or snapshot.of != name:

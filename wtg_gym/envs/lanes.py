@@ -1,7 +1,5 @@
 """Episodes in lanes: what the single and the batched environment, and the evaluator, share."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
@@ -14,7 +12,7 @@ import numpy.typing as npt
 from wtg_gym.envs.settings import EnvSettings
 from wtg_gym.envs.stepping import Outputs, bind, log_score, new_outputs, step_blocks, task_data
 from wtg_gym.physics.equilibrium import StartError
-from wtg_gym.physics.layout import LaneData
+from wtg_gym.physics.layout import Floats, LaneData
 from wtg_gym.physics.linearisation import STEP_MARGIN, StepError, largest_stable_steps
 from wtg_gym.physics.protection import Status
 from wtg_gym.physics.scenario import Event, GroupTrip, Scenario
@@ -22,12 +20,7 @@ from wtg_gym.physics.sensors import SensorInput, delay_intervals, sensor_input
 from wtg_gym.physics.simulator import PreparedLanes, Simulator
 from wtg_gym.ranges import whole_steps
 from wtg_gym.signals import undivided
-from wtg_gym.tasks.cost import COST, FILTERED_DUTY, CostTerms
-from wtg_gym.tasks.episode import ACTING, ACTION_MODES, HISTORY, TASK, TIME_CONSTANT_RATIO
-from wtg_gym.tasks.observation import Info, LocalInfo
-from wtg_gym.tasks.sensing import SENSED, SENSORS
-
-Floats = npt.NDArray[np.float64]
+from wtg_gym.tasks import cost, episode, observation, sensing
 
 #: Text of `info["termination_reason"]`: empty while an episode runs or when its time is over.
 TERMINATION_REASONS = {
@@ -71,15 +64,9 @@ class PreparedEpisodes(NamedTuple):
 
 
 class TaskLanes:
-    """Episodes side by side: scenarios, simulator, observations and costs.
+    """Episodes of an environment side by side: scenarios, simulator, observations and costs.
 
-    Args:
-        settings: of the environment.
-        n_lanes: number of episodes side by side.
-        n_threads: threads to step with; None for one per processor.
-
-    Raises:
-        ValueError: a setting is unknown or out of range.
+    `n_threads` step them, None for one per processor. A ValueError says that a setting is unknown or out of range.
     """
 
     def __init__(self, settings: EnvSettings, n_lanes: int = 1, n_threads: int | None = None) -> None:
@@ -91,7 +78,7 @@ class TaskLanes:
         self.n_turbines = [group.n_turbines for group in plant.groups]
         self.duration_s = settings.episode_duration_s()
         self.observation_names = settings.task.observation_names(settings.choices)
-        self.info_names = (*Info._fields, *(LocalInfo._fields if plant.extended else ()))
+        self.info_names = (*observation.Info._fields, *(observation.LocalInfo._fields if plant.extended else ()))
         self.n_observation = len(self.observation_names)
         #: Numbers that each group has of its own in an observation, before its last actions; groups come first.
         self.n_local = settings.task.n_local
@@ -112,7 +99,7 @@ class TaskLanes:
         self._reference: TaskLanes | None = None
         self._check_time_constants()
         self._check_draws()
-        self.n_action = self.n_wtg * sum(ACTION_MODES[settings.action_mode])
+        self.n_action = self.n_wtg * sum(episode.ACTION_MODES[settings.action_mode])
         self.outputs = self._new_outputs(n_lanes)
         # A lane without an episode waits for a reset, as one whose episode is over.
         self.outputs.truncated[:] = True
@@ -157,11 +144,11 @@ class TaskLanes:
 
     def _check_time_constants(self) -> None:
         """Refuse a law whose damping the actions can make faster than the integration step follows."""
-        ratio = TIME_CONSTANT_RATIO**self.settings.task.tau_authority
+        ratio = episode.TIME_CONSTANT_RATIO**self.settings.task.tau_authority
         fastest = ratio * max((law.inverse_time_constant for law in self.laws), default=0.0)
         allowed = float(largest_stable_steps(-fastest)) / STEP_MARGIN
         step_s = self.simulator.settings.simulation_dt
-        if ACTION_MODES[self.settings.action_mode][1] and step_s > allowed:
+        if episode.ACTION_MODES[self.settings.action_mode][1] and step_s > allowed:
             raise ValueError(
                 f"simulation_dt = {step_s:g} s is too long for the damping time constant of "
                 f"{ratio / fastest:g} s, which actions make {1.0 / fastest:g} s; "
@@ -196,14 +183,10 @@ class TaskLanes:
         )
 
     def prepare(self, scenarios: Sequence[Scenario], *, turning: bool = False) -> PreparedEpisodes:
-        """Find the equilibria that episodes start from; no running lane is touched.
+        """Find the equilibria that episodes of scenarios start from; no running lane is touched.
 
-        Args:
-            scenarios: one per episode.
-            turning: refuse a rotor that would start below the under-speed trip; for scenarios given by the user.
-
-        Raises:
-            ValueError: a scenario does not fit the plant or the episode length, or has no such equilibrium.
+        `turning`, for scenarios given by the user, refuses a rotor that would start below the under-speed trip. A
+        ValueError says that a scenario does not fit the plant or the episode length, or has no such equilibrium.
         """
         try:
             lanes = self.simulator.prepare(scenarios, self.laws, turning=turning)
@@ -218,7 +201,12 @@ class TaskLanes:
         seeds = [-1 if scenario.seed is None else scenario.seed for scenario in scenarios]
         outputs = self._start_tasks(lanes, scenarios, n_steps)
         if self.settings.scores:
-            outputs.reference[:] = self._reference_costs(scenarios)
+            if self._reference is None:
+                changes: dict[str, Any] = {"observation_mode": "local", "reward": "cost", "duration_s": self.duration_s}
+                settings = replace(self.settings, strategy=self.settings.task.hundred, **changes)
+                self._reference = TaskLanes(settings, min(self.n_lanes, _REFERENCES_AT_ONCE), 1)
+            # What the law that scores 100 has paid up to each control step.
+            outputs.reference[:] = paid(self._reference, scenarios)
             plant = self.settings.resolved_plant
             outputs.offsets[:] = [self.suite.cost_offset(scenario, plant) for scenario in scenarios]
         return PreparedEpisodes(
@@ -233,13 +221,8 @@ class TaskLanes:
     def next_episode(self, rng: np.random.Generator, lane: int, scenario: Scenario | None = None) -> PreparedEpisodes:
         """Return a lane's next episode: the first that starts of the scenarios that its generator draws.
 
-        Args:
-            rng: of the lane.
-            lane: where those are counted that do not start.
-            scenario: the first one, if it is drawn already.
-
-        Raises:
-            ValueError: the environment's one scenario, or none of many drawn ones, starts.
+        One may be drawn already. Those that do not start are counted for the lane. A ValueError says that the
+        environment's one scenario does not start, or none of many drawn ones.
         """
         refusal: Exception | None = None
         for _ in range(_MOST_DRAWS):
@@ -255,36 +238,22 @@ class TaskLanes:
     def _new_outputs(self, n_lanes: int) -> Outputs:
         return new_outputs(n_lanes, self.n_observation, self.n_steps_of_episode if self.settings.scores else -1)
 
-    def _reference_costs(self, scenarios: Sequence[Scenario]) -> Floats:
-        """Return what the law that scores 100 has paid up to each control step of scenarios, (n, n_steps + 1)."""
-        if self._reference is None:
-            task = self.settings.task
-            settings = replace(
-                self.settings,
-                strategy=task.hundred,
-                observation_mode="local",
-                reward="cost",
-                duration_s=self.duration_s,
-            )
-            self._reference = TaskLanes(settings, min(self.n_lanes, _REFERENCES_AT_ONCE), 1)
-        return paid(self._reference, scenarios)
-
     def _start_tasks(
         self, lanes: PreparedLanes, scenarios: Sequence[Scenario], n_steps: npt.NDArray[np.int64]
     ) -> Outputs:
         """Write the task's rows of prepared lanes; return what their episodes begin with."""
         simulator, layout, rows = self.simulator, self.simulator.layout, lanes.rows
-        rows[:, layout.first_rows(TASK, "end_step")[0]] = n_steps * self.n_substeps
-        rows[:, layout.first_rows(HISTORY, "frequency")] = 1.0
-        group = layout.first_rows(ACTING, "group")
+        rows[:, layout.first_rows(episode.TASK, "end_step")[0]] = n_steps * self.n_substeps
+        rows[:, layout.first_rows(episode.HISTORY, "frequency")] = 1.0
+        group = layout.first_rows(episode.ACTING, "group")
         rows[:, group], rows[:, group + 1] = rows[:, layout.wtg("inv_tau")], rows[:, layout.wtg("speed")]
         numbers = [self._sensor_numbers(scenario) for scenario in scenarios]
         if self.suite.task.has_sensors:
-            first = layout.first_rows(SENSORS, "sensor_input")[0]
+            first = layout.first_rows(sensing.SENSORS, "sensor_input")[0]
             places = [
                 *range(first, first + len(SensorInput._fields)),
-                *layout.first_rows(SENSED, "wind_bias"),
-                *layout.first_rows(FILTERED_DUTY, "leaves_at"),
+                *layout.first_rows(sensing.SENSED, "wind_bias"),
+                *layout.first_rows(cost.FILTERED_DUTY, "leaves_at"),
             ]
             rows[:, places] = numbers
         outputs = self._new_outputs(len(rows))
@@ -316,13 +285,7 @@ class TaskLanes:
         episodes: Sequence[Scenario] | PreparedEpisodes,
         places: Sequence[int] | None = None,
     ) -> None:
-        """Start episodes in lanes, one each.
-
-        Args:
-            lanes: where.
-            episodes: what :meth:`prepare` returned, or scenarios, which are prepared now.
-            places: of the prepared episodes to start; None for all.
-        """
+        """Start episodes in lanes, one each: some `places` of those that :meth:`prepare` returned, or scenarios."""
         if not isinstance(episodes, PreparedEpisodes):
             episodes = self.prepare(episodes)
         simulator = self.simulator
@@ -356,15 +319,11 @@ class TaskLanes:
             self.outputs.truncated[lane] = not self.outputs.terminated[lane]
 
     def step(self, actions: Floats, meanwhile: Callable[[], Any] | None = None, n_prepared: int = 0) -> None:
-        """Step every running lane; results are in `observations`, `rewards` and :meth:`ended`.
+        """Step every running lane by actions (n_lanes, n_action).
 
-        Args:
-            actions: (n_lanes, n_action), as :func:`as_actions` gives them; clipped to [-1, 1].
-            meanwhile: called once, while other threads step where there are several.
-            n_prepared: how many episodes that call prepares.
-
-        Raises:
-            ValueError: an action is not finite; nothing has been stepped then.
+        Results are in `observations`, `rewards` and :meth:`ended`. `meanwhile` is called once, while other threads step
+        where there are several, and prepares `n_prepared` episodes. A ValueError says that an action is not finite;
+        nothing has been stepped then.
         """
         simulator = self.simulator
         if self._bound is None:
@@ -409,13 +368,13 @@ class TaskLanes:
 
     def task_values(self, name: str) -> Floats:
         """Return a number of the task or the cost of every environment by its name, (n_lanes,)."""
-        kind = TASK if name in TASK.rows else COST
+        kind = episode.TASK if name in episode.TASK.rows else cost.COST
         return self.simulator.values(self.simulator.layout.first_rows(kind, name)[0])
 
     def cost_sums(self) -> Floats:
         """Return each lane's costs of the episode so far, (n_lanes, n_terms), in the order of `COST_TERMS`."""
-        first = self.simulator.layout.first_rows(COST, "sums")[0]
-        return np.stack([self.simulator.values(first + i) for i in range(len(CostTerms._fields))], axis=1)
+        first = self.simulator.layout.first_rows(cost.COST, "sums")[0]
+        return np.stack([self.simulator.values(first + i) for i in range(len(cost.CostTerms._fields))], axis=1)
 
     def info_arrays(self) -> dict[str, npt.NDArray[Any]]:
         """Return every key of `info` as an array over lanes: copies, except the reasons while no lane has failed."""

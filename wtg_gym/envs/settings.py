@@ -1,7 +1,5 @@
 """The arguments of an environment, checked once for the single and the vector environment."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -14,19 +12,16 @@ from wtg_gym.physics.plant import SIMULATION_DT_RANGE, Plant
 from wtg_gym.physics.scenario import SERIES_DT, Scenario
 from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY, TrackingLaw, group_laws
 from wtg_gym.ranges import require_choice, require_known, require_range, whole_steps
-from wtg_gym.scenarios import DEFAULT_SUITE, SPLITS, SUITES, Suite, get_suite, suite_of_grid
-from wtg_gym.scenarios.draws import SensorDistribution
-from wtg_gym.tasks import TASKS, Task
+from wtg_gym.scenarios import DEFAULT_SUITE, SPLITS, SUITES, Suite, draws, get_suite, suite_of_grid
+from wtg_gym.tasks import TASKS, Task, episode, observation
 from wtg_gym.tasks.cost import CostWeights
-from wtg_gym.tasks.episode import ACTION_MODES
-from wtg_gym.tasks.observation import OBSERVATION_MODES
 from wtg_gym.tasks.task import Choices
 
 VERSIONS = tuple(task.version for task in TASKS.values())
 #: Settings that are one of some names, or their default.
 _CHOICES: dict[str, Sequence[str]] = {
-    "action_mode": tuple(ACTION_MODES),
-    "observation_mode": OBSERVATION_MODES,
+    "action_mode": tuple(episode.ACTION_MODES),
+    "observation_mode": observation.OBSERVATION_MODES,
     "split": SPLITS,
     "version": VERSIONS,
     "on_failure": ("terminate", "trip"),
@@ -59,6 +54,8 @@ class EnvArguments(TypedDict, total=False):
 class EnvSettings:
     """Arguments of the environment. All of them can be written as JSON, except objects of this package.
 
+    A ValueError names a value that is unknown or out of range, and what is allowed.
+
     Args:
         strategy: control law that the actions adjust: a name, a TOML file, a `TrackingLaw`, or one for each group.
         action_mode: `"k"`, `"tau"` or `"k+tau"`: what the actions adjust.
@@ -83,9 +80,6 @@ class EnvSettings:
             replace, such as `{"delay_s": (0.2, 0.4), "wind_bias": 0.1}`; delays are multiples of 0.1 s up to 1 s.
             Default: those of the `scenario`, else of the suite.
         version: `"v0"` or `"v1"`. Default: that of `suite`, else v1. `gym.make` sets it from the id.
-
-    Raises:
-        ValueError: a value is unknown or out of range; the message lists what is allowed.
     """
 
     strategy: str | TrackingLaw | Sequence[str | TrackingLaw] = REFERENCE_STRATEGY
@@ -209,7 +203,7 @@ class EnvSettings:
         return Choices(self.resolved_plant, self.cost_weights(), self.action_mode, privileged)
 
     @cached_property
-    def sensor_distribution(self) -> SensorDistribution | None:
+    def sensor_distribution(self) -> draws.SensorDistribution | None:
         """What the sensors' errors are drawn from, None where they measure exactly; errors name the value."""
         of_suite = self.resolved_suite.sensors
         if self.sensors is None:
@@ -222,7 +216,7 @@ class EnvSettings:
             return None
         if not isinstance(self.sensors, Mapping):
             raise ValueError(f'sensors must be "exact" or a dictionary of names and values, got {self.sensors!r}')
-        return (of_suite or SensorDistribution()).replaced(self.sensors)
+        return (of_suite or draws.SensorDistribution()).replaced(self.sensors)
 
     def cost_weights(self) -> CostWeights:
         """Return the weights in force; a ValueError names unknown ones."""

@@ -4,8 +4,6 @@ One compiled call does it all: act → the physics' step → charge → measure 
 those of a :class:`~wtg_gym.tasks.task.Task`.
 """
 
-from __future__ import annotations
-
 import math
 from typing import Any, NamedTuple
 
@@ -103,8 +101,7 @@ def task_data(task: Task, choices: Choices, layout: Layout, n_intervals: int, po
 def read_actions(scratch: Floats, actions: Floats, first: int, task: TaskData) -> int:
     """Copy the actions of a block's lanes, from row `first` of (n_lanes, n_action) on; padding lanes have none.
 
-    Returns:
-        the first lane with an action that is not finite, or -1.
+    It returns the first lane with an action that is not finite, or -1.
     """
     invalid = -1
     for a in range(task.wanted.shape[0]):
@@ -195,12 +192,8 @@ structref.define_proxy(Bound, _BoundType, ["blocks", "scratches", "network", "da
 def bind(blocks: Floats, scratches: Floats, network: Network, data: LaneData, task: TaskData, outputs: Outputs) -> Any:
     """Return the arguments of :func:`step_blocks` that last.
 
-    Args:
-        blocks: (n_blocks, n_rows, width).
-        scratches: of each worker (n_workers, n_scratch, width).
-        network, data: as for :func:`~wtg_gym.physics.integration.advance_interval`.
-        task: see :func:`task_data`.
-        outputs: written for running lanes; the reward is 0 for those that had ended.
+    They are blocks (n_blocks, n_rows, width), the scratch of each worker (n_workers, n_scratch, width), and what is
+    read and written; the reward is 0 for lanes that had ended.
     """
     return Bound(blocks, scratches, network, data, task, outputs)
 
@@ -209,15 +202,9 @@ def bind(blocks: Floats, scratches: Floats, network: Network, data: LaneData, ta
 def step_blocks(bound: Any, actions: Floats, first: int, last: int, worker: int, starts: bool) -> int:
     """Apply actions, advance one control step, observe and charge, for the lanes of blocks first … last - 1.
 
-    Args:
-        bound: see :func:`bind`.
-        actions: (n_lanes, n_action), clipped to [-1, 1] here.
-        first, last: range of blocks.
-        worker: whose scratch is used.
-        starts: take the first measurements and observations of prepared episodes instead.
-
-    Returns:
-        -1, or the first lane with an action that is not finite: its block and those after it have not been stepped.
+    Actions are (n_lanes, n_action). The scratch is that of a worker. `starts` takes the first measurements and
+    observations of prepared episodes instead. It returns -1, or the first lane with an action that is not finite: its
+    block and those after it have not been stepped.
     """
     blocks, scratch, network, task = bound.blocks, bound.scratches[worker], bound.network, bound.task
     width, tables = blocks.shape[2], network.tables

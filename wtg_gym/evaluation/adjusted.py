@@ -100,15 +100,10 @@ class _Stratum:
 
 
 class Adjusted:
-    """Scores, and differences between entries, with one scale and with control variates; see the module.
+    """Scores, and differences between entries, with one scale Λ and with control variates; see the module.
 
-    Methods are those of :class:`~wtg_gym.evaluation.statistics.Bootstrap`. A stratum of a single scenario adds nothing
-    to the width of an interval.
-
-    Args:
-        scale: Λ, the gain that 100 points are.
-        groups: the scenarios of each stratum; strata count alike.
-        variates: None leaves the means as they are.
+    Methods are those of :class:`~wtg_gym.evaluation.statistics.Bootstrap`. Strata, the `groups` of scenarios, count
+    alike; one of a single scenario adds nothing to the width of an interval.
     """
 
     def __init__(self, scale: float, groups: Groups, variates: ControlVariates | None = None) -> None:

@@ -21,16 +21,13 @@ import numpy.typing as npt
 
 from wtg_gym.envs.settings import EnvSettings
 from wtg_gym.gradients.tape import LAW_PARAMETERS, Tape
+from wtg_gym.physics import linearisation, scenario, sensors
 from wtg_gym.physics.layout import Floats, Layout, Whole
-from wtg_gym.physics.linearisation import one_way_limits
-from wtg_gym.physics.scenario import Scenario
-from wtg_gym.physics.sensors import Sensors
 from wtg_gym.policies.entry import Entry
 from wtg_gym.policies.play import answer
 from wtg_gym.policies.policy_process import OnnxPolicy, PolicyError
 from wtg_gym.scenarios.suites import DEFAULT_SUITE
-from wtg_gym.tasks.cost import COST_TERMS
-from wtg_gym.tasks.sensing import KEPT
+from wtg_gym.tasks import cost, sensing
 
 Complex = npt.NDArray[np.complex128]
 #: The operating point: wind of all groups [m/s], and the middle of what standard-v1 draws of the grid.
@@ -127,12 +124,12 @@ class Loop:
         errors, n_wtg = settings.resolved_suite.sensors, self.tape.lanes.n_wtg
         assert errors is not None
         delays = errors.delays_s()
-        self.scenario = Scenario(
+        self.scenario = scenario.Scenario(
             name=f"rest at {WIND_M_S:g} m/s",
             wind_speed=np.full((n_wtg, 1), WIND_M_S),
             duration_s=_SETTLES_S,
             load_noise_bus=1,
-            sensors=Sensors(
+            sensors=sensors.Sensors(
                 seed=0,
                 wind_bias=(0.0,) * n_wtg,
                 # Within a decision, so that no older measurement is seen.
@@ -201,16 +198,13 @@ class Loop:
         # Frequencies of all units within the decision, (n_held, n_units, n_modes).
         within = np.array([powers[j][self._speeds] @ whole[:n] + held[j][self._speeds] @ acted for j in range(n_held)])
         rates: Complex = np.log(values.astype(np.complex128)) / self.step_s
-        rates += 2j * np.pi / self.step_s * self._turns(within, rates)
-        return rates
-
-    def _turns(self, within: Complex, rates: Complex) -> Floats:
-        """Return how many whole turns each mode makes in a decision besides those of its rate."""
-        instants = np.arange(self.n_held) * self.step_s / self.n_held
+        # How many whole turns each mode makes in a decision besides those of its rate.
+        instants = np.arange(n_held) * self.step_s / n_held
         steady = within * np.exp(-np.outer(instants, rates))[:, np.newaxis]
         shares = np.square(np.abs(np.fft.fft(steady, axis=0))).sum(axis=1)
-        turns: Floats = np.fft.fftfreq(self.n_held, 1.0 / self.n_held)[shares.argmax(axis=0)]
-        return turns
+        turns: Floats = np.fft.fftfreq(n_held, 1.0 / n_held)[shares.argmax(axis=0)]
+        rates += 2j * np.pi / self.step_s * turns
+        return rates
 
     @property
     def _speeds(self) -> Whole:
@@ -221,16 +215,16 @@ class Loop:
     @property
     def _rows(self) -> Whole:
         """The plant's rows: without old measurements, which are not seen, and limits at rest, which act one way."""
-        layout, kept = self.layout, self.layout.span(KEPT)
+        layout, kept = self.layout, self.layout.span(sensing.KEPT)
         keep = np.ones(layout.n_rows, dtype=np.bool_)
         keep[kept.first : kept.first + kept.n_units * kept.n_rows] = False
-        keep[one_way_limits(self.tape.lanes.simulator.blocks[0, :, 0], layout)] = False
+        keep[linearisation.one_way_limits(self.tape.lanes.simulator.blocks[0, :, 0], layout)] = False
         return np.flatnonzero(keep)
 
     def _plant(self) -> tuple[Floats, Floats, Floats, Floats]:
         """Return A and B of an interval, and C and D of what is observed at the end of a decision."""
         tape, rows, last = self.tape, self._rows, self.tape.n_steps - 1
-        n_observation, terms = tape.lanes.n_observation, np.zeros((1, len(COST_TERMS)))
+        n_observation, terms = tape.lanes.n_observation, np.zeros((1, len(cost.COST_TERMS)))
         states, actions = [], []
         for row in rows:
             carried = np.zeros((1, tape.n_carried))

@@ -21,11 +21,10 @@ from wtg_gym.evaluation.partial import PartialStore
 from wtg_gym.evaluation.results import Results
 from wtg_gym.evaluation.workers import Played, Workers
 from wtg_gym.physics.scenario import Scenario
-from wtg_gym.policies import Entry, OnnxPolicy, PolicyError
+from wtg_gym.policies import Entry, OnnxPolicy, PolicyError, policy_process
 from wtg_gym.policies.entry import check_entries, check_version
 from wtg_gym.policies.entry_folder import load_entries
 from wtg_gym.policies.play import play, started_lanes
-from wtg_gym.policies.policy_process import NotIsolatedError
 from wtg_gym.ranges import is_whole, require_count, require_whole
 from wtg_gym.scenarios import DEFAULT_SUITE, get_suite
 from wtg_gym.scenarios.suite import MOST_SCENARIOS, Suite
@@ -67,7 +66,9 @@ def evaluate(
     that score 0 and 100, and those that scores are adjusted by, :attr:`Task.references`.
 
     The numbers of a law and of an :class:`OnnxPolicy` depend neither on `batch` nor on `n_threads`, to the last bit.
-    Any other policy is called once per control step for a whole batch, whose size its rounding may depend on.
+    Any other policy is called once per control step for a whole batch, whose size its rounding may depend on. The
+    PolicyError of an entry that fails, a ValueError, names entry and step or scenario. A ValueError says that an entry
+    is for another version, an argument is unknown or out of range, or the workers cannot be used.
 
     Args:
         entries: each an :class:`Entry`, or a name or path that :func:`load_entries` takes.
@@ -83,11 +84,6 @@ def evaluate(
         keep_going: an entry whose policy fails, or whose law has no equilibrium in a scenario, is left out with all
             training seeds of its name and listed in :attr:`Results.failed`, unless it is a reference.
         env_arguments: further fields of :class:`wtg_gym.envs.settings.EnvSettings`, such as `duration_s`.
-
-    Raises:
-        PolicyError: an entry fails; a ValueError that names entry and step or scenario.
-        ValueError: an entry is for another version, an argument is unknown or out of range, or the workers cannot be
-            used; the message names them.
     """
     _check_arguments(suite, batch, env_arguments)
     if workers is not None and n_threads not in (None, 1):
@@ -115,9 +111,6 @@ def _description(settings: EnvSettings, seeds: Sequence[int], entries: Sequence[
         "versions": dict(versions()),
         "entries": tuple(entry.to_dict() for entry in entries),
     }
-
-
-# --- arguments -------------------------------------------------------------------------------------------------------
 
 
 def _with_references(specs: Entries, suite: Suite) -> list[Entry]:
@@ -200,9 +193,6 @@ def _parts(entry: Entry, seeds: Sequence[int], batch: int) -> Iterator[_Part]:
     size = min(batch, entry.policy.most_episodes) if isinstance(entry.policy, OnnxPolicy) else batch
     for first in range(0, len(seeds), size):
         yield entry, list(seeds[first : first + size])
-
-
-# --- batches ---------------------------------------------------------------------------------------------------------
 
 
 def _episodes(
@@ -316,7 +306,7 @@ def play_batch(
                 )
                 for lane, scenario in enumerate(drawn)
             ]
-    except NotIsolatedError:
+    except policy_process.NotIsolatedError:
         raise
     except PolicyError as error:
         return error

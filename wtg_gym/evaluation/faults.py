@@ -11,8 +11,7 @@ from typing import Any
 import numpy as np
 
 from wtg_gym.envs.settings import EnvSettings
-from wtg_gym.evaluation.evaluator import play_batch
-from wtg_gym.evaluation.results import Results
+from wtg_gym.evaluation import evaluator, results
 from wtg_gym.physics.layout import Floats
 from wtg_gym.physics.scenario import Scenario
 from wtg_gym.physics.sensors import Sensors
@@ -90,8 +89,8 @@ class FaultyPolicy:
 
 
 def with_faults(
-    before: Results, entry: Entry, settings: EnvSettings, n_threads: int | None
-) -> Iterator[tuple[str, Results]]:
+    before: results.Results, entry: Entry, settings: EnvSettings, n_threads: int | None
+) -> Iterator[tuple[str, results.Results]]:
     """Yield results with the episodes of an entry under each fault in the place of its own; none for a law.
 
     A PolicyError says that its policy fails.
@@ -101,7 +100,7 @@ def with_faults(
     worse = {name: (entry, [*map(change, scenarios)]) for name, change in WORSE_SENSORS.items()}
     failing = {name: (with_fault(entry, *fault), scenarios) for name, fault in SENSOR_FAULTS.items()}
     for name, (player, drawn) in (worse | failing).items() if entry.policy is not None else ():
-        episodes = play_batch(player, settings, drawn, n_threads)
+        episodes = evaluator.play_batch(player, settings, drawn, n_threads)
         if isinstance(episodes, PolicyError):
             raise episodes
         yield name, replace(before, episodes=(*others, *episodes))

@@ -16,13 +16,9 @@ import numpy as np
 import numpy.typing as npt
 
 from wtg_gym.envs.settings import EnvSettings
+from wtg_gym.physics import converter, grid, layout, protection, units
 from wtg_gym.physics import scenario as sc
-from wtg_gym.physics.converter import OVER_VOLTAGES
-from wtg_gym.physics.grid import Branch, Bus, NetworkCase, Source
-from wtg_gym.physics.layout import Floats
 from wtg_gym.physics.plant import Plant
-from wtg_gym.physics.protection import Status
-from wtg_gym.physics.units import BUSES
 from wtg_gym.policies.entry import Entry, check_version
 from wtg_gym.policies.play import play, started_lanes
 from wtg_gym.scenarios.suites import DEFAULT_SUITE, get_suite
@@ -48,28 +44,28 @@ _X_TO_R = 6.0
 class Recording:
     """A test's run, one sample per simulation step and one at the start; shapes (n,) and (n, n_group)."""
 
-    time_s: Floats
-    frequency_hz: Floats  # of the centre of inertia
-    voltage_pu: Floats  # at every bus (n, n_bus)
-    power_pu: Floats
-    current_pu: Floats
+    time_s: layout.Floats
+    frequency_hz: layout.Floats  # of the centre of inertia
+    voltage_pu: layout.Floats  # at every bus (n, n_bus)
+    power_pu: layout.Floats
+    current_pu: layout.Floats
     limited: npt.NDArray[np.bool_]  # whether the current limiter takes voltage away
     connected: npt.NDArray[np.bool_]
-    status: Status
+    status: protection.Status
     shed_mws: float  # load not served [MW s]
 
     def at(self, time_s: float) -> int:
         """Return the sample at an instant, or the last one before it."""
         return int(np.searchsorted(self.time_s, time_s + 1e-9) - 1)
 
-    def total(self) -> Floats:
+    def total(self) -> layout.Floats:
         """Return the mean power of the groups, on their base, (n,)."""
         return np.asarray(self.power_pu.mean(axis=1))
 
     @property
     def lives(self) -> bool:
         """Whether the run went to its end with all groups connected."""
-        return self.status is Status.RUNNING and bool(self.connected[-1].all())
+        return self.status is protection.Status.RUNNING and bool(self.connected[-1].all())
 
 
 #: Passed or failed, and the figure.
@@ -117,24 +113,21 @@ def _bench(ratio: float, *, sheds: bool = False) -> Plant:
     plant = _grid()
     case, mva = plant.case, sum(g.n_turbines for g in plant.groups) * plant.turbine.rated_power_mw
     reactance = case.base_mva / (ratio * mva)
-    line = Branch(from_bus=_SOURCE_BUS, to_bus=1, resistance=reactance / _X_TO_R, reactance=reactance)
-    bench = NetworkCase(
+    line = grid.Branch(from_bus=_SOURCE_BUS, to_bus=1, resistance=reactance / _X_TO_R, reactance=reactance)
+    bench = grid.NetworkCase(
         name="bench",
         base_mva=case.base_mva,
         frequency_hz=case.frequency_hz,
         slack_bus=_SOURCE_BUS,
-        buses=(*case.buses, Bus(number=_SOURCE_BUS, voltage_pu=1.06)),
+        buses=(*case.buses, grid.Bus(number=_SOURCE_BUS, voltage_pu=1.06)),
         branches=(*case.branches, line),
         machines=(),
-        sources=(Source(bus=_SOURCE_BUS),),
+        sources=(grid.Source(bus=_SOURCE_BUS),),
     )
     return dataclasses.replace(plant, case=bench, shedding=plant.shedding if sheds else ())
 
 
-# --- criteria ---------------------------------------------------------------------------------------------------------
-
-
-def _longest_beyond(time_s: Floats, beyond: npt.NDArray[np.bool_]) -> float:
+def _longest_beyond(time_s: layout.Floats, beyond: npt.NDArray[np.bool_]) -> float:
     """Return the longest time that a quantity may lie beyond a limit, by its samples (n, any) [s]."""
     longest = 0.0
     for column in beyond.T:
@@ -147,11 +140,11 @@ def _longest_beyond(time_s: Floats, beyond: npt.NDArray[np.bool_]) -> float:
 
 def _lost(run: Recording) -> str:
     """Return why a run did not go on with all groups, or nothing."""
-    if run.status is not Status.RUNNING:
+    if run.status is not protection.Status.RUNNING:
         return f"grid lost after {run.time_s[-1]:.1f} s: {run.status.name.lower().replace('_', ' ')}"
     if not run.connected[-1].all():
         return f"group {', '.join(str(1 + group) for group in np.flatnonzero(~run.connected[-1]))} tripped"
-    for level, longest_s in OVER_VOLTAGES:
+    for level, longest_s in converter.OVER_VOLTAGES:
         if (beyond := _longest_beyond(run.time_s, run.voltage_pu > level)) > longest_s + 0.1:
             return f"above {level:g} p.u. for {beyond:.1f} s"
     return ""
@@ -204,9 +197,6 @@ def _leaves_limit(run: Recording) -> Verdict:
     figure = f"{largest:.3f} p.u., {'left' if reached else 'never reached, left'} after {after:.1f} s"
     figure += f", then {run.voltage_pu.max():.2f} p.u. of voltage"
     return bool(reached and largest <= 1.2 + 1e-6 and after <= 0.5), figure
-
-
-# --- the tests --------------------------------------------------------------------------------------------------------
 
 
 def _fault(bus: int, length_s: float, reactance_pu: float, time_s: float = 2.0) -> tuple[sc.Event, ...]:
@@ -306,7 +296,7 @@ def run_grid_test(test: GridTest, entry: Entry) -> tuple[Recording, Verdict]:
     check_version([entry], get_suite(DEFAULT_SUITE))
     plant = test.plant()
     settings = EnvSettings(version=V1.version, sensors="exact", duration_s=test.duration_s, plant=plant)
-    actions: list[Floats] = []
+    actions: list[layout.Floats] = []
     if entry.policy is not None:
         with started_lanes(entry, settings, [test.scenario(plant)], 1) as (lanes, _):
             collections.deque(play(entry, lanes, actions), maxlen=0)
@@ -316,7 +306,7 @@ def run_grid_test(test: GridTest, entry: Entry) -> tuple[Recording, Verdict]:
     samples: list[tuple[Any, ...]] = []
     with started_lanes(entry, finest, [test.scenario(plant)], 1) as (lanes, _):
         simulator = lanes.simulator
-        magnitudes = simulator.layout.rows_of(BUSES, "magnitude")
+        magnitudes = simulator.layout.rows_of(units.BUSES, "magnitude")
         for step in range(1 + round(test.duration_s / plant.simulation_dt)):
             if step:
                 at = min((step - 1) // n_held, len(actions) - 1)
@@ -326,7 +316,7 @@ def run_grid_test(test: GridTest, entry: Entry) -> tuple[Recording, Verdict]:
             samples.append((time_s, coi, np.array([simulator.values(row)[0] for row in magnitudes]), *groups))
             if lanes.ended()[0].any():
                 break
-        status = Status(int(simulator.lane_values("status")[0]))
+        status = protection.Status(int(simulator.lane_values("status")[0]))
         shed = simulator.lane_values("shed_energy")[0] * plant.case.base_mva
     steps, coi, voltages, power, current, cut, connected = (np.array(column) for column in zip(*samples, strict=True))
     run = Recording(

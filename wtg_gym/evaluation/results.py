@@ -3,8 +3,6 @@
 The files are a JSON that describes and a CSV with the table of episodes.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, replace
@@ -14,14 +12,11 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from wtg_gym.evaluation import summary
+from wtg_gym.evaluation import metrics, statistics, summary
 from wtg_gym.evaluation.adjusted import LEAST_SCENARIOS, Adjusted, ControlVariates, KnownMeans, known_means
 from wtg_gym.evaluation.episodes import Episode, check_size, from_csv, to_csv
-from wtg_gym.evaluation.metrics import METRICS
 from wtg_gym.evaluation.partial import PartialStore
 from wtg_gym.evaluation.score import NoScaleError, cost_offsets, gains, score_scale
-from wtg_gym.evaluation.statistics import Bootstrap, Floats, Groups, Interval
-from wtg_gym.evaluation.summary import EntrySummary, Runs, ranked
 from wtg_gym.evaluation.table import columns_of, markdown_table, notes_on_marks
 from wtg_gym.files import interpreting, parse_json, read_text, sha256, to_json, write_together
 from wtg_gym.names import check_name
@@ -90,32 +85,32 @@ class Results:
         return get_suite(self.suite).task
 
     @property
-    def scores(self) -> dict[str, Interval]:
+    def scores(self) -> dict[str, statistics.Interval]:
         """Mean score of every entry with its 95 % interval, by its name; errors as of :attr:`summaries`."""
         return self._by_entry({row.name: row.score for row in self.summaries if row.score})
 
     @cached_property
-    def summaries(self) -> list[EntrySummary]:
+    def summaries(self) -> list[summary.EntrySummary]:
         """Summary of every entry; a NoScaleError if, in v0, the entry at 0 is not worse than the one at 100."""
         self._check_scale()
         offsets = cost_offsets(self.groups, self.task)
         return summary.scored(self._measured, self.runs, self.pinned_costs, self.task, offsets, self._scoring)
 
     @cached_property
-    def _measured(self) -> list[EntrySummary]:
+    def _measured(self) -> list[summary.EntrySummary]:
         suite = get_suite(self.suite)
         return summary.measured(self.entries, self.runs, self.pinned_costs, suite, self.groups, self._scoring)
 
     @cached_property
-    def _scoring(self) -> Bootstrap | Adjusted:
+    def _scoring(self) -> statistics.Bootstrap | Adjusted:
         if self.task.scale is None:
-            return Bootstrap(self._gains(self.task.zero))
+            return statistics.Bootstrap(self._gains(self.task.zero))
         variates = None
         if not self.unadjusted:
             variates = ControlVariates(np.stack([*map(self._gains, self.task.variates)], axis=1), self._known_means)
         return Adjusted(self.task.scale, self.groups, variates)
 
-    def _gains(self, law: str) -> Floats:
+    def _gains(self, law: str) -> statistics.Floats:
         hundred, offsets = self.pinned_costs[self.task.hundred][0], cost_offsets(self.groups, self.task)
         return np.asarray(gains(self.pinned_costs[law], hundred, offsets)[0])
 
@@ -143,9 +138,9 @@ class Results:
         return [note for note in (self.no_score, self.unadjusted, *notes_on_marks(self.ranking)) if note]
 
     @property
-    def ranking(self) -> list[EntrySummary]:
+    def ranking(self) -> list[summary.EntrySummary]:
         """The :attr:`summaries`, the best first, in v1 the marked ones before; without a score the least mean cost."""
-        return ranked(self._measured if self.no_score else self.summaries)
+        return summary.ranked(self._measured if self.no_score else self.summaries)
 
     @cached_property
     def no_score(self) -> str:
@@ -161,13 +156,13 @@ class Results:
         score_scale(zero, hundred, self.task, self.groups)
 
     @cached_property
-    def pinned_costs(self) -> dict[str, Floats]:
+    def pinned_costs(self) -> dict[str, statistics.Floats]:
         """Pinned costs by the entry's name, (n_runs, n_scenarios), in the order of training seeds and scenarios."""
         cap = None if self.task.failure_costs_whole_episode else float(self.settings["weights"]["cap"])
         return self._by_entry({name: summary.pinned_costs(runs, cap) for name, runs in self.runs.items()})
 
     @cached_property
-    def runs(self) -> dict[str, Runs]:
+    def runs(self) -> dict[str, summary.Runs]:
         """The episodes by the entry's name, one list per training seed.
 
         The KeyError of an unknown name lists entries, and how that one failed.
@@ -178,7 +173,7 @@ class Results:
         return self._by_entry({name: list(by_seed.values()) for name, by_seed in runs.items()})
 
     @cached_property
-    def groups(self) -> Groups:
+    def groups(self) -> statistics.Groups:
         """The scenarios of each stratum that has some, as indices by its name; by "" where there are no strata."""
         suite = get_suite(self.suite)
         strata = np.array([suite.stratum(seed) for seed in self.seeds])
@@ -205,7 +200,7 @@ class Results:
     def _by_entry(self, values: Mapping[str, Value]) -> dict[str, Value]:
         return ByName("entry", values, {entry["name"]: entry["reason"] for entry in self.failed})
 
-    def without(self, reasons: Mapping[tuple[str, int | None], str]) -> Results:
+    def without(self, reasons: Mapping[tuple[str, int | None], str]) -> "Results":
         """Return the results without all training seeds of entries that failed, by name and training seed."""
         if not reasons:
             return self
@@ -231,7 +226,7 @@ class Results:
             **{key: dict(getattr(self, key)) for key in ("environment", "settings", "versions")},
             "entries": [dict(entry) for entry in self.entries],
             "failed": [dict(entry) for entry in self.failed],
-            "metrics": {name: asdict(metric) for name, metric in METRICS.items()},
+            "metrics": {name: asdict(metric) for name, metric in metrics.METRICS.items()},
             "summary": {row.name: asdict(row) for row in self.ranking},
         }
 
@@ -252,7 +247,7 @@ class Results:
         return json_path, csv_path
 
     @classmethod
-    def read(cls, path: str | Path) -> Results:
+    def read(cls, path: str | Path) -> "Results":
         """Read the JSON file of :meth:`write`, with the CSV beside it.
 
         A ValueError that names file, key and what is expected says that a file is missing, cut short, of another
@@ -271,7 +266,7 @@ class Results:
         return results
 
 
-def score_difference(results: Results, other: Results, name: str) -> Interval:
+def score_difference(results: Results, other: Results, name: str) -> statistics.Interval:
     """Return the score of an entry in results minus that in others of the same scenarios, paired, in version v1."""
     task, offsets = other.task, cost_offsets(other.groups, other.task)
     assert task.scale is not None
@@ -280,9 +275,9 @@ def score_difference(results: Results, other: Results, name: str) -> Interval:
     return Adjusted(task.scale, other.groups).score_difference(*gained)
 
 
-def leaderboard_rows(results: Results) -> list[EntrySummary]:
+def leaderboard_rows(results: Results) -> list[summary.EntrySummary]:
     """Return the entries' summaries, the best first, in v1 entries with ✓ first; a NoScaleError without a score."""
-    return ranked(results.summaries)
+    return summary.ranked(results.summaries)
 
 
 def markdown_section(results: Results, *, details: bool = False) -> str:
@@ -310,9 +305,6 @@ def _frequency_sentence(results: Results) -> str:
         f"Median over {len(results.seeds)} {results.split} scenarios of the largest deviation of the frequency: "
         f"{', '.join(parts)}."
     )
-
-
-# --- the files --------------------------------------------------------------------------------------------------------
 
 
 def _read(json_path: Path) -> tuple[dict[str, Any], list[Episode]]:
@@ -370,7 +362,7 @@ def _check_description(data: dict[str, Any]) -> None:
             # It goes into tables and pages as it is.
             check_name("the entry's name", entry["name"])
     check_rows((*data["entries"], *data["failed"]))
-    if data["metrics"] != {name: asdict(metric) for name, metric in METRICS.items()}:
+    if data["metrics"] != {name: asdict(metric) for name, metric in metrics.METRICS.items()}:
         raise ValueError("the metrics are not those of this version; evaluate again")
     if set(data["environment"]) != {"fingerprint", "id"} or "wtg_gym" not in dict(data["versions"]):
         raise ValueError("environment must have fingerprint and id, versions that of wtg_gym")

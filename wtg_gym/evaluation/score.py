@@ -70,15 +70,12 @@ def score_scale(zero: Floats, hundred: Floats, task: Task, groups: Groups) -> fl
 def gains_by_term(costs: Floats, hundred: Floats, terms: Floats, hundred_terms: Floats, offsets: Floats) -> Floats:
     """Return the part of each term of the cost in the gains, (n_terms, n_runs, n_scenarios).
 
-    With the logarithmic mean L, ln(A / B) = (A - B) / L(A, B), each term has the part (J_100,term - J_term) /
-    L(J_100 + J0, J + J0) of its scenario. Parts of terms that add up to the pinned costs add up to the gains.
+    With the logarithmic mean L, ln(A / B) = (A - B) / L(A, B), each term has the part (J_100,term - J_term) / L(J_100 +
+    J0, J + J0) of its scenario. Parts of terms (n_terms, n_runs, n_scenarios), those of the hundred (n_terms,
+    n_scenarios), that add up to the pinned costs add up to the gains.
 
     Source: the logarithmic mean Divisia index (LMDI) of B. W. Ang, Energy Policy 32 (2004) 1131-1139 and 33 (2005)
     867-871.
-
-    Args:
-        costs, hundred, offsets: as of :func:`gains`.
-        terms, hundred_terms: parts of the costs, (n_terms, n_runs, n_scenarios) and (n_terms, n_scenarios).
     """
     parts = hundred_terms[:, np.newaxis] - terms
     parts *= [

@@ -8,8 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from wtg_gym.evaluation import statistics
-from wtg_gym.evaluation.adjusted import Adjusted
+from wtg_gym.evaluation import adjusted, statistics
 from wtg_gym.evaluation.episodes import Episode
 from wtg_gym.evaluation.score import gains, gains_by_term, pinned_cost
 from wtg_gym.evaluation.statistics import Bootstrap, Floats, Groups, Interval
@@ -71,7 +70,7 @@ def measured(
     costs: Mapping[str, Floats],
     suite: Suite,
     groups: Groups,
-    scoring: Bootstrap | Adjusted,
+    scoring: Bootstrap | adjusted.Adjusted,
 ) -> list[EntrySummary]:
     """Return the row of every name without its score; costs are pinned, (n_runs, n_scenarios), all on one order."""
     task, nominal_hz = suite.task, suite.nominal_hz
@@ -113,7 +112,7 @@ def scored(
     costs: Mapping[str, Floats],
     task: Task,
     offsets: Floats,
-    scoring: Bootstrap | Adjusted,
+    scoring: Bootstrap | adjusted.Adjusted,
 ) -> list[EntrySummary]:
     """Return the :func:`measured` rows with their scores; `offsets` is J0 of every scenario, (n_scenarios,)."""
     hundred = costs[task.hundred][0]

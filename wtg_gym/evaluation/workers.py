@@ -41,20 +41,13 @@ class Workers:
     """Processes that play the batches of an evaluation, one batch on one thread at a time.
 
     Numbers do not depend on who plays a batch. A policy travels pickled, so it must keep what it remembers in the state
-    that `predict` returns, and its module must be there on every machine.
-
-    Args:
-        backend: "loky" for processes of this machine; "dask" for a cluster, or for one of its own here.
-        address: of Dask's scheduler, as in "tcp://host:8786"; None starts workers on this machine.
-        jobs: number of workers, 2 or more; None for one per processor. A cluster at an address uses all it has.
-
-    Raises:
-        ValueError: the backend is unknown or not installed, or it cannot have that address or number of jobs.
+    that `predict` returns, and its module must be there on every machine. A ValueError says that the backend is unknown
+    or not installed, or cannot have that address or number of jobs.
     """
 
-    backend: str
-    address: str | None = None
-    jobs: int | None = None
+    backend: str  # "loky" for processes of this machine; "dask" for a cluster, or for one of its own here
+    address: str | None = None  # of Dask's scheduler, as in "tcp://host:8786"; None starts workers on this machine
+    jobs: int | None = None  # number of workers, 2 or more; None: one per processor, or all that a cluster has
 
     def __post_init__(self) -> None:
         backend, address, jobs = self.backend, self.address, self.jobs

@@ -171,9 +171,6 @@ def _row(noted: Noted, step: int, stage: int) -> int:
     return noted.acted + step * (N_STAGES * of_stage + noted.finished) + stage * of_stage
 
 
-# --- the parts of an interval, on tape ------------------------------------------------------------------------------
-
-
 @internal
 def _strike(
     block: Floats, scratch: Floats, first: int, network: Network, data: LaneData, tape: tuple[Rules, Work], step: int
@@ -305,15 +302,9 @@ def pull(
     actions: Floats,
     tape: tuple[Rules, Work],
 ) -> None:
-    """Go back through one control step of the blocks first … last - 1.
+    """Go back through one control step of the blocks first … last - 1, with its actions (n_lanes, n_action).
 
-    Args:
-        blocks: as they stood before the step; as they stand after it on return (n_blocks, n_rows, width).
-        bars: cotangents.
-        first, last: the range of blocks.
-        network, data, task: as for :func:`~wtg_gym.envs.stepping.step_blocks`.
-        actions: of the step (n_lanes, n_action).
-        tape: see :func:`rules_of` and :func:`work_of`.
+    The blocks (n_blocks, n_rows, width) stand as before the step, and as after it on return; `bars` are the cotangents.
     """
     rules, work = tape
     tables, scratch, scratch_bars, p = network.tables, work.scratch, work.bars, rules.noted

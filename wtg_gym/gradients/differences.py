@@ -6,13 +6,11 @@ from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from wtg_gym.files import markdown_table
 from wtg_gym.gradients.tape import LAW_PARAMETERS, Tape, term_weights
+from wtg_gym.physics.layout import Floats
 from wtg_gym.physics.scenario import Scenario
-
-Floats = npt.NDArray[np.float64]
 
 
 class Difference(NamedTuple):
@@ -63,9 +61,10 @@ def check_by_differences(
     """Compare the gradient of episodes' costs with differences of plays of the environment.
 
     What is moved, one after the other: the actions along one direction, each number of the laws (in all groups at
-    once), each parameter that the tape was made for. Slopes on both sides are given too: where they differ, a corner
-    or an event that moves lies between the plays, and no gradient can be both. The tape needs to be started again
-    afterwards; it has the values of its parameters that it had.
+    once), each parameter that the tape was made for. Slopes on both sides are given too: where they differ, a corner or
+    an event that moves lies between the plays, and no gradient can be both. The tape needs to be started again
+    afterwards; it has the values of its parameters that it had. A ValueError names an argument that has another shape,
+    is not finite or not in its range.
 
     Args:
         tape: of the settings in question.
@@ -73,9 +72,6 @@ def check_by_differences(
         direction: through the actions, of their shape; None for normal numbers of a fixed seed.
         step: by which actions and laws move, and, as a share of its value, each parameter [-]; 1e-9 … 0.1. Shorter
             ones keep clear of corners, longer ones of rounding.
-
-    Raises:
-        ValueError: an argument has another shape, is not finite or not in its range.
     """
     if not (isinstance(step, (int, float)) and 1e-9 <= step <= 0.1):
         raise ValueError(f"step must be a number in 1e-9 … 0.1, got {step!r}")

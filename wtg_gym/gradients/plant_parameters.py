@@ -67,8 +67,7 @@ def known_parameters(plant: Plant) -> dict[str, float]:
 def with_parameters(plant: Plant, values: Mapping[str, float]) -> Plant:
     """Return a plant with other values of some parameters.
 
-    Raises:
-        ValueError: a parameter is unknown, or a value is out of its range.
+    A ValueError names a parameter that is unknown or out of its range.
     """
     require_known_parameters(plant, values)
     for name, value in values.items():
@@ -98,14 +97,10 @@ def require_known_parameters(plant: Plant, names: Iterable[str]) -> None:
 
 
 class Moved:
-    """The constants of a plant that some of its parameters move.
+    """The constants of a plant that parameters move; which they are does not depend on the plant's values.
 
-    Args:
-        plant: the plant; which constants they are does not depend on its values.
-        names: of the parameters.
-        places_of: returns where among the numbers of a table a leaf is (see
-            :func:`~wtg_gym.systems.programs.constant_places`), from what systems call it: an argument and its number
-            there, and the unit whose it is.
+    `places_of` returns where among the numbers of a table a leaf is (:func:`~wtg_gym.systems.programs.constant_places`)
+    from what systems call it: an argument and its number there, and the unit whose it is.
     """
 
     def __init__(
@@ -140,12 +135,10 @@ class Moved:
         return factors
 
     def pull(self, bars: Floats, constants: Floats, in_force: Floats) -> Floats:
-        """Return cotangents of the parameters (n_lanes, n_parameters).
+        """Return cotangents of the parameters (n_lanes, n_parameters), by what was `in_force` before the step.
 
-        Args:
-            bars: of the blocks before a step; those of the constants that have rows there are taken out.
-            constants: of the table's numbers (n_blocks, n_numbers, width).
-            in_force: of :meth:`in_force` before the step.
+        Those of the constants that have rows in the blocks are taken out of `bars`; `constants` are the cotangents of
+        the table's numbers (n_blocks, n_numbers, width).
         """
         n_lanes = len(in_force)
         leaves = np.zeros_like(in_force)

@@ -10,15 +10,11 @@ import numpy as np
 
 from wtg_gym.envs.lanes import TaskLanes
 from wtg_gym.envs.settings import EnvSettings
-from wtg_gym.physics.equilibrium import StartError
+from wtg_gym.physics import equilibrium, linearisation, protection, tracking_law, trajectory
 from wtg_gym.physics.grid import DEFAULT_GRID, Grid, get_grid, known_grids
-from wtg_gym.physics.linearisation import StepError, moving_matrix, swing_modes
 from wtg_gym.physics.plant import Plant
-from wtg_gym.physics.protection import Status
 from wtg_gym.physics.scenario import Scenario
 from wtg_gym.physics.simulator import Simulator, longest_step
-from wtg_gym.physics.tracking_law import group_laws
-from wtg_gym.physics.trajectory import simulate
 from wtg_gym.scenarios import DEFAULT_SUITE, SUITES, suite_of_grid
 from wtg_gym.tasks import V1
 
@@ -79,11 +75,11 @@ def describe_equilibrium(grid: Grid) -> Iterator[Line]:
     simulator = Simulator(plant, duration_s=1.0)
     wind = np.full((len(grid.groups), 1), WIND_M_S)
     scenario = Scenario(name="steady wind", wind_speed=wind, duration_s=1.0, load_noise_bus=case.slack_bus)
-    simulator.start(0, scenario, group_laws(LAW, plant.turbines, plant.control))
+    simulator.start(0, scenario, tracking_law.group_laws(LAW, plant.turbines, plant.control))
     simulator.evaluate()
     voltages = np.abs(simulator.bus_voltages())
-    run = simulate(dataclasses.replace(scenario, duration_s=_REST_S), LAW, plant)
-    if run.status != Status.RUNNING:
+    run = trajectory.simulate(dataclasses.replace(scenario, duration_s=_REST_S), LAW, plant)
+    if run.status != protection.Status.RUNNING:
         raise ValueError(
             f"without any event a run ends after {run.time_s[-1]:g} s by {run.status.name.lower().replace('_', ' ')}, "
             f"with voltages of {voltages.min():.3f} … {voltages.max():.3f} p.u. and "
@@ -100,9 +96,9 @@ def describe_equilibrium(grid: Grid) -> Iterator[Line]:
     if layout.n_sync * _PER_MACHINE > _MOST_MOVING:
         yield "modes", "not computed for so many machines"
         return
-    matrix, keep = moving_matrix(rows, simulator.plant, layout, -1.0)
+    matrix, keep = linearisation.moving_matrix(rows, simulator.plant, layout, -1.0)
     yield "equilibrium", f"largest rate {np.abs(simulator.rates()[keep]).max():.1e} p.u./s"
-    for damping, hertz in swing_modes(matrix)[:3]:
+    for damping, hertz in linearisation.swing_modes(matrix)[:3]:
         yield "mode", f"{hertz:.2f} Hz, damped by {100.0 * damping:.1f} %"
     growing = [value for value in np.linalg.eigvals(matrix) if value.real > 1e-6]
     yield "stable", "yes" if not growing else f"no: {len(growing)} modes grow"
@@ -111,8 +107,7 @@ def describe_equilibrium(grid: Grid) -> Iterator[Line]:
 def describe_starts(suite: str) -> Iterator[Line]:
     """Yield how many scenarios of a suite or its file start, why others do not, and what reset and step take.
 
-    Raises:
-        ValueError: too few of them start to train on.
+    A ValueError says that too few of them start to train on.
     """
     # Whether a scenario starts does not depend on what its rewards are compared with, which takes most of a reset.
     lanes = TaskLanes(EnvSettings(suite=suite, reward="cost"))
@@ -122,7 +117,7 @@ def describe_starts(suite: str) -> Iterator[Line]:
         try:
             lanes.prepare([scenario])
             starts.append(scenario)
-        except (StartError, StepError) as error:
+        except (equilibrium.StartError, linearisation.StepError) as error:
             reason = re.sub(r"^.*? cannot start: |; `.*", "", str(error))
             # The same reason at another operating point.
             reasons[re.sub(r"-?\d+(\.\d+)?(e-?\d+)?", "…", reason)] += 1

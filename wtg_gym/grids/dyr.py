@@ -73,22 +73,18 @@ class Dynamics:
         text = "\n".join(re.sub(r"^\s*(//|!).*", "", line) for line in read_text(path, "case").splitlines())
         # What follows the end of a record on its line is a remark.
         for record in re.sub(r"/.*", "/", text).split("/"):
-            if fields := re.findall(r"'[^']*'|[^\s,]+", record):
-                self._add(fields)
-
-    def _add(self, fields: list[str]) -> None:
-        if not fields[0].isdigit():
-            self.notes.append(f"a record of the DYR file that is no machine's is left out: {' '.join(fields)[:40]}")
-            return
-        try:
-            (bus, model, machine), numbers = fields[:3], fields[3:]
-            key, name = (int(bus), machine.strip("' ")), model.strip("' ").upper()
-            values = [_as_number(number) for number in numbers]
-        except ValueError as error:
-            raise ValueError(
-                f"a record of the DYR file is not `bus 'MODEL' id numbers /`: {' '.join(fields)!r:.80}"
-            ) from error
-        self._records[key][name] = values
+            fields = re.findall(r"'[^']*'|[^\s,]+", record)
+            if fields and not fields[0].isdigit():
+                self.notes.append(f"a record of the DYR file that is no machine's is left out: {' '.join(fields)[:40]}")
+            elif fields:
+                try:
+                    bus, model, machine, *numbers = fields
+                    key, name = (int(bus), machine.strip("' ")), model.strip("' ").upper()
+                    values = [float(n.strip("' ").replace("D", "E").replace("d", "e") or 0.0) for n in numbers]
+                except ValueError as error:
+                    what = f"a record of the DYR file is not `bus 'MODEL' id numbers /`: {' '.join(fields)!r:.80}"
+                    raise ValueError(what) from error
+                self._records[key][name] = values
 
     def require_known(self) -> None:
         """Refuse models of the machines made that are not here, unless they may be replaced."""
@@ -208,7 +204,3 @@ class Dynamics:
             for name in ("voltage_min_pu", "voltage_max_pu"):
                 values[name] = values[name] if 0.0 < values[name] < _NO_LIMIT else 0.0
         return made(at, MODELS[model], **{name: value for name, value in values.items() if not name.startswith("_")})
-
-
-def _as_number(text: str) -> float:
-    return float(text.strip("' ").replace("D", "E").replace("d", "e") or 0.0)

@@ -185,26 +185,22 @@ def _solved_network(path: Path, drop: Collection[str], notes: list[str]) -> Any:
         except Exception as error:
             raise ValueError(f"pandapower cannot read it: {type(error).__name__}: {error}") from error
         solved_case.refuse_large(len(net.bus))
-        _drop_unread(net, drop, notes)
+        # Elements that have no place in MATPOWER's tables are refused, or put out of service where `drop` says so.
+        unread = {}
+        for name, table in net.items():
+            is_read = name in _READ.split() or name.startswith(("_", "res_"))
+            if not is_read and "in_service" in getattr(table, "columns", ()):
+                able = table[table.in_service.astype(bool)]
+                power = [abs(able[column]).sum() for column in ("p_mw", "ps_mw") if column in able]
+                unread[name] = len(able), float(sum(power))
+                if name in drop:
+                    net[name]["in_service"] = False
+        solved_case.refuse_unread(unread, drop, notes)
         try:
             pandapower.runpp(net, calculate_voltage_angles=True, numba=False, tolerance_mva=1e-8)
         except Exception as error:
             raise ValueError(f"pandapower finds no power flow: {error}") from error
     return net
-
-
-def _drop_unread(net: Any, drop: Collection[str], notes: list[str]) -> None:
-    """Refuse elements that have no place in MATPOWER's tables, or put them out of service where `drop` says so."""
-    unread = {}
-    for name, table in net.items():
-        if name in _READ.split() or name.startswith(("_", "res_")) or "in_service" not in getattr(table, "columns", ()):
-            continue
-        able = table[table.in_service.astype(bool)]
-        power = [abs(able[column]).sum() for column in ("p_mw", "ps_mw") if column in able]
-        unread[name] = len(able), float(sum(power))
-        if name in drop:
-            net[name]["in_service"] = False
-    solved_case.refuse_unread(unread, drop, notes)
 
 
 def _check_classes(data: Any) -> None:

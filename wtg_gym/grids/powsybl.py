@@ -273,7 +273,6 @@ class _Tables:
         self.out = solved_case.SolvedCase(self.name, "pypowsybl", frequency, self.slack, voltages)
         self.out.numbers, self.out.notes = self._numbers(), self.notes
         self._add_branches()
-        self._add_boundaries()
         self._add_injections()
         self._add_generators()
         return self.out
@@ -331,9 +330,7 @@ class _Tables:
                 end = row[f"bus{leg}_id"] if row[f"connected{leg}"] else ""
                 shunts = complex(values["g"], values["b"]), 0j
                 self._add_branch(f"{name} winding {leg}", (end, star), complex(values["r"], values["x"]), shunts, ratio)
-
-    def _add_boundaries(self) -> None:
-        """Add lines to boundaries, which a tie line joins, and where one ends what it carries is a load."""
+        # Lines to boundaries, which a tie line joins, and where one ends what it carries is a load.
         for name, row in self.net.get_boundary_lines(all_attributes=True).iterrows():
             if not row.connected:
                 continue

@@ -10,14 +10,8 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from wtg_gym.physics import network
+from wtg_gym.physics import machine_parameters, network
 from wtg_gym.physics.grid import MOST_BUSES, Branch, Bus, Grid, NetworkCase
-from wtg_gym.physics.machine_parameters import (
-    ExciterParameters,
-    GovernorParameters,
-    SpeedStabiliserParameters,
-    SynchronousMachineParameters,
-)
 
 Key = Hashable
 Record = TypeVar("Record")
@@ -86,15 +80,11 @@ def refuse_unread(unread: dict[str, tuple[int, float]], drop: Collection[str], n
 
 
 def grid_of(case: SolvedCase, dynamics: Any = None, drop: Collection[str] = ()) -> Grid:
-    """Return the grid of a case, without WTG groups, after its own power flow has met the library's.
+    """Return the grid of a solved case, without WTG groups, after its own power flow has met the library's.
 
-    What it calls replaced are its wind parks, which are typical machines. A ValueError says by the bus and both values
-    that the grid is not the case, or that a value is out of its range.
-
-    Args:
-        case: a solved case; it is changed.
-        dynamics: the :class:`~wtg_gym.grids.dyr.Dynamics` of its machines; None: all are typical ones.
-        drop: types of element that are left out.
+    The case is changed. What it calls replaced are its wind parks, which are typical machines, as all are without
+    `dynamics`. Types of element in `drop` are left out. A ValueError says by the bus and both values that the grid is
+    not the case, or that a value is out of its range.
     """
     _merge_buses(case)
     _take_connected(case, drop)
@@ -215,8 +205,10 @@ def _numbers(case: SolvedCase) -> dict[Key, int]:
     return numbers
 
 
-def _machines(case: SolvedCase, numbers: dict[Key, int], dynamics: Any) -> list[SynchronousMachineParameters]:
-    records = list[SynchronousMachineParameters]()
+def _machines(
+    case: SolvedCase, numbers: dict[Key, int], dynamics: Any
+) -> list[machine_parameters.SynchronousMachineParameters]:
+    records = list[machine_parameters.SynchronousMachineParameters]()
     buses = {infeed.bus for infeed in case.infeeds if infeed.role == "machine"}
     for infeed in case.infeeds:
         number, slack, record = numbers[infeed.bus], infeed.bus == case.slack, None
@@ -249,16 +241,19 @@ _MARGIN, _LEAST_MVA = 1.3, 50.0
 #: A large round-rotor machine; source: P. Kundur: Power System Stability and Control, table 4.2.
 _REACTANCES = dict(x_d=1.8, x_q=1.7, x_d_transient=0.3, x_q_transient=0.55, x_subtransient=0.25, x_leakage=0.15)
 _TIMES = dict(t_d0_transient_s=8.0, t_q0_transient_s=0.4, t_d0_subtransient_s=0.03, t_q0_subtransient_s=0.05)
-TYPICAL_EXCITER, TYPICAL_GOVERNOR = ExciterParameters(), GovernorParameters(droop_pu=0.05)
+TYPICAL_EXCITER, TYPICAL_GOVERNOR = (
+    machine_parameters.ExciterParameters(),
+    machine_parameters.GovernorParameters(droop_pu=0.05),
+)
 
 
 def typical_machine(
     bus: int, power: complex = 0j, least: float = _LEAST_MVA, *, slack: bool = False
-) -> SynchronousMachineParameters:
+) -> machine_parameters.SynchronousMachineParameters:
     """Return a machine that gives a power [MW + j Mvar], of a least rating [MVA]; without active power a condenser."""
     governed = power.real > 0.0 or slack
     values: dict[str, Any] = {"dispatch_mw": power.real, "damping_pu": 0.0, **_REACTANCES, **_TIMES}
-    return SynchronousMachineParameters(
+    return machine_parameters.SynchronousMachineParameters(
         **values,
         bus=bus,
         rating_mva=max(_MARGIN * abs(power), least, _LEAST_MVA),
@@ -266,12 +261,12 @@ def typical_machine(
         exciter=TYPICAL_EXCITER,
         governor=TYPICAL_GOVERNOR if governed else None,
         # All of the machines have fast exciters, under which they would swing against each other.
-        stabiliser=SpeedStabiliserParameters() if governed else None,
+        stabiliser=machine_parameters.SpeedStabiliserParameters() if governed else None,
     )
 
 
 def _network_case(
-    case: SolvedCase, numbers: dict[Key, int], machines: list[SynchronousMachineParameters]
+    case: SolvedCase, numbers: dict[Key, int], machines: list[machine_parameters.SynchronousMachineParameters]
 ) -> NetworkCase:
     held = {machine.bus for machine in machines}
     if numbers[case.slack] not in held:

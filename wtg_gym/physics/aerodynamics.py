@@ -56,15 +56,9 @@ def power_coefficient(
     pitch_deg: float = 0.0,
     parameters: PowerCoefficientParameters | RotorTable | None = None,
 ) -> Floats:
-    """Return C_p(λ, β) of a curve or a table, by default of the paper's curve.
+    """Return C_p(λ, β) of a curve or a table, by default of the paper's curve, at λ > 0 of any shape and β ≥ 0 [deg].
 
-    Args:
-        tip_speed_ratio: λ > 0, any shape [-]; below 0.2 it counts as 0.2.
-        pitch_deg: pitch angle β ≥ 0 [deg].
-        parameters: constants of the curve, or a table; by default the curve inferred from the paper's parameters.
-
-    Raises:
-        ValueError: λ is not positive, β is negative, or one of them is not finite.
+    A λ below 0.2 counts as 0.2. A ValueError says that λ is not positive, β is negative, or one of them is not finite.
     """
     parameters = parameters or PowerCoefficientParameters()
     ratio = np.asarray(tip_speed_ratio, dtype=np.float64)
@@ -97,17 +91,11 @@ class TrackingPoint:
 
 
 def tracking_point(deloading: float = 0.0, turbine: TurbineParameters | None = None) -> TrackingPoint:
-    """Return the point at which a share `deloading` of the available power is given up by over-speeding.
+    """Return the point at which a share d of the available power, 0 … 0.9, is given up by over-speeding [-].
 
-    K_d = ρ π R⁵ C_pd ω_tn³ / (2 λ_d³ S_n), which is K_opt (λ_opt/λ_d)³ (1 - d). Source: paper, equations (10),
-    (13), (15) and (38).
-
-    Args:
-        deloading: d, 0 … 0.9 [-]; 0 is maximum power point tracking.
-        turbine: the turbine; the paper's by default.
-
-    Raises:
-        ValueError: the deloading is outside 0 … 0.9, or the curve has no such point.
+    K_d = ρ π R⁵ C_pd ω_tn³ / (2 λ_d³ S_n), which is K_opt (λ_opt/λ_d)³ (1 - d); the turbine is the paper's by default.
+    Source: paper, equations (10), (13), (15) and (38). A ValueError says that the deloading is outside 0 … 0.9, or the
+    curve has no such point.
     """
     if not 0.0 <= deloading <= 0.9:
         raise ValueError(f"deloading = {deloading:g} is outside the allowed range 0 … 0.9")

@@ -38,12 +38,7 @@ of IEEE 421.5's excitation limiters in place of two integrators more, and withou
 import math
 from typing import NamedTuple
 
-from wtg_gym.physics.parameters import (
-    ConverterLimitParameters,
-    GridFormingParameters,
-    VoltageControlParameters,
-    constants_of,
-)
+from wtg_gym.physics import parameters
 from wtg_gym.systems.elementary import fma, limited_rate, select
 
 
@@ -85,10 +80,10 @@ class Law(NamedTuple):
     droop_cancelled: float  # 1 where τ = 0, else 0
 
 
-def converter_constants(p: GridFormingParameters) -> Converter:
+def converter_constants(p: parameters.GridFormingParameters) -> Converter:
     """Return the constants."""
-    h, corners = p.inertia_constant_s, constants_of(Corners, p)
-    return constants_of(Converter, p, two_h=2.0 * h, inv_two_h=0.5 / h, corners=corners)
+    h, corners = p.inertia_constant_s, parameters.constants_of(Corners, p)
+    return parameters.constants_of(Converter, p, two_h=2.0 * h, inv_two_h=0.5 / h, corners=corners)
 
 
 def tracking_coefficient(speed: float, k_min: float, k_nominal: float, k_max: float, c: Corners) -> float:
@@ -117,13 +112,8 @@ def converter_rates(
 ) -> tuple[ConverterState, float]:
     """Return the rates, and the tracking coefficient k in use [p.u.].
 
-    Args:
-        s, law, c: states, law, constants.
-        rotor_speed: ω_m [p.u.].
-        power: p into the grid [p.u.].
-        reference_speed: of the first unit [p.u.].
-        omega_n: nominal angular frequency ω_n [rad/s].
-        limiter: of an extended converter: Δω [p.u.], and the most that P_st can be [p.u.].
+    They are those at a rotor speed ω_m, a power p into the grid, and a speed of the first unit [p.u.]; `limiter` of an
+    extended converter is Δω and the most that P_st can be [p.u.].
     """
     deviation = s.speed - c.corners.frequency_setpoint
     frequency = s.speed if limiter is None else s.speed + limiter[0]
@@ -167,11 +157,11 @@ class LimitState(NamedTuple):
     energy_chopped: float  # ∫ (max(p, p_min) - p) dt [p.u. s]
 
 
-def converter_limits(p: ConverterLimitParameters | None, simulation_dt: float) -> ConverterLimits:
+def converter_limits(p: parameters.ConverterLimitParameters | None, simulation_dt: float) -> ConverterLimits:
     """Return the constants for a simulation step [s]; None for a converter without limits."""
     if p is None:
         return ConverterLimits(_UNLIMITED, _UNLIMITED, -_UNLIMITED, _UNLIMITED, 0.0, 0.0, _UNLIMITED, 0.0)
-    return constants_of(ConverterLimits, p, heat_kept=math.exp(-simulation_dt / p.chopper_cooling_s))
+    return parameters.constants_of(ConverterLimits, p, heat_kept=math.exp(-simulation_dt / p.chopper_cooling_s))
 
 
 #: Voltage above which a group stays connected for a time only [p.u.], and that time [s]. Source: Australian National
@@ -197,10 +187,8 @@ def most_power(rotor_speed: float, c: ConverterLimits) -> float:
 def limiting_reactance(current_re: float, current_im: float, y_re: float, y_im: float, current_max: float) -> float:
     """Return X_v [p.u.], 0 where nothing is to be limited.
 
-    Args:
-        current_re, current_im: I_0, the unit's current without its limit, all other units as they are [p.u.].
-        y_re, y_im: 1/Z, the unit's own entry of the reduced admittance matrix; 0 of a group that has tripped [p.u.].
-        current_max: I_max, on the base of the others [p.u.].
+    The current I_0 is the unit's without its limit, all other units as they are; y is 1/Z, the unit's own entry of the
+    reduced admittance matrix, 0 of a group that has tripped; all are on one base [p.u.].
     """
     inverse = 1.0 / max(fma(y_re, y_re, y_im * y_im), 1e-20)
     r, x = y_re * inverse, -y_im * inverse
@@ -241,22 +229,15 @@ class VoltageInput(NamedTuple):
     reactive_reference: float  # q_ref [p.u.]
 
 
-def voltage_control(p: VoltageControlParameters | None) -> VoltageControl:
+def voltage_control(p: parameters.VoltageControlParameters | None) -> VoltageControl:
     """Return the constants; None for a constant voltage behind X_g."""
     if p is None:
         return VoltageControl(0.0, 0.0, 0.0, 0.0, 0.0, math.inf)
-    return constants_of(VoltageControl, p)
+    return parameters.constants_of(VoltageControl, p)
 
 
 def emf_rate(emf: float, voltage: float, reactive: float, cut: float, u: VoltageInput, c: VoltageControl) -> float:
-    """Return Ė [p.u./s].
-
-    Args:
-        emf: E [p.u.].
-        voltage, reactive: V and q at the terminal [p.u.].
-        cut: X_v |I|, what the current limiter takes from E [p.u.].
-        u, c: references, constants.
-    """
+    """Return Ė [p.u./s]; `cut` is X_v |I|, what the limiter takes from E, V and q are of the terminal [p.u.]."""
     error = u.voltage_reference - voltage - c.droop * (reactive - u.reactive_reference)
     error = min(error, c.takeover_gain * (c.reactive_max - reactive))
     error = max(error, c.takeover_gain * (-c.reactive_max - reactive))

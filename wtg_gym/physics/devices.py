@@ -7,8 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
-from wtg_gym.physics.grid import Source
-from wtg_gym.physics.layout import place_in
+from wtg_gym.physics import grid, layout
 from wtg_gym.physics.units import LANE, UNITS, Connection, Joining, Phasor, Sample, Terminal, moving, quotient
 from wtg_gym.ranges import did_you_mean, require_range
 from wtg_gym.systems.elementary import sine_cosine
@@ -20,32 +19,22 @@ _NEEDED = (Joining.PLAN, Joining.SETTLE, Joining.VOLTAGES, Joining.MOVE, Joining
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Devices:
-    """Units of a user-defined kind, each a voltage behind an impedance at a bus.
+    """Units of a user-defined kind, each a voltage behind an impedance at a bus."""
 
-    Args:
-        kind: what they keep. It sees its :data:`~wtg_gym.physics.units.UNITS` by a label, and has a number `connected`.
-        buses: bus number of each.
-        impedances: internal impedance of each [p.u. of the system].
-        reactive_weights: of each in the reactive power of its bus, a rating on the base of the system.
-        constants: of the kind, one entry for each unit.
-        systems: by where they join the lists of a step, of :class:`~wtg_gym.physics.units.Joining`: "plan" writes
-            `planned_power`, "settle" finds the equilibrium from `start`, "voltages" writes `voltage`, "move" has the
-            stages of the integration and "rates" what they are made of; if wanted "start", "charge", "observe", and
-            "sample", which writes what protections compare. The centre of inertia does not see devices.
-        shown: a part in scratch that observations end with; None for none.
-        has: conditions of the kind that hold.
-        balances: whether they balance the power at their buses and hold the voltage without a limit, as machines do.
-    """
-
+    #: What they keep. It sees its :data:`~wtg_gym.physics.units.UNITS` by a label, and has a number `connected`.
     kind: Kind
-    buses: tuple[int, ...]
-    impedances: tuple[complex, ...]
-    reactive_weights: tuple[float, ...]
-    constants: Mapping[str, Sequence[Any]]
+    buses: tuple[int, ...]  # bus number of each
+    impedances: tuple[complex, ...]  # internal impedance of each [p.u. of the system]
+    reactive_weights: tuple[float, ...]  # of each in the reactive power of its bus, a rating on the system base [p.u.]
+    constants: Mapping[str, Sequence[Any]]  # of the kind, one entry for each unit
+    #: By where they join the lists of a step, of :class:`~wtg_gym.physics.units.Joining`: "plan" writes
+    #: `planned_power`, "settle" finds the equilibrium from `start`, "voltages" writes `voltage`, "move" has the stages
+    #: of the integration and "rates" what they are made of; if wanted "start", "charge", "observe", and "sample", which
+    #: writes what protections compare. The centre of inertia does not see devices.
     systems: Mapping[str, tuple[System, ...]]
-    shown: str | None = None
-    has: tuple[str, ...] = ()
-    balances: bool = False
+    shown: str | None = None  # a part in scratch that observations end with
+    has: tuple[str, ...] = ()  # conditions of the kind that hold
+    balances: bool = False  # whether they balance the power at their buses and hold the voltage, as machines do
 
     def __post_init__(self) -> None:
         n, kind, name = len(self.buses), self.kind, self.kind.name
@@ -66,7 +55,7 @@ class Devices:
             raise ValueError(f"systems of {', '.join(sorted(others))} cannot join for {name}")
         if set(self.constants) != set(kind.constants):
             raise ValueError(f"{name} have the constants {sorted(kind.constants)}, got {sorted(self.constants)}")
-        if place_in(kind, "connected") is None:
+        if layout.place_in(kind, "connected") is None:
             raise ValueError(f"the rows of {name} have no number `connected`, which says whether a unit is")
         if self.shown is not None and not is_record(kind.scratch.get(self.shown)):
             like = did_you_mean(self.shown, kind.scratch)
@@ -140,7 +129,7 @@ stage_of_source = moving(rates_of_source)
 
 
 @functools.lru_cache(maxsize=64)
-def source_units(sources: tuple[Source, ...]) -> tuple[Devices, ...]:
+def source_units(sources: tuple[grid.Source, ...]) -> tuple[Devices, ...]:
     """Return the imposed sources of a network as devices."""
     if not sources:
         return ()

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 import numba
 import numpy as np
 
-from wtg_gym.physics import integration
+from wtg_gym.physics import integration, machine_models, machine_parameters
 from wtg_gym.physics import scenario as events
 from wtg_gym.physics.layout import (
     OF_LANE,
@@ -20,8 +20,6 @@ from wtg_gym.physics.layout import (
     units_of,
 )
 from wtg_gym.physics.machine import gate_limits
-from wtg_gym.physics.machine_models import controls_of
-from wtg_gym.physics.machine_parameters import ExciterParameters
 from wtg_gym.physics.network import POWER_FLOW_TOLERANCE, PowerFlow, power_flow, solve_sparse_flow
 from wtg_gym.physics.parameters import ConverterLimitParameters, VoltageControlParameters
 from wtg_gym.physics.plant import ISLANDS_AT_MOST, Plant, PlantTables
@@ -134,7 +132,7 @@ def _limited(
 ) -> tuple[str, float, float, float]:
     """Return the quantity of a machine that starts beyond its limits, its value, and the limits [p.u.]."""
     machine = settings.case.machines[unit]
-    for control, parameters in controls_of(machine):
+    for control, parameters in machine_models.controls_of(machine):
         if control.limits is not None and control.failure == failure:
             place = np.flatnonzero(layout.seen(control.kind, "machine") == unit)[0]
             value = rows[layout.rows_of(control.kind, control.limited)[place]]
@@ -142,7 +140,7 @@ def _limited(
     if failure == StartFailure.GOVERNOR_LIMIT:
         return "gate", float(rows[layout.machine("gate")[unit]]), *gate_limits(machine.governor)
     exciter = machine.exciter
-    assert isinstance(exciter, ExciterParameters)
+    assert isinstance(exciter, machine_parameters.ExciterParameters)
     value = rows[layout.machine("field_voltage")[unit]]
     return "field_voltage", float(value), exciter.field_min_pu, exciter.field_max_pu
 
@@ -243,14 +241,11 @@ def prepare_lanes(
 ) -> None:
     """Put lanes into the equilibrium of their wind, law and load, at nominal frequency.
 
-    Args:
-        rows: (n, n_rows, 1); laws, first wind, bus of the load noise, the machines' inv_two_h and inv_droop are set.
-        scratch: (n_scratch, 1).
-        y: bus admittance matrix without loads and units (n_bus, n_bus) [p.u.].
-        network: constants.
-        data: of the lanes; load events are given as P + jQ [p.u.], and turned into admittances here.
-        load_levels: shares of the nominal load (n,).
-        failures: takes why a lane cannot start, and the number of the unit that cannot, machines first (n, 2).
+    In their rows (n, n_rows, 1) laws, first wind, bus of the load noise, the machines' inv_two_h and inv_droop are set;
+    the scratch is (n_scratch, 1). `y` is the bus admittance matrix without loads and units (n_bus, n_bus) [p.u.], load
+    levels are shares of the nominal load (n,). Load events of `data` are given as P + jQ [p.u.], and turned into
+    admittances here. `failures` takes why a lane cannot start, and the number of the unit that cannot, machines first
+    (n, 2).
     """
     facts, tables = network.facts, network.tables
     starting, planning = units_of(scratch, facts.starting)[0], facts.planning
@@ -287,8 +282,7 @@ def prepare_lanes(
 def network_events(scenario: Scenario, settings: Plant, plant: PlantTables) -> list[NetworkEvent]:
     """Return what a scenario's events change, one by one.
 
-    Raises:
-        ValueError: an event does not fit the plant, or the events do not fit each other.
+    A ValueError says that an event does not fit the plant, or the events do not fit each other.
     """
     name = f"scenario {scenario.name!r}"
     lost = [event.bus for event in scenario.events if isinstance(event, events.LoadTrip)]

@@ -1,7 +1,5 @@
 """Networks as data, and a grid: a network with its machines and WTG groups in one JSON file."""
 
-from __future__ import annotations
-
 import contextlib
 import dataclasses
 import functools
@@ -71,9 +69,8 @@ class NetworkCase(Checked):
     """A network with its synchronous machines, as data.
 
     The voltage angle at `slack_bus` is zero. Its machines or sources balance the power; without any, all WTG groups do.
-
-    Raises:
-        ValueError: a bus is missing, doubled or not connected, nothing balances the power, or a value is out of range.
+    A ValueError says that a bus is missing, doubled or not connected, nothing balances the power, or a value is out of
+    range.
     """
 
     MOST = types.MappingProxyType(
@@ -141,9 +138,7 @@ class NetworkCase(Checked):
     def branch_index(self, from_bus: int, to_bus: int, circuit: int | None = None) -> int:
         """Return the index of the branch between two buses, either way round; a ValueError lists the branches.
 
-        Args:
-            from_bus, to_bus: numbers of the buses.
-            circuit: which of parallel branches, counted from 1; None: the first.
+        `circuit` says which of parallel branches, counted from 1; None: the first.
         """
         self.bus_index(from_bus)
         self.bus_index(to_bus)
@@ -181,11 +176,11 @@ class NetworkCase(Checked):
 
     def with_machines(
         self, change: Callable[[SynchronousMachineParameters], SynchronousMachineParameters]
-    ) -> NetworkCase:
+    ) -> "NetworkCase":
         """Return the network with other machines: `change` turns each into its own."""
         return dataclasses.replace(self, machines=tuple(map(change, self.machines)))
 
-    def classical(self) -> NetworkCase:
+    def classical(self) -> "NetworkCase":
         """Return the network with a constant voltage behind x'_d in place of every machine and its exciter."""
         return self.with_machines(lambda m: dataclasses.replace(m, classical=True, exciter=None, stabiliser=None))
 
@@ -202,28 +197,18 @@ MODELS: Mapping[str, type[Any]] = types.MappingProxyType(
 
 @dataclass(frozen=True, kw_only=True)
 class Grid(Checked):
-    """A network with its machines and WTG groups, as a file describes it.
-
-    Args:
-        case: the network.
-        groups: the WTG groups.
-        replaced: buses whose synchronous machines these stand for.
-        source: where the numbers come from.
-        licence: of the source.
-        repairs: what was changed because it contradicted itself, a sentence each.
-        substitutions: what stands in place of a model that is not here, a sentence each.
-        incident_mw: the largest loss that the grid is planned for [MW]; None: all that the machines at a bus give.
-    """
+    """A network with its machines and WTG groups, as a file describes it."""
 
     MOST = types.MappingProxyType({"groups": MOST_GROUPS, "replaced": MOST_UNITS})
 
     case: NetworkCase
     groups: tuple[WtgGroup, ...] = ()
-    replaced: tuple[int, ...] = ()
-    source: str = ""
-    licence: str = ""
-    repairs: tuple[str, ...] = ()
-    substitutions: tuple[str, ...] = ()
+    replaced: tuple[int, ...] = ()  # buses whose synchronous machines these stand for
+    source: str = ""  # where the numbers come from
+    licence: str = ""  # of the source
+    repairs: tuple[str, ...] = ()  # what was changed because it contradicted itself, a sentence each
+    substitutions: tuple[str, ...] = ()  # what stands in place of a model that is not here, a sentence each
+    #: Largest loss that the grid is planned for [MW]; None: all that the machines at a bus give.
     incident_mw: float | None = design(None, "MW", "largest loss that the grid is planned for", 1e-3, 1e6)
 
     def __post_init__(self) -> None:
@@ -259,8 +244,7 @@ def known_grids() -> tuple[str, ...]:
 def get_grid(name: str) -> Grid:
     """Return a grid by its name, or by the path of its file, which ends in ".json".
 
-    Raises:
-        ValueError: the name is unknown, or the file is damaged; the message says what is wrong.
+    A ValueError says that the name is unknown, or the file is damaged.
     """
     path = Path(name) if name.endswith(".json") else FOLDER / f"{name}.json"
     if path.parent == FOLDER and not path.exists():

@@ -82,12 +82,9 @@ def strike(
 
 @inlined
 def stage_scalars(facts: Facts, step: int, stage: int) -> tuple[float, float, float, float]:
-    """Return the scalars of a stage: when in the interval, how far it goes [s], whether it is first or last.
+    """Return the scalars of a stage, 0 … 3: when in the interval, how far it goes [s], whether it is first or last.
 
-    Args:
-        facts: of the plant.
-        step: number of the simulation step within the interval; `n_substeps` for the interval's end.
-        stage: of the Runge-Kutta method, 0 … 3.
+    The step counts within the interval; `n_substeps` stands for the interval's end.
     """
     if step == facts.n_substeps:
         return 1.0, 0.0, 0.0, 0.0

@@ -80,13 +80,12 @@ def units_of(rows: Floats, span: Span) -> Floats:
 class Layout:
     """Rows of a block and of scratch, by kind of unit and by name.
 
+    A ValueError says that a kind sees nothing by that label.
+
     Args:
         n_units: how many units of each kind there are, in the order of their rows.
         links: index of the unit that each unit of a kind sees, (n_units,), by kind and label; where it is left out, the
             lane, or the unit with the same number.
-
-    Raises:
-        ValueError: a kind sees nothing by that label.
     """
 
     def __init__(self, n_units: Mapping[Kind, int], links: Mapping[tuple[Kind, str], Whole]) -> None:
@@ -127,8 +126,6 @@ class Layout:
         n = self.n_units(kind)
         usual = np.zeros(n, dtype=np.int64) if self.n_units(kind.sees[label]) == 1 else np.arange(n)
         return self._links.get((kind, label), usual)
-
-    # --- by name ------------------------------------------------------------------------------------------------------
 
     def machine(self, name: str) -> Whole:
         """Return the row of each machine's number of this name (n_sync,), or of each hydro governor's (n_hydro,)."""

@@ -9,8 +9,7 @@ import math
 import numpy as np
 import numpy.typing as npt
 
-from wtg_gym.physics.converter import Corners
-from wtg_gym.physics.integration import PROGRAMS, evaluate_blocks
+from wtg_gym.physics import converter, integration
 from wtg_gym.physics.layout import Floats, Layout, Whole
 from wtg_gym.physics.plant import PlantTables, programs_of, with_places
 
@@ -30,15 +29,11 @@ class StepError(ValueError):
 
 
 def state_matrix(rows: Floats, plant: PlantTables, layout: Layout, side: npt.ArrayLike) -> Floats:
-    """Return A of ẋ = A x around the state that one lane's rows hold, shape (n, n) [1/s, with p.u. and rad].
+    """Return A of ẋ = A x around the state that one lane's rows (n_rows,) hold, shape (n, n) [1/s, with p.u. and rad].
 
     Central differences of the simulator's right-hand side; one-sided ones of the same order for the frequencies of the
-    WTGs, where g(ω) has a corner.
-
-    Args:
-        rows: a block of one lane, flat (n_rows,).
-        plant, layout: of that lane.
-        side: -1 for the slope of g(ω) below ω_st, +1 for the one above; for all groups or each, (n_wtg,).
+    WTGs, where g(ω) has a corner: `side` is -1 for the slope below ω_st, +1 for the one above, for all groups or each,
+    (n_wtg,).
     """
     states, n = layout.state_rows, layout.state_rows.size
     sides = np.broadcast_to(np.asarray(side, dtype=np.float64), (layout.n_wtg,))
@@ -54,7 +49,7 @@ def state_matrix(rows: Floats, plant: PlantTables, layout: Layout, side: npt.Arr
         blocks = np.repeat(rows[np.newaxis, :], moved[part].size, axis=0)
         blocks[np.arange(len(blocks)), moved[part]] += by[part]
         scratches = np.zeros((len(blocks), layout.n_scratch, 1))
-        evaluate_blocks(blocks[:, :, np.newaxis], scratches, plant.network)
+        integration.evaluate_blocks(blocks[:, :, np.newaxis], scratches, plant.network)
         rates[part] = scratches[:, layout.rate_rows, 0]
     change = rates[:n] - rates[n : 2 * n]
     change[speeds] = sides[:, np.newaxis] * (-3.0 * rates[2 * n] + 4.0 * rates[speeds] - rates[n + speeds])
@@ -125,29 +120,23 @@ def check_step(rows: Floats, plant: PlantTables, layout: Layout) -> None:
 
     Of the two slopes of each law's g(ω), the steeper is checked, that with which power rises more as the frequency
     falls: its modes are faster. Only small deviations are checked. Limits are left out, except the power and reactive
-    limits of converters: their controls may be fast, and are checked as if all of them acted.
-
-    Raises:
-        StepError: the message names the eigenvalue, the state it mainly belongs to, the step and the largest allowed.
+    limits of converters: their controls may be fast, and are checked as if all of them acted. A StepError names the
+    eigenvalue, the state it mainly belongs to, the step and the largest allowed.
     """
     t = plant.turbine[0]
-    low, setpoint, high = (t[f"converter.corners.{name}"] for name in Corners._fields)
+    low, setpoint, high = (t[f"converter.corners.{name}"] for name in converter.Corners._fields)
     k_min, k_nominal, k_max = (rows[layout.wtg(name)] for name in ("k_min", "k_nominal", "k_max"))
     below, above = (k_min - k_nominal) / (setpoint - low), (k_nominal - k_max) / (high - setpoint)
     side = np.where(below >= above, -1.0, 1.0)
     _check_modes(rows, plant, layout, side)
     if layout.n_extended:
-        _check_modes(*_beyond_limits(rows, plant, layout), layout, side)
-
-
-def _beyond_limits(rows: Floats, plant: PlantTables, layout: Layout) -> tuple[Floats, PlantTables]:
-    """Return rows and plant with limits so narrow that the power limiters and the takeovers of reactive power act."""
-    extension = plant.extension.copy()
-    extension["limits.power_max"], extension["voltage.reactive_max"] = 0.0, -10.0
-    beyond = rows.copy()
-    beyond[layout.wtg("over_power")] = -0.01
-    # Programs of a caller, which stand behind those of the physics in the table, are not run here.
-    return beyond, with_places(plant._replace(extension=extension), layout, programs_of(plant, *PROGRAMS))
+        # Limits so narrow that the power limiters and the takeovers of reactive power act.
+        extension, beyond = plant.extension.copy(), rows.copy()
+        extension["limits.power_max"], extension["voltage.reactive_max"] = 0.0, -10.0
+        beyond[layout.wtg("over_power")] = -0.01
+        # Programs of a caller, which stand behind those of the physics in the table, are not run here.
+        programs = programs_of(plant, *integration.PROGRAMS)
+        _check_modes(beyond, with_places(plant._replace(extension=extension), layout, programs), layout, side)
 
 
 def _check_modes(rows: Floats, plant: PlantTables, layout: Layout, side: Floats) -> None:

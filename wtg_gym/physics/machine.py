@@ -20,13 +20,7 @@ P. Kundur: Power System Stability and Control, chapter 3; saturation: GENROU of 
 import math
 from typing import Any, NamedTuple
 
-from wtg_gym.physics.machine_parameters import (
-    AnyExciter,
-    AnyGovernor,
-    ExciterParameters,
-    GovernorParameters,
-    SynchronousMachineParameters,
-)
+from wtg_gym.physics import machine_parameters
 from wtg_gym.physics.parameters import constants_of
 from wtg_gym.systems.elementary import clip, limited_rate, select
 
@@ -41,8 +35,7 @@ class Saturation(NamedTuple):
 def saturation_constants(what: str, first: tuple[float, float], second: tuple[float, float]) -> Saturation:
     """Return the parabola through two points (E, S); none where both S, or the second, are 0.
 
-    Raises:
-        ValueError: E, or E S, does not rise from the first point to the second; the message names `what` it is of.
+    A ValueError says that E, or E S, does not rise from the first point to the second, and `what` it is of.
     """
     (e_1, s_1), (e_2, s_2) = first, second
     if s_1 == 0.0 and s_2 == 0.0:
@@ -91,9 +84,9 @@ class ExciterState(NamedTuple):
     field_voltage: float  # E_fd [p.u.]
 
 
-def exciter_constants(parameters: AnyExciter | None) -> Exciter:
+def exciter_constants(parameters: machine_parameters.AnyExciter | None) -> Exciter:
     """Return the constants of an exciter; without one the field voltage stays, unless another model sets it."""
-    if not isinstance(parameters, ExciterParameters):
+    if not isinstance(parameters, machine_parameters.ExciterParameters):
         return Exciter(0.0, 0.0, 0.0, 0.0, -float("inf"), float("inf"))
     return constants_of(Exciter, parameters)
 
@@ -147,9 +140,9 @@ def gate_limits(p: Any) -> tuple[float, float]:
     return p.gate_min_pu, min(p.gate_max_pu, getattr(p, "load_limit_pu", math.inf))
 
 
-def governor_constants(parameters: AnyGovernor | None) -> Governor:
+def governor_constants(parameters: machine_parameters.AnyGovernor | None) -> Governor:
     """Return the constants of a governor; without one, or with one that is a unit of its own, its gate stands still."""
-    if not isinstance(parameters, GovernorParameters):
+    if not isinstance(parameters, machine_parameters.GovernorParameters):
         inv_droop, is_unit = (0.0, 0.0) if parameters is None else (1.0 / parameters.droop_pu, 1.0)
         limits = (-math.inf, math.inf) if parameters is None else gate_limits(parameters)
         return Governor(inv_droop, 0.0, 0.0, 0.0, *limits, 0.0, 0.0, is_unit)
@@ -295,15 +288,7 @@ def machine_rates(
     reference_speed: float,
     omega_n: float,
 ) -> tuple[MachineState, MachineOutput]:
-    """Return rates and outputs.
-
-    Args:
-        s, e, u, c: states, voltage behind x'', inputs, constants.
-        iron: what saturation takes.
-        i_re, i_im: current into the network, in its frame [p.u.].
-        reference_speed: of the first unit [p.u.].
-        omega_n: nominal angular frequency ω_n [rad/s].
-    """
+    """Return rates and outputs, at a current into the network in its frame and a speed of the first unit [p.u.]."""
     i_d, i_q = _in_rotor(e, i_re, i_im)
     voltage = _stator(e, i_d, i_q, c)
     power = e.e_d * i_d + e.e_q * i_q
@@ -334,11 +319,10 @@ def machine_limited(s: MachineState, c: Machine) -> MachineState:
     return s._replace(exciter=s.exciter._replace(field_voltage=field_voltage), governor=s.governor._replace(gate=gate))
 
 
-def machine_constants(m: SynchronousMachineParameters, base_mva: float) -> Machine:
+def machine_constants(m: machine_parameters.SynchronousMachineParameters, base_mva: float) -> Machine:
     """Return the constants of a machine on the system base `base_mva` [MVA].
 
-    Raises:
-        ValueError: the reactances are not ordered x_d ≥ x'_d ≥ x'' > x_l, as the model needs.
+    A ValueError says that the reactances are not ordered x_d ≥ x'_d ≥ x'' > x_l, as the model needs.
     """
     scale = base_mva / m.rating_mva
     classical = {"internal_reactance": m.x_d_transient * scale, "gamma_d": 1.0, "gamma_q": 1.0}
@@ -354,7 +338,7 @@ def machine_constants(m: SynchronousMachineParameters, base_mva: float) -> Machi
     return Machine(**{**rotor, **shared, "exciter": exciter, "governor": governor_constants(m.governor)})  # type: ignore[arg-type]
 
 
-def _genrou(m: SynchronousMachineParameters, scale: float) -> dict[str, float]:
+def _genrou(m: machine_parameters.SynchronousMachineParameters, scale: float) -> dict[str, float]:
     for axis, x, x_transient in (("d", m.x_d, m.x_d_transient), ("q", m.x_q, m.x_q_transient)):
         if not x >= x_transient >= m.x_subtransient > m.x_leakage >= 0.0:
             raise ValueError(
@@ -379,12 +363,8 @@ def _genrou(m: SynchronousMachineParameters, scale: float) -> dict[str, float]:
     }
 
 
-def rotor_saturation(m: SynchronousMachineParameters) -> RotorSaturation:
-    """Return the constants of a machine's saturation.
-
-    Raises:
-        ValueError: S(1.2) is too small beside S(1.0).
-    """
+def rotor_saturation(m: machine_parameters.SynchronousMachineParameters) -> RotorSaturation:
+    """Return the constants of a machine's saturation. A ValueError says that S(1.2) is too small beside S(1.0)."""
     if m.classical:
         return RotorSaturation(Saturation(0.0, 0.0), 1.0)
     curve = saturation_constants(f"machine at bus {m.bus}", (1.0, m.saturation_1_0), (1.2, m.saturation_1_2))

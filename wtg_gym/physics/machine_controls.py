@@ -26,11 +26,8 @@ def inverse(time_s: float) -> float:
 class Constants:
     """What makes the constants of a control: a record of its machine's number and of all parameters by their names.
 
-    With each time constant `x_time_s` comes its inverse `inv_x_time` [1/s], 0 for none.
-
-    Args:
-        parameters: classes of parameters; what the last has and another one lacks is 0.
-        besides: further constants, from the parameters.
+    With each time constant `x_time_s` comes its inverse `inv_x_time` [1/s], 0 for none; `besides` makes further ones
+    from the parameters. Of several classes of parameters, what the last has and another one lacks is 0.
     """
 
     def __init__(self, *parameters: type[Any], besides: Callable[[Any], Mapping[str, Any]] = lambda _: {}) -> None:
@@ -72,22 +69,14 @@ def limited_lag(state: float, signal: float, inv_time: float, low: float, high: 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Control:
-    """A model of a control.
+    """A model of a control."""
 
-    Args:
-        kind: what its units keep: "control", the states, and the constants "model".
-        constants: what makes those of its parameters.
-        systems: by the places where they join the lists of :mod:`wtg_gym.physics.step`.
-        failure: what a start beyond its limits is called.
-        limited: the state that has them.
-        limits: of that state at rest, from the parameters or the constants; None for none.
-    """
-
-    kind: Kind
-    constants: Constants
-    systems: Mapping[ControlJoining, tuple[System, ...]]
-    failure: StartFailure = StartFailure.NONE
-    limited: str = ""
+    kind: Kind  # what its units keep: "control", the states, and the constants "model"
+    constants: Constants  # what makes those of its parameters
+    systems: Mapping[ControlJoining, tuple[System, ...]]  # by where they join the lists of `wtg_gym.physics.step`
+    failure: StartFailure = StartFailure.NONE  # what a start beyond its limits is called
+    limited: str = ""  # the state that has them
+    #: Of that state at rest, from the parameters or the constants; None for none.
     limits: Callable[[Any], tuple[float, float]] | None = None
 
 
@@ -124,10 +113,8 @@ def _control(
 ) -> Control:
     """Return a control: its start, its rates, and what follows from them.
 
-    Args:
-        kind, constants, start, rates: its kind, constants and systems.
-        limit: the states, held within their limits, from them and the constants.
-        checked: `failure`, `limited` and `limits` of a control that cannot start beyond its limits.
+    `limit` holds the states within their limits; `checked` are failure, limited state and limits of a control that
+    cannot start beyond them.
     """
 
     systems: dict[ControlJoining, tuple[System, ...]] = {
@@ -154,12 +141,9 @@ def stabiliser(
     state: type,
     rates: Callable[[Any, float, float, Any], tuple[Any, float]],
 ) -> Control:
-    """Return a stabiliser.
+    """Return a stabiliser, whose states are 0 at nominal speed.
 
-    Args:
-        constants: see :class:`Control`.
-        state: record of its states, which are 0 at nominal speed.
-        rates: rates and signal [p.u.] at states, speed deviation, terminal voltage [p.u.] and constants.
+    `rates` gives rates and signal [p.u.] at states, speed deviation, terminal voltage [p.u.] and constants.
     """
     kind = _kind("stabilisers", constants, state, set_point=float)
 
@@ -194,11 +178,8 @@ def exciter(
 ) -> Control:
     """Return an exciter; its states have the field voltage as `excitation`, and a `regulator` with limits.
 
-    Args:
-        constants: see :class:`Control`.
-        state: record of its states.
-        rates: at states, reference, terminal voltage [p.u.] and constants.
-        start: the equilibrium at a field voltage and a terminal voltage [p.u.], and the voltage error that it needs.
+    `rates` are those at states, reference, terminal voltage [p.u.] and constants; `start` gives the equilibrium at a
+    field voltage and a terminal voltage [p.u.], and the voltage error that it needs.
     """
     kind = _kind("exciters", constants, state)
 
@@ -245,14 +226,9 @@ def governor(
 ) -> Control:
     """Return a governor with its turbine.
 
-    Args:
-        constants: see :class:`Control`.
-        state: record of its states.
-        rates: rates and torque, on the base of the machine, at states, speed, reference [p.u.], 1/R in use and
-            constants. Without a droop the governor is lost, and what its gate gives stands still.
-        start: the equilibrium at a torque [p.u.].
-        gate: the state that is the reference then: what the gate gives.
-        limit: the states, held within their limits, from them and the constants.
+    `rates` gives rates and torque, on the base of the machine, at states, speed, reference [p.u.], 1/R in use and
+    constants. Without a droop the governor is lost, and the state `gate`, which is the reference at the start, stands
+    still. `start` gives the equilibrium at a torque [p.u.], `limit` the states within their limits.
     """
     kind = _kind("governors", constants, state)
 

@@ -23,8 +23,6 @@ from wtg_gym.systems.systems import System, structured
 #: The gate is kept this far open in h = (q/g)² of HYGOV [p.u.].
 _LEAST_GATE = 0.01
 
-# --- stabilisers ------------------------------------------------------------------------------------------------------
-
 
 class Stab1State(NamedTuple):
     """States of STAB1."""
@@ -126,8 +124,6 @@ IEEEST = controls.stabiliser(
     controls.Constants(parameters.FilterStabiliserParameters, besides=_filters), IeeestState, ieeest_rates
 )
 
-# --- exciters ---------------------------------------------------------------------------------------------------------
-
 
 class Ieeex1State(NamedTuple):
     """States of IEEEX1."""
@@ -181,8 +177,6 @@ IEEEX1 = controls.exciter(
     ieeex1_rates,
     ieeex1_start,
 )
-
-# --- governors with their turbines ------------------------------------------------------------------------------------
 
 
 class HydroState(NamedTuple):
@@ -370,7 +364,6 @@ IEESGO = controls.governor(
     controls.Constants(parameters.ReheatGovernorParameters), IeesgoState, ieesgo_rates, ieesgo_start
 )
 
-# --- all of them ------------------------------------------------------------------------------------------------------
 
 #: By the names of their kinds. Stabilisers come before the exciters whose references they shift.
 CONTROLS: Mapping[str, controls.Control] = types.MappingProxyType(

@@ -3,8 +3,6 @@
 A time constant of 0 s takes its block away, except where its range says otherwise.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from dataclasses import dataclass
 from typing import Any
@@ -270,8 +268,7 @@ AnyStabiliser = SpeedStabiliserParameters | FilterStabiliserParameters
 class SynchronousMachineParameters(Checked):
     """A round-rotor machine (GENROU with x''_q = x''_d) on its own base, or a classical one.
 
-    Raises:
-        ValueError: a value is out of its range, or a stabiliser has no exciter to act on.
+    A ValueError says that a value is out of its range, or a stabiliser has no exciter to act on.
     """
 
     bus: int = required("-", "Milano", "bus number")
@@ -311,10 +308,9 @@ class SynchronousMachineParameters(Checked):
 
 
 def classical_machine(**values: Any) -> SynchronousMachineParameters:
-    """Return a constant voltage behind x'_d, without exciter.
+    """Return a constant voltage behind x'_d, without exciter, from values of :class:`SynchronousMachineParameters`.
 
-    Args:
-        values: of :class:`SynchronousMachineParameters`; those of a round rotor have no effect and need not be given.
+    Those of a round rotor have no effect and need not be given.
     """
     transient = ("x_q_transient", "t_d0_transient_s", "t_d0_subtransient_s", "t_q0_subtransient_s")
     unused = {**dict.fromkeys(("x_d", "x_q", *transient), 1.0), "x_subtransient": 0.15}

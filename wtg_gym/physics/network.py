@@ -1,7 +1,5 @@
 """Admittances and power flow, dense and sparse."""
 
-from __future__ import annotations
-
 import heapq
 import math
 from typing import Any, NamedTuple
@@ -70,13 +68,11 @@ def eliminate(a: npt.NDArray) -> bool:  # type: ignore[type-arg]
     return True
 
 
-def assemble_admittance(ends: Whole, branch_y: Complex, bus_y: Complex) -> Complex:
-    """Return the bus admittance matrix (n_bus, n_bus) [p.u.] of closed branches plus `bus_y` on the diagonal.
+def assemble_admittance(ends: "Whole", branch_y: Complex, bus_y: Complex) -> Complex:
+    """Return the bus admittance matrix (n_bus, n_bus) [p.u.] of closed branches plus `bus_y` (n_bus,) on the diagonal.
 
-    Args:
-        ends: bus indices of each branch (n_branch, 2).
-        branch_y: its admittances ff, ft, tf, tt (n_branch, 4) [p.u.].
-        bus_y: (n_bus,) [p.u.].
+    Branches are given by the bus indices of their ends (n_branch, 2) and admittances ff, ft, tf, tt (n_branch, 4)
+    [p.u.].
     """
     y = np.diag(bus_y)
     for (start, end), entries in zip(ends, branch_y, strict=True):
@@ -98,14 +94,8 @@ class PowerFlow(NamedTuple):
 def power_flow(y: Complex, slack: int, buses: Floats, at: PowerFlow) -> int:
     """Solve the power flow by Newton's method in polar form.
 
-    Args:
-        y: bus admittance matrix without loads (n_bus, n_bus) [p.u.].
-        slack: index of the slack bus.
-        buses: numbers of each bus (n_bus, n); a complex number takes two columns.
-        at: the columns.
-
-    Returns:
-        iterations used, or -1 if the mismatch stays above POWER_FLOW_TOLERANCE.
+    The bus admittance matrix (n_bus, n_bus) is without loads [p.u.]. `at` are the columns in `buses` (n_bus, n); a
+    complex number takes two. It returns the iterations used, or -1 if the mismatch stays above POWER_FLOW_TOLERANCE.
     """
     n = y.shape[0]
     n_unknown = n - 1
@@ -287,11 +277,8 @@ def _set(block: Floats, a: float, b: float, c: float, d: float) -> None:
 def solve_blocks(diagonal: Floats, above: Floats, below: Floats, x: Floats, pattern: Pattern) -> bool:
     """Solve a block matrix with symmetric pattern by elimination, in place; False where a diagonal block is singular.
 
-    Args:
-        diagonal: blocks on the diagonal (n_bus, 2, 2), in the pattern's order; their inverses on return.
-        above, below: blocks of the entries, right of the diagonal and below it (n_entries, 2, 2).
-        x: right-hand side, then the solution (n_bus, 2).
-        pattern: of the matrix.
+    Blocks on the diagonal (n_bus, 2, 2) are in the pattern's order, and their inverses on return; those above and below
+    it (n_entries, 2, 2) are of its entries. `x` is the right-hand side, then the solution (n_bus, 2).
     """
     inverse = np.empty((2, 2))
     for k in range(len(diagonal)):

@@ -4,8 +4,6 @@ Derived values are properties, never free fields. Sources are short keys; SOURCE
 exclude meaningless values, not unusual ones.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import functools
 import math
@@ -266,13 +264,7 @@ MOST_GROUPS = 100
 
 @dataclass(frozen=True, kw_only=True)
 class WtgGroup(Checked):
-    """Identical grid-forming WTGs at one bus, as one aggregate.
-
-    Args:
-        bus: bus number of the network.
-        n_turbines: how many turbines of `turbine.rated_power_mw` it stands for.
-        turbine: which; None: that of the plant.
-    """
+    """Identical grid-forming WTGs at one bus, as one aggregate."""
 
     bus: int = parameter(2, "-", "paper", "bus number")
     n_turbines: float = parameter(10.0, "-", "paper", "number of turbines in the group", 1e-3, 1e4)
@@ -295,8 +287,7 @@ def default_groups(n_groups: int = 2, bus: int = 2) -> tuple[WtgGroup, ...]:
 def groups_of(description: int | Sequence[WtgGroup | Mapping[str, Any]], bus: int = 2) -> tuple[WtgGroup, ...]:
     """Return WTG groups from a number of equal ones at a bus, or from a list of them or of their data.
 
-    Raises:
-        ValueError: the description is of another form; the message shows it.
+    A ValueError says that the description is of another form.
     """
     if is_whole(description):
         return default_groups(int(description), bus)  # type: ignore[arg-type]

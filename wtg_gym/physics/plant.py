@@ -1,7 +1,5 @@
 """From parameters to the tables that compiled functions read."""
 
-from __future__ import annotations
-
 import dataclasses
 import functools
 import itertools
@@ -14,21 +12,16 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from wtg_gym.physics import parameters
+from wtg_gym.physics import integration, machine_models, machine_parameters, machine_unit, parameters, wind_turbine
 from wtg_gym.physics.aerodynamics import surface_of
 from wtg_gym.physics.devices import SOURCES, Devices, joining, source_units
 from wtg_gym.physics.grid import NetworkCase, get_grid
-from wtg_gym.physics.integration import PROGRAMS
 from wtg_gym.physics.layout import Facts, Layout, Network, Span, place_in
 from wtg_gym.physics.machine import Machine, RotorSaturation, gate_limits, machine_constants, rotor_saturation
-from wtg_gym.physics.machine_models import CONTROLS, control_constants, joining_controls
-from wtg_gym.physics.machine_parameters import SynchronousMachineParameters
-from wtg_gym.physics.machine_unit import FIRST_MACHINE, MACHINES
 from wtg_gym.physics.network import SPARSE_FROM, assemble_admittance, branch_admittances, pattern_of
 from wtg_gym.physics.parameters import TurbineParameters, WtgGroup
 from wtg_gym.physics.protection import STAGES, SheddingConstants
 from wtg_gym.physics.units import BUSES, ISLANDS, LANE, MAIN, MEMBERS, PAIRS, TRANSFERS, UNITS, Bus, Connection, Phasor
-from wtg_gym.physics.wind_turbine import Extension, Turbine, extension_constants, turbine_constants
 from wtg_gym.physics.wtg_unit import COLUMNS, EXTENSIONS, GROUPS
 from wtg_gym.ranges import Checked, design, require_choice, require_known, require_range, whole_steps
 from wtg_gym.systems.programs import Complex, Floats, Program, Tables, Whole, build_table
@@ -47,25 +40,7 @@ SIMULATION_DT_RANGE = (5e-5, 0.05)
 class Plant(Checked):
     """A network, its WTG groups and the time steps.
 
-    Args:
-        case: the network with its synchronous machines.
-        groups: the WTG groups; may be empty.
-        turbine, pitch, control, protection: parameters of every WTG, and what ends a run.
-        limits: current and power limits of every converter, and its chopper; None for none, as in the paper.
-        voltage_control: of every WTG; None for the paper's constant voltage behind X_g.
-        shedding: stages of under-frequency load shedding, which every island has.
-        secondary_time_s: integration time of secondary control, against each governor's own droop; 0 for none [s].
-        shares_dispatch: whether machines with a governor share the initial load by rating and largest gate (1 p.u. at
-            most), instead of their `dispatch_mw`.
-        control_dt: control interval [s], a whole number of simulation steps.
-        simulation_dt: step of the integration, 0.05 … 50 ms [s]; a simulator refuses one that is too long for the
-            plant's fastest mode.
-        devices: user-defined devices. Those that see the task need an environment.
-        trips_groups: the failure of a rotor (:class:`~wtg_gym.physics.protection.Status`) disconnects its group instead
-            of ending the run.
-
-    Raises:
-        ValueError: a bus is unknown, a step does not divide, or a value is outside its range.
+    A ValueError says that a bus is unknown, a step does not divide, or a value is outside its range.
     """
 
     MOST = MappingProxyType({"groups": parameters.MOST_GROUPS})
@@ -76,18 +51,21 @@ class Plant(Checked):
     pitch: parameters.PitchParameters = dataclasses.field(default_factory=parameters.PitchParameters)
     control: parameters.GridFormingParameters = dataclasses.field(default_factory=parameters.GridFormingParameters)
     protection: parameters.ProtectionParameters = dataclasses.field(default_factory=parameters.ProtectionParameters)
-    limits: parameters.ConverterLimitParameters | None = None
-    voltage_control: parameters.VoltageControlParameters | None = None
-    shedding: tuple[parameters.SheddingStage, ...] = ()
-    secondary_time_s: float = 0.0
+    limits: parameters.ConverterLimitParameters | None = None  # of every converter, with its chopper; None: the paper's
+    voltage_control: parameters.VoltageControlParameters | None = None  # None: constant voltage behind X_g
+    shedding: tuple[parameters.SheddingStage, ...] = ()  # of load at a low frequency, which every island has
+    secondary_time_s: float = 0.0  # integration time of secondary control, against each governor's droop; 0: none [s]
+    #: Whether machines with a governor share the initial load by rating and largest gate (1 p.u. at most), instead of
+    #: their `dispatch_mw`.
     shares_dispatch: bool = False
-    control_dt: float = 0.1
+    control_dt: float = 0.1  # control interval, a whole number of simulation steps [s]
+    #: Step of the integration [s]; a simulator refuses one that is too long for the plant's fastest mode.
     simulation_dt: float = design(0.025, "s", "step of the integration", *SIMULATION_DT_RANGE)
-    trips_groups: bool = False
+    trips_groups: bool = False  # whether the failure of a rotor disconnects its group instead of ending the run
     load_frequency_dependence: float = design(
         0.0, "p.u./p.u.", "change of a load's conductance with frequency", 0.0, 10.0
     )
-    devices: tuple[Devices, ...] = ()
+    devices: tuple[Devices, ...] = ()  # those of users; where they see the task, they need an environment
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -127,8 +105,10 @@ class Plant(Checked):
         machine_model: str = "genrou",
         groups: int | Sequence[WtgGroup | Mapping[str, Any]] | None = None,
         **fields: Any,
-    ) -> Plant:
+    ) -> "Plant":
         """Return the plant with parts of it replaced, by name or as plain data.
+
+        A ValueError says that a name is unknown, or a value is outside its range.
 
         Args:
             physics: "extended", the physics of version v1; "nrel-5mw", the same with the NREL 5 MW turbine and its C_p
@@ -138,9 +118,6 @@ class Plant(Checked):
             groups: the WTG groups, their data, or how many share the paper's twenty turbines at the bus of the first.
             fields: fields of this class; they replace those of `physics` too. A dictionary replaces parts of a record,
                 as in `control={"droop_gain_pu": 20.0}`.
-
-        Raises:
-            ValueError: a name is unknown, or a value is outside its range.
         """
         known = [*(field.name for field in dataclasses.fields(self)), "physics", "machine_model"]
         require_known("settings of a plant", fields, known)
@@ -206,7 +183,7 @@ def _extended(case: NetworkCase, turbine: TurbineParameters) -> dict[str, Any]:
     a source.
     """
 
-    def changed(m: SynchronousMachineParameters) -> SynchronousMachineParameters:
+    def changed(m: machine_parameters.SynchronousMachineParameters) -> machine_parameters.SynchronousMachineParameters:
         if m.governor is None:
             return dataclasses.replace(m, damping_pu=0.0)
         dead_band = m.governor.dead_band_pu or DEAD_BAND_PU
@@ -262,7 +239,7 @@ class PlantTables(NamedTuple):
         """Step of the integration [s]."""
         return self.network.facts.simulation_dt
 
-    def with_tables(self, tables: Tables) -> PlantTables:
+    def with_tables(self, tables: Tables) -> "PlantTables":
         """Return the plant with other tables."""
         return self._replace(network=self.network._replace(tables=tables))
 
@@ -273,16 +250,22 @@ def plant_tables(settings: Plant) -> PlantTables:
     machines = [machine_constants(machine, base) for machine in case.machines]
     of_groups = settings.turbines or (settings.turbine,)
     of_all = settings.pitch, settings.control, settings.protection, settings.extended
-    turbines = [turbine_constants(turbine, *of_all) for turbine in of_groups]
+    turbines = [wind_turbine.turbine_constants(turbine, *of_all) for turbine in of_groups]
     limits = settings.limits, settings.voltage_control, settings.simulation_dt
-    extensions = [extension_constants(turbine, *limits) for turbine in of_groups]
+    extensions = [wind_turbine.extension_constants(turbine, *limits) for turbine in of_groups]
     sizes = zip(settings.groups, settings.turbines, strict=True)
     share = [group.n_turbines * turbine.rated_power_mw / base for group, turbine in sizes]
     impedances = [complex(machine.resistance, machine.internal_reactance) for machine in machines]
     impedances += [1j * turbines[0].converter.reactance / rating for rating in share]
     impedances += [impedance for device in settings.all_devices for impedance in device.impedances]
     stages = [SheddingConstants(stage.frequency_pu, stage.share, stage.delay_s) for stage in settings.shedding]
-    participation = _participation(settings)
+    # Each machine's share of what loads need at the start; none where the case dispatches them. A gate beyond 1 p.u.
+    # says nothing about the power that a machine is meant for.
+    sharing = [
+        m.rating_mva * min(gate_limits(m.governor)[1], 1.0) if m.governor and settings.shares_dispatch else 0.0
+        for m in case.machines
+    ]
+    participation = np.array(sharing) / (sum(sharing) or 1.0)
     network = _network_of(settings, 1.0 / np.array(impedances, dtype=np.complex128), bool(participation.any()))
     return PlantTables(
         network=network,
@@ -290,12 +273,12 @@ def plant_tables(settings: Plant) -> PlantTables:
         machines=structured(Machine, machines),
         dispatch=np.where(participation > 0.0, 0.0, [m.dispatch_mw / base for m in case.machines]),
         participation=participation,
-        turbine=structured(Turbine, turbines),
+        turbine=structured(wind_turbine.Turbine, turbines),
         share=np.array(share, dtype=np.float64),
         cells=surface_of(of_groups[0].power_coefficient)[1],
         saturation=tuple(rotor_saturation(machine) for machine in case.machines),
-        controls=control_constants(case.machines),
-        extension=structured(Extension, extensions * settings.extended),
+        controls=machine_models.control_constants(case.machines),
+        extension=structured(wind_turbine.Extension, extensions * settings.extended),
         shedding=structured(SheddingConstants, stages * (ISLANDS_AT_MOST if settings.extended else 1)),
         buses=structured(Bus, _buses_of(case, network.unit_bus)),
         of_lane={
@@ -311,16 +294,6 @@ def plant_tables(settings: Plant) -> PlantTables:
         },
         devices=settings.all_devices,
     )
-
-
-def _participation(settings: Plant) -> Floats:
-    """Return each machine's share of what loads need at the start (n_sync,); zeros where the case dispatches them."""
-    # A gate beyond 1 p.u. says nothing about the power that a machine is meant for.
-    sharing = [
-        m.rating_mva * min(gate_limits(m.governor)[1], 1.0) if m.governor and settings.shares_dispatch else 0.0
-        for m in settings.case.machines
-    ]
-    return np.array(sharing) / (sum(sharing) or 1.0)
 
 
 def _buses_of(case: NetworkCase, unit_bus: Whole) -> list[Bus]:
@@ -407,7 +380,7 @@ def _units_of(plant: PlantTables) -> tuple[dict[Kind, int], dict[tuple[Kind, str
     bus, unit = _nested(n_bus if extended else 0, n)
     column_group, column_unit = _nested(limited.size, n)
     n_units = {
-        MACHINES: n_sync,
+        machine_unit.MACHINES: n_sync,
         GROUPS: n_wtg,
         EXTENSIONS: limited.size,
         LANE: 1,
@@ -419,13 +392,13 @@ def _units_of(plant: PlantTables) -> tuple[dict[Kind, int], dict[tuple[Kind, str
         TRANSFERS: unit.size,
         PAIRS: row.size,
         STAGES: plant.shedding.size,
-        FIRST_MACHINE: min(n_sync, 1),
+        machine_unit.FIRST_MACHINE: min(n_sync, 1),
         COLUMNS: column_unit.size,
-        **dict.fromkeys((control.kind for control in CONTROLS.values()), 0),
+        **dict.fromkeys((control.kind for control in machine_models.CONTROLS.values()), 0),
     }
     links = {
         # All of them are in the grid, or seen from there.
-        (MACHINES, "island"): np.zeros(n_sync, dtype=np.int64),
+        (machine_unit.MACHINES, "island"): np.zeros(n_sync, dtype=np.int64),
         (GROUPS, "island"): np.zeros(n_wtg, dtype=np.int64),
         (GROUPS, "unit"): groups,
         (STAGES, "island"): _nested(n_islands, plant.shedding.size // n_islands)[0],
@@ -451,7 +424,7 @@ def layout_of(plant: PlantTables, task: TaskUnits = NO_TASK) -> Layout:
     """Return where the numbers of a plant's environments lie, with those of devices and of a task behind them."""
     n_units, links = _units_of(plant)
     for name, constants in plant.controls.items():
-        kind, of_machine = CONTROLS[name].kind, constants["machine"]
+        kind, of_machine = machine_models.CONTROLS[name].kind, constants["machine"]
         n_units[kind] = constants.size
         links |= {(kind, "machine"): of_machine, (kind, "unit"): of_machine}
     for units, device in zip(plant.device_units, plant.devices, strict=True):
@@ -478,7 +451,7 @@ def programs_of(plant: PlantTables, *programs: Program) -> tuple[Program, ...]:
 def _joined(
     devices: tuple[Devices, ...], controls: tuple[str, ...], programs: tuple[Program, ...]
 ) -> tuple[Program, ...]:
-    systems = joining(devices) | joining_controls(controls)
+    systems = joining(devices) | machine_models.joining_controls(controls)
     return tuple(program.joined(systems) for program in programs)
 
 
@@ -517,9 +490,9 @@ class PlantMap:
             )
         ]
         self._constants: dict[tuple[Kind, str], Any] = {
-            (MACHINES, "machine"): plant.machines,
-            (MACHINES, "dispatch"): plant.dispatch,
-            (MACHINES, "saturation"): plant.saturation,
+            (machine_unit.MACHINES, "machine"): plant.machines,
+            (machine_unit.MACHINES, "dispatch"): plant.dispatch,
+            (machine_unit.MACHINES, "saturation"): plant.saturation,
             (GROUPS, "turbine"): plant.turbine[:n_wtg],
             (GROUPS, "cells"): plant.cells,
             (GROUPS, "share"): plant.share,
@@ -530,7 +503,7 @@ class PlantMap:
             (UNITS, "connection"): connections,
             (ISLANDS, "number"): np.arange(float(layout.n_units(ISLANDS))),
             **{(LANE, name): [value] for name, value in plant.of_lane.items()},
-            **{(CONTROLS[name].kind, "model"): values for name, values in plant.controls.items()},
+            **{(machine_models.CONTROLS[name].kind, "model"): values for name, values in plant.controls.items()},
             **{(device.kind, name): values for device in plant.devices for name, values in device.constants.items()},
             **task.constants,
         }
@@ -550,7 +523,7 @@ def with_places(
     taped: Sequence[Program] = (),
 ) -> PlantTables:
     """Return a plant that knows where its rows lie, for programs that are to run; those `taped` have a way back."""
-    kinds = dict(lane=LANE, machines=MACHINES, groups=GROUPS, units=UNITS, pairs=PAIRS, buses=BUSES)
+    kinds = dict(lane=LANE, machines=machine_unit.MACHINES, groups=GROUPS, units=UNITS, pairs=PAIRS, buses=BUSES)
     kinds |= dict(islands=ISLANDS, transfers=TRANSFERS, sources=SOURCES)
     spans: dict[str, Any] = {name: layout.span(kind) for name, kind in kinds.items()}
     n_islands = layout.n_units(ISLANDS)
@@ -577,4 +550,4 @@ def placed(settings: Plant, task: TaskUnits = NO_TASK) -> tuple[PlantTables, Lay
     """Return a plant's tables, which nobody writes to, and where its numbers lie, with those of a task."""
     plant = plant_tables(settings)
     layout = layout_of(plant, task)
-    return with_places(plant, layout, programs_of(plant, *PROGRAMS, *task.programs), task), layout
+    return with_places(plant, layout, programs_of(plant, *integration.PROGRAMS, *task.programs), task), layout

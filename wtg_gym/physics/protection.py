@@ -195,9 +195,6 @@ STAGES = Kind(
 )
 
 
-# --- after every simulation step --------------------------------------------------------------------------------------
-
-
 def _added(two_h: float, omega: float, counts: bool, sums: Sums) -> Sums:
     inertia = select(counts, two_h, 0.0)
     return Sums(sums.momentum + inertia * (omega - 1.0), sums.inertia + inertia)
@@ -299,9 +296,6 @@ def shed_load(
 def count_shed_energy(shed_energy: float, unserved: float, active: float, simulation_dt: float) -> float:
     """Count the load that is not served."""
     return shed_energy + select(active > 0.5, unserved * simulation_dt, 0.0)
-
-
-# --- when the protections sample the grid -----------------------------------------------------------------------------
 
 
 @system(MACHINES, "sample")

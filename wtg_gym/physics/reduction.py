@@ -117,9 +117,6 @@ def _reduce(z: Complex, unit_y: Complex, rows: _Rows, network: Network) -> None:
             transfer += 1
 
 
-# --- events ---------------------------------------------------------------------------------------------------------
-
-
 @internal
 def _next_interval(step: float, facts: Facts) -> float:
     return float((math.floor(step / facts.n_substeps) + 1.0) * facts.n_substeps)
@@ -157,9 +154,6 @@ def _strike(event: Any, step: float, rows: _Rows, network: Network) -> None:
 def _ramped(event: Any, step: float, at: float) -> float:
     """Return the share of its load that an event has reached at `at`, steps since the run's start, seen from `step`."""
     return 1.0 if step >= event.end else (at - event.start) / (event.end - event.start)
-
-
-# --- islands --------------------------------------------------------------------------------------------------------
 
 
 # Loops: to assign rows as numpy does takes two seconds of compiling, for the message of an error.
@@ -275,9 +269,6 @@ def _turn_units(part: Whole, p: int, turned: Floats, before: int, rows: _Rows, n
             rows.all[network.angles[i]] += 2.0 * math.pi * math.floor(behind / (2.0 * math.pi) + 0.5)
 
 
-# --- loads and admittances ------------------------------------------------------------------------------------------
-
-
 @internal
 def _shed(rows: _Rows, network: Network, events: Any) -> None:
     """Take from every bus what the stages of its island shed at this step, and sum what is not served."""
@@ -328,17 +319,11 @@ def _load_of(bus: Floats, rows: _Rows, facts: Facts) -> complex:
 def assemble(y: Complex, unit_y: Complex, block: Floats, x: int, lane: int, network: Network, data: LaneData) -> None:
     """Write the internal admittance of every unit of an environment and its bus admittances, without load noise [p.u.].
 
-    A unit that is disconnected has none, from the instant on at which a protection trips it. Else the matrix is that of
-    the network as it was last reduced, with its loads and events. The step of that decides which events have struck;
-    ramps have come half the way to the next change. A bus without voltage stands alone.
-
-    Args:
-        y: its first n_bus columns are written (n_bus, n).
-        unit_y: is written (n_unit,).
-        block: one block's rows (n_rows, width).
-        x: the environment's column in the block.
-        lane: the row of `data` with its series and events.
-        network, data: constants, series and events.
+    They are written to `unit_y` (n_unit,) and the first n_bus columns of `y` (n_bus, n), for the environment in column
+    x of a block and row `lane` of the data. A unit that is disconnected has none, from the instant on at which a
+    protection trips it. Else the matrix is that of the network as it was last reduced, with its loads and events. The
+    step of that decides which events have struck; ramps have come half the way to the next change. A bus without
+    voltage stands alone.
     """
     _assemble(y, unit_y, _rows_of(block, x, network.facts), network, data.events[lane])
 

@@ -43,18 +43,13 @@ class Grid(NamedTuple):
 class RotorTable:
     """Power coefficients of a rotor over tip-speed ratio and pitch angle.
 
-    Args:
-        tip_speed_ratio: λ, rising (n_λ,) [-].
-        pitch_deg: β, rising, from 0 or below on (n_β,) [deg].
-        power_coefficient: C_p (n_λ, n_β) [-].
-
-    Raises:
-        ValueError: too few or too many points, an axis that does not rise, a missing value, or a C_p above Betz' limit.
+    A ValueError names too few or too many points, an axis that does not rise, a missing value, or a C_p above Betz'
+    limit.
     """
 
-    tip_speed_ratio: tuple[float, ...]
-    pitch_deg: tuple[float, ...]
-    power_coefficient: tuple[tuple[float, ...], ...]
+    tip_speed_ratio: tuple[float, ...]  # λ, rising (n_λ,) [-]
+    pitch_deg: tuple[float, ...]  # β, rising, from 0 or below on (n_β,) [deg]
+    power_coefficient: tuple[tuple[float, ...], ...]  # C_p (n_λ, n_β) [-]
 
     def __post_init__(self) -> None:
         try:
@@ -146,10 +141,8 @@ def read_rotor_table(path: Path) -> RotorTable:
     """Read the power coefficients of a rotor performance file in the form of NREL's ROSCO toolbox.
 
     Between comments that begin with "#" it has a row of pitch angles [deg], one of tip-speed ratios, one of wind
-    speeds, and a row of power coefficients per tip-speed ratio; thrust and torque coefficients may follow.
-
-    Raises:
-        ValueError: the file is missing, is not of that form, or its table is not complete; the message names it.
+    speeds, and a row of power coefficients per tip-speed ratio; thrust and torque coefficients may follow. A ValueError
+    says that the file is missing, is not of that form, or its table is not complete.
     """
     lines = read_text(path, "rotor table").splitlines()
     with interpreting(path, "rotor table"):

@@ -4,8 +4,6 @@ The simulator consumes a :class:`Scenario`; nothing in it is random any more. Sc
 from CSV and collected in suites by :mod:`wtg_gym.scenarios`.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import json
 import re
@@ -292,45 +290,28 @@ _KIND_OF = {cls: kind for kind, cls in EVENT_KINDS.items()}
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Scenario(Checked):
-    """One run as data.
-
-    Args:
-        name: free text, used in tables and plots.
-        wind_speed: rotor-effective wind per WTG group and sample, shape (n_wtg, n_samples) [m/s], n_wtg = 0 for a
-            grid without any; linear between samples, the last one holds.
-        wind_dt_s, duration_s: sampling step of `wind_speed` and length of the run [s].
-        events: of the kinds above, in any order; those after the end of the run do not happen.
-        load_noise_mw: extra resistive load at `load_noise_bus`, one value per `SERIES_DT` [MW], 0 after the last.
-            The first value must be zero, so that the run starts in equilibrium.
-        load_noise_bus: bus of the load noise.
-        load_level: factor on every load of the case in the initial power flow.
-        governor_droop: droop R of every governor on its machine's base [p.u.]; None keeps the case's.
-        inertia_scale: factor on the inertia of every synchronous machine.
-        committed: share of the units of every machine with a governor that are on line: rating, inertia, admittance.
-        sensors: errors of the WTG groups' measurements; None: exact and immediate.
-        reserve_margin: reserve margin, see :mod:`wtg_gym.scenarios.margin` [-]; None: unknown.
-        seed: the seed it was drawn from, if any.
-
-    Raises:
-        ValueError: a value is missing, not finite or outside its range; the message names all three.
-    """
+    """One run as data. A ValueError names a value that is missing, not finite or outside its range."""
 
     MOST = types.MappingProxyType({"events": MOST_EVENTS})
 
-    name: str
+    name: str  # free text, used in tables and plots
+    #: Rotor-effective wind per WTG group and sample, shape (n_wtg, n_samples) [m/s], n_wtg = 0 for a grid without any;
+    #: linear between samples, the last one holds.
     wind_speed: Floats
-    wind_dt_s: float = design(SERIES_DT, "s", "sampling step", 1e-3, 3600.0)
+    wind_dt_s: float = design(SERIES_DT, "s", "sampling step of wind_speed", 1e-3, 3600.0)
     duration_s: float = design(60.0, "s", "length of the run", 0.1, LONGEST_RUN_S)
-    events: tuple[Event, ...] = ()
+    events: tuple[Event, ...] = ()  # in any order; those after the end of the run do not happen
+    #: Extra resistive load at `load_noise_bus`, one value per `SERIES_DT` [MW], 0 after the last. The first value must
+    #: be zero, so that the run starts in equilibrium.
     load_noise_mw: Floats = field(default_factory=lambda: np.zeros(0))
     load_noise_bus: int = 3
-    load_level: float = design(1.0, "-", "factor on every load", 0.3, 1.5)
-    governor_droop: float | None = design(None, "p.u.", "droop of every governor", 0.005, 1.0)
-    inertia_scale: float = design(1.0, "-", "factor on every inertia", 0.05, 5.0)
-    committed: float = design(1.0, "-", "share of a machine's units on line", 0.05, 1.0)
-    sensors: Sensors | None = None
-    reserve_margin: float | None = design(None, "-", "reserve margin that it was drawn with", -1e3, 1e3)
-    seed: int | None = design(None, "-", "seed it was drawn from", 0, 2**63 - 1)
+    load_level: float = design(1.0, "-", "factor on every load of the case in the initial power flow", 0.3, 1.5)
+    governor_droop: float | None = design(None, "p.u.", "droop of every governor; None: the case's", 0.005, 1.0)
+    inertia_scale: float = design(1.0, "-", "factor on the inertia of every synchronous machine", 0.05, 5.0)
+    committed: float = design(1.0, "-", "share on line of the units of machines with a governor", 0.05, 1.0)
+    sensors: Sensors | None = None  # errors of the WTG groups' measurements; None: exact and immediate
+    reserve_margin: float | None = design(None, "-", "that it was drawn with; None: unknown", -1e3, 1e3)
+    seed: int | None = design(None, "-", "seed it was drawn from, if any", 0, 2**63 - 1)
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -371,12 +352,8 @@ class Scenario(Checked):
         return data
 
     @classmethod
-    def from_dict(cls, data: dict[str, Any]) -> Scenario:
-        """Build a scenario from :meth:`to_dict`'s form.
-
-        Raises:
-            ValueError: unknown keys, event kinds or values, each named.
-        """
+    def from_dict(cls, data: dict[str, Any]) -> "Scenario":
+        """Build a scenario from :meth:`to_dict`'s form. A ValueError names unknown keys, event kinds or values."""
         fields = _known(cls, data, "scenario")
         if not isinstance(fields.get("events", ()), (list, tuple)):
             raise ValueError(f"events must be a list, got {data['events']!r:.80}")
@@ -394,7 +371,7 @@ class Scenario(Checked):
         return json.dumps(self.to_dict(), allow_nan=False)
 
     @classmethod
-    def from_json(cls, text: str) -> Scenario:
+    def from_json(cls, text: str) -> "Scenario":
         """Read :meth:`to_json`'s form; a ValueError says what is wrong with the text."""
         return cls.from_dict(parse_json(text, "the text"))
 

@@ -7,8 +7,6 @@ Each measurement has white noise σ ξ, drawn anew at every control step, and re
 number ξ is a function of the seed, the step and the channel alone: the sum of four uniform ones, so |ξ| < 3.47.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -105,8 +103,7 @@ def delay_intervals(delay_s: float, control_dt: float) -> int:
 def sensor_input(sensors: Sensors | None, control_dt: float, nominal_hz: float) -> SensorInput:
     """Return the constants of a run's sensors; None gives exact measurements without delay.
 
-    Raises:
-        ValueError: the delay is not a whole number of control intervals.
+    A ValueError says that the delay is not a whole number of control intervals.
     """
     if sensors is None:
         return SensorInput(0.0, 0.0, 1.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0)

@@ -11,13 +11,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from wtg_gym.physics import equilibrium
-from wtg_gym.physics.equilibrium import network_events
-from wtg_gym.physics.integration import PROGRAMS, REFRESH, STARTING, STEPPING, advance_blocks, evaluate_blocks
+from wtg_gym.physics import equilibrium, integration, linearisation, reduction
 from wtg_gym.physics.layout import NO_EVENT, Floats, LaneData, rows_of_lanes
-from wtg_gym.physics.linearisation import StepError, check_step
 from wtg_gym.physics.plant import NO_TASK, Plant, TaskUnits, placed, programs_of
-from wtg_gym.physics.reduction import FIND_ISLANDS, assemble
 from wtg_gym.physics.scenario import LONGEST_RUN_S, SERIES_DT, Scenario
 from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY, TrackingLaw, group_laws
 from wtg_gym.physics.units import UNITS, StartFailure
@@ -31,12 +27,7 @@ _BLOCKS_PER_THREAD = 4
 
 
 class BlockThreads:
-    """Threads that work on blocks.
-
-    Args:
-        n_blocks: number of blocks.
-        n_threads: threads, at most; None for one per processor.
-    """
+    """Threads that work on blocks: at most `n_threads`, None for one per processor."""
 
     def __init__(self, n_blocks: int, n_threads: int | None = None) -> None:
         self.n_blocks = n_blocks
@@ -63,10 +54,8 @@ class BlockThreads:
     ) -> None:
         """Call `work(first, last, worker)` for ranges that cover all blocks, each with a worker's number of its own.
 
-        Args:
-            work: compiled with nogil, so that it releases the interpreter's lock.
-            meanwhile: called once, by this thread, while others work.
-            meanwhile_blocks: how many blocks take as long as that call.
+        It is compiled with nogil, so that it releases the interpreter's lock. `meanwhile`, which takes as long as so
+        many blocks, is called once, by this thread, while others work.
         """
         n_blocks = self.n_blocks
         n_threads = self.n_workers
@@ -74,8 +63,11 @@ class BlockThreads:
         if n_threads > 1:
             main_end = max(0, (n_blocks + meanwhile_blocks) // n_threads - meanwhile_blocks)
             edges = [main_end + (n_blocks - main_end) * i // (n_threads - 1) for i in range(n_threads)]
-            pool = self._workers(n_threads)
-            futures = [pool.submit(work, edges[i], edges[i + 1], i + 1) for i in range(n_threads - 1)]
+            # A forked process inherits the pool, but not its threads.
+            if self._pool is None or self._pool_process != os.getpid():
+                self._pool = ThreadPoolExecutor(n_threads, thread_name_prefix="wtg_gym")
+                self._pool_process = os.getpid()
+            futures = [self._pool.submit(work, edges[i], edges[i + 1], i + 1) for i in range(n_threads - 1)]
         # Whatever happens meanwhile, no block may be left a step behind the others.
         try:
             if meanwhile is not None:
@@ -87,13 +79,6 @@ class BlockThreads:
                 wait(futures)
         for done in futures:
             done.result()
-
-    def _workers(self, n_threads: int) -> ThreadPoolExecutor:
-        # A forked process inherits the pool, but not its threads.
-        if self._pool is None or self._pool_process != os.getpid():
-            self._pool = ThreadPoolExecutor(n_threads, thread_name_prefix="wtg_gym")
-            self._pool_process = os.getpid()
-        return self._pool
 
     def close(self) -> None:
         """Stop the threads."""
@@ -163,18 +148,11 @@ class Simulator:
     The integration step must suit the plant's fastest mode (:func:`~wtg_gym.physics.linearisation.check_step`). The
     constructor checks it with nominal load and inertia under the reference law, at 8 and 16 m/s. :meth:`prepare` checks
     every new law, and every inertia below those checked before: a lighter machine swings faster. Load level, line trips
-    and governor droop hardly matter, and with fewer units the modes are slower.
+    and governor droop hardly matter, and with fewer units the modes are slower. A ValueError says that a setting is
+    outside its range, or the step too long for the plant.
 
-    Args:
-        settings: the plant and its time steps.
-        n_lanes: number of runs side by side.
-        duration_s: longest run it must hold [s].
-        task: kinds of unit and programs of a task.
-        n_threads: threads that advance blocks; None for one per processor. Results do not depend on it.
-
-    Raises:
-        ValueError: a setting is outside its range, or the step is too long for the plant; the message names value, unit
-            and range.
+    It holds runs of `duration_s` [s] at most. `task` has kinds of unit and programs of a task. Blocks are advanced by
+    `n_threads`, None for one per processor; results do not depend on it.
     """
 
     def __init__(
@@ -211,7 +189,14 @@ class Simulator:
         #: Scratch of each worker (n_workers, n_scratch, width).
         self.scratches = self.new_scratches(self.threads.n_workers, self.width)
         self._rates = np.zeros((0, 0, 0))
-        self._pad()
+        for lane in range(self.n_lanes, n_blocks * self.width):
+            rows = self._lane_view(lane)
+            rows[:] = 0.0
+            padding = Scenario(name="padding", wind_speed=np.full((self.layout.n_wtg, 1), 8.0))
+            self._write_machine_inputs(rows[None, :], [padding])
+            for name in ("wind", "wind_start"):
+                rows[self.layout.wtg(name)] = 8.0
+            rows[self.layout.lane("next_change")] = math.inf
         self._checked = _checked_inertias(settings)
         reference = group_laws(REFERENCE_STRATEGY, settings.turbines, settings.control)
         if reference not in self._checked and self._check_nominal(reference):
@@ -222,11 +207,11 @@ class Simulator:
         network, some = self.plant.network, np.zeros((1, 1))
         of_lane = (some, 0, 0, network, self._allocate_data(1, 1))
         arguments: dict[Function, tuple[Any, ...]] = {
-            REFRESH: of_lane,
+            integration.REFRESH: of_lane,
             equilibrium.POWER_FLOW: (self.plant.bus_y, 0, some, equilibrium.FLOW_COLUMNS),
         }
         if network.facts.islands.n_units > 1:
-            arguments[FIND_ISLANDS] = of_lane
+            arguments[reduction.FIND_ISLANDS] = of_lane
         if network.facts.is_large:
             arguments[equilibrium.SPARSE_FLOW] = (self.plant.bus_y, 0, some, equilibrium.FLOW_COLUMNS, network.pattern)
         return arguments
@@ -236,12 +221,12 @@ class Simulator:
 
         `task` is what the simulator was made with.
         """
-        programs = programs_of(self.plant, *PROGRAMS, *task.programs)
+        programs = programs_of(self.plant, *integration.PROGRAMS, *task.programs)
         functions = self.functions()
         code = _code(programs, task.stepping, task.starting, self.width, tuple(functions))
         if not code:
-            routines: dict[int, tuple[Routine, ...]] = {1: (*STARTING, *task.starting)}
-            routines[self.width] = (*STEPPING, *task.stepping, *routines.get(self.width, ()))
+            routines: dict[int, tuple[Routine, ...]] = {1: (*integration.STARTING, *task.starting)}
+            routines[self.width] = (*integration.STEPPING, *task.stepping, *routines.get(self.width, ()))
             code.append(code_of(programs, routines, functions))
         self.plant = self.plant.with_tables(self.plant.network.tables._replace(code=code[0]))
 
@@ -268,7 +253,7 @@ class Simulator:
 
     def _check_step(self, rows: Floats, scenario: Scenario) -> None:
         try:
-            check_step(rows, self.plant, self.layout)
+            linearisation.check_step(rows, self.plant, self.layout)
         except ValueError as error:
             raise ValueError(
                 f"{equilibrium.scenario_name(scenario)}, inertia_scale = {scenario.inertia_scale:g}: {error}"
@@ -280,16 +265,6 @@ class Simulator:
             noise=np.zeros((n, self.n_intervals)),
             events=np.full((n, n_events), NO_EVENT),
         )
-
-    def _pad(self) -> None:
-        for lane in range(self.n_lanes, self.blocks.shape[0] * self.width):
-            rows = self._lane_view(lane)
-            rows[:] = 0.0
-            padding = Scenario(name="padding", wind_speed=np.full((self.layout.n_wtg, 1), 8.0))
-            self._write_machine_inputs(rows[None, :], [padding])
-            for name in ("wind", "wind_start"):
-                rows[self.layout.wtg(name)] = 8.0
-            rows[self.layout.lane("next_change")] = math.inf
 
     def new_scratches(self, n: int, width: int) -> Floats:
         """Return scratches for blocks of a width (n, n_scratch, width)."""
@@ -321,16 +296,11 @@ class Simulator:
     def prepare(
         self, scenarios: Sequence[Scenario], laws: Sequence[TrackingLaw], *, turning: bool = False
     ) -> PreparedLanes:
-        """Find the exact equilibria that scenarios start from; no running lane is touched.
+        """Find the exact equilibria that scenarios start from, with one law per WTG group; no running lane is touched.
 
-        Args:
-            scenarios: one per run, with one wind series per WTG group.
-            laws: one law per WTG group.
-            turning: refuse a rotor that would start below the under-speed trip: its run would end at once.
-
-        Raises:
-            ValueError: a scenario does not fit the plant or has no equilibrium; or the integration step is too long
-                there; or a unit would need a larger internal voltage than allowed, or a rotor would not turn.
+        `turning` refuses a rotor that would start below the under-speed trip: its run would end at once. A ValueError
+        says that a scenario does not fit the plant or has no equilibrium, that the integration step is too long there,
+        that a unit would need a larger internal voltage than allowed, or that a rotor would not turn.
         """
         prepared = self._equilibria(scenarios, laws)
         equilibrium.check_internal_voltages(prepared.rows, scenarios, self.settings, self.layout)
@@ -353,7 +323,7 @@ class Simulator:
                     f"given; the plant has {self.layout.n_wtg} groups"
                 )
         n = len(scenarios)
-        events = [network_events(scenario, self.settings, self.plant) for scenario in scenarios]
+        events = [equilibrium.network_events(scenario, self.settings, self.plant) for scenario in scenarios]
         data = self._allocate_data(n, max([1, *map(len, events)]))
         for lane, scenario in enumerate(scenarios):
             self._write_series(data, lane, scenario)
@@ -384,14 +354,7 @@ class Simulator:
         laws: Sequence[TrackingLaw] = (),
         places: Whole | None = None,
     ) -> None:
-        """Start runs in lanes, one each.
-
-        Args:
-            lanes: where; one number for a single lane.
-            runs: what :meth:`prepare` returned, or a scenario, which is prepared with the laws.
-            laws: one law per WTG group.
-            places: of the prepared runs to start (n_lanes,); None for all.
-        """
+        """Start runs in lanes, one each: those of some `places` that :meth:`prepare` returned, or one scenario."""
         prepared = runs if isinstance(runs, PreparedLanes) else self.prepare([runs], laws)
         n_events = prepared.data.events.shape[1]
         if n_events > self.data.events.shape[1]:
@@ -457,7 +420,7 @@ class Simulator:
     def advance(self) -> None:
         """Advance every running lane by one control interval."""
         self.threads.run(
-            lambda first, last, worker: advance_blocks(
+            lambda first, last, worker: integration.advance_blocks(
                 self.blocks, self.scratches[worker], first, last, self.plant.network, self.data
             )
         )
@@ -468,7 +431,7 @@ class Simulator:
 
     def _evaluated(self, blocks: Floats) -> Floats:
         scratches = self.new_scratches(blocks.shape[0], self.width)
-        evaluate_blocks(blocks, scratches, self.plant.network)
+        integration.evaluate_blocks(blocks, scratches, self.plant.network)
         return scratches
 
     def bus_voltages(self, lane: int = 0) -> Complex:
@@ -482,7 +445,7 @@ class Simulator:
         internal = scratch[first] + 1j * scratch[first + 1]
         network, noise_bus = self.plant.network, int(self.lane_values("noise_bus")[lane])
         y, unit_y = np.zeros((network.shunts.size,) * 2, dtype=np.complex128), np.zeros_like(network.unit_y)
-        assemble(y, unit_y, block, x, lane, network, self.data)
+        reduction.assemble(y, unit_y, block, x, lane, network, self.data)
         y[noise_bus, noise_bus] += self.lane_values("noise_y")[lane]
         injected = np.zeros(len(y), dtype=np.complex128)
         np.add.at(injected, network.unit_bus, unit_y * internal)
@@ -509,8 +472,7 @@ class Simulator:
     def restore(self, snapshot: tuple[Floats, LaneData]) -> None:
         """Go back to a :meth:`snapshot`; it can be used again.
 
-        Raises:
-            ValueError: the snapshot is of a simulator of another size; nothing has changed then.
+        A ValueError says that the snapshot is of a simulator of another size; nothing has changed then.
         """
         blocks, data = snapshot
         if blocks.shape != self.blocks.shape or data.wind.shape != self.data.wind.shape:
@@ -541,12 +503,12 @@ STEPS_S = (0.025, 0.0125, 0.01, 0.005, 0.0025, 0.001)
 
 def longest_step(plant: Plant) -> float:
     """Return the longest of :data:`STEPS_S` that suits a plant's fastest mode; a StepError where none does."""
-    refusal: StepError | None = None
+    refusal: linearisation.StepError | None = None
     for step in STEPS_S:
         try:
             Simulator(dataclasses.replace(plant, simulation_dt=step)).close()
-        except StepError as error:
+        except linearisation.StepError as error:
             refusal = error
             continue
         return step
-    raise StepError(f"no step of {STEPS_S[-1]:g} s or more suits this grid: {refusal}")
+    raise linearisation.StepError(f"no step of {STEPS_S[-1]:g} s or more suits this grid: {refusal}")

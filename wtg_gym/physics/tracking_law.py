@@ -49,24 +49,13 @@ _LEAST_PERCENT = 0.5
 
 @dataclass(frozen=True, kw_only=True)
 class TrackingLaw:
-    """A control law as data.
+    """A control law as data. A ValueError says that a coefficient or τ is outside its range, or the name is none."""
 
-    Args:
-        name: short name, used in tables; see :func:`~wtg_gym.names.check_name`.
-        k_min: tracking coefficient at ω_min and below [p.u.].
-        k_nominal: at ω_st [p.u.].
-        k_max: at ω_max and above [p.u.].
-        damping_time_constant_s: τ [s], 0.05 … 100000; 0 cancels the droop, infinity keeps it.
-
-    Raises:
-        ValueError: a coefficient or τ is outside its range, or the name is none.
-    """
-
-    name: str
-    k_min: float
-    k_nominal: float
-    k_max: float
-    damping_time_constant_s: float = math.inf
+    name: str  # short, used in tables; see :func:`~wtg_gym.names.check_name`
+    k_min: float  # tracking coefficient at ω_min and below [p.u.]
+    k_nominal: float  # at ω_st [p.u.]
+    k_max: float  # at ω_max and above [p.u.]
+    damping_time_constant_s: float = math.inf  # τ [s], 0.05 … 100000; 0 cancels the droop, infinity keeps it
 
     def __new__(cls, **values: Any) -> "TrackingLaw":
         require_known("arguments of TrackingLaw", values, [field.name for field in dataclasses.fields(cls)])
@@ -148,8 +137,7 @@ STRATEGIES: Mapping[str, TrackingLaw] = MappingProxyType({name: _strategy(name, 
 def get_law(strategy: str | Path | TrackingLaw, turbine: _Turbine = None, control: _Control = None) -> TrackingLaw:
     """Return a law by strategy name, for a turbine and its control, or from a TOML file, or as given.
 
-    Raises:
-        ValueError: no strategy of that name; the message lists the known ones.
+    A ValueError says that no strategy has that name, and lists the known ones.
     """
     if isinstance(strategy, TrackingLaw):
         return strategy
@@ -170,8 +158,7 @@ def group_laws(
 ) -> tuple[TrackingLaw, ...]:
     """Return one law per WTG group, (n_groups,), for its turbine: the given one for all, or the one given for each.
 
-    Raises:
-        ValueError: a strategy is unknown, or there are not as many as groups.
+    A ValueError says that a strategy is unknown, or there are not as many as groups.
     """
     if isinstance(strategies, (str, Path, TrackingLaw)):
         return tuple(get_law(strategies, turbine, control) for turbine in turbines)
@@ -187,10 +174,8 @@ def group_laws(
 def read_law(path: Path, turbine: _Turbine = None) -> TrackingLaw:
     """Read a law from TOML: `name`, then either k_min, k_nominal, k_max [p.u.] or deloading_min, … [%], and tau_s [s].
 
-    Deloadings are those of the turbine.
-
-    Raises:
-        ValueError: the file is missing, not TOML, or a key or value is not allowed; the message names it.
+    Deloadings are those of the turbine. A ValueError says that the file is missing, not TOML, or a key or value is not
+    allowed.
     """
     data = read_toml(path, "law file")
     corners = ("min", "nominal", "max")

@@ -5,9 +5,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from wtg_gym.physics import plant, protection
 from wtg_gym.physics.layout import Floats
-from wtg_gym.physics.plant import Plant
-from wtg_gym.physics.protection import Status
 from wtg_gym.physics.scenario import Scenario
 from wtg_gym.physics.simulator import Simulator
 from wtg_gym.physics.tracking_law import TrackingLaw, group_laws
@@ -32,7 +31,7 @@ class Trajectory:
     pitch_deg: Floats  # (n, n_wtg) [deg]
     wind_m_s: Floats  # (n, n_wtg) [m/s]
     shed_energy_mws: Floats  # load not served since the start, at 1 p.u. of voltage (n,) [MW s]
-    status: Status  # why the run ended before its time, or RUNNING
+    status: protection.Status  # why the run ended before its time, or RUNNING
     nominal_frequency_hz: float  # [Hz]
 
     @property
@@ -40,48 +39,35 @@ class Trajectory:
         """Frequencies of all groups, machines and buses (n, any) [Hz]; after its loss a unit's stands still."""
         return np.concatenate([self.wtg_frequency_hz, self.machine_frequency_hz, self.bus_frequency_hz], axis=1)
 
-    def rocof_hz_s(self, window_s: float = 0.5, frequency_hz: Floats | None = None) -> Floats:
-        """Return the rate of change of a frequency over a sliding window [Hz/s]; zero before the first.
-
-        Args:
-            window_s: [s].
-            frequency_hz: (n,) or (n, any) [Hz]; None for that of the centre of inertia.
-        """
-        of = self.frequency_hz if frequency_hz is None else frequency_hz
-        steps = max(1, round(window_s / (self.time_s[1] - self.time_s[0]))) if self.time_s.size > 1 else 1
-        change = np.zeros_like(of)
-        if self.time_s.size > steps:
-            passed = self.time_s[steps:] - self.time_s[:-steps]
-            change[steps:] = ((of[steps:] - of[:-steps]).T / passed).T
+    def rocof_hz_s(self, window_s: float = 0.5) -> Floats:
+        """Return the rate of change of the frequency over a sliding window [s], (n,) [Hz/s]; zero before the first."""
+        frequency, time_s = self.frequency_hz, self.time_s
+        steps = max(1, round(window_s / (time_s[1] - time_s[0]))) if time_s.size > 1 else 1
+        change = np.zeros_like(frequency)
+        if time_s.size > steps:
+            change[steps:] = (frequency[steps:] - frequency[:-steps]) / (time_s[steps:] - time_s[:-steps])
         return change
 
 
 def simulate(
-    scenario: Scenario, laws: str | TrackingLaw | Sequence[str | TrackingLaw], settings: Plant | None = None
+    scenario: Scenario, laws: str | TrackingLaw | Sequence[str | TrackingLaw], settings: plant.Plant | None = None
 ) -> Trajectory:
-    """Run a scenario under fixed laws and record it.
+    """Run a scenario and record it; if a protection ends it, the last sample is of that instant.
 
-    Args:
-        scenario: what happens.
-        laws: one law or strategy name for all WTG groups, or one per group; a name is the law of the plant's turbine.
-        settings: plant and time steps; the paper's by default.
-
-    Returns:
-        the recorded run. If a protection ends it, the last sample is of that instant.
-
-    Raises:
-        ValueError: scenario, laws and plant do not fit, or the run cannot start.
+    There is one law or strategy name for all WTG groups, or one per group; a name is the law of the plant's turbine.
+    The plant is the paper's by default. A ValueError says that scenario, laws and plant do not fit, or the run cannot
+    start.
     """
     if not isinstance(scenario, Scenario):
         raise ValueError(f"scenario must be a Scenario, got {type(scenario).__name__}")
-    settings = settings or Plant()
+    settings = settings or plant.Plant()
     simulator = Simulator(settings, duration_s=scenario.duration_s)
     groups_laws = group_laws(laws, settings.turbines, settings.control)
     simulator.start(0, simulator.prepare([scenario], groups_laws, turning=True))
     grid, groups, machines, buses = (np.array(samples) for samples in zip(*_samples(simulator), strict=True))
     nominal, time = settings.case.frequency_hz, np.arange(len(grid), dtype=np.float64) * settings.control_dt
-    status = Status(int(simulator.lane_values("status")[0]))
-    if status != Status.RUNNING:
+    status = protection.Status(int(simulator.lane_values("status")[0]))
+    if status != protection.Status.RUNNING:
         # A protection may act within a control interval.
         time[-1] = min(time[-1], simulator.lane_values("step")[0] * settings.simulation_dt)
     of_group = dict(zip(_OF_GROUPS, groups.swapaxes(0, 1), strict=True))

@@ -195,16 +195,9 @@ def wtg_rates(
     omega_n: float,
     limiter: tuple[float, float] | None = None,
 ) -> tuple[WtgState, WtgOutput]:
-    """Return rates and outputs.
+    """Return rates and outputs, at powers p into the grid and p_w from the wind, and a speed of the first unit [p.u.].
 
-    Args:
-        s, u, c: states, inputs, constants.
-        power: p into the grid [p.u.].
-        captured: p_w from the wind [p.u.].
-        wind: v [m/s].
-        reference_speed: of the first unit [p.u.].
-        omega_n: nominal angular frequency ω_n [rad/s].
-        limiter: of an extended group: Δω [p.u.], and the most that P_st can be [p.u.].
+    `limiter` of an extended group is Δω, and the most that P_st can be [p.u.].
     """
     converter, k = gfm.converter_rates(
         s.converter, s.rotor_speed, power, u.law, c.converter, reference_speed, omega_n, limiter

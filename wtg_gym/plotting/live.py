@@ -1,7 +1,5 @@
 """The page of `wtg-gym play`: your actions against the reference in one scenario, and the cost of both at the end."""
 
-from __future__ import annotations
-
 import html
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -9,7 +7,7 @@ import numpy as np
 import numpy.typing as npt
 
 from wtg_gym.envs.lanes import TaskLanes
-from wtg_gym.envs.rendering.colours import EVENT, INK, SOFT, group_colour
+from wtg_gym.envs.rendering.diagram import EVENT, INK, SOFT, group_colour
 from wtg_gym.envs.settings import EnvSettings
 from wtg_gym.evaluation import Entry, evaluate
 from wtg_gym.scenarios import SPLITS, Suite
@@ -126,7 +124,7 @@ class _Played:
 class PlayPage:
     """One visitor's page: sliders for your actions, and both runs as they go; it needs Bokeh."""
 
-    def __init__(self, document: Document, match: Match, speed: float) -> None:
+    def __init__(self, document: "Document", match: Match, speed: float) -> None:
         from bokeh.layouts import column, row
         from bokeh.models import Button, ColumnDataSource, Div, Slider
 

@@ -1,17 +1,12 @@
 """Where control decides: cost and bad runs over the reserve margin of the scenarios."""
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from wtg_gym.evaluation import Results
-from wtg_gym.evaluation.score import cost_offsets
-from wtg_gym.evaluation.statistics import Floats
-from wtg_gym.evaluation.summary import lost_or_beyond
+from wtg_gym.evaluation import Results, score, statistics, summary
 from wtg_gym.plotting import style
 from wtg_gym.scenarios import get_suite
 
@@ -19,23 +14,23 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 #: Margin, J + J0 and whether the run is bad, of each scenario, (n_scenarios,) each.
-OverMargin = tuple[Floats, Floats, Floats]
+OverMargin = tuple[statistics.Floats, statistics.Floats, statistics.Floats]
 #: Edges of the bins [-]; the last one holds all beyond.
 EDGES = (-0.10, -0.05, 0.0, 0.05, 0.10, 0.15, 0.20, 0.30, 0.50)
 
 
 def by_entry(results: Results) -> dict[str, OverMargin]:
     """Return margin, J + J0 and whether the run is bad of each scenario, by entry, of the first training seed."""
-    offsets, nominal_hz = cost_offsets(results.groups, results.task), get_suite(results.suite).nominal_hz
+    offsets, nominal_hz = score.cost_offsets(results.groups, results.task), get_suite(results.suite).nominal_hz
     over_margin = {}
     for name, runs in results.runs.items():
         margins, costs = (np.array([row.metrics[key] for row in runs[0]]) for key in ("reserve_margin", "cost"))
-        over_margin[name] = margins, costs + offsets, lost_or_beyond(runs[:1], nominal_hz)[0]
+        over_margin[name] = margins, costs + offsets, summary.lost_or_beyond(runs[:1], nominal_hz)[0]
     return over_margin
 
 
 @style.printed
-def plot_over_margin(entries: Mapping[str, OverMargin], hundred: str, *, stacked: bool = False) -> Figure:
+def plot_over_margin(entries: Mapping[str, OverMargin], hundred: str, *, stacked: bool = False) -> "Figure":
     """Draw cost relative to the law that scores 100, and the share of bad runs, over the reserve margin.
 
     The panels stand side by side, or `stacked` in a single column.

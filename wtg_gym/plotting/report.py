@@ -3,8 +3,6 @@
 A page of sections, in Markdown with its pictures beside, or made HTML of, with its pictures inside.
 """
 
-from __future__ import annotations
-
 import base64
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -15,21 +13,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from wtg_gym.envs.settings import EnvSettings
-from wtg_gym.evaluation import damping, faults
-from wtg_gym.evaluation.evaluator import Progress, evaluate
-from wtg_gym.evaluation.grid_tests import GRID_TESTS, run_grid_test
-from wtg_gym.evaluation.recording import Recorded, recorded
+from wtg_gym.evaluation import damping, evaluator, faults, grid_tests, recording, statistics, table
 from wtg_gym.evaluation.results import Results, score_difference
-from wtg_gym.evaluation.statistics import Floats, Interval, sign_test
 from wtg_gym.evaluation.summary import EntrySummary, Runs, lost, lost_or_beyond
-from wtg_gym.evaluation.table import signed_interval
 from wtg_gym.files import markdown_table
 from wtg_gym.physics.scenario import Scenario
-from wtg_gym.plotting import style
-from wtg_gym.plotting.margin import by_entry, plot_over_margin
-from wtg_gym.plotting.trajectories import mark_end, mark_instants
-from wtg_gym.policies import Entry
-from wtg_gym.policies.entry_folder import load_entries
+from wtg_gym.plotting import margin, style, trajectories
+from wtg_gym.policies import Entry, entry_folder
 from wtg_gym.scenarios.suites import DEFAULT_SUITE, get_suite
 
 if TYPE_CHECKING:
@@ -44,7 +34,7 @@ N_WITH_FAULTS, N_OF_ENERGY, N_DRAWN = 60, 60, 3
 #: Oscillations that are listed of a loop, and the damping ratio below which one is weakly damped.
 _N_MODES, _WEAK = 5, 0.05
 #: What is drawn of a scenario, by its label.
-_PANELS: Mapping[str, Callable[[Recorded], Floats]] = {
+_PANELS: Mapping[str, Callable[[recording.Recorded], statistics.Floats]] = {
     "frequency [Hz]": lambda run: run.frequency_hz,
     "wind, mean [m/s]": lambda run: run.wind_m_s,
     "power of all turbines [MW]": lambda run: run.power_mw,
@@ -71,7 +61,7 @@ class Picture:
     """A figure, its name among files, and a caption with a command, if any."""
 
     name: str
-    figure: Figure
+    figure: "Figure"
     caption: str
     command: str = ""
 
@@ -134,9 +124,9 @@ class Report:
         """The entry's row in the ranking."""
         return next(row for row in self.results.ranking if row.name == self.entry.name)
 
-    def chance(self, event: Callable[[Runs], Floats]) -> str:
+    def chance(self, event: Callable[[Runs], statistics.Floats]) -> str:
         """Return the chance of so many more events than under the law at 100, were both equally prone."""
-        chance = sign_test(*(event(self.results.runs[name]) for name in (self.entry.name, self.hundred)))
+        chance = statistics.sign_test(*(event(self.results.runs[name]) for name in (self.entry.name, self.hundred)))
         return f"{chance:.2g}" if chance >= 0.001 else "below 0.001"
 
 
@@ -149,19 +139,15 @@ def make_report(
     drawn: Sequence[int] = (),
     stored: Path | Results | None = None,
     n_threads: int | None = None,
-    on_progress: Progress | None = None,
+    on_progress: evaluator.Progress | None = None,
 ) -> Report:
-    """Return the report of an entry of version v1, with results that are read where they can be, else played.
+    """Return the report of an entry of version v1, with results that are `stored` or in that folder, else played.
 
-    Args:
-        entry, spec, drawn, n_threads: as of :class:`Report`.
-        split: of the scenarios.
-        seeds: scenarios to play; None for all, which may be read.
-        stored: results that may have the entry's, or their folder.
-        on_progress: called with (name of the entry, episodes done, episodes in all).
+    `seeds` are scenarios of the `split` to play; None for all, which may be read. Other arguments are as of
+    :class:`Report` and :func:`~wtg_gym.evaluation.evaluate`.
     """
     read = _stored_results(stored, split, entry) if stored is not None and seeds is None else None
-    results = read or evaluate(entry, SUITE, split, seeds=seeds, n_threads=n_threads, on_progress=on_progress)
+    results = read or evaluator.evaluate(entry, SUITE, split, seeds=seeds, n_threads=n_threads, on_progress=on_progress)
     return Report(entry=entry, spec=spec, results=results, stored=read is not None, drawn=drawn, n_threads=n_threads)
 
 
@@ -183,7 +169,7 @@ def _stored_results(stored: Path | Results, split: str, entry: Entry) -> Results
 
 
 def report_markdown(
-    report: Report, stem: str, on_progress: Progress = lambda name, done, n: None
+    report: Report, stem: str, on_progress: evaluator.Progress = lambda name, done, n: None
 ) -> dict[str, bytes | str]:
     """Play what the sections show, and return the files of the page in Markdown by their names, the page last.
 
@@ -219,16 +205,13 @@ def report_html(report: Report, files: Mapping[str, bytes | str]) -> str:
     return _PAGE.format(title=escape(report.title), body=body)
 
 
-def _interval(value: Interval) -> tuple[str, str]:
+def _interval(value: statistics.Interval) -> tuple[str, str]:
     text, low, high = (f"{round(number, 1) + 0.0:.1f}" for number in (value.value, value.low, value.high))
     return text, "" if value.low == value.high else f"{low} … {high}"
 
 
-def _bad(runs: Runs) -> Floats:
+def _bad(runs: Runs) -> statistics.Floats:
     return lost_or_beyond(runs, get_suite(SUITE).nominal_hz)
-
-
-# --- sections --------------------------------------------------------------------------------------------------------
 
 
 def _score(report: Report) -> Section:
@@ -258,7 +241,7 @@ def _score(report: Report) -> Section:
 
 
 def _where_control_decides(report: Report) -> Section:
-    figure = plot_over_margin(by_entry(report.results), report.hundred, stacked=True)
+    figure = margin.plot_over_margin(margin.by_entry(report.results), report.hundred, stacked=True)
     caption = "Cost (J + J0, relative) and share of bad runs over the reserve margin"
     return Section(
         heading="Where control decides",
@@ -284,9 +267,9 @@ def _bad_runs(report: Report) -> Section:
         header=("bad under", "runs", "of all [%]"),
         rows=[(under, f"{n.sum():.0f}", f"{100.0 * n.sum() / bad.size:.1f}") for under, n in counts.items()],
         numbers=(1, 2),
-        note=f"Difference to {hundred}: {signed_interval(report.row.lost_or_beyond_to_hundred)} percentage points, "
-        f"strata counting alike. Were both equally prone, so many more bad runs than {hundred}'s had a chance of "
-        f"{report.chance(_bad)} (McNemar's paired exact test, one side).",
+        note=f"Difference to {hundred}: {table.signed_interval(report.row.lost_or_beyond_to_hundred)} percentage "
+        f"points, strata counting alike. Were both equally prone, so many more bad runs than {hundred}'s had a chance "
+        f"of {report.chance(_bad)} (McNemar's paired exact test, one side).",
     )
 
 
@@ -306,8 +289,8 @@ def _scenarios(report: Report) -> Section:
 
 def _scenario_picture(report: Report, seed: int) -> Picture:
     scenario = get_suite(SUITE).scenario(seed)
-    entries = (report.entry, *load_entries(report.hundred))
-    runs = {entry.name: recorded(entry, SETTINGS, [scenario]) for entry in entries}
+    entries = (report.entry, *entry_folder.load_entries(report.hundred))
+    runs = {entry.name: recording.recorded(entry, SETTINGS, [scenario]) for entry in entries}
     failures = {name: f" (lost: {run.failures[0]})" if run.failures[0] else "" for name, run in runs.items()}
     paid = [f"{name} {run.costs[0]:.0f}{failures[name]}" for name, run in runs.items()]
     events = sorted(scenario.events, key=lambda event: event.time_s)
@@ -322,7 +305,7 @@ def _scenario_picture(report: Report, seed: int) -> Picture:
 
 
 @style.printed
-def _plot_scenario(scenario: Scenario, runs: Mapping[str, Recorded]) -> Figure:
+def _plot_scenario(scenario: Scenario, runs: Mapping[str, recording.Recorded]) -> "Figure":
     figure = style.new_figure(style.SINGLE_COLUMN_MM, 125.0)
     looks = style.strategy_looks(runs)
     panels = figure.subplots(len(_PANELS), 1, sharex=True)
@@ -332,8 +315,8 @@ def _plot_scenario(scenario: Scenario, runs: Mapping[str, Recorded]) -> Figure:
             axes.plot(run.time_s, series, color=looks[name].colour, linestyle=looks[name].dashes, label=name)
             if run.failures[0]:
                 last = int(np.flatnonzero(np.isfinite(series))[-1])
-                mark_end(axes, float(run.time_s[last]), float(series[last]), looks[name].colour)
-        mark_instants(axes, scenario, numbered=False)
+                trajectories.mark_end(axes, float(run.time_s[last]), float(series[last]), looks[name].colour)
+        trajectories.mark_instants(axes, scenario, numbered=False)
         axes.set_title(label, loc="left")
     panels[-1].set_xlabel("time [s]")
     panels[0].set_xlim(0.0, scenario.duration_s)
@@ -344,8 +327,8 @@ def _plot_scenario(scenario: Scenario, runs: Mapping[str, Recorded]) -> Figure:
 def _operators_tests(report: Report) -> Section:
     rows, note = [], ""
     try:
-        for test in GRID_TESTS.values():
-            passed, figure = run_grid_test(test, report.entry)[1]
+        for test in grid_tests.GRID_TESTS.values():
+            passed, figure = grid_tests.run_grid_test(test, report.entry)[1]
             rows.append((test.name, "passed" if passed else "failed", figure, test.criterion))
         note = f"Passed: {sum(row[1] == 'passed' for row in rows)} of {len(rows)}."
     except ValueError as error:
@@ -380,8 +363,8 @@ def _faults_of_sensors(report: Report) -> Section:
 
 def _energy(report: Report) -> Section:
     scenarios = get_suite(SUITE).scenarios(report.results.seeds[:N_OF_ENERGY])
-    entries = (report.entry, *load_entries((report.hundred, _MOST_ENERGY)))
-    runs = {entry.name: recorded(entry, SETTINGS, scenarios, report.n_threads) for entry in entries}
+    entries = (report.entry, *entry_folder.load_entries((report.hundred, _MOST_ENERGY)))
+    runs = {entry.name: recording.recorded(entry, SETTINGS, scenarios, report.n_threads) for entry in entries}
     whole = np.logical_and.reduce([run.whole for run in runs.values()])
     energies = {name: run.energy(whole) for name, run in runs.items() if whole.any()}
     rows = []

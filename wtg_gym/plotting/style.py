@@ -4,8 +4,6 @@ Figures are built without pyplot, so that nothing global changes and no window o
 functions that draw.
 """
 
-from __future__ import annotations
-
 import functools
 import io
 import itertools
@@ -80,11 +78,11 @@ def _print_style() -> AbstractContextManager[None]:
     return matplotlib.style.context(["default", _STYLE])
 
 
-def printed(draw: Callable[Parameters, Figure]) -> Callable[Parameters, Figure]:
+def printed(draw: "Callable[Parameters, Figure]") -> "Callable[Parameters, Figure]":
     """Decorate a function that draws a figure: it draws in the style of print and with a layout that stays."""
 
     @functools.wraps(draw)
-    def drawn(*args: Parameters.args, **kwargs: Parameters.kwargs) -> Figure:
+    def drawn(*args: Parameters.args, **kwargs: Parameters.kwargs) -> "Figure":
         with _print_style():
             figure = draw(*args, **kwargs)
             # The second pass starts from the tick labels of the first. After it places are fixed, without the last
@@ -102,7 +100,7 @@ def printed(draw: Callable[Parameters, Figure]) -> Callable[Parameters, Figure]:
     return drawn
 
 
-def new_figure(width_mm: float = SINGLE_COLUMN_MM, height_mm: float = 65.0) -> Figure:
+def new_figure(width_mm: float = SINGLE_COLUMN_MM, height_mm: float = 65.0) -> "Figure":
     """Return an empty figure of a printed size [mm] with constrained layout."""
     from matplotlib.figure import Figure
 
@@ -110,7 +108,7 @@ def new_figure(width_mm: float = SINGLE_COLUMN_MM, height_mm: float = 65.0) -> F
     return Figure(figsize=size, facecolor="white", layout="constrained")
 
 
-def figure_bytes(figure: Figure, suffix: str) -> bytes:
+def figure_bytes(figure: "Figure", suffix: str) -> bytes:
     """Return a figure as a file, the same bytes on each run; a ValueError if the suffix is none of png, svg, pdf."""
     ending = suffix.lower().removeprefix(".")
     if ending not in _METADATA:
@@ -121,7 +119,7 @@ def figure_bytes(figure: Figure, suffix: str) -> bytes:
     return picture.getvalue()
 
 
-def save_figure(figure: Figure, path_without_suffix: Path, suffixes: Iterable[str] = ("svg", "png")) -> list[Path]:
+def save_figure(figure: "Figure", path_without_suffix: Path, suffixes: Iterable[str] = ("svg", "png")) -> list[Path]:
     """Write a figure in several formats next to each other, all or none; return the paths."""
     folder, name = path_without_suffix.parent, path_without_suffix.name
     endings = [suffix.lower().removeprefix(".") for suffix in suffixes]
@@ -130,12 +128,12 @@ def save_figure(figure: Figure, path_without_suffix: Path, suffixes: Iterable[st
     return list(contents)
 
 
-def letter_panel(axes: Axes, letter: str, text: str = "") -> None:
+def letter_panel(axes: "Axes", letter: str, text: str = "") -> None:
     """Write "(a) text" above the left end of a panel."""
     axes.set_title(f"({letter}) {text}".rstrip(), loc="left", pad=10.0)
 
 
-def share_limits(row: Sequence[Axes]) -> None:
+def share_limits(row: "Sequence[Axes]") -> None:
     """Give panels the same vertical range, wide enough for all."""
     limits = [axes.get_ylim() for axes in row]
     for axes in row:

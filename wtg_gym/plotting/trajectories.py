@@ -1,17 +1,12 @@
 """The figure of recorded runs of one scenario under several strategies; marks of events and ends over time."""
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING
 
 from wtg_gym.envs.rendering.diagram import undone
-from wtg_gym.physics.layout import Floats
-from wtg_gym.physics.protection import Status
+from wtg_gym.physics import layout, protection, tracking_law, trajectory
 from wtg_gym.physics.scenario import Event, Scenario
-from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY
-from wtg_gym.physics.trajectory import Trajectory
 from wtg_gym.plotting import style
 
 if TYPE_CHECKING:
@@ -27,7 +22,7 @@ _LINE_LENGTH = 100
 
 
 #: What is drawn of the WTG groups, each (n, n_wtg), by its label.
-_PANELS: Mapping[str, Callable[[Trajectory], Floats]] = {
+_PANELS: Mapping[str, Callable[[trajectory.Trajectory], layout.Floats]] = {
     "frequency [Hz]": lambda run: run.wtg_frequency_hz,
     "power [p.u.]": lambda run: run.power_pu,
     "rotor speed [p.u.]": lambda run: run.rotor_speed_pu,
@@ -36,7 +31,7 @@ _PANELS: Mapping[str, Callable[[Trajectory], Floats]] = {
 
 
 @style.printed
-def plot_trajectories(runs: Mapping[str, Trajectory], scenario: Scenario) -> Figure:
+def plot_trajectories(runs: Mapping[str, trajectory.Trajectory], scenario: Scenario) -> "Figure":
     """Draw frequency, power, rotor speed and k of the first four WTG groups, a column each, in runs by their labels.
 
     The reference strategy is drawn on top and thick; a cross marks where a run ended before its time; events are
@@ -50,11 +45,11 @@ def plot_trajectories(runs: Mapping[str, Trajectory], scenario: Scenario) -> Fig
         style.letter_panel(grid[0, group], "abcd"[group], f"WTG group {1 + group}")
         for axes, (label, values) in zip(grid[:, group], _PANELS.items(), strict=True):
             for name, run in runs.items():
-                width, order = (1.7, 3.5) if name == REFERENCE_STRATEGY else (1.0, 3.0)
+                width, order = (1.7, 3.5) if name == tracking_law.REFERENCE_STRATEGY else (1.0, 3.0)
                 line = {"label": name, "linewidth": width, "zorder": order, "linestyle": looks[name].dashes}
                 series, colour = values(run)[:, group], looks[name].colour
                 axes.plot(run.time_s, series, color=colour, **line)
-                if run.status != Status.RUNNING:
+                if run.status != protection.Status.RUNNING:
                     mark_end(axes, float(run.time_s[-1]), float(series[-1]), colour)
             mark_instants(axes, scenario, numbered=axes is grid[0, group])
             if group == 0:
@@ -63,7 +58,7 @@ def plot_trajectories(runs: Mapping[str, Trajectory], scenario: Scenario) -> Fig
     grid[0, 0].set_xlim(0.0, scenario.duration_s)
     for row in (grid[0], grid[3]):
         style.share_limits(row)
-    statuses = sorted({run.status for run in runs.values()} - {Status.RUNNING})
+    statuses = sorted({run.status for run in runs.values()} - {protection.Status.RUNNING})
     if reasons := " or ".join(status.name.lower().replace("_", " ") for status in statuses):
         grid[0, 0].plot([], [], "x", color="0.25", markeredgewidth=1.4, label=reasons)
     handles, labels = grid[0, 0].get_legend_handles_labels()
@@ -72,15 +67,12 @@ def plot_trajectories(runs: Mapping[str, Trajectory], scenario: Scenario) -> Fig
     return figure
 
 
-# --- events and ends over time ----------------------------------------------------------------------------------------
-
-
 def _by_instant(scenario: Scenario) -> list[list[Event]]:
     events = sorted((e for e in scenario.events if e.time_s <= scenario.duration_s), key=lambda e: e.time_s)
     return [list(group) for _, group in itertools.groupby(events, key=lambda e: e.time_s)]
 
 
-def mark_instants(axes: Axes, scenario: Scenario, *, numbered: bool) -> None:
+def mark_instants(axes: "Axes", scenario: Scenario, *, numbered: bool) -> None:
     """Draw a dotted line at every event, with its number above if `numbered`, and where a line closes again."""
     instants = [events[0].time_s for events in _by_instant(scenario)]
     for instant in (*instants, *(event.end_s for event in undone(scenario.events, scenario.duration_s))):
@@ -97,7 +89,7 @@ def mark_instants(axes: Axes, scenario: Scenario, *, numbered: bool) -> None:
         axes.text(place, 1.01, f"({numbers})", transform=above, fontsize=style.SMALL_PT, ha="center")
 
 
-def explain_events(figure: Figure, scenario: Scenario) -> None:
+def explain_events(figure: "Figure", scenario: Scenario) -> None:
     """Write the scenario's name at the top left of a figure and its numbered events at the top right."""
     lines: list[str] = []
     for number, events in enumerate(_by_instant(scenario), start=1):
@@ -111,6 +103,6 @@ def explain_events(figure: Figure, scenario: Scenario) -> None:
     figure.text(0.99, 0.993, "\n".join(lines), ha="right", va="top", fontsize=style.SMALL_PT)
 
 
-def mark_end(axes: Axes, time_s: float, value: float, colour: str) -> None:
+def mark_end(axes: "Axes", time_s: float, value: float, colour: str) -> None:
     """Draw a cross where a run ended before its time."""
     axes.plot(time_s, value, "x", color=colour, markersize=5.5, markeredgewidth=1.4, zorder=4)

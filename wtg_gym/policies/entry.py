@@ -38,41 +38,28 @@ class Policy(Protocol):
 class Entry:
     """A controller that is scored: a control law, with or without a policy on top.
 
-    Args:
-        name: in tables, see :func:`~wtg_gym.names.check_name`; with `training_seed` unique among the entries.
-        strategy: the law that actions modulate: a built-in name, a .toml file, or a law. None: that of a learner's
-            environment, or the published law without one.
-        policy: maps observations to actions; None: zero action, which is the strategy itself. A learner of
-            Stable-Baselines3 that was trained under VecNormalize is exported with :func:`~wtg_gym.export_onnx`.
-        action_mode: "k", "tau" or "k+tau".
-        observation_mode: "local" or "privileged".
-        per_group: whether the policy acts for one group at a time from the group's observation, on any grid.
-        environment: id of the environment whose observations the policy takes; None: any.
-        description: one sentence.
-        source: citation.
-        fingerprint: text that identifies the policy's content, such as its file's sha256. Without one an interrupted
-            evaluation starts this entry again.
-        training_seed: seed of the training. Entries of one name and several seeds, alike but for these, share a row.
-        learned: False for a policy that was designed by hand.
-        trained_on: suite, split and steps.
-
-    Raises:
-        ValueError: a value is unknown or of the wrong type; the message says what is allowed.
+    A ValueError names a value that is unknown or of the wrong type, and what is allowed.
     """
 
-    name: str
+    name: str  # in tables, see :func:`~wtg_gym.names.check_name`; with `training_seed` unique among the entries
+    #: The law that actions modulate: a built-in name, a .toml file, or a law; None: that of a learner's environment, or
+    #: the published law without one.
     strategy: str | Path | TrackingLaw | None = None
+    #: Maps observations to actions; None: zero action, which is the strategy itself. A learner of Stable-Baselines3
+    #: that was trained under VecNormalize is exported with :func:`~wtg_gym.export_onnx`.
     policy: Policy | None = None
-    action_mode: str = "k+tau"
-    observation_mode: str = "local"
-    per_group: bool = False
-    environment: str | None = None
-    description: str = ""
-    source: str = ""
+    action_mode: str = "k+tau"  # or "k", "tau"
+    observation_mode: str = "local"  # or "privileged"
+    per_group: bool = False  # whether the policy acts for one group at a time from its observation, on any grid
+    environment: str | None = None  # id of the environment whose observations the policy takes; None: any
+    description: str = ""  # one sentence
+    source: str = ""  # citation
+    #: Text that identifies the policy's content, such as its file's sha256; an interrupted evaluation starts an entry
+    #: without one again.
     fingerprint: str | None = None
-    training_seed: int | None = None
-    learned: bool = True
-    trained_on: str = ""
+    training_seed: int | None = None  # entries of one name and several seeds, alike but for these, share a row
+    learned: bool = True  # False for a policy that was designed by hand
+    trained_on: str = ""  # suite, split and steps
     law: TrackingLaw = field(init=False, repr=False)
 
     def __post_init__(self) -> None:

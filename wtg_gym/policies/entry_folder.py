@@ -23,9 +23,7 @@ from wtg_gym.physics.tracking_law import STRATEGY_NAMES, get_law
 from wtg_gym.policies.entry import Entry, is_policy
 from wtg_gym.policies.policy_process import OnnxPolicy
 from wtg_gym.ranges import did_you_mean, is_whole
-from wtg_gym.tasks import TASKS, V1, Task
-from wtg_gym.tasks.episode import ACTION_MODES
-from wtg_gym.tasks.observation import OBSERVATION_MODES
+from wtg_gym.tasks import TASKS, V1, Task, episode, observation
 
 ENTRY_FILE, POLICY_FILE = "entry.toml", "policy.onnx"
 #: The files of a submission and their largest sizes [bytes]; every limit is far above what a policy here needs.
@@ -44,8 +42,8 @@ _TEMPLATE = Path(__file__).with_name("entry_template.toml")
 _NEEDED, _SUBMITTED = ("name", "action_mode"), ("name", "authors", "training_seed", "action_mode")
 _OPTIONAL = ("description", "observation_mode", "per_group", "environment", "strategy", "trained_on")
 _CHOICES = {
-    "action_mode": tuple(ACTION_MODES),
-    "observation_mode": OBSERVATION_MODES,
+    "action_mode": tuple(episode.ACTION_MODES),
+    "observation_mode": observation.OBSERVATION_MODES,
     "environment": tuple(TASKS),
     "strategy": STRATEGY_NAMES,
 }
@@ -55,9 +53,6 @@ _SEED = re.compile("seed|(?<![a-z])s[^a-z]*e[^a-z]*e[^a-z]*d", re.IGNORECASE)
 _FOLDER = re.compile(r"(?!.*(\.|\.toml)$)[A-Za-z0-9][A-Za-z0-9+._-]{0,79}", re.IGNORECASE | re.ASCII)
 #: Names, with any ending, that Windows keeps for devices: a repository with one cannot be checked out there.
 _DEVICE = re.compile(r"(con|prn|aux|nul|com\d|lpt\d)(\..*)?", re.IGNORECASE)
-
-
-# --- names that are taken --------------------------------------------------------------------------------------------
 
 
 @functools.cache
@@ -74,9 +69,6 @@ def check_not_built_in(what: str, name: str) -> None:
             f"{what} must not be, or look like, that of a strategy or a baseline or one of {', '.join(RESERVED)}; "
             f"got {short(name)}"
         )
-
-
-# --- entry.toml ------------------------------------------------------------------------------------------------------
 
 
 def parse_entry(text: str, *, submitted: bool = False) -> dict[str, Any]:
@@ -133,9 +125,6 @@ def write_template(folder: Path) -> Path:
     return path
 
 
-# --- folders of one's own and of the package -------------------------------------------------------------------------
-
-
 def load_entry_folder(folder: Path) -> Entry:
     """Return the entry of a folder with a policy; a ValueError names what is missing, damaged or unknown.
 
@@ -167,9 +156,6 @@ def policy_name(folder: Path) -> str | None:
         return str(_entry_data(folder)["name"])
     except ValueError:
         return None
-
-
-# --- submissions -----------------------------------------------------------------------------------------------------
 
 
 def parse_submission(content: bytes) -> Entry:
@@ -212,11 +198,10 @@ def _check_folder_name(folder: Path) -> None:
     check_not_built_in("the folder's name", name)
 
 
-# --- by name ---------------------------------------------------------------------------------------------------------
-
-
 def load_entries(spec: str | Path | Iterable[str | Path], task: Task = V1) -> list[Entry]:
     """Return the entries that a text or several name.
+
+    A ValueError says that there is nothing of that name, or that it holds no entry, and what is allowed.
 
     Args:
         spec: one of these; the first that exists counts. "baselines" or "policies" for all baselines or all trained
@@ -224,9 +209,6 @@ def load_entries(spec: str | Path | Iterable[str | Path], task: Task = V1) -> li
             and policy.onnx. The name of a trained policy ("PPO (k)" for all its seeds, "ppo-k-0" for one).
             "module:ATTRIBUTE" for an entry, a policy, or a callable that returns one; importing runs the module's code.
         task: the version of the baselines, and of trained policies if some of the name are for it.
-
-    Raises:
-        ValueError: nothing of that name, or it holds no entry; the message says what is allowed.
     """
     if not isinstance(spec, (str, Path, Iterable)):
         raise ValueError(f"load_entries() takes names and paths, got {spec!r}")
@@ -271,9 +253,6 @@ def _for_version(folders: Sequence[Path], task: Task) -> list[Entry]:
     """Return the entries of shipped folders: those for a version, or all if there are none for it."""
     entries = [load_entry_folder(folder) for folder in folders]
     return [entry for entry in entries if entry.environment == task.env_id] or entries
-
-
-# --- Python modules --------------------------------------------------------------------------------------------------
 
 
 def _import(name: str, spec: str) -> ModuleType:

@@ -17,15 +17,8 @@ from wtg_gym.envs.lanes import TaskLanes
 from wtg_gym.envs.settings import EnvSettings
 from wtg_gym.files import sha256
 from wtg_gym.names import plain_name
+from wtg_gym.policies import entry_folder
 from wtg_gym.policies.entry import Entry, row_conflict
-from wtg_gym.policies.entry_folder import (
-    ENTRY_FILE,
-    POLICY_FILE,
-    parse_submission,
-    policy_folders,
-    policy_name,
-    read_files,
-)
 from wtg_gym.policies.play import play, started_lanes
 from wtg_gym.policies.policy_process import NotIsolatedError, OnnxPolicy
 from wtg_gym.tasks import TASKS, V1
@@ -117,20 +110,21 @@ def read_submission(folder: Path) -> Report:
     """Return the gate's report on the files of a folder and its entry.toml; its policy is not played."""
     report = Report(folder)
     with report.refusing():
-        files = read_files(folder)
+        files = entry_folder.read_files(folder)
         name = folder.resolve().name
-        others, submitted = policy_folders(), {file: files[file] for file in (ENTRY_FILE, POLICY_FILE)}
+        others = entry_folder.policy_folders()
+        submitted = {file: files[file] for file in (entry_folder.ENTRY_FILE, entry_folder.POLICY_FILE)}
         report.shipped = any(
             other.name == name and {file: (other / file).read_bytes() for file in submitted} == submitted
             for other in others
         )
         if report.shipped:
             # Itself, and the seeds of its row.
-            others = [other for other in others if policy_name(other) != policy_name(folder)]
+            others = [other for other in others if entry_folder.policy_name(other) != entry_folder.policy_name(folder)]
         _check_not_found("the folder's name", name, others)
-        report.content = files[POLICY_FILE]
+        report.content = files[entry_folder.POLICY_FILE]
         report.passed(", ".join(f"{name} {len(data)} bytes" for name, data in files.items()))
-        entry = parse_submission(files[ENTRY_FILE])
+        entry = entry_folder.parse_submission(files[entry_folder.ENTRY_FILE])
         policy = OnnxPolicy(report.content, isolated=True)
         report.entry = dataclasses.replace(entry, policy=policy, fingerprint=policy.sha256)
         _check_not_found("name", entry.name, others)
@@ -168,7 +162,7 @@ def check_submission(folder: Path, *, weak: bool = False) -> Report:
 def _check_not_found(what: str, name: str, folders: Sequence[Path]) -> None:
     """Refuse a name by which, or by what looks like it, one of the package's policies is found."""
     for folder in folders:
-        for known in (folder.name, policy_name(folder)):
+        for known in (folder.name, entry_folder.policy_name(folder)):
             if known is not None and plain_name(known) == plain_name(name):
                 raise ValueError(
                     f"{what} must not be, or look like, that of the policy {known} in agents/policies/{folder.name}, "
@@ -214,9 +208,6 @@ def rollout(entry: Entry, *, backwards: bool = False) -> npt.NDArray[np.float64]
     with started_lanes(entry, settings, seeds) as (lanes, _):
         collections.deque(play(entry, lanes, actions), maxlen=0)
     return np.clip(np.stack(actions), -1.0, 1.0)[:, ::order]
-
-
-# --- several submissions ---------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)

@@ -187,9 +187,6 @@ def _read(source: BinaryIO, size: int) -> bytes:
     return data
 
 
-# --- isolation by the kernel -----------------------------------------------------------------------------------------
-
-
 def _limit(wanted: dict[str, Any]) -> str:
     """Limit memory and time, and end with the parent process; return the limits that this system does not enforce."""
     if sys.platform != "linux":

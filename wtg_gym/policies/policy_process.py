@@ -6,8 +6,6 @@ of the same widths. All are float32, all states are zero at the start of an epis
 sees two scenarios at once. Scenarios, simulation and score stay here: a policy can neither see nor forge them.
 """
 
-from __future__ import annotations
-
 import contextlib
 import json
 import os
@@ -132,7 +130,7 @@ class OnnxPolicy:
         action, *following = (np.frombuffer(data, dtype=np.float32).reshape(n_lanes, -1).copy() for data in answers)
         return action, tuple(following) if following else None
 
-    def _running(self) -> PolicyProcess:
+    def _running(self) -> "PolicyProcess":
         if not self._processes:
             self._processes.append(PolicyProcess(self._content, isolated=self._isolated))
         return self._processes[0]
@@ -151,7 +149,7 @@ class OnnxPolicy:
         """End the process; the next observation starts another one."""
         _close_all(self._processes)
 
-    def __enter__(self) -> OnnxPolicy:
+    def __enter__(self) -> "OnnxPolicy":
         self.close()
         return self
 
@@ -159,7 +157,7 @@ class OnnxPolicy:
         self.close()
 
 
-def _close_all(processes: list[PolicyProcess]) -> None:
+def _close_all(processes: "list[PolicyProcess]") -> None:
     while processes:
         processes.pop().close()
 

@@ -37,7 +37,9 @@ def export_onnx(
 ) -> Path:
     """Write a policy as `policy.onnx` and `entry.toml` into a folder, which is then an entry.
 
-    The file's actions are compared with the module's on 320 random observations, episode starts among them.
+    The file's actions are compared with the module's on 320 random observations, episode starts among them. A
+    ValueError says that an argument is out of range, the module answers in another form, torch cannot export it, or the
+    file gives other actions or is too large.
 
     Args:
         module: maps observations (batch, n_observation) to actions (batch, n_action), float32; with memory, also one
@@ -53,10 +55,6 @@ def export_onnx(
 
     Returns:
         the folder.
-
-    Raises:
-        ValueError: an argument is out of range, the module answers in another form, torch cannot export it, or the
-            file gives other actions or is too large; the message says which.
     """
     if not isinstance(module, nn.Module):
         raise ValueError(f"export_onnx() takes a torch.nn.Module, got {type(module).__name__}")

@@ -1,7 +1,5 @@
 """The distribution scenarios are drawn from: a named list of records; every draw is a function of its seed."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 import zlib
@@ -13,12 +11,11 @@ from typing import Any, TypeVar
 
 import numpy as np
 
+from wtg_gym.physics import parameters, scenario
 from wtg_gym.physics.grid import DEFAULT_GRID, Grid, digest_of_grid, get_grid
-from wtg_gym.physics.parameters import MOST_GROUPS
-from wtg_gym.physics.scenario import LONGEST_RUN_S, SERIES_DT, Scenario, trusted
+from wtg_gym.physics.layout import Floats
 from wtg_gym.ranges import Checked, describe, design, require_known, require_range, require_whole, required
 from wtg_gym.scenarios import draws, wind
-from wtg_gym.scenarios.draws import FloatArray, Picker, seed_streams
 
 R = TypeVar("R", bound=draws.Record)
 
@@ -57,10 +54,8 @@ _UNMENTIONED: Mapping[str, Any] = MappingProxyType(
 class ScenarioDistribution(Checked):
     """A named list of records that scenarios are drawn from, in the order in which they take numbers from the stream.
 
-    Without `OperatingPoint`, droop, inertia and load are the grid's; without `UnitCommitment`, all units are on line.
-
-    Raises:
-        ValueError: a value is outside its range, records do not fit the grid or each other, or there is no `Wind`.
+    Without `OperatingPoint`, droop, inertia and load are the grid's; without `UnitCommitment`, all units are on line. A
+    ValueError says that a value is outside its range, records do not fit the grid or each other, or there is no `Wind`.
     """
 
     name: str = required("-", "design", "prefix of scenario names; picks the random stream")
@@ -89,7 +84,7 @@ class ScenarioDistribution(Checked):
         """Return the record of a type, None where there is none."""
         return next((record for record in self.records if isinstance(record, record_class)), None)
 
-    def changed(self, changes: draws.Changes) -> ScenarioDistribution:
+    def changed(self, changes: draws.Changes) -> "ScenarioDistribution":
         """Return the distribution with fields of its records replaced; a ValueError lists the records there are."""
         names = [type(record).__name__ for record in self.records]
         require_known("records", [type_.__name__ for type_ in changes], names)
@@ -112,7 +107,7 @@ class ScenarioDistribution(Checked):
             data["grid"] = digest_of_grid(self._grid_data)
         return {name: value for name, value in data.items() if name not in _UNMENTIONED or value != _UNMENTIONED[name]}
 
-    def draw(self, seed: int, *arguments: Any) -> Scenario:
+    def draw(self, seed: int, *arguments: Any) -> scenario.Scenario:
         """Draw the scenario of a seed; everything else as for :meth:`draw_many`."""
         return self.draw_many([seed], *arguments)[0]
 
@@ -123,37 +118,34 @@ class ScenarioDistribution(Checked):
         n_turbines: Sequence[float] | None = None,
         duration_s: float = 60.0,
         attempt: int = 0,
-    ) -> list[Scenario]:
+    ) -> list[scenario.Scenario]:
         """Draw the scenarios of seeds, several quicker than one by one: the same seed always gives the same scenario.
 
-        Args:
-            seeds: non-negative integers.
-            n_wtg: number of WTG groups.
-            n_turbines: turbines per group for the averaging of wind, shape (n_wtg,); None: those of `Wind` each.
-            duration_s: length of the run [s]; events of a short one come no later than half-way.
-            attempt: another scenario of each seed, for suites that draw until a scenario suits them.
+        Wind is averaged over turbines per group, (n_wtg,); None: those of `Wind` each. In a short run [s] events come
+        no later than half-way. Another attempt is another scenario of each seed, for suites that draw until a scenario
+        suits them.
         """
         for seed in seeds:
             require_whole("a seed", seed, 0, 2**63 - 1)
-        n_wtg = require_whole("n_wtg", n_wtg, 1, MOST_GROUPS)
+        n_wtg = require_whole("n_wtg", n_wtg, 1, parameters.MOST_GROUPS)
         turbines = [self.wind.n_turbines] * n_wtg if n_turbines is None else [float(n) for n in n_turbines]
         if len(turbines) != n_wtg:
             raise ValueError(f"n_turbines must have one value per WTG group ({n_wtg}), got {len(turbines)}")
         for number in turbines:
             require_range("n_turbines", number, 1e-3, 1e4, "")
-        duration_s = require_range("duration_s", duration_s, SERIES_DT, LONGEST_RUN_S, "s")
+        duration_s = require_range("duration_s", duration_s, scenario.SERIES_DT, scenario.LONGEST_RUN_S, "s")
         # The name is part of the seed, so that two suites share no scenario.
-        streams = seed_streams(seeds, zlib.crc32(self.name.encode()), attempt)
+        streams = draws.seed_streams(seeds, zlib.crc32(self.name.encode()), attempt)
         drafts = [self._draft(stream, turbines, duration_s) for stream in streams]
         noise = self.find(draws.LoadNoise) or draws.LoadNoise(standard_deviation_mw=0.0)
         commitment = self.find(draws.UnitCommitment)
         speeds, noises = _series(streams, drafts, noise)
         return [
-            trusted(
-                Scenario,
+            scenario.trusted(
+                scenario.Scenario,
                 name=f"{self.name}/{seed}",
                 wind_speed=speed,
-                wind_dt_s=SERIES_DT,
+                wind_dt_s=scenario.SERIES_DT,
                 duration_s=duration_s,
                 events=tuple(draft.events),
                 load_noise_mw=noise_mw,
@@ -190,9 +182,9 @@ class ScenarioDistribution(Checked):
             n_turbines=n_turbines,
             case_load_mw=self._grid_data.case.load_mw,
             window=(min(self.first_event_s, latest), latest),
-            n_samples=math.ceil(round(duration_s / SERIES_DT, 6)) + 1,
+            n_samples=math.ceil(round(duration_s / scenario.SERIES_DT, 6)) + 1,
         )
-        pick = Picker(stream)
+        pick = draws.Picker(stream)
         for record in self.records:
             record.draw(pick, draft)
         return draft
@@ -205,7 +197,7 @@ class ScenarioDistribution(Checked):
 
 def _series(
     streams: Sequence[np.random.Generator], drafts: Sequence[draws.Draft], noise: draws.LoadNoise
-) -> tuple[FloatArray, FloatArray]:
+) -> tuple[Floats, Floats]:
     """Wind per scenario and group, (n, n_wtg, n_samples) [m/s], and load noise, (n, n_samples or 0) [MW]."""
     n, n_wtg, n_samples = len(drafts), len(drafts[0].n_turbines), drafts[0].n_samples
     n_period = wind.period_length(n_samples)
@@ -224,7 +216,7 @@ def _series(
     for numbers, stream in zip(normals, streams, strict=True):
         stream.standard_normal(out=numbers)
     normals.reshape(*amplitudes.shape, 2)[:] *= amplitudes[..., np.newaxis]
-    series: FloatArray = np.fft.irfft(coefficients, n_period)[..., :n_samples]
+    series: Floats = np.fft.irfft(coefficients, n_period)[..., :n_samples]
     speed, noise_mw = series[:, :n_wtg], series[:, n_wtg]
     speed += np.array([draft.mean_winds_m_s for draft in drafts])[:, :, None]
     for of_scenario, draft in zip(speed, drafts, strict=True):

@@ -1,24 +1,20 @@
 """What scenarios are drawn from: records of wind, load, outages and operating point, and the errors of sensors."""
 
-from __future__ import annotations
-
 import zlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from typing import Any, ClassVar, TypeVar
 
 import numpy as np
-import numpy.typing as npt
 
-from wtg_gym.physics import scenario
-from wtg_gym.physics.grid import NetworkCase
+from wtg_gym.physics import grid, scenario
+from wtg_gym.physics.layout import Floats
 from wtg_gym.physics.scenario import SERIES_DT, Event, trusted
 from wtg_gym.physics.sensors import DELAY_MAX_S, Sensors
 from wtg_gym.ranges import Checked, design, require_known, require_range, required
 from wtg_gym.scenarios import wind
 
 Line = tuple[int, int]
-FloatArray = npt.NDArray[np.float64]
 Span = tuple[float, float]
 T = TypeVar("T")
 #: Uniform numbers that a picker takes from a stream at a time.
@@ -102,9 +98,7 @@ class Draft:
     events: list[Event] = field(default_factory=list)
     turbulence_intensity: float = 0.0
     mean_winds_m_s: Sequence[float] = ()
-    wind_change: tuple[int | slice, FloatArray] | None = (
-        None  # groups that a gust or ramp reaches, and its change [m/s]
-    )
+    wind_change: tuple[int | slice, Floats] | None = None  # groups that a gust or ramp reaches, and its change [m/s]
     machine_loading: float | None = None  # load that the wind leaves, over the rating of the generator's units on line
 
     @property
@@ -117,13 +111,11 @@ class Draft:
 class Record(Checked):
     """A part of what scenarios are drawn from; a pair of numbers is the range of a uniform distribution.
 
-    The unit, the allowed range and the meaning of every value are its field's metadata.
-
-    Raises:
-        ValueError: a value is outside its allowed range; the message names value, unit and range.
+    The unit, the allowed range and the meaning of every value are its field's metadata. A ValueError names a value
+    outside its allowed range, its unit and the range.
     """
 
-    def check(self, case: NetworkCase, records: Sequence[Record]) -> None:
+    def check(self, case: grid.NetworkCase, records: "Sequence[Record]") -> None:
         """Refuse with a ValueError what does not fit the network with its groups, or the other records."""
 
     def draw(self, pick: Picker, draft: Draft) -> None:
@@ -186,7 +178,7 @@ class LoadEvents(Record):
             raise ValueError(f"trip_buses must be one or more of the load buses {numbers}, got {self.trip_buses}")
         object.__setattr__(self, "buses", tuple((bus, float(up), float(down)) for bus, up, down in self.buses))
 
-    def check(self, case: NetworkCase, records: Sequence[Record]) -> None:
+    def check(self, case: grid.NetworkCase, records: Sequence[Record]) -> None:
         _require_buses("LoadEvents.buses", [bus for bus, _, _ in self.buses], case.bus_numbers)
 
     def draw(self, pick: Picker, draft: Draft) -> None:
@@ -230,7 +222,7 @@ class LoadNoise(Record):
     correlation_s: float = design(2.0, "s", "correlation time", 0.1, 60.0)
     bus: int = design(3, "-", "bus of the load")
 
-    def check(self, case: NetworkCase, records: Sequence[Record]) -> None:
+    def check(self, case: grid.NetworkCase, records: Sequence[Record]) -> None:
         _require_buses("LoadNoise.bus", [self.bus], case.bus_numbers)
 
 
@@ -287,7 +279,7 @@ class Wind(Record):
         shared = pick.between(self.mean_m_s)
         return [min(max(shared + pick.between((-spread, spread)), low), high) for _ in range(n_groups)]
 
-    def _change(self, pick: Picker, draft: Draft) -> tuple[int | slice, FloatArray] | None:
+    def _change(self, pick: Picker, draft: Draft) -> tuple[int | slice, Floats] | None:
         """The groups that a gust or ramp reaches, and its change of wind [m/s]; None for neither."""
         uniform = pick.uniform()
         if uniform >= self.gust_probability + self.ramp_probability:
@@ -346,7 +338,7 @@ class RareEvent(Record):
         raise NotImplementedError
 
 
-def _check_lines(name: str, lines: Sequence[Line], case: NetworkCase) -> None:
+def _check_lines(name: str, lines: Sequence[Line], case: grid.NetworkCase) -> None:
     if any(case.branch_index(*line) in case.bridges for line in lines):
         raise ValueError(f"{name} must be lines whose loss leaves the network connected, got {lines}")
 
@@ -365,7 +357,7 @@ class LineTrips(RareEvent):
     lines: tuple[Line, ...] = design(_SURVIVABLE_LINES, "-", "lines that may trip; no part of the network hangs on one")
     reclosing_s: Span | None = design(None, "s", "time after which the line closes again; None: never", 0.1, 3600.0)
 
-    def check(self, case: NetworkCase, records: Sequence[Record]) -> None:
+    def check(self, case: grid.NetworkCase, records: Sequence[Record]) -> None:
         _check_lines("LineTrips.lines", self.lines, case)
 
     def draw(self, pick: Picker, draft: Draft) -> None:
@@ -386,7 +378,7 @@ class GovernorLosses(RareEvent):
     WHERE = "buses"
     buses: tuple[int, ...] = design((), "-", "buses of machines of which one loses its governor")
 
-    def check(self, case: NetworkCase, records: Sequence[Record]) -> None:
+    def check(self, case: grid.NetworkCase, records: Sequence[Record]) -> None:
         governed = [machine.bus for machine in case.machines if machine.governor is not None]
         _require_buses("GovernorLosses.buses", self.buses, governed, "machine with a governor at bus")
 
@@ -415,7 +407,7 @@ class MachineOutages(RareEvent):
     WHERE = "buses"
     buses: tuple[int, ...] = design((), "-", "buses whose machine may disconnect")
 
-    def check(self, case: NetworkCase, records: Sequence[Record]) -> None:
+    def check(self, case: grid.NetworkCase, records: Sequence[Record]) -> None:
         _require_buses("MachineOutages.buses", self.buses, [machine.bus for machine in case.machines], "machine at bus")
 
     def events(self, pick: Picker, draft: Draft) -> list[Event]:
@@ -431,7 +423,7 @@ class Faults(RareEvent):
     lines: tuple[Line, ...] = design((), "-", "lines, the bus of the fault first; no part of the network hangs on one")
     clearing_s: Span = design((0.1, 0.25), "s", "time until it is cleared; to a tenth of a second", 0.1, 1.0)
 
-    def check(self, case: NetworkCase, records: Sequence[Record]) -> None:
+    def check(self, case: grid.NetworkCase, records: Sequence[Record]) -> None:
         _check_lines("Faults.lines", self.lines, case)
 
     def events(self, pick: Picker, draft: Draft) -> list[Event]:
@@ -451,7 +443,7 @@ class Islandings(Record):
 
     line_sets: tuple[tuple[Line, ...], ...] = design((), "-", "sets of lines of which one opens; none: no islanding")
 
-    def check(self, case: NetworkCase, records: Sequence[Record]) -> None:
+    def check(self, case: grid.NetworkCase, records: Sequence[Record]) -> None:
         for lines in self.line_sets:
             if len(case.parts_without(tuple(case.branch_index(*line) for line in lines))) != 2:
                 raise ValueError(f"line_sets of Islandings must each leave two parts of the network, got {lines}")
@@ -521,7 +513,7 @@ class SensorDistribution(Checked):
         # Checks the values that are the same in every scenario.
         Sensors(**{**vars(self), "seed": 0, "delay_s": 0.0, "wind_bias": (0.0,)})
 
-    def replaced(self, changes: Mapping[str, Any]) -> SensorDistribution:
+    def replaced(self, changes: Mapping[str, Any]) -> "SensorDistribution":
         """Return the distribution with some of its values replaced; a ValueError lists the known names."""
         require_known("values of the sensors", changes, [field.name for field in fields(self)])
         return replace(self, **changes)

@@ -1,7 +1,5 @@
 """Suites of version v1 for any grid: where events may happen follows from the network, or is read from a file."""
 
-from __future__ import annotations
-
 import math
 import os
 import re
@@ -12,11 +10,10 @@ from pathlib import Path
 from typing import Any
 
 from wtg_gym.files import interpreting, parse_json, read_text
+from wtg_gym.physics import machine_parameters, simulator
 from wtg_gym.physics.grid import Grid, get_grid, record_of
-from wtg_gym.physics.machine_parameters import SynchronousMachineParameters
 from wtg_gym.physics.network import LEAST_IMPEDANCE
 from wtg_gym.physics.plant import SIMULATION_DT_RANGE
-from wtg_gym.physics.simulator import longest_step
 from wtg_gym.ranges import Checked, describe, design, required
 from wtg_gym.scenarios.draws import LOSSES, OperatingPoint, Span, Wind
 from wtg_gym.scenarios.strata import COMMON, Places, constant_mw, governed_mva, suite_of_strata, wind_plant
@@ -71,7 +68,7 @@ def all_places(grid: Grid) -> Places:
     )
 
 
-def _buses(machines: Sequence[SynchronousMachineParameters]) -> tuple[int, ...]:
+def _buses(machines: Sequence[machine_parameters.SynchronousMachineParameters]) -> tuple[int, ...]:
     return tuple(dict.fromkeys(machine.bus for machine in machines))
 
 
@@ -151,8 +148,7 @@ def _read(path: Path, text: str) -> GridSuite:
 def unscreened(grid: str) -> GridSuite:
     """Return a suite of a grid, a name or a file, with every event that does not take its network apart.
 
-    Raises:
-        ValueError: it has no load, or the machines that stay cannot give what the wind leaves.
+    A ValueError says that it has no load, or the machines that stay cannot give what the wind leaves.
     """
     data = get_grid(grid)
     if data.case.load_mw <= 0.0:
@@ -163,7 +159,7 @@ def unscreened(grid: str) -> GridSuite:
             raise ValueError(f"{ends} has an impedance below {LEAST_IMPEDANCE:g} p.u., too little for the power flow")
     settings = GridSuite(name=Path(grid).stem, grid=grid, places=all_places(data))
     plant = settings.plant["plant"]
-    settings = replace(settings, simulation_dt=longest_step(plant))
+    settings = replace(settings, simulation_dt=simulator.longest_step(plant))
     if (constant := constant_mw(plant)) < 0.0:
         raise ValueError(f"the machines without governor of grid {grid!r} take {-constant:.6g} MW; they must give some")
     # The machines supply the load that the wind leaves, and the losses.

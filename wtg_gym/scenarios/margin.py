@@ -16,11 +16,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from wtg_gym.physics import aerodynamics, grid, machine_parameters
 from wtg_gym.physics import scenario as events
-from wtg_gym.physics.aerodynamics import available_power_pu
-from wtg_gym.physics.grid import NetworkCase
 from wtg_gym.physics.machine import gate_limits
-from wtg_gym.physics.machine_parameters import SynchronousMachineParameters
 from wtg_gym.physics.plant import Plant
 from wtg_gym.physics.scenario import Event, Scenario
 
@@ -51,7 +49,7 @@ class ReserveMargin:
         sizes = zip(plant.groups, plant.turbines, strict=True)
         #: Bus, rated power [MW] and available power at 1 m/s [p.u.] of each group.
         self._groups = [
-            (group.bus, group.n_turbines * turbine.rated_power_mw, float(available_power_pu(1.0, turbine)))
+            (group.bus, group.n_turbines * turbine.rated_power_mw, float(aerodynamics.available_power_pu(1.0, turbine)))
             for group, turbine in sizes
         ]
         governed = [m for m in case.machines if m.governor is not None]
@@ -76,7 +74,12 @@ class ReserveMargin:
 
         The search ends at the first instant with a margin below `least`: the least may be lower still.
         """
-        at_start_mw, margin = self._machines_at_start(scenario), math.inf
+        wind_mw = self._at_nominal * sum(self._wind_mw(scenario, 0.0, 0.0))
+        given_mw = sum(machine.dispatch_mw for machine in self._machines if not machine.share)
+        needed_mw = max((1.0 + _LOSSES) * scenario.load_level * self._case.load_mw - wind_mw - given_mw, 0.0)
+        # The machines share what the wind leaves.
+        at_start_mw = [m.share * needed_mw if m.share else m.dispatch_mw for m in self._machines]
+        margin = math.inf
         # The last instant, with most lost, decides most often.
         for time_s in sorted({0.0, *(event.time_s for event in scenario.events)}, reverse=True):
             margin = min(margin, self._at(time_s, scenario, at_start_mw))
@@ -92,13 +95,6 @@ class ReserveMargin:
         # The mean, without what numpy's asks before.
         means = (np.add.reduce(speeds, axis=1) / speeds.shape[1]).tolist()
         return [rated * min(cubic * mean**3, 1.0) for (_, rated, cubic), mean in zip(self._groups, means, strict=True)]
-
-    def _machines_at_start(self, scenario: Scenario) -> list[float]:
-        """Return what each machine gives at the start [MW]: they share what the wind leaves."""
-        wind_mw = self._at_nominal * sum(self._wind_mw(scenario, 0.0, 0.0))
-        given_mw = sum(machine.dispatch_mw for machine in self._machines if not machine.share)
-        needed_mw = max((1.0 + _LOSSES) * scenario.load_level * self._case.load_mw - wind_mw - given_mw, 0.0)
-        return [machine.share * needed_mw if machine.share else machine.dispatch_mw for machine in self._machines]
 
     def _at(self, time_s: float, scenario: Scenario, at_start_mw: list[float]) -> float:
         """Return the least margin of all parts of the network from an instant on."""
@@ -134,12 +130,12 @@ class ReserveMargin:
         return min(margins, default=math.inf)
 
 
-def _size(machine: SynchronousMachineParameters) -> float:
+def _size(machine: machine_parameters.SynchronousMachineParameters) -> float:
     """Return the power that a machine's share of the load at the start follows [MW]."""
     return machine.rating_mva * min(gate_limits(machine.governor)[1], 1.0) if machine.governor is not None else 0.0
 
 
-def _opened(event: Event, time_s: float, case: NetworkCase) -> list[int]:
+def _opened(event: Event, time_s: float, case: grid.NetworkCase) -> list[int]:
     """Return the branches that an event holds open at an instant; the line with a fault opens when it is cleared."""
     if isinstance(event, events.LineTrip):
         closed = event.recloses_after_s is not None and time_s >= event.time_s + event.recloses_after_s

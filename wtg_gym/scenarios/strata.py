@@ -1,7 +1,5 @@
 """The strata of version v1, on any grid: what is drawn in each, and where it may happen."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from collections.abc import Mapping, Sequence
@@ -9,15 +7,11 @@ from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Any
 
+from wtg_gym.physics import machine_parameters, parameters
 from wtg_gym.physics.grid import DEFAULT_GRID, digest_of_grid, get_grid
-from wtg_gym.physics.machine_parameters import GovernorParameters
-from wtg_gym.physics.parameters import GridFormingParameters, WtgGroup
 from wtg_gym.physics.plant import Plant
 from wtg_gym.ranges import Checked
-from wtg_gym.scenarios import draws
-from wtg_gym.scenarios.distribution import ScenarioDistribution
-from wtg_gym.scenarios.draws import SensorDistribution, Span
-from wtg_gym.scenarios.suite import Suite
+from wtg_gym.scenarios import distribution, draws, suite
 from wtg_gym.tasks import V1
 
 
@@ -134,7 +128,7 @@ KINDS: Mapping[str, draws.Changes] = {
 class Stratum:
     """A range of the reserve margin [-], and the kinds of event that are tried in turn until a scenario falls in it."""
 
-    margin: Span
+    margin: draws.Span
     kinds: tuple[str, ...]
 
 
@@ -154,25 +148,20 @@ _SECONDARY_TIME_S = 30.0
 
 def wind_plant(
     grid: str,
-    groups: tuple[WtgGroup, ...],
+    groups: tuple[parameters.WtgGroup, ...],
     *,
     generator_mva: float | None = None,
     branch_scale: float = 1.0,
     condensers: bool = True,
     simulation_dt: float = 0.025,
 ) -> dict[str, Any]:
-    """Return `grid`, `plant`, `plant_data` and `described` of a suite of version v1.
+    """Return `grid`, `plant`, `plant_data` and `described` of a suite of version v1, on a grid by its name or file.
 
-    Args:
-        grid: its name, or the path of its file.
-        groups: the WTG groups.
-        generator_mva: rating of the machine at the slack bus, whose gate then opens to 1 p.u.; None: the grid's [MVA].
-        branch_scale: factor on the impedance of every branch [-].
-        condensers: whether machines without a governor are there.
-        simulation_dt: step of the integration [s].
+    The machine at the slack bus is rated `generator_mva` [MVA] if given, and its gate then opens to 1 p.u. The
+    impedance of every branch is scaled. `condensers` says whether machines without a governor are there.
     """
     grid_data = get_grid(grid)
-    governor = None if generator_mva is None else GovernorParameters(gate_max_pu=1.0)
+    governor = None if generator_mva is None else machine_parameters.GovernorParameters(gate_max_pu=1.0)
     case = grid_data.with_groups
     machines = [machine for machine in case.machines if condensers or machine.governor is not None]
     if generator_mva is not None:
@@ -183,7 +172,7 @@ def wind_plant(
     plant = Plant(
         case=dataclasses.replace(case, machines=tuple(machines), branches=branches),
         groups=groups,
-        control=GridFormingParameters(overload_limit_pu=_OVERLOAD_FROM_PU),
+        control=parameters.GridFormingParameters(overload_limit_pu=_OVERLOAD_FROM_PU),
         secondary_time_s=_SECONDARY_TIME_S,
         shares_dispatch=sum(machine.governor is not None for machine in machines) > 1,
         simulation_dt=simulation_dt,
@@ -246,46 +235,48 @@ def suite_of_strata(
     plant: Mapping[str, Any],
     places: Places,
     *,
-    sensors: SensorDistribution | None = None,
+    sensors: draws.SensorDistribution | None = None,
     scenarios_of: str | None = None,
     event_size: float = 1.0,
     changes: draws.Changes = MappingProxyType({}),
     changes_in: Mapping[str, draws.Changes] = MappingProxyType({}),
-) -> Suite:
-    """Return a suite of version v1.
+) -> suite.Suite:
+    """Return a suite of version v1, which `name` lacks, in a :func:`wind_plant`.
 
-    Args:
-        name: without "-v1".
-        plant: what :func:`wind_plant` returns.
-        places: where events may happen; a kind of event without a place is left out.
-        scenarios_of: another suite that it shares all but the sensors with.
-        event_size: factor on the load events of every stratum [-]. On other grids these are in per cent of the load,
-            the largest at most the loss that the grid is planned for.
-        changes: what it replaces everywhere.
-        changes_in: what it replaces in a kind of event, by its name.
+    A kind of event without a place is left out. All but the sensors is that of the suite `scenarios_of`. `event_size`
+    is a factor on the load events of every stratum [-]; on other grids these are in per cent of the load, the largest
+    at most the loss that the grid is planned for. `changes` replace fields everywhere, `changes_in` in a kind of event.
     """
-    size, of_events = 1.0, 1.0
+    settings, size, of_events = plant["plant"], 1.0, 1.0
     if plant["grid"] != DEFAULT_GRID:
-        size = plant["plant"].case.load_mw / _LOAD_MW
+        size = settings.case.load_mw / _LOAD_MW
         of_events = min(size, get_grid(plant["grid"]).largest_loss_mw / _LARGEST_MW)
-    of_grid, where = _changes_of(plant["plant"], places, size), places.of_kinds()
+    of_grid: draws.Changes = {
+        draws.LoadEvents: {"buses": places.load_buses, "trip_buses": places.load_trip_buses},
+        draws.LoadNoise: {"standard_deviation_mw": round(size, 2), "bus": places.load_noise_bus},
+        draws.LineTrips: {"lines": places.line_trips},
+        draws.GovernorLosses: {"buses": places.governor_buses},
+        draws.MachineOutages: {"buses": places.machine_buses},
+        draws.UnitCommitment: {"generator_mva": governed_mva(settings), "constant_mw": constant_mw(settings)},
+    }
+    where = places.of_kinds()
     kinds = {}
     for kind, of_kind in KINDS.items():
         of_place = where.get(kind, {})
         if all(place for fields in of_place.values() for place in fields.values()):
             layers = (COMMON, of_grid, of_kind, of_place, changes, changes_in.get(kind, {}))
-            kinds[kind] = ScenarioDistribution(
+            kinds[kind] = distribution.ScenarioDistribution(
                 name=f"{scenarios_of or name}-v1/{kind}",
                 records=_records(layers, event_size * of_events),
                 grid=plant["grid"],
                 last_event_s=_LAST_EVENT_S,
             )
-    return Suite(
+    return suite.Suite(
         name=f"{name}-v1",
         description=description,
         duration_s=180.0,
         task=V1,
-        sensors=sensors or SensorDistribution(),
+        sensors=sensors or draws.SensorDistribution(),
         drawn_from={
             name: tuple(kinds[kind] for kind in stratum.kinds if kind in kinds) for name, stratum in STRATA.items()
         },
@@ -294,15 +285,3 @@ def suite_of_strata(
         test=range(20_000, 20_450),
         **plant,
     )
-
-
-def _changes_of(plant: Plant, places: Places, size: float) -> draws.Changes:
-    """Return what the records hold of a plant and the places in it; `size` is a factor on the load noise [-]."""
-    return {
-        draws.LoadEvents: {"buses": places.load_buses, "trip_buses": places.load_trip_buses},
-        draws.LoadNoise: {"standard_deviation_mw": round(size, 2), "bus": places.load_noise_bus},
-        draws.LineTrips: {"lines": places.line_trips},
-        draws.GovernorLosses: {"buses": places.governor_buses},
-        draws.MachineOutages: {"buses": places.machine_buses},
-        draws.UnitCommitment: {"generator_mva": governed_mva(plant), "constant_mw": constant_mw(plant)},
-    }

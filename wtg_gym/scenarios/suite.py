@@ -46,42 +46,29 @@ class FixedCase:
 class Suite:
     """A frozen list of scenarios: distributions with seed ranges, or fixed cases with seeds 0, 1, …
 
-    Args:
-        description: one line on what it is about.
-        duration_s: length of its runs [s].
-        task: what is acted, charged and observed: a version of the benchmark.
-        grid: name of its grid, or path of the grid's file.
-        plant: the grid with its machines, turbines and physics.
-        plant_data, described: what its hash holds of the plant in versions after v0, and which plant that describes:
-            of another one it holds everything.
-        sensors: distribution of the measurements' errors; None for exact measurements.
-        drawn_from: distributions of its scenarios by the name of their stratum, "" where there is only one. The first
-            of n strata has the seeds with seed % n = 0, of its m distributions the first those with seed // n % m = 0.
-        margins: range of the :class:`~wtg_gym.scenarios.margin.ReserveMargin` of each stratum [-]; its distributions
-            are tried in turn, from a seed's own on, until a scenario falls in it.
-        cases: the fixed cases, case i having the seed i in every split; empty with distributions.
-        train, validation, test: seeds to train, select and rank on.
-
-    Raises:
-        ValueError: neither or both of distributions and cases, a stratum without a name or a distribution, or splits of
-            distributions overlap.
+    A ValueError says that there are neither or both of distributions and cases, that a stratum has no name or
+    distribution, or that splits of distributions overlap.
     """
 
     name: str
-    description: str = ""
-    duration_s: float
-    task: Task = V0
-    grid: str = DEFAULT_GRID
-    plant: Plant = field(default_factory=Plant)
-    plant_data: Mapping[str, Any] = field(default_factory=dict)
-    described: Plant | None = None
-    sensors: SensorDistribution | None = None
+    description: str = ""  # one line on what it is about
+    duration_s: float  # length of its runs [s]
+    task: Task = V0  # what is acted, charged and observed: a version of the benchmark
+    grid: str = DEFAULT_GRID  # name of its grid, or path of the grid's file
+    plant: Plant = field(default_factory=Plant)  # the grid with its machines, turbines and physics
+    plant_data: Mapping[str, Any] = field(default_factory=dict)  # what its hash holds of the plant in versions after v0
+    described: Plant | None = None  # the plant that this describes: of another one the hash holds everything
+    sensors: SensorDistribution | None = None  # of the measurements' errors; None for exact measurements
+    #: Distributions of its scenarios by the name of their stratum, "" where there is only one. The first of n strata
+    #: has the seeds with seed % n = 0, of its m distributions the first those with seed // n % m = 0.
     drawn_from: Mapping[str, tuple[ScenarioDistribution, ...]] = field(default_factory=dict)
+    #: Range of the :class:`~wtg_gym.scenarios.margin.ReserveMargin` of each stratum [-]; its distributions are tried in
+    #: turn, from a seed's own on, until a scenario falls in it.
     margins: Mapping[str, Span] = field(default_factory=dict)
-    cases: tuple[FixedCase, ...] = ()
-    train: range = _TRAIN_SEEDS
-    validation: range = _VALIDATION_SEEDS
-    test: range = _TEST_SEEDS
+    cases: tuple[FixedCase, ...] = ()  # the fixed ones, case i having the seed i in every split
+    train: range = _TRAIN_SEEDS  # seeds to train on
+    validation: range = _VALIDATION_SEEDS  # to select on
+    test: range = _TEST_SEEDS  # to rank on
 
     def __post_init__(self) -> None:
         if bool(self.drawn_from) == bool(self.cases):
@@ -174,7 +161,7 @@ class Suite:
         sensors: SensorDistribution | EllipsisType | None = ...,
         plant: Plant | None = None,
     ) -> list[Scenario]:
-        """Return the scenarios of seeds.
+        """Return the scenarios of seeds. A ValueError says that a seed is in no split, or an argument is out of range.
 
         Args:
             seeds: each of one of the splits.
@@ -185,9 +172,6 @@ class Suite:
             sensors: replaces the suite's own; None measures exactly.
             plant: plant whose WTG groups reserve margins are computed for; None: the suite's, with `n_wtg` groups at
                 the bus of the first.
-
-        Raises:
-            ValueError: a seed is in no split, or an argument is out of range; the message says what is allowed.
         """
         splits = [self.seeds(split) for split in SPLITS]
         for seed in seeds:

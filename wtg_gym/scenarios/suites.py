@@ -7,22 +7,18 @@ from collections.abc import Mapping
 from types import MappingProxyType
 from typing import Any
 
+from wtg_gym.physics import parameters, scenario
 from wtg_gym.physics.grid import DEFAULT_GRID, FOLDER, get_grid
-from wtg_gym.physics.parameters import WtgGroup
-from wtg_gym.physics.scenario import LoadStep, LoadTrip
 from wtg_gym.ranges import did_you_mean
-from wtg_gym.scenarios import draws
+from wtg_gym.scenarios import draws, grid_suite, strata
 from wtg_gym.scenarios.distribution import ScenarioDistribution
-from wtg_gym.scenarios.draws import SensorDistribution
-from wtg_gym.scenarios.grid_suite import read_suite, suite_of_file
-from wtg_gym.scenarios.strata import Places, suite_of_strata, wind_plant
 from wtg_gym.scenarios.suite import FixedCase, Suite
 from wtg_gym.tasks import V1
 
 
 def _paper_cases(wind_speed_m_s: tuple[float, float], increase_mw: float) -> tuple[FixedCase, FixedCase]:
-    more = (LoadStep(time_s=at, bus=bus, power_mw=increase_mw) for at, bus in ((5.0, 2), (30.0, 3)))
-    less = (LoadTrip(time_s=5.0, bus=4), LoadTrip(time_s=30.0, bus=9))
+    more = (scenario.LoadStep(time_s=at, bus=bus, power_mw=increase_mw) for at, bus in ((5.0, 2), (30.0, 3)))
+    less = (scenario.LoadTrip(time_s=5.0, bus=4), scenario.LoadTrip(time_s=30.0, bus=9))
     return (
         FixedCase(name="load-increase", wind_speed_m_s=wind_speed_m_s, events=tuple(more)),
         FixedCase(name="load-decrease", wind_speed_m_s=wind_speed_m_s, events=less),
@@ -44,15 +40,15 @@ def _drawn(name: str, description: str, changes: draws.Changes = MappingProxyTyp
 
 def _wind_plant(generator_mva: float, *turbines: float, **network: Any) -> dict[str, Any]:
     """Return the plant of version v1: a small generator at bus 1, WTG groups in place of others."""
-    groups = tuple(WtgGroup(bus=bus, n_turbines=n) for bus, n in zip((2, 3, 6, 8), turbines, strict=True))
-    return wind_plant(DEFAULT_GRID, groups, generator_mva=generator_mva, **network)
+    groups = tuple(parameters.WtgGroup(bus=bus, n_turbines=n) for bus, n in zip((2, 3, 6, 8), turbines, strict=True))
+    return strata.wind_plant(DEFAULT_GRID, groups, generator_mva=generator_mva, **network)
 
 
 #: Lines with a short circuit at their first bus; a fault of 0.4 s next to the generator can end its synchronism.
 _FAULT_LINES = draws.lines_of("1-2 1-5 2-1 2-3 2-4 2-5 3-2 3-4 4-5 5-1 6-13 9-14")
 #: Lines whose opening leaves a part of the network to the group at bus 6, or to those at 6 and 8.
 _ISLANDINGS = tuple(map(draws.lines_of, ("5-6 10-11 13-14", "5-6 9-10 13-14", "5-6 9-10 9-14", "5-6 4-7 4-9")))
-_PLACES = Places(
+_PLACES = strata.Places(
     load_buses=draws.LoadEvents.buses,
     # The load of bus 4 is more than all other events together.
     load_trip_buses=(9, 14),
@@ -68,7 +64,7 @@ _WIND_PLANT = _wind_plant(250.0, 20.0, 14.0, 10.0, 8.0)
 
 
 def _drawn_v1(name: str, description: str, plant: Mapping[str, Any] = _WIND_PLANT, **settings: Any) -> Suite:
-    return suite_of_strata(name, description, plant, _PLACES, **settings)
+    return strata.suite_of_strata(name, description, plant, _PLACES, **settings)
 
 
 #: Failures besides load events in faults-v1.
@@ -82,7 +78,7 @@ _PAPER_V1 = Suite(
     description="The paper's cases in this grid: 35 MW more at bus 2 and at bus 3; the loads of buses 4 and 9 lost.",
     duration_s=120.0,
     task=V1,
-    sensors=SensorDistribution(),
+    sensors=draws.SensorDistribution(),
     cases=_paper_cases((11.0, 9.0), 35.0),
     **_WIND_PLANT,
 )
@@ -171,7 +167,7 @@ _SUITES = (
     _drawn_v1(
         "no-wind-sensor",
         "The scenarios of standard-v1, but nobody measures the wind.",
-        sensors=SensorDistribution(wind_sensor=False),
+        sensors=draws.SensorDistribution(wind_sensor=False),
         scenarios_of="standard",
     ),
     _drawn_v1(
@@ -201,7 +197,7 @@ _SUITES = (
     ),
     _PAPER_V1,
     # Without events that no law survives in simulation.
-    *(read_suite(path).suite for path in sorted((FOLDER / "suites").glob("*.json"))),
+    *(grid_suite.read_suite(path).suite for path in sorted((FOLDER / "suites").glob("*.json"))),
 )
 #: Every suite by its name.
 SUITES: Mapping[str, Suite] = MappingProxyType({suite.name: suite for suite in _SUITES})
@@ -244,11 +240,10 @@ def suite_of_grid(grid: str) -> str:
 def get_suite(name: str) -> Suite:
     """Return a suite by its name, or by the path of its file or of a grid's, which ends in ".json".
 
-    Raises:
-        ValueError: the suite is unknown, or the file is damaged; the message lists the known ones, or says why.
+    A ValueError says that the suite is unknown, or the file is damaged.
     """
     if isinstance(name, str) and name.endswith(".json"):
-        suite = suite_of_file(name)
+        suite = grid_suite.suite_of_file(name)
         if suite.name in FROZEN_HASHES and suite.hash != FROZEN_HASHES[suite.name]:
             raise ValueError(f"{name} is another suite than {suite.name}: give it another name")
         return suite

@@ -11,14 +11,11 @@ from collections.abc import Sequence
 from functools import lru_cache
 
 import numpy as np
-import numpy.typing as npt
 from scipy.fft import next_fast_len
 
-from wtg_gym.physics.aerodynamics import available_power_pu
+from wtg_gym.physics import aerodynamics, scenario
+from wtg_gym.physics.layout import Floats
 from wtg_gym.physics.parameters import GridFormingParameters, TurbineParameters
-from wtg_gym.physics.scenario import SERIES_DT
-
-FloatArray = npt.NDArray[np.float64]
 
 #: Longitudinal turbulence scale Λ1 for hub heights of 60 m and more [m] (IEC 61400-1 ed. 3, eq. 5).
 TURBULENCE_SCALE_M = 42.0
@@ -48,7 +45,7 @@ def ntm_sigma(mean_wind_m_s: float, turbulence_intensity: float) -> float:
     return turbulence_intensity * (0.75 * mean_wind_m_s + 5.6)
 
 
-def kaimal_spectrum(frequency_hz: FloatArray, mean_wind_m_s: float, sigma_m_s: float) -> FloatArray:
+def kaimal_spectrum(frequency_hz: Floats, mean_wind_m_s: float, sigma_m_s: float) -> Floats:
     """Return the one-sided Kaimal spectrum of the longitudinal wind at a point [(m/s)²/Hz].
 
     It integrates to the square of the standard deviation [m/s]. Source: IEC 61400-1 ed. 3, annex B, eq. B.14.
@@ -57,7 +54,7 @@ def kaimal_spectrum(frequency_hz: FloatArray, mean_wind_m_s: float, sigma_m_s: f
     return sigma_m_s**2 * 4.0 * time_scale_s / (1.0 + 6.0 * frequency_hz * time_scale_s) ** (5.0 / 3.0)
 
 
-def coherence_decay(frequency_hz: FloatArray, mean_wind_m_s: float) -> FloatArray:
+def coherence_decay(frequency_hz: Floats, mean_wind_m_s: float) -> Floats:
     """Return a = 12 sqrt((f/U)² + (0.12/L_c)²) of the coherence exp(-a r) over the distance r [1/m].
 
     Source: IEC 61400-1 ed. 3, annex B, eq. B.16.
@@ -66,7 +63,7 @@ def coherence_decay(frequency_hz: FloatArray, mean_wind_m_s: float) -> FloatArra
 
 
 @lru_cache(maxsize=1)
-def _disk_table() -> tuple[FloatArray, FloatArray]:
+def _disk_table() -> tuple[Floats, Floats]:
     """Logarithms of a R and of the mean of exp(-a r) over the pairs of points of a disk."""
     node, weight = np.polynomial.legendre.leggauss(200)
     root = 0.5 * (node + 1.0)
@@ -81,18 +78,16 @@ def _disk_table() -> tuple[FloatArray, FloatArray]:
     return np.log(decay), np.log(np.exp(-decay[:, None] * distance) @ weight)
 
 
-def disk_mean_coherence(decay_radii: FloatArray) -> FloatArray:
-    """Return the mean of exp(-a r) over all pairs of points of a disk [-], by a R in 1e-4 … 1e4, constant beyond."""
-    log_decay, log_mean = _disk_table()
-    return np.exp(np.interp(np.log(decay_radii), log_decay, log_mean))
+def rotor_filter(frequency_hz: Floats, mean_wind_m_s: float) -> Floats:
+    """Return |H(f)|², the share of the point spectrum that is left in the mean over the rotor disk [-].
+
+    It is the mean of exp(-a r) over all pairs of points of the disk, constant beyond a R of 1e-4 … 1e4.
+    """
+    decay_radii = ROTOR_RADIUS_M * coherence_decay(frequency_hz, mean_wind_m_s)
+    return np.exp(np.interp(np.log(decay_radii), *_disk_table()))
 
 
-def rotor_filter(frequency_hz: FloatArray, mean_wind_m_s: float) -> FloatArray:
-    """Return |H(f)|², the share of the point spectrum that is left in the mean over the rotor disk [-]."""
-    return disk_mean_coherence(ROTOR_RADIUS_M * coherence_decay(frequency_hz, mean_wind_m_s))
-
-
-def group_filter(frequency_hz: FloatArray, mean_wind_m_s: float, n_turbines: float) -> FloatArray:
+def group_filter(frequency_hz: Floats, mean_wind_m_s: float, n_turbines: float) -> Floats:
     """Return |G(f)|² = 1/n + (1 - 1/n) coh(f, d), what averaging over n turbines leaves [-]; n below 1 counts as 1."""
     alone = min(1.0, 1.0 / n_turbines)
     return alone + (1.0 - alone) * np.exp(-TURBINE_SPACING_M * coherence_decay(frequency_hz, mean_wind_m_s))
@@ -108,25 +103,25 @@ def period_length(n_samples: int) -> int:
     return length
 
 
-def resolved_frequencies(n_period: int) -> FloatArray:
+def resolved_frequencies(n_period: int) -> Floats:
     """Return the frequencies of the harmonics of a period of `n_period` samples, zero included [Hz]."""
-    return np.arange(n_period // 2 + 1) / (n_period * SERIES_DT)
+    return np.arange(n_period // 2 + 1) / (n_period * scenario.SERIES_DT)
 
 
-def spectrum_amplitude(spectrum: FloatArray, n_period: int) -> FloatArray:
+def spectrum_amplitude(spectrum: Floats, n_period: int) -> Floats:
     """Return the scale of the Fourier coefficients of a series with a one-sided spectrum, (n_frequencies,) [unit²/Hz].
 
     Coefficients of standard normal real and imaginary parts, times this, are those of a Gaussian series. The spectrum
     is that at :func:`resolved_frequencies`, for an even number of samples.
     """
-    amplitude = 0.5 * n_period * np.sqrt(spectrum / (n_period * SERIES_DT))
+    amplitude = 0.5 * n_period * np.sqrt(spectrum / (n_period * scenario.SERIES_DT))
     # Mean and Nyquist harmonic have a real coefficient only.
     amplitude[[0, -1]] *= math.sqrt(2.0)
     return amplitude
 
 
 @lru_cache(maxsize=4096)
-def _tabulated_amplitude(mean_tenth_m_s: int, n_turbines: float, n_period: int) -> FloatArray:
+def _tabulated_amplitude(mean_tenth_m_s: int, n_turbines: float, n_period: int) -> Floats:
     mean = 0.1 * mean_tenth_m_s
     frequency = resolved_frequencies(n_period)
     spectrum = kaimal_spectrum(frequency, mean, 1.0)
@@ -137,7 +132,7 @@ def _tabulated_amplitude(mean_tenth_m_s: int, n_turbines: float, n_period: int) 
     return amplitude
 
 
-def turbulence_amplitude(mean_wind_m_s: float, n_turbines: float, n_period: int) -> FloatArray:
+def turbulence_amplitude(mean_wind_m_s: float, n_turbines: float, n_period: int) -> Floats:
     """Return the scale of the coefficients of rotor-effective, group-averaged turbulence, of 1 m/s at a point.
 
     The shape of the spectrum is that of the mean wind rounded to 0.1 m/s, so that it is worked out only once.
@@ -145,7 +140,7 @@ def turbulence_amplitude(mean_wind_m_s: float, n_turbines: float, n_period: int)
     return _tabulated_amplitude(round(10.0 * mean_wind_m_s), n_turbines, n_period)
 
 
-def extreme_operating_gust(time_s: FloatArray, start_s: float, size_m_s: float) -> FloatArray:
+def extreme_operating_gust(time_s: Floats, start_s: float, size_m_s: float) -> Floats:
     """Return the change of wind in an extreme operating gust: a dip, a peak and a dip in 10.5 s [m/s].
 
     The size is V_gust, about the rise from the dip to the peak. Source: IEC 61400-1 ed. 3, eq. 18.
@@ -163,7 +158,7 @@ def gust_share(mean_wind_m_s: float, n_turbines: float) -> float:
     return math.sqrt(float(group_filter(np.array(1.0 / GUST_DURATION_S), mean_wind_m_s, n_turbines)))
 
 
-def coherent_ramp(time_s: FloatArray, start_s: float, change_m_s: float, ramp_s: float) -> FloatArray:
+def coherent_ramp(time_s: Floats, start_s: float, change_m_s: float, ramp_s: float) -> Floats:
     """Return a change of wind that grows linearly to `change_m_s` and then stays [m/s], at instants of any shape."""
     return change_m_s * np.clip((time_s - start_s) / ramp_s, 0.0, 1.0)
 
@@ -179,29 +174,26 @@ def share_of_load(mean_winds: Sequence[float], turbines: Sequence[float], load_m
 def _turbine_power() -> tuple[float, float]:
     """Return a turbine's power at nominal reserve [MW], and its available power at 1 m/s [p.u.]."""
     full, rated_mw = 1.0 - GridFormingParameters().deloading_nominal, TurbineParameters().rated_power_mw
-    return rated_mw * full, float(available_power_pu(1.0))
-
-
-# --- the noise of the load: an Ornstein-Uhlenbeck process that starts at zero, made from a stationary one -------------
+    return rated_mw * full, float(aerodynamics.available_power_pu(1.0))
 
 
 @lru_cache(maxsize=64)
-def noise_amplitude(correlation_s: float, n_period: int) -> FloatArray:
+def noise_amplitude(correlation_s: float, n_period: int) -> Floats:
     """Return the scale of each Fourier coefficient of a stationary Ornstein-Uhlenbeck series of variance 1.
 
     It is a first-order autoregression with φ = exp(-dt/T), of the spectrum 2 dt (1 - φ²)/(1 - 2 φ cos(2π f dt) + φ²).
     """
-    phi = math.exp(-SERIES_DT / correlation_s)
-    angle = 2.0 * math.pi * SERIES_DT * resolved_frequencies(n_period)
-    spectrum = 2.0 * SERIES_DT * (1.0 - phi**2) / (1.0 - 2.0 * phi * np.cos(angle) + phi**2)
+    phi = math.exp(-scenario.SERIES_DT / correlation_s)
+    angle = 2.0 * math.pi * scenario.SERIES_DT * resolved_frequencies(n_period)
+    spectrum = 2.0 * scenario.SERIES_DT * (1.0 - phi**2) / (1.0 - 2.0 * phi * np.cos(angle) + phi**2)
     amplitude = spectrum_amplitude(spectrum, n_period)
     amplitude.setflags(write=False)
     return amplitude
 
 
 @lru_cache(maxsize=64)
-def noise_decay(correlation_s: float, n_samples: int) -> FloatArray:
+def noise_decay(correlation_s: float, n_samples: int) -> Floats:
     """Return exp(-t/T) at every sample: a stationary series minus this times its first value starts at zero."""
-    decay: FloatArray = np.exp(-SERIES_DT / correlation_s * np.arange(n_samples))
+    decay: Floats = np.exp(-scenario.SERIES_DT / correlation_s * np.arange(n_samples))
     decay.setflags(write=False)
     return decay

@@ -5,14 +5,11 @@ import os
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 
 from wtg_gym.files import interpreting, read_bytes
-from wtg_gym.physics.parameters import MOST_GROUPS
-from wtg_gym.physics.scenario import WIND_SPEED_RANGE
+from wtg_gym.physics import parameters, scenario
+from wtg_gym.physics.layout import Floats
 from wtg_gym.ranges import require_count, require_range
-
-FloatArray = npt.NDArray[np.float64]
 
 _STEP_RANGE_S = (1e-3, 3600.0)
 #: As many as a day has tenths of a second.
@@ -22,7 +19,7 @@ _STEP_TOLERANCE = 0.05
 _FORMAT = "time_s,wind_1_m_s,wind_2_m_s,… (time [s] first, then one column of wind speed [m/s] per WTG group)"
 
 
-def read_wind_csv(path: str | os.PathLike[str], *, duration_s: float | None = None) -> tuple[FloatArray, float]:
+def read_wind_csv(path: str | os.PathLike[str], *, duration_s: float | None = None) -> tuple[Floats, float]:
     """Return wind speeds (n_wtg, n_samples) [m/s] and their time step [s] from a CSV file, ready for a `Scenario`.
 
     The file is UTF-8, has a header and a uniform time step: `time_s` first, then one column per WTG group of any name
@@ -34,7 +31,7 @@ def read_wind_csv(path: str | os.PathLike[str], *, duration_s: float | None = No
         return _parse(raw, duration_s)
 
 
-def _parse(raw: bytes, duration_s: float | None) -> tuple[FloatArray, float]:
+def _parse(raw: bytes, duration_s: float | None) -> tuple[Floats, float]:
     try:
         text = raw.decode("utf-8-sig")
     except UnicodeDecodeError as error:
@@ -43,7 +40,7 @@ def _parse(raw: bytes, duration_s: float | None) -> tuple[FloatArray, float]:
     text = text.rstrip()
     require_count("the table", text.count("\n"), _MOST_ROWS)
     first, *lines = text.split("\n")
-    require_count("line 1", first.count(",") + 1, MOST_GROUPS + 1)
+    require_count("line 1", first.count(",") + 1, parameters.MOST_GROUPS + 1)
     header = _cells(first)
     if header[0] != "time_s" or len(header) < 2:
         raise ValueError(f"line 1: the header is {first[:80]!r} or empty; expected: {_FORMAT}")
@@ -72,7 +69,7 @@ def _numbers(where: str, header: list[str], line: str) -> list[float]:
     cells = _cells(line)
     if len(cells) != len(header):
         raise ValueError(f"{where}: {len(cells)} cells, the header has {len(header)}: {line[:80]!r}")
-    low, high = WIND_SPEED_RANGE
+    low, high = scenario.WIND_SPEED_RANGE
     numbers: list[float] = []
     for name, text in zip(header, cells, strict=True):
         try:
@@ -88,7 +85,7 @@ def _numbers(where: str, header: list[str], line: str) -> list[float]:
     return numbers
 
 
-def _uniform_step(time_s: FloatArray) -> float:
+def _uniform_step(time_s: Floats) -> float:
     """Return the mean time step, or raise a ValueError that names the first line where the step is another one."""
     # Times such as 1e308 give steps that are not finite, which are refused below.
     with np.errstate(over="ignore", invalid="ignore"):

@@ -122,13 +122,7 @@ def keep(path: Path | None, key: bytes, code: bytes) -> None:
 
 
 class DiskCache(NullCache):  # type: ignore[misc]
-    """The cache of one numba dispatcher.
-
-    Args:
-        function: the function that is compiled.
-        folder: folder of the files; None keeps nothing.
-        source_hash: hash of the source code that the function may call.
-    """
+    """The cache of a numba dispatcher, in files of a folder or nowhere, by the hash of the source that it may call."""
 
     def __init__(self, function: Callable[..., Any], folder: Path | None, source_hash: str) -> None:
         self._name = f"{function.__module__}.{function.__qualname__}"
@@ -171,8 +165,7 @@ def _warn_that_nothing_is_kept(folder: Path, reason: str) -> None:
 class Compilation(event.Listener):  # type: ignore[misc]
     """What this process has compiled: functions with a :class:`DiskCache`, and routines; numba's lock guards it.
 
-    Args:
-        folder: folder of the machine code, for the report; None keeps nothing.
+    The folder of the machine code is for the report; None keeps nothing.
     """
 
     def __init__(self, folder: Path | None) -> None:

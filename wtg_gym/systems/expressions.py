@@ -4,8 +4,6 @@ A :class:`Number` is an operation on other numbers. Equal operations on equal nu
 depends on constants is worked out at once, so that a program of numbers holds nothing twice.
 """
 
-from __future__ import annotations
-
 import math
 import operator
 import threading
@@ -28,7 +26,7 @@ class Number:
     #: Constants of a plant are numpy's: they leave arithmetic to this class.
     __array_ufunc__ = None
     __slots__ = ("arguments", "operation", "order")
-    _made: dict[tuple[Any, ...], Number] = {}  # noqa: RUF012
+    _made: "dict[tuple[Any, ...], Number]" = {}  # noqa: RUF012
 
     def __init__(self, operation: str, arguments: tuple[Any, ...], order: int) -> None:
         self.operation, self.arguments, self.order = operation, arguments, order
@@ -141,9 +139,6 @@ def _simplified(operation: str, operands: tuple[Any, ...]) -> Any:
     return None
 
 
-# --- what equations call ---------------------------------------------------------------------------------------------
-
-
 def _function_of(name: str) -> Callable[..., Any]:
     return lambda *arguments: number(name, *arguments)
 
@@ -185,8 +180,6 @@ def sine_cosine(angle: Any) -> tuple[Any, Any]:
     """Return sine and cosine."""
     return number("sine", angle), number("cosine", angle)
 
-
-# --- the operations: on constants, in reverse --------------------------------------------------------------
 
 _CONSTANT: dict[str, Callable[..., Any]] = {
     "add": operator.add,

@@ -4,8 +4,6 @@ An entry of a program is a :class:`~wtg_gym.systems.systems.System`, which goes 
 block: :class:`Product`, :class:`When`, :class:`Repeat`, :class:`Each`.
 """
 
-from __future__ import annotations
-
 import hashlib
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -172,7 +170,7 @@ class Program:
         if len(self.places) < len(list(_flat(self.entries))):
             raise ValueError(f"a system stands in program {name!r} twice")
 
-    def joined(self, joining: Mapping[str, Sequence[System]]) -> Program:
+    def joined(self, joining: Mapping[str, Sequence[System]]) -> "Program":
         """Return the program with systems of devices."""
         return Program(self.name, self._unjoined, self.number, joining) if joining else self
 

@@ -53,11 +53,8 @@ class Routine:
     cotangents (bars) of block and scratch, the tape, the scratch, and cotangents of the constants in their order in the
     tables: the bars after the program become those before it, and those of the constants are added to.
 
-    Args:
-        program: what is run.
-        writer: of its instructions.
-        place: which of the program's routines it is, 0 … 3; one of two that stand at the same place can be in tables.
-        known: values of scalars; what follows from them is left out, and those handed over do not count.
+    `place` says which of the program's routines it is, 0 … 3; one of two that stand at the same place can be in tables.
+    `known` are values of scalars: what follows from them is left out, and those handed over do not count.
     """
 
     def __init__(self, program: Program, writer: type[Writer] = Writer, place: int = 0, **known: float) -> None:
@@ -97,15 +94,10 @@ class Routine:
             return _ADDRESSES[keys[0]]
 
     def __call__(self, arrays: Sequence[Floats], tables: Tables, scalars: Sequence[float] = NONE) -> None:
-        """Run it from Python.
+        """Run it from Python on arrays in C order, (n_rows, width), or (n_blocks, n_rows, width) block by block.
 
-        Args:
-            arrays: (n_rows, width), or (n_blocks, n_rows, width) to run it for one block after the other; in C order.
-            tables: those without code are for the routine's own program.
-            scalars: what the program is told.
-
-        Raises:
-            ValueError: the arrays have another width, or the tables no code for them.
+        Tables without code are for the routine's own program. A ValueError says that the arrays have another width, or
+        the tables no code for them.
         """
         stacks = [array if array.ndim == 3 else array[np.newaxis] for array in arrays]
         width = stacks[0].shape[2]
@@ -216,14 +208,10 @@ def _call(place: int, n_arrays: int) -> Callable[..., None]:
 
 
 class Function:
-    """A compiled function that others call at an address.
+    """A compiled function that others call at an address, at a place of its own among all such functions.
 
-    `call` is a function for compiled code, of (tables, arguments), which are a tuple.
-
-    Args:
-        function: the compiled function.
-        place: its own among all such functions.
-        result: type of what it returns; None: found by compiling it, wherever it might be called.
+    `call` is a function for compiled code, of (tables, arguments), which are a tuple. The type of its result, where it
+    is not given, is found by compiling it, wherever it might be called.
     """
 
     def __init__(self, function: Any, place: int, result: Any = None) -> None:
@@ -265,10 +253,8 @@ def code_of(
 ) -> Whole:
     """Return addresses in this process, as :class:`~wtg_gym.systems.programs.Tables` have them.
 
-    Args:
-        programs: that share the tables.
-        routines: those that will be called, by the width of the blocks.
-        functions: those that will be called, with arguments like those that they will be given.
+    The programs share the tables. Routines that will be called are given by the width of the blocks, functions with
+    arguments like those that they will be given.
     """
     addresses = np.zeros(_FUNCTIONS + 2 * _PLACES * len(programs), dtype=np.int64)
     for function, arguments in functions.items():

@@ -8,8 +8,6 @@ that its kind sees: the lane, the host of an attached unit, the two ends of a pa
 A system says nothing of loops, of how many units or lanes there are, nor where rows lie.
 """
 
-from __future__ import annotations
-
 import functools
 import importlib
 import inspect
@@ -110,7 +108,7 @@ class Kind:
     scratch: Mapping[str, Any] = field(default_factory=dict)  # parts that last for a control step only
     constants: Mapping[str, Any] = field(default_factory=dict)  # what is known of a unit before a run
     #: Other kinds whose parts its systems may name, by a label; of one that ends with "_" by full names only.
-    sees: Mapping[str, Kind] = field(default_factory=dict)
+    sees: "Mapping[str, Kind]" = field(default_factory=dict)
     #: Parts that the integration moves. Each has three more in scratch, which are named as a whole: "x_rates", and the
     #: integration's own "x_base" and "x_sum".
     states: tuple[str, ...] = ()
@@ -149,7 +147,7 @@ class Kind:
             raise TypeError(f"{self.name} have no part {part!r} in {' or '.join(where)}{did_you_mean(part, parts)}")
         return parts[part]
 
-    def find(self, name: str, subject: str = "") -> Place:
+    def find(self, name: str, subject: str = "") -> "Place":
         """Return what a name, or the end of one, means to the systems of the kind.
 
         A TypeError, which begins with `subject` or the name, says that nothing has it, or that several places have it.
@@ -168,7 +166,7 @@ class Kind:
         several = " and ".join(f"{place.name!r} ({place.where} of {place.kind.name})" for place in places)
         raise TypeError(f"{subject or repr(name)} can mean {several}: use one of these full names")
 
-    def meanings(self, name: str) -> list[Place]:
+    def meanings(self, name: str) -> "list[Place]":
         """Return all places that systems of the kind might mean by a name."""
         places = [Place(self, "", name, float, "scalars", name=name)] if name in SCALARS else []
         for label, kind in {"": self, **self.sees}.items():
@@ -180,7 +178,7 @@ class Kind:
         return places
 
     @functools.cached_property
-    def ends(self) -> dict[str, list[Place]]:
+    def ends(self) -> "dict[str, list[Place]]":
         """The kind's own parts, and numbers within records, by all ends of their names without a label."""
         places: dict[str, list[Place]] = {}
         of_states = {f"{state}_{what}" for state in self.states for what in _OF_STATES}
@@ -302,7 +300,7 @@ class System:
             raise pickle.PicklingError(f"system {name!r} cannot be pickled: module {module} has none of this name")
         return _of_module, (module, name)
 
-    def __deepcopy__(self, memo: Any) -> System:
+    def __deepcopy__(self, memo: Any) -> "System":
         return self
 
     @property

@@ -91,8 +91,6 @@ class Lanes:
             return above
         return self._called(f"llvm.vector.reduce.or.v{self.width}i1", _BIT, (above,))
 
-    # --- operations of a trace ----------------------------------------------------------------------------------------
-
     def program(self, symbols: Mapping[ex.Number, Callable[[], Any]]) -> Callable[[Any], Any]:
         """Return a function that gives numbers of a trace as instructions; `symbols` give the symbols among them."""
         known: dict[Any, Any] = {}

@@ -1,6 +1,6 @@
 """Tasks: what an environment acts on, charges and observes; each version of the benchmark is one object.
 
-`task` says what a task is; `v0` and `v1` are the two. Their equations: `episode`, actions and history; `cost`;
+`task` says what a task is; `versions` has the two. Their equations: `episode`, actions and history; `cost`;
 `sensing`, the sensors of v1; `observation`, with `info`.
 """
 
@@ -8,8 +8,7 @@ from collections.abc import Mapping
 from types import MappingProxyType
 
 from wtg_gym.tasks.task import Task
-from wtg_gym.tasks.v0 import V0
-from wtg_gym.tasks.v1 import V1
+from wtg_gym.tasks.versions import V0, V1
 
 #: Id of version v1 on other grids.
 ANY_GRID = "GFMWTG-v1"

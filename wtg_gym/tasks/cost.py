@@ -5,8 +5,6 @@ The cost is a rate [1/s] times the time that passed. A term is a field of :class
 version v1 charges that of the unit with the largest deviation, and load that is not served.
 """
 
-from __future__ import annotations
-
 import math
 from typing import Annotated, NamedTuple
 
@@ -90,7 +88,7 @@ class CostWeights(NamedTuple):
         "second more",
     ] = 250.0
 
-    def checked(self) -> CostWeights:
+    def checked(self) -> "CostWeights":
         """Return the weights as floats; a ValueError names one outside 0 … 1e6 1/s; the cap is 1e-3 1/s or more."""
         lows = {"cap": 1e-3}
         values = self._asdict().items()
@@ -177,9 +175,6 @@ def _capped(terms: CostTerms, elapsed: float, most: float) -> CostTerms:
 
 def _total(terms: CostTerms) -> float:
     return terms.frequency + terms.rocof + terms.duty + terms.rotor + terms.overload + terms.effort + terms.failure
-
-
-# --- the systems: over environments, WTG groups and machines ---------------------------------------------------------
 
 
 @system(COST, "term_rates", "interval_cost")

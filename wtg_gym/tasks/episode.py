@@ -26,9 +26,6 @@ def rocof_window(control_dt: float) -> int:
     return max(1, round(ROCOF_WINDOW_S / control_dt))
 
 
-# --- records and kinds of unit ---------------------------------------------------------------------------------------
-
-
 class TaskConstants(NamedTuple):
     """Constants of a task."""
 
@@ -108,9 +105,6 @@ ACTING = Kind(
 )
 
 
-# --- actions ---------------------------------------------------------------------------------------------------------
-
-
 @system(ACTING, "action_k", "k_offset", when="modulates k")
 def act_on_k(wanted_on_k: float, reach: Reach) -> tuple[float, float]:
     """Turn an action into an offset on k; zero leaves the law to the last bit."""
@@ -129,9 +123,6 @@ def act_on_tau(wanted_on_tau: float, base_inv_tau: float, task: TaskConstants) -
 def note_active(active: float) -> float:
     """Remember whether a lane runs."""
     return active
-
-
-# --- history, after the step -----------------------------------------------------------------------------------------
 
 
 @system(TASK, "interval", "begins")

@@ -49,23 +49,14 @@ def scaled_wind(wind: float) -> float:
 
 
 def of_groups(observation: npt.NDArray[Any], record: type[R], action_mode: str) -> R:
-    """Return what every WTG group shows in a local observation, by name.
+    """Return what every WTG group shows in a local observation (..., n_observation): a record of arrays (..., n_wtg).
 
-    Args:
-        observation: (..., n_observation).
-        record: what a group shows: :class:`WtgObservation` in v0, `MeasuredObservation` of
-            :mod:`wtg_gym.tasks.sensing` in v1.
-        action_mode: of the environment; the last actions stand behind each group's numbers.
-
-    Returns:
-        the record, each field an array (..., n_wtg).
+    The record is :class:`WtgObservation` in v0, `MeasuredObservation` of :mod:`wtg_gym.tasks.sensing` in v1. The last
+    actions of the action mode stand behind each group's numbers.
     """
     n = len(record._fields)  # type: ignore[attr-defined]
     groups = observation.reshape(*observation.shape[:-1], -1, n + sum(ACTION_MODES[action_mode]))
     return record(*(groups[..., i] for i in range(n)))
-
-
-# --- WTG groups ------------------------------------------------------------------------------------------------------
 
 
 class WtgObservation(NamedTuple):
@@ -150,9 +141,6 @@ def show_duty(filtered_mean_duty: float) -> DutyObservation:
     return bounded(DutyObservation(filtered_mean_duty))
 
 
-# --- the grid, in the privileged observation --------------------------------------------------------------------------
-
-
 class MachineObservation(NamedTuple):
     """A synchronous machine, in the privileged observation."""
 
@@ -216,9 +204,6 @@ def observe_grid(
     return bounded(
         GridObservation((coi - 1.0) * task.nominal_hz / FREQUENCY_UNIT_HZ, task_rocof, inv_torque * total_torque)
     )
-
-
-# --- info ------------------------------------------------------------------------------------------------------------
 
 
 class Info(NamedTuple):

@@ -8,16 +8,12 @@ from typing import Any, NamedTuple, get_type_hints
 
 import numpy as np
 
-from wtg_gym.physics import integration
-from wtg_gym.physics.grid import DEFAULT_GRID, get_grid
+from wtg_gym.physics import grid, integration, tracking_law
 from wtg_gym.physics.layout import Layout, Whole
 from wtg_gym.physics.plant import Plant, TaskUnits
-from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY, group_laws
+from wtg_gym.systems import routines, systems
 from wtg_gym.systems.programs import Program, in_one_table
-from wtg_gym.systems.routines import Routine
-from wtg_gym.systems.systems import Kind, count
-from wtg_gym.tasks import episode
-from wtg_gym.tasks.cost import COST, FILTERED_DUTY, GROUP_COST, MACHINE_COST, CostWeights
+from wtg_gym.tasks import cost, episode
 from wtg_gym.tasks.observation import INFO, OBSERVED, OBSERVED_DUTY, OBSERVED_GRID, OBSERVED_MACHINES
 from wtg_gym.tasks.sensing import KEPT, KEPT_SHIFTS, NEWEST, SENSED, SENSORS, n_delayed
 
@@ -25,14 +21,14 @@ from wtg_gym.tasks.sensing import KEPT, KEPT_SHIFTS, NEWEST, SENSED, SENSORS, n_
 #: is 100 MVA.
 _TORQUE_SHARE = 0.39
 #: A part of an observation: its kind of unit, its name there, and the letters before the number of its unit.
-Shown = tuple[Kind, str, str]
+Shown = tuple[systems.Kind, str, str]
 
 
 class Choices(NamedTuple):
     """Settings of an environment that change its task."""
 
     plant: Plant
-    weights: CostWeights
+    weights: cost.CostWeights
     action_mode: str
     privileged: bool
 
@@ -40,7 +36,7 @@ class Choices(NamedTuple):
 class Entries(NamedTuple):
     """Entries of an observation that are neighbours: a record of one unit."""
 
-    kind: Kind
+    kind: systems.Kind
     part: str
     unit: int
     prefix: str  # before the names of the record's fields
@@ -49,53 +45,33 @@ class Entries(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Task:
-    """A version of the benchmark: its equations as lists, its weights, and what scores 0 and 100.
+    """A version of the benchmark: its equations as lists, its weights, and what scores 0 and 100."""
 
-    Args:
-        version: "v0", "v1".
-        k_authority: offset on k at full action, as a share of K_opt - K_pr [-].
-        tau_authority: full action multiplies or divides τ by :data:`TIME_CONSTANT_RATIO` to this power [-].
-        control_dt: default time for which an action is held [s].
-        interval_s: sensors measure and costs are charged in intervals of this length, several in a control step; None:
-            once in every control step [s].
-        act, charge, start_sensors, measure, observe: the lists of a step, in their order around the physics.
-        of_groups: what every WTG group shows, before its last actions.
-        privileged: what it shows besides in the privileged observation.
-        rewards_score: whether rewards are points of the score by default, else minus the cost.
-        weights: of the terms of the cost.
-        duty_time_s: time constant of the filter behind which the duty is charged; 0 for none [s].
-        on_failure: default consequence of a rotor's failure: "terminate" or "trip".
-        failure_costs_whole_episode: whether a failed episode costs the largest rate for its whole length; else the cap
-            for the time that was left. If so, entries get the mark of reliability.
-        cost_offsets: J0 of the score in each stratum ("" without strata), in units of the cost.
-        anchors: names of the entries that score 0 and 100.
-        scale: Λ of the score, the mean improvement of the entry at 100 on that at 0; None: computed from the scenarios
-            played.
-        variates: names of laws that scores are adjusted by where their means are known, see
-            :mod:`wtg_gym.evaluation.adjusted`.
-    """
-
-    version: str
-    k_authority: float
-    tau_authority: float = 1.0
-    control_dt: float = 0.1
-    interval_s: float | None = None
+    version: str  # "v0", "v1"
+    k_authority: float  # offset on k at full action, as a share of K_opt - K_pr [-]
+    tau_authority: float = 1.0  # full action multiplies or divides τ by `TIME_CONSTANT_RATIO` to this power [-]
+    control_dt: float = 0.1  # default time for which an action is held [s]
+    interval_s: float | None = None  # in which sensors measure and costs are charged; None: the control step [s]
+    #: The lists of a step, in their order around the physics.
     act: tuple[Any, ...]
     charge: tuple[Any, ...]
     start_sensors: tuple[Any, ...] = ()
     measure: tuple[Any, ...] = ()
     observe: tuple[Any, ...]
-    of_groups: Shown
-    privileged: tuple[Shown, ...] = ()
-    rewards_score: bool = False
-    weights: CostWeights = CostWeights()
-    duty_time_s: float = 0.0
-    on_failure: str = "terminate"
+    of_groups: Shown  # what every WTG group shows, before its last actions
+    privileged: tuple[Shown, ...] = ()  # what it shows besides in the privileged observation
+    rewards_score: bool = False  # whether rewards are points of the score by default, else minus the cost
+    weights: cost.CostWeights = cost.CostWeights()
+    duty_time_s: float = 0.0  # time constant of the filter behind which the duty is charged; 0 for none [s]
+    on_failure: str = "terminate"  # default consequence of a rotor's failure, or "trip"
+    #: Whether a failed episode costs the largest rate for its whole length, and entries get the mark of reliability;
+    #: else it costs the cap for the time that was left.
     failure_costs_whole_episode: bool = False
+    #: J0 of the score in each stratum ("" without strata), in units of the cost.
     cost_offsets: Mapping[str, float] = field(default_factory=lambda: {"": 5.0})
-    anchors: tuple[str, str]
-    scale: float | None = None
-    variates: tuple[str, ...] = ()
+    anchors: tuple[str, str]  # names of the entries that score 0 and 100
+    scale: float | None = None  # Λ, mean improvement of the entry at 100 on that at 0; None: of the scenarios played
+    variates: tuple[str, ...] = ()  # laws that scores are adjusted by, see :mod:`wtg_gym.evaluation.adjusted`
 
     def __post_init__(self) -> None:
         _FIRST.setdefault(self.version, self)
@@ -136,11 +112,11 @@ class Task:
     def n_local(self) -> int:
         """Numbers that each group has of its own in an observation, before its last actions; groups come first."""
         kind, part, _ = self.of_groups
-        return count(kind.scratch[part])
+        return systems.count(kind.scratch[part])
 
     def to_dict(self) -> dict[str, Any]:
         """Return what hashes of suites hold of the task, as JSON-ready data."""
-        defaults = CostWeights()._asdict()
+        defaults = cost.CostWeights()._asdict()
         return {
             "version": self.version,
             "k_authority": self.k_authority,
@@ -155,8 +131,6 @@ class Task:
             "weights": {name: value for name, value in self.weights._asdict().items() if value != defaults[name]},
             "anchors": self.anchors,
         }
-
-    # --- what a simulator needs of it ---------------------------------------------------------------------------------
 
     @cached_property
     def programs(self) -> tuple[Program, ...]:
@@ -189,10 +163,10 @@ class Task:
                 episode.SHIFTS: n_window,
                 episode.WINDOW: 1,
                 episode.ACTING: n_wtg,
-                COST: 1,
-                GROUP_COST: n_wtg,
-                MACHINE_COST: n_sync,
-                FILTERED_DUTY: n_wtg * sensors,
+                cost.COST: 1,
+                cost.GROUP_COST: n_wtg,
+                cost.MACHINE_COST: n_sync,
+                cost.FILTERED_DUTY: n_wtg * sensors,
                 OBSERVED: n_wtg,
                 OBSERVED_DUTY: n_wtg * sensors,
                 OBSERVED_GRID: 1,
@@ -220,7 +194,7 @@ class Task:
             starting=(start_sensors, observe),
             constants={
                 (episode.TASK, "task"): [self._constants(choices)],
-                (COST, "weights"): [choices.weights],
+                (cost.COST, "weights"): [choices.weights],
                 (episode.ACTING, "reach"): self._reaches(plant),
                 (OBSERVED_GRID, "inv_torque"): [_inv_torque(plant)],
                 (SENSED, "group_number"): range(n_wtg),
@@ -252,12 +226,10 @@ class Task:
 
     def _reaches(self, plant: Plant) -> list[episode.Reach]:
         """Return what each group's turbine decides."""
-        laws = group_laws(REFERENCE_STRATEGY, plant.turbines, plant.control)
+        laws = tracking_law.group_laws(tracking_law.REFERENCE_STRATEGY, plant.turbines, plant.control)
         return [
             episode.Reach(self.k_authority * (law.k_min - law.k_max), law.k_max, law.k_min - law.k_max) for law in laws
         ]
-
-    # --- observations -------------------------------------------------------------------------------------------------
 
     def entries(self, choices: Choices) -> list[Entries]:
         """Return the entries of an observation: groups, then what is privileged, then devices."""
@@ -265,7 +237,7 @@ class Task:
         actions = tuple(name for name, used in zip(_fields(OBSERVED, "shown_actions"), modulated, strict=True) if used)
         machines = range(len(choices.plant.case.machines))
 
-        def entry(kind: Kind, part: str, unit: int, prefix: str) -> Entries:
+        def entry(kind: systems.Kind, part: str, unit: int, prefix: str) -> Entries:
             return Entries(kind, part, unit, prefix, _fields(kind, part))
 
         entries = []
@@ -313,20 +285,20 @@ _FIRST: dict[str, Task] = {}
 
 
 @lru_cache(maxsize=64)
-def _routines_of(programs: tuple[Program, ...]) -> tuple[Routine, ...]:
-    return tuple(map(Routine, programs))
+def _routines_of(programs: tuple[Program, ...]) -> tuple[routines.Routine, ...]:
+    return tuple(map(routines.Routine, programs))
 
 
 def _of_version(version: str) -> Task:
     return _FIRST[version]
 
 
-def _fields(kind: Kind, part: str) -> tuple[str, ...]:
+def _fields(kind: systems.Kind, part: str) -> tuple[str, ...]:
     names: tuple[str, ...] = kind.scratch[part]._fields
     return names
 
 
 def _inv_torque(plant: Plant) -> float:
-    if plant.case.load_mw == get_grid(DEFAULT_GRID).case.load_mw:
+    if plant.case.load_mw == grid.get_grid(grid.DEFAULT_GRID).case.load_mw:
         return 1.0
     return plant.case.base_mva / max(_TORQUE_SHARE * plant.case.load_mw, 1e-6)

@@ -1,7 +1,5 @@
 """The single-line diagram of the grid with its WTG groups and events, and events in words."""
 
-from __future__ import annotations
-
 import functools
 import math
 from collections.abc import Collection, Mapping, Sequence
@@ -10,7 +8,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from gymnasium.error import DependencyNotInstalled
 
-from wtg_gym.envs.rendering.colours import EVENT, INK, PAGE, SOFT, group_colour
 from wtg_gym.extras import install_advice
 from wtg_gym.physics.grid import NetworkCase
 from wtg_gym.physics.plant import Plant
@@ -19,6 +16,12 @@ from wtg_gym.physics.scenario import Event, Fault, GovernorLoss, GroupTrip, Line
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
+PAGE, INK, SOFT, LINE, GRID = "#ffffff", "#1b2128", "#55606c", "#d5dbe1", "#e7ebef"
+EVENT = "#a8276b"  # and the end of an episode that failed
+#: One per WTG group; further groups begin again.
+GROUPS = ("#0063a6", "#c14a00", "#00724f", "#7a5ab8")
+LIMIT = "#c98aa9"  # beyond which a run fails, or that converters keep
+BAND = "#eef6f2"  # shaded ranges of values
 #: Width and height that the places of buses are scaled to, and buses that symbols and numbers of full size suit.
 _WIDTH, _HEIGHT, _N_BUSES = 8.7, 5.1, 14
 #: The units of one bus stand within this.
@@ -26,6 +29,11 @@ _UNITS_WIDTH = 4.4
 _OPENED: Mapping[str, Any] = {"color": EVENT, "linewidth": 2.5, "linestyle": (0, (1.6, 1.2))}
 #: Behind numbers, for a line may run there.
 _PLATE: Mapping[str, Any] = {"facecolor": PAGE, "edgecolor": "none", "pad": 0.8}
+
+
+def group_colour(group: int) -> str:
+    """Return the colour of a WTG group."""
+    return GROUPS[group % len(GROUPS)]
 
 
 @functools.lru_cache(maxsize=16)
@@ -44,7 +52,7 @@ def bus_places(case: NetworkCase) -> Mapping[int, tuple[float, float]]:
     return {bus.number: (x, y) for bus, (x, y) in zip(case.buses, scaled, strict=True)}
 
 
-def draw_diagram(axes: Axes, plant: Plant, events: Sequence[Event], over: Collection[Event] = ()) -> None:
+def draw_diagram(axes: "Axes", plant: Plant, events: Sequence[Event], over: Collection[Event] = ()) -> None:
     """Draw the diagram into empty axes, with the events that have struck, numbered, of which some are undone."""
     group_buses, places = [group.bus for group in plant.groups], bus_places(plant.case)
     size = min(1.0, math.sqrt(_N_BUSES / len(places)))
@@ -62,7 +70,11 @@ def draw_diagram(axes: Axes, plant: Plant, events: Sequence[Event], over: Collec
         gap = size * min(0.8, _UNITS_WIDTH / max(1, len(units) - 1))
         first = -0.5 * gap * (len(units) - 1) - (0.35 * size if [name for name, *_ in units] in (["G"], ["C"]) else 0.0)
         for place, (name, colour, is_out) in enumerate(units):
-            _draw_unit(axes, (x + first + gap * place, y), name, colour, size, is_out=is_out)
+            at, centre = x + first + gap * place, y - 0.85 * size
+            axes.plot([at, at], [y, centre], **(_OPENED if is_out else {"color": colour, "linewidth": 1.0}))
+            ring: Any = {"markerfacecolor": PAGE, "markeredgecolor": colour, "markeredgewidth": 1.4}
+            axes.plot(at, centre, "o", markersize=18 * size, **ring)
+            axes.text(at, centre - 0.02 * size, name, fontsize=9 * size, color=colour, ha="center", va="center")
         half = max(0.45 * size, 0.5 * gap * (len(units) - 1) + 0.15 * size)
         axes.plot([x - half, x + half], [y, y], color=INK, linewidth=3.0 * size, solid_capstyle="butt")
         axes.text(x + half - 0.03, y + 0.08 * size, str(bus), fontsize=10 * size, color=INK, va="bottom", bbox=_PLATE)
@@ -90,14 +102,6 @@ def _units(bus: int, plant: Plant, events: Sequence[Event]) -> list[tuple[str, s
             is_out = any(isinstance(e, GroupTrip) and e.group == j for e in events)
             units.append((f"W{j + 1}", group_colour(j), is_out))
     return units
-
-
-def _draw_unit(axes: Axes, place: tuple[float, float], name: str, colour: str, size: float, *, is_out: bool) -> None:
-    x, y = place
-    centre = y - 0.85 * size
-    axes.plot([x, x], [y, centre], **(_OPENED if is_out else {"color": colour, "linewidth": 1.0}))
-    axes.plot(x, centre, "o", markersize=18 * size, markerfacecolor=PAGE, markeredgecolor=colour, markeredgewidth=1.4)
-    axes.text(x, centre - 0.02 * size, name, fontsize=9 * size, color=colour, ha="center", va="center")
 
 
 def undone(events: Sequence[Event], now_s: float) -> tuple[Event, ...]:

@@ -1,7 +1,5 @@
 """Frames of an episode: the background is drawn once and kept, lines and numbers are drawn in every frame."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -9,8 +7,7 @@ import numpy as np
 import numpy.typing as npt
 from gymnasium.error import DependencyNotInstalled
 
-from wtg_gym.envs.rendering.colours import BAND, EVENT, GRID, INK, LIMIT, LINE, PAGE, SOFT, group_colour
-from wtg_gym.envs.rendering.diagram import draw_diagram
+from wtg_gym.envs.rendering.diagram import BAND, EVENT, GRID, INK, LIMIT, LINE, PAGE, SOFT, draw_diagram, group_colour
 from wtg_gym.extras import install_advice
 from wtg_gym.physics.aerodynamics import tracking_point
 from wtg_gym.physics.plant import Plant
@@ -19,7 +16,6 @@ from wtg_gym.physics.tracking_law import REFERENCE_STRATEGY, get_law
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
 #: A frame, (height, width, 3).
 Frame = npt.NDArray[np.uint8]
@@ -139,7 +135,14 @@ class FramePainter:
                 self._lines[panel.name, column] = line
         for axes in grid[-1]:
             axes.set_xlabel("time [s]", fontsize=11, color=SOFT, labelpad=2)
-        _draw_scene(self._figure, scene)
+        # The left part: the environment, heading, diagram, and the latest six events in words.
+        self._figure.text(0.017, 0.974, scene.env_id, fontsize=16, fontweight="bold", color=INK, va="top")
+        self._figure.text(0.017, 0.933, scene.heading, fontsize=12, color=SOFT, va="top")
+        draw_diagram(self._figure.add_axes((0.008, 0.307, 0.333, 0.444)), scene.plant, scene.events, scene.undone)
+        for line, (number, event) in enumerate(list(enumerate(scene.events, start=1))[-6:]):
+            y, words = 0.27 - 0.0315 * line, f"{event.time_s:g} s: {event.words}"
+            self._figure.text(0.017, y, str(number), fontsize=12, fontweight="bold", color=EVENT, va="top")
+            self._figure.text(0.035, y, words, fontsize=12, color=INK, va="top")
         self._texts = [self._figure.text(x, y, "", va="top", animated=True, **style) for x, y, style in _TEXTS]
 
 
@@ -151,7 +154,7 @@ def _fitting_range(panel: Panel, samples: Samples) -> Range:
     return fitting[0] if fitting else panel.ranges[-1]
 
 
-def _draw_axes(axes: Axes, panel: Panel, limits: Range, scene: Scene) -> None:
+def _draw_axes(axes: "Axes", panel: Panel, limits: Range, scene: Scene) -> None:
     axes.set(xlim=(0.0, scene.duration_s), ylim=limits, axisbelow=True)
     axes.set_title(panel.title, fontsize=12, color=INK, loc="left", pad=5)
     axes.locator_params(axis="x", nbins=6, steps=[1, 2, 5, 10])
@@ -171,14 +174,3 @@ def _draw_axes(axes: Axes, panel: Panel, limits: Range, scene: Scene) -> None:
         axes.axvline(event.time_s, color=EVENT, linewidth=1, linestyle=(0, (3, 3)), zorder=1)
     for event in scene.undone:
         axes.axvline(event.end_s, color=EVENT, linewidth=1, linestyle=(0, (1, 2)), zorder=1)
-
-
-def _draw_scene(figure: Figure, scene: Scene) -> None:
-    """Draw the left part: the environment, heading, diagram, and the latest six events in words."""
-    figure.text(0.017, 0.974, scene.env_id, fontsize=16, fontweight="bold", color=INK, va="top")
-    figure.text(0.017, 0.933, scene.heading, fontsize=12, color=SOFT, va="top")
-    draw_diagram(figure.add_axes((0.008, 0.307, 0.333, 0.444)), scene.plant, scene.events, scene.undone)
-    for line, (number, event) in enumerate(list(enumerate(scene.events, start=1))[-6:]):
-        y, words = 0.27 - 0.0315 * line, f"{event.time_s:g} s: {event.words}"
-        figure.text(0.017, y, str(number), fontsize=12, fontweight="bold", color=EVENT, va="top")
-        figure.text(0.035, y, words, fontsize=12, color=INK, va="top")

@@ -1,19 +1,63 @@
-"""Samples of running episodes and their frames, in environments that render."""
-
-from __future__ import annotations
+"""Samples of running episodes, their frames, and a window that shows them, in environments that render."""
 
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+from gymnasium.error import DependencyNotInstalled
 
 from wtg_gym.envs.lanes import TERMINATION_REASONS, TaskLanes
-from wtg_gym.envs.rendering.diagram import undone
-from wtg_gym.envs.rendering.frame import Frame, FramePainter, Scene, panels_of
-from wtg_gym.envs.rendering.window import Window
+from wtg_gym.envs.rendering import diagram, frame
+from wtg_gym.extras import install_advice
+from wtg_gym.physics.layout import Floats
 from wtg_gym.physics.protection import Status
 
-Floats = npt.NDArray[np.float64]
+
+class Window:
+    """A window for pictures of one size, `fps` per second at most; a DependencyNotInstalled if pygame is missing.
+
+    It opens at the first picture. Once its user has closed it, pictures are dropped without waiting.
+    """
+
+    def __init__(self, title: str, fps: int) -> None:
+        try:
+            import pygame
+        except ImportError as error:
+            raise DependencyNotInstalled(f'render_mode="human" needs pygame; {install_advice("render")}') from error
+        self._pygame, self._title, self._fps = pygame, title, fps
+        self._clock = pygame.time.Clock()
+        self._surface: Any = None
+        #: Whether the window was closed, by its user or by :meth:`close`.
+        self.is_closed = False
+
+    def __reduce__(self) -> Any:
+        # A copy opens a window of its own.
+        return Window, (self._title, self._fps)
+
+    def show(self, picture: npt.NDArray[np.uint8]) -> None:
+        """Show a picture (height, width, 3), and wait until it is due; a RuntimeError if there is no display."""
+        pygame, size = self._pygame, (picture.shape[1], picture.shape[0])
+        try:
+            pygame.display.init()
+            self._surface = self._surface or pygame.display.set_mode(size)
+        except pygame.error as error:
+            raise RuntimeError(
+                f'render_mode="human" found no display to open a window on ({error}); use render_mode="rgb_array"'
+            ) from error
+        pygame.display.set_caption(self._title)
+        if any(event.type == pygame.QUIT for event in pygame.event.get()):
+            self.close()
+            return
+        self._surface.blit(pygame.image.frombuffer(picture.tobytes(), size, "RGB"), (0, 0))
+        pygame.display.flip()
+        self._clock.tick(self._fps)
+
+    def close(self) -> None:
+        """Close the window; no other one opens."""
+        self.is_closed = True
+        if self._surface is not None:
+            self._surface = None
+            self._pygame.display.quit()
 
 
 class LaneFrames:
@@ -26,10 +70,10 @@ class LaneFrames:
     def __init__(self, lanes: TaskLanes, *, opens_window: bool = False, fps: int = 10) -> None:
         self._lanes, self._plant = lanes, lanes.settings.resolved_plant
         self._tip_speeds = np.array([turbine.tip_speed_ratio_per_speed_m_s for turbine in self._plant.turbines])
-        self._panels = panels_of(self._plant, limited=lanes.suite.task.version != "v0")
+        self._panels = frame.panels_of(self._plant, limited=lanes.suite.task.version != "v0")
         #: By quantity, (n_lanes, n_steps, 1 or n_wtg); not a number where there is none.
         self._samples: dict[str, npt.NDArray[np.float32]] = {}
-        self._painters = [FramePainter() for _ in range(lanes.n_lanes)]
+        self._painters = [frame.FramePainter() for _ in range(lanes.n_lanes)]
         self._window = Window(lanes.suite.env_id, fps) if opens_window else None
 
     def sample(self) -> None:
@@ -54,26 +98,26 @@ class LaneFrames:
                 self._samples[name] = np.full(shape, np.nan, dtype=np.float32)
             self._samples[name][np.arange(lanes.n_lanes), lanes.n_steps()] = values
 
-    def paint(self) -> tuple[Frame, ...]:
+    def paint(self) -> tuple[frame.Frame, ...]:
         """Return the frame of every lane; a RuntimeError if an episode was never started."""
         if not (self._lanes.task_values("end_step") > 0.0).all():
             raise RuntimeError("there is no episode to render; call reset() before render()")
         return tuple(self._paint(lane, painter) for lane, painter in enumerate(self._painters))
 
-    def _paint(self, lane: int, painter: FramePainter) -> Frame:
+    def _paint(self, lane: int, painter: frame.FramePainter) -> frame.Frame:
         lanes, simulator = self._lanes, self._lanes.simulator
         now_s = float(simulator.lane_values("step")[lane]) * simulator.plant.simulation_dt
         # A hair, for the instants of events and of steps are rounded differently.
         struck = tuple(event for event in lanes.events[lane] if event.time_s <= now_s + 1e-6)
         seed, outputs = int(lanes.scenario_seeds[lane]), lanes.outputs
-        scene = Scene(
+        scene = frame.Scene(
             env_id=lanes.suite.env_id,
             heading="scenario of one's own" if seed < 0 else f"scenario {seed}",
             duration_s=float(lanes.task_values("end_step")[lane]) * simulator.plant.simulation_dt,
             plant=self._plant,
             panels=self._panels,
             events=struck,
-            undone=undone(struck, now_s + 1e-6),
+            undone=diagram.undone(struck, now_s + 1e-6),
         )
         # Without -0.00.
         total = round(-float(sum(lanes.cost_sums()[lane].tolist())), 2) + 0.0

@@ -1,13 +1,41 @@
-"""Version v1: a grid that depends on the wind, observed through sensors."""
+"""The two versions: v0, the paper's system observed exactly; v1, a grid that depends on the wind, seen by sensors."""
 
 from wtg_gym.physics.units import Joining
 from wtg_gym.systems.programs import Here
-from wtg_gym.tasks import cost, episode, observation, sensing
-from wtg_gym.tasks.cost import CostWeights
-from wtg_gym.tasks.task import Task
+from wtg_gym.tasks import cost, episode, observation, sensing, task
 
+#: What both versions do.
+_ACT = (episode.act_on_k, episode.act_on_tau, episode.note_active)
+_CHARGE_FREQUENCY = (episode.count_interval, episode.shift_history, episode.rate_of_change, cost.charge_frequency)
+_OBSERVE_GRID = (
+    observation.observe_machine,
+    observation.start_torque,
+    observation.add_torque,
+    observation.observe_grid,
+    Here(Joining.OBSERVE),
+    observation.inform,
+    observation.inform_of_places,
+)
+#: 0 is maximum power point tracking, 100 the paper's law.
+V0 = task.Task(
+    version="v0",
+    k_authority=0.5,
+    act=_ACT,
+    charge=(
+        *_CHARGE_FREQUENCY,
+        cost.find_deviations,
+        cost.charge_group,
+        episode.remember_group,
+        Here(Joining.CHARGE),
+        cost.charge_interval,
+        cost.charge_lane,
+    ),
+    observe=(observation.observe_group, observation.show_actions, *_OBSERVE_GRID),
+    of_groups=(observation.OBSERVED, "observed", "wtg"),
+    anchors=("mppt", "coordinated-piecewise"),
+)
 #: 0 is the paper's law, 100 the same law tuned to this grid.
-V1 = Task(
+V1 = task.Task(
     version="v1",
     # Half of the range of a search with foresight, whose actions had a standard deviation of 0.2 in it.
     k_authority=0.5,
@@ -15,12 +43,9 @@ V1 = Task(
     control_dt=0.5,
     interval_s=0.1,
     rewards_score=True,
-    act=(episode.act_on_k, episode.act_on_tau, episode.note_active),
+    act=_ACT,
     charge=(
-        episode.count_interval,
-        episode.shift_history,
-        episode.rate_of_change,
-        cost.charge_frequency,
+        *_CHARGE_FREQUENCY,
         cost.start_largest_deviation,
         cost.compare_machine,
         cost.compare_group,
@@ -45,20 +70,14 @@ V1 = Task(
         observation.observe_group_if_privileged,
         observation.show_actions,
         observation.show_duty,
-        observation.observe_machine,
-        observation.start_torque,
-        observation.add_torque,
-        observation.observe_grid,
-        Here(Joining.OBSERVE),
-        observation.inform,
-        observation.inform_of_places,
+        *_OBSERVE_GRID,
     ),
     of_groups=(sensing.SENSED, "shown", "wtg"),
     privileged=((observation.OBSERVED, "observed", "exact"), (observation.OBSERVED_DUTY, "shown_duty", "exact")),
     # Duty costs as much as frequency, since the wind is most of the power. RoCoF weighs five times as much as in v0,
     # since the synchronous machines have 0.82 instead of 2.86 GWs of inertia on average. The effort weighs as much per
     # change of k and τ as in v0.
-    weights=CostWeights(rocof=20.0, duty=0.3, rotor=20.0, cap=15.0, effort=0.0125),
+    weights=cost.CostWeights(rocof=20.0, duty=0.3, rotor=20.0, cap=15.0, effort=0.0125),
     duty_time_s=15.0,
     on_failure="trip",
     failure_costs_whole_episode=True,
