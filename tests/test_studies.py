@@ -12,7 +12,7 @@ import performance
 import pytest
 from matrix import OWN, played
 from minari_datasets import make_dataset
-from reference import environment_page, parameters_page
+from reference import environment_page, laws, parameters_page
 
 from wtg_gym import Scenario, evaluate, get_suite, load_entries, simulate
 from wtg_gym.evaluation.faults import SENSOR_FAULTS, with_fault
@@ -37,7 +37,10 @@ def test_batches_that_are_timed_step(suite):
     assert len(step()[1]) == n_envs == 2 and step_s == (0.1 if suite == "standard" else 0.5)
 
 
-@pytest.mark.parametrize(("page", "made"), [("environment", environment_page), ("parameters", parameters_page)])
+PAGES_OF_CODE = [("environment", environment_page), ("parameters", parameters_page), ("benchmark", laws)]
+
+
+@pytest.mark.parametrize(("page", "made"), PAGES_OF_CODE)
 def test_the_reference_is_that_of_the_code(page, made):
     assert made().strip() in (DOCS / f"{page}.md").read_text(encoding="utf-8")
 

@@ -211,6 +211,8 @@ def _checked(name: str, value: Any, hint: Any, field: Any, *, is_item: bool = Fa
     ):
         return value
     doc, form = field.metadata.get("doc"), re.sub(r"\w+\.", "", inspect.formatannotation(field.type))
+    if isinstance(hint, type) and issubclass(hint, Checked):
+        form = f"{hint.__module__}.{hint.__name__}"
     raise ValueError(f"{name} must be {form}{f' ({doc})' if doc else ''}, got {value!r:.80}")
 
 

@@ -12,6 +12,13 @@ LAWS = ("mppt", "deloaded-5", "deloaded-10", "coordinated-linear", "coordinated-
 TUNED = ("coordinated-tuned", "coordinated-free", "fast-droop", "distilled-law", "ppo-v1-0")
 #: The end of every criterion, which the page says once.
 STAY = "; all groups stay"
+#: Tests and controllers whose figures the page shows.
+SHOWN = (
+    ("angle-step", "coordinated-piecewise"),
+    ("island-surplus", "coordinated-piecewise"),
+    ("current-limit", "coordinated-piecewise"),
+    ("current-limit", "coordinated-tuned"),
+)
 DRAWN = ("deloaded-10", "coordinated-piecewise", "coordinated-tuned")
 
 
@@ -29,14 +36,16 @@ def described():
 
 
 def verdicts(runs):
-    """Return the table of verdicts, controllers with equal ones in a row."""
+    """Return the table of verdicts, controllers with equal ones in a row, and figures of some."""
     alike = {}
     for label, results in runs.items():
         failed = tuple(f"`{name}`" for name, (_, (passed, _)) in results.items() if not passed)
         alike.setdefault(failed, []).append(label)
     n = len(GRID_TESTS)
     rows = [(", ".join(labels), f"{n - len(failed)} of {n}", ", ".join(failed)) for failed, labels in alike.items()]
-    return markdown_table(("controllers", "passed", "failed"), rows)
+    table = markdown_table(("controllers", "passed", "failed"), rows)
+    figures = [f"- `{test}`, `{label}`: {runs[label][test][1][1]}" for test, label in SHOWN]
+    return "\n".join([table, "", *figures])
 
 
 @style.printed

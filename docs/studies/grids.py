@@ -10,8 +10,8 @@ from output import folder as output_folder
 
 from wtg_gym.evaluation import Results, evaluate, load_entries
 from wtg_gym.files import markdown_table, update_between_markers
-from wtg_gym.grids.describe import describe_equilibrium, describe_grid
-from wtg_gym.physics.grid import DEFAULT_GRID, get_grid, known_grids
+from wtg_gym.grids.describe import describe_equilibrium, describe_grid, grid_of
+from wtg_gym.physics.grid import known_grids
 from wtg_gym.progress import Progress
 from wtg_gym.scenarios import DEFAULT_SUITE, get_suite, suite_of_grid
 from wtg_gym.scenarios.draws import LineTrips, LoadEvents, Wind
@@ -25,8 +25,8 @@ def grids() -> str:
     """Return a column per grid: what `wtg-gym grid check` says, and what its suite draws from."""
     columns = []
     for name, suite in zip(known_grids(), map(get_suite, SUITES), strict=True):
-        grid = get_grid(name)
-        lines = dict([*describe_grid(grid), *(() if name == DEFAULT_GRID else describe_equilibrium(grid))])
+        grid, _ = grid_of(name)
+        lines = dict([*describe_grid(grid), *describe_equilibrium(grid)])
         events = {draw.name.rpartition("/")[2]: draw for draws in suite.drawn_from.values() for draw in draws}
         large = events["large-loads"]
         lines["wind's share"] = "{:.0%} … {:.0%}".format(*large.find(Wind).penetration)
@@ -37,7 +37,7 @@ def grids() -> str:
     same = ("step", "state below", "stable")  # the page says it once
     assert all(len({lines[key] for lines in columns if key in lines}) == 1 for key in same)
     left_out = ("name", "source", "repaired", "replaced", "mode", "equilibrium", *same)
-    rows = [key for key in columns[-1] if key not in left_out]
+    rows = [key for key in columns[0] if key not in left_out]
     cells = [[row, *(lines.get(row, "–") for lines in columns)] for row in rows]
     return markdown_table(("", *(f"`{name}`" for name in known_grids())), cells)
 

@@ -1,7 +1,8 @@
-"""The tables of docs/environment.md and docs/parameters.md, from where their entries are declared."""
+"""The tables of docs/environment.md and docs/parameters.md, and of docs/benchmark.md's laws, from their code."""
 
 import dataclasses
 import inspect
+import math
 import re
 from collections import Counter
 from typing import get_type_hints
@@ -9,12 +10,13 @@ from typing import get_type_hints
 from output import folder
 
 from wtg_gym.envs import EnvSettings, GFMWTGEnv
+from wtg_gym.evaluation import load_entries
 from wtg_gym.files import markdown_table, update_between_markers
 from wtg_gym.physics import machine_parameters, parameters
 from wtg_gym.physics.grid import get_grid
 from wtg_gym.physics.machine_parameters import SynchronousMachineParameters
 from wtg_gym.physics.parameters import SOURCES, WtgGroup
-from wtg_gym.tasks import TASKS
+from wtg_gym.tasks import TASKS, V1
 from wtg_gym.tasks.cost import CostWeights
 from wtg_gym.tasks.observation import GridObservation, Info, LocalInfo, MachineObservation, WtgObservation
 from wtg_gym.tasks.sensing import MeasuredObservation
@@ -178,7 +180,18 @@ def parameters_page():
     return f"{listed}\n\n## Sources\n\n{sources}"
 
 
+def laws():
+    """Return the control laws of v1: k at the corners of g(ω), τ, and what they are."""
+    rows = []
+    for entry in load_entries("baselines", V1):
+        numbers = [f"{getattr(entry.law, key):.3f}" for key in ("k_min", "k_nominal", "k_max")]
+        tau = entry.law.damping_time_constant_s
+        rows.append((f"`{entry.name}`", *numbers, "∞" if math.isinf(tau) else f"{tau:g}", entry.description))
+    return markdown_table(("law", "k_min [p.u.]", "k_nominal", "k_max", "τ [s]", "what it is"), rows, right=range(1, 5))
+
+
 if __name__ == "__main__":
     docs = folder(__doc__)
     update_between_markers(docs / "environment.md", environment_page(), "environment")
     update_between_markers(docs / "parameters.md", parameters_page(), "parameters")
+    update_between_markers(docs / "benchmark.md", laws(), "laws")

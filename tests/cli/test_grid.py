@@ -13,7 +13,9 @@ from hypothesis import strategies as st
 from tests.changes import changed, write
 from tests.cli.calls import error_of, json_of
 from wtg_gym.cli import main
+from wtg_gym.grids.describe import describe_equilibrium, grid_of
 from wtg_gym.physics.grid import get_grid
+from wtg_gym.scenarios import get_suite
 
 STRANGE = {"_module": "a_module_of_strangers", "_class": "Thing", "_object": "{}"}
 FRAME = {"_module": "pandas.core.frame", "_class": "DataFrame"}
@@ -59,7 +61,22 @@ def test_a_grid_that_is_here_is_checked_by_its_name(capsys):
     assert main(["grid", "check", "kundur"]) == 0
     rows = capsys.readouterr().out
     assert "11 buses" in rows and "damped by" in rows
+    assert "2, 1800 MVA together" in rows and "in place of 2 others" in rows and "beyond 0.9" not in rows
     assert "unknown grid 'kundru'" in error_of(capsys, "grid", "check", "kundru")
+
+
+def test_a_suite_is_checked_with_its_own_machines_and_groups(capsys):
+    assert main(["grid", "check", "weak-grid-v1"]) == 0
+    assert "1, 122 MVA together" in (rows := capsys.readouterr().out) and "4, 52 turbines" in rows
+    assert [grid_of(name)[0].groups for name in ("ieee14", "standard-v1")] == [
+        get_suite("standard-v1").plant.groups
+    ] * 2
+    assert grid_of("ieee39-v1") == (get_grid("ieee39"), "ieee39-v1")
+
+
+def test_voltages_beyond_their_usual_range_are_named_with_their_buses():
+    lines = dict(describe_equilibrium(get_grid("nordic45")))
+    assert lines["beyond 0.9 … 1.1 p.u."].startswith("1 of 45 buses: lowest 0.868 p.u. at bus 5431, highest 1.020 p.u.")
 
 
 def test_a_network_without_a_power_flow_is_refused_in_a_line(tmp_path, capsys):

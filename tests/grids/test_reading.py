@@ -12,7 +12,7 @@ import pandapower.networks
 import pypowsybl
 import pytest
 
-from wtg_gym.grids import solved_case
+from wtg_gym.grids import dyr, solved_case
 from wtg_gym.grids.reading import read_case, with_wind
 from wtg_gym.grids.solved_case import power_flow
 from wtg_gym.physics.grid import Grid
@@ -267,3 +267,8 @@ def test_too_many_buses_are_refused_before_anything_is_solved(net, tmp_path):
     pandapower.create_buses(net, 2000, 220.0)
     with pytest.raises(ValueError, match="2003 buses; a grid has at most 2000"):
         read(net, tmp_path)
+
+
+def test_the_page_lists_the_models_of_dyr_files_that_are_here():
+    page = (Path(__file__).parents[2] / "docs/howto/grid.md").read_text(encoding="utf-8")
+    assert all(model in page for model in dyr._NUMBERS)

@@ -110,12 +110,17 @@ RECORDS = [
     (given(committed=0.0), "committed = 0 is outside"),
     (event(kind="quake"), "needs a kind out of load_step"),
     (event(time_s=-1.0), "time_s = -1 s is outside"),
-    (event(kind="machine_outage"), "unexpected keyword argument 'power_mw'"),
+    (
+        event(kind="machine_outage"),
+        r"unknown machine_outage keys \['power_mw'\]; known machine_outage keys: time_s, bus",
+    ),
     *((of(sc.GroupTrip, time_s=1.0, group=group), "group must be a whole number") for group in (-1, 1.0, True)),
     *(
         (of(sc.LineTrip, time_s=1.0, from_bus=1, to_bus=2, recloses_after_s=after_s), "recloses_after_s")
         for after_s in (-0.5, 0.0, NAN, "soon")
     ),
+    (given(wind_speed=11.0), r"got shape \(\); for constant wind write \[\[11.0\], \[9.0\]\]"),
+    (of(TrackingLaw, tau_s=0.8), "unknown arguments of TrackingLaw .'tau_s'.; .*, damping_time_constant_s"),
     (lambda: group_laws(["mppt"] * 3, TURBINES), "one for each of the 2 groups, got 3"),
     (lambda: simulate("load-increase", "mppt"), "scenario must be a Scenario, got str"),
     (of(Plant, simulation_dt=0.03), "control_dt = 0.1 s is not a whole number of simulation steps of 0.03 s"),
@@ -130,7 +135,7 @@ RECORDS = [
     (lambda: Simulator(Plant(), duration_s=NAN), "duration_s = nan s is outside the allowed range 0 … 86400 s"),
     (
         lambda: Simulator(Plant(groups=(p.WtgGroup(bus=2, n_turbines=0.01),) * 2)),
-        "WTG group 0 at bus 2 needs an internal voltage of .* p.u. to hold 1.045 p.u. .* at most 2 p.u.",
+        "WTG group 1 of 2 at bus 2 needs an internal voltage of .* p.u. to hold 1.045 p.u. .* at most 2 p.u.",
     ),
 ]
 
@@ -163,7 +168,7 @@ UNFIT = [
     (fit(line(1.0, 1, 2), line(2.0, 1, 2)), "opens the line 1-2 twice"),
     (fit(line(0.5, 1, 2, 0.525), line(1.0, 1, 2, 0.525)), "opens the line 1-2 twice"),
     (fit(sc.GroupTrip(time_s=1.0, group=2)), "unknown WTG group 2; the plant has 2, counted from 0"),
-    (fit(*(sc.GroupTrip(time_s=t, group=1) for t in (1.0, 2.0))), "disconnects WTG group 1 at bus 2 twice"),
+    (fit(*(sc.GroupTrip(time_s=t, group=1) for t in (1.0, 2.0))), "disconnects WTG group 2 of 2 at bus 2 twice"),
     (fit(sc.GovernorLoss(time_s=1.0, bus=3)), r"no machine with a governor at bus 3; buses with one: \[1\]"),
     (fit(sc.MachineOutage(time_s=1.0, bus=2)), r"no synchronous machine at bus 2; buses with one: \[1, 3, 6, 8\]"),
     (
@@ -187,7 +192,7 @@ LOW_GATE = with_machine(governor=machine_parameters.HydroGovernorParameters(gate
 STARTS = [
     (
         lambda: Simulator(Plant()).start(0, scenario(wind=[[8.0], [8.0]]), (GREEDY, GREEDY)),
-        "WTG group 0 at bus 2 has no equilibrium at a wind of 8 m/s with k = 3 p.u.",
+        "WTG group 1 of 2 at bus 2 has no equilibrium at a wind of 8 m/s with k = 3 p.u.",
     ),
     (
         lambda: started(Plant(groups=(p.WtgGroup(bus=2, n_turbines=40.0),) * 2), scenario(), "mppt"),
@@ -196,20 +201,20 @@ STARTS = [
     (lambda: started(plant(table=True, case=LOW_GATE), scenario()), "p.u. of hydro gate, beyond its hydro gate limits"),
     (
         lambda: started(plant(limits=p.ConverterLimitParameters(power_max_pu=0.5)), scenario()),
-        "WTG group 0 at bus 2 would start with 0.9.* p.u. of power, beyond .* 0 … 0.5 p.u.",
+        "WTG group 1 of 2 at bus 2 would start with 0.9.* p.u. of power, beyond .* 0 … 0.5 p.u.",
     ),
     (
         lambda: started(
             Plant(protection=p.ProtectionParameters(internal_voltage_max_pu=1.45)),
             scenario(wind=[[11.4], [11.4]], load_level=1.5),
         ),
-        "WTG group 0 at bus 2 needs .* at most 1.45",
+        "WTG group 1 of 2 at bus 2 needs .* at most 1.45",
     ),
     (
         lambda: simulate(
             scenario(wind=[[8.0], [4.5]]), LAW, plant(protection=p.ProtectionParameters(rotor_speed_min_pu=0.5))
         ),
-        "WTG group 1 at bus 2 would start at 0.4.* p.u. in a wind of 4.5 m/s, below the under-speed trip at 0.5 p.u.",
+        "WTG group 2 of 2 at bus 2 would start at 0.4.* p.u. in a wind of 4.5 m/s, below the under-speed trip at 0.5 p",
     ),
 ]
 

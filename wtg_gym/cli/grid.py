@@ -68,16 +68,18 @@ def import_grid(
 def check(grid: str, /) -> int:
     """Look at a grid: power flow, equilibrium, least damped modes, step, and whether its scenarios start.
 
+    A suite of v1 is checked with its own plant; ieee14 is that of standard-v1.
+
     examples:
       wtg-gym grid check ieee39
+      wtg-gym grid check weak-grid-v1
       wtg-gym grid check my_grid.json
     """
-    from wtg_gym.grids.describe import describe_equilibrium, describe_grid, describe_starts
-    from wtg_gym.physics.grid import get_grid
+    from wtg_gym.grids.describe import describe_equilibrium, describe_grid, describe_starts, grid_of
 
-    network = get_grid(grid)
+    network, suite = grid_of(grid)
     rows = [*describe_grid(network), *describe_equilibrium(network)]
     print_table(("", ""), rows, left=(0, 1))
     if network.groups:
-        print_table(("", ""), describe_starts(grid), left=(0, 1))
+        print_table(("", ""), describe_starts(suite), left=(0, 1))
     return 0

@@ -11,14 +11,18 @@ import numpy as np
 from wtg_gym.envs.lanes import TaskLanes
 from wtg_gym.envs.settings import EnvSettings
 from wtg_gym.physics import equilibrium, linearisation, protection, tracking_law, trajectory
-from wtg_gym.physics.grid import Grid
+from wtg_gym.physics.grid import DEFAULT_GRID, Grid, get_grid, known_grids
 from wtg_gym.physics.plant import Plant
 from wtg_gym.physics.scenario import Scenario
 from wtg_gym.physics.simulator import Simulator, longest_step
+from wtg_gym.scenarios import DEFAULT_SUITE, SUITES, suite_of_grid
+from wtg_gym.tasks import V1
 
 #: Wind at which all groups stand, and the law under which they do.
 WIND_M_S, LAW = 10.0, "coordinated-tuned"
 
+#: Voltages that a grid usually has [p.u.].
+USUAL_VOLTAGE_PU = (0.9, 1.1)
 #: Longer than a low voltage is ridden through [s].
 _REST_S = 4.0
 #: Scenarios that are tried, and how many must start: then 200 draws find one.
@@ -29,17 +33,31 @@ _MOST_MOVING, _PER_MACHINE = 2500, 15
 Line = tuple[str, str]
 
 
+def grid_of(name: str) -> tuple[Grid, str]:
+    """Return the grid that version v1 plays by the name of a grid, its file, or a suite; and the suite."""
+    suite = SUITES.get(DEFAULT_SUITE if name == DEFAULT_GRID else name)
+    if suite is None or suite.task.version != V1.version:
+        return get_grid(name), suite_of_grid(name)
+    of_suite = next((grid for grid in known_grids() if suite_of_grid(grid) == suite.name), DEFAULT_GRID)
+    grid = get_grid(of_suite)
+    if of_suite == DEFAULT_GRID:
+        # Each suite of 14 buses has machines and groups of its own.
+        grid = dataclasses.replace(grid, case=suite.plant.case, groups=suite.plant.groups)
+    return grid, suite.name
+
+
 def describe_grid(grid: Grid) -> Iterator[Line]:
     """Yield what is in a grid."""
-    case = grid.case
-    governed = [machine for machine in case.machines if machine.governor is not None]
-    rating, turbines = sum(m.rating_mva for m in case.machines), sum(group.n_turbines for group in grid.groups)
+    case, machines = grid.case, grid.with_groups.machines if grid.groups else grid.case.machines
+    governed = [machine for machine in machines if machine.governor is not None]
+    rating, turbines = sum(m.rating_mva for m in machines), sum(group.n_turbines for group in grid.groups)
+    replaced = len(case.machines) - len(machines)
     yield "name", case.name
     yield "network", f"{len(case.buses)} buses, {len(case.branches)} branches ({len(case.bridges)} of them bridges)"
     yield "base", f"{case.base_mva:g} MVA, {case.frequency_hz:g} Hz"
     yield "load", f"{case.load_mw:.1f} MW"
-    yield "machines", f"{len(case.machines)}, {rating:.0f} MVA together, {len(governed)} with a governor"
-    yield "WTG groups", f"{len(grid.groups)}, {turbines:g} turbines together, in place of {len(grid.replaced)} machines"
+    yield "machines", f"{len(machines)}, {rating:.0f} MVA together, {len(governed)} with a governor"
+    yield "WTG groups", f"{len(grid.groups)}, {turbines:g} turbines together, in place of {replaced} others"
     yield "source", f"{grid.source or 'not given'}; licence: {grid.licence or 'not given'}"
     for name, lines in (("repaired", grid.repairs), ("replaced", grid.substitutions)):
         for line in lines:
@@ -69,6 +87,11 @@ def describe_equilibrium(grid: Grid) -> Iterator[Line]:
         )
     yield "state below", f"{WIND_M_S:g} m/s, all groups under {LAW}"
     yield "voltages", f"{voltages.min():.3f} … {voltages.max():.3f} p.u."
+    low, high = USUAL_VOLTAGE_PU
+    if (beyond := np.flatnonzero((voltages < low) | (voltages > high))).size:
+        first, last = (f"{voltages[at]:.3f} p.u. at bus {case.bus_numbers[at]}" for at in np.argsort(voltages)[[0, -1]])
+        where = f"{beyond.size} of {voltages.size} buses: lowest {first}, highest {last}"
+        yield f"beyond {low:g} … {high:g} p.u.", where
     rows, layout = simulator.blocks[0, :, 0], simulator.layout
     if layout.n_sync * _PER_MACHINE > _MOST_MOVING:
         yield "modes", "not computed for so many machines"
@@ -81,13 +104,13 @@ def describe_equilibrium(grid: Grid) -> Iterator[Line]:
     yield "stable", "yes" if not growing else f"no: {len(growing)} modes grow"
 
 
-def describe_starts(grid: Grid | str) -> Iterator[Line]:
-    """Yield how many scenarios of a grid or its file start, why others do not, and what reset and step take.
+def describe_starts(suite: str) -> Iterator[Line]:
+    """Yield how many scenarios of a suite or its file start, why others do not, and what reset and step take.
 
     A ValueError says that too few of them start to train on.
     """
     # Whether a scenario starts does not depend on what its rewards are compared with, which takes most of a reset.
-    lanes = TaskLanes(EnvSettings(grid=grid, version="v1", reward="cost"))
+    lanes = TaskLanes(EnvSettings(suite=suite, reward="cost"))
     seeds = range(lanes.suite.seeds("train").start, lanes.suite.seeds("train").start + TRIED)
     reasons, starts = Counter[str](), list[Scenario]()
     for scenario in lanes.scenarios(seeds):
@@ -105,7 +128,7 @@ def describe_starts(grid: Grid | str) -> Iterator[Line]:
     yield "scenarios", f"{n} of {TRIED} start; others are drawn again"
     for reason, times in reasons.most_common(3):
         yield f"{times} do not", reason
-    lanes = TaskLanes(EnvSettings(grid=grid, version="v1"))
+    lanes = TaskLanes(EnvSettings(suite=suite))
     lanes.start([0], starts[:1])
     begun = time.perf_counter()
     lanes.start([0], starts[-1:])

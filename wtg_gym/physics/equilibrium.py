@@ -52,7 +52,7 @@ def bus_of_unit(settings: Plant, unit: int) -> int:
 def unit_name(settings: Plant, unit: int) -> str:
     """Return what an error calls a unit."""
     group = unit - len(settings.case.machines)
-    component = "the synchronous machine" if group < 0 else f"WTG group {group}"
+    component = "the synchronous machine" if group < 0 else f"WTG group {group + 1} of {len(settings.groups)}"
     if group >= len(settings.groups):
         component = [f"a unit of {device.kind.name}" for device in settings.all_devices for _ in device.buses][
             group - len(settings.groups)
@@ -105,7 +105,7 @@ def start_failure(
         what = quantity.replace("_", " ")
         return (
             f"{name} would start at {value:.4g} p.u. of {what}, beyond its {what} "
-            f"limits {low:g} … {high:g} p.u.; change wind or load level"
+            f"limits {low:g} … {high:g} p.u.; change wind, load level or committed"
         )
     j = unit - layout.n_sync
     if j >= layout.n_wtg:

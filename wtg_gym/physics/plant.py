@@ -116,7 +116,8 @@ class Plant(Checked):
             machine_model: "classical" puts a constant voltage behind x'_d in place of every synchronous machine and its
                 exciter; "genrou" leaves them as they are.
             groups: the WTG groups, their data, or how many share the paper's twenty turbines at the bus of the first.
-            fields: fields of this class; they replace those of `physics` too.
+            fields: fields of this class; they replace those of `physics` too. A dictionary replaces parts of a record,
+                as in `control={"droop_gain_pu": 20.0}`.
         """
         known = [*(field.name for field in dataclasses.fields(self)), "physics", "machine_model"]
         require_known("settings of a plant", fields, known)
@@ -134,6 +135,11 @@ class Plant(Checked):
                 raise ValueError("an extended plant cannot go back to the physics of the paper; start from Plant()")
         if groups is not None:
             changes["groups"] = parameters.groups_of(groups, self.groups[0].bus if self.groups else self.case.slack_bus)
+        for name, value in fields.items():
+            part = changes.get(name, getattr(self, name))
+            if isinstance(value, Mapping) and hasattr(part, "__dataclass_fields__"):
+                require_known(f"settings of {name}", value, part.__dataclass_fields__)
+                fields[name] = dataclasses.replace(part, **value)
         return dataclasses.replace(self, **{**changes, **fields})
 
     @property

@@ -51,7 +51,8 @@ def _checked_wind(values: Any, dt_s: float) -> Floats:
     if wind.ndim == 2:
         require_count("wind_speed", len(wind), MOST_GROUPS)
     if wind.ndim != 2 or wind.shape[1] < 1:
-        raise ValueError(f"wind_speed must have shape (n_wtg, n_samples), got shape {wind.shape}")
+        form = "wind_speed must have shape (n_wtg, n_samples)"
+        raise ValueError(f"{form}, got shape {wind.shape}; for constant wind write [[11.0], [9.0]]")
     low, high = WIND_SPEED_RANGE
     for group, sample in np.argwhere(~((wind >= low) & (wind <= high))):
         raise ValueError(
@@ -388,5 +389,5 @@ def _event_from_dict(data: Any) -> Event:
     if not isinstance(kind, str) or kind not in EVENT_KINDS:
         raise ValueError(f"an event needs a kind out of {', '.join(EVENT_KINDS)}, got {data!r:.80}")
     fields = {key: value for key, value in data.items() if key != "kind"}
-    event: Event = EVENT_KINDS[kind](**fields)
+    event: Event = EVENT_KINDS[kind](**_known(EVENT_KINDS[kind], fields, kind))
     return event

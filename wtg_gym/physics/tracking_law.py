@@ -57,6 +57,10 @@ class TrackingLaw:
     k_max: float  # at ω_max and above [p.u.]
     damping_time_constant_s: float = math.inf  # τ [s], 0.05 … 100000; 0 cancels the droop, infinity keeps it
 
+    def __new__(cls, **values: Any) -> "TrackingLaw":
+        require_known("arguments of TrackingLaw", values, [field.name for field in dataclasses.fields(cls)])
+        return super().__new__(cls)
+
     def __post_init__(self) -> None:
         check_name("the name of a law", self.name)
         for key in ("k_min", "k_nominal", "k_max"):
