@@ -63,7 +63,7 @@ class Hyperparameters(PlannerOptions):
 
 
 class Plans:
-    """What the policy saw, and what the planner would have done (n_steps, n_episodes, n_wtg, …), of every round."""
+    """Observations of the policy and actions of the planner (n_steps, n_episodes, n_wtg, …), of every round."""
 
     def __init__(self) -> None:
         self.observations: list[Tensor] = []

@@ -238,7 +238,7 @@ class Planner:
     def _direction(self, gradient: Any, first: int) -> Tensor:
         """Return the gradients of all episodes at the same length.
 
-        What is past stays as it is. Until the next plan all futures of an episode have the same actions.
+        Past actions stay. Until the next plan all futures of an episode have the same actions.
         """
         gradient = self._by_episode(torch.nan_to_num(gradient))
         gradient[: int(first * self._step_s / self.options.knot_s)] = 0.0

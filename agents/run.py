@@ -162,8 +162,8 @@ def folders(parent: Path) -> list[Path]:
 def loading(path: Path) -> Iterator[Path]:
     """Return a folder to load from, and turn any error meanwhile into a ValueError that names it.
 
-    Damaged pickles and archives raise errors of any kind. They also run code: what another user could have written is
-    refused, be it a file, the folder or one above it.
+    Damaged pickles and archives raise errors of any kind. They also run code, so a file or
+    folder that another user could have written is refused.
     """
     try:
         yield trusted_files(path)
@@ -408,7 +408,7 @@ class RunOptions:
 
 
 def note(text: str) -> None:
-    """Print a line that is no result: on stderr."""
+    """Print a line on stderr, which holds no results."""
     print(text, file=sys.stderr)
 
 

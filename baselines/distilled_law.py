@@ -1,4 +1,4 @@
-"""What the best policy does, as five numbers: a law that a person can read.
+"""A control law of five numbers, which a person can read, distilled from the best policy.
 
     P_st = (g(ω) + A (K_opt - K_pr) u) ω_m³ + D_p x
     u = u_0 + a mean(Δf) + b mean(Δf)' + c (ω_m' - 1 p.u.) + d (v' - 10 m/s)    in -1 … 1

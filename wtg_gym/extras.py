@@ -1,4 +1,4 @@
-"""What messages say about optional dependencies that are missing."""
+"""Messages about missing optional dependencies."""
 
 
 def install_advice(extra: str) -> str:

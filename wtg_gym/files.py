@@ -1,6 +1,6 @@
 """Files: written whole or not at all, JSON with the same bytes every time, one guarded reader of JSON and TOML.
 
-What is run, such as machine code, is read and written by :func:`read_trusted` and :func:`write_trusted`.
+Files with code to run, such as machine code, are read and written by :func:`read_trusted` and :func:`write_trusted`.
 """
 
 import contextlib
@@ -50,7 +50,7 @@ _MOST_INNER = 2**17
 _LARGEST_WHOLE = 2**64
 #: Most characters of an error's message.
 _LONGEST_ERROR = 1500
-#: What code raises that meets a content which it does not expect.
+#: Errors that unexpected content causes.
 _UNEXPECTED = (ArithmeticError, AttributeError, LookupError, OSError, RecursionError, TypeError, ValueError)
 
 
@@ -131,7 +131,7 @@ def trusted_folder(path: Path, *, make: bool = False) -> Path:
     no owners, as on Windows, every folder passes. `make` makes missing folders, which only the user can read.
     """
     path = Path(os.path.realpath(path))
-    # From the top: once a folder has passed, nobody else can replace the next one.
+    # From the top: below a folder that has passed, no other user can replace the next one.
     for folder in (*reversed(path.parents), path):
         if make:
             folder.mkdir(mode=0o700, exist_ok=True)
@@ -142,7 +142,7 @@ def trusted_folder(path: Path, *, make: bool = False) -> Path:
 
 
 def is_trusted(status: os.stat_result, *, or_sticky: bool = False) -> bool:
-    """Return whether something belongs to the user or to root, and nobody else may write it (or it is sticky)."""
+    """Return whether only the user or root owns and may write a file or folder (or it is sticky)."""
     if not hasattr(os, "getuid"):
         return True
     # By the convention of many systems, a group with the user's number has this user alone.

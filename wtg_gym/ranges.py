@@ -107,7 +107,7 @@ def require_choice(name: str, value: Any, choices: Collection[str]) -> None:
 
 
 def whole_steps(name: str, interval: float, step: float, step_name: str) -> int:
-    """Return how many steps make up an interval [s]; a ValueError if that is no whole number to 1e-6 steps."""
+    """Return how many steps make up an interval [s]; a ValueError if the number is not whole to 1e-6 steps."""
     count = round(interval / step)
     if abs(count * step - interval) > 1e-6 * step:
         raise ValueError(f"{name} = {interval:g} s is not a whole number of {step_name}s of {step:g} s")

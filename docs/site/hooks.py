@@ -32,9 +32,9 @@ def section(text: str, anchor: str, title: str) -> str:
     """Return a section of a page, up to the next heading of its level; with its heading, unless that is `title`.
 
     Raises:
-        ValueError: there is no such heading.
+        ValueError: the heading is missing.
     """
-    # A comment in code is no heading.
+    # A comment in code is not a heading.
     bare = re.sub(r"^```.*?^```", lambda code: " " * len(code[0]), text, flags=re.MULTILINE | re.DOTALL)
     for heading in re.finditer(r"^(##+) (.*)$", bare, flags=re.MULTILINE):
         if heading[2].lower().replace(" ", "-") == anchor:
@@ -109,5 +109,5 @@ def on_page_markdown(text: str, page: Any, config: Any, files: Any) -> str:
     if here == "leaderboard.md":
         page.meta["hide"] = ["navigation", "toc"]  # the table has the whole width
     elif page.parent is None:
-        page.meta["hide"] = ["navigation"]  # there is no other page beside it
+        page.meta["hide"] = ["navigation"]  # the only page of its section
     return "".join(parts)

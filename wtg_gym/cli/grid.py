@@ -39,8 +39,8 @@ def import_grid(
 
     RAW and RAWX of PSS/E (with DYR), CGMES, UCTE, IEEE-CDF, PowerFactory and XIIDM are read by pypowsybl, MATPOWER's .m
     and .mat by PYPOWER, and networks that pandapower's `to_json` wrote by pandapower: extra `grids`. Without
-    DYR every machine is a typical one. The grid's own power flow must be that of the library; what a grid does not have
-    is refused, or left out if --drop says so. What was assumed is said, and stands in the file.
+    DYR every machine is a typical one. The grid's power flow must equal the library's. Elements that a grid cannot have
+    are refused, or left out with --drop. Assumptions are printed and kept in the file.
 
     examples:
       wtg-gym grid import ieee39.raw --dynamic ieee39.dyr --output ieee39.json

@@ -27,7 +27,7 @@ class NextEpisodes:
     """The episodes that lanes play next, drawn by each lane's own generator and prepared several at a time.
 
     Prepared by the handful, an episode takes less than half the time that it takes alone. Lanes whose episodes end soon
-    are therefore prepared along with those that have ended. What a lane plays does not depend on when it was prepared.
+    are therefore prepared along with those that have ended. Its scenario does not depend on when it was prepared.
     """
 
     def __init__(self, lanes: TaskLanes, generators: Sequence[np.random.Generator]) -> None:

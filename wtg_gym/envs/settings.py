@@ -74,8 +74,8 @@ class EnvSettings:
         reward: `"score"`, default of v1: an episode returns its score minus 100, in v0
             100 · ln((C_100 + J0) / (C + J0)). `"cost"`, default of v0: minus the cost.
         weights: replaces single weights of the cost, see :class:`CostWeights`.
-        on_failure: what a stall, over- or under-speed of a rotor does: `"terminate"` the episode, default of v0, or
-            `"trip"` its group, default of v1.
+        on_failure: effect of a stall, over- or under-speed of a rotor: `"terminate"` ends the episode, default of v0,
+            `"trip"` disconnects its group, default of v1.
         sensors: v1 only. `"exact"`, or values of :class:`~wtg_gym.scenarios.draws.SensorDistribution` to
             replace, such as `{"delay_s": (0.2, 0.4), "wind_bias": 0.1}`; delays are multiples of 0.1 s up to 1 s.
             Default: those of the `scenario`, else of the suite.
@@ -185,7 +185,7 @@ class EnvSettings:
 
     @cached_property
     def draws_again(self) -> bool:
-        """Whether its suite is of a file, whose scenarios nobody has tried: those that cannot start are counted."""
+        """Whether its suite comes from a file: scenarios that cannot start are drawn again, and counted."""
         return self.suite_name.endswith(".json")
 
     @cached_property
@@ -211,7 +211,7 @@ class EnvSettings:
 
     @cached_property
     def sensor_distribution(self) -> draws.SensorDistribution | None:
-        """What the sensors' errors are drawn from, None where they measure exactly; errors name the value."""
+        """Distribution of the sensors' errors; None for exact sensors. Errors name the value."""
         of_suite = self.resolved_suite.sensors
         if self.sensors is None:
             return of_suite

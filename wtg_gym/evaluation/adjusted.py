@@ -136,7 +136,7 @@ class Adjusted:
         return _interval([100.0 * happened, -100.0 * other], self._plain)
 
     def worst_tenth_difference(self, costs: Floats, other: Floats) -> Interval:
-        """Return how much dearer the :func:`worst_tenth` is than another entry's [%], paired; the ratio made linear."""
+        """Return how much more the :func:`worst_tenth` costs than another entry's [%], paired; the ratio is linearised."""
         tail, base = (statistics.mean(worst_tenth(values)) for values in (costs, other))
         ratio, percent = tail / base, 100.0 / base
         value = 100.0 * (ratio - 1.0)
@@ -177,7 +177,7 @@ def _interval(sides: Sequence[Floats], strata: Sequence[_Stratum], offset: float
             continue
         means = np.mean([side[:, stratum.at] @ stratum.weights for stratum in strata], axis=0)
         between = float(means.var(ddof=1)) / n_runs
-        # What differs from run to run within a scenario is in both, the variances of scenarios and of runs.
+        # Differences between runs of one scenario count in both variances, that of scenarios and that of runs.
         apart = side - side.mean(axis=0)
         shared = sum(stratum.variance(apart[:, stratum.at]).sum() for stratum in strata) / len(strata) ** 2
         parts.append((max(between - shared / (n_runs - 1) / n_runs, 0.0), n_runs - 1))

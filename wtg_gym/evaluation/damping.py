@@ -153,7 +153,7 @@ class Loop:
         running, length_s = np.ones(1, dtype=np.bool_), _SETTLES_S if entry.policy else 2.0 * _WATCHED_S
         frequencies, n_steps = [], round(length_s / self.step_s)
         for step in range(n_steps):
-            # What the last decision is made of, from where the loop is differentiated.
+            # Inputs of the last decision, at which the loop is differentiated.
             self._seen, self._memory = lanes.observations.astype(np.float64), state
             if entry.policy is not None:
                 actions, state = answer(entry, lanes, state, step, running)

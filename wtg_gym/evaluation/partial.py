@@ -18,7 +18,7 @@ _log = logging.getLogger("wtg_gym")
 class PartialStore:
     """A folder of finished batches, JSON-ready; one of another `context` is not found.
 
-    None, or a folder that another user could change, stores nothing. A ValueError says that it is no folder.
+    None, or a folder that another user could change, stores nothing. A ValueError refuses a path to something else.
     """
 
     def __init__(self, folder: str | Path | None, context: Any) -> None:

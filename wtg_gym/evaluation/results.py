@@ -135,7 +135,7 @@ class Results:
 
     @property
     def notes(self) -> list[str]:
-        """Notes to a ranking: why there is no score, how scores are adjusted, what the mark means."""
+        """Notes on a ranking: a missing score, adjustments, and the meaning of the mark."""
         return [note for note in (self.no_score, self.unadjusted, *notes_on_marks(self.ranking)) if note]
 
     @property
@@ -145,7 +145,7 @@ class Results:
 
     @cached_property
     def no_score(self) -> str:
-        """The reason why there is no score, and the number that ranks instead; "" if there is a score."""
+        """Why scores are missing, and which number ranks instead; "" if there are scores."""
         try:
             self._check_scale()
         except NoScaleError as error:

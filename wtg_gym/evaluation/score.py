@@ -21,7 +21,7 @@ from wtg_gym.tasks import Task
 
 
 class NoScaleError(ValueError):
-    """The entry at 0 is not worse than the entry at 100 on these scenarios: there is no scale for scores."""
+    """No scores on these scenarios: the entry at 0 is not worse than the entry at 100."""
 
 
 def pinned_cost(cost: float, *, failed: bool, duration_s: float, cap: float) -> float:

@@ -1,4 +1,4 @@
-"""The summary of an entry: its row in a ranking, with a score or, where there is no scale, without."""
+"""The summary of an entry: its row in a ranking."""
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
@@ -30,7 +30,7 @@ _SIGNIFICANT = 0.05
 
 @dataclass(frozen=True, kw_only=True)
 class EntrySummary:
-    """One row of a ranking, over all scenarios and training seeds of an entry; without a scale there is no score."""
+    """One row of a ranking, over all scenarios and training seeds of an entry."""
 
     name: str  # of the entry
     kind: str  # "law", "feedback" or "learned"

@@ -25,7 +25,7 @@ def _signed(value: float) -> str:
 
 
 def _interval(interval: Interval | None, text: Callable[[float], str]) -> str:
-    """Return a value with its interval; without one where there is no spread, as of an anchor or a single scenario."""
+    """Return a value with its interval; an anchor or a single scenario has none."""
     if interval is None:
         return ""
     value = text(interval.value)
@@ -91,7 +91,7 @@ def _columns(rows: Sequence[EntrySummary]) -> list[_Column]:
 
 
 def columns_of(table: str, rows: Sequence[EntrySummary]) -> list[str]:
-    """Return the headings of a table, see :class:`_Column`, but for columns that no row fills."""
+    """Return the headings of a table, see :class:`_Column`, without empty columns."""
     columns = [column for column in _columns(rows) if table in column.tables.split()]
     return [column.heading for column in columns if column.heading == "rank" or any(map(column.text, rows))]
 

@@ -90,7 +90,7 @@ class Workers:
             for future in as_completed(indices):
                 try:
                     played = future.result()
-                # What a policy raises comes as a result; this is the error of a worker that is lost.
+                # Errors of policies are results; this is the error of a lost worker.
                 except Exception as error:
                     lost = f"a {self.backend} worker was lost, {type(error).__name__}"
                     raise ValueError(f"{lost}: {one_line(error)}") from error

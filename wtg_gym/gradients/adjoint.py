@@ -1,8 +1,8 @@
 """Back through one control step: play it again on a tape, then pull cotangents back through its programs in turn.
 
 The programs are those of the step (:mod:`wtg_gym.physics.step`, and a task's), the right-hand side in three
-parts: flows, the sweeps that hold currents, motion. What is no system has its rule here: the fixed point of the sweeps,
-and a governor that an event takes away. Discrete events and the ends of runs do not move.
+parts: flows, the sweeps that hold currents, motion. Two parts of a step are not systems, and have their
+rule here: the fixed point of the sweeps, and a governor that an event takes away. Discrete events and the ends of runs do not move.
 """
 
 import functools
@@ -95,7 +95,7 @@ class Noted(NamedTuple):
 
 
 class Rules(NamedTuple):
-    """What the rules read besides a plant: rows in scratch, but for those of governors."""
+    """Rows in scratch that the rules read; those of governors are elsewhere."""
 
     noted: Noted
     admittances: Whole

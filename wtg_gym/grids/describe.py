@@ -1,4 +1,4 @@
-"""What a grid is, in lines for people: sizes, power flow, equilibrium, modes, step."""
+"""A grid in words: sizes, power flow, equilibrium, modes, step."""
 
 import dataclasses
 import re

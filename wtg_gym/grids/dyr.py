@@ -71,7 +71,7 @@ class Dynamics:
         self._records = defaultdict[tuple[int, str], dict[str, list[float]]](dict)
         self._unknown = Counter[str]()
         text = "\n".join(re.sub(r"^\s*(//|!).*", "", line) for line in read_text(path, "case").splitlines())
-        # What follows the end of a record on its line is a remark.
+        # Text behind the end of a record, on the same line, is a remark.
         for record in re.sub(r"/.*", "/", text).split("/"):
             fields = re.findall(r"'[^']*'|[^\s,]+", record)
             if fields and not fields[0].isdigit():

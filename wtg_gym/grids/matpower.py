@@ -265,7 +265,7 @@ def _case_of(
 
 
 def _taken(solved: Any) -> dict[int, complex]:
-    """Return what the solution takes from each bus [MVA]: what generators give, less what branches and shunts take."""
+    """Return the load of each bus in the solution [MVA]: power of generators minus that into branches and shunts."""
     bus, gen, branch = (solved[name] for name in ("bus", "gen", "branch"))
     on, closed = gen[gen[:, _GEN_STATUS] > 0.0], branch[branch[:, _STATUS] > 0.0]
     taken = dict(zip(bus[:, _BUS].astype(int), -(bus[:, _GS] - 1j * bus[:, _BS]) * bus[:, _VM] ** 2, strict=True))

@@ -42,7 +42,7 @@ _FIELDS = {
 _NEW = {"generator": ("nreg", "baslod"), "swshunt": ("shntid", "nreg", "s1")}
 #: Ending that pypowsybl knows a format by, where another one is usual.
 _ENDINGS = {".cdf": ".txt"}
-#: What a generator of a RAW file has where it does not say.
+#: Defaults of a generator in a RAW file.
 _MACHINE = {"mbase": 0.0, "zr": 0.0, "zx": 1.0, "wmod": 0.0}
 #: Tables of pypowsybl that have no place in a grid, with the column of their power.
 _UNREAD = {

@@ -10,7 +10,7 @@ from wtg_gym.grids import dyr, matpower, powsybl, solved_case
 from wtg_gym.physics.grid import Grid
 from wtg_gym.physics.parameters import TurbineParameters, WtgGroup
 
-#: Share of the power that groups take over where nobody says which machines they replace.
+#: Share of the power that groups take over by default.
 SHARE = 0.6
 #: Groups at most then.
 MOST_GROUPS = 6
@@ -28,7 +28,7 @@ def read_case(
     drop: Collection[str] = (),
     substitute: bool = False,
 ) -> Grid:
-    """Return the grid of a case, without WTG groups; what it calls replaced are its wind parks.
+    """Return the grid of a case, without WTG groups; its wind parks are machines marked as replaced.
 
     The ending of `path` says which format it has; `dynamic` is a DYR file with the machines of a RAW file. The nominal
     frequency is that of the file, or a usual one, where none is given. Types of element in `drop` are left out. To

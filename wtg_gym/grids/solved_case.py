@@ -39,7 +39,7 @@ class TwoPort:
 
 @dataclass(kw_only=True)
 class Infeed:
-    """A generator in service: what it gives, as what it counts, and what is known of its size."""
+    """A generator in service: its power, its kind and its size, if known."""
 
     name: str
     bus: Key
@@ -82,8 +82,8 @@ def refuse_unread(unread: dict[str, tuple[int, float]], drop: Collection[str], n
 def grid_of(case: SolvedCase, dynamics: Any = None, drop: Collection[str] = ()) -> Grid:
     """Return the grid of a solved case, without WTG groups, after its own power flow has met the library's.
 
-    The case is changed. What it calls replaced are its wind parks, which are typical machines, as all are without
-    `dynamics`. Types of element in `drop` are left out. A ValueError says by the bus and both values that the grid is
+    The case is changed. Its wind parks are typical machines, marked as replaced; without `dynamics` all machines are
+    typical. Types of element in `drop` are left out. A ValueError says by the bus and both values that the grid is
     not the case, or that a value is out of its range.
     """
     _merge_buses(case)

@@ -35,7 +35,7 @@ NOMINAL = "the plant at "
 
 
 class StartError(ValueError):
-    """There is no equilibrium to start a scenario from."""
+    """A scenario has no equilibrium to start from."""
 
 
 def scenario_name(scenario: Scenario) -> str:
@@ -162,7 +162,7 @@ _SHORTAGE = float(StartFailure.WIND_SHORTAGE)
 _LEAST_CURTAILMENT = 0.02
 #: Width of the range in which losses are still unknown, and how much of k they may take, by design.
 _CLOSE, _LOSSES = 0.01, 0.15
-#: What the slack bus may lack once the factor is found to its last bit [p.u.].
+#: Power that the slack bus may lack once the factor is exact to its last bit [p.u.].
 _BALANCED = 1e-10
 _DIVERGED = float(StartFailure.POWER_FLOW_DIVERGED)
 
@@ -201,7 +201,7 @@ def _curtail(arrays: tuple[Floats, Floats], buses: Floats, y: Complex, network: 
     lane = units_of(arrays[1], network.facts.starting)[0]
     at, failure = OF_STARTING_LANE.curtailment, OF_STARTING_LANE.failure
     low, high = _LEAST_CURTAILMENT, 1.0
-    # Far from the balance there is no power flow: what all give without losses comes close.
+    # Far from the balance no power flow exists: the sum of all powers without losses comes close.
     while high - low > _CLOSE and lane[failure, 0] == 0.0:
         lane[at, 0] = 0.5 * (low + high)
         integration.plan(arrays, network.tables, NONE)

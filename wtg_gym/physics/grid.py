@@ -207,7 +207,7 @@ class Grid(Checked):
     source: str = ""  # where the numbers come from
     licence: str = ""  # of the source
     repairs: tuple[str, ...] = ()  # what was changed because it contradicted itself, a sentence each
-    substitutions: tuple[str, ...] = ()  # what stands in place of a model that is not here, a sentence each
+    substitutions: tuple[str, ...] = ()  # models that replace others, which are not here, a sentence each
     #: Largest loss that the grid is planned for [MW]; None: all that the machines at a bus give.
     incident_mw: float | None = design(None, "MW", "largest loss that the grid is planned for", 1e-3, 1e6)
 

@@ -2,8 +2,8 @@
 
 A block holds what `width` environments keep, as rows (n_rows, width): each row has one number per environment, in its
 "lane", a column of the block.
-The rows of a unit are neighbours, and so are the units of a kind, kind after kind. What lasts for a control step only
-has rows of the same form in a scratch that a thread shares between its blocks.
+The rows of a unit are neighbours, and so are the units of a kind, kind after kind. Values that last for one
+control step only have such rows in a scratch, which a thread shares between its blocks.
 """
 
 import itertools
@@ -245,7 +245,7 @@ class Facts(NamedTuple):
 
 
 class Network(NamedTuple):
-    """What compiled functions read of a plant; the types are the same for every plant.
+    """A plant as compiled functions read it; the types are the same for every plant.
 
     The tables say where the systems of a step find rows and constants: see :mod:`wtg_gym.systems.programs`.
     """

@@ -27,7 +27,7 @@ class Constants:
     """What makes the constants of a control: a record of its machine's number and of all parameters by their names.
 
     With each time constant `x_time_s` comes its inverse `inv_x_time` [1/s], 0 for none; `besides` makes further ones
-    from the parameters. Of several classes of parameters, what the last has and another one lacks is 0.
+    from the parameters. Of several classes of parameters, one that lacks a field of the last has 0 for it.
     """
 
     def __init__(self, *parameters: type[Any], besides: Callable[[Any], Mapping[str, Any]] = lambda _: {}) -> None:
@@ -74,7 +74,7 @@ class Control:
     kind: Kind  # what its units keep: "control", the states, and the constants "model"
     constants: Constants  # what makes those of its parameters
     systems: Mapping[ControlJoining, tuple[System, ...]]  # by where they join the lists of `wtg_gym.physics.step`
-    failure: StartFailure = StartFailure.NONE  # what a start beyond its limits is called
+    failure: StartFailure = StartFailure.NONE  # name of a start beyond its limits
     limited: str = ""  # the state that has them
     #: Of that state at rest, from the parameters or the constants; None for none.
     limits: Callable[[Any], tuple[float, float]] | None = None

@@ -104,7 +104,7 @@ def ieeest_rates(s: IeeestState, deviation: float, voltage: float, c: Any) -> tu
         V_s = (1 + A_5 s + A_6 s²) / ((1 + A_1 s + A_2 s²)(1 + A_3 s + A_4 s²))
               · (1 + sT_1)/(1 + sT_2) · (1 + sT_3)/(1 + sT_4) · K_S sT_5/(1 + sT_6) · (ω - 1),  within L_Smin … L_Smax
 
-    With T_5 = 0 the washout is a lag of T_6. Where the voltage is not between V_CL and V_CU there is no signal. Source:
+    With T_5 = 0 the washout is a lag of T_6. The signal is zero while the voltage is outside V_CL … V_CU. Source:
     the standard model IEEEST of PSS/E, after IEEE Std 421.5 (PSS1A), as ANDES defines it. Unlike ANDES, which takes the
     second part of the filter away where A_4 is 0, the numerator keeps its effect then.
     """

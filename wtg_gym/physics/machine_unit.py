@@ -95,7 +95,7 @@ def turn_machine(state: MachineState, frame: float) -> MachineState:
 
 @system(MACHINES, "failure")
 def check_machine(state: MachineState, machine: Machine, connection: Connection, failure: Failure) -> Failure:
-    """Note a machine that would start beyond the limits of its governor or its exciter, but for units of their own."""
+    """Note a machine that would start beyond the limits of its built-in governor or exciter."""
     gate, field, c = state.governor.gate, state.exciter.field_voltage, machine
     fits = (c.governor.is_unit > 0.5) | (c.governor.gate_min <= gate) & (gate <= c.governor.gate_max)
     failure = units.noted(fits, units.StartFailure.GOVERNOR_LIMIT, connection.number, failure)

@@ -547,7 +547,7 @@ def with_places(
 
 @functools.lru_cache(maxsize=16)
 def placed(settings: Plant, task: TaskUnits = NO_TASK) -> tuple[PlantTables, Layout]:
-    """Return a plant's tables, which nobody writes to, and where its numbers lie, with those of a task."""
+    """Return a plant's tables, which are read only, and the layout of its numbers, with those of a task."""
     plant = plant_tables(settings)
     layout = layout_of(plant, task)
     return with_places(plant, layout, programs_of(plant, *integration.PROGRAMS, *task.programs), task), layout

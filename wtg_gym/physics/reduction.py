@@ -271,7 +271,7 @@ def _turn_units(part: Whole, p: int, turned: Floats, before: int, rows: _Rows, n
 
 @internal
 def _shed(rows: _Rows, network: Network, events: Any) -> None:
-    """Take from every bus what the stages of its island shed at this step, and sum what is not served."""
+    """Take the load that the stages of its island shed at this step from every bus, and sum the load not served."""
     step, unserved = rows.lane[OF_LANE.step], 0.0
     for k in range(network.shunts.shape[0]):
         bus = rows.buses[k]

@@ -32,7 +32,7 @@ class BlockThreads:
     def __init__(self, n_blocks: int, n_threads: int | None = None) -> None:
         self.n_blocks = n_blocks
         self.n_threads = n_threads
-        #: Never more than when this was made, or copied to this machine: what each worker needs was made then.
+        #: Never more than at construction, or when copied to this machine: each worker's memory was made then.
         self._most = self._wanted()
         self._pool: ThreadPoolExecutor | None = None
         self._pool_process = 0

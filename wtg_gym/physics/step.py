@@ -8,7 +8,7 @@ The start of a run (:mod:`wtg_gym.physics.equilibrium`):
 
     plan → power flow, balance, release until none → settle → reduction → admittances → find → rates → start
 
-Each name is a list of systems over all units of a kind; what is no map over units stands in the same lists. Kinds of
+Each name is a list of systems over all units of a kind, and of operations that are not maps over units. Kinds of
 unit that a plant has besides (:mod:`wtg_gym.physics.devices`), and controls that only some machines have
 (:mod:`wtg_gym.physics.machine_models`), join where it says `Here`.
 """

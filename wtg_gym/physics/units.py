@@ -1,4 +1,4 @@
-"""What all units share: the environment ("lane") that they are in, and the network between them."""
+"""The environment ("lane") that all units are in, and the network between them."""
 
 import functools
 from collections.abc import Callable, Sequence
@@ -54,7 +54,7 @@ def _moved(
 ) -> tuple[Any, Any, Any]:
     """Return states that a stage has moved, their base and the sum of their rates."""
     base = each(lambda now, before: select(first > 0.5, now, before), state, base)
-    # The last stage goes along the sum of all rates, k1 + 2 k2 + 2 k3 + k4; after it nobody reads that sum.
+    # The last stage goes along the sum of all rates, k1 + 2 k2 + 2 k3 + k4; that sum is not read again.
     along = each(lambda rate, so_far: select(last > 0.5, so_far + rate, rate), rates, total)
     moved = each(lambda way, start: fma(ahead, way, start), along, base)
     more = each(lambda rate, so_far: select(first > 0.5, rate, fma(2.0, rate, so_far)), rates, total)
@@ -217,7 +217,7 @@ class ControlJoining(StrEnum):
     START = "control start"
 
 
-#: The environment that a unit is in, a column of a block. What there is one of in a run is of the lane.
+#: The environment that a unit is in, a column of a block. Numbers of a whole run are of the lane.
 LANE = Kind(
     name="lanes",
     rows={
@@ -259,8 +259,8 @@ LANE = Kind(
         "load_level": float,  # share of the nominal load that a run starts with
         "searching": float,  # groups whose equilibrium is not found yet
         "released": float,  # buses that let go of their voltage
-        "needed": float,  # what loads need and groups do not give [p.u.]
-        "lacking": float,  # what the slack bus lacks [p.u.]
+        "needed": float,  # load beyond the power of the groups [p.u.]
+        "lacking": float,  # missing at the slack bus [p.u.]
         "curtailment": float,  # common factor on k by which groups share the balance
         "frame": float,  # angle of the first unit against the network's frame [rad]
         "failure": Failure,
@@ -303,7 +303,7 @@ ISLANDS = Kind(
     constants={"number": float},
     sees={"lane": LANE},
 )
-#: Buses of the network; what is in scratch is for the start of a run.
+#: Buses of the network; their scratch serves the start of a run.
 BUSES = Kind(
     name="buses",
     rows={

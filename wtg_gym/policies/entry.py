@@ -57,7 +57,7 @@ class Entry:
     #: Text that identifies the policy's content, such as its file's sha256; an interrupted evaluation starts an entry
     #: without one again.
     fingerprint: str | None = None
-    training_seed: int | None = None  # entries of one name and several seeds, alike but for these, share a row
+    training_seed: int | None = None  # entries of one name share a row if only their seeds differ
     learned: bool = True  # False for a policy that was designed by hand
     trained_on: str = ""  # suite, split and steps
     law: TrackingLaw = field(init=False, repr=False)

@@ -30,7 +30,7 @@ ENTRY_FILE, POLICY_FILE = "entry.toml", "policy.onnx"
 FILES = {ENTRY_FILE: LARGEST_BYTES["entry file"], POLICY_FILE: 5_000_000, "README.md": 65_536}
 #: The package with the baselines, and the name of all trained policies together.
 BASELINES, POLICIES = "baselines", "policies"
-#: Words that are nobody's name: those two, and the packages of a checkout.
+#: Words that cannot be names: those two, and the packages of a checkout.
 RESERVED = (BASELINES, POLICIES, "agents", "tests", "wtg_gym")
 _PACKAGE = Path(__file__).resolve().parents[1]
 INSTALLED = (_PACKAGE / "shipped").is_dir()
@@ -74,7 +74,8 @@ def check_not_built_in(what: str, name: str) -> None:
 def parse_entry(text: str, *, submitted: bool = False) -> dict[str, Any]:
     """Return the arguments of :class:`Entry` that an entry.toml gives, if `submitted` with the keys of a submission.
 
-    Authors are its source. A ValueError says what is wrong and allowed, in a line of ASCII but for our own words.
+    Authors are its source. A ValueError names the error and the allowed values in one line, with foreign
+    text escaped to ASCII.
     """
     try:
         data = parse_toml(text, "it")

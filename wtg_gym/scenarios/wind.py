@@ -88,7 +88,7 @@ def rotor_filter(frequency_hz: Floats, mean_wind_m_s: float) -> Floats:
 
 
 def group_filter(frequency_hz: Floats, mean_wind_m_s: float, n_turbines: float) -> Floats:
-    """Return |G(f)|² = 1/n + (1 - 1/n) coh(f, d), what averaging over n turbines leaves [-]; n below 1 counts as 1."""
+    """Return |G(f)|² = 1/n + (1 - 1/n) coh(f, d), left by averaging over n turbines [-]; n below 1 counts as 1."""
     alone = min(1.0, 1.0 / n_turbines)
     return alone + (1.0 - alone) * np.exp(-TURBINE_SPACING_M * coherence_decay(frequency_hz, mean_wind_m_s))
 

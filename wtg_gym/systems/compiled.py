@@ -137,7 +137,7 @@ class DiskCache(NullCache):  # type: ignore[misc]
         for folder, processor in places:
             key = self._key(sig, processor)
             code = None if folder is None else kept(self._path(folder, key), key)
-            # What another version of numba has pickled may raise anything.
+            # A pickle of another version of numba may raise any error.
             with contextlib.suppress(Exception):
                 if code is not None:
                     return CompileResult._rebuild(target_context, *pickle.loads(code))
@@ -163,7 +163,7 @@ def _warn_that_nothing_is_kept(folder: Path, reason: str) -> None:
 
 
 class Compilation(event.Listener):  # type: ignore[misc]
-    """What this process has compiled: functions with a :class:`DiskCache`, and routines; numba's lock guards it.
+    """Compiled code of this process: functions with a :class:`DiskCache`, and routines; numba's lock guards it.
 
     The folder of the machine code is for the report; None keeps nothing.
     """
@@ -251,7 +251,7 @@ def compiled(function: F) -> F:
 
 
 def addressed(function: F) -> F:
-    """Compile a function that compiled code calls at an address, and Python never: it has no door for Python."""
+    """Compile a function that only compiled code calls, at an address: without a wrapper for Python."""
     return _kept(function, no_cpython_wrapper=True)
 
 

@@ -85,7 +85,7 @@ def _key(value: Any) -> tuple[Any, ...]:
     return (value,) if isinstance(value, str) else (value, math.copysign(1.0, value))
 
 
-#: Whether a product with 0 is 0 and a sum with 0 the other term, whatever that is: so cotangents are simplified. The
+#: Whether a product with 0 is 0, and a sum with 0 is the other term, also of infinity and NaN, as in cotangents. The
 #: bits of zeros and of numbers that are not finite may differ then.
 _simplifies_zeros = False
 

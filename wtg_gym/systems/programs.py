@@ -191,7 +191,7 @@ class Program:
 
 
 def _content(entry: Any) -> tuple[Any, ...]:
-    """Return what an entry is, but for the operations of systems, and what lies within it."""
+    """Return the structure of an entry, without the operations of systems, and the entries within it."""
     if isinstance(entry, System):
         slots = [(slot, entry.places[slot].in_scratch) for slot in entry.slots]
         return entry.name, slots, entry.constants_used, entry.when
@@ -293,7 +293,7 @@ def _system_rows(system: System, plant: MemoryMap, n: int) -> list[int]:
 
 
 def _constants_of(system: System, plant: MemoryMap, n: int, numbers: list[float], cells: dict[Any, int]) -> list[float]:
-    """Return the constants of a system for each of n units; what tables hold is added to `numbers`."""
+    """Return the constants of a system for each of n units; those kept in tables are added to `numbers`."""
     used = system.constants_used
     if n == 0 or not used:
         return []

@@ -46,7 +46,7 @@ _OF_WRITER = {
 
 
 class Routine:
-    """What a program is compiled to.
+    """A compiled program.
 
     `call` is a function for compiled code, of (arrays, tables, scalars) and, with a tape, the row where the program's
     notes begin. Arrays (n_rows, width) are those of the block and of scratch; then the tape. For the way back they are
@@ -54,7 +54,7 @@ class Routine:
     tables: the bars after the program become those before it, and those of the constants are added to.
 
     `place` says which of the program's routines it is, 0 … 3; one of two that stand at the same place can be in tables.
-    `known` are values of scalars: what follows from them is left out, and those handed over do not count.
+    `known` are values of scalars, compiled in: branches that they exclude are left out.
     """
 
     def __init__(self, program: Program, writer: type[Writer] = Writer, place: int = 0, **known: float) -> None:

@@ -87,7 +87,7 @@ def each(function: Callable[..., Any], *records: Any) -> Any:
     return type(records[0])(*(each(function, *values) for values in zip(*records, strict=True)))
 
 
-#: What a state "x" has in scratch besides: "x_rates", and the integration's own "x_base" and "x_sum".
+#: Further rows in scratch of a state "x": "x_rates", and "x_base" and "x_sum" of the integration.
 _OF_STATES = ("rates", "base", "sum")
 #: Numbers that a caller hands to a program with every call.
 SCALARS = ("fraction", "ahead", "first", "last")
@@ -99,8 +99,8 @@ class Kind:
 
     The full name of a part is its label and its own name: "own_heat" in the unit itself, "unit_voltage" in a unit seen
     by the label "unit". That of a number within a record goes on: "own_state_pitch_angle". Systems use a full name, or
-    any end of it that no other place has. A TypeError says that a state is no part in rows, that two parts have one
-    name, or that a label is "own".
+    any end of it that no other place has. A TypeError refuses a state that is not in rows, two parts of one
+    name, and the label "own".
     """
 
     name: str  # in the plural; no other kind has it, and a copy is the same kind
@@ -231,7 +231,7 @@ class Trace(NamedTuple):
 
 
 class Adjoint(NamedTuple):
-    """A system pulled back: cotangents of what it reads, from those of what it writes."""
+    """The adjoint of a system: cotangents of its inputs, from those of its outputs."""
 
     trace: Trace
     seeds: dict[ex.Number, tuple[str, int]]  # part and place within it, of what is written

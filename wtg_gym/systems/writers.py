@@ -68,7 +68,7 @@ class Writer:
         symbols: dict[Any, list[ex.Number]] = {}
         for symbol, at in trace.inputs.items():
             symbols.setdefault(system.row(*at), []).append(symbol)
-        # What belongs to one number of a record is worked out and stored together: few numbers are held at a time.
+        # Each number of a record is computed and stored in one go: few numbers are held at a time.
         for name, k, value in sorted(trace.stores, key=lambda store: store[1]):
             before = symbols.get(system.row(name, k), [])
             if any(symbol is value for symbol in before):
@@ -76,7 +76,7 @@ class Writer:
                 continue
             result = instruction(value)
             for symbol in before:
-                # What is read later, too, is what was there before.
+                # A later read needs the earlier value.
                 if symbol in used:
                     instruction(symbol)
             lanes.store(result, self._at(rows[name], k))
@@ -232,7 +232,7 @@ class NotingWriter(TapedWriter):
 
 
 class BackWriter(TapedWriter):
-    """Writes the way back: what are rows of block and scratch elsewhere are their cotangents here."""
+    """Writes the adjoint: rows of block and scratch hold cotangents here."""
 
     with_constants = True
 

@@ -1,7 +1,7 @@
 """Observations and `info`: records, their equations, and the names of an observation's entries.
 
-A new entry is a field of a record here, with its unit, and a line in the equation below it. What a group sees through
-sensors, as in v1, is in :mod:`wtg_gym.tasks.sensing`.
+A new entry is a field of a record here, with its unit, and a line in the equation below it. Observations through
+sensors, as in v1, are in :mod:`wtg_gym.tasks.sensing`.
 """
 
 from typing import Annotated, Any, NamedTuple, TypeVar
