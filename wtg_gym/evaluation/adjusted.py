@@ -136,7 +136,7 @@ class Adjusted:
         return _interval([100.0 * happened, -100.0 * other], self._plain)
 
     def worst_tenth_difference(self, costs: Floats, other: Floats) -> Interval:
-        """Return how much more the :func:`worst_tenth` costs than another entry's [%], paired; the ratio is linearised."""
+        """Return how much more the :func:`worst_tenth` costs than another entry's [%], paired and linearised."""
         tail, base = (statistics.mean(worst_tenth(values)) for values in (costs, other))
         ratio, percent = tail / base, 100.0 / base
         value = 100.0 * (ratio - 1.0)
