@@ -106,10 +106,10 @@ def with_faults(entries: Sequence[Entry], results: Results) -> dict[str, Results
 
 
 def cell(row: EntrySummary | None) -> str:
-    """Return score and mark of an entry."""
+    """Return the score of an entry, and ✗ where it has no mark."""
     if row is None or row.score is None:
         return "–"
-    return f"{round(row.score.value, 1) + 0.0:.1f}{' ✓' if row.marked else ''}"
+    return f"{round(row.score.value, 1) + 0.0:.1f}{'' if row.marked else ' ✗'}"
 
 
 def table(columns: Mapping[str, Results], first: Results) -> str:
@@ -135,7 +135,7 @@ def section(suites: Mapping[str, Results], faults: Mapping[str, Results]) -> str
     """Return both tables and what they show."""
     first = suites[OWN]
     return (
-        f"Score and mark ✓ on the first {len(first.seeds)} test scenarios of a suite, by the first training seed:\n\n"
+        f"Score, with ✗ without the mark, on the first {len(first.seeds)} test scenarios of a suite, first training seed:\n\n"
         f"{table(suites, first)} –: its network does not fit that grid.\n\n"
         f"On those of `{OWN}` with something changed, which the references meet too:\n\n"
         f"{table(faults, first)}"
