@@ -135,7 +135,7 @@ def section(suites: Mapping[str, Results], faults: Mapping[str, Results]) -> str
     """Return both tables and what they show."""
     first = suites[OWN]
     return (
-        f"Score, with ✗ without the mark, on the first {len(first.seeds)} test scenarios of a suite, first training seed:\n\n"
+        f"Score (✗: no mark) on the first {len(first.seeds)} test scenarios of a suite, by the first training seed:\n\n"
         f"{table(suites, first)} –: its network does not fit that grid.\n\n"
         f"On those of `{OWN}` with something changed, which the references meet too:\n\n"
         f"{table(faults, first)}"
