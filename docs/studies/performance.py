@@ -91,7 +91,7 @@ def cases():
         prepared[f"{name}, vector of 1024"] = functools.partial(vector, EnvSettings(grid=grid).suite_name, 1024)
     for version in OURS:
         prepared[f"{version}, gradients of 64"] = functools.partial(gradients, version, 64)
-    prepared["v0, PPO on the SB3 adapter of 1024"] = lambda: training(SB3VecEnv(1024), 1024)
+    prepared["v0, PPO on the SB3 adapter of 1024"] = lambda: training(SB3VecEnv(1024, version="v0"), 1024)
     dummies = [functools.partial(gym.make, OURS["v0"])] * 8
     prepared["v0, PPO on DummyVecEnv of 8"] = lambda: training(DummyVecEnv(dummies), 8)
     return prepared
