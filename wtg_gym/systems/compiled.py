@@ -11,7 +11,7 @@ could have changed are not used either (:func:`wtg_gym.files.read_trusted`).
 A wheel may bring machine code for a kind of processor, such as x86-64-v3, made by `.ci/machine_code`. Where this one is
 of that kind, and Python and numba are those that the code was made with, nothing is compiled; the bits are the same.
 
-Compiling takes some ten seconds, so it is reported: in a terminal by a line that moves and goes away; elsewhere the
+Compiling takes some fifteen seconds, so it is reported: in a terminal by a line that moves and goes away; elsewhere the
 logger "wtg_gym" warns once, with the folder. `logging.getLogger("wtg_gym").setLevel(logging.ERROR)` silences both.
 """
 
@@ -200,7 +200,7 @@ class Compilation(event.Listener):  # type: ignore[misc]
         self.n_functions += 1
         if self.n_functions == _SILENT_FUNCTIONS and not _shows_a_line():
             kept = "not kept: no folder can be written to" if self._folder is None else f"kept in {self._folder}"
-            _log.warning("wtg_gym compiles its simulator to machine code: some ten seconds, %s", kept)
+            _log.warning("wtg_gym compiles its simulator to machine code: some fifteen seconds, %s", kept)
         if self.n_functions >= _SILENT_FUNCTIONS and _shows_a_line():
             message = (
                 f"wtg_gym compiles its simulator, once: {self.seconds:.0f} s, {self.n_functions} functions, now {name}"
