@@ -162,8 +162,8 @@ def folders(parent: Path) -> list[Path]:
 def loading(path: Path) -> Iterator[Path]:
     """Return a folder to load from, and turn any error meanwhile into a ValueError that names it.
 
-    Damaged pickles and archives raise errors of any kind. They also run code, so a file or
-    folder that another user could have written is refused.
+    Damaged pickles and archives raise errors of any kind. They also run code, so a file or folder that
+    another user could have written is refused.
     """
     try:
         yield trusted_files(path)

@@ -1,9 +1,9 @@
 """Back through one control step: play it again on a tape, then pull cotangents back through its programs in turn.
 
 The programs are those of the step (:mod:`wtg_gym.physics.step`, and a task's), the right-hand side in three
-parts: flows, the sweeps that hold currents, motion. Two parts of a step are not systems, and have their
-rule here: the fixed point of the sweeps, and a governor that an event takes away. Discrete
-events and the ends of runs do not move.
+parts: flows, the sweeps that hold currents, motion. Two parts of a step are not systems, and have their rule
+here: the fixed point of the sweeps, and a governor that an event takes away. Discrete events and the ends of runs do
+not move.
 """
 
 import functools
