@@ -1,9 +1,10 @@
-"""The report on one entry of version v1, on the test scenarios of its standard suite: what it does, where it fails.
+"""The report on one entry of version v1, on scenarios of its standard suite: what it does, where it fails.
 
 A page of sections, in Markdown with its pictures beside, or made HTML of, with its pictures inside.
 """
 
 import base64
+import shlex
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from html import escape
@@ -300,7 +301,7 @@ def _scenario_picture(report: Report, seed: int) -> Picture:
         figure=_plot_scenario(scenario, runs),
         caption=f"{scenario.name}. Cost [-]: {', '.join(paid)}. {happened}.",
         command=f"wtg-gym evaluate --suite {SUITE} --split {report.results.split} --seeds {seed} "
-        f"--entries {report.spec}",
+        f"--entries {shlex.quote(report.spec)}",
     )
 
 
