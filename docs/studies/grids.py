@@ -14,7 +14,7 @@ from wtg_gym.grids.describe import describe_equilibrium, describe_grid, grid_of
 from wtg_gym.physics.grid import known_grids
 from wtg_gym.progress import Progress
 from wtg_gym.scenarios import DEFAULT_SUITE, get_suite, suite_of_grid
-from wtg_gym.scenarios.draws import LineTrips, LoadEvents, Wind
+from wtg_gym.scenarios.draws import LoadEvents, Wind
 from wtg_gym.tasks import V1
 
 SUITES = tuple(suite_of_grid(name) for name in known_grids())
@@ -31,8 +31,6 @@ def grids() -> str:
         large = events["large-loads"]
         lines["wind's share"] = "{:.0%} … {:.0%}".format(*large.find(Wind).penetration)
         lines["large load events"] = "{:.0f} … {:.0f} MW".format(*large.find(LoadEvents).size_mw)
-        lines["lines that trip"] = str(len(large.find(LineTrips).lines))
-        lines["kinds of event"] = ", ".join(events)
         columns.append(lines)
     same = ("step", "state below", "stable")  # the page says it once
     assert all(len({lines[key] for lines in columns if key in lines}) == 1 for key in same)
