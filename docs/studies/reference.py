@@ -92,12 +92,17 @@ def weights():
 
 
 def info():
-    """Return the keys of `info`."""
-    rows = [(f"`{key}`", *rest) for key, *rest in (*declared(Info), *declared(LocalInfo))]
-    rows.append(("`scenario_seed`", "-", "its seed, else −1"))
-    rows.append(("`reserve_margin`", "-", "[reserve margin](benchmark.md#strata); in drawn suites of v1"))
-    rows.append(("`termination_reason`", "text", "why the episode was terminated, else empty"))
-    return "### `info`\n\n" + markdown_table(("key of `info`", "unit", "meaning"), rows)
+    """Return the keys of `info`, whose names end in their units; one row for all terms of the cost."""
+    keys = [(key, meaning) for key, _, meaning in (*declared(Info), *declared(LocalInfo))]
+    terms = ", ".join(key.removeprefix("cost_") for key, _ in keys if key.startswith("cost_"))
+    rows = [(f"`{key}`", meaning) for key, meaning in keys if not key.startswith("cost_")]
+    rows += [
+        ("`cost_…`", f"[cost of this step](benchmark.md#the-cost): {terms}, in v1 with load not served"),
+        ("`scenario_seed`", "its seed, else −1"),
+        ("`reserve_margin`", "[reserve margin](benchmark.md#strata); in drawn suites of v1"),
+        ("`termination_reason`", "why the episode was terminated, else empty"),
+    ]
+    return "### `info`\n\n" + markdown_table(("key", "meaning"), rows)
 
 
 def arguments():
@@ -146,7 +151,9 @@ def class_list(title, fields, values):
         source = "" if meta["source"] == usual else f" ({meta['source']})"
         numbers = [f"{value:g}" for value in values(field)]
         shown = numbers[0] if len(set(numbers)) == 1 else "/".join(numbers)
-        lines.append(f"- `{field.name}`: {shown}{unit}, {meta['doc']}{source}")
+        # The names of a machine's reactances and times per axis are those of every textbook.
+        meaning = "" if re.match("[xt]_[dq]", field.name) else f", {meta['doc']}"
+        lines.append(f"- `{field.name}`: {shown}{unit}{meaning}{source}")
     return "\n".join(lines)
 
 
