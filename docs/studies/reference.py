@@ -112,9 +112,9 @@ def arguments():
     meanings = {name: plain(" ".join(text.split())) for name, text in entries}
     rows = []
     for field in dataclasses.fields(EnvSettings):
-        default = "none" if field.default is None else f"`{field.default!r}`".replace("'", '"')
-        rows.append((f"`{field.name}`", default, meanings[field.name]))
-    return markdown_table(("argument", "default", "meaning"), rows)
+        default = "" if field.default is None else f"={field.default!r}".replace("'", '"')
+        rows.append((f"`{field.name}{default}`", meanings[field.name]))
+    return markdown_table(("argument, default", "meaning"), rows)
 
 
 def environment_page():
