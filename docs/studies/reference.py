@@ -15,7 +15,7 @@ from wtg_gym.files import markdown_table, update_between_markers
 from wtg_gym.physics import machine_parameters, parameters
 from wtg_gym.physics.grid import get_grid
 from wtg_gym.physics.machine_parameters import SynchronousMachineParameters
-from wtg_gym.physics.parameters import SOURCES, WtgGroup
+from wtg_gym.physics.parameters import SOURCES, ProtectionParameters, SheddingStage, WtgGroup
 from wtg_gym.tasks import TASKS, V1
 from wtg_gym.tasks.cost import CostWeights
 from wtg_gym.tasks.observation import GridObservation, Info, LocalInfo, MachineObservation, WtgObservation
@@ -170,7 +170,8 @@ def parameters_page():
             # Inherited parameters are listed with their own class.
             declared = [field for field in dataclasses.fields(cls) if field.name in cls.__annotations__]
             plain_fields = [field for field in declared if isinstance(field.default, float)]
-            elsewhere = cls in (WtgGroup, SynchronousMachineParameters)  # on the environment's page, or below
+            # On the environment's page, below, or on the model's page.
+            elsewhere = cls in (WtgGroup, SynchronousMachineParameters, SheddingStage, ProtectionParameters)
             unused = hasattr(cls, "MODEL") and cls.MODEL not in ("SEXS", "TGOV1")
             if plain_fields and not elsewhere and not unused:
                 parts.append(class_list(name, plain_fields, lambda field: [field.default]))
