@@ -5,7 +5,7 @@ The policies were trained on 14 buses. It takes five minutes on two processors.
 
 from __future__ import annotations
 
-from matrix import table
+from matrix import marks_lost, table
 from output import folder as output_folder
 
 from wtg_gym.evaluation import Results, evaluate, load_entries
@@ -14,7 +14,7 @@ from wtg_gym.grids.describe import describe_equilibrium, describe_grid, grid_of
 from wtg_gym.physics.grid import known_grids
 from wtg_gym.progress import Progress
 from wtg_gym.scenarios import DEFAULT_SUITE, get_suite, suite_of_grid
-from wtg_gym.scenarios.draws import LineTrips, LoadEvents, Wind
+from wtg_gym.scenarios.draws import LoadEvents, Wind
 from wtg_gym.tasks import V1
 
 SUITES = tuple(suite_of_grid(name) for name in known_grids())
@@ -31,12 +31,10 @@ def grids() -> str:
         large = events["large-loads"]
         lines["wind's share"] = "{:.0%} … {:.0%}".format(*large.find(Wind).penetration)
         lines["large load events"] = "{:.0f} … {:.0f} MW".format(*large.find(LoadEvents).size_mw)
-        lines["lines that trip"] = str(len(large.find(LineTrips).lines))
-        lines["kinds of event"] = ", ".join(events)
         columns.append(lines)
     same = ("step", "state below", "stable")  # the page says it once
     assert all(len({lines[key] for lines in columns if key in lines}) == 1 for key in same)
-    left_out = ("name", "source", "repaired", "replaced", "mode", "equilibrium", *same)
+    left_out = ("name", "source", "repaired", "replaced", "voltages", "mode", "equilibrium", *same)
     rows = [key for key in columns[0] if key not in left_out]
     cells = [[row, *(lines.get(row, "–") for lines in columns)] for row in rows]
     return markdown_table(("", *(f"`{name}`" for name in known_grids())), cells)
@@ -55,4 +53,5 @@ if __name__ == "__main__":
     docs = output_folder(__doc__)
     update_between_markers(docs / "grids.md", grids(), "grids")
     columns = {suite: played(suite) for suite in SUITES}
-    update_between_markers(docs / "grids.md", table(columns, columns[DEFAULT_SUITE]), "transfer")
+    first = columns[DEFAULT_SUITE]
+    update_between_markers(docs / "grids.md", f"{table(columns, first)}\n\n{marks_lost(columns, first)}", "transfer")

@@ -113,22 +113,36 @@ def cell(row: EntrySummary | None) -> str:
 
 
 def table(columns: Mapping[str, Results], first: Results) -> str:
-    """Return a cell by entry and column, from the best in `first` to the law at 100; below, where marks are lost."""
-    rows = leaderboard_rows(first)
-    rows = rows[: 1 + [row.name for row in rows].index(V1.hundred)]
-    ranked = {heading: {row.name: row for row in results.ranking} for heading, results in columns.items()}
+    """Return a cell by entry and column, for the entries above the law at 100 in `first`, from the best."""
+    rows, ranked = above_hundred(first), ranks(columns)
     cells = [
         [label, *(cell(by_name.get(row.name)) for by_name in ranked.values())]
         for row, (label,) in zip(rows, table_cells(rows, ("entry",)), strict=True)
     ]
+    return markdown_table(("entry", *columns), cells, right=range(1, 1 + len(columns)))
+
+
+def above_hundred(first: Results) -> list[EntrySummary]:
+    """Return the entries above the law at 100, which scores 100 in every column."""
+    rows = leaderboard_rows(first)
+    return rows[: [row.name for row in rows].index(V1.hundred)]
+
+
+def ranks(columns: Mapping[str, Results]) -> dict[str, dict[str, EntrySummary]]:
+    """Return the summary of every entry by column and name."""
+    return {heading: {row.name: row for row in results.ranking} for heading, results in columns.items()}
+
+
+def marks_lost(columns: Mapping[str, Results], first: Results) -> str:
+    """Return which entries lose their mark, and in which columns."""
+    ranked = ranks(columns)
     lost = {
         row.name: [heading for heading, by_name in ranked.items() if not by_name.get(row.name, row).marked]
-        for row in rows
+        for row in above_hundred(first)
         if row.marked
     }
-    marks_lost = "; ".join(f"{name} in {', '.join(headings)}" for name, headings in lost.items() if headings)
-    shown = markdown_table(("entry", *columns), cells, right=range(1, 1 + len(columns)))
-    return f"{shown}\n\nThe mark is lost: {marks_lost or 'by no entry'}."
+    named = "; ".join(f"{name} in {', '.join(headings)}" for name, headings in lost.items() if headings)
+    return f"The mark is lost: {named}." if named else "No entry loses its mark."
 
 
 def section(suites: Mapping[str, Results], faults: Mapping[str, Results]) -> str:
@@ -136,9 +150,9 @@ def section(suites: Mapping[str, Results], faults: Mapping[str, Results]) -> str
     first = suites[OWN]
     return (
         f"Score (✗: no mark) on the first {len(first.seeds)} test scenarios of a suite, by the first training seed:\n\n"
-        f"{table(suites, first)} –: its network does not fit that grid.\n\n"
+        f"{table(suites, first)}\n\n–: its network does not fit that grid.\n\n"
         f"On those of `{OWN}` with something changed, which the references meet too:\n\n"
-        f"{table(faults, first)}"
+        f"{table(faults, first)}\n\n{marks_lost({**suites, **faults}, first)}"
     )
 
 

@@ -15,7 +15,7 @@ from wtg_gym.files import markdown_table, update_between_markers
 from wtg_gym.physics import machine_parameters, parameters
 from wtg_gym.physics.grid import get_grid
 from wtg_gym.physics.machine_parameters import SynchronousMachineParameters
-from wtg_gym.physics.parameters import SOURCES, WtgGroup
+from wtg_gym.physics.parameters import SOURCES, ProtectionParameters, SheddingStage, WtgGroup
 from wtg_gym.tasks import TASKS, V1
 from wtg_gym.tasks.cost import CostWeights
 from wtg_gym.tasks.observation import GridObservation, Info, LocalInfo, MachineObservation, WtgObservation
@@ -92,12 +92,17 @@ def weights():
 
 
 def info():
-    """Return the keys of `info`."""
-    rows = [(f"`{key}`", *rest) for key, *rest in (*declared(Info), *declared(LocalInfo))]
-    rows.append(("`scenario_seed`", "-", "its seed, else −1"))
-    rows.append(("`reserve_margin`", "-", "[reserve margin](benchmark.md#strata); in drawn suites of v1"))
-    rows.append(("`termination_reason`", "text", "why the episode was terminated, else empty"))
-    return "### `info`\n\n" + markdown_table(("key of `info`", "unit", "meaning"), rows)
+    """Return the keys of `info`, whose names end in their units; one row for all terms of the cost."""
+    keys = [(key, meaning) for key, _, meaning in (*declared(Info), *declared(LocalInfo))]
+    terms = ", ".join(key.removeprefix("cost_") for key, _ in keys if key.startswith("cost_"))
+    rows = [(f"`{key}`", meaning) for key, meaning in keys if not key.startswith("cost_")]
+    rows += [
+        ("`cost_…`", f"[cost of this step](benchmark.md#the-cost): {terms}, in v1 with load not served"),
+        ("`scenario_seed`", "its seed, else −1"),
+        ("`reserve_margin`", "[reserve margin](benchmark.md#strata); in drawn suites of v1"),
+        ("`termination_reason`", "why the episode was terminated, else empty"),
+    ]
+    return "### `info`\n\n" + markdown_table(("key", "meaning"), rows)
 
 
 def arguments():
@@ -107,9 +112,9 @@ def arguments():
     meanings = {name: plain(" ".join(text.split())) for name, text in entries}
     rows = []
     for field in dataclasses.fields(EnvSettings):
-        default = "none" if field.default is None else f"`{field.default!r}`".replace("'", '"')
-        rows.append((f"`{field.name}`", default, meanings[field.name]))
-    return markdown_table(("argument", "default", "meaning"), rows)
+        default = "" if field.default is None else f"={field.default!r}".replace("'", '"')
+        rows.append((f"`{field.name}{default}`", meanings[field.name]))
+    return markdown_table(("argument, default", "meaning"), rows)
 
 
 def environment_page():
@@ -146,7 +151,9 @@ def class_list(title, fields, values):
         source = "" if meta["source"] == usual else f" ({meta['source']})"
         numbers = [f"{value:g}" for value in values(field)]
         shown = numbers[0] if len(set(numbers)) == 1 else "/".join(numbers)
-        lines.append(f"- `{field.name}`: {shown}{unit}, {meta['doc']}{source}")
+        # The names of a machine's reactances and times per axis are those of every textbook.
+        meaning = "" if re.match("[xt]_[dq]", field.name) else f", {meta['doc']}"
+        lines.append(f"- `{field.name}`: {shown}{unit}{meaning}{source}")
     return "\n".join(lines)
 
 
@@ -163,7 +170,8 @@ def parameters_page():
             # Inherited parameters are listed with their own class.
             declared = [field for field in dataclasses.fields(cls) if field.name in cls.__annotations__]
             plain_fields = [field for field in declared if isinstance(field.default, float)]
-            elsewhere = cls in (WtgGroup, SynchronousMachineParameters)  # on the environment's page, or below
+            # On the environment's page, below, or on the model's page.
+            elsewhere = cls in (WtgGroup, SynchronousMachineParameters, SheddingStage, ProtectionParameters)
             unused = hasattr(cls, "MODEL") and cls.MODEL not in ("SEXS", "TGOV1")
             if plain_fields and not elsewhere and not unused:
                 parts.append(class_list(name, plain_fields, lambda field: [field.default]))

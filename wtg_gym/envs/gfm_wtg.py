@@ -40,8 +40,7 @@ class GFMWTGEnv(interface.OverLanes, gym.Env[interface.Observation, interface.Ac
     In v1 the change of the score in the step, so that the return of an episode is its score minus 100; in v0 minus the
     cost of the step; see `reward`. In v1 the last step also makes up for the score's logarithm, by up to hundreds of
     points; an episode that `TimeLimit` cuts has no such step, and its return is no score. The cost is the sum of the
-    terms `info["cost_…"]`. `info["cost"]` is another number, for safe reinforcement learning: 1 in a step that violates
-    a constraint, else 0.
+    terms `info["cost_…"]`. `info["cost"]` is another number, for safe reinforcement learning.
 
     ## Starting State
     The exact equilibrium of the scenario's wind, load and grid at nominal frequency.

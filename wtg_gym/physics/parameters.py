@@ -159,7 +159,7 @@ class GridFormingParameters(Checked):
     reactance_pu: float = design(
         0.55,
         "p.u.",
-        "X_g behind the voltage: K_p ≈ 1.5 with 0.1 p.u. more to a stiff bus (the paper's margins need 1.45)",
+        "X_g: K_p ≈ 1.5 with 0.1 p.u. more to a stiff bus (the paper's margins need 1.45)",
         1e-4,
         100.0,
     )
@@ -207,7 +207,7 @@ class VoltageControlParameters(Checked):
     internal_voltage_max_pu: float = design(
         1.4,
         "p.u.",
-        "largest voltage behind X_g: at most 1.13 p.u. behind REGFM_A1's filter of 0.15 p.u.",
+        "largest voltage behind X_g",
         1.0,
         10.0,
     )
@@ -244,15 +244,14 @@ class ProtectionParameters(Checked):
         3.0,
         "s",
         "ENTSO-E",
-        "that time, upper end of 1.5 … 3.0 s for power park modules; then a voltage collapse ends the run",
+        "that time, of 1.5 … 3.0 s for power park modules",
         0.0,
         1e9,
     )
     internal_voltage_max_pu: float = design(
         2.0,
         "p.u.",
-        "largest voltage behind the internal reactance at the start; behind X_g it drives 1.6 p.u. of reactive current "
-        "at 1.1 p.u. of terminal voltage",
+        "largest voltage behind a unit's reactance at the start",
         0.1,
         1e9,
     )
