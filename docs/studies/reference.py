@@ -82,12 +82,16 @@ def privileged():
 
 def weights():
     """Return the weights of the cost."""
-    versions = [env.settings.cost_weights() for env in ENVS.values()]
-    rows = [(f"`{name}`", *(f"{getattr(weights, name):g}" for weights in versions)) for name in CostWeights._fields]
-    table = markdown_table(("weight [1/s]", *ENVS), rows, right=range(1, 1 + len(versions)))
+
+    def value(settings, name):
+        counts = settings.task.failure_costs_whole_episode or name not in ("unserved", "failure")
+        return f"{getattr(settings.cost_weights(), name):g}" if counts else "–"
+
+    rows = [(f"`{name}`", *(value(env.settings, name) for env in ENVS.values())) for name in CostWeights._fields]
+    table = markdown_table(("weight [1/s]", *ENVS), rows, right=range(1, 1 + len(ENVS)))
     return (
-        f"{table}\n\n`cap` limits the sum, in v1 without frequency and load not served. `unserved` and `failure` count "
-        "in v1 only ([equations and reasons](benchmark.md#the-cost))."
+        f"{table}\n\n`cap` limits the sum, in v1 without frequency and load not served ([equations and "
+        "reasons](benchmark.md#the-cost))."
     )
 
 
