@@ -96,7 +96,7 @@ def plot_energy(
     for letter, axes, (name, run) in zip("ab", panels[0], runs.items(), strict=True):
         style.letter_panel(axes, letter, f"{name}: energy lent by each group [MJ]")
         for group, values in enumerate((run.stored_mj[0] - run.stored_mj)[:, 0].T):
-            axes.plot(run.time_s, values, label=f"group {group}")
+            axes.plot(run.time_s, values, label=f"group {group + 1}")
         mark_instants(axes, scenario, numbered=True)
         axes.set_xlim(0.0, scenario.duration_s)
     panels[0, 1].legend(loc="lower right", ncols=2)
