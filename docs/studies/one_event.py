@@ -4,8 +4,8 @@ For docs/agents.md, images/energy.svg: what energy rotors lend there and on aver
 with the policy.
 
 These are plain droop on a reserve of 5 %, the published law, that law tuned and the agent with the best score. Of the
-first validation scenarios in which droop stalls a rotor, and the last two lose nothing and stay within 0.8 Hz, it is
-that in which the published law lets the frequency fall lowest. Prints the load that each sheds.
+first validation scenarios in which droop loses the grid, the tuned law leaves 50 ± 0.8 Hz somewhere and the agent loses
+nothing and does not, it is that in which the tuned law lets the frequency fall lowest. Prints the load that each sheds.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from wtg_gym.plotting import save_figure, style
 from wtg_gym.plotting.trajectories import explain_events, mark_end, mark_instants
 from wtg_gym.scenarios import get_suite
 
-SUITE, N_SCENARIOS = "standard-v1", 60
+SUITE, N_SCENARIOS = "standard-v1", 150
 #: A law whose support ends where its rotor stalls.
 DROOP = "deloaded-5"
 
@@ -121,7 +121,7 @@ def chosen() -> tuple[int, list[Entry]]:
     agent = max(learned, key=lambda row: row.score.value).name
     zero, hundred = suite.task.anchors
     names = [DROOP, zero, hundred, agent]
-    droop, published, *others = [results.episodes_of(name)[: len(seeds)] for name in names]
+    droop, _, tuned, learner = [results.episodes_of(name)[: len(seeds)] for name in names]
 
     def held(episode: Episode) -> bool:
         lost = episode.metrics["tripped_groups"], episode.metrics["shed_energy_mwh"]
@@ -129,11 +129,11 @@ def chosen() -> tuple[int, list[Entry]]:
         return not (episode.failed or any(lost)) and fallen_hz <= DESIGN_DEVIATION_MHZ / 1000.0
 
     def shows(at: int) -> bool:
-        return all(held(runs[at]) for runs in others) and bool(droop[at].metrics["tripped_groups"])
+        return bool(droop[at].failed) and held(learner[at]) and not held(tuned[at])
 
     if not (shown := [at for at in range(len(seeds)) if shows(at)]):
-        raise ValueError(f"in none of {len(seeds)} scenarios {DROOP} loses a group and {hundred} and {agent} hold")
-    clearest = min(shown, key=lambda at: published[at].metrics["worst_nadir_hz"])
+        raise ValueError(f"in none of {len(seeds)} scenarios {agent} alone holds, and {DROOP} loses the grid")
+    clearest = min(shown, key=lambda at: tuned[at].metrics["worst_nadir_hz"])
     played = {entry.name: entry for entry in reversed(entries)}
     return seeds[clearest], [played[name] for name in names]
 
@@ -151,7 +151,7 @@ if __name__ == "__main__":
     suite, compared = get_suite(SUITE), entries[2:]
     of_strata = {}
     for stratum in suite.strata[1:]:
-        drawn = suite.scenarios([each for each in suite.validation[:N_SCENARIOS] if suite.stratum(each) == stratum])
+        drawn = suite.scenarios([each for each in suite.validation[:60] if suite.stratum(each) == stratum])
         of_strata[stratum] = {entry.name: recorded(entry, settings, drawn) for entry in compared}
     lenders = {entry.name: runs[entry.name] for entry in compared}
     save_figure(plot_energy(scenario, lenders, of_strata), docs / "images" / "energy", ["svg"])
