@@ -16,7 +16,7 @@ import numpy as np
 from wtg_gym.envs.settings import EnvSettings
 from wtg_gym.evaluation.circumstances import environment_fingerprint, versions
 from wtg_gym.evaluation.episodes import Episode, check_size
-from wtg_gym.evaluation.metrics import Recorder, measure
+from wtg_gym.evaluation.metrics import frequencies, measure
 from wtg_gym.evaluation.partial import PartialStore
 from wtg_gym.evaluation.results import Results
 from wtg_gym.evaluation.workers import Played, Workers
@@ -292,9 +292,7 @@ def play_batch(
     """Play and measure one batch of scenarios, or of seeds of the settings' suite, from start to end."""
     try:
         with started_lanes(entry, settings, scenarios, n_threads) as (lanes, drawn):
-            recorder = Recorder(lanes)
-            for stepped in play(entry, lanes):
-                recorder.record(stepped)
+            courses_hz = frequencies(lanes, play(entry, lanes))
             return [
                 Episode(
                     entry=entry.name,
@@ -302,9 +300,9 @@ def play_batch(
                     seed=int(lanes.scenario_seeds[lane]),
                     scenario=scenario.name,
                     duration_s=min(scenario.duration_s, lanes.duration_s),
-                    **measure(lanes, recorder, lane),
+                    **measure(lanes, lane, course_hz),
                 )
-                for lane, scenario in enumerate(drawn)
+                for lane, (scenario, course_hz) in enumerate(zip(drawn, courses_hz, strict=True))
             ]
     except policy_process.NotIsolatedError:
         raise

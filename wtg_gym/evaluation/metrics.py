@@ -4,7 +4,7 @@ Every lane is measured from its own values alone, so that no number depends on t
 """
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Any
@@ -73,23 +73,17 @@ METRICS: Mapping[str, Metric] = MappingProxyType(
 )
 
 
-class Recorder:
-    """Records the course of the frequency, which the simulator does not keep, from started episodes."""
+def frequencies(lanes: TaskLanes, steps: Iterable[npt.NDArray[np.bool_]]) -> list[Floats]:
+    """Follow started episodes to their ends; return each lane's frequency [Hz] at its start and after its steps.
 
-    def __init__(self, lanes: TaskLanes) -> None:
-        self._lanes = lanes
-        n_steps = int(lanes.task_values("end_step").max()) // lanes.n_substeps
-        #: Frequency of the centre of inertia [Hz], shape (n_lanes, n_steps + 1).
-        self.frequency_hz = np.zeros((lanes.n_lanes, n_steps + 1))
-        #: Control steps each lane has made, shape (n_lanes,).
-        self.n_steps = np.zeros(lanes.n_lanes, dtype=np.int64)
-        self.frequency_hz[:, 0] = lanes.nominal_hz * lanes.simulator.lane_values("coi")
-
-    def record(self, stepped: npt.NDArray[np.bool_]) -> None:
-        """Take a sample of the lanes that made the last step, shape (n_lanes,)."""
-        self.n_steps[stepped] += 1
-        frequency = self._lanes.nominal_hz * self._lanes.simulator.lane_values("coi")
-        self.frequency_hz[stepped, self.n_steps[stepped]] = frequency[stepped]
+    `steps` are those of :func:`~wtg_gym.policies.play.play`. The frequency is that of the centre of inertia, whose
+    course the simulator does not keep.
+    """
+    n_samples, samples = np.ones(lanes.n_lanes, dtype=np.int64), [lanes.nominal_hz * lanes.simulator.lane_values("coi")]
+    for stepped in steps:
+        n_samples += stepped
+        samples.append(lanes.nominal_hz * lanes.simulator.lane_values("coi"))
+    return [series[:n] for series, n in zip(np.transpose(samples), n_samples.tolist(), strict=True)]
 
 
 def quasi_steady_deviation(frequency_hz: Floats, control_dt: float, nominal_hz: float) -> float:
@@ -101,13 +95,15 @@ def quasi_steady_deviation(frequency_hz: Floats, control_dt: float, nominal_hz: 
     return math.fsum(frequency_hz[-n_window:].tolist()) / n_window - nominal_hz
 
 
-def measure(lanes: TaskLanes, recorder: Recorder, lane: int) -> dict[str, Any]:
-    """Return "metrics" of a lane that is over, by the names in :data:`METRICS`, and its "failure" (empty: none)."""
+def measure(lanes: TaskLanes, lane: int, frequency_hz: Floats) -> dict[str, Any]:
+    """Return "metrics" of a lane that is over, by the names in :data:`METRICS`, and its "failure" (empty: none).
+
+    `frequency_hz` is the lane's part of :func:`frequencies`.
+    """
     simulator = lanes.simulator
     status = Status(int(lanes.statuses()[lane]))
     terms = {f"cost_{t}": float(value) for t, value in zip(COST_TERMS, lanes.cost_sums()[lane], strict=True)}
-    n_steps, dt = int(recorder.n_steps[lane]), lanes.settings.step_s
-    frequency_hz = recorder.frequency_hz[lane, : n_steps + 1]
+    n_steps, dt = frequency_hz.size - 1, lanes.settings.step_s
     steady = quasi_steady_deviation(frequency_hz, dt, lanes.nominal_hz) if status == Status.RUNNING else None
 
     def groups(name: str) -> list[float]:
