@@ -311,11 +311,8 @@ def _plot_scenario(scenario: Scenario, runs: Mapping[str, recording.Recorded]) -
     panels = figure.subplots(len(_PANELS), 1, sharex=True)
     for axes, (label, values) in zip(panels, _PANELS.items(), strict=True):
         for name, run in runs.items():
-            series = values(run)[:, 0]
-            axes.plot(run.time_s, series, color=looks[name].colour, linestyle=looks[name].dashes, label=name)
-            if run.failures[0]:
-                last = int(np.flatnonzero(np.isfinite(series))[-1])
-                trajectories.mark_end(axes, float(run.time_s[last]), float(series[last]), looks[name].colour)
+            series, failed = values(run)[:, 0], bool(run.failures[0])
+            trajectories.draw_run(axes, run.time_s, series, looks[name], failed=failed, label=name)
         trajectories.mark_instants(axes, scenario, numbered=False)
         axes.set_title(label, loc="left")
     panels[-1].set_xlabel("time [s]")
