@@ -49,15 +49,11 @@ def evaluate(
     from wtg_gym.cli import scoring
 
     processes = scoring.chosen_workers(workers, threads)
-    planned = {
-        **scoring.chosen_scenarios(suite, split, seeds),
-        "duration_s": duration,
-    }
+    planned = {**scoring.chosen_scenarios(suite, split, seeds), "duration_s": duration}
     scoring.check_stored(results, planned)
-    with scoring.kept_parts(results) as partial:
-        # Last, because it takes longest, and may run code.
-        chosen = scoring.chosen_entries(entries, suite)
-        scores = scoring.run_evaluation(chosen, **planned, partial=partial, n_threads=threads, workers=processes)
+    # Last, because it takes longest, and may run code.
+    chosen = scoring.chosen_entries(entries, suite)
+    scores = scoring.run_evaluation(chosen, results, **planned, n_threads=threads, workers=processes)
     return scoring.finish(scores, results, as_json=json)
 
 
@@ -97,17 +93,15 @@ def leaderboard(
     sections = [f"leaderboard:{suite}", f"leaderboard:{suite}:details"]
     pages = [(page, output.check_page("--readme", page, sections)) for page in readme]
     processes = scoring.chosen_workers(workers, threads)
-    with scoring.kept_parts(results) as partial:
-        chosen = scoring.chosen_entries(entries, suite)
-        check_version(chosen, get_suite(suite))
-        how: dict[str, Any] = {"suite": suite, "split": "test", "partial": partial, "n_threads": threads}
-        how["workers"] = processes
-        laws = [entry for entry in chosen if not isinstance(entry.policy, OnnxPolicy)]
-        if not json and laws and len(laws) < len(chosen):
-            # They take seconds, the others minutes.
-            scoring.print_ranking(scoring.run_evaluation(laws, **how))
-            output.note(f"these are the laws; {len(chosen) - len(laws)} policies follow")
-        ranking = scoring.run_evaluation(chosen, **how)
+    chosen = scoring.chosen_entries(entries, suite)
+    check_version(chosen, get_suite(suite))
+    how: dict[str, Any] = {"suite": suite, "split": "test", "n_threads": threads, "workers": processes}
+    laws = [entry for entry in chosen if not isinstance(entry.policy, OnnxPolicy)]
+    if not json and laws and len(laws) < len(chosen):
+        # They take seconds, the others minutes.
+        scoring.print_ranking(scoring.run_evaluation(laws, results, **how))
+        output.note(f"these are the laws; {len(chosen) - len(laws)} policies follow")
+    ranking = scoring.run_evaluation(chosen, results, **how)
     # Without its parts, which would be removed once the results are written.
     code = scoring.finish(dataclasses.replace(ranking, parts=None), results, as_json=json)
     for page, section in pages:

@@ -1,9 +1,8 @@
 """Scoring on the command line: the values of options, one evaluation, and the printed ranking."""
 
-import contextlib
 import os
 import sys
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -86,22 +85,19 @@ def check_stored(folder: Path | None, planned: Mapping[str, Any]) -> None:
         )
 
 
-@contextlib.contextmanager
-def kept_parts(folder: Path | None) -> Iterator[Path | None]:
-    """Give the folder of finished parts in that of the results; after Ctrl-C, name it."""
+def run_evaluation(entries: Sequence[Entry], folder: Path | None, **options: Any) -> Results:
+    """Evaluate with progress on stderr, and leave out an entry whose policy fails; `options` are those of `evaluate`.
+
+    Finished parts are kept beside the results in a folder, if there is one; after Ctrl-C, it is named.
+    """
     partial = None if folder is None else folder / "partial"
     try:
-        yield partial
+        with Progress("episodes") as progress:
+            return evaluate(entries, on_progress=progress.update, partial=partial, keep_going=True, **options)
     except KeyboardInterrupt:
         if partial is not None:
             note(f"finished parts are kept in {partial}: run the same command again to go on")
         raise
-
-
-def run_evaluation(entries: Sequence[Entry], *, partial: Path | None = None, **options: Any) -> Results:
-    """Evaluate with progress on stderr; a policy that fails is left out; `options` are arguments of `evaluate`."""
-    with Progress("episodes") as progress:
-        return evaluate(entries, on_progress=progress.update, partial=partial, keep_going=True, **options)
 
 
 def finish(results: Results, folder: Path | None, *, as_json: bool) -> int:

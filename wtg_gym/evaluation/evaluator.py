@@ -40,8 +40,6 @@ _Part = tuple[Entry, list[int]]
 Entries = str | Path | Entry | Sequence[str | Path | Entry]
 #: How often the policies of an evaluation that ends early are closed until their threads have ended [s].
 _CLOSE_AGAIN_S = 0.05
-#: What finished batches belong to.
-_OF_PARTS = ("suite_hash", "split", "settings")
 #: Settings that an entry or an argument of its own decides.
 _TAKEN = ("strategy", "action_mode", "observation_mode", "suite", "split", "scenario")
 
@@ -90,27 +88,27 @@ def evaluate(
         raise ValueError(f"a worker steps with one thread; leave out the threads, got {n_threads!r}")
     settings = EnvSettings(suite=suite, split=split, **env_arguments)
     competitors = _with_references(entries, settings.resolved_suite)
-    description = _description(settings, chosen_seeds(settings.suite_name, split, seeds), competitors)
-    store = PartialStore(partial, [settings.resolved_suite.name, *map(description.get, _OF_PARTS)])
-    parts = [part for entry in competitors for part in _parts(entry, description["seeds"], batch)]
+    chosen = chosen_seeds(settings.suite_name, split, seeds)
+    check_size((entry.name for entry in competitors), len(chosen))
+    shared, of_suite = shared_settings(settings), settings.resolved_suite
+    store = PartialStore(partial, [of_suite.name, of_suite.hash, split, shared])
+    parts = [part for entry in competitors for part in _parts(entry, chosen, batch)]
     needed = settings.task.references if keep_going else [entry.name for entry in competitors]
     episodes, failures = _episodes(store, parts, settings, n_threads, workers, on_progress, needed)
-    return Results(**description, episodes=tuple(episodes), parts=store).without(failures)
-
-
-def _description(settings: EnvSettings, seeds: Sequence[int], entries: Sequence[Entry]) -> dict[str, Any]:
-    check_size((entry.name for entry in entries), len(seeds))
-    return {
-        "suite": settings.suite_name,
-        "split": settings.split,
-        "suite_hash": settings.resolved_suite.hash,
-        "source_hash": source_hash(),
-        "seeds": tuple(seeds),
-        "environment": {"id": settings.env_id, "fingerprint": environment_fingerprint(settings)},
-        "settings": shared_settings(settings),
-        "versions": dict(versions()),
-        "entries": tuple(entry.to_dict() for entry in entries),
-    }
+    results = Results(
+        suite=settings.suite_name,
+        split=split,
+        suite_hash=of_suite.hash,
+        source_hash=source_hash(),
+        seeds=tuple(chosen),
+        environment={"id": settings.env_id, "fingerprint": environment_fingerprint(settings)},
+        settings=shared,
+        versions=dict(versions()),
+        entries=tuple(entry.to_dict() for entry in competitors),
+        episodes=tuple(episodes),
+        parts=store,
+    )
+    return results.without(failures)
 
 
 def _with_references(specs: Entries, suite: Suite) -> list[Entry]:

@@ -79,11 +79,9 @@ def frequencies(lanes: TaskLanes, steps: Iterable[npt.NDArray[np.bool_]]) -> lis
     `steps` are those of :func:`~wtg_gym.policies.play.play`. The frequency is that of the centre of inertia, whose
     course the simulator does not keep.
     """
-    n_samples, samples = np.ones(lanes.n_lanes, dtype=np.int64), [lanes.nominal_hz * lanes.simulator.lane_values("coi")]
-    for stepped in steps:
-        n_samples += stepped
-        samples.append(lanes.nominal_hz * lanes.simulator.lane_values("coi"))
-    return [series[:n] for series, n in zip(np.transpose(samples), n_samples.tolist(), strict=True)]
+    samples = [lanes.nominal_hz * lanes.simulator.lane_values("coi")]
+    samples += [lanes.nominal_hz * lanes.simulator.lane_values("coi") for _ in steps]
+    return [course[: 1 + n] for course, n in zip(np.transpose(samples), lanes.n_steps().tolist(), strict=True)]
 
 
 def quasi_steady_deviation(frequency_hz: Floats, control_dt: float, nominal_hz: float) -> float:
