@@ -131,7 +131,7 @@ def score(
     why = _why_left_out(reports, clashes)
     for reason in dict.fromkeys(why.values()):
         note(f"left out: {reason}")
-    entries = {report.folder: report.played(weak=gate.weak_isolation) for report in reports if report.folder not in why}
+    entries = {report.folder: report.entry for report in reports if report.folder not in why and report.entry}
     codes = [int(bool(why))]
     for name, scenarios in planned.items():
         env_id = get_suite(name).env_id
