@@ -104,10 +104,9 @@ def _bench(ratio: float, *, sheds: bool = False) -> Plant:
     case, mva = plant.case, sum(g.n_turbines for g in plant.groups) * plant.turbine.rated_power_mw
     reactance = case.base_mva / (ratio * mva)
     line = grid.Branch(from_bus=_SOURCE_BUS, to_bus=1, resistance=reactance / _X_TO_R, reactance=reactance)
-    bench = grid.NetworkCase(
+    bench = dataclasses.replace(
+        case,
         name="bench",
-        base_mva=case.base_mva,
-        frequency_hz=case.frequency_hz,
         slack_bus=_SOURCE_BUS,
         buses=(*case.buses, grid.Bus(number=_SOURCE_BUS, voltage_pu=1.06)),
         branches=(*case.branches, line),

@@ -4,6 +4,7 @@ A page of sections, in Markdown with its pictures beside, or made HTML of, with 
 """
 
 import base64
+import itertools
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from html import escape
@@ -13,12 +14,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from wtg_gym.envs.settings import EnvSettings
-from wtg_gym.evaluation import damping, evaluator, faults, grid_tests, recording, statistics, table
+from wtg_gym.evaluation import damping, evaluator, faults, grid_tests, recording, score, statistics, table
 from wtg_gym.evaluation.results import Results, score_difference
 from wtg_gym.evaluation.summary import EntrySummary, Runs, lost, lost_or_beyond
 from wtg_gym.files import markdown_table
 from wtg_gym.physics.scenario import Scenario
-from wtg_gym.plotting import margin, style, trajectories
+from wtg_gym.plotting import style, trajectories
 from wtg_gym.policies import Entry, entry_folder
 from wtg_gym.scenarios.suites import DEFAULT_SUITE, get_suite
 
@@ -40,6 +41,10 @@ _PANELS: Mapping[str, Callable[[recording.Recorded], statistics.Floats]] = {
     "power of all turbines [MW]": lambda run: run.power_mw,
     "slowest rotor [p.u.]": lambda run: run.rotor_speed_pu,
 }
+#: Margin, J + J0 and whether the run is bad, of each scenario, (n_scenarios,) each.
+OverMargin = tuple[statistics.Floats, statistics.Floats, statistics.Floats]
+#: Edges of the bins of the margin [-]; the last one holds all beyond.
+_EDGES = (-0.10, -0.05, 0.0, 0.05, 0.10, 0.15, 0.20, 0.30, 0.50)
 #: Text of a page, without anything from elsewhere.
 _PAGE = """\
 <!doctype html>
@@ -241,7 +246,7 @@ def _score(report: Report) -> Section:
 
 
 def _where_control_decides(report: Report) -> Section:
-    figure = margin.plot_over_margin(margin.by_entry(report.results), report.hundred, stacked=True)
+    figure = plot_over_margin(over_margin(report.results), report.hundred, stacked=True)
     caption = "Cost (J + J0, relative) and share of bad runs over the reserve margin"
     return Section(
         heading="Where control decides",
@@ -249,6 +254,52 @@ def _where_control_decides(report: Report) -> Section:
         f"per cent of the load: below 1, an entry pays less than {report.hundred}.",
         pictures=[Picture(name="margin", figure=figure, caption=caption)],
     )
+
+
+def over_margin(results: Results) -> dict[str, OverMargin]:
+    """Return margin, J + J0 and whether the run is bad of each scenario, by entry, of the first training seed."""
+    offsets, nominal_hz = score.cost_offsets(results.groups, results.task), get_suite(results.suite).nominal_hz
+    by_entry = {}
+    for name, runs in results.runs.items():
+        margins, costs = (np.array([row.metrics[key] for row in runs[0]]) for key in ("reserve_margin", "cost"))
+        by_entry[name] = margins, costs + offsets, lost_or_beyond(runs[:1], nominal_hz)[0]
+    return by_entry
+
+
+@style.printed
+def plot_over_margin(entries: Mapping[str, OverMargin], hundred: str, *, stacked: bool = False) -> "Figure":
+    """Draw cost relative to the law that scores 100, and the share of bad runs, over the reserve margin.
+
+    The panels stand side by side, or `stacked` in a single column.
+    """
+    figure = style.new_figure(*((style.SINGLE_COLUMN_MM, 120.0) if stacked else (style.DOUBLE_COLUMN_MM, 70.0)))
+    looks = style.strategy_looks(entries)
+    panels = figure.subplots(*((2, 1) if stacked else (1, 2)))
+    style.letter_panel(panels[0], "a", "(J + J0) over that of the law at 100 [-]")
+    style.letter_panel(panels[1], "b", "runs lost or beyond 0.8 Hz [%]")
+    for name, (margins, costs, bad) in entries.items():
+        ratios, shares, middles = [], [], []
+        for low, high in itertools.pairwise(_EDGES):
+            chosen = (margins >= low) & (margins < high)
+            if chosen.any():
+                middles.append(100.0 * float(margins[chosen].mean()))
+                ratios.append(float(np.exp(np.log(costs[chosen] / entries[hundred][1][chosen]).mean())))
+                shares.append(100.0 * float(bad[chosen].mean()))
+        for axes, values in zip(panels, (ratios, shares), strict=True):
+            axes.plot(middles, values, color=looks[name].colour, linestyle=looks[name].dashes, label=name, marker=".")
+    panels[0].set_yscale("log")
+    largest = max(5.0, panels[0].get_ylim()[1])
+    ticks = [tick for tick in (0.7, 1.0, 1.5, 2.0, 3.0, 5.0, 10.0, 20.0, 50.0) if tick <= largest]
+    panels[0].set_yticks(ticks, [f"{tick:g}" for tick in ticks])
+    panels[0].minorticks_off()
+    for axes in panels:
+        for edge in (0.0, 10.0):
+            axes.axvline(edge, color="0.8", linewidth=0.8, zorder=0)
+        axes.set_xlabel("reserve margin [% of the load]")
+    figure.legend(
+        *panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=2 if stacked else len(entries)
+    )
+    return figure
 
 
 def _bad_runs(report: Report) -> Section:
