@@ -156,14 +156,15 @@ def _write_cards(folder: Path, entries: "Mapping[Path, Entry]", played: "Results
         if entry.name not in missing:
             continue
         missing.discard(entry.name)
+        results = page.part_of_entry(played, entry)
+        assert results is not None
+        made = page.Report(entry, _shown(path), results, stored=True, n_threads=n_threads)
         try:
-            made = page.make_report(entry, _shown(path), stored=played, n_threads=n_threads)
             with Progress("sections") as progress:
-                files = page.report_markdown(made, path.name, progress.update)
+                files = page.report_files(made, path.name, progress.update)
         except ValueError as error:
             note(f"no page about {entry.name}: {error}")
             continue
-        files[f"{path.name}.html"] = page.report_html(made, files)
         write_together({folder / name: content for name, content in files.items()})
         note(f"wrote {folder / path.name}.html and .md")
 

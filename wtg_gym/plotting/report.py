@@ -103,7 +103,7 @@ def _plain(text: str) -> str:
     return "".join(f"\\{sign}" if sign in "\\`*_[]<>#&" else sign for sign in text)
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class Report:
     """An entry of version v1 with its results."""
 
@@ -111,13 +111,8 @@ class Report:
     spec: str  # by which commands name the entry
     results: Results  # with those of the version's references
     stored: bool  # whether the results were read, not played
-    drawn: Sequence[int]  # seeds of the scenarios to draw; empty for those that cost the entry most
-    n_threads: int | None  # to step with
-
-    @property
-    def title(self) -> str:
-        """Heading of the page."""
-        return f"Report: {self.entry.label}"
+    drawn: Sequence[int] = ()  # seeds of the scenarios to draw; empty for those that cost the entry most
+    n_threads: int | None = None  # to step with
 
     @property
     def hundred(self) -> str:
@@ -135,36 +130,18 @@ class Report:
         return f"{chance:.2g}" if chance >= 0.001 else "below 0.001"
 
 
-def make_report(
-    entry: Entry,
-    spec: str,
-    *,
-    split: str = "validation",
-    seeds: Sequence[int] | None = None,
-    drawn: Sequence[int] = (),
-    stored: Path | Results | None = None,
-    n_threads: int | None = None,
-    on_progress: evaluator.Progress | None = None,
-) -> Report:
-    """Return the report of an entry of version v1, with results that are `stored` or in that folder, else played.
-
-    `seeds` are scenarios of the `split` to play; None for all, which may be read. Other arguments are as of
-    :class:`Report` and :func:`~wtg_gym.evaluation.evaluate`.
-    """
-    read = _stored_results(stored, split, entry) if stored is not None and seeds is None else None
-    results = read or evaluator.evaluate(entry, SUITE, split, seeds=seeds, n_threads=n_threads, on_progress=on_progress)
-    return Report(entry=entry, spec=spec, results=results, stored=read is not None, drawn=drawn, n_threads=n_threads)
-
-
-def _stored_results(stored: Path | Results, split: str, entry: Entry) -> Results | None:
-    """Return the stored results of an entry and the version's references, if there are any of the same policy."""
-    if isinstance(stored, Results):
-        results = stored
-    elif (path := stored / f"{SUITE}-{split}.json").exists():
-        results = Results.read(path)
-        results.check_suite()
-    else:
+def stored_results(folder: Path, split: str, entry: Entry) -> Results | None:
+    """Return the :func:`part_of_entry` of a folder's results of the suite, if it has some of the same policy."""
+    path = folder / f"{SUITE}-{split}.json"
+    if not path.exists():
         return None
+    results = Results.read(path)
+    results.check_suite()
+    return part_of_entry(results, entry)
+
+
+def part_of_entry(results: Results, entry: Entry) -> Results | None:
+    """Return what results hold of an entry and the version's references; None without episodes of the same policy."""
     run, rows = (entry.name, entry.training_seed), {(row["name"], row["training_seed"]): row for row in results.entries}
     if entry.identity is None or run not in rows or rows[run]["sha256"] != entry.identity:
         return None
@@ -173,41 +150,38 @@ def _stored_results(stored: Path | Results, split: str, entry: Entry) -> Results
     return replace(results, entries=tuple(kept.values()), episodes=episodes, failed=())
 
 
-def report_markdown(
-    report: Report, stem: str, on_progress: evaluator.Progress = lambda name, done, n: None
-) -> dict[str, bytes | str]:
-    """Play what the sections show, and return the files of the page in Markdown by their names, the page last.
+def report_files(report: Report, stem: str, on_progress: evaluator.Progress) -> dict[str, bytes | str]:
+    """Play what the sections show, and return the page as `stem`.md, its pictures, and all in one as `stem`.html.
 
-    Pictures are called after the page's stem. `on_progress` is called with what is under way, and the sections done.
-    A PolicyError says that the entry's policy fails.
+    `on_progress` is called with what is under way, and the sections done. HTML needs markdown-it-py. A PolicyError says
+    that the entry's policy fails.
     """
     entry, versions = report.entry, report.results.versions
     source = f"Source: {entry.source}." if entry.source else ""
     origin = "stored results" if report.stored else "played for this page"
     scores = f"Scores: {origin}, wtg_gym {versions['wtg_gym']}."
     subtitle = [entry.description, f"Kind: {entry.kind}, on top of the law {entry.law.name}.", source, scores]
-    parts, files = [f"# {_plain(report.title)}", _plain(" ".join(filter(None, subtitle)))], dict[str, bytes | str]()
+    title, pictures = f"Report: {entry.label}", dict[str, bytes]()
+    parts = [f"# {_plain(title)}", _plain(" ".join(filter(None, subtitle)))]
     for done, section_of in enumerate(_SECTIONS):
         on_progress(section_of.__name__.strip("_").replace("_", " "), done, len(_SECTIONS))
         section = section_of(report)
         parts.append(section.markdown(stem))
         for picture in section.pictures:
-            files[f"{stem}-{picture.name}.svg"] = style.figure_bytes(picture.figure, "svg")
-    return {**files, f"{stem}.md": "\n\n".join(parts) + "\n"}
+            pictures[f"{stem}-{picture.name}.svg"] = style.figure_bytes(picture.figure, "svg")
+    page = "\n\n".join(parts) + "\n"
+    return {**pictures, f"{stem}.md": page, f"{stem}.html": _html(title, page, pictures)}
 
 
-def report_html(report: Report, files: Mapping[str, bytes | str]) -> str:
-    """Return the files of :func:`report_markdown` as one HTML page, which loads nothing; it needs markdown-it-py."""
+def _html(title: str, page: str, pictures: Mapping[str, bytes]) -> str:
+    """Return a page of Markdown as one of HTML, which loads nothing."""
     from markdown_it import MarkdownIt
 
-    *pictures, page = files
-    renderer = MarkdownIt("commonmark", {"html": False, "xhtmlOut": False}).enable("table")
-    body = renderer.render(str(files[page]))
-    for name in pictures:
-        picture = files[name]
-        data = base64.b64encode(picture if isinstance(picture, bytes) else picture.encode()).decode()
+    body = MarkdownIt("commonmark", {"html": False, "xhtmlOut": False}).enable("table").render(page)
+    for name, picture in pictures.items():
+        data = base64.b64encode(picture).decode()
         body = body.replace(f'src="{name}"', f'src="data:image/svg+xml;base64,{data}"')
-    return _PAGE.format(title=escape(report.title), body=body)
+    return _PAGE.format(title=escape(title), body=body)
 
 
 def _interval(value: statistics.Interval) -> tuple[str, str]:
