@@ -9,6 +9,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from html import escape
 from pathlib import Path
+from string import Template
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -45,20 +46,8 @@ _PANELS: Mapping[str, Callable[[recording.Recorded], statistics.Floats]] = {
 OverMargin = tuple[statistics.Floats, statistics.Floats, statistics.Floats]
 #: Edges of the bins of the margin [-]; the last one holds all beyond.
 _EDGES = (-0.10, -0.05, 0.0, 0.05, 0.10, 0.15, 0.20, 0.30, 0.50)
-#: Text of a page, without anything from elsewhere.
-_PAGE = """\
-<!doctype html>
-<html lang="en"><head><meta charset="utf-8"><meta name="viewport" content="width=device-width, initial-scale=1">
-<title>{title}</title><style>
-body {{ font: 16px/1.5 system-ui, sans-serif; color: #1b1b1b; background: #fff; margin: 0 auto; padding: 1rem;
-  max-width: 60rem; overflow-wrap: anywhere; }}
-h1 {{ font-size: 1.6rem; }} h2 {{ font-size: 1.2rem; margin: 2.2rem 0 .3rem; }} p {{ max-width: 48rem; }}
-table {{ display: block; overflow-x: auto; border-collapse: collapse; font-size: .9rem; overflow-wrap: normal; }}
-th, td {{ padding: .3rem .7rem .3rem 0; text-align: left; vertical-align: top; border-bottom: 1px solid #ddd; }}
-img {{ width: 100%; max-width: 28rem; }} pre {{ white-space: pre-wrap; font-size: .9rem; }}
-</style></head><body>
-{body}</body></html>
-"""
+#: A page with its $title and $body, without anything from elsewhere.
+_PAGE = Path(__file__).with_name("page.html")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -181,7 +170,7 @@ def _html(title: str, page: str, pictures: Mapping[str, bytes]) -> str:
     for name, picture in pictures.items():
         data = base64.b64encode(picture).decode()
         body = body.replace(f'src="{name}"', f'src="data:image/svg+xml;base64,{data}"')
-    return _PAGE.format(title=escape(title), body=body)
+    return Template(_PAGE.read_text(encoding="utf-8")).substitute(title=escape(title), body=body)
 
 
 def _interval(value: statistics.Interval) -> tuple[str, str]:
