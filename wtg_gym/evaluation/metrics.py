@@ -98,46 +98,46 @@ def measure(lanes: TaskLanes, lane: int, frequency_hz: Floats) -> dict[str, Any]
 
     `frequency_hz` is the lane's part of :func:`frequencies`.
     """
-    simulator = lanes.simulator
+    simulator, nominal_hz = lanes.simulator, lanes.nominal_hz
+    base_mva, extended = simulator.settings.case.base_mva, simulator.settings.extended
     status = Status(int(lanes.statuses()[lane]))
-    terms = {f"cost_{t}": float(value) for t, value in zip(COST_TERMS, lanes.cost_sums()[lane], strict=True)}
     n_steps, dt = frequency_hz.size - 1, lanes.settings.step_s
-    steady = quasi_steady_deviation(frequency_hz, dt, lanes.nominal_hz) if status == Status.RUNNING else None
+
+    def grid(name: str) -> float:
+        return float(simulator.lane_values(name)[lane])
+
+    def task(name: str) -> float:
+        return float(lanes.task_values(name)[lane])
 
     def groups(name: str) -> list[float]:
         values: list[float] = simulator.wtg_values(name)[lane].tolist()
         return values
 
+    terms = {f"cost_{t}": float(value) for t, value in zip(COST_TERMS, lanes.cost_sums()[lane], strict=True)}
     energies = zip(simulator.plant.share, groups("energy_captured"), strict=True)
     captured = math.fsum(share * energy for share, energy in energies)
-    # What extended physics alone computes.
-    optional: dict[str, float | None] = {name: None for name, metric in METRICS.items() if metric.optional}
-    base_mva = simulator.settings.case.base_mva
-    if simulator.settings.extended:
-        optional |= {
-            "worst_nadir_hz": lanes.nominal_hz * float(simulator.lane_values("worst_min")[lane]),
-            "worst_zenith_hz": lanes.nominal_hz * float(simulator.lane_values("worst_max")[lane]),
-            "largest_voltage_pu": max(groups("largest_voltage")),
-            "shed_energy_mwh": float(simulator.lane_values("shed_energy")[lane]) * base_mva / 3600.0,
-        }
+    is_whole = status == Status.RUNNING
     metrics: dict[str, float | None] = {
-        **optional,
         "cost": math.fsum(terms.values()),
         **terms,
-        "nadir_hz": lanes.nominal_hz * float(simulator.lane_values("coi_min")[lane]),
-        "zenith_hz": lanes.nominal_hz * float(simulator.lane_values("coi_max")[lane]),
-        "largest_rocof_hz_s": float(lanes.task_values("largest_rocof")[lane]),
-        "quasi_steady_deviation_hz": steady,
+        "nadir_hz": nominal_hz * grid("coi_min"),
+        "zenith_hz": nominal_hz * grid("coi_max"),
+        "worst_nadir_hz": nominal_hz * grid("worst_min") if extended else None,
+        "worst_zenith_hz": nominal_hz * grid("worst_max") if extended else None,
+        "largest_voltage_pu": max(groups("largest_voltage")) if extended else None,
+        "largest_rocof_hz_s": task("largest_rocof"),
+        "quasi_steady_deviation_hz": quasi_steady_deviation(frequency_hz, dt, nominal_hz) if is_whole else None,
         "energy_mwh": captured * base_mva / 3600.0,
-        "energy_share_percent": 100.0 * captured / float(lanes.task_values("available_energy")[lane]),
-        "duty_error_percent": 100.0 * float(lanes.task_values("duty_error")[lane]) / (n_steps * dt),
+        "energy_share_percent": 100.0 * captured / task("available_energy"),
+        "duty_error_percent": 100.0 * task("duty_error") / (n_steps * dt),
         "least_tip_speed_ratio": min(groups("least_tsr")),
         "largest_tip_speed_ratio": max(groups("largest_tsr")),
         "overload_time_s": max(groups("overload_time")),
         "peak_power_pu": max(groups("peak_power")),
-        "constraint_time_s": float(lanes.task_values("constraint_sum")[lane]) * lanes.settings.interval_s,
+        "constraint_time_s": task("constraint_sum") * lanes.settings.interval_s,
         "tripped_groups": float(sum(connected < 0.5 for connected in groups("connected"))),
-        "survived_s": float(simulator.lane_values("step")[lane]) * simulator.plant.simulation_dt,
+        "shed_energy_mwh": grid("shed_energy") * base_mva / 3600.0 if extended else None,
+        "survived_s": grid("step") * simulator.plant.simulation_dt,
         "reserve_margin": float(lanes.reserve_margins[lane]) if lanes.suite.margins else None,
     }
     return {"metrics": metrics, "failure": TERMINATION_REASONS[status]}
