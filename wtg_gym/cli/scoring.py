@@ -50,15 +50,13 @@ def chosen_scenarios(suite: str, split: str, options: SeedOptions) -> dict[str, 
     return {**chosen, "seeds": list(seeds[: options.scenarios])}
 
 
-def chosen_workers(options: WorkerOptions, threads: int | None) -> workers.Workers | None:
+def chosen_workers(options: WorkerOptions) -> workers.Workers | None:
     """Return the workers of `--backend`."""
     if options.backend is None:
         if unused := [name for name in ("address", "jobs") if getattr(options, name) is not None]:
             raise ValueError(f"--{unused[0]} is for workers: say which with --backend {', '.join(workers.BACKENDS)}")
         return None
-    if threads not in (None, 1):
-        raise ValueError(f"--threads {threads}: a worker steps with one thread; say how many with --jobs")
-    return workers.Workers(options.backend, options.address, options.jobs)
+    return workers.Workers(**vars(options))
 
 
 def check_stored(folder: Path | None, planned: Mapping[str, Any]) -> None:

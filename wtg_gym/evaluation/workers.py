@@ -22,7 +22,7 @@ from wtg_gym.evaluation.episodes import Episode
 from wtg_gym.extras import install_advice
 from wtg_gym.files import one_line
 from wtg_gym.policies import Entry, PolicyError
-from wtg_gym.ranges import require_whole
+from wtg_gym.ranges import require_choice, require_whole
 
 #: Backends, and the package each of them needs.
 BACKENDS = {"loky": "joblib", "dask": "distributed"}
@@ -51,8 +51,7 @@ class Workers:
 
     def __post_init__(self) -> None:
         backend, address, jobs = self.backend, self.address, self.jobs
-        if backend not in BACKENDS:
-            raise ValueError(f"unknown backend {backend!r}; allowed are {', '.join(BACKENDS)}")
+        require_choice("backend", backend, BACKENDS)
         if address is not None and backend == "loky":
             raise ValueError(f"an address is for dask, loky has workers on this machine only; got {address!r}")
         if jobs is not None:
