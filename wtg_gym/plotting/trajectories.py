@@ -56,7 +56,9 @@ def plot_trajectories(runs: Mapping[str, trajectory.Trajectory], scenario: Scena
         grid[3, group].set_xlabel("time [s]")
     grid[0, 0].set_xlim(0.0, scenario.duration_s)
     for row in (grid[0], grid[3]):
-        style.share_limits(row)
+        limits = [axes.get_ylim() for axes in row]
+        for axes in row:
+            axes.set_ylim(min(low for low, _ in limits), max(high for _, high in limits))
     statuses = sorted({run.status for run in runs.values()} - {protection.Status.RUNNING})
     if reasons := " or ".join(status.name.lower().replace("_", " ") for status in statuses):
         grid[0, 0].plot([], [], "x", color="0.25", markeredgewidth=1.4, label=reasons)
