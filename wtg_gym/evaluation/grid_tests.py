@@ -52,11 +52,6 @@ class Recording(Trajectory):
         """Return the mean power of the groups, on their base, (n,)."""
         return np.asarray(self.power_pu.mean(axis=1))
 
-    @property
-    def lives(self) -> bool:
-        """Whether the run went to its end with all groups connected."""
-        return self.status is protection.Status.RUNNING and bool(self.connected[-1].all())
-
 
 #: Passed or failed, and the figure.
 Verdict = tuple[bool, str]
