@@ -6,7 +6,6 @@ Every lane is measured from its own values alone, so that no number depends on t
 import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -32,45 +31,39 @@ class Metric:
 
 
 #: Every metric of an episode. Extremes are taken at every simulation step.
-METRICS: Mapping[str, Metric] = MappingProxyType(
-    {
-        "cost": Metric("-", "total cost, minus the return"),
-        **{f"cost_{term}": Metric("-", f"{term} term of the total cost") for term in COST_TERMS},
-        "nadir_hz": Metric("Hz", "lowest frequency of the centre of inertia"),
-        "zenith_hz": Metric("Hz", "highest frequency of the centre of inertia"),
-        "worst_nadir_hz": Metric("Hz", "lowest frequency of any bus or unit; in extended physics only", optional=True),
-        "worst_zenith_hz": Metric(
-            "Hz", "highest frequency of any bus or unit; in extended physics only", optional=True
-        ),
-        "largest_voltage_pu": Metric(
-            "p.u.", "highest terminal voltage of any connected group; in extended physics only", optional=True
-        ),
-        "largest_rocof_hz_s": Metric(
-            "Hz/s", "largest absolute rate of change of the centre of inertia's frequency over 500 ms"
-        ),
-        "quasi_steady_deviation_hz": Metric(
-            "Hz", "mean frequency of the last 5 s minus the nominal one; none after a failure", optional=True
-        ),
-        "energy_mwh": Metric("MWh", "energy all groups captured until the end or the failure"),
-        "energy_share_percent": Metric("%", "captured of the available energy, at the best power coefficient"),
-        "duty_error_percent": Metric(
-            "%", "mean distance of the captured from the asked power, of the available, over time and groups"
-        ),
-        "least_tip_speed_ratio": Metric("-", "smallest tip-speed ratio of any group"),
-        "largest_tip_speed_ratio": Metric("-", "largest tip-speed ratio of any group"),
-        "overload_time_s": Metric("s", "time above the converter's overload limit, of the group with most of it"),
-        "peak_power_pu": Metric("p.u.", "largest delivered power of any group, on its own base"),
-        "constraint_time_s": Metric("s", "time of the intervals with a constraint violated"),
-        "tripped_groups": Metric(
-            "-", "groups disconnected by an event, or by their protection where a failure trips instead of ends"
-        ),
-        "shed_energy_mwh": Metric(
-            "MWh", "load not served, at 1 p.u. of voltage; in extended physics only", optional=True
-        ),
-        "survived_s": Metric("s", "simulated time until the end or the failure"),
-        "reserve_margin": Metric("-", "reserve margin of the scenario; in version v1 only", optional=True),
-    }
-)
+METRICS: Mapping[str, Metric] = {
+    "cost": Metric("-", "total cost, minus the return"),
+    **{f"cost_{term}": Metric("-", f"{term} term of the total cost") for term in COST_TERMS},
+    "nadir_hz": Metric("Hz", "lowest frequency of the centre of inertia"),
+    "zenith_hz": Metric("Hz", "highest frequency of the centre of inertia"),
+    "worst_nadir_hz": Metric("Hz", "lowest frequency of any bus or unit; in extended physics only", optional=True),
+    "worst_zenith_hz": Metric("Hz", "highest frequency of any bus or unit; in extended physics only", optional=True),
+    "largest_voltage_pu": Metric(
+        "p.u.", "highest terminal voltage of any connected group; in extended physics only", optional=True
+    ),
+    "largest_rocof_hz_s": Metric(
+        "Hz/s", "largest absolute rate of change of the centre of inertia's frequency over 500 ms"
+    ),
+    "quasi_steady_deviation_hz": Metric(
+        "Hz", "mean frequency of the last 5 s minus the nominal one; none after a failure", optional=True
+    ),
+    "energy_mwh": Metric("MWh", "energy all groups captured until the end or the failure"),
+    "energy_share_percent": Metric("%", "captured of the available energy, at the best power coefficient"),
+    "duty_error_percent": Metric(
+        "%", "mean distance of the captured from the asked power, of the available, over time and groups"
+    ),
+    "least_tip_speed_ratio": Metric("-", "smallest tip-speed ratio of any group"),
+    "largest_tip_speed_ratio": Metric("-", "largest tip-speed ratio of any group"),
+    "overload_time_s": Metric("s", "time above the converter's overload limit, of the group with most of it"),
+    "peak_power_pu": Metric("p.u.", "largest delivered power of any group, on its own base"),
+    "constraint_time_s": Metric("s", "time of the intervals with a constraint violated"),
+    "tripped_groups": Metric(
+        "-", "groups disconnected by an event, or by their protection where a failure trips instead of ends"
+    ),
+    "shed_energy_mwh": Metric("MWh", "load not served, at 1 p.u. of voltage; in extended physics only", optional=True),
+    "survived_s": Metric("s", "simulated time until the end or the failure"),
+    "reserve_margin": Metric("-", "reserve margin of the scenario; in version v1 only", optional=True),
+}
 
 
 def frequencies(lanes: TaskLanes, steps: Iterable[npt.NDArray[np.bool_]]) -> list[Floats]:

@@ -3,7 +3,6 @@
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -17,9 +16,11 @@ from wtg_gym.scenarios.suite import Suite
 #: The episodes of an entry, a sequence for each training seed.
 Runs = Sequence[Sequence[Episode]]
 #: The cost's terms that the points of a score are counted by; the others, and the cost of failures, are "rest".
-POINTS: Mapping[str, tuple[str, ...]] = MappingProxyType(
-    {"frequency_rocof": ("frequency", "rocof"), "duty": ("duty",), "overload": ("overload",)}
-)
+POINTS: Mapping[str, tuple[str, ...]] = {
+    "frequency_rocof": ("frequency", "rocof"),
+    "duty": ("duty",),
+    "overload": ("overload",),
+}
 REST = "rest"
 #: Largest deviation that the grid of Continental Europe is designed for, 0.8 Hz; a run beyond it counts with the lost.
 DESIGN_DEVIATION_MHZ = 800.0
