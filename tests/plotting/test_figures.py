@@ -59,7 +59,7 @@ def suite(request):
 
 def _played(suite: Suite, on_k: float, on_tau: float = 0.0, seed: int = _SEED) -> Match:
     match = Match(suite, seed, _LENGTH_S)
-    while not match.over:
+    while not match.has_ended():
         match.step(on_k, on_tau)
     return match
 

@@ -48,13 +48,8 @@ class Match:
         self.nominal_hz = self._lanes.nominal_hz
         self._actions: list[npt.NDArray[np.float64]] = []
 
-    @property
-    def over(self) -> bool:
-        """Whether your run has ended."""
-        return self.has_ended(OWN)
-
-    def has_ended(self, lane: int) -> bool:
-        """Whether the run of a lane has ended."""
+    def has_ended(self, lane: int = OWN) -> bool:
+        """Return whether the run of a lane has ended."""
         return bool(np.logical_or(*self._lanes.ended())[lane])
 
     @property
@@ -123,9 +118,6 @@ class PlayPage:
             return made
 
         self._match, self._speed = match, speed
-        self._running = False
-        #: Control steps that are still to be made, a fraction of one between two ticks.
-        self._due = 0.0
         self._traces, self._strikes = ColumnDataSource(name="traces"), ColumnDataSource(name="strikes")
         self._start = button("start", "Start", self._toggle)
         self._status, self._verdict, self._events = (text(name) for name in ("status", "verdict", "events"))
@@ -177,25 +169,27 @@ class PlayPage:
         for slider in self._sliders:
             slider.value = 0.0
 
-    def _toggle(self) -> None:
-        if self._match.over:
-            self._play(self._match.seed)
-        self._running = not self._running
-        self._show()
-
     def _play(self, seed: int) -> None:
         """Put a scenario at its start, paused."""
         self._match = Match(self._match.suite, seed, self._match.duration_s)
-        self._running, self._due, self._seen = False, 0.0, list[tuple[float, str]]()
+        self._running = False
+        #: Control steps that are still to be made, a fraction of one between two ticks.
+        self._due, self._seen = 0.0, list[tuple[float, str]]()
         self._zero()
         self._traces.data = {name: [value] for name, value in self._now().items()}
         self._strikes.data = {"x": []}
         self._verdict.text = ""
         self._show()
 
+    def _toggle(self) -> None:
+        if self._match.has_ended():
+            self._play(self._match.seed)
+        self._running = not self._running
+        self._show()
+
     def _now(self) -> dict[str, float]:
         """Return where both stand, as a row of the traces; the line of a reference that failed ends."""
-        gone = self._match.has_ended(REFERENCE) and not self._match.over
+        gone = self._match.has_ended(REFERENCE) and not self._match.has_ended()
         now = {"t": self._match.time_s}
         for name, values in self._match.sample().items():
             for (lane, j), value in np.ndenumerate(values.reshape(2, -1)):
@@ -207,7 +201,7 @@ class PlayPage:
             return
         self._due += self._speed * _TICK_MS / 1000.0 / self._match.control_dt
         rows, struck = list[dict[str, float]](), list[tuple[float, str]]()
-        while self._due >= 1.0 and not self._match.over:
+        while self._due >= 1.0 and not self._match.has_ended():
             self._due -= 1.0
             struck += self._match.step(*(slider.value for slider in self._sliders))
             rows.append(self._now())
@@ -216,17 +210,17 @@ class PlayPage:
         if struck:
             self._seen += struck
             self._strikes.stream({"x": [time_s for time_s, _ in struck]})
-        if self._match.over:
+        if self._match.has_ended():
             self._running = False
             self._verdict.text = verdict_text(self._match)
         self._show()
 
     def _show(self) -> None:
         match = self._match
-        state = "over" if match.over else "running" if self._running else "paused" if match.time_s else "ready"
+        state = "over" if match.has_ended() else "running" if self._running else "paused" if match.time_s else "ready"
         self._start.label = "Pause" if self._running else "Start"
         frequency = match.sample()["frequency"][OWN]
-        lost = "" if match.over or not match.has_ended(REFERENCE) else " The reference has failed."
+        lost = "" if match.has_ended() or not match.has_ended(REFERENCE) else " The reference has failed."
         self._status.text = (
             f"<b>{match.time_s:.1f} s</b> of {self._match.duration_s:g} s, <b>{frequency:.2f} Hz</b>, {state}. "
             f"{match.suite.name}, scenario {match.seed}.{lost}"

@@ -6,7 +6,7 @@ A page of sections, in Markdown with its pictures beside, or made HTML of, with 
 import base64
 import itertools
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from html import escape
 from pathlib import Path
 from string import Template
@@ -70,7 +70,7 @@ class Section:
     rows: Sequence[Sequence[str]] = ()
     numbers: Sequence[int] = ()
     note: str = ""
-    pictures: Sequence[Picture] = field(default=())
+    pictures: Sequence[Picture] = ()
 
     def markdown(self, stem: str) -> str:
         """Return the section as Markdown, with pictures in files that are called after the page's stem."""
