@@ -229,31 +229,30 @@ def _episodes(
         if on_progress is not None:
             on_progress(entry.name, n_done, n_all)
 
-    missing = []
+    remaining: dict[int, _Part] = {}
     for index, part in enumerate(parts):
         if (stored := store.load(*part)) is None:
-            missing.append(index)
+            remaining[index] = part
         else:
             take(index, stored)
-    remaining = [parts[index] for index in missing]
     if workers is None or not remaining:
         playing = _played_here(remaining, settings, n_threads)
     else:
         playing = workers.play(play_batch, settings, remaining)
     with contextlib.closing(playing) as batches:
-        for number, played in batches:
+        for index, played in batches:
             if get_suite(settings.suite_name).hash != suite_hash:
                 raise ValueError(
                     f"the suite {settings.suite_name} was written anew while it was played: evaluate again"
                 )
             if not isinstance(played, PolicyError):
-                store.save(*remaining[number], played)
-            take(missing[number], played)
+                store.save(*parts[index], played)
+            take(index, played)
     return [episode for index in sorted(episodes) for episode in episodes[index]], failures
 
 
 def _played_here(
-    parts: Sequence[_Part], settings: EnvSettings, n_threads: int | None
+    parts: Mapping[int, _Part], settings: EnvSettings, n_threads: int | None
 ) -> Generator[tuple[int, Played], None, None]:
     failures: dict[str, PolicyError] = {}
     playing: list[OnnxPolicy] = []
@@ -272,8 +271,8 @@ def _played_here(
         return index, rows
 
     # Laws share all threads by themselves, and a policy in Python is called by one thread only.
-    apart = [index for index, (entry, _) in enumerate(parts) if isinstance(entry.policy, OnnxPolicy)]
-    for index in sorted(set(range(len(parts))) - set(apart)):
+    apart = [index for index, (entry, _) in parts.items() if isinstance(entry.policy, OnnxPolicy)]
+    for index in sorted(parts.keys() - set(apart)):
         yield played(index, n_threads)
     pool, futures = ThreadPoolExecutor(n_threads or os.cpu_count()), []
     try:

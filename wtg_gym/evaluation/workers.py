@@ -9,7 +9,7 @@ import importlib.util
 import os
 import socket
 import tempfile
-from collections.abc import Callable, Generator, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
 from concurrent.futures import Future, as_completed
 from dataclasses import dataclass
 from typing import Any
@@ -62,7 +62,7 @@ class Workers:
             raise ValueError(f"backend {backend} needs {BACKENDS[backend]}; {install_advice('cluster')}")
 
     def play(
-        self, play: Play, settings: EnvSettings, parts: Sequence[tuple[Entry, list[int]]]
+        self, play: Play, settings: EnvSettings, parts: Mapping[int, tuple[Entry, list[int]]]
     ) -> Generator[tuple[int, Played], None, None]:
         """Yield (index, episodes or the policy's failure) of every part, (entry, seeds), as soon as it is finished.
 
@@ -70,7 +70,7 @@ class Workers:
         code, packages or processor, or is lost for good.
         """
         expected, parcels = circumstances(), dict[int, bytes]()
-        for entry, _ in parts:
+        for entry, _ in parts.values():
             try:
                 # As bytes: objects that Dask spreads out are lost with the worker that has them.
                 parcels[id(entry)] = parcels.get(id(entry)) or cloudpickle.dumps((entry, settings))
@@ -84,7 +84,7 @@ class Workers:
                 raise ValueError(f"no {self.backend} cluster answers at {self.address}: {one_line(error)}") from error
             indices = {
                 submit(_work, play, parcels[id(entry)], seeds, expected): index
-                for index, (entry, seeds) in enumerate(parts)
+                for index, (entry, seeds) in parts.items()
             }
             for future in as_completed(indices):
                 try:
